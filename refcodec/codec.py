@@ -1,0 +1,578 @@
+"""The decoding process as a whole (SPEC.md 7.1), and its inverse: parse(bytes) -> Scene, emit(Scene) -> bytes."""
+
+from __future__ import annotations
+
+import zlib
+from collections.abc import Callable, Iterator
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass, replace
+from typing import TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
+from threadpoolctl import threadpool_limits
+
+from . import syntax
+from .attributes import Attributes, EntropyModel, code_attributes, step_indices
+from .container import (
+    ATTRIBUTES,
+    CHUNK_TABLE,
+    FRAME,
+    MASKS,
+    PLANES_SECTION,
+    POSITION_BYTES,
+    POSITIONS,
+    WEIGHTS,
+    Header,
+    chunk_ranges,
+    emit_container,
+    parse_container,
+)
+from .conventions import Int64
+from .entropy import STATE_MIN, Decoder, Encoder, Substream, TraceRow, parse_substream
+from .errors import BitstreamError
+from .geometry import Frame, assemble_planes, context
+from .masks import code_masks, context_count, mask_models
+from .networks import BoundError, IntNetwork, Layer, derive_layer
+from .planes import PLANE_NAMES, PLANES, code_planes
+from .scene import Dimensions, Scene
+from .tables import TOTAL
+
+# SPEC 6.7
+MATRIX_BOUND = 1 << 20
+TRANSLATION_BOUND = 1 << 61
+FRAME_SHIFT_MAX = 60
+FRAME_RANGE_BOUND = 1 << 18
+# SPEC 6.8
+PLANE_SHIFT_MAX = 10
+CARM_SHIFT_MAX = 16
+
+# Anchors and chunks decoded side by side: bounds of memory, without effect on the result.
+GROUP_ANCHORS = 32768
+GROUP_CHUNKS = 1024
+
+Progress = Callable[[str, int, int], None]
+Trace = Callable[[TraceRow], None]
+T = TypeVar("T")
+
+
+def _no_progress(stage: str, done: int, total: int) -> None:
+    pass
+
+
+@dataclass(frozen=True)
+class Networks:
+    """The integer side of the weights (SPEC 7.2), ready to run."""
+
+    sarm: IntNetwork
+    entropy: EntropyModel
+
+    def contexts(self, scene: Scene | Header, frame: Frame, planes: tuple[Int64, Int64], shift: int, at: NDArray) -> NDArray:
+        """SPEC 7.5 for the positions `at`."""
+        return context(frame, planes, shift, scene.dimensions.frequency_count, at)
+
+
+@dataclass(frozen=True, eq=False)
+class Parsed:
+    """A parsed file. damage: for each chunk that was dropped, its number and its first error (keep_going only)."""
+
+    scene: Scene
+    damage: dict[int, BitstreamError]
+
+
+# --- sections ---------------------------------------------------------------------------------------------------------
+
+
+def parse_frame(data: bytes, start: int) -> Frame:
+    """SPEC 5.7 and 6.7. Raises BitstreamError frame.range."""
+    f, _ = syntax.parse("Frame", data, start)
+
+    def bad(name: str, detail: str) -> BitstreamError:
+        for element in syntax.parse_elements("Frame", data, start, "frame"):
+            if element.path == f"frame.{name}":
+                return BitstreamError("frame.range", element.start, element.path, detail)
+        raise AssertionError(name)
+
+    for name, low, high in (
+        ("matrix", 1 - MATRIX_BOUND, MATRIX_BOUND - 1),
+        ("translation", 1 - TRANSLATION_BOUND, TRANSLATION_BOUND - 1),
+        ("shift", 0, FRAME_SHIFT_MAX),
+    ):
+        for i, value in enumerate(f[name]):
+            if not low <= value <= high:
+                raise bad(f"{name}[{i}]", f"{value} found, {low} to {high} allowed")
+    if f.reserved:
+        raise bad("reserved", f"{f.reserved} found, 0 required")
+    for i, (low, high) in enumerate(zip(f.low, f.high, strict=True)):
+        if not -FRAME_RANGE_BOUND <= low < FRAME_RANGE_BOUND:
+            raise bad(f"low[{i}]", f"{low} found, {-FRAME_RANGE_BOUND} to {FRAME_RANGE_BOUND - 1} allowed")
+        if not low < high <= FRAME_RANGE_BOUND:
+            raise bad(f"high[{i}]", f"{high} found, {low + 1} to {FRAME_RANGE_BOUND} allowed")
+
+    def array(values: list[int]) -> Int64:
+        return np.array(values, dtype=np.int64)
+
+    return Frame(array(f.matrix).reshape(3, 3), array(f.translation), array(f.shift), array(f.low), array(f.high))
+
+
+def emit_frame(frame: Frame) -> bytes:
+    """SPEC 5.7."""
+    fields = {name: getattr(frame, name).reshape(-1).tolist() for name in ("matrix", "translation", "shift", "low", "high")}
+    return syntax.build("Frame", {**fields, "reserved": 0})
+
+
+def parse_weights(data: bytes, start: int, d: Dimensions) -> tuple[int, NDArray[np.uint8], dict[str, list[Layer]]]:
+    """SPEC 5.8 and 6.8: plane_shift, carm_shift and the layers of each network. Raises BitstreamError 411, 412."""
+    scales, size = syntax.parse("WeightScales", data, start)
+
+    def bad(offset: int, field: str, value: int, low: int, high: int) -> BitstreamError:
+        return BitstreamError("weights.scale", offset, f"weights.{field}", f"{value} found, {low} to {high} allowed")
+
+    if scales.plane_shift > PLANE_SHIFT_MAX:
+        raise bad(start, "plane_shift", scales.plane_shift, 0, PLANE_SHIFT_MAX)
+    if scales.carm_input_count != d.carm_inputs:
+        raise bad(start + 1, "carm_input_count", scales.carm_input_count, d.carm_inputs, d.carm_inputs)
+    for i, shift in enumerate(scales.carm_shift):
+        if shift > CARM_SHIFT_MAX:
+            raise bad(start + 2 + i, f"carm_shift[{i}]", shift, 0, CARM_SHIFT_MAX)
+    at = start + size
+    networks: dict[str, list[Layer]] = {}
+    for name, shapes in d.network_shapes().items():
+        networks[name] = []
+        for index, (out, fan_in) in enumerate(shapes):
+            values = np.frombuffer(data, "<f4", out * (fan_in + 1), at).astype(np.float32)
+            finite = np.isfinite(values)
+            if not finite.all():
+                first = at + 4 * int(np.argmin(finite))
+                raise BitstreamError("weights.not_finite", first, f"weights.{name}.{index}", "NaN or infinity found")
+            at += 4 * len(values)
+            networks[name].append((values[: out * fan_in].reshape(out, fan_in), values[out * fan_in :]))
+    return scales.plane_shift, np.array(scales.carm_shift, dtype=np.uint8), networks
+
+
+def emit_weights(scene: Scene) -> bytes:
+    """SPEC 5.8. Bytes are copied, so every bit of a value stays."""
+    shifts = scene.carm_shift.tolist()
+    fields = {"plane_shift": scene.plane_shift, "carm_input_count": len(shifts), "carm_shift": shifts}
+    parts = [syntax.build("WeightScales", fields)]
+    for layers in scene.networks.values():
+        parts += [value.astype("<f4").tobytes() for layer in layers for value in layer]
+    return b"".join(parts)
+
+
+def derive_networks(
+    d: Dimensions, carm_shift: NDArray[np.uint8], networks: dict[str, list[Layer]], exact_float: bool | None = None, block: int | None = None
+) -> Networks:
+    """SPEC 7.2 for F_h, SARM and CARM. Raises BoundError; its text names the network and the layer."""
+
+    def derive(name: str) -> IntNetwork:
+        layers = []
+        for index, layer in enumerate(networks[name]):
+            try:
+                layers.append(derive_layer(*layer))
+            except BoundError as error:
+                error.args = (f"{name}.{index}", *error.args)
+                raise
+        return IntNetwork(layers, exact_float, block)
+
+    hyper, sarm = derive("hyper"), derive("sarm")
+    carm = [derive(f"carm.{i}") for i in range(1, len(d.slices))]
+    return Networks(sarm, EntropyModel(hyper, carm, carm_shift.astype(np.int64), d.slices))
+
+
+def _checked_networks(header: Header, carm_shift: NDArray[np.uint8], networks: dict[str, list[Layer]], start: int) -> Networks:
+    """derive_networks, with a broken bound as BitstreamError weights.bound at the row's first weight."""
+    try:
+        return derive_networks(header.dimensions, carm_shift, networks)
+    except BoundError as error:
+        layer, detail = error.args
+        at = start + 2 + len(carm_shift)
+        for name, shapes in header.dimensions.network_shapes().items():
+            for index, (out, fan_in) in enumerate(shapes):
+                if f"{name}.{index}" == layer:
+                    raise BitstreamError("weights.bound", at + 4 * fan_in * error.row, f"weights.{layer}", detail) from None
+                at += 4 * out * (fan_in + 1)
+        raise AssertionError(layer) from None
+
+
+def _parse_planes(data: bytes, header: Header, sarm: IntNetwork, trace: Trace | None) -> NDArray[np.int16]:
+    """SPEC 5.9, 6.9 and 7.3. Raises the error of the first substream that has one."""
+    section = header.sections[PLANES_SECTION]
+    try:
+        table, size = syntax.parse("PlaneTable", data[: section.end], section.start)
+    except syntax.cs.ConstructError:
+        raise BitstreamError("planes.length", section.start, "planes", f"{section.end - section.start} bytes cannot hold the table") from None
+    if size + sum(table.length) != section.end - section.start:
+        detail = f"{size + sum(table.length)} bytes are announced, the section has {section.end - section.start}"
+        raise BitstreamError("planes.length", section.start, "planes.length", detail)
+    bounds = section.start + size + np.concatenate([[0], np.cumsum(table.length, dtype=np.int64)])
+    lanes = 1 << header.lanes.plane
+    streams, errors = [], []
+    for i in range(PLANES):
+        stream, error = _substream(data, int(bounds[i]), int(bounds[i + 1]), lanes, f"planes.{PLANE_NAMES[i]}")
+        streams.append(stream)
+        errors.append(error)
+    decoder = Decoder(streams, trace)
+    d = header.dimensions
+    planes = code_planes(decoder, sarm, d.plane_channels, d.plane_size)
+    for parse_error, verdict in zip(errors, decoder.finish(), strict=True):
+        if parse_error or verdict:
+            raise parse_error or verdict  # type: ignore[misc]
+    return planes
+
+
+def _substream(data: bytes, start: int, end: int, lanes: int, path: str) -> tuple[Substream, BitstreamError | None]:
+    """A substream, or an empty one and the error, so that its neighbours can still be decoded."""
+    try:
+        return parse_substream(data, start, end, lanes, path), None
+    except BitstreamError as error:
+        empty = np.empty(0, dtype=np.uint16)
+        return Substream(0, np.full(lanes, STATE_MIN, dtype=np.uint32), empty, b"", start, path), error
+
+
+# --- chunks -----------------------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class _Part:
+    """One of the three parts of each chunk: bounds int64 [chunks + 1] in the file, crc int64 [chunks]."""
+
+    name: str
+    bounds: Int64
+    crc: Int64
+
+    def check(self, data: bytes, chunk: int) -> BitstreamError | None:
+        """SPEC 6.10: the CRC-32 of one chunk's part."""
+        start, end = int(self.bounds[chunk]), int(self.bounds[chunk + 1])
+        crc = zlib.crc32(memoryview(data)[start:end])
+        if end <= len(data) and crc == self.crc[chunk]:
+            return None
+        detail = f"{crc:08x} computed, {int(self.crc[chunk]):08x} in the chunk table"
+        return BitstreamError("chunks.crc", start, f"{self.name}[chunk {chunk}]", detail)
+
+
+def _parse_chunk_table(data: bytes, header: Header) -> tuple[NDArray[np.uint16], dict[int, _Part]]:
+    """SPEC 5.10 and 6.10. Raises BitstreamError 431 or 432."""
+    section = header.sections[CHUNK_TABLE]
+    contexts = context_count(header.dimensions.offset_count)
+    model = np.frombuffer(data, "<u2", contexts, section.start).astype(np.uint16)
+    bad = np.flatnonzero((model < 1) | (model >= TOTAL))
+    if bad.size:
+        detail = f"{model[bad[0]]} found, 1 to {TOTAL - 1} allowed"
+        raise BitstreamError("chunks.mask_model", section.start + 2 * int(bad[0]), f"chunk_table.mask_model[{bad[0]}]", detail)
+    chunks = header.chunks
+    at = section.start + 2 * contexts
+    table = np.frombuffer(data, "<u4", 6 * len(chunks), at).astype(np.int64).reshape(-1, 6)
+    parts = {}
+    for column, kind in enumerate((POSITIONS, MASKS, ATTRIBUTES)):
+        part = header.sections[kind]
+        length = table[:, 2 * column]
+        if kind == POSITIONS:
+            wrong = np.flatnonzero(length != POSITION_BYTES * np.array([len(c) for c in chunks], dtype=np.int64))
+            if wrong.size:
+                chunk = int(wrong[0])
+                detail = f"{length[chunk]} found, {POSITION_BYTES * len(chunks[chunk])} required"
+                raise BitstreamError("chunks.length", at + 24 * chunk, f"chunk_table.entry[{chunk}].position_length", detail)
+        if length.sum() != part.end - part.start:
+            detail = f"{int(length.sum())} bytes are announced, the section has {part.end - part.start}"
+            raise BitstreamError("chunks.length", at + 8 * column, f"chunk_table.{part.name}", detail)
+        parts[kind] = _Part(part.name, part.start + np.concatenate([[0], np.cumsum(length)]), table[:, 2 * column + 1])
+    return model, parts
+
+
+def _groups(chunks: list[range]) -> Iterator[list[int]]:
+    """Runs of chunks that are coded side by side."""
+    group: list[int] = []
+    anchors = 0
+    for number, chunk in enumerate(chunks):
+        if group and (anchors + len(chunk) > GROUP_ANCHORS or len(group) == GROUP_CHUNKS):
+            yield group
+            group, anchors = [], 0
+        group.append(number)
+        anchors += len(chunk)
+    if group:
+        yield group
+
+
+def _map_groups(work: Callable[[list[int]], T], chunks: list[range], threads: int, stage: str, progress: Progress) -> list[T]:
+    """work on each group, results in order; the first group's error wins whatever the threads do."""
+    groups = list(_groups(chunks))
+    done: list[T] = []
+    with ThreadPoolExecutor(max(1, threads)) as pool:
+        progress(stage, 0, len(groups))
+        try:
+            for result in pool.map(work, groups):
+                done.append(result)
+                progress(stage, len(done), len(groups))
+        except BaseException:
+            pool.shutdown(cancel_futures=True)
+            raise
+    return done
+
+
+def _parse_positions(data: bytes, part: _Part, chunks: list[range], damage: dict[int, BitstreamError] | None) -> NDArray[np.float16]:
+    """SPEC 6.11: chunk by chunk. With `damage`, errors go there and the anchors become zero."""
+    out = np.zeros((sum(len(c) for c in chunks), 3), dtype=np.float16)
+    for number, chunk in enumerate(chunks):
+        start = int(part.bounds[number])
+        error = part.check(data, number)
+        if error is None:
+            bits = np.frombuffer(data, "<u2", 3 * len(chunk), start)
+            bad = np.flatnonzero(((bits & 0x7C00) == 0x7C00) | (bits == 0x8000))
+            if bad.size:
+                name = "positions.negative_zero" if bits[bad[0]] == 0x8000 else "positions.not_finite"
+                anchor, axis = chunk.start + int(bad[0]) // 3, int(bad[0]) % 3
+                error = BitstreamError(name, start + 2 * int(bad[0]), f"positions[{anchor},{axis}]", f"0x{bits[bad[0]]:04x} found")
+            else:
+                out[chunk.start : chunk.stop] = bits.astype(np.uint16).view(np.float16).reshape(-1, 3)
+        if error is not None:
+            if damage is None:
+                raise error
+            damage[number] = error
+    return out
+
+
+class _ChunkDecoder:
+    """Decodes one part of a group of chunks, and merges the errors of each chunk into one verdict."""
+
+    def __init__(self, data: bytes, part: _Part, lanes: int, group: list[int], trace: Trace | None) -> None:
+        self.part, self.group = part, group
+        self.errors: list[BitstreamError | None] = []
+        streams = []
+        for number in group:
+            start, end = int(part.bounds[number]), int(part.bounds[number + 1])
+            error = part.check(data, number)
+            if error is not None:
+                start = end = min(start, len(data))
+            stream, syntax_error = _substream(data, start, end, lanes, f"{part.name}[chunk {number}]")
+            self.errors.append(error or syntax_error)
+            streams.append(stream)
+        self.decoder = Decoder(streams, trace)
+
+    def verdicts(self) -> dict[int, BitstreamError]:
+        """The first error of each chunk that has one, by chunk."""
+        found = {}
+        for number, before, after in zip(self.group, self.errors, self.decoder.finish(), strict=True):
+            error = before or after
+            if error is not None:
+                found[number] = error
+        return found
+
+
+def _settle(results: list[tuple[T, dict[int, BitstreamError]]], damage: dict[int, BitstreamError] | None) -> list[T]:
+    """Raises the error of the lowest chunk, or notes all of them."""
+    for _, errors in results:
+        for number, error in errors.items():
+            if damage is None:
+                raise error
+            damage.setdefault(number, error)
+    return [value for value, _ in results]
+
+
+# --- the whole --------------------------------------------------------------------------------------------------------
+
+
+def parse(
+    data: bytes, *, keep_going: bool = False, threads: int = 1, progress: Progress = _no_progress, trace: Trace | None = None
+) -> Parsed:
+    """Decodes a file, SPEC 7.1 and 10.1. Raises BitstreamError and nothing else for whatever bytes.
+
+    keep_going: chunks with errors are dropped and listed instead. threads: chunk groups decoded at once (1 with trace).
+    """
+    with threadpool_limits(1, "blas"):
+        return _parse(bytes(data), keep_going, 1 if trace else threads, progress, trace)
+
+
+def _parse(data: bytes, keep_going: bool, threads: int, progress: Progress, trace: Trace | None) -> Parsed:
+    header = parse_container(data, keep_going)
+    sections, d, chunks = header.sections, header.dimensions, header.chunks
+    frame = parse_frame(data, sections[FRAME].start)
+    plane_shift, carm_shift, weights = parse_weights(data, sections[WEIGHTS].start, d)
+    networks = _checked_networks(header, carm_shift, weights, sections[WEIGHTS].start)
+    progress("planes", 0, 1)
+    planes = _parse_planes(data, header, networks.sarm, trace)
+    progress("planes", 1, 1)
+    mask_frequencies, parts = _parse_chunk_table(data, header)
+    damage: dict[int, BitstreamError] | None = {} if keep_going else None
+    positions = _parse_positions(data, parts[POSITIONS], chunks, damage)
+    models = mask_models(mask_frequencies)
+
+    def mask_group(group: list[int]) -> tuple[NDArray[np.bool_], dict[int, BitstreamError]]:
+        decoder = _ChunkDecoder(data, parts[MASKS], 1 << header.lanes.mask, group, trace)
+        masks = code_masks(decoder.decoder, models, d.offset_count, [chunks[c] for c in group])
+        return masks, decoder.verdicts()
+
+    masks = np.zeros((0, d.offset_count), dtype=bool)
+    masks = np.concatenate([masks, *_settle(_map_groups(mask_group, chunks, threads, "masks", progress), damage)])
+    full = assemble_planes(planes)
+
+    def attribute_group(group: list[int]) -> tuple[Attributes, dict[int, BitstreamError]]:
+        anchors = slice(chunks[group[0]].start, chunks[group[-1]].stop)
+        contexts = networks.contexts(header, frame, full, plane_shift, positions[anchors])
+        decoder = _ChunkDecoder(data, parts[ATTRIBUTES], 1 << header.lanes.attribute, group, trace)
+        ranges = [chunks[c] for c in group]
+        attributes = code_attributes(decoder.decoder, networks.entropy, contexts, masks[anchors], ranges)
+        return attributes, decoder.verdicts()
+
+    attributes = _join(_settle(_map_groups(attribute_group, chunks, threads, "attributes", progress), damage), d)
+    scene = Scene(
+        header.profile,
+        d,
+        header.chunk_size,
+        header.lanes,
+        header.base_step,
+        header.grid,
+        header.render,
+        frame,
+        plane_shift,
+        carm_shift,
+        weights,
+        planes,
+        mask_frequencies,
+        positions,
+        masks,
+        attributes,
+        tuple((s.type, s.mode, data[s.start : s.end]) for s in sections.values() if s.type < FRAME and s.end <= len(data)),
+    )
+    return Parsed(without_chunks(scene, sorted(damage or {})), damage or {})
+
+
+def _join(parts: list[Attributes], d: Dimensions) -> Attributes:
+    """Attributes of all groups, in order."""
+    empty = Attributes(
+        np.zeros((0, d.features), np.int32), np.zeros((0, 6), np.int32), np.zeros((0, d.offset_count, 3), np.int32), np.zeros((0, 3), np.uint8)
+    )
+    return Attributes(*(np.concatenate([getattr(p, f) for p in [empty, *parts]]) for f in vars(empty)))
+
+
+def take_anchors(scene: Scene, keep: NDArray) -> Scene:
+    """The scene with the anchors that an index or a boolean array selects, in its order."""
+    a = scene.attributes
+    chosen = Attributes(a.features[keep], a.scalings[keep], a.offsets[keep], a.steps[keep])
+    return replace(scene, positions=scene.positions[keep], masks=scene.masks[keep], attributes=chosen)
+
+
+def without_chunks(scene: Scene, dropped: list[int]) -> Scene:
+    """The scene without the anchors of some chunks."""
+    if not dropped:
+        return scene
+    keep = np.ones(scene.anchor_count, dtype=bool)
+    chunks = chunk_ranges(scene.anchor_count, scene.chunk_size)
+    for number in dropped:
+        keep[chunks[number].start : chunks[number].stop] = False
+    return take_anchors(scene, keep)
+
+
+def emit(scene: Scene, *, threads: int = 1, progress: Progress = _no_progress) -> bytes:
+    """The file of a scene: for each accepted file b, emit(parse(b).scene) == b (SPEC 4.3).
+
+    Raises ValueError if the scene breaks a rule of SPEC.md, with the error that a decoder would report.
+    """
+    _check_shapes(scene)
+    with threadpool_limits(1, "blas"):
+        return _emit(scene, threads, progress)
+
+
+def _emit(scene: Scene, threads: int, progress: Progress) -> bytes:
+    d = scene.dimensions
+    chunks = chunk_ranges(scene.anchor_count, scene.chunk_size)
+    try:
+        networks = derive_networks(d, scene.carm_shift, scene.networks)
+    except BoundError as error:
+        raise ValueError(f"network {error.args[0]}: {error.args[1]} (SPEC.md 7.2)") from None
+    progress("planes", 0, 1)
+    plane_encoder = Encoder(PLANES, 1 << scene.lanes.plane)
+    code_planes(plane_encoder, networks.sarm, d.plane_channels, d.plane_size, scene.planes)
+    plane_streams = plane_encoder.finish()
+    progress("planes", 1, 1)
+    models = mask_models(scene.mask_model)
+    full = assemble_planes(scene.planes)
+    a = scene.attributes
+
+    def encode_group(group: list[int]) -> list[tuple[bytes, bytes, bytes]]:
+        anchors = slice(chunks[group[0]].start, chunks[group[-1]].stop)
+        ranges = [chunks[c] for c in group]
+        masks = Encoder(len(group), 1 << scene.lanes.mask)
+        code_masks(masks, models, d.offset_count, ranges, scene.masks[anchors])
+        contexts = networks.contexts(scene, scene.frame, full, scene.plane_shift, scene.positions[anchors])
+        given = Attributes(a.features[anchors], a.scalings[anchors], a.offsets[anchors], a.steps[anchors])
+        encoder = Encoder(len(group), 1 << scene.lanes.attribute)
+        coded = code_attributes(encoder, networks.entropy, contexts, scene.masks[anchors], ranges, given)
+        if not np.array_equal(coded.steps, given.steps):
+            raise ValueError("the scene's step indices are not those that its networks give (SPEC.md 7.8)")
+        raw = [scene.positions[c.start : c.stop].astype("<f2").tobytes() for c in ranges]
+        return list(zip(raw, masks.finish(), encoder.finish(), strict=True))
+
+    coded = [chunk for group in _map_groups(encode_group, chunks, threads, "chunks", progress) for chunk in group]
+    table = scene.mask_model.astype("<u2").tobytes()
+    for parts in coded:
+        names = ("position", "mask", "attribute")
+        entry = {f"{n}_length": len(p) for n, p in zip(names, parts, strict=True)}
+        entry |= {f"{n}_crc": zlib.crc32(p) for n, p in zip(names, parts, strict=True)}
+        table += syntax.build("ChunkEntry", entry)
+    planes = syntax.build("PlaneTable", {"length": [len(s) for s in plane_streams]}) + b"".join(plane_streams)
+    sections = [
+        (FRAME, 0, emit_frame(scene.frame)),
+        (WEIGHTS, 0, emit_weights(scene)),
+        (PLANES_SECTION, 0, planes),
+        (CHUNK_TABLE, 0, table),
+        *((kind, 0, b"".join(parts[i] for parts in coded)) for i, kind in enumerate((POSITIONS, MASKS, ATTRIBUTES))),
+        *scene.extensions,
+    ]
+    data = emit_container(scene, sections)
+    _check_emitted(data)
+    return data
+
+
+def _check_emitted(data: bytes) -> None:
+    """Everything that a decoder checks before it decodes symbols, as ValueError."""
+    try:
+        header = parse_container(data)
+        parse_frame(data, header.sections[FRAME].start)
+        parse_weights(data, header.sections[WEIGHTS].start, header.dimensions)
+        _, parts = _parse_chunk_table(data, header)
+        _parse_positions(data, parts[POSITIONS], header.chunks, None)
+    except BitstreamError as error:
+        raise ValueError(f"the scene cannot be written: {error}") from None
+
+
+def _check_shapes(scene: Scene) -> None:
+    """Raises ValueError for an array whose shape or dtype is not what Scene says."""
+    d, n, a = scene.dimensions, scene.anchor_count, scene.attributes
+    wanted: dict[str, tuple[NDArray, tuple[int, ...], type]] = {
+        "planes": (scene.planes, (PLANES, d.plane_channels, d.plane_size, d.plane_size), np.int16),
+        "carm_shift": (scene.carm_shift, (d.carm_inputs,), np.uint8),
+        "mask_model": (scene.mask_model, (context_count(d.offset_count),), np.uint16),
+        "positions": (scene.positions, (n, 3), np.float16),
+        "masks": (scene.masks, (n, d.offset_count), np.bool_),
+        "features": (a.features, (n, d.features), np.int32),
+        "scalings": (a.scalings, (n, 6), np.int32),
+        "offsets": (a.offsets, (n, d.offset_count, 3), np.int32),
+        "steps": (a.steps, (n, 3), np.uint8),
+    }
+    if list(scene.networks) != list(d.network_shapes()):
+        raise ValueError(f"networks are {list(scene.networks)}, the dimensions require {list(d.network_shapes())}")
+    for name, shapes in d.network_shapes().items():
+        if len(scene.networks[name]) != len(shapes):
+            raise ValueError(f"network {name} has {len(scene.networks[name])} layers, the dimensions require {len(shapes)}")
+        for i, ((weight, bias), (out, fan_in)) in enumerate(zip(scene.networks[name], shapes, strict=True)):
+            wanted[f"{name}.{i}.weight"] = (weight, (out, fan_in), np.float32)
+            wanted[f"{name}.{i}.bias"] = (bias, (out,), np.float32)
+    for name, (array, shape, dtype) in wanted.items():
+        if array.shape != shape or array.dtype != dtype:
+            raise ValueError(f"{name} is {array.dtype}{list(array.shape)}, {np.dtype(dtype)}{list(shape)} is required")
+    if np.abs(scene.planes.astype(np.int32)).max(initial=0) > (1 << 15) - 1:
+        raise ValueError("a plane symbol is -32768 (SPEC.md 6.9)")
+    if a.offsets[~scene.masks].any():
+        raise ValueError("an offset that its mask drops is not 0 (SPEC.md 6.13)")
+
+
+def derive_steps(scene: Scene) -> NDArray[np.uint8]:
+    """SPEC 7.8 for every anchor of a scene whose attributes need not be there yet: uint8 [N, 3]."""
+    networks = derive_networks(scene.dimensions, scene.carm_shift, scene.networks)
+    full = assemble_planes(scene.planes)
+    steps = [np.zeros((0, 3), np.uint8)]
+    for group in chunk_ranges(scene.anchor_count, GROUP_ANCHORS):
+        contexts = networks.contexts(scene, scene.frame, full, scene.plane_shift, scene.positions[group.start : group.stop])
+        steps.append(step_indices(networks.entropy.hyper(contexts).astype(np.int64)))
+    return np.concatenate(steps)

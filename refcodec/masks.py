@@ -1,0 +1,40 @@
+"""Masks (SPEC.md 7.6): static contexts of offset index and offsets kept so far."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .conventions import Int64
+from .entropy import Coder
+from .tables import TOTAL, ModelSet, build_models
+
+
+def context_count(offset_count: int) -> int:
+    """SPEC 7.6: K (K + 1) / 2 contexts."""
+    return offset_count * (offset_count + 1) // 2
+
+
+def mask_models(frequencies: NDArray[np.uint16]) -> ModelSet:
+    """SPEC 7.6: a binary model for each context, from the frequency of a kept offset (1 to 2^14 - 1)."""
+    return build_models("mask", [np.array([TOTAL - int(f), int(f)]) for f in frequencies], [0] * len(frequencies))
+
+
+def contexts(offset: int, kept: Int64) -> Int64:
+    """SPEC 7.6: the context of an offset index, for the count of offsets kept before it."""
+    return offset * (offset + 1) // 2 + kept
+
+
+def code_masks(
+    coder: Coder, models: ModelSet, offset_count: int, chunks: list[range], given: NDArray[np.bool_] | None = None
+) -> NDArray[np.bool_]:
+    """Codes the masks of the anchors in `chunks` (one substream each), bool [anchors, K], in either direction (SPEC 7.6)."""
+    counts = [len(c) for c in chunks]
+    masks = np.zeros((sum(counts), offset_count), dtype=bool)
+    kept = np.zeros(len(masks), dtype=np.int64)
+    for k in range(offset_count):
+        known = None if given is None else given[:, k].astype(np.int64)
+        bit = coder.bits(models, contexts(k, kept), counts, lambda s, i, k=k: f"masks[{chunks[s][i]},{k}]", known)
+        masks[:, k] = bit
+        kept += bit
+    return masks
