@@ -67,7 +67,7 @@ def code_attributes(
     hyper = model.hyper(contexts).astype(np.int64)
     mean, scale = hyper[:, :total], hyper[:, total : 2 * total]
 
-    def stage(kind: str, first: int, columns: int, m: Int64, s: Int64, known: Int64 | None) -> Int64:
+    def stage(kind: str, first: int, columns: int, m: Int64, s: Int64, known: NDArray[np.int32] | None) -> Int64:
         def name(stream: int, index: int) -> str:
             anchor, column = divmod(index, columns)
             return f"attributes.{kind}[{chunks[stream][anchor]},{first + column}]"

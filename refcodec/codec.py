@@ -48,7 +48,7 @@ PLANE_SHIFT_MAX = 10
 CARM_SHIFT_MAX = 16
 
 # Anchors and chunks decoded side by side: bounds of memory, without effect on the result.
-GROUP_ANCHORS = 32768
+GROUP_ANCHORS = 65536
 GROUP_CHUNKS = 1024
 
 Progress = Callable[[str, int, int], None]
@@ -123,15 +123,16 @@ def emit_frame(frame: Frame) -> bytes:
 
 def parse_weights(data: bytes, start: int, d: Dimensions) -> tuple[int, NDArray[np.uint8], dict[str, list[Layer]]]:
     """SPEC 5.8 and 6.8: plane_shift, carm_shift and the layers of each network. Raises BitstreamError 411, 412."""
-    scales, size = syntax.parse("WeightScales", data, start)
 
     def bad(offset: int, field: str, value: int, low: int, high: int) -> BitstreamError:
         return BitstreamError("weights.scale", offset, f"weights.{field}", f"{value} found, {low} to {high} allowed")
 
-    if scales.plane_shift > PLANE_SHIFT_MAX:
-        raise bad(start, "plane_shift", scales.plane_shift, 0, PLANE_SHIFT_MAX)
-    if scales.carm_input_count != d.carm_inputs:
-        raise bad(start + 1, "carm_input_count", scales.carm_input_count, d.carm_inputs, d.carm_inputs)
+    # The count is checked before the array that it sizes is read; the section's length is already known to be right.
+    if data[start] > PLANE_SHIFT_MAX:
+        raise bad(start, "plane_shift", data[start], 0, PLANE_SHIFT_MAX)
+    if data[start + 1] != d.carm_inputs:
+        raise bad(start + 1, "carm_input_count", data[start + 1], d.carm_inputs, d.carm_inputs)
+    scales, size = syntax.parse("WeightScales", data, start)
     for i, shift in enumerate(scales.carm_shift):
         if shift > CARM_SHIFT_MAX:
             raise bad(start + 2 + i, f"carm_shift[{i}]", shift, 0, CARM_SHIFT_MAX)
@@ -161,7 +162,11 @@ def emit_weights(scene: Scene) -> bytes:
 
 
 def derive_networks(
-    d: Dimensions, carm_shift: NDArray[np.uint8], networks: dict[str, list[Layer]], exact_float: bool | None = None, block: int | None = None
+    d: Dimensions,
+    carm_shift: NDArray[np.uint8],
+    networks: dict[str, list[Layer]],
+    exact_float: bool | None = None,
+    block: int | None = None,
 ) -> Networks:
     """SPEC 7.2 for F_h, SARM and CARM. Raises BoundError; its text names the network and the layer."""
 
@@ -201,7 +206,9 @@ def _parse_planes(data: bytes, header: Header, sarm: IntNetwork, trace: Trace | 
     try:
         table, size = syntax.parse("PlaneTable", data[: section.end], section.start)
     except syntax.cs.ConstructError:
-        raise BitstreamError("planes.length", section.start, "planes", f"{section.end - section.start} bytes cannot hold the table") from None
+        raise BitstreamError(
+            "planes.length", section.start, "planes", f"{section.end - section.start} bytes cannot hold the table"
+        ) from None
     if size + sum(table.length) != section.end - section.start:
         detail = f"{size + sum(table.length)} bytes are announced, the section has {section.end - section.start}"
         raise BitstreamError("planes.length", section.start, "planes.length", detail)
@@ -275,7 +282,7 @@ def _parse_chunk_table(data: bytes, header: Header) -> tuple[NDArray[np.uint16],
                 raise BitstreamError("chunks.length", at + 24 * chunk, f"chunk_table.entry[{chunk}].position_length", detail)
         if length.sum() != part.end - part.start:
             detail = f"{int(length.sum())} bytes are announced, the section has {part.end - part.start}"
-            raise BitstreamError("chunks.length", at + 8 * column, f"chunk_table.{part.name}", detail)
+            raise BitstreamError("chunks.length", part.start, part.name, detail)
         parts[kind] = _Part(part.name, part.start + np.concatenate([[0], np.cumsum(length)]), table[:, 2 * column + 1])
     return model, parts
 
@@ -298,10 +305,10 @@ def _map_groups(work: Callable[[list[int]], T], chunks: list[range], threads: in
     """work on each group, results in order; the first group's error wins whatever the threads do."""
     groups = list(_groups(chunks))
     done: list[T] = []
+    progress(stage, 0, len(groups))
     with ThreadPoolExecutor(max(1, threads)) as pool:
-        progress(stage, 0, len(groups))
         try:
-            for result in pool.map(work, groups):
+            for result in pool.map(work, groups) if threads > 1 else map(work, groups):
                 done.append(result)
                 progress(stage, len(done), len(groups))
         except BaseException:
@@ -440,7 +447,10 @@ def _parse(data: bytes, keep_going: bool, threads: int, progress: Progress, trac
 def _join(parts: list[Attributes], d: Dimensions) -> Attributes:
     """Attributes of all groups, in order."""
     empty = Attributes(
-        np.zeros((0, d.features), np.int32), np.zeros((0, 6), np.int32), np.zeros((0, d.offset_count, 3), np.int32), np.zeros((0, 3), np.uint8)
+        np.zeros((0, d.features), np.int32),
+        np.zeros((0, 6), np.int32),
+        np.zeros((0, d.offset_count, 3), np.int32),
+        np.zeros((0, 3), np.uint8),
     )
     return Attributes(*(np.concatenate([getattr(p, f) for p in [empty, *parts]]) for f in vars(empty)))
 

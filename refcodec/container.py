@@ -283,11 +283,8 @@ def _check_directory(h: Any, header: Header, check: _HeaderCheck, data: bytes, s
     wanted = list(SECTIONS)
     for i, e in enumerate(entries):
         # SPEC 6.6: the seven critical sections first, then ancillary ones, types ascending from 01.
-        if i < len(wanted):
-            right = e.type == wanted[i]
-        else:
-            right = (0 if i == len(wanted) else entries[i - 1].type) < e.type < CRITICAL
-        if not right:
+        before = 0 if i <= len(wanted) else entries[i - 1].type
+        if not (e.type == wanted[i] if i < len(wanted) else before < e.type < CRITICAL):
             raise check.fail("directory.order", f"directory[{i}].type", f"type {e.type:02x} is not allowed as entry {i}")
     if len(entries) < len(wanted):
         raise check.fail("directory.order", "section_count", f"{len(entries)} found, at least {len(wanted)} required")
@@ -307,13 +304,12 @@ def _check_directory(h: Any, header: Header, check: _HeaderCheck, data: bytes, s
     cut = len(data) < end and keep_going and header.sections[POSITIONS].start <= len(data)
     if len(data) != end and not cut:
         raise BitstreamError("directory.file_length", min(len(data), end), "file", f"{len(data)} bytes, the last section ends at {end}")
-    for i, e in enumerate(entries):
+    for e in entries:
         if keep_going and (e.type in CHUNKED or e.offset + e.length > len(data)):
             continue
         crc = zlib.crc32(memoryview(data)[e.offset : e.offset + e.length])
         if crc != e.crc:
-            path = f"header.directory[{i}].crc"
-            raise BitstreamError("section.crc", e.offset, path, f"{e.crc:08x} found, {crc:08x} computed over {header.sections[e.type].name}")
+            raise BitstreamError("section.crc", e.offset, header.sections[e.type].name, f"{e.crc:08x} found, {crc:08x} computed")
 
 
 def emit_container(scene: Scene, sections: list[tuple[int, int, bytes]]) -> bytes:
@@ -363,8 +359,8 @@ def emit_container(scene: Scene, sections: list[tuple[int, int, bytes]]) -> byte
         directory.append(entry)
         at += len(content)
     header = syntax.build("Header", {**fields, "directory": directory})[:-4]
-    prologue = syntax.build(
-        "Prologue", {"signature": SIGNATURE, "version": VERSION, "header_length": header_length, "prologue_crc": 0}
-    )[:-4]
+    prologue = syntax.build("Prologue", {"signature": SIGNATURE, "version": VERSION, "header_length": header_length, "prologue_crc": 0})[
+        :-4
+    ]
     parts = [prologue, zlib.crc32(prologue).to_bytes(4, "little"), header, zlib.crc32(header).to_bytes(4, "little")]
     return b"".join([*parts, *(content for _, _, content in sections)])

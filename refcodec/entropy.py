@@ -146,36 +146,51 @@ class Decoder:
         self.bad_range = np.zeros(len(streams), dtype=bool)
 
     def _symbols(self, models: ModelSet, index: Int64, layout: _Layout) -> Int64:
-        """SPEC 8.2: one symbol for each model index."""
-        grid = layout.spread(index.astype(np.int32), models.null)
-        out = np.empty(grid.shape, np.uint8)
-        state, at, end = self.state, self.word_at, self.word_end[:, None]
-        mask, low = np.uint32(TOTAL - 1), np.uint32(STATE_MIN)
+        """SPEC 8.2 and 8.3: one symbol for each model index. The lanes of all substreams make one step at a time."""
+        grid = layout.spread(index, models.null).reshape(layout.steps, -1)
+        base = models.offset.take(grid)
+        grid = grid << 8
+        out = np.empty_like(base)
+        state, at = self.state.reshape(-1), self.word_at.copy()
+        count = len(at)
+        mask, low, word_bits = np.uint32(TOTAL - 1), np.uint32(STATE_MIN), np.uint32(16)
+        shift, first_shift = np.uint32(PRECISION), np.uint32(PRECISION - 8)
         for step in range(layout.steps):
-            model = grid[step]
             slot = state & mask
-            base = models.offset.take(model)
-            position = base + models.first.take((model << 8) | (slot >> np.uint32(PRECISION - 8)).astype(np.int32))
-            upper = models.cum.take(position + 1)
-            late = np.flatnonzero(upper <= slot)
-            if late.size:
-                flat_position, flat_upper, flat_slot = position.reshape(-1), upper.reshape(-1), slot.reshape(-1)
-                while late.size:
-                    flat_position[late] += 1
-                    bound = models.cum.take(flat_position[late] + 1)
-                    flat_upper[late] = bound
-                    late = late[bound <= flat_slot[late]]
-            lower = models.cum.take(position)
-            state = (upper - lower) * (state >> np.uint32(PRECISION)) + (slot - lower)
-            out[step] = position - base
-            need = state < low
-            if need.any():
-                rank = np.cumsum(need, axis=1)
-                word = self.words.take(np.minimum(rank + (at - 1)[:, None], end))
-                state = np.where(need, (state << np.uint32(16)) | word, state)
-                at = at + rank[:, -1]
-        self.state, self.word_at = state, at
-        return layout.gather(out).astype(np.int64)
+            key = grid[step]
+            key |= slot >> first_shift
+            position = models.first.take(key)
+            position += base[step]
+            upper = models.upper.take(position)
+            late = (upper <= slot).nonzero()[0]
+            while late.size:
+                position[late] += 1
+                bound = models.upper.take(position.take(late))
+                upper[late] = bound
+                late = late[bound <= slot.take(late)]
+            lower = models.lower.take(position)
+            out[step] = position
+            upper -= lower
+            slot -= lower
+            state >>= shift
+            state *= upper
+            state += slot
+            need = (state < low).nonzero()[0]
+            if need.size:
+                if count == 1:
+                    place = np.arange(at[0], at[0] + need.size)
+                    at += need.size
+                else:
+                    stream = need // self.lanes
+                    taken = np.bincount(stream, minlength=count)
+                    place = np.arange(need.size) + (at - np.cumsum(taken) + taken).take(stream)
+                    at += taken
+                    np.minimum(place, self.word_end.take(stream), out=place)
+                word = self.words.take(place, mode="clip")
+                state[need] = (state.take(need) << word_bits) | word
+        self.state, self.word_at = state.reshape(self.state.shape), at
+        out -= base
+        return layout.gather(out.reshape(layout.steps, count, self.lanes))
 
     def _raw(self, width: Int64, layout: _Layout) -> Int64:
         """SPEC 8.6: the raw low bits of each symbol of a group."""
@@ -220,14 +235,12 @@ class Decoder:
         layout = _Layout(counts, self.lanes)
         model, centre, raw = select(mean, scale)
         j = self._symbols(models, model, layout)
-        radius = models.radius.take(model).astype(np.int64)
+        radius = models.radius.take(model)
         high = centre + j - radius
         low = self._raw(raw, layout)
-        for i in np.flatnonzero(j == 2 * radius + 1):
-            stream = int(np.searchsorted(layout.starts, i, side="right")) - 1
-            while i - layout.starts[stream] >= layout.counts[stream]:  # empty substreams share a start
-                stream -= 1
-            sign, excess = self._escape(stream)
+        for i in np.flatnonzero(j == 2 * radius + 1).tolist():
+            # Of substreams that share a start, all but the last are empty.
+            sign, excess = self._escape(int(np.searchsorted(layout.starts, i, side="right")) - 1)
             away = int(radius[i]) + 1 + excess
             high[i] = centre[i] + (-away if sign else away)
         value = (high << raw) + low
@@ -259,7 +272,7 @@ class Decoder:
         """SPEC 8.8: the CRC-32 runs over the symbols in coding order, each as an i32."""
         data = value.astype("<i4")
         for stream, (start, count) in enumerate(zip(layout.starts, layout.counts, strict=True)):
-            self.crc[stream] = zlib.crc32(data[start : start + count], self.crc[stream])
+            self.crc[stream] = zlib.crc32(data[start : start + count].tobytes(), self.crc[stream])
 
     def finish(self) -> list[BitstreamError | None]:
         """SPEC 8.8: the checks at the end of each substream, in their order; the first that fails, or None."""
@@ -300,8 +313,8 @@ class Encoder:
 
     def _symbols(self, models: ModelSet, index: Int64, symbol: Int64, layout: _Layout) -> None:
         position = models.offset.take(index) + symbol
-        lower = models.cum.take(position)
-        frequency = models.cum.take(position + 1) - lower
+        lower = models.lower.take(position)
+        frequency = models.upper.take(position) - lower
         self.groups.append((layout.spread(frequency, TOTAL), layout.spread(lower, 0)))
 
     def values(
@@ -314,7 +327,7 @@ class Encoder:
         layout = _Layout(counts, self.lanes)
         model, centre, raw = select(mean, scale)
         away = (given >> raw) - centre
-        radius = models.radius.take(model).astype(np.int64)
+        radius = models.radius.take(model)
         escaped = np.abs(away) > radius
         self._symbols(models, model, np.where(escaped, 2 * radius + 1, away + radius), layout)
         low = given & ((np.int64(1) << raw) - 1)
@@ -325,7 +338,7 @@ class Encoder:
                 self.raw[stream].append((low[part][some], raw[part][some]))
             for i in np.flatnonzero(escaped[part]):
                 self.raw[stream].append(_escape_bits(int(away[part][i]), int(radius[part][i])))
-            self.crc[stream] = zlib.crc32(given[part].astype("<i4"), self.crc[stream])
+            self.crc[stream] = zlib.crc32(given[part].astype("<i4").tobytes(), self.crc[stream])
         return given
 
     def bits(self, models: ModelSet, index: Int64, counts: list[int], name: SymbolName, given: Int64 | None) -> Int64:
@@ -334,7 +347,7 @@ class Encoder:
         layout = _Layout(counts, self.lanes)
         self._symbols(models, index, given, layout)
         for stream, (start, count) in enumerate(zip(layout.starts, layout.counts, strict=True)):
-            self.crc[stream] = zlib.crc32(given[start : start + count].astype("<i4"), self.crc[stream])
+            self.crc[stream] = zlib.crc32(given[start : start + count].astype("<i4").tobytes(), self.crc[stream])
         return given
 
     def finish(self) -> list[bytes]:

@@ -34,7 +34,11 @@ def code_masks(
     kept = np.zeros(len(masks), dtype=np.int64)
     for k in range(offset_count):
         known = None if given is None else given[:, k].astype(np.int64)
-        bit = coder.bits(models, contexts(k, kept), counts, lambda s, i, k=k: f"masks[{chunks[s][i]},{k}]", known)
+
+        def name(stream: int, index: int, k: int = k) -> str:
+            return f"masks[{chunks[stream][index]},{k}]"
+
+        bit = coder.bits(models, contexts(k, kept), counts, name, known)
         masks[:, k] = bit
         kept += bit
     return masks

@@ -89,7 +89,7 @@ class IntNetwork:
             for layer, h in zip(layers, half, strict=True)
         ]
 
-    def __call__(self, inputs: Int64) -> NDArray[np.int32]:
+    def __call__(self, inputs: NDArray[np.signedinteger]) -> NDArray[np.int32]:
         """inputs: integers [rows, in], each in [-1023, 1023]. Returns int32 [rows, out]."""
         out = np.empty((len(inputs), len(self.layers[-1].bias)), dtype=np.int32)
         forward = self._forward_float if self.exact_float else self._forward_int

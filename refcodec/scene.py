@@ -6,6 +6,7 @@ Everything that decides a symbol is an integer here; float values are made from 
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
@@ -48,7 +49,7 @@ class Dimensions:
         """SPEC 5.8: for each network, in file order, the (out, in) of its layers."""
 
         def mlp(widths: list[int]) -> list[tuple[int, int]]:
-            return [(out, fan_in) for fan_in, out in zip(widths[:-1], widths[1:], strict=True)]
+            return [(out, fan_in) for fan_in, out in pairwise(widths)]
 
         shapes = {
             "hyper": mlp([2 * self.plane_channels + 2 * self.frequency_count, *self.hyper_width, 2 * self.attribute_width + 3]),

@@ -34,16 +34,17 @@ STEP_SHIFT = 12
 class ModelSet:
     """Frequency models of one family, laid out for lookup.
 
-    family: its name in traces; offset: int32 [models], where a model's cumulative frequencies start in `cum`; cum: uint32, for a model of n symbols
-    n + 1 numbers from 0 to 2^14; radius: int32 [models], SPEC A.3's R (0 for models without one); first: uint8
-    [models * 256], for the top 8 bits of a slot the first symbol it can mean.
+    family: its name in traces; offset: int64 [models], where a model's symbols start; lower and upper: uint32, the slots of a
+    symbol, from lower to upper - 1; radius: int64 [models], SPEC A.3's R (0 for models without one); first: int64 [models * 256],
+    for the top 8 bits of a slot the first symbol it can mean.
     """
 
     family: str
-    offset: NDArray[np.int32]
-    cum: NDArray[np.uint32]
-    radius: NDArray[np.int32]
-    first: NDArray[np.uint8]
+    offset: NDArray[np.int64]
+    lower: NDArray[np.uint32]
+    upper: NDArray[np.uint32]
+    radius: NDArray[np.int64]
+    first: NDArray[np.int64]
 
     @property
     def null(self) -> int:
@@ -53,16 +54,17 @@ class ModelSet:
 
 def build_models(family: str, frequencies: list[NDArray[np.int64]], radius: list[int]) -> ModelSet:
     """A ModelSet from the frequencies of each model (each sums to 2^14); the null model is appended."""
-    rows = [np.concatenate([[0], np.cumsum(f)]) for f in [*frequencies, np.array([TOTAL])]]
-    offset = np.cumsum([0] + [len(r) for r in rows[:-1]])
+    every = [*frequencies, np.array([TOTAL])]
+    upper = [np.cumsum(f) for f in every]
+    lengths = np.array([len(f) for f in every])
     starts = np.arange(256) << (PRECISION - 8)
-    first = np.concatenate([np.searchsorted(r, starts, side="right") - 1 for r in rows])
     return ModelSet(
         family,
-        offset.astype(np.int32),
-        np.concatenate(rows).astype(np.uint32),
-        np.array([*radius, 0], dtype=np.int32),
-        first.astype(np.uint8),
+        np.cumsum(lengths) - lengths,
+        np.concatenate([u - f for u, f in zip(upper, every, strict=True)]).astype(np.uint32),
+        np.concatenate(upper).astype(np.uint32),
+        np.array([*radius, 0], dtype=np.int64),
+        np.concatenate([np.searchsorted(u, starts, side="right") for u in upper]),
     )
 
 

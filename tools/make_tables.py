@@ -1,7 +1,7 @@
 """Makes refcodec/data/tables-0.bin from the rules of SPEC.md Annex A, in 50-digit arithmetic.
 
-    python tools/make_tables.py            write the file and print its SHA-256
-    python tools/make_tables.py --check    exit 1 if the shipped file differs
+python tools/make_tables.py            write the file and print its SHA-256
+python tools/make_tables.py --check    exit 1 if the shipped file differs
 """
 
 from __future__ import annotations
