@@ -11,8 +11,12 @@ With coded.safetensors a folder is encoded exactly. Without it, `encode` quantis
 planes, frame and grid.
 """
 
+# plyfile and safetensors are imported where they are used: a decode that fails should not wait for them.
+# ruff: noqa: PLC0415
+
 from __future__ import annotations
 
+import contextlib
 import json
 import re
 import shutil
@@ -118,23 +122,21 @@ def write_folder(scene: Scene, path: str | Path, damage: dict[int, BitstreamErro
 
 
 def _write_files(scene: Scene, path: Path, damage: dict[int, BitstreamError]) -> None:
-    from safetensors.numpy import save_file
+    from safetensors.numpy import save
 
     a = scene.attributes
     write_ply(scene, path / PLY_FILE)
-    save_file(
-        {
-            f"{name}.{index}.{part}": np.ascontiguousarray(value)
-            for name, layers in scene.networks.items()
-            for index, layer in enumerate(layers)
-            for part, value in zip(("weight", "bias"), layer, strict=True)
-        },
-        path / NETWORKS_FILE,
-    )
-    save_file({"planes": np.ascontiguousarray(scene.planes)}, path / PLANES_FILE)
+    networks = {
+        f"{name}.{index}.{part}": np.ascontiguousarray(value)
+        for name, layers in scene.networks.items()
+        for index, layer in enumerate(layers)
+        for part, value in zip(("weight", "bias"), layer, strict=True)
+    }
+    (path / NETWORKS_FILE).write_bytes(save(networks))
+    (path / PLANES_FILE).write_bytes(save({"planes": np.ascontiguousarray(scene.planes)}))
     coded: dict[str, NDArray] = {"positions": scene.positions.view(np.uint16), "masks": scene.masks.astype(np.uint8), "steps": a.steps}
     coded |= {kind: getattr(a, kind) for kind in KINDS}
-    save_file({name: np.ascontiguousarray(value) for name, value in coded.items()}, path / CODED_FILE)
+    (path / CODED_FILE).write_bytes(save({name: np.ascontiguousarray(value) for name, value in coded.items()}))
     for kind, _, content in scene.extensions:
         (path / extension_name(kind)).write_bytes(content)
     (path / SCENE_FILE).write_text(_json_text(_scene_document(scene, damage)), encoding="utf-8")
@@ -301,10 +303,13 @@ class _Document:
 
     def _float(self, name: str, value: Any) -> float:
         """A finite float32."""
-        number = isinstance(value, int | float) and not isinstance(value, bool) and abs(value) <= float(np.finfo(np.float32).max)
-        if not number:
+        number = np.float32(np.nan)
+        if isinstance(value, int | float) and not isinstance(value, bool):
+            with np.errstate(over="ignore"), contextlib.suppress(OverflowError):
+                number = np.float32(value)
+        if not np.isfinite(number):
             raise self.fault(name, f"is {value!r}, a finite number is required")
-        return float(np.float32(value))
+        return float(number)
 
     def float(self, name: str) -> float:
         return self._float(name, self.value(name))
@@ -316,7 +321,7 @@ class _Document:
 def _read_dimensions(doc: _Document) -> tuple[Dimensions, int]:
     names = {p.name: number for number, p in PROFILES.items()}
     profile = doc.value("profile")
-    if profile not in names:
+    if not isinstance(profile, str) or profile not in names:
         raise doc.fault("profile", f"is {profile!r}, one of {', '.join(names)} is required")
 
     def one(name: str, high: int = 255) -> int:
@@ -421,7 +426,9 @@ def _read_extensions(doc: _Document, path: Path) -> tuple[tuple[int, int, bytes]
         if doc.value(f"{at}.file") != extension_name(kind):
             raise doc.fault(f"{at}.file", f"is {doc.value(f'{at}.file')!r}, {extension_name(kind)!r} is required")
         if not (path / extension_name(kind)).is_file():
-            raise SceneFolderError(path / extension_name(kind), "the file is missing", f'restore it, or delete its entry in "extensions" of {SCENE_FILE}')
+            raise SceneFolderError(
+                path / extension_name(kind), "the file is missing", f'restore it, or delete its entry in "extensions" of {SCENE_FILE}'
+            )
         found.append((kind, doc.integer(f"{at}.mode", 0, 255), (path / extension_name(kind)).read_bytes()))
     return tuple(found)
 
@@ -529,6 +536,42 @@ def _compare_digest(scene: Scene, doc: _Document) -> None:
         if doc.value(f"digest.{name}") != value:
             problem = f'"digest.{name}" does not fit the folder\'s {"files" if name == "whole" else name}'
             raise SceneFolderError(doc.file, problem, 'decode again, or delete "digest" if the change is meant')
+
+
+def _requantise(bare: Scene, path: Path) -> Scene:
+    """The scene of a folder without coded.safetensors: point_cloud.ply, quantised with all that the folder gives."""
+    from .quantise import quantise
+
+    d, file = bare.dimensions, path / PLY_FILE
+    cloud = read_cloud(file)
+    for name, found, wanted in (("offsets", cloud.masks.shape[1], d.offset_count), ("features", cloud.features.shape[1], d.features)):
+        if found != wanted:
+            raise SceneFolderError(
+                file, f"its anchors have {found} {name}, {SCENE_FILE} says {wanted}", "use the point cloud that the networks fit"
+            )
+    try:
+        scene = quantise(
+            cloud,
+            dimensions=d,
+            networks=bare.networks,
+            frame=bare.frame,
+            grid=bare.grid,
+            planes=bare.planes,
+            plane_shift=bare.plane_shift,
+            carm_shift=bare.carm_shift,
+            base_step=bare.base_step,
+            render=bare.render,
+            lanes=bare.lanes,
+            profile=bare.profile,
+            chunk_size=bare.chunk_size,
+        )
+    except ValueError as error:
+        raise SceneFolderError(
+            file,
+            f"it cannot be quantised ({': '.join(map(str, error.args))})",
+            f"correct the values, or the grid and steps in {SCENE_FILE}",
+        ) from None
+    return replace(scene, extensions=bare.extensions)
 
 
 # --- point clouds -----------------------------------------------------------------------------------------------------

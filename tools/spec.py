@@ -10,9 +10,11 @@ import re
 import sys
 from pathlib import Path
 
+from refcodec.codec import parse
 from refcodec.errors import REGISTRY
 from refcodec.inspection import hex_dump
 from refcodec.limits import PROFILES, Profile
+from refcodec.reconstruction import digest
 
 ROOT = Path(__file__).resolve().parent.parent
 SPEC = ROOT / "SPEC.md"
@@ -47,7 +49,11 @@ def levels() -> str:
 
 
 def example() -> str:
-    return "```text\n" + hex_dump(EXAMPLE.read_bytes()).rstrip("\n") + "\n```"
+    data = EXAMPLE.read_bytes()
+    whole, parts = digest(parse(data).scene)
+    rows = ["| part | SHA-256 |", "|---|---|", f"| whole | `{whole}` |", *(f"| {name} | `{value}` |" for name, value in parts.items())]
+    dump = "```text\n" + hex_dump(data).rstrip("\n") + "\n```"
+    return "\n".join([dump, "", "Its canonical reconstruction (9.3) has these digests:", "", *rows])
 
 
 def _escape(made: str) -> str:
@@ -58,7 +64,7 @@ def rewritten(text: str) -> str:
     """SPEC.md with each generated part replaced."""
     for name, make in {"errors": errors, "profiles": profiles, "levels": levels, "example": example}.items():
         pattern = re.compile(rf"(<!-- generated:{name} -->\n).*?(<!-- /generated -->)", re.DOTALL)
-        text, count = pattern.subn(rf"\g<1>{_escape(make())}\n\g<2>", text)
+        text, count = pattern.subn(rf"\g<1>\n{_escape(make())}\n\n\g<2>", text)
         if count != 1:
             raise SystemExit(f"SPEC.md has {count} parts 'generated:{name}'")
     return text

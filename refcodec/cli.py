@@ -1,0 +1,478 @@
+"""The command line. Modules that need NumPy are imported by the commands that use them, so that help is instant."""
+
+# ruff: noqa: PLC0415
+
+from __future__ import annotations
+
+import argparse
+import contextlib
+import os
+import shlex
+import stat
+import sys
+import tempfile
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, NoReturn
+
+from . import __version__
+from .errors import BitstreamError
+
+if TYPE_CHECKING:
+    from .codec import Parsed, Progress
+
+# Exit statuses. 1 and 2 are verdicts on a bitstream (SPEC.md 10.1); the others never are.
+EXIT_REJECTED = 1
+EXIT_USAGE = 64
+EXIT_FAULT = 70
+EXIT_INTERRUPTED = 130
+EXIT_BROKEN_PIPE = 141
+
+# Section offsets are u32, so a longer file is only read as far as its own header says.
+_WHOLE_FILE_MAX = (1 << 32) - 1
+_HEAD_BYTES = 1 << 17
+
+_EXITS = """\
+exit status:
+  0   accepted, or done
+  1   the file is rejected      } the last line on stderr is JSON:
+  2   the file is not supported } code, name, offset, path, clause
+  64  wrong usage, or a file or folder that cannot be read or written
+  70  a fault of this program
+"""
+
+
+class UsageError(Exception):
+    """Something that the caller can put right; exit status 64."""
+
+
+class _Parser(argparse.ArgumentParser):
+    """argparse, with exit status 64 instead of 2, which would read as a verdict."""
+
+    def error(self, message: str) -> NoReturn:
+        self.print_usage(sys.stderr)
+        self.exit(EXIT_USAGE, f"{self.prog}: {message}\n")
+
+
+def _note(text: str) -> None:
+    print(text, file=sys.stderr)
+
+
+# --- files ------------------------------------------------------------------------------------------------------------
+
+
+def _read_file(path: str) -> bytes:
+    """A whole file. Of one that is too long, or endless, no more is read than its header announces, and one byte.
+
+    Raises UsageError if it cannot be read, BitstreamError if it is too long to be read before its header is accepted.
+    """
+    try:
+        with open(path, "rb") as file:
+            status = os.fstat(file.fileno())
+            if stat.S_ISREG(status.st_mode) and status.st_size <= _WHOLE_FILE_MAX:
+                return file.read()
+            head = file.read(_HEAD_BYTES)
+            if len(head) < _HEAD_BYTES:
+                return head
+            end = _announced_length(head)
+            if stat.S_ISREG(status.st_mode) and status.st_size != end:
+                detail = f"{status.st_size} bytes, the last section ends at {end}"
+                raise BitstreamError("directory.file_length", min(status.st_size, end), "file", detail)
+            return head + file.read(max(0, end - len(head)) + 1)
+    except OSError as error:
+        raise UsageError(f"cannot read {path}: {error.strerror or error}") from None
+
+
+def _announced_length(head: bytes) -> int:
+    """Where the last section of a file ends; head: its beginning. Raises BitstreamError for what comes before that check."""
+    from . import syntax
+    from .container import PROLOGUE_BYTES, parse_container
+
+    try:
+        parse_container(head)
+    except BitstreamError as error:
+        if error.kind.name not in ("directory.file_length", "section.crc"):
+            raise
+    header, _ = syntax.parse("Header", head, PROLOGUE_BYTES)
+    return int(header.directory[-1].offset + header.directory[-1].length)
+
+
+@contextlib.contextmanager
+def _atomic(path: Path) -> Iterator[Any]:
+    """A binary file that takes its name when it is whole."""
+    handle, temporary = tempfile.mkstemp(prefix=f".{path.name}.", dir=path.parent)
+    try:
+        with os.fdopen(handle, "wb") as file:
+            yield file
+        # mkstemp makes files private; a result has the rights that open would have given it.
+        mask = os.umask(0)
+        os.umask(mask)
+        os.chmod(temporary, 0o666 & ~mask)
+        os.replace(temporary, path)
+    except BaseException:
+        with contextlib.suppress(FileNotFoundError):
+            os.unlink(temporary)
+        raise
+
+
+def _check_output_folder(path: str) -> None:
+    """Before any work is done: that write_folder will accept the folder."""
+    from .folder import is_free
+
+    if not is_free(Path(path)):
+        raise UsageError(f"{path} exists and is not a scene folder: choose another one, or empty it")
+
+
+# --- progress and verdicts --------------------------------------------------------------------------------------------
+
+
+@contextlib.contextmanager
+def _progress(wanted: bool) -> Iterator[Progress]:
+    """A progress bar on stderr for what takes more than a second; off unless stderr is a terminal or it is wanted."""
+    if not (wanted or sys.stderr.isatty()):
+        yield lambda stage, done, total: None
+        return
+    from tqdm import tqdm
+
+    bar: Any = None
+
+    def show(stage: str, done: int, total: int) -> None:
+        nonlocal bar
+        if bar is None or bar.desc != f"{stage}: ":
+            if bar is not None:
+                bar.close()
+            bar = tqdm(total=total, desc=stage, file=sys.stderr, delay=0 if wanted else 1, leave=wanted)
+        bar.update(done - bar.n)
+
+    try:
+        yield show
+    finally:
+        if bar is not None:
+            bar.close()
+
+
+def _reject(path: str, error: BitstreamError) -> int:
+    """Reports a verdict on stderr: a line for people, then a line of JSON."""
+    word = "is not supported" if error.kind.klass == "unsupported" else "is rejected"
+    sys.stdout.flush()
+    _note(f"{path} {word}: {error}. To see the spot: refcodec inspect {shlex.quote(path)} --hex")
+    _note(error.to_json())
+    return error.exit_status
+
+
+def _parse(arguments: argparse.Namespace, data: bytes, keep_going: bool = False) -> Parsed:
+    from .codec import parse
+
+    with _progress(arguments.progress) as progress:
+        return parse(data, keep_going=keep_going, threads=arguments.threads, progress=progress)
+
+
+# --- commands ---------------------------------------------------------------------------------------------------------
+
+
+def _encode(arguments: argparse.Namespace) -> int:
+    from .codec import emit
+    from .folder import read_folder
+
+    output = Path(arguments.output)
+    if output.is_dir():
+        raise UsageError(f"{output} is a directory: give the name of a file")
+    if not output.parent.is_dir():
+        raise UsageError(f"there is no directory {output.parent}")
+    scene = read_folder(arguments.scene)
+    try:
+        with _progress(arguments.progress) as progress:
+            data = emit(scene, threads=arguments.threads, progress=progress)
+    except ValueError as error:
+        raise UsageError(f"{arguments.scene} cannot be encoded: {error}") from None
+    with _atomic(output) as file:
+        file.write(data)
+    return 0
+
+
+def _decode(arguments: argparse.Namespace) -> int:
+    from .folder import write_folder
+
+    data = _read_file(arguments.file)
+    _check_output_folder(arguments.output)
+    parsed = _parse(arguments, data, arguments.keep_going)
+    write_folder(parsed.scene, arguments.output, parsed.damage)
+    return _report_damage(arguments.file, data, parsed) if arguments.keep_going else 0
+
+
+def _report_damage(path: str, data: bytes, parsed: Parsed) -> int:
+    """Each dropped chunk on stderr, then the verdict that validate gives, which writing a part of the file does not change."""
+    from .container import parse_container
+
+    if parsed.damage:
+        chunks = parse_container(data, keep_going=True).chunks
+        lost = sum(len(chunks[number]) for number in parsed.damage)
+        for number, error in sorted(parsed.damage.items()):
+            _note(f"chunk {number} is dropped, {len(chunks[number])} anchors: {error}")
+        _note(f"{len(parsed.damage)} of {len(chunks)} chunks and {lost} anchors are lost, {parsed.scene.anchor_count} are written")
+    try:
+        parse_container(data)
+    except BitstreamError as error:
+        if not parsed.damage:
+            _note("every chunk is whole, but the file is damaged elsewhere")
+        return _reject(path, error)
+    if not parsed.damage:
+        return 0
+    # SPEC 10.1: the error of an earlier stage comes first, then that of a lower chunk.
+    stages = {"positions": 0, "masks": 1, "attributes": 2}
+    return _reject(path, min(parsed.damage.items(), key=lambda found: (stages[found[1].path.split("[")[0]], found[0]))[1])
+
+
+def _digest(arguments: argparse.Namespace) -> int:
+    from .reconstruction import digest
+
+    whole, parts = digest(_parse(arguments, _read_file(arguments.file)).scene)
+    if arguments.parts:
+        for name, value in {**parts, "whole": whole}.items():
+            print(f"{name:<10} {value}")
+    else:
+        print(whole)
+    return 0
+
+
+def _validate(arguments: argparse.Namespace) -> int:
+    from .limits import PROFILES
+
+    scene = _parse(arguments, _read_file(arguments.file)).scene
+    print(f"{arguments.file} is accepted: profile {PROFILES[scene.profile].name}, {scene.anchor_count} anchors")
+    return 0
+
+
+def _fit(arguments: argparse.Namespace) -> int:
+    from .folder import read_cloud, write_folder
+    from .limits import MAIN, MAIN_SLICES, PROFILES
+
+    try:
+        from .fit.fitter import fit
+        from .fit.voxelise import read_points, voxelise
+    except ModuleNotFoundError as error:
+        if (error.name or "").split(".")[0] not in ("torch", "scipy"):
+            raise
+        raise UsageError(f"fit needs {error.name}: pip install 'refcodec[fit]'") from None
+    from safetensors import SafetensorError
+
+    _check_output_folder(arguments.output)
+    # Beside the folder, not in it: a scene folder is whole or it is not there.
+    state = Path(f"{arguments.output.rstrip('/')}.fit-state")
+    if arguments.resume and not state.exists():
+        raise UsageError(f"there is nothing to resume: {state} does not exist")
+    if not arguments.resume:
+        state.unlink(missing_ok=True)
+    done = 0
+    try:
+        if arguments.points.endswith(".ply"):
+            cloud, voxel = read_cloud(arguments.points), arguments.voxel
+        else:
+            cloud, voxel = voxelise(*read_points(arguments.points), arguments.voxel)
+        found, wanted = (cloud.masks.shape[1], cloud.features.shape[1]), (PROFILES[MAIN].offset_count[0], sum(MAIN_SLICES))
+        if found != wanted:
+            raise UsageError(f"{arguments.points} has {found[0]} offsets and {found[1]} features, fit needs {wanted[0]} and {wanted[1]}")
+        with _progress(arguments.progress) as progress:
+
+            def note(step: int, steps: int, _rate: float) -> None:
+                nonlocal done
+                done = step
+                progress("fit", step, steps)
+
+            result = fit(cloud, voxel=voxel, steps=arguments.steps, seed=arguments.seed, state=state, progress=note)
+    except (ValueError, SafetensorError) as error:
+        raise UsageError(str(error)) from None
+    write_folder(result.scene, arguments.output)
+    print(f"{arguments.output}: {result.scene.anchor_count} anchors, about {result.bits_per_anchor:.1f} bits of attributes each")
+    # Ctrl-C ends the training, not the program.
+    if done < arguments.steps and state.exists():
+        _note(f"refcodec: stopped at step {done} of {arguments.steps}; the scene is written, and --resume goes on from there")
+        return EXIT_INTERRUPTED
+    state.unlink(missing_ok=True)
+    return 0
+
+
+def _inspect(arguments: argparse.Namespace) -> int:
+    import json
+
+    from . import inspection
+
+    data = _read_file(arguments.file)
+    if arguments.trace:
+        inspection.trace(data, sys.stdout.write)
+        return 0
+    error: BitstreamError | None = None
+    try:
+        verdict: Parsed | BitstreamError = _parse(arguments, data)
+    except BitstreamError as found:
+        verdict = error = found
+    if arguments.hex:
+        lines = inspection.hex_lines(data, error)
+    elif arguments.json:
+        lines = iter([json.dumps(inspection.document(data, verdict), indent=1)])
+    else:
+        lines = inspection.summary(inspection.document(data, verdict), arguments.file)
+    for line in lines:
+        print(line)
+    return _reject(arguments.file, error) if error else 0
+
+
+# --- arguments --------------------------------------------------------------------------------------------------------
+
+
+def _positive(text: str) -> int:
+    """An integer from 1."""
+    value = int(text)
+    if value < 1:
+        raise argparse.ArgumentTypeError(f"{text} found, at least 1 required")
+    return value
+
+
+def _seed(text: str) -> int:
+    """An integer that every generator of random numbers takes."""
+    value = int(text)
+    if not 0 <= value < 1 << 63:
+        raise argparse.ArgumentTypeError(f"{text} found, 0 to 2^63 - 1 allowed")
+    return value
+
+
+def _length(text: str) -> float:
+    """A finite length above 0."""
+    value = float(text)
+    if not 0 < value < float("inf"):
+        raise argparse.ArgumentTypeError(f"{text} found, a number above 0 required")
+    return value
+
+
+def _add(
+    commands: Any, name: str, run: Callable[[argparse.Namespace], int], text: str, examples: list[str], notes: str = ""
+) -> argparse.ArgumentParser:
+    """A command, with its examples and the exit statuses in its help."""
+    epilog = "examples:\n" + "".join(f"  refcodec {e}\n" for e in examples) + "\n" + (notes + "\n\n" if notes else "") + _EXITS
+    parser: argparse.ArgumentParser = commands.add_parser(
+        name, help=text, description=text[0].upper() + text[1:] + ".", epilog=epilog, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("--progress", action="store_true", help="show progress on stderr even if it is not a terminal")
+    parser.set_defaults(run=run)
+    return parser
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = _Parser(
+        prog="refcodec",
+        description="Reference encoder and decoder of C3GS, a bitstream for learned 3D Gaussian scenes.",
+        epilog=f"examples:\n  refcodec validate scene.c3gs\n  refcodec decode scene.c3gs -o scene\n\n{_EXITS}",
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    parser.add_argument("--version", action="version", version=f"refcodec {__version__}")
+    commands = parser.add_subparsers(metavar="COMMAND", required=True)
+
+    encode = _add(
+        commands,
+        "encode",
+        _encode,
+        "encode a scene folder",
+        ["encode scene -o scene.c3gs"],
+        "A folder that decode wrote gives the same bytes again. If coded.safetensors is deleted, point_cloud.ply is quantised anew.",
+    )
+    encode.add_argument("scene", metavar="SCENE_DIR")
+    encode.add_argument("-o", "--output", metavar="FILE", required=True)
+    decode = _add(
+        commands,
+        "decode",
+        _decode,
+        "decode a file into a scene folder",
+        ["decode scene.c3gs -o scene", "decode damaged.c3gs -o scene --keep-going"],
+        "SCENE_DIR is made; an existing one is overwritten only if it is empty or a scene folder.",
+    )
+    decode.add_argument("file", metavar="FILE")
+    decode.add_argument("-o", "--output", metavar="SCENE_DIR", required=True)
+    decode.add_argument(
+        "--keep-going",
+        action="store_true",
+        help="write the undamaged chunks of a damaged file and list the others on stderr; the exit status is 1 all the same "
+        "if anything is lost, and 0 if nothing is",
+    )
+    digest = _add(
+        commands, "digest", _digest, "print the SHA-256 of a file's reconstruction", ["digest scene.c3gs", "digest scene.c3gs --parts"]
+    )
+    digest.add_argument("file", metavar="FILE")
+    digest.add_argument("--parts", action="store_true", help="one line for each part of the reconstruction, then the whole")
+    validate = _add(commands, "validate", _validate, "check whether a file is a conforming bitstream", ["validate scene.c3gs"])
+    validate.add_argument("file", metavar="FILE")
+    inspect = _add(
+        commands,
+        "inspect",
+        _inspect,
+        "show what a file is made of",
+        ["inspect scene.c3gs", "inspect scene.c3gs --hex | less", "inspect scene.c3gs --trace | head -100"],
+        "Damaged files are shown as far as they parse, and then rejected as by validate.",
+    )
+    inspect.add_argument("file", metavar="FILE")
+    form = inspect.add_mutually_exclusive_group()
+    form.add_argument("--hex", action="store_true", help="every byte with its syntax element; payloads folded to a line each")
+    form.add_argument("--json", action="store_true", help="the summary as one JSON document")
+    form.add_argument("--trace", action="store_true", help="one line per syntax element and symbol, in decoding order")
+    fit = _add(
+        commands,
+        "fit",
+        _fit,
+        "fit an entropy model to points or to a trained scene, and write a scene folder",
+        ["fit points3D.txt -o scene", "fit point_cloud.ply -o scene --steps 6000", "fit points3D.txt -o scene --resume"],
+        "POINTS is a COLMAP points3D.txt, an .npz with means3d and colors, or a Scaffold-GS, HAC or CAT-3DGS point_cloud.ply with\n"
+        "10 offsets and 50 features. The rendering networks are simple ones that show coloured points. Ctrl-C ends the training\n"
+        "early, writes the scene all the same, and keeps SCENE_DIR.fit-state for --resume. Needs: pip install 'refcodec[fit]'.",
+    )
+    fit.add_argument("points", metavar="POINTS")
+    fit.add_argument("-o", "--output", metavar="SCENE_DIR", required=True)
+    fit.add_argument("--steps", type=_positive, metavar="N", default=3000, help="training steps (default: %(default)s)")
+    fit.add_argument(
+        "--voxel", type=_length, metavar="V", help="edge of the anchors' lattice, in world units (default: median distance of the points)"
+    )
+    fit.add_argument("--seed", type=_seed, metavar="S", default=0, help="of the random numbers (default: %(default)s)")
+    fit.add_argument("--resume", action="store_true", help="go on with an interrupted fit of the same points")
+    for command in (encode, decode, digest, validate, inspect):
+        command.add_argument(
+            "--threads", type=_positive, metavar="N", default=os.cpu_count() or 1, help="chunk groups coded at once (default: %(default)s)"
+        )
+    return parser
+
+
+def main(argv: list[str] | None = None) -> int:
+    """Runs one command; returns its exit status."""
+    arguments = None
+    try:
+        arguments = _parser().parse_args(argv)
+        status: int = arguments.run(arguments)
+        sys.stdout.flush()
+        return status
+    except SystemExit as end:
+        # argparse leaves this way for --help, --version and wrong usage.
+        return int(end.code or 0)
+    except BitstreamError as error:
+        return _reject(arguments.file, error)  # type: ignore[union-attr]
+    except BrokenPipeError:
+        # The reader of stdout went away; what is left to write must not fail again when Python closes it.
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return EXIT_BROKEN_PIPE
+    except KeyboardInterrupt:
+        _note("refcodec: interrupted")
+        return EXIT_INTERRUPTED
+    except Exception as error:
+        return _report(error)
+
+
+def _report(error: Exception) -> int:
+    """The exit status of an error that is no verdict."""
+    folder = sys.modules.get("refcodec.folder")
+    if isinstance(error, UsageError) or (folder is not None and isinstance(error, folder.SceneFolderError)):
+        _note(f"refcodec: {error}")
+        return EXIT_USAGE
+    if isinstance(error, OSError):
+        _note(f"refcodec: {error.filename or 'output'}: {error.strerror or error}")
+        return EXIT_USAGE
+    if os.environ.get("REFCODEC_DEBUG") == "1":
+        raise error
+    kind = type(error).__name__
+    _note(f"refcodec: internal error, please report it with the command and the file ({kind}: {' '.join(str(error).split())})")
+    return EXIT_FAULT

@@ -1,0 +1,498 @@
+"""The scene folder: what decode writes, encode turns into the same bytes; anything else is a clear error."""
+
+from __future__ import annotations
+
+import copy
+import json
+import os
+import shutil
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from plyfile import PlyData, PlyElement
+from safetensors.numpy import load_file, save_file
+from scenes import MAIN_DIMENSIONS, random_scene, with_steps
+
+from refcodec import codec, folder
+from refcodec.folder import SceneFolderError, read_folder, write_folder
+from refcodec.reconstruction import reconstruct
+from refcodec.scene import Dimensions, RenderInfo
+
+NO_CARM = Dimensions(1, (4,), 1, 1, 2, (3,), (2,), (), 2)
+DEEP = Dimensions(3, (1, 2, 1), 2, 3, 5, (6, 7), (3,), (4, 5), 4)
+
+
+def odd_floats(seed: int):
+    """A scene whose floats are hard to write as text, and whose weights have every kind of zero."""
+    scene = random_scene(seed, 20, base_step=(1 / 3, 2.0**-60, 2.0**60))
+    tiny = float(np.float32(1e-45))
+    vectors = {"camera_rotation": (-0.0, 0.0, tiny, 1.0), "camera_translation": (-0.0, float(np.finfo(np.float32).max), 0.1)}
+    vectors["camera_translation"] = tuple(float(np.float32(v)) for v in vectors["camera_translation"])
+    networks = copy.deepcopy(scene.networks)
+    networks["opacity"][0][0][0, :2] = [-0.0, 1e-45]
+    render = RenderInfo(background=(1, 2, 255), near_plane=tiny, alpha_max=1.0, low_pass=-0.0, **vectors)
+    return with_steps(replace(scene, render=render, networks=networks))
+
+
+SCENES = {
+    "tiny": lambda: random_scene(0, 50),
+    "chunks": lambda: random_scene(1, 100, chunk_size=7),
+    "main": lambda: random_scene(2, 600, MAIN_DIMENSIONS, chunk_size=256),
+    "empty": lambda: random_scene(3, 0),
+    "one": lambda: random_scene(4, 1, NO_CARM),
+    "deep": lambda: random_scene(5, 33, DEEP),
+    "none kept": lambda: random_scene(6, 9, keep=0.0),
+    "all kept": lambda: random_scene(7, 9, keep=1.0),
+    "extensions": lambda: replace(random_scene(8, 5), extensions=((1, 0, b""), (16, 255, b"\0\1"), (127, 7, bytes(1000)))),
+    "odd floats": lambda: odd_floats(9),
+}
+
+
+@pytest.mark.parametrize("name", SCENES)
+def test_same_bytes(name, tmp_path):
+    data = codec.emit(SCENES[name]())
+    write_folder(codec.parse(data).scene, tmp_path / "scene")
+    assert codec.emit(read_folder(tmp_path / "scene")) == data
+    # What is written is a function of the scene alone.
+    write_folder(codec.parse(data).scene, tmp_path / "again")
+    for file in (tmp_path / "scene").iterdir():
+        assert file.read_bytes() == (tmp_path / "again" / file.name).read_bytes()
+
+
+@pytest.fixture(scope="module")
+def scene():
+    return replace(random_scene(11, 30, chunk_size=12), extensions=((5, 1, b"five"),))
+
+
+@pytest.fixture(scope="module")
+def written(scene, tmp_path_factory) -> Path:
+    path = tmp_path_factory.mktemp("written") / "scene"
+    write_folder(scene, path)
+    return path
+
+
+@pytest.fixture
+def made(written, tmp_path) -> Path:
+    return Path(shutil.copytree(written, tmp_path / "scene"))
+
+
+def refused(path: Path, *words: str) -> SceneFolderError:
+    with pytest.raises(SceneFolderError) as raised:
+        read_folder(path)
+    text = str(raised.value)
+    assert all(word in text for word in words), text
+    assert raised.value.advice
+    return raised.value
+
+
+# --- writing ----------------------------------------------------------------------------------------------------------
+
+
+def test_ply_layout(scene, made):
+    vertex = PlyData.read(str(made / "point_cloud.ply"))["vertex"]
+    assert [p.name for p in vertex.properties] == folder.ply_properties(2, 5)
+    assert {p.val_dtype for p in vertex.properties} == {"f4"}
+    assert (made / "point_cloud.ply").read_bytes().startswith(b"ply\nformat binary_little_endian 1.0\n")
+    values = reconstruct(scene)
+    for axis in range(3):
+        assert np.array_equal(vertex["xyz"[axis]], values.positions[:, axis])
+        for k in range(2):
+            assert np.array_equal(vertex[f"f_offset_{axis * 2 + k}"], values.offsets[:, k, axis])
+    assert np.array_equal(vertex["f_mask_1"], scene.masks[:, 1])
+    assert np.array_equal(vertex["f_anchor_feat_4"], values.features[:, 4])
+    assert np.array_equal(vertex["scale_5"], values.scalings[:, 5])
+    assert [vertex[n][0] for n in ("nx", "ny", "nz", "opacity", "rot_0", "rot_1", "rot_2", "rot_3")] == [0, 0, 0, 0, 1, 0, 0, 0]
+
+
+def test_names_of_networks(scene, made):
+    arrays = load_file(made / "networks.safetensors")
+    assert arrays["hyper.0.weight"].tobytes() == scene.networks["hyper"][0][0].tobytes()
+    assert set(arrays) == {f"{n}.{i}.{p}" for n, layers in scene.networks.items() for i in range(len(layers)) for p in ("weight", "bias")}
+
+
+def test_overwrites_a_scene_folder_whole(made):
+    (made / "notes.txt").write_text("mine")
+    other = random_scene(12, 4)
+    write_folder(other, made)
+    assert codec.emit(read_folder(made)) == codec.emit(other)
+    assert not (made / "extension_05.bin").exists()
+    assert (made / "notes.txt").read_text() == "mine"
+
+
+def test_writes_into_an_empty_folder(scene, tmp_path):
+    write_folder(scene, tmp_path)
+    assert codec.emit(read_folder(tmp_path)) == codec.emit(scene)
+
+
+@pytest.mark.parametrize("name", ["point_cloud.ply", "thesis.txt"])
+def test_leaves_other_folders_alone(scene, tmp_path, name):
+    (tmp_path / name).write_text("precious")
+    with pytest.raises(SceneFolderError, match="not a scene folder"):
+        write_folder(scene, tmp_path)
+    with pytest.raises(SceneFolderError, match="not a scene folder"):
+        write_folder(scene, tmp_path / name)
+    assert os.listdir(tmp_path) == [name]
+    assert (tmp_path / name).read_text() == "precious"
+
+
+def test_interrupted_while_writing(scene, made, tmp_path, monkeypatch):
+    """Nothing of a folder changes before all files are whole; a new one is not left behind."""
+    before = {p.name: p.read_bytes() for p in made.iterdir()}
+
+    def interrupted(*_):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(folder, "_scene_document", interrupted)
+    for path in (made, tmp_path / "new"):
+        with pytest.raises(KeyboardInterrupt):
+            write_folder(random_scene(12, 4), path)
+    assert {p.name: p.read_bytes() for p in made.iterdir()} == before
+    assert not (tmp_path / "new").exists()
+
+
+@pytest.mark.parametrize("count", [0, 1, 3, 4])
+def test_interrupted_while_moving(made, monkeypatch, count):
+    """After any number of moves but the last the folder does not read as a scene."""
+    moves = []
+    move = Path.replace
+
+    def limited(self, target):
+        if len(moves) == count:
+            raise KeyboardInterrupt
+        moves.append(self.name)
+        return move(self, target)
+
+    monkeypatch.setattr(Path, "replace", limited)
+    with pytest.raises(KeyboardInterrupt):
+        write_folder(random_scene(12, 4), made)
+    refused(made, "scene.json", "missing")
+
+
+def test_damage_is_noted(scene, tmp_path):
+    error = codec.BitstreamError("chunks.crc", 7, "masks[chunk 1]", "x")
+    write_folder(codec.without_chunks(scene, [1]), tmp_path / "scene", {1: error})
+    document = json.loads((tmp_path / "scene" / "scene.json").read_text())
+    assert document["dropped_chunks"] == [{"chunk": 1, **json.loads(error.to_json())}]
+    assert read_folder(tmp_path / "scene").anchor_count == 18
+
+
+# --- reading ----------------------------------------------------------------------------------------------------------
+
+
+def test_missing_folder(tmp_path):
+    refused(tmp_path / "nothing", "no such folder")
+    refused(tmp_path, "scene.json", "missing")
+
+
+@pytest.mark.parametrize("name", ["scene.json", "point_cloud.ply", "networks.safetensors", "planes.safetensors", "extension_05.bin"])
+def test_missing_file(made, name):
+    (made / name).unlink()
+    refused(made, name, "missing")
+
+
+@pytest.mark.parametrize("name", ["scene.json", "point_cloud.ply", "networks.safetensors", "planes.safetensors", "coded.safetensors"])
+@pytest.mark.parametrize("content", [b"", b"\x80\x04K\x01.", b"\xff" * 300, b"ply\nformat ascii 1.0\nend_header\n", b"[]", b"[" * 100_000])
+def test_wrong_file(made, name, content):
+    (made / name).write_bytes(content)
+    refused(made, name)
+
+
+@pytest.mark.parametrize("name", ["point_cloud.ply", "networks.safetensors", "planes.safetensors", "coded.safetensors"])
+def test_cut_file(made, name):
+    content = (made / name).read_bytes()
+    (made / name).write_bytes(content[: len(content) - 5])
+    refused(made, name)
+
+
+def leaves(value, path=()):
+    yield path
+    items = value.items() if isinstance(value, dict) else enumerate(value) if isinstance(value, list) else ()
+    for key, item in items:
+        yield from leaves(item, (*path, key))
+
+
+JUNK = [None, True, "x", -1, 256, 0.5, 1e300, 1 << 70, -(1 << 63), [], {}, [0], [[]], {"a": 1}]
+
+
+def test_no_field_of_scene_json_is_trusted(made):
+    """Each field replaced with junk, or left out: a clear error, or a scene that emit accepts or refuses with ValueError."""
+    file = made / "scene.json"
+    document = json.loads(file.read_text())
+    accepted = 0
+    for path in list(leaves(document))[1:]:
+        if path[0] == "digest":
+            continue
+        for junk in [*JUNK, "leave out"]:
+            changed = copy.deepcopy(document)
+            changed.pop("digest")
+            at = changed
+            for key in path[:-1]:
+                at = at[key]
+            if junk == "leave out":
+                del at[path[-1]]
+            else:
+                at[path[-1]] = junk
+            file.write_text(json.dumps(changed))
+            try:
+                scene = read_folder(made)
+            except SceneFolderError:
+                continue
+            try:
+                codec.parse(codec.emit(scene))
+                accepted += 1
+            except ValueError:
+                pass
+    assert accepted > 20  # chunk_size, background and the like have other allowed values
+
+
+@pytest.mark.parametrize(
+    "text", ['{"format": "C3GS scene", "version": NaN}', '{"format": "C3GS scene", "version": 1}', '{"format": "other"}']
+)
+def test_other_json(made, text):
+    (made / "scene.json").write_text(text)
+    refused(made, "scene.json")
+
+
+def test_not_a_number_in_json(made):
+    text = (made / "scene.json").read_text()
+    (made / "scene.json").write_text(text.replace('"near_plane": 0.2', '"near_plane": NaN'))
+    refused(made, "near_plane")
+
+
+def test_extension_stays_inside_the_folder(made):
+    text = (made / "scene.json").read_text()
+    (made / "scene.json").write_text(text.replace("extension_05.bin", "../secret"))
+    refused(made, "extensions[0].file")
+
+
+def change_array(file: Path, name: str, change) -> None:
+    arrays = load_file(file)
+    arrays[name] = change(arrays[name])
+    save_file(arrays, file)
+
+
+def put(index, value):
+    def change(array):
+        array[index] = value
+        return array
+
+    return change
+
+
+@pytest.mark.parametrize(
+    ("file", "name", "change", "words"),
+    [
+        ("coded", "features", lambda a: a[:, :-1].copy(), ("features", "required")),
+        ("coded", "features", lambda a: a.astype(np.int64), ("int64", "int32")),
+        ("coded", "features", put((0, 0), 1 << 23), ("features", "outside")),
+        ("coded", "features", put((0, 0), -(1 << 31)), ("features", "outside")),
+        ("coded", "positions", put((0, 0), 0x7C00), ("position",)),
+        ("coded", "positions", put((0, 0), 0x8000), ("-0",)),
+        ("coded", "positions", lambda a: a[:-1].copy(), ("positions", "29")),
+        ("coded", "masks", put((0, 0), 2), ("mask",)),
+        ("coded", "steps", put((0, 0), 255), ("step",)),
+        ("coded", "surplus", None, ("surplus", "not known")),
+        ("planes", "planes", put((0, 0, 0, 0), -32768), ("-32768",)),
+        ("planes", "planes", lambda a: a[:4].copy(), ("planes",)),
+        ("planes", "planes", put((0, 0, 0, 0), 99), ("digest.planes",)),
+        ("networks", "hyper.0.bias", put(0, np.nan), ("hyper.0.bias", "NaN")),
+        ("networks", "hyper.0.bias", put(0, 1.5), ("digest.weights",)),
+        ("networks", "opacity.0.weight", lambda a: a.T.copy(), ("opacity.0.weight",)),
+    ],
+)
+def test_wrong_arrays(made, file, name, change, words):
+    path = made / f"{file}.safetensors"
+    if change is None:
+        save_file({**load_file(path), name: np.zeros(1, np.int32)}, path)
+    else:
+        change_array(path, name, change)
+    refused(made, *words)
+
+
+def test_missing_array(made):
+    arrays = load_file(made / "coded.safetensors")
+    del arrays["steps"]
+    save_file(arrays, made / "coded.safetensors")
+    refused(made, "steps", "missing")
+
+
+def test_masked_offset_is_zero(made, scene):
+    where = tuple(np.argwhere(~scene.masks)[0])
+    change_array(made / "coded.safetensors", "offsets", put((*where, 0), 1))
+    refused(made, "offset", "not 0")
+
+
+def rewrite_ply(path: Path, change) -> None:
+    table = np.array(PlyData.read(str(path), mmap=False)["vertex"].data)
+    PlyData([PlyElement.describe(change(table), "vertex")]).write(str(path))
+
+
+def without(prefix: str):
+    def change(table):
+        names = [n for n in table.dtype.names if not n.startswith(prefix)]
+        out = np.empty(len(table), [(n, table.dtype[n]) for n in names])
+        for name in names:
+            out[name] = table[name]
+        return out
+
+    return change
+
+
+@pytest.mark.parametrize("name", ["x", "f_offset_3", "f_mask_0", "f_anchor_feat_2", "scale_4"])
+def test_edited_ply_is_refused(made, name):
+    rewrite_ply(made / "point_cloud.ply", lambda t: put(7, 12.5)(t[name]) is None or t)
+    error = refused(made, f"{name} of anchor 7 is 12.5")
+    assert "delete coded.safetensors" in error.advice
+
+
+def test_ply_with_other_anchors_is_refused(made):
+    rewrite_ply(made / "point_cloud.ply", lambda t: t[:-1])
+    assert "delete coded.safetensors" in refused(made, "29 anchors").advice
+
+
+def test_ply_without_properties_is_refused(made):
+    rewrite_ply(made / "point_cloud.ply", without("scale_"))
+    refused(made, "0 properties scale_*")
+
+
+def test_ply_with_other_types_and_properties_is_the_same(made, scene):
+    """Saved again by another program: without normals, as text."""
+    rewrite_ply(made / "point_cloud.ply", without("n"))
+    data = PlyData.read(str(made / "point_cloud.ply"), mmap=False)
+    data.text = True
+    data.write(str(made / "point_cloud.ply"))
+    assert codec.emit(read_folder(made)) == codec.emit(scene)
+
+
+def test_ply_without_masks_counts_as_all_kept(tmp_path, made):
+    scene = random_scene(7, 9, keep=1.0)
+    write_folder(scene, tmp_path / "kept")
+    rewrite_ply(tmp_path / "kept" / "point_cloud.ply", without("f_mask_"))
+    assert codec.emit(read_folder(tmp_path / "kept")) == codec.emit(scene)
+    rewrite_ply(made / "point_cloud.ply", without("f_mask_"))
+    refused(made, "f_mask_")
+
+
+def test_header_edits_are_encoded(made, scene):
+    """What is not reconstruction may be changed by hand."""
+    document = json.loads((made / "scene.json").read_text())
+    document["render"]["background"] = [9, 8, 7]
+    document["chunk_size"] = 5
+    (made / "scene.json").write_text(json.dumps(document))
+    wanted = replace(scene, render=replace(scene.render, background=(9, 8, 7)), chunk_size=5)
+    assert codec.emit(read_folder(made)) == codec.emit(wanted)
+
+
+# --- quantising anew --------------------------------------------------------------------------------------------------
+
+
+def by_position(scene):
+    """Anchors in an order of their own."""
+    order = np.lexsort(scene.positions.T)
+    return codec.take_anchors(scene, order)
+
+
+def test_requantised_reconstruction_is_the_same_scene(made, scene):
+    """Values on the lattice of their steps give the same symbols again; anchors are sorted, empty ones dropped."""
+    (made / "coded.safetensors").unlink()
+    found, wanted = by_position(read_folder(made)), by_position(codec.take_anchors(scene, scene.masks.any(axis=1)))
+    for kind in ("features", "scalings", "offsets", "steps"):
+        assert np.array_equal(getattr(found.attributes, kind), getattr(wanted.attributes, kind)), kind
+    assert found.positions.tobytes() == wanted.positions.tobytes()
+    assert np.array_equal(found.masks, wanted.masks)
+    for name in ("grid", "render", "lanes", "chunk_size", "base_step", "profile", "dimensions", "plane_shift", "extensions"):
+        assert getattr(found, name) == getattr(scene, name), name
+    codec.parse(codec.emit(found))
+
+
+def test_edited_ply_is_quantised(made, scene):
+    (made / "coded.safetensors").unlink()
+    rewrite_ply(made / "point_cloud.ply", without("f_mask_"))
+    found = read_folder(made)
+    assert found.masks.all()
+    assert found.anchor_count == scene.anchor_count
+    rewrite_ply(made / "point_cloud.ply", lambda t: put(0, 1e30)(t["x"]) is None or t)
+    refused(made, "point_cloud.ply", "cannot be quantised")
+    rewrite_ply(made / "point_cloud.ply", without("f_anchor_feat_4"))
+    refused(made, "4 features")
+
+
+def trained(path: Path, masks: np.ndarray | None, count: int = 4) -> dict[str, np.ndarray]:
+    """A point cloud as HAC writes it, K = 2, F = 3, with properties that nobody asked for."""
+    rng = np.random.default_rng(0)
+    names = ["x", "y", "z", "nx", "ny", "nz", *(f"f_offset_{i}" for i in range(6)), *(f"f_anchor_feat_{i}" for i in range(3))]
+    names += ["opacity", *(f"scale_{i}" for i in range(6)), *(f"rot_{i}" for i in range(4))]
+    columns = {name: rng.normal(size=count).astype(np.float32) for name in names}
+    columns |= {} if masks is None else {f"f_mask_{k}": masks[:, k].astype(np.float32) for k in range(masks.shape[1])}
+    table = np.empty(count, [(name, "<f4") for name in columns])
+    for name, column in columns.items():
+        table[name] = column
+    PlyData([PlyElement.describe(table, "vertex")]).write(str(path))
+    return columns
+
+
+def test_read_cloud(tmp_path):
+    file = tmp_path / "point_cloud.ply"
+    columns = trained(file, None)
+    cloud = folder.read_cloud(file)
+    assert np.array_equal(cloud.positions[:, 2], columns["z"])
+    assert np.array_equal(cloud.offsets[:, 1, 2], columns["f_offset_5"])
+    assert np.array_equal(cloud.offsets[:, 0, 1], columns["f_offset_2"])
+    assert np.array_equal(cloud.features[:, 2], columns["f_anchor_feat_2"])
+    assert np.array_equal(cloud.scalings[:, 5], columns["scale_5"])
+    assert cloud.masks.shape == (4, 2)
+    assert cloud.masks.all()
+
+
+@pytest.mark.parametrize(
+    ("values", "wanted"),
+    [
+        ([[0, 1], [1, 1], [0, 0], [1, 0]], [[0, 1], [1, 1], [0, 0], [1, 0]]),
+        ([[0, 1], [1, 1], [-4.5, 0], [-4.7, 0]], [[1, 1], [1, 1], [1, 1], [0, 1]]),
+    ],
+    ids=["masks", "logits"],
+)
+def test_read_cloud_masks(tmp_path, values, wanted):
+    trained(tmp_path / "p.ply", np.array(values))
+    assert folder.read_cloud(tmp_path / "p.ply").masks.astype(int).tolist() == wanted
+
+
+def test_read_cloud_of_a_scene_folder(made, scene):
+    cloud = folder.read_cloud(made / "point_cloud.ply")
+    assert np.array_equal(cloud.masks, scene.masks)
+    assert np.array_equal(cloud.offsets, reconstruct(scene).offsets)
+
+
+@pytest.mark.parametrize(
+    ("prefix", "words"), [("scale_5", "5 properties scale_"), ("f_offset", "f_offset"), ("z", "xyz"), ("f_anchor", "feat")]
+)
+def test_read_cloud_refuses(tmp_path, prefix, words):
+    file = tmp_path / "p.ply"
+    trained(file, None)
+    rewrite_ply(file, without(prefix))
+    with pytest.raises(SceneFolderError, match=words):
+        folder.read_cloud(file)
+
+
+def test_read_cloud_refuses_more(tmp_path):
+    file = tmp_path / "p.ply"
+    with pytest.raises(SceneFolderError, match="no such file"):
+        folder.read_cloud(file)
+    trained(file, np.ones((4, 3)))
+    with pytest.raises(SceneFolderError, match="f_mask_"):
+        folder.read_cloud(file)
+    trained(file, None)
+    rewrite_ply(file, without("f_offset_2"))
+    with pytest.raises(SceneFolderError, match="numbered"):
+        folder.read_cloud(file)
+    trained(file, None)
+    rewrite_ply(file, lambda t: put(0, np.nan)(t["scale_0"]) is None or t)
+    with pytest.raises(SceneFolderError, match="NaN"):
+        folder.read_cloud(file)
+    file.write_bytes(
+        b"ply\nformat ascii 1.0\nelement vertex 1\nproperty list uchar float x\nproperty float y\nproperty float z\nend_header\n1 2 3 4\n"
+    )
+    with pytest.raises(SceneFolderError, match="f_offset"):
+        folder.read_cloud(file)

@@ -1,0 +1,182 @@
+"""inspect: every byte has its place, whatever the bytes are; the trace is the decoding."""
+
+from __future__ import annotations
+
+import json
+import random
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scenes import MAIN_DIMENSIONS, TINY_DIMENSIONS, random_scene
+
+from refcodec import codec, inspection, syntax
+from refcodec.container import PROLOGUE_BYTES, SECTIONS, parse_container
+from refcodec.errors import BitstreamError
+from refcodec.reconstruction import digest
+
+
+@pytest.fixture(scope="module")
+def scene():
+    return replace(random_scene(3, 40, chunk_size=16), extensions=((2, 5, b"note"), (9, 0, b"")))
+
+
+@pytest.fixture(scope="module")
+def data(scene) -> bytes:
+    return codec.emit(scene)
+
+
+def verdict(data: bytes):
+    try:
+        return codec.parse(data)
+    except BitstreamError as error:
+        return error
+
+
+def assert_tiled(data: bytes) -> None:
+    at = 0
+    for row in inspection.rows(data):
+        assert row.start == at < row.end, row
+        at = row.end
+    assert at == len(data)
+
+
+def test_rows_tile_valid_files(data):
+    assert_tiled(data)
+    assert_tiled(codec.emit(random_scene(0, 0)))
+    assert_tiled(codec.emit(random_scene(1, 300, MAIN_DIMENSIONS, chunk_size=256)))
+    assert not [r for r in inspection.rows(data) if "no element" in r.path or "no field" in r.path]
+
+
+def test_rows_name_every_header_element(data):
+    header = parse_container(data)
+    wanted = syntax.parse_elements("Header", data, PROLOGUE_BYTES, "header")
+    found = {r.path: r for r in inspection.rows(data)}
+    for element in wanted:
+        row = found[element.path]
+        assert (row.start, row.end, row.value) == (element.start, element.end, element.value)
+    for kind, section in header.sections.items():
+        paths = [r.path for r in inspection.rows(data) if section.start <= r.start < section.end]
+        stem = SECTIONS.get(kind, f"extension_{kind:02x}")
+        assert all(p.startswith(stem) for p in paths)
+    assert found["attributes[chunk 2].symbol_crc"].kind == "u32"
+    assert found["weights.carm.1.0.weight"].kind == "f32[5,2]"
+
+
+def test_nothing_raises_on_damaged_files(data):
+    """Cut and changed at random: the rows tile the file, and every form has something to say."""
+    rng = random.Random(5)
+    header_end = 400
+    for round_number in range(250):
+        changed = bytearray(data[: rng.randrange(len(data) + 1)] if round_number % 2 else data)
+        for _ in range(rng.randrange(4)):
+            if changed:
+                changed[rng.randrange(min(len(changed), header_end if rng.random() < 0.7 else len(changed)))] = rng.randrange(256)
+        damaged = bytes(changed) + bytes(rng.randrange(3))
+        assert_tiled(damaged)
+        found = verdict(damaged)
+        error = found if isinstance(found, BitstreamError) else None
+        text = list(inspection.hex_lines(damaged, error))
+        assert sum("^^ error" in line for line in text) == (error is not None)
+        facts = inspection.document(damaged, found)
+        json.dumps(facts, allow_nan=False)
+        assert list(inspection.summary(facts, "x"))
+        if error is not None:
+            lines: list[str] = []
+            with pytest.raises(BitstreamError) as raised:
+                inspection.trace(damaged, lines.append)
+            assert raised.value.to_json() == error.to_json()
+
+
+def test_header_without_limits_is_not_believed(data):
+    """Counts of 2^32 in a header cost nothing."""
+    changed = bytearray(data)
+    changed[24:32] = b"\xff\xff\xff\xff\x01\x00\x00\x00"
+    changed[32:35] = b"\xff\xff\xff"
+    assert_tiled(bytes(changed))
+    list(inspection.summary(inspection.document(bytes(changed), verdict(bytes(changed))), "x"))
+
+
+def test_error_stands_at_its_byte(data):
+    section = parse_container(data).sections[0x87]
+    # The section's CRC-32 is what notices; it is said where the section begins.
+    damaged = bytearray(data)
+    damaged[section.end - 1] ^= 1
+    error = verdict(bytes(damaged))
+    lines = list(inspection.hex_lines(bytes(damaged), error))
+    at = next(i for i, line in enumerate(lines) if "^^ error 307 section.crc" in line)
+    assert lines[at - 1].startswith(f"{section.start:08x}")
+    # A file that ends too early: at the end.
+    error = verdict(data[:-3])
+    lines = list(inspection.hex_lines(data[:-3], error))
+    assert "directory.file_length" in lines[-1]
+    assert lines[-2] == f"{len(data) - 3:08x}  end of file"
+
+
+def test_payloads_fold(data):
+    lines = inspection.hex_dump(data).splitlines()
+    assert max(len(line) for line in lines) < 160
+    weights = next(line for line in lines if " weights.hyper.1.weight " in line)
+    assert "..." in weights
+    assert weights.endswith(" bytes")
+
+
+def test_document(scene, data):
+    facts = inspection.document(data, codec.parse(data))
+    assert facts["accepted"] is True
+    assert facts["digest"]["whole"] == digest(scene)[0]
+    assert facts["kept_offsets"] == scene.masks.sum()
+    assert sum(s["bytes"] for s in facts["sections"]) == len(data)
+    assert sum(s["share"] for s in facts["sections"]) == pytest.approx(1)
+    assert [c["anchors"] for c in facts["chunks"]] == [16, 16, 8]
+    assert facts["mask_model"] == scene.mask_model.tolist()
+    assert facts["header"]["dimensions"]["slice_width"] == list(scene.dimensions.slices)
+    assert facts["sections"][-1]["name"] == "extension_09"
+    text = "\n".join(inspection.summary(facts, "scene.c3gs"))
+    assert "3 chunks of 16 anchors, the last one of 8" in text
+    assert text.endswith(facts["digest"]["whole"])
+
+
+def test_document_of_an_empty_scene():
+    data = codec.emit(random_scene(0, 0))
+    facts = inspection.document(data, codec.parse(data))
+    assert facts["chunks"] == []
+    assert facts["sections"][0]["bits_per_anchor"] is None
+    assert "accepted; digest" in "\n".join(inspection.summary(facts, "empty.c3gs"))
+
+
+def test_trace_is_the_decoding(scene, data):
+    lines: list[str] = []
+    inspection.trace(data, lines.append)
+    rows = [line.rstrip("\n").split("\t") for line in lines]
+    assert rows[0] == ["path", "kind", "mean", "scale", "value"]
+    assert all(len(row) == 5 for row in rows)
+    assert len({row[0] for row in rows}) == len(rows)
+    values = {row[0]: row[4] for row in rows}
+    a = scene.attributes
+    for i in (0, 17, 39):
+        assert int(values[f"attributes.features[{i},4]"]) == a.features[i, 4]
+        assert int(values[f"attributes.scalings[{i},0]"]) == a.scalings[i, 0]
+        assert np.float16(values[f"positions[{i},1]"]) == scene.positions[i, 1]
+        for k in range(2):
+            assert int(values[f"masks[{i},{k}]"]) == scene.masks[i, k]
+            if scene.masks[i, k]:
+                assert int(values[f"attributes.offsets[{i},{k},2]"]) == a.offsets[i, k, 2]
+            else:
+                assert f"attributes.offsets[{i},{k},2]" not in values
+    order = [row[0].split(".")[0].split("[")[0] for row in rows[1:]]
+    stages = list(dict.fromkeys(order))
+    assert stages[:5] == ["prologue", "header", "frame", "weights", "planes"]
+    assert stages[5:] == ["chunk_table", "positions", "masks", "attributes", "extension_02"]
+    d = TINY_DIMENSIONS
+    symbols = 5 * d.plane_channels * d.plane_size**2 + 40 * d.offset_count + 40 * (d.features + 6) + 3 * int(scene.masks.sum())
+    assert sum(row[1] in ("laplace", "gauss", "mask") for row in rows) == symbols
+
+
+def test_trace_stops_at_the_error(data):
+    damaged = bytearray(data)
+    damaged[30] ^= 1
+    lines: list[str] = []
+    with pytest.raises(BitstreamError):
+        inspection.trace(bytes(damaged), lines.append)
+    assert lines[-1].startswith("header.header_crc\t")
