@@ -97,13 +97,30 @@ def _announced_length(head: bytes) -> int:
     return int(header.directory[-1].offset + header.directory[-1].length)
 
 
-@contextlib.contextmanager
-def _atomic(path: Path) -> Iterator[Any]:
-    """A binary file that takes its name when it is whole."""
+def _check_output_file(path: Path) -> None:
+    """Before any work is done: that _write_file may write there."""
+    from .container import SIGNATURE
+
+    if path.is_dir():
+        raise UsageError(f"{path} is a directory: give the name of a file")
+    if not path.parent.is_dir():
+        raise UsageError(f"there is no directory {path.parent}")
+    if path.is_file() and path.stat().st_size:
+        with path.open("rb") as file:
+            if file.read(len(SIGNATURE)) != SIGNATURE:
+                raise UsageError(f"{path} exists and is not a C3GS file: choose another name, or remove it")
+
+
+def _write_file(path: Path, data: bytes) -> None:
+    """A file that takes its name when it is whole; a pipe or a device is written as it is."""
+    if path.exists() and not path.is_file():
+        path.write_bytes(data)
+        return
+    path = path.resolve()
     handle, temporary = tempfile.mkstemp(prefix=f".{path.name}.", dir=path.parent)
     try:
         with os.fdopen(handle, "wb") as file:
-            yield file
+            file.write(data)
         # mkstemp makes files private; a result has the rights that open would have given it.
         mask = os.umask(0)
         os.umask(mask)
@@ -134,20 +151,19 @@ def _progress(wanted: bool) -> Iterator[Progress]:
         return
     from tqdm import tqdm
 
-    bar: Any = None
+    bars: dict[str, Any] = {}
 
     def show(stage: str, done: int, total: int) -> None:
-        nonlocal bar
-        if bar is None or bar.desc != f"{stage}: ":
-            if bar is not None:
-                bar.close()
-            bar = tqdm(total=total, desc=stage, file=sys.stderr, delay=0 if wanted else 1, leave=wanted)
-        bar.update(done - bar.n)
+        if stage not in bars:
+            for finished in bars.values():
+                finished.close()
+            bars[stage] = tqdm(total=total, desc=stage, file=sys.stderr, delay=0 if wanted else 1, leave=wanted)
+        bars[stage].update(done - bars[stage].n)
 
     try:
         yield show
     finally:
-        if bar is not None:
+        for bar in bars.values():
             bar.close()
 
 
@@ -175,18 +191,14 @@ def _encode(arguments: argparse.Namespace) -> int:
     from .folder import read_folder
 
     output = Path(arguments.output)
-    if output.is_dir():
-        raise UsageError(f"{output} is a directory: give the name of a file")
-    if not output.parent.is_dir():
-        raise UsageError(f"there is no directory {output.parent}")
+    _check_output_file(output)
     scene = read_folder(arguments.scene)
     try:
         with _progress(arguments.progress) as progress:
             data = emit(scene, threads=arguments.threads, progress=progress)
     except ValueError as error:
         raise UsageError(f"{arguments.scene} cannot be encoded: {error}") from None
-    with _atomic(output) as file:
-        file.write(data)
+    _write_file(output, data)
     return 0
 
 
@@ -244,52 +256,56 @@ def _validate(arguments: argparse.Namespace) -> int:
 
 
 def _fit(arguments: argparse.Namespace) -> int:
+    from zipfile import BadZipFile
+
     from .folder import read_cloud, write_folder
-    from .limits import MAIN, MAIN_SLICES, PROFILES
 
     try:
         from .fit.fitter import fit
-        from .fit.voxelise import read_points, voxelise
+        from .fit.voxelise import default_voxel, read_points, short_mantissa, voxelise
     except ModuleNotFoundError as error:
         if (error.name or "").split(".")[0] not in ("torch", "scipy"):
             raise
         raise UsageError(f"fit needs {error.name}: pip install 'refcodec[fit]'") from None
-    from safetensors import SafetensorError
-
     _check_output_folder(arguments.output)
     # Beside the folder, not in it: a scene folder is whole or it is not there.
     state = Path(f"{arguments.output.rstrip('/')}.fit-state")
     if arguments.resume and not state.exists():
         raise UsageError(f"there is nothing to resume: {state} does not exist")
-    if not arguments.resume:
-        state.unlink(missing_ok=True)
-    done = 0
+    voxel = arguments.voxel and short_mantissa(arguments.voxel)
     try:
         if arguments.points.endswith(".ply"):
-            cloud, voxel = read_cloud(arguments.points), arguments.voxel
+            cloud = read_cloud(arguments.points)
         else:
-            cloud, voxel = voxelise(*read_points(arguments.points), arguments.voxel)
-        found, wanted = (cloud.masks.shape[1], cloud.features.shape[1]), (PROFILES[MAIN].offset_count[0], sum(MAIN_SLICES))
-        if found != wanted:
-            raise UsageError(f"{arguments.points} has {found[0]} offsets and {found[1]} features, fit needs {wanted[0]} and {wanted[1]}")
+            found = read_points(arguments.points)
+            voxel = voxel or default_voxel(found.points)
+            cloud = voxelise(found.points, found.colours, voxel)
+        if not arguments.resume:
+            state.unlink(missing_ok=True)
         with _progress(arguments.progress) as progress:
-
-            def note(step: int, steps: int, _rate: float) -> None:
-                nonlocal done
-                done = step
-                progress("fit", step, steps)
-
-            result = fit(cloud, voxel=voxel, steps=arguments.steps, seed=arguments.seed, state=state, progress=note)
-    except (ValueError, SafetensorError) as error:
-        raise UsageError(str(error)) from None
+            result = fit(cloud, voxel=voxel, steps=arguments.steps, seed=arguments.seed, progress=progress, state=state)
+    # Of the npz files that cannot be read some are no archives, and some are cut.
+    except (ValueError, BadZipFile, EOFError) as error:
+        raise UsageError(f"{arguments.points} cannot be fitted: {error}") from None
     write_folder(result.scene, arguments.output)
-    print(f"{arguments.output}: {result.scene.anchor_count} anchors, about {result.bits_per_anchor:.1f} bits of attributes each")
+    done, dropped = result.report["steps"], result.report["dropped"]
+    print(f"{arguments.output}: {result.scene.anchor_count} anchors, {dropped} without offsets left out, {done} steps")
     # Ctrl-C ends the training, not the program.
     if done < arguments.steps and state.exists():
         _note(f"refcodec: stopped at step {done} of {arguments.steps}; the scene is written, and --resume goes on from there")
         return EXIT_INTERRUPTED
     state.unlink(missing_ok=True)
     return 0
+
+
+def _spots(data: bytes, error: BitstreamError) -> list[BitstreamError]:
+    """An error, and those of the single chunks: the CRC-32 of a section only says that one of its bytes is wrong."""
+    from .codec import parse
+
+    with contextlib.suppress(BitstreamError):
+        chunks = parse(data, keep_going=True).damage
+        return [error, *(found for found in chunks.values() if found.to_json() != error.to_json())]
+    return [error]
 
 
 def _inspect(arguments: argparse.Namespace) -> int:
@@ -307,7 +323,7 @@ def _inspect(arguments: argparse.Namespace) -> int:
     except BitstreamError as found:
         verdict = error = found
     if arguments.hex:
-        lines = inspection.hex_lines(data, error)
+        lines = inspection.hex_lines(data, _spots(data, error) if error else [])
     elif arguments.json:
         lines = iter([json.dumps(inspection.document(data, verdict), indent=1)])
     else:
@@ -425,15 +441,22 @@ def _parser() -> argparse.ArgumentParser:
     )
     fit.add_argument("points", metavar="POINTS")
     fit.add_argument("-o", "--output", metavar="SCENE_DIR", required=True)
-    fit.add_argument("--steps", type=_positive, metavar="N", default=3000, help="training steps (default: %(default)s)")
+    fit.add_argument("--steps", type=_positive, metavar="N", default=4000, help="training steps (default: %(default)s)")
     fit.add_argument(
-        "--voxel", type=_length, metavar="V", help="edge of the anchors' lattice, in world units (default: median distance of the points)"
+        "--voxel",
+        type=_length,
+        metavar="V",
+        help="edge of the anchors' lattice, in world units (default: median distance of the points; none for a .ply)",
     )
     fit.add_argument("--seed", type=_seed, metavar="S", default=0, help="of the random numbers (default: %(default)s)")
     fit.add_argument("--resume", action="store_true", help="go on with an interrupted fit of the same points")
     for command in (encode, decode, digest, validate, inspect):
         command.add_argument(
-            "--threads", type=_positive, metavar="N", default=os.cpu_count() or 1, help="chunk groups coded at once (default: %(default)s)"
+            "--threads",
+            type=_positive,
+            metavar="N",
+            default=os.cpu_count() or 1,
+            help="chunk groups coded at once (default: one for each core)",
         )
     return parser
 

@@ -168,7 +168,7 @@ def derive_networks(
     exact_float: bool | None = None,
     block: int | None = None,
 ) -> Networks:
-    """SPEC 7.2 for F_h, SARM and CARM. Raises BoundError; its text names the network and the layer."""
+    """SPEC 7.2 for F_h, SARM and CARM. Raises BoundError, which names the layer."""
 
     def derive(name: str) -> IntNetwork:
         layers = []
@@ -176,8 +176,7 @@ def derive_networks(
             try:
                 layers.append(derive_layer(*layer))
             except BoundError as error:
-                error.args = (f"{name}.{index}", *error.args)
-                raise
+                raise BoundError(error.row, f"{name}.{index}") from None
         return IntNetwork(layers, exact_float, block)
 
     hyper, sarm = derive("hyper"), derive("sarm")
@@ -190,14 +189,14 @@ def _checked_networks(header: Header, carm_shift: NDArray[np.uint8], networks: d
     try:
         return derive_networks(header.dimensions, carm_shift, networks)
     except BoundError as error:
-        layer, detail = error.args
         at = start + 2 + len(carm_shift)
         for name, shapes in header.dimensions.network_shapes().items():
             for index, (out, fan_in) in enumerate(shapes):
-                if f"{name}.{index}" == layer:
-                    raise BitstreamError("weights.bound", at + 4 * fan_in * error.row, f"weights.{layer}", detail) from None
+                if f"{name}.{index}" == error.layer:
+                    first = at + 4 * fan_in * error.row
+                    raise BitstreamError("weights.bound", first, f"weights.{error.layer}", str(error)) from None
                 at += 4 * out * (fan_in + 1)
-        raise AssertionError(layer) from None
+        raise AssertionError(error.layer) from None
 
 
 def _parse_planes(data: bytes, header: Header, sarm: IntNetwork, trace: Trace | None) -> NDArray[np.int16]:
@@ -486,10 +485,7 @@ def emit(scene: Scene, *, threads: int = 1, progress: Progress = _no_progress) -
 def _emit(scene: Scene, threads: int, progress: Progress) -> bytes:
     d = scene.dimensions
     chunks = chunk_ranges(scene.anchor_count, scene.chunk_size)
-    try:
-        networks = derive_networks(d, scene.carm_shift, scene.networks)
-    except BoundError as error:
-        raise ValueError(f"network {error.args[0]}: {error.args[1]} (SPEC.md 7.2)") from None
+    networks = derive_networks(d, scene.carm_shift, scene.networks)
     progress("planes", 0, 1)
     plane_encoder = Encoder(PLANES, 1 << scene.lanes.plane)
     code_planes(plane_encoder, networks.sarm, d.plane_channels, d.plane_size, scene.planes)

@@ -147,7 +147,7 @@ class Decoder:
 
     def _symbols(self, models: ModelSet, index: Int64, layout: _Layout) -> Int64:
         """SPEC 8.2 and 8.3: one symbol for each model index. The lanes of all substreams make one step at a time."""
-        grid = layout.spread(index, models.null).reshape(layout.steps, -1)
+        grid = layout.spread(index, models.null).reshape(layout.steps, len(layout.counts) * self.lanes)
         base = models.offset.take(grid)
         grid = grid << 8
         out = np.empty_like(base)

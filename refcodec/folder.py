@@ -568,7 +568,7 @@ def _requantise(bare: Scene, path: Path) -> Scene:
     except ValueError as error:
         raise SceneFolderError(
             file,
-            f"it cannot be quantised ({': '.join(map(str, error.args))})",
+            f"it cannot be quantised ({error})",
             f"correct the values, or the grid and steps in {SCENE_FILE}",
         ) from None
     return replace(scene, extensions=bare.extensions)

@@ -10,7 +10,7 @@ import io
 import json
 import math
 from collections import deque
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -248,19 +248,18 @@ def _error_line(error: BitstreamError) -> str:
     return f"{error.offset:08x}  ^^ error {error.kind.code} {error.kind.name}: {error}"
 
 
-def hex_lines(data: bytes, error: BitstreamError | None = None) -> Iterator[str]:
-    """Offset, bytes, path, type and value of each element; the error of a file after the element that it points at."""
+def hex_lines(data: bytes, errors: Sequence[BitstreamError] = ()) -> Iterator[str]:
+    """Offset, bytes, path, type and value of each element; errors of the file after the elements that they point at."""
     yield f"{'offset':<8}  {'bytes':<47}  {'element':<44}  {'type':<12}  value"
-    pending = error
+    waiting = deque(sorted(errors, key=lambda error: error.offset))
     for row in rows(data):
         line = f"{row.start:08x}  {_hex(data, row):<47}  {row.path:<44}  {row.kind:<12}  {_value_text(row)}"
         yield line.rstrip()
-        if pending is not None and pending.offset < row.end:
-            yield _error_line(pending)
-            pending = None
+        while waiting and waiting[0].offset < row.end:
+            yield _error_line(waiting.popleft())
     yield f"{len(data):08x}  end of file"
-    if pending is not None:
-        yield _error_line(pending)
+    for error in waiting:
+        yield _error_line(error)
 
 
 def hex_dump(data: bytes) -> str:
@@ -381,7 +380,7 @@ def _header_lines(facts: dict[str, Any], h: dict[str, Any]) -> Iterator[str]:
     yield f"networks     hidden {hidden}, render {d['render_width']}"
     yield "lanes        " + ", ".join(f"{part}s {1 << h[f'{part}_lanes_log2']}" for part in ("plane", "mask", "attribute"))
     steps = ", ".join(
-        f"{kind} {np.float32(float(step))}" for kind, step in zip(("features", "scalings", "offsets"), h["base_step"], strict=True)
+        f"{kind} {np.float32(float(step))!s}" for kind, step in zip(("features", "scalings", "offsets"), h["base_step"], strict=True)
     )
     yield f"base steps   {steps}"
 

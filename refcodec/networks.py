@@ -29,11 +29,11 @@ Layer = tuple[F32, F32]
 
 
 class BoundError(ValueError):
-    """A row whose integers could pass the accumulator bound; `row` counts within its layer."""
+    """A row whose integers could pass the accumulator bound; `row` counts within its layer, `layer` names that."""
 
-    def __init__(self, row: int) -> None:
-        super().__init__(f"row {row} passes the accumulator bound at every exponent from 0 to {EXPONENT_MAX}")
-        self.row = row
+    def __init__(self, row: int, layer: str = "layer") -> None:
+        super().__init__(f"row {row} of {layer} passes the accumulator bound at every exponent from 0 to {EXPONENT_MAX} (SPEC.md 7.2)")
+        self.row, self.layer = row, layer
 
 
 @dataclass(frozen=True)

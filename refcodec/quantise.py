@@ -52,7 +52,8 @@ def choose_grid(positions: F32, voxel: float | None = None) -> PositionGrid:
     p = positions.astype(np.float64)
     low, high = (p.min(axis=0), p.max(axis=0)) if len(p) else (np.zeros(3), np.zeros(3))
     middle = (low + high) / 2
-    unit = voxel or max(float((high - low).max()) / 2, 1e-9) / FP16_EXTENT
+    # Far from the world's origin a unit cannot be smaller than the bound on the grid's origin allows.
+    unit = voxel or max(float((high - low).max()) / 2 / FP16_EXTENT, float(np.abs(middle).max()) * 2.0**-21) or 1.0
     # 16 bits of mantissa, so that scale_mantissa * P fits 56 bits.
     fraction, exponent = math.frexp(unit)
     mantissa = round(fraction * 65536)
@@ -232,5 +233,5 @@ def quantise(
         ),
     )
     steps = derive_steps(scene)
-    coded = [symbols(getattr(ordered, kind), steps[:, i], base_step[i]) for i, kind in enumerate(KINDS)]
-    return replace(scene, attributes=Attributes(*coded, steps))
+    features, scalings, offsets = (symbols(getattr(ordered, kind), steps[:, i], base_step[i]) for i, kind in enumerate(KINDS))
+    return replace(scene, attributes=Attributes(features, scalings, offsets, steps))

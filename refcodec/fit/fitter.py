@@ -1,271 +1,298 @@
-"""The fitter: frame, planes, F_h, SARM and CARM for frozen attributes, by rate alone (SPEC.md B.5)."""
+"""The fitter: planes, F_h, SARM and CARM for a scene that has none, by rate alone (SPEC.md Annex B.5).
+
+Steps are fixed before training (index 32 everywhere, multiplier one), so the symbols are too, and nothing but their code length is
+minimised: bits of attributes over uniformly drawn anchors (the paper's USRO) and, every fourth step, bits of planes (A-RDO).
+"""
 
 from __future__ import annotations
 
-import math
-from collections.abc import Callable
-from dataclasses import dataclass
+import time
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
-import safetensors.torch
 import torch
 from numpy.typing import NDArray
-from torch import Tensor
 
 from ..attributes import KINDS
-from ..codec import PLANE_SHIFT_MAX
-from ..geometry import UNIT, contract, frame_coordinates, position_integers, rescale
-from ..limits import MAIN_SLICES
-from ..networks import ACTIVATION_MAX
-from ..planes import PLANE_SYMBOL_MAX
-from ..quantise import (
-    AnchorCloud,
-    carm_shifts,
-    choose_frame,
-    choose_grid,
-    choose_lanes,
-    choose_plane_size,
-    order_anchors,
-    quantise,
-    symbols,
-)
-from ..scene import Dimensions, RenderInfo, Scene
-from .model import PLANE_UNIT, EntropyNet, gaussian_bits
+from ..codec import Progress, derive_steps
+from ..conventions import rshift_round
+from ..geometry import contract, frame_coordinates, position_integers, positional_encoding, rescale
+from ..limits import MAIN, MAIN_SLICES
+from ..networks import Layer, activation
+from ..planes import PLANE_SYMBOL_MAX, PLANES
+from ..quantise import AnchorCloud, carm_shifts, choose_frame, choose_grid, choose_plane_size, order_anchors, quantise
+from ..quantise import symbols as to_symbols
+from ..scene import Dimensions, Scene
+from .ideal import ideal_code_length
+from .model import PLANE_SHIFT, STEP_ONE, PlaneSamples, RateModel
 from .voxelise import display_networks
 
-# Anchors of one step, drawn from all alike (USRO).
+# Anchors of one step of training.
 BATCH = 4096
-# The plane term is evaluated every so many steps (A-RDO), and then counts for all of them: here the rate is the whole loss.
-PLANE_INTERVAL = 4
-# Share of the steps with noise on the planes, before they are rounded; and before activations and outputs are.
-NOISE_SHARE, FLOAT_SHARE = 0.5, 0.6
-# Steps between two saved states.
-SAVE_INTERVAL = 500
-# Default steps of features, scalings (logarithms) and offsets at index 32.
-BASE_STEP = (0.125, 0.0625, 0.125)
-
-Progress = Callable[[int, int, float], None]
+# Largest learning rates of planes and of networks under the one-cycle schedule.
+PLANE_RATE, NETWORK_RATE = 0.01, 0.004
+# The paper's A-RDO: the plane term takes part in every fourth step; four times its bits keep the expectation right.
+PLANE_PERIOD = 4
+# Shares of the steps after which planes are rounded in place of noise, and activations as in the decoder.
+ROUND_PLANES, ROUND_ACTIVATIONS = 0.6, 0.85
+# Default steps: a third of the features' spread; 0.1 in a natural logarithm of a scaling; the paper's 0.2 for offsets.
+FEATURE_SPREAD, SCALING_STEP, OFFSET_STEP = 1 / 3, 0.1, 0.2
+# Seconds between two savings of the state.
+SAVE_SECONDS = 30.0
 
 
 @dataclass(frozen=True, eq=False)
 class FitResult:
-    """The fitted scene, and the trained network that it came from."""
+    """scene: ready for codec.emit; report: what was chosen and reached (seconds, steps, base_step, history, ...)."""
 
     scene: Scene
-    net: EntropyNet
-    bits_per_anchor: float
+    report: dict[str, Any]
 
 
-def main_dimensions(plane_size: int) -> Dimensions:
-    """Profile Main with this B (SPEC 11.1)."""
-    return Dimensions(10, MAIN_SLICES, 8, 10, plane_size, (100,), (16, 16), (100,), 50)
+def ideal_bits(result: FitResult) -> dict[str, float]:
+    """Code length in bits of `attributes` and `planes` under the float64 network that nothing rounds: see refcodec.fit.ideal."""
+    return ideal_code_length(result.scene)
 
 
-def _gamma(z: Tensor, frequencies: int) -> Tensor:
-    """gamma(z'), [n, 2 L]: sine and cosine of each frequency in turn (equation of the paper). z [n] in -1..1."""
-    phase = z[:, None] * (math.pi * 2.0 ** torch.arange(frequencies, dtype=z.dtype))
-    return torch.stack([torch.sin(phase), torch.cos(phase)], 2).reshape(len(z), -1)
+def default_base_step(cloud: AnchorCloud) -> tuple[float, float, float]:
+    """Steps of features (a third of the channels' median spread), scalings (0.1) and offsets (0.2), each a float32 value."""
+    spread = float(np.median(cloud.features.std(axis=0))) if len(cloud.features) else 0.0
+    steps = (spread * FEATURE_SPREAD or 1.0, SCALING_STEP, OFFSET_STEP)
+    return (float(np.float32(steps[0])), float(np.float32(steps[1])), float(np.float32(steps[2])))
 
 
-@dataclass(frozen=True, eq=False)
+def default_dimensions(cloud: AnchorCloud, plane_size: int) -> Dimensions:
+    """Main's dimensions (SPEC 11.1). Raises ValueError if the cloud does not have 50 features and 10 offsets."""
+    d = Dimensions(10, MAIN_SLICES, 8, 10, plane_size, (100,), (16, 16), (100,), 50)
+    if cloud.features.shape[1] != d.features or cloud.masks.shape[1] != d.offset_count:
+        raise ValueError(f"{cloud.features.shape[1]} features and {cloud.masks.shape[1]} offsets; Main has 50 and 10")
+    return d
+
+
 class _Data:
-    """What a fit is trained on: u [n, 3] in -1..1, symbols [n, D] with 0 where masked, kept [n, D]."""
+    """What training reads of the anchors, as tensors: samples of the planes, gamma, symbols, CARM's inputs, kept offsets."""
 
-    u: Tensor
-    symbols: Tensor
-    kept: Tensor
+    def __init__(self, scene: Scene) -> None:
+        d, a = scene.dimensions, scene.attributes
+        u = rescale(scene.frame, contract(frame_coordinates(scene.frame, position_integers(scene.positions))))
+        self.samples = PlaneSamples(u[:, :2], d.plane_size)
+        self.gamma = torch.from_numpy(positional_encoding(u[:, 2], d.frequency_count).astype(np.float32))
+        flat = [a.features, a.scalings, a.offsets.reshape(len(u), -1)]
+        self.symbols = torch.from_numpy(np.concatenate(flat, axis=1).astype(np.float32))
+        earlier = activation(rshift_round(a.features[:, : d.carm_inputs].astype(np.int64), scene.carm_shift.astype(np.int64)))
+        self.earlier = torch.from_numpy(earlier.astype(np.float32))
+        self.kept = torch.from_numpy(np.repeat(scene.masks, 3, axis=1).astype(np.float32))
+        self.count = len(u)
+        plane_symbols = PLANES * d.plane_channels * d.plane_size**2
+        self.total = (d.features + 6) * len(u) + float(self.kept.sum()) + plane_symbols
 
-    def context(self, net: EntropyNet, planes: Tensor, rows: Tensor | slice) -> Tensor:
-        u = self.u[rows]
-        return net.context(planes, u[:, :2], _gamma(u[:, 2], net.dimensions.frequency_count))
-
-    def bits(self, net: EntropyNet, planes: Tensor, rows: Tensor | slice, rounded: bool) -> Tensor:
-        """Bits of the kept attributes of some anchors, [rows, D], 0 where masked."""
-        y = self.symbols[rows]
-        mean, scale = net.parameters_of(self.context(net, planes, rows), y, rounded)
-        return torch.where(self.kept[rows], gaussian_bits(y, mean, scale), torch.zeros((), dtype=y.dtype))
+    def context(self, symbols: torch.Tensor, rows: torch.Tensor, rounding: bool) -> torch.Tensor:
+        """Inputs of F_h for the anchors `rows`."""
+        return torch.cat([self.samples.query(symbols, rows, rounding), self.gamma[rows]], dim=1)
 
 
-def _statistics(values: NDArray, kept: NDArray[np.bool_]) -> tuple[Tensor, Tensor]:
-    """Mean and standard deviation (at least 1/4 step) of each channel over its kept symbols."""
-    count = np.maximum(kept.sum(axis=0), 1)
-    mean = np.where(kept, values, 0).sum(axis=0) / count
-    spread = np.sqrt((np.where(kept, values - mean, 0) ** 2).sum(axis=0) / count)
-    return torch.tensor(mean, dtype=torch.float32), torch.tensor(np.maximum(spread, 0.25), dtype=torch.float32)
+def _start(cloud: AnchorCloud, voxel: float | None, base_step: tuple[float, float, float], plane_size: int | None) -> Scene:
+    """A scene with symbols and empty planes and networks, anchors in order."""
+    grid = choose_grid(cloud.positions, voxel)
+    try:
+        ordered, _ = order_anchors(cloud, grid)
+    except ValueError:
+        # Some anchors lie farther from the middle than fp16 reaches on the lattice.
+        grid = choose_grid(cloud.positions)
+        ordered, _ = order_anchors(cloud, grid)
+    d = default_dimensions(cloud, plane_size or choose_plane_size(len(ordered.positions)))
+    planes = np.zeros((PLANES, d.plane_channels, d.plane_size, d.plane_size), np.int16)
+    networks: dict[str, list[Layer]] = {
+        name: [(np.zeros(shape, np.float32), np.zeros(shape[0], np.float32)) for shape in shapes]
+        for name, shapes in d.network_shapes().items()
+    }
+    networks["hyper"][-1][1][-len(KINDS) :] = STEP_ONE
+    networks.update(display_networks(d))
+    steps = np.full(len(ordered.features), STEP_ONE, np.uint8)
+    shift = carm_shifts(to_symbols(ordered.features, steps, base_step[0]), d.carm_inputs)
+    _, half = order_anchors(cloud, grid)
+    return quantise(
+        cloud,
+        dimensions=d,
+        networks=networks,
+        frame=choose_frame(half),
+        grid=grid,
+        planes=planes,
+        plane_shift=PLANE_SHIFT,
+        carm_shift=shift,
+        base_step=base_step,
+        profile=MAIN,
+    )
+
+
+def _statistics(scene: Scene) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Mean and deviation of each channel's symbols, float64 [D]; a channel without symbols has 0 and 1."""
+    a = scene.attributes
+    columns = np.concatenate([a.features, a.scalings, a.offsets.reshape(len(a.offsets), -1)], axis=1).astype(np.float64)
+    weight = np.ones(columns.shape)
+    weight[:, -3 * scene.dimensions.offset_count :] = np.repeat(scene.masks, 3, axis=1)
+    count = weight.sum(axis=0)
+    mean = (columns * weight).sum(axis=0) / np.maximum(count, 1)
+    variance = ((columns - mean) ** 2 * weight).sum(axis=0) / np.maximum(count, 1)
+    return mean, np.where(count > 0, np.sqrt(variance), 1.0)
 
 
 def fit(
     cloud: AnchorCloud,
     *,
     voxel: float | None = None,
-    steps: int = 3000,
-    base_step: tuple[float, float, float] = BASE_STEP,
+    steps: int = 4000,
+    base_step: tuple[float, float, float] | None = None,
     seed: int = 0,
     plane_size: int | None = None,
-    render: RenderInfo | None = None,
-    networks: dict | None = None,
-    state: Path | None = None,
     progress: Progress | None = None,
+    state: str | Path | None = None,
 ) -> FitResult:
-    """Fits an entropy model to a cloud in profile Main and quantises it.
+    """Fits the coding networks and planes of Main to a cloud (50 features, 10 offsets) and quantises it.
 
-    voxel: the lattice of the positions, if they have one. networks: rendering networks (default: coloured points). state: a file that is
-    written every 500 steps and on Ctrl-C; if it is there, the fit goes on from it. Ctrl-C ends the training early and leaves a usable
-    result. The same seed, data and torch give the same scene. Raises ValueError for what cannot be quantised.
+    voxel: the lattice of the positions, if they have one; base_step: None for default_base_step; plane_size: None for
+    choose_plane_size; state: a file where training saves itself, and from which it goes on if it exists. An interrupt (Ctrl-C)
+    ends training early and leaves a whole scene. Equal arguments and threads give equal results. Raises ValueError for a cloud
+    that cannot be written, or a state of other settings.
     """
-    torch.manual_seed(seed)
-    grid = choose_grid(cloud.positions, voxel)
-    ordered, positions = order_anchors(cloud, grid)
-    if len(positions) == 0:
-        raise ValueError("no anchor keeps an offset")
-    frame = choose_frame(positions)
-    dimensions = main_dimensions(plane_size or choose_plane_size(len(positions)))
-    base_step = tuple(float(np.float32(s)) for s in base_step)  # type: ignore[assignment]
-    middle = np.full(len(positions), 32, np.uint8)
-    coded = [symbols(getattr(ordered, kind), middle, base_step[i]).reshape(len(positions), -1) for i, kind in enumerate(KINDS)]
-    everything = np.concatenate(coded, axis=1)
-    kept = np.ones(everything.shape, dtype=bool)
-    kept[:, -3 * dimensions.offset_count :] = np.repeat(ordered.masks, 3, axis=1)
-    u = rescale(frame, contract(frame_coordinates(frame, position_integers(positions)))) * (2 / UNIT) - 1
-    data = _Data(torch.tensor(u, dtype=torch.float32), torch.tensor(everything, dtype=torch.float32), torch.tensor(kept))
-    net = EntropyNet(dimensions, *_statistics(everything, kept))
-    _train(net, data, steps, state, progress)
-    return _result(net, data, cloud, dimensions, voxel, base_step, render, networks, coded[0])
+    base = base_step or default_base_step(cloud)
+    base = (float(np.float32(base[0])), float(np.float32(base[1])), float(np.float32(base[2])))
+    scene = _start(cloud, voxel, base, plane_size)
+    started = time.perf_counter()
+    model = RateModel(scene.dimensions, *_statistics(scene), scene.carm_shift, seed)
+    history: list[tuple[int, float, float]] = []
+    done = 0
+    if scene.anchor_count and steps:
+        data = _Data(scene)
+        done = _train(model, data, steps, seed, history, progress, Path(state) if state else None)
+        with torch.no_grad():
+            symbols = model.symbols(None)
+            everything = torch.arange(data.count)
+            model.set_rounding(data.context(symbols, everything, False), data.earlier, symbols)
+    with torch.no_grad():
+        planes = model.symbols(None).numpy().clip(-PLANE_SYMBOL_MAX, PLANE_SYMBOL_MAX).astype(np.int16)
+    fitted = replace(scene, planes=planes, networks={**scene.networks, **model.networks()})
+    assert np.array_equal(derive_steps(fitted), scene.attributes.steps)
+    report = {
+        "seconds": time.perf_counter() - started,
+        "steps": done,
+        "seed": seed,
+        "base_step": base,
+        "plane_size": scene.dimensions.plane_size,
+        "anchors": scene.anchor_count,
+        "dropped": len(cloud.positions) - scene.anchor_count,
+        "history": history,
+    }
+    return FitResult(fitted, report)
 
 
-def _train(net: EntropyNet, data: _Data, steps: int, state: Path | None, progress: Progress | None) -> None:
-    count, width = data.symbols.shape
-    groups = [{"params": [net.planes], "lr": 0.02}, {"params": [p for n, p in net.named_parameters() if n != "planes"], "lr": 0.004}]
-    optimiser = torch.optim.Adam(groups)
-    schedule = torch.optim.lr_scheduler.OneCycleLR(optimiser, [g["lr"] for g in groups], total_steps=max(steps, 2), pct_start=0.1)
-    generator = torch.Generator().manual_seed(torch.initial_seed())
-    start = 0
+def _train(
+    model: RateModel,
+    data: _Data,
+    steps: int,
+    seed: int,
+    history: list[tuple[int, float, float]],
+    progress: Progress | None,
+    state: Path | None,
+) -> int:
+    """Runs the steps; history gets (step, bits an attribute symbol, bits of all planes) now and then. Returns steps done."""
+    networks = [p for name, p in model.named_parameters() if name != "latents"]
+    optimiser = torch.optim.Adam([{"params": [model.latents]}, {"params": networks}])
+    schedule = torch.optim.lr_scheduler.OneCycleLR(optimiser, [PLANE_RATE, NETWORK_RATE], total_steps=steps)
+    draw = torch.Generator().manual_seed(seed)
+    settings = {"steps": steps, "seed": seed, "anchors": data.count, "planes": tuple(model.latents.shape)}
+    done = 0
     if state is not None and state.exists():
-        start = _load(state, net, optimiser, schedule, generator)
-    step = start
+        done = _resume(torch.load(state, weights_only=True), settings, model, optimiser, schedule, draw, history)
+    batch = min(BATCH, data.count)
+    plane_symbols = model.latents.numel()
+    plane_bits = 0.0
+    saved = time.monotonic()
     try:
-        for step in range(start, steps):
-            mode = "noise" if step < NOISE_SHARE * steps else "round"
-            rounded = step >= FLOAT_SHARE * steps
-            rows = torch.randint(count, (min(BATCH, count),), generator=generator)
-            planes = net.coded_planes(mode)
-            rate = data.bits(net, planes, rows, rounded).sum() / len(rows)
-            if step % PLANE_INTERVAL == 0:
-                rate = rate + PLANE_INTERVAL * net.plane_bits(planes, rounded).sum() / count
-            optimiser.zero_grad()
-            (rate / width).backward()
-            torch.nn.utils.clip_grad_norm_(net.parameters(), 1.0)
+        while done < steps:
+            if done >= int(steps * ROUND_ACTIVATIONS) and not model.hyper.rounding:
+                _calibrate(model, data, draw)
+            symbols = model.symbols(draw if done < int(steps * ROUND_PLANES) else None)
+            rows = torch.randint(data.count, (batch,), generator=draw)
+            context = data.context(symbols, rows, model.hyper.rounding)
+            bits = model.attribute_bits(context, data.symbols[rows], data.earlier[rows], data.kept[rows])
+            loss = bits * (data.count / batch)
+            if done % PLANE_PERIOD == 0:
+                plane_term = model.plane_bits(symbols)
+                plane_bits = float(plane_term.detach())
+                loss = loss + PLANE_PERIOD * plane_term
+            optimiser.zero_grad(set_to_none=True)
+            (loss / data.total).backward()
+            torch.nn.utils.clip_grad_norm_(networks, 1.0)
             optimiser.step()
             schedule.step()
-            if progress is not None:
-                progress(step + 1, steps, float(rate.detach()))
-            if state is not None and (step + 1) % SAVE_INTERVAL == 0:
-                _save(state, step + 1, net, optimiser, generator)
+            done += 1
+            if done % max(steps // 50, 1) == 0:
+                history.append((done, float(bits.detach()) * data.count / batch / (data.total - plane_symbols), plane_bits))
+            if progress:
+                progress("fit", done, steps)
+            if state is not None and (done == steps or time.monotonic() - saved > SAVE_SECONDS):
+                _save(state, settings, done, model, optimiser, schedule, draw, history)
+                saved = time.monotonic()
     except KeyboardInterrupt:
         if state is not None:
-            _save(state, step, net, optimiser, generator)
+            _save(state, settings, done, model, optimiser, schedule, draw, history)
+    return done
 
 
-def _save(state: Path, step: int, net: EntropyNet, optimiser: torch.optim.Adam, generator: torch.Generator) -> None:
-    """The whole state of a training as one safetensors file, replaced at once."""
-    tensors = {f"net.{k}": v.detach().clone() for k, v in net.state_dict().items()}
-    for index, moments in optimiser.state_dict()["state"].items():
-        tensors |= {f"adam.{index}.{k}": v.detach().clone() for k, v in moments.items()}
-    tensors["generator"] = generator.get_state()
-    tensors["global"] = torch.get_rng_state()
-    tensors["step"] = torch.tensor(step)
-    part = state.with_suffix(".part")
-    safetensors.torch.save_file(tensors, part)
-    part.replace(state)
+@torch.no_grad()
+def _calibrate(model: RateModel, data: _Data, draw: torch.Generator) -> None:
+    """Switches to the decoder's activations, with units from a sample of the anchors."""
+    symbols = model.symbols(None)
+    rows = torch.randperm(data.count, generator=draw)[: 8 * BATCH]
+    model.set_rounding(data.context(symbols, rows, False), data.earlier[rows], symbols)
 
 
-def _load(
-    state: Path,
-    net: EntropyNet,
-    optimiser: torch.optim.Adam,
-    schedule: torch.optim.lr_scheduler.OneCycleLR,
-    generator: torch.Generator,
+def _save(
+    path: Path,
+    settings: dict[str, Any],
+    done: int,
+    model: RateModel,
+    optimiser: torch.optim.Optimizer,
+    schedule: Any,
+    draw: torch.Generator,
+    history: list[tuple[int, float, float]],
+) -> None:
+    """Writes the state beside the file first, so that a crash never leaves half of one."""
+    beside = path.with_name(path.name + ".new")
+    content = {
+        "settings": settings,
+        "done": done,
+        "model": model.state_dict(),
+        "rounding": model.hyper.rounding,
+        "optimiser": optimiser.state_dict(),
+        "schedule": schedule.state_dict(),
+        "draw": draw.get_state(),
+        "history": history,
+    }
+    torch.save(content, beside)
+    beside.replace(path)
+
+
+def _resume(
+    content: Mapping[str, Any],
+    settings: dict[str, Any],
+    model: RateModel,
+    optimiser: torch.optim.Optimizer,
+    schedule: Any,
+    draw: torch.Generator,
+    history: list[tuple[int, float, float]],
 ) -> int:
-    """Continues from a saved state; raises ValueError if it belongs to another scene."""
-    tensors = safetensors.torch.load_file(state)
-    try:
-        net.load_state_dict({k.removeprefix("net."): v for k, v in tensors.items() if k.startswith("net.")})
-    except RuntimeError as error:
-        raise ValueError(f"{state} is the state of another fit ({error}); delete it to start anew") from None
-    moments: dict[int, dict[str, Tensor]] = {}
-    for key, value in tensors.items():
-        if key.startswith("adam."):
-            _, index, name = key.split(".")
-            moments.setdefault(int(index), {})[name] = value
-    optimiser.load_state_dict({"state": moments, "param_groups": optimiser.state_dict()["param_groups"]})
-    generator.set_state(tensors["generator"])
-    torch.set_rng_state(tensors["global"])
-    step = int(tensors["step"])
-    for _ in range(step):
-        schedule.step()
-    return step
-
-
-def _result(
-    net: EntropyNet,
-    data: _Data,
-    cloud: AnchorCloud,
-    dimensions: Dimensions,
-    voxel: float | None,
-    base_step: tuple[float, float, float],
-    render: RenderInfo | None,
-    networks: dict | None,
-    features: NDArray[np.int32],
-) -> FitResult:
-    """The scene of a trained network."""
-    with torch.no_grad():
-        rounded = torch.floor(net.planes * PLANE_UNIT + 0.5).clamp(-PLANE_SYMBOL_MAX, PLANE_SYMBOL_MAX)
-        net.planes.copy_(rounded / PLANE_UNIT)
-        planes = rounded.numpy().astype(np.int16)
-        bits = np.mean([float(data.bits(net, net.planes, rows, True).sum(1).mean()) for rows in _blocks(len(data.symbols))])
-    plane_shift = PLANE_SHIFT_MAX
-    while plane_shift and int(np.abs(planes.astype(np.int64)).max()) << plane_shift > ACTIVATION_MAX:
-        plane_shift -= 1
-    shifts = carm_shifts(features, dimensions.carm_inputs)
-    coding = net.export(plane_shift, shifts)
-    drawing = networks or display_networks(dimensions)
-    half = choose_grid(cloud.positions, voxel)
-    positions = order_anchors(cloud, half)[1]
-    scene = quantise(
-        cloud,
-        dimensions=dimensions,
-        networks={name: (coding | drawing)[name] for name in dimensions.network_shapes()},
-        frame=choose_frame(positions),
-        grid=half,
-        planes=planes,
-        plane_shift=plane_shift,
-        carm_shift=shifts,
-        base_step=base_step,
-        render=render,
-        lanes=choose_lanes(len(positions), float(bits)),
-    )
-    return FitResult(scene, net, float(bits))
-
-
-def _blocks(count: int) -> list[slice]:
-    return [slice(a, a + BATCH) for a in range(0, count, BATCH)]
-
-
-def ideal_bits(result: FitResult) -> dict[str, float]:
-    """Ideal code length, in bits, of attributes and planes under the float network in float64: no activation, weight, output, interpolation
-    weight or sine is rounded, and the distributions are continuous ones integrated over each bin."""
-    net = EntropyNet(result.net.dimensions, result.net.centre, result.net.spread).double()
-    net.load_state_dict({k: v.double() for k, v in result.net.state_dict().items()})
-    scene = result.scene
-    u = rescale(scene.frame, contract(frame_coordinates(scene.frame, position_integers(scene.positions)))) * (2 / UNIT) - 1
-    a = scene.attributes
-    count = scene.anchor_count
-    y = np.concatenate([a.features, a.scalings, a.offsets.reshape(count, -1)], axis=1)
-    kept = np.ones(y.shape, dtype=bool)
-    kept[:, -3 * scene.dimensions.offset_count :] = np.repeat(scene.masks, 3, axis=1)
-    data = _Data(torch.tensor(u, dtype=torch.float64), torch.tensor(y, dtype=torch.float64), torch.tensor(kept))
-    with torch.no_grad():
-        attributes = sum(float(data.bits(net, net.planes, rows, False).sum()) for rows in _blocks(count))
-        planes = float(net.plane_bits(net.planes, False).sum())
-    return {"attributes": attributes, "planes": planes}
+    """Restores a saved state. Returns the steps done. Raises ValueError if it was saved under other settings."""
+    if content["settings"] != settings:
+        raise ValueError(f"the saved state belongs to {content['settings']}, not to {settings}")
+    model.load_state_dict(content["model"])
+    model.rounding(content["rounding"])
+    optimiser.load_state_dict(content["optimiser"])
+    schedule.load_state_dict(content["schedule"])
+    draw.set_state(content["draw"])
+    history.extend(content["history"])
+    return int(content["done"])

@@ -8,7 +8,8 @@ a stored weight is exact.
 from __future__ import annotations
 
 import math
-from typing import Any
+from itertools import accumulate, pairwise
+from typing import Any, cast
 
 import numpy as np
 import torch
@@ -18,7 +19,7 @@ from torch.nn import functional
 
 from ..conventions import Int64
 from ..geometry import LERP_BITS, UNIT_BITS
-from ..networks import ACTIVATION_MAX, Layer
+from ..networks import ACCUMULATOR_BOUND, ACTIVATION_MAX, WEIGHT_MAX, Layer
 from ..planes import PLANES
 from ..scene import Dimensions
 from ..tables import SCALE_END, SCALE_MIN, STEP_LENGTH
@@ -44,10 +45,8 @@ class _Bits(torch.autograd.Function):
         away = symbol - mean / MEAN_UNIT
         a = away.abs()
         t0, t1 = (a - 0.5) / deviation, (a + 0.5) / deviation
-        if gauss:
-            p = (torch.erfc(t0 * math.sqrt(0.5)) - torch.erfc(t1 * math.sqrt(0.5))) / 2
-        else:
-            p = _laplace_tail(t0) - _laplace_tail(t1)
+        tail = _gauss_tail if gauss else _laplace_tail
+        p = tail(t0) - tail(t1)
         p = p.clamp_min(0) + FLOOR
         ctx.save_for_backward(away, deviation, t0, t1, p, scale)
         ctx.gauss = gauss
@@ -67,6 +66,11 @@ class _Bits(torch.autograd.Function):
         by_scale = torch.where((scale <= SCALE_MIN) & (by_scale > 0), torch.zeros_like(by_scale), by_scale)
         symbol = -by_mean * MEAN_UNIT if ctx.needs_input_grad[2] else None
         return by_mean, by_scale, symbol, None
+
+
+def _gauss_tail(t: Tensor) -> Tensor:
+    """The share of a unit Gaussian distribution above t."""
+    return torch.erfc(t * math.sqrt(0.5)) / 2
 
 
 def _laplace_tail(t: Tensor) -> Tensor:
@@ -100,7 +104,7 @@ class FoldedMlp(nn.Module):
     def __init__(self, widths: list[int], input_unit: Tensor, output_unit: Tensor, generator: torch.Generator, gain: float) -> None:
         super().__init__()
         self.weights, self.biases = nn.ParameterList(), nn.ParameterList()
-        for i, (fan_in, out) in enumerate(zip(widths[:-1], widths[1:], strict=True)):
+        for i, (fan_in, out) in enumerate(pairwise(widths)):
             last = i == len(widths) - 2
             spread = (gain if last else math.sqrt(2)) / math.sqrt(fan_in)
             self.weights.append(nn.Parameter(torch.randn(out, fan_in, generator=generator) * spread))
@@ -114,22 +118,27 @@ class FoldedMlp(nn.Module):
 
     def forward(self, inputs: Tensor) -> Tensor:
         """inputs: integers as float32 [n, in]. Returns float32 [n, out] in the units of the file."""
-        x = inputs / self.input_unit
+        x = inputs / self.get_buffer("input_unit")
         for i in range(self.hidden):
             x = functional.relu(functional.linear(x, self.weights[i], self.biases[i]))
             if self.rounding:
                 unit = self.get_buffer(f"hidden_unit_{i}")
                 x = _round((x * unit).clamp_max(ACTIVATION_MAX)) / unit
-        return functional.linear(x, self.weights[-1], self.biases[-1]) * self.output_unit
+        return functional.linear(x, self.weights[-1], self.biases[-1]) * self.get_buffer("output_unit")
 
     @torch.no_grad()
     def calibrate(self, inputs: Tensor) -> None:
-        """Sets each hidden activation's unit to the largest power of two that keeps it within 1023 for these inputs."""
-        x = inputs / self.input_unit
+        """Sets each hidden activation's unit to the largest power of two that keeps it within 1023 for these inputs, and its
+        row of weights within half of SPEC 7.2's bounds."""
+        x = inputs / self.get_buffer("input_unit")
+        before = self.get_buffer("input_unit")
         for i in range(self.hidden):
             x = functional.relu(functional.linear(x, self.weights[i], self.biases[i]))
-            most = x.max(dim=0).values.clamp_min(ACTIVATION_MAX * 2.0**-16)
-            self.get_buffer(f"hidden_unit_{i}").copy_(torch.exp2(torch.floor(torch.log2(ACTIVATION_MAX / most))))
+            row = (self.weights[i] / before).abs()
+            total = row.sum(dim=1) * ACTIVATION_MAX + self.biases[i].abs()
+            limits = (ACTIVATION_MAX / x.max(dim=0).values, WEIGHT_MAX / 2 / row.max(dim=1).values, ACCUMULATOR_BOUND / 2 / total)
+            unit = torch.stack(limits).min(dim=0).values.clamp(2.0**-16, 2.0**16)
+            before = self.get_buffer(f"hidden_unit_{i}").copy_(torch.exp2(torch.floor(torch.log2(unit))))
 
     def layers(self) -> list[Layer]:
         """The weights that SPEC 5.8 stores: float32 (weight [out, in], bias [out]) of each layer."""
@@ -205,19 +214,22 @@ class RateModel(nn.Module):
         with torch.no_grad():
             start = np.concatenate([mean / unit.numpy(), octave])
             self.hyper.biases[-1].copy_(torch.tensor(start, dtype=torch.float32))
-        self.sarm = FoldedMlp(
-            [4, *d.sarm_width, 2], torch.full((4,), 16.0), torch.tensor([16 * MEAN_UNIT, SCALE_UNIT]), generator, 0.1
-        )
-        self.carm = nn.ModuleList()
+        self.sarm = FoldedMlp([4, *d.sarm_width, 2], torch.full((4,), 16.0), torch.tensor([16 * MEAN_UNIT, SCALE_UNIT]), generator, 0.1)
+        carm = []
         shifted = unit[: d.carm_inputs] / torch.tensor(2.0 ** carm_shift.astype(np.float64), dtype=torch.float32)
         done = d.slices[0]
         for columns in d.slices[1:]:
             part = slice(done, done + columns)
             outputs = torch.cat([unit[part] * MEAN_UNIT, torch.full((columns,), SCALE_UNIT)])
-            self.carm.append(FoldedMlp([done, *d.carm_width, 2 * columns], shifted[:done], outputs, generator, 0.0))
+            carm.append(FoldedMlp([done, *d.carm_width, 2 * columns], shifted[:done], outputs, generator, 0.0))
             done += columns
+        self.carm = nn.ModuleList(carm)
         size = d.plane_size
         self.latents = nn.Parameter(torch.randn(PLANES, d.plane_channels, size, size, generator=generator) * 0.03)
+
+    def carm_networks(self) -> list[FoldedMlp]:
+        """CARM of slices 1, 2 and so on."""
+        return cast(list[FoldedMlp], list(self.carm))
 
     def symbols(self, noise: torch.Generator | None) -> Tensor:
         """Plane symbols [5, ch, B, B]: with uniform noise in their rounding's place, or rounded (noise None)."""
@@ -241,7 +253,7 @@ class RateModel(nn.Module):
         mean, scale = hyper[:, :width], hyper[:, width:]
         means, scales = [mean[:, : d.slices[0]]], [scale[:, : d.slices[0]]]
         done = d.slices[0]
-        for columns, network in zip(d.slices[1:], self.carm, strict=True):
+        for columns, network in zip(d.slices[1:], self.carm_networks(), strict=True):
             change = network(earlier[:, :done])
             means.append(mean[:, done : done + columns] + change[:, :columns])
             scales.append(scale[:, done : done + columns] + change[:, columns:])
@@ -252,16 +264,21 @@ class RateModel(nn.Module):
 
     def set_rounding(self, context: Tensor, earlier: Tensor, symbols: Tensor) -> None:
         """From now on activations are rounded and cut as in the decoder; their units are calibrated on these inputs."""
-        networks = [(self.hyper, context), (self.sarm, plane_neighbours(symbols))]
-        networks += [(network, earlier[:, : network.input_unit.shape[0]]) for network in self.carm]
-        for network, inputs in networks:
-            network.calibrate(inputs)
-            network.rounding = True
+        self.hyper.calibrate(context)
+        self.sarm.calibrate(plane_neighbours(symbols))
+        for network, done in zip(self.carm_networks(), accumulate(self.d.slices), strict=False):
+            network.calibrate(earlier[:, :done])
+        self.rounding(True)
+
+    def rounding(self, on: bool) -> None:
+        """Whether activations are rounded and cut as in the decoder."""
+        for network in (self.hyper, self.sarm, *self.carm_networks()):
+            network.rounding = on
 
     def networks(self) -> dict[str, list[Layer]]:
         """F_h (with three step rows of zero weights and bias 32), SARM and CARM as SPEC 5.8 stores them."""
         *hidden, (weight, bias) = self.hyper.layers()
         weight = np.concatenate([weight, np.zeros((3, weight.shape[1]), np.float32)])
         bias = np.concatenate([bias, np.full(3, STEP_ONE, np.float32)])
-        carm = {f"carm.{i}": network.layers() for i, network in enumerate(self.carm, start=1)}
+        carm = {f"carm.{i}": network.layers() for i, network in enumerate(self.carm_networks(), start=1)}
         return {"hyper": [*hidden, (weight, bias)], "sarm": self.sarm.layers(), **carm}

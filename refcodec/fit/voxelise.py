@@ -90,7 +90,7 @@ def voxelise(points: F32, colours: NDArray[np.uint8], voxel: float | None = None
         raise ValueError(f"a voxel of {voxel} is not positive")
     p = points.astype(np.float64)
     lattice, owner = np.unique(np.round(p / v).astype(np.int64), axis=0, return_inverse=True)
-    anchors = lattice * v
+    anchors: F64 = lattice.astype(np.float64) * v
     logits = _logit(colours)
     tree = cKDTree(p)
     count = np.bincount(owner.reshape(-1), minlength=len(anchors))

@@ -1,0 +1,217 @@
+"""The fitter: real anchors from points, networks that the integer codec takes over, and what they gain."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+torch = pytest.importorskip("torch")
+pytest.importorskip("scipy")
+
+from refcodec import codec  # noqa: E402
+from refcodec.container import ATTRIBUTES, PLANES_SECTION, parse_container  # noqa: E402
+from refcodec.entropy import select  # noqa: E402
+from refcodec.fit import fitter, ideal, model, voxelise  # noqa: E402
+from refcodec.networks import IntNetwork, derive_layer  # noqa: E402
+from refcodec.scene import Dimensions  # noqa: E402
+from refcodec.tables import tables  # noqa: E402
+
+STEPS = 40
+VOXEL = voxelise.short_mantissa(0.1)
+
+
+# Threads that wait for each other cost more than they give at this size.
+torch.set_num_threads(1)
+
+
+def points(count: int = 2500, seed: int = 0) -> voxelise.PointCloud:
+    """A bumpy ground with a texture: neighbours resemble each other."""
+    rng = np.random.default_rng(seed)
+    xy = rng.uniform(-3, 3, (count, 2))
+    height = 0.3 * np.sin(2 * xy[:, 0]) * np.cos(3 * xy[:, 1]) + rng.normal(0, 0.01, count)
+    shade = 0.5 + 0.4 * np.sin(3 * xy[:, 0] + xy[:, 1])
+    colours = np.clip(np.stack([shade, shade**2, 1 - shade], axis=1) + rng.normal(0, 0.03, (count, 3)), 0, 1)
+    return voxelise.PointCloud(np.column_stack([xy, height]).astype(np.float32), np.round(colours * 255).astype(np.uint8))
+
+
+@pytest.fixture(scope="module")
+def cloud():
+    found = points()
+    return voxelise.voxelise(found.points, found.colours, VOXEL)
+
+
+@pytest.fixture(scope="module")
+def result(cloud):
+    return fitter.fit(cloud, voxel=VOXEL, steps=STEPS, plane_size=8)
+
+
+def test_readers(tmp_path):
+    text = "# comment\n1 0.5 1.5 -2 10 20 30 0.7 1 2 3 4\n2 1 2 3 255 0 1 0.1\n"
+    (tmp_path / "points3D.txt").write_text(text)
+    found = voxelise.read_points(tmp_path / "points3D.txt")
+    assert found.points.tolist() == [[0.5, 1.5, -2.0], [1.0, 2.0, 3.0]]
+    assert found.colours.tolist() == [[10, 20, 30], [255, 0, 1]]
+    np.savez(tmp_path / "a.npz", means3d=found.points, colors=found.colours)
+    assert np.array_equal(voxelise.read_points(tmp_path / "a.npz").points, found.points)
+    np.savez(tmp_path / "b.npz", means3d=found.points)
+    with pytest.raises(ValueError, match="colors"):
+        voxelise.read_points(tmp_path / "b.npz")
+    with pytest.raises(ValueError, match="expected"):
+        voxelise.read_points(tmp_path / "c.ply")
+    np.savez(tmp_path / "d.npz", means3d=found.points * np.nan, colors=found.colours)
+    with pytest.raises(ValueError, match="NaN"):
+        voxelise.read_points(tmp_path / "d.npz")
+
+
+def test_anchors_are_voxels_and_offsets_reach_points(cloud):
+    found = points()
+    lattice = cloud.positions.astype(np.float64) / VOXEL
+    assert np.abs(lattice - np.round(lattice)).max() < 1e-4
+    assert len(np.unique(cloud.positions, axis=0)) == len(cloud.positions)
+    centres = cloud.positions[:, None] + cloud.offsets * np.exp(cloud.scalings[:, None, :3])
+    for k in (0, 9):
+        reached = np.linalg.norm(found.points[:, None] - centres[None, :20, k], axis=2).min(axis=0)
+        assert reached.max() < 1e-4
+    assert cloud.masks[:, 0].all()
+    assert not cloud.masks.all()
+
+
+@pytest.mark.parametrize("count", [1, 2, 5])
+def test_tiny_clouds(count):
+    found = points(count)
+    cloud = voxelise.voxelise(found.points, found.colours)
+    assert cloud.features.shape == (len(cloud.positions), 50)
+    assert all(np.isfinite(a).all() for a in (cloud.features, cloud.scalings, cloud.offsets))
+    scene = fitter.fit(cloud, steps=3, plane_size=4).scene
+    data = codec.emit(scene)
+    assert codec.emit(codec.parse(data).scene) == data
+
+
+def test_an_empty_cloud_and_a_bad_voxel_are_refused():
+    with pytest.raises(ValueError, match="no points"):
+        voxelise.voxelise(np.zeros((0, 3), np.float32), np.zeros((0, 3), np.uint8))
+    with pytest.raises(ValueError, match="not positive"):
+        voxelise.voxelise(np.zeros((1, 3), np.float32), np.zeros((1, 3), np.uint8), -1.0)
+
+
+def test_display_networks_show_the_colours():
+    d = fitter.default_dimensions(voxelise.voxelise(np.zeros((1, 3), np.float32), np.zeros((1, 3), np.uint8)), 8)
+    networks = voxelise.display_networks(d)
+    x = np.zeros((1, 54), np.float32)
+    x[0, :3] = [1.5, -2.0, 0.25]
+    x[0, 50:] = [0.6, 0.0, 0.8, 3.0]
+
+    def run(name: str) -> np.ndarray:
+        (w0, b0), (w1, b1) = networks[name]
+        return np.maximum(x @ w0.T + b0, 0) @ w1.T + b1
+
+    assert np.allclose(run("colour").reshape(10, 3), x[0, :3])
+    assert np.tanh(run("opacity")).min() > 0.99
+    assert np.array_equal(run("covariance").reshape(10, 7), np.tile([0, 0, 0, 1, 0, 0, 0], (10, 1)))
+    with pytest.raises(ValueError, match="hidden units"):
+        voxelise.display_networks(Dimensions(1, (3,), 1, 1, 2, (1,), (1,), (), 5))
+
+
+def test_bits_and_their_gradient_are_those_of_the_distributions():
+    rng = np.random.default_rng(0)
+    mean, scale = rng.normal(0, 40, 200), rng.uniform(-30, 40, 200)
+    symbol = np.round(mean / 16 + rng.normal(0, 1, 200) * 2 ** (scale / 8))
+    for family, function in (("gauss", model.gauss_bits), ("laplace", model.laplace_bits)):
+        exact = ideal.bin_bits(family, mean / 16, scale / 8, symbol)
+        ours = function(torch.tensor(mean), torch.tensor(scale), torch.tensor(symbol)).numpy()
+        likely = exact < 8
+        assert likely.sum() > 100
+        assert np.abs(ours - exact)[likely].max() < 0.02
+        assert (ours <= 15.01).all()
+        inputs = [torch.tensor(a[likely], requires_grad=True) for a in (mean, scale)]
+        function(*inputs, torch.tensor(symbol[likely])).sum().backward()
+        for i, given in enumerate(inputs):
+            step = [np.zeros_like(mean[likely]), np.zeros_like(mean[likely])]
+            step[i] += 1e-5
+            up = function(*(x.detach() + s for x, s in zip(inputs, map(torch.tensor, step), strict=True)), torch.tensor(symbol[likely]))
+            down = function(*(x.detach() - s for x, s in zip(inputs, map(torch.tensor, step), strict=True)), torch.tensor(symbol[likely]))
+            assert np.allclose(given.grad.numpy(), ((up - down) / 2e-5).detach().numpy(), atol=1e-4)
+
+
+def test_bin_bits_are_those_of_the_frequency_models():
+    for family, models in (("gauss", tables().gauss), ("laplace", tables().laplace)):
+        for scale in (-16, 0, 20):
+            mean = np.full(3, 5, np.int64)
+            m, centre, raw = select(mean, np.full(3, scale, np.int64))
+            assert not raw.any()
+            x = np.arange(-1, 2)
+            at = models.offset[m] + x - centre + models.radius[m]
+            p = (models.upper[at].astype(float) - models.lower[at]) / (1 << 14)
+            exact = ideal.bin_bits(family, mean / 16, np.full(3, scale / 8), x.astype(float))
+            # The mode takes what the rounding of all others leaves.
+            assert np.allclose(np.maximum(2**-exact, 2.0**-14), p, atol=2.0**-9)
+
+
+def test_folding_is_exact_and_the_integers_follow():
+    generator = torch.Generator().manual_seed(1)
+    units = torch.exp2(torch.randint(2, 8, (6,), generator=generator).float())
+    network = model.FoldedMlp([6, 12, 4], units, torch.tensor([16.0, 64.0, 8.0, 8.0]), generator, 0.5)
+    inputs = torch.randint(-1023, 1024, (500, 6), generator=generator).float()
+    network.calibrate(inputs)
+    layers = network.layers()
+    with torch.no_grad():
+        wanted = network(inputs).numpy()
+    assert np.allclose(ideal.float_network(layers, inputs.numpy().astype(np.float64)), wanted, rtol=1e-4, atol=1e-3)
+    integers = IntNetwork([derive_layer(*layer) for layer in layers])(inputs.numpy().astype(np.int64))
+    assert np.abs(integers - wanted).max() < 0.02 * np.abs(wanted).max()
+
+
+def test_the_scene_can_be_written_and_read(result):
+    data = codec.emit(result.scene)
+    assert codec.emit(codec.parse(data).scene) == data
+    assert result.report["steps"] == STEPS
+    assert (result.scene.attributes.steps == 32).all()
+
+
+def test_contexts_in_training_are_those_of_the_codec(result):
+    scene = result.scene
+    data = fitter._Data(scene)
+    found = data.context(torch.tensor(scene.planes.astype(np.float32)), torch.arange(data.count), True).numpy()
+    networks = codec.derive_networks(scene.dimensions, scene.carm_shift, scene.networks)
+    full = codec.assemble_planes(scene.planes)
+    wanted = networks.contexts(scene, scene.frame, full, scene.plane_shift, scene.positions)
+    assert np.array_equal(found, wanted)
+    exact = ideal.float_context(scene, tuple(p.astype(float) for p in full), scene.positions)
+    assert np.abs(exact[:, :18] - wanted[:, :18]).max() < 8
+
+
+def test_training_pays_and_the_coded_size_is_close_to_the_ideal(cloud, result):
+    untrained = fitter.fit(cloud, voxel=VOXEL, steps=0, plane_size=8)
+    assert len(codec.emit(result.scene)) < len(codec.emit(untrained.scene))
+    data = codec.emit(result.scene)
+    sections = parse_container(data).sections
+    attributes, planes = ideal.attribute_code_length(result.scene), ideal.plane_code_length(result.scene)
+    for kind, length in ((ATTRIBUTES, attributes), (PLANES_SECTION, planes)):
+        coded = 8 * (sections[kind].end - sections[kind].start)
+        assert length.table <= coded
+    assert attributes.symbols == 56 * result.scene.anchor_count + 3 * int(result.scene.masks.sum())
+    assert abs(attributes.table / attributes.capped - 1) < 0.005
+    assert abs(attributes.integer / attributes.capped - 1) < 0.002
+    assert attributes.capped <= attributes.ideal
+    bits = fitter.ideal_bits(result)
+    assert bits == {"attributes": attributes.ideal, "planes": planes.ideal}
+    assert attributes.table < ideal.order_zero_bits(result.scene)["attributes"]
+
+
+def test_a_training_that_was_stopped_goes_on_to_the_same_result(cloud, tmp_path):
+    settings = {"voxel": VOXEL, "steps": 12, "plane_size": 4}
+    whole = fitter.fit(cloud, **settings)
+
+    def stop(stage: str, done: int, total: int) -> None:
+        assert (stage, total) == ("fit", 12)
+        if done == 5:
+            raise KeyboardInterrupt
+
+    state = tmp_path / "state"
+    stopped = fitter.fit(cloud, **settings, progress=stop, state=state)
+    assert stopped.report["steps"] == 5
+    codec.emit(stopped.scene)
+    resumed = fitter.fit(cloud, **settings, state=state)
+    assert codec.emit(resumed.scene) == codec.emit(whole.scene)
+    with pytest.raises(ValueError, match="belongs to"):
+        fitter.fit(cloud, **settings, seed=1, state=state)
