@@ -33,7 +33,7 @@ from .voxelise import display_networks
 # Anchors of one step of training.
 BATCH = 4096
 # Largest learning rates of planes and of networks under the one-cycle schedule.
-PLANE_RATE, NETWORK_RATE = 0.01, 0.004
+PLANE_RATE, NETWORK_RATE = 0.01, 0.008
 # The paper's A-RDO: the plane term takes part in every fourth step; four times its bits keep the expectation right.
 PLANE_PERIOD = 4
 # Shares of the steps after which planes are rounded in place of noise, and activations as in the decoder.
