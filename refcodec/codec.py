@@ -316,6 +316,15 @@ def _map_groups(work: Callable[[list[int]], T], chunks: list[range], threads: in
     return done
 
 
+def _first_bad_position(bits: NDArray[np.uint16]) -> tuple[str, int] | None:
+    """SPEC 6.11: the first fp16 that is not allowed, as the error's name and its index."""
+    bad = np.flatnonzero(((bits & 0x7C00) == 0x7C00) | (bits == 0x8000))
+    if not bad.size:
+        return None
+    first = int(bad[0])
+    return ("positions.negative_zero" if bits[first] == 0x8000 else "positions.not_finite"), first
+
+
 def _parse_positions(data: bytes, part: _Part, chunks: list[range], damage: dict[int, BitstreamError] | None) -> NDArray[np.float16]:
     """SPEC 6.11: chunk by chunk. With `damage`, errors go there and the anchors become zero."""
     out = np.zeros((sum(len(c) for c in chunks), 3), dtype=np.float16)
@@ -324,11 +333,11 @@ def _parse_positions(data: bytes, part: _Part, chunks: list[range], damage: dict
         error = part.check(data, number)
         if error is None:
             bits = np.frombuffer(data, "<u2", 3 * len(chunk), start)
-            bad = np.flatnonzero(((bits & 0x7C00) == 0x7C00) | (bits == 0x8000))
-            if bad.size:
-                name = "positions.negative_zero" if bits[bad[0]] == 0x8000 else "positions.not_finite"
-                anchor, axis = chunk.start + int(bad[0]) // 3, int(bad[0]) % 3
-                error = BitstreamError(name, start + 2 * int(bad[0]), f"positions[{anchor},{axis}]", f"0x{bits[bad[0]]:04x} found")
+            bad = _first_bad_position(bits)
+            if bad is not None:
+                name, first = bad
+                anchor, axis = chunk.start + first // 3, first % 3
+                error = BitstreamError(name, start + 2 * first, f"positions[{anchor},{axis}]", f"0x{bits[first]:04x} found")
             else:
                 out[chunk.start : chunk.stop] = bits.astype(np.uint16).view(np.float16).reshape(-1, 3)
         if error is not None:
@@ -478,12 +487,22 @@ def emit(scene: Scene, *, threads: int = 1, progress: Progress = _no_progress) -
     Raises ValueError if the scene breaks a rule of SPEC.md, with the error that a decoder would report.
     """
     _check_shapes(scene)
-    with threadpool_limits(1, "blas"):
-        return _emit(scene, threads, progress)
+    try:
+        with threadpool_limits(1, "blas"):
+            return _emit(scene, threads, progress)
+    except BitstreamError as error:
+        raise ValueError(f"the scene cannot be written: {error}") from None
 
 
 def _emit(scene: Scene, threads: int, progress: Progress) -> bytes:
     d = scene.dimensions
+    # What can be refused before any symbol is coded is refused here; the header follows once the sections' lengths are known.
+    frame, weights = emit_frame(scene.frame), emit_weights(scene)
+    parse_frame(frame, 0)
+    parse_weights(weights, 0, d)
+    bad = _first_bad_position(scene.positions.view(np.uint16).reshape(-1))
+    if bad is not None:
+        raise BitstreamError(bad[0], 0, f"positions[{bad[1] // 3},{bad[1] % 3}]", "found in the scene")
     chunks = chunk_ranges(scene.anchor_count, scene.chunk_size)
     networks = derive_networks(d, scene.carm_shift, scene.networks)
     progress("planes", 0, 1)
@@ -518,28 +537,17 @@ def _emit(scene: Scene, threads: int, progress: Progress) -> bytes:
         table += syntax.build("ChunkEntry", entry)
     planes = syntax.build("PlaneTable", {"length": [len(s) for s in plane_streams]}) + b"".join(plane_streams)
     sections = [
-        (FRAME, 0, emit_frame(scene.frame)),
-        (WEIGHTS, 0, emit_weights(scene)),
+        (FRAME, 0, frame),
+        (WEIGHTS, 0, weights),
         (PLANES_SECTION, 0, planes),
         (CHUNK_TABLE, 0, table),
         *((kind, 0, b"".join(parts[i] for parts in coded)) for i, kind in enumerate((POSITIONS, MASKS, ATTRIBUTES))),
         *scene.extensions,
     ]
     data = emit_container(scene, sections)
-    _check_emitted(data)
+    header = parse_container(data)
+    _parse_chunk_table(data, header)
     return data
-
-
-def _check_emitted(data: bytes) -> None:
-    """Everything that a decoder checks before it decodes symbols, as ValueError."""
-    try:
-        header = parse_container(data)
-        parse_frame(data, header.sections[FRAME].start)
-        parse_weights(data, header.sections[WEIGHTS].start, header.dimensions)
-        _, parts = _parse_chunk_table(data, header)
-        _parse_positions(data, parts[POSITIONS], header.chunks, None)
-    except BitstreamError as error:
-        raise ValueError(f"the scene cannot be written: {error}") from None
 
 
 def _check_shapes(scene: Scene) -> None:
@@ -567,6 +575,8 @@ def _check_shapes(scene: Scene) -> None:
     for name, (array, shape, dtype) in wanted.items():
         if array.shape != shape or array.dtype != dtype:
             raise ValueError(f"{name} is {array.dtype}{list(array.shape)}, {np.dtype(dtype)}{list(shape)} is required")
+    if scene.chunk_size < 1:
+        raise ValueError(f"chunk_size is {scene.chunk_size}, at least 1 is required (SPEC.md 11.1)")
     if np.abs(scene.planes.astype(np.int32)).max(initial=0) > (1 << 15) - 1:
         raise ValueError("a plane symbol is -32768 (SPEC.md 6.9)")
     if a.offsets[~scene.masks].any():

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -85,6 +87,21 @@ def test_tiny_clouds(count):
     scene = fitter.fit(cloud, steps=3, plane_size=4).scene
     data = codec.emit(scene)
     assert codec.emit(codec.parse(data).scene) == data
+
+
+def test_a_cloud_that_keeps_no_offset_gives_an_empty_scene(cloud):
+    result = fitter.fit(replace(cloud, masks=np.zeros_like(cloud.masks)), steps=3)
+    assert result.report["dropped"] == len(cloud.positions)
+    assert result.scene.anchor_count == 0
+    data = codec.emit(result.scene)
+    assert codec.emit(codec.parse(data).scene) == data
+
+
+def test_a_lattice_too_wide_for_fp16_falls_back_to_a_grid_without_it():
+    wide = points(50).points * np.array([1, 1, 1e6], np.float32)
+    scene = fitter.fit(voxelise.voxelise(wide, points(50).colours, 0.5), voxel=0.5, steps=1, plane_size=2).scene
+    assert scene.grid.scale_mantissa * 2.0**scene.grid.scale_exponent > 0.5
+    codec.emit(scene)
 
 
 def test_an_empty_cloud_and_a_bad_voxel_are_refused():

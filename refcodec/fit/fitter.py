@@ -130,10 +130,10 @@ def _start(cloud: AnchorCloud, voxel: float | None, base_step: tuple[float, floa
 
 def _statistics(scene: Scene) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Mean and deviation of each channel's symbols, float64 [D]; a channel without symbols has 0 and 1."""
-    a = scene.attributes
-    columns = np.concatenate([a.features, a.scalings, a.offsets.reshape(len(a.offsets), -1)], axis=1).astype(np.float64)
+    a, width = scene.attributes, 3 * scene.dimensions.offset_count
+    columns = np.concatenate([a.features, a.scalings, a.offsets.reshape(-1, width)], axis=1).astype(np.float64)
     weight = np.ones(columns.shape)
-    weight[:, -3 * scene.dimensions.offset_count :] = np.repeat(scene.masks, 3, axis=1)
+    weight[:, -width:] = np.repeat(scene.masks, 3, axis=1)
     count = weight.sum(axis=0)
     mean = (columns * weight).sum(axis=0) / np.maximum(count, 1)
     variance = ((columns - mean) ** 2 * weight).sum(axis=0) / np.maximum(count, 1)

@@ -1,0 +1,220 @@
+"""Hypothesis strategies: one for each structure of SPEC.md, whole scenes, and files changed with their checksums repaired."""
+
+from __future__ import annotations
+
+import zlib
+from dataclasses import replace
+
+import numpy as np
+from hypothesis import strategies as st
+from hypothesis.extra import numpy as hnp
+from scenes import with_steps
+
+from refcodec import codec, container, syntax
+from refcodec.attributes import ATTRIBUTE_SYMBOL_MAX, Attributes
+from refcodec.container import ORIGIN_BOUND
+from refcodec.geometry import Frame
+from refcodec.limits import PROFILES, TINY
+from refcodec.masks import context_count
+from refcodec.networks import BoundError, derive_layer
+from refcodec.planes import PLANE_SYMBOL_MAX
+from refcodec.scene import Dimensions, Lanes, PositionGrid, RenderInfo, Scene
+
+F32 = st.floats(width=32, allow_nan=False, allow_infinity=False)
+
+
+def _within(bounds: tuple[int, int], most: int) -> st.SearchStrategy[int]:
+    """Small values mostly, the profile's limit sometimes."""
+    low, high = bounds
+    return st.one_of(st.integers(low, min(most, high)), st.sampled_from([low, high]))
+
+
+@st.composite
+def dimensions(draw: st.DrawFn) -> Dimensions:
+    """Any dimensions of profile Tiny; its limits included, but not all of them at once."""
+    p = PROFILES[TINY]
+    slices = draw(st.lists(_within(p.slice_width, 4), min_size=1, max_size=4))
+
+    def widths(count: tuple[int, int], width: tuple[int, int]) -> tuple[int, ...]:
+        return tuple(draw(st.lists(_within(width, 6), min_size=count[0], max_size=count[1])))
+
+    return Dimensions(
+        draw(_within(p.offset_count, 3)),
+        tuple(slices),
+        draw(_within(p.plane_channels, 2)),
+        draw(_within(p.frequency_count, 3)),
+        draw(st.one_of(st.integers(2, 7), st.sampled_from([2, 32]))) if len(slices) < 3 else draw(st.integers(2, 7)),
+        widths(p.hyper_layers, p.hyper_width),
+        widths(p.sarm_layers, p.sarm_width),
+        widths((1, 2), p.carm_width) if len(slices) > 1 else (),
+        draw(_within(p.render_width, 3)),
+    )
+
+
+def grids() -> st.SearchStrategy[PositionGrid]:
+    origin = st.integers(1 - ORIGIN_BOUND, ORIGIN_BOUND - 1)
+    return st.builds(PositionGrid, st.tuples(origin, origin, origin), st.integers(1, 65535), st.integers(-60, 60))
+
+
+def render_infos() -> st.SearchStrategy[RenderInfo]:
+    positive = st.floats(2.0**-100, 2.0**100, width=32)
+    byte = st.integers(0, 255)
+    side = st.integers(1, 65535)
+    rotation = st.tuples(F32, F32, F32, F32).filter(any)
+    return st.builds(
+        RenderInfo,
+        st.tuples(byte, byte, byte),
+        st.integers(0, 5),
+        positive,
+        st.floats(2.0**-20, 1, width=32),
+        st.floats(0, 2.0**20, width=32),
+        side,
+        side,
+        st.tuples(positive, positive),
+        rotation,
+        st.tuples(F32, F32, F32),
+    )
+
+
+@st.composite
+def frames(draw: st.DrawFn) -> Frame:
+    """Frames to their limits."""
+    matrix = draw(hnp.arrays(np.int64, (3, 3), elements=st.integers(1 - codec.MATRIX_BOUND, codec.MATRIX_BOUND - 1)))
+    translation = draw(hnp.arrays(np.int64, 3, elements=st.integers(1 - codec.TRANSLATION_BOUND, codec.TRANSLATION_BOUND - 1)))
+    shift = draw(hnp.arrays(np.int64, 3, elements=st.integers(0, codec.FRAME_SHIFT_MAX)))
+    low = draw(hnp.arrays(np.int64, 3, elements=st.integers(-codec.FRAME_RANGE_BOUND, codec.FRAME_RANGE_BOUND - 1)))
+    span = draw(hnp.arrays(np.int64, 3, elements=st.integers(1, 2 * codec.FRAME_RANGE_BOUND)))
+    return Frame(matrix, translation, shift, low, np.minimum(low + span, codec.FRAME_RANGE_BOUND))
+
+
+@st.composite
+def networks(draw: st.DrawFn, d: Dimensions) -> dict:
+    """Weights of all sizes whose rows keep the accumulator bound: random, zero, subnormal, and as large as the bound allows."""
+    rng = np.random.default_rng(draw(st.integers(0, 2**32 - 1)))
+    out = {}
+    for name, shapes in d.network_shapes().items():
+        layers = []
+        for rows, fan_in in shapes:
+            kind = draw(st.sampled_from(["random", "random", "zero", "subnormal", "extreme"]))
+            scale = {"random": 0.5, "zero": 0.0, "subnormal": 1e-41, "extreme": 1.0}[kind]
+            weight = (rng.normal(0, 1, (rows, fan_in)) * scale).astype(np.float32)
+            bias = (rng.normal(0, 40, rows) * min(scale * 2, 1)).astype(np.float32)
+            if kind == "extreme":
+                # Just inside the bound at exponent 0: sum |w| * 1023 + |b| < 2^24.
+                weight = np.sign(weight) * np.float32(min(1023, ((1 << 24) - 1) // (1023 * fan_in)))
+                bias = np.zeros(rows, np.float32)
+            try:
+                derive_layer(weight, bias)
+            except BoundError:
+                weight, bias = np.zeros_like(weight), np.zeros_like(bias)
+            layers.append((weight.astype(np.float32), bias))
+        out[name] = layers
+    return out
+
+
+def positions(count: int) -> st.SearchStrategy[np.ndarray]:
+    """Every finite fp16 but -0: subnormals, extremes and duplicates."""
+    bits = st.one_of(st.integers(0, 0x7BFF), st.integers(0x8001, 0xFBFF), st.sampled_from([0, 1, 0x03FF, 0x7BFF, 0x8001, 0xFBFF]))
+    return hnp.arrays(np.uint16, (count, 3), elements=bits).map(lambda a: a.view(np.float16))
+
+
+def spread_symbols(shape: tuple[int, ...], limit: int) -> st.SearchStrategy[np.ndarray]:
+    """Integers of all magnitudes up to a limit: small ones, one large one, or any."""
+    small = hnp.arrays(np.int32, shape, elements=st.integers(-3, 3))
+    wide = hnp.arrays(np.int32, shape, elements=st.integers(-limit, limit), fill=st.just(0))
+    powers = st.integers(0, limit.bit_length()).flatmap(lambda b: st.sampled_from([-1, 1]).map(lambda s: s * min(limit, (1 << b))))
+    return st.one_of(small, hnp.arrays(np.int32, shape, elements=powers, fill=st.just(0)), wide)
+
+
+@st.composite
+def scenes(draw: st.DrawFn, max_anchors: int = 12) -> Scene:
+    """Any scene of profile Tiny with up to max_anchors anchors."""
+    d = draw(dimensions())
+    n = draw(st.integers(0, max_anchors))
+    masks = draw(
+        st.one_of(
+            hnp.arrays(np.bool_, (n, d.offset_count)),
+            st.just(np.ones((n, d.offset_count), bool)),
+            st.just(np.zeros((n, d.offset_count), bool)),
+            st.just(np.arange(n * d.offset_count).reshape(n, d.offset_count) == 0),
+        )
+    )
+    offsets = draw(spread_symbols((n, d.offset_count, 3), ATTRIBUTE_SYMBOL_MAX)).copy()
+    offsets[~masks] = 0
+    size = d.plane_size
+    plane = draw(spread_symbols((5, d.plane_channels, size, size), PLANE_SYMBOL_MAX))
+    lane = st.integers(0, 8)
+    step = st.floats(2.0**-60, 2.0**60, width=32)
+    types = sorted(draw(st.sets(st.integers(1, 127), max_size=2)))
+    scene = Scene(
+        profile=TINY,
+        dimensions=d,
+        chunk_size=draw(st.one_of(st.integers(1, 15), st.just(65536))),
+        lanes=Lanes(draw(lane), draw(lane), draw(lane)),
+        base_step=draw(st.tuples(step, step, step)),
+        grid=draw(grids()),
+        render=draw(render_infos()),
+        frame=draw(frames()),
+        plane_shift=draw(st.integers(0, codec.PLANE_SHIFT_MAX)),
+        carm_shift=draw(hnp.arrays(np.uint8, d.carm_inputs, elements=st.integers(0, codec.CARM_SHIFT_MAX))),
+        networks=draw(networks(d)),
+        planes=plane.astype(np.int16),
+        mask_model=draw(hnp.arrays(np.uint16, context_count(d.offset_count), elements=st.integers(1, (1 << 14) - 1))),
+        positions=draw(positions(n)),
+        masks=masks,
+        attributes=Attributes(
+            draw(spread_symbols((n, d.features), ATTRIBUTE_SYMBOL_MAX)),
+            draw(spread_symbols((n, 6), ATTRIBUTE_SYMBOL_MAX)),
+            offsets,
+            np.zeros((n, 3), np.uint8),
+        ),
+        extensions=tuple((t, draw(st.integers(0, 255)), draw(st.binary(max_size=9))) for t in types),
+    )
+    return with_steps(scene)
+
+
+def layout(data: bytes) -> tuple[object, int]:
+    """The header's fields and its end, checksums aside. For files whose header parses."""
+    fields, size = syntax.parse("Header", data, container.PROLOGUE_BYTES)
+    return fields, container.PROLOGUE_BYTES + size
+
+
+def repair(data: bytes, chunks: bool = True) -> bytes:
+    """The file with the CRC-32s of chunks, sections, header and prologue made right wherever they can be found."""
+    out = bytearray(data)
+    fields, end = layout(data)
+    span = {e.type: (e.offset, e.offset + e.length) for e in fields.directory}
+    if chunks and container.CHUNK_TABLE in span:
+        k = fields.dimensions.offset_count
+        table = span[container.CHUNK_TABLE][0] + k * (k + 1)
+        at = [span[t][0] for t in container.CHUNKED]
+        for entry in range(table, span[container.CHUNK_TABLE][1], 24):
+            for part in range(3):
+                length = int.from_bytes(out[entry + 8 * part : entry + 8 * part + 4], "little")
+                out[entry + 8 * part + 4 : entry + 8 * part + 8] = zlib.crc32(out[at[part] : at[part] + length]).to_bytes(4, "little")
+                at[part] += length
+    entry_at = end - 4 - 16 * fields.section_count
+    for i, e in enumerate(fields.directory):
+        crc = zlib.crc32(out[e.offset : e.offset + e.length])
+        out[entry_at + 16 * i + 12 : entry_at + 16 * i + 16] = crc.to_bytes(4, "little")
+    out[end - 4 : end] = zlib.crc32(out[container.PROLOGUE_BYTES : end - 4]).to_bytes(4, "little")
+    out[16:20] = zlib.crc32(out[:16]).to_bytes(4, "little")
+    return bytes(out)
+
+
+@st.composite
+def mutations(draw: st.DrawFn, data: bytes) -> bytes:
+    """A file with a few bytes changed behind the prologue, its checksums repaired if they can still be found."""
+    out = bytearray(data)
+    for _ in range(draw(st.integers(1, 3))):
+        at = draw(st.integers(container.PROLOGUE_BYTES, len(out) - 1))
+        out[at] = draw(st.one_of(st.integers(0, 255), st.sampled_from([0, 1, 127, 128, 255]), st.just(out[at] ^ 1)))
+    try:
+        return repair(bytes(out))
+    except Exception:  # the change made the layout itself unreadable
+        return bytes(out)
+
+
+def changed(scene: Scene, **fields: object) -> Scene:
+    """The scene with some fields replaced and its step indices made right."""
+    return with_steps(replace(scene, **fields))

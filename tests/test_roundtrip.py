@@ -1,0 +1,143 @@
+"""Encoder and decoder proved by round trips: parse(emit(scene)) is the scene, emit(parse(file)) is the file (SPEC.md 4.3)."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from scenes import MAIN_DIMENSIONS, TINY_DIMENSIONS, random_scene, with_steps
+from strategies import scenes
+
+from refcodec import codec, reconstruction
+from refcodec.attributes import ATTRIBUTE_SYMBOL_MAX
+from refcodec.scene import Lanes, Scene
+
+
+def assert_round_trip(scene: Scene) -> None:
+    """Every field comes back bit for bit, and so do the bytes and the canonical reconstruction."""
+    data = codec.emit(scene)
+    found = codec.parse(data).scene
+    assert codec.emit(found) == data
+    for name in ("planes", "positions", "masks", "mask_model", "carm_shift"):
+        assert getattr(found, name).tobytes() == getattr(scene, name).tobytes(), name
+    for name in ("features", "scalings", "offsets", "steps"):
+        assert np.array_equal(getattr(found.attributes, name), getattr(scene.attributes, name)), name
+    for name in ("profile", "dimensions", "chunk_size", "lanes", "base_step", "grid", "render", "plane_shift", "extensions"):
+        assert getattr(found, name) == getattr(scene, name), name
+    for name in ("matrix", "translation", "shift", "low", "high"):
+        assert np.array_equal(getattr(found.frame, name), getattr(scene.frame, name)), name
+    for name, layers in scene.networks.items():
+        for ours, theirs in zip(layers, found.networks[name], strict=True):
+            assert [v.tobytes() for v in ours] == [v.tobytes() for v in theirs], name
+    assert reconstruction.digest(found) == reconstruction.digest(scene)
+
+
+@given(scenes())
+def test_any_scene(scene: Scene) -> None:
+    assert_round_trip(scene)
+
+
+@given(scenes(max_anchors=60))
+@settings(max_examples=15)
+def test_more_anchors(scene: Scene) -> None:
+    assert_round_trip(scene)
+
+
+@pytest.mark.parametrize("anchors", [0, 1, 2, 7, 8, 9])
+@pytest.mark.parametrize("chunk_size", [1, 4, 8, 65536])
+def test_anchor_counts_and_chunks(anchors: int, chunk_size: int) -> None:
+    assert_round_trip(random_scene(anchors, anchors, chunk_size=chunk_size))
+
+
+@pytest.mark.parametrize("size", range(2, 33))
+def test_plane_sizes(size: int) -> None:
+    assert_round_trip(random_scene(size, 3, replace(TINY_DIMENSIONS, plane_size=size, plane_channels=1)))
+
+
+@pytest.mark.parametrize("log2", range(9))
+def test_lanes(log2: int) -> None:
+    assert_round_trip(random_scene(log2, 40, chunk_size=17, lanes=Lanes(log2, log2, log2)))
+
+
+@pytest.mark.parametrize("keep", [0.0, 1.0])
+def test_no_offset_and_every_offset(keep: float) -> None:
+    assert_round_trip(random_scene(1, 12, chunk_size=5, keep=keep))
+
+
+def test_all_masked_but_one() -> None:
+    scene = random_scene(2, 12, chunk_size=5, keep=0.0)
+    scene.masks[7, 1] = True
+    scene.attributes.offsets[7, 1] = 5, -6, 7
+    assert_round_trip(scene)
+
+
+@pytest.mark.parametrize("value", [ATTRIBUTE_SYMBOL_MAX, -ATTRIBUTE_SYMBOL_MAX])
+def test_longest_escapes(value: int) -> None:
+    """The narrowest distributions and the largest symbols: every value is an escape of the greatest length."""
+    scene = random_scene(3, 6, gain=0.0)
+    scene.networks["hyper"][-1][1][:] = -320.0
+    scene.attributes.features[:] = value
+    scene.attributes.offsets[scene.masks] = value
+    scene.planes[:] = np.sign(value) * 32767
+    assert_round_trip(with_steps(scene))
+
+
+@pytest.mark.parametrize("bias", [150.0, 1e6])
+def test_most_raw_bits(bias: float) -> None:
+    """The widest distributions: sixteen raw bits a value."""
+    scene = random_scene(4, 9, gain=0.0, spread=100000)
+    scene.networks["hyper"][-1][1][17:34] = bias
+    scene.networks["sarm"][-1][1][1] = bias
+    assert_round_trip(with_steps(scene))
+
+
+def test_main() -> None:
+    assert_round_trip(random_scene(5, 700, MAIN_DIMENSIONS, chunk_size=256))
+
+
+def test_main_largest_planes() -> None:
+    scene = random_scene(6, 0, replace(MAIN_DIMENSIONS, plane_size=256), lanes=Lanes(8, 0, 0), gain=0.0)
+    scene.networks["sarm"][-1][1][1] = 20
+    assert_round_trip(scene)
+
+
+def test_extensions_come_back() -> None:
+    assert_round_trip(replace(random_scene(7, 3), extensions=((1, 0, b""), (2, 255, b"abc"), (127, 9, bytes(300)))))
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        ({"chunk_size": 0}, "chunk_size"),
+        ({"base_step": (0.0, 1.0, 1.0)}, "base_step"),
+        ({"extensions": ((2, 0, b""), (1, 0, b""))}, "directory"),
+        ({"plane_shift": 11}, "plane_shift"),
+        ({"positions": np.full((3, 3), np.nan, np.float16)}, "NaN"),
+        ({"positions": np.full((3, 3), -0.0, np.float16)}, "-0"),
+        ({"masks": np.ones((3, 1), bool)}, "masks"),
+    ],
+)
+def test_what_cannot_be_written_is_refused(change: dict, words: str) -> None:
+    with pytest.raises(ValueError, match=words):
+        codec.emit(replace(random_scene(8, 3), **change))
+
+
+def test_symbols_past_their_type_and_stale_steps_are_refused() -> None:
+    scene = random_scene(9, 3)
+    scene.attributes.features[0, 0] = ATTRIBUTE_SYMBOL_MAX + 1
+    with pytest.raises(ValueError, match=r"8\.5"):
+        codec.emit(scene)
+    scene = random_scene(9, 3)
+    scene.attributes.steps[1, 2] ^= 1
+    with pytest.raises(ValueError, match="step indices"):
+        codec.emit(scene)
+    scene = random_scene(9, 3, keep=0.0)
+    scene.attributes.offsets[0, 0, 0] = 1
+    with pytest.raises(ValueError, match="mask"):
+        codec.emit(scene)
+    scene = random_scene(9, 3)
+    scene.networks["carm.1"][0][0][2, 1] = 1e9
+    with pytest.raises(ValueError, match=r"row 2 of carm\.1\.0"):
+        codec.emit(scene)
