@@ -153,6 +153,7 @@ class Decoder:
         out = np.empty_like(base)
         state, at = self.state.reshape(-1), self.word_at.copy()
         count = len(at)
+        stream_of = np.repeat(np.arange(count), self.lanes)
         mask, low, word_bits = np.uint32(TOTAL - 1), np.uint32(STATE_MIN), np.uint32(16)
         shift, first_shift = np.uint32(PRECISION), np.uint32(PRECISION - 8)
         for step in range(layout.steps):
@@ -175,18 +176,14 @@ class Decoder:
             state >>= shift
             state *= upper
             state += slot
-            need = (state < low).nonzero()[0]
+            hungry = state < low
+            need = hungry.nonzero()[0]
             if need.size:
-                if count == 1:
-                    place = np.arange(at[0], at[0] + need.size)
-                    at += need.size
-                else:
-                    stream = need // self.lanes
-                    taken = np.bincount(stream, minlength=count)
-                    place = np.arange(need.size) + (at - np.cumsum(taken) + taken).take(stream)
-                    at += taken
-                    np.minimum(place, self.word_end.take(stream), out=place)
-                word = self.words.take(place, mode="clip")
+                stream = stream_of.take(need)
+                taken = hungry.reshape(count, self.lanes).sum(axis=1)
+                place = np.arange(need.size) + (at - np.cumsum(taken) + taken).take(stream)
+                at += taken
+                word = self.words.take(np.minimum(place, self.word_end.take(stream)))
                 state[need] = (state.take(need) << word_bits) | word
         self.state, self.word_at = state.reshape(self.state.shape), at
         out -= base

@@ -121,15 +121,18 @@ def choose_plane_size(anchors: int) -> int:
 
 
 def choose_lanes(anchors: int, attribute_bits: float) -> Lanes:
-    """SPEC B.3: as many lanes as cost, at 4 bytes each, at most 0.2 % of the attributes' bytes in the attributes, and 0.1 % of them
-    in the planes and in the masks; 64 at most. attribute_bits: expected bits of an anchor's attributes."""
+    """SPEC B.3: as many lanes as cost, at 4 bytes each, at most 0.2 % of the attributes' bytes in the attributes, 0.01 % of them
+    in the planes (about 0.5 % of the planes) and 0.1 % in the masks; 64 at most.
+
+    attribute_bits: expected bits of an anchor's attributes.
+    """
     total = anchors * attribute_bits / 8
     chunks = max(-(-anchors // CHUNK_SIZE), 1)
 
     def lanes(share: float, substreams: int) -> int:
         return min(int(math.log2(max(total * share / (4 * substreams), 1))), LANES_LOG2_MOST)
 
-    return Lanes(plane=lanes(0.001, PLANES), mask=min(lanes(0.001, chunks), 3), attribute=lanes(0.002, chunks))
+    return Lanes(plane=lanes(0.0001, PLANES), mask=min(lanes(0.001, chunks), 3), attribute=lanes(0.002, chunks))
 
 
 def mask_model(masks: NDArray[np.bool_]) -> NDArray[np.uint16]:

@@ -14,6 +14,7 @@ from refcodec.masks import context_count
 from refcodec.scene import Dimensions, Lanes, PositionGrid, RenderInfo, Scene
 
 MAIN_DIMENSIONS = Dimensions(10, (5, 10, 15, 20), 8, 10, 16, (100,), (16, 16), (100,), 50)
+LANES = Lanes(1, 1, 2)
 TINY_DIMENSIONS = Dimensions(2, (2, 3), 2, 2, 4, (6,), (4, 4), (5,), 3)
 
 
@@ -41,7 +42,7 @@ def random_scene(
     *,
     profile: int | None = None,
     chunk_size: int = 4096,
-    lanes: Lanes = Lanes(1, 1, 2),
+    lanes: Lanes = LANES,
     gain: float = 1.0,
     spread: float = 3.0,
     keep: float = 0.6,
@@ -91,12 +92,3 @@ def random_scene(
 def with_steps(scene: Scene) -> Scene:
     """The scene with the step indices that its networks give."""
     return replace(scene, attributes=replace(scene.attributes, steps=codec.derive_steps(scene)))
-
-
-def assert_equal(a: Scene, b: Scene) -> None:
-    """Every field of two scenes is the same, bit for bit."""
-    assert codec.emit(a) == codec.emit(b)
-    for name in ("planes", "positions", "masks", "mask_model", "carm_shift"):
-        assert getattr(a, name).tobytes() == getattr(b, name).tobytes(), name
-    for name in ("features", "scalings", "offsets", "steps"):
-        assert np.array_equal(getattr(a.attributes, name), getattr(b.attributes, name)), name

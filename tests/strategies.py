@@ -5,6 +5,7 @@ from __future__ import annotations
 import zlib
 from dataclasses import replace
 
+import construct
 import numpy as np
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
@@ -182,13 +183,27 @@ def layout(data: bytes) -> tuple[object, int]:
 def repair(data: bytes, chunks: bool = True) -> bytes:
     """The file with the CRC-32s of chunks, sections, header and prologue made right wherever they can be found."""
     out = bytearray(data)
-    fields, end = layout(data)
+    end = container.PROLOGUE_BYTES + int.from_bytes(data[12:16], "little")
+    try:
+        fields, found_end = layout(data[:end])
+    except construct.ConstructError:
+        found_end = -1
+    if found_end == end:
+        _repair_sections(out, fields, end, chunks)
+    if end <= len(out):
+        out[end - 4 : end] = zlib.crc32(out[container.PROLOGUE_BYTES : end - 4]).to_bytes(4, "little")
+    out[16:20] = zlib.crc32(out[:16]).to_bytes(4, "little")
+    return bytes(out)
+
+
+def _repair_sections(out: bytearray, fields: construct.Container, end: int, chunks: bool) -> None:
+    """The CRC-32s of the chunks' parts and of the sections."""
     span = {e.type: (e.offset, e.offset + e.length) for e in fields.directory}
-    if chunks and container.CHUNK_TABLE in span:
+    if chunks and set(container.SECTIONS) <= span.keys():
         k = fields.dimensions.offset_count
         table = span[container.CHUNK_TABLE][0] + k * (k + 1)
         at = [span[t][0] for t in container.CHUNKED]
-        for entry in range(table, span[container.CHUNK_TABLE][1], 24):
+        for entry in range(table, min(span[container.CHUNK_TABLE][1], len(out)), 24):
             for part in range(3):
                 length = int.from_bytes(out[entry + 8 * part : entry + 8 * part + 4], "little")
                 out[entry + 8 * part + 4 : entry + 8 * part + 8] = zlib.crc32(out[at[part] : at[part] + length]).to_bytes(4, "little")
@@ -197,9 +212,6 @@ def repair(data: bytes, chunks: bool = True) -> bytes:
     for i, e in enumerate(fields.directory):
         crc = zlib.crc32(out[e.offset : e.offset + e.length])
         out[entry_at + 16 * i + 12 : entry_at + 16 * i + 16] = crc.to_bytes(4, "little")
-    out[end - 4 : end] = zlib.crc32(out[container.PROLOGUE_BYTES : end - 4]).to_bytes(4, "little")
-    out[16:20] = zlib.crc32(out[:16]).to_bytes(4, "little")
-    return bytes(out)
 
 
 @st.composite
@@ -209,10 +221,7 @@ def mutations(draw: st.DrawFn, data: bytes) -> bytes:
     for _ in range(draw(st.integers(1, 3))):
         at = draw(st.integers(container.PROLOGUE_BYTES, len(out) - 1))
         out[at] = draw(st.one_of(st.integers(0, 255), st.sampled_from([0, 1, 127, 128, 255]), st.just(out[at] ^ 1)))
-    try:
-        return repair(bytes(out))
-    except Exception:  # the change made the layout itself unreadable
-        return bytes(out)
+    return repair(bytes(out))
 
 
 def changed(scene: Scene, **fields: object) -> Scene:

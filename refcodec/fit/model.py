@@ -24,9 +24,9 @@ from ..planes import PLANES
 from ..scene import Dimensions
 from ..tables import SCALE_END, SCALE_MIN, STEP_LENGTH
 
-# Probability added in training: about what the frequency models keep for the least likely symbol (SPEC A.4), so that an outlier
-# costs what it will cost.
-FLOOR = 2.0**-15
+# Probability added in training: about that of an escape (14 bits of its model and some raw ones, SPEC 8.7), so that an outlier costs
+# what it will cost.
+FLOOR = 2.0**-20
 # Bits of the mean's fraction, of an octave of the scale, and the largest scale index worth training.
 MEAN_UNIT, SCALE_UNIT = 16.0, 8.0
 SCALE_MOST = SCALE_END + 8 * 16
