@@ -180,7 +180,7 @@ def _parse(arguments: argparse.Namespace, data: bytes, keep_going: bool = False)
     from .codec import parse
 
     with _progress(arguments.progress) as progress:
-        return parse(data, keep_going=keep_going, threads=arguments.threads, progress=progress)
+        return parse(data, keep_going=keep_going, progress=progress)
 
 
 # --- commands ---------------------------------------------------------------------------------------------------------
@@ -195,7 +195,7 @@ def _encode(arguments: argparse.Namespace) -> int:
     scene = read_folder(arguments.scene)
     try:
         with _progress(arguments.progress) as progress:
-            data = emit(scene, threads=arguments.threads, progress=progress)
+            data = emit(scene, progress=progress)
     except ValueError as error:
         raise UsageError(f"{arguments.scene} cannot be encoded: {error}") from None
     _write_file(output, data)
@@ -450,14 +450,6 @@ def _parser() -> argparse.ArgumentParser:
     )
     fit.add_argument("--seed", type=_seed, metavar="S", default=0, help="of the random numbers (default: %(default)s)")
     fit.add_argument("--resume", action="store_true", help="go on with an interrupted fit of the same points")
-    for command in (encode, decode, digest, validate, inspect):
-        command.add_argument(
-            "--threads",
-            type=_positive,
-            metavar="N",
-            default=os.cpu_count() or 1,
-            help="chunk groups coded at once (default: one for each core)",
-        )
     return parser
 
 

@@ -98,7 +98,7 @@ def test_digest(file, scene, capsys):
 
 
 def test_validate(file, capsys):
-    assert cli.main(["validate", str(file), "--threads", "1"]) == 0
+    assert cli.main(["validate", str(file)]) == 0
     assert "accepted" in capsys.readouterr().out
 
 
@@ -111,13 +111,6 @@ def test_inspect(file, data, form, capsys):
         assert json.loads(out)["bytes"] == len(data)
     else:
         assert len(out.splitlines()) > 20
-
-
-def test_threads_do_not_change_a_byte(file, data, tmp_path):
-    for threads in ("1", "3"):
-        assert cli.main(["decode", str(file), "-o", str(tmp_path / "scene"), "--threads", threads]) == 0
-        assert cli.main(["encode", str(tmp_path / "scene"), "-o", str(tmp_path / "out"), "--threads", threads]) == 0
-        assert (tmp_path / "out").read_bytes() == data
 
 
 def test_reads_from_a_pipe(file, scene):
@@ -293,8 +286,8 @@ def test_keep_going_without_a_header(file, data, tmp_path, capsys):
         ["nonsense"],
         ["decode"],
         ["decode", "scene.c3gs"],
-        ["validate", "scene.c3gs", "--threads", "0"],
-        ["validate", "scene.c3gs", "--threads", "many"],
+        ["fit", "points3D.txt", "-o", "scene", "--steps", "0"],
+        ["fit", "points3D.txt", "-o", "scene", "--steps", "many"],
         ["inspect", "scene.c3gs", "--hex", "--json"],
         ["validate", "nowhere.c3gs"],
         ["validate", "."],

@@ -257,7 +257,7 @@ def test_the_text_refuses_what_the_code_refuses(spec: dict) -> None:
     header = container.parse_container(data)
     part = header.sections[container.ATTRIBUTES]
     seen = set()
-    for at in range(part.start, part.end):
+    for at in range(part.start, part.end, 5):
         changed = bytearray(data)
         changed[at] ^= 0x10
         verdicts = decode_by_spec(spec, bytes(changed), header)[1]
