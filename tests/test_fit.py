@@ -224,7 +224,7 @@ def test_a_training_that_was_stopped_goes_on_to_the_same_result(cloud, tmp_path)
         if done == 5:
             raise KeyboardInterrupt
 
-    state = tmp_path / "state"
+    state = tmp_path / "new" / "folder" / "state"
     stopped = fitter.fit(cloud, **settings, progress=stop, state=state)
     assert stopped.report["steps"] == 5
     codec.emit(stopped.scene)
@@ -232,3 +232,6 @@ def test_a_training_that_was_stopped_goes_on_to_the_same_result(cloud, tmp_path)
     assert codec.emit(resumed.scene) == codec.emit(whole.scene)
     with pytest.raises(ValueError, match="belongs to"):
         fitter.fit(cloud, **settings, seed=1, state=state)
+    state.write_bytes(b"\x80\x04N.")  # a pickle is not read
+    with pytest.raises(ValueError, match="cannot be read"):
+        fitter.fit(cloud, **settings, state=state)

@@ -6,8 +6,8 @@ minimised: bits of attributes over uniformly drawn anchors (the paper's USRO) an
 
 from __future__ import annotations
 
+import json
 import time
-from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -15,6 +15,8 @@ from typing import Any
 import numpy as np
 import torch
 from numpy.typing import NDArray
+from safetensors import SafetensorError, safe_open
+from safetensors.torch import save_file
 
 from ..attributes import KINDS
 from ..codec import Progress, derive_steps
@@ -203,10 +205,10 @@ def _train(
     optimiser = torch.optim.Adam([{"params": [model.latents]}, {"params": networks}])
     schedule = torch.optim.lr_scheduler.OneCycleLR(optimiser, [PLANE_RATE, NETWORK_RATE], total_steps=steps)
     draw = torch.Generator().manual_seed(seed)
-    settings = {"steps": steps, "seed": seed, "anchors": data.count, "planes": tuple(model.latents.shape)}
+    settings = {"steps": steps, "seed": seed, "anchors": data.count, "planes": list(model.latents.shape)}
     done = 0
     if state is not None and state.exists():
-        done = _resume(torch.load(state, weights_only=True), settings, model, optimiser, schedule, draw, history)
+        done = _resume(state, settings, model, optimiser, schedule, draw, history)
     batch = min(BATCH, data.count)
     plane_symbols = model.latents.numel()
     plane_bits = 0.0
@@ -235,11 +237,11 @@ def _train(
             if progress:
                 progress("fit", done, steps)
             if state is not None and (done == steps or time.monotonic() - saved > SAVE_SECONDS):
-                _save(state, settings, done, model, optimiser, schedule, draw, history)
+                _save(state, settings, done, model, optimiser, draw, history)
                 saved = time.monotonic()
     except KeyboardInterrupt:
         if state is not None:
-            _save(state, settings, done, model, optimiser, schedule, draw, history)
+            _save(state, settings, done, model, optimiser, draw, history)
     return done
 
 
@@ -257,42 +259,53 @@ def _save(
     done: int,
     model: RateModel,
     optimiser: torch.optim.Optimizer,
-    schedule: Any,
     draw: torch.Generator,
     history: list[tuple[int, float, float]],
 ) -> None:
-    """Writes the state beside the file first, so that a crash never leaves half of one."""
+    """Writes the state, a safetensors file, beside the old one first, so that a crash never leaves half of one."""
+    tensors = {f"model.{name}": value.clone().contiguous() for name, value in model.state_dict().items()}
+    for index, moments in optimiser.state_dict()["state"].items():
+        tensors |= {f"optimiser.{index}.{name}": value.clone().contiguous() for name, value in moments.items()}
+    tensors["draw"] = draw.get_state()
+    facts = {"settings": settings, "done": done, "rounding": model.hyper.rounding, "history": history}
+    path.parent.mkdir(parents=True, exist_ok=True)
     beside = path.with_name(path.name + ".new")
-    content = {
-        "settings": settings,
-        "done": done,
-        "model": model.state_dict(),
-        "rounding": model.hyper.rounding,
-        "optimiser": optimiser.state_dict(),
-        "schedule": schedule.state_dict(),
-        "draw": draw.get_state(),
-        "history": history,
-    }
-    torch.save(content, beside)
+    save_file(tensors, beside, {"state": json.dumps(facts)})
     beside.replace(path)
 
 
 def _resume(
-    content: Mapping[str, Any],
+    path: Path,
     settings: dict[str, Any],
     model: RateModel,
     optimiser: torch.optim.Optimizer,
-    schedule: Any,
+    schedule: torch.optim.lr_scheduler.OneCycleLR,
     draw: torch.Generator,
     history: list[tuple[int, float, float]],
 ) -> int:
-    """Restores a saved state. Returns the steps done. Raises ValueError if it was saved under other settings."""
-    if content["settings"] != settings:
-        raise ValueError(f"the saved state belongs to {content['settings']}, not to {settings}")
-    model.load_state_dict(content["model"])
-    model.rounding(content["rounding"])
-    optimiser.load_state_dict(content["optimiser"])
-    schedule.load_state_dict(content["schedule"])
-    draw.set_state(content["draw"])
-    history.extend(content["history"])
-    return int(content["done"])
+    """Restores a saved state. Returns the steps done. Raises ValueError if it is damaged, or was saved under other settings."""
+    try:
+        with safe_open(path, "pt") as file:
+            facts = json.loads(file.metadata()["state"])
+            tensors = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118 (not a dictionary)
+    except (SafetensorError, KeyError, TypeError, ValueError) as error:
+        raise ValueError(f"the saved state {path} cannot be read ({error}); delete it to start anew") from None
+    if facts["settings"] != settings:
+        raise ValueError(f"the saved state belongs to {facts['settings']}, not to {settings}")
+    moments: dict[int, dict[str, torch.Tensor]] = {}
+    for key, value in tensors.items():
+        if key.startswith("optimiser."):
+            _, index, name = key.split(".")
+            moments.setdefault(int(index), {})[name] = value
+    model.load_state_dict({k.removeprefix("model."): v for k, v in tensors.items() if k.startswith("model.")})
+    model.rounding(facts["rounding"])
+    optimiser.load_state_dict({"state": moments, "param_groups": optimiser.state_dict()["param_groups"]})
+    draw.set_state(tensors["draw"])
+    history.extend((int(step), float(attributes), float(planes)) for step, attributes, planes in facts["history"])
+    done = int(facts["done"])
+    if done:
+        # The schedule follows from the number of steps alone: this is its state after `done` of them.
+        schedule.last_epoch = done - 1
+        schedule._step_count = done
+        schedule.step()
+    return done
