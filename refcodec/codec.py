@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import zlib
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from typing import TypeVar
@@ -254,7 +254,7 @@ class _Part:
         if end <= len(data) and crc == self.crc[chunk]:
             return None
         detail = f"{crc:08x} computed, {int(self.crc[chunk]):08x} in the chunk table"
-        return BitstreamError("chunks.crc", start, f"{self.name}[chunk {chunk}]", detail)
+        return BitstreamError("chunks.crc", min(start, len(data)), f"{self.name}[chunk {chunk}]", detail)
 
 
 def _parse_chunk_table(data: bytes, header: Header) -> tuple[NDArray[np.uint16], dict[int, _Part]]:
@@ -286,28 +286,48 @@ def _parse_chunk_table(data: bytes, header: Header) -> tuple[NDArray[np.uint16],
     return model, parts
 
 
-def _groups(chunks: list[range]) -> Iterator[list[int]]:
-    """Runs of chunks that are coded side by side."""
-    group: list[int] = []
-    anchors = 0
-    for number, chunk in enumerate(chunks):
-        if group and (anchors + len(chunk) > GROUP_ANCHORS or len(group) == GROUP_CHUNKS):
-            yield group
-            group, anchors = [], 0
-        group.append(number)
-        anchors += len(chunk)
-    if group:
-        yield group
+@dataclass(frozen=True)
+class _Live:
+    """The chunks that no error has taken yet. Arrays of anchors hold those of these chunks alone, in order: what a damaged file
+    only claims to have costs nothing."""
+
+    numbers: list[int]
+    chunks: list[range]
+
+    def groups(self) -> Iterator[tuple[list[int], slice]]:
+        """Runs of chunks that are coded side by side, and the rows of their anchors."""
+        group: list[int] = []
+        first = row = 0
+        for number in self.numbers:
+            size = len(self.chunks[number])
+            if group and (row + size - first > GROUP_ANCHORS or len(group) == GROUP_CHUNKS):
+                yield group, slice(first, row)
+                group, first = [], row
+            group.append(number)
+            row += size
+        if group:
+            yield group, slice(first, row)
+
+    def ranges(self, group: list[int]) -> list[range]:
+        """The anchors of some chunks, by their numbers in the file."""
+        return [self.chunks[number] for number in group]
+
+    def without(self, damage: Mapping[int, BitstreamError] | None) -> tuple[_Live, NDArray[np.bool_]]:
+        """What is left, and which rows that are."""
+        lost = damage or {}
+        keep = [number not in lost for number in self.numbers]
+        rows = np.repeat(np.array(keep, dtype=bool), [len(self.chunks[number]) for number in self.numbers])
+        return _Live([number for number, kept in zip(self.numbers, keep, strict=True) if kept], self.chunks), rows
 
 
-def _map_groups(work: Callable[[list[int]], T], chunks: list[range], threads: int, stage: str, progress: Progress) -> list[T]:
+def _map_groups(work: Callable[[list[int], slice], T], live: _Live, threads: int, stage: str, progress: Progress) -> list[T]:
     """work on each group, results in order; the first group's error wins whatever the threads do."""
-    groups = list(_groups(chunks))
+    groups = list(live.groups())
     done: list[T] = []
     progress(stage, 0, len(groups))
     with ThreadPoolExecutor(max(1, threads)) as pool:
         try:
-            for result in pool.map(work, groups) if threads > 1 else map(work, groups):
+            for result in (pool.map if threads > 1 else map)(work, *zip(*groups, strict=True)) if groups else ():
                 done.append(result)
                 progress(stage, len(done), len(groups))
         except BaseException:
@@ -325,26 +345,25 @@ def _first_bad_position(bits: NDArray[np.uint16]) -> tuple[str, int] | None:
     return ("positions.negative_zero" if bits[first] == 0x8000 else "positions.not_finite"), first
 
 
-def _parse_positions(data: bytes, part: _Part, chunks: list[range], damage: dict[int, BitstreamError] | None) -> NDArray[np.float16]:
-    """SPEC 6.11: chunk by chunk. With `damage`, errors go there and the anchors become zero."""
-    out = np.zeros((sum(len(c) for c in chunks), 3), dtype=np.float16)
-    for number, chunk in enumerate(chunks):
-        start = int(part.bounds[number])
+def _parse_positions(data: bytes, part: _Part, live: _Live, damage: dict[int, BitstreamError] | None) -> NDArray[np.float16]:
+    """SPEC 6.11: chunk by chunk. With `damage`, errors go there and the chunk's anchors are left out."""
+    found = [np.zeros((0, 3), dtype=np.float16)]
+    for number in live.numbers:
+        start, chunk = int(part.bounds[number]), live.chunks[number]
         error = part.check(data, number)
         if error is None:
-            bits = np.frombuffer(data, "<u2", 3 * len(chunk), start)
+            bits = np.frombuffer(data, "<u2", 3 * len(chunk), start).astype(np.uint16)
             bad = _first_bad_position(bits)
-            if bad is not None:
-                name, first = bad
-                anchor, axis = chunk.start + first // 3, first % 3
-                error = BitstreamError(name, start + 2 * first, f"positions[{anchor},{axis}]", f"0x{bits[first]:04x} found")
-            else:
-                out[chunk.start : chunk.stop] = bits.astype(np.uint16).view(np.float16).reshape(-1, 3)
-        if error is not None:
-            if damage is None:
-                raise error
-            damage[number] = error
-    return out
+            if bad is None:
+                found.append(bits.view(np.float16).reshape(-1, 3))
+                continue
+            name, first = bad
+            anchor, axis = chunk.start + first // 3, first % 3
+            error = BitstreamError(name, start + 2 * first, f"positions[{anchor},{axis}]", f"0x{bits[first]:04x} found")
+        if damage is None:
+            raise error
+        damage[number] = error
+    return np.concatenate(found)
 
 
 class _ChunkDecoder:
@@ -409,27 +428,30 @@ def _parse(data: bytes, keep_going: bool, threads: int, progress: Progress, trac
     progress("planes", 1, 1)
     mask_frequencies, parts = _parse_chunk_table(data, header)
     damage: dict[int, BitstreamError] | None = {} if keep_going else None
-    positions = _parse_positions(data, parts[POSITIONS], chunks, damage)
+    live = _Live(list(range(len(chunks))), chunks)
+    positions = _parse_positions(data, parts[POSITIONS], live, damage)
+    live, _ = live.without(damage)
     models = mask_models(mask_frequencies)
 
-    def mask_group(group: list[int]) -> tuple[NDArray[np.bool_], dict[int, BitstreamError]]:
+    def mask_group(group: list[int], rows: slice) -> tuple[NDArray[np.bool_], dict[int, BitstreamError]]:
         decoder = _ChunkDecoder(data, parts[MASKS], 1 << header.lanes.mask, group, trace)
-        masks = code_masks(decoder.decoder, models, d.offset_count, [chunks[c] for c in group])
+        masks = code_masks(decoder.decoder, models, d.offset_count, live.ranges(group))
         return masks, decoder.verdicts()
 
     masks = np.zeros((0, d.offset_count), dtype=bool)
-    masks = np.concatenate([masks, *_settle(_map_groups(mask_group, chunks, threads, "masks", progress), damage)])
+    masks = np.concatenate([masks, *_settle(_map_groups(mask_group, live, threads, "masks", progress), damage)])
+    live, kept = live.without(damage)
+    positions, masks = positions[kept], masks[kept]
     full = assemble_planes(planes)
 
-    def attribute_group(group: list[int]) -> tuple[Attributes, dict[int, BitstreamError]]:
-        anchors = slice(chunks[group[0]].start, chunks[group[-1]].stop)
-        contexts = networks.contexts(header, frame, full, plane_shift, positions[anchors])
+    def attribute_group(group: list[int], rows: slice) -> tuple[Attributes, dict[int, BitstreamError]]:
+        contexts = networks.contexts(header, frame, full, plane_shift, positions[rows])
         decoder = _ChunkDecoder(data, parts[ATTRIBUTES], 1 << header.lanes.attribute, group, trace)
-        ranges = [chunks[c] for c in group]
-        attributes = code_attributes(decoder.decoder, networks.entropy, contexts, masks[anchors], ranges)
+        attributes = code_attributes(decoder.decoder, networks.entropy, contexts, masks[rows], live.ranges(group))
         return attributes, decoder.verdicts()
 
-    attributes = _join(_settle(_map_groups(attribute_group, chunks, threads, "attributes", progress), damage), d)
+    attributes = _join(_settle(_map_groups(attribute_group, live, threads, "attributes", progress), damage), d)
+    _, kept = live.without(damage)
     scene = Scene(
         header.profile,
         d,
@@ -449,7 +471,7 @@ def _parse(data: bytes, keep_going: bool, threads: int, progress: Progress, trac
         attributes,
         tuple((s.type, s.mode, data[s.start : s.end]) for s in sections.values() if s.type < FRAME and s.end <= len(data)),
     )
-    return Parsed(without_chunks(scene, sorted(damage or {})), damage or {})
+    return Parsed(scene if kept.all() else take_anchors(scene, kept), damage or {})
 
 
 def _join(parts: list[Attributes], d: Dimensions) -> Attributes:
@@ -468,17 +490,6 @@ def take_anchors(scene: Scene, keep: NDArray) -> Scene:
     a = scene.attributes
     chosen = Attributes(a.features[keep], a.scalings[keep], a.offsets[keep], a.steps[keep])
     return replace(scene, positions=scene.positions[keep], masks=scene.masks[keep], attributes=chosen)
-
-
-def without_chunks(scene: Scene, dropped: list[int]) -> Scene:
-    """The scene without the anchors of some chunks."""
-    if not dropped:
-        return scene
-    keep = np.ones(scene.anchor_count, dtype=bool)
-    chunks = chunk_ranges(scene.anchor_count, scene.chunk_size)
-    for number in dropped:
-        keep[chunks[number].start : chunks[number].stop] = False
-    return take_anchors(scene, keep)
 
 
 def emit(scene: Scene, *, threads: int = 1, progress: Progress = _no_progress) -> bytes:
@@ -514,9 +525,10 @@ def _emit(scene: Scene, threads: int, progress: Progress) -> bytes:
     full = assemble_planes(scene.planes)
     a = scene.attributes
 
-    def encode_group(group: list[int]) -> list[tuple[bytes, bytes, bytes]]:
-        anchors = slice(chunks[group[0]].start, chunks[group[-1]].stop)
-        ranges = [chunks[c] for c in group]
+    live = _Live(list(range(len(chunks))), chunks)
+
+    def encode_group(group: list[int], anchors: slice) -> list[tuple[bytes, bytes, bytes]]:
+        ranges = live.ranges(group)
         masks = Encoder(len(group), 1 << scene.lanes.mask)
         code_masks(masks, models, d.offset_count, ranges, scene.masks[anchors])
         contexts = networks.contexts(scene, scene.frame, full, scene.plane_shift, scene.positions[anchors])
@@ -528,7 +540,7 @@ def _emit(scene: Scene, threads: int, progress: Progress) -> bytes:
         raw = [scene.positions[c.start : c.stop].astype("<f2").tobytes() for c in ranges]
         return list(zip(raw, masks.finish(), encoder.finish(), strict=True))
 
-    coded = [chunk for group in _map_groups(encode_group, chunks, threads, "chunks", progress) for chunk in group]
+    coded = [chunk for group in _map_groups(encode_group, live, threads, "chunks", progress) for chunk in group]
     table = scene.mask_model.astype("<u2").tobytes()
     for parts in coded:
         names = ("position", "mask", "attribute")

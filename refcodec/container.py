@@ -269,7 +269,7 @@ def section_lengths(header: Header) -> dict[int, int]:
     return {
         FRAME: syntax.SCHEMAS["Frame"].sizeof(at=None),
         WEIGHTS: 2 + d.carm_inputs + 4 * weight_count(d),
-        CHUNK_TABLE: 2 * context_count(d.offset_count) + CHUNK_ENTRY_BYTES * len(header.chunks),
+        CHUNK_TABLE: 2 * context_count(d.offset_count) + CHUNK_ENTRY_BYTES * -(-header.anchor_count // header.chunk_size),
         POSITIONS: POSITION_BYTES * header.anchor_count,
     }
 

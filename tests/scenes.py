@@ -89,6 +89,14 @@ def random_scene(
     return with_steps(scene)
 
 
+def without_chunks(scene: Scene, dropped: list[int]) -> Scene:
+    """The scene without the anchors of some chunks."""
+    keep = np.ones(scene.anchor_count, dtype=bool)
+    for number in dropped:
+        keep[number * scene.chunk_size : (number + 1) * scene.chunk_size] = False
+    return codec.take_anchors(scene, keep)
+
+
 def with_steps(scene: Scene) -> Scene:
     """The scene with the step indices that its networks give."""
     return replace(scene, attributes=replace(scene.attributes, steps=codec.derive_steps(scene)))

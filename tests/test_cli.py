@@ -15,7 +15,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from scenes import random_scene
+from scenes import random_scene, without_chunks
 
 import refcodec
 from refcodec import cli, codec, syntax
@@ -231,7 +231,7 @@ def test_keep_going(file, data, scene, tmp_path):
     spots = [line for line in run("inspect", file, "--hex").stdout.splitlines() if "^^ error" in line]
     assert [line.split()[3] for line in spots] == ["307", "433", "433"]
     assert run("encode", tmp_path / "scene", "-o", tmp_path / "out.c3gs").returncode == 0
-    assert (tmp_path / "out.c3gs").read_bytes() == codec.emit(codec.without_chunks(scene, [0, 2]))
+    assert (tmp_path / "out.c3gs").read_bytes() == codec.emit(without_chunks(scene, [0, 2]))
 
 
 def test_keep_going_where_only_a_symbol_is_wrong(file, data, tmp_path, capsys):

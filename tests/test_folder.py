@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 from plyfile import PlyData, PlyElement
 from safetensors.numpy import load_file, save_file
-from scenes import MAIN_DIMENSIONS, random_scene, with_steps
+from scenes import MAIN_DIMENSIONS, random_scene, with_steps, without_chunks
 
 from refcodec import codec, folder
 from refcodec.folder import SceneFolderError, read_folder, write_folder
@@ -172,7 +172,7 @@ def test_interrupted_while_moving(made, monkeypatch, count):
 
 def test_damage_is_noted(scene, tmp_path):
     error = codec.BitstreamError("chunks.crc", 7, "masks[chunk 1]", "x")
-    write_folder(codec.without_chunks(scene, [1]), tmp_path / "scene", {1: error})
+    write_folder(without_chunks(scene, [1]), tmp_path / "scene", {1: error})
     document = json.loads((tmp_path / "scene" / "scene.json").read_text())
     assert document["dropped_chunks"] == [{"chunk": 1, **json.loads(error.to_json())}]
     assert read_folder(tmp_path / "scene").anchor_count == 18
