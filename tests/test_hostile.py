@@ -13,12 +13,13 @@ import numpy as np
 import pytest
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
-from scenes import MAIN_DIMENSIONS, random_scene, without_chunks
+from scenes import MAIN_DIMENSIONS, TINY_DIMENSIONS, random_scene, without_chunks
 from strategies import layout, mutations, repair, scenes
 
 from refcodec import codec, container, syntax
 from refcodec.container import PROLOGUE_BYTES
 from refcodec.errors import REGISTRY, BitstreamError
+from refcodec.limits import MAIN, PROFILES, TINY, dimension_fault
 from refcodec.scene import Dimensions, Lanes, Scene
 
 SMALLEST = Dimensions(1, (1, 1), 1, 1, 2, (2,), (2,), (2,), 1)
@@ -322,6 +323,59 @@ def test_render_information(name: str, value: bytes) -> None:
     assert error.kind.name == "header.render_info"
     vector = name.partition("[")
     assert error.offset == where(f"render_info.{vector[0]}" + ("[0]" if vector[1] else ""))
+
+
+FRAME = [
+    (0, "<i", -(1 << 20)),
+    (32, "<i", 1 << 20),
+    (36, "<q", 1 << 61),
+    (52, "<q", -(1 << 61)),
+    (62, "<B", 61),
+    (63, "<B", 1),
+    (64, "<i", -(1 << 18) - 1),
+    (72, "<i", 1 << 18),
+    (84, "<i", (1 << 18) + 1),
+]
+
+
+@pytest.mark.parametrize(("at", "form", "value"), FRAME)
+def test_frame(at: int, form: str, value: int) -> None:
+    data, offset = fixed(start(container.FRAME) + at, struct.pack(form, value))
+    error = refused(data)
+    assert error is not None
+    assert (error.kind.name, error.offset) == ("frame.range", offset)
+
+
+@pytest.mark.parametrize("axis", range(3))
+def test_frame_bounds_without_extent(axis: int) -> None:
+    at = start(container.FRAME) + 64 + 4 * axis
+    data, offset = fixed(at + 12, FILE[at : at + 4])
+    error = refused(data)
+    assert error is not None
+    assert (error.kind.name, error.offset) == ("frame.range", offset)
+
+
+@pytest.mark.parametrize(
+    ("profile", "change", "field"),
+    [
+        (TINY, {"slices": (2,)}, "carm_layers"),
+        (TINY, {"carm_width": ()}, "carm_layers"),
+        (TINY, {"slices": (2, 17)}, "slice_width[1]"),
+        (TINY, {"slices": (1,) * 5}, "slice_count"),
+        (TINY, {"hyper_width": ()}, "hyper_layers"),
+        (TINY, {"sarm_width": (4, 17)}, "sarm_width[1]"),
+        (TINY, {"plane_size": 33}, "plane_size"),
+        (MAIN, {"slices": (5, 10, 20, 15)}, "slice_width[0]"),
+        (MAIN, {"render_width": 51}, "render_width"),
+        (MAIN, {"plane_size": 257}, "plane_size"),
+    ],
+)
+def test_dimensions(profile: int, change: dict, field: str) -> None:
+    base = {TINY: TINY_DIMENSIONS, MAIN: MAIN_DIMENSIONS}[profile]
+    assert dimension_fault(PROFILES[profile], base) is None
+    fault = dimension_fault(PROFILES[profile], replace(base, **change))
+    assert fault is not None
+    assert fault[0] == field
 
 
 HUGE = struct.pack("<I", 0xFFFFFFFF)
