@@ -161,6 +161,21 @@ def parse_container(data: bytes, keep_going: bool = False) -> Header:
     return header
 
 
+def dimensions_of(d: Any) -> Dimensions:
+    """SPEC 5.3, as parsed, in the scene's terms; not checked."""
+    return Dimensions(
+        d.offset_count,
+        tuple(d.slice_width),
+        d.plane_channels,
+        d.frequency_count,
+        d.plane_size,
+        tuple(d.hyper_width),
+        tuple(d.sarm_width),
+        tuple(d.carm_width),
+        d.render_width,
+    )
+
+
 def _check_header(h: Any, check: _HeaderCheck) -> Header:
     """SPEC 10.1, stage 2: the header's rules in the order of their codes."""
     entries = [(f"directory[{i}].reserved", e.reserved) for i, e in enumerate(h.directory)]
@@ -177,18 +192,7 @@ def _check_header(h: Any, check: _HeaderCheck) -> Header:
     profile = PROFILES[h.profile]
     if h.level not in profile.levels:
         raise check.fail("header.level", "level", f"{h.level} found, {profile.name} has {sorted(profile.levels)}")
-    d = h.dimensions
-    dimensions = Dimensions(
-        d.offset_count,
-        tuple(d.slice_width),
-        d.plane_channels,
-        d.frequency_count,
-        d.plane_size,
-        tuple(d.hyper_width),
-        tuple(d.sarm_width),
-        tuple(d.carm_width),
-        d.render_width,
-    )
+    dimensions = dimensions_of(h.dimensions)
     fault = dimension_fault(profile, dimensions)
     if fault:
         raise check.fail("header.dimension", f"dimensions.{fault[0]}", fault[1])

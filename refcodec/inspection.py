@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 
 from . import syntax
 from .codec import Parsed, parse
-from .container import CHUNK_ENTRY_BYTES, POSITION_BYTES, PROLOGUE_BYTES, SECTIONS, VERSION
+from .container import CHUNK_ENTRY_BYTES, POSITION_BYTES, PROLOGUE_BYTES, SECTIONS, VERSION, dimensions_of
 from .entropy import TraceRow
 from .errors import BitstreamError
 from .limits import PROFILES
@@ -85,20 +85,7 @@ def _outline(data: bytes) -> _Outline:
         stop = min(len(data), at + entry.length)
         sections.append((entry.type, at, stop))
         at = stop
-    d = header.dimensions
-    dimensions = None
-    if d.slice_width:
-        dimensions = Dimensions(
-            d.offset_count,
-            tuple(d.slice_width),
-            d.plane_channels,
-            d.frequency_count,
-            d.plane_size,
-            tuple(d.hyper_width),
-            tuple(d.sarm_width),
-            tuple(d.carm_width),
-            d.render_width,
-        )
+    dimensions = dimensions_of(header.dimensions) if header.dimensions.slice_width else None
     return _Outline(header, end, dimensions, sections)
 
 
