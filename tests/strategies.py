@@ -224,6 +224,65 @@ def mutations(draw: st.DrawFn, data: bytes) -> bytes:
     return repair(bytes(out))
 
 
+def resized(data: bytes, kind: int, content: bytes, length_at: int | None = None) -> bytes:
+    """A valid file with one section's bytes replaced by more or fewer, directory and checksums made right; the u32 of the old file
+    at `length_at`, if any, grows with them."""
+    sections = container.parse_container(data).sections
+    old = sections[kind]
+    change = len(content) - (old.end - old.start)
+    out = bytearray(data[: old.start] + content + data[old.end :])
+    _, end = layout(data)
+    entry = end - 4 - 16 * len(sections)
+    for s in sections.values():
+        out[entry + 4 : entry + 8] = (s.start + (change if s.start >= old.end and s.type != kind else 0)).to_bytes(4, "little")
+        if s.type == kind:
+            out[entry + 8 : entry + 12] = len(content).to_bytes(4, "little")
+        entry += 16
+    if length_at is not None:
+        grown = int.from_bytes(data[length_at : length_at + 4], "little") + change
+        out[length_at : length_at + 4] = grown.to_bytes(4, "little")
+    return repair(bytes(out))
+
+
+def substreams(data: bytes) -> list[tuple[int, int, int, int]]:
+    """(section, start, length, where the file says the length) of each substream of a valid file."""
+    header = container.parse_container(data)
+    sections = header.sections
+
+    def u32(at: int) -> int:
+        return int.from_bytes(data[at : at + 4], "little")
+
+    start = sections[container.PLANES_SECTION].start
+    places = [(container.PLANES_SECTION, start + 4 * i) for i in range(5)]
+    table = sections[container.CHUNK_TABLE].start + 2 * context_count(header.dimensions.offset_count)
+    for column, kind in ((8, container.MASKS), (16, container.ATTRIBUTES)):
+        places += [(kind, table + 24 * chunk + column) for chunk in range(len(header.chunks))]
+    next_at = {kind: sections[kind].start for kind in (container.MASKS, container.ATTRIBUTES)}
+    next_at[container.PLANES_SECTION] = start + 20
+    found = []
+    for kind, length_at in places:
+        found.append((kind, next_at[kind], u32(length_at), length_at))
+        next_at[kind] += u32(length_at)
+    return found
+
+
+@st.composite
+def splices(draw: st.DrawFn, data: bytes) -> bytes:
+    """A file with a few bytes of one substream taken out, put in or moved to another value, all lengths and checksums made right;
+    with or without a word count that follows."""
+    kind, start, length, length_at = draw(st.sampled_from(substreams(data)))
+    section = container.parse_container(data).sections[kind]
+    at = draw(st.integers(0, length))
+    out = draw(st.integers(0, min(8, length - at)))
+    new = draw(st.binary(max_size=8))
+    part = bytearray(data[start : start + length])
+    part[at : at + out] = new
+    if len(part) >= 8 and draw(st.booleans()):
+        words = max(0, int.from_bytes(part[4:8], "little") + draw(st.integers(-4, 4)))
+        part[4:8] = words.to_bytes(4, "little")
+    return resized(data, kind, data[section.start : start] + bytes(part) + data[start + length : section.end], length_at)
+
+
 def changed(scene: Scene, **fields: object) -> Scene:
     """The scene with some fields replaced and its step indices made right."""
     return with_steps(replace(scene, **fields))

@@ -14,7 +14,7 @@ import pytest
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from scenes import MAIN_DIMENSIONS, TINY_DIMENSIONS, random_scene, without_chunks
-from strategies import layout, mutations, repair, scenes
+from strategies import layout, mutations, repair, resized, scenes, splices, substreams
 
 from refcodec import codec, container, syntax
 from refcodec.container import PROLOGUE_BYTES
@@ -42,6 +42,30 @@ def refused(data: bytes) -> BitstreamError | None:
     return found
 
 
+def salvaged(data: bytes) -> None:
+    """What is refused as a whole is refused with keep_going too, or named as damage; what is kept is a scene that can be written."""
+    error = refused(data)
+    try:
+        parsed = codec.parse(data, keep_going=True)
+    except BitstreamError as found:
+        other = found
+    else:
+        other = None
+    if other is not None:
+        # The chunks' own checks refuse no file as a whole, and the first fault before them stays the first.
+        assert error is not None
+        assert (other.kind.name, other.offset) == (error.kind.name, error.offset)
+        return
+    listed = {(e.kind.name, e.offset) for e in parsed.damage.values()}
+    if error is None:
+        assert not listed
+    elif error.kind.name != "directory.file_length":
+        # A file cut within an extension loses that, and no chunk.
+        assert (error.kind.name, error.offset) in listed
+    assert all(0 <= offset <= len(data) for _, offset in listed)
+    assert codec.parse(codec.emit(parsed.scene)).scene.anchor_count == parsed.scene.anchor_count
+
+
 def test_every_truncation() -> None:
     for length in range(len(SMALL_FILE)):
         assert refused(SMALL_FILE[:length]) is not None, length
@@ -62,15 +86,49 @@ def test_every_single_bit_flip(bit: int) -> None:
 
 
 @given(mutations(FILE))
-@settings(max_examples=400)
+@settings(max_examples=300)
 def test_changed_with_checksums_repaired(data: bytes) -> None:
-    refused(data)
+    salvaged(data)
+
+
+@given(splices(FILE))
+@settings(max_examples=200)
+def test_bytes_of_a_substream_taken_out_or_put_in(data: bytes) -> None:
+    salvaged(data)
+
+
+def test_every_substream_longer_and_shorter() -> None:
+    """Each substream one byte longer, one byte shorter, and empty: refused where it starts."""
+    sections = container.parse_container(FILE).sections
+    for kind, at, length, length_at in substreams(FILE):
+        head, tail = FILE[sections[kind].start : at], FILE[at + length : sections[kind].end]
+        part = FILE[at : at + length]
+        for content in (part + b"\0", part[:-1], b"", part[:7], part[:8]):
+            error = refused(resized(FILE, kind, head + content + tail, length_at))
+            assert error is not None
+            assert error.offset == at
+            assert error.kind.name.startswith("substream.")
 
 
 @given(st.data(), scenes(max_anchors=4))
 @settings(max_examples=40)
 def test_any_scene_changed_with_checksums_repaired(data: st.DataObject, scene: Scene) -> None:
-    refused(data.draw(mutations(codec.emit(scene))))
+    file = codec.emit(scene)
+    salvaged(data.draw(st.one_of(mutations(file), splices(file))))
+
+
+def test_keep_going_with_single_bit_flips() -> None:
+    """One bit of each byte, without any checksum repaired: an error, or damage to one chunk at most."""
+    first = start(container.POSITIONS, SMALL_FILE)
+    for at in range(len(SMALL_FILE)):
+        data = put(at, bytes([SMALL_FILE[at] ^ (1 << at * 5 % 8)]), SMALL_FILE)
+        try:
+            parsed = codec.parse(data, keep_going=True)
+        except BitstreamError:
+            damage = None
+        else:
+            damage = [error.kind.name for error in parsed.damage.values()]
+        assert damage == (None if at < first else ["chunks.crc"])
 
 
 @given(st.binary(max_size=200))
@@ -113,25 +171,6 @@ def field(path: str, value: bytes) -> tuple[bytes, int]:
 def section_bytes(kind: int) -> bytes:
     s = container.parse_container(FILE).sections[kind]
     return FILE[s.start : s.end]
-
-
-def resized(kind: int, content: bytes, table_at: int | None = None) -> bytes:
-    """FILE with one section's bytes replaced by more or fewer; directory and checksums made right; in the chunk table, the u32 at
-    `table_at` grows with them."""
-    sections = container.parse_container(FILE).sections
-    change = len(content) - (sections[kind].end - sections[kind].start)
-    out = bytearray(FILE[: sections[kind].start] + content + FILE[sections[kind].end :])
-    after = False
-    for i, s in enumerate(sections.values()):
-        entry = where(f"directory[{i}].offset")
-        out[entry : entry + 4] = (s.start + (change if after else 0)).to_bytes(4, "little")
-        if s.type == kind:
-            out[entry + 4 : entry + 8] = len(content).to_bytes(4, "little")
-            after = True
-    if table_at is not None:
-        grown = int.from_bytes(out[table_at : table_at + 4], "little") + change
-        out[table_at : table_at + 4] = grown.to_bytes(4, "little")
-    return repair(bytes(out))
 
 
 TABLE = start(container.CHUNK_TABLE) + 6  # K = 2: three contexts
@@ -212,7 +251,7 @@ def past_the_range() -> tuple[bytes, int]:
 
 def raw_length() -> tuple[bytes, int]:
     content = section_bytes(container.ATTRIBUTES)
-    return resized(container.ATTRIBUTES, content[:FIRST_LENGTH] + b"\0" + content[FIRST_LENGTH:], TABLE + 16), ATTRIBUTES
+    return resized(FILE, container.ATTRIBUTES, content[:FIRST_LENGTH] + b"\0" + content[FIRST_LENGTH:], TABLE + 16), ATTRIBUTES
 
 
 def raw_padding() -> tuple[bytes, int]:
@@ -234,7 +273,7 @@ def raw_padding() -> tuple[bytes, int]:
 def word_count() -> tuple[bytes, int]:
     content = section_bytes(container.ATTRIBUTES)
     more = content[:4] + (WORDS + 1).to_bytes(4, "little") + content[8 : 16 + 2 * WORDS] + b"\0\0" + content[16 + 2 * WORDS :]
-    return resized(container.ATTRIBUTES, more, TABLE + 16), ATTRIBUTES
+    return resized(FILE, container.ATTRIBUTES, more, TABLE + 16), ATTRIBUTES
 
 
 NAN = struct.pack("<f", float("nan"))
@@ -262,7 +301,7 @@ FAULTS: dict[str, Callable[[], tuple[bytes, int]]] = {
     "directory.order": lambda: field("directory[7].type", b"\0"),
     "directory.mode": lambda: field("directory[2].mode", b"\1"),
     "directory.offset": lambda: field("directory[0].offset", struct.pack("<I", start(container.FRAME) + 1)),
-    "directory.length": lambda: (resized(container.FRAME, section_bytes(container.FRAME) + b"\0"), where("directory[0].length")),
+    "directory.length": lambda: (resized(FILE, container.FRAME, section_bytes(container.FRAME) + b"\0"), where("directory[0].length")),
     "directory.file_length": lambda: (FILE[:-1], len(FILE) - 1),
     "section.crc": lambda: (put(ATTRIBUTES + 20, b"\xff\xff\xff"), ATTRIBUTES),
     "frame.range": lambda: fixed(start(container.FRAME) + 4, struct.pack("<i", 1 << 20)),
@@ -395,13 +434,18 @@ GREEDY = {
 }
 
 
+@pytest.mark.parametrize("keep_going", [False, True])
 @pytest.mark.parametrize("name", GREEDY)
-def test_asking_for_much_allocates_nothing(name: str) -> None:
+def test_asking_for_much_allocates_nothing(name: str, keep_going: bool) -> None:
     data = GREEDY[name]()
-    refused(data)  # imports and caches are not what is measured
+    codec.parse(FILE)  # imports and caches are not what is measured
     tracemalloc.start()
     try:
-        assert refused(data) is not None
+        if keep_going and name == "word count":
+            assert list(codec.parse(data, keep_going=True).damage) == [0]
+        else:
+            with pytest.raises(BitstreamError):
+                codec.parse(data, keep_going=keep_going)
         peak = tracemalloc.get_traced_memory()[1]
     finally:
         tracemalloc.stop()
@@ -447,6 +491,27 @@ def test_keep_going_keeps_the_other_chunks(kind: int, chunks: list[int]) -> None
         assert np.array_equal(getattr(parsed.scene.attributes, name), getattr(expected.attributes, name))
     # What was kept is a scene of its own.
     assert codec.emit(codec.parse(codec.emit(parsed.scene)).scene) == codec.emit(parsed.scene)
+
+
+@pytest.mark.parametrize("threads", [1, 2])
+@pytest.mark.parametrize("together", [1, 2, 1000])
+@pytest.mark.parametrize("repaired", [False, True])
+def test_keep_going_with_damage_of_every_kind(monkeypatch: pytest.MonkeyPatch, threads: int, together: int, repaired: bool) -> None:
+    """Chunk 0 loses its attributes, chunk 1 its masks, chunk 3 its positions and masks: 2 and 4 are left, and each chunk has its own
+    first error, whether a checksum finds it or the coder."""
+    monkeypatch.setattr(codec, "GROUP_CHUNKS", together)
+    faults = [(container.ATTRIBUTES, 0), (container.MASKS, 1), (container.POSITIONS, 3), (container.MASKS, 3)]
+    data = WHOLE
+    for kind, chunk in faults:
+        # A symbol_crc, or the first position, which becomes NaN.
+        data = put(part_start(kind, chunk), b"\xff\xff", data)
+    parsed = codec.parse(repair(data) if repaired else data, keep_going=True, threads=threads)
+    names = dict.fromkeys((0, 1), "substream.symbol_crc" if repaired else "chunks.crc")
+    names[3] = "positions.not_finite" if repaired else "chunks.crc"
+    assert {n: (e.kind.name, e.offset) for n, e in parsed.damage.items()} == {
+        chunk: (names[chunk], part_start(kind, chunk)) for kind, chunk in faults[:3]
+    }
+    assert codec.emit(parsed.scene) == codec.emit(without_chunks(SCENE, [0, 1, 3]))
 
 
 def test_keep_going_with_a_cut_file() -> None:

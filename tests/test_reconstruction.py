@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import importlib
 from dataclasses import replace
 from fractions import Fraction
 from pathlib import Path
 
 import numpy as np
+import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from scenes import random_scene
@@ -68,7 +70,13 @@ def test_golden_digest() -> None:
     assert whole == GOLDEN
     assert tuple(parts) == reconstruction.PARTS
     text = (EXAMPLE.parent.parent / "SPEC.md").read_text(encoding="utf-8")
-    assert all(value in text for value in [whole, *parts.values()])
+    for name, value in {"whole": whole, **parts}.items():
+        assert f"| {name} | `{value}` |" in text
+
+
+def test_the_example_is_what_its_tool_makes(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.syspath_prepend(str(EXAMPLE.parent.parent / "tools"))
+    assert codec.emit(importlib.import_module("make_example").example()) == EXAMPLE.read_bytes()
 
 
 def test_each_part_changes_the_whole() -> None:

@@ -93,6 +93,52 @@ def test_most_raw_bits(bias: float) -> None:
     assert_round_trip(with_steps(scene))
 
 
+@pytest.mark.parametrize("sign", [1, -1])
+def test_extreme_weights(sign: int) -> None:
+    """Every row at the accumulator bound: the largest outputs of F_h, SARM and CARM, for means and scales alike."""
+    scene = random_scene(10, 9, chunk_size=4)
+    for layers in scene.networks.values():
+        for weight, bias in layers:
+            weight[:] = sign * min(1023, ((1 << 24) - 1) // (1023 * weight.shape[1]))
+            bias[:] = 0
+    scene.positions[:3] = 65504, -65504, 2.0**-24
+    assert_round_trip(with_steps(scene))
+
+
+@pytest.mark.parametrize("value", [1e-45, -1e-45, -0.0, 2.0**-126])
+def test_tiny_weights(value: float) -> None:
+    """Weights that are zero in integers, of either sign and subnormal, come back bit for bit."""
+    scene = random_scene(11, 9, chunk_size=4)
+    for layers in scene.networks.values():
+        for weight, bias in layers:
+            weight[:], bias[:] = value, value
+    assert_round_trip(with_steps(scene))
+
+
+def test_every_chunk_size() -> None:
+    """The same scene in chunks of each size: other bytes, the same reconstruction."""
+    digests = set()
+    for size in range(1, 9):
+        scene = random_scene(12, 7, chunk_size=size)
+        assert_round_trip(scene)
+        digests.add(reconstruction.digest(scene)[0])
+    assert len(digests) == 1
+
+
+@pytest.mark.parametrize("threads", [1, 2])
+@pytest.mark.parametrize("together", [(1, 65536), (2, 65536), (1024, 1), (1024, 11), (1024, 12), (3, 13)])
+def test_grouping(monkeypatch: pytest.MonkeyPatch, threads: int, together: tuple[int, int]) -> None:
+    """However many chunks and anchors are coded side by side, chunks that pass the limit alone included."""
+    scene = random_scene(13, 40, chunk_size=6, lanes=Lanes(1, 2, 3))
+    data = codec.emit(scene)
+    monkeypatch.setattr(codec, "GROUP_CHUNKS", together[0])
+    monkeypatch.setattr(codec, "GROUP_ANCHORS", together[1])
+    assert codec.emit(scene, threads=threads) == data
+    found = codec.parse(data, threads=threads).scene
+    assert reconstruction.digest(found) == reconstruction.digest(scene)
+    assert codec.emit(found) == data
+
+
 def test_main() -> None:
     assert_round_trip(random_scene(5, 700, MAIN_DIMENSIONS, chunk_size=256))
 
