@@ -155,7 +155,8 @@ def parse_container(data: bytes, keep_going: bool = False) -> Header:
     except cs.ConstructError:
         raise BitstreamError("header.syntax", end, "header", f"its fields need more than header_length {header_length}") from None
     if size != header_length:
-        raise BitstreamError("header.syntax", PROLOGUE_BYTES + size, "header", f"its fields take {size} bytes of {header_length}")
+        # SPEC 6.2: the CRC-32 is at the header's end, so what no field uses is before it.
+        raise BitstreamError("header.syntax", PROLOGUE_BYTES + size - 4, "header", f"its fields take {size} bytes of {header_length}")
     header = _check_header(h, _HeaderCheck(data[:end]))
     _check_directory(h, header, _HeaderCheck(data[:end]), data, end, keep_going)
     return header

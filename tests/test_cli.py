@@ -15,9 +15,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from scenes import random_scene, without_chunks
 
 import refcodec
+from conformance.scenes import random_scene, without_chunks
 from refcodec import cli, codec, syntax
 from refcodec.container import PROLOGUE_BYTES, parse_container
 from refcodec.errors import BitstreamError

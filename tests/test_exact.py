@@ -13,9 +13,9 @@ import numpy as np
 import pytest
 from hypothesis import example, given
 from hypothesis import strategies as st
-from scenes import MAIN_DIMENSIONS, random_scene
-from strategies import frames
 
+from conformance.scenes import MAIN_DIMENSIONS, random_scene
+from conformance.strategies import frames
 from refcodec import codec, conventions, geometry, networks, reconstruction
 from refcodec.entropy import select
 from refcodec.geometry import Frame

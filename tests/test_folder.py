@@ -13,8 +13,8 @@ import numpy as np
 import pytest
 from plyfile import PlyData, PlyElement
 from safetensors.numpy import load_file, save_file
-from scenes import MAIN_DIMENSIONS, random_scene, with_steps, without_chunks
 
+from conformance.scenes import MAIN_DIMENSIONS, random_scene, with_steps, without_chunks
 from refcodec import codec, folder
 from refcodec.folder import SceneFolderError, read_folder, write_folder
 from refcodec.reconstruction import reconstruct

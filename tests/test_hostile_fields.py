@@ -10,10 +10,10 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from scenes import MAIN_DIMENSIONS, random_scene, without_chunks
-from strategies import layout, repair
 from test_hostile import refused
 
+from conformance.scenes import MAIN_DIMENSIONS, random_scene, without_chunks
+from conformance.strategies import layout, repair
 from refcodec import codec, container, syntax
 from refcodec.errors import BitstreamError
 from refcodec.scene import Dimensions, Lanes

@@ -9,8 +9,8 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from scenes import MAIN_DIMENSIONS, TINY_DIMENSIONS, random_scene
 
+from conformance.scenes import MAIN_DIMENSIONS, TINY_DIMENSIONS, random_scene
 from refcodec import codec, inspection, syntax
 from refcodec.container import PROLOGUE_BYTES, SECTIONS, parse_container
 from refcodec.errors import BitstreamError

@@ -6,8 +6,8 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from scenes import MAIN_DIMENSIONS, TINY_DIMENSIONS, random_networks
 
+from conformance.scenes import MAIN_DIMENSIONS, TINY_DIMENSIONS, random_networks
 from refcodec import codec, quantise
 from refcodec.codec import FRAME_RANGE_BOUND, FRAME_SHIFT_MAX, MATRIX_BOUND, TRANSLATION_BOUND
 from refcodec.geometry import Frame, contract, frame_coordinates, position_integers, rescale

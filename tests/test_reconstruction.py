@@ -11,10 +11,10 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from scenes import random_scene
-from strategies import grids, positions, scenes
 from test_exact import exact_f32
 
+from conformance.scenes import random_scene
+from conformance.strategies import grids, positions, scenes
 from refcodec import codec, reconstruction
 from refcodec.attributes import ATTRIBUTE_SYMBOL_MAX, KINDS
 from refcodec.scene import PositionGrid, Scene

@@ -13,8 +13,8 @@ import numpy as np
 import pytest
 from hypothesis import example, given
 from hypothesis import strategies as st
-from scenes import MAIN_DIMENSIONS, TINY_DIMENSIONS, random_networks, random_scene, with_steps
 
+from conformance.scenes import MAIN_DIMENSIONS, TINY_DIMENSIONS, random_networks, random_scene, with_steps
 from refcodec import codec, conventions, geometry, masks, planes, reconstruction
 from refcodec import tables as tables_module
 from refcodec.attributes import Attributes

@@ -7,9 +7,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from hypothesis import given, settings
-from scenes import MAIN_DIMENSIONS, TINY_DIMENSIONS, random_scene, with_steps
-from strategies import scenes
 
+from conformance.scenes import MAIN_DIMENSIONS, TINY_DIMENSIONS, random_scene, with_steps
+from conformance.strategies import scenes
 from refcodec import codec, reconstruction
 from refcodec.attributes import ATTRIBUTE_SYMBOL_MAX
 from refcodec.scene import Lanes, Scene

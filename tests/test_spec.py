@@ -11,8 +11,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from scenes import TINY_DIMENSIONS, random_scene
 
+from conformance.scenes import TINY_DIMENSIONS, random_scene
 from refcodec import codec, container, errors, geometry, networks, reconstruction, syntax, tables
 from refcodec.attributes import code_attributes
 from refcodec.entropy import Decoder, Substream, select

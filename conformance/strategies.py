@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 import zlib
-from dataclasses import replace
+from typing import Any
 
 import construct
 import numpy as np
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
-from scenes import with_steps
 
+from conformance.scenes import with_steps
 from refcodec import codec, container, syntax
 from refcodec.attributes import ATTRIBUTE_SYMBOL_MAX, Attributes
 from refcodec.container import ORIGIN_BOUND
@@ -174,7 +174,7 @@ def scenes(draw: st.DrawFn, max_anchors: int = 12) -> Scene:
     return with_steps(scene)
 
 
-def layout(data: bytes) -> tuple[object, int]:
+def layout(data: bytes) -> tuple[Any, int]:
     """The header's fields and its end, checksums aside. For files whose header parses."""
     fields, size = syntax.parse("Header", data, container.PROLOGUE_BYTES)
     return fields, container.PROLOGUE_BYTES + size
@@ -214,14 +214,16 @@ def _repair_sections(out: bytearray, fields: construct.Container, end: int, chun
         out[entry_at + 16 * i + 12 : entry_at + 16 * i + 16] = crc.to_bytes(4, "little")
 
 
-@st.composite
-def mutations(draw: st.DrawFn, data: bytes) -> bytes:
+def draw_mutation(draw: st.DrawFn, data: bytes) -> bytes:
     """A file with a few bytes changed behind the prologue, its checksums repaired if they can still be found."""
     out = bytearray(data)
     for _ in range(draw(st.integers(1, 3))):
         at = draw(st.integers(container.PROLOGUE_BYTES, len(out) - 1))
         out[at] = draw(st.one_of(st.integers(0, 255), st.sampled_from([0, 1, 127, 128, 255]), st.just(out[at] ^ 1)))
     return repair(bytes(out))
+
+
+mutations = st.composite(draw_mutation)
 
 
 def resized(data: bytes, kind: int, content: bytes, length_at: int | None = None) -> bytes:
@@ -266,8 +268,7 @@ def substreams(data: bytes) -> list[tuple[int, int, int, int]]:
     return found
 
 
-@st.composite
-def splices(draw: st.DrawFn, data: bytes) -> bytes:
+def draw_splice(draw: st.DrawFn, data: bytes) -> bytes:
     """A file with a few bytes of one substream taken out, put in or moved to another value, all lengths and checksums made right;
     with or without a word count that follows."""
     kind, start, length, length_at = draw(st.sampled_from(substreams(data)))
@@ -283,6 +284,4 @@ def splices(draw: st.DrawFn, data: bytes) -> bytes:
     return resized(data, kind, data[section.start : start] + bytes(part) + data[start + length : section.end], length_at)
 
 
-def changed(scene: Scene, **fields: object) -> Scene:
-    """The scene with some fields replaced and its step indices made right."""
-    return with_steps(replace(scene, **fields))
+splices = st.composite(draw_splice)

@@ -62,7 +62,7 @@ def random_scene(
         dimensions=d,
         chunk_size=chunk_size,
         lanes=lanes,
-        base_step=tuple(float(np.float32(s)) for s in base_step),
+        base_step=(float(np.float32(base_step[0])), float(np.float32(base_step[1])), float(np.float32(base_step[2]))),
         grid=PositionGrid((-5, 1 << 40, 77), 40000, -15),
         render=RenderInfo(),
         frame=Frame(

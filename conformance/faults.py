@@ -1,0 +1,561 @@
+"""Files with one fault each, checksums repaired so that the fault is what a decoder meets: for each code of SPEC.md 10.2 a strategy
+that makes files with it from valid ones, and says the offset."""
+
+from __future__ import annotations
+
+import copy
+import struct
+import zlib
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from functools import cache
+from typing import Any
+
+from hypothesis import strategies as st
+
+from refcodec import codec, container, syntax
+from refcodec.container import PROLOGUE_BYTES
+from refcodec.errors import REGISTRY, ErrorKind
+from refcodec.scene import Dimensions, Lanes
+
+from .scenes import MAIN_DIMENSIONS, random_scene
+from .strategies import layout, repair, resized, substreams
+
+NAN, INFINITY = struct.pack("<f", float("nan")), struct.pack("<f", float("inf"))
+HUGE = struct.pack("<I", 0xFFFFFFFF)
+
+
+@dataclass(frozen=True)
+class Fault:
+    """A file that must be refused: name of the error (SPEC 10.2) and its offset."""
+
+    data: bytes
+    name: str
+    offset: int
+
+    @property
+    def kind(self) -> ErrorKind:
+        """The row of the registry: code and clause."""
+        return REGISTRY[self.name]
+
+
+class Target:
+    """A valid file, and where its elements are."""
+
+    def __init__(self, data: bytes) -> None:
+        self.data = data
+        self.header = container.parse_container(data)
+        self.sections = self.header.sections
+        self.fields, self.header_end = layout(data)
+        self.substreams = substreams(data)
+        d = self.header.dimensions
+        self.table = self.sections[container.CHUNK_TABLE].start
+        self.entries = self.table + d.offset_count * (d.offset_count + 1)
+        self.elements = {e.path: e.start for e in syntax.parse_elements("Header", data, PROLOGUE_BYTES, "")}
+        frame = self.sections[container.FRAME].start
+        self.elements |= {e.path: e.start for e in syntax.parse_elements("Frame", data, frame, "frame")}
+
+    def at(self, path: str) -> int:
+        """Offset of an element of the header, or of the frame if the path begins so."""
+        return self.elements[path]
+
+    def start(self, kind: int) -> int:
+        """Offset of a section."""
+        return self.sections[kind].start
+
+    def content(self, kind: int) -> bytes:
+        """Bytes of a section."""
+        return self.data[self.sections[kind].start : self.sections[kind].end]
+
+    def put(self, at: int, value: bytes) -> bytes:
+        """The file with some bytes changed, checksums as they were."""
+        return self.data[:at] + value + self.data[at + len(value) :]
+
+    def with_header(self, change: Callable[[Any], None]) -> bytes:
+        """The file with its header's fields changed, header_length and the sections' places made right."""
+        fields = copy.deepcopy(self.fields)
+        change(fields)
+        end = PROLOGUE_BYTES + len(syntax.build("Header", fields))
+        for entry in fields.directory:
+            entry.offset += end - self.header_end
+        head = syntax.build("Prologue", {"signature": container.SIGNATURE, "version": 0, "header_length": 0, "prologue_crc": 0})
+        head = head[:12] + (end - PROLOGUE_BYTES).to_bytes(4, "little") + head[16:]
+        return repair(head + syntax.build("Header", fields) + self.data[self.header_end :])
+
+
+Make = Callable[[st.DrawFn, Target], tuple[bytes, int]]
+FAULTS: dict[str, Make] = {}
+
+
+def _fault(name: str) -> Callable[[Make], Make]:
+    """Registers what makes files with the named error."""
+
+    def register(make: Make) -> Make:
+        FAULTS[name] = make
+        return make
+
+    return register
+
+
+class NoPlaceError(Exception):
+    """The file has nothing that could have this fault."""
+
+
+def _need(condition: object) -> None:
+    if not condition:
+        raise NoPlaceError
+
+
+def _set(name: str, *choices: tuple[str, str, list[Any]]) -> None:
+    """A fault that is one header or frame element at one wrong value: (path, struct format, values)."""
+    flat = [(path, form, value) for path, form, values in choices for value in values]
+
+    def make(draw: st.DrawFn, t: Target) -> tuple[bytes, int]:
+        path, form, value = draw(st.sampled_from(flat))
+        at = t.at(path)
+        return repair(t.put(at, struct.pack(form, value))), at
+
+    FAULTS[name] = make
+
+
+# --- prologue and header (SPEC 6.1 to 6.5, 11) ------------------------------------------------------------------------
+
+
+@_fault("prologue.truncated")
+def _(draw: st.DrawFn, t: Target) -> tuple[bytes, int]:
+    length = draw(st.integers(0, PROLOGUE_BYTES - 1))
+    return t.data[:length], length
+
+
+@_fault("prologue.signature")
+def _(draw: st.DrawFn, t: Target) -> tuple[bytes, int]:
+    at = draw(st.integers(0, 7))
+    return repair(t.put(at, bytes([t.data[at] ^ draw(st.integers(1, 255))]))), 0
+
+
+@_fault("prologue.crc")
+def _(draw: st.DrawFn, t: Target) -> tuple[bytes, int]:
+    at = draw(st.integers(8, PROLOGUE_BYTES - 1))
+    return t.put(at, bytes([t.data[at] ^ draw(st.integers(1, 255))])), 16
+
+
+def _prologue(t: Target, at: int, value: int) -> bytes:
+    data = t.put(at, value.to_bytes(4, "little"))
+    return data[:16] + zlib.crc32(data[:16]).to_bytes(4, "little") + data[20:]
+
+
+@_fault("prologue.version")
+def _(draw: st.DrawFn, t: Target) -> tuple[bytes, int]:
+    return _prologue(t, 8, draw(st.integers(1, 0xFFFFFFFF))), 8
+
+
+@_fault("prologue.header_length")
+def _(draw: st.DrawFn, t: Target) -> tuple[bytes, int]:
+    return _prologue(t, 12, draw(st.one_of(st.integers(0, 3), st.integers(65536, 0xFFFFFFFF)))), 12
+
+
+@_fault("header.truncated")
+def _(draw: st.DrawFn, t: Target) -> tuple[bytes, int]:
+    length = draw(st.integers(PROLOGUE_BYTES, t.header_end - 1))
+    return t.data[:length], length
+
+
+@_fault("header.crc")
+def _(draw: st.DrawFn, t: Target) -> tuple[bytes, int]:
+    at = draw(st.integers(PROLOGUE_BYTES, t.header_end - 1))
+    return t.put(at, bytes([t.data[at] ^ draw(st.integers(1, 255))])), t.header_end - 4
+
+
+@_fault("header.syntax")
+def _(draw: st.DrawFn, t: Target) -> tuple[bytes, int]:
+    """Bytes between the last field and the CRC-32, or a header that ends before its fields do."""
+    fields = t.data[PROLOGUE_BYTES : t.header_end - 4]
+    length = draw(st.integers(0, len(fields) + 40).filter(lambda n: n != len(fields)))
+    head = fields[:length] + bytes(max(0, length - len(fields)))
+    made = _prologue(t, 12, len(head) + 4)[:PROLOGUE_BYTES] + head + zlib.crc32(head).to_bytes(4, "little") + t.data[t.header_end :]
+    return made, PROLOGUE_BYTES + (len(fields) if length > len(fields) else length + 4)
+
+
+_set("header.reserved", ("reserved_0", "B", [1, 255]), ("reserved_1", "B", [1, 128]), ("position_grid.reserved", "B", [1, 255]),
+     ("directory[0].reserved", "<H", [1]), ("directory[6].reserved", "<H", [65535, 256]))  # fmt: skip
+_set("header.profile", ("profile", "B", [2, 3, 255]))
+_set("header.level", ("level", "B", [1, 2, 255]))
+
+_BAD_LISTS = {"slice": [0, 5], "hyper": [0, 3], "sarm": [0, 3], "carm": [3]}
+
+
+@_fault("header.dimension")
+def _(draw: st.DrawFn, t: Target) -> tuple[bytes, int]:
+    d = t.fields.dimensions
+    scalars = [("offset_count", 11), ("plane_channels", 9), ("frequency_count", 11), ("plane_size", 33), ("render_width", 65)]
+    lists = [(f"{name}_width[{i}]", high) for name, high in (("slice", 17), ("hyper", 65), ("sarm", 17), ("carm", 65))
+             for i in range(len(d[f"{name}_width"]))]  # fmt: skip
+    kind = draw(st.sampled_from(["scalar", "item", "count", "carm"]))
+    if kind in ("scalar", "item"):
+        path, high = draw(st.sampled_from(scalars if kind == "scalar" else lists))
+        at = t.at(f"dimensions.{path}")
+        low = [0, 1] if path == "plane_size" else [0]
+        return repair(t.put(at, struct.pack("<H" if path == "plane_size" else "B", draw(st.sampled_from([*low, high, 255]))))), at
+    if kind == "carm":
+        # A hidden layer without a second slice, or the reverse.
+        name, count = "carm", 0 if d.carm_layers else 1
+    else:
+        name, count = draw(st.sampled_from([(n, c) for n, counts in _BAD_LISTS.items() for c in counts]))
+    counter = "slice_count" if name == "slice" else f"{name}_layers"
+
+    def change(fields: Any) -> None:
+        fields.dimensions[counter] = count
+        fields.dimensions[f"{name}_width"] = [1] * count
+
+    return t.with_header(change), _path_at(t, change, f"dimensions.{counter}")
+
+
+def _path_at(t: Target, change: Callable[[Any], None], path: str) -> int:
+    """Where an element is once the header is changed."""
+    data = t.with_header(change)
+    return next(e.start for e in syntax.parse_elements("Header", data, PROLOGUE_BYTES, "") if e.path == path)
+
+
+_set("header.anchor_count", ("anchor_count", "<I", [4097, 1 << 24, 0xFFFFFFFF]))
+
+
+@cache
+def _main_file() -> bytes:
+    return codec.emit(random_scene(33, 1, replace(MAIN_DIMENSIONS, plane_size=2)))
+
+
+@_fault("header.level_not_minimal")
+def _(draw: st.DrawFn, t: Target) -> tuple[bytes, int]:
+    main = Target(_main_file())
+    return repair(main.put(main.at("level"), bytes([draw(st.sampled_from([2, 3]))]))), main.at("level")
+
+
+_set("header.chunk_size", ("chunk_size", "<I", [0, 65537, 0xFFFFFFFF]))
+_set("header.lanes", *((f"{part}_lanes_log2", "B", [9, 31, 32, 255]) for part in ("plane", "mask", "attribute")))
+_set("header.base_step", *((f"base_step[{i}]", "<f", [0.0, -1.0, 2.0**-61, 2.0**61, float("nan"), float("inf")]) for i in range(3)))
+_set(
+    "header.position_grid",
+    *((f"position_grid.origin[{i}]", "<q", [1 << 62, -(1 << 62), -(1 << 63)]) for i in range(3)),
+    ("position_grid.scale_mantissa", "<H", [0]),
+    ("position_grid.scale_exponent", "b", [61, -61, -128, 127]),
+)
+_BAD = [float("nan"), float("inf"), -float("inf")]
+_set(
+    "header.render_info",
+    ("render_info.up_axis", "B", [6, 255]),
+    ("render_info.near_plane", "<f", [0.0, -1.0, *_BAD]),
+    ("render_info.alpha_max", "<f", [0.0, -0.5, 1.0001, *_BAD]),
+    ("render_info.low_pass", "<f", [-1.0, *_BAD]),
+    ("render_info.camera_width", "<H", [0]),
+    ("render_info.camera_height", "<H", [0]),
+    ("render_info.camera_focal[0]", "<f", [0.0, -1.0, *_BAD]),
+    ("render_info.camera_rotation[0]", "<f", _BAD),
+    ("render_info.camera_translation[0]", "<f", _BAD),
+)
+
+
+# --- directory (SPEC 6.6, 12.1) ---------------------------------------------------------------------------------------
+
+
+@_fault("directory.unknown_critical")
+def _(draw: st.DrawFn, t: Target) -> tuple[bytes, int]:
+    entry = draw(st.integers(0, len(t.fields.directory) - 1))
+    at = t.at(f"directory[{entry}].type")
+    return repair(t.put(at, bytes([draw(st.sampled_from([0x80, 0x88, 0xFF]))]))), at
+
+
+@_fault("directory.order")
+def _(draw: st.DrawFn, t: Target) -> tuple[bytes, int]:
+    count = len(t.fields.directory)
+    kind = draw(st.sampled_from(["swap", "repeat", "ancillary", "zero", "few"]))
+    if kind == "few":
+        left = draw(st.integers(0, 6))
+
+        def change(fields: Any) -> None:
+            fields.section_count, fields.directory = left, fields.directory[:left]
+
+        return t.with_header(change), t.at("section_count")
+    entry = draw(st.integers(0, 5 if kind == "swap" else count - 1))
+    at = t.at(f"directory[{entry}].type")
+    if kind == "swap":
+        other = t.at(f"directory[{entry + 1}].type")
+        data = bytearray(t.data)
+        data[at], data[other] = data[other], data[at]
+        return repair(bytes(data)), at
+    if kind == "repeat":
+        _need(entry > 0)
+        return repair(t.put(at, t.data[t.at(f"directory[{entry - 1}].type") :][:1])), at
+    _need(kind == "zero" or entry < 7)
+    return repair(t.put(at, b"\0" if kind == "zero" else b"\x05")), at
+
+
+@_fault("directory.mode")
+def _(draw: st.DrawFn, t: Target) -> tuple[bytes, int]:
+    at = t.at(f"directory[{draw(st.integers(0, 6))}].mode")
+    return repair(t.put(at, bytes([draw(st.integers(1, 255))]))), at
+
+
+@_fault("directory.offset")
+def _(draw: st.DrawFn, t: Target) -> tuple[bytes, int]:
+    entry = draw(st.integers(0, len(t.fields.directory) - 1))
+    at = t.at(f"directory[{entry}].offset")
+    right = t.fields.directory[entry].offset
+    wrong = draw(st.sampled_from([right + 1, right - 1, 0, len(t.data), 0xFFFFFFFF]).filter(lambda x: x != right))
+    return repair(t.put(at, wrong.to_bytes(4, "little"))), at
+
+
+@_fault("directory.length")
+def _(draw: st.DrawFn, t: Target) -> tuple[bytes, int]:
+    kinds = [k for k in (container.FRAME, container.WEIGHTS, container.CHUNK_TABLE, container.POSITIONS) if t.content(k)]
+    kind = draw(st.sampled_from(kinds))
+    content = t.content(kind)
+    content = content + draw(st.binary(min_size=1, max_size=7)) if draw(st.booleans()) else content[: -draw(st.integers(1, 6))]
+    return resized(t.data, kind, content), t.at(f"directory[{list(container.SECTIONS).index(kind)}].length")
+
+
+@_fault("directory.file_length")
+def _(draw: st.DrawFn, t: Target) -> tuple[bytes, int]:
+    if draw(st.booleans()):
+        return t.data + draw(st.binary(min_size=1, max_size=9)), len(t.data)
+    length = draw(st.integers(t.header_end, len(t.data) - 1))
+    return t.data[:length], length
+
+
+@_fault("section.crc")
+def _(draw: st.DrawFn, t: Target) -> tuple[bytes, int]:
+    section = draw(st.sampled_from([s for s in t.sections.values() if s.end > s.start]))
+    at = draw(st.integers(section.start, section.end - 1))
+    return t.put(at, bytes([t.data[at] ^ draw(st.integers(1, 255))])), section.start
+
+
+# --- frame, weights, planes, chunk table, positions (SPEC 6.7 to 6.11) ------------------------------------------------
+
+_set(
+    "frame.range",
+    *((f"frame.matrix[{i}]", "<i", [1 << 20, -(1 << 20), -(1 << 31)]) for i in range(9)),
+    *((f"frame.translation[{i}]", "<q", [1 << 61, -(1 << 61), -(1 << 63)]) for i in range(3)),
+    *((f"frame.shift[{i}]", "B", [61, 255]) for i in range(3)),
+    ("frame.reserved", "B", [1, 255]),
+    *((f"frame.low[{i}]", "<i", [1 << 18, -(1 << 18) - 1]) for i in range(3)),
+    *((f"frame.high[{i}]", "<i", [(1 << 18) + 1, -(1 << 18)]) for i in range(3)),
+)
+
+
+@_fault("weights.scale")
+def _(draw: st.DrawFn, t: Target) -> tuple[bytes, int]:
+    start, inputs = t.start(container.WEIGHTS), t.header.dimensions.carm_inputs
+    item = draw(st.integers(0, 1 + inputs))
+    wrong = [codec.PLANE_SHIFT_MAX + 1, 255] if item == 0 else [inputs + 1, 255] if item == 1 else [codec.CARM_SHIFT_MAX + 1, 255]
+    return repair(t.put(start + item, bytes([draw(st.sampled_from(wrong))]))), start + item
+
+
+def _first_value(t: Target) -> int:
+    return t.start(container.WEIGHTS) + 2 + t.header.dimensions.carm_inputs
+
+
+@_fault("weights.not_finite")
+def _(draw: st.DrawFn, t: Target) -> tuple[bytes, int]:
+    value = draw(st.integers(0, (t.sections[container.WEIGHTS].end - _first_value(t)) // 4 - 1))
+    at = _first_value(t) + 4 * value
+    return repair(t.put(at, draw(st.sampled_from([NAN, INFINITY, b"\1\0\x80\xff", b"\1\0\x80\x7f"])))), at
+
+
+@_fault("weights.bound")
+def _(draw: st.DrawFn, t: Target) -> tuple[bytes, int]:
+    """A weight that no exponent makes small enough, or a bias."""
+    rows, at = [], _first_value(t)
+    for name, shapes in t.header.dimensions.network_shapes().items():
+        for out, fan_in in shapes:
+            if name not in ("opacity", "covariance", "colour"):
+                rows += [(at + 4 * fan_in * r, fan_in, at + 4 * (out * fan_in + r)) for r in range(out)]
+            at += 4 * out * (fan_in + 1)
+    first, fan_in, bias = draw(st.sampled_from(rows))
+    if draw(st.booleans()):
+        return repair(t.put(bias, struct.pack("<f", draw(st.sampled_from([2.0**24, -(2.0**24), 3.4e38]))))), first
+    weight = first + 4 * draw(st.integers(0, fan_in - 1))
+    return repair(t.put(weight, struct.pack("<f", draw(st.sampled_from([1023.5, -1023.75, 1024.0, -3.4e38]))))), first
+
+
+@_fault("planes.length")
+def _(draw: st.DrawFn, t: Target) -> tuple[bytes, int]:
+    start = t.start(container.PLANES_SECTION)
+    if draw(st.booleans()):
+        return resized(t.data, container.PLANES_SECTION, t.content(container.PLANES_SECTION)[: draw(st.integers(0, 19))]), start
+    at = start + 4 * draw(st.integers(0, 4))
+    old = int.from_bytes(t.data[at : at + 4], "little")
+    return repair(t.put(at, draw(st.sampled_from([old + 1, old - 1, 0xFFFFFFFF])).to_bytes(4, "little"))), start
+
+
+@_fault("chunks.mask_model")
+def _(draw: st.DrawFn, t: Target) -> tuple[bytes, int]:
+    k = t.header.dimensions.offset_count
+    at = t.table + 2 * draw(st.integers(0, k * (k + 1) // 2 - 1))
+    return repair(t.put(at, draw(st.sampled_from([0, 1 << 14, 65535])).to_bytes(2, "little"))), at
+
+
+@_fault("chunks.length")
+def _(draw: st.DrawFn, t: Target) -> tuple[bytes, int]:
+    _need(t.header.chunks)
+    entry = t.entries + 24 * draw(st.integers(0, len(t.header.chunks) - 1))
+    column = draw(st.integers(0, 2))
+    old = int.from_bytes(t.data[entry + 8 * column : entry + 8 * column + 4], "little")
+    data = t.put(entry + 8 * column, draw(st.sampled_from([old + 1, old - 1, 0xFFFFFFFF])).to_bytes(4, "little"))
+    return repair(data, chunks=False), entry if column == 0 else t.start(container.CHUNKED[column])
+
+
+@_fault("chunks.crc")
+def _(draw: st.DrawFn, t: Target) -> tuple[bytes, int]:
+    _need(t.header.chunks)
+    column, chunk = draw(st.integers(0, 2)), draw(st.integers(0, len(t.header.chunks) - 1))
+    at = t.entries + 24 * chunk + 8 * column + 4
+    part = t.start(container.CHUNKED[column])
+    for before in range(chunk):
+        part += int.from_bytes(t.data[t.entries + 24 * before + 8 * column :][:4], "little")
+    return repair(t.put(at, bytes([t.data[at] ^ draw(st.integers(1, 255))])), chunks=False), part
+
+
+def _position(draw: st.DrawFn, t: Target, bad: st.SearchStrategy[int]) -> tuple[bytes, int]:
+    _need(t.header.anchor_count)
+    at = t.start(container.POSITIONS) + 2 * draw(st.integers(0, 3 * t.header.anchor_count - 1))
+    return repair(t.put(at, draw(bad).to_bytes(2, "little"))), at
+
+
+@_fault("positions.not_finite")
+def _(draw: st.DrawFn, t: Target) -> tuple[bytes, int]:
+    return _position(draw, t, st.one_of(st.integers(0x7C00, 0x7FFF), st.integers(0xFC00, 0xFFFF)))
+
+
+@_fault("positions.negative_zero")
+def _(draw: st.DrawFn, t: Target) -> tuple[bytes, int]:
+    return _position(draw, t, st.just(0x8000))
+
+
+# --- substreams (SPEC 8) ----------------------------------------------------------------------------------------------
+
+
+def _lanes(t: Target, kind: int) -> int:
+    lanes = t.header.lanes
+    return 1 << {container.PLANES_SECTION: lanes.plane, container.MASKS: lanes.mask, container.ATTRIBUTES: lanes.attribute}[kind]
+
+
+def _stream(draw: st.DrawFn, t: Target) -> tuple[int, int, int, int]:
+    """One substream: (section, start, length, where its length is stored)."""
+    return draw(st.sampled_from(t.substreams))
+
+
+def _with_stream(t: Target, stream: tuple[int, int, int, int], content: bytes) -> bytes:
+    """The file with other bytes as one substream."""
+    kind, start, length, length_at = stream
+    section = t.sections[kind]
+    return resized(t.data, kind, t.data[section.start : start] + content + t.data[start + length : section.end], length_at)
+
+
+@_fault("substream.length")
+def _(draw: st.DrawFn, t: Target) -> tuple[bytes, int]:
+    stream = _stream(draw, t)
+    kind, start, length, _ = stream
+    if draw(st.booleans()):
+        return _with_stream(t, stream, t.data[start : start + draw(st.integers(0, 7 + 4 * _lanes(t, kind)))]), start
+    room = (length - 8 - 4 * _lanes(t, kind)) // 2
+    return repair(t.put(start + 4, draw(st.sampled_from([room + 1, 1 << 31, 0xFFFFFFFF])).to_bytes(4, "little"))), start
+
+
+@_fault("substream.state")
+def _(draw: st.DrawFn, t: Target) -> tuple[bytes, int]:
+    kind, start, _, _ = _stream(draw, t)
+    at = start + 8 + 4 * draw(st.integers(0, _lanes(t, kind) - 1))
+    return repair(t.put(at, draw(st.integers(0, 0xFFFF)).to_bytes(4, "little"))), start
+
+
+@_fault("substream.words")
+def _(draw: st.DrawFn, t: Target) -> tuple[bytes, int]:
+    """Words that no lane takes."""
+    stream = _stream(draw, t)
+    kind, start, length, _ = stream
+    words = int.from_bytes(t.data[start + 4 : start + 8], "little")
+    end = 8 + 4 * _lanes(t, kind) + 2 * words
+    more = draw(st.integers(1, 3))
+    part = t.data[start : start + length]
+    content = part[:4] + (words + more).to_bytes(4, "little") + part[8:end] + bytes(2 * more) + part[end:]
+    return _with_stream(t, stream, content), start
+
+
+@_fault("substream.final_state")
+def _(draw: st.DrawFn, t: Target) -> tuple[bytes, int]:
+    """A lane that no symbol uses, not at its final state."""
+    idle = [s for s in t.substreams if s[0] == container.MASKS and _lanes(t, container.MASKS) > min(t.header.chunk_size, 4096)]
+    _need(idle)
+    _, start, _, _ = draw(st.sampled_from(idle))
+    at = start + 8 + 4 * (_lanes(t, container.MASKS) - 1)
+    return repair(t.put(at, draw(st.integers(0x10001, 0xFFFFFFFF)).to_bytes(4, "little"))), start
+
+
+_SMALLEST = Dimensions(1, (1, 1), 1, 1, 2, (2,), (2,), (2,), 1)
+
+
+def _far_symbol(seed: int, symbol: int, lanes: int) -> tuple[Target, int, int]:
+    """A file whose first feature is an escape of one anchor without offsets: its target, the attribute substream, its raw bytes."""
+    scene = random_scene(seed, 1, _SMALLEST, gain=0.0, lanes=Lanes(0, 0, lanes), keep=0.0)
+    # All means are -20 steps; every symbol but one is there.
+    scene.networks["hyper"][-1][1][:] = -320.0
+    for values in (scene.attributes.features, scene.attributes.scalings):
+        values[:] = -20
+    scene.attributes.features[0, 0] = symbol
+    scene = replace(scene, attributes=replace(scene.attributes, steps=codec.derive_steps(scene)))
+    t = Target(codec.emit(scene))
+    start = t.start(container.ATTRIBUTES)
+    return t, start, start + 8 + 4 * (1 << lanes) + 2 * struct.unpack_from("<I", t.data, start + 4)[0]
+
+
+@_fault("substream.escape")
+def _(draw: st.DrawFn, _: Target) -> tuple[bytes, int]:
+    """Zeros where a prefix should end."""
+    t, start, raw = _far_symbol(draw(st.integers(0, 99)), draw(st.sampled_from([-1, 1])) << 20, draw(st.integers(0, 3)))
+    return repair(t.data[:raw] + bytes(len(t.data) - raw)), start
+
+
+@_fault("substream.symbol_range")
+def _(draw: st.DrawFn, _: Target) -> tuple[bytes, int]:
+    """The largest symbol, a little further from its mean."""
+    sign = draw(st.sampled_from([-1, 1]))
+    t, start, raw = _far_symbol(draw(st.integers(0, 99)), sign * ((1 << 23) - 1), draw(st.integers(0, 3)))
+    # The escape: a sign, its prefix, then the low bits of its size, which become all ones.
+    bits = int.from_bytes(t.data[raw:], "little")
+    prefix = (bits >> 1 & -(bits >> 1)).bit_length() - 1
+    bits |= ((1 << prefix) - 1) << (prefix + 2)
+    return repair(t.data[:raw] + bits.to_bytes(len(t.data) - raw, "little")), start
+
+
+@_fault("substream.raw_length")
+def _(draw: st.DrawFn, t: Target) -> tuple[bytes, int]:
+    stream = _stream(draw, t)
+    _, start, length, _ = stream
+    return _with_stream(t, stream, t.data[start : start + length] + draw(st.binary(min_size=1, max_size=3))), start
+
+
+@_fault("substream.raw_padding")
+def _(draw: st.DrawFn, _: Target) -> tuple[bytes, int]:
+    """An escape of 2 z + 2 bits, and one of the bits after it."""
+    z = draw(st.integers(4, 20).filter(lambda n: (2 * n + 2) % 8))
+    t, start, raw = _far_symbol(draw(st.integers(0, 99)), 5 << z, draw(st.integers(0, 3)))
+    bits = int.from_bytes(t.data[raw:], "little")
+    used = 2 * ((bits >> 1 & -(bits >> 1)).bit_length() - 1) + 2
+    _need(used % 8)
+    bits |= 1 << draw(st.integers(used, 8 * (len(t.data) - raw) - 1))
+    return repair(t.data[:raw] + bits.to_bytes(len(t.data) - raw, "little")), start
+
+
+@_fault("substream.symbol_crc")
+def _(draw: st.DrawFn, t: Target) -> tuple[bytes, int]:
+    _, start, _, _ = _stream(draw, t)
+    at = start + draw(st.integers(0, 3))
+    return repair(t.put(at, bytes([t.data[at] ^ draw(st.integers(1, 255))]))), start
+
+
+def draw_fault(draw: st.DrawFn, target: Target, name: str) -> Fault | None:
+    """A file with the named fault, made from a valid file of profile Tiny; None if that file has no place for it."""
+    try:
+        data, offset = FAULTS[name](draw, target)
+    except NoPlaceError:
+        return None
+    return Fault(data, name, offset)

@@ -1,0 +1,45 @@
+"""Command line: validate and digest."""
+
+import json
+import sys
+from pathlib import Path
+
+from .decode import decode
+from .errors import C3GSError
+from .reconstruction import digests
+
+USAGE = "usage: python -m independent validate FILE | digest FILE [--parts]"
+REJECTED, UNSUPPORTED, USAGE_ERROR = 1, 2, 3
+
+
+# SPEC 10.1: the command line tells what 10.1 reports
+def main(arguments: list[str]) -> int:
+    """Run a command; the exit status."""
+    match arguments:
+        case ["validate" | "digest" as command, path]:
+            parts = False
+        case ["digest" as command, path, "--parts"] | ["digest" as command, "--parts", path]:
+            parts = True
+        case _:
+            print(USAGE, file=sys.stderr)
+            return USAGE_ERROR
+    try:
+        data = Path(path).read_bytes()
+    except OSError as error:
+        print(error, file=sys.stderr)
+        return USAGE_ERROR
+    try:
+        scene = decode(data)
+    except C3GSError as error:
+        print(error, file=sys.stderr)
+        print(json.dumps(error.as_dict()), file=sys.stderr)
+        return UNSUPPORTED if error.kind == "unsupported" else REJECTED
+    if command == "digest":
+        for name, value in digests(scene).items():
+            if parts or name == "whole":
+                print(f"{name}  {value}")
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main(sys.argv[1:]))

@@ -1,0 +1,70 @@
+"""Clauses 5.13, 6.13 and 7.7 to 7.10: the attributes."""
+
+from .container import Header, Part
+from .entropy import Substream
+from .networks import Weights
+from .operators import ATTRIBUTE_SYMBOL_MAX, STEP_LENGTH, activation, clamp, shift_round
+from .tables import Family
+
+
+class AttributeDecoder:
+    """The stages of a chunk's attributes."""
+
+    def __init__(self, stream: Substream, header: Header, weights: Weights, gauss: Family) -> None:
+        self._stream = stream
+        self._slices: list[int] = header["slice_width"]
+        self._features = header.features
+        self._channels = header.channels
+        self._weights = weights
+        self._gauss = gauss
+
+    # SPEC 7.7, 7.8, 7.10
+    def run(self, contexts: list[list[int]], masks: list[list[int]]) -> tuple[list[list[int]], list[list[int]]]:
+        """For each anchor its D symbols and its three step indices."""
+        hyper = self._weights.networks["hyper"]
+        d = self._channels
+        predictions = [hyper(context) for context in contexts]
+        symbols = [[0] * d for _ in contexts]
+        first = 0
+        for i, width in enumerate(self._slices):
+            if i:
+                for y, prediction in zip(symbols, predictions):
+                    self._correct(i, first, width, y, prediction)
+            self._stage([range(first, first + width)] * len(contexts), predictions, symbols)
+            first += width
+        self._stage([range(first, first + 6)] * len(contexts), predictions, symbols)
+        first += 6
+        kept = [[first + 3 * k + axis for k, bit in enumerate(mask) if bit for axis in range(3)] for mask in masks]
+        self._stage(kept, predictions, symbols)
+        steps = [[clamp(x, 0, STEP_LENGTH - 1) for x in prediction[2 * d :]] for prediction in predictions]
+        return symbols, steps
+
+    # SPEC 7.9
+    def _correct(self, i: int, first: int, width: int, y: list[int], prediction: list[int]) -> None:
+        """Add the outputs of carm.i to the prediction of slice i."""
+        inputs = [activation(shift_round(y[c], self._weights.carm_shift[c])) for c in range(first)]
+        change = self._weights.networks[f"carm.{i}"](inputs)
+        for n in range(width):
+            prediction[first + n] += change[n]
+            prediction[self._channels + first + n] += change[width + n]
+
+    # SPEC 7.10
+    def _stage(self, channels: list[range] | list[list[int]], predictions: list[list[int]], symbols: list[list[int]]) -> None:
+        """Decode one group: for each anchor the given channels."""
+        d = self._channels
+        parameters = [(p[c], p[d + c]) for p, coded in zip(predictions, channels) for c in coded]
+        values = iter(self._stream.values(self._gauss, parameters, ATTRIBUTE_SYMBOL_MAX))
+        for y, coded in zip(symbols, channels):
+            for c in coded:
+                y[c] = next(values)
+
+
+# SPEC 6.13, 7.10, 10.1 step 9
+def read_attributes(
+    data: bytes, header: Header, part: Part, weights: Weights, gauss: Family, contexts: list[list[int]], masks: list[list[int]]
+) -> tuple[list[list[int]], list[list[int]]]:
+    """Symbols and step indices of a chunk whose CRC-32 was checked."""
+    stream = Substream(data, part.offset, part.length, header["attribute_lanes_log2"])
+    out = AttributeDecoder(stream, header, weights, gauss).run(contexts, masks)
+    stream.finish()
+    return out

@@ -1,0 +1,72 @@
+"""Chapter 10: the registry of errors and the one exception that this package raises for a file."""
+
+# SPEC 10.2: name -> (code, class, clause, meaning)
+REGISTRY: dict[str, tuple[int, str, str, str]] = {
+    "prologue.truncated": (101, "malformed", "5.1", "the file is shorter than a prologue"),
+    "prologue.signature": (102, "malformed", "6.1", "the first eight bytes are not the signature"),
+    "prologue.crc": (103, "malformed", "6.1", "the prologue's CRC-32 does not match"),
+    "prologue.version": (104, "unsupported", "6.1", "the format version is not 0"),
+    "prologue.header_length": (105, "malformed", "6.1", "header_length is outside its limits"),
+    "header.truncated": (201, "malformed", "5.2", "the file ends inside the header"),
+    "header.crc": (202, "malformed", "6.2", "the header's CRC-32 does not match"),
+    "header.syntax": (203, "malformed", "5.2", "the header's fields do not fill header_length exactly"),
+    "header.reserved": (204, "malformed", "6.2", "a reserved field is not zero"),
+    "header.profile": (205, "unsupported", "11.1", "the profile is not known"),
+    "header.level": (206, "unsupported", "11.2", "the level is not known in this profile"),
+    "header.dimension": (207, "invalid", "11.1", "a dimension is outside what the profile allows"),
+    "header.anchor_count": (208, "invalid", "11.2", "anchor_count passes the level's limit"),
+    "header.level_not_minimal": (209, "invalid", "11.2", "a lower level would hold this scene"),
+    "header.chunk_size": (210, "invalid", "11.1", "chunk_size is outside its limits"),
+    "header.lanes": (211, "invalid", "6.2", "a lane count is outside its limits"),
+    "header.base_step": (212, "invalid", "6.2", "a base step is outside its limits"),
+    "header.position_grid": (213, "invalid", "6.4", "a field of the position grid is outside its limits"),
+    "header.render_info": (214, "invalid", "6.5", "a field of the render information is outside its limits"),
+    "directory.unknown_critical": (301, "unsupported", "12.1", "a critical section of unknown type"),
+    "directory.order": (302, "malformed", "6.6", "a section is missing, repeated or out of order"),
+    "directory.mode": (303, "unsupported", "6.6", "the coding mode of a section is not known"),
+    "directory.offset": (304, "malformed", "6.6", "a section does not start where the one before it ends"),
+    "directory.length": (305, "malformed", "6.6", "a section's length is not the one that the header implies"),
+    "directory.file_length": (306, "malformed", "6.6", "the last section does not end where the file ends"),
+    "section.crc": (307, "malformed", "6.6", "a section's CRC-32 does not match"),
+    "frame.range": (401, "invalid", "6.7", "a number of the PCA frame is outside its limits"),
+    "weights.scale": (411, "invalid", "6.8", "a signalled scale is outside its limits"),
+    "weights.not_finite": (412, "invalid", "6.8", "a weight or bias is NaN or infinite"),
+    "weights.bound": (413, "invalid", "7.2", "a row's integers could pass the accumulator bound"),
+    "planes.length": (421, "malformed", "6.9", "the substreams' lengths do not add up to the section"),
+    "chunks.mask_model": (431, "invalid", "6.10", "a frequency of the mask model is outside its limits"),
+    "chunks.length": (432, "malformed", "6.10", "the chunks' lengths do not add up to their section"),
+    "chunks.crc": (433, "malformed", "6.10", "the CRC-32 of a chunk's part does not match"),
+    "positions.not_finite": (441, "invalid", "6.11", "a position is NaN or infinite"),
+    "positions.negative_zero": (442, "invalid", "6.11", "a position is -0"),
+    "substream.length": (501, "malformed", "5.14", "the substream is shorter than its states and words"),
+    "substream.state": (502, "invalid", "8.1", "an initial state is below 2^16"),
+    "substream.words": (503, "invalid", "8.8", "the symbols do not consume exactly the words sent"),
+    "substream.final_state": (504, "invalid", "8.8", "a final state is not 2^16"),
+    "substream.escape": (505, "invalid", "8.7", "an escape's prefix is too long"),
+    "substream.symbol_range": (506, "invalid", "8.5", "a symbol does not fit its type"),
+    "substream.raw_length": (507, "invalid", "8.8", "the raw bits do not fill the substream's raw bytes exactly"),
+    "substream.raw_padding": (508, "invalid", "8.8", "a padding bit of the raw bytes is not zero"),
+    "substream.symbol_crc": (509, "invalid", "8.8", "the CRC-32 of the decoded symbols does not match"),
+}
+
+
+# SPEC 10.1, 10.2
+class C3GSError(Exception):
+    """A file that a decoder refuses: code, name, kind (the class), offset, clause."""
+
+    def __init__(self, name: str, offset: int) -> None:
+        self.name = name
+        self.offset = offset
+        self.code, self.kind, self.clause, self.meaning = REGISTRY[name]
+        super().__init__(f"{self.code} {name} ({self.kind}) at byte {offset}: {self.meaning} (clause {self.clause})")
+
+    def as_dict(self) -> dict[str, int | str]:
+        """The error as a record for JSON."""
+        return {"code": self.code, "name": self.name, "class": self.kind, "offset": self.offset, "clause": self.clause}
+
+
+# SPEC 10.1
+def require(condition: bool, name: str, offset: int) -> None:
+    """Refuse the file with the named error unless the condition holds."""
+    if not condition:
+        raise C3GSError(name, offset)

@@ -1,0 +1,128 @@
+"""Clauses 5.7, 5.11, 6.7, 6.11, 7.4 and 7.5: frame, positions and context."""
+
+import math
+import struct
+from dataclasses import dataclass
+
+from .container import Header, Part, Section
+from .errors import require
+from .operators import (
+    FRAME_CLAMP,
+    FRAME_RANGE_BOUND,
+    FRAME_SHIFT_MAX,
+    LERP_BITS,
+    MATRIX_BOUND,
+    SINE_LENGTH,
+    TRANSLATION_BOUND,
+    UNIT_BITS,
+    activation,
+    clamp,
+    shift_round,
+)
+from .planes import Plane
+
+UNIT = 1 << UNIT_BITS
+WHOLE = 1 << LERP_BITS
+
+
+@dataclass(frozen=True)
+class Frame:
+    """The map from positions to the coordinates of the hyperprior."""
+
+    matrix: tuple[int, ...]
+    translation: tuple[int, ...]
+    shift: tuple[int, ...]
+    low: tuple[int, ...]
+    high: tuple[int, ...]
+
+
+# SPEC 5.7, 6.7, 10.1 step 4
+def read_frame(data: bytes, section: Section) -> Frame:
+    """Parse and check the frame."""
+    at = section.offset
+    numbers = struct.unpack_from("<9i3q3BB3i3i", data, at)
+    frame = Frame(numbers[:9], numbers[9:12], numbers[12:15], numbers[16:19], numbers[19:22])
+    for n, item in enumerate(frame.matrix):
+        require(abs(item) < MATRIX_BOUND, "frame.range", at + 4 * n)
+    for n, item in enumerate(frame.translation):
+        require(abs(item) < TRANSLATION_BOUND, "frame.range", at + 36 + 8 * n)
+    for n, item in enumerate(frame.shift):
+        require(item <= FRAME_SHIFT_MAX, "frame.range", at + 60 + n)
+    require(numbers[15] == 0, "frame.range", at + 63)
+    for n, (low, high) in enumerate(zip(frame.low, frame.high)):
+        require(-FRAME_RANGE_BOUND <= low < FRAME_RANGE_BOUND, "frame.range", at + 64 + 4 * n)
+        require(low < high <= FRAME_RANGE_BOUND, "frame.range", at + 76 + 4 * n)
+    return frame
+
+
+# SPEC 6.11, 7.4, 10.1 step 7
+def read_positions(data: bytes, header: Header, chunk: int, part: Part) -> list[tuple[int, int, int]]:
+    """The integers P of a chunk's anchors."""
+    part.check(data)
+    count = 3 * header.chunk_anchors(chunk)
+    for n, bits in enumerate(struct.unpack_from(f"<{count}H", data, part.offset)):
+        require(bits & 0x7C00 != 0x7C00, "positions.not_finite", part.offset + 2 * n)
+        require(bits != 0x8000, "positions.negative_zero", part.offset + 2 * n)
+    integers = [int(math.ldexp(x, 24)) for x in struct.unpack_from(f"<{count}e", data, part.offset)]
+    return list(zip(integers[::3], integers[1::3], integers[2::3]))
+
+
+class ContextSource:
+    """The context of an anchor from its position (7.5)."""
+
+    def __init__(self, frame: Frame, planes: list[Plane], plane_shift: int, frequencies: int, sine: tuple[int, ...]) -> None:
+        self._frame = frame
+        self._planes = planes
+        self._down = 2 * LERP_BITS - plane_shift
+        self._frequencies = frequencies
+        self._sine = sine
+
+    # SPEC 7.5
+    def __call__(self, position: tuple[int, int, int]) -> list[int]:
+        u = self._unit_coordinates(position)
+        out = []
+        for plane in self._planes:
+            out += self._query(plane, u[0], u[1])
+        return out + self._gamma(u[2])
+
+    # SPEC 7.5.1 to 7.5.3
+    def _unit_coordinates(self, position: tuple[int, int, int]) -> list[int]:
+        frame = self._frame
+        v = []
+        for r in range(3):
+            a, b, c = frame.matrix[3 * r : 3 * r + 3]
+            total = a * position[0] + b * position[1] + c * position[2] + frame.translation[r]
+            v.append(clamp(shift_round(total, frame.shift[r]), -FRAME_CLAMP, FRAME_CLAMP))
+        square = v[0] * v[0] + v[1] * v[1] + v[2] * v[2]
+        if square > UNIT * UNIT:
+            norm = math.isqrt(square)
+            factor = (2 * norm - UNIT) * UNIT // norm
+            v = [x * factor // norm for x in v]
+        return [clamp((x - low) * UNIT // (high - low), 0, UNIT) for x, low, high in zip(v, frame.low, frame.high)]
+
+    # SPEC 7.5.4
+    def _query(self, plane: Plane, across: int, along: int) -> list[int]:
+        last = len(plane[0]) - 1
+        j, fj = self._cell(across * last, last)
+        i, fi = self._cell(along * last, last)
+        out = []
+        for grid in plane:
+            top = grid[i][j] * (WHOLE - fj) + grid[i][j + 1] * fj
+            bottom = grid[i + 1][j] * (WHOLE - fj) + grid[i + 1][j + 1] * fj
+            out.append(activation(shift_round(top * (WHOLE - fi) + bottom * fi, self._down)))
+        return out
+
+    # SPEC 7.5.4
+    @staticmethod
+    def _cell(g: int, last: int) -> tuple[int, int]:
+        cell = min(g >> UNIT_BITS, last - 1)
+        return cell, shift_round(g - cell * UNIT, UNIT_BITS - LERP_BITS)
+
+    # SPEC 7.5.5
+    def _gamma(self, u: int) -> list[int]:
+        out = []
+        for k in range(self._frequencies):
+            turn = shift_round(((u - UNIT // 2) << k) % UNIT, 6)
+            out.append(self._sine[turn % SINE_LENGTH])
+            out.append(self._sine[(turn + SINE_LENGTH // 4) % SINE_LENGTH])
+        return out

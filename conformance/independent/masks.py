@@ -1,0 +1,23 @@
+"""Clauses 5.12, 6.12 and 7.6: the masks."""
+
+from .container import Header, Part
+from .entropy import Substream
+from .operators import PRECISION
+from .tables import make_model
+
+
+# SPEC 7.6, 10.1 step 8
+def read_masks(data: bytes, header: Header, chunk: int, part: Part, mask_model: list[int]) -> list[list[int]]:
+    """For each anchor of a chunk its K bits."""
+    part.check(data)
+    models = [make_model([(1 << PRECISION) - kept, kept], 0) for kept in mask_model]
+    stream = Substream(data, part.offset, part.length, header["mask_lanes_log2"])
+    masks: list[list[int]] = [[] for _ in range(header.chunk_anchors(chunk))]
+    kept_before = [0] * len(masks)
+    for k in range(header["offset_count"]):
+        first = k * (k + 1) // 2
+        for n, bit in enumerate(stream.bits([models[first + kept] for kept in kept_before])):
+            masks[n].append(bit)
+            kept_before[n] += bit
+    stream.finish()
+    return masks

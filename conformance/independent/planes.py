@@ -1,0 +1,65 @@
+"""Clauses 5.9, 6.9 and 7.3: the planes."""
+
+import struct
+
+from .container import Header, Section
+from .entropy import Substream
+from .errors import require
+from .networks import Network
+from .operators import PLANE_SYMBOL_MAX, activation
+from .tables import Family
+
+PLANE_TABLE_LENGTH = 20
+Plane = list[list[list[int]]]
+
+
+# SPEC 7.3
+def _decode_plane(stream: Substream, sarm: Network, laplace: Family, channels: int, size: int) -> Plane:
+    """One sub-plane, with a border of zeros above, left and right while it is decoded."""
+    padded = [[[0] * (size + 2) for _ in range(size + 1)] for _ in range(channels)]
+    known: dict[tuple[int, ...], list[int]] = {}
+    for t in range(3 * size - 2):
+        first, last = max(0, (t - size + 2) // 2), min(size - 1, t // 2)
+        points, parameters = [], []
+        for grid in padded:
+            for i in range(first, last + 1):
+                j = t - 2 * i
+                above = grid[i]
+                near = (*above[j : j + 3], grid[i + 1][j])
+                if near not in known:
+                    if len(known) >= 1 << 16:
+                        known.clear()
+                    known[near] = sarm([activation(y) for y in near])
+                points.append((grid[i + 1], j + 1))
+                parameters.append(known[near])
+        for (row, column), value in zip(points, stream.values(laplace, parameters, PLANE_SYMBOL_MAX)):
+            row[column] = value
+    return [[row[1:-1] for row in grid[1:]] for grid in padded]
+
+
+# SPEC 6.9, 10.1 step 5
+def read_planes(data: bytes, header: Header, section: Section, sarm: Network, laplace: Family) -> list[Plane]:
+    """The five sub-planes."""
+    require(section.length >= PLANE_TABLE_LENGTH, "planes.length", section.offset)
+    lengths = struct.unpack_from("<5I", data, section.offset)
+    require(sum(lengths) == section.length - PLANE_TABLE_LENGTH, "planes.length", section.offset)
+    at = section.offset + PLANE_TABLE_LENGTH
+    planes = []
+    for length in lengths:
+        stream = Substream(data, at, length, header["plane_lanes_log2"])
+        planes.append(_decode_plane(stream, sarm, laplace, header["plane_channels"], header["plane_size"]))
+        stream.finish()
+        at += length
+    return planes
+
+
+# SPEC 7.3, 7.5.4
+def join_quadrants(quadrants: list[Plane]) -> Plane:
+    """The plane of r = 2 from top left, top right, bottom left and bottom right."""
+    top_left, top_right, bottom_left, bottom_right = quadrants
+    out = []
+    for k in range(len(top_left)):
+        top = [left + right for left, right in zip(top_left[k], top_right[k])]
+        bottom = [left + right for left, right in zip(bottom_left[k], bottom_right[k])]
+        out.append(top + bottom)
+    return out

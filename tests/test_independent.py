@@ -1,0 +1,207 @@
+"""The second decoder (conformance/independent): it agrees with refcodec, and it is a work of its own."""
+
+from __future__ import annotations
+
+import ast
+import json
+import re
+import subprocess
+import sys
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from conformance import fuzz, independent
+from conformance.faults import FAULTS, Fault, Target, draw_fault
+from conformance.independent import container as second_container
+from conformance.independent import errors as second_errors
+from conformance.independent import operators
+from conformance.scenes import MAIN_DIMENSIONS, random_scene
+from conformance.strategies import repair
+from refcodec import codec, reconstruction
+from refcodec.errors import REGISTRY
+from refcodec.limits import PROFILES, Profile
+from refcodec.scene import Dimensions, Lanes
+
+ROOT = Path(__file__).resolve().parent.parent
+SOURCES = sorted((ROOT / "conformance" / "independent").glob("*.py"))
+EXAMPLE = ROOT / "vectors" / "tiny-example.c3gs"
+
+# Files that between them have a place for every fault: extensions, idle lanes, several chunks, one slice and more, no anchors.
+TARGETS = [
+    Target(codec.emit(scene))
+    for scene in (
+        replace(random_scene(32, 11, chunk_size=4, lanes=Lanes(1, 4, 1), spread=6), extensions=((5, 1, b"hello"), (9, 0, b""))),
+        random_scene(36, 3, Dimensions(1, (2,), 1, 1, 3, (2, 2), (2,), (), 1), chunk_size=1, lanes=Lanes(0, 2, 3)),
+        random_scene(37, 0),
+    )
+]
+
+
+def test_every_code_has_a_fault() -> None:
+    assert set(FAULTS) == set(REGISTRY)
+
+
+@st.composite
+def faulty(draw: st.DrawFn, name: str) -> Fault:
+    made = [fault for t in draw(st.permutations(TARGETS)) if (fault := draw_fault(draw, t, name))]
+    return made[0]
+
+
+@pytest.mark.parametrize("name", REGISTRY)
+@settings(max_examples=25)
+@given(st.data())
+def test_fault(name: str, data: st.DataObject) -> None:
+    """Both decoders refuse a file with one fault by its code, at its offset."""
+    fault = data.draw(faulty(name))
+    verdict, wrong = fuzz.compare(fault.data, (fault.name, fault.offset))
+    assert wrong is None, wrong
+    assert verdict == (name, fault.offset)
+
+
+@given(fuzz.families())
+@settings(max_examples=40)
+def test_decoders_agree(made: list[tuple[bytes, fuzz.Verdict | None]]) -> None:
+    for data, expected in made:
+        _, wrong = fuzz.compare(data, expected)
+        assert wrong is None, wrong
+
+
+def test_a_main_file() -> None:
+    data = codec.emit(random_scene(38, 40, replace(MAIN_DIMENSIONS, plane_size=5), chunk_size=256))
+    assert fuzz.compare(data)[1] is None
+
+
+def test_the_comparison_can_fail(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A decoder that differs, one that fails otherwise, one that hangs, and one that accepts what is not canonical are found."""
+    data = EXAMPLE.read_bytes()
+    assert fuzz.compare(data)[1] is None
+    assert "expected was" in str(fuzz.compare(data, ("prologue.crc", 16))[1])
+    with monkeypatch.context() as m:
+        m.setattr(independent, "digest", lambda scene: "0")
+        assert "the second decoder" in str(fuzz.compare(data)[1])
+    with monkeypatch.context() as m:
+        m.setattr(independent, "decode", lambda data: {}["x"])
+        assert "KeyError" in str(fuzz.compare(data)[1])
+    with monkeypatch.context() as m:
+        m.setattr(codec, "emit", lambda scene: b"")
+        assert "accepted, but" in str(fuzz.compare(data)[1])
+    with monkeypatch.context() as m:
+        m.setattr(fuzz, "FILE_SECONDS", 1)
+        m.setattr(independent, "decode", lambda data: [None for _ in iter(int, 1)])
+        assert "BudgetError" in str(fuzz.compare(data)[1])
+
+
+def test_a_batch_is_the_same_again() -> None:
+    first, second = fuzz.run_batch(7), fuzz.run_batch(7)
+    assert first == second
+    assert sum(first.seen.values()) > 100
+    assert not first.wrong
+
+
+def test_fuzz_notes_what_is_done(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    state = tmp_path / "state.json"
+    assert fuzz.run(1, 3, 1, state, tmp_path / "keep") == 0
+    saved = json.loads(state.read_text())
+    assert saved["batches"] == [3]
+    assert fuzz.run(1, 3, 1, state, tmp_path / "keep") == 0
+    assert json.loads(state.read_text()) == saved, "nothing is done twice"
+    with pytest.raises(SystemExit, match="seed 3"):
+        fuzz.run(1, 4, 1, state, tmp_path / "keep")
+    assert "0 disagreements" in capsys.readouterr().out
+    assert not (tmp_path / "keep").exists()
+
+
+# --- a work of its own ------------------------------------------------------------------------------------------------
+
+
+def test_it_imports_the_standard_library_alone() -> None:
+    for path in SOURCES:
+        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+            names = []
+            if isinstance(node, ast.Import):
+                names = [alias.name for alias in node.names]
+            elif isinstance(node, ast.ImportFrom) and node.level == 0:
+                names = [node.module or ""]
+            for name in names:
+                assert name.partition(".")[0] in sys.stdlib_module_names, f"{path.name} imports {name}"
+
+
+def statements(folder: Path) -> set[str]:
+    """Every statement of a package as its syntax tree says it, but imports, docstrings, SPEC.md's constants and what is too short to
+    be anyone's."""
+    found = set()
+    for path in folder.rglob("*.py"):
+        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+            if isinstance(node, ast.stmt) and not isinstance(node, ast.Import | ast.ImportFrom | ast.FunctionDef | ast.ClassDef):
+                text = ast.unparse(node)
+                documentation = isinstance(node, ast.Expr) and isinstance(node.value, ast.Constant)
+                if len(text) > 45 and not documentation and not re.match(r"[A-Z_]+(, [A-Z_]+)* = ", text):
+                    found.add(text)
+    return found
+
+
+def test_it_shares_no_line_with_refcodec() -> None:
+    assert statements(ROOT / "conformance" / "independent") & statements(ROOT / "refcodec") == set()
+
+
+def test_each_function_stands_under_its_clause() -> None:
+    for path in SOURCES:
+        lines = path.read_text(encoding="utf-8").splitlines()
+        for node in ast.walk(ast.parse("\n".join(lines))):
+            if not isinstance(node, ast.FunctionDef) or node.name == "__init__":
+                continue
+            first = min([node.lineno, *(d.lineno for d in node.decorator_list)])
+            # Accessors of a few lines need none.
+            if node.end_lineno - node.lineno > 3:
+                assert re.match(r"\s*# SPEC ", lines[first - 2]), f"{path.name}: {node.name}"
+
+
+def test_its_registry_and_limits_are_those_of_the_specification() -> None:
+    assert {name: (kind.code, kind.klass, kind.clause) for name, kind in REGISTRY.items()} == {
+        name: row[:3] for name, row in second_errors.REGISTRY.items()
+    }
+    fields = [f for f in Profile.__dataclass_fields__ if f not in ("name", "levels", "chunk_size")]
+    assert list(second_container.PROFILE_BOUNDS) == fields
+    for number, profile in PROFILES.items():
+        assert [second_container.PROFILE_BOUNDS[f][number] for f in fields] == [getattr(profile, f) for f in fields]
+        assert second_container.CHUNK_SIZE_BOUNDS[number] == profile.chunk_size
+        assert second_container.LEVELS[number] == {n: (level.anchors, level.plane_size) for n, level in profile.levels.items()}
+
+
+def test_its_constants_are_those_of_the_specification() -> None:
+    text = (ROOT / "SPEC.md").read_text(encoding="utf-8").partition("### 2.5 ")[2].partition("\n## ")[0]
+    printed = re.findall(r"^\| ([A-Z][A-Z0-9_]+) \| ([^|]+) \|", text, re.MULTILINE)
+    assert len(printed) > 30
+    for name, value in printed:
+        if name != "VERSION":
+            assert getattr(operators, name) == eval(value.replace("^", "**")), name
+
+
+# --- its command ------------------------------------------------------------------------------------------------------
+
+
+def command(*arguments: str | Path) -> subprocess.CompletedProcess[str]:
+    return subprocess.run(
+        [sys.executable, "-m", "conformance.independent", *map(str, arguments)], capture_output=True, text=True, check=False, cwd=ROOT
+    )
+
+
+def test_command(tmp_path: Path) -> None:
+    whole, parts = reconstruction.digest(codec.parse(EXAMPLE.read_bytes()).scene)
+    assert command("digest", EXAMPLE).stdout.split() == ["whole", whole]
+    printed = dict(line.split() for line in command("digest", "--parts", EXAMPLE).stdout.splitlines())
+    assert printed == {"whole": whole, **parts}
+    assert command("validate", EXAMPLE).returncode == 0
+    bad = tmp_path / "bad.c3gs"
+    bad.write_bytes(EXAMPLE.read_bytes()[:-1])
+    result = command("validate", bad)
+    assert result.returncode == 1
+    assert json.loads(result.stderr.splitlines()[-1])["code"] == 306
+    bad.write_bytes(repair(Target(EXAMPLE.read_bytes()).put(20, b"\7")))
+    assert command("digest", bad).returncode == 2
+    assert command("validate", tmp_path / "none").returncode == 3
+    assert command().returncode == 3

@@ -1,0 +1,121 @@
+"""Files with several faults (SPEC.md 10.1): which one is reported, and what keep_going saves of damaged files."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from conformance import fuzz
+from conformance.scenes import random_scene, without_chunks
+from conformance.strategies import repair
+from refcodec import codec, container
+from refcodec.errors import BitstreamError
+from refcodec.scene import Lanes
+
+
+def refused(data: bytes) -> tuple[str, int]:
+    """The verdict of both decoders, which must be the same."""
+    verdict, wrong = fuzz.compare(data)
+    assert wrong is None, wrong
+    assert verdict[1] >= 0
+    return verdict
+
+
+SCENE = random_scene(36, 23, chunk_size=5, lanes=Lanes(1, 1, 1))
+WHOLE = codec.emit(SCENE)
+CHUNKS = container.chunk_ranges(23, 5)
+
+
+SECTIONS = container.parse_container(WHOLE).sections
+
+
+def put(data: bytes, at: int, value: bytes) -> bytes:
+    return data[:at] + value + data[at + len(value) :]
+
+
+def part_start(kind: int, chunk: int) -> int:
+    table = SECTIONS[container.CHUNK_TABLE].start + 6
+    column = container.CHUNKED.index(kind)
+    lengths = [int.from_bytes(WHOLE[table + 24 * c + 8 * column :][:4], "little") for c in range(chunk)]
+    return SECTIONS[kind].start + sum(lengths)
+
+
+@pytest.mark.parametrize("kind", container.CHUNKED)
+@pytest.mark.parametrize("chunks", [[0], [2], [4], [1, 3], [0, 1, 2, 3, 4]])
+def test_keep_going_keeps_the_other_chunks(kind: int, chunks: list[int]) -> None:
+    data = bytearray(WHOLE)
+    for chunk in chunks:
+        data[part_start(kind, chunk) + 4] ^= 0x55
+    refused(bytes(data))
+    parsed = codec.parse(bytes(data), keep_going=True)
+    assert sorted(parsed.damage) == chunks
+    assert all(error.kind.name == "chunks.crc" for error in parsed.damage.values())
+    expected = without_chunks(SCENE, chunks)
+    assert parsed.scene.positions.tobytes() == expected.positions.tobytes()
+    assert np.array_equal(parsed.scene.masks, expected.masks)
+    for name in ("features", "scalings", "offsets", "steps"):
+        assert np.array_equal(getattr(parsed.scene.attributes, name), getattr(expected.attributes, name))
+    # What was kept is a scene of its own.
+    assert codec.emit(codec.parse(codec.emit(parsed.scene)).scene) == codec.emit(parsed.scene)
+
+
+@pytest.mark.parametrize("threads", [1, 2])
+@pytest.mark.parametrize("together", [1, 2, 1000])
+@pytest.mark.parametrize("repaired", [False, True])
+def test_keep_going_with_damage_of_every_kind(monkeypatch: pytest.MonkeyPatch, threads: int, together: int, repaired: bool) -> None:
+    """Chunk 0 loses its attributes, chunk 1 its masks, chunk 3 its positions and masks: 2 and 4 are left, and each chunk has its own
+    first error, whether a checksum finds it or the coder."""
+    monkeypatch.setattr(codec, "GROUP_CHUNKS", together)
+    faults = [(container.ATTRIBUTES, 0), (container.MASKS, 1), (container.POSITIONS, 3), (container.MASKS, 3)]
+    data = WHOLE
+    for kind, chunk in faults:
+        # A symbol_crc, or the first position, which becomes NaN.
+        data = put(data, part_start(kind, chunk), b"\xff\xff")
+    parsed = codec.parse(repair(data) if repaired else data, keep_going=True, threads=threads)
+    names = dict.fromkeys((0, 1), "substream.symbol_crc" if repaired else "chunks.crc")
+    names[3] = "positions.not_finite" if repaired else "chunks.crc"
+    assert {n: (e.kind.name, e.offset) for n, e in parsed.damage.items()} == {
+        chunk: (names[chunk], part_start(kind, chunk)) for kind, chunk in faults[:3]
+    }
+    assert codec.emit(parsed.scene) == codec.emit(without_chunks(SCENE, [0, 1, 3]))
+
+
+def test_keep_going_with_a_cut_file() -> None:
+    cut = part_start(container.ATTRIBUTES, 3) + 7
+    parsed = codec.parse(WHOLE[:cut], keep_going=True)
+    assert sorted(parsed.damage) == [3, 4]
+    assert np.array_equal(parsed.scene.attributes.features, SCENE.attributes.features[:15])
+    with pytest.raises(BitstreamError):
+        codec.parse(WHOLE[: SECTIONS[container.CHUNK_TABLE].start], keep_going=True)
+
+
+def test_keep_going_with_a_whole_file() -> None:
+    parsed = codec.parse(WHOLE, keep_going=True)
+    assert parsed.damage == {}
+    assert codec.emit(parsed.scene) == WHOLE
+
+
+@pytest.mark.parametrize("threads", [1, 2])
+@pytest.mark.parametrize("together", [1, 2, 1000])
+def test_the_lowest_chunk_is_reported(monkeypatch: pytest.MonkeyPatch, threads: int, together: int) -> None:
+    """A late fault of chunk 1 and an early one of chunk 3: chunk 1 wins, however chunks are grouped."""
+    monkeypatch.setattr(codec, "GROUP_CHUNKS", together)
+    data = put(WHOLE, part_start(container.ATTRIBUTES, 1), b"\0\0\0\0")
+    data = repair(put(data, part_start(container.ATTRIBUTES, 3) + 4, b"\xff\xff\xff\xff"))
+    refused(data)
+    with pytest.raises(BitstreamError) as caught:
+        codec.parse(data, threads=threads)
+    assert (caught.value.kind.name, caught.value.offset) == ("substream.symbol_crc", part_start(container.ATTRIBUTES, 1))
+
+
+def test_a_fault_in_masks_comes_before_one_in_attributes() -> None:
+    data = put(WHOLE, part_start(container.ATTRIBUTES, 0), b"\0\0\0\0")
+    data = repair(put(data, part_start(container.MASKS, 4), b"\0\0\0\0"))
+    assert refused(data) == ("substream.symbol_crc", part_start(container.MASKS, 4))
+
+
+def test_the_lowest_plane_is_reported() -> None:
+    at = SECTIONS[container.PLANES_SECTION].start
+    second = at + 20 + int.from_bytes(WHOLE[at : at + 4], "little")
+    third = second + int.from_bytes(WHOLE[at + 4 : at + 8], "little")
+    assert refused(repair(put(put(WHOLE, second, b"\0\0\0\0"), third + 4, b"\xff\xff\xff\xff"))) == ("substream.symbol_crc", second)
