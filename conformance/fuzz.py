@@ -33,7 +33,7 @@ from .strategies import draw_mutation, draw_splice, scenes
 FILE_SECONDS = 20
 WORKER_BYTES = 3 << 30
 # Files made from one scene, the scene's own file among them; scenes in a batch.
-FILES_OF_A_SCENE = 10
+FILES_OF_A_SCENE = 20
 BATCH_SCENES = 25
 
 Verdict = tuple[str, int]

@@ -199,7 +199,8 @@ def repair(data: bytes, chunks: bool = True) -> bytes:
 def _repair_sections(out: bytearray, fields: construct.Container, end: int, chunks: bool) -> None:
     """The CRC-32s of the chunks' parts and of the sections."""
     span = {e.type: (e.offset, e.offset + e.length) for e in fields.directory}
-    if chunks and set(container.SECTIONS) <= span.keys():
+    # A chunk table that a wrong offset puts into the header is left alone.
+    if chunks and set(container.SECTIONS) <= span.keys() and span[container.CHUNK_TABLE][0] >= end:
         k = fields.dimensions.offset_count
         table = span[container.CHUNK_TABLE][0] + k * (k + 1)
         at = [span[t][0] for t in container.CHUNKED]

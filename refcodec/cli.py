@@ -76,8 +76,7 @@ def _read_file(path: str) -> bytes:
                 return head
             end = _announced_length(head)
             if stat.S_ISREG(status.st_mode) and status.st_size != end:
-                detail = f"{status.st_size} bytes, the last section ends at {end}"
-                raise BitstreamError("directory.file_length", min(status.st_size, end), "file", detail)
+                raise BitstreamError("directory.file_length", min(status.st_size, end), "file", f"{status.st_size} bytes", end)
             return head + file.read(max(0, end - len(head)) + 1)
     except OSError as error:
         raise UsageError(f"cannot read {path}: {error.strerror or error}") from None
@@ -171,7 +170,7 @@ def _reject(path: str, error: BitstreamError) -> int:
     """Reports a verdict on stderr: a line for people, then a line of JSON."""
     word = "is not supported" if error.kind.klass == "unsupported" else "is rejected"
     sys.stdout.flush()
-    _note(f"{path} {word}: {error}. To see the spot: refcodec inspect {shlex.quote(path)} --hex")
+    _note(f"{path} {word}: {error}. To see the spot: refcodec inspect {shlex.quote(path)} --near {error.offset}")
     _note(error.to_json())
     return error.exit_status
 
@@ -322,8 +321,8 @@ def _inspect(arguments: argparse.Namespace) -> int:
         verdict: Parsed | BitstreamError = _parse(arguments, data)
     except BitstreamError as found:
         verdict = error = found
-    if arguments.hex:
-        lines = inspection.hex_lines(data, _spots(data, error) if error else [])
+    if arguments.hex or arguments.near is not None:
+        lines = inspection.hex_lines(data, _spots(data, error) if error else [], arguments.near)
     elif arguments.json:
         lines = iter([json.dumps(inspection.document(data, verdict), indent=1)])
     else:
@@ -421,12 +420,18 @@ def _parser() -> argparse.ArgumentParser:
         "inspect",
         _inspect,
         "show what a file is made of",
-        ["inspect scene.c3gs", "inspect scene.c3gs --hex | less", "inspect scene.c3gs --trace | head -100"],
+        [
+            "inspect scene.c3gs",
+            "inspect scene.c3gs --hex | less",
+            "inspect scene.c3gs --near 1106",
+            "inspect scene.c3gs --trace | head -100",
+        ],
         "Damaged files are shown as far as they parse, and then rejected as by validate.",
     )
     inspect.add_argument("file", metavar="FILE")
     form = inspect.add_mutually_exclusive_group()
     form.add_argument("--hex", action="store_true", help="every byte with its syntax element; payloads folded to a line each")
+    form.add_argument("--near", type=int, metavar="OFFSET", help="the same, of the elements around a byte")
     form.add_argument("--json", action="store_true", help="the summary as one JSON document")
     form.add_argument("--trace", action="store_true", help="one line per syntax element and symbol, in decoding order")
     fit = _add(

@@ -87,10 +87,10 @@ def parse_frame(data: bytes, start: int) -> Frame:
     """SPEC 5.7 and 6.7. Raises BitstreamError frame.range."""
     f, _ = syntax.parse("Frame", data, start)
 
-    def bad(name: str, detail: str) -> BitstreamError:
+    def bad(name: str, found: object, allowed: object) -> BitstreamError:
         for element in syntax.parse_elements("Frame", data, start, "frame"):
             if element.path == f"frame.{name}":
-                return BitstreamError("frame.range", element.start, element.path, detail)
+                return BitstreamError("frame.range", element.start, element.path, found, allowed)
         raise AssertionError(name)
 
     for name, low, high in (
@@ -100,14 +100,14 @@ def parse_frame(data: bytes, start: int) -> Frame:
     ):
         for i, value in enumerate(f[name]):
             if not low <= value <= high:
-                raise bad(f"{name}[{i}]", f"{value} found, {low} to {high} allowed")
+                raise bad(f"{name}[{i}]", value, f"{low} to {high}")
     if f.reserved:
-        raise bad("reserved", f"{f.reserved} found, 0 required")
+        raise bad("reserved", f.reserved, 0)
     for i, (low, high) in enumerate(zip(f.low, f.high, strict=True)):
         if not -FRAME_RANGE_BOUND <= low < FRAME_RANGE_BOUND:
-            raise bad(f"low[{i}]", f"{low} found, {-FRAME_RANGE_BOUND} to {FRAME_RANGE_BOUND - 1} allowed")
+            raise bad(f"low[{i}]", low, f"{-FRAME_RANGE_BOUND} to {FRAME_RANGE_BOUND - 1}")
         if not low < high <= FRAME_RANGE_BOUND:
-            raise bad(f"high[{i}]", f"{high} found, {low + 1} to {FRAME_RANGE_BOUND} allowed")
+            raise bad(f"high[{i}]", high, f"{low + 1} to {FRAME_RANGE_BOUND}")
 
     def array(values: list[int]) -> Int64:
         return np.array(values, dtype=np.int64)
@@ -125,7 +125,7 @@ def parse_weights(data: bytes, start: int, d: Dimensions) -> tuple[int, NDArray[
     """SPEC 5.8 and 6.8: plane_shift, carm_shift and the layers of each network. Raises BitstreamError 411, 412."""
 
     def bad(offset: int, field: str, value: int, low: int, high: int) -> BitstreamError:
-        return BitstreamError("weights.scale", offset, f"weights.{field}", f"{value} found, {low} to {high} allowed")
+        return BitstreamError("weights.scale", offset, f"weights.{field}", value, f"{low} to {high}")
 
     # The count is checked before the array that it sizes is read; the section's length is already known to be right.
     if data[start] > PLANE_SHIFT_MAX:
@@ -144,8 +144,8 @@ def parse_weights(data: bytes, start: int, d: Dimensions) -> tuple[int, NDArray[
             values = np.frombuffer(data, "<f4", out * (fan_in + 1), at).astype(np.float32)
             finite = np.isfinite(values)
             if not finite.all():
-                first = at + 4 * int(np.argmin(finite))
-                raise BitstreamError("weights.not_finite", first, f"weights.{name}.{index}", "NaN or infinity found")
+                first = int(np.argmin(finite))
+                raise BitstreamError("weights.not_finite", at + 4 * first, f"weights.{name}.{index}", values[first], "finite numbers")
             at += 4 * len(values)
             networks[name].append((values[: out * fan_in].reshape(out, fan_in), values[out * fan_in :]))
     return scales.plane_shift, np.array(scales.carm_shift, dtype=np.uint8), networks
@@ -194,7 +194,7 @@ def _checked_networks(header: Header, carm_shift: NDArray[np.uint8], networks: d
             for index, (out, fan_in) in enumerate(shapes):
                 if f"{name}.{index}" == error.layer:
                     first = at + 4 * fan_in * error.row
-                    raise BitstreamError("weights.bound", first, f"weights.{error.layer}", str(error)) from None
+                    raise BitstreamError("weights.bound", first, f"weights.{error.layer}", error.found, error.allowed) from None
                 at += 4 * out * (fan_in + 1)
         raise AssertionError(error.layer) from None
 
@@ -206,11 +206,11 @@ def _parse_planes(data: bytes, header: Header, sarm: IntNetwork, trace: Trace | 
         table, size = syntax.parse("PlaneTable", data[: section.end], section.start)
     except syntax.cs.ConstructError:
         raise BitstreamError(
-            "planes.length", section.start, "planes", f"{section.end - section.start} bytes cannot hold the table"
+            "planes.length", section.start, "planes", f"{section.end - section.start} bytes", "at least the table's 20"
         ) from None
     if size + sum(table.length) != section.end - section.start:
-        detail = f"{size + sum(table.length)} bytes are announced, the section has {section.end - section.start}"
-        raise BitstreamError("planes.length", section.start, "planes.length", detail)
+        found = f"a table that announces {size + sum(table.length)} bytes"
+        raise BitstreamError("planes.length", section.start, "planes.length", found, section.end - section.start)
     bounds = section.start + size + np.concatenate([[0], np.cumsum(table.length, dtype=np.int64)])
     lanes = 1 << header.lanes.plane
     streams, errors = [], []
@@ -253,8 +253,9 @@ class _Part:
         crc = zlib.crc32(memoryview(data)[start:end])
         if end <= len(data) and crc == self.crc[chunk]:
             return None
-        detail = f"{crc:08x} computed, {int(self.crc[chunk]):08x} in the chunk table"
-        return BitstreamError("chunks.crc", min(start, len(data)), f"{self.name}[chunk {chunk}]", detail)
+        return BitstreamError(
+            "chunks.crc", min(start, len(data)), f"{self.name}[chunk {chunk}]", f"0x{int(self.crc[chunk]):08x}", f"0x{crc:08x}"
+        )
 
 
 def _parse_chunk_table(data: bytes, header: Header) -> tuple[NDArray[np.uint16], dict[int, _Part]]:
@@ -264,8 +265,8 @@ def _parse_chunk_table(data: bytes, header: Header) -> tuple[NDArray[np.uint16],
     model = np.frombuffer(data, "<u2", contexts, section.start).astype(np.uint16)
     bad = np.flatnonzero((model < 1) | (model >= TOTAL))
     if bad.size:
-        detail = f"{model[bad[0]]} found, 1 to {TOTAL - 1} allowed"
-        raise BitstreamError("chunks.mask_model", section.start + 2 * int(bad[0]), f"chunk_table.mask_model[{bad[0]}]", detail)
+        at, path = section.start + 2 * int(bad[0]), f"chunk_table.mask_model[{bad[0]}]"
+        raise BitstreamError("chunks.mask_model", at, path, model[bad[0]], f"1 to {TOTAL - 1}")
     chunks = header.chunks
     at = section.start + 2 * contexts
     table = np.frombuffer(data, "<u4", 6 * len(chunks), at).astype(np.int64).reshape(-1, 6)
@@ -277,11 +278,11 @@ def _parse_chunk_table(data: bytes, header: Header) -> tuple[NDArray[np.uint16],
             wrong = np.flatnonzero(length != POSITION_BYTES * np.array([len(c) for c in chunks], dtype=np.int64))
             if wrong.size:
                 chunk = int(wrong[0])
-                detail = f"{length[chunk]} found, {POSITION_BYTES * len(chunks[chunk])} required"
-                raise BitstreamError("chunks.length", at + 24 * chunk, f"chunk_table.entry[{chunk}].position_length", detail)
+                path, right = f"chunk_table.entry[{chunk}].position_length", POSITION_BYTES * len(chunks[chunk])
+                raise BitstreamError("chunks.length", at + 24 * chunk, path, length[chunk], right)
         if length.sum() != part.end - part.start:
-            detail = f"{int(length.sum())} bytes are announced, the section has {part.end - part.start}"
-            raise BitstreamError("chunks.length", part.start, part.name, detail)
+            found = f"a chunk table that announces {int(length.sum())} bytes"
+            raise BitstreamError("chunks.length", part.start, part.name, found, part.end - part.start)
         parts[kind] = _Part(part.name, part.start + np.concatenate([[0], np.cumsum(length)]), table[:, 2 * column + 1])
     return model, parts
 
@@ -359,7 +360,7 @@ def _parse_positions(data: bytes, part: _Part, live: _Live, damage: dict[int, Bi
                 continue
             name, first = bad
             anchor, axis = chunk.start + first // 3, first % 3
-            error = BitstreamError(name, start + 2 * first, f"positions[{anchor},{axis}]", f"0x{bits[first]:04x} found")
+            error = BitstreamError(name, start + 2 * first, f"positions[{anchor},{axis}]", f"0x{bits[first]:04x}", "finite numbers but -0")
         if damage is None:
             raise error
         damage[number] = error
@@ -513,7 +514,9 @@ def _emit(scene: Scene, threads: int, progress: Progress) -> bytes:
     parse_weights(weights, 0, d)
     bad = _first_bad_position(scene.positions.view(np.uint16).reshape(-1))
     if bad is not None:
-        raise BitstreamError(bad[0], 0, f"positions[{bad[1] // 3},{bad[1] % 3}]", "found in the scene")
+        raise BitstreamError(
+            bad[0], 0, f"positions[{bad[1] // 3},{bad[1] % 3}]", scene.positions.reshape(-1)[bad[1]], "finite numbers but -0"
+        )
     chunks = chunk_ranges(scene.anchor_count, scene.chunk_size)
     networks = derive_networks(d, scene.carm_shift, scene.networks)
     progress("planes", 0, 1)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import zlib
-from collections.abc import Iterable
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -93,26 +93,24 @@ def weight_count(dimensions: Dimensions) -> int:
 def parse_prologue(data: bytes) -> int:
     """SPEC 5.1 and 6.1. Returns header_length. Raises BitstreamError 101 to 105."""
     if len(data) < PROLOGUE_BYTES:
-        raise BitstreamError("prologue.truncated", len(data), "prologue", f"{len(data)} bytes, a prologue has {PROLOGUE_BYTES}")
+        raise BitstreamError("prologue.truncated", len(data), "prologue", f"{len(data)} bytes", f"at least {PROLOGUE_BYTES}")
     p, _ = syntax.parse("Prologue", data[:PROLOGUE_BYTES])
     if p.signature != SIGNATURE:
-        raise BitstreamError("prologue.signature", 0, "prologue.signature", _signature_detail(p.signature))
+        raise BitstreamError("prologue.signature", 0, "prologue.signature", _signature_text(p.signature), SIGNATURE.hex(" "))
     crc = zlib.crc32(data[: PROLOGUE_BYTES - 4])
     if p.prologue_crc != crc:
-        raise BitstreamError("prologue.crc", 16, "prologue.prologue_crc", f"{p.prologue_crc:08x} found, {crc:08x} computed")
+        raise BitstreamError("prologue.crc", 16, "prologue.prologue_crc", f"0x{p.prologue_crc:08x}", f"0x{crc:08x}")
     if p.version != VERSION:
-        raise BitstreamError("prologue.version", 8, "prologue.version", f"version {p.version} found, {VERSION} is supported")
+        raise BitstreamError("prologue.version", 8, "prologue.version", p.version, VERSION)
     if not HEADER_LENGTH_MIN <= p.header_length <= HEADER_LENGTH_MAX:
-        detail = f"{p.header_length} found, {HEADER_LENGTH_MIN} to {HEADER_LENGTH_MAX} allowed"
-        raise BitstreamError("prologue.header_length", 12, "prologue.header_length", detail)
+        allowed = f"{HEADER_LENGTH_MIN} to {HEADER_LENGTH_MAX}"
+        raise BitstreamError("prologue.header_length", 12, "prologue.header_length", p.header_length, allowed)
     return int(p.header_length)
 
 
-def _signature_detail(found: bytes) -> str:
-    detail = f"{found.hex(' ')} found, {SIGNATURE.hex(' ')} required"
-    if found[1:4] == SIGNATURE[1:4]:
-        detail += "; the file was changed in transfer, as text or by 7-bit mail"
-    return detail
+def _signature_text(found: bytes) -> str:
+    hint = " (changed in transfer, as text or by 7-bit mail?)" if found[1:4] == SIGNATURE[1:4] else ""
+    return found.hex(" ") + hint
 
 
 class _HeaderCheck:
@@ -121,20 +119,20 @@ class _HeaderCheck:
     def __init__(self, data: bytes) -> None:
         self.data = data
 
-    def fail(self, name: str, field: str, detail: str) -> BitstreamError:
+    def fail(self, name: str, field: str, found: object, allowed: object) -> BitstreamError:
         path = f"header.{field}"
         for element in syntax.parse_elements("Header", self.data, PROLOGUE_BYTES, "header"):
             if element.path == path or element.path.startswith((path + "[", path + ".")):
-                return BitstreamError(name, element.start, path, detail)
+                return BitstreamError(name, element.start, path, found, allowed)
         raise AssertionError(path)
 
-    def finite(self, name: str, field: str, values: Iterable[float]) -> None:
+    def finite(self, name: str, field: str, values: Sequence[float]) -> None:
         if not all(math.isfinite(v) for v in values):
-            raise self.fail(name, field, "every number must be finite")
+            raise self.fail(name, field, ", ".join(map(str, values)), "finite numbers")
 
     def within(self, name: str, field: str, value: float, low: float, high: float) -> None:
         if not low <= value <= high:
-            raise self.fail(name, field, f"{value} found, {low} to {high} allowed")
+            raise self.fail(name, field, value, f"{low} to {high}")
 
 
 def parse_container(data: bytes, keep_going: bool = False) -> Header:
@@ -145,18 +143,20 @@ def parse_container(data: bytes, keep_going: bool = False) -> Header:
     header_length = parse_prologue(data)
     end = PROLOGUE_BYTES + header_length
     if len(data) < end:
-        raise BitstreamError("header.truncated", len(data), "header", f"{len(data)} bytes, the header ends at {end}")
+        raise BitstreamError("header.truncated", len(data), "header", f"{len(data)} bytes", f"at least {end}")
     stored = int.from_bytes(data[end - 4 : end], "little")
     crc = zlib.crc32(data[PROLOGUE_BYTES : end - 4])
     if stored != crc:
-        raise BitstreamError("header.crc", end - 4, "header.header_crc", f"{stored:08x} found, {crc:08x} computed")
+        raise BitstreamError("header.crc", end - 4, "header.header_crc", f"0x{stored:08x}", f"0x{crc:08x}")
     try:
         h, size = syntax.parse("Header", data[:end], PROLOGUE_BYTES)
     except cs.ConstructError:
-        raise BitstreamError("header.syntax", end, "header", f"its fields need more than header_length {header_length}") from None
+        raise BitstreamError("header.syntax", end, "header", "more fields", f"what {header_length} bytes hold") from None
     if size != header_length:
         # SPEC 6.2: the CRC-32 is at the header's end, so what no field uses is before it.
-        raise BitstreamError("header.syntax", PROLOGUE_BYTES + size - 4, "header", f"its fields take {size} bytes of {header_length}")
+        raise BitstreamError(
+            "header.syntax", PROLOGUE_BYTES + size - 4, "header", f"{header_length} bytes", f"the {size} that its fields take"
+        )
     header = _check_header(h, _HeaderCheck(data[:end]))
     _check_directory(h, header, _HeaderCheck(data[:end]), data, end, keep_going)
     return header
@@ -187,24 +187,25 @@ def _check_header(h: Any, check: _HeaderCheck) -> Header:
         *entries,
     ]:
         if value:
-            raise check.fail("header.reserved", field, f"{value} found, 0 required")
+            raise check.fail("header.reserved", field, value, 0)
     if h.profile not in PROFILES:
-        raise check.fail("header.profile", "profile", f"{h.profile} found, {TINY} (Tiny) and {MAIN} (Main) are known")
+        raise check.fail("header.profile", "profile", h.profile, f"{TINY} (Tiny) or {MAIN} (Main)")
     profile = PROFILES[h.profile]
     if h.level not in profile.levels:
-        raise check.fail("header.level", "level", f"{h.level} found, {profile.name} has {sorted(profile.levels)}")
+        known = " or ".join(map(str, sorted(profile.levels)))
+        raise check.fail("header.level", "level", h.level, f"in {profile.name} {known}")
     dimensions = dimensions_of(h.dimensions)
     fault = dimension_fault(profile, dimensions)
     if fault:
-        raise check.fail("header.dimension", f"dimensions.{fault[0]}", fault[1])
+        raise check.fail("header.dimension", f"dimensions.{fault[0]}", *fault[1:])
     level = profile.levels[h.level]
     if dimensions.plane_size > level.plane_size:
-        detail = f"plane_size is {dimensions.plane_size}, level {h.level} allows {level.plane_size}"
-        raise check.fail("header.dimension", "dimensions.plane_size", detail)
+        allowed = f"at level {h.level} at most {level.plane_size}"
+        raise check.fail("header.dimension", "dimensions.plane_size", dimensions.plane_size, allowed)
     check.within("header.anchor_count", "anchor_count", h.anchor_count, 0, level.anchors)
     lowest = minimal_level(profile, h.anchor_count, dimensions.plane_size)
     if lowest != h.level:
-        raise check.fail("header.level_not_minimal", "level", f"{h.level} found, {lowest} is enough")
+        raise check.fail("header.level_not_minimal", "level", h.level, lowest)
     check.within("header.chunk_size", "chunk_size", h.chunk_size, *profile.chunk_size)
     for lanes_field in ("plane_lanes_log2", "mask_lanes_log2", "attribute_lanes_log2"):
         check.within("header.lanes", lanes_field, h[lanes_field], 0, LANES_LOG2_MAX)
@@ -241,19 +242,19 @@ def _check_render(r: Any, check: _HeaderCheck) -> RenderInfo:
     for scalar in ("near_plane", "alpha_max", "low_pass"):
         check.finite(name, field + scalar, [r[scalar]])
     if r.near_plane <= 0:
-        raise check.fail(name, field + "near_plane", f"{r.near_plane} found, more than 0 required")
+        raise check.fail(name, field + "near_plane", r.near_plane, "more than 0")
     if not 0 < r.alpha_max <= 1:
-        raise check.fail(name, field + "alpha_max", f"{r.alpha_max} found, more than 0 and at most 1 required")
+        raise check.fail(name, field + "alpha_max", r.alpha_max, "more than 0 and at most 1")
     if r.low_pass < 0:
-        raise check.fail(name, field + "low_pass", f"{r.low_pass} found, at least 0 required")
+        raise check.fail(name, field + "low_pass", r.low_pass, "at least 0")
     check.within(name, field + "camera_width", r.camera_width, 1, 65535)
     check.within(name, field + "camera_height", r.camera_height, 1, 65535)
     for vector in ("camera_focal", "camera_rotation", "camera_translation"):
         check.finite(name, field + vector, r[vector])
     if min(r.camera_focal) <= 0:
-        raise check.fail(name, field + "camera_focal", f"{list(r.camera_focal)} found, more than 0 required")
+        raise check.fail(name, field + "camera_focal", list(r.camera_focal), "more than 0")
     if not any(r.camera_rotation):
-        raise check.fail(name, field + "camera_rotation", "the quaternion is zero")
+        raise check.fail(name, field + "camera_rotation", list(r.camera_rotation), "a quaternion that is not zero")
     return RenderInfo(
         tuple(r.background),
         r.up_axis,
@@ -284,37 +285,38 @@ def _check_directory(h: Any, header: Header, check: _HeaderCheck, data: bytes, s
     entries = h.directory
     for i, e in enumerate(entries):
         if e.type & CRITICAL and e.type not in SECTIONS:
-            raise check.fail("directory.unknown_critical", f"directory[{i}].type", f"type {e.type:02x} is not known")
+            raise check.fail("directory.unknown_critical", f"directory[{i}].type", f"{e.type:02x}", "a type of 6.6")
     wanted = list(SECTIONS)
     for i, e in enumerate(entries):
         # SPEC 6.6: the seven critical sections first, then ancillary ones, types ascending from 01.
         before = 0 if i <= len(wanted) else entries[i - 1].type
         if not (e.type == wanted[i] if i < len(wanted) else before < e.type < CRITICAL):
-            raise check.fail("directory.order", f"directory[{i}].type", f"type {e.type:02x} is not allowed as entry {i}")
+            allowed = f"{wanted[i]:02x}" if i < len(wanted) else f"{before + 1:02x} to 7f"
+            raise check.fail("directory.order", f"directory[{i}].type", f"{e.type:02x}", allowed)
     if len(entries) < len(wanted):
-        raise check.fail("directory.order", "section_count", f"{len(entries)} found, at least {len(wanted)} required")
+        raise check.fail("directory.order", "section_count", len(entries), f"at least {len(wanted)}")
     for i, e in enumerate(entries):
         if e.type in SECTIONS and e.mode != 0:
-            raise check.fail("directory.mode", f"directory[{i}].mode", f"mode {e.mode} of {SECTIONS[e.type]} is not known")
+            raise check.fail("directory.mode", f"directory[{i}].mode", e.mode, f"of {SECTIONS[e.type]} 0")
     end = start
     for i, e in enumerate(entries):
         if e.offset != end:
-            raise check.fail("directory.offset", f"directory[{i}].offset", f"{e.offset} found, {end} required")
+            raise check.fail("directory.offset", f"directory[{i}].offset", e.offset, end)
         end = e.offset + e.length
     lengths = section_lengths(header)
     for i, e in enumerate(entries):
         implied = lengths.get(e.type, e.length)
         if e.length != implied:
-            raise check.fail("directory.length", f"directory[{i}].length", f"{e.length} found, the header implies {implied}")
+            raise check.fail("directory.length", f"directory[{i}].length", e.length, implied)
     cut = len(data) < end and keep_going and header.sections[POSITIONS].start <= len(data)
     if len(data) != end and not cut:
-        raise BitstreamError("directory.file_length", min(len(data), end), "file", f"{len(data)} bytes, the last section ends at {end}")
+        raise BitstreamError("directory.file_length", min(len(data), end), "file", f"{len(data)} bytes", end)
     for e in entries:
         if keep_going and (e.type in CHUNKED or e.offset + e.length > len(data)):
             continue
         crc = zlib.crc32(memoryview(data)[e.offset : e.offset + e.length])
         if crc != e.crc:
-            raise BitstreamError("section.crc", e.offset, header.sections[e.type].name, f"{e.crc:08x} found, {crc:08x} computed")
+            raise BitstreamError("section.crc", e.offset, header.sections[e.type].name, f"0x{e.crc:08x}", f"0x{crc:08x}")
 
 
 def emit_container(scene: Scene, sections: list[tuple[int, int, bytes]]) -> bytes:

@@ -60,16 +60,16 @@ def parse_substream(data: bytes, start: int, end: int, lanes: int, path: str) ->
     try:
         head, size = syntax.parse("SubstreamHead", data[start : min(end, start + 8)])
     except cs.ConstructError:
-        raise BitstreamError("substream.length", start, path, f"{end - start} bytes cannot hold the head") from None
+        raise BitstreamError("substream.length", start, path, f"{end - start} bytes", "at least the 8 of its head") from None
     words_at = start + size + 4 * lanes
     raw_at = words_at + 2 * head.word_count
     if raw_at > end:
-        detail = f"{lanes} states and {head.word_count} words need {raw_at - start} bytes of {end - start}"
-        raise BitstreamError("substream.length", start, path, detail)
+        allowed = f"at least {raw_at - start}, for {lanes} states and {head.word_count} words"
+        raise BitstreamError("substream.length", start, path, f"{end - start} bytes", allowed)
     states = np.frombuffer(data, "<u4", lanes, start + size).astype(np.uint32)
     if (states < STATE_MIN).any():
         lane = int(np.argmax(states < STATE_MIN))
-        raise BitstreamError("substream.state", start, path, f"lane {lane} starts at {states[lane]}, at least {STATE_MIN} is allowed")
+        raise BitstreamError("substream.state", start, path, f"state {states[lane]} of lane {lane}", f"at least {STATE_MIN}")
     words = np.frombuffer(data, "<u2", head.word_count, words_at).astype(np.uint16)
     return Substream(head.symbol_crc, states, words, data[raw_at:end], start, path)
 
@@ -143,7 +143,7 @@ class Decoder:
         self.raw_at = np.zeros(len(streams), dtype=np.int64)
         self.crc = [0] * len(streams)
         self.bad_escape = np.zeros(len(streams), dtype=bool)
-        self.bad_range = np.zeros(len(streams), dtype=bool)
+        self.bad_range: dict[int, tuple[int, int]] = {}
 
     def _symbols(self, models: ModelSet, index: Int64, layout: _Layout) -> Int64:
         """SPEC 8.2 and 8.3: one symbol for each model index. The lanes of all substreams make one step at a time."""
@@ -244,7 +244,8 @@ class Decoder:
         outside = np.flatnonzero(np.abs(value) > limit)
         if outside.size:
             stream_of = np.repeat(np.arange(len(counts)), layout.counts)
-            self.bad_range[stream_of[outside]] = True
+            for stream, i in zip(*np.unique(stream_of[outside], return_index=True), strict=True):
+                self.bad_range.setdefault(int(stream), (int(value[outside[i]]), limit))
             value[outside] = 0
         self._note(value, layout)
         if self.trace:
@@ -276,26 +277,27 @@ class Decoder:
         return [self._verdict(i, s) for i, s in enumerate(self.streams)]
 
     def _verdict(self, i: int, s: Substream) -> BitstreamError | None:
-        def fault(name: str, detail: str) -> BitstreamError:
-            return BitstreamError(name, s.offset, s.path, detail)
+        def fault(name: str, found: object, allowed: object) -> BitstreamError:
+            return BitstreamError(name, s.offset, s.path, found, allowed)
 
         used = int(self.word_at[i] - self.word_end[i]) + len(s.words)
         if used != len(s.words):
-            return fault("substream.words", f"{used} words consumed, {len(s.words)} sent")
+            return fault("substream.words", f"word_count {len(s.words)}", f"the {used} that the symbols take")
         if (self.state[i] != STATE_MIN).any():
             lane = int(np.argmax(self.state[i] != STATE_MIN))
-            return fault("substream.final_state", f"lane {lane} ends at {self.state[i, lane]}, {STATE_MIN} is required")
+            return fault("substream.final_state", f"final state {self.state[i, lane]} of lane {lane}", STATE_MIN)
         if self.bad_escape[i]:
-            return fault("substream.escape", f"more than {ESCAPE_PREFIX_MAX} zero bits in a prefix")
-        if self.bad_range[i]:
-            return fault("substream.symbol_range", "a symbol passes the limit of its type")
+            return fault("substream.escape", f"more than {ESCAPE_PREFIX_MAX} zero bits in a prefix", f"at most {ESCAPE_PREFIX_MAX}")
+        if i in self.bad_range:
+            value, limit = self.bad_range[i]
+            return fault("substream.symbol_range", value, f"{-limit} to {limit}")
         bits = int(self.raw_at[i])
         if len(s.raw) != (bits + 7) // 8:
-            return fault("substream.raw_length", f"{bits} raw bits were read, {len(s.raw)} raw bytes sent")
+            return fault("substream.raw_length", f"{len(s.raw)} raw bytes", f"the {(bits + 7) // 8} that hold {bits} raw bits")
         if bits % 8 and s.raw[-1] >> (bits % 8):
-            return fault("substream.raw_padding", "padding must be zero")
+            return fault("substream.raw_padding", f"0x{s.raw[-1] >> (bits % 8):02x} in the padding", 0)
         if self.crc[i] != s.symbol_crc:
-            return fault("substream.symbol_crc", f"the symbols give {self.crc[i]:08x}, {s.symbol_crc:08x} was sent")
+            return fault("substream.symbol_crc", f"0x{s.symbol_crc:08x}", f"0x{self.crc[i]:08x}, that of the symbols")
         return None
 
 

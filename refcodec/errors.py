@@ -118,16 +118,17 @@ REGISTRY: dict[str, ErrorKind] = dict(
 class BitstreamError(Exception):
     """A file that is not an acceptable bitstream: the one error type of the decoder.
 
-    kind: row of the registry; offset: byte offset in the file (SPEC 10.1 says which); path: the syntax element;
-    detail: what was found and what is allowed.
+    kind: row of the registry; offset: byte offset in the file (SPEC 10.2 says which); path: the syntax element;
+    found, allowed: what stands there, and what may, as text.
     """
 
-    def __init__(self, name: str, offset: int, path: str, detail: str) -> None:
+    def __init__(self, name: str, offset: int, path: str, found: object, allowed: object) -> None:
         self.kind = REGISTRY[name]
         self.offset = int(offset)
         self.path = path
-        self.detail = detail
-        super().__init__(f"{self.kind.text}: {detail} (at byte {self.offset}, {path}; SPEC.md {self.kind.clause})")
+        self.found, self.allowed = str(found), str(allowed)
+        place = f"at byte {self.offset}, {path}; SPEC.md {self.kind.clause}"
+        super().__init__(f"{self.kind.text}: found {self.found}, allowed {self.allowed} ({place})")
 
     @property
     def exit_status(self) -> int:
@@ -135,7 +136,7 @@ class BitstreamError(Exception):
         return 2 if self.kind.klass == "unsupported" else 1
 
     def to_json(self) -> str:
-        """The verdict as one line of JSON: code, name, offset, path, clause."""
+        """The verdict as one line of JSON: code, name, offset, path, clause, found, allowed."""
         return json.dumps(
             {
                 "code": self.kind.code,
@@ -143,5 +144,7 @@ class BitstreamError(Exception):
                 "offset": self.offset,
                 "path": self.path,
                 "clause": self.kind.clause,
+                "found": self.found,
+                "allowed": self.allowed,
             }
         )

@@ -84,13 +84,13 @@ PROFILES = {
 MAIN_SLICES = (5, 10, 15, 20)
 
 
-def dimension_fault(profile: Profile, d: Dimensions) -> tuple[str, str] | None:
-    """SPEC 11.1: the first dimension outside the profile, as (field of the Dimensions table, what is wrong), or None."""
+def dimension_fault(profile: Profile, d: Dimensions) -> tuple[str, object, str] | None:
+    """SPEC 11.1: the first dimension outside the profile, as (field of the Dimensions table, found, allowed), or None."""
 
-    def outside(field: str, value: int, bounds: Bounds) -> tuple[str, str] | None:
+    def outside(field: str, value: int, bounds: Bounds) -> tuple[str, object, str] | None:
         if bounds[0] <= value <= bounds[1]:
             return None
-        return field, f"{field} is {value}, {profile.name} allows {bounds[0]} to {bounds[1]}"
+        return field, value, f"in {profile.name} {bounds[0]} to {bounds[1]}"
 
     checks = [
         ("offset_count", d.offset_count, profile.offset_count),
@@ -113,9 +113,9 @@ def dimension_fault(profile: Profile, d: Dimensions) -> tuple[str, str] | None:
             return fault
     # SPEC 11.1: CARM has hidden layers exactly when there is a second slice.
     if (len(d.slices) == 1) != (len(d.carm_width) == 0):
-        return "carm_layers", f"{len(d.carm_width)} hidden layers of CARM with {len(d.slices)} slices"
+        return "carm_layers", len(d.carm_width), "0 exactly if there is one slice"
     if profile is PROFILES[MAIN] and d.slices != MAIN_SLICES:
-        return "slice_width[0]", f"the slices are {d.slices}, Main requires {MAIN_SLICES}"
+        return "slice_width[0]", d.slices, f"in Main {MAIN_SLICES}"
     return None
 
 

@@ -14,12 +14,11 @@ from numpy.typing import NDArray
 
 from .conventions import Int64, clamp, rshift_round
 
-# SPEC 7.2: largest activation, largest integer weight, accumulator bound, largest exponent, largest fan-in.
+# SPEC 7.2: largest activation, largest integer weight, accumulator bound, largest exponent.
 ACTIVATION_MAX = 1023
 WEIGHT_MAX = 1023
 ACCUMULATOR_BOUND = 1 << 24
 EXPONENT_MAX = 20
-FAN_IN_MAX = 128
 
 # Rows of a product computed at once: a matter of speed alone.
 BLOCK_ROWS = 8192
@@ -32,8 +31,10 @@ class BoundError(ValueError):
     """A row whose integers could pass the accumulator bound; `row` counts within its layer, `layer` names that."""
 
     def __init__(self, row: int, layer: str = "layer") -> None:
-        super().__init__(f"row {row} of {layer} passes the accumulator bound at every exponent from 0 to {EXPONENT_MAX} (SPEC.md 7.2)")
         self.row, self.layer = row, layer
+        self.found = f"row {row}, which passes the accumulator bound at every exponent"
+        self.allowed = f"rows that keep it at an exponent from 0 to {EXPONENT_MAX}"
+        super().__init__(f"{layer}: found {self.found}, allowed {self.allowed} (SPEC.md 7.2)")
 
 
 @dataclass(frozen=True)

@@ -62,9 +62,11 @@ def verdict(err: str) -> dict:
     """The JSON line that ends stderr, after a line for people."""
     lines = err.splitlines()
     found = json.loads(lines[-1])
-    assert list(found) == ["code", "name", "offset", "path", "clause"]
+    assert list(found) == ["code", "name", "offset", "path", "clause", "found", "allowed"]
+    assert found["found"]
+    assert found["allowed"]
     assert "refcodec inspect" in lines[-2]
-    assert "--hex" in lines[-2]
+    assert "--near" in lines[-2]
     assert "Traceback" not in err
     return found
 
@@ -165,7 +167,7 @@ def test_every_command_rejects_alike(command, fault, data, tmp_path, monkeypatch
     out, err = capsys.readouterr()
     assert status == raised.value.exit_status == (2 if fault in ("version", "profile") else 1)
     assert verdict(err) == json.loads(raised.value.to_json())
-    assert "refcodec inspect 'my file.c3gs' --hex" in err
+    assert "refcodec inspect 'my file.c3gs' --near" in err
     assert not Path("out").exists()
     if command == "hex":
         assert f"^^ error {raised.value.kind.code}" in out

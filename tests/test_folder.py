@@ -171,7 +171,7 @@ def test_interrupted_while_moving(made, monkeypatch, count):
 
 
 def test_damage_is_noted(scene, tmp_path):
-    error = codec.BitstreamError("chunks.crc", 7, "masks[chunk 1]", "x")
+    error = codec.BitstreamError("chunks.crc", 7, "masks[chunk 1]", "x", "y")
     write_folder(without_chunks(scene, [1]), tmp_path / "scene", {1: error})
     document = json.loads((tmp_path / "scene" / "scene.json").read_text())
     assert document["dropped_chunks"] == [{"chunk": 1, **json.loads(error.to_json())}]

@@ -22,7 +22,7 @@ from conformance.independent import operators
 from conformance.scenes import MAIN_DIMENSIONS, random_scene
 from conformance.strategies import repair
 from refcodec import codec, reconstruction
-from refcodec.errors import REGISTRY
+from refcodec.errors import REGISTRY, BitstreamError
 from refcodec.limits import PROFILES, Profile
 from refcodec.scene import Dimensions, Lanes
 
@@ -60,6 +60,16 @@ def test_fault(name: str, data: st.DataObject) -> None:
     verdict, wrong = fuzz.compare(fault.data, (fault.name, fault.offset))
     assert wrong is None, wrong
     assert verdict == (name, fault.offset)
+    with pytest.raises(BitstreamError) as caught:
+        codec.parse(fault.data)
+    error = caught.value
+    assert error.exit_status == (2 if error.kind.klass == "unsupported" else 1)
+    # What was found, what is allowed, where, and which clause.
+    assert error.found
+    assert error.allowed
+    assert error.found != error.allowed
+    for part in (error.found, error.allowed, error.path, f"byte {error.offset}", f"SPEC.md {error.kind.clause}"):
+        assert part in str(error)
 
 
 @given(fuzz.families())

@@ -201,3 +201,17 @@ def test_trace_stops_at_the_error(data):
     with pytest.raises(BitstreamError):
         inspection.trace(bytes(damaged), lines.append)
     assert lines[-1].startswith("header.header_crc\t")
+
+
+def test_near_shows_the_elements_around_a_byte() -> None:
+    """Every byte's element is shown, as the whole dump shows it, with at most six on each side, and the error at that byte."""
+    data = codec.emit(random_scene(61, 3))
+    whole = list(inspection.hex_lines(data))
+    rows = list(inspection.rows(data))
+    for at in [0, 7, 8, 100, len(data) // 2, len(data) - 1]:
+        lines = list(inspection.hex_lines(data, near=at))
+        index = next(i for i, row in enumerate(rows) if row.start <= at < row.end)
+        assert lines == [whole[0], *whole[1 + max(0, index - 6) : 1 + min(len(rows), index + 7)]]
+    error = BitstreamError("directory.file_length", len(data), "file", "x", "y")
+    assert "error 306" in list(inspection.hex_lines(data, [error], len(data)))[-1]
+    assert "error 306" not in "".join(inspection.hex_lines(data, [error], 0))

@@ -185,5 +185,5 @@ def test_symbols_past_their_type_and_stale_steps_are_refused() -> None:
         codec.emit(scene)
     scene = random_scene(9, 3)
     scene.networks["carm.1"][0][0][2, 1] = 1e9
-    with pytest.raises(ValueError, match=r"row 2 of carm\.1\.0"):
+    with pytest.raises(ValueError, match=r"carm\.1\.0.*row 2,"):
         codec.emit(scene)
