@@ -290,7 +290,7 @@ def _parse_chunk_table(data: bytes, header: Header) -> tuple[NDArray[np.uint16],
 @dataclass(frozen=True)
 class _Live:
     """The chunks that no error has taken yet. Arrays of anchors hold those of these chunks alone, in order: what a damaged file
-    only claims to have costs nothing."""
+    only claims to have costs nothing (SPEC 13.1)."""
 
     numbers: list[int]
     chunks: list[range]
@@ -410,7 +410,7 @@ def _settle(results: list[tuple[T, dict[int, BitstreamError]]], damage: dict[int
 def parse(
     data: bytes, *, keep_going: bool = False, threads: int = 1, progress: Progress = _no_progress, trace: Trace | None = None
 ) -> Parsed:
-    """Decodes a file, SPEC 7.1 and 10.1. Raises BitstreamError and nothing else for whatever bytes.
+    """Decodes a file, SPEC 2.1, 7.1 and 10.1. Raises BitstreamError and nothing else for whatever bytes.
 
     keep_going: chunks with errors are dropped and listed instead. threads: chunk groups decoded at once (1 with trace).
     """

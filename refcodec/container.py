@@ -281,7 +281,10 @@ def section_lengths(header: Header) -> dict[int, int]:
 
 
 def _check_directory(h: Any, header: Header, check: _HeaderCheck, data: bytes, start: int, keep_going: bool) -> None:
-    """SPEC 10.1, stage 3: the directory's rules in the order of their codes, each over the entries in order."""
+    """SPEC 10.1, stage 3: the directory's rules in the order of their codes, each over the entries in order.
+
+    Lengths are checked before anything that they size is read (SPEC 13.1); ancillary sections are skipped (SPEC 12.1).
+    """
     entries = h.directory
     for i, e in enumerate(entries):
         if e.type & CRITICAL and e.type not in SECTIONS:

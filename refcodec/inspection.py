@@ -275,11 +275,6 @@ def hex_lines(data: bytes, errors: Sequence[BitstreamError] = (), near: int | No
             yield _error_line(error)
 
 
-def hex_dump(data: bytes) -> str:
-    """hex_lines as one text."""
-    return "".join(line + "\n" for line in hex_lines(data))
-
-
 # --- the summary ------------------------------------------------------------------------------------------------------
 
 

@@ -220,6 +220,7 @@ def flipped(data: bytes, *chunks: int) -> bytes:
     return bytes(changed)
 
 
+@pytest.mark.requirement("D10.1-2")
 def test_keep_going(file, data, scene, tmp_path):
     file.write_bytes(flipped(data, 0, 2))
     done = run("decode", file, "-o", tmp_path / "scene", "--keep-going")

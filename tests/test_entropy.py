@@ -216,6 +216,7 @@ def test_every_cut_and_every_added_byte_is_refused(case: str) -> None:
     assert verdicts[0].kind.name == "substream.raw_length"
 
 
+@pytest.mark.requirement("D8.8-1")
 def test_past_the_end_is_zero_and_bounded() -> None:
     """A substream without words or raw bytes decodes to something, and is refused."""
     n = 50
@@ -252,6 +253,7 @@ def test_models(family: str) -> None:
             assert abs(np.sqrt((p * (x - mean) ** 2).sum() + 1 / 12) / deviation - 1) < 0.1
 
 
+@pytest.mark.requirement("DA-1")
 def test_the_tables_follow_their_rules() -> None:
     """Annex A's rules, with 50 digits, give the shipped file."""
     done = subprocess.run([sys.executable, str(ROOT / "tools" / "make_tables.py"), "--check"], capture_output=True, text=True, check=False)
@@ -259,6 +261,7 @@ def test_the_tables_follow_their_rules() -> None:
     assert tables.TABLES_SHA256 in done.stdout
 
 
+@pytest.mark.requirement("DA-1")
 def test_a_damaged_table_file_is_not_used(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(tables, "TABLES_SHA256", "0" * 64)
     with pytest.raises(RuntimeError, match="damaged"):

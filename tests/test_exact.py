@@ -62,6 +62,7 @@ def main_file(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, str]:
     return path, reconstruction.digest(scene)[0]
 
 
+@pytest.mark.requirement("D9.3-1")
 @pytest.mark.parametrize("variant", VARIANTS)
 def test_one_digest(main_file: tuple[Path, str], variant: str) -> None:
     change, arguments, threads = VARIANTS[variant]
@@ -100,6 +101,7 @@ F32 = st.one_of(
 )
 
 
+@pytest.mark.requirement("D7.2-1")
 @given(st.lists(F32, min_size=1, max_size=128), F32)
 @example([1023.0], 0.0)
 @example([1023.5], 0.0)
@@ -127,6 +129,7 @@ def test_derived_rows(weights: list[float], bias: float) -> None:
     assert worst < 1 << 24
 
 
+@pytest.mark.requirement("D7.2-2")
 @given(st.integers(0, 2**32 - 1), st.integers(1, 128), st.integers(1, 40), st.sampled_from(["random", "worst"]))
 def test_float32_equals_int64(seed: int, fan_in: int, rows: int, kind: str) -> None:
     """At the bound, with inputs that reach it, in any order of the inputs, in any order of the rows."""
@@ -183,6 +186,7 @@ def test_isqrt(values: list[int]) -> None:
     assert conventions.isqrt(np.array(values, dtype=np.int64)).tolist() == [math.isqrt(v) for v in values]
 
 
+@pytest.mark.requirement("D7.4-1")
 def test_every_half_precision_number() -> None:
     bits = np.arange(1 << 16, dtype=np.uint16)
     finite = np.isfinite(bits.view(np.float16))
@@ -197,6 +201,7 @@ def test_every_half_precision_number() -> None:
 COORDINATE = st.integers(-(2**40) + 2**29, 2**40 - 2**29)
 
 
+@pytest.mark.requirement("D7.5.1-1", "D7.5.2-1", "D7.5.3-1")
 @given(frames(), st.lists(st.tuples(COORDINATE, COORDINATE, COORDINATE), min_size=1, max_size=8))
 @example(
     Frame(np.full((3, 3), codec.MATRIX_BOUND - 1), np.full(3, codec.TRANSLATION_BOUND - 1), np.full(3, 60), np.full(3, -1), np.full(3, 1)),
@@ -298,6 +303,7 @@ def test_rounding_shift(a: int, s: int) -> None:
     assert int(conventions.rshift_round(np.array([a], dtype=np.int64), s)[0]) == math.floor(Fraction(a, 1 << s) + Fraction(1, 2))
 
 
+@pytest.mark.requirement("D8.5-1")
 @given(st.integers(-(2**25), 2**25), st.integers(-(2**25), 2**25))
 @example(0, 24)
 @example(-8, 23)

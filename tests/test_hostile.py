@@ -171,6 +171,7 @@ RENDER = [
 ]
 
 
+@pytest.mark.requirement("R6.5-1")
 @pytest.mark.parametrize(("name", "value"), RENDER)
 def test_render_information(name: str, value: bytes) -> None:
     error = refused(field(f"render_info.{name}", value))
@@ -193,6 +194,7 @@ FRAME = [
 ]
 
 
+@pytest.mark.requirement("R6.7-1")
 @pytest.mark.parametrize(("at", "form", "value"), FRAME)
 def test_frame(at: int, form: str, value: int) -> None:
     offset = TARGET.start(container.FRAME) + at
@@ -201,6 +203,7 @@ def test_frame(at: int, form: str, value: int) -> None:
     assert (error.kind.name, error.offset) == ("frame.range", offset)
 
 
+@pytest.mark.requirement("R6.7-1")
 @pytest.mark.parametrize("axis", range(3))
 def test_frame_bounds_without_extent(axis: int) -> None:
     at = TARGET.start(container.FRAME) + 64 + 4 * axis
@@ -209,6 +212,7 @@ def test_frame_bounds_without_extent(axis: int) -> None:
     assert (error.kind.name, error.offset) == ("frame.range", at + 12)
 
 
+@pytest.mark.requirement("R11.1-2")
 @pytest.mark.parametrize(
     ("profile", "change", "field"),
     [
@@ -256,6 +260,7 @@ GREEDY = {
 }
 
 
+@pytest.mark.requirement("D13.1-1")
 @pytest.mark.parametrize("keep_going", [False, True])
 @pytest.mark.parametrize("name", GREEDY)
 def test_asking_for_much_allocates_nothing(name: str, keep_going: bool) -> None:

@@ -82,6 +82,7 @@ def test_each_field_at_each_edge() -> None:
     assert len(names) > 25, sorted(names)
 
 
+@pytest.mark.requirement("D13.1-1")
 @pytest.mark.parametrize("keep_going", [False, True])
 def test_a_header_of_many_chunks_allocates_little(keep_going: bool) -> None:
     """Profile Main, 2^24 anchors in chunks of 256, and no byte behind the header."""

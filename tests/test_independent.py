@@ -51,6 +51,7 @@ def faulty(draw: st.DrawFn, name: str) -> Fault:
     return made[0]
 
 
+@pytest.mark.requirement("D2.1-1")
 @pytest.mark.parametrize("name", REGISTRY)
 @settings(max_examples=25)
 @given(st.data())
@@ -72,6 +73,7 @@ def test_fault(name: str, data: st.DataObject) -> None:
         assert part in str(error)
 
 
+@pytest.mark.requirement("D2.1-1", "D7.7-1", "D7.8-1", "D7.9-1", "D7.10-1", "D10.1-1")
 @given(fuzz.families())
 @settings(max_examples=40)
 def test_decoders_agree(made: list[tuple[bytes, fuzz.Verdict | None]]) -> None:

@@ -135,7 +135,7 @@ def test_error_stands_at_its_byte(data):
 
 
 def test_payloads_fold(data):
-    lines = inspection.hex_dump(data).splitlines()
+    lines = list(inspection.hex_lines(data))
     assert max(len(line) for line in lines) < 160
     weights = next(line for line in lines if " weights.hyper.1.weight " in line)
     assert "..." in weights

@@ -40,6 +40,7 @@ def part_start(kind: int, chunk: int) -> int:
     return SECTIONS[kind].start + sum(lengths)
 
 
+@pytest.mark.requirement("D10.1-2")
 @pytest.mark.parametrize("kind", container.CHUNKED)
 @pytest.mark.parametrize("chunks", [[0], [2], [4], [1, 3], [0, 1, 2, 3, 4]])
 def test_keep_going_keeps_the_other_chunks(kind: int, chunks: list[int]) -> None:
@@ -95,6 +96,7 @@ def test_keep_going_with_a_whole_file() -> None:
     assert codec.emit(parsed.scene) == WHOLE
 
 
+@pytest.mark.requirement("D10.1-1")
 @pytest.mark.parametrize("threads", [1, 2])
 @pytest.mark.parametrize("together", [1, 2, 1000])
 def test_the_lowest_chunk_is_reported(monkeypatch: pytest.MonkeyPatch, threads: int, together: int) -> None:
@@ -108,12 +110,14 @@ def test_the_lowest_chunk_is_reported(monkeypatch: pytest.MonkeyPatch, threads: 
     assert (caught.value.kind.name, caught.value.offset) == ("substream.symbol_crc", part_start(container.ATTRIBUTES, 1))
 
 
+@pytest.mark.requirement("D10.1-1")
 def test_a_fault_in_masks_comes_before_one_in_attributes() -> None:
     data = put(WHOLE, part_start(container.ATTRIBUTES, 0), b"\0\0\0\0")
     data = repair(put(data, part_start(container.MASKS, 4), b"\0\0\0\0"))
     assert refused(data) == ("substream.symbol_crc", part_start(container.MASKS, 4))
 
 
+@pytest.mark.requirement("D10.1-1")
 def test_the_lowest_plane_is_reported() -> None:
     at = SECTIONS[container.PLANES_SECTION].start
     second = at + 20 + int.from_bytes(WHOLE[at : at + 4], "little")

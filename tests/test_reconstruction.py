@@ -23,6 +23,7 @@ from refcodec.tables import tables
 EXAMPLE = Path(__file__).resolve().parent.parent / "vectors" / "tiny-example.c3gs"
 
 
+@pytest.mark.requirement("D9.1-1")
 @given(grids(), positions(4))
 def test_world_positions(grid: PositionGrid, half: np.ndarray) -> None:
     found = reconstruction.world_positions(replace(random_scene(0, 4), grid=grid, positions=half))
@@ -33,6 +34,7 @@ def test_world_positions(grid: PositionGrid, half: np.ndarray) -> None:
             assert Fraction(float(found[n, axis])) == wanted
 
 
+@pytest.mark.requirement("D9.2-1")
 @given(
     st.lists(st.tuples(st.integers(-ATTRIBUTE_SYMBOL_MAX, ATTRIBUTE_SYMBOL_MAX), st.integers(0, 63)), min_size=1, max_size=9),
     st.floats(2.0**-60, 2.0**60, width=32),
@@ -65,6 +67,7 @@ def test_zeros_and_finiteness(scene: Scene) -> None:
 GOLDEN = "626d34269a67ea1f46a5400c3d48e76710c8affcc3715c5f164a00c4be9bfa4a"
 
 
+@pytest.mark.requirement("D9.3-1")
 def test_golden_digest() -> None:
     whole, parts = reconstruction.digest(codec.parse(EXAMPLE.read_bytes()).scene)
     assert whole == GOLDEN

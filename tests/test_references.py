@@ -135,6 +135,7 @@ BIASES = st.one_of(MAGNITUDES, st.floats(-(2.0**25), 2.0**25, width=32), st.samp
 @example([([0.5, -0.5], 0.5)])
 @example([([1.0], 0.0), ([3e38], 0.0)])
 # The rounding term alone takes this row from exponent 20 to 19.
+@pytest.mark.requirement("D7.2-1")
 @example([([0.0], 15.75)])
 def test_derive_layer_is_the_rule_in_exact_numbers(rows: list[tuple[list[float], float]]) -> None:
     weight = np.array([w for w, _ in rows], dtype=np.float32)
@@ -264,6 +265,7 @@ def test_networks_at_the_bound(at_the_bound: list[IntLayer], exact_float: bool) 
         assert network(inputs).tolist() == [evaluate([layer], row) for row in inputs.tolist()]
 
 
+@pytest.mark.requirement("D7.2-2")
 @pytest.mark.parametrize("exact_float", [True, False])
 @pytest.mark.parametrize("name", ["hyper", "sarm", "carm.1", "carm.3"])
 @pytest.mark.parametrize("gain", [0.01, 1.0, 30.0])
@@ -370,6 +372,7 @@ def query_by_hand(plane: list, u: tuple[int, int], plane_shift: int) -> list[int
     return out
 
 
+@pytest.mark.requirement("D7.5.4-1")
 @given(
     st.integers(2, 9),
     st.integers(1, 3),
@@ -404,6 +407,7 @@ def gamma_by_hand(u: int, frequencies: int) -> list[int]:
     return out
 
 
+@pytest.mark.requirement("D7.5.5-1")
 @given(st.lists(st.integers(0, 65536), min_size=1, max_size=8), st.integers(1, 10))
 @example([0, 1, 31, 32, 33, 32767, 32768, 32769, 65504, 65535, 65536], 10)
 def test_positional_encoding(u: list[int], frequencies: int) -> None:
@@ -423,6 +427,7 @@ def test_sine_table() -> None:
     assert all(abs(s - 1023 * math.sin(2 * math.pi * j / 1024)) <= 0.5 + 1e-9 for j, s in enumerate(sine.tolist()))
 
 
+@pytest.mark.requirement("D7.3-2")
 def test_quadrants_lie_as_they_are_named() -> None:
     given_planes = (np.arange(5 * 2 * 3 * 3) - 40).reshape(5, 2, 3, 3).astype(np.int16)
     first, joined = geometry.assemble_planes(given_planes)
@@ -434,6 +439,7 @@ def test_quadrants_lie_as_they_are_named() -> None:
             assert joined[c, i if top else i + 3, j if left else j + 3] == given_planes[sub, c, i, j], name
 
 
+@pytest.mark.requirement("D7.5-1")
 def test_context_puts_the_parts_in_order() -> None:
     scene = random_scene(3, 40)
     full = geometry.assemble_planes(scene.planes)
@@ -479,6 +485,7 @@ def test_select_for_every_scale(scale: int) -> None:
     assert set((model // 16 - 40).tolist()) == {min(max(scale - 8 * int(raw[0]), -40), 23)}
 
 
+@pytest.mark.requirement("D7.3-1")
 @pytest.mark.parametrize("size", [1, 2, 3, 4, 5, 8, 32])
 def test_wavefronts_hold_each_point_once_after_its_neighbours(size: int) -> None:
     done: dict[tuple[int, int], int] = {}
@@ -510,6 +517,7 @@ class Recorder:
         return given
 
 
+@pytest.mark.requirement("D7.3-1")
 def test_plane_contexts_are_the_four_neighbours() -> None:
     """Each point's mean is a code of its context, made by a network that weighs the four inputs apart."""
     channels, size = 2, 4
@@ -537,6 +545,7 @@ def test_plane_contexts_are_the_four_neighbours() -> None:
     assert seen == given_planes.size
 
 
+@pytest.mark.requirement("D7.6-1")
 def test_mask_contexts() -> None:
     given_masks = np.random.default_rng(1).random((7, 4)) < 0.5
     recorder = Recorder()
@@ -669,6 +678,7 @@ def substream(seed: int, lanes: int) -> tuple[list[list[tuple[int, int]]], list[
     return groups, values, coded(groups, values, lanes, WIDE)
 
 
+@pytest.mark.requirement("D8.2-1", "D8.3-1", "D8.5-1")
 @pytest.mark.parametrize("lanes", [1, 2, 4])
 @pytest.mark.parametrize("seed", range(4))
 def test_decoder_by_hand(seed: int, lanes: int) -> None:
@@ -677,6 +687,7 @@ def test_decoder_by_hand(seed: int, lanes: int) -> None:
     assert decoded(data, groups, lanes, WIDE) == (values, None)
 
 
+@pytest.mark.requirement("D8.8-2")
 @pytest.mark.parametrize("repaired", [False, True])
 @pytest.mark.parametrize("lanes", [1, 2])
 def test_each_changed_bit_has_the_verdict_of_the_reference(lanes: int, repaired: bool) -> None:
@@ -702,6 +713,7 @@ def test_each_changed_bit_has_the_verdict_of_the_reference(lanes: int, repaired:
     assert (None in seen) is repaired, "a changed raw bit is another valid substream"
 
 
+@pytest.mark.requirement("D8.7-1")
 @pytest.mark.parametrize("sign", [1, -1])
 @pytest.mark.parametrize("prefix", range(26))
 def test_escapes_of_every_prefix(prefix: int, sign: int) -> None:
@@ -729,6 +741,7 @@ def test_a_prefix_of_26_zeros_is_too_long() -> None:
         assert decoded(changed, groups, 1, WIDE)[1] == decode_by_hand(changed, 1, groups, WIDE)[1] == wanted
 
 
+@pytest.mark.requirement("D8.6-1")
 @pytest.mark.parametrize("width", range(17))
 def test_raw_bits_of_every_width(width: int) -> None:
     scale = 16 + 8 * width if width else -40

@@ -34,6 +34,7 @@ def assert_round_trip(scene: Scene) -> None:
     assert reconstruction.digest(found) == reconstruction.digest(scene)
 
 
+@pytest.mark.requirement("D2.1-1")
 @given(scenes())
 def test_any_scene(scene: Scene) -> None:
     assert_round_trip(scene)
@@ -149,6 +150,7 @@ def test_main_largest_planes() -> None:
     assert_round_trip(scene)
 
 
+@pytest.mark.requirement("D12.1-1")
 def test_extensions_come_back() -> None:
     assert_round_trip(replace(random_scene(7, 3), extensions=((1, 0, b""), (2, 255, b"abc"), (127, 9, bytes(300)))))
 

@@ -5,7 +5,6 @@ from __future__ import annotations
 import hashlib
 import importlib
 import re
-import struct
 from fractions import Fraction
 from pathlib import Path
 
@@ -13,6 +12,7 @@ import numpy as np
 import pytest
 
 from conformance.scenes import TINY_DIMENSIONS, random_scene
+from conformance.text import blocks, decode
 from refcodec import codec, container, errors, geometry, networks, reconstruction, syntax, tables
 from refcodec.attributes import code_attributes
 from refcodec.entropy import Decoder, Substream, select
@@ -40,12 +40,7 @@ def rows(text: str) -> list[list[str]]:
 @pytest.fixture(scope="module")
 def spec() -> dict:
     """The names that SPEC.md's python blocks define."""
-    space: dict = {}
-    for block in re.findall(r"^```python\n(.*?)^```", TEXT, re.DOTALL | re.MULTILINE):
-        exec(compile(block, "SPEC.md", "exec"), space)
-    data = Path(tables.__file__).parent.joinpath("data", tables.TABLES_FILE).read_bytes()
-    space["SINE"], space["STEP"], space["GAUSS"], space["LAPLACE"] = space["READ_TABLES"](data)
-    return space
+    return blocks(TEXT)
 
 
 SYNTAX_CLAUSES = {name: re.search(rf"^### (5\.\d+) {name}$", TEXT, re.MULTILINE) for name in syntax.SYNTAX}
@@ -86,34 +81,120 @@ def test_generated_parts_are_current(monkeypatch: pytest.MonkeyPatch) -> None:
     assert module.rewritten(TEXT) == TEXT, "run python tools/spec.py"
 
 
+HEADINGS = set(re.findall(r"^#+ (?:Annex )?((?:\d+|[A-D])(?:\.\d+)*)[ :]", TEXT, re.MULTILINE))
+PROSE = re.sub(r"^```.*?^```", "", TEXT, flags=re.DOTALL | re.MULTILINE)
+
+
 def test_requirements_name_registered_errors() -> None:
     lines = re.findall(r"^- \[(R[^\]]+)\] It is a requirement of bitstream conformance that .*?\(`([a-z_.]+)`\)", TEXT, re.MULTILINE)
     ids = [i for i, _ in lines]
     assert len(ids) == len(set(ids)) == TEXT.count("] It is a requirement of bitstream conformance that")
     assert {name for _, name in lines} == set(errors.REGISTRY), "each code has a requirement, and each requirement a code"
     for kind in errors.REGISTRY.values():
-        assert re.search(rf"^#+ {re.escape(kind.clause)} ", TEXT, re.MULTILINE), kind
+        assert kind.clause in HEADINGS, kind
         assert kind.code // 100 in (1, 2, 3, 4, 5)
 
 
+def test_every_normative_sentence_is_a_requirement() -> None:
+    """Identifiers are unique and named after the clause they stand in; what obliges anyone has one."""
+    found = re.findall(r"^- \[(([RD])([^\]-]+)-\d+)\] It is a requirement of (bitstream|decoder) conformance that", TEXT, re.MULTILINE)
+    assert len({name for name, *_ in found}) == len(found) > 70
+    assert all({"R": "bitstream", "D": "decoder"}[letter] == what and clause in HEADINGS for _, letter, clause, what in found)
+    for clause in {c for _, _, c, _ in found}:
+        text = TEXT.partition("## Annex A")[2] if clause == "A" else section(clause)
+        assert re.search(rf"^- \[[RD]{re.escape(clause)}-1\]", text, re.MULTILINE), clause
+    body = PROSE.replace(section("2.1"), "")
+    for sentence in re.findall(r"[^.\n|]*\b(?:MUST|SHALL|REQUIRED)\b[^.\n]*", body):
+        raise AssertionError(f"without an identifier: {sentence}")
+    # Each function of the decoding process is named by a requirement.
+    functions = set(re.findall(r"^def ([A-Z_0-9]+)\(", TEXT, re.MULTILINE))
+    named = set(re.findall(r"\b[A-Z_0-9]{3,}\b", " ".join(re.findall(r"^- \[D.*$", TEXT, re.MULTILINE))))
+    helpers = {"RSHIFT_ROUND", "CLAMP", "ISQRT", "ROUND_SCALED", "ROUND_F32", "ACTIVATION", "PLANE_GROUPS", "NOTE_SYMBOLS", "OPEN"}
+    assert functions - named - helpers <= {"DECODE_SCENE", "READ_TABLES"}
+
+
+def test_the_matrix_is_current_and_whole(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.syspath_prepend(str(ROOT / "tools"))
+    module = importlib.import_module("matrix")
+    assert module.TARGET.read_text(encoding="utf-8") == module.matrix(TEXT), "run python tools/matrix.py"
+    with pytest.raises(SystemExit, match=r"holes in the matrix: D7\.99-1"):
+        module.matrix(TEXT.replace("- [D7.2-1] It", "- [D7.99-1] It is a requirement of decoder conformance that x.\n- [D7.2-1] It"))
+    with pytest.raises(SystemExit, match=r"R6\.5-1, which SPEC.md does not have"):
+        module.matrix(TEXT.replace("- [R6.5-1]", "- [R6.55-1]"))
+
+
+LARGEST = {"i32": 2**31 - 1, "i64": 2**63 - 1, "u32": 2**32 - 1, "u64": 2**64 - 1}
+
+
+def test_widths() -> None:
+    """Each bound of 7.11 fits its type, and needs it."""
+    constants = {name: eval(value.replace("^", "**")) for name, value, *_ in rows(section("2.5"))}
+    printed = rows(section("7.11"))
+    assert len(printed) > 20
+    for quantity, clause, bound, kind in printed:
+        most = eval(bound.replace("^", "**"), {}, {**constants, "a": 1 << 40})
+        assert most <= LARGEST[kind], quantity
+        smaller = {"i64": "i32", "u64": "u32"}.get(kind)
+        assert smaller is None or most > LARGEST[smaller], quantity
+        assert clause in HEADINGS
+    assert max(tables.tables().step) <= 60097
+
+
+def test_the_largest_sums_of_the_widths(spec: dict) -> None:
+    """Files can reach the bounds of 7.11, or nearly."""
+    matrix, shift = [codec.MATRIX_BOUND - 1] * 9, [0] * 3
+    frame = {"matrix": matrix, "translation": [codec.TRANSLATION_BOUND - 1] * 3, "shift": shift}
+    assert spec["FRAME_COORDINATES"](frame, [(1 << 40) - (1 << 29)] * 3) == [geometry.FRAME_CLAMP] * 3
+    w = spec["CONTRACT"]([geometry.FRAME_CLAMP, 0, 0])
+    assert (1 << 17) - 8 <= w[0] <= 1 << 17
+    assert all(abs(x) <= 1 << 17 for v in ([-geometry.FRAME_CLAMP] * 3, [1 - (1 << 30), 0, 0], [65536, 1, 0]) for x in spec["CONTRACT"](v))
+
+
+def test_terms_are_defined_before_they_are_used() -> None:
+    """Every name in code quotes is a field, a type, a function or a value that the text explains; single letters have a place of
+    definition that comes before their first use in a formula."""
+    fields = {field for table in syntax.SYNTAX.values() for field, _ in table}
+    for first, pattern in {
+        "| anchor_count | u32 | N |": r"\bN\b",
+        "| offset_count | u8 | K |": r"\bK \(K",
+        "| plane_channels | u8 | ch |": r"\b2 ch \+",
+        "| frequency_count | u8 | L |": r"\b2 L\b \|",
+        "with D = F + 6 + 3 K": r"\bD means",
+        "U = 2^UNIT_BITS": r"q <= U\^2",
+        "There are C = ceil(N / chunk_size) chunks": r"A chunk's number is below C",
+    }.items():
+        assert first in TEXT, first
+        used = re.search(pattern, TEXT)
+        assert used is None or TEXT.index(first) < used.start(), first
+    defined = set(re.findall(r"^def ([A-Z_0-9]+)\(", TEXT, re.MULTILINE))
+    constants = {name for name, *_ in rows(section("2.5"))}
+    known = fields | defined | constants | set(syntax.SYNTAX) | {"BCP", "RFC", "SARM", "CARM", "PCA", "IEEE", "ISO", "CRC", "SHA", "MUST"}
+    for word in set(re.findall(r"\b[A-Z][A-Z0-9]+_[A-Z0-9_]+\b", PROSE)):
+        assert word in known, word
+    for word in set(
+        re.findall(r"\b[a-z]{2,}_[a-z_0-9]{2,}\b", re.sub(r"`[^`]*`|<!--.*?-->|^\| (?:0x|\d{3} ).*$", "", PROSE, flags=re.MULTILINE))
+    ):
+        assert word in fields | {"step_table", "carm_inputs"}, word
+
+
 def test_clauses_cited_by_the_code_exist() -> None:
-    headings = set(re.findall(r"^#+ (?:Annex )?((?:\d+|[A-D])(?:\.\d+)*)[ :]", TEXT, re.MULTILINE))
-    for path in sorted((ROOT / "refcodec").rglob("*.py")):
+    for path in [*sorted((ROOT / "refcodec").rglob("*.py")), *sorted((ROOT / "conformance").rglob("*.py"))]:
         for clause in re.findall(r"SPEC(?:\.md)? (?:Annex )?((?:\d+|[A-D])(?:\.\d+)*)", path.read_text(encoding="utf-8")):
-            assert clause in headings, f"{path.name} cites {clause}"
+            assert clause in HEADINGS, f"{path.name} cites {clause}"
 
 
 def test_cross_references_resolve() -> None:
-    headings = set(re.findall(r"^#+ (?:Annex )?((?:\d+|[A-D])(?:\.\d+)*)[ :]", TEXT, re.MULTILINE))
-    body = re.sub(r"^```.*?^```", "", TEXT, flags=re.DOTALL | re.MULTILINE)
-    cited = set(re.findall(r"\((?:clause )?((?:\d+|[A-D])\.\d+(?:\.\d+)*)(?:, [^)]*)?\)", body))
-    assert len(cited) > 20
-    assert cited <= headings, cited - headings
-    for requirement in re.findall(r"\[(R\d+\.\d+-\d+)\]", body):
+    cited = set(re.findall(r"(?<![\w.^-])(\d{1,2}\.\d{1,2}(?:\.\d)?)(?![\w.%])", re.sub(r"^\|.*", "", PROSE, flags=re.MULTILINE)))
+    numbers = {"1.0", "1.1", "3.875", "0.1", "2.1", "0.2", "0.01", "0.001"}
+    assert len(cited) > 40
+    assert cited - numbers <= HEADINGS, cited - numbers - HEADINGS
+    for requirement in re.findall(r"\[([RD][0-9A][\d.]*-\d+)\]", PROSE):
         assert f"- [{requirement}] It is" in TEXT, requirement
+    slugs = {re.sub(r"[^a-z0-9 -]", "", h.lower()).replace(" ", "-") for h in re.findall(r"^#+ (.*)$", TEXT, re.MULTILINE)}
     for anchor in re.findall(r"\]\(#([^)]+)\)", TEXT):
-        slugs = {re.sub(r"[^a-z0-9 -]", "", h.lower()).replace(" ", "-") for h in re.findall(r"^#+ (.*)$", TEXT, re.MULTILINE)}
         assert anchor in slugs, anchor
+    for path in re.findall(r"\]\(([^)#]+)\)", TEXT):
+        assert (ROOT / path).is_file(), path
 
 
 def test_tables_file_as_stated() -> None:
@@ -182,56 +263,6 @@ def test_networks(spec: dict) -> None:
     assert network(inputs).tolist() == [spec["NETWORK"](derived, row) for row in inputs.tolist()]
 
 
-def decode_by_spec(spec: dict, data: bytes, header: container.Header) -> tuple[bytes, list]:
-    """The canonical reconstruction of a file by SPEC.md's blocks, and the verdict on each substream.
-
-    The container is read with the schemas; its CRC-32s are not looked at again.
-    """
-    h, _ = syntax.parse("Header", data, container.PROLOGUE_BYTES)
-    start = {name: header.sections[kind].start for kind, name in container.SECTIONS.items()}
-    frame, _ = syntax.parse("Frame", data, start["frame"])
-    scales, size = syntax.parse("WeightScales", data, start["weights"])
-    at = start["weights"] + size
-    layers: dict = {}
-    weights = b""
-    for name, shapes in header.dimensions.network_shapes().items():
-        layers[name] = []
-        for out, fan_in in shapes:
-            values = struct.unpack_from(f"<{out * (fan_in + 1)}f", data, at)
-            weights += data[at : at + 4 * len(values)]
-            at += 4 * len(values)
-            layers[name].append(([values[r * fan_in : (r + 1) * fan_in] for r in range(out)], values[out * fan_in :]))
-    table, size = syntax.parse("PlaneTable", data, start["planes"])
-    at, streams = start["planes"] + size, []
-    for length in table.length:
-        streams.append(data[at : at + length])
-        at += length
-    k = header.dimensions.offset_count
-    contexts = k * (k + 1) // 2
-    model = struct.unpack_from(f"<{contexts}H", data, start["chunk_table"])
-    chunks, at = [], {name: start[name] for name in ("positions", "masks", "attributes")}
-    for number in range(len(header.chunks)):
-        entry, _ = syntax.parse("ChunkEntry", data, start["chunk_table"] + 2 * contexts + 24 * number)
-        part = {}
-        for name, field in (("positions", "position_length"), ("masks", "mask_length"), ("attributes", "attribute_length")):
-            part[name] = data[at[name] : at[name] + entry[field]]
-            at[name] += entry[field]
-        positions = list(struct.iter_unpack("<3H", part["positions"]))
-        chunks.append((positions, part["masks"], part["attributes"]))
-    all_weights = {"plane_shift": scales.plane_shift, "carm_shift": scales.carm_shift, "networks": layers}
-    out, verdicts = spec["DECODE_SCENE"](h, frame, all_weights, streams, model, chunks)
-    d = header.dimensions
-    result = b"C3GSREC0" + struct.pack("<5I", header.anchor_count, k, d.features, d.plane_channels, d.plane_size)
-
-    def flat(value: list) -> list:
-        return [x for item in value for x in flat(item)] if value and isinstance(value[0], list) else value
-
-    for name, code in (("positions", "f"), ("masks", "B"), ("planes", "h"), ("features", "f"), ("scalings", "f"), ("offsets", "f")):
-        numbers = flat(out[name])
-        result += struct.pack(f"<{len(numbers)}{code}", *numbers)
-    return result + weights, verdicts
-
-
 CASES = [
     (0, 0, TINY_DIMENSIONS, 1.0, 3.0),
     (1, 1, TINY_DIMENSIONS, 1.0, 3.0),
@@ -241,11 +272,12 @@ CASES = [
 ]
 
 
+@pytest.mark.requirement("D7.7-1", "D7.8-1", "D7.9-1", "D7.10-1")
 @pytest.mark.parametrize(("seed", "anchors", "dimensions", "gain", "spread"), CASES)
 def test_the_text_decodes_files(spec: dict, seed: int, anchors: int, dimensions: Dimensions, gain: float, spread: float) -> None:
     scene = random_scene(seed, anchors, dimensions, chunk_size=4, lanes=Lanes(0, 1, 2), gain=gain, spread=min(spread, 5000))
     data = codec.emit(scene)
-    whole, verdicts = decode_by_spec(spec, data, container.parse_container(data))
+    whole, verdicts = decode(spec, data, container.parse_container(data))
     assert hashlib.sha256(whole).hexdigest() == reconstruction.digest(codec.parse(data).scene)[0]
     assert verdicts == [None] * len(verdicts)
 
@@ -260,7 +292,7 @@ def test_the_text_refuses_what_the_code_refuses(spec: dict) -> None:
     for at in range(part.start, part.end, 5):
         changed = bytearray(data)
         changed[at] ^= 0x10
-        verdicts = decode_by_spec(spec, bytes(changed), header)[1]
+        verdicts = decode(spec, bytes(changed), header)[1]
         verdict = next((v for v in verdicts if v), None)
         stream = codec._substream(bytes(changed), part.start, part.end, 2, "x")
         if stream[1] is None:
@@ -283,6 +315,41 @@ def verdict_of_attributes(scene: Scene, stream: Substream) -> str | None:
 def test_worked_example(spec: dict) -> None:
     data = EXAMPLE.read_bytes()
     assert len(data) <= 4096
-    whole, _ = decode_by_spec(spec, data, container.parse_container(data))
+    whole, _ = decode(spec, data, container.parse_container(data))
     assert hashlib.sha256(whole).hexdigest() == reconstruction.digest(codec.parse(data).scene)[0]
     assert codec.emit(codec.parse(data).scene) == data
+
+
+def test_the_walk_is_the_file() -> None:
+    """Annex D against the vector, without the code that printed it: the dump is its bytes, the elements lie side by side from the
+    first byte to the last with their bytes and values, and so do the raw bits."""
+    data = EXAMPLE.read_bytes()
+    dump = re.findall(r"^([0-9a-f]{8})  ([0-9a-f ]+)$", section("D.1"), re.MULTILINE)
+    assert [int(at, 16) for at, _ in dump] == list(range(0, len(data), 16))
+    assert b"".join(bytes.fromhex(part) for _, part in dump) == data
+    end = 0
+    for start, length, contents, element, value, meaning in rows(section("D.2")):
+        assert int(start, 16) == end, start
+        end += int(length)
+        shown = bytes.fromhex(contents.strip("`").removesuffix(" ..."))
+        assert data[int(start, 16) : end].startswith(shown)
+        assert len(shown) == min(int(length), 12)
+        assert meaning
+        if re.fullmatch(r"-?\d+", value) and "low" not in element and "high" not in element:
+            assert int.from_bytes(shown, "little", signed=value.startswith("-")) == int(value), element
+    assert end == len(data)
+    bits = rows(section("D.4"))
+    last = 8 * int(bits[0][0].partition("+")[0], 16)
+    for start, length, contents, meaning in bits:
+        byte, bit = start.split("+")
+        assert 8 * int(byte, 16) + int(bit) == last, start
+        text = contents.strip("`")
+        assert len(text) == int(length)
+        for n, digit in enumerate(reversed(text)):
+            assert data[(last + n) // 8] >> (last + n) % 8 & 1 == int(digit), start
+        assert meaning
+        last += int(length)
+    assert last == 8 * len(data)
+    states = rows(section("D.3"))
+    assert all(states[i][4] == states[i - 1][9] for i in range(1, len(states)))
+    assert int(states[0][4], 16) == int.from_bytes(data[0x7AB:0x7AF], "little")

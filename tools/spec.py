@@ -8,11 +8,13 @@ from __future__ import annotations
 
 import re
 import sys
+from collections.abc import Callable
 from pathlib import Path
+
+import walk
 
 from refcodec.codec import parse
 from refcodec.errors import REGISTRY
-from refcodec.inspection import hex_dump
 from refcodec.limits import PROFILES, Profile
 from refcodec.reconstruction import digest
 
@@ -48,12 +50,10 @@ def levels() -> str:
     return "\n".join(rows)
 
 
-def example() -> str:
-    data = EXAMPLE.read_bytes()
-    whole, parts = digest(parse(data).scene)
+def digests() -> str:
+    whole, parts = digest(parse(EXAMPLE.read_bytes()).scene)
     rows = ["| part | SHA-256 |", "|---|---|", f"| whole | `{whole}` |", *(f"| {name} | `{value}` |" for name, value in parts.items())]
-    dump = "```text\n" + hex_dump(data).rstrip("\n") + "\n```"
-    return "\n".join([dump, "", "Its canonical reconstruction (9.3) has these digests:", "", *rows])
+    return "\n".join(rows)
 
 
 def _escape(made: str) -> str:
@@ -62,7 +62,18 @@ def _escape(made: str) -> str:
 
 def rewritten(text: str) -> str:
     """SPEC.md with each generated part replaced."""
-    for name, make in {"errors": errors, "profiles": profiles, "levels": levels, "example": example}.items():
+    data = EXAMPLE.read_bytes()
+    parts: dict[str, Callable[[], str]] = {
+        "errors": errors,
+        "profiles": profiles,
+        "levels": levels,
+        "dump": lambda: walk.hex_dump(data),
+        "elements": lambda: walk.element_table(data, text),
+        "steps": lambda: walk.plane_steps(data, text, 16),
+        "raw": lambda: walk.raw_fields(data, text),
+        "digests": digests,
+    }
+    for name, make in parts.items():
         pattern = re.compile(rf"(<!-- generated:{name} -->\n).*?(<!-- /generated -->)", re.DOTALL)
         text, count = pattern.subn(rf"\g<1>\n{_escape(make())}\n\n\g<2>", text)
         if count != 1:

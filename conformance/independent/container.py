@@ -245,7 +245,7 @@ def _check_order(header: Header) -> None:
     require(header["section_count"] >= len(CRITICAL_TYPES), "directory.order", header.offsets["section_count"])
 
 
-# SPEC 6.6, 10.1 step 3
+# SPEC 6.6, 10.1 step 3; 13.1: every length is checked before what it sizes is read; 12.1: ancillary sections are skipped
 def read_directory(data: bytes, header: Header, weight_count: int) -> list[Section]:
     """Check the directory and the CRC-32s of the sections; weight_count is W."""
     at = header.offsets

@@ -33,7 +33,7 @@ class Scene:
     chunks: list[Chunk]
 
 
-# SPEC 7.1, 10.1
+# SPEC 2.1, 7.1, 10.1
 def decode(data: bytes) -> Scene:
     """The scene of a file; C3GSError for a file that is refused."""
     tables = load_tables()

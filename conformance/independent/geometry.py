@@ -85,7 +85,7 @@ class ContextSource:
             out += self._query(plane, u[0], u[1])
         return out + self._gamma(u[2])
 
-    # SPEC 7.5.1 to 7.5.3
+    # SPEC 7.5.1, 7.5.2, 7.5.3
     def _unit_coordinates(self, position: tuple[int, int, int]) -> list[int]:
         frame = self._frame
         v = []

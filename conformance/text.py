@@ -1,0 +1,72 @@
+"""The decoder that SPEC.md's python blocks are together: its text, executed."""
+
+from __future__ import annotations
+
+import re
+import struct
+from pathlib import Path
+from typing import Any
+
+from refcodec import container, syntax, tables
+
+SPEC = Path(__file__).resolve().parent.parent / "SPEC.md"
+
+
+def blocks(text: str) -> dict[str, Any]:
+    """The names that the python blocks of SPEC.md's text define, with the tables of Annex A."""
+    space: dict[str, Any] = {}
+    for block in re.findall(r"^```python\n(.*?)^```", text, re.DOTALL | re.MULTILINE):
+        exec(compile(block, "SPEC.md", "exec"), space)
+    data = Path(tables.__file__).parent.joinpath("data", tables.TABLES_FILE).read_bytes()
+    space["SINE"], space["STEP"], space["GAUSS"], space["LAPLACE"] = space["READ_TABLES"](data)
+    return space
+
+
+def decode(space: dict[str, Any], data: bytes, header: container.Header) -> tuple[bytes, list[str | None]]:
+    """The canonical reconstruction of a file by SPEC.md's blocks, and the verdict on each substream.
+
+    The container is read with the schemas; its checksums are not looked at again.
+    """
+    h, _ = syntax.parse("Header", data, container.PROLOGUE_BYTES)
+    start = {name: header.sections[kind].start for kind, name in container.SECTIONS.items()}
+    frame, _ = syntax.parse("Frame", data, start["frame"])
+    scales, size = syntax.parse("WeightScales", data, start["weights"])
+    at = start["weights"] + size
+    layers: dict[str, Any] = {}
+    weights = b""
+    for name, shapes in header.dimensions.network_shapes().items():
+        layers[name] = []
+        for out, fan_in in shapes:
+            values = struct.unpack_from(f"<{out * (fan_in + 1)}f", data, at)
+            weights += data[at : at + 4 * len(values)]
+            at += 4 * len(values)
+            layers[name].append(([values[r * fan_in : (r + 1) * fan_in] for r in range(out)], values[out * fan_in :]))
+    table, size = syntax.parse("PlaneTable", data, start["planes"])
+    at, streams = start["planes"] + size, []
+    for length in table.length:
+        streams.append(data[at : at + length])
+        at += length
+    k = header.dimensions.offset_count
+    contexts = k * (k + 1) // 2
+    model = struct.unpack_from(f"<{contexts}H", data, start["chunk_table"])
+    chunks, next_at = [], {name: start[name] for name in ("positions", "masks", "attributes")}
+    for number in range(len(header.chunks)):
+        entry, _ = syntax.parse("ChunkEntry", data, start["chunk_table"] + 2 * contexts + 24 * number)
+        part = {}
+        for name, field in (("positions", "position_length"), ("masks", "mask_length"), ("attributes", "attribute_length")):
+            part[name] = data[next_at[name] : next_at[name] + entry[field]]
+            next_at[name] += entry[field]
+        positions = list(struct.iter_unpack("<3H", part["positions"]))
+        chunks.append((positions, part["masks"], part["attributes"]))
+    all_weights = {"plane_shift": scales.plane_shift, "carm_shift": scales.carm_shift, "networks": layers}
+    out, verdicts = space["DECODE_SCENE"](h, frame, all_weights, streams, model, chunks)
+    d = header.dimensions
+    result = b"C3GSREC0" + struct.pack("<5I", header.anchor_count, k, d.features, d.plane_channels, d.plane_size)
+
+    def flat(value: list) -> list:
+        return [x for item in value for x in flat(item)] if value and isinstance(value[0], list) else value
+
+    for name, code in (("positions", "f"), ("masks", "B"), ("planes", "h"), ("features", "f"), ("scalings", "f"), ("offsets", "f")):
+        numbers = flat(out[name])
+        result += struct.pack(f"<{len(numbers)}{code}", *numbers)
+    return result + weights, verdicts

@@ -1,0 +1,127 @@
+"""Writes conformance/REQUIREMENTS.md: for each requirement of SPEC.md the clause, the code of both decoders, and the tests.
+
+A requirement on files is in the code where its error is raised, one on decoders where the code cites its clause. Tests name the
+requirements that they prove (`pytest.mark.requirement`); an error's fault is tested under its name.
+
+python tools/matrix.py            rewrite it
+python tools/matrix.py --check    exit 1 if it is not current; a hole is an error either way
+"""
+
+from __future__ import annotations
+
+import ast
+import re
+import sys
+from collections import defaultdict
+from collections.abc import Iterator
+from pathlib import Path
+
+ROOT = Path(__file__).resolve().parent.parent
+TARGET = ROOT / "conformance" / "REQUIREMENTS.md"
+CLAUSE = r"(?:\d+|[A-D])(?:\.\d+)*"
+# The bitstream side; what only shows, writes folders or fits proves nothing about decoding.
+FIRST = [p for p in sorted((ROOT / "refcodec").glob("*.py")) if p.stem not in ("errors", "cli", "folder", "inspection", "quantise")]
+SECOND = [p for p in sorted((ROOT / "conformance" / "independent").glob("*.py")) if p.stem != "errors"]
+HEAD = """# Requirements
+
+Each requirement of [SPEC.md](../SPEC.md), where both decoders meet it, and the tests that prove it. Written by `python tools/matrix.py`.
+`test_fault[...]` stands for generated files with that one fault, which both decoders must refuse with its code and offset.
+
+| requirement | clause | what | refcodec | second decoder | tests |
+|---|---|---|---|---|---|
+"""
+
+
+def requirements(spec: str) -> Iterator[tuple[str, str, str, str]]:
+    """(identifier, clause, sentence, error's name or nothing) in the order of SPEC.md."""
+    pattern = rf"^- \[([RD]({CLAUSE})-\d+)\] It is a requirement of (?:bitstream|decoder) conformance that (.*)$"
+    for name, clause, sentence in re.findall(pattern, spec, re.MULTILINE):
+        error = re.search(r" \(`([a-z_.]+)`\)", sentence)
+        text = sentence[: error.start()] if error else sentence.rstrip(".")
+        yield name, clause, text, error[1] if error and name.startswith("R") else ""
+
+
+def _functions(path: Path) -> Iterator[tuple[str, str, ast.AST]]:
+    """(qualified name, the comments above it and its own source, node) of each function and class of a module."""
+    source = path.read_text(encoding="utf-8")
+    lines = source.splitlines()
+
+    def visit(node: ast.AST, scope: str) -> Iterator[tuple[str, str, ast.AST]]:
+        for child in ast.iter_child_nodes(node):
+            if isinstance(child, ast.FunctionDef | ast.ClassDef):
+                first = child.lineno - 1
+                while first > 0 and re.match(r"\s*[#@]", lines[first - 1]):
+                    first -= 1
+                name = f"{scope}.{child.name}"
+                yield name, "\n".join(lines[first : child.end_lineno]), child
+                yield from visit(child, name)
+
+    yield from visit(ast.parse(source), path.stem)
+
+
+def _innermost(found: list[str]) -> list[str]:
+    """Without a class whose method is listed, or a function whose inner function is."""
+    return [name for name in found if not any(other.startswith(name + ".") for other in found)]
+
+
+def places(paths: list[Path]) -> tuple[dict[str, list[str]], dict[str, list[str]]]:
+    """Functions by error name that they hold as a string, and by clause that they cite."""
+    raising, citing = defaultdict(list), defaultdict(list)
+    for path in paths:
+        for name, text, node in _functions(path):
+            for part in ast.walk(node):
+                if isinstance(part, ast.Constant) and isinstance(part.value, str) and re.fullmatch(r"[a-z]+\.[a-z_]+", part.value):
+                    raising[part.value].append(name)
+            for line in re.findall(r"SPEC [^\n]*", text):
+                for clause in re.findall(rf"(?<![\w.]){CLAUSE}(?![\w])", line):
+                    citing[clause].append(name)
+                citing["A"] += [name] if "Annex A" in line else []
+    return raising, citing
+
+
+def proofs() -> dict[str, list[str]]:
+    """Tests by requirement."""
+    found = defaultdict(list)
+    for path in sorted((ROOT / "tests").glob("test_*.py")):
+        for node in ast.parse(path.read_text(encoding="utf-8")).body:
+            if not isinstance(node, ast.FunctionDef):
+                continue
+            for mark in node.decorator_list:
+                if isinstance(mark, ast.Call) and ast.unparse(mark.func) == "pytest.mark.requirement":
+                    for argument in mark.args:
+                        found[ast.literal_eval(argument)].append(f"{path.stem}.{node.name}")
+    return found
+
+
+def matrix(spec: str) -> str:
+    """The document. Raises SystemExit for a requirement without code or test, and for a test of none."""
+    (raise_1, cite_1), (raise_2, cite_2) = places(FIRST), places(SECOND)
+    tests = proofs()
+    rows, names, holes = [], set(), []
+    for name, clause, sentence, error in requirements(spec):
+        names.add(name)
+        cells = []
+        for raising, citing in ((raise_1, cite_1), (raise_2, cite_2)):
+            found = raising[error] if error else citing[clause]
+            cells.append(_innermost(sorted(set(found))))
+        proved = [f"test_independent.test_fault[{error}]"] if error else []
+        cells.append(proved + tests[name])
+        if not all(cells):
+            holes.append(name)
+        rows.append(f"| {name} | {clause} | {sentence} | " + " | ".join("<br>".join(cell) for cell in cells) + " |")
+    holes += [f"{name}, which SPEC.md does not have" for name in tests if name not in names and tests[name]]
+    if holes:
+        raise SystemExit(f"holes in the matrix: {', '.join(holes)}")
+    return HEAD + "\n".join(rows) + "\n"
+
+
+def main() -> int:
+    made = matrix((ROOT / "SPEC.md").read_text(encoding="utf-8"))
+    if "--check" in sys.argv[1:]:
+        return 0 if TARGET.exists() and TARGET.read_text(encoding="utf-8") == made else 1
+    TARGET.write_text(made, encoding="utf-8")
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

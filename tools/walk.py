@@ -1,0 +1,230 @@
+"""The walk through the worked example (SPEC.md Annex D): every byte, and the bits and coder steps of parts of it, in Markdown.
+
+Bytes come from the file and their elements from refcodec.inspection; meanings are those of SPEC.md's own syntax tables, and the coder's
+steps are those of SPEC.md's own python blocks, watched while they decode.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator
+from typing import Any
+
+import numpy as np
+
+from conformance import text
+from refcodec import container, syntax
+from refcodec.inspection import Row, rows
+
+# Longer contents are folded to their first bytes.
+SHOWN_BYTES = 12
+
+
+def hex_dump(data: bytes) -> str:
+    """The file, 16 bytes a line."""
+    lines = [f"{at:08x}  {data[at : at + 16].hex(' ')}" for at in range(0, len(data), 16)]
+    return "\n".join(["```text", *lines, "```"])
+
+
+# --- elements ---------------------------------------------------------------------------------------------------------
+
+
+def meanings(spec: str) -> dict[str, str]:
+    """Meaning of each field of each syntax table of SPEC.md, by table.field."""
+    found = {}
+    for name in syntax.SYNTAX:
+        clause = re.search(rf"^### 5\.\d+ {name}$.*?(?=^##)", spec, re.DOTALL | re.MULTILINE)
+        if clause is None:
+            raise SystemExit(f"SPEC.md has no syntax table {name}")
+        for field, _, meaning in re.findall(r"^\| (\w+) \| (\S+) \| (.*) \|$", clause[0], re.MULTILINE):
+            found[f"{name}.{field}"] = meaning
+    return found
+
+
+# Which table an element's path belongs to, tried in this order; the group is the field.
+TABLES = [
+    (r"prologue\.(\w+)", "Prologue"),
+    (r"header\.dimensions\.(\w+)", "Dimensions"),
+    (r"header\.position_grid\.(\w+)", "PositionGrid"),
+    (r"header\.render_info\.(\w+)", "RenderInfo"),
+    (r"header\.directory\[\d+\]\.(\w+)", "DirectoryEntry"),
+    (r"header\.(\w+)", "Header"),
+    (r"frame\.(\w+)", "Frame"),
+    (r"weights\.(plane_shift|carm_input_count|carm_shift)", "WeightScales"),
+    (r"planes\.(length)", "PlaneTable"),
+    (r"chunk_table\.entry\[\d+\]\.(\w+)", "ChunkEntry"),
+    (r".*\.(symbol_crc|word_count)", "SubstreamHead"),
+]
+OTHERS = [
+    (r"weights\.\w.*\.weight", "weights of a layer, row by row"),
+    (r"weights\.\w.*\.bias", "its biases"),
+    (r"chunk_table\.mask_model", "frequency of kept (7.6)"),
+    (r"positions", "x, y, z of each anchor of the chunk"),
+    (r".*\.state", "initial state of each lane"),
+    (r".*\.word", "words"),
+    (r".*\.raw", "raw bits (D.4)"),
+]
+
+
+def meaning_of(path: str, known: dict[str, str]) -> str:
+    for pattern, table in TABLES:
+        match = re.match(pattern, path)
+        if match:
+            return known[f"{table}.{match[1]}"]
+    return next(text for pattern, text in OTHERS if re.match(pattern, path))
+
+
+def _contents(data: bytes, row: Row) -> str:
+    part = data[row.start : row.end]
+    return part.hex(" ") if len(part) <= SHOWN_BYTES else part[:SHOWN_BYTES].hex(" ") + " ..."
+
+
+def _value(row: Row) -> str:
+    if row.value is None or isinstance(row.value, bytes):
+        return ""
+    if row.path.endswith(("crc", ".type")):
+        return f"0x{row.value:0{2 * (row.end - row.start)}x}"
+    return str(np.float32(row.value)) if isinstance(row.value, float) else str(row.value)
+
+
+def element_table(data: bytes, spec: str) -> str:
+    """Start, length, contents, element, value and meaning of every element, from the first byte to the last."""
+    known = meanings(spec)
+    lines = ["| start | length | contents | element | value | meaning |", "|---|---|---|---|---|---|"]
+    for row in rows(data):
+        cells = f"| 0x{row.start:03x} | {row.end - row.start} | `{_contents(data, row)}` | {row.path} | {_value(row)} |"
+        lines.append(f"{cells} {meaning_of(row.path, known)} |")
+    return "\n".join(lines)
+
+
+# --- the coder, watched -----------------------------------------------------------------------------------------------
+
+
+class Watch:
+    """SPEC.md's decoder with a note of each symbol, each raw field and each value. Streams are told apart by their identity."""
+
+    def __init__(self, spec: str) -> None:
+        self.space = text.blocks(spec)
+        self.opened: list[dict[str, Any]] = []
+        self.symbols: list[dict[str, Any]] = []
+        self.fields: list[dict[str, Any]] = []
+        self.values: list[dict[str, Any]] = []
+        for name in ("DECODE_SYMBOL", "READ_BITS", "DECODE_VALUES"):
+            original = self.space[name]
+            self.space[name] = getattr(self, f"_{name.lower()}")(original)
+
+    def _decode_symbol(self, original: Any) -> Any:
+        def watched(stream: dict, lane: int, frequencies: list[int]) -> int:
+            before, word_at = stream["state"][lane], stream["word_at"]
+            symbol: int = original(stream, lane, frequencies)
+            took = stream["words"][word_at] if stream["word_at"] > word_at else None
+            self.symbols.append({
+                "stream": id(stream), "lane": lane, "before": before, "slot": before & 0x3FFF, "low": sum(frequencies[:symbol]),
+                "frequency": frequencies[symbol], "symbol": symbol, "word": took, "after": stream["state"][lane],
+            })  # fmt: skip
+            return symbol
+
+        return watched
+
+    def _read_bits(self, original: Any) -> Any:
+        def watched(stream: dict, k: int) -> int:
+            at = stream["raw_at"]
+            value: int = original(stream, k)
+            self.fields.append({"stream": id(stream), "at": at, "bits": k, "value": value})
+            return value
+
+        return watched
+
+    def _decode_values(self, original: Any) -> Any:
+        def watched(stream: dict, family: Any, parameters: list, limit: int) -> list[int]:
+            fields = len(self.fields)
+            values: list[int] = original(stream, family, parameters, limit)
+            chosen = [self.space["SELECT"](m, s) for m, s in parameters]
+            self.values.append({
+                "stream": id(stream), "parameters": parameters, "chosen": chosen, "values": values, "fields": self.fields[fields:],
+            })  # fmt: skip
+            return values
+
+        return watched
+
+
+def _watched(data: bytes, spec: str) -> tuple[Watch, list[int]]:
+    """The decoder after it decoded a file, and the identities of the substreams in decoding order."""
+    watch = Watch(spec)
+    opened = []
+    original = watch.space["OPEN"]
+
+    def noted(part: bytes, lanes: int) -> dict:
+        # The streams are kept, so that no identity is used twice.
+        opened.append(original(part, lanes))
+        return opened[-1]
+
+    watch.space["OPEN"] = noted
+    text.decode(watch.space, data, container.parse_container(data))
+    watch.opened = opened
+    return watch, [id(stream) for stream in opened]
+
+
+def plane_steps(data: bytes, spec: str, count: int) -> str:
+    """The first symbols of sub-plane 0, step by step."""
+    watch, streams = _watched(data, spec)
+    d = container.parse_container(data).dimensions
+    points = [(t, p) for t, group in enumerate(watch.space["PLANE_GROUPS"](d.plane_channels, d.plane_size)) for p in group]
+    groups = [g for g in watch.values if g["stream"] == streams[0]]
+    parameters, chosen, values = ([x for g in groups for x in g[name]] for name in ("parameters", "chosen", "values"))
+    symbols = [s for s in watch.symbols if s["stream"] == streams[0]]
+    lines = [
+        "| t | (k, i, j) | mean, scale index | row, column, centre, k | state | slot | j: its slots | value | word taken | next state |",
+        "|---|---|---|---|---|---|---|---|---|---|",
+    ]
+    for (t, point), mean_scale, pick, symbol, value in list(zip(points, parameters, chosen, symbols, values, strict=True))[:count]:
+        last = symbol["low"] + symbol["frequency"] - 1
+        word = "" if symbol["word"] is None else f"0x{symbol['word']:04x}"
+        m, s = mean_scale
+        lines.append(
+            f"| {t} | {point} | {m}, {s} | {', '.join(map(str, pick))} | 0x{symbol['before']:08x} | {symbol['slot']} "
+            f"| {symbol['symbol']}: {symbol['low']} to {last} | {value} | {word} | 0x{symbol['after']:08x} |"
+        )
+    return "\n".join(lines)
+
+
+def raw_fields(data: bytes, spec: str) -> str:
+    """All raw bits of the last attribute substream: start as byte+bit, length, contents with the last bit first, meaning."""
+    watch, streams = _watched(data, spec)
+    groups = [g for g in watch.values if g["stream"] == streams[-1]]
+    raw = next(r for r in reversed(list(rows(data))) if r.path.endswith(".raw"))
+    lines = ["| start | length | contents | meaning |", "|---|---|---|---|"]
+    end = 0
+    for start, bits, value, meaning in _fields(groups):
+        if start != end:
+            raise SystemExit(f"raw bits {end} to {start} are not told")
+        end = start + bits
+        lines.append(f"| 0x{raw.start + start // 8:03x}+{start % 8} | {bits} | `{value:0{bits}b}` | {meaning} |")
+    padding = 8 * (raw.end - raw.start) - end
+    if padding:
+        lines.append(f"| 0x{raw.start + end // 8:03x}+{end % 8} | {padding} | `{0:0{padding}b}` | padding (8.8) |")
+    return "\n".join(lines)
+
+
+def _fields(groups: list[dict[str, Any]]) -> Iterator[tuple[int, int, int, str]]:
+    """(bit, length, value, meaning) of each raw field of some groups of values; fields of no bits are left out."""
+    for number, group in enumerate(groups):
+        fields = iter(group["fields"])
+        for n, ((_, _, _, k), value) in enumerate(zip(group["chosen"], group["values"], strict=True)):
+            field = next(fields)
+            if k:
+                yield field["at"], k, field["value"], f"low {k} bits of value {n} of group {number}, which is {value}"
+        name = f"of group {number}"
+        rest = list(fields)
+        while rest:
+            sign = rest.pop(0)
+            zeros = 0
+            while rest[zeros]["value"] == 0 and rest[zeros]["bits"] == 1:
+                zeros += 1
+            first = rest[0]["at"]
+            size = rest[zeros + 1]
+            rest = rest[zeros + 2 :]
+            yield sign["at"], 1, sign["value"], f"an escape {name}: sign"
+            yield first, zeros + 1, 1 << zeros, f"its prefix: z = {zeros}"
+            if zeros:
+                yield size["at"], zeros, size["value"], f"n - 2^z, so n = {(1 << zeros) + size['value']}"
