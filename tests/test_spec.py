@@ -151,21 +151,24 @@ def test_the_largest_sums_of_the_widths(spec: dict) -> None:
 
 
 def test_terms_are_defined_before_they_are_used() -> None:
-    """Every name in code quotes is a field, a type, a function or a value that the text explains; single letters have a place of
-    definition that comes before their first use in a formula."""
+    """Letters and terms are listed before the chapters that use them, each with the clause that states it; names in capitals and with
+    underscores are functions, constants and fields."""
     fields = {field for table in syntax.SYNTAX.values() for field, _ in table}
-    for first, pattern in {
-        "| anchor_count | u32 | N |": r"\bN\b",
-        "| offset_count | u8 | K |": r"\bK \(K",
-        "| plane_channels | u8 | ch |": r"\b2 ch \+",
-        "| frequency_count | u8 | L |": r"\b2 L\b \|",
-        "with D = F + 6 + 3 K": r"\bD means",
-        "U = 2^UNIT_BITS": r"q <= U\^2",
-        "There are C = ceil(N / chunk_size) chunks": r"A chunk's number is below C",
-    }.items():
-        assert first in TEXT, first
-        used = re.search(pattern, TEXT)
-        assert used is None or TEXT.index(first) < used.start(), first
+    letters = rows(section("3.1"))
+    assert len(letters) > 10
+    for letter, _, clause in letters:
+        assert clause in HEADINGS
+        for name in letter.split(", "):
+            assert re.search(rf"\b{name}\b", section(clause)), f"{name} is not stated in {clause}"
+    after = TEXT[TEXT.index("### 3.2 ") :]
+    names = {name for letter, *_ in letters for name in letter.split(", ")}
+    prose = re.sub(r"`[^`]*`|<!--.*?-->|\[[RD][^\]]*\]|^```.*?^```", "", after.partition("## Annex A")[0], flags=re.DOTALL | re.MULTILINE)
+    local = {"T", "A", "X", "Px", "Py", "Pz"}  # of 7.5.1, where they stand in the formula's own table, and T[n] of chapter 5
+    assert set(re.findall(r"(?<![\w.+-])[A-Z](?![\w'-])", prose)) - names - local == set()
+    listed = [term for term, _ in rows(section("3.2"))]
+    assert len(listed) == len(set(listed)) > 25
+    for term in listed:
+        assert len(re.findall(rf"\b{re.escape(term)}", TEXT, re.IGNORECASE)) > 1, f"{term} is defined and never used"
     defined = set(re.findall(r"^def ([A-Z_0-9]+)\(", TEXT, re.MULTILINE))
     constants = {name for name, *_ in rows(section("2.5"))}
     known = fields | defined | constants | set(syntax.SYNTAX) | {"BCP", "RFC", "SARM", "CARM", "PCA", "IEEE", "ISO", "CRC", "SHA", "MUST"}
