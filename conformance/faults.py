@@ -535,12 +535,11 @@ def _(draw: st.DrawFn, t: Target) -> tuple[bytes, int]:
 
 @_fault("substream.raw_padding")
 def _(draw: st.DrawFn, _: Target) -> tuple[bytes, int]:
-    """An escape of 2 z + 2 bits, and one of the bits after it."""
-    z = draw(st.integers(4, 20).filter(lambda n: (2 * n + 2) % 8))
-    t, start, raw = _far_symbol(draw(st.integers(0, 99)), 5 << z, draw(st.integers(0, 3)))
+    """An escape of 2 z + 2 bits, which do not fill their last byte, and one of the bits after it."""
+    z = draw(st.sampled_from([z for z in range(6, 21) if (2 * z + 2) % 8]))
+    t, start, raw = _far_symbol(draw(st.integers(0, 99)), 3 << (z - 1), draw(st.integers(0, 3)))
     bits = int.from_bytes(t.data[raw:], "little")
-    used = 2 * ((bits >> 1 & -(bits >> 1)).bit_length() - 1) + 2
-    _need(used % 8)
+    used = 2 * z + 2
     bits |= 1 << draw(st.integers(used, 8 * (len(t.data) - raw) - 1))
     return repair(t.data[:raw] + bits.to_bytes(len(t.data) - raw, "little")), start
 

@@ -75,7 +75,7 @@ def planes(space: dict[str, Any]) -> str:
     d.line([(175, 232), (335, 232)], arrow=True)
     d.words(255, 250, "column j: first principal component", 11)
     d.line([(352, 50), (352, 210)], arrow=True)
-    d.words(360, 225, "row i: second", 11)
+    d.words(356, 42, "row i: second", 11)
     size, cell, left, top = 6, 38, 420, 50
     d.words(left + size * cell / 2, 24, f"wavefronts t = j + 2 i, for B = {size}", bold=True)
     chosen = (2, 3)
