@@ -239,7 +239,9 @@ def _text_points(file: Path) -> tuple[F64, U8]:
         if not line:
             continue
         with _numbers(where, "POINT3D_ID X Y Z R G B ERROR TRACK"):
-            _, x, y, z, r, g, b, _ = line.split(maxsplit=8)[:8]
+            _, x, y, z, r, g, b, _, *track = line.split()
+            if len(track) % 2:
+                raise ValueError("a track has two numbers for each image")
             rows.append((float(x), float(y), float(z), float(int(r)), float(int(g)), float(int(b))))
     return _cloud(file, rows)
 
