@@ -254,7 +254,8 @@ def test_missing_part(made, part):
 
 @pytest.mark.parametrize("part", ["cameras", "images", "points3D"])
 def test_every_truncation_of_binary(part, tmp_path):
-    write_colmap(tmp_path, write_binary, count=2)
+    cameras, rows, points = model(2)
+    write_colmap(tmp_path, write_binary, content=(cameras, rows, points[:3]))
     file = tmp_path / "sparse/0" / f"{part}.bin"
     whole = file.read_bytes()
     for length in range(len(whole)):
@@ -315,8 +316,8 @@ def test_absurd_counts_inside_records(tmp_path):
         ("images", "01.png", "../01.png", ("'../01.png'", "relative to the image folder")),
         ("images", "01.png", "/01.png", ("'/01.png'",)),
         ("images", "01.png", "00.png", ("two images are named '00.png'",)),
-        ("points3D", "1 ", "1 nan ", ("points3D.txt, line 2", "invalid literal")),
-        ("points3D", " 0.5 3 0 5 1", " 3 0 5 1", ("points3D.txt, line 2", "a track has two")),
+        ("points3D", " 0.5 3 0 5 1", " 128 0.5 3 0 5 1", ("points3D.txt, line 2", "a track has two")),
+        ("points3D", " 0.5 3 0 5 1", ".5 3 3 0 5 1", ("points3D.txt, line 2", "invalid literal")),
         ("points3D", " 0.5 3 0 5 1", "", ("points3D.txt, line 2", "not enough values")),
     ],
 )
@@ -519,12 +520,11 @@ def test_shrinking_averages_areas(width, height):
 
 def test_shrinking_keeps_places():
     """A spot's centre of mass stays where the camera of the smaller image says."""
-    image = np.zeros((HEIGHT, WIDTH, 3), np.uint8)
-    image[10:19, 21:30] = 255
+    image = spots(Camera("", WIDTH, HEIGHT, 1.0, 1.0, 0.0, 0.0, np.eye(3), np.zeros(3)), [(25.5, 14.5)])
     for width, height in ((20, 15), (27, 20), (13, 10)):
         small = images.shrink(image, width, height)[..., 0].astype(np.float64)
         centre = [(small * (axis + 0.5)).sum() / small.sum() for axis in np.indices(small.shape)]
-        np.testing.assert_allclose(centre, [14.5 * height / HEIGHT, 25.5 * width / WIDTH], atol=0.01)
+        np.testing.assert_allclose(centre, [14.5 * height / HEIGHT, 25.5 * width / WIDTH], atol=0.02)
 
 
 # --- distortion -------------------------------------------------------------------------------------------------------
@@ -592,7 +592,7 @@ def test_undistorted_spots_are_where_the_pinhole_camera_sees_them(name, size, tm
     error = np.abs(found - expected[inside]).max()
     assert error < 0.15, error
     # Without undistortion they would not be there.
-    assert np.abs(seen / scale - expected).max() > 1
+    assert np.abs(seen / scale - expected).max() > 0.5
 
 
 @pytest.mark.parametrize("name", LENSES)
@@ -611,7 +611,7 @@ def test_every_undistorted_pixel_was_photographed(name):
 
 
 @pytest.mark.parametrize(
-    "distortion", [(-0.9, 0, 0, 0), (-3.0, 4.0, 0, 0), (0, 0, 5.0, 0), (50.0, 0, 0, 0), (1e300, 0, 0, 0), (0.0, 1e308, 0, 1e308)]
+    "distortion", [(-0.9, 0, 0, 0), (-3.0, 4.0, 0, 0), (0, 0, 5.0, 0), (500.0, 0, 0, 0), (1e300, 0, 0, 0), (0.0, 1e308, 0, 1e308)]
 )
 def test_distortion_that_cannot_be_undone(tmp_path, distortion):
     write_colmap(tmp_path, camera=("OPENCV", WIDTH, HEIGHT, (25, 25, 20, 15, *distortion)))
@@ -821,7 +821,7 @@ def _set(key, value, frame=None):
         (_set("fl_x", 10**400), ("focal length fx of inf",)),
         (_set("fl_x", 0), ("focal length fx of 0",)),
         (_set("w", 40.5), ("w is 40.5", "whole number")),
-        (_set("w", 40 * 2), ("r_0.png", "not the same shape")),
+        (_set("w", 40 * 2), ("r_1.png", "not the same shape")),
         (_set("h", -30), ("40 x -30",)),
         (_set("cx", float("inf")), ("cx is inf",)),
         (_set("k3", 0.1), ("FULL_OPENCV is not supported", "OPENCV are")),
@@ -867,11 +867,10 @@ def test_examples(name, train, test):
         depth = (found.points @ photograph.camera.rotation.T + photograph.camera.translation)[:, 2]
         inside = (depth > 0) & (at > 0).all(axis=1) & (at < (400, 300)).all(axis=1)
         assert inside.sum() > 100
-        # A point has the colour of the place it is seen at, more than that of any other place in the image.
-        pixel = at[inside].astype(int)
-        seen = photograph.image[pixel[:, 1], pixel[:, 0]].astype(int)
-        own = np.abs(seen - found.colours[inside].astype(int)).mean()
-        other = np.abs(np.roll(seen, len(seen) // 2, axis=0) - found.colours[inside].astype(int)).mean()
+        # Points have the colours of where they are seen (most: some are hidden), and not those of the image turned by 180 degrees.
+        x, y = at[inside].astype(int).T
+        colours = found.colours[inside].astype(int)
+        own, other = (np.median(np.abs(image[y, x] - colours)) for image in (photograph.image, photograph.image[::-1, ::-1]))
         assert own < 0.7 * other
 
 
