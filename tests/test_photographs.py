@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
 import shutil
 import struct
@@ -850,6 +851,48 @@ def test_wrong_transforms(nerf, action, words):
 def test_not_a_transforms_file(nerf, data):
     (nerf / "transforms.json").write_bytes(data)
     refused(nerf)
+
+
+JSON = st.recursive(
+    st.none() | st.booleans() | st.integers() | st.floats() | st.text(max_size=8),
+    lambda inside: st.lists(inside, max_size=4) | st.dictionaries(st.sampled_from(["frames", "file_path", "w"]), inside, max_size=3),
+    max_leaves=20,
+)
+KEYS = [
+    "frames",
+    "file_path",
+    "transform_matrix",
+    "ply_file_path",
+    *transforms.INTRINSICS,
+    *transforms.HIGHER,
+    "camera_model",
+    "is_fisheye",
+]
+
+
+@pytest.fixture(scope="module")
+def shared_nerf(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("nerf")
+    write_ply(folder / "points3d.ply", np.ones((3, 3)))
+    return folder, write_nerf(folder)
+
+
+@given(st.sampled_from(KEYS), JSON, st.booleans())
+def test_any_json(shared_nerf, key, value, of_frame):
+    """Whatever a key holds: a set of photographs, or PhotographError."""
+    folder, document = shared_nerf
+    document = {**document, "frames": [dict(frame) for frame in document["frames"]]}
+    (document["frames"][2] if of_frame else document)[key] = value
+    (folder / "transforms.json").write_text(json.dumps(document))
+    with contextlib.suppress(PhotographError):
+        read_photographs(folder)
+
+
+def test_names_longer_than_a_file_system_allows(nerf, text):
+    change(nerf, _set("file_path", "long" * 2000, 3))
+    refused(nerf, "cannot be read", "too long")
+    edit(text / "sparse/0/images.txt", "03.png", "long" * 2000)
+    refused(text, "cannot be read", "too long")
 
 
 # --- the examples -----------------------------------------------------------------------------------------------------
