@@ -1,0 +1,1 @@
+"""What learns a scene from photographs: reading them, with their cameras and points."""

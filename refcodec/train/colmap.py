@@ -1,0 +1,329 @@
+"""COLMAP's sparse models, text and binary, and the image folder that goes with one.
+
+Read by own code: pycolmap 4.2.1 reads both, but is 135 MB installed, takes a truncated cameras.bin without a word, and does not
+come back from a points3D.bin that states 2^60 points. Formats: https://colmap.github.io/format.html
+"""
+
+from __future__ import annotations
+
+import re
+import struct
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass, replace
+from itertools import pairwise
+from pathlib import Path, PurePosixPath
+from typing import Any
+
+import numpy as np
+
+from .cameras import F64, U8, Camera, Distortion, PhotographError, Shot, check_intrinsics, checked_translation, quaternion_rotation
+from .images import Size, image_size
+
+# The models that are read: how their parameters give fx, fy, cx, cy and k1, k2, p1, p2.
+MODELS: dict[str, tuple[int, Callable[..., tuple[tuple[float, ...], Distortion]]]] = {
+    "SIMPLE_PINHOLE": (3, lambda f, cx, cy: ((f, f, cx, cy), (0, 0, 0, 0))),
+    "PINHOLE": (4, lambda fx, fy, cx, cy: ((fx, fy, cx, cy), (0, 0, 0, 0))),
+    "SIMPLE_RADIAL": (4, lambda f, cx, cy, k: ((f, f, cx, cy), (k, 0, 0, 0))),
+    "RADIAL": (5, lambda f, cx, cy, k1, k2: ((f, f, cx, cy), (k1, k2, 0, 0))),
+    "OPENCV": (8, lambda fx, fy, cx, cy, k1, k2, p1, p2: ((fx, fy, cx, cy), (k1, k2, p1, p2))),
+}
+# Binary files number the models; the names of those that are not read are for the message.
+MODEL_IDS = (
+    *("SIMPLE_PINHOLE", "PINHOLE", "SIMPLE_RADIAL", "RADIAL", "OPENCV", "OPENCV_FISHEYE", "FULL_OPENCV", "FOV", "SIMPLE_RADIAL_FISHEYE"),
+    *("RADIAL_FISHEYE", "THIN_PRISM_FISHEYE", "RAD_TAN_THIN_PRISM_FISHEYE", "SIMPLE_DIVISION", "DIVISION", "SIMPLE_FISHEYE", "FISHEYE"),
+    *("EUCM", "EQUIRECTANGULAR"),
+)
+PARTS = ("cameras", "images", "points3D")
+IMAGE_SUFFIXES = (".jpg", ".jpeg", ".png", ".webp", ".tif", ".tiff", ".bmp")
+# Smallest records of the binary files, in bytes: counts are held against what the file has left.
+CAMERA_HEAD, IMAGE_HEAD, POINT_HEAD = struct.Struct("<IiQQ"), struct.Struct("<I7dI"), struct.Struct("<Q3d3BdQ")
+SMALLEST = {"cameras": CAMERA_HEAD.size, "images": IMAGE_HEAD.size + 1 + 8, "points3D": POINT_HEAD.size}
+RERUN = "the file is damaged or incomplete: export the model again (colmap model_converter)"
+
+
+@dataclass(frozen=True, eq=False)
+class _Lens:
+    """A row of cameras: numbers of pixels, intrinsics, distortion."""
+
+    width: int
+    height: int
+    intrinsics: tuple[float, ...]
+    distortion: Distortion
+
+
+@dataclass(frozen=True, eq=False)
+class _Pose:
+    """A row of images: its camera's identifier, its name, the quaternion w, x, y, z [4] and translation [3], world to camera."""
+
+    where: str
+    camera: int
+    name: str
+    quaternion: F64
+    translation: F64
+
+
+def find_model(folder: Path) -> Path | None:
+    """The folder of a COLMAP model: sparse/0, sparse or the folder itself, whichever first has one of its files."""
+    for place in (folder / "sparse" / "0", folder / "sparse", folder):
+        if any((place / f"{part}{suffix}").exists() for part in PARTS for suffix in (".bin", ".txt")):
+            return place
+    return None
+
+
+def read_colmap(folder: Path, model: Path, size: Size) -> tuple[list[Shot], F64, U8, int]:
+    """Posed images in the order of their names, points [M, 3], colours [M, 3], and how many images have no pose.
+
+    folder: the dataset; model: what find_model gave. Images are in folder/images, or in images_2, images_4 and so on, whichever is
+    the smallest that the wanted size can be made from. Raises PhotographError.
+    """
+    suffix = ".bin" if any((model / f"{part}.bin").exists() for part in PARTS) else ".txt"
+    for part in PARTS:
+        if not (model / f"{part}{suffix}").is_file():
+            raise PhotographError(
+                model / f"{part}{suffix}",
+                "the file is missing",
+                f"a model is {', '.join(f'{p}{suffix}' for p in PARTS)} together: export it again (colmap model_converter)",
+            )
+    binary = suffix == ".bin"
+    lenses = (_binary_cameras if binary else _text_cameras)(model / f"cameras{suffix}")
+    poses = (_binary_images if binary else _text_images)(model / f"images{suffix}")
+    points, colours = (_binary_points if binary else _text_points)(model / f"points3D{suffix}")
+    if not poses:
+        raise PhotographError(model / f"images{suffix}", "no image has a pose", "reconstruct again until images are registered")
+    if not len(points):
+        raise PhotographError(model / f"points3D{suffix}", "there are no points", "triangulate some (colmap point_triangulator)")
+    shots = [_shot(model / f"cameras{suffix}", pose, lenses) for pose in sorted(poses, key=lambda p: p.name)]
+    names = {shot.camera.name for shot in shots}
+    if len(names) < len(shots):
+        twice = next(a.camera.name for a, b in pairwise(shots) if a.camera.name == b.camera.name)
+        raise PhotographError(model / f"images{suffix}", f"two images are named {twice!r}", "names must differ: export the model again")
+    images = _image_folder(folder, shots, size)
+    missing = [name for shot in shots if not (images / (name := shot.camera.name)).is_file()]
+    if missing:
+        raise PhotographError(
+            images / missing[0],
+            f"the image is missing ({len(missing)} of {len(shots)} are that have a pose)",
+            "restore it, or remove its pose from the model",
+        )
+    there = (p for p in images.rglob("*") if p.suffix.lower() in IMAGE_SUFFIXES and p.is_file())
+    skipped = sum(p.relative_to(images).as_posix() not in names for p in there)
+    return [replace(shot, path=images / shot.camera.name) for shot in shots], points, colours, skipped
+
+
+def _shot(cameras: Path, pose: _Pose, lenses: dict[int, _Lens]) -> Shot:
+    lens = lenses.get(pose.camera)
+    if lens is None:
+        raise PhotographError(pose.where, f"camera {pose.camera} is not in {cameras.name}", "export the model again")
+    parts = PurePosixPath(pose.name).parts
+    if not parts or ".." in parts or pose.name.startswith("/"):
+        raise PhotographError(
+            pose.where, f"the name {pose.name!r} is not that of a file in the image folder", "names are relative to the image folder"
+        )
+    rotation = quaternion_rotation(pose.where, pose.quaternion)
+    translation = checked_translation(pose.where, pose.translation)
+    fx, fy, cx, cy = lens.intrinsics
+    camera = Camera(pose.name, lens.width, lens.height, fx, fy, cx, cy, rotation, translation)
+    return Shot(Path(pose.name), camera, lens.distortion)
+
+
+def _image_folder(folder: Path, shots: list[Shot], size: Size) -> Path:
+    """images, or images_2, images_4, ...: the smallest whose first image the wanted size can be made from."""
+    reduced = {int(m[1]): p for p in folder.glob("images_*") if (m := re.fullmatch(r"images_([1-9][0-9]{0,3})", p.name)) and p.is_dir()}
+    folders = [p for p in (folder / "images", *(reduced[n] for n in sorted(reduced))) if p.is_dir()]
+    if not folders:
+        raise PhotographError(folder / "images", "there is no image folder", "put the images into images/ (or images_2/, images_4/, ...)")
+    if size is not None:
+        for place in reversed(folders[1:]):
+            if (first := place / shots[0].camera.name).is_file():
+                width, height = image_size(first)
+                if max(width, height) >= size if isinstance(size, int) else (width >= size[0] and height >= size[1]):
+                    return place
+    return folders[0]
+
+
+def _lens(where: str, model: str, width: int, height: int, parameters: list[float]) -> _Lens:
+    count, make = MODELS[model]
+    if len(parameters) != count:
+        raise PhotographError(where, f"{len(parameters)} parameters, {model} has {count}", RERUN)
+    intrinsics, distortion = make(*parameters)
+    lens = _Lens(width, height, intrinsics, distortion)
+    fx, fy, cx, cy = intrinsics
+    check_intrinsics(where, Camera("", width, height, fx, fy, cx, cy, np.eye(3), np.zeros(3)), distortion)
+    return lens
+
+
+def _supported(where: str, model: str) -> None:
+    if model not in MODELS:
+        raise PhotographError(
+            where,
+            f"the camera model {model} is not supported, {', '.join(MODELS)} are",
+            "undistort the images beforehand (colmap image_undistorter)",
+        )
+
+
+def _cloud(file: Path, rows: list[tuple[float, ...]]) -> tuple[F64, U8]:
+    """Rows of x, y, z, red, green, blue as float64 [M, 3] and uint8 [M, 3]."""
+    table = np.array(rows, np.float64).reshape(-1, 6)
+    if not np.isfinite(table).all():
+        raise PhotographError(file, "a point is NaN or infinite", "remove it, or export the model again")
+    if ((table[:, 3:] < 0) | (table[:, 3:] > 255)).any():
+        raise PhotographError(file, "a colour is outside 0 to 255", RERUN)
+    return table[:, :3].copy(), table[:, 3:].astype(np.uint8)
+
+
+# --- text -------------------------------------------------------------------------------------------------------------
+
+
+def _lines(file: Path) -> Iterator[tuple[str, str]]:
+    """Where it is and what it says, for every line but comments."""
+    try:
+        with file.open(encoding="utf-8") as lines:
+            for number, line in enumerate(lines, 1):
+                if not line.startswith("#"):
+                    yield f"{file}, line {number}", line.strip()
+    except UnicodeDecodeError:
+        raise PhotographError(file, "it is not text in UTF-8", RERUN) from None
+
+
+@contextmanager
+def _numbers(where: str, form: str) -> Iterator[None]:
+    """Turns what Python's conversions and unpacking answer to a bad line into PhotographError."""
+    try:
+        yield
+    except PhotographError:
+        raise
+    except (ValueError, OverflowError) as error:
+        raise PhotographError(where, f"the line is not of the form {form} ({error})", RERUN) from None
+
+
+def _text_cameras(file: Path) -> dict[int, _Lens]:
+    out: dict[int, _Lens] = {}
+    for where, line in _lines(file):
+        if not line:
+            continue
+        with _numbers(where, "CAMERA_ID MODEL WIDTH HEIGHT PARAMETERS"):
+            identifier, model, width, height, *parameters = line.split()
+            _supported(where, model)
+            lens = _lens(where, model, int(width), int(height), [float(p) for p in parameters])
+            if out.setdefault(int(identifier), lens) is not lens:
+                raise PhotographError(where, f"camera {int(identifier)} was there before", RERUN)
+    return out
+
+
+def _text_images(file: Path) -> list[_Pose]:
+    out: list[_Pose] = []
+    lines = _lines(file)
+    for where, line in lines:
+        if not line:
+            continue
+        with _numbers(where, "IMAGE_ID QW QX QY QZ TX TY TZ CAMERA_ID NAME"):
+            # A name may have spaces.
+            identifier, *pose, camera, name = line.split(maxsplit=9)
+            int(identifier)
+            w, x, y, z, a, b, c = (float(p) for p in pose)
+            out.append(_Pose(where, int(camera), name, np.array([w, x, y, z]), np.array([a, b, c])))
+        # The line after it holds its 2D points, three numbers each, or nothing. They are not needed here, but where the line was
+        # left out every second image would be lost without a word.
+        below, points = next(lines, (where, ""))
+        if len(points.split()) % 3:
+            raise PhotographError(
+                below, "the line after an image holds its 2D points as X Y POINT3D_ID", "give every image a second line, empty if need be"
+            )
+    return out
+
+
+def _text_points(file: Path) -> tuple[F64, U8]:
+    rows: list[tuple[float, ...]] = []
+    for where, line in _lines(file):
+        if not line:
+            continue
+        with _numbers(where, "POINT3D_ID X Y Z R G B ERROR TRACK"):
+            _, x, y, z, r, g, b, _, *track = line.split()
+            if len(track) % 2:
+                raise ValueError("a track has two numbers for each image")
+            rows.append((float(x), float(y), float(z), float(int(r)), float(int(g)), float(int(b))))
+    return _cloud(file, rows)
+
+
+# --- binary -----------------------------------------------------------------------------------------------------------
+
+
+class _Bytes:
+    """A binary file, read from front to back. Nothing is allocated for a count before the file is known to hold that much."""
+
+    def __init__(self, file: Path) -> None:
+        self.file, self.data, self.at = file, file.read_bytes(), 0
+
+    def need(self, size: int, what: str) -> None:
+        if size > len(self.data) - self.at:
+            raise PhotographError(self.file, f"it ends inside {what}, at byte {len(self.data)}", RERUN)
+
+    def take(self, form: struct.Struct, what: str) -> tuple[Any, ...]:
+        self.need(form.size, what)
+        values = form.unpack_from(self.data, self.at)
+        self.at += form.size
+        return values
+
+    def skip(self, size: int, what: str) -> None:
+        self.need(size, what)
+        self.at += size
+
+    def name(self, what: str) -> str:
+        end = self.data.find(b"\0", self.at)
+        if end < 0:
+            raise PhotographError(self.file, f"it ends inside {what}, at byte {len(self.data)}", RERUN)
+        raw, self.at = self.data[self.at : end], end + 1
+        try:
+            return raw.decode()
+        except UnicodeDecodeError:
+            raise PhotographError(self.file, f"the name in {what} is not UTF-8", RERUN) from None
+
+    def records(self, part: str) -> Iterator[str]:
+        """A description of each record; the caller reads it before the next. Checks the count, and the end."""
+        (count,) = self.take(struct.Struct("<Q"), "the count")
+        most = (len(self.data) - self.at) // SMALLEST[part]
+        if count > most:
+            raise PhotographError(self.file, f"it states {count} {part}, its {len(self.data)} bytes hold {most} at most", RERUN)
+        for index in range(count):
+            yield f"record {index} of {count}"
+        if self.at != len(self.data):
+            raise PhotographError(self.file, f"{len(self.data) - self.at} bytes follow its {count} {part}", RERUN)
+
+
+def _binary_cameras(file: Path) -> dict[int, _Lens]:
+    out: dict[int, _Lens] = {}
+    data = _Bytes(file)
+    for what in data.records("cameras"):
+        identifier, model_id, width, height = data.take(CAMERA_HEAD, what)
+        where = f"{file}, {what}"
+        model = MODEL_IDS[model_id] if 0 <= model_id < len(MODEL_IDS) else f"number {model_id}"
+        _supported(where, model)
+        lens = _lens(where, model, width, height, list(data.take(struct.Struct(f"<{MODELS[model][0]}d"), what)))
+        if out.setdefault(identifier, lens) is not lens:
+            raise PhotographError(where, f"camera {identifier} was there before", RERUN)
+    return out
+
+
+def _binary_images(file: Path) -> list[_Pose]:
+    out: list[_Pose] = []
+    data = _Bytes(file)
+    for what in data.records("images"):
+        _, *pose, camera = data.take(IMAGE_HEAD, what)
+        name = data.name(what)
+        (points,) = data.take(struct.Struct("<Q"), what)
+        # X, Y, POINT3D_ID.
+        data.skip(24 * points, what)
+        out.append(_Pose(f"{file}, {what}", camera, name, np.array(pose[:4]), np.array(pose[4:])))
+    return out
+
+
+def _binary_points(file: Path) -> tuple[F64, U8]:
+    rows: list[tuple[float, ...]] = []
+    data = _Bytes(file)
+    for what in data.records("points3D"):
+        _, *row, _, track = data.take(POINT_HEAD, what)
+        # IMAGE_ID, POINT2D_IDX.
+        data.skip(8 * track, what)
+        rows.append(tuple(row))
+    return _cloud(file, rows)

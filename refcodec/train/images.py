@@ -1,0 +1,129 @@
+"""Image files: their sizes, their pixels, and smaller versions of them."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import numpy as np
+from PIL import Image
+from scipy import sparse
+
+from .cameras import SIDE_MAX, U8, PhotographError
+
+# What photographs come in. Others stay closed: some of Pillow's readers start programs (EPS).
+FORMATS = ("JPEG", "PNG", "WEBP", "TIFF", "BMP")
+# 16-bit and float images have no agreed range.
+EIGHT_BITS = ("1", "L", "LA", "P", "PA", "RGB", "RGBA", "RGBX", "CMYK", "YCbCr")
+
+# (width, height), or the longest side, in pixels; None leaves images as they are.
+Size = tuple[int, int] | int | None
+
+
+def parse_size(text: str) -> tuple[int, int] | int:
+    """The size that a command line states: "400x300", or "400" for the longest side. Raises PhotographError."""
+    match = re.fullmatch(r"([1-9][0-9]{0,5})(?:x([1-9][0-9]{0,5}))?", text.strip())
+    numbers = [int(n) for n in match.groups() if n] if match else []
+    if not numbers or max(numbers) > SIDE_MAX:
+        raise PhotographError(
+            f"size {text!r}", f"it is neither WIDTHxHEIGHT nor a longest side of 1 to {SIDE_MAX} pixels", "give for example 400x300, or 400"
+        )
+    return numbers[0] if len(numbers) == 1 else (numbers[0], numbers[1])
+
+
+def same_aspect(width: int, height: int, other_width: int, other_height: int) -> bool:
+    """Whether one size scaled to the other is off by no more than a pixel of the smaller one."""
+    return abs(width * other_height - height * other_width) <= max(width, height, other_width, other_height)
+
+
+def wanted_size(where: Path | str, width: int, height: int, size: Size) -> tuple[int, int]:
+    """The width and height that an image of width x height gets. Images are never enlarged.
+
+    Raises PhotographError if the size would stretch the image by more than a pixel, or is larger than the image.
+    """
+    if size is None:
+        return width, height
+    if isinstance(size, int):
+        longer = max(width, height)
+        return (width, height) if size >= longer else (max(1, round(width * size / longer)), max(1, round(height * size / longer)))
+    if size[0] > width or size[1] > height:
+        raise PhotographError(
+            where,
+            f"the image has {width} x {height} pixels and {size[0]} x {size[1]} are wanted: images are not enlarged",
+            f"ask for {width}x{height} or less",
+        )
+    if not same_aspect(width, height, *size):
+        raise PhotographError(
+            where,
+            f"{size[0]} x {size[1]} would stretch an image of {width} x {height} by more than a pixel",
+            f"ask for {size[0]}x{max(1, round(height * size[0] / width))}, or give the longest side alone",
+        )
+    return size
+
+
+@contextmanager
+def _opened(path: Path) -> Iterator[Image.Image]:
+    if not path.is_file():
+        raise PhotographError(path, "the image is missing", "restore it, or remove its pose from the dataset")
+    try:
+        with Image.open(path, formats=FORMATS) as image:
+            yield image
+    except PhotographError:
+        raise
+    # Pillow's readers answer bad bytes with many types; whatever it is, the image cannot be read.
+    except Exception as error:
+        raise PhotographError(
+            path, f"it is not a readable image ({error}); {', '.join(FORMATS)} are", "export or copy the image again"
+        ) from None
+
+
+def image_size(path: Path) -> tuple[int, int]:
+    """Width and height of an image file, of which only the header is read. Raises PhotographError.
+
+    As in COLMAP, pixels are taken as they are stored: an EXIF orientation is not applied, because poses do not know of it.
+    """
+    with _opened(path) as image:
+        return image.size
+
+
+def read_image(path: Path, background: tuple[int, int, int]) -> U8:
+    """The pixels of an image file, uint8 [H, W, 3], RGB. Raises PhotographError.
+
+    Where the file has an alpha channel, the image is laid over the background, 0 to 255 each.
+    """
+    with _opened(path) as image:
+        if image.mode not in EIGHT_BITS:
+            raise PhotographError(path, f"its pixels are of the kind {image.mode}, 8 bits per channel are required", "convert it to 8 bits")
+        if image.has_transparency_data:
+            pixels = np.asarray(image.convert("RGBA"), np.float32)
+            alpha = pixels[..., 3:] / 255
+            return np.rint(pixels[..., :3] * alpha + np.array(background, np.float32) * (1 - alpha)).astype(np.uint8)
+        return np.asarray(image.convert("RGB"), np.uint8)
+
+
+def shrink(image: U8, width: int, height: int) -> U8:
+    """An image [H, W, 3] averaged over the area of each pixel of the smaller one, uint8 [height, width, 3].
+
+    A source pixel that lies in two of them counts in each by its share: Pillow's BOX filter gives it to one of them, which moves
+    the picture by up to a quarter of a pixel when sides do not divide. The stored values are averaged, without undoing their gamma.
+    """
+    h, w = image.shape[:2]
+    if (w, h) == (width, height):
+        return image
+    rows = _area_weights(h, height) @ image.reshape(h, w * 3).astype(np.float32)
+    columns = rows.reshape(height, w, 3).transpose(1, 0, 2).reshape(w, height * 3)
+    out = (_area_weights(w, width) @ columns).reshape(width, height, 3).transpose(1, 0, 2)
+    return np.ascontiguousarray(np.rint(out).astype(np.uint8))
+
+
+def _area_weights(n: int, m: int) -> sparse.csr_array:
+    """[m, n]: the share of each of n pixels in each of m larger ones, exact in integers up to the division."""
+    start = np.arange(m) * n
+    # In units of 1/m source pixel, row i covers [i n, (i + 1) n) and source pixel j covers [j m, (j + 1) m).
+    column = start[:, None] // m + np.arange(n // m + 2)
+    overlap = np.minimum(start[:, None] + n, (column + 1) * m) - np.maximum(start[:, None], column * m)
+    row = np.broadcast_to(np.arange(m)[:, None], column.shape)
+    kept = (overlap > 0) & (column < n)
+    return sparse.csr_array(((overlap[kept] / n).astype(np.float32), (row[kept], column[kept])), shape=(m, n))

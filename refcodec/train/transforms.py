@@ -1,0 +1,246 @@
+"""NeRF's transforms.json: cameras in Blender's convention, with or without points.
+
+transform_matrix takes camera to world, and a camera looks along -z with y up; y and z are negated to get COLMAP's. Pixels are
+counted as in COLMAP (instant-ngp, nerfstudio). Without cx and cy the principal point is in the middle.
+"""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path, PurePosixPath
+from typing import Any
+
+import numpy as np
+from plyfile import PlyData
+
+from .cameras import (
+    F64,
+    U8,
+    UNDISTORTED,
+    Camera,
+    Distortion,
+    PhotographError,
+    Shot,
+    check_intrinsics,
+    checked_rotation,
+    checked_translation,
+)
+from .images import image_size
+
+SINGLE, TRAIN, TEST = "transforms.json", "transforms_train.json", "transforms_test.json"
+# Tried after a file_path in turn; Blender's file_path has none.
+SUFFIXES = ("", ".png", ".jpg", ".jpeg", ".JPG", ".PNG")
+MODELS = ("SIMPLE_PINHOLE", "PINHOLE", "SIMPLE_RADIAL", "RADIAL", "OPENCV")
+INTRINSICS = ("w", "h", "fl_x", "fl_y", "camera_angle_x", "camera_angle_y", "cx", "cy", "k1", "k2", "p1", "p2")
+# Coefficients of models that are not supported.
+HIGHER = ("k3", "k4", "k5", "k6")
+POINT_FILES = ("points3d.ply", "points3D.ply")
+# As many points as 3DGS starts NeRF's synthetic scenes with.
+RANDOM_POINTS = 100_000
+# Half the side of the scene's box, as a share of the cameras' distance: 1.34 for NeRF's synthetic scenes, where 3DGS has 1.3.
+BOX_SHARE = 1 / 3
+GREY = 128
+REPAIR = "write the file again with the program that made it"
+
+
+def is_transforms(folder: Path) -> bool:
+    """Whether a folder has one of NeRF's files."""
+    return any((folder / name).exists() for name in (SINGLE, TRAIN, TEST))
+
+
+def read_transforms(folder: Path, seed: int) -> tuple[list[Shot], list[Shot] | None, F64, U8, int]:
+    """Posed images, those for tests (None if the dataset has no split of its own), points [M, 3], colours [M, 3], images without pose.
+
+    transforms_train.json and transforms_test.json are a split, transforms.json is none. A frame without transform_matrix is an image
+    without pose. Points come from the PLY file that ply_file_path names, or from points3d.ply; without either they are random_points of
+    all the cameras. Raises PhotographError.
+    """
+    if (folder / SINGLE).is_file():
+        document = _document(folder / SINGLE)
+        shots, skipped = _frames(folder / SINGLE, document)
+        test = None
+    else:
+        for name, other in ((TRAIN, TEST), (TEST, TRAIN)):
+            if not (folder / name).is_file():
+                raise PhotographError(folder / name, f"the file is missing, {other} is there", f"give both, or a {SINGLE}")
+        document = _document(folder / TRAIN)
+        shots, skipped = _frames(folder / TRAIN, document)
+        test, more = _frames(folder / TEST, _document(folder / TEST))
+        skipped += more
+    everything = [*shots, *(test or ())]
+    if not everything:
+        raise PhotographError(folder, "no image has a pose", "give the frames a transform_matrix")
+    named = document.get("ply_file_path")
+    places = [folder / str(named)] if named is not None else [folder / name for name in POINT_FILES]
+    place = next((p for p in places if p.is_file()), None)
+    if place is None and named is not None:
+        raise PhotographError(places[0], "the point cloud that ply_file_path names is missing", "restore it, or remove ply_file_path")
+    points, colours = read_points(place) if place else random_points(folder, [shot.camera for shot in everything], seed)
+    return shots, test, points, colours, skipped
+
+
+def _document(file: Path) -> dict[str, Any]:
+    try:
+        document = json.loads(file.read_bytes())
+    # RecursionError: arrays nested without end.
+    except (ValueError, RecursionError) as error:
+        raise PhotographError(file, f"it is not JSON ({error})", REPAIR) from None
+    if not isinstance(document, dict) or not isinstance(document.get("frames"), list):
+        raise PhotographError(file, 'it has no list "frames"', REPAIR)
+    return document
+
+
+def _frames(file: Path, document: dict[str, Any]) -> tuple[list[Shot], int]:
+    """The posed images of a file in the order of their names, and how many frames have no pose."""
+    shots, skipped = [], 0
+    names: set[str] = set()
+    for index, frame in enumerate(document["frames"]):
+        where = f"{file}, frame {index}"
+        if not isinstance(frame, dict) or not isinstance(frame.get("file_path"), str):
+            raise PhotographError(where, "it has no file_path", REPAIR)
+        if frame.get("transform_matrix") is None:
+            skipped += 1
+            continue
+        shot = _shot(where, file.parent, document, frame)
+        if shot.camera.name in names:
+            raise PhotographError(where, f"two images are named {shot.camera.name!r}", "names must differ")
+        names.add(shot.camera.name)
+        shots.append(shot)
+    return sorted(shots, key=lambda s: s.camera.name), skipped
+
+
+def _shot(where: str, folder: Path, document: dict[str, Any], frame: dict[str, Any]) -> Shot:
+    stated = frame["file_path"]
+    path = next((p for s in SUFFIXES if (p := folder / f"{stated}{s}").is_file()), folder / stated)
+    # A name is also that of a file that is written for the image, so it may not lead out of a folder.
+    name = "/".join(part for part in PurePosixPath(stated).parts if part not in ("/", ".."))
+    # A frame's own numbers come before those of the whole file.
+    keys = {**document, **frame}
+    fields = {key: _number(where, keys, key) for key in (*INTRINSICS, *HIGHER)}
+    size = image_size(path)
+    width, height = (_whole(where, key, fields[key], side) for key, side in zip(("w", "h"), size, strict=True))
+    distortion = _distortion(where, keys, fields)
+    fx, fy = _focal(where, fields, width, height)
+    cx, cy = (middle if value is None else value for value, middle in ((fields["cx"], width / 2), (fields["cy"], height / 2)))
+    rotation, translation = _pose(where, frame["transform_matrix"])
+    camera = Camera(name, width, height, fx, fy, cx, cy, rotation, translation)
+    check_intrinsics(where, camera, distortion)
+    return Shot(path, camera, distortion)
+
+
+def _number(where: str, keys: dict[str, Any], key: str) -> float | None:
+    value = keys.get(key)
+    if value is None:
+        return None
+    if isinstance(value, bool) or not isinstance(value, int | float):
+        raise PhotographError(where, f"{key} is {value!r:.60}, a number is required", REPAIR)
+    try:
+        return float(value)
+    except OverflowError:
+        return float("inf")
+
+
+def _whole(where: str, key: str, value: float | None, default: int) -> int:
+    """A side in pixels, which some programs write as 800.0; without one, the image's."""
+    if value is None:
+        return default
+    if not (np.isfinite(value) and value == int(value)):
+        raise PhotographError(where, f"{key} is {value}, a whole number of pixels is required", REPAIR)
+    return int(value)
+
+
+def _distortion(where: str, keys: dict[str, Any], fields: dict[str, float | None]) -> Distortion:
+    model = keys.get("camera_model", "OPENCV")
+    # nerfstudio calls a pinhole camera PERSPECTIVE, too.
+    if model not in (*MODELS, "PERSPECTIVE") or keys.get("is_fisheye"):
+        model = "fisheye" if model in MODELS else f"{model!s:.60}"
+        raise PhotographError(
+            where, f"the camera model {model} is not supported, {', '.join(MODELS)} are", "undistort the images beforehand"
+        )
+    higher = [key for key in HIGHER if fields[key]]
+    if higher:
+        raise PhotographError(
+            where,
+            f"{higher[0]} is {fields[higher[0]]}: the camera model FULL_OPENCV is not supported, {', '.join(MODELS)} are",
+            "undistort the images beforehand",
+        )
+    k1, k2, p1, p2 = (fields[key] or 0.0 for key in ("k1", "k2", "p1", "p2"))
+    return (k1, k2, p1, p2) if any((k1, k2, p1, p2)) else UNDISTORTED
+
+
+def _focal(where: str, fields: dict[str, float | None], width: int, height: int) -> tuple[float, float]:
+    """Focal lengths from fl_x and fl_y, or from the angles of view; where only one is stated it is both."""
+    out: list[float | None] = []
+    for axis, side in (("x", width), ("y", height)):
+        focal, angle = fields[f"fl_{axis}"], fields[f"camera_angle_{axis}"]
+        if focal is None and angle is not None:
+            if not 0 < angle < np.pi:
+                raise PhotographError(where, f"camera_angle_{axis} is {angle}, radians between 0 and pi are allowed", REPAIR)
+            focal = side / 2 / float(np.tan(angle / 2))
+        out.append(focal)
+    fx, fy = (a if a is not None else b for a, b in (out, out[::-1]))
+    if fx is None or fy is None:
+        raise PhotographError(where, "there is no focal length", "give fl_x and fl_y in pixels, or camera_angle_x in radians")
+    return fx, fy
+
+
+def _pose(where: str, rows: Any) -> tuple[F64, F64]:
+    """Rotation and translation, world to camera in COLMAP's convention, of a camera-to-world matrix of 3 or 4 rows."""
+    try:
+        matrix = np.array(rows, np.float64)
+    except (ValueError, TypeError, OverflowError):
+        matrix = np.empty(0)
+    if matrix.shape not in ((3, 4), (4, 4)):
+        raise PhotographError(where, "its transform_matrix is not 4 rows of 4 numbers", REPAIR)
+    if len(matrix) == 4 and not np.allclose(matrix[3], (0, 0, 0, 1), atol=1e-6):
+        raise PhotographError(where, "the last row of its transform_matrix is not 0 0 0 1", REPAIR)
+    rotation = checked_rotation(where, (matrix[:3, :3] * (1, -1, -1)).T)
+    return rotation, -rotation @ checked_translation(where, matrix[:3, 3])
+
+
+def read_points(file: Path) -> tuple[F64, U8]:
+    """The vertices of a PLY file: positions float64 [M, 3] and colours uint8 [M, 3] (grey where it has none). Raises PhotographError."""
+    advice = "give vertices with x, y, z and, as 8-bit integers, red, green, blue"
+    try:
+        data = PlyData.read(str(file))["vertex"].data
+        points = np.stack([data[axis].astype(np.float64) for axis in "xyz"], axis=1)
+        colours = np.full(points.shape, GREY, np.uint8)
+        if "red" in data.dtype.names:
+            columns = [data[name] for name in ("red", "green", "blue")]
+            if any(column.dtype != np.uint8 for column in columns):
+                raise PhotographError(file, f"its colours are {columns[0].dtype}, uint8 is required", advice)
+            colours = np.stack(columns, axis=1)
+    except PhotographError:
+        raise
+    # plyfile answers bad bytes with many types; whatever it is, the file cannot be read.
+    except Exception as error:
+        raise PhotographError(file, f"it is not a readable point cloud ({error})", advice) from None
+    if not len(points):
+        raise PhotographError(file, "there are no points", f"remove the file: {RANDOM_POINTS} points are then drawn at random")
+    if not np.isfinite(points).all():
+        raise PhotographError(file, "a point is NaN or infinite", advice)
+    return points, colours
+
+
+def random_points(folder: Path, cameras: list[Camera], seed: int) -> tuple[F64, U8]:
+    """RANDOM_POINTS grey points drawn evenly in the scene's box: positions float64 [M, 3] and colours uint8 [M, 3].
+
+    The box is a cube around the point that is nearest to all the cameras' axes (least squares); half its side is BOX_SHARE of the
+    median distance of the cameras from there. It suits cameras around an object. Raises PhotographError if the axes do not meet in
+    front of the cameras.
+    """
+    centres = np.stack([camera.centre for camera in cameras])
+    axes = np.stack([camera.rotation[2] for camera in cameras])
+    across = np.eye(3) - axes[:, :, None] * axes[:, None, :]
+    total = across.sum(axis=0)
+    advice = f"give points in {POINT_FILES[0]}, or reconstruct some with COLMAP"
+    # The smallest eigenvalue tells how far the axes are from being parallel: it is 0 for one camera, and n / 2 at best.
+    if np.linalg.eigvalsh(total)[0] < 1e-4 * len(cameras):
+        raise PhotographError(folder, "there are no points, and the cameras' axes do not meet, so none can be drawn", advice)
+    middle = np.linalg.solve(total, (across @ centres[:, :, None]).sum(axis=0)[:, 0])
+    depth = float(np.median(((middle - centres) * axes).sum(axis=1)))
+    if depth <= 0:
+        raise PhotographError(folder, "there are no points, and the cameras look away from each other, so none can be drawn", advice)
+    half = BOX_SHARE * float(np.median(np.linalg.norm(middle - centres, axis=1)))
+    points = middle + np.random.default_rng(seed).uniform(-half, half, (RANDOM_POINTS, 3))
+    return points, np.full(points.shape, GREY, np.uint8)
