@@ -97,19 +97,24 @@ def test_requirements_name_registered_errors() -> None:
 
 def test_every_normative_sentence_is_a_requirement() -> None:
     """Identifiers are unique and named after the clause they stand in; what obliges anyone has one."""
-    found = re.findall(r"^- \[(([RD])([^\]-]+)-\d+)\] It is a requirement of (bitstream|decoder) conformance that", TEXT, re.MULTILINE)
+    found = re.findall(
+        r"^- \[(([RDG])([^\]-]+)-\d+)\] It is a requirement of (bitstream|decoder|renderer) conformance that", TEXT, re.MULTILINE
+    )
     assert len({name for name, *_ in found}) == len(found) > 70
-    assert all({"R": "bitstream", "D": "decoder"}[letter] == what and clause in HEADINGS for _, letter, clause, what in found)
+    assert all(
+        {"R": "bitstream", "D": "decoder", "G": "renderer"}[letter] == what and clause in HEADINGS for _, letter, clause, what in found
+    )
     for clause in {c for _, _, c, _ in found}:
         text = TEXT.partition("## Annex A")[2] if clause == "A" else section(clause)
-        assert re.search(rf"^- \[[RD]{re.escape(clause)}-1\]", text, re.MULTILINE), clause
+        assert re.search(rf"^- \[[RDG]{re.escape(clause)}-1\]", text, re.MULTILINE), clause
     body = PROSE.replace(section("2.1"), "")
     for sentence in re.findall(r"[^.\n|]*\b(?:MUST|SHALL|REQUIRED)\b[^.\n]*", body):
         raise AssertionError(f"without an identifier: {sentence}")
     # Each function of the decoding process is named by a requirement.
     functions = set(re.findall(r"^def ([A-Z_0-9]+)\(", TEXT, re.MULTILINE))
-    named = set(re.findall(r"\b[A-Z_0-9]{3,}\b", " ".join(re.findall(r"^- \[D.*$", TEXT, re.MULTILINE))))
+    named = set(re.findall(r"\b[A-Z_0-9]{3,}\b", " ".join(re.findall(r"^- \[[DG].*$", TEXT, re.MULTILINE))))
     helpers = {"RSHIFT_ROUND", "CLAMP", "ISQRT", "ROUND_SCALED", "ROUND_F32", "ACTIVATION", "PLANE_GROUPS", "NOTE_SYMBOLS", "OPEN"}
+    helpers |= {"RENDER_NETWORK", "NORMALISED", "LOGISTIC", "ROTATION", "PRODUCT", "PROJECT", "PIXEL"}
     assert functions - named - helpers <= {"DECODE_SCENE", "READ_TABLES"}
 
 

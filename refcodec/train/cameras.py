@@ -8,11 +8,13 @@ factor, fy and cy by another, with no half pixels.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
+
+from ..rendering import Camera
 
 F64 = NDArray[np.float64]
 U8 = NDArray[np.uint8]
@@ -31,35 +33,6 @@ class PhotographError(ValueError):
     def __init__(self, where: Path | str, problem: str, advice: str) -> None:
         self.where, self.problem, self.advice = str(where), problem, advice
         super().__init__(f"{where}: {problem}; {advice}")
-
-
-@dataclass(frozen=True, eq=False)
-class Camera:
-    """A pinhole camera.
-
-    name: the image's name in its dataset; width, height, fx, fy, cx, cy: pixels; rotation: float64 [3, 3], world to camera;
-    translation: float64 [3], world units.
-    """
-
-    name: str
-    width: int
-    height: int
-    fx: float
-    fy: float
-    cx: float
-    cy: float
-    rotation: F64
-    translation: F64
-
-    @property
-    def centre(self) -> F64:
-        """Where the camera is in the world, float64 [3]."""
-        return -self.rotation.T @ self.translation
-
-    def resized(self, width: int, height: int) -> Camera:
-        """The camera of the same image with another number of pixels."""
-        x, y = width / self.width, height / self.height
-        return replace(self, width=width, height=height, fx=self.fx * x, fy=self.fy * y, cx=self.cx * x, cy=self.cy * y)
 
 
 # k1, k2, p1, p2 of COLMAP's and OpenCV's OPENCV model, in normalised image coordinates.

@@ -1,0 +1,112 @@
+"""Rendering (SPEC.md chapter 14): Gaussians against the text's own python blocks in binary64."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from conformance.scenes import random_scene
+from conformance.strategies import render_infos
+from conformance.text import SPEC, blocks
+from refcodec.reconstruction import Reconstruction, reconstruct
+from refcodec.rendering import Camera, Gaussians, default_camera, gaussians, rotation_matrix
+from refcodec.scene import RenderInfo, Scene
+
+ROOT = Path(__file__).resolve().parent.parent
+
+
+@pytest.fixture(scope="module")
+def text() -> dict:
+    return blocks(SPEC.read_text(encoding="utf-8"))
+
+
+def scene_of(seed: int, anchors: int = 60) -> tuple[Scene, Reconstruction, Camera]:
+    """A scene of ordinary sizes, and a camera among its anchors."""
+    rng = np.random.default_rng(seed)
+    scene = random_scene(seed, anchors, gain=0.3, base_step=(0.5, 0.125, 0.25))
+    scene.networks["opacity"][-1][0][:] *= 0.02
+    scene.networks["opacity"][-1][1][:] = rng.normal(0, 1, scene.dimensions.offset_count)
+    values = reconstruct(scene)
+    values = replace(values, positions=rng.normal(0, 4, (anchors, 3)).astype(np.float32))
+    quaternion = rng.normal(size=4)
+    rotation = rotation_matrix(quaternion / np.linalg.norm(quaternion))
+    return scene, values, Camera("c", 64, 48, 55.0, 54.0, 31.5, 25.0, rotation, rng.normal(0, 3, 3))
+
+
+def by_the_text(text: dict, scene: Scene, values: Reconstruction, camera: Camera) -> list[tuple]:
+    networks = {n: [(w.tolist(), b.tolist()) for w, b in scene.networks[n]] for n in ("opacity", "covariance", "colour")}
+    found = []
+    for n in range(scene.anchor_count):
+        row = (getattr(values, name)[n].astype(np.float64).tolist() for name in ("positions", "features", "scalings", "offsets"))
+        position, feature, scaling, offsets = row
+        found += text["GAUSSIANS"](networks, position, feature, scaling, offsets, scene.masks[n].tolist(), camera.centre.tolist())
+    return found
+
+
+def compared(found: Gaussians, wanted: list[tuple], tolerance: float) -> None:
+    """Each vector within a tolerance relative to its length."""
+    assert len(found.opacity) == len(wanted) > 0
+    for name, column in (("mean", 0), ("lengths", 1), ("quaternion", 2), ("opacity", 3), ("colour", 4)):
+        made = getattr(found, name).astype(np.float64).reshape(len(wanted), -1)
+        right = np.array([w[column] for w in wanted]).reshape(len(wanted), -1)
+        assert (np.abs(made - right).max(axis=1) <= tolerance * np.linalg.norm(right, axis=1)).all(), name
+
+
+@pytest.mark.requirement("G14.3-1")
+@pytest.mark.parametrize("seed", range(8))
+def test_gaussians_are_those_of_the_text(text: dict, seed: int) -> None:
+    scene, values, camera = scene_of(seed)
+    wanted = by_the_text(text, scene, values, camera)
+    compared(gaussians(values, scene.masks, scene.networks, camera, np.float64), wanted, 1e-12)
+    # In binary32 those whose opacity is next to nothing may come and go.
+    found = gaussians(values, scene.masks, scene.networks, camera)
+    assert found.opacity.dtype == np.float32
+    assert abs(len(found.opacity) - len(wanted)) <= 1
+    if len(found.opacity) == len(wanted):
+        compared(found, wanted, 1e-4)
+
+
+def test_masked_offsets_and_negative_opacities_give_nothing(text: dict) -> None:
+    scene, values, camera = scene_of(9)
+    found = gaussians(values, scene.masks, scene.networks, camera)
+    assert scene.masks[found.anchor, found.offset].all()
+    assert (found.opacity > 0).all()
+    nothing = replace(scene, masks=np.zeros_like(scene.masks))
+    assert len(gaussians(values, nothing.masks, scene.networks, camera).opacity) == 0
+    assert by_the_text(text, nothing, values, camera) == []
+
+
+def test_an_anchor_in_the_camera_and_a_quaternion_of_nothing(text: dict) -> None:
+    """Direction zero at distance zero; an output of four zeros is no rotation."""
+    scene, values, camera = scene_of(10, 1)
+    for layers in (scene.networks["covariance"], scene.networks["opacity"]):
+        layers[-1][0][:] = 0
+        layers[-1][1][:] = 1
+    scene.networks["covariance"][-1][1].reshape(-1, 7)[:, 3:] = 0
+    masks = np.ones_like(scene.masks)
+    values = replace(values, positions=camera.centre[None].astype(np.float32))
+    camera = replace(camera, translation=-camera.rotation @ values.positions[0].astype(np.float64))
+    found = gaussians(values, masks, scene.networks, camera, np.float64)
+    assert found.quaternion.tolist() == [[1, 0, 0, 0]] * len(found.opacity)
+    compared(found, by_the_text(text, replace(scene, masks=masks), values, camera), 1e-9)
+
+
+@given(render_infos())
+def test_the_default_camera_of_any_file(info: RenderInfo) -> None:
+    camera = default_camera(info)
+    assert np.allclose(camera.rotation @ camera.rotation.T, np.eye(3), atol=1e-9)
+    assert np.linalg.det(camera.rotation) == pytest.approx(1)
+    assert (camera.cx, camera.cy) == (camera.width / 2, camera.height / 2)
+
+
+@given(st.integers(0, 2**32 - 1))
+def test_rotation_is_that_of_the_text(seed: int) -> None:
+    quaternion = np.random.default_rng(seed).normal(size=(3, 4))
+    quaternion /= np.linalg.norm(quaternion, axis=1, keepdims=True)
+    rotation = blocks(SPEC.read_text(encoding="utf-8"))["ROTATION"]
+    assert np.allclose(rotation_matrix(quaternion), [rotation(q) for q in quaternion.tolist()], atol=1e-15)
