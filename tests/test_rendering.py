@@ -29,8 +29,9 @@ def scene_of(seed: int, anchors: int = 60) -> tuple[Scene, Reconstruction, Camer
     """A scene of ordinary sizes, and a camera among its anchors."""
     rng = np.random.default_rng(seed)
     scene = random_scene(seed, anchors, gain=0.3, base_step=(0.5, 0.125, 0.25))
-    scene.networks["opacity"][-1][0][:] *= 0.02
-    scene.networks["opacity"][-1][1][:] = rng.normal(0, 1, scene.dimensions.offset_count)
+    # Some opacities above 0 and some below, by the offset and by the anchor.
+    weight, bias = scene.networks["opacity"][-1]
+    weight[:], bias[:] = rng.normal(0, 0.1, weight.shape), [0.5, -0.3]
     values = reconstruct(scene)
     values = replace(values, positions=rng.normal(0, 4, (anchors, 3)).astype(np.float32))
     quaternion = rng.normal(size=4)
