@@ -7,7 +7,9 @@ import importlib
 import re
 from fractions import Fraction
 from pathlib import Path
+from typing import Any
 
+import mpmath
 import numpy as np
 import pytest
 
@@ -209,6 +211,46 @@ def test_tables_file_as_stated() -> None:
     data = Path(tables.__file__).parent.joinpath("data", tables.TABLES_FILE).read_bytes()
     assert hashlib.sha256(data).hexdigest() in TEXT
     assert f"of {len(data)} bytes" in TEXT
+
+
+def test_the_formulas_of_annex_a() -> None:
+    """Annex A's formulas, evaluated as they are printed with 50 digits, give the table file."""
+
+    def rule(clause: str, number: int = 0) -> Any:
+        code = re.findall(r"`([^`]+)`", section(clause))[number]
+        names = {n: getattr(mpmath, n) for n in ("sin", "erf", "exp", "sqrt", "pi", "ln")}
+        names |= {"floor": lambda x: int(mpmath.floor(x)), "ceil": lambda x: int(mpmath.ceil(x)), "max": max}
+        # Numbers become exact ones, so that 1/2 and i / 8 are.
+        compiled = compile(re.sub(r"\b(\d+)\b", r"N(\1)", code.replace("^", "**")), clause, "eval")
+        return lambda **values: eval(compiled, {"N": mpmath.mpf, **names, **values})
+
+    t = tables.tables()
+    with mpmath.workdps(50):
+        sine, step = rule("A.1"), rule("A.2")
+        assert t.sine.tolist() == [sine(j=j) for j in range(1024)]
+        assert t.step.tolist() == [step(q=q) for q in range(64)]
+        scale, mean, gauss, laplace, gauss_radius, laplace_radius, share = (rule("A.3", n) for n in range(7))
+        frequency = rule("A.4")
+        for models, distribution, radius_rule in ((t.gauss, gauss, gauss_radius), (t.laplace, laplace, laplace_radius)):
+            for i, f in [(-40, 0), (-40, 8), (-17, 3), (-9, 15), (0, 8), (5, 11), (23, 0), (23, 13)]:
+                model = (i + 40) * 16 + f
+                b, m = scale(i=i), mean(f=f)
+                radius = radius_rule(b=b)
+                assert models.radius[model] == radius
+                found = np.diff(model_bounds(models, model)).tolist()
+                right = [
+                    frequency(p=lambda x, d=distribution, b=b, m=m: share(G=lambda y: d(x=y, b=b), x=x, m=m), x=mpmath.mpf(x))
+                    for x in range(-radius, radius + 1)
+                ]
+                largest = right.index(max(right))
+                right[largest] += (1 << 14) - 1 - sum(right)
+                assert found == [*right, 1], (i, f)
+
+
+def model_bounds(models: tables.ModelSet, model: int) -> np.ndarray:
+    """The slots at which the symbols of a model begin, and 2^14."""
+    start, count = int(models.offset[model]), 2 * int(models.radius[model]) + 2
+    return np.append(models.lower[start : start + count], 1 << 14).astype(np.int64)
 
 
 def test_container_numbers() -> None:
