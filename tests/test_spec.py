@@ -213,6 +213,94 @@ def test_tables_file_as_stated() -> None:
     assert f"of {len(data)} bytes" in TEXT
 
 
+def test_the_formulas_of_the_prose(spec: dict) -> None:
+    """Formulas that stand in the prose are evaluated as they are printed, and give what the functions give."""
+    constants = {name: eval(value.replace("^", "**")) for name, value, *_ in rows(section("2.5"))}
+    functions = {"ceil": lambda x: -int(-x // 1), "abs": abs, "min": min, **spec}
+    rng = np.random.default_rng(5)
+
+    def formulas(clause: str) -> list[str]:
+        prose = re.sub(r"^```.*?^```|^\|[^\n]*|^- \[D[^\n]*", "", section(clause), flags=re.DOTALL | re.MULTILINE)
+        return [f for f in re.findall(r"`([^`\n]*)`", prose) if re.search(r"[-+*/<>]", f)]
+
+    def value(formula: str, **names: object) -> Any:
+        return eval(formula.replace("^", "**"), {}, {**functions, **constants, "U": 1 << constants["UNIT_BITS"], **names})
+
+    def integer(bound: int) -> int:
+        return int(rng.integers(1 - bound, bound)) >> int(rng.integers(0, 20))
+
+    def called(name: str, *arguments: object) -> Any:
+        return spec[name](*arguments)
+
+    (frame_sum,) = formulas("7.5.1")
+    square, inside, factor, contracted = formulas("7.5.2")
+    assert "`ISQRT(q)`" in section("7.5.2")
+    (rescaled,) = formulas("7.5.3")
+    grid, cell, weight = formulas("7.5.4")
+    for _ in range(200):
+        matrix, p = [integer(1 << 20) for _ in range(9)], [integer(1 << 40) for _ in range(3)]
+        frame = {"matrix": matrix, "translation": [integer(1 << 61) for _ in range(3)], "shift": rng.integers(0, 61, 3).tolist()}
+        for r, v in enumerate(called("FRAME_COORDINATES", frame, p)):
+            names = {f"A_r{c}": matrix[3 * r + c] for c in range(3)} | dict(zip(("Px", "Py", "Pz"), p, strict=True))
+            assert v == value(frame_sum, T_r=frame["translation"][r], s_r=frame["shift"][r], **names)
+        v = [integer(1 << int(rng.integers(2, 31))) for _ in range(3)]
+        names = {f"v_{r}": x for r, x in enumerate(v)}
+        q = value(square, **names)
+        if value(inside, q=q):
+            w = v
+        else:
+            f = value(factor, n=spec["ISQRT"](q))
+            w = [value(contracted, v_r=x, f=f, n=spec["ISQRT"](q)) for x in v]
+        assert w == called("CONTRACT", v)
+        low = [integer(1 << 18) for _ in range(3)]
+        high = [a + 1 + int(rng.integers(0, 1 << 18)) for a in low]
+        u = called("RESCALE", {"low": low, "high": high}, w)
+        assert u == [value(rescaled, w_r=x, low_r=a, high_r=b) for x, a, b in zip(w, low, high, strict=True)]
+        s = int(rng.integers(2, 40))
+        g = value(grid, u=u[0], s=s)
+        c = value(cell, g=g, s=s)
+        f = value(weight, g=g, c=c)
+        ramp = [[[16 * j for j in range(s)] for _ in range(s)]]
+        # A plane that rises along its columns shows cell and weight.
+        found = called("QUERY", ramp, [u[0], 0], 0)[0]
+        assert found == spec["ACTIVATION"](spec["RSHIFT_ROUND"]((c * 256 + f) * 16 * 256, 16))
+        a = {"origin": [integer(1 << 62)] * 3, "scale_mantissa": int(rng.integers(1, 65536)), "scale_exponent": int(rng.integers(-60, 61))}
+        names = {"origin": a["origin"][0], "S": a["scale_mantissa"], "P": p[0], "E": a["scale_exponent"]}
+        assert value(formulas("9.1")[0], **names) == called("WORLD", a, 0, p[0])
+        base = float(np.float32(rng.normal()) * np.float32(2.0) ** int(rng.integers(-40, 40)))
+        mantissa, e = abs(base).as_integer_ratio()[0], 1 - abs(base).as_integer_ratio()[1].bit_length()
+        while mantissa % 2 == 0:
+            mantissa, e = mantissa // 2, e + 1
+        y, q = integer(1 << 23), int(rng.integers(0, 64))
+        step = spec["STEP"][q]
+        assert value(formulas("9.2")[0], y=y, step_table=step, m=mantissa, e=e) == called("VALUE", y, q, abs(base))
+        # Rounded once, so within half a unit in the last place of symbol times step.
+        exact = y * value(formulas("7.8")[0], base_step=Fraction(abs(base)), step_table=step)
+        assert abs(Fraction(called("VALUE", y, q, abs(base))) - exact) <= abs(exact) / (1 << 24)
+    chunks, first, last = formulas("6.10")[0], *formulas("6.10")[1:3]
+    for n, size in [(0, 3), (1, 3), (6, 3), (7, 3), (4096, 65536)]:
+        ranges = container.chunk_ranges(n, size)
+        assert value(chunks, N=n, chunk_size=size) == len(ranges)
+        for c, held in enumerate(ranges):
+            assert (value(first, c=c, chunk_size=size), value(last, c=c, chunk_size=size, N=n)) == (held[0], held[-1])
+            assert "`min((c + 1) * chunk_size, N) - 1`" in section("6.10")
+    data = EXAMPLE.read_bytes()
+    header = container.parse_container(data)
+    d = header.dimensions
+    weights, table, positions = formulas("6.6")
+    lengths = {kind: s.end - s.start for kind, s in header.sections.items()}
+    assert lengths[container.WEIGHTS] == value(weights, carm_inputs=d.carm_inputs, W=container.weight_count(d))
+    assert lengths[container.CHUNK_TABLE] == value(table, K=d.offset_count, C=len(header.chunks))
+    assert lengths[container.POSITIONS] == value(positions, N=header.anchor_count)
+    index, masked = formulas("7.6")
+    order = [value(index, k=k, n=n) for k in range(10) for n in range(k + 1)]
+    assert order == list(range(55))
+    assert value(masked, f=5) == (1 << 14) - 5
+    assert value(formulas("8.5")[0], centre=7, j=3, R=5, k=4, raw=9) == 89
+    assert value(formulas("8.7")[0], n=11, z=3) == 3
+    assert spec["DERIVE_ROW"]([0.0, -0.0], 0.0)[2] == constants["EXPONENT_MAX"]
+
+
 def test_the_formulas_of_annex_a() -> None:
     """Annex A's formulas, evaluated as they are printed with 50 digits, give the table file."""
 
