@@ -148,24 +148,25 @@ def _start_worker() -> None:
     resource.setrlimit(resource.RLIMIT_AS, (WORKER_BYTES, WORKER_BYTES))
 
 
-def _load(state: Path, first_seed: int) -> tuple[set[int], Counter[str]]:
+def _load(state: Path, first_seed: int) -> tuple[set[int], Counter[str], int]:
+    """Batches done, files by verdict, and disagreements of an earlier run."""
     if not state.exists():
-        return set(), Counter()
+        return set(), Counter(), 0
     saved = json.loads(state.read_text(encoding="utf-8"))
     if saved["seed"] != first_seed:
         raise SystemExit(f"{state} is of seed {saved['seed']}: give --seed {saved['seed']}, or another --state")
-    return set(saved["batches"]), Counter(saved["seen"])
+    return set(saved["batches"]), Counter(saved["seen"]), saved["wrong"]
 
 
 def run(count: int, first_seed: int, jobs: int, state: Path, keep: Path) -> int:
     """Compares the decoders on at least `count` files; `jobs` processes. Batches done are noted in `state`, so that a run which is
     interrupted goes on from there; files on which they disagree go to the folder `keep`. Returns 0 if there are none, else 1.
     """
-    done, seen = _load(state, first_seed)
+    done, seen, wrong = _load(state, first_seed)
     # Some scenes have no place for a fault that is drawn, and give fewer files; the last batches make up for them.
     least = BATCH_SCENES * FILES_OF_A_SCENE * 9 // 10
     batches = [first_seed + i for i in range(-(-count // least)) if first_seed + i not in done]
-    wrong, began = 0, time.monotonic()
+    began = time.monotonic()
     bar = tqdm(total=count, initial=min(count, sum(seen.values())), unit="file", file=sys.stderr)
     with multiprocessing.get_context("spawn").Pool(jobs, _start_worker) as pool, bar:
         for number, found in zip(batches, pool.imap(run_batch, batches), strict=False):
@@ -179,7 +180,8 @@ def run(count: int, first_seed: int, jobs: int, state: Path, keep: Path) -> int:
                 path.write_bytes(data)
                 print(f"{path}: {text}\n  to see it: refcodec inspect {path} --hex; python -m conformance.independent validate {path}")
             state.parent.mkdir(parents=True, exist_ok=True)
-            state.write_text(json.dumps({"seed": first_seed, "batches": sorted(done), "seen": seen}), encoding="utf-8")
+            saved = {"seed": first_seed, "batches": sorted(done), "seen": seen, "wrong": wrong}
+            state.write_text(json.dumps(saved), encoding="utf-8")
             if sum(seen.values()) >= count:
                 break
     print(f"{sum(seen.values())} files, {wrong} disagreements, {time.monotonic() - began:.0f} s with {jobs} processes; verdicts:")
