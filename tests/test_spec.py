@@ -13,7 +13,7 @@ import mpmath
 import numpy as np
 import pytest
 
-from conformance.scenes import TINY_DIMENSIONS, random_scene
+from conformance.scenes import MAIN_DIMENSIONS, TINY_DIMENSIONS, random_scene
 from conformance.text import blocks, decode
 from refcodec import codec, container, errors, geometry, networks, reconstruction, syntax, tables
 from refcodec.attributes import code_attributes
@@ -138,9 +138,10 @@ def test_widths() -> None:
     constants = {name: eval(value.replace("^", "**")) for name, value, *_ in rows(section("2.5"))}
     printed = rows(section("7.11"))
     assert len(printed) > 20
-    for quantity, clause, bound, kind in printed:
+    for quantity, clause, bound, below, kind in printed:
         most = eval(bound.replace("^", "**"), {}, {**constants, "a": 1 << 40})
         assert most <= LARGEST[kind], quantity
+        assert below == f"2^{most.bit_length()}", quantity
         smaller = {"i64": "i32", "u64": "u32"}.get(kind)
         assert smaller is None or most > LARGEST[smaller], quantity
         assert clause in HEADINGS
@@ -295,6 +296,8 @@ def test_the_formulas_of_the_prose(spec: dict) -> None:
     index, masked = formulas("7.6")
     order = [value(index, k=k, n=n) for k in range(10) for n in range(k + 1)]
     assert order == list(range(55))
+    for dimensions in (TINY_DIMENSIONS, MAIN_DIMENSIONS):
+        assert value(formulas("6.3")[0], F=dimensions.features, K=dimensions.offset_count) == dimensions.attribute_width
     assert value(masked, f=5) == (1 << 14) - 5
     assert value(formulas("8.5")[0], centre=7, j=3, R=5, k=4, raw=9) == 89
     assert value(formulas("8.7")[0], n=11, z=3) == 3
@@ -361,6 +364,11 @@ def test_networks_table() -> None:
     assert [r[0].split(",")[0].replace(".i", ".1") for r in printed] == list(shapes)
     for name, inputs, hidden, outputs, _ in printed:
         if name.startswith("carm"):
+            assert (name, inputs, outputs) == (
+                "carm.i, i = 1 to slice_count - 1",
+                "sum of the widths of slices 0 to i - 1",
+                "2 slice_width[i]",
+            )
             fan_in, out = d.slices[0], 2 * d.slices[1]
         else:
             fan_in, out = (eval(re.sub(r"(\d) (?=[A-Za-z])", r"\1*", text.split(",")[0]), space) for text in (inputs, outputs))
