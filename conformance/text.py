@@ -13,8 +13,11 @@ SPEC = Path(__file__).resolve().parent.parent / "SPEC.md"
 
 
 def blocks(text: str) -> dict[str, Any]:
-    """The names that the python blocks of SPEC.md's text define, with the tables of Annex A."""
-    space: dict[str, Any] = {}
+    """The names that the python blocks of SPEC.md's text define, with the constants of 2.5 and the tables of Annex A."""
+    table = text.partition("### 2.5 ")[2].partition("\n## ")[0]
+    space: dict[str, Any] = {
+        name: eval(value.replace("^", "**")) for name, value in re.findall(r"^\| ([A-Z][A-Z0-9_]+) \| ([^|]+) \|", table, re.MULTILINE)
+    }
     for block in re.findall(r"^```python\n(.*?)^```", text, re.DOTALL | re.MULTILINE):
         exec(compile(block, "SPEC.md", "exec"), space)
     data = Path(tables.__file__).parent.joinpath("data", tables.TABLES_FILE).read_bytes()

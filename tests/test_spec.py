@@ -237,7 +237,7 @@ def test_the_formulas_of_the_prose(spec: dict) -> None:
     square, inside, factor, contracted = formulas("7.5.2")
     assert "`ISQRT(q)`" in section("7.5.2")
     (rescaled,) = formulas("7.5.3")
-    grid, cell, weight = formulas("7.5.4")
+    grid, cell, weight, sample = formulas("7.5.4")
     for _ in range(200):
         matrix, p = [integer(1 << 20) for _ in range(9)], [integer(1 << 40) for _ in range(3)]
         frame = {"matrix": matrix, "translation": [integer(1 << 61) for _ in range(3)], "shift": rng.integers(0, 61, 3).tolist()}
@@ -264,7 +264,7 @@ def test_the_formulas_of_the_prose(spec: dict) -> None:
         ramp = [[[16 * j for j in range(s)] for _ in range(s)]]
         # A plane that rises along its columns shows cell and weight.
         found = called("QUERY", ramp, [u[0], 0], 0)[0]
-        assert found == spec["ACTIVATION"](spec["RSHIFT_ROUND"]((c * 256 + f) * 16 * 256, 16))
+        assert found == value(sample, sum=(c * 256 + f) * 16 * 256, plane_shift=0)
         a = {"origin": [integer(1 << 62)] * 3, "scale_mantissa": int(rng.integers(1, 65536)), "scale_exponent": int(rng.integers(-60, 61))}
         names = {"origin": a["origin"][0], "S": a["scale_mantissa"], "P": p[0], "E": a["scale_exponent"]}
         assert value(formulas("9.1")[0], **names) == called("WORLD", a, 0, p[0])
@@ -484,7 +484,7 @@ def test_the_walk_is_the_file() -> None:
         if re.fullmatch(r"-?\d+", value) and "low" not in element and "high" not in element:
             assert int.from_bytes(shown, "little", signed=value.startswith("-")) == int(value), element
     assert end == len(data)
-    bits = rows(section("D.4"))
+    bits = rows(section("D.5"))
     last = 8 * int(bits[0][0].partition("+")[0], 16)
     for start, length, contents, meaning in bits:
         byte, bit = start.split("+")

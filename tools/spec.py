@@ -70,6 +70,7 @@ def rewritten(text: str) -> str:
         "dump": lambda: walk.hex_dump(data),
         "elements": lambda: walk.element_table(data, text),
         "steps": lambda: walk.plane_steps(data, text, 16),
+        "anchor": lambda: walk.first_anchor(data, text),
         "raw": lambda: walk.raw_fields(data, text),
         "digests": digests,
     }

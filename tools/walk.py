@@ -62,7 +62,7 @@ OTHERS = [
     (r"positions", "x, y, z of each anchor of the chunk"),
     (r".*\.state", "initial state of each lane"),
     (r".*\.word", "words"),
-    (r".*\.raw", "raw bits (D.4)"),
+    (r".*\.raw", "raw bits (D.5)"),
 ]
 
 
@@ -106,12 +106,25 @@ class Watch:
     def __init__(self, spec: str) -> None:
         self.space = text.blocks(spec)
         self.opened: list[dict[str, Any]] = []
+        self.networks: list[tuple[list[int], list[int]]] = []
         self.symbols: list[dict[str, Any]] = []
         self.fields: list[dict[str, Any]] = []
         self.values: list[dict[str, Any]] = []
-        for name in ("DECODE_SYMBOL", "READ_BITS", "DECODE_VALUES"):
+        for name in ("NETWORK", "DECODE_SYMBOL", "READ_BITS", "DECODE_VALUES"):
             original = self.space[name]
             self.space[name] = getattr(self, f"_{name.lower()}")(original)
+
+    def hyper(self, context: list[int]) -> list[int]:
+        """F_h's outputs for a context that was seen."""
+        return next(out for inputs, out in self.networks if inputs == context)
+
+    def _network(self, original: Any) -> Any:
+        def watched(layers: Any, inputs: list[int]) -> list[int]:
+            out: list[int] = original(layers, inputs)
+            self.networks.append((inputs, out))
+            return out
+
+        return watched
 
     def _decode_symbol(self, original: Any) -> Any:
         def watched(stream: dict, lane: int, frequencies: list[int]) -> int:
@@ -142,6 +155,7 @@ class Watch:
             chosen = [self.space["SELECT"](m, s) for m, s in parameters]
             self.values.append({
                 "stream": id(stream), "parameters": parameters, "chosen": chosen, "values": values, "fields": self.fields[fields:],
+                "planes": family is self.space["LAPLACE"],
             })  # fmt: skip
             return values
 
@@ -185,6 +199,53 @@ def plane_steps(data: bytes, spec: str, count: int) -> str:
             f"| {t} | {point} | {m}, {s} | {', '.join(map(str, pick))} | 0x{symbol['before']:08x} | {symbol['slot']} "
             f"| {symbol['symbol']}: {symbol['low']} to {last} | {value} | {word} | 0x{symbol['after']:08x} |"
         )
+    return "\n".join(lines)
+
+
+def first_anchor(data: bytes, spec: str) -> str:
+    """What clauses 7.4 to 7.9 compute for anchor 0, and the symbols that are decoded with it."""
+    watch = Watch(spec)
+    space = watch.space
+    seen: dict[str, list[Any]] = {}
+    names = ("POSITION_INTEGER", "FRAME_COORDINATES", "CONTRACT", "RESCALE", "QUERY", "GAMMA", "CONTEXT")
+    for name in names:
+        original = space[name]
+
+        def noted(*arguments: Any, name: str = name, original: Any = original) -> Any:
+            value = original(*arguments)
+            seen.setdefault(name, []).append(value)
+            return value
+
+        space[name] = noted
+    text.decode(space, data, container.parse_container(data))
+    header = container.parse_container(data)
+    width = header.dimensions.attribute_width
+    # The first group of values with an anchor's channels comes after the planes'.
+    groups = watch.values[sum(1 for g in watch.values if g["planes"]) :]
+    chunk = len(header.chunks[0])
+    slices = header.dimensions.slices
+    lines = ["| what | clause | value |", "|---|---|---|"]
+
+    def row(what: str, clause: str, value: Any) -> None:
+        lines.append(f"| {what} | {clause} | {', '.join(map(str, value))} |")
+
+    row("P of x, y, z", "7.4", seen["POSITION_INTEGER"][:3])
+    row("v", "7.5.1", seen["FRAME_COORDINATES"][0])
+    row("w", "7.5.2", seen["CONTRACT"][0])
+    row("u", "7.5.3", seen["RESCALE"][0])
+    row("samples of the plane of r = 1", "7.5.4", seen["QUERY"][0])
+    row("samples of the plane of r = 2", "7.5.4", seen["QUERY"][1])
+    row("positional encoding", "7.5.5", seen["GAMMA"][0])
+    hyper = watch.hyper(seen["CONTEXT"][0])
+    row("means that F_h gives", "7.7", hyper[:width])
+    row("scale indices that F_h gives", "7.7", hyper[width : 2 * width])
+    row("outputs for the step indices", "7.8", hyper[2 * width :])
+    for i, columns in enumerate(slices):
+        group = groups[i]
+        assert len(group["values"]) == chunk * columns
+        row(f"slice {i}: mean and scale index of each channel", "7.9", group["parameters"][:columns])
+        row(f"slice {i}: symbols", "7.10", group["values"][:columns])
+    row("scalings: symbols", "7.10", groups[len(slices)]["values"][:6])
     return "\n".join(lines)
 
 
