@@ -14,7 +14,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from conformance import fuzz, independent
+from conformance import cli, fuzz, independent
 from conformance.faults import FAULTS, Fault, Target, draw_fault
 from conformance.independent import container as second_container
 from conformance.independent import errors as second_errors
@@ -217,3 +217,46 @@ def test_command(tmp_path: Path) -> None:
     assert command("digest", bad).returncode == 2
     assert command("validate", tmp_path / "none").returncode == 3
     assert command().returncode == 3
+
+
+def test_the_suite_s_command(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+    arguments = ["fuzz", "-n", "1", "--seed", "5", "--jobs", "1", "--state", str(tmp_path / "state.json"), "--keep", str(tmp_path / "keep")]
+    assert cli.main(arguments) == 0
+    assert "0 disagreements" in capsys.readouterr().out
+    # What an earlier part of the run found is not forgotten.
+    saved = json.loads((tmp_path / "state.json").read_text())
+    (tmp_path / "state.json").write_text(json.dumps({**saved, "wrong": 2}))
+    assert cli.main(arguments) == 1
+
+    def interrupted(*_: object) -> int:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(fuzz, "run", interrupted)
+    assert cli.main(arguments) == 130
+    with pytest.raises(SystemExit):
+        cli.main([])
+
+
+def test_a_disagreement_is_kept(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+    """The file is written, and the command that shows it printed."""
+
+    class Here:
+        """A pool of this process."""
+
+        def __init__(self, *_: object) -> None:
+            pass
+
+        def __enter__(self) -> Here:
+            return self
+
+        def __exit__(self, *_: object) -> None:
+            pass
+
+        imap = staticmethod(map)
+
+    found = fuzz.Findings(fuzz.Counter({"accepted": 3}), [("refcodec says a, the second decoder b", b"file")])
+    monkeypatch.setattr(fuzz, "run_batch", lambda number: found)
+    monkeypatch.setattr(fuzz.multiprocessing, "get_context", lambda kind: type("Context", (), {"Pool": Here}))
+    assert fuzz.run(2, 0, 1, tmp_path / "state.json", tmp_path / "keep") == 1
+    assert (tmp_path / "keep" / "0-1.c3gs").read_bytes() == b"file"
+    assert "refcodec inspect" in capsys.readouterr().out
