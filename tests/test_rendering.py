@@ -111,3 +111,90 @@ def test_rotation_is_that_of_the_text(seed: int) -> None:
     quaternion /= np.linalg.norm(quaternion, axis=1, keepdims=True)
     rotation = blocks(SPEC.read_text(encoding="utf-8"))["ROTATION"]
     assert np.allclose(rotation_matrix(quaternion), [rotation(q) for q in quaternion.tolist()], atol=1e-15)
+
+
+# --- images -----------------------------------------------------------------------------------------------------------
+
+
+def drawn_by_the_text(text: dict, found: Gaussians, camera: Camera, info: RenderInfo) -> np.ndarray:
+    """An image by PROJECT and PIXEL."""
+    stated = {
+        "rotation": camera.rotation.tolist(), "translation": camera.translation.tolist(), "focal": (camera.fx, camera.fy),
+        "principal_point": (camera.cx, camera.cy), "size": (camera.width, camera.height),
+    }  # fmt: skip
+    drawn = []
+    for n in range(len(found.opacity)):
+        shape = (getattr(found, name)[n].astype(np.float64).tolist() for name in ("mean", "lengths", "quaternion"))
+        projection = text["PROJECT"](*shape, stated, info.near_plane, info.low_pass)
+        if projection is not None:
+            drawn.append((projection, float(found.opacity[n]), found.colour[n].tolist()))
+    drawn.sort(key=lambda d: d[0][2])
+    background = [b / 255 for b in info.background]
+    return np.array([
+        [text["PIXEL"](i + 0.5, j + 0.5, drawn, background, info.alpha_max) for i in range(camera.width)] for j in range(camera.height)
+    ])  # fmt: skip
+
+
+def cloud(seed: int, count: int, spread: float = 1.0) -> Gaussians:
+    """Gaussians of all sizes around a point in front of a camera at the origin; some behind it, some beside the image."""
+    rng = np.random.default_rng(seed)
+    quaternion = rng.normal(size=(count, 4))
+    return Gaussians(
+        (rng.normal(0, spread, (count, 3)) + np.array([0, 0, 3])).astype(np.float32),
+        np.exp(rng.normal(-2, 1.5, (count, 3))).astype(np.float32),
+        (quaternion / np.linalg.norm(quaternion, axis=1, keepdims=True)).astype(np.float32),
+        rng.uniform(0.001, 1, count).astype(np.float32),
+        rng.uniform(0, 1, (count, 3)).astype(np.float32),
+        np.arange(count),
+        np.zeros(count, np.int64),
+    )
+
+
+VIEW = Camera("view", 37, 21, 30.0, 28.0, 17.0, 11.5, np.eye(3), np.zeros(3))
+
+
+@pytest.mark.requirement("G14.5-1")
+@pytest.mark.parametrize(("seed", "count", "spread"), [(0, 0, 1.0), (1, 1, 0.1), (2, 30, 0.5), (3, 80, 1.5), (4, 60, 6.0)])
+def test_images_are_those_of_the_text(text: dict, seed: int, count: int, spread: float) -> None:
+    rasterise = pytest.importorskip("refcodec.rasterise", reason="images need the packages of the extra render")
+    info = RenderInfo(background=(10, 200, 90))
+    found = cloud(seed, count, spread)
+    wanted = drawn_by_the_text(text, found, VIEW, info)
+    made = rasterise.image(found, VIEW, info)
+    assert made.shape == (21, 37, 3)
+    assert made.dtype == np.float32
+    # Far better than the 50 dB asked for: a pixel differs where an alpha next to 1/255 falls on the other side.
+    assert np.mean((made - wanted) ** 2) < 1e-9
+    assert np.abs(made - wanted).max() < 5e-3
+
+
+def test_equal_depths_keep_their_order(text: dict) -> None:
+    rasterise = pytest.importorskip("refcodec.rasterise", reason="images need the packages of the extra render")
+    found = cloud(5, 12, 0.2)
+    found.mean[:, 2] = 3
+    made = rasterise.image(found, VIEW, RenderInfo())
+    assert np.allclose(made, drawn_by_the_text(text, found, VIEW, RenderInfo()), atol=1e-5)
+
+
+def test_images_do_not_depend_on_threads() -> None:
+    rasterise = pytest.importorskip("refcodec.rasterise", reason="images need the packages of the extra render")
+    numba = pytest.importorskip("numba")
+    found, camera = cloud(6, 500, 2.0), VIEW.resized(200, 120)
+    before = numba.get_num_threads()
+    try:
+        images = []
+        for threads in (1, before):
+            numba.set_num_threads(threads)
+            images.append(rasterise.image(found, camera, RenderInfo()).tobytes())
+    finally:
+        numba.set_num_threads(before)
+    assert images[0] == images[1]
+
+
+def test_hostile_numbers_give_an_image() -> None:
+    """Whatever a valid file's floats are, an image is made, and of finite numbers where colours are."""
+    rasterise = pytest.importorskip("refcodec.rasterise", reason="images need the packages of the extra render")
+    found = cloud(7, 40)
+    found.mean[:10] = [[1e30, 0, 1], [0, 0, 0.2], [0, 0, 1e-30], [np.inf, 0, 1], [np.nan, 0, 1], *[[0, 0, 1e20]] * 5]
+    found.lengths[10:16] = [[0, 0, 0], [1e30, 1e30, 1e30], [np.inf, 1, 1], [1e-40, 1, 1], [1e18, 1e-18, 0], [1e6, 1e6, 1e6]]
+    assert np.isfinite(rasterise.image(found, VIEW, RenderInfo())).all()
