@@ -263,9 +263,7 @@ def _fit(arguments: argparse.Namespace) -> int:
         from .fit.fitter import fit
         from .fit.voxelise import default_voxel, read_points, short_mantissa, voxelise
     except ModuleNotFoundError as error:
-        if (error.name or "").split(".")[0] not in ("torch", "scipy"):
-            raise
-        raise UsageError(f"fit needs {error.name}: pip install 'refcodec[fit]'") from None
+        raise _needs("fit", "fit", error, ("torch", "scipy")) from None
     _check_output_folder(arguments.output)
     # Beside the folder, not in it: a scene folder is whole or it is not there.
     state = Path(f"{arguments.output.rstrip('/')}.fit-state")
@@ -294,6 +292,122 @@ def _fit(arguments: argparse.Namespace) -> int:
         _note(f"refcodec: stopped at step {done} of {arguments.steps}; the scene is written, and --resume goes on from there")
         return EXIT_INTERRUPTED
     state.unlink(missing_ok=True)
+    return 0
+
+
+def _needs(command: str, extra: str, error: ModuleNotFoundError, packages: tuple[str, ...]) -> UsageError:
+    """What to install for a command. Raises the error again if it is not one of the extra's packages that is missing."""
+    if (error.name or "").split(".")[0] not in packages:
+        raise error
+    return UsageError(f"{command} needs {error.name}: pip install 'refcodec[{extra}]'")
+
+
+_RENDER_PACKAGES = ("numba", "PIL", "skimage", "scipy")
+
+
+def _photographs(folder: str, size: str | None) -> Any:
+    """The photographs of a folder. Raises UsageError."""
+    from .train.photographs import PhotographError, parse_size, read_photographs
+
+    try:
+        return read_photographs(folder, parse_size(size) if size else None)
+    except (PhotographError, ValueError) as error:
+        raise UsageError(str(error)) from None
+
+
+def _render(arguments: argparse.Namespace) -> int:
+    try:
+        from .rendering import default_camera
+        from .viewing import View, eight_bits, write_gif, write_png
+    except ModuleNotFoundError as error:
+        raise _needs("render", "render", error, _RENDER_PACKAGES) from None
+    view = View(_parse(arguments, _read_file(arguments.file)).scene)
+    if arguments.cameras == "default":
+        cameras = [default_camera(view.info)]
+    elif arguments.cameras == "orbit":
+        cameras = view.orbit(arguments.frames)
+    else:
+        found = _photographs(arguments.cameras, arguments.size)
+        cameras = [p.camera for p in (*found.test, *found.train)]
+    folder = Path(arguments.output)
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise UsageError(f"cannot make {folder}: {error.strerror}") from None
+    frames = []
+    with _progress(arguments.progress) as progress:
+        for number, camera in enumerate(cameras):
+            progress("images", number, len(cameras))
+            made = view.draw(camera)
+            path = folder / f"{Path(camera.name).stem}.png"
+            write_png(path, made)
+            if arguments.cameras == "orbit":
+                frames.append(eight_bits(made))
+        progress("images", len(cameras), len(cameras))
+    if frames:
+        write_gif(folder / "orbit.gif", frames)
+    print(f"{folder}: {len(cameras)} images" + (", orbit.gif" if frames else ""))
+    return 0
+
+
+def _eval(arguments: argparse.Namespace) -> int:
+    import json
+    import time
+
+    try:
+        from .quality import measures
+        from .viewing import View
+    except ModuleNotFoundError as error:
+        raise _needs("eval", "render", error, _RENDER_PACKAGES) from None
+    from .codec import parse
+    from .inspection import document
+
+    data = _read_file(arguments.file)
+    began: dict[str, float] = {}
+    spent: dict[str, float] = {}
+
+    def clock(stage: str, done: int, total: int) -> None:
+        began.setdefault(stage, time.perf_counter())
+        spent[stage] = time.perf_counter() - began[stage]
+
+    start = time.perf_counter()
+    parsed = parse(data, progress=clock)
+    view = View(parsed.scene)
+    spent["total"] = time.perf_counter() - start
+    found = _photographs(arguments.photographs, arguments.size)
+    held_out = found.test or found.train
+    view.draw(held_out[0].camera)  # compiles what is not compiled yet
+    rows, drawing = [], 0.0
+    with _progress(arguments.progress) as progress:
+        for number, photograph in enumerate(held_out):
+            progress("images", number, len(held_out))
+            at = time.perf_counter()
+            made = view.draw(photograph.camera)
+            drawing += time.perf_counter() - at
+            rows.append({"image": photograph.camera.name, **measures(made, photograph.image)})
+        progress("images", len(held_out), len(held_out))
+    names = [name for name in rows[0] if name != "image"]
+    facts = document(data, parsed)
+    result = {
+        "file": arguments.file,
+        "bytes": len(data),
+        "anchors": parsed.scene.anchor_count,
+        "parts": {s["name"]: s["bytes"] for s in facts["sections"]},
+        "decode_seconds": spent,
+        "frames_per_second": len(rows) / drawing,
+        "held_out": bool(found.test),
+        "mean": {name: sum(float(row[name]) for row in rows) / len(rows) for name in names},
+        "images": rows,
+    }
+    if arguments.json:
+        print(json.dumps(result, indent=1))
+        return 0
+    print(f"{'image':<28}" + "".join(f" {name:>10}" for name in names))
+    for row in [*rows, {"image": "mean", **result["mean"]}]:
+        print(f"{row['image']:<28}" + "".join(f" {row[name]:>10.4f}" for name in names))
+    print(f"\n{len(data)} bytes, {parsed.scene.anchor_count} anchors: " + ", ".join(f"{n} {b}" for n, b in result["parts"].items()))
+    print("decoding: " + ", ".join(f"{stage} {seconds:.2f} s" for stage, seconds in spent.items()))
+    print(f"drawing: {result['frames_per_second']:.1f} images a second" + ("" if found.test else "; no images were held out"))
     return 0
 
 
@@ -434,6 +548,31 @@ def _parser() -> argparse.ArgumentParser:
     form.add_argument("--near", type=int, metavar="OFFSET", help="the same, of the elements around a byte")
     form.add_argument("--json", action="store_true", help="the summary as one JSON document")
     form.add_argument("--trace", action="store_true", help="one line per syntax element and symbol, in decoding order")
+    render = _add(
+        commands,
+        "render",
+        _render,
+        "draw a file",
+        ["render scene.c3gs -o images", "render scene.c3gs --cameras orbit -o images", "render scene.c3gs --cameras photographs -o images"],
+        "PHOTOGRAPHS is a folder that COLMAP or a NeRF dataset made. An orbit is an animation too. Needs: pip install 'refcodec[render]'.",
+    )
+    render.add_argument("file", metavar="FILE")
+    render.add_argument("-o", "--output", metavar="DIR", required=True)
+    render.add_argument("--cameras", metavar="default|orbit|PHOTOGRAPHS", default="default", help="which cameras (default: the file's own)")
+    render.add_argument("--size", metavar="WxH", help="size of the images, or their longest side, with PHOTOGRAPHS")
+    render.add_argument("--frames", type=_positive, metavar="N", default=60, help="images of an orbit (default: %(default)s)")
+    evaluate = _add(
+        commands,
+        "eval",
+        _eval,
+        "compare what a file shows with photographs",
+        ["eval scene.c3gs photographs", "eval scene.c3gs photographs --size 400x300 --json"],
+        "On the images that were held out: every eighth, or the test set of the dataset. Needs: pip install 'refcodec[render]'.",
+    )
+    evaluate.add_argument("file", metavar="FILE")
+    evaluate.add_argument("photographs", metavar="PHOTOGRAPHS")
+    evaluate.add_argument("--size", metavar="WxH", help="size that photographs are averaged down to, or their longest side")
+    evaluate.add_argument("--json", action="store_true", help="all figures, of each image too")
     fit = _add(
         commands,
         "fit",

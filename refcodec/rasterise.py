@@ -83,6 +83,8 @@ def _bin(flat: F64, extent: F64, across: int, down: int) -> tuple[NDArray[np.int
 def _blend(flat: F64, opacity: F64, colour: F64, starts: NDArray[np.int64], found: NDArray[np.int64], image: F32, alpha_max: float) -> None:
     """SPEC 14.5, PIXEL, for all pixels; image [h, w, 3] holds the background."""
     height, width = image.shape[:2]
+    # Where a Gaussian is certainly below ALPHA_MIN, its exponential is not computed.
+    least = np.log(ALPHA_MIN / opacity) - 1e-6
     across = (width + TILE - 1) // TILE
     for tile in prange(len(starts) - 1):
         top, left_edge = tile // across * TILE, tile % across * TILE
@@ -94,6 +96,8 @@ def _blend(flat: F64, opacity: F64, colour: F64, starts: NDArray[np.int64], foun
                     i = found[n]
                     dx, dy = column + 0.5 - flat[i, 0], row + 0.5 - flat[i, 1]
                     power = -0.5 * (flat[i, 2] * dx * dx + 2 * flat[i, 3] * dx * dy + flat[i, 4] * dy * dy)
+                    if power < least[i]:
+                        continue
                     alpha = min(opacity[i] * math.exp(power), alpha_max)
                     if alpha < ALPHA_MIN:
                         continue

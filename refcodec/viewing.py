@@ -1,0 +1,87 @@
+"""Looking at a scene: cameras around it, images of it as files (SPEC.md chapter 14)."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+from PIL import Image
+
+from .rasterise import image
+from .reconstruction import reconstruct
+from .rendering import RENDERING, Camera, default_camera, gaussians
+from .scene import Scene
+
+F32 = NDArray[np.float32]
+F64 = NDArray[np.float64]
+U8 = NDArray[np.uint8]
+
+# The circle's height above the scene, in degrees, and its radius, in radii of the scene.
+ELEVATION = 25.0
+DISTANCE = 2.2
+# An orbit's pictures a second, in its animation.
+FRAME_RATE = 15
+
+
+class View:
+    """A scene that cameras look at."""
+
+    def __init__(self, scene: Scene) -> None:
+        self.info, self.masks = scene.render, scene.masks
+        self.values = reconstruct(scene)
+        self.networks = {name: scene.networks[name] for name in RENDERING}
+
+    def draw(self, camera: Camera) -> F32:
+        """What a camera sees: float32 [height, width, 3], 1 for white."""
+        return image(gaussians(self.values, self.masks, self.networks, camera), camera, self.info)
+
+    def orbit(self, frames: int) -> list[Camera]:
+        """Cameras on a circle around the scene that look at its middle, with the size and focal lengths of the default camera."""
+        positions = self.values.positions.astype(np.float64)
+        if not len(positions):
+            positions = np.zeros((1, 3))
+        middle = np.median(positions, axis=0)
+        # Few anchors are far out in the background; they set neither the middle nor the distance.
+        radius = max(float(np.quantile(np.linalg.norm(positions - middle, axis=1), 0.9)), 1e-6)
+        up = np.zeros(3)
+        up[self.info.up_axis // 2] = -1.0 if self.info.up_axis % 2 else 1.0
+        side = np.roll(up, 1)
+        front = np.cross(up, side)
+        default = default_camera(self.info)
+        cameras = []
+        for number in range(frames):
+            turn, height = 2 * np.pi * number / frames, np.radians(ELEVATION)
+            away = np.cos(height) * (np.cos(turn) * side + np.sin(turn) * front) + np.sin(height) * up
+            rotation = looking(-away, up)
+            place = middle + DISTANCE * radius * away
+            name = f"orbit-{number:04d}"
+            cameras.append(
+                Camera(name, default.width, default.height, default.fx, default.fy, default.cx, default.cy, rotation, -rotation @ place)
+            )
+        return cameras
+
+
+def looking(direction: F64, up: F64) -> F64:
+    """The rotation [3, 3] of a camera that looks along a direction with `up` upwards in its image; the two are not parallel."""
+    z = direction / np.linalg.norm(direction)
+    x = np.cross(z, up)
+    x /= np.linalg.norm(x)
+    return np.stack([x, np.cross(z, x), z])
+
+
+def eight_bits(made: F32) -> U8:
+    """SPEC 14.5: uint8 of an image."""
+    return np.floor(np.clip(made, 0, 1) * 255 + 0.5).astype(np.uint8)
+
+
+def write_png(path: Path, made: F32) -> None:
+    """An image as a PNG file."""
+    Image.fromarray(eight_bits(made)).save(path)
+
+
+def write_gif(path: Path, frames: Iterable[U8]) -> None:
+    """Images as an endless animation."""
+    first, *rest = (Image.fromarray(frame).quantize(dither=Image.Dither.NONE) for frame in frames)
+    first.save(path, save_all=True, append_images=rest, duration=1000 // FRAME_RATE, loop=0)
