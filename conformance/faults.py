@@ -107,13 +107,15 @@ def _need(condition: object) -> None:
 
 
 def _set(name: str, *choices: tuple[str, str, list[Any]]) -> None:
-    """A fault that is one header or frame element at one wrong value: (path, struct format, values)."""
+    """A fault that is one header or frame element at one wrong value: (path, struct format, values). An item of the render
+    information's arrays is told by its array (SPEC 10.2)."""
     flat = [(path, form, value) for path, form, values in choices for value in values]
 
     def make(draw: st.DrawFn, t: Target) -> tuple[bytes, int]:
         path, form, value = draw(st.sampled_from(flat))
         at = t.at(path)
-        return repair(t.put(at, struct.pack(form, value))), at
+        told = path.partition("[")[0] + "[0]" if path.startswith("render_info.camera_") and "[" in path else path
+        return repair(t.put(at, struct.pack(form, value))), t.at(told)
 
     FAULTS[name] = make
 
@@ -248,9 +250,9 @@ _set(
     ("render_info.low_pass", "<f", [-1.0, *_BAD]),
     ("render_info.camera_width", "<H", [0]),
     ("render_info.camera_height", "<H", [0]),
-    ("render_info.camera_focal[0]", "<f", [0.0, -1.0, *_BAD]),
-    ("render_info.camera_rotation[0]", "<f", _BAD),
-    ("render_info.camera_translation[0]", "<f", _BAD),
+    *((f"render_info.camera_focal[{i}]", "<f", [0.0, -1.0, *_BAD]) for i in range(2)),
+    *((f"render_info.camera_rotation[{i}]", "<f", _BAD) for i in range(4)),
+    *((f"render_info.camera_translation[{i}]", "<f", _BAD) for i in range(3)),
 )
 
 

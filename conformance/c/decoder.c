@@ -80,6 +80,7 @@ struct block {
 };
 static struct block *blocks;
 
+/* not of the specification */
 static void RELEASE(void)
 {
     while (blocks) {
@@ -89,6 +90,7 @@ static void RELEASE(void)
     }
 }
 
+/* not of the specification: usage, input and output, memory */
 _Noreturn static void FAIL(const char *message)
 {
     fprintf(stderr, "decoder: %s\n", message);
@@ -106,6 +108,7 @@ _Noreturn static void REFUSE(enum error code, uint64_t offset)
     exit(unsupported ? STATUS_UNSUPPORTED : STATUS_REFUSED);
 }
 
+/* 13.1: callers have checked the count against the file or the level */
 static void *ALLOCATE(uint64_t count, uint64_t size)
 {
     uint64_t bytes = count * size; /* count < 2^32, size < 2^16 */
@@ -128,36 +131,42 @@ static uint32_t GET_U16(const uint8_t *p) { return (uint32_t)p[0] | (uint32_t)p[
 static uint32_t GET_U32(const uint8_t *p) { return GET_U16(p) | GET_U16(p + 2) << 16; }
 static uint64_t GET_U64(const uint8_t *p) { return GET_U32(p) | (uint64_t)GET_U32(p + 4) << 32; }
 
+/* 2.3 */
 static int64_t GET_I16(const uint8_t *p)
 {
     int64_t v = GET_U16(p);
     return v < 0x8000 ? v : v - 0x10000;
 }
 
+/* 2.3 */
 static int64_t GET_I32(const uint8_t *p)
 {
     int64_t v = GET_U32(p);
     return v < INT64_C(0x80000000) ? v : v - INT64_C(0x100000000);
 }
 
+/* 2.3 */
 static int64_t GET_I64(const uint8_t *p)
 {
     uint64_t v = GET_U64(p);
     return v >> 63 ? -(int64_t)(~v) - 1 : (int64_t)v;
 }
 
+/* 9.3: little-endian, as 2.3 */
 static void PUT_U16(uint8_t *p, uint32_t v)
 {
     p[0] = (uint8_t)v;
     p[1] = (uint8_t)(v >> 8);
 }
 
+/* 9.3 */
 static void PUT_U32(uint8_t *p, uint32_t v)
 {
     PUT_U16(p, v & 0xFFFF);
     PUT_U16(p + 2, v >> 16);
 }
 
+/* 2.3 */
 static float F32(uint32_t bits)
 {
     float x;
@@ -165,6 +174,7 @@ static float F32(uint32_t bits)
     return x;
 }
 
+/* 2.3 */
 static int FINITE(uint32_t bits) { return (bits >> 23 & 255) != 255; }
 
 /* 2.3: a finite f32 is sign * m * 2^e, with m below 2^24. */
@@ -188,6 +198,7 @@ static int64_t FLOOR_DIV(int64_t a, int64_t b) { return a / b - (a % b < 0); }
 
 /* 2.4 */
 static int64_t CLAMP(int64_t a, int64_t low, int64_t high) { return a < low ? low : a > high ? high : a; }
+/* 6: |a|; never of -2^63 */
 static int64_t MAGNITUDE(int64_t a) { return a < 0 ? -a : a; }
 
 /* 2.4; a < 2^62. */
@@ -243,6 +254,7 @@ static uint32_t ROUND_F32(int64_t n, int e)
 
 static uint32_t crc_table[256];
 
+/* 2.3 */
 static void MAKE_CRC_TABLE(void)
 {
     for (uint32_t n = 0; n < 256; n++) {
@@ -276,8 +288,10 @@ static const uint32_t SHA_K[64] = {
     0xd192e819, 0xd6990624, 0xf40e3585, 0x106aa070, 0x19a4c116, 0x1e376c08, 0x2748774c, 0x34b0bcb5, 0x391c0cb3, 0x4ed8aa4a, 0x5b9cca4f,
     0x682e6ff3, 0x748f82ee, 0x78a5636f, 0x84c87814, 0x8cc70208, 0x90befffa, 0xa4506ceb, 0xbef9a3f7, 0xc67178f2};
 
+/* 9.3 */
 static uint32_t ROTR(uint32_t x, int n) { return x >> n | x << (32 - n); }
 
+/* 9.3 */
 static void SHA_START(struct sha256 *s)
 {
     static const uint32_t h[8] = {0x6a09e667, 0xbb67ae85, 0x3c6ef372, 0xa54ff53a, 0x510e527f, 0x9b05688c, 0x1f83d9ab, 0x5be0cd19};
@@ -285,6 +299,7 @@ static void SHA_START(struct sha256 *s)
     s->length = 0;
 }
 
+/* 9.3 */
 static void SHA_BLOCK(struct sha256 *s)
 {
     uint32_t w[64], v[8];
@@ -305,6 +320,7 @@ static void SHA_BLOCK(struct sha256 *s)
         s->h[i] += v[i];
 }
 
+/* 9.3 */
 static void SHA_ADD(struct sha256 *s, const uint8_t *p, uint64_t n)
 {
     for (uint64_t i = 0; i < n; i++) {
@@ -314,6 +330,7 @@ static void SHA_ADD(struct sha256 *s, const uint8_t *p, uint64_t n)
     }
 }
 
+/* 9.3 */
 static void SHA_END(struct sha256 *s, char hex[65])
 {
     static const uint8_t pad[64] = {0x80};
@@ -586,12 +603,13 @@ static void RENDER_INFO(const uint8_t *data, uint64_t at)
     for (uint32_t i = 16; i < 20; i += 2)
         if (GET_U16(p + i) < 1)
             REFUSE(HEADER_RENDER_INFO, at + i);
+    /* camera_focal, camera_rotation and camera_translation start at 20, 28 and 44; the field is named, not its item. */
     for (uint32_t i = 20; i < 56; i += 4)
         if (!FINITE(GET_U32(p + i)))
-            REFUSE(HEADER_RENDER_INFO, at + i);
+            REFUSE(HEADER_RENDER_INFO, at + (i < 28 ? 20 : i < 44 ? 28 : 44));
     for (uint32_t i = 20; i < 28; i += 4)
         if (!(F32(GET_U32(p + i)) > 0))
-            REFUSE(HEADER_RENDER_INFO, at + i);
+            REFUSE(HEADER_RENDER_INFO, at + 20);
     for (uint32_t i = 28; i < 44; i += 4)
         if (F32(GET_U32(p + i)) != 0)
             return;
@@ -804,7 +822,7 @@ static void NOTE_SYMBOL(struct stream *s, int32_t value)
 }
 
 /* 8.5; |mean|, |scale| < 2^25 */
-static const struct model *SELECT(const family f, int32_t mean, int32_t scale, int32_t *centre, unsigned *raw_bits)
+static const struct model *SELECT(family f, int32_t mean, int32_t scale, int32_t *centre, unsigned *raw_bits)
 {
     unsigned k = (unsigned)CLAMP(RSHIFT(scale - 24, 3) + 1, 0, RAW_MAX);
     int32_t row = (int32_t)CLAMP(scale - 8 * (int32_t)k, SCALE_MIN, SCALE_END - 1);
@@ -846,7 +864,7 @@ struct value { /* one value of a group */
 };
 
 /* 8.5 to 8.7: one group of values */
-static void DECODE_VALUES(struct stream *s, const family f, struct value *v, uint64_t count, int64_t limit)
+static void DECODE_VALUES(struct stream *s, family f, struct value *v, uint64_t count, int64_t limit)
 {
     int32_t centre;
     unsigned k;
@@ -917,7 +935,9 @@ struct scene {
 
 enum { S_FRAME, S_WEIGHTS, S_PLANES, S_CHUNK_TABLE, S_POSITIONS, S_MASKS, S_ATTRIBUTES, CRITICAL };
 
+/* 5.6 */
 static uint64_t SECTION(const struct scene *s, int section) { return s->h.directory[section].offset; }
+/* 5.6 */
 static uint64_t SECTION_LENGTH(const struct scene *s, int section) { return s->h.directory[section].length; }
 
 /* 6.6, 12.1 */
@@ -1137,7 +1157,7 @@ static void CHUNK_CRC(const struct scene *s, const struct chunk *c, int part)
 
 /* ---------------------------------------------------------------- 7.4, 7.5 positions and geometry to context */
 
-/* 7.4 */
+/* 7.4: |P| < 2^40 */
 static int64_t POSITION_INTEGER(uint32_t bits)
 {
     uint32_t exponent = bits >> 10 & 31, mantissa = bits & 1023;
@@ -1440,6 +1460,7 @@ static void DECODE_SCENE(struct scene *s)
     ATTRIBUTES(s);
 }
 
+/* not of the specification */
 static const uint8_t *READ_FILE(const char *name, uint64_t *length)
 {
     FILE *f = fopen(name, "rb");
@@ -1469,6 +1490,7 @@ static const uint8_t *READ_FILE(const char *name, uint64_t *length)
     return data;
 }
 
+/* not of the specification */
 int main(int argc, char **argv)
 {
     static struct scene s;
