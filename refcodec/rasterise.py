@@ -23,6 +23,8 @@ BEYOND = 0.15
 TILE = 16
 
 
+# A file may hold any finite numbers; what overflows is not drawn.
+@np.errstate(over="ignore", invalid="ignore")
 def project(g: Gaussians, camera: Camera, near_plane: float, low_pass: float) -> tuple[F64, F64, NDArray[np.bool_]]:
     """SPEC 14.4, PROJECT. Returns float64 [n, 6]: u, v and the inverse covariance a, b, c in pixels, and the depth; float64 [n, 2]:
     how far from (u, v) along the axes alpha reaches ALPHA_MIN; and which Gaussians are drawn at all."""
