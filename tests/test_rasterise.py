@@ -7,18 +7,23 @@ import os
 import subprocess
 import sys
 from dataclasses import replace
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 import pytest
-import torch
-from hypothesis import given
-from hypothesis import strategies as st
 
-from refcodec.rasterise import Settings, rasterise, rasterise_backward
-from refcodec.rendering import Camera
-from refcodec.train.splat import Rasterise
-from refcodec.train.ssim import SSIM, similarity
+torch = pytest.importorskip("torch", reason="gradients are compared with torch's")
+pytest.importorskip("numba", reason="images need the packages of the extra render")
+
+from hypothesis import given  # noqa: E402
+from hypothesis import strategies as st  # noqa: E402
+
+from refcodec.rasterise import Settings, rasterise, rasterise_backward  # noqa: E402
+from refcodec.rendering import Camera  # noqa: E402
+from refcodec.train import splat  # noqa: E402
+from refcodec.train.splat import Rasterise  # noqa: E402
+from refcodec.train.ssim import SSIM, similarity  # noqa: E402
 
 NAMES = ("mean", "quaternion", "scale", "opacity", "colour")
 Scene = dict[str, np.ndarray]
@@ -408,6 +413,72 @@ def test_autograd_sees_changes_in_place() -> None:
         inputs[0].add_(1)
     with pytest.raises(RuntimeError, match="modified by an inplace operation"):
         image.sum().backward()
+
+
+def drawn_with_gradients(draw: Any, inputs: list[torch.Tensor]) -> tuple[torch.Tensor, ...]:
+    """Image, transmittance, radius, and the gradients of a loss with respect to the five inputs and the screen, on the CPU."""
+    inputs = [v.detach().requires_grad_() for v in inputs]
+    screen = torch.zeros(len(inputs[0]), device=inputs[0].device, requires_grad=True)
+    image, transmittance, radius = draw(*inputs, camera(), Settings(background=(0.1, 0.2, 0.3)), screen)
+    (image.square().sum() + transmittance.sum()).backward()
+    return tuple(v.detach().cpu() for v in (image, transmittance, radius, *(v.grad for v in (*inputs, screen))))
+
+
+def test_draw_on_the_cpu() -> None:
+    inputs = [torch.from_numpy(v) for v in scene(100, 52, camera()).values()]
+    for drawn, expected in zip(drawn_with_gradients(splat.draw, inputs), drawn_with_gradients(Rasterise.apply, inputs), strict=True):
+        assert torch.equal(drawn, expected)
+    with pytest.raises(ValueError, match="meta"):
+        splat.draw(*inputs[:4], inputs[4].to("meta"), camera())
+    with pytest.raises(ValueError, match="meta"):
+        splat.draw(*(v.to("meta") for v in inputs), camera())
+    with pytest.raises(ValueError, match="meta"):
+        splat.draw(*inputs, camera(), None, torch.zeros(100, device="meta"))
+
+
+def test_what_gsplat_is_given(monkeypatch: pytest.MonkeyPatch) -> None:
+    """With the dense images of this file in its place, called as it is: matrices, units, the screen's gradient added over calls."""
+
+    def rasterization(*inputs: Any, near_plane: float, eps2d: float, packed: bool, backgrounds: torch.Tensor, rasterize_mode: str) -> Any:
+        *values, view, lens, width, height = inputs
+        assert (packed, rasterize_mode, view.shape, lens.shape) == (False, "classic", (1, 4, 4), (1, 3, 3))
+        assert view[0, 3].tolist() == [0, 0, 0, 1]
+        matrix, place = lens[0].double().numpy(), torch.zeros(1, len(values[0]), 2, dtype=torch.float64, requires_grad=True)
+        found = Camera(
+            "", width, height, *matrix[[0, 1, 0, 1], [0, 1, 2, 2]], *(v.double().numpy() for v in (view[0, :3, :3], view[0, :3, 3]))
+        )
+        settings = Settings(eps2d, near_plane, background=tuple(backgrounds[0].tolist()))
+        named = {name: value.double() for name, value in zip(NAMES, values, strict=True)}
+        image, transmittance, _ = dense({**named, "moved": place[0]}, found, settings)
+        radii = torch.arange(2 * len(values[0])).reshape(1, -1, 2)
+        return image.float()[None], 1 - transmittance.float()[None, ..., None], {"means2d": place, "radii": radii}
+
+    monkeypatch.setitem(sys.modules, "gsplat", SimpleNamespace(rasterization=rasterization))
+    inputs = [torch.from_numpy(v) for v in scene(60, 53, camera()).values()]
+    drawn, expected = drawn_with_gradients(splat._draw_on_gpu, inputs), drawn_with_gradients(Rasterise.apply, inputs)
+    assert drawn[2].tolist() == list(range(1, 120, 2))
+    for a, b in zip(drawn[:2] + drawn[3:], expected[:2] + expected[3:], strict=True):
+        assert (a - b).norm() < 1e-4 * b.norm()
+    screen = torch.zeros(60, requires_grad=True)
+    for calls in (1, 2):
+        image, transmittance, _ = splat._draw_on_gpu(*inputs, camera(), Settings(background=(0.1, 0.2, 0.3)), screen)
+        (image.square().sum() + transmittance.sum()).backward()
+        assert (screen.grad - calls * expected[-1]).norm() < 1e-4 * calls * expected[-1].norm()
+
+
+@pytest.mark.skipif(not torch.cuda.is_available(), reason="no GPU")
+def test_draw_on_the_gpu() -> None:
+    """Opacities that no cap reaches. Pixels differ where an alpha next to 1/255 falls on the other side, and gradients with them."""
+    pytest.importorskip("gsplat", reason="the extra cuda")
+    values = scene(500, 54, camera())
+    values["opacity"] *= 0.95
+    inputs = [torch.from_numpy(v) for v in values.values()]
+    drawn, expected = drawn_with_gradients(splat.draw, [v.cuda() for v in inputs]), drawn_with_gradients(splat.draw, inputs)
+    assert (drawn[0] - expected[0]).abs().mean() < 1e-4
+    assert (drawn[1] - expected[1]).abs().mean() < 1e-4
+    assert ((drawn[2] > 0) | (expected[2] == 0)).all()
+    for a, b in zip(drawn[3:], expected[3:], strict=True):
+        assert (a - b).norm() < 1e-2 * b.norm()
 
 
 @pytest.mark.parametrize(

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 from pathlib import Path
 
+import mpmath
 import numpy as np
 import pytest
 from hypothesis import given
@@ -211,6 +212,32 @@ def test_long_and_far(text: dict, size: float) -> None:
     made = rasterise.image(found, VIEW, info)
     assert (made != made[0, 0]).any()
     assert np.allclose(made, drawn_by_the_text(text, found, VIEW, info), atol=1e-4)
+
+
+@pytest.mark.parametrize("seed", range(12))
+def test_any_sizes(text: dict, seed: int) -> None:
+    """Against the text with 60 digits: binary64 does not hold its d of a needle. Bound: what float32 makes of a pixel."""
+    rasterise = pytest.importorskip("refcodec.rasterise", reason="images need the packages of the extra render")
+    rng = np.random.default_rng(seed)
+    found, q = cloud(seed, 6), rng.normal(size=4)
+    magnitude = np.exp2(rng.uniform(-30, 30, (2, 6, 3))).astype(np.float32)
+    found = replace(found, mean=found.mean * magnitude[0], lengths=found.lengths * magnitude[1])
+    camera = Camera("view", 11, 7, 9.0, 8.0, 5.0, 3.5, rotation_matrix(q / np.linalg.norm(q)), np.array([0, 0, 3.0]))
+    info = RenderInfo(low_pass=(0.0, 1e-9, 0.3, 100.0)[seed % 4], near_plane=1e-30, background=(10, 200, 90))
+    with mpmath.workdps(60):
+        mp = np.frompyfunc(lambda x: mpmath.mpf(float(x)), 1, 1)
+        quaternion = [[x / mpmath.norm(row.tolist()) for x in row] for row in mp(found.quaternion)]
+        stated = {
+            "rotation": mp(camera.rotation).tolist(), "translation": mp(camera.translation).tolist(), "focal": (9, 8),
+            "principal_point": (5, 3.5), "size": (11, 7),
+        }  # fmt: skip
+        shapes = zip(mp(found.mean).tolist(), mp(found.lengths).tolist(), quaternion, strict=True)
+        projected = [text["PROJECT"](*shape, stated, info.near_plane, info.low_pass) for shape in shapes]
+        drawn = [(p, o, c) for p, o, c in zip(projected, found.opacity.tolist(), found.colour.tolist(), strict=True) if p is not None]
+        drawn.sort(key=lambda d: d[0][2])
+        rest = (drawn, [b / 255 for b in info.background], info.alpha_max)
+        wanted = np.array([[text["PIXEL"](i + 0.5, j + 0.5, *rest) for i in range(11)] for j in range(7)]).astype(float)
+    assert np.abs(rasterise.image(found, camera, info) - wanted).max() < 1e-5
 
 
 @pytest.mark.parametrize("low_pass", [0.0, 1e-20, 1e20, 3e38])
