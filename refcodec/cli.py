@@ -295,6 +295,50 @@ def _fit(arguments: argparse.Namespace) -> int:
     return 0
 
 
+def _train(arguments: argparse.Namespace) -> int:
+    try:
+        from .train.command import PRESETS, may_write, state_path, train
+        from .train.trainer import TrainSettings
+    except ModuleNotFoundError as error:
+        raise _needs("train", "train", error, ("torch", "numba", "scipy", "PIL", "skimage")) from None
+    output = Path(arguments.output.rstrip("/") or "/")
+    if not may_write(output):
+        raise UsageError(f"{output} exists and is not a scene folder: choose another one, or empty it")
+    if arguments.resume and not state_path(output).exists():
+        raise UsageError(f"there is nothing to resume: {state_path(output)} does not exist")
+    preset = PRESETS[arguments.preset]
+    photographs = _photographs(arguments.photographs, arguments.size or str(preset["side"]))
+    settings = TrainSettings(
+        rate=arguments.rate,
+        steps=arguments.steps or preset["steps"],
+        seed=arguments.seed,
+        hyperprior=arguments.hyperprior,
+        uniform=arguments.sampling == "uniform",
+        plane_period=arguments.plane_period,
+        masks=not arguments.no_masks,
+        epsilon=arguments.epsilon,
+        anchors=preset["anchors"],
+        most_anchors=preset["most_anchors"],
+    )
+    try:
+        trainer, whole = train(
+            photographs,
+            settings,
+            output,
+            threads=arguments.threads or os.cpu_count() or 1,
+            device=arguments.device,
+            resume=arguments.resume,
+            progress=arguments.progress,
+        )
+    except ValueError as error:
+        raise UsageError(f"{arguments.photographs} cannot be trained: {error}") from None
+    print(f"{output}: {trainer.scaffold.count} anchors, {trainer.done} steps, {trainer.seconds:.0f} s")
+    if not whole:
+        _note(f"refcodec: stopped at step {trainer.done} of {settings.steps}; the scene is written, and --resume goes on from there")
+        return EXIT_INTERRUPTED
+    return 0
+
+
 def _needs(command: str, extra: str, error: ModuleNotFoundError, packages: tuple[str, ...]) -> UsageError:
     """What to install for a command. Raises the error again if it is not one of the extra's packages that is missing."""
     if (error.name or "").split(".")[0] not in packages:
@@ -465,6 +509,14 @@ def _seed(text: str) -> int:
     return value
 
 
+def _weight(text: str) -> float:
+    """A number from 0 to 1."""
+    value = float(text)
+    if not 0 <= value <= 1:
+        raise argparse.ArgumentTypeError(f"{text} found, 0 to 1 allowed")
+    return value
+
+
 def _length(text: str) -> float:
     """A finite length above 0."""
     value = float(text)
@@ -573,6 +625,59 @@ def _parser() -> argparse.ArgumentParser:
     evaluate.add_argument("photographs", metavar="PHOTOGRAPHS")
     evaluate.add_argument("--size", metavar="WxH", help="size that photographs are averaged down to, or their longest side")
     evaluate.add_argument("--json", action="store_true", help="all figures, of each image too")
+    train = _add(
+        commands,
+        "train",
+        _train,
+        "learn a scene from photographs, and write a scene folder",
+        [
+            "train photographs -o scene",
+            "train photographs -o scene --rate 0.01 --steps 8000",
+            "train photographs -o scene --resume",
+            "train photographs -o scaffold --rate 0",
+        ],
+        "PHOTOGRAPHS is a folder that COLMAP or a NeRF dataset made; every eighth image is held out. Then: refcodec encode SCENE_DIR.\n"
+        "Ctrl-C ends the training early, writes the scene all the same, and keeps SCENE_DIR.train-state for --resume.\n"
+        "Needs: pip install 'refcodec[train]'.",
+    )
+    train.add_argument("photographs", metavar="PHOTOGRAPHS")
+    train.add_argument("-o", "--output", metavar="SCENE_DIR", required=True)
+    train.add_argument(
+        "--rate",
+        type=_weight,
+        metavar="L",
+        default=0.004,
+        help="lambda_r, the weight of the rate: 0.002 to 0.04, or 0 for an uncompressed Scaffold-GS (default: %(default)s)",
+    )
+    train.add_argument("--steps", type=_positive, metavar="N", help="training steps (default: the preset's)")
+    train.add_argument(
+        "--preset",
+        choices=("fast", "paper"),
+        default="fast",
+        help="fast: 4,000 steps on photographs of 400 pixels; paper: 40,000 on 1,600 (default: %(default)s)",
+    )
+    train.add_argument("--size", metavar="WxH", help="size that photographs are averaged down to, or their longest side")
+    train.add_argument("--seed", type=_seed, metavar="S", default=0, help="of the random numbers (default: %(default)s)")
+    train.add_argument("--device", choices=("cpu", "cuda"), default="cpu", help="what rasterises; cuda needs pip install 'refcodec[cuda]'")
+    train.add_argument("--threads", type=_positive, metavar="N", help="of the rasteriser (default: all); no result depends on them")
+    train.add_argument("--resume", action="store_true", help="go on with an interrupted training of the same photographs and settings")
+    paper = train.add_argument_group("what the paper compares")
+    paper.add_argument(
+        "--hyperprior",
+        choices=("vm", "plane", "triplane", "triplane72"),
+        default="vm",
+        help="only vm can be written; the others are for estimates (default: %(default)s)",
+    )
+    paper.add_argument("--sampling", choices=("uniform", "visible"), default="uniform", help="anchors whose rate counts: USRO or ViSRO")
+    paper.add_argument("--plane-period", type=int, choices=(1, 4), default=4, help="steps between two with the planes' rate (A-RDO: 4)")
+    paper.add_argument("--no-masks", action="store_true", help="keep every offset")
+    paper.add_argument(
+        "--epsilon",
+        type=_length,
+        metavar="E",
+        default=0.01,
+        help="share below which an offset is masked; 0.0004 where views are concentrated",
+    )
     fit = _add(
         commands,
         "fit",
