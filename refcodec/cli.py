@@ -435,6 +435,35 @@ def _demo(arguments: argparse.Namespace) -> int:
     return 0 if whole else EXIT_INTERRUPTED
 
 
+def _rd(arguments: argparse.Namespace) -> int:
+    try:
+        from .train.photographs import PhotographError
+        from .train.rd import FIGURES, Settings, run_rd
+        from .train.runs import RunError
+    except ModuleNotFoundError as error:
+        raise _needs("rd", "train,render,rd", error, ("matplotlib", "bjontegaard", *_RENDER_PACKAGES)) from None
+    options = [("--steps", arguments.steps), ("--preset", arguments.preset), ("--device", arguments.device), ("--seed", arguments.seed)]
+    given = tuple(word for name, value in options if value is not None for word in (name, str(value)))
+    settings = Settings(Path(arguments.output), Path(arguments.photographs), given, arguments.size, arguments.jobs)
+    rates = sorted({*arguments.rates, *([0.0] if arguments.uncompressed else [])})
+    try:
+        rows, difference = run_rd(settings, rates, Path(arguments.against) if arguments.against else None)
+    except PhotographError as error:
+        raise UsageError(str(error)) from None
+    except RunError as error:
+        _note(f"refcodec: {error}")
+        return error.status
+    print(f"{'rate':>8} {'bytes':>10} {'anchors':>8}" + "".join(f" {name:>10}" for name in FIGURES))
+    for row in rows:
+        figures = "".join(f" {row[name]:>10.4f}" for name in FIGURES)
+        print(f"{row['rate']:>8g} {row['bytes']:>10.0f} {row['anchors']:>8.0f}{figures}")
+    if difference:
+        print(f"BD-rate {difference.rate:+.2f} %, BD-PSNR {difference.psnr:+.3f} dB against {arguments.against}")
+        if difference.warning:
+            _note(f"refcodec: {difference.warning}")
+    return 0
+
+
 def _spots(data: bytes, error: BitstreamError) -> list[BitstreamError]:
     """An error, and those of the single chunks: the CRC-32 of a section only says that one of its bytes is wrong."""
     from .codec import parse
@@ -494,6 +523,14 @@ def _length(text: str) -> float:
     value = float(text)
     if not 0 < value < float("inf"):
         raise argparse.ArgumentTypeError(f"{text} found, a number above 0 required")
+    return value
+
+
+def _rate(text: str) -> float:
+    """A lambda_r of the paper, above 0."""
+    value = float(text)
+    if not 0 < value <= 1:
+        raise argparse.ArgumentTypeError(f"{text} found, above 0 to 1 allowed")
     return value
 
 
@@ -612,6 +649,30 @@ def _parser() -> argparse.ArgumentParser:
     which.add_argument("--scene", choices=("caliterra", "snowmiku"), default="caliterra", help="which photographs (default: %(default)s)")
     which.add_argument("--photographs", metavar="FOLDER", help="your own, of COLMAP or a NeRF dataset")
     demo.add_argument("--steps", type=_positive, metavar="N", help="steps of each training (default: those of four minutes)")
+    rd = _add(
+        commands,
+        "rd",
+        _rd,
+        "train at several rates, and write the sizes and figures as a table and a chart",
+        [
+            "rd photographs -o curve --size 400x300",
+            "rd photographs -o curve --rates 0.002 0.004 0.01 0.04 --uncompressed",
+            "rd photographs -o curve --against other/rd.csv",
+        ],
+        "DIR gets rd.csv, rd.png, and for each rate a scene folder, a file and its figures. The same command goes on with what was\n"
+        "interrupted, and does nothing twice. Needs: pip install 'refcodec[train,render,rd]'.",
+    )
+    rd.add_argument("photographs", metavar="PHOTOGRAPHS")
+    rd.add_argument("-o", "--output", metavar="DIR", required=True)
+    rd.add_argument(
+        "--rates", type=_rate, nargs="+", metavar="R", default=[0.002, 0.004, 0.01, 0.04], help="lambda_r (default: 0.002 0.004 0.01 0.04)"
+    )
+    rd.add_argument("--uncompressed", action="store_true", help="a training without the codec too")
+    rd.add_argument("--against", metavar="CSV", help="a table with columns bytes and psnr: BD-rate and BD-PSNR with that curve as anchor")
+    rd.add_argument("--jobs", type=_positive, metavar="N", default=2, help="trainings at a time (default: %(default)s)")
+    rd.add_argument("--size", metavar="WxH", help="size that photographs are averaged down to, or their longest side")
+    for name, kind in (("steps", _positive), ("seed", _seed), ("preset", str), ("device", str)):
+        rd.add_argument(f"--{name}", type=kind, help="as of train")
     fit = _add(
         commands,
         "fit",

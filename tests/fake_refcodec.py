@@ -1,4 +1,4 @@
-"""refcodec with a training that takes no time: random Gaussians in place of learned ones. Run as a program by the tests of demo and rd.
+"""refcodec with a training and an evaluation that take no time, made up. Run as a program by the tests of demo and rd.
 
 As `train` of refcodec, it writes a line to stderr every few steps, stops at SIGINT with what it has and status 130, and resumes. Each step
 takes as many milliseconds as FAKE_STEP says.
@@ -14,10 +14,14 @@ import sys
 import time
 from pathlib import Path
 
+from PIL import Image
+
 from conformance.scenes import random_scene
 from refcodec import cli
-from refcodec.codec import emit
+from refcodec.codec import emit, parse
 from refcodec.folder import write_folder
+from refcodec.inspection import document
+from refcodec.train.photographs import parse_size, read_photographs
 
 
 def train(argv: list[str]) -> int:
@@ -68,12 +72,33 @@ def train(argv: list[str]) -> int:
     return 0
 
 
+def evaluate(argv: list[str]) -> int:
+    """Grey images, and figures that rise with the size of the file."""
+    parser = argparse.ArgumentParser()
+    parser.add_argument("scene", type=Path)
+    parser.add_argument("photographs")
+    parser.add_argument("--size")
+    parser.add_argument("--images", type=Path)
+    parser.add_argument("--json", action="store_true")
+    arguments = parser.parse_args(argv)
+    file = arguments.scene if arguments.scene.is_file() else arguments.scene / "hidden.c3gs"
+    facts = document(file.read_bytes(), parse(file.read_bytes()))
+    mean = {"psnr": 20 + facts["bytes"] / 1000, "ssim": 0.9, "psnr_3dgs": 20.5, "ssim_3dgs": 0.91}
+    rows = []
+    for photograph in read_photographs(arguments.photographs, parse_size(arguments.size)).test:
+        camera = photograph.camera
+        rows.append({"image": camera.name, **mean})
+        if arguments.images:
+            arguments.images.mkdir(exist_ok=True)
+            Image.new("RGB", (camera.width, camera.height), (90, 90, 90)).save(arguments.images / f"{Path(camera.name).stem}.png")
+    parts = {section["name"]: section["bytes"] for section in facts["sections"]}
+    print(json.dumps({"bytes": facts["bytes"], "anchors": facts["chunks"]["anchors"], "parts": parts, "mean": mean, "images": rows}))
+    return 0
+
+
 def main() -> int:
     name, *rest = sys.argv[1:]
-    if name == "train":
-        return train(rest)
-    hidden = [str(p) if (p := Path(a) / "hidden.c3gs").is_file() else a for a in rest]
-    return cli.main([name, *hidden])
+    return {"train": train, "eval": evaluate}[name](rest) if name in ("train", "eval") else cli.main([name, *rest])
 
 
 if __name__ == "__main__":

@@ -54,11 +54,11 @@ class Demo:
         output = self.path(name)
         settings = ("--rate", f"{rate:g}", "--steps", str(self.steps), "--size", SIZE, "--threads", "1", "--progress")
         state = output.with_name(f"{name}.train-state")
-        return Command(f"train {name}", ("train", str(self.photographs), "-o", str(output), *settings), output / REPORT, state=state)
+        return Command(name, ("train", str(self.photographs), "-o", str(output), *settings), output / REPORT, state=state)
 
     def _evaluation(self, name: str, scene: Path, after: str) -> Command:
         what = ("eval", str(scene), str(self.photographs), "--size", SIZE, "--images", str(self.path(f"images-{name}")), "--json")
-        return Command(f"eval {name}", what, self.path(f"{name}.eval.json"), (after,), printed=True)
+        return Command(name, what, self.path(f"{name}.eval.json"), (after,), printed=True)
 
     def trainings(self) -> list[Command]:
         return [self._training(UNCOMPRESSED, 0), self._training(CODED, RATE)]
@@ -68,11 +68,11 @@ class Demo:
         scene, file, decoded = (self.path(name) for name in (CODED, "scene.c3gs", "decoded"))
         return [
             [
-                Command("encode", ("encode", str(scene), "-o", str(file)), file, (f"train {CODED}",)),
-                Command("decode", ("decode", str(file), "-o", str(decoded)), decoded / SCENE_FILE, ("encode",)),
-                self._evaluation(CODED, file, "encode"),
+                Command(CODED, ("encode", str(scene), "-o", str(file)), file, (f"{CODED} train",)),
+                Command(CODED, ("decode", str(file), "-o", str(decoded)), decoded / SCENE_FILE, (f"{CODED} encode",)),
+                self._evaluation(CODED, file, f"{CODED} encode"),
             ],
-            [self._evaluation(UNCOMPRESSED, self.path(UNCOMPRESSED), f"train {UNCOMPRESSED}")],
+            [self._evaluation(UNCOMPRESSED, self.path(UNCOMPRESSED), f"{UNCOMPRESSED} train")],
         ]
 
 
@@ -97,12 +97,12 @@ def run_demo(folder: Path, photographs: Path, steps: int) -> tuple[Path, bool]:
     read_photographs(photographs, parse_size(SIZE))  # what is wrong with them is said before anything is made
     notes = Notes.open(folder, NOTES, FORMAT)
     trainings, rest = demo.trainings(), demo.rest()
-    with shown([command.name for command in trainings]) as show:
-        whole = Runner(notes, show, jobs=2).run([[command] for command in trainings])
-    if not all(command.output.exists() for command in trainings):
-        raise RunError("stopped before both trainings had a scene to show; the same command goes on", 130)
-    with shown([command.name for chain in rest for command in chain]) as show:
-        if not Runner(notes, show, jobs=2).run(rest):
+    with shown([UNCOMPRESSED, CODED]) as show:
+        runner = Runner(notes, show, jobs=2)
+        whole = runner.run([[command] for command in trainings])
+        if not all(command.output.exists() for command in trainings):
+            raise RunError("stopped before both trainings had a scene to show; the same command goes on", 130)
+        if not runner.run(rest):
             raise RunError("stopped; the same command goes on", 130)
     result = collect(demo, notes)
     path = demo.path(PAGE)

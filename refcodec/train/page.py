@@ -183,7 +183,7 @@ def _sizes(result: Result) -> str:
     sides = [[(part.name, getattr(part, side)) for part in result.parts] for side in ("before", "after")]
     rows = [
         (
-            f'<i class="swatch {part.name}"></i>{part.text}',
+            f'<i class="swatch {part.name}"></i>{part.name}<span class="soft told">{part.text}</span>',
             readable(part.before) if part.before else "&ndash;",
             readable(part.after),
             f"{100 * part.after / after:.1f} %",
@@ -215,7 +215,7 @@ def _chart(charts: Sequence[Chart]) -> str:
     points = [point for chart in charts for point in chart.points if all(map(math.isfinite, point))]
     if not points:
         return "<p>There was no time to note anything.</p>"
-    left, right, top, bottom, width, height = 52, 116, 12, 28, 600, 300
+    left, right, top, bottom, width, height = 52, 128, 12, 28, 600, 300
     end = max(seconds for seconds, _ in points) or 1.0
     low, high = min(psnr for _, psnr in points), max(psnr for _, psnr in points)
     high = max(high, low + 1)
@@ -287,13 +287,14 @@ th,td{text-align:left;padding:.4rem .9rem .4rem 0;border-bottom:1px solid var(--
 th{font-weight:600;color:var(--soft)}
 .n{text-align:right;font-variant-numeric:tabular-nums}td.n{white-space:nowrap}
 code{font:.85em/1.5 ui-monospace,SFMono-Regular,Consolas,monospace;overflow-wrap:anywhere}
+.told{margin-left:1rem}
 .swatch{display:inline-block;width:.8em;height:.8em;border-radius:.2em;margin-right:.5em}
 .chart{display:block;width:100%;max-width:50rem;font:13px system-ui,sans-serif}
 .chart text{fill:var(--soft)}.grid{stroke:var(--line)}
 polyline{fill:none;stroke-width:2;stroke-linejoin:round}
 pre{white-space:pre-wrap;font:inherit;font-size:.9rem;color:var(--soft);max-width:62rem}
 @media(max-width:48rem){.hero{grid-template-columns:minmax(0,1fr)}
-.view{grid-template-columns:1fr 1fr}.chart{font-size:17px}table{font-size:.8rem}th,td{padding-right:.5rem}}
+.view{grid-template-columns:1fr 1fr}.chart{font-size:16px}table{font-size:.8rem}.told{display:none}th,td{padding-right:.5rem}}
 """
 _COLOURS = "".join(
     f"rect.{name}{{fill:var(--{name})}}.swatch.{name}{{background:var(--{name})}}"
@@ -316,7 +317,7 @@ def page(result: Result) -> str:
     )
     facts = [
         (_times(before / after), f"times smaller: {readable(before)} to {readable(after)}"),
-        (_clock(sum(s.seconds for s in result.steps if s.name == "decode")), "to decode the file, from the start of the program"),
+        (_clock(sum(s.seconds for s in result.steps if s.name.endswith("decode"))), "to decode the file, from the start of the program"),
         *(
             (f"{mean[name]:{digits}}{unit}", f"mean {name.upper()}, {side}")
             for name, digits, unit in (("psnr", ".2f", " dB"), ("ssim", ".3f", ""))

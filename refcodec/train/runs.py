@@ -35,15 +35,23 @@ class RunError(Exception):
 
 @dataclass(frozen=True)
 class Command:
-    """refcodec with some arguments. name: unique in its notes; output: what it makes; after: names of commands whose output it reads;
-    printed: whether its output is what it prints; state: what it leaves when it is interrupted, to go on with --resume."""
+    """refcodec with some arguments.
 
-    name: str
+    subject: what it works on, a line of progress; output: what it makes; after: names of commands whose output it reads; printed: whether
+    its output is what it prints; state: what it leaves when it is interrupted, to go on with --resume.
+    """
+
+    subject: str
     arguments: tuple[str, ...]
     output: Path
     after: tuple[str, ...] = ()
     printed: bool = False
     state: Path | None = None
+
+    @property
+    def name(self) -> str:
+        """Unique in its notes: no subject is given to a command twice."""
+        return f"{self.subject} {self.arguments[0]}"
 
     def __str__(self) -> str:
         """As it is typed in a shell."""
@@ -121,7 +129,7 @@ class Notes:
 
 
 class Runner:
-    """Runs chains of commands, `jobs` at a time. show: gets the name of a command and each line that it writes to stderr.
+    """Runs chains of commands, `jobs` at a time. show: gets the subject of a command and each line that it writes to stderr.
 
     SIGINT and SIGTERM are passed on to the processes as SIGINT, so that trainings keep what they have; a second one kills them.
     """
@@ -165,7 +173,7 @@ class Runner:
             if self._stopped:
                 return
             if self.notes.is_done(command):
-                self.show(command.name, "done before")
+                self.show(command.subject, f"{command.arguments[0]}: done before")
             elif not self._one(command):
                 return
 
@@ -194,7 +202,7 @@ class Runner:
             last: list[str] = []
             for line in process.stderr:
                 last = [*last[1 - _LAST_LINES :], line.rstrip()]
-                self.show(command.name, line.strip())
+                self.show(command.subject, f"{command.arguments[0]}: {line.strip()}")
             status = process.wait()
             self._running.discard(process)
         seconds = time.perf_counter() - began
@@ -204,7 +212,7 @@ class Runner:
             temporary.unlink()
         self.notes.end(command, seconds, status == 0)
         if status == 0:
-            self.show(command.name, f"done in {seconds:.1f} s")
+            self.show(command.subject, f"{command.arguments[0]}: done in {seconds:.1f} s")
             return True
         if self._stopped:
             return False
@@ -215,7 +223,7 @@ class Runner:
 
 @contextlib.contextmanager
 def shown(names: Sequence[str]) -> Iterator[Show]:
-    """Shows the last line of each command on stderr: on a terminal a line for each, which is overwritten, else one below the other."""
+    """Shows what commands say of each subject on stderr: on a terminal a line for each, which is overwritten, else one below the other."""
     width = max(len(name) for name in names)
     if not sys.stderr.isatty():
         yield lambda name, text: print(f"{name:<{width}}  {text}", file=sys.stderr, flush=True)
