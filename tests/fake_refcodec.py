@@ -21,7 +21,6 @@ from refcodec import cli
 from refcodec.codec import emit, parse
 from refcodec.folder import write_folder
 from refcodec.inspection import document
-from refcodec.train.photographs import parse_size, read_photographs
 
 
 def train(argv: list[str]) -> int:
@@ -74,6 +73,8 @@ def train(argv: list[str]) -> int:
 
 def evaluate(argv: list[str]) -> int:
     """Grey images, and figures that rise with the size of the file."""
+    from refcodec.train.photographs import parse_size, read_photographs  # noqa: PLC0415
+
     parser = argparse.ArgumentParser()
     parser.add_argument("scene", type=Path)
     parser.add_argument("photographs")
@@ -92,7 +93,7 @@ def evaluate(argv: list[str]) -> int:
             arguments.images.mkdir(exist_ok=True)
             Image.new("RGB", (camera.width, camera.height), (90, 90, 90)).save(arguments.images / f"{Path(camera.name).stem}.png")
     parts = {section["name"]: section["bytes"] for section in facts["sections"]}
-    print(json.dumps({"bytes": facts["bytes"], "anchors": facts["chunks"]["anchors"], "parts": parts, "mean": mean, "images": rows}))
+    print(json.dumps({"bytes": facts["bytes"], "anchors": facts["header"]["anchor_count"], "parts": parts, "mean": mean, "images": rows}))
     return 0
 
 
