@@ -20,6 +20,7 @@ from .errors import BitstreamError
 
 if TYPE_CHECKING:
     from .codec import Parsed, Progress
+    from .uncompressed import Uncompressed
 
 # Exit statuses. 1 and 2 are verdicts on a bitstream (SPEC.md 10.1); the others never are.
 EXIT_REJECTED = 1
@@ -359,13 +360,21 @@ def _photographs(folder: str, size: str | None) -> Any:
         raise UsageError(str(error)) from None
 
 
+def _uncompressed(path: str) -> Uncompressed | None:
+    """An uncompressed scene, if the path is the folder of one."""
+    from .uncompressed import is_uncompressed, read_uncompressed
+
+    return read_uncompressed(Path(path)) if is_uncompressed(Path(path)) else None
+
+
 def _render(arguments: argparse.Namespace) -> int:
     try:
         from .rendering import default_camera
         from .viewing import View, eight_bits, write_gif, write_png
     except ModuleNotFoundError as error:
         raise _needs("render", "render", error, _RENDER_PACKAGES) from None
-    view = View(_parse(arguments, _read_file(arguments.file)).scene)
+    folder = _uncompressed(arguments.file)
+    view = View(folder or _parse(arguments, _read_file(arguments.file)).scene)
     if arguments.cameras == "default":
         cameras = [default_camera(view.info)]
     elif arguments.cameras == "orbit":
@@ -396,62 +405,66 @@ def _render(arguments: argparse.Namespace) -> int:
 
 def _eval(arguments: argparse.Namespace) -> int:
     import json
-    import time
 
     try:
-        from .quality import measures
-        from .viewing import View
+        from .evaluation import evaluate, table
     except ModuleNotFoundError as error:
         raise _needs("eval", "render", error, _RENDER_PACKAGES) from None
-    from .codec import parse
-    from .inspection import document
-
-    data = _read_file(arguments.file)
-    began: dict[str, float] = {}
-    spent: dict[str, float] = {}
-
-    def clock(stage: str, done: int, total: int) -> None:
-        began.setdefault(stage, time.perf_counter())
-        spent[stage] = time.perf_counter() - began[stage]
-
-    start = time.perf_counter()
-    parsed = parse(data, progress=clock)
-    view = View(parsed.scene)
-    spent["total"] = time.perf_counter() - start
+    folder = _uncompressed(arguments.file)
+    data = None if folder else _read_file(arguments.file)
     found = _photographs(arguments.photographs, arguments.size)
-    held_out = found.test or found.train
-    view.draw(held_out[0].camera)  # compiles what is not compiled yet
-    rows, drawing = [], 0.0
     with _progress(arguments.progress) as progress:
-        for number, photograph in enumerate(held_out):
-            progress("images", number, len(held_out))
-            at = time.perf_counter()
-            made = view.draw(photograph.camera)
-            drawing += time.perf_counter() - at
-            rows.append({"image": photograph.camera.name, **measures(made, photograph.image)})
-        progress("images", len(held_out), len(held_out))
-    names = [name for name in rows[0] if name != "image"]
-    facts = document(data, parsed)
-    result = {
-        "file": arguments.file,
-        "bytes": len(data),
-        "anchors": parsed.scene.anchor_count,
-        "parts": {s["name"]: s["bytes"] for s in facts["sections"]},
-        "decode_seconds": spent,
-        "frames_per_second": len(rows) / drawing,
-        "held_out": bool(found.test),
-        "mean": {name: sum(float(row[name]) for row in rows) / len(rows) for name in names},
-        "images": rows,
-    }
-    if arguments.json:
-        print(json.dumps(result, indent=1))
-        return 0
-    print(f"{'image':<28}" + "".join(f" {name:>10}" for name in names))
-    for row in [*rows, {"image": "mean", **result["mean"]}]:
-        print(f"{row['image']:<28}" + "".join(f" {row[name]:>10.4f}" for name in names))
-    print(f"\n{len(data)} bytes, {parsed.scene.anchor_count} anchors: " + ", ".join(f"{n} {b}" for n, b in result["parts"].items()))
-    print("decoding: " + ", ".join(f"{stage} {seconds:.2f} s" for stage, seconds in spent.items()))
-    print(f"drawing: {result['frames_per_second']:.1f} images a second" + ("" if found.test else "; no images were held out"))
+        result = evaluate(folder or data or b"", found, Path(arguments.images) if arguments.images else None, progress)
+    result = {"file": arguments.file, **result}
+    print(json.dumps(result, indent=1) if arguments.json else "\n".join(table(result)))
+    return 0
+
+
+def _demo(arguments: argparse.Namespace) -> int:
+    try:
+        from .train.demo import STEPS, find_example, run_demo
+        from .train.photographs import PhotographError
+        from .train.runs import RunError
+    except ModuleNotFoundError as error:
+        raise _needs("demo", "train,render", error, _RENDER_PACKAGES) from None
+    try:
+        photographs = Path(arguments.photographs) if arguments.photographs else find_example(arguments.scene)
+        page, whole = run_demo(Path(arguments.output), photographs, arguments.steps or STEPS)
+    except PhotographError as error:
+        raise UsageError(str(error)) from None
+    except RunError as error:
+        _note(f"refcodec: {error}")
+        return error.status
+    print(f"The page: {page.resolve().as_uri()}")
+    return 0 if whole else EXIT_INTERRUPTED
+
+
+def _rd(arguments: argparse.Namespace) -> int:
+    try:
+        from .train.photographs import PhotographError
+        from .train.rd import FIGURES, Settings, run_rd
+        from .train.runs import RunError
+    except ModuleNotFoundError as error:
+        raise _needs("rd", "train,render,rd", error, ("matplotlib", "bjontegaard", *_RENDER_PACKAGES)) from None
+    options = [("--steps", arguments.steps), ("--preset", arguments.preset), ("--device", arguments.device), ("--seed", arguments.seed)]
+    given = tuple(word for name, value in options if value is not None for word in (name, str(value)))
+    settings = Settings(Path(arguments.output), Path(arguments.photographs), given, arguments.size, arguments.jobs)
+    rates = sorted({*arguments.rates, *([0.0] if arguments.uncompressed else [])})
+    try:
+        rows, difference = run_rd(settings, rates, Path(arguments.against) if arguments.against else None)
+    except PhotographError as error:
+        raise UsageError(str(error)) from None
+    except RunError as error:
+        _note(f"refcodec: {error}")
+        return error.status
+    print(f"{'rate':>8} {'bytes':>10} {'anchors':>8}" + "".join(f" {name:>10}" for name in FIGURES))
+    for row in rows:
+        figures = "".join(f" {row[name]:>10.4f}" for name in FIGURES)
+        print(f"{row['rate']:>8g} {row['bytes']:>10.0f} {row['anchors']:>8.0f}{figures}")
+    if difference:
+        print(f"BD-rate {difference.rate:+.2f} %, BD-PSNR {difference.psnr:+.3f} dB against {arguments.against}")
+        if difference.warning:
+            _note(f"refcodec: {difference.warning}")
     return 0
 
 
@@ -522,6 +535,14 @@ def _length(text: str) -> float:
     value = float(text)
     if not 0 < value < float("inf"):
         raise argparse.ArgumentTypeError(f"{text} found, a number above 0 required")
+    return value
+
+
+def _rate(text: str) -> float:
+    """A lambda_r of the paper, above 0."""
+    value = float(text)
+    if not 0 < value <= 1:
+        raise argparse.ArgumentTypeError(f"{text} found, above 0 to 1 allowed")
     return value
 
 
@@ -624,6 +645,7 @@ def _parser() -> argparse.ArgumentParser:
     evaluate.add_argument("file", metavar="FILE")
     evaluate.add_argument("photographs", metavar="PHOTOGRAPHS")
     evaluate.add_argument("--size", metavar="WxH", help="size that photographs are averaged down to, or their longest side")
+    evaluate.add_argument("--images", metavar="DIR", help="where to write the images that were compared, as PNG files")
     evaluate.add_argument("--json", action="store_true", help="all figures, of each image too")
     train = _add(
         commands,
@@ -678,6 +700,44 @@ def _parser() -> argparse.ArgumentParser:
         default=0.01,
         help="share below which an offset is masked; 0.0004 where views are concentrated",
     )
+    demo = _add(
+        commands,
+        "demo",
+        _demo,
+        "train on the photographs that come with the project, code the scene, and make a page of the results",
+        ["demo", "demo -o out --scene snowmiku", "demo -o out --steps 600", "demo -o out --photographs my-photographs"],
+        "DIR/index.html shows everything; it takes about six minutes on two cores. Ctrl-C ends the training early and shows what there\n"
+        "is; the same command goes on, and does nothing twice. Needs: pip install 'refcodec[train,render]'.",
+    )
+    demo.add_argument("-o", "--output", metavar="DIR", default="demo", help="folder of the results (default: %(default)s)")
+    which = demo.add_mutually_exclusive_group()
+    which.add_argument("--scene", choices=("caliterra", "snowmiku"), default="caliterra", help="which photographs (default: %(default)s)")
+    which.add_argument("--photographs", metavar="FOLDER", help="your own, of COLMAP or a NeRF dataset")
+    demo.add_argument("--steps", type=_positive, metavar="N", help="steps of each training (default: those of four minutes)")
+    rd = _add(
+        commands,
+        "rd",
+        _rd,
+        "train at several rates, and write the sizes and figures as a table and a chart",
+        [
+            "rd photographs -o curve --size 400x300",
+            "rd photographs -o curve --rates 0.002 0.004 0.01 0.04 --uncompressed",
+            "rd photographs -o curve --against other/rd.csv",
+        ],
+        "DIR gets rd.csv, rd.png, and for each rate a scene folder, a file and its figures. The same command goes on with what was\n"
+        "interrupted, and does nothing twice. Needs: pip install 'refcodec[train,render,rd]'.",
+    )
+    rd.add_argument("photographs", metavar="PHOTOGRAPHS")
+    rd.add_argument("-o", "--output", metavar="DIR", required=True)
+    rd.add_argument(
+        "--rates", type=_rate, nargs="+", metavar="R", default=[0.002, 0.004, 0.01, 0.04], help="lambda_r (default: 0.002 0.004 0.01 0.04)"
+    )
+    rd.add_argument("--uncompressed", action="store_true", help="a training without the codec too")
+    rd.add_argument("--against", metavar="CSV", help="a table with columns bytes and psnr: BD-rate and BD-PSNR with that curve as anchor")
+    rd.add_argument("--jobs", type=_positive, metavar="N", default=2, help="trainings at a time (default: %(default)s)")
+    rd.add_argument("--size", metavar="WxH", help="size that photographs are averaged down to, or their longest side")
+    for name, kind in (("steps", _positive), ("seed", _seed), ("preset", str), ("device", str)):
+        rd.add_argument(f"--{name}", type=kind, help="as of train")
     fit = _add(
         commands,
         "fit",

@@ -1,0 +1,238 @@
+"""refcodec's own commands as processes, several at a time. What is done is noted in a file, so that it is not done again."""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import os
+import shlex
+import signal
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import ThreadPoolExecutor, wait
+from dataclasses import dataclass, field
+from pathlib import Path
+from types import FrameType
+from typing import Any
+
+PROGRAM = (sys.executable, "-m", "refcodec")
+# Lines of a failed command's stderr that are worth repeating.
+_LAST_LINES = 12
+
+Show = Callable[[str, str], None]
+
+
+class RunError(Exception):
+    """A command that failed, with its exit status, or a folder that cannot be used (64)."""
+
+    def __init__(self, text: str, status: int = 64) -> None:
+        self.status = status
+        super().__init__(text)
+
+
+@dataclass(frozen=True)
+class Command:
+    """refcodec with some arguments.
+
+    subject: what it works on, a line of progress; output: what it makes; after: names of commands whose output it reads; printed: whether
+    its output is what it prints; state: what it leaves when it is interrupted, to go on with --resume.
+    """
+
+    subject: str
+    arguments: tuple[str, ...]
+    output: Path
+    after: tuple[str, ...] = ()
+    printed: bool = False
+    state: Path | None = None
+
+    @property
+    def name(self) -> str:
+        """Unique in its notes: no subject is given to a command twice."""
+        return f"{self.subject} {self.arguments[0]}"
+
+    def __str__(self) -> str:
+        """As it is typed in a shell."""
+        text = shlex.join(["refcodec", *self.arguments])
+        return f"{text} > {shlex.quote(str(self.output))}" if self.printed else text
+
+
+@dataclass
+class Notes:
+    """What was run in a folder: a JSON file there. format: what kind of folder it is."""
+
+    path: Path
+    format: str
+    commands: dict[str, Any] = field(default_factory=dict)
+    _lock: Any = field(default_factory=threading.Lock)
+
+    @classmethod
+    def open(cls, folder: Path, name: str, format: str) -> Notes:
+        """The notes of a folder, which is made. Raises RunError if there is something else in it."""
+        path = folder / name
+        try:
+            folder.mkdir(parents=True, exist_ok=True)
+            if path.is_file():
+                found = json.loads(path.read_text())
+                if found["format"] == format:
+                    return cls(path, format, dict(found["commands"]))
+            elif not any(folder.iterdir()):
+                notes = cls(path, format)
+                notes._write()
+                return notes
+        except OSError as error:
+            raise RunError(f"{error.filename}: {error.strerror}") from None
+        except (ValueError, KeyError, TypeError):
+            pass
+        raise RunError(f"{folder} exists and is not a folder of this command: choose another one, or empty it")
+
+    def _write(self) -> None:
+        temporary = self.path.with_suffix(".part")
+        temporary.write_text(json.dumps({"format": self.format, "commands": self.commands}, indent=1) + "\n")
+        temporary.replace(self.path)
+
+    def is_done(self, command: Command) -> bool:
+        """Whether it was run to its end with these arguments, and its output is there."""
+        note = self.commands.get(command.name, {})
+        return bool(note.get("done")) and note["arguments"] == list(command.arguments) and command.output.exists()
+
+    def can_resume(self, command: Command) -> bool:
+        """Whether it was interrupted with these arguments, and left what it goes on from."""
+        note = self.commands.get(command.name, {})
+        return command.state is not None and command.state.exists() and note.get("arguments") == list(command.arguments)
+
+    def seconds(self, name: str) -> float:
+        """How long a command ran, with the runs that were interrupted."""
+        return float(self.commands[name]["seconds"])
+
+    def begin(self, command: Command) -> None:
+        """What was made from an earlier output is no longer done."""
+        with self._lock:
+            before = self.seconds(command.name) if self.can_resume(command) else 0.0
+            gone = {command.name}
+            while more := {name for name, note in self.commands.items() if name not in gone and gone & set(note["after"])}:
+                gone |= more
+            for name in gone:
+                self.commands.pop(name, None)
+            note = {"arguments": list(command.arguments), "after": list(command.after), "seconds": before, "done": False}
+            self.commands[command.name] = note
+            self._write()
+
+    def end(self, command: Command, seconds: float, done: bool) -> None:
+        with self._lock:
+            note = self.commands[command.name]
+            note["seconds"] += seconds
+            note["done"] = done
+            self._write()
+
+
+class Runner:
+    """Runs chains of commands, `jobs` at a time. show: gets the subject of a command and each line that it writes to stderr.
+
+    SIGINT and SIGTERM are passed on to the processes as SIGINT, so that trainings keep what they have; a second one kills them.
+    """
+
+    def __init__(self, notes: Notes, show: Show, jobs: int) -> None:
+        self.notes, self.show, self.jobs = notes, show, jobs
+        self._running: set[subprocess.Popen[str]] = set()
+        self._stopped = False
+
+    def run(self, chains: Sequence[Sequence[Command]]) -> bool:
+        """Runs what is not done yet; returns whether all of it is done. False: it was interrupted. Raises RunError if a command fails."""
+        self._stopped = False
+        with self._signals(), ThreadPoolExecutor(self.jobs) as pool:
+            futures = [pool.submit(self._chain, chain) for chain in chains]
+            wait(futures)
+        for future in futures:
+            future.result()
+        return not self._stopped
+
+    @contextlib.contextmanager
+    def _signals(self) -> Iterator[None]:
+        def pass_on(number: int, frame: FrameType | None) -> None:
+            self._stop(signal.SIGKILL if self._stopped else signal.SIGINT)
+
+        before = {number: signal.signal(number, pass_on) for number in (signal.SIGINT, signal.SIGTERM)}
+        try:
+            yield
+        finally:
+            for number, handler in before.items():
+                signal.signal(number, handler)
+
+    def _stop(self, number: int) -> None:
+        # No lock: a handler may interrupt the thread that holds it.
+        self._stopped = True
+        for process in tuple(self._running):
+            with contextlib.suppress(ProcessLookupError):
+                process.send_signal(number)
+
+    def _chain(self, commands: Sequence[Command]) -> None:
+        for command in commands:
+            if self._stopped:
+                return
+            if self.notes.is_done(command):
+                self.show(command.subject, f"{command.arguments[0]}: done before")
+            elif not self._one(command):
+                return
+
+    def _one(self, command: Command) -> bool:
+        """Whether it came to its end. Raises RunError if it failed."""
+        resume = ["--resume"] if self.notes.can_resume(command) else []
+        self.notes.begin(command)
+        began = time.perf_counter()
+        temporary = command.output.with_name(command.output.name + ".part")
+        with contextlib.ExitStack() as stack:
+            printed = stack.enter_context(temporary.open("w")) if command.printed else subprocess.DEVNULL
+            # In a group of its own, a process gets Ctrl-C once, from here.
+            process = stack.enter_context(
+                subprocess.Popen(
+                    [*PROGRAM, *command.arguments, *resume],
+                    stdout=printed,
+                    stderr=subprocess.PIPE,
+                    text=True,
+                    process_group=0,
+                )
+            )
+            self._running.add(process)
+            if self._stopped:
+                process.send_signal(signal.SIGINT)
+            assert process.stderr is not None
+            last: list[str] = []
+            for line in process.stderr:
+                last = [*last[1 - _LAST_LINES :], line.rstrip()]
+                self.show(command.subject, f"{command.arguments[0]}: {line.strip()}")
+            status = process.wait()
+            self._running.discard(process)
+        seconds = time.perf_counter() - began
+        if status == 0 and command.printed:
+            temporary.replace(command.output)
+        elif command.printed:
+            temporary.unlink()
+        self.notes.end(command, seconds, status == 0)
+        if status == 0:
+            self.show(command.subject, f"{command.arguments[0]}: done in {seconds:.1f} s")
+            return True
+        if self._stopped:
+            return False
+        # One that fails ends the others, which keep what they have.
+        self._stop(signal.SIGINT)
+        raise RunError("\n".join([f"this command failed: {command}", *last]), status if status > 0 else os.EX_SOFTWARE)
+
+
+@contextlib.contextmanager
+def shown(names: Sequence[str]) -> Iterator[Show]:
+    """Shows what commands say of each subject on stderr: on a terminal a line for each, which is overwritten, else one below the other."""
+    width = max(len(name) for name in names)
+    if not sys.stderr.isatty():
+        yield lambda name, text: print(f"{name:<{width}}  {text}", file=sys.stderr, flush=True)
+        return
+    from tqdm import tqdm  # noqa: PLC0415
+
+    bars = {name: tqdm(total=0, position=i, bar_format="{desc}", dynamic_ncols=True, file=sys.stderr) for i, name in enumerate(names)}
+    try:
+        yield lambda name, text: bars[name].set_description_str(f"{name:<{width}}  {text}")
+    finally:
+        for bar in bars.values():
+            bar.close()

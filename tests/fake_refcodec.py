@@ -1,0 +1,106 @@
+"""refcodec with a training and an evaluation that take no time, made up. Run as a program by the tests of demo and rd.
+
+As `train` of refcodec, it writes a line to stderr every few steps, stops at SIGINT with what it has and status 130, and resumes. Each step
+takes as many milliseconds as FAKE_STEP says.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import signal
+import sys
+import time
+from pathlib import Path
+
+from PIL import Image
+
+from conformance.scenes import random_scene
+from refcodec import cli
+from refcodec.codec import emit, parse
+from refcodec.folder import write_folder
+from refcodec.inspection import document
+
+
+def train(argv: list[str]) -> int:
+    parser = argparse.ArgumentParser()
+    parser.add_argument("photographs")
+    parser.add_argument("-o", dest="output", required=True, type=Path)
+    parser.add_argument("--rate", type=float)
+    parser.add_argument("--steps", type=int)
+    parser.add_argument("--size")
+    for name in ("--threads", "--seed", "--preset", "--device"):
+        parser.add_argument(name)
+    parser.add_argument("--resume", action="store_true")
+    parser.add_argument("--progress", action="store_true")
+    arguments = parser.parse_args(argv)
+    if os.environ.get("FAKE_FAIL") == f"{arguments.rate:g}":
+        print("it went wrong", file=sys.stderr)
+        return 70
+    stopped = False
+
+    def stop(*_: object) -> None:
+        nonlocal stopped
+        stopped = True
+
+    signal.signal(signal.SIGINT, stop)
+    state = Path(f"{arguments.output}.train-state")
+    done = int(state.read_text()) if arguments.resume else 0
+    history = []
+    while done < arguments.steps and not stopped:
+        time.sleep(int(os.environ.get("FAKE_STEP", "0")) / 1000)
+        done += 1
+        history.append({"step": done, "seconds": done / 10, "psnr": 20 + done / 10, "anchors": 30, "bytes": 1000})
+        print(f"step {done}", file=sys.stderr, flush=True)
+    # Fewer anchors at higher rates.
+    scene = random_scene(73, 30 if not arguments.rate else max(5, int(0.1 / arguments.rate)), gain=0.3, base_step=(0.5, 0.125, 0.25))
+    scene.networks["opacity"][-1][1][:] = 5
+    if arguments.rate:
+        write_folder(scene, arguments.output)
+    else:
+        arguments.output.mkdir(exist_ok=True)
+        (arguments.output / "hidden.c3gs").write_bytes(emit(scene))
+    sizes = {"positions": 360, "attributes": 7320, "masks": 0, "planes": 0, "weights": 2000}
+    report = {"settings": {}, "steps": done, "seconds": done / 10, "anchors": scene.anchor_count, "bytes": sizes, "history": history}
+    (arguments.output / "training.json").write_text(json.dumps(report))
+    if done < arguments.steps:
+        state.write_text(str(done))
+        return 130
+    state.unlink(missing_ok=True)
+    return 0
+
+
+def evaluate(argv: list[str]) -> int:
+    """Grey images, and figures that rise with the size of the file."""
+    from refcodec.train.photographs import parse_size, read_photographs  # noqa: PLC0415
+
+    parser = argparse.ArgumentParser()
+    parser.add_argument("scene", type=Path)
+    parser.add_argument("photographs")
+    parser.add_argument("--size")
+    parser.add_argument("--images", type=Path)
+    parser.add_argument("--json", action="store_true")
+    arguments = parser.parse_args(argv)
+    file = arguments.scene if arguments.scene.is_file() else arguments.scene / "hidden.c3gs"
+    facts = document(file.read_bytes(), parse(file.read_bytes()))
+    mean = {"psnr": 20 + facts["bytes"] / 1000, "ssim": 0.9, "psnr_3dgs": 20.5, "ssim_3dgs": 0.91}
+    rows = []
+    for photograph in read_photographs(arguments.photographs, parse_size(arguments.size)).test:
+        camera = photograph.camera
+        rows.append({"image": camera.name, **mean})
+        if arguments.images:
+            arguments.images.mkdir(exist_ok=True)
+            Image.new("RGB", (camera.width, camera.height), (90, 90, 90)).save(arguments.images / f"{Path(camera.name).stem}.png")
+    parts = {section["name"]: section["bytes"] for section in facts["sections"]}
+    print(json.dumps({"bytes": facts["bytes"], "anchors": facts["header"]["anchor_count"], "parts": parts, "mean": mean, "images": rows}))
+    return 0
+
+
+def main() -> int:
+    name, *rest = sys.argv[1:]
+    return {"train": train, "eval": evaluate}[name](rest) if name in ("train", "eval") else cli.main([name, *rest])
+
+
+if __name__ == "__main__":
+    sys.exit(main())
