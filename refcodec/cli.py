@@ -350,6 +350,18 @@ def _render(arguments: argparse.Namespace) -> int:
     return 0
 
 
+def _lpips(path: str) -> Any:
+    """LPIPS with the weights of a file. Raises UsageError."""
+    try:
+        from .train.lpips import Lpips
+    except ModuleNotFoundError as error:
+        raise _needs("eval --lpips", "fit", error, ("torch",)) from None
+    try:
+        return Lpips(path)
+    except ValueError as error:
+        raise UsageError(str(error)) from None
+
+
 def _eval(arguments: argparse.Namespace) -> int:
     import json
     import time
@@ -362,6 +374,7 @@ def _eval(arguments: argparse.Namespace) -> int:
     from .codec import parse
     from .inspection import document
 
+    lpips = _lpips(arguments.lpips) if arguments.lpips else None
     data = _read_file(arguments.file)
     began: dict[str, float] = {}
     spent: dict[str, float] = {}
@@ -387,7 +400,11 @@ def _eval(arguments: argparse.Namespace) -> int:
             at = time.perf_counter()
             made = view.draw(photograph.camera)
             drawing += time.perf_counter() - at
-            rows.append({"image": photograph.camera.name, **measures(made, photograph.image)})
+            try:
+                more = lpips.measures(made, photograph.image) if lpips else {}
+            except ValueError as error:
+                raise UsageError(str(error)) from None
+            rows.append({"image": photograph.camera.name, **measures(made, photograph.image), **more})
             if images:
                 write_png(images / f"{Path(photograph.camera.name).stem}.png", made)
         progress("images", len(held_out), len(held_out))
@@ -634,6 +651,7 @@ def _parser() -> argparse.ArgumentParser:
     evaluate.add_argument("photographs", metavar="PHOTOGRAPHS")
     evaluate.add_argument("--size", metavar="WxH", help="size that photographs are averaged down to, or their longest side")
     evaluate.add_argument("--images", metavar="DIR", help="where to write the images that were compared, as PNG files")
+    evaluate.add_argument("--lpips", metavar="WEIGHTS", help="LPIPS too, with the weights of a file that tools/lpips_weights.py makes")
     evaluate.add_argument("--json", action="store_true", help="all figures, of each image too")
     demo = _add(
         commands,

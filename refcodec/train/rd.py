@@ -97,7 +97,8 @@ def _row(settings: Settings, rate: float, notes: Notes) -> Row:
     name = f"rate-{rate:g}"
     report = json.loads((settings.folder / name / REPORT).read_text())
     found = json.loads((settings.folder / f"{name}.json").read_text())
-    sections = found["parts"] if rate else report["bytes"]
+    # The report has the kinds of attributes beside their sum.
+    sections = found["parts"] if rate else {part: report["bytes"].get(part, 0) for part in PARTS}
     size = sum(sections.values())
     anchors = found["anchors"] if rate else report["anchors"]
     return {
