@@ -23,6 +23,7 @@ from pathlib import Path
 
 import numpy as np
 import torch
+from results import write_section
 
 from refcodec import codec
 from refcodec.container import ATTRIBUTES, MASKS, PLANES_SECTION, POSITIONS, WEIGHTS, chunk_ranges, parse_container
@@ -31,9 +32,6 @@ from refcodec.fit.fitter import FitResult, fit
 from refcodec.fit.voxelise import default_voxel, read_points, short_mantissa, voxelise
 from refcodec.quantise import mask_model
 from refcodec.scene import Scene
-
-RESULTS = Path(__file__).resolve().parent / "RESULTS.md"
-HEADING = "# Measured results\n\nEach section holds the output of the command that it names; the command rewrites it.\n"
 
 # Times a parse in a process of its own, whose peak memory is the decoder's.
 DECODE = """
@@ -195,19 +193,6 @@ def report(arguments: argparse.Namespace, command: str) -> list[str]:
     ]
 
 
-def write_section(path: Path, name: str, lines: list[str]) -> None:
-    """Replaces the section between its markers, or appends it; all other text stays."""
-    begin, end = f"<!-- {name}: begin -->", f"<!-- {name}: end -->"
-    text = path.read_text() if path.exists() else HEADING
-    section = "\n".join([begin, f"## Anchors of {name}", "", *lines, end])
-    if begin in text and end in text:
-        before, rest = text.split(begin, 1)
-        text = before + section + rest.split(end, 1)[1]
-    else:
-        text = text.rstrip("\n") + "\n\n" + section + "\n"
-    path.write_text(text)
-
-
 def main() -> int:
     """Command line."""
     parser = argparse.ArgumentParser(description="Size against the ideal and speed, on anchors made from a real point cloud.")
@@ -226,7 +211,7 @@ def main() -> int:
     options += [f"--{o} {getattr(arguments, o)}" for o in ("voxel", "tile") if getattr(arguments, o)]
     lines = report(arguments, "python benchmarks/garden.py " + " ".join(options))
     print("\n".join(lines))
-    write_section(RESULTS, name, lines)
+    write_section(name, f"Anchors of {name}", lines)
     return 0
 
 

@@ -20,6 +20,7 @@ from .errors import BitstreamError
 
 if TYPE_CHECKING:
     from .codec import Parsed, Progress
+    from .uncompressed import Uncompressed
 
 # Exit statuses. 1 and 2 are verdicts on a bitstream (SPEC.md 10.1); the others never are.
 EXIT_REJECTED = 1
@@ -295,6 +296,50 @@ def _fit(arguments: argparse.Namespace) -> int:
     return 0
 
 
+def _train(arguments: argparse.Namespace) -> int:
+    try:
+        from .train.command import PRESETS, may_write, state_path, train
+        from .train.trainer import TrainSettings
+    except ModuleNotFoundError as error:
+        raise _needs("train", "train", error, ("torch", "numba", "scipy", "PIL", "skimage")) from None
+    output = Path(arguments.output.rstrip("/") or "/")
+    if not may_write(output):
+        raise UsageError(f"{output} exists and is not a scene folder: choose another one, or empty it")
+    if arguments.resume and not state_path(output).exists():
+        raise UsageError(f"there is nothing to resume: {state_path(output)} does not exist")
+    preset = PRESETS[arguments.preset]
+    photographs = _photographs(arguments.photographs, arguments.size or str(preset["side"]))
+    settings = TrainSettings(
+        rate=arguments.rate,
+        steps=arguments.steps or preset["steps"],
+        seed=arguments.seed,
+        hyperprior=arguments.hyperprior,
+        uniform=arguments.sampling == "uniform",
+        plane_period=arguments.plane_period,
+        masks=not arguments.no_masks,
+        epsilon=arguments.epsilon,
+        anchors=preset["anchors"],
+        most_anchors=preset["most_anchors"],
+    )
+    try:
+        trainer, whole = train(
+            photographs,
+            settings,
+            output,
+            threads=arguments.threads or os.cpu_count() or 1,
+            device=arguments.device,
+            resume=arguments.resume,
+            progress=arguments.progress,
+        )
+    except ValueError as error:
+        raise UsageError(f"{arguments.photographs} cannot be trained: {error}") from None
+    print(f"{output}: {trainer.scaffold.count} anchors, {trainer.done} steps, {trainer.seconds:.0f} s")
+    if not whole:
+        _note(f"refcodec: stopped at step {trainer.done} of {settings.steps}; the scene is written, and --resume goes on from there")
+        return EXIT_INTERRUPTED
+    return 0
+
+
 def _needs(command: str, extra: str, error: ModuleNotFoundError, packages: tuple[str, ...]) -> UsageError:
     """What to install for a command. Raises the error again if it is not one of the extra's packages that is missing."""
     if (error.name or "").split(".")[0] not in packages:
@@ -315,13 +360,21 @@ def _photographs(folder: str, size: str | None) -> Any:
         raise UsageError(str(error)) from None
 
 
+def _uncompressed(path: str) -> Uncompressed | None:
+    """An uncompressed scene, if the path is the folder of one."""
+    from .uncompressed import is_uncompressed, read_uncompressed
+
+    return read_uncompressed(Path(path)) if is_uncompressed(Path(path)) else None
+
+
 def _render(arguments: argparse.Namespace) -> int:
     try:
         from .rendering import default_camera
         from .viewing import View, eight_bits, write_gif, write_png
     except ModuleNotFoundError as error:
         raise _needs("render", "render", error, _RENDER_PACKAGES) from None
-    view = View(_parse(arguments, _read_file(arguments.file)).scene)
+    folder = _uncompressed(arguments.file)
+    view = View(folder or _parse(arguments, _read_file(arguments.file)).scene)
     if arguments.cameras == "default":
         cameras = [default_camera(view.info)]
     elif arguments.cameras == "orbit":
@@ -364,72 +417,23 @@ def _lpips(path: str) -> Any:
 
 def _eval(arguments: argparse.Namespace) -> int:
     import json
-    import time
 
     try:
-        from .quality import measures
-        from .viewing import View, write_png
+        from .evaluation import evaluate, table
+        from .train.cameras import PhotographError
     except ModuleNotFoundError as error:
         raise _needs("eval", "render", error, _RENDER_PACKAGES) from None
-    from .codec import parse
-    from .inspection import document
-
     lpips = _lpips(arguments.lpips) if arguments.lpips else None
-    data = _read_file(arguments.file)
-    began: dict[str, float] = {}
-    spent: dict[str, float] = {}
-
-    def clock(stage: str, done: int, total: int) -> None:
-        began.setdefault(stage, time.perf_counter())
-        spent[stage] = time.perf_counter() - began[stage]
-
-    start = time.perf_counter()
-    parsed = parse(data, progress=clock)
-    view = View(parsed.scene)
-    spent["total"] = time.perf_counter() - start
+    folder = _uncompressed(arguments.file)
+    data = None if folder else _read_file(arguments.file)
     found = _photographs(arguments.photographs, arguments.size)
-    held_out = found.test or found.train
-    images = Path(arguments.images) if arguments.images else None
-    if images:
-        images.mkdir(parents=True, exist_ok=True)
-    view.draw(held_out[0].camera)  # compiles what is not compiled yet
-    rows, drawing = [], 0.0
-    with _progress(arguments.progress) as progress:
-        for number, photograph in enumerate(held_out):
-            progress("images", number, len(held_out))
-            at = time.perf_counter()
-            made = view.draw(photograph.camera)
-            drawing += time.perf_counter() - at
-            try:
-                more = lpips.measures(made, photograph.image) if lpips else {}
-            except ValueError as error:
-                raise UsageError(str(error)) from None
-            rows.append({"image": photograph.camera.name, **measures(made, photograph.image), **more})
-            if images:
-                write_png(images / f"{Path(photograph.camera.name).stem}.png", made)
-        progress("images", len(held_out), len(held_out))
-    names = [name for name in rows[0] if name != "image"]
-    facts = document(data, parsed)
-    result = {
-        "file": arguments.file,
-        "bytes": len(data),
-        "anchors": parsed.scene.anchor_count,
-        "parts": {s["name"]: s["bytes"] for s in facts["sections"]},
-        "decode_seconds": spent,
-        "frames_per_second": len(rows) / drawing,
-        "held_out": bool(found.test),
-        "mean": {name: sum(float(row[name]) for row in rows) / len(rows) for name in names},
-        "images": rows,
-    }
-    if arguments.json:
-        print(json.dumps(result, indent=1))
-        return 0
-    print(f"{'image':<28}" + "".join(f" {name:>10}" for name in names))
-    for row in [*rows, {"image": "mean", **result["mean"]}]:
-        print(f"{row['image']:<28}" + "".join(f" {row[name]:>10.4f}" for name in names))
-    print(f"\n{len(data)} bytes, {parsed.scene.anchor_count} anchors: " + ", ".join(f"{n} {b}" for n, b in result["parts"].items()))
-    print("decoding: " + ", ".join(f"{stage} {seconds:.2f} s" for stage, seconds in spent.items()))
-    print(f"drawing: {result['frames_per_second']:.1f} images a second" + ("" if found.test else "; no images were held out"))
+    try:
+        with _progress(arguments.progress) as progress:
+            result = evaluate(folder or data or b"", found, Path(arguments.images) if arguments.images else None, progress, lpips)
+    except PhotographError as error:
+        raise UsageError(str(error)) from None
+    result = {"file": arguments.file, **result}
+    print(json.dumps(result, indent=1) if arguments.json else "\n".join(table(result)))
     return 0
 
 
@@ -532,6 +536,14 @@ def _seed(text: str) -> int:
     value = int(text)
     if not 0 <= value < 1 << 63:
         raise argparse.ArgumentTypeError(f"{text} found, 0 to 2^63 - 1 allowed")
+    return value
+
+
+def _weight(text: str) -> float:
+    """A number from 0 to 1."""
+    value = float(text)
+    if not 0 <= value <= 1:
+        raise argparse.ArgumentTypeError(f"{text} found, 0 to 1 allowed")
     return value
 
 
@@ -653,6 +665,59 @@ def _parser() -> argparse.ArgumentParser:
     evaluate.add_argument("--images", metavar="DIR", help="where to write the images that were compared, as PNG files")
     evaluate.add_argument("--lpips", metavar="WEIGHTS", help="LPIPS too, with the weights of a file that tools/lpips_weights.py makes")
     evaluate.add_argument("--json", action="store_true", help="all figures, of each image too")
+    train = _add(
+        commands,
+        "train",
+        _train,
+        "learn a scene from photographs, and write a scene folder",
+        [
+            "train photographs -o scene",
+            "train photographs -o scene --rate 0.01 --steps 8000",
+            "train photographs -o scene --resume",
+            "train photographs -o scaffold --rate 0",
+        ],
+        "PHOTOGRAPHS is a folder that COLMAP or a NeRF dataset made; every eighth image is held out. Then: refcodec encode SCENE_DIR.\n"
+        "Ctrl-C ends the training early, writes the scene all the same, and keeps SCENE_DIR.train-state for --resume.\n"
+        "Needs: pip install 'refcodec[train]'.",
+    )
+    train.add_argument("photographs", metavar="PHOTOGRAPHS")
+    train.add_argument("-o", "--output", metavar="SCENE_DIR", required=True)
+    train.add_argument(
+        "--rate",
+        type=_weight,
+        metavar="L",
+        default=0.004,
+        help="lambda_r, the weight of the rate: 0.002 to 0.04, or 0 for an uncompressed Scaffold-GS (default: %(default)s)",
+    )
+    train.add_argument("--steps", type=_positive, metavar="N", help="training steps (default: the preset's)")
+    train.add_argument(
+        "--preset",
+        choices=("fast", "paper"),
+        default="fast",
+        help="fast: 4,000 steps on photographs of 400 pixels; paper: 40,000 on 1,600 (default: %(default)s)",
+    )
+    train.add_argument("--size", metavar="WxH", help="size that photographs are averaged down to, or their longest side")
+    train.add_argument("--seed", type=_seed, metavar="S", default=0, help="of the random numbers (default: %(default)s)")
+    train.add_argument("--device", choices=("cpu", "cuda"), default="cpu", help="what rasterises; cuda needs pip install 'refcodec[cuda]'")
+    train.add_argument("--threads", type=_positive, metavar="N", help="of the rasteriser (default: all); no result depends on them")
+    train.add_argument("--resume", action="store_true", help="go on with an interrupted training of the same photographs and settings")
+    paper = train.add_argument_group("what the paper compares")
+    paper.add_argument(
+        "--hyperprior",
+        choices=("vm", "plane", "triplane", "triplane72"),
+        default="vm",
+        help="only vm can be written; the others are for estimates (default: %(default)s)",
+    )
+    paper.add_argument("--sampling", choices=("uniform", "visible"), default="uniform", help="anchors whose rate counts: USRO or ViSRO")
+    paper.add_argument("--plane-period", type=int, choices=(1, 4), default=4, help="steps between two with the planes' rate (A-RDO: 4)")
+    paper.add_argument("--no-masks", action="store_true", help="keep every offset")
+    paper.add_argument(
+        "--epsilon",
+        type=_length,
+        metavar="E",
+        default=0.01,
+        help="share below which an offset is masked; 0.0004 where views are concentrated",
+    )
     demo = _add(
         commands,
         "demo",

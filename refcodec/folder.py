@@ -51,7 +51,7 @@ from .limits import PROFILES, dimension_fault
 from .masks import context_count
 from .networks import Layer
 from .planes import PLANE_SYMBOL_MAX, PLANES
-from .reconstruction import digest, reconstruct
+from .reconstruction import Reconstruction, digest, reconstruct
 from .scene import Dimensions, Lanes, PositionGrid, RenderInfo, Scene
 from .tables import STEP_LENGTH, TOTAL
 
@@ -125,7 +125,7 @@ def _write_files(scene: Scene, path: Path, damage: dict[int, BitstreamError]) ->
     from safetensors.numpy import save
 
     a = scene.attributes
-    write_ply(scene, path / PLY_FILE)
+    write_cloud(reconstruct(scene), scene.masks, path / PLY_FILE)
     networks = {
         f"{name}.{index}.{part}": np.ascontiguousarray(value)
         for name, layers in scene.networks.items()
@@ -198,25 +198,24 @@ def ply_properties(offset_count: int, features: int) -> list[str]:
     ]
 
 
-def _ply_values(scene: Scene) -> dict[str, NDArray]:
+def _ply_values(r: Reconstruction, masks: NDArray[np.bool_]) -> dict[str, NDArray]:
     """The columns of the PLY that say something, by the stem of their properties; float32 [N, columns]."""
-    r = reconstruct(scene)
     return {
         "xyz": r.positions,
         # Axis-major: property axis * K + k.
-        "f_offset_": r.offsets.transpose(0, 2, 1).reshape(scene.anchor_count, 3 * scene.dimensions.offset_count),
-        "f_mask_": scene.masks.astype(np.float32),
+        "f_offset_": r.offsets.transpose(0, 2, 1).reshape(len(masks), 3 * masks.shape[1]),
+        "f_mask_": masks.astype(np.float32),
         "f_anchor_feat_": r.features,
         "scale_": r.scalings,
     }
 
 
-def write_ply(scene: Scene, path: str | Path) -> None:
-    """The reconstruction as a Scaffold-GS point cloud, binary little-endian float32."""
+def write_cloud(r: Reconstruction, masks: NDArray[np.bool_], path: str | Path) -> None:
+    """Anchors as a Scaffold-GS point cloud, binary little-endian float32. masks: bool [N, K]."""
     from plyfile import PlyData, PlyElement
 
-    d, n, values = scene.dimensions, scene.anchor_count, _ply_values(scene)
-    names = ply_properties(d.offset_count, d.features)
+    n, values = len(masks), _ply_values(r, masks)
+    names = ply_properties(masks.shape[1], r.features.shape[1])
     rotation = np.broadcast_to(np.array([1, 0, 0, 0], np.float32), (n, 4))
     zeros = np.zeros((n, 3), np.float32)
     columns = [
@@ -511,7 +510,7 @@ def _compare_ply(scene: Scene, path: Path) -> None:
     columns = _Columns(file)
     if columns.count != scene.anchor_count:
         raise SceneFolderError(file, f"it has {columns.count} anchors, {CODED_FILE} has {scene.anchor_count}", advice)
-    for stem, wanted in _ply_values(scene).items():
+    for stem, wanted in _ply_values(reconstruct(scene), scene.masks).items():
         names = columns.names(stem)
         if not names and stem == "f_mask_":
             found = np.ones_like(wanted)

@@ -101,6 +101,8 @@ def _logistic(x: NDArray) -> NDArray:
     return np.where(x >= 0, 1 / (1 + tail), tail / (1 + tail))
 
 
+# A file may hold any finite numbers; a Gaussian with one that overflows is not drawn.
+@np.errstate(over="ignore", invalid="ignore")
 def gaussians(
     values: Reconstruction,
     masks: NDArray[np.bool_],

@@ -13,6 +13,7 @@ from .rasterise import image
 from .reconstruction import reconstruct
 from .rendering import RENDERING, Camera, default_camera, gaussians
 from .scene import Scene
+from .uncompressed import Uncompressed
 
 F32 = NDArray[np.float32]
 F64 = NDArray[np.float64]
@@ -28,9 +29,9 @@ FRAME_RATE = 15
 class View:
     """A scene that cameras look at."""
 
-    def __init__(self, scene: Scene) -> None:
+    def __init__(self, scene: Scene | Uncompressed) -> None:
         self.info, self.masks = scene.render, scene.masks
-        self.values = reconstruct(scene)
+        self.values = reconstruct(scene) if isinstance(scene, Scene) else scene.values
         self.networks = {name: scene.networks[name] for name in RENDERING}
 
     def draw(self, camera: Camera) -> F32:

@@ -19,6 +19,7 @@ from safetensors.numpy import save_file  # noqa: E402
 from torch import nn  # noqa: E402
 
 from refcodec import cli  # noqa: E402
+from refcodec.train.cameras import PhotographError  # noqa: E402
 from refcodec.train.lpips import Lpips  # noqa: E402
 from tools import lpips_weights  # noqa: E402
 
@@ -84,7 +85,7 @@ def test_against_modules(network: str, tmp_path: Path) -> None:
         assert found[name] == pytest.approx(total, rel=1e-4)
         assert total > 0.01
     assert measure.measures(photograph / 255, photograph) == {"lpips": pytest.approx(0, abs=1e-6), "lpips_3dgs": pytest.approx(0, abs=1e-6)}
-    with pytest.raises(ValueError, match="32 x 32"):
+    with pytest.raises(PhotographError, match="50 x 31"):
         measure.measures(made[:31], photograph[:31])
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 from pathlib import Path
 
+import mpmath
 import numpy as np
 import pytest
 from hypothesis import given
@@ -176,6 +177,78 @@ def test_equal_depths_keep_their_order(text: dict) -> None:
     assert np.allclose(made, drawn_by_the_text(text, found, VIEW, RenderInfo()), atol=1e-5)
 
 
+@pytest.mark.parametrize("alpha_max", [1.0, 0.5, 0.0039215689, 0.003, 1e-30])
+def test_any_largest_alpha(text: dict, alpha_max: float) -> None:
+    """1: an opaque Gaussian finishes a pixel and is not in it; below 1/255 nothing counts."""
+    rasterise = pytest.importorskip("refcodec.rasterise", reason="images need the packages of the extra render")
+    info, found = RenderInfo(alpha_max=alpha_max, background=(10, 200, 90)), cloud(8, 40, 0.5)
+    found.opacity[:] = 1
+    made = rasterise.image(found, VIEW, info)
+    assert np.abs(made - drawn_by_the_text(text, found, VIEW, info)).max() < 5e-3
+    assert (made == made[0, 0]).all() == (alpha_max < 1 / 255)
+
+
+@pytest.mark.parametrize("angle", [1e-8, -1e-8])
+def test_depths_that_binary32_does_not_tell_apart(text: dict, angle: float) -> None:
+    rasterise = pytest.importorskip("refcodec.rasterise", reason="images need the packages of the extra render")
+    found = cloud(9, 30, 0.3)
+    found.mean[:, 2] = 3
+    camera = replace(VIEW, rotation=np.array([[1, 0, -angle], [0, 1, 0], [angle, 0, 1]]))
+    made = rasterise.image(found, camera, RenderInfo())
+    assert np.allclose(made, drawn_by_the_text(text, found, camera, RenderInfo()), atol=1e-5)
+
+
+@pytest.mark.parametrize("size", [1e3, 1e6, 1e9, 1e15, 1e18])
+def test_long_and_far(text: dict, size: float) -> None:
+    """Needles whose centres are far outside the image and that reach into it, and Gaussians that hardly change over it."""
+    rasterise = pytest.importorskip("refcodec.rasterise", reason="images need the packages of the extra render")
+    found = cloud(10, 6, 0.3)
+    found.mean[:, 0], found.mean[:3, 1], found.mean[:, 2] = size * np.array([-1, 1, -0.5, 1, -2, 0.3]), 0.1, 3
+    found.mean[3:, 1] = size * np.array([0.2, -0.5, 0.1])
+    found.quaternion[:] = (1, 0, 0, 0)
+    found.lengths[:] = size
+    found.lengths[:3, 1:] = 0.3
+    info = RenderInfo(background=(10, 200, 90))
+    made = rasterise.image(found, VIEW, info)
+    assert (made != made[0, 0]).any()
+    assert np.allclose(made, drawn_by_the_text(text, found, VIEW, info), atol=1e-4)
+
+
+@pytest.mark.parametrize("seed", range(12))
+def test_any_sizes(text: dict, seed: int) -> None:
+    """Against the text with 60 digits: binary64 does not hold its d of a needle. Bound: what float32 makes of a pixel."""
+    rasterise = pytest.importorskip("refcodec.rasterise", reason="images need the packages of the extra render")
+    rng = np.random.default_rng(seed)
+    found, q = cloud(seed, 6), rng.normal(size=4)
+    magnitude = np.exp2(rng.uniform(-30, 30, (2, 6, 3))).astype(np.float32)
+    found = replace(found, mean=found.mean * magnitude[0], lengths=found.lengths * magnitude[1])
+    camera = Camera("view", 11, 7, 9.0, 8.0, 5.0, 3.5, rotation_matrix(q / np.linalg.norm(q)), np.array([0, 0, 3.0]))
+    info = RenderInfo(low_pass=(0.0, 1e-9, 0.3, 100.0)[seed % 4], near_plane=1e-30, background=(10, 200, 90))
+    with mpmath.workdps(60):
+        mp = np.frompyfunc(lambda x: mpmath.mpf(float(x)), 1, 1)
+        quaternion = [[x / mpmath.norm(row.tolist()) for x in row] for row in mp(found.quaternion)]
+        stated = {
+            "rotation": mp(camera.rotation).tolist(), "translation": mp(camera.translation).tolist(), "focal": (9, 8),
+            "principal_point": (5, 3.5), "size": (11, 7),
+        }  # fmt: skip
+        shapes = zip(mp(found.mean).tolist(), mp(found.lengths).tolist(), quaternion, strict=True)
+        projected = [text["PROJECT"](*shape, stated, info.near_plane, info.low_pass) for shape in shapes]
+        drawn = [(p, o, c) for p, o, c in zip(projected, found.opacity.tolist(), found.colour.tolist(), strict=True) if p is not None]
+        drawn.sort(key=lambda d: d[0][2])
+        rest = (drawn, [b / 255 for b in info.background], info.alpha_max)
+        wanted = np.array([[text["PIXEL"](i + 0.5, j + 0.5, *rest) for i in range(11)] for j in range(7)]).astype(float)
+    assert np.abs(rasterise.image(found, camera, info) - wanted).max() < 1e-5
+
+
+@pytest.mark.parametrize("low_pass", [0.0, 1e-20, 1e20, 3e38])
+def test_any_low_pass(text: dict, low_pass: float) -> None:
+    rasterise = pytest.importorskip("refcodec.rasterise", reason="images need the packages of the extra render")
+    info, found = RenderInfo(low_pass=low_pass, background=(10, 200, 90)), cloud(11, 20, 0.5)
+    found.lengths[:] = np.maximum(found.lengths, 0.01)
+    made = rasterise.image(found, VIEW, info)
+    assert np.abs(made - drawn_by_the_text(text, found, VIEW, info)).max() < 5e-3
+
+
 def test_images_do_not_depend_on_threads() -> None:
     rasterise = pytest.importorskip("refcodec.rasterise", reason="images need the packages of the extra render")
     numba = pytest.importorskip("numba")
@@ -191,10 +264,36 @@ def test_images_do_not_depend_on_threads() -> None:
     assert images[0] == images[1]
 
 
+@pytest.mark.filterwarnings("error")
 def test_hostile_numbers_give_an_image() -> None:
-    """Whatever a valid file's floats are, an image is made, and of finite numbers where colours are."""
+    """Whatever a valid file's floats are, an image is made, of finite numbers and without a warning."""
     rasterise = pytest.importorskip("refcodec.rasterise", reason="images need the packages of the extra render")
     found = cloud(7, 40)
     found.mean[:10] = [[1e30, 0, 1], [0, 0, 0.2], [0, 0, 1e-30], [np.inf, 0, 1], [np.nan, 0, 1], *[[0, 0, 1e20]] * 5]
     found.lengths[10:16] = [[0, 0, 0], [1e30, 1e30, 1e30], [np.inf, 1, 1], [1e-40, 1, 1], [1e18, 1e-18, 0], [1e6, 1e6, 1e6]]
     assert np.isfinite(rasterise.image(found, VIEW, RenderInfo())).all()
+    found.colour[20:23] = [[np.nan, 0, 0], [0, np.inf, 0], [0, 0, -np.inf]]
+    assert np.isfinite(rasterise.image(found, VIEW, RenderInfo())).all()
+    # Any magnitudes of means and lengths, with the least and the largest values of the render information.
+    rng = np.random.default_rng(12)
+    least, most = float(np.finfo(np.float32).smallest_subnormal), float(np.finfo(np.float32).max)
+    for near_plane, low_pass, focal in ((least, 0.0, most), (least, most, least), (1.0, 0.0, 30.0), (most, 0.3, 30.0)):
+        found = cloud(13, 300)
+        magnitude = np.exp2(rng.uniform(-140, 120, (2, 300, 3))).astype(np.float32)
+        found = replace(found, mean=found.mean * magnitude[0], lengths=found.lengths * magnitude[1])
+        info = RenderInfo(near_plane=near_plane, low_pass=low_pass, camera_focal=(focal, focal), camera_width=40, camera_height=30)
+        made = rasterise.image(found, default_camera(info), info)
+        assert np.isfinite(made).all()
+
+
+@pytest.mark.filterwarnings("error")
+def test_hostile_networks_give_gaussians() -> None:
+    """Weights and scalings whose products and exponentials overflow."""
+    scene, values, camera = scene_of(14)
+    for layers in scene.networks.values():
+        layers[0][0][:] *= np.float32(1e30)
+        layers[-1][0][:] *= np.float32(1e20)
+    values = replace(values, scalings=values.scalings * np.float32(1e4), positions=values.positions * np.float32(1e30))
+    for dtype in (np.float32, np.float64):
+        found = gaussians(values, scene.masks, scene.networks, camera, dtype)
+        assert (found.opacity > 0).all()

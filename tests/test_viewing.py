@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import json
+import os
+import subprocess
 import sys
 from dataclasses import replace
 from pathlib import Path
@@ -114,6 +116,22 @@ def file(tmp_path: Path) -> str:
     return str(path)
 
 
+def test_an_image_of_a_file_does_not_depend_on_threads(file: str) -> None:
+    program = (
+        "import sys, hashlib, numba; from refcodec.codec import parse; from refcodec.viewing import View, default_camera\n"
+        "view = View(parse(open(sys.argv[1], 'rb').read()).scene)\n"
+        "camera = default_camera(view.info).resized(400, 300)\n"
+        "print(numba.get_num_threads(), hashlib.sha256(view.draw(camera).tobytes()).hexdigest())"
+    )
+    found = []
+    for threads in ("1", "2"):
+        environment = {**os.environ, "NUMBA_NUM_THREADS": threads, "OMP_WAIT_POLICY": "PASSIVE"}
+        done = subprocess.run([sys.executable, "-c", program, file], env=environment, check=True, capture_output=True, text=True)
+        found.append(done.stdout.split())
+    assert [threads for threads, _ in found] == ["1", "2"]
+    assert found[0][1] == found[1][1]
+
+
 def test_render(file: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert cli.main(["render", file, "-o", str(tmp_path / "own")]) == 0
     assert Image.open(tmp_path / "own" / "default.png").size == (40, 30)
@@ -159,7 +177,7 @@ def test_what_is_wrong_is_said(
     assert cli.main(arguments(str(bad), str(PHOTOGRAPHS))) == 1
     assert '"code": 306' in capsys.readouterr().err
     # Without numba; and an import that fails for another reason is a fault, and not hidden.
-    for name in [m for m in sys.modules if m in ("refcodec.viewing", "refcodec.quality", "refcodec.rasterise")]:
+    for name in [m for m in sys.modules if m in ("refcodec.evaluation", "refcodec.viewing", "refcodec.quality", "refcodec.rasterise")]:
         monkeypatch.delitem(sys.modules, name)
     monkeypatch.setitem(sys.modules, "numba", None)
     assert cli.main(arguments(file, folder)) == 64

@@ -89,7 +89,7 @@ def laplace_bits(mean: Tensor, scale: Tensor, symbol: Tensor) -> Tensor:
     return _Bits.apply(mean, scale, symbol, False)
 
 
-def _round(x: Tensor) -> Tensor:
+def round_through(x: Tensor) -> Tensor:
     """Rounding half up whose gradient is the identity's."""
     return x + (torch.floor(x + 0.5) - x).detach()
 
@@ -118,13 +118,22 @@ class FoldedMlp(nn.Module):
 
     def forward(self, inputs: Tensor) -> Tensor:
         """inputs: integers as float32 [n, in]. Returns float32 [n, out] in the units of the file."""
+        return self.outputs(self.activations(inputs), slice(None))
+
+    def outputs(self, hidden: Tensor, columns: slice) -> Tensor:
+        """Some columns of the outputs for the last hidden activations."""
+        weight, bias = self.weights[-1][columns], self.biases[-1][columns]
+        return functional.linear(hidden, weight, bias) * self.get_buffer("output_unit")[columns]
+
+    def activations(self, inputs: Tensor) -> Tensor:
+        """The last hidden activations."""
         x = inputs / self.get_buffer("input_unit")
         for i in range(self.hidden):
             x = functional.relu(functional.linear(x, self.weights[i], self.biases[i]))
             if self.rounding:
                 unit = self.get_buffer(f"hidden_unit_{i}")
-                x = _round((x * unit).clamp_max(ACTIVATION_MAX)) / unit
-        return functional.linear(x, self.weights[-1], self.biases[-1]) * self.get_buffer("output_unit")
+                x = round_through((x * unit).clamp_max(ACTIVATION_MAX)) / unit
+        return x
 
     @torch.no_grad()
     def calibrate(self, inputs: Tensor) -> None:
@@ -181,7 +190,7 @@ class PlaneSamples:
             table = plane.reshape(channels, -1).T.contiguous()
             parts.append(functional.embedding_bag(corners[rows], table, per_sample_weights=shares[rows], mode="sum"))
         units = torch.cat(parts, dim=1) * 2.0**PLANE_SHIFT
-        return (_round(units) if rounding else units).clamp(-ACTIVATION_MAX, ACTIVATION_MAX)
+        return (round_through(units) if rounding else units).clamp(-ACTIVATION_MAX, ACTIVATION_MAX)
 
 
 def plane_neighbours(symbols: Tensor) -> Tensor:
@@ -235,7 +244,7 @@ class RateModel(nn.Module):
         """Plane symbols [5, ch, B, B]: with uniform noise in their rounding's place, or rounded (noise None)."""
         fine = self.latents * 16
         if noise is None:
-            return _round(fine)
+            return round_through(fine)
         return fine + torch.rand(fine.shape, generator=noise) - 0.5
 
     def plane_bits(self, symbols: Tensor) -> Tensor:

@@ -13,6 +13,8 @@ from safetensors import SafetensorError, safe_open
 from torch import Tensor
 from torch.nn import functional
 
+from .cameras import PhotographError
+
 # Layers of the networks up to the last that is compared: a convolution's stride and padding, or a maximum's size and stride. After the
 # convolutions of COMPARED, in the order of the linear layers, images are compared.
 _CONV, _POOL = {"stride": 1, "padding": 1}, {"kernel_size": 2, "stride": 2}
@@ -49,10 +51,13 @@ class Lpips:
         """How far an image, float [h, w, 3] with 1 for white and cut to 0 to 1, is from a photograph uint8 [h, w, 3]: 0 if it is the same.
 
         lpips: of values from -1 to 1, as its authors do; lpips_3dgs: of values from 0 to 1, which 3D Gaussian Splatting's code and
-        most that follows it gives to the same network. Sides below 32 pixels are too short. Raises ValueError.
+        most that follows it gives to the same network. Sides below 32 pixels are too short: PhotographError.
         """
         if min(photograph.shape[:2]) < SIDE_MIN:
-            raise ValueError(f"LPIPS needs images of {SIDE_MIN} x {SIDE_MIN} pixels or more")
+            height, width = photograph.shape[:2]
+            raise PhotographError(
+                "LPIPS", f"images of {width} x {height}, sides of {SIDE_MIN} pixels or more are required", "ask for larger ones"
+            )
         both = np.stack([np.clip(np.asarray(made, np.float32), 0, 1), photograph.astype(np.float32) / 255])
         values = torch.from_numpy(both).permute(0, 3, 1, 2)
         return {"lpips": self._distance(2 * values - 1), "lpips_3dgs": self._distance(values)}

@@ -95,18 +95,14 @@ def run_rd(settings: Settings, rates: Sequence[float], against: Path | None = No
 
 def _row(settings: Settings, rate: float, notes: Notes) -> Row:
     name = f"rate-{rate:g}"
-    report = json.loads((settings.folder / name / REPORT).read_text())
     found = json.loads((settings.folder / f"{name}.json").read_text())
-    # The report has the kinds of attributes beside their sum.
-    sections = found["parts"] if rate else {part: report["bytes"].get(part, 0) for part in PARTS}
-    size = sum(sections.values())
-    anchors = found["anchors"] if rate else report["anchors"]
+    sections, anchors = found["parts"], found["anchors"]
     return {
         "rate": rate,
-        "bytes": size,
+        "bytes": found["bytes"],
         **{part: sections.get(part, 0) for part in PARTS},
         "headers": sum(value for part, value in sections.items() if part not in PARTS),
-        "bits_per_anchor": 8 * size / anchors if anchors else math.nan,
+        "bits_per_anchor": 8 * found["bytes"] / anchors if anchors else math.nan,
         "anchors": anchors,
         **{figure: found["mean"][figure] for figure in FIGURES},
         "seconds": notes.seconds(f"{name} train"),

@@ -1,0 +1,296 @@
+"""Speed and memory of the rasteriser as training uses it: an image, the L1 loss, and the gradients of all inputs.
+
+python benchmarks/rasteriser.py
+python benchmarks/rasteriser.py --prototype FOLDER
+
+Draws two made-up scenes with the rasteriser and with a plain one that torch differentiates, on one thread and on two, each time in a
+process of its own, in turns; and writes the section of RESULTS.md. FOLDER holds an earlier rasteriser to measure beside them: a module
+raster_numba2 whose render takes a dictionary of tensors and returns the image first.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import platform
+import statistics
+import subprocess
+import sys
+import time
+from collections.abc import Callable
+from importlib import import_module
+from pathlib import Path
+from typing import Any
+
+import numba
+import numpy as np
+import torch
+from results import write_section
+from torch.nn.functional import normalize
+
+from refcodec import rasterise
+from refcodec.rendering import Camera
+from refcodec.train import splat
+
+# Gaussians, width, height; the first one loads and compiles what the others use.
+SCENES = {"tiny": (100, 40, 30), "S": (20_000, 200, 150), "L": (100_000, 400, 300)}
+SETTINGS = rasterise.Settings(background=(0.1, 0.2, 0.3))
+# A Gaussian's median deviation in pixels.
+DEVIATION = 1.5
+# Iterations of a process: at least so many, and for at least so many seconds.
+ITERATIONS, SECONDS = 2, 4.0
+STAGES = {
+    "project": ["_project"],
+    "sort, list": ["_sort", "_list"],
+    "blend": ["_blend"],
+    "unblend": ["_unblend"],
+    "unproject": ["_unproject"],
+}
+# Pixels along a side of the plain rasteriser's tile, and values of one of its tensors.
+TILE, BATCH = 16, 1 << 24
+
+Draw = Callable[..., torch.Tensor]
+
+
+def made_up(name: str) -> tuple[list[torch.Tensor], Camera]:
+    """Means, quaternions, lengths, opacities and colours, float32, and a camera that nearly all of them are in front of."""
+    count, width, height = SCENES[name]
+    chance = torch.Generator().manual_seed(0)
+    focal = 0.9 * width
+    z = 2 + 4 * torch.rand(count, generator=chance)
+    x, y = ((torch.rand(count, generator=chance) * 1.1 - 0.55) * size / focal * z for size in (width, height))
+    quaternion = normalize(torch.randn(count, 4, generator=chance), dim=-1)
+    lengths = (DEVIATION * z / focal)[:, None] * torch.exp(0.5 * torch.randn(count, 3, generator=chance))
+    opacity = torch.sigmoid(1.5 * torch.randn(count, generator=chance))
+    colour = torch.rand(count, 3, generator=chance)
+    c, s = np.cos(0.1), np.sin(0.1)
+    rotation, translation = np.array([[c, 0, s], [0, 1, 0], [-s, 0, c]]), np.array([0.05, -0.02, 0.1])
+    mean = ((torch.stack([x, y, z], -1).double() - torch.from_numpy(translation)) @ torch.from_numpy(rotation)).float()
+    camera = Camera(name, width, height, focal, focal, width / 2, height / 2, rotation, translation)
+    return [mean, quaternion, lengths, opacity, colour], camera
+
+
+def project_with_torch(mean: torch.Tensor, quaternion: torch.Tensor, lengths: torch.Tensor, camera: Camera) -> tuple[torch.Tensor, ...]:
+    """SPEC 14.4: (u, v) [n, 2], the covariance's xx, xy, yy, and depth, in float32."""
+    world, shift = torch.from_numpy(camera.rotation).float(), torch.from_numpy(camera.translation).float()
+    p = mean @ world.T + shift
+    size, focal, centre = (torch.tensor(v) for v in ((camera.width, camera.height), (camera.fx, camera.fy), (camera.cx, camera.cy)))
+    z = p[:, 2:]
+    slope = p[:, :2] / z
+    beyond = rasterise.BEYOND * size / focal
+    limited = torch.minimum(torch.maximum(slope, -centre / focal - beyond), (size - centre) / focal + beyond)
+    rows = (focal / z)[..., None] * (world[:2] - limited[..., None] * world[2])
+    w, x, y, k = normalize(quaternion, dim=-1).unbind(-1)
+    turned = torch.stack(
+        [
+            *(1 - 2 * (y * y + k * k), 2 * (x * y - w * k), 2 * (x * k + w * y)),
+            *(2 * (x * y + w * k), 1 - 2 * (x * x + k * k), 2 * (y * k - w * x)),
+            *(2 * (x * k - w * y), 2 * (y * k + w * x), 1 - 2 * (x * x + y * y)),
+        ],
+        -1,
+    ).reshape(-1, 3, 3)
+    half = rows @ (turned * lengths[:, None, :])
+    xx, yy = ((half * half).sum(-1) + SETTINGS.low_pass).unbind(-1)
+    return slope * focal + centre, xx, (half[:, 0] * half[:, 1]).sum(-1), yy, z[:, 0]
+
+
+def draw_with_torch(*inputs: torch.Tensor, camera: Camera) -> torch.Tensor:
+    """SPEC 14.4 and 14.5 in plain torch: tiles with lists of about the same length at a time, every pixel against every Gaussian listed."""
+    mean, quaternion, lengths, opacity, colour = inputs
+    place, xx, xy, yy, depth = project_with_torch(mean, quaternion, lengths, camera)
+    inverse = torch.stack([yy, -xy, xx], -1) / (xx * yy - xy * xy)[:, None]
+    across, down = -(-camera.width // TILE), -(-camera.height // TILE)
+    with torch.no_grad():
+        reach = (2 * (opacity / rasterise.ALPHA_MIN).clamp(min=1).log()).sqrt()[:, None] * torch.stack([xx, yy], -1).sqrt()
+        tiles = torch.tensor([across, down])
+        first = torch.minimum(((place - reach) / TILE).floor().long().clamp(min=0), tiles)
+        last = torch.minimum(((place + reach) / TILE).floor().long().clamp(min=-1) + 1, tiles)
+        wide, high = (last - first).clamp(min=0).unbind(-1)
+        held = torch.where((depth > SETTINGS.near_plane) & (opacity >= rasterise.ALPHA_MIN), wide * high, 0)
+        of = torch.repeat_interleave(torch.arange(len(held)), held)
+        number = torch.arange(len(of)) - (held.cumsum(0) - held)[of]
+        tile = (first[of, 1] + number // wide[of]) * across + first[of, 0] + number % wide[of]
+        order = torch.argsort(depth[of], stable=True)
+        order = order[torch.argsort(tile[order], stable=True)]
+        of, count = of[order], torch.bincount(tile, minlength=across * down)
+        begin = count.cumsum(0) - count
+        longest = torch.argsort(count, descending=True)
+    pixels = torch.stack(torch.meshgrid(torch.arange(TILE), torch.arange(TILE), indexing="xy"), -1).reshape(1, -1, 1, 2) + 0.5
+    background = torch.tensor(SETTINGS.background)
+    parts, done = [], 0
+    while done < len(longest):
+        most = max(int(count[longest[done]]), 1)
+        some = longest[done : done + max(BATCH // (most * TILE * TILE), 1)]
+        done += len(some)
+        index = torch.arange(most)
+        there = index < count[some][:, None]
+        members = of[(begin[some][:, None] + index).clamp(max=len(of) - 1)]
+        corner = TILE * torch.stack([some % across, some // across], -1)
+        d = pixels + corner[:, None, None] - place[members][:, None]
+        a, b, c = inverse[members][:, None].unbind(-1)
+        dx, dy = d.unbind(-1)
+        alpha = opacity[members][:, None] * torch.exp(-0.5 * (a * dx * dx + c * dy * dy) - b * dx * dy)
+        alpha = torch.where((alpha >= rasterise.ALPHA_MIN) & there[:, None], alpha.clamp(max=SETTINGS.alpha_max), 0.0)
+        with torch.no_grad():
+            going = torch.cumprod(1 - alpha, -1) >= rasterise.TRANSMITTANCE_MIN
+        alpha = torch.where(going, alpha, 0.0)
+        left = torch.cumprod(1 - alpha, -1)
+        before = torch.cat([torch.ones_like(left[..., :1]), left[..., :-1]], -1)
+        parts.append((alpha * before) @ colour[members] + left[..., -1:] * background)
+    image = torch.cat(parts)[torch.argsort(longest)].reshape(down, across, TILE, TILE, 3).transpose(1, 2)
+    return image.reshape(down * TILE, across * TILE, 3)[: camera.height, : camera.width]
+
+
+def drawer(name: str, folder: str | None) -> Draw:
+    """The function that draws, called with the inputs and the camera."""
+    if name == "rasteriser":
+        return lambda m, q, s, o, c, camera: splat.draw(m, q, s, o, c, camera, SETTINGS)[0]
+    if name == "plain torch":
+        return draw_with_torch
+    sys.path.insert(0, str(folder))
+    render = import_module("raster_numba2").render
+
+    def draw(*inputs: torch.Tensor, camera: Camera) -> torch.Tensor:
+        view, lens = torch.eye(4), torch.eye(3)
+        view[:3, :3], view[:3, 3] = torch.from_numpy(camera.rotation), torch.from_numpy(camera.translation)
+        lens[0, 0], lens[1, 1], lens[0, 2], lens[1, 2] = camera.fx, camera.fy, camera.cx, camera.cy
+        named = dict(zip(("means", "quats", "scales", "opac", "rgb"), inputs, strict=True))
+        image: torch.Tensor = render({**named, "view": view, "K": lens, "w": camera.width, "h": camera.height, "bg": background})[0]
+        return image
+
+    background = torch.tensor(SETTINGS.background)
+    return draw
+
+
+def memory(field: str) -> float:
+    """MiB of this process: VmRSS now, VmHWM at most."""
+    line = next(line for line in Path("/proc/self/status").read_text().splitlines() if line.startswith(field))
+    return int(line.split()[1]) / 1024
+
+
+def iterate(draw: Draw, scene: str, iterations: int, seconds: float) -> tuple[list[float], float]:
+    """Seconds of each iteration, and the loss."""
+    inputs, camera = made_up(scene)
+    target = torch.rand(camera.height, camera.width, 3, generator=torch.Generator().manual_seed(1))
+    for value in inputs:
+        value.requires_grad_()
+    times: list[float] = []
+    while len(times) < iterations or sum(times) < seconds:
+        for value in inputs:
+            value.grad = None
+        start = time.perf_counter()
+        loss = (draw(*inputs, camera=camera) - target).abs().mean()
+        loss.backward()
+        times.append(time.perf_counter() - start)
+    return times, float(loss.detach())
+
+
+def measure(name: str, scene: str, folder: str | None) -> dict[str, Any]:
+    """What a process of its own does and prints."""
+    torch.set_num_threads(numba.get_num_threads())
+    draw, spent = drawer(name, folder), dict.fromkeys(STAGES, 0.0)
+
+    def timed(stage: str, function: Callable[..., Any]) -> Callable[..., Any]:
+        def call(*arguments: Any) -> Any:
+            start = time.perf_counter()
+            found = function(*arguments)
+            spent[stage] += time.perf_counter() - start
+            return found
+
+        return call
+
+    for stage, functions in STAGES.items():
+        for function in functions:
+            setattr(rasterise, function, timed(stage, getattr(rasterise, function)))
+    iterate(draw, "tiny", 1, 0)
+    before = memory("VmRSS")
+    # The first iteration finds caches and memory cold.
+    iterate(draw, scene, 1, 0)
+    spent.update(dict.fromkeys(STAGES, 0.0))
+    times, loss = iterate(draw, scene, ITERATIONS, SECONDS)
+    stages = {stage: 1000 * value / len(times) for stage, value in spent.items()}
+    return {"times": times, "loss": loss, "peak": memory("VmHWM"), "before": before, "stages": stages}
+
+
+def ask(name: str, scene: str, threads: int, folder: str | None) -> dict[str, Any]:
+    """measure in a process of its own."""
+    command = [sys.executable, __file__, "--measure", name, scene, *(["--prototype", folder] if folder else [])]
+    environment = {**os.environ, "NUMBA_NUM_THREADS": str(threads), "OMP_NUM_THREADS": str(threads)}
+    done = subprocess.run(command, env=environment, check=True, capture_output=True, text=True)
+    print(f"{name}, {scene}, {threads} threads", file=sys.stderr, flush=True)
+    return dict(json.loads(done.stdout))
+
+
+def report(folder: str | None, rounds: int) -> list[str]:
+    """The section's text."""
+    names = ["rasteriser", "plain torch", *(["prototype"] if folder else [])]
+    runs: dict[tuple[str, str, int], list[dict[str, Any]]] = {}
+    # Compiles, if nothing has yet.
+    ask("rasteriser", "tiny", 2, None)
+    for _ in range(rounds):
+        for scene in ("S", "L"):
+            for name in names:
+                for threads in (1, 2):
+                    runs.setdefault((scene, name, threads), []).append(ask(name, scene, threads, folder))
+    rows = [
+        "| scene | | threads | iterations a second | median |  rasteriser against it | peak MiB | for the scene |",
+        "|" + "---|" * 8,
+    ]
+    split = ["| scene | threads | " + " | ".join(STAGES) + " | the rest |", "|" + "---|" * (len(STAGES) + 3)]
+    for (scene, name, threads), found in runs.items():
+        times = [t for run in found for t in run["times"]]
+        own = [t for run in runs[scene, "rasteriser", threads] for t in run["times"]]
+        if abs(found[0]["loss"] / runs[scene, "rasteriser", threads][0]["loss"] - 1) > 1e-4:
+            raise AssertionError(f"{name} draws another image")
+        peak, scenes = max(run["peak"] for run in found), max(run["peak"] - run["before"] for run in found)
+        ratio = "" if name == "rasteriser" else f"{min(times) / min(own):.2f} times as fast"
+        figures = f"{1 / min(times):.2f} | {1 / statistics.median(times):.2f} | {ratio} | {peak:.0f} | {scenes:.0f}"
+        rows.append(f"| {scene} | {name} | {threads} | {figures} |")
+        if name == "rasteriser":
+            stages = min((run["stages"] for run in found), key=lambda s: sum(s.values()))
+            run = next(run for run in found if run["stages"] is stages)
+            rest = 1000 * statistics.fmean(run["times"]) - sum(stages.values())
+            split.append(f"| {scene} | {threads} | " + " | ".join(f"{v:.1f}" for v in (*stages.values(), rest)) + " |")
+    sizes = "; ".join(f"{name}: {SCENES[name][0]:,} Gaussians, {SCENES[name][1]} x {SCENES[name][2]} pixels" for name in ("S", "L"))
+    return [
+        f"`OMP_WAIT_POLICY=PASSIVE python benchmarks/rasteriser.py{' --prototype FOLDER' if folder else ''}`",
+        "",
+        f"{platform.machine()}, {os.cpu_count()} cores, Python {platform.python_version()}, numpy {np.__version__}, "
+        f"numba {numba.__version__}, torch {torch.__version__}. {sizes}; median deviation {DEVIATION} pixels. An iteration is projection, "
+        "image, L1 loss and the gradients of means, quaternions, lengths, opacities and colours. Fastest and median iteration of "
+        f"{rounds} processes each, taken in turns.",
+        "",
+        *rows,
+        "",
+        "Plain torch is the tiled rasteriser of benchmarks/rasteriser.py, differentiated by autograd"
+        + ("; the prototype projects with torch and blends with numba" if folder else "")
+        + ". Peak: the whole process, with Python, torch and numba; the last column is what of it came after they were loaded.",
+        "",
+        "Milliseconds of an iteration of the rasteriser, mean of its fastest process:",
+        "",
+        *split,
+        "",
+        "The rest is the loss, its gradient and what torch does around.",
+    ]
+
+
+def main() -> int:
+    """Command line."""
+    parser = argparse.ArgumentParser(description="Speed and memory of the rasteriser as training uses it.")
+    parser.add_argument("--prototype", metavar="FOLDER", help="an earlier rasteriser to measure too")
+    parser.add_argument("--rounds", type=int, default=2, help="processes of each kind (default: %(default)s)")
+    parser.add_argument("--measure", nargs=2, metavar=("NAME", "SCENE"), help="measure one in this process and print it")
+    arguments = parser.parse_args()
+    if arguments.measure:
+        name, scene = arguments.measure
+        print(json.dumps(measure(name, scene, arguments.prototype)))
+        return 0
+    lines = report(arguments.prototype, arguments.rounds)
+    print("\n".join(lines))
+    write_section("rasteriser", "Rasteriser", lines)
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,279 @@
+"""Eight float32 lanes as a numba type: the arithmetic of the rasteriser's inner loops, one machine instruction for most calls.
+
+A loop over single floats is turned into such instructions only while the compiler sees how, and falls back silently. Here the width
+is written down. Every operation is IEEE 754 binary32 lane by lane (fma rounds once), so the result does not depend on the machine's
+own width. To be called inside numba.njit functions alone; a Lanes value never reaches Python.
+"""
+
+from __future__ import annotations
+
+import operator
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+from llvmlite import ir
+from numba import extending, njit, types
+from numba.core import cgutils
+from numba.core.typing.templates import ConcreteTemplate, infer_global, signature
+from numba.extending import lower_builtin, models, register_model
+
+# What it makes takes one argument less than it is made of; type checkers need not know.
+intrinsic: Any = extending.intrinsic
+
+# Lanes of a value.
+WIDTH = 8
+
+_FLOATS = ir.VectorType(ir.FloatType(), WIDTH)
+_INTEGERS = ir.VectorType(ir.IntType(32), WIDTH)
+_BITS = ir.VectorType(ir.IntType(1), WIDTH)
+
+# 2^f on [-0.5, 0.5] as a polynomial with the constant term held at one, least relative error (9.1e-8 before rounding).
+_C1, _C2, _C3 = np.float32(0.693147), np.float32(0.24022242), np.float32(0.055507336)
+_C4, _C5 = np.float32(0.009671513), np.float32(0.0013264727)
+# 1.5 * 2^23: added to a float32 of magnitude below 2^22 it leaves the nearest integer in the low bits.
+_ROUNDER = np.float32(12582912.0)
+
+
+class LanesType(types.Type):
+    """Eight float32."""
+
+    def __init__(self) -> None:
+        super().__init__(name="Lanes")
+
+
+class MaskType(types.Type):
+    """Eight booleans."""
+
+    def __init__(self) -> None:
+        super().__init__(name="Mask")
+
+
+LANES, MASK = LanesType(), MaskType()
+
+
+@register_model(LanesType)
+class _LanesModel(models.PrimitiveModel):
+    def __init__(self, manager: Any, kind: Any) -> None:
+        super().__init__(manager, kind, _FLOATS)
+
+
+@register_model(MaskType)
+class _MaskModel(models.PrimitiveModel):
+    def __init__(self, manager: Any, kind: Any) -> None:
+        super().__init__(manager, kind, _BITS)
+
+
+def _address(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+    """Pointer to eight floats at an index of a contiguous float32 array; no bounds are checked."""
+    array = context.make_array(signature.args[0])(context, builder, arguments[0])
+    return builder.bitcast(builder.gep(array.data, [arguments[1]]), _FLOATS.as_pointer())
+
+
+@intrinsic
+def load(_: Any, array: Any, index: Any) -> Any:
+    """array[index : index + 8] of a contiguous float32[...] array, index counted over the flat array and not checked."""
+
+    def emit(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+        return builder.load(_address(context, builder, signature, arguments), align=4)
+
+    return LANES(array, types.intp), emit
+
+
+@intrinsic
+def store(_: Any, array: Any, index: Any, value: Any) -> Any:
+    """array[index : index + 8] = value; as load."""
+
+    def emit(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+        builder.store(arguments[2], _address(context, builder, signature, arguments), align=4)
+        return context.get_dummy_value()
+
+    return types.void(array, types.intp, LANES), emit
+
+
+def _spread(builder: Any, scalar: Any) -> Any:
+    one = builder.insert_element(ir.Constant(_FLOATS, ir.Undefined), scalar, ir.Constant(ir.IntType(32), 0))
+    return builder.shuffle_vector(one, one, ir.Constant(_INTEGERS, [0] * WIDTH))
+
+
+@intrinsic
+def splat(_: Any, scalar: Any) -> Any:
+    """Eight copies of a float32."""
+    return LANES(types.float32), lambda _context, builder, _signature, arguments: _spread(builder, arguments[0])
+
+
+@intrinsic
+def count_up(_: Any) -> Any:
+    """(0, 1, ..., 7)."""
+    return LANES(), lambda _context, _builder, _signature, _arguments: ir.Constant(_FLOATS, [float(i) for i in range(WIDTH)])
+
+
+def _unary(builder: Any, name: str, value: Any) -> Any:
+    kind = ir.FunctionType(_FLOATS, [_FLOATS])
+    return builder.call(cgutils.get_or_insert_function(builder.module, kind, f"llvm.{name}.v{WIDTH}f32"), [value])
+
+
+@intrinsic
+def square_root(_: Any, value: Any) -> Any:
+    """Square root, correctly rounded; not a number below 0."""
+    return LANES(LANES), lambda _context, builder, _signature, arguments: _unary(builder, "sqrt", arguments[0])
+
+
+@intrinsic
+def round_down(_: Any, value: Any) -> Any:
+    """The greatest integer that is not above the value."""
+    return LANES(LANES), lambda _context, builder, _signature, arguments: _unary(builder, "floor", arguments[0])
+
+
+@intrinsic
+def round_up(_: Any, value: Any) -> Any:
+    """The least integer that is not below the value."""
+    return LANES(LANES), lambda _context, builder, _signature, arguments: _unary(builder, "ceil", arguments[0])
+
+
+def _fused(builder: Any, x: Any, y: Any, z: Any) -> Any:
+    kind = ir.FunctionType(_FLOATS, [_FLOATS] * 3)
+    return builder.call(cgutils.get_or_insert_function(builder.module, kind, f"llvm.fma.v{WIDTH}f32"), [x, y, z])
+
+
+@intrinsic
+def fma(_: Any, x: Any, y: Any, z: Any) -> Any:
+    """x * y + z, rounded once."""
+    return LANES(LANES, LANES, LANES), lambda _context, builder, _signature, arguments: _fused(builder, *arguments)
+
+
+@intrinsic
+def fnma(_: Any, x: Any, y: Any, z: Any) -> Any:
+    """z - x * y, rounded once."""
+
+    def emit(_context: Any, builder: Any, _signature: Any, arguments: Any) -> Any:
+        x, y, z = arguments
+        return _fused(builder, builder.fneg(x), y, z)
+
+    return LANES(LANES, LANES, LANES), emit
+
+
+@intrinsic
+def select(_: Any, mask: Any, x: Any, y: Any) -> Any:
+    """x where mask, y elsewhere."""
+    return LANES(MASK, LANES, LANES), lambda _context, builder, _signature, arguments: builder.select(*arguments)
+
+
+@intrinsic
+def bits(_: Any, mask: Any) -> Any:
+    """The mask as a uint64, lane 0 in the lowest bit."""
+
+    def emit(_context: Any, builder: Any, _signature: Any, arguments: Any) -> Any:
+        return builder.zext(builder.bitcast(arguments[0], ir.IntType(WIDTH)), ir.IntType(64))
+
+    return types.uint64(MASK), emit
+
+
+@intrinsic
+def runs(_: Any, first: Any, end: Any) -> Any:
+    """A uint64 whose byte j has the bits first[j], ..., end[j] - 1 set, for lanes that are integers and 0 <= first <= end <= 8."""
+
+    def emit(_context: Any, builder: Any, _signature: Any, arguments: Any) -> Any:
+        one = ir.Constant(_INTEGERS, [1] * WIDTH)
+        low, high = (builder.shl(one, builder.fptosi(a, _INTEGERS)) for a in arguments)
+        octets = builder.trunc(builder.sub(high, low), ir.VectorType(ir.IntType(8), WIDTH))
+        return builder.bitcast(octets, ir.IntType(64))
+
+    return types.uint64(LANES, LANES), emit
+
+
+@intrinsic
+def lowest(_: Any, value: Any) -> Any:
+    """Number of the lowest set bit of a uint64 other than 0."""
+
+    def emit(_context: Any, builder: Any, _signature: Any, arguments: Any) -> Any:
+        return builder.cttz(arguments[0], ir.Constant(ir.IntType(1), 1))
+
+    return types.intp(types.uint64), emit
+
+
+@intrinsic
+def _times_power(_: Any, value: Any, rounded: Any) -> Any:
+    """value * 2^n, where n are the low bits of `rounded` = n + _ROUNDER; no overflow is checked."""
+
+    def emit(_context: Any, builder: Any, _signature: Any, arguments: Any) -> Any:
+        bits, power = (builder.bitcast(a, _INTEGERS) for a in arguments)
+        shifted = builder.shl(power, ir.Constant(_INTEGERS, [23] * WIDTH))
+        return builder.bitcast(builder.add(bits, shifted), _FLOATS)
+
+    return LANES(LANES, LANES), emit
+
+
+@intrinsic
+def total(_: Any, value: Any) -> Any:
+    """Sum of the lanes, added as a balanced tree."""
+
+    def emit(_context: Any, builder: Any, _signature: Any, arguments: Any) -> Any:
+        value, half = arguments[0], WIDTH // 2
+        while half:
+            picks = ir.Constant(_INTEGERS, [(i + half) % WIDTH for i in range(WIDTH)])
+            value = builder.fadd(value, builder.shuffle_vector(value, value, picks))
+            half //= 2
+        return builder.extract_element(value, ir.Constant(ir.IntType(32), 0))
+
+    return types.float32(LANES), emit
+
+
+@intrinsic
+def column_sums(_: Any, a: Any, b: Any, c: Any, d: Any, e: Any, f: Any, g: Any, h: Any) -> Any:
+    """(sum of a's lanes, of b's, ..., of h's), each added as a balanced tree."""
+
+    def emit(_context: Any, builder: Any, _signature: Any, arguments: Any) -> Any:
+        rows = list(arguments)
+        size = WIDTH
+        # A round adds the halves of each row's part: afterwards a vector holds shorter parts of twice as many rows, in order.
+        while len(rows) > 1:
+            half = size // 2
+            low = [i for i in range(2 * WIDTH) if i % size < half]
+            picks = [ir.Constant(_INTEGERS, p) for p in (low, [i + half for i in low])]
+            rows = [builder.fadd(*(builder.shuffle_vector(x, y, p) for p in picks)) for x, y in zip(rows[0::2], rows[1::2], strict=True)]
+            size = half
+        return rows[0]
+
+    return LANES(*[LANES] * WIDTH), emit
+
+
+def _operator(function: Any, kind: types.Type, result: types.Type, emit: Callable[[Any, Any, Any], Any]) -> None:
+    """Gives a Python operator a meaning for two values of `kind`."""
+    infer_global(function)(type(function.__name__, (ConcreteTemplate,), {"cases": [signature(result, kind, kind)]}))
+    lower_builtin(function, kind, kind)(lambda _context, builder, _signature, arguments: emit(builder, *arguments))
+
+
+_operator(operator.add, LANES, LANES, lambda builder, x, y: builder.fadd(x, y))
+_operator(operator.sub, LANES, LANES, lambda builder, x, y: builder.fsub(x, y))
+_operator(operator.mul, LANES, LANES, lambda builder, x, y: builder.fmul(x, y))
+_operator(operator.truediv, LANES, LANES, lambda builder, x, y: builder.fdiv(x, y))
+_operator(operator.ge, LANES, MASK, lambda builder, x, y: builder.fcmp_ordered(">=", x, y))
+_operator(operator.le, LANES, MASK, lambda builder, x, y: builder.fcmp_ordered("<=", x, y))
+_operator(operator.lt, LANES, MASK, lambda builder, x, y: builder.fcmp_ordered("<", x, y))
+_operator(operator.and_, MASK, MASK, lambda builder, x, y: builder.and_(x, y))
+
+
+@njit(inline="always")
+def minimum(x: Any, y: Any) -> Any:
+    """The smaller of each lane; y where x is not a number."""
+    return select(x < y, x, y)
+
+
+@njit(inline="always")
+def maximum(x: Any, y: Any) -> Any:
+    """The larger of each lane; y where x is not a number."""
+    return select(y < x, x, y)
+
+
+@njit(inline="always")
+def exp2(x: Any) -> Any:
+    """2^x for x in [-126, 127], undefined elsewhere; relative error 1.7e-7 at most."""
+    rounded = x + splat(_ROUNDER)
+    f = x - (rounded - splat(_ROUNDER))
+    p = fma(f, splat(_C5), splat(_C4))
+    p = fma(f, p, splat(_C3))
+    p = fma(f, p, splat(_C2))
+    p = fma(f, p, splat(_C1))
+    p = fma(f, p, splat(np.float32(1)))
+    return _times_power(p, rounded)

@@ -1,0 +1,129 @@
+"""From a training to what can be written: a scene for the encoder, or floats (SPEC.md Annex B)."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+from torch import Tensor
+
+from ..attributes import KINDS, SCALINGS, Attributes
+from ..codec import derive_steps
+from ..fit.model import PLANE_SHIFT
+from ..geometry import Frame
+from ..limits import MAIN, MAIN_SLICES
+from ..networks import Layer
+from ..planes import PLANE_SYMBOL_MAX
+from ..quantise import CHUNK_SIZE, choose_lanes, mask_model, morton_order, symbols
+from ..reconstruction import Reconstruction
+from ..rendering import Camera
+from ..scene import Dimensions, RenderInfo, Scene
+from ..uncompressed import Uncompressed
+from .rate import FREQUENCIES
+from .scaffold import NEAR, OFFSETS, RENDER_WIDTH, Scaffold, lattice_positions
+
+
+def render_info(scaffold: Scaffold, cameras: list[Camera], background: tuple[int, int, int]) -> RenderInfo:
+    """SPEC 6.5 of a scene: the first of the cameras, which are of the world, is its own; up is the axis nearest to theirs."""
+    ups = -np.mean([c.rotation[1] for c in cameras], axis=0)
+    axis = int(np.abs(ups).argmax())
+    first = cameras[0]
+    w, x, y, z = Rotation.from_matrix(first.rotation).as_quat(scalar_first=True).astype(np.float32).tolist()
+    focal = np.array([first.fx, first.fy], np.float32).tolist()
+    at = first.translation.astype(np.float32).tolist()
+    return RenderInfo(
+        background=background,
+        up_axis=2 * axis + int(ups[axis] < 0),
+        near_plane=float(np.float32(NEAR * scaffold.units.length)),
+        camera_width=first.width,
+        camera_height=first.height,
+        camera_focal=(focal[0], focal[1]),
+        camera_rotation=(w, x, y, z),
+        camera_translation=(at[0], at[1], at[2]),
+    )
+
+
+def uncompressed(scaffold: Scaffold, render: RenderInfo) -> Uncompressed:
+    """The scene as it is, in world units."""
+    n = scaffold.count
+    positions = scaffold.units.origin + scaffold.lattice * (scaffold.units.cell * scaffold.units.length)
+    tables = {name: table.numpy().copy() for name, table in scaffold.tables.items()}
+    values = Reconstruction(positions.astype(np.float32), tables["features"], tables["scalings"], tables["offsets"].reshape(n, OFFSETS, 3))
+    return Uncompressed(values, np.ones((n, OFFSETS), bool), scaffold.networks.layers(scaffold.units.length), render)
+
+
+@torch.no_grad()
+def rounded(scaffold: Scaffold, render: RenderInfo, steps: Tensor, kept: Tensor) -> Uncompressed:
+    """The scene with attributes rounded to multiples of their steps [N, 3], and masks [N, K], in world units."""
+    whole = uncompressed(scaffold, render)
+    values = [np.asarray(getattr(whole.values, kind)).reshape(scaffold.count, -1) for kind in KINDS]
+    size = steps.detach().numpy()
+    features, scalings, offsets = (np.floor(v / size[:, i : i + 1] + 0.5) * size[:, i : i + 1] for i, v in enumerate(values))
+    masks = kept.numpy()
+    offsets = np.where(masks[:, :, None], offsets.reshape(scaffold.count, OFFSETS, 3), np.float32(0))
+    return replace(whole, values=Reconstruction(whole.values.positions, features, scalings, offsets), masks=masks)
+
+
+def coded_scene(
+    scaffold: Scaffold,
+    coding: dict[str, list[Layer]],
+    frame: Frame,
+    planes: NDArray[np.int16],
+    base_step: tuple[float, float, float],
+    kept: NDArray[np.bool_],
+    render: RenderInfo,
+) -> Scene:
+    """The scene of integers: steps follow from the networks, symbols from the steps. Raises ValueError for what cannot be written.
+
+    coding: F_h, SARM and CARM; planes int16 [5, ch, B, B]; kept: masks, bool [N, K]. Anchors without a kept offset are left out, the rest
+    sorted along a Morton curve (B.1).
+    """
+    rows = np.flatnonzero(kept.any(axis=1))
+    half = lattice_positions(scaffold.lattice[rows])
+    order = morton_order(half)
+    rows, half = rows[order], half[order]
+    count, masks = len(rows), kept[rows]
+    d = Dimensions(
+        OFFSETS,
+        MAIN_SLICES,
+        planes.shape[1],
+        FREQUENCIES,
+        planes.shape[2],
+        hyper_width=tuple(len(b) for _, b in coding["hyper"][:-1]),
+        sarm_width=tuple(len(b) for _, b in coding["sarm"][:-1]),
+        carm_width=tuple(len(b) for _, b in coding["carm.1"][:-1]),
+        render_width=RENDER_WIDTH,
+    )
+    empty = Attributes(
+        np.zeros((count, d.features), np.int32),
+        np.zeros((count, SCALINGS), np.int32),
+        np.zeros((count, OFFSETS, 3), np.int32),
+        np.zeros((count, len(KINDS)), np.uint8),
+    )
+    networks = {**coding, **scaffold.networks.layers(scaffold.units.length)}
+    scene = Scene(
+        profile=MAIN,
+        dimensions=d,
+        chunk_size=CHUNK_SIZE,
+        lanes=choose_lanes(count, 2.0 * d.attribute_width),
+        base_step=base_step,
+        grid=scaffold.units.grid,
+        render=render,
+        frame=frame,
+        plane_shift=PLANE_SHIFT,
+        carm_shift=np.zeros(d.carm_inputs, np.uint8),
+        networks={name: networks[name] for name in d.network_shapes()},
+        planes=np.clip(planes, -PLANE_SYMBOL_MAX, PLANE_SYMBOL_MAX).astype(np.int16),
+        mask_model=mask_model(masks),
+        positions=half,
+        masks=masks,
+        attributes=empty,
+    )
+    steps = derive_steps(scene)
+    values = {name: scaffold.tables[name].numpy()[rows] for name in KINDS}
+    values["offsets"] = np.where(masks[:, :, None], values["offsets"].reshape(count, OFFSETS, 3), np.float32(0))
+    features, scalings, offsets = (symbols(values[kind], steps[:, i], base_step[i]) for i, kind in enumerate(KINDS))
+    return replace(scene, attributes=Attributes(features, scalings, offsets, steps))

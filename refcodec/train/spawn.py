@@ -1,0 +1,102 @@
+"""From anchors and what the rendering networks say of them to Gaussians, and back (SPEC.md 14.3), for training on CPUs.
+
+What autograd would do in a dozen passes over arrays of all offsets is one pass each way, over the offsets that are drawn. Every anchor's
+gradients are summed by one thread in one order: results do not depend on the number of threads.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+import torch
+from numba import njit, prange
+from numpy.typing import NDArray
+from torch import Tensor
+
+F32 = NDArray[np.float32]
+I64 = NDArray[np.int64]
+
+
+@njit(cache=True, inline="always", error_model="numpy")  # type: ignore[untyped-decorator]
+def _logistic(x: float) -> float:
+    return 1 / (1 + math.exp(-x))
+
+
+@njit(cache=True, parallel=True, error_model="numpy")  # type: ignore[untyped-decorator]
+def _forward(chosen: I64, k: int, position: F32, offsets: F32, scalings: F32, covariance: F32, colour: F32) -> Any:
+    n = chosen.shape[0]
+    mean, lengths = np.empty((n, 3), np.float32), np.empty((n, 3), np.float32)
+    quaternion, rgb = np.empty((n, 4), np.float32), np.empty((n, 3), np.float32)
+    for i in prange(n):
+        anchor, offset = chosen[i] // k, chosen[i] % k
+        for j in range(3):
+            mean[i, j] = position[anchor, j] + offsets[anchor, 3 * offset + j] * math.exp(scalings[anchor, j])
+            lengths[i, j] = math.exp(scalings[anchor, 3 + j]) * _logistic(covariance[anchor, 7 * offset + j])
+            rgb[i, j] = _logistic(colour[anchor, 3 * offset + j])
+        for j in range(4):
+            quaternion[i, j] = covariance[anchor, 7 * offset + 3 + j]
+    return mean, quaternion, lengths, rgb
+
+
+@njit(cache=True, parallel=True, error_model="numpy")  # type: ignore[untyped-decorator]
+def _backward(
+    first: I64,
+    chosen: I64,
+    k: int,
+    offsets: F32,
+    scalings: F32,
+    covariance: F32,
+    lengths: F32,
+    rgb: F32,
+    d_mean: F32,
+    d_quaternion: F32,
+    d_lengths: F32,
+    d_rgb: F32,
+) -> Any:
+    n = scalings.shape[0]
+    d_offsets, d_scalings = np.zeros((n, 3 * k), np.float32), np.zeros((n, 6), np.float32)
+    d_covariance, d_colour = np.zeros((n, 7 * k), np.float32), np.zeros((n, 3 * k), np.float32)
+    for anchor in prange(n):
+        for i in range(first[anchor], first[anchor + 1]):
+            offset = chosen[i] % k
+            for j in range(3):
+                spread = math.exp(scalings[anchor, j])
+                d_offsets[anchor, 3 * offset + j] = d_mean[i, j] * spread
+                d_scalings[anchor, j] += d_mean[i, j] * offsets[anchor, 3 * offset + j] * spread
+                along = d_lengths[i, j] * lengths[i, j]
+                d_scalings[anchor, 3 + j] += along
+                d_covariance[anchor, 7 * offset + j] = along * (1 - _logistic(covariance[anchor, 7 * offset + j]))
+                d_colour[anchor, 3 * offset + j] = d_rgb[i, j] * rgb[i, j] * (1 - rgb[i, j])
+            for j in range(4):
+                d_covariance[anchor, 7 * offset + 3 + j] = d_quaternion[i, j]
+    return d_offsets, d_scalings, d_covariance, d_colour
+
+
+class Spawn(torch.autograd.Function):
+    """Spawn.apply(chosen, k, position, offsets, scalings, covariance, colour) -> mean, quaternion, lengths, rgb of n Gaussians.
+
+    chosen: int64 [n], ascending, anchor * k + offset; position float32 [N, 3]; offsets [N, 3 k] in units of exp(scalings[:3]); scalings
+    [N, 6], natural logarithms; covariance [N, 7 k] and colour [N, 3 k], outputs of the networks. Positions have no gradient; quaternions
+    are as long as the network makes them.
+    """
+
+    @staticmethod
+    def forward(  # type: ignore[override]
+        ctx: Any, chosen: Tensor, k: int, position: Tensor, offsets: Tensor, scalings: Tensor, covariance: Tensor, colour: Tensor
+    ) -> tuple[Tensor, Tensor, Tensor, Tensor]:
+        given = (offsets, scalings, covariance, colour)
+        arrays = [v.detach().contiguous().numpy() for v in (position, *given)]
+        mean, quaternion, lengths, rgb = (torch.from_numpy(v) for v in _forward(chosen.numpy(), k, *arrays))
+        ctx.save_for_backward(chosen, offsets, scalings, covariance, lengths, rgb)
+        ctx.k = k
+        return mean, quaternion, lengths, rgb
+
+    @staticmethod
+    def backward(ctx: Any, *upstream: Tensor) -> tuple[Tensor | None, ...]:  # type: ignore[override]
+        chosen, offsets, scalings, covariance, lengths, rgb = (v.contiguous() for v in ctx.saved_tensors)
+        first = torch.searchsorted(chosen, torch.arange(len(scalings) + 1) * ctx.k)
+        arrays = [v.detach().numpy() for v in (offsets, scalings, covariance, lengths, rgb, *(g.contiguous() for g in upstream))]
+        gradients = _backward(first.numpy(), chosen.numpy(), ctx.k, *arrays)
+        return (None, None, None, *(torch.from_numpy(g) for g in gradients))

@@ -1,0 +1,555 @@
+"""The rasteriser against a dense float64 one, whose gradients are autograd's; SSIM against a float64 convolution."""
+
+from __future__ import annotations
+
+import hashlib
+import os
+import subprocess
+import sys
+from dataclasses import replace
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+
+torch = pytest.importorskip("torch", reason="gradients are compared with torch's")
+pytest.importorskip("numba", reason="images need the packages of the extra render")
+
+from hypothesis import given  # noqa: E402
+from hypothesis import strategies as st  # noqa: E402
+
+from refcodec.rasterise import Settings, rasterise, rasterise_backward  # noqa: E402
+from refcodec.rendering import Camera  # noqa: E402
+from refcodec.train import splat  # noqa: E402
+from refcodec.train.splat import Rasterise  # noqa: E402
+from refcodec.train.ssim import SSIM, similarity  # noqa: E402
+
+NAMES = ("mean", "quaternion", "scale", "opacity", "colour")
+Scene = dict[str, np.ndarray]
+
+# Float32 blending against float64. An exponent is off by some 1e-6 (u and v are up to 40 and rounded to 2e-6, but small where alpha is
+# not), and so are alpha, the image and the gradients, relative to their norm. Measured over six seeds of each case: 1.4e-6 and 2e-6 at
+# most; the bounds leave a factor of three to five.
+IMAGE_ERROR, GRADIENT_ERROR = 5e-6, 1e-5
+# Where alpha is this close (relatively) to 1/255 or to its cap, or transmittance to 1e-4, the float32 image may rightly take the other
+# branch: such pixels are not compared, and no gradient comes from them.
+FRAGILE = 2e-5
+
+
+def camera(width: int = 50, height: int = 37, angle: float = 0.1) -> Camera:
+    c, s = np.cos(angle), np.sin(angle)
+    rotation = np.array([[c, 0, s], [0, 1, 0], [-s, 0, c]]) @ np.array([[1, 0, 0], [0, c, -s], [0, s, c]])
+    return Camera("view", width, height, 45.0, 43.0, width / 2 + 1.3, height / 2 - 0.7, rotation, np.array([0.05, -0.02, 0.1]))
+
+
+def scene(n: int, seed: int, view: Camera, *, size: float = 0.1, low: float = 2.0, high: float = 6.0, spread: float = 1.1) -> Scene:
+    """n Gaussians of depth low to high in the view, `spread` times as far as its edges; size: of their deviations, in the mean's unit."""
+    rng = np.random.default_rng(seed)
+    z = rng.uniform(low, high, n)
+    x = (rng.uniform(-spread, spread, n) * view.width / 2) / view.fx * z
+    y = (rng.uniform(-spread, spread, n) * view.height / 2) / view.fy * z
+    values = {
+        "mean": (np.stack([x, y, z], -1) - view.translation) @ view.rotation,
+        "quaternion": rng.normal(size=(n, 4)),
+        "scale": size * np.exp(0.5 * rng.normal(size=(n, 3))),
+        "opacity": 1 / (1 + np.exp(-1.5 * rng.normal(size=n))),
+        "colour": rng.uniform(size=(n, 3)),
+    }
+    return {k: v.astype(np.float32) for k, v in values.items()}
+
+
+def dense(values: dict[str, torch.Tensor], view: Camera, settings: Settings) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
+    """Image, transmittance and the pixels that are fragile: every Gaussian in every pixel, float64. values["moved"] [N,2], if there,
+    is added to the projected means.
+    """
+    world, shift = torch.from_numpy(view.rotation), torch.from_numpy(view.translation)
+    p = values["mean"] @ world.T + shift
+    drawn = (p[:, 2] > settings.near_plane) & (values["opacity"] >= 1 / 255)
+    order = torch.argsort(p[:, 2].detach(), stable=True)
+    order = order[drawn[order]]
+    p, q, s, opacity, colour = p[order], *(values[k][order] for k in NAMES[1:])
+    x, y, z = p.unbind(-1)
+    w, i, j, k = (q / q.norm(dim=-1, keepdim=True)).unbind(-1)
+    r = torch.stack(
+        [
+            *(1 - 2 * (j * j + k * k), 2 * (i * j - w * k), 2 * (i * k + w * j)),
+            *(2 * (i * j + w * k), 1 - 2 * (i * i + k * k), 2 * (j * k - w * i)),
+            *(2 * (i * k - w * j), 2 * (j * k + w * i), 1 - 2 * (i * i + j * j)),
+        ],
+        -1,
+    ).reshape(-1, 3, 3)
+    covariance = world @ r @ torch.diag_embed(s * s) @ r.transpose(1, 2) @ world.T
+    margin_x, margin_y = 0.15 * view.width / view.fx, 0.15 * view.height / view.fy
+    slope_x = (x / z).clamp(-view.cx / view.fx - margin_x, (view.width - view.cx) / view.fx + margin_x)
+    slope_y = (y / z).clamp(-view.cy / view.fy - margin_y, (view.height - view.cy) / view.fy + margin_y)
+    zero = torch.zeros_like(z)
+    jacobian = torch.stack([view.fx / z, zero, -view.fx * slope_x / z, zero, view.fy / z, -view.fy * slope_y / z], -1).reshape(-1, 2, 3)
+    flat = jacobian @ covariance @ jacobian.transpose(1, 2) + settings.low_pass * torch.eye(2, dtype=torch.float64)
+    inverse = torch.linalg.inv(flat)
+    centre = torch.stack([view.fx * x / z + view.cx, view.fy * y / z + view.cy], -1)
+    if "moved" in values:
+        centre = centre + values["moved"][order]
+    rows, columns = torch.meshgrid(torch.arange(view.height) + 0.5, torch.arange(view.width) + 0.5, indexing="ij")
+    d = torch.stack([columns, rows], -1).double().reshape(-1, 1, 2) - centre
+    raw = opacity * torch.exp(-0.5 * torch.einsum("pni,nij,pnj->pn", d, inverse, d))
+    seen = raw >= 1 / 255
+    alpha = torch.where(seen, raw.clamp(max=settings.alpha_max), 0.0)
+    with torch.no_grad():
+        left = torch.cumprod(1 - alpha, 1)
+        # The first that would leave less than 1e-4 finishes the pixel; from there on no value of `left` is above it.
+        going = left >= 1e-4
+        before = torch.cat([torch.ones_like(left[:, :1]), going[:, :-1].double()], 1) > 0
+        fragile = ((raw * 255 - 1).abs() < FRAGILE) | ((raw / settings.alpha_max - 1).abs() < FRAGILE)
+        fragile = ((fragile | ((left / 1e-4 - 1).abs() < FRAGILE)) & before).any(1)
+    alpha = torch.where(going, alpha, 0.0)
+    left = torch.cumprod(1 - alpha, 1)
+    front = torch.cat([torch.ones_like(left[:, :1]), left[:, :-1]], 1)
+    last = front[:, -1] * (1 - alpha[:, -1]) if len(order) else torch.ones(view.width * view.height, dtype=torch.float64)
+    image = (alpha * front[:, : alpha.shape[1]]) @ colour + last[:, None] * torch.tensor(settings.background, dtype=torch.float64)
+    shape = (view.height, view.width)
+    return image.reshape(*shape, 3), last.reshape(shape), fragile.reshape(shape)
+
+
+def compare(values: Scene, view: Camera, settings: Settings | None = None, *, gradient_error: float = GRADIENT_ERROR) -> Any:
+    """Asserts that image, transmittance and gradients are the dense ones; returns the rendering and its gradients."""
+    settings = settings or Settings(background=(0.1, 0.2, 0.3))
+    exact = {k: torch.from_numpy(v).double().requires_grad_() for k, v in values.items()}
+    exact["moved"] = torch.zeros(len(values["opacity"]), 2, dtype=torch.float64, requires_grad=True)
+    image, transmittance, fragile = dense(exact, view, settings)
+    firm = (~fragile).numpy()
+    assert firm.mean() > 0.9
+    rendering = rasterise(**values, camera=view, settings=settings)
+    assert np.abs(rendering.image - image.detach().numpy())[firm].max(initial=0) < IMAGE_ERROR
+    assert np.abs(rendering.transmittance - transmittance.detach().numpy())[firm].max(initial=0) < IMAGE_ERROR
+    rng = np.random.default_rng(5)
+    grad_image = (rng.normal(size=image.shape) * firm[..., None]).astype(np.float32)
+    grad_transmittance = (rng.normal(size=firm.shape) * firm).astype(np.float32)
+    gradients = rasterise_backward(rendering, grad_image, grad_transmittance)
+    loss = (image * torch.from_numpy(grad_image)).sum() + (transmittance * torch.from_numpy(grad_transmittance)).sum()
+    if loss.requires_grad:
+        loss.backward()
+    for name in NAMES:
+        expected = np.zeros(values[name].shape) if exact[name].grad is None else exact[name].grad.numpy()
+        actual = getattr(gradients, name)
+        assert actual.dtype == np.float32
+        assert actual.shape == expected.shape
+        assert np.linalg.norm(actual - expected) <= gradient_error * np.linalg.norm(expected) + 1e-6, name
+    moved = np.zeros((len(gradients.screen), 2)) if exact["moved"].grad is None else exact["moved"].grad.numpy()
+    expected = np.hypot(moved[:, 0] * view.width / 2, moved[:, 1] * view.height / 2)
+    assert np.linalg.norm(gradients.screen - expected) <= gradient_error * np.linalg.norm(expected)
+    return rendering, gradients
+
+
+@pytest.mark.parametrize(("width", "height"), [(50, 37), (64, 32), (33, 17), (31, 16), (1, 1), (1, 40), (97, 3)])
+def test_sizes(width: int, height: int) -> None:
+    view = camera(width, height)
+    compare(scene(150, 1, view), view)
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_many(seed: int) -> None:
+    view = camera()
+    rendering, _ = compare(scene(1500, seed, view, size=0.06), view)
+    assert rendering.transmittance.min() >= 1e-4
+
+
+def test_opaque() -> None:
+    """Alphas at their cap, pixels finished by the first few Gaussians, and many behind."""
+    view = camera()
+    values = scene(800, 3, view, size=0.3)
+    values["opacity"][:] = 1
+    rendering, gradients = compare(values, view)
+    assert (rendering.transmittance < 1e-3).mean() > 0.9
+    assert (gradients.colour == 0).all(axis=1).any()
+
+
+@pytest.mark.parametrize("near", [0.2, 0.01])
+def test_behind_and_across_the_near_plane(near: float) -> None:
+    view = camera()
+    values = scene(300, 4, view, size=0.05, low=-1, high=1)
+    rendering, gradients = compare(values, view, Settings(near_plane=near))
+    depth = (values["mean"].astype(np.float64) @ view.rotation.T + view.translation)[:, 2]
+    hidden = depth <= near
+    assert hidden.any()
+    assert (rendering.radius[hidden] == 0).all()
+    assert (np.abs(depth - near) < 0.05).any()
+    for name in (*NAMES, "screen"):
+        assert (getattr(gradients, name)[hidden] == 0).all()
+
+
+def test_partly_and_wholly_outside() -> None:
+    """Also where the Jacobian's slope is clamped."""
+    view = camera()
+    values = scene(400, 5, view, size=0.25, spread=2.0)
+    rendering, _ = compare(values, view)
+    p = values["mean"].astype(np.float64) @ view.rotation.T + view.translation
+    x = view.fx * p[:, 0] / p[:, 2] + view.cx
+    outside = (x < 0) | (x > view.width)
+    assert ((rendering.radius > 0) & outside).any()
+    assert ((rendering.radius == 0) & outside).any()
+
+
+def test_huge() -> None:
+    """Hundreds of pixels wide."""
+    view = camera()
+    compare(scene(40, 6, view, size=5.0), view)
+
+
+def test_needles() -> None:
+    """Thousands of pixels long and less than one wide: u is up to 1e3 and differences of it count. Measured: 3e-5 (quaternion)."""
+    view = camera()
+    values = scene(60, 7, view)
+    values["scale"][:] = (10.0, 1e-3, 1e-3)
+    compare(values, view, gradient_error=2e-4)
+
+
+@pytest.mark.parametrize("size", [1e-6, 1e-12])
+def test_tiny(size: float) -> None:
+    """The low-pass alone is seen; scale's gradient is of the size of scale, and vanishes against the rest."""
+    view = camera()
+    compare(scene(200, 8, view, size=size), view)
+
+
+def test_without_low_pass() -> None:
+    view = camera()
+    compare(scene(200, 9, view), view, Settings(low_pass=0.0))
+    values = scene(200, 9, view, size=0.0)
+    rendering = rasterise(**values, camera=view, settings=Settings(low_pass=0.0))
+    assert (rendering.radius == 0).all()
+
+
+def test_opacity_zero() -> None:
+    view = camera()
+    values = scene(100, 10, view)
+    values["opacity"][::2] = 0
+    rendering, gradients = compare(values, view)
+    assert (rendering.radius[::2] == 0).all()
+    assert (gradients.opacity[::2] == 0).all()
+    values["opacity"][:] = 0
+    rendering, _ = compare(values, view)
+    assert (rendering.transmittance == 1).all()
+
+
+def test_none_at_all() -> None:
+    view = camera()
+    rendering, gradients = compare(scene(0, 0, view), view, Settings(background=(0.25, 0.5, 1.0)))
+    assert (rendering.image == (0.25, 0.5, 1.0)).all()
+    assert (rendering.transmittance == 1).all()
+    assert gradients.screen.shape == (0,)
+
+
+def test_equal_depth_in_the_order_of_indices() -> None:
+    view = replace(camera(), rotation=np.eye(3), translation=np.zeros(3))
+    values = scene(60, 11, view, size=0.4)
+    values["mean"][:, 2] = 3
+    rendering, _ = compare(values, view)
+    turned = rasterise(**{k: v[::-1] for k, v in values.items()}, camera=view, settings=Settings(background=(0.1, 0.2, 0.3)))
+    assert np.abs(turned.image - rendering.image).max() > 0.05
+
+
+def test_length_of_the_quaternion() -> None:
+    view = camera()
+    values = scene(100, 12, view)
+    values["quaternion"] *= np.exp(np.linspace(-3, 3, 100))[:, None].astype(np.float32)
+    compare(values, view)
+
+
+@pytest.mark.parametrize("name", NAMES)
+@pytest.mark.parametrize("value", [np.nan, np.inf, -np.inf])
+def test_not_finite_is_not_drawn(name: str, value: float) -> None:
+    view = camera()
+    values = scene(50, 13, view)
+    without = {k: np.delete(v, 7, axis=0) for k, v in values.items()}
+    values[name].reshape(50, -1)[7, 0] = value
+    rendering, expected = rasterise(**values, camera=view), rasterise(**without, camera=view)
+    assert rendering.radius[7] == 0
+    np.testing.assert_array_equal(rendering.image, expected.image)
+    gradients = rasterise_backward(rendering, np.ones_like(rendering.image))
+    assert all(np.isfinite(getattr(gradients, k)).all() for k in (*NAMES, "screen"))
+
+
+def test_no_rotation_in_a_quaternion_of_zeros() -> None:
+    view = camera()
+    values = scene(50, 14, view)
+    values["quaternion"][3] = 0
+    assert rasterise(**values, camera=view).radius[3] == 0
+
+
+def test_radius() -> None:
+    """The larger half axis of the ellipse in which alpha is at least 1/255."""
+    view = Camera("view", 49, 49, 40.0, 40.0, 24.5, 24.5, np.eye(3), np.zeros(3))
+    values = scene(1, 0, view)
+    values["mean"][:], values["scale"][:], values["opacity"][:] = (0, 0, 4), 0.2, 0.8
+    rendering = rasterise(**values, camera=view)
+    assert rendering.radius[0] == pytest.approx(np.sqrt(2 * np.log(0.8 * 255) * (2.0**2 + 0.3)), rel=1e-6)
+    seen = np.argwhere(rendering.transmittance < 1) - 24
+    assert np.hypot(*seen.T).max() == pytest.approx(rendering.radius[0], abs=1)
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_finite_differences(name: str) -> None:
+    """Along random directions, with the rasteriser's own images: steps of 1e-3 against a rounding of 1e-7 leave some 1e-3."""
+    view = camera()
+    values = scene(30, 20, view, size=0.3)
+    values["opacity"] = (0.2 + 0.6 * values["opacity"]).astype(np.float32)
+    rng = np.random.default_rng(1)
+    direction = rng.normal(size=values[name].shape)
+    step = 1e-3
+    moved = [{**values, name: (values[name] + sign * step * direction).astype(np.float32)} for sign in (-1, 1)]
+    ends = [rasterise(**m, camera=view) for m in moved]
+    # Only pixels in which no Gaussian begins or ceases to be drawn: their last one is the same, and so is the sum of what is drawn.
+    weight = rng.normal(size=ends[0].image.shape)
+    sharp = [dense({k: torch.from_numpy(v).double() for k, v in m.items()}, view, Settings())[2].numpy() for m in moved]
+    drawn = [_drawn(m, view) for m in moved]
+    weight[sharp[0] | sharp[1] | (drawn[0] != drawn[1])] = 0
+    assert (weight != 0).mean() > 0.5
+    slope = float(((ends[1].image.astype(np.float64) - ends[0].image) * weight).sum()) / (2 * step)
+    gradient = getattr(rasterise_backward(rasterise(**values, camera=view), weight), name)
+    along = float((gradient * direction).sum())
+    assert along == pytest.approx(slope, rel=5e-3, abs=5e-3 * float(np.linalg.norm(gradient)))
+
+
+def _drawn(values: Scene, view: Camera) -> np.ndarray:
+    """Which Gaussians are drawn in each pixel, as a number: bit i for Gaussian i (fewer than 63)."""
+    found = np.zeros((view.height, view.width), np.int64)
+    for i in range(len(values["opacity"])):
+        alone = rasterise(**{k: v[i : i + 1] for k, v in values.items()}, camera=view)
+        found |= (alone.transmittance < 1).astype(np.int64) << i
+    return found
+
+
+@given(n=st.integers(0, 40), width=st.integers(1, 70), height=st.integers(1, 40), seed=st.integers(0, 2**20), size=st.floats(-3, 1))
+def test_any_shape(n: int, width: int, height: int, seed: int, size: float) -> None:
+    view = camera(width, height)
+    values = scene(n, seed, view, size=10**size, low=-0.5, high=4)
+    rendering = rasterise(**values, camera=view)
+    assert rendering.image.shape == (height, width, 3)
+    assert rendering.radius.shape == (n,)
+    image, transmittance, fragile = dense({k: torch.from_numpy(v).double() for k, v in values.items()}, view, Settings())
+    firm = ~fragile.numpy()
+    # Some of these are needles close to the eye: see test_needles.
+    assert np.abs(rendering.image - image.numpy())[firm].max(initial=0) < 10 * IMAGE_ERROR
+    assert np.abs(rendering.transmittance - transmittance.numpy())[firm].max(initial=0) < 10 * IMAGE_ERROR
+    gradients = rasterise_backward(rendering, np.ones_like(rendering.image))
+    for name in NAMES:
+        assert getattr(gradients, name).shape == values[name].shape
+        assert np.isfinite(getattr(gradients, name)).all()
+        assert (getattr(gradients, name)[rendering.radius == 0] == 0).all()
+
+
+def test_many_in_one_tile() -> None:
+    """More Gaussians than a digit of the sort has values."""
+    view = camera(20, 12)
+    compare(scene(5000, 30, view, size=0.01), view)
+
+
+DIGEST = """
+from tests.test_rasterise import digest
+print(digest())
+"""
+
+
+def digest() -> str:
+    """A hash of every result for a scene of many tiles."""
+    view = camera(400, 300)
+    values = scene(20000, 40, replace(view, width=400, height=300), size=0.03)
+    rendering = rasterise(**values, camera=view)
+    rng = np.random.default_rng(0)
+    gradients = rasterise_backward(rendering, rng.normal(size=rendering.image.shape), rng.normal(size=rendering.transmittance.shape))
+    target = torch.from_numpy(rng.uniform(size=rendering.image.shape).astype(np.float32))
+    image = torch.from_numpy(rendering.image).requires_grad_()
+    value = SSIM.apply(image, target)
+    value.backward()
+    found = [
+        rendering.image,
+        rendering.transmittance,
+        rendering.radius,
+        *vars(gradients).values(),
+        value.detach().numpy(),
+        image.grad.numpy(),
+    ]
+    return hashlib.sha256(b"".join(np.ascontiguousarray(v).tobytes() for v in found)).hexdigest()
+
+
+def test_same_bits_whatever_the_number_of_threads() -> None:
+    def run(threads: int) -> str:
+        environment = {**os.environ, "NUMBA_NUM_THREADS": str(threads), "OMP_WAIT_POLICY": "PASSIVE"}
+        return subprocess.run([sys.executable, "-c", DIGEST], env=environment, check=True, capture_output=True, text=True).stdout
+
+    assert run(1) == run(2) == run(3)
+
+
+def test_no_torch() -> None:
+    code = "import sys, refcodec.rasterise; print('torch' in sys.modules)"
+    assert subprocess.run([sys.executable, "-c", code], check=True, capture_output=True, text=True).stdout == "False\n"
+
+
+def test_autograd() -> None:
+    view = camera()
+    values = scene(100, 50, view)
+    inputs = [torch.from_numpy(values[k]).double().requires_grad_() for k in NAMES]
+    screen = torch.zeros(100, requires_grad=True)
+    expected = rasterise(**values, camera=view)
+    for calls in (1, 2):
+        image, transmittance, radius = Rasterise.apply(*inputs, view, None, screen)
+        np.testing.assert_array_equal(image.detach().numpy(), expected.image)
+        np.testing.assert_array_equal(radius.numpy(), expected.radius)
+        (image.square().sum() + transmittance.sum()).backward()
+        gradients = rasterise_backward(expected, 2 * expected.image, np.ones_like(expected.transmittance))
+        for name, value in zip(NAMES, inputs, strict=True):
+            assert value.grad is not None
+            assert value.grad.dtype == torch.float64
+            np.testing.assert_allclose(value.grad.numpy(), calls * getattr(gradients, name).astype(np.float64), rtol=1e-12)
+        np.testing.assert_allclose(screen.grad, calls * gradients.screen, rtol=1e-6)
+
+
+def test_autograd_sees_changes_in_place() -> None:
+    view = camera()
+    inputs = [torch.from_numpy(v).requires_grad_() for v in scene(10, 51, view).values()]
+    image, transmittance, _ = Rasterise.apply(*inputs, view)
+    with torch.no_grad():
+        transmittance.zero_()
+        inputs[0].add_(1)
+    with pytest.raises(RuntimeError, match="modified by an inplace operation"):
+        image.sum().backward()
+
+
+def drawn_with_gradients(draw: Any, inputs: list[torch.Tensor]) -> tuple[torch.Tensor, ...]:
+    """Image, transmittance, radius, and the gradients of a loss with respect to the five inputs and the screen, on the CPU."""
+    inputs = [v.detach().requires_grad_() for v in inputs]
+    screen = torch.zeros(len(inputs[0]), device=inputs[0].device, requires_grad=True)
+    image, transmittance, radius = draw(*inputs, camera(), Settings(background=(0.1, 0.2, 0.3)), screen)
+    (image.square().sum() + transmittance.sum()).backward()
+    return tuple(v.detach().cpu() for v in (image, transmittance, radius, *(v.grad for v in (*inputs, screen))))
+
+
+def test_draw_on_the_cpu() -> None:
+    inputs = [torch.from_numpy(v) for v in scene(100, 52, camera()).values()]
+    for drawn, expected in zip(drawn_with_gradients(splat.draw, inputs), drawn_with_gradients(Rasterise.apply, inputs), strict=True):
+        assert torch.equal(drawn, expected)
+    with pytest.raises(ValueError, match="meta"):
+        splat.draw(*inputs[:4], inputs[4].to("meta"), camera())
+    with pytest.raises(ValueError, match="meta"):
+        splat.draw(*(v.to("meta") for v in inputs), camera())
+    with pytest.raises(ValueError, match="meta"):
+        splat.draw(*inputs, camera(), None, torch.zeros(100, device="meta"))
+
+
+def test_what_gsplat_is_given(monkeypatch: pytest.MonkeyPatch) -> None:
+    """With the dense images of this file in its place, called as it is: matrices, units, the screen's gradient added over calls."""
+
+    def rasterization(*inputs: Any, near_plane: float, eps2d: float, packed: bool, backgrounds: torch.Tensor, rasterize_mode: str) -> Any:
+        *values, view, lens, width, height = inputs
+        assert (packed, rasterize_mode, view.shape, lens.shape) == (False, "classic", (1, 4, 4), (1, 3, 3))
+        assert view[0, 3].tolist() == [0, 0, 0, 1]
+        matrix, place = lens[0].double().numpy(), torch.zeros(1, len(values[0]), 2, dtype=torch.float64, requires_grad=True)
+        found = Camera(
+            "", width, height, *matrix[[0, 1, 0, 1], [0, 1, 2, 2]], *(v.double().numpy() for v in (view[0, :3, :3], view[0, :3, 3]))
+        )
+        settings = Settings(eps2d, near_plane, background=tuple(backgrounds[0].tolist()))
+        named = {name: value.double() for name, value in zip(NAMES, values, strict=True)}
+        image, transmittance, _ = dense({**named, "moved": place[0]}, found, settings)
+        radii = torch.arange(2 * len(values[0])).reshape(1, -1, 2)
+        return image.float()[None], 1 - transmittance.float()[None, ..., None], {"means2d": place, "radii": radii}
+
+    monkeypatch.setitem(sys.modules, "gsplat", SimpleNamespace(rasterization=rasterization))
+    inputs = [torch.from_numpy(v) for v in scene(60, 53, camera()).values()]
+    drawn, expected = drawn_with_gradients(splat._draw_on_gpu, inputs), drawn_with_gradients(Rasterise.apply, inputs)
+    assert drawn[2].tolist() == list(range(1, 120, 2))
+    for a, b in zip(drawn[:2] + drawn[3:], expected[:2] + expected[3:], strict=True):
+        assert (a - b).norm() < 1e-4 * b.norm()
+    screen = torch.zeros(60, requires_grad=True)
+    for calls in (1, 2):
+        image, transmittance, _ = splat._draw_on_gpu(*inputs, camera(), Settings(background=(0.1, 0.2, 0.3)), screen)
+        (image.square().sum() + transmittance.sum()).backward()
+        assert (screen.grad - calls * expected[-1]).norm() < 1e-4 * calls * expected[-1].norm()
+
+
+@pytest.mark.skipif(not torch.cuda.is_available(), reason="no GPU")
+def test_draw_on_the_gpu() -> None:
+    """Opacities that no cap reaches. Pixels differ where an alpha next to 1/255 falls on the other side, and gradients with them."""
+    pytest.importorskip("gsplat", reason="the extra cuda")
+    values = scene(500, 54, camera())
+    values["opacity"] *= 0.95
+    inputs = [torch.from_numpy(v) for v in values.values()]
+    drawn, expected = drawn_with_gradients(splat.draw, [v.cuda() for v in inputs]), drawn_with_gradients(splat.draw, inputs)
+    assert (drawn[0] - expected[0]).abs().mean() < 1e-4
+    assert (drawn[1] - expected[1]).abs().mean() < 1e-4
+    assert ((drawn[2] > 0) | (expected[2] == 0)).all()
+    for a, b in zip(drawn[3:], expected[3:], strict=True):
+        assert (a - b).norm() < 1e-2 * b.norm()
+
+
+@pytest.mark.parametrize(
+    "change",
+    [{"rotation": np.eye(2)}, {"translation": np.full(3, np.nan)}, {"fx": 0.0}, {"fy": np.inf}, {"cx": np.nan}, {"width": 0}],
+)
+def test_camera_errors(change: dict[str, Any]) -> None:
+    with pytest.raises(ValueError, match=r"wanted|image of"):
+        rasterise(**scene(1, 0, camera()), camera=replace(camera(), **change))
+
+
+@pytest.mark.parametrize(
+    "change",
+    [{"low_pass": -1.0}, {"low_pass": np.inf}, {"near_plane": 0.0}, {"alpha_max": 1.01}, {"background": (0.0,)}, {"near_plane": np.nan}],
+)
+def test_settings_errors(change: dict[str, Any]) -> None:
+    with pytest.raises(ValueError, match=r"wanted|not 3"):
+        Settings(**change)
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_shape_errors(name: str) -> None:
+    view = camera()
+    values = scene(5, 0, view)
+    values[name] = values[name][:4] if name != "opacity" else values[name][:, None]
+    with pytest.raises(ValueError, match="shape"):
+        rasterise(**values, camera=view)
+    rendering = rasterise(**scene(5, 0, view), camera=view)
+    with pytest.raises(ValueError, match="shapes"):
+        rasterise_backward(rendering, rendering.image[1:])
+
+
+def dense_ssim(x: torch.Tensor, y: torch.Tensor) -> torch.Tensor:
+    """3DGS's own form, in float64: a two-dimensional window, zeros around the image."""
+    weights = torch.exp(-((torch.arange(11) - 5.0).double() ** 2) / (2 * 1.5**2))
+    weights = weights / weights.sum()
+    channels = x.shape[2]
+    kernel = torch.outer(weights, weights).expand(channels, 1, 11, 11)
+
+    def mean(v: torch.Tensor) -> torch.Tensor:
+        return torch.nn.functional.conv2d(v.permute(2, 0, 1)[None], kernel, padding=5, groups=channels)
+
+    m_x, m_y = mean(x), mean(y)
+    v_x, v_y, v_xy = mean(x * x) - m_x * m_x, mean(y * y) - m_y * m_y, mean(x * y) - m_x * m_y
+    return (((2 * m_x * m_y + 1e-4) * (2 * v_xy + 9e-4)) / ((m_x**2 + m_y**2 + 1e-4) * (v_x + v_y + 9e-4))).mean()
+
+
+@given(width=st.integers(1, 40), height=st.integers(1, 30), channels=st.integers(1, 4), seed=st.integers(0, 2**20), noise=st.floats(0, 1))
+def test_ssim(width: int, height: int, channels: int, seed: int, noise: float) -> None:
+    """Float32 variances, differences of squares of size one, are off by some 1e-7: 1e-4 of C2, and so much where all is flat."""
+    rng = np.random.default_rng(seed)
+    x = rng.uniform(size=(height, width, channels)).astype(np.float32)
+    y = ((1 - noise) * x + noise * rng.uniform(size=x.shape)).astype(np.float32)
+    image, exact = torch.from_numpy(x).requires_grad_(), torch.from_numpy(x).double().requires_grad_()
+    value, expected = SSIM.apply(image, torch.from_numpy(y)), dense_ssim(exact, torch.from_numpy(y).double())
+    (3 * value).backward()
+    (3 * expected).backward()
+    assert float(value.detach()) == pytest.approx(float(expected.detach()), abs=2e-6)
+    assert image.grad is not None
+    assert exact.grad is not None
+    assert (image.grad - exact.grad).norm() <= 2e-4 * exact.grad.norm() + 1e-5
+
+
+def test_ssim_of_equals() -> None:
+    x = np.random.default_rng(0).uniform(size=(20, 30, 3))
+    assert similarity(x, x).value == pytest.approx(1, abs=1e-6)
+    # Bright and flat: the worst case of the variances' rounding.
+    assert similarity(np.ones((20, 30, 3)), np.ones((20, 30, 3))).value == pytest.approx(1, abs=1e-3)
+
+
+@pytest.mark.parametrize("shapes", [((4, 4, 3), (4, 5, 3)), ((4, 4), (4, 4)), ((0, 4, 3), (0, 4, 3))])
+def test_ssim_errors(shapes: tuple[tuple[int, ...], tuple[int, ...]]) -> None:
+    with pytest.raises(ValueError, match="wanted"):
+        similarity(np.zeros(shapes[0]), np.zeros(shapes[1]))
