@@ -458,14 +458,16 @@ def _demo(arguments: argparse.Namespace) -> int:
 
 def _rd(arguments: argparse.Namespace) -> int:
     try:
+        from .train.command import PRESETS
         from .train.photographs import PhotographError
         from .train.rd import FIGURES, Settings, run_rd
         from .train.runs import RunError
     except ModuleNotFoundError as error:
-        raise _needs("rd", "train,render,rd", error, ("matplotlib", "bjontegaard", *_RENDER_PACKAGES)) from None
+        raise _needs("rd", "train,render,rd", error, ("matplotlib", "bjontegaard", "torch", *_RENDER_PACKAGES)) from None
     options = [("--steps", arguments.steps), ("--preset", arguments.preset), ("--device", arguments.device), ("--seed", arguments.seed)]
     given = tuple(word for name, value in options if value is not None for word in (name, str(value)))
-    settings = Settings(Path(arguments.output), Path(arguments.photographs), given, arguments.size, arguments.jobs)
+    size = arguments.size or str(PRESETS[arguments.preset]["side"])
+    settings = Settings(Path(arguments.output), Path(arguments.photographs), given, size, arguments.jobs)
     rates = sorted({*arguments.rates, *([0.0] if arguments.uncompressed else [])})
     try:
         rows, difference = run_rd(settings, rates, Path(arguments.against) if arguments.against else None)
@@ -754,7 +756,8 @@ def _parser() -> argparse.ArgumentParser:
     rd.add_argument("--against", metavar="CSV", help="a table with columns bytes and psnr: BD-rate and BD-PSNR with that curve as anchor")
     rd.add_argument("--jobs", type=_positive, metavar="N", default=2, help="trainings at a time (default: %(default)s)")
     rd.add_argument("--size", metavar="WxH", help="size that photographs are averaged down to, or their longest side")
-    for name, kind in (("steps", _positive), ("seed", _seed), ("preset", str), ("device", str)):
+    rd.add_argument("--preset", choices=("fast", "paper"), default="fast", help="as of train (default: %(default)s)")
+    for name, kind in (("steps", _positive), ("seed", _seed), ("device", str)):
         rd.add_argument(f"--{name}", type=kind, help="as of train")
     fit = _add(
         commands,

@@ -25,7 +25,7 @@ RATE = 0.004
 # The longest side of an image, in pixels.
 SIZE = "400"
 # Four minutes of training on two cores.
-STEPS = 3600
+STEPS = 4000
 
 UNCOMPRESSED, CODED = "uncompressed", "coded"
 # Parts of a scene, as a training's report and a file's sections name them; sections that are not here are HEADERS.
