@@ -373,8 +373,7 @@ def _render(arguments: argparse.Namespace) -> int:
         from .viewing import View, eight_bits, write_gif, write_png
     except ModuleNotFoundError as error:
         raise _needs("render", "render", error, _RENDER_PACKAGES) from None
-    folder = _uncompressed(arguments.file)
-    view = View(folder or _parse(arguments, _read_file(arguments.file)).scene)
+    view = View(_uncompressed(arguments.file) or _parse(arguments, _read_file(arguments.file)).scene)
     if arguments.cameras == "default":
         cameras = [default_camera(view.info)]
     elif arguments.cameras == "orbit":
@@ -424,12 +423,11 @@ def _eval(arguments: argparse.Namespace) -> int:
     except ModuleNotFoundError as error:
         raise _needs("eval", "render", error, _RENDER_PACKAGES) from None
     lpips = _lpips(arguments.lpips) if arguments.lpips else None
-    folder = _uncompressed(arguments.file)
-    data = None if folder else _read_file(arguments.file)
+    shown = _uncompressed(arguments.file) or _read_file(arguments.file)
     found = _photographs(arguments.photographs, arguments.size)
     try:
         with _progress(arguments.progress) as progress:
-            result = evaluate(folder or data or b"", found, Path(arguments.images) if arguments.images else None, progress, lpips)
+            result = evaluate(shown, found, Path(arguments.images) if arguments.images else None, progress, lpips)
     except PhotographError as error:
         raise UsageError(str(error)) from None
     result = {"file": arguments.file, **result}

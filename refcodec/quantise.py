@@ -120,6 +120,11 @@ def choose_plane_size(anchors: int) -> int:
     return int(min(max(round(math.sqrt(anchors) / 5), 8), 128))
 
 
+def choose_width(anchors: int) -> int:
+    """SPEC B.3: hidden units of F_h and of CARM: N / 400, from 32 to 100: fp32 weights are a part of the file that does not shrink."""
+    return min(max(anchors // 400, 32), 100)
+
+
 def choose_lanes(anchors: int, attribute_bits: float) -> Lanes:
     """SPEC B.3: as many lanes as cost, at 4 bytes each, at most 0.2 % of the attributes' bytes in the attributes, 0.01 % of them
     in the planes (about 0.5 % of the planes) and 0.1 % in the masks; 64 at most.

@@ -13,6 +13,7 @@ from __future__ import annotations
 import json
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -81,7 +82,8 @@ def read_uncompressed(path: Path) -> Uncompressed:
     cloud = read_cloud(path / PLY_FILE)
     try:
         facts = json.loads((path / RENDER_FILE).read_text(encoding="utf-8"))
-        render = RenderInfo(**{k: tuple(v) if isinstance(v, list) else v for k, v in facts["render"].items()})
+        given: dict[str, Any] = {k: tuple(v) if isinstance(v, list) else v for k, v in facts["render"].items()}
+        render = RenderInfo(**given)
         arrays = load_file(path / NETWORKS_FILE)
         networks = {name: [(arrays[f"{name}.{i}.weight"], arrays[f"{name}.{i}.bias"]) for i in range(2)] for name in RENDERING}
     except (OSError, ValueError, KeyError, TypeError, SafetensorError) as error:

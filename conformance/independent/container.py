@@ -35,11 +35,11 @@ PROFILE_BOUNDS: dict[str, tuple[tuple[int, int], tuple[int, int]]] = {
     "frequency_count": ((1, 10), (10, 10)),
     "plane_size": ((2, 32), (2, 256)),
     "hyper_layers": ((1, 2), (1, 1)),
-    "hyper_width": ((1, 64), (100, 100)),
+    "hyper_width": ((1, 64), (16, 128)),
     "sarm_layers": ((1, 2), (2, 2)),
     "sarm_width": ((1, 16), (16, 16)),
     "carm_layers": ((0, 2), (1, 1)),
-    "carm_width": ((1, 64), (100, 100)),
+    "carm_width": ((1, 64), (16, 128)),
     "render_width": ((1, 64), (50, 50)),
 }
 CHUNK_SIZE_BOUNDS = ((1, 65536), (256, 65536))

@@ -25,7 +25,7 @@ from ..geometry import contract, frame_coordinates, position_integers, positiona
 from ..limits import MAIN, MAIN_SLICES
 from ..networks import Layer, activation
 from ..planes import PLANE_SYMBOL_MAX, PLANES
-from ..quantise import AnchorCloud, carm_shifts, choose_frame, choose_grid, choose_plane_size, order_anchors, quantise
+from ..quantise import AnchorCloud, carm_shifts, choose_frame, choose_grid, choose_plane_size, choose_width, order_anchors, quantise
 from ..quantise import symbols as to_symbols
 from ..scene import Dimensions, Scene
 from .ideal import ideal_code_length
@@ -67,8 +67,9 @@ def default_base_step(cloud: AnchorCloud) -> tuple[float, float, float]:
 
 
 def default_dimensions(cloud: AnchorCloud, plane_size: int) -> Dimensions:
-    """Main's dimensions (SPEC 11.1). Raises ValueError if the cloud does not have 50 features and 10 offsets."""
-    d = Dimensions(10, MAIN_SLICES, 8, 10, plane_size, (100,), (16, 16), (100,), 50)
+    """Main's dimensions (SPEC 11.1, B.3). Raises ValueError if the cloud does not have 50 features and 10 offsets."""
+    width = choose_width(len(cloud.positions))
+    d = Dimensions(10, MAIN_SLICES, 8, 10, plane_size, (width,), (16, 16), (width,), 50)
     if cloud.features.shape[1] != d.features or cloud.masks.shape[1] != d.offset_count:
         raise ValueError(f"{cloud.features.shape[1]} features and {cloud.masks.shape[1]} offsets; Main has 50 and 10")
     return d

@@ -14,7 +14,7 @@ BETA_1, BETA_2, EPSILON = np.float32(0.9), np.float32(0.999), np.float32(1e-15)
 _REST_1, _REST_2 = np.float32(1) - BETA_1, np.float32(1) - BETA_2
 
 
-@njit(cache=True, error_model="numpy")  # type: ignore[untyped-decorator]
+@njit(cache=True, error_model="numpy")
 def gather_rows(rows: I64, gradient: F32, total: F32, place: I64, found: I64, count: int) -> int:
     """Adds gradient [n, D] to the rows of total [M, D] that `place` [N] gives the anchors `rows` [n]; place is -1 where an anchor has none
     yet, and then gets the next row, which begins with this gradient. found [M]: the anchor of each row. Returns the rows used."""
@@ -29,7 +29,7 @@ def gather_rows(rows: I64, gradient: F32, total: F32, place: I64, found: I64, co
     return count
 
 
-@njit(cache=True, parallel=True, error_model="numpy")  # type: ignore[untyped-decorator]
+@njit(cache=True, parallel=True, error_model="numpy")
 def adam_rows(table: F32, first: F32, second: F32, steps: int, rows: I64, gradient: F32, rate: np.float32) -> None:
     """One step of Adam on table[rows]. first, second: its moments, shaped like the table; steps: of training, from 1, for the correction
     of the moments' bias. gradient [n, D]; rows: int64 [n], each at most once.

@@ -51,7 +51,7 @@ def train(
     learnt from, for a saved state that is damaged or of another training, and for a scene that cannot be written.
     """
     torch.set_num_threads(1)
-    numba.set_num_threads(min(threads, numba.config.NUMBA_NUM_THREADS))
+    numba.set_num_threads(min(threads, numba.get_num_threads()))
     trainer = Trainer(photographs, settings, device)
     state = state_path(output)
     if resume:

@@ -16,14 +16,14 @@ class Photometric(torch.autograd.Function):
     """Photometric.apply(image, photograph) -> loss, a scalar; both float32 [H, W, 3] on the CPU. Only the image has a gradient."""
 
     @staticmethod
-    def forward(ctx: Any, image: Tensor, photograph: Tensor) -> Tensor:  # type: ignore[override]
+    def forward(ctx: Any, image: Tensor, photograph: Tensor) -> Tensor:
         ctx.similarity = similarity(image.detach().numpy(), photograph.numpy())
         away = image - photograph
         ctx.save_for_backward(away)
         return (1 - SSIM_SHARE) * away.abs().mean() + SSIM_SHARE * (1 - ctx.similarity.value)
 
     @staticmethod
-    def backward(ctx: Any, *upstream: Tensor) -> tuple[Tensor, None]:  # type: ignore[override]
+    def backward(ctx: Any, *upstream: Tensor) -> tuple[Tensor, None]:
         (away,) = ctx.saved_tensors
         gradient = torch.sign(away).mul_((1 - SSIM_SHARE) / away.numel())
         gradient -= torch.from_numpy(similarity_backward(ctx.similarity, SSIM_SHARE))

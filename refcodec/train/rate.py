@@ -81,15 +81,15 @@ class Contexts:
 class LearnedRate(nn.Module):
     """Planes, F_h with its steps, SARM and CARM.
 
-    mean, deviation: float64 [D] of each channel's symbols at the beginning, when every step is the base step. widths: hidden widths of
-    F_h and of CARM.
+    mean, deviation: float64 [D] of each channel's symbols at the beginning, when every step is the base step. width: of F_h's and
+    CARM's hidden layers.
     """
 
     def __init__(
         self,
         hyperprior: Hyperprior,
         plane_size: int,
-        widths: tuple[int, int],
+        width: int,
         mean: NDArray,
         deviation: NDArray,
         generator: torch.Generator,
@@ -101,7 +101,7 @@ class LearnedRate(nn.Module):
         frequencies = 2 * FREQUENCIES if hyperprior.gamma else 0
         inputs = torch.cat([torch.full((channels,), LATENT_UNIT * 2**PLANE_SHIFT), torch.full((frequencies,), 1024.0)])
         outputs = torch.cat([unit * MEAN_UNIT, torch.full((WIDTH + len(KINDS),), SCALE_UNIT)])
-        self.hyper = FoldedMlp([len(inputs), widths[0], 2 * WIDTH + len(KINDS)], inputs, outputs, generator, 0.1)
+        self.hyper = FoldedMlp([len(inputs), width, 2 * WIDTH + len(KINDS)], inputs, outputs, generator, 0.1)
         with torch.no_grad():
             start = np.concatenate([mean / unit.numpy(), octave, np.full(len(KINDS), STEP_ONE / SCALE_UNIT)])
             self.hyper.biases[-1].copy_(torch.tensor(start, dtype=torch.float32))
@@ -115,7 +115,7 @@ class LearnedRate(nn.Module):
         carm, done = [], SLICES[0]
         for columns in SLICES[1:]:
             outputs = torch.cat([unit[done : done + columns] * MEAN_UNIT, torch.full((columns,), SCALE_UNIT)])
-            carm.append(FoldedMlp([done, widths[1], 2 * columns], unit[:done], outputs, generator, 0.0))
+            carm.append(FoldedMlp([done, width, 2 * columns], unit[:done], outputs, generator, 0.0))
             done += columns
         self.carm = nn.ModuleList(carm)
         shape = (PLANES * len(hyperprior.axes), hyperprior.channels, plane_size, plane_size)

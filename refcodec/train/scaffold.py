@@ -139,7 +139,7 @@ class Scaffold:
         length = scene_length(photographs)
         voxel = choose_voxel(points, anchors) if anchors else default_voxel(points.astype(np.float32))
         cell = short_mantissa(voxel / START_EDGE)
-        grid = choose_grid(points, cell)
+        grid = choose_grid(points.astype(np.float32), cell)
         origin = np.array(grid.origin, np.float64) * 2.0 ** (grid.scale_exponent - 24)
         self.units = Units(grid, origin, length, grid.scale_mantissa * 2.0**grid.scale_exponent / length)
         away = (points - origin) / (self.units.cell * length)

@@ -19,12 +19,12 @@ F32 = NDArray[np.float32]
 I64 = NDArray[np.int64]
 
 
-@njit(cache=True, inline="always", error_model="numpy")  # type: ignore[untyped-decorator]
+@njit(cache=True, inline="always", error_model="numpy")
 def _logistic(x: float) -> float:
     return 1 / (1 + math.exp(-x))
 
 
-@njit(cache=True, parallel=True, error_model="numpy")  # type: ignore[untyped-decorator]
+@njit(cache=True, parallel=True, error_model="numpy")
 def _forward(chosen: I64, k: int, position: F32, offsets: F32, scalings: F32, covariance: F32, colour: F32) -> Any:
     n = chosen.shape[0]
     mean, lengths = np.empty((n, 3), np.float32), np.empty((n, 3), np.float32)
@@ -40,7 +40,7 @@ def _forward(chosen: I64, k: int, position: F32, offsets: F32, scalings: F32, co
     return mean, quaternion, lengths, rgb
 
 
-@njit(cache=True, parallel=True, error_model="numpy")  # type: ignore[untyped-decorator]
+@njit(cache=True, parallel=True, error_model="numpy")
 def _backward(
     first: I64,
     chosen: I64,
@@ -83,7 +83,7 @@ class Spawn(torch.autograd.Function):
     """
 
     @staticmethod
-    def forward(  # type: ignore[override]
+    def forward(
         ctx: Any, chosen: Tensor, k: int, position: Tensor, offsets: Tensor, scalings: Tensor, covariance: Tensor, colour: Tensor
     ) -> tuple[Tensor, Tensor, Tensor, Tensor]:
         given = (offsets, scalings, covariance, colour)
@@ -94,7 +94,7 @@ class Spawn(torch.autograd.Function):
         return mean, quaternion, lengths, rgb
 
     @staticmethod
-    def backward(ctx: Any, *upstream: Tensor) -> tuple[Tensor | None, ...]:  # type: ignore[override]
+    def backward(ctx: Any, *upstream: Tensor) -> tuple[Tensor | None, ...]:
         chosen, offsets, scalings, covariance, lengths, rgb = (v.contiguous() for v in ctx.saved_tensors)
         first = torch.searchsorted(chosen, torch.arange(len(scalings) + 1) * ctx.k)
         arrays = [v.detach().numpy() for v in (offsets, scalings, covariance, lengths, rgb, *(g.contiguous() for g in upstream))]

@@ -26,11 +26,11 @@ from torch import Tensor
 
 from ..attributes import KINDS
 from ..geometry import Frame
-from ..quantise import choose_frame, choose_plane_size
+from ..quantise import choose_frame, choose_plane_size, choose_width
+from ..rasterise import Settings
 from ..rendering import Camera
 from ..scene import Scene
 from ..uncompressed import Uncompressed
-from ..rasterise import Settings
 from .adam import adam_rows, gather_rows
 from .export import coded_scene, render_info, rounded, uncompressed
 from .losses import Photometric
@@ -57,8 +57,6 @@ LOOKS, LOOK_IMAGES, SAVE_SECONDS = 40, 5, 30.0
 RATES = {"features": (0.01, 0.004), "offsets": (0.01, 1e-4), "scalings": (0.01, 0.004), "masks": (0.08, 8e-4)}
 NETWORK_RATES = {"opacity": (0.004, 2e-4), "covariance": (0.004, 0.002), "colour": (0.008, 5e-4)}
 PLANE_RATE, CODING_RATE = (0.0075, 0.001), (0.005, 0.0005)
-# Hidden units of F_h and of CARM (SPEC 11.1).
-CODING_WIDTHS = (100, 100)
 # A feature's first step, in spreads of the features; the first steps of scalings and offsets (SPEC B.5).
 FEATURE_STEP, SCALING_STEP, OFFSET_STEP = 1 / 3, 0.1, 0.2
 
@@ -255,12 +253,13 @@ class Trainer:
             self.coding.zero_grad(set_to_none=True)
         count = 0
         for name in COLUMNS:
-            if seen[name].grad is None:
+            gradient = seen[name].grad
+            if gradient is None:
                 continue
             self._place[self._found[:count]] = -1
-            count = gather_rows(rows.numpy(), seen[name].grad.numpy(), self._total[name], self._place, self._found, 0)
-            if sampled is not None and leaves[name].grad is not None:
-                count = gather_rows(sampled.numpy(), leaves[name].grad.numpy(), self._total[name], self._place, self._found, count)
+            count = gather_rows(rows.numpy(), gradient.numpy(), self._total[name], self._place, self._found, 0)
+            if sampled is not None and (more := leaves[name].grad) is not None:
+                count = gather_rows(sampled.numpy(), more.numpy(), self._total[name], self._place, self._found, count)
             touched = self._found[:count]
             adam_rows(
                 scaffold.tables[name].numpy(),
@@ -288,7 +287,8 @@ class Trainer:
         self.frequency = scaffold.views(self.cameras)
         spread = float(scaffold.tables["features"].std(dim=0).median()) or 1.0
         base_step = torch.tensor([spread * FEATURE_STEP, SCALING_STEP, OFFSET_STEP])
-        self.make_rate(choose_frame(lattice_positions(scaffold.lattice)), base_step, choose_plane_size(scaffold.count))
+        frame = choose_frame(lattice_positions(scaffold.lattice))
+        self.make_rate(frame, base_step, choose_plane_size(scaffold.count))
 
     def make_rate(self, frame: Frame, base_step: Tensor, plane_size: int) -> None:
         """A rate model for the anchors as they are. frame: SPEC 7.5.1; base_step: float32 [3]; plane_size: B."""
@@ -297,7 +297,7 @@ class Trainer:
         hyperprior = HYPERPRIORS[self.settings.hyperprior]
         symbols = torch.cat([scaffold.tables[kind] / base_step[i] for i, kind in enumerate(KINDS)], dim=1).double()
         mean, deviation = symbols.mean(dim=0).numpy(), symbols.std(dim=0).numpy()
-        self.rate = LearnedRate(hyperprior, plane_size, CODING_WIDTHS, mean, deviation, self.random)
+        self.rate = LearnedRate(hyperprior, plane_size, choose_width(scaffold.count), mean, deviation, self.random)
         self.contexts = Contexts(hyperprior, frame, lattice_positions(scaffold.lattice), plane_size)
         self.coding = torch.optim.Adam(
             [{"params": [self.rate.latents], "ends": PLANE_RATE}, {"params": self.rate.coding_parameters(), "ends": CODING_RATE}], eps=1e-15
