@@ -47,8 +47,8 @@ STAGES = {
     "unblend": ["_unblend"],
     "unproject": ["_unproject"],
 }
-# Pixels along a side of the plain rasteriser's tile, and values of one of its tensors.
-TILE, BATCH = 16, 1 << 24
+# Pixels along a side of the plain rasteriser's tile, and values of one of its tensors: the fastest power of four.
+TILE, BATCH = 16, 1 << 22
 
 Draw = Callable[..., torch.Tensor]
 
@@ -234,7 +234,7 @@ def report(folder: str | None, rounds: int) -> list[str]:
                 for threads in (1, 2):
                     runs.setdefault((scene, name, threads), []).append(ask(name, scene, threads, folder))
     rows = [
-        "| scene | | threads | iterations a second | median |  rasteriser against it | peak MiB | for the scene |",
+        "| scene | | threads | iterations a second | median | rasteriser, by the median | peak MiB | for the scene |",
         "|" + "---|" * 8,
     ]
     split = ["| scene | threads | " + " | ".join(STAGES) + " | the rest |", "|" + "---|" * (len(STAGES) + 3)]
@@ -244,7 +244,7 @@ def report(folder: str | None, rounds: int) -> list[str]:
         if abs(found[0]["loss"] / runs[scene, "rasteriser", threads][0]["loss"] - 1) > 1e-4:
             raise AssertionError(f"{name} draws another image")
         peak, scenes = max(run["peak"] for run in found), max(run["peak"] - run["before"] for run in found)
-        ratio = "" if name == "rasteriser" else f"{min(times) / min(own):.2f} times as fast"
+        ratio = "" if name == "rasteriser" else f"{statistics.median(times) / statistics.median(own):.1f} times as fast"
         figures = f"{1 / min(times):.2f} | {1 / statistics.median(times):.2f} | {ratio} | {peak:.0f} | {scenes:.0f}"
         rows.append(f"| {scene} | {name} | {threads} | {figures} |")
         if name == "rasteriser":
@@ -259,7 +259,7 @@ def report(folder: str | None, rounds: int) -> list[str]:
         f"{platform.machine()}, {os.cpu_count()} cores, Python {platform.python_version()}, numpy {np.__version__}, "
         f"numba {numba.__version__}, torch {torch.__version__}. {sizes}; median deviation {DEVIATION} pixels. An iteration is projection, "
         "image, L1 loss and the gradients of means, quaternions, lengths, opacities and colours. Fastest and median iteration of "
-        f"{rounds} processes each, taken in turns.",
+        f"{rounds} processes each, taken in turns; load average {os.getloadavg()[1]:.1f} in the last five minutes, this run included.",
         "",
         *rows,
         "",

@@ -236,7 +236,8 @@ def _project(
     low_pass: float,
     near_plane: float,
 ) -> Any:
-    """Record f32[N,16], room i32[N], depth f64[N] and radius f32[N]; what is not drawn has room and radius 0, and no record.
+    """SPEC 14.4, PROJECT: record f32[N,16], room i32[N], depth f64[N] and radius f32[N]; what is not drawn has room and
+    radius 0, and no record.
 
     A record is one line of the cache: column and row of the pixel of the image that is nearest to the centre, and u and v at that
     pixel's centre; a, b, c and log2(opacity); red, green, blue; the box in tiles as four int32 (from x, to x, from y, to y).
@@ -495,7 +496,7 @@ def _blend_tile(
     transmittance: F32,
     last: F32,
 ) -> None:
-    """Blends one tile; image, transmittance and last are its parts of the whole."""
+    """SPEC 14.5, PIXEL: blends one tile; image, transmittance and last are its parts of the whole."""
     rows, columns = transmittance.shape
     # Planes of a block: x, y, transmittance, place of the last Gaussian drawn, red, green, blue. The sign of the transmittance is a
     # flag: it is negative where the pixel is finished or outside the image, so that what would be left is below the least one too.

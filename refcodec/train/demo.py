@@ -186,4 +186,4 @@ def _credits(photographs: Path) -> str:
     """What the folder says of where its photographs are from, and their licence."""
     found = [path.read_text(encoding="utf-8").strip() for name in ("SOURCE.md", "LICENSE") if (path := photographs / name).is_file()]
     # Items of a list are broken into lines for an editor; a page breaks them itself.
-    return re.sub(r"\n +", " ", "\n\n".join(found)) or f"The photographs are those in {photographs}."
+    return re.sub(r"\n +", " ", "\n\n".join(found)).removeprefix("# ") or f"The photographs are those in {photographs}."

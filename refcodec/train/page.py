@@ -228,7 +228,7 @@ def _chart(charts: Sequence[Chart]) -> str:
         return top + (height - top - bottom) * (high - psnr) / (high - low)
 
     lines = []
-    for tick in _ticks(low, high, 5):
+    for tick in _ticks(low, high, 8):
         at = f'y1="{y(tick):.1f}" y2="{y(tick):.1f}"'
         lines.append(f'<line class="grid" x1="{left}" x2="{width - right}" {at}/>')
         lines.append(f'<text x="{left - 6}" y="{y(tick) + 4:.1f}" text-anchor="end">{tick:g}</text>')
@@ -343,7 +343,7 @@ def page(result: Result) -> str:
         "<h2>Held-out views</h2>" if result.held_out else "<h2>Views</h2>",
         *map(_view, result.views),
         f"<p>Images are JPEG of quality {JPEG_QUALITY} here; the figures are of the exact ones, which are in the folders below.</p>",
-        f"<h2>PSNR over time</h2><p>Both trained at the same time, with one thread each, the coded scene with λ<sub>r</sub> = "
+        f"<h2>PSNR over time</h2><p>Both trained at the same time, with one thread each, the coded scene with λ<sub>r</sub>&nbsp;=&nbsp;"
         f"{result.rate:g}. Upwards: PSNR in dB of a few photographs; to the right: seconds of training, and at first of compiling.</p>"
         + _chart(result.charts),
         "<h2>What was run</h2>"

@@ -165,6 +165,8 @@ def write_chart(path: Path, curves: Mapping[str, Sequence[Row]]) -> None:
         for size, psnr in whole:
             axes.plot(size, psnr, "o", mfc="none", color=line.get_color(), label=f"{name}, uncompressed")
     axes.set(xscale="log", xlabel="MB", ylabel="PSNR, dB")
+    axes.xaxis.set_major_formatter("{x:.4g}")
+    axes.xaxis.set_minor_formatter("{x:.4g}")
     axes.grid(which="both", alpha=0.3)
     axes.legend()
     figure.savefig(path, dpi=150)

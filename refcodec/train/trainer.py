@@ -54,7 +54,9 @@ SAMPLE_SHARE, SAMPLE_LEAST = 0.05, 512
 # Looks at held-out images during a training, and images of a look; seconds between two savings of the state.
 LOOKS, LOOK_IMAGES, SAVE_SECONDS = 40, 5, 30.0
 # Learning rates in the beginning and at the end.
-RATES = {"features": (0.01, 0.004), "offsets": (0.01, 1e-4), "scalings": (0.01, 0.004), "masks": (0.08, 8e-4)}
+RATES = {"features": (0.01, 0.001), "offsets": (0.01, 1e-4), "scalings": (0.01, 0.001), "masks": (0.08, 8e-3)}
+# Share of the training in which the first of them is held.
+HELD = {"features": 0.6, "offsets": 0.0, "scalings": 0.6, "masks": 0.6}
 NETWORK_RATES = {"opacity": (0.004, 2e-4), "covariance": (0.004, 0.002), "colour": (0.008, 5e-4)}
 PLANE_RATE, CODING_RATE = (0.0075, 0.001), (0.005, 0.0005)
 # A feature's first step, in spreads of the features; the first steps of scalings and offsets (SPEC B.5).
@@ -83,15 +85,19 @@ class TrainSettings:
 Watch = Callable[["Trainer"], None]
 
 
-def _between(share: float, ends: tuple[float, float]) -> float:
-    """From one end to the other with constant ratios."""
-    return math.exp((1 - share) * math.log(ends[0]) + share * math.log(ends[1]))
+def _between(share: float, ends: tuple[float, float], held: float = 0.0) -> float:
+    """From one end to the other with constant ratios; the first is held for a share of the way."""
+    passed = max(share - held, 0.0) / (1 - held)
+    return math.exp((1 - passed) * math.log(ends[0]) + passed * math.log(ends[1]))
 
 
 class Trainer:
     """A training in progress."""
 
     def __init__(self, photographs: PhotographSet, settings: TrainSettings, device: str = "cpu") -> None:
+        """Raises ValueError for photographs that cannot be learnt from, and for a device that is not there."""
+        if device == "cuda" and not torch.cuda.is_available():
+            raise ValueError("there is no CUDA device")
         self.settings, self.photographs, self.device = settings, photographs, device
         self.random = torch.Generator().manual_seed(settings.seed)
         self.scaffold = Scaffold(photographs, settings.anchors, self.random)
@@ -268,7 +274,7 @@ class Trainer:
                 self.done + 1,
                 touched,
                 self._total[name],
-                np.float32(_between(self.share, RATES[name])),
+                np.float32(_between(self.share, RATES[name], HELD[name])),
             )
         self._place[self._found[:count]] = -1
 
