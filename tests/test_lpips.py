@@ -5,6 +5,7 @@ from __future__ import annotations
 import io
 import os
 import pickle
+import sys
 import tarfile
 from pathlib import Path
 
@@ -21,9 +22,12 @@ from torch import nn  # noqa: E402
 from refcodec import cli  # noqa: E402
 from refcodec.train.cameras import PhotographError  # noqa: E402
 from refcodec.train.lpips import Lpips  # noqa: E402
-from tools import lpips_weights  # noqa: E402
 
 ROOT = Path(__file__).resolve().parent.parent
+sys.path.insert(0, str(ROOT / "tools"))
+
+import lpips_weights  # noqa: E402
+
 # Output channels of the networks' convolutions and sizes of their kernels.
 CHANNELS = {"vgg": (64, 64, 128, 128, *(256,) * 3, *(512,) * 6), "alex": (64, 192, 384, 256, 256)}
 KERNELS = {"vgg": (3,) * 13, "alex": (11, 5, 3, 3, 3)}
