@@ -402,17 +402,34 @@ def _render(arguments: argparse.Namespace) -> int:
     return 0
 
 
+def _lpips(path: str) -> Any:
+    """LPIPS with the weights of a file. Raises UsageError."""
+    try:
+        from .train.lpips import Lpips
+    except ModuleNotFoundError as error:
+        raise _needs("eval --lpips", "fit", error, ("torch",)) from None
+    try:
+        return Lpips(path)
+    except ValueError as error:
+        raise UsageError(str(error)) from None
+
+
 def _eval(arguments: argparse.Namespace) -> int:
     import json
 
     try:
         from .evaluation import evaluate, table
+        from .train.cameras import PhotographError
     except ModuleNotFoundError as error:
         raise _needs("eval", "render", error, _RENDER_PACKAGES) from None
+    lpips = _lpips(arguments.lpips) if arguments.lpips else None
     shown = _uncompressed(arguments.file) or _read_file(arguments.file)
     found = _photographs(arguments.photographs, arguments.size)
-    with _progress(arguments.progress) as progress:
-        result = evaluate(shown, found, Path(arguments.images) if arguments.images else None, progress)
+    try:
+        with _progress(arguments.progress) as progress:
+            result = evaluate(shown, found, Path(arguments.images) if arguments.images else None, progress, lpips)
+    except PhotographError as error:
+        raise UsageError(str(error)) from None
     result = {"file": arguments.file, **result}
     print(json.dumps(result, indent=1) if arguments.json else "\n".join(table(result)))
     return 0
@@ -439,14 +456,16 @@ def _demo(arguments: argparse.Namespace) -> int:
 
 def _rd(arguments: argparse.Namespace) -> int:
     try:
+        from .train.command import PRESETS
         from .train.photographs import PhotographError
         from .train.rd import FIGURES, Settings, run_rd
         from .train.runs import RunError
     except ModuleNotFoundError as error:
-        raise _needs("rd", "train,render,rd", error, ("matplotlib", "bjontegaard", *_RENDER_PACKAGES)) from None
+        raise _needs("rd", "train,render,rd", error, ("matplotlib", "bjontegaard", "torch", *_RENDER_PACKAGES)) from None
     options = [("--steps", arguments.steps), ("--preset", arguments.preset), ("--device", arguments.device), ("--seed", arguments.seed)]
     given = tuple(word for name, value in options if value is not None for word in (name, str(value)))
-    settings = Settings(Path(arguments.output), Path(arguments.photographs), given, arguments.size, arguments.jobs)
+    size = arguments.size or str(PRESETS[arguments.preset]["side"])
+    settings = Settings(Path(arguments.output), Path(arguments.photographs), given, size, arguments.jobs)
     rates = sorted({*arguments.rates, *([0.0] if arguments.uncompressed else [])})
     try:
         rows, difference = run_rd(settings, rates, Path(arguments.against) if arguments.against else None)
@@ -644,6 +663,7 @@ def _parser() -> argparse.ArgumentParser:
     evaluate.add_argument("photographs", metavar="PHOTOGRAPHS")
     evaluate.add_argument("--size", metavar="WxH", help="size that photographs are averaged down to, or their longest side")
     evaluate.add_argument("--images", metavar="DIR", help="where to write the images that were compared, as PNG files")
+    evaluate.add_argument("--lpips", metavar="WEIGHTS", help="LPIPS too, with the weights of a file that tools/lpips_weights.py makes")
     evaluate.add_argument("--json", action="store_true", help="all figures, of each image too")
     train = _add(
         commands,
@@ -734,7 +754,8 @@ def _parser() -> argparse.ArgumentParser:
     rd.add_argument("--against", metavar="CSV", help="a table with columns bytes and psnr: BD-rate and BD-PSNR with that curve as anchor")
     rd.add_argument("--jobs", type=_positive, metavar="N", default=2, help="trainings at a time (default: %(default)s)")
     rd.add_argument("--size", metavar="WxH", help="size that photographs are averaged down to, or their longest side")
-    for name, kind in (("steps", _positive), ("seed", _seed), ("preset", str), ("device", str)):
+    rd.add_argument("--preset", choices=("fast", "paper"), default="fast", help="as of train (default: %(default)s)")
+    for name, kind in (("steps", _positive), ("seed", _seed), ("device", str)):
         rd.add_argument(f"--{name}", type=kind, help="as of train")
     fit = _add(
         commands,

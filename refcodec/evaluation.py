@@ -14,14 +14,18 @@ from .uncompressed import Uncompressed
 from .viewing import View, write_png
 
 if TYPE_CHECKING:
+    from .train.lpips import Lpips
     from .train.photographs import PhotographSet
 
 
-def evaluate(shown: bytes | Uncompressed, photographs: PhotographSet, images: Path | None, progress: Progress) -> dict[str, Any]:
+def evaluate(
+    shown: bytes | Uncompressed, photographs: PhotographSet, images: Path | None, progress: Progress, lpips: Lpips | None = None
+) -> dict[str, Any]:
     """A file, or an uncompressed scene, compared with the held-out photographs, or with all if none are held out.
 
     images: a folder, made if need be, for the images that were compared, as PNG. Returns bytes, anchors, parts (bytes), decode_seconds,
-    frames_per_second, held_out, and quality.measures of each image and on the mean. Raises BitstreamError for a file that is rejected.
+    frames_per_second, held_out, and quality.measures of each image, with lpips.measures if it is given, and on the mean. Raises
+    BitstreamError for a file that is rejected, PhotographError for photographs that cannot be read or compared.
     """
     began: dict[str, float] = {}
     spent: dict[str, float] = {}
@@ -50,7 +54,8 @@ def evaluate(shown: bytes | Uncompressed, photographs: PhotographSet, images: Pa
         at = time.perf_counter()
         made = view.draw(photograph.camera)
         drawing += time.perf_counter() - at
-        rows.append({"image": photograph.camera.name, **measures(made, photograph.image)})
+        more = lpips.measures(made, photograph.image) if lpips else {}
+        rows.append({"image": photograph.camera.name, **measures(made, photograph.image), **more})
         if images:
             write_png(images / f"{Path(photograph.camera.name).stem}.png", made)
     progress("images", len(compared), len(compared))

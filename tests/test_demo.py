@@ -260,6 +260,21 @@ def test_what_is_wrong_is_said(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, 
     assert not Path(out).exists()
 
 
+@pytest.mark.slow
+def test_the_whole_way(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Nothing is made up here: twenty steps of training."""
+    pytest.importorskip("torch", reason="training needs the extra train")
+    monkeypatch.setenv("PYTHONPATH", str(ROOT))
+    out = tmp_path / "out"
+    assert cli.main(["demo", "-o", str(out), "--steps", "20"]) == 0
+    found = Reader((out / "index.html").read_text())
+    assert len(found.images()) == 2 + 4 * 10
+    assert json.loads((out / "decoded" / "scene.json").read_text())["digest"]["whole"] in found.text
+    figures = {name: json.loads((out / f"{name}.eval.json").read_text()) for name in ("uncompressed", "coded")}
+    assert all(figure["mean"]["psnr"] > 10 for figure in figures.values())
+    assert figures["coded"]["bytes"] == (out / "scene.c3gs").stat().st_size < figures["uncompressed"]["bytes"]
+
+
 def test_notes(tmp_path: Path) -> None:
     """What is made from something that is made anew, with other arguments or after an interruption, is no longer done."""
     out = tmp_path / "out"

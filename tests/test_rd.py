@@ -11,7 +11,7 @@ from pathlib import Path
 
 import pytest
 
-for package in ("numba", "PIL", "skimage", "scipy", "matplotlib", "bjontegaard"):
+for package in ("numba", "PIL", "skimage", "scipy", "matplotlib", "bjontegaard", "torch"):
     pytest.importorskip(package, reason="curves need the packages of the extras train, render and rd")
 
 from PIL import Image  # noqa: E402

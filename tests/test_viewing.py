@@ -177,7 +177,7 @@ def test_what_is_wrong_is_said(
     assert cli.main(arguments(str(bad), str(PHOTOGRAPHS))) == 1
     assert '"code": 306' in capsys.readouterr().err
     # Without numba; and an import that fails for another reason is a fault, and not hidden.
-    for name in [m for m in sys.modules if m in ("refcodec.viewing", "refcodec.quality", "refcodec.rasterise")]:
+    for name in [m for m in sys.modules if m in ("refcodec.evaluation", "refcodec.viewing", "refcodec.quality", "refcodec.rasterise")]:
         monkeypatch.delitem(sys.modules, name)
     monkeypatch.setitem(sys.modules, "numba", None)
     assert cli.main(arguments(file, folder)) == 64

@@ -25,7 +25,7 @@ RATE = 0.004
 # The longest side of an image, in pixels.
 SIZE = "400"
 # Four minutes of training on two cores.
-STEPS = 3600
+STEPS = 4000
 
 UNCOMPRESSED, CODED = "uncompressed", "coded"
 # Parts of a scene, as a training's report and a file's sections name them; sections that are not here are HEADERS.
@@ -144,8 +144,8 @@ def collect(demo: Demo, notes: Notes) -> Result:
         views=tuple(views),
         mean_before=evals[UNCOMPRESSED]["mean"],
         mean_after=evals[CODED]["mean"],
-        parts=sizes(reports[UNCOMPRESSED]["bytes"], evals[CODED]["parts"]),
-        anchors=(reports[UNCOMPRESSED]["anchors"], evals[CODED]["anchors"]),
+        parts=sizes(evals[UNCOMPRESSED]["parts"], evals[CODED]["parts"]),
+        anchors=(evals[UNCOMPRESSED]["anchors"], evals[CODED]["anchors"]),
         trained=(reports[UNCOMPRESSED]["steps"], reports[CODED]["steps"]),
         steps_wanted=demo.steps,
         rate=RATE,
@@ -186,4 +186,4 @@ def _credits(photographs: Path) -> str:
     """What the folder says of where its photographs are from, and their licence."""
     found = [path.read_text(encoding="utf-8").strip() for name in ("SOURCE.md", "LICENSE") if (path := photographs / name).is_file()]
     # Items of a list are broken into lines for an editor; a page breaks them itself.
-    return re.sub(r"\n +", " ", "\n\n".join(found)) or f"The photographs are those in {photographs}."
+    return re.sub(r"\n +", " ", "\n\n".join(found)).removeprefix("# ") or f"The photographs are those in {photographs}."

@@ -198,7 +198,8 @@ def _sizes(result: Result) -> str:
         + _bar(sides[1], after, f"the file, enlarged {_times(before / after)} times")
         + _table(("part", "uncompressed", "file", "of the file", "times smaller"), rows, 4)
         + f"<p>Uncompressed is every value of {result.anchors[0]:,} anchors as float32. The file is of another training, which pays for "
-        f"bits and ended with {result.anchors[1]:,} anchors. 1 MB is 10<sup>6</sup> bytes.</p>"
+        f"bits and ended with {result.anchors[1]:,} anchors; its weights include those of the networks that "
+        "predict the symbols. 1 MB is 10<sup>6</sup> bytes.</p>"
     )
 
 
@@ -227,7 +228,7 @@ def _chart(charts: Sequence[Chart]) -> str:
         return top + (height - top - bottom) * (high - psnr) / (high - low)
 
     lines = []
-    for tick in _ticks(low, high, 5):
+    for tick in _ticks(low, high, 8):
         at = f'y1="{y(tick):.1f}" y2="{y(tick):.1f}"'
         lines.append(f'<line class="grid" x1="{left}" x2="{width - right}" {at}/>')
         lines.append(f'<text x="{left - 6}" y="{y(tick) + 4:.1f}" text-anchor="end">{tick:g}</text>')
@@ -263,7 +264,8 @@ p{max-width:46rem;margin:.6rem 0}
 .hero{display:grid;grid-template-columns:minmax(0,3fr) minmax(0,2fr);gap:1.4rem;margin:1.6rem 0;align-items:start}
 .facts{display:grid;grid-template-columns:1fr 1fr;gap:.8rem}
 .facts div{background:var(--card);border:1px solid var(--line);border-radius:.5rem;padding:.7rem .9rem;color:var(--soft);font-size:.85rem}
-.facts b{display:block;font-size:1.45rem;line-height:1.25;color:var(--ink);font-variant-numeric:tabular-nums}
+.facts div:last-child{grid-column:1/-1}
+.facts b{display:block;font-size:clamp(1.4rem,2.2vw,2rem);line-height:1.25;color:var(--ink);font-variant-numeric:tabular-nums}
 img{display:block;width:100%;height:auto;border-radius:.25rem}
 .view{display:grid;grid-template-columns:repeat(4,1fr);gap:.8rem;margin-bottom:1.4rem}
 figure{margin:0}
@@ -335,13 +337,14 @@ def page(result: Result) -> str:
         f'<p class="lead">{lead}</p>',
         f'<p class="note">{note}</p>' if stopped else "",
         f'<div class="hero"><div>{_slider(result.views[0])}<p class="soft">{escape(result.views[0].name)}: drag to compare.</p></div>',
-        '<div class="facts">' + "".join(f"<div><b>{value}</b>{text}</div>" for value, text in facts) + "</div></div>",
+        '<div class="facts">' + "".join(f"<div><b>{value}</b>{text}</div>" for value, text in facts),
+        "<div><b>the same SHA-256</b>of the scene before encoding and of the one that another process decoded</div></div></div>",
         f"<h2>Where the bytes are</h2>{_sizes(result)}",
         "<h2>Held-out views</h2>" if result.held_out else "<h2>Views</h2>",
         *map(_view, result.views),
         f"<p>Images are JPEG of quality {JPEG_QUALITY} here; the figures are of the exact ones, which are in the folders below.</p>",
-        f"<h2>PSNR over time</h2><p>Both trained at the same time, with one thread each, the coded scene with λ<sub>r</sub> = "
-        f"{result.rate:g}. Upwards: PSNR in dB of photographs that they learned from; to the right: seconds of training.</p>"
+        f"<h2>PSNR over time</h2><p>Both trained at the same time, with one thread each, the coded scene with λ<sub>r</sub>&nbsp;=&nbsp;"
+        f"{result.rate:g}. Upwards: PSNR in dB of a few photographs; to the right: seconds of training, and at first of compiling.</p>"
         + _chart(result.charts),
         "<h2>What was run</h2>"
         + _table(

@@ -35,12 +35,12 @@ Row = dict[str, float]
 @dataclass(frozen=True)
 class Settings:
     """Of all trainings. folder: of the results; photographs: a folder of posed photographs; options: of train, but for the rate and the
-    threads; size: WxH or the longest side, None for the photographs' own; jobs: trainings at a time."""
+    threads; size: WxH or the longest side; jobs: trainings at a time."""
 
     folder: Path
     photographs: Path
     options: tuple[str, ...]
-    size: str | None
+    size: str
     jobs: int
 
     def chain(self, rate: float) -> list[Command]:
@@ -48,7 +48,7 @@ class Settings:
         name = f"rate-{rate:g}"
         scene, file = self.folder / name, self.folder / f"{name}.c3gs"
         threads = max(1, (os.cpu_count() or 1) // self.jobs)
-        size = ("--size", self.size) if self.size else ()
+        size = ("--size", self.size)
         settings = ("--rate", f"{rate:g}", *self.options, *size, "--threads", str(threads), "--progress")
         train, encode = f"{name} train", f"{name} encode"
         state = self.folder / f"{name}.train-state"
@@ -79,7 +79,7 @@ def run_rd(settings: Settings, rates: Sequence[float], against: Path | None = No
     coded = sum(rate > 0 for rate in rates)
     if other is not None and min(coded, len(other)) < BD_POINTS:
         raise RunError(f"BD-rate needs {BD_POINTS} rates above 0 or more in both curves: {coded} here, {len(other)} in {against}")
-    read_photographs(settings.photographs, parse_size(settings.size) if settings.size else None)
+    read_photographs(settings.photographs, parse_size(settings.size))
     notes = Notes.open(settings.folder, NOTES, FORMAT)
     chains = [settings.chain(rate) for rate in rates]
     with shown([chain[0].subject for chain in chains]) as show:
@@ -95,17 +95,14 @@ def run_rd(settings: Settings, rates: Sequence[float], against: Path | None = No
 
 def _row(settings: Settings, rate: float, notes: Notes) -> Row:
     name = f"rate-{rate:g}"
-    report = json.loads((settings.folder / name / REPORT).read_text())
     found = json.loads((settings.folder / f"{name}.json").read_text())
-    sections = found["parts"] if rate else report["bytes"]
-    size = sum(sections.values())
-    anchors = found["anchors"] if rate else report["anchors"]
+    sections, anchors = found["parts"], found["anchors"]
     return {
         "rate": rate,
-        "bytes": size,
+        "bytes": found["bytes"],
         **{part: sections.get(part, 0) for part in PARTS},
         "headers": sum(value for part, value in sections.items() if part not in PARTS),
-        "bits_per_anchor": 8 * size / anchors if anchors else math.nan,
+        "bits_per_anchor": 8 * found["bytes"] / anchors if anchors else math.nan,
         "anchors": anchors,
         **{figure: found["mean"][figure] for figure in FIGURES},
         "seconds": notes.seconds(f"{name} train"),
@@ -168,6 +165,8 @@ def write_chart(path: Path, curves: Mapping[str, Sequence[Row]]) -> None:
         for size, psnr in whole:
             axes.plot(size, psnr, "o", mfc="none", color=line.get_color(), label=f"{name}, uncompressed")
     axes.set(xscale="log", xlabel="MB", ylabel="PSNR, dB")
+    axes.xaxis.set_major_formatter("{x:.4g}")
+    axes.xaxis.set_minor_formatter("{x:.4g}")
     axes.grid(which="both", alpha=0.3)
     axes.legend()
     figure.savefig(path, dpi=150)
