@@ -46,8 +46,8 @@ EXAMPLES = Path(__file__).resolve().parent.parent / "examples" / "photographs"
 ENVIRONMENT = {**os.environ, "OMP_WAIT_POLICY": "PASSIVE", "NUMBA_NUM_THREADS": "1"}
 JOBS = 2
 # Steps of each training at 400 x 300, and at 200 x 150; about as many as three minutes have, beside the prototype.
-STEPS, SMALL_STEPS = 3000, 2000
-STEPS_OF_MINUTES = {200: 4000, 400: 2500}
+STEPS, SMALL_STEPS = 4000, 2000
+STEPS_OF_MINUTES = {200: 6000, 400: 3500}
 HYPERPRIOR_NOTE = "NOTE"
 SAMPLING_NOTE = "NOTE"
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import json
+import math
 import sys
 import time
 from collections.abc import Iterator
@@ -17,6 +18,7 @@ import torch
 
 from ..attributes import KINDS
 from ..folder import is_free, write_folder
+from ..scene import Scene
 from ..uncompressed import Uncompressed, is_uncompressed, write_uncompressed
 from .photographs import PhotographSet
 from .state import restore
@@ -63,20 +65,27 @@ def train(
         write_uncompressed(result, output)
     else:
         write_folder(result, output)
-    (output / REPORT_FILE).write_text(json.dumps(report(trainer, result.anchor_count), indent=1) + "\n", encoding="utf-8")
+    (output / REPORT_FILE).write_text(json.dumps(report(trainer, result), indent=1) + "\n", encoding="utf-8")
     if whole:
         state.unlink(missing_ok=True)
     return trainer, whole
 
 
-def report(trainer: Trainer, anchors: int) -> dict[str, Any]:
-    """What training.json says. bytes: of each part, as estimated (uncompressed: as they are); attributes are the sum of their kinds."""
+def report(trainer: Trainer, result: Scene | Uncompressed) -> dict[str, Any]:
+    """What training.json says. bytes: of each part, as estimated (uncompressed: as they are); attributes are the sum of their kinds;
+    quantised: what training draws of the scene of integers, for each held-out photograph, PSNR in 3DGS's convention."""
+    shown = {}
+    if isinstance(result, Scene):
+        for photograph in trainer.photographs.test:
+            error = np.mean((trainer.show(result, photograph.camera).double().numpy() - photograph.image / 255) ** 2)
+            shown[photograph.camera.name] = -10 * math.log10(float(error) + 1e-12)
     return {
         "settings": asdict(trainer.settings),
         "size": [trainer.cameras[0].width, trainer.cameras[0].height],
         "steps": trainer.done,
         "seconds": round(trainer.seconds, 2),
-        "anchors": anchors,
+        "anchors": result.anchor_count,
+        "quantised": shown,
         "unit": trainer.scaffold.units.length,
         "bytes": {name: round(value) for name, value in trainer.estimate().items()},
         "history": trainer.history,
@@ -85,7 +94,7 @@ def report(trainer: Trainer, anchors: int) -> dict[str, Any]:
 
 def line(trainer: Trainer) -> str:
     """A training's progress in words."""
-    left = trainer.seconds / max(trainer.done, 1) * (trainer.settings.steps - trainer.done)
+    left = trainer.pace * (trainer.settings.steps - trainer.done)
     known = (
         trainer.history[-1]["bytes"] / 1000 if trainer.history else sum(v for k, v in trainer.estimate().items() if k not in KINDS) / 1000
     )

@@ -16,6 +16,7 @@ import signal
 import threading
 import time
 from collections.abc import Callable
+from copy import copy
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -28,6 +29,7 @@ from ..attributes import KINDS
 from ..geometry import Frame
 from ..quantise import choose_frame, choose_plane_size, choose_width
 from ..rasterise import Settings
+from ..reconstruction import reconstruct
 from ..rendering import Camera
 from ..scene import Scene
 from ..uncompressed import Uncompressed
@@ -40,8 +42,8 @@ from .scaffold import COLUMNS, NEAR, Scaffold, lattice_positions
 from .splat import draw
 from .state import save
 
-GROWTH = (0.03, 0.45)
-MASKS, RATE, ROUNDING, INTEGERS = 0.25, 0.45, 0.75, 0.85
+GROWTH = (0.03, 0.4)
+MASKS, RATE, ROUNDING, INTEGERS = 0.25, 0.4, 0.6, 0.8
 # Steps between two growths: statistics need views.
 GROWTH_PERIOD = 100
 # Weight of the Gaussians' volume, in training units.
@@ -54,7 +56,7 @@ SAMPLE_SHARE, SAMPLE_LEAST = 0.05, 512
 # Looks at held-out images during a training, and images of a look; seconds between two savings of the state.
 LOOKS, LOOK_IMAGES, SAVE_SECONDS = 40, 5, 30.0
 # Learning rates in the beginning and at the end.
-RATES = {"features": (0.01, 0.001), "offsets": (0.01, 1e-4), "scalings": (0.01, 0.001), "masks": (0.08, 8e-3)}
+RATES = {"features": (0.01, 0.001), "offsets": (0.01, 1e-4), "scalings": (0.01, 0.001), "masks": (0.1, 0.01)}
 # Share of the training in which the first of them is held.
 HELD = {"features": 0.6, "offsets": 0.0, "scalings": 0.6, "masks": 0.6}
 NETWORK_RATES = {"opacity": (0.004, 2e-4), "covariance": (0.004, 0.002), "colour": (0.008, 5e-4)}
@@ -111,10 +113,13 @@ class Trainer:
                 for name, ends in NETWORK_RATES.items()
             ],
             eps=1e-15,
+            fused=True,
         )
         self.rate: LearnedRate | None = None
         self.frequency = torch.ones(self.scaffold.count)
         self.done, self.seconds = 0, 0.0
+        # Seconds of a step, lately.
+        self.pace = 0.0
         self.order: list[int] = []
         self.recent: list[float] = []
         self.bits = torch.zeros(3)
@@ -211,7 +216,11 @@ class Trainer:
             scaffold.observe(rows.numpy(), chosen.numpy(), opacity, moved.numpy())
         self.done += 1
         self._grow()
-        self.seconds += time.perf_counter() - began
+        spent = time.perf_counter() - began
+        self.seconds += spent
+        # The first step compiles; it says nothing of those to come.
+        if self.done > 1:
+            self.pace = 0.98 * self.pace + 0.02 * spent if self.pace else spent
 
     @property
     def _masking(self) -> bool:
@@ -306,7 +315,9 @@ class Trainer:
         self.rate = LearnedRate(hyperprior, plane_size, choose_width(scaffold.count), mean, deviation, self.random)
         self.contexts = Contexts(hyperprior, frame, lattice_positions(scaffold.lattice), plane_size)
         self.coding = torch.optim.Adam(
-            [{"params": [self.rate.latents], "ends": PLANE_RATE}, {"params": self.rate.coding_parameters(), "ends": CODING_RATE}], eps=1e-15
+            [{"params": [self.rate.latents], "ends": PLANE_RATE}, {"params": self.rate.coding_parameters(), "ends": CODING_RATE}],
+            eps=1e-15,
+            fused=True,
         )
 
     def _round_activations(self) -> None:
@@ -371,6 +382,20 @@ class Trainer:
             for i, kind in enumerate(KINDS):
                 values[kind] = torch.floor(values[kind] / steps[:, i : i + 1] + 0.5) * steps[:, i : i + 1]
         _, gaussians, _ = self.scaffold.gaussians(rows, camera, values["features"], values["offsets"], values["scalings"], masks)
+        return self._drawn(gaussians, camera, None).clamp(0, 1)
+
+    @torch.no_grad()
+    def show(self, scene: Scene, camera: Camera) -> Tensor:
+        """What a camera of the world sees of the result, drawn as training draws: its own networks, units and rasteriser, and every
+        anchor. float32 [H, W, 3]."""
+        held = copy(self.scaffold)
+        held.lattice = scene.positions.astype(np.int64)
+        held.position = torch.from_numpy((held.lattice * held.units.cell).astype(np.float32))
+        values = reconstruct(scene)
+        features, scalings = torch.from_numpy(values.features), torch.from_numpy(values.scalings)
+        offsets = torch.from_numpy(values.offsets.reshape(scene.anchor_count, -1))
+        camera, rows = held.units.camera(camera), torch.arange(scene.anchor_count)
+        _, gaussians, _ = held.gaussians(rows, camera, features, offsets, scalings, torch.from_numpy(scene.masks).float())
         return self._drawn(gaussians, camera, None).clamp(0, 1)
 
     def _drawn(self, gaussians: tuple[Tensor, ...], camera: Camera, screen: Tensor | None) -> Tensor:
