@@ -45,9 +45,10 @@ from refcodec.viewing import View
 EXAMPLES = Path(__file__).resolve().parent.parent / "examples" / "photographs"
 ENVIRONMENT = {**os.environ, "OMP_WAIT_POLICY": "PASSIVE", "NUMBA_NUM_THREADS": "1"}
 JOBS = 2
-# Steps of each training at 400 x 300, and at 200 x 150; about as many as three minutes have, beside the prototype.
+# Steps of each training at 400 x 300, and at 200 x 150; minutes beside the prototype, and about as many steps as they have.
 STEPS, SMALL_STEPS = 4000, 2000
-STEPS_OF_MINUTES = {200: 6000, 400: 3500}
+MINUTES = 2.0
+STEPS_OF_MINUTES = {200: 4000, 400: 2000}
 HYPERPRIOR_NOTE = "NOTE"
 SAMPLING_NOTE = "NOTE"
 
@@ -297,9 +298,7 @@ def same(work: Path) -> None:
     photographs = read_photographs(EXAMPLES / "caliterra", (200, 150))
 
     def moved(group: Sequence[Photograph], factor: float) -> tuple[Photograph, ...]:
-        return tuple(
-            replace(p, camera=replace(p.camera, translation=p.camera.translation * factor), load=lambda p=p: p.image) for p in group
-        )
+        return tuple(replace(p, camera=replace(p.camera, translation=p.camera.translation * factor)) for p in group)
 
     def another_unit(factor: float) -> PhotographSet:
         return replace(
@@ -368,47 +367,33 @@ def speed(work: Path, prototype: Path | None) -> None:
 
 
 def beside(work: Path, prototype: Path, name: str, folder: str, side: int, down: int) -> list[str]:
-    """Rows of the prototype and of this code after equal times, run together."""
-    minutes = 3.0
-    data = prototype.parent / "data" / folder
-    other = subprocess.Popen(
-        [
-            sys.executable,
-            "train.py",
-            "--data",
-            str(data),
-            "--down",
-            str(down),
-            "--threads",
-            "1",
-            "--grow",
-            "100",
-            "--minutes",
-            str(minutes),
-            "--evalat",
-            "1",
-        ],
-        cwd=prototype,
+    """Rows of the prototype and of this code, each about MINUTES long, run together."""
+    words = ["--data", str(prototype.parent / "data" / folder), "--down", str(down), "--threads", "1", "--grow", "100"]
+    words += ["--minutes", f"{MINUTES:g}", "--evalat", "1"]
+    theirs = subprocess.Popen([sys.executable, "train.py", *words], cwd=prototype, env=ENVIRONMENT, stdout=subprocess.PIPE, text=True)
+    output, photographs, size = work / f"beside-{name}-{side}", str(EXAMPLES / name), ("--size", str(side))
+    steps = ("--steps", str(STEPS_OF_MINUTES[side]), "--rate", "0", "--threads", "1")
+    ours = subprocess.Popen([sys.executable, "-m", "refcodec", "train", photographs, "-o", str(output), *size, *steps], env=ENVIRONMENT)
+    peak = os.wait4(ours.pid, 0)[2].ru_maxrss / 1024
+    said = theirs.communicate()[0]
+    shown = subprocess.run(
+        [sys.executable, "-m", "refcodec", "eval", str(output), photographs, *size, "--json"],
         env=ENVIRONMENT,
-        stdout=subprocess.PIPE,
-        text=True,
+        capture_output=True,
+        check=True,
     )
-    torch.set_num_threads(1)
-    numba.set_num_threads(1)
-    photographs = read_photographs(EXAMPLES / name, (side, side * 3 // 4))
-    steps = STEPS_OF_MINUTES[side]
-    trainer = Trainer(photographs, TrainSettings(rate=0.0, steps=steps))
-    trainer.run(lambda _: None)
-    value = float(np.mean([measures(trainer.draw(p.camera).numpy(), p.image)["psnr_3dgs"] for p in photographs.test]))
-    said = other.communicate()[0]
+    value = json.loads(shown.stdout)["mean"]["psnr_3dgs"]
+    facts = json.loads((output / "training.json").read_text())
     rows = [
-        f"| {name}, {side} x {side * 3 // 4} | this code | {trainer.seconds / 60:.2f} | {trainer.done} | {trainer.scaffold.count:,} | {value:.2f} |"
+        f"| {name}, {side} x {side * 3 // 4} | this code | {facts['seconds'] / 60:.2f} | {facts['steps']} "
+        f"| {facts['anchors']:,} | {value:.2f} | {peak:.0f} |"
     ]
     for line in said.splitlines():
         if line.startswith("END"):
-            words = line.split()
-            at = {word: words[i + 1] for i, word in enumerate(words[:-1])}
-            rows.append(f"| | prototype | {at['t']} | {at['step']} | {int(at['anchors']):,} | {float(at['PSNR']):.2f} |")
+            found = line.split()
+            at = {word: found[i + 1] for i, word in enumerate(found[:-1])}
+            memory = float(at["rss"]) * 1e9 / 2**20
+            rows.append(f"| | prototype | {at['t']} | {at['step']} | {int(at['anchors']):,} | {float(at['PSNR']):.2f} | {memory:.0f} |")
     print("\n".join(rows), flush=True)
     return rows
 
@@ -437,9 +422,9 @@ def profile() -> list[str]:
             for _ in range(100):
                 trainer.step()
             profiler.disable()
-            spent = {name: 0.0 for name in PARTS}
+            spent = dict.fromkeys(PARTS, 0.0)
             total = 0.0
-            for (file, _, function), (_, _, own, _, _) in pstats.Stats(profiler).stats.items():
+            for (file, _, function), (_, _, own, _, _) in getattr(pstats.Stats(profiler), "stats").items():
                 total += own
                 for name, marks in PARTS.items():
                     if any(

@@ -16,6 +16,7 @@ import pytest
 import torch
 from hypothesis import given
 from hypothesis import strategies as st
+from PIL import Image
 
 import refcodec.train.trainer as trainer_module
 from refcodec.cli import main
@@ -476,3 +477,27 @@ def test_the_bitstream_side_does_not_import_training() -> None:
     code = "import sys, refcodec.codec, refcodec.viewing, refcodec.evaluation, refcodec.uncompressed\n"
     code += "print([m for m in sys.modules if m == 'torch' or m.startswith('refcodec.train')])"
     assert subprocess.run([sys.executable, "-c", code], check=True, capture_output=True, text=True).stdout == "[]\n"
+
+
+def test_a_nerf_folder_with_transparent_images(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """A red ball without ground, seen from around it, without points: it is learnt over white."""
+    frames = []
+    (tmp_path / "images").mkdir()
+    across, down = np.meshgrid(np.arange(32) - 15.5, np.arange(32) - 15.5)
+    ball = np.zeros((32, 32, 4), np.uint8)
+    ball[across**2 + down**2 < 64] = (220, 30, 20, 255)
+    for number in range(16):
+        angle = 2 * np.pi * number / 16
+        pose = np.array(
+            [[np.cos(angle), 0, np.sin(angle), 4 * np.sin(angle)], [0, 1, 0, 0], [-np.sin(angle), 0, np.cos(angle), 4 * np.cos(angle)]]
+        )
+        Image.fromarray(ball).save(tmp_path / "images" / f"r_{number}.png")
+        frames.append({"file_path": f"images/r_{number}.png", "transform_matrix": pose})
+    (tmp_path / "transforms.json").write_text(json.dumps({"camera_angle_x": 0.7, "frames": frames}))
+    scene, file = tmp_path / "scene", tmp_path / "scene.c3gs"
+    assert main(["train", str(tmp_path), "-o", str(scene), "--steps", "150"]) == 0
+    assert main(["encode", str(scene), "-o", str(file)]) == 0
+    capsys.readouterr()
+    assert parse(file.read_bytes()).scene.render.background == (255, 255, 255)
+    assert main(["eval", str(file), str(tmp_path), "--json"]) == 0
+    assert json.loads(capsys.readouterr().out)["mean"]["psnr"] > 15

@@ -20,7 +20,8 @@ __all__ = ["Camera", "Photograph", "PhotographError", "PhotographSet", "parse_si
 
 # Every eighth image is for tests, the usual hold-out of real scenes.
 TEST_EVERY = 8
-WHITE = (255, 255, 255)
+# What transparent photographs are laid over: NeRF's datasets are white there; black where nothing is transparent, as in 3DGS.
+WHITE, BLACK = (255, 255, 255), (0, 0, 0)
 
 
 @dataclass(frozen=True, eq=False)
@@ -40,7 +41,8 @@ class Photograph:
 class PhotographSet:
     """Photographs to learn from and to test with, each in the order of their names, and the points of the scene.
 
-    points: float64 [M, 3], world units; colours: uint8 [M, 3], RGB; skipped: images without pose that were left out.
+    points: float64 [M, 3], world units; colours: uint8 [M, 3], RGB; skipped: images without pose that were left out; background: what
+    transparent images were laid over.
     """
 
     train: tuple[Photograph, ...]
@@ -48,13 +50,15 @@ class PhotographSet:
     points: F64
     colours: U8
     skipped: int
+    background: tuple[int, int, int]
 
 
-def read_photographs(folder: str | Path, size: Size = None, background: tuple[int, int, int] = WHITE, seed: int = 0) -> PhotographSet:
+def read_photographs(folder: str | Path, size: Size = None, background: tuple[int, int, int] | None = None, seed: int = 0) -> PhotographSet:
     """The photographs of a COLMAP or NeRF folder; where it is both, COLMAP's, which has points.
 
     size: (width, height) or the longest side in pixels that images are averaged down to, None for their own; background: what
-    transparent images are laid over, 0 to 255; seed: of points that are drawn where the folder has none (transforms.random_points).
+    transparent images are laid over, 0 to 255, None for white in NeRF's format and black in COLMAP's; seed: of points that are drawn
+    where the folder has none (transforms.random_points).
     Images with index % 8 == 0 by name are for tests, unless the folder has a split of its own. Raises PhotographError.
 
     The headers of all images are read here, their pixels when they are asked for: what is wrong in those is raised then.
@@ -79,12 +83,13 @@ def read_photographs(folder: str | Path, size: Size = None, background: tuple[in
             shots = [shot for index, shot in enumerate(shots) if index % TEST_EVERY]
         if not shots:
             raise PhotographError(folder, f"no image is left to learn from, {len(test_shots)} are for tests", "give two images or more")
-        train, test = _photographs(shots, size, background), _photographs(test_shots, size, background)
+        over = background or (BLACK if model else WHITE)
+        train, test = _photographs(shots, size, over), _photographs(test_shots, size, over)
     except OSError as error:
         raise PhotographError(
             error.filename or folder, f"it cannot be read ({error.strerror})", "check the file and its permissions"
         ) from None
-    return PhotographSet(train, test, points, colours, skipped)
+    return PhotographSet(train, test, points, colours, skipped, over)
 
 
 def _photographs(shots: Iterable[Shot], size: Size, background: tuple[int, int, int]) -> tuple[Photograph, ...]:

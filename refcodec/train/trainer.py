@@ -105,7 +105,8 @@ class Trainer:
         self.scaffold = Scaffold(photographs, settings.anchors, self.random)
         units = self.scaffold.units
         self.cameras = [units.camera(p.camera) for p in photographs.train]
-        self.rasterising = Settings(near_plane=NEAR, background=(0.0, 0.0, 0.0))
+        red, green, blue = photographs.background
+        self.rasterising = Settings(near_plane=NEAR, background=(red / 255, green / 255, blue / 255))
         self.images: dict[int, Tensor] = {}
         self.optimiser = torch.optim.Adam(
             [
@@ -455,8 +456,7 @@ class Trainer:
     def result(self) -> Scene | Uncompressed:
         """What has been learnt, as it can be written: integers, or floats without a rate, and rounded floats where the format has no such
         hyperprior. A rate model that has not begun yet begins now. Raises ValueError."""
-        background = tuple(round(255 * v) for v in self.rasterising.background)
-        render = render_info(self.scaffold, [p.camera for p in self.photographs.train], (background[0], background[1], background[2]))
+        render = render_info(self.scaffold, [p.camera for p in self.photographs.train], self.photographs.background)
         if not self.settings.rate:
             return uncompressed(self.scaffold, render)
         if self.rate is None:
