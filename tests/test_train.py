@@ -31,6 +31,7 @@ from refcodec.train.photographs import PhotographSet, read_photographs
 from refcodec.train.rate import HYPERPRIORS, WIDTH, Contexts, LearnedRate
 from refcodec.train.scaffold import COLUMNS, OFFSETS, START_EDGE, Scaffold, lattice_positions
 from refcodec.train.spawn import Spawn
+from refcodec.train.splat import draw
 from refcodec.train.state import restore, save
 from refcodec.train.trainer import Trainer, TrainSettings
 from refcodec.uncompressed import Uncompressed, read_uncompressed
@@ -179,18 +180,26 @@ def test_units(photographs: PhotographSet) -> None:
     assert away.max() <= units.cell * units.length * START_EDGE / 2 * (1 + 1e-6)
 
 
-def test_visible_anchors_are_those_in_the_image_and_around(photographs: PhotographSet) -> None:
-    scaffold = Scaffold(photographs, 500, torch.Generator().manual_seed(0))
-    camera = scaffold.units.camera(photographs.train[0].camera)
-    found = set(scaffold.visible(camera).tolist())
-    p = scaffold.position.double().numpy() @ camera.rotation.T + camera.translation
-    x, y = camera.fx * p[:, 0] / p[:, 2] + camera.cx, camera.fy * p[:, 1] / p[:, 2] + camera.cy
-    inside = (p[:, 2] > 0.02) & (x > 0) & (x < camera.width) & (y > 0) & (y < camera.height)
-    far = (p[:, 2] <= 0) | (x < -camera.width) | (x > 2 * camera.width)
-    assert set(np.flatnonzero(inside)) <= found
-    assert not found & set(np.flatnonzero(far))
-    share = scaffold.views([camera, camera])
-    assert set(torch.nonzero(share)[:, 0].tolist()) == found
+def test_no_anchor_is_left_out_that_could_be_seen(photographs: PhotographSet, trained: Trainer) -> None:
+    """The images of a training are those of all anchors; those behind the camera are left out."""
+    scene = trained.result()
+    assert isinstance(scene, Scene)
+    scaffold = trained.scaffold
+    for photograph in photographs.test:
+        camera = scaffold.units.camera(photograph.camera)
+        rows = scaffold.visible(camera)
+        images = []
+        for anchors in (rows, torch.arange(scaffold.count)):
+            values = [scaffold.tables[kind][anchors] for kind in ("features", "offsets", "scalings")]
+            _, gaussians, _ = scaffold.gaussians(anchors, camera, *values, None)
+            images.append(draw(*gaussians, camera, trained.rasterising)[0].detach())
+        assert float((images[0] - images[1]).abs().max()) < 1e-3
+    fresh = Scaffold(photographs, 500, torch.Generator().manual_seed(0))
+    # The camera looks the other way: no anchor is in front of it.
+    turned = replace(camera, rotation=np.diag([-1.0, 1, -1]) @ camera.rotation, translation=np.diag([-1.0, 1, -1]) @ camera.translation)
+    assert len(fresh.visible(turned)) < 0.05 * fresh.count < 0.5 * len(fresh.visible(camera))
+    share = fresh.views([camera, camera])
+    assert set(torch.nonzero(share)[:, 0].tolist()) == set(fresh.visible(camera).tolist())
     assert float(share.mean()) == pytest.approx(1)
 
 

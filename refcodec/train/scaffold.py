@@ -39,8 +39,9 @@ START_EDGE = 2
 GROWTH_GRADIENT, OPACITY_MIN = 2e-4, 0.005
 # Times that an offset, or an anchor, was seen before it is judged.
 OFFSET_VIEWS, ANCHOR_VIEWS = 10, 25
-# An anchor is drawn if it projects into this many images' sizes around the middle: its offsets reach beyond it.
-FRUSTUM = 1.2
+# Deviations at which an alpha of one has fallen to 1/255; what reaches are multiplied by, for values that rounding moves; pixels around
+# an image, for the low-pass filter.
+EXTENT, REACH, EDGE = 3.33, 1.05, 4.0
 # Nearest depth drawn, in training units.
 NEAR = 0.02
 # A mask's logit in the beginning: a share of 0.73.
@@ -175,14 +176,23 @@ class Scaffold:
         self.opacity, self.seen = np.zeros(n, np.float32), np.zeros(n, np.float32)
 
     def visible(self, camera: Camera) -> Tensor:
-        """The anchors that a camera, in training units, may see: int64 [n], ascending."""
+        """The anchors that have a Gaussian which a camera, in training units, may see: int64 [n], ascending.
+
+        None is left out that could be drawn: an anchor reaches as far as its farthest offset and the longest axes of its Gaussians.
+        """
         rotation = torch.from_numpy(camera.rotation.astype(np.float32))
         p = self.position @ rotation.T + torch.from_numpy(camera.translation.astype(np.float32))
+        lengths = torch.exp(self.tables["scalings"] - math.log(self.units.length))
+        reach = self.tables["offsets"].reshape(-1, OFFSETS, 3).abs().amax(dim=1).mul_(lengths[:, :3]).norm(dim=1)
+        reach = REACH * (reach + EXTENT * lengths[:, 3:].amax(dim=1))
         depth = p[:, 2]
-        half_x, half_y = FRUSTUM * camera.width / 2 / camera.fx, FRUSTUM * camera.height / 2 / camera.fy
-        middle_x, middle_y = (camera.width / 2 - camera.cx) / camera.fx, (camera.height / 2 - camera.cy) / camera.fy
-        across, down = (p[:, 0] - middle_x * depth).abs() < half_x * depth, (p[:, 1] - middle_y * depth).abs() < half_y * depth
-        return torch.nonzero((depth > NEAR) & across & down)[:, 0]
+        inside = depth > NEAR - reach
+        for axis, size, focal, middle in ((0, camera.width, camera.fx, camera.cx), (1, camera.height, camera.fy, camera.cy)):
+            # A sphere against the planes through the eye and the image's edges, some pixels farther out.
+            half, skew = (size / 2 + EDGE) / focal, (size / 2 - middle) / focal
+            away = (p[:, axis] - skew * depth).abs() - half * depth
+            inside &= away < reach * math.sqrt(1 + (half + abs(skew)) ** 2)
+        return torch.nonzero(inside)[:, 0]
 
     def views(self, cameras: list[Camera]) -> Tensor:
         """How often each anchor is visible, over the mean of all: float32 [N], the frequency of the masks' rule."""
