@@ -11,14 +11,18 @@ from dataclasses import dataclass, replace
 from functools import cache
 from typing import Any
 
+import numpy as np
 from hypothesis import strategies as st
 
 from refcodec import codec, container, syntax
 from refcodec.container import PROLOGUE_BYTES
+from refcodec.entropy import Encoder
 from refcodec.errors import REGISTRY, ErrorKind
+from refcodec.positions import CELL_INDEX, HALVES, PACKED, POSITION_MODELS, RAW, chunk_codes, code_cells
+from refcodec.quantise import pack_positions
 from refcodec.scene import Dimensions, Lanes
 
-from .scenes import MAIN_DIMENSIONS, random_scene
+from .scenes import MAIN_DIMENSIONS, random_scene, with_steps
 from .strategies import layout, repair, resized, substreams
 
 NAN, INFINITY = struct.pack("<f", float("nan")), struct.pack("<f", float("inf"))
@@ -50,7 +54,9 @@ class Target:
         self.substreams = substreams(data)
         d = self.header.dimensions
         self.table = self.sections[container.CHUNK_TABLE].start
-        self.entries = self.table + d.offset_count * (d.offset_count + 1)
+        self.position_mode = self.sections[container.POSITIONS].mode
+        self.position_model = self.table + d.offset_count * (d.offset_count + 1)
+        self.entries = self.table + container.entries_start(d.offset_count, self.position_mode)
         self.elements = {e.path: e.start for e in syntax.parse_elements("Header", data, PROLOGUE_BYTES, "")}
         frame = self.sections[container.FRAME].start
         self.elements |= {e.path: e.start for e in syntax.parse_elements("Frame", data, frame, "frame")}
@@ -82,6 +88,9 @@ class Target:
         head = head[:12] + (end - PROLOGUE_BYTES).to_bytes(4, "little") + head[16:]
         return repair(head + syntax.build("Header", fields) + self.data[self.header_end :])
 
+
+# The dimensions of files for faults that need a scene of their own.
+SMALLEST = Dimensions(1, (1, 1), 1, 1, 2, (2,), (2,), (2,), 1)
 
 Make = Callable[[st.DrawFn, Target], tuple[bytes, int]]
 FAULTS: dict[str, Make] = {}
@@ -293,8 +302,10 @@ def _(draw: st.DrawFn, t: Target) -> tuple[bytes, int]:
 
 @_fault("directory.mode")
 def _(draw: st.DrawFn, t: Target) -> tuple[bytes, int]:
-    at = t.at(f"directory[{draw(st.integers(0, 6))}].mode")
-    return repair(t.put(at, bytes([draw(st.integers(1, 255))]))), at
+    entry = draw(st.integers(0, 6))
+    at = t.at(f"directory[{entry}].mode")
+    least = 1 + container.MODES.get(list(container.SECTIONS)[entry], 0)
+    return repair(t.put(at, bytes([draw(st.integers(least, 255))]))), at
 
 
 @_fault("directory.offset")
@@ -308,7 +319,8 @@ def _(draw: st.DrawFn, t: Target) -> tuple[bytes, int]:
 
 @_fault("directory.length")
 def _(draw: st.DrawFn, t: Target) -> tuple[bytes, int]:
-    kinds = [k for k in (container.FRAME, container.WEIGHTS, container.CHUNK_TABLE, container.POSITIONS) if t.content(k)]
+    implied = container.section_lengths(t.header)
+    kinds = [k for k in implied if t.content(k)]
     kind = draw(st.sampled_from(kinds))
     content = t.content(kind)
     content = content + draw(st.binary(min_size=1, max_size=7)) if draw(st.booleans()) else content[: -draw(st.integers(1, 6))]
@@ -401,8 +413,11 @@ def _(draw: st.DrawFn, t: Target) -> tuple[bytes, int]:
     entry = t.entries + 24 * draw(st.integers(0, len(t.header.chunks) - 1))
     column = draw(st.integers(0, 2))
     old = int.from_bytes(t.data[entry + 8 * column : entry + 8 * column + 4], "little")
-    data = t.put(entry + 8 * column, draw(st.sampled_from([old + 1, old - 1, 0xFFFFFFFF])).to_bytes(4, "little"))
-    return repair(data, chunks=False), entry if column == 0 else t.start(container.CHUNKED[column])
+    new = draw(st.sampled_from([old + 1, old - 1, 0xFFFFFFFF]))
+    told = entry if column == 0 and not t.position_mode else t.start(container.CHUNKED[column])
+    if column == 0 and t.position_mode and draw(st.booleans()):
+        new, told = 0, entry
+    return repair(t.put(entry + 8 * column, new.to_bytes(4, "little")), chunks=False), told
 
 
 @_fault("chunks.crc")
@@ -416,10 +431,102 @@ def _(draw: st.DrawFn, t: Target) -> tuple[bytes, int]:
     return repair(t.put(at, bytes([t.data[at] ^ draw(st.integers(1, 255))])), chunks=False), part
 
 
+def _position_parts(t: Target) -> list[tuple[int, int, int]]:
+    """(start, length, anchors) of each chunk's positions."""
+    found, at = [], t.start(container.POSITIONS)
+    for number, chunk in enumerate(t.header.chunks):
+        length = int.from_bytes(t.data[t.entries + 24 * number :][:4], "little")
+        found.append((at, length, len(chunk)))
+        at += length
+    return found
+
+
+@_fault("chunks.position_model")
+def _(draw: st.DrawFn, t: Target) -> tuple[bytes, int]:
+    _need(t.position_mode)
+    if draw(st.booleans()):
+        return repair(t.put(t.position_model, bytes([draw(st.integers(CELL_INDEX + 1, 255))]))), t.position_model
+    model, symbol = draw(st.integers(0, POSITION_MODELS - 1)), draw(st.integers(0, HALVES - 1))
+    first = t.position_model + 1 + 2 * HALVES * model
+    values = list(struct.unpack_from("<16H", t.data, first))
+    other = (symbol + 1) % HALVES
+    # A sum that is wrong, or a right one with a 0 in the wrong place.
+    if draw(st.booleans()):
+        values[symbol] = (values[symbol] + draw(st.integers(1, 65535))) % 65536
+    else:
+        values[symbol], values[other] = (0, values[other] + values[symbol]) if values[symbol] else (values[other], 0)
+    return repair(t.put(first, struct.pack("<16H", *values))), first
+
+
 def _position(draw: st.DrawFn, t: Target, bad: st.SearchStrategy[int]) -> tuple[bytes, int]:
-    _need(t.header.anchor_count)
-    at = t.start(container.POSITIONS) + 2 * draw(st.integers(0, 3 * t.header.anchor_count - 1))
+    # In mode 1 a raw chunk's numbers are behind its form.
+    skip = t.position_mode
+    parts = [part for part in _position_parts(t) if not skip or t.data[part[0]] == RAW]
+    _need(parts)
+    start, _, anchors = draw(st.sampled_from(parts))
+    at = start + skip + 2 * draw(st.integers(0, 3 * anchors - 1))
     return repair(t.put(at, draw(bad).to_bytes(2, "little"))), at
+
+
+def _with_positions(t: Target, number: int, content: bytes) -> bytes:
+    """The file with other bytes as one chunk's positions."""
+    start, length, _ = _position_parts(t)[number]
+    section = t.sections[container.POSITIONS]
+    whole = t.data[section.start : start] + content + t.data[start + length : section.end]
+    return resized(t.data, container.POSITIONS, whole, t.entries + 24 * number)
+
+
+@_fault("positions.form")
+def _(draw: st.DrawFn, t: Target) -> tuple[bytes, int]:
+    _need(t.position_mode and t.header.chunks)
+    number = draw(st.integers(0, len(t.header.chunks) - 1))
+    start, _, anchors = _position_parts(t)[number]
+    if draw(st.booleans()):
+        return repair(t.put(start, bytes([draw(st.integers(2, 255))]))), start
+    size = draw(st.integers(-(-anchors // 16), 6 * anchors + 9).filter(lambda n: n != 1 + 6 * anchors))
+    return _with_positions(t, number, bytes(size)), start
+
+
+@cache
+def _packed_target(seed: int) -> Target:
+    """A file of five anchors whose cells stand in their order."""
+    scene = random_scene(seed, 5, SMALLEST, lanes=Lanes(0, 1, 0))
+    rng = np.random.default_rng(seed)
+    lattice = rng.permutation(1000)[:5][:, None] // np.array([1, 10, 100]) % 10
+    return Target(codec.emit(pack_positions(with_steps(replace(scene, positions=lattice.astype(np.float16))))))
+
+
+@_fault("positions.raw")
+def _(draw: st.DrawFn, _: Target) -> tuple[bytes, int]:
+    t = _packed_target(draw(st.integers(0, 9)))
+    positions = codec.parse(t.data).scene.positions
+    return _with_positions(t, 0, b"\0" + positions.astype("<f2").tobytes()), t.start(container.POSITIONS)
+
+
+def _other_cells(t: Target, change: Callable[[Any], Any]) -> tuple[bytes, int]:
+    """The file with other cells, coded rightly."""
+    scene = codec.parse(t.data).scene
+    model = scene.position_model
+    assert model is not None
+    code = change(chunk_codes(scene.positions, model.cell_shift))
+    encoder = Encoder(1, 1 << scene.lanes.mask)
+    code_cells(encoder, model.models(), [0], [len(code)], code)
+    return _with_positions(t, 0, bytes([PACKED]) + encoder.finish()[0]), t.start(container.POSITIONS)
+
+
+@_fault("positions.count")
+def _(draw: st.DrawFn, _: Target) -> tuple[bytes, int]:
+    t = _packed_target(draw(st.integers(0, 9)))
+    if draw(st.booleans()):
+        return _other_cells(t, lambda code: code[:4])
+    # A sibling of a cell, so that no level but the last has more nodes than there are anchors.
+    return _other_cells(t, lambda code: np.unique(np.append(code, next(c for c in code[4] ^ np.arange(1, 8) if c not in code))))
+
+
+@_fault("positions.cell")
+def _(draw: st.DrawFn, _: Target) -> tuple[bytes, int]:
+    """The last cell, where the integer has more bits than an fp16."""
+    return _other_cells(_packed_target(draw(st.integers(0, 9))), lambda code: np.append(code[:4], (1 << 48) - 1))
 
 
 @_fault("positions.not_finite")
@@ -437,7 +544,7 @@ def _(draw: st.DrawFn, t: Target) -> tuple[bytes, int]:
 
 def _lanes(t: Target, kind: int) -> int:
     lanes = t.header.lanes
-    return 1 << {container.PLANES_SECTION: lanes.plane, container.MASKS: lanes.mask, container.ATTRIBUTES: lanes.attribute}[kind]
+    return 1 << {container.PLANES_SECTION: lanes.plane, container.ATTRIBUTES: lanes.attribute}.get(kind, lanes.mask)
 
 
 def _stream(draw: st.DrawFn, t: Target) -> tuple[int, int, int, int]:
@@ -492,12 +599,9 @@ def _(draw: st.DrawFn, t: Target) -> tuple[bytes, int]:
     return repair(t.put(at, draw(st.integers(0x10001, 0xFFFFFFFF)).to_bytes(4, "little"))), start
 
 
-_SMALLEST = Dimensions(1, (1, 1), 1, 1, 2, (2,), (2,), (2,), 1)
-
-
 def _far_symbol(seed: int, symbol: int, lanes: int) -> tuple[Target, int, int]:
     """A file whose first feature is an escape of one anchor without offsets: its target, the attribute substream, its raw bytes."""
-    scene = random_scene(seed, 1, _SMALLEST, gain=0.0, lanes=Lanes(0, 0, lanes), keep=0.0)
+    scene = random_scene(seed, 1, SMALLEST, gain=0.0, lanes=Lanes(0, 0, lanes), keep=0.0)
     # All means are -20 steps; every symbol but one is there.
     scene.networks["hyper"][-1][1][:] = -320.0
     for values in (scene.attributes.features, scene.attributes.scalings):

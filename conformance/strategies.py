@@ -19,6 +19,8 @@ from refcodec.limits import PROFILES, TINY
 from refcodec.masks import context_count
 from refcodec.networks import BoundError, derive_layer
 from refcodec.planes import PLANE_SYMBOL_MAX
+from refcodec.positions import CELL_INDEX, EMPTY_MODELS, HALVES, PACKED, POSITION_MODELS, PositionModel
+from refcodec.quantise import frequencies, morton_order, position_model
 from refcodec.scene import Dimensions, Lanes, PositionGrid, RenderInfo, Scene
 
 F32 = st.floats(width=32, allow_nan=False, allow_infinity=False)
@@ -119,6 +121,33 @@ def positions(count: int) -> st.SearchStrategy[np.ndarray]:
     return hnp.arrays(np.uint16, (count, 3), elements=bits).map(lambda a: a.view(np.float16))
 
 
+@st.composite
+def position_models(draw: st.DrawFn, positions: np.ndarray, chunk_size: int) -> PositionModel | None:
+    """None, the encoder's choice, or any model."""
+    kind = draw(st.sampled_from(["raw", "chosen", "any"]))
+    if kind == "raw":
+        return None
+    chosen = position_model(positions, chunk_size)
+    if kind == "chosen":
+        return chosen
+    rng = np.random.default_rng(draw(st.integers(0, 2**32 - 1)))
+    counts = rng.integers(0, 1 << draw(st.integers(0, 20)), (POSITION_MODELS, HALVES)) + 1
+    frequency = [frequencies(c, int(model in EMPTY_MODELS)) for model, c in enumerate(counts)]
+    return PositionModel(draw(st.one_of(st.just(chosen.cell_shift), st.integers(0, CELL_INDEX))), np.array(frequency, np.uint16))
+
+
+@st.composite
+def some_positions(draw: st.DrawFn, count: int) -> np.ndarray:
+    """Any positions; on a lattice near 0 or anywhere; in any order or in that of their cells."""
+    found = draw(positions(count))
+    if draw(st.booleans()):
+        spread = draw(st.sampled_from([3, 40, 2048]))
+        lattice = draw(hnp.arrays(np.int64, (count, 3), elements=st.integers(-spread, spread)))
+        found = (lattice * 2.0 ** draw(st.integers(-24, 4))).astype(np.float16)
+        found[found == 0] = 0
+    return found[morton_order(found)] if draw(st.booleans()) else found
+
+
 def spread_symbols(shape: tuple[int, ...], limit: int) -> st.SearchStrategy[np.ndarray]:
     """Integers of all magnitudes up to a limit: small ones, one large one, or any."""
     small = hnp.arrays(np.int32, shape, elements=st.integers(-3, 3))
@@ -146,11 +175,13 @@ def scenes(draw: st.DrawFn, max_anchors: int = 12) -> Scene:
     plane = draw(spread_symbols((5, d.plane_channels, size, size), PLANE_SYMBOL_MAX))
     lane = st.integers(0, 8)
     step = st.floats(2.0**-60, 2.0**60, width=32)
+    chunk_size = draw(st.one_of(st.integers(1, 15), st.just(65536)))
+    where = draw(some_positions(n))
     types = sorted(draw(st.sets(st.integers(1, 127), max_size=2)))
     scene = Scene(
         profile=TINY,
         dimensions=d,
-        chunk_size=draw(st.one_of(st.integers(1, 15), st.just(65536))),
+        chunk_size=chunk_size,
         lanes=Lanes(draw(lane), draw(lane), draw(lane)),
         base_step=draw(st.tuples(step, step, step)),
         grid=draw(grids()),
@@ -161,7 +192,7 @@ def scenes(draw: st.DrawFn, max_anchors: int = 12) -> Scene:
         networks=draw(networks(d)),
         planes=plane.astype(np.int16),
         mask_model=draw(hnp.arrays(np.uint16, context_count(d.offset_count), elements=st.integers(1, (1 << 14) - 1))),
-        positions=draw(positions(n)),
+        positions=where,
         masks=masks,
         attributes=Attributes(
             draw(spread_symbols((n, d.features), ATTRIBUTE_SYMBOL_MAX)),
@@ -170,6 +201,7 @@ def scenes(draw: st.DrawFn, max_anchors: int = 12) -> Scene:
             np.zeros((n, 3), np.uint8),
         ),
         extensions=tuple((t, draw(st.integers(0, 255)), draw(st.binary(max_size=9))) for t in types),
+        position_model=draw(position_models(where, chunk_size)),
     )
     return with_steps(scene)
 
@@ -202,7 +234,8 @@ def _repair_sections(out: bytearray, fields: construct.Container, end: int, chun
     # A chunk table that a wrong offset puts into the header is left alone.
     if chunks and set(container.SECTIONS) <= span.keys() and span[container.CHUNK_TABLE][0] >= end:
         k = fields.dimensions.offset_count
-        table = span[container.CHUNK_TABLE][0] + k * (k + 1)
+        mode = next(e.mode for e in fields.directory if e.type == container.POSITIONS)
+        table = span[container.CHUNK_TABLE][0] + container.entries_start(k, min(mode, 1))
         at = [span[t][0] for t in container.CHUNKED]
         for entry in range(table, min(span[container.CHUNK_TABLE][1], len(out)), 24):
             for part in range(3):
@@ -248,7 +281,7 @@ def resized(data: bytes, kind: int, content: bytes, length_at: int | None = None
 
 
 def substreams(data: bytes) -> list[tuple[int, int, int, int]]:
-    """(section, start, length, where the file says the length) of each substream of a valid file."""
+    """(section, start, length, where the file says the length, which of positions is one more) of each substream of a valid file."""
     header = container.parse_container(data)
     sections = header.sections
 
@@ -257,15 +290,20 @@ def substreams(data: bytes) -> list[tuple[int, int, int, int]]:
 
     start = sections[container.PLANES_SECTION].start
     places = [(container.PLANES_SECTION, start + 4 * i) for i in range(5)]
-    table = sections[container.CHUNK_TABLE].start + 2 * context_count(header.dimensions.offset_count)
-    for column, kind in ((8, container.MASKS), (16, container.ATTRIBUTES)):
-        places += [(kind, table + 24 * chunk + column) for chunk in range(len(header.chunks))]
-    next_at = {kind: sections[kind].start for kind in (container.MASKS, container.ATTRIBUTES)}
+    table = sections[container.CHUNK_TABLE].start
+    table += container.entries_start(header.dimensions.offset_count, sections[container.POSITIONS].mode)
+    for column, kind in enumerate(container.CHUNKED):
+        places += [(kind, table + 24 * chunk + 8 * column) for chunk in range(len(header.chunks))]
+    next_at = {kind: sections[kind].start for kind in container.CHUNKED}
     next_at[container.PLANES_SECTION] = start + 20
     found = []
     for kind, length_at in places:
-        found.append((kind, next_at[kind], u32(length_at), length_at))
-        next_at[kind] += u32(length_at)
+        at, length = next_at[kind], u32(length_at)
+        next_at[kind] += length
+        if kind != container.POSITIONS:
+            found.append((kind, at, length, length_at))
+        elif sections[kind].mode and data[at] == PACKED:
+            found.append((kind, at + 1, length - 1, length_at))
     return found
 
 

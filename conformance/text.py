@@ -52,16 +52,29 @@ def decode(space: dict[str, Any], data: bytes, header: container.Header) -> tupl
     k = header.dimensions.offset_count
     contexts = k * (k + 1) // 2
     model = struct.unpack_from(f"<{contexts}H", data, start["chunk_table"])
+    entries_at, position_model = start["chunk_table"] + 2 * contexts, None
+    if header.sections[container.POSITIONS].mode:
+        position_model, size = syntax.parse("PositionModel", data, entries_at)
+        models = [list(position_model.frequency[i : i + 16]) for i in range(0, 288, 16)]
+        entries_at += size
+    found: list[str | None] = []
     chunks, next_at = [], {name: start[name] for name in ("positions", "masks", "attributes")}
-    for number in range(len(header.chunks)):
-        entry, _ = syntax.parse("ChunkEntry", data, start["chunk_table"] + 2 * contexts + 24 * number)
+    for number, anchors in enumerate(header.chunks):
+        entry, _ = syntax.parse("ChunkEntry", data, entries_at + 24 * number)
         part = {}
         for name, field in (("positions", "position_length"), ("masks", "mask_length"), ("attributes", "attribute_length")):
             part[name] = data[next_at[name] : next_at[name] + entry[field]]
             next_at[name] += entry[field]
-        positions = list(struct.iter_unpack("<3H", part["positions"]))
+        if position_model is None:
+            positions = list(struct.iter_unpack("<3H", part["positions"]))
+        else:
+            lanes = 1 << h.mask_lanes_log2
+            positions, verdict = space["DECODE_POSITIONS"](part["positions"], position_model.cell_shift, models, len(anchors), lanes)
+            found.append(verdict)
         chunks.append((positions, part["masks"], part["attributes"]))
     all_weights = {"plane_shift": scales.plane_shift, "carm_shift": scales.carm_shift, "networks": layers}
+    if any(found):
+        return b"", found
     out, verdicts = space["DECODE_SCENE"](h, frame, all_weights, streams, model, chunks)
     d = header.dimensions
     result = b"C3GSREC0" + struct.pack("<5I", header.anchor_count, k, d.features, d.plane_channels, d.plane_size)
@@ -72,4 +85,4 @@ def decode(space: dict[str, Any], data: bytes, header: container.Header) -> tupl
     for name, code in (("positions", "f"), ("masks", "B"), ("planes", "h"), ("features", "f"), ("scalings", "f"), ("offsets", "f")):
         numbers = flat(out[name])
         result += struct.pack(f"<{len(numbers)}{code}", *numbers)
-    return result + weights, verdicts
+    return result + weights, verdicts[:5] + found + verdicts[5:]

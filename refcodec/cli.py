@@ -189,10 +189,11 @@ def _parse(arguments: argparse.Namespace, data: bytes, keep_going: bool = False)
 def _encode(arguments: argparse.Namespace) -> int:
     from .codec import emit
     from .folder import read_folder
+    from .quantise import packed
 
     output = Path(arguments.output)
     _check_output_file(output)
-    scene = read_folder(arguments.scene)
+    scene = packed(read_folder(arguments.scene), arguments.positions)
     try:
         with _progress(arguments.progress) as progress:
             data = emit(scene, progress=progress)
@@ -592,10 +593,16 @@ def _parser() -> argparse.ArgumentParser:
         _encode,
         "encode a scene folder",
         ["encode scene -o scene.c3gs"],
-        "A folder that decode wrote gives the same bytes again. If coded.safetensors is deleted, point_cloud.ply is quantised anew.",
+        "A folder that decode wrote from a packed file, or from one of Tiny, gives the same bytes again, and so does any other\nwith "
+        "--positions raw. If coded.safetensors is deleted, point_cloud.ply is quantised anew.",
     )
     encode.add_argument("scene", metavar="SCENE_DIR")
     encode.add_argument("-o", "--output", metavar="FILE", required=True)
+    encode.add_argument(
+        "--positions",
+        choices=("raw", "packed"),
+        help="48 bits an anchor, or a tenth of that with the anchors sorted (default: packed in Main, and where the folder says so)",
+    )
     decode = _add(
         commands,
         "decode",

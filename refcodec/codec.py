@@ -15,6 +15,7 @@ from threadpoolctl import threadpool_limits
 from . import syntax
 from .attributes import Attributes, EntropyModel, code_attributes, step_indices
 from .container import (
+    ANCHORS_OF_A_BYTE,
     ATTRIBUTES,
     CHUNK_TABLE,
     FRAME,
@@ -26,6 +27,7 @@ from .container import (
     Header,
     chunk_ranges,
     emit_container,
+    entries_start,
     parse_container,
 )
 from .conventions import Int64
@@ -35,6 +37,20 @@ from .geometry import Frame, assemble_planes, context
 from .masks import code_masks, context_count, mask_models
 from .networks import BoundError, IntNetwork, Layer, derive_layer
 from .planes import PLANE_NAMES, PLANES, code_planes
+from .positions import (
+    CELL_INDEX,
+    F16,
+    HALVES,
+    PACKED,
+    POSITION_MODELS,
+    RAW,
+    PositionModel,
+    chunk_codes,
+    code_cells,
+    decode_cells,
+    encode_positions,
+    first_bad,
+)
 from .scene import Dimensions, Scene
 from .tables import TOTAL
 
@@ -258,8 +274,22 @@ class _Part:
         )
 
 
-def _parse_chunk_table(data: bytes, header: Header) -> tuple[NDArray[np.uint16], dict[int, _Part]]:
-    """SPEC 5.10 and 6.10. Raises BitstreamError 431 or 432."""
+def _parse_position_model(data: bytes, start: int) -> PositionModel:
+    """SPEC 5.15 and 6.10. Raises BitstreamError chunks.position_model."""
+    fields, _ = syntax.parse("PositionModel", data, start)
+    model = PositionModel(fields.cell_shift, np.array(fields.frequency, dtype=np.uint16).reshape(POSITION_MODELS, HALVES))
+    fault = model.fault()
+    if fault is not None:
+        at, path, found = start, "cell_shift", str(model.cell_shift)
+        if fault >= 0:
+            at, path = start + 1 + 2 * HALVES * fault, f"frequency[{HALVES * fault}]"
+            found = f"frequencies {model.frequency[fault].tolist()}"
+        raise BitstreamError("chunks.position_model", at, f"chunk_table.position_model.{path}", found, "what 6.10 says")
+    return model
+
+
+def _parse_chunk_table(data: bytes, header: Header) -> tuple[NDArray[np.uint16], PositionModel | None, dict[int, _Part]]:
+    """SPEC 5.10 and 6.10. Raises BitstreamError 431, 432 or 434."""
     section = header.sections[CHUNK_TABLE]
     contexts = context_count(header.dimensions.offset_count)
     model = np.frombuffer(data, "<u2", contexts, section.start).astype(np.uint16)
@@ -268,23 +298,27 @@ def _parse_chunk_table(data: bytes, header: Header) -> tuple[NDArray[np.uint16],
         at, path = section.start + 2 * int(bad[0]), f"chunk_table.mask_model[{bad[0]}]"
         raise BitstreamError("chunks.mask_model", at, path, model[bad[0]], f"1 to {TOTAL - 1}")
     chunks = header.chunks
-    at = section.start + 2 * contexts
+    mode = header.sections[POSITIONS].mode
+    position_model = _parse_position_model(data, section.start + 2 * contexts) if mode else None
+    at = section.start + entries_start(header.dimensions.offset_count, mode)
     table = np.frombuffer(data, "<u4", 6 * len(chunks), at).astype(np.int64).reshape(-1, 6)
     parts = {}
     for column, kind in enumerate((POSITIONS, MASKS, ATTRIBUTES)):
         part = header.sections[kind]
         length = table[:, 2 * column]
         if kind == POSITIONS:
-            wrong = np.flatnonzero(length != POSITION_BYTES * np.array([len(c) for c in chunks], dtype=np.int64))
+            anchors = np.array([len(c) for c in chunks], dtype=np.int64)
+            wrong = np.flatnonzero(length * ANCHORS_OF_A_BYTE < anchors if mode else length != POSITION_BYTES * anchors)
             if wrong.size:
                 chunk = int(wrong[0])
-                path, right = f"chunk_table.entry[{chunk}].position_length", POSITION_BYTES * len(chunks[chunk])
+                right = f"at least a sixteenth of {anchors[chunk]}" if mode else str(POSITION_BYTES * anchors[chunk])
+                path = f"chunk_table.entry[{chunk}].position_length"
                 raise BitstreamError("chunks.length", at + 24 * chunk, path, length[chunk], right)
         if length.sum() != part.end - part.start:
             found = f"a chunk table that announces {int(length.sum())} bytes"
             raise BitstreamError("chunks.length", part.start, part.name, found, part.end - part.start)
         parts[kind] = _Part(part.name, part.start + np.concatenate([[0], np.cumsum(length)]), table[:, 2 * column + 1])
-    return model, parts
+    return model, position_model, parts
 
 
 @dataclass(frozen=True)
@@ -337,33 +371,95 @@ def _map_groups(work: Callable[[list[int], slice], T], live: _Live, threads: int
     return done
 
 
-def _first_bad_position(bits: NDArray[np.uint16]) -> tuple[str, int] | None:
-    """SPEC 6.11: the first fp16 that is not allowed, as the error's name and its index."""
-    bad = np.flatnonzero(((bits & 0x7C00) == 0x7C00) | (bits == 0x8000))
-    if not bad.size:
+def _raw_positions(data: bytes, start: int, chunk: range) -> F16 | BitstreamError:
+    """SPEC 6.11: a chunk's fp16 numbers, or what is wrong with the first that is not allowed."""
+    bits = np.frombuffer(data, "<u2", 3 * len(chunk), start).astype(np.uint16)
+    bad = first_bad(bits)
+    if bad is None:
+        return bits.view(np.float16).reshape(-1, 3)
+    name, first = bad
+    anchor, axis = chunk.start + first // 3, first % 3
+    return BitstreamError(name, start + 2 * first, f"positions[{anchor},{axis}]", f"0x{bits[first]:04x}", "finite numbers but -0")
+
+
+def _formed_positions(data: bytes, part: _Part, number: int, chunk: range, model: PositionModel) -> F16 | BitstreamError | None:
+    """SPEC 6.11, mode 1: a raw chunk's positions, or an error; None for a packed chunk, whose substream is still to be decoded."""
+    start, end = int(part.bounds[number]), int(part.bounds[number + 1])
+    path = f"positions[chunk {number}]"
+    form = data[start] if end > start else None
+    if form == PACKED:
         return None
-    first = int(bad[0])
-    return ("positions.negative_zero" if bits[first] == 0x8000 else "positions.not_finite"), first
+    if form != RAW or end - start != 1 + POSITION_BYTES * len(chunk):
+        allowed = f"form {RAW} with {1 + POSITION_BYTES * len(chunk)} bytes, or form {PACKED}"
+        return BitstreamError("positions.form", start, path, f"form {form} with {end - start} bytes", allowed)
+    found = _raw_positions(data, start + 1, chunk)
+    if not isinstance(found, BitstreamError) and chunk_codes(found, model.cell_shift) is not None:
+        return BitstreamError("positions.raw", start, path, f"form {RAW}", f"form {PACKED}: the chunk can be packed")
+    return found
 
 
-def _parse_positions(data: bytes, part: _Part, live: _Live, damage: dict[int, BitstreamError] | None) -> NDArray[np.float16]:
-    """SPEC 6.11: chunk by chunk. With `damage`, errors go there and the chunk's anchors are left out."""
+def _packed_positions(
+    data: bytes, part: _Part, numbers: list[int], chunks: list[range], model: PositionModel, lanes: int, trace: Trace | None
+) -> list[F16 | BitstreamError]:
+    """SPEC 7.12: the positions of packed chunks, or the error of each."""
+    streams, errors = [], []
+    for number in numbers:
+        start, end = int(part.bounds[number]) + 1, int(part.bounds[number + 1])
+        stream, error = _substream(data, start, end, lanes, f"positions[chunk {number}]")
+        streams.append(stream)
+        errors.append(error)
+    decoder = Decoder(streams, trace)
+    code, held = code_cells(decoder, model.models(), numbers, [len(c) for c in chunks])
+    rows = np.minimum(held, [len(c) for c in chunks])
+    found: list[F16 | BitstreamError] = []
+    for i, (before, after, first) in enumerate(zip(errors, decoder.finish(), np.cumsum(rows) - rows, strict=True)):
+        at, path = int(part.bounds[numbers[i]]), f"positions[chunk {numbers[i]}]"
+        error = before or after
+        if error is None and held[i] != len(chunks[i]):
+            cells = f"{held[i]} cells" if held[i] < len(chunks[i]) else "more cells"
+            error = BitstreamError("positions.count", at, path, cells, f"{len(chunks[i])}, one for each anchor")
+        positions, fits = decode_cells(code[first : first + rows[i]], model.cell_shift)
+        if error is None and not fits.all():
+            anchor = chunks[i].start + int(np.argmin(fits))
+            error = BitstreamError("positions.cell", at, path, f"a cell of anchor {anchor} that no fp16 holds", "cells that fp16 holds")
+        found.append(error or positions)
+    return found
+
+
+def _parse_positions(
+    data: bytes,
+    header: Header,
+    part: _Part,
+    model: PositionModel | None,
+    live: _Live,
+    damage: dict[int, BitstreamError] | None,
+    trace: Trace | None,
+) -> F16:
+    """SPEC 6.11 and 7.12: chunk by chunk. With `damage`, errors go there and the chunk's anchors are left out."""
     found = [np.zeros((0, 3), dtype=np.float16)]
-    for number in live.numbers:
-        start, chunk = int(part.bounds[number]), live.chunks[number]
-        error = part.check(data, number)
-        if error is None:
-            bits = np.frombuffer(data, "<u2", 3 * len(chunk), start).astype(np.uint16)
-            bad = _first_bad_position(bits)
-            if bad is None:
-                found.append(bits.view(np.float16).reshape(-1, 3))
-                continue
-            name, first = bad
-            anchor, axis = chunk.start + first // 3, first % 3
-            error = BitstreamError(name, start + 2 * first, f"positions[{anchor},{axis}]", f"0x{bits[first]:04x}", "finite numbers but -0")
-        if damage is None:
-            raise error
-        damage[number] = error
+    for group, _ in live.groups():
+        result: dict[int, F16 | BitstreamError | None] = {}
+        for number in group:
+            error = part.check(data, number)
+            chunk, start = live.chunks[number], int(part.bounds[number])
+            if error is not None:
+                result[number] = error
+            elif model is None:
+                result[number] = _raw_positions(data, start, chunk)
+            else:
+                result[number] = _formed_positions(data, part, number, chunk, model)
+        packed = [number for number in group if result[number] is None]
+        if packed and model is not None:
+            chunks = live.ranges(packed)
+            result |= zip(packed, _packed_positions(data, part, packed, chunks, model, 1 << header.lanes.mask, trace), strict=True)
+        for number, value in result.items():
+            if not isinstance(value, BitstreamError):
+                assert value is not None
+                found.append(value)
+            elif damage is None:
+                raise value
+            else:
+                damage[number] = value
     return np.concatenate(found)
 
 
@@ -427,10 +523,10 @@ def _parse(data: bytes, keep_going: bool, threads: int, progress: Progress, trac
     progress("planes", 0, 1)
     planes = _parse_planes(data, header, networks.sarm, trace)
     progress("planes", 1, 1)
-    mask_frequencies, parts = _parse_chunk_table(data, header)
+    mask_frequencies, position_model, parts = _parse_chunk_table(data, header)
     damage: dict[int, BitstreamError] | None = {} if keep_going else None
     live = _Live(list(range(len(chunks))), chunks)
-    positions = _parse_positions(data, parts[POSITIONS], live, damage)
+    positions = _parse_positions(data, header, parts[POSITIONS], position_model, live, damage, trace)
     live, _ = live.without(damage)
     models = mask_models(mask_frequencies)
 
@@ -471,6 +567,7 @@ def _parse(data: bytes, keep_going: bool, threads: int, progress: Progress, trac
         masks,
         attributes,
         tuple((s.type, s.mode, data[s.start : s.end]) for s in sections.values() if s.type < FRAME and s.end <= len(data)),
+        position_model,
     )
     return Parsed(scene if kept.all() else take_anchors(scene, kept), damage or {})
 
@@ -512,11 +609,17 @@ def _emit(scene: Scene, threads: int, progress: Progress) -> bytes:
     frame, weights = emit_frame(scene.frame), emit_weights(scene)
     parse_frame(frame, 0)
     parse_weights(weights, 0, d)
-    bad = _first_bad_position(scene.positions.view(np.uint16).reshape(-1))
+    bad = first_bad(scene.positions.view(np.uint16).reshape(-1))
     if bad is not None:
         raise BitstreamError(
             bad[0], 0, f"positions[{bad[1] // 3},{bad[1] % 3}]", scene.positions.reshape(-1)[bad[1]], "finite numbers but -0"
         )
+    position_model = b""
+    if scene.position_model is not None:
+        m = scene.position_model
+        position_model = syntax.build("PositionModel", {"cell_shift": m.cell_shift, "frequency": m.frequency.reshape(-1).tolist()})
+        _parse_position_model(position_model, 0)
+    modes = {POSITIONS: int(scene.position_model is not None)}
     chunks = chunk_ranges(scene.anchor_count, scene.chunk_size)
     networks = derive_networks(d, scene.carm_shift, scene.networks)
     progress("planes", 0, 1)
@@ -540,11 +643,11 @@ def _emit(scene: Scene, threads: int, progress: Progress) -> bytes:
         coded = code_attributes(encoder, networks.entropy, contexts, scene.masks[anchors], ranges, given)
         if not np.array_equal(coded.steps, given.steps):
             raise ValueError("the scene's step indices are not those that its networks give (SPEC.md 7.8)")
-        raw = [scene.positions[c.start : c.stop].astype("<f2").tobytes() for c in ranges]
-        return list(zip(raw, masks.finish(), encoder.finish(), strict=True))
+        positions = encode_positions(scene.position_model, scene.positions[anchors], ranges, 1 << scene.lanes.mask)
+        return list(zip(positions, masks.finish(), encoder.finish(), strict=True))
 
     coded = [chunk for group in _map_groups(encode_group, live, threads, "chunks", progress) for chunk in group]
-    table = scene.mask_model.astype("<u2").tobytes()
+    table = scene.mask_model.astype("<u2").tobytes() + position_model
     for parts in coded:
         names = ("position", "mask", "attribute")
         entry = {f"{n}_length": len(p) for n, p in zip(names, parts, strict=True)}
@@ -556,7 +659,7 @@ def _emit(scene: Scene, threads: int, progress: Progress) -> bytes:
         (WEIGHTS, 0, weights),
         (PLANES_SECTION, 0, planes),
         (CHUNK_TABLE, 0, table),
-        *((kind, 0, b"".join(parts[i] for parts in coded)) for i, kind in enumerate((POSITIONS, MASKS, ATTRIBUTES))),
+        *((kind, modes.get(kind, 0), b"".join(parts[i] for parts in coded)) for i, kind in enumerate((POSITIONS, MASKS, ATTRIBUTES))),
         *scene.extensions,
     ]
     data = emit_container(scene, sections)
@@ -579,6 +682,8 @@ def _check_shapes(scene: Scene) -> None:
         "offsets": (a.offsets, (n, d.offset_count, 3), np.int32),
         "steps": (a.steps, (n, 3), np.uint8),
     }
+    if scene.position_model is not None:
+        wanted["position_model"] = (scene.position_model.frequency, (POSITION_MODELS, HALVES), np.uint16)
     if list(scene.networks) != list(d.network_shapes()):
         raise ValueError(f"networks are {list(scene.networks)}, the dimensions require {list(d.network_shapes())}")
     for name, shapes in d.network_shapes().items():
@@ -590,6 +695,8 @@ def _check_shapes(scene: Scene) -> None:
     for name, (array, shape, dtype) in wanted.items():
         if array.shape != shape or array.dtype != dtype:
             raise ValueError(f"{name} is {array.dtype}{list(array.shape)}, {np.dtype(dtype)}{list(shape)} is required")
+    if scene.position_model is not None and not 0 <= scene.position_model.cell_shift <= CELL_INDEX:
+        raise ValueError(f"cell_shift is {scene.position_model.cell_shift}, 0 to {CELL_INDEX} is required (SPEC.md 6.10)")
     if scene.chunk_size < 1:
         raise ValueError(f"chunk_size is {scene.chunk_size}, at least 1 is required (SPEC.md 11.1)")
     if np.abs(scene.planes.astype(np.int32)).max(initial=0) > (1 << 15) - 1:

@@ -40,9 +40,13 @@ SECTIONS = {
 }
 FRAME, WEIGHTS, PLANES_SECTION, CHUNK_TABLE, POSITIONS, MASKS, ATTRIBUTES = SECTIONS
 CHUNKED = (POSITIONS, MASKS, ATTRIBUTES)
+# SPEC 6.6: the highest mode of each section that has more than mode 0.
+MODES = {POSITIONS: 1}
 # SPEC 5.10, 5.11: bytes of a chunk's entry, of an anchor's position.
 CHUNK_ENTRY_BYTES = 24
 POSITION_BYTES = 6
+# SPEC 6.10: most anchors for each byte of a chunk's positions in mode 1.
+ANCHORS_OF_A_BYTE = 16
 
 
 @dataclass(frozen=True)
@@ -272,12 +276,21 @@ def _check_render(r: Any, check: _HeaderCheck) -> RenderInfo:
 def section_lengths(header: Header) -> dict[int, int]:
     """SPEC 6.6: the lengths that the header implies."""
     d = header.dimensions
-    return {
+    chunks = -(-header.anchor_count // header.chunk_size)
+    lengths = {
         FRAME: syntax.SCHEMAS["Frame"].sizeof(at=None),
         WEIGHTS: 2 + d.carm_inputs + 4 * weight_count(d),
-        CHUNK_TABLE: 2 * context_count(d.offset_count) + CHUNK_ENTRY_BYTES * -(-header.anchor_count // header.chunk_size),
-        POSITIONS: POSITION_BYTES * header.anchor_count,
+        CHUNK_TABLE: entries_start(d.offset_count, header.sections[POSITIONS].mode) + CHUNK_ENTRY_BYTES * chunks,
     }
+    if not header.sections[POSITIONS].mode:
+        lengths[POSITIONS] = POSITION_BYTES * header.anchor_count
+    return lengths
+
+
+def entries_start(offset_count: int, position_mode: int) -> int:
+    """SPEC 5.10: bytes of the chunk table before its entries."""
+    model = syntax.SCHEMAS["PositionModel"].sizeof(at=None) if position_mode else 0
+    return int(2 * context_count(offset_count) + model)
 
 
 def _check_directory(h: Any, header: Header, check: _HeaderCheck, data: bytes, start: int, keep_going: bool) -> None:
@@ -299,8 +312,9 @@ def _check_directory(h: Any, header: Header, check: _HeaderCheck, data: bytes, s
     if len(entries) < len(wanted):
         raise check.fail("directory.order", "section_count", len(entries), f"at least {len(wanted)}")
     for i, e in enumerate(entries):
-        if e.type in SECTIONS and e.mode != 0:
-            raise check.fail("directory.mode", f"directory[{i}].mode", e.mode, f"of {SECTIONS[e.type]} 0")
+        if e.type in SECTIONS and e.mode > MODES.get(e.type, 0):
+            allowed = "0 or 1" if e.type in MODES else "0"
+            raise check.fail("directory.mode", f"directory[{i}].mode", e.mode, f"of {SECTIONS[e.type]} {allowed}")
     end = start
     for i, e in enumerate(entries):
         if e.offset != end:

@@ -1,6 +1,6 @@
 """Entropy coder (SPEC.md chapter 8): interleaved rANS over many substreams at once.
 
-A Decoder and an Encoder have the same two methods, `values` and `bits`, so that each part of the decoding process is written
+A Decoder and an Encoder have the same two methods, `values` and `plain`, so that each part of the decoding process is written
 once and runs in either direction. Symbols come in groups (SPEC 8.3); the arrays of a group hold the symbols of the first
 substream, then of the second, and so on.
 """
@@ -74,14 +74,18 @@ def parse_substream(data: bytes, start: int, end: int, lanes: int, path: str) ->
     return Substream(head.symbol_crc, states, words, data[raw_at:end], start, path)
 
 
-class Coder(Protocol):
-    """What the decoding process needs of a coder: either direction, `given` is None when decoding."""
+class SymbolCoder(Protocol):
+    """What decoding processes without values need of a coder: either direction, `given` is None when decoding."""
+
+    def plain(self, models: ModelSet, index: Int64, counts: list[int], name: SymbolName, given: Int64 | None) -> Int64: ...
+
+
+class Coder(SymbolCoder, Protocol):
+    """What the decoding process needs of a coder."""
 
     def values(
         self, models: ModelSet, mean: Int64, scale: Int64, counts: list[int], limit: int, name: SymbolName, given: Int64 | None
     ) -> Int64: ...
-
-    def bits(self, models: ModelSet, index: Int64, counts: list[int], name: SymbolName, given: Int64 | None) -> Int64: ...
 
 
 def select(mean: Int64, scale: Int64) -> tuple[Int64, Int64, Int64]:
@@ -145,7 +149,7 @@ class Decoder:
         self.bad_escape = np.zeros(len(streams), dtype=bool)
         self.bad_range: dict[int, tuple[int, int]] = {}
 
-    def _symbols(self, models: ModelSet, index: Int64, layout: _Layout) -> Int64:
+    def _group(self, models: ModelSet, index: Int64, layout: _Layout) -> Int64:
         """SPEC 8.2 and 8.3: one symbol for each model index. The lanes of all substreams make one step at a time."""
         grid = layout.spread(index, models.null).reshape(layout.steps, len(layout.counts) * self.lanes)
         base = models.offset.take(grid)
@@ -231,7 +235,7 @@ class Decoder:
         """SPEC 8.5: a group of integers with means (1/16), scale indices (1/8 octave) and |value| <= limit. int64 [symbols]."""
         layout = _Layout(counts, self.lanes)
         model, centre, raw = select(mean, scale)
-        j = self._symbols(models, model, layout)
+        j = self._group(models, model, layout)
         radius = models.radius.take(model)
         high = centre + j - radius
         low = self._raw(raw, layout)
@@ -255,10 +259,10 @@ class Decoder:
                     self.trace(TraceRow(name(stream, i), models.family, int(mean[at]), int(scale[at]), int(value[at])))
         return value
 
-    def bits(self, models: ModelSet, index: Int64, counts: list[int], name: SymbolName, given: Int64 | None = None) -> Int64:
-        """SPEC 8.2: a group of binary symbols, each with the model that `index` names. int64 [symbols], 0 or 1."""
+    def plain(self, models: ModelSet, index: Int64, counts: list[int], name: SymbolName, given: Int64 | None = None) -> Int64:
+        """SPEC 8.2: a group of symbols, each with the model that `index` names. int64 [symbols]."""
         layout = _Layout(counts, self.lanes)
-        value = self._symbols(models, index, layout)
+        value = self._group(models, index, layout)
         self._note(value, layout)
         if self.trace:
             for stream, (start, count) in enumerate(zip(layout.starts, layout.counts, strict=True)):
@@ -310,7 +314,7 @@ class Encoder:
         self.raw: list[list[tuple[Int64, Int64]]] = [[] for _ in range(count)]
         self.crc = [0] * count
 
-    def _symbols(self, models: ModelSet, index: Int64, symbol: Int64, layout: _Layout) -> None:
+    def _group(self, models: ModelSet, index: Int64, symbol: Int64, layout: _Layout) -> None:
         position = models.offset.take(index) + symbol
         lower = models.lower.take(position)
         frequency = models.upper.take(position) - lower
@@ -328,7 +332,7 @@ class Encoder:
         away = (given >> raw) - centre
         radius = models.radius.take(model)
         escaped = np.abs(away) > radius
-        self._symbols(models, model, np.where(escaped, 2 * radius + 1, away + radius), layout)
+        self._group(models, model, np.where(escaped, 2 * radius + 1, away + radius), layout)
         low = given & ((np.int64(1) << raw) - 1)
         for stream, (start, count) in enumerate(zip(layout.starts, layout.counts, strict=True)):
             part = slice(start, start + count)
@@ -340,11 +344,11 @@ class Encoder:
             self.crc[stream] = zlib.crc32(given[part].astype("<i4").tobytes(), self.crc[stream])
         return given
 
-    def bits(self, models: ModelSet, index: Int64, counts: list[int], name: SymbolName, given: Int64 | None) -> Int64:
-        """As Decoder.bits."""
+    def plain(self, models: ModelSet, index: Int64, counts: list[int], name: SymbolName, given: Int64 | None) -> Int64:
+        """As Decoder.plain."""
         assert given is not None
         layout = _Layout(counts, self.lanes)
-        self._symbols(models, index, given, layout)
+        self._group(models, index, given, layout)
         for stream, (start, count) in enumerate(zip(layout.starts, layout.counts, strict=True)):
             self.crc[stream] = zlib.crc32(given[start : start + count].astype("<i4").tobytes(), self.crc[stream])
         return given

@@ -51,6 +51,7 @@ from .limits import PROFILES, dimension_fault
 from .masks import context_count
 from .networks import Layer
 from .planes import PLANE_SYMBOL_MAX, PLANES
+from .positions import CELL_INDEX, HALVES, POSITION_MODELS, PositionModel
 from .reconstruction import Reconstruction, digest, reconstruct
 from .scene import Dimensions, Lanes, PositionGrid, RenderInfo, Scene
 from .tables import STEP_LENGTH, TOTAL
@@ -171,12 +172,18 @@ def _scene_document(scene: Scene, damage: dict[int, BitstreamError]) -> dict[str
         "plane_shift": scene.plane_shift,
         "carm_shift": scene.carm_shift.tolist(),
         "mask_model": scene.mask_model.tolist(),
+        **_position_document(scene.position_model),
         "extensions": [{"type": kind, "mode": mode, "file": extension_name(kind)} for kind, mode, _ in scene.extensions],
         "digest": {"whole": whole, **parts},
     }
     if damage:
         document["dropped_chunks"] = [{"chunk": number, **json.loads(error.to_json())} for number, error in sorted(damage.items())]
     return document
+
+
+def _position_document(model: PositionModel | None) -> dict[str, Any]:
+    """What packed positions were coded with, so that a folder gives its file again."""
+    return {} if model is None else {"position_model": {"cell_shift": model.cell_shift, "frequency": model.frequency.tolist()}}
 
 
 def _json_text(document: dict[str, Any]) -> str:
@@ -391,7 +398,20 @@ def _read_document(doc: _Document, d: Dimensions, profile: int, path: Path) -> S
             np.zeros((0, 3), np.uint8),
         ),
         _read_extensions(doc, path),
+        _read_position_model(doc),
     )
+
+
+def _read_position_model(doc: _Document) -> PositionModel | None:
+    """SPEC 5.15, if the folder says that positions are packed."""
+    if "position_model" not in doc.root:
+        return None
+    frequency = [doc.integers(f"position_model.frequency[{i}]", HALVES, 0, TOTAL) for i in range(POSITION_MODELS)]
+    model = PositionModel(doc.integer("position_model.cell_shift", 0, CELL_INDEX), np.array(frequency, dtype=np.uint16))
+    fault = model.fault()
+    if fault is not None:
+        raise doc.fault(f"position_model.frequency[{fault}]", "is not a model (SPEC.md 6.10)")
+    return model
 
 
 def _read_render(doc: _Document) -> RenderInfo:

@@ -20,12 +20,13 @@ from numpy.typing import NDArray
 
 from . import syntax
 from .codec import Parsed, parse
-from .container import CHUNK_ENTRY_BYTES, POSITION_BYTES, PROLOGUE_BYTES, SECTIONS, VERSION, dimensions_of
+from .container import CHUNK_ENTRY_BYTES, POSITION_BYTES, PROLOGUE_BYTES, SECTIONS, VERSION, dimensions_of, entries_start
 from .entropy import TraceRow
 from .errors import BitstreamError
 from .limits import PROFILES
 from .masks import context_count
 from .planes import PLANE_NAMES
+from .positions import PACKED
 from .reconstruction import digest
 from .scene import Dimensions
 
@@ -54,12 +55,23 @@ class Row:
 
 @dataclass(frozen=True)
 class _Outline:
-    """The header's fields as far as they parse, unchecked; sections: (type, start, end) in file order, cut to the file."""
+    """The header's fields as far as they parse, unchecked; sections: (type, start, end) in file order, cut to the file; entries:
+    bytes of the chunk table before its entries."""
 
     header: Any
     header_end: int
     dimensions: Dimensions | None
     sections: list[tuple[int, int, int]]
+
+    @property
+    def position_mode(self) -> int:
+        """The mode of the positions."""
+        return max((entry.mode for entry in self.header.directory if SECTIONS.get(entry.type) == "positions"), default=0)
+
+    @property
+    def entries_start(self) -> int:
+        """Bytes of the chunk table before its entries (SPEC 5.10)."""
+        return entries_start(self.header.dimensions.offset_count, self.position_mode)
 
 
 def _elements(name: str, data: bytes, start: int, end: int, path: str) -> tuple[list[Row], Any]:
@@ -143,7 +155,9 @@ def _section_rows(data: bytes, outline: _Outline, kind: int, start: int, end: in
         for i in range(min(contexts, (end - start) // 2)):
             at = start + 2 * i
             yield Row(at, at + 2, f"chunk_table.mask_model[{i}]", "u16", int.from_bytes(data[at : at + 2], "little"))
-        for number, at in enumerate(range(start + 2 * contexts, end - CHUNK_ENTRY_BYTES + 1, CHUNK_ENTRY_BYTES)):
+        if outline.position_mode:
+            yield from _elements("PositionModel", data, start + 2 * contexts, end, "chunk_table.position_model")[0]
+        for number, at in enumerate(range(start + outline.entries_start, end - CHUNK_ENTRY_BYTES + 1, CHUNK_ENTRY_BYTES)):
             yield from _elements("ChunkEntry", data, at, at + CHUNK_ENTRY_BYTES, f"chunk_table.entry[{number}]")[0]
     elif name in ("positions", "masks", "attributes"):
         yield from _chunk_rows(data, outline, name, start, end)
@@ -184,7 +198,7 @@ def _chunk_table(data: bytes, outline: _Outline) -> NDArray[np.int64]:
     """The chunk table's entries that are there: [chunks, 6], fields as in SPEC 5.10."""
     for kind, start, end in outline.sections:
         if SECTIONS.get(kind) == "chunk_table":
-            at = start + 2 * context_count(outline.header.dimensions.offset_count)
+            at = start + outline.entries_start
             return np.frombuffer(data, "<u4", 6 * max(0, (end - at) // CHUNK_ENTRY_BYTES), min(at, end)).astype(np.int64).reshape(-1, 6)
     return np.zeros((0, 6), np.int64)
 
@@ -202,11 +216,14 @@ def _chunk_rows(data: bytes, outline: _Outline, name: str, start: int, end: int)
         if at == end:
             return
         stop, path = min(end, at + length), f"{name}[chunk {number}]"
-        if name == "positions":
+        if name == "positions" and outline.position_mode and at < stop:
+            yield Row(at, at + 1, f"{path}.form", "u8", data[at])
+            at += 1
+        if name == "positions" and not (outline.position_mode and data[at - 1] == PACKED):
             kind = f"f16[{_chunk_anchors(h, number)},3]"
             yield from _payload(at, stop, end, path, kind)
         else:
-            lanes = 1 << (h.mask_lanes_log2 if name == "masks" else h.attribute_lanes_log2)
+            lanes = 1 << (h.attribute_lanes_log2 if name == "attributes" else h.mask_lanes_log2)
             yield from _substream_rows(data, at, stop, lanes, path)
         at = stop
 
@@ -337,6 +354,9 @@ def document(data: bytes, verdict: Parsed | BitstreamError) -> dict[str, Any]:
         elif SECTIONS.get(kind) == "chunk_table":
             count = min(context_count(h.dimensions.offset_count), (end - start) // 2)
             found["mask_model"] = np.frombuffer(data, "<u2", count, start).tolist()
+            if outline.position_mode:
+                model = _elements("PositionModel", data, start + 2 * count, end, "chunk_table.position_model")[1]
+                found["position_model"] = _plain(model)
             found["chunks"] = [
                 {"anchors": _chunk_anchors(h, number), "position_bytes": p, "mask_bytes": m, "attribute_bytes": a}
                 for number, (p, _, m, _, a, _) in enumerate(_chunk_table(data, outline).tolist())
@@ -445,7 +465,7 @@ def trace(data: bytes, write: Callable[[str], object]) -> Parsed:
 
 
 # Beginnings of the symbols' paths, and the parts of _trace_parts that come before them.
-_ORDER = {"plane": 0, "masks": 1, "attri": 2}
+_ORDER = {"plane": 0, "posit": 1, "masks": 1, "attri": 2}
 _LAST = 2
 
 
@@ -457,7 +477,7 @@ def _trace_parts(data: bytes) -> Iterator[tuple[int, Iterator[Row]]]:
     parts = {"chunk_table": 1, "positions": 1, "masks": 1, "attributes": _LAST}
     for kind, start, end in outline.sections:
         name = SECTIONS.get(kind, "")
-        if name == "positions":
+        if name == "positions" and not outline.position_mode:
             yield 1, _position_rows(data, start, end)
         else:
             yield parts.get(name, 0 if name else _LAST), _section_rows(data, outline, kind, start, end)

@@ -38,7 +38,7 @@ def code_masks(
         def name(stream: int, index: int, k: int = k) -> str:
             return f"masks[{chunks[stream][index]},{k}]"
 
-        bit = coder.bits(models, contexts(k, kept), counts, name, known)
+        bit = coder.plain(models, contexts(k, kept), counts, name, known)
         masks[:, k] = bit
         kept += bit
     return masks

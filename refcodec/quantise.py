@@ -10,16 +10,29 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .attributes import ATTRIBUTE_SYMBOL_MAX, KINDS, Attributes
-from .codec import FRAME_SHIFT_MAX, MATRIX_BOUND, TRANSLATION_BOUND, derive_steps
-from .container import ORIGIN_BOUND, SCALE_EXPONENT_MAX
+from .codec import FRAME_SHIFT_MAX, MATRIX_BOUND, TRANSLATION_BOUND, derive_steps, take_anchors
+from .container import ANCHORS_OF_A_BYTE, ORIGIN_BOUND, SCALE_EXPONENT_MAX, chunk_ranges
 from .conventions import Int64
+from .entropy import SymbolName
 from .geometry import UNIT, Frame, contract, frame_coordinates, position_integers
 from .limits import MAIN
 from .masks import context_count, contexts
 from .networks import ACTIVATION_MAX, Layer
 from .planes import PLANES
+from .positions import (
+    CELL_INDEX,
+    EMPTY_MODELS,
+    HALVES,
+    POSITION_MODELS,
+    PositionModel,
+    cells,
+    chunk_codes,
+    code_cells,
+    encode_positions,
+    morton,
+)
 from .scene import Dimensions, Lanes, PositionGrid, RenderInfo, Scene
-from .tables import STEP_SHIFT, TOTAL, tables
+from .tables import STEP_SHIFT, TOTAL, ModelSet, tables
 
 F32 = NDArray[np.float32]
 
@@ -153,18 +166,68 @@ def mask_model(masks: NDArray[np.bool_]) -> NDArray[np.uint16]:
     return np.clip(frequency, 1, TOTAL - 1).astype(np.uint16)
 
 
+def choose_cells(positions: NDArray[np.float16]) -> int:
+    """SPEC B.1: the largest cell_shift with which every position has a cell, or 40 if none will do."""
+    every = int(np.bitwise_or.reduce(position_integers(positions), axis=None))
+    shift = min((every & -every).bit_length() - 1, CELL_INDEX - 1) if every else 0
+    return CELL_INDEX if (cells(positions, shift) < 0).any() else shift
+
+
 def morton_order(positions: NDArray[np.float16]) -> Int64:
-    """SPEC B.1: a stable order along a Morton curve of 21 bits an axis over the positions' bounds."""
-    p = position_integers(positions)
-    if len(p) == 0:
-        return np.zeros(0, dtype=np.int64)
-    span = max(int((p.max(axis=0) - p.min(axis=0)).max()), 1)
-    q = (p - p.min(axis=0)) // (span // (1 << 21) + 1)
-    code = np.zeros(len(p), dtype=np.int64)
-    for bit in range(21):
-        for axis in range(3):
-            code |= ((q[:, axis] >> bit) & 1) << (3 * bit + axis)
-    return np.argsort(code, kind="stable")
+    """SPEC B.1: a stable order along the Morton curve of the positions' cells."""
+    return np.argsort(morton(cells(positions, choose_cells(positions))), kind="stable")
+
+
+class _Counter:
+    """A coder that only counts the symbols of the tree of cells. counts: int64 [18, 16]."""
+
+    def __init__(self) -> None:
+        self.counts = np.zeros((POSITION_MODELS, HALVES), dtype=np.int64)
+
+    def plain(self, models: ModelSet, index: Int64, counts: list[int], name: SymbolName, given: Int64 | None) -> Int64:
+        assert given is not None
+        np.add.at(self.counts, (index, given), 1)
+        return given
+
+
+def frequencies(counts: Int64, first: int) -> Int64:
+    """Frequencies that sum to 2^14 for symbols from `first` on, none of them 0; what rounding leaves goes to the most frequent."""
+    found = np.zeros(len(counts), dtype=np.int64)
+    seen = counts[first:] if counts[first:].any() else np.ones(len(counts) - first, dtype=np.int64)
+    found[first:] = np.maximum(seen * TOTAL // seen.sum(), 1)
+    found[np.argmax(found)] += TOTAL - found.sum()
+    return found
+
+
+def position_model(positions: NDArray[np.float16], chunk_size: int) -> PositionModel:
+    """SPEC B.1: cell_shift, and the observed frequencies of the chunks that can be packed."""
+    cell_shift, counter = choose_cells(positions), _Counter()
+    for chunk in chunk_ranges(len(positions), chunk_size):
+        code = chunk_codes(positions[chunk.start : chunk.stop], cell_shift)
+        if code is not None:
+            code_cells(counter, tables().gauss, [], [len(chunk)], code)
+    frequency = [frequencies(c, int(model in EMPTY_MODELS)) for model, c in enumerate(counter.counts)]
+    return PositionModel(cell_shift, np.array(frequency, dtype=np.uint16))
+
+
+def pack_positions(scene: Scene) -> Scene:
+    """SPEC B.1: the scene with its anchors along the Morton curve and positions in mode 1 where
+    6.10 allows it. No attribute changes but its place."""
+    scene = take_anchors(scene, morton_order(scene.positions))
+    model, chunks = position_model(scene.positions, scene.chunk_size), chunk_ranges(scene.anchor_count, scene.chunk_size)
+    parts = encode_positions(model, scene.positions, chunks, 1 << scene.lanes.mask)
+    # SPEC 6.10 asks for a byte for 16 anchors, which a scene that fills a cube may not need.
+    allowed = all(len(part) * ANCHORS_OF_A_BYTE >= len(chunk) for part, chunk in zip(parts, chunks, strict=True))
+    return replace(scene, position_model=model if allowed else None)
+
+
+def packed(scene: Scene, positions: str | None) -> Scene:
+    """The scene with its positions "raw" or "packed"; None: packed in Main. What is packed already stays as it is."""
+    if positions == "raw":
+        return replace(scene, position_model=None)
+    if scene.position_model is None and (positions or scene.profile == MAIN):
+        return pack_positions(scene)
+    return scene
 
 
 def carm_shifts(features: NDArray[np.int32], inputs: int) -> NDArray[np.uint8]:

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from .attributes import SCALINGS, Attributes
 from .geometry import Frame
 from .networks import Layer
+from .positions import PositionModel
 
 
 @dataclass(frozen=True)
@@ -104,6 +105,7 @@ class Scene:
     networks: for each name of Dimensions.network_shapes the layers (weight float32 [out, in], bias float32 [out]).
     plane_shift: SPEC 7.5.4; carm_shift: uint8 [carm inputs]; mask_model: uint16 [K (K + 1) / 2].
     planes: int16 [5, ch, B, B]; positions: float16 [N, 3]; masks: bool [N, K].
+    position_model: what the positions are packed with; None for mode 0, which packs none (SPEC 5.11).
     attributes: symbols and step indices. extensions: (type, mode, bytes) of ancillary sections, types ascending.
     """
 
@@ -124,6 +126,7 @@ class Scene:
     masks: NDArray[np.bool_]
     attributes: Attributes
     extensions: tuple[tuple[int, int, bytes], ...] = field(default=())
+    position_model: PositionModel | None = None
 
     @property
     def anchor_count(self) -> int:

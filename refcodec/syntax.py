@@ -120,6 +120,11 @@ SYNTAX: dict[str, list[tuple[str, str]]] = {
         ("symbol_crc", "u32"),
         ("word_count", "u32"),
     ],
+    # SPEC 5.15: between the mask model and the entries, in mode 1 of the positions
+    "PositionModel": [
+        ("cell_shift", "u8"),
+        ("frequency", "u16[288]"),
+    ],
 }
 
 _SCALARS = {

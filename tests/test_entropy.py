@@ -31,7 +31,7 @@ def encode(groups: list, streams: int, lanes: int, limit: int = LIMIT) -> list[b
     encoder = Encoder(streams, lanes)
     for models, mean, scale, counts, value in groups:
         if scale is None:
-            encoder.bits(models, mean, counts, no_name, value)
+            encoder.plain(models, mean, counts, no_name, value)
         else:
             encoder.values(models, mean, scale, counts, limit, no_name, value)
     return encoder.finish()
@@ -39,7 +39,7 @@ def encode(groups: list, streams: int, lanes: int, limit: int = LIMIT) -> list[b
 
 def run(decoder: Decoder, groups: list, limit: int = LIMIT) -> tuple[list[np.ndarray], list]:
     values = [
-        decoder.bits(models, mean, counts, no_name) if scale is None else decoder.values(models, mean, scale, counts, limit, no_name)
+        decoder.plain(models, mean, counts, no_name) if scale is None else decoder.values(models, mean, scale, counts, limit, no_name)
         for models, mean, scale, counts, _ in groups
     ]
     return values, decoder.finish()

@@ -58,7 +58,7 @@ def test_syntax_table(name: str) -> None:
     assert len(extra) == len(syntax.SYNTAX[name])
 
 
-MODULES = ["container", "codec", "networks", "planes", "attributes", "geometry", "entropy", "tables"]
+MODULES = ["container", "codec", "networks", "planes", "attributes", "geometry", "entropy", "tables", "positions"]
 
 
 def test_constants() -> None:
@@ -289,9 +289,10 @@ def test_the_formulas_of_the_prose(spec: dict) -> None:
     header = container.parse_container(data)
     d = header.dimensions
     weights, table, positions = formulas("6.6")
+    assert value(table, K=0, C=0, m=1) == syntax.SCHEMAS["PositionModel"].sizeof(at=None)
     lengths = {kind: s.end - s.start for kind, s in header.sections.items()}
     assert lengths[container.WEIGHTS] == value(weights, carm_inputs=d.carm_inputs, W=container.weight_count(d))
-    assert lengths[container.CHUNK_TABLE] == value(table, K=d.offset_count, C=len(header.chunks))
+    assert lengths[container.CHUNK_TABLE] == value(table, K=d.offset_count, C=len(header.chunks), m=0)
     assert lengths[container.POSITIONS] == value(positions, N=header.anchor_count)
     index, masked = formulas("7.6")
     order = [value(index, k=k, n=n) for k in range(10) for n in range(k + 1)]

@@ -26,6 +26,9 @@ enum {
     CARM_SHIFT_MAX = 16,
     PLANE_SYMBOL_MAX = (1 << 15) - 1,
     ATTRIBUTE_SYMBOL_MAX = (1 << 23) - 1,
+    CELL_LEVELS = 16,
+    CELL_INDEX = 40,
+    POSITION_MODELS = 18,
     ACTIVATION_MAX = 1023,
     WEIGHT_MAX = 1023,
     ACCUMULATOR_BOUND = 1 << 24,
@@ -46,7 +49,8 @@ enum {
     TABLES_LENGTH = 99840,
     PROLOGUE_LENGTH = 20,
     FRAME_LENGTH = 88,
-    CHUNK_ENTRY_LENGTH = 24
+    CHUNK_ENTRY_LENGTH = 24,
+    POSITION_MODEL_LENGTH = 577
 };
 #define ORIGIN_BOUND (INT64_C(1) << 62)
 #define TRANSLATION_BOUND (INT64_C(1) << 61)
@@ -65,8 +69,8 @@ enum error {
     FRAME_RANGE = 401,
     WEIGHTS_SCALE = 411, WEIGHTS_NOT_FINITE, WEIGHTS_BOUND,
     PLANES_LENGTH = 421,
-    CHUNKS_MASK_MODEL = 431, CHUNKS_LENGTH, CHUNKS_CRC,
-    POSITIONS_NOT_FINITE = 441, POSITIONS_NEGATIVE_ZERO,
+    CHUNKS_MASK_MODEL = 431, CHUNKS_LENGTH, CHUNKS_CRC, CHUNKS_POSITION_MODEL,
+    POSITIONS_NOT_FINITE = 441, POSITIONS_NEGATIVE_ZERO, POSITIONS_FORM, POSITIONS_RAW, POSITIONS_COUNT, POSITIONS_CELL,
     SUBSTREAM_LENGTH = 501, SUBSTREAM_STATE, SUBSTREAM_WORDS, SUBSTREAM_FINAL_STATE, SUBSTREAM_ESCAPE,
     SUBSTREAM_SYMBOL_RANGE, SUBSTREAM_RAW_LENGTH, SUBSTREAM_RAW_PADDING, SUBSTREAM_SYMBOL_CRC
 };
@@ -925,7 +929,10 @@ struct scene {
     const uint8_t *values; /* 5.8 */
     uint64_t value_count;
     uint32_t mask_model[55];
+    unsigned cell_shift; /* 5.15 */
+    uint16_t position_model[POSITION_MODELS][16];
     const uint8_t *entries; /* of type ChunkEntry, 5.10 */
+    uint16_t *position_bits; /* of each anchor three f16 */
     int16_t *plane[5];      /* sub-planes: [channel][i][j] */
     int16_t *plane_2;       /* the plane of r = 2 */
     uint8_t *masks;         /* of each anchor, K */
@@ -940,6 +947,9 @@ static uint64_t SECTION(const struct scene *s, int section) { return s->h.direct
 /* 5.6 */
 static uint64_t SECTION_LENGTH(const struct scene *s, int section) { return s->h.directory[section].length; }
 
+/* 5.6 */
+static int POSITION_MODE(const struct scene *s) { return s->h.directory[S_POSITIONS].mode; }
+
 /* 6.6, 12.1 */
 static void DIRECTORY(struct scene *s)
 {
@@ -947,7 +957,7 @@ static void DIRECTORY(struct scene *s)
     const struct entry *d = h->directory;
     uint64_t k = h->offset_count, end = h->end, inputs = h->features - h->slice_width.item[h->slice_width.count - 1];
     uint64_t expected[CRITICAL] = {FRAME_LENGTH, 2 + inputs + 4 * s->value_count, UINT64_MAX,
-                                   k * (k + 1) + CHUNK_ENTRY_LENGTH * (uint64_t)h->chunks, 6 * (uint64_t)h->anchor_count, UINT64_MAX, UINT64_MAX};
+                                   k * (k + 1) + CHUNK_ENTRY_LENGTH * (uint64_t)h->chunks, UINT64_MAX, UINT64_MAX, UINT64_MAX};
     for (int i = 0; i < h->section_count; i++)
         if (d[i].type >= 0x80 && (d[i].type < 0x81 || d[i].type > 0x87))
             REFUSE(DIRECTORY_UNKNOWN_CRITICAL, d[i].at);
@@ -960,8 +970,12 @@ static void DIRECTORY(struct scene *s)
     if (h->section_count < CRITICAL)
         REFUSE(DIRECTORY_ORDER, 22);
     for (int i = 0; i < CRITICAL; i++)
-        if (d[i].mode)
+        if (d[i].mode > (i == S_POSITIONS))
             REFUSE(DIRECTORY_MODE, d[i].at + 1);
+    if (POSITION_MODE(s))
+        expected[S_CHUNK_TABLE] += POSITION_MODEL_LENGTH;
+    else
+        expected[S_POSITIONS] = 6 * (uint64_t)h->anchor_count;
     for (int i = 0; i < h->section_count; i++) {
         if (d[i].offset != end)
             REFUSE(DIRECTORY_OFFSET, d[i].at + 4);
@@ -1123,6 +1137,25 @@ static void NEXT_CHUNK(const struct scene *s, uint32_t index, struct chunk *c)
     }
 }
 
+/* 5.15, R6.10-4 */
+static void POSITION_MODEL(struct scene *s, uint64_t at)
+{
+    s->cell_shift = s->data[at];
+    if (s->cell_shift > CELL_INDEX)
+        REFUSE(CHUNKS_POSITION_MODEL, at);
+    for (uint64_t m = 0; m < POSITION_MODELS; m++) {
+        uint32_t sum = 0, right = 1;
+        for (uint64_t i = 0; i < 16; i++) {
+            uint32_t f = GET_U16(s->data + at + 1 + 32 * m + 2 * i);
+            sum += f;
+            right &= (f == 0) == (i == 0 && m % 6 == 1);
+            s->position_model[m][i] = (uint16_t)f;
+        }
+        if (!right || sum != 1 << PRECISION)
+            REFUSE(CHUNKS_POSITION_MODEL, at + 1 + 32 * m);
+    }
+}
+
 /* 6.10 */
 static void CHUNK_TABLE(struct scene *s)
 {
@@ -1135,10 +1168,14 @@ static void CHUNK_TABLE(struct scene *s)
             REFUSE(CHUNKS_MASK_MODEL, at + 2 * i);
     }
     at += 2 * numbers;
+    if (POSITION_MODE(s)) {
+        POSITION_MODEL(s, at);
+        at += POSITION_MODEL_LENGTH;
+    }
     s->entries = s->data + at;
     for (uint32_t i = 0; i < s->h.chunks; i++) {
         NEXT_CHUNK(s, i, &c);
-        if (c.length[0] != 6 * (uint64_t)c.anchors)
+        if (POSITION_MODE(s) ? 16 * c.length[0] < c.anchors : c.length[0] != 6 * (uint64_t)c.anchors)
             REFUSE(CHUNKS_LENGTH, at + CHUNK_ENTRY_LENGTH * (uint64_t)i);
         for (int part = 0; part < 3; part++)
             sum[part] += c.length[part]; /* below 2^25 * 2^32 */
@@ -1165,22 +1202,163 @@ static int64_t POSITION_INTEGER(uint32_t bits)
     return bits >> 15 ? -p : p;
 }
 
-/* 6.11, 9.1 */
+/* 6.11: the f16 of a chunk, which stand in the file from at on */
+static void RAW_POSITIONS(const struct scene *s, const struct chunk *c, uint64_t at)
+{
+    for (uint64_t i = 0; i < 3 * (uint64_t)c->anchors; i++) {
+        uint32_t bits = GET_U16(s->data + at + 2 * i);
+        if ((bits >> 10 & 31) == 31)
+            REFUSE(POSITIONS_NOT_FINITE, at + 2 * i);
+        if (bits == 0x8000)
+            REFUSE(POSITIONS_NEGATIVE_ZERO, at + 2 * i);
+        s->position_bits[3 * (uint64_t)c->first + i] = (uint16_t)bits;
+    }
+}
+
+/* 7.12: -1 where there is none; |n| << cell_shift is below 2^55 */
+static int32_t CELL_NUMBER(uint32_t c, unsigned cell_shift)
+{
+    int32_t n = (int32_t)c - (1 << (CELL_LEVELS - 1));
+    uint64_t bits = (uint64_t)MAGNITUDE(n), p;
+    if (cell_shift < CELL_INDEX) {
+        unsigned e = 0;
+        p = bits << cell_shift;
+        while (p >> e >= 2048)
+            e++;
+        if (p >> e << e != p)
+            return -1;
+        bits = ((uint64_t)e << 10) + (p >> e);
+    }
+    if (bits >= 0x7C00)
+        return -1;
+    return (int32_t)bits | (n < 0 ? 0x8000 : 0);
+}
+
+/* 7.12: -1 where there is none */
+static int32_t CELL_OF(uint32_t bits, unsigned cell_shift)
+{
+    int64_t n = bits & 0x7FFF, c;
+    if (cell_shift < CELL_INDEX) {
+        int64_t p = MAGNITUDE(POSITION_INTEGER(bits));
+        n = p >> cell_shift;
+        if (n << cell_shift != p)
+            return -1;
+    }
+    c = (1 << (CELL_LEVELS - 1)) + (bits >> 15 ? -n : n);
+    return c >= 0 && c < 1 << CELL_LEVELS ? (int32_t)c : -1;
+}
+
+/* 7.12: below 2^48 */
+static uint64_t MORTON(const uint16_t cell[3])
+{
+    uint64_t code = 0;
+    for (unsigned i = 0; i < CELL_LEVELS; i++)
+        for (unsigned axis = 0; axis < 3; axis++)
+            code |= (uint64_t)(cell[axis] >> i & 1) << (3 * i + axis);
+    return code;
+}
+
+/* R6.11-4: whether a raw chunk could be packed */
+static int PACKS(const struct scene *s, const struct chunk *c)
+{
+    uint64_t before = 0;
+    for (uint64_t n = 0; n < c->anchors; n++) {
+        uint16_t cell[3];
+        uint64_t code;
+        for (int axis = 0; axis < 3; axis++) {
+            int32_t found = CELL_OF(s->position_bits[3 * (c->first + n) + (uint64_t)axis], s->cell_shift);
+            if (found < 0)
+                return 0;
+            cell[axis] = (uint16_t)found;
+        }
+        code = MORTON(cell);
+        if (n && code <= before)
+            return 0;
+        before = code;
+    }
+    return 1;
+}
+
+/* 7.12: nodes and next have room for the chunk's anchors; whether there are as many cells. The cells end up in nodes. */
+static int DECODE_CELLS(const struct scene *s, struct stream *stream, uint64_t anchors, uint16_t (*nodes)[3], uint16_t (*next)[3], uint8_t *halves)
+{
+    uint64_t count = 1, below;
+    int whole = 1;
+    memset(nodes[0], 0, sizeof nodes[0]);
+    for (int level = CELL_LEVELS - 1; level >= 0; level--) {
+        const uint16_t (*models)[16] = s->position_model + 6 * (level < 2 ? level : 2);
+        for (uint64_t i = 0; i < count; i++) {
+            halves[i] = (uint8_t)DECODE_SYMBOL(stream, (uint32_t)(i % stream->lanes), models[0]);
+            NOTE_SYMBOL(stream, halves[i]);
+        }
+        below = 0;
+        for (uint64_t i = 0; i < count; i++) {
+            unsigned a = halves[i], b, named = (a & 1) + (a >> 1 & 1) + (a >> 2 & 1) + (a >> 3);
+            b = DECODE_SYMBOL(stream, (uint32_t)(i % stream->lanes), models[1 + named]);
+            NOTE_SYMBOL(stream, (int32_t)b);
+            for (unsigned k = 0; k < 8; k++) {
+                if (!((a | b << 4) >> k & 1))
+                    continue;
+                if (below == anchors) {
+                    whole = 0;
+                    continue;
+                }
+                for (unsigned axis = 0; axis < 3; axis++)
+                    next[below][axis] = (uint16_t)(2 * nodes[i][axis] + (k >> axis & 1));
+                below++;
+            }
+        }
+        count = below;
+        memcpy(nodes, next, (size_t)count * sizeof *nodes);
+    }
+    return whole && count == anchors;
+}
+
+/* 6.11, 7.12: a chunk in mode 1; room as for DECODE_CELLS */
+static void DECODE_POSITIONS(struct scene *s, const struct chunk *c, uint16_t (*nodes)[3], uint16_t (*next)[3], uint8_t *halves)
+{
+    uint64_t at = c->at[0], length = c->length[0];
+    struct stream stream;
+    int whole;
+    if (length && s->data[at] == 1) {
+        OPEN(&stream, s->data, at + 1, length - 1, UINT32_C(1) << s->h.lanes_log2[1]);
+        whole = DECODE_CELLS(s, &stream, c->anchors, nodes, next, halves);
+        END(&stream);
+        if (!whole)
+            REFUSE(POSITIONS_COUNT, at);
+        for (uint64_t n = 0; n < c->anchors; n++)
+            for (unsigned axis = 0; axis < 3; axis++) {
+                int32_t bits = CELL_NUMBER(nodes[n][axis], s->cell_shift);
+                if (bits < 0)
+                    REFUSE(POSITIONS_CELL, at);
+                s->position_bits[3 * (c->first + n) + axis] = (uint16_t)bits;
+            }
+        return;
+    }
+    if (length != 1 + 6 * (uint64_t)c->anchors || s->data[at])
+        REFUSE(POSITIONS_FORM, at);
+    RAW_POSITIONS(s, c, at + 1);
+    if (PACKS(s, c))
+        REFUSE(POSITIONS_RAW, at);
+}
+
+/* 5.11, 6.11, 9.1 */
 static void POSITIONS(struct scene *s)
 {
+    uint64_t largest = s->h.anchor_count < s->h.chunk_size ? s->h.anchor_count : s->h.chunk_size;
+    uint16_t (*nodes)[3] = ALLOCATE(largest + 1, sizeof *nodes), (*next)[3] = ALLOCATE(largest + 1, sizeof *next);
+    uint8_t *halves = ALLOCATE(largest + 1, 1);
     struct chunk c;
     for (uint32_t n = 0; n < s->h.chunks; n++) {
         NEXT_CHUNK(s, n, &c);
         CHUNK_CRC(s, &c, 0);
-        for (uint64_t i = 0; i < 3 * (uint64_t)c.anchors; i++) {
-            uint32_t bits = GET_U16(s->data + c.at[0] + 2 * i);
-            int64_t world;
-            if ((bits >> 10 & 31) == 31)
-                REFUSE(POSITIONS_NOT_FINITE, c.at[0] + 2 * i);
-            if (bits == 0x8000)
-                REFUSE(POSITIONS_NEGATIVE_ZERO, c.at[0] + 2 * i);
-            world = s->h.origin[i % 3] + s->h.scale_mantissa * POSITION_INTEGER(bits); /* below 2^62 + 2^56 */
-            PUT_U32(s->positions + 4 * (3 * (uint64_t)c.first + i), ROUND_F32(world, s->h.scale_exponent - 24));
+        if (POSITION_MODE(s))
+            DECODE_POSITIONS(s, &c, nodes, next, halves);
+        else
+            RAW_POSITIONS(s, &c, c.at[0]);
+        for (uint64_t i = 3 * (uint64_t)c.first; i < 3 * ((uint64_t)c.first + c.anchors); i++) {
+            int64_t world = s->h.origin[i % 3] + s->h.scale_mantissa * POSITION_INTEGER(s->position_bits[i]); /* below 2^62 + 2^56 */
+            PUT_U32(s->positions + 4 * i, ROUND_F32(world, s->h.scale_exponent - 24));
         }
     }
 }
@@ -1245,13 +1423,13 @@ static void GAMMA(int64_t u, uint32_t frequencies, int32_t *out)
     }
 }
 
-/* 7.5: the 2 ch + 2 L inputs of F_h for the anchor whose three f16 are at p */
-static void CONTEXT(const struct scene *s, const uint8_t *p, int32_t *out)
+/* 7.5: the 2 ch + 2 L inputs of F_h for the anchor with the three f16 p */
+static void CONTEXT(const struct scene *s, const uint16_t *p, int32_t *out)
 {
     int32_t channels = s->h.plane_channels, size = (int32_t)s->h.plane_size;
     int64_t position[3], u[3];
     for (int a = 0; a < 3; a++)
-        position[a] = POSITION_INTEGER(GET_U16(p + 2 * a));
+        position[a] = POSITION_INTEGER(p[a]);
     FRAME_COORDINATES(&s->frame, position, u);
     CONTRACT(u);
     RESCALE(&s->frame, u);
@@ -1373,7 +1551,7 @@ static void ATTRIBUTES(struct scene *s)
         OPEN(&stream, s->data, c.at[2], c.length[2], UINT32_C(1) << h->lanes_log2[2]);
         for (uint64_t n = 0; n < c.anchors; n++) {
             int32_t context[WIDTH_MAX];
-            CONTEXT(s, s->data + c.at[0] + 6 * n, context);
+            CONTEXT(s, s->position_bits + 3 * (c.first + n), context);
             NETWORK(&s->networks[HYPER], context, parameters + n * (2 * d + 3));
         }
         memset(symbols, 0, (size_t)(c.anchors * d * sizeof *symbols));
@@ -1444,12 +1622,13 @@ static void DECODE_SCENE(struct scene *s)
     HEADER(&s->h, s->data);
     SHAPES(&s->h, s->networks);
     s->value_count = VALUE_COUNT(s->networks);
-    DIRECTORY(s); /* from here on N and C are bounded by the file's length */
+    DIRECTORY(s); /* from here on C is bounded by the file's length */
     FRAME(s);
     WEIGHTS(s);
     PLANES(s);
     JOIN_QUADRANTS(s);
-    CHUNK_TABLE(s);
+    CHUNK_TABLE(s); /* and from here on N */
+    s->position_bits = ALLOCATE(s->h.anchor_count, 6);
     s->positions = ALLOCATE(s->h.anchor_count, 12);
     POSITIONS(s);
     s->masks = ALLOCATE(s->h.anchor_count, s->h.offset_count);

@@ -10,10 +10,12 @@ from .errors import C3GSError, require
 from .operators import (
     BASE_STEP_MAX,
     BASE_STEP_MIN,
+    CELL_INDEX,
     HEADER_LENGTH_MAX,
     HEADER_LENGTH_MIN,
     LANES_LOG2_MAX,
     ORIGIN_BOUND,
+    POSITION_MODELS,
     PRECISION,
     SCALE_EXPONENT_MAX,
 )
@@ -24,6 +26,7 @@ CRITICAL_TYPES = range(0x81, 0x88)
 FRAME, WEIGHTS, PLANES, CHUNK_TABLE, POSITIONS, MASKS, ATTRIBUTES = range(7)
 FRAME_LENGTH = 88
 CHUNK_ENTRY_LENGTH = 24
+POSITION_MODEL_LENGTH = 577
 ENTRY_NAMES = ("type", "mode", "reserved", "offset", "length", "crc")
 
 # SPEC 11.1: dimension -> bounds of Tiny and of Main; a list's bounds are those of each item
@@ -104,6 +107,13 @@ class Header:
     def channels(self) -> int:
         """D of 6.3."""
         return self.features + 6 + 3 * self["offset_count"]
+
+    # SPEC 5.6
+    @property
+    def position_mode(self) -> int:
+        """The mode of the positions, of a right directory."""
+        mode: int = self[f"mode.{POSITIONS}"]
+        return mode
 
     @property
     def carm_inputs(self) -> int:
@@ -255,18 +265,19 @@ def read_directory(data: bytes, header: Header, weight_count: int) -> list[Secti
         require(kind < 0x80 or kind in CRITICAL_TYPES, "directory.unknown_critical", at[f"type.{n}"])
     _check_order(header)
     for n in range(len(CRITICAL_TYPES)):
-        require(header[f"mode.{n}"] == 0, "directory.mode", at[f"mode.{n}"])
+        require(header[f"mode.{n}"] <= (n == POSITIONS), "directory.mode", at[f"mode.{n}"])
     end = header.end
     for n in entries:
         require(header[f"offset.{n}"] == end, "directory.offset", at[f"offset.{n}"])
         end += header[f"length.{n}"]
-    offsets = header["offset_count"]
+    offsets, mode = header["offset_count"], header.position_mode
     implied = {
         FRAME: FRAME_LENGTH,
         WEIGHTS: 2 + header.carm_inputs + 4 * weight_count,
-        CHUNK_TABLE: offsets * (offsets + 1) + CHUNK_ENTRY_LENGTH * header.chunk_count,
-        POSITIONS: 6 * header["anchor_count"],
+        CHUNK_TABLE: offsets * (offsets + 1) + POSITION_MODEL_LENGTH * mode + CHUNK_ENTRY_LENGTH * header.chunk_count,
     }
+    if mode == 0:
+        implied[POSITIONS] = 6 * header["anchor_count"]
     for n, length in implied.items():
         require(header[f"length.{n}"] == length, "directory.length", at[f"length.{n}"])
     require(end == len(data), "directory.file_length", min(end, len(data)))
@@ -292,24 +303,54 @@ class Part:
             raise C3GSError("chunks.crc", self.offset)
 
 
+@dataclass(frozen=True)
+class PositionModel:
+    """What packed positions are coded with: the frequencies of each model."""
+
+    cell_shift: int
+    frequencies: list[list[int]]
+
+
+# SPEC 5.15, [R6.10-4]
+def _read_position_model(data: bytes, at: int) -> PositionModel:
+    require(data[at] <= CELL_INDEX, "chunks.position_model", at)
+    frequencies = []
+    for n in range(POSITION_MODELS):
+        model = list(struct.unpack_from("<16H", data, at + 1 + 32 * n))
+        # a first half without children is never followed by a second one without
+        least = [0 if n % 6 == 1 else 1] + [1] * 15
+        right = sum(model) == 1 << PRECISION and all(map(int.__ge__, model, least)) and (n % 6 != 1 or model[0] == 0)
+        require(right, "chunks.position_model", at + 1 + 32 * n)
+        frequencies.append(model)
+    return PositionModel(data[at], frequencies)
+
+
+ChunkTable = tuple[list[int], PositionModel | None, list[tuple[Part, ...]]]
+
+
 # SPEC 5.10, 6.10, 10.1 step 6
-def read_chunk_table(data: bytes, header: Header, sections: list[Section]) -> tuple[list[int], list[tuple[Part, ...]]]:
-    """The mask model, and for each chunk its parts of the positions, masks and attributes."""
+def read_chunk_table(data: bytes, header: Header, sections: list[Section]) -> ChunkTable:
+    """The mask model, the model of positions if there is one, and for each chunk its parts of the positions, masks and attributes."""
     table = sections[CHUNK_TABLE].offset
     count = header["offset_count"] * (header["offset_count"] + 1) // 2
     mask_model = list(struct.unpack_from(f"<{count}H", data, table))
     for n, frequency in enumerate(mask_model):
         require(1 <= frequency < 1 << PRECISION, "chunks.mask_model", table + 2 * n)
     entries_at = table + 2 * count
+    position_model = None
+    if header.position_mode:
+        position_model = _read_position_model(data, entries_at)
+        entries_at += POSITION_MODEL_LENGTH
     starts = [sections[n].offset for n in (POSITIONS, MASKS, ATTRIBUTES)]
     ends = list(starts)
     chunks = []
     for c in range(header.chunk_count):
         at = entries_at + CHUNK_ENTRY_LENGTH * c
         numbers = struct.unpack_from("<6I", data, at)
-        require(numbers[0] == 6 * header.chunk_anchors(c), "chunks.length", at)
+        anchors = header.chunk_anchors(c)
+        require(16 * numbers[0] >= anchors if header.position_mode else numbers[0] == 6 * anchors, "chunks.length", at)
         chunks.append(tuple(Part(ends[n], numbers[2 * n], numbers[2 * n + 1]) for n in range(3)))
         ends = [end + length for end, length in zip(ends, numbers[::2])]
     for n, end in zip((POSITIONS, MASKS, ATTRIBUTES), ends):
         require(end == sections[n].offset + sections[n].length, "chunks.length", sections[n].offset)
-    return mask_model, chunks
+    return mask_model, position_model, chunks

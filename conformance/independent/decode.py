@@ -4,10 +4,11 @@ from dataclasses import dataclass
 
 from .attributes import read_attributes
 from .container import FRAME, PLANES, WEIGHTS, Header, read_chunk_table, read_directory, read_header, read_prologue
-from .geometry import ContextSource, Frame, read_frame, read_positions
+from .geometry import ContextSource, Frame, read_frame
 from .masks import read_masks
 from .networks import Weights, read_weights, weight_count
 from .planes import Plane, join_quadrants, read_planes
+from .positions import read_positions
 from .tables import load_tables
 
 
@@ -42,8 +43,8 @@ def decode(data: bytes) -> Scene:
     frame = read_frame(data, sections[FRAME])
     weights = read_weights(data, header, sections[WEIGHTS])
     planes = read_planes(data, header, sections[PLANES], weights.networks["sarm"], tables.laplace)
-    mask_model, parts = read_chunk_table(data, header, sections)
-    positions = [read_positions(data, header, n, part[0]) for n, part in enumerate(parts)]
+    mask_model, position_model, parts = read_chunk_table(data, header, sections)
+    positions = [read_positions(data, header, n, part[0], position_model) for n, part in enumerate(parts)]
     masks = [read_masks(data, header, n, part[1], mask_model) for n, part in enumerate(parts)]
     context = ContextSource(frame, [planes[0], join_quadrants(planes[1:])], weights.plane_shift, header["frequency_count"], tables.sine)
     chunks = []

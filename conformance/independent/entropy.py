@@ -90,9 +90,9 @@ class Substream:
     def _note(self, values: list[int]) -> None:
         self._crc = zlib.crc32(struct.pack(f"<{len(values)}i", *values), self._crc)
 
-    # SPEC 7.6, 8.3
-    def bits(self, models: Iterable[Model]) -> list[int]:
-        """A group of mask bits."""
+    # SPEC 7.6, 7.12, 8.3
+    def plain(self, models: Iterable[Model]) -> list[int]:
+        """A group of symbols that are no values: mask bits, halves of children."""
         out = self._group(models)
         self._note(out)
         return out

@@ -1,10 +1,10 @@
-"""Clauses 5.7, 5.11, 6.7, 6.11, 7.4 and 7.5: frame, positions and context."""
+"""Clauses 5.7, 6.7 and 7.5: frame and context."""
 
 import math
 import struct
 from dataclasses import dataclass
 
-from .container import Header, Part, Section
+from .container import Section
 from .errors import require
 from .operators import (
     FRAME_CLAMP,
@@ -53,18 +53,6 @@ def read_frame(data: bytes, section: Section) -> Frame:
         require(-FRAME_RANGE_BOUND <= low < FRAME_RANGE_BOUND, "frame.range", at + 64 + 4 * n)
         require(low < high <= FRAME_RANGE_BOUND, "frame.range", at + 76 + 4 * n)
     return frame
-
-
-# SPEC 6.11, 7.4, 10.1 step 7
-def read_positions(data: bytes, header: Header, chunk: int, part: Part) -> list[tuple[int, int, int]]:
-    """The integers P of a chunk's anchors."""
-    part.check(data)
-    count = 3 * header.chunk_anchors(chunk)
-    for n, bits in enumerate(struct.unpack_from(f"<{count}H", data, part.offset)):
-        require(bits & 0x7C00 != 0x7C00, "positions.not_finite", part.offset + 2 * n)
-        require(bits != 0x8000, "positions.negative_zero", part.offset + 2 * n)
-    integers = [int(math.ldexp(x, 24)) for x in struct.unpack_from(f"<{count}e", data, part.offset)]
-    return list(zip(integers[::3], integers[1::3], integers[2::3]))
 
 
 class ContextSource:

@@ -16,7 +16,7 @@ def read_masks(data: bytes, header: Header, chunk: int, part: Part, mask_model: 
     kept_before = [0] * len(masks)
     for k in range(header["offset_count"]):
         first = k * (k + 1) // 2
-        for n, bit in enumerate(stream.bits([models[first + kept] for kept in kept_before])):
+        for n, bit in enumerate(stream.plain([models[first + kept] for kept in kept_before])):
             masks[n].append(bit)
             kept_before[n] += bit
     stream.finish()

@@ -126,8 +126,8 @@ class BitCounter:
         self.escapes += int(escaped.sum())
         return given
 
-    def bits(self, models: ModelSet, index: Int64, counts: list[int], name: SymbolName, given: Int64 | None) -> Int64:
-        """As Encoder.bits."""
+    def plain(self, models: ModelSet, index: Int64, counts: list[int], name: SymbolName, given: Int64 | None) -> Int64:
+        """As Encoder.plain."""
         assert given is not None
         at = models.offset.take(index) + given
         self.table += float((PRECISION - np.log2(models.upper.take(at).astype(np.float64) - models.lower.take(at))).sum())

@@ -1,0 +1,114 @@
+"""Clauses 5.11, 6.11, 7.4 and 7.12: the positions."""
+
+import math
+import struct
+from itertools import pairwise
+
+from .container import Header, Part, PositionModel
+from .entropy import Substream
+from .errors import require
+from .operators import CELL_INDEX, CELL_LEVELS
+from .tables import make_model
+
+Position = tuple[int, int, int]
+RAW, PACKED = 0, 1
+HALF = 1 << CELL_LEVELS - 1
+ANCHOR_LENGTH = 6
+
+
+# SPEC 7.4
+def _integers(bits: list[int]) -> list[int]:
+    numbers = struct.unpack(f"<{len(bits)}e", struct.pack(f"<{len(bits)}H", *bits))
+    return [int(math.ldexp(x, 24)) for x in numbers]
+
+
+# SPEC 6.11
+def _read_raw(data: bytes, at: int, anchors: int) -> list[int]:
+    """The f16 numbers of a chunk as bits."""
+    bits = list(struct.unpack_from(f"<{3 * anchors}H", data, at))
+    for n, item in enumerate(bits):
+        require(item & 0x7C00 != 0x7C00, "positions.not_finite", at + 2 * n)
+        require(item != 0x8000, "positions.negative_zero", at + 2 * n)
+    return bits
+
+
+# SPEC 7.12, CELL_OF
+def _cell_of(bits: int, integer: int, cell_shift: int) -> int | None:
+    """A coordinate of the cell of a position."""
+    if cell_shift == CELL_INDEX:
+        return HALF + (bits if bits < 0x8000 else 0x8000 - bits)
+    n, rest = divmod(integer, 1 << cell_shift)
+    return n + HALF if rest == 0 and -HALF <= n < HALF else None
+
+
+# SPEC 7.12, CELL_NUMBER
+def _number(cell: int, cell_shift: int) -> int | None:
+    """The bits of the f16 that a coordinate of a cell stands for."""
+    n = cell - HALF
+    if cell_shift == CELL_INDEX:
+        bits = n if n >= 0 else 0x8000 - n
+        return bits if bits & 0x7C00 != 0x7C00 else None
+    value = math.ldexp(n, cell_shift - 24)
+    try:
+        packed = struct.pack("<e", value)
+    except OverflowError:
+        return None
+    return int.from_bytes(packed, "little") if struct.unpack("<e", packed)[0] == value else None
+
+
+# SPEC 7.12, MORTON: cells are in its order if their bits, the highest first, are
+def _order(cell: list[int]) -> str:
+    x, y, z = (format(c, f"0{CELL_LEVELS}b") for c in cell)
+    return "".join(c + b + a for a, b, c in zip(x, y, z))
+
+
+# SPEC [R6.11-4]
+def _packs(bits: list[int], cell_shift: int) -> bool:
+    """Whether a chunk can be packed."""
+    cells = [_cell_of(b, p, cell_shift) for b, p in zip(bits, _integers(bits))]
+    if None in cells:
+        return False
+    orders = [_order([c for c in cells[n : n + 3] if c is not None]) for n in range(0, len(cells), 3)]
+    return all(a < b for a, b in pairwise(orders))
+
+
+# SPEC 7.12, DECODE_CELLS
+def _decode_cells(stream: Substream, model: PositionModel, anchors: int) -> tuple[list[Position], bool]:
+    """The cells, and whether they are as many as the anchors."""
+    models = [make_model(frequencies, 0) for frequencies in model.frequencies]
+    nodes, whole = [(0, 0, 0)], True
+    for level in reversed(range(CELL_LEVELS)):
+        first = 6 * min(level, 2)
+        lows = stream.plain([models[first]] * len(nodes))
+        highs = stream.plain([models[first + 1 + low.bit_count()] for low in lows])
+        below = []
+        for (x, y, z), low, high in zip(nodes, lows, highs):
+            present = [child for child in range(8) if (low | high << 4) >> child & 1]
+            below += [(2 * x + child % 2, 2 * y + child // 2 % 2, 2 * z + child // 4) for child in present]
+        whole = whole and len(below) <= anchors
+        nodes = below[:anchors]
+    return nodes, whole and len(nodes) == anchors
+
+
+# SPEC 5.11, 6.11, 7.12, 10.1 step 7
+def read_positions(data: bytes, header: Header, chunk: int, part: Part, model: PositionModel | None) -> list[Position]:
+    """The integers P of a chunk's anchors."""
+    part.check(data)
+    anchors, at = header.chunk_anchors(chunk), part.offset
+    if model is None:
+        bits = _read_raw(data, at, anchors)
+    elif part.length and data[at] == PACKED:
+        stream = Substream(data, at + 1, part.length - 1, header["mask_lanes_log2"])
+        cells, whole = _decode_cells(stream, model, anchors)
+        stream.finish()
+        require(whole, "positions.count", at)
+        numbers = [_number(c, model.cell_shift) for cell in cells for c in cell]
+        bits = [n for n in numbers if n is not None]
+        require(len(bits) == len(numbers), "positions.cell", at)
+    else:
+        right = part.length == 1 + ANCHOR_LENGTH * anchors and data[at] == RAW
+        require(right, "positions.form", at)
+        bits = _read_raw(data, at + 1, anchors)
+        require(not _packs(bits, model.cell_shift), "positions.raw", at)
+    integers = _integers(bits)
+    return list(zip(integers[::3], integers[1::3], integers[2::3]))
