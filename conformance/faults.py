@@ -14,12 +14,12 @@ from typing import Any
 import numpy as np
 from hypothesis import strategies as st
 
-from refcodec import codec, container, syntax
+from refcodec import codec, container, syntax, weights
 from refcodec.container import PROLOGUE_BYTES
 from refcodec.entropy import Encoder
 from refcodec.errors import REGISTRY, ErrorKind
 from refcodec.positions import CELL_INDEX, HALVES, PACKED, POSITION_MODELS, RAW, chunk_codes, code_cells
-from refcodec.quantise import pack_positions
+from refcodec.quantise import exact_networks, pack_positions, quantise_rendering, weight_scales
 from refcodec.scene import Dimensions, Lanes
 
 from .scenes import MAIN_DIMENSIONS, random_scene, with_steps
@@ -359,11 +359,13 @@ _set(
 def _(draw: st.DrawFn, t: Target) -> tuple[bytes, int]:
     start, inputs = t.start(container.WEIGHTS), t.header.dimensions.carm_inputs
     item = draw(st.integers(0, 1 + inputs))
-    wrong = [codec.PLANE_SHIFT_MAX + 1, 255] if item == 0 else [inputs + 1, 255] if item == 1 else [codec.CARM_SHIFT_MAX + 1, 255]
+    wrong = [weights.PLANE_SHIFT_MAX + 1, 255] if item == 0 else [inputs + 1, 255] if item == 1 else [weights.CARM_SHIFT_MAX + 1, 255]
     return repair(t.put(start + item, bytes([draw(st.sampled_from(wrong))]))), start + item
 
 
 def _first_value(t: Target) -> int:
+    """Where the values begin, in mode 0."""
+    _need(not t.sections[container.WEIGHTS].mode)
     return t.start(container.WEIGHTS) + 2 + t.header.dimensions.carm_inputs
 
 
@@ -388,6 +390,99 @@ def _(draw: st.DrawFn, t: Target) -> tuple[bytes, int]:
         return repair(t.put(bias, struct.pack("<f", draw(st.sampled_from([2.0**24, -(2.0**24), 3.4e38]))))), first
     weight = first + 4 * draw(st.integers(0, fan_in - 1))
     return repair(t.put(weight, struct.pack("<f", draw(st.sampled_from([1023.5, -1023.75, 1024.0, -3.4e38]))))), first
+
+
+@cache
+def _grids_target(seed: int) -> Target:
+    """A file whose first layer is raw in mode 1 and whose other layers are packed; no symbol of a weight is raw bits."""
+    scene = random_scene(seed, 2, SMALLEST, lanes=Lanes(0, 0, seed % 3))
+    networks = quantise_rendering(exact_networks(scene.networks), 6)
+    networks["hyper"][0][1][0] = -0.0
+    return Target(codec.emit(with_steps(replace(scene, networks=networks, weight_scales=weight_scales(networks)))))
+
+
+def _grid_layers(t: Target) -> dict[str, int]:
+    """Where each layer's model is, the raw one's first."""
+    start = t.start(container.WEIGHTS)
+    return weights.parse_weights(
+        t.data, start, t.sections[container.WEIGHTS].end, 1, t.header.dimensions, 1 << t.header.lanes.attribute
+    ).starts
+
+
+@_fault("weights.length")
+def _(draw: st.DrawFn, _: Target) -> tuple[bytes, int]:
+    """A section that ends within its table, its models or the raw layer's values."""
+    t = _grids_target(draw(st.integers(0, 5)))
+    start = t.start(container.WEIGHTS)
+    length = list(_grid_layers(t).values())[-1] + 5 - start
+    return resized(t.data, container.WEIGHTS, t.content(container.WEIGHTS)[: draw(st.integers(0, length))]), start
+
+
+@_fault("weights.layer")
+def _(draw: st.DrawFn, _: Target) -> tuple[bytes, int]:
+    t = _grids_target(draw(st.integers(0, 5)))
+    starts = list(_grid_layers(t).values())
+    kind = draw(st.sampled_from(["form", "exponent", "raw", "scale"]))
+    at = starts[0] if kind in ("raw", "scale") else draw(st.sampled_from(starts))
+    if kind == "form":
+        return repair(t.put(at, bytes([draw(st.integers(2, 255))]))), at
+    if kind == "scale":
+        field = at + draw(st.integers(3, 5))
+        return repair(t.put(field, bytes([draw(st.integers(1, 255))]))), field
+    wrong = [1, -1, 149, -104] if kind == "raw" else [150, -105, 32767, -32768]
+    return repair(t.put(at + 1, struct.pack("<h", draw(st.sampled_from(wrong))))), at + 1
+
+
+def _with_grids(t: Target, change: Callable[[list[Any]], Any]) -> tuple[bytes, int]:
+    """The file with other integers in its packed layers, coded rightly; change returns the number of the layer that it made wrong."""
+    scene = codec.parse(t.data).scene
+    scales = scene.weight_scales
+    assert scales is not None
+    layers = [layer for network in scene.networks.values() for layer in network]
+    grids: list[Any] = [weights.to_grid(layer) for layer in layers]
+    wrong = change(grids)
+    packed = [i for i, grid in enumerate(grids) if grid is not None]
+    encoder = Encoder(1, 1 << scene.lanes.attribute)
+    shapes = weights.layers_of(scene.dimensions)
+    weights.code_grids(encoder, [shapes[i] for i in packed], scales[packed], [grids[i] for i in packed])
+    starts = list(_grid_layers(t).values())
+    start, stream_at = t.start(container.WEIGHTS), starts[-1] + 6
+    models = bytearray(t.data[start:stream_at])
+    models[starts[wrong] + 1 - start : starts[wrong] + 3 - start] = struct.pack("<h", grids[wrong].exponent)
+    return resized(t.data, container.WEIGHTS, bytes(models) + encoder.finish()[0]), starts[wrong]
+
+
+@_fault("weights.exponent")
+def _(draw: st.DrawFn, _: Target) -> tuple[bytes, int]:
+    """A row whose integers are all even; a first difference that the model's exponent should be; one that leads out of the limits."""
+    t, kind = _grids_target(draw(st.integers(0, 5))), draw(st.sampled_from(["even", "first", "outside", "zero"]))
+
+    def change(grids: list[Any]) -> int:
+        number = draw(st.integers(1, len(grids) - 1))
+        g = grids[number]
+        parts = {"difference": g.difference.copy(), "weight": g.weight.copy(), "bias": g.bias.copy(), "exponent": g.exponent}
+        if kind == "even":
+            parts["weight"][0], parts["bias"][0] = 2, 4
+        elif kind == "first":
+            parts["weight"][0, 0] = parts["difference"][0] = 1
+        elif kind == "outside":
+            parts["difference"][-1] = draw(st.sampled_from([-1, 1])) * 1000
+        else:
+            # All zero, with an exponent that says nothing.
+            parts["difference"][:], parts["weight"][:], parts["bias"][:], parts["exponent"] = 0, 0, 0, 7
+        grids[number] = weights.GridLayer(**parts)
+        return number
+
+    return _with_grids(t, change)
+
+
+@_fault("weights.raw")
+def _(draw: st.DrawFn, _: Target) -> tuple[bytes, int]:
+    """The raw layer without its -0."""
+    t = _grids_target(draw(st.integers(0, 5)))
+    at = next(iter(_grid_layers(t).values()))
+    out, fan_in = t.header.dimensions.network_shapes()["hyper"][0]
+    return repair(t.put(at + 6 + 4 * out * fan_in, bytes(4))), at
 
 
 @_fault("planes.length")

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
 from conformance.scenes import with_steps
-from refcodec import codec, container, syntax
+from refcodec import codec, container, syntax, weights
 from refcodec.attributes import ATTRIBUTE_SYMBOL_MAX, Attributes
 from refcodec.container import ORIGIN_BOUND
 from refcodec.geometry import Frame
@@ -20,7 +20,7 @@ from refcodec.masks import context_count
 from refcodec.networks import BoundError, derive_layer
 from refcodec.planes import PLANE_SYMBOL_MAX
 from refcodec.positions import CELL_INDEX, EMPTY_MODELS, HALVES, PACKED, POSITION_MODELS, PositionModel
-from refcodec.quantise import frequencies, morton_order, position_model
+from refcodec.quantise import exact_networks, frequencies, morton_order, position_model, quantise_rendering, weight_scales
 from refcodec.scene import Dimensions, Lanes, PositionGrid, RenderInfo, Scene
 
 F32 = st.floats(width=32, allow_nan=False, allow_infinity=False)
@@ -137,6 +137,24 @@ def position_models(draw: st.DrawFn, positions: np.ndarray, chunk_size: int) -> 
 
 
 @st.composite
+def weight_codings(draw: st.DrawFn, networks: dict) -> tuple[dict, np.ndarray | None]:
+    """Networks in mode 0; or in mode 1, those of the encoder or as they are, with its scales or any."""
+    kind = draw(st.sampled_from(["raw", "chosen", "any"]))
+    if kind == "raw":
+        return networks, None
+    if draw(st.booleans()):
+        networks = exact_networks(networks)
+    if draw(st.booleans()):
+        networks = quantise_rendering(networks, draw(st.integers(2, 24)))
+    scales = weight_scales(networks)
+    if kind == "any":
+        rng = np.random.default_rng(draw(st.integers(0, 2**32 - 1)))
+        grids = [weights.to_grid(layer) for layers in networks.values() for layer in layers]
+        scales = rng.integers(0, 256, scales.shape).astype(np.uint8) * np.array([[grid is not None] for grid in grids], np.uint8)
+    return networks, scales
+
+
+@st.composite
 def some_positions(draw: st.DrawFn, count: int) -> np.ndarray:
     """Any positions; on a lattice near 0 or anywhere; in any order or in that of their cells."""
     found = draw(positions(count))
@@ -177,6 +195,7 @@ def scenes(draw: st.DrawFn, max_anchors: int = 12) -> Scene:
     step = st.floats(2.0**-60, 2.0**60, width=32)
     chunk_size = draw(st.one_of(st.integers(1, 15), st.just(65536)))
     where = draw(some_positions(n))
+    chosen, scales = draw(weight_codings(draw(networks(d))))
     types = sorted(draw(st.sets(st.integers(1, 127), max_size=2)))
     scene = Scene(
         profile=TINY,
@@ -187,9 +206,9 @@ def scenes(draw: st.DrawFn, max_anchors: int = 12) -> Scene:
         grid=draw(grids()),
         render=draw(render_infos()),
         frame=draw(frames()),
-        plane_shift=draw(st.integers(0, codec.PLANE_SHIFT_MAX)),
-        carm_shift=draw(hnp.arrays(np.uint8, d.carm_inputs, elements=st.integers(0, codec.CARM_SHIFT_MAX))),
-        networks=draw(networks(d)),
+        plane_shift=draw(st.integers(0, weights.PLANE_SHIFT_MAX)),
+        carm_shift=draw(hnp.arrays(np.uint8, d.carm_inputs, elements=st.integers(0, weights.CARM_SHIFT_MAX))),
+        networks=chosen,
         planes=plane.astype(np.int16),
         mask_model=draw(hnp.arrays(np.uint16, context_count(d.offset_count), elements=st.integers(1, (1 << 14) - 1))),
         positions=where,
@@ -202,6 +221,7 @@ def scenes(draw: st.DrawFn, max_anchors: int = 12) -> Scene:
         ),
         extensions=tuple((t, draw(st.integers(0, 255)), draw(st.binary(max_size=9))) for t in types),
         position_model=draw(position_models(where, chunk_size)),
+        weight_scales=scales,
     )
     return with_steps(scene)
 

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from refcodec import container, syntax, tables
+from refcodec.weights import layers_of
 
 SPEC = Path(__file__).resolve().parent.parent / "SPEC.md"
 
@@ -34,16 +35,30 @@ def decode(space: dict[str, Any], data: bytes, header: container.Header) -> tupl
     start = {name: header.sections[kind].start for kind, name in container.SECTIONS.items()}
     frame, _ = syntax.parse("Frame", data, start["frame"])
     scales, size = syntax.parse("WeightScales", data, start["weights"])
-    at = start["weights"] + size
-    layers: dict[str, Any] = {}
-    weights = b""
-    for name, shapes in header.dimensions.network_shapes().items():
-        layers[name] = []
-        for out, fan_in in shapes:
-            values = struct.unpack_from(f"<{out * (fan_in + 1)}f", data, at)
-            weights += data[at : at + 4 * len(values)]
-            at += 4 * len(values)
-            layers[name].append(([values[r * fan_in : (r + 1) * fan_in] for r in range(out)], values[out * fan_in :]))
+    section = header.sections[container.WEIGHTS]
+    at, models = section.start + size, []
+    found: list[str | None] = []
+    raw: list[Any] = []
+    for _, out, fan_in in layers_of(header.dimensions):
+        if section.mode:
+            model, size = syntax.parse("LayerModel", data, at)
+            models.append(model)
+            at += size
+        if section.mode and model.form:
+            raw.append(None)
+            continue
+        values = struct.unpack_from(f"<{out * (fan_in + 1)}f", data, at)
+        at += 4 * len(values)
+        raw.append(([values[r * fan_in : (r + 1) * fan_in] for r in range(out)], values[out * fan_in :]))
+    if section.mode:
+        stream = space["OPEN"](data[at : section.end], 1 << h.attribute_lanes_log2)
+        raw, verdict = space["DECODE_WEIGHTS"](stream, [shape[1:] for shape in layers_of(header.dimensions)], models, raw)
+        found.append(verdict)
+        if verdict:
+            return b"", found
+    weights = b"".join(struct.pack(f"<{len(part)}f", *part) for rows, biases in raw for part in (*rows, biases))
+    rest = iter(raw)
+    layers: dict[str, Any] = {name: [next(rest) for _ in shapes] for name, shapes in header.dimensions.network_shapes().items()}
     table, size = syntax.parse("PlaneTable", data, start["planes"])
     at, streams = start["planes"] + size, []
     for length in table.length:
@@ -55,9 +70,8 @@ def decode(space: dict[str, Any], data: bytes, header: container.Header) -> tupl
     entries_at, position_model = start["chunk_table"] + 2 * contexts, None
     if header.sections[container.POSITIONS].mode:
         position_model, size = syntax.parse("PositionModel", data, entries_at)
-        models = [list(position_model.frequency[i : i + 16]) for i in range(0, 288, 16)]
+        cell_models = [list(position_model.frequency[i : i + 16]) for i in range(0, 288, 16)]
         entries_at += size
-    found: list[str | None] = []
     chunks, next_at = [], {name: start[name] for name in ("positions", "masks", "attributes")}
     for number, anchors in enumerate(header.chunks):
         entry, _ = syntax.parse("ChunkEntry", data, entries_at + 24 * number)
@@ -69,7 +83,7 @@ def decode(space: dict[str, Any], data: bytes, header: container.Header) -> tupl
             positions = list(struct.iter_unpack("<3H", part["positions"]))
         else:
             lanes = 1 << h.mask_lanes_log2
-            positions, verdict = space["DECODE_POSITIONS"](part["positions"], position_model.cell_shift, models, len(anchors), lanes)
+            positions, verdict = space["DECODE_POSITIONS"](part["positions"], position_model.cell_shift, cell_models, len(anchors), lanes)
             found.append(verdict)
         chunks.append((positions, part["masks"], part["attributes"]))
     all_weights = {"plane_shift": scales.plane_shift, "carm_shift": scales.carm_shift, "networks": layers}
@@ -85,4 +99,4 @@ def decode(space: dict[str, Any], data: bytes, header: container.Header) -> tupl
     for name, code in (("positions", "f"), ("masks", "B"), ("planes", "h"), ("features", "f"), ("scalings", "f"), ("offsets", "f")):
         numbers = flat(out[name])
         result += struct.pack(f"<{len(numbers)}{code}", *numbers)
-    return result + weights, verdicts[:5] + found + verdicts[5:]
+    return result + weights, found + verdicts

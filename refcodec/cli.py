@@ -193,10 +193,10 @@ def _encode(arguments: argparse.Namespace) -> int:
 
     output = Path(arguments.output)
     _check_output_file(output)
-    scene = packed(read_folder(arguments.scene), arguments.positions)
+    scene = read_folder(arguments.scene)
     try:
         with _progress(arguments.progress) as progress:
-            data = emit(scene, progress=progress)
+            data = emit(packed(scene, arguments.positions, arguments.weights), progress=progress)
     except ValueError as error:
         raise UsageError(f"{arguments.scene} cannot be encoded: {error}") from None
     _write_file(output, data)
@@ -594,7 +594,7 @@ def _parser() -> argparse.ArgumentParser:
         "encode a scene folder",
         ["encode scene -o scene.c3gs"],
         "A folder that decode wrote from a packed file, or from one of Tiny, gives the same bytes again, and so does any other\nwith "
-        "--positions raw. If coded.safetensors is deleted, point_cloud.ply is quantised anew.",
+        "--positions raw --weights raw. If coded.safetensors is deleted, point_cloud.ply is quantised anew.",
     )
     encode.add_argument("scene", metavar="SCENE_DIR")
     encode.add_argument("-o", "--output", metavar="FILE", required=True)
@@ -602,6 +602,11 @@ def _parser() -> argparse.ArgumentParser:
         "--positions",
         choices=("raw", "packed"),
         help="48 bits an anchor, or a tenth of that with the anchors sorted (default: packed in Main, and where the folder says so)",
+    )
+    encode.add_argument(
+        "--weights",
+        choices=("raw", "packed"),
+        help="32 bits each, or those of the coding networks as the integers that they act as (default: as --positions)",
     )
     decode = _add(
         commands,

@@ -53,16 +53,13 @@ from .positions import (
 )
 from .scene import Dimensions, Scene
 from .tables import TOTAL
+from .weights import ParsedWeights, emit_weights, layers_of, parse_weights
 
 # SPEC 6.7
 MATRIX_BOUND = 1 << 20
 TRANSLATION_BOUND = 1 << 61
 FRAME_SHIFT_MAX = 60
 FRAME_RANGE_BOUND = 1 << 18
-# SPEC 6.8
-PLANE_SHIFT_MAX = 10
-CARM_SHIFT_MAX = 16
-
 # Anchors and chunks decoded side by side: bounds of memory, without effect on the result.
 GROUP_ANCHORS = 65536
 GROUP_CHUNKS = 1024
@@ -137,46 +134,6 @@ def emit_frame(frame: Frame) -> bytes:
     return syntax.build("Frame", {**fields, "reserved": 0})
 
 
-def parse_weights(data: bytes, start: int, d: Dimensions) -> tuple[int, NDArray[np.uint8], dict[str, list[Layer]]]:
-    """SPEC 5.8 and 6.8: plane_shift, carm_shift and the layers of each network. Raises BitstreamError 411, 412."""
-
-    def bad(offset: int, field: str, value: int, low: int, high: int) -> BitstreamError:
-        return BitstreamError("weights.scale", offset, f"weights.{field}", value, f"{low} to {high}")
-
-    # The count is checked before the array that it sizes is read; the section's length is already known to be right.
-    if data[start] > PLANE_SHIFT_MAX:
-        raise bad(start, "plane_shift", data[start], 0, PLANE_SHIFT_MAX)
-    if data[start + 1] != d.carm_inputs:
-        raise bad(start + 1, "carm_input_count", data[start + 1], d.carm_inputs, d.carm_inputs)
-    scales, size = syntax.parse("WeightScales", data, start)
-    for i, shift in enumerate(scales.carm_shift):
-        if shift > CARM_SHIFT_MAX:
-            raise bad(start + 2 + i, f"carm_shift[{i}]", shift, 0, CARM_SHIFT_MAX)
-    at = start + size
-    networks: dict[str, list[Layer]] = {}
-    for name, shapes in d.network_shapes().items():
-        networks[name] = []
-        for index, (out, fan_in) in enumerate(shapes):
-            values = np.frombuffer(data, "<f4", out * (fan_in + 1), at).astype(np.float32)
-            finite = np.isfinite(values)
-            if not finite.all():
-                first = int(np.argmin(finite))
-                raise BitstreamError("weights.not_finite", at + 4 * first, f"weights.{name}.{index}", values[first], "finite numbers")
-            at += 4 * len(values)
-            networks[name].append((values[: out * fan_in].reshape(out, fan_in), values[out * fan_in :]))
-    return scales.plane_shift, np.array(scales.carm_shift, dtype=np.uint8), networks
-
-
-def emit_weights(scene: Scene) -> bytes:
-    """SPEC 5.8. Bytes are copied, so every bit of a value stays."""
-    shifts = scene.carm_shift.tolist()
-    fields = {"plane_shift": scene.plane_shift, "carm_input_count": len(shifts), "carm_shift": shifts}
-    parts = [syntax.build("WeightScales", fields)]
-    for layers in scene.networks.values():
-        parts += [value.astype("<f4").tobytes() for layer in layers for value in layer]
-    return b"".join(parts)
-
-
 def derive_networks(
     d: Dimensions,
     carm_shift: NDArray[np.uint8],
@@ -200,19 +157,16 @@ def derive_networks(
     return Networks(sarm, EntropyModel(hyper, carm, carm_shift.astype(np.int64), d.slices))
 
 
-def _checked_networks(header: Header, carm_shift: NDArray[np.uint8], networks: dict[str, list[Layer]], start: int) -> Networks:
-    """derive_networks, with a broken bound as BitstreamError weights.bound at the row's first weight."""
+def _checked_networks(header: Header, weights: ParsedWeights) -> Networks:
+    """derive_networks, with a broken bound as BitstreamError weights.bound at the row's first weight, or at the layer's model."""
     try:
-        return derive_networks(header.dimensions, carm_shift, networks)
+        return derive_networks(header.dimensions, weights.carm_shift, weights.networks)
     except BoundError as error:
-        at = start + 2 + len(carm_shift)
-        for name, shapes in header.dimensions.network_shapes().items():
-            for index, (out, fan_in) in enumerate(shapes):
-                if f"{name}.{index}" == error.layer:
-                    first = at + 4 * fan_in * error.row
-                    raise BitstreamError("weights.bound", first, f"weights.{error.layer}", error.found, error.allowed) from None
-                at += 4 * out * (fan_in + 1)
-        raise AssertionError(error.layer) from None
+        at = weights.starts[error.layer]
+        if weights.scales is None:
+            fan_in = next(fan_in for name, _, fan_in in layers_of(header.dimensions) if name == error.layer)
+            at += 4 * fan_in * error.row
+        raise BitstreamError("weights.bound", at, f"weights.{error.layer}", error.found, error.allowed) from None
 
 
 def _parse_planes(data: bytes, header: Header, sarm: IntNetwork, trace: Trace | None) -> NDArray[np.int16]:
@@ -518,8 +472,9 @@ def _parse(data: bytes, keep_going: bool, threads: int, progress: Progress, trac
     header = parse_container(data, keep_going)
     sections, d, chunks = header.sections, header.dimensions, header.chunks
     frame = parse_frame(data, sections[FRAME].start)
-    plane_shift, carm_shift, weights = parse_weights(data, sections[WEIGHTS].start, d)
-    networks = _checked_networks(header, carm_shift, weights, sections[WEIGHTS].start)
+    section = sections[WEIGHTS]
+    weights = parse_weights(data, section.start, section.end, section.mode, d, 1 << header.lanes.attribute, trace)
+    networks = _checked_networks(header, weights)
     progress("planes", 0, 1)
     planes = _parse_planes(data, header, networks.sarm, trace)
     progress("planes", 1, 1)
@@ -542,7 +497,7 @@ def _parse(data: bytes, keep_going: bool, threads: int, progress: Progress, trac
     full = assemble_planes(planes)
 
     def attribute_group(group: list[int], rows: slice) -> tuple[Attributes, dict[int, BitstreamError]]:
-        contexts = networks.contexts(header, frame, full, plane_shift, positions[rows])
+        contexts = networks.contexts(header, frame, full, weights.plane_shift, positions[rows])
         decoder = _ChunkDecoder(data, parts[ATTRIBUTES], 1 << header.lanes.attribute, group, trace)
         attributes = code_attributes(decoder.decoder, networks.entropy, contexts, masks[rows], live.ranges(group))
         return attributes, decoder.verdicts()
@@ -558,9 +513,9 @@ def _parse(data: bytes, keep_going: bool, threads: int, progress: Progress, trac
         header.grid,
         header.render,
         frame,
-        plane_shift,
-        carm_shift,
-        weights,
+        weights.plane_shift,
+        weights.carm_shift,
+        weights.networks,
         planes,
         mask_frequencies,
         positions,
@@ -568,6 +523,7 @@ def _parse(data: bytes, keep_going: bool, threads: int, progress: Progress, trac
         attributes,
         tuple((s.type, s.mode, data[s.start : s.end]) for s in sections.values() if s.type < FRAME and s.end <= len(data)),
         position_model,
+        weights.scales,
     )
     return Parsed(scene if kept.all() else take_anchors(scene, kept), damage or {})
 
@@ -605,10 +561,12 @@ def emit(scene: Scene, *, threads: int = 1, progress: Progress = _no_progress) -
 
 def _emit(scene: Scene, threads: int, progress: Progress) -> bytes:
     d = scene.dimensions
+    modes = {WEIGHTS: int(scene.weight_scales is not None), POSITIONS: int(scene.position_model is not None)}
     # What can be refused before any symbol is coded is refused here; the header follows once the sections' lengths are known.
-    frame, weights = emit_frame(scene.frame), emit_weights(scene)
+    frame, lanes = emit_frame(scene.frame), 1 << scene.lanes.attribute
     parse_frame(frame, 0)
-    parse_weights(weights, 0, d)
+    weights = emit_weights(scene.plane_shift, scene.carm_shift, scene.networks, scene.weight_scales, d, lanes)
+    parse_weights(weights, 0, len(weights), modes[WEIGHTS], d, lanes)
     bad = first_bad(scene.positions.view(np.uint16).reshape(-1))
     if bad is not None:
         raise BitstreamError(
@@ -619,7 +577,6 @@ def _emit(scene: Scene, threads: int, progress: Progress) -> bytes:
         m = scene.position_model
         position_model = syntax.build("PositionModel", {"cell_shift": m.cell_shift, "frequency": m.frequency.reshape(-1).tolist()})
         _parse_position_model(position_model, 0)
-    modes = {POSITIONS: int(scene.position_model is not None)}
     chunks = chunk_ranges(scene.anchor_count, scene.chunk_size)
     networks = derive_networks(d, scene.carm_shift, scene.networks)
     progress("planes", 0, 1)
@@ -656,7 +613,7 @@ def _emit(scene: Scene, threads: int, progress: Progress) -> bytes:
     planes = syntax.build("PlaneTable", {"length": [len(s) for s in plane_streams]}) + b"".join(plane_streams)
     sections = [
         (FRAME, 0, frame),
-        (WEIGHTS, 0, weights),
+        (WEIGHTS, modes[WEIGHTS], weights),
         (PLANES_SECTION, 0, planes),
         (CHUNK_TABLE, 0, table),
         *((kind, modes.get(kind, 0), b"".join(parts[i] for parts in coded)) for i, kind in enumerate((POSITIONS, MASKS, ATTRIBUTES))),
@@ -682,6 +639,8 @@ def _check_shapes(scene: Scene) -> None:
         "offsets": (a.offsets, (n, d.offset_count, 3), np.int32),
         "steps": (a.steps, (n, 3), np.uint8),
     }
+    if scene.weight_scales is not None:
+        wanted["weight_scales"] = (scene.weight_scales, (len(layers_of(d)), 3), np.uint8)
     if scene.position_model is not None:
         wanted["position_model"] = (scene.position_model.frequency, (POSITION_MODELS, HALVES), np.uint16)
     if list(scene.networks) != list(d.network_shapes()):

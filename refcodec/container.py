@@ -41,7 +41,7 @@ SECTIONS = {
 FRAME, WEIGHTS, PLANES_SECTION, CHUNK_TABLE, POSITIONS, MASKS, ATTRIBUTES = SECTIONS
 CHUNKED = (POSITIONS, MASKS, ATTRIBUTES)
 # SPEC 6.6: the highest mode of each section that has more than mode 0.
-MODES = {POSITIONS: 1}
+MODES = {WEIGHTS: 1, POSITIONS: 1}
 # SPEC 5.10, 5.11: bytes of a chunk's entry, of an anchor's position.
 CHUNK_ENTRY_BYTES = 24
 POSITION_BYTES = 6
@@ -279,9 +279,10 @@ def section_lengths(header: Header) -> dict[int, int]:
     chunks = -(-header.anchor_count // header.chunk_size)
     lengths = {
         FRAME: syntax.SCHEMAS["Frame"].sizeof(at=None),
-        WEIGHTS: 2 + d.carm_inputs + 4 * weight_count(d),
         CHUNK_TABLE: entries_start(d.offset_count, header.sections[POSITIONS].mode) + CHUNK_ENTRY_BYTES * chunks,
     }
+    if not header.sections[WEIGHTS].mode:
+        lengths[WEIGHTS] = 2 + d.carm_inputs + 4 * weight_count(d)
     if not header.sections[POSITIONS].mode:
         lengths[POSITIONS] = POSITION_BYTES * header.anchor_count
     return lengths

@@ -30,11 +30,9 @@ from numpy.typing import NDArray
 
 from .attributes import ATTRIBUTE_SYMBOL_MAX, KINDS, SCALINGS, Attributes
 from .codec import (
-    CARM_SHIFT_MAX,
     FRAME_RANGE_BOUND,
     FRAME_SHIFT_MAX,
     MATRIX_BOUND,
-    PLANE_SHIFT_MAX,
     TRANSLATION_BOUND,
 )
 from .container import (
@@ -55,6 +53,7 @@ from .positions import CELL_INDEX, HALVES, POSITION_MODELS, PositionModel
 from .reconstruction import Reconstruction, digest, reconstruct
 from .scene import Dimensions, Lanes, PositionGrid, RenderInfo, Scene
 from .tables import STEP_LENGTH, TOTAL
+from .weights import CARM_SHIFT_MAX, PLANE_SHIFT_MAX, layers_of
 
 if TYPE_CHECKING:
     from .quantise import AnchorCloud
@@ -173,6 +172,7 @@ def _scene_document(scene: Scene, damage: dict[int, BitstreamError]) -> dict[str
         "carm_shift": scene.carm_shift.tolist(),
         "mask_model": scene.mask_model.tolist(),
         **_position_document(scene.position_model),
+        **({} if scene.weight_scales is None else {"weight_scales": scene.weight_scales.tolist()}),
         "extensions": [{"type": kind, "mode": mode, "file": extension_name(kind)} for kind, mode, _ in scene.extensions],
         "digest": {"whole": whole, **parts},
     }
@@ -399,7 +399,16 @@ def _read_document(doc: _Document, d: Dimensions, profile: int, path: Path) -> S
         ),
         _read_extensions(doc, path),
         _read_position_model(doc),
+        _read_weight_scales(doc, d),
     )
+
+
+def _read_weight_scales(doc: _Document, d: Dimensions) -> NDArray[np.uint8] | None:
+    """SPEC 5.16, if the folder says that weights are packed."""
+    if "weight_scales" not in doc.root:
+        return None
+    rows = [doc.integers(f"weight_scales[{i}]", 3, 0, 255) for i in range(len(layers_of(d)))]
+    return np.array(rows, dtype=np.uint8)
 
 
 def _read_position_model(doc: _Document) -> PositionModel | None:

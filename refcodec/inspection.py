@@ -29,6 +29,7 @@ from .planes import PLANE_NAMES
 from .positions import PACKED
 from .reconstruction import digest
 from .scene import Dimensions
+from .weights import layers_of
 
 # No struct of SYNTAX is longer than the largest header.
 _STRUCT_BYTES_MAX = 1 << 16
@@ -63,10 +64,14 @@ class _Outline:
     dimensions: Dimensions | None
     sections: list[tuple[int, int, int]]
 
+    def mode(self, name: str) -> int:
+        """The mode of a section, 0 if there is none."""
+        return max((entry.mode for entry in self.header.directory if SECTIONS.get(entry.type) == name), default=0)
+
     @property
     def position_mode(self) -> int:
         """The mode of the positions."""
-        return max((entry.mode for entry in self.header.directory if SECTIONS.get(entry.type) == "positions"), default=0)
+        return self.mode("positions")
 
     @property
     def entries_start(self) -> int:
@@ -137,12 +142,12 @@ def _payload(start: int, stop: int, end: int, path: str, kind: str) -> Iterator[
 
 
 def _section_rows(data: bytes, outline: _Outline, kind: int, start: int, end: int) -> Iterator[Row]:
-    h, d = outline.header, outline.dimensions
+    h = outline.header
     name = SECTIONS.get(kind)
     if name == "frame":
         yield from _elements("Frame", data, start, end, "frame")[0]
     elif name == "weights":
-        yield from _weight_rows(data, d, start, end)
+        yield from _weight_rows(data, outline, start, end)
     elif name == "planes":
         found, table = _elements("PlaneTable", data, start, end, "planes")
         yield from found
@@ -165,17 +170,24 @@ def _section_rows(data: bytes, outline: _Outline, kind: int, start: int, end: in
         yield from _payload(start, end, end, f"extension_{kind:02x}", "bytes")
 
 
-def _weight_rows(data: bytes, d: Dimensions | None, start: int, end: int) -> Iterator[Row]:
+def _weight_rows(data: bytes, outline: _Outline, start: int, end: int) -> Iterator[Row]:
     found, scales = _elements("WeightScales", data, start, end, "weights")
     yield from found
-    if scales is None or d is None:
+    if scales is None or outline.dimensions is None:
         return
-    at = found[-1].end
-    for name, shapes in d.network_shapes().items():
-        for index, (out, fan_in) in enumerate(shapes):
-            for part, count, shape in (("weight", out * fan_in, f"{out},{fan_in}"), ("bias", out, f"{out}")):
-                yield from _payload(at, at + 4 * count, end, f"weights.{name}.{index}.{part}", f"f32[{shape}]")
-                at = min(end, at + 4 * count)
+    at, mode = found[-1].end, outline.mode("weights")
+    for name, out, fan_in in layers_of(outline.dimensions):
+        if mode:
+            found, model = _elements("LayerModel", data, at, end, f"weights.{name}")
+            yield from found
+            at = found[-1].end if found else at
+            if model is None or model.form:
+                continue
+        for part, count, shape in (("weight", out * fan_in, f"{out},{fan_in}"), ("bias", out, f"{out}")):
+            yield from _payload(at, at + 4 * count, end, f"weights.{name}.{part}", f"f32[{shape}]")
+            at = min(end, at + 4 * count)
+    if mode:
+        yield from _substream_rows(data, at, end, 1 << outline.header.attribute_lanes_log2, "weights")
 
 
 def _substream_rows(data: bytes, start: int, end: int, lanes: int, path: str) -> Iterator[Row]:
@@ -465,7 +477,7 @@ def trace(data: bytes, write: Callable[[str], object]) -> Parsed:
 
 
 # Beginnings of the symbols' paths, and the parts of _trace_parts that come before them.
-_ORDER = {"plane": 0, "posit": 1, "masks": 1, "attri": 2}
+_ORDER = {"weigh": 0, "plane": 0, "posit": 1, "masks": 1, "attri": 2}
 _LAST = 2
 
 

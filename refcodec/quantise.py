@@ -17,7 +17,7 @@ from .entropy import SymbolName
 from .geometry import UNIT, Frame, contract, frame_coordinates, position_integers
 from .limits import MAIN
 from .masks import context_count, contexts
-from .networks import ACTIVATION_MAX, Layer
+from .networks import ACTIVATION_MAX, Layer, derive_layer
 from .planes import PLANES
 from .positions import (
     CELL_INDEX,
@@ -32,10 +32,13 @@ from .positions import (
     morton,
 )
 from .scene import Dimensions, Lanes, PositionGrid, RenderInfo, Scene
-from .tables import STEP_SHIFT, TOTAL, ModelSet, tables
+from .tables import SCALE_MIN, STEP_SHIFT, TOTAL, ModelSet, tables
+from .weights import to_grid
 
 F32 = NDArray[np.float32]
 
+# SPEC 5.8: the networks that no symbol depends on.
+RENDERING = ("opacity", "covariance", "colour")
 # SPEC B.1: without a lattice, the largest coordinate becomes about this in fp16.
 FP16_EXTENT = 1024.0
 # SPEC B.2: share of the anchors, nearest to the median, that shape the frame.
@@ -221,13 +224,74 @@ def pack_positions(scene: Scene) -> Scene:
     return replace(scene, position_model=model if allowed else None)
 
 
-def packed(scene: Scene, positions: str | None) -> Scene:
-    """The scene with its positions "raw" or "packed"; None: packed in Main. What is packed already stays as it is."""
+def packed(scene: Scene, positions: str | None, weights: str | None) -> Scene:
+    """The scene with positions and weights each "raw" or "packed"; None: packed in Main. What is packed already stays as it is."""
     if positions == "raw":
-        return replace(scene, position_model=None)
-    if scene.position_model is None and (positions or scene.profile == MAIN):
-        return pack_positions(scene)
+        scene = replace(scene, position_model=None)
+    elif scene.position_model is None and (positions or scene.profile == MAIN):
+        scene = pack_positions(scene)
+    if weights == "raw":
+        return replace(scene, weight_scales=None)
+    if scene.weight_scales is None and (weights or scene.profile == MAIN):
+        return pack_weights(scene)
     return scene
+
+
+def exact_networks(networks: Mapping[str, list[Layer]]) -> dict[str, list[Layer]]:
+    """SPEC B.5: the networks with the values of F_h, SARM and CARM replaced by their integers (7.2) over a power of two.
+
+    SPEC 7.2 gives the same outputs for them. Raises networks.BoundError.
+    """
+    found = dict(networks)
+    for name, layers in networks.items():
+        if name in RENDERING:
+            continue
+        derived = [derive_layer(*layer) for layer in layers]
+        found[name] = [
+            (
+                np.ldexp(layer.weight.astype(np.float32), -layer.exponent[:, None]).astype(np.float32),
+                np.ldexp(layer.bias.astype(np.float32), -layer.exponent).astype(np.float32),
+            )
+            for layer in derived
+        ]
+    return found
+
+
+def quantise_rendering(networks: Mapping[str, list[Layer]], bits: int) -> dict[str, list[Layer]]:
+    """SPEC B.5: the networks with each layer of opacity, covariance and colour on a grid: multiples of a power of two, the least with
+    which no weight needs more than `bits` bits, sign included; biases on the same grid. bits: 2 to 24."""
+    found = dict(networks)
+    for name in RENDERING:
+        found[name] = []
+        for weight, bias in networks[name]:
+            largest = float(np.abs(weight).max())
+            # The largest e with round(largest * 2^e) < 2^(bits - 1).
+            e = math.floor(math.log2(((1 << (bits - 1)) - 0.5) / largest)) if largest else 0
+            on_grid = [np.ldexp(np.rint(np.ldexp(value, e)) + np.float32(0), -e).astype(np.float32) for value in (weight, bias)]
+            found[name].append((on_grid[0], on_grid[1]))
+    return found
+
+
+def weight_scales(networks: Mapping[str, list[Layer]]) -> NDArray[np.uint8]:
+    """SPEC B.5: the scale indices of each layer in mode 1, uint8 [layers, 3]; 0 for a raw layer."""
+
+    def index(scale: float) -> int:
+        return min(max(round(8 * math.log2(scale)) - SCALE_MIN, 0), 255) if scale else 0
+
+    found = []
+    for grid in (to_grid(layer) for layers in networks.values() for layer in layers):
+        if grid is None:
+            found.append((0, 0, 0))
+            continue
+        spread = math.sqrt(float(np.square(grid.weight, dtype=np.float64).mean()))
+        found.append((index(float(np.abs(grid.difference).mean())), index(spread), index(float(np.abs(grid.bias).mean()))))
+    return np.array(found, dtype=np.uint8)
+
+
+def pack_weights(scene: Scene) -> Scene:
+    """SPEC B.5: the scene with its weights in mode 1, those of the coding networks replaced by their integers. No symbol changes."""
+    networks = exact_networks(scene.networks)
+    return replace(scene, networks=networks, weight_scales=weight_scales(networks))
 
 
 def carm_shifts(features: NDArray[np.int32], inputs: int) -> NDArray[np.uint8]:

@@ -106,6 +106,7 @@ class Scene:
     plane_shift: SPEC 7.5.4; carm_shift: uint8 [carm inputs]; mask_model: uint16 [K (K + 1) / 2].
     planes: int16 [5, ch, B, B]; positions: float16 [N, 3]; masks: bool [N, K].
     position_model: what the positions are packed with; None for mode 0, which packs none (SPEC 5.11).
+    weight_scales: uint8 [layers, 3], in the order of SPEC 5.16; None for mode 0 of the weights (SPEC 5.8).
     attributes: symbols and step indices. extensions: (type, mode, bytes) of ancillary sections, types ascending.
     """
 
@@ -127,6 +128,7 @@ class Scene:
     attributes: Attributes
     extensions: tuple[tuple[int, int, bytes], ...] = field(default=())
     position_model: PositionModel | None = None
+    weight_scales: NDArray[np.uint8] | None = None
 
     @property
     def anchor_count(self) -> int:

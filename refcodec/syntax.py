@@ -125,6 +125,14 @@ SYNTAX: dict[str, list[tuple[str, str]]] = {
         ("cell_shift", "u8"),
         ("frequency", "u16[288]"),
     ],
+    # SPEC 5.16: of each layer, in mode 1 of the weights; a raw layer's values follow
+    "LayerModel": [
+        ("form", "u8"),
+        ("exponent", "i16"),
+        ("exponent_scale", "u8"),
+        ("weight_scale", "u8"),
+        ("bias_scale", "u8"),
+    ],
 }
 
 _SCALARS = {
@@ -132,6 +140,7 @@ _SCALARS = {
     "u16": cs.Int16ul,
     "u32": cs.Int32ul,
     "i8": cs.Int8sl,
+    "i16": cs.Int16sl,
     "i32": cs.Int32sl,
     "i64": cs.Int64sl,
     "f32": cs.Float32l,

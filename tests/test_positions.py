@@ -103,8 +103,8 @@ def test_the_choice_of_cells(where: np.ndarray) -> None:
 def test_a_surface_is_small() -> None:
     """Positions take less than an eighth of mode 0, and nothing else changes but the order."""
     scene = lattice_scene(3, 3000, chunk_size=1024)
-    small = packed(scene, None)
-    data, raw = codec.emit(small), codec.emit(packed(small, "raw"))
+    small = packed(scene, None, "raw")
+    data, raw = codec.emit(small), codec.emit(packed(small, "raw", "raw"))
     sections = container.parse_container(data).sections
     assert [s.mode for s in sections.values()] == [0, 0, 0, 0, 1, 0, 0]
     assert 8 * (sections[container.POSITIONS].end - sections[container.POSITIONS].start) < 6 * 3000
@@ -112,8 +112,8 @@ def test_a_surface_is_small() -> None:
     parsed = codec.parse(data)
     assert codec.emit(parsed.scene) == data
     assert np.array_equal(parsed.scene.positions, scene.positions[morton_order(scene.positions)])
-    assert packed(parsed.scene, None) is parsed.scene
-    assert packed(replace(scene, profile=0), None).position_model is None
+    assert packed(parsed.scene, None, "raw").positions is parsed.scene.positions
+    assert packed(replace(scene, profile=0), None, "raw").position_model is None
 
 
 def test_a_full_cube_takes_mode_0() -> None:

@@ -58,7 +58,7 @@ def test_syntax_table(name: str) -> None:
     assert len(extra) == len(syntax.SYNTAX[name])
 
 
-MODULES = ["container", "codec", "networks", "planes", "attributes", "geometry", "entropy", "tables", "positions"]
+MODULES = ["container", "codec", "networks", "planes", "attributes", "geometry", "entropy", "tables", "positions", "weights"]
 
 
 def test_constants() -> None:

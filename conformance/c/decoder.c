@@ -24,6 +24,9 @@ enum {
     FRAME_RANGE_BOUND = 1 << 18,
     PLANE_SHIFT_MAX = 10,
     CARM_SHIFT_MAX = 16,
+    WEIGHT_SYMBOL_MAX = (1 << 24) - 1,
+    WEIGHT_EXPONENT_MIN = -104,
+    WEIGHT_EXPONENT_MAX = 149,
     PLANE_SYMBOL_MAX = (1 << 15) - 1,
     ATTRIBUTE_SYMBOL_MAX = (1 << 23) - 1,
     CELL_LEVELS = 16,
@@ -50,7 +53,8 @@ enum {
     PROLOGUE_LENGTH = 20,
     FRAME_LENGTH = 88,
     CHUNK_ENTRY_LENGTH = 24,
-    POSITION_MODEL_LENGTH = 577
+    POSITION_MODEL_LENGTH = 577,
+    LAYER_MODEL_LENGTH = 6
 };
 #define ORIGIN_BOUND (INT64_C(1) << 62)
 #define TRANSLATION_BOUND (INT64_C(1) << 61)
@@ -67,7 +71,7 @@ enum error {
     DIRECTORY_UNKNOWN_CRITICAL = 301, DIRECTORY_ORDER, DIRECTORY_MODE, DIRECTORY_OFFSET, DIRECTORY_LENGTH,
     DIRECTORY_FILE_LENGTH, SECTION_CRC,
     FRAME_RANGE = 401,
-    WEIGHTS_SCALE = 411, WEIGHTS_NOT_FINITE, WEIGHTS_BOUND,
+    WEIGHTS_SCALE = 411, WEIGHTS_NOT_FINITE, WEIGHTS_BOUND, WEIGHTS_LENGTH, WEIGHTS_LAYER, WEIGHTS_EXPONENT, WEIGHTS_RAW,
     PLANES_LENGTH = 421,
     CHUNKS_MASK_MODEL = 431, CHUNKS_LENGTH, CHUNKS_CRC, CHUNKS_POSITION_MODEL,
     POSITIONS_NOT_FINITE = 441, POSITIONS_NEGATIVE_ZERO, POSITIONS_FORM, POSITIONS_RAW, POSITIONS_COUNT, POSITIONS_CELL,
@@ -657,6 +661,8 @@ struct layer {
     int16_t *weight; /* row by row */
     int32_t *bias;
     uint8_t *exponent;
+    const uint8_t *model; /* in mode 1: its LayerModel, 5.16 */
+    const uint8_t *raw;   /* and its values if it is raw */
 };
 
 struct network {
@@ -724,22 +730,23 @@ static int DERIVE_ROW(const uint8_t *weights, uint32_t bias, struct layer *l, ui
     return 0;
 }
 
-/* 6.8, 5.8: the values from at on are finite already */
-static void DERIVE_NETWORKS(struct network *n, const uint8_t *data, uint64_t at)
+/* 6.8, 5.8: the values are finite already; at: where they are in the file, in mode 0; data: the file */
+static void DERIVE_NETWORKS(struct network *n, const uint8_t *values, uint64_t at, const uint8_t *data)
 {
+    uint64_t v = 0;
     for (int i = 0; i < OPACITY; i++)
         for (uint32_t k = 0; k < n[i].layers; k++) {
             struct layer *l = &n[i].layer[k];
-            uint64_t biases = at + 4 * (uint64_t)l->outputs * l->inputs;
+            uint64_t biases = v + 4 * (uint64_t)l->outputs * l->inputs;
             l->weight = ALLOCATE((uint64_t)l->outputs * l->inputs, sizeof *l->weight);
             l->bias = ALLOCATE(l->outputs, sizeof *l->bias);
             l->exponent = ALLOCATE(l->outputs, 1);
             for (uint32_t r = 0; r < l->outputs; r++) {
-                uint64_t row = at + 4 * (uint64_t)r * l->inputs;
-                if (!DERIVE_ROW(data + row, GET_U32(data + biases + 4 * r), l, r))
-                    REFUSE(WEIGHTS_BOUND, row);
+                uint64_t row = v + 4 * (uint64_t)r * l->inputs;
+                if (!DERIVE_ROW(values + row, GET_U32(values + biases + 4 * r), l, r))
+                    REFUSE(WEIGHTS_BOUND, l->model ? (uint64_t)(l->model - data) : at + row);
             }
-            at = biases + 4 * (uint64_t)l->outputs;
+            v = biases + 4 * (uint64_t)l->outputs;
         }
 }
 
@@ -956,7 +963,7 @@ static void DIRECTORY(struct scene *s)
     const struct header *h = &s->h;
     const struct entry *d = h->directory;
     uint64_t k = h->offset_count, end = h->end, inputs = h->features - h->slice_width.item[h->slice_width.count - 1];
-    uint64_t expected[CRITICAL] = {FRAME_LENGTH, 2 + inputs + 4 * s->value_count, UINT64_MAX,
+    uint64_t expected[CRITICAL] = {FRAME_LENGTH, UINT64_MAX, UINT64_MAX,
                                    k * (k + 1) + CHUNK_ENTRY_LENGTH * (uint64_t)h->chunks, UINT64_MAX, UINT64_MAX, UINT64_MAX};
     for (int i = 0; i < h->section_count; i++)
         if (d[i].type >= 0x80 && (d[i].type < 0x81 || d[i].type > 0x87))
@@ -970,8 +977,10 @@ static void DIRECTORY(struct scene *s)
     if (h->section_count < CRITICAL)
         REFUSE(DIRECTORY_ORDER, 22);
     for (int i = 0; i < CRITICAL; i++)
-        if (d[i].mode > (i == S_POSITIONS))
+        if (d[i].mode > (i == S_WEIGHTS || i == S_POSITIONS))
             REFUSE(DIRECTORY_MODE, d[i].at + 1);
+    if (!d[S_WEIGHTS].mode)
+        expected[S_WEIGHTS] = 2 + inputs + 4 * s->value_count;
     if (POSITION_MODE(s))
         expected[S_CHUNK_TABLE] += POSITION_MODEL_LENGTH;
     else
@@ -1024,12 +1033,172 @@ static void FRAME(struct scene *s)
     }
 }
 
-/* 5.8, 6.8; the section has the length of 6.6 */
+/* 5.16, R6.8-4, R6.8-5: all layers, and where the substream begins */
+static uint64_t LAYER_MODELS(struct scene *s, uint64_t at)
+{
+    uint64_t section = SECTION(s, S_WEIGHTS), end = section + SECTION_LENGTH(s, S_WEIGHTS);
+    for (int i = 0; i < NETWORKS; i++)
+        for (uint32_t k = 0; k < s->networks[i].layers; k++) {
+            struct layer *l = &s->networks[i].layer[k];
+            const uint8_t *m = l->model = s->data + at;
+            uint64_t bytes = 4 * (uint64_t)l->outputs * (l->inputs + 1);
+            int64_t exponent;
+            if (at + LAYER_MODEL_LENGTH > end)
+                REFUSE(WEIGHTS_LENGTH, section);
+            exponent = GET_I16(m + 1);
+            if (m[0] > 1)
+                REFUSE(WEIGHTS_LAYER, at);
+            if (exponent < WEIGHT_EXPONENT_MIN || exponent > WEIGHT_EXPONENT_MAX)
+                REFUSE(WEIGHTS_LAYER, at + 1);
+            if (!m[0]) {
+                if (exponent)
+                    REFUSE(WEIGHTS_LAYER, at + 1);
+                for (unsigned f = 3; f < LAYER_MODEL_LENGTH; f++)
+                    if (m[f])
+                        REFUSE(WEIGHTS_LAYER, at + f);
+            }
+            at += LAYER_MODEL_LENGTH;
+            if (!m[0]) {
+                if (at + bytes > end)
+                    REFUSE(WEIGHTS_LENGTH, section);
+                l->raw = s->data + at;
+                at += bytes;
+            }
+        }
+    return at;
+}
+
+/* 7.13: a finite f32 as n * 2^x with odd n; 0 has n = 0 */
+static uint32_t PARTS(uint32_t bits, int *x)
+{
+    uint32_t n = bits & 0x7FFFFF;
+    int e = (int)(bits >> 23 & 255);
+    if (e)
+        n |= 0x800000;
+    *x = (e ? e : 1) - 150;
+    while (n && !(n & 1)) {
+        n >>= 1;
+        ++*x;
+    }
+    return n;
+}
+
+/* 7.13, R6.8-7; v: finite values */
+static int CAN_BE_PACKED(const uint8_t *v, const struct layer *l)
+{
+    for (uint64_t r = 0; r < l->outputs; r++) {
+        int least = 0, some = 0, x;
+        for (int pass = 0; pass < 2; pass++)
+            for (uint64_t i = 0; i <= l->inputs; i++) {
+                uint32_t bits = GET_U32(v + 4 * (i < l->inputs ? r * l->inputs + i : (uint64_t)l->outputs * l->inputs + r)), n;
+                if (bits == 0x80000000)
+                    return 0;
+                n = PARTS(bits, &x);
+                if (!n)
+                    continue;
+                if (!pass) {
+                    least = some && least > -x ? least : -x;
+                    some = 1;
+                } else if (least + x > 24 || (uint64_t)n << (least + x) > WEIGHT_SYMBOL_MAX)
+                    return 0;
+            }
+        if (some && (least < WEIGHT_EXPONENT_MIN || least > WEIGHT_EXPONENT_MAX))
+            return 0;
+    }
+    return 1;
+}
+
+/* 7.13: n * 2^-e as f32, exactly; |n| < 2^24, e as a row's exponent */
+static uint32_t ON_GRID(int32_t n, int64_t e)
+{
+    uint32_t m = (uint32_t)MAGNITUDE(n), sign = n < 0 ? UINT32_C(1) << 31 : 0;
+    if (!m)
+        return 0;
+    while (!(m & 0x800000)) {
+        m <<= 1;
+        e++;
+    }
+    if (e >= 150)
+        return sign | m >> (e - 149);
+    return sign | (uint32_t)(150 - e) << 23 | (m & 0x7FFFFF);
+}
+
+/* 7.13: one layer, from its differences and biases at few and its weights at many; v: room for its values */
+static void PACKED_LAYER(const struct scene *s, const struct layer *l, const struct value *few, const struct value *many, uint8_t *v)
+{
+    uint64_t at = (uint64_t)(l->model - s->data), rows = l->outputs, inputs = l->inputs;
+    int64_t e = GET_I16(l->model + 1);
+    int first = 1;
+    for (uint64_t r = 0; r < rows; r++) {
+        int32_t difference = few[r].value, bias = few[rows + r].value;
+        uint32_t any = (uint32_t)MAGNITUDE(bias);
+        e += difference;
+        for (uint64_t i = 0; i < inputs; i++)
+            any |= (uint32_t)MAGNITUDE(many[r * inputs + i].value);
+        if (e < WEIGHT_EXPONENT_MIN || e > WEIGHT_EXPONENT_MAX || (any && !(any & 1)) || (difference && (!any || first)))
+            REFUSE(WEIGHTS_EXPONENT, at);
+        first = first && !any;
+        for (uint64_t i = 0; i < inputs; i++)
+            PUT_U32(v + 4 * (r * inputs + i), ON_GRID(many[r * inputs + i].value, e));
+        PUT_U32(v + 4 * (rows * inputs + r), ON_GRID(bias, e));
+    }
+    if (first && GET_I16(l->model + 1))
+        REFUSE(WEIGHTS_EXPONENT, at);
+}
+
+/* 7.13, 6.8: the values of mode 1, from the first LayerModel on */
+static void DECODE_WEIGHTS(struct scene *s, uint64_t at)
+{
+    uint8_t *values = ALLOCATE(s->value_count, 4), *v = values;
+    struct value *few, *many;
+    uint64_t few_count = 0, many_count = 0;
+    struct stream stream;
+    at = LAYER_MODELS(s, at);
+    few = ALLOCATE(s->value_count + 1, 2 * sizeof *few); /* two for each row, of one weight at least */
+    many = ALLOCATE(s->value_count + 1, sizeof *many);
+    OPEN(&stream, s->data, at, SECTION(s, S_WEIGHTS) + SECTION_LENGTH(s, S_WEIGHTS) - at, UINT32_C(1) << s->h.lanes_log2[2]);
+    for (int i = 0; i < NETWORKS; i++)
+        for (uint32_t k = 0; k < s->networks[i].layers; k++) {
+            const struct layer *l = &s->networks[i].layer[k];
+            if (l->raw)
+                continue;
+            for (uint32_t r = 0; r < 2 * l->outputs; r++)
+                few[few_count++].scale = SCALE_MIN + l->model[r < l->outputs ? 3 : 5];
+            for (uint64_t n = 0; n < (uint64_t)l->outputs * l->inputs; n++)
+                many[many_count++].scale = SCALE_MIN + l->model[4];
+        }
+    DECODE_VALUES(&stream, LAPLACE, few, few_count, WEIGHT_SYMBOL_MAX);
+    DECODE_VALUES(&stream, GAUSS, many, many_count, WEIGHT_SYMBOL_MAX);
+    END(&stream);
+    for (int i = 0; i < NETWORKS; i++)
+        for (uint32_t k = 0; k < s->networks[i].layers; k++) {
+            const struct layer *l = &s->networks[i].layer[k];
+            uint64_t weights = (uint64_t)l->outputs * l->inputs, count = weights + l->outputs;
+            if (l->raw) {
+                for (uint64_t n = 0; n < count; n++)
+                    if (!FINITE(GET_U32(l->raw + 4 * n)))
+                        REFUSE(WEIGHTS_NOT_FINITE, (uint64_t)(l->raw - s->data) + 4 * n);
+                if (CAN_BE_PACKED(l->raw, l))
+                    REFUSE(WEIGHTS_RAW, (uint64_t)(l->model - s->data));
+                memcpy(v, l->raw, (size_t)(4 * count));
+            } else {
+                PACKED_LAYER(s, l, few, many, v);
+                few += 2 * l->outputs;
+                many += weights;
+            }
+            v += 4 * count;
+        }
+    s->values = values;
+}
+
+/* 5.8, 6.8; in mode 0 the section has the length of 6.6 */
 static void WEIGHTS(struct scene *s)
 {
     uint64_t at = SECTION(s, S_WEIGHTS), values_at;
     const uint8_t *p = s->data + at;
     uint32_t inputs = s->h.features - s->h.slice_width.item[s->h.slice_width.count - 1];
+    if (SECTION_LENGTH(s, S_WEIGHTS) < 2 + inputs)
+        REFUSE(WEIGHTS_LENGTH, at);
     s->plane_shift = p[0];
     if (s->plane_shift > PLANE_SHIFT_MAX)
         REFUSE(WEIGHTS_SCALE, at);
@@ -1041,11 +1210,15 @@ static void WEIGHTS(struct scene *s)
             REFUSE(WEIGHTS_SCALE, at + 2 + i);
     }
     values_at = at + 2 + inputs;
-    s->values = s->data + values_at;
-    for (uint64_t i = 0; i < s->value_count; i++)
-        if (!FINITE(GET_U32(s->values + 4 * i)))
-            REFUSE(WEIGHTS_NOT_FINITE, values_at + 4 * i);
-    DERIVE_NETWORKS(s->networks, s->data, values_at);
+    if (s->h.directory[S_WEIGHTS].mode)
+        DECODE_WEIGHTS(s, values_at);
+    else {
+        s->values = s->data + values_at;
+        for (uint64_t i = 0; i < s->value_count; i++)
+            if (!FINITE(GET_U32(s->values + 4 * i)))
+                REFUSE(WEIGHTS_NOT_FINITE, values_at + 4 * i);
+    }
+    DERIVE_NETWORKS(s->networks, s->values, values_at, s->data);
 }
 
 /* ---------------------------------------------------------------- 7.3 planes */

@@ -110,6 +110,13 @@ class Header:
 
     # SPEC 5.6
     @property
+    def weight_mode(self) -> int:
+        """The mode of the weights, of a right directory."""
+        mode: int = self[f"mode.{WEIGHTS}"]
+        return mode
+
+    # SPEC 5.6
+    @property
     def position_mode(self) -> int:
         """The mode of the positions, of a right directory."""
         mode: int = self[f"mode.{POSITIONS}"]
@@ -265,7 +272,7 @@ def read_directory(data: bytes, header: Header, weight_count: int) -> list[Secti
         require(kind < 0x80 or kind in CRITICAL_TYPES, "directory.unknown_critical", at[f"type.{n}"])
     _check_order(header)
     for n in range(len(CRITICAL_TYPES)):
-        require(header[f"mode.{n}"] <= (n == POSITIONS), "directory.mode", at[f"mode.{n}"])
+        require(header[f"mode.{n}"] <= (n in {WEIGHTS, POSITIONS}), "directory.mode", at[f"mode.{n}"])
     end = header.end
     for n in entries:
         require(header[f"offset.{n}"] == end, "directory.offset", at[f"offset.{n}"])
@@ -273,12 +280,13 @@ def read_directory(data: bytes, header: Header, weight_count: int) -> list[Secti
     offsets, mode = header["offset_count"], header.position_mode
     implied = {
         FRAME: FRAME_LENGTH,
-        WEIGHTS: 2 + header.carm_inputs + 4 * weight_count,
         CHUNK_TABLE: offsets * (offsets + 1) + POSITION_MODEL_LENGTH * mode + CHUNK_ENTRY_LENGTH * header.chunk_count,
     }
+    if header.weight_mode == 0:
+        implied[WEIGHTS] = 2 + header.carm_inputs + 4 * weight_count
     if mode == 0:
         implied[POSITIONS] = 6 * header["anchor_count"]
-    for n, length in implied.items():
+    for n, length in sorted(implied.items()):
         require(header[f"length.{n}"] == length, "directory.length", at[f"length.{n}"])
     require(end == len(data), "directory.file_length", min(end, len(data)))
     sections = [Section(header[f"type.{n}"], header[f"offset.{n}"], header[f"length.{n}"]) for n in entries]

@@ -41,7 +41,7 @@ def decode(data: bytes) -> Scene:
     header = read_header(data, read_prologue(data))
     sections = read_directory(data, header, weight_count(header))
     frame = read_frame(data, sections[FRAME])
-    weights = read_weights(data, header, sections[WEIGHTS])
+    weights = read_weights(data, header, sections[WEIGHTS], tables)
     planes = read_planes(data, header, sections[PLANES], weights.networks["sarm"], tables.laplace)
     mask_model, position_model, parts = read_chunk_table(data, header, sections)
     positions = [read_positions(data, header, n, part[0], position_model) for n, part in enumerate(parts)]

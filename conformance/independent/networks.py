@@ -1,8 +1,8 @@
 """Clauses 5.8, 6.8 and 7.2: the weights and the integer networks."""
 
-import math
 import struct
 from dataclasses import dataclass
+from itertools import pairwise
 from operator import mul
 from typing import NamedTuple
 
@@ -19,6 +19,8 @@ from .operators import (
     round_ratio,
     shift_round,
 )
+from .tables import Tables
+from .weights import Layer, check_finite, read_grids
 
 
 class Row(NamedTuple):
@@ -102,34 +104,44 @@ class Weights:
 
 
 # SPEC 6.8, 10.1 step 4
-def read_weights(data: bytes, header: Header, section: Section) -> Weights:
+def read_weights(data: bytes, header: Header, section: Section, tables: Tables) -> Weights:
     """Parse and check the section of weights."""
     at = section.offset
+    require(section.length >= 2 + header.carm_inputs, "weights.length", at)
     require(data[at] <= PLANE_SHIFT_MAX, "weights.scale", at)
     require(data[at + 1] == header.carm_inputs, "weights.scale", at + 1)
     shifts_at, values_at = at + 2, at + 2 + header.carm_inputs
     shifts = list(data[shifts_at:values_at])
     for n, shift in enumerate(shifts):
         require(shift <= CARM_SHIFT_MAX, "weights.scale", shifts_at + n)
-    values = struct.unpack_from(f"<{weight_count(header)}f", data, values_at)
-    for n, value in enumerate(values):
-        require(math.isfinite(value), "weights.not_finite", values_at + 4 * n)
-    networks = {}
-    first = 0
-    for shape in shapes(header):
-        if not shape.integer:
-            break
+    forms = [(outputs, inputs) for shape in shapes(header) for inputs, outputs in pairwise(shape.widths)]
+    if header.weight_mode:
+        layers = read_grids(data, header, section, values_at, forms, tables)
+    else:
         layers = []
-        for inputs, outputs in zip(shape.widths, shape.widths[1:]):
-            biases = first + inputs * outputs
-            rows = []
-            for n in range(outputs):
-                start = first + n * inputs
-                row = derive_row(values[start : start + inputs], values[biases + n])
-                if row is None:
-                    raise C3GSError("weights.bound", values_at + 4 * start)
-                rows.append(row)
-            layers.append(rows)
-            first = biases + outputs
-        networks[shape.name] = Network(layers)
-    return Weights(data[at], shifts, networks, data[values_at : section.offset + section.length])
+        for outputs, inputs in forms:
+            values = list(struct.unpack_from(f"<{outputs * (inputs + 1)}f", data, values_at))
+            check_finite(values, values_at)
+            layers.append(Layer(values, inputs, values_at))
+            values_at += 4 * len(values)
+    rest = iter(layers)
+    networks = {}
+    for shape in shapes(header):
+        if shape.integer:
+            found = [next(rest) for _ in shape.widths[1:]]
+            networks[shape.name] = Network([_derive_layer(layer, header.weight_mode == 0) for layer in found])
+    raw = b"".join(struct.pack(f"<{len(layer.values)}f", *layer.values) for layer in layers)
+    return Weights(data[at], shifts, networks, raw)
+
+
+# SPEC [R6.8-3], 7.2
+def _derive_layer(layer: Layer, each_row: bool) -> list[Row]:
+    outputs = len(layer.values) // (layer.inputs + 1)
+    rows = []
+    for n in range(outputs):
+        start = n * layer.inputs
+        row = derive_row(tuple(layer.values[start : start + layer.inputs]), layer.values[outputs * layer.inputs + n])
+        if row is None:
+            raise C3GSError("weights.bound", layer.at + 4 * start if each_row else layer.at)
+        rows.append(row)
+    return rows

@@ -1,0 +1,140 @@
+"""Clauses 5.16, 6.8 and 7.13: weights on grids."""
+
+import math
+import struct
+from itertools import accumulate
+from typing import NamedTuple
+
+from .container import Header, Section
+from .entropy import Substream
+from .errors import require
+from .operators import SCALE_MIN, WEIGHT_EXPONENT_MAX, WEIGHT_EXPONENT_MIN, WEIGHT_SYMBOL_MAX
+from .tables import Tables
+
+MODEL_LENGTH = 6
+
+
+class Layer(NamedTuple):
+    """The values of a layer, row by row and then the biases, and where an error in them points."""
+
+    values: list[float]
+    inputs: int
+    at: int
+
+
+class Model(NamedTuple):
+    """A LayerModel, where it is, and the values of a raw layer."""
+
+    form: int
+    exponent: int
+    exponent_scale: int
+    weight_scale: int
+    bias_scale: int
+    at: int
+    raw: list[float]
+
+
+# SPEC [R6.8-2]
+def check_finite(values: list[float], at: int) -> None:
+    """Refuse values that are not finite; the first of them is at `at`."""
+    for n, value in enumerate(values):
+        require(math.isfinite(value), "weights.not_finite", at + 4 * n)
+
+
+# SPEC 5.16, [R6.8-4], [R6.8-5]
+def _read_models(data: bytes, section: Section, at: int, forms: list[tuple[int, int]]) -> tuple[list[Model], int]:
+    """The models of all layers, and where the substream begins."""
+    end = section.offset + section.length
+    found = []
+    for outputs, inputs in forms:
+        require(at + MODEL_LENGTH <= end, "weights.length", section.offset)
+        form, exponent, *scales = struct.unpack_from("<Bh3B", data, at)
+        require(form <= 1, "weights.layer", at)
+        require(WEIGHT_EXPONENT_MIN <= exponent <= WEIGHT_EXPONENT_MAX, "weights.layer", at + 1)
+        raw: list[float] = []
+        values_at = at + MODEL_LENGTH
+        if form == 0:
+            require(exponent == 0, "weights.layer", at + 1)
+            for n, scale in enumerate(scales):
+                require(scale == 0, "weights.layer", at + 3 + n)
+            count = outputs * (inputs + 1)
+            require(values_at + 4 * count <= end, "weights.length", section.offset)
+            raw = list(struct.unpack_from(f"<{count}f", data, values_at))
+        found.append(Model(form, exponent, scales[0], scales[1], scales[2], at, raw))
+        at = values_at + 4 * len(raw)
+    return found, at
+
+
+# SPEC 7.13, LEAST_EXPONENT
+def _least_exponent(values: list[float]) -> int | None:
+    least = None
+    for value in values:
+        if value:
+            numerator, denominator = value.as_integer_ratio()
+            twos = len(bin(numerator)) - len(bin(numerator).rstrip("0"))
+            own = denominator.bit_length() - 1 - twos
+            least = own if least is None else max(least, own)
+    return least
+
+
+# SPEC 7.13, CAN_BE_PACKED
+def _can_be_packed(values: list[float], inputs: int) -> bool:
+    if any(value == 0 and math.copysign(1, value) < 0 for value in values):
+        return False
+    outputs = len(values) // (inputs + 1)
+    for n in range(outputs):
+        row = [*values[n * inputs : (n + 1) * inputs], values[outputs * inputs + n]]
+        least = _least_exponent(row)
+        if least is None:
+            continue
+        if not WEIGHT_EXPONENT_MIN <= least <= WEIGHT_EXPONENT_MAX:
+            return False
+        if math.ldexp(max(map(abs, row)), least) > WEIGHT_SYMBOL_MAX:
+            return False
+    return True
+
+
+# SPEC 7.13, PACKED_LAYER, [R6.8-6]
+def _unpacked(model: Model, steps: list[int], biases: list[int], weights: list[int]) -> list[float]:
+    inputs = len(weights) // len(biases)
+    exponents = list(accumulate(steps, initial=model.exponent))[1:]
+    before = True
+    for n, (step, exponent, bias) in enumerate(zip(steps, exponents, biases)):
+        row = [*weights[n * inputs : (n + 1) * inputs], bias]
+        right = WEIGHT_EXPONENT_MIN <= exponent <= WEIGHT_EXPONENT_MAX
+        if any(row):
+            right = right and any(x & 1 for x in row) and (step == 0 or not before)
+            before = False
+        else:
+            right = right and step == 0
+        require(right, "weights.exponent", model.at)
+    require(not before or model.exponent == 0, "weights.exponent", model.at)
+    values = [math.ldexp(x, -exponents[n // inputs]) for n, x in enumerate(weights)]
+    return values + [math.ldexp(x, -exponent) for x, exponent in zip(biases, exponents)]
+
+
+# SPEC 7.13, DECODE_WEIGHTS, 10.1 step 4
+def read_grids(data: bytes, header: Header, section: Section, at: int, forms: list[tuple[int, int]], tables: Tables) -> list[Layer]:
+    """The layers of a section in mode 1, from the first LayerModel on; forms: (outputs, inputs) of each."""
+    models, stream_at = _read_models(data, section, at, forms)
+    stream = Substream(data, stream_at, section.offset + section.length - stream_at, header["attribute_lanes_log2"])
+    first, second = [], []
+    for (outputs, inputs), model in zip(forms, models):
+        if model.form:
+            first += [(0, SCALE_MIN + model.exponent_scale)] * outputs
+            first += [(0, SCALE_MIN + model.bias_scale)] * outputs
+            second += [(0, SCALE_MIN + model.weight_scale)] * (outputs * inputs)
+    few = iter(stream.values(tables.laplace, first, WEIGHT_SYMBOL_MAX))
+    many = iter(stream.values(tables.gauss, second, WEIGHT_SYMBOL_MAX))
+    stream.finish()
+    layers = []
+    for (outputs, inputs), model in zip(forms, models):
+        values = model.raw
+        if model.form:
+            steps, biases = ([next(few) for _ in range(outputs)] for _ in range(2))
+            values = _unpacked(model, steps, biases, [next(many) for _ in range(outputs * inputs)])
+        else:
+            check_finite(values, model.at + MODEL_LENGTH)
+            require(not _can_be_packed(values, inputs), "weights.raw", model.at)
+        layers.append(Layer(values, inputs, model.at))
+    return layers
