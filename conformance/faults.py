@@ -639,7 +639,9 @@ def _(draw: st.DrawFn, t: Target) -> tuple[bytes, int]:
 
 def _lanes(t: Target, kind: int) -> int:
     lanes = t.header.lanes
-    return 1 << {container.PLANES_SECTION: lanes.plane, container.ATTRIBUTES: lanes.attribute}.get(kind, lanes.mask)
+    return 1 << {container.PLANES_SECTION: lanes.plane, container.POSITIONS: lanes.mask, container.MASKS: lanes.mask}.get(
+        kind, lanes.attribute
+    )
 
 
 def _stream(draw: st.DrawFn, t: Target) -> tuple[int, int, int, int]:

@@ -301,7 +301,7 @@ def resized(data: bytes, kind: int, content: bytes, length_at: int | None = None
 
 
 def substreams(data: bytes) -> list[tuple[int, int, int, int]]:
-    """(section, start, length, where the file says the length, which of positions is one more) of each substream of a valid file."""
+    """(section, start, length, where the file says the length; that of weights and positions is larger) of each substream."""
     header = container.parse_container(data)
     sections = header.sections
 
@@ -324,7 +324,20 @@ def substreams(data: bytes) -> list[tuple[int, int, int, int]]:
             found.append((kind, at, length, length_at))
         elif sections[kind].mode and data[at] == PACKED:
             found.append((kind, at + 1, length - 1, length_at))
+    if sections[container.WEIGHTS].mode:
+        at, end = weight_stream(data, header), sections[container.WEIGHTS].end
+        elements = syntax.parse_elements("Header", data, container.PROLOGUE_BYTES, "")
+        length_at = next(e.start for e in elements if e.path == "directory[1].length")
+        found.append((container.WEIGHTS, at, end - at, length_at))
     return found
+
+
+def weight_stream(data: bytes, header: container.Header) -> int:
+    """Where the substream of the weights begins, in mode 1."""
+    at = header.sections[container.WEIGHTS].start + 2 + header.dimensions.carm_inputs
+    for _, out, fan_in in weights.layers_of(header.dimensions):
+        at += syntax.SCHEMAS["LayerModel"].sizeof(at=None) + (0 if data[at] else 4 * out * (fan_in + 1))
+    return at
 
 
 def draw_splice(draw: st.DrawFn, data: bytes) -> bytes:

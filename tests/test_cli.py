@@ -17,11 +17,11 @@ import numpy as np
 import pytest
 
 import refcodec
-from conformance.scenes import random_scene, without_chunks
-from refcodec import cli, codec, syntax
+from conformance.scenes import MAIN_DIMENSIONS, random_scene, with_steps, without_chunks
+from refcodec import cli, codec, container, syntax
 from refcodec.container import PROLOGUE_BYTES, parse_container
 from refcodec.errors import BitstreamError
-from refcodec.folder import read_folder
+from refcodec.folder import read_folder, write_folder
 from refcodec.reconstruction import digest
 
 ROOT = Path(refcodec.__file__).parent
@@ -40,6 +40,32 @@ def scene():
 @pytest.fixture(scope="module")
 def data(scene) -> bytes:
     return codec.emit(scene)
+
+
+def test_encode_packs(tmp_path):
+    """Positions and weights are packed in Main, and not in Tiny, unless the options or the folder say otherwise."""
+    where = np.random.default_rng(1).permutation(900)[:300][:, None] // np.array([1, 30, 900]) % np.array([30, 30, 1])
+    scene = random_scene(22, 300, replace(MAIN_DIMENSIONS, plane_size=4), chunk_size=256)
+    scene = with_steps(replace(scene, positions=where.astype(np.float16)))
+    write_folder(scene, tmp_path / "main")
+    write_folder(random_scene(23, 9), tmp_path / "tiny")
+
+    def modes(folder: str, *options: str) -> tuple[int, int]:
+        target = tmp_path / "out.c3gs"
+        result = run("encode", tmp_path / folder, "-o", target, *options)
+        assert result.returncode == 0, result.stderr
+        sections = container.parse_container(target.read_bytes()).sections
+        return sections[container.WEIGHTS].mode, sections[container.POSITIONS].mode
+
+    assert modes("tiny") == (0, 0)
+    assert modes("tiny", "--weights", "packed", "--positions", "packed") == (1, 1)
+    assert modes("main", "--weights", "raw", "--positions", "raw") == (0, 0)
+    assert (tmp_path / "out.c3gs").read_bytes() == codec.emit(scene)
+    assert modes("main") == (1, 1)
+    data = (tmp_path / "out.c3gs").read_bytes()
+    write_folder(codec.parse(data).scene, tmp_path / "again")
+    assert modes("again") == (1, 1)
+    assert (tmp_path / "out.c3gs").read_bytes() == data
 
 
 @pytest.fixture

@@ -17,6 +17,7 @@ from safetensors.numpy import load_file, save_file
 from conformance.scenes import MAIN_DIMENSIONS, random_scene, with_steps, without_chunks
 from refcodec import codec, folder
 from refcodec.folder import SceneFolderError, read_folder, write_folder
+from refcodec.quantise import pack_positions, pack_weights
 from refcodec.reconstruction import reconstruct
 from refcodec.scene import Dimensions, RenderInfo
 
@@ -47,7 +48,19 @@ SCENES = {
     "all kept": lambda: random_scene(7, 9, keep=1.0),
     "extensions": lambda: replace(random_scene(8, 5), extensions=((1, 0, b""), (16, 255, b"\0\1"), (127, 7, bytes(1000)))),
     "odd floats": lambda: odd_floats(9),
+    "packed": lambda: pack_weights(pack_positions(random_scene(10, 20, chunk_size=8))),
 }
+
+
+@pytest.mark.parametrize("change", [{"cell_shift": 41}, {"frequency": [[1024] * 16] * 18}, {"frequency": [[1024] * 16] * 17}])
+def test_a_wrong_model_of_positions(change, tmp_path):
+    write_folder(SCENES["packed"](), tmp_path / "scene")
+    file = tmp_path / "scene" / "scene.json"
+    document = json.loads(file.read_text())
+    document["position_model"] |= change
+    file.write_text(json.dumps(document))
+    with pytest.raises(SceneFolderError, match="position_model"):
+        read_folder(tmp_path / "scene")
 
 
 @pytest.mark.parametrize("name", SCENES)

@@ -24,7 +24,7 @@ from conformance.strategies import repair
 from refcodec import codec, reconstruction
 from refcodec.errors import REGISTRY, BitstreamError
 from refcodec.limits import PROFILES, Profile
-from refcodec.quantise import position_model
+from refcodec.quantise import pack_weights, position_model
 from refcodec.scene import Dimensions, Lanes
 
 ROOT = Path(__file__).resolve().parent.parent
@@ -33,7 +33,7 @@ EXAMPLE = ROOT / "vectors" / "tiny-example.c3gs"
 
 MIXED = random_scene(39, 9, chunk_size=4, lanes=Lanes(0, 1, 0))
 # Files that between them have a place for every fault: extensions, idle lanes, several chunks, one slice and more, no anchors,
-# positions in mode 1.
+# positions and weights in mode 1.
 TARGETS = [
     Target(codec.emit(scene))
     for scene in (
@@ -41,7 +41,7 @@ TARGETS = [
         random_scene(36, 3, Dimensions(1, (2,), 1, 1, 3, (2, 2), (2,), (), 1), chunk_size=1, lanes=Lanes(0, 2, 3)),
         random_scene(37, 0),
         # Anchors in no order: two raw chunks, and a packed one of a single anchor.
-        replace(MIXED, position_model=position_model(MIXED.positions, 4)),
+        pack_weights(replace(MIXED, position_model=position_model(MIXED.positions, 4))),
     )
 ]
 
