@@ -47,8 +47,8 @@ ENVIRONMENT = {**os.environ, "OMP_WAIT_POLICY": "PASSIVE", "NUMBA_NUM_THREADS": 
 JOBS = 2
 # Steps of each training at 400 x 300, and at 200 x 150; minutes beside the prototype, and about as many steps as they have.
 STEPS, SMALL_STEPS = 3000, 2000
-MINUTES = 2.0
-STEPS_OF_MINUTES = {200: 4000, 400: 2000}
+MINUTES = 1.5
+STEPS_OF_MINUTES = {200: 3000, 400: 1500}
 HYPERPRIOR_NOTE = "NOTE"
 SAMPLING_NOTE = "NOTE"
 
