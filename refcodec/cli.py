@@ -370,13 +370,12 @@ def _uncompressed(path: str) -> Uncompressed | None:
 
 def _render(arguments: argparse.Namespace) -> int:
     try:
-        from .rendering import default_camera
-        from .viewing import View, eight_bits, write_gif, write_png
+        from .viewing import View, eight_bits, own_camera, write_gif, write_png
     except ModuleNotFoundError as error:
         raise _needs("render", "render", error, _RENDER_PACKAGES) from None
     view = View(_uncompressed(arguments.file) or _parse(arguments, _read_file(arguments.file)).scene)
     if arguments.cameras == "default":
-        cameras = [default_camera(view.info)]
+        cameras = [own_camera(view.info)]
     elif arguments.cameras == "orbit":
         cameras = view.orbit(arguments.frames)
     else:
@@ -391,7 +390,10 @@ def _render(arguments: argparse.Namespace) -> int:
     with _progress(arguments.progress) as progress:
         for number, camera in enumerate(cameras):
             progress("images", number, len(cameras))
-            made = view.draw(camera)
+            try:
+                made = view.draw(camera)
+            except ValueError as error:
+                raise UsageError(f"{arguments.file} cannot be drawn: {error}") from None
             path = folder / f"{Path(camera.name).stem}.png"
             write_png(path, made)
             if arguments.cameras == "orbit":
@@ -431,6 +433,8 @@ def _eval(arguments: argparse.Namespace) -> int:
             result = evaluate(shown, found, Path(arguments.images) if arguments.images else None, progress, lpips)
     except PhotographError as error:
         raise UsageError(str(error)) from None
+    except ValueError as error:
+        raise UsageError(f"{arguments.file} cannot be drawn: {error}") from None
     result = {"file": arguments.file, **result}
     print(json.dumps(result, indent=1) if arguments.json else "\n".join(table(result)))
     return 0

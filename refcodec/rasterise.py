@@ -64,7 +64,7 @@ LOOK = 16
 # Parts into which the sorted Gaussians are cut to be listed in parallel; no result depends on it.
 PARTS = 16
 # A pair's place in its tile's list is kept as a float32 lane, and among all pairs as an int32.
-LIST_MAX, PAIRS_MAX = 1 << 24, 1 << 31
+LIST_MAX, PAIRS_MAX = 1 << 24, 1 << 27
 
 _MIN = np.float32(ALPHA_MIN)
 _STOP = np.float32(TRANSMITTANCE_MIN)
@@ -820,7 +820,7 @@ def rasterise(
     """Draws N Gaussians: mean f32[N,3], quaternion f32[N,4] (w, x, y, z; any length but 0), scale f32[N,3] (standard deviations, in
     the unit of mean), opacity f32[N], colour f32[N,3]. Other dtypes are cast. Without settings: Settings().
 
-    Raises ValueError for other shapes, for a camera that check_camera refuses, and if there are 2^31 pairs of a Gaussian and a tile it
+    Raises ValueError for other shapes, for a camera that check_camera refuses, and if there are 2^27 pairs of a Gaussian and a tile it
     may touch. The rendering keeps the inputs for rasterise_backward, uncopied where they are contiguous float32: do not change them
     before.
     """

@@ -12,13 +12,15 @@ from PIL import Image
 from .rasterise import image
 from .reconstruction import reconstruct
 from .rendering import RENDERING, Camera, default_camera, gaussians
-from .scene import Scene
+from .scene import RenderInfo, Scene
 from .uncompressed import Uncompressed
 
 F32 = NDArray[np.float32]
 F64 = NDArray[np.float64]
 U8 = NDArray[np.uint8]
 
+# Pixels along a side of an image from a file's own camera, which may say 65535: an image of that size would not fit in memory.
+SIDE_MAX = 4096
 # The circle's height above the scene, in degrees, and its radius, in radii of the scene.
 ELEVATION = 25.0
 DISTANCE = 2.2
@@ -39,7 +41,7 @@ class View:
         return image(gaussians(self.values, self.masks, self.networks, camera), camera, self.info)
 
     def orbit(self, frames: int) -> list[Camera]:
-        """Cameras on a circle around the scene that look at its middle, with the size and focal lengths of the default camera."""
+        """Cameras on a circle around the scene that look at its middle, with the size and focal lengths of the file's own camera."""
         positions = self.values.positions.astype(np.float64)
         if not len(positions):
             positions = np.zeros((1, 3))
@@ -50,7 +52,7 @@ class View:
         up[self.info.up_axis // 2] = -1.0 if self.info.up_axis % 2 else 1.0
         side = np.roll(up, 1)
         front = np.cross(up, side)
-        default = default_camera(self.info)
+        default = own_camera(self.info)
         cameras = []
         for number in range(frames):
             turn, height = 2 * np.pi * number / frames, np.radians(ELEVATION)
@@ -62,6 +64,15 @@ class View:
                 Camera(name, default.width, default.height, default.fx, default.fy, default.cx, default.cy, rotation, -rotation @ place)
             )
         return cameras
+
+
+def own_camera(info: RenderInfo) -> Camera:
+    """The camera that a file states, with fewer pixels if one of its sides is longer than SIDE_MAX."""
+    camera = default_camera(info)
+    longer = max(camera.width, camera.height)
+    if longer <= SIDE_MAX:
+        return camera
+    return camera.resized(max(camera.width * SIDE_MAX // longer, 1), max(camera.height * SIDE_MAX // longer, 1))
 
 
 def looking(direction: F64, up: F64) -> F64:

@@ -501,7 +501,7 @@ def test_a_nerf_folder_with_transparent_images(tmp_path: Path, capsys: pytest.Ca
             [[np.cos(angle), 0, np.sin(angle), 4 * np.sin(angle)], [0, 1, 0, 0], [-np.sin(angle), 0, np.cos(angle), 4 * np.cos(angle)]]
         )
         Image.fromarray(ball).save(tmp_path / "images" / f"r_{number}.png")
-        frames.append({"file_path": f"images/r_{number}.png", "transform_matrix": pose})
+        frames.append({"file_path": f"images/r_{number}.png", "transform_matrix": pose.tolist()})
     (tmp_path / "transforms.json").write_text(json.dumps({"camera_angle_x": 0.7, "frames": frames}))
     scene, file = tmp_path / "scene", tmp_path / "scene.c3gs"
     assert main(["train", str(tmp_path), "-o", str(scene), "--steps", "150"]) == 0

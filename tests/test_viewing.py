@@ -20,7 +20,7 @@ from PIL import Image  # noqa: E402
 from conformance.scenes import random_scene  # noqa: E402
 from refcodec import cli, codec  # noqa: E402
 from refcodec.quality import measures  # noqa: E402
-from refcodec.viewing import View, eight_bits, looking, write_gif, write_png  # noqa: E402
+from refcodec.viewing import View, eight_bits, looking, own_camera, write_gif, write_png  # noqa: E402
 
 ROOT = Path(__file__).resolve().parent.parent
 PHOTOGRAPHS = ROOT / "examples" / "photographs" / "caliterra"
@@ -52,6 +52,28 @@ def test_an_orbit_around_nothing() -> None:
     cameras = View(random_scene(72, 0)).orbit(2)
     assert all(np.isfinite(camera.translation).all() for camera in cameras)
     assert View(random_scene(72, 0)).draw(cameras[0].resized(8, 6)).shape == (6, 8, 3)
+
+
+def test_huge_cameras_are_drawn_smaller(tmp_path: Path) -> None:
+    """A file of a few bytes may ask for 65535 x 65535 pixels."""
+    scene = random_scene(73, 3)
+    info = replace(scene.render, camera_width=65535, camera_height=13107, camera_focal=(65535.0, 50000.0))
+    camera = own_camera(info)
+    assert (camera.width, camera.height) == (4096, 819)
+    assert camera.fx == pytest.approx(4096)
+    assert camera.cy == pytest.approx(409.5)
+    thin = own_camera(replace(info, camera_width=1, camera_height=65535))
+    assert (thin.width, thin.height) == (1, 4096)
+    assert own_camera(scene.render).width == scene.render.camera_width
+    assert View(replace(scene, render=info)).orbit(1)[0].width == 4096
+
+
+def test_what_does_not_fit_in_memory_is_refused(tmp_path: Path, monkeypatch, capsys) -> None:
+    monkeypatch.setattr("refcodec.rasterise.PAIRS_MAX", 0)
+    assert cli.main(["render", str(EXAMPLE), "-o", str(tmp_path / "images")]) == 64
+    assert "cannot be drawn" in capsys.readouterr().err
+    assert cli.main(["eval", str(EXAMPLE), str(PHOTOGRAPHS), "--size", "32"]) == 64
+    assert "cannot be drawn" in capsys.readouterr().err
 
 
 def test_looking() -> None:

@@ -24,8 +24,8 @@ TITLES = {"caliterra": "A building site from the air", "snowmiku": "A plush doll
 RATE = 0.004
 # The longest side of an image, in pixels.
 SIZE = "400"
-# Four minutes of training on two cores.
-STEPS = 4000
+# Three minutes of training on two cores for caliterra, five for snowmiku.
+STEPS = 3000
 
 UNCOMPRESSED, CODED = "uncompressed", "coded"
 # Parts of a scene, as a training's report and a file's sections name them; sections that are not here are HEADERS.
