@@ -255,6 +255,7 @@ _set(
     "header.render_info",
     ("render_info.up_axis", "B", [6, 255]),
     ("render_info.near_plane", "<f", [0.0, -1.0, *_BAD]),
+    ("render_info.distance_unit", "<f", [0.0, -1.0, *_BAD]),
     ("render_info.alpha_max", "<f", [0.0, -0.5, 1.0001, *_BAD]),
     ("render_info.low_pass", "<f", [-1.0, *_BAD]),
     ("render_info.camera_width", "<H", [0]),

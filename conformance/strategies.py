@@ -69,6 +69,7 @@ def render_infos() -> st.SearchStrategy[RenderInfo]:
         st.tuples(byte, byte, byte),
         st.integers(0, 5),
         positive,
+        positive,
         st.floats(2.0**-20, 1, width=32),
         st.floats(0, 2.0**20, width=32),
         side,

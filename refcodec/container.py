@@ -243,10 +243,11 @@ def _check_render(r: Any, check: _HeaderCheck) -> RenderInfo:
     """SPEC 6.5."""
     name, field = "header.render_info", "render_info."
     check.within(name, field + "up_axis", r.up_axis, 0, 5)
-    for scalar in ("near_plane", "alpha_max", "low_pass"):
+    for scalar in ("near_plane", "distance_unit", "alpha_max", "low_pass"):
         check.finite(name, field + scalar, [r[scalar]])
-    if r.near_plane <= 0:
-        raise check.fail(name, field + "near_plane", r.near_plane, "more than 0")
+    for scalar in ("near_plane", "distance_unit"):
+        if r[scalar] <= 0:
+            raise check.fail(name, field + scalar, r[scalar], "more than 0")
     if not 0 < r.alpha_max <= 1:
         raise check.fail(name, field + "alpha_max", r.alpha_max, "more than 0 and at most 1")
     if r.low_pass < 0:
@@ -263,6 +264,7 @@ def _check_render(r: Any, check: _HeaderCheck) -> RenderInfo:
         tuple(r.background),
         r.up_axis,
         r.near_plane,
+        r.distance_unit,
         r.alpha_max,
         r.low_pass,
         r.camera_width,

@@ -432,6 +432,7 @@ def _read_render(doc: _Document) -> RenderInfo:
         (background[0], background[1], background[2]),
         doc.integer("render.up_axis", 0, 5),
         doc.float("render.near_plane"),
+        doc.float("render.distance_unit"),
         doc.float("render.alpha_max"),
         doc.float("render.low_pass"),
         doc.integer("render.camera_width", 1, 65535),

@@ -257,6 +257,12 @@ def exact_networks(networks: Mapping[str, list[Layer]]) -> dict[str, list[Layer]
     return found
 
 
+def rendering_exponent(weight: F32, bits: int) -> int:
+    """SPEC B.5: the largest e with which no weight, times 2^e and rounded, needs more than `bits` bits, sign included; 0 for zeros."""
+    largest = float(np.abs(weight).max())
+    return math.floor(math.log2(((1 << (bits - 1)) - 0.5) / largest)) if largest else 0
+
+
 def quantise_rendering(networks: Mapping[str, list[Layer]], bits: int) -> dict[str, list[Layer]]:
     """SPEC B.5: the networks with each layer of opacity, covariance and colour on a grid: multiples of a power of two, the least with
     which no weight needs more than `bits` bits, sign included; biases on the same grid. bits: 2 to 24."""
@@ -264,9 +270,7 @@ def quantise_rendering(networks: Mapping[str, list[Layer]], bits: int) -> dict[s
     for name in RENDERING:
         found[name] = []
         for weight, bias in networks[name]:
-            largest = float(np.abs(weight).max())
-            # The largest e with round(largest * 2^e) < 2^(bits - 1).
-            e = math.floor(math.log2(((1 << (bits - 1)) - 0.5) / largest)) if largest else 0
+            e = rendering_exponent(weight, bits)
             on_grid = [np.ldexp(np.rint(np.ldexp(value, e)) + np.float32(0), -e).astype(np.float32) for value in (weight, bias)]
             found[name].append((on_grid[0], on_grid[1]))
     return found

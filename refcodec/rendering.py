@@ -108,6 +108,7 @@ def gaussians(
     masks: NDArray[np.bool_],
     networks: dict[str, list[Layer]],
     camera: Camera,
+    distance_unit: float,
     dtype: DTypeLike = np.float32,
 ) -> Gaussians:
     """SPEC 14.3: the Gaussians that a camera sees or not, in the order of anchors and offsets. masks: bool [N, K]."""
@@ -116,7 +117,7 @@ def gaussians(
     away = (values.positions.astype(np.float64) - camera.centre).astype(dtype)
     distance = np.linalg.norm(away, axis=1, keepdims=True)
     direction = np.divide(away, distance, out=np.zeros_like(away), where=distance > 0)
-    inputs = np.concatenate([values.features.astype(dtype), direction, distance], axis=1)
+    inputs = np.concatenate([values.features.astype(dtype), direction, distance / np.asarray(distance_unit, dtype)], axis=1)
     opacity, covariance, colour = (_network(networks[name], inputs) for name in RENDERING)
     opacity = np.tanh(opacity)
     anchor, offset = np.nonzero(masks & (opacity > 0))

@@ -79,6 +79,7 @@ class RenderInfo:
     background: tuple[int, int, int] = (0, 0, 0)
     up_axis: int = 3
     near_plane: float = float(np.float32(0.2))
+    distance_unit: float = 1.0
     alpha_max: float = float(np.float32(0.99))
     low_pass: float = float(np.float32(0.3))
     camera_width: int = 800

@@ -70,6 +70,7 @@ SYNTAX: dict[str, list[tuple[str, str]]] = {
         ("background", "u8[3]"),
         ("up_axis", "u8"),
         ("near_plane", "f32"),
+        ("distance_unit", "f32"),
         ("alpha_max", "f32"),
         ("low_pass", "f32"),
         ("camera_width", "u16"),

@@ -512,7 +512,7 @@ class Recorder:
         self.calls.append((models, mean.copy(), scale.copy(), list(counts), limit, name))
         return given
 
-    def bits(self, models: object, index: np.ndarray, counts: list, name: object, given: object) -> object:
+    def plain(self, models: object, index: np.ndarray, counts: list, name: object, given: object) -> object:
         self.calls.append((models, index.copy(), None, list(counts), None, name))
         return given
 

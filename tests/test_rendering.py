@@ -26,10 +26,15 @@ def text() -> dict:
     return blocks(SPEC.read_text(encoding="utf-8"))
 
 
+# Of the scenes: the distance that the networks have as 1.
+UNIT = 2.5
+
+
 def scene_of(seed: int, anchors: int = 60) -> tuple[Scene, Reconstruction, Camera]:
     """A scene of ordinary sizes, and a camera among its anchors."""
     rng = np.random.default_rng(seed)
     scene = random_scene(seed, anchors, gain=0.3, base_step=(0.5, 0.125, 0.25))
+    scene = replace(scene, render=replace(scene.render, distance_unit=UNIT))
     # Some opacities above 0 and some below, by the offset and by the anchor.
     weight, bias = scene.networks["opacity"][-1]
     weight[:], bias[:] = rng.normal(0, 0.1, weight.shape), [0.5, -0.3]
@@ -46,7 +51,9 @@ def by_the_text(text: dict, scene: Scene, values: Reconstruction, camera: Camera
     for n in range(scene.anchor_count):
         row = (getattr(values, name)[n].astype(np.float64).tolist() for name in ("positions", "features", "scalings", "offsets"))
         position, feature, scaling, offsets = row
-        found += text["GAUSSIANS"](networks, position, feature, scaling, offsets, scene.masks[n].tolist(), camera.centre.tolist())
+        found += text["GAUSSIANS"](
+            networks, position, feature, scaling, offsets, scene.masks[n].tolist(), camera.centre.tolist(), scene.render.distance_unit
+        )
     return found
 
 
@@ -64,9 +71,9 @@ def compared(found: Gaussians, wanted: list[tuple], tolerance: float) -> None:
 def test_gaussians_are_those_of_the_text(text: dict, seed: int) -> None:
     scene, values, camera = scene_of(seed)
     wanted = by_the_text(text, scene, values, camera)
-    compared(gaussians(values, scene.masks, scene.networks, camera, np.float64), wanted, 1e-12)
+    compared(gaussians(values, scene.masks, scene.networks, camera, UNIT, np.float64), wanted, 1e-12)
     # In binary32 those whose opacity is next to nothing may come and go.
-    found = gaussians(values, scene.masks, scene.networks, camera)
+    found = gaussians(values, scene.masks, scene.networks, camera, UNIT)
     assert found.opacity.dtype == np.float32
     assert abs(len(found.opacity) - len(wanted)) <= 1
     if len(found.opacity) == len(wanted):
@@ -75,11 +82,11 @@ def test_gaussians_are_those_of_the_text(text: dict, seed: int) -> None:
 
 def test_masked_offsets_and_negative_opacities_give_nothing(text: dict) -> None:
     scene, values, camera = scene_of(9)
-    found = gaussians(values, scene.masks, scene.networks, camera)
+    found = gaussians(values, scene.masks, scene.networks, camera, UNIT)
     assert scene.masks[found.anchor, found.offset].all()
     assert (found.opacity > 0).all()
     nothing = replace(scene, masks=np.zeros_like(scene.masks))
-    assert len(gaussians(values, nothing.masks, scene.networks, camera).opacity) == 0
+    assert len(gaussians(values, nothing.masks, scene.networks, camera, UNIT).opacity) == 0
     assert by_the_text(text, nothing, values, camera) == []
 
 
@@ -93,7 +100,7 @@ def test_an_anchor_in_the_camera_and_a_quaternion_of_nothing(text: dict) -> None
     masks = np.ones_like(scene.masks)
     values = replace(values, positions=camera.centre[None].astype(np.float32))
     camera = replace(camera, translation=-camera.rotation @ values.positions[0].astype(np.float64))
-    found = gaussians(values, masks, scene.networks, camera, np.float64)
+    found = gaussians(values, masks, scene.networks, camera, UNIT, np.float64)
     assert found.quaternion.tolist() == [[1, 0, 0, 0]] * len(found.opacity)
     compared(found, by_the_text(text, replace(scene, masks=masks), values, camera), 1e-9)
 
@@ -295,5 +302,5 @@ def test_hostile_networks_give_gaussians() -> None:
         layers[-1][0][:] *= np.float32(1e20)
     values = replace(values, scalings=values.scalings * np.float32(1e4), positions=values.positions * np.float32(1e30))
     for dtype in (np.float32, np.float64):
-        found = gaussians(values, scene.masks, scene.networks, camera, dtype)
+        found = gaussians(values, scene.masks, scene.networks, camera, UNIT, dtype)
         assert (found.opacity > 0).all()

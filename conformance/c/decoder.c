@@ -508,7 +508,7 @@ static void HEADER_FIELDS(struct header *h, const uint8_t *data)
     h->scale_exponent = p[26] < 128 ? p[26] : p[26] - 256;
     h->grid_reserved = p[27];
     h->render_at = (uint32_t)c.at;
-    TAKE(&c, 56); /* 5.5; read again in RENDER_INFO */
+    TAKE(&c, 60); /* 5.5; read again in RENDER_INFO */
     for (int i = 0; i < h->section_count; i++) {
         struct entry *s = &h->directory[i];
         s->at = (uint32_t)c.at;
@@ -599,29 +599,31 @@ static void RENDER_INFO(const uint8_t *data, uint64_t at)
     const uint8_t *p = data + at;
     if (p[3] > 5)
         REFUSE(HEADER_RENDER_INFO, at + 3);
-    for (uint32_t i = 4; i < 16; i += 4)
+    for (uint32_t i = 4; i < 20; i += 4)
         if (!FINITE(GET_U32(p + i)))
             REFUSE(HEADER_RENDER_INFO, at + i);
-    if (!(F32(GET_U32(p + 4)) > 0))
-        REFUSE(HEADER_RENDER_INFO, at + 4);
-    if (!(F32(GET_U32(p + 8)) > 0 && F32(GET_U32(p + 8)) <= 1))
-        REFUSE(HEADER_RENDER_INFO, at + 8);
-    if (!(F32(GET_U32(p + 12)) >= 0))
+    /* near_plane, distance_unit */
+    for (uint32_t i = 4; i < 12; i += 4)
+        if (!(F32(GET_U32(p + i)) > 0))
+            REFUSE(HEADER_RENDER_INFO, at + i);
+    if (!(F32(GET_U32(p + 12)) > 0 && F32(GET_U32(p + 12)) <= 1))
         REFUSE(HEADER_RENDER_INFO, at + 12);
-    for (uint32_t i = 16; i < 20; i += 2)
+    if (!(F32(GET_U32(p + 16)) >= 0))
+        REFUSE(HEADER_RENDER_INFO, at + 16);
+    for (uint32_t i = 20; i < 24; i += 2)
         if (GET_U16(p + i) < 1)
             REFUSE(HEADER_RENDER_INFO, at + i);
-    /* camera_focal, camera_rotation and camera_translation start at 20, 28 and 44; the field is named, not its item. */
-    for (uint32_t i = 20; i < 56; i += 4)
+    /* camera_focal, camera_rotation and camera_translation start at 24, 32 and 48; the field is named, not its item. */
+    for (uint32_t i = 24; i < 60; i += 4)
         if (!FINITE(GET_U32(p + i)))
-            REFUSE(HEADER_RENDER_INFO, at + (i < 28 ? 20 : i < 44 ? 28 : 44));
-    for (uint32_t i = 20; i < 28; i += 4)
+            REFUSE(HEADER_RENDER_INFO, at + (i < 32 ? 24 : i < 48 ? 32 : 48));
+    for (uint32_t i = 24; i < 32; i += 4)
         if (!(F32(GET_U32(p + i)) > 0))
-            REFUSE(HEADER_RENDER_INFO, at + 20);
-    for (uint32_t i = 28; i < 44; i += 4)
+            REFUSE(HEADER_RENDER_INFO, at + 24);
+    for (uint32_t i = 32; i < 48; i += 4)
         if (F32(GET_U32(p + i)) != 0)
             return;
-    REFUSE(HEADER_RENDER_INFO, at + 28);
+    REFUSE(HEADER_RENDER_INFO, at + 32);
 }
 
 /* 6.2 to 6.5, 11: the header's other requirements, in the order of their codes */

@@ -173,7 +173,7 @@ def _read_fields(header: Header) -> None:
     header.read("grid_reserved", "B")
     header.read("background", "B", 3)
     header.read("up_axis", "B")
-    for name in ("near_plane", "alpha_max", "low_pass"):
+    for name in ("near_plane", "distance_unit", "alpha_max", "low_pass"):
         header.read(name, "f")
     header.read("camera_width", "H")
     header.read("camera_height", "H")
@@ -214,9 +214,10 @@ def _check_render_info(header: Header) -> None:
     at = header.offsets
     name = "header.render_info"
     require(header["up_axis"] <= 5, name, at["up_axis"])
-    for field in ("near_plane", "alpha_max", "low_pass"):
+    for field in ("near_plane", "distance_unit", "alpha_max", "low_pass"):
         require(math.isfinite(header[field]), name, at[field])
-    require(header["near_plane"] > 0, name, at["near_plane"])
+    for field in ("near_plane", "distance_unit"):
+        require(header[field] > 0, name, at[field])
     require(0 < header["alpha_max"] <= 1, name, at["alpha_max"])
     require(header["low_pass"] >= 0, name, at["low_pass"])
     for field in ("camera_width", "camera_height"):

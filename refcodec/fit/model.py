@@ -19,7 +19,7 @@ from torch.nn import functional
 
 from ..conventions import Int64
 from ..geometry import LERP_BITS, UNIT_BITS
-from ..networks import ACCUMULATOR_BOUND, ACTIVATION_MAX, WEIGHT_MAX, Layer
+from ..networks import ACCUMULATOR_BOUND, ACTIVATION_MAX, WEIGHT_MAX, Layer, derive_layer
 from ..planes import PLANES
 from ..scene import Dimensions
 from ..tables import SCALE_END, SCALE_MIN, STEP_LENGTH
@@ -94,11 +94,17 @@ def round_through(x: Tensor) -> Tensor:
     return x + (torch.floor(x + 0.5) - x).detach()
 
 
+def grid_through(x: Tensor, step: Tensor) -> Tensor:
+    """Rounding half up to multiples of a power of two, whose gradient is the identity's."""
+    return x + (torch.floor(x / step + 0.5) * step - x).detach()
+
+
 class FoldedMlp(nn.Module):
     """An MLP on integer activations (SPEC 7.2), trained in parameters of order one.
 
     widths: inputs, hidden widths, outputs; input_unit and output_unit: powers of two, float32 [in] and [out]: the integers that
-    stand for one at the inputs and outputs. Buffers hidden_unit.*: the same for each hidden activation; calibrate sets them.
+    stand for one at the inputs and outputs. Buffers hidden_unit.*: the same for each hidden activation; calibrate sets them. Buffers
+    step.*: of each row's weights and bias in the file, if they are multiples of one; set_grid sets them.
     """
 
     def __init__(self, widths: list[int], input_unit: Tensor, output_unit: Tensor, generator: torch.Generator, gain: float) -> None:
@@ -114,7 +120,9 @@ class FoldedMlp(nn.Module):
         self.hidden = len(widths) - 2
         for i in range(self.hidden):
             self.register_buffer(f"hidden_unit_{i}", torch.full((widths[i + 1],), 64.0))
-        self.rounding = False
+        for i, out in enumerate(widths[1:]):
+            self.register_buffer(f"step_{i}", torch.ones(out))
+        self.rounding = self.gridded = False
 
     def forward(self, inputs: Tensor) -> Tensor:
         """inputs: integers as float32 [n, in]. Returns float32 [n, out] in the units of the file."""
@@ -122,14 +130,13 @@ class FoldedMlp(nn.Module):
 
     def outputs(self, hidden: Tensor, columns: slice) -> Tensor:
         """Some columns of the outputs for the last hidden activations."""
-        weight, bias = self.weights[-1][columns], self.biases[-1][columns]
-        return functional.linear(hidden, weight, bias) * self.get_buffer("output_unit")[columns]
+        return functional.linear(hidden, *self._layer(self.hidden, columns)) * self.get_buffer("output_unit")[columns]
 
     def activations(self, inputs: Tensor) -> Tensor:
         """The last hidden activations."""
         x = inputs / self.get_buffer("input_unit")
         for i in range(self.hidden):
-            x = functional.relu(functional.linear(x, self.weights[i], self.biases[i]))
+            x = functional.relu(functional.linear(x, *self._layer(i, slice(None))))
             if self.rounding:
                 unit = self.get_buffer(f"hidden_unit_{i}")
                 x = round_through((x * unit).clamp_max(ACTIVATION_MAX)) / unit
@@ -149,17 +156,40 @@ class FoldedMlp(nn.Module):
             unit = torch.stack(limits).min(dim=0).values.clamp(2.0**-16, 2.0**16)
             before = self.get_buffer(f"hidden_unit_{i}").copy_(torch.exp2(torch.floor(torch.log2(unit))))
 
+    def _units(self, layer: int) -> tuple[Tensor, Tensor]:
+        """What a layer's weights [out, in] and biases [out] are multiplied by in the file: powers of two."""
+        before = self.get_buffer(f"hidden_unit_{layer - 1}" if layer else "input_unit")
+        after = self.get_buffer(f"hidden_unit_{layer}" if layer < self.hidden else "output_unit")
+        return after[:, None] / before[None, :], after
+
+    def _layer(self, layer: int, rows: slice) -> tuple[Tensor, Tensor]:
+        """Some rows of a layer's weights and biases, on their grid if there is one."""
+        weight, bias = self.weights[layer][rows], self.biases[layer][rows]
+        if not self.gridded:
+            return weight, bias
+        weight_unit, bias_unit = self._units(layer)
+        step = self.get_buffer(f"step_{layer}")[rows]
+        return grid_through(weight, step[:, None] / weight_unit[rows]), grid_through(bias, step / bias_unit[rows])
+
+    @torch.no_grad()
+    def set_grid(self, coarser: int) -> None:
+        """From now on each row's weights and bias are multiples of 2^coarser steps of its integers (SPEC 7.2). Raises
+        networks.BoundError for a row that has none."""
+        self.gridded = False
+        for i, (weight, bias) in enumerate(self.layers()):
+            exponent = torch.from_numpy(coarser - derive_layer(weight, bias).exponent)
+            self.get_buffer(f"step_{i}").copy_(torch.exp2(exponent.float()))
+        self.gridded = True
+
+    @torch.no_grad()
     def layers(self) -> list[Layer]:
         """The weights that SPEC 5.8 stores: float32 (weight [out, in], bias [out]) of each layer."""
-        units = [self.get_buffer(f"hidden_unit_{i}") for i in range(self.hidden)]
-        before, after = [self.get_buffer("input_unit"), *units], [*units, self.get_buffer("output_unit")]
-        return [
-            (
-                (weight * a[:, None] / b[None, :]).detach().numpy().astype(np.float32),
-                (bias * a).detach().numpy().astype(np.float32),
-            )
-            for weight, bias, b, a in zip(self.weights, self.biases, before, after, strict=True)
-        ]
+        found = []
+        for i in range(self.hidden + 1):
+            layer = zip(self._layer(i, slice(None)), self._units(i), strict=True)
+            weight, bias = ((value * unit).numpy().astype(np.float32) for value, unit in layer)
+            found.append((weight, bias))
+        return found
 
 
 class PlaneSamples:

@@ -12,16 +12,28 @@ from torch import Tensor
 
 from ..attributes import KINDS, SCALINGS, Attributes
 from ..codec import derive_steps
+from ..container import chunk_ranges
 from ..fit.model import PLANE_SHIFT
 from ..geometry import Frame
 from ..limits import MAIN, MAIN_SLICES
 from ..networks import Layer
 from ..planes import PLANE_SYMBOL_MAX
-from ..quantise import CHUNK_SIZE, choose_lanes, mask_model, morton_order, symbols
+from ..positions import encode_positions
+from ..quantise import (
+    CHUNK_SIZE,
+    choose_lanes,
+    exact_networks,
+    mask_model,
+    morton_order,
+    position_model,
+    symbols,
+    weight_scales,
+)
 from ..reconstruction import Reconstruction
 from ..rendering import Camera
-from ..scene import Dimensions, RenderInfo, Scene
+from ..scene import Dimensions, Lanes, RenderInfo, Scene
 from ..uncompressed import Uncompressed
+from ..weights import emit_weights
 from .rate import FREQUENCIES
 from .scaffold import NEAR, OFFSETS, RENDER_WIDTH, Scaffold, lattice_positions
 
@@ -38,6 +50,7 @@ def render_info(scaffold: Scaffold, cameras: list[Camera], background: tuple[int
         background=background,
         up_axis=2 * axis + int(ups[axis] < 0),
         near_plane=float(np.float32(NEAR * scaffold.units.length)),
+        distance_unit=scaffold.units.length,
         camera_width=first.width,
         camera_height=first.height,
         camera_focal=(focal[0], focal[1]),
@@ -52,7 +65,7 @@ def uncompressed(scaffold: Scaffold, render: RenderInfo) -> Uncompressed:
     positions = scaffold.units.origin + scaffold.lattice * (scaffold.units.cell * scaffold.units.length)
     tables = {name: table.numpy().copy() for name, table in scaffold.tables.items()}
     values = Reconstruction(positions.astype(np.float32), tables["features"], tables["scalings"], tables["offsets"].reshape(n, OFFSETS, 3))
-    return Uncompressed(values, np.ones((n, OFFSETS), bool), scaffold.networks.layers(scaffold.units.length), render)
+    return Uncompressed(values, np.ones((n, OFFSETS), bool), scaffold.networks.layers(), render)
 
 
 @torch.no_grad()
@@ -65,6 +78,28 @@ def rounded(scaffold: Scaffold, render: RenderInfo, steps: Tensor, kept: Tensor)
     masks = kept.numpy()
     offsets = np.where(masks[:, :, None], offsets.reshape(scaffold.count, OFFSETS, 3), np.float32(0))
     return replace(whole, values=Reconstruction(whole.values.positions, features, scalings, offsets), masks=masks)
+
+
+def _dimensions(coding: dict[str, list[Layer]], channels: int, plane_size: int) -> Dimensions:
+    """SPEC 5.3, from F_h, SARM and CARM and the planes' sizes."""
+    hyper, sarm, carm = (tuple(len(b) for _, b in coding[name][:-1]) for name in ("hyper", "sarm", "carm.1"))
+    return Dimensions(OFFSETS, MAIN_SLICES, channels, FREQUENCIES, plane_size, hyper, sarm, carm, RENDER_WIDTH)
+
+
+def weight_bytes(coding: dict[str, list[Layer]], rendering: dict[str, list[Layer]], channels: int, plane_size: int, lanes: Lanes) -> int:
+    """Bytes of the section of weights in mode 1 (SPEC 5.8), of F_h, SARM and CARM, and of the rendering networks. Raises
+    networks.BoundError."""
+    d = _dimensions(coding, channels, plane_size)
+    networks = exact_networks({name: {**coding, **rendering}[name] for name in d.network_shapes()})
+    return len(emit_weights(PLANE_SHIFT, np.zeros(d.carm_inputs, np.uint8), networks, weight_scales(networks), d, 1 << lanes.attribute))
+
+
+def position_bytes(lattice: NDArray[np.int64], lanes: Lanes) -> int:
+    """Bytes of the section of positions in mode 1 (SPEC 5.11), of distinct cells int64 [N, 3]."""
+    half = lattice_positions(lattice)
+    half = half[morton_order(half)]
+    parts = encode_positions(position_model(half, CHUNK_SIZE), half, chunk_ranges(len(half), CHUNK_SIZE), 1 << lanes.mask)
+    return sum(len(part) for part in parts)
 
 
 def coded_scene(
@@ -86,24 +121,14 @@ def coded_scene(
     order = morton_order(half)
     rows, half = rows[order], half[order]
     count, masks = len(rows), kept[rows]
-    d = Dimensions(
-        OFFSETS,
-        MAIN_SLICES,
-        planes.shape[1],
-        FREQUENCIES,
-        planes.shape[2],
-        hyper_width=tuple(len(b) for _, b in coding["hyper"][:-1]),
-        sarm_width=tuple(len(b) for _, b in coding["sarm"][:-1]),
-        carm_width=tuple(len(b) for _, b in coding["carm.1"][:-1]),
-        render_width=RENDER_WIDTH,
-    )
+    d = _dimensions(coding, planes.shape[1], planes.shape[2])
     empty = Attributes(
         np.zeros((count, d.features), np.int32),
         np.zeros((count, SCALINGS), np.int32),
         np.zeros((count, OFFSETS, 3), np.int32),
         np.zeros((count, len(KINDS)), np.uint8),
     )
-    networks = {**coding, **scaffold.networks.layers(scaffold.units.length)}
+    networks = {**coding, **scaffold.networks.layers()}
     scene = Scene(
         profile=MAIN,
         dimensions=d,

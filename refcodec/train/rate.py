@@ -183,6 +183,16 @@ class LearnedRate(nn.Module):
         for network in (self.hyper, self.sarm, *self.carm_networks()):
             network.rounding = on
 
+    def set_grid(self, coarser: int) -> None:
+        """From now on the networks' weights are on grids (FoldedMlp.set_grid)."""
+        for network in (self.hyper, self.sarm, *self.carm_networks()):
+            network.set_grid(coarser)
+
+    def gridded(self, on: bool) -> None:
+        """Whether the networks' weights are on the grids that they have."""
+        for network in (self.hyper, self.sarm, *self.carm_networks()):
+            network.gridded = on
+
     def networks(self) -> dict[str, list[Layer]]:
         """F_h, SARM and CARM as SPEC 5.8 stores them."""
         carm = {f"carm.{i}": network.layers() for i, network in enumerate(self.carm_networks(), start=1)}

@@ -2,7 +2,7 @@
 of them for a camera. Growing and pruning follow where the image asks for more.
 
 Training works in units of its own, in which the scene has a size of about one, so that nothing depends on the unit of the photographs'
-cameras: Units says what they are in the world, and export folds them into the weights and scalings of the file.
+cameras: Units says what they are in the world, and so does the file, by its distance_unit and its scalings.
 """
 
 from __future__ import annotations
@@ -17,9 +17,10 @@ from scipy.spatial import cKDTree
 from torch import Tensor, nn
 from torch.nn import functional
 
+from ..fit.model import grid_through
 from ..fit.voxelise import default_voxel, short_mantissa
 from ..networks import Layer
-from ..quantise import choose_grid
+from ..quantise import choose_grid, rendering_exponent
 from ..rendering import Camera
 from ..scene import PositionGrid
 from .photographs import PhotographSet
@@ -66,10 +67,10 @@ class Units:
 
 
 def scene_length(photographs: PhotographSet) -> float:
-    """The median distance of the cameras from the median of the points: about one scene, whatever its unit."""
+    """The median distance of the cameras from the median of the points: about one scene, whatever its unit. An f32, as SPEC 5.5 has it."""
     middle = np.median(photographs.points, axis=0)
     away = [float(np.linalg.norm(p.camera.centre - middle)) for p in photographs.train]
-    return float(np.median(away)) or 1.0
+    return float(np.float32(np.median(away))) or 1.0
 
 
 def choose_voxel(points: F64, anchors: int) -> float:
@@ -103,10 +104,28 @@ class RenderNetworks(nn.Module):
                 weight, bias = (nn.Parameter((torch.rand(shape, generator=generator) * 2 - 1) * bound) for shape in ((out, fan_in), (out,)))
                 self.register_parameter(f"{name}_{layer}_weight", weight)
                 self.register_parameter(f"{name}_{layer}_bias", bias)
+                self.register_buffer(f"{name}_{layer}_step", torch.ones(()))
+        self.gridded = False
+
+    def _values(self) -> dict[str, Tensor]:
+        """The parameters, each layer's on its grid if there is one."""
+        p: dict[str, Tensor] = dict(self.named_parameters())
+        if not self.gridded:
+            return p
+        return {name: grid_through(value, self.get_buffer(f"{name.rpartition('_')[0]}_step")) for name, value in p.items()}
+
+    @torch.no_grad()
+    def set_grid(self, bits: int) -> None:
+        """From now on the weights and biases of each layer are multiples of a power of two, quantise.rendering_exponent's."""
+        for name, value in self.named_parameters():
+            layer, _, kind = name.rpartition("_")
+            if kind == "weight":
+                self.get_buffer(f"{layer}_step").fill_(2.0 ** -rendering_exponent(value.numpy(), bits))
+        self.gridded = True
 
     def forward(self, inputs: Tensor) -> tuple[Tensor, Tensor, Tensor]:
         """inputs [n, 54]. Opacities before masks [n, K], covariance [n, 7 K], colour [n, 3 K] before its logistic function."""
-        p = dict(self.named_parameters())
+        p = self._values()
         names = ("opacity", "covariance", "colour")
         weight, bias = (torch.cat([p[f"{name}_0_{kind}"] for name in names]) for kind in ("weight", "bias"))
         hidden = functional.relu(functional.linear(inputs, weight, bias)).split(RENDER_WIDTH, dim=1)
@@ -115,13 +134,10 @@ class RenderNetworks(nn.Module):
         )
         return torch.tanh(opacity), covariance, colour
 
-    def layers(self, length: float) -> dict[str, list[Layer]]:
-        """SPEC 5.8's layers, for distances in the world's unit, of which a training unit has `length`."""
-        p = {name: value.detach().cpu().numpy().astype(np.float32).copy() for name, value in self.named_parameters()}
-        found = {name: [(p[f"{name}_{i}_weight"], p[f"{name}_{i}_bias"]) for i in range(2)] for name in ("opacity", "covariance", "colour")}
-        for layers in found.values():
-            layers[0][0][:, -1] /= np.float32(length)
-        return found
+    def layers(self) -> dict[str, list[Layer]]:
+        """SPEC 5.8's layers."""
+        p = {name: value.detach().numpy().copy() for name, value in self._values().items()}
+        return {name: [(p[f"{name}_{i}_weight"], p[f"{name}_{i}_bias"]) for i in range(2)] for name in ("opacity", "covariance", "colour")}
 
 
 class Scaffold:

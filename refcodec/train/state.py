@@ -66,6 +66,7 @@ def save(trainer: Trainer, path: Path) -> None:
         "plane_bits": trainer.plane_bits,
         "history": trainer.history,
         "rounding": trainer.rate is not None and trainer.rate.hyper.rounding,
+        "gridded": scaffold.networks.gridded,
     }
     path.parent.mkdir(parents=True, exist_ok=True)
     beside = path.with_name(path.name + ".new")
@@ -93,6 +94,7 @@ def restore(trainer: Trainer, path: Path) -> None:
     for name in _STATISTICS:
         setattr(scaffold, name, tensors[f"statistics.{name}"].numpy())
     scaffold.networks.load_state_dict({k.removeprefix("networks."): v for k, v in tensors.items() if k.startswith("networks.")})
+    scaffold.networks.gridded = facts["gridded"]
     _restore_moments("optimiser", tensors, trainer.optimiser)
     trainer.frequency, trainer.bits = tensors["frequency"], tensors["bits"]
     if "base_step" in tensors:
@@ -101,6 +103,7 @@ def restore(trainer: Trainer, path: Path) -> None:
         assert trainer.rate is not None
         trainer.rate.load_state_dict({k.removeprefix("rate."): v for k, v in tensors.items() if k.startswith("rate.")})
         trainer.rate.rounding(facts["rounding"])
+        trainer.rate.gridded(facts["gridded"])
         _restore_moments("coding", tensors, trainer.coding)
     trainer.done, trainer.seconds, trainer.order, trainer.recent = facts["done"], facts["seconds"], facts["order"], facts["recent"]
     trainer.plane_bits, trainer.history = facts["plane_bits"], facts["history"]

@@ -7,6 +7,7 @@ The loss of a step is L_Scaffold + lambda_r L_rate + lambda_m L_m (the paper's e
     rate            the frame and the size of the planes are fixed; noise stands for rounding; bits take part in the loss
     rounding        attributes and planes are rounded, with the identity's gradient
     integers        activations of the coding networks are rounded and cut as in the decoder
+    weights         weights of all networks are rounded to grids, chosen by rate and distortion
 """
 
 from __future__ import annotations
@@ -27,14 +28,14 @@ from torch import Tensor
 
 from ..attributes import KINDS
 from ..geometry import Frame
-from ..quantise import choose_frame, choose_plane_size, choose_width
+from ..quantise import choose_frame, choose_lanes, choose_plane_size, choose_width, quantise_rendering
 from ..rasterise import Settings
 from ..reconstruction import reconstruct
 from ..rendering import Camera
 from ..scene import Scene
 from ..uncompressed import Uncompressed
 from .adam import adam_rows, gather_rows
-from .export import coded_scene, render_info, rounded, uncompressed
+from .export import coded_scene, position_bytes, render_info, rounded, uncompressed, weight_bytes
 from .losses import Photometric
 from .photographs import PhotographSet
 from .rate import HYPERPRIORS, WIDTH, Contexts, LearnedRate
@@ -43,7 +44,13 @@ from .splat import draw
 from .state import save
 
 GROWTH = (0.03, 0.4)
-MASKS, RATE, ROUNDING, INTEGERS = 0.25, 0.4, 0.6, 0.8
+MASKS, RATE, ROUNDING, INTEGERS, WEIGHTS = 0.25, 0.4, 0.6, 0.8, 0.85
+# Grids of the weights that are tried: bits of a rendering network's largest weight, and by how many bits those of the coding networks are
+# coarser than the integers of SPEC 7.2. Training images that judge.
+RENDER_BITS, COARSER = range(5, 13), range(7)
+JUDGES = 5
+# What estimates take for the rendering networks before their grids are chosen.
+LIKELY_BITS = 7
 # Steps between two growths: statistics need views.
 GROWTH_PERIOD = 100
 # Weight of the Gaussians' volume, in training units.
@@ -181,6 +188,8 @@ class Trainer:
             self._start_rate()
         if self.rate is not None and self.share >= INTEGERS and not self.rate.hyper.rounding:
             self._round_activations()
+        if self.rate is not None and self._writable and self.share >= WEIGHTS and not self.scaffold.networks.gridded:
+            self._round_weights()
         if not self.order:
             self.order = torch.randperm(len(self.cameras), generator=self.random).tolist()
         number = self.order.pop()
@@ -331,6 +340,33 @@ class Trainer:
             features = self.scaffold.tables["features"] / (self.rate.steps(self.rate.hyper.activations(inputs))[:, :1] * self.base_step[0])
         self.rate.set_rounding(inputs, features, symbols)
 
+    @property
+    def _writable(self) -> bool:
+        """Whether the format has this hyperprior."""
+        return self.settings.hyperprior == "vm"
+
+    @torch.no_grad()
+    def _round_weights(self) -> None:
+        """Puts the weights on grids, from which training goes on: those of the least loss, the weights' own bits counted as L_rate counts
+        those of attributes."""
+        assert self.rate is not None
+        networks, rate = self.scaffold.networks, self.rate
+        judges = self.photographs.train[:: max(len(self.cameras) // JUDGES, 1)][:JUDGES]
+        images = [torch.from_numpy(p.image.astype(np.float32) / 255) for p in judges]
+
+        def loss() -> float:
+            shown = sum(float(Photometric.apply(self.draw(p.camera), image)) for p, image in zip(judges, images, strict=True))
+            parts = self.estimate()
+            bits = 8 * (parts["attributes"] + parts["weights"] + LAMBDA_TRI * parts["planes"])
+            return shown / len(judges) + self.settings.rate * bits / (self.scaffold.count * WIDTH)
+
+        for grid, choices in ((networks.set_grid, RENDER_BITS), (rate.set_grid, COARSER)):
+            losses = []
+            for choice in choices:
+                grid(choice)
+                losses.append(loss())
+            grid(choices[int(np.argmin(losses))])
+
     # --- the loop -----------------------------------------------------------------------------------------------------
 
     def run(self, watch: Watch, state: Path | None = None) -> bool:
@@ -417,12 +453,13 @@ class Trainer:
     def estimate(self) -> dict[str, float]:
         """Bytes of each part of the file as they are now, without those of chunks and sections.
 
-        Ideal code lengths, after rounding, of attributes and planes; masks as if each offset's were drawn with its own frequency.
+        Ideal code lengths, after rounding, of attributes and planes; masks as if each offset's were drawn with its own frequency;
+        positions and weights packed, the weights as they are going to be (0 where the format has no such hyperprior).
         Uncompressed: of the float32 numbers.
         """
         scaffold, n = self.scaffold, self.scaffold.count
-        weights = 4 * sum(p.numel() for p in scaffold.networks.parameters())
         if self.rate is None:
+            weights = 4 * sum(p.numel() for p in scaffold.networks.parameters())
             return {"positions": 12 * n, "attributes": 4 * WIDTH * n, "weights": weights}
         planes = self.rate.symbols(None)
         bits = torch.zeros(3)
@@ -436,10 +473,14 @@ class Trainer:
         some = kept.any(dim=1)
         share = kept[some].double().mean(dim=0).clamp(1e-9, 1 - 1e-9)
         entropy = -(share * share.log2() + (1 - share) * (1 - share).log2()).sum()
-        weights += 4 * sum(p.numel() for p in self.rate.coding_parameters())
+        lanes = choose_lanes(n, 2.0 * WIDTH)
+        rendering = scaffold.networks.layers()
+        if not scaffold.networks.gridded:
+            rendering = quantise_rendering(rendering, LIKELY_BITS)
+        weights = weight_bytes(self.rate.networks(), rendering, planes.shape[1], planes.shape[2], lanes) if self._writable else 0
         parts = dict(zip(KINDS, (bits / 8).tolist(), strict=True))
         return {
-            "positions": 6 * int(some.sum()),
+            "positions": position_bytes(scaffold.lattice[some.numpy()], lanes),
             "attributes": sum(parts.values()),
             **parts,
             "masks": float(entropy) * int(some.sum()) / 8,
@@ -464,8 +505,10 @@ class Trainer:
         assert self.rate is not None
         if not self.rate.hyper.rounding:
             self._round_activations()
-        if self.settings.hyperprior != "vm":
+        if not self._writable:
             return rounded(self.scaffold, render, self._steps(torch.arange(self.scaffold.count)), self._hard_masks())
+        if not self.scaffold.networks.gridded:
+            self._round_weights()
         planes = self.rate.symbols(None).detach().numpy()
         features, scalings, offsets = self.base_step.tolist()
         kept = self._hard_masks().numpy()
