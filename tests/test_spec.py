@@ -500,4 +500,6 @@ def test_the_walk_is_the_file() -> None:
     assert last == 8 * len(data)
     states = rows(section("D.3"))
     assert all(states[i][4] == states[i - 1][9] for i in range(1, len(states)))
-    assert int(states[0][4], 16) == int.from_bytes(data[0x7AB:0x7AF], "little")
+    # The first state stands behind the head of sub-plane 0.
+    at = next(int(start, 16) for start, _, _, element, _, _ in rows(section("D.2")) if element == "planes.r1.state")
+    assert int(states[0][4], 16) == int.from_bytes(data[at : at + 4], "little")

@@ -21,7 +21,9 @@ from PIL import Image
 import refcodec.train.trainer as trainer_module
 from refcodec.cli import main
 from refcodec.codec import emit, parse
+from refcodec.container import parse_container
 from refcodec.fit.ideal import attribute_code_length, plane_code_length
+from refcodec.quantise import packed
 from refcodec.reconstruction import world_positions
 from refcodec.scene import Scene
 from refcodec.train.adam import adam_rows, gather_rows
@@ -36,6 +38,7 @@ from refcodec.train.state import restore, save
 from refcodec.train.trainer import Trainer, TrainSettings
 from refcodec.uncompressed import Uncompressed, read_uncompressed
 from refcodec.viewing import View
+from refcodec.weights import to_grid
 
 EXAMPLES = Path(__file__).parent.parent / "examples" / "photographs"
 SMALL = TrainSettings(rate=0.004, steps=160, anchors=800, most_anchors=900)
@@ -65,13 +68,19 @@ def test_the_text_has_these_constants() -> None:
     section = text.split("### B.8 Training")[1].split("\n## ")[0]
     rows = re.findall(r"^\| (`.+?`(?:, `.+?`)*) \| (.+?) \|", section, re.MULTILINE)
     names = [name for cell, _ in rows for name in re.findall(r"`(\w+)`", cell)]
-    assert len(names) == 14
+    assert len(names) == 15
     for cell, value in rows:
         stated = eval(value, {})
         found = [getattr(trainer_module, name) for name in re.findall(r"`(\w+)`", cell)]
         assert (tuple(found) if len(found) > 1 else found[0]) == stated
     assert TrainSettings().plane_period == 4
     assert "every fourth step" in section
+    tried = re.search(r"of (\d+) to (\d+) bits for the largest weight .* of (\d+) to (\d+) bits less than the integers", section)
+    assert tried is not None
+    assert [(c[0], c[-1]) for c in (trainer_module.RENDER_BITS, trainer_module.COARSER)] == [
+        (int(tried[1]), int(tried[2])),
+        (int(tried[3]), int(tried[4])),
+    ]
     assert TrainSettings().epsilon == 0.01
 
 
@@ -294,8 +303,28 @@ def test_bytes_are_what_was_estimated(trained: Trainer) -> None:
     found = attribute_code_length(scene)
     assert estimate["attributes"] * 8 == pytest.approx(found.table, rel=0.01)
     assert estimate["planes"] * 8 == pytest.approx(plane_code_length(scene).table, rel=0.01)
-    assert estimate["positions"] == 6 * scene.anchor_count
+    packing = {s.name: s.end - s.start for s in parse_container(emit(packed(scene, None, None))).sections.values()}
+    assert estimate["positions"] == packing["positions"]
+    assert estimate["weights"] == packing["weights"]
     assert estimate["attributes"] == pytest.approx(sum(estimate[kind] for kind in ("features", "scalings", "offsets")))
+
+
+def test_weights_end_on_grids(trained: Trainer) -> None:
+    """Every layer can be packed, and training draws with the weights of the file."""
+    scene = trained.result()
+    assert isinstance(scene, Scene)
+    for name, layers in scene.networks.items():
+        for number, layer in enumerate(layers):
+            grid = to_grid(layer)
+            assert grid is not None
+            # A few weights grow after the grid was chosen.
+            assert np.abs(grid.weight).max() < 4096, (name, number)
+    assert trained.scaffold.networks.gridded
+    layers = trained.scaffold.networks.layers()
+    for name, found in layers.items():
+        for (weight, bias), (wanted, wanted_bias) in zip(found, scene.networks[name], strict=True):
+            assert (weight == wanted).all()
+            assert (bias == wanted_bias).all()
 
 
 def test_the_file_shows_what_the_training_showed(trained: Trainer, photographs: PhotographSet) -> None:
