@@ -17,6 +17,9 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+# Before numba and torch are loaded: threads that wait do not spin.
+os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")
+
 import numba
 import numpy as np
 import torch
@@ -210,7 +213,11 @@ def account(data: bytes) -> list[str]:
         grouped: dict[str, float] = defaultdict(float)
         for path, bits in symbols[name].items():
             words = path.split(".")
-            group = {"weights": f"{words[1]}, {words[-1]}s", "attributes": words[1]}.get(name, "symbols")
+            group = "symbols"
+            if name == "weights":
+                group = f"{words[1]}, {words[-1]}s"
+            elif name == "attributes":
+                group = words[1]
             grouped[group] += bits / 8
         for group, size_of in sorted(grouped.items(), key=lambda item: -item[1]):
             rows.append((name, group, size_of))
