@@ -434,7 +434,9 @@ def test_interrupt(file, tmp_path):
     """Ctrl-C while a named pipe keeps the reader waiting."""
     pipe = tmp_path / "pipe"
     os.mkfifo(pipe)
-    process = subprocess.Popen([sys.executable, "-m", "refcodec", "validate", pipe], stderr=subprocess.PIPE, text=True)
+    # A shell starts what runs in the background with the signal ignored.
+    program = "import signal; signal.signal(signal.SIGINT, signal.default_int_handler)\nfrom refcodec.cli import main; exit(main())"
+    process = subprocess.Popen([sys.executable, "-c", program, "validate", pipe], stderr=subprocess.PIPE, text=True)
     with pipe.open("wb") as writer:
         writer.write(b"\x89C3G")
         writer.flush()
