@@ -46,11 +46,12 @@ from .state import save
 GROWTH = (0.03, 0.4)
 MASKS, RATE, ROUNDING, INTEGERS, WEIGHTS = 0.25, 0.4, 0.6, 0.8, 0.85
 # Grids of the weights that are tried: bits of a rendering network's largest weight, and by how many bits those of the coding networks are
-# coarser than the integers of SPEC 7.2. Training images that judge.
-RENDER_BITS, COARSER = range(5, 13), range(7)
+# coarser than the integers of SPEC 7.2; grids coarser than these cost held-out images more than the few judges see. Training images that
+# judge.
+RENDER_BITS, COARSER = range(8, 13), range(4)
 JUDGES = 5
 # What estimates take for the rendering networks before their grids are chosen.
-LIKELY_BITS = 7
+LIKELY_BITS = 8
 # Steps between two growths: statistics need views.
 GROWTH_PERIOD = 100
 # Weight of the Gaussians' volume, in training units.
