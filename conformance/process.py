@@ -1,0 +1,152 @@
+"""One decoder process, bounded: its time, its memory, the files that it writes, and everything that it starts."""
+
+from __future__ import annotations
+
+import os
+import resource
+import shutil
+import signal
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+# The longest file that a decoder may write; the largest reconstruction and trace of the suite are well below it.
+FILE_BYTES = 64 << 20
+# What is kept of stderr: its end.
+STDERR_BYTES = 16 << 10
+# Seconds between two looks at the memory of a process.
+_LOOK = 0.02
+_RSS_UNIT = 1 if sys.platform == "darwin" else 1024
+# A shell's `ulimit` counts blocks of 512 bytes (POSIX). It binds before the first instruction of the decoder, and in what that starts.
+_LIMITS = f'ulimit -c 0; ulimit -f {FILE_BYTES // 512}; exec "$@"'
+
+
+class CommandError(Exception):
+    """A command that cannot be started."""
+
+
+class StoppedError(Exception):
+    """The run was ended from outside while the process ran."""
+
+
+@dataclass(frozen=True)
+class Ended:
+    """How a process ended.
+
+    status: exit status, None if a signal ended it; signal: its number, None if it exited; over: the bound that it passed ("time",
+    "memory" or "output") or None; stderr: the end of it; seconds: wall time; peak: bytes of resident memory of its largest process,
+    None where the runner's own is larger, which hides it.
+    """
+
+    status: int | None
+    signal: int | None
+    over: str | None
+    stderr: bytes
+    seconds: float
+    peak: int | None
+
+
+def fill(template: Sequence[str], places: dict[str, Path]) -> list[str]:
+    """A command with the paths in the place of {input} and the like; other braces stay."""
+    command = []
+    for word in template:
+        for name, path in places.items():
+            word = word.replace(f"{{{name}}}", str(path))  # noqa: PLW2901
+        command.append(word)
+    return command
+
+
+def check_command(command: Sequence[str]) -> None:
+    """Raises CommandError for a program that is not there or cannot be run."""
+    if shutil.which(command[0]) is None:
+        raise CommandError(f"there is no program {command[0]} that can be run")
+
+
+def _resident(pid: int) -> int:
+    """Bytes of resident memory of a process and of those that it started; 0 where the system does not say."""
+    try:
+        pages = int(Path(f"/proc/{pid}/statm").read_text().split()[1])
+        children = [int(child) for task in os.listdir(f"/proc/{pid}/task") for child in _children(pid, task)]
+    except (OSError, IndexError, ValueError):
+        return 0
+    return pages * resource.getpagesize() + sum(map(_resident, children))
+
+
+def _children(pid: int, task: str) -> list[str]:
+    try:
+        return Path(f"/proc/{pid}/task/{task}/children").read_text().split()
+    except OSError:
+        return []
+
+
+def _kill(group: int) -> None:
+    try:
+        os.killpg(group, signal.SIGKILL)
+    except (ProcessLookupError, PermissionError):  # the latter for a group of zombies, on some systems
+        return
+
+
+def run(command: Sequence[str], stderr: Path, seconds: float, memory: int, stop: threading.Event, output: Path | None = None) -> Ended:
+    """Runs a command to its end, or to a bound: wall time in seconds, resident memory in bytes, FILE_BYTES of each file.
+
+    stderr: where its error output goes; output: the file whose length is looked at. Address space is not bounded: interpreters and
+    sanitizers reserve much that they never use. Every process of its group is killed at the end. Raises CommandError and, if `stop`
+    is set meanwhile, StoppedError.
+    """
+    floor = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * _RSS_UNIT
+    began = time.monotonic()
+    with stderr.open("wb") as file:
+        try:
+            process = subprocess.Popen(
+                ["/bin/sh", "-c", _LIMITS, "sh", *command],
+                stdin=subprocess.DEVNULL,
+                stdout=subprocess.DEVNULL,
+                stderr=file,
+                start_new_session=True,
+            )
+        except (OSError, ValueError) as error:
+            raise CommandError(f"{command[0]}: {error}") from None
+    ended: list[tuple[int, resource.struct_rusage]] = []
+    waiter = threading.Thread(target=lambda: ended.append(os.wait4(process.pid, 0)[1:]), daemon=True)
+    waiter.start()
+    over = None
+    while True:
+        waiter.join(_LOOK)
+        if not waiter.is_alive():
+            break
+        if time.monotonic() - began > seconds:
+            over = over or "time"
+        elif _resident(process.pid) > memory:
+            over = over or "memory"
+        if over or stop.is_set():
+            _kill(process.pid)
+    took = time.monotonic() - began
+    _kill(process.pid)
+    if stop.is_set():
+        raise StoppedError
+    status, usage = ended[0]
+    process.returncode = os.waitstatus_to_exitcode(status)
+    # A process inherits the peak of the one that started it.
+    peak = usage.ru_maxrss * _RSS_UNIT if usage.ru_maxrss * _RSS_UNIT > floor else None
+    if over is None and peak is not None and peak > memory:
+        over = "memory"
+    if over is None and any(path is not None and path.is_file() and path.stat().st_size >= FILE_BYTES for path in (output, stderr)):
+        over = "output"
+    return Ended(
+        process.returncode if process.returncode >= 0 else None,
+        -process.returncode if process.returncode < 0 else None,
+        over,
+        _tail(stderr),
+        took,
+        peak,
+    )
+
+
+def _tail(path: Path) -> bytes:
+    with path.open("rb") as file:
+        file.seek(max(0, path.stat().st_size - STDERR_BYTES))
+        return file.read()
