@@ -21,7 +21,7 @@ from .selection import SelectionError, select
 
 EXIT_RIGHT, EXIT_WRONG, EXIT_USAGE, EXIT_SUITE, EXIT_NOTHING, EXIT_INTERRUPTED = 0, 1, 2, 3, 4, 130
 STATUSES = """exit status: 0 every selected vector as it must be; 1 the decoder is wrong somewhere, or a known failure passes; 2 usage;
-3 the suite is damaged (manifest or a file's hash), nothing was run; 4 no vector was selected, or all were skipped; 130 interrupted"""
+3 the suite is damaged (manifest or a file's hash), so there is no verdict; 4 no vector was selected, or all were skipped; 130 interrupted"""
 
 
 class UsageError(Exception):
@@ -32,15 +32,19 @@ def _note(text: str) -> None:
     print(f"conformance: {text}", file=sys.stderr)
 
 
+def _check_files(manifest: Manifest, text: str) -> None:
+    wrong = wrong_hashes(manifest)
+    if wrong:
+        raise ManifestError("\n".join([text, *wrong]))
+
+
 def _suite(folder: Path) -> Manifest:
     """The manifest of a folder whose files are all there and right. Raises ManifestError."""
     try:
         manifest = load(folder / MANIFEST)
     except OSError as error:
         raise ManifestError(f"{error.filename}: {error.strerror}") from None
-    wrong = wrong_hashes(manifest)
-    if wrong:
-        raise ManifestError("\n".join(["the suite is damaged, nothing was run:", *wrong]))
+    _check_files(manifest, "the suite is damaged, nothing was run:")
     return manifest
 
 
@@ -116,6 +120,7 @@ def _run(arguments: argparse.Namespace) -> int:
         arguments.report.mkdir(parents=True, exist_ok=True)
     started, began = datetime.datetime.now(datetime.UTC).isoformat(timespec="seconds"), time.monotonic()
     done = run(manifest, vectors, options, known, show=sys.stderr.isatty())
+    _check_files(manifest, "the suite was changed while the decoder ran, so no verdict:")
     about = records.About(description, tuple(arguments.select), started, time.monotonic() - began)
     record = records.build(manifest, options, about, done)
     records.check(record)
@@ -173,6 +178,7 @@ def _verify(arguments: argparse.Namespace) -> int:
         return EXIT_NOTHING
     known = [v["id"] for v in old["vectors"] if v["status"] in ("known", "unexpected")]
     done = run(manifest, [by_id[name] for name in names], options, known, show=sys.stderr.isatty())
+    _check_files(manifest, "the suite was changed while the decoder ran, so no verdict:")
     if done.interrupted:
         return EXIT_INTERRUPTED
     description = old["decoder"]["description"]

@@ -43,5 +43,7 @@ def examine(data: bytes) -> Verdict:
     again = codec.emit(scene)
     if again != data:
         at = next((i for i, (a, b) in enumerate(zip(data, again, strict=False)) if a != b), min(len(data), len(again)))
-        return Verdict(False, f"not canonical (4.3): refcodec writes other bytes from byte {at} on", tuple(inspection.hex_lines(data, near=at)))
+        return Verdict(
+            False, f"not canonical (4.3): refcodec writes other bytes from byte {at} on", tuple(inspection.hex_lines(data, near=at))
+        )
     return Verdict(True, f"valid, canonical, the same to both decoders; digest {first}")

@@ -21,7 +21,12 @@ def document(record: dict[str, Any]) -> str:
     for klass in dict.fromkeys(v["class"] for v in record["vectors"]):
         entries = [v for v in record["vectors"] if v["class"] == klass]
         kinds = [_ELEMENTS.get(v["status"]) for v in entries]
-        figures = {"tests": len(entries), "failures": kinds.count("failure"), "errors": kinds.count("error"), "skipped": kinds.count("skipped")}
+        figures = {
+            "tests": len(entries),
+            "failures": kinds.count("failure"),
+            "errors": kinds.count("error"),
+            "skipped": kinds.count("skipped"),
+        }
         seconds = f"{sum(v['seconds'] for v in entries):.3f}"
         suite = ElementTree.SubElement(root, "testsuite", name=klass, time=seconds, **{k: str(n) for k, n in figures.items()})
         for v in entries:
