@@ -47,7 +47,8 @@ def _factor(text: str) -> float:
 
 
 def _add_run(commands: Any) -> None:
-    from . import commands as run, selection  # noqa: PLC0415
+    from . import commands as run  # noqa: PLC0415
+    from . import selection  # noqa: PLC0415
 
     def shared(name: str, text: str, example: str) -> argparse.ArgumentParser:
         parser: argparse.ArgumentParser = commands.add_parser(

@@ -20,8 +20,8 @@ from .runner import Options, Run, run, wrong_hashes
 from .selection import SelectionError, select
 
 EXIT_RIGHT, EXIT_WRONG, EXIT_USAGE, EXIT_SUITE, EXIT_NOTHING, EXIT_INTERRUPTED = 0, 1, 2, 3, 4, 130
-STATUSES = """exit status: 0 every selected vector as it must be; 1 the decoder is wrong somewhere, or a known failure passes; 2 usage;
-3 the suite is damaged (manifest or a file's hash), so there is no verdict; 4 no vector was selected, or all were skipped; 130 interrupted"""
+STATUSES = """exit status: 0 every selected vector as it must be; 1 the decoder is wrong somewhere, or a known failure passes;
+2 usage; 3 the suite is damaged (manifest or a file's hash), so there is no verdict; 4 no vector was selected, or all were skipped; 130 interrupted"""
 
 
 class UsageError(Exception):
@@ -236,5 +236,5 @@ def add_grade(parser: argparse.ArgumentParser) -> None:
         type=int,
         choices=range(1, GRADE_EXACT + 1),
         default=GRADE_EXACT,
-        help=f"what a refusal must reach: 1 it is one, {GRADE_CLASS} the right class, {GRADE_EXACT} code and offset too (default: %(default)s)",
+        help=f"what a refusal must reach: 1 it is one, {GRADE_CLASS} its class, {GRADE_EXACT} code and offset too (default: %(default)s)",
     )

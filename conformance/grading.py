@@ -22,10 +22,10 @@ from .process import Ended
 # Grades of a vector: 1 refused or accepted as it must be, with the right output; 2 the right class of error; 3 code and offset.
 GRADE_NONE, GRADE_VERDICT, GRADE_CLASS, GRADE_EXACT = range(4)
 GRADES = {
-    GRADE_NONE: "wrong",
-    GRADE_VERDICT: "refuses what is wrong and decodes what is right",
-    GRADE_CLASS: "and says the right class of error",
-    GRADE_EXACT: "and the exact code and offset",
+    GRADE_NONE: "a wrong verdict, a wrong output or a crash",
+    GRADE_VERDICT: "right verdicts and outputs",
+    GRADE_CLASS: "right verdicts, outputs and classes of error",
+    GRADE_EXACT: "right verdicts, outputs, codes and offsets",
 }
 EXIT_ACCEPTED, EXIT_REFUSED, EXIT_UNSUPPORTED = 0, 1, 2
 _BY_CODE = {kind.code: kind for kind in REGISTRY.values()}

@@ -29,7 +29,7 @@ def right(answer, output, trace):
     return 0
 
 
-def main(mode, answers, name, target, *rest):  # noqa: PLR0915
+def main(mode, answers, name, target, *rest):
     answer = json.loads(Path(answers).read_text())[hashlib.sha256(Path(name).read_bytes()).hexdigest()]
     output, trace = Path(target), Path(rest[0]) if rest else None
     good = answer["exit"] == 0

@@ -11,7 +11,7 @@ import subprocess
 import sys
 import threading
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -393,13 +393,11 @@ def test_the_record_has_a_strict_schema(suite: Suite, tmp_path: Path) -> None:
     schema = json.loads(RECORD.read_text())
     jsonschema.Draft202012Validator.check_schema(schema)
 
-    def objects(value: Any) -> list[dict[str, Any]]:
-        inside = (
-            [x for v in (value.values() if isinstance(value, dict) else value) for x in objects(v)]
-            if isinstance(value, dict | list)
-            else []
-        )
-        return [*inside, value] if isinstance(value, dict) and value.get("type") == "object" else inside
+    def objects(value: Any) -> Iterator[dict[str, Any]]:
+        for inner in value.values() if isinstance(value, dict) else value if isinstance(value, list) else ():
+            yield from objects(inner)
+        if isinstance(value, dict) and value.get("type") == "object":
+            yield value
 
     assert all("additionalProperties" in o for o in objects(schema))
     for broken in ({**record, "more": 1}, {k: v for k, v in record.items() if k != "verdict"}):

@@ -20,5 +20,15 @@ def document(record: dict[str, Any]) -> str:
     vectors = sorted(record["vectors"], key=lambda v: order[v["status"]])
     bad = sum(record["verdict"]["counts"][status] for status in ("failed", "crashed", "unexpected"))
     holes = [(name, row) for name, row in record["requirements"].items() if row["right"] < row["vectors"]]
+    right_features = sum(row["right"] == row["vectors"] for row in record["features"].values())
     template = environment.from_string(_TEMPLATE.read_text(encoding="utf-8"))
-    return template.render(r=record, vectors=vectors, bad=bad, grades=GRADES, best=max(GRADES), statuses=STATUSES, holes=holes)
+    return template.render(
+        r=record,
+        vectors=vectors,
+        bad=bad,
+        grades=GRADES,
+        best=max(GRADES),
+        statuses=STATUSES,
+        holes=holes,
+        right_features=right_features,
+    )
