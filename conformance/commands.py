@@ -21,7 +21,8 @@ from .selection import SelectionError, select
 
 EXIT_RIGHT, EXIT_WRONG, EXIT_USAGE, EXIT_SUITE, EXIT_NOTHING, EXIT_INTERRUPTED = 0, 1, 2, 3, 4, 130
 STATUSES = """exit status: 0 every selected vector as it must be; 1 the decoder is wrong somewhere, or a known failure passes;
-2 usage; 3 the suite is damaged (manifest or a file's hash), so there is no verdict; 4 no vector was selected, or all were skipped; 130 interrupted"""
+2 usage; 3 the suite is damaged (manifest or a file's hash), so there is no verdict; 4 no vector was selected, or all were skipped;
+130 interrupted"""
 
 
 class UsageError(Exception):
