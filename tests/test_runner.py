@@ -43,7 +43,9 @@ class Suite:
 
     def run(self, mode: str, *options: str, trace: bool = False) -> int:
         command = self.command(mode, *(["{trace}"] if trace else []))
-        return cli.main(["run", "--vectors", str(self.folder), "--jobs", "2", *options, "--", *command])
+        # Whatever else the machine does: where time itself is tested, the options say so.
+        slow = [] if "--slow" in options else ["--slow", "20"]
+        return cli.main(["run", "--vectors", str(self.folder), "--jobs", "2", *slow, *options, "--", *command])
 
     def report(self, mode: str, folder: Path, *options: str, trace: bool = False) -> tuple[int, dict[str, Any]]:
         status = self.run(mode, "--report", str(folder), *options, trace=trace)
@@ -212,12 +214,13 @@ def _shrunk(suite: Suite, folder: Path, seconds: int, memory: int) -> Suite:
 def test_time_is_bounded(suite: Suite, tmp_path: Path, mode: str) -> None:
     small = _shrunk(suite, tmp_path / "suite", 1, 256 << 20)
     began = time.monotonic()
-    status, record = small.report(mode, tmp_path)
-    assert (status, time.monotonic() - began < 8) == (commands.EXIT_WRONG, True)
+    status, record = small.report(mode, tmp_path, "--slow", "1")
+    assert status == commands.EXIT_WRONG
     (vector,) = record["vectors"]
     assert (vector["status"], vector["text"]) == ("crashed", "crash: took too long")
-    # --slow gives a slow machine more time, and 0.1 of a second is less.
-    assert small.run("right", "--slow", "10") == commands.EXIT_RIGHT
+    assert 1 <= vector["seconds"] <= time.monotonic() - began < 60
+    # --slow gives a slow machine more time.
+    assert small.run("right", "--slow", "30") == commands.EXIT_RIGHT
 
 
 @pytest.mark.parametrize("mode", ["memory", "memory-in-child"])
