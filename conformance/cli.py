@@ -64,6 +64,9 @@ def _add_run(commands: Any) -> None:
     parser.add_argument("--select", action="append", default=[], metavar="EXPR", help=selection.HELP)
     run.add_grade(parser)
     parser.add_argument("--trace", action="store_true", help="the command has {trace}, and the trace must be right too")
+    parser.add_argument(
+        "--serve", action="store_true", help="the command stays, reads a request for each vector from stdin, and answers on stdout, in JSON"
+    )
     parser.add_argument("--known-failures", type=Path, metavar="FILE", help="identifiers of vectors that must fail, one in a line")
     parser.add_argument("--describe", type=Path, metavar="FILE", help="the decoder's description of itself, JSON with name and version")
     parser.add_argument("--report", type=Path, metavar="DIR", help="write report.json, report.xml (JUnit) and report.html there")

@@ -52,13 +52,13 @@ def _suite(folder: Path) -> Manifest:
 def _options(arguments: argparse.Namespace) -> Options:
     """The options that `run` and `verify-report` share. Raises UsageError."""
     command = tuple(arguments.command)
-    needed = ["input", "output", *(["trace"] if arguments.trace else [])]
+    needed = [] if arguments.serve else ["input", "output", *(["trace"] if arguments.trace else [])]
     _check_template(command, needed)
     gaussians = None
     if arguments.gaussians is not None:
         gaussians = tuple(shlex.split(arguments.gaussians))
         _check_template(gaussians, ["input", "output", "camera"])
-    return Options(command, gaussians, arguments.jobs, arguments.grade, arguments.slow, arguments.trace)
+    return Options(command, gaussians, arguments.jobs, arguments.grade, arguments.slow, arguments.trace, arguments.serve)
 
 
 def _check_template(command: Sequence[str], names: Sequence[str]) -> None:
@@ -167,7 +167,7 @@ def _verify(arguments: argparse.Namespace) -> int:
     if old["suite"]["manifest_sha256"] != records.manifest_digest(manifest):
         raise ManifestError(f"{arguments.report} is of another suite, {old['suite']['version']}, whose manifest has another SHA-256")
     stated = old["runner"]
-    arguments.grade, arguments.trace = stated["grade"], stated["trace"]
+    arguments.grade, arguments.trace, arguments.serve = stated["grade"], stated["trace"], stated["serve"]
     options = _options(arguments)
     by_id = {v.id: v for v in manifest.vectors}
     # A record may name a vector once, and only vectors of its suite.

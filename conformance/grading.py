@@ -28,6 +28,12 @@ GRADES = {
     GRADE_EXACT: "right verdicts, outputs, codes and offsets",
 }
 EXIT_ACCEPTED, EXIT_REFUSED, EXIT_UNSUPPORTED = 0, 1, 2
+_OVER = {
+    "time": "took too long",
+    "memory": "took too much memory",
+    "output": "wrote too much",
+    "answer": "gave an answer that cannot be read",
+}
 _BY_CODE = {kind.code: kind for kind in REGISTRY.values()}
 
 
@@ -82,7 +88,7 @@ def read(ended: Ended, output: Path) -> Found:
         return Found("crashed", ended.status, ended.signal, text=text)
 
     if ended.over:
-        return crash({"time": "took too long", "memory": "took too much memory", "output": "wrote too much"}[ended.over])
+        return crash(_OVER[ended.over])
     if ended.signal is not None:
         return crash(f"ended by {signal_name(ended.signal)}")
     if ended.status == EXIT_ACCEPTED:

@@ -1,8 +1,13 @@
-"""One decoder process, bounded: its time, its memory, the files that it writes, and everything that it starts."""
+"""One decoder process, bounded: its time, its memory, the files that it writes, and everything that it starts.
+
+A process decodes one file, or serves: it then reads a request for each file from stdin and answers on stdout, a line of JSON each.
+"""
 
 from __future__ import annotations
 
+import json
 import os
+import queue
 import resource
 import shutil
 import signal
@@ -13,11 +18,14 @@ import time
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import IO
 
 # The longest file that a decoder may write; the largest reconstruction and trace of the suite are well below it.
 FILE_BYTES = 64 << 20
 # What is kept of stderr: its end.
 STDERR_BYTES = 16 << 10
+# The longest answer of a process that serves.
+ANSWER_BYTES = 1 << 20
 # Seconds between two looks at the memory of a process.
 _LOOK = 0.02
 _RSS_UNIT = 1 if sys.platform == "darwin" else 1024
@@ -38,7 +46,8 @@ class Ended:
     """How a process ended.
 
     status: exit status, None if a signal ended it; signal: its number, None if it exited; over: the bound that it passed ("time",
-    "memory" or "output") or None; stderr: the end of it; seconds: wall time; peak: bytes of resident memory of its largest process,
+    "memory" or "output"), "answer" for a server's answer that cannot be read, or None; stderr: the end of it; seconds: wall time;
+    peak: bytes of resident memory of its largest process,
     None where the runner's own is larger, which hides it.
     """
 
@@ -90,6 +99,17 @@ def _kill(group: int) -> None:
         return
 
 
+def _start(command: Sequence[str], stderr: Path, serves: bool) -> subprocess.Popen[bytes]:
+    pipe = subprocess.PIPE if serves else subprocess.DEVNULL
+    with stderr.open("wb") as file:
+        try:
+            return subprocess.Popen(
+                ["/bin/sh", "-c", _LIMITS, "sh", *command], stdin=pipe, stdout=pipe, stderr=file, start_new_session=True
+            )
+        except (OSError, ValueError) as error:
+            raise CommandError(f"{command[0]}: {error}") from None
+
+
 def run(command: Sequence[str], stderr: Path, seconds: float, memory: int, stop: threading.Event, output: Path | None = None) -> Ended:
     """Runs a command to its end, or to a bound: wall time in seconds, resident memory in bytes, FILE_BYTES of each file.
 
@@ -99,17 +119,7 @@ def run(command: Sequence[str], stderr: Path, seconds: float, memory: int, stop:
     """
     floor = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * _RSS_UNIT
     began = time.monotonic()
-    with stderr.open("wb") as file:
-        try:
-            process = subprocess.Popen(
-                ["/bin/sh", "-c", _LIMITS, "sh", *command],
-                stdin=subprocess.DEVNULL,
-                stdout=subprocess.DEVNULL,
-                stderr=file,
-                start_new_session=True,
-            )
-        except (OSError, ValueError) as error:
-            raise CommandError(f"{command[0]}: {error}") from None
+    process = _start(command, stderr, serves=False)
     ended: list[tuple[int, resource.struct_rusage]] = []
     waiter = threading.Thread(target=lambda: ended.append(os.wait4(process.pid, 0)[1:]), daemon=True)
     waiter.start()
@@ -150,3 +160,88 @@ def _tail(path: Path) -> bytes:
     with path.open("rb") as file:
         file.seek(max(0, path.stat().st_size - STDERR_BYTES))
         return file.read()
+
+
+class Server:
+    """A decoder that stays: started at the first request, and again after one that it did not survive."""
+
+    def __init__(self, command: Sequence[str], stderr: Path) -> None:
+        self._command, self._stderr = command, stderr
+        self._process: subprocess.Popen[bytes] | None = None
+        self._lines: queue.SimpleQueue[bytes] = queue.SimpleQueue()
+
+    def ask(self, request: dict[str, str], seconds: float, memory: int, stop: threading.Event) -> Ended:
+        """How a process for this request would have ended; bounds as for run(), of which that of the output is the answer's too."""
+        process = self._process
+        if process is None or process.poll() is not None:
+            self.close()
+            process = self._process = _start(self._command, self._stderr, serves=True)
+            # One for each process: what an old one said last is not taken for an answer.
+            self._lines = queue.SimpleQueue()
+            threading.Thread(target=_read_lines, args=(process.stdout, self._lines), daemon=True).start()
+        began = time.monotonic()
+        try:
+            assert process.stdin is not None
+            process.stdin.write(json.dumps(request).encode() + b"\n")
+            process.stdin.flush()
+        except OSError:
+            pass  # it ended before it was asked, which its last line, an empty one, says
+        over = None
+        while True:
+            try:
+                line = self._lines.get(timeout=_LOOK)
+                break
+            except queue.Empty:
+                if time.monotonic() - began > seconds:
+                    over = over or "time"
+                elif _resident(process.pid) > memory:
+                    over = over or "memory"
+                if over or stop.is_set():
+                    _kill(process.pid)
+        took = time.monotonic() - began
+        if stop.is_set():
+            raise StoppedError
+        if not over and line:
+            ended = _answer(line, took)
+            if ended:
+                return ended
+            over = "answer"
+        _kill(process.pid)
+        status = process.wait()
+        return Ended(status if status >= 0 else None, -status if status < 0 else None, over, _tail(self._stderr), took, None)
+
+    def close(self) -> None:
+        """Ends the process, if there is one."""
+        if self._process is not None:
+            _kill(self._process.pid)
+            self._process.wait()
+            for pipe in (self._process.stdin, self._process.stdout):
+                assert pipe is not None
+                try:
+                    pipe.close()
+                except OSError:  # what could not be written before
+                    continue
+
+
+def _read_lines(pipe: IO[bytes], lines: queue.SimpleQueue[bytes]) -> None:
+    """Puts each line into the queue; an empty one at the end, or in the place of one that is too long."""
+    line = b"\n"
+    while line.endswith(b"\n"):
+        try:
+            line = pipe.readline(ANSWER_BYTES)
+        except (OSError, ValueError):
+            line = b""
+        lines.put(line if line.endswith(b"\n") else b"")
+
+
+def _answer(line: bytes, took: float) -> Ended | None:
+    """What an answer says; None if it is none."""
+    try:
+        said = json.loads(line)
+        status, number, text = said.get("status"), said.get("signal"), said.get("stderr", "")
+    except (ValueError, AttributeError, RecursionError):
+        return None
+    # Of status and signal one is a number, and the other null or not there.
+    if not isinstance(text, str) or {type(status), type(number)} != {int, type(None)}:
+        return None
+    return Ended(status, number, None, text.encode("utf-8", "replace")[-STDERR_BYTES:], took, None)

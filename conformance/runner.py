@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import hashlib
 import json
+import queue
 import sys
 import tempfile
 import threading
 from collections.abc import Iterable, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, ThreadPoolExecutor, wait
+from contextlib import ExitStack, closing
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
@@ -17,13 +19,14 @@ from tqdm import tqdm
 from . import process
 from .grading import GRADE_EXACT, Found, Judgement, judge, read
 from .manifest import Accepted, GaussiansOf, Manifest, Rejected, Vector
-from .process import StoppedError
+from .process import Ended, Server, StoppedError
 
 
 @dataclass(frozen=True)
 class Options:
     """What is run. command: the decoder's, a template with {input} and {output}, perhaps {trace}; gaussians: one with {camera} too, None
-    without a renderer; grade: what a vector must reach; slow: factor of the time budgets; trace: a trace must be right too."""
+    without a renderer; grade: what a vector must reach; slow: factor of the time budgets; trace: a trace must be right too;
+    serve: the command is no template, but serves (process.Server)."""
 
     command: tuple[str, ...]
     gaussians: tuple[str, ...] | None = None
@@ -31,6 +34,7 @@ class Options:
     grade: int = GRADE_EXACT
     slow: float = 1.0
     trace: bool = False
+    serve: bool = False
 
 
 @dataclass(frozen=True)
@@ -88,6 +92,9 @@ class _Desk:
     def __init__(self, manifest: Manifest, options: Options, folder: Path) -> None:
         self.manifest, self.options, self.folder = manifest, options, folder
         self.stop = threading.Event()
+        self.servers: queue.SimpleQueue[Server] = queue.SimpleQueue()
+        for number in range(options.jobs if options.serve else 0):
+            self.servers.put(Server(options.command, folder / f"server-{number}"))
 
     def file(self, vector: Vector, name: str) -> Path:
         return self.folder / f"{vector.id}.{name}"
@@ -106,12 +113,15 @@ class _Desk:
         if self.stop.is_set():
             raise StoppedError
         seconds = vector.budget.seconds * o.slow
-        errors = self.file(vector, "stderr")
-        ended = process.run(process.fill(template, places), errors, seconds, vector.budget.bytes, self.stop, output)
+        if o.serve and template is o.command:
+            ended = self._ask(vector, places, seconds)
+        else:
+            errors = self.file(vector, "stderr")
+            ended = process.run(process.fill(template, places), errors, seconds, vector.budget.bytes, self.stop, output)
+            errors.unlink()
         found = read(ended, output)
         judgement = self._with_trace(vector, judge(self.manifest, vector, found, output), trace)
         status = "passed" if judgement.grade >= o.grade else "crashed" if found.result == "crashed" else "failed"
-        errors.unlink()
         if not judgement.text or found.result == "crashed":
             # The others are looked at again (explain).
             output.unlink(missing_ok=True)
@@ -127,6 +137,19 @@ class _Desk:
             seconds=ended.seconds,
             peak=ended.peak,
         )
+
+    def _ask(self, vector: Vector, places: dict[str, Path], seconds: float) -> Ended:
+        server = self.servers.get()
+        try:
+            wanted = {name: str(path) for name, path in places.items() if name != "trace" or self.options.trace}
+            return server.ask(wanted, seconds, vector.budget.bytes, self.stop)
+        finally:
+            self.servers.put(server)
+
+    def close(self) -> None:
+        """Ends what serves; after the last vector."""
+        while not self.servers.empty():
+            self.servers.get().close()
 
     def _with_trace(self, vector: Vector, judgement: Judgement, trace: Path) -> Judgement:
         if not self.options.trace or judgement.text or not isinstance(vector.expectation, Accepted):
@@ -169,8 +192,11 @@ def run(manifest: Manifest, vectors: Sequence[Vector], options: Options, known: 
     ended: dict[str, Result] = {}
     done = Run()
     bar = tqdm(total=len(vectors), unit="vector", file=sys.stderr, disable=not show)
-    with tempfile.TemporaryDirectory(prefix="c3gs-") as folder, bar, ThreadPoolExecutor(options.jobs) as pool:
-        desk = _Desk(manifest, options, Path(folder))
+    with ExitStack() as stack:
+        folder = stack.enter_context(tempfile.TemporaryDirectory(prefix="c3gs-"))
+        desk = stack.enter_context(closing(_Desk(manifest, options, Path(folder))))
+        pool = stack.enter_context(ThreadPoolExecutor(options.jobs))
+        stack.enter_context(bar)
         # The longest first, so that no single one is left at the end.
         queue = [pool.submit(desk.run, v) for v in sorted(vectors, key=lambda v: (-v.budget.seconds, -v.input.size))]
         try:

@@ -125,7 +125,7 @@ def build(manifest: Manifest, options: Options, about: About, run: Run) -> dict[
             "started": about.started,
             "seconds": round(about.seconds, 3),
             "interrupted": run.interrupted,
-            **{name: getattr(options, name) for name in ("jobs", "grade", "slow", "trace")},
+            **{name: getattr(options, name) for name in ("jobs", "grade", "slow", "trace", "serve")},
         },
         "decoder": {
             "description": about.decoder,
