@@ -5,7 +5,9 @@ A process decodes one file, or serves: it then reads a request for each file fro
 
 from __future__ import annotations
 
+import contextlib
 import json
+import math
 import os
 import queue
 import resource
@@ -26,8 +28,11 @@ FILE_BYTES = 64 << 20
 STDERR_BYTES = 16 << 10
 # The longest answer of a process that serves.
 ANSWER_BYTES = 1 << 20
-# Seconds between two looks at the memory of a process.
+# Seconds between two looks at a process.
 _LOOK = 0.02
+# A process that waits is ended after this many times its seconds.
+_PATIENCE = 10
+_TICK = 1 / os.sysconf("SC_CLK_TCK")
 _RSS_UNIT = 1 if sys.platform == "darwin" else 1024
 # A shell's `ulimit` counts blocks of 512 bytes (POSIX). It binds before the first instruction of the decoder, and in what that starts.
 _LIMITS = f'ulimit -c 0; ulimit -f {FILE_BYTES // 512}; exec "$@"'
@@ -47,8 +52,7 @@ class Ended:
 
     status: exit status, None if a signal ended it; signal: its number, None if it exited; over: the bound that it passed ("time",
     "memory" or "output"), "answer" for a server's answer that cannot be read, or None; stderr: the end of it; seconds: wall time;
-    peak: bytes of resident memory of its largest process,
-    None where the runner's own is larger, which hides it.
+    peak: bytes of resident memory of its largest process, None where the runner's own is larger, which hides it.
     """
 
     status: int | None
@@ -75,14 +79,34 @@ def check_command(command: Sequence[str]) -> None:
         raise CommandError(f"there is no program {command[0]} that can be run")
 
 
-def _resident(pid: int) -> int:
-    """Bytes of resident memory of a process and of those that it started; 0 where the system does not say."""
+@dataclass(frozen=True)
+class _Use:
+    """What a process and those that it started use: bytes of resident memory, seconds of processor time."""
+
+    memory: int
+    seconds: float
+
+
+def _use(pid: int) -> _Use:
+    """Where the system does not say: no memory, and endless time, so that wall time alone counts."""
     try:
-        pages = int(Path(f"/proc/{pid}/statm").read_text().split()[1])
-        children = [int(child) for task in os.listdir(f"/proc/{pid}/task") for child in _children(pid, task)]
+        # The second field is a name in parentheses, which may hold anything.
+        fields = Path(f"/proc/{pid}/stat").read_bytes().rpartition(b")")[2].split()
+        children = [_use(int(child)) for task in os.listdir(f"/proc/{pid}/task") for child in _children(pid, task)]
     except (OSError, IndexError, ValueError):
-        return 0
-    return pages * resource.getpagesize() + sum(map(_resident, children))
+        return _Use(0, 0.0 if Path("/proc/self/stat").exists() else math.inf)
+    # utime, stime, and those of children that have ended; rss
+    seconds = sum(map(int, fields[11:15])) * _TICK
+    memory = int(fields[21]) * resource.getpagesize()
+    return _Use(memory + sum(c.memory for c in children), seconds + sum(c.seconds for c in children))
+
+
+def _over(use: _Use, wall: float, seconds: float, memory: int) -> str | None:
+    """The bound that is passed. A process that other work of the machine keeps from running is not late, nor is one that is quick on
+    many cores: both its wall time and its processor time are above the bound."""
+    if wall > seconds * _PATIENCE or min(wall, use.seconds) > seconds:
+        return "time"
+    return "memory" if use.memory > memory else None
 
 
 def _children(pid: int, task: str) -> list[str]:
@@ -111,7 +135,7 @@ def _start(command: Sequence[str], stderr: Path, serves: bool) -> subprocess.Pop
 
 
 def run(command: Sequence[str], stderr: Path, seconds: float, memory: int, stop: threading.Event, output: Path | None = None) -> Ended:
-    """Runs a command to its end, or to a bound: wall time in seconds, resident memory in bytes, FILE_BYTES of each file.
+    """Runs a command to its end, or to a bound: time in seconds (_over), resident memory in bytes, FILE_BYTES of each file.
 
     stderr: where its error output goes; output: the file whose length is looked at. Address space is not bounded: interpreters and
     sanitizers reserve much that they never use. Every process of its group is killed at the end. Raises CommandError and, if `stop`
@@ -128,10 +152,7 @@ def run(command: Sequence[str], stderr: Path, seconds: float, memory: int, stop:
         waiter.join(_LOOK)
         if not waiter.is_alive():
             break
-        if time.monotonic() - began > seconds:
-            over = over or "time"
-        elif _resident(process.pid) > memory:
-            over = over or "memory"
+        over = over or _over(_use(process.pid), time.monotonic() - began, seconds, memory)
         if over or stop.is_set():
             _kill(process.pid)
     took = time.monotonic() - began
@@ -142,8 +163,7 @@ def run(command: Sequence[str], stderr: Path, seconds: float, memory: int, stop:
     process.returncode = os.waitstatus_to_exitcode(status)
     # A process inherits the peak of the one that started it.
     peak = usage.ru_maxrss * _RSS_UNIT if usage.ru_maxrss * _RSS_UNIT > floor else None
-    if over is None and peak is not None and peak > memory:
-        over = "memory"
+    over = over or _over(_Use(peak or 0, usage.ru_utime + usage.ru_stime), took, seconds, memory)
     if over is None and any(path is not None and path.is_file() and path.stat().st_size >= FILE_BYTES for path in (output, stderr)):
         over = "output"
     return Ended(
@@ -179,7 +199,7 @@ class Server:
             # One for each process: what an old one said last is not taken for an answer.
             self._lines = queue.SimpleQueue()
             threading.Thread(target=_read_lines, args=(process.stdout, self._lines), daemon=True).start()
-        began = time.monotonic()
+        began, before = time.monotonic(), _use(process.pid).seconds
         try:
             assert process.stdin is not None
             process.stdin.write(json.dumps(request).encode() + b"\n")
@@ -192,20 +212,23 @@ class Server:
                 line = self._lines.get(timeout=_LOOK)
                 break
             except queue.Empty:
-                if time.monotonic() - began > seconds:
-                    over = over or "time"
-                elif _resident(process.pid) > memory:
-                    over = over or "memory"
+                use = _use(process.pid)
+                spent = max(0.0, use.seconds - before) if before < math.inf else use.seconds
+                over = over or _over(_Use(use.memory, spent), time.monotonic() - began, seconds, memory)
                 if over or stop.is_set():
                     _kill(process.pid)
         took = time.monotonic() - began
         if stop.is_set():
             raise StoppedError
-        if not over and line:
-            ended = _answer(line, took)
-            if ended:
-                return ended
-            over = "answer"
+        ended = _answer(line, took) if line and not over else None
+        if ended:
+            return ended
+        if not line and not over:
+            # It ended by itself; how, is known in a moment.
+            with contextlib.suppress(subprocess.TimeoutExpired):
+                process.wait(1)
+        crashed = process.poll() is not None and process.returncode < 0
+        over = over or (None if crashed else "answer")
         _kill(process.pid)
         status = process.wait()
         return Ended(status if status >= 0 else None, -status if status < 0 else None, over, _tail(self._stderr), took, None)

@@ -50,6 +50,9 @@ def main(mode, answers, name, target, *rest):
             os.kill(os.getpid(), signal.SIGSEGV)
         case "hang":
             time.sleep(600)
+        case "spins":
+            while True:
+                pass
         case "hang-in-child":
             subprocess.run(["sleep", "600"], check=False)
         case "memory":

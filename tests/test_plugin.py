@@ -38,7 +38,8 @@ def _plugin(file: Path) -> subprocess.CompletedProcess[str]:
 
 @needs_node
 def test_the_plugin_passes_the_vectors_of_the_container(tmp_path: Path) -> None:
-    options = ["--vectors", str(VECTORS), "--jobs", "2", "--slow", "20", "--describe", str(PLUGIN / "about.json"), "--report", str(tmp_path)]
+    options = ["--vectors", str(VECTORS), "--jobs", "2", "--slow", "20", "--report", str(tmp_path)]
+    options += ["--describe", str(PLUGIN / "about.json")]
     command = [str(NODE), str(PLUGIN / "container.js"), "{input}", "{output}"]
     assert cli.main(["run", *options, "--select", SELECTED, "--", *command]) == commands.EXIT_RIGHT
     record = json.loads((tmp_path / "report.json").read_text())

@@ -210,11 +210,12 @@ def _shrunk(suite: Suite, folder: Path, seconds: int, memory: int) -> Suite:
     return Suite(folder, suite.answers)
 
 
-@pytest.mark.parametrize("mode", ["hang", "hang-in-child"])
+@pytest.mark.parametrize("mode", ["hang", "hang-in-child", "spins"])
 def test_time_is_bounded(suite: Suite, tmp_path: Path, mode: str) -> None:
     small = _shrunk(suite, tmp_path / "suite", 1, 256 << 20)
     began = time.monotonic()
-    status, record = small.report(mode, tmp_path, "--slow", "1")
+    # One that waits is given ten times its budget.
+    status, record = small.report(mode, tmp_path, "--slow", "1" if mode == "spins" else "0.1")
     assert status == commands.EXIT_WRONG
     (vector,) = record["vectors"]
     assert (vector["status"], vector["text"]) == ("crashed", "crash: took too long")
@@ -354,6 +355,68 @@ def test_description(suite: Suite, tmp_path: Path) -> None:
     for text in ('{"name": "mydecoder"}', '{"name": "a", "version": "1", "colour": "red"}', "nothing"):
         about.write_text(text)
         assert suite.run("right", "--describe", str(about)) == commands.EXIT_USAGE
+
+
+# A server of the suite's files by mode: the right answers, with one fault.
+SERVER = """
+import hashlib, json, os, sys, time
+mode, answers = sys.argv[1], json.load(open(sys.argv[2]))
+for line in sys.stdin:
+    q = json.loads(line)
+    a = answers[hashlib.sha256(open(q["input"], "rb").read()).hexdigest()]
+    if a["exit"]:
+        said = {"status": a["exit"], "stderr": json.dumps({"code": a["code"], "offset": a["offset"]})}
+    else:
+        open(q["output"], "wb").write(open(a["output"], "rb").read())
+        said = {"status": 0}
+        if mode == "dies": os.abort()
+        if mode == "sleeps": time.sleep(600)
+        if mode == "leaves": sys.exit(0)
+        if mode == "eats": held = [bytes(8 << 20) + b"x" for _ in range(100)]
+        if mode == "signal": said = {"signal": 11}
+        if mode == "both": said = {"signal": 11, "status": 0}
+        if mode == "text": said = {"status": "0"}
+        if mode == "nothing": os.unlink(q["output"])
+    text = json.dumps(said)
+    if not a["exit"]:
+        if mode == "garbage": text = "accepted"
+        if mode == "list": text = "[0]"
+        if mode == "endless": text = " " * (1 << 22) + text
+        if mode == "wrong": open(q["output"], "ab").write(b"x")
+    print(text, flush=True)
+"""
+
+
+@pytest.mark.parametrize(
+    ("mode", "text"),
+    [
+        ("right", ""),
+        ("dies", "crash: ended by SIGABRT"),
+        ("sleeps", "crash: took too long"),
+        ("leaves", "crash: gave an answer that cannot be read"),
+        ("eats", "crash: took too much memory"),
+        ("signal", "crash: ended by SIGSEGV"),
+        ("nothing", "crash: exit status 0 without an output file"),
+        ("wrong", "the output is not the canonical reconstruction"),
+        *((mode, "crash: gave an answer that cannot be read") for mode in ("both", "text", "garbage", "list", "endless")),
+    ],
+)
+def test_a_decoder_that_serves(suite: Suite, tmp_path: Path, mode: str, text: str) -> None:
+    """One that does not survive a file is started again for the next."""
+    script = tmp_path / "server.py"
+    script.write_text(SERVER)
+    command = [sys.executable, "-S", "-E", str(script), mode, str(suite.answers)]
+    slow = "0.1" if mode == "sleeps" else "20"
+    options = ["--vectors", str(suite.folder), "--jobs", "2", "--slow", slow, "--report", str(tmp_path), "--serve"]
+    assert cli.main(["run", *options, "--", *command]) == (commands.EXIT_WRONG if text else commands.EXIT_RIGHT)
+    record = json.loads((tmp_path / "report.json").read_text())
+    assert {v["id"]: v["text"] for v in record["vectors"]} == dict.fromkeys(GOOD, text) | dict.fromkeys(BAD, "")
+
+
+@pytest.mark.parametrize("name", ["refcodec", "independent"])
+def test_the_decoders_serve(suite: Suite, name: str) -> None:
+    options = ["--vectors", str(suite.folder), "--jobs", "1", "--slow", "20", "--serve"]
+    assert cli.main(["run", *options, "--trace", "--", sys.executable, "-m", "conformance.serve", name]) == commands.EXIT_RIGHT
 
 
 # --- reports ----------------------------------------------------------------------------------------------------------

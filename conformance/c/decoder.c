@@ -582,7 +582,7 @@ static void PROFILE(struct header *h)
     if (h->profile == 1)
         for (uint32_t i = 0; i < 4; i++)
             if (h->slice_width.item[i] != 5 * (i + 1))
-                REFUSE(HEADER_DIMENSION, h->slice_width.items_at + i);
+                REFUSE(HEADER_DIMENSION, h->slice_width.items_at);
     if (h->plane_size > levels[h->level].plane_size)
         REFUSE(HEADER_DIMENSION, h->plane_size_at);
     if (h->anchor_count > levels[h->level].anchor_count)
