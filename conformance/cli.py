@@ -32,6 +32,59 @@ def _add_generate(commands: Any) -> None:
     generate.set_defaults(run=_generate)
 
 
+def _positive(text: str) -> int:
+    value = int(text)
+    if value < 1:
+        raise argparse.ArgumentTypeError("must be at least 1")
+    return value
+
+
+def _factor(text: str) -> float:
+    value = float(text)
+    if not 0 < value < 1e6:
+        raise argparse.ArgumentTypeError("must be above 0")
+    return value
+
+
+def _add_run(commands: Any) -> None:
+    from . import commands as run  # noqa: PLC0415
+    from . import selection  # noqa: PLC0415
+
+    def shared(name: str, text: str, example: str) -> argparse.ArgumentParser:
+        parser: argparse.ArgumentParser = commands.add_parser(
+            name, help=text, description=text, epilog=f"{example}; {run.STATUSES}", usage=f"conformance {name} [options] {example}"
+        )
+        parser.add_argument("--vectors", type=Path, default=Path("vectors"), metavar="DIR", help="folder of the suite (default: vectors)")
+        parser.add_argument("--gaussians", metavar="COMMAND", help="one with {input}, {camera} and {output}, as a shell would read it")
+        parser.add_argument("--jobs", type=_positive, default=os.cpu_count() or 1, metavar="N", help="processes (default: one a core)")
+        parser.add_argument("--slow", type=_factor, default=1.0, metavar="X", help="factor of the time budgets (default: %(default)s)")
+        return parser
+
+    parser = shared("run", "tell whether a decoder is right, and if not, where it goes wrong", "-- ./mydecoder {input} {output}")
+    parser.add_argument("--select", action="append", default=[], metavar="EXPR", help=selection.HELP)
+    run.add_grade(parser)
+    parser.add_argument("--trace", action="store_true", help="the command has {trace}, and the trace must be right too")
+    parser.add_argument(
+        "--serve", action="store_true", help="the command stays, reads a request for each vector from stdin, and answers on stdout, in JSON"
+    )
+    parser.add_argument("--known-failures", type=Path, metavar="FILE", help="identifiers of vectors that must fail, one in a line")
+    parser.add_argument("--describe", type=Path, metavar="FILE", help="the decoder's description of itself, JSON with name and version")
+    parser.add_argument("--report", type=Path, metavar="DIR", help="write report.json, report.xml (JUnit) and report.html there")
+    parser.add_argument("command", nargs="+", metavar="-- COMMAND", help="{input}, {output} and {trace} stand for paths")
+    parser.set_defaults(run=run.run_command)
+    verify = shared("verify-report", "run the vectors of a report again, and compare", "REPORT.json -- ./mydecoder {input} {output}")
+    verify.add_argument("report", type=Path, metavar="REPORT.json")
+    verify.add_argument("command", nargs="+", metavar="-- COMMAND", help="as for run")
+    verify.set_defaults(run=run.verify_report)
+    export = commands.add_parser("export", help="write the valid vectors as a suite of another runner")
+    export.add_argument("--vectors", type=Path, default=Path("vectors"), metavar="DIR", help="folder of the suite (default: vectors)")
+    export.add_argument("--fluster", type=Path, required=True, metavar="DIR", help="for Fluster, with a plug-in")
+    export.set_defaults(run=run.export)
+    encoder = commands.add_parser("check-encoder", help="judge the files of another encoder: valid, canonical, the same to both decoders")
+    encoder.add_argument("files", nargs="+", type=Path, metavar="FILE")
+    encoder.set_defaults(run=run.check_encoder)
+
+
 def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(prog="conformance", description=__doc__)
     commands = parser.add_subparsers(required=True, metavar="command")
@@ -43,6 +96,7 @@ def _parser() -> argparse.ArgumentParser:
     fuzz.add_argument("--keep", type=Path, default=Path("out/fuzz"), help="folder for files on which the decoders disagree")
     fuzz.set_defaults(run=_fuzz)
     _add_generate(commands)
+    _add_run(commands)
     return parser
 
 

@@ -1,8 +1,9 @@
 /* A decoder for C3GS, format version 0, written from SPEC.md alone.
  *
  *   decoder digest FILE
+ *   decoder decode FILE OUTPUT
  *
- * prints the digests of the canonical reconstruction (9.3), exit status 0. A refused file: exit status 1 (malformed or
+ * prints the digests of the canonical reconstruction (9.3), or writes it, exit status 0. A refused file: exit status 1 (malformed or
  * invalid) or 2 (unsupported), and a last line {"code":C, "offset":O} on stderr. Exit status 3: usage, input or output, memory.
  * Numbers in parentheses at functions are clauses of SPEC.md; names are those of the specification where it has one.
  */
@@ -581,7 +582,7 @@ static void PROFILE(struct header *h)
     if (h->profile == 1)
         for (uint32_t i = 0; i < 4; i++)
             if (h->slice_width.item[i] != 5 * (i + 1))
-                REFUSE(HEADER_DIMENSION, h->slice_width.items_at + i);
+                REFUSE(HEADER_DIMENSION, h->slice_width.items_at);
     if (h->plane_size > levels[h->level].plane_size)
         REFUSE(HEADER_DIMENSION, h->plane_size_at);
     if (h->anchor_count > levels[h->level].anchor_count)
@@ -1748,46 +1749,65 @@ static void ATTRIBUTES(struct scene *s)
 
 /* ---------------------------------------------------------------- 9.3 canonical reconstruction */
 
-/* 9.3: one part, of the whole too; without a name for the head */
-static void PART(struct sha256 *whole, const char *name, const uint8_t *p, uint64_t n, char line[80])
-{
-    struct sha256 s;
-    char hex[65];
-    SHA_START(&s);
-    SHA_ADD(&s, p, n);
-    SHA_END(&s, hex);
-    SHA_ADD(whole, p, n);
-    snprintf(line, 80, "%s %s\n", name, hex);
-}
+enum { PART_COUNT = 8, HEAD_LENGTH = 28 };
+struct part {
+    const char *name;
+    const uint8_t *data;
+    uint64_t length;
+};
 
 /* 9.3 */
-static int DIGEST(const struct scene *s)
+static void CANONICAL(const struct scene *s, struct part part[PART_COUNT])
 {
     const struct header *h = &s->h;
     uint64_t n = h->anchor_count, k = h->offset_count, points = (uint64_t)h->plane_channels * h->plane_size * h->plane_size;
-    uint8_t head[28] = "C3GSREC0", *planes = ALLOCATE(5 * points, 2);
+    uint8_t *head = ALLOCATE(HEAD_LENGTH, 1), *planes = ALLOCATE(5 * points, 2);
     uint32_t numbers[5] = {h->anchor_count, h->offset_count, h->features, h->plane_channels, h->plane_size};
-    struct sha256 whole;
-    char hex[65], line[7][80];
+    memcpy(head, "C3GSREC0", 8);
     for (int i = 0; i < 5; i++)
         PUT_U32(head + 8 + 4 * i, numbers[i]);
     for (uint64_t p = 0; p < 5; p++)
         for (uint64_t i = 0; i < points; i++)
             PUT_U16(planes + 2 * (p * points + i), (uint16_t)s->plane[p][i]);
-    SHA_START(&whole);
-    SHA_ADD(&whole, head, sizeof head);
-    PART(&whole, "positions", s->positions, 12 * n, line[0]);
-    PART(&whole, "masks", s->masks, n * k, line[1]);
-    PART(&whole, "planes", planes, 10 * points, line[2]);
-    PART(&whole, "features", s->features, 4 * n * h->features, line[3]);
-    PART(&whole, "scalings", s->scalings, 24 * n, line[4]);
-    PART(&whole, "offsets", s->offsets, 12 * n * k, line[5]);
-    PART(&whole, "weights", s->values, 4 * s->value_count, line[6]);
-    SHA_END(&whole, hex);
+    part[0] = (struct part){"head", head, HEAD_LENGTH};
+    part[1] = (struct part){"positions", s->positions, 12 * n};
+    part[2] = (struct part){"masks", s->masks, n * k};
+    part[3] = (struct part){"planes", planes, 10 * points};
+    part[4] = (struct part){"features", s->features, 4 * n * h->features};
+    part[5] = (struct part){"scalings", s->scalings, 24 * n};
+    part[6] = (struct part){"offsets", s->offsets, 12 * n * k};
+    part[7] = (struct part){"weights", s->values, 4 * s->value_count};
+}
+
+/* 9.3: of the whole, then of each part but the head */
+static int DIGEST(const struct part part[PART_COUNT])
+{
+    struct sha256 s;
+    char hex[65];
+    SHA_START(&s);
+    for (int i = 0; i < PART_COUNT; i++)
+        SHA_ADD(&s, part[i].data, part[i].length);
+    SHA_END(&s, hex);
     printf("whole %s\n", hex);
-    for (int i = 0; i < 7; i++)
-        fputs(line[i], stdout);
+    for (int i = 1; i < PART_COUNT; i++) {
+        SHA_START(&s);
+        SHA_ADD(&s, part[i].data, part[i].length);
+        SHA_END(&s, hex);
+        printf("%s %s\n", part[i].name, hex);
+    }
     return fflush(stdout) == 0 && !ferror(stdout);
+}
+
+/* 9.3: the reconstruction itself */
+static int WRITE(const struct part part[PART_COUNT], const char *name)
+{
+    FILE *f = fopen(name, "wb");
+    int right = f != NULL;
+    for (int i = 0; right && i < PART_COUNT; i++)
+        right = !part[i].length || fwrite(part[i].data, 1, (size_t)part[i].length, f) == part[i].length;
+    if (f && fclose(f))
+        right = 0;
+    return right;
 }
 
 /* 7.1, 10.1: the order of decoding and of checks */
@@ -1848,12 +1868,13 @@ static const uint8_t *READ_FILE(const char *name, uint64_t *length)
 int main(int argc, char **argv)
 {
     static struct scene s;
+    struct part part[PART_COUNT];
     const char *tables = getenv("C3GS_TABLES"), *slash;
     uint64_t length;
     const uint8_t *data;
-    int status = 0;
-    if (argc != 3 || strcmp(argv[1], "digest"))
-        FAIL("usage: decoder digest FILE");
+    int decode = argc == 4 && !strcmp(argv[1], "decode");
+    if (!decode && (argc != 3 || strcmp(argv[1], "digest")))
+        FAIL("usage: decoder digest FILE | decoder decode FILE OUTPUT");
     MAKE_CRC_TABLE();
     if (!tables) {
         size_t folder = (slash = strrchr(argv[0], '/')) ? (size_t)(slash - argv[0]) + 1 : 0;
@@ -1866,8 +1887,9 @@ int main(int argc, char **argv)
     READ_TABLES(data, length);
     s.data = READ_FILE(argv[2], &s.length);
     DECODE_SCENE(&s);
-    if (!DIGEST(&s))
-        status = STATUS_FAILED;
+    CANONICAL(&s, part);
+    if (!(decode ? WRITE(part, argv[3]) : DIGEST(part)))
+        FAIL("cannot write");
     RELEASE();
-    return status;
+    return 0;
 }

@@ -1,0 +1,34 @@
+"""The record as one HTML page that needs nothing else."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import jinja2
+
+from ..grading import GRADES
+from .record import STATUSES
+
+_TEMPLATE = Path(__file__).with_name("page.html")
+
+
+def document(record: dict[str, Any]) -> str:
+    """The page: verdicts, then the vectors, what failed first."""
+    environment = jinja2.Environment(autoescape=True, undefined=jinja2.StrictUndefined, trim_blocks=True, lstrip_blocks=True)
+    order = {status: i for i, status in enumerate(STATUSES)}
+    vectors = sorted(record["vectors"], key=lambda v: order[v["status"]])
+    bad = sum(record["verdict"]["counts"][status] for status in ("failed", "crashed", "unexpected"))
+    holes = [(name, row) for name, row in record["requirements"].items() if row["right"] < row["vectors"]]
+    right_features = sum(row["right"] == row["vectors"] for row in record["features"].values())
+    template = environment.from_string(_TEMPLATE.read_text(encoding="utf-8"))
+    return template.render(
+        r=record,
+        vectors=vectors,
+        bad=bad,
+        grades=GRADES,
+        best=max(GRADES),
+        statuses=STATUSES,
+        holes=holes,
+        right_features=right_features,
+    )

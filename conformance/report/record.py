@@ -1,0 +1,219 @@
+"""The record of a run: everything that the other reports show, as JSON with a schema (report.schema.json)."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import platform
+import re
+from collections import Counter
+from collections.abc import Iterable, Sequence
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+import jsonschema
+
+from refcodec import __version__
+
+from ..grading import GRADE_EXACT
+from ..manifest import MANIFEST, Accepted, Manifest, Rejected, Vector
+from ..runner import Options, Result, Run
+
+SCHEMA = Path(__file__).with_name("report.schema.json")
+STATUSES = ("failed", "crashed", "unexpected", "known", "passed", "skipped")
+REPORT_VERSION = 1
+# What a record keeps of a process's error output.
+_STDERR_CHARACTERS = 4000
+
+
+class RecordError(Exception):
+    """A file that is no record, or does not follow from its own vectors."""
+
+
+@dataclass(frozen=True)
+class About:
+    """What a record says besides results. decoder: the decoder's own description; select: expressions; started: ISO 8601."""
+
+    decoder: dict[str, str]
+    select: tuple[str, ...]
+    started: str
+    seconds: float
+
+
+def manifest_digest(manifest: Manifest) -> str:
+    """SHA-256 of the manifest file."""
+    return hashlib.sha256((manifest.folder / MANIFEST).read_bytes()).hexdigest()
+
+
+def describe(path: Path | None, command: Sequence[str]) -> dict[str, str]:
+    """A decoder's description of itself: a JSON object of texts with `name` and `version` at least. Raises RecordError."""
+    if path is None:
+        return {"name": Path(command[0]).name, "version": "not stated"}
+    try:
+        said = json.loads(path.read_text(encoding="utf-8"))
+        jsonschema.validate(said, _schema()["$defs"]["decoder"])
+    except ValueError as error:
+        raise RecordError(f"{path}: {error}") from None
+    except jsonschema.ValidationError as error:
+        raise RecordError(f"{path}: {error.json_path}: {error.message}") from None
+    return dict(said)
+
+
+def _schema() -> dict[str, Any]:
+    schema: dict[str, Any] = json.loads(SCHEMA.read_text(encoding="utf-8"))
+    return schema
+
+
+def _clauses(vector: Vector) -> list[str]:
+    """Clauses to read: that of the expected error first, then those of the requirements."""
+    first = [vector.expectation.clause] if isinstance(vector.expectation, Rejected) else []
+    return list(dict.fromkeys(first + [name[1:].rpartition("-")[0] for name in vector.requirements]))
+
+
+def _expected(vector: Vector) -> dict[str, Any]:
+    e = vector.expectation
+    if isinstance(e, Rejected):
+        return {"result": "rejected", **asdict(e)}
+    return {"result": "accepted", "digest": e.digest} if isinstance(e, Accepted) else {"result": "gaussians", "tolerance": e.tolerance}
+
+
+def _entry(result: Result) -> dict[str, Any]:
+    v = result.vector
+    return {
+        "id": v.id,
+        "title": v.title,
+        "status": result.status,
+        "grade": result.grade,
+        "text": result.text,
+        "class": v.klass,
+        "operation": v.operation,
+        "profile": v.profile,
+        "level": v.level,
+        "requirements": list(v.requirements),
+        "features": list(v.features),
+        "flags": list(v.flags),
+        "clauses": _clauses(v),
+        "input": v.input.path,
+        "expected": _expected(v),
+        "found": asdict(result.found) if result.found else None,
+        "divergence": list(result.divergence),
+        "hex": list(result.hex),
+        "stderr": result.stderr[-_STDERR_CHARACTERS:],
+        "seconds": round(result.seconds, 3),
+        "peak_bytes": result.peak,
+    }
+
+
+def build(manifest: Manifest, options: Options, about: About, run: Run) -> dict[str, Any]:
+    """The record of a run."""
+    entries = [_entry(r) for r in run.results]
+    record = {
+        "report": "c3gs-conformance-report",
+        "report_version": REPORT_VERSION,
+        "suite": {
+            "version": manifest.suite_version,
+            "format_version": manifest.format_version,
+            "manifest_sha256": manifest_digest(manifest),
+            "vectors": {v.id: _group(v) for v in manifest.vectors},
+        },
+        "runner": {
+            "version": __version__,
+            "python": platform.python_version(),
+            "platform": platform.platform(),
+            "select": list(about.select),
+            "started": about.started,
+            "seconds": round(about.seconds, 3),
+            "interrupted": run.interrupted,
+            **{name: getattr(options, name) for name in ("jobs", "grade", "slow", "trace", "serve")},
+        },
+        "decoder": {
+            "description": about.decoder,
+            "command": list(options.command),
+            "gaussians": None if options.gaussians is None else list(options.gaussians),
+        },
+    }
+    record |= conclusions(record["suite"]["vectors"], entries, manifest)  # type: ignore[index]
+    return record | {"vectors": entries}
+
+
+def _group(vector: Vector) -> str:
+    """Which verdict a vector counts for: that of its profile and level, of rendering, or of each profile."""
+    if vector.operation == "gaussians":
+        return "rendering"
+    return "any" if vector.profile is None else f"{vector.profile} {vector.level}"
+
+
+def conclusions(groups: dict[str, str], entries: Sequence[dict[str, Any]], manifest: Manifest) -> dict[str, Any]:
+    """What follows from the vectors' entries: counts, the grade, coverage, and a verdict for each profile and level.
+
+    groups: what each vector of the suite counts for; a decoder conforms to a profile and level if each vector of that profile up to
+    the level, and each that has none, passes with the highest grade. Rendering has a verdict of its own.
+    """
+    counts = Counter(e["status"] for e in entries)
+    judged = [e for e in entries if e["status"] != "skipped"]
+    profiles = _profiles(groups, entries)
+    return {
+        "verdict": {
+            "conforms": all(row["verdict"] == "conforms" for row in profiles if row["profile"] != "rendering"),
+            "grade": min((e["grade"] for e in judged if e["operation"] == "decode"), default=0),
+            "counts": {status: counts[status] for status in STATUSES},
+            "not_run": len(groups) - len(judged),
+        },
+        "profiles": profiles,
+        "requirements": _coverage(((v.id, v.requirements) for v in manifest.vectors), judged),
+        "features": _coverage(((v.id, v.features) for v in manifest.vectors), judged),
+    }
+
+
+def _profiles(groups: dict[str, str], entries: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
+    grades = {e["id"]: e["grade"] for e in entries if e["status"] != "skipped"}
+    rows = []
+    for group in sorted(set(groups.values()) - {"any"}, key=lambda g: (["tiny", "main", "rendering"].index(g.split()[0]), g)):
+        name, _, level = group.partition(" ")
+        needed = [
+            vector
+            for vector, g in groups.items()
+            if g == group or (name != "rendering" and (g == "any" or (g.startswith(f"{name} ") and int(g.split()[1]) < int(level))))
+        ]
+        right = sum(grades.get(vector) == GRADE_EXACT for vector in needed)
+        wrong = sum(grades.get(vector, GRADE_EXACT) != GRADE_EXACT for vector in needed)
+        verdict = "fails" if wrong else "conforms" if right == len(needed) else "incomplete"
+        rows.append({"profile": name, "level": int(level) if level else None, "verdict": verdict, "needed": len(needed), "right": right})
+    return rows
+
+
+def _coverage(vectors: Iterable[tuple[str, Iterable[str]]], judged: Sequence[dict[str, Any]]) -> dict[str, dict[str, int]]:
+    """For each name how many vectors of the suite have it, how many of these were run, and how many were right."""
+    grades = {e["id"]: e["grade"] for e in judged}
+    rows: dict[str, dict[str, int]] = {}
+    for vector, names in vectors:
+        for name in names:
+            row = rows.setdefault(name, {"vectors": 0, "run": 0, "right": 0})
+            row["vectors"] += 1
+            row["run"] += vector in grades
+            row["right"] += grades.get(vector) == GRADE_EXACT
+    return {name: rows[name] for name in sorted(rows, key=_order)}
+
+
+def _order(name: str) -> list[tuple[bool, int, str]]:
+    """Numbers in names by their value."""
+    return [(part.isdigit(), int(part) if part.isdigit() else 0, part) for part in re.findall(r"\d+|\D+", name)]
+
+
+def check(record: Any) -> None:
+    """Raises RecordError for what the schema does not allow."""
+    try:
+        jsonschema.validate(record, _schema())
+    except jsonschema.ValidationError as error:
+        raise RecordError(f"{error.json_path}: {error.message}") from None
+
+
+def load(path: Path) -> dict[str, Any]:
+    """A record that the schema allows. Raises RecordError, OSError."""
+    try:
+        record: dict[str, Any] = json.loads(path.read_text(encoding="utf-8"))
+    except ValueError as error:
+        raise RecordError(f"{path}: {error}") from None
+    check(record)
+    return record

@@ -1,0 +1,581 @@
+"""The runner with decoders that go wrong in known ways: it must find each, and nothing else."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import os
+import shutil
+import signal
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+from xml.etree import ElementTree
+
+import jsonschema
+import pytest
+
+from conformance import cli, commands, fluster, process, runner
+from conformance.files import Target, repair
+from conformance.manifest import MANIFEST, SCHEMA, VECTORS, load
+from refcodec import codec, inspection
+from refcodec.errors import REGISTRY, BitstreamError
+from refcodec.reconstruction import canonical_head, canonical_parts, digest
+
+HERE = Path(__file__).resolve().parent
+FAKE = HERE / "fake_decoder.py"
+
+
+@dataclass(frozen=True)
+class Suite:
+    """A small suite and the answers to it."""
+
+    folder: Path
+    answers: Path
+
+    def command(self, mode: str, *more: str) -> list[str]:
+        return [sys.executable, "-S", "-E", str(FAKE), mode, str(self.answers), "{input}", "{output}", *more]
+
+    def run(self, mode: str, *options: str, trace: bool = False) -> int:
+        command = self.command(mode, *(["{trace}"] if trace else []))
+        # Whatever else the machine does: where time itself is tested, the options say so.
+        slow = [] if "--slow" in options else ["--slow", "20"]
+        return cli.main(["run", "--vectors", str(self.folder), "--jobs", "2", *slow, *options, "--", *command])
+
+    def report(self, mode: str, folder: Path, *options: str, trace: bool = False) -> tuple[int, dict[str, Any]]:
+        status = self.run(mode, "--report", str(folder), *options, trace=trace)
+        return status, json.loads((folder / "report.json").read_text())
+
+
+def _files() -> dict[str, bytes]:
+    plain = (VECTORS / "tiny-example.c3gs").read_bytes()
+    target = Target(plain)
+    extended = codec.emit(replace(codec.parse(plain).scene, extensions=((1, 0, b"more"),)))
+    return {
+        "valid-plain": plain,
+        "valid-extended": extended,
+        "malformed-crc": target.put(17, bytes([plain[17] ^ 1])),
+        "invalid-up-axis": repair(target.put(target.at("render_info.up_axis"), b"\6")),
+        "unsupported-profile": repair(target.put(target.at("profile"), b"\7")),
+        "resource-anchors": repair(target.put(target.at("anchor_count"), b"\xff\xff\xff\xff")),
+    }
+
+
+def _expectation(data: bytes, place: Path) -> tuple[dict[str, Any], dict[str, Any]]:
+    """What the manifest says of a file, and the fake decoder's answer."""
+    lines: list[str] = []
+    try:
+        scene = inspection.symbol_trace(data, lines.append).scene
+    except BitstreamError as error:
+        kind = error.kind
+        said = {"result": "rejected", "code": kind.code, "name": kind.name, "offset": error.offset, "clause": kind.clause}
+        return said, {"exit": 2 if kind.klass == "unsupported" else 1, "code": kind.code, "offset": error.offset, "class": kind.klass}
+    output, trace = place.with_suffix(".out"), place.with_suffix(".trace")
+    output.write_bytes(canonical_head(scene) + b"".join(part for _, part in canonical_parts(scene)))
+    trace.write_text("".join(lines))
+    whole, parts = digest(scene)
+    parts = {"head": hashlib.sha256(canonical_head(scene)).hexdigest(), **parts}
+    said = {"result": "accepted", "digest": whole, "parts": parts, "trace": hashlib.sha256(trace.read_bytes()).hexdigest()}
+    return said, {"exit": 0, "output": str(output), "trace": str(trace), "extended": bool(scene.extensions)}
+
+
+@pytest.fixture(scope="module")
+def suite(tmp_path_factory: pytest.TempPathFactory) -> Suite:
+    folder, answers = tmp_path_factory.mktemp("suite"), tmp_path_factory.mktemp("answers")
+    shutil.copyfile(VECTORS / SCHEMA, folder / SCHEMA)
+    vectors, known = [], {}
+    for name, data in _files().items():
+        klass, _, rest = name.partition("-")
+        path = folder / klass / f"{rest}.c3gs"
+        path.parent.mkdir(exist_ok=True)
+        path.write_bytes(data)
+        expectation, answer = _expectation(data, answers / rest)
+        sha = hashlib.sha256(data).hexdigest()
+        known[sha] = answer
+        vectors.append(
+            {"id": name, "title": rest, "operation": "decode", "class": klass, "profile": None if klass == "malformed" else "tiny",
+             "level": None if klass == "malformed" else 0, "features": ["header"], "requirements": ["R6.2-1"], "flags": [],
+             "input": {"path": f"{klass}/{rest}.c3gs", "size": len(data), "sha256": sha}, "expectation": expectation,
+             "budget": {"seconds": 10, "bytes": 256 << 20}, "licence": "CC0-1.0", "generator": {"name": "test", "seed": 0}}
+        )  # fmt: skip
+    manifest = {"suite": "c3gs-conformance", "suite_version": "0.0.1", "format_version": 0, "flags": {}, "features": {"header": "it"}}
+    (folder / MANIFEST).write_text(json.dumps({**manifest, "vectors": vectors}))
+    (answers / "answers.json").write_text(json.dumps(known))
+    return Suite(folder, answers / "answers.json")
+
+
+def statuses(record: dict[str, Any]) -> dict[str, str]:
+    return {v["id"]: v["status"] for v in record["vectors"]}
+
+
+GOOD, BAD = ("valid-plain", "valid-extended"), ("malformed-crc", "invalid-up-axis", "unsupported-profile", "resource-anchors")
+
+
+def test_the_files_are_what_they_are_called(suite: Suite) -> None:
+    classes = {v.id: v.expectation for v in load(suite.folder / MANIFEST).vectors}
+    assert {name: REGISTRY[classes[name].name].klass for name in BAD} == {  # type: ignore[union-attr]
+        "malformed-crc": "malformed", "invalid-up-axis": "invalid", "unsupported-profile": "unsupported", "resource-anchors": "invalid",
+    }  # fmt: skip
+
+
+def test_a_right_decoder(suite: Suite, tmp_path: Path) -> None:
+    for mode in ("right", "talks-much", "leaves-child"):
+        status, record = suite.report(mode, tmp_path)
+        assert status == commands.EXIT_RIGHT
+        assert set(statuses(record).values()) == {"passed"}
+        assert record["verdict"] == {
+            "conforms": True, "grade": 3, "not_run": 0,
+            "counts": {"failed": 0, "crashed": 0, "unexpected": 0, "known": 0, "passed": 6, "skipped": 0},
+        }  # fmt: skip
+        assert [row["verdict"] for row in record["profiles"]] == ["conforms"]
+        assert record["requirements"] == {"R6.2-1": {"vectors": 6, "run": 6, "right": 6}}
+
+
+# A mode, and what it is to the good and to the bad files: status and grade.
+WRONG = [
+    ("raises", ("crashed", 0), ("crashed", 0)),
+    ("nothing", ("crashed", 0), ("crashed", 0)),
+    ("accepts", ("failed", 0), ("failed", 0)),
+    ("segfault", ("crashed", 0), ("crashed", 0)),
+    ("segfault-after-json", ("crashed", 0), ("crashed", 0)),
+    ("json-exit-0", ("passed", 3), ("crashed", 0)),
+    ("right-exit-1", ("crashed", 0), ("passed", 3)),
+    ("json-and-output", ("failed", 0), ("passed", 3)),
+    ("exit-3", ("passed", 3), ("crashed", 0)),
+    ("giant", ("crashed", 0), ("crashed", 0)),
+    ("giant-sparse", ("crashed", 0), ("crashed", 0)),
+    ("unregistered", ("passed", 3), ("crashed", 0)),
+    ("code-as-text", ("passed", 3), ("crashed", 0)),
+    ("code-true", ("passed", 3), ("crashed", 0)),
+    ("json-then-text", ("passed", 3), ("crashed", 0)),
+    ("json-list", ("passed", 3), ("crashed", 0)),
+    ("json-deep", ("passed", 3), ("crashed", 0)),
+    ("no-offset", ("passed", 3), ("failed", 2)),
+    ("offset-1", ("passed", 3), ("failed", 2)),
+    ("last-bit", ("failed", 0), ("passed", 3)),
+    ("first-bit", ("failed", 0), ("passed", 3)),
+    ("short", ("failed", 0), ("passed", 3)),
+    ("long", ("failed", 0), ("passed", 3)),
+]
+
+
+@pytest.mark.parametrize(("mode", "good", "bad"), WRONG, ids=[row[0] for row in WRONG])
+def test_a_wrong_decoder(suite: Suite, tmp_path: Path, mode: str, good: tuple[str, int], bad: tuple[str, int]) -> None:
+    status, record = suite.report(mode, tmp_path)
+    assert status == commands.EXIT_WRONG
+    found = {v["id"]: (v["status"], v["grade"]) for v in record["vectors"]}
+    assert found == dict.fromkeys(GOOD, good) | dict.fromkeys(BAD, bad)
+    assert not record["verdict"]["conforms"]
+    assert record["verdict"]["grade"] == min(good[1], bad[1])
+    assert record["profiles"][0]["verdict"] == "fails"
+    assert all(v["text"] for v in record["vectors"] if v["status"] != "passed")
+
+
+def test_one_code_for_everything(suite: Suite, tmp_path: Path) -> None:
+    """Its only right answer is the file of that code; others are refused, which is grade 1 or 2."""
+    status, record = suite.report("rejects", tmp_path)
+    assert status == commands.EXIT_WRONG
+    assert {v["id"]: v["grade"] for v in record["vectors"]} == {
+        **dict.fromkeys(GOOD, 0), "malformed-crc": 3, "invalid-up-axis": 1, "unsupported-profile": 1, "resource-anchors": 1,
+    }  # fmt: skip
+
+
+def test_ancillary_sections(suite: Suite, tmp_path: Path) -> None:
+    status, record = suite.report("no-ancillary", tmp_path)
+    assert status == commands.EXIT_WRONG
+    assert statuses(record) == {**dict.fromkeys((*GOOD, *BAD), "passed"), "valid-extended": "failed"}
+    (failed,) = [v for v in record["vectors"] if v["status"] == "failed"]
+    assert "302" in failed["text"]
+    # The bytes at which the decoder says the fault is.
+    assert any("  header.directory[" in line for line in failed["hex"])
+
+
+@pytest.mark.parametrize(("mode", "grades"), [("other-code", {1: 0, 2: 0, 3: 1}), ("always-exit-1", {1: 0, 2: 1, 3: 1})])
+def test_grades(suite: Suite, mode: str, grades: dict[int, int]) -> None:
+    for grade, status in grades.items():
+        assert suite.run(mode, "--grade", str(grade)) == status
+
+
+def _shrunk(suite: Suite, folder: Path, seconds: int, memory: int) -> Suite:
+    """The suite's first vector alone, with another budget."""
+    shutil.copytree(suite.folder, folder)
+    manifest = json.loads((folder / MANIFEST).read_text())
+    manifest["vectors"] = [{**manifest["vectors"][0], "budget": {"seconds": seconds, "bytes": memory}}]
+    (folder / MANIFEST).write_text(json.dumps(manifest))
+    return Suite(folder, suite.answers)
+
+
+@pytest.mark.parametrize("mode", ["hang", "hang-in-child", "spins"])
+def test_time_is_bounded(suite: Suite, tmp_path: Path, mode: str) -> None:
+    small = _shrunk(suite, tmp_path / "suite", 1, 256 << 20)
+    began = time.monotonic()
+    # One that waits is given ten times its budget.
+    status, record = small.report(mode, tmp_path, "--slow", "1" if mode == "spins" else "0.1")
+    assert status == commands.EXIT_WRONG
+    (vector,) = record["vectors"]
+    assert (vector["status"], vector["text"]) == ("crashed", "crash: took too long")
+    assert 1 <= vector["seconds"] <= time.monotonic() - began < 60
+    # --slow gives a slow machine more time.
+    assert small.run("right", "--slow", "30") == commands.EXIT_RIGHT
+
+
+@pytest.mark.parametrize("mode", ["memory", "memory-in-child"])
+def test_memory_is_bounded(suite: Suite, tmp_path: Path, mode: str) -> None:
+    status, record = _shrunk(suite, tmp_path / "suite", 30, 64 << 20).report(mode, tmp_path)
+    assert status == commands.EXIT_WRONG
+    assert record["vectors"][0]["text"] == "crash: took too much memory"
+
+
+def test_stderr_is_bounded(suite: Suite, tmp_path: Path) -> None:
+    status, record = _shrunk(suite, tmp_path / "suite", 30, 256 << 20).report("floods-stderr", tmp_path)
+    assert (status, record["vectors"][0]["status"]) == (commands.EXIT_WRONG, "crashed")
+    assert len(record["vectors"][0]["stderr"]) < 5000
+
+
+def test_children_do_not_outlive_the_decoder(tmp_path: Path) -> None:
+    mark = tmp_path / "mark"
+    command = ["/bin/sh", "-c", f"(sleep 0.5; touch {mark}) & exit 0"]
+    process.run(command, tmp_path / "stderr", 10, 1 << 30, threading.Event())
+    time.sleep(1)
+    assert not mark.exists()
+
+
+def test_what_diverges(suite: Suite, tmp_path: Path) -> None:
+    _, record = suite.report("last-bit", tmp_path)
+    vector = record["vectors"][0]
+    # The last value of the reconstruction is the colour network's last bias.
+    assert vector["divergence"] == [line for line in vector["divergence"] if line.startswith("weights: colour, layer 1, bias ")]
+    assert len(vector["divergence"]) == 1
+    assert "1 of" in vector["divergence"][0]
+    lines = {mode: suite.report(mode, tmp_path)[1]["vectors"][0]["divergence"] for mode in ("first-bit", "short", "long", "accepts")}
+    assert lines["first-bit"][0].startswith("head: the eight bytes is 42 33")
+    assert "weights: the part is" in lines["short"][0]
+    assert lines["long"][0].startswith("end: the output is")
+    assert lines["accepts"][0].startswith("head: the part is 8 bytes, 28 bytes expected")
+
+
+def test_traces(suite: Suite, tmp_path: Path) -> None:
+    assert suite.run("right", "--trace", trace=True) == commands.EXIT_RIGHT
+    # Without --trace a trace explains and does not decide.
+    assert suite.run("wrong-trace", trace=True) == commands.EXIT_RIGHT
+    status, record = suite.report("wrong-trace", tmp_path, "--trace", trace=True)
+    assert status == commands.EXIT_WRONG
+    vector = record["vectors"][0]
+    assert vector["divergence"][0].startswith("trace: planes.r1[0,0,0] (laplace, mean ")
+    assert any("planes.r1.symbol_crc" in line for line in vector["hex"])
+    status, record = suite.report("no-trace", tmp_path, "--trace", trace=True)
+    assert [v["status"] for v in record["vectors"][:2]] == ["failed", "failed"]
+    assert suite.run("right", "--trace") == commands.EXIT_USAGE
+
+
+def test_known_failures(suite: Suite, tmp_path: Path) -> None:
+    known = tmp_path / "known"
+    known.write_text("# those two\nvalid-plain   # a comment\n\nvalid-extended\n")
+    status, record = suite.report("last-bit", tmp_path, "--known-failures", str(known))
+    assert status == commands.EXIT_RIGHT
+    assert record["verdict"]["counts"]["known"] == 2
+    assert not record["verdict"]["conforms"]
+    status, record = suite.report("no-ancillary", tmp_path, "--known-failures", str(known))
+    assert status == commands.EXIT_WRONG
+    assert statuses(record)["valid-plain"] == "unexpected"
+    assert statuses(record)["valid-extended"] == "known"
+    known.write_text("valid-plian\n")
+    assert suite.run("right", "--known-failures", str(known)) == commands.EXIT_USAGE
+
+
+def test_a_damaged_suite(suite: Suite, tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
+    def damaged(name: str, change: Callable[[Path], object]) -> int:
+        folder = tmp_path / name
+        shutil.copytree(suite.folder, folder)
+        change(folder)
+        return Suite(folder, suite.answers).run("right", "--select", "valid-plain")
+
+    plain = Path("valid") / "plain.c3gs"
+    assert damaged("same", lambda folder: None) == commands.EXIT_RIGHT
+    assert damaged("byte", lambda folder: (folder / plain).write_bytes(b"other")) == commands.EXIT_SUITE
+    assert "valid/plain.c3gs" in capfd.readouterr().err
+    assert damaged("missing", lambda folder: (folder / plain).unlink()) == commands.EXIT_SUITE
+    assert damaged("manifest", lambda folder: (folder / MANIFEST).write_text("{}")) == commands.EXIT_SUITE
+    assert damaged("none", lambda folder: (folder / MANIFEST).unlink()) == commands.EXIT_SUITE
+
+
+def test_a_decoder_that_changes_the_suite(suite: Suite, tmp_path: Path) -> None:
+    shutil.copytree(suite.folder, tmp_path / "suite")
+    assert Suite(tmp_path / "suite", suite.answers).run("changes-vectors") == commands.EXIT_SUITE
+
+
+def test_nothing_selected_is_a_failure(suite: Suite) -> None:
+    assert suite.run("right", "--select", "class:none-such") == commands.EXIT_NOTHING
+    assert suite.run("right", "--select", "clas:valid") == commands.EXIT_USAGE
+
+
+@pytest.mark.parametrize(
+    ("expressions", "expected"),
+    [
+        (["class:valid"], GOOD),
+        (["*-plain"], ("valid-plain",)),
+        (["class:valid,malformed !id:*plain"], ("valid-extended", "malformed-crc")),
+        (["code:1*,205"], ("malformed-crc", "unsupported-profile")),
+        (["profile:none", "class:resource"], ("malformed-crc", "resource-anchors")),
+        (["profile:tiny level:0 !class:valid"], ("invalid-up-axis", "unsupported-profile", "resource-anchors")),
+        (["feature:head* requirement:R6.2-? !flag:*"], (*GOOD, *BAD)),
+    ],
+)
+def test_selection(suite: Suite, tmp_path: Path, expressions: list[str], expected: tuple[str, ...]) -> None:
+    options = [word for expression in expressions for word in ("--select", expression)]
+    status, record = suite.report("right", tmp_path, *options)
+    assert status == commands.EXIT_RIGHT
+    assert tuple(statuses(record)) == expected
+    assert record["verdict"]["not_run"] == 6 - len(expected)
+    assert record["profiles"][0]["verdict"] == ("conforms" if len(expected) == 6 else "incomplete")
+
+
+def test_usage(suite: Suite) -> None:
+    def run(*words: str) -> int:
+        return cli.main(["run", "--vectors", str(suite.folder), *words])
+
+    assert run("--", "no-such-program", "{input}", "{output}") == commands.EXIT_USAGE
+    assert run("--", "true", "{input}") == commands.EXIT_USAGE
+    assert run("--gaussians", "true {input} {output}", "--", "true", "{input}", "{output}") == commands.EXIT_USAGE
+    assert run("--describe", "no-such-file", "--", "true", "{input}", "{output}") == commands.EXIT_USAGE
+    with pytest.raises(SystemExit):
+        run("--jobs", "0", "--", "true", "{input}", "{output}")
+
+
+def test_description(suite: Suite, tmp_path: Path) -> None:
+    about = tmp_path / "about.json"
+    about.write_text('{"name": "mydecoder", "version": "1.2", "language": "C++"}')
+    _, record = suite.report("right", tmp_path, "--describe", str(about))
+    assert record["decoder"]["description"] == {"name": "mydecoder", "version": "1.2", "language": "C++"}
+    for text in ('{"name": "mydecoder"}', '{"name": "a", "version": "1", "colour": "red"}', "nothing"):
+        about.write_text(text)
+        assert suite.run("right", "--describe", str(about)) == commands.EXIT_USAGE
+
+
+# A server of the suite's files by mode: the right answers, with one fault.
+SERVER = """
+import hashlib, json, os, sys, time
+mode, answers = sys.argv[1], json.load(open(sys.argv[2]))
+for line in sys.stdin:
+    q = json.loads(line)
+    a = answers[hashlib.sha256(open(q["input"], "rb").read()).hexdigest()]
+    if a["exit"]:
+        said = {"status": a["exit"], "stderr": json.dumps({"code": a["code"], "offset": a["offset"]})}
+    else:
+        open(q["output"], "wb").write(open(a["output"], "rb").read())
+        said = {"status": 0}
+        if mode == "dies": os.abort()
+        if mode == "sleeps": time.sleep(600)
+        if mode == "leaves": sys.exit(0)
+        if mode == "eats": held = [bytes(8 << 20) + b"x" for _ in range(100)]
+        if mode == "signal": said = {"signal": 11}
+        if mode == "both": said = {"signal": 11, "status": 0}
+        if mode == "text": said = {"status": "0"}
+        if mode == "nothing": os.unlink(q["output"])
+    text = json.dumps(said)
+    if not a["exit"]:
+        if mode == "garbage": text = "accepted"
+        if mode == "list": text = "[0]"
+        if mode == "endless": text = " " * (1 << 22) + text
+        if mode == "wrong": open(q["output"], "ab").write(b"x")
+    print(text, flush=True)
+"""
+
+
+@pytest.mark.parametrize(
+    ("mode", "text"),
+    [
+        ("right", ""),
+        ("dies", "crash: ended by SIGABRT"),
+        ("sleeps", "crash: took too long"),
+        ("leaves", "crash: gave an answer that cannot be read"),
+        ("eats", "crash: took too much memory"),
+        ("signal", "crash: ended by SIGSEGV"),
+        ("nothing", "crash: exit status 0 without an output file"),
+        ("wrong", "the output is not the canonical reconstruction"),
+        *((mode, "crash: gave an answer that cannot be read") for mode in ("both", "text", "garbage", "list", "endless")),
+    ],
+)
+def test_a_decoder_that_serves(suite: Suite, tmp_path: Path, mode: str, text: str) -> None:
+    """One that does not survive a file is started again for the next."""
+    script = tmp_path / "server.py"
+    script.write_text(SERVER)
+    command = [sys.executable, "-S", "-E", str(script), mode, str(suite.answers)]
+    slow = "0.1" if mode == "sleeps" else "20"
+    options = ["--vectors", str(suite.folder), "--jobs", "2", "--slow", slow, "--report", str(tmp_path), "--serve"]
+    assert cli.main(["run", *options, "--", *command]) == (commands.EXIT_WRONG if text else commands.EXIT_RIGHT)
+    record = json.loads((tmp_path / "report.json").read_text())
+    assert {v["id"]: v["text"] for v in record["vectors"]} == dict.fromkeys(GOOD, text) | dict.fromkeys(BAD, "")
+
+
+@pytest.mark.parametrize("name", ["refcodec", "independent"])
+def test_the_decoders_serve(suite: Suite, name: str) -> None:
+    options = ["--vectors", str(suite.folder), "--jobs", "1", "--slow", "20", "--serve"]
+    assert cli.main(["run", *options, "--trace", "--", sys.executable, "-m", "conformance.serve", name]) == commands.EXIT_RIGHT
+
+
+# --- reports ----------------------------------------------------------------------------------------------------------
+
+
+def test_junit(suite: Suite, tmp_path: Path) -> None:
+    suite.report("no-ancillary", tmp_path)
+    root = ElementTree.parse(tmp_path / "report.xml").getroot()
+    assert [(s.get("name"), s.get("tests"), s.get("failures"), s.get("errors")) for s in root] == [
+        ("valid", "2", "1", "0"), ("malformed", "1", "0", "0"), ("invalid", "1", "0", "0"), ("unsupported", "1", "0", "0"),
+        ("resource", "1", "0", "0"),
+    ]  # fmt: skip
+    suite.report("segfault", tmp_path)
+    root = ElementTree.parse(tmp_path / "report.xml").getroot()
+    assert sum(int(s.get("errors", 0)) for s in root) == 6
+    assert [e.get("message") for e in root.iter("error")] == ["crash: ended by SIGSEGV"] * 6
+
+
+def test_the_page(suite: Suite, tmp_path: Path) -> None:
+    suite.report("last-bit", tmp_path)
+    page = (tmp_path / "report.html").read_text()
+    assert "colour, layer 1, bias" in page
+    # What failed comes first, and nothing is loaded from anywhere.
+    assert page.index('data-status="failed"') < page.index('data-status="passed"')
+    assert not any(word in page for word in ("http:", "https:", "src=", "<link", "@import", "url("))
+
+
+def test_text_of_a_decoder_is_shown_as_text(suite: Suite, tmp_path: Path) -> None:
+    about = tmp_path / "about.json"
+    about.write_text(json.dumps({"name": "<script>alert(1)</script>", "version": "\x01\x1b[31m & <b>"}))
+    suite.report("raises", tmp_path, "--describe", str(about))
+    assert "<script>alert" not in (tmp_path / "report.html").read_text()
+    ElementTree.parse(tmp_path / "report.xml")
+
+
+def test_the_record_has_a_strict_schema(suite: Suite, tmp_path: Path) -> None:
+    from conformance.report.record import SCHEMA as RECORD  # noqa: PLC0415
+
+    _, record = suite.report("no-ancillary", tmp_path)
+    schema = json.loads(RECORD.read_text())
+    jsonschema.Draft202012Validator.check_schema(schema)
+
+    def objects(value: Any) -> Iterator[dict[str, Any]]:
+        for inner in value.values() if isinstance(value, dict) else value if isinstance(value, list) else ():
+            yield from objects(inner)
+        if isinstance(value, dict) and value.get("type") == "object":
+            yield value
+
+    assert all("additionalProperties" in o for o in objects(schema))
+    for broken in ({**record, "more": 1}, {k: v for k, v in record.items() if k != "verdict"}):
+        with pytest.raises(jsonschema.ValidationError):
+            jsonschema.validate(broken, schema)
+
+
+def test_verify_report(suite: Suite, tmp_path: Path) -> None:
+    def verify(mode: str, change: Callable[[dict[str, Any]], object] = lambda record: None) -> int:
+        record = json.loads((tmp_path / "report.json").read_text())
+        change(record)
+        (tmp_path / "other.json").write_text(json.dumps(record))
+        return cli.main(["verify-report", "--vectors", str(suite.folder), str(tmp_path / "other.json"), "--", *suite.command(mode)])
+
+    suite.report("no-ancillary", tmp_path, "--select", "class:valid,malformed")
+    assert verify("no-ancillary") == commands.EXIT_RIGHT
+    assert verify("right") == commands.EXIT_WRONG
+    # A record that was embellished: its verdict, one of its vectors, or both.
+    better = {"conforms": True, "grade": 3}
+    assert verify("no-ancillary", lambda r: r["verdict"].update(better)) == commands.EXIT_WRONG
+    assert verify("no-ancillary", lambda r: r["vectors"][1].update(status="passed", grade=3)) == commands.EXIT_WRONG
+    assert verify("no-ancillary", lambda r: r["vectors"].pop()) == commands.EXIT_WRONG
+    assert verify("no-ancillary", lambda r: r["vectors"].append(r["vectors"][0])) == commands.EXIT_USAGE
+    assert verify("no-ancillary", lambda r: r.update(more=1)) == commands.EXIT_USAGE
+    assert verify("no-ancillary", lambda r: r["suite"].update(manifest_sha256="0" * 64)) == commands.EXIT_SUITE
+    assert verify("no-ancillary", lambda r: r["vectors"].clear()) == commands.EXIT_NOTHING
+
+
+def test_an_interrupted_run_leaves_a_report(suite: Suite, tmp_path: Path) -> None:
+    shutil.copytree(suite.folder, tmp_path / "suite")
+    manifest = json.loads((tmp_path / "suite" / MANIFEST).read_text())
+    # The one that hangs comes last.
+    manifest["vectors"][0]["budget"]["seconds"] = 5
+    (tmp_path / "suite" / MANIFEST).write_text(json.dumps(manifest))
+    script = tmp_path / "decoder.sh"
+    quick = " ".join(Suite(tmp_path / "suite", suite.answers).command("right")[:-2])
+    script.write_text(f'case "$1" in */valid/plain.c3gs) sleep 60;; *) {quick} "$1" "$2"; s=$?; touch {tmp_path}/one; exit $s;; esac\n')
+    command = [sys.executable, "-m", "conformance", "run", "--vectors", str(tmp_path / "suite"), "--jobs", "2", "--slow", "100"]
+    command += ["--report", str(tmp_path / "report"), "--", "sh", str(script), "{input}", "{output}"]
+    running = subprocess.Popen(command, cwd=HERE.parent, stdout=subprocess.PIPE, text=True, start_new_session=True)
+    end = time.monotonic() + 60
+    while not (tmp_path / "one").exists() and time.monotonic() < end:
+        time.sleep(0.05)
+    # Until the runner has seen its end.
+    time.sleep(1)
+    os.kill(running.pid, signal.SIGINT)
+    out, _ = running.communicate(timeout=20)
+    assert running.returncode == commands.EXIT_INTERRUPTED
+    record = json.loads((tmp_path / "report" / "report.json").read_text())
+    assert record["runner"]["interrupted"]
+    assert "valid-plain" not in statuses(record)
+    assert len(record["vectors"]) >= 1
+    assert not record["verdict"]["conforms"]
+    assert "interrupted" in out
+
+
+def test_peaks_are_not_the_runners_own(tmp_path: Path) -> None:
+    """The memory of whoever starts a process is not taken for its own."""
+    ballast = bytearray(os.urandom(1 << 20)) * 300
+    ended = process.run(["true"], tmp_path / "stderr", 10, 100 << 20, threading.Event())
+    assert len(ballast) > 100 << 20
+    assert (ended.over, ended.peak) == (None, None)
+
+
+# --- other runners, other encoders ------------------------------------------------------------------------------------
+
+
+def test_fluster(suite: Suite, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The suite has the fields that Fluster reads, and the plug-in, with Fluster's own names beside it, gives its results."""
+    assert cli.main(["export", "--vectors", str(suite.folder), "--fluster", str(tmp_path)]) == 0
+    exported = json.loads((tmp_path / "test_suites" / "c3gs" / f"{fluster.SUITE}.json").read_text())
+    assert set(exported) == {"name", "codec", "description", "test_vectors"}
+    package = tmp_path / "fluster"
+    (package / "__init__.py").write_text("")
+    (package / "codec.py").write_text(
+        "import enum\nclass Codec(enum.Enum):\n    C3GS = 'C3GS'\nclass OutputFormat(enum.Enum):\n    NONE = 'None'\n"
+    )
+    (package / "decoder.py").write_text("FOUND = []\nclass Decoder: pass\ndef register_decoder(c):\n    FOUND.append(c())\n    return c\n")
+    (package / "utils.py").write_text(
+        "import hashlib, subprocess\n"
+        "def run_command(command, timeout, verbose): subprocess.run(command, timeout=timeout, check=True)\n"
+        "def file_checksum(path): return hashlib.md5(open(path, 'rb').read()).hexdigest()\n"
+    )
+    monkeypatch.setenv("C3GS_DECODER", " ".join(suite.command("right")))
+    script = (
+        "import sys, json; from fluster.decoders import c3gs; from fluster.decoder import FOUND\n"
+        "suite = json.load(open(sys.argv[1]))\n"
+        "for v in suite['test_vectors']:\n"
+        "    path = '/'.join(['resources', suite['name'], v['name'], v['input_file']])\n"
+        "    assert FOUND[0].decode(path, 'out', v['output_format'], 10, False, False) == v['result'], v\n"
+        "print(len(suite['test_vectors']))\n"
+    )
+    done = subprocess.run(
+        [sys.executable, "-c", script, f"test_suites/c3gs/{fluster.SUITE}.json"], cwd=tmp_path, capture_output=True, text=True, check=True
+    )
+    assert done.stdout == "2\n"
+
+
+def test_check_encoder(suite: Suite, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> None:
+    good, bad = [str(suite.folder / "valid" / f"{n}.c3gs") for n in ("plain", "extended")], str(suite.folder / "invalid" / "up-axis.c3gs")
+    assert cli.main(["check-encoder", *good]) == commands.EXIT_RIGHT
+    assert cli.main(["check-encoder", *good, bad]) == commands.EXIT_WRONG
+    assert "214 header.render_info" in capsys.readouterr().out
+    assert cli.main(["check-encoder", str(tmp_path / "none")]) == commands.EXIT_USAGE
+    emit = codec.emit
+    monkeypatch.setattr(codec, "emit", lambda scene: emit(scene)[:-1])
+    assert cli.main(["check-encoder", good[0]]) == commands.EXIT_WRONG
+    assert "not canonical" in capsys.readouterr().out
+
+
+def test_hashes_are_of_each_file(suite: Suite) -> None:
+    manifest = load(suite.folder / MANIFEST)
+    assert runner.wrong_hashes(manifest) == []
+    moved = replace(manifest, folder=suite.folder / "valid")
+    assert len(runner.wrong_hashes(moved)) == 6
