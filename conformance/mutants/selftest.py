@@ -1,0 +1,239 @@
+"""The suite tested: do its vectors catch every planted bug, and does the grader catch every wrong decoder?"""
+
+from __future__ import annotations
+
+import json
+import multiprocessing
+import signal
+import sys
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass, replace
+from functools import partial
+from multiprocessing.pool import Pool
+from pathlib import Path
+
+from tqdm import tqdm
+
+from conformance.manifest import Accepted, Manifest, Rejected, load
+
+from . import handwritten, operators, record
+from .equivalent import PROOFS
+from .mutant import Mutant
+from .record import Caught
+from .trial import Case, Grade, Outcome, grade, outcomes, work
+
+
+class SelfTestError(Exception):
+    """The self-test says nothing: there are no vectors, the unchanged decoder fails, or the grader is wrong."""
+
+
+def mutants() -> list[Mutant]:
+    """All planted bugs, those by hand first."""
+    return [*handwritten.bugs(), *operators.sample()]
+
+
+def cases(manifest: Manifest) -> list[Case]:
+    """The vectors that a decoder is judged by, without those of cameras."""
+    found = []
+    for vector in manifest.vectors:
+        if vector.operation == "decode":
+            expected = vector.expectation
+            digest = expected.digest if isinstance(expected, Accepted) else None
+            error = (expected.code, expected.offset) if isinstance(expected, Rejected) else None
+            found.append(Case(vector.id, manifest.path(vector).read_bytes(), digest, error, vector.budget.seconds, vector.budget.bytes))
+    if not found:
+        raise SelfTestError("there is no vector to test with")
+    return found
+
+
+# --- the grader tested ------------------------------------------------------------------------------------------------
+
+_PACKAGE = """from . import tables
+from .errors import C3GSError
+def decode(data):
+    {}
+def digest(scene):
+    return "{:064}"
+"""
+
+
+def fakes() -> list[Mutant]:
+    """Decoders that are none, and that no vector may let pass."""
+    bodies = {
+        "raises": "raise ValueError",
+        "exits": "raise SystemExit(1)",
+        "ends": "import os; os._exit(1)",
+        "kills-itself": "import os; os.kill(os.getpid(), 9)",
+        "hangs": "while True: pass",
+        "takes-all-memory": "return bytearray(1 << 40)",
+        "accepts-everything": "return data",
+        "refuses-everything": 'raise C3GSError("section.crc", 1)',
+        "refuses-without-code": 'raise C3GSError("no.such", 0)',
+        "does-not-load": "return (",
+    }
+    return [Mutant(name, "__init__", 1, "", body, "no decoder", _PACKAGE.format(body, 0)) for name, body in bodies.items()]
+
+
+def demanded(case: Case) -> Outcome:
+    """The outcome that a vector demands."""
+    if case.error is None:
+        return Outcome("accepted", digest=case.digest or "")
+    return Outcome("rejected", code=case.error[0], offset=case.error[1])
+
+
+def near_misses(case: Case) -> list[Outcome]:
+    """Outcomes that are nearly what a vector demands, and wrong."""
+    right = demanded(case)
+    # A decoder that says the right thing and then crashes, or never ends, has not said it.
+    wrong = [replace(right, kind="crash"), replace(right, kind="hang"), Outcome("accepted"), Outcome("accepted", digest="0" * 64)]
+    code, offset = case.error or (307, 0)
+    return [*wrong, Outcome("rejected", code=code + 1, offset=offset), Outcome("rejected", code=code, offset=offset + 1)]
+
+
+def check_grader(all_cases: Sequence[Case], judge: Grade) -> None:
+    """SelfTestError if the grader lets a wrong outcome pass, or no right one."""
+    for case in all_cases:
+        if judge(case, demanded(case)):
+            raise SelfTestError(f"the grader refuses what {case.id} demands")
+        for outcome in near_misses(case):
+            if not judge(case, outcome):
+                raise SelfTestError(f"the grader takes {outcome} for what {case.id} demands")
+
+
+# --- processes --------------------------------------------------------------------------------------------------------
+
+_cases: dict[str, Case] = {}
+
+
+def _start(all_cases: Sequence[Case]) -> None:
+    # Ctrl-C is for the parent.
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    _cases.update((case.id, case) for case in all_cases)
+
+
+def _try(task: tuple[Mutant | None, list[str]], stop: Grade | None) -> list[Outcome]:
+    mutant, names = task
+    return outcomes(mutant, [_cases[name] for name in names], stop)
+
+
+def _work(name: str) -> int:
+    return work(_cases[name].data)
+
+
+class Tester:
+    """Decoders tried on vectors, by processes of one thread each, which may be forked."""
+
+    def __init__(self, pool: Pool, all_cases: Sequence[Case], judge: Grade) -> None:
+        self._pool = pool
+        self._judge = judge
+        self._by_name = {case.id: case for case in all_cases}
+
+    def tries(self, tasks: Sequence[tuple[Mutant | None, list[str]]], what: str, first_only: bool) -> Iterator[list[tuple[str, str]]]:
+        """For each task, a decoder and vectors, the vectors that catch it and what was wrong; if first_only, the first of them alone."""
+        # The judge is always asked here too: one of a test's own may not be known to the processes.
+        found = self._pool.imap(partial(_try, stop=grade if first_only else None), tasks)
+        bar: Iterable[list[Outcome]] = tqdm(found, total=len(tasks), desc=what, unit="", file=sys.stderr, leave=False)
+        for (_, names), made in zip(tasks, bar, strict=True):
+            judged = [(name, self._judge(self._by_name[name], outcome)) for name, outcome in zip(names, made, strict=False)]
+            yield [(name, wrong) for name, wrong in judged if wrong]
+
+    def check_decoder(self) -> None:
+        """SelfTestError if the second decoder itself fails a vector."""
+        tasks = [(None, [name]) for name in self._by_name]
+        for wrong in self.tries(tasks, "the unchanged decoder", False):
+            for name, text in wrong:
+                raise SelfTestError(f"the second decoder, unchanged, fails {name}: {text}")
+
+    def check_fakes(self) -> None:
+        """SelfTestError if a decoder that is none passes the first vector that accepts, or the first that refuses."""
+        first = [next((c.id for c in self._by_name.values() if (c.error is None) == accepts), None) for accepts in (True, False)]
+        names = [name for name in first if name]
+        made = fakes()
+        for fake, wrong in zip(made, self.tries([(fake, names) for fake in made], "decoders that are none", False), strict=True):
+            if len(wrong) != len(names):
+                raise SelfTestError(f"a decoder that {fake.id} passes one of {names}")
+
+    def by_cost(self) -> list[str]:
+        """The vectors from the cheapest to the dearest, counted in calls of the unchanged decoder: the same on every machine."""
+        names = list(self._by_name)
+        costs = tqdm(self._pool.imap(_work, names), total=len(names), desc="the vectors' costs", unit="", file=sys.stderr, leave=False)
+        return [name for _, name in sorted(zip(costs, names, strict=True))]
+
+
+@contextmanager
+def tester(all_cases: Sequence[Case], jobs: int, judge: Grade = grade) -> Iterator[Tester]:
+    """A tester whose grader, decoder and treatment of crashes have been checked; SelfTestError if one is wrong."""
+    check_grader(all_cases, judge)
+    with multiprocessing.get_context("spawn").Pool(jobs, _start, (all_cases,)) as pool:
+        made = Tester(pool, all_cases, judge)
+        short = Tester(pool, all_cases, judge)
+        short.check_fakes()
+        made.check_decoder()
+        yield made
+
+
+# --- the score --------------------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class Score:
+    """caught: bug -> (first vector, what was wrong); survivors: bugs that no vector catches; refuted: proved to be none, and caught."""
+
+    caught: Caught
+    survivors: list[Mutant]
+    refuted: list[str]
+
+    @property
+    def right(self) -> bool:
+        """Whether the suite catches all, and no proof is wrong."""
+        return not self.survivors and not self.refuted
+
+
+def score(made: Sequence[Mutant], catchers: Mapping[str, Sequence[tuple[str, str]]]) -> Score:
+    """The score; catchers: for each bug the vectors that catch it, in order."""
+    caught = {m.id: catchers[m.id][0] for m in made if catchers[m.id]}
+    survivors = [m for m in made if m.id not in caught and m.id not in PROOFS]
+    return Score(caught, survivors, [m.id for m in made if m.id in caught and m.id in PROOFS])
+
+
+def show(result: Score, made: Sequence[Mutant]) -> None:
+    """Prints the score and what is wrong."""
+    bugs = [m for m in made if m.id not in PROOFS]
+    for m in result.survivors:
+        print(f"survivor: {m.id}, {m.module}.py:{m.line}: {m.what}\n  {m.old!r}\n  {m.new!r}")
+    for name in result.refuted:
+        print(f"no equivalent: {name} is caught by {result.caught[name][0]}: {result.caught[name][1]}")
+    hand = sum(bool(m.requirements) for m in bugs)
+    share = 100 * (len(bugs) - len(result.survivors)) / len(bugs)
+    print(f"{len(bugs)} planted bugs, {hand} by hand and {len(bugs) - hand} by operators: {len(bugs) - len(result.survivors)} caught, {share:.1f} %")
+
+
+def run(manifest: Path, jobs: int, recorded: bool, matrix: Path | None, write: bool) -> int:
+    """Tries every planted bug on the vectors until one catches it, or only on the one recorded, or, with `matrix`, on all of them, and writes
+    to that file which catch it. Prints the score; `write` renews the record. Returns 0 if all are caught, else 1.
+    """
+    made = mutants()
+    try:
+        all_cases = cases(load(manifest))
+        with tester(all_cases, jobs) as test:
+            if recorded:
+                known = record.read()
+                made = [m for m in made if m.id in known]
+                order = {m.id: [known[m.id][0]] for m in made}
+            else:
+                names = test.by_cost()
+                order = {m.id: names for m in made}
+            tasks = [(m, order[m.id]) for m in made]
+            found = test.tries(tasks, "planted bugs", matrix is None)
+            catchers = {m.id: wrong for m, wrong in zip(made, found, strict=True)}
+    except SelfTestError as error:
+        print(error, file=sys.stderr)
+        return 1
+    result = score(made, catchers)
+    if matrix:
+        matrix.write_text(json.dumps({name: dict(wrong) for name, wrong in catchers.items()}, indent=1) + "\n", encoding="utf-8")
+    if write:
+        record.write(made, result.caught)
+    show(result, made)
+    return 0 if result.right else 1
