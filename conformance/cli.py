@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 import os
 from pathlib import Path
+from typing import Any
 
 EXIT_INTERRUPTED = 130
 
@@ -14,6 +15,21 @@ def _fuzz(arguments: argparse.Namespace) -> int:
     from .fuzz import run  # noqa: PLC0415
 
     return run(arguments.count, arguments.seed, arguments.jobs, arguments.state, arguments.keep)
+
+
+def _generate(arguments: argparse.Namespace) -> int:
+    from .generate import recipes  # noqa: PLC0415
+    from .generate.suite import generate  # noqa: PLC0415
+
+    count, size = generate(arguments.output, recipes())
+    print(f"{arguments.output}: {count} vectors, {size} bytes")
+    return 0
+
+
+def _add_generate(commands: Any) -> None:
+    generate = commands.add_parser("generate", help="make all vectors and the manifest anew, the same bytes each time")
+    generate.add_argument("-o", "--output", type=Path, default=Path("vectors"), metavar="DIR", help="where (default: vectors)")
+    generate.set_defaults(run=_generate)
 
 
 def _parser() -> argparse.ArgumentParser:
@@ -26,6 +42,7 @@ def _parser() -> argparse.ArgumentParser:
     fuzz.add_argument("--state", type=Path, default=Path("out/fuzz.json"), help="where batches done are noted; a run goes on from there")
     fuzz.add_argument("--keep", type=Path, default=Path("out/fuzz"), help="folder for files on which the decoders disagree")
     fuzz.set_defaults(run=_fuzz)
+    _add_generate(commands)
     return parser
 
 

@@ -3,7 +3,6 @@ that makes files with it from valid ones, and says the offset."""
 
 from __future__ import annotations
 
-import copy
 import struct
 import zlib
 from collections.abc import Callable
@@ -22,8 +21,8 @@ from refcodec.positions import CELL_INDEX, HALVES, PACKED, POSITION_MODELS, RAW,
 from refcodec.quantise import exact_networks, pack_positions, quantise_rendering, weight_scales
 from refcodec.scene import Dimensions, Lanes
 
+from .files import Target, grid_layers, lanes_of, position_parts, repair, resized, with_positions, with_stream
 from .scenes import MAIN_DIMENSIONS, random_scene, with_steps
-from .strategies import layout, repair, resized, substreams
 
 NAN, INFINITY = struct.pack("<f", float("nan")), struct.pack("<f", float("inf"))
 HUGE = struct.pack("<I", 0xFFFFFFFF)
@@ -41,52 +40,6 @@ class Fault:
     def kind(self) -> ErrorKind:
         """The row of the registry: code and clause."""
         return REGISTRY[self.name]
-
-
-class Target:
-    """A valid file, and where its elements are."""
-
-    def __init__(self, data: bytes) -> None:
-        self.data = data
-        self.header = container.parse_container(data)
-        self.sections = self.header.sections
-        self.fields, self.header_end = layout(data)
-        self.substreams = substreams(data)
-        d = self.header.dimensions
-        self.table = self.sections[container.CHUNK_TABLE].start
-        self.position_mode = self.sections[container.POSITIONS].mode
-        self.position_model = self.table + d.offset_count * (d.offset_count + 1)
-        self.entries = self.table + container.entries_start(d.offset_count, self.position_mode)
-        self.elements = {e.path: e.start for e in syntax.parse_elements("Header", data, PROLOGUE_BYTES, "")}
-        frame = self.sections[container.FRAME].start
-        self.elements |= {e.path: e.start for e in syntax.parse_elements("Frame", data, frame, "frame")}
-
-    def at(self, path: str) -> int:
-        """Offset of an element of the header, or of the frame if the path begins so."""
-        return self.elements[path]
-
-    def start(self, kind: int) -> int:
-        """Offset of a section."""
-        return self.sections[kind].start
-
-    def content(self, kind: int) -> bytes:
-        """Bytes of a section."""
-        return self.data[self.sections[kind].start : self.sections[kind].end]
-
-    def put(self, at: int, value: bytes) -> bytes:
-        """The file with some bytes changed, checksums as they were."""
-        return self.data[:at] + value + self.data[at + len(value) :]
-
-    def with_header(self, change: Callable[[Any], None]) -> bytes:
-        """The file with its header's fields changed, header_length and the sections' places made right."""
-        fields = copy.deepcopy(self.fields)
-        change(fields)
-        end = PROLOGUE_BYTES + len(syntax.build("Header", fields))
-        for entry in fields.directory:
-            entry.offset += end - self.header_end
-        head = syntax.build("Prologue", {"signature": container.SIGNATURE, "version": 0, "header_length": 0, "prologue_crc": 0})
-        head = head[:12] + (end - PROLOGUE_BYTES).to_bytes(4, "little") + head[16:]
-        return repair(head + syntax.build("Header", fields) + self.data[self.header_end :])
 
 
 # The dimensions of files for faults that need a scene of their own.
@@ -401,27 +354,19 @@ def _grids_target(seed: int) -> Target:
     return Target(codec.emit(with_steps(replace(scene, networks=networks, weight_scales=weight_scales(networks)))))
 
 
-def _grid_layers(t: Target) -> dict[str, int]:
-    """Where each layer's model is, the raw one's first."""
-    start = t.start(container.WEIGHTS)
-    return weights.parse_weights(
-        t.data, start, t.sections[container.WEIGHTS].end, 1, t.header.dimensions, 1 << t.header.lanes.attribute
-    ).starts
-
-
 @_fault("weights.length")
 def _(draw: st.DrawFn, _: Target) -> tuple[bytes, int]:
     """A section that ends within its table, its models or the raw layer's values."""
     t = _grids_target(draw(st.integers(0, 5)))
     start = t.start(container.WEIGHTS)
-    length = list(_grid_layers(t).values())[-1] + 5 - start
+    length = list(grid_layers(t).values())[-1] + 5 - start
     return resized(t.data, container.WEIGHTS, t.content(container.WEIGHTS)[: draw(st.integers(0, length))]), start
 
 
 @_fault("weights.layer")
 def _(draw: st.DrawFn, _: Target) -> tuple[bytes, int]:
     t = _grids_target(draw(st.integers(0, 5)))
-    starts = list(_grid_layers(t).values())
+    starts = list(grid_layers(t).values())
     kind = draw(st.sampled_from(["form", "exponent", "raw", "scale"]))
     at = starts[0] if kind in ("raw", "scale") else draw(st.sampled_from(starts))
     if kind == "form":
@@ -445,7 +390,7 @@ def _with_grids(t: Target, change: Callable[[list[Any]], Any]) -> tuple[bytes, i
     encoder = Encoder(1, 1 << scene.lanes.attribute)
     shapes = weights.layers_of(scene.dimensions)
     weights.code_grids(encoder, [shapes[i] for i in packed], scales[packed], [grids[i] for i in packed])
-    starts = list(_grid_layers(t).values())
+    starts = list(grid_layers(t).values())
     start, stream_at = t.start(container.WEIGHTS), starts[-1] + 6
     models = bytearray(t.data[start:stream_at])
     models[starts[wrong] + 1 - start : starts[wrong] + 3 - start] = struct.pack("<h", grids[wrong].exponent)
@@ -480,7 +425,7 @@ def _(draw: st.DrawFn, _: Target) -> tuple[bytes, int]:
 def _(draw: st.DrawFn, _: Target) -> tuple[bytes, int]:
     """The raw layer without its -0."""
     t = _grids_target(draw(st.integers(0, 5)))
-    at = next(iter(_grid_layers(t).values()))
+    at = next(iter(grid_layers(t).values()))
     out, fan_in = t.header.dimensions.network_shapes()["hyper"][0]
     return repair(t.put(at + 6 + 4 * out * fan_in, bytes(4))), at
 
@@ -526,16 +471,6 @@ def _(draw: st.DrawFn, t: Target) -> tuple[bytes, int]:
     return repair(t.put(at, bytes([t.data[at] ^ draw(st.integers(1, 255))])), chunks=False), part
 
 
-def _position_parts(t: Target) -> list[tuple[int, int, int]]:
-    """(start, length, anchors) of each chunk's positions."""
-    found, at = [], t.start(container.POSITIONS)
-    for number, chunk in enumerate(t.header.chunks):
-        length = int.from_bytes(t.data[t.entries + 24 * number :][:4], "little")
-        found.append((at, length, len(chunk)))
-        at += length
-    return found
-
-
 @_fault("chunks.position_model")
 def _(draw: st.DrawFn, t: Target) -> tuple[bytes, int]:
     _need(t.position_mode)
@@ -556,30 +491,22 @@ def _(draw: st.DrawFn, t: Target) -> tuple[bytes, int]:
 def _position(draw: st.DrawFn, t: Target, bad: st.SearchStrategy[int]) -> tuple[bytes, int]:
     # In mode 1 a raw chunk's numbers are behind its form.
     skip = t.position_mode
-    parts = [part for part in _position_parts(t) if not skip or t.data[part[0]] == RAW]
+    parts = [part for part in position_parts(t) if not skip or t.data[part[0]] == RAW]
     _need(parts)
     start, _, anchors = draw(st.sampled_from(parts))
     at = start + skip + 2 * draw(st.integers(0, 3 * anchors - 1))
     return repair(t.put(at, draw(bad).to_bytes(2, "little"))), at
 
 
-def _with_positions(t: Target, number: int, content: bytes) -> bytes:
-    """The file with other bytes as one chunk's positions."""
-    start, length, _ = _position_parts(t)[number]
-    section = t.sections[container.POSITIONS]
-    whole = t.data[section.start : start] + content + t.data[start + length : section.end]
-    return resized(t.data, container.POSITIONS, whole, t.entries + 24 * number)
-
-
 @_fault("positions.form")
 def _(draw: st.DrawFn, t: Target) -> tuple[bytes, int]:
     _need(t.position_mode and t.header.chunks)
     number = draw(st.integers(0, len(t.header.chunks) - 1))
-    start, _, anchors = _position_parts(t)[number]
+    start, _, anchors = position_parts(t)[number]
     if draw(st.booleans()):
         return repair(t.put(start, bytes([draw(st.integers(2, 255))]))), start
     size = draw(st.integers(-(-anchors // 16), 6 * anchors + 9).filter(lambda n: n != 1 + 6 * anchors))
-    return _with_positions(t, number, bytes(size)), start
+    return with_positions(t, number, bytes(size)), start
 
 
 @cache
@@ -595,7 +522,7 @@ def _packed_target(seed: int) -> Target:
 def _(draw: st.DrawFn, _: Target) -> tuple[bytes, int]:
     t = _packed_target(draw(st.integers(0, 9)))
     positions = codec.parse(t.data).scene.positions
-    return _with_positions(t, 0, b"\0" + positions.astype("<f2").tobytes()), t.start(container.POSITIONS)
+    return with_positions(t, 0, b"\0" + positions.astype("<f2").tobytes()), t.start(container.POSITIONS)
 
 
 def _other_cells(t: Target, change: Callable[[Any], Any]) -> tuple[bytes, int]:
@@ -606,7 +533,7 @@ def _other_cells(t: Target, change: Callable[[Any], Any]) -> tuple[bytes, int]:
     code = change(chunk_codes(scene.positions, model.cell_shift))
     encoder = Encoder(1, 1 << scene.lanes.mask)
     code_cells(encoder, model.models(), [0], [len(code)], code)
-    return _with_positions(t, 0, bytes([PACKED]) + encoder.finish()[0]), t.start(container.POSITIONS)
+    return with_positions(t, 0, bytes([PACKED]) + encoder.finish()[0]), t.start(container.POSITIONS)
 
 
 @_fault("positions.count")
@@ -637,23 +564,9 @@ def _(draw: st.DrawFn, t: Target) -> tuple[bytes, int]:
 # --- substreams (SPEC 8) ----------------------------------------------------------------------------------------------
 
 
-def _lanes(t: Target, kind: int) -> int:
-    lanes = t.header.lanes
-    return 1 << {container.PLANES_SECTION: lanes.plane, container.POSITIONS: lanes.mask, container.MASKS: lanes.mask}.get(
-        kind, lanes.attribute
-    )
-
-
 def _stream(draw: st.DrawFn, t: Target) -> tuple[int, int, int, int]:
     """One substream: (section, start, length, where its length is stored)."""
     return draw(st.sampled_from(t.substreams))
-
-
-def _with_stream(t: Target, stream: tuple[int, int, int, int], content: bytes) -> bytes:
-    """The file with other bytes as one substream."""
-    kind, start, length, length_at = stream
-    section = t.sections[kind]
-    return resized(t.data, kind, t.data[section.start : start] + content + t.data[start + length : section.end], length_at)
 
 
 @_fault("substream.length")
@@ -661,15 +574,15 @@ def _(draw: st.DrawFn, t: Target) -> tuple[bytes, int]:
     stream = _stream(draw, t)
     kind, start, length, _ = stream
     if draw(st.booleans()):
-        return _with_stream(t, stream, t.data[start : start + draw(st.integers(0, 7 + 4 * _lanes(t, kind)))]), start
-    room = (length - 8 - 4 * _lanes(t, kind)) // 2
+        return with_stream(t, stream, t.data[start : start + draw(st.integers(0, 7 + 4 * lanes_of(t, kind)))]), start
+    room = (length - 8 - 4 * lanes_of(t, kind)) // 2
     return repair(t.put(start + 4, draw(st.sampled_from([room + 1, 1 << 31, 0xFFFFFFFF])).to_bytes(4, "little"))), start
 
 
 @_fault("substream.state")
 def _(draw: st.DrawFn, t: Target) -> tuple[bytes, int]:
     kind, start, _, _ = _stream(draw, t)
-    at = start + 8 + 4 * draw(st.integers(0, _lanes(t, kind) - 1))
+    at = start + 8 + 4 * draw(st.integers(0, lanes_of(t, kind) - 1))
     return repair(t.put(at, draw(st.integers(0, 0xFFFF)).to_bytes(4, "little"))), start
 
 
@@ -679,20 +592,20 @@ def _(draw: st.DrawFn, t: Target) -> tuple[bytes, int]:
     stream = _stream(draw, t)
     kind, start, length, _ = stream
     words = int.from_bytes(t.data[start + 4 : start + 8], "little")
-    end = 8 + 4 * _lanes(t, kind) + 2 * words
+    end = 8 + 4 * lanes_of(t, kind) + 2 * words
     more = draw(st.integers(1, 3))
     part = t.data[start : start + length]
     content = part[:4] + (words + more).to_bytes(4, "little") + part[8:end] + bytes(2 * more) + part[end:]
-    return _with_stream(t, stream, content), start
+    return with_stream(t, stream, content), start
 
 
 @_fault("substream.final_state")
 def _(draw: st.DrawFn, t: Target) -> tuple[bytes, int]:
     """A lane that no symbol uses, not at its final state."""
-    idle = [s for s in t.substreams if s[0] == container.MASKS and _lanes(t, container.MASKS) > min(t.header.chunk_size, 4096)]
+    idle = [s for s in t.substreams if s[0] == container.MASKS and lanes_of(t, container.MASKS) > min(t.header.chunk_size, 4096)]
     _need(idle)
     _, start, _, _ = draw(st.sampled_from(idle))
-    at = start + 8 + 4 * (_lanes(t, container.MASKS) - 1)
+    at = start + 8 + 4 * (lanes_of(t, container.MASKS) - 1)
     return repair(t.put(at, draw(st.integers(0x10001, 0xFFFFFFFF)).to_bytes(4, "little"))), start
 
 
@@ -733,7 +646,7 @@ def _(draw: st.DrawFn, _: Target) -> tuple[bytes, int]:
 def _(draw: st.DrawFn, t: Target) -> tuple[bytes, int]:
     stream = _stream(draw, t)
     _, start, length, _ = stream
-    return _with_stream(t, stream, t.data[start : start + length] + draw(st.binary(min_size=1, max_size=3))), start
+    return with_stream(t, stream, t.data[start : start + length] + draw(st.binary(min_size=1, max_size=3))), start
 
 
 @_fault("substream.raw_padding")

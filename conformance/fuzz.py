@@ -26,7 +26,8 @@ from refcodec import codec, reconstruction
 from refcodec.errors import BitstreamError
 
 from . import independent
-from .faults import FAULTS, Target, draw_fault
+from .faults import FAULTS, draw_fault
+from .files import Target
 from .strategies import draw_mutation, draw_splice, scenes
 
 # Budgets: seconds for one decoder and one file; bytes of address space of a worker, most of it libraries.

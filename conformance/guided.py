@@ -14,7 +14,7 @@ import atheris
 
 with atheris.instrument_imports(include=["refcodec", "conformance.independent"]):
     from conformance import fuzz
-    from conformance.strategies import repair
+    from conformance.files import repair
 
 
 def look(data: bytes) -> None:

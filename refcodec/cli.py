@@ -97,18 +97,16 @@ def _announced_length(head: bytes) -> int:
     return int(header.directory[-1].offset + header.directory[-1].length)
 
 
-def _check_output_file(path: Path) -> None:
-    """Before any work is done: that _write_file may write there."""
-    from .container import SIGNATURE
-
+def _check_output_file(path: Path, signature: bytes, kind: str) -> None:
+    """Before any work is done: that _write_file may write there; signature, kind: of the files that it may replace."""
     if path.is_dir():
         raise UsageError(f"{path} is a directory: give the name of a file")
     if not path.parent.is_dir():
         raise UsageError(f"there is no directory {path.parent}")
     if path.is_file() and path.stat().st_size:
         with path.open("rb") as file:
-            if file.read(len(SIGNATURE)) != SIGNATURE:
-                raise UsageError(f"{path} exists and is not a C3GS file: choose another name, or remove it")
+            if file.read(len(signature)) != signature:
+                raise UsageError(f"{path} exists and is not {kind}: choose another name, or remove it")
 
 
 def _write_file(path: Path, data: bytes) -> None:
@@ -188,11 +186,12 @@ def _parse(arguments: argparse.Namespace, data: bytes, keep_going: bool = False)
 
 def _encode(arguments: argparse.Namespace) -> int:
     from .codec import emit
+    from .container import SIGNATURE
     from .folder import read_folder
     from .quantise import packed
 
     output = Path(arguments.output)
-    _check_output_file(output)
+    _check_output_file(output, SIGNATURE, "a C3GS file")
     scene = read_folder(arguments.scene)
     try:
         with _progress(arguments.progress) as progress:
@@ -245,6 +244,40 @@ def _digest(arguments: argparse.Namespace) -> int:
             print(f"{name:<10} {value}")
     else:
         print(whole)
+    return 0
+
+
+def _reconstruct(arguments: argparse.Namespace) -> int:
+    from .inspection import symbol_trace
+    from .reconstruction import DIGEST_MAGIC, canonical_head, canonical_parts
+
+    output = Path(arguments.output)
+    _check_output_file(output, DIGEST_MAGIC, "a reconstruction")
+    data = _read_file(arguments.file)
+    if arguments.trace:
+        with open(arguments.trace, "w", encoding="utf-8", newline="\n") as file:
+            scene = symbol_trace(data, file.write).scene
+    else:
+        scene = _parse(arguments, data).scene
+    _write_file(output, b"".join([canonical_head(scene), *(part for _, part in canonical_parts(scene))]))
+    return 0
+
+
+def _gaussians(arguments: argparse.Namespace) -> int:
+    import json
+
+    from .reconstruction import reconstruct
+    from .rendering import gaussians, gaussians_document, read_camera
+
+    output = Path(arguments.output)
+    _check_output_file(output, b'{"gaussians":', "a list of Gaussians")
+    try:
+        camera = read_camera(Path(arguments.camera).read_text(encoding="utf-8"))
+    except ValueError as error:
+        raise UsageError(f"{arguments.camera} is no camera: {error}") from None
+    scene = _parse(arguments, _read_file(arguments.file)).scene
+    found = gaussians(reconstruct(scene), scene.masks, scene.networks, camera)
+    _write_file(output, json.dumps(gaussians_document(found), separators=(",", ":")).encode())
     return 0
 
 
@@ -633,6 +666,27 @@ def _parser() -> argparse.ArgumentParser:
     )
     digest.add_argument("file", metavar="FILE")
     digest.add_argument("--parts", action="store_true", help="one line for each part of the reconstruction, then the whole")
+    reconstruct = _add(
+        commands,
+        "reconstruct",
+        _reconstruct,
+        "write a file's canonical reconstruction (SPEC.md 9.3), the numbers that its digest is of",
+        ["reconstruct scene.c3gs scene.bin", "reconstruct scene.c3gs scene.bin --trace symbols.txt"],
+    )
+    reconstruct.add_argument("file", metavar="FILE")
+    reconstruct.add_argument("output", metavar="OUTPUT")
+    reconstruct.add_argument("--trace", metavar="TRACE", help="write every symbol to this file: a line with its path and its value")
+    gaussians = _add(
+        commands,
+        "gaussians",
+        _gaussians,
+        "write the Gaussians that a camera sees (SPEC.md 14.3) as JSON",
+        ["gaussians scene.c3gs camera.json gaussians.json"],
+        "CAMERA is a JSON object; vectors/README.md says which.",
+    )
+    gaussians.add_argument("file", metavar="FILE")
+    gaussians.add_argument("camera", metavar="CAMERA")
+    gaussians.add_argument("output", metavar="OUTPUT")
     validate = _add(commands, "validate", _validate, "check whether a file is a conforming bitstream", ["validate scene.c3gs"])
     validate.add_argument("file", metavar="FILE")
     inspect = _add(

@@ -34,13 +34,14 @@ SymbolName = Callable[[int, int], str]
 
 @dataclass(frozen=True)
 class TraceRow:
-    """One decoded symbol: its path, the model it was decoded with and its value."""
+    """One decoded symbol: its path, the model it was decoded with, its value, and the offset of its substream."""
 
     path: str
     family: str
     mean: int
     scale: int
     value: int
+    substream: int
 
 
 @dataclass(frozen=True)
@@ -256,7 +257,10 @@ class Decoder:
             for stream, (start, count) in enumerate(zip(layout.starts, layout.counts, strict=True)):
                 for i in range(count):
                     at = start + i
-                    self.trace(TraceRow(name(stream, i), models.family, int(mean[at]), int(scale[at]), int(value[at])))
+                    row = TraceRow(
+                        name(stream, i), models.family, int(mean[at]), int(scale[at]), int(value[at]), self.streams[stream].offset
+                    )
+                    self.trace(row)
         return value
 
     def plain(self, models: ModelSet, index: Int64, counts: list[int], name: SymbolName, given: Int64 | None = None) -> Int64:
@@ -266,8 +270,9 @@ class Decoder:
         self._note(value, layout)
         if self.trace:
             for stream, (start, count) in enumerate(zip(layout.starts, layout.counts, strict=True)):
+                offset = self.streams[stream].offset
                 for i in range(count):
-                    self.trace(TraceRow(name(stream, i), models.family, int(index[start + i]), 0, int(value[start + i])))
+                    self.trace(TraceRow(name(stream, i), models.family, int(index[start + i]), 0, int(value[start + i]), offset))
         return value
 
     def _note(self, value: Int64, layout: _Layout) -> None:

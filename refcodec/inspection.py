@@ -476,6 +476,20 @@ def trace(data: bytes, write: Callable[[str], object]) -> Parsed:
     return parsed
 
 
+def symbol_trace(data: bytes, write: Callable[[str], object]) -> Parsed:
+    """Decodes a file and writes its symbol trace (vectors/README.md): a line `path value` for each symbol, substream after substream in
+    file order, of each in the order of its CRC-32 (SPEC 8.8).
+
+    Raises the BitstreamError of a file that is not accepted, after the lines of what was decoded.
+    """
+    found: list[TraceRow] = []
+    try:
+        return parse(data, trace=found.append)
+    finally:
+        for row in sorted(found, key=lambda row: row.substream):
+            write(f"{row.path} {row.value}\n")
+
+
 # Beginnings of the symbols' paths, and the parts of _trace_parts that come before them.
 _ORDER = {"weigh": 0, "plane": 0, "posit": 1, "masks": 1, "attri": 2}
 _LAST = 2

@@ -67,11 +67,15 @@ def canonical_parts(scene: Scene) -> Iterator[tuple[str, bytes]]:
     yield "weights", b"".join(v.astype("<f4").tobytes() for v in values)
 
 
-def digest(scene: Scene) -> tuple[str, dict[str, str]]:
-    """SPEC 9.3: the SHA-256 of the whole and of each part, in hexadecimal."""
+def canonical_head(scene: Scene) -> bytes:
+    """SPEC 9.3: the part before the others."""
     d = scene.dimensions
-    head = DIGEST_MAGIC + struct.pack("<5I", scene.anchor_count, d.offset_count, d.features, d.plane_channels, d.plane_size)
-    whole = hashlib.sha256(head)
+    return DIGEST_MAGIC + struct.pack("<5I", scene.anchor_count, d.offset_count, d.features, d.plane_channels, d.plane_size)
+
+
+def digest(scene: Scene) -> tuple[str, dict[str, str]]:
+    """SPEC 9.3: the SHA-256 of the whole and of each part but the head, in hexadecimal."""
+    whole = hashlib.sha256(canonical_head(scene))
     parts = {}
     for name, data in canonical_parts(scene):
         whole.update(data)

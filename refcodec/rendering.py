@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import json
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import DTypeLike, NDArray
@@ -72,6 +74,20 @@ def default_camera(info: RenderInfo) -> Camera:
     )
 
 
+def read_camera(text: str) -> Camera:
+    """A camera from JSON (vectors/README.md): width, height, focal, principal_point, rotation by rows, translation. Raises ValueError."""
+    try:
+        c = json.loads(text)
+        (fx, fy), (cx, cy) = c["focal"], c["principal_point"]
+        rotation, translation = np.array(c["rotation"], np.float64), np.array(c["translation"], np.float64)
+        camera = Camera("stated", int(c["width"]), int(c["height"]), float(fx), float(fy), float(cx), float(cy), rotation, translation)
+    except (KeyError, TypeError) as error:
+        raise ValueError(str(error)) from None
+    if rotation.shape != (3, 3) or translation.shape != (3,):
+        raise ValueError("rotation is not 3 x 3, or translation is not 3 numbers")
+    return camera
+
+
 @dataclass(frozen=True, eq=False)
 class Gaussians:
     """What an image is made of, arrays of one floating type: mean [n, 3], world units; lengths [n, 3] of the axes, world units;
@@ -136,3 +152,10 @@ def gaussians(
         anchor,
         offset,
     )
+
+
+def gaussians_document(found: Gaussians) -> dict[str, Any]:
+    """Gaussians as JSON values (vectors/README.md)."""
+    kinds = ("anchor", "offset", "mean", "lengths", "quaternion", "opacity", "colour")
+    columns = [getattr(found, kind).tolist() for kind in kinds]
+    return {"gaussians": [dict(zip(kinds, row, strict=True)) for row in zip(*columns, strict=True)]}

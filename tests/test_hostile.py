@@ -12,9 +12,9 @@ import pytest
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
-from conformance.faults import Target
+from conformance.files import Target, repair, resized, substreams
 from conformance.scenes import MAIN_DIMENSIONS, TINY_DIMENSIONS, random_scene
-from conformance.strategies import mutations, repair, resized, scenes, splices, substreams
+from conformance.strategies import mutations, scenes, splices
 from refcodec import codec, container
 from refcodec.errors import REGISTRY, BitstreamError
 from refcodec.limits import MAIN, PROFILES, TINY, dimension_fault

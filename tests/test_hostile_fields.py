@@ -12,8 +12,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from test_hostile import refused
 
+from conformance.files import layout, repair
 from conformance.scenes import MAIN_DIMENSIONS, random_scene, without_chunks
-from conformance.strategies import layout, repair
 from refcodec import codec, container, syntax
 from refcodec.errors import BitstreamError
 from refcodec.scene import Dimensions, Lanes

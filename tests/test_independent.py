@@ -15,12 +15,12 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from conformance import cli, fuzz, independent
-from conformance.faults import FAULTS, Fault, Target, draw_fault
+from conformance.faults import FAULTS, Fault, draw_fault
+from conformance.files import Target, repair
 from conformance.independent import container as second_container
 from conformance.independent import errors as second_errors
 from conformance.independent import operators
 from conformance.scenes import MAIN_DIMENSIONS, random_scene
-from conformance.strategies import repair
 from refcodec import codec, reconstruction
 from refcodec.errors import REGISTRY, BitstreamError
 from refcodec.limits import PROFILES, Profile

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from conformance import fuzz
+from conformance.files import repair
 from conformance.scenes import random_scene, without_chunks
-from conformance.strategies import repair
 from refcodec import codec, container
 from refcodec.errors import BitstreamError
 from refcodec.scene import Lanes

@@ -16,9 +16,10 @@ from collections import defaultdict
 from collections.abc import Iterator
 from pathlib import Path
 
+from conformance.text import CLAUSE, requirements
+
 ROOT = Path(__file__).resolve().parent.parent
 TARGET = ROOT / "conformance" / "REQUIREMENTS.md"
-CLAUSE = r"(?:\d+|[A-D])(?:\.\d+)*"
 # The bitstream side; what only shows, writes folders or fits proves nothing about decoding.
 FIRST = [p for p in sorted((ROOT / "refcodec").glob("*.py")) if p.stem not in ("errors", "cli", "folder", "inspection", "quantise")]
 SECOND = [p for p in sorted((ROOT / "conformance" / "independent").glob("*.py")) if p.stem != "errors"]
@@ -30,15 +31,6 @@ Each requirement of [SPEC.md](../SPEC.md), where both decoders meet it, and the 
 | requirement | clause | what | refcodec | second decoder | tests |
 |---|---|---|---|---|---|
 """
-
-
-def requirements(spec: str) -> Iterator[tuple[str, str, str, str]]:
-    """(identifier, clause, sentence, error's name or nothing) in the order of SPEC.md."""
-    pattern = rf"^- \[([RDG]({CLAUSE})-\d+)\] It is a requirement of (?:bitstream|decoder|renderer) conformance that (.*)$"
-    for name, clause, sentence in re.findall(pattern, spec, re.MULTILINE):
-        error = re.search(r" \(`([a-z_.]+)`\)", sentence)
-        text = sentence[: error.start()] if error else sentence.rstrip(".")
-        yield name, clause, text, error[1] if error and name.startswith("R") else ""
 
 
 def _functions(path: Path) -> Iterator[tuple[str, str, ast.AST]]:

@@ -1,4 +1,4 @@
-"""Command line: validate and digest."""
+"""Command line: validate, digest and decode."""
 
 import json
 import sys
@@ -6,20 +6,26 @@ from pathlib import Path
 
 from .decode import decode
 from .errors import C3GSError
-from .reconstruction import digests
+from .reconstruction import canonical_parts, digests
+from .trace import Trace
 
-USAGE = "usage: python -m independent validate FILE | digest FILE [--parts]"
+USAGE = "usage: python -m independent validate FILE | digest FILE [--parts] | decode FILE OUTPUT [--trace TRACE]"
 REJECTED, UNSUPPORTED, USAGE_ERROR = 1, 2, 3
 
 
 # SPEC 10.1: the command line tells what 10.1 reports
 def main(arguments: list[str]) -> int:
     """Run a command; the exit status."""
+    output = trace = ""
     match arguments:
         case ["validate" | "digest" as command, path]:
             parts = False
         case ["digest" as command, path, "--parts"] | ["digest" as command, "--parts", path]:
             parts = True
+        case ["decode" as command, path, output]:
+            parts = False
+        case ["decode" as command, path, output, "--trace", trace]:
+            parts = False
         case _:
             print(USAGE, file=sys.stderr)
             return USAGE_ERROR
@@ -29,7 +35,11 @@ def main(arguments: list[str]) -> int:
         print(error, file=sys.stderr)
         return USAGE_ERROR
     try:
-        scene = decode(data)
+        if trace:
+            with open(trace, "w", encoding="utf-8", newline="\n") as file:
+                scene = decode(data, Trace(file))
+        else:
+            scene = decode(data)
     except C3GSError as error:
         print(error, file=sys.stderr)
         print(json.dumps(error.as_dict()), file=sys.stderr)
@@ -38,6 +48,8 @@ def main(arguments: list[str]) -> int:
         for name, value in digests(scene).items():
             if parts or name == "whole":
                 print(f"{name}  {value}")
+    if command == "decode":
+        Path(output).write_bytes(b"".join(canonical_parts(scene).values()))
     return 0
 
 

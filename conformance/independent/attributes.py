@@ -5,13 +5,16 @@ from .entropy import Substream
 from .networks import Weights
 from .operators import ATTRIBUTE_SYMBOL_MAX, STEP_LENGTH, activation, clamp, shift_round
 from .tables import Family
+from .trace import Trace
 
 
 class AttributeDecoder:
     """The stages of a chunk's attributes."""
 
-    def __init__(self, stream: Substream, header: Header, weights: Weights, gauss: Family) -> None:
+    def __init__(self, stream: Substream, header: Header, weights: Weights, gauss: Family, trace: Trace | None, first: int) -> None:
         self._stream = stream
+        self._trace = trace
+        self._first_anchor = first
         self._slices: list[int] = header["slice_width"]
         self._features = header.features
         self._channels = header.channels
@@ -53,18 +56,29 @@ class AttributeDecoder:
         """Decode one group: for each anchor the given channels."""
         d = self._channels
         parameters = [(p[c], p[d + c]) for p, coded in zip(predictions, channels) for c in coded]
-        values = iter(self._stream.values(self._gauss, parameters, ATTRIBUTE_SYMBOL_MAX))
+        values = self._stream.values(self._gauss, parameters, ATTRIBUTE_SYMBOL_MAX)
+        if self._trace:
+            self._trace.attributes(self._first_anchor, self._features, channels, values)
+        rest = iter(values)
         for y, coded in zip(symbols, channels):
             for c in coded:
-                y[c] = next(values)
+                y[c] = next(rest)
 
 
 # SPEC 6.13, 7.10, 10.1 step 9
 def read_attributes(
-    data: bytes, header: Header, part: Part, weights: Weights, gauss: Family, contexts: list[list[int]], masks: list[list[int]]
+    data: bytes,
+    header: Header,
+    chunk: int,
+    part: Part,
+    weights: Weights,
+    gauss: Family,
+    contexts: list[list[int]],
+    masks: list[list[int]],
+    trace: Trace | None,
 ) -> tuple[list[list[int]], list[list[int]]]:
     """Symbols and step indices of a chunk whose CRC-32 was checked."""
     stream = Substream(data, part.offset, part.length, header["attribute_lanes_log2"])
-    out = AttributeDecoder(stream, header, weights, gauss).run(contexts, masks)
+    out = AttributeDecoder(stream, header, weights, gauss, trace, chunk * header["chunk_size"]).run(contexts, masks)
     stream.finish()
     return out

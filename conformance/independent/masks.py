@@ -4,10 +4,11 @@ from .container import Header, Part
 from .entropy import Substream
 from .operators import PRECISION
 from .tables import make_model
+from .trace import Trace
 
 
 # SPEC 7.6, 10.1 step 8
-def read_masks(data: bytes, header: Header, chunk: int, part: Part, mask_model: list[int]) -> list[list[int]]:
+def read_masks(data: bytes, header: Header, chunk: int, part: Part, mask_model: list[int], trace: Trace | None) -> list[list[int]]:
     """For each anchor of a chunk its K bits."""
     part.check(data)
     models = [make_model([(1 << PRECISION) - kept, kept], 0) for kept in mask_model]
@@ -16,7 +17,10 @@ def read_masks(data: bytes, header: Header, chunk: int, part: Part, mask_model: 
     kept_before = [0] * len(masks)
     for k in range(header["offset_count"]):
         first = k * (k + 1) // 2
-        for n, bit in enumerate(stream.plain([models[first + kept] for kept in kept_before])):
+        bits = stream.plain([models[first + kept] for kept in kept_before])
+        if trace:
+            trace.masks(chunk * header["chunk_size"], k, bits)
+        for n, bit in enumerate(bits):
             masks[n].append(bit)
             kept_before[n] += bit
     stream.finish()

@@ -20,6 +20,7 @@ from .operators import (
     shift_round,
 )
 from .tables import Tables
+from .trace import Trace
 from .weights import Layer, check_finite, read_grids
 
 
@@ -104,7 +105,7 @@ class Weights:
 
 
 # SPEC 6.8, 10.1 step 4
-def read_weights(data: bytes, header: Header, section: Section, tables: Tables) -> Weights:
+def read_weights(data: bytes, header: Header, section: Section, tables: Tables, trace: Trace | None) -> Weights:
     """Parse and check the section of weights."""
     at = section.offset
     require(section.length >= 2 + header.carm_inputs, "weights.length", at)
@@ -114,9 +115,10 @@ def read_weights(data: bytes, header: Header, section: Section, tables: Tables) 
     shifts = list(data[shifts_at:values_at])
     for n, shift in enumerate(shifts):
         require(shift <= CARM_SHIFT_MAX, "weights.scale", shifts_at + n)
-    forms = [(outputs, inputs) for shape in shapes(header) for inputs, outputs in pairwise(shape.widths)]
+    named = [(f"{shape.name}.{n}", b, a) for shape in shapes(header) for n, (a, b) in enumerate(pairwise(shape.widths))]
+    forms = [(outputs, inputs) for _, outputs, inputs in named]
     if header.weight_mode:
-        layers = read_grids(data, header, section, values_at, forms, tables)
+        layers = read_grids(data, header, section, values_at, forms, tables, trace and (trace, [name for name, _, _ in named]))
     else:
         layers = []
         for outputs, inputs in forms:

@@ -8,13 +8,14 @@ from .errors import require
 from .networks import Network
 from .operators import PLANE_SYMBOL_MAX, activation
 from .tables import Family
+from .trace import Trace
 
 PLANE_TABLE_LENGTH = 20
 Plane = list[list[list[int]]]
 
 
 # SPEC 7.3
-def _decode_plane(stream: Substream, sarm: Network, laplace: Family, channels: int, size: int) -> Plane:
+def _decode_plane(stream: Substream, sarm: Network, laplace: Family, channels: int, size: int, number: int, trace: Trace | None) -> Plane:
     """One sub-plane, with a border of zeros above, left and right while it is decoded."""
     padded = [[[0] * (size + 2) for _ in range(size + 1)] for _ in range(channels)]
     known: dict[tuple[int, ...], list[int]] = {}
@@ -32,22 +33,25 @@ def _decode_plane(stream: Substream, sarm: Network, laplace: Family, channels: i
                     known[near] = sarm([activation(y) for y in near])
                 points.append((grid[i + 1], j + 1))
                 parameters.append(known[near])
-        for (row, column), value in zip(points, stream.values(laplace, parameters, PLANE_SYMBOL_MAX)):
+        values = stream.values(laplace, parameters, PLANE_SYMBOL_MAX)
+        if trace:
+            trace.wavefront(number, ((k, i, t - 2 * i) for k in range(channels) for i in range(first, last + 1)), values)
+        for (row, column), value in zip(points, values):
             row[column] = value
     return [[row[1:-1] for row in grid[1:]] for grid in padded]
 
 
 # SPEC 6.9, 10.1 step 5
-def read_planes(data: bytes, header: Header, section: Section, sarm: Network, laplace: Family) -> list[Plane]:
+def read_planes(data: bytes, header: Header, section: Section, sarm: Network, laplace: Family, trace: Trace | None) -> list[Plane]:
     """The five sub-planes."""
     require(section.length >= PLANE_TABLE_LENGTH, "planes.length", section.offset)
     lengths = struct.unpack_from("<5I", data, section.offset)
     require(sum(lengths) == section.length - PLANE_TABLE_LENGTH, "planes.length", section.offset)
     at = section.offset + PLANE_TABLE_LENGTH
     planes = []
-    for length in lengths:
+    for n, length in enumerate(lengths):
         stream = Substream(data, at, length, header["plane_lanes_log2"])
-        planes.append(_decode_plane(stream, sarm, laplace, header["plane_channels"], header["plane_size"]))
+        planes.append(_decode_plane(stream, sarm, laplace, header["plane_channels"], header["plane_size"], n, trace))
         stream.finish()
         at += length
     return planes

@@ -9,6 +9,7 @@ from .entropy import Substream
 from .errors import require
 from .operators import CELL_INDEX, CELL_LEVELS
 from .tables import make_model
+from .trace import Trace
 
 Position = tuple[int, int, int]
 RAW, PACKED = 0, 1
@@ -73,14 +74,16 @@ def _packs(bits: list[int], cell_shift: int) -> bool:
 
 
 # SPEC 7.12, DECODE_CELLS
-def _decode_cells(stream: Substream, model: PositionModel, anchors: int) -> tuple[list[Position], bool]:
-    """The cells, and whether they are as many as the anchors."""
+def _decode_cells(stream: Substream, model: PositionModel, anchors: int, chunk: int, trace: Trace | None) -> tuple[list[Position], bool]:
+    """The cells of a chunk, and whether they are as many as the anchors."""
     models = [make_model(frequencies, 0) for frequencies in model.frequencies]
     nodes, whole = [(0, 0, 0)], True
     for level in reversed(range(CELL_LEVELS)):
         first = 6 * min(level, 2)
         lows = stream.plain([models[first]] * len(nodes))
         highs = stream.plain([models[first + 1 + low.bit_count()] for low in lows])
+        if trace:
+            trace.level(chunk, level, lows, highs)
         below = []
         for (x, y, z), low, high in zip(nodes, lows, highs):
             present = [child for child in range(8) if (low | high << 4) >> child & 1]
@@ -91,7 +94,7 @@ def _decode_cells(stream: Substream, model: PositionModel, anchors: int) -> tupl
 
 
 # SPEC 5.11, 6.11, 7.12, 10.1 step 7
-def read_positions(data: bytes, header: Header, chunk: int, part: Part, model: PositionModel | None) -> list[Position]:
+def read_positions(data: bytes, header: Header, chunk: int, part: Part, model: PositionModel | None, trace: Trace | None) -> list[Position]:
     """The integers P of a chunk's anchors."""
     part.check(data)
     anchors, at = header.chunk_anchors(chunk), part.offset
@@ -99,7 +102,7 @@ def read_positions(data: bytes, header: Header, chunk: int, part: Part, model: P
         bits = _read_raw(data, at, anchors)
     elif part.length and data[at] == PACKED:
         stream = Substream(data, at + 1, part.length - 1, header["mask_lanes_log2"])
-        cells, whole = _decode_cells(stream, model, anchors)
+        cells, whole = _decode_cells(stream, model, anchors, chunk, trace)
         stream.finish()
         require(whole, "positions.count", at)
         numbers = [_number(c, model.cell_shift) for cell in cells for c in cell]

@@ -10,6 +10,7 @@ from .entropy import Substream
 from .errors import require
 from .operators import SCALE_MIN, WEIGHT_EXPONENT_MAX, WEIGHT_EXPONENT_MIN, WEIGHT_SYMBOL_MAX
 from .tables import Tables
+from .trace import Trace
 
 MODEL_LENGTH = 6
 
@@ -114,8 +115,16 @@ def _unpacked(model: Model, steps: list[int], biases: list[int], weights: list[i
 
 
 # SPEC 7.13, DECODE_WEIGHTS, 10.1 step 4
-def read_grids(data: bytes, header: Header, section: Section, at: int, forms: list[tuple[int, int]], tables: Tables) -> list[Layer]:
-    """The layers of a section in mode 1, from the first LayerModel on; forms: (outputs, inputs) of each."""
+def read_grids(
+    data: bytes,
+    header: Header,
+    section: Section,
+    at: int,
+    forms: list[tuple[int, int]],
+    tables: Tables,
+    trace: tuple[Trace, list[str]] | None,
+) -> list[Layer]:
+    """The layers of a section in mode 1, from the first LayerModel on; forms: (outputs, inputs) of each; trace: with their names."""
     models, stream_at = _read_models(data, section, at, forms)
     stream = Substream(data, stream_at, section.offset + section.length - stream_at, header["attribute_lanes_log2"])
     first, second = [], []
@@ -124,9 +133,14 @@ def read_grids(data: bytes, header: Header, section: Section, at: int, forms: li
             first += [(0, SCALE_MIN + model.exponent_scale)] * outputs
             first += [(0, SCALE_MIN + model.bias_scale)] * outputs
             second += [(0, SCALE_MIN + model.weight_scale)] * (outputs * inputs)
-    few = iter(stream.values(tables.laplace, first, WEIGHT_SYMBOL_MAX))
-    many = iter(stream.values(tables.gauss, second, WEIGHT_SYMBOL_MAX))
+    few_values = stream.values(tables.laplace, first, WEIGHT_SYMBOL_MAX)
+    many_values = stream.values(tables.gauss, second, WEIGHT_SYMBOL_MAX)
+    if trace:
+        packed = [(name, *form) for name, form, model in zip(trace[1], forms, models) if model.form]
+        trace[0].weights([(f"{name}.{part}", n) for name, n, _ in packed for part in ("exponent", "bias")], few_values)
+        trace[0].weights([(f"{name}.weight", outputs * inputs) for name, outputs, inputs in packed], many_values)
     stream.finish()
+    few, many = iter(few_values), iter(many_values)
     layers = []
     for (outputs, inputs), model in zip(forms, models):
         values = model.raw

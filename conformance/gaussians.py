@@ -1,0 +1,50 @@
+"""Lists of Gaussians (vectors/README.md) compared: whether a renderer's is that of SPEC 14.3 within its tolerance."""
+
+from __future__ import annotations
+
+import json
+import math
+from typing import Any
+
+# SPEC [G14.3-1]: below this opacity a Gaussian may be missing or added.
+FAINT = 1e-4
+KINDS = {"mean": 3, "lengths": 3, "quaternion": 4, "opacity": 1, "colour": 3}
+
+
+def _by_place(text: str) -> dict[tuple[int, int], dict[str, list[float]]]:
+    """The Gaussians of a list by anchor and offset. Raises ValueError for what is no such list."""
+    try:
+        found = {}
+        for g in json.loads(text)["gaussians"]:
+            values = {kind: [float(x) for x in (g[kind] if size > 1 else [g[kind]])] for kind, size in KINDS.items()}
+            if any(len(values[kind]) != size for kind, size in KINDS.items()):
+                raise ValueError("a vector of another length")
+            place = (int(g["anchor"]), int(g["offset"]))
+            if place in found:
+                raise ValueError(f"anchor {place[0]}, offset {place[1]} twice")
+            found[place] = values
+    except (KeyError, TypeError) as error:
+        raise ValueError(f"no list of Gaussians: {type(error).__name__} {error}") from None
+    return found
+
+
+def difference(expected: str, found: str, tolerance: float) -> str | None:
+    """The first difference in words, or None. expected, found: JSON; tolerance: relative to the length of the expected vector."""
+    wanted = _by_place(expected)
+    try:
+        made: dict[tuple[int, int], dict[str, Any]] = _by_place(found)
+    except ValueError as error:
+        return str(error)
+    for place in sorted(wanted.keys() | made.keys()):
+        where = f"anchor {place[0]}, offset {place[1]}"
+        if place not in wanted or place not in made:
+            if (wanted.get(place) or made[place])["opacity"][0] >= FAINT:
+                return f"{where}: " + ("missing" if place in wanted else "there is none")
+            continue
+        for kind in KINDS:
+            right, value = wanted[place][kind], made[place][kind]
+            allowed = tolerance * math.hypot(*right)
+            # A value that is not a number is not within anything.
+            if not all(abs(a - b) <= allowed for a, b in zip(right, value, strict=True)):
+                return f"{where}: {kind} is {value}, {right} expected"
+    return None

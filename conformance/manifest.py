@@ -1,0 +1,163 @@
+"""The suite's manifest: what vectors/manifest.json says of each vector, checked against vectors/manifest.schema.json."""
+
+from __future__ import annotations
+
+import json
+from collections import Counter
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import jsonschema
+
+VECTORS = Path(__file__).resolve().parent.parent / "vectors"
+MANIFEST, SCHEMA = "manifest.json", "manifest.schema.json"
+
+
+class ManifestError(Exception):
+    """A manifest that does not say what its schema demands."""
+
+
+@dataclass(frozen=True)
+class Input:
+    """A vector's file: path from the manifest, size in bytes, SHA-256 in hexadecimal."""
+
+    path: str
+    size: int
+    sha256: str
+
+
+@dataclass(frozen=True)
+class Accepted:
+    """The file is accepted. digest: of the canonical reconstruction (SPEC 9.3); parts: that of each part by name, the head too;
+    trace: SHA-256 of the symbol trace."""
+
+    digest: str
+    parts: dict[str, str]
+    trace: str
+
+
+@dataclass(frozen=True)
+class Rejected:
+    """The file is refused with this error (SPEC 10.2)."""
+
+    code: int
+    name: str
+    offset: int
+    clause: str
+
+
+@dataclass(frozen=True)
+class GaussiansOf:
+    """What a camera sees (SPEC 14.3). camera: JSON; path, sha256: of the expected list; tolerance: relative to a vector's length."""
+
+    camera: dict[str, Any]
+    path: str
+    sha256: str
+    tolerance: float
+
+
+@dataclass(frozen=True)
+class Budget:
+    """Most time, and most memory of a process, that a decoder may take."""
+
+    seconds: int
+    bytes: int
+
+
+@dataclass(frozen=True)
+class Vector:
+    """One vector: a file and what a decoder makes of it. klass: its "class"; profile and level: None where the header cannot say."""
+
+    id: str
+    title: str
+    operation: str
+    klass: str
+    profile: str | None
+    level: int | None
+    features: tuple[str, ...]
+    requirements: tuple[str, ...]
+    flags: tuple[str, ...]
+    input: Input
+    expectation: Accepted | Rejected | GaussiansOf
+    budget: Budget
+    licence: str
+    generator: dict[str, Any]
+
+
+@dataclass(frozen=True)
+class Manifest:
+    """The suite. flags, features: what each means, by name; folder: where the manifest is, which paths start from."""
+
+    suite_version: str
+    format_version: int
+    flags: dict[str, str]
+    features: dict[str, str]
+    vectors: tuple[Vector, ...]
+    folder: Path
+
+    def path(self, vector: Vector) -> Path:
+        """The file of a vector."""
+        return self.folder / vector.input.path
+
+
+_RESULTS: dict[str, type[Accepted | Rejected | GaussiansOf]] = {"accepted": Accepted, "rejected": Rejected, "gaussians": GaussiansOf}
+
+
+def _vector(fields: dict[str, Any]) -> Vector:
+    values = {"klass" if name == "class" else name: value for name, value in fields.items()}
+    for name in ("features", "requirements", "flags"):
+        values[name] = tuple(values[name])
+    expectation = dict(values["expectation"])
+    values["expectation"] = _RESULTS[expectation.pop("result")](**expectation)
+    return Vector(**{**values, "input": Input(**values["input"]), "budget": Budget(**values["budget"])})
+
+
+def faults(document: dict[str, Any]) -> Iterator[str]:
+    """What is wrong with a manifest that its schema cannot say."""
+    vectors = document["vectors"]
+    for what, values in (
+        ("id", [v["id"] for v in vectors]),
+        ("input", [v["input"]["path"] for v in vectors if v["operation"] == "decode"]),
+    ):
+        yield from (f"two vectors have the {what} {value}" for value, count in Counter(values).items() if count > 1)
+    for kind in ("flags", "features"):
+        used = {name for v in vectors for name in v[kind]}
+        yield from (f"{name} is not defined in {kind}" for name in sorted(used - set(document[kind])))
+        yield from (f"no vector has {name} of {kind}" for name in sorted(set(document[kind]) - used))
+    for v in vectors:
+        result, klass = v["expectation"]["result"], v["class"]
+        right = {"valid": result != "rejected", "resource": True}.get(klass, result == "rejected")
+        if not right or (result == "gaussians") != (v["operation"] == "gaussians"):
+            yield f"{v['id']}: class {klass} and operation {v['operation']} with the result {result}"
+
+
+def _once(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
+    """A JSON object whose names are unique."""
+    for name, count in Counter(name for name, _ in pairs).items():
+        if count > 1:
+            raise ManifestError(f"{name} is there twice")
+    return dict(pairs)
+
+
+def load(path: Path = VECTORS / MANIFEST) -> Manifest:
+    """The manifest at a path, with the schema beside it. Raises ManifestError, and OSError if it cannot be read."""
+    try:
+        document = json.loads(path.read_text(encoding="utf-8"), object_pairs_hook=_once)
+        schema = json.loads((path.parent / SCHEMA).read_text(encoding="utf-8"))
+        jsonschema.validate(document, schema)
+    except ValueError as error:
+        raise ManifestError(f"{path}: {error}") from None
+    except jsonschema.ValidationError as error:
+        raise ManifestError(f"{path}: {error.json_path}: {error.message}") from None
+    for fault in faults(document):
+        raise ManifestError(f"{path}: {fault}")
+    return Manifest(
+        document["suite_version"],
+        document["format_version"],
+        document["flags"],
+        document["features"],
+        tuple(_vector(fields) for fields in document["vectors"]),
+        path.parent,
+    )
