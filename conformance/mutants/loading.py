@@ -43,6 +43,30 @@ class _Package(MetaPathFinder, Loader):
         exec(code, module.__dict__)
 
 
+def _functions(code: CodeType) -> dict[str, list[tuple[object, ...]]]:
+    """What each function of a module does, by qualified name; "<module>" too."""
+    found = {code.co_qualname: [(code.co_code, code.co_names, code.co_varnames, [c for c in code.co_consts if not isinstance(c, CodeType)])]}
+    for inner in code.co_consts:
+        if isinstance(inner, CodeType):
+            for name, parts in _functions(inner).items():
+                found[name] = found.get(name, []) + parts
+    return found
+
+
+def changed(mutant: Mutant) -> set[str] | None:
+    """The functions that a mutant changes, as "module.name"; None if that is more than functions.
+
+    A file for which the unchanged decoder calls none of them is decoded by the mutant in the same way.
+    """
+    try:
+        new = _functions(compile(mutant.source, mutant.id, "exec", dont_inherit=True))
+    except SyntaxError:
+        return None
+    old = _functions(_code(mutant.module))
+    names = {name for name in old if new.get(name) != old[name]}
+    return None if "<module>" in names else {f"{mutant.module}.{name}" for name in names}
+
+
 def load(mutant: Mutant | None) -> ModuleType:
     """The package with the mutant's module, all of its modules new; None gives the decoder unchanged.
 

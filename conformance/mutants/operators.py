@@ -141,12 +141,19 @@ OPERATORS: tuple[Callable[[ast.AST], Iterator[Change]], ...] = (
 )  # fmt: skip
 
 
-def _is_type(node: ast.AST) -> bool:
-    return isinstance(node, ast.Subscript) and isinstance(node.value, ast.Name) and node.value.id in ("dict", "list", "tuple")
+def _decodes(node: ast.AST) -> bool:
+    """Whether a node has a part in a verdict: types, imports, parts of messages and what writes the trace have none."""
+    if isinstance(node, ast.Subscript):
+        return not (isinstance(node.value, ast.Name) and node.value.id in ("dict", "list", "tuple"))
+    if isinstance(node, ast.If):
+        return ast.unparse(node.test) not in ("trace", "self._trace")
+    if isinstance(node, ast.BoolOp):
+        return ast.unparse(node.values[0]) != "trace"
+    return not isinstance(node, ast.JoinedStr | ast.Import | ast.ImportFrom)
 
 
 def _inside(node: ast.AST, scope: str) -> Iterator[tuple[str, ast.AST]]:
-    """The nodes that a decoder runs, each with its function's name: no annotations, decorators, base classes or parts of messages."""
+    """The nodes that a decoder runs, each with its function's name: no annotations, decorators or base classes."""
     left_out: list[ast.AST | None] = []
     if isinstance(node, ast.FunctionDef):
         left_out = [node.returns, *node.decorator_list]
@@ -155,7 +162,7 @@ def _inside(node: ast.AST, scope: str) -> Iterator[tuple[str, ast.AST]]:
     elif isinstance(node, ast.AnnAssign | ast.arg):
         left_out = [node.annotation]
     for child in ast.iter_child_nodes(node):
-        if any(child is part for part in left_out) or isinstance(child, ast.JoinedStr | ast.Import | ast.ImportFrom) or _is_type(child):
+        if any(child is part for part in left_out) or not _decodes(child):
             continue
         inner = f"{scope}.{child.name}" if isinstance(child, ast.FunctionDef | ast.ClassDef) else scope
         yield inner, child

@@ -12,6 +12,7 @@ from dataclasses import dataclass, replace
 from functools import partial
 from multiprocessing.pool import Pool
 from pathlib import Path
+from typing import TypeVar
 
 from tqdm import tqdm
 
@@ -19,9 +20,14 @@ from conformance.manifest import Accepted, Manifest, Rejected, load
 
 from . import handwritten, operators, record
 from .equivalent import PROOFS
+from .loading import changed
+from .loading import load as load_decoder
 from .mutant import Mutant
 from .record import Caught
-from .trial import Case, Grade, Outcome, grade, outcomes, work
+from .trial import Case, Grade, Outcome, grade, outcomes, visit
+
+
+T = TypeVar("T")
 
 
 class SelfTestError(Exception):
@@ -103,6 +109,9 @@ def check_grader(all_cases: Sequence[Case], judge: Grade) -> None:
 
 # --- processes --------------------------------------------------------------------------------------------------------
 
+# Vectors for which the unchanged decoder is loaded once.
+BATCH = 8
+
 _cases: dict[str, Case] = {}
 
 
@@ -110,6 +119,8 @@ def _start(all_cases: Sequence[Case]) -> None:
     # Ctrl-C is for the parent.
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     _cases.update((case.id, case) for case in all_cases)
+    # What is compiled here is not compiled again in each child.
+    load_decoder(None)
 
 
 def _try(task: tuple[Mutant | None, list[str]], stop: Grade | None) -> list[Outcome]:
@@ -117,8 +128,13 @@ def _try(task: tuple[Mutant | None, list[str]], stop: Grade | None) -> list[Outc
     return outcomes(mutant, [_cases[name] for name in names], stop)
 
 
-def _work(name: str) -> int:
-    return work(_cases[name].data)
+def _visit(name: str) -> tuple[int, frozenset[str]]:
+    return visit(_cases[name].data)
+
+
+def _progress(found: Iterable[T], total: int, what: str) -> Iterable[T]:
+    bar: Iterable[T] = tqdm(found, total=total, desc=what, unit="", file=sys.stderr, leave=False)
+    return bar
 
 
 class Tester:
@@ -133,14 +149,14 @@ class Tester:
         """For each task, a decoder and vectors, the vectors that catch it and what was wrong; if first_only, the first of them alone."""
         # The judge is always asked here too: one of a test's own may not be known to the processes.
         found = self._pool.imap(partial(_try, stop=grade if first_only else None), tasks)
-        bar: Iterable[list[Outcome]] = tqdm(found, total=len(tasks), desc=what, unit="", file=sys.stderr, leave=False)
-        for (_, names), made in zip(tasks, bar, strict=True):
+        for (_, names), made in zip(tasks, _progress(found, len(tasks), what), strict=True):
             judged = [(name, self._judge(self._by_name[name], outcome)) for name, outcome in zip(names, made, strict=False)]
             yield [(name, wrong) for name, wrong in judged if wrong]
 
     def check_decoder(self) -> None:
         """SelfTestError if the second decoder itself fails a vector."""
-        tasks = [(None, [name]) for name in self._by_name]
+        names = list(self._by_name)
+        tasks = [(None, names[i : i + BATCH]) for i in range(0, len(names), BATCH)]
         for wrong in self.tries(tasks, "the unchanged decoder", False):
             for name, text in wrong:
                 raise SelfTestError(f"the second decoder, unchanged, fails {name}: {text}")
@@ -154,11 +170,18 @@ class Tester:
             if len(wrong) != len(names):
                 raise SelfTestError(f"a decoder that {fake.id} passes one of {names}")
 
-    def by_cost(self) -> list[str]:
-        """The vectors from the cheapest to the dearest, counted in calls of the unchanged decoder: the same on every machine."""
+    def order(self, made: Sequence[Mutant]) -> dict[str, list[str]]:
+        """For each mutant the vectors that can catch it, from the cheapest to the dearest, counted in calls of the unchanged decoder: the same
+        on every machine. Those are left out for which that does not call what the mutant changes: they pass.
+        """
         names = list(self._by_name)
-        costs = tqdm(self._pool.imap(_work, names), total=len(names), desc="the vectors' costs", unit="", file=sys.stderr, leave=False)
-        return [name for _, name in sorted(zip(costs, names, strict=True))]
+        visits = list(_progress(self._pool.imap(_visit, names), len(names), "the vectors' costs"))
+        costs = sorted((calls, name, called) for name, (calls, called) in zip(names, visits, strict=True))
+        found = {}
+        for m in made:
+            places = changed(m)
+            found[m.id] = [name for _, name, called in costs if places is None or places & called]
+        return found
 
 
 @contextmanager
@@ -222,8 +245,7 @@ def run(manifest: Path, jobs: int, recorded: bool, matrix: Path | None, write: b
                 made = [m for m in made if m.id in known]
                 order = {m.id: [known[m.id][0]] for m in made}
             else:
-                names = test.by_cost()
-                order = {m.id: names for m in made}
+                order = test.order(made)
             tasks = [(m, order[m.id]) for m in made]
             found = test.tries(tasks, "planted bugs", matrix is None)
             catchers = {m.id: wrong for m, wrong in zip(made, found, strict=True)}

@@ -9,7 +9,8 @@ import signal
 import sys
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from types import ModuleType
+from pathlib import Path
+from types import CodeType, FrameType, ModuleType
 
 from . import loading
 from .mutant import Mutant
@@ -125,18 +126,19 @@ def outcomes(mutant: Mutant | None, cases: Sequence[Case], stop: Grade | None = 
     return found
 
 
-def work(data: bytes) -> int:
-    """How many calls the decoder makes for a file: what a vector costs, the same on every machine."""
+def visit(data: bytes) -> tuple[int, frozenset[str]]:
+    """How many calls the unchanged decoder makes for a file, which is what a vector costs on any machine; and of what functions."""
     package, calls = loading.load(None), 0
-    package.tables.load_tables()
+    codes: set[CodeType] = set()
 
-    def count(_frame: object, event: str, _argument: object) -> None:
+    def count(frame: FrameType, event: str, _argument: object) -> None:
         nonlocal calls
         calls += event in ("call", "c_call")
+        codes.add(frame.f_code)
 
     sys.setprofile(count)
     try:
         decode(package, data)
     finally:
         sys.setprofile(None)
-    return calls
+    return calls, frozenset(f"{Path(code.co_filename).stem}.{code.co_qualname}" for code in codes)
