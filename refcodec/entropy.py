@@ -254,13 +254,7 @@ class Decoder:
             value[outside] = 0
         self._note(value, layout)
         if self.trace:
-            for stream, (start, count) in enumerate(zip(layout.starts, layout.counts, strict=True)):
-                for i in range(count):
-                    at = start + i
-                    row = TraceRow(
-                        name(stream, i), models.family, int(mean[at]), int(scale[at]), int(value[at]), self.streams[stream].offset
-                    )
-                    self.trace(row)
+            self._show(models, mean, scale, value, layout, name)
         return value
 
     def plain(self, models: ModelSet, index: Int64, counts: list[int], name: SymbolName, given: Int64 | None = None) -> Int64:
@@ -269,11 +263,17 @@ class Decoder:
         value = self._group(models, index, layout)
         self._note(value, layout)
         if self.trace:
-            for stream, (start, count) in enumerate(zip(layout.starts, layout.counts, strict=True)):
-                offset = self.streams[stream].offset
-                for i in range(count):
-                    self.trace(TraceRow(name(stream, i), models.family, int(index[start + i]), 0, int(value[start + i]), offset))
+            self._show(models, index, np.zeros_like(index), value, layout, name)
         return value
+
+    def _show(self, models: ModelSet, mean: Int64, scale: Int64, value: Int64, layout: _Layout, name: SymbolName) -> None:
+        """A group's symbols for the trace."""
+        assert self.trace is not None
+        rows = zip(mean.tolist(), scale.tolist(), value.tolist(), strict=True)
+        for stream, count in enumerate(layout.counts.tolist()):
+            offset = self.streams[stream].offset
+            for i in range(count):
+                self.trace(TraceRow(name(stream, i), models.family, *next(rows), offset))
 
     def _note(self, value: Int64, layout: _Layout) -> None:
         """SPEC 8.8: the CRC-32 runs over the symbols in coding order, each as an i32."""

@@ -133,3 +133,35 @@ def scales(found: Networks) -> NDArray[np.uint8]:
 def packed_weights(made: Scene, values: NDArray[np.uint8] | None = None) -> Scene:
     """The scene with its weights in mode 1 as they are; values: other scale indices."""
     return replace(made, weight_scales=scales(made.networks) if values is None else values)
+
+
+def observing(d: Dimensions, numbers: Numbers, scale: int = -8) -> Networks:
+    """Networks that pass the context on: the mean of channel c is the context's number c modulo their count, in 1/16 steps, so that a
+    context that is wrong by one gives another model. The hidden layer of F_h has two units for each number, for either sign."""
+    found = networks(d, numbers)
+    inputs, total = 2 * d.plane_channels + 2 * d.frequency_count, d.attribute_width
+    assert d.hyper_width == (2 * inputs,)
+    first: NDArray[np.int64] = np.concatenate([np.eye(inputs, dtype=np.int64), -np.eye(inputs, dtype=np.int64)])
+    last = np.zeros((2 * total + 3, 2 * inputs), np.int64)
+    bias = np.zeros(2 * total + 3, np.int64)
+    for c in range(total):
+        last[c, [c % inputs, inputs + c % inputs]] = 1, -1
+    bias[total : 2 * total], bias[2 * total :] = scale, 32
+    found["hyper"] = [(dyadic(first, 0), dyadic(np.zeros(2 * inputs, np.int64), 0)), (dyadic(last, 0), dyadic(bias, 0))]
+    for name in found:
+        if name.startswith("carm"):
+            found[name] = silent(found[name])
+    return found
+
+
+def silent(layers: list[Layer]) -> list[Layer]:
+    """Layers of zeros."""
+    return [(np.zeros_like(weight), np.zeros_like(bias)) for weight, bias in layers]
+
+
+def constant(d: Dimensions, numbers: Numbers, mean: NDArray[np.int64], scale: NDArray[np.int64]) -> Networks:
+    """Networks whose F_h says the same of every anchor: means and scale indices of the D channels; CARM adds nothing."""
+    found = networks(d, numbers)
+    found = {name: silent(layers) if name == "hyper" or name.startswith("carm") else layers for name, layers in found.items()}
+    found["hyper"][-1][1][:] = np.concatenate([mean, scale, [32, 32, 32]])
+    return found

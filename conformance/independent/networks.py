@@ -118,7 +118,7 @@ def read_weights(data: bytes, header: Header, section: Section, tables: Tables, 
     named = [(f"{shape.name}.{n}", b, a) for shape in shapes(header) for n, (a, b) in enumerate(pairwise(shape.widths))]
     forms = [(outputs, inputs) for _, outputs, inputs in named]
     if header.weight_mode:
-        layers = read_grids(data, header, section, values_at, forms, tables, trace and (trace, [name for name, _, _ in named]))
+        layers = read_grids(data, header, section, values_at, forms, tables, (trace, [name for name, _, _ in named]) if trace else None)
     else:
         layers = []
         for outputs, inputs in forms:
