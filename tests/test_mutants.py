@@ -134,24 +134,24 @@ def test_what_a_change_reaches() -> None:
 
 
 @pytest.fixture(scope="module")
-def tester() -> Iterator[selftest.Tester]:
-    with selftest.tester(PAIR, 1) as made:
+def trials() -> Iterator[selftest.Trials]:
+    with selftest.trials(PAIR, 1) as made:
         yield made
 
 
-def outcome(tester: selftest.Tester, mutant: Mutant | None) -> list[str]:
+def outcome(trials: selftest.Trials, mutant: Mutant | None) -> list[str]:
     """What is wrong with a decoder, vector after vector of PAIR; nothing where it is right."""
-    (wrong,) = tester.tries([(mutant, [case.id for case in PAIR])], "", False)
+    (wrong,) = trials.tries([(mutant, [case.id for case in PAIR])], "", False)
     return [dict(wrong).get(case.id, "") for case in PAIR]
 
 
-def test_an_unchanged_decoder_passes(tester: selftest.Tester) -> None:
-    assert outcome(tester, None) == ["", ""]
+def test_an_unchanged_decoder_passes(trials: selftest.Trials) -> None:
+    assert outcome(trials, None) == ["", ""]
 
 
-def test_a_change_that_changes_nothing_survives(tester: selftest.Tester) -> None:
+def test_a_change_that_changes_nothing_survives(trials: selftest.Trials) -> None:
     same = changed_text("masks", "masks[n].append(bit)", "masks[n] += [bit]")
-    assert outcome(tester, same) == ["", ""]
+    assert outcome(trials, same) == ["", ""]
     result = selftest.score([same], {same.id: []})
     assert result.survivors == [same]
     assert not result.right
@@ -174,14 +174,18 @@ def test_what_is_no_decoder_is_caught(name: str, expected: str) -> None:
     """On both vectors, and the time that it takes is bounded."""
     (fake,) = [fake for fake in selftest.fakes() if fake.id == name]
     cases = [replace(case, seconds=1) for case in PAIR]
-    with selftest.tester(cases, 1) as test:
+    with selftest.trials(cases, 1) as test:
         assert all(wrong.startswith(expected) for wrong in outcome(test, fake)), outcome(test, fake)
 
 
 def test_a_mutant_that_hangs_is_caught() -> None:
-    hangs = changed_text("entropy", "while zeros <= ESCAPE_PREFIX_MAX and self._raw.take(1) == 0:\n            zeros += 1", "while zeros == 0:\n            pass")
+    hangs = changed_text(
+        "entropy",
+        "while zeros <= ESCAPE_PREFIX_MAX and self._raw.take(1) == 0:\n            zeros += 1",
+        "while zeros == 0:\n            pass",
+    )
     cases = [replace(case, seconds=1) for case in CASES.values() if any("_escape" in name for name in trial.visit(case.data)[1])][:1]
-    with selftest.tester(cases, 1) as test:
+    with selftest.trials(cases, 1) as test:
         (wrong,) = test.tries([(hangs, [cases[0].id])], "", False)
     assert wrong == [(cases[0].id, "hang")]
 
@@ -241,16 +245,16 @@ def test_the_grader_is_right() -> None:
     selftest.check_grader(list(CASES.values()), grade)
 
 
-def test_trials_that_take_a_crash_for_a_refusal_are_caught(monkeypatch: pytest.MonkeyPatch, tester: selftest.Tester) -> None:
+def test_trials_that_take_a_crash_for_a_refusal_are_caught(monkeypatch: pytest.MonkeyPatch, trials: selftest.Trials) -> None:
     """The grader aside: if fakes passed, the self-test would say so."""
-    monkeypatch.setattr(tester, "_judge", crash_is_refusal)
+    monkeypatch.setattr(trials, "_judge", crash_is_refusal)
     with pytest.raises(selftest.SelfTestError, match="a decoder that raises passes"):
-        tester.check_fakes()
+        trials.check_fakes()
 
 
 def test_a_decoder_that_fails_a_vector_ends_the_test() -> None:
     wrong = replace(PAIR[0], digest="1" * 64)
-    with pytest.raises(selftest.SelfTestError, match="unchanged, fails"), selftest.tester([wrong, PAIR[1]], 1):
+    with pytest.raises(selftest.SelfTestError, match="unchanged, fails"), selftest.trials([wrong, PAIR[1]], 1):
         pass
 
 
@@ -275,7 +279,7 @@ def test_each_equivalent_has_a_proof_and_survives() -> None:
     few = [c for c in CASES.values() if len(c.data) <= SMALL_BYTES]
     right = [m for m in ALL if m.id in PROOFS]
     assert all(len(PROOFS[m.id]) > 40 for m in right)
-    with selftest.tester(few, 2) as test:
+    with selftest.trials(few, 2) as test:
         order = test.order(right)
         for m, wrong in zip(right, test.tries([(m, order[m.id]) for m in right], "", True), strict=True):
             assert not wrong, f"{m.id} is caught by {wrong}"

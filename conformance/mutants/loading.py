@@ -45,7 +45,8 @@ class _Package(MetaPathFinder, Loader):
 
 def _functions(code: CodeType) -> dict[str, list[tuple[object, ...]]]:
     """What each function of a module does, by qualified name; "<module>" too."""
-    found = {code.co_qualname: [(code.co_code, code.co_names, code.co_varnames, [c for c in code.co_consts if not isinstance(c, CodeType)])]}
+    values = [value for value in code.co_consts if not isinstance(value, CodeType)]
+    found: dict[str, list[tuple[object, ...]]] = {code.co_qualname: [(code.co_code, code.co_names, code.co_varnames, values)]}
     for inner in code.co_consts:
         if isinstance(inner, CodeType):
             for name, parts in _functions(inner).items():

@@ -19,8 +19,8 @@ Caught = dict[str, tuple[str, str]]
 _HEAD = """# Planted bugs
 
 Written by `conformance selftest --write`. Each line is a wrong decoder, made from the second decoder by the change shown, and the first
-vector that catches it; vectors are tried from the cheapest to the dearest. Bugs planted by hand name the requirements that they break; of the
-others, which operators over the syntax tree made, nobody chose any.
+vector that catches it; vectors are tried from the cheapest to the dearest. Bugs planted by hand name the requirements that they break; the
+others were made by operators over the syntax tree, and nobody chose them.
 """
 
 
@@ -35,34 +35,38 @@ def _cell(text: str) -> str:
     return (line if len(line) <= 100 else line[:97] + "...").replace("|", "\\|")
 
 
+_TOLD = {
+    "another": "another digest", "accepted,": "a bad file accepted", "refused": "a good file refused", "crash": "a crash", "hang": "no end",
+}  # fmt: skip
+
+
+def _summary(mutants: Sequence[Mutant], caught: Mapping[str, tuple[str, str]]) -> str:
+    found = [caught[m.id] for m in mutants if m.id in caught]
+    right = sum(m.id in PROOFS for m in mutants)
+    kinds = Counter(wrong.split()[0] for _, wrong in found)
+    shares = [f"{text} {kinds.pop(word, 0)}" for word, text in _TOLD.items()]
+    return (
+        f"{len(found)} of {len(mutants) - right} bugs are caught, by {len({vector for vector, _ in found})} vectors; {right} more changes "
+        f"are proved to be no bugs. What gave them away: {', '.join(shares)}, another error {sum(kinds.values())}.\n"
+    )
+
+
 def table(mutants: Sequence[Mutant], caught: Mapping[str, tuple[str, str]]) -> str:
     """The table as Markdown."""
-    lines = [_HEAD]
-    hand = [m for m in mutants if m.requirements]
-    rest = [m for m in mutants if not m.requirements]
-    right = [m for m in mutants if m.id in PROOFS]
-    found = [m for m in mutants if m.id in caught]
-    kinds = Counter(caught[m.id][1].split()[0] for m in found)
-    told = {"another": "another digest", "accepted,": "a bad file accepted", "refused": "a good file refused", "crash": "a crash", "hang": "no end"}
-    shares = [f"{text}: {kinds.pop(word, 0)}" for word, text in told.items()] + [f"another error: {sum(kinds.values())}"]
-    lines += [
-        f"{len(found)} of {len(mutants) - len(right)} are caught, by {len({caught[m.id][0] for m in found})} vectors; {len(right)} more are proved to be no bugs. "
-        f"How they were found out: {'; '.join(shares)}.\n",
-        "## By hand\n",
-        "| bug | module | what | requirements | first vector | outcome |",
-        "|---|---|---|---|---|---|",
-    ]  # fmt: skip
-    for m in hand:
+    bugs = [m for m in mutants if m.id not in PROOFS]
+    lines = [_HEAD, _summary(mutants, caught)]
+    lines += ["## By hand\n", "| bug | module | what | requirements | first vector | outcome |", "|---|---|---|---|---|---|"]
+    for m in bugs:
         vector, wrong = caught.get(m.id, ("**none**", ""))
-        if m.id not in PROOFS:
+        if m.requirements:
             lines.append(f"| {m.id} | {m.module} | {_cell(m.what)} | {', '.join(m.requirements)} | {vector} | {_cell(wrong)} |")
     lines += ["\n## By operators\n", "| bug | text | becomes | first vector | outcome |", "|---|---|---|---|---|"]
-    for m in rest:
+    for m in bugs:
         vector, wrong = caught.get(m.id, ("**none**", ""))
-        if m.id not in PROOFS:
+        if not m.requirements:
             lines.append(f"| {m.id} | `{_cell(m.old)}` | `{_cell(m.new)}` | {vector} | {_cell(wrong)} |")
     lines += ["\n## No bugs\n", "| change | text | becomes | proof |", "|---|---|---|---|"]
-    lines += [f"| {m.id} | `{_cell(m.old)}` | `{_cell(m.new)}` | {PROOFS[m.id]} |" for m in right]
+    lines += [f"| {m.id} | `{_cell(m.old)}` | `{_cell(m.new)}` | {PROOFS[m.id]} |" for m in mutants if m.id in PROOFS]
     return "\n".join(lines) + "\n"
 
 

@@ -26,7 +26,6 @@ from .mutant import Mutant
 from .record import Caught
 from .trial import Case, Grade, Outcome, grade, outcomes, visit
 
-
 T = TypeVar("T")
 
 
@@ -137,7 +136,7 @@ def _progress(found: Iterable[T], total: int, what: str) -> Iterable[T]:
     return bar
 
 
-class Tester:
+class Trials:
     """Decoders tried on vectors, by processes of one thread each, which may be forked."""
 
     def __init__(self, pool: Pool, all_cases: Sequence[Case], judge: Grade) -> None:
@@ -171,8 +170,8 @@ class Tester:
                 raise SelfTestError(f"a decoder that {fake.id} passes one of {names}")
 
     def order(self, made: Sequence[Mutant]) -> dict[str, list[str]]:
-        """For each mutant the vectors that can catch it, from the cheapest to the dearest, counted in calls of the unchanged decoder: the same
-        on every machine. Those are left out for which that does not call what the mutant changes: they pass.
+        """For each mutant the vectors that can catch it, from the cheapest to the dearest, counted in calls of the unchanged decoder: the
+        same on every machine. Those are left out for which that does not call what the mutant changes: they pass.
         """
         names = list(self._by_name)
         visits = list(_progress(self._pool.imap(_visit, names), len(names), "the vectors' costs"))
@@ -185,13 +184,12 @@ class Tester:
 
 
 @contextmanager
-def tester(all_cases: Sequence[Case], jobs: int, judge: Grade = grade) -> Iterator[Tester]:
-    """A tester whose grader, decoder and treatment of crashes have been checked; SelfTestError if one is wrong."""
+def trials(all_cases: Sequence[Case], jobs: int, judge: Grade = grade) -> Iterator[Trials]:
+    """Trials whose grader, decoder and treatment of crashes have been checked; SelfTestError if one is wrong."""
     check_grader(all_cases, judge)
     with multiprocessing.get_context("spawn").Pool(jobs, _start, (all_cases,)) as pool:
-        made = Tester(pool, all_cases, judge)
-        short = Tester(pool, all_cases, judge)
-        short.check_fakes()
+        made = Trials(pool, all_cases, judge)
+        made.check_fakes()
         made.check_decoder()
         yield made
 
@@ -229,17 +227,19 @@ def show(result: Score, made: Sequence[Mutant]) -> None:
         print(f"no equivalent: {name} is caught by {result.caught[name][0]}: {result.caught[name][1]}")
     hand = sum(bool(m.requirements) for m in bugs)
     share = 100 * (len(bugs) - len(result.survivors)) / len(bugs)
-    print(f"{len(bugs)} planted bugs, {hand} by hand and {len(bugs) - hand} by operators: {len(bugs) - len(result.survivors)} caught, {share:.1f} %")
+    print(
+        f"{len(bugs)} planted bugs, {hand} by hand and {len(bugs) - hand} by operators: {len(bugs) - len(result.survivors)} caught, {share:.1f} %"
+    )
 
 
 def run(manifest: Path, jobs: int, recorded: bool, matrix: Path | None, write: bool) -> int:
-    """Tries every planted bug on the vectors until one catches it, or only on the one recorded, or, with `matrix`, on all of them, and writes
-    to that file which catch it. Prints the score; `write` renews the record. Returns 0 if all are caught, else 1.
+    """Tries every planted bug on the vectors until one catches it, or only on the one recorded, or, with `matrix`, on all of them, and
+    writes to that file which catch it. Prints the score; `write` renews the record. Returns 0 if all are caught, else 1.
     """
     made = mutants()
     try:
         all_cases = cases(load(manifest))
-        with tester(all_cases, jobs) as test:
+        with trials(all_cases, jobs) as test:
             if recorded:
                 known = record.read()
                 made = [m for m in made if m.id in known]

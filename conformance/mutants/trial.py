@@ -15,7 +15,6 @@ from types import CodeType, FrameType, ModuleType
 from . import loading
 from .mutant import Mutant
 
-
 # What the interpreter has taken before a file is looked at, in bytes of address space.
 INTERPRETER_BYTES = 128 << 20
 
