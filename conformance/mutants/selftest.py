@@ -225,11 +225,8 @@ def show(result: Score, made: Sequence[Mutant]) -> None:
         print(f"survivor: {m.id}, {m.module}.py:{m.line}: {m.what}\n  {m.old!r}\n  {m.new!r}")
     for name in result.refuted:
         print(f"no equivalent: {name} is caught by {result.caught[name][0]}: {result.caught[name][1]}")
-    hand = sum(bool(m.requirements) for m in bugs)
-    share = 100 * (len(bugs) - len(result.survivors)) / len(bugs)
-    print(
-        f"{len(bugs)} planted bugs, {hand} by hand and {len(bugs) - hand} by operators: {len(bugs) - len(result.survivors)} caught, {share:.1f} %"
-    )
+    hand, caught = sum(bool(m.requirements) for m in bugs), len(bugs) - len(result.survivors)
+    print(f"{len(bugs)} planted bugs, {hand} by hand, {len(bugs) - hand} by operators: {caught} caught, {100 * caught / len(bugs):.1f} %")
 
 
 def run(manifest: Path, jobs: int, recorded: bool, matrix: Path | None, write: bool) -> int:
