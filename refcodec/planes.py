@@ -37,7 +37,7 @@ def code_planes(coder: Coder, sarm: IntNetwork, channels: int, size: int, given:
         parameters = sarm(activation(near)).astype(np.int64)
         known = None if given is None else given[:, :, i, j].reshape(-1).astype(np.int64)
 
-        def name(plane: int, index: int, i: list[int] = i.tolist(), j: list[int] = j.tolist()) -> str:  # noqa: B006, B008
+        def name(plane: int, index: int, i: list[int] = i.tolist(), j: list[int] = j.tolist()) -> str:  # noqa: B008
             channel, row = divmod(index, len(i))
             return f"planes.{PLANE_NAMES[plane]}[{channel},{i[row]},{j[row]}]"
 

@@ -5,10 +5,10 @@ from .recipes import Book, Recipe
 
 def recipes() -> list[Recipe]:
     """All vectors, in the order of the manifest."""
-    # Recipes need the encoder; who only asks for the package does not.
-    from . import refused, valid  # noqa: PLC0415
+    # What makes files needs the encoder; who only asks for the package does not.
+    from . import coding, decoding, orders, packing, refused_header, refused_sections, refused_streams, resource, structure, whole  # noqa: PLC0415
 
     book = Book()
-    for part in (valid, refused):
+    for part in (structure, decoding, coding, packing, whole, refused_header, refused_sections, refused_streams, orders, resource):
         part.add(book)
     return book.recipes

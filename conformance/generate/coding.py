@@ -5,10 +5,8 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from refcodec.attributes import ATTRIBUTE_SYMBOL_MAX
-from refcodec.networks import Layer
 from refcodec.planes import PLANE_SYMBOL_MAX
 from refcodec.scene import Dimensions, Lanes, Scene
 from refcodec.tables import SCALE_MIN
@@ -30,7 +28,9 @@ def add(book: Book) -> None:
     _streams(book)
 
 
-def spread(name: str, mean: Int64, scale: Int64, coder: Sampler, anchors: int = 12, d: Dimensions = WIDE, lanes: Lanes | None = None) -> Scene:
+def spread(
+    name: str, mean: Int64, scale: Int64, coder: Sampler, anchors: int = 12, d: Dimensions = WIDE, lanes: Lanes | None = None
+) -> Scene:
     """A scene whose channels have these means and scale indices, the same for each anchor."""
     made = scene(name, anchors, d, networks=constant(d, Numbers(name), mean, scale), masks=np.ones((anchors, d.offset_count), bool))
     return sampled(replace(made, lanes=lanes or made.lanes), coder, planes=False)
@@ -159,7 +159,9 @@ def _escapes(book: Book) -> None:
     def with_raw() -> Scene:
         total = WIDE.attribute_width
         numbers = Numbers("escapes-raw")
-        return spread("escapes-raw", numbers.integers(-500, 500, total), 30 + np.arange(total) % 40, Sampler(numbers, 3), 14, lanes=Lanes(0, 0, 3))
+        return spread(
+            "escapes-raw", numbers.integers(-500, 500, total), 30 + np.arange(total) % 40, Sampler(numbers, 3), 14, lanes=Lanes(0, 0, 3)
+        )
 
     book.valid("escapes-raw", "groups with many raw fields and many escapes", with_raw, features="escapes raw-bits lanes",
         requirements="D8.6-1 D8.7-1 D8.5-1", flags="raw-before-escapes escape-raw-bits")  # fmt: skip
@@ -209,5 +211,3 @@ def _streams(book: Book) -> None:
 
     book.valid("substream-long", "one lane, thousands of symbols", long, features="substream", requirements="D8.2-1 D8.3-1 R8.8-5",
         flags="symbol-crc group-continues")  # fmt: skip
-
-

@@ -367,7 +367,10 @@ def _attributes(book: Book) -> None:
                 w[:] = dyadic(numbers.integers(-100, 100, *w.shape), 7)
                 b[:] = dyadic(numbers.integers(-40, 40, len(b)), 1)
         mean = numbers.integers(-spread, spread, d.attribute_width)
-        found = {**constant(d, numbers, mean, numbers.integers(-10, 20, d.attribute_width)), **{n: v for n, v in found.items() if "carm" in n}}
+        found = {
+            **constant(d, numbers, mean, numbers.integers(-10, 20, d.attribute_width)),
+            **{n: v for n, v in found.items() if "carm" in n},
+        }
         return sampled(scene(name, 25, d, networks=found, carm_shift=shift.astype(np.uint8)), Sampler(numbers, 30))
 
     numbers = Numbers("carm")

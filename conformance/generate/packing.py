@@ -8,7 +8,6 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from refcodec.networks import Layer
 from refcodec.positions import CELL_INDEX, EMPTY_MODELS, HALVES, POSITION_MODELS, PositionModel, cell_positions, morton
 from refcodec.quantise import pack_weights, position_model
 from refcodec.scene import Dimensions, Lanes, Scene
@@ -98,14 +97,30 @@ def _positions(book: Book) -> None:
     valid("full", "a full cube of 64 cells about the middle", lambda: placed("cells-full", of_cells(full, 20)), "tree-order tree-model")
     valid("one", "a single cell", lambda: placed("cells-one", of_cells(np.array([[MIDDLE + 3, MIDDLE - 7, MIDDLE]]), 20)), "tree-order")
     corners = np.array([[x, y, z] for x in (0, 65520) for y in (0, 65520) for z in (0, 65520)])
-    valid("corners", "one cell in each of the root's children", lambda: placed("cells-corners", of_cells(corners, 10), shift=10), "tree-order axes-swapped")
+    valid(
+        "corners",
+        "one cell in each of the root's children",
+        lambda: placed("cells-corners", of_cells(corners, 10), shift=10),
+        "tree-order axes-swapped",
+    )
     pair = np.array([[MIDDLE, MIDDLE, MIDDLE], [MIDDLE, MIDDLE, MIDDLE + 1]])
-    valid("siblings", "two cells that part at the last level", lambda: placed("cells-siblings", of_cells(pair, 20), shift=20), "tree-order axes-swapped")
+    valid(
+        "siblings",
+        "two cells that part at the last level",
+        lambda: placed("cells-siblings", of_cells(pair, 20), shift=20),
+        "tree-order axes-swapped",
+    )
     line = MIDDLE + np.stack([np.arange(-9, 9), np.zeros(18, int), np.zeros(18, int)], axis=1)
     for axis in range(3):
         valid(f"line-{'xyz'[axis]}", "cells along one axis", lambda axis=axis: placed(  # type: ignore[misc]
             "cells-line", of_cells(np.roll(line, axis, axis=1), 22), shift=22), "axes-swapped tree-order")  # fmt: skip
-    valid("any-model", "frequencies that fit no scene", lambda: placed("cells-any-model", grid, any_model(numbers), 22), "tree-model", "R6.10-4 D8.2-1")
+    valid(
+        "any-model",
+        "frequencies that fit no scene",
+        lambda: placed("cells-any-model", grid, any_model(numbers), 22),
+        "tree-model",
+        "R6.10-4 D8.2-1",
+    )
     valid("sharp-model", "frequencies of 1, and of all that is left", lambda: placed("cells-sharp-model", grid, sharp_model({}), 22),
         "tree-model limit-off-by-one", "R6.10-4 D8.2-1")  # fmt: skip
 
@@ -138,7 +153,14 @@ def _positions(book: Book) -> None:
 
     def dense() -> Scene:
         # A cuboid whose models know it: 16 anchors for each byte of the part, the most there can be.
-        for anchors, size in ((240, (4, 4, 15)), (256, (4, 4, 16)), (272, (4, 4, 17)), (288, (4, 4, 18)), (256, (8, 8, 4)), (224, (4, 7, 8))):
+        for anchors, size in (
+            (240, (4, 4, 15)),
+            (256, (4, 4, 16)),
+            (272, (4, 4, 17)),
+            (288, (4, 4, 18)),
+            (256, (8, 8, 4)),
+            (224, (4, 7, 8)),
+        ):
             box = np.stack(np.meshgrid(*(np.arange(n) for n in size), indexing="ij"), axis=-1).reshape(-1, 3) + MIDDLE
             made = placed("cells-dense", of_cells(box, 20), shift=20, lanes=Lanes(0, 0, 0))
             from refcodec.positions import encode_positions  # noqa: PLC0415
@@ -181,7 +203,13 @@ def _weights(book: Book) -> None:
         w[1], b[1] = 2.0**104, -(2.0**127)
         w[2], b[2] = float(np.float32(2.0**104 * ((1 << 24) - 1))), 2.0**104
 
-    valid("limits", "exponents and integers at their limits", lambda: _regular("grids-limits", limits), "grid-exponent symbol-limit limit-off-by-one", "R6.8-5")
+    valid(
+        "limits",
+        "exponents and integers at their limits",
+        lambda: _regular("grids-limits", limits),
+        "grid-exponent symbol-limit limit-off-by-one",
+        "R6.8-5",
+    )
 
     def zeros(n: Networks) -> None:
         for name, rows in (("opacity", [0, 1]), ("colour", [1]), ("covariance", [2])):
@@ -215,6 +243,7 @@ def _weights(book: Book) -> None:
     valid("biases", "rows whose exponent is that of the bias", lambda: _regular("grids-biases", biases), "grid-exponent")
 
     for value in (0, 255):
+
         def extreme(value: int = value) -> Scene:
             made = scene(f"grids-scales-{value}", 2, SMALLEST)
             return replace(made, weight_scales=np.full((len(layers_of(SMALLEST)), 3), value, np.uint8))
@@ -260,6 +289,12 @@ def _weights(book: Book) -> None:
         made = _regular("grids-escapes", long)
         return replace(made, weight_scales=np.minimum(scales(made.networks), 60).astype(np.uint8))
 
-    valid("escapes", "integers of each length, far beyond their scale", escaped, "escape-prefix escape-sign raw-before-escapes", "D8.6-1 D8.7-1")
+    valid(
+        "escapes",
+        "integers of each length, far beyond their scale",
+        escaped,
+        "escape-prefix escape-sign raw-before-escapes",
+        "D8.6-1 D8.7-1",
+    )
     valid("lanes", "a substream of 256 lanes", lambda: replace(_regular("grids-lanes", lambda n: None), lanes=Lanes(0, 0, 8)),
         "lane-order idle-lanes", "D8.3-1")  # fmt: skip

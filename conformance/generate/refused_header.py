@@ -9,14 +9,18 @@ from dataclasses import replace
 from functools import cache
 from typing import Any
 
+import numpy as np
+
 from refcodec import codec, container, syntax
 from refcodec.container import PROLOGUE_BYTES
+from refcodec.quantise import position_model
 
 from ..files import Target, repair, resized
 from .numbers import Numbers
+from .packing import sharp_model
 from .recipes import Book, Make, Refused
-from .scenes import MAIN_SMALLEST, SMALL, lattice, packed_weights, scene
-from .structure import drawn, sparse
+from .scenes import MAIN_SMALLEST, SMALL, lattice, packed_weights, scene, silent
+from .structure import drawn
 
 NAN, INFINITY = float("nan"), float("inf")
 
@@ -33,9 +37,6 @@ def packed() -> Target:
     """A file in mode 1: two packed chunks, a raw one and a packed one; a raw layer of weights."""
     where = lattice(Numbers("refused-packed"), 11)
     where[6] = where[7]
-    # Imported late: packing imports much.
-    from refcodec.quantise import position_model  # noqa: PLC0415
-
     made = drawn("refused-packed", 11, chunk_size=3, positions=where, position_model=position_model(where, 3))
     made.networks["colour"][0][1][0] = -0.0
     return Target(codec.emit(packed_weights(made)))
@@ -43,8 +44,12 @@ def packed() -> Target:
 
 @cache
 def main_file() -> Target:
-    """A file of profile Main, level 1."""
-    return Target(codec.emit(sparse(scene("refused-main", 0, MAIN_SMALLEST))))
+    """A file of profile Main, level 1, in mode 1, without anchors and with weights of 0."""
+    made = scene("refused-main", 0, MAIN_SMALLEST)
+    networks = {name: silent(layers) for name, layers in made.networks.items()}
+    networks["sarm"][-1][1][1] = -40
+    model = sharp_model({})
+    return Target(codec.emit(packed_weights(replace(made, networks=networks, planes=np.zeros_like(made.planes), position_model=model))))
 
 
 def patched(base: Callable[[], Target], path: str, form: str, value: Any, name: str, told: str | None = None) -> Make:
@@ -76,19 +81,19 @@ def _prologue(book: Book) -> None:
     def add(klass: str, name: str, text: str, make: Make, flags: str = "") -> None:
         book.add(f"{klass}-prologue-{name}", text, make, features="prologue", flags=flags)
 
-    for length in (0, 1, 19):
+    for length in (0, 19):
         add("malformed", f"of-{length}-bytes", f"a file of {length} bytes", lambda length=length: Refused(  # type: ignore[misc]
             plain().data[:length], "prologue.truncated", length), "truncation")  # fmt: skip
-    for name, at, value in (("seven-bits", 0, 9), ("no-return", 4, 10), ("last-byte", 7, 13), ("case", 1, ord("c"))):
+    for name, at, value in (("seven-bits", 0, 9), ("last-byte", 7, 13)):
         add("malformed", f"signature-{name}", f"byte {at} of the signature is {value}", lambda at=at, value=value: Refused(  # type: ignore[misc]
             repair(plain().put(at, bytes([value]))), "prologue.signature", 0), "signature-partly")  # fmt: skip
-    for at, name in ((8, "version"), (12, "header-length"), (16, "itself"), (19, "last-byte")):
+    for at, name in ((8, "version"), (15, "header-length"), (19, "itself")):
         add("malformed", f"crc-{name}", f"the prologue's CRC-32 does not match: byte {at} is changed", lambda at=at: Refused(  # type: ignore[misc]
             plain().put(at, bytes([plain().data[at] ^ 0x40])), "prologue.crc", 16), "checksum-unchecked")  # fmt: skip
-    for version in (1, 256, 0xFFFFFFFF):
+    for version in (1, 1 << 24):
         add("unsupported", f"version-{version}", f"version {version}", lambda version=version: Refused(  # type: ignore[misc]
             with_prologue(plain(), 8, version), "prologue.version", 8), "version-unchecked")  # fmt: skip
-    for length in (0, 3, 65536, 0xFFFFFFFF):
+    for length in (3, 65536):
         add("malformed", f"header-length-{length}", f"header_length {length}", lambda length=length: Refused(  # type: ignore[misc]
             with_prologue(plain(), 12, length), "prologue.header_length", 12), "limit-off-by-one")  # fmt: skip
 
@@ -101,9 +106,8 @@ def _header(book: Book) -> None:
         return lambda: Refused(plain().data[: length(plain())], "header.truncated", length(plain()))
 
     add("none", "the file ends with its prologue", cut(lambda t: PROLOGUE_BYTES), "truncation")
-    add("cut-in-fields", "the file ends within the header's fields", cut(lambda t: 60), "truncation")
     add("cut-by-one", "the last byte of the header is missing", cut(lambda t: t.header_end - 1), "truncation")
-    for name, place in (("first", lambda t: PROLOGUE_BYTES), ("last", lambda t: t.header_end - 5), ("itself", lambda t: t.header_end - 1)):
+    for name, place in (("first", lambda t: PROLOGUE_BYTES), ("last", lambda t: t.header_end - 5)):
 
         def crc(place: Callable[[Target], int] = place) -> Refused:
             t = plain()
@@ -122,7 +126,7 @@ def _header(book: Book) -> None:
 
         return make
 
-    for change in (1, 16, -1, -16, -4):
+    for change in (1, -1, -4):
         add(f"{'longer' if change > 0 else 'shorter'}-by-{abs(change)}", f"header_length is {abs(change)} {'more' if change > 0 else 'less'} than the fields take",
             other_length(change), "header-slack" if change > 0 else "truncation")  # fmt: skip
 
@@ -151,20 +155,43 @@ def _header(book: Book) -> None:
 
         return make
 
-    for field in ("dimensions.slice_count", "dimensions.hyper_layers", "dimensions.sarm_layers", "dimensions.carm_layers", "section_count"):
+    for field in ("dimensions.slice_count", "dimensions.hyper_layers", "section_count"):
         name = field.rpartition(".")[2].replace("_", "-")
-        add(f"{name}-255", f"{name.replace('-', '_')} 255, more than the header holds", counted(field, field, 255), "truncation buffer-too-small")
-    reserved = [("reserved_0", "B"), ("reserved_1", "B"), ("position_grid.reserved", "B"), ("directory[0].reserved", "<H"), ("directory[8].reserved", "<H")]
+        add(
+            f"{name}-255",
+            f"{name.replace('-', '_')} 255, more than the header holds",
+            counted(field, field, 255),
+            "truncation buffer-too-small",
+        )
+    reserved = [
+        ("reserved_0", "B"),
+        ("reserved_1", "B"),
+        ("position_grid.reserved", "B"),
+        ("directory[0].reserved", "<H"),
+        ("directory[8].reserved", "<H"),
+    ]
     for path, form in reserved:
         name = path.replace("_", "-").replace(".", "-").replace("[", "-").replace("]", "")
         value = 256 if form == "<H" else 1
         add(f"set-{name}", f"{path} is {value}", patched(plain, path, form, value, "header.reserved"), "reserved-unchecked")
-    for profile in (2, 255):
-        add(f"profile-{profile}", f"profile {profile}", patched(plain, "profile", "B", profile, "header.profile"), "profile-unchecked", "unsupported")
-    for level in (1, 255):
+    for profile in (2,):
+        add(
+            f"profile-{profile}",
+            f"profile {profile}",
+            patched(plain, "profile", "B", profile, "header.profile"),
+            "profile-unchecked",
+            "unsupported",
+        )
+    for level in (1,):
         add(f"level-{level}", f"level {level} of Tiny", patched(plain, "level", "B", level, "header.level"), "level-limits", "unsupported")
     for level in (0, 4):
-        add(f"main-level-{level}", f"level {level} of Main", patched(main_file, "level", "B", level, "header.level"), "level-limits", "unsupported")
+        add(
+            f"main-level-{level}",
+            f"level {level} of Main",
+            patched(main_file, "level", "B", level, "header.level"),
+            "level-limits",
+            "unsupported",
+        )
 
 
 def _dimensions(book: Book) -> None:
@@ -173,14 +200,14 @@ def _dimensions(book: Book) -> None:
 
     name = "header.dimension"
     tiny: list[tuple[str, str, list[int]]] = [
-        ("offset_count", "B", [0, 11]), ("slice_width[0]", "B", [0, 17]), ("slice_width[1]", "B", [0, 17]), ("plane_channels", "B", [0, 9]),
-        ("frequency_count", "B", [0, 11]), ("plane_size", "<H", [0, 1, 33, 258]), ("hyper_width[0]", "B", [0, 65]),
-        ("sarm_width[0]", "B", [0, 17]), ("sarm_width[1]", "B", [0, 17]), ("carm_width[0]", "B", [0, 65]), ("render_width", "B", [0, 65]),
+        ("offset_count", "B", [0, 11]), ("slice_width[0]", "B", [0]), ("slice_width[1]", "B", [17]), ("plane_channels", "B", [0, 9]),
+        ("frequency_count", "B", [0, 11]), ("plane_size", "<H", [1, 33, 258]), ("hyper_width[0]", "B", [0, 65]),
+        ("sarm_width[0]", "B", [0]), ("sarm_width[1]", "B", [17]), ("carm_width[0]", "B", [0, 65]), ("render_width", "B", [0, 65]),
     ]  # fmt: skip
     main: list[tuple[str, str, list[int]]] = [
-        ("offset_count", "B", [9, 11]), ("slice_width[0]", "B", [4, 21]), ("plane_channels", "B", [7, 9]), ("frequency_count", "B", [9, 11]),
-        ("plane_size", "<H", [1, 257]), ("hyper_width[0]", "B", [15, 129]), ("sarm_width[0]", "B", [15, 17]), ("carm_width[0]", "B", [15, 129]),
-        ("render_width", "B", [49, 51]),
+        ("offset_count", "B", [9, 11]), ("slice_width[0]", "B", [4]), ("slice_width[3]", "B", [21]), ("plane_channels", "B", [7, 9]),
+        ("frequency_count", "B", [9, 11]), ("plane_size", "<H", [1, 257]), ("hyper_width[0]", "B", [15, 129]), ("sarm_width[0]", "B", [15, 17]),
+        ("carm_width[0]", "B", [15, 129]), ("render_width", "B", [49, 51]),
     ]  # fmt: skip
     for base, label, rows in ((plain, "", tiny), (main_file, "main-", main)):
         for field, form, values in rows:
@@ -221,7 +248,12 @@ def _dimensions(book: Book) -> None:
     def one_slice() -> Target:
         return Target(codec.emit(drawn("refused-one-slice", 2, replace(SMALL, slices=(3,), carm_width=()))))
 
-    add("carm-for-nothing", "CARM has a hidden layer, though there is one slice", counted(one_slice, "carm_layers", "carm_width", [4]), "carm-slices")
+    add(
+        "carm-for-nothing",
+        "CARM has a hidden layer, though there is one slice",
+        counted(one_slice, "carm_layers", "carm_width", [4]),
+        "carm-slices",
+    )
 
     def other_slices() -> Refused:
         t = main_file()
@@ -241,7 +273,7 @@ def _fields(book: Book) -> None:
     def add(name: str, text: str, make: Make, feature: str, flags: str = "limit-off-by-one") -> None:
         book.add(f"invalid-{name}", text, make, features=feature, flags=flags)
 
-    for value in (4097, 1 << 31, 0xFFFFFFFF):
+    for value in (4097, 0xFFFFFFFF):
         add(f"anchor-count-{value}", f"anchor_count {value} in Tiny", patched(plain, "anchor_count", "<I", value, "header.anchor_count"), "header",
             "level-limits buffer-too-small")  # fmt: skip
     for level, most in ((1, 1 << 17), (2, 1 << 20), (3, 1 << 24)):
@@ -253,7 +285,7 @@ def _fields(book: Book) -> None:
             return Refused(repair(bytes(data)), "header.anchor_count", t.at("anchor_count"))
 
         add(f"anchor-count-main-{level}", f"one anchor more than level {level} of Main allows", crowd, "main header", "level-limits")
-    for level, anchors, size in ((2, 0, 2), (3, 0, 2), (2, 1 << 17, 128), (3, 1 << 20, 256)):
+    for level, anchors, size in ((2, 1 << 17, 128), (3, 1 << 20, 256), (3, 0, 2)):
 
         def higher(level: int = level, anchors: int = anchors, size: int = size) -> Refused:
             t = main_file()
@@ -265,29 +297,46 @@ def _fields(book: Book) -> None:
 
         text = f"level {level}, though level {level - 1} allows {anchors} anchors and planes of {size}"
         add(f"level-{level}-of-{anchors}-{size}", text, higher, "main header", "level-limits level-not-minimal")
-    for value in (0, 65537, 1 << 31):
+    for value in (0, 65537):
         add(f"chunk-size-{value}", f"chunk_size {value}", patched(plain, "chunk_size", "<I", value, "header.chunk_size"), "header")
     for value in (255, 65537):
-        add(f"chunk-size-main-{value}", f"chunk_size {value} in Main", patched(main_file, "chunk_size", "<I", value, "header.chunk_size"), "main header")
+        add(
+            f"chunk-size-main-{value}",
+            f"chunk_size {value} in Main",
+            patched(main_file, "chunk_size", "<I", value, "header.chunk_size"),
+            "main header",
+        )
     for part in ("plane", "mask", "attribute"):
-        for value in (9, 32):
+        for value in (9,) if part != "mask" else (9, 32):
             path = f"{part}_lanes_log2"
-            add(f"{part}-lanes-{value}", f"{path} {value}", patched(plain, path, "B", value, "header.lanes"), "header lanes", "limit-off-by-one shift-overflow")
+            add(
+                f"{part}-lanes-{value}",
+                f"{path} {value}",
+                patched(plain, path, "B", value, "header.lanes"),
+                "header lanes",
+                "limit-off-by-one shift-overflow",
+            )
     below, above = float.fromhex("0x1.fffffep-61"), float.fromhex("0x1.000002p+60")
     for item, value, text in (
-        (0, 0.0, "zero"), (0, below, "below the least"), (1, above, "above-the-largest"), (2, -1.0, "negative"), (1, NAN, "not-a-number"),
-        (2, INFINITY, "infinite"), (0, -0.0, "negative zero"), (2, 2.0**-149, "subnormal"),
+        (0, below, "below the least"), (1, above, "above-the-largest"), (2, -1.0, "negative"), (1, NAN, "not-a-number"),
+        (2, INFINITY, "infinite"), (0, -0.0, "negative zero"),
     ):  # fmt: skip
         label = text.replace(" ", "-")
         make = patched(plain, f"base_step[{item}]", "<f", value, "header.base_step")
-        add(f"base-step-{item}-{label}", f"base_step {item} is {text.replace('-', ' ')}", make, "header steps", "float-limits limit-off-by-one")
+        add(
+            f"base-step-{item}-{label}",
+            f"base_step {item} is {text.replace('-', ' ')}",
+            make,
+            "header steps",
+            "float-limits limit-off-by-one",
+        )
     grid = "header.position_grid"
-    for item, number in ((0, 1 << 62), (1, -(1 << 62)), (2, -(1 << 63)), (2, (1 << 63) - 1)):
+    for item, number in ((0, 1 << 62), (1, -(1 << 62)), (2, -(1 << 63))):
         label = f"{'minus' if number < 0 else 'plus'}-{item}-{abs(number).bit_length()}"
         add(f"origin-{label}", f"origin {item} is {number}", patched(plain, f"position_grid.origin[{item}]", "<q", number, grid), "position-grid",
             "limit-off-by-one signed-limits")  # fmt: skip
     add("scale-mantissa-0", "scale_mantissa 0", patched(plain, "position_grid.scale_mantissa", "<H", 0, grid), "position-grid")
-    for number in (61, -61, 127, -128):
+    for number in (61, -61, -128):
         label = f"{'minus' if number < 0 else 'plus'}-{abs(number)}"
         add(f"scale-exponent-{label}", f"scale_exponent {number}", patched(plain, "position_grid.scale_exponent", "b", number, grid), "position-grid",
             "limit-off-by-one signed-limits")  # fmt: skip
@@ -296,16 +345,14 @@ def _fields(book: Book) -> None:
 
 def _render_info(book: Book) -> None:
     rows: list[tuple[str, str, float, str]] = [
-        ("up_axis", "B", 6, "6"), ("up_axis", "B", 255, "255"),
-        *((field, "<f", value, text) for field in ("near_plane", "alpha_max", "low_pass") for value, text in
-            ((NAN, "not-a-number"), (INFINITY, "infinite"), (-INFINITY, "minus-infinite"))),
-        ("near_plane", "<f", 0.0, "zero"), ("near_plane", "<f", -0.0, "minus-zero"), ("near_plane", "<f", -1.0, "negative"),
-        ("alpha_max", "<f", 0.0, "zero"), ("alpha_max", "<f", -0.5, "negative"), ("alpha_max", "<f", float.fromhex("0x1.000002p+0"), "above-one"),
-        ("low_pass", "<f", -(2.0**-149), "negative"), ("camera_width", "<H", 0, "zero"), ("camera_height", "<H", 0, "zero"),
-        *((f"camera_focal[{i}]", "<f", value, text) for i in range(2) for value, text in
-            ((NAN, "not-a-number"), (INFINITY, "infinite"), (0.0, "zero"), (-1.0, "negative"))),
-        *((f"camera_rotation[{i}]", "<f", (NAN, INFINITY)[i % 2], ("not-a-number", "infinite")[i % 2]) for i in range(4)),
-        *((f"camera_translation[{i}]", "<f", (-INFINITY, NAN)[i % 2], ("infinite", "not-a-number")[i % 2]) for i in range(3)),
+        ("up_axis", "B", 6, "6"), ("near_plane", "<f", NAN, "not-a-number"), ("near_plane", "<f", INFINITY, "infinite"),
+        ("near_plane", "<f", 0.0, "zero"), ("near_plane", "<f", -1.0, "negative"), ("alpha_max", "<f", NAN, "not-a-number"),
+        ("alpha_max", "<f", -0.0, "minus-zero"), ("alpha_max", "<f", float.fromhex("0x1.000002p+0"), "above-one"),
+        ("low_pass", "<f", NAN, "not-a-number"), ("low_pass", "<f", INFINITY, "infinite"), ("low_pass", "<f", -(2.0**-149), "negative"),
+        ("camera_width", "<H", 0, "zero"), ("camera_height", "<H", 0, "zero"), ("camera_focal[0]", "<f", NAN, "not-a-number"),
+        ("camera_focal[1]", "<f", INFINITY, "infinite"), ("camera_focal[1]", "<f", 0.0, "zero"), ("camera_focal[0]", "<f", -1.0, "negative"),
+        ("camera_rotation[0]", "<f", -INFINITY, "infinite"), ("camera_rotation[3]", "<f", NAN, "not-a-number"),
+        ("camera_translation[0]", "<f", NAN, "not-a-number"), ("camera_translation[2]", "<f", -INFINITY, "infinite"),
     ]  # fmt: skip
     for field, form, value, text in rows:
         path = f"render_info.{field}"
@@ -314,32 +361,42 @@ def _render_info(book: Book) -> None:
         label = field.replace("_", "-").replace("[", "-").replace("]", "")
         make = patched(plain, path, form, int(value) if form in ("B", "<H") else value, "header.render_info", told)
         book.add(f"invalid-{label}-{text}", f"{field} is {text.replace('-', ' ')}", make, features="render-info", flags="float-limits")
-    for sign, text in ((0.0, "zeros"), (-0.0, "minus-zeros")):
+    for sign, text in ((-0.0, "zeros"),):
 
         def rotation(sign: float = sign) -> Refused:
             t = plain()
             at = t.at("render_info.camera_rotation[0]")
             return Refused(repair(t.put(at, struct.pack("<4f", sign, 0.0, sign, 0.0))), "header.render_info", at)
 
-        book.add(f"invalid-camera-rotation-{text}", f"camera_rotation of {text.replace('-', ' ')}", rotation, features="render-info", flags="float-limits")
+        book.add(
+            f"invalid-camera-rotation-{text}",
+            f"camera_rotation of {text.replace('-', ' ')}",
+            rotation,
+            features="render-info",
+            flags="float-limits",
+        )
 
 
 def _directory(book: Book) -> None:
     def add(klass: str, name: str, text: str, make: Make, flags: str = "") -> None:
         book.add(f"{klass}-{name}", text, make, features="directory", flags=flags)
 
-    for entry, kind in ((0, 0x80), (3, 0x88), (7, 0xFF), (8, 0xC5)):
+    for entry, kind in ((0, 0x80), (3, 0x88), (8, 0xC5)):
         make = patched(plain, f"directory[{entry}].type", "B", kind, "directory.unknown_critical")
-        add("unsupported", f"section-{kind:02x}-as-entry-{entry}", f"entry {entry} is a critical section {kind:02X}", make, "critical-skipped")
+        add(
+            "unsupported",
+            f"section-{kind:02x}-as-entry-{entry}",
+            f"entry {entry} is a critical section {kind:02X}",
+            make,
+            "critical-skipped",
+        )
     types: list[tuple[str, str, dict[int, int], int]] = [
         ("swapped", "the planes come before the weights", {1: 0x83, 2: 0x82}, 1), ("twice", "two sections of masks", {6: 0x86}, 6),
-        ("late-frame", "the frame is the last of the critical sections", {0: 0x82, 1: 0x83, 2: 0x84, 3: 0x85, 4: 0x86, 5: 0x87, 6: 0x81}, 0),
         ("ancillary-among", "an ancillary section among the critical ones", {2: 0x05}, 2),
         ("ancillary-first", "an ancillary section before the critical ones", {0: 0x01}, 0),
         ("ancillary-zero", "an ancillary section of type 00", {7: 0x00}, 7),
         ("ancillary-twice", "two ancillary sections of one type", {8: 0x05}, 8), ("ancillary-falls", "ancillary types that fall", {7: 0x0A}, 8),
         ("critical-behind", "a critical section behind the ancillary ones", {8: 0x87}, 8),
-        ("critical-eighth", "an eighth critical section", {7: 0x81}, 7),
     ]  # fmt: skip
     for name, text, changes, wrong in types:
 
@@ -364,10 +421,10 @@ def _directory(book: Book) -> None:
         add("malformed", f"sections-{count}", f"{count} sections", few, "section-order truncation")
     for entry, (section, mode) in enumerate(zip(container.SECTIONS.values(), (1, 2, 1, 1, 2, 1, 1), strict=True)):
         label = section.replace("_", "-")
-        for value in {mode, 255}:
+        for value in (mode,):
             make = patched(plain, f"directory[{entry}].mode", "B", value, "directory.mode")
             add("unsupported", f"mode-{label}-{value}", f"mode {value} of the {section.replace('_', ' ')}", make, "mode-unchecked")
-    for entry, change, text in ((0, 1, "one late"), (0, -1, "one early"), (3, 4, "a gap"), (5, -2, "an overlap"), (7, 8, "an ancillary section elsewhere"), (8, 1, "the last section, one late")):
+    for entry, change, text in ((0, 1, "one late"), (3, 4, "a gap"), (5, -2, "an overlap"), (8, 1, "the last section, one late")):
 
         def moved(entry: int = entry, change: int = change) -> Refused:
             t = plain()
@@ -376,8 +433,15 @@ def _directory(book: Book) -> None:
             return Refused(repair(t.put(at, (right + change).to_bytes(4, "little"))), "directory.offset", at)
 
         add("malformed", f"offset-{entry}-{text.replace(',', '').replace(' ', '-')}", f"entry {entry}: {text}", moved, "offsets-trusted")
-    add("malformed", "offset-huge", "a section at the end of the address space", lambda: Refused(
-        repair(plain().put(plain().at("directory[2].offset"), b"\xff" * 4)), "directory.offset", plain().at("directory[2].offset")), "offsets-trusted buffer-too-small")
+    add(
+        "malformed",
+        "offset-huge",
+        "a section at the end of the address space",
+        lambda: Refused(
+            repair(plain().put(plain().at("directory[2].offset"), b"\xff" * 4)), "directory.offset", plain().at("directory[2].offset")
+        ),
+        "offsets-trusted buffer-too-small",
+    )
     for base, label in ((plain, ""), (packed, "packed-")):
         for kind, change in ((container.FRAME, 1), (container.FRAME, -1), (container.WEIGHTS, 4), (container.WEIGHTS, -4), (container.CHUNK_TABLE, 24),
                              (container.CHUNK_TABLE, -1), (container.POSITIONS, 6), (container.POSITIONS, -6)):  # fmt: skip
@@ -395,11 +459,11 @@ def _directory(book: Book) -> None:
             add("malformed", f"length-{label}{section.replace('_', '-')}-{'plus' if change > 0 else 'minus'}-{abs(change)}",
                 f"the {section.replace('_', ' ')} {'in mode 1 ' if label else ''}have {abs(change)} bytes {'more' if change > 0 else 'less'} than the header implies",
                 sized, "lengths-trusted")  # fmt: skip
-    for extra in (1, 4096):
+    for extra in (1,):
         add("malformed", f"behind-the-end-{extra}", f"{extra} bytes behind the last section", lambda extra=extra: Refused(  # type: ignore[misc]
             plain().data + bytes(extra), "directory.file_length", len(plain().data)), "trailing-bytes")  # fmt: skip
     for name, place in (("by-one", lambda t: t.sections[container.ATTRIBUTES].end + 4), ("within-attributes", lambda t: t.start(container.ATTRIBUTES) + 5),
-                        ("behind-header", lambda t: t.header_end), ("within-weights", lambda t: t.start(container.WEIGHTS) + 100)):  # fmt: skip
+                        ("behind-header", lambda t: t.header_end)):  # fmt: skip
 
         def cut(place: Callable[[Target], int] = place) -> Refused:
             return Refused(plain().data[: place(plain())], "directory.file_length", place(plain()))

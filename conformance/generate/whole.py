@@ -27,7 +27,7 @@ from .scenes import SMALL, Networks, dyadic, lattice, positions, scene, with_sym
 from .structure import drawn
 
 SOURCES = Path(__file__).resolve().parent / "sources"
-UNUSUAL = 32
+UNUSUAL = 20
 
 
 def add(book: Book) -> None:
