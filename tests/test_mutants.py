@@ -120,7 +120,7 @@ def test_operator_on_statements() -> None:
 def test_a_loaded_decoder_is_new_and_the_right_one_is_left_alone() -> None:
     unchanged, wrong = loading.load(None), loading.load(changed_text("operators", "UNIT_BITS = 16", "UNIT_BITS = 15"))
     assert (unchanged.operators.UNIT_BITS, wrong.operators.UNIT_BITS, wrong.geometry.UNIT) == (16, 15, 1 << 15)
-    assert trial.decode(unchanged, PAIR[0].data) == Outcome("accepted", digest=PAIR[0].digest or "")
+    assert trial.decode(unchanged, PAIR[0].data) == Outcome("accepted", digests=PAIR[0].digests)
 
 
 def test_what_a_change_reaches() -> None:
@@ -253,7 +253,7 @@ def test_trials_that_take_a_crash_for_a_refusal_are_caught(monkeypatch: pytest.M
 
 
 def test_a_decoder_that_fails_a_vector_ends_the_test() -> None:
-    wrong = replace(PAIR[0], digest="1" * 64)
+    wrong = replace(PAIR[0], digests={"whole": "1" * 64})
     with pytest.raises(selftest.SelfTestError, match="unchanged, fails"), selftest.trials([wrong, PAIR[1]], 1):
         pass
 
@@ -311,7 +311,7 @@ def test_command(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest
     assert "| digest-order | reconstruction |" in (tmp_path / "CAUGHT.md").read_text()
     monkeypatch.setattr(selftest, "mutants", lambda: [changed_text("masks", "masks[n].append(bit)", "masks[n] += [bit]")])
     assert cli.main(["selftest", "--jobs", "1"]) == 1
-    monkeypatch.setattr(selftest, "cases", lambda manifest: [replace(PAIR[0], digest="1" * 64)])
+    monkeypatch.setattr(selftest, "cases", lambda manifest: [replace(PAIR[0], digests={"whole": "1" * 64})])
     assert cli.main(["selftest", "--jobs", "1"]) == 1
 
 

@@ -44,9 +44,13 @@ def cases(manifest: Manifest) -> list[Case]:
     for vector in manifest.vectors:
         if vector.operation == "decode":
             expected = vector.expectation
-            digest = expected.digest if isinstance(expected, Accepted) else None
-            error = (expected.code, expected.offset) if isinstance(expected, Rejected) else None
-            found.append(Case(vector.id, manifest.path(vector).read_bytes(), digest, error, vector.budget.seconds, vector.budget.bytes))
+            digests, error = {}, None
+            if isinstance(expected, Accepted):
+                # The second decoder does not tell the head's.
+                digests = {"whole": expected.digest, **{name: value for name, value in expected.parts.items() if name != "head"}}
+            elif isinstance(expected, Rejected):
+                error = expected.code, expected.offset
+            found.append(Case(vector.id, manifest.path(vector).read_bytes(), digests, error, vector.budget.seconds, vector.budget.bytes))
     if not found:
         raise SelfTestError("there is no vector to test with")
     return found
@@ -54,12 +58,11 @@ def cases(manifest: Manifest) -> list[Case]:
 
 # --- the grader tested ------------------------------------------------------------------------------------------------
 
-_PACKAGE = """from . import tables
+_PACKAGE = """from . import reconstruction, tables
 from .errors import C3GSError
 def decode(data):
     {}
-def digest(scene):
-    return "{:064}"
+reconstruction.digests = lambda scene: {{}}
 """
 
 
@@ -77,13 +80,13 @@ def fakes() -> list[Mutant]:
         "refuses-without-code": 'raise C3GSError("no.such", 0)',
         "does-not-load": "return (",
     }
-    return [Mutant(name, "__init__", 1, "", body, "no decoder", _PACKAGE.format(body, 0)) for name, body in bodies.items()]
+    return [Mutant(name, "__init__", 1, "", body, "no decoder", _PACKAGE.format(body)) for name, body in bodies.items()]
 
 
 def demanded(case: Case) -> Outcome:
     """The outcome that a vector demands."""
     if case.error is None:
-        return Outcome("accepted", digest=case.digest or "")
+        return Outcome("accepted", digests=case.digests)
     return Outcome("rejected", code=case.error[0], offset=case.error[1])
 
 
@@ -91,7 +94,12 @@ def near_misses(case: Case) -> list[Outcome]:
     """Outcomes that are nearly what a vector demands, and wrong."""
     right = demanded(case)
     # A decoder that says the right thing and then crashes, or never ends, has not said it.
-    wrong = [replace(right, kind="crash"), replace(right, kind="hang"), Outcome("accepted"), Outcome("accepted", digest="0" * 64)]
+    wrong = [
+        replace(right, kind="crash"),
+        replace(right, kind="hang"),
+        Outcome("accepted"),
+        Outcome("accepted", digests={"whole": "0" * 64}),
+    ]
     code, offset = case.error or (307, 0)
     return [*wrong, Outcome("rejected", code=code + 1, offset=offset), Outcome("rejected", code=code, offset=offset + 1)]
 

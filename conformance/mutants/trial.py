@@ -8,7 +8,7 @@ import resource
 import signal
 import sys
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from types import CodeType, FrameType, ModuleType
 
@@ -21,11 +21,12 @@ INTERPRETER_BYTES = 128 << 20
 
 @dataclass(frozen=True)
 class Case:
-    """A vector as a trial needs it: exactly one of digest (hexadecimal) and error (code, offset) is given, the other is None."""
+    """A vector as a trial needs it. digests: hexadecimal, those of the parts by name (SPEC 9.3), and of all as "whole"; empty if the file is
+    to be refused, with error: (code, offset), else None."""
 
     id: str
     data: bytes
-    digest: str | None
+    digests: dict[str, str]
     error: tuple[int, int] | None
     seconds: int
     bytes: int
@@ -33,10 +34,10 @@ class Case:
 
 @dataclass(frozen=True)
 class Outcome:
-    """What a decoder did with a file. kind: accepted (digest), rejected (code, offset), crash (text) or hang."""
+    """What a decoder did with a file. kind: accepted (digests), rejected (code, offset), crash (text) or hang."""
 
     kind: str
-    digest: str = ""
+    digests: dict[str, str] = field(default_factory=dict)
     code: int = 0
     offset: int = 0
     text: str = ""
@@ -53,7 +54,7 @@ def grade(case: Case, outcome: Outcome) -> str | None:
     if case.error is None:
         if outcome.kind == "rejected":
             return f"refused with {outcome.code} at {outcome.offset}"
-        return None if outcome.digest == case.digest else "another digest"
+        return None if outcome.digests == case.digests else "another digest"
     if outcome.kind == "accepted":
         return f"accepted, not {case.error[0]}"
     if outcome.code != case.error[0]:
@@ -64,7 +65,7 @@ def grade(case: Case, outcome: Outcome) -> str | None:
 def decode(package: ModuleType, data: bytes) -> Outcome:
     """What a loaded decoder does with a file, in this process."""
     try:
-        return Outcome("accepted", digest=str(package.digest(package.decode(data))))
+        return Outcome("accepted", digests=package.reconstruction.digests(package.decode(data)))
     except package.C3GSError as error:
         return Outcome("rejected", code=int(error.code), offset=int(error.offset))
 
