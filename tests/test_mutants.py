@@ -141,7 +141,7 @@ def trials() -> Iterator[selftest.Trials]:
 
 def outcome(trials: selftest.Trials, mutant: Mutant | None) -> list[str]:
     """What is wrong with a decoder, vector after vector of PAIR; nothing where it is right."""
-    (wrong,) = trials.tries([(mutant, [case.id for case in PAIR])], "", False)
+    (wrong,) = trials.tries([(mutant, [case.id for case in PAIR])], "", seconds=1)
     return [dict(wrong).get(case.id, "") for case in PAIR]
 
 
@@ -170,12 +170,10 @@ def test_a_change_that_changes_nothing_survives(trials: selftest.Trials) -> None
         ("does-not-load", "crash SyntaxError"),
     ],
 )
-def test_what_is_no_decoder_is_caught(name: str, expected: str) -> None:
+def test_what_is_no_decoder_is_caught(name: str, expected: str, trials: selftest.Trials) -> None:
     """On both vectors, and the time that it takes is bounded."""
     (fake,) = [fake for fake in selftest.fakes() if fake.id == name]
-    cases = [replace(case, seconds=1) for case in PAIR]
-    with selftest.trials(cases, 1) as test:
-        assert all(wrong.startswith(expected) for wrong in outcome(test, fake)), outcome(test, fake)
+    assert all(wrong.startswith(expected) for wrong in outcome(trials, fake)), outcome(trials, fake)
 
 
 def test_a_mutant_that_hangs_is_caught() -> None:
@@ -184,10 +182,10 @@ def test_a_mutant_that_hangs_is_caught() -> None:
         "while zeros <= ESCAPE_PREFIX_MAX and self._raw.take(1) == 0:\n            zeros += 1",
         "while zeros == 0:\n            pass",
     )
-    cases = [replace(case, seconds=1) for case in CASES.values() if any("_escape" in name for name in trial.visit(case.data)[1])][:1]
-    with selftest.trials(cases, 1) as test:
-        (wrong,) = test.tries([(hangs, [cases[0].id])], "", False)
-    assert wrong == [(cases[0].id, "hang")]
+    escaping = next(case for case in CASES.values() if any("_escape" in name for name in trial.visit(case.data)[1]))
+    with selftest.trials([escaping], 1) as test:
+        (wrong,) = test.tries([(hangs, [escaping.id])], "", seconds=1)
+    assert wrong == [(escaping.id, "hang")]
 
 
 def test_the_first_catch_ends_a_trial() -> None:
@@ -281,7 +279,7 @@ def test_each_equivalent_has_a_proof_and_survives() -> None:
     assert all(len(PROOFS[m.id]) > 40 for m in right)
     with selftest.trials(few, 2) as test:
         order = test.order(right)
-        for m, wrong in zip(right, test.tries([(m, order[m.id]) for m in right], "", True), strict=True):
+        for m, wrong in zip(right, test.tries([(m, order[m.id]) for m in right], "", first_only=True), strict=True):
             assert not wrong, f"{m.id} is caught by {wrong}"
 
 

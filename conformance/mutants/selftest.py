@@ -116,8 +116,8 @@ def check_grader(all_cases: Sequence[Case], judge: Grade) -> None:
 
 # --- processes --------------------------------------------------------------------------------------------------------
 
-# Vectors for which the unchanged decoder is loaded once.
-BATCH = 8
+# Vectors for which the unchanged decoder is loaded once, and more seconds than any budget has.
+BATCH, SECONDS = 8, 3600
 
 _cases: dict[str, Case] = {}
 
@@ -130,9 +130,10 @@ def _start(all_cases: Sequence[Case]) -> None:
     load_decoder(None)
 
 
-def _try(task: tuple[Mutant | None, list[str]], stop: Grade | None) -> list[Outcome]:
+def _try(task: tuple[Mutant | None, list[str]], stop: Grade | None, seconds: int) -> list[Outcome]:
     mutant, names = task
-    return outcomes(mutant, [_cases[name] for name in names], stop)
+    found = [_cases[name] for name in names]
+    return outcomes(mutant, [replace(case, seconds=min(case.seconds, seconds)) for case in found], stop)
 
 
 def _visit(name: str) -> tuple[int, frozenset[str]]:
@@ -152,10 +153,14 @@ class Trials:
         self._judge = judge
         self._by_name = {case.id: case for case in all_cases}
 
-    def tries(self, tasks: Sequence[tuple[Mutant | None, list[str]]], what: str, first_only: bool) -> Iterator[list[tuple[str, str]]]:
-        """For each task, a decoder and vectors, the vectors that catch it and what was wrong; if first_only, the first of them alone."""
+    def tries(
+        self, tasks: Sequence[tuple[Mutant | None, list[str]]], what: str, *, first_only: bool = False, seconds: int = SECONDS
+    ) -> Iterator[list[tuple[str, str]]]:
+        """For each task, a decoder and vectors, the vectors that catch it and what was wrong; if first_only, the first of them alone.
+        seconds: bounds those of the vectors' budgets.
+        """
         # The judge is always asked here too: one of a test's own may not be known to the processes.
-        found = self._pool.imap(partial(_try, stop=grade if first_only else None), tasks)
+        found = self._pool.imap(partial(_try, stop=grade if first_only else None, seconds=seconds), tasks)
         for (_, names), made in zip(tasks, _progress(found, len(tasks), what), strict=True):
             judged = [(name, self._judge(self._by_name[name], outcome)) for name, outcome in zip(names, made, strict=False)]
             yield [(name, wrong) for name, wrong in judged if wrong]
@@ -164,7 +169,7 @@ class Trials:
         """SelfTestError if the second decoder itself fails a vector."""
         names = list(self._by_name)
         tasks = [(None, names[i : i + BATCH]) for i in range(0, len(names), BATCH)]
-        for wrong in self.tries(tasks, "the unchanged decoder", False):
+        for wrong in self.tries(tasks, "the unchanged decoder"):
             for name, text in wrong:
                 raise SelfTestError(f"the second decoder, unchanged, fails {name}: {text}")
 
@@ -173,7 +178,8 @@ class Trials:
         first = [next((c.id for c in self._by_name.values() if (c.error is None) == accepts), None) for accepts in (True, False)]
         names = [name for name in first if name]
         made = fakes()
-        for fake, wrong in zip(made, self.tries([(fake, names) for fake in made], "decoders that are none", False), strict=True):
+        found = self.tries([(fake, names) for fake in made], "decoders that are none", seconds=1)
+        for fake, wrong in zip(made, found, strict=True):
             if len(wrong) != len(names):
                 raise SelfTestError(f"a decoder that {fake.id} passes one of {names}")
 
@@ -252,7 +258,7 @@ def run(manifest: Path, jobs: int, recorded: bool, matrix: Path | None, write: b
             else:
                 order = test.order(made)
             tasks = [(m, order[m.id]) for m in made]
-            found = test.tries(tasks, "planted bugs", matrix is None)
+            found = test.tries(tasks, "planted bugs", first_only=matrix is None)
             catchers = {m.id: wrong for m, wrong in zip(made, found, strict=True)}
     except SelfTestError as error:
         print(error, file=sys.stderr)

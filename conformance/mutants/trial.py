@@ -21,8 +21,8 @@ INTERPRETER_BYTES = 128 << 20
 
 @dataclass(frozen=True)
 class Case:
-    """A vector as a trial needs it. digests: hexadecimal, those of the parts by name (SPEC 9.3), and of all as "whole"; empty if the file is
-    to be refused, with error: (code, offset), else None."""
+    """A vector as a trial needs it. digests: hexadecimal, those of the parts by name (SPEC 9.3), and of all as "whole"; empty if the file
+    is to be refused. error: then its code and offset, else None."""
 
     id: str
     data: bytes
