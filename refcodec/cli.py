@@ -276,7 +276,7 @@ def _gaussians(arguments: argparse.Namespace) -> int:
     except ValueError as error:
         raise UsageError(f"{arguments.camera} is no camera: {error}") from None
     scene = _parse(arguments, _read_file(arguments.file)).scene
-    found = gaussians(reconstruct(scene), scene.masks, scene.networks, camera)
+    found = gaussians(reconstruct(scene), scene.masks, scene.networks, camera, scene.render.distance_unit)
     _write_file(output, json.dumps(gaussians_document(found), separators=(",", ":")).encode())
     return 0
 

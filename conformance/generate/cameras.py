@@ -39,7 +39,7 @@ def expected(data: bytes, camera: dict[str, Any]) -> bytes:
             # One offset at a time, so that each Gaussian's is known.
             alone = [kept and i == k for i, kept in enumerate(mask)]
             for mean, lengths, quaternion, opacity, colour in _text()["GAUSSIANS"](
-                networks, position, feature, scaling, offsets, alone, centre
+                networks, position, feature, scaling, offsets, alone, centre, scene.render.distance_unit
             ):
                 row = {"anchor": n, "offset": k}
                 kinds = {"mean": mean, "lengths": lengths, "quaternion": quaternion, "opacity": opacity, "colour": colour}

@@ -211,6 +211,7 @@ def _header(book: Book) -> None:
             0,
             SMALLEST_F32,
             SMALLEST_F32,
+            SMALLEST_F32,
             0.0,
             1,
             1,
@@ -221,6 +222,7 @@ def _header(book: Book) -> None:
         "largest": RenderInfo(
             (255, 255, 255),
             5,
+            LARGEST_F32,
             LARGEST_F32,
             1.0,
             LARGEST_F32,

@@ -48,8 +48,8 @@ def add(book: Book) -> None:
 
 def _trained(book: Book) -> None:
     for name, text, features, licence in (
-        ("caliterra", "a scene of 2,164 anchors learnt from aerial photographs, packed", "packed-positions packed-weights", "CC0-1.0"),
-        ("snowmiku", "a scene of 3,906 anchors learnt from photographs of a doll, raw", "raw-positions raw-weights", "MIT"),
+        ("caliterra", "a scene of 2,182 anchors learnt from aerial photographs, packed", "packed-positions packed-weights", "CC0-1.0"),
+        ("snowmiku", "a scene of 3,866 anchors learnt from photographs of a doll, raw", "raw-positions raw-weights", "MIT"),
     ):
 
         def make(name: str = name) -> bytes:
@@ -115,6 +115,7 @@ def _render(numbers: Numbers) -> RenderInfo:
     return RenderInfo(
         (background[0], background[1], background[2]),
         numbers.integer(0, 5),
+        positive(),
         positive(),
         float(dyadic(numbers.integers(1, 256, 1), 8)[0]),
         float(dyadic(numbers.integers(0, 999, 1), 4)[0]),
@@ -208,6 +209,7 @@ def _cameras(book: Book) -> None:
     def seen() -> Scene:
         numbers = Numbers("cameras")
         made = drawn("cameras", 12, d, positions=lattice(numbers, 12), base_step=(0.0625, 0.0625, 0.25), grid=PositionGrid((0, 0, 0), 1, 0))
+        made = replace(made, render=replace(made.render, distance_unit=2.5))
         for name in ("opacity", "covariance", "colour"):
             for w, b in made.networks[name]:
                 w[:], b[:] = dyadic(numbers.integers(-99, 99, *w.shape), 8), dyadic(numbers.integers(-99, 99, len(b)), 7)
