@@ -131,21 +131,24 @@ def of_trace(data: bytes, trace: Path) -> Divergence | None:
     if lines[-1] == "":
         lines.pop()
     for number, (row, line) in enumerate(itertools.zip_longest(rows, lines)):
-        right = f"{row.path} {row.value}" if row else None
-        if right == line:
+        if row is not None and line == f"{row.path} {row.value}":
             continue
         count = f"symbol {number} of {len(rows)}"
         if row is None:
             return Divergence("trace", "the line after the last symbol", "nothing", str(line), len(data), count)
-        found = "nothing" if line is None else line
+        # Of the same symbol the values are enough.
+        same, value = line is not None and line.startswith(f"{row.path} "), str(row.value)
+        found = "nothing" if line is None else line.removeprefix(f"{row.path} ")
         model = f"{row.family}, mean {row.mean}, scale {row.scale}"
-        return Divergence("trace", f"{row.path} ({model})", str(right), found, row.substream, count)
+        return Divergence("trace", f"{row.path} ({model})", value if same else f"{row.path} {value}", found, row.substream, count)
     return None
 
 
 def annotated(data: bytes, offset: int) -> list[str]:
-    """The bytes of a file around an offset, each with its syntax element."""
-    return list(inspection.hex_lines(data, near=offset))[:_HEX_LINES]
+    """The bytes of a file around an offset, each line with its syntax element; the one of the offset is marked."""
+    head, *lines = list(inspection.hex_lines(data, near=offset))[:_HEX_LINES]
+    spot = max((i for i, line in enumerate(lines) if int(line[:8], 16) <= offset), default=-1)
+    return [f"  {head}", *(f"{'> ' if i == spot else '  '}{line}" for i, line in enumerate(lines))]
 
 
 def _symbols(data: bytes) -> list[TraceRow]:

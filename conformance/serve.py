@@ -16,9 +16,10 @@ from typing import Any
 
 
 def _refcodec() -> Callable[[list[str]], int]:
-    # What the commands import when they run.
-    from refcodec import cli, codec, inspection, reconstruction  # noqa: F401, PLC0415
+    # What the command imports when it runs, and the tables, are there before the first fork.
+    from refcodec import cli, codec, inspection, reconstruction, tables  # noqa: F401, PLC0415
 
+    tables.tables()
     return lambda words: cli.main(["reconstruct", *words])
 
 
