@@ -1,4 +1,4 @@
-"""Writes conformance/REQUIREMENTS.md: for each requirement of SPEC.md the clause, the code of both decoders, and the tests.
+"""Writes conformance/REQUIREMENTS.md: for each requirement of SPEC.md the clause, the code of both decoders, the tests and the vectors.
 
 A requirement on files is in the code where its error is raised, one on decoders where the code cites its clause. Tests name the
 requirements that they prove (`pytest.mark.requirement`); an error's fault is tested under its name.
@@ -16,6 +16,7 @@ from collections import defaultdict
 from collections.abc import Iterator
 from pathlib import Path
 
+from conformance.manifest import load
 from conformance.text import CLAUSE, requirements
 
 ROOT = Path(__file__).resolve().parent.parent
@@ -25,12 +26,18 @@ FIRST = [p for p in sorted((ROOT / "refcodec").glob("*.py")) if p.stem not in ("
 SECOND = [p for p in sorted((ROOT / "conformance" / "independent").glob("*.py")) if p.stem != "errors"]
 HEAD = """# Requirements
 
-Each requirement of [SPEC.md](../SPEC.md), where both decoders meet it, and the tests that prove it. Written by `python tools/matrix.py`.
-`test_fault[...]` stands for generated files with that one fault, which both decoders must refuse with its code and offset.
+Each requirement of [SPEC.md](../SPEC.md), where both decoders meet it, the tests that prove it, and how many
+[vectors](../vectors/README.md) test it, with the first of them. Written by `python tools/matrix.py`. `test_fault[...]` stands for
+generated files with that one fault, which both decoders must refuse with its code and offset.
 
-| requirement | clause | what | refcodec | second decoder | tests |
-|---|---|---|---|---|---|
+| requirement | clause | what | refcodec | second decoder | tests | vectors |
+|---|---|---|---|---|---|---|
 """
+# What no file and its one result can show, and why.
+NO_VECTOR = {
+    "D10.1-2": "none: a mode of decoding that a runner does not ask for",
+    "G14.5-1": "none: a runner does not compare images",
+}
 
 
 def _functions(path: Path) -> Iterator[tuple[str, str, ast.AST]]:
@@ -85,10 +92,19 @@ def proofs() -> dict[str, list[str]]:
     return found
 
 
+def vectors() -> dict[str, list[str]]:
+    """Vectors by requirement."""
+    found = defaultdict(list)
+    for vector in load().vectors:
+        for name in vector.requirements:
+            found[name].append(vector.id)
+    return found
+
+
 def matrix(spec: str) -> str:
-    """The document. Raises SystemExit for a requirement without code or test, and for a test of none."""
+    """The document. Raises SystemExit for a requirement without code, test or vector, and for a test or vector of none."""
     (raise_1, cite_1), (raise_2, cite_2) = places(FIRST), places(SECOND)
-    tests = proofs()
+    tests, tried = proofs(), vectors()
     rows, names, holes = [], set(), []
     for name, clause, sentence, error in requirements(spec):
         names.add(name)
@@ -99,10 +115,15 @@ def matrix(spec: str) -> str:
             cells.append(["-"] if name.startswith("G") and citing is cite_2 else _innermost(sorted(set(found))))
         proved = [f"test_independent.test_fault[{error}]"] if error else []
         cells.append(proved + tests[name])
+        count = len(tried[name])
+        cells.append(
+            [f"{count}: {tried[name][0]}" + (" ..." if count > 1 else "")] if count else [NO_VECTOR[name]] if name in NO_VECTOR else []
+        )
         if not all(cells):
             holes.append(name)
         rows.append(f"| {name} | {clause} | {sentence} | " + " | ".join("<br>".join(cell) for cell in cells) + " |")
-    holes += [f"{name}, which SPEC.md does not have" for name in tests if name not in names and tests[name]]
+    holes += [f"{name}, which SPEC.md does not have" for name in (*tests, *tried) if name not in names and (tests[name] or tried[name])]
+    holes += [f"{name}, which has a vector" for name in NO_VECTOR if tried[name]]
     if holes:
         raise SystemExit(f"holes in the matrix: {', '.join(holes)}")
     return HEAD + "\n".join(rows) + "\n"

@@ -76,23 +76,53 @@ def _frames(book: Book) -> None:
         where = np.stack([bits[:count], bits[count : 2 * count], bits[2 * count : 3 * count]], axis=1).view(np.float16)
         return shown("f16-exponents", where, frame(ones * 9, shift=(20, 21, 22), low=(-300000 // 2,) * 3, high=(RANGE,) * 3))
 
-    book.valid("f16-exponents", "positions with every exponent of f16, subnormal ones too", every, features="raw-positions frame",
-        requirements="D7.4-1 D7.5.1-1 D7.5-1", flags="subnormals")  # fmt: skip
+    book.valid(
+        "f16-exponents",
+        "positions with every exponent of f16, subnormal ones too",
+        every,
+        features="raw-positions frame",
+        requirements="D7.4-1 D7.5.1-1 D7.5-1",
+        flags="subnormals",
+    )
     small = {"low": (-600, -500, -700), "high": (650, 500, 700)}
     frames: list[tuple[str, str, Frame, NDArray[np.float16], str]] = [
-        ("rounding", "frame sums that are ties, of either sign", frame([3, 0, 1, 1, 5, 0, 0, 1, 7], (1, -1, 0), (1, 2, 3),
-            (-1200, -900, -600), (1200, 900, 600)), subnormal, "frame-rounding"),
+        (
+            "rounding",
+            "frame sums that are ties, of either sign",
+            frame([3, 0, 1, 1, 5, 0, 0, 1, 7], (1, -1, 0), (1, 2, 3), (-1200, -900, -600), (1200, 900, 600)),
+            subnormal,
+            "frame-rounding",
+        ),
         ("no-shift", "no shift at all", frame(ones, **small), subnormal, "frame-rounding"),
-        ("largest-shift", "the largest shift, and the largest sums", frame(
-            [MATRIX] * 3 + [-MATRIX] * 3 + [MATRIX, -MATRIX, MATRIX], (TRANSLATION, -TRANSLATION, 1 - (1 << 60)), (60, 60, 59),
-            (-4, -4, -4), (4, 4, 4)), f16(numbers.chosen([2047 << 29, -(2047 << 29), 1 << 39, -(1 << 39), 0], 30, 3)), "sum-width"),
-        ("clamp", "frame coordinates that are clamped", frame(
-            [MATRIX, 1, 0, 0, MATRIX, 1, -1, 0, MATRIX], (0, 5, -5), (0, 1, 2)),
-            f16(numbers.chosen([1 << 30, -(1 << 30), 1 << 11, 1 << 12, -(1 << 12), 5, 0], 40, 3)), "frame-clamp"),
-        ("translation", "the largest translations", frame(ones, (TRANSLATION, -TRANSLATION, TRANSLATION), (45, 46, 47)), subnormal,
-            "sum-width"),
+        (
+            "largest-shift",
+            "the largest shift, and the largest sums",
+            frame(
+                [MATRIX] * 3 + [-MATRIX] * 3 + [MATRIX, -MATRIX, MATRIX],
+                (TRANSLATION, -TRANSLATION, 1 - (1 << 60)),
+                (60, 60, 59),
+                (-4, -4, -4),
+                (4, 4, 4),
+            ),
+            f16(numbers.chosen([2047 << 29, -(2047 << 29), 1 << 39, -(1 << 39), 0], 30, 3)),
+            "sum-width",
+        ),
+        (
+            "clamp",
+            "frame coordinates that are clamped",
+            frame([MATRIX, 1, 0, 0, MATRIX, 1, -1, 0, MATRIX], (0, 5, -5), (0, 1, 2)),
+            f16(numbers.chosen([1 << 30, -(1 << 30), 1 << 11, 1 << 12, -(1 << 12), 5, 0], 40, 3)),
+            "frame-clamp",
+        ),
+        (
+            "translation",
+            "the largest translations",
+            frame(ones, (TRANSLATION, -TRANSLATION, TRANSLATION), (45, 46, 47)),
+            subnormal,
+            "sum-width",
+        ),
         ("axes", "a frame that swaps axes", frame([0, 1, 0, 0, 0, 1, 1, 0, 0], **small), subnormal, "axes-swapped"),
-    ]  # fmt: skip
+    ]
     for name, text, change, where, flag in frames:
 
         def make(name: str = name, change: Frame = change, where: NDArray[np.float16] = where) -> Scene:
@@ -106,17 +136,45 @@ def _frames(book: Book) -> None:
     contractions: list[tuple[str, str, Frame, NDArray[np.float16], str]] = [
         ("boundary", "coordinates on and about the unit sphere", frame(ones, **wide), sphere, "contraction-rounding"),
         ("far", "coordinates from near the middle to far outside", frame(ones, **wide), far, "contraction-rounding contraction-missing"),
-        ("scaled", "far coordinates, with bounds near the edge", frame(ones, low=(60000, -131072, 90000), high=(131000, -60000, 131072)),
-            far, "contraction-rounding"),
-        ("ends", "coordinates at and beyond both bounds", frame(ones, **narrow),
-            f16(np.array([[-2000, 1500, 1001], [2000, -1500, -1000], [-2001, 1501, 1002], [2002, -1502, -1001], [0, 0, 0], [1, -1, 1],
-                [-1999, 1499, 1000], [1999, -1499, -999], [2047, -2047, 2047]])), "rescale-ends"),
-        ("one-unit", "bounds that are one apart", frame(ones, low=(-1, 0, 1), high=(0, 1, 2)), f16(numbers.integers(-3, 3, 30, 3)),
-            "rescale-ends"),
+        (
+            "scaled",
+            "far coordinates, with bounds near the edge",
+            frame(ones, low=(60000, -131072, 90000), high=(131000, -60000, 131072)),
+            far,
+            "contraction-rounding",
+        ),
+        (
+            "ends",
+            "coordinates at and beyond both bounds",
+            frame(ones, **narrow),
+            f16(
+                np.array(
+                    [
+                        [-2000, 1500, 1001],
+                        [2000, -1500, -1000],
+                        [-2001, 1501, 1002],
+                        [2002, -1502, -1001],
+                        [0, 0, 0],
+                        [1, -1, 1],
+                        [-1999, 1499, 1000],
+                        [1999, -1499, -999],
+                        [2047, -2047, 2047],
+                    ]
+                )
+            ),
+            "rescale-ends",
+        ),
+        (
+            "one-unit",
+            "bounds that are one apart",
+            frame(ones, low=(-1, 0, 1), high=(0, 1, 2)),
+            f16(numbers.integers(-3, 3, 30, 3)),
+            "rescale-ends",
+        ),
         ("widest", "the widest bounds", frame(ones, low=(-RANGE,) * 3, high=(RANGE,) * 3), far, "rescale-ends"),
         ("lowest", "bounds at the lower limit", frame(ones, low=(-RANGE,) * 3, high=(1 - RANGE, -100000, 0)), far, "rescale-ends"),
         ("highest", "bounds at the upper limit", frame(ones, low=(RANGE - 1, 100000, 0), high=(RANGE,) * 3), far, "rescale-ends"),
-    ]  # fmt: skip
+    ]
     for name, text, change, where, flag in contractions:
 
         def contracted(name: str = name, change: Frame = change, where: NDArray[np.float16] = where) -> Scene:
@@ -138,23 +196,41 @@ def _queries(book: Book) -> None:
             planes = Numbers(f"query/{shift}").integers(-largest, largest, 5, 2, 5, 5).astype(np.int16)
             return shown(f"query-shift-{shift}", where, change, plane_shift=shift, planes=planes)
 
-        book.valid(f"query-shift-{shift}", f"plane samples with plane_shift {shift}, clamped ones too", make, features="query",
-            requirements="D7.5.4-1 D7.5-1", flags="sample-rounding sample-clamp plane-axes quadrant-order")  # fmt: skip
+        book.valid(
+            f"query-shift-{shift}",
+            f"plane samples with plane_shift {shift}, clamped ones too",
+            make,
+            features="query",
+            requirements="D7.5.4-1 D7.5-1",
+            flags="sample-rounding sample-clamp plane-axes quadrant-order",
+        )
     for size in (2, 3, 32):
 
         def sized(size: int = size) -> Scene:
             return shown(f"query-size-{size}", where, change, replace(SEEN, plane_size=size))
 
-        book.valid(f"query-size-{size}", f"planes of {size} points along a side, sampled at both edges", sized, features="query",
-            requirements="D7.5.4-1 D7.3-2", flags="edge-cell quadrant-order")  # fmt: skip
+        book.valid(
+            f"query-size-{size}",
+            f"planes of {size} points along a side, sampled at both edges",
+            sized,
+            features="query",
+            requirements="D7.5.4-1 D7.3-2",
+            flags="edge-cell quadrant-order",
+        )
     for count in (1, 10):
         d = replace(SEEN, frequency_count=count, plane_channels=1, hyper_width=(4 + 4 * count,), slices=(16, 16))
 
         def encoded(d: Dimensions = d) -> Scene:
             return shown(f"encoding-{d.frequency_count}", where, change, d)
 
-        book.valid(f"encoding-{count}", f"positional encoding of {count} frequencies", encoded, features="encoding",
-            requirements="D7.5.5-1 D7.5-1", flags="phase-rounding sine-order")  # fmt: skip
+        book.valid(
+            f"encoding-{count}",
+            f"positional encoding of {count} frequencies",
+            encoded,
+            features="encoding",
+            requirements="D7.5.5-1 D7.5-1",
+            flags="phase-rounding sine-order",
+        )
 
     def phases() -> Scene:
         # u = z + 2^15 for z in units of 1; 32 of them are half an entry of the sine table.
@@ -164,8 +240,14 @@ def _queries(book: Book) -> None:
         d = replace(SEEN, frequency_count=6, plane_channels=1, hyper_width=(28,), slices=(16, 16))
         return shown("encoding-ties", f16(points), frame(ones, low=(-5, -5, -(1 << 15)), high=(5, 5, 1 << 15)), d)
 
-    book.valid("encoding-ties", "phases halfway between entries of the sine table", phases, features="encoding",
-        requirements="D7.5.5-1 DA-1", flags="phase-rounding sine-order")  # fmt: skip
+    book.valid(
+        "encoding-ties",
+        "phases halfway between entries of the sine table",
+        phases,
+        features="encoding",
+        requirements="D7.5.5-1 DA-1",
+        flags="phase-rounding sine-order",
+    )
 
 
 # --- 7.2 --------------------------------------------------------------------------------------------------------------
@@ -259,13 +341,20 @@ def _networks(book: Book) -> None:
         for name in ("opacity", "covariance", "colour"):
             for w, b in made.networks[name]:
                 flat = w.reshape(-1)
-                flat[: min(6, flat.size)] = np.array([3.4028234663852886e38, -3.4028234663852886e38, -0.0, 2.0**-149, -(2.0**-126), 1 / 3],
-                    np.float32)[: min(6, flat.size)]  # fmt: skip
+                flat[: min(6, flat.size)] = np.array(
+                    [3.4028234663852886e38, -3.4028234663852886e38, -0.0, 2.0**-149, -(2.0**-126), 1 / 3], np.float32
+                )[: min(6, flat.size)]
                 b[0] = -0.0
         return made
 
-    book.valid("weights-any", "rendering networks with any finite f32, which decide no symbol", rendering, features="raw-weights",
-        requirements="R6.8-2 D9.3-1", flags="weight-bits")  # fmt: skip
+    book.valid(
+        "weights-any",
+        "rendering networks with any finite f32, which decide no symbol",
+        rendering,
+        features="raw-weights",
+        requirements="R6.8-2 D9.3-1",
+        flags="weight-bits",
+    )
 
     def negative_zeros() -> Scene:
         made = drawn("weights-negative-zero", 3)
@@ -274,8 +363,14 @@ def _networks(book: Book) -> None:
             layers[-1][1][0] = -0.0
         return sampled(made, Sampler(Numbers("weights-negative-zero/again")))
 
-    book.valid("weights-negative-zero", "weights and biases of -0, which stay as they are", negative_zeros,
-        features="raw-weights networks", requirements="D7.2-1 D9.3-1", flags="weight-bits")  # fmt: skip
+    book.valid(
+        "weights-negative-zero",
+        "weights and biases of -0, which stay as they are",
+        negative_zeros,
+        features="raw-weights networks",
+        requirements="D7.2-1 D9.3-1",
+        flags="weight-bits",
+    )
 
 
 # --- 7.3 --------------------------------------------------------------------------------------------------------------
@@ -283,8 +378,9 @@ def _networks(book: Book) -> None:
 
 def _planes(book: Book) -> None:
     for name, text, size, channels in (
-        ("context", "a context of four neighbours that all count", 9, 2), ("square", "many channels", 6, 8),
-    ):  # fmt: skip
+        ("context", "a context of four neighbours that all count", 9, 2),
+        ("square", "many channels", 6, 8),
+    ):
 
         def make(name: str = name, size: int = size, channels: int = channels) -> Scene:
             d = replace(SMALL, plane_size=size, plane_channels=channels, sarm_width=(8,))
@@ -296,8 +392,7 @@ def _planes(book: Book) -> None:
             found["sarm"] = [(first, np.zeros(8, np.float32)), (last, np.array([3, -9], np.float32))]
             return sampled(scene(f"planes-{name}", 2, d, networks=found, lanes=Lanes(2, 0, 0)), Sampler(numbers, 0))
 
-        book.valid(f"planes-{name}", text, make, features="planes", requirements="D7.3-1 D7.3-2",
-            flags="wavefront-order context-order")  # fmt: skip
+        book.valid(f"planes-{name}", text, make, features="planes", requirements="D7.3-1 D7.3-2", flags="wavefront-order context-order")
 
     def far() -> Scene:
         d = replace(SMALL, plane_size=6)
@@ -305,8 +400,14 @@ def _planes(book: Book) -> None:
         planes = numbers.chosen([32767, -32767, 1023, 1024, -1023, -1024, 0, 1, -1, 16384], 5, 2, 6, 6).astype(np.int16)
         return scene("planes-far", 3, d, planes=planes, plane_shift=0)
 
-    book.valid("planes-far", "the largest symbols, and neighbours about the largest activation", far, features="planes escapes",
-        requirements="D7.3-1 R8.5-1 D8.7-1", flags="activation-clamp symbol-limit")  # fmt: skip
+    book.valid(
+        "planes-far",
+        "the largest symbols, and neighbours about the largest activation",
+        far,
+        features="planes escapes",
+        requirements="D7.3-1 R8.5-1 D8.7-1",
+        flags="activation-clamp symbol-limit",
+    )
 
     def quiet() -> Scene:
         made = scene("planes-zero", 3)
@@ -331,8 +432,14 @@ def _masks(book: Book) -> None:
         bits = np.array([[n >> k & 1 for k in range(6)] for n in range(64)], dtype=bool)
         return drawn("masks-every", 64, replace(SMALL, offset_count=6, slices=(1,), carm_width=()), masks=bits)
 
-    book.valid("masks-every", "every mask of six offsets", every, features="masks", requirements="D7.6-1 D7.10-1",
-        flags="mask-context masked-offsets")  # fmt: skip
+    book.valid(
+        "masks-every",
+        "every mask of six offsets",
+        every,
+        features="masks",
+        requirements="D7.6-1 D7.10-1",
+        flags="mask-context masked-offsets",
+    )
 
     def extreme() -> Scene:
         d = replace(SMALL, offset_count=5)
@@ -340,16 +447,28 @@ def _masks(book: Book) -> None:
         model = numbers.chosen([1, 2, (1 << 14) - 1, (1 << 14) - 2, 1 << 13], context_count(5)).astype(np.uint16)
         return drawn("mask-model-extreme", 40, d, mask_model=model)
 
-    book.valid("mask-model-extreme", "the least and the largest frequencies of a mask bit", extreme, features="masks",
-        requirements="D7.6-1 R6.10-1 D8.2-1", flags="mask-context limit-off-by-one")  # fmt: skip
+    book.valid(
+        "mask-model-extreme",
+        "the least and the largest frequencies of a mask bit",
+        extreme,
+        features="masks",
+        requirements="D7.6-1 R6.10-1 D8.2-1",
+        flags="mask-context limit-off-by-one",
+    )
 
     def middle() -> Scene:
         d = replace(SMALL, offset_count=10, slices=(1,), carm_width=())
         model = np.arange(1, context_count(10) + 1).astype(np.uint16) * 280
         return drawn("mask-contexts", 60, d, mask_model=model)
 
-    book.valid("mask-contexts", "a frequency of its own for each of 55 contexts", middle, features="masks", requirements="D7.6-1",
-        flags="mask-context")  # fmt: skip
+    book.valid(
+        "mask-contexts",
+        "a frequency of its own for each of 55 contexts",
+        middle,
+        features="masks",
+        requirements="D7.6-1",
+        flags="mask-context",
+    )
 
 
 # --- 7.7 to 7.10 ------------------------------------------------------------------------------------------------------
@@ -374,23 +493,54 @@ def _attributes(book: Book) -> None:
         return sampled(scene(name, 25, d, networks=found, carm_shift=shift.astype(np.uint8)), Sampler(numbers, 30))
 
     numbers = Numbers("carm")
-    book.valid("carm", "slices that depend on each other", lambda: carm("carm", np.zeros(9, np.int64), 100), features="carm attributes",
-        requirements="D7.9-1 D7.10-1 D7.7-1", flags="carm-ignored carm-slices stage-order")  # fmt: skip
-    book.valid("carm-shifts", "inputs of CARM that are shifted, ties of either sign", lambda: carm("carm-shifts", numbers.integers(1, 4, 9), 600),
-        features="carm", requirements="D7.9-1", flags="carm-rounding")  # fmt: skip
-    book.valid("carm-largest-shift", "the largest carm_shift", lambda: carm("carm-largest-shift", np.full(9, 16), 1 << 20), features="carm",
-        requirements="D7.9-1 R6.8-1", flags="carm-rounding limit-off-by-one")  # fmt: skip
-    book.valid("carm-clamp", "inputs of CARM beyond the largest activation", lambda: carm("carm-clamp", np.zeros(9, np.int64), 40000),
-        features="carm", requirements="D7.9-1", flags="activation-clamp")  # fmt: skip
+    book.valid(
+        "carm",
+        "slices that depend on each other",
+        lambda: carm("carm", np.zeros(9, np.int64), 100),
+        features="carm attributes",
+        requirements="D7.9-1 D7.10-1 D7.7-1",
+        flags="carm-ignored carm-slices stage-order",
+    )
+    book.valid(
+        "carm-shifts",
+        "inputs of CARM that are shifted, ties of either sign",
+        lambda: carm("carm-shifts", numbers.integers(1, 4, 9), 600),
+        features="carm",
+        requirements="D7.9-1",
+        flags="carm-rounding",
+    )
+    book.valid(
+        "carm-largest-shift",
+        "the largest carm_shift",
+        lambda: carm("carm-largest-shift", np.full(9, 16), 1 << 20),
+        features="carm",
+        requirements="D7.9-1 R6.8-1",
+        flags="carm-rounding limit-off-by-one",
+    )
+    book.valid(
+        "carm-clamp",
+        "inputs of CARM beyond the largest activation",
+        lambda: carm("carm-clamp", np.zeros(9, np.int64), 40000),
+        features="carm",
+        requirements="D7.9-1",
+        flags="activation-clamp",
+    )
 
     def channels() -> Scene:
         numbers = Numbers("channel-order")
         mean = 160 * np.arange(d.attribute_width) - 1500
-        return sampled(scene("channel-order", 12, d, networks=constant(d, numbers, mean, np.arange(d.attribute_width) - 20)),
-            Sampler(numbers, 0))  # fmt: skip
+        return sampled(
+            scene("channel-order", 12, d, networks=constant(d, numbers, mean, np.arange(d.attribute_width) - 20)), Sampler(numbers, 0)
+        )
 
-    book.valid("channel-order", "a mean and a scale of its own for each channel", channels, features="attributes",
-        requirements="D7.7-1 D7.10-1 D8.5-1", flags="channel-order stage-order")  # fmt: skip
+    book.valid(
+        "channel-order",
+        "a mean and a scale of its own for each channel",
+        channels,
+        features="attributes",
+        requirements="D7.7-1 D7.10-1 D8.5-1",
+        flags="channel-order stage-order",
+    )
 
     def steps() -> Scene:
         numbers = Numbers("steps")
@@ -400,8 +550,14 @@ def _attributes(book: Book) -> None:
         b[-3:] = 0, 32, 63
         return sampled(scene("steps", 60, d, networks=found), Sampler(numbers, 0))
 
-    book.valid("steps", "step indices from one end of the table to the other, and beyond", steps, features="steps",
-        requirements="D7.8-1 D9.2-1 DA-1", flags="step-clamp step-kinds")  # fmt: skip
+    book.valid(
+        "steps",
+        "step indices from one end of the table to the other, and beyond",
+        steps,
+        features="steps",
+        requirements="D7.8-1 D9.2-1 DA-1",
+        flags="step-clamp step-kinds",
+    )
 
 
 # --- 9 ----------------------------------------------------------------------------------------------------------------
@@ -419,8 +575,14 @@ def _values(book: Book) -> None:
 
         def make(name: str = name, base_step: tuple[float, float, float] = base_step) -> Scene:
             numbers = Numbers(f"values-{name}")
-            made = scene(f"values-{name}", 12, d, base_step=base_step, masks=np.ones((12, 1), bool),
-                networks=constant(d, numbers, np.zeros(d.attribute_width, np.int64), np.full(d.attribute_width, 60)))  # fmt: skip
+            made = scene(
+                f"values-{name}",
+                12,
+                d,
+                base_step=base_step,
+                masks=np.ones((12, 1), bool),
+                networks=constant(d, numbers, np.zeros(d.attribute_width, np.int64), np.full(d.attribute_width, 60)),
+            )
             if name != "ties":
                 # Step indices that are not 32, so that products are long.
                 made.networks["hyper"][-1][1][-3:] = 3, 41, 63
@@ -432,8 +594,9 @@ def _values(book: Book) -> None:
             }
             return with_symbols(made, **given)
 
-        book.valid(f"values-{name}", text, make, features="reconstruction steps", requirements="D9.2-1 R6.2-6 R8.5-1",
-            flags=f"{flag} symbol-limit")  # fmt: skip
+        book.valid(
+            f"values-{name}", text, make, features="reconstruction steps", requirements="D9.2-1 R6.2-6 R8.5-1", flags=f"{flag} symbol-limit"
+        )
 
     def table() -> Scene:
         # 64 anchors, one for each step index, which the positional encoding cannot give: the planes do.
@@ -449,8 +612,14 @@ def _values(book: Book) -> None:
         points = np.zeros((64, 3), np.int64)
         points[:, 0] = np.arange(64)
         change = frame(np.eye(3, dtype=np.int64), low=(0, 0, 0), high=(63, 1, 1))
-        fields = {"planes": planes, "plane_shift": 0, "frame": change, "networks": made, "masks": np.ones((64, 1), bool)}
+        fields: dict[str, Any] = {"planes": planes, "plane_shift": 0, "frame": change, "networks": made, "masks": np.ones((64, 1), bool)}
         return sampled(scene("values-table", 64, d, positions=f16(points), **fields), Sampler(numbers, 0), planes=False)
 
-    book.valid("values-table", "each entry of the step table", table, features="steps reconstruction", requirements="D7.8-1 D9.2-1 DA-1",
-        flags="step-clamp step-table")  # fmt: skip
+    book.valid(
+        "values-table",
+        "each entry of the step table",
+        table,
+        features="steps reconstruction",
+        requirements="D7.8-1 D9.2-1 DA-1",
+        flags="step-clamp step-table",
+    )

@@ -6,6 +6,7 @@ import struct
 import zlib
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from itertools import pairwise
 
 from refcodec import container
 
@@ -83,10 +84,18 @@ Add = Callable[..., None]
 
 
 def _prologue(pair: Add) -> None:
-    pair("malformed", "signature-and-crc", "signature, and the prologue's CRC-32", lambda c: (
-        c.put(0, b"\x88", "prologue.signature"), c.wrong(16, "prologue.crc", 16, True)))  # fmt: skip
-    pair("malformed", "crc-and-version", "the prologue's CRC-32, and the version", lambda c: (
-        c.put(8, b"\1", "prologue.crc", 16, True), c.put(12, b"\0\0\0\0", "prologue.header_length", after=True)))  # fmt: skip
+    pair(
+        "malformed",
+        "signature-and-crc",
+        "signature, and the prologue's CRC-32",
+        lambda c: (c.put(0, b"\x88", "prologue.signature"), c.wrong(16, "prologue.crc", 16, True)),
+    )
+    pair(
+        "malformed",
+        "crc-and-version",
+        "the prologue's CRC-32, and the version",
+        lambda c: (c.put(8, b"\1", "prologue.crc", 16, True), c.put(12, b"\0\0\0\0", "prologue.header_length", after=True)),
+    )
 
     def version(c: Changes) -> tuple[Fault, Fault]:
         head = c.t.data[:8] + b"\1\0\0\0" + b"\0\0\0\0"
@@ -104,80 +113,210 @@ def _prologue(pair: Add) -> None:
 
 def _header(pair: Add) -> None:
     rows: list[tuple[str, str, str, float, str]] = [
-        ("malformed", "position_grid.reserved", "B", 1, "header.reserved"), ("unsupported", "profile", "B", 9, "header.profile"),
-        ("unsupported", "level", "B", 9, "header.level"), ("invalid", "dimensions.render_width", "B", 0, "header.dimension"),
-        ("invalid", "anchor_count", "<I", 5000, "header.anchor_count"), ("invalid", "chunk_size", "<I", 0, "header.chunk_size"),
-        ("invalid", "attribute_lanes_log2", "B", 9, "header.lanes"), ("invalid", "base_step[2]", "<f", 0.0, "header.base_step"),
+        ("malformed", "position_grid.reserved", "B", 1, "header.reserved"),
+        ("unsupported", "profile", "B", 9, "header.profile"),
+        ("unsupported", "level", "B", 9, "header.level"),
+        ("invalid", "dimensions.render_width", "B", 0, "header.dimension"),
+        ("invalid", "anchor_count", "<I", 5000, "header.anchor_count"),
+        ("invalid", "chunk_size", "<I", 0, "header.chunk_size"),
+        ("invalid", "attribute_lanes_log2", "B", 9, "header.lanes"),
+        ("invalid", "base_step[2]", "<f", 0.0, "header.base_step"),
         ("invalid", "position_grid.scale_exponent", "b", 61, "header.position_grid"),
         ("invalid", "render_info.camera_height", "<H", 0, "header.render_info"),
-        ("unsupported", "directory[8].type", "B", 0xC5, "directory.unknown_critical"), ("malformed", "directory[7].type", "B", 0, "directory.order"),
-        ("unsupported", "directory[4].mode", "B", 2, "directory.mode"), ("malformed", "directory[1].offset", "<I", 3, "directory.offset"),
-    ]  # fmt: skip
-    for first, second in zip(rows, rows[1:], strict=False):
+        ("unsupported", "directory[8].type", "B", 0xC5, "directory.unknown_critical"),
+        ("malformed", "directory[7].type", "B", 0, "directory.order"),
+        ("unsupported", "directory[4].mode", "B", 2, "directory.mode"),
+        ("malformed", "directory[1].offset", "<I", 3, "directory.offset"),
+    ]
+    for first, second in pairwise(rows):
         name = f"{first[4].partition('.')[2]}-and-{second[4].partition('.')[2]}".replace("_", "-")
         pair(first[0], name, f"{first[1]} and {second[1]}", lambda c, a=first, b=second: (c.field(*a[1:]), c.field(*b[1:])))
-    pair("malformed", "reserved-and-profile-last-entry", "the last entry's reserved, and the profile", lambda c: (
-        c.field("directory[8].reserved", "<H", 1, "header.reserved"), c.field("profile", "B", 9, "header.profile")))  # fmt: skip
-    pair("malformed", "two-reserved", "reserved_1, and the grid's reserved and that of an entry", lambda c: (
-        c.field("reserved_1", "B", 1, "header.reserved"), c.field("directory[0].reserved", "<H", 1, "header.reserved")))  # fmt: skip
-    pair("invalid", "two-dimensions", "offset_count, and plane_channels", lambda c: (
-        c.field("dimensions.offset_count", "B", 0, "header.dimension"), c.field("dimensions.plane_channels", "B", 0, "header.dimension")))  # fmt: skip
-    pair("invalid", "anchors-and-level", "too many anchors, and a level that is too high", lambda c: (
-        c.field("anchor_count", "<I", (1 << 20) + 1, "header.anchor_count"), c.field("level", "B", 2, "header.level_not_minimal")), main_file)  # fmt: skip
-    pair("invalid", "level-and-chunk-size", "a level that is too high, and chunk_size", lambda c: (
-        c.field("level", "B", 2, "header.level_not_minimal"), c.field("chunk_size", "<I", 1, "header.chunk_size")), main_file)  # fmt: skip
-    pair("invalid", "two-grid-fields", "an origin, and scale_mantissa", lambda c: (
-        c.field("position_grid.origin[2]", "<q", 1 << 62, "header.position_grid"),
-        c.field("position_grid.scale_mantissa", "<H", 0, "header.position_grid")))  # fmt: skip
+    pair(
+        "malformed",
+        "reserved-and-profile-last-entry",
+        "the last entry's reserved, and the profile",
+        lambda c: (c.field("directory[8].reserved", "<H", 1, "header.reserved"), c.field("profile", "B", 9, "header.profile")),
+    )
+    pair(
+        "malformed",
+        "two-reserved",
+        "reserved_1, and the grid's reserved and that of an entry",
+        lambda c: (c.field("reserved_1", "B", 1, "header.reserved"), c.field("directory[0].reserved", "<H", 1, "header.reserved")),
+    )
+    pair(
+        "invalid",
+        "two-dimensions",
+        "offset_count, and plane_channels",
+        lambda c: (
+            c.field("dimensions.offset_count", "B", 0, "header.dimension"),
+            c.field("dimensions.plane_channels", "B", 0, "header.dimension"),
+        ),
+    )
+    pair(
+        "invalid",
+        "anchors-and-level",
+        "too many anchors, and a level that is too high",
+        lambda c: (
+            c.field("anchor_count", "<I", (1 << 20) + 1, "header.anchor_count"),
+            c.field("level", "B", 2, "header.level_not_minimal"),
+        ),
+        main_file,
+    )
+    pair(
+        "invalid",
+        "level-and-chunk-size",
+        "a level that is too high, and chunk_size",
+        lambda c: (c.field("level", "B", 2, "header.level_not_minimal"), c.field("chunk_size", "<I", 1, "header.chunk_size")),
+        main_file,
+    )
+    pair(
+        "invalid",
+        "two-grid-fields",
+        "an origin, and scale_mantissa",
+        lambda c: (
+            c.field("position_grid.origin[2]", "<q", 1 << 62, "header.position_grid"),
+            c.field("position_grid.scale_mantissa", "<H", 0, "header.position_grid"),
+        ),
+    )
     info = "header.render_info"
-    pair("invalid", "low-pass-and-near-plane", "low_pass is no number, near_plane is negative", lambda c: (
-        c.field("render_info.low_pass", "<f", float("nan"), info), c.field("render_info.near_plane", "<f", -1.0, info)))  # fmt: skip
-    pair("invalid", "translation-and-focal", "camera_translation is no number, camera_focal is negative", lambda c: (
-        c.field("render_info.camera_translation[2]", "<f", float("nan"), info, "render_info.camera_translation[0]"),
-        c.field("render_info.camera_focal[0]", "<f", -1.0, info)))  # fmt: skip
-    pair("invalid", "size-and-focal", "camera_height is 0, camera_focal is no number", lambda c: (
-        c.field("render_info.camera_height", "<H", 0, info), c.field("render_info.camera_focal[0]", "<f", float("nan"), info)))  # fmt: skip
+    pair(
+        "invalid",
+        "low-pass-and-near-plane",
+        "low_pass is no number, near_plane is negative",
+        lambda c: (c.field("render_info.low_pass", "<f", float("nan"), info), c.field("render_info.near_plane", "<f", -1.0, info)),
+    )
+    pair(
+        "invalid",
+        "translation-and-focal",
+        "camera_translation is no number, camera_focal is negative",
+        lambda c: (
+            c.field("render_info.camera_translation[2]", "<f", float("nan"), info, "render_info.camera_translation[0]"),
+            c.field("render_info.camera_focal[0]", "<f", -1.0, info),
+        ),
+    )
+    pair(
+        "invalid",
+        "size-and-focal",
+        "camera_height is 0, camera_focal is no number",
+        lambda c: (c.field("render_info.camera_height", "<H", 0, info), c.field("render_info.camera_focal[0]", "<f", float("nan"), info)),
+    )
 
 
 def _sections(pair: Add) -> None:
-    pair("unsupported", "unknown-and-early-order", "an unknown critical section at the end, and the order of the first ones", lambda c: (
-        c.field("directory[8].type", "B", 0x90, "directory.unknown_critical"), c.field("directory[0].type", "B", 0x82, "directory.order")))  # fmt: skip
-    pair("malformed", "section-crc-and-frame", "the CRC-32 of the attributes, and the frame's range", lambda c: (
-        c.wrong(len(c.t.data) - 8, "section.crc", c.t.start(container.ATTRIBUTES), True),
-        c.field("frame.matrix[0]", "<i", 1 << 20, "frame.range")))  # fmt: skip
-    pair("invalid", "frame-items", "a translation, and the bounds", lambda c: (
-        c.field("frame.translation[2]", "<q", 1 << 61, "frame.range"), c.field("frame.low[0]", "<i", 1 << 18, "frame.range")))  # fmt: skip
-    pair("invalid", "frame-axes", "high of the first axis, and low of the second", lambda c: (
-        c.field("frame.high[0]", "<i", 1 << 30, "frame.range"), c.field("frame.low[1]", "<i", 1 << 30, "frame.range")))  # fmt: skip
-    pair("invalid", "frame-low-and-high", "low and high of one axis", lambda c: (
-        c.field("frame.low[2]", "<i", -(1 << 30), "frame.range"), c.field("frame.high[2]", "<i", -(1 << 31), "frame.range")))  # fmt: skip
+    pair(
+        "unsupported",
+        "unknown-and-early-order",
+        "an unknown critical section at the end, and the order of the first ones",
+        lambda c: (
+            c.field("directory[8].type", "B", 0x90, "directory.unknown_critical"),
+            c.field("directory[0].type", "B", 0x82, "directory.order"),
+        ),
+    )
+    pair(
+        "malformed",
+        "section-crc-and-frame",
+        "the CRC-32 of the attributes, and the frame's range",
+        lambda c: (
+            c.wrong(len(c.t.data) - 8, "section.crc", c.t.start(container.ATTRIBUTES), True),
+            c.field("frame.matrix[0]", "<i", 1 << 20, "frame.range"),
+        ),
+    )
+    pair(
+        "invalid",
+        "frame-items",
+        "a translation, and the bounds",
+        lambda c: (c.field("frame.translation[2]", "<q", 1 << 61, "frame.range"), c.field("frame.low[0]", "<i", 1 << 18, "frame.range")),
+    )
+    pair(
+        "invalid",
+        "frame-axes",
+        "high of the first axis, and low of the second",
+        lambda c: (c.field("frame.high[0]", "<i", 1 << 30, "frame.range"), c.field("frame.low[1]", "<i", 1 << 30, "frame.range")),
+    )
+    pair(
+        "invalid",
+        "frame-low-and-high",
+        "low and high of one axis",
+        lambda c: (c.field("frame.low[2]", "<i", -(1 << 30), "frame.range"), c.field("frame.high[2]", "<i", -(1 << 31), "frame.range")),
+    )
     weights = container.WEIGHTS
-    pair("invalid", "frame-and-weights", "the frame, and the weights' scale", lambda c: (
-        c.field("frame.reserved", "B", 1, "frame.range"), c.put(c.t.start(weights), b"\xff", "weights.scale")))  # fmt: skip
-    pair("invalid", "scale-and-not-finite", "carm_shift, and a weight that is no number", lambda c: (
-        c.put(c.t.start(weights) + 3, b"\x11", "weights.scale"), c.put(_value_at(c.t, "hyper", 0, 0, 0), FLOATS["not-a-number"], "weights.not_finite")))  # fmt: skip
-    pair("invalid", "not-finite-and-bound", "a rendering network's weight that is no number, and a row of F_h at no exponent", lambda c: (
-        c.put(_value_at(c.t, "colour", 1, 0, 0), FLOATS["infinite"], "weights.not_finite"),
-        c.put(_value_at(c.t, "hyper", 0, 0, 0), struct.pack("<f", 1e9), "weights.bound")))  # fmt: skip
-    pair("invalid", "bound-and-planes", "a row of CARM at no exponent, and the lengths of the planes", lambda c: (
-        c.put(_value_at(c.t, "carm.1", 1, 0, 0), struct.pack("<f", 1e9), "weights.bound"),
-        c.put(c.t.start(container.PLANES_SECTION), b"\xff", "planes.length")))  # fmt: skip
-    pair("malformed", "planes-and-mask-model", "the lengths of the planes, and the mask model", lambda c: (
-        c.wrong(c.t.start(container.PLANES_SECTION), "planes.length", c.t.start(container.PLANES_SECTION)),
-        c.put(c.t.table, b"\0\0", "chunks.mask_model")))  # fmt: skip
-    pair("invalid", "plane-stream-and-mask-model", "the last symbol_crc of the planes, and the mask model", lambda c: (
-        c.wrong(stream_of(c.t, "planes", 4)[1], "substream.symbol_crc", stream_of(c.t, "planes", 4)[1]),
-        c.put(c.t.table, b"\0\0", "chunks.mask_model")))  # fmt: skip
-    pair("invalid", "mask-model-and-chunk-length", "the mask model, and a position_length", lambda c: (
-        c.put(c.t.table + 2, b"\0\0", "chunks.mask_model"), c.put(c.t.entries, b"\1", "chunks.length")), chunks=False)  # fmt: skip
-    pair("invalid", "position-model-and-chunk-length", "the model of positions, and a position_length", lambda c: (
-        c.put(c.t.position_model, b"\x29", "chunks.position_model"), c.put(c.t.entries, b"\0\0\0\0", "chunks.length")), packed, False)  # fmt: skip
-    pair("malformed", "chunk-lengths", "position_length of chunk 2, and the sum of the mask lengths", lambda c: (
-        c.put(c.t.entries + 48, b"\1", "chunks.length"), c.put(c.t.entries + 8, b"\xff\xff", "chunks.length")), chunks=False)  # fmt: skip
+    pair(
+        "invalid",
+        "frame-and-weights",
+        "the frame, and the weights' scale",
+        lambda c: (c.field("frame.reserved", "B", 1, "frame.range"), c.put(c.t.start(weights), b"\xff", "weights.scale")),
+    )
+    pair(
+        "invalid",
+        "scale-and-not-finite",
+        "carm_shift, and a weight that is no number",
+        lambda c: (
+            c.put(c.t.start(weights) + 3, b"\x11", "weights.scale"),
+            c.put(_value_at(c.t, "hyper", 0, 0, 0), FLOATS["not-a-number"], "weights.not_finite"),
+        ),
+    )
+    pair(
+        "invalid",
+        "not-finite-and-bound",
+        "a rendering network's weight that is no number, and a row of F_h at no exponent",
+        lambda c: (
+            c.put(_value_at(c.t, "colour", 1, 0, 0), FLOATS["infinite"], "weights.not_finite"),
+            c.put(_value_at(c.t, "hyper", 0, 0, 0), struct.pack("<f", 1e9), "weights.bound"),
+        ),
+    )
+    pair(
+        "invalid",
+        "bound-and-planes",
+        "a row of CARM at no exponent, and the lengths of the planes",
+        lambda c: (
+            c.put(_value_at(c.t, "carm.1", 1, 0, 0), struct.pack("<f", 1e9), "weights.bound"),
+            c.put(c.t.start(container.PLANES_SECTION), b"\xff", "planes.length"),
+        ),
+    )
+    pair(
+        "malformed",
+        "planes-and-mask-model",
+        "the lengths of the planes, and the mask model",
+        lambda c: (
+            c.wrong(c.t.start(container.PLANES_SECTION), "planes.length", c.t.start(container.PLANES_SECTION)),
+            c.put(c.t.table, b"\0\0", "chunks.mask_model"),
+        ),
+    )
+    pair(
+        "invalid",
+        "plane-stream-and-mask-model",
+        "the last symbol_crc of the planes, and the mask model",
+        lambda c: (
+            c.wrong(stream_of(c.t, "planes", 4)[1], "substream.symbol_crc", stream_of(c.t, "planes", 4)[1]),
+            c.put(c.t.table, b"\0\0", "chunks.mask_model"),
+        ),
+    )
+    pair(
+        "invalid",
+        "mask-model-and-chunk-length",
+        "the mask model, and a position_length",
+        lambda c: (c.put(c.t.table + 2, b"\0\0", "chunks.mask_model"), c.put(c.t.entries, b"\1", "chunks.length")),
+        chunks=False,
+    )
+    pair(
+        "invalid",
+        "position-model-and-chunk-length",
+        "the model of positions, and a position_length",
+        lambda c: (c.put(c.t.position_model, b"\x29", "chunks.position_model"), c.put(c.t.entries, b"\0\0\0\0", "chunks.length")),
+        packed,
+        False,
+    )
+    pair(
+        "malformed",
+        "chunk-lengths",
+        "position_length of chunk 2, and the sum of the mask lengths",
+        lambda c: (c.put(c.t.entries + 48, b"\1", "chunks.length"), c.put(c.t.entries + 8, b"\xff\xff", "chunks.length")),
+        chunks=False,
+    )
 
 
 def _streams(book: Book, pair: Add) -> None:
-    positions, masks, attributes = container.CHUNKED
+    positions = container.POSITIONS
 
     def crc_behind() -> Refused:
         t = plain()
@@ -188,8 +327,15 @@ def _streams(book: Book, pair: Add) -> None:
 
     text = "a position of chunk 0, and the CRC-32 of chunk 1"
     book.add("invalid-order-of-position-and-chunk-crc", text, crc_behind, features="order", requirements="D10.1-1", flags="order-of-checks")
-    pair("invalid", "zero-and-infinity", "a position of -0, and an infinite one behind it", lambda c: (
-        c.put(c.t.start(positions) + 6, b"\0\x80", "positions.negative_zero"), c.put(c.t.start(positions) + 8, b"\0\xfc", "positions.not_finite")))  # fmt: skip
+    pair(
+        "invalid",
+        "zero-and-infinity",
+        "a position of -0, and an infinite one behind it",
+        lambda c: (
+            c.put(c.t.start(positions) + 6, b"\0\x80", "positions.negative_zero"),
+            c.put(c.t.start(positions) + 8, b"\0\xfc", "positions.not_finite"),
+        ),
+    )
 
     def late_position(c: Changes) -> tuple[Fault, Fault]:
         at, mask = c.t.sections[positions].end - 2, stream_of(c.t, "masks")
@@ -262,13 +408,19 @@ def _streams(book: Book, pair: Add) -> None:
     def state_and_escape() -> Refused:
         refused = with_raw(far(1000), 0, 48, "final_state")
         at = refused.offset + 8
-        return Refused(repair(refused.data[:at] + struct.pack("<I", struct.unpack_from("<I", refused.data, at)[0] + 2) + refused.data[at + 4 :]),
-            "substream.final_state", refused.offset)  # fmt: skip
+        return Refused(
+            repair(refused.data[:at] + struct.pack("<I", struct.unpack_from("<I", refused.data, at)[0] + 2) + refused.data[at + 4 :]),
+            "substream.final_state",
+            refused.offset,
+        )
 
     ends("state-and-escape", "a final state, and an escape of zeros", state_and_escape)
     ends("escape-and-raw-length", "an escape of zeros, and raw bytes that nothing reads", lambda: with_raw(far(1000), 0, 800, "escape"))
-    ends("range-and-raw-length", "a symbol out of range, and raw bytes that nothing reads", lambda: with_raw(
-        far(1000), escape_of(24, 0), 800, "symbol_range"))  # fmt: skip
+    ends(
+        "range-and-raw-length",
+        "a symbol out of range, and raw bytes that nothing reads",
+        lambda: with_raw(far(1000), escape_of(24, 0), 800, "symbol_range"),
+    )
 
     def padding_and_crc() -> Refused:
         t = far(300)

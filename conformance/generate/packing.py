@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -60,12 +61,13 @@ def of_cells(cells: Int64, cell_shift: int) -> NDArray[np.float16]:
     return found
 
 
-def placed(name: str, where: NDArray[np.float16], model: PositionModel | None = None, shift: int | None = None, **changes: object) -> Scene:
+def placed(name: str, where: NDArray[np.float16], model: PositionModel | None = None, shift: int | None = None, **changes: Any) -> Scene:
     """A small scene at these positions, in mode 1."""
     chosen = model or position_model(where, 4096)
     if shift is not None:
         chosen = replace(chosen, cell_shift=shift)
-    return scene(name, len(where), SMALLEST, positions=where, **{"lanes": Lanes(0, 1, 0), "position_model": chosen, **changes})
+    fields: dict[str, Any] = {"lanes": Lanes(0, 1, 0), "position_model": chosen, **changes}
+    return scene(name, len(where), SMALLEST, positions=where, **fields)
 
 
 def _positions(book: Book) -> None:
@@ -75,24 +77,49 @@ def _positions(book: Book) -> None:
     def valid(name: str, text: str, make: Callable[[], Scene], flags: str = "tree-order", requirements: str = "") -> None:
         book.valid(f"cells-{name}", text, make, features="packed-positions", requirements=f"D7.12-1 D7.4-1 {requirements}", flags=flags)
 
-    book.valid("packed-positions", "a lattice in four chunks", lambda: drawn("packed-positions", 60, positions=grid, chunk_size=16,
-        position_model=position_model(grid, 16)), features="packed-positions chunks", requirements="D7.12-1", flags="tree-order")  # fmt: skip
+    book.valid(
+        "packed-positions",
+        "a lattice in four chunks",
+        lambda: drawn("packed-positions", 60, positions=grid, chunk_size=16, position_model=position_model(grid, 16)),
+        features="packed-positions chunks",
+        requirements="D7.12-1",
+        flags="tree-order",
+    )
     for shift in (0, 1, 23, 39):
         # Eleven bits of each cell at most, at either end and about the middle.
         cells = MIDDLE + numbers.chosen([0, 1, -1, 5, 2047, -2047, 1000, -33], 20, 3)
         if shift == 39:
             cells = MIDDLE + numbers.chosen([0, 1, -1], 12, 3)
-        valid(f"shift-{shift}", f"cells of cell_shift {shift}", lambda cells=cells, shift=shift: placed(  # type: ignore[misc]
-            f"cells-shift-{shift}", of_cells(cells, shift), shift=shift), "cell-shift tree-order", "R6.10-4")  # fmt: skip
+        valid(
+            f"shift-{shift}",
+            f"cells of cell_shift {shift}",
+            lambda cells=cells, shift=shift: placed(  # type: ignore[misc]
+                f"cells-shift-{shift}", of_cells(cells, shift), shift=shift
+            ),
+            "cell-shift tree-order",
+            "R6.10-4",
+        )
     far = MIDDLE + numbers.chosen([-32768, 32752, -32752, 16384, -16384, 32736, 16, -16, 2047, 0], 30, 3)
     valid("ends", "cells at both ends of each axis", lambda: placed("cells-ends", of_cells(far, 12), shift=12), "cell-ends tree-order")
     index = MIDDLE + numbers.chosen([0x7BFF, -0x7BFF, 0, 1, -1, 1023, 1024, -1024, 0x3C00, -0x3C00], 40, 3)
-    valid("index", "cells that count f16 numbers, to the largest", lambda: placed("cells-index", of_cells(index, 40), shift=40),
-        "cell-index tree-order", "R6.10-4")  # fmt: skip
+    valid(
+        "index",
+        "cells that count f16 numbers, to the largest",
+        lambda: placed("cells-index", of_cells(index, 40), shift=40),
+        "cell-index tree-order",
+        "R6.10-4",
+    )
     valid("finer", "a cell_shift below the largest that would do", lambda: placed("cells-finer", grid, shift=20), "cell-shift", "R6.10-4")
-    valid("index-of-lattice", "a lattice by the index of its f16 numbers", lambda: placed(
-        "cells-index-of-lattice", of_cells(MIDDLE + np.where(np.arange(60).reshape(20, 3) % 2, 0x3400, -0x3400) + np.arange(60).reshape(20, 3),
-            40), shift=40), "cell-index")  # fmt: skip
+    valid(
+        "index-of-lattice",
+        "a lattice by the index of its f16 numbers",
+        lambda: placed(
+            "cells-index-of-lattice",
+            of_cells(MIDDLE + np.where(np.arange(60).reshape(20, 3) % 2, 0x3400, -0x3400) + np.arange(60).reshape(20, 3), 40),
+            shift=40,
+        ),
+        "cell-index",
+    )
     full = np.stack(np.meshgrid(*[np.arange(4)] * 3, indexing="ij"), axis=-1).reshape(-1, 3) + MIDDLE - 2
     valid("full", "a full cube of 64 cells about the middle", lambda: placed("cells-full", of_cells(full, 20)), "tree-order tree-model")
     valid("one", "a single cell", lambda: placed("cells-one", of_cells(np.array([[MIDDLE + 3, MIDDLE - 7, MIDDLE]]), 20)), "tree-order")
@@ -112,8 +139,14 @@ def _positions(book: Book) -> None:
     )
     line = MIDDLE + np.stack([np.arange(-9, 9), np.zeros(18, int), np.zeros(18, int)], axis=1)
     for axis in range(3):
-        valid(f"line-{'xyz'[axis]}", "cells along one axis", lambda axis=axis: placed(  # type: ignore[misc]
-            "cells-line", of_cells(np.roll(line, axis, axis=1), 22), shift=22), "axes-swapped tree-order")  # fmt: skip
+        valid(
+            f"line-{'xyz'[axis]}",
+            "cells along one axis",
+            lambda axis=axis: placed(  # type: ignore[misc]
+                "cells-line", of_cells(np.roll(line, axis, axis=1), 22), shift=22
+            ),
+            "axes-swapped tree-order",
+        )
     valid(
         "any-model",
         "frequencies that fit no scene",
@@ -121,8 +154,13 @@ def _positions(book: Book) -> None:
         "tree-model",
         "R6.10-4 D8.2-1",
     )
-    valid("sharp-model", "frequencies of 1, and of all that is left", lambda: placed("cells-sharp-model", grid, sharp_model({}), 22),
-        "tree-model limit-off-by-one", "R6.10-4 D8.2-1")  # fmt: skip
+    valid(
+        "sharp-model",
+        "frequencies of 1, and of all that is left",
+        lambda: placed("cells-sharp-model", grid, sharp_model({}), 22),
+        "tree-model limit-off-by-one",
+        "R6.10-4 D8.2-1",
+    )
 
     def mixed() -> Scene:
         where = grid.copy()
@@ -134,10 +172,20 @@ def _positions(book: Book) -> None:
 
     valid("mixed", "packed chunks, and raw ones of each reason", mixed, "raw-chunk last-chunk", "R6.11-3 R6.11-4")
     unordered = positions(Numbers("cells-raw"), 9)
-    valid("raw", "no chunk can be packed", lambda: placed("cells-raw", unordered, any_model(Numbers("cells-raw-model")), chunk_size=4),
-        "raw-chunk last-chunk", "R6.11-3 R6.11-4")  # fmt: skip
-    valid("single-anchors", "chunks of one anchor, which always can be packed", lambda: placed("cells-single", grid[:5], chunk_size=1),
-        "raw-chunk", "R6.11-4")  # fmt: skip
+    valid(
+        "raw",
+        "no chunk can be packed",
+        lambda: placed("cells-raw", unordered, any_model(Numbers("cells-raw-model")), chunk_size=4),
+        "raw-chunk last-chunk",
+        "R6.11-3 R6.11-4",
+    )
+    valid(
+        "single-anchors",
+        "chunks of one anchor, which always can be packed",
+        lambda: placed("cells-single", grid[:5], chunk_size=1),
+        "raw-chunk",
+        "R6.11-4",
+    )
 
     def swapped() -> Scene:
         # In the order of x, y, z and not of the tree: only MORTON tells.
@@ -187,10 +235,22 @@ def _weights(book: Book) -> None:
     def valid(name: str, text: str, make: Callable[[], Scene], flags: str, requirements: str = "") -> None:
         book.valid(f"grids-{name}", text, make, features="packed-weights", requirements=f"D7.13-1 R6.8-6 {requirements}", flags=flags)
 
-    book.valid("packed-weights", "every layer packed", lambda: packed_weights(drawn("packed-weights", 4)), features="packed-weights",
-        requirements="D7.13-1 D9.3-1", flags="grid-exponent")  # fmt: skip
-    book.valid("packed-weights-chosen", "weights as the reference encoder packs them", lambda: pack_weights(drawn("packed-weights-chosen", 4)),
-        features="packed-weights", requirements="D7.13-1", flags="grid-exponent")  # fmt: skip
+    book.valid(
+        "packed-weights",
+        "every layer packed",
+        lambda: packed_weights(drawn("packed-weights", 4)),
+        features="packed-weights",
+        requirements="D7.13-1 D9.3-1",
+        flags="grid-exponent",
+    )
+    book.valid(
+        "packed-weights-chosen",
+        "weights as the reference encoder packs them",
+        lambda: pack_weights(drawn("packed-weights-chosen", 4)),
+        features="packed-weights",
+        requirements="D7.13-1",
+        flags="grid-exponent",
+    )
 
     def limits(n: Networks) -> None:
         # The least and the largest exponent of a row; integers at the limit.
@@ -220,8 +280,12 @@ def _weights(book: Book) -> None:
             w, b = n[name][-1]
             w[:], b[:] = 0, 0
 
-    valid("zeros", "rows of zeros at the beginning, between and at the end of a layer, and layers of zeros",
-        lambda: _regular("grids-zeros", zeros), "zero-rows")  # fmt: skip
+    valid(
+        "zeros",
+        "rows of zeros at the beginning, between and at the end of a layer, and layers of zeros",
+        lambda: _regular("grids-zeros", zeros),
+        "zero-rows",
+    )
 
     def falling(n: Networks) -> None:
         for layers in n.values():
@@ -267,16 +331,26 @@ def _weights(book: Book) -> None:
         n["opacity"][1][1][0] = 0
         n["colour"][0][0][1, :2] = 3.0e38, 2.0**-149
 
-    valid("raw-layers", "layers that are raw: -0, integers and exponents beyond the limits", lambda: _regular("grids-raw-layers", raw_one),
-        "raw-layer", "R6.8-4 R6.8-7")  # fmt: skip
+    valid(
+        "raw-layers",
+        "layers that are raw: -0, integers and exponents beyond the limits",
+        lambda: _regular("grids-raw-layers", raw_one),
+        "raw-layer",
+        "R6.8-4 R6.8-7",
+    )
 
     def raw_all(n: Networks) -> None:
         for layers in n.values():
             for _, b in layers:
                 b[0] = -0.0
 
-    valid("raw-all", "every layer raw, and a substream of no symbols", lambda: _regular("grids-raw-all", raw_all), "raw-layer empty-substream",
-        "R6.8-4 R6.8-7")  # fmt: skip
+    valid(
+        "raw-all",
+        "every layer raw, and a substream of no symbols",
+        lambda: _regular("grids-raw-all", raw_all),
+        "raw-layer empty-substream",
+        "R6.8-4 R6.8-7",
+    )
 
     def long(n: Networks) -> None:
         numbers = Numbers("grids-escapes")
@@ -296,5 +370,10 @@ def _weights(book: Book) -> None:
         "escape-prefix escape-sign raw-before-escapes",
         "D8.6-1 D8.7-1",
     )
-    valid("lanes", "a substream of 256 lanes", lambda: replace(_regular("grids-lanes", lambda n: None), lanes=Lanes(0, 0, 8)),
-        "lane-order idle-lanes", "D8.3-1")  # fmt: skip
+    valid(
+        "lanes",
+        "a substream of 256 lanes",
+        lambda: replace(_regular("grids-lanes", lambda n: None), lanes=Lanes(0, 0, 8)),
+        "lane-order idle-lanes",
+        "D8.3-1",
+    )

@@ -32,10 +32,7 @@ Make = Callable[[], bytes | Refused | Seen]
 
 @dataclass(frozen=True)
 class Recipe:
-    """A vector: id (its class first), title, how it is made, and what the manifest says of it beside that.
-
-    stable: whether encoding what refcodec decodes gives the file again; only files of another version would not.
-    """
+    """A vector: id (its class first), title, how it is made, and what the manifest says of it beside that."""
 
     id: str
     title: str

