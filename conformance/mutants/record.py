@@ -19,7 +19,7 @@ Caught = dict[str, tuple[str, str]]
 _HEAD = """# Planted bugs
 
 Written by `conformance selftest --write`. Each line is a wrong decoder, made from the second decoder by the change shown, and the first
-vector that catches it; vectors are tried from the cheapest to the dearest. Bugs planted by hand name the requirements that they break; the
+vector that catches it: of those for a requirement that it breaks, if one does, the cheapest. Bugs planted by hand name the requirements; the
 others were made by operators over the syntax tree, and nobody chose them.
 """
 

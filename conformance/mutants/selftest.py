@@ -50,7 +50,8 @@ def cases(manifest: Manifest) -> list[Case]:
                 digests = {"whole": expected.digest, **{name: value for name, value in expected.parts.items() if name != "head"}}
             elif isinstance(expected, Rejected):
                 error = expected.code, expected.offset
-            found.append(Case(vector.id, manifest.path(vector).read_bytes(), digests, error, vector.budget.seconds, vector.budget.bytes))
+            data, proves = manifest.path(vector).read_bytes(), frozenset(vector.requirements)
+            found.append(Case(vector.id, data, digests, error, proves, vector.budget.seconds, vector.budget.bytes))
     if not found:
         raise SelfTestError("there is no vector to test with")
     return found
@@ -184,17 +185,20 @@ class Trials:
                 raise SelfTestError(f"a decoder that {fake.id} passes one of {names}")
 
     def order(self, made: Sequence[Mutant]) -> dict[str, list[str]]:
-        """For each mutant the vectors that can catch it, from the cheapest to the dearest, counted in calls of the unchanged decoder: the
-        same on every machine. Those are left out for which that does not call what the mutant changes: they pass.
+        """For each mutant the vectors that can catch it: those for a requirement that it breaks before the others, and of both the cheapest
+        first, counted in calls of the unchanged decoder, which are the same on every machine. Those are left out for which that does not
+        call what the mutant changes: they pass.
         """
         names = list(self._by_name)
         visits = list(_progress(self._pool.imap(_visit, names), len(names), "the vectors' costs"))
-        costs = sorted((calls, name, called) for name, (calls, called) in zip(names, visits, strict=True))
-        found = {}
-        for m in made:
-            places = changed(m)
-            found[m.id] = [name for _, name, called in costs if places is None or places & called]
-        return found
+        return {m.id: likely(m, [(*seen, self._by_name[name]) for name, seen in zip(names, visits, strict=True)]) for m in made}
+
+
+def likely(mutant: Mutant, visits: Sequence[tuple[int, frozenset[str], Case]]) -> list[str]:
+    """The order of Trials.order, for one mutant; visits: calls, functions called, case."""
+    places, broken = changed(mutant), set(mutant.requirements)
+    found = [(not broken & case.requirements, calls, case.id) for calls, called, case in visits if places is None or places & called]
+    return [name for *_, name in sorted(found)]
 
 
 @contextmanager

@@ -22,12 +22,13 @@ INTERPRETER_BYTES = 128 << 20
 @dataclass(frozen=True)
 class Case:
     """A vector as a trial needs it. digests: hexadecimal, those of the parts by name (SPEC 9.3), and of all as "whole"; empty if the file
-    is to be refused. error: then its code and offset, else None."""
+    is to be refused. error: then its code and offset, else None. requirements: what the vector is for."""
 
     id: str
     data: bytes
     digests: dict[str, str]
     error: tuple[int, int] | None
+    requirements: frozenset[str]
     seconds: int
     bytes: int
 
