@@ -156,7 +156,7 @@ def conclusions(groups: dict[str, str], entries: Sequence[dict[str, Any]], manif
     return {
         "verdict": {
             "conforms": all(row["verdict"] == "conforms" for row in profiles if row["profile"] != "rendering"),
-            "grade": min((e["grade"] for e in judged if e["operation"] == "decode"), default=0),
+            "grade": min((e["grade"] for e in judged if e["operation"] == "decode"), default=None),
             "counts": {status: counts[status] for status in STATUSES},
             "not_run": len(groups) - len(judged),
         },

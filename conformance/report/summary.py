@@ -29,7 +29,8 @@ def lines(record: dict[str, Any]) -> Iterator[str]:
     yield f"{decoder['name']} {decoder['version']}: {counts or 'nothing run'}; {runner['seconds']:.1f} s with {runner['jobs']} processes"
     if runner["interrupted"]:
         yield "interrupted: the rest was not run"
-    yield f"grade {verdict['grade']} of {max(GRADES)}: {GRADES[verdict['grade']]}"
+    if verdict["grade"] is not None:
+        yield f"grade {verdict['grade']} of {max(GRADES)}: {GRADES[verdict['grade']]}"
     for row in record["profiles"]:
         name = row["profile"] if row["level"] is None else f"profile {row['profile']}, level {row['level']}"
         yield f"  {name:<22} {row['verdict']:<10} {row['right']} of {row['needed']} right"
