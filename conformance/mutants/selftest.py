@@ -252,17 +252,16 @@ def run(manifest: Path, jobs: int, recorded: bool, matrix: Path | None, write: b
     writes to that file which catch it. Prints the score; `write` renews the record. Returns 0 if all are caught, else 1.
     """
     made = mutants()
+    known = record.read() if recorded else {}
     try:
-        all_cases = cases(load(manifest))
+        all_cases = [c for c in cases(load(manifest)) if not recorded or c.id in {vector for vector, _ in known.values()}]
         with trials(all_cases, jobs) as test:
             if recorded:
-                known = record.read()
                 made = [m for m in made if m.id in known]
                 order = {m.id: [known[m.id][0]] for m in made}
             else:
                 order = test.order(made)
-            tasks = [(m, order[m.id]) for m in made]
-            found = test.tries(tasks, "planted bugs", first_only=matrix is None)
+            found = test.tries([(m, order[m.id]) for m in made], "planted bugs", first_only=matrix is None)
             catchers = {m.id: wrong for m, wrong in zip(made, found, strict=True)}
     except SelfTestError as error:
         print(error, file=sys.stderr)
