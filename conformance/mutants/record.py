@@ -19,8 +19,8 @@ Caught = dict[str, tuple[str, str]]
 _HEAD = """# Planted bugs
 
 Written by `conformance selftest --write`. Each line is a wrong decoder, made from the second decoder by the change shown, and the first
-vector that catches it: of those for a requirement that it breaks, if one does, the cheapest. Bugs planted by hand name the requirements; the
-others were made by operators over the syntax tree, and nobody chose them.
+vector that catches it: the cheapest of those for a requirement that it breaks, or else of all. Bugs planted by hand name the requirements;
+the others were made by operators over the syntax tree, and nobody chose them.
 """
 
 
