@@ -61,8 +61,8 @@ def _models(book: Book) -> None:
         numbers = Numbers("models-laplace")
         d = Dimensions(1, (1,), 8, 1, 24, (1,), (2,), (), 1)
         made = networks(d, numbers)
-        # The left neighbour gives the scale index, the one above the mean: both within bounds, whatever the symbols are.
-        first = np.array([[0, 0, 0, 16], [0, 16, 0, 0]], np.float32)
+        # The left neighbour and one above give the scale index, the others the mean: both within bounds, whatever the symbols are.
+        first = np.array([[16, 0, 0, 112], [0, 80, 16, 0]], np.float32)
         made["sarm"] = [
             (first, np.array([512, 512], np.float32)),
             (np.array([[0, 1 / 16], [1 / 16, 0]], np.float32), np.array([-32, SCALE_MIN], np.float32)),

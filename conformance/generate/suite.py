@@ -120,16 +120,16 @@ def vectors(recipes: Iterable[Recipe]) -> Iterator[tuple[dict[str, Any], dict[st
 
 def generate(folder: Path, recipes: Iterable[Recipe]) -> tuple[int, int]:
     """Writes the suite: (vectors, bytes of their files). What the folder had in the places of vectors is gone."""
+    found, written = [], {}
+    for vector, files in vectors(recipes):
+        found.append(vector)
+        written.update(files)
     folder.mkdir(parents=True, exist_ok=True)
     for klass in CLASSES:
         shutil.rmtree(folder / klass, ignore_errors=True)
         (folder / klass).mkdir()
-    found, size = [], 0
-    for vector, files in vectors(recipes):
-        found.append(vector)
-        for path, data in files.items():
-            (folder / path).write_bytes(data)
-            size += len(data)
+    for path, data in written.items():
+        (folder / path).write_bytes(data)
     document = {
         "suite": "c3gs-conformance",
         "suite_version": SUITE_VERSION,
@@ -141,4 +141,4 @@ def generate(folder: Path, recipes: Iterable[Recipe]) -> tuple[int, int]:
     (folder / MANIFEST).write_text(json.dumps(document, indent=1) + "\n", encoding="utf-8")
     if folder.resolve() != VECTORS:
         shutil.copyfile(VECTORS / SCHEMA, folder / SCHEMA)
-    return len(found), size
+    return len(found), sum(map(len, written.values()))

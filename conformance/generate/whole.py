@@ -25,7 +25,6 @@ from .packing import any_model
 from .recipes import Book, Seen
 from .sampling import Sampler, sampled
 from .scenes import SMALL, Networks, dyadic, lattice, positions, scene, with_symbols
-from .structure import drawn
 
 SOURCES = Path(__file__).resolve().parent / "sources"
 UNUSUAL = 16
@@ -207,14 +206,19 @@ def _cameras(book: Book) -> None:
 
     def seen() -> Scene:
         numbers = Numbers("cameras")
-        made = drawn("cameras", 12, d, positions=lattice(numbers, 12), base_step=(0.0625, 0.0625, 0.25), grid=PositionGrid((0, 0, 0), 1, 0))
+        fields: dict[str, Any] = {"base_step": (0.0625, 0.0625, 0.25), "grid": PositionGrid((0, 0, 0), 1, 0)}
+        made = scene("cameras", 12, d, positions=lattice(numbers, 12), **fields)
+        # The steps are the base steps, so that sizes are ordinary ones.
+        w, b = made.networks["hyper"][-1]
+        w[-3:], b[-3:] = 0, 32
         for name in ("opacity", "covariance", "colour"):
             for w, b in made.networks[name]:
                 w[:], b[:] = dyadic(numbers.integers(-99, 99, *w.shape), 8), dyadic(numbers.integers(-99, 99, len(b)), 7)
         # Of one offset four numbers that are no quaternion.
         w, b = made.networks["covariance"][-1]
         w[3:7], b[3:7] = 0, 0
-        return made
+        given = {"features": (12, d.features), "scalings": (12, 6), "offsets": (12, 5, 3)}
+        return with_symbols(made, **{kind: numbers.integers(-25, 9, *shape) for kind, shape in given.items()})
 
     book.valid("cameras", "a scene that cameras look at", seen, features="cameras", requirements="D9.1-1 D9.2-1")
     # Anchor 4 is where the third camera is.

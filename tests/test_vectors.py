@@ -1,0 +1,335 @@
+"""The suite's vectors: the manifest says what it may, the generator makes the same bytes again, and every decoder here agrees with it."""
+
+from __future__ import annotations
+
+import copy
+import hashlib
+import io
+import json
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import jsonschema
+import numpy as np
+import pytest
+
+from conformance import cli, independent, text
+from conformance.gaussians import difference
+from conformance.generate import recipes
+from conformance.generate.features import FEATURES
+from conformance.generate.flags import FLAGS
+from conformance.generate.numbers import Numbers
+from conformance.generate.recipes import Recipe, Refused
+from conformance.generate.suite import GeneratorError, vectors
+from conformance.independent.__main__ import main as second_main
+from conformance.independent.trace import Trace
+from conformance.manifest import MANIFEST, SCHEMA, VECTORS, Accepted, GaussiansOf, Manifest, ManifestError, Rejected, Vector, faults, load
+from refcodec import codec, container
+from refcodec.cli import main
+from refcodec.entropy import select
+from refcodec.errors import REGISTRY
+from refcodec.inspection import symbol_trace
+from refcodec.tables import tables
+
+SUITE = load()
+DECODED = [v for v in SUITE.vectors if v.operation == "decode"]
+SEEN = [v for v in SUITE.vectors if v.operation == "gaussians"]
+# SPEC.md's blocks take a second for some thousands of symbols.
+SMALL = [v for v in DECODED if v.klass == "valid" and v.profile == "tiny" and v.input.size < 6000]
+
+
+def data(vector: Vector) -> bytes:
+    return SUITE.path(vector).read_bytes()
+
+
+def sha256(content: bytes) -> str:
+    return hashlib.sha256(content).hexdigest()
+
+
+# --- the manifest -----------------------------------------------------------------------------------------------------
+
+
+def document() -> dict[str, Any]:
+    found: dict[str, Any] = json.loads((VECTORS / MANIFEST).read_text(encoding="utf-8"))
+    return found
+
+
+def test_files_are_those_of_the_manifest() -> None:
+    listed = {v.input.path for v in SUITE.vectors} | {v.expectation.path for v in SEEN if isinstance(v.expectation, GaussiansOf)}
+    there = {str(p.relative_to(VECTORS)) for folder in VECTORS.iterdir() if folder.is_dir() for p in folder.iterdir()}
+    assert listed == there
+    for vector in SUITE.vectors:
+        assert (vector.input.size, vector.input.sha256) == (len(data(vector)), sha256(data(vector)))
+    assert sum(p.stat().st_size for p in VECTORS.rglob("*")) < 5_000_000
+
+
+def test_everything_has_a_vector() -> None:
+    """Every requirement that a file can test, every error, feature and flag."""
+    assert {v.expectation.name for v in DECODED if isinstance(v.expectation, Rejected)} == set(REGISTRY)
+    proved = {name for v in SUITE.vectors for name in v.requirements}
+    names = {name for name, *_ in text.requirements(text.SPEC.read_text(encoding="utf-8"))}
+    # What a mode or an image would show that no runner asks for.
+    assert names - proved == {"D10.1-2", "G14.5-1"}
+    assert proved <= names
+    assert {f for v in SUITE.vectors for f in v.features} == set(FEATURES)
+    assert {f for v in SUITE.vectors for f in v.flags} == set(FLAGS)
+    assert len(SEEN) == 3
+
+
+def test_errors_are_those_of_the_registry() -> None:
+    for vector in DECODED:
+        e = vector.expectation
+        if isinstance(e, Rejected):
+            kind = REGISTRY[e.name]
+            assert (e.code, e.clause) == (kind.code, kind.clause)
+            assert vector.klass in (kind.klass, "resource")
+
+
+@pytest.mark.parametrize(
+    "place", [[], ["vectors", 0], ["vectors", 0, "input"], ["vectors", 0, "expectation"], ["vectors", 0, "expectation", "parts"],
+              ["vectors", 0, "budget"], ["vectors", 0, "generator"]],
+    ids=str,
+)  # fmt: skip
+def test_the_schema_allows_no_other_field(place: list[Any]) -> None:
+    schema = json.loads((VECTORS / SCHEMA).read_text(encoding="utf-8"))
+    jsonschema.Draft202012Validator.check_schema(schema)
+    whole = document()
+    found = {**whole, "vectors": whole["vectors"][:1]}
+    jsonschema.validate(found, schema)
+    at: Any = found
+    for step in place:
+        at = at[step]
+    for change in (lambda: at.update(more=1), at.popitem, at.popitem):
+        change()
+        with pytest.raises(jsonschema.ValidationError):
+            jsonschema.validate(found, schema)
+        at.pop("more", None)
+
+
+@pytest.mark.parametrize(
+    ("change", "what"),
+    [
+        (lambda d: d["vectors"].append(d["vectors"][0]), "two vectors have the id"),
+        (lambda d: d["vectors"][0]["flags"].append("unheard-of"), "not defined in flags"),
+        (lambda d: d["features"].update({"nobody-has": "this"}), "no vector has nobody-has"),
+        (lambda d: d["vectors"][0].update({"class": "malformed"}), "with the result accepted"),
+        (lambda d: d["vectors"][0].update({"operation": "gaussians"}), "operation gaussians"),
+    ],
+)
+def test_what_a_schema_cannot_say(change: Callable[[dict[str, Any]], None], what: str) -> None:
+    found = document()
+    assert list(faults(found)) == []
+    changed = copy.deepcopy(found)
+    change(changed)
+    assert any(what in fault for fault in faults(changed))
+
+
+def test_manifests_that_are_none(tmp_path: Path) -> None:
+    (tmp_path / SCHEMA).write_bytes((VECTORS / SCHEMA).read_bytes())
+    whole = (VECTORS / MANIFEST).read_text(encoding="utf-8")
+    for content, what in (
+        ("{", "Expecting"), (json.dumps({**document(), "vectors": []}), "vectors"), (whole.replace("{", '{"suite": 1,', 1), "twice"),
+        (whole.replace('"format_version": 0', '"format_version": 1'), "format_version"),
+        (json.dumps({**document(), "vectors": document()["vectors"][:1]}), "no vector has"),
+    ):  # fmt: skip
+        (tmp_path / MANIFEST).write_text(content, encoding="utf-8")
+        with pytest.raises(ManifestError, match=what):
+            load(tmp_path / MANIFEST)
+    with pytest.raises(OSError, match="No such file"):
+        load(tmp_path / "none" / MANIFEST)
+
+
+# --- the generator ----------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.slow
+def test_the_suite_is_the_same_again(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """And refcodec gives what the manifest expects, since that is where it comes from."""
+    assert cli.main(["generate", "-o", str(tmp_path / "suite")]) == 0
+    assert f"{len(SUITE.vectors)} vectors" in capsys.readouterr().out
+    made = {str(p.relative_to(tmp_path / "suite")): p.read_bytes() for p in (tmp_path / "suite").rglob("*") if p.is_file()}
+    kept = {str(p.relative_to(VECTORS)): p.read_bytes() for p in VECTORS.rglob("*") if p.is_file()}
+    for name in ("README.md", "tiny-example.c3gs"):
+        del kept[name]
+    assert made.keys() == kept.keys()
+    assert [name for name in made if made[name] != kept[name]] == []
+    assert load(tmp_path / "suite" / MANIFEST).vectors == SUITE.vectors
+
+
+def test_numbers_are_the_same_on_every_machine() -> None:
+    """The definition: eight bytes of SHAKE-256 of name, seed and draw, modulo the span."""
+    numbers = Numbers("a name", 7)
+    for draw in range(3):
+        stream = hashlib.shake_256(f"a name/7/{draw}".encode()).digest(40)
+        expected = [int.from_bytes(stream[8 * i : 8 * i + 8], "little") % 11 - 5 for i in range(5)]
+        assert numbers.integers(-5, 5, 5).tolist() == expected
+    assert Numbers("a name").integer(3, 3) == 3
+
+
+def test_recipes_that_say_something_else() -> None:
+    """The generator believes no recipe."""
+    plain = next(r for r in recipes() if r.id == "valid-worked-example")
+    made = plain.make()
+    assert isinstance(made, bytes)
+    for klass, result, what in (
+        ("malformed", Refused(made[:19], "prologue.truncated", 18), "refcodec prologue.truncated at 19"),
+        ("malformed", Refused(made, "prologue.truncated", 19), "accepts the file"),
+        ("invalid", Refused(made[:19], "prologue.truncated", 19), "is malformed"),
+    ):
+        with pytest.raises(GeneratorError, match=what):
+            list(vectors([Recipe(f"{klass}-wrong", "a wrong recipe", lambda result=result: result, ("header",))]))  # type: ignore[misc]
+
+
+def test_recipes_are_named_once() -> None:
+    names = [r.id for r in recipes()]
+    assert len(names) == len(set(names)) == len(SUITE.vectors)
+
+
+# --- the decoders -----------------------------------------------------------------------------------------------------
+
+
+def second_verdict(content: bytes) -> Accepted | tuple[int, int, str]:
+    """What the second decoder makes of a file, as an expectation or an error."""
+    lines = io.StringIO()
+    try:
+        parts = independent.canonical_parts(independent.decode(content, Trace(lines)))
+    except independent.C3GSError as error:
+        return error.code, error.offset, error.clause
+    whole = sha256(b"".join(parts.values()))
+    return Accepted(whole, {name: sha256(part) for name, part in parts.items()}, sha256(lines.getvalue().encode()))
+
+
+@pytest.mark.slow
+@pytest.mark.requirement("D2.1-1", "D9.3-1", "D10.1-1")
+@pytest.mark.parametrize("klass", ["valid", "malformed", "invalid", "unsupported", "resource"])
+def test_the_second_decoder(klass: str) -> None:
+    """Digest, parts, trace; or code, offset and clause."""
+    for vector in DECODED:
+        if vector.klass == klass:
+            e = vector.expectation
+            wanted = (e.code, e.offset, e.clause) if isinstance(e, Rejected) else e
+            assert second_verdict(data(vector)) == wanted, vector.id
+
+
+@pytest.mark.slow
+def test_the_text_of_the_specification() -> None:
+    """SPEC.md's blocks decode the small files to the same numbers."""
+    space = text.blocks(text.SPEC.read_text(encoding="utf-8"))
+    assert len(SMALL) > 100
+    for vector in SMALL:
+        found, verdicts = text.decode(space, data(vector), container.parse_container(data(vector)))
+        assert isinstance(vector.expectation, Accepted)
+        assert not any(verdicts), vector.id
+        assert sha256(found) == vector.expectation.digest, vector.id
+
+
+def test_traces() -> None:
+    """Both decoders write the same lines, and of a file that is refused what comes before the fault."""
+    example = next(v for v in DECODED if v.id == "valid-chunks-packed")
+    first: list[str] = []
+    second = io.StringIO()
+    symbol_trace(data(example), first.append)
+    independent.decode(data(example), Trace(second))
+    assert "".join(first) == second.getvalue()
+    names = [line.partition("[")[0].partition(".")[0] for line in first]
+    assert list(dict.fromkeys(names)) == ["weights", "planes", "positions", "masks", "attributes"]
+    assert len(set(first)) == len(first)
+    bad = next(v for v in DECODED if v.id == "invalid-attributes-last-symbol-crc")
+    second = io.StringIO()
+    with pytest.raises(independent.C3GSError):
+        independent.decode(data(bad), Trace(second))
+    assert second.getvalue().count("attributes.features") > 10
+
+
+def test_what_is_tested_is_there() -> None:
+    """Symbols of every row and column of both families, each end and the escape among them."""
+    for name, family in (("valid-models-gauss", "gauss"), ("valid-models-laplace", "laplace")):
+        rows: list[Any] = []
+        vector = next(v for v in DECODED if v.id == name)
+        codec.parse(data(vector), trace=rows.append)
+        used = [row for row in rows if row.family == family]
+        mean, scale, value = (np.array([getattr(row, kind) for row in used]) for kind in ("mean", "scale", "value"))
+        model, centre, raw = select(mean, scale)
+        radius = getattr(tables(), family).radius[model]
+        distance = (value >> raw) - centre
+        kinds = np.where(np.abs(distance) > radius, 0, np.where(distance == -radius, 1, np.where(distance == radius, 2, 3)))
+        seen = set(zip(model.tolist(), kinds.tolist(), strict=True))
+        assert len({m for m, _ in seen}) > 1000, name
+        for kind in range(3):
+            assert len([1 for _, k in seen if k == kind]) > 850, (name, kind)
+
+
+# --- commands ---------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("vector", SEEN, ids=lambda v: v.id)
+@pytest.mark.requirement("G14.3-1")
+def test_gaussians(vector: Vector, tmp_path: Path) -> None:
+    e = vector.expectation
+    assert isinstance(e, GaussiansOf)
+    camera, output = tmp_path / "camera.json", tmp_path / "gaussians.json"
+    camera.write_text(json.dumps(e.camera))
+    assert main(["gaussians", str(SUITE.path(vector)), str(camera), str(output)]) == 0
+    expected = (VECTORS / e.path).read_text(encoding="utf-8")
+    assert sha256(expected.encode()) == e.sha256
+    assert len(json.loads(expected)["gaussians"]) > 5
+    assert difference(expected, output.read_text(), e.tolerance) is None
+    camera.write_text("{}")
+    assert main(["gaussians", str(SUITE.path(vector)), str(camera), str(output)]) == 64
+
+
+def test_gaussians_that_differ() -> None:
+    g = {"anchor": 3, "offset": 1, "mean": [1.0, 2.0, 3.0], "lengths": [0.5, 0.5, 0.5], "quaternion": [1.0, 0.0, 0.0, 0.0], "opacity": 0.5,
+         "colour": [0.1, 0.2, 0.3]}  # fmt: skip
+
+    def listed(*found: dict[str, Any]) -> str:
+        return json.dumps({"gaussians": found})
+
+    faint = {**g, "anchor": 4, "opacity": 0.5e-4}
+    assert difference(listed(g), listed(g), 1e-4) is None
+    assert difference(listed(g), listed(faint, g), 1e-4) is None
+    assert difference(listed(g, faint), listed(g), 1e-4) is None
+    for found, what in (
+        ([], "missing"), ([g, {**g, "anchor": 9}], "anchor 9, offset 1: there is none"), ([{**g, "mean": [1.0, 2.0, 3.001]}], "mean"),
+        ([{**g, "mean": [1.0, 2.0, float("nan")]}], "mean"), ([{**g, "colour": [0.1, 0.2]}], "another length"), ([g, g], "twice"),
+        ([{**g, "opacity": 0.51}], "opacity"), ([{**g, "quaternion": [-1.0, 0.0, 0.0, 0.0]}], "quaternion"), ([{"anchor": 1}], "no list"),
+    ):  # fmt: skip
+        assert what in str(difference(listed(g), listed(*found), 1e-4)), what
+    assert difference(listed(g), "[]", 1e-4)
+    assert difference(listed(g), "not JSON", 1e-4)
+
+
+def test_the_reconstruct_command(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    vector = next(v for v in DECODED if v.id == "valid-plain")
+    e = vector.expectation
+    assert isinstance(e, Accepted)
+    output, trace = tmp_path / "out.bin", tmp_path / "trace.txt"
+    for arguments in ([], ["--trace", str(trace)]):
+        assert main(["reconstruct", str(SUITE.path(vector)), str(output), *arguments]) == 0
+        assert sha256(output.read_bytes()) == e.digest
+    assert sha256(trace.read_bytes()) == e.trace
+    output.write_bytes(b"something else")
+    assert main(["reconstruct", str(SUITE.path(vector)), str(output)]) == 64
+    assert "is not a reconstruction" in capsys.readouterr().err
+    bad = next(v for v in DECODED if v.id == "invalid-attributes-symbol-crc")
+    assert main(["reconstruct", str(SUITE.path(bad)), str(tmp_path / "none.bin"), "--trace", str(trace)]) == 1
+    assert json.loads(capsys.readouterr().err.splitlines()[-1])["code"] == 509
+    assert not (tmp_path / "none.bin").exists()
+    assert "attributes." in trace.read_text()
+
+
+def test_the_second_decoder_s_command(tmp_path: Path) -> None:
+    vector = next(v for v in DECODED if v.id == "valid-packed-weights")
+    e = vector.expectation
+    assert isinstance(e, Accepted)
+    output, trace = tmp_path / "out.bin", tmp_path / "trace.txt"
+    assert second_main(["decode", str(SUITE.path(vector)), str(output)]) == 0
+    assert sha256(output.read_bytes()) == e.digest
+    assert second_main(["decode", str(SUITE.path(vector)), str(output), "--trace", str(trace)]) == 0
+    assert sha256(trace.read_bytes()) == e.trace
+
+
+def test_the_manifest_is_a_manifest() -> None:
+    assert isinstance(SUITE, Manifest)
+    assert SUITE.path(SUITE.vectors[0]) == VECTORS / "valid" / "worked-example.c3gs"
