@@ -14,7 +14,7 @@ from itertools import pairwise
 from .mutant import MODULES, Mutant, text_of
 
 # How many of a function's changes are taken: one in SHARE, but at least LEAST of them.
-SHARE, LEAST = 16, 2
+SHARE, LEAST = 10, 2
 SEED = "c3gs mutants 0"
 
 Change = tuple[str, ast.AST]
