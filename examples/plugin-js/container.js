@@ -155,7 +155,7 @@ function readHeader(data, end) {
   h.grid_reserved = c.u8("grid_reserved");
   c.array("background", "u8", 3);
   h.up_axis = c.u8("up_axis");
-  for (const name of ["near_plane", "alpha_max", "low_pass"]) h[name] = c.f32(name);
+  for (const name of ["near_plane", "distance_unit", "alpha_max", "low_pass"]) h[name] = c.f32(name);
   for (const name of ["camera_width", "camera_height"]) h[name] = c.u16(name);
   h.camera_focal = c.array("camera_focal", "f32", 2);
   h.camera_rotation = c.array("camera_rotation", "f32", 4);
@@ -219,8 +219,9 @@ function checkDimensions(h, profile, level) {
 function checkRenderInfo(h) {
   const check = (condition, name) => need(condition, "header.render_info", h.at[name]);
   check(h.up_axis <= 5, "up_axis");
-  for (const name of ["near_plane", "alpha_max", "low_pass"]) check(Number.isFinite(h[name]), name);
+  for (const name of ["near_plane", "distance_unit", "alpha_max", "low_pass"]) check(Number.isFinite(h[name]), name);
   check(h.near_plane > 0, "near_plane");
+  check(h.distance_unit > 0, "distance_unit");
   check(h.alpha_max > 0 && h.alpha_max <= 1, "alpha_max");
   check(h.low_pass >= 0, "low_pass");
   for (const name of ["camera_width", "camera_height"]) check(h[name] >= 1, name);
