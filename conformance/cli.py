@@ -85,6 +85,23 @@ def _add_run(commands: Any) -> None:
     encoder.set_defaults(run=run.check_encoder)
 
 
+def _selftest(arguments: argparse.Namespace) -> int:
+    from .mutants.selftest import run  # noqa: PLC0415
+
+    return run(arguments.manifest, arguments.jobs, arguments.recorded, arguments.matrix, arguments.write)
+
+
+def _add_selftest(commands: Any) -> None:
+    selftest = commands.add_parser("selftest", help="plant bugs in the second decoder; the vectors must catch every one")
+    selftest.add_argument("--manifest", type=Path, default=Path("vectors/manifest.json"), help="the suite (default: vectors/manifest.json)")
+    selftest.add_argument("--jobs", type=int, default=os.cpu_count() or 1, help="processes (default: one for each core)")
+    how = selftest.add_mutually_exclusive_group()
+    how.add_argument("--recorded", action="store_true", help="each bug on the vector that is recorded as the first to catch it alone")
+    how.add_argument("--matrix", type=Path, metavar="FILE", help="each bug on all vectors; write which catch it to this file, as JSON")
+    how.add_argument("--write", action="store_true", help="renew the record and its table, conformance/mutants/CAUGHT.md")
+    selftest.set_defaults(run=_selftest)
+
+
 def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(prog="conformance", description=__doc__)
     commands = parser.add_subparsers(required=True, metavar="command")
@@ -97,6 +114,7 @@ def _parser() -> argparse.ArgumentParser:
     fuzz.set_defaults(run=_fuzz)
     _add_generate(commands)
     _add_run(commands)
+    _add_selftest(commands)
     return parser
 
 

@@ -1,0 +1,226 @@
+"""Wrong decoders that nobody chose: small changes at every place of the second decoder's syntax trees that has room for one, and a
+fixed sample of them."""
+
+from __future__ import annotations
+
+import ast
+import copy
+import hashlib
+from collections import defaultdict
+from collections.abc import Callable, Iterator
+from functools import cache
+from itertools import pairwise
+
+from .mutant import MODULES, Mutant, text_of
+
+# How many of a function's changes are taken: one in SHARE, but at least LEAST of them.
+SHARE, LEAST = 10, 2
+SEED = "c3gs mutants 0"
+
+Change = tuple[str, ast.AST]
+
+_COMPARISONS: dict[type[ast.cmpop], tuple[type[ast.cmpop], ...]] = {
+    ast.Lt: (ast.LtE, ast.GtE),
+    ast.LtE: (ast.Lt, ast.Gt),
+    ast.Gt: (ast.GtE, ast.LtE),
+    ast.GtE: (ast.Gt, ast.Lt),
+    ast.Eq: (ast.NotEq,),
+    ast.NotEq: (ast.Eq,),
+    ast.In: (ast.NotIn,),
+    ast.NotIn: (ast.In,),
+    ast.Is: (ast.IsNot,),
+    ast.IsNot: (ast.Is,),
+}
+_ARITHMETIC: dict[type[ast.operator], tuple[type[ast.operator], ...]] = {
+    ast.Add: (ast.Sub,),
+    ast.Sub: (ast.Add,),
+    ast.Mult: (ast.Add,),
+    ast.FloorDiv: (ast.Mult,),
+    ast.Mod: (ast.FloorDiv,),
+    ast.LShift: (ast.RShift,),
+    ast.RShift: (ast.LShift,),
+    ast.BitAnd: (ast.BitOr,),
+    ast.BitOr: (ast.BitAnd,),
+    ast.BitXor: (ast.BitOr,),
+}
+_OTHER_FUNCTION = {"min": "max", "max": "min", "all": "any", "any": "all"}
+
+
+def compare(node: ast.AST) -> Iterator[Change]:
+    """A comparison becomes its neighbour or its opposite."""
+    if isinstance(node, ast.Compare):
+        for i, operator in enumerate(node.ops):
+            for other in _COMPARISONS[type(operator)]:
+                changed = copy.deepcopy(node)
+                changed.ops[i] = other()
+                yield "another comparison", changed
+
+
+def constant(node: ast.AST) -> Iterator[Change]:
+    """A number becomes one more or one less, a truth value the other."""
+    if isinstance(node, ast.Constant) and isinstance(node.value, bool):
+        yield "the other truth value", ast.Constant(not node.value)
+    elif isinstance(node, ast.Constant) and isinstance(node.value, int | float):
+        yield "one more", ast.Constant(node.value + 1)
+        yield "one less", ast.Constant(node.value - 1)
+
+
+def arithmetic(node: ast.AST) -> Iterator[Change]:
+    """Another arithmetic operator."""
+    if isinstance(node, ast.BinOp | ast.AugAssign):
+        for other in _ARITHMETIC.get(type(node.op), ()):
+            changed = copy.deepcopy(node)
+            changed.op = other()
+            yield "another operator", changed
+
+
+def logic(node: ast.AST) -> Iterator[Change]:
+    """and becomes or; one operand of either is left out; not and the minus sign are left out."""
+    if isinstance(node, ast.BoolOp):
+        changed = copy.deepcopy(node)
+        changed.op = ast.Or() if isinstance(node.op, ast.And) else ast.And()
+        yield "and for or", changed
+        for i in range(len(node.values)):
+            rest = [copy.deepcopy(value) for j, value in enumerate(node.values) if j != i]
+            yield "a condition less", rest[0] if len(rest) == 1 else ast.BoolOp(node.op, rest)
+    elif isinstance(node, ast.UnaryOp):
+        yield "without its sign", copy.deepcopy(node.operand)
+
+
+def condition(node: ast.AST) -> Iterator[Change]:
+    """A condition becomes its opposite."""
+    if isinstance(node, ast.IfExp):
+        yield "the other case", ast.IfExp(copy.deepcopy(node.test), copy.deepcopy(node.orelse), copy.deepcopy(node.body))
+
+
+def removal(node: ast.AST) -> Iterator[Change]:
+    """A statement that is run for its effect is left out."""
+    effect = isinstance(node, ast.Expr) and isinstance(node.value, ast.Call)
+    if effect or isinstance(node, ast.AugAssign | ast.Raise | ast.Continue):
+        yield "left out", ast.Pass()
+
+
+def _swaps(items: list[ast.expr]) -> Iterator[list[ast.expr]]:
+    """The items with two neighbours swapped that differ, and are not a text and something else: that would only crash."""
+    for i, (a, b) in enumerate(pairwise(items)):
+        texts = [isinstance(item, ast.Constant) and isinstance(item.value, str) for item in (a, b)]
+        if texts[0] == texts[1] and ast.dump(a) != ast.dump(b) and not isinstance(a, ast.Starred) and not isinstance(b, ast.Starred):
+            yield [*items[:i], b, a, *items[i + 2 :]]
+
+
+def arguments(node: ast.AST) -> Iterator[Change]:
+    """Two arguments, or two items of a tuple, change places."""
+    if isinstance(node, ast.Call):
+        for swapped in _swaps(node.args):
+            yield "arguments swapped", ast.Call(node.func, swapped, node.keywords)
+    elif isinstance(node, ast.Tuple) and isinstance(node.ctx, ast.Load):
+        for swapped in _swaps(node.elts):
+            yield "items swapped", ast.Tuple(swapped, ast.Load())
+
+
+def bounds(node: ast.AST) -> Iterator[Change]:
+    """A slice loses a bound."""
+    if isinstance(node, ast.Subscript) and isinstance(node.ctx, ast.Load) and isinstance(node.slice, ast.Slice):
+        for bound in ("lower", "upper", "step"):
+            if getattr(node.slice, bound) is not None:
+                changed = copy.deepcopy(node)
+                setattr(changed.slice, bound, None)
+                yield "a slice without a bound", changed
+
+
+def function(node: ast.AST) -> Iterator[Change]:
+    """The least for the largest, any for all."""
+    if isinstance(node, ast.Call) and isinstance(node.func, ast.Name) and node.func.id in _OTHER_FUNCTION:
+        changed = copy.deepcopy(node)
+        changed.func = ast.Name(_OTHER_FUNCTION[node.func.id], ast.Load())
+        yield "another function", changed
+
+
+OPERATORS: tuple[Callable[[ast.AST], Iterator[Change]], ...] = (
+    compare, constant, arithmetic, logic, condition, removal, arguments, bounds, function,
+)  # fmt: skip
+
+
+def _decodes(node: ast.AST) -> bool:
+    """Whether a node has a part in a verdict, which is a digest or code and offset: types, imports, messages and traces have none."""
+    if isinstance(node, ast.Subscript):
+        return not (isinstance(node.value, ast.Name) and node.value.id in ("dict", "list", "tuple"))
+    if isinstance(node, ast.If):
+        return ast.unparse(node.test) not in ("trace", "self._trace")
+    if isinstance(node, ast.BoolOp):
+        return ast.unparse(node.values[0]) != "trace"
+    return not isinstance(node, ast.JoinedStr | ast.Import | ast.ImportFrom)
+
+
+def _inside(node: ast.AST, scope: str) -> Iterator[tuple[str, ast.AST]]:
+    """The nodes that a decoder runs, each with its function's name: no annotations, decorators or base classes."""
+    left_out: list[ast.AST | None] = []
+    if isinstance(node, ast.FunctionDef):
+        left_out = [node.returns, *node.decorator_list]
+    elif isinstance(node, ast.ClassDef):
+        left_out = [*node.bases, *node.decorator_list]
+    elif isinstance(node, ast.AnnAssign | ast.arg):
+        left_out = [node.annotation]
+    for child in ast.iter_child_nodes(node):
+        if any(child is part for part in left_out) or not _decodes(child):
+            continue
+        inner = f"{scope}.{child.name}" if isinstance(child, ast.FunctionDef | ast.ClassDef) else scope
+        yield inner, child
+        yield from _inside(child, inner)
+
+
+def _replaced(text: str, node: ast.AST, new: str) -> str:
+    """The text with a node's part of it replaced. Columns of the syntax tree count bytes of UTF-8."""
+    assert isinstance(node, ast.expr | ast.stmt)
+    assert node.end_lineno is not None
+    assert node.end_col_offset is not None
+    lines = text.encode().splitlines(keepends=True)
+    start = sum(map(len, lines[: node.lineno - 1])) + node.col_offset
+    end = sum(map(len, lines[: node.end_lineno - 1])) + node.end_col_offset
+    data = text.encode()
+    return (data[:start] + new.encode() + data[end:]).decode()
+
+
+def points(module: str) -> dict[str, list[Mutant]]:
+    """All changes of a module, by function."""
+    text = text_of(module)
+    found: dict[str, list[Mutant]] = defaultdict(list)
+    times: dict[str, int] = defaultdict(int)
+    for scope, node in _inside(ast.parse(text), module):
+        for operator in OPERATORS:
+            if operator is arguments and module == "errors":
+                # Class, clause and meaning of an error are told, and not judged.
+                continue
+            for what, changed in operator(node):
+                old = ast.get_source_segment(text, node) or ""
+                new = ast.unparse(ast.fix_missing_locations(changed))
+                # Another name for the same place, whatever is changed elsewhere in the module.
+                key = f"{scope}\n{operator.__name__}\n{old}\n{new}"
+                times[key] += 1
+                digest = hashlib.sha256(f"{SEED}\n{key}\n{times[key]}".encode()).hexdigest()
+                source = _replaced(text, node, new if isinstance(node, ast.stmt) else f"({new})")
+                name = f"{scope}-{operator.__name__}-{digest[:8]}"
+                assert isinstance(node, ast.expr | ast.stmt)
+                found[scope].append(Mutant(name, module, node.lineno, old, new, what, source))
+    return found
+
+
+def _rank(mutants: list[Mutant]) -> list[Mutant]:
+    """A function's changes by hash, one of each operator before the second one of any."""
+    times: dict[str, int] = defaultdict(int)
+    keyed = []
+    for mutant in sorted(mutants, key=lambda m: m.id.rpartition("-")[2]):
+        _, operator, digest = mutant.id.rsplit("-", 2)
+        times[operator] += 1
+        keyed.append((times[operator], digest, mutant))
+    return [mutant for *_, mutant in sorted(keyed, key=lambda k: k[:2])]
+
+
+@cache
+def sample() -> tuple[Mutant, ...]:
+    """The sample: some of each function, chosen by hash, so that an edit of one function changes no other one's."""
+    chosen: list[Mutant] = []
+    for module in MODULES:
+        for mutants in points(module).values():
+            chosen += _rank(mutants)[: max(LEAST, len(mutants) // SHARE)]
+    return tuple(chosen)

@@ -1,0 +1,145 @@
+"""One wrong decoder on vectors: in a child process, its time and memory bounded, so that whatever it does has an outcome."""
+
+from __future__ import annotations
+
+import json
+import os
+import resource
+import signal
+import sys
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from types import CodeType, FrameType, ModuleType
+
+from . import loading
+from .mutant import Mutant
+
+# What the interpreter has taken before a file is looked at, in bytes of address space.
+INTERPRETER_BYTES = 128 << 20
+
+
+@dataclass(frozen=True)
+class Case:
+    """A vector as a trial needs it. digests: hexadecimal, those of the parts by name (SPEC 9.3), and of all as "whole"; empty if the file
+    is to be refused. error: then its code and offset, else None. requirements: what the vector is for."""
+
+    id: str
+    data: bytes
+    digests: dict[str, str]
+    error: tuple[int, int] | None
+    requirements: frozenset[str]
+    seconds: int
+    bytes: int
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """What a decoder did with a file. kind: accepted (digests), rejected (code, offset), crash (text) or hang."""
+
+    kind: str
+    digests: dict[str, str] = field(default_factory=dict)
+    code: int = 0
+    offset: int = 0
+    text: str = ""
+
+
+HANG = Outcome("hang")
+Grade = Callable[[Case, Outcome], str | None]
+
+
+def grade(case: Case, outcome: Outcome) -> str | None:
+    """What is wrong with an outcome, or None if it is what the vector demands. A crash is never a refusal."""
+    if outcome.kind in ("crash", "hang"):
+        return f"{outcome.kind} {outcome.text}".strip()
+    if case.error is None:
+        if outcome.kind == "rejected":
+            return f"refused with {outcome.code} at {outcome.offset}"
+        return None if outcome.digests == case.digests else "another digest"
+    if outcome.kind == "accepted":
+        return f"accepted, not {case.error[0]}"
+    if outcome.code != case.error[0]:
+        return f"{outcome.code}, not {case.error[0]}"
+    return None if outcome.offset == case.error[1] else f"{outcome.code} at {outcome.offset}, not {case.error[1]}"
+
+
+def decode(package: ModuleType, data: bytes) -> Outcome:
+    """What a loaded decoder does with a file, in this process."""
+    try:
+        return Outcome("accepted", digests=package.reconstruction.digests(package.decode(data)))
+    except package.C3GSError as error:
+        return Outcome("rejected", code=int(error.code), offset=int(error.offset))
+
+
+def _child(write: int, mutant: Mutant | None, cases: Sequence[Case], stop: Grade | None) -> None:
+    """Writes a line of JSON for each case. The timer is of processor time and ends the process, even inside a call of C."""
+    signal.signal(signal.SIGPROF, signal.SIG_DFL)
+    with os.fdopen(write, "w", encoding="utf-8") as out:
+        package, broken = None, Outcome("crash")
+        signal.setitimer(signal.ITIMER_PROF, cases[0].seconds)
+        try:
+            package = loading.load(mutant)
+        except Exception as error:
+            broken = Outcome("crash", text=type(error).__name__)
+        for case in cases:
+            outcome = broken
+            signal.setitimer(signal.ITIMER_PROF, case.seconds)
+            resource.setrlimit(resource.RLIMIT_AS, (case.bytes + INTERPRETER_BYTES, resource.RLIM_INFINITY))
+            if package is not None:
+                try:
+                    outcome = decode(package, case.data)
+                except Exception as error:  # whatever it is, it is the decoder's fault
+                    outcome = Outcome("crash", text=type(error).__name__)
+            print(json.dumps(vars(outcome)), file=out, flush=True)
+            if stop and stop(case, outcome):
+                return
+
+
+def _fork(mutant: Mutant | None, cases: Sequence[Case], stop: Grade | None) -> list[Outcome]:
+    """The outcomes up to the case that ends the child, if one does."""
+    read, write = os.pipe()
+    pid = os.fork()
+    if not pid:
+        try:
+            os.close(read)
+            _child(write, mutant, cases, stop)
+        finally:
+            # Nothing of the parent is run, whatever has been raised.
+            os._exit(0)
+    os.close(write)
+    with os.fdopen(read, encoding="utf-8") as lines:
+        found = [Outcome(**json.loads(line)) for line in lines if line.endswith("\n")]
+    _, status = os.waitpid(pid, 0)
+    if len(found) == len(cases) or (found and stop and stop(cases[len(found) - 1], found[-1])):
+        return found
+    hang = os.WIFSIGNALED(status) and os.WTERMSIG(status) == signal.SIGPROF
+    return [*found, HANG if hang else Outcome("crash", text=f"status {status}")]
+
+
+def outcomes(mutant: Mutant | None, cases: Sequence[Case], stop: Grade | None = None) -> list[Outcome]:
+    """The outcome of each case, in order; with `stop` only up to the first that it finds wrong.
+
+    To be called in a process of one thread, which is forked.
+    """
+    found: list[Outcome] = []
+    while len(found) < len(cases) and not (found and stop and stop(cases[len(found) - 1], found[-1])):
+        found += _fork(mutant, cases[len(found) :], stop)
+    return found
+
+
+def visit(data: bytes) -> tuple[int, frozenset[str]]:
+    """How many calls the unchanged decoder makes for a file, which is what a vector costs on any machine; and of what functions."""
+    package, calls = loading.load(None), 0
+    codes: set[CodeType] = set()
+
+    def count(frame: FrameType, event: str, _argument: object) -> None:
+        nonlocal calls
+        calls += event in ("call", "c_call")
+        codes.add(frame.f_code)
+
+    sys.setprofile(count)
+    try:
+        decode(package, data)
+    finally:
+        sys.setprofile(None)
+    return calls, frozenset(f"{Path(code.co_filename).stem}.{code.co_qualname}" for code in codes)
