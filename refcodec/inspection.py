@@ -482,12 +482,17 @@ def symbol_trace(data: bytes, write: Callable[[str], object]) -> Parsed:
 
     Raises the BitstreamError of a file that is not accepted, after the lines of what was decoded.
     """
-    found: list[TraceRow] = []
+    # Of the symbols that are read side by side, in text: a row takes many times as much.
+    found: dict[int, io.StringIO] = {}
+
+    def add(row: TraceRow) -> None:
+        found.setdefault(row.substream, io.StringIO()).write(f"{row.path} {row.value}\n")
+
     try:
-        return parse(data, trace=found.append)
+        return parse(data, trace=add)
     finally:
-        for row in sorted(found, key=lambda row: row.substream):
-            write(f"{row.path} {row.value}\n")
+        for _, text in sorted(found.items()):
+            write(text.getvalue())
 
 
 # Beginnings of the symbols' paths, and the parts of _trace_parts that come before them.

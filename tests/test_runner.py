@@ -501,7 +501,9 @@ def test_an_interrupted_run_leaves_a_report(suite: Suite, tmp_path: Path) -> Non
     script = tmp_path / "decoder.sh"
     quick = " ".join(Suite(tmp_path / "suite", suite.answers).command("right")[:-2])
     script.write_text(f'case "$1" in */valid/plain.c3gs) sleep 60;; *) {quick} "$1" "$2"; s=$?; touch {tmp_path}/one; exit $s;; esac\n')
-    command = [sys.executable, "-m", "conformance", "run", "--vectors", str(tmp_path / "suite"), "--jobs", "2", "--slow", "100"]
+    # A shell starts what runs in the background with the signal ignored.
+    program = "import signal; signal.signal(signal.SIGINT, signal.default_int_handler)\nfrom conformance.cli import main; exit(main())"
+    command = [sys.executable, "-c", program, "run", "--vectors", str(tmp_path / "suite"), "--jobs", "2", "--slow", "100"]
     command += ["--report", str(tmp_path / "report"), "--", "sh", str(script), "{input}", "{output}"]
     running = subprocess.Popen(command, cwd=HERE.parent, stdout=subprocess.PIPE, text=True, start_new_session=True)
     end = time.monotonic() + 60

@@ -6,9 +6,21 @@ from .recipes import Book, Recipe
 def recipes() -> list[Recipe]:
     """All vectors, in the order of the manifest."""
     # What makes files needs the encoder; who only asks for the package does not.
-    from . import coding, decoding, orders, packing, refused_header, refused_sections, refused_streams, resource, structure, whole  # noqa: PLC0415
+    from . import (  # noqa: PLC0415
+        coding,
+        decoding,
+        orders,
+        packing,
+        planted,
+        refused_header,
+        refused_sections,
+        refused_streams,
+        resource,
+        structure,
+        whole,
+    )  # fmt: skip
 
     book = Book()
-    for part in (structure, decoding, coding, packing, whole, refused_header, refused_sections, refused_streams, orders, resource):
+    for part in (structure, decoding, coding, packing, whole, refused_header, refused_sections, refused_streams, orders, resource, planted):
         part.add(book)
     return book.recipes

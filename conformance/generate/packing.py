@@ -330,6 +330,8 @@ def _weights(book: Book) -> None:
         n["opacity"][1][0][0, 1:] = 0
         n["opacity"][1][1][0] = 0
         n["colour"][0][0][1, :2] = 3.0e38, 2.0**-149
+        # A row of zeros in a raw layer.
+        n["colour"][0][0][0], n["colour"][0][1][0] = 0, 0
 
     valid(
         "raw-layers",

@@ -21,6 +21,9 @@ _HEAD = """# Planted bugs
 Written by `conformance selftest --write`. Each line is a wrong decoder, made from the second decoder by the change shown, and the first
 vector that catches it: the cheapest of those for a requirement that it breaks, or else of all. Bugs planted by hand name the requirements;
 the others were made by operators over the syntax tree, and nobody chose them.
+
+A bug is planted by adding it to `handwritten.toml` and running `conformance selftest --write`. One that survives needs a vector, which
+`conformance/generate/planted.py` is for, or a proof in `equivalent.py`.
 """
 
 

@@ -137,7 +137,7 @@ def _try(task: tuple[Mutant | None, list[str]], stop: Grade | None, seconds: int
     return outcomes(mutant, [replace(case, seconds=min(case.seconds, seconds)) for case in found], stop)
 
 
-def _visit(name: str) -> tuple[int, frozenset[str]]:
+def _visit(name: str) -> tuple[int, frozenset[str] | None]:
     return visit(_cases[name].data)
 
 
@@ -194,10 +194,14 @@ class Trials:
         return {m.id: likely(m, [(*seen, self._by_name[name]) for name, seen in zip(names, visits, strict=True)]) for m in made}
 
 
-def likely(mutant: Mutant, visits: Sequence[tuple[int, frozenset[str], Case]]) -> list[str]:
-    """The order of Trials.order, for one mutant; visits: calls, functions called, case."""
+def likely(mutant: Mutant, visits: Sequence[tuple[int, frozenset[str] | None, Case]]) -> list[str]:
+    """The order of Trials.order, for one mutant; visits: calls, functions called (None: any), case."""
     places, broken = changed(mutant), set(mutant.requirements)
-    found = [(not broken & case.requirements, calls, case.id) for calls, called, case in visits if places is None or places & called]
+
+    def reached(called: frozenset[str] | None) -> bool:
+        return places is None or called is None or bool(places & called)
+
+    found = [(not broken & case.requirements, calls, case.id) for calls, called, case in visits if reached(called)]
     return [name for *_, name in sorted(found)]
 
 

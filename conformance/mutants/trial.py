@@ -17,6 +17,8 @@ from .mutant import Mutant
 
 # What the interpreter has taken before a file is looked at, in bytes of address space.
 INTERPRETER_BYTES = 128 << 20
+# More than this a vector's cost is not told apart.
+MOST_CALLS = 1 << 20
 
 
 @dataclass(frozen=True)
@@ -127,8 +129,15 @@ def outcomes(mutant: Mutant | None, cases: Sequence[Case], stop: Grade | None = 
     return found
 
 
-def visit(data: bytes) -> tuple[int, frozenset[str]]:
-    """How many calls the unchanged decoder makes for a file, which is what a vector costs on any machine; and of what functions."""
+class _EnoughError(Exception):
+    """MOST_CALLS have been counted."""
+
+
+def visit(data: bytes) -> tuple[int, frozenset[str] | None]:
+    """How many calls the unchanged decoder makes for a file, which is what a vector costs on any machine; and of what functions.
+
+    Beyond MOST_CALLS it is not counted further; None stands for all functions then.
+    """
     package, calls = loading.load(None), 0
     codes: set[CodeType] = set()
 
@@ -136,10 +145,14 @@ def visit(data: bytes) -> tuple[int, frozenset[str]]:
         nonlocal calls
         calls += event in ("call", "c_call")
         codes.add(frame.f_code)
+        if calls == MOST_CALLS:
+            raise _EnoughError
 
     sys.setprofile(count)
     try:
         decode(package, data)
+    except _EnoughError:
+        return calls, None
     finally:
         sys.setprofile(None)
     return calls, frozenset(f"{Path(code.co_filename).stem}.{code.co_qualname}" for code in codes)
