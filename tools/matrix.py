@@ -1,4 +1,5 @@
-"""Writes conformance/REQUIREMENTS.md: for each requirement of SPEC.md the clause, the code of both decoders, the tests and the vectors.
+"""Writes conformance/REQUIREMENTS.md: for each requirement of SPEC.md the clause, the code of both decoders, the tests and the vectors;
+for each error code, feature and flag the vectors.
 
 A requirement on files is in the code where its error is raised, one on decoders where the code cites its clause. Tests name the
 requirements that they prove (`pytest.mark.requirement`); an error's fault is tested under its name.
@@ -16,8 +17,9 @@ from collections import defaultdict
 from collections.abc import Iterator
 from pathlib import Path
 
-from conformance.manifest import load
+from conformance.manifest import Rejected, load
 from conformance.text import CLAUSE, requirements
+from refcodec.errors import REGISTRY
 
 ROOT = Path(__file__).resolve().parent.parent
 TARGET = ROOT / "conformance" / "REQUIREMENTS.md"
@@ -92,6 +94,11 @@ def proofs() -> dict[str, list[str]]:
     return found
 
 
+def _cell(found: list[str]) -> str:
+    """How many vectors, and the first of them."""
+    return f"{len(found)}: {found[0]}" + (" ..." if len(found) > 1 else "")
+
+
 def vectors() -> dict[str, list[str]]:
     """Vectors by requirement."""
     found = defaultdict(list)
@@ -99,6 +106,31 @@ def vectors() -> dict[str, list[str]]:
         for name in vector.requirements:
             found[name].append(vector.id)
     return found
+
+
+def others() -> str:
+    """The tables of error codes, features and flags. Raises SystemExit for one without a vector."""
+    suite = load()
+    refused, having, catching = defaultdict(list), defaultdict(list), defaultdict(list)
+    for vector in suite.vectors:
+        if isinstance(vector.expectation, Rejected):
+            refused[vector.expectation.code].append(vector.id)
+        for feature in vector.features:
+            having[feature].append(vector.id)
+        for flag in vector.flags:
+            catching[flag].append(vector.id)
+    codes = {entry.code: (f"{entry.code} {name}", entry.clause) for name, entry in sorted(REGISTRY.items(), key=lambda item: item[1].code)}
+    text = ""
+    for title, head, rows, found in (
+        ("Error codes", "| code | clause | vectors |", codes, refused),
+        ("Features", "| feature | what | vectors |", {name: (name, what) for name, what in suite.features.items()}, having),
+        ("Flags", "| flag | the bug that it stands for | vectors |", {name: (name, what) for name, what in suite.flags.items()}, catching),
+    ):
+        if holes := [str(key) for key in rows if not found[key]]:
+            raise SystemExit(f"without a vector: {', '.join(holes)}")
+        lines = [f"| {first} | {second} | {_cell(found[key])} |" for key, (first, second) in rows.items()]
+        text += "\n".join(["", f"## {title}", "", f"{len(rows)} of {len(rows)} have a vector.", "", head, "|---|---|---|", *lines, ""])
+    return text
 
 
 def matrix(spec: str) -> str:
@@ -115,9 +147,8 @@ def matrix(spec: str) -> str:
             cells.append(["-"] if name.startswith("G") and citing is cite_2 else _innermost(sorted(set(found))))
         proved = [f"test_independent.test_fault[{error}]"] if error else []
         cells.append(proved + tests[name])
-        count = len(tried[name])
         cells.append(
-            [f"{count}: {tried[name][0]}" + (" ..." if count > 1 else "")] if count else [NO_VECTOR[name]] if name in NO_VECTOR else []
+            [_cell(tried[name])] if tried[name] else [NO_VECTOR[name]] if name in NO_VECTOR else []
         )
         if not all(cells):
             holes.append(name)
@@ -126,7 +157,9 @@ def matrix(spec: str) -> str:
     holes += [f"{name}, which has a vector" for name in NO_VECTOR if tried[name]]
     if holes:
         raise SystemExit(f"holes in the matrix: {', '.join(holes)}")
-    return HEAD + "\n".join(rows) + "\n"
+    shown = len(names) - len(NO_VECTOR)
+    share = f"\n{shown} of {len(names)} requirements have a vector; no file and its one result can show the other {len(NO_VECTOR)}.\n"
+    return HEAD + "\n".join(rows) + "\n" + share + others()
 
 
 def main() -> int:
