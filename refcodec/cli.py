@@ -248,13 +248,14 @@ def _digest(arguments: argparse.Namespace) -> int:
 
 
 def _reconstruct(arguments: argparse.Namespace) -> int:
-    from .inspection import symbol_trace
     from .reconstruction import DIGEST_MAGIC, canonical_head, canonical_parts
 
     output = Path(arguments.output)
     _check_output_file(output, DIGEST_MAGIC, "a reconstruction")
     data = _read_file(arguments.file)
     if arguments.trace:
+        from .inspection import symbol_trace
+
         with open(arguments.trace, "w", encoding="utf-8", newline="\n") as file:
             scene = symbol_trace(data, file.write).scene
     else:
