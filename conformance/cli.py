@@ -78,7 +78,7 @@ def _add_run(commands: Any) -> None:
     verify.set_defaults(run=run.verify_report)
     export = commands.add_parser("export", help="write the valid vectors as a suite of another runner")
     export.add_argument("--vectors", type=Path, default=Path("vectors"), metavar="DIR", help="folder of the suite (default: vectors)")
-    export.add_argument("--fluster", type=Path, required=True, metavar="DIR", help="for Fluster, with a plug-in")
+    export.add_argument("--fluster", type=Path, required=True, metavar="DIR", help="for Fluster, with the script that runs it")
     export.set_defaults(run=run.export)
     encoder = commands.add_parser("check-encoder", help="judge the files of another encoder: valid, canonical, the same to both decoders")
     encoder.add_argument("files", nargs="+", type=Path, metavar="FILE")

@@ -1,4 +1,4 @@
-"""The valid vectors as a suite for Fluster, a runner of decoder conformance suites that industry uses, and a plug-in for it.
+"""The valid vectors as a suite for Fluster, a runner of decoder conformance suites that industry uses, and a script that runs it.
 
 Fluster knows no refusals: of the vectors whose outcome is a digest, it compares the MD5 of the output.
 """
@@ -17,15 +17,18 @@ from .manifest import Accepted, Manifest
 
 SUITE = "C3GS"
 README = "README.md"
-_PLUGIN = Path(__file__).with_name("fluster_plugin.py.txt")
+_SCRIPT = Path(__file__).with_name("fluster_run.py.txt")
 
 _GUIDE = """# C3GS vectors for Fluster
 
-The valid vectors of the C3GS conformance suite {version}. In a checkout of Fluster:
+The valid vectors of the C3GS conformance suite {version}. With Fluster 0.8 or later:
 
-1. copy `test_suites/c3gs` to `test_suites/`, `resources/{suite}` to `resources/`, and `fluster/decoders/c3gs.py` to `fluster/decoders/`;
-2. in `fluster/codec.py` add the line `C3GS = "C3GS"` to the class `Codec`;
-3. `C3GS_DECODER='./mydecoder {{input}} {{output}}' ./fluster.py run -ts {suite} -d C3GS`
+```sh
+pip install fluster-conformance
+C3GS_DECODER='./mydecoder {{input}} {{output}}' python run.py run -ts {suite} -d C3GS
+```
+
+`run.py` is Fluster's own command, told of this folder and of the decoder. `-s -so FILE` writes its table.
 
 The result of a vector is the MD5 of the canonical reconstruction (SPEC.md 9.3) that the decoder writes.
 Fluster has no word for a file that must be refused: for those, `conformance run`.
@@ -33,7 +36,7 @@ Fluster has no word for a file that must be refused: for those, `conformance run
 
 
 def export(manifest: Manifest, folder: Path) -> int:
-    """Writes the suite, its files and the plug-in into a folder; returns the number of vectors."""
+    """Writes the suite, its files and the script into a folder; returns the number of vectors."""
     entries = []
     for v in manifest.vectors:
         if not isinstance(v.expectation, Accepted):
@@ -59,12 +62,12 @@ def export(manifest: Manifest, folder: Path) -> int:
         )
     suite = {
         "name": SUITE,
-        "codec": "C3GS",
+        "codec": "None",
         "description": f"C3GS conformance suite {manifest.suite_version}, valid files",
         "test_vectors": entries,
     }
     _write(folder / "test_suites" / "c3gs" / f"{SUITE}.json", json.dumps(suite, indent=4) + "\n")
-    _write(folder / "fluster" / "decoders" / "c3gs.py", _PLUGIN.read_text(encoding="utf-8"))
+    _write(folder / "run.py", _SCRIPT.read_text(encoding="utf-8"))
     _write(folder / README, _GUIDE.format(version=manifest.suite_version, suite=SUITE))
     return len(entries)
 

@@ -114,19 +114,19 @@ def others() -> str:
     refused, having, catching = defaultdict(list), defaultdict(list), defaultdict(list)
     for vector in suite.vectors:
         if isinstance(vector.expectation, Rejected):
-            refused[vector.expectation.code].append(vector.id)
+            refused[vector.expectation.name].append(vector.id)
         for feature in vector.features:
             having[feature].append(vector.id)
         for flag in vector.flags:
             catching[flag].append(vector.id)
-    codes = {entry.code: (f"{entry.code} {name}", entry.clause) for name, entry in sorted(REGISTRY.items(), key=lambda item: item[1].code)}
+    codes = {name: (f"{kind.code} {name}", kind.clause) for name, kind in REGISTRY.items()}
     text = ""
     for title, head, rows, found in (
         ("Error codes", "| code | clause | vectors |", codes, refused),
         ("Features", "| feature | what | vectors |", {name: (name, what) for name, what in suite.features.items()}, having),
         ("Flags", "| flag | the bug that it stands for | vectors |", {name: (name, what) for name, what in suite.flags.items()}, catching),
     ):
-        if holes := [str(key) for key in rows if not found[key]]:
+        if holes := [key for key in rows if not found[key]]:
             raise SystemExit(f"without a vector: {', '.join(holes)}")
         lines = [f"| {first} | {second} | {_cell(found[key])} |" for key, (first, second) in rows.items()]
         text += "\n".join(["", f"## {title}", "", f"{len(rows)} of {len(rows)} have a vector.", "", head, "|---|---|---|", *lines, ""])
@@ -147,9 +147,7 @@ def matrix(spec: str) -> str:
             cells.append(["-"] if name.startswith("G") and citing is cite_2 else _innermost(sorted(set(found))))
         proved = [f"test_independent.test_fault[{error}]"] if error else []
         cells.append(proved + tests[name])
-        cells.append(
-            [_cell(tried[name])] if tried[name] else [NO_VECTOR[name]] if name in NO_VECTOR else []
-        )
+        cells.append([_cell(tried[name])] if tried[name] else [NO_VECTOR[name]] if name in NO_VECTOR else [])
         if not all(cells):
             holes.append(name)
         rows.append(f"| {name} | {clause} | {sentence} | " + " | ".join("<br>".join(cell) for cell in cells) + " |")
