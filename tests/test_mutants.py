@@ -22,7 +22,7 @@ SUITE = load(VECTORS / "manifest.json")
 CASES = {case.id: case for case in selftest.cases(SUITE)}
 ALL = selftest.mutants()
 # The equivalents are tried on every vector by `conformance selftest`; here on those that take the unchanged decoder no longer than this.
-SMALL_BYTES = 6000
+SMALL_BYTES = 3000
 
 
 def small(accepts: bool) -> Case:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 import json
 import os
 import resource
@@ -81,7 +82,7 @@ def _child(write: int, mutant: Mutant | None, cases: Sequence[Case], stop: Grade
         signal.setitimer(signal.ITIMER_PROF, cases[0].seconds)
         try:
             package = loading.load(mutant)
-        except Exception as error:
+        except (Exception, SystemExit) as error:
             broken = Outcome("crash", text=type(error).__name__)
         for case in cases:
             outcome = broken
@@ -90,7 +91,7 @@ def _child(write: int, mutant: Mutant | None, cases: Sequence[Case], stop: Grade
             if package is not None:
                 try:
                     outcome = decode(package, case.data)
-                except Exception as error:  # whatever it is, it is the decoder's fault
+                except (Exception, SystemExit) as error:  # whatever it is, it is the decoder's fault
                     outcome = Outcome("crash", text=type(error).__name__)
             print(json.dumps(vars(outcome)), file=out, flush=True)
             if stop and stop(case, outcome):
@@ -148,6 +149,8 @@ def visit(data: bytes) -> tuple[int, frozenset[str] | None]:
         if calls == MOST_CALLS:
             raise _EnoughError
 
+    # The collector comes when it likes, and may call what others have hung on it.
+    gc.disable()
     sys.setprofile(count)
     try:
         decode(package, data)
@@ -155,4 +158,5 @@ def visit(data: bytes) -> tuple[int, frozenset[str] | None]:
         return calls, None
     finally:
         sys.setprofile(None)
+        gc.enable()
     return calls, frozenset(f"{Path(code.co_filename).stem}.{code.co_qualname}" for code in codes)

@@ -1,0 +1,73 @@
+"""The conformance suite on the project's three decoders: seconds and processor time, in one run; and what the self-test takes.
+
+python benchmarks/suite.py        needs a C compiler, `cc`
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import platform
+import resource
+import subprocess
+import sys
+import tempfile
+import time
+from pathlib import Path
+
+import numpy as np
+from results import write_section
+from tqdm import tqdm
+
+ROOT = Path(__file__).resolve().parent.parent
+PYTHON = sys.executable
+GAUSSIANS = ["--gaussians", f"{PYTHON} -m refcodec gaussians {{input}} {{camera}} {{output}}"]
+SERVE = [PYTHON, "-m", "conformance.serve"]
+RUNS = {
+    "refcodec, with --serve, and its Gaussians": (["--serve", *GAUSSIANS], [*SERVE, "refcodec"]),
+    "refcodec, with --serve and --trace": (["--serve", "--trace"], [*SERVE, "refcodec"]),
+    "refcodec, a process for each vector": ([], [PYTHON, "-m", "refcodec", "reconstruct", "{input}", "{output}"]),
+    "the second decoder, with --serve": (["--serve"], [*SERVE, "independent"]),
+    "the second decoder, a process for each vector": ([], [PYTHON, "-m", "conformance.independent", "decode", "{input}", "{output}"]),
+    "the decoder in C": ([], ["{c}", "decode", "{input}", "{output}"]),
+}
+
+
+def run(options: list[str], command: list[str], folder: Path) -> tuple[float, float, dict[str, int]]:
+    """Wall seconds, processor seconds, and how many vectors have which status."""
+    before, start = resource.getrusage(resource.RUSAGE_CHILDREN), time.perf_counter()
+    words = [PYTHON, "-m", "conformance", "run", "--report", str(folder), *options, "--", *command]
+    subprocess.run(words, cwd=ROOT, capture_output=True, check=False)
+    wall, after = time.perf_counter() - start, resource.getrusage(resource.RUSAGE_CHILDREN)
+    counts = json.loads((folder / "report.json").read_text())["verdict"]["counts"]
+    return wall, after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime, counts
+
+
+def main() -> None:
+    lines = [
+        "`python benchmarks/suite.py`",
+        "",
+        f"{platform.machine()}, {os.cpu_count()} cores and as many processes, Python {platform.python_version()}, numpy {np.__version__}.",
+        "",
+        "| decoder | vectors | seconds | processor seconds | against the decoder in C |",
+        "|---|---|---|---|---|",
+    ]
+    with tempfile.TemporaryDirectory() as name:
+        folder = Path(name)
+        subprocess.run(["cc", "-std=c11", "-O2", str(ROOT / "conformance" / "c" / "decoder.c"), "-o", str(folder / "decoder")], check=True)
+        os.environ["C3GS_TABLES"] = str(ROOT / "refcodec" / "data" / "tables-0.bin")
+        found = {}
+        for title, (options, command) in tqdm(RUNS.items(), leave=False):
+            found[title] = run(options, [word.replace("{c}", str(folder / "decoder")) for word in command], folder)
+    (least, *_) = found["the decoder in C"]
+    for title, (wall, processor, counts) in found.items():
+        shown = ", ".join(f"{count} {status}" for status, count in counts.items() if count)
+        lines.append(f"| {title} | {shown} | {wall:.1f} | {processor:.0f} | {wall / least:.1f} |")
+    start = time.perf_counter()
+    done = subprocess.run([PYTHON, "-m", "conformance", "selftest"], cwd=ROOT, capture_output=True, text=True, check=False)
+    lines += ["", f"`conformance selftest`: {done.stdout.strip().splitlines()[-1]}; {time.perf_counter() - start:.0f} s."]
+    write_section("suite", "The conformance suite", lines)
+
+
+if __name__ == "__main__":
+    main()
