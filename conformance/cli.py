@@ -4,17 +4,23 @@ from __future__ import annotations
 
 import argparse
 import os
+import sys
 from pathlib import Path
 from typing import Any
 
-EXIT_INTERRUPTED = 130
+EXIT_USAGE, EXIT_INTERRUPTED = 2, 130
 
 
 def _fuzz(arguments: argparse.Namespace) -> int:
     # hypothesis belongs to the extra `test`, and is slow to import.
     from .fuzz import run  # noqa: PLC0415
+    from .process import CommandError  # noqa: PLC0415
 
-    return run(arguments.count, arguments.seed, arguments.jobs, arguments.state, arguments.keep)
+    try:
+        return run(arguments.count, arguments.seed, arguments.jobs, arguments.state, arguments.keep, arguments.command)
+    except CommandError as error:
+        print(f"conformance: {error}", file=sys.stderr)
+        return EXIT_USAGE
 
 
 def _generate(arguments: argparse.Namespace) -> int:
@@ -105,12 +111,13 @@ def _add_selftest(commands: Any) -> None:
 def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(prog="conformance", description=__doc__)
     commands = parser.add_subparsers(required=True, metavar="command")
-    fuzz = commands.add_parser("fuzz", help="compare refcodec and the second decoder on many generated files")
+    fuzz = commands.add_parser("fuzz", help="compare refcodec, the second decoder and, if you like, yours on many generated files")
     fuzz.add_argument("-n", "--count", type=int, default=1000, help="files, valid and not (default 1000)")
     fuzz.add_argument("--seed", type=int, default=0, help="the same seed gives the same files (default 0)")
     fuzz.add_argument("--jobs", type=int, default=os.cpu_count() or 1, help="processes (default: one for each core)")
     fuzz.add_argument("--state", type=Path, default=Path("out/fuzz.json"), help="where batches done are noted; a run goes on from there")
     fuzz.add_argument("--keep", type=Path, default=Path("out/fuzz"), help="folder for files on which the decoders disagree")
+    fuzz.add_argument("command", nargs="*", metavar="-- COMMAND", help="a third decoder, with {input} and {output} as for run")
     fuzz.set_defaults(run=_fuzz)
     _add_generate(commands)
     _add_run(commands)

@@ -18,6 +18,23 @@ from refcodec.reconstruction import canonical_head, canonical_parts
 from refcodec.scene import Scene
 
 HEAD_FIELDS = ("N", "K", "F", "ch", "B")
+# What says how a part's values, and the symbols of a trace and their models, come about.
+PART_CLAUSES = {
+    "positions": "9.1, 5.11, 7.12",
+    "masks": "7.6",
+    "planes": "7.3",
+    "features": "9.2, 7.8",
+    "scalings": "9.2, 7.8",
+    "offsets": "9.2, 7.8",
+    "weights": "5.8, 7.13",
+}
+SYMBOL_CLAUSES = {
+    "weights": "7.13",
+    "planes": "7.3, 7.2",
+    "positions": "7.12",
+    "masks": "7.6",
+    "attributes": "7.5, 7.2, 7.7, 7.10",
+}
 # Lines of annotated bytes: a head, six elements before the spot, it, and six after it.
 _HEX_LINES = 14
 
@@ -25,7 +42,8 @@ _HEX_LINES = 14
 @dataclass(frozen=True)
 class Divergence:
     """The first difference. part: of the canonical reconstruction, or "trace"; element: what differs, in words; expected, found: its
-    values; offset: in the output, or of the substream in the file for a trace; differing: how many values."""
+    values; offset: in the output, or of the substream in the file for a trace; differing: how many values; clauses: of SPEC.md, that say
+    how the element comes about."""
 
     part: str
     element: str
@@ -33,10 +51,11 @@ class Divergence:
     found: str
     offset: int
     differing: str
+    clauses: str = "9.3"
 
     def text(self) -> str:
         """One line."""
-        return f"{self.part}: {self.element} is {self.found}, {self.expected} expected ({self.differing})"
+        return f"{self.part}: {self.element} is {self.found}, {self.expected} expected ({self.differing}); read {self.clauses}"
 
 
 def _types(scene: Scene) -> dict[str, tuple[str, tuple[int, ...]]]:
@@ -97,7 +116,8 @@ def _compare_part(scene: Scene, part: str, right: bytes, found: bytes, start: in
     flat = int(np.argmax(differ))
     at_index = tuple(int(i) for i in np.unravel_index(flat, a.shape))
     count = f"{int(differ.sum())} of {differ.size} values of the part differ"
-    return Divergence(part, _element(scene, part, at_index), _shown(a[at_index]), _shown(b[at_index]), start + flat * a.itemsize, count)
+    place = start + flat * a.itemsize
+    return Divergence(part, _element(scene, part, at_index), _shown(a[at_index]), _shown(b[at_index]), place, count, PART_CLAUSES[part])
 
 
 def _parts(scene: Scene) -> Iterator[tuple[str, bytes]]:
@@ -139,8 +159,10 @@ def of_trace(data: bytes, trace: Path) -> Divergence | None:
         # Of the same symbol the values are enough.
         same, value = line is not None and line.startswith(f"{row.path} "), str(row.value)
         found = "nothing" if line is None else line.removeprefix(f"{row.path} ")
-        model = f"{row.family}, mean {row.mean}, scale {row.scale}"
-        return Divergence("trace", f"{row.path} ({model})", value if same else f"{row.path} {value}", found, row.substream, count)
+        count += f"; rightly of the model {row.family}, mean {row.mean}, scale {row.scale}"
+        clauses = SYMBOL_CLAUSES[row.path.partition("[")[0].split(".")[0]]
+        clauses = f"{clauses}, and for slices behind the first 7.9" if row.path.startswith("attributes.features") else clauses
+        return Divergence("trace", row.path, value if same else f"{row.path} {value}", found, row.substream, count, clauses)
     return None
 
 

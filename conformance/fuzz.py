@@ -1,4 +1,5 @@
-"""Both decoders over many files: valid scenes of profile Tiny, and files made from them that are changed, cut or faulty.
+"""Both decoders, and any other one, over many files: valid scenes of profile Tiny, and files made from them that are changed, cut or
+faulty.
 
 They must agree on each: the same digest, or the same code at the same offset, and the expected one where it is known; and an
 accepted file must be the one that the encoder writes for its scene (SPEC.md 4.3).
@@ -11,11 +12,14 @@ import multiprocessing
 import resource
 import signal
 import sys
+import tempfile
+import threading
 import time
 from collections import Counter
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
+from functools import partial
 from pathlib import Path
 
 from hypothesis import HealthCheck, Phase, given, seed, settings
@@ -23,16 +27,18 @@ from hypothesis import strategies as st
 from tqdm import tqdm
 
 from refcodec import codec, reconstruction
-from refcodec.errors import BitstreamError
+from refcodec.errors import REGISTRY, BitstreamError
 
-from . import independent
+from . import grading, independent, process
 from .faults import FAULTS, draw_fault
 from .files import Target
 from .strategies import draw_mutation, draw_splice, scenes
 
-# Budgets: seconds for one decoder and one file; bytes of address space of a worker, most of it libraries.
+# Budgets: seconds for one decoder and one file; bytes of address space of a worker, most of it libraries; bytes of resident memory of
+# another decoder's process.
 FILE_SECONDS = 20
 WORKER_BYTES = 3 << 30
+PROCESS_BYTES = 256 << 20
 # Files made from one scene, the scene's own file among them; scenes in a batch.
 FILES_OF_A_SCENE = 20
 BATCH_SCENES = 25
@@ -60,6 +66,40 @@ class BudgetError(Exception):
     """A decoder took too long."""
 
 
+class AnswerError(Exception):
+    """What a process said is neither an acceptance nor a refusal."""
+
+
+@contextmanager
+def _unlimited() -> Iterator[None]:
+    """A process that is started has the address space that it wants: interpreters and sanitizers reserve much."""
+    soft, hard = resource.getrlimit(resource.RLIMIT_AS)
+    resource.setrlimit(resource.RLIMIT_AS, (hard, hard))
+    try:
+        yield
+    finally:
+        resource.setrlimit(resource.RLIMIT_AS, (soft, hard))
+
+
+def command_verdict(command: Sequence[str], data: bytes) -> Verdict:
+    """The same of a decoder in a process of its own, which answers as `conformance run` demands. Raises AnswerError."""
+    with tempfile.TemporaryDirectory() as name, _unlimited():
+        file, output, errors = (Path(name) / part for part in ("file.c3gs", "output", "stderr"))
+        file.write_bytes(data)
+        words = process.fill(command, {"input": file, "output": output})
+        found = grading.read(process.run(words, errors, FILE_SECONDS, PROCESS_BYTES, threading.Event(), output), output)
+    if found.result == "accepted":
+        return str(found.digest), -1
+    if found.result == "crashed":
+        raise AnswerError(f"a crash: {found.text}")
+    kind = next(kind for kind in REGISTRY.values() if kind.code == found.code)
+    if found.status != grading.exit_status(kind.klass):
+        raise AnswerError(f"exit status {found.status} with {kind.name}, which is {kind.klass}")
+    if found.offset is None:
+        raise AnswerError(f"{kind.name} without an offset")
+    return kind.name, found.offset
+
+
 @contextmanager
 def _limited(seconds: int) -> Iterator[None]:
     def stop(*_: object) -> None:
@@ -74,8 +114,11 @@ def _limited(seconds: int) -> Iterator[None]:
         signal.signal(signal.SIGALRM, before)
 
 
-def compare(data: bytes, expected: Verdict | None = None) -> tuple[Verdict, str | None]:
-    """refcodec's verdict, and what is wrong: the decoders differ, one fails otherwise, or the verdict is not the expected one."""
+def compare(data: bytes, expected: Verdict | None = None, command: Sequence[str] = ()) -> tuple[Verdict, str | None]:
+    """refcodec's verdict, and what is wrong: the decoders differ, one fails otherwise, or the verdict is not the expected one.
+
+    command: another decoder's, with {input} and {output}.
+    """
     verdicts = []
     for decoder in (first_verdict, second_verdict):
         try:
@@ -90,6 +133,13 @@ def compare(data: bytes, expected: Verdict | None = None) -> tuple[Verdict, str 
         return first, f"both say {first}, expected was {expected}"
     if first[1] < 0 and codec.emit(codec.parse(data).scene) != data:
         return first, "accepted, but not what the encoder writes for its scene"
+    if command:
+        try:
+            third = command_verdict(command, data)
+        except AnswerError as error:
+            return first, f"refcodec says {first}, the decoder {error}"
+        if third != first:
+            return first, f"refcodec says {first}, the decoder {third}"
     return first, None
 
 
@@ -125,8 +175,8 @@ class Findings:
     wrong: list[tuple[str, bytes]] = field(default_factory=list)
 
 
-def run_batch(number: int) -> Findings:
-    """One batch; the same number gives the same files."""
+def run_batch(number: int, command: Sequence[str] = ()) -> Findings:
+    """One batch; the same number gives the same files. command: another decoder's."""
     found = Findings()
 
     @seed(number)
@@ -134,7 +184,7 @@ def run_batch(number: int) -> Findings:
     @given(families())
     def look(made: list[tuple[bytes, Verdict | None]]) -> None:
         for data, expected in made:
-            verdict, wrong = compare(data, expected)
+            verdict, wrong = compare(data, expected, command)
             found.seen[verdict[0] if verdict[1] >= 0 else "accepted"] += 1
             if wrong:
                 found.wrong.append((wrong, data))
@@ -146,31 +196,36 @@ def run_batch(number: int) -> Findings:
 def _start_worker() -> None:
     # Ctrl-C is for the parent; a decoder that asks for much memory gets none.
     signal.signal(signal.SIGINT, signal.SIG_IGN)
-    resource.setrlimit(resource.RLIMIT_AS, (WORKER_BYTES, WORKER_BYTES))
+    resource.setrlimit(resource.RLIMIT_AS, (WORKER_BYTES, resource.getrlimit(resource.RLIMIT_AS)[1]))
 
 
-def _load(state: Path, first_seed: int) -> tuple[set[int], Counter[str], int]:
+def _load(state: Path, first_seed: int, command: Sequence[str]) -> tuple[set[int], Counter[str], int]:
     """Batches done, files by verdict, and disagreements of an earlier run."""
     if not state.exists():
         return set(), Counter(), 0
     saved = json.loads(state.read_text(encoding="utf-8"))
     if saved["seed"] != first_seed:
         raise SystemExit(f"{state} is of seed {saved['seed']}: give --seed {saved['seed']}, or another --state")
+    if saved["command"] != list(command):
+        raise SystemExit(f"{state} is of another decoder: give another --state")
     return set(saved["batches"]), Counter(saved["seen"]), saved["wrong"]
 
 
-def run(count: int, first_seed: int, jobs: int, state: Path, keep: Path) -> int:
+def run(count: int, first_seed: int, jobs: int, state: Path, keep: Path, command: Sequence[str]) -> int:
     """Compares the decoders on at least `count` files; `jobs` processes. Batches done are noted in `state`, so that a run which is
-    interrupted goes on from there; files on which they disagree go to the folder `keep`. Returns 0 if there are none, else 1.
+    interrupted goes on from there; files on which they disagree go to the folder `keep`. command: another decoder's, with {input} and
+    {output}, or nothing. Returns 0 if there are no disagreements, else 1. Raises process.CommandError.
     """
-    done, seen, wrong = _load(state, first_seed)
+    if command:
+        process.check_command(command)
+    done, seen, wrong = _load(state, first_seed, command)
     # Some scenes have no place for a fault that is drawn, and give fewer files; the last batches make up for them.
     least = BATCH_SCENES * FILES_OF_A_SCENE * 9 // 10
     batches = [first_seed + i for i in range(-(-count // least)) if first_seed + i not in done]
     began = time.monotonic()
     bar = tqdm(total=count, initial=min(count, sum(seen.values())), unit="file", file=sys.stderr)
     with multiprocessing.get_context("spawn").Pool(jobs, _start_worker) as pool, bar:
-        for number, found in zip(batches, pool.imap(run_batch, batches), strict=False):
+        for number, found in zip(batches, pool.imap(partial(run_batch, command=command), batches), strict=False):
             done.add(number)
             seen += found.seen
             bar.update(min(sum(found.seen.values()), bar.total - bar.n))
@@ -181,7 +236,7 @@ def run(count: int, first_seed: int, jobs: int, state: Path, keep: Path) -> int:
                 path.write_bytes(data)
                 print(f"{path}: {text}\n  to see it: refcodec inspect {path} --hex; python -m conformance.independent validate {path}")
             state.parent.mkdir(parents=True, exist_ok=True)
-            saved = {"seed": first_seed, "batches": sorted(done), "seen": seen, "wrong": wrong}
+            saved = {"seed": first_seed, "command": list(command), "batches": sorted(done), "seen": seen, "wrong": wrong}
             state.write_text(json.dumps(saved), encoding="utf-8")
             if sum(seen.values()) >= count:
                 break

@@ -59,6 +59,11 @@ class Judgement:
     text: str
 
 
+def exit_status(klass: str) -> int:
+    """Of a refusal with an error of this class (SPEC.md 10.1)."""
+    return EXIT_UNSUPPORTED if klass == "unsupported" else EXIT_REFUSED
+
+
 def signal_name(number: int) -> str:
     """Such as SIGSEGV."""
     try:
@@ -114,13 +119,11 @@ def _judge_refusal(expected: Rejected, found: Found) -> Judgement:
     if found.result != "rejected" or found.code is None:
         return Judgement(GRADE_NONE, f"accepted; {_describe(expected.code)}, at byte {expected.offset} expected")
     wanted, said = _BY_CODE[expected.code].klass, _BY_CODE[found.code].klass
-    status = EXIT_UNSUPPORTED if wanted == "unsupported" else EXIT_REFUSED
-    if said != wanted or found.status != status:
-        text = f"exit status {found.status} and {_describe(found.code)}; {status} and {_describe(expected.code)} expected"
-        return Judgement(GRADE_VERDICT, text)
+    where = "no offset" if found.offset is None else f"byte {found.offset}"
+    text = f"{_describe(found.code)}, {where}; {_describe(expected.code)}, byte {expected.offset} expected"
+    if said != wanted or found.status != exit_status(wanted):
+        return Judgement(GRADE_VERDICT, f"exit status {found.status}, {exit_status(wanted)} expected; {text}")
     if (found.code, found.offset) != (expected.code, expected.offset):
-        where = "no offset" if found.offset is None else f"byte {found.offset}"
-        text = f"{_describe(found.code)}, {where}; {_describe(expected.code)}, byte {expected.offset} expected"
         return Judgement(GRADE_CLASS, text)
     return Judgement(GRADE_EXACT, "")
 

@@ -112,6 +112,32 @@ def test_the_comparison_can_fail(monkeypatch: pytest.MonkeyPatch) -> None:
         assert "BudgetError" in str(fuzz.compare(data)[1])
 
 
+def saying(code: int, offset: str, status: int) -> list[str]:
+    """A decoder that refuses every file so."""
+    return ["sh", "-c", f"""echo '{{"code": {code}{offset}}}' >&2; exit {status}""", "sh", "{input}", "{output}"]
+
+
+@pytest.mark.parametrize(
+    ("command", "what"),
+    [
+        (["cp", "{input}", "{output}"], "the decoder ('"),
+        (["true", "{input}", "{output}"], "a crash: exit status 0 without an output"),
+        (["false", "{input}", "{output}"], "a crash: exit status 1"),
+        (saying(103, ', "offset": 16', 1), "the decoder ('prologue.crc', 16)"),
+        (saying(103, "", 1), "without an offset"),
+        (saying(103, ', "offset": 16', 2), "exit status 2 with prologue.crc, which is malformed"),
+    ],
+)
+def test_another_decoder_is_compared(command: list[str], what: str) -> None:
+    wrong = fuzz.compare(EXAMPLE.read_bytes(), None, command)[1]
+    assert wrong is not None
+    assert what in wrong
+    right = [sys.executable, "-m", "conformance.independent", "decode", "{input}", "{output}"]
+    assert fuzz.compare(EXAMPLE.read_bytes(), None, right)[1] is None
+    refused = EXAMPLE.read_bytes()[:9]
+    assert fuzz.compare(refused, None, right) == (("prologue.truncated", 9), None)
+
+
 class Here:
     """A pool of this process."""
 
@@ -144,15 +170,26 @@ def test_a_batch_is_the_same_again(monkeypatch: pytest.MonkeyPatch) -> None:
 def test_fuzz_notes_what_is_done(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
     in_this_process(monkeypatch)
     state = tmp_path / "state.json"
-    assert fuzz.run(1, 3, 1, state, tmp_path / "keep") == 0
+    assert fuzz.run(1, 3, 1, state, tmp_path / "keep", []) == 0
     saved = json.loads(state.read_text())
     assert saved["batches"] == [3]
-    assert fuzz.run(1, 3, 1, state, tmp_path / "keep") == 0
+    assert fuzz.run(1, 3, 1, state, tmp_path / "keep", []) == 0
     assert json.loads(state.read_text()) == saved, "nothing is done twice"
     with pytest.raises(SystemExit, match="seed 3"):
-        fuzz.run(1, 4, 1, state, tmp_path / "keep")
+        fuzz.run(1, 4, 1, state, tmp_path / "keep", [])
+    with pytest.raises(SystemExit, match="another decoder"):
+        fuzz.run(1, 3, 1, state, tmp_path / "keep", ["true", "{input}", "{output}"])
     assert "0 disagreements" in capsys.readouterr().out
     assert not (tmp_path / "keep").exists()
+
+
+def test_fuzz_of_another_decoder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+    in_this_process(monkeypatch)
+    words = ["fuzz", "-n", "1", "--state", str(tmp_path / "state.json"), "--keep", str(tmp_path / "keep"), "--"]
+    assert cli.main([*words, *saying(102, ', "offset": 0', 1)]) == 1
+    assert "the decoder ('prologue.signature', 0)" in capsys.readouterr().out
+    assert list((tmp_path / "keep").iterdir())
+    assert cli.main([*words, str(tmp_path / "none"), "{input}", "{output}"]) == cli.EXIT_USAGE
 
 
 # --- a work of its own ------------------------------------------------------------------------------------------------
@@ -269,8 +306,8 @@ def test_a_disagreement_is_kept(tmp_path: Path, monkeypatch: pytest.MonkeyPatch,
     """The file is written, and the command that shows it printed."""
 
     found = fuzz.Findings(fuzz.Counter({"accepted": 3}), [("refcodec says a, the second decoder b", b"file")])
-    monkeypatch.setattr(fuzz, "run_batch", lambda number: found)
+    monkeypatch.setattr(fuzz, "run_batch", lambda number, command: found)
     in_this_process(monkeypatch)
-    assert fuzz.run(2, 0, 1, tmp_path / "state.json", tmp_path / "keep") == 1
+    assert fuzz.run(2, 0, 1, tmp_path / "state.json", tmp_path / "keep", []) == 1
     assert (tmp_path / "keep" / "0-1.c3gs").read_bytes() == b"file"
     assert "refcodec inspect" in capsys.readouterr().out

@@ -266,7 +266,10 @@ def test_traces(suite: Suite, tmp_path: Path) -> None:
     status, record = suite.report("wrong-trace", tmp_path, "--trace", trace=True)
     assert status == commands.EXIT_WRONG
     vector = record["vectors"][0]
-    assert vector["divergence"][0].startswith("trace: planes.r1[0,0,0] (laplace, mean ")
+    (line,) = vector["divergence"]
+    assert line.startswith("trace: planes.r1[0,0,0] is ")
+    assert "rightly of the model laplace, mean " in line
+    assert line.endswith("read 7.3, 7.2")
     assert [line.split()[6] for line in vector["hex"] if line.startswith("> ")] == ["planes.r1.symbol_crc"]
     status, record = suite.report("no-trace", tmp_path, "--trace", trace=True)
     assert [v["status"] for v in record["vectors"][:2]] == ["failed", "failed"]

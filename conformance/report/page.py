@@ -9,23 +9,25 @@ import jinja2
 
 from ..grading import GRADES
 from .record import STATUSES
+from .summary import most_telling
 
 _TEMPLATE = Path(__file__).with_name("page.html")
 
 
 def document(record: dict[str, Any]) -> str:
-    """The page: verdicts, then the vectors, what failed first."""
+    """The page: verdicts, then the vectors, what failed first, and of that what tells most."""
     environment = jinja2.Environment(autoescape=True, undefined=jinja2.StrictUndefined, trim_blocks=True, lstrip_blocks=True)
     order = {status: i for i, status in enumerate(STATUSES)}
-    vectors = sorted(record["vectors"], key=lambda v: order[v["status"]])
-    bad = sum(record["verdict"]["counts"][status] for status in ("failed", "crashed", "unexpected"))
+    failed = most_telling(record["vectors"])
+    rank = {v["id"]: i for i, v in enumerate(failed)}
+    vectors = sorted(record["vectors"], key=lambda v: (order[v["status"]], rank.get(v["id"], 0)))
     holes = [(name, row) for name, row in record["requirements"].items() if row["right"] < row["vectors"]]
     right_features = sum(row["right"] == row["vectors"] for row in record["features"].values())
     template = environment.from_string(_TEMPLATE.read_text(encoding="utf-8"))
     return template.render(
         r=record,
         vectors=vectors,
-        bad=bad,
+        bad=len(failed),
         grades=GRADES,
         best=max(GRADES),
         statuses=STATUSES,

@@ -23,6 +23,8 @@ from ..runner import Options, Result, Run
 SCHEMA = Path(__file__).with_name("report.schema.json")
 STATUSES = ("failed", "crashed", "unexpected", "known", "passed", "skipped")
 REPORT_VERSION = 1
+# The version of a decoder that says nothing of itself.
+NOT_STATED = "not stated"
 # What a record keeps of a process's error output.
 _STDERR_CHARACTERS = 4000
 
@@ -49,7 +51,7 @@ def manifest_digest(manifest: Manifest) -> str:
 def describe(path: Path | None, command: Sequence[str]) -> dict[str, str]:
     """A decoder's description of itself: a JSON object of texts with `name` and `version` at least. Raises RecordError."""
     if path is None:
-        return {"name": Path(command[0]).name, "version": "not stated"}
+        return {"name": Path(command[0]).name, "version": NOT_STATED}
     try:
         said = json.loads(path.read_text(encoding="utf-8"))
         jsonschema.validate(said, _schema()["$defs"]["decoder"])

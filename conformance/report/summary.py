@@ -2,31 +2,44 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from typing import Any
 
 from ..grading import GRADES
-from .record import STATUSES
+from .record import NOT_STATED, STATUSES
 
 # Failures that are shown with their divergence; the rest is in the reports.
 _SHOWN = 10
+# Of a crash's error output the end, which has the reason in most languages.
+_STDERR_LINES, _WIDTH = 3, 200
+# So many requirements or features that are not right are named.
+_NAMED = 4
 _WORDS = {"unexpected": "known failures that pass", "known": "known failures"}
+
+
+def most_telling(vectors: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
+    """The vectors that are not as they must be, those first that test the fewest requirements: they are nearest to the place."""
+    bad = [v for v in vectors if v["status"] in ("failed", "crashed", "unexpected")]
+    return sorted(bad, key=lambda v: len(v["requirements"]))
 
 
 def lines(record: dict[str, Any]) -> Iterator[str]:
     """What a person wants to know first: what failed, where, and the verdict."""
-    bad = [v for v in record["vectors"] if v["status"] in ("failed", "crashed", "unexpected")]
+    bad = most_telling(record["vectors"])
     for v in bad[:_SHOWN]:
         yield f"{v['status'].upper()} {v['id']}: {v['text']}"
         yield from (f"    {line}" for line in v["divergence"])
+        if v["status"] == "crashed":
+            yield from (f"    stderr: {line[:_WIDTH]}" for line in v["stderr"].splitlines()[-_STDERR_LINES:])
         yield f"    {v['title']}; read {', '.join(v['clauses'])}; refcodec inspect vectors/{v['input']} --hex"
     if len(bad) > _SHOWN:
-        yield f"... and {len(bad) - _SHOWN} more"
+        yield f"... and {len(bad) - _SHOWN} more, which --report shows"
     if bad:
         yield ""
     decoder, runner, verdict = record["decoder"]["description"], record["runner"], record["verdict"]
     counts = ", ".join(f"{verdict['counts'][s]} {_WORDS.get(s, s)}" for s in STATUSES if verdict["counts"][s])
-    yield f"{decoder['name']} {decoder['version']}: {counts or 'nothing run'}; {runner['seconds']:.1f} s with {runner['jobs']} processes"
+    name = decoder["name"] if decoder["version"] == NOT_STATED else f"{decoder['name']} {decoder['version']}"
+    yield f"{name}: {counts or 'nothing run'}; {runner['seconds']:.1f} s with {runner['jobs']} processes"
     if runner["interrupted"]:
         yield "interrupted: the rest was not run"
     if verdict["grade"] is not None:
@@ -35,5 +48,7 @@ def lines(record: dict[str, Any]) -> Iterator[str]:
         name = row["profile"] if row["level"] is None else f"profile {row['profile']}, level {row['level']}"
         yield f"  {name:<22} {row['verdict']:<10} {row['right']} of {row['needed']} right"
     for name in ("requirements", "features"):
-        rows = record[name].values()
-        yield f"  {name:<22} {sum(row['right'] == row['vectors'] for row in rows)} of {len(rows)} with all their vectors right"
+        rows = record[name]
+        others = [key for key, row in rows.items() if row["right"] != row["vectors"]]
+        which = f"; not {', '.join(others)}" if 0 < len(others) <= _NAMED else ""
+        yield f"  {name:<22} {len(rows) - len(others)} of {len(rows)} with all their vectors right{which}"
