@@ -49,7 +49,8 @@ REGISTRY: dict[str, ErrorKind] = dict(
             "malformed",
             "5.2",
             "the header's fields do not fill header_length exactly",
-            "the header's end, or the first byte between the last field and the CRC-32",
+            "the header's end, CRC-32 included, if the fields are longer; the first byte between the last field and the CRC-32 if they "
+            "are shorter",
         ),
         _row(204, "header.reserved", "malformed", "6.2", "a reserved field is not zero", "the field"),
         _row(205, "header.profile", "unsupported", "11.1", "the profile is not known", "the field"),
