@@ -224,6 +224,19 @@ def test_the_text_of_the_specification() -> None:
         assert sha256(found) == vector.expectation.digest, vector.id
 
 
+def test_the_text_s_verdict_on_weights() -> None:
+    """The block of 7.13 refuses what the vectors refuse there."""
+    space, seen = text.blocks(text.SPEC.read_text(encoding="utf-8")), set()
+    for vector in DECODED:
+        e = vector.expectation
+        if isinstance(e, Rejected) and e.name in ("weights.not_finite", "weights.exponent", "weights.raw"):
+            header = container.parse_container(data(vector))
+            if header.sections[container.WEIGHTS].mode:
+                assert text.decode(space, data(vector), header)[1] == [e.name], vector.id
+                seen.add(e.name)
+    assert len(seen) == 3
+
+
 def test_traces() -> None:
     """Both decoders write the same lines, and of a file that is refused what comes before the fault."""
     example = next(v for v in DECODED if v.id == "valid-chunks-packed")
