@@ -20,6 +20,7 @@ from .errors import BitstreamError
 
 if TYPE_CHECKING:
     from .codec import Parsed, Progress
+    from .scene import Scene
     from .uncompressed import Uncompressed
 
 # Exit statuses. 1 and 2 are verdicts on a bitstream (SPEC.md 10.1); the others never are.
@@ -534,6 +535,17 @@ def _spots(data: bytes, error: BitstreamError) -> list[BitstreamError]:
     return [error]
 
 
+def _show_anchor(scene: Scene, number: int) -> int:
+    from .inspection import anchor_rows
+
+    try:
+        for what, clause, values in anchor_rows(scene, number):
+            print(f"{what:<45} {clause:<6} {values}")
+    except IndexError:
+        raise UsageError(f"there is no anchor {number}: the file has {scene.anchor_count}") from None
+    return 0
+
+
 def _inspect(arguments: argparse.Namespace) -> int:
     import json
 
@@ -543,6 +555,8 @@ def _inspect(arguments: argparse.Namespace) -> int:
     if arguments.trace:
         inspection.trace(data, sys.stdout.write)
         return 0
+    if arguments.anchor is not None:
+        return _show_anchor(_parse(arguments, data).scene, arguments.anchor)
     error: BitstreamError | None = None
     try:
         verdict: Parsed | BitstreamError = _parse(arguments, data)
@@ -700,6 +714,7 @@ def _parser() -> argparse.ArgumentParser:
             "inspect scene.c3gs --hex | less",
             "inspect scene.c3gs --near 1106",
             "inspect scene.c3gs --trace | head -100",
+            "inspect scene.c3gs --anchor 7",
         ],
         "Damaged files are shown as far as they parse, and then rejected as by validate.",
     )
@@ -709,6 +724,7 @@ def _parser() -> argparse.ArgumentParser:
     form.add_argument("--near", type=int, metavar="OFFSET", help="the same, of the elements around a byte")
     form.add_argument("--json", action="store_true", help="the summary as one JSON document")
     form.add_argument("--trace", action="store_true", help="one line per syntax element and symbol, in decoding order")
+    form.add_argument("--anchor", type=int, metavar="N", help="all numbers from an anchor's position to its symbols, as in Annex D.4")
     render = _add(
         commands,
         "render",

@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import json
 import random
+import re
 import zlib
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -15,6 +17,8 @@ from refcodec import codec, inspection, syntax
 from refcodec.container import PROLOGUE_BYTES, SECTIONS, parse_container
 from refcodec.errors import BitstreamError
 from refcodec.reconstruction import digest
+
+ROOT = Path(__file__).resolve().parent.parent
 
 
 @pytest.fixture(scope="module")
@@ -215,3 +219,21 @@ def test_near_shows_the_elements_around_a_byte() -> None:
     error = BitstreamError("directory.file_length", len(data), "file", "x", "y")
     assert "error 306" in list(inspection.hex_lines(data, [error], len(data)))[-1]
     assert "error 306" not in "".join(inspection.hex_lines(data, [error], 0))
+
+
+def test_an_anchor_is_shown_as_in_the_text() -> None:
+    """Annex D.4, which SPEC.md's own blocks computed, is what the command shows; the symbols are those of the scene."""
+    spec = (ROOT / "SPEC.md").read_text(encoding="utf-8")
+    table = re.search(r"<!-- generated:anchor -->\s+(.+?)\s+<!-- /generated -->", spec, re.DOTALL)
+    assert table
+    wanted = [tuple(cell.strip() for cell in line.strip("|").split("|")) for line in table.group(1).splitlines()[2:]]
+    scene = codec.parse((ROOT / "vectors" / "tiny-example.c3gs").read_bytes()).scene
+    rows = list(inspection.anchor_rows(scene, 0))
+    assert rows[: len(wanted)] == wanted
+    assert [what for what, *_ in rows[len(wanted) :]] == ["offsets: symbols", "step indices of features, scalings, offsets"]
+    last = {what: values for what, _, values in inspection.anchor_rows(scene, scene.anchor_count - 1)}
+    assert last["scalings: symbols"] == ", ".join(map(str, scene.attributes.scalings[-1]))
+    assert last["offsets: symbols"].count("masked") == (~scene.masks[-1]).sum()
+    for number in (-1, scene.anchor_count):
+        with pytest.raises(IndexError):
+            list(inspection.anchor_rows(scene, number))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterator, Sequence
 from typing import Any
 
@@ -14,6 +15,8 @@ _SHOWN = 10
 _STDERR_LINES, _WIDTH = 3, 200
 # So many requirements or features that are not right are named.
 _NAMED = 4
+# An attribute's anchor in a divergence: what leads to its distributions can be shown.
+_ANCHOR = re.compile(r"^trace: attributes\.\w+\[(\d+),")
 _WORDS = {"unexpected": "known failures that pass", "known": "known failures"}
 
 
@@ -31,7 +34,9 @@ def lines(record: dict[str, Any]) -> Iterator[str]:
         yield from (f"    {line}" for line in v["divergence"])
         if v["status"] == "crashed":
             yield from (f"    stderr: {line[:_WIDTH]}" for line in v["stderr"].splitlines()[-_STDERR_LINES:])
-        yield f"    {v['title']}; read {', '.join(v['clauses'])}; refcodec inspect vectors/{v['input']} --hex"
+        anchor = _ANCHOR.search(" ".join(v["divergence"]))
+        form = f"--anchor {anchor.group(1)}" if anchor else "--hex"
+        yield f"    {v['title']}; read {', '.join(v['clauses'])}; refcodec inspect vectors/{v['input']} {form}"
     if len(bad) > _SHOWN:
         yield f"... and {len(bad) - _SHOWN} more, which --report shows"
     if bad:
