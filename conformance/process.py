@@ -141,9 +141,10 @@ def run(command: Sequence[str], stderr: Path, seconds: float, memory: int, stop:
     sanitizers reserve much that they never use. Every process of its group is killed at the end. Raises CommandError and, if `stop`
     is set meanwhile, StoppedError.
     """
-    floor = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * _RSS_UNIT
     began = time.monotonic()
     process = _start(command, stderr, serves=False)
+    # Read after the start: another thread may have grown meanwhile.
+    floor = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * _RSS_UNIT
     ended: list[tuple[int, resource.struct_rusage]] = []
     waiter = threading.Thread(target=lambda: ended.append(os.wait4(process.pid, 0)[1:]), daemon=True)
     waiter.start()
