@@ -22,7 +22,20 @@ def recipes() -> list[Recipe]:
     )  # fmt: skip
 
     book = Book()
-    parts = (structure, decoding, coding, packing, whole, refused_header, refused_sections, refused_streams, orders, resource, planted, outside)
+    parts = (
+        structure,
+        decoding,
+        coding,
+        packing,
+        whole,
+        refused_header,
+        refused_sections,
+        refused_streams,
+        orders,
+        resource,
+        planted,
+        outside,
+    )
     for part in parts:
         part.add(book)
     return book.recipes

@@ -13,7 +13,7 @@ import numpy as np
 
 from refcodec import codec, container, syntax
 from refcodec.entropy import Encoder
-from refcodec.positions import PACKED, code_cells, encode_positions
+from refcodec.positions import PACKED, chunk_codes, code_cells, encode_positions
 from refcodec.scene import Lanes, Scene
 from refcodec.tables import tables
 
@@ -26,9 +26,7 @@ from .refused_header import main_file, packed, plain
 from .refused_sections import FLOATS, grids, other_grids
 from .refused_streams import ONE, far, stream_of
 from .sampling import Sampler, sampled
-from .scenes import SMALL, SMALLEST, constant, dyadic, lattice, packed_weights, scales, scene, settled, with_symbols
-
-NOTHING = struct.pack("<f", 0.0)
+from .scenes import SMALL, SMALLEST, constant, lattice, packed_weights, scales, scene, settled, with_symbols
 
 
 def add(book: Book) -> None:
@@ -51,21 +49,21 @@ def _ordered(book: Book, klass: str, name: str, text: str, make: Make, requireme
 
 def _numbers(book: Book) -> None:
     def tiny() -> Scene:
-        # From 2^-64 on a shift to an integer is wider than a register, whatever the row's exponent.
-        exponents = np.array([-64, -70, -77, -83, -84, -96, -100, -116, -126, -127, -138, -149])
+        # The shift that makes them integers is wider than a register, or would be without the row's exponent.
+        units = [-64, -70, -77, -84, -87, -90, -96, -100, -104, -107, -116, -126, -127, -138, -149]
+        significands = [1, -3, (1 << 24) - 1, 1 - (1 << 24), (1 << 23) + 1, -(1 << 23) - 1]
         numbers = Numbers("outside-tiny")
         made = scene("outside-tiny", 4, SMALL)
         for name in ("hyper", "sarm", "carm.1"):
-            for w, b in made.networks[name]:
-                for values in (w, b):
-                    odd = numbers.chosen([-3, -1, 1, 3], *values.shape)
-                    small = np.ldexp(odd.astype(np.float32), exponents[numbers.integers(0, len(exponents) - 1, *values.shape)])
+            for layer in made.networks[name]:
+                for values in layer:
+                    small = np.ldexp(numbers.chosen(significands, *values.shape).astype(np.float32), numbers.chosen(units, *values.shape))
                     values[:] = np.where(numbers.integers(0, 2, *values.shape) == 0, small.astype(np.float32), values)
         return sampled(made, Sampler(numbers))
 
     book.valid(
         "weights-tiny",
-        "weights and biases of 2^-64 and less, among others",
+        "weights and biases of 2^-40 to 2^-149 among others, which round to 0",
         tiny,
         features="networks raw-weights",
         requirements="D7.2-1",
@@ -95,10 +93,10 @@ def _numbers(book: Book) -> None:
         requirements="D9.2-1",
         flags="value-rounding",
     )
-    for scale, value, text in (
-        (160, (1 << 32) + 5, "2^32 and 5"),
-        (160, 7 - (1 << 33), "-2^33 and 7"),
-        (80, (1 << 32) - 9, "2^32 less 9"),
+    for name, text, scale, value in (
+        ("2-32-and-5", "2^32 and 5", 160, (1 << 32) + 5),
+        ("minus-2-33-and-7", "-2^33 and 7", 160, 7 - (1 << 33)),
+        ("2-32-less-9", "2^32 less 9", 80, (1 << 32) - 9),
     ):
 
         def wraps(scale: int = scale, value: int = value) -> Refused:
@@ -106,16 +104,16 @@ def _numbers(book: Book) -> None:
             stream = stream_of(t, "attributes")
             encoder, gauss, none = Encoder(1, 1), tables().gauss, np.zeros(6, np.int64)
 
-            def name(_: int, index: int) -> str:
+            def told(_: int, index: int) -> str:
                 return str(index)
 
             # The encoder's CRC-32 is that of the value in 32 bits: who computes it so finds nothing wrong.
-            encoder.values(gauss, none[:1], none[:1] + scale, [1], 1 << 40, name, np.array([value]))
-            encoder.values(gauss, none, none - 40, [6], 1 << 40, name, none)
+            encoder.values(gauss, none[:1], none[:1] + scale, [1], 1 << 40, told, np.array([value]))
+            encoder.values(gauss, none, none - 40, [6], 1 << 40, told, none)
             return Refused(with_stream(t, stream, encoder.finish()[0]), "substream.symbol_range", stream[1])
 
         book.add(
-            f"invalid-symbol-wraps-{text.replace(' ', '-').replace('^', '-').replace('-2-33', 'minus-2-33')}",
+            f"invalid-symbol-wraps-{name}",
             f"an escaped symbol of {text}, which is a small one in 32 bits",
             wraps,
             features="escapes raw-bits substream",
@@ -339,47 +337,33 @@ def _layers(book: Book) -> None:
             data = t.put(at + offset, value)[t.start(container.WEIGHTS) : at + 9]
             return Refused(resized(t.data, container.WEIGHTS, data), "weights.layer", at + offset)
 
-        _ordered(
-            book, "invalid", f"raw-{name}-and-values", f"{text} in a raw layer, and the end within its values", field, "R6.8-4 R6.8-5"
-        )
+        _ordered(book, "invalid", f"raw-{name}-and-values", f"{text} in a raw layer, and the end within its values", field, "R6.8-4 R6.8-5")
 
-    # Faults of a layer, each a change of the file: a number that is none, a row that breaks the bound, a raw layer that can be packed,
-    # and an exponent. The raw ones are of hyper.0 or opacity.0, that of the exponent is of a packed layer between or behind them.
-    def layers() -> dict[str, tuple[int, int]]:
-        """Where each raw layer's model is, and its first bias."""
+    def fault(kind: str, network: str) -> Fault:
+        """A fault of the first layer of a network, which is raw."""
         t = _two_raw()
-        starts, shapes = grid_layers(t), t.header.dimensions.network_shapes()
-        found = {}
-        for name in ("hyper", "opacity"):
-            out, fan_in = shapes[name][0]
-            found[name] = starts[f"{name}.0"], starts[f"{name}.0"] + 6 + 4 * out * fan_in
-        return found
-
-    def fault(kind: str, layer: str) -> Fault:
-        at, bias = layers()[layer]
+        at = grid_layers(t)[f"{network}.0"]
+        out, fan_in = t.header.dimensions.network_shapes()[network][0]
         if kind == "not-finite":
             return Fault(at + 6, FLOATS["not-a-number"], "weights.not_finite", at + 6)
         if kind == "bound":
             return Fault(at + 6, struct.pack("<f", 4096.0), "weights.bound", at)
-        return Fault(bias, NOTHING, "weights.raw", at)
+        # Without its -0 the layer can be packed.
+        return Fault(at + 6 + 4 * out * fan_in, bytes(4), "weights.raw", at)
 
-    def exponent(number: int) -> Refused:
-        """The file with a layer whose integers are all even."""
+    def with_exponent(layer: str, other: Fault, first: bool) -> Refused:
+        """The file with a packed layer whose integers are all even, and a fault of a raw one, which is told if it is first."""
 
         def change(found: list[Any]) -> int:
+            number = list(grid_layers(_two_raw())).index(layer)
             g = found[number]
             found[number] = replace(g, weight=g.weight * 2, bias=g.bias * 2)
             return number
 
-        return other_grids(_two_raw(), change)
-
-    def with_exponent(number: int, other: Fault, first: bool) -> Refused:
-        refused = exponent(number)
+        refused = other_grids(_two_raw(), change)
         data = refused.data[: other.at] + other.value + refused.data[other.at + len(other.value) :]
         return Refused(repair(data), *((other.name, other.offset) if first else (refused.name, refused.offset)))
 
-    names = list(grid_layers(_two_raw()))
-    middle, last = names.index("hyper.1"), names.index("colour.0")
     rows: list[tuple[str, str, Callable[[], Refused]]] = [
         (
             "raw-and-not-finite",
@@ -394,12 +378,12 @@ def _layers(book: Book) -> None:
         (
             "exponent-and-not-finite",
             "an exponent, and a later raw layer with a number that is none",
-            lambda: with_exponent(middle, fault("not-finite", "opacity"), False),
+            lambda: with_exponent("hyper.1", fault("not-finite", "opacity"), False),
         ),
         (
             "not-finite-and-exponent",
             "a raw layer with a number that is none, and an exponent of a later one",
-            lambda: with_exponent(middle, fault("not-finite", "hyper"), True),
+            lambda: with_exponent("hyper.1", fault("not-finite", "hyper"), True),
         ),
         (
             "raw-and-bound",
@@ -409,7 +393,7 @@ def _layers(book: Book) -> None:
         (
             "exponent-and-bound",
             "an exponent, and an earlier raw layer that breaks the bound",
-            lambda: with_exponent(last, fault("bound", "hyper"), False),
+            lambda: with_exponent("colour.0", fault("bound", "hyper"), False),
         ),
     ]
     for name, text, make in rows:
@@ -422,8 +406,6 @@ def _layers(book: Book) -> None:
 @cache
 def _idle_cells() -> tuple[Target, Int64]:
     """A file of five anchors in one packed chunk of 16 lanes, and the codes of their cells."""
-    from refcodec.positions import chunk_codes  # noqa: PLC0415
-
     made = placed("outside-cells", lattice(Numbers("outside-cells"), 5), chunk_size=5, lanes=Lanes(0, 4, 0))
     code = chunk_codes(made.positions, made.position_model.cell_shift if made.position_model else 0)
     assert code is not None
