@@ -10,6 +10,7 @@ def recipes() -> list[Recipe]:
         coding,
         decoding,
         orders,
+        outside,
         packing,
         planted,
         refused_header,
@@ -21,6 +22,20 @@ def recipes() -> list[Recipe]:
     )  # fmt: skip
 
     book = Book()
-    for part in (structure, decoding, coding, packing, whole, refused_header, refused_sections, refused_streams, orders, resource, planted):
+    parts = (
+        structure,
+        decoding,
+        coding,
+        packing,
+        whole,
+        refused_header,
+        refused_sections,
+        refused_streams,
+        orders,
+        resource,
+        planted,
+        outside,
+    )
+    for part in parts:
         part.add(book)
     return book.recipes
