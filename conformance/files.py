@@ -65,10 +65,13 @@ def resized(data: bytes, kind: int, content: bytes, length_at: int | None = None
     out = bytearray(data[: old.start] + content + data[old.end :])
     _, end = layout(data)
     entry = end - 4 - 16 * len(sections)
+    # In the order of the directory: an empty section may start where this one starts, and lie before or behind it.
+    moved = 0
     for s in sections.values():
-        out[entry + 4 : entry + 8] = (s.start + (change if s.start >= old.end and s.type != kind else 0)).to_bytes(4, "little")
+        out[entry + 4 : entry + 8] = (s.start + moved).to_bytes(4, "little")
         if s.type == kind:
             out[entry + 8 : entry + 12] = len(content).to_bytes(4, "little")
+            moved = change
         entry += 16
     if length_at is not None:
         grown = int.from_bytes(data[length_at : length_at + 4], "little") + change

@@ -16,12 +16,12 @@ from hypothesis import strategies as st
 
 from conformance import cli, fuzz, independent
 from conformance.faults import FAULTS, Fault, draw_fault
-from conformance.files import Target, repair
+from conformance.files import Target, repair, resized
 from conformance.independent import container as second_container
 from conformance.independent import errors as second_errors
 from conformance.independent import operators
 from conformance.scenes import MAIN_DIMENSIONS, random_scene
-from refcodec import codec, reconstruction
+from refcodec import codec, container, reconstruction
 from refcodec.errors import REGISTRY, BitstreamError
 from refcodec.limits import PROFILES, Profile
 from refcodec.quantise import pack_weights, position_model
@@ -110,6 +110,15 @@ def test_the_comparison_can_fail(monkeypatch: pytest.MonkeyPatch) -> None:
         m.setattr(fuzz, "FILE_SECONDS", 1)
         m.setattr(independent, "decode", lambda data: [None for _ in iter(int, 1)])
         assert "BudgetError" in str(fuzz.compare(data)[1])
+
+
+def test_sections_of_no_anchors_grow() -> None:
+    """Of empty sections at one place only those behind the one that grows move."""
+    data = codec.emit(random_scene(5, 0))
+    for kind in (container.POSITIONS, container.MASKS, container.ATTRIBUTES):
+        verdict, wrong = fuzz.compare(resized(data, kind, b"\0"))
+        assert wrong is None
+        assert verdict[0] == ("directory.length" if kind == container.POSITIONS else "chunks.length")
 
 
 def saying(code: int, offset: str, status: int) -> list[str]:
