@@ -142,7 +142,10 @@ OPERATORS: tuple[Callable[[ast.AST], Iterator[Change]], ...] = (
 
 
 def _decodes(node: ast.AST) -> bool:
-    """Whether a node has a part in a verdict, which is a digest or code and offset: types, imports, messages and traces have none."""
+    """Whether a node has a part in a verdict, which is a digest or code and offset: types, imports, messages, traces and the
+    place of the tables' file have none."""
+    if isinstance(node, ast.Assign):
+        return not ast.unparse(node.targets[0]).endswith("_PATH")
     if isinstance(node, ast.Subscript):
         return not (isinstance(node.value, ast.Name) and node.value.id in ("dict", "list", "tuple"))
     if isinstance(node, ast.If):
