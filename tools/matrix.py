@@ -14,10 +14,10 @@ import ast
 import re
 import sys
 from collections import defaultdict
-from collections.abc import Iterator
+from collections.abc import Callable, Iterable, Iterator
 from pathlib import Path
 
-from conformance.manifest import Rejected, load
+from conformance.manifest import Manifest, Rejected, Vector, load
 from conformance.text import CLAUSE, requirements
 from refcodec.errors import REGISTRY
 
@@ -99,26 +99,19 @@ def _cell(found: list[str]) -> str:
     return f"{len(found)}: {found[0]}" + (" ..." if len(found) > 1 else "")
 
 
-def vectors() -> dict[str, list[str]]:
-    """Vectors by requirement."""
+def vectors(suite: Manifest, names: Callable[[Vector], Iterable[str]]) -> dict[str, list[str]]:
+    """The vectors by each name that they have."""
     found = defaultdict(list)
-    for vector in load().vectors:
-        for name in vector.requirements:
+    for vector in suite.vectors:
+        for name in names(vector):
             found[name].append(vector.id)
     return found
 
 
-def others() -> str:
+def others(suite: Manifest) -> str:
     """The tables of error codes, features and flags. Raises SystemExit for one without a vector."""
-    suite = load()
-    refused, having, catching = defaultdict(list), defaultdict(list), defaultdict(list)
-    for vector in suite.vectors:
-        if isinstance(vector.expectation, Rejected):
-            refused[vector.expectation.name].append(vector.id)
-        for feature in vector.features:
-            having[feature].append(vector.id)
-        for flag in vector.flags:
-            catching[flag].append(vector.id)
+    refused = vectors(suite, lambda v: [v.expectation.name] if isinstance(v.expectation, Rejected) else [])
+    having, catching = vectors(suite, lambda v: v.features), vectors(suite, lambda v: v.flags)
     codes = {name: (f"{kind.code} {name}", kind.clause) for name, kind in REGISTRY.items()}
     text = ""
     for title, head, rows, found in (
@@ -136,7 +129,8 @@ def others() -> str:
 def matrix(spec: str) -> str:
     """The document. Raises SystemExit for a requirement without code, test or vector, and for a test or vector of none."""
     (raise_1, cite_1), (raise_2, cite_2) = places(FIRST), places(SECOND)
-    tests, tried = proofs(), vectors()
+    suite = load()
+    tests, tried = proofs(), vectors(suite, lambda v: v.requirements)
     rows, names, holes = [], set(), []
     for name, clause, sentence, error in requirements(spec):
         names.add(name)
@@ -157,7 +151,7 @@ def matrix(spec: str) -> str:
         raise SystemExit(f"holes in the matrix: {', '.join(holes)}")
     shown = len(names) - len(NO_VECTOR)
     share = f"\n{shown} of {len(names)} requirements have a vector; no file and its one result can show the other {len(NO_VECTOR)}.\n"
-    return HEAD + "\n".join(rows) + "\n" + share + others()
+    return HEAD + "\n".join(rows) + "\n" + share + others(suite)
 
 
 def main() -> int:
