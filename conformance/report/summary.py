@@ -16,7 +16,7 @@ _STDERR_LINES, _WIDTH = 3, 200
 # So many requirements or features that are not right are named.
 _NAMED = 4
 # An attribute's anchor in a divergence: what leads to its distributions can be shown.
-_ANCHOR = re.compile(r"^trace: attributes\.\w+\[(\d+),")
+_ANCHOR = re.compile(r"^trace: attributes\.\w+\[(\d+),", re.MULTILINE)
 _WORDS = {"unexpected": "known failures that pass", "known": "known failures"}
 
 
@@ -34,7 +34,7 @@ def lines(record: dict[str, Any]) -> Iterator[str]:
         yield from (f"    {line}" for line in v["divergence"])
         if v["status"] == "crashed":
             yield from (f"    stderr: {line[:_WIDTH]}" for line in v["stderr"].splitlines()[-_STDERR_LINES:])
-        anchor = _ANCHOR.search(" ".join(v["divergence"]))
+        anchor = _ANCHOR.search("\n".join(v["divergence"]))
         form = f"--anchor {anchor.group(1)}" if anchor else "--hex"
         yield f"    {v['title']}; read {', '.join(v['clauses'])}; refcodec inspect vectors/{v['input']} {form}"
     if len(bad) > _SHOWN:
