@@ -34,7 +34,7 @@ _OVER = {
     "output": "wrote too much",
     "answer": "gave an answer that cannot be read",
 }
-_BY_CODE = {kind.code: kind for kind in REGISTRY.values()}
+BY_CODE = {kind.code: kind for kind in REGISTRY.values()}
 
 
 @dataclass(frozen=True)
@@ -80,7 +80,7 @@ def _refusal(line: str) -> tuple[int, int | None] | str:
         return "whose last line of stderr is not JSON"
     if not isinstance(said, dict) or type(said.get("code")) is not int:
         return "whose last line of stderr is not an object with a code"
-    if said["code"] not in _BY_CODE:
+    if said["code"] not in BY_CODE:
         return f"with a code, {said['code']}, that is not registered"
     offset = said.get("offset")
     return said["code"], offset if type(offset) is int else None
@@ -111,14 +111,14 @@ def read(ended: Ended, output: Path) -> Found:
 
 
 def _describe(code: int) -> str:
-    kind = _BY_CODE[code]
+    kind = BY_CODE[code]
     return f"{code} {kind.name}, {kind.klass}"
 
 
 def _judge_refusal(expected: Rejected, found: Found) -> Judgement:
     if found.result != "rejected" or found.code is None:
         return Judgement(GRADE_NONE, f"accepted; {_describe(expected.code)}, at byte {expected.offset} expected")
-    wanted, said = _BY_CODE[expected.code].klass, _BY_CODE[found.code].klass
+    wanted, said = BY_CODE[expected.code].klass, BY_CODE[found.code].klass
     where = "no offset" if found.offset is None else f"byte {found.offset}"
     text = f"{_describe(found.code)}, {where}; {_describe(expected.code)}, byte {expected.offset} expected"
     if said != wanted or found.status != exit_status(wanted):
