@@ -8,19 +8,18 @@ import sys
 from pathlib import Path
 from typing import Any
 
-EXIT_USAGE, EXIT_INTERRUPTED = 2, 130
+# That of the other commands, which need packages that may be missing.
+EXIT_USAGE = 2
 
 
 def _fuzz(arguments: argparse.Namespace) -> int:
     # hypothesis belongs to the extra `test`, and is slow to import.
+    from .commands import check_template  # noqa: PLC0415
     from .fuzz import run  # noqa: PLC0415
-    from .process import CommandError  # noqa: PLC0415
 
-    try:
-        return run(arguments.count, arguments.seed, arguments.jobs, arguments.state, arguments.keep, arguments.command)
-    except CommandError as error:
-        print(f"conformance: {error}", file=sys.stderr)
-        return EXIT_USAGE
+    if arguments.command:
+        check_template(arguments.command, ["input", "output"])
+    return run(arguments.count, arguments.seed, arguments.jobs, arguments.state, arguments.keep, arguments.command)
 
 
 def _generate(arguments: argparse.Namespace) -> int:
@@ -100,7 +99,7 @@ def _selftest(arguments: argparse.Namespace) -> int:
 def _add_selftest(commands: Any) -> None:
     selftest = commands.add_parser("selftest", help="plant bugs in the second decoder; the vectors must catch every one")
     selftest.add_argument("--manifest", type=Path, default=Path("vectors/manifest.json"), help="the suite (default: vectors/manifest.json)")
-    selftest.add_argument("--jobs", type=int, default=os.cpu_count() or 1, help="processes (default: one for each core)")
+    selftest.add_argument("--jobs", type=_positive, default=os.cpu_count() or 1, help="processes (default: one for each core)")
     how = selftest.add_mutually_exclusive_group()
     how.add_argument("--recorded", action="store_true", help="each bug on the vector that is recorded as the first to catch it alone")
     how.add_argument("--matrix", type=Path, metavar="FILE", help="each bug on all vectors; write which catch it to this file, as JSON")
@@ -112,9 +111,9 @@ def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(prog="conformance", description=__doc__)
     commands = parser.add_subparsers(required=True, metavar="command")
     fuzz = commands.add_parser("fuzz", help="compare refcodec, the second decoder and, if you like, yours on many generated files")
-    fuzz.add_argument("-n", "--count", type=int, default=1000, help="files, valid and not (default 1000)")
+    fuzz.add_argument("-n", "--count", type=_positive, default=1000, help="files, valid and not (default 1000)")
     fuzz.add_argument("--seed", type=int, default=0, help="the same seed gives the same files (default 0)")
-    fuzz.add_argument("--jobs", type=int, default=os.cpu_count() or 1, help="processes (default: one for each core)")
+    fuzz.add_argument("--jobs", type=_positive, default=os.cpu_count() or 1, help="processes (default: one for each core)")
     fuzz.add_argument("--state", type=Path, default=Path("out/fuzz.json"), help="where batches done are noted; a run goes on from there")
     fuzz.add_argument("--keep", type=Path, default=Path("out/fuzz"), help="folder for files on which the decoders disagree")
     fuzz.add_argument("command", nargs="*", metavar="-- COMMAND", help="a third decoder, with {input} and {output} as for run")
@@ -125,11 +124,27 @@ def _parser() -> argparse.ArgumentParser:
     return parser
 
 
+def _missing(error: ModuleNotFoundError) -> int:
+    print(
+        f"conformance: {error.name} is not installed: pip install '.[conformance]' for run, verify-report, export and check-encoder, "
+        "'.[test]' for the others",
+        file=sys.stderr,
+    )
+    return EXIT_USAGE
+
+
 def main(argv: list[str] | None = None) -> int:
     """Runs one command; returns its exit status."""
-    arguments = _parser().parse_args(argv)
     try:
-        status: int = arguments.run(arguments)
-        return status
+        # Packages beyond those of the decoder are needed from here on.
+        from . import commands  # noqa: PLC0415
+
+        arguments = _parser().parse_args(argv)
+    except ModuleNotFoundError as error:
+        return _missing(error)
+    try:
+        return commands.guarded(lambda: arguments.run(arguments))
+    except ModuleNotFoundError as error:
+        return _missing(error)
     except KeyboardInterrupt:
-        return EXIT_INTERRUPTED
+        return commands.EXIT_INTERRUPTED

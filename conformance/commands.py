@@ -8,7 +8,7 @@ import json
 import shlex
 import sys
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -53,15 +53,16 @@ def _options(arguments: argparse.Namespace) -> Options:
     """The options that `run` and `verify-report` share. Raises UsageError."""
     command = tuple(arguments.command)
     needed = [] if arguments.serve else ["input", "output", *(["trace"] if arguments.trace else [])]
-    _check_template(command, needed)
+    check_template(command, needed)
     gaussians = None
     if arguments.gaussians is not None:
         gaussians = tuple(shlex.split(arguments.gaussians))
-        _check_template(gaussians, ["input", "output", "camera"])
+        check_template(gaussians, ["input", "output", "camera"])
     return Options(command, gaussians, arguments.jobs, arguments.grade, arguments.slow, arguments.trace, arguments.serve)
 
 
-def _check_template(command: Sequence[str], names: Sequence[str]) -> None:
+def check_template(command: Sequence[str], names: Sequence[str]) -> None:
+    """Raises UsageError for a command without one of the places, and CommandError for a program that is not there."""
     missing = [f"{{{name}}}" for name in names if not any(f"{{{name}}}" in word for word in command)]
     if not command or missing:
         raise UsageError(f"the command needs {' and '.join(missing)}: {shlex.join(command)}")
@@ -90,10 +91,10 @@ def _write(folder: Path, record: dict[str, Any]) -> None:
     (folder / "report.html").write_text(page.document(record), encoding="utf-8")
 
 
-def _guarded(work: Any, arguments: argparse.Namespace) -> int:
+def guarded(work: Callable[[], int]) -> int:
+    """The exit status of a command, whose errors are told in a line."""
     try:
-        status: int = work(arguments)
-        return status
+        return work()
     except ManifestError as error:
         _note(str(error))
         return EXIT_SUITE
@@ -105,7 +106,8 @@ def _guarded(work: Any, arguments: argparse.Namespace) -> int:
         return EXIT_USAGE
 
 
-def _run(arguments: argparse.Namespace) -> int:
+def run_command(arguments: argparse.Namespace) -> int:
+    """`conformance run`; returns its exit status. Raises what `guarded` catches."""
     from .report import summary  # noqa: PLC0415
 
     manifest = _suite(arguments.vectors)
@@ -142,11 +144,6 @@ def _status(done: Run) -> int:
     return EXIT_RIGHT if any(r.status != "skipped" for r in done.results) else EXIT_NOTHING
 
 
-def run_command(arguments: argparse.Namespace) -> int:
-    """`conformance run`; returns its exit status."""
-    return _guarded(_run, arguments)
-
-
 def _differences(old: dict[str, Any], new: dict[str, Any]) -> list[str]:
     """What a record says otherwise than a new run of its vectors."""
     wrong = [f"{name} does not follow from the record's vectors" for name in ("verdict", "profiles", "requirements", "features")
@@ -161,7 +158,8 @@ def _differences(old: dict[str, Any], new: dict[str, Any]) -> list[str]:
     return wrong
 
 
-def _verify(arguments: argparse.Namespace) -> int:
+def verify_report(arguments: argparse.Namespace) -> int:
+    """`conformance verify-report`; returns its exit status. Raises what `guarded` catches."""
     old = records.load(arguments.report)
     manifest = _suite(arguments.vectors)
     if old["suite"]["manifest_sha256"] != records.manifest_digest(manifest):
@@ -193,12 +191,8 @@ def _verify(arguments: argparse.Namespace) -> int:
     return EXIT_WRONG if wrong else EXIT_RIGHT
 
 
-def verify_report(arguments: argparse.Namespace) -> int:
-    """`conformance verify-report`; returns its exit status."""
-    return _guarded(_verify, arguments)
-
-
-def _export(arguments: argparse.Namespace) -> int:
+def export(arguments: argparse.Namespace) -> int:
+    """`conformance export`; returns its exit status. Raises what `guarded` catches."""
     from . import fluster  # noqa: PLC0415
 
     count = fluster.export(_suite(arguments.vectors), arguments.fluster)
@@ -206,12 +200,8 @@ def _export(arguments: argparse.Namespace) -> int:
     return EXIT_RIGHT
 
 
-def export(arguments: argparse.Namespace) -> int:
-    """`conformance export`; returns its exit status."""
-    return _guarded(_export, arguments)
-
-
-def _check_encoder(arguments: argparse.Namespace) -> int:
+def check_encoder(arguments: argparse.Namespace) -> int:
+    """`conformance check-encoder`; returns its exit status. Raises what `guarded` catches."""
     from . import encoders  # noqa: PLC0415
 
     wrong = 0
@@ -223,11 +213,6 @@ def _check_encoder(arguments: argparse.Namespace) -> int:
             print(f"    {line}")
     print(f"{len(arguments.files)} files, {wrong} wrong")
     return EXIT_WRONG if wrong else EXIT_RIGHT
-
-
-def check_encoder(arguments: argparse.Namespace) -> int:
-    """`conformance check-encoder`; returns its exit status."""
-    return _guarded(_check_encoder, arguments)
 
 
 def add_grade(parser: argparse.ArgumentParser) -> None:

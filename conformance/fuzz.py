@@ -27,7 +27,7 @@ from hypothesis import strategies as st
 from tqdm import tqdm
 
 from refcodec import codec, reconstruction
-from refcodec.errors import REGISTRY, BitstreamError
+from refcodec.errors import BitstreamError
 
 from . import grading, independent, process
 from .faults import FAULTS, draw_fault
@@ -92,7 +92,8 @@ def command_verdict(command: Sequence[str], data: bytes) -> Verdict:
         return str(found.digest), -1
     if found.result == "crashed":
         raise AnswerError(f"a crash: {found.text}")
-    kind = next(kind for kind in REGISTRY.values() if kind.code == found.code)
+    assert found.code is not None
+    kind = grading.BY_CODE[found.code]
     if found.status != grading.exit_status(kind.klass):
         raise AnswerError(f"exit status {found.status} with {kind.name}, which is {kind.klass}")
     if found.offset is None:
@@ -203,21 +204,24 @@ def _load(state: Path, first_seed: int, command: Sequence[str]) -> tuple[set[int
     """Batches done, files by verdict, and disagreements of an earlier run."""
     if not state.exists():
         return set(), Counter(), 0
-    saved = json.loads(state.read_text(encoding="utf-8"))
-    if saved["seed"] != first_seed:
-        raise SystemExit(f"{state} is of seed {saved['seed']}: give --seed {saved['seed']}, or another --state")
-    if saved["command"] != list(command):
+    try:
+        saved = json.loads(state.read_text(encoding="utf-8"))
+        found = set(saved["batches"]), Counter[str](saved["seen"]), int(saved["wrong"])
+        before = saved["seed"], saved["command"]
+    except (ValueError, KeyError, TypeError):
+        raise SystemExit(f"{state} is no state of this command: give another --state") from None
+    if before[0] != first_seed:
+        raise SystemExit(f"{state} is of seed {before[0]}: give --seed {before[0]}, or another --state")
+    if before[1] != list(command):
         raise SystemExit(f"{state} is of another decoder: give another --state")
-    return set(saved["batches"]), Counter(saved["seen"]), saved["wrong"]
+    return found
 
 
 def run(count: int, first_seed: int, jobs: int, state: Path, keep: Path, command: Sequence[str]) -> int:
     """Compares the decoders on at least `count` files; `jobs` processes. Batches done are noted in `state`, so that a run which is
     interrupted goes on from there; files on which they disagree go to the folder `keep`. command: another decoder's, with {input} and
-    {output}, or nothing. Returns 0 if there are no disagreements, else 1. Raises process.CommandError.
+    {output}, or nothing. Returns 0 if there are no disagreements, else 1.
     """
-    if command:
-        process.check_command(command)
     done, seen, wrong = _load(state, first_seed, command)
     # Some scenes have no place for a fault that is drawn, and give fewer files; the last batches make up for them.
     least = BATCH_SCENES * FILES_OF_A_SCENE * 9 // 10

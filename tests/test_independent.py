@@ -199,6 +199,19 @@ def test_fuzz_of_another_decoder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch
     assert "the decoder ('prologue.signature', 0)" in capsys.readouterr().out
     assert list((tmp_path / "keep").iterdir())
     assert cli.main([*words, str(tmp_path / "none"), "{input}", "{output}"]) == cli.EXIT_USAGE
+    assert cli.main([*words, "true", "{input}"]) == cli.EXIT_USAGE
+    assert "needs {output}" in capsys.readouterr().err
+    for state in (
+        "",
+        "{}",
+        '{"seed": 0, "batches": [], "seen": {}, "wrong": 0}',
+        '{"seed": 0, "command": [], "batches": 1, "seen": {}, "wrong": 0}',
+    ):
+        (tmp_path / "bad.json").write_text(state)
+        with pytest.raises(SystemExit, match="no state of this command"):
+            fuzz.run(1, 0, 1, tmp_path / "bad.json", tmp_path / "keep", [])
+    with pytest.raises(SystemExit):
+        cli.main(["fuzz", "-n", "0"])
 
 
 # --- a work of its own ------------------------------------------------------------------------------------------------

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 
-from conformance import cli
+from conformance import cli, commands
 from conformance.manifest import VECTORS, load
 from conformance.mutants import handwritten, loading, operators, record, selftest, trial
 from conformance.mutants.equivalent import PROOFS
@@ -311,6 +311,16 @@ def test_command(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest
     assert cli.main(["selftest", "--jobs", "1"]) == 1
     monkeypatch.setattr(selftest, "cases", lambda manifest: [replace(PAIR[0], digests={"whole": "1" * 64})])
     assert cli.main(["selftest", "--jobs", "1"]) == 1
+
+
+def test_a_manifest_that_is_none_is_told(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert cli.main(["selftest", "--manifest", str(tmp_path / "none.json")]) == cli.EXIT_USAGE
+    (tmp_path / "bad.json").write_text("{}")
+    (tmp_path / "manifest.schema.json").write_text((VECTORS / "manifest.schema.json").read_text())
+    assert cli.main(["selftest", "--manifest", str(tmp_path / "bad.json")]) == commands.EXIT_SUITE
+    assert "Traceback" not in capsys.readouterr().err
+    with pytest.raises(SystemExit):
+        cli.main(["selftest", "--jobs", "0"])
 
 
 def test_no_vector_is_an_error() -> None:

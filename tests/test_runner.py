@@ -23,6 +23,7 @@ import pytest
 from conformance import cli, commands, fluster, process, runner
 from conformance.files import Target, repair
 from conformance.manifest import MANIFEST, SCHEMA, VECTORS, load
+from conformance.report import summary
 from refcodec import codec, inspection
 from refcodec.errors import REGISTRY, BitstreamError
 from refcodec.reconstruction import canonical_head, canonical_parts, digest
@@ -523,6 +524,28 @@ def test_an_interrupted_run_leaves_a_report(suite: Suite, tmp_path: Path) -> Non
     assert len(record["vectors"]) >= 1
     assert not record["verdict"]["conforms"]
     assert "interrupted" in out
+
+
+def test_the_anchor_of_a_divergence_is_named(suite: Suite, tmp_path: Path) -> None:
+    """Also where the output differs as well."""
+    _, record = suite.report("accepts", tmp_path)
+    vector = next(v for v in record["vectors"] if v["status"] == "failed")
+    for lines, form in (
+        (["features: anchor 3 (chunk 0) is 1, 2 expected", "trace: attributes.features[7,2] is 3, 6 expected"], "--anchor 7"),
+        (["trace: planes.r1[0,0,0] is 1, 0 expected"], "--hex"),
+        ([], "--hex"),
+    ):
+        record["vectors"] = [{**vector, "divergence": lines}]
+        assert [line for line in summary.lines(record) if line.endswith(form)]
+
+
+def test_a_missing_package_is_told(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+    def missing(*_: object) -> None:
+        raise ModuleNotFoundError(name="jsonschema")
+
+    monkeypatch.setattr(cli, "_parser", missing)
+    assert cli.main([]) == cli.EXIT_USAGE
+    assert "pip install" in capsys.readouterr().err
 
 
 def test_peaks_are_not_the_runners_own(tmp_path: Path) -> None:

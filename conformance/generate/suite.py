@@ -120,11 +120,12 @@ def vectors(recipes: Iterable[Recipe]) -> Iterator[tuple[dict[str, Any], dict[st
 
 def generate(folder: Path, recipes: Iterable[Recipe]) -> tuple[int, int]:
     """Writes the suite: (vectors, bytes of their files). What the folder had in the places of vectors is gone."""
+    # A folder that cannot be made is told before the work.
+    folder.mkdir(parents=True, exist_ok=True)
     found, written = [], {}
     for vector, files in vectors(recipes):
         found.append(vector)
         written.update(files)
-    folder.mkdir(parents=True, exist_ok=True)
     for klass in CLASSES:
         shutil.rmtree(folder / klass, ignore_errors=True)
         (folder / klass).mkdir()
