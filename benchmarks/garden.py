@@ -23,15 +23,18 @@ from pathlib import Path
 
 import numpy as np
 import torch
-from results import write_section
 
-from refcodec import codec
-from refcodec.container import ATTRIBUTES, MASKS, PLANES_SECTION, POSITIONS, WEIGHTS, chunk_ranges, parse_container
-from refcodec.fit import ideal
-from refcodec.fit.fitter import FitResult, fit
-from refcodec.fit.voxelise import default_voxel, read_points, short_mantissa, voxelise
-from refcodec.quantise import mask_model
-from refcodec.scene import Scene
+from benchmarks import ideal
+from refcodec.bitstream import codec
+from refcodec.bitstream.chunks import chunk_ranges
+from refcodec.bitstream.codec import parse_container
+from refcodec.bitstream.directory import ATTRIBUTES, MASKS, PLANES_SECTION, POSITIONS, WEIGHTS
+from refcodec.bitstream.scene import Scene, take_anchors
+from refcodec.encoder.masks import mask_model
+from refcodec.train.fit import FitResult, fit
+from refcodec.train.voxelise import default_voxel, read_points, short_mantissa, voxelise
+
+from .results import write_section
 
 # Times a parse in a process of its own, whose peak memory is the decoder's.
 DECODE = """
@@ -83,7 +86,7 @@ def decode_times(data: bytes, threads: int, repeats: int) -> tuple[list[float], 
 def tiled(scene: Scene, count: int, seed: int) -> Scene:
     """The scene's anchors repeated, each copy moved a little, to `count` anchors in all."""
     index = np.sort(np.random.default_rng(seed).integers(0, scene.anchor_count, count))
-    larger = codec.take_anchors(scene, index)
+    larger = take_anchors(scene, index)
     moved = larger.positions + np.random.default_rng(seed + 1).normal(0, 1, (count, 3)).astype(np.float16)
     moved[moved == 0] = 0
     larger = replace(larger, positions=np.clip(moved, -65000, 65000).astype(np.float16), mask_model=mask_model(larger.masks))

@@ -25,30 +25,34 @@ os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")
 import numba
 import numpy as np
 import torch
-from results import write_section
 
-from conformance.strategies import substreams
-from refcodec import codec
-from refcodec.attributes import code_attributes
-from refcodec.container import PROLOGUE_BYTES, SECTIONS, parse_container
-from refcodec.conventions import Int64
-from refcodec.entropy import SymbolName
-from refcodec.fit.fitter import fit
-from refcodec.fit.ideal import BitCounter
-from refcodec.fit.voxelise import default_voxel, read_points, voxelise
-from refcodec.geometry import assemble_planes
-from refcodec.masks import code_masks, mask_models
-from refcodec.planes import code_planes
-from refcodec.positions import chunk_codes, code_cells
-from refcodec.quality import measures
-from refcodec.quantise import packed, quantise_rendering
-from refcodec.scene import Scene
-from refcodec.tables import ModelSet
-from refcodec.train.photographs import PhotographSet, read_photographs
+from benchmarks.ideal import BitCounter
+from conformance.fuzz.strategies import substreams
+from refcodec.bitstream import codec
+from refcodec.bitstream.attributes import code_attributes
+from refcodec.bitstream.codec import parse_container
+from refcodec.bitstream.conventions import Int64
+from refcodec.bitstream.dimensions import layers_of
+from refcodec.bitstream.directory import SECTIONS
+from refcodec.bitstream.entropy import SymbolName
+from refcodec.bitstream.header import PROLOGUE_BYTES
+from refcodec.bitstream.masks import code_masks, mask_models
+from refcodec.bitstream.planes import code_planes
+from refcodec.bitstream.positions import chunk_codes, code_cells
+from refcodec.bitstream.scene import Scene
+from refcodec.bitstream.tables import ModelSet
+from refcodec.bitstream.weights import code_grids, to_grid
+from refcodec.encoder.quantise import packed
+from refcodec.encoder.weights import quantise_rendering
+from refcodec.evaluate.quality import measures
+from refcodec.photographs.photographs import PhotographSet, read_photographs
+from refcodec.render.view import View
+from refcodec.train.fit import fit
 from refcodec.train.state import restore, save
 from refcodec.train.trainer import WEIGHTS, Trainer, TrainSettings
-from refcodec.viewing import View
-from refcodec.weights import code_grids, layers_of, to_grid
+from refcodec.train.voxelise import default_voxel, read_points, voxelise
+
+from .results import write_section
 
 EXAMPLES = Path(__file__).resolve().parent.parent / "examples" / "photographs"
 SCENES, SIZE, STEPS, RATE = ("caliterra", "snowmiku"), (400, 300), 3000, 0.004
@@ -172,12 +176,11 @@ class Ledger(BitCounter):
 def code_lengths(scene: Scene) -> dict[str, dict[str, float]]:
     """Of each section with substreams, bits of the symbols of each kind under the file's models."""
     d, every = scene.dimensions, [range(scene.anchor_count)]
-    networks = codec.derive_networks(d, scene.carm_shift, scene.networks)
+    coding = codec.Coding(scene)
     found = {name: Ledger() for name in ("weights", "planes", "positions", "masks", "attributes")}
-    code_planes(found["planes"], networks.sarm, d.plane_channels, d.plane_size, scene.planes)
+    code_planes(found["planes"], coding.sarm, d.plane_channels, d.plane_size, scene.planes)
     code_masks(found["masks"], mask_models(scene.mask_model), d.offset_count, every, scene.masks)
-    contexts = networks.contexts(scene, scene.frame, assemble_planes(scene.planes), scene.plane_shift, scene.positions)
-    code_attributes(found["attributes"], networks.entropy, contexts, scene.masks, every, scene.attributes)
+    code_attributes(found["attributes"], coding.model, coding.contexts(), scene.masks, every, scene.attributes)
     model = scene.position_model
     assert model is not None
     for start in range(0, scene.anchor_count, scene.chunk_size):
@@ -342,15 +345,13 @@ def masks(work: Path) -> None:
 
         now, seen = column * k + before, column << k | history
         cells = [length(now), 2 * len(scene.mask_model), length(seen), 2 * len(np.unique(seen)), length(now * 2 + previous)]
-        networks = codec.derive_networks(scene.dimensions, scene.carm_shift, scene.networks)
-        contexts = networks.contexts(scene, scene.frame, assemble_planes(scene.planes), scene.plane_shift, scene.positions)
-        cells.append(logit_bytes(contexts, kept, before))
+        cells.append(logit_bytes(codec.Coding(scene).contexts(), kept, before))
         lines.append(f"| {name} | " + " | ".join(f"{c:,.0f}" for c in cells) + " |")
     lines += ["", MASKS_NOTE]
     write_section("packing-masks", "Models of the masks that were tried", lines)
 
 
-def logit_bytes(contexts: Int64, kept: Int64, before: Int64) -> float:
+def logit_bytes(contexts: np.ndarray, kept: Int64, before: Int64) -> float:
     """Code length of masks whose logits a network of 32 hidden units, fitted to them, makes of the contexts [n, .], with a table by
     offset and count, bytes without the network."""
     torch.manual_seed(0)

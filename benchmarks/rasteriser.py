@@ -26,12 +26,13 @@ from typing import Any
 import numba
 import numpy as np
 import torch
-from results import write_section
 from torch.nn.functional import normalize
 
-from refcodec import rasterise
-from refcodec.rendering import Camera
+from refcodec.render import constants, projection, rasterise
+from refcodec.render.camera import Camera
 from refcodec.train import splat
+
+from .results import write_section
 
 # Gaussians, width, height; the first one loads and compiles what the others use.
 SCENES = {"tiny": (100, 40, 30), "S": (20_000, 200, 150), "L": (100_000, 400, 300)}
@@ -41,11 +42,11 @@ DEVIATION = 1.5
 # Iterations of a process: at least so many, and for at least so many seconds.
 ITERATIONS, SECONDS = 2, 4.0
 STAGES = {
-    "project": ["_project"],
-    "sort, list": ["_sort", "_list"],
-    "blend": ["_blend"],
-    "unblend": ["_unblend"],
-    "unproject": ["_unproject"],
+    "project": ["project_gaussians"],
+    "sort, list": ["sort_by_depth", "list_tiles"],
+    "blend": ["blend_tiles"],
+    "unblend": ["unblend_tiles"],
+    "unproject": ["unproject_gaussians"],
 }
 # Pixels along a side of the plain rasteriser's tile, and values of one of its tensors: the fastest power of four.
 TILE, BATCH = 16, 1 << 22
@@ -78,7 +79,7 @@ def project_with_torch(mean: torch.Tensor, quaternion: torch.Tensor, lengths: to
     size, focal, centre = (torch.tensor(v) for v in ((camera.width, camera.height), (camera.fx, camera.fy), (camera.cx, camera.cy)))
     z = p[:, 2:]
     slope = p[:, :2] / z
-    beyond = rasterise.BEYOND * size / focal
+    beyond = projection.BEYOND * size / focal
     limited = torch.minimum(torch.maximum(slope, -centre / focal - beyond), (size - centre) / focal + beyond)
     rows = (focal / z)[..., None] * (world[:2] - limited[..., None] * world[2])
     w, x, y, k = normalize(quaternion, dim=-1).unbind(-1)
@@ -102,12 +103,12 @@ def draw_with_torch(*inputs: torch.Tensor, camera: Camera) -> torch.Tensor:
     inverse = torch.stack([yy, -xy, xx], -1) / (xx * yy - xy * xy)[:, None]
     across, down = -(-camera.width // TILE), -(-camera.height // TILE)
     with torch.no_grad():
-        reach = (2 * (opacity / rasterise.ALPHA_MIN).clamp(min=1).log()).sqrt()[:, None] * torch.stack([xx, yy], -1).sqrt()
+        reach = (2 * (opacity / constants.ALPHA_MIN).clamp(min=1).log()).sqrt()[:, None] * torch.stack([xx, yy], -1).sqrt()
         tiles = torch.tensor([across, down])
         first = torch.minimum(((place - reach) / TILE).floor().long().clamp(min=0), tiles)
         last = torch.minimum(((place + reach) / TILE).floor().long().clamp(min=-1) + 1, tiles)
         wide, high = (last - first).clamp(min=0).unbind(-1)
-        held = torch.where((depth > SETTINGS.near_plane) & (opacity >= rasterise.ALPHA_MIN), wide * high, 0)
+        held = torch.where((depth > SETTINGS.near_plane) & (opacity >= constants.ALPHA_MIN), wide * high, 0)
         of = torch.repeat_interleave(torch.arange(len(held)), held)
         number = torch.arange(len(of)) - (held.cumsum(0) - held)[of]
         tile = (first[of, 1] + number // wide[of]) * across + first[of, 0] + number % wide[of]
@@ -131,9 +132,9 @@ def draw_with_torch(*inputs: torch.Tensor, camera: Camera) -> torch.Tensor:
         a, b, c = inverse[members][:, None].unbind(-1)
         dx, dy = d.unbind(-1)
         alpha = opacity[members][:, None] * torch.exp(-0.5 * (a * dx * dx + c * dy * dy) - b * dx * dy)
-        alpha = torch.where((alpha >= rasterise.ALPHA_MIN) & there[:, None], alpha.clamp(max=SETTINGS.alpha_max), 0.0)
+        alpha = torch.where((alpha >= constants.ALPHA_MIN) & there[:, None], alpha.clamp(max=SETTINGS.alpha_max), 0.0)
         with torch.no_grad():
-            going = torch.cumprod(1 - alpha, -1) >= rasterise.TRANSMITTANCE_MIN
+            going = torch.cumprod(1 - alpha, -1) >= constants.TRANSMITTANCE_MIN
         alpha = torch.where(going, alpha, 0.0)
         left = torch.cumprod(1 - alpha, -1)
         before = torch.cat([torch.ones_like(left[..., :1]), left[..., :-1]], -1)

@@ -16,13 +16,14 @@ import time
 from pathlib import Path
 
 import numpy as np
-from results import write_section
 from tqdm import tqdm
+
+from .results import write_section
 
 ROOT = Path(__file__).resolve().parent.parent
 PYTHON = sys.executable
 GAUSSIANS = ["--gaussians", f"{PYTHON} -m refcodec gaussians {{input}} {{camera}} {{output}}"]
-SERVE = [PYTHON, "-m", "conformance.serve"]
+SERVE = [PYTHON, "-m", "conformance.runner.serve"]
 RUNS = {
     "refcodec, with --serve, and its Gaussians": (["--serve", *GAUSSIANS], [*SERVE, "refcodec"]),
     "refcodec, with --serve and --trace": (["--serve", "--trace"], [*SERVE, "refcodec"]),

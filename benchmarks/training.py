@@ -31,16 +31,17 @@ from typing import Any
 import numba
 import numpy as np
 import torch
-from results import write_section
 
-from refcodec.codec import emit
-from refcodec.quality import measures
-from refcodec.scene import Scene
-from refcodec.train.photographs import Photograph, PhotographSet, read_photographs
+from refcodec.bitstream.codec import emit
+from refcodec.bitstream.scene import Scene
+from refcodec.evaluate.quality import measures
+from refcodec.photographs.photographs import Photograph, PhotographSet, read_photographs
+from refcodec.render.view import View
 from refcodec.train.scaffold import lattice_positions
 from refcodec.train.state import restore, save
 from refcodec.train.trainer import Trainer, TrainSettings
-from refcodec.viewing import View
+
+from .results import write_section
 
 EXAMPLES = Path(__file__).resolve().parent.parent / "examples" / "photographs"
 ENVIRONMENT = {**os.environ, "OMP_WAIT_POLICY": "PASSIVE", "NUMBA_NUM_THREADS": "1"}

@@ -14,8 +14,8 @@ EXIT_USAGE = 2
 
 def _fuzz(arguments: argparse.Namespace) -> int:
     # hypothesis belongs to the extra `test`, and is slow to import.
-    from .commands import check_template  # noqa: PLC0415
-    from .fuzz import run  # noqa: PLC0415
+    from .fuzz.compare import run  # noqa: PLC0415
+    from .runner.commands import check_template  # noqa: PLC0415
 
     if arguments.command:
         check_template(arguments.command, ["input", "output"])
@@ -23,8 +23,8 @@ def _fuzz(arguments: argparse.Namespace) -> int:
 
 
 def _generate(arguments: argparse.Namespace) -> int:
-    from .generate import recipes  # noqa: PLC0415
-    from .generate.suite import generate  # noqa: PLC0415
+    from .cases import recipes  # noqa: PLC0415
+    from .cases.suite import generate  # noqa: PLC0415
 
     count, size = generate(arguments.output, recipes())
     print(f"{arguments.output}: {count} vectors, {size} bytes")
@@ -52,8 +52,8 @@ def _factor(text: str) -> float:
 
 
 def _add_run(commands: Any) -> None:
-    from . import commands as run  # noqa: PLC0415
-    from . import selection  # noqa: PLC0415
+    from .runner import commands as run  # noqa: PLC0415
+    from .runner import selection  # noqa: PLC0415
 
     def shared(name: str, text: str, example: str) -> argparse.ArgumentParser:
         parser: argparse.ArgumentParser = commands.add_parser(
@@ -137,7 +137,7 @@ def main(argv: list[str] | None = None) -> int:
     """Runs one command; returns its exit status."""
     try:
         # Packages beyond those of the decoder are needed from here on.
-        from . import commands  # noqa: PLC0415
+        from .runner import commands  # noqa: PLC0415
 
         arguments = _parser().parse_args(argv)
     except ModuleNotFoundError as error:

@@ -16,11 +16,11 @@ from pathlib import Path
 
 from PIL import Image
 
-from conformance.scenes import random_scene
-from refcodec import cli
-from refcodec.codec import emit, parse
-from refcodec.folder import write_folder
-from refcodec.inspection import document
+from conformance.cases.random_scenes import random_scene
+from refcodec.bitstream.codec import emit, parse
+from refcodec.cli import main as cli
+from refcodec.folder.write import write_folder
+from refcodec.inspect.summary import document
 
 
 def train(argv: list[str]) -> int:
@@ -73,7 +73,7 @@ def train(argv: list[str]) -> int:
 
 def evaluate(argv: list[str]) -> int:
     """Grey images, and figures that rise with the size of the file."""
-    from refcodec.train.photographs import parse_size, read_photographs  # noqa: PLC0415
+    from refcodec.photographs.photographs import parse_size, read_photographs  # noqa: PLC0415
 
     parser = argparse.ArgumentParser()
     parser.add_argument("scene", type=Path)

@@ -14,13 +14,13 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from test_independent import faulty
 
-from conformance import fuzz
-from refcodec import codec, reconstruction, tables
-from refcodec.errors import REGISTRY
+from conformance.fuzz import compare
+from refcodec.bitstream import codec, reconstruction, tables
+from refcodec.bitstream.errors import REGISTRY
 
 ROOT = Path(__file__).resolve().parent.parent
 SOURCE = ROOT / "conformance" / "c" / "decoder.c"
-TABLES = Path(tables.__file__).parent / "data" / tables.TABLES_FILE
+TABLES = Path(str(tables.tables_file()))
 COMPILER = shutil.which("cc") or shutil.which("gcc") or shutil.which("clang")
 FLAGS = ["-std=c11", "-O1", "-Wall", "-Wextra", "-Werror"]
 SANITIZERS = ["-fsanitize=undefined,address", "-fno-sanitize-recover=all"]
@@ -29,7 +29,7 @@ pytestmark = pytest.mark.skipif(COMPILER is None, reason="there is no C compiler
 
 
 @pytest.fixture(scope="module")
-def decode(tmp_path_factory: pytest.TempPathFactory) -> Callable[[bytes], fuzz.Verdict]:
+def decode(tmp_path_factory: pytest.TempPathFactory) -> Callable[[bytes], compare.Verdict]:
     """The verdict of the C decoder on a file."""
     folder = tmp_path_factory.mktemp("c")
     program, file = folder / "decoder", folder / "file.c3gs"
@@ -39,7 +39,7 @@ def decode(tmp_path_factory: pytest.TempPathFactory) -> Callable[[bytes], fuzz.V
         subprocess.run([str(COMPILER), *FLAGS, str(SOURCE), "-o", str(program)], check=True)
     names = {kind.code: kind.name for kind in REGISTRY.values()}
 
-    def verdict(data: bytes) -> fuzz.Verdict:
+    def verdict(data: bytes) -> compare.Verdict:
         file.write_bytes(data)
         environment = {**os.environ, "C3GS_TABLES": str(TABLES)}
         result = subprocess.run([program, "digest", file], capture_output=True, text=True, check=False, env=environment, timeout=60)
@@ -56,18 +56,18 @@ def decode(tmp_path_factory: pytest.TempPathFactory) -> Callable[[bytes], fuzz.V
 @pytest.mark.parametrize("name", REGISTRY)
 @settings(max_examples=3)
 @given(st.data())
-def test_fault(decode: Callable[[bytes], fuzz.Verdict], name: str, data: st.DataObject) -> None:
+def test_fault(decode: Callable[[bytes], compare.Verdict], name: str, data: st.DataObject) -> None:
     fault = data.draw(faulty(name))
     assert decode(fault.data) == (name, fault.offset)
 
 
-@given(fuzz.families())
+@given(compare.families())
 @settings(max_examples=10)
-def test_it_agrees(decode: Callable[[bytes], fuzz.Verdict], made: list[tuple[bytes, fuzz.Verdict | None]]) -> None:
+def test_it_agrees(decode: Callable[[bytes], compare.Verdict], made: list[tuple[bytes, compare.Verdict | None]]) -> None:
     for data, _ in made:
-        assert decode(data) == fuzz.first_verdict(data)
+        assert decode(data) == compare.first_verdict(data)
 
 
-def test_the_example(decode: Callable[[bytes], fuzz.Verdict]) -> None:
+def test_the_example(decode: Callable[[bytes], compare.Verdict]) -> None:
     data = (ROOT / "vectors" / "tiny-example.c3gs").read_bytes()
     assert decode(data) == (reconstruction.digest(codec.parse(data).scene)[0], -1)

@@ -17,12 +17,15 @@ import numpy as np
 import pytest
 
 import refcodec
-from conformance.scenes import MAIN_DIMENSIONS, random_scene, with_steps, without_chunks
-from refcodec import cli, codec, container, syntax
-from refcodec.container import PROLOGUE_BYTES, parse_container
-from refcodec.errors import BitstreamError
-from refcodec.folder import read_folder, write_folder
-from refcodec.reconstruction import digest
+from conformance.cases.random_scenes import MAIN_DIMENSIONS, random_scene, with_steps, without_chunks
+from refcodec.bitstream import codec, directory, syntax
+from refcodec.bitstream.codec import parse_container
+from refcodec.bitstream.errors import BitstreamError
+from refcodec.bitstream.header import PROLOGUE_BYTES
+from refcodec.bitstream.reconstruction import digest
+from refcodec.cli.main import main
+from refcodec.folder.read import read_folder
+from refcodec.folder.write import write_folder
 
 ROOT = Path(refcodec.__file__).parent
 
@@ -54,8 +57,8 @@ def test_encode_packs(tmp_path):
         target = tmp_path / "out.c3gs"
         result = run("encode", tmp_path / folder, "-o", target, *options)
         assert result.returncode == 0, result.stderr
-        sections = container.parse_container(target.read_bytes()).sections
-        return sections[container.WEIGHTS].mode, sections[container.POSITIONS].mode
+        sections = parse_container(target.read_bytes()).sections
+        return sections[directory.WEIGHTS].mode, sections[directory.POSITIONS].mode
 
     assert modes("tiny") == (0, 0)
     assert modes("tiny", "--weights", "packed", "--positions", "packed") == (1, 1)
@@ -116,23 +119,23 @@ def test_decode_then_encode(file, data, tmp_path):
 
 
 def test_digest(file, scene, capsys):
-    assert cli.main(["digest", str(file)]) == 0
+    assert main(["digest", str(file)]) == 0
     whole, parts = digest(scene)
     assert capsys.readouterr().out == whole + "\n"
-    assert cli.main(["digest", str(file), "--parts"]) == 0
+    assert main(["digest", str(file), "--parts"]) == 0
     lines = [line.split() for line in capsys.readouterr().out.splitlines()]
     assert lines == [[name, value] for name, value in {**parts, "whole": whole}.items()]
     assert [name for name, _ in lines] == ["positions", "masks", "planes", "features", "scalings", "offsets", "weights", "whole"]
 
 
 def test_validate(file, capsys):
-    assert cli.main(["validate", str(file)]) == 0
+    assert main(["validate", str(file)]) == 0
     assert "accepted" in capsys.readouterr().out
 
 
 @pytest.mark.parametrize("form", [[], ["--hex"], ["--json"], ["--trace"]])
 def test_inspect(file, data, form, capsys):
-    assert cli.main(["inspect", str(file), *form]) == 0
+    assert main(["inspect", str(file), *form]) == 0
     out, err = capsys.readouterr()
     assert err == ""
     if form == ["--json"]:
@@ -152,9 +155,9 @@ def test_reads_from_a_pipe(file, scene):
 
 
 def test_progress_only_when_wanted(file, capsys):
-    assert cli.main(["validate", str(file)]) == 0
+    assert main(["validate", str(file)]) == 0
     assert capsys.readouterr().err == ""
-    assert cli.main(["validate", str(file), "--progress"]) == 0
+    assert main(["validate", str(file), "--progress"]) == 0
     err = capsys.readouterr().err
     assert err.count("attributes:   0%") == 1
     assert err.count("attributes: 100%") >= 1
@@ -189,7 +192,7 @@ def test_every_command_rejects_alike(command, fault, data, tmp_path, monkeypatch
     with pytest.raises(BitstreamError) as raised:
         codec.parse(damaged)
     name, *options = COMMANDS[command]
-    status = cli.main([name, "my file.c3gs", *options])
+    status = main([name, "my file.c3gs", *options])
     out, err = capsys.readouterr()
     assert status == raised.value.exit_status == (2 if fault in ("version", "profile") else 1)
     assert verdict(err) == json.loads(raised.value.to_json())
@@ -275,23 +278,23 @@ def test_keep_going_where_only_a_symbol_is_wrong(file, data, tmp_path, capsys):
             if element.path == f"header.directory[{index}].crc":
                 changed[element.start : element.end] = zlib.crc32(changed[section.start : section.end]).to_bytes(4, "little")
     file.write_bytes(sealed(bytes(changed)))
-    assert cli.main(["decode", str(file), "-o", str(tmp_path / "scene"), "--keep-going"]) == 1
+    assert main(["decode", str(file), "-o", str(tmp_path / "scene"), "--keep-going"]) == 1
     kept = verdict(capsys.readouterr().err)
     assert kept["path"] == "attributes[chunk 2]"
     assert kept["name"].startswith("substream.")
-    assert cli.main(["validate", str(file)]) == 1
+    assert main(["validate", str(file)]) == 1
     assert verdict(capsys.readouterr().err) == kept
 
 
 def test_keep_going_without_need(file, tmp_path, capsys):
-    assert cli.main(["decode", str(file), "-o", str(tmp_path / "scene"), "--keep-going"]) == 0
+    assert main(["decode", str(file), "-o", str(tmp_path / "scene"), "--keep-going"]) == 0
     assert capsys.readouterr().err == ""
 
 
 def test_keep_going_loses_an_extension(file, data, tmp_path, capsys):
     """All chunks are there, but the file is cut after them: written, and not called accepted."""
     file.write_bytes(data[:-2])
-    assert cli.main(["decode", str(file), "-o", str(tmp_path / "scene"), "--keep-going"]) == 1
+    assert main(["decode", str(file), "-o", str(tmp_path / "scene"), "--keep-going"]) == 1
     err = capsys.readouterr().err
     assert "every chunk is whole" in err
     assert verdict(err)["name"] == "directory.file_length"
@@ -300,7 +303,7 @@ def test_keep_going_loses_an_extension(file, data, tmp_path, capsys):
 
 def test_keep_going_without_a_header(file, data, tmp_path, capsys):
     file.write_bytes(data[:100])
-    assert cli.main(["decode", str(file), "-o", str(tmp_path / "scene"), "--keep-going"]) == 1
+    assert main(["decode", str(file), "-o", str(tmp_path / "scene"), "--keep-going"]) == 1
     assert verdict(capsys.readouterr().err)["name"] == "header.truncated"
     assert not (tmp_path / "scene").exists()
 
@@ -338,7 +341,7 @@ def test_wrong_usage(arguments, file, monkeypatch, capsys):
     Path("full").mkdir()
     Path("full", "thesis.txt").write_text("precious")
     before = sorted(Path().rglob("*"))
-    assert cli.main(arguments) == 64
+    assert main(arguments) == 64
     out, err = capsys.readouterr()
     assert out == ""
     no_verdict(err)
@@ -352,50 +355,50 @@ def test_unreadable_file(file, monkeypatch, capsys):
         raise PermissionError(13, "Permission denied")
 
     monkeypatch.setattr("builtins.open", refuse)
-    assert cli.main(["validate", str(file)]) == 64
+    assert main(["validate", str(file)]) == 64
     assert "Permission denied" in capsys.readouterr().err
 
 
 def test_folder_that_cannot_be_encoded(file, tmp_path, capsys):
     folder = tmp_path / "scene"
-    assert cli.main(["decode", str(file), "-o", str(folder)]) == 0
+    assert main(["decode", str(file), "-o", str(folder)]) == 0
     document = json.loads((folder / "scene.json").read_text())
     document["render"]["near_plane"] = 0
     (folder / "scene.json").write_text(json.dumps(document))
-    assert cli.main(["encode", str(folder), "-o", str(tmp_path / "out")]) == 64
+    assert main(["encode", str(folder), "-o", str(tmp_path / "out")]) == 64
     err = capsys.readouterr().err
     no_verdict(err)
     assert "near_plane" in err
     (folder / "planes.safetensors").unlink()
-    assert cli.main(["encode", str(folder), "-o", str(tmp_path / "out")]) == 64
+    assert main(["encode", str(folder), "-o", str(tmp_path / "out")]) == 64
     no_verdict(capsys.readouterr().err)
     assert not (tmp_path / "out").exists()
 
 
 def test_failed_write_leaves_the_old_file(file, data, tmp_path, monkeypatch, capsys):
-    assert cli.main(["decode", str(file), "-o", str(tmp_path / "scene")]) == 0
+    assert main(["decode", str(file), "-o", str(tmp_path / "scene")]) == 0
 
     def full(*_):
         raise OSError(28, "No space left on device")
 
     monkeypatch.setattr(os, "replace", full)
-    assert cli.main(["encode", str(tmp_path / "scene"), "-o", str(file)]) == 64
+    assert main(["encode", str(tmp_path / "scene"), "-o", str(file)]) == 64
     assert "No space left" in capsys.readouterr().err
     assert file.read_bytes() == data
     assert sorted(os.listdir(tmp_path)) == ["scene", "scene.c3gs"]
 
 
 def test_output_that_is_no_plain_file(file, data, tmp_path, capsys):
-    assert cli.main(["decode", str(file), "-o", str(tmp_path / "scene")]) == 0
+    assert main(["decode", str(file), "-o", str(tmp_path / "scene")]) == 0
     done = subprocess.run(
         f"{sys.executable} -m refcodec encode {tmp_path / 'scene'} -o /dev/stdout | cat", shell=True, capture_output=True, check=False
     )
     assert (done.stdout, done.stderr) == (data, b"")
     (tmp_path / "link").symlink_to(file)
-    assert cli.main(["encode", str(tmp_path / "scene"), "-o", str(tmp_path / "link")]) == 0
+    assert main(["encode", str(tmp_path / "scene"), "-o", str(tmp_path / "link")]) == 0
     assert (tmp_path / "link").is_symlink()
     (tmp_path / "thesis.txt").write_text("precious")
-    assert cli.main(["encode", str(tmp_path / "scene"), "-o", str(tmp_path / "thesis.txt")]) == 64
+    assert main(["encode", str(tmp_path / "scene"), "-o", str(tmp_path / "thesis.txt")]) == 64
     assert (tmp_path / "thesis.txt").read_text() == "precious"
     no_verdict(capsys.readouterr().err)
 
@@ -403,8 +406,8 @@ def test_output_that_is_no_plain_file(file, data, tmp_path, capsys):
 def test_output_has_the_usual_rights(file, tmp_path):
     before = os.umask(0o022)
     try:
-        assert cli.main(["decode", str(file), "-o", str(tmp_path / "scene")]) == 0
-        assert cli.main(["encode", str(tmp_path / "scene"), "-o", str(tmp_path / "out")]) == 0
+        assert main(["decode", str(file), "-o", str(tmp_path / "scene")]) == 0
+        assert main(["encode", str(tmp_path / "scene"), "-o", str(tmp_path / "out")]) == 0
     finally:
         os.umask(before)
     files = [tmp_path / "out", *(tmp_path / "scene").iterdir()]
@@ -420,14 +423,14 @@ def test_fault_of_our_own(file, monkeypatch, capsys):
 
     monkeypatch.setattr(codec, "parse", broken)
     monkeypatch.delenv("REFCODEC_DEBUG", raising=False)
-    assert cli.main(["validate", str(file)]) == 70
+    assert main(["validate", str(file)]) == 70
     err = capsys.readouterr().err
     no_verdict(err)
     assert err.count("\n") == 1
     assert "report" in err
     monkeypatch.setenv("REFCODEC_DEBUG", "1")
     with pytest.raises(ZeroDivisionError):
-        cli.main(["validate", str(file)])
+        main(["validate", str(file)])
 
 
 def test_interrupt(file, tmp_path):
@@ -435,7 +438,7 @@ def test_interrupt(file, tmp_path):
     pipe = tmp_path / "pipe"
     os.mkfifo(pipe)
     # A shell starts what runs in the background with the signal ignored.
-    program = "import signal; signal.signal(signal.SIGINT, signal.default_int_handler)\nfrom refcodec.cli import main; exit(main())"
+    program = "import signal; signal.signal(signal.SIGINT, signal.default_int_handler)\nfrom refcodec.cli.main import main; exit(main())"
     process = subprocess.Popen([sys.executable, "-c", program, "validate", pipe], stderr=subprocess.PIPE, text=True)
     with pipe.open("wb") as writer:
         writer.write(b"\x89C3G")
@@ -477,27 +480,32 @@ def imported(code: str) -> set[str]:
 
 
 def test_help_imports_nothing_heavy():
-    modules = imported("from refcodec import cli; cli.main(['--version'])")
+    modules = imported("from refcodec.cli import main as cli; cli.main(['--version'])")
     assert not modules & {"numpy", "construct", "plyfile", "safetensors", "tqdm", "torch"}
 
 
 def test_decoding_never_imports_torch(file, tmp_path):
-    modules = imported(f"from refcodec import cli; cli.main(['decode', {str(file)!r}, '-o', {str(tmp_path / 's')!r}])")
+    modules = imported(f"from refcodec.cli import main as cli; cli.main(['decode', {str(file)!r}, '-o', {str(tmp_path / 's')!r}])")
     assert "numpy" in modules
-    assert not {m for m in modules if m.split(".")[0] in ("torch", "scipy") or m.startswith("refcodec.fit")}
-    modules = imported(f"from refcodec import cli; cli.main(['encode', {str(tmp_path / 's')!r}, '-o', {str(tmp_path / 'f')!r}])")
-    assert not {m for m in modules if m.split(".")[0] in ("torch", "scipy") or m.startswith("refcodec.fit")}
+    assert not {m for m in modules if m.split(".")[0] in ("torch", "scipy") or m.startswith("refcodec.train")}
+    modules = imported(
+        f"from refcodec.cli import main as cli; cli.main(['encode', {str(tmp_path / 's')!r}, '-o', {str(tmp_path / 'f')!r}])"
+    )
+    assert not {m for m in modules if m.split(".")[0] in ("torch", "scipy") or m.startswith("refcodec.train")}
 
 
-def test_nothing_but_fit_imports_torch():
-    # Looking at scenes has an extra of its own.
-    looking = {"refcodec.evaluation", "refcodec.lanes", "refcodec.rasterise", "refcodec.viewing", "refcodec.quality"}
-    names = [name for p in ROOT.glob("[!_]*.py") if (name := f"refcodec.{p.stem}") not in looking]
-    assert len(names) > 15
+def test_the_rooms_of_the_codec_import_nothing_heavy():
+    """Bytes to scene and back, and looking into a file, need neither training nor rendering, nor what these need."""
+    rooms = ("bitstream", "encoder", "folder", "inspect")
+    names = [f"refcodec.{room}.{p.stem}" for room in rooms for p in (ROOT / room).glob("[!_]*.py")]
+    assert len(names) > 30
     modules = imported(f"import importlib\nfor name in {names}: importlib.import_module(name)")
     assert set(names) <= modules
-    heavy = ("torch", "scipy", "numba", "PIL", "skimage")
-    assert not {m for m in modules if m.split(".")[0] in heavy or m.startswith(("refcodec.fit", "refcodec.train")) or m in looking}
+    heavy = {"torch", "scipy", "numba", "PIL", "skimage"}
+    assert not {m.split(".")[0] for m in modules} & heavy
+    loaded = {m.split(".")[1] for m in modules if m.startswith("refcodec.")}
+    assert not loaded - {*rooms, "render"}
+    assert {m for m in modules if m.startswith("refcodec.render.")} <= {"refcodec.render.camera"}
 
 
 # --- fit --------------------------------------------------------------------------------------------------------------
@@ -505,10 +513,10 @@ def test_nothing_but_fit_imports_torch():
 
 def test_fit_without_torch(tmp_path, monkeypatch, capsys):
     monkeypatch.setitem(sys.modules, "torch", None)
-    for name in [m for m in sys.modules if m.startswith("refcodec.fit")]:
+    for name in [m for m in sys.modules if m.startswith("refcodec.train")]:
         monkeypatch.delitem(sys.modules, name)
     (tmp_path / "points3D.txt").write_text("1 0 0 0 1 2 3 0\n")
-    assert cli.main(["fit", str(tmp_path / "points3D.txt"), "-o", str(tmp_path / "scene")]) == 64
+    assert main(["fit", str(tmp_path / "points3D.txt"), "-o", str(tmp_path / "scene")]) == 64
     err = capsys.readouterr().err
     no_verdict(err)
     assert "pip install 'refcodec[fit]'" in err
@@ -529,19 +537,19 @@ def points(tmp_path_factory) -> Path:
 
 def test_fit(points, tmp_path, capsys):
     scene, out = tmp_path / "scene", tmp_path / "scene.c3gs"
-    assert cli.main(["fit", str(points), "-o", str(scene), "--steps", "3"]) == 0
+    assert main(["fit", str(points), "-o", str(scene), "--steps", "3"]) == 0
     anchors = capsys.readouterr().out.split(" anchors")[0].split()[-1]
     assert 40 < int(anchors) <= 60
     assert os.listdir(tmp_path) == ["scene"]
-    assert cli.main(["encode", str(scene), "-o", str(out)]) == 0
-    assert cli.main(["validate", str(out)]) == 0
+    assert main(["encode", str(scene), "-o", str(out)]) == 0
+    assert main(["validate", str(out)]) == 0
     assert f"profile Main, {anchors} anchors" in capsys.readouterr().out
     # Its point cloud is one that fit takes, too.
-    assert cli.main(["fit", str(scene / "point_cloud.ply"), "-o", str(tmp_path / "second"), "--steps", "2", "--voxel", "0.01"]) == 0
+    assert main(["fit", str(scene / "point_cloud.ply"), "-o", str(tmp_path / "second"), "--steps", "2", "--voxel", "0.01"]) == 0
 
 
 def test_fit_is_interrupted_and_resumed(points, tmp_path, monkeypatch, capsys):
-    fitter = pytest.importorskip("refcodec.fit.fitter")
+    fitter = pytest.importorskip("refcodec.train.fit")
     scene, real = tmp_path / "scene", fitter.fit
 
     def stopped(*arguments, progress, **options):
@@ -553,17 +561,17 @@ def test_fit_is_interrupted_and_resumed(points, tmp_path, monkeypatch, capsys):
         return real(*arguments, progress=stop, **options)
 
     monkeypatch.setattr(fitter, "fit", stopped)
-    assert cli.main(["fit", str(points), "-o", str(scene), "--steps", "4"]) == 130
+    assert main(["fit", str(points), "-o", str(scene), "--steps", "4"]) == 130
     assert "--resume" in capsys.readouterr().err
     assert (scene / "scene.json").exists()
     monkeypatch.setattr(fitter, "fit", real)
     # Other settings are another fit; the state stays.
-    assert cli.main(["fit", str(points), "-o", str(scene), "--steps", "5", "--resume"]) == 64
-    assert cli.main(["fit", str(points), "-o", str(scene), "--steps", "4", "--resume"]) == 0
+    assert main(["fit", str(points), "-o", str(scene), "--steps", "5", "--resume"]) == 64
+    assert main(["fit", str(points), "-o", str(scene), "--steps", "4", "--resume"]) == 0
     assert os.listdir(tmp_path) == ["scene"]
-    assert cli.main(["fit", str(points), "-o", str(tmp_path / "at once"), "--steps", "4"]) == 0
+    assert main(["fit", str(points), "-o", str(tmp_path / "at once"), "--steps", "4"]) == 0
     assert read_folder(scene).planes.tobytes() == read_folder(tmp_path / "at once").planes.tobytes()
-    assert cli.main(["fit", str(points), "-o", str(scene), "--resume"]) == 64
+    assert main(["fit", str(points), "-o", str(scene), "--resume"]) == 64
     assert "nothing to resume" in capsys.readouterr().err
 
 
@@ -575,13 +583,13 @@ def test_fit_is_interrupted_and_resumed(points, tmp_path, monkeypatch, capsys):
 def test_fit_refuses(name, content, tmp_path, capsys):
     pytest.importorskip("torch")
     (tmp_path / name).write_bytes(content)
-    assert cli.main(["fit", str(tmp_path / name), "-o", str(tmp_path / "scene")]) == 64
+    assert main(["fit", str(tmp_path / name), "-o", str(tmp_path / "scene")]) == 64
     no_verdict(capsys.readouterr().err)
     assert os.listdir(tmp_path) == [name]
 
 
 def test_fit_refuses_other_shapes(file, tmp_path, capsys):
     pytest.importorskip("torch")
-    assert cli.main(["decode", str(file), "-o", str(tmp_path / "scene")]) == 0
-    assert cli.main(["fit", str(tmp_path / "scene" / "point_cloud.ply"), "-o", str(tmp_path / "new")]) == 64
+    assert main(["decode", str(file), "-o", str(tmp_path / "scene")]) == 0
+    assert main(["fit", str(tmp_path / "scene" / "point_cloud.ply"), "-o", str(tmp_path / "new")]) == 64
     assert "5 features and 2 offsets" in capsys.readouterr().err

@@ -21,9 +21,9 @@ for package in ("numba", "PIL", "skimage", "scipy"):
 
 from PIL import Image  # noqa: E402
 
-from refcodec import cli  # noqa: E402
-from refcodec.train import demo, runs  # noqa: E402
-from refcodec.train.page import Chart, File, Part, Result, Step, View, difference, page, readable  # noqa: E402
+from refcodec.cli.main import main  # noqa: E402
+from refcodec.experiments import demo, runs  # noqa: E402
+from refcodec.experiments.page import Chart, File, Part, Result, Step, View, difference, page, readable  # noqa: E402
 
 ROOT = Path(__file__).resolve().parent.parent
 FAKE = (sys.executable, str(ROOT / "tests" / "fake_refcodec.py"))
@@ -183,7 +183,7 @@ def fake(monkeypatch: pytest.MonkeyPatch) -> None:
 def test_demo(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     out = tmp_path / "out"
     command = ["demo", "-o", str(out), "--steps", "3"]
-    assert cli.main(command) == 0
+    assert main(command) == 0
     printed = capsys.readouterr()
     assert (out / "index.html").as_uri() in printed.out
     found = Reader((out / "index.html").read_text())
@@ -194,14 +194,14 @@ def test_demo(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert "CC0 1.0" in found.text
     assert "done before" not in printed.err
     # Again: nothing is done twice, but for what is missing and what is made of it.
-    assert cli.main(command) == 0
+    assert main(command) == 0
     assert capsys.readouterr().err.count("done before") == 6
     (out / "scene.c3gs").unlink()
-    assert cli.main(command) == 0
+    assert main(command) == 0
     assert capsys.readouterr().err.count("done before") == 3
     # A decoder that disagrees is no detail.
     (out / "decoded" / "scene.json").write_text((out / "decoded" / "scene.json").read_text().replace(scene["digest"]["whole"], "0" * 64))
-    assert cli.main(command) == 70
+    assert main(command) == 70
     assert "another one" in capsys.readouterr().err
 
 
@@ -210,9 +210,8 @@ def test_interrupted(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Ctrl-C once: both trainings keep what they have, and the page shows it. Going on is tested with rd."""
     out = tmp_path / "out"
     arguments = ["demo", "-o", str(out), "--steps", "400"]
-    program = (
-        f"import sys; from refcodec.train import runs; runs.PROGRAM = {FAKE!r}; from refcodec import cli; sys.exit(cli.main({arguments!r}))"
-    )
+    program = f"import sys; from refcodec.experiments import runs; runs.PROGRAM = {FAKE!r}\n"
+    program += f"from refcodec.cli.main import main; sys.exit(main({arguments!r}))"
     monkeypatch.setenv("FAKE_STEP", "20")
     with subprocess.Popen([sys.executable, "-c", program], stderr=subprocess.PIPE, stdout=subprocess.PIPE, text=True) as process:
         assert process.stderr is not None
@@ -231,7 +230,7 @@ def test_a_command_that_fails(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, c
     monkeypatch.setenv("FAKE_FAIL", "0.004")
     monkeypatch.setenv("FAKE_STEP", "10")
     # The other training would take minutes: it is stopped.
-    assert cli.main(["demo", "-o", str(tmp_path / "out"), "--steps", "100000"]) == 70
+    assert main(["demo", "-o", str(tmp_path / "out"), "--steps", "100000"]) == 70
     printed = capsys.readouterr().err
     assert "it went wrong" in printed
     assert "this command failed: refcodec train" in printed
@@ -239,7 +238,7 @@ def test_a_command_that_fails(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, c
 
 def test_what_is_wrong_is_said(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
     def refused(*arguments: str) -> str:
-        assert cli.main(["demo", *arguments]) == 64
+        assert main(["demo", *arguments]) == 64
         return capsys.readouterr().err
 
     mine = tmp_path / "mine"
@@ -266,7 +265,7 @@ def test_the_whole_way(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     pytest.importorskip("torch", reason="training needs the extra train")
     monkeypatch.setenv("PYTHONPATH", str(ROOT))
     out = tmp_path / "out"
-    assert cli.main(["demo", "-o", str(out), "--steps", "20"]) == 0
+    assert main(["demo", "-o", str(out), "--steps", "20"]) == 0
     found = Reader((out / "index.html").read_text())
     assert len(found.images()) == 2 + 4 * 10
     assert json.loads((out / "decoded" / "scene.json").read_text())["digest"]["whole"] in found.text

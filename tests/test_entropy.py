@@ -11,10 +11,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from refcodec import tables
-from refcodec.entropy import STATE_MIN, Decoder, Encoder, Substream, parse_substream, select
-from refcodec.errors import BitstreamError
-from refcodec.masks import mask_models
+from refcodec.bitstream import tables
+from refcodec.bitstream.entropy import STATE_MIN, Decoder, Encoder, Substream, parse_substream, select
+from refcodec.bitstream.errors import BitstreamError
+from refcodec.bitstream.masks import mask_models
 
 LIMIT = (1 << 23) - 1
 # Past every type, so that escapes of each length can be coded.

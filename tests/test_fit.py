@@ -10,13 +10,15 @@ import pytest
 torch = pytest.importorskip("torch")
 pytest.importorskip("scipy")
 
-from refcodec import codec  # noqa: E402
-from refcodec.container import ATTRIBUTES, PLANES_SECTION, parse_container  # noqa: E402
-from refcodec.entropy import select  # noqa: E402
-from refcodec.fit import fitter, ideal, model, voxelise  # noqa: E402
-from refcodec.networks import IntNetwork, derive_layer  # noqa: E402
-from refcodec.scene import Dimensions  # noqa: E402
-from refcodec.tables import tables  # noqa: E402
+from benchmarks import ideal  # noqa: E402
+from refcodec.bitstream import codec, planes  # noqa: E402
+from refcodec.bitstream.codec import parse_container  # noqa: E402
+from refcodec.bitstream.dimensions import Dimensions  # noqa: E402
+from refcodec.bitstream.directory import ATTRIBUTES, PLANES_SECTION  # noqa: E402
+from refcodec.bitstream.entropy import select  # noqa: E402
+from refcodec.bitstream.networks import IntNetwork, derive_layer  # noqa: E402
+from refcodec.bitstream.tables import tables  # noqa: E402
+from refcodec.train import fit, rate_model, voxelise  # noqa: E402
 
 STEPS = 40
 VOXEL = voxelise.short_mantissa(0.1)
@@ -44,7 +46,7 @@ def cloud():
 
 @pytest.fixture(scope="module")
 def result(cloud):
-    return fitter.fit(cloud, voxel=VOXEL, steps=STEPS, plane_size=8)
+    return fit.fit(cloud, voxel=VOXEL, steps=STEPS, plane_size=8)
 
 
 def test_readers(tmp_path):
@@ -84,13 +86,13 @@ def test_tiny_clouds(count):
     cloud = voxelise.voxelise(found.points, found.colours)
     assert cloud.features.shape == (len(cloud.positions), 50)
     assert all(np.isfinite(a).all() for a in (cloud.features, cloud.scalings, cloud.offsets))
-    scene = fitter.fit(cloud, steps=3, plane_size=4).scene
+    scene = fit.fit(cloud, steps=3, plane_size=4).scene
     data = codec.emit(scene)
     assert codec.emit(codec.parse(data).scene) == data
 
 
 def test_a_cloud_that_keeps_no_offset_gives_an_empty_scene(cloud):
-    result = fitter.fit(replace(cloud, masks=np.zeros_like(cloud.masks)), steps=3)
+    result = fit.fit(replace(cloud, masks=np.zeros_like(cloud.masks)), steps=3)
     assert result.report["dropped"] == len(cloud.positions)
     assert result.scene.anchor_count == 0
     data = codec.emit(result.scene)
@@ -99,7 +101,7 @@ def test_a_cloud_that_keeps_no_offset_gives_an_empty_scene(cloud):
 
 def test_a_lattice_too_wide_for_fp16_falls_back_to_a_grid_without_it():
     wide = points(50).points * np.array([1, 1, 1e6], np.float32)
-    scene = fitter.fit(voxelise.voxelise(wide, points(50).colours, 0.5), voxel=0.5, steps=1, plane_size=2).scene
+    scene = fit.fit(voxelise.voxelise(wide, points(50).colours, 0.5), voxel=0.5, steps=1, plane_size=2).scene
     assert scene.grid.scale_mantissa * 2.0**scene.grid.scale_exponent > 0.5
     codec.emit(scene)
 
@@ -112,7 +114,7 @@ def test_an_empty_cloud_and_a_bad_voxel_are_refused():
 
 
 def test_display_networks_show_the_colours():
-    d = fitter.default_dimensions(voxelise.voxelise(np.zeros((1, 3), np.float32), np.zeros((1, 3), np.uint8)), 8)
+    d = fit.default_dimensions(voxelise.voxelise(np.zeros((1, 3), np.float32), np.zeros((1, 3), np.uint8)), 8)
     networks = voxelise.display_networks(d)
     x = np.zeros((1, 54), np.float32)
     x[0, :3] = [1.5, -2.0, 0.25]
@@ -133,7 +135,7 @@ def test_bits_and_their_gradient_are_those_of_the_distributions():
     rng = np.random.default_rng(0)
     mean, scale = rng.normal(0, 40, 200), rng.uniform(-30, 40, 200)
     symbol = np.round(mean / 16 + rng.normal(0, 1, 200) * 2 ** (scale / 8))
-    for family, function in (("gauss", model.gauss_bits), ("laplace", model.laplace_bits)):
+    for family, function in (("gauss", rate_model.gauss_bits), ("laplace", rate_model.laplace_bits)):
         exact = ideal.bin_bits(family, mean / 16, scale / 8, symbol)
         ours = function(torch.tensor(mean), torch.tensor(scale), torch.tensor(symbol)).numpy()
         likely = exact < 8
@@ -167,7 +169,7 @@ def test_bin_bits_are_those_of_the_frequency_models():
 def test_folding_is_exact_and_the_integers_follow():
     generator = torch.Generator().manual_seed(1)
     units = torch.exp2(torch.randint(2, 8, (6,), generator=generator).float())
-    network = model.FoldedMlp([6, 12, 4], units, torch.tensor([16.0, 64.0, 8.0, 8.0]), generator, 0.5)
+    network = rate_model.FoldedMlp([6, 12, 4], units, torch.tensor([16.0, 64.0, 8.0, 8.0]), generator, 0.5)
     inputs = torch.randint(-1023, 1024, (500, 6), generator=generator).float()
     network.calibrate(inputs)
     layers = network.layers()
@@ -187,18 +189,16 @@ def test_the_scene_can_be_written_and_read(result):
 
 def test_contexts_in_training_are_those_of_the_codec(result):
     scene = result.scene
-    data = fitter._Data(scene)
+    data = fit._Data(scene)
     found = data.context(torch.tensor(scene.planes.astype(np.float32)), torch.arange(data.count), True).numpy()
-    networks = codec.derive_networks(scene.dimensions, scene.carm_shift, scene.networks)
-    full = codec.assemble_planes(scene.planes)
-    wanted = networks.contexts(scene, scene.frame, full, scene.plane_shift, scene.positions)
+    full, wanted = planes.assemble_planes(scene.planes), codec.Coding(scene).contexts()
     assert np.array_equal(found, wanted)
     exact = ideal.float_context(scene, tuple(p.astype(float) for p in full), scene.positions)
     assert np.abs(exact[:, :18] - wanted[:, :18]).max() < 8
 
 
 def test_training_pays_and_the_coded_size_is_close_to_the_ideal(cloud, result):
-    untrained = fitter.fit(cloud, voxel=VOXEL, steps=0, plane_size=8)
+    untrained = fit.fit(cloud, voxel=VOXEL, steps=0, plane_size=8)
     assert len(codec.emit(result.scene)) < len(codec.emit(untrained.scene))
     data = codec.emit(result.scene)
     sections = parse_container(data).sections
@@ -210,14 +210,14 @@ def test_training_pays_and_the_coded_size_is_close_to_the_ideal(cloud, result):
     assert abs(attributes.table / attributes.capped - 1) < 0.005
     assert abs(attributes.integer / attributes.capped - 1) < 0.002
     assert attributes.capped <= attributes.ideal
-    bits = fitter.ideal_bits(result)
+    bits = fit.ideal_bits(result)
     assert bits == {"attributes": attributes.ideal, "planes": planes.ideal}
     assert attributes.table < ideal.order_zero_bits(result.scene)["attributes"]
 
 
 def test_a_training_that_was_stopped_goes_on_to_the_same_result(cloud, tmp_path):
     settings = {"voxel": VOXEL, "steps": 12, "plane_size": 4}
-    whole = fitter.fit(cloud, **settings)
+    whole = fit.fit(cloud, **settings)
 
     def stop(stage: str, done: int, total: int) -> None:
         assert (stage, total) == ("fit", 12)
@@ -225,13 +225,13 @@ def test_a_training_that_was_stopped_goes_on_to_the_same_result(cloud, tmp_path)
             raise KeyboardInterrupt
 
     state = tmp_path / "new" / "folder" / "state"
-    stopped = fitter.fit(cloud, **settings, progress=stop, state=state)
+    stopped = fit.fit(cloud, **settings, progress=stop, state=state)
     assert stopped.report["steps"] == 5
     codec.emit(stopped.scene)
-    resumed = fitter.fit(cloud, **settings, state=state)
+    resumed = fit.fit(cloud, **settings, state=state)
     assert codec.emit(resumed.scene) == codec.emit(whole.scene)
     with pytest.raises(ValueError, match="belongs to"):
-        fitter.fit(cloud, **settings, seed=1, state=state)
+        fit.fit(cloud, **settings, seed=1, state=state)
     state.write_bytes(b"\x80\x04N.")  # a pickle is not read
     with pytest.raises(ValueError, match="cannot be read"):
-        fitter.fit(cloud, **settings, state=state)
+        fit.fit(cloud, **settings, state=state)

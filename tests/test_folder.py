@@ -14,12 +14,18 @@ import pytest
 from plyfile import PlyData, PlyElement
 from safetensors.numpy import load_file, save_file
 
-from conformance.scenes import MAIN_DIMENSIONS, random_scene, with_steps, without_chunks
-from refcodec import codec, folder
-from refcodec.folder import SceneFolderError, read_folder, write_folder
-from refcodec.quantise import pack_positions, pack_weights
-from refcodec.reconstruction import reconstruct
-from refcodec.scene import Dimensions, RenderInfo
+from conformance.cases.random_scenes import MAIN_DIMENSIONS, random_scene, with_steps, without_chunks
+from refcodec.bitstream import codec
+from refcodec.bitstream.dimensions import Dimensions
+from refcodec.bitstream.header import RenderInfo
+from refcodec.bitstream.reconstruction import reconstruct
+from refcodec.bitstream.scene import take_anchors
+from refcodec.encoder.positions import pack_positions
+from refcodec.encoder.weights import pack_weights
+from refcodec.folder import ply, write
+from refcodec.folder.layout import SceneFolderError
+from refcodec.folder.read import read_folder
+from refcodec.folder.write import write_folder
 
 NO_CARM = Dimensions(1, (4,), 1, 1, 2, (3,), (2,), (), 2)
 DEEP = Dimensions(3, (1, 2, 1), 2, 3, 5, (6, 7), (3,), (4, 5), 4)
@@ -105,7 +111,7 @@ def refused(path: Path, *words: str) -> SceneFolderError:
 
 def test_ply_layout(scene, made):
     vertex = PlyData.read(str(made / "point_cloud.ply"))["vertex"]
-    assert [p.name for p in vertex.properties] == folder.ply_properties(2, 5)
+    assert [p.name for p in vertex.properties] == ply.ply_properties(2, 5)
     assert {p.val_dtype for p in vertex.properties} == {"f4"}
     assert (made / "point_cloud.ply").read_bytes().startswith(b"ply\nformat binary_little_endian 1.0\n")
     values = reconstruct(scene)
@@ -157,7 +163,7 @@ def test_interrupted_while_writing(scene, made, tmp_path, monkeypatch):
     def interrupted(*_):
         raise KeyboardInterrupt
 
-    monkeypatch.setattr(folder, "_scene_document", interrupted)
+    monkeypatch.setattr(write, "_scene_document", interrupted)
     for path in (made, tmp_path / "new"):
         with pytest.raises(KeyboardInterrupt):
             write_folder(random_scene(12, 4), path)
@@ -404,13 +410,13 @@ def test_header_edits_are_encoded(made, scene):
 def by_position(scene):
     """Anchors in an order of their own."""
     order = np.lexsort(scene.positions.T)
-    return codec.take_anchors(scene, order)
+    return take_anchors(scene, order)
 
 
 def test_requantised_reconstruction_is_the_same_scene(made, scene):
     """Values on the lattice of their steps give the same symbols again; anchors are sorted, empty ones dropped."""
     (made / "coded.safetensors").unlink()
-    found, wanted = by_position(read_folder(made)), by_position(codec.take_anchors(scene, scene.masks.any(axis=1)))
+    found, wanted = by_position(read_folder(made)), by_position(take_anchors(scene, scene.masks.any(axis=1)))
     for kind in ("features", "scalings", "offsets", "steps"):
         assert np.array_equal(getattr(found.attributes, kind), getattr(wanted.attributes, kind)), kind
     assert found.positions.tobytes() == wanted.positions.tobytes()
@@ -449,7 +455,7 @@ def trained(path: Path, masks: np.ndarray | None, count: int = 4) -> dict[str, n
 def test_read_cloud(tmp_path):
     file = tmp_path / "point_cloud.ply"
     columns = trained(file, None)
-    cloud = folder.read_cloud(file)
+    cloud = ply.read_cloud(file)
     assert np.array_equal(cloud.positions[:, 2], columns["z"])
     assert np.array_equal(cloud.offsets[:, 1, 2], columns["f_offset_5"])
     assert np.array_equal(cloud.offsets[:, 0, 1], columns["f_offset_2"])
@@ -469,11 +475,11 @@ def test_read_cloud(tmp_path):
 )
 def test_read_cloud_masks(tmp_path, values, wanted):
     trained(tmp_path / "p.ply", np.array(values))
-    assert folder.read_cloud(tmp_path / "p.ply").masks.astype(int).tolist() == wanted
+    assert ply.read_cloud(tmp_path / "p.ply").masks.astype(int).tolist() == wanted
 
 
 def test_read_cloud_of_a_scene_folder(made, scene):
-    cloud = folder.read_cloud(made / "point_cloud.ply")
+    cloud = ply.read_cloud(made / "point_cloud.ply")
     assert np.array_equal(cloud.masks, scene.masks)
     assert np.array_equal(cloud.offsets, reconstruct(scene).offsets)
 
@@ -486,26 +492,26 @@ def test_read_cloud_refuses(tmp_path, prefix, words):
     trained(file, None)
     rewrite_ply(file, without(prefix))
     with pytest.raises(SceneFolderError, match=words):
-        folder.read_cloud(file)
+        ply.read_cloud(file)
 
 
 def test_read_cloud_refuses_more(tmp_path):
     file = tmp_path / "p.ply"
     with pytest.raises(SceneFolderError, match="no such file"):
-        folder.read_cloud(file)
+        ply.read_cloud(file)
     trained(file, np.ones((4, 3)))
     with pytest.raises(SceneFolderError, match="f_mask_"):
-        folder.read_cloud(file)
+        ply.read_cloud(file)
     trained(file, None)
     rewrite_ply(file, without("f_offset_2"))
     with pytest.raises(SceneFolderError, match="numbered"):
-        folder.read_cloud(file)
+        ply.read_cloud(file)
     trained(file, None)
     rewrite_ply(file, lambda t: put(0, np.nan)(t["scale_0"]) is None or t)
     with pytest.raises(SceneFolderError, match="NaN"):
-        folder.read_cloud(file)
+        ply.read_cloud(file)
     file.write_bytes(
         b"ply\nformat ascii 1.0\nelement vertex 1\nproperty list uchar float x\nproperty float y\nproperty float z\nend_header\n1 2 3 4\n"
     )
     with pytest.raises(SceneFolderError, match="f_offset"):
-        folder.read_cloud(file)
+        ply.read_cloud(file)

@@ -9,10 +9,10 @@ from pathlib import Path
 
 import pytest
 
-from conformance import grading
-from conformance.grading import Found, Judgement
 from conformance.manifest import Accepted, Budget, Input, Manifest, Rejected, Vector
-from conformance.process import Ended
+from conformance.runner import grading
+from conformance.runner.grading import Found, Judgement
+from conformance.runner.process import Ended
 
 OUTPUT = b"the canonical reconstruction"
 DIGEST = hashlib.sha256(OUTPUT).hexdigest()

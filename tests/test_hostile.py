@@ -12,13 +12,16 @@ import pytest
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
-from conformance.files import Target, repair, resized, substreams
-from conformance.scenes import MAIN_DIMENSIONS, TINY_DIMENSIONS, random_scene
-from conformance.strategies import mutations, scenes, splices
-from refcodec import codec, container
-from refcodec.errors import REGISTRY, BitstreamError
-from refcodec.limits import MAIN, PROFILES, TINY, dimension_fault
-from refcodec.scene import Dimensions, Lanes, Scene
+from conformance.cases.files import Target, repair, resized, substreams
+from conformance.cases.random_scenes import MAIN_DIMENSIONS, TINY_DIMENSIONS, random_scene
+from conformance.fuzz.strategies import mutations, scenes, splices
+from refcodec.bitstream import codec, directory, header
+from refcodec.bitstream.codec import parse_container
+from refcodec.bitstream.dimensions import Dimensions
+from refcodec.bitstream.errors import REGISTRY, BitstreamError
+from refcodec.bitstream.header import Lanes
+from refcodec.bitstream.limits import MAIN, PROFILES, TINY, dimension_fault
+from refcodec.bitstream.scene import Scene
 
 SMALLEST = Dimensions(1, (1, 1), 1, 1, 2, (2,), (2,), (2,), 1)
 SMALL_FILE = codec.emit(random_scene(31, 5, SMALLEST, chunk_size=2, lanes=Lanes(0, 0, 0)))
@@ -99,7 +102,7 @@ def test_bytes_of_a_substream_taken_out_or_put_in(data: bytes) -> None:
 
 def test_every_substream_longer_and_shorter() -> None:
     """Each substream one byte longer, one byte shorter, and empty: refused where it starts."""
-    sections = container.parse_container(FILE).sections
+    sections = parse_container(FILE).sections
     for kind, at, length, length_at in substreams(FILE):
         head, tail = FILE[sections[kind].start : at], FILE[at + length : sections[kind].end]
         part = FILE[at : at + length]
@@ -119,7 +122,7 @@ def test_any_scene_changed_with_checksums_repaired(data: st.DataObject, scene: S
 
 def test_keep_going_with_single_bit_flips() -> None:
     """One bit of each byte, without any checksum repaired: an error, or damage to one chunk at most."""
-    first = container.parse_container(SMALL_FILE).sections[container.POSITIONS].start
+    first = parse_container(SMALL_FILE).sections[directory.POSITIONS].start
     for at in range(len(SMALL_FILE)):
         data = Target(SMALL_FILE).put(at, bytes([SMALL_FILE[at] ^ (1 << at * 5 % 8)]))
         try:
@@ -139,7 +142,7 @@ def test_random_bytes(data: bytes) -> None:
 @given(st.binary(max_size=400))
 @example(b"")
 def test_random_bytes_behind_a_prologue(data: bytes) -> None:
-    head = struct.pack("<8sII", container.SIGNATURE, 0, max(4, len(data)))
+    head = struct.pack("<8sII", header.SIGNATURE, 0, max(4, len(data)))
     assert refused(head + struct.pack("<I", zlib.crc32(head)) + data) is not None
 
 
@@ -147,7 +150,7 @@ def test_random_bytes_behind_a_prologue(data: bytes) -> None:
 
 TARGET = Target(FILE)
 TABLE = TARGET.entries
-ATTRIBUTES = TARGET.start(container.ATTRIBUTES)
+ATTRIBUTES = TARGET.start(directory.ATTRIBUTES)
 NAN = struct.pack("<f", float("nan"))
 
 
@@ -200,7 +203,7 @@ FRAME = [
 @pytest.mark.requirement("R6.7-1")
 @pytest.mark.parametrize(("at", "form", "value"), FRAME)
 def test_frame(at: int, form: str, value: int) -> None:
-    offset = TARGET.start(container.FRAME) + at
+    offset = TARGET.start(directory.FRAME) + at
     error = refused(repair(TARGET.put(offset, struct.pack(form, value))))
     assert error is not None
     assert (error.kind.name, error.offset) == ("frame.range", offset)
@@ -209,7 +212,7 @@ def test_frame(at: int, form: str, value: int) -> None:
 @pytest.mark.requirement("R6.7-1")
 @pytest.mark.parametrize("axis", range(3))
 def test_frame_bounds_without_extent(axis: int) -> None:
-    at = TARGET.start(container.FRAME) + 64 + 4 * axis
+    at = TARGET.start(directory.FRAME) + 64 + 4 * axis
     error = refused(repair(TARGET.put(at + 12, FILE[at : at + 4])))
     assert error is not None
     assert (error.kind.name, error.offset) == ("frame.range", at + 12)
@@ -251,7 +254,7 @@ GREEDY = {
     "anchor_count": lambda: field("anchor_count", HUGE),
     "chunk_size": lambda: field("chunk_size", HUGE),
     "section length": lambda: field("directory[6].length", HUGE),
-    "plane length": lambda: repair(TARGET.put(TARGET.start(container.PLANES_SECTION) + 8, HUGE)),
+    "plane length": lambda: repair(TARGET.put(TARGET.start(directory.PLANES_SECTION) + 8, HUGE)),
     "position length": lambda: repair(TARGET.put(TABLE, HUGE)),
     "mask length": lambda: repair(TARGET.put(TABLE + 8, HUGE)),
     "attribute length": lambda: repair(TARGET.put(TABLE + 16, HUGE)),

@@ -12,31 +12,33 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from test_hostile import refused
 
-from conformance.files import layout, repair
-from conformance.scenes import MAIN_DIMENSIONS, random_scene, without_chunks
-from refcodec import codec, container, syntax
-from refcodec.errors import BitstreamError
-from refcodec.scene import Dimensions, Lanes
+from conformance.cases.files import layout, repair
+from conformance.cases.random_scenes import MAIN_DIMENSIONS, random_scene, without_chunks
+from refcodec.bitstream import codec, directory, header, syntax
+from refcodec.bitstream.codec import parse_container
+from refcodec.bitstream.dimensions import Dimensions
+from refcodec.bitstream.errors import BitstreamError
+from refcodec.bitstream.header import Lanes
 
 SCENE = random_scene(41, 9, Dimensions(2, (1, 2), 1, 1, 3, (2,), (2,), (2,), 1), chunk_size=4, lanes=Lanes(0, 1, 0), spread=20)
 DATA = codec.emit(replace(SCENE, extensions=((3, 7, b"abc"),)))
-SPAN = {kind: (s.start, s.end) for kind, s in container.parse_container(DATA).sections.items()}
+SPAN = {kind: (s.start, s.end) for kind, s in parse_container(DATA).sections.items()}
 
 
 def elements() -> list[tuple[int, int]]:
     """(offset, bytes) of each element: header, frame, scales, weights, plane table, chunk table, positions, substream heads, states."""
-    found = [(e.start, e.end - e.start) for e in syntax.parse_elements("Header", DATA, container.PROLOGUE_BYTES)]
-    found += [(e.start, e.end - e.start) for e in syntax.parse_elements("Frame", DATA, SPAN[container.FRAME][0])]
-    at, end = SPAN[container.WEIGHTS]
+    found = [(e.start, e.end - e.start) for e in syntax.parse_elements("Header", DATA, header.PROLOGUE_BYTES)]
+    found += [(e.start, e.end - e.start) for e in syntax.parse_elements("Frame", DATA, SPAN[directory.FRAME][0])]
+    at, end = SPAN[directory.WEIGHTS]
     found += [(at, 1), (at + 1, 1), (at + 2, 1)] + [(a, 4) for a in range(at + 3, end, 4)]
-    at = SPAN[container.PLANES_SECTION][0]
+    at = SPAN[directory.PLANES_SECTION][0]
     lengths = struct.unpack_from("<5I", DATA, at)
     found += [(at + 4 * i, 4) for i in range(5)]
     streams = [at + 20 + sum(lengths[:i]) for i in range(5)]
-    table = SPAN[container.CHUNK_TABLE][0] + 6
-    found += [(table - 6 + 2 * i, 2) for i in range(3)] + [(a, 4) for a in range(table, SPAN[container.CHUNK_TABLE][1], 4)]
-    found += [(a, 2) for a in range(*SPAN[container.POSITIONS], 2)]
-    for kind, column in ((container.MASKS, 8), (container.ATTRIBUTES, 16)):
+    table = SPAN[directory.CHUNK_TABLE][0] + 6
+    found += [(table - 6 + 2 * i, 2) for i in range(3)] + [(a, 4) for a in range(table, SPAN[directory.CHUNK_TABLE][1], 4)]
+    found += [(a, 2) for a in range(*SPAN[directory.POSITIONS], 2)]
+    for kind, column in ((directory.MASKS, 8), (directory.ATTRIBUTES, 16)):
         start = SPAN[kind][0]
         for chunk in range(3):
             streams.append(start)
@@ -72,7 +74,7 @@ def test_any_field_at_any_edge(data: bytes) -> None:
 def test_each_field_at_each_edge() -> None:
     """Every element alone, at zero, at all ones and with its highest bit changed."""
     names = set()
-    weights = range(SPAN[container.WEIGHTS][0] + 15, SPAN[container.WEIGHTS][1])
+    weights = range(SPAN[directory.WEIGHTS][0] + 15, SPAN[directory.WEIGHTS][1])
     # Of the weights a few are enough: they are alike.
     for at, size in (e for e in ELEMENTS if e[0] not in weights):
         for change in (0, (1 << 8 * size) - 1, int.from_bytes(DATA[at : at + size], "little") ^ 1 << (8 * size - 1)):
@@ -106,7 +108,7 @@ def test_a_header_of_many_chunks_allocates_little(keep_going: bool) -> None:
 @pytest.mark.parametrize("cut", range(0, 400, 7))
 def test_keep_going_at_every_cut(cut: int) -> None:
     """Whatever is lost, the damage names it, within the file, and the rest is as it was."""
-    start = SPAN[container.POSITIONS][0]
+    start = SPAN[directory.POSITIONS][0]
     length = min(start + cut, len(DATA))
     parsed = codec.parse(DATA[:length], keep_going=True)
     for error in parsed.damage.values():
@@ -116,10 +118,10 @@ def test_keep_going_at_every_cut(cut: int) -> None:
     assert parsed.scene.positions.tobytes() == wanted.positions.tobytes()
     assert np.array_equal(parsed.scene.attributes.features, wanted.attributes.features)
     # A chunk is damaged exactly when one of its parts is not all there.
-    table = SPAN[container.CHUNK_TABLE][0] + 6
+    table = SPAN[directory.CHUNK_TABLE][0] + 6
     for chunk in range(3):
         ends = []
-        for column, kind in enumerate(container.CHUNKED):
+        for column, kind in enumerate(directory.CHUNKED):
             sizes = [struct.unpack_from("<I", DATA, table + 24 * c + 8 * column)[0] for c in range(chunk + 1)]
             ends.append(SPAN[kind][0] + sum(sizes))
         assert (chunk in parsed.damage) == (max(ends) > length)
@@ -135,6 +137,6 @@ def test_keep_going_does_not_decode_what_is_lost(monkeypatch: pytest.MonkeyPatch
         return real(*arguments)
 
     monkeypatch.setattr(codec, "context", counted)
-    parsed = codec.parse(DATA[: SPAN[container.POSITIONS][0]], keep_going=True)
+    parsed = codec.parse(DATA[: SPAN[directory.POSITIONS][0]], keep_going=True)
     assert sorted(parsed.damage) == [0, 1, 2]
     assert sum(rows) == 0

@@ -14,18 +14,20 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from conformance import cli, fuzz, independent
-from conformance.faults import FAULTS, Fault, draw_fault
-from conformance.files import Target, repair, resized
-from conformance.independent import container as second_container
+from conformance import cli, independent
+from conformance.cases.faults import FAULTS, Fault, draw_fault
+from conformance.cases.files import Target, repair, resized
+from conformance.cases.random_scenes import MAIN_DIMENSIONS, random_scene
+from conformance.fuzz import compare
+from conformance.independent import conventions, limits
 from conformance.independent import errors as second_errors
-from conformance.independent import operators
-from conformance.scenes import MAIN_DIMENSIONS, random_scene
-from refcodec import codec, container, reconstruction
-from refcodec.errors import REGISTRY, BitstreamError
-from refcodec.limits import PROFILES, Profile
-from refcodec.quantise import pack_weights, position_model
-from refcodec.scene import Dimensions, Lanes
+from refcodec.bitstream import codec, directory, reconstruction
+from refcodec.bitstream.dimensions import Dimensions
+from refcodec.bitstream.errors import REGISTRY, BitstreamError
+from refcodec.bitstream.header import Lanes
+from refcodec.bitstream.limits import PROFILES, Profile
+from refcodec.encoder.positions import position_model
+from refcodec.encoder.weights import pack_weights
 
 ROOT = Path(__file__).resolve().parent.parent
 SOURCES = sorted((ROOT / "conformance" / "independent").glob("*.py"))
@@ -63,7 +65,7 @@ def faulty(draw: st.DrawFn, name: str) -> Fault:
 def test_fault(name: str, data: st.DataObject) -> None:
     """Both decoders refuse a file with one fault by its code, at its offset."""
     fault = data.draw(faulty(name))
-    verdict, wrong = fuzz.compare(fault.data, (fault.name, fault.offset))
+    verdict, wrong = compare.compare(fault.data, (fault.name, fault.offset))
     assert wrong is None, wrong
     assert verdict == (name, fault.offset)
     with pytest.raises(BitstreamError) as caught:
@@ -79,46 +81,46 @@ def test_fault(name: str, data: st.DataObject) -> None:
 
 
 @pytest.mark.requirement("D2.1-1", "D7.7-1", "D7.8-1", "D7.9-1", "D7.10-1", "D10.1-1")
-@given(fuzz.families())
+@given(compare.families())
 @settings(max_examples=40)
-def test_decoders_agree(made: list[tuple[bytes, fuzz.Verdict | None]]) -> None:
+def test_decoders_agree(made: list[tuple[bytes, compare.Verdict | None]]) -> None:
     for data, expected in made:
-        _, wrong = fuzz.compare(data, expected)
+        _, wrong = compare.compare(data, expected)
         assert wrong is None, wrong
 
 
 def test_a_main_file() -> None:
     data = codec.emit(random_scene(38, 40, replace(MAIN_DIMENSIONS, plane_size=5), chunk_size=256))
-    assert fuzz.compare(data)[1] is None
+    assert compare.compare(data)[1] is None
 
 
 def test_the_comparison_can_fail(monkeypatch: pytest.MonkeyPatch) -> None:
     """A decoder that differs, one that fails otherwise, one that hangs, and one that accepts what is not canonical are found."""
     data = EXAMPLE.read_bytes()
-    assert fuzz.compare(data)[1] is None
-    assert "expected was" in str(fuzz.compare(data, ("prologue.crc", 16))[1])
+    assert compare.compare(data)[1] is None
+    assert "expected was" in str(compare.compare(data, ("prologue.crc", 16))[1])
     with monkeypatch.context() as m:
         m.setattr(independent, "digest", lambda scene: "0")
-        assert "the second decoder" in str(fuzz.compare(data)[1])
+        assert "the second decoder" in str(compare.compare(data)[1])
     with monkeypatch.context() as m:
         m.setattr(independent, "decode", lambda data: {}["x"])
-        assert "KeyError" in str(fuzz.compare(data)[1])
+        assert "KeyError" in str(compare.compare(data)[1])
     with monkeypatch.context() as m:
         m.setattr(codec, "emit", lambda scene: b"")
-        assert "accepted, but" in str(fuzz.compare(data)[1])
+        assert "accepted, but" in str(compare.compare(data)[1])
     with monkeypatch.context() as m:
-        m.setattr(fuzz, "FILE_SECONDS", 1)
+        m.setattr(compare, "FILE_SECONDS", 1)
         m.setattr(independent, "decode", lambda data: [None for _ in iter(int, 1)])
-        assert "BudgetError" in str(fuzz.compare(data)[1])
+        assert "BudgetError" in str(compare.compare(data)[1])
 
 
 def test_sections_of_no_anchors_grow() -> None:
     """Of empty sections at one place only those behind the one that grows move."""
     data = codec.emit(random_scene(5, 0))
-    for kind in (container.POSITIONS, container.MASKS, container.ATTRIBUTES):
-        verdict, wrong = fuzz.compare(resized(data, kind, b"\0"))
+    for kind in (directory.POSITIONS, directory.MASKS, directory.ATTRIBUTES):
+        verdict, wrong = compare.compare(resized(data, kind, b"\0"))
         assert wrong is None
-        assert verdict[0] == ("directory.length" if kind == container.POSITIONS else "chunks.length")
+        assert verdict[0] == ("directory.length" if kind == directory.POSITIONS else "chunks.length")
 
 
 def saying(code: int, offset: str, status: int) -> list[str]:
@@ -138,13 +140,13 @@ def saying(code: int, offset: str, status: int) -> list[str]:
     ],
 )
 def test_another_decoder_is_compared(command: list[str], what: str) -> None:
-    wrong = fuzz.compare(EXAMPLE.read_bytes(), None, command)[1]
+    wrong = compare.compare(EXAMPLE.read_bytes(), None, command)[1]
     assert wrong is not None
     assert what in wrong
     right = [sys.executable, "-m", "conformance.independent", "decode", "{input}", "{output}"]
-    assert fuzz.compare(EXAMPLE.read_bytes(), None, right)[1] is None
+    assert compare.compare(EXAMPLE.read_bytes(), None, right)[1] is None
     refused = EXAMPLE.read_bytes()[:9]
-    assert fuzz.compare(refused, None, right) == (("prologue.truncated", 9), None)
+    assert compare.compare(refused, None, right) == (("prologue.truncated", 9), None)
 
 
 class Here:
@@ -164,13 +166,13 @@ class Here:
 
 def in_this_process(monkeypatch: pytest.MonkeyPatch) -> None:
     """Small batches, without processes of their own."""
-    monkeypatch.setattr(fuzz.multiprocessing, "get_context", lambda kind: type("Context", (), {"Pool": Here}))
-    monkeypatch.setattr(fuzz, "BATCH_SCENES", 3)
+    monkeypatch.setattr(compare.multiprocessing, "get_context", lambda kind: type("Context", (), {"Pool": Here}))
+    monkeypatch.setattr(compare, "BATCH_SCENES", 3)
 
 
 def test_a_batch_is_the_same_again(monkeypatch: pytest.MonkeyPatch) -> None:
     in_this_process(monkeypatch)
-    first, second = fuzz.run_batch(7), fuzz.run_batch(7)
+    first, second = compare.run_batch(7), compare.run_batch(7)
     assert first == second
     assert sum(first.seen.values()) > 40
     assert not first.wrong
@@ -179,15 +181,15 @@ def test_a_batch_is_the_same_again(monkeypatch: pytest.MonkeyPatch) -> None:
 def test_fuzz_notes_what_is_done(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
     in_this_process(monkeypatch)
     state = tmp_path / "state.json"
-    assert fuzz.run(1, 3, 1, state, tmp_path / "keep", []) == 0
+    assert compare.run(1, 3, 1, state, tmp_path / "keep", []) == 0
     saved = json.loads(state.read_text())
     assert saved["batches"] == [3]
-    assert fuzz.run(1, 3, 1, state, tmp_path / "keep", []) == 0
+    assert compare.run(1, 3, 1, state, tmp_path / "keep", []) == 0
     assert json.loads(state.read_text()) == saved, "nothing is done twice"
     with pytest.raises(SystemExit, match="seed 3"):
-        fuzz.run(1, 4, 1, state, tmp_path / "keep", [])
+        compare.run(1, 4, 1, state, tmp_path / "keep", [])
     with pytest.raises(SystemExit, match="another decoder"):
-        fuzz.run(1, 3, 1, state, tmp_path / "keep", ["true", "{input}", "{output}"])
+        compare.run(1, 3, 1, state, tmp_path / "keep", ["true", "{input}", "{output}"])
     assert "0 disagreements" in capsys.readouterr().out
     assert not (tmp_path / "keep").exists()
 
@@ -209,7 +211,7 @@ def test_fuzz_of_another_decoder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch
     ):
         (tmp_path / "bad.json").write_text(state)
         with pytest.raises(SystemExit, match="no state of this command"):
-            fuzz.run(1, 0, 1, tmp_path / "bad.json", tmp_path / "keep", [])
+            compare.run(1, 0, 1, tmp_path / "bad.json", tmp_path / "keep", [])
     with pytest.raises(SystemExit):
         cli.main(["fuzz", "-n", "0"])
 
@@ -264,11 +266,11 @@ def test_its_registry_and_limits_are_those_of_the_specification() -> None:
         name: row[:3] for name, row in second_errors.REGISTRY.items()
     }
     fields = [f for f in Profile.__dataclass_fields__ if f not in ("name", "levels", "chunk_size")]
-    assert list(second_container.PROFILE_BOUNDS) == fields
+    assert list(limits.PROFILE_BOUNDS) == fields
     for number, profile in PROFILES.items():
-        assert [second_container.PROFILE_BOUNDS[f][number] for f in fields] == [getattr(profile, f) for f in fields]
-        assert second_container.CHUNK_SIZE_BOUNDS[number] == profile.chunk_size
-        assert second_container.LEVELS[number] == {n: (level.anchors, level.plane_size) for n, level in profile.levels.items()}
+        assert [limits.PROFILE_BOUNDS[f][number] for f in fields] == [getattr(profile, f) for f in fields]
+        assert limits.CHUNK_SIZE_BOUNDS[number] == profile.chunk_size
+        assert limits.LEVELS[number] == {n: (level.anchors, level.plane_size) for n, level in profile.levels.items()}
 
 
 def test_its_constants_are_those_of_the_specification() -> None:
@@ -277,7 +279,7 @@ def test_its_constants_are_those_of_the_specification() -> None:
     assert len(printed) > 30
     for name, value in printed:
         if name != "VERSION":
-            assert getattr(operators, name) == eval(value.replace("^", "**")), name
+            assert getattr(conventions, name) == eval(value.replace("^", "**")), name
 
 
 # --- its command ------------------------------------------------------------------------------------------------------
@@ -318,7 +320,7 @@ def test_the_suite_s_command(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, ca
     def interrupted(*_: object) -> int:
         raise KeyboardInterrupt
 
-    monkeypatch.setattr(fuzz, "run", interrupted)
+    monkeypatch.setattr(compare, "run", interrupted)
     assert cli.main(arguments) == 130
     with pytest.raises(SystemExit):
         cli.main([])
@@ -327,9 +329,9 @@ def test_the_suite_s_command(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, ca
 def test_a_disagreement_is_kept(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
     """The file is written, and the command that shows it printed."""
 
-    found = fuzz.Findings(fuzz.Counter({"accepted": 3}), [("refcodec says a, the second decoder b", b"file")])
-    monkeypatch.setattr(fuzz, "run_batch", lambda number, command: found)
+    found = compare.Findings(compare.Counter({"accepted": 3}), [("refcodec says a, the second decoder b", b"file")])
+    monkeypatch.setattr(compare, "run_batch", lambda number, command: found)
     in_this_process(monkeypatch)
-    assert fuzz.run(2, 0, 1, tmp_path / "state.json", tmp_path / "keep", []) == 1
+    assert compare.run(2, 0, 1, tmp_path / "state.json", tmp_path / "keep", []) == 1
     assert (tmp_path / "keep" / "0-1.c3gs").read_bytes() == b"file"
     assert "refcodec inspect" in capsys.readouterr().out

@@ -12,11 +12,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from conformance.scenes import MAIN_DIMENSIONS, TINY_DIMENSIONS, random_scene
-from refcodec import codec, inspection, syntax
-from refcodec.container import PROLOGUE_BYTES, SECTIONS, parse_container
-from refcodec.errors import BitstreamError
-from refcodec.reconstruction import digest
+from conformance.cases.random_scenes import MAIN_DIMENSIONS, TINY_DIMENSIONS, random_scene
+from refcodec.bitstream import codec, syntax
+from refcodec.bitstream.codec import parse_container
+from refcodec.bitstream.directory import SECTIONS
+from refcodec.bitstream.errors import BitstreamError
+from refcodec.bitstream.header import PROLOGUE_BYTES
+from refcodec.bitstream.reconstruction import digest
+from refcodec.inspect import anchor, dump, elements, summary, trace
 
 ROOT = Path(__file__).resolve().parent.parent
 
@@ -40,7 +43,7 @@ def verdict(data: bytes):
 
 def assert_tiled(data: bytes) -> None:
     at = 0
-    for row in inspection.rows(data):
+    for row in elements.rows(data):
         assert row.start == at < row.end, row
         at = row.end
     assert at == len(data)
@@ -50,18 +53,18 @@ def test_rows_tile_valid_files(data):
     assert_tiled(data)
     assert_tiled(codec.emit(random_scene(0, 0)))
     assert_tiled(codec.emit(random_scene(1, 300, MAIN_DIMENSIONS, chunk_size=256)))
-    assert not [r for r in inspection.rows(data) if "no element" in r.path or "no field" in r.path]
+    assert not [r for r in elements.rows(data) if "no element" in r.path or "no field" in r.path]
 
 
 def test_rows_name_every_header_element(data):
     header = parse_container(data)
     wanted = syntax.parse_elements("Header", data, PROLOGUE_BYTES, "header")
-    found = {r.path: r for r in inspection.rows(data)}
+    found = {r.path: r for r in elements.rows(data)}
     for element in wanted:
         row = found[element.path]
         assert (row.start, row.end, row.value) == (element.start, element.end, element.value)
     for kind, section in header.sections.items():
-        paths = [r.path for r in inspection.rows(data) if section.start <= r.start < section.end]
+        paths = [r.path for r in elements.rows(data) if section.start <= r.start < section.end]
         stem = SECTIONS.get(kind, f"extension_{kind:02x}")
         assert all(p.startswith(stem) for p in paths)
     assert found["attributes[chunk 2].symbol_crc"].kind == "u32"
@@ -72,7 +75,7 @@ def sealed(data: bytes) -> bytes:
     """The CRC-32s of sections, header and prologue made right, as far as the directory can be found: damage is met further in."""
     out = bytearray(data)
     end = PROLOGUE_BYTES + int.from_bytes(out[12:16], "little")
-    for row in inspection.rows(data):
+    for row in elements.rows(data):
         if row.path.startswith("header.directory") and row.path.endswith(".offset"):
             start = row.value
             length = int.from_bytes(out[row.end : row.end + 4], "little")
@@ -99,16 +102,16 @@ def test_nothing_raises_on_damaged_files():
         assert_tiled(damaged)
         found = verdict(damaged)
         error = found if isinstance(found, BitstreamError) else None
-        text = list(inspection.hex_lines(damaged, [error] if error else []))
+        text = list(dump.hex_lines(damaged, [error] if error else []))
         assert sum("^^ error" in line for line in text) == (error is not None)
-        facts = inspection.document(damaged, found)
+        facts = summary.document(damaged, found)
         json.dumps(facts, allow_nan=False)
-        assert list(inspection.summary(facts, "x"))
+        assert list(summary.summary(facts, "x"))
         if error is not None:
             met.add(error.kind.code // 100)
             lines: list[str] = []
             with pytest.raises(BitstreamError) as raised:
-                inspection.trace(damaged, lines.append)
+                trace.trace(damaged, lines.append)
             assert raised.value.to_json() == error.to_json()
     assert met == {1, 2, 3, 4, 5}
 
@@ -119,7 +122,7 @@ def test_header_without_limits_is_not_believed(data):
     changed[24:32] = b"\xff\xff\xff\xff\x01\x00\x00\x00"
     changed[32:35] = b"\xff\xff\xff"
     assert_tiled(bytes(changed))
-    list(inspection.summary(inspection.document(bytes(changed), verdict(bytes(changed))), "x"))
+    list(summary.summary(summary.document(bytes(changed), verdict(bytes(changed))), "x"))
 
 
 def test_error_stands_at_its_byte(data):
@@ -128,18 +131,18 @@ def test_error_stands_at_its_byte(data):
     damaged = bytearray(data)
     damaged[section.end - 1] ^= 1
     error = verdict(bytes(damaged))
-    lines = list(inspection.hex_lines(bytes(damaged), [error]))
+    lines = list(dump.hex_lines(bytes(damaged), [error]))
     at = next(i for i, line in enumerate(lines) if "^^ error 307 section.crc" in line)
     assert lines[at - 1].startswith(f"{section.start:08x}")
     # A file that ends too early: at the end.
     error = verdict(data[:-3])
-    lines = list(inspection.hex_lines(data[:-3], [error]))
+    lines = list(dump.hex_lines(data[:-3], [error]))
     assert "directory.file_length" in lines[-1]
     assert lines[-2] == f"{len(data) - 3:08x}  end of file"
 
 
 def test_payloads_fold(data):
-    lines = list(inspection.hex_lines(data))
+    lines = list(dump.hex_lines(data))
     assert max(len(line) for line in lines) < 160
     weights = next(line for line in lines if " weights.hyper.1.weight " in line)
     assert "..." in weights
@@ -147,7 +150,7 @@ def test_payloads_fold(data):
 
 
 def test_document(scene, data):
-    facts = inspection.document(data, codec.parse(data))
+    facts = summary.document(data, codec.parse(data))
     assert facts["accepted"] is True
     assert facts["digest"]["whole"] == digest(scene)[0]
     assert facts["kept_offsets"] == scene.masks.sum()
@@ -157,22 +160,22 @@ def test_document(scene, data):
     assert facts["mask_model"] == scene.mask_model.tolist()
     assert facts["header"]["dimensions"]["slice_width"] == list(scene.dimensions.slices)
     assert facts["sections"][-1]["name"] == "extension_09"
-    text = "\n".join(inspection.summary(facts, "scene.c3gs"))
+    text = "\n".join(summary.summary(facts, "scene.c3gs"))
     assert "3 chunks of 16 anchors, the last one of 8" in text
     assert text.endswith(facts["digest"]["whole"])
 
 
 def test_document_of_an_empty_scene():
     data = codec.emit(random_scene(0, 0))
-    facts = inspection.document(data, codec.parse(data))
+    facts = summary.document(data, codec.parse(data))
     assert facts["chunks"] == []
     assert facts["sections"][0]["bits_per_anchor"] is None
-    assert "accepted; digest" in "\n".join(inspection.summary(facts, "empty.c3gs"))
+    assert "accepted; digest" in "\n".join(summary.summary(facts, "empty.c3gs"))
 
 
 def test_trace_is_the_decoding(scene, data):
     lines: list[str] = []
-    inspection.trace(data, lines.append)
+    trace.trace(data, lines.append)
     rows = [line.rstrip("\n").split("\t") for line in lines]
     assert rows[0] == ["path", "kind", "mean", "scale", "value"]
     assert all(len(row) == 5 for row in rows)
@@ -203,22 +206,22 @@ def test_trace_stops_at_the_error(data):
     damaged[30] ^= 1
     lines: list[str] = []
     with pytest.raises(BitstreamError):
-        inspection.trace(bytes(damaged), lines.append)
+        trace.trace(bytes(damaged), lines.append)
     assert lines[-1].startswith("header.header_crc\t")
 
 
 def test_near_shows_the_elements_around_a_byte() -> None:
     """Every byte's element is shown, as the whole dump shows it, with at most six on each side, and the error at that byte."""
     data = codec.emit(random_scene(61, 3))
-    whole = list(inspection.hex_lines(data))
-    rows = list(inspection.rows(data))
+    whole = list(dump.hex_lines(data))
+    rows = list(elements.rows(data))
     for at in [0, 7, 8, 100, len(data) // 2, len(data) - 1]:
-        lines = list(inspection.hex_lines(data, near=at))
+        lines = list(dump.hex_lines(data, near=at))
         index = next(i for i, row in enumerate(rows) if row.start <= at < row.end)
         assert lines == [whole[0], *whole[1 + max(0, index - 6) : 1 + min(len(rows), index + 7)]]
     error = BitstreamError("directory.file_length", len(data), "file", "x", "y")
-    assert "error 306" in list(inspection.hex_lines(data, [error], len(data)))[-1]
-    assert "error 306" not in "".join(inspection.hex_lines(data, [error], 0))
+    assert "error 306" in list(dump.hex_lines(data, [error], len(data)))[-1]
+    assert "error 306" not in "".join(dump.hex_lines(data, [error], 0))
 
 
 def test_an_anchor_is_shown_as_in_the_text() -> None:
@@ -228,12 +231,12 @@ def test_an_anchor_is_shown_as_in_the_text() -> None:
     assert table
     wanted = [tuple(cell.strip() for cell in line.strip("|").split("|")) for line in table.group(1).splitlines()[2:]]
     scene = codec.parse((ROOT / "vectors" / "tiny-example.c3gs").read_bytes()).scene
-    rows = list(inspection.anchor_rows(scene, 0))
+    rows = list(anchor.anchor_rows(scene, 0))
     assert rows[: len(wanted)] == wanted
     assert [what for what, *_ in rows[len(wanted) :]] == ["offsets: symbols", "step indices of features, scalings, offsets"]
-    last = {what: values for what, _, values in inspection.anchor_rows(scene, scene.anchor_count - 1)}
+    last = {what: values for what, _, values in anchor.anchor_rows(scene, scene.anchor_count - 1)}
     assert last["scalings: symbols"] == ", ".join(map(str, scene.attributes.scalings[-1]))
     assert last["offsets: symbols"].count("masked") == (~scene.masks[-1]).sum()
     for number in (-1, scene.anchor_count):
         with pytest.raises(IndexError):
-            list(inspection.anchor_rows(scene, number))
+            list(anchor.anchor_rows(scene, number))

@@ -19,9 +19,9 @@ for package in ("numba", "PIL", "skimage", "scipy"):
 from safetensors.numpy import save_file  # noqa: E402
 from torch import nn  # noqa: E402
 
-from refcodec import cli  # noqa: E402
-from refcodec.train.cameras import PhotographError  # noqa: E402
-from refcodec.train.lpips import Lpips  # noqa: E402
+from refcodec.cli.main import main  # noqa: E402
+from refcodec.evaluate.lpips import Lpips  # noqa: E402
+from refcodec.photographs.cameras import PhotographError  # noqa: E402
 
 ROOT = Path(__file__).resolve().parent.parent
 sys.path.insert(0, str(ROOT / "tools"))
@@ -96,7 +96,7 @@ def test_against_modules(network: str, tmp_path: Path) -> None:
 def test_what_is_wrong_is_said(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     def refused(path: Path) -> str:
         command = ["eval", str(ROOT / "vectors" / "tiny-example.c3gs"), str(ROOT / "examples" / "photographs" / "caliterra")]
-        assert cli.main([*command, "--lpips", str(path)]) == 64
+        assert main([*command, "--lpips", str(path)]) == 64
         return capsys.readouterr().err
 
     path = tmp_path / "w.safetensors"

@@ -5,17 +5,19 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from conformance import fuzz
-from conformance.files import repair
-from conformance.scenes import random_scene, without_chunks
-from refcodec import codec, container
-from refcodec.errors import BitstreamError
-from refcodec.scene import Lanes
+from conformance.cases.files import repair
+from conformance.cases.random_scenes import random_scene, without_chunks
+from conformance.fuzz import compare
+from refcodec.bitstream import batches, codec, directory
+from refcodec.bitstream.chunks import chunk_ranges
+from refcodec.bitstream.codec import parse_container
+from refcodec.bitstream.errors import BitstreamError
+from refcodec.bitstream.header import Lanes
 
 
 def refused(data: bytes) -> tuple[str, int]:
     """The verdict of both decoders, which must be the same."""
-    verdict, wrong = fuzz.compare(data)
+    verdict, wrong = compare.compare(data)
     assert wrong is None, wrong
     assert verdict[1] >= 0
     return verdict
@@ -23,10 +25,10 @@ def refused(data: bytes) -> tuple[str, int]:
 
 SCENE = random_scene(36, 23, chunk_size=5, lanes=Lanes(1, 1, 1))
 WHOLE = codec.emit(SCENE)
-CHUNKS = container.chunk_ranges(23, 5)
+CHUNKS = chunk_ranges(23, 5)
 
 
-SECTIONS = container.parse_container(WHOLE).sections
+SECTIONS = parse_container(WHOLE).sections
 
 
 def put(data: bytes, at: int, value: bytes) -> bytes:
@@ -34,14 +36,14 @@ def put(data: bytes, at: int, value: bytes) -> bytes:
 
 
 def part_start(kind: int, chunk: int) -> int:
-    table = SECTIONS[container.CHUNK_TABLE].start + 6
-    column = container.CHUNKED.index(kind)
+    table = SECTIONS[directory.CHUNK_TABLE].start + 6
+    column = directory.CHUNKED.index(kind)
     lengths = [int.from_bytes(WHOLE[table + 24 * c + 8 * column :][:4], "little") for c in range(chunk)]
     return SECTIONS[kind].start + sum(lengths)
 
 
 @pytest.mark.requirement("D10.1-2")
-@pytest.mark.parametrize("kind", container.CHUNKED)
+@pytest.mark.parametrize("kind", directory.CHUNKED)
 @pytest.mark.parametrize("chunks", [[0], [2], [4], [1, 3], [0, 1, 2, 3, 4]])
 def test_keep_going_keeps_the_other_chunks(kind: int, chunks: list[int]) -> None:
     data = bytearray(WHOLE)
@@ -60,19 +62,18 @@ def test_keep_going_keeps_the_other_chunks(kind: int, chunks: list[int]) -> None
     assert codec.emit(codec.parse(codec.emit(parsed.scene)).scene) == codec.emit(parsed.scene)
 
 
-@pytest.mark.parametrize("threads", [1, 2])
 @pytest.mark.parametrize("together", [1, 2, 1000])
 @pytest.mark.parametrize("repaired", [False, True])
-def test_keep_going_with_damage_of_every_kind(monkeypatch: pytest.MonkeyPatch, threads: int, together: int, repaired: bool) -> None:
+def test_keep_going_with_damage_of_every_kind(monkeypatch: pytest.MonkeyPatch, together: int, repaired: bool) -> None:
     """Chunk 0 loses its attributes, chunk 1 its masks, chunk 3 its positions and masks: 2 and 4 are left, and each chunk has its own
     first error, whether a checksum finds it or the coder."""
-    monkeypatch.setattr(codec, "GROUP_CHUNKS", together)
-    faults = [(container.ATTRIBUTES, 0), (container.MASKS, 1), (container.POSITIONS, 3), (container.MASKS, 3)]
+    monkeypatch.setattr(batches, "GROUP_CHUNKS", together)
+    faults = [(directory.ATTRIBUTES, 0), (directory.MASKS, 1), (directory.POSITIONS, 3), (directory.MASKS, 3)]
     data = WHOLE
     for kind, chunk in faults:
         # A symbol_crc, or the first position, which becomes NaN.
         data = put(data, part_start(kind, chunk), b"\xff\xff")
-    parsed = codec.parse(repair(data) if repaired else data, keep_going=True, threads=threads)
+    parsed = codec.parse(repair(data) if repaired else data, keep_going=True)
     names = dict.fromkeys((0, 1), "substream.symbol_crc" if repaired else "chunks.crc")
     names[3] = "positions.not_finite" if repaired else "chunks.crc"
     assert {n: (e.kind.name, e.offset) for n, e in parsed.damage.items()} == {
@@ -82,12 +83,12 @@ def test_keep_going_with_damage_of_every_kind(monkeypatch: pytest.MonkeyPatch, t
 
 
 def test_keep_going_with_a_cut_file() -> None:
-    cut = part_start(container.ATTRIBUTES, 3) + 7
+    cut = part_start(directory.ATTRIBUTES, 3) + 7
     parsed = codec.parse(WHOLE[:cut], keep_going=True)
     assert sorted(parsed.damage) == [3, 4]
     assert np.array_equal(parsed.scene.attributes.features, SCENE.attributes.features[:15])
     with pytest.raises(BitstreamError):
-        codec.parse(WHOLE[: SECTIONS[container.CHUNK_TABLE].start], keep_going=True)
+        codec.parse(WHOLE[: SECTIONS[directory.CHUNK_TABLE].start], keep_going=True)
 
 
 def test_keep_going_with_a_whole_file() -> None:
@@ -97,29 +98,28 @@ def test_keep_going_with_a_whole_file() -> None:
 
 
 @pytest.mark.requirement("D10.1-1")
-@pytest.mark.parametrize("threads", [1, 2])
 @pytest.mark.parametrize("together", [1, 2, 1000])
-def test_the_lowest_chunk_is_reported(monkeypatch: pytest.MonkeyPatch, threads: int, together: int) -> None:
+def test_the_lowest_chunk_is_reported(monkeypatch: pytest.MonkeyPatch, together: int) -> None:
     """A late fault of chunk 1 and an early one of chunk 3: chunk 1 wins, however chunks are grouped."""
-    monkeypatch.setattr(codec, "GROUP_CHUNKS", together)
-    data = put(WHOLE, part_start(container.ATTRIBUTES, 1), b"\0\0\0\0")
-    data = repair(put(data, part_start(container.ATTRIBUTES, 3) + 4, b"\xff\xff\xff\xff"))
+    monkeypatch.setattr(batches, "GROUP_CHUNKS", together)
+    data = put(WHOLE, part_start(directory.ATTRIBUTES, 1), b"\0\0\0\0")
+    data = repair(put(data, part_start(directory.ATTRIBUTES, 3) + 4, b"\xff\xff\xff\xff"))
     refused(data)
     with pytest.raises(BitstreamError) as caught:
-        codec.parse(data, threads=threads)
-    assert (caught.value.kind.name, caught.value.offset) == ("substream.symbol_crc", part_start(container.ATTRIBUTES, 1))
+        codec.parse(data)
+    assert (caught.value.kind.name, caught.value.offset) == ("substream.symbol_crc", part_start(directory.ATTRIBUTES, 1))
 
 
 @pytest.mark.requirement("D10.1-1")
 def test_a_fault_in_masks_comes_before_one_in_attributes() -> None:
-    data = put(WHOLE, part_start(container.ATTRIBUTES, 0), b"\0\0\0\0")
-    data = repair(put(data, part_start(container.MASKS, 4), b"\0\0\0\0"))
-    assert refused(data) == ("substream.symbol_crc", part_start(container.MASKS, 4))
+    data = put(WHOLE, part_start(directory.ATTRIBUTES, 0), b"\0\0\0\0")
+    data = repair(put(data, part_start(directory.MASKS, 4), b"\0\0\0\0"))
+    assert refused(data) == ("substream.symbol_crc", part_start(directory.MASKS, 4))
 
 
 @pytest.mark.requirement("D10.1-1")
 def test_the_lowest_plane_is_reported() -> None:
-    at = SECTIONS[container.PLANES_SECTION].start
+    at = SECTIONS[directory.PLANES_SECTION].start
     second = at + 20 + int.from_bytes(WHOLE[at : at + 4], "little")
     third = second + int.from_bytes(WHOLE[at + 4 : at + 8], "little")
     assert refused(repair(put(put(WHOLE, second, b"\0\0\0\0"), third + 4, b"\xff\xff\xff\xff"))) == ("substream.symbol_crc", second)

@@ -22,9 +22,9 @@ from PIL import Image
 from plyfile import PlyData, PlyElement
 from scipy.spatial.transform import Rotation
 
-from refcodec.train import images, lens, transforms
-from refcodec.train.cameras import Camera, PhotographError, quaternion_rotation
-from refcodec.train.photographs import parse_size, read_photographs
+from refcodec.photographs import images, lens, transforms
+from refcodec.photographs.cameras import Camera, PhotographError, quaternion_rotation
+from refcodec.photographs.photographs import parse_size, read_photographs
 
 ROOT = Path(__file__).resolve().parent.parent
 EXAMPLES = ROOT / "examples" / "photographs"

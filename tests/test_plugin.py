@@ -14,11 +14,12 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from test_independent import faulty
 
-from conformance import cli, commands
+from conformance import cli
 from conformance.manifest import VECTORS, load
-from conformance.selection import select
-from refcodec import tables
-from refcodec.errors import REGISTRY
+from conformance.runner import commands
+from conformance.runner.selection import select
+from refcodec.bitstream import tables
+from refcodec.bitstream.errors import REGISTRY
 
 ROOT = Path(__file__).resolve().parent.parent
 PLUGIN = ROOT / "examples" / "plugin-js"
@@ -82,7 +83,7 @@ def test_every_selection_of_the_guide_selects_something() -> None:
 def test_the_decoder_in_c_passes_the_suite(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     program = tmp_path / "decoder"
     subprocess.run([str(COMPILER), "-std=c11", "-O2", str(ROOT / "conformance" / "c" / "decoder.c"), "-o", str(program)], check=True)
-    monkeypatch.setenv("C3GS_TABLES", str(Path(tables.__file__).parent / "data" / tables.TABLES_FILE))
+    monkeypatch.setenv("C3GS_TABLES", str(tables.tables_file()))
     command = [str(program), "decode", "{input}", "{output}"]
     assert cli.main(["run", "--vectors", str(VECTORS), "--jobs", "2", "--slow", "20", "--", *command]) == commands.EXIT_RIGHT
     # A reconstruction that cannot be written is no success.

@@ -10,14 +10,15 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from conformance.scenes import MAIN_DIMENSIONS, random_scene, with_steps
-from conformance.strategies import position_models, positions, some_positions
-from conformance.text import blocks
-from refcodec import codec, container, inspection
-from refcodec.entropy import TraceRow
-from refcodec.errors import BitstreamError
-from refcodec.geometry import position_integers
-from refcodec.positions import (
+from conformance.blocks import blocks
+from conformance.cases.random_scenes import MAIN_DIMENSIONS, random_scene, with_steps
+from conformance.fuzz.strategies import position_models, positions, some_positions
+from refcodec.bitstream import codec, directory
+from refcodec.bitstream.chunks import chunk_ranges
+from refcodec.bitstream.codec import parse_container
+from refcodec.bitstream.entropy import TraceRow
+from refcodec.bitstream.errors import BitstreamError
+from refcodec.bitstream.positions import (
     CELL_INDEX,
     PACKED,
     PositionModel,
@@ -26,8 +27,11 @@ from refcodec.positions import (
     chunk_codes,
     encode_positions,
     morton,
+    position_integers,
 )
-from refcodec.quantise import choose_cells, morton_order, pack_positions, packed, position_model
+from refcodec.encoder.positions import choose_cells, morton_order, pack_positions, position_model
+from refcodec.encoder.quantise import packed
+from refcodec.inspect import elements, summary, trace
 
 TEXT = (Path(__file__).resolve().parent.parent / "SPEC.md").read_text(encoding="utf-8")
 EVERY = np.array([b for b in range(1 << 16) if b & 0x7C00 != 0x7C00 and b != 0x8000], dtype=np.uint16)
@@ -77,7 +81,7 @@ def test_round_trip(data: st.DataObject) -> None:
     where = data.draw(some_positions(count))
     chunk_size = data.draw(st.integers(1, 40))
     model = data.draw(position_models(where, chunk_size)) or position_model(where, chunk_size)
-    chunks = container.chunk_ranges(count, chunk_size)
+    chunks = chunk_ranges(count, chunk_size)
     parts = encode_positions(model, where, chunks, 2)
     space = blocks(TEXT)
     frequency = [f.tolist() for f in model.frequency]
@@ -105,9 +109,9 @@ def test_a_surface_is_small() -> None:
     scene = lattice_scene(3, 3000, chunk_size=1024)
     small = packed(scene, None, "raw")
     data, raw = codec.emit(small), codec.emit(packed(small, "raw", "raw"))
-    sections = container.parse_container(data).sections
+    sections = parse_container(data).sections
     assert [s.mode for s in sections.values()] == [0, 0, 0, 0, 1, 0, 0]
-    assert 8 * (sections[container.POSITIONS].end - sections[container.POSITIONS].start) < 6 * 3000
+    assert 8 * (sections[directory.POSITIONS].end - sections[directory.POSITIONS].start) < 6 * 3000
     assert len(data) < len(raw) - 5 * 3000
     parsed = codec.parse(data)
     assert codec.emit(parsed.scene) == data
@@ -124,7 +128,7 @@ def test_a_full_cube_takes_mode_0() -> None:
 def test_damage_takes_one_chunk() -> None:
     scene = pack_positions(lattice_scene(5, 900, chunk_size=256))
     data = bytearray(codec.emit(scene))
-    section = container.parse_container(bytes(data)).sections[container.POSITIONS]
+    section = parse_container(bytes(data)).sections[directory.POSITIONS]
     data[section.start + 40] ^= 1
     with pytest.raises(BitstreamError) as error:
         codec.parse(bytes(data))
@@ -150,10 +154,10 @@ def test_models_that_cannot_be_written() -> None:
 def test_inspection_and_trace() -> None:
     scene = pack_positions(lattice_scene(7, 300, chunk_size=256))
     data = codec.emit(scene)
-    names = [row.path for row in inspection.rows(data)]
+    names = [row.path for row in elements.rows(data)]
     assert "chunk_table.position_model.cell_shift" in names
     assert {"positions[chunk 1].form", "positions[chunk 1].word"} <= set(names)
-    facts = inspection.document(data, codec.parse(data))
+    facts = summary.document(data, codec.parse(data))
     assert facts["position_model"]["cell_shift"] == 24
     seen: list[TraceRow] = []
     codec.parse(data, trace=seen.append)
@@ -161,7 +165,7 @@ def test_inspection_and_trace() -> None:
     assert symbols[0].path == "positions[chunk 0].level[15].low[0]"
     assert {row.family for row in symbols} == {"cells"}
     lines: list[str] = []
-    inspection.trace(data, lines.append)
+    trace.trace(data, lines.append)
     assert sum(line.startswith("positions[chunk 1].level[0]") for line in lines) > 2
 
 

@@ -7,19 +7,26 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from conformance.scenes import MAIN_DIMENSIONS, TINY_DIMENSIONS, random_networks
-from refcodec import codec, quantise
-from refcodec.codec import FRAME_RANGE_BOUND, FRAME_SHIFT_MAX, MATRIX_BOUND, TRANSLATION_BOUND
-from refcodec.geometry import Frame, contract, frame_coordinates, position_integers, rescale
-from refcodec.limits import TINY
-from refcodec.reconstruction import reconstruct, world_positions
-from refcodec.scene import PositionGrid
+from conformance.cases.random_scenes import MAIN_DIMENSIONS, TINY_DIMENSIONS, random_networks
+from refcodec.bitstream import codec
+from refcodec.bitstream.context import contract, frame_coordinates, rescale
+from refcodec.bitstream.frame import FRAME_RANGE_BOUND, FRAME_SHIFT_MAX, MATRIX_BOUND, TRANSLATION_BOUND, Frame, emit_frame, parse_frame
+from refcodec.bitstream.header import PositionGrid
+from refcodec.bitstream.limits import TINY
+from refcodec.bitstream.positions import position_integers
+from refcodec.bitstream.reconstruction import reconstruct, world_positions
+from refcodec.encoder import quantise
+from refcodec.encoder.cloud import AnchorCloud
+from refcodec.encoder.frame import choose_frame
+from refcodec.encoder.masks import mask_model
+from refcodec.encoder.positions import choose_grid, morton_order, to_fp16
+from refcodec.encoder.sizes import choose_lanes, choose_plane_size
 
 
-def cloud_of(positions: np.ndarray, rng: np.random.Generator, keep: float = 0.6) -> quantise.AnchorCloud:
+def cloud_of(positions: np.ndarray, rng: np.random.Generator, keep: float = 0.6) -> AnchorCloud:
     """A cloud of the tests' Tiny dimensions."""
     d, n = TINY_DIMENSIONS, len(positions)
-    return quantise.AnchorCloud(
+    return AnchorCloud(
         positions.astype(np.float32),
         rng.normal(0, 4, (n, d.features)).astype(np.float32),
         rng.normal(-3, 1, (n, 6)).astype(np.float32),
@@ -28,13 +35,13 @@ def cloud_of(positions: np.ndarray, rng: np.random.Generator, keep: float = 0.6)
     )
 
 
-def quantised(cloud: quantise.AnchorCloud, rng: np.random.Generator, **options: object):
+def quantised(cloud: AnchorCloud, rng: np.random.Generator, **options: object):
     d = TINY_DIMENSIONS
-    grid = quantise.choose_grid(cloud.positions)
+    grid = choose_grid(cloud.positions)
     settings = {
         "dimensions": d,
         "networks": random_networks(d, rng, 0.3),
-        "frame": quantise.choose_frame(quantise.to_fp16(cloud.positions, grid)),
+        "frame": choose_frame(to_fp16(cloud.positions, grid)),
         "grid": grid,
         "planes": rng.integers(-3, 4, (5, d.plane_channels, d.plane_size, d.plane_size)).astype(np.int16),
         "plane_shift": 4,
@@ -50,8 +57,8 @@ def test_lattice_is_exact_within_2048_voxels():
     rng = np.random.default_rng(0)
     voxel = 3.0 / 1024
     lattice = rng.integers(-2000, 2001, (500, 3)) + np.array([12345, -70000, 8])
-    grid = quantise.choose_grid((lattice * voxel).astype(np.float32), voxel)
-    half = quantise.to_fp16((lattice * voxel).astype(np.float32), grid)
+    grid = choose_grid((lattice * voxel).astype(np.float32), voxel)
+    half = to_fp16((lattice * voxel).astype(np.float32), grid)
     assert 1 << 15 <= grid.scale_mantissa < 1 << 16
     assert np.array_equal(half.astype(np.float64), np.round(half.astype(np.float64)))
     unit = grid.scale_mantissa * 2.0**grid.scale_exponent
@@ -63,8 +70,8 @@ def test_lattice_is_exact_within_2048_voxels():
 @pytest.mark.parametrize("scale", [1e-6, 1.0, 3e5])
 def test_grid_without_a_voxel_uses_the_range_of_fp16(scale):
     positions = (np.random.default_rng(1).uniform(-1, 1, (1000, 3)) * scale + 5 * scale).astype(np.float32)
-    grid = quantise.choose_grid(positions)
-    half = quantise.to_fp16(positions, grid).astype(np.float64)
+    grid = choose_grid(positions)
+    half = to_fp16(positions, grid).astype(np.float64)
     assert 500 < np.abs(half).max() < 2048
     assert not (half.astype(np.float16).view(np.uint16) == 0x8000).any()
     unit = grid.scale_mantissa * 2.0**grid.scale_exponent
@@ -77,12 +84,12 @@ def test_positions_that_are_not_finite_are_refused(bad):
     positions = np.zeros((3, 3), np.float32)
     positions[1, 2] = bad
     with pytest.raises(ValueError, match="NaN or infinite"):
-        quantise.choose_grid(positions)
+        choose_grid(positions)
 
 
 def test_position_past_fp16_is_refused():
     with pytest.raises(ValueError, match="does not fit"):
-        quantise.to_fp16(np.full((1, 3), 1e6, np.float32), PositionGrid((0, 0, 0), 32768, -15))
+        to_fp16(np.full((1, 3), 1e6, np.float32), PositionGrid((0, 0, 0), 32768, -15))
 
 
 def assert_valid(frame: Frame):
@@ -94,8 +101,8 @@ def assert_valid(frame: Frame):
     assert (frame.low < frame.high).all()
     assert (frame.low >= -FRAME_RANGE_BOUND).all()
     assert (frame.high <= FRAME_RANGE_BOUND).all()
-    data = codec.emit_frame(frame)
-    assert np.array_equal(codec.parse_frame(data, 0).matrix, frame.matrix)
+    data = emit_frame(frame)
+    assert np.array_equal(parse_frame(data, 0).matrix, frame.matrix)
 
 
 DEGENERATE = {
@@ -114,7 +121,7 @@ DEGENERATE = {
 @pytest.mark.parametrize("name", DEGENERATE)
 def test_every_set_has_a_frame(name):
     positions = DEGENERATE[name].astype(np.float16)
-    frame = quantise.choose_frame(positions)
+    frame = choose_frame(positions)
     assert_valid(frame)
     u = rescale(frame, contract(frame_coordinates(frame, position_integers(positions))))
     assert ((u >= 0) & (u <= 1 << 16)).all()
@@ -124,7 +131,7 @@ def test_frame_is_that_of_the_principal_axes():
     rng = np.random.default_rng(7)
     rotation = np.linalg.qr(rng.normal(size=(3, 3)))[0]
     positions = (rng.normal(size=(20000, 3)) * [50, 20, 3] @ rotation.T + [100, -30, 8]).astype(np.float16)
-    frame = quantise.choose_frame(positions)
+    frame = choose_frame(positions)
     v = frame_coordinates(frame, position_integers(positions)) / (1 << 16)
     inner = np.abs(v).max(axis=1) < 3
     covariance = np.cov(v[inner].T)
@@ -136,22 +143,22 @@ def test_frame_is_that_of_the_principal_axes():
 
 
 def test_plane_size_and_lanes_stay_in_their_limits():
-    sizes = [quantise.choose_plane_size(n) for n in (0, 1, 1000, 30000, 114000, 421600, 1 << 24)]
+    sizes = [choose_plane_size(n) for n in (0, 1, 1000, 30000, 114000, 421600, 1 << 24)]
     assert sizes == sorted(sizes)
     assert sizes[0] >= 2
     assert sizes[-1] == sizes[-2] == 128
     for anchors in (0, 1, 5000, 1 << 20):
-        lanes = quantise.choose_lanes(anchors, 200.0)
+        lanes = choose_lanes(anchors, 200.0)
         assert 0 <= min(lanes.plane, lanes.mask, lanes.attribute) <= max(lanes.plane, lanes.mask, lanes.attribute) <= 6
-    assert 4 << quantise.choose_lanes(1 << 20, 200.0).attribute <= 0.002 * 4096 * 200 / 8
+    assert 4 << choose_lanes(1 << 20, 200.0).attribute <= 0.002 * 4096 * 200 / 8
 
 
 def test_mask_model_counts():
     masks = np.array([[True, True], [True, False], [True, False], [False, True]])
     # Contexts: first offset; second after none; second after one.
-    assert quantise.mask_model(masks).tolist() == [round(16384 * 3 / 4), 16383, round(16384 / 3)]
-    assert quantise.mask_model(np.zeros((0, 2), bool)).tolist() == [8192] * 3
-    assert quantise.mask_model(np.zeros((9, 1), bool)).tolist() == [1]
+    assert mask_model(masks).tolist() == [round(16384 * 3 / 4), 16383, round(16384 / 3)]
+    assert mask_model(np.zeros((0, 2), bool)).tolist() == [8192] * 3
+    assert mask_model(np.zeros((9, 1), bool)).tolist() == [1]
 
 
 def test_carm_shifts_bring_symbols_into_range():
@@ -185,8 +192,8 @@ def test_a_quantised_cloud_survives_the_file(anchors):
 def test_anchors_follow_a_morton_curve_and_the_order_is_stable():
     corners = np.array([[x, y, z] for z in (0, 1) for y in (0, 1) for x in (0, 1)], np.float16)
     shuffled = np.random.default_rng(0).permutation(8)
-    assert np.array_equal(corners[shuffled][quantise.morton_order(corners[shuffled])], corners)
-    assert quantise.morton_order(np.zeros((5, 3), np.float16)).tolist() == [0, 1, 2, 3, 4]
+    assert np.array_equal(corners[shuffled][morton_order(corners[shuffled])], corners)
+    assert morton_order(np.zeros((5, 3), np.float16)).tolist() == [0, 1, 2, 3, 4]
 
 
 def test_values_that_no_symbol_can_hold_are_refused():

@@ -19,8 +19,8 @@ pytest.importorskip("numba", reason="images need the packages of the extra rende
 from hypothesis import given  # noqa: E402
 from hypothesis import strategies as st  # noqa: E402
 
-from refcodec.rasterise import Settings, rasterise, rasterise_backward  # noqa: E402
-from refcodec.rendering import Camera  # noqa: E402
+from refcodec.render.camera import Camera  # noqa: E402
+from refcodec.render.rasterise import Settings, rasterise, rasterise_backward  # noqa: E402
 from refcodec.train import splat  # noqa: E402
 from refcodec.train.splat import Rasterise  # noqa: E402
 from refcodec.train.ssim import SSIM, similarity  # noqa: E402
@@ -381,7 +381,7 @@ def test_same_bits_whatever_the_number_of_threads() -> None:
 
 
 def test_no_torch() -> None:
-    code = "import sys, refcodec.rasterise; print('torch' in sys.modules)"
+    code = "import sys, refcodec.render.rasterise; print('torch' in sys.modules)"
     assert subprocess.run([sys.executable, "-c", code], check=True, capture_output=True, text=True).stdout == "False\n"
 
 

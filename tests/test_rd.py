@@ -16,10 +16,10 @@ for package in ("numba", "PIL", "skimage", "scipy", "matplotlib", "bjontegaard",
 
 from PIL import Image  # noqa: E402
 
-from refcodec import cli  # noqa: E402
-from refcodec.train import runs  # noqa: E402
-from refcodec.train.rd import COLUMNS, compare, read_curve  # noqa: E402
-from refcodec.train.runs import RunError  # noqa: E402
+from refcodec.cli.main import main  # noqa: E402
+from refcodec.experiments import runs  # noqa: E402
+from refcodec.experiments.rd import COLUMNS, compare, read_curve  # noqa: E402
+from refcodec.experiments.runs import RunError  # noqa: E402
 
 ROOT = Path(__file__).resolve().parent.parent
 FAKE = (sys.executable, str(ROOT / "tests" / "fake_refcodec.py"))
@@ -88,7 +88,7 @@ def rows(folder: Path) -> list[dict[str, str]]:
 def test_rd(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     out = tmp_path / "curve"
     command = ["rd", PHOTOGRAPHS, "-o", str(out), "--steps", "2", "--size", "40", "--rates"]
-    assert cli.main([*command, "0.04", "--uncompressed"]) == 0
+    assert main([*command, "0.04", "--uncompressed"]) == 0
     assert "done before" not in capsys.readouterr().err
     table = rows(out)
     assert tuple(table[0]) == COLUMNS
@@ -100,14 +100,14 @@ def test_rd(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
         assert sum(int(row[part]) for part in COLUMNS[2:8]) == int(row["bytes"])
     assert Image.open(out / "rd.png").size == (960, 660)
     # Rates more: the others are not trained again.
-    assert cli.main([*command, "0.04", "0.01", "0.004", "0.002", "--uncompressed"]) == 0
+    assert main([*command, "0.04", "0.01", "0.004", "0.002", "--uncompressed"]) == 0
     assert capsys.readouterr().err.count("train: done before") == 2
     other = tmp_path / "other.csv"
     other.write_text("bytes,psnr\n" + "".join(f"{int(row['bytes']) * 1.25},{row['psnr']}\n" for row in rows(out)[1:]))
-    assert cli.main([*command, "0.04", "0.01", "0.004", "0.002", "--against", str(other)]) == 0
+    assert main([*command, "0.04", "0.01", "0.004", "0.002", "--against", str(other)]) == 0
     assert "BD-rate -20.00 %" in capsys.readouterr().out
     # Before any training: too few rates.
-    assert cli.main([*command, "0.04", "0.03", "--against", str(other)]) == 64
+    assert main([*command, "0.04", "0.03", "--against", str(other)]) == 64
     assert "needs 4 rates" in capsys.readouterr().err
     assert not (out / "rate-0.03").exists()
 
@@ -116,9 +116,8 @@ def test_rd(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
 def test_interrupted(tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> None:
     out = tmp_path / "curve"
     arguments = ["rd", PHOTOGRAPHS, "-o", str(out), "--steps", "400", "--size", "40", "--rates", "0.01", "--jobs", "1"]
-    program = (
-        f"import sys; from refcodec.train import runs; runs.PROGRAM = {FAKE!r}; from refcodec import cli; sys.exit(cli.main({arguments!r}))"
-    )
+    program = f"import sys; from refcodec.experiments import runs; runs.PROGRAM = {FAKE!r}\n"
+    program += f"from refcodec.cli.main import main; sys.exit(main({arguments!r}))"
     monkeypatch.setenv("FAKE_STEP", "20")
     with subprocess.Popen([sys.executable, "-c", program], stderr=subprocess.PIPE, text=True) as process:
         assert process.stderr is not None
@@ -128,7 +127,7 @@ def test_interrupted(tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeyp
     assert process.returncode == 130
     assert "0 of 1 rates done" in printed
     monkeypatch.setenv("FAKE_STEP", "0")
-    assert cli.main(arguments) == 0
+    assert main(arguments) == 0
     printed = capsys.readouterr().err
     steps = [int(line.split()[-1]) for line in printed.splitlines() if "train: step" in line]
     assert steps[0] > 1
@@ -146,12 +145,12 @@ def test_what_is_wrong_is_said(tmp_path: Path, capsys: pytest.CaptureFixture[str
         (["--size", "wide"], "400x300"),
         (["--against", out], "No such file"),
     ]:
-        assert cli.main(["rd", PHOTOGRAPHS, "-o", out, *wrong]) == 64
+        assert main(["rd", PHOTOGRAPHS, "-o", out, *wrong]) == 64
         assert word in capsys.readouterr().err
-    assert cli.main(["rd", str(tmp_path / "none"), "-o", out]) == 64
-    for name in ("refcodec.train.rd", "bjontegaard"):
+    assert main(["rd", str(tmp_path / "none"), "-o", out]) == 64
+    for name in ("refcodec.experiments.rd", "bjontegaard"):
         monkeypatch.delitem(sys.modules, name)
     monkeypatch.setitem(sys.modules, "bjontegaard", None)
-    assert cli.main(["rd", PHOTOGRAPHS, "-o", out]) == 64
+    assert main(["rd", PHOTOGRAPHS, "-o", out]) == 64
     assert "pip install 'refcodec[train,render,rd]'" in capsys.readouterr().err
     assert not Path(out).exists()

@@ -13,12 +13,13 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from test_exact import exact_f32
 
-from conformance.scenes import random_scene
-from conformance.strategies import grids, positions, scenes
-from refcodec import codec, reconstruction
-from refcodec.attributes import ATTRIBUTE_SYMBOL_MAX, KINDS
-from refcodec.scene import PositionGrid, Scene
-from refcodec.tables import tables
+from conformance.cases.random_scenes import random_scene
+from conformance.fuzz.strategies import grids, positions, scenes
+from refcodec.bitstream import codec, reconstruction
+from refcodec.bitstream.attributes import ATTRIBUTE_SYMBOL_MAX, KINDS
+from refcodec.bitstream.header import PositionGrid
+from refcodec.bitstream.scene import Scene
+from refcodec.bitstream.tables import tables
 
 EXAMPLE = Path(__file__).resolve().parent.parent / "vectors" / "tiny-example.c3gs"
 

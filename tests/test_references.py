@@ -14,15 +14,29 @@ import pytest
 from hypothesis import example, given
 from hypothesis import strategies as st
 
-from conformance.scenes import MAIN_DIMENSIONS, TINY_DIMENSIONS, random_networks, random_scene, with_steps
-from refcodec import codec, conventions, geometry, masks, planes, reconstruction
-from refcodec import tables as tables_module
-from refcodec.attributes import Attributes
-from refcodec.entropy import Decoder, Encoder, parse_substream, select
-from refcodec.errors import BitstreamError
-from refcodec.networks import ACCUMULATOR_BOUND, ACTIVATION_MAX, EXPONENT_MAX, WEIGHT_MAX, BoundError, IntLayer, IntNetwork, derive_layer
-from refcodec.scene import Dimensions, Lanes, PositionGrid, RenderInfo, Scene
-from refcodec.tables import tables
+from conformance.cases.random_scenes import MAIN_DIMENSIONS, TINY_DIMENSIONS, random_networks, random_scene, with_steps
+from refcodec.bitstream import codec, conventions, masks, networks, planes, positions, reconstruction
+from refcodec.bitstream import tables as tables_module
+from refcodec.bitstream.attributes import Attributes
+from refcodec.bitstream.context import context, contract, frame_coordinates, positional_encoding, query
+from refcodec.bitstream.dimensions import Dimensions
+from refcodec.bitstream.entropy import Decoder, Encoder, parse_substream, select
+from refcodec.bitstream.errors import BitstreamError
+from refcodec.bitstream.frame import FRAME_RANGE_BOUND, MATRIX_BOUND, TRANSLATION_BOUND, Frame
+from refcodec.bitstream.header import Lanes, PositionGrid, RenderInfo
+from refcodec.bitstream.networks import (
+    ACCUMULATOR_BOUND,
+    ACTIVATION_MAX,
+    EXPONENT_MAX,
+    WEIGHT_MAX,
+    BoundError,
+    IntLayer,
+    IntNetwork,
+    derive_layer,
+)
+from refcodec.bitstream.planes import assemble_planes
+from refcodec.bitstream.scene import Scene
+from refcodec.bitstream.tables import tables
 
 INT63 = (1 << 63) - 1
 
@@ -177,7 +191,7 @@ def test_derive_networks_names_the_layer_of_a_broken_row() -> None:
     nets = random_networks(TINY_DIMENSIONS, np.random.default_rng(0))
     nets["carm.1"][1][0][2, 0] = 2000
     with pytest.raises(BoundError) as caught:
-        codec.derive_networks(TINY_DIMENSIONS, np.zeros(2, np.uint8), nets)
+        networks.derive_networks(nets)
     assert (caught.value.layer, caught.value.row) == ("carm.1.1", 2)
 
 
@@ -299,7 +313,7 @@ def clamp(a: int, low: int, high: int) -> int:
     return min(max(a, low), high)
 
 
-def frame_by_hand(frame: geometry.Frame, p: list[int]) -> list[int]:
+def frame_by_hand(frame: Frame, p: list[int]) -> list[int]:
     """Matrix, translation, shift and clamp; the sum must fit 64 bits."""
     out = []
     for row, t, s in zip(frame.matrix.tolist(), frame.translation.tolist(), frame.shift.tolist(), strict=True):
@@ -319,7 +333,7 @@ def contract_by_hand(v: list[int]) -> list[int]:
     return [math.floor(Fraction(x * f, n)) for x in v]
 
 
-def rescale_by_hand(frame: geometry.Frame, w: list[int]) -> list[int]:
+def rescale_by_hand(frame: Frame, w: list[int]) -> list[int]:
     bounds = zip(w, frame.low.tolist(), frame.high.tolist(), strict=True)
     return [clamp(math.floor(Fraction((x - a) * 65536, b - a)), 0, 65536) for x, a, b in bounds]
 
@@ -328,14 +342,14 @@ def rescale_by_hand(frame: geometry.Frame, w: list[int]) -> list[int]:
 @pytest.mark.parametrize("shift", [0, 1, 31, 59, 60])
 def test_nothing_wraps_at_the_extremes(sign: int, shift: int) -> None:
     """The largest position, matrix, translation and rounding term together stay within 64 bits."""
-    matrix = np.full((3, 3), sign * (codec.MATRIX_BOUND - 1), dtype=np.int64)
-    translation = np.full(3, sign * (codec.TRANSLATION_BOUND - 1), dtype=np.int64)
-    bound = np.full(3, codec.FRAME_RANGE_BOUND, dtype=np.int64)
-    frame = geometry.Frame(matrix, translation, np.full(3, shift), -bound, bound)
-    p = geometry.position_integers(np.array([[65504.0] * 3, [-65504.0] * 3, [65504.0, -65504.0, 65504.0]], np.float16))
-    v = geometry.frame_coordinates(frame, p)
+    matrix = np.full((3, 3), sign * (MATRIX_BOUND - 1), dtype=np.int64)
+    translation = np.full(3, sign * (TRANSLATION_BOUND - 1), dtype=np.int64)
+    bound = np.full(3, FRAME_RANGE_BOUND, dtype=np.int64)
+    frame = Frame(matrix, translation, np.full(3, shift), -bound, bound)
+    p = positions.position_integers(np.array([[65504.0] * 3, [-65504.0] * 3, [65504.0, -65504.0, 65504.0]], np.float16))
+    v = frame_coordinates(frame, p)
     assert v.tolist() == [frame_by_hand(frame, row) for row in p.tolist()]
-    assert geometry.contract(v).tolist() == [contract_by_hand(row) for row in v.tolist()]
+    assert contract(v).tolist() == [contract_by_hand(row) for row in v.tolist()]
 
 
 COORDINATES = st.one_of(
@@ -347,7 +361,7 @@ COORDINATES = st.one_of(
 @example([(65536, 0, 0), (65536, 1, 0), (0, 0, -65537), (0, 0, 0)])
 @example([((1 << 30) - 1,) * 3, (1 - (1 << 30),) * 3])
 def test_contraction_stays_within_two_units(rows: list[tuple[int, int, int]]) -> None:
-    found = geometry.contract(column(rows)).tolist()
+    found = contract(column(rows)).tolist()
     assert found == [contract_by_hand(list(row)) for row in rows]
     assert all(sum(x * x for x in row) <= (2 * 65536 + 2) ** 2 for row in found)
 
@@ -385,7 +399,7 @@ def query_by_hand(plane: list, u: tuple[int, int], plane_shift: int) -> list[int
 @example(9, 1, 10, 1, [(65536, 65535), (8192, 8191), (57344, 57343)], 32767)
 def test_query(size: int, channels: int, shift: int, seed: int, at: list[tuple[int, int]], largest: int) -> None:
     plane = np.random.default_rng(seed).integers(-largest, largest + 1, (channels, size, size))
-    found = geometry.query(plane, column(at), shift)
+    found = query(plane, column(at), shift)
     assert found.tolist() == [query_by_hand(plane.tolist(), u, shift) for u in at]
 
 
@@ -394,7 +408,7 @@ def test_query_at_a_corner_is_the_corner() -> None:
     for i in range(5):
         for j in range(5):
             # u[0] chooses the column, u[1] the row.
-            assert geometry.query(plane, column([[j * 16384, i * 16384]]), 0)[0].tolist() == plane[:, i, j].tolist()
+            assert query(plane, column([[j * 16384, i * 16384]]), 0)[0].tolist() == plane[:, i, j].tolist()
 
 
 def gamma_by_hand(u: int, frequencies: int) -> list[int]:
@@ -411,7 +425,7 @@ def gamma_by_hand(u: int, frequencies: int) -> list[int]:
 @given(st.lists(st.integers(0, 65536), min_size=1, max_size=8), st.integers(1, 10))
 @example([0, 1, 31, 32, 33, 32767, 32768, 32769, 65504, 65535, 65536], 10)
 def test_positional_encoding(u: list[int], frequencies: int) -> None:
-    found = geometry.positional_encoding(column(u), frequencies)
+    found = positional_encoding(column(u), frequencies)
     assert found.tolist() == [gamma_by_hand(x, frequencies) for x in u]
     for row, x in zip(found.tolist(), u, strict=True):
         z = 2 * x / 65536 - 1
@@ -430,7 +444,7 @@ def test_sine_table() -> None:
 @pytest.mark.requirement("D7.3-2")
 def test_quadrants_lie_as_they_are_named() -> None:
     given_planes = (np.arange(5 * 2 * 3 * 3) - 40).reshape(5, 2, 3, 3).astype(np.int16)
-    first, joined = geometry.assemble_planes(given_planes)
+    first, joined = assemble_planes(given_planes)
     assert np.array_equal(first, given_planes[0])
     assert joined.shape == (2, 6, 6)
     for sub, name in enumerate(planes.PLANE_NAMES[1:], start=1):
@@ -442,10 +456,10 @@ def test_quadrants_lie_as_they_are_named() -> None:
 @pytest.mark.requirement("D7.5-1")
 def test_context_puts_the_parts_in_order() -> None:
     scene = random_scene(3, 40)
-    full = geometry.assemble_planes(scene.planes)
-    found = geometry.context(scene.frame, full, scene.plane_shift, 2, scene.positions)
+    full = assemble_planes(scene.planes)
+    found = context(scene.frame, full, scene.plane_shift, 2, scene.positions)
     wanted = []
-    for p in geometry.position_integers(scene.positions).tolist():
+    for p in positions.position_integers(scene.positions).tolist():
         u = rescale_by_hand(scene.frame, contract_by_hand(frame_by_hand(scene.frame, p)))
         both = [query_by_hand(plane.tolist(), u[:2], scene.plane_shift) for plane in full]
         wanted.append([*both[0], *both[1], *gamma_by_hand(u[2], 2)])
@@ -556,10 +570,10 @@ def test_mask_contexts() -> None:
         assert index.tolist() == [k * (k + 1) // 2 + int(row[:k].sum()) for row in given_masks]
         assert name(1, 2) == f"masks[5,{k}]"
     # The frequency of a context is that of a kept offset: of its last symbol.
-    for context in range(10):
-        at = int(models.offset[context])
-        assert int(models.upper[at + 1]) - int(models.lower[at + 1]) == context + 1
-        assert int(models.upper[at]) == (1 << 14) - context - 1
+    for number in range(10):
+        at = int(models.offset[number])
+        assert int(models.upper[at + 1]) - int(models.lower[at + 1]) == number + 1
+        assert int(models.upper[at]) == (1 << 14) - number - 1
 
 
 # --- rANS, one symbol at a time ---------------------------------------------------------------------------------------
@@ -802,7 +816,7 @@ def fixed_scene() -> Scene:
         base_step=(1.5, 0.0625, 0.75),
         grid=PositionGrid((-1234567, 0, 1 << 50), 12345, -9),
         render=RenderInfo(),
-        frame=geometry.Frame(
+        frame=Frame(
             numbers((3, 3), 12345, 1 << 18),
             numbers((3,), 987654321, 1 << 39),
             column([27, 28, 29]),

@@ -11,12 +11,14 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from conformance.scenes import random_scene
-from conformance.strategies import render_infos
-from conformance.text import SPEC, blocks
-from refcodec.reconstruction import Reconstruction, reconstruct
-from refcodec.rendering import Camera, Gaussians, default_camera, gaussians, rotation_matrix
-from refcodec.scene import RenderInfo, Scene
+from conformance.blocks import SPEC, blocks
+from conformance.cases.random_scenes import random_scene
+from conformance.fuzz.strategies import render_infos
+from refcodec.bitstream.header import RenderInfo
+from refcodec.bitstream.reconstruction import Reconstruction, reconstruct
+from refcodec.bitstream.scene import Scene
+from refcodec.render.camera import Camera, default_camera, rotation_matrix
+from refcodec.render.gaussians import Gaussians, gaussians
 
 ROOT = Path(__file__).resolve().parent.parent
 
@@ -164,7 +166,7 @@ VIEW = Camera("view", 37, 21, 30.0, 28.0, 17.0, 11.5, np.eye(3), np.zeros(3))
 @pytest.mark.requirement("G14.5-1")
 @pytest.mark.parametrize(("seed", "count", "spread"), [(0, 0, 1.0), (1, 1, 0.1), (2, 30, 0.5), (3, 80, 1.5), (4, 60, 6.0)])
 def test_images_are_those_of_the_text(text: dict, seed: int, count: int, spread: float) -> None:
-    rasterise = pytest.importorskip("refcodec.rasterise", reason="images need the packages of the extra render")
+    rasterise = pytest.importorskip("refcodec.render.rasterise", reason="images need the packages of the extra render")
     info = RenderInfo(background=(10, 200, 90))
     found = cloud(seed, count, spread)
     wanted = drawn_by_the_text(text, found, VIEW, info)
@@ -177,7 +179,7 @@ def test_images_are_those_of_the_text(text: dict, seed: int, count: int, spread:
 
 
 def test_equal_depths_keep_their_order(text: dict) -> None:
-    rasterise = pytest.importorskip("refcodec.rasterise", reason="images need the packages of the extra render")
+    rasterise = pytest.importorskip("refcodec.render.rasterise", reason="images need the packages of the extra render")
     found = cloud(5, 12, 0.2)
     found.mean[:, 2] = 3
     made = rasterise.image(found, VIEW, RenderInfo())
@@ -187,7 +189,7 @@ def test_equal_depths_keep_their_order(text: dict) -> None:
 @pytest.mark.parametrize("alpha_max", [1.0, 0.5, 0.0039215689, 0.003, 1e-30])
 def test_any_largest_alpha(text: dict, alpha_max: float) -> None:
     """1: an opaque Gaussian finishes a pixel and is not in it; below 1/255 nothing counts."""
-    rasterise = pytest.importorskip("refcodec.rasterise", reason="images need the packages of the extra render")
+    rasterise = pytest.importorskip("refcodec.render.rasterise", reason="images need the packages of the extra render")
     info, found = RenderInfo(alpha_max=alpha_max, background=(10, 200, 90)), cloud(8, 40, 0.5)
     found.opacity[:] = 1
     made = rasterise.image(found, VIEW, info)
@@ -197,7 +199,7 @@ def test_any_largest_alpha(text: dict, alpha_max: float) -> None:
 
 @pytest.mark.parametrize("angle", [1e-8, -1e-8])
 def test_depths_that_binary32_does_not_tell_apart(text: dict, angle: float) -> None:
-    rasterise = pytest.importorskip("refcodec.rasterise", reason="images need the packages of the extra render")
+    rasterise = pytest.importorskip("refcodec.render.rasterise", reason="images need the packages of the extra render")
     found = cloud(9, 30, 0.3)
     found.mean[:, 2] = 3
     camera = replace(VIEW, rotation=np.array([[1, 0, -angle], [0, 1, 0], [angle, 0, 1]]))
@@ -208,7 +210,7 @@ def test_depths_that_binary32_does_not_tell_apart(text: dict, angle: float) -> N
 @pytest.mark.parametrize("size", [1e3, 1e6, 1e9, 1e15, 1e18])
 def test_long_and_far(text: dict, size: float) -> None:
     """Needles whose centres are far outside the image and that reach into it, and Gaussians that hardly change over it."""
-    rasterise = pytest.importorskip("refcodec.rasterise", reason="images need the packages of the extra render")
+    rasterise = pytest.importorskip("refcodec.render.rasterise", reason="images need the packages of the extra render")
     found = cloud(10, 6, 0.3)
     found.mean[:, 0], found.mean[:3, 1], found.mean[:, 2] = size * np.array([-1, 1, -0.5, 1, -2, 0.3]), 0.1, 3
     found.mean[3:, 1] = size * np.array([0.2, -0.5, 0.1])
@@ -224,7 +226,7 @@ def test_long_and_far(text: dict, size: float) -> None:
 @pytest.mark.parametrize("seed", range(12))
 def test_any_sizes(text: dict, seed: int) -> None:
     """Against the text with 60 digits: binary64 does not hold its d of a needle. Bound: what float32 makes of a pixel."""
-    rasterise = pytest.importorskip("refcodec.rasterise", reason="images need the packages of the extra render")
+    rasterise = pytest.importorskip("refcodec.render.rasterise", reason="images need the packages of the extra render")
     rng = np.random.default_rng(seed)
     found, q = cloud(seed, 6), rng.normal(size=4)
     magnitude = np.exp2(rng.uniform(-30, 30, (2, 6, 3))).astype(np.float32)
@@ -249,7 +251,7 @@ def test_any_sizes(text: dict, seed: int) -> None:
 
 @pytest.mark.parametrize("low_pass", [0.0, 1e-20, 1e20, 3e38])
 def test_any_low_pass(text: dict, low_pass: float) -> None:
-    rasterise = pytest.importorskip("refcodec.rasterise", reason="images need the packages of the extra render")
+    rasterise = pytest.importorskip("refcodec.render.rasterise", reason="images need the packages of the extra render")
     info, found = RenderInfo(low_pass=low_pass, background=(10, 200, 90)), cloud(11, 20, 0.5)
     found.lengths[:] = np.maximum(found.lengths, 0.01)
     made = rasterise.image(found, VIEW, info)
@@ -257,7 +259,7 @@ def test_any_low_pass(text: dict, low_pass: float) -> None:
 
 
 def test_images_do_not_depend_on_threads() -> None:
-    rasterise = pytest.importorskip("refcodec.rasterise", reason="images need the packages of the extra render")
+    rasterise = pytest.importorskip("refcodec.render.rasterise", reason="images need the packages of the extra render")
     numba = pytest.importorskip("numba")
     found, camera = cloud(6, 500, 2.0), VIEW.resized(200, 120)
     before = numba.get_num_threads()
@@ -274,7 +276,7 @@ def test_images_do_not_depend_on_threads() -> None:
 @pytest.mark.filterwarnings("error")
 def test_hostile_numbers_give_an_image() -> None:
     """Whatever a valid file's floats are, an image is made, of finite numbers and without a warning."""
-    rasterise = pytest.importorskip("refcodec.rasterise", reason="images need the packages of the extra render")
+    rasterise = pytest.importorskip("refcodec.render.rasterise", reason="images need the packages of the extra render")
     found = cloud(7, 40)
     found.mean[:10] = [[1e30, 0, 1], [0, 0, 0.2], [0, 0, 1e-30], [np.inf, 0, 1], [np.nan, 0, 1], *[[0, 0, 1e20]] * 5]
     found.lengths[10:16] = [[0, 0, 0], [1e30, 1e30, 1e30], [np.inf, 1, 1], [1e-40, 1, 1], [1e18, 1e-18, 0], [1e6, 1e6, 1e6]]

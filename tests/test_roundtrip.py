@@ -8,11 +8,12 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 
-from conformance.scenes import MAIN_DIMENSIONS, TINY_DIMENSIONS, random_scene, with_steps
-from conformance.strategies import scenes
-from refcodec import codec, reconstruction
-from refcodec.attributes import ATTRIBUTE_SYMBOL_MAX
-from refcodec.scene import Lanes, Scene
+from conformance.cases.random_scenes import MAIN_DIMENSIONS, TINY_DIMENSIONS, random_scene, with_steps
+from conformance.fuzz.strategies import scenes
+from refcodec.bitstream import batches, codec, reconstruction
+from refcodec.bitstream.attributes import ATTRIBUTE_SYMBOL_MAX
+from refcodec.bitstream.header import Lanes
+from refcodec.bitstream.scene import Scene
 
 
 def assert_round_trip(scene: Scene) -> None:
@@ -126,16 +127,15 @@ def test_every_chunk_size() -> None:
     assert len(digests) == 1
 
 
-@pytest.mark.parametrize("threads", [1, 2])
 @pytest.mark.parametrize("together", [(1, 65536), (2, 65536), (1024, 1), (1024, 11), (1024, 12), (3, 13)])
-def test_grouping(monkeypatch: pytest.MonkeyPatch, threads: int, together: tuple[int, int]) -> None:
+def test_grouping(monkeypatch: pytest.MonkeyPatch, together: tuple[int, int]) -> None:
     """However many chunks and anchors are coded side by side, chunks that pass the limit alone included."""
     scene = random_scene(13, 40, chunk_size=6, lanes=Lanes(1, 2, 3))
     data = codec.emit(scene)
-    monkeypatch.setattr(codec, "GROUP_CHUNKS", together[0])
-    monkeypatch.setattr(codec, "GROUP_ANCHORS", together[1])
-    assert codec.emit(scene, threads=threads) == data
-    found = codec.parse(data, threads=threads).scene
+    monkeypatch.setattr(batches, "GROUP_CHUNKS", together[0])
+    monkeypatch.setattr(batches, "GROUP_ANCHORS", together[1])
+    assert codec.emit(scene) == data
+    found = codec.parse(data).scene
     assert reconstruction.digest(found) == reconstruction.digest(scene)
     assert codec.emit(found) == data
 

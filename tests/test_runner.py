@@ -20,13 +20,16 @@ from xml.etree import ElementTree
 import jsonschema
 import pytest
 
-from conformance import cli, commands, fluster, process, runner
-from conformance.files import Target, repair
+from conformance import cli
+from conformance.cases.files import Target, repair
 from conformance.manifest import MANIFEST, SCHEMA, VECTORS, load
 from conformance.report import summary
-from refcodec import codec, inspection
-from refcodec.errors import REGISTRY, BitstreamError
-from refcodec.reconstruction import canonical_head, canonical_parts, digest
+from conformance.runner import commands, fluster, process
+from conformance.runner import run as runner
+from refcodec.bitstream import codec
+from refcodec.bitstream.errors import REGISTRY, BitstreamError
+from refcodec.bitstream.reconstruction import canonical_head, canonical_parts, digest
+from refcodec.inspect.trace import symbol_trace
 
 HERE = Path(__file__).resolve().parent
 FAKE = HERE / "fake_decoder.py"
@@ -71,7 +74,7 @@ def _expectation(data: bytes, place: Path) -> tuple[dict[str, Any], dict[str, An
     """What the manifest says of a file, and the fake decoder's answer."""
     lines: list[str] = []
     try:
-        scene = inspection.symbol_trace(data, lines.append).scene
+        scene = symbol_trace(data, lines.append).scene
     except BitstreamError as error:
         kind = error.kind
         said = {"result": "rejected", "code": kind.code, "name": kind.name, "offset": error.offset, "clause": kind.clause}
@@ -420,7 +423,7 @@ def test_a_decoder_that_serves(suite: Suite, tmp_path: Path, mode: str, text: st
 @pytest.mark.parametrize("name", ["refcodec", "independent"])
 def test_the_decoders_serve(suite: Suite, name: str) -> None:
     options = ["--vectors", str(suite.folder), "--jobs", "1", "--slow", "20", "--serve"]
-    assert cli.main(["run", *options, "--trace", "--", sys.executable, "-m", "conformance.serve", name]) == commands.EXIT_RIGHT
+    assert cli.main(["run", *options, "--trace", "--", sys.executable, "-m", "conformance.runner.serve", name]) == commands.EXIT_RIGHT
 
 
 # --- reports ----------------------------------------------------------------------------------------------------------

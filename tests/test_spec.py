@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import importlib
+import pkgutil
 import re
 from fractions import Fraction
 from pathlib import Path
@@ -13,12 +14,19 @@ import mpmath
 import numpy as np
 import pytest
 
-from conformance.scenes import MAIN_DIMENSIONS, TINY_DIMENSIONS, random_scene
-from conformance.text import blocks, decode
-from refcodec import codec, container, errors, geometry, networks, reconstruction, syntax, tables
-from refcodec.attributes import code_attributes
-from refcodec.entropy import Decoder, Substream, select
-from refcodec.scene import Dimensions, Lanes, Scene
+from conformance.blocks import blocks, decode
+from conformance.cases.random_scenes import MAIN_DIMENSIONS, TINY_DIMENSIONS, random_scene
+from refcodec import bitstream
+from refcodec.bitstream import codec, context, directory, entropy, errors, networks, reconstruction, syntax, tables
+from refcodec.bitstream.attributes import code_attributes
+from refcodec.bitstream.chunks import CHUNK_ENTRY_BYTES, chunk_ranges
+from refcodec.bitstream.codec import parse_container
+from refcodec.bitstream.dimensions import Dimensions, weight_count
+from refcodec.bitstream.entropy import Decoder, Substream, select
+from refcodec.bitstream.frame import MATRIX_BOUND, TRANSLATION_BOUND
+from refcodec.bitstream.header import SIGNATURE, Lanes
+from refcodec.bitstream.planes import assemble_planes
+from refcodec.bitstream.scene import Scene
 
 ROOT = Path(__file__).resolve().parent.parent
 TEXT = (ROOT / "SPEC.md").read_text(encoding="utf-8")
@@ -58,7 +66,7 @@ def test_syntax_table(name: str) -> None:
     assert len(extra) == len(syntax.SYNTAX[name])
 
 
-MODULES = ["container", "codec", "networks", "planes", "attributes", "geometry", "entropy", "tables", "positions", "weights"]
+MODULES = [importlib.import_module(f"refcodec.bitstream.{m.name}") for m in pkgutil.iter_modules(bitstream.__path__)]
 
 
 def test_constants() -> None:
@@ -66,11 +74,7 @@ def test_constants() -> None:
     assert len(printed) > 30
     for name, value, clause, _ in printed:
         expected = eval(value.replace("^", "**"))  # a formula of numbers
-        found = [
-            getattr(importlib.import_module(f"refcodec.{m}"), name)
-            for m in MODULES
-            if hasattr(importlib.import_module(f"refcodec.{m}"), name)
-        ]
+        found = [getattr(module, name) for module in MODULES if hasattr(module, name)]
         assert found, f"no module has {name}"
         assert all(f == expected for f in found), name
         assert re.search(rf"^#+ {re.escape(clause)} ", TEXT, re.MULTILINE), clause
@@ -150,12 +154,12 @@ def test_widths() -> None:
 
 def test_the_largest_sums_of_the_widths(spec: dict) -> None:
     """Files can reach the bounds of 7.11, or nearly."""
-    matrix, shift = [codec.MATRIX_BOUND - 1] * 9, [0] * 3
-    frame = {"matrix": matrix, "translation": [codec.TRANSLATION_BOUND - 1] * 3, "shift": shift}
-    assert spec["FRAME_COORDINATES"](frame, [(1 << 40) - (1 << 29)] * 3) == [geometry.FRAME_CLAMP] * 3
-    w = spec["CONTRACT"]([geometry.FRAME_CLAMP, 0, 0])
+    matrix, shift = [MATRIX_BOUND - 1] * 9, [0] * 3
+    frame = {"matrix": matrix, "translation": [TRANSLATION_BOUND - 1] * 3, "shift": shift}
+    assert spec["FRAME_COORDINATES"](frame, [(1 << 40) - (1 << 29)] * 3) == [context.FRAME_CLAMP] * 3
+    w = spec["CONTRACT"]([context.FRAME_CLAMP, 0, 0])
     assert (1 << 17) - 8 <= w[0] <= 1 << 17
-    assert all(abs(x) <= 1 << 17 for v in ([-geometry.FRAME_CLAMP] * 3, [1 - (1 << 30), 0, 0], [65536, 1, 0]) for x in spec["CONTRACT"](v))
+    assert all(abs(x) <= 1 << 17 for v in ([-context.FRAME_CLAMP] * 3, [1 - (1 << 30), 0, 0], [65536, 1, 0]) for x in spec["CONTRACT"](v))
 
 
 def test_terms_are_defined_before_they_are_used() -> None:
@@ -210,7 +214,7 @@ def test_cross_references_resolve() -> None:
 
 
 def test_tables_file_as_stated() -> None:
-    data = Path(tables.__file__).parent.joinpath("data", tables.TABLES_FILE).read_bytes()
+    data = tables.tables_file().read_bytes()
     assert hashlib.sha256(data).hexdigest() in TEXT
     assert f"of {len(data)} bytes" in TEXT
 
@@ -281,20 +285,20 @@ def test_the_formulas_of_the_prose(spec: dict) -> None:
         assert abs(Fraction(called("VALUE", y, q, abs(base))) - exact) <= abs(exact) / (1 << 24)
     chunks, first, last = formulas("6.10")[0], *formulas("6.10")[1:3]
     for n, size in [(0, 3), (1, 3), (6, 3), (7, 3), (4096, 65536)]:
-        ranges = container.chunk_ranges(n, size)
+        ranges = chunk_ranges(n, size)
         assert value(chunks, N=n, chunk_size=size) == len(ranges)
         for c, held in enumerate(ranges):
             assert (value(first, c=c, chunk_size=size), value(last, c=c, chunk_size=size, N=n)) == (held[0], held[-1])
             assert "`min((c + 1) * chunk_size, N) - 1`" in section("6.10")
     data = EXAMPLE.read_bytes()
-    header = container.parse_container(data)
+    header = parse_container(data)
     d = header.dimensions
     weights, table, positions = formulas("6.6")
     assert value(table, K=0, C=0, m=1) == syntax.SCHEMAS["PositionModel"].sizeof(at=None)
     lengths = {kind: s.end - s.start for kind, s in header.sections.items()}
-    assert lengths[container.WEIGHTS] == value(weights, carm_inputs=d.carm_inputs, W=container.weight_count(d))
-    assert lengths[container.CHUNK_TABLE] == value(table, K=d.offset_count, C=len(header.chunks), m=0)
-    assert lengths[container.POSITIONS] == value(positions, N=header.anchor_count)
+    assert lengths[directory.WEIGHTS] == value(weights, carm_inputs=d.carm_inputs, W=weight_count(d))
+    assert lengths[directory.CHUNK_TABLE] == value(table, K=d.offset_count, C=len(header.chunks), m=0)
+    assert lengths[directory.POSITIONS] == value(positions, N=header.anchor_count)
     index, masked = formulas("7.6")
     order = [value(index, k=k, n=n) for k in range(10) for n in range(k + 1)]
     assert order == list(range(55))
@@ -347,11 +351,11 @@ def model_bounds(models: tables.ModelSet, model: int) -> np.ndarray:
 
 
 def test_container_numbers() -> None:
-    assert container.SIGNATURE.hex(" ").upper() in section("5.1")
+    assert SIGNATURE.hex(" ").upper() in section("5.1")
     assert syntax.SCHEMAS["Frame"].sizeof(at=None) == 88
-    assert syntax.SCHEMAS["ChunkEntry"].sizeof(at=None) == container.CHUNK_ENTRY_BYTES
-    assert [f"{t:02X}" for t in container.SECTIONS] == re.findall(r"^Section type (\d\d), mode 0", TEXT, re.MULTILINE)
-    for kind, name in container.SECTIONS.items():
+    assert syntax.SCHEMAS["ChunkEntry"].sizeof(at=None) == CHUNK_ENTRY_BYTES
+    assert [f"{t:02X}" for t in directory.SECTIONS] == re.findall(r"^Section type (\d\d), mode 0", TEXT, re.MULTILINE)
+    for kind, name in directory.SECTIONS.items():
         assert re.search(rf"\| {kind:02x} {name} ", section("4.1")), name
 
 
@@ -395,9 +399,9 @@ def test_geometry(spec: dict) -> None:
     rng = np.random.default_rng(2)
     scene = random_scene(5, 200)
     frame = {k: getattr(scene.frame, k).reshape(-1).tolist() for k in ("matrix", "translation", "shift", "low", "high")}
-    planes = geometry.assemble_planes(scene.planes)
+    planes = assemble_planes(scene.planes)
     bits = np.where(rng.random((200, 3)) < 0.2, rng.integers(0, 0x7C00, (200, 3)), scene.positions.view(np.uint16)).astype(np.uint16)
-    code = geometry.context(scene.frame, planes, scene.plane_shift, 3, bits.view(np.float16))
+    code = context.context(scene.frame, planes, scene.plane_shift, 3, bits.view(np.float16))
     text = [spec["CONTEXT"](frame, planes[0].tolist(), planes[1].tolist(), scene.plane_shift, 3, p) for p in bits.tolist()]
     assert code.tolist() == text
 
@@ -425,7 +429,7 @@ CASES = [
 def test_the_text_decodes_files(spec: dict, seed: int, anchors: int, dimensions: Dimensions, gain: float, spread: float) -> None:
     scene = random_scene(seed, anchors, dimensions, chunk_size=4, lanes=Lanes(0, 1, 2), gain=gain, spread=min(spread, 5000))
     data = codec.emit(scene)
-    whole, verdicts = decode(spec, data, container.parse_container(data))
+    whole, verdicts = decode(spec, data, parse_container(data))
     assert hashlib.sha256(whole).hexdigest() == reconstruction.digest(codec.parse(data).scene)[0]
     assert verdicts == [None] * len(verdicts)
 
@@ -434,15 +438,15 @@ def test_the_text_refuses_what_the_code_refuses(spec: dict) -> None:
     """A changed byte of a substream gets the same verdict from both, checksums of the container aside."""
     scene = random_scene(8, 5, chunk_size=8, lanes=Lanes(1, 1, 1))
     data = codec.emit(scene)
-    header = container.parse_container(data)
-    part = header.sections[container.ATTRIBUTES]
+    header = parse_container(data)
+    part = header.sections[directory.ATTRIBUTES]
     seen = set()
     for at in range(part.start, part.end, 5):
         changed = bytearray(data)
         changed[at] ^= 0x10
         verdicts = decode(spec, bytes(changed), header)[1]
         verdict = next((v for v in verdicts if v), None)
-        stream = codec._substream(bytes(changed), part.start, part.end, 2, "x")
+        stream = entropy.open_substream(bytes(changed), part.start, part.end, 2, "x")
         if stream[1] is None:
             found = verdict_of_attributes(scene, stream[0])
             assert found == verdict, at
@@ -452,10 +456,8 @@ def test_the_text_refuses_what_the_code_refuses(spec: dict) -> None:
 
 def verdict_of_attributes(scene: Scene, stream: Substream) -> str | None:
     """What the code says of the one attribute substream of a scene."""
-    nets = codec.derive_networks(scene.dimensions, scene.carm_shift, scene.networks)
-    contexts = nets.contexts(scene, scene.frame, geometry.assemble_planes(scene.planes), scene.plane_shift, scene.positions)
-    decoder = Decoder([stream])
-    code_attributes(decoder, nets.entropy, contexts, scene.masks, [range(scene.anchor_count)])
+    coding, decoder = codec.Coding(scene), Decoder([stream])
+    code_attributes(decoder, coding.model, coding.contexts(), scene.masks, [range(scene.anchor_count)])
     error = decoder.finish()[0]
     return error.kind.name if error else None
 
@@ -463,7 +465,7 @@ def verdict_of_attributes(scene: Scene, stream: Substream) -> str | None:
 def test_worked_example(spec: dict) -> None:
     data = EXAMPLE.read_bytes()
     assert len(data) <= 4096
-    whole, _ = decode(spec, data, container.parse_container(data))
+    whole, _ = decode(spec, data, parse_container(data))
     assert hashlib.sha256(whole).hexdigest() == reconstruction.digest(codec.parse(data).scene)[0]
     assert codec.emit(codec.parse(data).scene) == data
 

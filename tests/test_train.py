@@ -19,26 +19,25 @@ from hypothesis import strategies as st
 from PIL import Image
 
 import refcodec.train.trainer as trainer_module
-from refcodec.cli import main
-from refcodec.codec import emit, parse
-from refcodec.container import parse_container
-from refcodec.fit.ideal import attribute_code_length, plane_code_length
-from refcodec.quantise import packed
-from refcodec.reconstruction import world_positions
-from refcodec.scene import Scene
+from benchmarks.ideal import attribute_code_length, plane_code_length
+from refcodec.bitstream.codec import emit, parse, parse_container
+from refcodec.bitstream.reconstruction import world_positions
+from refcodec.bitstream.scene import Scene
+from refcodec.bitstream.weights import to_grid
+from refcodec.cli.main import main
+from refcodec.encoder.quantise import packed
+from refcodec.folder.uncompressed import Uncompressed, read_uncompressed
+from refcodec.photographs.photographs import PhotographSet, read_photographs
+from refcodec.render.view import View
 from refcodec.train.adam import adam_rows, gather_rows
 from refcodec.train.command import report, state_path
 from refcodec.train.losses import Photometric
-from refcodec.train.photographs import PhotographSet, read_photographs
 from refcodec.train.rate import HYPERPRIORS, WIDTH, Contexts, LearnedRate
 from refcodec.train.scaffold import COLUMNS, OFFSETS, START_EDGE, Scaffold, lattice_positions
 from refcodec.train.spawn import Spawn
 from refcodec.train.splat import draw
 from refcodec.train.state import restore, save
 from refcodec.train.trainer import Trainer, TrainSettings
-from refcodec.uncompressed import Uncompressed, read_uncompressed
-from refcodec.viewing import View
-from refcodec.weights import to_grid
 
 EXAMPLES = Path(__file__).parent.parent / "examples" / "photographs"
 SMALL = TrainSettings(rate=0.004, steps=160, anchors=800, most_anchors=900)
@@ -401,9 +400,9 @@ DIGEST = """
 import hashlib, sys
 from pathlib import Path
 import numba
-from refcodec.codec import emit
+from refcodec.bitstream.codec import emit
 from refcodec.train.command import train
-from refcodec.train.photographs import read_photographs
+from refcodec.photographs.photographs import read_photographs
 from refcodec.train.trainer import TrainSettings
 numba.set_num_threads(1)
 settings = TrainSettings(rate=0.004, steps=60, anchors=800, most_anchors=900)
@@ -512,7 +511,7 @@ def test_command_errors(options: list[str], message: str, tmp_path: Path, capsys
 
 
 def test_the_bitstream_side_does_not_import_training() -> None:
-    code = "import sys, refcodec.codec, refcodec.viewing, refcodec.evaluation, refcodec.uncompressed\n"
+    code = "import sys\nfrom refcodec.bitstream import codec\nfrom refcodec.render import view\nfrom refcodec.evaluate import evaluation\n"
     code += "print([m for m in sys.modules if m == 'torch' or m.startswith('refcodec.train')])"
     assert subprocess.run([sys.executable, "-c", code], check=True, capture_output=True, text=True).stdout == "[]\n"
 

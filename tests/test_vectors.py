@@ -14,23 +14,24 @@ import jsonschema
 import numpy as np
 import pytest
 
-from conformance import cli, independent, text
-from conformance.gaussians import difference
-from conformance.generate import recipes
-from conformance.generate.features import FEATURES
-from conformance.generate.flags import FLAGS
-from conformance.generate.numbers import Numbers
-from conformance.generate.recipes import Recipe, Refused
-from conformance.generate.suite import GeneratorError, vectors
+from conformance import blocks, cli, independent
+from conformance.cases import recipes
+from conformance.cases.book import Recipe, Refused
+from conformance.cases.features import FEATURES
+from conformance.cases.flags import FLAGS
+from conformance.cases.numbers import Numbers
+from conformance.cases.suite import GeneratorError, vectors
 from conformance.independent.__main__ import main as second_main
 from conformance.independent.trace import Trace
 from conformance.manifest import MANIFEST, SCHEMA, VECTORS, Accepted, GaussiansOf, Manifest, ManifestError, Rejected, Vector, faults, load
-from refcodec import codec, container
-from refcodec.cli import main
-from refcodec.entropy import select
-from refcodec.errors import REGISTRY
-from refcodec.inspection import symbol_trace
-from refcodec.tables import tables
+from conformance.runner.gaussians import difference
+from refcodec.bitstream import codec, directory
+from refcodec.bitstream.codec import parse_container
+from refcodec.bitstream.entropy import select
+from refcodec.bitstream.errors import REGISTRY
+from refcodec.bitstream.tables import tables
+from refcodec.cli.main import main
+from refcodec.inspect.trace import symbol_trace
 
 SUITE = load()
 DECODED = [v for v in SUITE.vectors if v.operation == "decode"]
@@ -70,7 +71,7 @@ def test_everything_has_a_vector() -> None:
     """Every requirement that a file can test, every error, feature and flag."""
     assert {v.expectation.name for v in DECODED if isinstance(v.expectation, Rejected)} == set(REGISTRY)
     proved = {name for v in SUITE.vectors for name in v.requirements}
-    names = {name for name, *_ in text.requirements(text.SPEC.read_text(encoding="utf-8"))}
+    names = {name for name, *_ in blocks.requirements(blocks.SPEC.read_text(encoding="utf-8"))}
     # What a mode or an image would show that no runner asks for.
     assert names - proved == {"D10.1-2", "G14.5-1"}
     assert proved <= names
@@ -217,10 +218,10 @@ def test_the_second_decoder(klass: str) -> None:
 @pytest.mark.slow
 def test_the_text_of_the_specification() -> None:
     """SPEC.md's blocks decode the small files to the same numbers."""
-    space = text.blocks(text.SPEC.read_text(encoding="utf-8"))
+    space = blocks.blocks(blocks.SPEC.read_text(encoding="utf-8"))
     assert len(SMALL) > 100
     for vector in SMALL:
-        found, verdicts = text.decode(space, data(vector), container.parse_container(data(vector)))
+        found, verdicts = blocks.decode(space, data(vector), parse_container(data(vector)))
         assert isinstance(vector.expectation, Accepted)
         assert not any(verdicts), vector.id
         assert sha256(found) == vector.expectation.digest, vector.id
@@ -228,13 +229,13 @@ def test_the_text_of_the_specification() -> None:
 
 def test_the_text_s_verdict_on_weights() -> None:
     """The block of 7.13 refuses what the vectors refuse there."""
-    space, seen = text.blocks(text.SPEC.read_text(encoding="utf-8")), set()
+    space, seen = blocks.blocks(blocks.SPEC.read_text(encoding="utf-8")), set()
     for vector in DECODED:
         e = vector.expectation
         if isinstance(e, Rejected) and e.name in ("weights.not_finite", "weights.exponent", "weights.raw"):
-            header = container.parse_container(data(vector))
-            if header.sections[container.WEIGHTS].mode:
-                assert text.decode(space, data(vector), header)[1] == [e.name], vector.id
+            header = parse_container(data(vector))
+            if header.sections[directory.WEIGHTS].mode:
+                assert blocks.decode(space, data(vector), header)[1] == [e.name], vector.id
                 seen.add(e.name)
     assert len(seen) == 3
 

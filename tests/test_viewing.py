@@ -17,10 +17,11 @@ for package in ("numba", "PIL", "skimage", "scipy"):
 
 from PIL import Image  # noqa: E402
 
-from conformance.scenes import random_scene  # noqa: E402
-from refcodec import cli, codec  # noqa: E402
-from refcodec.quality import measures  # noqa: E402
-from refcodec.viewing import View, eight_bits, looking, own_camera, write_gif, write_png  # noqa: E402
+from conformance.cases.random_scenes import random_scene  # noqa: E402
+from refcodec.bitstream import codec  # noqa: E402
+from refcodec.cli.main import main  # noqa: E402
+from refcodec.evaluate.quality import measures  # noqa: E402
+from refcodec.render.view import View, eight_bits, looking, own_camera, write_gif, write_png  # noqa: E402
 
 ROOT = Path(__file__).resolve().parent.parent
 PHOTOGRAPHS = ROOT / "examples" / "photographs" / "caliterra"
@@ -69,10 +70,10 @@ def test_huge_cameras_are_drawn_smaller(tmp_path: Path) -> None:
 
 
 def test_what_does_not_fit_in_memory_is_refused(tmp_path: Path, monkeypatch, capsys) -> None:
-    monkeypatch.setattr("refcodec.rasterise.PAIRS_MAX", 0)
-    assert cli.main(["render", str(EXAMPLE), "-o", str(tmp_path / "images")]) == 64
+    monkeypatch.setattr("refcodec.render.rasterise.PAIRS_MAX", 0)
+    assert main(["render", str(EXAMPLE), "-o", str(tmp_path / "images")]) == 64
     assert "cannot be drawn" in capsys.readouterr().err
-    assert cli.main(["eval", str(EXAMPLE), str(PHOTOGRAPHS), "--size", "32"]) == 64
+    assert main(["eval", str(EXAMPLE), str(PHOTOGRAPHS), "--size", "32"]) == 64
     assert "cannot be drawn" in capsys.readouterr().err
 
 
@@ -140,7 +141,8 @@ def file(tmp_path: Path) -> str:
 
 def test_an_image_of_a_file_does_not_depend_on_threads(file: str) -> None:
     program = (
-        "import sys, hashlib, numba; from refcodec.codec import parse; from refcodec.viewing import View, default_camera\n"
+        "import sys, hashlib, numba\nfrom refcodec.bitstream.codec import parse\n"
+        "from refcodec.render.camera import default_camera\nfrom refcodec.render.view import View\n"
         "view = View(parse(open(sys.argv[1], 'rb').read()).scene)\n"
         "camera = default_camera(view.info).resized(400, 300)\n"
         "print(numba.get_num_threads(), hashlib.sha256(view.draw(camera).tobytes()).hexdigest())"
@@ -155,11 +157,11 @@ def test_an_image_of_a_file_does_not_depend_on_threads(file: str) -> None:
 
 
 def test_render(file: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert cli.main(["render", file, "-o", str(tmp_path / "own")]) == 0
+    assert main(["render", file, "-o", str(tmp_path / "own")]) == 0
     assert Image.open(tmp_path / "own" / "default.png").size == (40, 30)
-    assert cli.main(["render", file, "-o", str(tmp_path / "orbit"), "--cameras", "orbit", "--frames", "3"]) == 0
+    assert main(["render", file, "-o", str(tmp_path / "orbit"), "--cameras", "orbit", "--frames", "3"]) == 0
     assert sorted(p.name for p in (tmp_path / "orbit").iterdir()) == ["orbit-0000.png", "orbit-0001.png", "orbit-0002.png", "orbit.gif"]
-    assert cli.main(["render", file, "-o", str(tmp_path / "photos"), "--cameras", str(PHOTOGRAPHS), "--size", "40"]) == 0
+    assert main(["render", file, "-o", str(tmp_path / "photos"), "--cameras", str(PHOTOGRAPHS), "--size", "40"]) == 0
     made = sorted((tmp_path / "photos").iterdir())
     assert [p.stem for p in made] == sorted(p.stem for p in (PHOTOGRAPHS / "images").iterdir())
     assert Image.open(made[0]).size == (40, 30)
@@ -167,7 +169,7 @@ def test_render(file: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -
 
 
 def test_eval(file: str, capsys: pytest.CaptureFixture[str]) -> None:
-    assert cli.main(["eval", file, str(PHOTOGRAPHS), "--size", "40x30", "--json"]) == 0
+    assert main(["eval", file, str(PHOTOGRAPHS), "--size", "40x30", "--json"]) == 0
     result = json.loads(capsys.readouterr().out)
     assert result["bytes"] == Path(file).stat().st_size == sum(result["parts"].values())
     assert set(result["mean"]) == {"psnr", "ssim", "psnr_3dgs", "ssim_3dgs"}
@@ -176,7 +178,7 @@ def test_eval(file: str, capsys: pytest.CaptureFixture[str]) -> None:
     assert len(result["images"]) == 10
     for name, value in result["mean"].items():
         assert value == pytest.approx(np.mean([row[name] for row in result["images"]]))
-    assert cli.main(["eval", file, str(PHOTOGRAPHS), "--size", "40"]) == 0
+    assert main(["eval", file, str(PHOTOGRAPHS), "--size", "40"]) == 0
     printed = capsys.readouterr().out
     assert f"{result['mean']['psnr']:.4f}" in printed
     assert "images a second" in printed
@@ -192,17 +194,21 @@ def test_what_is_wrong_is_said(
         last = ["--cameras", photographs, "-o", str(tmp_path / "o")] if command == "render" else [photographs]
         return [command, name, *last, *more]
 
-    assert cli.main(arguments(file, folder)) == 64
-    assert cli.main(arguments(file, str(PHOTOGRAPHS), "--size", "wide")) == 64
+    assert main(arguments(file, folder)) == 64
+    assert main(arguments(file, str(PHOTOGRAPHS), "--size", "wide")) == 64
     bad = tmp_path / "bad.c3gs"
     bad.write_bytes(EXAMPLE.read_bytes()[:-1])
-    assert cli.main(arguments(str(bad), str(PHOTOGRAPHS))) == 1
+    assert main(arguments(str(bad), str(PHOTOGRAPHS))) == 1
     assert '"code": 306' in capsys.readouterr().err
     # Without numba; and an import that fails for another reason is a fault, and not hidden.
-    for name in [m for m in sys.modules if m in ("refcodec.evaluation", "refcodec.viewing", "refcodec.quality", "refcodec.rasterise")]:
+    for name in [
+        m
+        for m in sys.modules
+        if m in ("refcodec.evaluate.evaluation", "refcodec.render.view", "refcodec.evaluate.quality", "refcodec.render.rasterise")
+    ]:
         monkeypatch.delitem(sys.modules, name)
     monkeypatch.setitem(sys.modules, "numba", None)
-    assert cli.main(arguments(file, folder)) == 64
+    assert main(arguments(file, folder)) == 64
     assert "pip install 'refcodec[render]'" in capsys.readouterr().err
-    monkeypatch.setitem(sys.modules, "refcodec.viewing", None)
-    assert cli.main(arguments(file, folder)) == 70
+    monkeypatch.setitem(sys.modules, "refcodec.render.view", None)
+    assert main(arguments(file, folder)) == 70

@@ -13,13 +13,17 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
-from conformance.scenes import MAIN_DIMENSIONS, random_scene
-from conformance.text import blocks, decode
-from refcodec import codec, container, inspection, reconstruction
-from refcodec.entropy import TraceRow
-from refcodec.networks import IntNetwork, derive_layer
-from refcodec.quantise import RENDERING, exact_networks, pack_weights, packed, quantise_rendering
-from refcodec.weights import WEIGHT_SYMBOL_MAX, from_grid, layers_of, to_grid
+from conformance.blocks import blocks, decode
+from conformance.cases.random_scenes import MAIN_DIMENSIONS, random_scene
+from refcodec.bitstream import codec, directory, reconstruction
+from refcodec.bitstream.codec import parse_container
+from refcodec.bitstream.dimensions import layers_of
+from refcodec.bitstream.entropy import TraceRow
+from refcodec.bitstream.networks import IntNetwork, derive_layer
+from refcodec.bitstream.weights import WEIGHT_SYMBOL_MAX, from_grid, to_grid
+from refcodec.encoder.quantise import packed
+from refcodec.encoder.weights import RENDERING, exact_networks, pack_weights, quantise_rendering
+from refcodec.inspect import elements, trace
 
 SPACE = blocks((Path(__file__).resolve().parent.parent / "SPEC.md").read_text(encoding="utf-8"))
 FINITE = st.floats(width=32, allow_nan=False, allow_infinity=False)
@@ -109,7 +113,7 @@ def test_a_scene_of_grids() -> None:
     scene = random_scene(3, 20, MAIN_DIMENSIONS, chunk_size=256)
     small = pack_weights(replace(scene, networks=quantise_rendering(scene.networks, 6)))
     data, raw = codec.emit(small), codec.emit(scene)
-    sections, before = (container.parse_container(d).sections[container.WEIGHTS] for d in (data, raw))
+    sections, before = (parse_container(d).sections[directory.WEIGHTS] for d in (data, raw))
     assert (sections.mode, before.mode) == (1, 0)
     assert 3 * (sections.end - sections.start) < before.end - before.start
     found = codec.parse(data).scene
@@ -126,7 +130,7 @@ def test_a_scene_of_grids() -> None:
 def test_the_text_decodes_it() -> None:
     scene = pack_weights(random_scene(4, 5))
     data = codec.emit(scene)
-    whole, verdicts = decode(SPACE, data, container.parse_container(data))
+    whole, verdicts = decode(SPACE, data, parse_container(data))
     assert not any(verdicts)
     assert reconstruction.digest(codec.parse(data).scene)[0] == hashlib.sha256(whole).hexdigest()
 
@@ -146,7 +150,7 @@ def test_scales_that_cannot_be_written() -> None:
 
 def test_inspection_and_trace() -> None:
     data = codec.emit(pack_weights(random_scene(6, 2)))
-    names = {row.path for row in inspection.rows(data)}
+    names = {row.path for row in elements.rows(data)}
     assert {"weights.hyper.0.form", "weights.opacity.0.weight", "weights.word", "weights.symbol_crc"} <= names
     seen: list[TraceRow] = []
     codec.parse(data, trace=seen.append)
@@ -154,5 +158,5 @@ def test_inspection_and_trace() -> None:
     assert symbols[0] == "weights.hyper.0.exponent[0]"
     assert "weights.carm.1.1.bias[0]" in symbols
     lines: list[str] = []
-    inspection.trace(data, lines.append)
+    trace.trace(data, lines.append)
     assert sum(line.startswith("weights.sarm.0.weight[") for line in lines) == 16

@@ -6,8 +6,9 @@ import sys
 
 import pytest
 
-from conformance import cli, commands
+from conformance import cli
 from conformance.manifest import VECTORS
+from conformance.runner import commands
 
 pytestmark = pytest.mark.slow
 
@@ -18,4 +19,4 @@ pytestmark = pytest.mark.slow
 )
 def test_it_passes(name: str, more: list[str]) -> None:
     options = ["--vectors", str(VECTORS), "--jobs", "2", "--slow", "4", "--serve", *more]
-    assert cli.main(["run", *options, "--trace", "--", sys.executable, "-m", "conformance.serve", name]) == commands.EXIT_RIGHT
+    assert cli.main(["run", *options, "--trace", "--", sys.executable, "-m", "conformance.runner.serve", name]) == commands.EXIT_RIGHT

@@ -11,7 +11,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-from conformance import text
+from conformance import blocks
 
 ROOT = Path(__file__).resolve().parent.parent
 FIGURES = ROOT / "figures"
@@ -203,7 +203,7 @@ MAKE: dict[str, Callable[[dict[str, Any]], str]] = {
 
 
 def main() -> int:
-    space = text.blocks(text.SPEC.read_text(encoding="utf-8"))
+    space = blocks.blocks(blocks.SPEC.read_text(encoding="utf-8"))
     current = True
     for name, make in MAKE.items():
         path, made = FIGURES / f"{name}.svg", make(space)

@@ -10,11 +10,13 @@ from pathlib import Path
 
 import numpy as np
 
-from refcodec import codec
-from refcodec.attributes import Attributes
-from refcodec.geometry import Frame
-from refcodec.limits import TINY
-from refcodec.scene import Dimensions, Lanes, PositionGrid, RenderInfo, Scene
+from refcodec.bitstream import codec
+from refcodec.bitstream.attributes import Attributes
+from refcodec.bitstream.dimensions import Dimensions
+from refcodec.bitstream.frame import Frame
+from refcodec.bitstream.header import Lanes, PositionGrid, RenderInfo
+from refcodec.bitstream.limits import TINY
+from refcodec.bitstream.scene import Scene
 
 TARGET = Path(__file__).resolve().parent.parent / "vectors" / "tiny-example.c3gs"
 DIMENSIONS = Dimensions(2, (2, 3), 1, 2, 4, (4,), (3,), (3,), 2)

@@ -17,7 +17,7 @@ from PIL import Image
 from scipy.spatial.transform import Rotation
 from tqdm import tqdm
 
-from refcodec.train.photographs import Camera, PhotographError, PhotographSet, parse_size, read_photographs
+from refcodec.photographs.photographs import Camera, PhotographError, PhotographSet, parse_size, read_photographs
 
 
 def target_name(camera: Camera) -> str:

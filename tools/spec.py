@@ -13,10 +13,10 @@ from pathlib import Path
 
 import walk
 
-from refcodec.codec import parse
-from refcodec.errors import REGISTRY
-from refcodec.limits import PROFILES, Profile
-from refcodec.reconstruction import digest
+from refcodec.bitstream.codec import parse
+from refcodec.bitstream.errors import REGISTRY
+from refcodec.bitstream.limits import PROFILES, Profile
+from refcodec.bitstream.reconstruction import digest
 
 ROOT = Path(__file__).resolve().parent.parent
 SPEC = ROOT / "SPEC.md"

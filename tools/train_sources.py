@@ -1,4 +1,4 @@
-"""Trains the scenes of the suite's trained vectors anew: conformance/generate/sources/*.c3gs.
+"""Trains the scenes of the suite's trained vectors anew: conformance/cases/sources/*.c3gs.
 
 python tools/train_sources.py [NAME]
 
@@ -12,11 +12,11 @@ import tempfile
 from dataclasses import dataclass
 from pathlib import Path
 
-from refcodec import codec
-from refcodec.folder import read_folder
-from refcodec.quantise import packed
+from refcodec.bitstream import codec
+from refcodec.encoder.quantise import packed
+from refcodec.folder.read import read_folder
+from refcodec.photographs.photographs import read_photographs
 from refcodec.train.command import train
-from refcodec.train.photographs import read_photographs
 from refcodec.train.trainer import TrainSettings
 
 ROOT = Path(__file__).resolve().parent.parent

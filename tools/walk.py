@@ -12,9 +12,9 @@ from typing import Any
 
 import numpy as np
 
-from conformance import text
-from refcodec import container, syntax
-from refcodec.inspection import Row, rows
+from conformance import blocks
+from refcodec.bitstream import codec, syntax
+from refcodec.inspect.elements import Row, rows
 
 # Longer contents are folded to their first bytes.
 SHOWN_BYTES = 12
@@ -71,7 +71,7 @@ def meaning_of(path: str, known: dict[str, str]) -> str:
         match = re.match(pattern, path)
         if match:
             return known[f"{table}.{match[1]}"]
-    return next(text for pattern, text in OTHERS if re.match(pattern, path))
+    return next(blocks for pattern, blocks in OTHERS if re.match(pattern, path))
 
 
 def _contents(data: bytes, row: Row) -> str:
@@ -104,7 +104,7 @@ class Watch:
     """SPEC.md's decoder with a note of each symbol, each raw field and each value. Streams are told apart by their identity."""
 
     def __init__(self, spec: str) -> None:
-        self.space = text.blocks(spec)
+        self.space = blocks.blocks(spec)
         self.opened: list[dict[str, Any]] = []
         self.networks: list[tuple[list[int], list[int]]] = []
         self.symbols: list[dict[str, Any]] = []
@@ -174,7 +174,7 @@ def _watched(data: bytes, spec: str) -> tuple[Watch, list[int]]:
         return opened[-1]
 
     watch.space["OPEN"] = noted
-    text.decode(watch.space, data, container.parse_container(data))
+    blocks.decode(watch.space, data, codec.parse_container(data))
     watch.opened = opened
     return watch, [id(stream) for stream in opened]
 
@@ -182,7 +182,7 @@ def _watched(data: bytes, spec: str) -> tuple[Watch, list[int]]:
 def plane_steps(data: bytes, spec: str, count: int) -> str:
     """The first symbols of sub-plane 0, step by step."""
     watch, streams = _watched(data, spec)
-    d = container.parse_container(data).dimensions
+    d = codec.parse_container(data).dimensions
     points = [(t, p) for t, group in enumerate(watch.space["PLANE_GROUPS"](d.plane_channels, d.plane_size)) for p in group]
     groups = [g for g in watch.values if g["stream"] == streams[0]]
     parameters, chosen, values = ([x for g in groups for x in g[name]] for name in ("parameters", "chosen", "values"))
@@ -217,8 +217,8 @@ def first_anchor(data: bytes, spec: str) -> str:
             return value
 
         space[name] = noted
-    text.decode(space, data, container.parse_container(data))
-    header = container.parse_container(data)
+    blocks.decode(space, data, codec.parse_container(data))
+    header = codec.parse_container(data)
     width = header.dimensions.attribute_width
     # The first group of values with an anchor's channels comes after the planes'.
     groups = watch.values[sum(1 for g in watch.values if g["planes"]) :]

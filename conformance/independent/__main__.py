@@ -4,7 +4,7 @@ import json
 import sys
 from pathlib import Path
 
-from .decode import decode
+from .codec import decode
 from .errors import C3GSError
 from .reconstruction import canonical_parts, digests
 from .trace import Trace

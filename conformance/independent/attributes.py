@@ -1,11 +1,12 @@
 """Clauses 5.13, 6.13 and 7.7 to 7.10: the attributes."""
 
-from .container import Header, Part
+from .chunks import Part
+from .conventions import ATTRIBUTE_SYMBOL_MAX, STEP_LENGTH, activation, clamp, shift_round
 from .entropy import Substream
-from .networks import Weights
-from .operators import ATTRIBUTE_SYMBOL_MAX, STEP_LENGTH, activation, clamp, shift_round
+from .header import Header
 from .tables import Family
 from .trace import Trace
+from .weights import Weights
 
 
 class AttributeDecoder:

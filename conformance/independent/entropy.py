@@ -1,12 +1,12 @@
-"""Chapter 8: the entropy coder."""
+"""Clauses 5.14 and 8: the entropy coder."""
 
 import struct
 import zlib
 from bisect import bisect_right
 from collections.abc import Iterable, Sequence
 
+from .conventions import ESCAPE_PREFIX_MAX, PRECISION, RAW_MAX, SCALE_END, SCALE_MIN, STATE_MIN, clamp, shift_round
 from .errors import require
-from .operators import ESCAPE_PREFIX_MAX, PRECISION, RAW_MAX, SCALE_END, SCALE_MIN, STATE_MIN, clamp, shift_round
 from .tables import Family, Model
 
 HEAD_LENGTH = 8

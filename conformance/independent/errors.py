@@ -1,4 +1,4 @@
-"""Chapter 10: the registry of errors and the one exception that this package raises for a file."""
+"""Clause 10.2: the registry of errors, and the one exception that this package raises for a file."""
 
 # SPEC 10.2: name -> (code, class, clause, meaning)
 REGISTRY: dict[str, tuple[int, str, str, str]] = {

@@ -1,10 +1,24 @@
 """Clauses 5.12, 6.12 and 7.6: the masks."""
 
-from .container import Header, Part
+import struct
+
+from .chunks import Part
+from .conventions import PRECISION
 from .entropy import Substream
-from .operators import PRECISION
+from .errors import require
+from .header import Header
 from .tables import make_model
 from .trace import Trace
+
+
+# SPEC 5.10, [R6.10-1]
+def read_mask_model(data: bytes, header: Header, table: int) -> list[int]:
+    """The frequencies of the mask model, which the chunk table begins with."""
+    count = header["offset_count"] * (header["offset_count"] + 1) // 2
+    mask_model = list(struct.unpack_from(f"<{count}H", data, table))
+    for n, frequency in enumerate(mask_model):
+        require(1 <= frequency < 1 << PRECISION, "chunks.mask_model", table + 2 * n)
+    return mask_model
 
 
 # SPEC 7.6, 10.1 step 8

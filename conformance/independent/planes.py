@@ -2,11 +2,12 @@
 
 import struct
 
-from .container import Header, Section
+from .conventions import PLANE_SYMBOL_MAX, activation
+from .directory import Section
 from .entropy import Substream
 from .errors import require
+from .header import Header
 from .networks import Network
-from .operators import PLANE_SYMBOL_MAX, activation
 from .tables import Family
 from .trace import Trace
 

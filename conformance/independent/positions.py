@@ -1,13 +1,15 @@
-"""Clauses 5.11, 6.11, 7.4 and 7.12: the positions."""
+"""Clauses 5.11, 5.15, 6.11, 7.4 and 7.12: the positions."""
 
 import math
 import struct
+from dataclasses import dataclass
 from itertools import pairwise
 
-from .container import Header, Part, PositionModel
+from .chunks import Part
+from .conventions import CELL_INDEX, CELL_LEVELS, POSITION_MODELS, PRECISION
 from .entropy import Substream
 from .errors import require
-from .operators import CELL_INDEX, CELL_LEVELS
+from .header import Header
 from .tables import make_model
 from .trace import Trace
 
@@ -71,6 +73,28 @@ def _packs(bits: list[int], cell_shift: int) -> bool:
         return False
     orders = [_order([c for c in cells[n : n + 3] if c is not None]) for n in range(0, len(cells), 3)]
     return all(a < b for a, b in pairwise(orders))
+
+
+@dataclass(frozen=True)
+class PositionModel:
+    """What packed positions are coded with: the frequencies of each model."""
+
+    cell_shift: int
+    frequencies: list[list[int]]
+
+
+# SPEC 5.15, [R6.10-4]
+def read_position_model(data: bytes, at: int) -> PositionModel:
+    require(data[at] <= CELL_INDEX, "chunks.position_model", at)
+    frequencies = []
+    for n in range(POSITION_MODELS):
+        model = list(struct.unpack_from("<16H", data, at + 1 + 32 * n))
+        # a first half without children is never followed by a second one without
+        least = [0 if n % 6 == 1 else 1] + [1] * 15
+        right = sum(model) == 1 << PRECISION and all(map(int.__ge__, model, least)) and (n % 6 != 1 or model[0] == 0)
+        require(right, "chunks.position_model", at + 1 + 32 * n)
+        frequencies.append(model)
+    return PositionModel(data[at], frequencies)
 
 
 # SPEC 7.12, DECODE_CELLS

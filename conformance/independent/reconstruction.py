@@ -1,16 +1,16 @@
-"""Chapter 9: values, canonical reconstruction and digest."""
+"""Clause 9: values, canonical reconstruction and digest."""
 
 import hashlib
 import struct
 from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
-from .container import Header
-from .operators import STEP_SHIFT, f32_bits
+from .conventions import STEP_SHIFT, f32_bits
+from .header import Header
 from .tables import load_tables
 
 if TYPE_CHECKING:
-    from .decode import Scene
+    from .scene import Scene
 
 
 # SPEC 9.1

@@ -1,4 +1,4 @@
-"""Annex A: the table file."""
+"""Annex A and clause 8.4: the tables."""
 
 import hashlib
 import struct
@@ -8,7 +8,7 @@ from itertools import accumulate
 from pathlib import Path
 from typing import NamedTuple
 
-from .operators import FRACTIONS, PRECISION, SCALE_END, SCALE_MIN, SINE_LENGTH, STEP_LENGTH
+from .conventions import FRACTIONS, PRECISION, SCALE_END, SCALE_MIN, SINE_LENGTH, STEP_LENGTH
 
 TABLE_SHA256 = "b8b489ae1faadaa4b3c91467cd7517a68c3ac7cda6ee1c5a2c8282dd3ec087b5"
 TABLE_PATH = Path(__file__).resolve().parents[2] / "refcodec" / "data" / "tables-0.bin"

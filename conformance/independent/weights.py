@@ -1,14 +1,18 @@
-"""Clauses 5.16, 6.8 and 7.13: weights on grids."""
+"""Clauses 5.8, 5.16, 6.8 and 7.13: the weights, raw or as integers on grids."""
 
 import math
 import struct
-from itertools import accumulate
+from dataclasses import dataclass
+from itertools import accumulate, pairwise
 from typing import NamedTuple
 
-from .container import Header, Section
+from .conventions import CARM_SHIFT_MAX, PLANE_SHIFT_MAX, SCALE_MIN, WEIGHT_EXPONENT_MAX, WEIGHT_EXPONENT_MIN, WEIGHT_SYMBOL_MAX
+from .dimensions import shapes
+from .directory import Section
 from .entropy import Substream
-from .errors import require
-from .operators import SCALE_MIN, WEIGHT_EXPONENT_MAX, WEIGHT_EXPONENT_MIN, WEIGHT_SYMBOL_MAX
+from .errors import C3GSError, require
+from .header import Header
+from .networks import Network, Row, derive_row
 from .tables import Tables
 from .trace import Trace
 
@@ -152,3 +156,58 @@ def read_grids(
             require(not _can_be_packed(values, inputs), "weights.raw", model.at)
         layers.append(Layer(values, inputs, model.at))
     return layers
+
+
+@dataclass(frozen=True)
+class Weights:
+    """The scales, the integer networks, and the bytes of all values."""
+
+    plane_shift: int
+    carm_shift: list[int]
+    networks: dict[str, Network]
+    raw: bytes
+
+
+# SPEC 6.8, 10.1 step 4
+def read_weights(data: bytes, header: Header, section: Section, tables: Tables, trace: Trace | None) -> Weights:
+    """Parse and check the section of weights."""
+    at = section.offset
+    require(section.length >= 2 + header.carm_inputs, "weights.length", at)
+    require(data[at] <= PLANE_SHIFT_MAX, "weights.scale", at)
+    require(data[at + 1] == header.carm_inputs, "weights.scale", at + 1)
+    shifts_at, values_at = at + 2, at + 2 + header.carm_inputs
+    shifts = list(data[shifts_at:values_at])
+    for n, shift in enumerate(shifts):
+        require(shift <= CARM_SHIFT_MAX, "weights.scale", shifts_at + n)
+    named = [(f"{shape.name}.{n}", b, a) for shape in shapes(header) for n, (a, b) in enumerate(pairwise(shape.widths))]
+    forms = [(outputs, inputs) for _, outputs, inputs in named]
+    if header.weight_mode:
+        layers = read_grids(data, header, section, values_at, forms, tables, (trace, [name for name, _, _ in named]) if trace else None)
+    else:
+        layers = []
+        for outputs, inputs in forms:
+            values = list(struct.unpack_from(f"<{outputs * (inputs + 1)}f", data, values_at))
+            check_finite(values, values_at)
+            layers.append(Layer(values, inputs, values_at))
+            values_at += 4 * len(values)
+    rest = iter(layers)
+    networks = {}
+    for shape in shapes(header):
+        if shape.integer:
+            found = [next(rest) for _ in shape.widths[1:]]
+            networks[shape.name] = Network([_derive_layer(layer, header.weight_mode == 0) for layer in found])
+    raw = b"".join(struct.pack(f"<{len(layer.values)}f", *layer.values) for layer in layers)
+    return Weights(data[at], shifts, networks, raw)
+
+
+# SPEC [R6.8-3], 7.2
+def _derive_layer(layer: Layer, each_row: bool) -> list[Row]:
+    outputs = len(layer.values) // (layer.inputs + 1)
+    rows = []
+    for n in range(outputs):
+        start = n * layer.inputs
+        row = derive_row(tuple(layer.values[start : start + layer.inputs]), layer.values[outputs * layer.inputs + n])
+        if row is None:
+            raise C3GSError("weights.bound", layer.at + 4 * start if each_row else layer.at)
+        rows.append(row)
+    return rows

@@ -13,30 +13,32 @@ PROOFS: dict[str, str] = {
         "substream is then substream.words, at the same offset, whatever the words were; and the number of symbols has the same "
         "bound."
     ),
-    "attributes.read_attributes-arithmetic-9a854d53": (
+    "attributes.read_attributes-arithmetic-ae366443": (
         "The number of a chunk's first anchor is used for the names in a trace alone, and no verdict or digest depends on a trace."
     ),
-    "container._check_order-constant-0a10e2bf": (
-        "`previous` is read for entry 7 and those behind it alone, and each of the entries 0 to 6 sets it to 0 before that."
+    "context.ContextSource._unit_coordinates-compare-0901d55f": (
+        "The two differ only where the square is U^2. Then the norm is U, the factor (2 U - U) U // U = U, and each coordinate "
+        "x U // U = x: what the right decoder keeps."
     ),
-    "entropy.RawBits.take-constant-1475cd46": (
-        "The window of bytes becomes longer at its end. The field is what the lowest `count` bits behind the shift are, so that "
-        "bytes behind the field's own have no part in it; past the end of the data there are none in either case."
+    "conventions.clamp-compare-2c9a8fb7": "The two differ only where value equals low; both give low there.",
+    "conventions.f32_bits-arithmetic-0b419160": (
+        "The significand is 2^23 in place of 2^24, or 0. Of either the lowest 23 bits are taken, which are 0 in both."
     ),
-    "entropy.RawBits.take-arithmetic-2e83862b": (
-        "The window of bytes becomes longer at its end, and its further bytes are masked off: see the change of the same line to >> 2."
-    ),
-    "errors.C3GSError.__init__-removal-600e89d6": (
+    "errors.C3GSError.__init__-removal-639a7319": (
         "The text of an error is for people. Code, name, offset, class and clause are attributes that are set before it, and "
         "verdicts are made from these."
     ),
-    "networks._layer-arguments-22d0ffc1": (
-        "The product of two integers does not depend on their order, and map ends with the shorter of the two lists in either order."
+    "header.Header.chunk_anchors-arguments-57baaefa": "min of two integers does not depend on their order.",
+    "planes._decode_plane-removal-0a220aaa": (
+        "The results of SARM are kept by its inputs, and a result is the same whether it is kept or computed. Memory alone grows: by "
+        "one entry for each symbol of a sub-plane at most, of which a file of the suite has few."
     ),
-    "operators.clamp-compare-55616b9f": ("The two differ only where value equals low; both give low there."),
-    "planes._decode_plane-arguments-2d974e7c": ("max of two integers does not depend on their order."),
-    "tables.parse_tables-bounds-0920fede": (
-        "A row of a family becomes longer at its end. Its items are read by the column alone, a remainder modulo 16, and the "
-        "first 16 are the same."
+    "planes._decode_plane-compare-29c30379": (
+        "What is forgotten is computed again, to the same result: a result of SARM depends on its inputs alone. Time and memory "
+        "alone differ."
+    ),
+    "planes._decode_plane-arguments-2dae30df": "min of two integers does not depend on their order.",
+    "tables.parse_tables-removal-049093c9": (
+        "The check is of the decoder's own file of tables, which is the right one. No file to be decoded changes it."
     ),
 }

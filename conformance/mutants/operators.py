@@ -197,8 +197,8 @@ def points(module: str) -> dict[str, list[Mutant]]:
             for what, changed in operator(node):
                 old = ast.get_source_segment(text, node) or ""
                 new = ast.unparse(ast.fix_missing_locations(changed))
-                # Another name for the same place, whatever is changed elsewhere in the module.
-                key = f"{scope}\n{operator.__name__}\n{old}\n{new}"
+                # Another name for the same place, whatever is changed elsewhere in the module, and wherever the function moves.
+                key = f"{scope.partition('.')[2]}\n{operator.__name__}\n{old}\n{new}"
                 times[key] += 1
                 digest = hashlib.sha256(f"{SEED}\n{key}\n{times[key]}".encode()).hexdigest()
                 source = _replaced(text, node, new if isinstance(node, ast.stmt) else f"({new})")

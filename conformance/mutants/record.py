@@ -23,7 +23,7 @@ vector that catches it: the cheapest of those for a requirement that it breaks, 
 the others were made by operators over the syntax tree, and nobody chose them.
 
 A bug is planted by adding it to `handwritten.toml` and running `conformance selftest --write`. One that survives needs a vector, which
-`conformance/generate/planted.py` is for, or a proof in `equivalent.py`.
+`conformance/cases/planted.py` is for, or a proof in `equivalent.py`.
 """
 
 

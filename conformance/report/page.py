@@ -7,7 +7,7 @@ from typing import Any
 
 import jinja2
 
-from ..grading import GRADES
+from ..runner.grading import GRADES
 from .record import STATUSES
 from .summary import most_telling
 

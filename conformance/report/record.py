@@ -16,9 +16,9 @@ import jsonschema
 
 from refcodec import __version__
 
-from ..grading import GRADE_EXACT
 from ..manifest import MANIFEST, Accepted, Manifest, Rejected, Vector
-from ..runner import Options, Result, Run
+from ..runner.grading import GRADE_EXACT
+from ..runner.run import Options, Result, Run
 
 SCHEMA = Path(__file__).with_name("report.schema.json")
 STATUSES = ("failed", "crashed", "unexpected", "known", "passed", "skipped")

@@ -6,7 +6,7 @@ import re
 from collections.abc import Iterator, Sequence
 from typing import Any
 
-from ..grading import GRADES
+from ..runner.grading import GRADES
 from .record import NOT_STATED, STATUSES
 
 # Failures that are shown with their divergence; the rest is in the reports.

@@ -1,1 +1,1 @@
-"""What learns a scene from photographs: reading them, with their cameras and points."""
+"""Learning scenes from photographs, and entropy models for scenes (torch)."""

@@ -16,11 +16,12 @@ import numba
 import numpy as np
 import torch
 
-from ..attributes import KINDS
-from ..folder import is_free, write_folder
-from ..scene import Scene
-from ..uncompressed import Uncompressed, is_uncompressed, write_uncompressed
-from .photographs import PhotographSet
+from ..bitstream.attributes import KINDS
+from ..bitstream.scene import Scene
+from ..folder.layout import is_free
+from ..folder.uncompressed import Uncompressed, is_uncompressed, write_uncompressed
+from ..folder.write import write_folder
+from ..photographs.photographs import PhotographSet
 from .state import restore
 from .trainer import Trainer, TrainSettings, Watch
 

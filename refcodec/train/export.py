@@ -10,31 +10,28 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 from torch import Tensor
 
-from ..attributes import KINDS, SCALINGS, Attributes
-from ..codec import derive_steps
-from ..container import chunk_ranges
-from ..fit.model import PLANE_SHIFT
-from ..geometry import Frame
-from ..limits import MAIN, MAIN_SLICES
-from ..networks import Layer
-from ..planes import PLANE_SYMBOL_MAX
-from ..positions import encode_positions
-from ..quantise import (
-    CHUNK_SIZE,
-    choose_lanes,
-    exact_networks,
-    mask_model,
-    morton_order,
-    position_model,
-    symbols,
-    weight_scales,
-)
-from ..reconstruction import Reconstruction
-from ..rendering import Camera
-from ..scene import Dimensions, Lanes, RenderInfo, Scene
-from ..uncompressed import Uncompressed
-from ..weights import emit_weights
+from ..bitstream.attributes import KINDS, SCALINGS, Attributes
+from ..bitstream.chunks import chunk_ranges
+from ..bitstream.codec import derive_steps
+from ..bitstream.dimensions import Dimensions
+from ..bitstream.frame import Frame
+from ..bitstream.header import Lanes, RenderInfo
+from ..bitstream.limits import MAIN, MAIN_SLICES
+from ..bitstream.networks import Layer
+from ..bitstream.planes import PLANE_SYMBOL_MAX
+from ..bitstream.positions import encode_positions
+from ..bitstream.reconstruction import Reconstruction
+from ..bitstream.scene import Scene
+from ..bitstream.weights import emit_weights
+from ..encoder.masks import mask_model
+from ..encoder.positions import morton_order, position_model
+from ..encoder.quantise import symbols
+from ..encoder.sizes import CHUNK_SIZE, choose_lanes
+from ..encoder.weights import exact_networks, weight_scales
+from ..folder.uncompressed import Uncompressed
+from ..render.camera import Camera
 from .rate import FREQUENCIES
+from .rate_model import PLANE_SHIFT
 from .scaffold import NEAR, OFFSETS, RENDER_WIDTH, Scaffold, lattice_positions
 
 

@@ -15,8 +15,15 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor, nn
 
-from ..attributes import KINDS
-from ..fit.model import (
+from ..bitstream.attributes import KINDS
+from ..bitstream.context import contract, frame_coordinates, positional_encoding, rescale
+from ..bitstream.frame import Frame
+from ..bitstream.limits import MAIN_SLICES
+from ..bitstream.networks import ACTIVATION_MAX, Layer
+from ..bitstream.planes import PLANES
+from ..bitstream.positions import position_integers
+from ..bitstream.tables import STEP_LENGTH
+from .rate_model import (
     MEAN_UNIT,
     PLANE_SHIFT,
     SCALE_UNIT,
@@ -28,11 +35,6 @@ from ..fit.model import (
     plane_neighbours,
     round_through,
 )
-from ..geometry import Frame, contract, frame_coordinates, position_integers, positional_encoding, rescale
-from ..limits import MAIN_SLICES
-from ..networks import ACTIVATION_MAX, Layer
-from ..planes import PLANES
-from ..tables import STEP_LENGTH
 from .scaffold import COLUMNS, FEATURES, OFFSETS, SCALINGS
 
 # The three kinds of attributes, in file order, and D.

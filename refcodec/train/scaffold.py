@@ -17,14 +17,15 @@ from scipy.spatial import cKDTree
 from torch import Tensor, nn
 from torch.nn import functional
 
-from ..fit.model import grid_through
-from ..fit.voxelise import default_voxel, short_mantissa
-from ..networks import Layer
-from ..quantise import choose_grid, rendering_exponent
-from ..rendering import Camera
-from ..scene import PositionGrid
-from .photographs import PhotographSet
+from ..bitstream.header import PositionGrid
+from ..bitstream.networks import Layer
+from ..encoder.positions import choose_grid
+from ..encoder.weights import rendering_exponent
+from ..photographs.photographs import PhotographSet
+from ..render.camera import Camera
+from .rate_model import grid_through
 from .spawn import Spawn
+from .voxelise import default_voxel, short_mantissa
 
 F64 = NDArray[np.float64]
 I64 = NDArray[np.int64]

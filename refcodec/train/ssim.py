@@ -16,7 +16,7 @@ import torch
 from numba import njit, prange
 from numpy.typing import ArrayLike, NDArray
 
-from ..lanes import WIDTH, fma, fnma, load, splat, store, total
+from ..render.simd import WIDTH, fma, fnma, load, splat, store, total
 
 F32 = NDArray[np.float32]
 F64 = NDArray[np.float64]

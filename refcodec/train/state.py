@@ -13,7 +13,7 @@ from safetensors import SafetensorError, safe_open
 from safetensors.torch import save_file
 from torch import Tensor
 
-from ..geometry import Frame
+from ..bitstream.frame import Frame
 
 if TYPE_CHECKING:
     from .trainer import Trainer

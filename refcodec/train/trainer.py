@@ -26,18 +26,20 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from ..attributes import KINDS
-from ..geometry import Frame
-from ..quantise import choose_frame, choose_lanes, choose_plane_size, choose_width, quantise_rendering
-from ..rasterise import Settings
-from ..reconstruction import reconstruct
-from ..rendering import Camera
-from ..scene import Scene
-from ..uncompressed import Uncompressed
+from ..bitstream.attributes import KINDS
+from ..bitstream.frame import Frame
+from ..bitstream.reconstruction import reconstruct
+from ..bitstream.scene import Scene
+from ..encoder.frame import choose_frame
+from ..encoder.sizes import choose_lanes, choose_plane_size, choose_width
+from ..encoder.weights import quantise_rendering
+from ..folder.uncompressed import Uncompressed
+from ..photographs.photographs import PhotographSet
+from ..render.camera import Camera
+from ..render.rasterise import Settings
 from .adam import adam_rows, gather_rows
 from .export import coded_scene, position_bytes, render_info, rounded, uncompressed, weight_bytes
 from .losses import Photometric
-from .photographs import PhotographSet
 from .rate import HYPERPRIORS, WIDTH, Contexts, LearnedRate
 from .scaffold import COLUMNS, NEAR, Scaffold, lattice_positions
 from .splat import draw

@@ -1,0 +1,80 @@
+"""Symbols that are drawn from the models that a decoder will use: the decoding process of refcodec with a coder that makes them up."""
+
+from __future__ import annotations
+
+from collections import defaultdict
+from dataclasses import replace
+
+import numpy as np
+
+from refcodec.bitstream import codec
+from refcodec.bitstream.attributes import ATTRIBUTE_SYMBOL_MAX, code_attributes
+from refcodec.bitstream.chunks import chunk_ranges
+from refcodec.bitstream.entropy import SymbolName, select
+from refcodec.bitstream.planes import code_planes
+from refcodec.bitstream.scene import Scene
+from refcodec.bitstream.tables import ModelSet
+
+from .numbers import Int64, Numbers
+from .scenes import settled
+
+# One value in this many is escaped, of those that a scene's sampler draws.
+ESCAPES = 40
+
+
+class Sampler:
+    """A coder that makes symbols up: any symbol of a model is as likely as another, the raw bits are any, and some are escaped."""
+
+    def __init__(self, numbers: Numbers, escapes: int = ESCAPES) -> None:
+        """escapes: one value in so many, 0 for none."""
+        self.numbers, self.escapes = numbers, escapes
+
+    def distances(self, model: Int64, radius: Int64) -> Int64:
+        """How far from the centre each value is, in units of 2^raw; farther than the radius is an escape."""
+        found = self.numbers.integers(0, 1 << 40, len(model)) % (2 * radius + 1) - radius
+        if self.escapes:
+            far = radius + (1 << self.numbers.integers(0, 12, len(model)))
+            sign = self.numbers.chosen([-1, 1], len(model))
+            found = np.where(self.numbers.integers(1, self.escapes, len(model)) == 1, far * sign, found)
+        return found
+
+    def values(
+        self, models: ModelSet, mean: Int64, scale: Int64, counts: list[int], limit: int, name: SymbolName, given: Int64 | None
+    ) -> Int64:
+        """A group of values, within their limit."""
+        model, centre, raw = select(mean, scale)
+        distance = self.distances(model, models.radius.take(model))
+        low = self.numbers.integers(0, (1 << 16) - 1, len(model)) & ((np.int64(1) << raw) - 1)
+        return np.clip(((centre + distance) << raw) + low, -limit, limit)
+
+    def plain(self, models: ModelSet, index: Int64, counts: list[int], name: SymbolName, given: Int64 | None) -> Int64:
+        """No symbols of these kinds are drawn."""
+        raise NotImplementedError
+
+
+class Sweep(Sampler):
+    """Takes the symbols of each model in turn: the escape, the ends, and then the others."""
+
+    def __init__(self, numbers: Numbers) -> None:
+        super().__init__(numbers)
+        self.next: dict[int, int] = defaultdict(int)
+
+    def distances(self, model: Int64, radius: Int64) -> Int64:
+        """As Sampler's."""
+        found = []
+        for m, r in zip(model.tolist(), radius.tolist(), strict=True):
+            turn, self.next[m] = self.next[m] % (2 * r + 2), self.next[m] + 1
+            order = (r + 1 + m % 3) * (-1 if m % 2 else 1)
+            found.append(order if turn == 0 else -r if turn == 1 else r if turn == 2 else turn - 2 - r)
+        return np.array(found, dtype=np.int64)
+
+
+def sampled(made: Scene, coder: Sampler, planes: bool = True) -> Scene:
+    """The scene with attributes, and planes if wanted, that the coder makes up."""
+    d = made.dimensions
+    if planes:
+        made = replace(made, planes=code_planes(coder, codec.Coding(made).sarm, d.plane_channels, d.plane_size))
+    coding, chunks = codec.Coding(made), chunk_ranges(made.anchor_count, made.chunk_size)
+    attributes = code_attributes(coder, coding.model, coding.contexts(), made.masks, chunks) if chunks else made.attributes
+    assert np.abs(attributes.features).max(initial=0) <= ATTRIBUTE_SYMBOL_MAX
+    return settled(replace(made, attributes=attributes))

@@ -1,0 +1,145 @@
+"""From recipes to vectors: files, what refcodec makes of each, and the manifest."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import shutil
+import zlib
+from collections.abc import Iterable, Iterator
+from pathlib import Path
+from typing import Any
+
+from refcodec.bitstream import codec, header
+from refcodec.bitstream.errors import REGISTRY, BitstreamError
+from refcodec.bitstream.limits import PROFILES
+from refcodec.bitstream.reconstruction import canonical_head, digest
+from refcodec.inspect.trace import symbol_trace
+
+from ..blocks import SPEC, requirements
+from ..manifest import MANIFEST, SCHEMA, VECTORS
+from .book import Recipe, Refused, Seen
+from .cameras import TOLERANCE, expected
+from .features import FEATURES
+from .flags import FLAGS
+
+SUITE_VERSION = "0.1.0"
+MEMORY = 256 << 20
+CLASSES = ("valid", "malformed", "invalid", "unsupported", "resource")
+
+
+class GeneratorError(Exception):
+    """A recipe that does not give what it says."""
+
+
+def _sha256(data: bytes) -> str:
+    return hashlib.sha256(data).hexdigest()
+
+
+def _stated(data: bytes) -> tuple[str | None, int | None]:
+    """Profile and level as the header states them, None where it is damaged or they are not known."""
+    end = header.PROLOGUE_BYTES + int.from_bytes(data[12:16], "little")
+    if len(data) < header.PROLOGUE_BYTES + 2 or end > len(data) or data[: len(header.SIGNATURE)] != header.SIGNATURE:
+        return None, None
+    crc = zlib.crc32(data[header.PROLOGUE_BYTES : end - 4])
+    profile, level = data[header.PROLOGUE_BYTES : header.PROLOGUE_BYTES + 2]
+    if crc != int.from_bytes(data[end - 4 : end], "little") or profile not in PROFILES or level not in PROFILES[profile].levels:
+        return None, None
+    return PROFILES[profile].name.lower(), level
+
+
+def _accepted(recipe: Recipe, data: bytes) -> dict[str, Any]:
+    lines: list[str] = []
+    scene = symbol_trace(data, lines.append).scene
+    if codec.emit(scene) != data:
+        raise GeneratorError(f"{recipe.id}: encoding the scene does not give the file again")
+    whole, parts = digest(scene)
+    trace = _sha256("".join(lines).encode())
+    return {"result": "accepted", "digest": whole, "parts": {"head": _sha256(canonical_head(scene)), **parts}, "trace": trace}
+
+
+def _rejected(recipe: Recipe, made: Refused) -> dict[str, Any]:
+    try:
+        codec.parse(made.data)
+    except BitstreamError as error:
+        if (error.kind.name, error.offset) != (made.name, made.offset):
+            text = f"{recipe.id}: the recipe says {made.name} at {made.offset}, refcodec {error.kind.name} at {error.offset}"
+            raise GeneratorError(text) from None
+    else:
+        raise GeneratorError(f"{recipe.id}: {made.name} expected, refcodec accepts the file")
+    kind = REGISTRY[made.name]
+    if recipe.klass not in (kind.klass, "resource"):
+        raise GeneratorError(f"{recipe.id}: {made.name} is {kind.klass}")
+    return {"result": "rejected", "code": kind.code, "name": made.name, "offset": made.offset, "clause": kind.clause}
+
+
+def vectors(recipes: Iterable[Recipe]) -> Iterator[tuple[dict[str, Any], dict[str, bytes]]]:
+    """For each recipe the vector as the manifest has it, and its files by path. Raises GeneratorError."""
+    names = {error: name for name, _, _, error in requirements(SPEC.read_text(encoding="utf-8")) if error}
+    inputs: dict[str, bytes] = {}
+    for recipe in recipes:
+        made, path = recipe.make(), f"{recipe.klass}/{recipe.name}.c3gs"
+        files: dict[str, bytes] = {}
+        proved = ["D2.1-1"]
+        if isinstance(made, Seen):
+            path, data = made.path, inputs[made.path]
+            listed, found = path.replace(".c3gs", f"-{recipe.name}.json"), expected(data, made.camera)
+            files[listed] = found
+            expectation: dict[str, Any] = {"result": "gaussians", "camera": made.camera, "path": listed, "sha256": _sha256(found)}
+            expectation["tolerance"] = TOLERANCE
+            proved = ["G14.3-1"]
+        elif isinstance(made, Refused):
+            data, expectation = made.data, _rejected(recipe, made)
+            proved = [names[made.name], "D2.1-1"]
+        else:
+            data, expectation = made, _accepted(recipe, made)
+            proved = ["D2.1-1", "D9.3-1"]
+        if not isinstance(made, Seen):
+            files[path] = inputs[path] = data
+        profile, level = _stated(data)
+        yield (
+            {
+                "id": recipe.id,
+                "title": recipe.title,
+                "operation": "gaussians" if isinstance(made, Seen) else "decode",
+                "class": recipe.klass,
+                "profile": profile,
+                "level": level,
+                "features": list(recipe.features),
+                "requirements": [*proved, *(name for name in recipe.requirements if name not in proved)],
+                "flags": list(recipe.flags),
+                "input": {"path": path, "size": len(data), "sha256": _sha256(data)},
+                "expectation": expectation,
+                "budget": {"seconds": recipe.seconds, "bytes": MEMORY},
+                "licence": recipe.licence,
+                "generator": {"name": recipe.name.replace("-", "_"), "seed": recipe.seed},
+            },
+            files,
+        )
+
+
+def generate(folder: Path, recipes: Iterable[Recipe]) -> tuple[int, int]:
+    """Writes the suite: (vectors, bytes of their files). What the folder had in the places of vectors is gone."""
+    # A folder that cannot be made is told before the work.
+    folder.mkdir(parents=True, exist_ok=True)
+    found, written = [], {}
+    for vector, files in vectors(recipes):
+        found.append(vector)
+        written.update(files)
+    for klass in CLASSES:
+        shutil.rmtree(folder / klass, ignore_errors=True)
+        (folder / klass).mkdir()
+    for path, data in written.items():
+        (folder / path).write_bytes(data)
+    document = {
+        "suite": "c3gs-conformance",
+        "suite_version": SUITE_VERSION,
+        "format_version": header.VERSION,
+        "flags": FLAGS,
+        "features": FEATURES,
+        "vectors": found,
+    }
+    (folder / MANIFEST).write_text(json.dumps(document, indent=1) + "\n", encoding="utf-8")
+    if folder.resolve() != VECTORS:
+        shutil.copyfile(VECTORS / SCHEMA, folder / SCHEMA)
+    return len(found), sum(map(len, written.values()))

@@ -1,0 +1,254 @@
+"""Valid files that are whole scenes: trained ones, ones that no encoder would write, and what cameras see."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from refcodec.bitstream import codec
+from refcodec.bitstream.attributes import ATTRIBUTE_SYMBOL_MAX
+from refcodec.bitstream.dimensions import Dimensions, mask_contexts
+from refcodec.bitstream.frame import Frame
+from refcodec.bitstream.header import Lanes, PositionGrid, RenderInfo
+from refcodec.bitstream.networks import BoundError, derive_layer
+from refcodec.bitstream.planes import PLANE_SYMBOL_MAX
+from refcodec.bitstream.positions import CELL_INDEX
+from refcodec.bitstream.scene import Scene
+from refcodec.bitstream.weights import to_grid
+
+from .book import Book, Seen
+from .numbers import Int64, Numbers
+from .packing import any_model
+from .sampling import Sampler, sampled
+from .scenes import SMALL, Networks, dyadic, lattice, positions, scene, with_symbols
+
+SOURCES = Path(__file__).resolve().parent / "sources"
+UNUSUAL = 16
+
+
+def add(book: Book) -> None:
+    """Adds the vectors."""
+    _trained(book)
+    for seed in range(UNUSUAL):
+        book.valid(
+            f"unusual-{seed}",
+            "anything that the format allows",
+            partial(unusual, seed),
+            features="unusual",
+            seed=seed,
+            requirements="D7.2-2 D7.3-1 D7.5-1 D7.6-1 D7.9-1 D7.10-1 D8.5-1 D8.6-1 D9.1-1 D9.2-1",
+        )
+    _cameras(book)
+
+
+def _trained(book: Book) -> None:
+    for name, text, features, licence in (
+        ("caliterra", "a scene of 2,182 anchors learnt from aerial photographs, packed", "packed-positions packed-weights", "CC0-1.0"),
+        ("snowmiku", "a scene of 3,866 anchors learnt from photographs of a doll, raw", "raw-positions raw-weights", "MIT"),
+    ):
+
+        def make(name: str = name) -> bytes:
+            return codec.emit(codec.parse((SOURCES / f"{name}.c3gs").read_bytes()).scene)
+
+        book.valid(
+            f"trained-{name}",
+            text,
+            make,
+            features=f"trained main {features}",
+            seconds=120,
+            licence=licence,
+            requirements="D7.2-1 D7.2-2 D7.3-1 D7.5-1 D7.6-1 D7.9-1 D7.10-1 D9.1-1 D9.2-1",
+        )
+
+
+# --- what no encoder writes -------------------------------------------------------------------------------------------
+
+
+def _widths(numbers: Numbers, count: tuple[int, int], most: int) -> tuple[int, ...]:
+    return tuple(numbers.integers(1, most, numbers.integer(*count)).tolist())
+
+
+def _weights(numbers: Numbers, d: Dimensions) -> Networks:
+    """Networks of all kinds: ordinary, zero, subnormal, at the bounds, and with exponents of their own for each row."""
+    found: Networks = {}
+    for name, shapes in d.network_shapes().items():
+        found[name] = []
+        for out, fan_in in shapes:
+            kind = numbers.integer(0, 5)
+            weight, bias = dyadic(numbers.integers(-255, 255, out, fan_in), 9), dyadic(numbers.integers(-3000, 3000, out), 6)
+            if kind == 1:
+                weight, bias = weight * 0, bias * 0 + dyadic(numbers.integers(-2, 2, out), 0)
+            elif kind == 2:
+                weight, bias = np.ldexp(weight, -140).astype(np.float32), np.ldexp(bias, -138).astype(np.float32)
+            elif kind == 3:
+                largest = min(1023, ((1 << 24) - 1) // (1023 * fan_in))
+                weight, bias = dyadic(numbers.chosen([-largest, largest], out, fan_in), 0), bias * 0
+            elif kind == 4:
+                shift = -numbers.integers(0, 24, out)
+                weight, bias = np.ldexp(weight, shift[:, None]).astype(np.float32), np.ldexp(bias, shift).astype(np.float32)
+            try:
+                derive_layer(weight, bias)
+            except BoundError:
+                weight, bias = np.ldexp(weight, -12).astype(np.float32), np.ldexp(bias, -12).astype(np.float32)
+            found[name].append((weight.astype(np.float32), bias.astype(np.float32)))
+    return found
+
+
+def _symbols(numbers: Numbers, limit: int, *shape: int) -> Int64:
+    """Small numbers, and now and then one of any size."""
+    small = numbers.centred(3, *shape)
+    large = (numbers.chosen([-1, 1], *shape) << numbers.integers(0, limit.bit_length() - 1, *shape)) + numbers.integers(-1, 1, *shape)
+    return np.asarray(np.clip(np.where(numbers.integers(0, 11, *shape) == 0, large, small), -limit, limit))
+
+
+def _render(numbers: Numbers) -> RenderInfo:
+    def positive() -> float:
+        return float(np.ldexp(np.float32(numbers.integer(1, (1 << 24) - 1)), numbers.integer(-120, 90)))
+
+    background = tuple(numbers.integers(0, 255, 3).tolist())
+    rotation = tuple(float(x) for x in dyadic(numbers.integers(-9, 9, 4) * 2 + 1, 3))
+    return RenderInfo(
+        (background[0], background[1], background[2]),
+        numbers.integer(0, 5),
+        positive(),
+        positive(),
+        float(dyadic(numbers.integers(1, 256, 1), 8)[0]),
+        float(dyadic(numbers.integers(0, 999, 1), 4)[0]),
+        numbers.integer(1, 65535),
+        numbers.integer(1, 65535),
+        (positive(), positive()),
+        (rotation[0], rotation[1], rotation[2], rotation[3]),
+        (positive(), -positive(), positive()),
+    )
+
+
+def _places(numbers: Numbers, anchors: int) -> NDArray[np.float16]:
+    """Positions in no order, or with some of a lattice out of place."""
+    if numbers.integer(0, 1):
+        return positions(numbers, anchors)
+    found = lattice(numbers, anchors)
+    if anchors and numbers.integer(0, 1):
+        found[numbers.integer(0, anchors - 1)] = found[numbers.integer(0, anchors - 1)]
+    return found
+
+
+def unusual(seed: int) -> Scene:
+    """A scene of which everything that the format leaves free is drawn."""
+    numbers = Numbers("unusual", seed)
+    slices = _widths(numbers, (1, 4), 5)
+    layers = (1, 2)
+    d = Dimensions(
+        numbers.integer(1, 5),
+        slices,
+        numbers.integer(1, 4),
+        numbers.integer(1, 10),
+        numbers.integer(2, 9),
+        _widths(numbers, layers, 9),
+        _widths(numbers, layers, 6),
+        _widths(numbers, layers, 7) if len(slices) > 1 else (),
+        numbers.integer(1, 5),
+    )
+    anchors = numbers.integer(0, 40)
+    where = _places(numbers, anchors)
+    low = numbers.integers(-(1 << 18), (1 << 18) - 1, 3)
+    base_step = tuple(float(np.ldexp(np.float32(numbers.integer(1 << 23, (1 << 24) - 1)), numbers.integer(-83, 36))) for _ in range(3))
+    found = _weights(numbers, d)
+    weight_scales = None
+    if numbers.integer(0, 1):
+        raw = [to_grid(layer) is None for layers in found.values() for layer in layers]
+        weight_scales = np.where(np.array(raw)[:, None], 0, numbers.integers(0, 200, len(raw), 3)).astype(np.uint8)
+    model = None
+    if numbers.integer(0, 1):
+        model = replace(any_model(numbers), cell_shift=int(numbers.chosen([CELL_INDEX, 22, 21, 20, 7], 1)[0]))
+    kinds = sorted(set(numbers.integers(1, 127, numbers.integer(0, 3)).tolist()))
+    origin = tuple(numbers.integers(1 - (1 << 62), (1 << 62) - 1, 3).tolist())
+    made = scene(
+        "unusual",
+        anchors,
+        d,
+        seed,
+        chunk_size=int(numbers.chosen([1, 2, 3, 5, 7, 11, 64, 65536], 1)[0]),
+        lanes=Lanes(*numbers.chosen([0, 1, 2, 3, 5], 3).tolist()),
+        base_step=base_step,
+        grid=PositionGrid((origin[0], origin[1], origin[2]), numbers.integer(1, 65535), numbers.integer(-60, 60)),
+        render=_render(numbers),
+        frame=Frame(
+            numbers.integers(1 - (1 << 20), (1 << 20) - 1, 3, 3) >> numbers.integers(0, 12, 3, 3),
+            numbers.integers(1 - (1 << 61), (1 << 61) - 1, 3) >> numbers.integers(0, 40, 3),
+            numbers.integers(0, 60, 3),
+            low,
+            np.minimum(low + numbers.integers(1, 1 << 19, 3), 1 << 18),
+        ),
+        plane_shift=numbers.integer(0, 10),
+        carm_shift=numbers.integers(0, 16, d.carm_inputs).astype(np.uint8) >> numbers.integer(0, 3),
+        networks=found,
+        planes=_symbols(numbers, PLANE_SYMBOL_MAX, 5, d.plane_channels, d.plane_size, d.plane_size).astype(np.int16),
+        mask_model=numbers.integers(1, (1 << 14) - 1, mask_contexts(d.offset_count)).astype(np.uint16),
+        positions=where,
+        position_model=model,
+        weight_scales=weight_scales,
+        extensions=tuple((kind, numbers.integer(0, 255), numbers.bytes(numbers.integer(0, 9))) for kind in kinds),
+    )
+    if seed % 2:
+        return sampled(made, Sampler(numbers, 20), planes=numbers.integer(0, 1) == 1)
+    given = {"features": (anchors, d.features), "scalings": (anchors, 6), "offsets": (anchors, d.offset_count, 3)}
+    return with_symbols(made, **{kind: _symbols(numbers, ATTRIBUTE_SYMBOL_MAX, *shape) for kind, shape in given.items()})
+
+
+# --- cameras ----------------------------------------------------------------------------------------------------------
+
+
+def _cameras(book: Book) -> None:
+    d = replace(SMALL, offset_count=5, render_width=8)
+
+    def seen() -> Scene:
+        numbers = Numbers("cameras")
+        fields: dict[str, Any] = {"base_step": (0.0625, 0.0625, 0.25), "grid": PositionGrid((0, 0, 0), 1, 0)}
+        made = scene("cameras", 12, d, positions=lattice(numbers, 12), **fields)
+        made = replace(made, render=replace(made.render, distance_unit=2.5))
+        # The steps are the base steps, so that sizes are ordinary ones.
+        w, b = made.networks["hyper"][-1]
+        w[-3:], b[-3:] = 0, 32
+        for name in ("opacity", "covariance", "colour"):
+            for w, b in made.networks[name]:
+                w[:], b[:] = dyadic(numbers.integers(-99, 99, *w.shape), 8), dyadic(numbers.integers(-99, 99, len(b)), 7)
+        # Of one offset four numbers that are no quaternion.
+        w, b = made.networks["covariance"][-1]
+        w[3:7], b[3:7] = 0, 0
+        given = {"features": (12, d.features), "scalings": (12, 6), "offsets": (12, 5, 3)}
+        return with_symbols(made, **{kind: numbers.integers(-25, 9, *shape) for kind, shape in given.items()})
+
+    book.valid("cameras", "a scene that cameras look at", seen, features="cameras", requirements="D9.1-1 D9.2-1")
+    # Anchor 4 is where the third camera is.
+    place = [float(x) for x in lattice(Numbers("cameras"), 12)[4]]
+    views: dict[str, tuple[str, list[list[float]], list[float]]] = {
+        "ahead": ("a camera that looks along z", [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]], [0.5, -0.25, 6.0]),
+        "turned": ("a camera that is turned about all axes", [[0.36, 0.48, -0.8], [-0.8, 0.6, 0.0], [0.48, 0.64, 0.6]], [1.5, 2.0, -3.0]),
+        "within": (
+            "a camera in the place of an anchor",
+            [[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]],
+            [place[1], -place[0], -place[2]],
+        ),
+    }
+    for name, (text, rotation, translation) in views.items():
+        camera: dict[str, Any] = {
+            "width": 64,
+            "height": 48,
+            "focal": [50.0, 52.0],
+            "principal_point": [32.0, 23.5],
+            "rotation": rotation,
+            "translation": translation,
+        }
+        book.add(
+            f"valid-camera-{name}",
+            text,
+            partial(Seen, "valid/cameras.c3gs", camera),
+            features="cameras",
+            requirements="G14.3-1",
+            flags="direction-sign",
+        )

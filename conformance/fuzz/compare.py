@@ -1,0 +1,251 @@
+"""Both decoders, and any other one, over many files: valid scenes of profile Tiny, and files made from them that are changed, cut or
+faulty.
+
+They must agree on each: the same digest, or the same code at the same offset, and the expected one where it is known; and an
+accepted file must be the one that the encoder writes for its scene (SPEC.md 4.3).
+"""
+
+from __future__ import annotations
+
+import json
+import multiprocessing
+import resource
+import signal
+import sys
+import tempfile
+import threading
+import time
+from collections import Counter
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from functools import partial
+from pathlib import Path
+
+from hypothesis import HealthCheck, Phase, given, seed, settings
+from hypothesis import strategies as st
+from tqdm import tqdm
+
+from refcodec.bitstream import codec, reconstruction
+from refcodec.bitstream.errors import BitstreamError
+
+from .. import independent
+from ..cases.faults import FAULTS, draw_fault
+from ..cases.files import Target
+from ..runner import grading, process
+from .strategies import draw_mutation, draw_splice, scenes
+
+# Budgets: seconds for one decoder and one file; bytes of address space of a worker, most of it libraries; bytes of resident memory of
+# another decoder's process.
+FILE_SECONDS = 20
+WORKER_BYTES = 3 << 30
+PROCESS_BYTES = 256 << 20
+# Files made from one scene, the scene's own file among them; scenes in a batch.
+FILES_OF_A_SCENE = 20
+BATCH_SCENES = 25
+
+Verdict = tuple[str, int]
+
+
+def first_verdict(data: bytes) -> Verdict:
+    """refcodec's: ("", 0) and the digest in place of the name for an accepted file, else name and offset of its error."""
+    try:
+        return reconstruction.digest(codec.parse(data).scene)[0], -1
+    except BitstreamError as error:
+        return error.kind.name, error.offset
+
+
+def second_verdict(data: bytes) -> Verdict:
+    """The same of the second decoder."""
+    try:
+        return independent.digest(independent.decode(data)), -1
+    except independent.C3GSError as error:
+        return error.name, error.offset
+
+
+class BudgetError(Exception):
+    """A decoder took too long."""
+
+
+class AnswerError(Exception):
+    """What a process said is neither an acceptance nor a refusal."""
+
+
+@contextmanager
+def _unlimited() -> Iterator[None]:
+    """A process that is started has the address space that it wants: interpreters and sanitizers reserve much."""
+    soft, hard = resource.getrlimit(resource.RLIMIT_AS)
+    resource.setrlimit(resource.RLIMIT_AS, (hard, hard))
+    try:
+        yield
+    finally:
+        resource.setrlimit(resource.RLIMIT_AS, (soft, hard))
+
+
+def command_verdict(command: Sequence[str], data: bytes) -> Verdict:
+    """The same of a decoder in a process of its own, which answers as `conformance run` demands. Raises AnswerError."""
+    with tempfile.TemporaryDirectory() as name, _unlimited():
+        file, output, errors = (Path(name) / part for part in ("file.c3gs", "output", "stderr"))
+        file.write_bytes(data)
+        words = process.fill(command, {"input": file, "output": output})
+        found = grading.read(process.run(words, errors, FILE_SECONDS, PROCESS_BYTES, threading.Event(), output), output)
+    if found.result == "accepted":
+        return str(found.digest), -1
+    if found.result == "crashed":
+        raise AnswerError(f"a crash: {found.text}")
+    assert found.code is not None
+    kind = grading.BY_CODE[found.code]
+    if found.status != grading.exit_status(kind.klass):
+        raise AnswerError(f"exit status {found.status} with {kind.name}, which is {kind.klass}")
+    if found.offset is None:
+        raise AnswerError(f"{kind.name} without an offset")
+    return kind.name, found.offset
+
+
+@contextmanager
+def _limited(seconds: int) -> Iterator[None]:
+    def stop(*_: object) -> None:
+        raise BudgetError(f"more than {seconds} s")
+
+    before = signal.signal(signal.SIGALRM, stop)
+    signal.alarm(seconds)
+    try:
+        yield
+    finally:
+        signal.alarm(0)
+        signal.signal(signal.SIGALRM, before)
+
+
+def compare(data: bytes, expected: Verdict | None = None, command: Sequence[str] = ()) -> tuple[Verdict, str | None]:
+    """refcodec's verdict, and what is wrong: the decoders differ, one fails otherwise, or the verdict is not the expected one.
+
+    command: another decoder's, with {input} and {output}.
+    """
+    verdicts = []
+    for decoder in (first_verdict, second_verdict):
+        try:
+            with _limited(FILE_SECONDS):
+                verdicts.append(decoder(data))
+        except Exception as error:  # whatever it is, it is a finding
+            return ("crash", 0), f"{decoder.__name__}: {type(error).__name__}: {error}"
+    first, second = verdicts
+    if first != second:
+        return first, f"refcodec says {first}, the second decoder {second}"
+    if expected is not None and first != expected:
+        return first, f"both say {first}, expected was {expected}"
+    if first[1] < 0 and codec.emit(codec.parse(data).scene) != data:
+        return first, "accepted, but not what the encoder writes for its scene"
+    if command:
+        try:
+            third = command_verdict(command, data)
+        except AnswerError as error:
+            return first, f"refcodec says {first}, the decoder {error}"
+        if third != first:
+            return first, f"refcodec says {first}, the decoder {third}"
+    return first, None
+
+
+KINDS = ["fault", "fault", "fault", "mutation", "mutation", "splice", "splice", "cut", "flip"]
+
+
+@st.composite
+def families(draw: st.DrawFn) -> list[tuple[bytes, Verdict | None]]:
+    """A valid file and files made from it, each with what must be said of it if that is known."""
+    scene = draw(scenes(max_anchors=6))
+    target = Target(codec.emit(scene))
+    data = target.data
+    made: list[tuple[bytes, Verdict | None]] = [(data, (reconstruction.digest(scene)[0], -1))]
+    for _ in range(FILES_OF_A_SCENE - 1):
+        kind = draw(st.sampled_from(KINDS))
+        if kind == "fault":
+            fault = draw_fault(draw, target, draw(st.sampled_from(sorted(FAULTS))))
+            if fault is not None:
+                made.append((fault.data, (fault.name, fault.offset)))
+        elif kind in ("cut", "flip"):
+            at = draw(st.integers(0, len(data) - 1))
+            made.append((data[:at] if kind == "cut" else target.put(at, bytes([data[at] ^ 1 << draw(st.integers(0, 7))])), None))
+        else:
+            made.append((draw_mutation(draw, data) if kind == "mutation" else draw_splice(draw, data), None))
+    return made
+
+
+@dataclass
+class Findings:
+    """What some batches found: number of files by verdict, and for each disagreement the text and the smallest file."""
+
+    seen: Counter[str] = field(default_factory=Counter)
+    wrong: list[tuple[str, bytes]] = field(default_factory=list)
+
+
+def run_batch(number: int, command: Sequence[str] = ()) -> Findings:
+    """One batch; the same number gives the same files. command: another decoder's."""
+    found = Findings()
+
+    @seed(number)
+    @settings(max_examples=BATCH_SCENES, deadline=None, database=None, suppress_health_check=list(HealthCheck), phases=[Phase.generate])
+    @given(families())
+    def look(made: list[tuple[bytes, Verdict | None]]) -> None:
+        for data, expected in made:
+            verdict, wrong = compare(data, expected, command)
+            found.seen[verdict[0] if verdict[1] >= 0 else "accepted"] += 1
+            if wrong:
+                found.wrong.append((wrong, data))
+
+    look()
+    return found
+
+
+def _start_worker() -> None:
+    # Ctrl-C is for the parent; a decoder that asks for much memory gets none.
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    resource.setrlimit(resource.RLIMIT_AS, (WORKER_BYTES, resource.getrlimit(resource.RLIMIT_AS)[1]))
+
+
+def _load(state: Path, first_seed: int, command: Sequence[str]) -> tuple[set[int], Counter[str], int]:
+    """Batches done, files by verdict, and disagreements of an earlier run."""
+    if not state.exists():
+        return set(), Counter(), 0
+    try:
+        saved = json.loads(state.read_text(encoding="utf-8"))
+        found = set(saved["batches"]), Counter[str](saved["seen"]), int(saved["wrong"])
+        before = saved["seed"], saved["command"]
+    except (ValueError, KeyError, TypeError):
+        raise SystemExit(f"{state} is no state of this command: give another --state") from None
+    if before[0] != first_seed:
+        raise SystemExit(f"{state} is of seed {before[0]}: give --seed {before[0]}, or another --state")
+    if before[1] != list(command):
+        raise SystemExit(f"{state} is of another decoder: give another --state")
+    return found
+
+
+def run(count: int, first_seed: int, jobs: int, state: Path, keep: Path, command: Sequence[str]) -> int:
+    """Compares the decoders on at least `count` files; `jobs` processes. Batches done are noted in `state`, so that a run which is
+    interrupted goes on from there; files on which they disagree go to the folder `keep`. command: another decoder's, with {input} and
+    {output}, or nothing. Returns 0 if there are no disagreements, else 1.
+    """
+    done, seen, wrong = _load(state, first_seed, command)
+    # Some scenes have no place for a fault that is drawn, and give fewer files; the last batches make up for them.
+    least = BATCH_SCENES * FILES_OF_A_SCENE * 9 // 10
+    batches = [first_seed + i for i in range(-(-count // least)) if first_seed + i not in done]
+    began = time.monotonic()
+    bar = tqdm(total=count, initial=min(count, sum(seen.values())), unit="file", file=sys.stderr)
+    with multiprocessing.get_context("spawn").Pool(jobs, _start_worker) as pool, bar:
+        for number, found in zip(batches, pool.imap(partial(run_batch, command=command), batches), strict=False):
+            done.add(number)
+            seen += found.seen
+            bar.update(min(sum(found.seen.values()), bar.total - bar.n))
+            for text, data in found.wrong:
+                wrong += 1
+                keep.mkdir(parents=True, exist_ok=True)
+                path = keep / f"{number}-{wrong}.c3gs"
+                path.write_bytes(data)
+                print(f"{path}: {text}\n  to see it: refcodec inspect {path} --hex; python -m conformance.independent validate {path}")
+            state.parent.mkdir(parents=True, exist_ok=True)
+            saved = {"seed": first_seed, "command": list(command), "batches": sorted(done), "seen": seen, "wrong": wrong}
+            state.write_text(json.dumps(saved), encoding="utf-8")
+            if sum(seen.values()) >= count:
+                break
+    print(f"{sum(seen.values())} files, {wrong} disagreements, {time.monotonic() - began:.0f} s with {jobs} processes; verdicts:")
+    for name, number in seen.most_common():
+        print(f"  {name:<26} {number:>7}")
+    return 1 if wrong else 0

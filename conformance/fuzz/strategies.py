@@ -1,0 +1,257 @@
+"""Hypothesis strategies: one for each structure of SPEC.md, whole scenes, and files changed with their checksums repaired."""
+
+from __future__ import annotations
+
+import numpy as np
+from hypothesis import strategies as st
+from hypothesis.extra import numpy as hnp
+
+from conformance.cases.files import repair, resized, substreams
+from conformance.cases.random_scenes import with_steps
+from refcodec.bitstream import frame, header, weights
+from refcodec.bitstream.attributes import ATTRIBUTE_SYMBOL_MAX, Attributes
+from refcodec.bitstream.codec import parse_container
+from refcodec.bitstream.dimensions import Dimensions, mask_contexts
+from refcodec.bitstream.frame import Frame
+from refcodec.bitstream.header import ORIGIN_BOUND, Lanes, PositionGrid, RenderInfo
+from refcodec.bitstream.limits import PROFILES, TINY
+from refcodec.bitstream.networks import BoundError, derive_layer
+from refcodec.bitstream.planes import PLANE_SYMBOL_MAX
+from refcodec.bitstream.positions import CELL_INDEX, EMPTY_MODELS, HALVES, POSITION_MODELS, PositionModel
+from refcodec.bitstream.scene import Scene
+from refcodec.encoder.positions import frequencies, morton_order, position_model
+from refcodec.encoder.weights import exact_networks, quantise_rendering, weight_scales
+
+F32 = st.floats(width=32, allow_nan=False, allow_infinity=False)
+
+
+def _within(bounds: tuple[int, int], most: int) -> st.SearchStrategy[int]:
+    """Small values mostly, the profile's limit sometimes."""
+    low, high = bounds
+    return st.one_of(st.integers(low, min(most, high)), st.sampled_from([low, high]))
+
+
+@st.composite
+def dimensions(draw: st.DrawFn) -> Dimensions:
+    """Any dimensions of profile Tiny; its limits included, but not all of them at once."""
+    p = PROFILES[TINY]
+    slices = draw(st.lists(_within(p.slice_width, 4), min_size=1, max_size=4))
+
+    def widths(count: tuple[int, int], width: tuple[int, int]) -> tuple[int, ...]:
+        return tuple(draw(st.lists(_within(width, 6), min_size=count[0], max_size=count[1])))
+
+    return Dimensions(
+        draw(_within(p.offset_count, 3)),
+        tuple(slices),
+        draw(_within(p.plane_channels, 2)),
+        draw(_within(p.frequency_count, 3)),
+        draw(st.one_of(st.integers(2, 7), st.sampled_from([2, 32]))) if len(slices) < 3 else draw(st.integers(2, 7)),
+        widths(p.hyper_layers, p.hyper_width),
+        widths(p.sarm_layers, p.sarm_width),
+        widths((1, 2), p.carm_width) if len(slices) > 1 else (),
+        draw(_within(p.render_width, 3)),
+    )
+
+
+def grids() -> st.SearchStrategy[PositionGrid]:
+    origin = st.integers(1 - ORIGIN_BOUND, ORIGIN_BOUND - 1)
+    return st.builds(PositionGrid, st.tuples(origin, origin, origin), st.integers(1, 65535), st.integers(-60, 60))
+
+
+def render_infos() -> st.SearchStrategy[RenderInfo]:
+    positive = st.floats(2.0**-100, 2.0**100, width=32)
+    byte = st.integers(0, 255)
+    side = st.integers(1, 65535)
+    rotation = st.tuples(F32, F32, F32, F32).filter(any)
+    return st.builds(
+        RenderInfo,
+        st.tuples(byte, byte, byte),
+        st.integers(0, 5),
+        positive,
+        positive,
+        st.floats(2.0**-20, 1, width=32),
+        st.floats(0, 2.0**20, width=32),
+        side,
+        side,
+        st.tuples(positive, positive),
+        rotation,
+        st.tuples(F32, F32, F32),
+    )
+
+
+@st.composite
+def frames(draw: st.DrawFn) -> Frame:
+    """Frames to their limits."""
+    matrix = draw(hnp.arrays(np.int64, (3, 3), elements=st.integers(1 - frame.MATRIX_BOUND, frame.MATRIX_BOUND - 1)))
+    translation = draw(hnp.arrays(np.int64, 3, elements=st.integers(1 - frame.TRANSLATION_BOUND, frame.TRANSLATION_BOUND - 1)))
+    shift = draw(hnp.arrays(np.int64, 3, elements=st.integers(0, frame.FRAME_SHIFT_MAX)))
+    low = draw(hnp.arrays(np.int64, 3, elements=st.integers(-frame.FRAME_RANGE_BOUND, frame.FRAME_RANGE_BOUND - 1)))
+    span = draw(hnp.arrays(np.int64, 3, elements=st.integers(1, 2 * frame.FRAME_RANGE_BOUND)))
+    return Frame(matrix, translation, shift, low, np.minimum(low + span, frame.FRAME_RANGE_BOUND))
+
+
+@st.composite
+def networks(draw: st.DrawFn, d: Dimensions) -> dict:
+    """Weights of all sizes whose rows keep the accumulator bound: random, zero, subnormal, and as large as the bound allows."""
+    rng = np.random.default_rng(draw(st.integers(0, 2**32 - 1)))
+    out = {}
+    for name, shapes in d.network_shapes().items():
+        layers = []
+        for rows, fan_in in shapes:
+            kind = draw(st.sampled_from(["random", "random", "zero", "subnormal", "extreme"]))
+            scale = {"random": 0.5, "zero": 0.0, "subnormal": 1e-41, "extreme": 1.0}[kind]
+            weight = (rng.normal(0, 1, (rows, fan_in)) * scale).astype(np.float32)
+            bias = (rng.normal(0, 40, rows) * min(scale * 2, 1)).astype(np.float32)
+            if kind == "extreme":
+                # Just inside the bound at exponent 0: sum |w| * 1023 + |b| < 2^24.
+                weight = np.sign(weight) * np.float32(min(1023, ((1 << 24) - 1) // (1023 * fan_in)))
+                bias = np.zeros(rows, np.float32)
+            try:
+                derive_layer(weight, bias)
+            except BoundError:
+                weight, bias = np.zeros_like(weight), np.zeros_like(bias)
+            layers.append((weight.astype(np.float32), bias))
+        out[name] = layers
+    return out
+
+
+def positions(count: int) -> st.SearchStrategy[np.ndarray]:
+    """Every finite fp16 but -0: subnormals, extremes and duplicates."""
+    bits = st.one_of(st.integers(0, 0x7BFF), st.integers(0x8001, 0xFBFF), st.sampled_from([0, 1, 0x03FF, 0x7BFF, 0x8001, 0xFBFF]))
+    return hnp.arrays(np.uint16, (count, 3), elements=bits).map(lambda a: a.view(np.float16))
+
+
+@st.composite
+def position_models(draw: st.DrawFn, positions: np.ndarray, chunk_size: int) -> PositionModel | None:
+    """None, the encoder's choice, or any model."""
+    kind = draw(st.sampled_from(["raw", "chosen", "any"]))
+    if kind == "raw":
+        return None
+    chosen = position_model(positions, chunk_size)
+    if kind == "chosen":
+        return chosen
+    rng = np.random.default_rng(draw(st.integers(0, 2**32 - 1)))
+    counts = rng.integers(0, 1 << draw(st.integers(0, 20)), (POSITION_MODELS, HALVES)) + 1
+    frequency = [frequencies(c, int(model in EMPTY_MODELS)) for model, c in enumerate(counts)]
+    return PositionModel(draw(st.one_of(st.just(chosen.cell_shift), st.integers(0, CELL_INDEX))), np.array(frequency, np.uint16))
+
+
+@st.composite
+def weight_codings(draw: st.DrawFn, networks: dict) -> tuple[dict, np.ndarray | None]:
+    """Networks in mode 0; or in mode 1, those of the encoder or as they are, with its scales or any."""
+    kind = draw(st.sampled_from(["raw", "chosen", "any"]))
+    if kind == "raw":
+        return networks, None
+    if draw(st.booleans()):
+        networks = exact_networks(networks)
+    if draw(st.booleans()):
+        networks = quantise_rendering(networks, draw(st.integers(2, 24)))
+    scales = weight_scales(networks)
+    if kind == "any":
+        rng = np.random.default_rng(draw(st.integers(0, 2**32 - 1)))
+        grids = [weights.to_grid(layer) for layers in networks.values() for layer in layers]
+        scales = rng.integers(0, 256, scales.shape).astype(np.uint8) * np.array([[grid is not None] for grid in grids], np.uint8)
+    return networks, scales
+
+
+@st.composite
+def some_positions(draw: st.DrawFn, count: int) -> np.ndarray:
+    """Any positions; on a lattice near 0 or anywhere; in any order or in that of their cells."""
+    found = draw(positions(count))
+    if draw(st.booleans()):
+        spread = draw(st.sampled_from([3, 40, 2048]))
+        lattice = draw(hnp.arrays(np.int64, (count, 3), elements=st.integers(-spread, spread)))
+        found = (lattice * 2.0 ** draw(st.integers(-24, 4))).astype(np.float16)
+        found[found == 0] = 0
+    return found[morton_order(found)] if draw(st.booleans()) else found
+
+
+def spread_symbols(shape: tuple[int, ...], limit: int) -> st.SearchStrategy[np.ndarray]:
+    """Integers of all magnitudes up to a limit: small ones, one large one, or any."""
+    small = hnp.arrays(np.int32, shape, elements=st.integers(-3, 3))
+    wide = hnp.arrays(np.int32, shape, elements=st.integers(-limit, limit), fill=st.just(0))
+    powers = st.integers(0, limit.bit_length()).flatmap(lambda b: st.sampled_from([-1, 1]).map(lambda s: s * min(limit, (1 << b))))
+    return st.one_of(small, hnp.arrays(np.int32, shape, elements=powers, fill=st.just(0)), wide)
+
+
+@st.composite
+def scenes(draw: st.DrawFn, max_anchors: int = 12) -> Scene:
+    """Any scene of profile Tiny with up to max_anchors anchors."""
+    d = draw(dimensions())
+    n = draw(st.integers(0, max_anchors))
+    masks = draw(
+        st.one_of(
+            hnp.arrays(np.bool_, (n, d.offset_count)),
+            st.just(np.ones((n, d.offset_count), bool)),
+            st.just(np.zeros((n, d.offset_count), bool)),
+            st.just(np.arange(n * d.offset_count).reshape(n, d.offset_count) == 0),
+        )
+    )
+    offsets = draw(spread_symbols((n, d.offset_count, 3), ATTRIBUTE_SYMBOL_MAX)).copy()
+    offsets[~masks] = 0
+    size = d.plane_size
+    plane = draw(spread_symbols((5, d.plane_channels, size, size), PLANE_SYMBOL_MAX))
+    lane = st.integers(0, 8)
+    step = st.floats(2.0**-60, 2.0**60, width=32)
+    chunk_size = draw(st.one_of(st.integers(1, 15), st.just(65536)))
+    where = draw(some_positions(n))
+    chosen, scales = draw(weight_codings(draw(networks(d))))
+    types = sorted(draw(st.sets(st.integers(1, 127), max_size=2)))
+    scene = Scene(
+        profile=TINY,
+        dimensions=d,
+        chunk_size=chunk_size,
+        lanes=Lanes(draw(lane), draw(lane), draw(lane)),
+        base_step=draw(st.tuples(step, step, step)),
+        grid=draw(grids()),
+        render=draw(render_infos()),
+        frame=draw(frames()),
+        plane_shift=draw(st.integers(0, weights.PLANE_SHIFT_MAX)),
+        carm_shift=draw(hnp.arrays(np.uint8, d.carm_inputs, elements=st.integers(0, weights.CARM_SHIFT_MAX))),
+        networks=chosen,
+        planes=plane.astype(np.int16),
+        mask_model=draw(hnp.arrays(np.uint16, mask_contexts(d.offset_count), elements=st.integers(1, (1 << 14) - 1))),
+        positions=where,
+        masks=masks,
+        attributes=Attributes(
+            draw(spread_symbols((n, d.features), ATTRIBUTE_SYMBOL_MAX)),
+            draw(spread_symbols((n, 6), ATTRIBUTE_SYMBOL_MAX)),
+            offsets,
+            np.zeros((n, 3), np.uint8),
+        ),
+        extensions=tuple((t, draw(st.integers(0, 255)), draw(st.binary(max_size=9))) for t in types),
+        position_model=draw(position_models(where, chunk_size)),
+        weight_scales=scales,
+    )
+    return with_steps(scene)
+
+
+def draw_mutation(draw: st.DrawFn, data: bytes) -> bytes:
+    """A file with a few bytes changed behind the prologue, its checksums repaired if they can still be found."""
+    out = bytearray(data)
+    for _ in range(draw(st.integers(1, 3))):
+        at = draw(st.integers(header.PROLOGUE_BYTES, len(out) - 1))
+        out[at] = draw(st.one_of(st.integers(0, 255), st.sampled_from([0, 1, 127, 128, 255]), st.just(out[at] ^ 1)))
+    return repair(bytes(out))
+
+
+mutations = st.composite(draw_mutation)
+
+
+def draw_splice(draw: st.DrawFn, data: bytes) -> bytes:
+    """A file with a few bytes of one substream taken out, put in or moved to another value, all lengths and checksums made right;
+    with or without a word count that follows."""
+    kind, start, length, length_at = draw(st.sampled_from(substreams(data)))
+    section = parse_container(data).sections[kind]
+    at = draw(st.integers(0, length))
+    out = draw(st.integers(0, min(8, length - at)))
+    new = draw(st.binary(max_size=8))
+    part = bytearray(data[start : start + length])
+    part[at : at + out] = new
+    if len(part) >= 8 and draw(st.booleans()):
+        words = max(0, int.from_bytes(part[4:8], "little") + draw(st.integers(-4, 4)))
+        part[4:8] = words.to_bytes(4, "little")
+    return resized(data, kind, data[section.start : start] + bytes(part) + data[start + length : section.end], length_at)
+
+
+splices = st.composite(draw_splice)

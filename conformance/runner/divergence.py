@@ -1,0 +1,181 @@
+"""Where a wrong output or a wrong trace first differs from the right one, which refcodec computes here."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from refcodec.bitstream import codec
+from refcodec.bitstream.attributes import SCALINGS
+from refcodec.bitstream.entropy import TraceRow
+from refcodec.bitstream.planes import PLANE_NAMES
+from refcodec.bitstream.reconstruction import canonical_head, canonical_parts
+from refcodec.bitstream.scene import Scene
+from refcodec.inspect import dump
+
+HEAD_FIELDS = ("N", "K", "F", "ch", "B")
+# What says how a part's values, and the symbols of a trace and their models, come about.
+PART_CLAUSES = {
+    "positions": "9.1, 5.11, 7.12",
+    "masks": "7.6",
+    "planes": "7.3",
+    "features": "9.2, 7.8",
+    "scalings": "9.2, 7.8",
+    "offsets": "9.2, 7.8",
+    "weights": "5.8, 7.13",
+}
+SYMBOL_CLAUSES = {
+    "weights": "7.13",
+    "planes": "7.3, 7.2",
+    "positions": "7.12",
+    "masks": "7.6",
+    "attributes": "7.5, 7.2, 7.7, 7.10",
+}
+# Lines of annotated bytes: a head, six elements before the spot, it, and six after it.
+_HEX_LINES = 14
+
+
+@dataclass(frozen=True)
+class Divergence:
+    """The first difference. part: of the canonical reconstruction, or "trace"; element: what differs, in words; expected, found: its
+    values; offset: in the output, or of the substream in the file for a trace; differing: how many values; clauses: of SPEC.md, that say
+    how the element comes about."""
+
+    part: str
+    element: str
+    expected: str
+    found: str
+    offset: int
+    differing: str
+    clauses: str = "9.3"
+
+    def text(self) -> str:
+        """One line."""
+        return f"{self.part}: {self.element} is {self.found}, {self.expected} expected ({self.differing}); read {self.clauses}"
+
+
+def _types(scene: Scene) -> dict[str, tuple[str, tuple[int, ...]]]:
+    """SPEC 9.3: type and shape of each part."""
+    d, n = scene.dimensions, scene.anchor_count
+    return {
+        "positions": ("<f4", (n, 3)),
+        "masks": ("u1", (n, d.offset_count)),
+        "planes": ("<i2", (5, d.plane_channels, d.plane_size, d.plane_size)),
+        "features": ("<f4", (n, d.features)),
+        "scalings": ("<f4", (n, SCALINGS)),
+        "offsets": ("<f4", (n, d.offset_count, 3)),
+        "weights": ("<f4", (-1,)),
+    }
+
+
+def _element(scene: Scene, part: str, at: tuple[int, ...]) -> str:
+    """The value at an index of a part, in the words of SPEC.md."""
+    if part == "planes":
+        return f"sub-plane {at[0]} ({PLANE_NAMES[at[0]]}), channel {at[1]}, row {at[2]}, column {at[3]}"
+    if part == "weights":
+        left = at[0]
+        for name, shapes in scene.dimensions.network_shapes().items():
+            for layer, (out, fan_in) in enumerate(shapes):
+                if left < out * fan_in:
+                    return f"{name}, layer {layer}, weight {left % fan_in} of row {left // fan_in}"
+                left -= out * fan_in
+                if left < out:
+                    return f"{name}, layer {layer}, bias {left}"
+                left -= out
+    chunk = f"anchor {at[0]} (chunk {at[0] // scene.chunk_size})"
+    if part == "positions":
+        return f"{chunk}, {'xyz'[at[1]]}"
+    if part == "offsets":
+        return f"{chunk}, offset {at[1]}, {'xyz'[at[2]]}"
+    return f"{chunk}, {'offset' if part == 'masks' else 'channel'} {at[1]}"
+
+
+def _shown(value: NDArray) -> str:
+    if value.dtype.kind == "f":
+        return f"{value[()]!s} ({int(value.view('<u4')[()]):08x})"
+    return str(value[()])
+
+
+def _compare_part(scene: Scene, part: str, right: bytes, found: bytes, start: int) -> Divergence:
+    """The first difference of two unequal parts of the same length."""
+    if part == "head":
+        at = next(i for i, (a, b) in enumerate(zip(right, found, strict=True)) if a != b)
+        if at < 8:
+            return Divergence(part, "the eight bytes", right[:8].hex(" "), found[:8].hex(" "), start, "the head")
+        at = (at - 8) // 4
+        values = [str(int.from_bytes(data[8 + 4 * at : 12 + 4 * at], "little")) for data in (right, found)]
+        return Divergence(part, HEAD_FIELDS[at], values[0], values[1], start + 8 + 4 * at, "the head")
+    kind, shape = _types(scene)[part]
+    a, b = (np.frombuffer(data, kind).reshape(shape) for data in (right, found))
+    # Bits are compared: -0 is not +0, and a NaN is what it is.
+    differ = a.view(f"<u{a.itemsize}") != b.view(f"<u{b.itemsize}")
+    flat = int(np.argmax(differ))
+    at_index = tuple(int(i) for i in np.unravel_index(flat, a.shape))
+    count = f"{int(differ.sum())} of {differ.size} values of the part differ"
+    place = start + flat * a.itemsize
+    return Divergence(part, _element(scene, part, at_index), _shown(a[at_index]), _shown(b[at_index]), place, count, PART_CLAUSES[part])
+
+
+def _parts(scene: Scene) -> Iterator[tuple[str, bytes]]:
+    yield "head", canonical_head(scene)
+    yield from canonical_parts(scene)
+
+
+def of_output(data: bytes, output: Path) -> Divergence | None:
+    """The first difference of a decoder's output for a valid file, or None if it is right."""
+    scene = codec.parse(data).scene
+    found = output.read_bytes()
+    at = 0
+    for part, right in _parts(scene):
+        got = found[at : at + len(right)]
+        common = right[: len(got)]
+        if got != common:
+            # What is missing is filled with what is right, so that the values that are there are compared.
+            return _compare_part(scene, part, right, got + right[len(got) :], at)
+        if len(got) < len(right):
+            return Divergence(part, "the part", f"{len(right)} bytes", f"{len(got)} bytes", at, f"the output has {len(found)} bytes")
+        at += len(right)
+    if len(found) > at:
+        return Divergence("end", "the output", f"{at} bytes", f"{len(found)} bytes", at, "what is there is right")
+    return None
+
+
+def of_trace(data: bytes, trace: Path) -> Divergence | None:
+    """The first symbol on which a decoder's trace of a valid file differs from the right one, or None."""
+    rows = _symbols(data)
+    lines = trace.read_bytes().decode("utf-8", "replace").split("\n")
+    if lines[-1] == "":
+        lines.pop()
+    for number, (row, line) in enumerate(itertools.zip_longest(rows, lines)):
+        if row is not None and line == f"{row.path} {row.value}":
+            continue
+        count = f"symbol {number} of {len(rows)}"
+        if row is None:
+            return Divergence("trace", "the line after the last symbol", "nothing", str(line), len(data), count)
+        # Of the same symbol the values are enough.
+        same, value = line is not None and line.startswith(f"{row.path} "), str(row.value)
+        found = "nothing" if line is None else line.removeprefix(f"{row.path} ")
+        count += f"; rightly of the model {row.family}, mean {row.mean}, scale {row.scale}"
+        clauses = SYMBOL_CLAUSES[row.path.partition("[")[0].split(".")[0]]
+        clauses = f"{clauses}, and for slices behind the first 7.9" if row.path.startswith("attributes.features") else clauses
+        return Divergence("trace", row.path, value if same else f"{row.path} {value}", found, row.substream, count, clauses)
+    return None
+
+
+def annotated(data: bytes, offset: int) -> list[str]:
+    """The bytes of a file around an offset, each line with its syntax element; the one of the offset is marked."""
+    head, *lines = list(dump.hex_lines(data, near=offset))[:_HEX_LINES]
+    spot = max((i for i, line in enumerate(lines) if int(line[:8], 16) <= offset), default=-1)
+    return [f"  {head}", *(f"{'> ' if i == spot else '  '}{line}" for i, line in enumerate(lines))]
+
+
+def _symbols(data: bytes) -> list[TraceRow]:
+    """The symbols in the order of the trace (vectors/README.md)."""
+    rows: list[TraceRow] = []
+    codec.parse(data, trace=rows.append)
+    return sorted(rows, key=lambda row: row.substream)

@@ -1,0 +1,48 @@
+"""Judges files that another encoder wrote: valid, canonical, and the same to both decoders."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from refcodec.bitstream import codec
+from refcodec.bitstream.errors import BitstreamError
+from refcodec.bitstream.reconstruction import digest
+from refcodec.inspect import dump
+
+from .. import independent
+
+
+@dataclass(frozen=True)
+class Verdict:
+    """good: whether nothing is wrong; text: in a line; lines: the bytes of the spot, annotated."""
+
+    good: bool
+    text: str
+    lines: tuple[str, ...] = ()
+
+
+def examine(data: bytes) -> Verdict:
+    """The verdict on a file."""
+    first: tuple[int, int] | str
+    error: BitstreamError | None = None
+    try:
+        scene = codec.parse(data).scene
+        first = digest(scene)[0]
+    except BitstreamError as found:
+        error, first = found, (found.kind.code, found.offset)
+    second: tuple[int, int] | str
+    try:
+        second = independent.digest(independent.decode(data))
+    except independent.C3GSError as found:
+        second = (found.code, found.offset)
+    if first != second:
+        return Verdict(False, f"the decoders differ, please report the file: refcodec says {first}, the second decoder {second}")
+    if error:
+        kind = error.kind
+        near = tuple(dump.hex_lines(data, [error], error.offset))
+        return Verdict(False, f"{kind.klass}: {kind.code} {kind.name} at byte {error.offset}, clause {kind.clause}: {error}", near)
+    again = codec.emit(scene)
+    if again != data:
+        at = next((i for i, (a, b) in enumerate(zip(data, again, strict=False)) if a != b), min(len(data), len(again)))
+        return Verdict(False, f"not canonical (4.3): refcodec writes other bytes from byte {at} on", tuple(dump.hex_lines(data, near=at)))
+    return Verdict(True, f"valid, canonical, the same to both decoders; digest {first}")

@@ -1,0 +1,152 @@
+"""What a decoder said of a vector, and whether it is right.
+
+A decoder accepts with exit status 0 and its output written. It refuses with exit status 1 (malformed, invalid) or 2 (unsupported) and,
+as the last line of stderr, a JSON object with a registered code. Whatever else happens is a crash, and a crash is never a pass.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import signal
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from refcodec.bitstream.errors import REGISTRY
+
+from ..manifest import Accepted, GaussiansOf, Manifest, Rejected, Vector
+from .gaussians import difference
+from .process import Ended
+
+# Grades of a vector: 1 refused or accepted as it must be, with the right output; 2 the right class of error; 3 code and offset.
+GRADE_NONE, GRADE_VERDICT, GRADE_CLASS, GRADE_EXACT = range(4)
+GRADES = {
+    GRADE_NONE: "a wrong verdict, a wrong output or a crash",
+    GRADE_VERDICT: "right verdicts and outputs",
+    GRADE_CLASS: "right verdicts, outputs and classes of error",
+    GRADE_EXACT: "right verdicts, outputs, codes and offsets",
+}
+EXIT_ACCEPTED, EXIT_REFUSED, EXIT_UNSUPPORTED = 0, 1, 2
+_OVER = {
+    "time": "took too long",
+    "memory": "took too much memory",
+    "output": "wrote too much",
+    "answer": "gave an answer that cannot be read",
+}
+BY_CODE = {kind.code: kind for kind in REGISTRY.values()}
+
+
+@dataclass(frozen=True)
+class Found:
+    """What a decoder said: result "accepted", "rejected" or "crashed"; code and offset of a rejection (the offset None if it has
+    none); digest: SHA-256 of the output of an acceptance; status, signal: how the process ended; text: why it is a crash."""
+
+    result: str
+    status: int | None
+    signal: int | None
+    code: int | None = None
+    offset: int | None = None
+    digest: str | None = None
+    text: str = ""
+
+
+@dataclass(frozen=True)
+class Judgement:
+    """grade: 0 to 3; text: what is wrong, empty if nothing is."""
+
+    grade: int
+    text: str
+
+
+def exit_status(klass: str) -> int:
+    """Of a refusal with an error of this class (SPEC.md 10.1)."""
+    return EXIT_UNSUPPORTED if klass == "unsupported" else EXIT_REFUSED
+
+
+def signal_name(number: int) -> str:
+    """Such as SIGSEGV."""
+    try:
+        return signal.Signals(number).name
+    except ValueError:
+        return f"signal {number}"
+
+
+def _refusal(line: str) -> tuple[int, int | None] | str:
+    """Code and offset of the last line of stderr, or what is wrong with it."""
+    try:
+        said: Any = json.loads(line)
+    except (ValueError, RecursionError):
+        return "whose last line of stderr is not JSON"
+    if not isinstance(said, dict) or type(said.get("code")) is not int:
+        return "whose last line of stderr is not an object with a code"
+    if said["code"] not in BY_CODE:
+        return f"with a code, {said['code']}, that is not registered"
+    offset = said.get("offset")
+    return said["code"], offset if type(offset) is int else None
+
+
+def read(ended: Ended, output: Path) -> Found:
+    """What a process said by the way it ended and by its output file."""
+
+    def crash(text: str) -> Found:
+        return Found("crashed", ended.status, ended.signal, text=text)
+
+    if ended.over:
+        return crash(_OVER[ended.over])
+    if ended.signal is not None:
+        return crash(f"ended by {signal_name(ended.signal)}")
+    if ended.status == EXIT_ACCEPTED:
+        if not output.is_file():
+            return crash("exit status 0 without an output file")
+        with output.open("rb") as file:
+            return Found("accepted", ended.status, None, digest=hashlib.file_digest(file, "sha256").hexdigest())
+    if ended.status not in (EXIT_REFUSED, EXIT_UNSUPPORTED):
+        return crash(f"exit status {ended.status}")
+    lines = ended.stderr.decode("utf-8", "replace").strip().splitlines()
+    said = _refusal(lines[-1] if lines else "")
+    if isinstance(said, str):
+        return crash(f"exit status {ended.status}, {said}")
+    return Found("rejected", ended.status, None, *said)
+
+
+def _describe(code: int) -> str:
+    kind = BY_CODE[code]
+    return f"{code} {kind.name}, {kind.klass}"
+
+
+def _judge_refusal(expected: Rejected, found: Found) -> Judgement:
+    if found.result != "rejected" or found.code is None:
+        return Judgement(GRADE_NONE, f"accepted; {_describe(expected.code)}, at byte {expected.offset} expected")
+    wanted, said = BY_CODE[expected.code].klass, BY_CODE[found.code].klass
+    where = "no offset" if found.offset is None else f"byte {found.offset}"
+    text = f"{_describe(found.code)}, {where}; {_describe(expected.code)}, byte {expected.offset} expected"
+    if said != wanted or found.status != exit_status(wanted):
+        return Judgement(GRADE_VERDICT, f"exit status {found.status}, {exit_status(wanted)} expected; {text}")
+    if (found.code, found.offset) != (expected.code, expected.offset):
+        return Judgement(GRADE_CLASS, text)
+    return Judgement(GRADE_EXACT, "")
+
+
+def judge(manifest: Manifest, vector: Vector, found: Found, output: Path) -> Judgement:
+    """Compares what a decoder said, and its output file, with what is expected."""
+    if found.result == "crashed":
+        return Judgement(GRADE_NONE, f"crash: {found.text}")
+    if isinstance(vector.expectation, Rejected):
+        return _judge_refusal(vector.expectation, found)
+    if found.result == "rejected":
+        assert found.code is not None
+        return Judgement(GRADE_NONE, f"refused with {_describe(found.code)}; the file is valid")
+    if isinstance(vector.expectation, Accepted):
+        right = found.digest == vector.expectation.digest
+        return Judgement(GRADE_EXACT, "") if right else Judgement(GRADE_NONE, "the output is not the canonical reconstruction")
+    return _judge_gaussians(manifest, vector.expectation, output)
+
+
+def _judge_gaussians(manifest: Manifest, expected: GaussiansOf, output: Path) -> Judgement:
+    wanted = (manifest.folder / expected.path).read_text(encoding="utf-8")
+    try:
+        wrong = difference(wanted, output.read_text(encoding="utf-8"), expected.tolerance)
+    except (ValueError, OverflowError, RecursionError) as error:
+        wrong = f"the output is no list of Gaussians ({type(error).__name__})"
+    return Judgement(GRADE_NONE, wrong) if wrong else Judgement(GRADE_EXACT, "")

@@ -1,0 +1,45 @@
+"""Which vectors a person asks for: `--select 'class:malformed,invalid code:1*,2*'`."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable
+from fnmatch import fnmatchcase
+
+from ..manifest import Rejected, Vector
+
+_VALUES: dict[str, Callable[[Vector], Iterable[str]]] = {
+    "id": lambda v: [v.id],
+    "class": lambda v: [v.klass],
+    "operation": lambda v: [v.operation],
+    "profile": lambda v: [v.profile or "none"],
+    "level": lambda v: ["none" if v.level is None else str(v.level)],
+    "feature": lambda v: v.features,
+    "requirement": lambda v: v.requirements,
+    "flag": lambda v: v.flags,
+    "code": lambda v: [str(v.expectation.code)] if isinstance(v.expectation, Rejected) else [],
+}
+HELP = (
+    "vectors that fit: terms such as class:valid or id:escape-*, separated by spaces, must all hold; commas separate alternatives, * and ? "
+    f"stand for any characters, a leading ! negates; names: {', '.join(_VALUES)}; given several times, what any of them selects"
+)
+
+
+class SelectionError(Exception):
+    """A selection that cannot be read."""
+
+
+def _term(text: str) -> Callable[[Vector], bool]:
+    wanted = not text.startswith("!")
+    name, colon, patterns = text.removeprefix("!").partition(":")
+    if not colon:
+        name, patterns = "id", name
+    if name not in _VALUES:
+        raise SelectionError(f"{name}: is none of {', '.join(_VALUES)}")
+    values = _VALUES[name]
+    return lambda v: wanted == any(fnmatchcase(value, pattern) for value in values(v) for pattern in patterns.split(","))
+
+
+def select(vectors: Iterable[Vector], expressions: Iterable[str]) -> list[Vector]:
+    """The vectors that an expression selects, in their order; all if there is no expression. Raises SelectionError."""
+    choices = [[_term(term) for term in expression.split()] for expression in expressions]
+    return [v for v in vectors if not choices or any(all(term(v) for term in terms) for terms in choices)]

@@ -1,0 +1,68 @@
+"""Serves one of the project's decoders to `conformance run --serve`, so that its modules are read once and not for each vector.
+
+python -m conformance.runner.serve refcodec | independent: reads lines of JSON, {"input", "output"} and perhaps "trace", and answers each with
+{"status", "signal", "stderr"}. Each file is decoded in a fork, whose end is all that the next one could know of it.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import os
+import sys
+import tempfile
+from collections.abc import Callable
+from typing import Any
+
+
+def _refcodec() -> Callable[[list[str]], int]:
+    # What the command imports when it runs, and the tables, are there before the first fork.
+    from refcodec.bitstream import reconstruction, tables  # noqa: F401, PLC0415
+    from refcodec.cli import main as cli  # noqa: PLC0415
+
+    pass
+
+    tables.tables()
+    return lambda words: cli.main(["reconstruct", *words])
+
+
+def _independent() -> Callable[[list[str]], int]:
+    from ..independent.__main__ import main  # noqa: PLC0415
+
+    return lambda words: main(["decode", *words])
+
+
+DECODERS = {"refcodec": _refcodec, "independent": _independent}
+
+
+def _in_fork(decode: Callable[[list[str]], int], words: list[str]) -> dict[str, Any]:
+    with tempfile.TemporaryFile() as errors:
+        pid = os.fork()
+        if pid == 0:
+            status = 70
+            with contextlib.suppress(BaseException):
+                os.dup2(errors.fileno(), 2)
+                status = decode(words)
+            sys.stderr.flush()
+            os._exit(status)
+        code = os.waitstatus_to_exitcode(os.waitpid(pid, 0)[1])
+        errors.seek(0)
+        text = errors.read().decode("utf-8", "replace")
+    return {"status": code if code >= 0 else None, "signal": -code if code < 0 else None, "stderr": text}
+
+
+def main(arguments: list[str]) -> int:
+    """Answers until stdin ends; returns the exit status."""
+    if len(arguments) != 1 or arguments[0] not in DECODERS:
+        print(f"usage: python -m conformance.runner.serve {' | '.join(DECODERS)}", file=sys.stderr)
+        return 64
+    decode = DECODERS[arguments[0]]()
+    for line in sys.stdin:
+        request = json.loads(line)
+        words = [request["input"], request["output"]] + (["--trace", request["trace"]] if "trace" in request else [])
+        print(json.dumps(_in_fork(decode, words)), flush=True)
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main(sys.argv[1:]))

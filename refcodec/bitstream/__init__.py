@@ -1,0 +1,29 @@
+"""The bitstream: what SPEC.md says, one module for each chapter or group of clauses.
+
+The first line of each module names its clauses. `conformance/independent` has a module of the same name for each of them,
+with the same clauses, but for three that only this decoder needs: `syntax` (the schemas), `scene` (all that a file says,
+as arrays) and `batches` (chunks that are decoded side by side).
+
+    conventions     2           operators
+    syntax          5           the syntax tables as construct schemas
+    errors          10.2        the registry and the exception
+    dimensions      5.3, 6.3    dimensions, and the networks that follow from them
+    limits          11          profiles and levels
+    tables          A           sine, steps, models
+    header          5.1 to 5.5, 6.1 to 6.5
+    directory       5.6, 6.6, 12.1
+    entropy         5.14, 8
+    networks        7.2
+    frame           5.7, 6.7
+    weights         5.8, 5.16, 6.8, 7.13
+    planes          5.9, 6.9, 7.3
+    chunks          5.10, 6.10
+    positions       5.11, 5.15, 6.11, 7.4, 7.12
+    context         7.5
+    masks           5.12, 6.12, 7.6
+    attributes      5.13, 6.13, 7.7 to 7.10
+    reconstruction  9
+    codec           7.1, 10.1   the order of all of it, and nothing else
+
+Nothing here imports another room of the package, torch or a renderer.
+"""

@@ -1,0 +1,79 @@
+"""Clause 7.5: geometry to context."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .conventions import Int64, clamp, isqrt, rshift_round
+from .frame import Frame
+from .networks import activation
+from .positions import position_integers
+from .tables import SINE_LENGTH, tables
+
+# SPEC 7.5: 2^16 is one unit of every coordinate after the frame; the frame's output is clamped to +-(2^30 - 1).
+UNIT_BITS = 16
+UNIT = 1 << UNIT_BITS
+FRAME_CLAMP = (1 << 30) - 1
+# SPEC 7.5.4: fraction bits of a bilinear weight.
+LERP_BITS = 8
+
+
+def frame_coordinates(frame: Frame, p: Int64) -> Int64:
+    """SPEC 7.5.1: the affine map, [n, 3] -> [n, 3], in units of 2^-16."""
+    v = rshift_round(p @ frame.matrix.T + frame.translation, frame.shift)
+    return clamp(v, -FRAME_CLAMP, FRAME_CLAMP)
+
+
+def contract(v: Int64) -> Int64:
+    """SPEC 7.5.2: identity in the unit ball, (2 - 1/|v|) v/|v| outside, with floor square root and floor divisions."""
+    square = (v * v).sum(axis=1)
+    n = isqrt(square)[:, None]
+    outside = square[:, None] > UNIT * UNIT
+    divisor = np.maximum(n, 1)
+    factor = (2 * n - UNIT) * UNIT // divisor
+    return np.where(outside, v * factor // divisor, v)
+
+
+def rescale(frame: Frame, w: Int64) -> Int64:
+    """SPEC 7.5.3: [low, high] to [0, 2^16], both ends inclusive."""
+    return clamp(((w - frame.low) << UNIT_BITS) // (frame.high - frame.low), 0, UNIT)
+
+
+def query(plane: Int64, u: Int64, plane_shift: int) -> Int64:
+    """SPEC 7.5.4: bilinear samples of a plane [channels, R, R] at u [n, 2] (u[:, 0] along columns). int64 [n, channels]."""
+    size = plane.shape[-1]
+    grid = u * (size - 1)
+    cell = np.minimum(grid >> UNIT_BITS, size - 2)
+    fraction = rshift_round(grid - (cell << UNIT_BITS), UNIT_BITS - LERP_BITS)
+    j, i = cell[:, 0], cell[:, 1]
+    fj, fi = fraction[:, 0], fraction[:, 1]
+    one = 1 << LERP_BITS
+    flat = plane.reshape(len(plane), -1)
+    at = i * size + j
+    total = (
+        flat[:, at] * ((one - fj) * (one - fi))
+        + flat[:, at + 1] * (fj * (one - fi))
+        + flat[:, at + size] * ((one - fj) * fi)
+        + flat[:, at + size + 1] * (fj * fi)
+    )
+    return activation(rshift_round(total, 2 * LERP_BITS - plane_shift)).T
+
+
+def positional_encoding(u: Int64, frequencies: int) -> Int64:
+    """SPEC 7.5.5: gamma of z', int64 [n, 2 * frequencies]: sine and cosine of each frequency in turn. u: [n] in [0, 2^16]."""
+    k = np.arange(frequencies)
+    phase = ((u[:, None] - UNIT // 2) << k) & (UNIT - 1)
+    turn = rshift_round(phase, UNIT_BITS - SINE_LENGTH.bit_length() + 1)
+    sine = tables().sine
+    pair = [sine[turn % SINE_LENGTH], sine[(turn + SINE_LENGTH // 4) % SINE_LENGTH]]
+    return np.stack(pair, axis=2).reshape(len(u), 2 * frequencies)
+
+
+def context(
+    frame: Frame, planes: tuple[Int64, Int64], plane_shift: int, frequencies: int, positions: NDArray[np.float16]
+) -> NDArray[np.int16]:
+    """SPEC 7.5: the inputs of F_h, int16 [n, 2 ch + 2 L], each in [-1023, 1023]."""
+    u = rescale(frame, contract(frame_coordinates(frame, position_integers(positions))))
+    parts = [query(plane, u[:, :2], plane_shift) for plane in planes]
+    return np.concatenate([*parts, positional_encoding(u[:, 2], frequencies)], axis=1).astype(np.int16)

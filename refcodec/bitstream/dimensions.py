@@ -1,0 +1,109 @@
+"""Clauses 5.3, 5.8 and 6.3: the dimensions, and the networks that follow from them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from itertools import pairwise
+from typing import Any
+
+# SPEC 3.2: scalings of an anchor.
+SCALINGS = 6
+# SPEC 5.8: the networks that no symbol depends on.
+RENDERING = ("opacity", "covariance", "colour")
+
+
+@dataclass(frozen=True)
+class Dimensions:
+    """SPEC 6.3, in its names: K, the feature slices, ch, L, B and the hidden widths of each network."""
+
+    offset_count: int
+    slices: tuple[int, ...]
+    plane_channels: int
+    frequency_count: int
+    plane_size: int
+    hyper_width: tuple[int, ...]
+    sarm_width: tuple[int, ...]
+    carm_width: tuple[int, ...]
+    render_width: int
+
+    @property
+    def features(self) -> int:
+        """F, the feature channels of an anchor."""
+        return sum(self.slices)
+
+    @property
+    def attribute_width(self) -> int:
+        """D = F + 6 + 3 K, the attribute channels of an anchor."""
+        return self.features + SCALINGS + 3 * self.offset_count
+
+    @property
+    def carm_inputs(self) -> int:
+        """Feature channels that CARM reads: all but the last slice."""
+        return self.features - self.slices[-1]
+
+    def network_shapes(self) -> dict[str, list[tuple[int, int]]]:
+        """SPEC 5.8: for each network, in file order, the (out, in) of its layers."""
+
+        def mlp(widths: list[int]) -> list[tuple[int, int]]:
+            return [(out, fan_in) for fan_in, out in pairwise(widths)]
+
+        context = 2 * self.plane_channels + 2 * self.frequency_count
+        shapes = {
+            "hyper": mlp([context, *self.hyper_width, 2 * self.attribute_width + 3]),
+            "sarm": mlp([4, *self.sarm_width, 2]),
+        }
+        for index in range(1, len(self.slices)):
+            shapes[f"carm.{index}"] = mlp([sum(self.slices[:index]), *self.carm_width, 2 * self.slices[index]])
+        for name, outputs in zip(RENDERING, (1, 7, 3), strict=True):
+            shapes[name] = mlp([self.features + 4, self.render_width, outputs * self.offset_count])
+        return shapes
+
+
+def dimensions_of(d: Any) -> Dimensions:
+    """SPEC 5.3: the struct as parsed, in the scene's terms. Nothing is checked."""
+    return Dimensions(
+        d.offset_count,
+        tuple(d.slice_width),
+        d.plane_channels,
+        d.frequency_count,
+        d.plane_size,
+        tuple(d.hyper_width),
+        tuple(d.sarm_width),
+        tuple(d.carm_width),
+        d.render_width,
+    )
+
+
+def dimension_fields(d: Dimensions) -> dict[str, Any]:
+    """SPEC 5.3: the fields of the struct."""
+    return {
+        "offset_count": d.offset_count,
+        "slice_count": len(d.slices),
+        "slice_width": d.slices,
+        "plane_channels": d.plane_channels,
+        "frequency_count": d.frequency_count,
+        "plane_size": d.plane_size,
+        "hyper_layers": len(d.hyper_width),
+        "hyper_width": d.hyper_width,
+        "sarm_layers": len(d.sarm_width),
+        "sarm_width": d.sarm_width,
+        "carm_layers": len(d.carm_width),
+        "carm_width": d.carm_width,
+        "render_width": d.render_width,
+    }
+
+
+def mask_contexts(offset_count: int) -> int:
+    """SPEC 7.6: K (K + 1) / 2, the contexts of the mask model."""
+    return offset_count * (offset_count + 1) // 2
+
+
+def layers_of(d: Dimensions) -> list[tuple[str, int, int]]:
+    """SPEC 5.8: (name, outputs, inputs) of every layer, in file order."""
+    shapes = d.network_shapes()
+    return [(f"{name}.{i}", out, fan_in) for name in shapes for i, (out, fan_in) in enumerate(shapes[name])]
+
+
+def weight_count(d: Dimensions) -> int:
+    """SPEC 5.8: W, the weights and biases of all networks."""
+    return sum(out * (fan_in + 1) for _, out, fan_in in layers_of(d))

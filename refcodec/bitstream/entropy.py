@@ -1,0 +1,413 @@
+"""Clauses 5.14 and 8: the entropy coder, interleaved rANS over many substreams at once.
+
+A Decoder and an Encoder have the same two methods, `values` and `plain`. So each part of the decoding process is written
+once, and runs in either direction. Symbols come in groups (SPEC 8.3). The arrays of a group hold the symbols of the first
+substream, then those of the second, and so on.
+"""
+
+from __future__ import annotations
+
+import zlib
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Protocol
+
+import construct as cs
+import numpy as np
+from numpy.typing import NDArray
+
+from . import syntax
+from .conventions import Int64, clamp, rshift_round
+from .errors import BitstreamError
+from .tables import FRACTIONS, PRECISION, SCALE_END, SCALE_MIN, TOTAL, ModelSet
+
+# SPEC 8.1: bounds of a lane's state and its final value.
+STATE_MIN = 1 << 16
+# SPEC 8.5: most low bits sent raw.
+RAW_MAX = 16
+# SPEC 8.7: longest prefix of an escape.
+ESCAPE_PREFIX_MAX = 25
+# Names a symbol of a group for a trace: (substream in the batch, index in its part of the group) -> path.
+SymbolName = Callable[[int, int], str]
+
+
+@dataclass(frozen=True)
+class TraceRow:
+    """One decoded symbol: its path, the model it was decoded with, its value, and the offset of its substream."""
+
+    path: str
+    family: str
+    mean: int
+    scale: int
+    value: int
+    substream: int
+
+
+Trace = Callable[[TraceRow], None]
+
+
+@dataclass(frozen=True)
+class Substream:
+    """SPEC 5.14. symbol_crc: u32; states: uint32 [lanes]; words: uint16; raw: bytes; offset and path say where it stands."""
+
+    symbol_crc: int
+    states: NDArray[np.uint32]
+    words: NDArray[np.uint16]
+    raw: bytes
+    offset: int
+    path: str
+
+
+def parse_substream(data: bytes, start: int, end: int, lanes: int, path: str) -> Substream:
+    """SPEC 5.14 and 8.1: the substream in data[start:end]. Raises BitstreamError substream.length or substream.state."""
+    try:
+        head, size = syntax.parse("SubstreamHead", data[start : min(end, start + 8)])
+    except cs.ConstructError:
+        raise BitstreamError("substream.length", start, path, f"{end - start} bytes", "at least the 8 of its head") from None
+    words_at = start + size + 4 * lanes
+    raw_at = words_at + 2 * head.word_count
+    if raw_at > end:
+        allowed = f"at least {raw_at - start}, for {lanes} states and {head.word_count} words"
+        raise BitstreamError("substream.length", start, path, f"{end - start} bytes", allowed)
+    states = np.frombuffer(data, "<u4", lanes, start + size).astype(np.uint32)
+    if (states < STATE_MIN).any():
+        lane = int(np.argmax(states < STATE_MIN))
+        raise BitstreamError("substream.state", start, path, f"state {states[lane]} of lane {lane}", f"at least {STATE_MIN}")
+    words = np.frombuffer(data, "<u2", head.word_count, words_at).astype(np.uint16)
+    return Substream(head.symbol_crc, states, words, data[raw_at:end], start, path)
+
+
+def open_substream(data: bytes, start: int, end: int, lanes: int, path: str) -> tuple[Substream, BitstreamError | None]:
+    """A substream, or an empty one and the error, so that its neighbours can still be decoded."""
+    try:
+        return parse_substream(data, start, end, lanes, path), None
+    except BitstreamError as error:
+        empty = np.empty(0, dtype=np.uint16)
+        return Substream(0, np.full(lanes, STATE_MIN, dtype=np.uint32), empty, b"", start, path), error
+
+
+class SymbolCoder(Protocol):
+    """What decoding processes without values need of a coder: either direction, `given` is None when decoding."""
+
+    def plain(self, models: ModelSet, index: Int64, counts: list[int], name: SymbolName, given: Int64 | None) -> Int64: ...
+
+
+class Coder(SymbolCoder, Protocol):
+    """What the decoding process needs of a coder."""
+
+    def values(
+        self, models: ModelSet, mean: Int64, scale: Int64, counts: list[int], limit: int, name: SymbolName, given: Int64 | None
+    ) -> Int64: ...
+
+
+def select(mean: Int64, scale: Int64) -> tuple[Int64, Int64, Int64]:
+    """SPEC 8.5: (model, centre, raw) for means in 1/16 and scale indices in 1/8 octave; all int64, same shape."""
+    raw = clamp(((scale - SCALE_END) >> 3) + 1, 0, RAW_MAX)
+    row = clamp(scale - 8 * raw, SCALE_MIN, SCALE_END - 1)
+    shifted = rshift_round(mean - 8 * ((np.int64(1) << raw) - 1), raw) + 8
+    return (row - SCALE_MIN) * FRACTIONS + (shifted & 15), shifted >> 4, raw
+
+
+class _Layout:
+    """SPEC 8.3: symbol i of a substream's group is coded by lane i mod lanes, in step i div lanes."""
+
+    def __init__(self, counts: list[int], lanes: int) -> None:
+        self.counts = np.asarray(counts, dtype=np.int64)
+        self.starts = np.cumsum(self.counts) - self.counts
+        self.steps = -(-int(self.counts.max(initial=0)) // lanes)
+        self.shape = (len(counts), self.steps, lanes)
+        self.even = bool((self.counts == self.steps * lanes).all())
+        if not self.even:
+            shift = np.arange(len(counts)) * (self.steps * lanes) - self.starts
+            self.place = np.arange(int(self.counts.sum())) + np.repeat(shift, self.counts)
+
+    def spread(self, flat: NDArray, fill: int) -> NDArray:
+        """[symbols] -> [steps, substreams, lanes], with `fill` where there is no symbol."""
+        if not self.even:
+            padded = np.full(int(np.prod(self.shape)), fill, dtype=flat.dtype)
+            padded[self.place] = flat
+            flat = padded
+        return np.ascontiguousarray(flat.reshape(self.shape).transpose(1, 0, 2))
+
+    def gather(self, grid: NDArray) -> NDArray:
+        """The reverse of spread."""
+        flat = grid.transpose(1, 0, 2).reshape(-1)
+        return flat if self.even else flat[self.place]
+
+
+class Decoder:
+    """Decodes a batch of substreams side by side.
+
+    Decoding is total (SPEC 8.8): words and raw bits past the end read as zero, and what is wrong is said by finish.
+    """
+
+    def __init__(self, streams: list[Substream], trace: Trace | None = None) -> None:
+        self.streams = streams
+        self.trace = trace
+        self.lanes = len(streams[0].states)
+        self.state = np.stack([s.states for s in streams])
+        zero_word = np.zeros(1, np.uint16)
+        self.words = np.concatenate([part for s in streams for part in (s.words, zero_word)]).astype(np.uint32)
+        lengths = np.array([len(s.words) for s in streams], dtype=np.int64)
+        self.word_at = np.cumsum(lengths + 1) - (lengths + 1)
+        self.word_end = self.word_at + lengths
+        raw_lengths = np.array([len(s.raw) for s in streams], dtype=np.int64)
+        self.raw = b"".join(s.raw + bytes(8) for s in streams)
+        self.raw_bytes = np.frombuffer(self.raw, np.uint8)
+        self.raw_base = 8 * (np.cumsum(raw_lengths + 8) - (raw_lengths + 8))
+        self.raw_end = 8 * raw_lengths
+        self.raw_at = np.zeros(len(streams), dtype=np.int64)
+        self.crc = [0] * len(streams)
+        self.bad_escape = np.zeros(len(streams), dtype=bool)
+        self.bad_range: dict[int, tuple[int, int]] = {}
+
+    def _group(self, models: ModelSet, index: Int64, layout: _Layout) -> Int64:
+        """SPEC 8.2 and 8.3: one symbol for each model index. The lanes of all substreams make one step at a time."""
+        grid = layout.spread(index, models.null).reshape(layout.steps, len(layout.counts) * self.lanes)
+        base = models.offset.take(grid)
+        grid = grid << 8
+        out = np.empty_like(base)
+        state, at = self.state.reshape(-1), self.word_at.copy()
+        count = len(at)
+        stream_of = np.repeat(np.arange(count), self.lanes)
+        mask, low, word_bits = np.uint32(TOTAL - 1), np.uint32(STATE_MIN), np.uint32(16)
+        shift, first_shift = np.uint32(PRECISION), np.uint32(PRECISION - 8)
+        for step in range(layout.steps):
+            slot = state & mask
+            key = grid[step]
+            key |= slot >> first_shift
+            position = models.first.take(key)
+            position += base[step]
+            upper = models.upper.take(position)
+            late = (upper <= slot).nonzero()[0]
+            while late.size:
+                position[late] += 1
+                bound = models.upper.take(position.take(late))
+                upper[late] = bound
+                late = late[bound <= slot.take(late)]
+            lower = models.lower.take(position)
+            out[step] = position
+            upper -= lower
+            slot -= lower
+            state >>= shift
+            state *= upper
+            state += slot
+            hungry = state < low
+            need = hungry.nonzero()[0]
+            if need.size:
+                stream = stream_of.take(need)
+                taken = hungry.reshape(count, self.lanes).sum(axis=1)
+                place = np.arange(need.size) + (at - np.cumsum(taken) + taken).take(stream)
+                at += taken
+                word = self.words.take(np.minimum(place, self.word_end.take(stream)))
+                state[need] = (state.take(need) << word_bits) | word
+        self.state, self.word_at = state.reshape(self.state.shape), at
+        out -= base
+        return layout.gather(out.reshape(layout.steps, count, self.lanes))
+
+    def _raw(self, width: Int64, layout: _Layout) -> Int64:
+        """SPEC 8.6: the raw low bits of each symbol of a group."""
+        low = np.zeros(len(width), dtype=np.int64)
+        some = np.flatnonzero(width)
+        if some.size:
+            stream = np.repeat(np.arange(len(layout.counts)), layout.counts)[some]
+            k = width[some]
+            before = np.cumsum(k) - k
+            total = np.bincount(stream, k, len(layout.counts)).astype(np.int64)
+            local = before - (np.cumsum(total) - total)[stream] + self.raw_at[stream]
+            bit = self.raw_base[stream] + np.minimum(local, self.raw_end[stream])
+            byte = bit >> 3
+            window = np.zeros(len(bit), dtype=np.int64)
+            for i in range(4):
+                window |= self.raw_bytes[byte + i].astype(np.int64) << (8 * i)
+            low[some] = (window >> (bit & 7)) & ((np.int64(1) << k) - 1)
+            self.raw_at += total
+        return low
+
+    def _escape(self, stream: int) -> tuple[int, int]:
+        """SPEC 8.7: (sign bit, excess) of one escape."""
+        at = int(min(self.raw_at[stream], self.raw_end[stream]) + self.raw_base[stream])
+        window = int.from_bytes(self.raw[at >> 3 : (at >> 3) + 8], "little") >> (at & 7)
+        sign = window & 1
+        window >>= 1
+        prefix = 0
+        while prefix <= ESCAPE_PREFIX_MAX and not (window >> prefix) & 1:
+            prefix += 1
+        if prefix > ESCAPE_PREFIX_MAX:
+            self.bad_escape[stream] = True
+            self.raw_at[stream] += 1 + prefix
+            return sign, 0
+        low = (window >> (prefix + 1)) & ((1 << prefix) - 1)
+        self.raw_at[stream] += 2 + 2 * prefix
+        return sign, (1 << prefix) + low - 1
+
+    def values(
+        self, models: ModelSet, mean: Int64, scale: Int64, counts: list[int], limit: int, name: SymbolName, given: Int64 | None = None
+    ) -> Int64:
+        """SPEC 8.5: a group of integers with means (1/16), scale indices (1/8 octave) and |value| <= limit. int64 [symbols]."""
+        layout = _Layout(counts, self.lanes)
+        model, centre, raw = select(mean, scale)
+        j = self._group(models, model, layout)
+        radius = models.radius.take(model)
+        high = centre + j - radius
+        low = self._raw(raw, layout)
+        for i in np.flatnonzero(j == 2 * radius + 1).tolist():
+            # Of substreams that share a start, all but the last are empty.
+            sign, excess = self._escape(int(np.searchsorted(layout.starts, i, side="right")) - 1)
+            away = int(radius[i]) + 1 + excess
+            high[i] = centre[i] + (-away if sign else away)
+        value = (high << raw) + low
+        outside = np.flatnonzero(np.abs(value) > limit)
+        if outside.size:
+            stream_of = np.repeat(np.arange(len(counts)), layout.counts)
+            for stream, i in zip(*np.unique(stream_of[outside], return_index=True), strict=True):
+                self.bad_range.setdefault(int(stream), (int(value[outside[i]]), limit))
+            value[outside] = 0
+        self._note(value, layout)
+        if self.trace:
+            self._show(models, mean, scale, value, layout, name)
+        return value
+
+    def plain(self, models: ModelSet, index: Int64, counts: list[int], name: SymbolName, given: Int64 | None = None) -> Int64:
+        """SPEC 8.2: a group of symbols, each with the model that `index` names. int64 [symbols]."""
+        layout = _Layout(counts, self.lanes)
+        value = self._group(models, index, layout)
+        self._note(value, layout)
+        if self.trace:
+            self._show(models, index, np.zeros_like(index), value, layout, name)
+        return value
+
+    def _show(self, models: ModelSet, mean: Int64, scale: Int64, value: Int64, layout: _Layout, name: SymbolName) -> None:
+        """A group's symbols for the trace."""
+        assert self.trace is not None
+        rows = zip(mean.tolist(), scale.tolist(), value.tolist(), strict=True)
+        for stream, count in enumerate(layout.counts.tolist()):
+            offset = self.streams[stream].offset
+            for i in range(count):
+                self.trace(TraceRow(name(stream, i), models.family, *next(rows), offset))
+
+    def _note(self, value: Int64, layout: _Layout) -> None:
+        """SPEC 8.8: the CRC-32 runs over the symbols in coding order, each as an i32."""
+        data = value.astype("<i4")
+        for stream, (start, count) in enumerate(zip(layout.starts, layout.counts, strict=True)):
+            self.crc[stream] = zlib.crc32(data[start : start + count].tobytes(), self.crc[stream])
+
+    def finish(self) -> list[BitstreamError | None]:
+        """SPEC 8.8: the checks at the end of each substream, in their order; the first that fails, or None."""
+        return [self._verdict(i, s) for i, s in enumerate(self.streams)]
+
+    def _verdict(self, i: int, s: Substream) -> BitstreamError | None:
+        def fault(name: str, found: object, allowed: object) -> BitstreamError:
+            return BitstreamError(name, s.offset, s.path, found, allowed)
+
+        used = int(self.word_at[i] - self.word_end[i]) + len(s.words)
+        if used != len(s.words):
+            return fault("substream.words", f"word_count {len(s.words)}", f"the {used} that the symbols take")
+        if (self.state[i] != STATE_MIN).any():
+            lane = int(np.argmax(self.state[i] != STATE_MIN))
+            return fault("substream.final_state", f"final state {self.state[i, lane]} of lane {lane}", STATE_MIN)
+        if self.bad_escape[i]:
+            return fault("substream.escape", f"more than {ESCAPE_PREFIX_MAX} zero bits in a prefix", f"at most {ESCAPE_PREFIX_MAX}")
+        if i in self.bad_range:
+            value, limit = self.bad_range[i]
+            return fault("substream.symbol_range", value, f"{-limit} to {limit}")
+        bits = int(self.raw_at[i])
+        if len(s.raw) != (bits + 7) // 8:
+            return fault("substream.raw_length", f"{len(s.raw)} raw bytes", f"the {(bits + 7) // 8} that hold {bits} raw bits")
+        if bits % 8 and s.raw[-1] >> (bits % 8):
+            return fault("substream.raw_padding", f"0x{s.raw[-1] >> (bits % 8):02x} in the padding", 0)
+        if self.crc[i] != s.symbol_crc:
+            return fault("substream.symbol_crc", f"0x{s.symbol_crc:08x}", f"0x{self.crc[i]:08x}, that of the symbols")
+        return None
+
+
+class Encoder:
+    """Encodes a batch of substreams; the calls are the decoder's, with the symbols given (SPEC B.4)."""
+
+    def __init__(self, count: int, lanes: int) -> None:
+        self.count, self.lanes = count, lanes
+        self.groups: list[tuple[NDArray[np.uint32], NDArray[np.uint32]]] = []
+        self.raw: list[list[tuple[Int64, Int64]]] = [[] for _ in range(count)]
+        self.crc = [0] * count
+
+    def _group(self, models: ModelSet, index: Int64, symbol: Int64, layout: _Layout) -> None:
+        position = models.offset.take(index) + symbol
+        lower = models.lower.take(position)
+        frequency = models.upper.take(position) - lower
+        self.groups.append((layout.spread(frequency, TOTAL), layout.spread(lower, 0)))
+
+    def values(
+        self, models: ModelSet, mean: Int64, scale: Int64, counts: list[int], limit: int, name: SymbolName, given: Int64 | None
+    ) -> Int64:
+        """As Decoder.values. Raises ValueError for a symbol past the limit."""
+        assert given is not None
+        if np.abs(given).max(initial=0) > limit:
+            raise ValueError(f"a symbol is {int(np.abs(given).max())}, at most {limit} fits its type (SPEC.md 8.5)")
+        layout = _Layout(counts, self.lanes)
+        model, centre, raw = select(mean, scale)
+        away = (given >> raw) - centre
+        radius = models.radius.take(model)
+        escaped = np.abs(away) > radius
+        self._group(models, model, np.where(escaped, 2 * radius + 1, away + radius), layout)
+        low = given & ((np.int64(1) << raw) - 1)
+        for stream, (start, count) in enumerate(zip(layout.starts, layout.counts, strict=True)):
+            part = slice(start, start + count)
+            some = np.flatnonzero(raw[part])
+            if some.size:
+                self.raw[stream].append((low[part][some], raw[part][some]))
+            for i in np.flatnonzero(escaped[part]):
+                self.raw[stream].append(_escape_bits(int(away[part][i]), int(radius[part][i])))
+            self.crc[stream] = zlib.crc32(given[part].astype("<i4").tobytes(), self.crc[stream])
+        return given
+
+    def plain(self, models: ModelSet, index: Int64, counts: list[int], name: SymbolName, given: Int64 | None) -> Int64:
+        """As Decoder.plain."""
+        assert given is not None
+        layout = _Layout(counts, self.lanes)
+        self._group(models, index, given, layout)
+        for stream, (start, count) in enumerate(zip(layout.starts, layout.counts, strict=True)):
+            self.crc[stream] = zlib.crc32(given[start : start + count].astype("<i4").tobytes(), self.crc[stream])
+        return given
+
+    def finish(self) -> list[bytes]:
+        """The substreams' bytes: rANS runs backwards from the final states to the initial ones."""
+        state = np.full((self.count, self.lanes), STATE_MIN, dtype=np.uint32)
+        emitted: list[tuple[NDArray[np.bool_], NDArray[np.uint16]]] = []
+        for frequency, lower in reversed(self.groups):
+            emit = np.empty(frequency.shape, dtype=bool)
+            word = np.empty(frequency.shape, dtype=np.uint16)
+            for step in range(len(frequency) - 1, -1, -1):
+                f = frequency[step]
+                emit[step] = (state >> np.uint32(32 - PRECISION)) >= f
+                word[step] = state & np.uint32(0xFFFF)
+                state = np.where(emit[step], state >> np.uint32(16), state)
+                quotient = state // f
+                state = (quotient << np.uint32(PRECISION)) + (state - quotient * f) + lower[step]
+            emitted.append((emit, word))
+        emitted.reverse()
+        out = []
+        for stream in range(self.count):
+            words = [w[:, stream][e[:, stream]] for e, w in emitted]
+            flat = np.concatenate(words) if words else np.empty(0, np.uint16)
+            head = syntax.build("SubstreamHead", {"symbol_crc": self.crc[stream], "word_count": len(flat)})
+            out.append(head + state[stream].astype("<u4").tobytes() + flat.astype("<u2").tobytes() + _pack(self.raw[stream]))
+        return out
+
+
+def _escape_bits(away: int, radius: int) -> tuple[Int64, Int64]:
+    """SPEC 8.7: the bits of one escape as (values, widths)."""
+    n = abs(away) - radius
+    prefix = n.bit_length() - 1
+    fields = [(int(away < 0), 1), (1 << prefix, prefix + 1), (n - (1 << prefix), prefix)]
+    value, width = zip(*fields, strict=True)
+    return np.array(value, dtype=np.int64), np.array(width, dtype=np.int64)
+
+
+def _pack(fields: list[tuple[Int64, Int64]]) -> bytes:
+    """SPEC 8.6: fields of some width, least significant bit first, zero padded to whole bytes."""
+    if not fields:
+        return b""
+    value = np.concatenate([v for v, _ in fields])
+    width = np.concatenate([w for _, w in fields])
+    within = np.arange(int(width.sum())) - np.repeat(np.cumsum(width) - width, width)
+    return np.packbits(((np.repeat(value, width) >> within) & 1).astype(np.uint8), bitorder="little").tobytes()

@@ -1,0 +1,310 @@
+"""Clauses 5.1 to 5.5 and 6.1 to 6.5: the prologue and the header."""
+
+from __future__ import annotations
+
+import zlib
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import construct as cs
+import numpy as np
+
+from . import syntax
+from .chunks import chunk_ranges
+from .dimensions import Dimensions, dimension_fields, dimensions_of
+from .directory import Section
+from .errors import BitstreamError
+from .limits import MAIN, PROFILES, TINY, dimension_fault, minimal_level
+
+# SPEC 6.1
+SIGNATURE = b"\x89C3G\r\n\x1a\n"
+VERSION = 0
+PROLOGUE_BYTES = syntax.size_of("Prologue")
+HEADER_LENGTH_MIN, HEADER_LENGTH_MAX = 4, 65535
+CRC_BYTES = 4
+# SPEC 6.2
+LANES_LOG2_MAX = 8
+BASE_STEP_MIN, BASE_STEP_MAX = 2.0**-60, 2.0**60
+# SPEC 6.4
+ORIGIN_BOUND = 1 << 62
+SCALE_EXPONENT_MAX = 60
+
+
+@dataclass(frozen=True)
+class Lanes:
+    """SPEC 6.2: base-2 logarithms of the lanes of a substream of planes, of masks and of attributes."""
+
+    plane: int = 3
+    mask: int = 3
+    attribute: int = 5
+
+
+@dataclass(frozen=True)
+class PositionGrid:
+    """SPEC 6.4: world = (origin + scale_mantissa * P) * 2^(scale_exponent - 24)."""
+
+    origin: tuple[int, int, int] = (0, 0, 0)
+    scale_mantissa: int = 1
+    scale_exponent: int = 0
+
+
+@dataclass(frozen=True)
+class RenderInfo:
+    """SPEC 6.5. background: RGB, 0 to 255. up_axis: 0 to 5 for +x -x +y -y +z -z. near_plane, distance_unit and
+    camera_translation: world units. low_pass: square pixels. The camera is a pinhole, from the world to the camera."""
+
+    background: tuple[int, int, int] = (0, 0, 0)
+    up_axis: int = 3
+    near_plane: float = float(np.float32(0.2))
+    distance_unit: float = 1.0
+    alpha_max: float = float(np.float32(0.99))
+    low_pass: float = float(np.float32(0.3))
+    camera_width: int = 800
+    camera_height: int = 600
+    camera_focal: tuple[float, float] = (700.0, 700.0)
+    camera_rotation: tuple[float, float, float, float] = (1.0, 0.0, 0.0, 0.0)
+    camera_translation: tuple[float, float, float] = (0.0, 0.0, 0.0)
+
+
+@dataclass(frozen=True)
+class Header:
+    """SPEC 6.2, in the scene's terms. sections: by type; empty until the directory was read."""
+
+    profile: int
+    level: int
+    anchor_count: int
+    chunk_size: int
+    lanes: Lanes
+    dimensions: Dimensions
+    base_step: tuple[float, float, float]
+    grid: PositionGrid
+    render: RenderInfo
+    sections: Mapping[int, Section]
+
+    @property
+    def chunk_count(self) -> int:
+        """SPEC 6.10: C."""
+        return -(-self.anchor_count // self.chunk_size)
+
+    @property
+    def chunks(self) -> list[range]:
+        """SPEC 6.10: the anchors of each chunk."""
+        return chunk_ranges(self.anchor_count, self.chunk_size)
+
+
+# --- prologue ---------------------------------------------------------------------------------------------------------
+
+
+def parse_prologue(data: bytes) -> int:
+    """SPEC 5.1 and 6.1. Returns header_length. Raises BitstreamError 101 to 105."""
+    # SPEC [R6.1-1]
+    if len(data) < PROLOGUE_BYTES:
+        found = f"{len(data)} bytes"
+        raise BitstreamError("prologue.truncated", len(data), "prologue", found, f"at least {PROLOGUE_BYTES}")
+    prologue = syntax.Struct("Prologue", data[:PROLOGUE_BYTES], 0, "prologue")
+    p = prologue.fields
+    # SPEC [R6.1-2]
+    if p.signature != SIGNATURE:
+        found = _signature_text(p.signature)
+        raise prologue.error("prologue.signature", "signature", found, SIGNATURE.hex(" "))
+    # SPEC [R6.1-3]: before the version, which a damaged byte could change.
+    crc = zlib.crc32(data[: PROLOGUE_BYTES - CRC_BYTES])
+    if p.prologue_crc != crc:
+        raise prologue.error("prologue.crc", "prologue_crc", f"0x{p.prologue_crc:08x}", f"0x{crc:08x}")
+    # SPEC [R6.1-4]
+    if p.version != VERSION:
+        raise prologue.error("prologue.version", "version", p.version, VERSION)
+    # SPEC [R6.1-5]
+    prologue.require_within("prologue.header_length", "header_length", p.header_length, HEADER_LENGTH_MIN, HEADER_LENGTH_MAX)
+    return int(p.header_length)
+
+
+def _signature_text(found: bytes) -> str:
+    hint = " (changed in transfer, as text or by 7-bit mail?)" if found[1:4] == SIGNATURE[1:4] else ""
+    return found.hex(" ") + hint
+
+
+# --- header -----------------------------------------------------------------------------------------------------------
+
+
+def parse_header(data: bytes, header_length: int) -> tuple[Header, syntax.Struct]:
+    """SPEC 5.2 to 5.5 and 6.2 to 6.5: the header without its directory, and its struct, which has that unchecked.
+
+    Raises BitstreamError 201 to 214, in the order of SPEC 10.1.
+    """
+    end = PROLOGUE_BYTES + header_length
+    # SPEC [R6.2-1]
+    if len(data) < end:
+        raise BitstreamError("header.truncated", len(data), "header", f"{len(data)} bytes", f"at least {end}")
+    # SPEC [R6.2-2]
+    stored = int.from_bytes(data[end - CRC_BYTES : end], "little")
+    crc = zlib.crc32(data[PROLOGUE_BYTES : end - CRC_BYTES])
+    if stored != crc:
+        raise BitstreamError("header.crc", end - CRC_BYTES, "header.header_crc", f"0x{stored:08x}", f"0x{crc:08x}")
+    # SPEC [R6.2-3]
+    try:
+        header = syntax.Struct("Header", data[:end], PROLOGUE_BYTES, "header")
+    except cs.ConstructError:
+        allowed = f"what {header_length} bytes hold"
+        raise BitstreamError("header.syntax", end, "header", "more fields", allowed) from None
+    if header.size != header_length:
+        # The CRC-32 is at the header's end, so what no field uses lies before it.
+        at = PROLOGUE_BYTES + header.size - CRC_BYTES
+        allowed = f"the {header.size} that its fields take"
+        raise BitstreamError("header.syntax", at, "header", f"{header_length} bytes", allowed)
+    return _checked(header), header
+
+
+def _checked(header: syntax.Struct) -> Header:
+    """SPEC 10.1, step 2, from [R6.2-4] on: the rules of the header's fields in the order of their codes."""
+    h = header.fields
+    # SPEC [R6.2-4]: what is reserved is 0.
+    for field, value in (
+        ("reserved_0", h.reserved_0),
+        ("reserved_1", h.reserved_1),
+        ("position_grid.reserved", h.position_grid.reserved),
+        *((f"directory[{i}].reserved", entry.reserved) for i, entry in enumerate(h.directory)),
+    ):
+        if value:
+            raise header.error("header.reserved", field, value, 0)
+    dimensions = _checked_limits(header)
+    # SPEC [R6.2-5]
+    for field in ("plane_lanes_log2", "mask_lanes_log2", "attribute_lanes_log2"):
+        header.require_within("header.lanes", field, h[field], 0, LANES_LOG2_MAX)
+    # SPEC [R6.2-6]
+    for i, step in enumerate(h.base_step):
+        header.require_within("header.base_step", f"base_step[{i}]", step, BASE_STEP_MIN, BASE_STEP_MAX)
+    return Header(
+        h.profile,
+        h.level,
+        h.anchor_count,
+        h.chunk_size,
+        Lanes(h.plane_lanes_log2, h.mask_lanes_log2, h.attribute_lanes_log2),
+        dimensions,
+        tuple(h.base_step),
+        _checked_grid(header),
+        _checked_render(header),
+        {},
+    )
+
+
+def _checked_limits(header: syntax.Struct) -> Dimensions:
+    """SPEC 11.1 and 11.2: profile, level, dimensions, and the counts that these allow."""
+    h = header.fields
+    # SPEC [R11.1-1]
+    if h.profile not in PROFILES:
+        raise header.error("header.profile", "profile", h.profile, f"{TINY} (Tiny) or {MAIN} (Main)")
+    profile = PROFILES[h.profile]
+    # SPEC [R11.2-1]
+    if h.level not in profile.levels:
+        known = " or ".join(map(str, sorted(profile.levels)))
+        raise header.error("header.level", "level", h.level, f"in {profile.name} {known}")
+    level = profile.levels[h.level]
+    # SPEC [R11.1-2]: what the profile allows, then what the level does.
+    dimensions = dimensions_of(h.dimensions)
+    fault = dimension_fault(profile, dimensions)
+    if fault:
+        raise header.error("header.dimension", f"dimensions.{fault[0]}", *fault[1:])
+    if dimensions.plane_size > level.plane_size:
+        allowed = f"at level {h.level} at most {level.plane_size}"
+        raise header.error("header.dimension", "dimensions.plane_size", dimensions.plane_size, allowed)
+    # SPEC [R11.2-2]
+    header.require_within("header.anchor_count", "anchor_count", h.anchor_count, 0, level.anchors)
+    # SPEC [R11.2-3]
+    lowest = minimal_level(profile, h.anchor_count, dimensions.plane_size)
+    if lowest != h.level:
+        raise header.error("header.level_not_minimal", "level", h.level, lowest)
+    # SPEC [R11.1-3]
+    header.require_within("header.chunk_size", "chunk_size", h.chunk_size, *profile.chunk_size)
+    return dimensions
+
+
+def _checked_grid(header: syntax.Struct) -> PositionGrid:
+    """SPEC [R6.4-1]."""
+    name, g = "header.position_grid", header.fields.position_grid
+    for i, origin in enumerate(g.origin):
+        header.require_within(name, f"position_grid.origin[{i}]", origin, 1 - ORIGIN_BOUND, ORIGIN_BOUND - 1)
+    header.require_within(name, "position_grid.scale_mantissa", g.scale_mantissa, 1, 65535)
+    exponent = "position_grid.scale_exponent"
+    header.require_within(name, exponent, g.scale_exponent, -SCALE_EXPONENT_MAX, SCALE_EXPONENT_MAX)
+    return PositionGrid(tuple(g.origin), g.scale_mantissa, g.scale_exponent)
+
+
+def _checked_render(header: syntax.Struct) -> RenderInfo:
+    """SPEC [R6.5-1], in the order of its sentence."""
+    name, r = "header.render_info", header.fields.render_info
+
+    def field(own: str) -> str:
+        return f"render_info.{own}"
+
+    header.require_within(name, field("up_axis"), r.up_axis, 0, 5)
+    for scalar in ("near_plane", "distance_unit", "alpha_max", "low_pass"):
+        header.require_finite(name, field(scalar), [r[scalar]])
+    for scalar in ("near_plane", "distance_unit"):
+        if r[scalar] <= 0:
+            raise header.error(name, field(scalar), r[scalar], "more than 0")
+    if not 0 < r.alpha_max <= 1:
+        raise header.error(name, field("alpha_max"), r.alpha_max, "more than 0 and at most 1")
+    if r.low_pass < 0:
+        raise header.error(name, field("low_pass"), r.low_pass, "at least 0")
+    header.require_within(name, field("camera_width"), r.camera_width, 1, 65535)
+    header.require_within(name, field("camera_height"), r.camera_height, 1, 65535)
+    for vector in ("camera_focal", "camera_rotation", "camera_translation"):
+        header.require_finite(name, field(vector), r[vector])
+    if min(r.camera_focal) <= 0:
+        raise header.error(name, field("camera_focal"), list(r.camera_focal), "more than 0")
+    if not any(r.camera_rotation):
+        allowed = "a quaternion that is not zero"
+        raise header.error(name, field("camera_rotation"), list(r.camera_rotation), allowed)
+    return RenderInfo(
+        tuple(r.background),
+        r.up_axis,
+        r.near_plane,
+        r.distance_unit,
+        r.alpha_max,
+        r.low_pass,
+        r.camera_width,
+        r.camera_height,
+        tuple(r.camera_focal),
+        tuple(r.camera_rotation),
+        tuple(r.camera_translation),
+    )
+
+
+# --- writing ----------------------------------------------------------------------------------------------------------
+
+
+def emit_file(header: Header, sections: list[tuple[int, int, bytes]]) -> bytes:
+    """SPEC 5.1 to 5.6: the file of a header and of sections (type, mode, bytes) in file order."""
+    fields: dict[str, Any] = {
+        "profile": header.profile,
+        "level": header.level,
+        "section_count": len(sections),
+        "reserved_0": 0,
+        "anchor_count": header.anchor_count,
+        "chunk_size": header.chunk_size,
+        "plane_lanes_log2": header.lanes.plane,
+        "mask_lanes_log2": header.lanes.mask,
+        "attribute_lanes_log2": header.lanes.attribute,
+        "reserved_1": 0,
+        "dimensions": dimension_fields(header.dimensions),
+        "base_step": header.base_step,
+        "position_grid": {**vars(header.grid), "reserved": 0},
+        "render_info": vars(header.render),
+        "directory": [],
+        "header_crc": 0,
+    }
+    bare = len(syntax.build("Header", {**fields, "section_count": 0}))
+    header_length = bare + syntax.size_of("DirectoryEntry") * len(sections)
+    at = PROLOGUE_BYTES + header_length
+    for kind, mode, content in sections:
+        place = {"offset": at, "length": len(content), "crc": zlib.crc32(content)}
+        fields["directory"].append({"type": kind, "mode": mode, "reserved": 0, **place})
+        at += len(content)
+    prologue = {"signature": SIGNATURE, "version": VERSION, "header_length": header_length, "prologue_crc": 0}
+    parts = []
+    for name, values in (("Prologue", prologue), ("Header", fields)):
+        bare_bytes = syntax.build(name, values)[:-CRC_BYTES]
+        parts += [bare_bytes, zlib.crc32(bare_bytes).to_bytes(CRC_BYTES, "little")]
+    return b"".join([*parts, *(content for _, _, content in sections)])

@@ -1,0 +1,52 @@
+"""Clauses 5.12, 6.12 and 7.6: the masks, by contexts of the offset's index and of the offsets kept so far."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .conventions import Int64
+from .dimensions import mask_contexts
+from .entropy import Coder
+from .errors import BitstreamError
+from .tables import TOTAL, ModelSet, build_models
+
+
+def parse_mask_model(data: bytes, start: int, offset_count: int) -> NDArray[np.uint16]:
+    """SPEC 5.10 and [R6.10-1]: the frequencies of the mask model. Raises BitstreamError chunks.mask_model."""
+    model = np.frombuffer(data, "<u2", mask_contexts(offset_count), start).astype(np.uint16)
+    bad = np.flatnonzero((model < 1) | (model >= TOTAL))
+    if bad.size:
+        first = int(bad[0])
+        path = f"chunk_table.mask_model[{first}]"
+        raise BitstreamError("chunks.mask_model", start + 2 * first, path, model[first], f"1 to {TOTAL - 1}")
+    return model
+
+
+def mask_models(frequencies: NDArray[np.uint16]) -> ModelSet:
+    """SPEC 7.6: a binary model for each context, from the frequency of a kept offset (1 to 2^14 - 1)."""
+    return build_models("mask", [np.array([TOTAL - int(f), int(f)]) for f in frequencies], [0] * len(frequencies))
+
+
+def contexts(offset: int, kept: Int64) -> Int64:
+    """SPEC 7.6: the context of an offset index, for the count of offsets kept before it."""
+    return offset * (offset + 1) // 2 + kept
+
+
+def code_masks(
+    coder: Coder, models: ModelSet, offset_count: int, chunks: list[range], given: NDArray[np.bool_] | None = None
+) -> NDArray[np.bool_]:
+    """Codes the masks of the anchors in `chunks` (one substream each), bool [anchors, K], in either direction (SPEC 7.6)."""
+    counts = [len(c) for c in chunks]
+    masks = np.zeros((sum(counts), offset_count), dtype=bool)
+    kept = np.zeros(len(masks), dtype=np.int64)
+    for k in range(offset_count):
+        known = None if given is None else given[:, k].astype(np.int64)
+
+        def name(stream: int, index: int, k: int = k) -> str:
+            return f"masks[{chunks[stream][index]},{k}]"
+
+        bit = coder.plain(models, contexts(k, kept), counts, name, known)
+        masks[:, k] = bit
+        kept += bit
+    return masks

@@ -1,0 +1,163 @@
+"""Clause 7.2: integer networks, from fp32 weights to integers, and the forward pass.
+
+A float32 matrix product may compute the integers, because no partial sum can pass 2^24. Every order of summation, fused or
+not, gives the same exact result. Where it does not, because a BLAS is broken, the self-test chooses int64 instead.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import cache
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .conventions import F32, Int64, clamp, rshift_round
+from .dimensions import RENDERING
+
+# SPEC 7.2: largest activation, largest integer weight, accumulator bound, largest exponent.
+ACTIVATION_MAX = 1023
+WEIGHT_MAX = 1023
+ACCUMULATOR_BOUND = 1 << 24
+EXPONENT_MAX = 20
+# Rows of a product computed at once: a matter of speed alone.
+BLOCK_ROWS = 8192
+Layer = tuple[F32, F32]
+
+
+class BoundError(ValueError):
+    """A row whose integers could pass the accumulator bound; `row` counts within its layer, `layer` names that."""
+
+    def __init__(self, row: int, layer: str = "layer") -> None:
+        self.row, self.layer = row, layer
+        self.found = f"row {row}, which passes the accumulator bound at every exponent"
+        self.allowed = f"rows that keep it at an exponent from 0 to {EXPONENT_MAX}"
+        super().__init__(f"{layer}: found {self.found}, allowed {self.allowed} (SPEC.md 7.2)")
+
+
+@dataclass(frozen=True)
+class IntLayer:
+    """SPEC 7.2: weight int64 [out, in], bias int64 [out], exponent int64 [out]."""
+
+    weight: Int64
+    bias: Int64
+    exponent: Int64
+
+
+def derive_layer(weight: F32, bias: F32) -> IntLayer:
+    """SPEC 7.2: for each row the largest exponent that keeps the bounds. weight [out, in], bias [out], finite.
+
+    Raises BoundError. The float64 steps are exact: a 24-bit significand times a power of two, plus 1/2, floored.
+    """
+    out = len(bias)
+    w64, b64 = weight.astype(np.float64), bias.astype(np.float64)
+    found = np.full(out, -1, dtype=np.int64)
+    chosen_w = np.zeros(weight.shape, dtype=np.int64)
+    chosen_b = np.zeros(out, dtype=np.int64)
+    # Values past 2^24 break a bound whatever they are; cutting them there keeps the integers below in range.
+    cut = 2.0 * ACCUMULATOR_BOUND
+    for e in range(EXPONENT_MAX, -1, -1):
+        w = np.floor(np.clip(w64 * 2.0**e, -cut, cut) + 0.5).astype(np.int64)
+        b = np.floor(np.clip(b64 * 2.0**e, -cut, cut) + 0.5).astype(np.int64)
+        worst = np.abs(w).sum(axis=1) * ACTIVATION_MAX + np.abs(b) + ((1 << e) >> 1)
+        fits = (found < 0) & (worst < ACCUMULATOR_BOUND) & (np.abs(w).max(axis=1, initial=0) <= WEIGHT_MAX)
+        found[fits] = e
+        chosen_w[fits], chosen_b[fits] = w[fits], b[fits]
+    if (found < 0).any():
+        raise BoundError(int(np.argmax(found < 0)))
+    return IntLayer(chosen_w, chosen_b, found)
+
+
+class IntNetwork:
+    """SPEC 7.2: layers with a clamp to [0, 1023] between them and none after the last.
+
+    exact_float: compute in float32 (None: as the self-test says); block_rows: rows at once. Neither changes a bit.
+    """
+
+    def __init__(self, layers: list[IntLayer], exact_float: bool | None = None, block_rows: int | None = None) -> None:
+        self.layers = layers
+        self.exact_float = float32_is_exact() if exact_float is None else exact_float
+        self.block_rows = block_rows or BLOCK_ROWS
+        half = [(np.int64(1) << layer.exponent) >> 1 for layer in layers]
+        self._float = [
+            (
+                np.ascontiguousarray(layer.weight.T.astype(np.float32)),
+                (layer.bias + h).astype(np.float32),
+                np.ldexp(np.float32(1), -layer.exponent).astype(np.float32),
+            )
+            for layer, h in zip(layers, half, strict=True)
+        ]
+
+    def __call__(self, inputs: NDArray[np.signedinteger]) -> NDArray[np.int32]:
+        """inputs: integers [rows, in], each in [-1023, 1023]. Returns int32 [rows, out]."""
+        out = np.empty((len(inputs), len(self.layers[-1].bias)), dtype=np.int32)
+        forward = self._forward_float if self.exact_float else self._forward_int
+        for start in range(0, len(inputs), self.block_rows):
+            rows = slice(start, start + self.block_rows)
+            out[rows] = forward(inputs[rows])
+        return out
+
+    def _forward_float(self, a: NDArray) -> NDArray:
+        x = a.astype(np.float32)
+        last = len(self._float) - 1
+        for i, (weight, bias, unit) in enumerate(self._float):
+            x = x @ weight
+            x += bias
+            x *= unit
+            np.floor(x, out=x)
+            if i < last:
+                np.clip(x, 0, ACTIVATION_MAX, out=x)
+        return x
+
+    def _forward_int(self, a: NDArray) -> NDArray:
+        x = a.astype(np.int64)
+        last = len(self.layers) - 1
+        for i, layer in enumerate(self.layers):
+            x = rshift_round(x @ layer.weight.T + layer.bias, layer.exponent)
+            if i < last:
+                x = clamp(x, 0, ACTIVATION_MAX)
+        return x
+
+
+def derive_networks(
+    networks: Mapping[str, list[Layer]], exact_float: bool | None = None, block_rows: int | None = None
+) -> dict[str, IntNetwork]:
+    """SPEC 7.2 for F_h, SARM and CARM, by name. The rendering networks are left out.
+
+    exact_float and block_rows: of IntNetwork. Raises BoundError, which names the layer.
+    """
+    found = {}
+    for name, layers in networks.items():
+        if name in RENDERING:
+            continue
+        derived = []
+        for index, layer in enumerate(layers):
+            try:
+                derived.append(derive_layer(*layer))
+            except BoundError as error:
+                raise BoundError(error.row, f"{name}.{index}") from None
+        found[name] = IntNetwork(derived, exact_float, block_rows)
+    return found
+
+
+def activation(a: Int64) -> Int64:
+    """SPEC 7.2: a network's input, clamped to [-1023, 1023]."""
+    return clamp(a, -ACTIVATION_MAX, ACTIVATION_MAX)
+
+
+@cache
+def float32_is_exact() -> bool:
+    """The start-up self-test: float32 products at the bound against int64, over shapes that the decoder uses.
+
+    Informative (SPEC 13.3): guards against a BLAS, or a reduced-precision mode, that does not add float32 exactly.
+    """
+    generator = np.random.Generator(np.random.PCG64(0))
+    for rows, fan_in, width in ((1, 4, 16), (7, 36, 100), (65, 100, 175), (33, 128, 128), (257, 30, 100)):
+        largest = min(WEIGHT_MAX, (ACCUMULATOR_BOUND - 1) // (ACTIVATION_MAX * fan_in))
+        w = generator.integers(-largest, largest + 1, (fan_in, width))
+        a = generator.integers(-ACTIVATION_MAX, ACTIVATION_MAX + 1, (rows, fan_in))
+        w[:, 0], a[0] = largest, ACTIVATION_MAX
+        if not np.array_equal((a.astype(np.float32) @ w.astype(np.float32)).astype(np.int64), a @ w):
+            return False
+    return True

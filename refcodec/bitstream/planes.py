@@ -1,0 +1,92 @@
+"""Clauses 5.9, 6.9 and 7.3: the planes."""
+
+from __future__ import annotations
+
+import construct as cs
+import numpy as np
+from numpy.typing import NDArray
+
+from . import syntax
+from .conventions import Int64
+from .dimensions import Dimensions
+from .entropy import Coder, Decoder, Encoder, Trace, open_substream
+from .errors import BitstreamError
+from .networks import IntNetwork, activation
+from .tables import tables
+
+# SPEC 7.3: one plane of r = 1 and four quadrants of r = 2.
+PLANES = 5
+# SPEC 6.9: a plane symbol is an i16, -32768 excluded.
+PLANE_SYMBOL_MAX = (1 << 15) - 1
+PLANE_NAMES = ("r1", "r2.top_left", "r2.top_right", "r2.bottom_left", "r2.bottom_right")
+
+
+def wavefront(t: int, size: int) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """SPEC 7.3: rows and columns (i, j) with j + 2 i = t, rows ascending."""
+    i = np.arange(max(0, (t - size + 2) // 2), min(size - 1, t // 2) + 1)
+    return i, t - 2 * i
+
+
+def code_planes(coder: Coder, sarm: IntNetwork, channels: int, size: int, given: NDArray[np.int16] | None = None) -> NDArray[np.int16]:
+    """Codes the five planes, int16 [5, ch, B, B], in either direction (SPEC 7.3)."""
+    # A border of zeros above, left and right is the padding.
+    padded = np.zeros((PLANES, channels, size + 1, size + 2), dtype=np.int64)
+    flat = padded.reshape(-1)
+    width = size + 2
+    block = np.arange(PLANES * channels)[:, None] * ((size + 1) * width)
+    for t in range(3 * size - 2):
+        i, j = wavefront(t, size)
+        at = (block + ((i + 1) * width + j + 1)).reshape(-1)
+        # SPEC 7.3: the context is (i-1, j-1), (i-1, j), (i-1, j+1), (i, j-1).
+        near = np.stack([flat[at - width - 1], flat[at - width], flat[at - width + 1], flat[at - 1]], axis=1)
+        parameters = sarm(activation(near)).astype(np.int64)
+        known = None if given is None else given[:, :, i, j].reshape(-1).astype(np.int64)
+
+        def name(plane: int, index: int, i: list[int] = i.tolist(), j: list[int] = j.tolist()) -> str:  # noqa: B008
+            channel, row = divmod(index, len(i))
+            return f"planes.{PLANE_NAMES[plane]}[{channel},{i[row]},{j[row]}]"
+
+        counts = [channels * len(i)] * PLANES
+        flat[at] = coder.values(tables().laplace, parameters[:, 0], parameters[:, 1], counts, PLANE_SYMBOL_MAX, name, known)
+    return padded[:, :, 1:, 1:-1].astype(np.int16)
+
+
+def parse_planes(data: bytes, start: int, end: int, d: Dimensions, lanes: int, sarm: IntNetwork, trace: Trace | None) -> NDArray[np.int16]:
+    """SPEC 5.9, 6.9 and 7.3: the planes of the section data[start:end], int16 [5, ch, B, B].
+
+    Raises BitstreamError planes.length, or the error of the first substream that has one.
+    """
+    # SPEC [R6.9-1]
+    try:
+        table, size = syntax.parse("PlaneTable", data[:end], start)
+    except cs.ConstructError:
+        found, allowed = f"{end - start} bytes", f"at least the table's {syntax.size_of('PlaneTable')}"
+        raise BitstreamError("planes.length", start, "planes", found, allowed) from None
+    if size + sum(table.length) != end - start:
+        found = f"a table that announces {size + sum(table.length)} bytes"
+        raise BitstreamError("planes.length", start, "planes.length", found, end - start)
+    bounds = start + size + np.concatenate([[0], np.cumsum(table.length, dtype=np.int64)])
+    opened = [open_substream(data, int(bounds[i]), int(bounds[i + 1]), lanes, f"planes.{name}") for i, name in enumerate(PLANE_NAMES)]
+    decoder = Decoder([stream for stream, _ in opened], trace)
+    planes = code_planes(decoder, sarm, d.plane_channels, d.plane_size)
+    # SPEC 10.1, step 5: each substream as a whole, in order.
+    for (_, before), after in zip(opened, decoder.finish(), strict=True):
+        error = before or after
+        if error is not None:
+            raise error
+    return planes
+
+
+def emit_planes(planes: NDArray[np.int16], sarm: IntNetwork, lanes: int) -> bytes:
+    """SPEC 5.9: the section. planes: int16 [5, ch, B, B]."""
+    encoder = Encoder(PLANES, lanes)
+    code_planes(encoder, sarm, planes.shape[1], planes.shape[2], planes)
+    streams = encoder.finish()
+    return syntax.build("PlaneTable", {"length": [len(s) for s in streams]}) + b"".join(streams)
+
+
+def assemble_planes(planes: NDArray[np.int16]) -> tuple[Int64, Int64]:
+    """SPEC 7.3, JOIN_QUADRANTS: from [5, ch, B, B] the plane of r = 1, [ch, B, B], and that of r = 2, [ch, 2B, 2B]."""
+    first, *quadrants = planes.astype(np.int64)
+    top, bottom = (np.concatenate(quadrants[i : i + 2], axis=2) for i in (0, 2))
+    return first, np.concatenate([top, bottom], axis=1)

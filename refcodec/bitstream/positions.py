@@ -1,0 +1,310 @@
+"""Clauses 5.11, 5.15, 6.11, 7.4 and 7.12: the positions, raw fp16 or for each chunk a tree of cells.
+
+A cell's code is its MORTON. The nodes of a level are the codes without their low bits. The number of the chunk stands above
+these bits, so that the chunks of a batch are coded side by side.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from . import syntax
+from .chunks import POSITION_BYTES, Part
+from .conventions import Int64
+from .entropy import Decoder, Encoder, SymbolCoder, Trace, open_substream
+from .errors import BitstreamError
+from .tables import TOTAL, ModelSet, build_models
+
+F16 = NDArray[np.float16]
+# SPEC 7.12: levels of the tree; the cell_shift of cells that count fp16 numbers; models of the tree.
+CELL_LEVELS = 16
+CELL_INDEX = 40
+POSITION_MODELS = 18
+# SPEC 5.15: symbols of a model, which say which of four children there are.
+HALVES = 16
+# SPEC 6.10: symbol 0 of these models cannot occur.
+EMPTY_MODELS = (1, 7, 13)
+# SPEC 5.11: the forms of a chunk.
+RAW, PACKED = 0, 1
+_MIDDLE = 1 << (CELL_LEVELS - 1)
+_CODE_BITS = 3 * CELL_LEVELS
+# How many children a symbol names.
+_CHILDREN = np.array([half.bit_count() for half in range(HALVES)])
+
+
+def position_integers(positions: F16) -> Int64:
+    """SPEC 7.4, POSITION_INTEGER: P with position = P * 2^-24, |P| < 2^40. positions: [n, 3], finite; int64 [n, 3]."""
+    bits = positions.view(np.uint16).astype(np.int64)
+    exponent, mantissa = (bits >> 10) & 31, bits & 1023
+    magnitude = np.where(exponent == 0, mantissa, (mantissa + 1024) << np.maximum(exponent - 1, 0))
+    return np.where(bits >> 15, -magnitude, magnitude)
+
+
+# --- the model of positions -------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, eq=False)
+class PositionModel:
+    """SPEC 5.15: cell_shift, 0 to 40; frequency uint16 [18, 16]."""
+
+    cell_shift: int
+    frequency: NDArray[np.uint16]
+
+    def fault(self) -> int | None:
+        """SPEC 6.10: what is first wrong: -1 for cell_shift, else the number of a model; None if all is right."""
+        if not 0 <= self.cell_shift <= CELL_INDEX:
+            return -1
+        never = np.zeros(self.frequency.shape, dtype=bool)
+        never[list(EMPTY_MODELS), 0] = True
+        right = ((self.frequency == 0) == never).all(axis=1) & (self.frequency.sum(axis=1, dtype=np.int64) == TOTAL)
+        return None if right.all() else int(np.argmin(right))
+
+    def models(self) -> ModelSet:
+        """SPEC 7.12: the 18 models."""
+        return build_models("cells", list(self.frequency.astype(np.int64)), [0] * POSITION_MODELS)
+
+
+def parse_position_model(data: bytes, start: int) -> PositionModel:
+    """SPEC 5.15 and [R6.10-4]. Raises BitstreamError chunks.position_model."""
+    fields, _ = syntax.parse("PositionModel", data, start)
+    frequency = np.array(fields.frequency, dtype=np.uint16).reshape(POSITION_MODELS, HALVES)
+    model = PositionModel(fields.cell_shift, frequency)
+    fault = model.fault()
+    if fault is not None:
+        at, path, found = start, "cell_shift", str(model.cell_shift)
+        if fault >= 0:
+            at, path = start + 1 + 2 * HALVES * fault, f"frequency[{HALVES * fault}]"
+            found = f"frequencies {model.frequency[fault].tolist()}"
+        raise BitstreamError("chunks.position_model", at, f"chunk_table.position_model.{path}", found, "what 6.10 says")
+    return model
+
+
+def emit_position_model(model: PositionModel) -> bytes:
+    """SPEC 5.15."""
+    fields = {"cell_shift": model.cell_shift, "frequency": model.frequency.reshape(-1).tolist()}
+    return syntax.build("PositionModel", fields)
+
+
+# --- cells ------------------------------------------------------------------------------------------------------------
+
+
+def cells(positions: F16, cell_shift: int) -> Int64:
+    """SPEC 7.12, CELL_OF: the cells of positions, int64 [n, 3]; -1 on an axis where there is none. positions: [n, 3], finite."""
+    bits = positions.view(np.uint16).astype(np.int64)
+    if cell_shift == CELL_INDEX:
+        return _MIDDLE + np.where(bits >> 15, -(bits & 0x7FFF), bits)
+    p = position_integers(positions)
+    n = p >> cell_shift
+    return np.where((n << cell_shift == p) & (n >= -_MIDDLE) & (n < _MIDDLE), n + _MIDDLE, -1)
+
+
+def cell_positions(cell: Int64, cell_shift: int) -> tuple[F16, NDArray[np.bool_]]:
+    """SPEC 7.12, CELL_NUMBER: (positions [n, 3], which anchors have one). Anchors without one are 0."""
+    n = cell - _MIDDLE
+    bits = np.abs(n)
+    fits = np.ones(bits.shape, dtype=bool)
+    if cell_shift < CELL_INDEX:
+        # |n| is at most 2^15, so that a float64 holds |n| * 2^cell_shift and its exponent exactly.
+        p = bits << cell_shift
+        e = np.maximum(np.frexp(p.astype(np.float64))[1].astype(np.int64) - 11, 0)
+        fits = (p >> e) << e == p
+        bits = (e << 10) + (p >> e)
+    fits &= bits < 0x7C00
+    kept = np.asarray(fits.all(axis=1))
+    found = np.where(n < 0, bits | 0x8000, bits)
+    return np.where(kept[:, None], found, 0).astype(np.uint16).view(np.float16), kept
+
+
+def morton(cell: Int64) -> Int64:
+    """SPEC 7.12, MORTON: int64 [n]. cell: int64 [n, 3], each 0 to 2^16 - 1."""
+    code = np.zeros(len(cell), dtype=np.int64)
+    for bit in range(CELL_LEVELS):
+        for axis in range(3):
+            code |= ((cell[:, axis] >> bit) & 1) << (3 * bit + axis)
+    return code
+
+
+def _cells_of_codes(code: Int64) -> Int64:
+    """The reverse of morton."""
+    cell = np.zeros((len(code), 3), dtype=np.int64)
+    for bit in range(CELL_LEVELS):
+        for axis in range(3):
+            cell[:, axis] |= ((code >> (3 * bit + axis)) & 1) << bit
+    return cell
+
+
+def chunk_codes(positions: F16, cell_shift: int) -> Int64 | None:
+    """SPEC 6.11: the codes of a chunk's cells if the chunk is packed in mode 1, None if it is raw."""
+    cell = cells(positions, cell_shift)
+    if (cell < 0).any():
+        return None
+    code = morton(cell)
+    return code if (code[1:] > code[:-1]).all() else None
+
+
+def code_cells(
+    coder: SymbolCoder, models: ModelSet, numbers: list[int], counts: list[int], given: Int64 | None = None
+) -> tuple[Int64, Int64]:
+    """SPEC 7.12, DECODE_CELLS, in either direction: (the codes of all cells, [cells]; how many each chunk has, [chunks]).
+
+    numbers: of the chunks, for traces; counts: their anchors; given: the codes when encoding. A chunk whose tree grew past its
+    anchors has one cell more than anchors.
+    """
+    chunk_bits = np.repeat(np.arange(len(counts), dtype=np.int64), counts) << _CODE_BITS
+    full = None if given is None else given | chunk_bits
+    most = np.array(counts, dtype=np.int64)
+    nodes, held, past = np.arange(len(counts), dtype=np.int64), np.ones(len(counts), dtype=np.int64), np.zeros(len(counts), dtype=bool)
+    for level in range(CELL_LEVELS - 1, -1, -1):
+        known = None
+        if full is not None:
+            children = np.unique(full >> (3 * level))
+            known = np.bincount(np.searchsorted(nodes, children >> 3), 1 << (children & 7), len(nodes)).astype(np.int64)
+        first = 6 * min(level, 2)
+
+        def name(stream: int, index: int, level: int = level, half: str = "low") -> str:
+            return f"positions[chunk {numbers[stream]}].level[{level}].{half}[{index}]"
+
+        def high_name(stream: int, index: int, level: int = level) -> str:
+            return name(stream, index, level, "high")
+
+        model = np.full(len(nodes), first)
+        low = coder.plain(models, model, held.tolist(), name, None if known is None else known & 15)
+        model = first + 1 + _CHILDREN[low]
+        high = coder.plain(models, model, held.tolist(), high_name, None if known is None else known >> 4)
+        parent, child = np.nonzero(((low | high << 4)[:, None] >> np.arange(8)) & 1)
+        nodes = nodes[parent] << 3 | child
+        # SPEC 7.12: nodes past the chunk's anchors are dropped, so that the time is bounded.
+        chunk = nodes >> (_CODE_BITS - 3 * level)
+        held = np.bincount(chunk, minlength=len(counts))
+        past |= held > most
+        rank = np.arange(len(nodes)) - np.repeat(np.cumsum(held) - held, held)
+        nodes, held = nodes[rank < most[chunk]], np.minimum(held, most)
+    return nodes & ((1 << _CODE_BITS) - 1), held + past
+
+
+def decode_cells(code: Int64, cell_shift: int) -> tuple[F16, NDArray[np.bool_]]:
+    """Positions of codes: as cell_positions."""
+    return cell_positions(_cells_of_codes(code), cell_shift)
+
+
+# --- the parts of chunks ----------------------------------------------------------------------------------------------
+
+
+def parse_positions(
+    data: bytes,
+    part: Part,
+    group: list[int],
+    chunks: list[range],
+    model: PositionModel | None,
+    lanes: int,
+    trace: Trace | None,
+) -> tuple[F16, dict[int, BitstreamError]]:
+    """SPEC 5.11 and 6.11: the positions of some chunks, and the first error of each that has one; its anchors are left out.
+
+    group: the chunks' numbers. chunks: their anchors. model: None in mode 0.
+    """
+    found: dict[int, F16 | BitstreamError | None] = {}
+    for number, chunk in zip(group, chunks, strict=True):
+        # SPEC 10.1, step 7: the CRC-32 first.
+        error = part.check(data, number)
+        if error is not None:
+            found[number] = error
+        elif model is None:
+            found[number] = _raw(data, part.span(number)[0], chunk)
+        else:
+            found[number] = _formed(data, part, number, chunk, model)
+    packed = {number: chunk for number, chunk in zip(group, chunks, strict=True) if found[number] is None}
+    if packed and model is not None:
+        found |= _packed(data, part, packed, model, lanes, trace)
+    errors = {number: value for number, value in found.items() if isinstance(value, BitstreamError)}
+    good = [value for value in found.values() if isinstance(value, np.ndarray)]
+    return np.concatenate([np.zeros((0, 3), dtype=np.float16), *good]), errors
+
+
+def _raw(data: bytes, start: int, chunk: range) -> F16 | BitstreamError:
+    """SPEC [R6.11-1] and [R6.11-2]: a chunk's fp16 numbers, or the error of the first that is not allowed."""
+    bits = np.frombuffer(data, "<u2", 3 * len(chunk), start).astype(np.uint16)
+    bad = first_bad(bits)
+    if bad is None:
+        return bits.view(np.float16).reshape(-1, 3)
+    name, first = bad
+    path = f"positions[{chunk.start + first // 3},{first % 3}]"
+    return BitstreamError(name, start + 2 * first, path, f"0x{bits[first]:04x}", "finite numbers but -0")
+
+
+def _formed(data: bytes, part: Part, number: int, chunk: range, model: PositionModel) -> F16 | BitstreamError | None:
+    """SPEC 5.11, mode 1: a raw chunk's positions, or the error of its form. None for a packed chunk."""
+    (start, end), path = part.span(number), part.path(number)
+    form = data[start] if end > start else None
+    if form == PACKED:
+        return None
+    # SPEC [R6.11-3]
+    size = 1 + POSITION_BYTES * len(chunk)
+    if form != RAW or end - start != size:
+        allowed = f"form {RAW} with {size} bytes, or form {PACKED}"
+        return BitstreamError("positions.form", start, path, f"form {form} with {end - start} bytes", allowed)
+    found = _raw(data, start + 1, chunk)
+    # SPEC [R6.11-4]: raw only where it has to be.
+    if not isinstance(found, BitstreamError) and chunk_codes(found, model.cell_shift) is not None:
+        return BitstreamError("positions.raw", start, path, f"form {RAW}", f"form {PACKED}: the chunk can be packed")
+    return found
+
+
+def _packed(
+    data: bytes, part: Part, chunks: dict[int, range], model: PositionModel, lanes: int, trace: Trace | None
+) -> dict[int, F16 | BitstreamError]:
+    """SPEC 7.12, DECODE_POSITIONS: the positions of packed chunks, or the error of each."""
+    opened = []
+    for number in chunks:
+        start, end = part.span(number)
+        opened.append(open_substream(data, start + 1, end, lanes, part.path(number)))
+    decoder = Decoder([stream for stream, _ in opened], trace)
+    counts = [len(chunk) for chunk in chunks.values()]
+    code, held = code_cells(decoder, model.models(), list(chunks), counts)
+    rows = np.minimum(held, counts)
+    firsts = np.cumsum(rows) - rows
+    found: dict[int, F16 | BitstreamError] = {}
+    for i, ((number, chunk), (_, before), after) in enumerate(zip(chunks.items(), opened, decoder.finish(), strict=True)):
+        at, path = part.span(number)[0], part.path(number)
+        error = before or after
+        # SPEC [R6.11-5]
+        if error is None and held[i] != len(chunk):
+            cells = f"{held[i]} cells" if held[i] < len(chunk) else "more cells"
+            error = BitstreamError("positions.count", at, path, cells, f"{len(chunk)}, one for each anchor")
+        # SPEC [R6.11-6]
+        positions, fits = decode_cells(code[firsts[i] : firsts[i] + rows[i]], model.cell_shift)
+        if error is None and not fits.all():
+            cell = f"a cell of anchor {chunk.start + int(np.argmin(fits))} that no fp16 holds"
+            error = BitstreamError("positions.cell", at, path, cell, "cells that fp16 holds")
+        found[number] = error or positions
+    return found
+
+
+def first_bad(bits: NDArray[np.uint16]) -> tuple[str, int] | None:
+    """SPEC 6.11: the first fp16 that is not allowed, as the error's name and its index."""
+    bad = np.flatnonzero(((bits & 0x7C00) == 0x7C00) | (bits == 0x8000))
+    if not bad.size:
+        return None
+    first = int(bad[0])
+    return ("positions.negative_zero" if bits[first] == 0x8000 else "positions.not_finite"), first
+
+
+def encode_positions(model: PositionModel | None, positions: F16, chunks: list[range], lanes: int) -> list[bytes]:
+    """SPEC 5.11: the part of each chunk; model: None for mode 0. positions: of the chunks' anchors alone, in order."""
+    ends = np.cumsum([len(c) for c in chunks])
+    each = [positions[end - len(c) : end] for end, c in zip(ends, chunks, strict=True)]
+    raw = [p.astype("<f2").tobytes() for p in each]
+    if model is None:
+        return raw
+    codes = [chunk_codes(p, model.cell_shift) for p in each]
+    packed = [code for code in codes if code is not None]
+    streams: list[bytes] = []
+    if packed:
+        encoder = Encoder(len(packed), lanes)
+        code_cells(encoder, model.models(), [], [len(c) for c in packed], np.concatenate(packed))
+        streams = encoder.finish()
+    streams.reverse()
+    return [bytes([RAW]) + r if code is None else bytes([PACKED]) + streams.pop() for r, code in zip(raw, codes, strict=True)]

@@ -1,0 +1,106 @@
+"""The scene: what a file says, as one dataclass of numpy arrays.
+
+Everything that decides a symbol is an integer here. Float values are made from it by `reconstruction`.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .attributes import Attributes
+from .dimensions import SCALINGS, Dimensions, layers_of, mask_contexts
+from .frame import Frame
+from .header import Lanes, PositionGrid, RenderInfo
+from .networks import Layer
+from .planes import PLANE_SYMBOL_MAX, PLANES
+from .positions import CELL_INDEX, HALVES, POSITION_MODELS, PositionModel
+
+
+@dataclass(frozen=True, eq=False)
+class Scene:
+    """One scene of N anchors with K offsets each.
+
+    base_step: float32 values; the steps of features, scalings and offsets at step index 32 (SPEC 7.8).
+    plane_shift: SPEC 7.5.4. carm_shift: uint8 [CARM inputs], SPEC 7.9.
+    networks: by the names of Dimensions.network_shapes, the layers (weight float32 [out, in], bias float32 [out]).
+    planes: int16 [5, ch, B, B]. mask_model: uint16 [K (K + 1) / 2].
+    positions: float16 [N, 3]. masks: bool [N, K], True where an offset is kept.
+    attributes: symbols and step indices.
+    extensions: (type, mode, bytes) of the ancillary sections, types ascending.
+    position_model: what the positions are packed with. None in mode 0, which packs none (SPEC 5.11).
+    weight_scales: uint8 [layers, 3], in the order of SPEC 5.16. None in mode 0 of the weights (SPEC 5.8).
+    """
+
+    profile: int
+    dimensions: Dimensions
+    chunk_size: int
+    lanes: Lanes
+    base_step: tuple[float, float, float]
+    grid: PositionGrid
+    render: RenderInfo
+    frame: Frame
+    plane_shift: int
+    carm_shift: NDArray[np.uint8]
+    networks: dict[str, list[Layer]]
+    planes: NDArray[np.int16]
+    mask_model: NDArray[np.uint16]
+    positions: NDArray[np.float16]
+    masks: NDArray[np.bool_]
+    attributes: Attributes
+    extensions: tuple[tuple[int, int, bytes], ...] = field(default=())
+    position_model: PositionModel | None = None
+    weight_scales: NDArray[np.uint8] | None = None
+
+    @property
+    def anchor_count(self) -> int:
+        """N."""
+        return len(self.positions)
+
+
+def take_anchors(scene: Scene, keep: NDArray) -> Scene:
+    """The scene with the anchors that an index or a boolean array selects, in its order."""
+    a = scene.attributes
+    chosen = Attributes(a.features[keep], a.scalings[keep], a.offsets[keep], a.steps[keep])
+    return replace(scene, positions=scene.positions[keep], masks=scene.masks[keep], attributes=chosen)
+
+
+def check_shapes(scene: Scene) -> None:
+    """Raises ValueError for an array whose shape or dtype is not what Scene says."""
+    d, n, a = scene.dimensions, scene.anchor_count, scene.attributes
+    wanted: dict[str, tuple[NDArray, tuple[int, ...], type]] = {
+        "planes": (scene.planes, (PLANES, d.plane_channels, d.plane_size, d.plane_size), np.int16),
+        "carm_shift": (scene.carm_shift, (d.carm_inputs,), np.uint8),
+        "mask_model": (scene.mask_model, (mask_contexts(d.offset_count),), np.uint16),
+        "positions": (scene.positions, (n, 3), np.float16),
+        "masks": (scene.masks, (n, d.offset_count), np.bool_),
+        "features": (a.features, (n, d.features), np.int32),
+        "scalings": (a.scalings, (n, SCALINGS), np.int32),
+        "offsets": (a.offsets, (n, d.offset_count, 3), np.int32),
+        "steps": (a.steps, (n, 3), np.uint8),
+    }
+    if scene.weight_scales is not None:
+        wanted["weight_scales"] = (scene.weight_scales, (len(layers_of(d)), 3), np.uint8)
+    if scene.position_model is not None:
+        wanted["position_model"] = (scene.position_model.frequency, (POSITION_MODELS, HALVES), np.uint16)
+    if list(scene.networks) != list(d.network_shapes()):
+        raise ValueError(f"networks are {list(scene.networks)}, the dimensions require {list(d.network_shapes())}")
+    for name, shapes in d.network_shapes().items():
+        if len(scene.networks[name]) != len(shapes):
+            raise ValueError(f"network {name} has {len(scene.networks[name])} layers, the dimensions require {len(shapes)}")
+        for i, ((weight, bias), (out, fan_in)) in enumerate(zip(scene.networks[name], shapes, strict=True)):
+            wanted[f"{name}.{i}.weight"] = (weight, (out, fan_in), np.float32)
+            wanted[f"{name}.{i}.bias"] = (bias, (out,), np.float32)
+    for name, (array, shape, dtype) in wanted.items():
+        if array.shape != shape or array.dtype != dtype:
+            raise ValueError(f"{name} is {array.dtype}{list(array.shape)}, {np.dtype(dtype)}{list(shape)} is required")
+    if scene.position_model is not None and not 0 <= scene.position_model.cell_shift <= CELL_INDEX:
+        raise ValueError(f"cell_shift is {scene.position_model.cell_shift}, 0 to {CELL_INDEX} is required (SPEC.md 6.10)")
+    if scene.chunk_size < 1:
+        raise ValueError(f"chunk_size is {scene.chunk_size}, at least 1 is required (SPEC.md 11.1)")
+    if np.abs(scene.planes.astype(np.int32)).max(initial=0) > PLANE_SYMBOL_MAX:
+        raise ValueError("a plane symbol is -32768 (SPEC.md 6.9)")
+    if a.offsets[~scene.masks].any():
+        raise ValueError("an offset that its mask drops is not 0 (SPEC.md 6.13)")

@@ -1,0 +1,261 @@
+"""Clause 5: one construct schema for each syntax table.
+
+SYNTAX holds the tables as SPEC.md prints them, field by field and type by type. The schemas are built from it. A test
+compares it with SPEC.md. Payloads of fixed-width numbers stay bytes here; they become arrays where they are used.
+"""
+
+from __future__ import annotations
+
+import io
+import math
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import construct as cs
+
+from .errors import BitstreamError
+
+# SPEC 5: struct -> rows (field, type). Types: u8 u16 u32 i8 i32 i64 f32 (little-endian), a struct's name, bytes[n],
+# and T[n], where n is a number or an earlier field of the same struct.
+SYNTAX: dict[str, list[tuple[str, str]]] = {
+    # SPEC 5.1
+    "Prologue": [
+        ("signature", "bytes[8]"),
+        ("version", "u32"),
+        ("header_length", "u32"),
+        ("prologue_crc", "u32"),
+    ],
+    # SPEC 5.2
+    "Header": [
+        ("profile", "u8"),
+        ("level", "u8"),
+        ("section_count", "u8"),
+        ("reserved_0", "u8"),
+        ("anchor_count", "u32"),
+        ("chunk_size", "u32"),
+        ("plane_lanes_log2", "u8"),
+        ("mask_lanes_log2", "u8"),
+        ("attribute_lanes_log2", "u8"),
+        ("reserved_1", "u8"),
+        ("dimensions", "Dimensions"),
+        ("base_step", "f32[3]"),
+        ("position_grid", "PositionGrid"),
+        ("render_info", "RenderInfo"),
+        ("directory", "DirectoryEntry[section_count]"),
+        ("header_crc", "u32"),
+    ],
+    # SPEC 5.3
+    "Dimensions": [
+        ("offset_count", "u8"),
+        ("slice_count", "u8"),
+        ("slice_width", "u8[slice_count]"),
+        ("plane_channels", "u8"),
+        ("frequency_count", "u8"),
+        ("plane_size", "u16"),
+        ("hyper_layers", "u8"),
+        ("hyper_width", "u8[hyper_layers]"),
+        ("sarm_layers", "u8"),
+        ("sarm_width", "u8[sarm_layers]"),
+        ("carm_layers", "u8"),
+        ("carm_width", "u8[carm_layers]"),
+        ("render_width", "u8"),
+    ],
+    # SPEC 5.4
+    "PositionGrid": [
+        ("origin", "i64[3]"),
+        ("scale_mantissa", "u16"),
+        ("scale_exponent", "i8"),
+        ("reserved", "u8"),
+    ],
+    # SPEC 5.5
+    "RenderInfo": [
+        ("background", "u8[3]"),
+        ("up_axis", "u8"),
+        ("near_plane", "f32"),
+        ("distance_unit", "f32"),
+        ("alpha_max", "f32"),
+        ("low_pass", "f32"),
+        ("camera_width", "u16"),
+        ("camera_height", "u16"),
+        ("camera_focal", "f32[2]"),
+        ("camera_rotation", "f32[4]"),
+        ("camera_translation", "f32[3]"),
+    ],
+    # SPEC 5.6
+    "DirectoryEntry": [
+        ("type", "u8"),
+        ("mode", "u8"),
+        ("reserved", "u16"),
+        ("offset", "u32"),
+        ("length", "u32"),
+        ("crc", "u32"),
+    ],
+    # SPEC 5.7
+    "Frame": [
+        ("matrix", "i32[9]"),
+        ("translation", "i64[3]"),
+        ("shift", "u8[3]"),
+        ("reserved", "u8"),
+        ("low", "i32[3]"),
+        ("high", "i32[3]"),
+    ],
+    # SPEC 5.8: the values follow as bytes
+    "WeightScales": [
+        ("plane_shift", "u8"),
+        ("carm_input_count", "u8"),
+        ("carm_shift", "u8[carm_input_count]"),
+    ],
+    # SPEC 5.9: the substreams follow
+    "PlaneTable": [
+        ("length", "u32[5]"),
+    ],
+    # SPEC 5.10: the mask model's u16 come before the entries
+    "ChunkEntry": [
+        ("position_length", "u32"),
+        ("position_crc", "u32"),
+        ("mask_length", "u32"),
+        ("mask_crc", "u32"),
+        ("attribute_length", "u32"),
+        ("attribute_crc", "u32"),
+    ],
+    # SPEC 5.14: the states, the words and the raw bytes follow
+    "SubstreamHead": [
+        ("symbol_crc", "u32"),
+        ("word_count", "u32"),
+    ],
+    # SPEC 5.15: between the mask model and the entries, in mode 1 of the positions
+    "PositionModel": [
+        ("cell_shift", "u8"),
+        ("frequency", "u16[288]"),
+    ],
+    # SPEC 5.16: of each layer, in mode 1 of the weights; a raw layer's values follow
+    "LayerModel": [
+        ("form", "u8"),
+        ("exponent", "i16"),
+        ("exponent_scale", "u8"),
+        ("weight_scale", "u8"),
+        ("bias_scale", "u8"),
+    ],
+}
+_SCALARS = {
+    "u8": cs.Int8ul,
+    "u16": cs.Int16ul,
+    "u32": cs.Int32ul,
+    "i8": cs.Int8sl,
+    "i16": cs.Int16sl,
+    "i32": cs.Int32sl,
+    "i64": cs.Int64sl,
+    "f32": cs.Float32l,
+}
+
+
+@dataclass(frozen=True)
+class Element:
+    """A parsed syntax element: where it stands, in bytes of the stream that was parsed, and its value."""
+
+    path: str
+    kind: str
+    start: int
+    end: int
+    value: Any
+
+
+class Recorded(cs.Subconstruct):
+    """Notes each element it parses in the list passed to parse as `elements`, with its path in `at`."""
+
+    def __init__(self, subcon: cs.Construct, name: str, kind: str, indexed: bool = False) -> None:
+        super().__init__(subcon)
+        self.element, self.kind, self.indexed = name, kind, indexed
+
+    def _parse(self, stream: Any, context: Any, path: str) -> Any:
+        at = context._params.at
+        if at is None:
+            return self.subcon._parsereport(stream, context, path)
+        step = f"[{context._index}]" if self.indexed else ("." if at and at[-1] else "") + self.element
+        at.append((at[-1] if at else "") + step)
+        start = stream.tell()
+        value = self.subcon._parsereport(stream, context, path)
+        where = at.pop()
+        if not isinstance(value, cs.Container | cs.ListContainer):
+            context._params.elements.append(Element(where, self.kind, start, stream.tell(), value))
+        return value
+
+
+def _subcon(kind: str) -> cs.Construct:
+    array = re.fullmatch(r"(\w+)\[(\w+)\]", kind)
+    if array is None:
+        return _SCALARS[kind] if kind in _SCALARS else _struct(kind)
+    item, count = array.groups()
+    if item == "bytes":
+        return cs.Bytes(int(count))
+    length = int(count) if count.isdigit() else cs.this[count]
+    return cs.Array(length, Recorded(_subcon(item), "", item, indexed=True))
+
+
+def _struct(name: str) -> cs.Struct:
+    return cs.Struct(*(field / Recorded(_subcon(kind), field, kind) for field, kind in SYNTAX[name]))
+
+
+SCHEMAS: dict[str, cs.Struct] = {name: _struct(name) for name in SYNTAX}
+
+
+def parse(name: str, data: bytes, start: int = 0) -> tuple[cs.Container, int]:
+    """Parses one struct of SYNTAX from data[start:]. Returns it and the number of bytes read.
+
+    Raises construct.ConstructError if the data end too early.
+    """
+    stream = io.BytesIO(data)
+    stream.seek(start)
+    value = SCHEMAS[name].parse_stream(stream, at=None, elements=None)
+    return value, stream.tell() - start
+
+
+def parse_elements(name: str, data: bytes, start: int = 0, path: str = "") -> list[Element]:
+    """The elements of one struct in stream order, offsets counted from the start of data."""
+    stream = io.BytesIO(data)
+    stream.seek(start)
+    elements: list[Element] = []
+    SCHEMAS[name].parse_stream(stream, at=[path] if path else [""], elements=elements)
+    return elements
+
+
+def build(name: str, value: dict[str, Any]) -> bytes:
+    """The bytes of one struct of SYNTAX. Raises construct.ConstructError for a value that its type cannot hold."""
+    return SCHEMAS[name].build(value, at=None, elements=None)
+
+
+def size_of(name: str) -> int:
+    """Bytes of a struct of SYNTAX whose size is always the same."""
+    return int(SCHEMAS[name].sizeof(at=None, elements=None))
+
+
+class Struct:
+    """A parsed struct that knows where its elements stand, which is what an error about one of them says.
+
+    fields: the struct. data[start:] is where it was read; path is its own name in paths.
+    """
+
+    def __init__(self, name: str, data: bytes, start: int, path: str) -> None:
+        """Raises construct.ConstructError if the data end too early."""
+        self.fields, self.size = parse(name, data, start)
+        self._where = name, data, start, path
+
+    def error(self, name: str, field: str, found: object, allowed: object) -> BitstreamError:
+        """The error `name` about a field; about the first item if the field is an array or a struct (SPEC 10.2)."""
+        path = f"{self._where[3]}.{field}"
+        for element in parse_elements(*self._where):
+            if element.path == path or element.path.startswith((path + "[", path + ".")):
+                return BitstreamError(name, element.start, path, found, allowed)
+        raise AssertionError(path)
+
+    def require_within(self, name: str, field: str, value: float, low: float, high: float) -> None:
+        """Raises the error `name` unless low <= value <= high. NaN is within nothing."""
+        if not low <= value <= high:
+            raise self.error(name, field, value, f"{low} to {high}")
+
+    def require_finite(self, name: str, field: str, values: Sequence[float]) -> None:
+        """Raises the error `name` unless all values are finite."""
+        if not all(math.isfinite(v) for v in values):
+            raise self.error(name, field, ", ".join(map(str, values)), "finite numbers")

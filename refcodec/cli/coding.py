@@ -1,0 +1,173 @@
+"""Commands that code: encode, decode, validate, digest, reconstruct."""
+
+# Modules that need NumPy are imported by the commands that use them, so that help is instant.
+# ruff: noqa: PLC0415
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from ..bitstream.errors import BitstreamError
+from .shared import (
+    UsageError,
+    add_command,
+    check_output_file,
+    check_output_folder,
+    note,
+    parse_file,
+    progress_bar,
+    read_file,
+    reject,
+    write_file,
+)
+
+if TYPE_CHECKING:
+    from ..bitstream.codec import Parsed
+
+
+def _encode(arguments: argparse.Namespace) -> int:
+    from ..bitstream.codec import emit
+    from ..bitstream.header import SIGNATURE
+    from ..encoder.quantise import packed
+    from ..folder.read import read_folder
+
+    output = Path(arguments.output)
+    check_output_file(output, SIGNATURE, "a C3GS file")
+    scene = read_folder(arguments.scene)
+    try:
+        with progress_bar(arguments.progress) as progress:
+            data = emit(packed(scene, arguments.positions, arguments.weights), progress=progress)
+    except ValueError as error:
+        raise UsageError(f"{arguments.scene} cannot be encoded: {error}") from None
+    write_file(output, data)
+    return 0
+
+
+def _decode(arguments: argparse.Namespace) -> int:
+    from ..folder.write import write_folder
+
+    data = read_file(arguments.file)
+    check_output_folder(arguments.output)
+    parsed = parse_file(arguments, data, arguments.keep_going)
+    write_folder(parsed.scene, arguments.output, parsed.damage)
+    return _report_damage(arguments.file, data, parsed) if arguments.keep_going else 0
+
+
+def _report_damage(path: str, data: bytes, parsed: Parsed) -> int:
+    """Each dropped chunk on stderr, then the verdict that validate gives, which writing a part of the file does not change."""
+    from ..bitstream.codec import parse_container
+
+    if parsed.damage:
+        chunks = parse_container(data, keep_going=True).chunks
+        lost = sum(len(chunks[number]) for number in parsed.damage)
+        for number, error in sorted(parsed.damage.items()):
+            note(f"chunk {number} is dropped, {len(chunks[number])} anchors: {error}")
+        note(f"{len(parsed.damage)} of {len(chunks)} chunks and {lost} anchors are lost, {parsed.scene.anchor_count} are written")
+    try:
+        parse_container(data)
+    except BitstreamError as error:
+        if not parsed.damage:
+            note("every chunk is whole, but the file is damaged elsewhere")
+        return reject(path, error)
+    if not parsed.damage:
+        return 0
+    # SPEC 10.1: the error of an earlier stage comes first, then that of a lower chunk.
+    stages = {"positions": 0, "masks": 1, "attributes": 2}
+    return reject(path, min(parsed.damage.items(), key=lambda found: (stages[found[1].path.split("[")[0]], found[0]))[1])
+
+
+def _validate(arguments: argparse.Namespace) -> int:
+    from ..bitstream.limits import PROFILES
+
+    scene = parse_file(arguments, read_file(arguments.file)).scene
+    print(f"{arguments.file} is accepted: profile {PROFILES[scene.profile].name}, {scene.anchor_count} anchors")
+    return 0
+
+
+def _digest(arguments: argparse.Namespace) -> int:
+    from ..bitstream.reconstruction import digest
+
+    whole, parts = digest(parse_file(arguments, read_file(arguments.file)).scene)
+    if arguments.parts:
+        for name, value in {**parts, "whole": whole}.items():
+            print(f"{name:<10} {value}")
+    else:
+        print(whole)
+    return 0
+
+
+def _reconstruct(arguments: argparse.Namespace) -> int:
+    from ..bitstream.reconstruction import DIGEST_MAGIC, canonical_head, canonical_parts
+
+    output = Path(arguments.output)
+    check_output_file(output, DIGEST_MAGIC, "a reconstruction")
+    data = read_file(arguments.file)
+    if arguments.trace:
+        from ..inspect.trace import symbol_trace
+
+        with open(arguments.trace, "w", encoding="utf-8", newline="\n") as file:
+            scene = symbol_trace(data, file.write).scene
+    else:
+        scene = parse_file(arguments, data).scene
+    write_file(output, b"".join([canonical_head(scene), *(part for _, part in canonical_parts(scene))]))
+    return 0
+
+
+def add(commands: Any) -> None:
+    """Adds the commands of this module."""
+    encode = add_command(
+        commands,
+        "encode",
+        _encode,
+        "encode a scene folder",
+        ["encode scene -o scene.c3gs"],
+        "A folder that decode wrote from a packed file, or from one of Tiny, gives the same bytes again, and so does any other\nwith "
+        "--positions raw --weights raw. If coded.safetensors is deleted, point_cloud.ply is quantised anew.",
+    )
+    encode.add_argument("scene", metavar="SCENE_DIR")
+    encode.add_argument("-o", "--output", metavar="FILE", required=True)
+    encode.add_argument(
+        "--positions",
+        choices=("raw", "packed"),
+        help="48 bits an anchor, or a tenth of that with the anchors sorted (default: packed in Main, and where the folder says so)",
+    )
+    encode.add_argument(
+        "--weights",
+        choices=("raw", "packed"),
+        help="32 bits each, or those of the coding networks as the integers that they act as (default: as --positions)",
+    )
+    decode = add_command(
+        commands,
+        "decode",
+        _decode,
+        "decode a file into a scene folder",
+        ["decode scene.c3gs -o scene", "decode damaged.c3gs -o scene --keep-going"],
+        "SCENE_DIR is made; an existing one is overwritten only if it is empty or a scene folder.",
+    )
+    decode.add_argument("file", metavar="FILE")
+    decode.add_argument("-o", "--output", metavar="SCENE_DIR", required=True)
+    decode.add_argument(
+        "--keep-going",
+        action="store_true",
+        help="write the undamaged chunks of a damaged file and list the others on stderr; the exit status is 1 all the same "
+        "if anything is lost, and 0 if nothing is",
+    )
+    digest = add_command(
+        commands, "digest", _digest, "print the SHA-256 of a file's reconstruction", ["digest scene.c3gs", "digest scene.c3gs --parts"]
+    )
+    digest.add_argument("file", metavar="FILE")
+    digest.add_argument("--parts", action="store_true", help="one line for each part of the reconstruction, then the whole")
+    reconstruct = add_command(
+        commands,
+        "reconstruct",
+        _reconstruct,
+        "write a file's canonical reconstruction (SPEC.md 9.3), the numbers that its digest is of",
+        ["reconstruct scene.c3gs scene.bin", "reconstruct scene.c3gs scene.bin --trace symbols.txt"],
+    )
+    reconstruct.add_argument("file", metavar="FILE")
+    reconstruct.add_argument("output", metavar="OUTPUT")
+    reconstruct.add_argument("--trace", metavar="TRACE", help="write every symbol to this file: a line with its path and its value")
+    validate = add_command(commands, "validate", _validate, "check whether a file is a conforming bitstream", ["validate scene.c3gs"])
+    validate.add_argument("file", metavar="FILE")

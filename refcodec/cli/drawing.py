@@ -1,0 +1,158 @@
+"""Commands that draw a file: gaussians, render, eval."""
+
+# Modules that need NumPy are imported by the commands that use them, so that help is instant.
+# ruff: noqa: PLC0415
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+from typing import Any
+
+from .shared import (
+    RENDER_PACKAGES,
+    UsageError,
+    add_command,
+    check_output_file,
+    needs,
+    parse_file,
+    positive,
+    progress_bar,
+    read_file,
+    read_photographs_of,
+    uncompressed_of,
+    write_file,
+)
+
+
+def _gaussians(arguments: argparse.Namespace) -> int:
+    import json
+
+    from ..bitstream.reconstruction import reconstruct
+    from ..render.camera import read_camera
+    from ..render.gaussians import gaussians, gaussians_document
+
+    output = Path(arguments.output)
+    check_output_file(output, b'{"gaussians":', "a list of Gaussians")
+    try:
+        camera = read_camera(Path(arguments.camera).read_text(encoding="utf-8"))
+    except ValueError as error:
+        raise UsageError(f"{arguments.camera} is no camera: {error}") from None
+    scene = parse_file(arguments, read_file(arguments.file)).scene
+    found = gaussians(reconstruct(scene), scene.masks, scene.networks, camera, scene.render.distance_unit)
+    write_file(output, json.dumps(gaussians_document(found), separators=(",", ":")).encode())
+    return 0
+
+
+def _render(arguments: argparse.Namespace) -> int:
+    try:
+        from ..render.view import View, eight_bits, own_camera, write_gif, write_png
+    except ModuleNotFoundError as error:
+        raise needs("render", "render", error, RENDER_PACKAGES) from None
+    view = View(uncompressed_of(arguments.file) or parse_file(arguments, read_file(arguments.file)).scene)
+    if arguments.cameras == "default":
+        cameras = [own_camera(view.info)]
+    elif arguments.cameras == "orbit":
+        cameras = view.orbit(arguments.frames)
+    else:
+        found = read_photographs_of(arguments.cameras, arguments.size)
+        cameras = [p.camera for p in (*found.test, *found.train)]
+    folder = Path(arguments.output)
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise UsageError(f"cannot make {folder}: {error.strerror}") from None
+    frames = []
+    with progress_bar(arguments.progress) as progress:
+        for number, camera in enumerate(cameras):
+            progress("images", number, len(cameras))
+            try:
+                made = view.draw(camera)
+            except ValueError as error:
+                raise UsageError(f"{arguments.file} cannot be drawn: {error}") from None
+            path = folder / f"{Path(camera.name).stem}.png"
+            write_png(path, made)
+            if arguments.cameras == "orbit":
+                frames.append(eight_bits(made))
+        progress("images", len(cameras), len(cameras))
+    if frames:
+        write_gif(folder / "orbit.gif", frames)
+    print(f"{folder}: {len(cameras)} images" + (", orbit.gif" if frames else ""))
+    return 0
+
+
+def _lpips(path: str) -> Any:
+    """LPIPS with the weights of a file. Raises UsageError."""
+    try:
+        from ..evaluate.lpips import Lpips
+    except ModuleNotFoundError as error:
+        raise needs("eval --lpips", "fit", error, ("torch",)) from None
+    try:
+        return Lpips(path)
+    except ValueError as error:
+        raise UsageError(str(error)) from None
+
+
+def _eval(arguments: argparse.Namespace) -> int:
+    import json
+
+    try:
+        from ..evaluate.evaluation import evaluate, table
+        from ..photographs.cameras import PhotographError
+    except ModuleNotFoundError as error:
+        raise needs("eval", "render", error, RENDER_PACKAGES) from None
+    lpips = _lpips(arguments.lpips) if arguments.lpips else None
+    shown = uncompressed_of(arguments.file) or read_file(arguments.file)
+    found = read_photographs_of(arguments.photographs, arguments.size)
+    try:
+        with progress_bar(arguments.progress) as progress:
+            result = evaluate(shown, found, Path(arguments.images) if arguments.images else None, progress, lpips)
+    except PhotographError as error:
+        raise UsageError(str(error)) from None
+    except ValueError as error:
+        raise UsageError(f"{arguments.file} cannot be drawn: {error}") from None
+    result = {"file": arguments.file, **result}
+    print(json.dumps(result, indent=1) if arguments.json else "\n".join(table(result)))
+    return 0
+
+
+def add(commands: Any) -> None:
+    """Adds the commands of this module."""
+    gaussians = add_command(
+        commands,
+        "gaussians",
+        _gaussians,
+        "write the Gaussians that a camera sees (SPEC.md 14.3) as JSON",
+        ["gaussians scene.c3gs camera.json gaussians.json"],
+        "CAMERA is a JSON object; vectors/README.md says which.",
+    )
+    gaussians.add_argument("file", metavar="FILE")
+    gaussians.add_argument("camera", metavar="CAMERA")
+    gaussians.add_argument("output", metavar="OUTPUT")
+    render = add_command(
+        commands,
+        "render",
+        _render,
+        "draw a file",
+        ["render scene.c3gs -o images", "render scene.c3gs --cameras orbit -o images", "render scene.c3gs --cameras photographs -o images"],
+        "PHOTOGRAPHS is a folder that COLMAP or a NeRF dataset made. An orbit is an animation too. Needs: pip install 'refcodec[render]'.",
+    )
+    render.add_argument("file", metavar="FILE")
+    render.add_argument("-o", "--output", metavar="DIR", required=True)
+    render.add_argument("--cameras", metavar="default|orbit|PHOTOGRAPHS", default="default", help="which cameras (default: the file's own)")
+    render.add_argument("--size", metavar="WxH", help="size of the images, or their longest side, with PHOTOGRAPHS")
+    render.add_argument("--frames", type=positive, metavar="N", default=60, help="images of an orbit (default: %(default)s)")
+    evaluate = add_command(
+        commands,
+        "eval",
+        _eval,
+        "compare what a file shows with photographs",
+        ["eval scene.c3gs photographs", "eval scene.c3gs photographs --size 400x300 --json"],
+        "On the images that were held out: every eighth, or the test set of the dataset. Needs: pip install 'refcodec[render]'.",
+    )
+    evaluate.add_argument("file", metavar="FILE")
+    evaluate.add_argument("photographs", metavar="PHOTOGRAPHS")
+    evaluate.add_argument("--size", metavar="WxH", help="size that photographs are averaged down to, or their longest side")
+    evaluate.add_argument("--images", metavar="DIR", help="where to write the images that were compared, as PNG files")
+    evaluate.add_argument("--lpips", metavar="WEIGHTS", help="LPIPS too, with the weights of a file that tools/lpips_weights.py makes")
+    evaluate.add_argument("--json", action="store_true", help="all figures, of each image too")

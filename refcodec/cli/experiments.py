@@ -1,0 +1,106 @@
+"""Commands that run others: demo, rd."""
+
+# Modules that need NumPy are imported by the commands that use them, so that help is instant.
+# ruff: noqa: PLC0415
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+from typing import Any
+
+from . import statuses
+from .shared import RENDER_PACKAGES, UsageError, add_command, needs, note, positive, rate, seed
+
+
+def _demo(arguments: argparse.Namespace) -> int:
+    try:
+        from ..experiments.demo import STEPS, find_example, run_demo
+        from ..experiments.runs import RunError
+        from ..photographs.photographs import PhotographError
+    except ModuleNotFoundError as error:
+        raise needs("demo", "train,render", error, RENDER_PACKAGES) from None
+    try:
+        photographs = Path(arguments.photographs) if arguments.photographs else find_example(arguments.scene)
+        page, whole = run_demo(Path(arguments.output), photographs, arguments.steps or STEPS)
+    except PhotographError as error:
+        raise UsageError(str(error)) from None
+    except RunError as error:
+        note(f"refcodec: {error}")
+        return error.status
+    print(f"The page: {page.resolve().as_uri()}")
+    return 0 if whole else statuses.INTERRUPTED
+
+
+def _rd(arguments: argparse.Namespace) -> int:
+    try:
+        from ..experiments.rd import FIGURES, Settings, run_rd
+        from ..experiments.runs import RunError
+        from ..photographs.photographs import PhotographError
+        from ..train.command import PRESETS
+    except ModuleNotFoundError as error:
+        raise needs("rd", "train,render,rd", error, ("matplotlib", "bjontegaard", "torch", *RENDER_PACKAGES)) from None
+    options = [("--steps", arguments.steps), ("--preset", arguments.preset), ("--device", arguments.device), ("--seed", arguments.seed)]
+    given = tuple(word for name, value in options if value is not None for word in (name, str(value)))
+    size = arguments.size or str(PRESETS[arguments.preset]["side"])
+    settings = Settings(Path(arguments.output), Path(arguments.photographs), given, size, arguments.jobs)
+    rates = sorted({*arguments.rates, *([0.0] if arguments.uncompressed else [])})
+    try:
+        rows, difference = run_rd(settings, rates, Path(arguments.against) if arguments.against else None)
+    except PhotographError as error:
+        raise UsageError(str(error)) from None
+    except RunError as error:
+        note(f"refcodec: {error}")
+        return error.status
+    print(f"{'rate':>8} {'bytes':>10} {'anchors':>8}" + "".join(f" {name:>10}" for name in FIGURES))
+    for row in rows:
+        figures = "".join(f" {row[name]:>10.4f}" for name in FIGURES)
+        print(f"{row['rate']:>8g} {row['bytes']:>10.0f} {row['anchors']:>8.0f}{figures}")
+    if difference:
+        print(f"BD-rate {difference.rate:+.2f} %, BD-PSNR {difference.psnr:+.3f} dB against {arguments.against}")
+        if difference.warning:
+            note(f"refcodec: {difference.warning}")
+    return 0
+
+
+def add(commands: Any) -> None:
+    """Adds the commands of this module."""
+    demo = add_command(
+        commands,
+        "demo",
+        _demo,
+        "train on the photographs that come with the project, code the scene, and make a page of the results",
+        ["demo", "demo -o out --scene snowmiku", "demo -o out --steps 600", "demo -o out --photographs my-photographs"],
+        "DIR/index.html shows everything; it takes about six minutes on two cores. Ctrl-C ends the training early and shows what there\n"
+        "is; the same command goes on, and does nothing twice. Needs: pip install 'refcodec[train,render]'.",
+    )
+    demo.add_argument("-o", "--output", metavar="DIR", default="demo", help="folder of the results (default: %(default)s)")
+    which = demo.add_mutually_exclusive_group()
+    which.add_argument("--scene", choices=("caliterra", "snowmiku"), default="caliterra", help="which photographs (default: %(default)s)")
+    which.add_argument("--photographs", metavar="FOLDER", help="your own, of COLMAP or a NeRF dataset")
+    demo.add_argument("--steps", type=positive, metavar="N", help="steps of each training (default: those of four minutes)")
+    rd = add_command(
+        commands,
+        "rd",
+        _rd,
+        "train at several rates, and write the sizes and figures as a table and a chart",
+        [
+            "rd photographs -o curve --size 400x300",
+            "rd photographs -o curve --rates 0.002 0.004 0.01 0.04 --uncompressed",
+            "rd photographs -o curve --against other/rd.csv",
+        ],
+        "DIR gets rd.csv, rd.png, and for each rate a scene folder, a file and its figures. The same command goes on with what was\n"
+        "interrupted, and does nothing twice. Needs: pip install 'refcodec[train,render,rd]'.",
+    )
+    rd.add_argument("photographs", metavar="PHOTOGRAPHS")
+    rd.add_argument("-o", "--output", metavar="DIR", required=True)
+    rd.add_argument(
+        "--rates", type=rate, nargs="+", metavar="R", default=[0.002, 0.004, 0.01, 0.04], help="lambda_r (default: 0.002 0.004 0.01 0.04)"
+    )
+    rd.add_argument("--uncompressed", action="store_true", help="a training without the codec too")
+    rd.add_argument("--against", metavar="CSV", help="a table with columns bytes and psnr: BD-rate and BD-PSNR with that curve as anchor")
+    rd.add_argument("--jobs", type=positive, metavar="N", default=2, help="trainings at a time (default: %(default)s)")
+    rd.add_argument("--size", metavar="WxH", help="size that photographs are averaged down to, or their longest side")
+    rd.add_argument("--preset", choices=("fast", "paper"), default="fast", help="as of train (default: %(default)s)")
+    for name, kind in (("steps", positive), ("seed", seed), ("device", str)):
+        rd.add_argument(f"--{name}", type=kind, help="as of train")

@@ -1,0 +1,91 @@
+"""Commands that look into a file: inspect."""
+
+# Modules that need NumPy are imported by the commands that use them, so that help is instant.
+# ruff: noqa: PLC0415
+
+from __future__ import annotations
+
+import argparse
+import contextlib
+import sys
+from typing import TYPE_CHECKING, Any
+
+from ..bitstream.errors import BitstreamError
+from .shared import UsageError, add_command, parse_file, read_file, reject
+
+if TYPE_CHECKING:
+    from ..bitstream.codec import Parsed
+    from ..bitstream.scene import Scene
+
+
+def _spots(data: bytes, error: BitstreamError) -> list[BitstreamError]:
+    """An error, and those of the single chunks: the CRC-32 of a section only says that one of its bytes is wrong."""
+    from ..bitstream.codec import parse
+
+    with contextlib.suppress(BitstreamError):
+        chunks = parse(data, keep_going=True).damage
+        return [error, *(found for found in chunks.values() if found.to_json() != error.to_json())]
+    return [error]
+
+
+def _show_anchor(scene: Scene, number: int) -> int:
+    from ..inspect.anchor import anchor_rows
+
+    try:
+        for what, clause, values in anchor_rows(scene, number):
+            print(f"{what:<45} {clause:<6} {values}")
+    except IndexError:
+        raise UsageError(f"there is no anchor {number}: the file has {scene.anchor_count}") from None
+    return 0
+
+
+def _inspect(arguments: argparse.Namespace) -> int:
+    import json
+
+    from ..inspect import dump, summary, trace
+
+    data = read_file(arguments.file)
+    if arguments.trace:
+        trace.trace(data, sys.stdout.write)
+        return 0
+    if arguments.anchor is not None:
+        return _show_anchor(parse_file(arguments, data).scene, arguments.anchor)
+    error: BitstreamError | None = None
+    try:
+        verdict: Parsed | BitstreamError = parse_file(arguments, data)
+    except BitstreamError as found:
+        verdict = error = found
+    if arguments.hex or arguments.near is not None:
+        lines = dump.hex_lines(data, _spots(data, error) if error else [], arguments.near)
+    elif arguments.json:
+        lines = iter([json.dumps(summary.document(data, verdict), indent=1)])
+    else:
+        lines = summary.summary(summary.document(data, verdict), arguments.file)
+    for line in lines:
+        print(line)
+    return reject(arguments.file, error) if error else 0
+
+
+def add(commands: Any) -> None:
+    """Adds the commands of this module."""
+    inspect = add_command(
+        commands,
+        "inspect",
+        _inspect,
+        "show what a file is made of",
+        [
+            "inspect scene.c3gs",
+            "inspect scene.c3gs --hex | less",
+            "inspect scene.c3gs --near 1106",
+            "inspect scene.c3gs --trace | head -100",
+            "inspect scene.c3gs --anchor 7",
+        ],
+        "Damaged files are shown as far as they parse, and then rejected as by validate.",
+    )
+    inspect.add_argument("file", metavar="FILE")
+    form = inspect.add_mutually_exclusive_group()
+    form.add_argument("--hex", action="store_true", help="every byte with its syntax element; payloads folded to a line each")
+    form.add_argument("--near", type=int, metavar="OFFSET", help="the same, of the elements around a byte")
+    form.add_argument("--json", action="store_true", help="the summary as one JSON document")
+    form.add_argument("--trace", action="store_true", help="one line per syntax element and symbol, in decoding order")
+    form.add_argument("--anchor", type=int, metavar="N", help="all numbers from an anchor's position to its symbols, as in Annex D.4")

@@ -1,0 +1,77 @@
+"""The command line of refcodec."""
+
+from __future__ import annotations
+
+import argparse
+import os
+import sys
+from typing import NoReturn
+
+from .. import __version__
+from ..bitstream.errors import BitstreamError
+from . import coding, drawing, experiments, learning, looking, statuses
+from .shared import EXITS, UsageError, note, reject
+
+
+class _Parser(argparse.ArgumentParser):
+    """argparse, with the exit status of wrong usage in place of 2, which would read as a verdict."""
+
+    def error(self, message: str) -> NoReturn:
+        self.print_usage(sys.stderr)
+        self.exit(statuses.USAGE, f"{self.prog}: {message}\n")
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = _Parser(
+        prog="refcodec",
+        description="Reference encoder and decoder of C3GS, a bitstream for learned 3D Gaussian scenes.",
+        epilog=f"examples:\n  refcodec validate scene.c3gs\n  refcodec decode scene.c3gs -o scene\n\n{EXITS}",
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    parser.add_argument("--version", action="version", version=f"refcodec {__version__}")
+    commands = parser.add_subparsers(metavar="COMMAND", required=True)
+    for group in (coding, looking, drawing, learning, experiments):
+        group.add(commands)
+    return parser
+
+
+def main(argv: list[str] | None = None) -> int:
+    """Runs one command; returns its exit status."""
+    # Read when numba or torch is loaded: threads that wait do not spin, which on busy cores makes training ten times as slow.
+    os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")
+    arguments = None
+    try:
+        arguments = _parser().parse_args(argv)
+        status: int = arguments.run(arguments)
+        sys.stdout.flush()
+        return status
+    except SystemExit as end:
+        # argparse leaves this way for --help, --version and wrong usage.
+        return int(end.code or 0)
+    except BitstreamError as error:
+        return reject(arguments.file, error)  # type: ignore[union-attr]
+    except BrokenPipeError:
+        # The reader of stdout went away; what is left to write must not fail again when Python closes it.
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return statuses.BROKEN_PIPE
+    except KeyboardInterrupt:
+        note("refcodec: interrupted")
+        return statuses.INTERRUPTED
+    except Exception as error:
+        return _report(error)
+
+
+def _report(error: Exception) -> int:
+    """The exit status of an error that is no verdict."""
+    folder = sys.modules.get("refcodec.folder.layout")
+    if isinstance(error, UsageError) or (folder is not None and isinstance(error, folder.SceneFolderError)):
+        note(f"refcodec: {error}")
+        return statuses.USAGE
+    if isinstance(error, OSError):
+        note(f"refcodec: {error.filename or 'output'}: {error.strerror or error}")
+        return statuses.USAGE
+    if os.environ.get("REFCODEC_DEBUG") == "1":
+        raise error
+    kind = type(error).__name__
+    note(f"refcodec: internal error, please report it with the command and the file ({kind}: {' '.join(str(error).split())})")
+    return statuses.FAULT

@@ -1,0 +1,252 @@
+"""What the commands share: files, progress, verdicts and the types of arguments."""
+
+# Modules that need NumPy are imported by the commands that use them, so that help is instant.
+# ruff: noqa: PLC0415
+
+from __future__ import annotations
+
+import argparse
+import contextlib
+import os
+import shlex
+import stat
+import sys
+import tempfile
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from ..bitstream.errors import BitstreamError
+
+if TYPE_CHECKING:
+    from ..bitstream.batches import Progress
+    from ..bitstream.codec import Parsed
+    from ..folder.uncompressed import Uncompressed
+    from ..photographs.photographs import PhotographSet
+
+# Section offsets are u32, so a longer file is only read as far as its own header says.
+_WHOLE_FILE_MAX = (1 << 32) - 1
+_HEAD_BYTES = 1 << 17
+
+# Packages of the extra `render`.
+RENDER_PACKAGES = ("numba", "PIL", "skimage", "scipy")
+
+EXITS = """\
+exit status:
+  0   accepted, or done
+  1   the file is rejected      } the last line on stderr is JSON:
+  2   the file is not supported } code, name, offset, path, clause, requirement
+  64  wrong usage, or a file or folder that cannot be read or written
+  70  a fault of this program
+"""
+
+
+class UsageError(Exception):
+    """Something that the caller can put right; exit status 64."""
+
+
+def note(text: str) -> None:
+    print(text, file=sys.stderr)
+
+
+# --- files ------------------------------------------------------------------------------------------------------------
+
+
+def read_file(path: str) -> bytes:
+    """A whole file. Of one that is too long, or endless, no more is read than its header announces, and one byte.
+
+    Raises UsageError if it cannot be read, BitstreamError if it is too long to be read before its header is accepted.
+    """
+    try:
+        with open(path, "rb") as file:
+            status = os.fstat(file.fileno())
+            if stat.S_ISREG(status.st_mode) and status.st_size <= _WHOLE_FILE_MAX:
+                return file.read()
+            head = file.read(_HEAD_BYTES)
+            if len(head) < _HEAD_BYTES:
+                return head
+            end = _announced_length(head)
+            if stat.S_ISREG(status.st_mode) and status.st_size != end:
+                raise BitstreamError("directory.file_length", min(status.st_size, end), "file", f"{status.st_size} bytes", end)
+            return head + file.read(max(0, end - len(head)) + 1)
+    except OSError as error:
+        raise UsageError(f"cannot read {path}: {error.strerror or error}") from None
+
+
+def _announced_length(head: bytes) -> int:
+    """Where the last section of a file ends; head: its beginning. Raises BitstreamError for what comes before that check."""
+    from ..bitstream import syntax
+    from ..bitstream.codec import parse_container
+    from ..bitstream.header import PROLOGUE_BYTES
+
+    try:
+        parse_container(head)
+    except BitstreamError as error:
+        if error.kind.name not in ("directory.file_length", "section.crc"):
+            raise
+    header, _ = syntax.parse("Header", head, PROLOGUE_BYTES)
+    return int(header.directory[-1].offset + header.directory[-1].length)
+
+
+def check_output_file(path: Path, signature: bytes, kind: str) -> None:
+    """Before any work is done: that _write_file may write there; signature, kind: of the files that it may replace."""
+    if path.is_dir():
+        raise UsageError(f"{path} is a directory: give the name of a file")
+    if not path.parent.is_dir():
+        raise UsageError(f"there is no directory {path.parent}")
+    if path.is_file() and path.stat().st_size:
+        with path.open("rb") as file:
+            if file.read(len(signature)) != signature:
+                raise UsageError(f"{path} exists and is not {kind}: choose another name, or remove it")
+
+
+def write_file(path: Path, data: bytes) -> None:
+    """A file that takes its name when it is whole; a pipe or a device is written as it is."""
+    if path.exists() and not path.is_file():
+        path.write_bytes(data)
+        return
+    path = path.resolve()
+    handle, temporary = tempfile.mkstemp(prefix=f".{path.name}.", dir=path.parent)
+    try:
+        with os.fdopen(handle, "wb") as file:
+            file.write(data)
+        # mkstemp makes files private; a result has the rights that open would have given it.
+        mask = os.umask(0)
+        os.umask(mask)
+        os.chmod(temporary, 0o666 & ~mask)
+        os.replace(temporary, path)
+    except BaseException:
+        with contextlib.suppress(FileNotFoundError):
+            os.unlink(temporary)
+        raise
+
+
+def check_output_folder(path: str) -> None:
+    """Before any work is done: that write_folder will accept the folder."""
+    from ..folder.layout import is_free
+
+    if not is_free(Path(path)):
+        raise UsageError(f"{path} exists and is not a scene folder: choose another one, or empty it")
+
+
+def uncompressed_of(path: str) -> Uncompressed | None:
+    """An uncompressed scene, if the path is the folder of one."""
+    from ..folder.uncompressed import is_uncompressed, read_uncompressed
+
+    return read_uncompressed(Path(path)) if is_uncompressed(Path(path)) else None
+
+
+def read_photographs_of(folder: str, size: str | None) -> PhotographSet:
+    """The photographs of a folder. Raises UsageError."""
+    from ..photographs.photographs import PhotographError, parse_size, read_photographs
+
+    try:
+        return read_photographs(folder, parse_size(size) if size else None)
+    except (PhotographError, ValueError) as error:
+        raise UsageError(str(error)) from None
+
+
+# --- progress and verdicts --------------------------------------------------------------------------------------------
+
+
+@contextlib.contextmanager
+def progress_bar(wanted: bool) -> Iterator[Progress]:
+    """A progress bar on stderr for what takes more than a second; off unless stderr is a terminal or it is wanted."""
+    if not (wanted or sys.stderr.isatty()):
+        yield lambda stage, done, total: None
+        return
+    from tqdm import tqdm
+
+    bars: dict[str, Any] = {}
+
+    def show(stage: str, done: int, total: int) -> None:
+        if stage not in bars:
+            for finished in bars.values():
+                finished.close()
+            bars[stage] = tqdm(total=total, desc=stage, file=sys.stderr, delay=0 if wanted else 1, leave=wanted)
+        bars[stage].update(done - bars[stage].n)
+
+    try:
+        yield show
+    finally:
+        for bar in bars.values():
+            bar.close()
+
+
+def reject(path: str, error: BitstreamError) -> int:
+    """Reports a verdict on stderr: a line for people, then a line of JSON."""
+    word = "is not supported" if error.kind.klass == "unsupported" else "is rejected"
+    sys.stdout.flush()
+    note(f"{path} {word}: {error}. To see the spot: refcodec inspect {shlex.quote(path)} --near {error.offset}")
+    note(error.to_json())
+    return error.exit_status
+
+
+def parse_file(arguments: argparse.Namespace, data: bytes, keep_going: bool = False) -> Parsed:
+    from ..bitstream.codec import parse
+
+    with progress_bar(arguments.progress) as progress:
+        return parse(data, keep_going=keep_going, progress=progress)
+
+
+def needs(command: str, extra: str, error: ModuleNotFoundError, packages: tuple[str, ...]) -> UsageError:
+    """What to install for a command. Raises the error again if it is not one of the extra's packages that is missing."""
+    if (error.name or "").split(".")[0] not in packages:
+        raise error
+    return UsageError(f"{command} needs {error.name}: pip install 'refcodec[{extra}]'")
+
+
+# --- arguments --------------------------------------------------------------------------------------------------------
+
+
+def positive(text: str) -> int:
+    """An integer from 1."""
+    value = int(text)
+    if value < 1:
+        raise argparse.ArgumentTypeError(f"{text} found, at least 1 required")
+    return value
+
+
+def seed(text: str) -> int:
+    """An integer that every generator of random numbers takes."""
+    value = int(text)
+    if not 0 <= value < 1 << 63:
+        raise argparse.ArgumentTypeError(f"{text} found, 0 to 2^63 - 1 allowed")
+    return value
+
+
+def weight(text: str) -> float:
+    """A number from 0 to 1."""
+    value = float(text)
+    if not 0 <= value <= 1:
+        raise argparse.ArgumentTypeError(f"{text} found, 0 to 1 allowed")
+    return value
+
+
+def length(text: str) -> float:
+    """A finite length above 0."""
+    value = float(text)
+    if not 0 < value < float("inf"):
+        raise argparse.ArgumentTypeError(f"{text} found, a number above 0 required")
+    return value
+
+
+def rate(text: str) -> float:
+    """A lambda_r of the paper, above 0."""
+    value = float(text)
+    if not 0 < value <= 1:
+        raise argparse.ArgumentTypeError(f"{text} found, above 0 to 1 allowed")
+    return value
+
+
+def add_command(
+    commands: Any, name: str, run: Callable[[argparse.Namespace], int], text: str, examples: list[str], notes: str = ""
+) -> argparse.ArgumentParser:
+    """A command, with its examples and the exit statuses in its help."""
+    epilog = "examples:\n" + "".join(f"  refcodec {e}\n" for e in examples) + "\n" + (notes + "\n\n" if notes else "") + EXITS
+    parser: argparse.ArgumentParser = commands.add_parser(
+        name, help=text, description=text[0].upper() + text[1:] + ".", epilog=epilog, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("--progress", action="store_true", help="show progress on stderr even if it is not a terminal")
+    parser.set_defaults(run=run)
+    return parser

@@ -1,0 +1,116 @@
+"""SPEC.md B.7: from float attributes and given networks to a scene of integers."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..bitstream.attributes import ATTRIBUTE_SYMBOL_MAX, KINDS, Attributes
+from ..bitstream.codec import derive_steps
+from ..bitstream.conventions import F32
+from ..bitstream.dimensions import Dimensions
+from ..bitstream.frame import Frame
+from ..bitstream.header import Lanes, PositionGrid, RenderInfo
+from ..bitstream.limits import MAIN
+from ..bitstream.networks import ACTIVATION_MAX, Layer
+from ..bitstream.scene import Scene
+from ..bitstream.tables import STEP_SHIFT, tables
+from .cloud import AnchorCloud
+from .masks import mask_model
+from .positions import morton_order, pack_positions, to_fp16
+from .sizes import CHUNK_SIZE, choose_lanes
+from .weights import pack_weights
+
+
+def packed(scene: Scene, positions: str | None, weights: str | None) -> Scene:
+    """The scene with positions and weights each "raw" or "packed"; None: packed in Main. What is packed already stays as it is."""
+    if positions == "raw":
+        scene = replace(scene, position_model=None)
+    elif scene.position_model is None and (positions or scene.profile == MAIN):
+        scene = pack_positions(scene)
+    if weights == "raw":
+        return replace(scene, weight_scales=None)
+    if scene.weight_scales is None and (weights or scene.profile == MAIN):
+        return pack_weights(scene)
+    return scene
+
+
+def carm_shifts(features: NDArray[np.int32], inputs: int) -> NDArray[np.uint8]:
+    """SPEC 7.9: for each input channel of CARM the smallest shift that brings its symbols within an activation."""
+    largest = np.abs(features[:, :inputs]).max(axis=0, initial=0)
+    shift = [max(int(v) // (ACTIVATION_MAX + 1), 0).bit_length() for v in largest]
+    return np.array(shift, dtype=np.uint8)
+
+
+def symbols(values: F32, steps: NDArray[np.uint8], base_step: float) -> NDArray[np.int32]:
+    """SPEC 9.2 backwards: the nearest symbols. values [n, ...], steps [n]. Raises ValueError if one does not fit its type."""
+    unit = base_step * tables().step[steps].astype(np.float64) / (1 << STEP_SHIFT)
+    scaled = np.rint(values.astype(np.float64) / unit.reshape(-1, *[1] * (values.ndim - 1)))
+    limit = ATTRIBUTE_SYMBOL_MAX
+    if not np.isfinite(scaled).all() or np.abs(scaled).max(initial=0) > limit:
+        raise ValueError(f"an attribute is not finite, or more than {limit} steps from zero")
+    return scaled.astype(np.int32)
+
+
+def order_anchors(cloud: AnchorCloud, grid: PositionGrid) -> tuple[AnchorCloud, NDArray[np.float16]]:
+    """SPEC B.1 and B.6: the anchors that keep an offset, along a Morton curve, and their fp16 positions."""
+    kept = np.flatnonzero(cloud.masks.any(axis=1))
+    half = to_fp16(cloud.positions[kept], grid)
+    order = morton_order(half)
+    chosen = kept[order]
+    offsets = np.where(cloud.masks[chosen][:, :, None], cloud.offsets[chosen], np.float32(0))
+    ordered = AnchorCloud(cloud.positions[chosen], cloud.features[chosen], cloud.scalings[chosen], offsets, cloud.masks[chosen])
+    return ordered, half[order]
+
+
+def quantise(
+    cloud: AnchorCloud,
+    *,
+    dimensions: Dimensions,
+    networks: Mapping[str, list[Layer]],
+    frame: Frame,
+    grid: PositionGrid,
+    planes: NDArray[np.int16],
+    plane_shift: int,
+    carm_shift: NDArray[np.uint8],
+    base_step: tuple[float, float, float],
+    render: RenderInfo | None = None,
+    lanes: Lanes | None = None,
+    profile: int = MAIN,
+    chunk_size: int = CHUNK_SIZE,
+) -> Scene:
+    """A scene from float attributes and given networks (SPEC B): steps follow from the networks, symbols from the steps.
+
+    Anchors are sorted, and dropped if no offset is kept. Raises ValueError for what cannot be written.
+    """
+    ordered, positions = order_anchors(cloud, grid)
+    count = len(positions)
+    scene = Scene(
+        profile=profile,
+        dimensions=dimensions,
+        chunk_size=chunk_size,
+        lanes=lanes or choose_lanes(count, 2.0 * dimensions.attribute_width),
+        base_step=base_step,
+        grid=grid,
+        render=render or RenderInfo(),
+        frame=frame,
+        plane_shift=plane_shift,
+        carm_shift=carm_shift,
+        networks=dict(networks),
+        planes=planes,
+        mask_model=mask_model(ordered.masks),
+        positions=positions,
+        masks=ordered.masks,
+        attributes=Attributes(
+            np.zeros((count, dimensions.features), np.int32),
+            np.zeros((count, 6), np.int32),
+            np.zeros((count, dimensions.offset_count, 3), np.int32),
+            np.zeros((count, len(KINDS)), np.uint8),
+        ),
+    )
+    steps = derive_steps(scene)
+    features, scalings, offsets = (symbols(getattr(ordered, kind), steps[:, i], base_step[i]) for i, kind in enumerate(KINDS))
+    return replace(scene, attributes=Attributes(features, scalings, offsets, steps))

@@ -1,0 +1,78 @@
+"""SPEC.md B.5: weights as integers on grids."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..bitstream.conventions import F32
+from ..bitstream.dimensions import RENDERING
+from ..bitstream.networks import Layer, derive_layer
+from ..bitstream.scene import Scene
+from ..bitstream.tables import SCALE_MIN
+from ..bitstream.weights import to_grid
+
+
+def exact_networks(networks: Mapping[str, list[Layer]]) -> dict[str, list[Layer]]:
+    """SPEC B.5: the networks with the values of F_h, SARM and CARM replaced by their integers (7.2) over a power of two.
+
+    SPEC 7.2 gives the same outputs for them. Raises networks.BoundError.
+    """
+    found = dict(networks)
+    for name, layers in networks.items():
+        if name in RENDERING:
+            continue
+        derived = [derive_layer(*layer) for layer in layers]
+        found[name] = [
+            (
+                np.ldexp(layer.weight.astype(np.float32), -layer.exponent[:, None]).astype(np.float32),
+                np.ldexp(layer.bias.astype(np.float32), -layer.exponent).astype(np.float32),
+            )
+            for layer in derived
+        ]
+    return found
+
+
+def rendering_exponent(weight: F32, bits: int) -> int:
+    """SPEC B.5: the largest e with which no weight, times 2^e and rounded, needs more than `bits` bits, sign included; 0 for zeros."""
+    largest = float(np.abs(weight).max())
+    return math.floor(math.log2(((1 << (bits - 1)) - 0.5) / largest)) if largest else 0
+
+
+def quantise_rendering(networks: Mapping[str, list[Layer]], bits: int) -> dict[str, list[Layer]]:
+    """SPEC B.5: the networks with each layer of opacity, covariance and colour on a grid: multiples of a power of two, the least with
+    which no weight needs more than `bits` bits, sign included; biases on the same grid. bits: 2 to 24."""
+    found = dict(networks)
+    for name in RENDERING:
+        found[name] = []
+        for weight, bias in networks[name]:
+            e = rendering_exponent(weight, bits)
+            on_grid = [np.ldexp(np.rint(np.ldexp(value, e)) + np.float32(0), -e).astype(np.float32) for value in (weight, bias)]
+            found[name].append((on_grid[0], on_grid[1]))
+    return found
+
+
+def weight_scales(networks: Mapping[str, list[Layer]]) -> NDArray[np.uint8]:
+    """SPEC B.5: the scale indices of each layer in mode 1, uint8 [layers, 3]; 0 for a raw layer."""
+
+    def index(scale: float) -> int:
+        return min(max(round(8 * math.log2(scale)) - SCALE_MIN, 0), 255) if scale else 0
+
+    found = []
+    for grid in (to_grid(layer) for layers in networks.values() for layer in layers):
+        if grid is None:
+            found.append((0, 0, 0))
+            continue
+        spread = math.sqrt(float(np.square(grid.weight, dtype=np.float64).mean()))
+        found.append((index(float(np.abs(grid.difference).mean())), index(spread), index(float(np.abs(grid.bias).mean()))))
+    return np.array(found, dtype=np.uint8)
+
+
+def pack_weights(scene: Scene) -> Scene:
+    """SPEC B.5: the scene with its weights in mode 1, those of the coding networks replaced by their integers. No symbol changes."""
+    networks = exact_networks(scene.networks)
+    return replace(scene, networks=networks, weight_scales=weight_scales(networks))

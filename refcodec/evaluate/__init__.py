@@ -1,0 +1,1 @@
+"""What a file shows of photographs: image quality, bytes, seconds."""

@@ -1,0 +1,84 @@
+"""What a file, or a scene before coding, shows of photographs: image quality, bytes of each part, seconds of each stage."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterator
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from ..bitstream.batches import Progress
+from ..bitstream.codec import parse
+from ..folder.uncompressed import Uncompressed
+from ..inspect.summary import document
+from ..render.view import View, write_png
+from .quality import measures
+
+if TYPE_CHECKING:
+    from ..photographs.photographs import PhotographSet
+    from .lpips import Lpips
+
+
+def evaluate(
+    shown: bytes | Uncompressed, photographs: PhotographSet, images: Path | None, progress: Progress, lpips: Lpips | None = None
+) -> dict[str, Any]:
+    """A file, or an uncompressed scene, compared with the held-out photographs, or with all if none are held out.
+
+    images: a folder, made if need be, for the images that were compared, as PNG. Returns bytes, anchors, parts (bytes), decode_seconds,
+    frames_per_second, held_out, and quality.measures of each image, with lpips.measures if it is given, and on the mean. Raises
+    BitstreamError for a file that is rejected, PhotographError for photographs that cannot be read or compared.
+    """
+    began: dict[str, float] = {}
+    spent: dict[str, float] = {}
+
+    def clock(stage: str, done: int, total: int) -> None:
+        began.setdefault(stage, time.perf_counter())
+        spent[stage] = time.perf_counter() - began[stage]
+
+    start = time.perf_counter()
+    if isinstance(shown, Uncompressed):
+        view, parts = View(shown), shown.sizes()
+        size, anchors = sum(parts.values()), shown.anchor_count
+    else:
+        parsed = parse(shown, progress=clock)
+        view, size, anchors = View(parsed.scene), len(shown), parsed.scene.anchor_count
+        parts = {s["name"]: s["bytes"] for s in document(shown, parsed)["sections"]}
+    spent["total"] = time.perf_counter() - start
+    compared = photographs.test or photographs.train
+    if images:
+        images.mkdir(parents=True, exist_ok=True)
+    view.draw(compared[0].camera)  # compiles what is not compiled yet
+    rows: list[dict[str, Any]] = []
+    drawing = 0.0
+    for number, photograph in enumerate(compared):
+        progress("images", number, len(compared))
+        at = time.perf_counter()
+        made = view.draw(photograph.camera)
+        drawing += time.perf_counter() - at
+        more = lpips.measures(made, photograph.image) if lpips else {}
+        rows.append({"image": photograph.camera.name, **measures(made, photograph.image), **more})
+        if images:
+            write_png(images / f"{Path(photograph.camera.name).stem}.png", made)
+    progress("images", len(compared), len(compared))
+    return {
+        "bytes": size,
+        "anchors": anchors,
+        "parts": parts,
+        "decode_seconds": spent,
+        "frames_per_second": len(rows) / drawing,
+        "held_out": bool(photographs.test),
+        "mean": {name: sum(row[name] for row in rows) / len(rows) for name in rows[0] if name != "image"},
+        "images": rows,
+    }
+
+
+def table(result: dict[str, Any]) -> Iterator[str]:
+    """The lines that say the same to a reader."""
+    names = list(result["mean"])
+    yield f"{'image':<28}" + "".join(f" {name:>10}" for name in names)
+    for row in [*result["images"], {"image": "mean", **result["mean"]}]:
+        yield f"{row['image']:<28}" + "".join(f" {row[name]:>10.4f}" for name in names)
+    yield ""
+    yield f"{result['bytes']} bytes, {result['anchors']} anchors: " + ", ".join(f"{n} {b}" for n, b in result["parts"].items())
+    yield "decoding: " + ", ".join(f"{stage} {seconds:.2f} s" for stage, seconds in result["decode_seconds"].items())
+    yield f"drawing: {result['frames_per_second']:.1f} images a second" + ("" if result["held_out"] else "; no images were held out")

@@ -1,0 +1,87 @@
+"""LPIPS (Zhang et al. 2018), version 0.1: how different two images look to a network that recognises things. Weights are a file of the
+user's (tools/lpips_weights.py makes it); nothing is downloaded."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from safetensors import SafetensorError, safe_open
+from torch import Tensor
+from torch.nn import functional
+
+from ..photographs.cameras import PhotographError
+
+# Layers of the networks up to the last that is compared: a convolution's stride and padding, or a maximum's size and stride. After the
+# convolutions of COMPARED, in the order of the linear layers, images are compared.
+_CONV, _POOL = {"stride": 1, "padding": 1}, {"kernel_size": 2, "stride": 2}
+_ALEX_POOL = {"kernel_size": 3, "stride": 2}
+LAYERS: dict[str, list[dict[str, int]]] = {
+    "vgg": [_CONV, _CONV, _POOL, _CONV, _CONV, *[_POOL, _CONV, _CONV, _CONV] * 3],
+    "alex": [{"stride": 4, "padding": 2}, _ALEX_POOL, {"stride": 1, "padding": 2}, _ALEX_POOL, _CONV, _CONV, _CONV],
+}
+COMPARED = {"vgg": (1, 3, 6, 9, 12), "alex": (0, 1, 2, 3, 4)}
+# What the deepest layers need.
+SIDE_MIN = 32
+# Of values from -1 to 1: the mean and deviation of ImageNet's, moved to that range.
+_SHIFT, _SCALE = (-0.030, -0.088, -0.188), (0.458, 0.448, 0.450)
+
+
+class Lpips:
+    """The measure with the weights of a safetensors file, whose metadata say which network they are of. Raises ValueError, OSError."""
+
+    def __init__(self, path: str | Path) -> None:
+        try:
+            with safe_open(path, "pt") as file:
+                self.network = (file.metadata() or {}).get("network", "")
+                self.weights = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118
+        except SafetensorError as error:
+            raise ValueError(f"{path} is no safetensors file ({error})") from None
+        if self.network not in LAYERS:
+            raise ValueError(f"{path} does not say that it has weights of LPIPS: make it with tools/lpips_weights.py")
+        convolutions = sum("padding" in layer for layer in LAYERS[self.network])
+        needed = {f"conv{i}.{kind}" for i in range(convolutions) for kind in ("weight", "bias")} | {f"linear{i}" for i in range(5)}
+        if missing := needed - set(self.weights):
+            raise ValueError(f"{path} lacks {', '.join(sorted(missing))}")
+
+    def measures(self, made: NDArray[Any], photograph: NDArray[np.uint8]) -> dict[str, float]:
+        """How far an image, float [h, w, 3] with 1 for white and cut to 0 to 1, is from a photograph uint8 [h, w, 3]: 0 if it is the same.
+
+        lpips: of values from -1 to 1, as its authors do; lpips_3dgs: of values from 0 to 1, which 3D Gaussian Splatting's code and
+        most that follows it gives to the same network. Sides below 32 pixels are too short: PhotographError.
+        """
+        if min(photograph.shape[:2]) < SIDE_MIN:
+            height, width = photograph.shape[:2]
+            raise PhotographError(
+                "LPIPS", f"images of {width} x {height}, sides of {SIDE_MIN} pixels or more are required", "ask for larger ones"
+            )
+        both = np.stack([np.clip(np.asarray(made, np.float32), 0, 1), photograph.astype(np.float32) / 255])
+        values = torch.from_numpy(both).permute(0, 3, 1, 2)
+        return {"lpips": self._distance(2 * values - 1), "lpips_3dgs": self._distance(values)}
+
+    def _distance(self, values: Tensor) -> float:
+        values = (values - _column(_SHIFT)) / _column(_SCALE)
+        total, number = 0.0, 0
+        with torch.inference_mode():
+            for layer in LAYERS[self.network]:
+                if "padding" not in layer:
+                    values = functional.max_pool2d(values, layer["kernel_size"], layer["stride"])
+                    continue
+                values = functional.conv2d(values, self.weights[f"conv{number}.weight"], self.weights[f"conv{number}.bias"], **layer).relu()
+                if number in COMPARED[self.network]:
+                    total += self._difference(values, COMPARED[self.network].index(number))
+                number += 1
+        return total
+
+    def _difference(self, values: Tensor, number: int) -> float:
+        """Squared difference of two images' unit vectors, [2, channels, h, w], weighted, meaned over the pixels."""
+        unit = values / (values.square().sum(dim=1, keepdim=True).sqrt() + 1e-10)
+        squared = (unit[0] - unit[1]).square().mean(dim=(1, 2))
+        return float(squared @ self.weights[f"linear{number}"])
+
+
+def _column(values: tuple[float, ...]) -> Tensor:
+    return torch.tensor(values)[:, None, None]

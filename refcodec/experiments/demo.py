@@ -1,0 +1,190 @@
+"""The whole way once: photographs, training with and without the codec, one file, decoded in another process, and a page that shows it."""
+
+from __future__ import annotations
+
+import json
+import re
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+from PIL import Image
+
+from ..bitstream.reconstruction import digest
+from ..folder.layout import SCENE_FILE
+from ..folder.read import read_folder
+from ..photographs.photographs import parse_size, read_photographs
+from .page import Chart, File, Part, Result, Step, View, page
+from .runs import Command, Notes, RunError, Runner, shown
+
+FORMAT, NOTES, PAGE, REPORT = "C3GS demo", "demo.json", "index.html", "training.json"
+EXAMPLES = Path(__file__).resolve().parents[2] / "examples" / "photographs"
+TITLES = {"caliterra": "A building site from the air", "snowmiku": "A plush doll"}
+# lambda_r: the paper's middle.
+RATE = 0.004
+# The longest side of an image, in pixels.
+SIZE = "400"
+# Three minutes of training on two cores for caliterra, five for snowmiku.
+STEPS = 3000
+
+UNCOMPRESSED, CODED = "uncompressed", "coded"
+# Parts of a scene, as a training's report and a file's sections name them; sections that are not here are HEADERS.
+PARTS = {
+    "positions": "positions of the anchors",
+    "attributes": "features, scalings and offsets",
+    "masks": "which offsets exist",
+    "planes": "planes that predict the attributes",
+    "weights": "weights of the networks",
+}
+HEADERS = "headers and tables"
+
+
+@dataclass(frozen=True)
+class Demo:
+    """Where everything is. folder: of the results; photographs: a folder of posed photographs; steps: of each training."""
+
+    folder: Path
+    photographs: Path
+    steps: int
+
+    def path(self, name: str) -> Path:
+        return self.folder / name
+
+    def _training(self, name: str, rate: float) -> Command:
+        output = self.path(name)
+        settings = ("--rate", f"{rate:g}", "--steps", str(self.steps), "--size", SIZE, "--threads", "1", "--progress")
+        state = output.with_name(f"{name}.train-state")
+        return Command(name, ("train", str(self.photographs), "-o", str(output), *settings), output / REPORT, state=state)
+
+    def _evaluation(self, name: str, scene: Path, after: str) -> Command:
+        what = ("eval", str(scene), str(self.photographs), "--size", SIZE, "--images", str(self.path(f"images-{name}")), "--json")
+        return Command(name, what, self.path(f"{name}.eval.json"), (after,), printed=True)
+
+    def trainings(self) -> list[Command]:
+        return [self._training(UNCOMPRESSED, 0), self._training(CODED, RATE)]
+
+    def rest(self) -> list[list[Command]]:
+        """What follows the trainings: one chain for the file, one for the uncompressed scene."""
+        scene, file, decoded = (self.path(name) for name in (CODED, "scene.c3gs", "decoded"))
+        return [
+            [
+                Command(CODED, ("encode", str(scene), "-o", str(file)), file, (f"{CODED} train",)),
+                Command(CODED, ("decode", str(file), "-o", str(decoded)), decoded / SCENE_FILE, (f"{CODED} encode",)),
+                self._evaluation(CODED, file, f"{CODED} encode"),
+            ],
+            [self._evaluation(UNCOMPRESSED, self.path(UNCOMPRESSED), f"{UNCOMPRESSED} train")],
+        ]
+
+
+def find_example(name: str) -> Path:
+    """The folder of photographs that comes with the project. Raises RunError where only the package is installed."""
+    folder = EXAMPLES / name
+    if not folder.is_dir():
+        raise RunError(
+            f"{folder} does not exist: the photographs come with a checkout of the project, not with the installed package; "
+            "run this command of a checkout (pip install -e .), or give --photographs FOLDER"
+        )
+    return folder
+
+
+def run_demo(folder: Path, photographs: Path, steps: int) -> tuple[Path, bool]:
+    """Trains, encodes, decodes, evaluates and writes the page, of which it returns the path, and whether the trainings came to their end.
+
+    What was done before in this folder with the same settings is not done again. Raises RunError, also after Ctrl-C if there is nothing
+    to show; PhotographError; SceneFolderError.
+    """
+    demo = Demo(folder, photographs, steps)
+    read_photographs(photographs, parse_size(SIZE))  # what is wrong with them is said before anything is made
+    notes = Notes.open(folder, NOTES, FORMAT)
+    trainings, rest = demo.trainings(), demo.rest()
+    with shown([UNCOMPRESSED, CODED]) as show:
+        runner = Runner(notes, show, jobs=2)
+        whole = runner.run([[command] for command in trainings])
+        if not all(command.output.exists() for command in trainings):
+            raise RunError("stopped before both trainings had a scene to show; the same command goes on", 130)
+        if not runner.run(rest):
+            raise RunError("stopped; the same command goes on", 130)
+    result = collect(demo, notes)
+    path = demo.path(PAGE)
+    path.write_text(page(result), encoding="utf-8")
+    return path, whole
+
+
+def check_decoder(demo: Demo) -> str:
+    """The SHA-256 of the scene before coding, which must be that of the folder that the decoder wrote. Raises RunError if it is not."""
+    before = digest(read_folder(demo.path(CODED)))[0]
+    after = str(json.loads((demo.path("decoded") / SCENE_FILE).read_text())["digest"]["whole"])
+    if before != after:
+        raise RunError(f"the decoder's scene is another one than the encoder's: SHA-256 {after} and {before}", 70)
+    return before
+
+
+def sizes(before: dict[str, int], sections: dict[str, int]) -> tuple[Part, ...]:
+    """Bytes of each part, uncompressed and in the file, whose sections are grouped in the same way."""
+    parts = [Part(name, text, before.get(name, 0), sections.get(name, 0)) for name, text in PARTS.items()]
+    others = sum(size for name, size in sections.items() if name not in PARTS)
+    return (*parts, Part("headers", HEADERS, 0, others))
+
+
+def collect(demo: Demo, notes: Notes) -> Result:
+    """What the page shows, from the files of a demo."""
+    reports = {name: json.loads((demo.path(name) / REPORT).read_text()) for name in (UNCOMPRESSED, CODED)}
+    evals = {name: json.loads(demo.path(f"{name}.eval.json").read_text()) for name in (UNCOMPRESSED, CODED)}
+    found = read_photographs(demo.photographs, parse_size(SIZE))
+    held_out = {p.camera.name: p for p in (found.test or found.train)}
+    views = []
+    for before, after in zip(evals[UNCOMPRESSED]["images"], evals[CODED]["images"], strict=True):
+        made = [_read(demo.path(f"images-{name}") / f"{Path(before['image']).stem}.png") for name in (UNCOMPRESSED, CODED)]
+        views.append(View(before["image"], held_out[before["image"]].image, made[0], made[1], before, after))
+    commands = [*demo.trainings(), *(command for chain in demo.rest() for command in chain)]
+    return Result(
+        title=TITLES.get(demo.photographs.name, demo.photographs.name),
+        photographs=len(found.train) + len(found.test),
+        held_out=bool(found.test),
+        views=tuple(views),
+        mean_before=evals[UNCOMPRESSED]["mean"],
+        mean_after=evals[CODED]["mean"],
+        parts=sizes(evals[UNCOMPRESSED]["parts"], evals[CODED]["parts"]),
+        anchors=(evals[UNCOMPRESSED]["anchors"], evals[CODED]["anchors"]),
+        trained=(reports[UNCOMPRESSED]["steps"], reports[CODED]["steps"]),
+        steps_wanted=demo.steps,
+        rate=RATE,
+        digest=check_decoder(demo),
+        steps=tuple(Step(command.name, str(command).replace(f"{Path.cwd()}/", ""), notes.seconds(command.name)) for command in commands),
+        charts=tuple(Chart(name, tuple((row["seconds"], row["psnr"]) for row in reports[name]["history"])) for name in reports),
+        files=_files(demo),
+        credits=_credits(demo.photographs),
+    )
+
+
+def _read(path: Path) -> NDArray[np.uint8]:
+    with Image.open(path) as image:
+        return np.asarray(image.convert("RGB"))
+
+
+def _files(demo: Demo) -> tuple[File, ...]:
+    """The files that a reader may want, with what they are and their sizes, folders' in all."""
+    told = {
+        "scene.c3gs": "the file",
+        "decoded": "the scene folder that decode wrote; point_cloud.ply opens in viewers of Scaffold-GS",
+        CODED: "the scene folder that train wrote, which encode reads",
+        UNCOMPRESSED: "the uncompressed scene: point_cloud.ply and networks.safetensors",
+        f"images-{CODED}": "the views drawn from the file, PNG",
+        f"images-{UNCOMPRESSED}": "the views drawn from the uncompressed scene, PNG",
+        f"{CODED}.eval.json": "all figures of each view, and seconds of decoding",
+        f"{UNCOMPRESSED}.eval.json": "the same of the uncompressed scene",
+        NOTES: "what was run",
+    }
+    return tuple(File(name, text, _size(demo.path(name))) for name, text in told.items())
+
+
+def _size(path: Path) -> int:
+    return sum(p.stat().st_size for p in path.rglob("*") if p.is_file()) if path.is_dir() else path.stat().st_size
+
+
+def _credits(photographs: Path) -> str:
+    """What the folder says of where its photographs are from, and their licence."""
+    found = [path.read_text(encoding="utf-8").strip() for name in ("SOURCE.md", "LICENSE") if (path := photographs / name).is_file()]
+    # Items of a list are broken into lines for an editor; a page breaks them itself.
+    return re.sub(r"\n +", " ", "\n\n".join(found)).removeprefix("# ") or f"The photographs are those in {photographs}."

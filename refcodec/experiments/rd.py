@@ -1,0 +1,172 @@
+"""Rate and distortion: trainings at several rates, their figures as a table and a chart, and how far two such curves are apart."""
+
+from __future__ import annotations
+
+import csv
+import json
+import math
+import os
+import warnings
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+from pathlib import Path
+
+import bjontegaard
+import matplotlib as mpl
+from matplotlib.figure import Figure
+
+from ..photographs.photographs import parse_size, read_photographs
+from .runs import Command, Notes, RunError, Runner, shown
+
+FORMAT, NOTES, TABLE, CHART, REPORT = "C3GS rate and distortion", "rd.json", "rd.csv", "rd.png", "training.json"
+PARTS = ("positions", "attributes", "masks", "planes", "weights")
+FIGURES = ("psnr", "ssim", "psnr_3dgs", "ssim_3dgs")
+COLUMNS = ("rate", "bytes", *PARTS, "headers", "bits_per_anchor", "anchors", *FIGURES, "seconds")
+# Bjontegaard's method fits cubics.
+BD_POINTS = 4
+
+# bjontegaard imports pyplot, which must not look for a screen.
+mpl.use("Agg")
+
+Row = dict[str, float]
+
+
+@dataclass(frozen=True)
+class Settings:
+    """Of all trainings. folder: of the results; photographs: a folder of posed photographs; options: of train, but for the rate and the
+    threads; size: WxH or the longest side; jobs: trainings at a time."""
+
+    folder: Path
+    photographs: Path
+    options: tuple[str, ...]
+    size: str
+    jobs: int
+
+    def chain(self, rate: float) -> list[Command]:
+        """The commands of one rate, 0 for an uncompressed scene."""
+        name = f"rate-{rate:g}"
+        scene, file = self.folder / name, self.folder / f"{name}.c3gs"
+        threads = max(1, (os.cpu_count() or 1) // self.jobs)
+        size = ("--size", self.size)
+        settings = ("--rate", f"{rate:g}", *self.options, *size, "--threads", str(threads), "--progress")
+        train, encode = f"{name} train", f"{name} encode"
+        state = self.folder / f"{name}.train-state"
+        commands = [Command(name, ("train", str(self.photographs), "-o", str(scene), *settings), scene / REPORT, state=state)]
+        if rate:
+            commands.append(Command(name, ("encode", str(scene), "-o", str(file)), file, (train,)))
+        what = ("eval", str(file if rate else scene), str(self.photographs), *size, "--json")
+        after = encode if rate else train
+        return [*commands, Command(name, what, self.folder / f"{name}.json", (after,), printed=True)]
+
+
+@dataclass(frozen=True)
+class Difference:
+    """Of a curve from another: BD-rate in percent, negative where it saves, and BD-PSNR in dB; warning: if little of both is compared."""
+
+    rate: float
+    psnr: float
+    warning: str
+
+
+def run_rd(settings: Settings, rates: Sequence[float], against: Path | None = None) -> tuple[list[Row], Difference | None]:
+    """Trains, encodes and evaluates at each rate, and writes the table and the chart; returns the table, and how far its curve is from
+    that of another table.
+
+    What was done before in this folder with the same settings is not done again. Raises RunError, also after Ctrl-C; PhotographError.
+    """
+    other = read_curve(against) if against else None
+    coded = sum(rate > 0 for rate in rates)
+    if other is not None and min(coded, len(other)) < BD_POINTS:
+        raise RunError(f"BD-rate needs {BD_POINTS} rates above 0 or more in both curves: {coded} here, {len(other)} in {against}")
+    read_photographs(settings.photographs, parse_size(settings.size))
+    notes = Notes.open(settings.folder, NOTES, FORMAT)
+    chains = [settings.chain(rate) for rate in rates]
+    with shown([chain[0].subject for chain in chains]) as show:
+        whole = Runner(notes, show, settings.jobs).run(chains)
+    rows = [_row(settings, rate, notes) for rate, chain in zip(rates, chains, strict=True) if notes.is_done(chain[-1])]
+    if rows:
+        write_table(settings.folder / TABLE, rows)
+        write_chart(settings.folder / CHART, {settings.folder.name: rows} | ({str(against): other} if other else {}))
+    if not whole:
+        raise RunError(f"stopped with {len(rows)} of {len(rates)} rates done; the same command goes on", 130)
+    return rows, compare(other, rows) if other else None
+
+
+def _row(settings: Settings, rate: float, notes: Notes) -> Row:
+    name = f"rate-{rate:g}"
+    found = json.loads((settings.folder / f"{name}.json").read_text())
+    sections, anchors = found["parts"], found["anchors"]
+    return {
+        "rate": rate,
+        "bytes": found["bytes"],
+        **{part: sections.get(part, 0) for part in PARTS},
+        "headers": sum(value for part, value in sections.items() if part not in PARTS),
+        "bits_per_anchor": 8 * found["bytes"] / anchors if anchors else math.nan,
+        "anchors": anchors,
+        **{figure: found["mean"][figure] for figure in FIGURES},
+        "seconds": notes.seconds(f"{name} train"),
+    }
+
+
+def write_table(path: Path, rows: Sequence[Row]) -> None:
+    """Rows with COLUMNS as CSV: bytes of the file and its parts (float32 at rate 0), bits of it an anchor, means of the figures over the
+    held-out images, seconds of training."""
+    with path.open("w", newline="") as file:
+        writer = csv.DictWriter(file, COLUMNS)
+        writer.writeheader()
+        writer.writerows({name: f"{value:.6g}" if isinstance(value, float) else value for name, value in row.items()} for row in rows)
+
+
+def read_curve(path: Path) -> list[Row]:
+    """The points of a table with the columns bytes and psnr, others being ignored; without uncompressed ones. Raises RunError."""
+    try:
+        with path.open(newline="") as file:
+            rows = list(csv.DictReader(file))
+        points = [{"bytes": float(row["bytes"]), "psnr": float(row["psnr"])} for row in rows if float(row.get("rate") or 1) > 0]
+    except OSError as error:
+        raise RunError(f"{path}: {error.strerror}") from None
+    except (KeyError, TypeError, ValueError, csv.Error):
+        raise RunError(f"{path} is not a table with numbers in the columns bytes and psnr") from None
+    if not all(point["bytes"] > 0 and math.isfinite(point["bytes"]) and math.isfinite(point["psnr"]) for point in points):
+        raise RunError(f"{path} has sizes or PSNRs that no file has")
+    return points
+
+
+def compare(anchor: Sequence[Row], test: Sequence[Row]) -> Difference:
+    """The Bjontegaard deltas of the test curve from the anchor, by piecewise cubic interpolation, as JCTVC-L1100 does. Uncompressed
+    points are left out. Raises RunError if there is no answer."""
+    curves = [sorted((point["bytes"], point["psnr"]) for point in curve if point.get("rate", 1) > 0) for curve in (anchor, test)]
+    for curve in curves:
+        if any(a[0] >= b[0] or a[1] >= b[1] for a, b in pairwise(curve)):
+            raise RunError(
+                "BD-rate needs curves on which PSNR rises with the size: " + ", ".join(f"{b:.0f} B {p:.2f} dB" for b, p in curve)
+            )
+    columns = [[point[i] for point in curve] for curve in curves for i in (0, 1)]
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always")
+        rate, psnr = (
+            float(measure(*columns, method="pchip", require_matching_points=False))
+            for measure in (bjontegaard.bd_rate, bjontegaard.bd_psnr)
+        )
+    if not (math.isfinite(rate) and math.isfinite(psnr)):
+        raise RunError("BD-rate needs curves that have sizes and PSNRs in common")
+    return Difference(rate, psnr, "the curves have less than three quarters of their range in common" if caught else "")
+
+
+def write_chart(path: Path, curves: Mapping[str, Sequence[Row]]) -> None:
+    """PSNR against MB (10^6 bytes), with a line for each curve and its uncompressed point as a ring."""
+    figure = Figure(figsize=(6.4, 4.4), layout="constrained")
+    axes = figure.subplots()
+    for name, rows in curves.items():
+        coded = sorted((row["bytes"] / 1e6, row["psnr"]) for row in rows if row.get("rate", 1) > 0)
+        (line,) = axes.plot([b for b, _ in coded], [p for _, p in coded], "o-", label=name)
+        whole = [(row["bytes"] / 1e6, row["psnr"]) for row in rows if row.get("rate", 1) == 0]
+        for size, psnr in whole:
+            axes.plot(size, psnr, "o", mfc="none", color=line.get_color(), label=f"{name}, uncompressed")
+    axes.set(xscale="log", xlabel="MB", ylabel="PSNR, dB")
+    axes.xaxis.set_major_formatter("{x:.4g}")
+    axes.xaxis.set_minor_formatter("{x:.4g}")
+    axes.grid(which="both", alpha=0.3)
+    axes.legend()
+    figure.savefig(path, dpi=150)

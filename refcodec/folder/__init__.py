@@ -1,0 +1,1 @@
+"""The scene folder: a scene in files that other programs read."""

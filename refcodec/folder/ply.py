@@ -1,0 +1,137 @@
+"""point_cloud.ply in the layout of Scaffold-GS checkpoints."""
+
+# plyfile, safetensors and the encoder are imported where they are used: a decode that fails should not wait for them.
+# ruff: noqa: PLC0415
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..bitstream.attributes import SCALINGS
+from ..bitstream.reconstruction import Reconstruction
+from .layout import MASK_LOGIT_MIN, SceneFolderError
+
+if TYPE_CHECKING:
+    from ..encoder.cloud import AnchorCloud
+
+
+def ply_properties(offset_count: int, features: int) -> list[str]:
+    """The properties of a Scaffold-GS point cloud with masks, in file order."""
+    return [
+        *("x", "y", "z", "nx", "ny", "nz"),
+        *(f"f_offset_{i}" for i in range(3 * offset_count)),
+        *(f"f_mask_{i}" for i in range(offset_count)),
+        *(f"f_anchor_feat_{i}" for i in range(features)),
+        "opacity",
+        *(f"scale_{i}" for i in range(SCALINGS)),
+        *(f"rot_{i}" for i in range(4)),
+    ]
+
+
+def ply_values(r: Reconstruction, masks: NDArray[np.bool_]) -> dict[str, NDArray]:
+    """The columns of the PLY that say something, by the stem of their properties; float32 [N, columns]."""
+    return {
+        "xyz": r.positions,
+        # Axis-major: property axis * K + k.
+        "f_offset_": r.offsets.transpose(0, 2, 1).reshape(len(masks), 3 * masks.shape[1]),
+        "f_mask_": masks.astype(np.float32),
+        "f_anchor_feat_": r.features,
+        "scale_": r.scalings,
+    }
+
+
+def write_cloud(r: Reconstruction, masks: NDArray[np.bool_], path: str | Path) -> None:
+    """Anchors as a Scaffold-GS point cloud, binary little-endian float32. masks: bool [N, K]."""
+    from plyfile import PlyData, PlyElement
+
+    n, values = len(masks), ply_values(r, masks)
+    names = ply_properties(masks.shape[1], r.features.shape[1])
+    rotation = np.broadcast_to(np.array([1, 0, 0, 0], np.float32), (n, 4))
+    zeros = np.zeros((n, 3), np.float32)
+    columns = [
+        *(values["xyz"], zeros, values["f_offset_"], values["f_mask_"], values["f_anchor_feat_"]),
+        *(zeros[:, :1], values["scale_"], rotation),
+    ]
+    table = np.concatenate(columns, axis=1).astype("<f4").view([(name, "<f4") for name in names]).reshape(n)
+    PlyData([PlyElement.describe(table, "vertex")], byte_order="<").write(str(path))
+
+
+class Columns:
+    """The vertex properties of a PLY file as float32 columns."""
+
+    def __init__(self, file: Path) -> None:
+        from plyfile import PlyData
+
+        self.file = file
+        try:
+            self.data = PlyData.read(str(file))["vertex"].data
+        except KeyError:
+            raise SceneFolderError(file, "it has no vertices", "give a point cloud in the layout of Scaffold-GS") from None
+        # plyfile answers bad bytes with many types; whatever it is, the file cannot be read.
+        except Exception as error:
+            raise SceneFolderError(file, f"it is not a readable PLY file ({error})", "export the point cloud again") from None
+        self.count = len(self.data)
+
+    def names(self, stem: str) -> list[str]:
+        """The properties of a stem in the order of their numbers; "xyz" stands for x, y and z."""
+        known = self.data.dtype.names
+        if stem == "xyz":
+            return [name for name in ("x", "y", "z") if name in known]
+        numbered = [name for name in known if re.fullmatch(re.escape(stem) + r"\d+", name)]
+        numbered.sort(key=lambda name: int(name[len(stem) :]))
+        if [name[len(stem) :] for name in numbered] != [str(i) for i in range(len(numbered))]:
+            raise SceneFolderError(self.file, f"the properties {stem}* are not numbered from 0", "export the point cloud again")
+        return numbered
+
+    def array(self, names: Sequence[str]) -> NDArray[np.float32]:
+        """Some properties as float32 [N, columns]."""
+        out = np.empty((self.count, len(names)), np.float32)
+        for i, name in enumerate(names):
+            if self.data.dtype[name].kind not in "fiu":
+                raise SceneFolderError(self.file, f"the property {name} is a list", "export the point cloud again")
+            out[:, i] = self.data[name]
+        return out
+
+
+def read_cloud(path: str | Path) -> AnchorCloud:
+    """A trained Scaffold-GS, HAC or CAT-3DGS point_cloud.ply, or that of a scene folder, as an AnchorCloud.
+
+    Masks: where f_mask_* holds nothing but 0 and 1 it is the mask; otherwise it holds the logits of HAC and CAT-3DGS, and an offset
+    is kept where their sigmoid is above 0.01 (CAT-3DGS also weighs it with view counts, which the file does not have). Without
+    f_mask_* every offset is kept. Raises SceneFolderError.
+    """
+    from ..encoder.cloud import AnchorCloud
+
+    file = Path(path)
+    if not file.is_file():
+        raise SceneFolderError(file, "there is no such file", "give a point_cloud.ply in the layout of Scaffold-GS")
+    columns = Columns(file)
+    advice = "give a point_cloud.ply in the layout of Scaffold-GS"
+    names = {stem: columns.names(stem) for stem in ("xyz", "f_offset_", "f_mask_", "f_anchor_feat_", "scale_")}
+    count = len(names["f_offset_"]) // 3
+    for stem, wanted in (("xyz", 3), ("f_offset_", 3 * max(count, 1)), ("scale_", SCALINGS)):
+        if len(names[stem]) != wanted:
+            raise SceneFolderError(file, f"it has {len(names[stem])} properties {stem}*, {wanted} are required", advice)
+    if len(names["f_mask_"]) not in (0, count):
+        raise SceneFolderError(file, f"it has {len(names['f_mask_'])} properties f_mask_*, {count} are required", advice)
+    if not names["f_anchor_feat_"]:
+        raise SceneFolderError(file, "it has no properties f_anchor_feat_*", advice)
+    arrays = {stem: columns.array(n) for stem, n in names.items()}
+    for stem, array in arrays.items():
+        if not np.isfinite(array).all():
+            raise SceneFolderError(file, f"a value of {stem} is NaN or infinite", "remove that anchor, or export the point cloud again")
+    mask = arrays["f_mask_"]
+    binary = bool(((mask == 0) | (mask == 1)).all())
+    return AnchorCloud(
+        positions=arrays["xyz"],
+        features=arrays["f_anchor_feat_"],
+        scalings=arrays["scale_"],
+        offsets=np.ascontiguousarray(arrays["f_offset_"].reshape(columns.count, 3, count).transpose(0, 2, 1)),
+        masks=(mask > (0 if binary else MASK_LOGIT_MIN)) if names["f_mask_"] else np.ones((columns.count, count), bool),
+    )

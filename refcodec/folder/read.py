@@ -1,0 +1,347 @@
+"""Reads a scene folder."""
+
+# plyfile, safetensors and the encoder are imported where they are used: a decode that fails should not wait for them.
+# ruff: noqa: PLC0415
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..bitstream.attributes import ATTRIBUTE_SYMBOL_MAX, KINDS, SCALINGS, Attributes
+from ..bitstream.dimensions import Dimensions, layers_of, mask_contexts
+from ..bitstream.frame import FRAME_RANGE_BOUND, FRAME_SHIFT_MAX, MATRIX_BOUND, TRANSLATION_BOUND, Frame
+from ..bitstream.header import (
+    BASE_STEP_MAX,
+    BASE_STEP_MIN,
+    LANES_LOG2_MAX,
+    ORIGIN_BOUND,
+    SCALE_EXPONENT_MAX,
+    Lanes,
+    PositionGrid,
+    RenderInfo,
+)
+from ..bitstream.limits import PROFILES, dimension_fault
+from ..bitstream.networks import Layer
+from ..bitstream.planes import PLANE_SYMBOL_MAX, PLANES
+from ..bitstream.positions import CELL_INDEX, HALVES, POSITION_MODELS, PositionModel
+from ..bitstream.reconstruction import digest, reconstruct
+from ..bitstream.scene import Scene
+from ..bitstream.tables import STEP_LENGTH, TOTAL
+from ..bitstream.weights import CARM_SHIFT_MAX, PLANE_SHIFT_MAX
+from .document import Document
+from .layout import CODED_FILE, NETWORKS_FILE, PLANES_FILE, PLY_FILE, SCENE_FILE, SceneFolderError, extension_name
+from .ply import Columns, ply_values, read_cloud
+
+if TYPE_CHECKING:
+    pass
+
+
+def read_folder(path: str | Path) -> Scene:
+    """The scene of a folder. Raises SceneFolderError for whatever is wrong in it.
+
+    Without coded.safetensors, point_cloud.ply is quantised.
+    """
+    path = Path(path)
+    if not path.is_dir():
+        raise SceneFolderError(path, "there is no such folder", "give a folder that `refcodec decode` or `refcodec fit` wrote")
+    for name, advice in (
+        (SCENE_FILE, "it is not a scene folder, or its writing was interrupted: decode or fit again"),
+        (PLY_FILE, "restore it, or decode again"),
+        (NETWORKS_FILE, "restore it, or decode again"),
+        (PLANES_FILE, "restore it, or decode again"),
+    ):
+        if not (path / name).is_file():
+            raise SceneFolderError(path / name, "the file is missing", advice)
+    document = Document(path / SCENE_FILE)
+    d, profile = _read_dimensions(document)
+    bare = _read_document(document, d, profile, path)
+    if not (path / CODED_FILE).is_file():
+        return _requantise(bare, path)
+    scene = _read_coded(bare, document, path)
+    _compare_ply(scene, path)
+    _compare_digest(scene, document)
+    return scene
+
+
+def _read_dimensions(doc: Document) -> tuple[Dimensions, int]:
+    names = {p.name: number for number, p in PROFILES.items()}
+    profile = doc.value("profile")
+    if not isinstance(profile, str) or profile not in names:
+        raise doc.fault("profile", f"is {profile!r}, one of {', '.join(names)} is required")
+
+    def one(name: str, high: int = 255) -> int:
+        return doc.integer(f"dimensions.{name}", 0, high)
+
+    def several(name: str) -> tuple[int, ...]:
+        return tuple(doc.integers(f"dimensions.{name}", None, 0, 255))
+
+    d = Dimensions(
+        one("offset_count"),
+        several("slices"),
+        one("plane_channels"),
+        one("frequency_count"),
+        one("plane_size", 65535),
+        several("hyper_width"),
+        several("sarm_width"),
+        several("carm_width"),
+        one("render_width"),
+    )
+    fault = dimension_fault(PROFILES[names[profile]], d)
+    if fault:
+        raise doc.fault("dimensions", f"do not fit the profile: {fault[1]}")
+    return d, names[profile]
+
+
+def _read_document(doc: Document, d: Dimensions, profile: int, path: Path) -> Scene:
+    """All of the scene but what coded.safetensors holds; it has no anchors."""
+    base_step = doc.floats("base_step", 3)
+    if not all(BASE_STEP_MIN <= step <= BASE_STEP_MAX for step in base_step):
+        raise doc.fault("base_step", f"is {base_step}, {BASE_STEP_MIN} to {BASE_STEP_MAX} is allowed")
+    origin = doc.integers("grid.origin", 3, 1 - ORIGIN_BOUND, ORIGIN_BOUND - 1)
+    grid = PositionGrid(
+        (origin[0], origin[1], origin[2]),
+        doc.integer("grid.scale_mantissa", 1, 65535),
+        doc.integer("grid.scale_exponent", -SCALE_EXPONENT_MAX, SCALE_EXPONENT_MAX),
+    )
+    lanes = Lanes(*(doc.integer(f"lanes.{name}", 0, LANES_LOG2_MAX) for name in ("plane", "mask", "attribute")))
+    frame = Frame(
+        np.array([doc.integers(f"frame.matrix[{i}]", 3, 1 - MATRIX_BOUND, MATRIX_BOUND - 1) for i in range(3)], dtype=np.int64),
+        np.array(doc.integers("frame.translation", 3, 1 - TRANSLATION_BOUND, TRANSLATION_BOUND - 1), dtype=np.int64),
+        np.array(doc.integers("frame.shift", 3, 0, FRAME_SHIFT_MAX), dtype=np.int64),
+        np.array(doc.integers("frame.low", 3, -FRAME_RANGE_BOUND, FRAME_RANGE_BOUND - 1), dtype=np.int64),
+        np.array(doc.integers("frame.high", 3, -FRAME_RANGE_BOUND, FRAME_RANGE_BOUND), dtype=np.int64),
+    )
+    planes = _tensors(path / PLANES_FILE, {"planes": ((PLANES, d.plane_channels, d.plane_size, d.plane_size), np.int16)})["planes"]
+    if planes.min(initial=0) < -PLANE_SYMBOL_MAX:
+        raise SceneFolderError(path / PLANES_FILE, "a plane symbol is -32768", f"keep symbols within +-{PLANE_SYMBOL_MAX}")
+    return Scene(
+        profile,
+        d,
+        doc.integer("chunk_size", *PROFILES[profile].chunk_size),
+        lanes,
+        (base_step[0], base_step[1], base_step[2]),
+        grid,
+        _read_render(doc),
+        frame,
+        doc.integer("plane_shift", 0, PLANE_SHIFT_MAX),
+        np.array(doc.integers("carm_shift", d.carm_inputs, 0, CARM_SHIFT_MAX), dtype=np.uint8),
+        _read_networks(d, path / NETWORKS_FILE),
+        planes,
+        np.array(doc.integers("mask_model", mask_contexts(d.offset_count), 1, TOTAL - 1), dtype=np.uint16),
+        np.zeros((0, 3), np.float16),
+        np.zeros((0, d.offset_count), bool),
+        Attributes(
+            np.zeros((0, d.features), np.int32),
+            np.zeros((0, SCALINGS), np.int32),
+            np.zeros((0, d.offset_count, 3), np.int32),
+            np.zeros((0, 3), np.uint8),
+        ),
+        _read_extensions(doc, path),
+        _read_position_model(doc),
+        _read_weight_scales(doc, d),
+    )
+
+
+def _read_weight_scales(doc: Document, d: Dimensions) -> NDArray[np.uint8] | None:
+    """SPEC 5.16, if the folder says that weights are packed."""
+    if "weight_scales" not in doc.root:
+        return None
+    rows = [doc.integers(f"weight_scales[{i}]", 3, 0, 255) for i in range(len(layers_of(d)))]
+    return np.array(rows, dtype=np.uint8)
+
+
+def _read_position_model(doc: Document) -> PositionModel | None:
+    """SPEC 5.15, if the folder says that positions are packed."""
+    if "position_model" not in doc.root:
+        return None
+    frequency = [doc.integers(f"position_model.frequency[{i}]", HALVES, 0, TOTAL) for i in range(POSITION_MODELS)]
+    model = PositionModel(doc.integer("position_model.cell_shift", 0, CELL_INDEX), np.array(frequency, dtype=np.uint16))
+    fault = model.fault()
+    if fault is not None:
+        raise doc.fault(f"position_model.frequency[{fault}]", "is not a model (SPEC.md 6.10)")
+    return model
+
+
+def _read_render(doc: Document) -> RenderInfo:
+    def vector(name: str, count: int) -> Any:
+        return tuple(doc.floats(f"render.{name}", count))
+
+    background = doc.integers("render.background", 3, 0, 255)
+    return RenderInfo(
+        (background[0], background[1], background[2]),
+        doc.integer("render.up_axis", 0, 5),
+        doc.float("render.near_plane"),
+        doc.float("render.distance_unit"),
+        doc.float("render.alpha_max"),
+        doc.float("render.low_pass"),
+        doc.integer("render.camera_width", 1, 65535),
+        doc.integer("render.camera_height", 1, 65535),
+        vector("camera_focal", 2),
+        vector("camera_rotation", 4),
+        vector("camera_translation", 3),
+    )
+
+
+def _read_extensions(doc: Document, path: Path) -> tuple[tuple[int, int, bytes], ...]:
+    entries = doc.value("extensions")
+    if not isinstance(entries, list) or not all(isinstance(e, dict) for e in entries):
+        raise doc.fault("extensions", "is not a list of objects")
+    found: list[tuple[int, int, bytes]] = []
+    for i in range(len(entries)):
+        at = f"extensions[{i}]"
+        kind = doc.integer(f"{at}.type", found[-1][0] + 1 if found else 1, 127)
+        # A name of our own making: scene.json cannot point outside the folder.
+        if doc.value(f"{at}.file") != extension_name(kind):
+            raise doc.fault(f"{at}.file", f"is {doc.value(f'{at}.file')!r}, {extension_name(kind)!r} is required")
+        if not (path / extension_name(kind)).is_file():
+            raise SceneFolderError(
+                path / extension_name(kind), "the file is missing", f'restore it, or delete its entry in "extensions" of {SCENE_FILE}'
+            )
+        found.append((kind, doc.integer(f"{at}.mode", 0, 255), (path / extension_name(kind)).read_bytes()))
+    return tuple(found)
+
+
+def _tensors(file: Path, wanted: dict[str, tuple[tuple[int, ...], type[np.generic]]]) -> dict[str, NDArray]:
+    """The arrays of a safetensors file: exactly the wanted ones, of the wanted shapes and types."""
+    from safetensors import SafetensorError
+    from safetensors.numpy import load_file
+
+    try:
+        arrays = load_file(file)
+    # A type that NumPy lacks is a KeyError or TypeError of the safetensors package.
+    except (SafetensorError, ValueError, KeyError, TypeError, OSError) as error:
+        raise SceneFolderError(file, f"it cannot be read ({error})", "restore it, or decode again") from None
+    for name in sorted(wanted.keys() | arrays.keys()):
+        if name not in arrays:
+            raise SceneFolderError(file, f"the array {name} is missing", "restore it, or decode again")
+        if name not in wanted:
+            raise SceneFolderError(file, f"the array {name} is not known", f"remove it, or correct the dimensions in {SCENE_FILE}")
+        (shape, dtype), array = wanted[name], arrays[name]
+        if array.shape != shape or array.dtype != dtype:
+            problem = f"{name} is {array.dtype}{list(array.shape)}, {np.dtype(dtype)}{list(shape)} is required"
+            raise SceneFolderError(file, problem, f"correct the array, or the numbers in {SCENE_FILE}")
+    return arrays
+
+
+def _read_networks(d: Dimensions, file: Path) -> dict[str, list[Layer]]:
+    shapes = d.network_shapes()
+    wanted: dict[str, tuple[tuple[int, ...], type[np.generic]]] = {}
+    for name, layers in shapes.items():
+        for index, (out, fan_in) in enumerate(layers):
+            wanted[f"{name}.{index}.weight"] = ((out, fan_in), np.float32)
+            wanted[f"{name}.{index}.bias"] = ((out,), np.float32)
+    arrays = _tensors(file, wanted)
+    for name, array in arrays.items():
+        if not np.isfinite(array).all():
+            raise SceneFolderError(file, f"{name} has a NaN or an infinity", "train or export the networks again")
+    return {
+        name: [(arrays[f"{name}.{i}.weight"], arrays[f"{name}.{i}.bias"]) for i in range(len(layers))] for name, layers in shapes.items()
+    }
+
+
+def _read_coded(bare: Scene, doc: Document, path: Path) -> Scene:
+    d, file = bare.dimensions, path / CODED_FILE
+    n = doc.integer("anchor_count", 0, (1 << 32) - 1)
+    arrays = _tensors(
+        file,
+        {
+            "positions": ((n, 3), np.uint16),
+            "masks": ((n, d.offset_count), np.uint8),
+            "features": ((n, d.features), np.int32),
+            "scalings": ((n, SCALINGS), np.int32),
+            "offsets": ((n, d.offset_count, 3), np.int32),
+            "steps": ((n, 3), np.uint8),
+        },
+    )
+    advice = f"restore it, or delete it so that encode quantises {PLY_FILE} anew"
+    bits = arrays["positions"]
+    if (((bits & 0x7C00) == 0x7C00) | (bits == 0x8000)).any():
+        raise SceneFolderError(file, "a position is NaN, infinite or -0", advice)
+    if arrays["masks"].max(initial=0) > 1:
+        raise SceneFolderError(file, "a mask is neither 0 nor 1", advice)
+    masks = arrays["masks"].astype(bool)
+    for kind in KINDS:
+        low, high = int(arrays[kind].min(initial=0)), int(arrays[kind].max(initial=0))
+        if max(-low, high) > ATTRIBUTE_SYMBOL_MAX:
+            raise SceneFolderError(file, f"a symbol of {kind} is outside +-{ATTRIBUTE_SYMBOL_MAX}", advice)
+    if arrays["steps"].max(initial=0) >= STEP_LENGTH:
+        raise SceneFolderError(file, f"a step index is above {STEP_LENGTH - 1}", advice)
+    if arrays["offsets"][~masks].any():
+        raise SceneFolderError(file, "an offset that its mask drops is not 0", advice)
+    attributes = Attributes(arrays["features"], arrays["scalings"], arrays["offsets"], arrays["steps"])
+    return replace(bare, positions=bits.view(np.float16), masks=masks, attributes=attributes)
+
+
+def _compare_ply(scene: Scene, path: Path) -> None:
+    """Refuses a PLY that is not the reconstruction of coded.safetensors: encoding would silently leave the edit out."""
+    file = path / PLY_FILE
+    advice = f"if {PLY_FILE} is the one to encode, delete {CODED_FILE} so that encode quantises it anew; otherwise decode again"
+    columns = Columns(file)
+    if columns.count != scene.anchor_count:
+        raise SceneFolderError(file, f"it has {columns.count} anchors, {CODED_FILE} has {scene.anchor_count}", advice)
+    for stem, wanted in ply_values(reconstruct(scene), scene.masks).items():
+        names = columns.names(stem)
+        if not names and stem == "f_mask_":
+            found = np.ones_like(wanted)
+        elif len(names) != wanted.shape[1]:
+            raise SceneFolderError(file, f"it has {len(names)} properties {stem}*, {wanted.shape[1]} are required", advice)
+        else:
+            found = columns.array(names)
+        differs = found.view(np.uint32) != np.ascontiguousarray(wanted).view(np.uint32)
+        if differs.any():
+            anchor, column = (int(i) for i in np.argwhere(differs)[0])
+            name = names[column] if names else f"f_mask_{column}"
+            problem = f"{name} of anchor {anchor} is {found[anchor, column]}, {CODED_FILE} gives {wanted[anchor, column]}"
+            raise SceneFolderError(file, problem, advice)
+
+
+def _compare_digest(scene: Scene, doc: Document) -> None:
+    """Refuses arrays that are not those that the digest was made of; a folder without a digest is not checked."""
+    if "digest" not in doc.root:
+        return
+    whole, parts = digest(scene)
+    for name, value in {**parts, "whole": whole}.items():
+        if doc.value(f"digest.{name}") != value:
+            problem = f'"digest.{name}" does not fit the folder\'s {"files" if name == "whole" else name}'
+            raise SceneFolderError(doc.file, problem, 'decode again, or delete "digest" if the change is meant')
+
+
+def _requantise(bare: Scene, path: Path) -> Scene:
+    """The scene of a folder without coded.safetensors: point_cloud.ply, quantised with all that the folder gives."""
+    from ..encoder.quantise import quantise
+
+    d, file = bare.dimensions, path / PLY_FILE
+    cloud = read_cloud(file)
+    for name, found, wanted in (("offsets", cloud.masks.shape[1], d.offset_count), ("features", cloud.features.shape[1], d.features)):
+        if found != wanted:
+            raise SceneFolderError(
+                file, f"its anchors have {found} {name}, {SCENE_FILE} says {wanted}", "use the point cloud that the networks fit"
+            )
+    try:
+        scene = quantise(
+            cloud,
+            dimensions=d,
+            networks=bare.networks,
+            frame=bare.frame,
+            grid=bare.grid,
+            planes=bare.planes,
+            plane_shift=bare.plane_shift,
+            carm_shift=bare.carm_shift,
+            base_step=bare.base_step,
+            render=bare.render,
+            lanes=bare.lanes,
+            profile=bare.profile,
+            chunk_size=bare.chunk_size,
+        )
+    except ValueError as error:
+        raise SceneFolderError(
+            file,
+            f"it cannot be quantised ({error})",
+            f"correct the values, or the grid and steps in {SCENE_FILE}",
+        ) from None
+    return replace(scene, extensions=bare.extensions)

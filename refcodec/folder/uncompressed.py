@@ -1,0 +1,97 @@
+"""A trained Scaffold-GS as it is before anything is quantised: a folder of floats, for comparison with coded scenes.
+
+point_cloud.ply         anchors, in the layout of Scaffold-GS checkpoints, world units
+networks.safetensors    fp32 weights and biases of the three rendering networks, as SPEC.md 5.8 shapes them
+render.json             what SPEC.md 6.5 says of a scene
+"""
+
+# plyfile and safetensors are imported where they are used: starting fast matters more to the other commands.
+# ruff: noqa: PLC0415
+
+from __future__ import annotations
+
+import json
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..bitstream.dimensions import RENDERING
+from ..bitstream.header import RenderInfo
+from ..bitstream.networks import Layer
+from ..bitstream.reconstruction import Reconstruction
+from .layout import NETWORKS_FILE, PLY_FILE, SceneFolderError
+from .ply import read_cloud, write_cloud
+
+RENDER_FILE = "render.json"
+FORMAT = "Scaffold-GS, uncompressed"
+
+
+@dataclass(frozen=True, eq=False)
+class Uncompressed:
+    """values: float32 attributes, world units; masks: bool [N, K]; networks: the three of SPEC 14.3."""
+
+    values: Reconstruction
+    masks: NDArray[np.bool_]
+    networks: dict[str, list[Layer]]
+    render: RenderInfo
+
+    @property
+    def anchor_count(self) -> int:
+        """N."""
+        return len(self.values.positions)
+
+    def sizes(self) -> dict[str, int]:
+        """Bytes of its float32 numbers, by the parts that a coded file has."""
+        v = self.values
+        weights = sum(array.size for layers in self.networks.values() for layer in layers for array in layer)
+        return {
+            "positions": 4 * v.positions.size,
+            "attributes": 4 * (v.features.size + v.scalings.size + v.offsets.size),
+            "weights": 4 * weights,
+        }
+
+
+def is_uncompressed(path: Path) -> bool:
+    """Whether a folder is one of these."""
+    return (path / RENDER_FILE).is_file()
+
+
+def write_uncompressed(scene: Uncompressed, path: Path) -> None:
+    """Writes the folder, which is made if it is not there."""
+    from safetensors.numpy import save
+
+    path.mkdir(parents=True, exist_ok=True)
+    write_cloud(scene.values, scene.masks, path / PLY_FILE)
+    networks = {
+        f"{name}.{index}.{part}": np.ascontiguousarray(value)
+        for name in RENDERING
+        for index, layer in enumerate(scene.networks[name])
+        for part, value in zip(("weight", "bias"), layer, strict=True)
+    }
+    (path / NETWORKS_FILE).write_bytes(save(networks))
+    (path / RENDER_FILE).write_text(json.dumps({"format": FORMAT, "render": vars(scene.render)}, indent=2) + "\n", encoding="utf-8")
+
+
+def read_uncompressed(path: Path) -> Uncompressed:
+    """The scene of such a folder. Raises SceneFolderError."""
+    from safetensors import SafetensorError
+    from safetensors.numpy import load_file
+
+    cloud = read_cloud(path / PLY_FILE)
+    try:
+        facts = json.loads((path / RENDER_FILE).read_text(encoding="utf-8"))
+        given: dict[str, Any] = {k: tuple(v) if isinstance(v, list) else v for k, v in facts["render"].items()}
+        render = RenderInfo(**given)
+        arrays = load_file(path / NETWORKS_FILE)
+        networks = {name: [(arrays[f"{name}.{i}.weight"], arrays[f"{name}.{i}.bias"]) for i in range(2)] for name in RENDERING}
+    except (OSError, ValueError, KeyError, TypeError, SafetensorError) as error:
+        raise SceneFolderError(path, f"it is not a whole uncompressed scene ({error})", "train it again") from None
+    return Uncompressed(
+        Reconstruction(cloud.positions, cloud.features, cloud.scalings, np.where(cloud.masks[:, :, None], cloud.offsets, np.float32(0))),
+        cloud.masks,
+        networks,
+        render,
+    )

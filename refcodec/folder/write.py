@@ -1,0 +1,136 @@
+"""Writes a scene folder."""
+
+# plyfile, safetensors and the encoder are imported where they are used: a decode that fails should not wait for them.
+# ruff: noqa: PLC0415
+
+from __future__ import annotations
+
+import json
+import re
+import shutil
+from dataclasses import fields
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..bitstream.attributes import KINDS
+from ..bitstream.errors import BitstreamError
+from ..bitstream.header import VERSION
+from ..bitstream.limits import PROFILES
+from ..bitstream.positions import PositionModel
+from ..bitstream.reconstruction import digest, reconstruct
+from ..bitstream.scene import Scene
+from .layout import (
+    CODED_FILE,
+    EXTENSION_FILE,
+    FORMAT,
+    INCOMING,
+    NETWORKS_FILE,
+    PLANES_FILE,
+    PLY_FILE,
+    SCENE_FILE,
+    SceneFolderError,
+    extension_name,
+    is_free,
+)
+from .ply import write_cloud
+
+if TYPE_CHECKING:
+    pass
+
+
+def write_folder(scene: Scene, path: str | Path, damage: dict[int, BitstreamError] | None = None) -> None:
+    """Writes a scene folder; damage (of codec.parse) is noted in scene.json.
+
+    An interrupted write leaves the folder as it was, or without scene.json: never a mixture that reads as whole.
+    Raises SceneFolderError if `path` is a file, or a directory with something else in it.
+    """
+    path = Path(path)
+    if not is_free(path):
+        raise SceneFolderError(path, "it exists and is not a scene folder", "choose another folder, or empty this one")
+    made = not path.exists()
+    incoming = path / INCOMING
+    try:
+        path.mkdir(parents=True, exist_ok=True)
+        shutil.rmtree(incoming, ignore_errors=True)
+        incoming.mkdir()
+        _write_files(scene, incoming, damage or {})
+        (path / SCENE_FILE).unlink(missing_ok=True)
+        for old in path.iterdir():
+            if old.name in (PLY_FILE, NETWORKS_FILE, PLANES_FILE, CODED_FILE) or EXTENSION_FILE.fullmatch(old.name):
+                old.unlink()
+        # scene.json comes last: without it the folder does not read as a scene.
+        for new in sorted(incoming.iterdir(), key=lambda p: p.name == SCENE_FILE):
+            new.replace(path / new.name)
+    finally:
+        shutil.rmtree(incoming, ignore_errors=True)
+        if made and path.is_dir() and not any(path.iterdir()):
+            path.rmdir()
+
+
+def _write_files(scene: Scene, path: Path, damage: dict[int, BitstreamError]) -> None:
+    from safetensors.numpy import save
+
+    a = scene.attributes
+    write_cloud(reconstruct(scene), scene.masks, path / PLY_FILE)
+    networks = {
+        f"{name}.{index}.{part}": np.ascontiguousarray(value)
+        for name, layers in scene.networks.items()
+        for index, layer in enumerate(layers)
+        for part, value in zip(("weight", "bias"), layer, strict=True)
+    }
+    (path / NETWORKS_FILE).write_bytes(save(networks))
+    (path / PLANES_FILE).write_bytes(save({"planes": np.ascontiguousarray(scene.planes)}))
+    coded: dict[str, NDArray] = {"positions": scene.positions.view(np.uint16), "masks": scene.masks.astype(np.uint8), "steps": a.steps}
+    coded |= {kind: getattr(a, kind) for kind in KINDS}
+    (path / CODED_FILE).write_bytes(save({name: np.ascontiguousarray(value) for name, value in coded.items()}))
+    for kind, _, content in scene.extensions:
+        (path / extension_name(kind)).write_bytes(content)
+    (path / SCENE_FILE).write_text(_json_text(_scene_document(scene, damage)), encoding="utf-8")
+
+
+def _short(value: Any) -> Any:
+    """Floats, alone or in a tuple, as those whose shortest text reads back as the same float32; the rest as it is."""
+    if isinstance(value, tuple):
+        return [_short(v) for v in value]
+    return float(str(np.float32(value))) if isinstance(value, float) else value
+
+
+def _scene_document(scene: Scene, damage: dict[int, BitstreamError]) -> dict[str, Any]:
+    whole, parts = digest(scene)
+    document = {
+        "format": FORMAT,
+        "version": VERSION,
+        "profile": PROFILES[scene.profile].name,
+        "anchor_count": scene.anchor_count,
+        "dimensions": vars(scene.dimensions),
+        "chunk_size": scene.chunk_size,
+        "lanes": vars(scene.lanes),
+        "base_step": _short(scene.base_step),
+        "grid": vars(scene.grid),
+        "render": {name: _short(value) for name, value in vars(scene.render).items()},
+        "frame": {f.name: getattr(scene.frame, f.name).tolist() for f in fields(scene.frame)},
+        "plane_shift": scene.plane_shift,
+        "carm_shift": scene.carm_shift.tolist(),
+        "mask_model": scene.mask_model.tolist(),
+        **_position_document(scene.position_model),
+        **({} if scene.weight_scales is None else {"weight_scales": scene.weight_scales.tolist()}),
+        "extensions": [{"type": kind, "mode": mode, "file": extension_name(kind)} for kind, mode, _ in scene.extensions],
+        "digest": {"whole": whole, **parts},
+    }
+    if damage:
+        document["dropped_chunks"] = [{"chunk": number, **json.loads(error.to_json())} for number, error in sorted(damage.items())]
+    return document
+
+
+def _position_document(model: PositionModel | None) -> dict[str, Any]:
+    """What packed positions were coded with, so that a folder gives its file again."""
+    return {} if model is None else {"position_model": {"cell_shift": model.cell_shift, "frequency": model.frequency.tolist()}}
+
+
+def _json_text(document: dict[str, Any]) -> str:
+    """Indented JSON with each list of numbers on one line."""
+    text = json.dumps(document, indent=2, allow_nan=False)
+    return re.sub(r"\[[^\[\]{}]*\]", lambda m: " ".join(m.group().split()).replace("[ ", "[").replace(" ]", "]"), text) + "\n"

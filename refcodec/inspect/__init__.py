@@ -1,0 +1,1 @@
+"""What a file is made of, for people: elements, dumps, summaries, traces, explanations."""

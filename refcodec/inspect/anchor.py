@@ -1,0 +1,59 @@
+"""The numbers of one anchor, from its position to its symbols (SPEC.md D.4)."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator
+
+import numpy as np
+
+from ..bitstream.codec import Coding
+from ..bitstream.context import contract, frame_coordinates, positional_encoding, query, rescale
+from ..bitstream.conventions import rshift_round
+from ..bitstream.networks import activation
+from ..bitstream.planes import assemble_planes
+from ..bitstream.positions import position_integers
+from ..bitstream.scene import Scene
+
+
+def anchor_rows(scene: Scene, number: int) -> Iterator[tuple[str, str, str]]:
+    """What clauses 7.4 to 7.9 compute for an anchor, from its position to its distributions, and its symbols: as in Annex D.4, the
+    quantity, its clause, its numbers. Raises IndexError for an anchor that the scene does not have.
+    """
+    if not 0 <= number < scene.anchor_count:
+        raise IndexError(number)
+
+    def row(what: str, clause: str, values: Iterable[object]) -> tuple[str, str, str]:
+        return what, clause, ", ".join(str(value) for value in values)
+
+    d, at = scene.dimensions, slice(number, number + 1)
+    p = position_integers(scene.positions[at])
+    v = frame_coordinates(scene.frame, p)
+    w = contract(v)
+    u = rescale(scene.frame, w)
+    for what, clause, values in (("P of x, y, z", "7.4", p), ("v", "7.5.1", v), ("w", "7.5.2", w), ("u", "7.5.3", u)):
+        yield row(what, clause, values[0])
+    planes = assemble_planes(scene.planes)
+    for r, plane in enumerate(planes, 1):
+        yield row(f"samples of the plane of r = {r}", "7.5.4", query(plane, u[:, :2], scene.plane_shift)[0])
+    yield row("positional encoding", "7.5.5", positional_encoding(u[:, 2], d.frequency_count)[0])
+    coding, width = Coding(scene), d.attribute_width
+    hyper = coding.model.hyper(coding.contexts(at)).astype(np.int64)[0]
+    mean, scale = hyper[:width], hyper[width : 2 * width]
+    yield row("means that F_h gives", "7.7", mean)
+    yield row("scale indices that F_h gives", "7.7", scale)
+    yield row("outputs for the step indices", "7.8", hyper[2 * width :])
+    features, done = scene.attributes.features[at].astype(np.int64), 0
+    for i, columns in enumerate(d.slices):
+        part = slice(done, done + columns)
+        change = np.zeros(2 * columns, np.int64)
+        if i:
+            earlier = activation(rshift_round(features[:, :done], coding.model.carm_shift[:done]))
+            change = coding.model.carm[i - 1](earlier).astype(np.int64)[0]
+        pairs = zip((mean[part] + change[:columns]).tolist(), (scale[part] + change[columns:]).tolist(), strict=True)
+        yield row(f"slice {i}: mean and scale index of each channel", "7.9", pairs)
+        yield row(f"slice {i}: symbols", "7.10", features[0, part])
+        done += columns
+    yield row("scalings: symbols", "7.10", scene.attributes.scalings[number])
+    kept = zip(scene.masks[number], scene.attributes.offsets[number].tolist(), strict=True)
+    yield row("offsets: symbols", "7.10", (tuple(offset) if mask else "masked" for mask, offset in kept))
+    yield row("step indices of features, scalings, offsets", "7.8", scene.attributes.steps[number])

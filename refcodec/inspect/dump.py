@@ -1,0 +1,77 @@
+"""The bytes of a file with their elements, as text."""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Iterator, Sequence
+
+import numpy as np
+
+from ..bitstream.errors import BitstreamError
+from .elements import Row, rows
+
+# Payloads longer than this are folded to their first bytes.
+_HEX_BYTES = 16
+_FOLDED_BYTES = 8
+_NEAR_ROWS = 6
+
+
+def value_text(row: Row) -> str:
+    if row.value is None:
+        return f"{row.end - row.start} bytes"
+    if isinstance(row.value, bytes):
+        return ""
+    if row.path.endswith(("crc", ".type")):
+        return f"0x{row.value:0{2 * (row.end - row.start)}x}"
+    if row.kind == "f32":
+        return str(np.float32(row.value))
+    return str(row.value)
+
+
+def _hex(data: bytes, row: Row) -> str:
+    folded = row.end - row.start > _HEX_BYTES
+    shown = data[row.start : row.start + _FOLDED_BYTES if folded else row.end].hex(" ")
+    return shown + " ..." if folded else shown
+
+
+def _error_line(error: BitstreamError) -> str:
+    return f"{error.offset:08x}  ^^ error {error.kind.code} {error.kind.name}: {error}"
+
+
+def _rows_near(data: bytes, near: int | None) -> Iterator[Row]:
+    """All rows, or those of the element at a byte and of a few before and after it."""
+    if near is None:
+        yield from rows(data)
+        return
+    before: deque[Row] = deque(maxlen=_NEAR_ROWS)
+    after = _NEAR_ROWS
+    for row in rows(data):
+        # A byte past the end is looked for at the end.
+        if row.end <= min(near, len(data) - 1):
+            before.append(row)
+        elif after >= 0:
+            yield from before
+            before.clear()
+            yield row
+            after -= 1
+
+
+def hex_lines(data: bytes, errors: Sequence[BitstreamError] = (), near: int | None = None) -> Iterator[str]:
+    """Offset, bytes, path, type and value of each element; errors of the file after the elements that they point at.
+
+    near: a byte; the elements around it alone.
+    """
+    yield f"{'offset':<8}  {'bytes':<47}  {'element':<44}  {'type':<12}  value"
+    waiting = deque(sorted(errors, key=lambda error: error.offset))
+    for row in _rows_near(data, near):
+        if near is not None:
+            while waiting and waiting[0].offset < row.start:
+                waiting.popleft()
+        line = f"{row.start:08x}  {_hex(data, row):<47}  {row.path:<44}  {row.kind:<12}  {value_text(row)}"
+        yield line.rstrip()
+        while waiting and waiting[0].offset < row.end:
+            yield _error_line(waiting.popleft())
+    if near is None or near >= len(data):
+        yield f"{len(data):08x}  end of file"
+        for error in waiting:
+            yield _error_line(error)

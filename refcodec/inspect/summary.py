@@ -1,0 +1,151 @@
+"""The facts about a file, as JSON values and as lines of text."""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Iterator
+from typing import Any
+
+import numpy as np
+
+from ..bitstream.codec import Parsed
+from ..bitstream.dimensions import mask_contexts
+from ..bitstream.directory import SECTIONS
+from ..bitstream.errors import BitstreamError
+from ..bitstream.header import PROLOGUE_BYTES
+from ..bitstream.limits import PROFILES
+from ..bitstream.planes import PLANE_NAMES
+from ..bitstream.reconstruction import digest
+from .elements import Outline, chunk_anchors, outline_of, parse_elements, read_chunk_table
+
+_BAR = 20
+
+
+def _plain(value: Any) -> Any:
+    """Containers of construct as JSON values: bytes in hexadecimal, numbers that JSON lacks as text."""
+    if isinstance(value, dict):
+        return {k: _plain(v) for k, v in value.items() if not k.startswith("_")}
+    if isinstance(value, list | tuple):
+        return [_plain(v) for v in value]
+    if isinstance(value, bytes):
+        return value.hex()
+    if isinstance(value, float) and not math.isfinite(value):
+        return str(value)
+    return value
+
+
+def _section_table(data: bytes, outline: Outline) -> list[dict[str, Any]]:
+    """Name, place, size and share of the prologue, the header and each section."""
+    h = outline.header
+    spans: list[tuple[str, int | None, int | None, int, int]] = [("prologue", None, None, 0, min(len(data), PROLOGUE_BYTES))]
+    if outline.header_end > PROLOGUE_BYTES:
+        spans.append(("header", None, None, PROLOGUE_BYTES, outline.header_end))
+    for entry, (kind, start, end) in zip(h.directory if h else [], outline.sections, strict=True):
+        spans.append((SECTIONS.get(kind, f"extension_{kind:02x}"), kind, entry.mode, start, end))
+    anchors = h.anchor_count if h else 0
+    return [
+        {
+            "name": name,
+            "type": kind,
+            "mode": mode,
+            "offset": start,
+            "bytes": end - start,
+            "share": (end - start) / max(1, len(data)),
+            "bits_per_anchor": 8 * (end - start) / anchors if anchors else None,
+        }
+        for name, kind, mode, start, end in spans
+    ]
+
+
+def document(data: bytes, verdict: Parsed | BitstreamError) -> dict[str, Any]:
+    """The facts about a file as JSON values; verdict: what codec.parse returned or raised."""
+    outline = outline_of(data)
+    h, d = outline.header, outline.dimensions
+    found: dict[str, Any] = {
+        "bytes": len(data),
+        "prologue": _plain(parse_elements("Prologue", data, 0, PROLOGUE_BYTES, "prologue")[1]),
+        "header": _plain(h),
+        "profile": PROFILES[h.profile].name if h and h.profile in PROFILES else None,
+        "sections": _section_table(data, outline),
+    }
+    for kind, start, end in outline.sections:
+        if SECTIONS.get(kind) == "frame":
+            found["frame"] = _plain(parse_elements("Frame", data, start, end, "frame")[1])
+        elif SECTIONS.get(kind) == "weights" and d:
+            scales = parse_elements("WeightScales", data, start, end, "weights")[1]
+            found["weights"] = {"scales": _plain(scales), "networks": _plain(d.network_shapes())}
+        elif SECTIONS.get(kind) == "planes":
+            table = parse_elements("PlaneTable", data, start, end, "planes")[1]
+            found["planes"] = dict(zip(PLANE_NAMES, table.length, strict=True)) if table else None
+        elif SECTIONS.get(kind) == "chunk_table":
+            count = min(mask_contexts(h.dimensions.offset_count), (end - start) // 2)
+            found["mask_model"] = np.frombuffer(data, "<u2", count, start).tolist()
+            if outline.position_mode:
+                model = parse_elements("PositionModel", data, start + 2 * count, end, "chunk_table.position_model")[1]
+                found["position_model"] = _plain(model)
+            found["chunks"] = [
+                {"anchors": chunk_anchors(h, number), "position_bytes": p, "mask_bytes": m, "attribute_bytes": a}
+                for number, (p, _, m, _, a, _) in enumerate(read_chunk_table(data, outline).tolist())
+            ]
+    if isinstance(verdict, BitstreamError):
+        found["accepted"], found["error"] = False, {**json.loads(verdict.to_json()), "text": str(verdict)}
+    else:
+        whole, parts = digest(verdict.scene)
+        found |= {"accepted": True, "kept_offsets": int(verdict.scene.masks.sum()), "digest": {"whole": whole, **parts}}
+    return found
+
+
+def summary(facts: dict[str, Any], name: str) -> Iterator[str]:
+    """The facts of `document` as lines of text."""
+    p, h = facts["prologue"], facts["header"]
+    version = f"version {p['version']}" if p else "version unknown"
+    yield f"{name}: {facts['bytes']} bytes, C3GS {version}"
+    if h:
+        yield from _header_lines(facts, h)
+    yield ""
+    yield f"{'section':<14} {'type':>4} {'mode':>4} {'offset':>10} {'bytes':>10} {'share':>7}  {'':<{_BAR}} {'bits/anchor':>12}"
+    for s in facts["sections"]:
+        kind, mode = ("" if s["type"] is None else f"{s['type']:02x}"), ("" if s["mode"] is None else s["mode"])
+        bits = "-" if s["bits_per_anchor"] is None else f"{s['bits_per_anchor']:.2f}"
+        bar = "#" * round(_BAR * s["share"])
+        yield f"{s['name']:<14} {kind:>4} {mode:>4} {s['offset']:>10} {s['bytes']:>10} {s['share']:>7.1%}  {bar:<{_BAR}} {bits:>12}"
+    whole_bits = f"{8 * facts['bytes'] / h['anchor_count']:.2f}" if h and h["anchor_count"] else "-"
+    yield f"{'whole':<14} {'':>4} {'':>4} {'':>10} {facts['bytes']:>10} {1:>7.1%}  {'':<{_BAR}} {whole_bits:>12}"
+    yield ""
+    yield from _chunk_lines(facts)
+    if facts["accepted"]:
+        yield f"accepted; digest {facts['digest']['whole']}"
+    else:
+        yield f"NOT ACCEPTED: {facts['error']['code']} {facts['error']['name']}: {facts['error']['text']}"
+
+
+def _header_lines(facts: dict[str, Any], h: dict[str, Any]) -> Iterator[str]:
+    d = h["dimensions"]
+
+    def widths(values: list[int]) -> str:
+        return "-".join(map(str, values)) or "none"
+
+    yield f"profile      {facts['profile'] or 'unknown'} ({h['profile']}), level {h['level']}"
+    kept = f", {facts['kept_offsets']} of {h['anchor_count'] * d['offset_count']} offsets kept" if facts["accepted"] else ""
+    yield f"anchors      {h['anchor_count']}, {d['offset_count']} offsets each{kept}"
+    yield f"features     {sum(d['slice_width'])} in slices {widths(d['slice_width'])}"
+    yield f"planes       5 of {d['plane_channels']} x {d['plane_size']} x {d['plane_size']}, {d['frequency_count']} frequencies"
+    hidden = ", ".join(f"{n} {widths(d[f'{n}_width'])}" for n in ("hyper", "sarm", "carm"))
+    yield f"networks     hidden {hidden}, render {d['render_width']}"
+    yield "lanes        " + ", ".join(f"{part}s {1 << h[f'{part}_lanes_log2']}" for part in ("plane", "mask", "attribute"))
+    steps = ", ".join(
+        f"{kind} {np.float32(float(step))!s}" for kind, step in zip(("features", "scalings", "offsets"), h["base_step"], strict=True)
+    )
+    yield f"base steps   {steps}"
+
+
+def _chunk_lines(facts: dict[str, Any]) -> Iterator[str]:
+    chunks = facts.get("chunks")
+    if not chunks:
+        return
+    yield f"{len(chunks)} chunks of {facts['header']['chunk_size']} anchors, the last one of {chunks[-1]['anchors']}"
+    yield f"{'bytes of a chunk':<18} {'smallest':>10} {'mean':>12} {'largest':>10}"
+    for part in ("position", "mask", "attribute"):
+        sizes = [c[f"{part}_bytes"] for c in chunks]
+        yield f"  {part + 's':<16} {min(sizes):>10} {sum(sizes) / len(sizes):>12.1f} {max(sizes):>10}"

@@ -1,0 +1,1 @@
+"""Folders of posed photographs: COLMAP and NeRF, lenses, sizes."""

@@ -1,0 +1,116 @@
+"""Cameras, their checks, and the one error of reading photographs.
+
+Conventions are COLMAP's. A camera looks along +z, with x to the right and y down; a point p of the world is at rotation @ p +
+translation in its frame, and at (fx x/z + cx, fy y/z + cy) in its image. Image coordinates are continuous: the image spans
+[0, width] x [0, height] and the centre of the top left pixel is at (0.5, 0.5). Resizing therefore multiplies fx and cx by one
+factor, fy and cy by another, with no half pixels.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..render.camera import Camera
+
+F64 = NDArray[np.float64]
+U8 = NDArray[np.uint8]
+
+# Beyond a thousandth of a turn's view and beyond telescopes, a focal length is a mistake; in units of the longer side.
+FOCAL_MIN, FOCAL_MAX = 0.01, 1000.0
+# No image that Pillow opens has a longer side.
+SIDE_MAX = 1 << 17
+# How far rotation @ rotation.T may be from the identity: files state matrices with four digits or more.
+ROTATION_TOLERANCE = 1e-3
+
+
+class PhotographError(ValueError):
+    """Photographs that cannot be used: where, what was found and what is allowed, what to do."""
+
+    def __init__(self, where: Path | str, problem: str, advice: str) -> None:
+        self.where, self.problem, self.advice = str(where), problem, advice
+        super().__init__(f"{where}: {problem}; {advice}")
+
+
+# k1, k2, p1, p2 of COLMAP's and OpenCV's OPENCV model, in normalised image coordinates.
+Distortion = tuple[float, float, float, float]
+UNDISTORTED: Distortion = (0.0, 0.0, 0.0, 0.0)
+
+
+@dataclass(frozen=True, eq=False)
+class Shot:
+    """A posed image as its dataset states it: the file, the camera before undistortion and resizing, its distortion."""
+
+    path: Path
+    camera: Camera
+    distortion: Distortion = UNDISTORTED
+
+
+def check_intrinsics(where: Path | str, camera: Camera, distortion: Distortion) -> None:
+    """Raises PhotographError for a size, focal length, principal point or distortion that no camera has."""
+    if not (1 <= camera.width <= SIDE_MAX and 1 <= camera.height <= SIDE_MAX):
+        raise PhotographError(
+            where, f"an image of {camera.width} x {camera.height} pixels, 1 to {SIDE_MAX} are allowed", "correct the camera's size"
+        )
+    longer = max(camera.width, camera.height)
+    for name, focal in (("fx", camera.fx), ("fy", camera.fy)):
+        # Written so that NaN fails.
+        if not FOCAL_MIN * longer <= focal <= FOCAL_MAX * longer:
+            raise PhotographError(
+                where,
+                f"a focal length {name} of {focal} pixels, {FOCAL_MIN * longer:g} to {FOCAL_MAX * longer:g} are allowed for "
+                f"{camera.width} x {camera.height}",
+                "correct the camera's intrinsics",
+            )
+    for name, value in zip(("cx", "cy", "k1", "k2", "p1", "p2"), (camera.cx, camera.cy, *distortion), strict=True):
+        if not np.isfinite(value):
+            raise PhotographError(where, f"{name} is {value}, a finite number is required", "correct the camera's intrinsics")
+    if not (-camera.width <= camera.cx <= 2 * camera.width and -camera.height <= camera.cy <= 2 * camera.height):
+        raise PhotographError(
+            where,
+            f"a principal point ({camera.cx:g}, {camera.cy:g}) more than one image away from an image of {camera.width} x {camera.height}",
+            "correct the camera's intrinsics",
+        )
+
+
+def checked_rotation(where: Path | str, matrix: F64) -> F64:
+    """The rotation nearest to a [3, 3] matrix. Raises PhotographError if it is not one to ROTATION_TOLERANCE."""
+    if not np.isfinite(matrix).all():
+        raise PhotographError(where, "the pose has a NaN or an infinite number", "estimate the poses again, or remove this image")
+    if np.abs(matrix @ matrix.T - np.eye(3)).max() > ROTATION_TOLERANCE or np.linalg.det(matrix) < 0:
+        raise PhotographError(
+            where,
+            f"the pose's matrix is not a rotation (rows of length {', '.join(f'{v:.4g}' for v in np.linalg.norm(matrix, axis=1))}, "
+            f"determinant {np.linalg.det(matrix):.4g})",
+            "give poses without scale, shear or mirroring",
+        )
+    u, _, v = np.linalg.svd(matrix)
+    return np.asarray(u @ v, np.float64)
+
+
+def checked_translation(where: Path | str, translation: F64) -> F64:
+    """The translation, float64 [3]. Raises PhotographError for NaN and infinity."""
+    if not np.isfinite(translation).all():
+        raise PhotographError(where, "the pose has a NaN or an infinite number", "estimate the poses again, or remove this image")
+    return translation
+
+
+def quaternion_rotation(where: Path | str, quaternion: F64) -> F64:
+    """The rotation [3, 3] of a quaternion w, x, y, z of any length. Raises PhotographError for zero, NaN and infinity."""
+    if not np.isfinite(quaternion).all():
+        raise PhotographError(where, "the pose has a NaN or an infinite number", "estimate the poses again, or remove this image")
+    # Scaled first, so that neither huge nor tiny components leave float64's range when they are squared.
+    largest = np.abs(quaternion).max()
+    if largest == 0:
+        raise PhotographError(where, "the pose's quaternion is 0 0 0 0", "estimate the poses again, or remove this image")
+    w, x, y, z = (quaternion / largest) / np.linalg.norm(quaternion / largest)
+    return np.array(
+        [
+            [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
+            [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
+            [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
+        ]
+    )

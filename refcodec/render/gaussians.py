@@ -1,0 +1,88 @@
+"""Clause 14.3: from a scene and a camera to Gaussians, in floating point."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import DTypeLike, NDArray
+
+from ..bitstream.dimensions import RENDERING
+from ..bitstream.networks import Layer
+from ..bitstream.reconstruction import Reconstruction
+from .camera import Camera
+
+
+@dataclass(frozen=True, eq=False)
+class Gaussians:
+    """What an image is made of, arrays of one floating type: mean [n, 3], world units; lengths [n, 3] of the axes, world units;
+    quaternion [n, 4], w x y z, of length 1; opacity [n]; colour [n, 3]. anchor, offset: int64 [n], where each comes from."""
+
+    mean: NDArray
+    lengths: NDArray
+    quaternion: NDArray
+    opacity: NDArray
+    colour: NDArray
+    anchor: NDArray[np.int64]
+    offset: NDArray[np.int64]
+
+
+def _network(layers: list[Layer], values: NDArray) -> NDArray:
+    """SPEC 14.3, RENDER_NETWORK."""
+    for number, (weight, bias) in enumerate(layers):
+        values = values @ weight.T.astype(values.dtype) + bias.astype(values.dtype)
+        if number < len(layers) - 1:
+            values = np.maximum(values, 0)
+    return values
+
+
+def _logistic(x: NDArray) -> NDArray:
+    """1 / (1 + exp(-x)) without overflow."""
+    tail = np.exp(-np.abs(x))
+    return np.where(x >= 0, 1 / (1 + tail), tail / (1 + tail))
+
+
+# A file may hold any finite numbers; a Gaussian with one that overflows is not drawn.
+@np.errstate(over="ignore", invalid="ignore")
+def gaussians(
+    values: Reconstruction,
+    masks: NDArray[np.bool_],
+    networks: dict[str, list[Layer]],
+    camera: Camera,
+    distance_unit: float,
+    dtype: DTypeLike = np.float32,
+) -> Gaussians:
+    """SPEC 14.3: the Gaussians that a camera sees or not, in the order of anchors and offsets. masks: bool [N, K]."""
+    count, k = masks.shape
+    # Positions lose what they share with the camera before they lose digits.
+    away = (values.positions.astype(np.float64) - camera.centre).astype(dtype)
+    distance = np.linalg.norm(away, axis=1, keepdims=True)
+    direction = np.divide(away, distance, out=np.zeros_like(away), where=distance > 0)
+    inputs = np.concatenate([values.features.astype(dtype), direction, distance / np.asarray(distance_unit, dtype)], axis=1)
+    opacity, covariance, colour = (_network(networks[name], inputs) for name in RENDERING)
+    opacity = np.tanh(opacity)
+    anchor, offset = np.nonzero(masks & (opacity > 0))
+    chosen = covariance.reshape(count, k, 7)[anchor, offset]
+    lengths = np.exp(values.scalings.astype(dtype))
+    quaternion = chosen[:, 3:]
+    # Scaled first, as squares of small components vanish.
+    quaternion = quaternion / np.maximum(np.abs(quaternion).max(axis=1, keepdims=True), np.finfo(dtype).tiny)
+    norm = np.linalg.norm(quaternion, axis=1, keepdims=True)
+    unit = np.array([1, 0, 0, 0], dtype)
+    return Gaussians(
+        values.positions.astype(dtype)[anchor] + values.offsets.astype(dtype)[anchor, offset] * lengths[anchor, :3],
+        lengths[anchor, 3:] * _logistic(chosen[:, :3]),
+        np.where(norm > 0, np.divide(quaternion, norm, where=norm > 0, out=np.zeros_like(quaternion)), unit),
+        opacity[anchor, offset],
+        _logistic(colour.reshape(count, k, 3)[anchor, offset]),
+        anchor,
+        offset,
+    )
+
+
+def gaussians_document(found: Gaussians) -> dict[str, Any]:
+    """Gaussians as JSON values (vectors/README.md)."""
+    kinds = ("anchor", "offset", "mean", "lengths", "quaternion", "opacity", "colour")
+    columns = [getattr(found, kind).tolist() for kind in kinds]
+    return {"gaussians": [dict(zip(kinds, row, strict=True)) for row in zip(*columns, strict=True)]}

@@ -1,0 +1,218 @@
+"""Images of Gaussians on the CPU, and their gradients (SPEC.md 14.4 and 14.5), with numba and without torch.
+
+A renderer of this kind is that of Kerbl et al., "3D Gaussian Splatting for Real-Time Radiance Field Rendering" (2023), with the
+projection of Zwicker et al., "EWA Splatting" (2002). `image` draws what SPEC.md 14.3 makes of a file; `rasterise` draws any arrays and
+keeps what `rasterise_backward` needs.
+
+Projection is float64 inside, blending float32. Results are the same bits whatever the number of threads: each tile is blended by one
+thread, and every sum has one order. The number of threads is numba's (numba.set_num_threads, NUMBA_NUM_THREADS). Numbers of any size
+are taken: a Gaussian with a value that is not finite, or whose projection leaves float64, is not drawn.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field
+
+import numpy as np
+from numba import parallel_chunksize
+from numpy.typing import ArrayLike
+
+from ..bitstream.header import RenderInfo
+from .blending import blend_tiles, unblend_tiles
+from .camera import Camera
+from .constants import F32, I32, I64, TILE_HEIGHT, TILE_WIDTH
+from .gaussians import Gaussians
+from .projection import lens_of, project_gaussians, unproject_gaussians, view_of
+from .tiles import LIST_MAX, PAIRS_MAX, list_tiles, sort_by_depth
+
+
+@dataclass(frozen=True)
+class Settings:
+    """What SPEC 6.5 leaves to a file, with the values of the original 3DGS. low_pass: square pixels added to both variances; near_plane:
+    depth in world units up to which nothing is drawn; alpha_max: largest alpha; background: red, green, blue, 1 for white.
+
+    Raises ValueError for values that SPEC R6.5-1 excludes, or another number of background values than three.
+    """
+
+    low_pass: float = 0.3
+    near_plane: float = 0.2
+    alpha_max: float = 0.99
+    background: tuple[float, float, float] = (0.0, 0.0, 0.0)
+
+    def __post_init__(self) -> None:
+        if not (0 <= self.low_pass < math.inf and 0 < self.near_plane < math.inf and 0 < self.alpha_max <= 1):
+            raise ValueError(
+                f"low_pass {self.low_pass}, near_plane {self.near_plane}, alpha_max {self.alpha_max}: "
+                "at least 0, above 0 and in ]0, 1] are wanted"
+            )
+        if len(self.background) != 3:
+            raise ValueError(f"{len(self.background)} background values, not 3")
+
+
+@dataclass(frozen=True, eq=False)
+class _Tape:
+    """What the backward pass needs: the inputs, and the lists of the forward pass (P pairs of Gaussian and tile)."""
+
+    inputs: tuple[F32, F32, F32, F32, F32]
+    camera: Camera
+    settings: Settings
+    # f32[N,16]: see project_gaussians.
+    record: F32
+    # i64[N+1]: Gaussian i has room for its pairs at begin[i] : begin[i + 1], of which the first count[i] are used.
+    begin: I64
+    count: I32
+    # i32[...]: for each of these its place among the pairs sorted by tile, then depth.
+    place: I32
+    # i64[tiles+1] and i32[P]: the Gaussians of tile t are members[tile_begin[t] : tile_begin[t + 1]], nearest first.
+    tile_begin: I64
+    members: I32
+    # f32[H,W]: place in the tile's list of the last Gaussian drawn in each pixel, -1 for none.
+    last: F32
+
+
+@dataclass(frozen=True, eq=False)
+class Rendering:
+    """image f32[H,W,3] with the background; transmittance f32[H,W] that reaches it; radius f32[N] in pixels.
+
+    radius is the larger half axis of the ellipse in which alpha is at least 1/255, and 0 for what is not drawn: behind the near plane,
+    outside the image, of opacity below 1/255 or from 2^126 on, or not finite.
+    """
+
+    image: F32
+    transmittance: F32
+    radius: F32
+    tape: _Tape = field(repr=False)
+
+
+@dataclass(frozen=True, eq=False)
+class Gradients:
+    """dL/dx, f32 and shaped like the inputs; 0 for what is not drawn. screen f32[N]: densification's measure.
+
+    quaternion: with respect to the value given, not the normalised one. screen: the length of the gradient of the projected mean in
+    normalised device units, in which the image is 2 wide and 2 high: |(dL/dx * width / 2, dL/dy * height / 2)| with x, y in pixels;
+    3DGS grows where its mean over the views exceeds 0.0002.
+    """
+
+    mean: F32
+    quaternion: F32
+    scale: F32
+    opacity: F32
+    colour: F32
+    screen: F32
+
+
+def check_camera(camera: Camera) -> None:
+    """Raises ValueError for wrong shapes, values that are not finite, focal lengths or sizes that are not positive."""
+    for name, shape in (("rotation", (3, 3)), ("translation", (3,))):
+        value = getattr(camera, name)
+        if value.shape != shape or not np.isfinite(value).all():
+            raise ValueError(f"{name}: shape {value.shape}; finite values of shape {shape} are wanted")
+    if not all(math.isfinite(v) for v in (camera.fx, camera.fy, camera.cx, camera.cy)) or min(camera.fx, camera.fy) <= 0:
+        raise ValueError(
+            f"focal lengths {camera.fx}, {camera.fy} and centre {camera.cx}, {camera.cy}: finite and lengths above 0 are wanted"
+        )
+    if min(camera.width, camera.height) < 1:
+        raise ValueError(f"image of {camera.width} x {camera.height}")
+
+
+# What float32 cannot hold becomes infinite, and is not drawn.
+@np.errstate(over="ignore")
+def _inputs(*values: ArrayLike) -> tuple[F32, F32, F32, F32, F32]:
+    mean, quaternion, scale, opacity, colour = (np.ascontiguousarray(v, dtype=np.float32) for v in values)
+    n = len(opacity) if opacity.ndim == 1 else -1
+    for name, value, shape in (
+        ("mean", mean, (n, 3)),
+        ("quaternion", quaternion, (n, 4)),
+        ("scale", scale, (n, 3)),
+        ("opacity", opacity, (n,)),
+        ("colour", colour, (n, 3)),
+    ):
+        if value.shape != shape:
+            raise ValueError(f"{name}: shape {value.shape}, not {shape}; N is the length of opacity, which has one dimension")
+    return mean, quaternion, scale, opacity, colour
+
+
+def rasterise(
+    mean: ArrayLike,
+    quaternion: ArrayLike,
+    scale: ArrayLike,
+    opacity: ArrayLike,
+    colour: ArrayLike,
+    camera: Camera,
+    settings: Settings | None = None,
+) -> Rendering:
+    """Draws N Gaussians: mean f32[N,3], quaternion f32[N,4] (w, x, y, z; any length but 0), scale f32[N,3] (standard deviations, in
+    the unit of mean), opacity f32[N], colour f32[N,3]. Other dtypes are cast. Without settings: Settings().
+
+    Raises ValueError for other shapes, for a camera that check_camera refuses, and if there are 2^27 pairs of a Gaussian and a tile it
+    may touch. The rendering keeps the inputs for rasterise_backward, uncopied where they are contiguous float32: do not change them
+    before.
+    """
+    check_camera(camera)
+    settings = settings or Settings()
+    inputs = _inputs(mean, quaternion, scale, opacity, colour)
+    width, height = camera.width, camera.height
+    record, room, depth, radius = project_gaussians(
+        *inputs, view_of(camera), lens_of(camera), width, height, float(settings.low_pass), float(settings.near_plane)
+    )
+    pairs = int(room.sum(dtype=np.int64))
+    if pairs >= PAIRS_MAX:
+        raise ValueError(f"{pairs} pairs of Gaussians and tiles; fewer than {PAIRS_MAX} are wanted")
+    columns, rows = -(-width // TILE_WIDTH), -(-height // TILE_HEIGHT)
+    begin, count, place, tile_begin, members = list_tiles(sort_by_depth(depth, room), record, room, columns, rows)
+    background = np.array(settings.background, np.float32)
+    with parallel_chunksize(1):
+        image, transmittance, last = blend_tiles(record, tile_begin, members, width, height, np.float32(settings.alpha_max), background)
+    tape = _Tape(inputs, camera, settings, record, begin, count, place, tile_begin, members, last)
+    return Rendering(image, transmittance, radius, tape)
+
+
+def rasterise_backward(rendering: Rendering, grad_image: ArrayLike, grad_transmittance: ArrayLike | None = None) -> Gradients:
+    """Gradients of a loss of which grad_image f32[H,W,3] and grad_transmittance f32[H,W] (None: zeros) are the gradients.
+
+    Exact where the image is smooth: not drawing below 1/255, finishing a pixel and the order of depths are taken as they were.
+    Raises ValueError for other shapes, and if 2^24 or more Gaussians meet one tile.
+    """
+    tape, shape = rendering.tape, rendering.transmittance.shape
+    grad_image = np.ascontiguousarray(grad_image, dtype=np.float32)
+    grad_transmittance = np.zeros(shape, np.float32) if grad_transmittance is None else np.ascontiguousarray(grad_transmittance, np.float32)
+    if grad_image.shape != (*shape, 3) or grad_transmittance.shape != shape:
+        raise ValueError(f"gradients of shapes {grad_image.shape} and {grad_transmittance.shape} for an image of {shape}")
+    crowd = int(np.diff(tape.tile_begin).max())
+    if crowd >= LIST_MAX:
+        raise ValueError(f"{crowd} Gaussians meet one tile; fewer than {LIST_MAX} are wanted")
+    camera, settings = tape.camera, tape.settings
+    with parallel_chunksize(1):
+        sums = unblend_tiles(
+            tape.record,
+            tape.tile_begin,
+            tape.members,
+            tape.last,
+            rendering.transmittance,
+            np.float32(settings.alpha_max),
+            np.array(settings.background, np.float32),
+            grad_image,
+            grad_transmittance,
+        )
+    return Gradients(
+        *unproject_gaussians(
+            sums,
+            tape.record,
+            tape.begin,
+            tape.count,
+            tape.place,
+            *tape.inputs[:4],
+            view_of(camera),
+            lens_of(camera),
+            camera.width,
+            camera.height,
+        )
+    )
+
+
+def image(g: Gaussians, camera: Camera, info: RenderInfo) -> F32:
+    """SPEC 14.5: what a camera sees, float32 [height, width, 3], 1 for white. Raises ValueError as rasterise does."""
+    red, green, blue = info.background
+    settings = Settings(info.low_pass, info.near_plane, info.alpha_max, (red / 255, green / 255, blue / 255))
+    return rasterise(g.mean, g.quaternion, g.lengths, g.opacity, g.colour, camera, settings).image

@@ -1,0 +1,177 @@
+"""Which Gaussians reach which tile of an image, in the order of depth."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+from numba import njit, prange
+
+from .constants import BLOCK, BLOCK_HEIGHT, BLOCK_WIDTH, BLOCKS_WIDE, F32, F64, FAR, I32, LOG2_MIN, SLACK, TILE_HEIGHT, TILE_WIDTH
+from .simd import count_up, fma, fnma, maximum, minimum, round_down, round_up, runs, select, splat, square_root
+
+# Parts into which the sorted Gaussians are cut to be listed in parallel; no result depends on it.
+PARTS = 16
+# A pair's place in its tile's list is kept as a float32 lane, and among all pairs as an int32.
+LIST_MAX, PAIRS_MAX = 1 << 24, 1 << 27
+
+
+@njit(cache=True, error_model="numpy")
+def sort_by_depth(depth: F64, room: I32) -> I32:
+    """SPEC 14.5: the drawn Gaussians (those with room) by depth, equal depths by index: i32[V]."""
+    n = 0
+    for i in range(room.shape[0]):
+        n += room[i] > 0
+    order, rounded = np.empty(n, np.int32), np.empty(n, np.float32)
+    n = 0
+    for i in range(room.shape[0]):
+        if room[i] > 0:
+            order[n], rounded[n] = i, depth[i]
+            n += 1
+    # Depths are above 0: their bits sort as integers. A radix sort, eleven bits at a time from the lowest, keeps equal keys in order.
+    key = rounded.view(np.uint32)
+    other_order, other_key = np.empty_like(order), np.empty_like(key)
+    at = np.zeros((3, 2048), np.int32)
+    for i in range(n):
+        for digit in range(3):
+            at[digit, (key[i] >> np.uint32(11 * digit)) & np.uint32(2047)] += 1
+    for digit in range(3):
+        before = 0
+        for value in range(2048):
+            count = at[digit, value]
+            at[digit, value] = before
+            before += count
+        for i in range(n):
+            value = (key[i] >> np.uint32(11 * digit)) & np.uint32(2047)
+            to = at[digit, value]
+            at[digit, value] = to + 1
+            other_order[to], other_key[to] = order[i], key[i]
+        order, other_order = other_order, order
+        key, other_key = other_key, key
+    # Few depths are the same as float32; a stable sort of those settles them.
+    first = 0
+    for i in range(1, n + 1):
+        if i < n and key[i] == key[first]:
+            continue
+        if i - first > 1:
+            same = order[first:i].copy()
+            order[first:i] = same[np.argsort(depth[same], kind="mergesort")]
+        first = i
+    return order
+
+
+@njit(cache=True, parallel=True, error_model="numpy")
+def list_tiles(order: I32, record: F32, room: I32, columns: int, rows: int) -> Any:
+    """Pairs of Gaussians and tiles, by tile, then depth: a _Tape's begin, count, place, tile_begin, members."""
+    n, drawn, tiles = room.shape[0], order.shape[0], columns * rows
+    begin, count = np.empty(n + 1, np.int64), np.empty(n, np.int32)
+    begin[0] = 0
+    for i in range(n):
+        begin[i + 1] = begin[i] + room[i]
+    box = record.view(np.int32)
+    # First the tile of each pair, then its place in the sorted list.
+    place = np.empty(begin[n], np.int32)
+    for i in prange(n):
+        count[i] = _tiles_of(i, record, box, columns, place, begin[i]) if room[i] else 0
+    # Pairs of each part of the order in each tile, then where they begin.
+    held = np.empty((PARTS, tiles), np.int64)
+    for part in prange(PARTS):
+        for t in range(tiles):
+            held[part, t] = 0
+        for k in range(drawn * part // PARTS, drawn * (part + 1) // PARTS):
+            i = order[k]
+            for p in range(begin[i], begin[i] + count[i]):
+                held[part, place[p]] += 1
+    tile_begin = np.empty(tiles + 1, np.int64)
+    before = 0
+    for t in range(tiles):
+        tile_begin[t] = before
+        for part in range(PARTS):
+            more = held[part, t]
+            held[part, t] = before
+            before += more
+    tile_begin[tiles] = before
+    members = np.empty(before, np.int32)
+    for part in prange(PARTS):
+        for k in range(drawn * part // PARTS, drawn * (part + 1) // PARTS):
+            i = order[k]
+            for p in range(begin[i], begin[i] + count[i]):
+                t = place[p]
+                to = held[part, t]
+                held[part, t] = to + 1
+                members[to] = i
+                place[p] = to
+    return begin, count, place, tile_begin, members
+
+
+@njit(cache=True, error_model="numpy")
+def _tiles_of(i: int, record: F32, box: I32, columns: int, tiles: I32, begin: int) -> int:
+    """Writes the tiles with a pixel centre where Gaussian i's alpha may reach 1/255 to tiles[begin:], and returns how many."""
+    left, right, top, bottom = box[i, 11], box[i, 12], box[i, 13], box[i, 14]
+    n = begin
+    if right - left == 1 or bottom - top == 1:
+        # The ellipse touches all sides of its box.
+        for row in range(top, bottom):
+            for column in range(left, right):
+                tiles[n] = row * columns + column
+                n += 1
+        return n - begin
+    x, y, u_there, v_there = np.float64(record[i, 0]), np.float64(record[i, 1]), np.float64(record[i, 2]), np.float64(record[i, 3])
+    c = np.float64(record[i, 6])
+    lean, width = record[i, 5] / c, 1 / np.float64(record[i, 4])
+    reach2 = max(np.float64(record[i, 7]) - LOG2_MIN, 0.0)
+    # v of the ellipse's rightmost point; its leftmost lies opposite.
+    v_right = -lean * math.sqrt(reach2 / (lean * lean + 1))
+    for row in range(top, bottom):
+        # v of the tile's first and last row of pixel centres. There u^2 is at most reach2 - v^2; a pixel where u and v are so much
+        # is (u - u_there - b / c * (v - v_there)) / a from the record's.
+        v_from = v_there + c * (row * TILE_HEIGHT - SLACK - y)
+        v_to = v_from + c * (TILE_HEIGHT - 1 + 2 * SLACK)
+        v = min(max(v_right, v_from), v_to)
+        x_to = x + (math.sqrt(max(reach2 - v * v, 0.0)) - u_there - lean * (v - v_there)) * width + SLACK
+        v = min(max(-v_right, v_from), v_to)
+        x_from = x - (math.sqrt(max(reach2 - v * v, 0.0)) + u_there + lean * (v - v_there)) * width - SLACK
+        x_from, x_to = max(x_from, left * float(TILE_WIDTH)), min(x_to, right * float(TILE_WIDTH) - 1)
+        if not x_from <= x_to:
+            continue
+        first, last = math.ceil(x_from), math.floor(x_to)
+        if first > last:
+            continue
+        for column in range(first // TILE_WIDTH, last // TILE_WIDTH + 1):
+            tiles[n] = row * columns + column
+            n += 1
+    return n - begin
+
+
+@njit(cache=True, inline="always", error_model="numpy")
+def block_at(x: int, y: int) -> int:
+    """Where pixel (x, y) of a tile is in the first plane of its state."""
+    return ((y // BLOCK_HEIGHT) * BLOCKS_WIDE + x // BLOCK_WIDTH) * BLOCK + y % BLOCK_HEIGHT * BLOCK_WIDTH + x % BLOCK_WIDTH
+
+
+@njit(cache=True, inline="always", error_model="numpy")
+def blocks_reached(a: np.float32, b: np.float32, c: np.float32, log_opacity: np.float32, u: np.float32, v: np.float32) -> np.uint64:
+    """The blocks of a tile in which alpha may reach 1/255; bit 8 * row + column is set for a block's.
+
+    u and v: at the centre of the tile's first pixel. One lane is one row of blocks; each has two rows of pixels.
+    """
+    zero, end = splat(np.float32(0)), splat(np.float32(BLOCKS_WIDE))
+    shift, slack, width = splat(np.float32(1 / BLOCK_WIDTH)), splat(np.float32(SLACK)), splat(np.float32(1) / a)
+    u_even = fma(count_up(), splat(b * np.float32(BLOCK_HEIGHT)), splat(u))
+    v_even = fma(count_up(), splat(c * np.float32(BLOCK_HEIGHT)), splat(v))
+    u_odd, v_odd = u_even + splat(b), v_even + splat(c)
+    # u^2 can be this much.
+    rest = splat(log_opacity - np.float32(LOG2_MIN))
+    even, odd = fnma(v_even, v_even, rest), fnma(v_odd, v_odd, rest)
+    half_even = fma(square_root(maximum(even, zero)), width, slack)
+    half_odd = fma(square_root(maximum(odd, zero)), width, slack)
+    # A row that is out of reach, by more than a rounding, has an empty span.
+    half_even = select(even >= zero - slack, half_even, splat(-FAR))
+    half_odd = select(odd >= zero - slack, half_odd, splat(-FAR))
+    middle_even, middle_odd = zero - u_even * width, zero - u_odd * width
+    left = minimum(middle_even - half_even, middle_odd - half_odd)
+    right = maximum(middle_even + half_even, middle_odd + half_odd)
+    first = minimum(maximum(round_down(round_up(left) * shift), zero), end)
+    last = minimum(round_down(round_down(right) * shift) + splat(np.float32(1)), end)
+    return runs(first, maximum(last, first))

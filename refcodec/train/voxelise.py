@@ -1,0 +1,186 @@
+"""Anchors from a coloured point cloud: real input for the codec where no trained scene is at hand (SPEC.md B.1).
+
+Positions follow Scaffold-GS (unique voxels of the points); attributes are measured from the points around an anchor, so that
+they depend on place and on each other as learned ones do.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial import cKDTree
+
+from ..bitstream.dimensions import Dimensions
+from ..bitstream.networks import Layer
+from ..encoder.cloud import AnchorCloud
+
+F32 = NDArray[np.float32]
+F64 = NDArray[np.float64]
+
+FEATURES, OFFSETS = 50, 10
+# Points that describe the surface around an anchor, and a wider ring for its surroundings' colour.
+NEAR, WIDE = 16, 64
+# An offset is kept if its point is within this many voxels of the anchor.
+KEEP_RADIUS = 4.0
+# Bits of a voxel's mantissa: an integer times it is exact in float32 up to 2^12, and in a position grid always.
+VOXEL_BITS = 12
+# Colours are kept this far from 0 and 1 before their logit is taken.
+COLOUR_MARGIN = 0.02
+BLOCK = 16384
+
+
+@dataclass(frozen=True, eq=False)
+class PointCloud:
+    """points: float32 [M, 3] in world units; colours: uint8 [M, 3], RGB."""
+
+    points: F32
+    colours: NDArray[np.uint8]
+
+
+def read_points(path: str | Path) -> PointCloud:
+    """COLMAP's points3D.txt, or an npz with `means3d` [M, 3] and `colors` [M, 3]. Raises ValueError for anything else."""
+    path = Path(path)
+    if path.suffix == ".npz":
+        with np.load(path) as archive:
+            if not {"means3d", "colors"} <= set(archive.files):
+                raise ValueError(f"{path} has {archive.files}, means3d and colors are required")
+            points, colours = archive["means3d"].astype(np.float32), archive["colors"].astype(np.uint8)
+    elif path.suffix == ".txt":
+        # POINT3D_ID X Y Z R G B ERROR, then tracks of any length.
+        table = np.loadtxt(path, usecols=range(1, 7), ndmin=2, dtype=np.float64)
+        points, colours = table[:, :3].astype(np.float32), table[:, 3:].astype(np.uint8)
+    else:
+        raise ValueError(f"{path}: .txt (COLMAP points3D) or .npz expected")
+    if points.shape != colours.shape or points.ndim != 2 or points.shape[1] != 3:
+        raise ValueError(f"{path}: points {points.shape} and colours {colours.shape} are not both [M, 3]")
+    if not np.isfinite(points).all():
+        raise ValueError(f"{path}: a point is NaN or infinite")
+    return PointCloud(points, colours)
+
+
+def default_voxel(points: F32) -> float:
+    """Scaffold-GS's voxel for v = 0: the median distance to the nearest other point, with a mantissa of 12 bits."""
+    if len(points) < 2:
+        return 1.0
+    distance = cKDTree(points.astype(np.float64)).query(points.astype(np.float64), 2)[0][:, 1]
+    median = float(np.median(distance[distance > 0])) if (distance > 0).any() else 1.0
+    return short_mantissa(median)
+
+
+def short_mantissa(value: float) -> float:
+    """The nearest number with a mantissa of 12 bits."""
+    fraction, exponent = math.frexp(value)
+    return math.ldexp(round(fraction * (1 << VOXEL_BITS)), exponent - VOXEL_BITS)
+
+
+def voxelise(points: F32, colours: NDArray[np.uint8], voxel: float | None = None) -> AnchorCloud:
+    """Anchors at unique(round(p / v)) * v, K = 10 offsets to the nearest points, F = 50 features of their neighbourhood.
+
+    points [M, 3], world units; colours uint8 [M, 3]; voxel: None for default_voxel. With mask and offsets as they come out,
+    centre = position + offset * exp(scaling[:3]) is a point of the cloud. Raises ValueError for an empty cloud.
+    """
+    if len(points) == 0:
+        raise ValueError("there are no points")
+    v = short_mantissa(voxel) if voxel else default_voxel(points)
+    if not v > 0:
+        raise ValueError(f"a voxel of {voxel} is not positive")
+    p = points.astype(np.float64)
+    lattice, owner = np.unique(np.round(p / v).astype(np.int64), axis=0, return_inverse=True)
+    anchors: F64 = lattice.astype(np.float64) * v
+    logits = _logit(colours)
+    tree = cKDTree(p)
+    count = np.bincount(owner.reshape(-1), minlength=len(anchors))
+    parts = [_describe(anchors[i : i + BLOCK], count[i : i + BLOCK], tree, p, logits, v) for i in range(0, len(anchors), BLOCK)]
+    features, scalings, offsets, masks = (np.concatenate(column) for column in zip(*parts, strict=True))
+    # Colours stay as they are, for display; what follows is brought to a spread of one, channel by channel.
+    features[:, 3:] /= np.maximum(features[:, 3:].std(axis=0), 1e-3)
+    return AnchorCloud(
+        anchors.astype(np.float32), features.astype(np.float32), scalings.astype(np.float32), offsets.astype(np.float32), masks
+    )
+
+
+def _logit(colours: NDArray[np.uint8]) -> F64:
+    c = np.clip(colours.astype(np.float64) / 255, COLOUR_MARGIN, 1 - COLOUR_MARGIN)
+    return np.log(c / (1 - c))
+
+
+def _describe(
+    anchors: F64, count: NDArray[np.int64], tree: cKDTree, points: F64, logits: F64, voxel: float
+) -> tuple[F64, F64, F64, NDArray[np.bool_]]:
+    """Features [n, 50], scalings [n, 6], offsets [n, 10, 3] and masks [n, 10] of some anchors."""
+    distance, index = tree.query(anchors, min(WIDE, len(points)))
+    distance, index = distance.reshape(len(anchors), -1), index.reshape(len(anchors), -1)
+    # A tiny cloud has fewer points than neighbours: the farthest one stands in for the rest.
+    pad = WIDE - index.shape[1]
+    distance, index = (np.pad(a, ((0, 0), (0, pad)), mode="edge") for a in (distance, index))
+    away = points[index[:, :NEAR]] - anchors[:, None]
+    colour = logits[index]
+    floor = voxel / 4
+
+    spread = np.sqrt((away[:, :OFFSETS] ** 2).mean(axis=1))
+    size = np.sqrt((away[:, :4] ** 2).mean(axis=1))
+    scalings = np.log(np.maximum(np.concatenate([spread, size], axis=1), floor))
+    offsets = away[:, :OFFSETS] / np.exp(scalings[:, None, :3])
+    masks = distance[:, :OFFSETS] <= KEEP_RADIUS * voxel
+    masks[:, 0] = True
+
+    centre = away.mean(axis=1)
+    around = away - centre[:, None]
+    variance, axes = np.linalg.eigh(np.einsum("nki,nkj->nij", around, around) / NEAR)
+    deviation = np.sqrt(np.maximum(variance, 0)) + floor
+    normal = axes[:, :, 0]
+    # An eigenvector has no sign of its own: the largest component is made positive.
+    largest = np.take_along_axis(normal, np.abs(normal).argmax(axis=1)[:, None], axis=1)
+    normal = normal * np.where(largest < 0, -1, 1)
+    near = colour[:, :NEAR]
+    own, mean = near[:, 0], near.mean(axis=1)
+    change = near - mean[:, None]
+    # Slope of each colour along each axis, in colour per deviation of the points along it.
+    slope = np.einsum("nki,nkc->nic", around, change) / NEAR / deviation.mean(axis=1)[:, None, None]
+    ratio = np.log(deviation)
+    features = np.concatenate(
+        [
+            own,
+            np.log(distance[:, NEAR - 1 : NEAR] + floor),
+            np.log(count)[:, None],
+            normal,
+            mean - own,
+            np.log(near.std(axis=1) + 0.05),
+            ratio - ratio.mean(axis=1)[:, None],
+            centre / np.exp(scalings[:, :3]),
+            slope.reshape(len(anchors), 9),
+            np.log(distance[:, [3, WIDE - 1]] + floor),
+            colour.mean(axis=1) - own,
+            (near[:, 1:6] - own[:, None]).reshape(len(anchors), 15),
+            np.log(colour.std(axis=1).mean(axis=1) + 0.05)[:, None],
+        ],
+        axis=1,
+    )
+    return features, scalings, offsets, masks
+
+
+def display_networks(dimensions: Dimensions) -> dict[str, list[Layer]]:
+    """Rendering networks that show an anchor's offsets as balls of its colour: features 0 to 2 are the logits of RGB.
+
+    Float32 layers as SPEC 5.8 stores them: opacity (tanh) about 1, scale logits 0, quaternions (1, 0, 0, 0), colour (sigmoid).
+    Raises ValueError if the dimensions have fewer than three features or six hidden units.
+    """
+    if dimensions.features < 3 or dimensions.render_width < 6:
+        raise ValueError("three features and six hidden units are needed to pass a colour on")
+    shapes = dimensions.network_shapes()
+    networks = {
+        name: [(np.zeros(shape, np.float32), np.zeros(shape[0], np.float32)) for shape in shapes[name]]
+        for name in ("opacity", "covariance", "colour")
+    }
+    networks["opacity"][1][1][:] = 4
+    networks["covariance"][1][1].reshape(-1, 7)[:, 3] = 1
+    hidden, out = networks["colour"]
+    for channel in range(3):
+        # x = relu(x) - relu(-x)
+        hidden[0][2 * channel, channel], hidden[0][2 * channel + 1, channel] = 1, -1
+        out[0][channel::3, 2 * channel], out[0][channel::3, 2 * channel + 1] = 1, -1
+    return networks
