@@ -77,7 +77,9 @@ def decode_times(data: bytes, threads: int, repeats: int) -> tuple[list[float], 
         path = Path(folder) / "scene.c3gs"
         path.write_bytes(data)
         for _ in range(repeats):
-            done = subprocess.run([sys.executable, "-c", DECODE, str(path), str(threads)], check=True, capture_output=True, text=True)
+            done = subprocess.run(
+                [sys.executable, "-c", DECODE, str(path), str(threads)], check=True, capture_output=True, text=True
+            )
             runs.append([float(x) for x in done.stdout.split()])
     best = min(runs)
     return best[:4], best[4] / 1024
@@ -89,18 +91,34 @@ def tiled(scene: Scene, count: int, seed: int) -> Scene:
     larger = take_anchors(scene, index)
     moved = larger.positions + np.random.default_rng(seed + 1).normal(0, 1, (count, 3)).astype(np.float16)
     moved[moved == 0] = 0
-    larger = replace(larger, positions=np.clip(moved, -65000, 65000).astype(np.float16), mask_model=mask_model(larger.masks))
+    larger = replace(
+        larger, positions=np.clip(moved, -65000, 65000).astype(np.float16), mask_model=mask_model(larger.masks)
+    )
     return replace(larger, attributes=replace(larger.attributes, steps=codec.derive_steps(larger)))
 
 
 def size_table(scene: Scene, data: bytes) -> list[str]:
     """Coded bytes beside the ideal and beside the order-0 entropy, and the losses by cause."""
     sections = parse_container(data).sections
-    parts = [("attributes", ATTRIBUTES, ideal.attribute_code_length(scene)), ("planes", PLANES_SECTION, ideal.plane_code_length(scene))]
+    parts = [
+        ("attributes", ATTRIBUTES, ideal.attribute_code_length(scene)),
+        ("planes", PLANES_SECTION, ideal.plane_code_length(scene)),
+    ]
     zero = ideal.order_zero_bits(scene)
-    head = ["part", "symbols", "bytes coded", "ideal, capped", "coded / ideal", "ideal, uncapped", "order-0 bytes", "bits a symbol"]
+    head = [
+        "part",
+        "symbols",
+        "bytes coded",
+        "ideal, capped",
+        "coded / ideal",
+        "ideal, uncapped",
+        "order-0 bytes",
+        "bits a symbol",
+    ]
     rows = [head, ["---"] * len(head)]
-    losses = [["part", "1/16 step, 1/8 octave", "integer networks", "frequency models", "lanes, heads", "escapes", "raw bits"]]
+    losses = [
+        ["part", "1/16 step, 1/8 octave", "integer networks", "frequency models", "lanes, heads", "escapes", "raw bits"]
+    ]
     losses.append(["---"] * len(losses[0]))
     total = np.zeros(4)
     for name, kind, length in parts:
@@ -120,7 +138,14 @@ def size_table(scene: Scene, data: bytes) -> list[str]:
         )
         steps = [length.capped, length.grid, length.integer, length.table, 8 * coded]
         shares = [f"{(b - a) / length.capped:+.3%}" for a, b in pairwise(steps)]
-        losses.append([name, *shares, f"{length.escapes:,} symbols, {length.escape / 8:,.0f} bytes", f"{length.raw / 8:,.0f} bytes"])
+        losses.append(
+            [
+                name,
+                *shares,
+                f"{length.escapes:,} symbols, {length.escape / 8:,.0f} bytes",
+                f"{length.raw / 8:,.0f} bytes",
+            ]
+        )
     symbols, every, capped, order = total.tolist()
     shares = [f"{symbols:,.0f}", f"{every:,.0f}", f"{capped:,.0f}", f"{every / capped - 1:+.3%}", "", f"{order:,.0f}"]
     rows.append(["both", *shares, f"{8 * every / symbols:.3f}"])
@@ -135,7 +160,9 @@ def speed_rows(name: str, scene: Scene, repeats: int) -> tuple[list[str], bytes]
     data = codec.emit(scene, progress=timer)
     whole = time.perf_counter() - start
     s = timer.seconds
-    rows = [f"| {name}, encode, 1 thread | {whole:.2f} | {s['planes']:.2f} | masks and attributes {s['chunks']:.2f} | | |"]
+    rows = [
+        f"| {name}, encode, 1 thread | {whole:.2f} | {s['planes']:.2f} | masks and attributes {s['chunks']:.2f} | | |"
+    ]
     for threads in (1, 2):
         (whole, planes, masks, attributes), peak = decode_times(data, threads, repeats)
         row = f"| {name}, decode, {threads} thread{'s'[: threads - 1]} | {whole:.2f} | {planes:.2f} | {attributes:.2f}"
@@ -153,7 +180,9 @@ def report(arguments: argparse.Namespace, command: str) -> list[str]:
         if done % 100 == 0:
             print(f"{stage} {done}/{total}", file=sys.stderr, flush=True)
 
-    result: FitResult = fit(cloud, voxel=voxel, steps=arguments.steps, seed=arguments.seed, progress=note, state=arguments.state)
+    result: FitResult = fit(
+        cloud, voxel=voxel, steps=arguments.steps, seed=arguments.seed, progress=note, state=arguments.state
+    )
     scene, done = result.scene, result.report
     rows, data = speed_rows(f"{scene.anchor_count:,} anchors", scene, arguments.repeats)
     if codec.emit(codec.parse(data).scene) != data:
@@ -166,7 +195,9 @@ def report(arguments: argparse.Namespace, command: str) -> list[str]:
         rows += more
         kept = int(larger.masks.sum())
         symbols = 56 * larger.anchor_count + 3 * kept
-        note_tile = [f"Repeated: {len(tile_data):,} bytes, {symbols:,} attribute symbols, anchors drawn from the fitted scene and moved."]
+        note_tile = [
+            f"Repeated: {len(tile_data):,} bytes, {symbols:,} attribute symbols, anchors drawn from the fitted scene and moved."
+        ]
     else:
         note_tile = []
     chunks = len(chunk_ranges(scene.anchor_count, scene.chunk_size))
@@ -198,7 +229,9 @@ def report(arguments: argparse.Namespace, command: str) -> list[str]:
 
 def main() -> int:
     """Command line."""
-    parser = argparse.ArgumentParser(description="Size against the ideal and speed, on anchors made from a real point cloud.")
+    parser = argparse.ArgumentParser(
+        description="Size against the ideal and speed, on anchors made from a real point cloud."
+    )
     parser.add_argument("--points", required=True, help="COLMAP points3D.txt, or npz with means3d and colors")
     parser.add_argument("--name", help="section of RESULTS.md (default: from the path)")
     parser.add_argument("--steps", type=int, default=4000)

@@ -107,7 +107,14 @@ class BitCounter:
     escapes: int = 0
 
     def values(
-        self, models: ModelSet, mean: Int64, scale: Int64, counts: list[int], limit: int, name: SymbolName, given: Int64 | None
+        self,
+        models: ModelSet,
+        mean: Int64,
+        scale: Int64,
+        counts: list[int],
+        limit: int,
+        name: SymbolName,
+        given: Int64 | None,
     ) -> Int64:
         """As Encoder.values."""
         assert given is not None
@@ -132,7 +139,9 @@ class BitCounter:
         """As Encoder.plain."""
         assert given is not None
         at = models.offset.take(index) + given
-        self.table += float((PRECISION - np.log2(models.upper.take(at).astype(np.float64) - models.lower.take(at))).sum())
+        self.table += float(
+            (PRECISION - np.log2(models.upper.take(at).astype(np.float64) - models.lower.take(at))).sum()
+        )
         self.symbols += len(given)
         return given
 
@@ -202,14 +211,20 @@ def attribute_code_length(scene: Scene) -> CodeLength:
         hyper = float_network(scene.networks["hyper"], float_context(scene, real, scene.positions[rows]))
         mean, scale = hyper[:, :width].copy(), hyper[:, width : 2 * width].copy()
         shift = scene.carm_shift.astype(np.int64)
-        earlier = activation(rshift_round(given.features[:, : d.carm_inputs].astype(np.int64), shift)).astype(np.float64)
+        earlier = activation(rshift_round(given.features[:, : d.carm_inputs].astype(np.int64), shift)).astype(
+            np.float64
+        )
         bounds = np.cumsum(d.slices).tolist()
         for i, (done, end) in enumerate(pairwise(bounds), start=1):
             change = float_network(scene.networks[f"carm.{i}"], earlier[:, :done])
             mean[:, done:end] += change[:, : end - done]
             scale[:, done:end] += change[:, end - done :]
-        symbols = np.concatenate([given.features, given.scalings, given.offsets.reshape(len(block), -1)], axis=1).astype(np.float64)
-        coded = np.concatenate([np.ones((len(block), d.features + 6), dtype=bool), np.repeat(scene.masks[rows], 3, axis=1)], axis=1)
+        symbols = np.concatenate(
+            [given.features, given.scalings, given.offsets.reshape(len(block), -1)], axis=1
+        ).astype(np.float64)
+        coded = np.concatenate(
+            [np.ones((len(block), d.features + 6), dtype=bool), np.repeat(scene.masks[rows], 3, axis=1)], axis=1
+        )
         lengths += _float_lengths("gauss", mean[coded], scale[coded], symbols[coded])
     return _code_length(lengths, counter)
 
@@ -223,6 +238,8 @@ def order_zero_bits(scene: Scene) -> dict[str, float]:
         return float((counts * np.log2(counts.sum() / counts)).sum())
 
     attributes = sum(entropy(c) for kind in (a.features, a.scalings) for c in kind.T)
-    attributes += sum(entropy(a.offsets[scene.masks[:, k], k, axis]) for k in range(d.offset_count) for axis in range(3))
+    attributes += sum(
+        entropy(a.offsets[scene.masks[:, k], k, axis]) for k in range(d.offset_count) for axis in range(3)
+    )
     planes = sum(entropy(scene.planes[p, c]) for p in range(PLANES) for c in range(d.plane_channels))
     return {"attributes": attributes, "planes": planes}

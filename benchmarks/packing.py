@@ -140,7 +140,9 @@ def coding_rows(scene: Scene, note: str) -> tuple[list[str], bytes]:
 
 
 CODING_HEAD = [
-    "| scene | positions | weights | " + " | ".join(f"{c}, bytes" for c in COLUMNS) + " | file, bytes | decoding, ms of one core |",
+    "| scene | positions | weights | "
+    + " | ".join(f"{c}, bytes" for c in COLUMNS)
+    + " | file, bytes | decoding, ms of one core |",
     "|" + "---|" * (5 + len(COLUMNS)),
 ]
 
@@ -155,7 +157,14 @@ class Ledger(BitCounter):
         self.bits: dict[str, float] = defaultdict(float)
 
     def values(
-        self, models: ModelSet, mean: Int64, scale: Int64, counts: list[int], limit: int, name: SymbolName, given: Int64 | None
+        self,
+        models: ModelSet,
+        mean: Int64,
+        scale: Int64,
+        counts: list[int],
+        limit: int,
+        name: SymbolName,
+        given: Int64 | None,
     ) -> Int64:
         """As Encoder.values."""
         before = self.table
@@ -204,7 +213,9 @@ def account(data: bytes) -> list[str]:
     states: dict[int, int] = defaultdict(int)
     streams: dict[int, int] = defaultdict(int)
     lanes = scene.lanes
-    exponents = dict(zip(SECTIONS, (0, lanes.attribute, lanes.plane, 0, lanes.mask, lanes.mask, lanes.attribute), strict=True))
+    exponents = dict(
+        zip(SECTIONS, (0, lanes.attribute, lanes.plane, 0, lanes.mask, lanes.mask, lanes.attribute), strict=True)
+    )
     for kind, _, length, _ in substreams(data):
         heads[kind] += 8
         states[kind] += 4 << exponents[kind]
@@ -272,7 +283,12 @@ def scenes(work: Path) -> None:
     work.mkdir(parents=True, exist_ok=True)
     with ProcessPoolExecutor(len(SCENES), multiprocessing.get_context("spawn")) as pool:
         list(pool.map(train, SCENES, [work] * len(SCENES)))
-    lines = ["`python benchmarks/packing.py scenes`", "", f"{machine()} {SIZE[0]} x {SIZE[1]}, {STEPS} steps, lambda_r {RATE:g}.", ""]
+    lines = [
+        "`python benchmarks/packing.py scenes`",
+        "",
+        f"{machine()} {SIZE[0]} x {SIZE[1]}, {STEPS} steps, lambda_r {RATE:g}.",
+        "",
+    ]
     rounding = [
         "| scene | weights | PSNR | weights, bytes | attributes, bytes | file, bytes | bits of the largest weight in each layer |",
         "|" + "---|" * 7,
@@ -292,7 +308,9 @@ def scenes(work: Path) -> None:
             part = lengths(coded)
             bits = bits_of(found[kind]) if kind == "grid" else ""
             note = f"{psnr[kind]:.3f}" + (f" ({psnr['grid'] - psnr['float']:+.3f})" if kind == "grid" else "")
-            rounding.append(f"| {name} | {words} | {note} | {part['weights']:,} | {part['attributes']:,} | {len(coded):,} | {bits} |")
+            rounding.append(
+                f"| {name} | {words} | {note} | {part['weights']:,} | {part['attributes']:,} | {len(coded):,} | {bits} |"
+            )
         for few in (8, 7, 6):
             at_once = replace(found["float"], networks=quantise_rendering(found["float"].networks, few))
             coded = codec.emit(packed(at_once, "packed", "packed"))
@@ -344,7 +362,13 @@ def masks(work: Path) -> None:
             return float(-np.log2(np.where(kept == 1, each, 1 - each)).sum()) / 8
 
         now, seen = column * k + before, column << k | history
-        cells = [length(now), 2 * len(scene.mask_model), length(seen), 2 * len(np.unique(seen)), length(now * 2 + previous)]
+        cells = [
+            length(now),
+            2 * len(scene.mask_model),
+            length(seen),
+            2 * len(np.unique(seen)),
+            length(now * 2 + previous),
+        ]
         cells.append(logit_bytes(codec.Coding(scene).contexts(), kept, before))
         lines.append(f"| {name} | " + " | ".join(f"{c:,.0f}" for c in cells) + " |")
     lines += ["", MASKS_NOTE]
@@ -356,14 +380,18 @@ def logit_bytes(contexts: np.ndarray, kept: Int64, before: Int64) -> float:
     offset and count, bytes without the network."""
     torch.manual_seed(0)
     inputs, bits = torch.from_numpy(contexts.astype(np.float32) / 256), torch.from_numpy(kept.astype(np.float32))
-    network = torch.nn.Sequential(torch.nn.Linear(inputs.shape[1], 32), torch.nn.ReLU(), torch.nn.Linear(32, kept.shape[1]))
+    network = torch.nn.Sequential(
+        torch.nn.Linear(inputs.shape[1], 32), torch.nn.ReLU(), torch.nn.Linear(32, kept.shape[1])
+    )
     table = torch.nn.Parameter(torch.zeros(kept.shape[1], kept.shape[1]))
     columns, counts = torch.arange(kept.shape[1]), torch.from_numpy(before)
     optimiser = torch.optim.Adam([*network.parameters(), table], lr=0.01)
     nats = torch.zeros(())
     for _ in range(600):
         optimiser.zero_grad()
-        nats = torch.nn.functional.binary_cross_entropy_with_logits(network(inputs) + table[columns, counts], bits, reduction="sum")
+        nats = torch.nn.functional.binary_cross_entropy_with_logits(
+            network(inputs) + table[columns, counts], bits, reduction="sum"
+        )
         nats.backward()
         optimiser.step()
     return float(nats.detach()) / np.log(2) / 8
@@ -376,14 +404,21 @@ def garden(points: str) -> None:
     scene = fit(voxelise(found.points, found.colours, voxel), voxel=voxel, steps=FIT_STEPS).scene
     rng = np.random.default_rng(0)
     networks = {
-        name: [(rng.normal(0, 0.2, w.shape).astype(np.float32), rng.normal(0, 0.2, b.shape).astype(np.float32)) for w, b in layers]
+        name: [
+            (rng.normal(0, 0.2, w.shape).astype(np.float32), rng.normal(0, 0.2, b.shape).astype(np.float32))
+            for w, b in layers
+        ]
         if name in ("opacity", "covariance", "colour")
         else layers
         for name, layers in scene.networks.items()
     }
     scene = replace(scene, networks=quantise_rendering(networks, 8))
     rows, _ = coding_rows(scene, f"garden's points, {scene.anchor_count:,} anchors")
-    lines = [f"`python benchmarks/packing.py garden --points {Path(points).name}`", "", f"{machine()} Coding networks and attributes after"]
+    lines = [
+        f"`python benchmarks/packing.py garden --points {Path(points).name}`",
+        "",
+        f"{machine()} Coding networks and attributes after",
+    ]
     lines[-1] += f" {FIT_STEPS} steps of `fit`; rendering networks of random numbers, 8 bits."
     write_section("packing-garden", "Positions and weights of a large scene", [*lines, "", *CODING_HEAD, *rows])
 

@@ -72,11 +72,15 @@ def made_up(name: str) -> tuple[list[torch.Tensor], Camera]:
     return [mean, quaternion, lengths, opacity, colour], camera
 
 
-def project_with_torch(mean: torch.Tensor, quaternion: torch.Tensor, lengths: torch.Tensor, camera: Camera) -> tuple[torch.Tensor, ...]:
+def project_with_torch(
+    mean: torch.Tensor, quaternion: torch.Tensor, lengths: torch.Tensor, camera: Camera
+) -> tuple[torch.Tensor, ...]:
     """SPEC 14.4: (u, v) [n, 2], the covariance's xx, xy, yy, and depth, in float32."""
     world, shift = torch.from_numpy(camera.rotation).float(), torch.from_numpy(camera.translation).float()
     p = mean @ world.T + shift
-    size, focal, centre = (torch.tensor(v) for v in ((camera.width, camera.height), (camera.fx, camera.fy), (camera.cx, camera.cy)))
+    size, focal, centre = (
+        torch.tensor(v) for v in ((camera.width, camera.height), (camera.fx, camera.fy), (camera.cx, camera.cy))
+    )
     z = p[:, 2:]
     slope = p[:, :2] / z
     beyond = projection.BEYOND * size / focal
@@ -103,7 +107,9 @@ def draw_with_torch(*inputs: torch.Tensor, camera: Camera) -> torch.Tensor:
     inverse = torch.stack([yy, -xy, xx], -1) / (xx * yy - xy * xy)[:, None]
     across, down = -(-camera.width // TILE), -(-camera.height // TILE)
     with torch.no_grad():
-        reach = (2 * (opacity / constants.ALPHA_MIN).clamp(min=1).log()).sqrt()[:, None] * torch.stack([xx, yy], -1).sqrt()
+        reach = (2 * (opacity / constants.ALPHA_MIN).clamp(min=1).log()).sqrt()[:, None] * torch.stack(
+            [xx, yy], -1
+        ).sqrt()
         tiles = torch.tensor([across, down])
         first = torch.minimum(((place - reach) / TILE).floor().long().clamp(min=0), tiles)
         last = torch.minimum(((place + reach) / TILE).floor().long().clamp(min=-1) + 1, tiles)
@@ -117,7 +123,10 @@ def draw_with_torch(*inputs: torch.Tensor, camera: Camera) -> torch.Tensor:
         of, count = of[order], torch.bincount(tile, minlength=across * down)
         begin = count.cumsum(0) - count
         longest = torch.argsort(count, descending=True)
-    pixels = torch.stack(torch.meshgrid(torch.arange(TILE), torch.arange(TILE), indexing="xy"), -1).reshape(1, -1, 1, 2) + 0.5
+    pixels = (
+        torch.stack(torch.meshgrid(torch.arange(TILE), torch.arange(TILE), indexing="xy"), -1).reshape(1, -1, 1, 2)
+        + 0.5
+    )
     background = torch.tensor(SETTINGS.background)
     parts, done = [], 0
     while done < len(longest):
@@ -157,7 +166,9 @@ def drawer(name: str, folder: str | None) -> Draw:
         view[:3, :3], view[:3, 3] = torch.from_numpy(camera.rotation), torch.from_numpy(camera.translation)
         lens[0, 0], lens[1, 1], lens[0, 2], lens[1, 2] = camera.fx, camera.fy, camera.cx, camera.cy
         named = dict(zip(("means", "quats", "scales", "opac", "rgb"), inputs, strict=True))
-        image: torch.Tensor = render({**named, "view": view, "K": lens, "w": camera.width, "h": camera.height, "bg": background})[0]
+        image: torch.Tensor = render(
+            {**named, "view": view, "K": lens, "w": camera.width, "h": camera.height, "bg": background}
+        )[0]
         return image
 
     background = torch.tensor(SETTINGS.background)
@@ -253,7 +264,9 @@ def report(folder: str | None, rounds: int) -> list[str]:
             run = next(run for run in found if run["stages"] is stages)
             rest = 1000 * statistics.fmean(run["times"]) - sum(stages.values())
             split.append(f"| {scene} | {threads} | " + " | ".join(f"{v:.1f}" for v in (*stages.values(), rest)) + " |")
-    sizes = "; ".join(f"{name}: {SCENES[name][0]:,} Gaussians, {SCENES[name][1]} x {SCENES[name][2]} pixels" for name in ("S", "L"))
+    sizes = "; ".join(
+        f"{name}: {SCENES[name][0]:,} Gaussians, {SCENES[name][1]} x {SCENES[name][2]} pixels" for name in ("S", "L")
+    )
     return [
         f"`OMP_WAIT_POLICY=PASSIVE python benchmarks/rasteriser.py{' --prototype FOLDER' if folder else ''}`",
         "",
@@ -281,7 +294,9 @@ def main() -> int:
     parser = argparse.ArgumentParser(description="Speed and memory of the rasteriser as training uses it.")
     parser.add_argument("--prototype", metavar="FOLDER", help="an earlier rasteriser to measure too")
     parser.add_argument("--rounds", type=int, default=2, help="processes of each kind (default: %(default)s)")
-    parser.add_argument("--measure", nargs=2, metavar=("NAME", "SCENE"), help="measure one in this process and print it")
+    parser.add_argument(
+        "--measure", nargs=2, metavar=("NAME", "SCENE"), help="measure one in this process and print it"
+    )
     arguments = parser.parse_args()
     if arguments.measure:
         name, scene = arguments.measure

@@ -29,7 +29,10 @@ RUNS = {
     "refcodec, with --serve and --trace": (["--serve", "--trace"], [*SERVE, "refcodec"]),
     "refcodec, a process for each vector": ([], [PYTHON, "-m", "refcodec", "reconstruct", "{input}", "{output}"]),
     "the second decoder, with --serve": (["--serve"], [*SERVE, "independent"]),
-    "the second decoder, a process for each vector": ([], [PYTHON, "-m", "conformance.independent", "decode", "{input}", "{output}"]),
+    "the second decoder, a process for each vector": (
+        [],
+        [PYTHON, "-m", "conformance.independent", "decode", "{input}", "{output}"],
+    ),
     "the decoder in C": ([], ["{c}", "decode", "{input}", "{output}"]),
 }
 
@@ -55,7 +58,10 @@ def main() -> None:
     ]
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
-        subprocess.run(["cc", "-std=c11", "-O2", str(ROOT / "conformance" / "c" / "decoder.c"), "-o", str(folder / "decoder")], check=True)
+        subprocess.run(
+            ["cc", "-std=c11", "-O2", str(ROOT / "conformance" / "c" / "decoder.c"), "-o", str(folder / "decoder")],
+            check=True,
+        )
         os.environ["C3GS_TABLES"] = str(ROOT / "refcodec" / "data" / "tables-0.bin")
         found = {}
         for title, (options, command) in tqdm(RUNS.items(), leave=False):
@@ -65,8 +71,13 @@ def main() -> None:
         shown = ", ".join(f"{count} {status}" for status, count in counts.items() if count)
         lines.append(f"| {title} | {shown} | {wall:.1f} | {processor:.0f} | {wall / least:.1f} |")
     start = time.perf_counter()
-    done = subprocess.run([PYTHON, "-m", "conformance", "selftest"], cwd=ROOT, capture_output=True, text=True, check=False)
-    lines += ["", f"`conformance selftest`: {done.stdout.strip().splitlines()[-1]}; {time.perf_counter() - start:.0f} s."]
+    done = subprocess.run(
+        [PYTHON, "-m", "conformance", "selftest"], cwd=ROOT, capture_output=True, text=True, check=False
+    )
+    lines += [
+        "",
+        f"`conformance selftest`: {done.stdout.strip().splitlines()[-1]}; {time.perf_counter() - start:.0f} s.",
+    ]
     write_section("suite", "The conformance suite", lines)
 
 

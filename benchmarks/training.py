@@ -72,12 +72,20 @@ class Run:
     @property
     def name(self) -> str:
         """A name for its files."""
-        return "-".join([self.scene, str(self.side), f"{self.rate:g}", str(self.steps), *(o.strip("-") for o in self.options)])
+        return "-".join(
+            [self.scene, str(self.side), f"{self.rate:g}", str(self.steps), *(o.strip("-") for o in self.options)]
+        )
 
     @property
     def command(self) -> str:
         """What to type."""
-        words = ["refcodec train", f"examples/photographs/{self.scene}", "-o SCENE", f"--size {self.side}", f"--rate {self.rate:g}"]
+        words = [
+            "refcodec train",
+            f"examples/photographs/{self.scene}",
+            "-o SCENE",
+            f"--size {self.side}",
+            f"--rate {self.rate:g}",
+        ]
         return " ".join([*words, f"--steps {self.steps}", *self.options])
 
 
@@ -90,12 +98,24 @@ def perform(run: Run, work: Path) -> dict[str, Any]:
     state = folder.with_name(folder.name + ".train-state")
 
     def refcodec(*words: str) -> str:
-        done = subprocess.run([sys.executable, "-m", "refcodec", *words], env=ENVIRONMENT, capture_output=True, text=True, check=False)
+        done = subprocess.run(
+            [sys.executable, "-m", "refcodec", *words], env=ENVIRONMENT, capture_output=True, text=True, check=False
+        )
         if done.returncode:
             raise SystemExit(f"{run.name}: {done.stderr}")
         return done.stdout
 
-    options = ["--size", str(run.side), "--rate", f"{run.rate:g}", "--steps", str(run.steps), "--threads", "1", *run.options]
+    options = [
+        "--size",
+        str(run.side),
+        "--rate",
+        f"{run.rate:g}",
+        "--steps",
+        str(run.steps),
+        "--threads",
+        "1",
+        *run.options,
+    ]
     refcodec("train", photographs, "-o", str(folder), *options, *(["--resume"] if state.exists() else []))
     coded = (folder / "scene.json").exists()
     if coded:
@@ -145,7 +165,11 @@ def scenes(work: Path) -> None:
             shown, training = result["eval"], result["training"]
             mean, parts, kinds = shown["mean"], shown["parts"], training["bytes"]
             change = mean["psnr"] - base["eval"]["mean"]["psnr"]
-            three = " / ".join(kb(kinds[k]) for k in ("features", "scalings", "offsets")) if rate else kb(parts["attributes"])
+            three = (
+                " / ".join(kb(kinds[k]) for k in ("features", "scalings", "offsets"))
+                if rate
+                else kb(parts["attributes"])
+            )
             body = parts["attributes"] + parts.get("masks", 0) + parts.get("planes", 0)
             lines.append(
                 f"| {rate:g} | {mean['psnr']:.2f} | {change:+.2f} | {mean['ssim']:.4f} | {mean['psnr_3dgs']:.2f} / {mean['ssim_3dgs']:.4f} | {kb(shown['bytes'])} "
@@ -224,7 +248,9 @@ def sampling(work: Path) -> None:
         name: [Run(scene, 200, rate, SMALL_STEPS, options) for rate in rates for scene in ("caliterra",)]
         for name, options in (("USRO", ()), ("ViSRO", ("--sampling", "visible")))
     }
-    results = dict(zip(both, np.array_split(np.array(perform_all([*both["USRO"], *both["ViSRO"]], work), object), 2), strict=True))
+    results = dict(
+        zip(both, np.array_split(np.array(perform_all([*both["USRO"], *both["ViSRO"]], work), object), 2), strict=True)
+    )
     lines = [
         "`python benchmarks/training.py sampling`",
         "",
@@ -257,7 +283,11 @@ def sampling(work: Path) -> None:
         SAMPLING_NOTE,
         "",
     ]
-    full = [replace(run, steps=40000).command.replace("--size 200", "--preset paper") for runs in both.values() for run in runs[:1]]
+    full = [
+        replace(run, steps=40000).command.replace("--size 200", "--preset paper")
+        for runs in both.values()
+        for run in runs[:1]
+    ]
     lines += ["At full size, for each rate:", "", "```sh", *full, "```"]
     write_section("training-sampling", "USRO and ViSRO", lines)
 
@@ -306,7 +336,9 @@ def losses(work: Path) -> None:
         for words, cells in choices.items():
             scaffold.position = torch.from_numpy((cells * units.cell).astype(np.float32))
             value = quality()
-            places.append(f"| {name} | {words} | {value:.4f} | {value - base:+.4f} | {np.abs(cells - lattice).max():.3g} |")
+            places.append(
+                f"| {name} | {words} | {value:.4f} | {value - base:+.4f} | {np.abs(cells - lattice).max():.3g} |"
+            )
         scaffold.position = position
     lines += ["", *places, ""]
     lines += [
@@ -325,10 +357,17 @@ def same(work: Path) -> None:
 
     def another_unit(factor: float) -> PhotographSet:
         return replace(
-            photographs, train=moved(photographs.train, factor), test=moved(photographs.test, factor), points=photographs.points * factor
+            photographs,
+            train=moved(photographs.train, factor),
+            test=moved(photographs.test, factor),
+            points=photographs.points * factor,
         )
 
-    cases = [("seed 0, one thread", photographs, 0, 1), ("again", photographs, 0, 1), ("seed 0, two threads", photographs, 0, 2)]
+    cases = [
+        ("seed 0, one thread", photographs, 0, 1),
+        ("again", photographs, 0, 1),
+        ("seed 0, two threads", photographs, 0, 2),
+    ]
     cases += [
         ("seed 1", photographs, 1, 1),
         ("units of a hundredth", another_unit(100.0), 0, 1),
@@ -350,7 +389,9 @@ def same(work: Path) -> None:
         data = emit(scene)
         view = View(scene)
         value = float(np.mean([measures(view.draw(p.camera), p.image)["psnr"] for p in found.test]))
-        lines.append(f"| {words} | {value:.3f} | {kb(len(data))} | {scene.anchor_count:,} | {hashlib.sha256(data).hexdigest()[:16]} |")
+        lines.append(
+            f"| {words} | {value:.3f} | {kb(len(data))} | {scene.anchor_count:,} | {hashlib.sha256(data).hexdigest()[:16]} |"
+        )
         print(lines[-1], flush=True)
     lines += [
         "",
@@ -392,7 +433,9 @@ def beside(work: Path, prototype: Path, name: str, folder: str) -> list[str]:
     """Rows of this code, and of the prototype with the minutes that this code took."""
     output, photographs, size = work / f"beside-{name}", str(EXAMPLES / name), ("--size", "400")
     steps = ("--steps", str(BESIDE_STEPS), "--rate", "0", "--threads", "1")
-    ours = subprocess.Popen([sys.executable, "-m", "refcodec", "train", photographs, "-o", str(output), *size, *steps], env=ENVIRONMENT)
+    ours = subprocess.Popen(
+        [sys.executable, "-m", "refcodec", "train", photographs, "-o", str(output), *size, *steps], env=ENVIRONMENT
+    )
     peak = os.wait4(ours.pid, 0)[2].ru_maxrss / 1024
     facts = json.loads((output / "training.json").read_text())
     words = ["--data", str(prototype.parent / "data" / folder), "--threads", "1", "--grow", "100", "--down", "1"]
@@ -416,7 +459,9 @@ def beside(work: Path, prototype: Path, name: str, folder: str) -> list[str]:
             found = line.split()
             at = {word: found[i + 1] for i, word in enumerate(found[:-1])}
             memory = float(at["rss"]) * 1e9 / 2**20
-            rows.append(f"| | prototype | {at['t']} | {at['step']} | {int(at['anchors']):,} | {float(at['PSNR']):.2f} | {memory:.0f} |")
+            rows.append(
+                f"| | prototype | {at['t']} | {at['step']} | {int(at['anchors']):,} | {float(at['PSNR']):.2f} | {memory:.0f} |"
+            )
     print("\n".join(rows), flush=True)
     return rows
 
@@ -451,13 +496,17 @@ def profile() -> list[str]:
                 total += own
                 for name, marks in PARTS.items():
                     if any(
-                        mark == function or file.endswith(mark) or (mark in function and mark in ("run_backward", "linear"))
+                        mark == function
+                        or file.endswith(mark)
+                        or (mark in function and mark in ("run_backward", "linear"))
                         for mark in marks
                     ):
                         spent[name] += own
                         break
             cells = " | ".join(f"{10 * value:.1f}" for value in spent.values())
-            lines.append(f"| {side} x {side * 3 // 4} | {words} | {10 * total:.1f} | {cells} | {10 * (total - sum(spent.values())):.1f} |")
+            lines.append(
+                f"| {side} x {side * 3 // 4} | {words} | {10 * total:.1f} | {cells} | {10 * (total - sum(spent.values())):.1f} |"
+            )
     return lines
 
 
@@ -472,7 +521,9 @@ def main() -> None:
     if arguments.part == "speed":
         speed(arguments.work, arguments.prototype)
     else:
-        {"scenes": scenes, "hyperpriors": hyperpriors, "sampling": sampling, "losses": losses, "same": same}[arguments.part](arguments.work)
+        {"scenes": scenes, "hyperpriors": hyperpriors, "sampling": sampling, "losses": losses, "same": same}[
+            arguments.part
+        ](arguments.work)
 
 
 if __name__ == "__main__":

@@ -20,7 +20,8 @@ def blocks(text: str) -> dict[str, Any]:
     """The names that the python blocks of SPEC.md's text define, with the constants of 2.5 and the tables of Annex A."""
     table = text.partition("### 2.5 ")[2].partition("\n## ")[0]
     space: dict[str, Any] = {
-        name: eval(value.replace("^", "**")) for name, value in re.findall(r"^\| ([A-Z][A-Z0-9_]+) \| ([^|]+) \|", table, re.MULTILINE)
+        name: eval(value.replace("^", "**"))
+        for name, value in re.findall(r"^\| ([A-Z][A-Z0-9_]+) \| ([^|]+) \|", table, re.MULTILINE)
     }
     for block in re.findall(r"^```python\n(.*?)^```", text, re.DOTALL | re.MULTILINE):
         exec(compile(block, "SPEC.md", "exec"), space)
@@ -31,7 +32,9 @@ def blocks(text: str) -> dict[str, Any]:
 
 def requirements(spec: str) -> Iterator[tuple[str, str, str, str]]:
     """(identifier, clause, sentence, error's name or nothing) in the order of SPEC.md."""
-    pattern = rf"^- \[([RDG]({CLAUSE})-\d+)\] It is a requirement of (?:bitstream|decoder|renderer) conformance that (.*)$"
+    pattern = (
+        rf"^- \[([RDG]({CLAUSE})-\d+)\] It is a requirement of (?:bitstream|decoder|renderer) conformance that (.*)$"
+    )
     for name, clause, sentence in re.findall(pattern, spec, re.MULTILINE):
         error = re.search(r" \(`([a-z_.]+)`\)", sentence)
         text = sentence[: error.start()] if error else sentence.rstrip(".")
@@ -64,13 +67,17 @@ def decode(space: dict[str, Any], data: bytes, header: Header) -> tuple[bytes, l
         raw.append(([values[r * fan_in : (r + 1) * fan_in] for r in range(out)], values[out * fan_in :]))
     if section.mode:
         stream = space["OPEN"](data[at : section.end], 1 << h.attribute_lanes_log2)
-        raw, verdict = space["DECODE_WEIGHTS"](stream, [shape[1:] for shape in layers_of(header.dimensions)], models, raw)
+        raw, verdict = space["DECODE_WEIGHTS"](
+            stream, [shape[1:] for shape in layers_of(header.dimensions)], models, raw
+        )
         found.append(verdict)
         if verdict:
             return b"", found
     weights = b"".join(struct.pack(f"<{len(part)}f", *part) for rows, biases in raw for part in (*rows, biases))
     rest = iter(raw)
-    layers: dict[str, Any] = {name: [next(rest) for _ in shapes] for name, shapes in header.dimensions.network_shapes().items()}
+    layers: dict[str, Any] = {
+        name: [next(rest) for _ in shapes] for name, shapes in header.dimensions.network_shapes().items()
+    }
     table, size = syntax.parse("PlaneTable", data, start["planes"])
     at, streams = start["planes"] + size, []
     for length in table.length:
@@ -88,14 +95,20 @@ def decode(space: dict[str, Any], data: bytes, header: Header) -> tuple[bytes, l
     for number, anchors in enumerate(header.chunks):
         entry, _ = syntax.parse("ChunkEntry", data, entries_at + 24 * number)
         part = {}
-        for name, field in (("positions", "position_length"), ("masks", "mask_length"), ("attributes", "attribute_length")):
+        for name, field in (
+            ("positions", "position_length"),
+            ("masks", "mask_length"),
+            ("attributes", "attribute_length"),
+        ):
             part[name] = data[next_at[name] : next_at[name] + entry[field]]
             next_at[name] += entry[field]
         if position_model is None:
             positions = list(struct.iter_unpack("<3H", part["positions"]))
         else:
             lanes = 1 << h.mask_lanes_log2
-            positions, verdict = space["DECODE_POSITIONS"](part["positions"], position_model.cell_shift, cell_models, len(anchors), lanes)
+            positions, verdict = space["DECODE_POSITIONS"](
+                part["positions"], position_model.cell_shift, cell_models, len(anchors), lanes
+            )
             found.append(verdict)
         chunks.append((positions, part["masks"], part["attributes"]))
     all_weights = {"plane_shift": scales.plane_shift, "carm_shift": scales.carm_shift, "networks": layers}
@@ -108,7 +121,14 @@ def decode(space: dict[str, Any], data: bytes, header: Header) -> tuple[bytes, l
     def flat(value: list) -> list:
         return [x for item in value for x in flat(item)] if value and isinstance(value[0], list) else value
 
-    for name, code in (("positions", "f"), ("masks", "B"), ("planes", "h"), ("features", "f"), ("scalings", "f"), ("offsets", "f")):
+    for name, code in (
+        ("positions", "f"),
+        ("masks", "B"),
+        ("planes", "h"),
+        ("features", "f"),
+        ("scalings", "f"),
+        ("offsets", "f"),
+    ):
         numbers = flat(out[name])
         result += struct.pack(f"<{len(numbers)}{code}", *numbers)
     return result + weights, found + verdicts

@@ -33,7 +33,9 @@ def _generate(arguments: argparse.Namespace) -> int:
 
 def _add_generate(commands: Any) -> None:
     generate = commands.add_parser("generate", help="make all vectors and the manifest anew, the same bytes each time")
-    generate.add_argument("-o", "--output", type=Path, default=Path("vectors"), metavar="DIR", help="where (default: vectors)")
+    generate.add_argument(
+        "-o", "--output", type=Path, default=Path("vectors"), metavar="DIR", help="where (default: vectors)"
+    )
     generate.set_defaults(run=_generate)
 
 
@@ -57,35 +59,71 @@ def _add_run(commands: Any) -> None:
 
     def shared(name: str, text: str, example: str) -> argparse.ArgumentParser:
         parser: argparse.ArgumentParser = commands.add_parser(
-            name, help=text, description=text, epilog=f"{example}; {run.STATUSES}", usage=f"conformance {name} [options] {example}"
+            name,
+            help=text,
+            description=text,
+            epilog=f"{example}; {run.STATUSES}",
+            usage=f"conformance {name} [options] {example}",
         )
-        parser.add_argument("--vectors", type=Path, default=Path("vectors"), metavar="DIR", help="folder of the suite (default: vectors)")
-        parser.add_argument("--gaussians", metavar="COMMAND", help="one with {input}, {camera} and {output}, as a shell would read it")
-        parser.add_argument("--jobs", type=_positive, default=os.cpu_count() or 1, metavar="N", help="processes (default: one a core)")
-        parser.add_argument("--slow", type=_factor, default=1.0, metavar="X", help="factor of the time budgets (default: %(default)s)")
+        parser.add_argument(
+            "--vectors",
+            type=Path,
+            default=Path("vectors"),
+            metavar="DIR",
+            help="folder of the suite (default: vectors)",
+        )
+        parser.add_argument(
+            "--gaussians", metavar="COMMAND", help="one with {input}, {camera} and {output}, as a shell would read it"
+        )
+        parser.add_argument(
+            "--jobs", type=_positive, default=os.cpu_count() or 1, metavar="N", help="processes (default: one a core)"
+        )
+        parser.add_argument(
+            "--slow", type=_factor, default=1.0, metavar="X", help="factor of the time budgets (default: %(default)s)"
+        )
         return parser
 
-    parser = shared("run", "tell whether a decoder is right, and if not, where it goes wrong", "-- ./mydecoder {input} {output}")
+    parser = shared(
+        "run", "tell whether a decoder is right, and if not, where it goes wrong", "-- ./mydecoder {input} {output}"
+    )
     parser.add_argument("--select", action="append", default=[], metavar="EXPR", help=selection.HELP)
     run.add_grade(parser)
     parser.add_argument("--trace", action="store_true", help="the command has {trace}, and the trace must be right too")
     parser.add_argument(
-        "--serve", action="store_true", help="the command stays, reads a request for each vector from stdin, and answers on stdout, in JSON"
+        "--serve",
+        action="store_true",
+        help="the command stays, reads a request for each vector from stdin, and answers on stdout, in JSON",
     )
-    parser.add_argument("--known-failures", type=Path, metavar="FILE", help="identifiers of vectors that must fail, one in a line")
-    parser.add_argument("--describe", type=Path, metavar="FILE", help="the decoder's description of itself, JSON with name and version")
-    parser.add_argument("--report", type=Path, metavar="DIR", help="write report.json, report.xml (JUnit) and report.html there")
-    parser.add_argument("command", nargs="+", metavar="-- COMMAND", help="{input}, {output} and {trace} stand for paths")
+    parser.add_argument(
+        "--known-failures", type=Path, metavar="FILE", help="identifiers of vectors that must fail, one in a line"
+    )
+    parser.add_argument(
+        "--describe", type=Path, metavar="FILE", help="the decoder's description of itself, JSON with name and version"
+    )
+    parser.add_argument(
+        "--report", type=Path, metavar="DIR", help="write report.json, report.xml (JUnit) and report.html there"
+    )
+    parser.add_argument(
+        "command", nargs="+", metavar="-- COMMAND", help="{input}, {output} and {trace} stand for paths"
+    )
     parser.set_defaults(run=run.run_command)
-    verify = shared("verify-report", "run the vectors of a report again, and compare", "REPORT.json -- ./mydecoder {input} {output}")
+    verify = shared(
+        "verify-report", "run the vectors of a report again, and compare", "REPORT.json -- ./mydecoder {input} {output}"
+    )
     verify.add_argument("report", type=Path, metavar="REPORT.json")
     verify.add_argument("command", nargs="+", metavar="-- COMMAND", help="as for run")
     verify.set_defaults(run=run.verify_report)
     export = commands.add_parser("export", help="write the valid vectors as a suite of another runner")
-    export.add_argument("--vectors", type=Path, default=Path("vectors"), metavar="DIR", help="folder of the suite (default: vectors)")
-    export.add_argument("--fluster", type=Path, required=True, metavar="DIR", help="for Fluster, with the script that runs it")
+    export.add_argument(
+        "--vectors", type=Path, default=Path("vectors"), metavar="DIR", help="folder of the suite (default: vectors)"
+    )
+    export.add_argument(
+        "--fluster", type=Path, required=True, metavar="DIR", help="for Fluster, with the script that runs it"
+    )
     export.set_defaults(run=run.export)
-    encoder = commands.add_parser("check-encoder", help="judge the files of another encoder: valid, canonical, the same to both decoders")
+    encoder = commands.add_parser(
+        "check-encoder", help="judge the files of another encoder: valid, canonical, the same to both decoders"
+    )
     encoder.add_argument("files", nargs="+", type=Path, metavar="FILE")
     encoder.set_defaults(run=run.check_encoder)
 
@@ -97,26 +135,57 @@ def _selftest(arguments: argparse.Namespace) -> int:
 
 
 def _add_selftest(commands: Any) -> None:
-    selftest = commands.add_parser("selftest", help="plant bugs in the second decoder; the vectors must catch every one")
-    selftest.add_argument("--manifest", type=Path, default=Path("vectors/manifest.json"), help="the suite (default: vectors/manifest.json)")
-    selftest.add_argument("--jobs", type=_positive, default=os.cpu_count() or 1, help="processes (default: one for each core)")
+    selftest = commands.add_parser(
+        "selftest", help="plant bugs in the second decoder; the vectors must catch every one"
+    )
+    selftest.add_argument(
+        "--manifest",
+        type=Path,
+        default=Path("vectors/manifest.json"),
+        help="the suite (default: vectors/manifest.json)",
+    )
+    selftest.add_argument(
+        "--jobs", type=_positive, default=os.cpu_count() or 1, help="processes (default: one for each core)"
+    )
     how = selftest.add_mutually_exclusive_group()
-    how.add_argument("--recorded", action="store_true", help="each bug on the vector that is recorded as the first to catch it alone")
-    how.add_argument("--matrix", type=Path, metavar="FILE", help="each bug on all vectors; write which catch it to this file, as JSON")
-    how.add_argument("--write", action="store_true", help="renew the record and its table, conformance/mutants/CAUGHT.md")
+    how.add_argument(
+        "--recorded", action="store_true", help="each bug on the vector that is recorded as the first to catch it alone"
+    )
+    how.add_argument(
+        "--matrix",
+        type=Path,
+        metavar="FILE",
+        help="each bug on all vectors; write which catch it to this file, as JSON",
+    )
+    how.add_argument(
+        "--write", action="store_true", help="renew the record and its table, conformance/mutants/CAUGHT.md"
+    )
     selftest.set_defaults(run=_selftest)
 
 
 def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(prog="conformance", description=__doc__)
     commands = parser.add_subparsers(required=True, metavar="command")
-    fuzz = commands.add_parser("fuzz", help="compare refcodec, the second decoder and, if you like, yours on many generated files")
+    fuzz = commands.add_parser(
+        "fuzz", help="compare refcodec, the second decoder and, if you like, yours on many generated files"
+    )
     fuzz.add_argument("-n", "--count", type=_positive, default=1000, help="files, valid and not (default 1000)")
     fuzz.add_argument("--seed", type=int, default=0, help="the same seed gives the same files (default 0)")
-    fuzz.add_argument("--jobs", type=_positive, default=os.cpu_count() or 1, help="processes (default: one for each core)")
-    fuzz.add_argument("--state", type=Path, default=Path("out/fuzz.json"), help="where batches done are noted; a run goes on from there")
-    fuzz.add_argument("--keep", type=Path, default=Path("out/fuzz"), help="folder for files on which the decoders disagree")
-    fuzz.add_argument("command", nargs="*", metavar="-- COMMAND", help="a third decoder, with {input} and {output} as for run")
+    fuzz.add_argument(
+        "--jobs", type=_positive, default=os.cpu_count() or 1, help="processes (default: one for each core)"
+    )
+    fuzz.add_argument(
+        "--state",
+        type=Path,
+        default=Path("out/fuzz.json"),
+        help="where batches done are noted; a run goes on from there",
+    )
+    fuzz.add_argument(
+        "--keep", type=Path, default=Path("out/fuzz"), help="folder for files on which the decoders disagree"
+    )
+    fuzz.add_argument(
+        "command", nargs="*", metavar="-- COMMAND", help="a third decoder, with {input} and {output} as for run"
+    )
     fuzz.set_defaults(run=_fuzz)
     _add_generate(commands)
     _add_run(commands)

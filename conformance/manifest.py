@@ -102,7 +102,11 @@ class Manifest:
         return self.folder / vector.input.path
 
 
-_RESULTS: dict[str, type[Accepted | Rejected | GaussiansOf]] = {"accepted": Accepted, "rejected": Rejected, "gaussians": GaussiansOf}
+_RESULTS: dict[str, type[Accepted | Rejected | GaussiansOf]] = {
+    "accepted": Accepted,
+    "rejected": Rejected,
+    "gaussians": GaussiansOf,
+}
 
 
 def _vector(fields: dict[str, Any]) -> Vector:

@@ -54,7 +54,9 @@ def train(argv: list[str]) -> int:
         history.append({"step": done, "seconds": done / 10, "psnr": 20 + done / 10, "anchors": 30, "bytes": 1000})
         print(f"step {done}", file=sys.stderr, flush=True)
     # Fewer anchors at higher rates.
-    scene = random_scene(73, 30 if not arguments.rate else max(5, int(0.1 / arguments.rate)), gain=0.3, base_step=(0.5, 0.125, 0.25))
+    scene = random_scene(
+        73, 30 if not arguments.rate else max(5, int(0.1 / arguments.rate)), gain=0.3, base_step=(0.5, 0.125, 0.25)
+    )
     scene.networks["opacity"][-1][1][:] = 5
     if arguments.rate:
         write_folder(scene, arguments.output)
@@ -62,7 +64,14 @@ def train(argv: list[str]) -> int:
         arguments.output.mkdir(exist_ok=True)
         (arguments.output / "hidden.c3gs").write_bytes(emit(scene))
     sizes = {"positions": 360, "attributes": 7320, "masks": 0, "planes": 0, "weights": 2000}
-    report = {"settings": {}, "steps": done, "seconds": done / 10, "anchors": scene.anchor_count, "bytes": sizes, "history": history}
+    report = {
+        "settings": {},
+        "steps": done,
+        "seconds": done / 10,
+        "anchors": scene.anchor_count,
+        "bytes": sizes,
+        "history": history,
+    }
     (arguments.output / "training.json").write_text(json.dumps(report))
     if done < arguments.steps:
         state.write_text(str(done))
@@ -91,9 +100,21 @@ def evaluate(argv: list[str]) -> int:
         rows.append({"image": camera.name, **mean})
         if arguments.images:
             arguments.images.mkdir(exist_ok=True)
-            Image.new("RGB", (camera.width, camera.height), (90, 90, 90)).save(arguments.images / f"{Path(camera.name).stem}.png")
+            Image.new("RGB", (camera.width, camera.height), (90, 90, 90)).save(
+                arguments.images / f"{Path(camera.name).stem}.png"
+            )
     parts = {section["name"]: section["bytes"] for section in facts["sections"]}
-    print(json.dumps({"bytes": facts["bytes"], "anchors": facts["header"]["anchor_count"], "parts": parts, "mean": mean, "images": rows}))
+    print(
+        json.dumps(
+            {
+                "bytes": facts["bytes"],
+                "anchors": facts["header"]["anchor_count"],
+                "parts": parts,
+                "mean": mean,
+                "images": rows,
+            }
+        )
+    )
     return 0
 
 

@@ -42,7 +42,9 @@ def decode(tmp_path_factory: pytest.TempPathFactory) -> Callable[[bytes], compar
     def verdict(data: bytes) -> compare.Verdict:
         file.write_bytes(data)
         environment = {**os.environ, "C3GS_TABLES": str(TABLES)}
-        result = subprocess.run([program, "digest", file], capture_output=True, text=True, check=False, env=environment, timeout=60)
+        result = subprocess.run(
+            [program, "digest", file], capture_output=True, text=True, check=False, env=environment, timeout=60
+        )
         if result.returncode == 0:
             return result.stdout.split()[1], -1
         assert result.returncode in (1, 2), result.stderr
@@ -63,7 +65,9 @@ def test_fault(decode: Callable[[bytes], compare.Verdict], name: str, data: st.D
 
 @given(compare.families())
 @settings(max_examples=10)
-def test_it_agrees(decode: Callable[[bytes], compare.Verdict], made: list[tuple[bytes, compare.Verdict | None]]) -> None:
+def test_it_agrees(
+    decode: Callable[[bytes], compare.Verdict], made: list[tuple[bytes, compare.Verdict | None]]
+) -> None:
     for data, _ in made:
         assert decode(data) == compare.first_verdict(data)
 

@@ -125,7 +125,16 @@ def test_digest(file, scene, capsys):
     assert main(["digest", str(file), "--parts"]) == 0
     lines = [line.split() for line in capsys.readouterr().out.splitlines()]
     assert lines == [[name, value] for name, value in {**parts, "whole": whole}.items()]
-    assert [name for name, _ in lines] == ["positions", "masks", "planes", "features", "scalings", "offsets", "weights", "whole"]
+    assert [name for name, _ in lines] == [
+        "positions",
+        "masks",
+        "planes",
+        "features",
+        "scalings",
+        "offsets",
+        "weights",
+        "whole",
+    ]
 
 
 def test_validate(file, capsys):
@@ -149,7 +158,11 @@ def test_reads_from_a_pipe(file, scene):
         done = run("digest", "/dev/stdin", stdin=content)
     assert done.stdout.strip() == digest(scene)[0]
     done = subprocess.run(
-        f"cat {file} | {sys.executable} -m refcodec digest /dev/stdin", shell=True, capture_output=True, text=True, check=False
+        f"cat {file} | {sys.executable} -m refcodec digest /dev/stdin",
+        shell=True,
+        capture_output=True,
+        text=True,
+        check=False,
     )
     assert done.stdout.strip() == digest(scene)[0]
 
@@ -272,11 +285,15 @@ def test_keep_going_where_only_a_symbol_is_wrong(file, data, tmp_path, capsys):
     header = parse_container(data)
     attributes, table = header.sections[0x87], header.sections[0x84]
     length = int.from_bytes(data[table.end - 8 : table.end - 4], "little")
-    changed[table.end - 4 : table.end] = zlib.crc32(changed[attributes.end - length : attributes.end]).to_bytes(4, "little")
+    changed[table.end - 4 : table.end] = zlib.crc32(changed[attributes.end - length : attributes.end]).to_bytes(
+        4, "little"
+    )
     for element in syntax.parse_elements("Header", data, PROLOGUE_BYTES, "header"):
         for index, section in ((3, table), (6, attributes)):
             if element.path == f"header.directory[{index}].crc":
-                changed[element.start : element.end] = zlib.crc32(changed[section.start : section.end]).to_bytes(4, "little")
+                changed[element.start : element.end] = zlib.crc32(changed[section.start : section.end]).to_bytes(
+                    4, "little"
+                )
     file.write_bytes(sealed(bytes(changed)))
     assert main(["decode", str(file), "-o", str(tmp_path / "scene"), "--keep-going"]) == 1
     kept = verdict(capsys.readouterr().err)
@@ -391,7 +408,10 @@ def test_failed_write_leaves_the_old_file(file, data, tmp_path, monkeypatch, cap
 def test_output_that_is_no_plain_file(file, data, tmp_path, capsys):
     assert main(["decode", str(file), "-o", str(tmp_path / "scene")]) == 0
     done = subprocess.run(
-        f"{sys.executable} -m refcodec encode {tmp_path / 'scene'} -o /dev/stdout | cat", shell=True, capture_output=True, check=False
+        f"{sys.executable} -m refcodec encode {tmp_path / 'scene'} -o /dev/stdout | cat",
+        shell=True,
+        capture_output=True,
+        check=False,
     )
     assert (done.stdout, done.stderr) == (data, b"")
     (tmp_path / "link").symlink_to(file)
@@ -485,7 +505,9 @@ def test_help_imports_nothing_heavy():
 
 
 def test_decoding_never_imports_torch(file, tmp_path):
-    modules = imported(f"from refcodec.cli import main as cli; cli.main(['decode', {str(file)!r}, '-o', {str(tmp_path / 's')!r}])")
+    modules = imported(
+        f"from refcodec.cli import main as cli; cli.main(['decode', {str(file)!r}, '-o', {str(tmp_path / 's')!r}])"
+    )
     assert "numpy" in modules
     assert not {m for m in modules if m.split(".")[0] in ("torch", "scipy") or m.startswith("refcodec.train")}
     modules = imported(
@@ -545,7 +567,10 @@ def test_fit(points, tmp_path, capsys):
     assert main(["validate", str(out)]) == 0
     assert f"profile Main, {anchors} anchors" in capsys.readouterr().out
     # Its point cloud is one that fit takes, too.
-    assert main(["fit", str(scene / "point_cloud.ply"), "-o", str(tmp_path / "second"), "--steps", "2", "--voxel", "0.01"]) == 0
+    assert (
+        main(["fit", str(scene / "point_cloud.ply"), "-o", str(tmp_path / "second"), "--steps", "2", "--voxel", "0.01"])
+        == 0
+    )
 
 
 def test_fit_is_interrupted_and_resumed(points, tmp_path, monkeypatch, capsys):
@@ -577,7 +602,14 @@ def test_fit_is_interrupted_and_resumed(points, tmp_path, monkeypatch, capsys):
 
 @pytest.mark.parametrize(
     ("name", "content"),
-    [("a.txt", b"not points\n"), ("a.txt", b"# none\n"), ("a.npz", b"junk"), ("a.npz", b""), ("a.npz", b"PK\3\4cut"), ("a.ply", b"junk")],
+    [
+        ("a.txt", b"not points\n"),
+        ("a.txt", b"# none\n"),
+        ("a.npz", b"junk"),
+        ("a.npz", b""),
+        ("a.npz", b"PK\3\4cut"),
+        ("a.ply", b"junk"),
+    ],
 )
 @pytest.mark.filterwarnings("ignore:.*no data")
 def test_fit_refuses(name, content, tmp_path, capsys):

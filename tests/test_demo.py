@@ -77,7 +77,14 @@ def small_result() -> Result:
         return np.full((6, 8, 3), value, np.uint8)
 
     views = tuple(
-        View(f"<{i}>.jpg", grey(100), grey(110), grey(90), {"psnr": 30.0 + i, "ssim": 0.91}, {"psnr": 29.25 + i, "ssim": 0.87})
+        View(
+            f"<{i}>.jpg",
+            grey(100),
+            grey(110),
+            grey(90),
+            {"psnr": 30.0 + i, "ssim": 0.91},
+            {"psnr": 29.25 + i, "ssim": 0.87},
+        )
         for i in range(2)
     )
     return Result(
@@ -87,14 +94,21 @@ def small_result() -> Result:
         views=views,
         mean_before={"psnr": 30.5, "ssim": 0.91},
         mean_after={"psnr": 29.75, "ssim": 0.87},
-        parts=(Part("positions", "places", 12_000_000, 100_000), Part("masks", "which", 0, 20_000), Part("headers", "more", 0, 380_000)),
+        parts=(
+            Part("positions", "places", 12_000_000, 100_000),
+            Part("masks", "which", 0, 20_000),
+            Part("headers", "more", 0, 380_000),
+        ),
         anchors=(1000, 900),
         trained=(50, 50),
         steps_wanted=50,
         rate=0.004,
         digest="ab" * 32,
         steps=(Step("coded train", "refcodec train x", 100.0), Step("coded decode", "refcodec decode <x>", 1.26)),
-        charts=(Chart("uncompressed", ((0.0, 10.0), (60.0, 30.0))), Chart("coded", ((0.0, 10.0), (60.0, float("inf")), (70.0, 29.9)))),
+        charts=(
+            Chart("uncompressed", ((0.0, 10.0), (60.0, 30.0))),
+            Chart("coded", ((0.0, 10.0), (60.0, float("inf")), (70.0, 29.9))),
+        ),
         files=(File("scene.c3gs", "the file", 500_000),),
         credits="Photographs by <somebody>",
     )
@@ -150,7 +164,8 @@ def test_the_page_says_what_was_not_done() -> None:
 
 
 @pytest.mark.parametrize(
-    ("size", "text"), [(0, "0 B"), (999, "999 B"), (1000, "1.00 kB"), (99_960, "100 kB"), (999_600, "1.00 MB"), (1234e5, "123 MB")]
+    ("size", "text"),
+    [(0, "0 B"), (999, "999 B"), (1000, "1.00 kB"), (99_960, "100 kB"), (999_600, "1.00 MB"), (1234e5, "123 MB")],
 )
 def test_readable(size: float, text: str) -> None:
     assert readable(size).replace("\N{NO-BREAK SPACE}", " ") == text
@@ -162,7 +177,9 @@ def test_difference() -> None:
 
 
 def test_the_size_of_each_part() -> None:
-    parts = demo.sizes({"positions": 12, "attributes": 100}, {"prologue": 1, "positions": 3, "chunk_table": 2, "attributes": 5})
+    parts = demo.sizes(
+        {"positions": 12, "attributes": 100}, {"prologue": 1, "positions": 3, "chunk_table": 2, "attributes": 5}
+    )
     assert [(p.name, p.before, p.after) for p in parts if p.before or p.after] == [
         ("positions", 12, 3),
         ("attributes", 100, 5),
@@ -200,7 +217,9 @@ def test_demo(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(command) == 0
     assert capsys.readouterr().err.count("done before") == 3
     # A decoder that disagrees is no detail.
-    (out / "decoded" / "scene.json").write_text((out / "decoded" / "scene.json").read_text().replace(scene["digest"]["whole"], "0" * 64))
+    (out / "decoded" / "scene.json").write_text(
+        (out / "decoded" / "scene.json").read_text().replace(scene["digest"]["whole"], "0" * 64)
+    )
     assert main(command) == 70
     assert "another one" in capsys.readouterr().err
 
@@ -213,7 +232,9 @@ def test_interrupted(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     program = f"import sys; from refcodec.experiments import runs; runs.PROGRAM = {FAKE!r}\n"
     program += f"from refcodec.cli.main import main; sys.exit(main({arguments!r}))"
     monkeypatch.setenv("FAKE_STEP", "20")
-    with subprocess.Popen([sys.executable, "-c", program], stderr=subprocess.PIPE, stdout=subprocess.PIPE, text=True) as process:
+    with subprocess.Popen(
+        [sys.executable, "-c", program], stderr=subprocess.PIPE, stdout=subprocess.PIPE, text=True
+    ) as process:
         assert process.stderr is not None
         seen: set[str] = set()
         while len(seen) < 2:
@@ -226,7 +247,9 @@ def test_interrupted(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 @pytest.mark.usefixtures("fake")
-def test_a_command_that_fails(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_command_that_fails(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
     monkeypatch.setenv("FAKE_FAIL", "0.004")
     monkeypatch.setenv("FAKE_STEP", "10")
     # The other training would take minutes: it is stopped.
@@ -236,7 +259,9 @@ def test_a_command_that_fails(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, c
     assert "this command failed: refcodec train" in printed
 
 
-def test_what_is_wrong_is_said(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+def test_what_is_wrong_is_said(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
     def refused(*arguments: str) -> str:
         assert main(["demo", *arguments]) == 64
         return capsys.readouterr().err
@@ -278,7 +303,10 @@ def test_notes(tmp_path: Path) -> None:
     """What is made from something that is made anew, with other arguments or after an interruption, is no longer done."""
     out = tmp_path / "out"
     notes = runs.Notes.open(out, "notes.json", "a format")
-    commands = [runs.Command("x", (verb,), out / verb, after) for verb, after in (("a", ()), ("b", ("x a",)), ("c", ("x b",)), ("d", ()))]
+    commands = [
+        runs.Command("x", (verb,), out / verb, after)
+        for verb, after in (("a", ()), ("b", ("x a",)), ("c", ("x b",)), ("d", ()))
+    ]
     for command in commands:
         command.output.write_text("")
         notes.begin(command)

@@ -39,7 +39,9 @@ def encode(groups: list, streams: int, lanes: int, limit: int = LIMIT) -> list[b
 
 def run(decoder: Decoder, groups: list, limit: int = LIMIT) -> tuple[list[np.ndarray], list]:
     values = [
-        decoder.plain(models, mean, counts, no_name) if scale is None else decoder.values(models, mean, scale, counts, limit, no_name)
+        decoder.plain(models, mean, counts, no_name)
+        if scale is None
+        else decoder.values(models, mean, scale, counts, limit, no_name)
         for models, mean, scale, counts, _ in groups
     ]
     return values, decoder.finish()
@@ -49,7 +51,9 @@ def decode(data: list[bytes], groups: list, lanes: int, limit: int = LIMIT) -> t
     return run(Decoder([parse_substream(d, 0, len(d), lanes, "test") for d in data]), groups, limit)
 
 
-def random_group(rng: np.random.Generator, counts: list[int], kind: str, far_share: float, spread: int = 1 << 12) -> tuple:
+def random_group(
+    rng: np.random.Generator, counts: list[int], kind: str, far_share: float, spread: int = 1 << 12
+) -> tuple:
     """A group of one kind: values near their means, and a share of them anywhere."""
     n = sum(counts)
     if kind == "mask":
@@ -110,7 +114,9 @@ def test_each_escape_prefix_and_each_raw_width(family: str) -> None:
         radius = int(models.radius[model])
         away = [radius + size for prefix in range(26) for size in (1 << prefix, (2 << prefix) - 1)]
         limit = WIDE << raw
-        values = np.array([((centre + sign * a) << raw) + low for a in away for sign in (1, -1) for low in {0, (1 << raw) - 1}])
+        values = np.array(
+            [((centre + sign * a) << raw) + low for a in away for sign in (1, -1) for low in {0, (1 << raw) - 1}]
+        )
         # The CRC-32 is that of i32 symbols: the longest prefixes are there with few raw bits only.
         values = values[np.abs(values) <= WIDE]
         n = len(values)
@@ -139,7 +145,9 @@ def test_the_longest_prefix(prefix: int) -> None:
 @pytest.mark.parametrize("sign", [1, -1])
 def test_the_largest_symbol(past: int, wanted: str | None, sign: int) -> None:
     """A symbol at the limit of its type is accepted, the next one is not; the encoder refuses it too."""
-    groups = [(tables.tables().gauss, np.zeros(1, np.int64), np.zeros(1, np.int64), [1], np.array([sign * (LIMIT + past)]))]
+    groups = [
+        (tables.tables().gauss, np.zeros(1, np.int64), np.zeros(1, np.int64), [1], np.array([sign * (LIMIT + past)]))
+    ]
     values, verdicts = decode(encode(groups, 1, 1, WIDE), groups, 1)
     assert (verdicts[0].kind.name if verdicts[0] else None) == wanted
     if wanted:
@@ -256,7 +264,9 @@ def test_models(family: str) -> None:
 @pytest.mark.requirement("DA-1")
 def test_the_tables_follow_their_rules() -> None:
     """Annex A's rules, with 50 digits, give the shipped file."""
-    done = subprocess.run([sys.executable, str(ROOT / "tools" / "make_tables.py"), "--check"], capture_output=True, text=True, check=False)
+    done = subprocess.run(
+        [sys.executable, str(ROOT / "tools" / "make_tables.py"), "--check"], capture_output=True, text=True, check=False
+    )
     assert done.returncode == 0, done.stderr
     assert tables.TABLES_SHA256 in done.stdout
 

@@ -67,8 +67,15 @@ def main_file(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, str]:
 def test_one_digest(main_file: tuple[Path, str], variant: str) -> None:
     change, arguments, threads = VARIANTS[variant]
     code = CHILD.format(change=change, arguments=arguments)
-    environment = {**os.environ, "OPENBLAS_NUM_THREADS": threads, "OMP_NUM_THREADS": threads, "MKL_NUM_THREADS": threads}
-    done = subprocess.run([sys.executable, "-c", code, str(main_file[0])], env=environment, capture_output=True, text=True, check=False)
+    environment = {
+        **os.environ,
+        "OPENBLAS_NUM_THREADS": threads,
+        "OMP_NUM_THREADS": threads,
+        "MKL_NUM_THREADS": threads,
+    }
+    done = subprocess.run(
+        [sys.executable, "-c", code, str(main_file[0])], env=environment, capture_output=True, text=True, check=False
+    )
     assert done.returncode == 0, done.stderr
     assert done.stdout.strip() == main_file[1]
 
@@ -136,7 +143,11 @@ def test_float32_equals_int64(seed: int, fan_in: int, rows: int, kind: str) -> N
     rng = np.random.default_rng(seed)
     limit = min(1023, ((1 << 24) - 1) // (1023 * fan_in))
     out = 5
-    weight = rng.integers(-limit, limit + 1, (out, fan_in)) if kind == "random" else limit * rng.choice([-1, 1], (out, fan_in))
+    weight = (
+        rng.integers(-limit, limit + 1, (out, fan_in))
+        if kind == "random"
+        else limit * rng.choice([-1, 1], (out, fan_in))
+    )
     layers = [networks.derive_layer(weight.astype(np.float32), np.zeros(out, np.float32))]
     inputs = rng.integers(-1023, 1024, (rows, fan_in))
     inputs[0] = 1023 * np.sign(weight[0])
@@ -204,7 +215,13 @@ COORDINATE = st.integers(-(2**40) + 2**29, 2**40 - 2**29)
 @pytest.mark.requirement("D7.5.1-1", "D7.5.2-1", "D7.5.3-1")
 @given(frames(), st.lists(st.tuples(COORDINATE, COORDINATE, COORDINATE), min_size=1, max_size=8))
 @example(
-    Frame(np.full((3, 3), MATRIX_BOUND - 1), np.full(3, TRANSLATION_BOUND - 1), np.full(3, 60), np.full(3, -1), np.full(3, 1)),
+    Frame(
+        np.full((3, 3), MATRIX_BOUND - 1),
+        np.full(3, TRANSLATION_BOUND - 1),
+        np.full(3, 60),
+        np.full(3, -1),
+        np.full(3, 1),
+    ),
     [(65504 * 2**24,) * 3, (-65504 * 2**24,) * 3],
 )
 def test_geometry_in_plain_integers(frame: Frame, points: list[tuple[int, int, int]]) -> None:
@@ -226,7 +243,9 @@ def test_geometry_in_plain_integers(frame: Frame, points: list[tuple[int, int, i
         near = wanted if square <= unit * unit else [x * ((2 * root - unit) * unit // root) // root for x in wanted]
         assert w[n].tolist() == near
         lows, highs = frame.low.tolist(), frame.high.tolist()
-        assert u[n].tolist() == [min(max((x - a) * unit // (b - a), 0), unit) for x, a, b in zip(near, lows, highs, strict=True)]
+        assert u[n].tolist() == [
+            min(max((x - a) * unit // (b - a), 0), unit) for x, a, b in zip(near, lows, highs, strict=True)
+        ]
 
 
 def test_contraction_is_the_real_one_within_a_unit() -> None:
@@ -244,7 +263,9 @@ def test_contexts_do_not_depend_on_the_order_of_anchors() -> None:
     full = assemble_planes(scene.planes)
     contexts = context.context(scene.frame, full, scene.plane_shift, 2, scene.positions)
     order = np.random.default_rng(0).permutation(300)
-    assert np.array_equal(context.context(scene.frame, full, scene.plane_shift, 2, scene.positions[order]), contexts[order])
+    assert np.array_equal(
+        context.context(scene.frame, full, scene.plane_shift, 2, scene.positions[order]), contexts[order]
+    )
 
 
 def test_query_at_grid_points_and_edges() -> None:
@@ -253,7 +274,9 @@ def test_query_at_grid_points_and_edges() -> None:
     planes = np.arange(5 * size * size).reshape(5, 1, size, size).astype(np.int16)
     first, second = assemble_planes(planes)
     ends = np.array([[0, 0], [1 << 16, 0], [0, 1 << 16], [1 << 16, 1 << 16]])
-    assert context.query(first, ends, 0)[:, 0].tolist() == [planes[0, 0, i, j] for i, j in ((0, 0), (0, 4), (4, 0), (4, 4))]
+    assert context.query(first, ends, 0)[:, 0].tolist() == [
+        planes[0, 0, i, j] for i, j in ((0, 0), (0, 4), (4, 0), (4, 4))
+    ]
     assert context.query(second, ends, 0)[:, 0].tolist() == [
         planes[1, 0, 0, 0],
         planes[2, 0, 0, 4],
@@ -300,7 +323,9 @@ def test_one_rounding_to_float32(n: int, e: int) -> None:
 
 @given(st.integers(-(2**62), 2**62), st.integers(0, 60))
 def test_rounding_shift(a: int, s: int) -> None:
-    assert int(conventions.rshift_round(np.array([a], dtype=np.int64), s)[0]) == math.floor(Fraction(a, 1 << s) + Fraction(1, 2))
+    assert int(conventions.rshift_round(np.array([a], dtype=np.int64), s)[0]) == math.floor(
+        Fraction(a, 1 << s) + Fraction(1, 2)
+    )
 
 
 @pytest.mark.requirement("D8.5-1")

@@ -35,7 +35,9 @@ def points(count: int = 2500, seed: int = 0) -> voxelise.PointCloud:
     height = 0.3 * np.sin(2 * xy[:, 0]) * np.cos(3 * xy[:, 1]) + rng.normal(0, 0.01, count)
     shade = 0.5 + 0.4 * np.sin(3 * xy[:, 0] + xy[:, 1])
     colours = np.clip(np.stack([shade, shade**2, 1 - shade], axis=1) + rng.normal(0, 0.03, (count, 3)), 0, 1)
-    return voxelise.PointCloud(np.column_stack([xy, height]).astype(np.float32), np.round(colours * 255).astype(np.uint8))
+    return voxelise.PointCloud(
+        np.column_stack([xy, height]).astype(np.float32), np.round(colours * 255).astype(np.uint8)
+    )
 
 
 @pytest.fixture(scope="module")
@@ -147,8 +149,14 @@ def test_bits_and_their_gradient_are_those_of_the_distributions():
         for i, given in enumerate(inputs):
             step = [np.zeros_like(mean[likely]), np.zeros_like(mean[likely])]
             step[i] += 1e-5
-            up = function(*(x.detach() + s for x, s in zip(inputs, map(torch.tensor, step), strict=True)), torch.tensor(symbol[likely]))
-            down = function(*(x.detach() - s for x, s in zip(inputs, map(torch.tensor, step), strict=True)), torch.tensor(symbol[likely]))
+            up = function(
+                *(x.detach() + s for x, s in zip(inputs, map(torch.tensor, step), strict=True)),
+                torch.tensor(symbol[likely]),
+            )
+            down = function(
+                *(x.detach() - s for x, s in zip(inputs, map(torch.tensor, step), strict=True)),
+                torch.tensor(symbol[likely]),
+            )
             assert np.allclose(given.grad.numpy(), ((up - down) / 2e-5).detach().numpy(), atol=1e-4)
 
 

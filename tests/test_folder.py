@@ -35,7 +35,10 @@ def odd_floats(seed: int):
     """A scene whose floats are hard to write as text, and whose weights have every kind of zero."""
     scene = random_scene(seed, 20, base_step=(1 / 3, 2.0**-60, 2.0**60))
     tiny = float(np.float32(1e-45))
-    vectors = {"camera_rotation": (-0.0, 0.0, tiny, 1.0), "camera_translation": (-0.0, float(np.finfo(np.float32).max), 0.1)}
+    vectors = {
+        "camera_rotation": (-0.0, 0.0, tiny, 1.0),
+        "camera_translation": (-0.0, float(np.finfo(np.float32).max), 0.1),
+    }
     vectors["camera_translation"] = tuple(float(np.float32(v)) for v in vectors["camera_translation"])
     networks = copy.deepcopy(scene.networks)
     networks["opacity"][0][0][0, :2] = [-0.0, 1e-45]
@@ -52,13 +55,17 @@ SCENES = {
     "deep": lambda: random_scene(5, 33, DEEP),
     "none kept": lambda: random_scene(6, 9, keep=0.0),
     "all kept": lambda: random_scene(7, 9, keep=1.0),
-    "extensions": lambda: replace(random_scene(8, 5), extensions=((1, 0, b""), (16, 255, b"\0\1"), (127, 7, bytes(1000)))),
+    "extensions": lambda: replace(
+        random_scene(8, 5), extensions=((1, 0, b""), (16, 255, b"\0\1"), (127, 7, bytes(1000)))
+    ),
     "odd floats": lambda: odd_floats(9),
     "packed": lambda: pack_weights(pack_positions(random_scene(10, 20, chunk_size=8))),
 }
 
 
-@pytest.mark.parametrize("change", [{"cell_shift": 41}, {"frequency": [[1024] * 16] * 18}, {"frequency": [[1024] * 16] * 17}])
+@pytest.mark.parametrize(
+    "change", [{"cell_shift": 41}, {"frequency": [[1024] * 16] * 18}, {"frequency": [[1024] * 16] * 17}]
+)
 def test_a_wrong_model_of_positions(change, tmp_path):
     write_folder(SCENES["packed"](), tmp_path / "scene")
     file = tmp_path / "scene" / "scene.json"
@@ -122,13 +129,24 @@ def test_ply_layout(scene, made):
     assert np.array_equal(vertex["f_mask_1"], scene.masks[:, 1])
     assert np.array_equal(vertex["f_anchor_feat_4"], values.features[:, 4])
     assert np.array_equal(vertex["scale_5"], values.scalings[:, 5])
-    assert [vertex[n][0] for n in ("nx", "ny", "nz", "opacity", "rot_0", "rot_1", "rot_2", "rot_3")] == [0, 0, 0, 0, 1, 0, 0, 0]
+    assert [vertex[n][0] for n in ("nx", "ny", "nz", "opacity", "rot_0", "rot_1", "rot_2", "rot_3")] == [
+        0,
+        0,
+        0,
+        0,
+        1,
+        0,
+        0,
+        0,
+    ]
 
 
 def test_names_of_networks(scene, made):
     arrays = load_file(made / "networks.safetensors")
     assert arrays["hyper.0.weight"].tobytes() == scene.networks["hyper"][0][0].tobytes()
-    assert set(arrays) == {f"{n}.{i}.{p}" for n, layers in scene.networks.items() for i in range(len(layers)) for p in ("weight", "bias")}
+    assert set(arrays) == {
+        f"{n}.{i}.{p}" for n, layers in scene.networks.items() for i in range(len(layers)) for p in ("weight", "bias")
+    }
 
 
 def test_overwrites_a_scene_folder_whole(made):
@@ -205,14 +223,20 @@ def test_missing_folder(tmp_path):
     refused(tmp_path, "scene.json", "missing")
 
 
-@pytest.mark.parametrize("name", ["scene.json", "point_cloud.ply", "networks.safetensors", "planes.safetensors", "extension_05.bin"])
+@pytest.mark.parametrize(
+    "name", ["scene.json", "point_cloud.ply", "networks.safetensors", "planes.safetensors", "extension_05.bin"]
+)
 def test_missing_file(made, name):
     (made / name).unlink()
     refused(made, name, "missing")
 
 
-@pytest.mark.parametrize("name", ["scene.json", "point_cloud.ply", "networks.safetensors", "planes.safetensors", "coded.safetensors"])
-@pytest.mark.parametrize("content", [b"", b"\x80\x04K\x01.", b"\xff" * 300, b"ply\nformat ascii 1.0\nend_header\n", b"[]", b"[" * 100_000])
+@pytest.mark.parametrize(
+    "name", ["scene.json", "point_cloud.ply", "networks.safetensors", "planes.safetensors", "coded.safetensors"]
+)
+@pytest.mark.parametrize(
+    "content", [b"", b"\x80\x04K\x01.", b"\xff" * 300, b"ply\nformat ascii 1.0\nend_header\n", b"[]", b"[" * 100_000]
+)
 def test_wrong_file(made, name, content):
     (made / name).write_bytes(content)
     refused(made, name)
@@ -267,7 +291,8 @@ def test_no_field_of_scene_json_is_trusted(made):
 
 
 @pytest.mark.parametrize(
-    "text", ['{"format": "C3GS scene", "version": NaN}', '{"format": "C3GS scene", "version": 1}', '{"format": "other"}']
+    "text",
+    ['{"format": "C3GS scene", "version": NaN}', '{"format": "C3GS scene", "version": 1}', '{"format": "other"}'],
 )
 def test_other_json(made, text):
     (made / "scene.json").write_text(text)
@@ -421,7 +446,17 @@ def test_requantised_reconstruction_is_the_same_scene(made, scene):
         assert np.array_equal(getattr(found.attributes, kind), getattr(wanted.attributes, kind)), kind
     assert found.positions.tobytes() == wanted.positions.tobytes()
     assert np.array_equal(found.masks, wanted.masks)
-    for name in ("grid", "render", "lanes", "chunk_size", "base_step", "profile", "dimensions", "plane_shift", "extensions"):
+    for name in (
+        "grid",
+        "render",
+        "lanes",
+        "chunk_size",
+        "base_step",
+        "profile",
+        "dimensions",
+        "plane_shift",
+        "extensions",
+    ):
         assert getattr(found, name) == getattr(scene, name), name
     codec.parse(codec.emit(found))
 
@@ -441,7 +476,16 @@ def test_edited_ply_is_quantised(made, scene):
 def trained(path: Path, masks: np.ndarray | None, count: int = 4) -> dict[str, np.ndarray]:
     """A point cloud as HAC writes it, K = 2, F = 3, with properties that nobody asked for."""
     rng = np.random.default_rng(0)
-    names = ["x", "y", "z", "nx", "ny", "nz", *(f"f_offset_{i}" for i in range(6)), *(f"f_anchor_feat_{i}" for i in range(3))]
+    names = [
+        "x",
+        "y",
+        "z",
+        "nx",
+        "ny",
+        "nz",
+        *(f"f_offset_{i}" for i in range(6)),
+        *(f"f_anchor_feat_{i}" for i in range(3)),
+    ]
     names += ["opacity", *(f"scale_{i}" for i in range(6)), *(f"rot_{i}" for i in range(4))]
     columns = {name: rng.normal(size=count).astype(np.float32) for name in names}
     columns |= {} if masks is None else {f"f_mask_{k}": masks[:, k].astype(np.float32) for k in range(masks.shape[1])}
@@ -485,7 +529,8 @@ def test_read_cloud_of_a_scene_folder(made, scene):
 
 
 @pytest.mark.parametrize(
-    ("prefix", "words"), [("scale_5", "5 properties scale_"), ("f_offset", "f_offset"), ("z", "xyz"), ("f_anchor", "feat")]
+    ("prefix", "words"),
+    [("scale_5", "5 properties scale_"), ("f_offset", "f_offset"), ("z", "xyz"), ("f_anchor", "feat")],
 )
 def test_read_cloud_refuses(tmp_path, prefix, words):
     file = tmp_path / "p.ply"

@@ -191,7 +191,10 @@ def _silent(manifest: Manifest, vector: Vector, found: Found, output: Path) -> J
 @pytest.mark.parametrize(
     ("read", "judge"),
     [
-        *((read, grading.judge) for read in (_crash_is_refusal, _signals_ignored, _bounds_ignored, _any_failure_is_refusal)),
+        *(
+            (read, grading.judge)
+            for read in (_crash_is_refusal, _signals_ignored, _bounds_ignored, _any_failure_is_refusal)
+        ),
         *((read, grading.judge) for read in (_stderr_alone, _any_line, _status_alone, _no_output_needed)),
         *((grading.read, judge) for judge in (_accepts_all, _refuses_all, _success_is_enough, _any_refusal_is_right)),
         *((grading.read, judge) for judge in (_refusals_of_valid_files, _offset_ignored, _status_ignored, _silent)),

@@ -25,7 +25,9 @@ from refcodec.bitstream.scene import Scene
 
 SMALLEST = Dimensions(1, (1, 1), 1, 1, 2, (2,), (2,), (2,), 1)
 SMALL_FILE = codec.emit(random_scene(31, 5, SMALLEST, chunk_size=2, lanes=Lanes(0, 0, 0)))
-FILE = codec.emit(replace(random_scene(32, 11, chunk_size=4, lanes=Lanes(1, 0, 1), spread=6), extensions=((5, 1, b"hello"),)))
+FILE = codec.emit(
+    replace(random_scene(32, 11, chunk_size=4, lanes=Lanes(1, 0, 1), spread=6), extensions=((5, 1, b"hello"),))
+)
 EXAMPLE = Path(__file__).resolve().parent.parent / "vectors" / "tiny-example.c3gs"
 
 

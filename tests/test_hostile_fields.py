@@ -20,7 +20,9 @@ from refcodec.bitstream.dimensions import Dimensions
 from refcodec.bitstream.errors import BitstreamError
 from refcodec.bitstream.header import Lanes
 
-SCENE = random_scene(41, 9, Dimensions(2, (1, 2), 1, 1, 3, (2,), (2,), (2,), 1), chunk_size=4, lanes=Lanes(0, 1, 0), spread=20)
+SCENE = random_scene(
+    41, 9, Dimensions(2, (1, 2), 1, 1, 3, (2,), (2,), (2,), 1), chunk_size=4, lanes=Lanes(0, 1, 0), spread=20
+)
 DATA = codec.emit(replace(SCENE, extensions=((3, 7, b"abc"),)))
 SPAN = {kind: (s.start, s.end) for kind, s in parse_container(DATA).sections.items()}
 
@@ -36,7 +38,9 @@ def elements() -> list[tuple[int, int]]:
     found += [(at + 4 * i, 4) for i in range(5)]
     streams = [at + 20 + sum(lengths[:i]) for i in range(5)]
     table = SPAN[directory.CHUNK_TABLE][0] + 6
-    found += [(table - 6 + 2 * i, 2) for i in range(3)] + [(a, 4) for a in range(table, SPAN[directory.CHUNK_TABLE][1], 4)]
+    found += [(table - 6 + 2 * i, 2) for i in range(3)] + [
+        (a, 4) for a in range(table, SPAN[directory.CHUNK_TABLE][1], 4)
+    ]
     found += [(a, 2) for a in range(*SPAN[directory.POSITIONS], 2)]
     for kind, column in ((directory.MASKS, 8), (directory.ATTRIBUTES, 16)):
         start = SPAN[kind][0]
@@ -59,7 +63,10 @@ def faults(draw: st.DrawFn) -> bytes:
         old = int.from_bytes(out[at : at + size], "little")
         edges = [0, 1, top - 1, top // 2, top // 2 - 1, old + 1, old - 1, old ^ (top // 2), 2 * old, old // 2]
         if size == 4:
-            edges += [struct.unpack("<I", struct.pack("<f", v))[0] for v in (1e-45, -0.0, 3.4e38, 1024.0, float("nan"), float("inf"))]
+            edges += [
+                struct.unpack("<I", struct.pack("<f", v))[0]
+                for v in (1e-45, -0.0, 3.4e38, 1024.0, float("nan"), float("inf"))
+            ]
         value = draw(st.one_of(st.sampled_from(edges), st.integers(0, top - 1))) % top
         out[at : at + size] = value.to_bytes(size, "little")
     return repair(bytes(out))

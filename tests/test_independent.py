@@ -39,7 +39,10 @@ MIXED = random_scene(39, 9, chunk_size=4, lanes=Lanes(0, 1, 0))
 TARGETS = [
     Target(codec.emit(scene))
     for scene in (
-        replace(random_scene(32, 11, chunk_size=4, lanes=Lanes(1, 4, 1), spread=6), extensions=((5, 1, b"hello"), (9, 0, b""))),
+        replace(
+            random_scene(32, 11, chunk_size=4, lanes=Lanes(1, 4, 1), spread=6),
+            extensions=((5, 1, b"hello"), (9, 0, b"")),
+        ),
         random_scene(36, 3, Dimensions(1, (2,), 1, 1, 3, (2, 2), (2,), (), 1), chunk_size=1, lanes=Lanes(0, 2, 3)),
         random_scene(37, 0),
         # Anchors in no order: two raw chunks, and a packed one of a single anchor.
@@ -178,7 +181,9 @@ def test_a_batch_is_the_same_again(monkeypatch: pytest.MonkeyPatch) -> None:
     assert not first.wrong
 
 
-def test_fuzz_notes_what_is_done(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+def test_fuzz_notes_what_is_done(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
     in_this_process(monkeypatch)
     state = tmp_path / "state.json"
     assert compare.run(1, 3, 1, state, tmp_path / "keep", []) == 0
@@ -194,7 +199,9 @@ def test_fuzz_notes_what_is_done(tmp_path: Path, monkeypatch: pytest.MonkeyPatch
     assert not (tmp_path / "keep").exists()
 
 
-def test_fuzz_of_another_decoder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+def test_fuzz_of_another_decoder(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
     in_this_process(monkeypatch)
     words = ["fuzz", "-n", "1", "--state", str(tmp_path / "state.json"), "--keep", str(tmp_path / "keep"), "--"]
     assert cli.main([*words, *saying(102, ', "offset": 0', 1)]) == 1
@@ -237,7 +244,9 @@ def statements(folder: Path) -> set[str]:
     found = set()
     for path in folder.rglob("*.py"):
         for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
-            if isinstance(node, ast.stmt) and not isinstance(node, ast.Import | ast.ImportFrom | ast.FunctionDef | ast.ClassDef):
+            if isinstance(node, ast.stmt) and not isinstance(
+                node, ast.Import | ast.ImportFrom | ast.FunctionDef | ast.ClassDef
+            ):
                 text = ast.unparse(node)
                 documentation = isinstance(node, ast.Expr) and isinstance(node.value, ast.Constant)
                 if len(text) > 45 and not documentation and not re.match(r"[A-Z_]+(, [A-Z_]+)* = ", text):
@@ -287,7 +296,11 @@ def test_its_constants_are_those_of_the_specification() -> None:
 
 def command(*arguments: str | Path) -> subprocess.CompletedProcess[str]:
     return subprocess.run(
-        [sys.executable, "-m", "conformance.independent", *map(str, arguments)], capture_output=True, text=True, check=False, cwd=ROOT
+        [sys.executable, "-m", "conformance.independent", *map(str, arguments)],
+        capture_output=True,
+        text=True,
+        check=False,
+        cwd=ROOT,
     )
 
 
@@ -308,8 +321,22 @@ def test_command(tmp_path: Path) -> None:
     assert command().returncode == 3
 
 
-def test_the_suite_s_command(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
-    arguments = ["fuzz", "-n", "1", "--seed", "5", "--jobs", "1", "--state", str(tmp_path / "state.json"), "--keep", str(tmp_path / "keep")]
+def test_the_suite_s_command(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    arguments = [
+        "fuzz",
+        "-n",
+        "1",
+        "--seed",
+        "5",
+        "--jobs",
+        "1",
+        "--state",
+        str(tmp_path / "state.json"),
+        "--keep",
+        str(tmp_path / "keep"),
+    ]
     assert cli.main(arguments) == 0
     assert "0 disagreements" in capsys.readouterr().out
     # What an earlier part of the run found is not forgotten.
@@ -326,7 +353,9 @@ def test_the_suite_s_command(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, ca
         cli.main([])
 
 
-def test_a_disagreement_is_kept(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_disagreement_is_kept(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
     """The file is written, and the command that shows it printed."""
 
     found = compare.Findings(compare.Counter({"accepted": 3}), [("refcodec says a, the second decoder b", b"file")])

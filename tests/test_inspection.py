@@ -95,7 +95,9 @@ def test_nothing_raises_on_damaged_files():
         changed = bytearray(data[: rng.randrange(len(data) + 1)] if round_number % 3 == 0 else data)
         for _ in range(rng.randrange(1, 4)):
             if changed:
-                changed[rng.randrange(min(len(changed), 300 if rng.random() < 0.4 else len(changed)))] = rng.randrange(256)
+                changed[rng.randrange(min(len(changed), 300 if rng.random() < 0.4 else len(changed)))] = rng.randrange(
+                    256
+                )
         damaged = bytes(changed) + bytes(rng.randrange(2) if round_number % 5 == 0 else 0)
         if round_number % 2 and len(damaged) > 300:
             damaged = sealed(damaged)
@@ -197,7 +199,12 @@ def test_trace_is_the_decoding(scene, data):
     assert stages[:5] == ["prologue", "header", "frame", "weights", "planes"]
     assert stages[5:] == ["chunk_table", "positions", "masks", "attributes", "extension_02"]
     d = TINY_DIMENSIONS
-    symbols = 5 * d.plane_channels * d.plane_size**2 + 40 * d.offset_count + 40 * (d.features + 6) + 3 * int(scene.masks.sum())
+    symbols = (
+        5 * d.plane_channels * d.plane_size**2
+        + 40 * d.offset_count
+        + 40 * (d.features + 6)
+        + 3 * int(scene.masks.sum())
+    )
     assert sum(row[1] in ("laplace", "gauss", "mask") for row in rows) == symbols
 
 
@@ -233,7 +240,10 @@ def test_an_anchor_is_shown_as_in_the_text() -> None:
     scene = codec.parse((ROOT / "vectors" / "tiny-example.c3gs").read_bytes()).scene
     rows = list(anchor.anchor_rows(scene, 0))
     assert rows[: len(wanted)] == wanted
-    assert [what for what, *_ in rows[len(wanted) :]] == ["offsets: symbols", "step indices of features, scalings, offsets"]
+    assert [what for what, *_ in rows[len(wanted) :]] == [
+        "offsets: symbols",
+        "step indices of features, scalings, offsets",
+    ]
     last = {what: values for what, _, values in anchor.anchor_rows(scene, scene.anchor_count - 1)}
     assert last["scalings: symbols"] == ", ".join(map(str, scene.attributes.scalings[-1]))
     assert last["offsets: symbols"].count("masked") == (~scene.masks[-1]).sum()

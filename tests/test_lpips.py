@@ -80,22 +80,38 @@ def test_against_modules(network: str, tmp_path: Path) -> None:
     for name, scale, shift in (("lpips", 2, -1), ("lpips_3dgs", 1, 0)):
         total = 0.0
         with torch.no_grad():
-            values = torch.from_numpy(np.stack([made, photograph / 255]).astype(np.float32)).permute(0, 3, 1, 2) * scale + shift
-            values = (values - torch.tensor([-0.030, -0.088, -0.188])[:, None, None]) / torch.tensor([0.458, 0.448, 0.450])[:, None, None]
+            values = (
+                torch.from_numpy(np.stack([made, photograph / 255]).astype(np.float32)).permute(0, 3, 1, 2) * scale
+                + shift
+            )
+            values = (values - torch.tensor([-0.030, -0.088, -0.188])[:, None, None]) / torch.tensor(
+                [0.458, 0.448, 0.450]
+            )[:, None, None]
             for i, part in enumerate(modules(network, weights)):
                 values = part(values)
                 unit = nn.functional.normalize(values, dim=1)
-                total += float((torch.from_numpy(weights[f"linear{i}"])[:, None, None] * (unit[0] - unit[1]) ** 2).sum(dim=0).mean())
+                total += float(
+                    (torch.from_numpy(weights[f"linear{i}"])[:, None, None] * (unit[0] - unit[1]) ** 2)
+                    .sum(dim=0)
+                    .mean()
+                )
         assert found[name] == pytest.approx(total, rel=1e-4)
         assert total > 0.01
-    assert measure.measures(photograph / 255, photograph) == {"lpips": pytest.approx(0, abs=1e-6), "lpips_3dgs": pytest.approx(0, abs=1e-6)}
+    assert measure.measures(photograph / 255, photograph) == {
+        "lpips": pytest.approx(0, abs=1e-6),
+        "lpips_3dgs": pytest.approx(0, abs=1e-6),
+    }
     with pytest.raises(PhotographError, match="50 x 31"):
         measure.measures(made[:31], photograph[:31])
 
 
 def test_what_is_wrong_is_said(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     def refused(path: Path) -> str:
-        command = ["eval", str(ROOT / "vectors" / "tiny-example.c3gs"), str(ROOT / "examples" / "photographs" / "caliterra")]
+        command = [
+            "eval",
+            str(ROOT / "vectors" / "tiny-example.c3gs"),
+            str(ROOT / "examples" / "photographs" / "caliterra"),
+        ]
         assert main([*command, "--lpips", str(path)]) == 64
         return capsys.readouterr().err
 
@@ -124,7 +140,8 @@ def test_the_converter(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("sys.argv", ["lpips_weights.py", str(archive), "alex", "-o", str(tmp_path / "w.safetensors")])
     lpips_weights.main()
     assert np.array_equal(
-        Lpips(tmp_path / "w.safetensors").weights["conv1.weight"].numpy(), found["AlexNet_0"]["Conv_1"]["kernel"].transpose(3, 2, 0, 1)
+        Lpips(tmp_path / "w.safetensors").weights["conv1.weight"].numpy(),
+        found["AlexNet_0"]["Conv_1"]["kernel"].transpose(3, 2, 0, 1),
     )
 
     class Evil:

@@ -235,7 +235,9 @@ def none_passes(case: Case, outcome: Outcome) -> str | None:
     return "wrong"
 
 
-@pytest.mark.parametrize("judge", [crash_is_refusal, hang_is_pass, no_digest, no_offset, no_code, all_pass, none_passes])
+@pytest.mark.parametrize(
+    "judge", [crash_is_refusal, hang_is_pass, no_digest, no_offset, no_code, all_pass, none_passes]
+)
 def test_a_wrong_grader_is_caught(judge: Grade) -> None:
     with pytest.raises(selftest.SelfTestError, match="the grader"):
         selftest.check_grader(list(CASES.values()), judge)
@@ -245,7 +247,9 @@ def test_the_grader_is_right() -> None:
     selftest.check_grader(list(CASES.values()), grade)
 
 
-def test_trials_that_take_a_crash_for_a_refusal_are_caught(monkeypatch: pytest.MonkeyPatch, trials: selftest.Trials) -> None:
+def test_trials_that_take_a_crash_for_a_refusal_are_caught(
+    monkeypatch: pytest.MonkeyPatch, trials: selftest.Trials
+) -> None:
     """The grader aside: if fakes passed, the self-test would say so."""
     monkeypatch.setattr(trials, "_judge", crash_is_refusal)
     with pytest.raises(selftest.SelfTestError, match="a decoder that raises passes"):
@@ -285,7 +289,9 @@ def test_each_equivalent_has_a_proof_and_survives() -> None:
             assert not wrong, f"{m.id} is caught by {wrong}"
 
 
-def test_a_wrong_proof_and_a_survivor_are_told(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_wrong_proof_and_a_survivor_are_told(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
     first, second = ALL[:2]
     monkeypatch.setitem(PROOFS, first.id, "a wrong proof")
     result = selftest.score([first, second], {first.id: [("a-vector", "crash")], second.id: []})
@@ -309,7 +315,9 @@ def test_command(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest
     assert cli.main(["selftest", "--jobs", "1", "--write"]) == 0
     assert set(record.read(tmp_path / "caught.json")) == {m.id for m in caught}
     assert "| digest-order | reconstruction |" in (tmp_path / "CAUGHT.md").read_text()
-    monkeypatch.setattr(selftest, "mutants", lambda: [changed_text("masks", "masks[n].append(bit)", "masks[n] += [bit]")])
+    monkeypatch.setattr(
+        selftest, "mutants", lambda: [changed_text("masks", "masks[n].append(bit)", "masks[n] += [bit]")]
+    )
     assert cli.main(["selftest", "--jobs", "1"]) == 1
     monkeypatch.setattr(selftest, "cases", lambda manifest: [replace(PAIR[0], digests={"whole": "1" * 64})])
     assert cli.main(["selftest", "--jobs", "1"]) == 1

@@ -107,7 +107,10 @@ def test_the_lowest_chunk_is_reported(monkeypatch: pytest.MonkeyPatch, together:
     refused(data)
     with pytest.raises(BitstreamError) as caught:
         codec.parse(data)
-    assert (caught.value.kind.name, caught.value.offset) == ("substream.symbol_crc", part_start(directory.ATTRIBUTES, 1))
+    assert (caught.value.kind.name, caught.value.offset) == (
+        "substream.symbol_crc",
+        part_start(directory.ATTRIBUTES, 1),
+    )
 
 
 @pytest.mark.requirement("D10.1-1")
@@ -122,4 +125,7 @@ def test_the_lowest_plane_is_reported() -> None:
     at = SECTIONS[directory.PLANES_SECTION].start
     second = at + 20 + int.from_bytes(WHOLE[at : at + 4], "little")
     third = second + int.from_bytes(WHOLE[at + 4 : at + 8], "little")
-    assert refused(repair(put(put(WHOLE, second, b"\0\0\0\0"), third + 4, b"\xff\xff\xff\xff"))) == ("substream.symbol_crc", second)
+    assert refused(repair(put(put(WHOLE, second, b"\0\0\0\0"), third + 4, b"\xff\xff\xff\xff"))) == (
+        "substream.symbol_crc",
+        second,
+    )

@@ -41,7 +41,8 @@ def model(count=COUNT, camera=PINHOLE, seed=0):
     rng = np.random.default_rng(seed)
     quaternions, translations = rng.normal(size=(count, 4)), rng.normal(size=(count, 3))
     rows = [
-        (i + 3, quaternions[i], translations[i], 7, f"{i:02}.png", [(1.5, 2.25, 4), (3.0, 4.0, -1)] if i % 2 else []) for i in range(count)
+        (i + 3, quaternions[i], translations[i], 7, f"{i:02}.png", [(1.5, 2.25, 4), (3.0, 4.0, -1)] if i % 2 else [])
+        for i in range(count)
     ]
     points = [(i + 1, rng.normal(size=3), rng.integers(0, 256, 3), 0.5, [(3, 0), (5, 1)]) for i in range(POINTS)]
     return {7: camera}, rows, points
@@ -49,15 +50,30 @@ def model(count=COUNT, camera=PINHOLE, seed=0):
 
 def write_text(folder, cameras, rows, points):
     folder.mkdir(parents=True, exist_ok=True)
-    text = ["# cameras"] + [f"{i} {m} {w} {h} {' '.join(map(repr, map(float, p)))}" for i, (m, w, h, p) in cameras.items()]
+    text = ["# cameras"] + [
+        f"{i} {m} {w} {h} {' '.join(map(repr, map(float, p)))}" for i, (m, w, h, p) in cameras.items()
+    ]
     (folder / "cameras.txt").write_text("\n".join(text) + "\n")
     text = ["# images"]
     for i, q, t, camera, name, seen in rows:
-        text += [f"{i} {' '.join(repr(float(v)) for v in (*q, *t))} {camera} {name}", " ".join(f"{x} {y} {k}" for x, y, k in seen)]
+        text += [
+            f"{i} {' '.join(repr(float(v)) for v in (*q, *t))} {camera} {name}",
+            " ".join(f"{x} {y} {k}" for x, y, k in seen),
+        ]
     (folder / "images.txt").write_text("\n".join(text) + "\n")
     text = ["# points"]
     for i, p, c, e, track in points:
-        text.append(" ".join([str(i), *(repr(float(v)) for v in p), *(str(int(v)) for v in c), str(e), *(f"{a} {b}" for a, b in track)]))
+        text.append(
+            " ".join(
+                [
+                    str(i),
+                    *(repr(float(v)) for v in p),
+                    *(str(int(v)) for v in c),
+                    str(e),
+                    *(f"{a} {b}" for a, b in track),
+                ]
+            )
+        )
     (folder / "points3D.txt").write_text("\n".join(text) + "\n")
 
 
@@ -74,7 +90,9 @@ def write_binary(folder, cameras, rows, points):
     (folder / "images.bin").write_bytes(data)
     data = struct.pack("<Q", len(points))
     for i, p, c, e, track in points:
-        data += struct.pack("<Q3d3BdQ", i, *p, *(int(v) for v in c), e, len(track)) + b"".join(struct.pack("<II", *t) for t in track)
+        data += struct.pack("<Q3d3BdQ", i, *p, *(int(v) for v in c), e, len(track)) + b"".join(
+            struct.pack("<II", *t) for t in track
+        )
     (folder / "points3D.bin").write_bytes(data)
 
 
@@ -213,7 +231,9 @@ def test_images_of_another_size_rescale_the_camera(made):
     points = np.random.default_rng(0).normal(size=(50, 3))
     for a, b in zip(before, after, strict=True):
         assert b.image.shape == (20, 27, 3)
-        np.testing.assert_allclose(project(b.camera, points), project(a.camera, points) * (27 / WIDTH, 20 / HEIGHT), rtol=1e-12)
+        np.testing.assert_allclose(
+            project(b.camera, points), project(a.camera, points) * (27 / WIDTH, 20 / HEIGHT), rtol=1e-12
+        )
 
 
 def test_image_folder_is_chosen_by_size(tmp_path):
@@ -226,7 +246,14 @@ def test_image_folder_is_chosen_by_size(tmp_path):
     def source(size):
         return everything(read_photographs(tmp_path, size))[3]
 
-    for size, (width, height) in ((None, (40, 30)), (40, (40, 30)), (21, (40, 30)), (20, (20, 15)), (11, (20, 15)), (10, (10, 8))):
+    for size, (width, height) in (
+        (None, (40, 30)),
+        (40, (40, 30)),
+        (21, (40, 30)),
+        (20, (20, 15)),
+        (11, (20, 15)),
+        (10, (10, 8)),
+    ):
         expected = images.shrink(pixels(3, width, height), *images.wanted_size("", width, height, size))
         np.testing.assert_array_equal(source(size).image, expected)
     np.testing.assert_array_equal(source((10, 8)).image, pixels(3, 10, 8))
@@ -302,7 +329,12 @@ def test_absurd_counts_inside_records(tmp_path):
         ("cameras", "20.5", "2000", ("principal point (2000, 14.75)",)),
         ("cameras", "40 30", "0 30", ("0 x 30", "131072 are allowed")),
         ("cameras", "40 30", "40 99999999999999999999", ("40 x 99999999999999999999",)),
-        ("cameras", "7 PINHOLE", "7 EQUIRECTANGULAR", ("EQUIRECTANGULAR is not supported", "SIMPLE_PINHOLE, PINHOLE, SIMPLE_RADIAL")),
+        (
+            "cameras",
+            "7 PINHOLE",
+            "7 EQUIRECTANGULAR",
+            ("EQUIRECTANGULAR is not supported", "SIMPLE_PINHOLE, PINHOLE, SIMPLE_RADIAL"),
+        ),
         ("cameras", "7 PINHOLE", "7 PINHOLES", ("PINHOLES is not supported",)),
         (
             "cameras",
@@ -356,13 +388,17 @@ def test_wrong_poses_and_points(tmp_path):
 def test_any_quaternion_length():
     q = np.array([0.5, -1.0, 2.0, 0.25])
     for scale in (1e-300, 1e-9, 1.0, 1e200):
-        np.testing.assert_allclose(quaternion_rotation("", q * scale), Rotation.from_quat(q[[1, 2, 3, 0]]).as_matrix(), atol=1e-14)
+        np.testing.assert_allclose(
+            quaternion_rotation("", q * scale), Rotation.from_quat(q[[1, 2, 3, 0]]).as_matrix(), atol=1e-14
+        )
 
 
 @pytest.mark.parametrize("name", ["OPENCV_FISHEYE", "THE_NEXT_ONE"])
 def test_unsupported_model_in_binary(tmp_path, name):
     write_colmap(tmp_path, write_binary, camera=(name, WIDTH, HEIGHT, (35.0,) * 8))
-    refused(tmp_path, {"OPENCV_FISHEYE": name}.get(name, "number 99"), "is not supported", "OPENCV are", "image_undistorter")
+    refused(
+        tmp_path, {"OPENCV_FISHEYE": name}.get(name, "number 99"), "is not supported", "OPENCV are", "image_undistorter"
+    )
 
 
 def test_bytes_that_are_not_text(tmp_path):
@@ -501,7 +537,9 @@ def test_smaller_cameras_project_to_the_smaller_image(made, size):
         c = part.camera
         assert part.image.shape == (c.height, c.width, 3)
         assert (c.width, c.height) == size if isinstance(size, tuple) else max(c.width, c.height) == size
-        np.testing.assert_allclose(project(c, points), project(whole.camera, points) * (c.width / WIDTH, c.height / HEIGHT), rtol=1e-12)
+        np.testing.assert_allclose(
+            project(c, points), project(whole.camera, points) * (c.width / WIDTH, c.height / HEIGHT), rtol=1e-12
+        )
 
 
 def test_sizes_that_are_refused(made):
@@ -574,7 +612,9 @@ def spot_near(image, place, reach=6):
 def test_undistorted_spots_are_where_the_pinhole_camera_sees_them(name, size, tmp_path):
     """A grid of points photographed through the lens by its formula: after undistortion they are where a pinhole projects them."""
     distortion, photographed = LENSES[name], Camera("", 320, 240, 300.0, 310.0, 165.0, 117.0, np.eye(3), np.zeros(3))
-    points = np.stack([*np.meshgrid(np.linspace(-0.4, 0.4, 7), np.linspace(-0.3, 0.3, 5)), np.ones((5, 7))], axis=2).reshape(-1, 3)
+    points = np.stack(
+        [*np.meshgrid(np.linspace(-0.4, 0.4, 7), np.linspace(-0.3, 0.3, 5)), np.ones((5, 7))], axis=2
+    ).reshape(-1, 3)
     # The camera stands in the world with a pose of its own.
     content = model(2, ("OPENCV", 320, 240, (300.0, 310.0, 165.0, 117.0, *distortion)))
     write_text(tmp_path / "sparse/0", *content)
@@ -612,7 +652,8 @@ def test_every_undistorted_pixel_was_photographed(name):
 
 
 @pytest.mark.parametrize(
-    "distortion", [(-0.9, 0, 0, 0), (-3.0, 4.0, 0, 0), (0, 0, 5.0, 0), (500.0, 0, 0, 0), (1e300, 0, 0, 0), (0.0, 1e308, 0, 1e308)]
+    "distortion",
+    [(-0.9, 0, 0, 0), (-3.0, 4.0, 0, 0), (0, 0, 5.0, 0), (500.0, 0, 0, 0), (1e300, 0, 0, 0), (0.0, 1e308, 0, 1e308)],
 )
 def test_distortion_that_cannot_be_undone(tmp_path, distortion):
     write_colmap(tmp_path, camera=("OPENCV", WIDTH, HEIGHT, (25, 25, 20, 15, *distortion)))
@@ -641,7 +682,10 @@ def looking_at_origin(count, distance=4.0, seed=0):
 
 
 def write_nerf(folder, name="transforms.json", prefix="images/", suffix=".png", count=COUNT, seed=0, **keys):
-    frames = [{"file_path": f"{prefix}r_{i}", "transform_matrix": m.tolist()} for i, m in enumerate(looking_at_origin(count, seed=seed))]
+    frames = [
+        {"file_path": f"{prefix}r_{i}", "transform_matrix": m.tolist()}
+        for i, m in enumerate(looking_at_origin(count, seed=seed))
+    ]
     write_images(folder, [f["file_path"] + suffix for f in frames])
     document = {"camera_angle_x": 0.8, **keys, "frames": frames}
     (folder / name).parent.mkdir(exist_ok=True)
@@ -675,7 +719,9 @@ def test_transforms(nerf):
         # The origin is in the middle; what Blender's camera has above it (+y) is above it in the image (smaller y).
         up, right = matrix[:3, 1] * 0.1, matrix[:3, 0] * 0.1
         np.testing.assert_allclose(
-            project(c, np.stack([np.zeros(3), up, right])), [[20, 15], [20, 15 - focal / 40], [20 + focal / 40, 15]], atol=1e-9
+            project(c, np.stack([np.zeros(3), up, right])),
+            [[20, 15], [20, 15 - focal / 40], [20 + focal / 40, 15]],
+            atol=1e-9,
         )
         np.testing.assert_array_equal(photograph.image, pixels(i))
 
@@ -710,8 +756,12 @@ def test_no_box_no_points(nerf):
 
 
 def write_ply(file, points, colours=None, dtype="u1"):
-    fields = [(n, "f4") for n in "xyz"] + ([(n, dtype) for n in ("red", "green", "blue")] if colours is not None else [])
-    rows = np.array([tuple(r) for r in (points if colours is None else np.concatenate([points, colours], axis=1)).tolist()], fields)
+    fields = [(n, "f4") for n in "xyz"] + (
+        [(n, dtype) for n in ("red", "green", "blue")] if colours is not None else []
+    )
+    rows = np.array(
+        [tuple(r) for r in (points if colours is None else np.concatenate([points, colours], axis=1)).tolist()], fields
+    )
     PlyData([PlyElement.describe(rows, "vertex")]).write(str(file))
 
 
@@ -732,7 +782,9 @@ def test_points_of_a_ply_file(nerf):
     refused(nerf, "cloud.ply", "there are no points")
     write_ply(nerf / "cloud.ply", points * np.nan)
     refused(nerf, "cloud.ply", "NaN")
-    (nerf / "cloud.ply").write_text("ply\nformat binary_little_endian 1.0\nelement vertex 99999999999999\nproperty float x\nend_header\n")
+    (nerf / "cloud.ply").write_text(
+        "ply\nformat binary_little_endian 1.0\nelement vertex 99999999999999\nproperty float x\nend_header\n"
+    )
     refused(nerf, "cloud.ply", "not a readable point cloud")
 
 
@@ -837,9 +889,15 @@ def _set(key, value, frame=None):
         (_set("transform_matrix", [[1], [0, 1]], 3), ("frame 3", "not 4 rows of 4 numbers")),
         (_set("transform_matrix", (2 * np.eye(4)).tolist(), 3), ("frame 3", "last row")),
         (_set("transform_matrix", np.diag([2.0, 2, 2, 1]).tolist(), 3), ("frame 3", "not a rotation", "2, 2, 2")),
-        (_set("transform_matrix", np.diag([1.0, 1, -1, 1]).tolist(), 3), ("frame 3", "not a rotation", "determinant -1")),
+        (
+            _set("transform_matrix", np.diag([1.0, 1, -1, 1]).tolist(), 3),
+            ("frame 3", "not a rotation", "determinant -1"),
+        ),
         (_set("transform_matrix", [[float("nan")] * 4] * 3, 3), ("frame 3", "NaN")),
-        (_set("transform_matrix", [[1, 0, 0, 0], [0, 1, 0, float("inf")], [0, 0, 1, 0]], 3), ("frame 3", "NaN or an infinite")),
+        (
+            _set("transform_matrix", [[1, 0, 0, 0], [0, 1, 0, float("inf")], [0, 0, 1, 0]], 3),
+            ("frame 3", "NaN or an infinite"),
+        ),
     ],
 )
 def test_wrong_transforms(nerf, action, words):
@@ -847,7 +905,9 @@ def test_wrong_transforms(nerf, action, words):
     refused(nerf, *words)
 
 
-@pytest.mark.parametrize("data", [b"", b"{", b"[]", b"\xff\xfe", b"[" * 100_000, b'{"frames": 3}', b'{"frames": [3]}', b'{"frames": []}'])
+@pytest.mark.parametrize(
+    "data", [b"", b"{", b"[]", b"\xff\xfe", b"[" * 100_000, b'{"frames": 3}', b'{"frames": [3]}', b'{"frames": []}']
+)
 def test_not_a_transforms_file(nerf, data):
     (nerf / "transforms.json").write_bytes(data)
     refused(nerf)
@@ -855,7 +915,10 @@ def test_not_a_transforms_file(nerf, data):
 
 JSON = st.recursive(
     st.none() | st.booleans() | st.integers() | st.floats() | st.text(max_size=8),
-    lambda inside: st.lists(inside, max_size=4) | st.dictionaries(st.sampled_from(["frames", "file_path", "w"]), inside, max_size=3),
+    lambda inside: (
+        st.lists(inside, max_size=4)
+        | st.dictionaries(st.sampled_from(["frames", "file_path", "w"]), inside, max_size=3)
+    ),
     max_leaves=20,
 )
 KEYS = [
@@ -913,14 +976,20 @@ def test_examples(name, train, test):
         # Points have the colours of where they are seen (most: some are hidden), and not those of the image turned by 180 degrees.
         x, y = at[inside].astype(int).T
         colours = found.colours[inside].astype(int)
-        own, other = (np.median(np.abs(image[y, x] - colours)) for image in (photograph.image, photograph.image[::-1, ::-1]))
+        own, other = (
+            np.median(np.abs(image[y, x] - colours)) for image in (photograph.image, photograph.image[::-1, ::-1])
+        )
         assert own < 0.7 * other
 
 
 def test_reducing_tool(text, tmp_path):
     """What the tool writes is read back: the same cameras, points rounded to 6 digits, JPEG."""
     command = [sys.executable, str(ROOT / "tools" / "reduce_photographs.py")]
-    subprocess.run([*command, str(text), str(tmp_path / "small"), "--size", "20x15", "--points", "7"], check=True, capture_output=True)
+    subprocess.run(
+        [*command, str(text), str(tmp_path / "small"), "--size", "20x15", "--points", "7"],
+        check=True,
+        capture_output=True,
+    )
     before, after = read_photographs(text, (20, 15)), read_photographs(tmp_path / "small")
     assert len(after.points) == 7
     for a, b in zip(everything(before), everything(after), strict=True):
@@ -930,7 +999,10 @@ def test_reducing_tool(text, tmp_path):
         np.testing.assert_allclose((b.camera.fx, b.camera.cy), (a.camera.fx, a.camera.cy), rtol=1e-8)
         assert b.image.shape == a.image.shape
     gone = subprocess.run(
-        [*command, str(tmp_path / "none"), str(tmp_path / "x"), "--size", "20"], check=False, capture_output=True, text=True
+        [*command, str(tmp_path / "none"), str(tmp_path / "x"), "--size", "20"],
+        check=False,
+        capture_output=True,
+        text=True,
     )
     assert gone.returncode == 1
     assert "there is no such folder" in gone.stderr

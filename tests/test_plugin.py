@@ -28,7 +28,9 @@ GUIDE = (ROOT / "conformance" / "README.md").read_text(encoding="utf-8")
 SELECTED = "code:1*,2*,3*,401"
 NODE = shutil.which("node")
 COMPILER = shutil.which("cc")
-needs_node = pytest.mark.skipif(NODE is None, reason="there is no node here, so the plug-in in JavaScript is not tested")
+needs_node = pytest.mark.skipif(
+    NODE is None, reason="there is no node here, so the plug-in in JavaScript is not tested"
+)
 needs_compiler = pytest.mark.skipif(COMPILER is None, reason="there is no C compiler here")
 
 
@@ -70,7 +72,10 @@ def test_the_plugin_lets_right_containers_through() -> None:
 
 
 def test_the_guide_selects_what_is_tested() -> None:
-    assert f"--select '{SELECTED}' --describe examples/plugin-js/about.json -- node examples/plugin-js/container.js" in GUIDE
+    assert (
+        f"--select '{SELECTED}' --describe examples/plugin-js/about.json -- node examples/plugin-js/container.js"
+        in GUIDE
+    )
 
 
 def test_every_selection_of_the_guide_selects_something() -> None:
@@ -82,10 +87,21 @@ def test_every_selection_of_the_guide_selects_something() -> None:
 @needs_compiler
 def test_the_decoder_in_c_passes_the_suite(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     program = tmp_path / "decoder"
-    subprocess.run([str(COMPILER), "-std=c11", "-O2", str(ROOT / "conformance" / "c" / "decoder.c"), "-o", str(program)], check=True)
+    subprocess.run(
+        [str(COMPILER), "-std=c11", "-O2", str(ROOT / "conformance" / "c" / "decoder.c"), "-o", str(program)],
+        check=True,
+    )
     monkeypatch.setenv("C3GS_TABLES", str(tables.tables_file()))
     command = [str(program), "decode", "{input}", "{output}"]
-    assert cli.main(["run", "--vectors", str(VECTORS), "--jobs", "2", "--slow", "20", "--", *command]) == commands.EXIT_RIGHT
+    assert (
+        cli.main(["run", "--vectors", str(VECTORS), "--jobs", "2", "--slow", "20", "--", *command])
+        == commands.EXIT_RIGHT
+    )
     # A reconstruction that cannot be written is no success.
-    full = subprocess.run([program, "decode", VECTORS / "tiny-example.c3gs", "/dev/full"], check=False, capture_output=True, env=os.environ)
+    full = subprocess.run(
+        [program, "decode", VECTORS / "tiny-example.c3gs", "/dev/full"],
+        check=False,
+        capture_output=True,
+        env=os.environ,
+    )
     assert full.returncode == 3

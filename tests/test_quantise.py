@@ -10,7 +10,15 @@ import pytest
 from conformance.cases.random_scenes import MAIN_DIMENSIONS, TINY_DIMENSIONS, random_networks
 from refcodec.bitstream import codec
 from refcodec.bitstream.context import contract, frame_coordinates, rescale
-from refcodec.bitstream.frame import FRAME_RANGE_BOUND, FRAME_SHIFT_MAX, MATRIX_BOUND, TRANSLATION_BOUND, Frame, emit_frame, parse_frame
+from refcodec.bitstream.frame import (
+    FRAME_RANGE_BOUND,
+    FRAME_SHIFT_MAX,
+    MATRIX_BOUND,
+    TRANSLATION_BOUND,
+    Frame,
+    emit_frame,
+    parse_frame,
+)
 from refcodec.bitstream.header import PositionGrid
 from refcodec.bitstream.limits import TINY
 from refcodec.bitstream.positions import position_integers

@@ -40,10 +40,14 @@ FRAGILE = 2e-5
 def camera(width: int = 50, height: int = 37, angle: float = 0.1) -> Camera:
     c, s = np.cos(angle), np.sin(angle)
     rotation = np.array([[c, 0, s], [0, 1, 0], [-s, 0, c]]) @ np.array([[1, 0, 0], [0, c, -s], [0, s, c]])
-    return Camera("view", width, height, 45.0, 43.0, width / 2 + 1.3, height / 2 - 0.7, rotation, np.array([0.05, -0.02, 0.1]))
+    return Camera(
+        "view", width, height, 45.0, 43.0, width / 2 + 1.3, height / 2 - 0.7, rotation, np.array([0.05, -0.02, 0.1])
+    )
 
 
-def scene(n: int, seed: int, view: Camera, *, size: float = 0.1, low: float = 2.0, high: float = 6.0, spread: float = 1.1) -> Scene:
+def scene(
+    n: int, seed: int, view: Camera, *, size: float = 0.1, low: float = 2.0, high: float = 6.0, spread: float = 1.1
+) -> Scene:
     """n Gaussians of depth low to high in the view, `spread` times as far as its edges; size: of their deviations, in the mean's unit."""
     rng = np.random.default_rng(seed)
     z = rng.uniform(low, high, n)
@@ -59,7 +63,9 @@ def scene(n: int, seed: int, view: Camera, *, size: float = 0.1, low: float = 2.
     return {k: v.astype(np.float32) for k, v in values.items()}
 
 
-def dense(values: dict[str, torch.Tensor], view: Camera, settings: Settings) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
+def dense(
+    values: dict[str, torch.Tensor], view: Camera, settings: Settings
+) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
     """Image, transmittance and the pixels that are fragile: every Gaussian in every pixel, float64. values["moved"] [N,2], if there,
     is added to the projected means.
     """
@@ -84,7 +90,9 @@ def dense(values: dict[str, torch.Tensor], view: Camera, settings: Settings) -> 
     slope_x = (x / z).clamp(-view.cx / view.fx - margin_x, (view.width - view.cx) / view.fx + margin_x)
     slope_y = (y / z).clamp(-view.cy / view.fy - margin_y, (view.height - view.cy) / view.fy + margin_y)
     zero = torch.zeros_like(z)
-    jacobian = torch.stack([view.fx / z, zero, -view.fx * slope_x / z, zero, view.fy / z, -view.fy * slope_y / z], -1).reshape(-1, 2, 3)
+    jacobian = torch.stack(
+        [view.fx / z, zero, -view.fx * slope_x / z, zero, view.fy / z, -view.fy * slope_y / z], -1
+    ).reshape(-1, 2, 3)
     flat = jacobian @ covariance @ jacobian.transpose(1, 2) + settings.low_pass * torch.eye(2, dtype=torch.float64)
     inverse = torch.linalg.inv(flat)
     centre = torch.stack([view.fx * x / z + view.cx, view.fy * y / z + view.cy], -1)
@@ -105,13 +113,19 @@ def dense(values: dict[str, torch.Tensor], view: Camera, settings: Settings) -> 
     alpha = torch.where(going, alpha, 0.0)
     left = torch.cumprod(1 - alpha, 1)
     front = torch.cat([torch.ones_like(left[:, :1]), left[:, :-1]], 1)
-    last = front[:, -1] * (1 - alpha[:, -1]) if len(order) else torch.ones(view.width * view.height, dtype=torch.float64)
-    image = (alpha * front[:, : alpha.shape[1]]) @ colour + last[:, None] * torch.tensor(settings.background, dtype=torch.float64)
+    last = (
+        front[:, -1] * (1 - alpha[:, -1]) if len(order) else torch.ones(view.width * view.height, dtype=torch.float64)
+    )
+    image = (alpha * front[:, : alpha.shape[1]]) @ colour + last[:, None] * torch.tensor(
+        settings.background, dtype=torch.float64
+    )
     shape = (view.height, view.width)
     return image.reshape(*shape, 3), last.reshape(shape), fragile.reshape(shape)
 
 
-def compare(values: Scene, view: Camera, settings: Settings | None = None, *, gradient_error: float = GRADIENT_ERROR) -> Any:
+def compare(
+    values: Scene, view: Camera, settings: Settings | None = None, *, gradient_error: float = GRADIENT_ERROR
+) -> Any:
     """Asserts that image, transmittance and gradients are the dense ones; returns the rendering and its gradients."""
     settings = settings or Settings(background=(0.1, 0.2, 0.3))
     exact = {k: torch.from_numpy(v).double().requires_grad_() for k, v in values.items()}
@@ -244,7 +258,9 @@ def test_equal_depth_in_the_order_of_indices() -> None:
     values = scene(60, 11, view, size=0.4)
     values["mean"][:, 2] = 3
     rendering, _ = compare(values, view)
-    turned = rasterise(**{k: v[::-1] for k, v in values.items()}, camera=view, settings=Settings(background=(0.1, 0.2, 0.3)))
+    turned = rasterise(
+        **{k: v[::-1] for k, v in values.items()}, camera=view, settings=Settings(background=(0.1, 0.2, 0.3))
+    )
     assert np.abs(turned.image - rendering.image).max() > 0.05
 
 
@@ -319,14 +335,22 @@ def _drawn(values: Scene, view: Camera) -> np.ndarray:
     return found
 
 
-@given(n=st.integers(0, 40), width=st.integers(1, 70), height=st.integers(1, 40), seed=st.integers(0, 2**20), size=st.floats(-3, 1))
+@given(
+    n=st.integers(0, 40),
+    width=st.integers(1, 70),
+    height=st.integers(1, 40),
+    seed=st.integers(0, 2**20),
+    size=st.floats(-3, 1),
+)
 def test_any_shape(n: int, width: int, height: int, seed: int, size: float) -> None:
     view = camera(width, height)
     values = scene(n, seed, view, size=10**size, low=-0.5, high=4)
     rendering = rasterise(**values, camera=view)
     assert rendering.image.shape == (height, width, 3)
     assert rendering.radius.shape == (n,)
-    image, transmittance, fragile = dense({k: torch.from_numpy(v).double() for k, v in values.items()}, view, Settings())
+    image, transmittance, fragile = dense(
+        {k: torch.from_numpy(v).double() for k, v in values.items()}, view, Settings()
+    )
     firm = ~fragile.numpy()
     # Some of these are needles close to the eye: see test_needles.
     assert np.abs(rendering.image - image.numpy())[firm].max(initial=0) < 10 * IMAGE_ERROR
@@ -356,7 +380,9 @@ def digest() -> str:
     values = scene(20000, 40, replace(view, width=400, height=300), size=0.03)
     rendering = rasterise(**values, camera=view)
     rng = np.random.default_rng(0)
-    gradients = rasterise_backward(rendering, rng.normal(size=rendering.image.shape), rng.normal(size=rendering.transmittance.shape))
+    gradients = rasterise_backward(
+        rendering, rng.normal(size=rendering.image.shape), rng.normal(size=rendering.transmittance.shape)
+    )
     target = torch.from_numpy(rng.uniform(size=rendering.image.shape).astype(np.float32))
     image = torch.from_numpy(rendering.image).requires_grad_()
     value = SSIM.apply(image, target)
@@ -375,7 +401,9 @@ def digest() -> str:
 def test_same_bits_whatever_the_number_of_threads() -> None:
     def run(threads: int) -> str:
         environment = {**os.environ, "NUMBA_NUM_THREADS": str(threads), "OMP_WAIT_POLICY": "PASSIVE"}
-        return subprocess.run([sys.executable, "-c", DIGEST], env=environment, check=True, capture_output=True, text=True).stdout
+        return subprocess.run(
+            [sys.executable, "-c", DIGEST], env=environment, check=True, capture_output=True, text=True
+        ).stdout
 
     assert run(1) == run(2) == run(3)
 
@@ -400,7 +428,9 @@ def test_autograd() -> None:
         for name, value in zip(NAMES, inputs, strict=True):
             assert value.grad is not None
             assert value.grad.dtype == torch.float64
-            np.testing.assert_allclose(value.grad.numpy(), calls * getattr(gradients, name).astype(np.float64), rtol=1e-12)
+            np.testing.assert_allclose(
+                value.grad.numpy(), calls * getattr(gradients, name).astype(np.float64), rtol=1e-12
+            )
         np.testing.assert_allclose(screen.grad, calls * gradients.screen, rtol=1e-6)
 
 
@@ -426,7 +456,9 @@ def drawn_with_gradients(draw: Any, inputs: list[torch.Tensor]) -> tuple[torch.T
 
 def test_draw_on_the_cpu() -> None:
     inputs = [torch.from_numpy(v) for v in scene(100, 52, camera()).values()]
-    for drawn, expected in zip(drawn_with_gradients(splat.draw, inputs), drawn_with_gradients(Rasterise.apply, inputs), strict=True):
+    for drawn, expected in zip(
+        drawn_with_gradients(splat.draw, inputs), drawn_with_gradients(Rasterise.apply, inputs), strict=True
+    ):
         assert torch.equal(drawn, expected)
     with pytest.raises(ValueError, match="meta"):
         splat.draw(*inputs[:4], inputs[4].to("meta"), camera())
@@ -439,13 +471,22 @@ def test_draw_on_the_cpu() -> None:
 def test_what_gsplat_is_given(monkeypatch: pytest.MonkeyPatch) -> None:
     """With the dense images of this file in its place, called as it is: matrices, units, the screen's gradient added over calls."""
 
-    def rasterization(*inputs: Any, near_plane: float, eps2d: float, packed: bool, backgrounds: torch.Tensor, rasterize_mode: str) -> Any:
+    def rasterization(
+        *inputs: Any, near_plane: float, eps2d: float, packed: bool, backgrounds: torch.Tensor, rasterize_mode: str
+    ) -> Any:
         *values, view, lens, width, height = inputs
         assert (packed, rasterize_mode, view.shape, lens.shape) == (False, "classic", (1, 4, 4), (1, 3, 3))
         assert view[0, 3].tolist() == [0, 0, 0, 1]
-        matrix, place = lens[0].double().numpy(), torch.zeros(1, len(values[0]), 2, dtype=torch.float64, requires_grad=True)
+        matrix, place = (
+            lens[0].double().numpy(),
+            torch.zeros(1, len(values[0]), 2, dtype=torch.float64, requires_grad=True),
+        )
         found = Camera(
-            "", width, height, *matrix[[0, 1, 0, 1], [0, 1, 2, 2]], *(v.double().numpy() for v in (view[0, :3, :3], view[0, :3, 3]))
+            "",
+            width,
+            height,
+            *matrix[[0, 1, 0, 1], [0, 1, 2, 2]],
+            *(v.double().numpy() for v in (view[0, :3, :3], view[0, :3, 3])),
         )
         settings = Settings(eps2d, near_plane, background=tuple(backgrounds[0].tolist()))
         named = {name: value.double() for name, value in zip(NAMES, values, strict=True)}
@@ -473,7 +514,10 @@ def test_draw_on_the_gpu() -> None:
     values = scene(500, 54, camera())
     values["opacity"] *= 0.95
     inputs = [torch.from_numpy(v) for v in values.values()]
-    drawn, expected = drawn_with_gradients(splat.draw, [v.cuda() for v in inputs]), drawn_with_gradients(splat.draw, inputs)
+    drawn, expected = (
+        drawn_with_gradients(splat.draw, [v.cuda() for v in inputs]),
+        drawn_with_gradients(splat.draw, inputs),
+    )
     assert (drawn[0] - expected[0]).abs().mean() < 1e-4
     assert (drawn[1] - expected[1]).abs().mean() < 1e-4
     assert ((drawn[2] > 0) | (expected[2] == 0)).all()
@@ -483,7 +527,14 @@ def test_draw_on_the_gpu() -> None:
 
 @pytest.mark.parametrize(
     "change",
-    [{"rotation": np.eye(2)}, {"translation": np.full(3, np.nan)}, {"fx": 0.0}, {"fy": np.inf}, {"cx": np.nan}, {"width": 0}],
+    [
+        {"rotation": np.eye(2)},
+        {"translation": np.full(3, np.nan)},
+        {"fx": 0.0},
+        {"fy": np.inf},
+        {"cx": np.nan},
+        {"width": 0},
+    ],
 )
 def test_camera_errors(change: dict[str, Any]) -> None:
     with pytest.raises(ValueError, match=r"wanted|image of"):
@@ -492,7 +543,14 @@ def test_camera_errors(change: dict[str, Any]) -> None:
 
 @pytest.mark.parametrize(
     "change",
-    [{"low_pass": -1.0}, {"low_pass": np.inf}, {"near_plane": 0.0}, {"alpha_max": 1.01}, {"background": (0.0,)}, {"near_plane": np.nan}],
+    [
+        {"low_pass": -1.0},
+        {"low_pass": np.inf},
+        {"near_plane": 0.0},
+        {"alpha_max": 1.01},
+        {"background": (0.0,)},
+        {"near_plane": np.nan},
+    ],
 )
 def test_settings_errors(change: dict[str, Any]) -> None:
     with pytest.raises(ValueError, match=r"wanted|not 3"):
@@ -526,7 +584,13 @@ def dense_ssim(x: torch.Tensor, y: torch.Tensor) -> torch.Tensor:
     return (((2 * m_x * m_y + 1e-4) * (2 * v_xy + 9e-4)) / ((m_x**2 + m_y**2 + 1e-4) * (v_x + v_y + 9e-4))).mean()
 
 
-@given(width=st.integers(1, 40), height=st.integers(1, 30), channels=st.integers(1, 4), seed=st.integers(0, 2**20), noise=st.floats(0, 1))
+@given(
+    width=st.integers(1, 40),
+    height=st.integers(1, 30),
+    channels=st.integers(1, 4),
+    seed=st.integers(0, 2**20),
+    noise=st.floats(0, 1),
+)
 def test_ssim(width: int, height: int, channels: int, seed: int, noise: float) -> None:
     """Float32 variances, differences of squares of size one, are off by some 1e-7: 1e-4 of C2, and so much where all is flat."""
     rng = np.random.default_rng(seed)

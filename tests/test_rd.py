@@ -26,9 +26,14 @@ FAKE = (sys.executable, str(ROOT / "tests" / "fake_refcodec.py"))
 PHOTOGRAPHS = str(ROOT / "examples" / "photographs" / "caliterra")
 
 
-def curve(factor: float = 1.0, more: float = 0.0, sizes: tuple[float, ...] = (1e6, 2e6, 4e6, 9e6, 2e7)) -> list[dict[str, float]]:
+def curve(
+    factor: float = 1.0, more: float = 0.0, sizes: tuple[float, ...] = (1e6, 2e6, 4e6, 9e6, 2e7)
+) -> list[dict[str, float]]:
     """PSNR that rises with the logarithm of the size; the sizes are then multiplied, and the PSNR raised."""
-    return [{"bytes": size * factor, "psnr": 20 + 3 * math.log10(size) ** 1.5 / 10 + more, "rate": 1 / size} for size in sizes]
+    return [
+        {"bytes": size * factor, "psnr": 20 + 3 * math.log10(size) ** 1.5 / 10 + more, "rate": 1 / size}
+        for size in sizes
+    ]
 
 
 def test_known_differences() -> None:
@@ -40,7 +45,8 @@ def test_known_differences() -> None:
     assert (same.rate, same.psnr, same.warning) == (0, 0, "")
     # Other sizes of a straight line, in another order, and a point of an uncompressed scene.
     straight = [
-        [{"bytes": 10.0**b, "psnr": 5 * b + more} for b in places] for places, more in (((5, 6, 7, 8), 0), ((5.5, 6.5, 7, 8, 5), 1))
+        [{"bytes": 10.0**b, "psnr": 5 * b + more} for b in places]
+        for places, more in (((5, 6, 7, 8), 0), ((5.5, 6.5, 7, 8, 5), 1))
     ]
     assert compare(straight[0], [{"bytes": 1e12, "psnr": 99.0, "rate": 0}, *straight[1]]).psnr == pytest.approx(1)
     assert compare(*straight).rate == pytest.approx(100 * (10**-0.2 - 1))
@@ -135,7 +141,9 @@ def test_interrupted(tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeyp
     assert [row["rate"] for row in rows(out)] == ["0.01"]
 
 
-def test_what_is_wrong_is_said(tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> None:
+def test_what_is_wrong_is_said(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
     out = str(tmp_path / "out")
     for wrong, word in [
         (["--rates", "0"], "above 0"),

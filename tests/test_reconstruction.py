@@ -37,7 +37,9 @@ def test_world_positions(grid: PositionGrid, half: np.ndarray) -> None:
 
 @pytest.mark.requirement("D9.2-1")
 @given(
-    st.lists(st.tuples(st.integers(-ATTRIBUTE_SYMBOL_MAX, ATTRIBUTE_SYMBOL_MAX), st.integers(0, 63)), min_size=1, max_size=9),
+    st.lists(
+        st.tuples(st.integers(-ATTRIBUTE_SYMBOL_MAX, ATTRIBUTE_SYMBOL_MAX), st.integers(0, 63)), min_size=1, max_size=9
+    ),
     st.floats(2.0**-60, 2.0**60, width=32),
 )
 def test_attribute_values(pairs: list[tuple[int, int]], base_step: float) -> None:
@@ -88,7 +90,14 @@ def test_each_part_changes_the_whole() -> None:
     scene = random_scene(3, 6)
     seen = {reconstruction.digest(scene)[0]}
     a = scene.attributes
-    for array in (scene.positions.view(np.uint16), scene.masks, scene.planes, a.features, a.scalings, scene.networks["colour"][1][1]):
+    for array in (
+        scene.positions.view(np.uint16),
+        scene.masks,
+        scene.planes,
+        a.features,
+        a.scalings,
+        scene.networks["colour"][1][1],
+    ):
         array.reshape(-1)[0] = not array.reshape(-1)[0] if array.dtype == bool else array.reshape(-1)[0] + 1
         seen.add(reconstruction.digest(scene)[0])
     a.offsets[scene.masks.nonzero()[0][0], scene.masks.nonzero()[1][0], 2] += 1

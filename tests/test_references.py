@@ -79,10 +79,18 @@ def nearest_f32(x: Fraction) -> Fraction:
     st.one_of(
         st.integers(-INT63, INT63),
         # A tie: 24 bits, then a one, then zeros.
-        st.builds(lambda m, k, s: s * (2 * m + 1) << k, st.integers(1 << 23, (1 << 24) - 1), st.integers(0, 38), st.sampled_from([-1, 1])),
+        st.builds(
+            lambda m, k, s: s * (2 * m + 1) << k,
+            st.integers(1 << 23, (1 << 24) - 1),
+            st.integers(0, 38),
+            st.sampled_from([-1, 1]),
+        ),
         # One beside a tie.
         st.builds(
-            lambda m, k, d: ((2 * m + 1) << k) + d, st.integers(1 << 23, (1 << 24) - 1), st.integers(1, 38), st.sampled_from([-1, 1])
+            lambda m, k, d: ((2 * m + 1) << k) + d,
+            st.integers(1 << 23, (1 << 24) - 1),
+            st.integers(1, 38),
+            st.sampled_from([-1, 1]),
         ),
     ),
     st.integers(-84, 48),
@@ -120,7 +128,10 @@ def derive_row(weights: list[float], bias: float) -> tuple[list[int], int, int] 
     for e in range(EXPONENT_MAX, -1, -1):
         w = [half_up(Fraction(x) * 2**e) for x in weights]
         b = half_up(Fraction(bias) * 2**e)
-        if max(map(abs, w)) <= WEIGHT_MAX and sum(map(abs, w)) * ACTIVATION_MAX + abs(b) + (1 << e) // 2 < ACCUMULATOR_BOUND:
+        if (
+            max(map(abs, w)) <= WEIGHT_MAX
+            and sum(map(abs, w)) * ACTIVATION_MAX + abs(b) + (1 << e) // 2 < ACCUMULATOR_BOUND
+        ):
             return w, b, e
     return None
 
@@ -131,13 +142,21 @@ MAGNITUDES = st.one_of(
     st.floats(width=32, allow_nan=False, allow_infinity=False),
     # Ties of the rounding at some exponent, and their neighbours.
     st.builds(lambda k, e: math.ldexp(2 * k + 1, -e - 1), st.integers(-1100, 1100), st.integers(0, 20)),
-    st.sampled_from([0.0, -0.0, 2.0**-149, -(2.0**-149), 2.0**-126, 1023.0, 1023.5, -1023.5, -1024.0, 1022.9999389648438]),
+    st.sampled_from(
+        [0.0, -0.0, 2.0**-149, -(2.0**-149), 2.0**-126, 1023.0, 1023.5, -1023.5, -1024.0, 1022.9999389648438]
+    ),
 )
-BIASES = st.one_of(MAGNITUDES, st.floats(-(2.0**25), 2.0**25, width=32), st.sampled_from([16777215.0, 16777214.0, -16777215.0, 16777216.0]))
+BIASES = st.one_of(
+    MAGNITUDES,
+    st.floats(-(2.0**25), 2.0**25, width=32),
+    st.sampled_from([16777215.0, 16777214.0, -16777215.0, 16777216.0]),
+)
 
 
 @given(
-    st.integers(1, 6).flatmap(lambda n: st.lists(st.tuples(st.lists(MAGNITUDES, min_size=n, max_size=n), BIASES), min_size=1, max_size=4))
+    st.integers(1, 6).flatmap(
+        lambda n: st.lists(st.tuples(st.lists(MAGNITUDES, min_size=n, max_size=n), BIASES), min_size=1, max_size=4)
+    )
 )
 @example([([1023.0], 0.0)])
 @example([([1023.5], 0.0)])
@@ -161,7 +180,9 @@ def test_derive_layer_is_the_rule_in_exact_numbers(rows: list[tuple[list[float],
         assert caught.value.row == wanted.index(None)
         return
     layer = derive_layer(weight, bias)
-    assert [(w.tolist(), int(b), int(e)) for w, b, e in zip(layer.weight, layer.bias, layer.exponent, strict=True)] == wanted
+    assert [
+        (w.tolist(), int(b), int(e)) for w, b, e in zip(layer.weight, layer.bias, layer.exponent, strict=True)
+    ] == wanted
 
 
 @pytest.mark.parametrize("value", [1023.5, -1024.0, 1e9, 3.4e38])
@@ -229,7 +250,9 @@ def adversarial_layers() -> list[IntLayer]:
                     high = middle
             row = (w * low).astype(np.float32)
             _, _, e = derive_row(row.tolist(), 0.0)
-            left = ACCUMULATOR_BOUND - 1 - 1023 * sum(abs(half_up(Fraction(float(x)) * 2**e)) for x in row) - (1 << e) // 2
+            left = (
+                ACCUMULATOR_BOUND - 1 - 1023 * sum(abs(half_up(Fraction(float(x)) * 2**e)) for x in row) - (1 << e) // 2
+            )
             bias = float(np.float32(min(left, (1 << 24) - 1) >> e)) * (-1) ** kind
             rows.append(row)
             biases.append(bias if derive_row(row.tolist(), bias) else 0.0)
@@ -353,7 +376,9 @@ def test_nothing_wraps_at_the_extremes(sign: int, shift: int) -> None:
 
 
 COORDINATES = st.one_of(
-    st.integers(-70000, 70000), st.integers(-(1 << 30) + 1, (1 << 30) - 1), st.sampled_from([0, 65535, 65536, 65537, -65536, (1 << 30) - 1])
+    st.integers(-70000, 70000),
+    st.integers(-(1 << 30) + 1, (1 << 30) - 1),
+    st.sampled_from([0, 65535, 65536, 65537, -65536, (1 << 30) - 1]),
 )
 
 
@@ -522,7 +547,9 @@ class Recorder:
     def __init__(self) -> None:
         self.calls: list[tuple] = []
 
-    def values(self, models: object, mean: np.ndarray, scale: np.ndarray, counts: list, limit: int, name: object, given: object) -> object:
+    def values(
+        self, models: object, mean: np.ndarray, scale: np.ndarray, counts: list, limit: int, name: object, given: object
+    ) -> object:
         self.calls.append((models, mean.copy(), scale.copy(), list(counts), limit, name))
         return given
 
@@ -548,7 +575,13 @@ def test_plane_contexts_are_the_four_neighbours() -> None:
     for t, (models, mean, scale, counts, limit, name) in enumerate(recorder.calls):
         assert models is tables().laplace
         assert limit == 32767
-        points = [(p, c, i, t - 2 * i) for p in range(5) for c in range(channels) for i in range(size) if 0 <= t - 2 * i < size]
+        points = [
+            (p, c, i, t - 2 * i)
+            for p in range(5)
+            for c in range(channels)
+            for i in range(size)
+            if 0 <= t - 2 * i < size
+        ]
         assert counts == [len(points) // 5] * 5
         for n, (p, c, i, j) in enumerate(points):
             y = np.pad(given_planes[p, c].astype(int), 1)
@@ -590,7 +623,9 @@ def models_of(family: tables_module.ModelSet) -> list[list[int]]:
 GAUSS = models_of(tables().gauss)
 
 
-def decode_by_hand(data: bytes, lanes: int, groups: list[list[tuple[int, int]]], limit: int) -> tuple[list[list[int]], str | None]:
+def decode_by_hand(
+    data: bytes, lanes: int, groups: list[list[tuple[int, int]]], limit: int
+) -> tuple[list[list[int]], str | None]:
     """A substream of Gaussian values, and the first of the checks at its end that fails. groups: (mean, scale) of each value."""
     crc, count = struct.unpack_from("<II", data)
     states = list(struct.unpack_from(f"<{lanes}I", data, 8))
@@ -665,7 +700,9 @@ def coded(groups: list[list[tuple[int, int]]], values: list[list[int]], lanes: i
     return encoder.finish()[0]
 
 
-def decoded(data: bytes, groups: list[list[tuple[int, int]]], lanes: int, limit: int) -> tuple[list[list[int]], str | None]:
+def decoded(
+    data: bytes, groups: list[list[tuple[int, int]]], lanes: int, limit: int
+) -> tuple[list[list[int]], str | None]:
     try:
         decoder = Decoder([parse_substream(data, 0, len(data), lanes, "test")])
     except BitstreamError as error:
@@ -686,9 +723,13 @@ def substream(seed: int, lanes: int) -> tuple[list[list[tuple[int, int]]], list[
     rng = np.random.default_rng(seed)
     groups, values = [], []
     for size in (5, 0, 9, 7):
-        group = [(int(m), int(s)) for m, s in zip(rng.integers(-200, 200, size), rng.integers(-40, 70, size), strict=True)]
+        group = [
+            (int(m), int(s)) for m, s in zip(rng.integers(-200, 200, size), rng.integers(-40, 70, size), strict=True)
+        ]
         groups.append(group)
-        values.append([m // 16 + int(rng.normal(0, 1) * 2 ** (s / 8)) + int(rng.integers(0, 8) == 0) * 300 for m, s in group])
+        values.append(
+            [m // 16 + int(rng.normal(0, 1) * 2 ** (s / 8)) + int(rng.integers(0, 8) == 0) * 300 for m, s in group]
+        )
     return groups, values, coded(groups, values, lanes, WIDE)
 
 
@@ -716,7 +757,9 @@ def test_each_changed_bit_has_the_verdict_of_the_reference(lanes: int, repaired:
             continue
         if repaired:
             values, _ = decode_by_hand(bytes(changed), lanes, groups, 5000)
-            changed[:4] = zlib.crc32(b"".join(struct.pack("<i", v) for group in values for v in group)).to_bytes(4, "little")
+            changed[:4] = zlib.crc32(b"".join(struct.pack("<i", v) for group in values for v in group)).to_bytes(
+                4, "little"
+            )
         wanted = decode_by_hand(bytes(changed), lanes, groups, 5000)
         assert decoded(bytes(changed), groups, lanes, 5000) == wanted
         if wanted[1] is None:

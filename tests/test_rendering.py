@@ -48,13 +48,25 @@ def scene_of(seed: int, anchors: int = 60) -> tuple[Scene, Reconstruction, Camer
 
 
 def by_the_text(text: dict, scene: Scene, values: Reconstruction, camera: Camera) -> list[tuple]:
-    networks = {n: [(w.tolist(), b.tolist()) for w, b in scene.networks[n]] for n in ("opacity", "covariance", "colour")}
+    networks = {
+        n: [(w.tolist(), b.tolist()) for w, b in scene.networks[n]] for n in ("opacity", "covariance", "colour")
+    }
     found = []
     for n in range(scene.anchor_count):
-        row = (getattr(values, name)[n].astype(np.float64).tolist() for name in ("positions", "features", "scalings", "offsets"))
+        row = (
+            getattr(values, name)[n].astype(np.float64).tolist()
+            for name in ("positions", "features", "scalings", "offsets")
+        )
         position, feature, scaling, offsets = row
         found += text["GAUSSIANS"](
-            networks, position, feature, scaling, offsets, scene.masks[n].tolist(), camera.centre.tolist(), scene.render.distance_unit
+            networks,
+            position,
+            feature,
+            scaling,
+            offsets,
+            scene.masks[n].tolist(),
+            camera.centre.tolist(),
+            scene.render.distance_unit,
         )
     return found
 
@@ -164,7 +176,9 @@ VIEW = Camera("view", 37, 21, 30.0, 28.0, 17.0, 11.5, np.eye(3), np.zeros(3))
 
 
 @pytest.mark.requirement("G14.5-1")
-@pytest.mark.parametrize(("seed", "count", "spread"), [(0, 0, 1.0), (1, 1, 0.1), (2, 30, 0.5), (3, 80, 1.5), (4, 60, 6.0)])
+@pytest.mark.parametrize(
+    ("seed", "count", "spread"), [(0, 0, 1.0), (1, 1, 0.1), (2, 30, 0.5), (3, 80, 1.5), (4, 60, 6.0)]
+)
 def test_images_are_those_of_the_text(text: dict, seed: int, count: int, spread: float) -> None:
     rasterise = pytest.importorskip("refcodec.render.rasterise", reason="images need the packages of the extra render")
     info = RenderInfo(background=(10, 200, 90))
@@ -242,7 +256,11 @@ def test_any_sizes(text: dict, seed: int) -> None:
         }  # fmt: skip
         shapes = zip(mp(found.mean).tolist(), mp(found.lengths).tolist(), quaternion, strict=True)
         projected = [text["PROJECT"](*shape, stated, info.near_plane, info.low_pass) for shape in shapes]
-        drawn = [(p, o, c) for p, o, c in zip(projected, found.opacity.tolist(), found.colour.tolist(), strict=True) if p is not None]
+        drawn = [
+            (p, o, c)
+            for p, o, c in zip(projected, found.opacity.tolist(), found.colour.tolist(), strict=True)
+            if p is not None
+        ]
         drawn.sort(key=lambda d: d[0][2])
         rest = (drawn, [b / 255 for b in info.background], info.alpha_max)
         wanted = np.array([[text["PIXEL"](i + 0.5, j + 0.5, *rest) for i in range(11)] for j in range(7)]).astype(float)
@@ -279,7 +297,14 @@ def test_hostile_numbers_give_an_image() -> None:
     rasterise = pytest.importorskip("refcodec.render.rasterise", reason="images need the packages of the extra render")
     found = cloud(7, 40)
     found.mean[:10] = [[1e30, 0, 1], [0, 0, 0.2], [0, 0, 1e-30], [np.inf, 0, 1], [np.nan, 0, 1], *[[0, 0, 1e20]] * 5]
-    found.lengths[10:16] = [[0, 0, 0], [1e30, 1e30, 1e30], [np.inf, 1, 1], [1e-40, 1, 1], [1e18, 1e-18, 0], [1e6, 1e6, 1e6]]
+    found.lengths[10:16] = [
+        [0, 0, 0],
+        [1e30, 1e30, 1e30],
+        [np.inf, 1, 1],
+        [1e-40, 1, 1],
+        [1e18, 1e-18, 0],
+        [1e6, 1e6, 1e6],
+    ]
     assert np.isfinite(rasterise.image(found, VIEW, RenderInfo())).all()
     found.colour[20:23] = [[np.nan, 0, 0], [0, np.inf, 0], [0, 0, -np.inf]]
     assert np.isfinite(rasterise.image(found, VIEW, RenderInfo())).all()
@@ -290,7 +315,9 @@ def test_hostile_numbers_give_an_image() -> None:
         found = cloud(13, 300)
         magnitude = np.exp2(rng.uniform(-140, 120, (2, 300, 3))).astype(np.float32)
         found = replace(found, mean=found.mean * magnitude[0], lengths=found.lengths * magnitude[1])
-        info = RenderInfo(near_plane=near_plane, low_pass=low_pass, camera_focal=(focal, focal), camera_width=40, camera_height=30)
+        info = RenderInfo(
+            near_plane=near_plane, low_pass=low_pass, camera_focal=(focal, focal), camera_width=40, camera_height=30
+        )
         made = rasterise.image(found, default_camera(info), info)
         assert np.isfinite(made).all()
 

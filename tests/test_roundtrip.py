@@ -25,7 +25,17 @@ def assert_round_trip(scene: Scene) -> None:
         assert getattr(found, name).tobytes() == getattr(scene, name).tobytes(), name
     for name in ("features", "scalings", "offsets", "steps"):
         assert np.array_equal(getattr(found.attributes, name), getattr(scene.attributes, name)), name
-    for name in ("profile", "dimensions", "chunk_size", "lanes", "base_step", "grid", "render", "plane_shift", "extensions"):
+    for name in (
+        "profile",
+        "dimensions",
+        "chunk_size",
+        "lanes",
+        "base_step",
+        "grid",
+        "render",
+        "plane_shift",
+        "extensions",
+    ):
         assert getattr(found, name) == getattr(scene, name), name
     for name in ("matrix", "translation", "shift", "low", "high"):
         assert np.array_equal(getattr(found.frame, name), getattr(scene.frame, name)), name

@@ -77,14 +77,30 @@ def _expectation(data: bytes, place: Path) -> tuple[dict[str, Any], dict[str, An
         scene = symbol_trace(data, lines.append).scene
     except BitstreamError as error:
         kind = error.kind
-        said = {"result": "rejected", "code": kind.code, "name": kind.name, "offset": error.offset, "clause": kind.clause}
-        return said, {"exit": 2 if kind.klass == "unsupported" else 1, "code": kind.code, "offset": error.offset, "class": kind.klass}
+        said = {
+            "result": "rejected",
+            "code": kind.code,
+            "name": kind.name,
+            "offset": error.offset,
+            "clause": kind.clause,
+        }
+        return said, {
+            "exit": 2 if kind.klass == "unsupported" else 1,
+            "code": kind.code,
+            "offset": error.offset,
+            "class": kind.klass,
+        }
     output, trace = place.with_suffix(".out"), place.with_suffix(".trace")
     output.write_bytes(canonical_head(scene) + b"".join(part for _, part in canonical_parts(scene)))
     trace.write_text("".join(lines))
     whole, parts = digest(scene)
     parts = {"head": hashlib.sha256(canonical_head(scene)).hexdigest(), **parts}
-    said = {"result": "accepted", "digest": whole, "parts": parts, "trace": hashlib.sha256(trace.read_bytes()).hexdigest()}
+    said = {
+        "result": "accepted",
+        "digest": whole,
+        "parts": parts,
+        "trace": hashlib.sha256(trace.read_bytes()).hexdigest(),
+    }
     return said, {"exit": 0, "output": str(output), "trace": str(trace), "extended": bool(scene.extensions)}
 
 
@@ -107,7 +123,13 @@ def suite(tmp_path_factory: pytest.TempPathFactory) -> Suite:
              "input": {"path": f"{klass}/{rest}.c3gs", "size": len(data), "sha256": sha}, "expectation": expectation,
              "budget": {"seconds": 10, "bytes": 256 << 20}, "licence": "CC0-1.0", "generator": {"name": "test", "seed": 0}}
         )  # fmt: skip
-    manifest = {"suite": "c3gs-conformance", "suite_version": "0.0.1", "format_version": 0, "flags": {}, "features": {"header": "it"}}
+    manifest = {
+        "suite": "c3gs-conformance",
+        "suite_version": "0.0.1",
+        "format_version": 0,
+        "flags": {},
+        "features": {"header": "it"},
+    }
     (folder / MANIFEST).write_text(json.dumps({**manifest, "vectors": vectors}))
     (answers / "answers.json").write_text(json.dumps(known))
     return Suite(folder, answers / "answers.json")
@@ -117,7 +139,10 @@ def statuses(record: dict[str, Any]) -> dict[str, str]:
     return {v["id"]: v["status"] for v in record["vectors"]}
 
 
-GOOD, BAD = ("valid-plain", "valid-extended"), ("malformed-crc", "invalid-up-axis", "unsupported-profile", "resource-anchors")
+GOOD, BAD = (
+    ("valid-plain", "valid-extended"),
+    ("malformed-crc", "invalid-up-axis", "unsupported-profile", "resource-anchors"),
+)
 
 
 def test_the_files_are_what_they_are_called(suite: Suite) -> None:
@@ -199,7 +224,9 @@ def test_ancillary_sections(suite: Suite, tmp_path: Path) -> None:
     assert [line.startswith("> 00000107 ") for line in failed["hex"] if line.startswith(">")] == [True]
 
 
-@pytest.mark.parametrize(("mode", "grades"), [("other-code", {1: 0, 2: 0, 3: 1}), ("always-exit-1", {1: 0, 2: 1, 3: 1})])
+@pytest.mark.parametrize(
+    ("mode", "grades"), [("other-code", {1: 0, 2: 0, 3: 1}), ("always-exit-1", {1: 0, 2: 1, 3: 1})]
+)
 def test_grades(suite: Suite, mode: str, grades: dict[int, int]) -> None:
     for grade, status in grades.items():
         assert suite.run(mode, "--grade", str(grade)) == status
@@ -253,10 +280,15 @@ def test_what_diverges(suite: Suite, tmp_path: Path) -> None:
     _, record = suite.report("last-bit", tmp_path)
     vector = record["vectors"][0]
     # The last value of the reconstruction is the colour network's last bias.
-    assert vector["divergence"] == [line for line in vector["divergence"] if line.startswith("weights: colour, layer 1, bias ")]
+    assert vector["divergence"] == [
+        line for line in vector["divergence"] if line.startswith("weights: colour, layer 1, bias ")
+    ]
     assert len(vector["divergence"]) == 1
     assert "1 of" in vector["divergence"][0]
-    lines = {mode: suite.report(mode, tmp_path)[1]["vectors"][0]["divergence"] for mode in ("first-bit", "short", "long", "accepts")}
+    lines = {
+        mode: suite.report(mode, tmp_path)[1]["vectors"][0]["divergence"]
+        for mode in ("first-bit", "short", "long", "accepts")
+    }
     assert lines["first-bit"][0].startswith("head: the eight bytes is 42 33")
     assert "weights: the part is" in lines["short"][0]
     assert lines["long"][0].startswith("end: the output is")
@@ -405,7 +437,10 @@ for line in sys.stdin:
         ("signal", "crash: ended by SIGSEGV"),
         ("nothing", "crash: exit status 0 without an output file"),
         ("wrong", "the output is not the canonical reconstruction"),
-        *((mode, "crash: gave an answer that cannot be read") for mode in ("both", "text", "garbage", "list", "endless")),
+        *(
+            (mode, "crash: gave an answer that cannot be read")
+            for mode in ("both", "text", "garbage", "list", "endless")
+        ),
     ],
 )
 def test_a_decoder_that_serves(suite: Suite, tmp_path: Path, mode: str, text: str) -> None:
@@ -423,7 +458,10 @@ def test_a_decoder_that_serves(suite: Suite, tmp_path: Path, mode: str, text: st
 @pytest.mark.parametrize("name", ["refcodec", "independent"])
 def test_the_decoders_serve(suite: Suite, name: str) -> None:
     options = ["--vectors", str(suite.folder), "--jobs", "1", "--slow", "20", "--serve"]
-    assert cli.main(["run", *options, "--trace", "--", sys.executable, "-m", "conformance.runner.serve", name]) == commands.EXIT_RIGHT
+    assert (
+        cli.main(["run", *options, "--trace", "--", sys.executable, "-m", "conformance.runner.serve", name])
+        == commands.EXIT_RIGHT
+    )
 
 
 # --- reports ----------------------------------------------------------------------------------------------------------
@@ -483,7 +521,9 @@ def test_verify_report(suite: Suite, tmp_path: Path) -> None:
         record = json.loads((tmp_path / "report.json").read_text())
         change(record)
         (tmp_path / "other.json").write_text(json.dumps(record))
-        return cli.main(["verify-report", "--vectors", str(suite.folder), str(tmp_path / "other.json"), "--", *suite.command(mode)])
+        return cli.main(
+            ["verify-report", "--vectors", str(suite.folder), str(tmp_path / "other.json"), "--", *suite.command(mode)]
+        )
 
     suite.report("no-ancillary", tmp_path, "--select", "class:valid,malformed")
     assert verify("no-ancillary") == commands.EXIT_RIGHT
@@ -507,10 +547,23 @@ def test_an_interrupted_run_leaves_a_report(suite: Suite, tmp_path: Path) -> Non
     (tmp_path / "suite" / MANIFEST).write_text(json.dumps(manifest))
     script = tmp_path / "decoder.sh"
     quick = " ".join(Suite(tmp_path / "suite", suite.answers).command("right")[:-2])
-    script.write_text(f'case "$1" in */valid/plain.c3gs) sleep 60;; *) {quick} "$1" "$2"; s=$?; touch {tmp_path}/one; exit $s;; esac\n')
+    script.write_text(
+        f'case "$1" in */valid/plain.c3gs) sleep 60;; *) {quick} "$1" "$2"; s=$?; touch {tmp_path}/one; exit $s;; esac\n'
+    )
     # A shell starts what runs in the background with the signal ignored.
     program = "import signal; signal.signal(signal.SIGINT, signal.default_int_handler)\nfrom conformance.cli import main; exit(main())"
-    command = [sys.executable, "-c", program, "run", "--vectors", str(tmp_path / "suite"), "--jobs", "2", "--slow", "100"]
+    command = [
+        sys.executable,
+        "-c",
+        program,
+        "run",
+        "--vectors",
+        str(tmp_path / "suite"),
+        "--jobs",
+        "2",
+        "--slow",
+        "100",
+    ]
     command += ["--report", str(tmp_path / "report"), "--", "sh", str(script), "{input}", "{output}"]
     running = subprocess.Popen(command, cwd=HERE.parent, stdout=subprocess.PIPE, text=True, start_new_session=True)
     end = time.monotonic() + 60
@@ -534,7 +587,10 @@ def test_the_anchor_of_a_divergence_is_named(suite: Suite, tmp_path: Path) -> No
     _, record = suite.report("accepts", tmp_path)
     vector = next(v for v in record["vectors"] if v["status"] == "failed")
     for lines, form in (
-        (["features: anchor 3 (chunk 0) is 1, 2 expected", "trace: attributes.features[7,2] is 3, 6 expected"], "--anchor 7"),
+        (
+            ["features: anchor 3 (chunk 0) is 1, 2 expected", "trace: attributes.features[7,2] is 3, 6 expected"],
+            "--anchor 7",
+        ),
         (["trace: planes.r1[0,0,0] is 1, 0 expected"], "--hex"),
         ([], "--hex"),
     ):
@@ -573,8 +629,13 @@ def test_fluster(suite: Suite, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, 
     assert f"Ran {right}/2 tests successfully" in done.stdout, done.stdout + done.stderr
 
 
-def test_check_encoder(suite: Suite, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> None:
-    good, bad = [str(suite.folder / "valid" / f"{n}.c3gs") for n in ("plain", "extended")], str(suite.folder / "invalid" / "up-axis.c3gs")
+def test_check_encoder(
+    suite: Suite, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    good, bad = (
+        [str(suite.folder / "valid" / f"{n}.c3gs") for n in ("plain", "extended")],
+        str(suite.folder / "invalid" / "up-axis.c3gs"),
+    )
     assert cli.main(["check-encoder", *good]) == commands.EXIT_RIGHT
     assert cli.main(["check-encoder", *good, bad]) == commands.EXIT_WRONG
     assert "214 header.render_info" in capsys.readouterr().out

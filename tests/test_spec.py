@@ -44,7 +44,11 @@ def rows(text: str) -> list[list[str]]:
     """The body rows of the Markdown tables in a text."""
     lines = [line for line in text.splitlines() if line.startswith("|")]
     cells = [[c.strip() for c in line.strip("|").split("|")] for line in lines]
-    return [c for i, c in enumerate(cells) if not set(c[0]) <= {"-"} and not (i + 1 < len(cells) and set(cells[i + 1][0]) == {"-"})]
+    return [
+        c
+        for i, c in enumerate(cells)
+        if not set(c[0]) <= {"-"} and not (i + 1 < len(cells) and set(cells[i + 1][0]) == {"-"})
+    ]
 
 
 @pytest.fixture(scope="module")
@@ -92,10 +96,14 @@ PROSE = re.sub(r"^```.*?^```", "", TEXT, flags=re.DOTALL | re.MULTILINE)
 
 
 def test_requirements_name_registered_errors() -> None:
-    lines = re.findall(r"^- \[(R[^\]]+)\] It is a requirement of bitstream conformance that .*?\(`([a-z_.]+)`\)", TEXT, re.MULTILINE)
+    lines = re.findall(
+        r"^- \[(R[^\]]+)\] It is a requirement of bitstream conformance that .*?\(`([a-z_.]+)`\)", TEXT, re.MULTILINE
+    )
     ids = [i for i, _ in lines]
     assert len(ids) == len(set(ids)) == TEXT.count("] It is a requirement of bitstream conformance that")
-    assert {name for _, name in lines} == set(errors.REGISTRY), "each code has a requirement, and each requirement a code"
+    assert {name for _, name in lines} == set(errors.REGISTRY), (
+        "each code has a requirement, and each requirement a code"
+    )
     for kind in errors.REGISTRY.values():
         assert kind.clause in HEADINGS, kind
         assert kind.code // 100 in (1, 2, 3, 4, 5)
@@ -104,11 +112,14 @@ def test_requirements_name_registered_errors() -> None:
 def test_every_normative_sentence_is_a_requirement() -> None:
     """Identifiers are unique and named after the clause they stand in; what obliges anyone has one."""
     found = re.findall(
-        r"^- \[(([RDG])([^\]-]+)-\d+)\] It is a requirement of (bitstream|decoder|renderer) conformance that", TEXT, re.MULTILINE
+        r"^- \[(([RDG])([^\]-]+)-\d+)\] It is a requirement of (bitstream|decoder|renderer) conformance that",
+        TEXT,
+        re.MULTILINE,
     )
     assert len({name for name, *_ in found}) == len(found) > 70
     assert all(
-        {"R": "bitstream", "D": "decoder", "G": "renderer"}[letter] == what and clause in HEADINGS for _, letter, clause, what in found
+        {"R": "bitstream", "D": "decoder", "G": "renderer"}[letter] == what and clause in HEADINGS
+        for _, letter, clause, what in found
     )
     for clause in {c for _, _, c, _ in found}:
         text = TEXT.partition("## Annex A")[2] if clause == "A" else section(clause)
@@ -119,7 +130,17 @@ def test_every_normative_sentence_is_a_requirement() -> None:
     # Each function of the decoding process is named by a requirement.
     functions = set(re.findall(r"^def ([A-Z_0-9]+)\(", TEXT, re.MULTILINE))
     named = set(re.findall(r"\b[A-Z_0-9]{3,}\b", " ".join(re.findall(r"^- \[[DG].*$", TEXT, re.MULTILINE))))
-    helpers = {"RSHIFT_ROUND", "CLAMP", "ISQRT", "ROUND_SCALED", "ROUND_F32", "ACTIVATION", "PLANE_GROUPS", "NOTE_SYMBOLS", "OPEN"}
+    helpers = {
+        "RSHIFT_ROUND",
+        "CLAMP",
+        "ISQRT",
+        "ROUND_SCALED",
+        "ROUND_F32",
+        "ACTIVATION",
+        "PLANE_GROUPS",
+        "NOTE_SYMBOLS",
+        "OPEN",
+    }
     helpers |= {"RENDER_NETWORK", "NORMALISED", "LOGISTIC", "ROTATION", "PRODUCT", "PROJECT", "PIXEL"}
     assert functions - named - helpers <= {"DECODE_SCENE", "READ_TABLES"}
 
@@ -129,7 +150,11 @@ def test_the_matrix_is_current_and_whole(monkeypatch: pytest.MonkeyPatch) -> Non
     module = importlib.import_module("matrix")
     assert module.TARGET.read_text(encoding="utf-8") == module.matrix(TEXT), "run python tools/matrix.py"
     with pytest.raises(SystemExit, match=r"holes in the matrix: D7\.99-1"):
-        module.matrix(TEXT.replace("- [D7.2-1] It", "- [D7.99-1] It is a requirement of decoder conformance that x.\n- [D7.2-1] It"))
+        module.matrix(
+            TEXT.replace(
+                "- [D7.2-1] It", "- [D7.99-1] It is a requirement of decoder conformance that x.\n- [D7.2-1] It"
+            )
+        )
     with pytest.raises(SystemExit, match=r"R6\.5-1, which SPEC.md does not have"):
         module.matrix(TEXT.replace("- [R6.5-1]", "- [R6.55-1]"))
 
@@ -159,7 +184,11 @@ def test_the_largest_sums_of_the_widths(spec: dict) -> None:
     assert spec["FRAME_COORDINATES"](frame, [(1 << 40) - (1 << 29)] * 3) == [context.FRAME_CLAMP] * 3
     w = spec["CONTRACT"]([context.FRAME_CLAMP, 0, 0])
     assert (1 << 17) - 8 <= w[0] <= 1 << 17
-    assert all(abs(x) <= 1 << 17 for v in ([-context.FRAME_CLAMP] * 3, [1 - (1 << 30), 0, 0], [65536, 1, 0]) for x in spec["CONTRACT"](v))
+    assert all(
+        abs(x) <= 1 << 17
+        for v in ([-context.FRAME_CLAMP] * 3, [1 - (1 << 30), 0, 0], [65536, 1, 0])
+        for x in spec["CONTRACT"](v)
+    )
 
 
 def test_terms_are_defined_before_they_are_used() -> None:
@@ -174,8 +203,20 @@ def test_terms_are_defined_before_they_are_used() -> None:
             assert re.search(rf"\b{name}\b", section(clause)), f"{name} is not stated in {clause}"
     after = TEXT[TEXT.index("### 3.2 ") :]
     names = {name for letter, *_ in letters for name in letter.split(", ")}
-    prose = re.sub(r"`[^`]*`|<!--.*?-->|\[[RD][^\]]*\]|^```.*?^```", "", after.partition("## Annex A")[0], flags=re.DOTALL | re.MULTILINE)
-    local = {"T", "A", "X", "Px", "Py", "Pz"}  # of 7.5.1, where they stand in the formula's own table, and T[n] of chapter 5
+    prose = re.sub(
+        r"`[^`]*`|<!--.*?-->|\[[RD][^\]]*\]|^```.*?^```",
+        "",
+        after.partition("## Annex A")[0],
+        flags=re.DOTALL | re.MULTILINE,
+    )
+    local = {
+        "T",
+        "A",
+        "X",
+        "Px",
+        "Py",
+        "Pz",
+    }  # of 7.5.1, where they stand in the formula's own table, and T[n] of chapter 5
     assert set(re.findall(r"(?<![\w.+-])[A-Z](?![\w'-])", prose)) - names - local == set()
     listed = [term for term, _ in rows(section("3.2"))]
     assert len(listed) == len(set(listed)) > 25
@@ -184,29 +225,46 @@ def test_terms_are_defined_before_they_are_used() -> None:
     defined = set(re.findall(r"^def ([A-Z_0-9]+)\(", TEXT, re.MULTILINE))
     constants = {name for name, *_ in rows(section("2.5"))}
     constants |= {name.strip("` ") for names, *_ in rows(section("B.8")) for name in names.split(",")}
-    known = fields | defined | constants | set(syntax.SYNTAX) | {"BCP", "RFC", "SARM", "CARM", "PCA", "IEEE", "ISO", "CRC", "SHA", "MUST"}
+    known = (
+        fields
+        | defined
+        | constants
+        | set(syntax.SYNTAX)
+        | {"BCP", "RFC", "SARM", "CARM", "PCA", "IEEE", "ISO", "CRC", "SHA", "MUST"}
+    )
     for word in set(re.findall(r"\b[A-Z][A-Z0-9]+_[A-Z0-9_]+\b", PROSE)):
         assert word in known, word
     for word in set(
-        re.findall(r"\b[a-z]{2,}_[a-z_0-9]{2,}\b", re.sub(r"`[^`]*`|<!--.*?-->|^\| (?:0x|\d{3} ).*$", "", PROSE, flags=re.MULTILINE))
+        re.findall(
+            r"\b[a-z]{2,}_[a-z_0-9]{2,}\b",
+            re.sub(r"`[^`]*`|<!--.*?-->|^\| (?:0x|\d{3} ).*$", "", PROSE, flags=re.MULTILINE),
+        )
     ):
         assert word in fields | {"step_table", "carm_inputs"}, word
 
 
 def test_clauses_cited_by_the_code_exist() -> None:
     for path in [*sorted((ROOT / "refcodec").rglob("*.py")), *sorted((ROOT / "conformance").rglob("*.py"))]:
-        for clause in re.findall(r"SPEC(?:\.md)? (?:Annex )?((?:\d+|[A-D])(?:\.\d+)*)", path.read_text(encoding="utf-8")):
+        for clause in re.findall(
+            r"SPEC(?:\.md)? (?:Annex )?((?:\d+|[A-D])(?:\.\d+)*)", path.read_text(encoding="utf-8")
+        ):
             assert clause in HEADINGS, f"{path.name} cites {clause}"
 
 
 def test_cross_references_resolve() -> None:
-    cited = set(re.findall(r"(?<![\w.^-])(\d{1,2}\.\d{1,2}(?:\.\d)?)(?![\w.%])", re.sub(r"^\|.*", "", PROSE, flags=re.MULTILINE)))
+    cited = set(
+        re.findall(
+            r"(?<![\w.^-])(\d{1,2}\.\d{1,2}(?:\.\d)?)(?![\w.%])", re.sub(r"^\|.*", "", PROSE, flags=re.MULTILINE)
+        )
+    )
     numbers = {"1.0", "1.1", "3.875", "0.1", "2.1", "0.2", "0.01", "0.001"}
     assert len(cited) > 40
     assert cited - numbers <= HEADINGS, cited - numbers - HEADINGS
     for requirement in re.findall(r"\[([RD][0-9A][\d.]*-\d+)\]", PROSE):
         assert f"- [{requirement}] It is" in TEXT, requirement
-    slugs = {re.sub(r"[^a-z0-9 -]", "", h.lower()).replace(" ", "-") for h in re.findall(r"^#+ (.*)$", TEXT, re.MULTILINE)}
+    slugs = {
+        re.sub(r"[^a-z0-9 -]", "", h.lower()).replace(" ", "-") for h in re.findall(r"^#+ (.*)$", TEXT, re.MULTILINE)
+    }
     for anchor in re.findall(r"\]\(#([^)]+)\)", TEXT):
         assert anchor in slugs, anchor
     for path in re.findall(r"\]\(([^)#]+)\)", TEXT):
@@ -230,7 +288,9 @@ def test_the_formulas_of_the_prose(spec: dict) -> None:
         return [f for f in re.findall(r"`([^`\n]*)`", prose) if re.search(r"[-+*/<>]", f)]
 
     def value(formula: str, **names: object) -> Any:
-        return eval(formula.replace("^", "**"), {}, {**functions, **constants, "U": 1 << constants["UNIT_BITS"], **names})
+        return eval(
+            formula.replace("^", "**"), {}, {**functions, **constants, "U": 1 << constants["UNIT_BITS"], **names}
+        )
 
     def integer(bound: int) -> int:
         return int(rng.integers(1 - bound, bound)) >> int(rng.integers(0, 20))
@@ -245,7 +305,11 @@ def test_the_formulas_of_the_prose(spec: dict) -> None:
     grid, cell, weight, sample = formulas("7.5.4")
     for _ in range(200):
         matrix, p = [integer(1 << 20) for _ in range(9)], [integer(1 << 40) for _ in range(3)]
-        frame = {"matrix": matrix, "translation": [integer(1 << 61) for _ in range(3)], "shift": rng.integers(0, 61, 3).tolist()}
+        frame = {
+            "matrix": matrix,
+            "translation": [integer(1 << 61) for _ in range(3)],
+            "shift": rng.integers(0, 61, 3).tolist(),
+        }
         for r, v in enumerate(called("FRAME_COORDINATES", frame, p)):
             names = {f"A_r{c}": matrix[3 * r + c] for c in range(3)} | dict(zip(("Px", "Py", "Pz"), p, strict=True))
             assert v == value(frame_sum, T_r=frame["translation"][r], s_r=frame["shift"][r], **names)
@@ -270,7 +334,11 @@ def test_the_formulas_of_the_prose(spec: dict) -> None:
         # A plane that rises along its columns shows cell and weight.
         found = called("QUERY", ramp, [u[0], 0], 0)[0]
         assert found == value(sample, sum=(c * 256 + f) * 16 * 256, plane_shift=0)
-        a = {"origin": [integer(1 << 62)] * 3, "scale_mantissa": int(rng.integers(1, 65536)), "scale_exponent": int(rng.integers(-60, 61))}
+        a = {
+            "origin": [integer(1 << 62)] * 3,
+            "scale_mantissa": int(rng.integers(1, 65536)),
+            "scale_exponent": int(rng.integers(-60, 61)),
+        }
         names = {"origin": a["origin"][0], "S": a["scale_mantissa"], "P": p[0], "E": a["scale_exponent"]}
         assert value(formulas("9.1")[0], **names) == called("WORLD", a, 0, p[0])
         base = float(np.float32(rng.normal()) * np.float32(2.0) ** int(rng.integers(-40, 40)))
@@ -336,7 +404,9 @@ def test_the_formulas_of_annex_a() -> None:
                 assert models.radius[model] == radius
                 found = np.diff(model_bounds(models, model)).tolist()
                 right = [
-                    frequency(p=lambda x, d=distribution, b=b, m=m: share(G=lambda y: d(x=y, b=b), x=x, m=m), x=mpmath.mpf(x))
+                    frequency(
+                        p=lambda x, d=distribution, b=b, m=m: share(G=lambda y: d(x=y, b=b), x=x, m=m), x=mpmath.mpf(x)
+                    )
                     for x in range(-radius, radius + 1)
                 ]
                 largest = right.index(max(right))
@@ -377,7 +447,9 @@ def test_networks_table() -> None:
             )
             fan_in, out = d.slices[0], 2 * d.slices[1]
         else:
-            fan_in, out = (eval(re.sub(r"(\d) (?=[A-Za-z])", r"\1*", text.split(",")[0]), space) for text in (inputs, outputs))
+            fan_in, out = (
+                eval(re.sub(r"(\d) (?=[A-Za-z])", r"\1*", text.split(",")[0]), space) for text in (inputs, outputs)
+            )
         widths = [fan_in, *space[hidden], out]
         assert shapes[name.split(",")[0].replace(".i", ".1")] == list(zip(widths[1:], widths[:-1], strict=True))
 
@@ -392,7 +464,11 @@ def test_operators(spec: dict) -> None:
     for mean in range(-70, 70):
         for scale in (-99, -41, -40, 0, 23, 24, 31, 32, 100, 151, 152, 900):
             row, column, centre, raw = spec["SELECT"](mean, scale)
-            assert [int(x[0]) for x in select(np.array([mean]), np.array([scale]))] == [(row + 40) * 16 + column, centre, raw]
+            assert [int(x[0]) for x in select(np.array([mean]), np.array([scale]))] == [
+                (row + 40) * 16 + column,
+                centre,
+                raw,
+            ]
 
 
 def test_geometry(spec: dict) -> None:
@@ -400,9 +476,13 @@ def test_geometry(spec: dict) -> None:
     scene = random_scene(5, 200)
     frame = {k: getattr(scene.frame, k).reshape(-1).tolist() for k in ("matrix", "translation", "shift", "low", "high")}
     planes = assemble_planes(scene.planes)
-    bits = np.where(rng.random((200, 3)) < 0.2, rng.integers(0, 0x7C00, (200, 3)), scene.positions.view(np.uint16)).astype(np.uint16)
+    bits = np.where(
+        rng.random((200, 3)) < 0.2, rng.integers(0, 0x7C00, (200, 3)), scene.positions.view(np.uint16)
+    ).astype(np.uint16)
     code = context.context(scene.frame, planes, scene.plane_shift, 3, bits.view(np.float16))
-    text = [spec["CONTEXT"](frame, planes[0].tolist(), planes[1].tolist(), scene.plane_shift, 3, p) for p in bits.tolist()]
+    text = [
+        spec["CONTEXT"](frame, planes[0].tolist(), planes[1].tolist(), scene.plane_shift, 3, p) for p in bits.tolist()
+    ]
     assert code.tolist() == text
 
 
@@ -426,8 +506,12 @@ CASES = [
 
 @pytest.mark.requirement("D7.7-1", "D7.8-1", "D7.9-1", "D7.10-1")
 @pytest.mark.parametrize(("seed", "anchors", "dimensions", "gain", "spread"), CASES)
-def test_the_text_decodes_files(spec: dict, seed: int, anchors: int, dimensions: Dimensions, gain: float, spread: float) -> None:
-    scene = random_scene(seed, anchors, dimensions, chunk_size=4, lanes=Lanes(0, 1, 2), gain=gain, spread=min(spread, 5000))
+def test_the_text_decodes_files(
+    spec: dict, seed: int, anchors: int, dimensions: Dimensions, gain: float, spread: float
+) -> None:
+    scene = random_scene(
+        seed, anchors, dimensions, chunk_size=4, lanes=Lanes(0, 1, 2), gain=gain, spread=min(spread, 5000)
+    )
     data = codec.emit(scene)
     whole, verdicts = decode(spec, data, parse_container(data))
     assert hashlib.sha256(whole).hexdigest() == reconstruction.digest(codec.parse(data).scene)[0]

@@ -74,7 +74,9 @@ def test_the_text_has_these_constants() -> None:
         assert (tuple(found) if len(found) > 1 else found[0]) == stated
     assert TrainSettings().plane_period == 4
     assert "every fourth step" in section
-    tried = re.search(r"of (\d+) to (\d+) bits for the largest weight .* of (\d+) to (\d+) bits less than the integers", section)
+    tried = re.search(
+        r"of (\d+) to (\d+) bits for the largest weight .* of (\d+) to (\d+) bits less than the integers", section
+    )
     assert tried is not None
     assert [(c[0], c[-1]) for c in (trainer_module.RENDER_BITS, trainer_module.COARSER)] == [
         (int(tried[1]), int(tried[2])),
@@ -137,7 +139,15 @@ def test_adam_is_torchs_where_every_row_is_touched() -> None:
         expected.grad = gradient.clone()
         optimiser.step()
         order = torch.randperm(40, generator=draw)
-        adam_rows(table.numpy(), first.numpy(), second.numpy(), step, order.numpy(), gradient[order].contiguous().numpy(), np.float32(0.01))
+        adam_rows(
+            table.numpy(),
+            first.numpy(),
+            second.numpy(),
+            step,
+            order.numpy(),
+            gradient[order].contiguous().numpy(),
+            np.float32(0.01),
+        )
     np.testing.assert_allclose(table, expected.detach(), rtol=1e-4, atol=1e-5)
 
 
@@ -162,10 +172,13 @@ def times(photographs: PhotographSet, factor: float) -> PhotographSet:
 
     def moved(group):
         return tuple(
-            replace(p, camera=replace(p.camera, translation=p.camera.translation * factor), load=lambda p=p: p.image) for p in group
+            replace(p, camera=replace(p.camera, translation=p.camera.translation * factor), load=lambda p=p: p.image)
+            for p in group
         )
 
-    return replace(photographs, train=moved(photographs.train), test=moved(photographs.test), points=photographs.points * factor)
+    return replace(
+        photographs, train=moved(photographs.train), test=moved(photographs.test), points=photographs.points * factor
+    )
 
 
 def test_units(photographs: PhotographSet) -> None:
@@ -204,7 +217,11 @@ def test_no_anchor_is_left_out_that_could_be_seen(photographs: PhotographSet, tr
         assert float((images[0] - images[1]).abs().max()) < 1e-3
     fresh = Scaffold(photographs, 500, torch.Generator().manual_seed(0))
     # The camera looks the other way: no anchor is in front of it.
-    turned = replace(camera, rotation=np.diag([-1.0, 1, -1]) @ camera.rotation, translation=np.diag([-1.0, 1, -1]) @ camera.translation)
+    turned = replace(
+        camera,
+        rotation=np.diag([-1.0, 1, -1]) @ camera.rotation,
+        translation=np.diag([-1.0, 1, -1]) @ camera.translation,
+    )
     assert len(fresh.visible(turned)) < 0.05 * fresh.count < 0.5 * len(fresh.visible(camera))
     share = fresh.views([camera, camera])
     assert set(torch.nonzero(share)[:, 0].tolist()) == set(fresh.visible(camera).tolist())
@@ -239,7 +256,9 @@ def test_growth(photographs: PhotographSet) -> None:
     assert torch.equal(scaffold.tables["features"][born], feature)
     assert (scaffold.tables["offsets"][born:] == 0).all()
     for name, table in scaffold.tables.items():
-        assert table.shape == scaffold.first[name].shape == scaffold.second[name].shape == (scaffold.count, COLUMNS[name])
+        assert (
+            table.shape == scaffold.first[name].shape == scaffold.second[name].shape == (scaffold.count, COLUMNS[name])
+        )
     assert len(kept["features"]) == len(before)
 
 
@@ -332,7 +351,9 @@ def test_the_file_shows_what_the_training_showed(trained: Trainer, photographs: 
     assert isinstance(scene, Scene)
     view = View(parse(emit(scene)).scene)
     for photograph in photographs.test[:3]:
-        error = float(np.mean((view.draw(photograph.camera).clip(0, 1) - trained.show(scene, photograph.camera).numpy()) ** 2))
+        error = float(
+            np.mean((view.draw(photograph.camera).clip(0, 1) - trained.show(scene, photograph.camera).numpy()) ** 2)
+        )
         assert -10 * np.log10(error + 1e-12) > 50
 
 
@@ -380,7 +401,9 @@ def test_going_on_is_not_seen(trained: Trainer, photographs: PhotographSet, tmp_
 
 
 @pytest.mark.parametrize("steps", [5, 100])
-def test_an_interrupt_leaves_a_scene_and_a_state(steps: int, photographs: PhotographSet, trained: Trainer, tmp_path: Path) -> None:
+def test_an_interrupt_leaves_a_scene_and_a_state(
+    steps: int, photographs: PhotographSet, trained: Trainer, tmp_path: Path
+) -> None:
     trainer = Trainer(photographs, SMALL)
 
     def interrupt(t: Trainer) -> None:
@@ -414,7 +437,12 @@ print(hashlib.sha256(emit(trainer.result())).hexdigest())
 
 def test_same_file_whatever_the_number_of_threads(tmp_path: Path) -> None:
     def run(threads: int) -> str:
-        environment = {**os.environ, "NUMBA_NUM_THREADS": str(threads), "OMP_NUM_THREADS": str(threads), "OMP_WAIT_POLICY": "PASSIVE"}
+        environment = {
+            **os.environ,
+            "NUMBA_NUM_THREADS": str(threads),
+            "OMP_NUM_THREADS": str(threads),
+            "OMP_WAIT_POLICY": "PASSIVE",
+        }
         command = [sys.executable, "-c", DIGEST.replace("numba.set_num_threads(1)", ""), str(EXAMPLES / "caliterra")]
         command += [str(tmp_path / str(threads)), str(threads)]
         return subprocess.run(command, env=environment, check=True, capture_output=True, text=True).stdout
@@ -433,7 +461,8 @@ def test_another_unit_gives_the_same_scene(trained: Trainer, photographs: Photog
 
 
 @pytest.mark.parametrize(
-    "change", [{"hyperprior": "triplane"}, {"uniform": False}, {"plane_period": 1}, {"masks": False}, {"epsilon": 0.0004}]
+    "change",
+    [{"hyperprior": "triplane"}, {"uniform": False}, {"plane_period": 1}, {"masks": False}, {"epsilon": 0.0004}],
 )
 def test_switches(change: dict, photographs: PhotographSet) -> None:
     trainer = Trainer(photographs, replace(SMALL, steps=40, **change))
@@ -484,7 +513,11 @@ def test_command_without_rate(tmp_path: Path, capsys: pytest.CaptureFixture[str]
     scene = read_uncompressed(folder)
     assert main(["eval", str(folder), source, "--size", "64", "--json"]) == 0
     found = json.loads(capsys.readouterr().out.split("\n", 2)[2])
-    assert found["parts"] == {"positions": 12 * scene.anchor_count, "attributes": 4 * 86 * scene.anchor_count, "weights": 4 * 13860}
+    assert found["parts"] == {
+        "positions": 12 * scene.anchor_count,
+        "attributes": 4 * 86 * scene.anchor_count,
+        "weights": 4 * 13860,
+    }
     assert main(["render", str(folder), "-o", str(tmp_path / "images")]) == 0
     assert (tmp_path / "images" / "default.png").is_file()
     (folder / "networks.safetensors").write_bytes(b"")
@@ -526,7 +559,11 @@ def test_a_nerf_folder_with_transparent_images(tmp_path: Path, capsys: pytest.Ca
     for number in range(16):
         angle = 2 * np.pi * number / 16
         pose = np.array(
-            [[np.cos(angle), 0, np.sin(angle), 4 * np.sin(angle)], [0, 1, 0, 0], [-np.sin(angle), 0, np.cos(angle), 4 * np.cos(angle)]]
+            [
+                [np.cos(angle), 0, np.sin(angle), 4 * np.sin(angle)],
+                [0, 1, 0, 0],
+                [-np.sin(angle), 0, np.cos(angle), 4 * np.cos(angle)],
+            ]
         )
         Image.fromarray(ball).save(tmp_path / "images" / f"r_{number}.png")
         frames.append({"file_path": f"images/r_{number}.png", "transform_matrix": pose.tolist()})

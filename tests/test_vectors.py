@@ -23,7 +23,19 @@ from conformance.cases.numbers import Numbers
 from conformance.cases.suite import GeneratorError, vectors
 from conformance.independent.__main__ import main as second_main
 from conformance.independent.trace import Trace
-from conformance.manifest import MANIFEST, SCHEMA, VECTORS, Accepted, GaussiansOf, Manifest, ManifestError, Rejected, Vector, faults, load
+from conformance.manifest import (
+    MANIFEST,
+    SCHEMA,
+    VECTORS,
+    Accepted,
+    GaussiansOf,
+    Manifest,
+    ManifestError,
+    Rejected,
+    Vector,
+    faults,
+    load,
+)
 from conformance.runner.gaussians import difference
 from refcodec.bitstream import codec, directory
 from refcodec.bitstream.codec import parse_container
@@ -59,7 +71,9 @@ def document() -> dict[str, Any]:
 
 
 def test_files_are_those_of_the_manifest() -> None:
-    listed = {v.input.path for v in SUITE.vectors} | {v.expectation.path for v in SEEN if isinstance(v.expectation, GaussiansOf)}
+    listed = {v.input.path for v in SUITE.vectors} | {
+        v.expectation.path for v in SEEN if isinstance(v.expectation, GaussiansOf)
+    }
     there = {str(p.relative_to(VECTORS)) for folder in VECTORS.iterdir() if folder.is_dir() for p in folder.iterdir()}
     assert listed == there
     for vector in SUITE.vectors:
@@ -151,7 +165,9 @@ def test_the_suite_is_the_same_again(tmp_path: Path, capsys: pytest.CaptureFixtu
     """And refcodec gives what the manifest expects, since that is where it comes from."""
     assert cli.main(["generate", "-o", str(tmp_path / "suite")]) == 0
     assert f"{len(SUITE.vectors)} vectors" in capsys.readouterr().out
-    made = {str(p.relative_to(tmp_path / "suite")): p.read_bytes() for p in (tmp_path / "suite").rglob("*") if p.is_file()}
+    made = {
+        str(p.relative_to(tmp_path / "suite")): p.read_bytes() for p in (tmp_path / "suite").rglob("*") if p.is_file()
+    }
     kept = {str(p.relative_to(VECTORS)): p.read_bytes() for p in VECTORS.rglob("*") if p.is_file()}
     for name in ("README.md", "tiny-example.c3gs"):
         del kept[name]
@@ -269,7 +285,9 @@ def test_what_is_tested_is_there() -> None:
         model, centre, raw = select(mean, scale)
         radius = getattr(tables(), family).radius[model]
         distance = (value >> raw) - centre
-        kinds = np.where(np.abs(distance) > radius, 0, np.where(distance == -radius, 1, np.where(distance == radius, 2, 3)))
+        kinds = np.where(
+            np.abs(distance) > radius, 0, np.where(distance == -radius, 1, np.where(distance == radius, 2, 3))
+        )
         seen = set(zip(model.tolist(), kinds.tolist(), strict=True))
         assert len({m for m, _ in seen}) > 1000, name
         for kind in range(3):

@@ -103,7 +103,11 @@ def by_loops(a: np.ndarray, b: np.ndarray) -> float:
             for j in range(a.shape[1]):
                 p, q = x[i : i + 11, j : j + 11], y[i : i + 11, j : j + 11]
                 mp, mq = (window * p).sum(), (window * q).sum()
-                vp, vq, both = (window * p * p).sum() - mp**2, (window * q * q).sum() - mq**2, (window * p * q).sum() - mp * mq
+                vp, vq, both = (
+                    (window * p * p).sum() - mp**2,
+                    (window * q * q).sum() - mq**2,
+                    (window * p * q).sum() - mp * mq,
+                )
                 total.append((2 * mp * mq + 1e-4) * (2 * both + 9e-4) / ((mp**2 + mq**2 + 1e-4) * (vp + vq + 9e-4)))
     return float(np.mean(total))
 
@@ -150,7 +154,9 @@ def test_an_image_of_a_file_does_not_depend_on_threads(file: str) -> None:
     found = []
     for threads in ("1", "2"):
         environment = {**os.environ, "NUMBA_NUM_THREADS": threads, "OMP_WAIT_POLICY": "PASSIVE"}
-        done = subprocess.run([sys.executable, "-c", program, file], env=environment, check=True, capture_output=True, text=True)
+        done = subprocess.run(
+            [sys.executable, "-c", program, file], env=environment, check=True, capture_output=True, text=True
+        )
         found.append(done.stdout.split())
     assert [threads for threads, _ in found] == ["1", "2"]
     assert found[0][1] == found[1][1]
@@ -160,7 +166,12 @@ def test_render(file: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -
     assert main(["render", file, "-o", str(tmp_path / "own")]) == 0
     assert Image.open(tmp_path / "own" / "default.png").size == (40, 30)
     assert main(["render", file, "-o", str(tmp_path / "orbit"), "--cameras", "orbit", "--frames", "3"]) == 0
-    assert sorted(p.name for p in (tmp_path / "orbit").iterdir()) == ["orbit-0000.png", "orbit-0001.png", "orbit-0002.png", "orbit.gif"]
+    assert sorted(p.name for p in (tmp_path / "orbit").iterdir()) == [
+        "orbit-0000.png",
+        "orbit-0001.png",
+        "orbit-0002.png",
+        "orbit.gif",
+    ]
     assert main(["render", file, "-o", str(tmp_path / "photos"), "--cameras", str(PHOTOGRAPHS), "--size", "40"]) == 0
     made = sorted((tmp_path / "photos").iterdir())
     assert [p.stem for p in made] == sorted(p.stem for p in (PHOTOGRAPHS / "images").iterdir())
@@ -204,7 +215,13 @@ def test_what_is_wrong_is_said(
     for name in [
         m
         for m in sys.modules
-        if m in ("refcodec.evaluate.evaluation", "refcodec.render.view", "refcodec.evaluate.quality", "refcodec.render.rasterise")
+        if m
+        in (
+            "refcodec.evaluate.evaluation",
+            "refcodec.render.view",
+            "refcodec.evaluate.quality",
+            "refcodec.render.rasterise",
+        )
     ]:
         monkeypatch.delitem(sys.modules, name)
     monkeypatch.setitem(sys.modules, "numba", None)

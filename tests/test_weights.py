@@ -27,7 +27,9 @@ from refcodec.inspect import elements, trace
 
 SPACE = blocks((Path(__file__).resolve().parent.parent / "SPEC.md").read_text(encoding="utf-8"))
 FINITE = st.floats(width=32, allow_nan=False, allow_infinity=False)
-GRID = st.tuples(st.integers(-WEIGHT_SYMBOL_MAX, WEIGHT_SYMBOL_MAX), st.integers(-149, 104)).map(lambda p: math.ldexp(*p))
+GRID = st.tuples(st.integers(-WEIGHT_SYMBOL_MAX, WEIGHT_SYMBOL_MAX), st.integers(-149, 104)).map(
+    lambda p: math.ldexp(*p)
+)
 
 
 def same_bits(a: np.ndarray, b: np.ndarray) -> bool:
@@ -39,7 +41,9 @@ def same_bits(a: np.ndarray, b: np.ndarray) -> bool:
     hnp.arrays(
         np.float32,
         hnp.array_shapes(min_dims=2, max_dims=2, min_side=2, max_side=5),
-        elements=st.one_of(FINITE, GRID, st.integers(-50, 50).map(float), st.sampled_from([0.0, -0.0, 2.0**-149, -(2.0**127)])),
+        elements=st.one_of(
+            FINITE, GRID, st.integers(-50, 50).map(float), st.sampled_from([0.0, -0.0, 2.0**-149, -(2.0**127)])
+        ),
         fill=st.just(np.float32(0)),
     )
 )
@@ -62,8 +66,14 @@ def test_exponents_that_are_not_the_least(data: st.DataObject) -> None:
     """What the text refuses, and nothing else, is refused."""
     rows = data.draw(st.integers(1, 4))
     small = st.integers(-3, 3)
-    exponent, difference = data.draw(st.sampled_from([0, 0, 5, -104, 149])), data.draw(hnp.arrays(np.int64, rows, elements=small))
-    weight, bias = data.draw(hnp.arrays(np.int64, (rows, 2), elements=small)), data.draw(hnp.arrays(np.int64, rows, elements=small))
+    exponent, difference = (
+        data.draw(st.sampled_from([0, 0, 5, -104, 149])),
+        data.draw(hnp.arrays(np.int64, rows, elements=small)),
+    )
+    weight, bias = (
+        data.draw(hnp.arrays(np.int64, (rows, 2), elements=small)),
+        data.draw(hnp.arrays(np.int64, rows, elements=small)),
+    )
     text = SPACE["PACKED_LAYER"](exponent, difference.tolist(), weight.tolist(), bias.tolist())
     grid = type(to_grid((np.zeros((1, 1), np.float32), np.zeros(1, np.float32))))(exponent, difference, weight, bias)
     found = from_grid(grid)
@@ -121,7 +131,11 @@ def test_a_scene_of_grids() -> None:
     for kind in ("features", "scalings", "offsets", "steps"):
         assert np.array_equal(getattr(found.attributes, kind), getattr(scene.attributes, kind))
     for name, layers in small.networks.items():
-        assert all(same_bits(a, b) for x, y in zip(layers, found.networks[name], strict=True) for a, b in zip(x, y, strict=True))
+        assert all(
+            same_bits(a, b)
+            for x, y in zip(layers, found.networks[name], strict=True)
+            for a, b in zip(x, y, strict=True)
+        )
     assert packed(found, "raw", None).weight_scales is found.weight_scales
     assert packed(scene, "raw", "raw").weight_scales is None
     assert packed(scene, "raw", None).weight_scales is not None

@@ -15,8 +15,14 @@ pytestmark = pytest.mark.slow
 
 @pytest.mark.parametrize(
     ("name", "more"),
-    [("refcodec", ["--gaussians", f"{sys.executable} -m refcodec gaussians {{input}} {{camera}} {{output}}"]), ("independent", [])],
+    [
+        ("refcodec", ["--gaussians", f"{sys.executable} -m refcodec gaussians {{input}} {{camera}} {{output}}"]),
+        ("independent", []),
+    ],
 )
 def test_it_passes(name: str, more: list[str]) -> None:
     options = ["--vectors", str(VECTORS), "--jobs", "2", "--slow", "4", "--serve", *more]
-    assert cli.main(["run", *options, "--trace", "--", sys.executable, "-m", "conformance.runner.serve", name]) == commands.EXIT_RIGHT
+    assert (
+        cli.main(["run", *options, "--trace", "--", sys.executable, "-m", "conformance.runner.serve", name])
+        == commands.EXIT_RIGHT
+    )

@@ -40,11 +40,20 @@ class Drawing:
             f'<text x="{x:g}" y="{y:g}" font-family="sans-serif" font-size="{size}" text-anchor="{anchor}"{weight}>{safe}</text>'
         )
 
-    def line(self, points: list[tuple[float, float]], arrow: bool = False, stroke: str = INK, width: float = 1.2, dash: str = "") -> None:
+    def line(
+        self,
+        points: list[tuple[float, float]],
+        arrow: bool = False,
+        stroke: str = INK,
+        width: float = 1.2,
+        dash: str = "",
+    ) -> None:
         path = " ".join(f"{x:g},{y:g}" for x, y in points)
         end = ' marker-end="url(#head)"' if arrow else ""
         dashes = f' stroke-dasharray="{dash}"' if dash else ""
-        self.parts.append(f'<polyline points="{path}" fill="none" stroke="{stroke}" stroke-width="{width:g}"{end}{dashes}/>')
+        self.parts.append(
+            f'<polyline points="{path}" fill="none" stroke="{stroke}" stroke-width="{width:g}"{end}{dashes}/>'
+        )
 
     def labelled(self, x: float, y: float, w: float, h: float, lines: list[str], fill: str = FILL) -> None:
         """A box with lines of text in its middle, the first one bold."""
@@ -85,7 +94,10 @@ def planes(space: dict[str, Any]) -> str:
             fill = "#fed7aa" if near else "#fb923c" if (i, j) == chosen else FILL if t % 2 else LIGHT
             d.box(left + cell * j, top + cell * i, cell, cell, fill, FAINT)
             d.words(left + cell * (j + 0.5), top + cell * (i + 0.5) + 5, str(t))
-    for x, fill, value in ((420, "#fb923c", "a symbol"), (490, "#fed7aa", "its context, all of it of earlier wavefronts")):
+    for x, fill, value in (
+        (420, "#fb923c", "a symbol"),
+        (490, "#fed7aa", "its context, all of it of earlier wavefronts"),
+    ):
         d.box(x, 289, 12, 12, fill, FAINT)
         d.words(x + 18, 300, value, 11, "start")
     d.words(35, 285, "Each sub-plane is coded alone, in one substream;", 11, "start")
@@ -117,7 +129,9 @@ def stages(space: dict[str, Any]) -> str:
     for n, name in enumerate(names):
         x = 20 + 122 * n
         d.labelled(x, 230, 105, 50, [name, f"group {n}"], LIGHT)
-        d.line([(560, 80), (560, 132), (x + 52, 132), (x + 52, 230 if n in (0, 4, 5) else 165)], arrow=True, stroke=FAINT)
+        d.line(
+            [(560, 80), (560, 132), (x + 52, 132), (x + 52, 230 if n in (0, 4, 5) else 165)], arrow=True, stroke=FAINT
+        )
         if 1 <= n <= 3:
             d.labelled(x + 2, 165, 101, 40, [f"+ carm.{n}", "of slice 0" if n == 1 else f"of slices 0 to {n - 1}"])
             d.line([(x + 52, 205), (x + 52, 230)], arrow=True)

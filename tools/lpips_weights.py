@@ -41,11 +41,15 @@ def convert(parameters: dict[str, Any], network: str) -> dict[str, NDArray[np.fl
     for name, layer in parameters[network].items():
         number = int(name.removeprefix("Conv_"))
         # jax: height, width, in, out.
-        out[f"conv{number}.weight"] = np.ascontiguousarray(np.asarray(layer["kernel"], np.float32).transpose(3, 2, 0, 1))
+        out[f"conv{number}.weight"] = np.ascontiguousarray(
+            np.asarray(layer["kernel"], np.float32).transpose(3, 2, 0, 1)
+        )
         out[f"conv{number}.bias"] = np.asarray(layer["bias"], np.float32)
     for name, layer in parameters.items():
         if name.startswith("NetLinLayer_"):
-            out[f"linear{name.removeprefix('NetLinLayer_')}"] = np.asarray(layer["Conv_0"]["kernel"], np.float32).reshape(-1)
+            out[f"linear{name.removeprefix('NetLinLayer_')}"] = np.asarray(
+                layer["Conv_0"]["kernel"], np.float32
+            ).reshape(-1)
     return out
 
 

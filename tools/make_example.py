@@ -69,7 +69,10 @@ def example() -> Scene:
         positions=(pattern(3 * ANCHORS, 10) / 2 + 0.25).astype(np.float16).reshape(ANCHORS, 3),
         masks=masks,
         attributes=Attributes(
-            features, pattern(6 * ANCHORS, 6).reshape(ANCHORS, 6).astype(np.int32), offsets, np.zeros((ANCHORS, 3), np.uint8)
+            features,
+            pattern(6 * ANCHORS, 6).reshape(ANCHORS, 6).astype(np.int32),
+            offsets,
+            np.zeros((ANCHORS, 3), np.uint8),
         ),
     )
     return replace(scene, attributes=replace(scene.attributes, steps=codec.derive_steps(scene)))

@@ -71,7 +71,11 @@ def places(paths: list[Path]) -> tuple[dict[str, list[str]], dict[str, list[str]
     for path in paths:
         for name, text, node in _functions(path):
             for part in ast.walk(node):
-                if isinstance(part, ast.Constant) and isinstance(part.value, str) and re.fullmatch(r"[a-z]+\.[a-z_]+", part.value):
+                if (
+                    isinstance(part, ast.Constant)
+                    and isinstance(part.value, str)
+                    and re.fullmatch(r"[a-z]+\.[a-z_]+", part.value)
+                ):
                     raising[part.value].append(name)
             for line in re.findall(r"SPEC [^\n]*", text):
                 for clause in re.findall(rf"(?<![\w.]){CLAUSE}(?![\w])", line):
@@ -116,13 +120,25 @@ def others(suite: Manifest) -> str:
     text = ""
     for title, head, rows, found in (
         ("Error codes", "| code | clause | vectors |", codes, refused),
-        ("Features", "| feature | what | vectors |", {name: (name, what) for name, what in suite.features.items()}, having),
-        ("Flags", "| flag | the bug that it stands for | vectors |", {name: (name, what) for name, what in suite.flags.items()}, catching),
+        (
+            "Features",
+            "| feature | what | vectors |",
+            {name: (name, what) for name, what in suite.features.items()},
+            having,
+        ),
+        (
+            "Flags",
+            "| flag | the bug that it stands for | vectors |",
+            {name: (name, what) for name, what in suite.flags.items()},
+            catching,
+        ),
     ):
         if holes := [key for key in rows if not found[key]]:
             raise SystemExit(f"without a vector: {', '.join(holes)}")
         lines = [f"| {first} | {second} | {_cell(found[key])} |" for key, (first, second) in rows.items()]
-        text += "\n".join(["", f"## {title}", "", f"{len(rows)} of {len(rows)} have a vector.", "", head, "|---|---|---|", *lines, ""])
+        text += "\n".join(
+            ["", f"## {title}", "", f"{len(rows)} of {len(rows)} have a vector.", "", head, "|---|---|---|", *lines, ""]
+        )
     return text
 
 
@@ -145,7 +161,11 @@ def matrix(spec: str) -> str:
         if not all(cells):
             holes.append(name)
         rows.append(f"| {name} | {clause} | {sentence} | " + " | ".join("<br>".join(cell) for cell in cells) + " |")
-    holes += [f"{name}, which SPEC.md does not have" for name in (*tests, *tried) if name not in names and (tests[name] or tried[name])]
+    holes += [
+        f"{name}, which SPEC.md does not have"
+        for name in (*tests, *tried)
+        if name not in names and (tests[name] or tried[name])
+    ]
     holes += [f"{name}, which has a vector" for name in NO_VECTOR if tried[name]]
     if holes:
         raise SystemExit(f"holes in the matrix: {', '.join(holes)}")

@@ -29,7 +29,9 @@ def write_model(photographs: PhotographSet, folder: Path, kept: int) -> None:
     folder.mkdir(parents=True, exist_ok=True)
     lenses: dict[str, int] = {}
     images = ["# IMAGE_ID QW QX QY QZ TX TY TZ CAMERA_ID NAME, then a line of 2D points: left out"]
-    for number, photograph in enumerate(sorted((*photographs.train, *photographs.test), key=lambda p: p.camera.name), 1):
+    for number, photograph in enumerate(
+        sorted((*photographs.train, *photographs.test), key=lambda p: p.camera.name), 1
+    ):
         c = photograph.camera
         lens = f"PINHOLE {c.width} {c.height} " + " ".join(f"{v:.9g}" for v in (c.fx, c.fy, c.cx, c.cy))
         x, y, z, w = Rotation.from_matrix(c.rotation).as_quat(canonical=True)
@@ -66,7 +68,14 @@ def main() -> int:
         print(error, file=sys.stderr)
         return 1
     write_model(photographs, args.target / "sparse" / "0", args.points)
-    print(len(photographs.train), "to learn from,", len(photographs.test), "for tests,", photographs.skipped, "without pose")
+    print(
+        len(photographs.train),
+        "to learn from,",
+        len(photographs.test),
+        "for tests,",
+        photographs.skipped,
+        "without pose",
+    )
     return 0
 
 

@@ -46,13 +46,20 @@ def profiles() -> str:
 def levels() -> str:
     rows = ["| profile | level | largest anchor_count | largest plane_size |", "|---|---|---|---|"]
     for profile in PROFILES.values():
-        rows += [f"| {profile.name} | {n} | {level.anchors} | {level.plane_size} |" for n, level in profile.levels.items()]
+        rows += [
+            f"| {profile.name} | {n} | {level.anchors} | {level.plane_size} |" for n, level in profile.levels.items()
+        ]
     return "\n".join(rows)
 
 
 def digests() -> str:
     whole, parts = digest(parse(EXAMPLE.read_bytes()).scene)
-    rows = ["| part | SHA-256 |", "|---|---|", f"| whole | `{whole}` |", *(f"| {name} | `{value}` |" for name, value in parts.items())]
+    rows = [
+        "| part | SHA-256 |",
+        "|---|---|",
+        f"| whole | `{whole}` |",
+        *(f"| {name} | `{value}` |" for name, value in parts.items()),
+    ]
     return "\n".join(rows)
 
 

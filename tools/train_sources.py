@@ -34,8 +34,12 @@ class Source:
 
 
 TRAININGS = {
-    "caliterra": Source("caliterra", (160, 120), TrainSettings(rate=0.004, steps=800, anchors=1500, most_anchors=2500), "packed"),
-    "snowmiku": Source("snowmiku", (160, 120), TrainSettings(rate=0.01, steps=1000, anchors=4000, most_anchors=5000), "raw"),
+    "caliterra": Source(
+        "caliterra", (160, 120), TrainSettings(rate=0.004, steps=800, anchors=1500, most_anchors=2500), "packed"
+    ),
+    "snowmiku": Source(
+        "snowmiku", (160, 120), TrainSettings(rate=0.01, steps=1000, anchors=4000, most_anchors=5000), "raw"
+    ),
 }
 
 

@@ -183,7 +183,9 @@ def plane_steps(data: bytes, spec: str, count: int) -> str:
     """The first symbols of sub-plane 0, step by step."""
     watch, streams = _watched(data, spec)
     d = codec.parse_container(data).dimensions
-    points = [(t, p) for t, group in enumerate(watch.space["PLANE_GROUPS"](d.plane_channels, d.plane_size)) for p in group]
+    points = [
+        (t, p) for t, group in enumerate(watch.space["PLANE_GROUPS"](d.plane_channels, d.plane_size)) for p in group
+    ]
     groups = [g for g in watch.values if g["stream"] == streams[0]]
     parameters, chosen, values = ([x for g in groups for x in g[name]] for name in ("parameters", "chosen", "values"))
     symbols = [s for s in watch.symbols if s["stream"] == streams[0]]
@@ -191,7 +193,9 @@ def plane_steps(data: bytes, spec: str, count: int) -> str:
         "| t | (k, i, j) | mean, scale index | row, column, centre, k | state | slot | j: its slots | value | word taken | next state |",
         "|---|---|---|---|---|---|---|---|---|---|",
     ]
-    for (t, point), mean_scale, pick, symbol, value in list(zip(points, parameters, chosen, symbols, values, strict=True))[:count]:
+    for (t, point), mean_scale, pick, symbol, value in list(
+        zip(points, parameters, chosen, symbols, values, strict=True)
+    )[:count]:
         last = symbol["low"] + symbol["frequency"] - 1
         word = "" if symbol["word"] is None else f"0x{symbol['word']:04x}"
         m, s = mean_scale

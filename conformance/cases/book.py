@@ -61,9 +61,13 @@ class Book:
 
     recipes: list[Recipe] = field(default_factory=list)
 
-    def add(self, id: str, title: str, make: Make, *, features: str, requirements: str = "", flags: str = "", **more: Any) -> None:
+    def add(
+        self, id: str, title: str, make: Make, *, features: str, requirements: str = "", flags: str = "", **more: Any
+    ) -> None:
         """Adds a recipe; features, requirements and flags are names with blanks between them."""
-        self.recipes.append(Recipe(id, title, make, tuple(features.split()), tuple(requirements.split()), tuple(flags.split()), **more))
+        self.recipes.append(
+            Recipe(id, title, make, tuple(features.split()), tuple(requirements.split()), tuple(flags.split()), **more)
+        )
 
     def valid(self, name: str, title: str, make: Callable[[], Scene | bytes], **more: Any) -> None:
         """Adds a valid file, given as a scene or as bytes."""

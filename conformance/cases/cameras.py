@@ -33,7 +33,10 @@ def expected(data: bytes, camera: dict[str, Any]) -> bytes:
     networks = {name: [(w.tolist(), b.tolist()) for w, b in scene.networks[name]] for name in RENDERING}
     found = []
     for n in range(scene.anchor_count):
-        rows = (getattr(values, name)[n].astype(np.float64).tolist() for name in ("positions", "features", "scalings", "offsets"))
+        rows = (
+            getattr(values, name)[n].astype(np.float64).tolist()
+            for name in ("positions", "features", "scalings", "offsets")
+        )
         mask = scene.masks[n].tolist()
         position, feature, scaling, offsets = rows
         for k in np.flatnonzero(scene.masks[n]).tolist():
@@ -43,7 +46,13 @@ def expected(data: bytes, camera: dict[str, Any]) -> bytes:
                 networks, position, feature, scaling, offsets, alone, centre, scene.render.distance_unit
             ):
                 row = {"anchor": n, "offset": k}
-                kinds = {"mean": mean, "lengths": lengths, "quaternion": quaternion, "opacity": opacity, "colour": colour}
+                kinds = {
+                    "mean": mean,
+                    "lengths": lengths,
+                    "quaternion": quaternion,
+                    "opacity": opacity,
+                    "colour": colour,
+                }
                 found.append({**row, **{kind: _rounded(value) for kind, value in kinds.items()}})
     return (json.dumps({"gaussians": found}, separators=(",", ":")) + "\n").encode()
 

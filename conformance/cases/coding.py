@@ -31,10 +31,22 @@ def add(book: Book) -> None:
 
 
 def spread(
-    name: str, mean: Int64, scale: Int64, coder: Sampler, anchors: int = 12, d: Dimensions = WIDE, lanes: Lanes | None = None
+    name: str,
+    mean: Int64,
+    scale: Int64,
+    coder: Sampler,
+    anchors: int = 12,
+    d: Dimensions = WIDE,
+    lanes: Lanes | None = None,
 ) -> Scene:
     """A scene whose channels have these means and scale indices, the same for each anchor."""
-    made = scene(name, anchors, d, networks=constant(d, Numbers(name), mean, scale), masks=np.ones((anchors, d.offset_count), bool))
+    made = scene(
+        name,
+        anchors,
+        d,
+        networks=constant(d, Numbers(name), mean, scale),
+        masks=np.ones((anchors, d.offset_count), bool),
+    )
     return sampled(replace(made, lanes=lanes or made.lanes), coder, planes=False)
 
 
@@ -100,9 +112,13 @@ def _ranges(book: Book) -> None:
 
     def widths() -> Scene:
         # Row 23 without raw bits, then the first and the last row of each number of them, and more than there can be.
-        scale = np.array([23, *(s for k in range(1, 17) for s in (16 + 8 * k, 23 + 8 * k)), 152, 160, 255, 1000, (1 << 24) - 1])
+        scale = np.array(
+            [23, *(s for k in range(1, 17) for s in (16 + 8 * k, 23 + 8 * k)), 152, 160, 255, 1000, (1 << 24) - 1]
+        )
         mean = Numbers("raw-widths").integers(-200, 200, total)
-        return spread("raw-widths", mean, scale[np.arange(total) % len(scale)], Sampler(Numbers("raw-widths/symbols"), 12), 20)
+        return spread(
+            "raw-widths", mean, scale[np.arange(total) % len(scale)], Sampler(Numbers("raw-widths/symbols"), 12), 20
+        )
 
     book.valid(
         "raw-widths",
@@ -130,7 +146,12 @@ def _ranges(book: Book) -> None:
     def far() -> Scene:
         largest = (1 << 24) - 1
         mean = np.array([largest, -largest, largest - 8, 8 - largest, 7, 8, -8, -9])[np.arange(total) % 8]
-        return spread("means-largest", mean, np.array([-40, 0, 23, 60, 100])[np.arange(total) % 5], Sampler(Numbers("means/symbols"), 9))
+        return spread(
+            "means-largest",
+            mean,
+            np.array([-40, 0, 23, 60, 100])[np.arange(total) % 5],
+            Sampler(Numbers("means/symbols"), 9),
+        )
 
     book.valid(
         "means-largest",
@@ -149,7 +170,20 @@ def _ranges(book: Book) -> None:
         mean[2:8] = largest, -largest, largest, 5, -largest, 100
         scale[2:8] = 0, 10, largest, largest, -largest, -largest
         found = constant(d, numbers, mean, scale)
-        found["carm.1"][-1][1][:] = [largest, -largest, -largest, 7, largest, -3, 0, -10, -largest, largest, largest, -largest]
+        found["carm.1"][-1][1][:] = [
+            largest,
+            -largest,
+            -largest,
+            7,
+            largest,
+            -3,
+            0,
+            -10,
+            -largest,
+            largest,
+            largest,
+            -largest,
+        ]
         return sampled(scene("means-sums", 9, d, networks=found), Sampler(numbers, 8))
 
     book.valid(
@@ -181,7 +215,13 @@ def _ranges(book: Book) -> None:
 def _escapes(book: Book) -> None:
     def lengths(limit: int) -> Int64:
         """Values of either sign about each power of two, up to the limit."""
-        found = [s * (v + o) for z in range(limit.bit_length()) for v in (1 << z, (2 << z) - 1) for o in (0, 1) for s in (1, -1)]
+        found = [
+            s * (v + o)
+            for z in range(limit.bit_length())
+            for v in (1 << z, (2 << z) - 1)
+            for o in (0, 1)
+            for s in (1, -1)
+        ]
         kept = sorted({v for v in found if abs(v) <= limit} | {limit, -limit, limit - 1, 1 - limit})
         return np.array(kept, dtype=np.int64)
 
@@ -222,7 +262,12 @@ def _escapes(book: Book) -> None:
         total = WIDE.attribute_width
         numbers = Numbers("escapes-raw")
         return spread(
-            "escapes-raw", numbers.integers(-500, 500, total), 30 + np.arange(total) % 40, Sampler(numbers, 3), 14, lanes=Lanes(0, 0, 3)
+            "escapes-raw",
+            numbers.integers(-500, 500, total),
+            30 + np.arange(total) % 40,
+            Sampler(numbers, 3),
+            14,
+            lanes=Lanes(0, 0, 3),
         )
 
     book.valid(
@@ -267,7 +312,9 @@ def _streams(book: Book) -> None:
 
     def rare() -> Scene:
         zero = np.zeros(total, np.int64)
-        return spread("words-many", zero + 3, zero + np.arange(total) % 20, _Rare(Numbers("words-many")), 20, lanes=Lanes(0, 0, 4))
+        return spread(
+            "words-many", zero + 3, zero + np.arange(total) % 20, _Rare(Numbers("words-many")), 20, lanes=Lanes(0, 0, 4)
+        )
 
     book.valid(
         "words-many",
@@ -284,11 +331,18 @@ def _streams(book: Book) -> None:
         return with_symbols(made, features=np.zeros((1, 16)), scalings=np.zeros((1, 6)), offsets=np.zeros((1, 10, 3)))
 
     book.valid(
-        "words-none", "a substream without words", certain, features="substream", requirements="D8.2-1 R8.8-1 R8.8-2", flags="final-state"
+        "words-none",
+        "a substream without words",
+        certain,
+        features="substream",
+        requirements="D8.2-1 R8.8-1 R8.8-2",
+        flags="final-state",
     )
 
     def long() -> Scene:
-        return sampled(scene("substream-long", 200, SMALL, lanes=Lanes(0, 0, 0)), Sampler(Numbers("substream-long"), 15))
+        return sampled(
+            scene("substream-long", 200, SMALL, lanes=Lanes(0, 0, 0)), Sampler(Numbers("substream-long"), 15)
+        )
 
     book.valid(
         "substream-long",

@@ -39,10 +39,14 @@ def add(book: Book) -> None:
     _values(book)
 
 
-def frame(matrix: Any, translation: Any = (0, 0, 0), shift: Any = (0, 0, 0), low: Any = None, high: Any = None) -> Frame:
+def frame(
+    matrix: Any, translation: Any = (0, 0, 0), shift: Any = (0, 0, 0), low: Any = None, high: Any = None
+) -> Frame:
     """A frame from lists."""
     bounds = [np.full(3, -2 * UNIT) if low is None else low, np.full(3, 2 * UNIT) if high is None else high]
-    return Frame(*(np.array(part, dtype=np.int64) for part in (np.reshape(matrix, (3, 3)), translation, shift, *bounds)))
+    return Frame(
+        *(np.array(part, dtype=np.int64) for part in (np.reshape(matrix, (3, 3)), translation, shift, *bounds))
+    )
 
 
 def f16(integers: Int64) -> NDArray[np.float16]:
@@ -53,11 +57,19 @@ def f16(integers: Int64) -> NDArray[np.float16]:
     return found
 
 
-def shown(name: str, where: NDArray[np.float16], change: Frame, d: Dimensions = SEEN, plane_shift: int = 8, **changes: Any) -> Scene:
+def shown(
+    name: str, where: NDArray[np.float16], change: Frame, d: Dimensions = SEEN, plane_shift: int = 8, **changes: Any
+) -> Scene:
     """A scene whose symbols depend on every bit of the context of each anchor."""
     numbers = Numbers(name)
     planes = numbers.integers(-3, 3, 5, d.plane_channels, d.plane_size, d.plane_size).astype(np.int16)
-    fields = {"planes": planes, "networks": observing(d, numbers), "plane_shift": plane_shift, "frame": change, **changes}
+    fields = {
+        "planes": planes,
+        "networks": observing(d, numbers),
+        "plane_shift": plane_shift,
+        "frame": change,
+        **changes,
+    }
     made = scene(name, len(where), d, positions=where, **fields)
     return sampled(made, Sampler(numbers, 0), planes=False)
 
@@ -71,11 +83,15 @@ def _frames(book: Book) -> None:
     subnormal = f16(numbers.integers(-1023, 1023, 40, 3))
 
     def every() -> Scene:
-        bits = np.array([s | e << 10 | m for e in range(31) for s in (0, 0x8000) for m in (0, 1, 0x3FF) if s | e | m], np.uint16)
+        bits = np.array(
+            [s | e << 10 | m for e in range(31) for s in (0, 0x8000) for m in (0, 1, 0x3FF) if s | e | m], np.uint16
+        )
         bits = bits[bits != 0x8000]
         count = len(bits) // 3
         where = np.stack([bits[:count], bits[count : 2 * count], bits[2 * count : 3 * count]], axis=1).view(np.float16)
-        return shown("f16-exponents", where, frame(ones * 9, shift=(20, 21, 22), low=(-300000 // 2,) * 3, high=(RANGE,) * 3))
+        return shown(
+            "f16-exponents", where, frame(ones * 9, shift=(20, 21, 22), low=(-300000 // 2,) * 3, high=(RANGE,) * 3)
+        )
 
     book.valid(
         "f16-exponents",
@@ -136,7 +152,13 @@ def _frames(book: Book) -> None:
     narrow = {"low": (-2000, -1500, -1000), "high": (2000, 1500, 1001)}
     contractions: list[tuple[str, str, Frame, NDArray[np.float16], str]] = [
         ("boundary", "coordinates on and about the unit sphere", frame(ones, **wide), sphere, "contraction-rounding"),
-        ("far", "coordinates from near the middle to far outside", frame(ones, **wide), far, "contraction-rounding contraction-missing"),
+        (
+            "far",
+            "coordinates from near the middle to far outside",
+            frame(ones, **wide),
+            far,
+            "contraction-rounding contraction-missing",
+        ),
         (
             "scaled",
             "far coordinates, with bounds near the edge",
@@ -173,22 +195,45 @@ def _frames(book: Book) -> None:
             "rescale-ends",
         ),
         ("widest", "the widest bounds", frame(ones, low=(-RANGE,) * 3, high=(RANGE,) * 3), far, "rescale-ends"),
-        ("lowest", "bounds at the lower limit", frame(ones, low=(-RANGE,) * 3, high=(1 - RANGE, -100000, 0)), far, "rescale-ends"),
-        ("highest", "bounds at the upper limit", frame(ones, low=(RANGE - 1, 100000, 0), high=(RANGE,) * 3), far, "rescale-ends"),
+        (
+            "lowest",
+            "bounds at the lower limit",
+            frame(ones, low=(-RANGE,) * 3, high=(1 - RANGE, -100000, 0)),
+            far,
+            "rescale-ends",
+        ),
+        (
+            "highest",
+            "bounds at the upper limit",
+            frame(ones, low=(RANGE - 1, 100000, 0), high=(RANGE,) * 3),
+            far,
+            "rescale-ends",
+        ),
     ]
     for name, text, change, where, flag in contractions:
 
         def contracted(name: str = name, change: Frame = change, where: NDArray[np.float16] = where) -> Scene:
             return shown(f"contraction-{name}", where, change)
 
-        book.valid(f"contraction-{name}", text, contracted, features="contraction", requirements="D7.5.2-1 D7.5.3-1 D7.5-1", flags=flag)
+        book.valid(
+            f"contraction-{name}",
+            text,
+            contracted,
+            features="contraction",
+            requirements="D7.5.2-1 D7.5.3-1 D7.5-1",
+            flags=flag,
+        )
 
 
 def _queries(book: Book) -> None:
     ones = np.eye(3, dtype=np.int64)
     # The coordinates go from bound to bound in steps of one, so that u has every kind of fraction.
     numbers = Numbers("queries")
-    where = f16(np.concatenate([numbers.integers(-1000, 1000, 50, 3), [[-1000, -1000, -1000], [1000, 1000, 1000], [1000, -1000, 0]]]))
+    where = f16(
+        np.concatenate(
+            [numbers.integers(-1000, 1000, 50, 3), [[-1000, -1000, -1000], [1000, 1000, 1000], [1000, -1000, 0]]]
+        )
+    )
     change = frame(ones, low=(-1000,) * 3, high=(1000,) * 3)
     for shift in (0, 1, 5, 10):
 
@@ -235,7 +280,9 @@ def _queries(book: Book) -> None:
 
     def phases() -> Scene:
         # u = z + 2^15 for z in units of 1; 32 of them are half an entry of the sine table.
-        z = np.concatenate([np.arange(-40, 41), np.array([-1024, -1000, 992, 1023, 31, 33, 95, 97]), 16 * np.arange(-60, 60, 7)])
+        z = np.concatenate(
+            [np.arange(-40, 41), np.array([-1024, -1000, 992, 1023, 31, 33, 95, 97]), 16 * np.arange(-60, 60, 7)]
+        )
         points = np.zeros((len(z), 3), np.int64)
         points[:, 2] = z
         d = replace(SEEN, frequency_count=6, plane_channels=1, hyper_width=(28,), slices=(16, 16))
@@ -280,7 +327,9 @@ def _networks(book: Book) -> None:
 
     def limits(layers: list[Layer]) -> None:
         w, b = layers[-1]
-        for r, value in enumerate((1023.0, 1023.4375, -1023.0, -1023.5, 511.75, -511.75, 1023.25 / 1024, -1023.5 / 1024, 1023.5 / 2048)):
+        for r, value in enumerate(
+            (1023.0, 1023.4375, -1023.0, -1023.5, 511.75, -511.75, 1023.25 / 1024, -1023.5 / 1024, 1023.5 / 2048)
+        ):
             w[r], b[r] = 0, r - 4
             w[r, r] = value
 
@@ -328,14 +377,21 @@ def _networks(book: Book) -> None:
         ("weight-limit", "weights that round to 1023 and to 1024", limits, "weight-limit"),
         ("weight-ties", "weights and biases halfway between integers", rounding, "weight-rounding"),
         ("accumulator", "rows at the accumulator bound", bound, "accumulator-bound rounding-term"),
-        ("exponents", "exponents of rows from 0 to 20, zero rows and subnormal weights", exponents, "exponent-limit subnormals"),
+        (
+            "exponents",
+            "exponents of rows from 0 to 20, zero rows and subnormal weights",
+            exponents,
+            "exponent-limit subnormals",
+        ),
         ("saturated", "hidden units below 0 and above 1023", saturated, "activation-clamp"),
     ):
 
         def make(name: str = name, change: Callable[[list[Layer]], None] = change) -> Scene:
             return _with_hyper(f"network-{name}", change)
 
-        book.valid(f"network-{name}", text, make, features="networks raw-weights", requirements="D7.2-1 D7.2-2", flags=flags)
+        book.valid(
+            f"network-{name}", text, make, features="networks raw-weights", requirements="D7.2-1 D7.2-2", flags=flags
+        )
 
     def rendering() -> Scene:
         made = drawn("weights-any", 2)
@@ -393,7 +449,14 @@ def _planes(book: Book) -> None:
             found["sarm"] = [(first, np.zeros(8, np.float32)), (last, np.array([3, -9], np.float32))]
             return sampled(scene(f"planes-{name}", 2, d, networks=found, lanes=Lanes(2, 0, 0)), Sampler(numbers, 0))
 
-        book.valid(f"planes-{name}", text, make, features="planes", requirements="D7.3-1 D7.3-2", flags="wavefront-order context-order")
+        book.valid(
+            f"planes-{name}",
+            text,
+            make,
+            features="planes",
+            requirements="D7.3-1 D7.3-2",
+            flags="wavefront-order context-order",
+        )
 
     def far() -> Scene:
         d = replace(SMALL, plane_size=6)
@@ -427,7 +490,14 @@ def _masks(book: Book) -> None:
             d = replace(SMALL, offset_count=4)
             return drawn(f"masks-{bits}", 9, d, masks=np.full((9, 4), bits == 1), chunk_size=5)
 
-        book.valid(f"masks-{name}", text, make, features="masks attributes", requirements="D7.6-1 D7.10-1", flags="masked-offsets")
+        book.valid(
+            f"masks-{name}",
+            text,
+            make,
+            features="masks attributes",
+            requirements="D7.6-1 D7.10-1",
+            flags="masked-offsets",
+        )
 
     def every() -> Scene:
         bits = np.array([[n >> k & 1 for k in range(6)] for n in range(64)], dtype=bool)
@@ -531,7 +601,8 @@ def _attributes(book: Book) -> None:
         numbers = Numbers("channel-order")
         mean = 160 * np.arange(d.attribute_width) - 1500
         return sampled(
-            scene("channel-order", 12, d, networks=constant(d, numbers, mean, np.arange(d.attribute_width) - 20)), Sampler(numbers, 0)
+            scene("channel-order", 12, d, networks=constant(d, numbers, mean, np.arange(d.attribute_width) - 20)),
+            Sampler(numbers, 0),
         )
 
     book.valid(
@@ -569,8 +640,18 @@ def _values(book: Book) -> None:
     cases: list[tuple[str, str, tuple[float, float, float], str]] = [
         ("least", "the least base steps", (2.0**-60,) * 3, "limit-off-by-one"),
         ("largest", "the largest base steps", (2.0**60,) * 3, "limit-off-by-one"),
-        ("ties", "values halfway between two f32", (1 + 2.0**-23, 1 + 3 * 2.0**-23, 1 + 5 * 2.0**-23), "value-rounding"),
-        ("long", "significands of 24 bits", (float(np.float32(0.1)), float(np.float32(1 / 3)), 2 - 2.0**-23), "value-rounding"),
+        (
+            "ties",
+            "values halfway between two f32",
+            (1 + 2.0**-23, 1 + 3 * 2.0**-23, 1 + 5 * 2.0**-23),
+            "value-rounding",
+        ),
+        (
+            "long",
+            "significands of 24 bits",
+            (float(np.float32(0.1)), float(np.float32(1 / 3)), 2 - 2.0**-23),
+            "value-rounding",
+        ),
     ]
     for name, text, base_step, flag in cases:
 
@@ -596,7 +677,12 @@ def _values(book: Book) -> None:
             return with_symbols(made, **given)
 
         book.valid(
-            f"values-{name}", text, make, features="reconstruction steps", requirements="D9.2-1 R6.2-6 R8.5-1", flags=f"{flag} symbol-limit"
+            f"values-{name}",
+            text,
+            make,
+            features="reconstruction steps",
+            requirements="D9.2-1 R6.2-6 R8.5-1",
+            flags=f"{flag} symbol-limit",
         )
 
     def table() -> Scene:
@@ -613,7 +699,13 @@ def _values(book: Book) -> None:
         points = np.zeros((64, 3), np.int64)
         points[:, 0] = np.arange(64)
         change = frame(np.eye(3, dtype=np.int64), low=(0, 0, 0), high=(63, 1, 1))
-        fields: dict[str, Any] = {"planes": planes, "plane_shift": 0, "frame": change, "networks": made, "masks": np.ones((64, 1), bool)}
+        fields: dict[str, Any] = {
+            "planes": planes,
+            "plane_shift": 0,
+            "frame": change,
+            "networks": made,
+            "masks": np.ones((64, 1), bool),
+        }
         return sampled(scene("values-table", 64, d, positions=f16(points), **fields), Sampler(numbers, 0), planes=False)
 
     book.valid(

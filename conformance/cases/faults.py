@@ -137,7 +137,12 @@ def _(draw: st.DrawFn, t: Target) -> tuple[bytes, int]:
     fields = t.data[PROLOGUE_BYTES : t.header_end - 4]
     length = draw(st.integers(0, len(fields) + 40).filter(lambda n: n != len(fields)))
     head = fields[:length] + bytes(max(0, length - len(fields)))
-    made = _prologue(t, 12, len(head) + 4)[:PROLOGUE_BYTES] + head + zlib.crc32(head).to_bytes(4, "little") + t.data[t.header_end :]
+    made = (
+        _prologue(t, 12, len(head) + 4)[:PROLOGUE_BYTES]
+        + head
+        + zlib.crc32(head).to_bytes(4, "little")
+        + t.data[t.header_end :]
+    )
     return made, PROLOGUE_BYTES + (len(fields) if length > len(fields) else length + 4)
 
 
@@ -152,7 +157,13 @@ _BAD_LISTS = {"slice": [0, 5], "hyper": [0, 3], "sarm": [0, 3], "carm": [3]}
 @_fault("header.dimension")
 def _(draw: st.DrawFn, t: Target) -> tuple[bytes, int]:
     d = t.fields.dimensions
-    scalars = [("offset_count", 11), ("plane_channels", 9), ("frequency_count", 11), ("plane_size", 33), ("render_width", 65)]
+    scalars = [
+        ("offset_count", 11),
+        ("plane_channels", 9),
+        ("frequency_count", 11),
+        ("plane_size", 33),
+        ("render_width", 65),
+    ]
     lists = [(f"{name}_width[{i}]", high) for name, high in (("slice", 17), ("hyper", 65), ("sarm", 17), ("carm", 65))
              for i in range(len(d[f"{name}_width"]))]  # fmt: skip
     kind = draw(st.sampled_from(["scalar", "item", "count", "carm"]))
@@ -160,7 +171,9 @@ def _(draw: st.DrawFn, t: Target) -> tuple[bytes, int]:
         path, high = draw(st.sampled_from(scalars if kind == "scalar" else lists))
         at = t.at(f"dimensions.{path}")
         low = [0, 1] if path == "plane_size" else [0]
-        return repair(t.put(at, struct.pack("<H" if path == "plane_size" else "B", draw(st.sampled_from([*low, high, 255]))))), at
+        return repair(
+            t.put(at, struct.pack("<H" if path == "plane_size" else "B", draw(st.sampled_from([*low, high, 255]))))
+        ), at
     if kind == "carm":
         # A hidden layer without a second slice, or the reverse.
         name, count = "carm", 0 if d.carm_layers else 1
@@ -197,7 +210,10 @@ def _(draw: st.DrawFn, t: Target) -> tuple[bytes, int]:
 
 _set("header.chunk_size", ("chunk_size", "<I", [0, 65537, 0xFFFFFFFF]))
 _set("header.lanes", *((f"{part}_lanes_log2", "B", [9, 31, 32, 255]) for part in ("plane", "mask", "attribute")))
-_set("header.base_step", *((f"base_step[{i}]", "<f", [0.0, -1.0, 2.0**-61, 2.0**61, float("nan"), float("inf")]) for i in range(3)))
+_set(
+    "header.base_step",
+    *((f"base_step[{i}]", "<f", [0.0, -1.0, 2.0**-61, 2.0**61, float("nan"), float("inf")]) for i in range(3)),
+)
 _set(
     "header.position_grid",
     *((f"position_grid.origin[{i}]", "<q", [1 << 62, -(1 << 62), -(1 << 63)]) for i in range(3)),
@@ -279,7 +295,11 @@ def _(draw: st.DrawFn, t: Target) -> tuple[bytes, int]:
     kinds = [k for k in implied if t.content(k)]
     kind = draw(st.sampled_from(kinds))
     content = t.content(kind)
-    content = content + draw(st.binary(min_size=1, max_size=7)) if draw(st.booleans()) else content[: -draw(st.integers(1, 6))]
+    content = (
+        content + draw(st.binary(min_size=1, max_size=7))
+        if draw(st.booleans())
+        else content[: -draw(st.integers(1, 6))]
+    )
     return resized(t.data, kind, content), t.at(f"directory[{list(directory.SECTIONS).index(kind)}].length")
 
 
@@ -315,7 +335,13 @@ _set(
 def _(draw: st.DrawFn, t: Target) -> tuple[bytes, int]:
     start, inputs = t.start(directory.WEIGHTS), t.header.dimensions.carm_inputs
     item = draw(st.integers(0, 1 + inputs))
-    wrong = [weights.PLANE_SHIFT_MAX + 1, 255] if item == 0 else [inputs + 1, 255] if item == 1 else [weights.CARM_SHIFT_MAX + 1, 255]
+    wrong = (
+        [weights.PLANE_SHIFT_MAX + 1, 255]
+        if item == 0
+        else [inputs + 1, 255]
+        if item == 1
+        else [weights.CARM_SHIFT_MAX + 1, 255]
+    )
     return repair(t.put(start + item, bytes([draw(st.sampled_from(wrong))]))), start + item
 
 
@@ -408,7 +434,12 @@ def _(draw: st.DrawFn, _: Target) -> tuple[bytes, int]:
     def change(grids: list[Any]) -> int:
         number = draw(st.integers(1, len(grids) - 1))
         g = grids[number]
-        parts = {"difference": g.difference.copy(), "weight": g.weight.copy(), "bias": g.bias.copy(), "exponent": g.exponent}
+        parts = {
+            "difference": g.difference.copy(),
+            "weight": g.weight.copy(),
+            "bias": g.bias.copy(),
+            "exponent": g.exponent,
+        }
         if kind == "even":
             parts["weight"][0], parts["bias"][0] = 2, 4
         elif kind == "first":
@@ -437,7 +468,9 @@ def _(draw: st.DrawFn, _: Target) -> tuple[bytes, int]:
 def _(draw: st.DrawFn, t: Target) -> tuple[bytes, int]:
     start = t.start(directory.PLANES_SECTION)
     if draw(st.booleans()):
-        return resized(t.data, directory.PLANES_SECTION, t.content(directory.PLANES_SECTION)[: draw(st.integers(0, 19))]), start
+        return resized(
+            t.data, directory.PLANES_SECTION, t.content(directory.PLANES_SECTION)[: draw(st.integers(0, 19))]
+        ), start
     at = start + 4 * draw(st.integers(0, 4))
     old = int.from_bytes(t.data[at : at + 4], "little")
     return repair(t.put(at, draw(st.sampled_from([old + 1, old - 1, 0xFFFFFFFF])).to_bytes(4, "little"))), start
@@ -545,7 +578,9 @@ def _(draw: st.DrawFn, _: Target) -> tuple[bytes, int]:
     if draw(st.booleans()):
         return _other_cells(t, lambda code: code[:4])
     # A sibling of a cell, so that no level but the last has more nodes than there are anchors.
-    return _other_cells(t, lambda code: np.unique(np.append(code, next(c for c in code[4] ^ np.arange(1, 8) if c not in code))))
+    return _other_cells(
+        t, lambda code: np.unique(np.append(code, next(c for c in code[4] ^ np.arange(1, 8) if c not in code)))
+    )
 
 
 @_fault("positions.cell")
@@ -605,7 +640,11 @@ def _(draw: st.DrawFn, t: Target) -> tuple[bytes, int]:
 @_fault("substream.final_state")
 def _(draw: st.DrawFn, t: Target) -> tuple[bytes, int]:
     """A lane that no symbol uses, not at its final state."""
-    idle = [s for s in t.substreams if s[0] == directory.MASKS and lanes_of(t, directory.MASKS) > min(t.header.chunk_size, 4096)]
+    idle = [
+        s
+        for s in t.substreams
+        if s[0] == directory.MASKS and lanes_of(t, directory.MASKS) > min(t.header.chunk_size, 4096)
+    ]
     _need(idle)
     _, start, _, _ = draw(st.sampled_from(idle))
     at = start + 8 + 4 * (lanes_of(t, directory.MASKS) - 1)

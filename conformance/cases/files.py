@@ -49,7 +49,9 @@ def _repair_sections(out: bytearray, fields: construct.Container, end: int, chun
         for entry in range(table, min(span[directory.CHUNK_TABLE][1], len(out)), 24):
             for part in range(3):
                 length = int.from_bytes(out[entry + 8 * part : entry + 8 * part + 4], "little")
-                out[entry + 8 * part + 4 : entry + 8 * part + 8] = zlib.crc32(out[at[part] : at[part] + length]).to_bytes(4, "little")
+                out[entry + 8 * part + 4 : entry + 8 * part + 8] = zlib.crc32(
+                    out[at[part] : at[part] + length]
+                ).to_bytes(4, "little")
                 at[part] += length
     entry_at = end - 4 - 16 * fields.section_count
     for i, e in enumerate(fields.directory):
@@ -194,13 +196,17 @@ def grid_layers(t: Target) -> dict[str, int]:
 
 def lanes_of(t: Target, kind: int) -> int:
     lanes = t.header.lanes
-    return 1 << {directory.PLANES_SECTION: lanes.plane, directory.POSITIONS: lanes.mask, directory.MASKS: lanes.mask}.get(
-        kind, lanes.attribute
-    )
+    return 1 << {
+        directory.PLANES_SECTION: lanes.plane,
+        directory.POSITIONS: lanes.mask,
+        directory.MASKS: lanes.mask,
+    }.get(kind, lanes.attribute)
 
 
 def with_stream(t: Target, stream: tuple[int, int, int, int], content: bytes) -> bytes:
     """The file with other bytes as one substream."""
     kind, start, length, length_at = stream
     section = t.sections[kind]
-    return resized(t.data, kind, t.data[section.start : start] + content + t.data[start + length : section.end], length_at)
+    return resized(
+        t.data, kind, t.data[section.start : start] + content + t.data[start + length : section.end], length_at
+    )

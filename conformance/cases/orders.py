@@ -67,12 +67,16 @@ Pair = Callable[[Changes], tuple[Fault, Fault]]
 def add(book: Book) -> None:
     """Adds the vectors."""
 
-    def pair(klass: str, name: str, text: str, make: Pair, base: Callable[[], Target] = plain, chunks: bool = True) -> None:
+    def pair(
+        klass: str, name: str, text: str, make: Pair, base: Callable[[], Target] = plain, chunks: bool = True
+    ) -> None:
         def made() -> Refused:
             t = base()
             return both(t, *make(Changes(t)), chunks)
 
-        book.add(f"{klass}-order-of-{name}", text, made, features="order", requirements="D10.1-1", flags="order-of-checks")
+        book.add(
+            f"{klass}-order-of-{name}", text, made, features="order", requirements="D10.1-1", flags="order-of-checks"
+        )
 
     _prologue(pair)
     _header(pair)
@@ -94,7 +98,10 @@ def _prologue(pair: Add) -> None:
         "malformed",
         "crc-and-version",
         "the prologue's CRC-32, and the version",
-        lambda c: (c.put(8, b"\1", "prologue.crc", 16, True), c.put(12, b"\0\0\0\0", "prologue.header_length", after=True)),
+        lambda c: (
+            c.put(8, b"\1", "prologue.crc", 16, True),
+            c.put(12, b"\0\0\0\0", "prologue.header_length", after=True),
+        ),
     )
 
     def version(c: Changes) -> tuple[Fault, Fault]:
@@ -106,7 +113,9 @@ def _prologue(pair: Add) -> None:
     pair("unsupported", "version-and-header-length", "version 1, and a header_length of 0", version)
 
     def header_crc(c: Changes) -> tuple[Fault, Fault]:
-        return c.wrong(c.t.header_end - 1, "header.crc", c.t.header_end - 4, True), c.field("profile", "B", 9, "header.profile")
+        return c.wrong(c.t.header_end - 1, "header.crc", c.t.header_end - 4, True), c.field(
+            "profile", "B", 9, "header.profile"
+        )
 
     pair("malformed", "header-crc-and-profile", "the header's CRC-32, and the profile", header_crc)
 
@@ -130,18 +139,29 @@ def _header(pair: Add) -> None:
     ]
     for first, second in pairwise(rows):
         name = f"{first[4].partition('.')[2]}-and-{second[4].partition('.')[2]}".replace("_", "-")
-        pair(first[0], name, f"{first[1]} and {second[1]}", lambda c, a=first, b=second: (c.field(*a[1:]), c.field(*b[1:])))
+        pair(
+            first[0],
+            name,
+            f"{first[1]} and {second[1]}",
+            lambda c, a=first, b=second: (c.field(*a[1:]), c.field(*b[1:])),
+        )
     pair(
         "malformed",
         "reserved-and-profile-last-entry",
         "the last entry's reserved, and the profile",
-        lambda c: (c.field("directory[8].reserved", "<H", 1, "header.reserved"), c.field("profile", "B", 9, "header.profile")),
+        lambda c: (
+            c.field("directory[8].reserved", "<H", 1, "header.reserved"),
+            c.field("profile", "B", 9, "header.profile"),
+        ),
     )
     pair(
         "malformed",
         "two-reserved",
         "reserved_1, and the grid's reserved and that of an entry",
-        lambda c: (c.field("reserved_1", "B", 1, "header.reserved"), c.field("directory[0].reserved", "<H", 1, "header.reserved")),
+        lambda c: (
+            c.field("reserved_1", "B", 1, "header.reserved"),
+            c.field("directory[0].reserved", "<H", 1, "header.reserved"),
+        ),
     )
     pair(
         "invalid",
@@ -166,7 +186,10 @@ def _header(pair: Add) -> None:
         "invalid",
         "level-and-chunk-size",
         "a level that is too high, and chunk_size",
-        lambda c: (c.field("level", "B", 2, "header.level_not_minimal"), c.field("chunk_size", "<I", 1, "header.chunk_size")),
+        lambda c: (
+            c.field("level", "B", 2, "header.level_not_minimal"),
+            c.field("chunk_size", "<I", 1, "header.chunk_size"),
+        ),
         main_file,
     )
     pair(
@@ -183,7 +206,10 @@ def _header(pair: Add) -> None:
         "invalid",
         "low-pass-and-near-plane",
         "low_pass is no number, near_plane is negative",
-        lambda c: (c.field("render_info.low_pass", "<f", float("nan"), info), c.field("render_info.near_plane", "<f", -1.0, info)),
+        lambda c: (
+            c.field("render_info.low_pass", "<f", float("nan"), info),
+            c.field("render_info.near_plane", "<f", -1.0, info),
+        ),
     )
     pair(
         "invalid",
@@ -198,7 +224,10 @@ def _header(pair: Add) -> None:
         "invalid",
         "size-and-focal",
         "camera_height is 0, camera_focal is no number",
-        lambda c: (c.field("render_info.camera_height", "<H", 0, info), c.field("render_info.camera_focal[0]", "<f", float("nan"), info)),
+        lambda c: (
+            c.field("render_info.camera_height", "<H", 0, info),
+            c.field("render_info.camera_focal[0]", "<f", float("nan"), info),
+        ),
     )
 
 
@@ -225,26 +254,38 @@ def _sections(pair: Add) -> None:
         "invalid",
         "frame-items",
         "a translation, and the bounds",
-        lambda c: (c.field("frame.translation[2]", "<q", 1 << 61, "frame.range"), c.field("frame.low[0]", "<i", 1 << 18, "frame.range")),
+        lambda c: (
+            c.field("frame.translation[2]", "<q", 1 << 61, "frame.range"),
+            c.field("frame.low[0]", "<i", 1 << 18, "frame.range"),
+        ),
     )
     pair(
         "invalid",
         "frame-axes",
         "high of the first axis, and low of the second",
-        lambda c: (c.field("frame.high[0]", "<i", 1 << 30, "frame.range"), c.field("frame.low[1]", "<i", 1 << 30, "frame.range")),
+        lambda c: (
+            c.field("frame.high[0]", "<i", 1 << 30, "frame.range"),
+            c.field("frame.low[1]", "<i", 1 << 30, "frame.range"),
+        ),
     )
     pair(
         "invalid",
         "frame-low-and-high",
         "low and high of one axis",
-        lambda c: (c.field("frame.low[2]", "<i", -(1 << 30), "frame.range"), c.field("frame.high[2]", "<i", -(1 << 31), "frame.range")),
+        lambda c: (
+            c.field("frame.low[2]", "<i", -(1 << 30), "frame.range"),
+            c.field("frame.high[2]", "<i", -(1 << 31), "frame.range"),
+        ),
     )
     weights = directory.WEIGHTS
     pair(
         "invalid",
         "frame-and-weights",
         "the frame, and the weights' scale",
-        lambda c: (c.field("frame.reserved", "B", 1, "frame.range"), c.put(c.t.start(weights), b"\xff", "weights.scale")),
+        lambda c: (
+            c.field("frame.reserved", "B", 1, "frame.range"),
+            c.put(c.t.start(weights), b"\xff", "weights.scale"),
+        ),
     )
     pair(
         "invalid",
@@ -302,7 +343,10 @@ def _sections(pair: Add) -> None:
         "invalid",
         "position-model-and-chunk-length",
         "the model of positions, and a position_length",
-        lambda c: (c.put(c.t.position_model, b"\x29", "chunks.position_model"), c.put(c.t.entries, b"\0\0\0\0", "chunks.length")),
+        lambda c: (
+            c.put(c.t.position_model, b"\x29", "chunks.position_model"),
+            c.put(c.t.entries, b"\0\0\0\0", "chunks.length"),
+        ),
         packed,
         False,
     )
@@ -310,7 +354,10 @@ def _sections(pair: Add) -> None:
         "malformed",
         "chunk-lengths",
         "position_length of chunk 2, and the sum of the mask lengths",
-        lambda c: (c.put(c.t.entries + 48, b"\1", "chunks.length"), c.put(c.t.entries + 8, b"\xff\xff", "chunks.length")),
+        lambda c: (
+            c.put(c.t.entries + 48, b"\1", "chunks.length"),
+            c.put(c.t.entries + 8, b"\xff\xff", "chunks.length"),
+        ),
         chunks=False,
     )
 
@@ -326,7 +373,14 @@ def _streams(book: Book, pair: Add) -> None:
         return Refused(repair(bytes(data), chunks=False), "positions.not_finite", at)
 
     text = "a position of chunk 0, and the CRC-32 of chunk 1"
-    book.add("invalid-order-of-position-and-chunk-crc", text, crc_behind, features="order", requirements="D10.1-1", flags="order-of-checks")
+    book.add(
+        "invalid-order-of-position-and-chunk-crc",
+        text,
+        crc_behind,
+        features="order",
+        requirements="D10.1-1",
+        flags="order-of-checks",
+    )
     pair(
         "invalid",
         "zero-and-infinity",
@@ -341,29 +395,47 @@ def _streams(book: Book, pair: Add) -> None:
         at, mask = c.t.sections[positions].end - 2, stream_of(c.t, "masks")
         return c.put(at, b"\0\x80", "positions.negative_zero"), c.wrong(mask[1], "substream.symbol_crc", mask[1])
 
-    pair("invalid", "last-position-and-first-mask", "a position of the last chunk, and the masks of the first", late_position)
+    pair(
+        "invalid",
+        "last-position-and-first-mask",
+        "a position of the last chunk, and the masks of the first",
+        late_position,
+    )
 
     def late_mask(c: Changes) -> tuple[Fault, Fault]:
         mask, attribute = stream_of(c.t, "masks", 2), stream_of(c.t, "attributes")
-        return c.wrong(mask[1], "substream.symbol_crc", mask[1]), c.put(attribute[1] + 8, b"\0\0\0\0", "substream.state")
+        return c.wrong(mask[1], "substream.symbol_crc", mask[1]), c.put(
+            attribute[1] + 8, b"\0\0\0\0", "substream.state"
+        )
 
-    pair("invalid", "last-mask-and-first-attribute", "the masks of the last chunk, and the attributes of the first", late_mask)
+    pair(
+        "invalid",
+        "last-mask-and-first-attribute",
+        "the masks of the last chunk, and the attributes of the first",
+        late_mask,
+    )
 
     def chunks_in_order(c: Changes) -> tuple[Fault, Fault]:
         one, two = stream_of(c.t, "attributes", 1), stream_of(c.t, "attributes", 2)
-        return c.wrong(one[1], "substream.symbol_crc", one[1]), c.put(two[1] + 4, b"\xff\xff\xff\xff", "substream.length")
+        return c.wrong(one[1], "substream.symbol_crc", one[1]), c.put(
+            two[1] + 4, b"\xff\xff\xff\xff", "substream.length"
+        )
 
     pair("invalid", "chunks", "symbol_crc of chunk 1, and the length of chunk 2", chunks_in_order)
 
     def planes_in_order(c: Changes) -> tuple[Fault, Fault]:
         one, two = stream_of(c.t, "planes", 0), stream_of(c.t, "planes", 1)
-        return c.wrong(one[1], "substream.symbol_crc", one[1]), c.put(two[1] + 4, b"\xff\xff\xff\xff", "substream.length")
+        return c.wrong(one[1], "substream.symbol_crc", one[1]), c.put(
+            two[1] + 4, b"\xff\xff\xff\xff", "substream.length"
+        )
 
     pair("invalid", "sub-planes", "symbol_crc of sub-plane 0, and the length of sub-plane 1", planes_in_order)
 
     def length_and_state(c: Changes) -> tuple[Fault, Fault]:
         s = stream_of(c.t, "attributes")
-        return c.put(s[1] + 4, b"\xff\xff\xff\x7f", "substream.length", s[1]), c.put(s[1] + 8, b"\0\0\0\0", "substream.state", s[1])
+        return c.put(s[1] + 4, b"\xff\xff\xff\x7f", "substream.length", s[1]), c.put(
+            s[1] + 8, b"\0\0\0\0", "substream.state", s[1]
+        )
 
     pair("malformed", "length-and-state", "the length of a substream, and its first state", length_and_state)
 
@@ -373,34 +445,68 @@ def _streams(book: Book, pair: Add) -> None:
         raw = next(at for at, _, _ in parts if c.t.data[at] == 0)
         return c.wrong(first + 1, "substream.symbol_crc", first + 1), c.put(raw, b"\7", "positions.form")
 
-    pair("invalid", "packed-and-raw-chunk", "symbol_crc of a packed chunk, and the form of a raw one behind it", packed_chunks, packed)
+    pair(
+        "invalid",
+        "packed-and-raw-chunk",
+        "symbol_crc of a packed chunk, and the form of a raw one behind it",
+        packed_chunks,
+        packed,
+    )
 
     def grid_stream(c: Changes) -> tuple[Fault, Fault]:
         stream, layer = stream_of(c.t, "weights"), next(iter(grid_layers(c.t).values()))
-        return c.wrong(stream[1], "substream.symbol_crc", stream[1]), c.put(layer + 6, FLOATS["not-a-number"], "weights.not_finite")
+        return c.wrong(stream[1], "substream.symbol_crc", stream[1]), c.put(
+            layer + 6, FLOATS["not-a-number"], "weights.not_finite"
+        )
 
-    pair("invalid", "weight-stream-and-raw-layer", "symbol_crc of the weights, and a raw layer's number that is none", grid_stream, grids)
+    pair(
+        "invalid",
+        "weight-stream-and-raw-layer",
+        "symbol_crc of the weights, and a raw layer's number that is none",
+        grid_stream,
+        grids,
+    )
 
     def grid_models(c: Changes) -> tuple[Fault, Fault]:
         stream, layers = stream_of(c.t, "weights"), list(grid_layers(c.t).values())
         return c.put(layers[-1], b"\3", "weights.layer"), c.put(stream[1] + 8, b"\0\0\0\0", "substream.state")
 
-    pair("invalid", "layer-and-weight-stream", "the last layer's form, and the first state of the weights", grid_models, grids)
+    pair(
+        "invalid",
+        "layer-and-weight-stream",
+        "the last layer's form, and the first state of the weights",
+        grid_models,
+        grids,
+    )
 
     def raw_bound(c: Changes) -> tuple[Fault, Fault]:
         layers = list(grid_layers(c.t).values())
-        return c.put(layers[0] + 7, b"\0\xc0\x7f", "weights.not_finite", layers[0] + 6), c.put(layers[1], b"\1", "weights.layer")
+        return c.put(layers[0] + 7, b"\0\xc0\x7f", "weights.not_finite", layers[0] + 6), c.put(
+            layers[1], b"\1", "weights.layer"
+        )
 
     pair("invalid", "raw-layer-twice", "a raw layer with a number that is none, and a -0", raw_bound, grids)
 
     def ends(name: str, text: str, make: Callable[[], Refused]) -> None:
-        book.add(f"invalid-order-of-{name}", text, make, features="order substream", requirements="D10.1-1 D8.8-2", flags="order-of-checks")
+        book.add(
+            f"invalid-order-of-{name}",
+            text,
+            make,
+            features="order substream",
+            requirements="D10.1-1 D8.8-2",
+            flags="order-of-checks",
+        )
 
     def words_and_raw() -> Refused:
         t = far(1000)
         stream = stream_of(t, "attributes")
         count, _, raw_at = words_of(t, stream)
-        content = t.data[stream[1] : stream[1] + 4] + (count + 1).to_bytes(4, "little") + t.data[stream[1] + 8 : raw_at] + bytes(2)
+        content = (
+            t.data[stream[1] : stream[1] + 4]
+            + (count + 1).to_bytes(4, "little")
+            + t.data[stream[1] + 8 : raw_at]
+            + bytes(2)
+        )
         return Refused(_whole(t, content + bytes(40)), "substream.words", stream[1])
 
     ends("words-and-escape", "a word too many, and an escape of zeros", words_and_raw)
@@ -409,13 +515,21 @@ def _streams(book: Book, pair: Add) -> None:
         refused = with_raw(far(1000), 0, 48, "final_state")
         at = refused.offset + 8
         return Refused(
-            repair(refused.data[:at] + struct.pack("<I", struct.unpack_from("<I", refused.data, at)[0] + 2) + refused.data[at + 4 :]),
+            repair(
+                refused.data[:at]
+                + struct.pack("<I", struct.unpack_from("<I", refused.data, at)[0] + 2)
+                + refused.data[at + 4 :]
+            ),
             "substream.final_state",
             refused.offset,
         )
 
     ends("state-and-escape", "a final state, and an escape of zeros", state_and_escape)
-    ends("escape-and-raw-length", "an escape of zeros, and raw bytes that nothing reads", lambda: with_raw(far(1000), 0, 800, "escape"))
+    ends(
+        "escape-and-raw-length",
+        "an escape of zeros, and raw bytes that nothing reads",
+        lambda: with_raw(far(1000), 0, 800, "escape"),
+    )
     ends(
         "range-and-raw-length",
         "a symbol out of range, and raw bytes that nothing reads",

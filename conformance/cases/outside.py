@@ -58,7 +58,10 @@ def _numbers(book: Book) -> None:
         for name in ("hyper", "sarm", "carm.1"):
             for layer in made.networks[name]:
                 for values in layer:
-                    small = np.ldexp(numbers.chosen(significands, *values.shape).astype(np.float32), numbers.chosen(units, *values.shape))
+                    small = np.ldexp(
+                        numbers.chosen(significands, *values.shape).astype(np.float32),
+                        numbers.chosen(units, *values.shape),
+                    )
                     values[:] = np.where(numbers.integers(0, 2, *values.shape) == 0, small.astype(np.float32), values)
         return sampled(made, Sampler(numbers))
 
@@ -75,7 +78,9 @@ def _numbers(book: Book) -> None:
         # The product is next to a tie of binary32, on which binary64 rounds it.
         zero = np.zeros(ONE.attribute_width, np.int64)
         numbers = Numbers("outside-rounded")
-        made = scene("outside-rounded", 2, ONE, networks=constant(ONE, numbers, zero, zero + 160), masks=np.ones((2, 1), bool))
+        made = scene(
+            "outside-rounded", 2, ONE, networks=constant(ONE, numbers, zero, zero + 160), masks=np.ones((2, 1), bool)
+        )
         made.networks["hyper"][-1][1][-3:] = 63
         made = replace(made, base_step=(14832217 * 2.0**-24, 14832217 * 2.0**-30, 14832217 * 2.0**-20))
         y = 8388555 * np.array([[1], [-1]])
@@ -164,7 +169,10 @@ def _crowd() -> Refused:
     """A file of Main whose only chunk has 65536 anchors; what follows the positions is missing."""
     t = main_file()
     lanes = 1 << codec.parse(t.data).scene.lanes.mask
-    cells = np.stack(np.meshgrid(np.arange(16), np.arange(64), np.arange(64), indexing="ij"), axis=-1).reshape(-1, 3) + MIDDLE
+    cells = (
+        np.stack(np.meshgrid(np.arange(16), np.arange(64), np.arange(64), indexing="ij"), axis=-1).reshape(-1, 3)
+        + MIDDLE
+    )
     # Models that know no cuboid, for a byte stands for 16 anchors at most.
     model = replace(any_model(Numbers("outside-crowd")), cell_shift=22)
     part = encode_positions(model, of_cells(cells, 22), [range(len(cells))], lanes)[0]
@@ -186,8 +194,12 @@ def _lengths(book: Book) -> None:
         zero = np.zeros(SMALLEST.attribute_width, np.int64)
         found = constant(SMALLEST, Numbers("outside-short"), zero, zero - 40)
         where = lattice(Numbers("outside-short"), 601)
-        made = placed("outside-short", where, chunk_size=600, networks=found, masks=np.zeros((601, 1), bool), lanes=Lanes(0, 0, 0))
-        made = with_symbols(made, features=np.zeros((601, 1)), scalings=np.zeros((601, 6)), offsets=np.zeros((601, 1, 3)))
+        made = placed(
+            "outside-short", where, chunk_size=600, networks=found, masks=np.zeros((601, 1), bool), lanes=Lanes(0, 0, 0)
+        )
+        made = with_symbols(
+            made, features=np.zeros((601, 1)), scalings=np.zeros((601, 6)), offsets=np.zeros((601, 1, 3))
+        )
         _, length, anchors = position_parts(Target(codec.emit(made)))[-1]
         assert anchors == 1
         assert 16 * length < made.chunk_size
@@ -228,7 +240,11 @@ def _lengths(book: Book) -> None:
 
     def sixteenfold() -> Refused:
         t = packed()
-        return Refused(repair(t.put(t.entries, struct.pack("<I", 1 << 28)), chunks=False), "chunks.length", t.start(directory.POSITIONS))
+        return Refused(
+            repair(t.put(t.entries, struct.pack("<I", 1 << 28)), chunks=False),
+            "chunks.length",
+            t.start(directory.POSITIONS),
+        )
 
     book.add(
         "malformed-chunks-position-wraps",
@@ -247,7 +263,9 @@ def _lengths(book: Book) -> None:
             t = grids()
             start = t.start(directory.WEIGHTS)
             end = list(grid_layers(t).values())[layer] - start + length
-            return Refused(resized(t.data, directory.WEIGHTS, t.content(directory.WEIGHTS)[:end]), "weights.length", start)
+            return Refused(
+                resized(t.data, directory.WEIGHTS, t.content(directory.WEIGHTS)[:end]), "weights.length", start
+            )
 
         book.add(
             f"malformed-grids-cut-{name}",
@@ -262,7 +280,9 @@ def _lengths(book: Book) -> None:
 
 
 def _header(book: Book) -> None:
-    def two(name: str, text: str, first: tuple[str, str, int], second: tuple[str, str, int], told: str | None = None) -> None:
+    def two(
+        name: str, text: str, first: tuple[str, str, int], second: tuple[str, str, int], told: str | None = None
+    ) -> None:
         def make() -> Refused:
             c = Changes(main_file())
             return both(c.t, c.field(*first, "header.dimension", told), c.field(*second, "header.dimension"))
@@ -321,7 +341,11 @@ def _layers(book: Book) -> None:
             c = Changes(plain())
             at = c.t.start(directory.WEIGHTS)
             fields = {0: b"\x0b", 1: b"\0", 2: b"\x11"}
-            return both(c.t, c.put(at + first, fields[first], "weights.scale"), c.put(at + second, fields[second], "weights.scale"))
+            return both(
+                c.t,
+                c.put(at + first, fields[first], "weights.scale"),
+                c.put(at + second, fields[second], "weights.scale"),
+            )
 
         name = "plane-shift" if first == 0 else "carm-input-count"
         text = name.replace("-", "_")
@@ -338,7 +362,14 @@ def _layers(book: Book) -> None:
             data = t.put(at + offset, value)[t.start(directory.WEIGHTS) : at + 9]
             return Refused(resized(t.data, directory.WEIGHTS, data), "weights.layer", at + offset)
 
-        _ordered(book, "invalid", f"raw-{name}-and-values", f"{text} in a raw layer, and the end within its values", field, "R6.8-4 R6.8-5")
+        _ordered(
+            book,
+            "invalid",
+            f"raw-{name}-and-values",
+            f"{text} in a raw layer, and the end within its values",
+            field,
+            "R6.8-4 R6.8-5",
+        )
 
     def fault(kind: str, network: str) -> Fault:
         """A fault of the first layer of a network, which is raw."""
@@ -422,7 +453,9 @@ def _fewer(change: Callable[[bytearray], None], name: str) -> Refused:
     code_cells(encoder, made.position_model.models(), [0], [4], code[:4])
     content = bytearray(encoder.finish()[0])
     change(content)
-    return Refused(with_positions(t, 0, bytes([PACKED]) + bytes(content)), f"substream.{name}", t.start(directory.POSITIONS) + 1)
+    return Refused(
+        with_positions(t, 0, bytes([PACKED]) + bytes(content)), f"substream.{name}", t.start(directory.POSITIONS) + 1
+    )
 
 
 def _chunks(book: Book) -> None:

@@ -11,7 +11,15 @@ from numpy.typing import NDArray
 
 from refcodec.bitstream.dimensions import Dimensions, layers_of
 from refcodec.bitstream.header import Lanes
-from refcodec.bitstream.positions import CELL_INDEX, EMPTY_MODELS, HALVES, POSITION_MODELS, PositionModel, cell_positions, morton
+from refcodec.bitstream.positions import (
+    CELL_INDEX,
+    EMPTY_MODELS,
+    HALVES,
+    POSITION_MODELS,
+    PositionModel,
+    cell_positions,
+    morton,
+)
 from refcodec.bitstream.scene import Scene
 from refcodec.bitstream.tables import TOTAL
 from refcodec.encoder.positions import position_model
@@ -63,7 +71,9 @@ def of_cells(cells: Int64, cell_shift: int) -> NDArray[np.float16]:
     return found
 
 
-def placed(name: str, where: NDArray[np.float16], model: PositionModel | None = None, shift: int | None = None, **changes: Any) -> Scene:
+def placed(
+    name: str, where: NDArray[np.float16], model: PositionModel | None = None, shift: int | None = None, **changes: Any
+) -> Scene:
     """A small scene at these positions, in mode 1."""
     chosen = model or position_model(where, 4096)
     if shift is not None:
@@ -76,8 +86,17 @@ def _positions(book: Book) -> None:
     numbers = Numbers("cells")
     grid = lattice(numbers, 60)
 
-    def valid(name: str, text: str, make: Callable[[], Scene], flags: str = "tree-order", requirements: str = "") -> None:
-        book.valid(f"cells-{name}", text, make, features="packed-positions", requirements=f"D7.12-1 D7.4-1 {requirements}", flags=flags)
+    def valid(
+        name: str, text: str, make: Callable[[], Scene], flags: str = "tree-order", requirements: str = ""
+    ) -> None:
+        book.valid(
+            f"cells-{name}",
+            text,
+            make,
+            features="packed-positions",
+            requirements=f"D7.12-1 D7.4-1 {requirements}",
+            flags=flags,
+        )
 
     book.valid(
         "packed-positions",
@@ -102,7 +121,12 @@ def _positions(book: Book) -> None:
             "R6.10-4",
         )
     far = MIDDLE + numbers.chosen([-32768, 32752, -32752, 16384, -16384, 32736, 16, -16, 2047, 0], 30, 3)
-    valid("ends", "cells at both ends of each axis", lambda: placed("cells-ends", of_cells(far, 12), shift=12), "cell-ends tree-order")
+    valid(
+        "ends",
+        "cells at both ends of each axis",
+        lambda: placed("cells-ends", of_cells(far, 12), shift=12),
+        "cell-ends tree-order",
+    )
     index = MIDDLE + numbers.chosen([0x7BFF, -0x7BFF, 0, 1, -1, 1023, 1024, -1024, 0x3C00, -0x3C00], 40, 3)
     valid(
         "index",
@@ -111,20 +135,38 @@ def _positions(book: Book) -> None:
         "cell-index tree-order",
         "R6.10-4",
     )
-    valid("finer", "a cell_shift below the largest that would do", lambda: placed("cells-finer", grid, shift=20), "cell-shift", "R6.10-4")
+    valid(
+        "finer",
+        "a cell_shift below the largest that would do",
+        lambda: placed("cells-finer", grid, shift=20),
+        "cell-shift",
+        "R6.10-4",
+    )
     valid(
         "index-of-lattice",
         "a lattice by the index of its f16 numbers",
         lambda: placed(
             "cells-index-of-lattice",
-            of_cells(MIDDLE + np.where(np.arange(60).reshape(20, 3) % 2, 0x3400, -0x3400) + np.arange(60).reshape(20, 3), 40),
+            of_cells(
+                MIDDLE + np.where(np.arange(60).reshape(20, 3) % 2, 0x3400, -0x3400) + np.arange(60).reshape(20, 3), 40
+            ),
             shift=40,
         ),
         "cell-index",
     )
     full = np.stack(np.meshgrid(*[np.arange(4)] * 3, indexing="ij"), axis=-1).reshape(-1, 3) + MIDDLE - 2
-    valid("full", "a full cube of 64 cells about the middle", lambda: placed("cells-full", of_cells(full, 20)), "tree-order tree-model")
-    valid("one", "a single cell", lambda: placed("cells-one", of_cells(np.array([[MIDDLE + 3, MIDDLE - 7, MIDDLE]]), 20)), "tree-order")
+    valid(
+        "full",
+        "a full cube of 64 cells about the middle",
+        lambda: placed("cells-full", of_cells(full, 20)),
+        "tree-order tree-model",
+    )
+    valid(
+        "one",
+        "a single cell",
+        lambda: placed("cells-one", of_cells(np.array([[MIDDLE + 3, MIDDLE - 7, MIDDLE]]), 20)),
+        "tree-order",
+    )
     corners = np.array([[x, y, z] for x in (0, 65520) for y in (0, 65520) for z in (0, 65520)])
     valid(
         "corners",
@@ -194,10 +236,20 @@ def _positions(book: Book) -> None:
         cells = MIDDLE + np.array([[0, 0, 1], [0, 1, 0], [1, 0, 0]])
         return placed("cells-other-order", cell_positions(cells, 22)[0], any_model(Numbers("cells-other-order")), 22)
 
-    valid("other-order", "positions in the order of x, which is not the tree's", swapped, "raw-chunk axes-swapped", "R6.11-4")
+    valid(
+        "other-order",
+        "positions in the order of x, which is not the tree's",
+        swapped,
+        "raw-chunk axes-swapped",
+        "R6.11-4",
+    )
 
     def subnormal() -> Scene:
-        return placed("cells-subnormal", f16(np.unique(np.abs(Numbers("cells-subnormal").integers(-900, 900, 15, 3)), axis=0)), shift=0)
+        return placed(
+            "cells-subnormal",
+            f16(np.unique(np.abs(Numbers("cells-subnormal").integers(-900, 900, 15, 3)), axis=0)),
+            shift=0,
+        )
 
     valid("subnormal", "cells of the least numbers, packed or not", subnormal, "subnormals")
 
@@ -220,7 +272,9 @@ def _positions(book: Book) -> None:
                 return made
         raise AssertionError("no cuboid has sixteen anchors for each byte")
 
-    valid("dense", "sixteen anchors for each byte of a chunk's positions", dense, "tree-model limit-off-by-one", "R6.10-2")
+    valid(
+        "dense", "sixteen anchors for each byte of a chunk's positions", dense, "tree-model limit-off-by-one", "R6.10-2"
+    )
 
 
 # --- weights ----------------------------------------------------------------------------------------------------------
@@ -235,7 +289,14 @@ def _regular(name: str, change: Callable[[Networks], None], anchors: int = 3, d:
 
 def _weights(book: Book) -> None:
     def valid(name: str, text: str, make: Callable[[], Scene], flags: str, requirements: str = "") -> None:
-        book.valid(f"grids-{name}", text, make, features="packed-weights", requirements=f"D7.13-1 R6.8-6 {requirements}", flags=flags)
+        book.valid(
+            f"grids-{name}",
+            text,
+            make,
+            features="packed-weights",
+            requirements=f"D7.13-1 R6.8-6 {requirements}",
+            flags=flags,
+        )
 
     book.valid(
         "packed-weights",
@@ -292,11 +353,20 @@ def _weights(book: Book) -> None:
     def falling(n: Networks) -> None:
         for layers in n.values():
             for w, b in layers:
-                e = np.array([(-1) ** r * (r % 23) for r in range(len(w))])[:, None] if len(w) > 40 else np.arange(len(w))[:, None] * -3
+                e = (
+                    np.array([(-1) ** r * (r % 23) for r in range(len(w))])[:, None]
+                    if len(w) > 40
+                    else np.arange(len(w))[:, None] * -3
+                )
                 w[:] = np.ldexp(w, np.clip(e, -20, 0))
                 b[:] = np.ldexp(b, np.clip(e[:, 0], -20, 0))
 
-    valid("differences", "exponents that rise and fall from row to row", lambda: _regular("grids-differences", falling), "grid-exponent")
+    valid(
+        "differences",
+        "exponents that rise and fall from row to row",
+        lambda: _regular("grids-differences", falling),
+        "grid-exponent",
+    )
 
     def biases(n: Networks) -> None:
         # The bias alone is odd, or alone has the row's exponent.
@@ -306,7 +376,9 @@ def _weights(book: Book) -> None:
             b[:] = np.round(b) + np.float32(0.5)
             b[::2] = 1
 
-    valid("biases", "rows whose exponent is that of the bias", lambda: _regular("grids-biases", biases), "grid-exponent")
+    valid(
+        "biases", "rows whose exponent is that of the bias", lambda: _regular("grids-biases", biases), "grid-exponent"
+    )
 
     for value in (0, 255):
 
@@ -321,7 +393,13 @@ def _weights(book: Book) -> None:
         rows = np.array([[40 + 13 * r % 90, 90 - 7 * r % 60, 60 + 5 * r % 50] for r in range(len(layers_of(SMALL)))])
         return replace(made, weight_scales=rows.astype(np.uint8))
 
-    valid("scales", "scale indices of their own for exponents, weights and biases of each layer", columns, "grid-scales", "D8.5-1")
+    valid(
+        "scales",
+        "scale indices of their own for exponents, weights and biases of each layer",
+        columns,
+        "grid-scales",
+        "D8.5-1",
+    )
 
     def raw_one(n: Networks) -> None:
         n["hyper"][0][0][0, 0] = -0.0

@@ -44,7 +44,9 @@ def add(book: Book) -> None:
 
 
 def _header(book: Book) -> None:
-    def two(name: str, text: str, error: str, first: tuple[str, str, float], second: tuple[str, str, float], klass: str) -> None:
+    def two(
+        name: str, text: str, error: str, first: tuple[str, str, float], second: tuple[str, str, float], klass: str
+    ) -> None:
         def make() -> Refused:
             t = plain()
             data = bytearray(t.data)
@@ -52,7 +54,14 @@ def _header(book: Book) -> None:
                 struct.pack_into(form, data, t.at(path), value)
             return Refused(repair(bytes(data)), error, t.at(first[0]))
 
-        book.add(f"{klass}-order-of-{name}", text, make, features="order header", requirements="D10.1-1", flags="order-of-checks")
+        book.add(
+            f"{klass}-order-of-{name}",
+            text,
+            make,
+            features="order header",
+            requirements="D10.1-1",
+            flags="order-of-checks",
+        )
 
     two(
         "reserved-and-grid",
@@ -118,7 +127,9 @@ def _weights(book: Book) -> None:
     def cut() -> Refused:
         t, at = _with_raw_layer("cut", 1)
         start = t.start(directory.WEIGHTS)
-        return Refused(resized(t.data, directory.WEIGHTS, t.content(directory.WEIGHTS)[: at + 15 - start]), "weights.length", start)
+        return Refused(
+            resized(t.data, directory.WEIGHTS, t.content(directory.WEIGHTS)[: at + 15 - start]), "weights.length", start
+        )
 
     book.add(
         "malformed-grids-cut-in-last-values",
@@ -209,7 +220,11 @@ def _sections(book: Book) -> None:
         return Refused(repair(bytes(data), chunks=False), "chunks.length", t.start(directory.MASKS))
 
     book.add(
-        "malformed-chunks-mask-wraps", "mask lengths that add up modulo 2^32", wraps, features="chunks", flags="lengths-trusted sum-wraps"
+        "malformed-chunks-mask-wraps",
+        "mask lengths that add up modulo 2^32",
+        wraps,
+        features="chunks",
+        flags="lengths-trusted sum-wraps",
     )
 
     def crc_of_next() -> Refused:
@@ -232,7 +247,9 @@ def _sections(book: Book) -> None:
 def _raw_chunk(name: str, where: NDArray[np.float16], shift: int) -> Refused:
     """The positions of the only chunk, raw for nothing."""
     t = Target(codec.emit(placed(f"planted-{name}", where, any_model(Numbers(f"planted-{name}")), shift)))
-    return Refused(with_positions(t, 0, b"\0" + where.astype("<f2").tobytes()), "positions.raw", t.start(directory.POSITIONS))
+    return Refused(
+        with_positions(t, 0, b"\0" + where.astype("<f2").tobytes()), "positions.raw", t.start(directory.POSITIONS)
+    )
 
 
 def _positions(book: Book) -> None:
@@ -342,10 +359,19 @@ def _valid(book: Book) -> None:
         ),
     ):
 
-        def make(name: str = name, translation: Any = translation, shift: Any = shift, low: Any = low, high: Any = high) -> Scene:
+        def make(
+            name: str = name, translation: Any = translation, shift: Any = shift, low: Any = low, high: Any = high
+        ) -> Scene:
             return shown(f"planted-{name}", where, frame(still, translation, shift, low, high))
 
-        book.valid(f"frame-exact-{name}", text, make, features="frame contraction", requirements=f"{requirement} D7.5-1", flags=flags)
+        book.valid(
+            f"frame-exact-{name}",
+            text,
+            make,
+            features="frame contraction",
+            requirements=f"{requirement} D7.5-1",
+            flags=flags,
+        )
 
     def top() -> Scene:
         d = replace(SEEN, slices=(16, 4), frequency_count=10, hyper_width=(48,))
@@ -399,7 +425,14 @@ class Liar:
     first: bool = True
 
     def values(
-        self, models: ModelSet, mean: Int64, scale: Int64, counts: list[int], limit: int, name: SymbolName, given: Int64 | None
+        self,
+        models: ModelSet,
+        mean: Int64,
+        scale: Int64,
+        counts: list[int],
+        limit: int,
+        name: SymbolName,
+        given: Int64 | None,
     ) -> Int64:
         """A group of values."""
         found = self.sampler.values(models, mean, scale, counts, limit, name, given)
@@ -435,11 +468,23 @@ def _lied(beyond: bool, endless: bool) -> Refused:
     # Units for either sign of both symbols' sum; each unit changes mean and scale.
     first[0][:], first[1][:] = np.array([[1, 1], [-1, -1], [0, 0]]), 0
     last[0][:], last[1][:] = dyadic(numbers.integers(-9, 9, *last[0].shape) * 2 + 1, 0), 0
-    made = scene("planted-liar", 1, d, networks=found, carm_shift=np.zeros(2, np.uint8), lanes=Lanes(0, 0, 0), masks=np.ones((1, 1), bool))
+    made = scene(
+        "planted-liar",
+        1,
+        d,
+        networks=found,
+        carm_shift=np.zeros(2, np.uint8),
+        lanes=Lanes(0, 0, 0),
+        masks=np.ones((1, 1), bool),
+    )
     t = Target(codec.emit(made))
     coding, encoder = codec.Coding(made), Encoder(1, 1)
     code_attributes(
-        Liar(encoder, Sampler(numbers, 0), beyond, endless), coding.model, coding.contexts(), made.masks, chunk_ranges(1, made.chunk_size)
+        Liar(encoder, Sampler(numbers, 0), beyond, endless),
+        coding.model,
+        coding.contexts(),
+        made.masks,
+        chunk_ranges(1, made.chunk_size),
     )
     stream = stream_of(t, "attributes")
     name = "substream.escape" if endless else "substream.symbol_range"
@@ -448,9 +493,27 @@ def _lied(beyond: bool, endless: bool) -> Refused:
 
 def _substreams(book: Book) -> None:
     for name, text, beyond, endless, flags in (
-        ("range-then-more", "a symbol beyond the limit, and others whose models depend on its being 0", True, False, "symbol-limit"),
-        ("escape-then-more", "an escape whose prefix is too long, and others whose models depend on it", False, True, "escape-unbounded"),
-        ("order-of-escape-and-range", "a symbol beyond the limit, and an escape whose prefix is too long", True, True, "order-of-checks"),
+        (
+            "range-then-more",
+            "a symbol beyond the limit, and others whose models depend on its being 0",
+            True,
+            False,
+            "symbol-limit",
+        ),
+        (
+            "escape-then-more",
+            "an escape whose prefix is too long, and others whose models depend on it",
+            False,
+            True,
+            "escape-unbounded",
+        ),
+        (
+            "order-of-escape-and-range",
+            "a symbol beyond the limit, and an escape whose prefix is too long",
+            True,
+            True,
+            "order-of-checks",
+        ),
     ):
         book.add(
             f"invalid-{name}",
@@ -478,7 +541,9 @@ def _substreams(book: Book) -> None:
         t = plain()
         stream = stream_of(t, "attributes")
         count = words_of(t, stream)[0]
-        return Refused(repair(t.put(stream[1] + 4, struct.pack("<I", count + (1 << 31)))), "substream.length", stream[1])
+        return Refused(
+            repair(t.put(stream[1] + 4, struct.pack("<I", count + (1 << 31)))), "substream.length", stream[1]
+        )
 
     book.add(
         "malformed-words-wrap",

@@ -49,7 +49,11 @@ def main_file() -> Target:
     networks = {name: silent(layers) for name, layers in made.networks.items()}
     networks["sarm"][-1][1][1] = -40
     model = sharp_model({})
-    return Target(codec.emit(packed_weights(replace(made, networks=networks, planes=np.zeros_like(made.planes), position_model=model))))
+    return Target(
+        codec.emit(
+            packed_weights(replace(made, networks=networks, planes=np.zeros_like(made.planes), position_model=model))
+        )
+    )
 
 
 def patched(base: Callable[[], Target], path: str, form: str, value: Any, name: str, told: str | None = None) -> Make:
@@ -212,7 +216,12 @@ def _header(book: Book) -> None:
     for path, form in reserved:
         name = path.replace("_", "-").replace(".", "-").replace("[", "-").replace("]", "")
         value = 256 if form == "<H" else 1
-        add(f"set-{name}", f"{path} is {value}", patched(plain, path, form, value, "header.reserved"), "reserved-unchecked")
+        add(
+            f"set-{name}",
+            f"{path} is {value}",
+            patched(plain, path, form, value, "header.reserved"),
+            "reserved-unchecked",
+        )
     for profile in (2,):
         add(
             f"profile-{profile}",
@@ -222,7 +231,13 @@ def _header(book: Book) -> None:
             "unsupported",
         )
     for level in (1,):
-        add(f"level-{level}", f"level {level} of Tiny", patched(plain, "level", "B", level, "header.level"), "level-limits", "unsupported")
+        add(
+            f"level-{level}",
+            f"level {level} of Tiny",
+            patched(plain, "level", "B", level, "header.level"),
+            "level-limits",
+            "unsupported",
+        )
     for level in (0, 4):
         add(
             f"main-level-{level}",
@@ -321,7 +336,9 @@ def _dimensions(book: Book) -> None:
 
     def level_plane() -> Refused:
         t = main_file()
-        return Refused(repair(t.put(t.at("dimensions.plane_size"), struct.pack("<H", 129))), name, t.at("dimensions.plane_size"))
+        return Refused(
+            repair(t.put(t.at("dimensions.plane_size"), struct.pack("<H", 129))), name, t.at("dimensions.plane_size")
+        )
 
     add("main-plane-size-129", "plane_size 129 at level 1", level_plane, "level-limits")
 
@@ -346,7 +363,13 @@ def _fields(book: Book) -> None:
             data[t.at("level")] = level
             return Refused(repair(bytes(data)), "header.anchor_count", t.at("anchor_count"))
 
-        add(f"anchor-count-main-{level}", f"one anchor more than level {level} of Main allows", crowd, "main header", "level-limits")
+        add(
+            f"anchor-count-main-{level}",
+            f"one anchor more than level {level} of Main allows",
+            crowd,
+            "main header",
+            "level-limits",
+        )
     for level, anchors, size in ((2, 1 << 17, 128), (3, 1 << 20, 256)):
 
         def higher(level: int = level, anchors: int = anchors, size: int = size) -> Refused:
@@ -360,7 +383,12 @@ def _fields(book: Book) -> None:
         text = f"level {level}, though level {level - 1} allows {anchors} anchors and planes of {size}"
         add(f"level-{level}-of-{anchors}-{size}", text, higher, "main header", "level-limits level-not-minimal")
     for value in (0, 65537):
-        add(f"chunk-size-{value}", f"chunk_size {value}", patched(plain, "chunk_size", "<I", value, "header.chunk_size"), "header")
+        add(
+            f"chunk-size-{value}",
+            f"chunk_size {value}",
+            patched(plain, "chunk_size", "<I", value, "header.chunk_size"),
+            "header",
+        )
     for value in (255, 65537):
         add(
             f"chunk-size-main-{value}",
@@ -405,7 +433,12 @@ def _fields(book: Book) -> None:
             "position-grid",
             "limit-off-by-one signed-limits",
         )
-    add("scale-mantissa-0", "scale_mantissa 0", patched(plain, "position_grid.scale_mantissa", "<H", 0, grid), "position-grid")
+    add(
+        "scale-mantissa-0",
+        "scale_mantissa 0",
+        patched(plain, "position_grid.scale_mantissa", "<H", 0, grid),
+        "position-grid",
+    )
     for number in (61, -61, -128):
         label = f"{'minus' if number < 0 else 'plus'}-{abs(number)}"
         add(
@@ -451,7 +484,13 @@ def _render_info(book: Book) -> None:
         told = path.partition("[")[0] + "[0]" if "[" in path else path
         label = field.replace("_", "-").replace("[", "-").replace("]", "")
         make = patched(plain, path, form, int(value) if form in ("B", "<H") else value, "header.render_info", told)
-        book.add(f"invalid-{label}-{text}", f"{field} is {text.replace('-', ' ')}", make, features="render-info", flags="float-limits")
+        book.add(
+            f"invalid-{label}-{text}",
+            f"{field} is {text.replace('-', ' ')}",
+            make,
+            features="render-info",
+            flags="float-limits",
+        )
     for sign, text in ((-0.0, "zeros"),):
 
         def rotation(sign: float = sign) -> Refused:
@@ -516,8 +555,19 @@ def _directory(book: Book) -> None:
         label = section.replace("_", "-")
         for value in (mode,):
             make = patched(plain, f"directory[{entry}].mode", "B", value, "directory.mode")
-            add("unsupported", f"mode-{label}-{value}", f"mode {value} of the {section.replace('_', ' ')}", make, "mode-unchecked")
-    for entry, change, text in ((0, 1, "one late"), (3, 4, "a gap"), (5, -2, "an overlap"), (8, 1, "the last section, one late")):
+            add(
+                "unsupported",
+                f"mode-{label}-{value}",
+                f"mode {value} of the {section.replace('_', ' ')}",
+                make,
+                "mode-unchecked",
+            )
+    for entry, change, text in (
+        (0, 1, "one late"),
+        (3, 4, "a gap"),
+        (5, -2, "an overlap"),
+        (8, 1, "the last section, one late"),
+    ):
 
         def moved(entry: int = entry, change: int = change) -> Refused:
             t = plain()
@@ -525,13 +575,21 @@ def _directory(book: Book) -> None:
             right = int.from_bytes(t.data[at : at + 4], "little")
             return Refused(repair(t.put(at, (right + change).to_bytes(4, "little"))), "directory.offset", at)
 
-        add("malformed", f"offset-{entry}-{text.replace(',', '').replace(' ', '-')}", f"entry {entry}: {text}", moved, "offsets-trusted")
+        add(
+            "malformed",
+            f"offset-{entry}-{text.replace(',', '').replace(' ', '-')}",
+            f"entry {entry}: {text}",
+            moved,
+            "offsets-trusted",
+        )
     add(
         "malformed",
         "offset-huge",
         "a section at the end of the address space",
         lambda: Refused(
-            repair(plain().put(plain().at("directory[2].offset"), b"\xff" * 4)), "directory.offset", plain().at("directory[2].offset")
+            repair(plain().put(plain().at("directory[2].offset"), b"\xff" * 4)),
+            "directory.offset",
+            plain().at("directory[2].offset"),
         ),
         "offsets-trusted buffer-too-small",
     )
@@ -605,4 +663,10 @@ def _directory(book: Book) -> None:
         data[end - 4 : end] = zlib.crc32(data[PROLOGUE_BYTES : end - 4]).to_bytes(4, "little")
         return Refused(bytes(data), "section.crc", t.start(9))
 
-    add("malformed", "crc-of-nothing", "the CRC-32 of an empty ancillary section is not 0", empty_crc, "checksum-unchecked")
+    add(
+        "malformed",
+        "crc-of-nothing",
+        "the CRC-32 of an empty ancillary section is not 0",
+        empty_crc,
+        "checksum-unchecked",
+    )

@@ -24,7 +24,11 @@ from .packing import MIDDLE, of_cells, placed
 from .refused_header import INFINITY, NAN, packed, patched, plain
 from .scenes import SMALLEST, lattice, scales, scene, settled
 
-FLOATS = {"not-a-number": struct.pack("<f", NAN), "infinite": struct.pack("<f", INFINITY), "signalling": b"\1\0\x80\xff"}
+FLOATS = {
+    "not-a-number": struct.pack("<f", NAN),
+    "infinite": struct.pack("<f", INFINITY),
+    "signalling": b"\1\0\x80\xff",
+}
 
 
 def add(book: Book) -> None:
@@ -67,7 +71,9 @@ def _frame(book: Book) -> None:
         low = t.data[t.at("frame.low[1]") :][:4]
         return Refused(repair(t.put(t.at("frame.high[1]"), low)), "frame.range", t.at("frame.high[1]"))
 
-    book.add("invalid-frame-empty-range", "high is low", equal, features="frame", flags="limit-off-by-one division-by-zero")
+    book.add(
+        "invalid-frame-empty-range", "high is low", equal, features="frame", flags="limit-off-by-one division-by-zero"
+    )
 
 
 # --- weights ----------------------------------------------------------------------------------------------------------
@@ -102,7 +108,9 @@ def _raw_weights(book: Book) -> None:
                 return Refused(repair(t.put(at, bytes([value]))), "weights.scale", at)
 
             name = text.replace(" ", "-").replace("_", "-")
-            book.add(f"invalid-{label}{name}", text, scale, features=f"{label or 'raw-'}weights", flags="limit-off-by-one")
+            book.add(
+                f"invalid-{label}{name}", text, scale, features=f"{label or 'raw-'}weights", flags="limit-off-by-one"
+            )
     places: list[tuple[str, str, tuple[str, int, int, int | None]]] = [
         ("first", "not-a-number", ("hyper", 0, 0, 0)),
         ("bias", "infinite", ("sarm", 0, 1, None)),
@@ -148,7 +156,9 @@ def _raw_weights(book: Book) -> None:
             values = b"".join(part.astype("<f4").tobytes() for part in copied[1])
             first = at - t.start(directory.WEIGHTS)
             content[first : first + len(values)] = values
-            return Refused(resized(t.data, directory.WEIGHTS, bytes(content)), "weights.bound", value_at(t, "hyper", 1, row, 0))
+            return Refused(
+                resized(t.data, directory.WEIGHTS, bytes(content)), "weights.bound", value_at(t, "hyper", 1, row, 0)
+            )
 
         return make
 
@@ -162,8 +172,18 @@ def _raw_weights(book: Book) -> None:
         layers[1][0][2, 0] = 1022.5
         layers[1][1][2] = spare + 0.5
 
-    add("bound-by-one", "a row that is at the accumulator bound, and not below it", exactly(full, 4), "accumulator-bound")
-    add("bound-rounded", "a row that is at the bound once its bias is rounded", exactly(seventeen, 2), "accumulator-bound weight-rounding")
+    add(
+        "bound-by-one",
+        "a row that is at the accumulator bound, and not below it",
+        exactly(full, 4),
+        "accumulator-bound",
+    )
+    add(
+        "bound-rounded",
+        "a row that is at the bound once its bias is rounded",
+        exactly(seventeen, 2),
+        "accumulator-bound weight-rounding",
+    )
 
     def two() -> Refused:
         t = plain()
@@ -204,7 +224,9 @@ def other_grids(t: Target, change: Callable[[list[Any]], int]) -> Refused:
     start, at = t.start(directory.WEIGHTS), starts[wrong] - t.start(directory.WEIGHTS)
     models = bytearray(t.data[start : starts[-1] + 6])
     models[at + 1 : at + 3] = struct.pack("<h", layers[wrong].exponent)
-    return Refused(resized(t.data, directory.WEIGHTS, bytes(models) + encoder.finish()[0]), "weights.exponent", starts[wrong])
+    return Refused(
+        resized(t.data, directory.WEIGHTS, bytes(models) + encoder.finish()[0]), "weights.exponent", starts[wrong]
+    )
 
 
 def _packed_weights(book: Book) -> None:
@@ -215,7 +237,9 @@ def _packed_weights(book: Book) -> None:
         def make() -> Refused:
             t = grids()
             return Refused(
-                resized(t.data, directory.WEIGHTS, t.content(directory.WEIGHTS)[: length(t)]), "weights.length", t.start(directory.WEIGHTS)
+                resized(t.data, directory.WEIGHTS, t.content(directory.WEIGHTS)[: length(t)]),
+                "weights.length",
+                t.start(directory.WEIGHTS),
             )
 
         return make
@@ -224,7 +248,11 @@ def _packed_weights(book: Book) -> None:
     for name, text, length in (
         ("nothing", "a section of weights without a byte", lambda t: 0),
         ("cut-in-table", "the section ends within its table", lambda t: 1),
-        ("cut-in-model", "the section ends within a layer's model", lambda t: list(grid_layers(t).values())[3] - t.start(start) + 5),
+        (
+            "cut-in-model",
+            "the section ends within a layer's model",
+            lambda t: list(grid_layers(t).values())[3] - t.start(start) + 5,
+        ),
         (
             "cut-in-values",
             "the section ends within the values of a raw layer",
@@ -255,7 +283,12 @@ def _packed_weights(book: Book) -> None:
     def grid(number: int, **parts: Callable[[Any], Any]) -> Make:
         def change(layers: list[Any]) -> int:
             g = layers[number]
-            values = {"exponent": g.exponent, "difference": g.difference.copy(), "weight": g.weight.copy(), "bias": g.bias.copy()}
+            values = {
+                "exponent": g.exponent,
+                "difference": g.difference.copy(),
+                "weight": g.weight.copy(),
+                "bias": g.bias.copy(),
+            }
             for part, new in parts.items():
                 values[part] = new(values[part])
             layers[number] = weights.GridLayer(**values)
@@ -354,7 +387,13 @@ def _tables(book: Book) -> None:
             t.start(directory.PLANES_SECTION),
         )
 
-    book.add("malformed-planes-cut", "a section of planes that ends within its table", planes_cut, features="planes", flags="truncation")
+    book.add(
+        "malformed-planes-cut",
+        "a section of planes that ends within its table",
+        planes_cut,
+        features="planes",
+        flags="truncation",
+    )
     for number, change in ((0, 1), (4, -1), (2, 1 << 31)):
 
         def plane_length(number: int = number, change: int = change) -> Refused:
@@ -362,7 +401,9 @@ def _tables(book: Book) -> None:
             at = t.start(directory.PLANES_SECTION) + 4 * number
             old = int.from_bytes(t.data[at : at + 4], "little")
             return Refused(
-                repair(t.put(at, ((old + change) % (1 << 32)).to_bytes(4, "little"))), "planes.length", t.start(directory.PLANES_SECTION)
+                repair(t.put(at, ((old + change) % (1 << 32)).to_bytes(4, "little"))),
+                "planes.length",
+                t.start(directory.PLANES_SECTION),
             )
 
         text = "huge" if change > 1 else "one more" if change > 0 else "one less"
@@ -383,7 +424,11 @@ def _tables(book: Book) -> None:
         return Refused(repair(t.put(start, struct.pack("<5I", *lengths))), "planes.length", start)
 
     book.add(
-        "malformed-planes-length-wraps", "lengths that add up modulo 2^32", wrapped, features="planes", flags="lengths-trusted sum-wraps"
+        "malformed-planes-length-wraps",
+        "lengths that add up modulo 2^32",
+        wrapped,
+        features="planes",
+        flags="lengths-trusted sum-wraps",
     )
     for number, value in ((0, 0), (2, 1 << 14), (1, 65535)):
 
@@ -393,7 +438,11 @@ def _tables(book: Book) -> None:
             return Refused(repair(t.put(at, value.to_bytes(2, "little"))), "chunks.mask_model", at)
 
         book.add(
-            f"invalid-mask-model-{value}", f"a frequency of {value} in the mask model", model, features="masks", flags="limit-off-by-one"
+            f"invalid-mask-model-{value}",
+            f"a frequency of {value} in the mask model",
+            model,
+            features="masks",
+            flags="limit-off-by-one",
         )
 
     def lengths(base: Callable[[], Target], entry: int, column: int, change: int, told: str) -> Make:
@@ -402,7 +451,9 @@ def _tables(book: Book) -> None:
             at = t.entries + 24 * entry + 8 * column
             old = int.from_bytes(t.data[at : at + 4], "little")
             data = repair(t.put(at, ((old + change) % (1 << 32)).to_bytes(4, "little")), chunks=False)
-            return Refused(data, "chunks.length", t.entries + 24 * entry if told == "entry" else t.start(directory.CHUNKED[column]))
+            return Refused(
+                data, "chunks.length", t.entries + 24 * entry if told == "entry" else t.start(directory.CHUNKED[column])
+            )
 
         return make
 
@@ -413,8 +464,16 @@ def _tables(book: Book) -> None:
         ("mask-less", "mask lengths that add up to one less", lengths(plain, 2, 1, -1, "section")),
         ("attribute-more", "attribute lengths that add up to one more", lengths(plain, 2, 2, 1, "section")),
         ("attribute-huge", "an attribute_length of 2^31 more", lengths(plain, 1, 2, 1 << 31, "section")),
-        ("packed-position-more", "packed position lengths that add up to one more", lengths(packed, 0, 0, 1, "section")),
-        ("packed-position-less", "packed position lengths that add up to one less", lengths(packed, 2, 0, -1, "section")),
+        (
+            "packed-position-more",
+            "packed position lengths that add up to one more",
+            lengths(packed, 0, 0, 1, "section"),
+        ),
+        (
+            "packed-position-less",
+            "packed position lengths that add up to one less",
+            lengths(packed, 2, 0, -1, "section"),
+        ),
     ):
         book.add(f"malformed-chunks-{name}", text, make, features="chunks", flags="lengths-trusted last-chunk")
 
@@ -524,7 +583,13 @@ def _position_model(book: Book) -> None:
         ("no-first-half", "a frequency of 0 for no children in the first half", changed(12, no_first)),
         ("sum-wraps", "frequencies that add up modulo 2^16", changed(2, wraps)),
     ):
-        book.add(f"invalid-position-model-{name}", text, make, features="packed-positions", flags="position-model limit-off-by-one")
+        book.add(
+            f"invalid-position-model-{name}",
+            text,
+            make,
+            features="packed-positions",
+            flags="position-model limit-off-by-one",
+        )
     for value in (41,):
 
         def shift(value: int = value) -> Refused:
@@ -555,7 +620,9 @@ def _raw_positions(book: Book) -> None:
             if label and name not in ("infinite", "negative-zero"):
                 continue
 
-            def position(base: Callable[[], Target] = base, value: int = value, error: str = error, last: bool = "last" in name) -> Refused:
+            def position(
+                base: Callable[[], Target] = base, value: int = value, error: str = error, last: bool = "last" in name
+            ) -> Refused:
                 t = base()
                 if base is packed:
                     start = next(start + 1 for start, _, _ in position_parts(t) if t.data[start] == 0)
@@ -600,7 +667,9 @@ def overgrown(t: Target, levels: int) -> Refused:
         encoder.plain(models, np.full(nodes, first), [nodes], name, low)
         encoder.plain(models, np.full(nodes, first + (5 if every else 2)), [nodes], name, low if every else low - 1)
         nodes = min(8 * nodes, anchors) if every else nodes
-    return Refused(with_positions(t, 0, bytes([PACKED]) + encoder.finish()[0]), "positions.count", t.start(directory.POSITIONS))
+    return Refused(
+        with_positions(t, 0, bytes([PACKED]) + encoder.finish()[0]), "positions.count", t.start(directory.POSITIONS)
+    )
 
 
 @cache
@@ -630,19 +699,29 @@ def _packed_positions(book: Book) -> None:
             t, _ = five_cells()
             return Refused(with_positions(t, 0, bytes(1 + 30 + change)), "positions.form", t.start(directory.POSITIONS))
 
-        add("malformed", name, f"a raw chunk of {30 + change} bytes for five anchors", sized, "lengths-trusted form-unchecked")
+        add(
+            "malformed",
+            name,
+            f"a raw chunk of {30 + change} bytes for five anchors",
+            sized,
+            "lengths-trusted form-unchecked",
+        )
 
     def raw() -> Refused:
         t, _ = five_cells()
         where = codec.parse(t.data).scene.positions
-        return Refused(with_positions(t, 0, b"\0" + where.astype("<f2").tobytes()), "positions.raw", t.start(directory.POSITIONS))
+        return Refused(
+            with_positions(t, 0, b"\0" + where.astype("<f2").tobytes()), "positions.raw", t.start(directory.POSITIONS)
+        )
 
     add("invalid", "raw-for-nothing", "a raw chunk that can be packed", raw, "canonical-form raw-chunk")
 
     def raw_single() -> Refused:
         where = of_cells(MIDDLE + np.array([[5, -3, 2]]), 22)
         t = Target(codec.emit(placed("refused-single", where)))
-        return Refused(with_positions(t, 0, b"\0" + where.astype("<f2").tobytes()), "positions.raw", t.start(directory.POSITIONS))
+        return Refused(
+            with_positions(t, 0, b"\0" + where.astype("<f2").tobytes()), "positions.raw", t.start(directory.POSITIONS)
+        )
 
     add("invalid", "raw-single", "a raw chunk of one anchor, which is in order", raw_single, "canonical-form raw-chunk")
     add(

@@ -61,7 +61,9 @@ def add(book: Book) -> None:
 def _each(book: Book, kind: str) -> None:
     """The faults that every kind of substream can have."""
 
-    def add(klass: str, name: str, text: str, make: Callable[[Target, Stream], Refused], flags: str, number: int = 0) -> None:
+    def add(
+        klass: str, name: str, text: str, make: Callable[[Target, Stream], Refused], flags: str, number: int = 0
+    ) -> None:
         def made() -> Refused:
             t = base(kind)
             return make(t, stream_of(t, kind, number))
@@ -99,14 +101,20 @@ def _each(book: Book, kind: str) -> None:
         part = t.data[stream[1] : stream[1] + stream[2]]
         end = raw_at - stream[1]
         return told(
-            with_stream(t, stream, part[:4] + (count + 1).to_bytes(4, "little") + part[8:end] + bytes(2) + part[end:]), "words", stream
+            with_stream(t, stream, part[:4] + (count + 1).to_bytes(4, "little") + part[8:end] + bytes(2) + part[end:]),
+            "words",
+            stream,
         )
 
     def fewer_words(t: Target, stream: Stream) -> Refused:
         count, _, raw_at = words_of(t, stream)
         part = t.data[stream[1] : stream[1] + stream[2]]
         end = raw_at - stream[1]
-        return told(with_stream(t, stream, part[:4] + (count - 1).to_bytes(4, "little") + part[8 : end - 2] + part[end:]), "words", stream)
+        return told(
+            with_stream(t, stream, part[:4] + (count - 1).to_bytes(4, "little") + part[8 : end - 2] + part[end:]),
+            "words",
+            stream,
+        )
 
     def more_raw(t: Target, stream: Stream) -> Refused:
         part = t.data[stream[1] : stream[1] + stream[2]]
@@ -122,11 +130,24 @@ def _each(book: Book, kind: str) -> None:
         add("invalid", "state-below", "an initial state of 2^16 - 1", state, "limit-off-by-one initial-state")
         add("invalid", "raw-byte-more", "a raw byte that nothing reads", more_raw, "raw-length-unchecked")
     if kind in ("planes", "attributes"):
-        add("malformed", "words-beyond", "a word_count of 2^32 - 1", counted, "lengths-trusted sum-wraps buffer-too-small")
+        add(
+            "malformed",
+            "words-beyond",
+            "a word_count of 2^32 - 1",
+            counted,
+            "lengths-trusted sum-wraps buffer-too-small",
+        )
         add("malformed", "cut-in-head", "a substream that ends within its head", head, "truncation")
         add("invalid", "word-less", "a word too few", fewer_words, "words-uncounted")
         last = 4 if kind == "planes" else 2
-        add("invalid", "last-symbol-crc", "a CRC-32 of other symbols, of the last substream", crc, "symbol-crc last-chunk", last)
+        add(
+            "invalid",
+            "last-symbol-crc",
+            "a CRC-32 of other symbols, of the last substream",
+            crc,
+            "symbol-crc last-chunk",
+            last,
+        )
 
 
 # --- faults that depend on values -------------------------------------------------------------------------------------
@@ -166,7 +187,14 @@ def with_raw(t: Target, value: int, bits: int, name: str) -> Refused:
 
 def _values(book: Book) -> None:
     def add(name: str, text: str, make: Make, flags: str, features: str = "escapes") -> None:
-        book.add(f"invalid-{name}", text, make, features=f"{features} substream", requirements="D8.8-1 D8.8-2 D8.7-1", flags=flags)
+        book.add(
+            f"invalid-{name}",
+            text,
+            make,
+            features=f"{features} substream",
+            requirements="D8.8-1 D8.8-2 D8.7-1",
+            flags=flags,
+        )
 
     for prefix in (26, 40):
         add(
@@ -234,10 +262,21 @@ def _values(book: Book) -> None:
         grid.weight[0, 0] = (1 << 24) - 1
         grid.weight[1, 0] = 1 << 24
         encoder, shapes = Encoder(1, 1 << made.lanes.attribute), dimensions.layers_of(made.dimensions)
-        weights.code_grids(Unlimited(encoder), [shapes[i] for i in coded], made.weight_scales[coded], [g for g in layers if g is not None])
+        weights.code_grids(
+            Unlimited(encoder),
+            [shapes[i] for i in coded],
+            made.weight_scales[coded],
+            [g for g in layers if g is not None],
+        )
         return Refused(with_stream(t, stream, encoder.finish()[0]), "substream.symbol_range", stream[1])
 
-    add("weight-symbol-2-24", "an integer of a weight of 2^24", weight_limit, "symbol-limit limit-off-by-one", "packed-weights escapes")
+    add(
+        "weight-symbol-2-24",
+        "an integer of a weight of 2^24",
+        weight_limit,
+        "symbol-limit limit-off-by-one",
+        "packed-weights escapes",
+    )
 
     def wide() -> Refused:
         # 16 raw bits: the symbol of a model is in units of 2^16, and its low bits lead over the limit.
@@ -269,14 +308,26 @@ def _values(book: Book) -> None:
         _, value = raw_of(t)
         return with_raw(t, value, 24, "raw_length")
 
-    add("raw-byte-of-nothing", "a raw byte after the last bit fills the one before", full_padding, "raw-length-unchecked", "raw-bits")
+    add(
+        "raw-byte-of-nothing",
+        "a raw byte after the last bit fills the one before",
+        full_padding,
+        "raw-length-unchecked",
+        "raw-bits",
+    )
 
     def raw_cut() -> Refused:
         t = far(_radius() + (1 << 9) + 1)
         _, value = raw_of(t)
         return with_raw(t, value & 0xFFFF, 16, "raw_length")
 
-    add("raw-cut", "the last raw byte is missing; its bits read as 0", raw_cut, "raw-length-unchecked raw-past-end", "raw-bits")
+    add(
+        "raw-cut",
+        "the last raw byte is missing; its bits read as 0",
+        raw_cut,
+        "raw-length-unchecked raw-past-end",
+        "raw-bits",
+    )
 
     def other_value() -> Refused:
         t = far(_radius() + (1 << 8) + 3)
@@ -299,7 +350,11 @@ def _values(book: Book) -> None:
             return Refused(repair(t.put(at, struct.pack("<I", (1 << 16) + 1))), "substream.final_state", stream[1])
 
         add(
-            f"final-state-idle-{kind}", f"a lane that no symbol uses is not at 2^16, in the {kind}", lane, "final-state idle-lanes", "lanes"
+            f"final-state-idle-{kind}",
+            f"a lane that no symbol uses is not at 2^16, in the {kind}",
+            lane,
+            "final-state idle-lanes",
+            "lanes",
         )
 
     def used_lane() -> Refused:
@@ -320,7 +375,14 @@ class Unlimited:
         self.encoder = encoder
 
     def values(
-        self, models: ModelSet, mean: Int64, scale: Int64, counts: list[int], limit: int, name: SymbolName, given: Int64 | None
+        self,
+        models: ModelSet,
+        mean: Int64,
+        scale: Int64,
+        counts: list[int],
+        limit: int,
+        name: SymbolName,
+        given: Int64 | None,
     ) -> Int64:
         """A group of values."""
         return self.encoder.values(models, mean, scale, counts, 1 << 40, name, given)

@@ -97,7 +97,9 @@ def add(book: Book) -> None:
         made = scene("resource-tree", 64, SMALLEST, positions=f16(np.arange(192).reshape(64, 3)), lanes=Lanes(0, 0, 0))
         return overgrown(Target(codec.emit(replace(made, position_model=sharp_model({})))), 16)
 
-    add_refused("tree-of-all-cells", "a tree all of whose nodes have all their children", tree, "tree-dropped allocates-first")
+    add_refused(
+        "tree-of-all-cells", "a tree all of whose nodes have all their children", tree, "tree-dropped allocates-first"
+    )
     book.add(
         "resource-largest-tiny",
         "as many anchors and planes as Tiny allows, most of them predicted",
@@ -147,7 +149,9 @@ def _quiet(name: str, anchors: int, d: Dimensions, chunk_size: int) -> Scene:
     )
     layers_count = sum(map(len, networks.values()))
     made = replace(made, planes=np.zeros_like(made.planes), weight_scales=np.zeros((layers_count, 3), np.uint8))
-    return with_symbols(made, **{kind: np.zeros_like(getattr(made.attributes, kind)) for kind in ("features", "scalings", "offsets")})
+    return with_symbols(
+        made, **{kind: np.zeros_like(getattr(made.attributes, kind)) for kind in ("features", "scalings", "offsets")}
+    )
 
 
 def _largest() -> Scene:

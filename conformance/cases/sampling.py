@@ -39,7 +39,14 @@ class Sampler:
         return found
 
     def values(
-        self, models: ModelSet, mean: Int64, scale: Int64, counts: list[int], limit: int, name: SymbolName, given: Int64 | None
+        self,
+        models: ModelSet,
+        mean: Int64,
+        scale: Int64,
+        counts: list[int],
+        limit: int,
+        name: SymbolName,
+        given: Int64 | None,
     ) -> Int64:
         """A group of values, within their limit."""
         model, centre, raw = select(mean, scale)
@@ -75,6 +82,8 @@ def sampled(made: Scene, coder: Sampler, planes: bool = True) -> Scene:
     if planes:
         made = replace(made, planes=code_planes(coder, codec.Coding(made).sarm, d.plane_channels, d.plane_size))
     coding, chunks = codec.Coding(made), chunk_ranges(made.anchor_count, made.chunk_size)
-    attributes = code_attributes(coder, coding.model, coding.contexts(), made.masks, chunks) if chunks else made.attributes
+    attributes = (
+        code_attributes(coder, coding.model, coding.contexts(), made.masks, chunks) if chunks else made.attributes
+    )
     assert np.abs(attributes.features).max(initial=0) <= ATTRIBUTE_SYMBOL_MAX
     return settled(replace(made, attributes=attributes))

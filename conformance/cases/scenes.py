@@ -127,7 +127,9 @@ def scales(found: Networks) -> NDArray[np.uint8]:
     rows = []
     for grid in (to_grid(layer) for layers in found.values() for layer in layers):
         parts = [] if grid is None else [grid.difference, grid.weight, grid.bias]
-        rows.append([min(40 + 8 * (int(np.abs(p).max()).bit_length() - 1), 255) if p.any() else 0 for p in parts] or [0, 0, 0])
+        rows.append(
+            [min(40 + 8 * (int(np.abs(p).max()).bit_length() - 1), 255) if p.any() else 0 for p in parts] or [0, 0, 0]
+        )
     return np.array(rows, dtype=np.uint8)
 
 
@@ -163,6 +165,8 @@ def silent(layers: list[Layer]) -> list[Layer]:
 def constant(d: Dimensions, numbers: Numbers, mean: NDArray[np.int64], scale: NDArray[np.int64]) -> Networks:
     """Networks whose F_h says the same of every anchor: means and scale indices of the D channels; CARM adds nothing."""
     found = networks(d, numbers)
-    found = {name: silent(layers) if name == "hyper" or name.startswith("carm") else layers for name, layers in found.items()}
+    found = {
+        name: silent(layers) if name == "hyper" or name.startswith("carm") else layers for name, layers in found.items()
+    }
     found["hyper"][-1][1][:] = np.concatenate([mean, scale, [32, 32, 32]])
     return found

@@ -75,7 +75,9 @@ def _sizes(book: Book) -> None:
 
     def largest() -> Scene:
         made = sparse(scene("largest", 2, LARGEST, lanes=Lanes(3, 1, 6)))
-        flat = replace(made, networks={**made.networks, "sarm": silent(made.networks["sarm"])}, planes=np.zeros_like(made.planes))
+        flat = replace(
+            made, networks={**made.networks, "sarm": silent(made.networks["sarm"])}, planes=np.zeros_like(made.planes)
+        )
         return sampled(packed_weights(flat), Sampler(Numbers("largest/symbols")), planes=False)
 
     book.valid(
@@ -87,7 +89,12 @@ def _sizes(book: Book) -> None:
         flags="buffer-too-small",
     )
     book.valid(
-        "empty", "no anchors, and no chunks", lambda: scene("empty", 0), features="empty", requirements="D7.3-1", flags="empty-refused"
+        "empty",
+        "no anchors, and no chunks",
+        lambda: scene("empty", 0),
+        features="empty",
+        requirements="D7.3-1",
+        flags="empty-refused",
     )
 
     def empty_packed() -> Scene:
@@ -133,8 +140,12 @@ def _dimensions(book: Book) -> None:
                 "slices": "D7.9-1 D7.10-1",
                 "carm_width": "D7.9-1",
             }.get(name, "D7.2-2")
-            flags = {"offset_count": "mask-context", "plane_size": "wavefront-order", "slices": "carm-slices"}.get(name, "")
-            book.valid(f"dimension-{label}", f"{name} {text}", make, features="dimensions", requirements=more, flags=flags)
+            flags = {"offset_count": "mask-context", "plane_size": "wavefront-order", "slices": "carm-slices"}.get(
+                name, ""
+            )
+            book.valid(
+                f"dimension-{label}", f"{name} {text}", make, features="dimensions", requirements=more, flags=flags
+            )
 
 
 def _chunks(book: Book) -> None:
@@ -148,7 +159,9 @@ def _chunks(book: Book) -> None:
         def make(size: int = size, anchors: int = anchors) -> Scene:
             return drawn(f"chunks-{size}", anchors, chunk_size=size)
 
-        book.valid(f"chunks-of-{size}", text, make, features="chunks", requirements="D7.6-1 D7.10-1", flags="last-chunk")
+        book.valid(
+            f"chunks-of-{size}", text, make, features="chunks", requirements="D7.6-1 D7.10-1", flags="last-chunk"
+        )
 
     def crowded() -> Scene:
         where = lattice(Numbers("packed-chunks"), 50)
@@ -234,7 +247,9 @@ def _header(book: Book) -> None:
             (LARGEST_F32,) * 4,
             (LARGEST_F32,) * 3,
         ),
-        "negative-zeros": replace(info, low_pass=-0.0, camera_rotation=(-0.0, 1.0, -0.0, 0.0), camera_translation=(-0.0,) * 3),
+        "negative-zeros": replace(
+            info, low_pass=-0.0, camera_rotation=(-0.0, 1.0, -0.0, 0.0), camera_translation=(-0.0,) * 3
+        ),
     }
     for name, render in extremes.items():
 
@@ -259,7 +274,10 @@ def _header(book: Book) -> None:
     for name, grid in grids.items():
 
         def grid_make(grid: PositionGrid = grid) -> Scene:
-            bits = np.array([[0, 1, 2], [0x8001, 0x3C00, 0xBC00], [0x7BFF, 0xFBFF, 0], [3, 5, 0x8007], [0x3C00, 0, 0x0400]], np.uint16)
+            bits = np.array(
+                [[0, 1, 2], [0x8001, 0x3C00, 0xBC00], [0x7BFF, 0xFBFF, 0], [3, 5, 0x8007], [0x3C00, 0, 0x0400]],
+                np.uint16,
+            )
             return scene("position-grid", 5, SMALLEST, grid=grid, positions=bits.view(np.float16))
 
         book.valid(
@@ -286,7 +304,12 @@ def _ancillary(book: Book) -> None:
             return replace(drawn("ancillary", 2, SMALLEST), extensions=sections)
 
         book.valid(
-            f"ancillary-{name}", text, make, features="ancillary directory", requirements="D12.1-1 R6.6-2 R6.6-6", flags="ancillary-refused"
+            f"ancillary-{name}",
+            text,
+            make,
+            features="ancillary directory",
+            requirements="D12.1-1 R6.6-2 R6.6-6",
+            flags="ancillary-refused",
         )
 
 
@@ -304,7 +327,9 @@ def _main(book: Book) -> None:
         where = lattice(Numbers("main-packed"), 300)
         d = replace(MAIN_SMALLEST, plane_size=9, hyper_width=(20,), carm_width=(24,))
         made = sparse(scene("main-packed", 300, d, positions=where, chunk_size=256, lanes=Lanes(2, 3, 4)))
-        return replace(sampled(made, Sampler(Numbers("main-packed/symbols"))), position_model=position_model(where, 256))
+        return replace(
+            sampled(made, Sampler(Numbers("main-packed/symbols"))), position_model=position_model(where, 256)
+        )
 
     book.valid(
         "main-packed",

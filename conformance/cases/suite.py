@@ -43,7 +43,11 @@ def _stated(data: bytes) -> tuple[str | None, int | None]:
         return None, None
     crc = zlib.crc32(data[header.PROLOGUE_BYTES : end - 4])
     profile, level = data[header.PROLOGUE_BYTES : header.PROLOGUE_BYTES + 2]
-    if crc != int.from_bytes(data[end - 4 : end], "little") or profile not in PROFILES or level not in PROFILES[profile].levels:
+    if (
+        crc != int.from_bytes(data[end - 4 : end], "little")
+        or profile not in PROFILES
+        or level not in PROFILES[profile].levels
+    ):
         return None, None
     return PROFILES[profile].name.lower(), level
 
@@ -55,7 +59,12 @@ def _accepted(recipe: Recipe, data: bytes) -> dict[str, Any]:
         raise GeneratorError(f"{recipe.id}: encoding the scene does not give the file again")
     whole, parts = digest(scene)
     trace = _sha256("".join(lines).encode())
-    return {"result": "accepted", "digest": whole, "parts": {"head": _sha256(canonical_head(scene)), **parts}, "trace": trace}
+    return {
+        "result": "accepted",
+        "digest": whole,
+        "parts": {"head": _sha256(canonical_head(scene)), **parts},
+        "trace": trace,
+    }
 
 
 def _rejected(recipe: Recipe, made: Refused) -> dict[str, Any]:
@@ -85,7 +94,12 @@ def vectors(recipes: Iterable[Recipe]) -> Iterator[tuple[dict[str, Any], dict[st
             path, data = made.path, inputs[made.path]
             listed, found = path.replace(".c3gs", f"-{recipe.name}.json"), expected(data, made.camera)
             files[listed] = found
-            expectation: dict[str, Any] = {"result": "gaussians", "camera": made.camera, "path": listed, "sha256": _sha256(found)}
+            expectation: dict[str, Any] = {
+                "result": "gaussians",
+                "camera": made.camera,
+                "path": listed,
+                "sha256": _sha256(found),
+            }
             expectation["tolerance"] = TOLERANCE
             proved = ["G14.3-1"]
         elif isinstance(made, Refused):

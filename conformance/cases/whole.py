@@ -48,8 +48,18 @@ def add(book: Book) -> None:
 
 def _trained(book: Book) -> None:
     for name, text, features, licence in (
-        ("caliterra", "a scene of 2,182 anchors learnt from aerial photographs, packed", "packed-positions packed-weights", "CC0-1.0"),
-        ("snowmiku", "a scene of 3,866 anchors learnt from photographs of a doll, raw", "raw-positions raw-weights", "MIT"),
+        (
+            "caliterra",
+            "a scene of 2,182 anchors learnt from aerial photographs, packed",
+            "packed-positions packed-weights",
+            "CC0-1.0",
+        ),
+        (
+            "snowmiku",
+            "a scene of 3,866 anchors learnt from photographs of a doll, raw",
+            "raw-positions raw-weights",
+            "MIT",
+        ),
     ):
 
         def make(name: str = name) -> bytes:
@@ -80,7 +90,10 @@ def _weights(numbers: Numbers, d: Dimensions) -> Networks:
         found[name] = []
         for out, fan_in in shapes:
             kind = numbers.integer(0, 5)
-            weight, bias = dyadic(numbers.integers(-255, 255, out, fan_in), 9), dyadic(numbers.integers(-3000, 3000, out), 6)
+            weight, bias = (
+                dyadic(numbers.integers(-255, 255, out, fan_in), 9),
+                dyadic(numbers.integers(-3000, 3000, out), 6),
+            )
             if kind == 1:
                 weight, bias = weight * 0, bias * 0 + dyadic(numbers.integers(-2, 2, out), 0)
             elif kind == 2:
@@ -90,7 +103,10 @@ def _weights(numbers: Numbers, d: Dimensions) -> Networks:
                 weight, bias = dyadic(numbers.chosen([-largest, largest], out, fan_in), 0), bias * 0
             elif kind == 4:
                 shift = -numbers.integers(0, 24, out)
-                weight, bias = np.ldexp(weight, shift[:, None]).astype(np.float32), np.ldexp(bias, shift).astype(np.float32)
+                weight, bias = (
+                    np.ldexp(weight, shift[:, None]).astype(np.float32),
+                    np.ldexp(bias, shift).astype(np.float32),
+                )
             try:
                 derive_layer(weight, bias)
             except BoundError:
@@ -102,7 +118,9 @@ def _weights(numbers: Numbers, d: Dimensions) -> Networks:
 def _symbols(numbers: Numbers, limit: int, *shape: int) -> Int64:
     """Small numbers, and now and then one of any size."""
     small = numbers.centred(3, *shape)
-    large = (numbers.chosen([-1, 1], *shape) << numbers.integers(0, limit.bit_length() - 1, *shape)) + numbers.integers(-1, 1, *shape)
+    large = (numbers.chosen([-1, 1], *shape) << numbers.integers(0, limit.bit_length() - 1, *shape)) + numbers.integers(
+        -1, 1, *shape
+    )
     return np.asarray(np.clip(np.where(numbers.integers(0, 11, *shape) == 0, large, small), -limit, limit))
 
 
@@ -156,7 +174,9 @@ def unusual(seed: int) -> Scene:
     anchors = numbers.integer(0, 40)
     where = _places(numbers, anchors)
     low = numbers.integers(-(1 << 18), (1 << 18) - 1, 3)
-    base_step = tuple(float(np.ldexp(np.float32(numbers.integer(1 << 23, (1 << 24) - 1)), numbers.integer(-83, 36))) for _ in range(3))
+    base_step = tuple(
+        float(np.ldexp(np.float32(numbers.integer(1 << 23, (1 << 24) - 1)), numbers.integer(-83, 36))) for _ in range(3)
+    )
     found = _weights(numbers, d)
     weight_scales = None
     if numbers.integer(0, 1):
@@ -197,7 +217,9 @@ def unusual(seed: int) -> Scene:
     if seed % 2:
         return sampled(made, Sampler(numbers, 20), planes=numbers.integer(0, 1) == 1)
     given = {"features": (anchors, d.features), "scalings": (anchors, 6), "offsets": (anchors, d.offset_count, 3)}
-    return with_symbols(made, **{kind: _symbols(numbers, ATTRIBUTE_SYMBOL_MAX, *shape) for kind, shape in given.items()})
+    return with_symbols(
+        made, **{kind: _symbols(numbers, ATTRIBUTE_SYMBOL_MAX, *shape) for kind, shape in given.items()}
+    )
 
 
 # --- cameras ----------------------------------------------------------------------------------------------------------
@@ -216,7 +238,10 @@ def _cameras(book: Book) -> None:
         w[-3:], b[-3:] = 0, 32
         for name in ("opacity", "covariance", "colour"):
             for w, b in made.networks[name]:
-                w[:], b[:] = dyadic(numbers.integers(-99, 99, *w.shape), 8), dyadic(numbers.integers(-99, 99, len(b)), 7)
+                w[:], b[:] = (
+                    dyadic(numbers.integers(-99, 99, *w.shape), 8),
+                    dyadic(numbers.integers(-99, 99, len(b)), 7),
+                )
         # Of one offset four numbers that are no quaternion.
         w, b = made.networks["covariance"][-1]
         w[3:7], b[3:7] = 0, 0
@@ -227,8 +252,16 @@ def _cameras(book: Book) -> None:
     # Anchor 4 is where the third camera is.
     place = [float(x) for x in lattice(Numbers("cameras"), 12)[4]]
     views: dict[str, tuple[str, list[list[float]], list[float]]] = {
-        "ahead": ("a camera that looks along z", [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]], [0.5, -0.25, 6.0]),
-        "turned": ("a camera that is turned about all axes", [[0.36, 0.48, -0.8], [-0.8, 0.6, 0.0], [0.48, 0.64, 0.6]], [1.5, 2.0, -3.0]),
+        "ahead": (
+            "a camera that looks along z",
+            [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]],
+            [0.5, -0.25, 6.0],
+        ),
+        "turned": (
+            "a camera that is turned about all axes",
+            [[0.36, 0.48, -0.8], [-0.8, 0.6, 0.0], [0.48, 0.64, 0.6]],
+            [1.5, 2.0, -3.0],
+        ),
         "within": (
             "a camera in the place of an anchor",
             [[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]],

@@ -163,7 +163,9 @@ def families(draw: st.DrawFn) -> list[tuple[bytes, Verdict | None]]:
                 made.append((fault.data, (fault.name, fault.offset)))
         elif kind in ("cut", "flip"):
             at = draw(st.integers(0, len(data) - 1))
-            made.append((data[:at] if kind == "cut" else target.put(at, bytes([data[at] ^ 1 << draw(st.integers(0, 7))])), None))
+            made.append(
+                (data[:at] if kind == "cut" else target.put(at, bytes([data[at] ^ 1 << draw(st.integers(0, 7))])), None)
+            )
         else:
             made.append((draw_mutation(draw, data) if kind == "mutation" else draw_splice(draw, data), None))
     return made
@@ -182,7 +184,13 @@ def run_batch(number: int, command: Sequence[str] = ()) -> Findings:
     found = Findings()
 
     @seed(number)
-    @settings(max_examples=BATCH_SCENES, deadline=None, database=None, suppress_health_check=list(HealthCheck), phases=[Phase.generate])
+    @settings(
+        max_examples=BATCH_SCENES,
+        deadline=None,
+        database=None,
+        suppress_health_check=list(HealthCheck),
+        phases=[Phase.generate],
+    )
     @given(families())
     def look(made: list[tuple[bytes, Verdict | None]]) -> None:
         for data, expected in made:
@@ -239,13 +247,23 @@ def run(count: int, first_seed: int, jobs: int, state: Path, keep: Path, command
                 keep.mkdir(parents=True, exist_ok=True)
                 path = keep / f"{number}-{wrong}.c3gs"
                 path.write_bytes(data)
-                print(f"{path}: {text}\n  to see it: refcodec inspect {path} --hex; python -m conformance.independent validate {path}")
+                print(
+                    f"{path}: {text}\n  to see it: refcodec inspect {path} --hex; python -m conformance.independent validate {path}"
+                )
             state.parent.mkdir(parents=True, exist_ok=True)
-            saved = {"seed": first_seed, "command": list(command), "batches": sorted(done), "seen": seen, "wrong": wrong}
+            saved = {
+                "seed": first_seed,
+                "command": list(command),
+                "batches": sorted(done),
+                "seen": seen,
+                "wrong": wrong,
+            }
             state.write_text(json.dumps(saved), encoding="utf-8")
             if sum(seen.values()) >= count:
                 break
-    print(f"{sum(seen.values())} files, {wrong} disagreements, {time.monotonic() - began:.0f} s with {jobs} processes; verdicts:")
+    print(
+        f"{sum(seen.values())} files, {wrong} disagreements, {time.monotonic() - began:.0f} s with {jobs} processes; verdicts:"
+    )
     for name, number in seen.most_common():
         print(f"  {name:<26} {number:>7}")
     return 1 if wrong else 0

@@ -83,7 +83,9 @@ def render_infos() -> st.SearchStrategy[RenderInfo]:
 def frames(draw: st.DrawFn) -> Frame:
     """Frames to their limits."""
     matrix = draw(hnp.arrays(np.int64, (3, 3), elements=st.integers(1 - frame.MATRIX_BOUND, frame.MATRIX_BOUND - 1)))
-    translation = draw(hnp.arrays(np.int64, 3, elements=st.integers(1 - frame.TRANSLATION_BOUND, frame.TRANSLATION_BOUND - 1)))
+    translation = draw(
+        hnp.arrays(np.int64, 3, elements=st.integers(1 - frame.TRANSLATION_BOUND, frame.TRANSLATION_BOUND - 1))
+    )
     shift = draw(hnp.arrays(np.int64, 3, elements=st.integers(0, frame.FRAME_SHIFT_MAX)))
     low = draw(hnp.arrays(np.int64, 3, elements=st.integers(-frame.FRAME_RANGE_BOUND, frame.FRAME_RANGE_BOUND - 1)))
     span = draw(hnp.arrays(np.int64, 3, elements=st.integers(1, 2 * frame.FRAME_RANGE_BOUND)))
@@ -117,7 +119,9 @@ def networks(draw: st.DrawFn, d: Dimensions) -> dict:
 
 def positions(count: int) -> st.SearchStrategy[np.ndarray]:
     """Every finite fp16 but -0: subnormals, extremes and duplicates."""
-    bits = st.one_of(st.integers(0, 0x7BFF), st.integers(0x8001, 0xFBFF), st.sampled_from([0, 1, 0x03FF, 0x7BFF, 0x8001, 0xFBFF]))
+    bits = st.one_of(
+        st.integers(0, 0x7BFF), st.integers(0x8001, 0xFBFF), st.sampled_from([0, 1, 0x03FF, 0x7BFF, 0x8001, 0xFBFF])
+    )
     return hnp.arrays(np.uint16, (count, 3), elements=bits).map(lambda a: a.view(np.float16))
 
 
@@ -133,7 +137,9 @@ def position_models(draw: st.DrawFn, positions: np.ndarray, chunk_size: int) -> 
     rng = np.random.default_rng(draw(st.integers(0, 2**32 - 1)))
     counts = rng.integers(0, 1 << draw(st.integers(0, 20)), (POSITION_MODELS, HALVES)) + 1
     frequency = [frequencies(c, int(model in EMPTY_MODELS)) for model, c in enumerate(counts)]
-    return PositionModel(draw(st.one_of(st.just(chosen.cell_shift), st.integers(0, CELL_INDEX))), np.array(frequency, np.uint16))
+    return PositionModel(
+        draw(st.one_of(st.just(chosen.cell_shift), st.integers(0, CELL_INDEX))), np.array(frequency, np.uint16)
+    )
 
 
 @st.composite
@@ -150,7 +156,9 @@ def weight_codings(draw: st.DrawFn, networks: dict) -> tuple[dict, np.ndarray | 
     if kind == "any":
         rng = np.random.default_rng(draw(st.integers(0, 2**32 - 1)))
         grids = [weights.to_grid(layer) for layers in networks.values() for layer in layers]
-        scales = rng.integers(0, 256, scales.shape).astype(np.uint8) * np.array([[grid is not None] for grid in grids], np.uint8)
+        scales = rng.integers(0, 256, scales.shape).astype(np.uint8) * np.array(
+            [[grid is not None] for grid in grids], np.uint8
+        )
     return networks, scales
 
 
@@ -170,7 +178,9 @@ def spread_symbols(shape: tuple[int, ...], limit: int) -> st.SearchStrategy[np.n
     """Integers of all magnitudes up to a limit: small ones, one large one, or any."""
     small = hnp.arrays(np.int32, shape, elements=st.integers(-3, 3))
     wide = hnp.arrays(np.int32, shape, elements=st.integers(-limit, limit), fill=st.just(0))
-    powers = st.integers(0, limit.bit_length()).flatmap(lambda b: st.sampled_from([-1, 1]).map(lambda s: s * min(limit, (1 << b))))
+    powers = st.integers(0, limit.bit_length()).flatmap(
+        lambda b: st.sampled_from([-1, 1]).map(lambda s: s * min(limit, (1 << b)))
+    )
     return st.one_of(small, hnp.arrays(np.int32, shape, elements=powers, fill=st.just(0)), wide)
 
 
@@ -251,7 +261,9 @@ def draw_splice(draw: st.DrawFn, data: bytes) -> bytes:
     if len(part) >= 8 and draw(st.booleans()):
         words = max(0, int.from_bytes(part[4:8], "little") + draw(st.integers(-4, 4)))
         part[4:8] = words.to_bytes(4, "little")
-    return resized(data, kind, data[section.start : start] + bytes(part) + data[start + length : section.end], length_at)
+    return resized(
+        data, kind, data[section.start : start] + bytes(part) + data[start + length : section.end], length_at
+    )
 
 
 splices = st.composite(draw_splice)

@@ -12,7 +12,9 @@ from .weights import Weights
 class AttributeDecoder:
     """The stages of a chunk's attributes."""
 
-    def __init__(self, stream: Substream, header: Header, weights: Weights, gauss: Family, trace: Trace | None, first: int) -> None:
+    def __init__(
+        self, stream: Substream, header: Header, weights: Weights, gauss: Family, trace: Trace | None, first: int
+    ) -> None:
         self._stream = stream
         self._trace = trace
         self._first_anchor = first
@@ -53,7 +55,9 @@ class AttributeDecoder:
             prediction[self._channels + first + n] += change[width + n]
 
     # SPEC 7.10
-    def _stage(self, channels: list[range] | list[list[int]], predictions: list[list[int]], symbols: list[list[int]]) -> None:
+    def _stage(
+        self, channels: list[range] | list[list[int]], predictions: list[list[int]], symbols: list[list[int]]
+    ) -> None:
         """Decode one group: for each anchor the given channels."""
         d = self._channels
         parameters = [(p[c], p[d + c]) for p, coded in zip(predictions, channels) for c in coded]

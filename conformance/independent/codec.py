@@ -33,11 +33,15 @@ def decode(data: bytes, trace: Trace | None = None) -> Scene:
     parts = read_entries(data, header, table + entries_start(header), spans)
     positions = [read_positions(data, header, n, part[0], position_model, trace) for n, part in enumerate(parts)]
     masks = [read_masks(data, header, n, part[1], mask_model, trace) for n, part in enumerate(parts)]
-    context = ContextSource(frame, [planes[0], join_quadrants(planes[1:])], weights.plane_shift, header["frequency_count"], tables.sine)
+    context = ContextSource(
+        frame, [planes[0], join_quadrants(planes[1:])], weights.plane_shift, header["frequency_count"], tables.sine
+    )
     chunks = []
     for number, (part, chunk_positions, chunk_masks) in enumerate(zip(parts, positions, masks)):
         part[2].check(data)
         contexts = [context(position) for position in chunk_positions]
-        symbols, steps = read_attributes(data, header, number, part[2], weights, tables.gauss, contexts, chunk_masks, trace)
+        symbols, steps = read_attributes(
+            data, header, number, part[2], weights, tables.gauss, contexts, chunk_masks, trace
+        )
         chunks.append(Chunk(chunk_positions, chunk_masks, symbols, steps))
     return Scene(header, frame, weights, planes, mask_model, chunks)

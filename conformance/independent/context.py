@@ -13,7 +13,9 @@ WHOLE = 1 << LERP_BITS
 class ContextSource:
     """The context of an anchor from its position (7.5)."""
 
-    def __init__(self, frame: Frame, planes: list[Plane], plane_shift: int, frequencies: int, sine: tuple[int, ...]) -> None:
+    def __init__(
+        self, frame: Frame, planes: list[Plane], plane_shift: int, frequencies: int, sine: tuple[int, ...]
+    ) -> None:
         self._frame = frame
         self._planes = planes
         self._down = 2 * LERP_BITS - plane_shift

@@ -45,7 +45,9 @@ def shapes(header: Dimensions) -> list[Shape]:
         Shape("hyper", [context, *header["hyper_width"], 2 * d + 3], True),
         Shape("sarm", [4, *header["sarm_width"], 2], True),
     ]
-    out += [Shape(f"carm.{i}", [sum(slices[:i]), *header["carm_width"], 2 * slices[i]], True) for i in range(1, len(slices))]
+    out += [
+        Shape(f"carm.{i}", [sum(slices[:i]), *header["carm_width"], 2 * slices[i]], True) for i in range(1, len(slices))
+    ]
     rendering = (("opacity", k), ("covariance", 7 * k), ("colour", 3 * k))
     return out + [Shape(name, [f + 4, header["render_width"], outputs], False) for name, outputs in rendering]
 

@@ -22,7 +22,9 @@ def read_mask_model(data: bytes, header: Header, table: int) -> list[int]:
 
 
 # SPEC 7.6, 10.1 step 8
-def read_masks(data: bytes, header: Header, chunk: int, part: Part, mask_model: list[int], trace: Trace | None) -> list[list[int]]:
+def read_masks(
+    data: bytes, header: Header, chunk: int, part: Part, mask_model: list[int], trace: Trace | None
+) -> list[list[int]]:
     """For each anchor of a chunk its K bits."""
     part.check(data)
     models = [make_model([(1 << PRECISION) - kept, kept], 0) for kept in mask_model]

@@ -16,7 +16,9 @@ Plane = list[list[list[int]]]
 
 
 # SPEC 7.3
-def _decode_plane(stream: Substream, sarm: Network, laplace: Family, channels: int, size: int, number: int, trace: Trace | None) -> Plane:
+def _decode_plane(
+    stream: Substream, sarm: Network, laplace: Family, channels: int, size: int, number: int, trace: Trace | None
+) -> Plane:
     """One sub-plane, with a border of zeros above, left and right while it is decoded."""
     padded = [[[0] * (size + 2) for _ in range(size + 1)] for _ in range(channels)]
     known: dict[tuple[int, ...], list[int]] = {}
@@ -36,14 +38,18 @@ def _decode_plane(stream: Substream, sarm: Network, laplace: Family, channels: i
                 parameters.append(known[near])
         values = stream.values(laplace, parameters, PLANE_SYMBOL_MAX)
         if trace:
-            trace.wavefront(number, ((k, i, t - 2 * i) for k in range(channels) for i in range(first, last + 1)), values)
+            trace.wavefront(
+                number, ((k, i, t - 2 * i) for k in range(channels) for i in range(first, last + 1)), values
+            )
         for (row, column), value in zip(points, values):
             row[column] = value
     return [[row[1:-1] for row in grid[1:]] for grid in padded]
 
 
 # SPEC 6.9, 10.1 step 5
-def read_planes(data: bytes, header: Header, section: Section, sarm: Network, laplace: Family, trace: Trace | None) -> list[Plane]:
+def read_planes(
+    data: bytes, header: Header, section: Section, sarm: Network, laplace: Family, trace: Trace | None
+) -> list[Plane]:
     """The five sub-planes."""
     require(section.length >= PLANE_TABLE_LENGTH, "planes.length", section.offset)
     lengths = struct.unpack_from("<5I", data, section.offset)

@@ -98,7 +98,9 @@ def read_position_model(data: bytes, at: int) -> PositionModel:
 
 
 # SPEC 7.12, DECODE_CELLS
-def _decode_cells(stream: Substream, model: PositionModel, anchors: int, chunk: int, trace: Trace | None) -> tuple[list[Position], bool]:
+def _decode_cells(
+    stream: Substream, model: PositionModel, anchors: int, chunk: int, trace: Trace | None
+) -> tuple[list[Position], bool]:
     """The cells of a chunk, and whether they are as many as the anchors."""
     models = [make_model(frequencies, 0) for frequencies in model.frequencies]
     nodes, whole = [(0, 0, 0)], True
@@ -118,7 +120,9 @@ def _decode_cells(stream: Substream, model: PositionModel, anchors: int, chunk: 
 
 
 # SPEC 5.11, 6.11, 7.12, 10.1 step 7
-def read_positions(data: bytes, header: Header, chunk: int, part: Part, model: PositionModel | None, trace: Trace | None) -> list[Position]:
+def read_positions(
+    data: bytes, header: Header, chunk: int, part: Part, model: PositionModel | None, trace: Trace | None
+) -> list[Position]:
     """The integers P of a chunk's anchors."""
     part.check(data)
     anchors, at = header.chunk_anchors(chunk), part.offset

@@ -41,7 +41,10 @@ class Trace:
     # SPEC 7.10
     def attributes(self, first: int, features: int, coded: Iterable[Iterable[int]], values: Iterable[int]) -> None:
         """A group of a chunk: for each of its anchors the channels that are coded."""
-        self.write((f"attributes.{_channel(first + n, c, features)}" for n, channels in enumerate(coded) for c in channels), values)
+        self.write(
+            (f"attributes.{_channel(first + n, c, features)}" for n, channels in enumerate(coded) for c in channels),
+            values,
+        )
 
 
 # SPEC 7.7

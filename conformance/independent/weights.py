@@ -6,7 +6,14 @@ from dataclasses import dataclass
 from itertools import accumulate, pairwise
 from typing import NamedTuple
 
-from .conventions import CARM_SHIFT_MAX, PLANE_SHIFT_MAX, SCALE_MIN, WEIGHT_EXPONENT_MAX, WEIGHT_EXPONENT_MIN, WEIGHT_SYMBOL_MAX
+from .conventions import (
+    CARM_SHIFT_MAX,
+    PLANE_SHIFT_MAX,
+    SCALE_MIN,
+    WEIGHT_EXPONENT_MAX,
+    WEIGHT_EXPONENT_MIN,
+    WEIGHT_SYMBOL_MAX,
+)
 from .dimensions import shapes
 from .directory import Section
 from .entropy import Substream
@@ -182,7 +189,9 @@ def read_weights(data: bytes, header: Header, section: Section, tables: Tables, 
     named = [(f"{shape.name}.{n}", b, a) for shape in shapes(header) for n, (a, b) in enumerate(pairwise(shape.widths))]
     forms = [(outputs, inputs) for _, outputs, inputs in named]
     if header.weight_mode:
-        layers = read_grids(data, header, section, values_at, forms, tables, (trace, [name for name, _, _ in named]) if trace else None)
+        layers = read_grids(
+            data, header, section, values_at, forms, tables, (trace, [name for name, _, _ in named]) if trace else None
+        )
     else:
         layers = []
         for outputs, inputs in forms:

@@ -27,7 +27,9 @@ class _Package(MetaPathFinder, Loader):
     def __init__(self, mutant: Mutant | None) -> None:
         self._mutant = mutant
 
-    def find_spec(self, fullname: str, path: Sequence[str] | None, target: ModuleType | None = None) -> ModuleSpec | None:
+    def find_spec(
+        self, fullname: str, path: Sequence[str] | None, target: ModuleType | None = None
+    ) -> ModuleSpec | None:
         package, _, module = fullname.partition(".")
         if package != NAME:
             return None
@@ -39,14 +41,20 @@ class _Package(MetaPathFinder, Loader):
     def exec_module(self, module: ModuleType) -> None:
         name = module.__name__.partition(".")[2] or "__init__"
         changed = self._mutant is not None and self._mutant.module == name
-        code = compile(self._mutant.source, f"<{self._mutant.id}>", "exec", dont_inherit=True) if changed and self._mutant else _code(name)
+        code = (
+            compile(self._mutant.source, f"<{self._mutant.id}>", "exec", dont_inherit=True)
+            if changed and self._mutant
+            else _code(name)
+        )
         exec(code, module.__dict__)
 
 
 def _functions(code: CodeType) -> dict[str, list[tuple[object, ...]]]:
     """What each function of a module does, by qualified name; "<module>" too."""
     values = [value for value in code.co_consts if not isinstance(value, CodeType)]
-    found: dict[str, list[tuple[object, ...]]] = {code.co_qualname: [(code.co_code, code.co_names, code.co_varnames, values)]}
+    found: dict[str, list[tuple[object, ...]]] = {
+        code.co_qualname: [(code.co_code, code.co_names, code.co_varnames, values)]
+    }
     for inner in code.co_consts:
         if isinstance(inner, CodeType):
             for name, parts in _functions(inner).items():

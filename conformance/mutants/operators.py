@@ -90,7 +90,10 @@ def logic(node: ast.AST) -> Iterator[Change]:
 def condition(node: ast.AST) -> Iterator[Change]:
     """A condition becomes its opposite."""
     if isinstance(node, ast.IfExp):
-        yield "the other case", ast.IfExp(copy.deepcopy(node.test), copy.deepcopy(node.orelse), copy.deepcopy(node.body))
+        yield (
+            "the other case",
+            ast.IfExp(copy.deepcopy(node.test), copy.deepcopy(node.orelse), copy.deepcopy(node.body)),
+        )
 
 
 def removal(node: ast.AST) -> Iterator[Change]:
@@ -104,7 +107,12 @@ def _swaps(items: list[ast.expr]) -> Iterator[list[ast.expr]]:
     """The items with two neighbours swapped that differ, and are not a text and something else: that would only crash."""
     for i, (a, b) in enumerate(pairwise(items)):
         texts = [isinstance(item, ast.Constant) and isinstance(item.value, str) for item in (a, b)]
-        if texts[0] == texts[1] and ast.dump(a) != ast.dump(b) and not isinstance(a, ast.Starred) and not isinstance(b, ast.Starred):
+        if (
+            texts[0] == texts[1]
+            and ast.dump(a) != ast.dump(b)
+            and not isinstance(a, ast.Starred)
+            and not isinstance(b, ast.Starred)
+        ):
             yield [*items[:i], b, a, *items[i + 2 :]]
 
 

@@ -29,7 +29,9 @@ A bug is planted by adding it to `handwritten.toml` and running `conformance sel
 
 def read(path: Path = JSON) -> Caught:
     """The committed record."""
-    return {name: (found["vector"], found["wrong"]) for name, found in json.loads(path.read_text(encoding="utf-8")).items()}
+    return {
+        name: (found["vector"], found["wrong"]) for name, found in json.loads(path.read_text(encoding="utf-8")).items()
+    }
 
 
 def _cell(text: str) -> str:
@@ -58,11 +60,17 @@ def table(mutants: Sequence[Mutant], caught: Mapping[str, tuple[str, str]]) -> s
     """The table as Markdown."""
     bugs = [m for m in mutants if m.id not in PROOFS]
     lines = [_HEAD, _summary(mutants, caught)]
-    lines += ["## By hand\n", "| bug | module | what | requirements | first vector | outcome |", "|---|---|---|---|---|---|"]
+    lines += [
+        "## By hand\n",
+        "| bug | module | what | requirements | first vector | outcome |",
+        "|---|---|---|---|---|---|",
+    ]
     for m in bugs:
         vector, wrong = caught.get(m.id, ("**none**", ""))
         if m.requirements:
-            lines.append(f"| {m.id} | {m.module} | {_cell(m.what)} | {', '.join(m.requirements)} | {vector} | {_cell(wrong)} |")
+            lines.append(
+                f"| {m.id} | {m.module} | {_cell(m.what)} | {', '.join(m.requirements)} | {vector} | {_cell(wrong)} |"
+            )
     lines += ["\n## By operators\n", "| bug | text | becomes | first vector | outcome |", "|---|---|---|---|---|"]
     for m in bugs:
         vector, wrong = caught.get(m.id, ("**none**", ""))

@@ -54,7 +54,10 @@ def cases(manifest: Manifest) -> list[Case]:
             digests, error = {}, None
             if isinstance(expected, Accepted):
                 # The second decoder does not tell the head's.
-                digests = {"whole": expected.digest, **{name: value for name, value in expected.parts.items() if name != "head"}}
+                digests = {
+                    "whole": expected.digest,
+                    **{name: value for name, value in expected.parts.items() if name != "head"},
+                }
             elif isinstance(expected, Rejected):
                 error = expected.code, expected.offset
             data, proves = manifest.path(vector).read_bytes(), frozenset(vector.requirements)
@@ -109,7 +112,11 @@ def near_misses(case: Case) -> list[Outcome]:
         Outcome("accepted", digests={"whole": "0" * 64}),
     ]
     code, offset = case.error or (307, 0)
-    return [*wrong, Outcome("rejected", code=code + 1, offset=offset), Outcome("rejected", code=code, offset=offset + 1)]
+    return [
+        *wrong,
+        Outcome("rejected", code=code + 1, offset=offset),
+        Outcome("rejected", code=code, offset=offset + 1),
+    ]
 
 
 def check_grader(all_cases: Sequence[Case], judge: Grade) -> None:
@@ -162,7 +169,12 @@ class Trials:
         self._by_name = {case.id: case for case in all_cases}
 
     def tries(
-        self, tasks: Sequence[tuple[Mutant | None, list[str]]], what: str, *, first_only: bool = False, seconds: int = SECONDS
+        self,
+        tasks: Sequence[tuple[Mutant | None, list[str]]],
+        what: str,
+        *,
+        first_only: bool = False,
+        seconds: int = SECONDS,
     ) -> Iterator[list[tuple[str, str]]]:
         """For each task, a decoder and vectors, the vectors that catch it and what was wrong; if first_only, the first of them alone.
         seconds: bounds those of the vectors' budgets.
@@ -170,7 +182,9 @@ class Trials:
         # The judge is always asked here too: one of a test's own may not be known to the processes.
         found = self._pool.imap(partial(_try, stop=grade if first_only else None, seconds=seconds), tasks)
         for (_, names), made in zip(tasks, _progress(found, len(tasks), what), strict=True):
-            judged = [(name, self._judge(self._by_name[name], outcome)) for name, outcome in zip(names, made, strict=False)]
+            judged = [
+                (name, self._judge(self._by_name[name], outcome)) for name, outcome in zip(names, made, strict=False)
+            ]
             yield [(name, wrong) for name, wrong in judged if wrong]
 
     def check_decoder(self) -> None:
@@ -183,7 +197,10 @@ class Trials:
 
     def check_fakes(self) -> None:
         """SelfTestError if a decoder that is none passes the first vector that accepts, or the first that refuses."""
-        first = [next((c.id for c in self._by_name.values() if (c.error is None) == accepts), None) for accepts in (True, False)]
+        first = [
+            next((c.id for c in self._by_name.values() if (c.error is None) == accepts), None)
+            for accepts in (True, False)
+        ]
         names = [name for name in first if name]
         made = fakes()
         found = self.tries([(fake, names) for fake in made], "decoders that are none", seconds=1)
@@ -198,7 +215,10 @@ class Trials:
         """
         names = list(self._by_name)
         visits = list(_progress(self._pool.imap(_visit, names), len(names), "the vectors' costs"))
-        return {m.id: likely(m, [(*seen, self._by_name[name]) for name, seen in zip(names, visits, strict=True)]) for m in made}
+        return {
+            m.id: likely(m, [(*seen, self._by_name[name]) for name, seen in zip(names, visits, strict=True)])
+            for m in made
+        }
 
 
 def likely(mutant: Mutant, visits: Sequence[tuple[int, frozenset[str] | None, Case]]) -> list[str]:
@@ -255,7 +275,9 @@ def show(result: Score, made: Sequence[Mutant]) -> None:
     for name in result.refuted:
         print(f"no equivalent: {name} is caught by {result.caught[name][0]}: {result.caught[name][1]}")
     hand, caught = sum(bool(m.requirements) for m in bugs), len(bugs) - len(result.survivors)
-    print(f"{len(bugs)} planted bugs, {hand} by hand, {len(bugs) - hand} by operators: {caught} caught, {100 * caught / len(bugs):.1f} %")
+    print(
+        f"{len(bugs)} planted bugs, {hand} by hand, {len(bugs) - hand} by operators: {caught} caught, {100 * caught / len(bugs):.1f} %"
+    )
 
 
 def run(manifest: Path, jobs: int, recorded: bool, matrix: Path | None, write: bool) -> int:
@@ -265,7 +287,9 @@ def run(manifest: Path, jobs: int, recorded: bool, matrix: Path | None, write: b
     made = mutants()
     known = record.read() if recorded else {}
     try:
-        all_cases = [c for c in cases(load(manifest)) if not recorded or c.id in {vector for vector, _ in known.values()}]
+        all_cases = [
+            c for c in cases(load(manifest)) if not recorded or c.id in {vector for vector, _ in known.values()}
+        ]
         with trials(all_cases, jobs) as test:
             if recorded:
                 made = [m for m in made if m.id in known]
@@ -279,7 +303,9 @@ def run(manifest: Path, jobs: int, recorded: bool, matrix: Path | None, write: b
         return 1
     result = score(made, catchers)
     if matrix:
-        matrix.write_text(json.dumps({name: dict(wrong) for name, wrong in catchers.items()}, indent=1) + "\n", encoding="utf-8")
+        matrix.write_text(
+            json.dumps({name: dict(wrong) for name, wrong in catchers.items()}, indent=1) + "\n", encoding="utf-8"
+        )
     if write:
         record.write(made, result.caught)
     show(result, made)

@@ -33,7 +33,9 @@ def document(record: dict[str, Any]) -> str:
             skipped=str(kinds["skipped"]),
         )
         for v in entries:
-            case = ElementTree.SubElement(suite, "testcase", name=v["id"], classname=f"c3gs.{klass}", time=f"{v['seconds']:.3f}")
+            case = ElementTree.SubElement(
+                suite, "testcase", name=v["id"], classname=f"c3gs.{klass}", time=f"{v['seconds']:.3f}"
+            )
             element = _ELEMENTS.get(v["status"])
             if element:
                 found = ElementTree.SubElement(case, element, message=_clean(v["text"]))

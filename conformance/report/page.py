@@ -16,7 +16,9 @@ _TEMPLATE = Path(__file__).with_name("page.html")
 
 def document(record: dict[str, Any]) -> str:
     """The page: verdicts, then the vectors, what failed first, and of that what tells most."""
-    environment = jinja2.Environment(autoescape=True, undefined=jinja2.StrictUndefined, trim_blocks=True, lstrip_blocks=True)
+    environment = jinja2.Environment(
+        autoescape=True, undefined=jinja2.StrictUndefined, trim_blocks=True, lstrip_blocks=True
+    )
     order = {status: i for i, status in enumerate(STATUSES)}
     failed = most_telling(record["vectors"])
     rank = {v["id"]: i for i, v in enumerate(failed)}

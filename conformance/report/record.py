@@ -77,7 +77,11 @@ def _expected(vector: Vector) -> dict[str, Any]:
     e = vector.expectation
     if isinstance(e, Rejected):
         return {"result": "rejected", **asdict(e)}
-    return {"result": "accepted", "digest": e.digest} if isinstance(e, Accepted) else {"result": "gaussians", "tolerance": e.tolerance}
+    return (
+        {"result": "accepted", "digest": e.digest}
+        if isinstance(e, Accepted)
+        else {"result": "gaussians", "tolerance": e.tolerance}
+    )
 
 
 def _entry(result: Result) -> dict[str, Any]:
@@ -171,21 +175,34 @@ def conclusions(groups: dict[str, str], entries: Sequence[dict[str, Any]], manif
 def _profiles(groups: dict[str, str], entries: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
     grades = {e["id"]: e["grade"] for e in entries if e["status"] != "skipped"}
     rows = []
-    for group in sorted(set(groups.values()) - {"any"}, key=lambda g: (["tiny", "main", "rendering"].index(g.split()[0]), g)):
+    for group in sorted(
+        set(groups.values()) - {"any"}, key=lambda g: (["tiny", "main", "rendering"].index(g.split()[0]), g)
+    ):
         name, _, level = group.partition(" ")
         needed = [
             vector
             for vector, g in groups.items()
-            if g == group or (name != "rendering" and (g == "any" or (g.startswith(f"{name} ") and int(g.split()[1]) < int(level))))
+            if g == group
+            or (name != "rendering" and (g == "any" or (g.startswith(f"{name} ") and int(g.split()[1]) < int(level))))
         ]
         right = sum(grades.get(vector) == GRADE_EXACT for vector in needed)
         wrong = sum(grades.get(vector, GRADE_EXACT) != GRADE_EXACT for vector in needed)
         verdict = "fails" if wrong else "conforms" if right == len(needed) else "incomplete"
-        rows.append({"profile": name, "level": int(level) if level else None, "verdict": verdict, "needed": len(needed), "right": right})
+        rows.append(
+            {
+                "profile": name,
+                "level": int(level) if level else None,
+                "verdict": verdict,
+                "needed": len(needed),
+                "right": right,
+            }
+        )
     return rows
 
 
-def _coverage(vectors: Iterable[tuple[str, Iterable[str]]], judged: Sequence[dict[str, Any]]) -> dict[str, dict[str, int]]:
+def _coverage(
+    vectors: Iterable[tuple[str, Iterable[str]]], judged: Sequence[dict[str, Any]]
+) -> dict[str, dict[str, int]]:
     """For each name how many vectors of the suite have it, how many of these were run, and how many were right."""
     grades = {e["id"]: e["grade"] for e in judged}
     rows: dict[str, dict[str, int]] = {}

@@ -58,7 +58,9 @@ def _options(arguments: argparse.Namespace) -> Options:
     if arguments.gaussians is not None:
         gaussians = tuple(shlex.split(arguments.gaussians))
         check_template(gaussians, ["input", "output", "camera"])
-    return Options(command, gaussians, arguments.jobs, arguments.grade, arguments.slow, arguments.trace, arguments.serve)
+    return Options(
+        command, gaussians, arguments.jobs, arguments.grade, arguments.slow, arguments.trace, arguments.serve
+    )
 
 
 def check_template(command: Sequence[str], names: Sequence[str]) -> None:
@@ -163,7 +165,9 @@ def verify_report(arguments: argparse.Namespace) -> int:
     old = records.load(arguments.report)
     manifest = _suite(arguments.vectors)
     if old["suite"]["manifest_sha256"] != records.manifest_digest(manifest):
-        raise ManifestError(f"{arguments.report} is of another suite, {old['suite']['version']}, whose manifest has another SHA-256")
+        raise ManifestError(
+            f"{arguments.report} is of another suite, {old['suite']['version']}, whose manifest has another SHA-256"
+        )
     stated = old["runner"]
     arguments.grade, arguments.trace, arguments.serve = stated["grade"], stated["trace"], stated["serve"]
     options = _options(arguments)

@@ -118,7 +118,15 @@ def _compare_part(scene: Scene, part: str, right: bytes, found: bytes, start: in
     at_index = tuple(int(i) for i in np.unravel_index(flat, a.shape))
     count = f"{int(differ.sum())} of {differ.size} values of the part differ"
     place = start + flat * a.itemsize
-    return Divergence(part, _element(scene, part, at_index), _shown(a[at_index]), _shown(b[at_index]), place, count, PART_CLAUSES[part])
+    return Divergence(
+        part,
+        _element(scene, part, at_index),
+        _shown(a[at_index]),
+        _shown(b[at_index]),
+        place,
+        count,
+        PART_CLAUSES[part],
+    )
 
 
 def _parts(scene: Scene) -> Iterator[tuple[str, bytes]]:
@@ -138,7 +146,9 @@ def of_output(data: bytes, output: Path) -> Divergence | None:
             # What is missing is filled with what is right, so that the values that are there are compared.
             return _compare_part(scene, part, right, got + right[len(got) :], at)
         if len(got) < len(right):
-            return Divergence(part, "the part", f"{len(right)} bytes", f"{len(got)} bytes", at, f"the output has {len(found)} bytes")
+            return Divergence(
+                part, "the part", f"{len(right)} bytes", f"{len(got)} bytes", at, f"the output has {len(found)} bytes"
+            )
         at += len(right)
     if len(found) > at:
         return Divergence("end", "the output", f"{at} bytes", f"{len(found)} bytes", at, "what is there is right")
@@ -162,8 +172,12 @@ def of_trace(data: bytes, trace: Path) -> Divergence | None:
         found = "nothing" if line is None else line.removeprefix(f"{row.path} ")
         count += f"; rightly of the model {row.family}, mean {row.mean}, scale {row.scale}"
         clauses = SYMBOL_CLAUSES[row.path.partition("[")[0].split(".")[0]]
-        clauses = f"{clauses}, and for slices behind the first 7.9" if row.path.startswith("attributes.features") else clauses
-        return Divergence("trace", row.path, value if same else f"{row.path} {value}", found, row.substream, count, clauses)
+        clauses = (
+            f"{clauses}, and for slices behind the first 7.9" if row.path.startswith("attributes.features") else clauses
+        )
+        return Divergence(
+            "trace", row.path, value if same else f"{row.path} {value}", found, row.substream, count, clauses
+        )
     return None
 
 

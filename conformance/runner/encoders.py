@@ -36,13 +36,21 @@ def examine(data: bytes) -> Verdict:
     except independent.C3GSError as found:
         second = (found.code, found.offset)
     if first != second:
-        return Verdict(False, f"the decoders differ, please report the file: refcodec says {first}, the second decoder {second}")
+        return Verdict(
+            False, f"the decoders differ, please report the file: refcodec says {first}, the second decoder {second}"
+        )
     if error:
         kind = error.kind
         near = tuple(dump.hex_lines(data, [error], error.offset))
-        return Verdict(False, f"{kind.klass}: {kind.code} {kind.name} at byte {error.offset}, clause {kind.clause}: {error}", near)
+        return Verdict(
+            False, f"{kind.klass}: {kind.code} {kind.name} at byte {error.offset}, clause {kind.clause}: {error}", near
+        )
     again = codec.emit(scene)
     if again != data:
         at = next((i for i, (a, b) in enumerate(zip(data, again, strict=False)) if a != b), min(len(data), len(again)))
-        return Verdict(False, f"not canonical (4.3): refcodec writes other bytes from byte {at} on", tuple(dump.hex_lines(data, near=at)))
+        return Verdict(
+            False,
+            f"not canonical (4.3): refcodec writes other bytes from byte {at} on",
+            tuple(dump.hex_lines(data, near=at)),
+        )
     return Verdict(True, f"valid, canonical, the same to both decoders; digest {first}")

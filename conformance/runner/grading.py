@@ -139,7 +139,11 @@ def judge(manifest: Manifest, vector: Vector, found: Found, output: Path) -> Jud
         return Judgement(GRADE_NONE, f"refused with {_describe(found.code)}; the file is valid")
     if isinstance(vector.expectation, Accepted):
         right = found.digest == vector.expectation.digest
-        return Judgement(GRADE_EXACT, "") if right else Judgement(GRADE_NONE, "the output is not the canonical reconstruction")
+        return (
+            Judgement(GRADE_EXACT, "")
+            if right
+            else Judgement(GRADE_NONE, "the output is not the canonical reconstruction")
+        )
     return _judge_gaussians(manifest, vector.expectation, output)
 
 

@@ -134,7 +134,9 @@ def _start(command: Sequence[str], stderr: Path, serves: bool) -> subprocess.Pop
             raise CommandError(f"{command[0]}: {error}") from None
 
 
-def run(command: Sequence[str], stderr: Path, seconds: float, memory: int, stop: threading.Event, output: Path | None = None) -> Ended:
+def run(
+    command: Sequence[str], stderr: Path, seconds: float, memory: int, stop: threading.Event, output: Path | None = None
+) -> Ended:
     """Runs a command to its end, or to a bound: time in seconds (_over), resident memory in bytes, FILE_BYTES of each file.
 
     stderr: where its error output goes; output: the file whose length is looked at. Address space is not bounded: interpreters and
@@ -165,7 +167,9 @@ def run(command: Sequence[str], stderr: Path, seconds: float, memory: int, stop:
     # A process inherits the peak of the one that started it.
     peak = usage.ru_maxrss * _RSS_UNIT if usage.ru_maxrss * _RSS_UNIT > floor else None
     over = over or _over(_Use(peak or 0, usage.ru_utime + usage.ru_stime), took, seconds, memory)
-    if over is None and any(path is not None and path.is_file() and path.stat().st_size >= FILE_BYTES for path in (output, stderr)):
+    if over is None and any(
+        path is not None and path.is_file() and path.stat().st_size >= FILE_BYTES for path in (output, stderr)
+    ):
         over = "output"
     return Ended(
         process.returncode if process.returncode >= 0 else None,
@@ -232,7 +236,9 @@ class Server:
         over = over or (None if crashed else "answer")
         _kill(process.pid)
         status = process.wait()
-        return Ended(status if status >= 0 else None, -status if status < 0 else None, over, _tail(self._stderr), took, None)
+        return Ended(
+            status if status >= 0 else None, -status if status < 0 else None, over, _tail(self._stderr), took, None
+        )
 
     def close(self) -> None:
         """Ends the process, if there is one."""

@@ -73,7 +73,9 @@ class Run:
 def wrong_hashes(manifest: Manifest) -> list[str]:
     """The suite's files that are missing or not those of the manifest, in words."""
     wanted = {v.input.path: v.input.sha256 for v in manifest.vectors}
-    wanted |= {v.expectation.path: v.expectation.sha256 for v in manifest.vectors if isinstance(v.expectation, GaussiansOf)}
+    wanted |= {
+        v.expectation.path: v.expectation.sha256 for v in manifest.vectors if isinstance(v.expectation, GaussiansOf)
+    }
     wrong = []
     for path, digest in wanted.items():
         try:
@@ -187,7 +189,9 @@ class _Desk:
         return replace(result, divergence=tuple(lines), hex=tuple(near))
 
 
-def run(manifest: Manifest, vectors: Sequence[Vector], options: Options, known: Iterable[str] = (), show: bool = True) -> Run:
+def run(
+    manifest: Manifest, vectors: Sequence[Vector], options: Options, known: Iterable[str] = (), show: bool = True
+) -> Run:
     """Runs a decoder on vectors; known: ids that must fail; show: a bar of progress on stderr. Ctrl-C ends it with what there is."""
     ended: dict[str, Result] = {}
     done = Run()

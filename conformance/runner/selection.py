@@ -36,7 +36,9 @@ def _term(text: str) -> Callable[[Vector], bool]:
     if name not in _VALUES:
         raise SelectionError(f"{name}: is none of {', '.join(_VALUES)}")
     values = _VALUES[name]
-    return lambda v: wanted == any(fnmatchcase(value, pattern) for value in values(v) for pattern in patterns.split(","))
+    return lambda v: (
+        wanted == any(fnmatchcase(value, pattern) for value in values(v) for pattern in patterns.split(","))
+    )
 
 
 def select(vectors: Iterable[Vector], expressions: Iterable[str]) -> list[Vector]:

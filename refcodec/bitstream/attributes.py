@@ -43,7 +43,9 @@ class EntropyModel:
     slices: tuple[int, ...]
 
     @classmethod
-    def of(cls, networks: Mapping[str, IntNetwork], carm_shift: NDArray[np.uint8], slices: tuple[int, ...]) -> EntropyModel:
+    def of(
+        cls, networks: Mapping[str, IntNetwork], carm_shift: NDArray[np.uint8], slices: tuple[int, ...]
+    ) -> EntropyModel:
         """From the networks by name (networks.derive_networks)."""
         carm = [networks[f"carm.{i}"] for i in range(1, len(slices))]
         return cls(networks["hyper"], carm, carm_shift.astype(np.int64), slices)

@@ -71,7 +71,9 @@ def each_group(work: Callable[[list[int], slice], T], live: Live, stage: str, pr
         progress(stage, done, len(groups))
 
 
-def settle(results: Iterable[tuple[T, dict[int, BitstreamError]]], damage: dict[int, BitstreamError] | None) -> Iterator[T]:
+def settle(
+    results: Iterable[tuple[T, dict[int, BitstreamError]]], damage: dict[int, BitstreamError] | None
+) -> Iterator[T]:
     """SPEC 10.1: raises the error of the lowest chunk, before any further group is looked at. With `damage`, notes the
     first error of each chunk there instead."""
     for value, errors in results:

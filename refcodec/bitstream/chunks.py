@@ -63,7 +63,9 @@ class Part:
         return BitstreamError("chunks.crc", at, self.path(chunk), f"0x{stored:08x}", f"0x{crc:08x}")
 
 
-def parse_entries(data: bytes, at: int, chunks: list[range], spans: Mapping[str, tuple[int, int]], position_mode: int) -> dict[str, Part]:
+def parse_entries(
+    data: bytes, at: int, chunks: list[range], spans: Mapping[str, tuple[int, int]], position_mode: int
+) -> dict[str, Part]:
     """SPEC 5.10 and [R6.10-2]: the parts of the chunks, by the names of PARTS.
 
     at: where the first entry is. spans: where each section begins and ends. Raises BitstreamError chunks.length.

@@ -51,7 +51,9 @@ def parse_container(data: bytes, keep_going: bool = False) -> Header:
     return replace(header, sections=sections)
 
 
-def parse(data: bytes, *, keep_going: bool = False, progress: Progress = no_progress, trace: Trace | None = None) -> Parsed:
+def parse(
+    data: bytes, *, keep_going: bool = False, progress: Progress = no_progress, trace: Trace | None = None
+) -> Parsed:
     """SPEC 2.1, 7.1 and 10.1: decodes a file. Raises BitstreamError and nothing else, whatever the bytes are.
 
     keep_going: chunks with errors are dropped and listed instead. trace: told of each symbol.
@@ -179,7 +181,9 @@ def _emit(scene: Scene, progress: Progress) -> bytes:
     # What can be refused before any symbol is coded is refused here. The header follows once all lengths are known.
     frame = emit_frame(scene.frame)
     parse_frame(frame, 0)
-    weights = emit_weights(scene.plane_shift, scene.carm_shift, scene.networks, scene.weight_scales, d, 1 << lanes.attribute)
+    weights = emit_weights(
+        scene.plane_shift, scene.carm_shift, scene.networks, scene.weight_scales, d, 1 << lanes.attribute
+    )
     parse_weights(weights, 0, len(weights), modes[WEIGHTS], d, 1 << lanes.attribute)
     bad = first_bad(scene.positions.view(np.uint16).reshape(-1))
     if bad is not None:
@@ -228,7 +232,9 @@ def _emit(scene: Scene, progress: Progress) -> bytes:
     return data
 
 
-def _emit_chunks(scene: Scene, coding: Coding, chunks: list[range], progress: Progress) -> list[tuple[bytes, bytes, bytes]]:
+def _emit_chunks(
+    scene: Scene, coding: Coding, chunks: list[range], progress: Progress
+) -> list[tuple[bytes, bytes, bytes]]:
     """The three parts of each chunk, in the order of chunks.PARTS."""
     d, a, lanes = scene.dimensions, scene.attributes, scene.lanes
     models, live = mask_models(scene.mask_model), Live(list(range(len(chunks))), chunks)

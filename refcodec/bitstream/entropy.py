@@ -63,7 +63,9 @@ def parse_substream(data: bytes, start: int, end: int, lanes: int, path: str) ->
     try:
         head, size = syntax.parse("SubstreamHead", data[start : min(end, start + 8)])
     except cs.ConstructError:
-        raise BitstreamError("substream.length", start, path, f"{end - start} bytes", "at least the 8 of its head") from None
+        raise BitstreamError(
+            "substream.length", start, path, f"{end - start} bytes", "at least the 8 of its head"
+        ) from None
     words_at = start + size + 4 * lanes
     raw_at = words_at + 2 * head.word_count
     if raw_at > end:
@@ -72,7 +74,9 @@ def parse_substream(data: bytes, start: int, end: int, lanes: int, path: str) ->
     states = np.frombuffer(data, "<u4", lanes, start + size).astype(np.uint32)
     if (states < STATE_MIN).any():
         lane = int(np.argmax(states < STATE_MIN))
-        raise BitstreamError("substream.state", start, path, f"state {states[lane]} of lane {lane}", f"at least {STATE_MIN}")
+        raise BitstreamError(
+            "substream.state", start, path, f"state {states[lane]} of lane {lane}", f"at least {STATE_MIN}"
+        )
     words = np.frombuffer(data, "<u2", head.word_count, words_at).astype(np.uint16)
     return Substream(head.symbol_crc, states, words, data[raw_at:end], start, path)
 
@@ -89,14 +93,23 @@ def open_substream(data: bytes, start: int, end: int, lanes: int, path: str) -> 
 class SymbolCoder(Protocol):
     """What decoding processes without values need of a coder: either direction, `given` is None when decoding."""
 
-    def plain(self, models: ModelSet, index: Int64, counts: list[int], name: SymbolName, given: Int64 | None) -> Int64: ...
+    def plain(
+        self, models: ModelSet, index: Int64, counts: list[int], name: SymbolName, given: Int64 | None
+    ) -> Int64: ...
 
 
 class Coder(SymbolCoder, Protocol):
     """What the decoding process needs of a coder."""
 
     def values(
-        self, models: ModelSet, mean: Int64, scale: Int64, counts: list[int], limit: int, name: SymbolName, given: Int64 | None
+        self,
+        models: ModelSet,
+        mean: Int64,
+        scale: Int64,
+        counts: list[int],
+        limit: int,
+        name: SymbolName,
+        given: Int64 | None,
     ) -> Int64: ...
 
 
@@ -242,7 +255,14 @@ class Decoder:
         return sign, (1 << prefix) + low - 1
 
     def values(
-        self, models: ModelSet, mean: Int64, scale: Int64, counts: list[int], limit: int, name: SymbolName, given: Int64 | None = None
+        self,
+        models: ModelSet,
+        mean: Int64,
+        scale: Int64,
+        counts: list[int],
+        limit: int,
+        name: SymbolName,
+        given: Int64 | None = None,
     ) -> Int64:
         """SPEC 8.5: a group of integers with means (1/16), scale indices (1/8 octave) and |value| <= limit. int64 [symbols]."""
         layout = _Layout(counts, self.lanes)
@@ -268,7 +288,9 @@ class Decoder:
             self._show(models, mean, scale, value, layout, name)
         return value
 
-    def plain(self, models: ModelSet, index: Int64, counts: list[int], name: SymbolName, given: Int64 | None = None) -> Int64:
+    def plain(
+        self, models: ModelSet, index: Int64, counts: list[int], name: SymbolName, given: Int64 | None = None
+    ) -> Int64:
         """SPEC 8.2: a group of symbols, each with the model that `index` names. int64 [symbols]."""
         layout = _Layout(counts, self.lanes)
         value = self._group(models, index, layout)
@@ -277,7 +299,9 @@ class Decoder:
             self._show(models, index, np.zeros_like(index), value, layout, name)
         return value
 
-    def _show(self, models: ModelSet, mean: Int64, scale: Int64, value: Int64, layout: _Layout, name: SymbolName) -> None:
+    def _show(
+        self, models: ModelSet, mean: Int64, scale: Int64, value: Int64, layout: _Layout, name: SymbolName
+    ) -> None:
         """A group's symbols for the trace."""
         assert self.trace is not None
         rows = zip(mean.tolist(), scale.tolist(), value.tolist(), strict=True)
@@ -307,13 +331,19 @@ class Decoder:
             lane = int(np.argmax(self.state[i] != STATE_MIN))
             return fault("substream.final_state", f"final state {self.state[i, lane]} of lane {lane}", STATE_MIN)
         if self.bad_escape[i]:
-            return fault("substream.escape", f"more than {ESCAPE_PREFIX_MAX} zero bits in a prefix", f"at most {ESCAPE_PREFIX_MAX}")
+            return fault(
+                "substream.escape",
+                f"more than {ESCAPE_PREFIX_MAX} zero bits in a prefix",
+                f"at most {ESCAPE_PREFIX_MAX}",
+            )
         if i in self.bad_range:
             value, limit = self.bad_range[i]
             return fault("substream.symbol_range", value, f"{-limit} to {limit}")
         bits = int(self.raw_at[i])
         if len(s.raw) != (bits + 7) // 8:
-            return fault("substream.raw_length", f"{len(s.raw)} raw bytes", f"the {(bits + 7) // 8} that hold {bits} raw bits")
+            return fault(
+                "substream.raw_length", f"{len(s.raw)} raw bytes", f"the {(bits + 7) // 8} that hold {bits} raw bits"
+            )
         if bits % 8 and s.raw[-1] >> (bits % 8):
             return fault("substream.raw_padding", f"0x{s.raw[-1] >> (bits % 8):02x} in the padding", 0)
         if self.crc[i] != s.symbol_crc:
@@ -337,7 +367,14 @@ class Encoder:
         self.groups.append((layout.spread(frequency, TOTAL), layout.spread(lower, 0)))
 
     def values(
-        self, models: ModelSet, mean: Int64, scale: Int64, counts: list[int], limit: int, name: SymbolName, given: Int64 | None
+        self,
+        models: ModelSet,
+        mean: Int64,
+        scale: Int64,
+        counts: list[int],
+        limit: int,
+        name: SymbolName,
+        given: Int64 | None,
     ) -> Int64:
         """As Decoder.values. Raises ValueError for a symbol past the limit."""
         assert given is not None
@@ -390,7 +427,9 @@ class Encoder:
             words = [w[:, stream][e[:, stream]] for e, w in emitted]
             flat = np.concatenate(words) if words else np.empty(0, np.uint16)
             head = syntax.build("SubstreamHead", {"symbol_crc": self.crc[stream], "word_count": len(flat)})
-            out.append(head + state[stream].astype("<u4").tobytes() + flat.astype("<u2").tobytes() + _pack(self.raw[stream]))
+            out.append(
+                head + state[stream].astype("<u4").tobytes() + flat.astype("<u2").tobytes() + _pack(self.raw[stream])
+            )
         return out
 
 

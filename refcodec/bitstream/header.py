@@ -116,7 +116,9 @@ def parse_prologue(data: bytes) -> int:
     if p.version != VERSION:
         raise prologue.error("prologue.version", "version", p.version, VERSION)
     # SPEC [R6.1-5]
-    prologue.require_within("prologue.header_length", "header_length", p.header_length, HEADER_LENGTH_MIN, HEADER_LENGTH_MAX)
+    prologue.require_within(
+        "prologue.header_length", "header_length", p.header_length, HEADER_LENGTH_MIN, HEADER_LENGTH_MAX
+    )
     return int(p.header_length)
 
 

@@ -27,7 +27,9 @@ def wavefront(t: int, size: int) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
     return i, t - 2 * i
 
 
-def code_planes(coder: Coder, sarm: IntNetwork, channels: int, size: int, given: NDArray[np.int16] | None = None) -> NDArray[np.int16]:
+def code_planes(
+    coder: Coder, sarm: IntNetwork, channels: int, size: int, given: NDArray[np.int16] | None = None
+) -> NDArray[np.int16]:
     """Codes the five planes, int16 [5, ch, B, B], in either direction (SPEC 7.3)."""
     # A border of zeros above, left and right is the padding.
     padded = np.zeros((PLANES, channels, size + 1, size + 2), dtype=np.int64)
@@ -47,11 +49,15 @@ def code_planes(coder: Coder, sarm: IntNetwork, channels: int, size: int, given:
             return f"planes.{PLANE_NAMES[plane]}[{channel},{i[row]},{j[row]}]"
 
         counts = [channels * len(i)] * PLANES
-        flat[at] = coder.values(tables().laplace, parameters[:, 0], parameters[:, 1], counts, PLANE_SYMBOL_MAX, name, known)
+        flat[at] = coder.values(
+            tables().laplace, parameters[:, 0], parameters[:, 1], counts, PLANE_SYMBOL_MAX, name, known
+        )
     return padded[:, :, 1:, 1:-1].astype(np.int16)
 
 
-def parse_planes(data: bytes, start: int, end: int, d: Dimensions, lanes: int, sarm: IntNetwork, trace: Trace | None) -> NDArray[np.int16]:
+def parse_planes(
+    data: bytes, start: int, end: int, d: Dimensions, lanes: int, sarm: IntNetwork, trace: Trace | None
+) -> NDArray[np.int16]:
     """SPEC 5.9, 6.9 and 7.3: the planes of the section data[start:end], int16 [5, ch, B, B].
 
     Raises BitstreamError planes.length, or the error of the first substream that has one.
@@ -66,7 +72,10 @@ def parse_planes(data: bytes, start: int, end: int, d: Dimensions, lanes: int, s
         found = f"a table that announces {size + sum(table.length)} bytes"
         raise BitstreamError("planes.length", start, "planes.length", found, end - start)
     bounds = start + size + np.concatenate([[0], np.cumsum(table.length, dtype=np.int64)])
-    opened = [open_substream(data, int(bounds[i]), int(bounds[i + 1]), lanes, f"planes.{name}") for i, name in enumerate(PLANE_NAMES)]
+    opened = [
+        open_substream(data, int(bounds[i]), int(bounds[i + 1]), lanes, f"planes.{name}")
+        for i, name in enumerate(PLANE_NAMES)
+    ]
     decoder = Decoder([stream for stream, _ in opened], trace)
     planes = code_planes(decoder, sarm, d.plane_channels, d.plane_size)
     # SPEC 10.1, step 5: each substream as a whole, in order.

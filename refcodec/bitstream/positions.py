@@ -156,7 +156,11 @@ def code_cells(
     chunk_bits = np.repeat(np.arange(len(counts), dtype=np.int64), counts) << _CODE_BITS
     full = None if given is None else given | chunk_bits
     most = np.array(counts, dtype=np.int64)
-    nodes, held, past = np.arange(len(counts), dtype=np.int64), np.ones(len(counts), dtype=np.int64), np.zeros(len(counts), dtype=bool)
+    nodes, held, past = (
+        np.arange(len(counts), dtype=np.int64),
+        np.ones(len(counts), dtype=np.int64),
+        np.zeros(len(counts), dtype=bool),
+    )
     for level in range(CELL_LEVELS - 1, -1, -1):
         known = None
         if full is not None:
@@ -267,7 +271,9 @@ def _packed(
     rows = np.minimum(held, counts)
     firsts = np.cumsum(rows) - rows
     found: dict[int, F16 | BitstreamError] = {}
-    for i, ((number, chunk), (_, before), after) in enumerate(zip(chunks.items(), opened, decoder.finish(), strict=True)):
+    for i, ((number, chunk), (_, before), after) in enumerate(
+        zip(chunks.items(), opened, decoder.finish(), strict=True)
+    ):
         at, path = part.span(number)[0], part.path(number)
         error = before or after
         # SPEC [R6.11-5]
@@ -307,4 +313,7 @@ def encode_positions(model: PositionModel | None, positions: F16, chunks: list[r
         code_cells(encoder, model.models(), [], [len(c) for c in packed], np.concatenate(packed))
         streams = encoder.finish()
     streams.reverse()
-    return [bytes([RAW]) + r if code is None else bytes([PACKED]) + streams.pop() for r, code in zip(raw, codes, strict=True)]
+    return [
+        bytes([RAW]) + r if code is None else bytes([PACKED]) + streams.pop()
+        for r, code in zip(raw, codes, strict=True)
+    ]

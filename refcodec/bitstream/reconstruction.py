@@ -68,7 +68,9 @@ def canonical_parts(scene: Scene) -> Iterator[tuple[str, bytes]]:
 def canonical_head(scene: Scene) -> bytes:
     """SPEC 9.3: the part before the others."""
     d = scene.dimensions
-    return DIGEST_MAGIC + struct.pack("<5I", scene.anchor_count, d.offset_count, d.features, d.plane_channels, d.plane_size)
+    return DIGEST_MAGIC + struct.pack(
+        "<5I", scene.anchor_count, d.offset_count, d.features, d.plane_channels, d.plane_size
+    )
 
 
 def digest(scene: Scene) -> tuple[str, dict[str, str]]:

@@ -89,7 +89,9 @@ def check_shapes(scene: Scene) -> None:
         raise ValueError(f"networks are {list(scene.networks)}, the dimensions require {list(d.network_shapes())}")
     for name, shapes in d.network_shapes().items():
         if len(scene.networks[name]) != len(shapes):
-            raise ValueError(f"network {name} has {len(scene.networks[name])} layers, the dimensions require {len(shapes)}")
+            raise ValueError(
+                f"network {name} has {len(scene.networks[name])} layers, the dimensions require {len(shapes)}"
+            )
         for i, ((weight, bias), (out, fan_in)) in enumerate(zip(scene.networks[name], shapes, strict=True)):
             wanted[f"{name}.{i}.weight"] = (weight, (out, fan_in), np.float32)
             wanted[f"{name}.{i}.bias"] = (bias, (out,), np.float32)
@@ -97,7 +99,9 @@ def check_shapes(scene: Scene) -> None:
         if array.shape != shape or array.dtype != dtype:
             raise ValueError(f"{name} is {array.dtype}{list(array.shape)}, {np.dtype(dtype)}{list(shape)} is required")
     if scene.position_model is not None and not 0 <= scene.position_model.cell_shift <= CELL_INDEX:
-        raise ValueError(f"cell_shift is {scene.position_model.cell_shift}, 0 to {CELL_INDEX} is required (SPEC.md 6.10)")
+        raise ValueError(
+            f"cell_shift is {scene.position_model.cell_shift}, 0 to {CELL_INDEX} is required (SPEC.md 6.10)"
+        )
     if scene.chunk_size < 1:
         raise ValueError(f"chunk_size is {scene.chunk_size}, at least 1 is required (SPEC.md 11.1)")
     if np.abs(scene.planes.astype(np.int32)).max(initial=0) > PLANE_SYMBOL_MAX:

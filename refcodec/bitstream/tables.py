@@ -88,7 +88,9 @@ def tables() -> Tables:
     """Reads the shipped file (SPEC A). Raises RuntimeError when it is not the file that SPEC.md names."""
     data = tables_file().read_bytes()
     if hashlib.sha256(data).hexdigest() != TABLES_SHA256:
-        raise RuntimeError(f"{TABLES_FILE} is damaged: its SHA-256 is not the one of SPEC.md Annex A; reinstall refcodec")
+        raise RuntimeError(
+            f"{TABLES_FILE} is damaged: its SHA-256 is not the one of SPEC.md Annex A; reinstall refcodec"
+        )
     sine = np.frombuffer(data, "<i2", SINE_LENGTH).astype(np.int64)
     step = np.frombuffer(data, "<u2", STEP_LENGTH, offset=2 * SINE_LENGTH).astype(np.int64)
     at = 2 * SINE_LENGTH + 2 * STEP_LENGTH

@@ -145,7 +145,9 @@ def _finite(values: F32, start: int, path: str) -> None:
     finite = np.isfinite(values)
     if not finite.all():
         first = int(np.argmin(finite))
-        raise BitstreamError("weights.not_finite", start + 4 * first, f"weights.{path}", values[first], "finite numbers")
+        raise BitstreamError(
+            "weights.not_finite", start + 4 * first, f"weights.{path}", values[first], "finite numbers"
+        )
 
 
 def _raw_layer(data: bytes, at: int, out: int, fan_in: int) -> F32:
@@ -156,7 +158,9 @@ def _as_layer(values: F32, out: int, fan_in: int) -> Layer:
     return values[: out * fan_in].reshape(out, fan_in), values[out * fan_in :]
 
 
-def parse_weights(data: bytes, start: int, end: int, mode: int, d: Dimensions, lanes: int, trace: Trace | None = None) -> ParsedWeights:
+def parse_weights(
+    data: bytes, start: int, end: int, mode: int, d: Dimensions, lanes: int, trace: Trace | None = None
+) -> ParsedWeights:
     """SPEC 5.8 and 6.8, the section data[start:end]. Raises BitstreamError 411, 412, 414 to 417, and those of a substream.
 
     lanes: of the substream in mode 1.
@@ -167,7 +171,9 @@ def parse_weights(data: bytes, start: int, end: int, mode: int, d: Dimensions, l
 
     # In mode 0 the section's length is already known to be right.
     if end - start < 2 + d.carm_inputs:
-        raise BitstreamError("weights.length", start, "weights", f"{end - start} bytes", f"at least {2 + d.carm_inputs}")
+        raise BitstreamError(
+            "weights.length", start, "weights", f"{end - start} bytes", f"at least {2 + d.carm_inputs}"
+        )
     # The count is checked before the array that it sizes is read.
     if data[start] > PLANE_SHIFT_MAX:
         raise bad(start, "plane_shift", data[start], 0, PLANE_SHIFT_MAX)
@@ -202,7 +208,9 @@ def _parse_model(data: bytes, at: int, name: str) -> cs.Container:
         checks += [(field, 0, 0) for field in ("exponent", "exponent_scale", "weight_scale", "bias_scale")]
     for field, low, high in checks:
         if not low <= model[field] <= high:
-            raise BitstreamError("weights.layer", elements[field].start, f"weights.{name}.{field}", model[field], f"{low} to {high}")
+            raise BitstreamError(
+                "weights.layer", elements[field].start, f"weights.{name}.{field}", model[field], f"{low} to {high}"
+            )
     return model
 
 
@@ -214,13 +222,21 @@ def _parse_packed(
     shapes, models, starts, raw = layers_of(d), [], {}, {}
     for name, out, fan_in in shapes:
         if at + model_bytes > end:
-            raise BitstreamError("weights.length", section, "weights", "a section that ends before a layer's model", "all layers")
+            raise BitstreamError(
+                "weights.length", section, "weights", "a section that ends before a layer's model", "all layers"
+            )
         starts[name] = at
         models.append(_parse_model(data, at, name))
         at += model_bytes
         if not models[-1].form:
             if at + 4 * out * (fan_in + 1) > end:
-                raise BitstreamError("weights.length", section, "weights", "a section that ends before a raw layer's values", "all layers")
+                raise BitstreamError(
+                    "weights.length",
+                    section,
+                    "weights",
+                    "a section that ends before a raw layer's values",
+                    "all layers",
+                )
             raw[name] = _raw_layer(data, at, out, fan_in)
             at += 4 * out * (fan_in + 1)
     scales = np.array([[m.exponent_scale, m.weight_scale, m.bias_scale] for m in models], dtype=np.uint8)
@@ -237,23 +253,36 @@ def _parse_packed(
             _finite(raw[name], starts[name] + model_bytes, name)
             layer = _as_layer(raw[name], out, fan_in)
             if to_grid(layer) is not None:
-                raise BitstreamError("weights.raw", starts[name], f"weights.{name}", "form 0", "form 1: the layer can be packed")
+                raise BitstreamError(
+                    "weights.raw", starts[name], f"weights.{name}", "form 0", "form 1: the layer can be packed"
+                )
         else:
             (difference, bias), weight = grids[i]
             found = from_grid(GridLayer(models[i].exponent, difference, weight, bias))
             if found is None:
-                raise BitstreamError("weights.exponent", starts[name], f"weights.{name}", "an exponent of a row", "the least one")
+                raise BitstreamError(
+                    "weights.exponent", starts[name], f"weights.{name}", "an exponent of a row", "the least one"
+                )
             layer = found
         layers.append(layer)
     return layers, scales, starts
 
 
 def emit_weights(
-    plane_shift: int, carm_shift: NDArray[np.uint8], networks: Networks, scales: NDArray[np.uint8] | None, d: Dimensions, lanes: int
+    plane_shift: int,
+    carm_shift: NDArray[np.uint8],
+    networks: Networks,
+    scales: NDArray[np.uint8] | None,
+    d: Dimensions,
+    lanes: int,
 ) -> bytes:
     """SPEC 5.8. Raw bytes are copied, so every bit of a value stays. scales: as Scene.weight_scales."""
     shifts = carm_shift.tolist()
-    parts = [syntax.build("WeightScales", {"plane_shift": plane_shift, "carm_input_count": len(shifts), "carm_shift": shifts})]
+    parts = [
+        syntax.build(
+            "WeightScales", {"plane_shift": plane_shift, "carm_input_count": len(shifts), "carm_shift": shifts}
+        )
+    ]
     layers = [layer for network in networks.values() for layer in network]
     raw = [b"".join(value.astype("<f4").tobytes() for value in layer) for layer in layers]
     if scales is None:
@@ -261,7 +290,11 @@ def emit_weights(
     grids = [to_grid(layer) for layer in layers]
     for grid, content, (exponent_scale, weight_scale, bias_scale) in zip(grids, raw, scales.tolist(), strict=True):
         fields = {"exponent_scale": exponent_scale, "weight_scale": weight_scale, "bias_scale": bias_scale}
-        parts.append(syntax.build("LayerModel", {"form": int(grid is not None), "exponent": grid.exponent if grid else 0, **fields}))
+        parts.append(
+            syntax.build(
+                "LayerModel", {"form": int(grid is not None), "exponent": grid.exponent if grid else 0, **fields}
+            )
+        )
         parts.append(content if grid is None else b"")
     packed = [i for i, grid in enumerate(grids) if grid is not None]
     encoder = Encoder(1, lanes)

@@ -64,7 +64,9 @@ def _report_damage(path: str, data: bytes, parsed: Parsed) -> int:
         lost = sum(len(chunks[number]) for number in parsed.damage)
         for number, error in sorted(parsed.damage.items()):
             note(f"chunk {number} is dropped, {len(chunks[number])} anchors: {error}")
-        note(f"{len(parsed.damage)} of {len(chunks)} chunks and {lost} anchors are lost, {parsed.scene.anchor_count} are written")
+        note(
+            f"{len(parsed.damage)} of {len(chunks)} chunks and {lost} anchors are lost, {parsed.scene.anchor_count} are written"
+        )
     try:
         parse_container(data)
     except BitstreamError as error:
@@ -75,7 +77,9 @@ def _report_damage(path: str, data: bytes, parsed: Parsed) -> int:
         return 0
     # SPEC 10.1: the error of an earlier stage comes first, then that of a lower chunk.
     stages = {"positions": 0, "masks": 1, "attributes": 2}
-    return reject(path, min(parsed.damage.items(), key=lambda found: (stages[found[1].path.split("[")[0]], found[0]))[1])
+    return reject(
+        path, min(parsed.damage.items(), key=lambda found: (stages[found[1].path.split("[")[0]], found[0]))[1]
+    )
 
 
 def _validate(arguments: argparse.Namespace) -> int:
@@ -155,10 +159,16 @@ def add(commands: Any) -> None:
         "if anything is lost, and 0 if nothing is",
     )
     digest = add_command(
-        commands, "digest", _digest, "print the SHA-256 of a file's reconstruction", ["digest scene.c3gs", "digest scene.c3gs --parts"]
+        commands,
+        "digest",
+        _digest,
+        "print the SHA-256 of a file's reconstruction",
+        ["digest scene.c3gs", "digest scene.c3gs --parts"],
     )
     digest.add_argument("file", metavar="FILE")
-    digest.add_argument("--parts", action="store_true", help="one line for each part of the reconstruction, then the whole")
+    digest.add_argument(
+        "--parts", action="store_true", help="one line for each part of the reconstruction, then the whole"
+    )
     reconstruct = add_command(
         commands,
         "reconstruct",
@@ -168,6 +178,10 @@ def add(commands: Any) -> None:
     )
     reconstruct.add_argument("file", metavar="FILE")
     reconstruct.add_argument("output", metavar="OUTPUT")
-    reconstruct.add_argument("--trace", metavar="TRACE", help="write every symbol to this file: a line with its path and its value")
-    validate = add_command(commands, "validate", _validate, "check whether a file is a conforming bitstream", ["validate scene.c3gs"])
+    reconstruct.add_argument(
+        "--trace", metavar="TRACE", help="write every symbol to this file: a line with its path and its value"
+    )
+    validate = add_command(
+        commands, "validate", _validate, "check whether a file is a conforming bitstream", ["validate scene.c3gs"]
+    )
     validate.add_argument("file", metavar="FILE")

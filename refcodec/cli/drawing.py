@@ -134,14 +134,25 @@ def add(commands: Any) -> None:
         "render",
         _render,
         "draw a file",
-        ["render scene.c3gs -o images", "render scene.c3gs --cameras orbit -o images", "render scene.c3gs --cameras photographs -o images"],
+        [
+            "render scene.c3gs -o images",
+            "render scene.c3gs --cameras orbit -o images",
+            "render scene.c3gs --cameras photographs -o images",
+        ],
         "PHOTOGRAPHS is a folder that COLMAP or a NeRF dataset made. An orbit is an animation too. Needs: pip install 'refcodec[render]'.",
     )
     render.add_argument("file", metavar="FILE")
     render.add_argument("-o", "--output", metavar="DIR", required=True)
-    render.add_argument("--cameras", metavar="default|orbit|PHOTOGRAPHS", default="default", help="which cameras (default: the file's own)")
+    render.add_argument(
+        "--cameras",
+        metavar="default|orbit|PHOTOGRAPHS",
+        default="default",
+        help="which cameras (default: the file's own)",
+    )
     render.add_argument("--size", metavar="WxH", help="size of the images, or their longest side, with PHOTOGRAPHS")
-    render.add_argument("--frames", type=positive, metavar="N", default=60, help="images of an orbit (default: %(default)s)")
+    render.add_argument(
+        "--frames", type=positive, metavar="N", default=60, help="images of an orbit (default: %(default)s)"
+    )
     evaluate = add_command(
         commands,
         "eval",
@@ -152,7 +163,11 @@ def add(commands: Any) -> None:
     )
     evaluate.add_argument("file", metavar="FILE")
     evaluate.add_argument("photographs", metavar="PHOTOGRAPHS")
-    evaluate.add_argument("--size", metavar="WxH", help="size that photographs are averaged down to, or their longest side")
+    evaluate.add_argument(
+        "--size", metavar="WxH", help="size that photographs are averaged down to, or their longest side"
+    )
     evaluate.add_argument("--images", metavar="DIR", help="where to write the images that were compared, as PNG files")
-    evaluate.add_argument("--lpips", metavar="WEIGHTS", help="LPIPS too, with the weights of a file that tools/lpips_weights.py makes")
+    evaluate.add_argument(
+        "--lpips", metavar="WEIGHTS", help="LPIPS too, with the weights of a file that tools/lpips_weights.py makes"
+    )
     evaluate.add_argument("--json", action="store_true", help="all figures, of each image too")

@@ -40,7 +40,12 @@ def _rd(arguments: argparse.Namespace) -> int:
         from ..train.command import PRESETS
     except ModuleNotFoundError as error:
         raise needs("rd", "train,render,rd", error, ("matplotlib", "bjontegaard", "torch", *RENDER_PACKAGES)) from None
-    options = [("--steps", arguments.steps), ("--preset", arguments.preset), ("--device", arguments.device), ("--seed", arguments.seed)]
+    options = [
+        ("--steps", arguments.steps),
+        ("--preset", arguments.preset),
+        ("--device", arguments.device),
+        ("--seed", arguments.seed),
+    ]
     given = tuple(word for name, value in options if value is not None for word in (name, str(value)))
     size = arguments.size or str(PRESETS[arguments.preset]["side"])
     settings = Settings(Path(arguments.output), Path(arguments.photographs), given, size, arguments.jobs)
@@ -74,11 +79,20 @@ def add(commands: Any) -> None:
         "DIR/index.html shows everything; it takes about six minutes on two cores. Ctrl-C ends the training early and shows what there\n"
         "is; the same command goes on, and does nothing twice. Needs: pip install 'refcodec[train,render]'.",
     )
-    demo.add_argument("-o", "--output", metavar="DIR", default="demo", help="folder of the results (default: %(default)s)")
+    demo.add_argument(
+        "-o", "--output", metavar="DIR", default="demo", help="folder of the results (default: %(default)s)"
+    )
     which = demo.add_mutually_exclusive_group()
-    which.add_argument("--scene", choices=("caliterra", "snowmiku"), default="caliterra", help="which photographs (default: %(default)s)")
+    which.add_argument(
+        "--scene",
+        choices=("caliterra", "snowmiku"),
+        default="caliterra",
+        help="which photographs (default: %(default)s)",
+    )
     which.add_argument("--photographs", metavar="FOLDER", help="your own, of COLMAP or a NeRF dataset")
-    demo.add_argument("--steps", type=positive, metavar="N", help="steps of each training (default: those of four minutes)")
+    demo.add_argument(
+        "--steps", type=positive, metavar="N", help="steps of each training (default: those of four minutes)"
+    )
     rd = add_command(
         commands,
         "rd",
@@ -95,10 +109,19 @@ def add(commands: Any) -> None:
     rd.add_argument("photographs", metavar="PHOTOGRAPHS")
     rd.add_argument("-o", "--output", metavar="DIR", required=True)
     rd.add_argument(
-        "--rates", type=rate, nargs="+", metavar="R", default=[0.002, 0.004, 0.01, 0.04], help="lambda_r (default: 0.002 0.004 0.01 0.04)"
+        "--rates",
+        type=rate,
+        nargs="+",
+        metavar="R",
+        default=[0.002, 0.004, 0.01, 0.04],
+        help="lambda_r (default: 0.002 0.004 0.01 0.04)",
     )
     rd.add_argument("--uncompressed", action="store_true", help="a training without the codec too")
-    rd.add_argument("--against", metavar="CSV", help="a table with columns bytes and psnr: BD-rate and BD-PSNR with that curve as anchor")
+    rd.add_argument(
+        "--against",
+        metavar="CSV",
+        help="a table with columns bytes and psnr: BD-rate and BD-PSNR with that curve as anchor",
+    )
     rd.add_argument("--jobs", type=positive, metavar="N", default=2, help="trainings at a time (default: %(default)s)")
     rd.add_argument("--size", metavar="WxH", help="size that photographs are averaged down to, or their longest side")
     rd.add_argument("--preset", choices=("fast", "paper"), default="fast", help="as of train (default: %(default)s)")

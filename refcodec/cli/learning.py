@@ -65,7 +65,9 @@ def _train(arguments: argparse.Namespace) -> int:
         raise UsageError(f"{arguments.photographs} cannot be trained: {error}") from None
     print(f"{output}: {trainer.scaffold.count} anchors, {trainer.done} steps, {trainer.seconds:.0f} s")
     if not whole:
-        note(f"refcodec: stopped at step {trainer.done} of {settings.steps}; the scene is written, and --resume goes on from there")
+        note(
+            f"refcodec: stopped at step {trainer.done} of {settings.steps}; the scene is written, and --resume goes on from there"
+        )
         return statuses.INTERRUPTED
     return 0
 
@@ -106,7 +108,9 @@ def _fit(arguments: argparse.Namespace) -> int:
     print(f"{arguments.output}: {result.scene.anchor_count} anchors, {dropped} without offsets left out, {done} steps")
     # Ctrl-C ends the training, not the program.
     if done < arguments.steps and state.exists():
-        note(f"refcodec: stopped at step {done} of {arguments.steps}; the scene is written, and --resume goes on from there")
+        note(
+            f"refcodec: stopped at step {done} of {arguments.steps}; the scene is written, and --resume goes on from there"
+        )
         return statuses.INTERRUPTED
     state.unlink(missing_ok=True)
     return 0
@@ -145,11 +149,22 @@ def add(commands: Any) -> None:
         default="fast",
         help="fast: 4,000 steps on photographs of 400 pixels; paper: 40,000 on 1,600 (default: %(default)s)",
     )
-    train.add_argument("--size", metavar="WxH", help="size that photographs are averaged down to, or their longest side")
+    train.add_argument(
+        "--size", metavar="WxH", help="size that photographs are averaged down to, or their longest side"
+    )
     train.add_argument("--seed", type=seed, metavar="S", default=0, help="of the random numbers (default: %(default)s)")
-    train.add_argument("--device", choices=("cpu", "cuda"), default="cpu", help="what rasterises; cuda needs pip install 'refcodec[cuda]'")
-    train.add_argument("--threads", type=positive, metavar="N", help="of the rasteriser (default: all); no result depends on them")
-    train.add_argument("--resume", action="store_true", help="go on with an interrupted training of the same photographs and settings")
+    train.add_argument(
+        "--device",
+        choices=("cpu", "cuda"),
+        default="cpu",
+        help="what rasterises; cuda needs pip install 'refcodec[cuda]'",
+    )
+    train.add_argument(
+        "--threads", type=positive, metavar="N", help="of the rasteriser (default: all); no result depends on them"
+    )
+    train.add_argument(
+        "--resume", action="store_true", help="go on with an interrupted training of the same photographs and settings"
+    )
     paper = train.add_argument_group("what the paper compares")
     paper.add_argument(
         "--hyperprior",
@@ -157,8 +172,12 @@ def add(commands: Any) -> None:
         default="vm",
         help="only vm can be written; the others are for estimates (default: %(default)s)",
     )
-    paper.add_argument("--sampling", choices=("uniform", "visible"), default="uniform", help="anchors whose rate counts: USRO or ViSRO")
-    paper.add_argument("--plane-period", type=int, choices=(1, 4), default=4, help="steps between two with the planes' rate (A-RDO: 4)")
+    paper.add_argument(
+        "--sampling", choices=("uniform", "visible"), default="uniform", help="anchors whose rate counts: USRO or ViSRO"
+    )
+    paper.add_argument(
+        "--plane-period", type=int, choices=(1, 4), default=4, help="steps between two with the planes' rate (A-RDO: 4)"
+    )
     paper.add_argument("--no-masks", action="store_true", help="keep every offset")
     paper.add_argument(
         "--epsilon",
@@ -172,7 +191,11 @@ def add(commands: Any) -> None:
         "fit",
         _fit,
         "fit an entropy model to points or to a trained scene, and write a scene folder",
-        ["fit points3D.txt -o scene", "fit point_cloud.ply -o scene --steps 6000", "fit points3D.txt -o scene --resume"],
+        [
+            "fit points3D.txt -o scene",
+            "fit point_cloud.ply -o scene --steps 6000",
+            "fit points3D.txt -o scene --resume",
+        ],
         "POINTS is a COLMAP points3D.txt, an .npz with means3d and colors, or a Scaffold-GS, HAC or CAT-3DGS point_cloud.ply with\n"
         "10 offsets and 50 features. The rendering networks are simple ones that show coloured points. Ctrl-C ends the training\n"
         "early, writes the scene all the same, and keeps SCENE_DIR.fit-state for --resume. Needs: pip install 'refcodec[fit]'.",

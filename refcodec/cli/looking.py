@@ -84,8 +84,12 @@ def add(commands: Any) -> None:
     )
     inspect.add_argument("file", metavar="FILE")
     form = inspect.add_mutually_exclusive_group()
-    form.add_argument("--hex", action="store_true", help="every byte with its syntax element; payloads folded to a line each")
+    form.add_argument(
+        "--hex", action="store_true", help="every byte with its syntax element; payloads folded to a line each"
+    )
     form.add_argument("--near", type=int, metavar="OFFSET", help="the same, of the elements around a byte")
     form.add_argument("--json", action="store_true", help="the summary as one JSON document")
     form.add_argument("--trace", action="store_true", help="one line per syntax element and symbol, in decoding order")
-    form.add_argument("--anchor", type=int, metavar="N", help="all numbers from an anchor's position to its symbols, as in Annex D.4")
+    form.add_argument(
+        "--anchor", type=int, metavar="N", help="all numbers from an anchor's position to its symbols, as in Annex D.4"
+    )

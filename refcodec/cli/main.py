@@ -73,5 +73,7 @@ def _report(error: Exception) -> int:
     if os.environ.get("REFCODEC_DEBUG") == "1":
         raise error
     kind = type(error).__name__
-    note(f"refcodec: internal error, please report it with the command and the file ({kind}: {' '.join(str(error).split())})")
+    note(
+        f"refcodec: internal error, please report it with the command and the file ({kind}: {' '.join(str(error).split())})"
+    )
     return statuses.FAULT

@@ -67,7 +67,9 @@ def read_file(path: str) -> bytes:
                 return head
             end = _announced_length(head)
             if stat.S_ISREG(status.st_mode) and status.st_size != end:
-                raise BitstreamError("directory.file_length", min(status.st_size, end), "file", f"{status.st_size} bytes", end)
+                raise BitstreamError(
+                    "directory.file_length", min(status.st_size, end), "file", f"{status.st_size} bytes", end
+                )
             return head + file.read(max(0, end - len(head)) + 1)
     except OSError as error:
         raise UsageError(f"cannot read {path}: {error.strerror or error}") from None
@@ -243,9 +245,19 @@ def add_command(
     commands: Any, name: str, run: Callable[[argparse.Namespace], int], text: str, examples: list[str], notes: str = ""
 ) -> argparse.ArgumentParser:
     """A command, with its examples and the exit statuses in its help."""
-    epilog = "examples:\n" + "".join(f"  refcodec {e}\n" for e in examples) + "\n" + (notes + "\n\n" if notes else "") + EXITS
+    epilog = (
+        "examples:\n"
+        + "".join(f"  refcodec {e}\n" for e in examples)
+        + "\n"
+        + (notes + "\n\n" if notes else "")
+        + EXITS
+    )
     parser: argparse.ArgumentParser = commands.add_parser(
-        name, help=text, description=text[0].upper() + text[1:] + ".", epilog=epilog, formatter_class=argparse.RawDescriptionHelpFormatter
+        name,
+        help=text,
+        description=text[0].upper() + text[1:] + ".",
+        epilog=epilog,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
     )
     parser.add_argument("--progress", action="store_true", help="show progress on stderr even if it is not a terminal")
     parser.set_defaults(run=run)

@@ -118,7 +118,10 @@ def pack_positions(scene: Scene) -> Scene:
     """SPEC B.1: the scene with its anchors along the Morton curve and positions in mode 1 where
     6.10 allows it. No attribute changes but its place."""
     scene = take_anchors(scene, morton_order(scene.positions))
-    model, chunks = position_model(scene.positions, scene.chunk_size), chunk_ranges(scene.anchor_count, scene.chunk_size)
+    model, chunks = (
+        position_model(scene.positions, scene.chunk_size),
+        chunk_ranges(scene.anchor_count, scene.chunk_size),
+    )
     parts = encode_positions(model, scene.positions, chunks, 1 << scene.lanes.mask)
     # SPEC 6.10 asks for a byte for 16 anchors, which a scene that fills a cube may not need.
     allowed = all(len(part) * ANCHORS_OF_A_BYTE >= len(chunk) for part, chunk in zip(parts, chunks, strict=True))

@@ -62,7 +62,9 @@ def order_anchors(cloud: AnchorCloud, grid: PositionGrid) -> tuple[AnchorCloud, 
     order = morton_order(half)
     chosen = kept[order]
     offsets = np.where(cloud.masks[chosen][:, :, None], cloud.offsets[chosen], np.float32(0))
-    ordered = AnchorCloud(cloud.positions[chosen], cloud.features[chosen], cloud.scalings[chosen], offsets, cloud.masks[chosen])
+    ordered = AnchorCloud(
+        cloud.positions[chosen], cloud.features[chosen], cloud.scalings[chosen], offsets, cloud.masks[chosen]
+    )
     return ordered, half[order]
 
 
@@ -112,5 +114,7 @@ def quantise(
         ),
     )
     steps = derive_steps(scene)
-    features, scalings, offsets = (symbols(getattr(ordered, kind), steps[:, i], base_step[i]) for i, kind in enumerate(KINDS))
+    features, scalings, offsets = (
+        symbols(getattr(ordered, kind), steps[:, i], base_step[i]) for i, kind in enumerate(KINDS)
+    )
     return replace(scene, attributes=Attributes(features, scalings, offsets, steps))

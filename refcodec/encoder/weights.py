@@ -51,7 +51,9 @@ def quantise_rendering(networks: Mapping[str, list[Layer]], bits: int) -> dict[s
         found[name] = []
         for weight, bias in networks[name]:
             e = rendering_exponent(weight, bits)
-            on_grid = [np.ldexp(np.rint(np.ldexp(value, e)) + np.float32(0), -e).astype(np.float32) for value in (weight, bias)]
+            on_grid = [
+                np.ldexp(np.rint(np.ldexp(value, e)) + np.float32(0), -e).astype(np.float32) for value in (weight, bias)
+            ]
             found[name].append((on_grid[0], on_grid[1]))
     return found
 
@@ -68,7 +70,9 @@ def weight_scales(networks: Mapping[str, list[Layer]]) -> NDArray[np.uint8]:
             found.append((0, 0, 0))
             continue
         spread = math.sqrt(float(np.square(grid.weight, dtype=np.float64).mean()))
-        found.append((index(float(np.abs(grid.difference).mean())), index(spread), index(float(np.abs(grid.bias).mean()))))
+        found.append(
+            (index(float(np.abs(grid.difference).mean())), index(spread), index(float(np.abs(grid.bias).mean())))
+        )
     return np.array(found, dtype=np.uint8)
 
 

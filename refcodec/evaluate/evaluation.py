@@ -20,7 +20,11 @@ if TYPE_CHECKING:
 
 
 def evaluate(
-    shown: bytes | Uncompressed, photographs: PhotographSet, images: Path | None, progress: Progress, lpips: Lpips | None = None
+    shown: bytes | Uncompressed,
+    photographs: PhotographSet,
+    images: Path | None,
+    progress: Progress,
+    lpips: Lpips | None = None,
 ) -> dict[str, Any]:
     """A file, or an uncompressed scene, compared with the held-out photographs, or with all if none are held out.
 
@@ -79,6 +83,10 @@ def table(result: dict[str, Any]) -> Iterator[str]:
     for row in [*result["images"], {"image": "mean", **result["mean"]}]:
         yield f"{row['image']:<28}" + "".join(f" {row[name]:>10.4f}" for name in names)
     yield ""
-    yield f"{result['bytes']} bytes, {result['anchors']} anchors: " + ", ".join(f"{n} {b}" for n, b in result["parts"].items())
+    yield f"{result['bytes']} bytes, {result['anchors']} anchors: " + ", ".join(
+        f"{n} {b}" for n, b in result["parts"].items()
+    )
     yield "decoding: " + ", ".join(f"{stage} {seconds:.2f} s" for stage, seconds in result["decode_seconds"].items())
-    yield f"drawing: {result['frames_per_second']:.1f} images a second" + ("" if result["held_out"] else "; no images were held out")
+    yield f"drawing: {result['frames_per_second']:.1f} images a second" + (
+        "" if result["held_out"] else "; no images were held out"
+    )

@@ -43,7 +43,9 @@ class Lpips:
         if self.network not in LAYERS:
             raise ValueError(f"{path} does not say that it has weights of LPIPS: make it with tools/lpips_weights.py")
         convolutions = sum("padding" in layer for layer in LAYERS[self.network])
-        needed = {f"conv{i}.{kind}" for i in range(convolutions) for kind in ("weight", "bias")} | {f"linear{i}" for i in range(5)}
+        needed = {f"conv{i}.{kind}" for i in range(convolutions) for kind in ("weight", "bias")} | {
+            f"linear{i}" for i in range(5)
+        }
         if missing := needed - set(self.weights):
             raise ValueError(f"{path} lacks {', '.join(sorted(missing))}")
 
@@ -56,7 +58,9 @@ class Lpips:
         if min(photograph.shape[:2]) < SIDE_MIN:
             height, width = photograph.shape[:2]
             raise PhotographError(
-                "LPIPS", f"images of {width} x {height}, sides of {SIDE_MIN} pixels or more are required", "ask for larger ones"
+                "LPIPS",
+                f"images of {width} x {height}, sides of {SIDE_MIN} pixels or more are required",
+                "ask for larger ones",
             )
         both = np.stack([np.clip(np.asarray(made, np.float32), 0, 1), photograph.astype(np.float32) / 255])
         values = torch.from_numpy(both).permute(0, 3, 1, 2)
@@ -70,7 +74,9 @@ class Lpips:
                 if "padding" not in layer:
                     values = functional.max_pool2d(values, layer["kernel_size"], layer["stride"])
                     continue
-                values = functional.conv2d(values, self.weights[f"conv{number}.weight"], self.weights[f"conv{number}.bias"], **layer).relu()
+                values = functional.conv2d(
+                    values, self.weights[f"conv{number}.weight"], self.weights[f"conv{number}.bias"], **layer
+                ).relu()
                 if number in COMPARED[self.network]:
                     total += self._difference(values, COMPARED[self.network].index(number))
                 number += 1

@@ -28,7 +28,13 @@ def measures(made: NDArray, photograph: NDArray[np.uint8]) -> dict[str, float]:
             "psnr": float(peak_signal_noise_ratio(photograph, rounded, data_range=255)),
             "ssim": float(
                 structural_similarity(
-                    photograph, rounded, channel_axis=2, data_range=255, gaussian_weights=True, sigma=_SIGMA, use_sample_covariance=False
+                    photograph,
+                    rounded,
+                    channel_axis=2,
+                    data_range=255,
+                    gaussian_weights=True,
+                    sigma=_SIGMA,
+                    use_sample_covariance=False,
                 )
             ),
             "psnr_3dgs": float(-10 * np.log10(np.mean((cut - right) ** 2))),

@@ -55,10 +55,21 @@ class Demo:
         output = self.path(name)
         settings = ("--rate", f"{rate:g}", "--steps", str(self.steps), "--size", SIZE, "--threads", "1", "--progress")
         state = output.with_name(f"{name}.train-state")
-        return Command(name, ("train", str(self.photographs), "-o", str(output), *settings), output / REPORT, state=state)
+        return Command(
+            name, ("train", str(self.photographs), "-o", str(output), *settings), output / REPORT, state=state
+        )
 
     def _evaluation(self, name: str, scene: Path, after: str) -> Command:
-        what = ("eval", str(scene), str(self.photographs), "--size", SIZE, "--images", str(self.path(f"images-{name}")), "--json")
+        what = (
+            "eval",
+            str(scene),
+            str(self.photographs),
+            "--size",
+            SIZE,
+            "--images",
+            str(self.path(f"images-{name}")),
+            "--json",
+        )
         return Command(name, what, self.path(f"{name}.eval.json"), (after,), printed=True)
 
     def trainings(self) -> list[Command]:
@@ -135,7 +146,9 @@ def collect(demo: Demo, notes: Notes) -> Result:
     held_out = {p.camera.name: p for p in (found.test or found.train)}
     views = []
     for before, after in zip(evals[UNCOMPRESSED]["images"], evals[CODED]["images"], strict=True):
-        made = [_read(demo.path(f"images-{name}") / f"{Path(before['image']).stem}.png") for name in (UNCOMPRESSED, CODED)]
+        made = [
+            _read(demo.path(f"images-{name}") / f"{Path(before['image']).stem}.png") for name in (UNCOMPRESSED, CODED)
+        ]
         views.append(View(before["image"], held_out[before["image"]].image, made[0], made[1], before, after))
     commands = [*demo.trainings(), *(command for chain in demo.rest() for command in chain)]
     return Result(
@@ -151,8 +164,13 @@ def collect(demo: Demo, notes: Notes) -> Result:
         steps_wanted=demo.steps,
         rate=RATE,
         digest=check_decoder(demo),
-        steps=tuple(Step(command.name, str(command).replace(f"{Path.cwd()}/", ""), notes.seconds(command.name)) for command in commands),
-        charts=tuple(Chart(name, tuple((row["seconds"], row["psnr"]) for row in reports[name]["history"])) for name in reports),
+        steps=tuple(
+            Step(command.name, str(command).replace(f"{Path.cwd()}/", ""), notes.seconds(command.name))
+            for command in commands
+        ),
+        charts=tuple(
+            Chart(name, tuple((row["seconds"], row["psnr"]) for row in reports[name]["history"])) for name in reports
+        ),
         files=_files(demo),
         credits=_credits(demo.photographs),
     )
@@ -185,6 +203,10 @@ def _size(path: Path) -> int:
 
 def _credits(photographs: Path) -> str:
     """What the folder says of where its photographs are from, and their licence."""
-    found = [path.read_text(encoding="utf-8").strip() for name in ("SOURCE.md", "LICENSE") if (path := photographs / name).is_file()]
+    found = [
+        path.read_text(encoding="utf-8").strip()
+        for name in ("SOURCE.md", "LICENSE")
+        if (path := photographs / name).is_file()
+    ]
     # Items of a list are broken into lines for an editor; a page breaks them itself.
     return re.sub(r"\n +", " ", "\n\n".join(found)).removeprefix("# ") or f"The photographs are those in {photographs}."

@@ -133,7 +133,11 @@ def _view(view: View) -> str:
         (view.photograph, "Photograph", escape(view.name)),
         (view.uncompressed, "Uncompressed", _figures(view.before)),
         (view.decoded, "Decoded from the file", _figures(view.after)),
-        (difference(view.decoded, view.photograph), f"Difference, {DIFFERENCE_SCALE} times", "decoded against photograph"),
+        (
+            difference(view.decoded, view.photograph),
+            f"Difference, {DIFFERENCE_SCALE} times",
+            "decoded against photograph",
+        ),
     ]
     figures = (
         f"<figure>{_image(pixels, f'{name}: {view.name}')}<figcaption><b>{name}</b><br>{text}</figcaption></figure>"
@@ -172,7 +176,11 @@ def _table(head: Sequence[str], rows: Iterable[Sequence[str]], numbers: int = 0)
     first = len(head) - numbers
 
     def row(cells: Sequence[str], tag: str) -> str:
-        return "<tr>" + "".join(f"<{tag}{' class=n' if i >= first else ''}>{c}</{tag}>" for i, c in enumerate(cells)) + "</tr>"
+        return (
+            "<tr>"
+            + "".join(f"<{tag}{' class=n' if i >= first else ''}>{c}</{tag}>" for i, c in enumerate(cells))
+            + "</tr>"
+        )
 
     body = "".join(row(cells, "td") for cells in rows)
     return f'<div class="wide"><table><thead>{row(head, "th")}</thead><tbody>{body}</tbody></table></div>'
@@ -191,7 +199,15 @@ def _sizes(result: Result) -> str:
         )
         for part in result.parts
     ]
-    rows.append(("<b>all</b>", f"<b>{readable(before)}</b>", f"<b>{readable(after)}</b>", "100 %", f"<b>{_times(before / after)}</b>"))
+    rows.append(
+        (
+            "<b>all</b>",
+            f"<b>{readable(before)}</b>",
+            f"<b>{readable(after)}</b>",
+            "100 %",
+            f"<b>{_times(before / after)}</b>",
+        )
+    )
     return (
         _bar(sides[0], before, f"uncompressed, {readable(before)}")
         + _bar(sides[1], before, f"the file on the same scale, {readable(after)}")
@@ -232,7 +248,10 @@ def _chart(charts: Sequence[Chart]) -> str:
         at = f'y1="{y(tick):.1f}" y2="{y(tick):.1f}"'
         lines.append(f'<line class="grid" x1="{left}" x2="{width - right}" {at}/>')
         lines.append(f'<text x="{left - 6}" y="{y(tick) + 4:.1f}" text-anchor="end">{tick:g}</text>')
-    lines += [f'<text x="{x(tick):.1f}" y="{height - bottom + 20}" text-anchor="middle">{tick:g}</text>' for tick in _ticks(0, end, 6)]
+    lines += [
+        f'<text x="{x(tick):.1f}" y="{height - bottom + 20}" text-anchor="middle">{tick:g}</text>'
+        for tick in _ticks(0, end, 6)
+    ]
     ends = []
     for chart in charts:
         kept = [(x(seconds), y(psnr)) for seconds, psnr in chart.points if math.isfinite(psnr)]
@@ -301,7 +320,10 @@ pre{white-space:pre-wrap;font:inherit;font-size:.9rem;color:var(--soft);max-widt
 _COLOURS = "".join(
     f"rect.{name}{{fill:var(--{name})}}.swatch.{name}{{background:var(--{name})}}"
     for name in ("positions", "attributes", "masks", "planes", "weights", "headers")
-) + "".join(f"polyline.{name}{{stroke:var(--{name})}}.chart text.{name}{{fill:var(--{name})}}" for name in ("uncompressed", "coded"))
+) + "".join(
+    f"polyline.{name}{{stroke:var(--{name})}}.chart text.{name}{{fill:var(--{name})}}"
+    for name in ("uncompressed", "coded")
+)
 _SCRIPT = """
 for (const s of document.querySelectorAll(".slider"))
   s.lastElementChild.addEventListener("input", e => s.style.setProperty("--cut", e.target.value + "%"));
@@ -319,7 +341,10 @@ def page(result: Result) -> str:
     )
     facts = [
         (_times(before / after), f"times smaller: {readable(before)} to {readable(after)}"),
-        (_clock(sum(s.seconds for s in result.steps if s.name.endswith("decode"))), "to decode the file, from the start of the program"),
+        (
+            _clock(sum(s.seconds for s in result.steps if s.name.endswith("decode"))),
+            "to decode the file, from the start of the program",
+        ),
         *(
             (f"{mean[name]:{digits}}{unit}", f"mean {name.upper()}, {side}")
             for name, digits, unit in (("psnr", ".2f", " dB"), ("ssim", ".3f", ""))
@@ -349,7 +374,10 @@ def page(result: Result) -> str:
         "<h2>What was run</h2>"
         + _table(
             ("step", "command", "time"),
-            ((escape(step.name), f"<code>{escape(step.command)}</code>", _clock(step.seconds)) for step in result.steps),
+            (
+                (escape(step.name), f"<code>{escape(step.command)}</code>", _clock(step.seconds))
+                for step in result.steps
+            ),
             1,
         ),
         "<h2>Exactness</h2><p>The scene before encoding and the one that another process decoded have the same SHA-256:<br>"
@@ -357,7 +385,10 @@ def page(result: Result) -> str:
         "<h2>Files</h2>"
         + _table(
             ("file", "what it is", "size"),
-            ((f'<a href="{escape(f.path)}"><code>{escape(f.path)}</code></a>', escape(f.text), readable(f.size)) for f in result.files),
+            (
+                (f'<a href="{escape(f.path)}"><code>{escape(f.path)}</code></a>', escape(f.text), readable(f.size))
+                for f in result.files
+            ),
             1,
         ),
         f"<h2>Photographs</h2><pre>{escape(result.credits)}</pre>",

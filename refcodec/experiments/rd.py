@@ -52,7 +52,9 @@ class Settings:
         settings = ("--rate", f"{rate:g}", *self.options, *size, "--threads", str(threads), "--progress")
         train, encode = f"{name} train", f"{name} encode"
         state = self.folder / f"{name}.train-state"
-        commands = [Command(name, ("train", str(self.photographs), "-o", str(scene), *settings), scene / REPORT, state=state)]
+        commands = [
+            Command(name, ("train", str(self.photographs), "-o", str(scene), *settings), scene / REPORT, state=state)
+        ]
         if rate:
             commands.append(Command(name, ("encode", str(scene), "-o", str(file)), file, (train,)))
         what = ("eval", str(file if rate else scene), str(self.photographs), *size, "--json")
@@ -69,7 +71,9 @@ class Difference:
     warning: str
 
 
-def run_rd(settings: Settings, rates: Sequence[float], against: Path | None = None) -> tuple[list[Row], Difference | None]:
+def run_rd(
+    settings: Settings, rates: Sequence[float], against: Path | None = None
+) -> tuple[list[Row], Difference | None]:
     """Trains, encodes and evaluates at each rate, and writes the table and the chart; returns the table, and how far its curve is from
     that of another table.
 
@@ -78,7 +82,9 @@ def run_rd(settings: Settings, rates: Sequence[float], against: Path | None = No
     other = read_curve(against) if against else None
     coded = sum(rate > 0 for rate in rates)
     if other is not None and min(coded, len(other)) < BD_POINTS:
-        raise RunError(f"BD-rate needs {BD_POINTS} rates above 0 or more in both curves: {coded} here, {len(other)} in {against}")
+        raise RunError(
+            f"BD-rate needs {BD_POINTS} rates above 0 or more in both curves: {coded} here, {len(other)} in {against}"
+        )
     read_photographs(settings.photographs, parse_size(settings.size))
     notes = Notes.open(settings.folder, NOTES, FORMAT)
     chains = [settings.chain(rate) for rate in rates]
@@ -115,7 +121,9 @@ def write_table(path: Path, rows: Sequence[Row]) -> None:
     with path.open("w", newline="") as file:
         writer = csv.DictWriter(file, COLUMNS)
         writer.writeheader()
-        writer.writerows({name: f"{value:.6g}" if isinstance(value, float) else value for name, value in row.items()} for row in rows)
+        writer.writerows(
+            {name: f"{value:.6g}" if isinstance(value, float) else value for name, value in row.items()} for row in rows
+        )
 
 
 def read_curve(path: Path) -> list[Row]:
@@ -123,12 +131,18 @@ def read_curve(path: Path) -> list[Row]:
     try:
         with path.open(newline="") as file:
             rows = list(csv.DictReader(file))
-        points = [{"bytes": float(row["bytes"]), "psnr": float(row["psnr"])} for row in rows if float(row.get("rate") or 1) > 0]
+        points = [
+            {"bytes": float(row["bytes"]), "psnr": float(row["psnr"])}
+            for row in rows
+            if float(row.get("rate") or 1) > 0
+        ]
     except OSError as error:
         raise RunError(f"{path}: {error.strerror}") from None
     except (KeyError, TypeError, ValueError, csv.Error):
         raise RunError(f"{path} is not a table with numbers in the columns bytes and psnr") from None
-    if not all(point["bytes"] > 0 and math.isfinite(point["bytes"]) and math.isfinite(point["psnr"]) for point in points):
+    if not all(
+        point["bytes"] > 0 and math.isfinite(point["bytes"]) and math.isfinite(point["psnr"]) for point in points
+    ):
         raise RunError(f"{path} has sizes or PSNRs that no file has")
     return points
 
@@ -136,11 +150,15 @@ def read_curve(path: Path) -> list[Row]:
 def compare(anchor: Sequence[Row], test: Sequence[Row]) -> Difference:
     """The Bjontegaard deltas of the test curve from the anchor, by piecewise cubic interpolation, as JCTVC-L1100 does. Uncompressed
     points are left out. Raises RunError if there is no answer."""
-    curves = [sorted((point["bytes"], point["psnr"]) for point in curve if point.get("rate", 1) > 0) for curve in (anchor, test)]
+    curves = [
+        sorted((point["bytes"], point["psnr"]) for point in curve if point.get("rate", 1) > 0)
+        for curve in (anchor, test)
+    ]
     for curve in curves:
         if any(a[0] >= b[0] or a[1] >= b[1] for a, b in pairwise(curve)):
             raise RunError(
-                "BD-rate needs curves on which PSNR rises with the size: " + ", ".join(f"{b:.0f} B {p:.2f} dB" for b, p in curve)
+                "BD-rate needs curves on which PSNR rises with the size: "
+                + ", ".join(f"{b:.0f} B {p:.2f} dB" for b, p in curve)
             )
     columns = [[point[i] for point in curve] for curve in curves for i in (0, 1)]
     with warnings.catch_warnings(record=True) as caught:

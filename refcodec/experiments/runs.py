@@ -112,11 +112,18 @@ class Notes:
         with self._lock:
             before = self.seconds(command.name) if self.can_resume(command) else 0.0
             gone = {command.name}
-            while more := {name for name, note in self.commands.items() if name not in gone and gone & set(note["after"])}:
+            while more := {
+                name for name, note in self.commands.items() if name not in gone and gone & set(note["after"])
+            }:
                 gone |= more
             for name in gone:
                 self.commands.pop(name, None)
-            note = {"arguments": list(command.arguments), "after": list(command.after), "seconds": before, "done": False}
+            note = {
+                "arguments": list(command.arguments),
+                "after": list(command.after),
+                "seconds": before,
+                "done": False,
+            }
             self.commands[command.name] = note
             self._write()
 
@@ -230,7 +237,10 @@ def shown(names: Sequence[str]) -> Iterator[Show]:
         return
     from tqdm import tqdm  # noqa: PLC0415
 
-    bars = {name: tqdm(total=0, position=i, bar_format="{desc}", dynamic_ncols=True, file=sys.stderr) for i, name in enumerate(names)}
+    bars = {
+        name: tqdm(total=0, position=i, bar_format="{desc}", dynamic_ncols=True, file=sys.stderr)
+        for i, name in enumerate(names)
+    }
     try:
         yield lambda name, text: bars[name].set_description_str(f"{name:<{width}}  {text}")
     finally:

@@ -30,7 +30,9 @@ class Document:
         except (ValueError, RecursionError) as error:
             raise SceneFolderError(file, f"it is not JSON ({error})", "restore it, or decode again") from None
         if not isinstance(self.root, dict) or self.root.get("format") != FORMAT:
-            raise SceneFolderError(file, f'its "format" is not "{FORMAT}"', "give a folder that `refcodec decode` or `refcodec fit` wrote")
+            raise SceneFolderError(
+                file, f'its "format" is not "{FORMAT}"', "give a folder that `refcodec decode` or `refcodec fit` wrote"
+            )
         self.integer("version", VERSION, VERSION)
 
     def fault(self, name: str, problem: str) -> SceneFolderError:

@@ -72,10 +72,14 @@ class Columns:
         try:
             self.data = PlyData.read(str(file))["vertex"].data
         except KeyError:
-            raise SceneFolderError(file, "it has no vertices", "give a point cloud in the layout of Scaffold-GS") from None
+            raise SceneFolderError(
+                file, "it has no vertices", "give a point cloud in the layout of Scaffold-GS"
+            ) from None
         # plyfile answers bad bytes with many types; whatever it is, the file cannot be read.
         except Exception as error:
-            raise SceneFolderError(file, f"it is not a readable PLY file ({error})", "export the point cloud again") from None
+            raise SceneFolderError(
+                file, f"it is not a readable PLY file ({error})", "export the point cloud again"
+            ) from None
         self.count = len(self.data)
 
     def names(self, stem: str) -> list[str]:
@@ -86,7 +90,9 @@ class Columns:
         numbered = [name for name in known if re.fullmatch(re.escape(stem) + r"\d+", name)]
         numbered.sort(key=lambda name: int(name[len(stem) :]))
         if [name[len(stem) :] for name in numbered] != [str(i) for i in range(len(numbered))]:
-            raise SceneFolderError(self.file, f"the properties {stem}* are not numbered from 0", "export the point cloud again")
+            raise SceneFolderError(
+                self.file, f"the properties {stem}* are not numbered from 0", "export the point cloud again"
+            )
         return numbered
 
     def array(self, names: Sequence[str]) -> NDArray[np.float32]:
@@ -119,13 +125,17 @@ def read_cloud(path: str | Path) -> AnchorCloud:
         if len(names[stem]) != wanted:
             raise SceneFolderError(file, f"it has {len(names[stem])} properties {stem}*, {wanted} are required", advice)
     if len(names["f_mask_"]) not in (0, count):
-        raise SceneFolderError(file, f"it has {len(names['f_mask_'])} properties f_mask_*, {count} are required", advice)
+        raise SceneFolderError(
+            file, f"it has {len(names['f_mask_'])} properties f_mask_*, {count} are required", advice
+        )
     if not names["f_anchor_feat_"]:
         raise SceneFolderError(file, "it has no properties f_anchor_feat_*", advice)
     arrays = {stem: columns.array(n) for stem, n in names.items()}
     for stem, array in arrays.items():
         if not np.isfinite(array).all():
-            raise SceneFolderError(file, f"a value of {stem} is NaN or infinite", "remove that anchor, or export the point cloud again")
+            raise SceneFolderError(
+                file, f"a value of {stem} is NaN or infinite", "remove that anchor, or export the point cloud again"
+            )
     mask = arrays["f_mask_"]
     binary = bool(((mask == 0) | (mask == 1)).all())
     return AnchorCloud(

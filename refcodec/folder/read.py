@@ -48,7 +48,9 @@ def read_folder(path: str | Path) -> Scene:
     """
     path = Path(path)
     if not path.is_dir():
-        raise SceneFolderError(path, "there is no such folder", "give a folder that `refcodec decode` or `refcodec fit` wrote")
+        raise SceneFolderError(
+            path, "there is no such folder", "give a folder that `refcodec decode` or `refcodec fit` wrote"
+        )
     for name, advice in (
         (SCENE_FILE, "it is not a scene folder, or its writing was interrupted: decode or fit again"),
         (PLY_FILE, "restore it, or decode again"),
@@ -110,15 +112,22 @@ def _read_document(doc: Document, d: Dimensions, profile: int, path: Path) -> Sc
     )
     lanes = Lanes(*(doc.integer(f"lanes.{name}", 0, LANES_LOG2_MAX) for name in ("plane", "mask", "attribute")))
     frame = Frame(
-        np.array([doc.integers(f"frame.matrix[{i}]", 3, 1 - MATRIX_BOUND, MATRIX_BOUND - 1) for i in range(3)], dtype=np.int64),
+        np.array(
+            [doc.integers(f"frame.matrix[{i}]", 3, 1 - MATRIX_BOUND, MATRIX_BOUND - 1) for i in range(3)],
+            dtype=np.int64,
+        ),
         np.array(doc.integers("frame.translation", 3, 1 - TRANSLATION_BOUND, TRANSLATION_BOUND - 1), dtype=np.int64),
         np.array(doc.integers("frame.shift", 3, 0, FRAME_SHIFT_MAX), dtype=np.int64),
         np.array(doc.integers("frame.low", 3, -FRAME_RANGE_BOUND, FRAME_RANGE_BOUND - 1), dtype=np.int64),
         np.array(doc.integers("frame.high", 3, -FRAME_RANGE_BOUND, FRAME_RANGE_BOUND), dtype=np.int64),
     )
-    planes = _tensors(path / PLANES_FILE, {"planes": ((PLANES, d.plane_channels, d.plane_size, d.plane_size), np.int16)})["planes"]
+    planes = _tensors(
+        path / PLANES_FILE, {"planes": ((PLANES, d.plane_channels, d.plane_size, d.plane_size), np.int16)}
+    )["planes"]
     if planes.min(initial=0) < -PLANE_SYMBOL_MAX:
-        raise SceneFolderError(path / PLANES_FILE, "a plane symbol is -32768", f"keep symbols within +-{PLANE_SYMBOL_MAX}")
+        raise SceneFolderError(
+            path / PLANES_FILE, "a plane symbol is -32768", f"keep symbols within +-{PLANE_SYMBOL_MAX}"
+        )
     return Scene(
         profile,
         d,
@@ -200,7 +209,9 @@ def _read_extensions(doc: Document, path: Path) -> tuple[tuple[int, int, bytes],
             raise doc.fault(f"{at}.file", f"is {doc.value(f'{at}.file')!r}, {extension_name(kind)!r} is required")
         if not (path / extension_name(kind)).is_file():
             raise SceneFolderError(
-                path / extension_name(kind), "the file is missing", f'restore it, or delete its entry in "extensions" of {SCENE_FILE}'
+                path / extension_name(kind),
+                "the file is missing",
+                f'restore it, or delete its entry in "extensions" of {SCENE_FILE}',
             )
         found.append((kind, doc.integer(f"{at}.mode", 0, 255), (path / extension_name(kind)).read_bytes()))
     return tuple(found)
@@ -220,7 +231,9 @@ def _tensors(file: Path, wanted: dict[str, tuple[tuple[int, ...], type[np.generi
         if name not in arrays:
             raise SceneFolderError(file, f"the array {name} is missing", "restore it, or decode again")
         if name not in wanted:
-            raise SceneFolderError(file, f"the array {name} is not known", f"remove it, or correct the dimensions in {SCENE_FILE}")
+            raise SceneFolderError(
+                file, f"the array {name} is not known", f"remove it, or correct the dimensions in {SCENE_FILE}"
+            )
         (shape, dtype), array = wanted[name], arrays[name]
         if array.shape != shape or array.dtype != dtype:
             problem = f"{name} is {array.dtype}{list(array.shape)}, {np.dtype(dtype)}{list(shape)} is required"
@@ -240,7 +253,8 @@ def _read_networks(d: Dimensions, file: Path) -> dict[str, list[Layer]]:
         if not np.isfinite(array).all():
             raise SceneFolderError(file, f"{name} has a NaN or an infinity", "train or export the networks again")
     return {
-        name: [(arrays[f"{name}.{i}.weight"], arrays[f"{name}.{i}.bias"]) for i in range(len(layers))] for name, layers in shapes.items()
+        name: [(arrays[f"{name}.{i}.weight"], arrays[f"{name}.{i}.bias"]) for i in range(len(layers))]
+        for name, layers in shapes.items()
     }
 
 
@@ -289,14 +303,18 @@ def _compare_ply(scene: Scene, path: Path) -> None:
         if not names and stem == "f_mask_":
             found = np.ones_like(wanted)
         elif len(names) != wanted.shape[1]:
-            raise SceneFolderError(file, f"it has {len(names)} properties {stem}*, {wanted.shape[1]} are required", advice)
+            raise SceneFolderError(
+                file, f"it has {len(names)} properties {stem}*, {wanted.shape[1]} are required", advice
+            )
         else:
             found = columns.array(names)
         differs = found.view(np.uint32) != np.ascontiguousarray(wanted).view(np.uint32)
         if differs.any():
             anchor, column = (int(i) for i in np.argwhere(differs)[0])
             name = names[column] if names else f"f_mask_{column}"
-            problem = f"{name} of anchor {anchor} is {found[anchor, column]}, {CODED_FILE} gives {wanted[anchor, column]}"
+            problem = (
+                f"{name} of anchor {anchor} is {found[anchor, column]}, {CODED_FILE} gives {wanted[anchor, column]}"
+            )
             raise SceneFolderError(file, problem, advice)
 
 
@@ -317,10 +335,15 @@ def _requantise(bare: Scene, path: Path) -> Scene:
 
     d, file = bare.dimensions, path / PLY_FILE
     cloud = read_cloud(file)
-    for name, found, wanted in (("offsets", cloud.masks.shape[1], d.offset_count), ("features", cloud.features.shape[1], d.features)):
+    for name, found, wanted in (
+        ("offsets", cloud.masks.shape[1], d.offset_count),
+        ("features", cloud.features.shape[1], d.features),
+    ):
         if found != wanted:
             raise SceneFolderError(
-                file, f"its anchors have {found} {name}, {SCENE_FILE} says {wanted}", "use the point cloud that the networks fit"
+                file,
+                f"its anchors have {found} {name}, {SCENE_FILE} says {wanted}",
+                "use the point cloud that the networks fit",
             )
     try:
         scene = quantise(

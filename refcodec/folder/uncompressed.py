@@ -72,7 +72,9 @@ def write_uncompressed(scene: Uncompressed, path: Path) -> None:
         for part, value in zip(("weight", "bias"), layer, strict=True)
     }
     (path / NETWORKS_FILE).write_bytes(save(networks))
-    (path / RENDER_FILE).write_text(json.dumps({"format": FORMAT, "render": vars(scene.render)}, indent=2) + "\n", encoding="utf-8")
+    (path / RENDER_FILE).write_text(
+        json.dumps({"format": FORMAT, "render": vars(scene.render)}, indent=2) + "\n", encoding="utf-8"
+    )
 
 
 def read_uncompressed(path: Path) -> Uncompressed:
@@ -86,11 +88,18 @@ def read_uncompressed(path: Path) -> Uncompressed:
         given: dict[str, Any] = {k: tuple(v) if isinstance(v, list) else v for k, v in facts["render"].items()}
         render = RenderInfo(**given)
         arrays = load_file(path / NETWORKS_FILE)
-        networks = {name: [(arrays[f"{name}.{i}.weight"], arrays[f"{name}.{i}.bias"]) for i in range(2)] for name in RENDERING}
+        networks = {
+            name: [(arrays[f"{name}.{i}.weight"], arrays[f"{name}.{i}.bias"]) for i in range(2)] for name in RENDERING
+        }
     except (OSError, ValueError, KeyError, TypeError, SafetensorError) as error:
         raise SceneFolderError(path, f"it is not a whole uncompressed scene ({error})", "train it again") from None
     return Uncompressed(
-        Reconstruction(cloud.positions, cloud.features, cloud.scalings, np.where(cloud.masks[:, :, None], cloud.offsets, np.float32(0))),
+        Reconstruction(
+            cloud.positions,
+            cloud.features,
+            cloud.scalings,
+            np.where(cloud.masks[:, :, None], cloud.offsets, np.float32(0)),
+        ),
         cloud.masks,
         networks,
         render,

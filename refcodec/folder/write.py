@@ -83,7 +83,11 @@ def _write_files(scene: Scene, path: Path, damage: dict[int, BitstreamError]) ->
     }
     (path / NETWORKS_FILE).write_bytes(save(networks))
     (path / PLANES_FILE).write_bytes(save({"planes": np.ascontiguousarray(scene.planes)}))
-    coded: dict[str, NDArray] = {"positions": scene.positions.view(np.uint16), "masks": scene.masks.astype(np.uint8), "steps": a.steps}
+    coded: dict[str, NDArray] = {
+        "positions": scene.positions.view(np.uint16),
+        "masks": scene.masks.astype(np.uint8),
+        "steps": a.steps,
+    }
     coded |= {kind: getattr(a, kind) for kind in KINDS}
     (path / CODED_FILE).write_bytes(save({name: np.ascontiguousarray(value) for name, value in coded.items()}))
     for kind, _, content in scene.extensions:
@@ -117,20 +121,31 @@ def _scene_document(scene: Scene, damage: dict[int, BitstreamError]) -> dict[str
         "mask_model": scene.mask_model.tolist(),
         **_position_document(scene.position_model),
         **({} if scene.weight_scales is None else {"weight_scales": scene.weight_scales.tolist()}),
-        "extensions": [{"type": kind, "mode": mode, "file": extension_name(kind)} for kind, mode, _ in scene.extensions],
+        "extensions": [
+            {"type": kind, "mode": mode, "file": extension_name(kind)} for kind, mode, _ in scene.extensions
+        ],
         "digest": {"whole": whole, **parts},
     }
     if damage:
-        document["dropped_chunks"] = [{"chunk": number, **json.loads(error.to_json())} for number, error in sorted(damage.items())]
+        document["dropped_chunks"] = [
+            {"chunk": number, **json.loads(error.to_json())} for number, error in sorted(damage.items())
+        ]
     return document
 
 
 def _position_document(model: PositionModel | None) -> dict[str, Any]:
     """What packed positions were coded with, so that a folder gives its file again."""
-    return {} if model is None else {"position_model": {"cell_shift": model.cell_shift, "frequency": model.frequency.tolist()}}
+    return (
+        {}
+        if model is None
+        else {"position_model": {"cell_shift": model.cell_shift, "frequency": model.frequency.tolist()}}
+    )
 
 
 def _json_text(document: dict[str, Any]) -> str:
     """Indented JSON with each list of numbers on one line."""
     text = json.dumps(document, indent=2, allow_nan=False)
-    return re.sub(r"\[[^\[\]{}]*\]", lambda m: " ".join(m.group().split()).replace("[ ", "[").replace(" ]", "]"), text) + "\n"
+    return (
+        re.sub(r"\[[^\[\]{}]*\]", lambda m: " ".join(m.group().split()).replace("[ ", "[").replace(" ]", "]"), text)
+        + "\n"
+    )

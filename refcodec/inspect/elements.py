@@ -146,7 +146,9 @@ def section_rows(data: bytes, outline: Outline, kind: int, start: int, end: int)
             yield Row(at, at + 2, f"chunk_table.mask_model[{i}]", "u16", int.from_bytes(data[at : at + 2], "little"))
         if outline.position_mode:
             yield from parse_elements("PositionModel", data, start + 2 * contexts, end, "chunk_table.position_model")[0]
-        for number, at in enumerate(range(start + outline.entries_start, end - CHUNK_ENTRY_BYTES + 1, CHUNK_ENTRY_BYTES)):
+        for number, at in enumerate(
+            range(start + outline.entries_start, end - CHUNK_ENTRY_BYTES + 1, CHUNK_ENTRY_BYTES)
+        ):
             yield from parse_elements("ChunkEntry", data, at, at + CHUNK_ENTRY_BYTES, f"chunk_table.entry[{number}]")[0]
     elif name in ("positions", "masks", "attributes"):
         yield from _chunk_rows(data, outline, name, start, end)
@@ -195,7 +197,11 @@ def read_chunk_table(data: bytes, outline: Outline) -> NDArray[np.int64]:
     for kind, start, end in outline.sections:
         if SECTIONS.get(kind) == "chunk_table":
             at = start + outline.entries_start
-            return np.frombuffer(data, "<u4", 6 * max(0, (end - at) // CHUNK_ENTRY_BYTES), min(at, end)).astype(np.int64).reshape(-1, 6)
+            return (
+                np.frombuffer(data, "<u4", 6 * max(0, (end - at) // CHUNK_ENTRY_BYTES), min(at, end))
+                .astype(np.int64)
+                .reshape(-1, 6)
+            )
     return np.zeros((0, 6), np.int64)
 
 

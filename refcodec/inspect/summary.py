@@ -38,7 +38,9 @@ def _plain(value: Any) -> Any:
 def _section_table(data: bytes, outline: Outline) -> list[dict[str, Any]]:
     """Name, place, size and share of the prologue, the header and each section."""
     h = outline.header
-    spans: list[tuple[str, int | None, int | None, int, int]] = [("prologue", None, None, 0, min(len(data), PROLOGUE_BYTES))]
+    spans: list[tuple[str, int | None, int | None, int, int]] = [
+        ("prologue", None, None, 0, min(len(data), PROLOGUE_BYTES))
+    ]
     if outline.header_end > PROLOGUE_BYTES:
         spans.append(("header", None, None, PROLOGUE_BYTES, outline.header_end))
     for entry, (kind, start, end) in zip(h.directory if h else [], outline.sections, strict=True):
@@ -127,15 +129,22 @@ def _header_lines(facts: dict[str, Any], h: dict[str, Any]) -> Iterator[str]:
         return "-".join(map(str, values)) or "none"
 
     yield f"profile      {facts['profile'] or 'unknown'} ({h['profile']}), level {h['level']}"
-    kept = f", {facts['kept_offsets']} of {h['anchor_count'] * d['offset_count']} offsets kept" if facts["accepted"] else ""
+    kept = (
+        f", {facts['kept_offsets']} of {h['anchor_count'] * d['offset_count']} offsets kept"
+        if facts["accepted"]
+        else ""
+    )
     yield f"anchors      {h['anchor_count']}, {d['offset_count']} offsets each{kept}"
     yield f"features     {sum(d['slice_width'])} in slices {widths(d['slice_width'])}"
     yield f"planes       5 of {d['plane_channels']} x {d['plane_size']} x {d['plane_size']}, {d['frequency_count']} frequencies"
     hidden = ", ".join(f"{n} {widths(d[f'{n}_width'])}" for n in ("hyper", "sarm", "carm"))
     yield f"networks     hidden {hidden}, render {d['render_width']}"
-    yield "lanes        " + ", ".join(f"{part}s {1 << h[f'{part}_lanes_log2']}" for part in ("plane", "mask", "attribute"))
+    yield "lanes        " + ", ".join(
+        f"{part}s {1 << h[f'{part}_lanes_log2']}" for part in ("plane", "mask", "attribute")
+    )
     steps = ", ".join(
-        f"{kind} {np.float32(float(step))!s}" for kind, step in zip(("features", "scalings", "offsets"), h["base_step"], strict=True)
+        f"{kind} {np.float32(float(step))!s}"
+        for kind, step in zip(("features", "scalings", "offsets"), h["base_step"], strict=True)
     )
     yield f"base steps   {steps}"
 

@@ -53,7 +53,9 @@ def check_intrinsics(where: Path | str, camera: Camera, distortion: Distortion) 
     """Raises PhotographError for a size, focal length, principal point or distortion that no camera has."""
     if not (1 <= camera.width <= SIDE_MAX and 1 <= camera.height <= SIDE_MAX):
         raise PhotographError(
-            where, f"an image of {camera.width} x {camera.height} pixels, 1 to {SIDE_MAX} are allowed", "correct the camera's size"
+            where,
+            f"an image of {camera.width} x {camera.height} pixels, 1 to {SIDE_MAX} are allowed",
+            "correct the camera's size",
         )
     longer = max(camera.width, camera.height)
     for name, focal in (("fx", camera.fx), ("fy", camera.fy)):
@@ -67,7 +69,9 @@ def check_intrinsics(where: Path | str, camera: Camera, distortion: Distortion) 
             )
     for name, value in zip(("cx", "cy", "k1", "k2", "p1", "p2"), (camera.cx, camera.cy, *distortion), strict=True):
         if not np.isfinite(value):
-            raise PhotographError(where, f"{name} is {value}, a finite number is required", "correct the camera's intrinsics")
+            raise PhotographError(
+                where, f"{name} is {value}, a finite number is required", "correct the camera's intrinsics"
+            )
     if not (-camera.width <= camera.cx <= 2 * camera.width and -camera.height <= camera.cy <= 2 * camera.height):
         raise PhotographError(
             where,
@@ -79,7 +83,9 @@ def check_intrinsics(where: Path | str, camera: Camera, distortion: Distortion) 
 def checked_rotation(where: Path | str, matrix: F64) -> F64:
     """The rotation nearest to a [3, 3] matrix. Raises PhotographError if it is not one to ROTATION_TOLERANCE."""
     if not np.isfinite(matrix).all():
-        raise PhotographError(where, "the pose has a NaN or an infinite number", "estimate the poses again, or remove this image")
+        raise PhotographError(
+            where, "the pose has a NaN or an infinite number", "estimate the poses again, or remove this image"
+        )
     if np.abs(matrix @ matrix.T - np.eye(3)).max() > ROTATION_TOLERANCE or np.linalg.det(matrix) < 0:
         raise PhotographError(
             where,
@@ -94,18 +100,24 @@ def checked_rotation(where: Path | str, matrix: F64) -> F64:
 def checked_translation(where: Path | str, translation: F64) -> F64:
     """The translation, float64 [3]. Raises PhotographError for NaN and infinity."""
     if not np.isfinite(translation).all():
-        raise PhotographError(where, "the pose has a NaN or an infinite number", "estimate the poses again, or remove this image")
+        raise PhotographError(
+            where, "the pose has a NaN or an infinite number", "estimate the poses again, or remove this image"
+        )
     return translation
 
 
 def quaternion_rotation(where: Path | str, quaternion: F64) -> F64:
     """The rotation [3, 3] of a quaternion w, x, y, z of any length. Raises PhotographError for zero, NaN and infinity."""
     if not np.isfinite(quaternion).all():
-        raise PhotographError(where, "the pose has a NaN or an infinite number", "estimate the poses again, or remove this image")
+        raise PhotographError(
+            where, "the pose has a NaN or an infinite number", "estimate the poses again, or remove this image"
+        )
     # Scaled first, so that neither huge nor tiny components leave float64's range when they are squared.
     largest = np.abs(quaternion).max()
     if largest == 0:
-        raise PhotographError(where, "the pose's quaternion is 0 0 0 0", "estimate the poses again, or remove this image")
+        raise PhotographError(
+            where, "the pose's quaternion is 0 0 0 0", "estimate the poses again, or remove this image"
+        )
     w, x, y, z = (quaternion / largest) / np.linalg.norm(quaternion / largest)
     return np.array(
         [

@@ -17,7 +17,17 @@ from typing import Any
 
 import numpy as np
 
-from .cameras import F64, U8, Camera, Distortion, PhotographError, Shot, check_intrinsics, checked_translation, quaternion_rotation
+from .cameras import (
+    F64,
+    U8,
+    Camera,
+    Distortion,
+    PhotographError,
+    Shot,
+    check_intrinsics,
+    checked_translation,
+    quaternion_rotation,
+)
 from .images import Size, image_size
 
 # The models that are read: how their parameters give fx, fy, cx, cy and k1, k2, p1, p2.
@@ -30,8 +40,26 @@ MODELS: dict[str, tuple[int, Callable[..., tuple[tuple[float, ...], Distortion]]
 }
 # Binary files number the models; the names of those that are not read are for the message.
 MODEL_IDS = (
-    *("SIMPLE_PINHOLE", "PINHOLE", "SIMPLE_RADIAL", "RADIAL", "OPENCV", "OPENCV_FISHEYE", "FULL_OPENCV", "FOV", "SIMPLE_RADIAL_FISHEYE"),
-    *("RADIAL_FISHEYE", "THIN_PRISM_FISHEYE", "RAD_TAN_THIN_PRISM_FISHEYE", "SIMPLE_DIVISION", "DIVISION", "SIMPLE_FISHEYE", "FISHEYE"),
+    *(
+        "SIMPLE_PINHOLE",
+        "PINHOLE",
+        "SIMPLE_RADIAL",
+        "RADIAL",
+        "OPENCV",
+        "OPENCV_FISHEYE",
+        "FULL_OPENCV",
+        "FOV",
+        "SIMPLE_RADIAL_FISHEYE",
+    ),
+    *(
+        "RADIAL_FISHEYE",
+        "THIN_PRISM_FISHEYE",
+        "RAD_TAN_THIN_PRISM_FISHEYE",
+        "SIMPLE_DIVISION",
+        "DIVISION",
+        "SIMPLE_FISHEYE",
+        "FISHEYE",
+    ),
     *("EUCM", "EQUIRECTANGULAR"),
 )
 PARTS = ("cameras", "images", "points3D")
@@ -90,14 +118,20 @@ def read_colmap(folder: Path, model: Path, size: Size) -> tuple[list[Shot], F64,
     poses = (_binary_images if binary else _text_images)(model / f"images{suffix}")
     points, colours = (_binary_points if binary else _text_points)(model / f"points3D{suffix}")
     if not poses:
-        raise PhotographError(model / f"images{suffix}", "no image has a pose", "reconstruct again until images are registered")
+        raise PhotographError(
+            model / f"images{suffix}", "no image has a pose", "reconstruct again until images are registered"
+        )
     if not len(points):
-        raise PhotographError(model / f"points3D{suffix}", "there are no points", "triangulate some (colmap point_triangulator)")
+        raise PhotographError(
+            model / f"points3D{suffix}", "there are no points", "triangulate some (colmap point_triangulator)"
+        )
     shots = [_shot(model / f"cameras{suffix}", pose, lenses) for pose in sorted(poses, key=lambda p: p.name)]
     names = {shot.camera.name for shot in shots}
     if len(names) < len(shots):
         twice = next(a.camera.name for a, b in pairwise(shots) if a.camera.name == b.camera.name)
-        raise PhotographError(model / f"images{suffix}", f"two images are named {twice!r}", "names must differ: export the model again")
+        raise PhotographError(
+            model / f"images{suffix}", f"two images are named {twice!r}", "names must differ: export the model again"
+        )
     images = _image_folder(folder, shots, size)
     missing = [name for shot in shots if not (images / (name := shot.camera.name)).is_file()]
     if missing:
@@ -118,7 +152,9 @@ def _shot(cameras: Path, pose: _Pose, lenses: dict[int, _Lens]) -> Shot:
     parts = PurePosixPath(pose.name).parts
     if not parts or ".." in parts or pose.name.startswith("/"):
         raise PhotographError(
-            pose.where, f"the name {pose.name!r} is not that of a file in the image folder", "names are relative to the image folder"
+            pose.where,
+            f"the name {pose.name!r} is not that of a file in the image folder",
+            "names are relative to the image folder",
         )
     rotation = quaternion_rotation(pose.where, pose.quaternion)
     translation = checked_translation(pose.where, pose.translation)
@@ -129,10 +165,16 @@ def _shot(cameras: Path, pose: _Pose, lenses: dict[int, _Lens]) -> Shot:
 
 def _image_folder(folder: Path, shots: list[Shot], size: Size) -> Path:
     """images, or images_2, images_4, ...: the smallest whose first image the wanted size can be made from."""
-    reduced = {int(m[1]): p for p in folder.glob("images_*") if (m := re.fullmatch(r"images_([1-9][0-9]{0,3})", p.name)) and p.is_dir()}
+    reduced = {
+        int(m[1]): p
+        for p in folder.glob("images_*")
+        if (m := re.fullmatch(r"images_([1-9][0-9]{0,3})", p.name)) and p.is_dir()
+    }
     folders = [p for p in (folder / "images", *(reduced[n] for n in sorted(reduced))) if p.is_dir()]
     if not folders:
-        raise PhotographError(folder / "images", "there is no image folder", "put the images into images/ (or images_2/, images_4/, ...)")
+        raise PhotographError(
+            folder / "images", "there is no image folder", "put the images into images/ (or images_2/, images_4/, ...)"
+        )
     if size is not None:
         for place in reversed(folders[1:]):
             if (first := place / shots[0].camera.name).is_file():
@@ -228,7 +270,9 @@ def _text_images(file: Path) -> list[_Pose]:
         below, points = next(lines, (where, ""))
         if len(points.split()) % 3:
             raise PhotographError(
-                below, "the line after an image holds its 2D points as X Y POINT3D_ID", "give every image a second line, empty if need be"
+                below,
+                "the line after an image holds its 2D points as X Y POINT3D_ID",
+                "give every image a second line, empty if need be",
             )
     return out
 
@@ -284,7 +328,9 @@ class _Bytes:
         (count,) = self.take(struct.Struct("<Q"), "the count")
         most = (len(self.data) - self.at) // SMALLEST[part]
         if count > most:
-            raise PhotographError(self.file, f"it states {count} {part}, its {len(self.data)} bytes hold {most} at most", RERUN)
+            raise PhotographError(
+                self.file, f"it states {count} {part}, its {len(self.data)} bytes hold {most} at most", RERUN
+            )
         for index in range(count):
             yield f"record {index} of {count}"
         if self.at != len(self.data):

@@ -28,7 +28,9 @@ def parse_size(text: str) -> tuple[int, int] | int:
     numbers = [int(n) for n in match.groups() if n] if match else []
     if not numbers or max(numbers) > SIDE_MAX:
         raise PhotographError(
-            f"size {text!r}", f"it is neither WIDTHxHEIGHT nor a longest side of 1 to {SIDE_MAX} pixels", "give for example 400x300, or 400"
+            f"size {text!r}",
+            f"it is neither WIDTHxHEIGHT nor a longest side of 1 to {SIDE_MAX} pixels",
+            "give for example 400x300, or 400",
         )
     return numbers[0] if len(numbers) == 1 else (numbers[0], numbers[1])
 
@@ -47,7 +49,11 @@ def wanted_size(where: Path | str, width: int, height: int, size: Size) -> tuple
         return width, height
     if isinstance(size, int):
         longer = max(width, height)
-        return (width, height) if size >= longer else (max(1, round(width * size / longer)), max(1, round(height * size / longer)))
+        return (
+            (width, height)
+            if size >= longer
+            else (max(1, round(width * size / longer)), max(1, round(height * size / longer)))
+        )
     if size[0] > width or size[1] > height:
         raise PhotographError(
             where,
@@ -95,7 +101,11 @@ def read_image(path: Path, background: tuple[int, int, int]) -> U8:
     """
     with _opened(path) as image:
         if image.mode not in EIGHT_BITS:
-            raise PhotographError(path, f"its pixels are of the kind {image.mode}, 8 bits per channel are required", "convert it to 8 bits")
+            raise PhotographError(
+                path,
+                f"its pixels are of the kind {image.mode}, 8 bits per channel are required",
+                "convert it to 8 bits",
+            )
         if image.has_transparency_data:
             pixels = np.asarray(image.convert("RGBA"), np.float32)
             alpha = pixels[..., 3:] / 255

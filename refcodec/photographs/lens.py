@@ -31,7 +31,10 @@ def distort(points: F64, distortion: Distortion) -> F64:
     x, y = points[:, 0], points[:, 1]
     r2 = x * x + y * y
     radial = 1 + k1 * r2 + k2 * r2 * r2
-    return np.stack([x * radial + 2 * p1 * x * y + p2 * (r2 + 2 * x * x), y * radial + p1 * (r2 + 2 * y * y) + 2 * p2 * x * y], axis=1)
+    return np.stack(
+        [x * radial + 2 * p1 * x * y + p2 * (r2 + 2 * x * x), y * radial + p1 * (r2 + 2 * y * y) + 2 * p2 * x * y],
+        axis=1,
+    )
 
 
 def _slopes(points: F64, distortion: Distortion) -> tuple[F64, F64, F64]:
@@ -55,7 +58,11 @@ def undistort(points: F64, distortion: Distortion) -> F64:
             a, b, d = _slopes(out, distortion)
             error = distort(out, distortion) - points
             determinant = a * d - b * b
-            out = out - np.stack([d * error[:, 0] - b * error[:, 1], a * error[:, 1] - b * error[:, 0]], axis=1) / determinant[:, None]
+            out = (
+                out
+                - np.stack([d * error[:, 0] - b * error[:, 1], a * error[:, 1] - b * error[:, 0]], axis=1)
+                / determinant[:, None]
+            )
         wrong = ~(np.abs(distort(out, distortion) - points).max(axis=1) < NEWTON_TOLERANCE)
     out[wrong] = np.nan
     return out
@@ -95,7 +102,9 @@ def undistorted_camera(where: Path | str, camera: Camera, distortion: Distortion
     a, b, d = _slopes(plane, distortion)
     if not (a * d - b * b > 0).all():
         raise PhotographError(
-            where, f"the distortion k1, k2, p1, p2 = {', '.join(f'{v:g}' for v in distortion)} folds the image over itself", advice
+            where,
+            f"the distortion k1, k2, p1, p2 = {', '.join(f'{v:g}' for v in distortion)} folds the image over itself",
+            advice,
         )
     fx, fy = focal.tolist()
     cx, cy = principal.tolist()

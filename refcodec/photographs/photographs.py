@@ -53,7 +53,9 @@ class PhotographSet:
     background: tuple[int, int, int]
 
 
-def read_photographs(folder: str | Path, size: Size = None, background: tuple[int, int, int] | None = None, seed: int = 0) -> PhotographSet:
+def read_photographs(
+    folder: str | Path, size: Size = None, background: tuple[int, int, int] | None = None, seed: int = 0
+) -> PhotographSet:
     """The photographs of a COLMAP or NeRF folder; where it is both, COLMAP's, which has points.
 
     size: (width, height) or the longest side in pixels that images are averaged down to, None for their own; background: what
@@ -65,7 +67,9 @@ def read_photographs(folder: str | Path, size: Size = None, background: tuple[in
     """
     folder = Path(folder)
     if not folder.is_dir():
-        raise PhotographError(folder, "there is no such folder", "give a folder with COLMAP's or NeRF's cameras and their images")
+        raise PhotographError(
+            folder, "there is no such folder", "give a folder with COLMAP's or NeRF's cameras and their images"
+        )
     try:
         if model := find_model(folder):
             shots, points, colours, skipped = read_colmap(folder, model, size)
@@ -82,7 +86,9 @@ def read_photographs(folder: str | Path, size: Size = None, background: tuple[in
             test_shots = shots[::TEST_EVERY]
             shots = [shot for index, shot in enumerate(shots) if index % TEST_EVERY]
         if not shots:
-            raise PhotographError(folder, f"no image is left to learn from, {len(test_shots)} are for tests", "give two images or more")
+            raise PhotographError(
+                folder, f"no image is left to learn from, {len(test_shots)} are for tests", "give two images or more"
+            )
         over = background or (BLACK if model else WHITE)
         train, test = _photographs(shots, size, over), _photographs(test_shots, size, over)
     except OSError as error:
@@ -110,7 +116,9 @@ def _photograph(shot: Shot, size: Size, background: tuple[int, int, int]) -> Pho
             else "restore the image that the camera was estimated from, or a version of it in another size",
         )
     photographed = stated.resized(width, height)
-    camera = photographed if shot.distortion == UNDISTORTED else undistorted_camera(shot.path, photographed, shot.distortion)
+    camera = (
+        photographed if shot.distortion == UNDISTORTED else undistorted_camera(shot.path, photographed, shot.distortion)
+    )
     camera = camera.resized(*wanted_size(shot.path, width, height, size))
     return Photograph(camera, partial(_load, shot, photographed, camera, background))
 

@@ -62,7 +62,9 @@ def read_transforms(folder: Path, seed: int) -> tuple[list[Shot], list[Shot] | N
     else:
         for name, other in ((TRAIN, TEST), (TEST, TRAIN)):
             if not (folder / name).is_file():
-                raise PhotographError(folder / name, f"the file is missing, {other} is there", f"give both, or a {SINGLE}")
+                raise PhotographError(
+                    folder / name, f"the file is missing, {other} is there", f"give both, or a {SINGLE}"
+                )
         document = _document(folder / TRAIN)
         shots, skipped = _frames(folder / TRAIN, document)
         test, more = _frames(folder / TEST, _document(folder / TEST))
@@ -74,7 +76,9 @@ def read_transforms(folder: Path, seed: int) -> tuple[list[Shot], list[Shot] | N
     places = [folder / str(named)] if named is not None else [folder / name for name in POINT_FILES]
     place = next((p for p in places if p.is_file()), None)
     if place is None and named is not None:
-        raise PhotographError(places[0], "the point cloud that ply_file_path names is missing", "restore it, or remove ply_file_path")
+        raise PhotographError(
+            places[0], "the point cloud that ply_file_path names is missing", "restore it, or remove ply_file_path"
+        )
     points, colours = read_points(place) if place else random_points(folder, [shot.camera for shot in everything], seed)
     return shots, test, points, colours, skipped
 
@@ -121,7 +125,9 @@ def _shot(where: str, folder: Path, document: dict[str, Any], frame: dict[str, A
     width, height = (_whole(where, key, fields[key], side) for key, side in zip(("w", "h"), size, strict=True))
     distortion = _distortion(where, keys, fields)
     fx, fy = _focal(where, fields, width, height)
-    cx, cy = (middle if value is None else value for value, middle in ((fields["cx"], width / 2), (fields["cy"], height / 2)))
+    cx, cy = (
+        middle if value is None else value for value, middle in ((fields["cx"], width / 2), (fields["cy"], height / 2))
+    )
     rotation, translation = _pose(where, frame["transform_matrix"])
     camera = Camera(name, width, height, fx, fy, cx, cy, rotation, translation)
     check_intrinsics(where, camera, distortion)
@@ -155,7 +161,9 @@ def _distortion(where: str, keys: dict[str, Any], fields: dict[str, float | None
     if model not in (*MODELS, "PERSPECTIVE") or keys.get("is_fisheye"):
         model = "fisheye" if model in MODELS else f"{model!s:.60}"
         raise PhotographError(
-            where, f"the camera model {model} is not supported, {', '.join(MODELS)} are", "undistort the images beforehand"
+            where,
+            f"the camera model {model} is not supported, {', '.join(MODELS)} are",
+            "undistort the images beforehand",
         )
     higher = [key for key in HIGHER if fields[key]]
     if higher:
@@ -175,12 +183,16 @@ def _focal(where: str, fields: dict[str, float | None], width: int, height: int)
         focal, angle = fields[f"fl_{axis}"], fields[f"camera_angle_{axis}"]
         if focal is None and angle is not None:
             if not 0 < angle < np.pi:
-                raise PhotographError(where, f"camera_angle_{axis} is {angle}, radians between 0 and pi are allowed", REPAIR)
+                raise PhotographError(
+                    where, f"camera_angle_{axis} is {angle}, radians between 0 and pi are allowed", REPAIR
+                )
             focal = side / 2 / float(np.tan(angle / 2))
         out.append(focal)
     fx, fy = (a if a is not None else b for a, b in (out, out[::-1]))
     if fx is None or fy is None:
-        raise PhotographError(where, "there is no focal length", "give fl_x and fl_y in pixels, or camera_angle_x in radians")
+        raise PhotographError(
+            where, "there is no focal length", "give fl_x and fl_y in pixels, or camera_angle_x in radians"
+        )
     return fx, fy
 
 
@@ -216,7 +228,9 @@ def read_points(file: Path) -> tuple[F64, U8]:
     except Exception as error:
         raise PhotographError(file, f"it is not a readable point cloud ({error})", advice) from None
     if not len(points):
-        raise PhotographError(file, "there are no points", f"remove the file: {RANDOM_POINTS} points are then drawn at random")
+        raise PhotographError(
+            file, "there are no points", f"remove the file: {RANDOM_POINTS} points are then drawn at random"
+        )
     if not np.isfinite(points).all():
         raise PhotographError(file, "a point is NaN or infinite", advice)
     return points, colours
@@ -236,11 +250,15 @@ def random_points(folder: Path, cameras: list[Camera], seed: int) -> tuple[F64, 
     advice = f"give points in {POINT_FILES[0]}, or reconstruct some with COLMAP"
     # The smallest eigenvalue tells how far the axes are from being parallel: it is 0 for one camera, and n / 2 at best.
     if np.linalg.eigvalsh(total)[0] < 1e-4 * len(cameras):
-        raise PhotographError(folder, "there are no points, and the cameras' axes do not meet, so none can be drawn", advice)
+        raise PhotographError(
+            folder, "there are no points, and the cameras' axes do not meet, so none can be drawn", advice
+        )
     middle = np.linalg.solve(total, (across @ centres[:, :, None]).sum(axis=0)[:, 0])
     depth = float(np.median(((middle - centres) * axes).sum(axis=1)))
     if depth <= 0:
-        raise PhotographError(folder, "there are no points, and the cameras look away from each other, so none can be drawn", advice)
+        raise PhotographError(
+            folder, "there are no points, and the cameras look away from each other, so none can be drawn", advice
+        )
     half = BOX_SHARE * float(np.median(np.linalg.norm(middle - centres, axis=1)))
     points = middle + np.random.default_rng(seed).uniform(-half, half, (RANDOM_POINTS, 3))
     return points, np.full(points.shape, GREY, np.uint8)

@@ -19,7 +19,9 @@ _FLOOR = np.float32(-32)
 
 
 @njit(cache=True, parallel=True, error_model="numpy")
-def blend_tiles(record: F32, tile_begin: I64, members: I32, width: int, height: int, alpha_max: np.float32, background: F32) -> Any:
+def blend_tiles(
+    record: F32, tile_begin: I64, members: I32, width: int, height: int, alpha_max: np.float32, background: F32
+) -> Any:
     """Image f32[H,W,3], transmittance f32[H,W] and last f32[H,W] (see _Tape)."""
     image, transmittance = np.empty((height, width, 3), np.float32), np.empty((height, width), np.float32)
     last = np.empty((height, width), np.float32)
@@ -185,7 +187,13 @@ def _unblend_tile(
     end = int(furthest.max()) + 1
     for j in range(end * SUMS, members.shape[0] * SUMS):
         sums[j] = 0
-    zero, one, floor, cap, least = splat(np.float32(0)), splat(np.float32(1)), splat(_FLOOR), splat(alpha_max), splat(LEAST)
+    zero, one, floor, cap, least = (
+        splat(np.float32(0)),
+        splat(np.float32(1)),
+        splat(_FLOOR),
+        splat(alpha_max),
+        splat(LEAST),
+    )
     reached = np.uint64(0)
     for k in range(end - 1, -1, -1):
         if k == end - 1 or k % LOOK == LOOK - 1:

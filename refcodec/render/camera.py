@@ -76,7 +76,17 @@ def read_camera(text: str) -> Camera:
         c = json.loads(text)
         (fx, fy), (cx, cy) = c["focal"], c["principal_point"]
         rotation, translation = np.array(c["rotation"], np.float64), np.array(c["translation"], np.float64)
-        camera = Camera("stated", int(c["width"]), int(c["height"]), float(fx), float(fy), float(cx), float(cy), rotation, translation)
+        camera = Camera(
+            "stated",
+            int(c["width"]),
+            int(c["height"]),
+            float(fx),
+            float(fy),
+            float(cx),
+            float(cy),
+            rotation,
+            translation,
+        )
     except (KeyError, TypeError) as error:
         raise ValueError(str(error)) from None
     if rotation.shape != (3, 3) or translation.shape != (3,):

@@ -59,7 +59,9 @@ def gaussians(
     away = (values.positions.astype(np.float64) - camera.centre).astype(dtype)
     distance = np.linalg.norm(away, axis=1, keepdims=True)
     direction = np.divide(away, distance, out=np.zeros_like(away), where=distance > 0)
-    inputs = np.concatenate([values.features.astype(dtype), direction, distance / np.asarray(distance_unit, dtype)], axis=1)
+    inputs = np.concatenate(
+        [values.features.astype(dtype), direction, distance / np.asarray(distance_unit, dtype)], axis=1
+    )
     opacity, covariance, colour = (_network(networks[name], inputs) for name in RENDERING)
     opacity = np.tanh(opacity)
     anchor, offset = np.nonzero(masks & (opacity > 0))

@@ -65,7 +65,12 @@ def _axes(i: int, p: Any, quaternion: F32, view: Any, lens: Any) -> Any:
     slope_x, slope_y = min(max(p[0] * near, x_low), x_high), min(max(p[1] * near, y_low), y_high)
     row_x = _combine((fx * near, 0.0, -fx * near * slope_x), view)
     row_y = _combine((0.0, fy * near, -fy * near * slope_y), view)
-    w, x, y, z = np.float64(quaternion[i, 0]), np.float64(quaternion[i, 1]), np.float64(quaternion[i, 2]), np.float64(quaternion[i, 3])
+    w, x, y, z = (
+        np.float64(quaternion[i, 0]),
+        np.float64(quaternion[i, 1]),
+        np.float64(quaternion[i, 2]),
+        np.float64(quaternion[i, 3]),
+    )
     shrink = 1 / math.sqrt(w * w + x * x + y * y + z * z)
     w, x, y, z = w * shrink, x * shrink, y * shrink, z * shrink
     columns = (
@@ -129,7 +134,11 @@ def project_gaussians(
         # SPEC 14.4, PROJECT's `half`; the covariance's entries are the products of its rows.
         to_x, to_y = _scaled(s, along_x), _scaled(s, along_y)
         x2, y2, xy = _dot(to_x, to_x), _dot(to_y, to_y), _dot(to_x, to_y)
-        cross = (to_x[1] * to_y[2] - to_x[2] * to_y[1], to_x[2] * to_y[0] - to_x[0] * to_y[2], to_x[0] * to_y[1] - to_x[1] * to_y[0])
+        cross = (
+            to_x[1] * to_y[2] - to_x[2] * to_y[1],
+            to_x[2] * to_y[0] - to_x[0] * to_y[2],
+            to_x[0] * to_y[1] - to_x[1] * to_y[0],
+        )
         # The root of PROJECT's d, by Lagrange's identity: no difference of large products, so that needles keep their width.
         root = math.sqrt(_dot(cross, cross) + low_pass * (x2 + y2) + low_pass * low_pass)
         width_x, width_y = math.sqrt(x2 + low_pass), math.sqrt(y2 + low_pass)
@@ -181,7 +190,11 @@ def unproject_gaussians(
 ) -> Any:
     """Adds up the pairs of each Gaussian, and takes the gradient through the projection; the arrays of Gradients, in their order."""
     n = mean.shape[0]
-    d_mean, d_quaternion, d_scale = np.empty((n, 3), np.float32), np.empty((n, 4), np.float32), np.empty((n, 3), np.float32)
+    d_mean, d_quaternion, d_scale = (
+        np.empty((n, 3), np.float32),
+        np.empty((n, 4), np.float32),
+        np.empty((n, 3), np.float32),
+    )
     d_opacity, d_colour, screen = np.empty(n, np.float32), np.empty((n, 3), np.float32), np.empty(n, np.float32)
     fx, fy, _, _, x_low, x_high, y_low, y_high = lens
     for i in prange(n):
@@ -218,7 +231,10 @@ def unproject_gaussians(
         # The covariance's entries are products of to_x and to_y; those are scale times along_x, along_y; those rows times columns.
         s = _row3(scale, i)
         to_x, to_y = _scaled(s, along_x), _scaled(s, along_y)
-        d_to_x, d_to_y = _combine((twice_xx, d_xy, 0.0), (to_x, to_y, to_y)), _combine((d_xy, twice_yy, 0.0), (to_x, to_y, to_y))
+        d_to_x, d_to_y = (
+            _combine((twice_xx, d_xy, 0.0), (to_x, to_y, to_y)),
+            _combine((d_xy, twice_yy, 0.0), (to_x, to_y, to_y)),
+        )
         d_scale[i, 0] = d_to_x[0] * along_x[0] + d_to_y[0] * along_y[0]
         d_scale[i, 1] = d_to_x[1] * along_x[1] + d_to_y[1] * along_y[1]
         d_scale[i, 2] = d_to_x[2] * along_x[2] + d_to_y[2] * along_y[2]

@@ -108,7 +108,10 @@ def check_camera(camera: Camera) -> None:
         value = getattr(camera, name)
         if value.shape != shape or not np.isfinite(value).all():
             raise ValueError(f"{name}: shape {value.shape}; finite values of shape {shape} are wanted")
-    if not all(math.isfinite(v) for v in (camera.fx, camera.fy, camera.cx, camera.cy)) or min(camera.fx, camera.fy) <= 0:
+    if (
+        not all(math.isfinite(v) for v in (camera.fx, camera.fy, camera.cx, camera.cy))
+        or min(camera.fx, camera.fy) <= 0
+    ):
         raise ValueError(
             f"focal lengths {camera.fx}, {camera.fy} and centre {camera.cx}, {camera.cy}: finite and lengths above 0 are wanted"
         )
@@ -129,7 +132,9 @@ def _inputs(*values: ArrayLike) -> tuple[F32, F32, F32, F32, F32]:
         ("colour", colour, (n, 3)),
     ):
         if value.shape != shape:
-            raise ValueError(f"{name}: shape {value.shape}, not {shape}; N is the length of opacity, which has one dimension")
+            raise ValueError(
+                f"{name}: shape {value.shape}, not {shape}; N is the length of opacity, which has one dimension"
+            )
     return mean, quaternion, scale, opacity, colour
 
 
@@ -163,12 +168,16 @@ def rasterise(
     begin, count, place, tile_begin, members = list_tiles(sort_by_depth(depth, room), record, room, columns, rows)
     background = np.array(settings.background, np.float32)
     with parallel_chunksize(1):
-        image, transmittance, last = blend_tiles(record, tile_begin, members, width, height, np.float32(settings.alpha_max), background)
+        image, transmittance, last = blend_tiles(
+            record, tile_begin, members, width, height, np.float32(settings.alpha_max), background
+        )
     tape = _Tape(inputs, camera, settings, record, begin, count, place, tile_begin, members, last)
     return Rendering(image, transmittance, radius, tape)
 
 
-def rasterise_backward(rendering: Rendering, grad_image: ArrayLike, grad_transmittance: ArrayLike | None = None) -> Gradients:
+def rasterise_backward(
+    rendering: Rendering, grad_image: ArrayLike, grad_transmittance: ArrayLike | None = None
+) -> Gradients:
     """Gradients of a loss of which grad_image f32[H,W,3] and grad_transmittance f32[H,W] (None: zeros) are the gradients.
 
     Exact where the image is smooth: not drawing below 1/255, finishing a pixel and the order of depths are taken as they were.
@@ -176,9 +185,15 @@ def rasterise_backward(rendering: Rendering, grad_image: ArrayLike, grad_transmi
     """
     tape, shape = rendering.tape, rendering.transmittance.shape
     grad_image = np.ascontiguousarray(grad_image, dtype=np.float32)
-    grad_transmittance = np.zeros(shape, np.float32) if grad_transmittance is None else np.ascontiguousarray(grad_transmittance, np.float32)
+    grad_transmittance = (
+        np.zeros(shape, np.float32)
+        if grad_transmittance is None
+        else np.ascontiguousarray(grad_transmittance, np.float32)
+    )
     if grad_image.shape != (*shape, 3) or grad_transmittance.shape != shape:
-        raise ValueError(f"gradients of shapes {grad_image.shape} and {grad_transmittance.shape} for an image of {shape}")
+        raise ValueError(
+            f"gradients of shapes {grad_image.shape} and {grad_transmittance.shape} for an image of {shape}"
+        )
     crowd = int(np.diff(tape.tile_begin).max())
     if crowd >= LIST_MAX:
         raise ValueError(f"{crowd} Gaussians meet one tile; fewer than {LIST_MAX} are wanted")

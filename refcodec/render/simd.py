@@ -105,7 +105,9 @@ def splat(_: Any, scalar: Any) -> Any:
 @intrinsic
 def count_up(_: Any) -> Any:
     """(0, 1, ..., 7)."""
-    return LANES(), lambda _context, _builder, _signature, _arguments: ir.Constant(_FLOATS, [float(i) for i in range(WIDTH)])
+    return LANES(), lambda _context, _builder, _signature, _arguments: ir.Constant(
+        _FLOATS, [float(i) for i in range(WIDTH)]
+    )
 
 
 def _unary(builder: Any, name: str, value: Any) -> Any:
@@ -231,7 +233,10 @@ def column_sums(_: Any, a: Any, b: Any, c: Any, d: Any, e: Any, f: Any, g: Any, 
             half = size // 2
             low = [i for i in range(2 * WIDTH) if i % size < half]
             picks = [ir.Constant(_INTEGERS, p) for p in (low, [i + half for i in low])]
-            rows = [builder.fadd(*(builder.shuffle_vector(x, y, p) for p in picks)) for x, y in zip(rows[0::2], rows[1::2], strict=True)]
+            rows = [
+                builder.fadd(*(builder.shuffle_vector(x, y, p) for p in picks))
+                for x, y in zip(rows[0::2], rows[1::2], strict=True)
+            ]
             size = half
         return rows[0]
 

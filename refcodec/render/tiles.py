@@ -8,7 +8,20 @@ from typing import Any
 import numpy as np
 from numba import njit, prange
 
-from .constants import BLOCK, BLOCK_HEIGHT, BLOCK_WIDTH, BLOCKS_WIDE, F32, F64, FAR, I32, LOG2_MIN, SLACK, TILE_HEIGHT, TILE_WIDTH
+from .constants import (
+    BLOCK,
+    BLOCK_HEIGHT,
+    BLOCK_WIDTH,
+    BLOCKS_WIDE,
+    F32,
+    F64,
+    FAR,
+    I32,
+    LOG2_MIN,
+    SLACK,
+    TILE_HEIGHT,
+    TILE_WIDTH,
+)
 from .simd import count_up, fma, fnma, maximum, minimum, round_down, round_up, runs, select, splat, square_root
 
 # Parts into which the sorted Gaussians are cut to be listed in parallel; no result depends on it.
@@ -117,7 +130,12 @@ def _tiles_of(i: int, record: F32, box: I32, columns: int, tiles: I32, begin: in
                 tiles[n] = row * columns + column
                 n += 1
         return n - begin
-    x, y, u_there, v_there = np.float64(record[i, 0]), np.float64(record[i, 1]), np.float64(record[i, 2]), np.float64(record[i, 3])
+    x, y, u_there, v_there = (
+        np.float64(record[i, 0]),
+        np.float64(record[i, 1]),
+        np.float64(record[i, 2]),
+        np.float64(record[i, 3]),
+    )
     c = np.float64(record[i, 6])
     lean, width = record[i, 5] / c, 1 / np.float64(record[i, 4])
     reach2 = max(np.float64(record[i, 7]) - LOG2_MIN, 0.0)
@@ -147,11 +165,17 @@ def _tiles_of(i: int, record: F32, box: I32, columns: int, tiles: I32, begin: in
 @njit(cache=True, inline="always", error_model="numpy")
 def block_at(x: int, y: int) -> int:
     """Where pixel (x, y) of a tile is in the first plane of its state."""
-    return ((y // BLOCK_HEIGHT) * BLOCKS_WIDE + x // BLOCK_WIDTH) * BLOCK + y % BLOCK_HEIGHT * BLOCK_WIDTH + x % BLOCK_WIDTH
+    return (
+        ((y // BLOCK_HEIGHT) * BLOCKS_WIDE + x // BLOCK_WIDTH) * BLOCK
+        + y % BLOCK_HEIGHT * BLOCK_WIDTH
+        + x % BLOCK_WIDTH
+    )
 
 
 @njit(cache=True, inline="always", error_model="numpy")
-def blocks_reached(a: np.float32, b: np.float32, c: np.float32, log_opacity: np.float32, u: np.float32, v: np.float32) -> np.uint64:
+def blocks_reached(
+    a: np.float32, b: np.float32, c: np.float32, log_opacity: np.float32, u: np.float32, v: np.float32
+) -> np.uint64:
     """The blocks of a tile in which alpha may reach 1/255; bit 8 * row + column is set for a block's.
 
     u and v: at the centre of the tile's first pixel. One lane is one row of blocks; each has two rows of pixels.

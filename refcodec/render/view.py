@@ -41,7 +41,9 @@ class View:
 
     def draw(self, camera: Camera) -> F32:
         """What a camera sees: float32 [height, width, 3], 1 for white."""
-        return image(gaussians(self.values, self.masks, self.networks, camera, self.info.distance_unit), camera, self.info)
+        return image(
+            gaussians(self.values, self.masks, self.networks, camera, self.info.distance_unit), camera, self.info
+        )
 
     def orbit(self, frames: int) -> list[Camera]:
         """Cameras on a circle around the scene that look at its middle, with the size and focal lengths of the file's own camera."""
@@ -64,7 +66,17 @@ class View:
             place = middle + DISTANCE * radius * away
             name = f"orbit-{number:04d}"
             cameras.append(
-                Camera(name, default.width, default.height, default.fx, default.fy, default.cx, default.cy, rotation, -rotation @ place)
+                Camera(
+                    name,
+                    default.width,
+                    default.height,
+                    default.fx,
+                    default.fy,
+                    default.cx,
+                    default.cy,
+                    rotation,
+                    -rotation @ place,
+                )
             )
         return cameras
 

@@ -46,7 +46,14 @@ def may_write(output: Path) -> bool:
 
 
 def train(
-    photographs: PhotographSet, settings: TrainSettings, output: Path, *, threads: int, device: str, resume: bool, progress: bool
+    photographs: PhotographSet,
+    settings: TrainSettings,
+    output: Path,
+    *,
+    threads: int,
+    device: str,
+    resume: bool,
+    progress: bool,
 ) -> tuple[Trainer, bool]:
     """Trains, and writes the scene folder and training.json. Returns the training, and whether it came to its end.
 
@@ -97,7 +104,9 @@ def line(trainer: Trainer) -> str:
     """A training's progress in words."""
     left = trainer.pace * (trainer.settings.steps - trainer.done)
     known = (
-        trainer.history[-1]["bytes"] / 1000 if trainer.history else sum(v for k, v in trainer.estimate().items() if k not in KINDS) / 1000
+        trainer.history[-1]["bytes"] / 1000
+        if trainer.history
+        else sum(v for k, v in trainer.estimate().items() if k not in KINDS) / 1000
     )
     held_out = f", held-out {trainer.history[-1]['psnr']:.2f} dB" if trainer.history else ""
     return (
@@ -118,7 +127,9 @@ def _shown(trainer: Trainer, progress: bool) -> Iterator[Watch]:
                 bar.update(t.done - bar.n)
                 if t.done % 20 == 0 and t.history:
                     last = t.history[-1]
-                    bar.set_postfix_str(f"{last['psnr']:.2f} dB, {last['anchors']} anchors, {last['bytes'] / 1000:.0f} KB")
+                    bar.set_postfix_str(
+                        f"{last['psnr']:.2f} dB, {last['anchors']} anchors, {last['bytes'] / 1000:.0f} KB"
+                    )
 
             yield show
         return

@@ -61,7 +61,9 @@ def uncompressed(scaffold: Scaffold, render: RenderInfo) -> Uncompressed:
     n = scaffold.count
     positions = scaffold.units.origin + scaffold.lattice * (scaffold.units.cell * scaffold.units.length)
     tables = {name: table.numpy().copy() for name, table in scaffold.tables.items()}
-    values = Reconstruction(positions.astype(np.float32), tables["features"], tables["scalings"], tables["offsets"].reshape(n, OFFSETS, 3))
+    values = Reconstruction(
+        positions.astype(np.float32), tables["features"], tables["scalings"], tables["offsets"].reshape(n, OFFSETS, 3)
+    )
     return Uncompressed(values, np.ones((n, OFFSETS), bool), scaffold.networks.layers(), render)
 
 
@@ -71,7 +73,9 @@ def rounded(scaffold: Scaffold, render: RenderInfo, steps: Tensor, kept: Tensor)
     whole = uncompressed(scaffold, render)
     values = [np.asarray(getattr(whole.values, kind)).reshape(scaffold.count, -1) for kind in KINDS]
     size = steps.detach().numpy()
-    features, scalings, offsets = (np.floor(v / size[:, i : i + 1] + 0.5) * size[:, i : i + 1] for i, v in enumerate(values))
+    features, scalings, offsets = (
+        np.floor(v / size[:, i : i + 1] + 0.5) * size[:, i : i + 1] for i, v in enumerate(values)
+    )
     masks = kept.numpy()
     offsets = np.where(masks[:, :, None], offsets.reshape(scaffold.count, OFFSETS, 3), np.float32(0))
     return replace(whole, values=Reconstruction(whole.values.positions, features, scalings, offsets), masks=masks)
@@ -83,19 +87,27 @@ def _dimensions(coding: dict[str, list[Layer]], channels: int, plane_size: int) 
     return Dimensions(OFFSETS, MAIN_SLICES, channels, FREQUENCIES, plane_size, hyper, sarm, carm, RENDER_WIDTH)
 
 
-def weight_bytes(coding: dict[str, list[Layer]], rendering: dict[str, list[Layer]], channels: int, plane_size: int, lanes: Lanes) -> int:
+def weight_bytes(
+    coding: dict[str, list[Layer]], rendering: dict[str, list[Layer]], channels: int, plane_size: int, lanes: Lanes
+) -> int:
     """Bytes of the section of weights in mode 1 (SPEC 5.8), of F_h, SARM and CARM, and of the rendering networks. Raises
     networks.BoundError."""
     d = _dimensions(coding, channels, plane_size)
     networks = exact_networks({name: {**coding, **rendering}[name] for name in d.network_shapes()})
-    return len(emit_weights(PLANE_SHIFT, np.zeros(d.carm_inputs, np.uint8), networks, weight_scales(networks), d, 1 << lanes.attribute))
+    return len(
+        emit_weights(
+            PLANE_SHIFT, np.zeros(d.carm_inputs, np.uint8), networks, weight_scales(networks), d, 1 << lanes.attribute
+        )
+    )
 
 
 def position_bytes(lattice: NDArray[np.int64], lanes: Lanes) -> int:
     """Bytes of the section of positions in mode 1 (SPEC 5.11), of distinct cells int64 [N, 3]."""
     half = lattice_positions(lattice)
     half = half[morton_order(half)]
-    parts = encode_positions(position_model(half, CHUNK_SIZE), half, chunk_ranges(len(half), CHUNK_SIZE), 1 << lanes.mask)
+    parts = encode_positions(
+        position_model(half, CHUNK_SIZE), half, chunk_ranges(len(half), CHUNK_SIZE), 1 << lanes.mask
+    )
     return sum(len(part) for part in parts)
 
 

@@ -93,7 +93,9 @@ class _Data:
         self.gamma = torch.from_numpy(positional_encoding(u[:, 2], d.frequency_count).astype(np.float32))
         flat = [a.features, a.scalings, a.offsets.reshape(len(u), -1)]
         self.symbols = torch.from_numpy(np.concatenate(flat, axis=1).astype(np.float32))
-        earlier = activation(rshift_round(a.features[:, : d.carm_inputs].astype(np.int64), scene.carm_shift.astype(np.int64)))
+        earlier = activation(
+            rshift_round(a.features[:, : d.carm_inputs].astype(np.int64), scene.carm_shift.astype(np.int64))
+        )
         self.earlier = torch.from_numpy(earlier.astype(np.float32))
         self.kept = torch.from_numpy(np.repeat(scene.masks, 3, axis=1).astype(np.float32))
         self.count = len(u)
@@ -105,7 +107,9 @@ class _Data:
         return torch.cat([self.samples.query(symbols, rows, rounding), self.gamma[rows]], dim=1)
 
 
-def _start(cloud: AnchorCloud, voxel: float | None, base_step: tuple[float, float, float], plane_size: int | None) -> Scene:
+def _start(
+    cloud: AnchorCloud, voxel: float | None, base_step: tuple[float, float, float], plane_size: int | None
+) -> Scene:
     """A scene with symbols and empty planes and networks, anchors in order."""
     grid = choose_grid(cloud.positions, voxel)
     try:
@@ -242,7 +246,9 @@ def _train(
             schedule.step()
             done += 1
             if done % max(steps // 50, 1) == 0:
-                history.append((done, float(bits.detach()) * data.count / batch / (data.total - plane_symbols), plane_bits))
+                history.append(
+                    (done, float(bits.detach()) * data.count / batch / (data.total - plane_symbols), plane_bits)
+                )
             if progress:
                 progress("fit", done, steps)
             if state is not None and (done == steps or time.monotonic() - saved > SAVE_SECONDS):

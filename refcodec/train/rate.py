@@ -113,7 +113,9 @@ class LearnedRate(nn.Module):
         still[2 * WIDTH + KINDS.index("scalings")] = 0
         self.hyper.weights[-1].register_hook(lambda gradient: gradient * still)
         sarm = [4, *SARM_WIDTH, 2]
-        self.sarm = FoldedMlp(sarm, torch.full((4,), LATENT_UNIT), torch.tensor([LATENT_UNIT * MEAN_UNIT, SCALE_UNIT]), generator, 0.1)
+        self.sarm = FoldedMlp(
+            sarm, torch.full((4,), LATENT_UNIT), torch.tensor([LATENT_UNIT * MEAN_UNIT, SCALE_UNIT]), generator, 0.1
+        )
         carm, done = [], SLICES[0]
         for columns in SLICES[1:]:
             outputs = torch.cat([unit[done : done + columns] * MEAN_UNIT, torch.full((columns,), SCALE_UNIT)])
@@ -163,11 +165,14 @@ class LearnedRate(nn.Module):
             means.append(mean[:, done : done + columns] + change[:, :columns])
             scales.append(scale[:, done : done + columns] + change[:, columns:])
             done += columns
-        bits = gauss_bits(torch.cat([*means, mean[:, done:]], dim=1), torch.cat([*scales, scale[:, done:]], dim=1), symbols)
+        bits = gauss_bits(
+            torch.cat([*means, mean[:, done:]], dim=1), torch.cat([*scales, scale[:, done:]], dim=1), symbols
+        )
         some = 1 - torch.prod(1 - kept, dim=1)
         offsets = (bits[:, FEATURES + SCALINGS :].reshape(len(bits), OFFSETS, 3).sum(dim=2) * kept).sum(dim=1)
         return torch.stack(
-            [bits[:, :FEATURES].sum(dim=1) * some, bits[:, FEATURES : FEATURES + SCALINGS].sum(dim=1) * some, offsets], dim=1
+            [bits[:, :FEATURES].sum(dim=1) * some, bits[:, FEATURES : FEATURES + SCALINGS].sum(dim=1) * some, offsets],
+            dim=1,
         )
 
     @torch.no_grad()

@@ -107,7 +107,9 @@ class FoldedMlp(nn.Module):
     step.*: of each row's weights and bias in the file, if they are multiples of one; set_grid sets them.
     """
 
-    def __init__(self, widths: list[int], input_unit: Tensor, output_unit: Tensor, generator: torch.Generator, gain: float) -> None:
+    def __init__(
+        self, widths: list[int], input_unit: Tensor, output_unit: Tensor, generator: torch.Generator, gain: float
+    ) -> None:
         super().__init__()
         self.weights, self.biases = nn.ParameterList(), nn.ParameterList()
         for i, (fan_in, out) in enumerate(pairwise(widths)):
@@ -152,7 +154,11 @@ class FoldedMlp(nn.Module):
             x = functional.relu(functional.linear(x, self.weights[i], self.biases[i]))
             row = (self.weights[i] / before).abs()
             total = row.sum(dim=1) * ACTIVATION_MAX + self.biases[i].abs()
-            limits = (ACTIVATION_MAX / x.max(dim=0).values, WEIGHT_MAX / 2 / row.max(dim=1).values, ACCUMULATOR_BOUND / 2 / total)
+            limits = (
+                ACTIVATION_MAX / x.max(dim=0).values,
+                WEIGHT_MAX / 2 / row.max(dim=1).values,
+                ACCUMULATOR_BOUND / 2 / total,
+            )
             unit = torch.stack(limits).min(dim=0).values.clamp(2.0**-16, 2.0**16)
             before = self.get_buffer(f"hidden_unit_{i}").copy_(torch.exp2(torch.floor(torch.log2(unit))))
 
@@ -216,7 +222,9 @@ class PlaneSamples:
         channels = symbols.shape[1]
         top, bottom = (torch.cat([symbols[i], symbols[i + 1]], dim=2) for i in (1, 3))
         parts = []
-        for plane, corners, shares in zip((symbols[0], torch.cat([top, bottom], dim=1)), self.corners, self.shares, strict=True):
+        for plane, corners, shares in zip(
+            (symbols[0], torch.cat([top, bottom], dim=1)), self.corners, self.shares, strict=True
+        ):
             table = plane.reshape(channels, -1).T.contiguous()
             parts.append(functional.embedding_bag(corners[rows], table, per_sample_weights=shares[rows], mode="sum"))
         units = torch.cat(parts, dim=1) * 2.0**PLANE_SHIFT
@@ -238,7 +246,12 @@ class RateModel(nn.Module):
     """
 
     def __init__(
-        self, d: Dimensions, mean: NDArray[np.float64], deviation: NDArray[np.float64], carm_shift: NDArray[np.uint8], seed: int
+        self,
+        d: Dimensions,
+        mean: NDArray[np.float64],
+        deviation: NDArray[np.float64],
+        carm_shift: NDArray[np.uint8],
+        seed: int,
     ) -> None:
         super().__init__()
         generator = torch.Generator().manual_seed(seed)
@@ -247,13 +260,17 @@ class RateModel(nn.Module):
         unit = torch.tensor(2.0 ** np.round(octave), dtype=torch.float32)
         width = d.attribute_width
         # A plane symbol of 16 is a latent of one (SPEC 6.9); the sine table's amplitude is 1023.
-        inputs = torch.cat([torch.full((2 * d.plane_channels,), 16.0 * 2**PLANE_SHIFT), torch.full((2 * d.frequency_count,), 1024.0)])
+        inputs = torch.cat(
+            [torch.full((2 * d.plane_channels,), 16.0 * 2**PLANE_SHIFT), torch.full((2 * d.frequency_count,), 1024.0)]
+        )
         outputs = torch.cat([unit * MEAN_UNIT, torch.full((width,), SCALE_UNIT)])
         self.hyper = FoldedMlp([len(inputs), *d.hyper_width, 2 * width], inputs, outputs, generator, 0.1)
         with torch.no_grad():
             start = np.concatenate([mean / unit.numpy(), octave])
             self.hyper.biases[-1].copy_(torch.tensor(start, dtype=torch.float32))
-        self.sarm = FoldedMlp([4, *d.sarm_width, 2], torch.full((4,), 16.0), torch.tensor([16 * MEAN_UNIT, SCALE_UNIT]), generator, 0.1)
+        self.sarm = FoldedMlp(
+            [4, *d.sarm_width, 2], torch.full((4,), 16.0), torch.tensor([16 * MEAN_UNIT, SCALE_UNIT]), generator, 0.1
+        )
         carm = []
         shifted = unit[: d.carm_inputs] / torch.tensor(2.0 ** carm_shift.astype(np.float64), dtype=torch.float32)
         done = d.slices[0]
@@ -297,7 +314,9 @@ class RateModel(nn.Module):
             means.append(mean[:, done : done + columns] + change[:, :columns])
             scales.append(scale[:, done : done + columns] + change[:, columns:])
             done += columns
-        bits = gauss_bits(torch.cat([*means, mean[:, done:]], dim=1), torch.cat([*scales, scale[:, done:]], dim=1), symbols)
+        bits = gauss_bits(
+            torch.cat([*means, mean[:, done:]], dim=1), torch.cat([*scales, scale[:, done:]], dim=1), symbols
+        )
         free = width - kept.shape[1]
         return bits[:, :free].sum() + (bits[:, free:] * kept).sum()
 

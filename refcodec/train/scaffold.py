@@ -102,7 +102,10 @@ class RenderNetworks(nn.Module):
         for name, width in outputs.items():
             for layer, (fan_in, out) in enumerate(((self.inputs, RENDER_WIDTH), (RENDER_WIDTH, width))):
                 bound = 1 / math.sqrt(fan_in)
-                weight, bias = (nn.Parameter((torch.rand(shape, generator=generator) * 2 - 1) * bound) for shape in ((out, fan_in), (out,)))
+                weight, bias = (
+                    nn.Parameter((torch.rand(shape, generator=generator) * 2 - 1) * bound)
+                    for shape in ((out, fan_in), (out,))
+                )
                 self.register_parameter(f"{name}_{layer}_weight", weight)
                 self.register_parameter(f"{name}_{layer}_bias", bias)
                 self.register_buffer(f"{name}_{layer}_step", torch.ones(()))
@@ -113,7 +116,9 @@ class RenderNetworks(nn.Module):
         p: dict[str, Tensor] = dict(self.named_parameters())
         if not self.gridded:
             return p
-        return {name: grid_through(value, self.get_buffer(f"{name.rpartition('_')[0]}_step")) for name, value in p.items()}
+        return {
+            name: grid_through(value, self.get_buffer(f"{name.rpartition('_')[0]}_step")) for name, value in p.items()
+        }
 
     @torch.no_grad()
     def set_grid(self, bits: int) -> None:
@@ -131,14 +136,18 @@ class RenderNetworks(nn.Module):
         weight, bias = (torch.cat([p[f"{name}_0_{kind}"] for name in names]) for kind in ("weight", "bias"))
         hidden = functional.relu(functional.linear(inputs, weight, bias)).split(RENDER_WIDTH, dim=1)
         opacity, covariance, colour = (
-            functional.linear(h, p[f"{name}_1_weight"], p[f"{name}_1_bias"]) for h, name in zip(hidden, names, strict=True)
+            functional.linear(h, p[f"{name}_1_weight"], p[f"{name}_1_bias"])
+            for h, name in zip(hidden, names, strict=True)
         )
         return torch.tanh(opacity), covariance, colour
 
     def layers(self) -> dict[str, list[Layer]]:
         """SPEC 5.8's layers."""
         p = {name: value.detach().numpy().copy() for name, value in self._values().items()}
-        return {name: [(p[f"{name}_{i}_weight"], p[f"{name}_{i}_bias"]) for i in range(2)] for name in ("opacity", "covariance", "colour")}
+        return {
+            name: [(p[f"{name}_{i}_weight"], p[f"{name}_{i}_bias"]) for i in range(2)]
+            for name in ("opacity", "covariance", "colour")
+        }
 
 
 class Scaffold:
@@ -204,7 +213,10 @@ class Scaffold:
         reach = REACH * (reach + EXTENT * lengths[:, 3:].amax(dim=1))
         depth = p[:, 2]
         inside = depth > NEAR - reach
-        for axis, size, focal, middle in ((0, camera.width, camera.fx, camera.cx), (1, camera.height, camera.fy, camera.cy)):
+        for axis, size, focal, middle in (
+            (0, camera.width, camera.fx, camera.cx),
+            (1, camera.height, camera.fy, camera.cy),
+        ):
             # A sphere against the planes through the eye and the image's edges, some pixels farther out.
             half, skew = (size / 2 + EDGE) / focal, (size / 2 - middle) / focal
             away = (p[:, axis] - skew * depth).abs() - half * depth
@@ -238,7 +250,9 @@ class Scaffold:
         mean, quaternion, lengths, rgb = Spawn.apply(chosen, OFFSETS, position, offsets, local, covariance, colour)
         return chosen, (mean, quaternion, lengths, flat[chosen], rgb), opacity
 
-    def observe(self, rows: NDArray[np.int64], chosen: NDArray[np.int64], opacity: Tensor, screen: NDArray[np.float32]) -> None:
+    def observe(
+        self, rows: NDArray[np.int64], chosen: NDArray[np.int64], opacity: Tensor, screen: NDArray[np.float32]
+    ) -> None:
         """Adds a step's statistics: opacity [n, K] of the anchors `rows`; screen: Gradients.screen of the drawn offsets `chosen`."""
         anchor, offset = rows[chosen // OFFSETS], chosen % OFFSETS
         drawn = screen > 0

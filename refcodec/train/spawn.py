@@ -84,7 +84,14 @@ class Spawn(torch.autograd.Function):
 
     @staticmethod
     def forward(
-        ctx: Any, chosen: Tensor, k: int, position: Tensor, offsets: Tensor, scalings: Tensor, covariance: Tensor, colour: Tensor
+        ctx: Any,
+        chosen: Tensor,
+        k: int,
+        position: Tensor,
+        offsets: Tensor,
+        scalings: Tensor,
+        covariance: Tensor,
+        colour: Tensor,
     ) -> tuple[Tensor, Tensor, Tensor, Tensor]:
         given = (offsets, scalings, covariance, colour)
         arrays = [v.detach().contiguous().numpy() for v in (position, *given)]
@@ -97,6 +104,9 @@ class Spawn(torch.autograd.Function):
     def backward(ctx: Any, *upstream: Tensor) -> tuple[Tensor | None, ...]:
         chosen, offsets, scalings, covariance, lengths, rgb = (v.contiguous() for v in ctx.saved_tensors)
         first = torch.searchsorted(chosen, torch.arange(len(scalings) + 1) * ctx.k)
-        arrays = [v.detach().numpy() for v in (offsets, scalings, covariance, lengths, rgb, *(g.contiguous() for g in upstream))]
+        arrays = [
+            v.detach().numpy()
+            for v in (offsets, scalings, covariance, lengths, rgb, *(g.contiguous() for g in upstream))
+        ]
         gradients = _backward(first.numpy(), chosen.numpy(), ctx.k, *arrays)
         return (None, None, None, *(torch.from_numpy(g) for g in gradients))

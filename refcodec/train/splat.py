@@ -44,7 +44,9 @@ class Rasterise(torch.autograd.Function):
         return torch.from_numpy(rendering.image), torch.from_numpy(rendering.transmittance.copy()), radius
 
     @staticmethod
-    def backward(ctx: Any, grad_image: torch.Tensor, grad_transmittance: torch.Tensor, _: torch.Tensor) -> tuple[torch.Tensor | None, ...]:
+    def backward(
+        ctx: Any, grad_image: torch.Tensor, grad_transmittance: torch.Tensor, _: torch.Tensor
+    ) -> tuple[torch.Tensor | None, ...]:
         inputs = ctx.saved_tensors
         g = rasterise_backward(ctx.rendering, grad_image.numpy(), grad_transmittance.numpy())
         values = (g.mean, g.quaternion, g.scale, g.opacity, g.colour)
@@ -77,11 +79,17 @@ def draw(
 
     Raises ValueError for tensors on different devices or on one that is neither, and as refcodec.rasterise.rasterise does.
     """
-    tensors = (mean, quaternion, scale, opacity, colour) if screen is None else (mean, quaternion, scale, opacity, colour, screen)
+    tensors = (
+        (mean, quaternion, scale, opacity, colour)
+        if screen is None
+        else (mean, quaternion, scale, opacity, colour, screen)
+    )
     devices = {tensor.device for tensor in tensors}
     kind = mean.device.type
     if len(devices) > 1 or kind not in ("cpu", "cuda"):
-        raise ValueError(f"tensors on {', '.join(sorted(map(str, devices)))}: all on the CPU or all on one GPU are wanted")
+        raise ValueError(
+            f"tensors on {', '.join(sorted(map(str, devices)))}: all on the CPU or all on one GPU are wanted"
+        )
     if kind == "cpu":
         drawn: Drawn = Rasterise.apply(mean, quaternion, scale, opacity, colour, camera, settings, screen)
         return drawn

@@ -61,7 +61,9 @@ def _across(row: F32, begin: int, at: int, channels: int, window: F32) -> Any:
 
 
 @njit(cache=True, parallel=True, error_model="numpy")
-def _forward(x: F32, y: F32, window: F32, height: int, values: int, channels: int, d_mean: F32, d_square: F32, d_product: F32) -> F64:
+def _forward(
+    x: F32, y: F32, window: F32, height: int, values: int, channels: int, d_mean: F32, d_square: F32, d_product: F32
+) -> F64:
     """Sum of SSIM over each row, f64[height]; writes the derivatives."""
     size = x.shape[1]
     sums = np.empty(height, np.float64)
@@ -81,7 +83,11 @@ def _forward(x: F32, y: F32, window: F32, height: int, values: int, channels: in
                     value_x, value_y = load(flat_x, (line + k) * size + at), load(flat_y, (line + k) * size + at)
                     weighted_x, weighted_y = weight * value_x, weight * value_y
                     m_x, m_y = m_x + weighted_x, m_y + weighted_y
-                    m_xx, m_yy, m_xy = fma(weighted_x, value_x, m_xx), fma(weighted_y, value_y, m_yy), fma(weighted_x, value_y, m_xy)
+                    m_xx, m_yy, m_xy = (
+                        fma(weighted_x, value_x, m_xx),
+                        fma(weighted_y, value_y, m_yy),
+                        fma(weighted_x, value_y, m_xy),
+                    )
                 to = RADIUS * channels + at
                 store(rows, to, m_x)
                 store(rows, room + to, m_y)
@@ -91,7 +97,10 @@ def _forward(x: F32, y: F32, window: F32, height: int, values: int, channels: in
             summed = zero
             for at in range(0, size, WIDTH):
                 m_x, m_y = _across(rows, 0, at, channels, window), _across(rows, room, at, channels, window)
-                m_xx, m_yy = _across(rows, 2 * room, at, channels, window), _across(rows, 3 * room, at, channels, window)
+                m_xx, m_yy = (
+                    _across(rows, 2 * room, at, channels, window),
+                    _across(rows, 3 * room, at, channels, window),
+                )
                 m_xy = _across(rows, 4 * room, at, channels, window)
                 # a b / (c d): luminance a / c, contrast and structure b / d.
                 a, b = fma(two * m_x, m_y, c1), fma(two, fnma(m_x, m_y, m_xy), c2)
@@ -120,7 +129,15 @@ def _forward(x: F32, y: F32, window: F32, height: int, values: int, channels: in
 
 @njit(cache=True, parallel=True, error_model="numpy")
 def _backward(
-    x: F32, y: F32, window: F32, height: int, channels: int, d_mean: F32, d_square: F32, d_product: F32, factor: np.float32
+    x: F32,
+    y: F32,
+    window: F32,
+    height: int,
+    channels: int,
+    d_mean: F32,
+    d_square: F32,
+    d_product: F32,
+    factor: np.float32,
 ) -> F32:
     """factor times the gradient of the sum of SSIM with respect to x: f32[height, row]."""
     size = x.shape[1]
@@ -160,7 +177,10 @@ def similarity(x: ArrayLike, y: ArrayLike) -> Similarity:
     height, width, channels = first.shape
     values = width * channels
     padded = np.zeros((5, height + 2 * RADIUS, -(-values // WIDTH) * WIDTH), np.float32)
-    padded[0, RADIUS:-RADIUS, :values], padded[1, RADIUS:-RADIUS, :values] = first.reshape(height, values), second.reshape(height, values)
+    padded[0, RADIUS:-RADIUS, :values], padded[1, RADIUS:-RADIUS, :values] = (
+        first.reshape(height, values),
+        second.reshape(height, values),
+    )
     sums = _forward(padded[0], padded[1], WINDOW, height, values, channels, padded[2], padded[3], padded[4])
     return Similarity(float(sums.sum() / first.size), (height, width, channels), *padded)
 

@@ -23,7 +23,11 @@ _FRAME = ("matrix", "translation", "shift", "low", "high")
 
 
 def _moments(name: str, optimiser: torch.optim.Optimizer) -> dict[str, Tensor]:
-    return {f"{name}.{i}.{key}": value for i, found in optimiser.state_dict()["state"].items() for key, value in found.items()}
+    return {
+        f"{name}.{i}.{key}": value
+        for i, found in optimiser.state_dict()["state"].items()
+        for key, value in found.items()
+    }
 
 
 def _restore_moments(name: str, tensors: dict[str, Tensor], optimiser: torch.optim.Optimizer) -> None:
@@ -70,7 +74,11 @@ def save(trainer: Trainer, path: Path) -> None:
     }
     path.parent.mkdir(parents=True, exist_ok=True)
     beside = path.with_name(path.name + ".new")
-    save_file({name: value.detach().clone().contiguous() for name, value in tensors.items()}, beside, {"state": json.dumps(facts)})
+    save_file(
+        {name: value.detach().clone().contiguous() for name, value in tensors.items()},
+        beside,
+        {"state": json.dumps(facts)},
+    )
     beside.replace(path)
 
 
@@ -93,7 +101,9 @@ def restore(trainer: Trainer, path: Path) -> None:
     scaffold.forget()
     for name in _STATISTICS:
         setattr(scaffold, name, tensors[f"statistics.{name}"].numpy())
-    scaffold.networks.load_state_dict({k.removeprefix("networks."): v for k, v in tensors.items() if k.startswith("networks.")})
+    scaffold.networks.load_state_dict(
+        {k.removeprefix("networks."): v for k, v in tensors.items() if k.startswith("networks.")}
+    )
     scaffold.networks.gridded = facts["gridded"]
     _restore_moments("optimiser", tensors, trainer.optimiser)
     trainer.frequency, trainer.bits = tensors["frequency"], tensors["bits"]
@@ -105,7 +115,12 @@ def restore(trainer: Trainer, path: Path) -> None:
         trainer.rate.rounding(facts["rounding"])
         trainer.rate.gridded(facts["gridded"])
         _restore_moments("coding", tensors, trainer.coding)
-    trainer.done, trainer.seconds, trainer.order, trainer.recent = facts["done"], facts["seconds"], facts["order"], facts["recent"]
+    trainer.done, trainer.seconds, trainer.order, trainer.recent = (
+        facts["done"],
+        facts["seconds"],
+        facts["order"],
+        facts["recent"],
+    )
     trainer.plane_bits, trainer.history = facts["plane_bits"], facts["history"]
     trainer.fit_buffers()
     trainer.random.set_state(tensors["random"])

@@ -120,7 +120,10 @@ class Trainer:
         self.images: dict[int, Tensor] = {}
         self.optimiser = torch.optim.Adam(
             [
-                {"params": [p for n, p in self.scaffold.networks.named_parameters() if n.startswith(name)], "ends": ends}
+                {
+                    "params": [p for n, p in self.scaffold.networks.named_parameters() if n.startswith(name)],
+                    "ends": ends,
+                }
                 for name, ends in NETWORK_RATES.items()
             ],
             eps=1e-15,
@@ -212,8 +215,12 @@ class Trainer:
             for i, kind in enumerate(KINDS):
                 values[kind], _ = self._rounded(seen[kind], steps[: len(rows), i : i + 1])
             sampled_leaves = self._leaves(sampled)
-            loss = loss + settings.rate * self._rate(sampled_leaves, sampled, hidden[len(rows) :], steps[len(rows) :], plane_symbols)
-        chosen, gaussians, opacity = scaffold.gaussians(rows, camera, values["features"], values["offsets"], values["scalings"], masks)
+            loss = loss + settings.rate * self._rate(
+                sampled_leaves, sampled, hidden[len(rows) :], steps[len(rows) :], plane_symbols
+            )
+        chosen, gaussians, opacity = scaffold.gaussians(
+            rows, camera, values["features"], values["offsets"], values["scalings"], masks
+        )
         screen = torch.zeros(len(chosen), requires_grad=True)
         image = self._drawn(gaussians, camera, screen)
         loss = loss + Photometric.apply(image, photograph)
@@ -223,7 +230,10 @@ class Trainer:
             loss = loss + max(MASK_LEAST, MASK_SHARE * settings.rate) * shares.mean()
         loss.backward()
         self._descend(rows, seen, sampled, sampled_leaves)
-        self.recent = [*self.recent[-49:], -10 * math.log10(float((image.detach() - photograph).square().mean()) + 1e-12)]
+        self.recent = [
+            *self.recent[-49:],
+            -10 * math.log10(float((image.detach() - photograph).square().mean()) + 1e-12),
+        ]
         if self.share < GROWTH[1]:
             moved = screen.grad if screen.grad is not None else screen.detach()
             scaffold.observe(rows.numpy(), chosen.numpy(), opacity, moved.numpy())
@@ -246,7 +256,9 @@ class Trainer:
         drawn = torch.randperm(count, generator=self.random)[:some]
         return drawn if self.settings.uniform else visible[drawn]
 
-    def _rate(self, leaves: dict[str, Tensor], rows: Tensor, hidden: Tensor, steps: Tensor, plane_symbols: Tensor) -> Tensor:
+    def _rate(
+        self, leaves: dict[str, Tensor], rows: Tensor, hidden: Tensor, steps: Tensor, plane_symbols: Tensor
+    ) -> Tensor:
         """L_rate (the paper's equation 5): bits of an attribute's parameter, and the planes' share of it."""
         assert self.rate is not None
         symbols = []
@@ -265,7 +277,9 @@ class Trainer:
             loss = loss + LAMBDA_TRI * planes / (self.scaffold.count * WIDTH)
         return loss
 
-    def _descend(self, rows: Tensor, seen: dict[str, Tensor], sampled: Tensor | None, leaves: dict[str, Tensor]) -> None:
+    def _descend(
+        self, rows: Tensor, seen: dict[str, Tensor], sampled: Tensor | None, leaves: dict[str, Tensor]
+    ) -> None:
         """A step of every optimiser along the gradients."""
         scaffold = self.scaffold
         for group in self.optimiser.param_groups:
@@ -328,7 +342,10 @@ class Trainer:
         self.rate = LearnedRate(hyperprior, plane_size, choose_width(scaffold.count), mean, deviation, self.random)
         self.contexts = Contexts(hyperprior, frame, lattice_positions(scaffold.lattice), plane_size)
         self.coding = torch.optim.Adam(
-            [{"params": [self.rate.latents], "ends": PLANE_RATE}, {"params": self.rate.coding_parameters(), "ends": CODING_RATE}],
+            [
+                {"params": [self.rate.latents], "ends": PLANE_RATE},
+                {"params": self.rate.coding_parameters(), "ends": CODING_RATE},
+            ],
             eps=1e-15,
             fused=True,
         )
@@ -340,7 +357,9 @@ class Trainer:
         rows = torch.arange(self.scaffold.count)
         with torch.no_grad():
             inputs = self.contexts.inputs(symbols, rows, False)
-            features = self.scaffold.tables["features"] / (self.rate.steps(self.rate.hyper.activations(inputs))[:, :1] * self.base_step[0])
+            features = self.scaffold.tables["features"] / (
+                self.rate.steps(self.rate.hyper.activations(inputs))[:, :1] * self.base_step[0]
+            )
         self.rate.set_rounding(inputs, features, symbols)
 
     @property
@@ -358,7 +377,9 @@ class Trainer:
         images = [torch.from_numpy(p.image.astype(np.float32) / 255) for p in judges]
 
         def loss() -> float:
-            shown = sum(float(Photometric.apply(self.draw(p.camera), image)) for p, image in zip(judges, images, strict=True))
+            shown = sum(
+                float(Photometric.apply(self.draw(p.camera), image)) for p, image in zip(judges, images, strict=True)
+            )
             parts = self.estimate()
             bits = 8 * (parts["attributes"] + parts["weights"] + LAMBDA_TRI * parts["planes"])
             return shown / len(judges) + self.settings.rate * bits / (self.scaffold.count * WIDTH)
@@ -398,7 +419,10 @@ class Trainer:
         """Adds to the history how good some held-out images are, and how many bytes the file would have."""
         began = time.perf_counter()
         some = self.photographs.test[:: max(len(self.photographs.test) // LOOK_IMAGES, 1)] or self.photographs.train[:1]
-        errors = [float((self.draw(p.camera) - torch.from_numpy(p.image.astype(np.float32) / 255)).square().mean()) for p in some]
+        errors = [
+            float((self.draw(p.camera) - torch.from_numpy(p.image.astype(np.float32) / 255)).square().mean())
+            for p in some
+        ]
         self.seconds += time.perf_counter() - began
         self.history.append(
             {
@@ -421,7 +445,9 @@ class Trainer:
             steps = self._steps(rows)
             for i, kind in enumerate(KINDS):
                 values[kind] = torch.floor(values[kind] / steps[:, i : i + 1] + 0.5) * steps[:, i : i + 1]
-        _, gaussians, _ = self.scaffold.gaussians(rows, camera, values["features"], values["offsets"], values["scalings"], masks)
+        _, gaussians, _ = self.scaffold.gaussians(
+            rows, camera, values["features"], values["offsets"], values["scalings"], masks
+        )
         return self._drawn(gaussians, camera, None).clamp(0, 1)
 
     @torch.no_grad()
@@ -435,7 +461,9 @@ class Trainer:
         features, scalings = torch.from_numpy(values.features), torch.from_numpy(values.scalings)
         offsets = torch.from_numpy(values.offsets.reshape(scene.anchor_count, -1))
         camera, rows = held.units.camera(camera), torch.arange(scene.anchor_count)
-        _, gaussians, _ = held.gaussians(rows, camera, features, offsets, scalings, torch.from_numpy(scene.masks).float())
+        _, gaussians, _ = held.gaussians(
+            rows, camera, features, offsets, scalings, torch.from_numpy(scene.masks).float()
+        )
         return self._drawn(gaussians, camera, None).clamp(0, 1)
 
     def _drawn(self, gaussians: tuple[Tensor, ...], camera: Camera, screen: Tensor | None) -> Tensor:
@@ -471,7 +499,9 @@ class Trainer:
         for block in rows.split(8192):
             hidden = self.rate.hyper.activations(self.contexts.inputs(planes, block, self.rate.hyper.rounding))
             steps = self.rate.steps(hidden) * self.base_step
-            symbols = [torch.floor(scaffold.tables[kind][block] / steps[:, i : i + 1] + 0.5) for i, kind in enumerate(KINDS)]
+            symbols = [
+                torch.floor(scaffold.tables[kind][block] / steps[:, i : i + 1] + 0.5) for i, kind in enumerate(KINDS)
+            ]
             bits += self.rate.attribute_bits(hidden, torch.cat(symbols, dim=1), kept[block].float()).sum(dim=0)
         some = kept.any(dim=1)
         share = kept[some].double().mean(dim=0).clamp(1e-9, 1 - 1e-9)
@@ -480,7 +510,11 @@ class Trainer:
         rendering = scaffold.networks.layers()
         if not scaffold.networks.gridded:
             rendering = quantise_rendering(rendering, LIKELY_BITS)
-        weights = weight_bytes(self.rate.networks(), rendering, planes.shape[1], planes.shape[2], lanes) if self._writable else 0
+        weights = (
+            weight_bytes(self.rate.networks(), rendering, planes.shape[1], planes.shape[2], lanes)
+            if self._writable
+            else 0
+        )
         parts = dict(zip(KINDS, (bits / 8).tolist(), strict=True))
         return {
             "positions": position_bytes(scaffold.lattice[some.numpy()], lanes),
@@ -515,4 +549,6 @@ class Trainer:
         planes = self.rate.symbols(None).detach().numpy()
         features, scalings, offsets = self.base_step.tolist()
         kept = self._hard_masks().numpy()
-        return coded_scene(self.scaffold, self.rate.networks(), self.frame, planes, (features, scalings, offsets), kept, render)
+        return coded_scene(
+            self.scaffold, self.rate.networks(), self.frame, planes, (features, scalings, offsets), kept, render
+        )

@@ -94,12 +94,19 @@ def voxelise(points: F32, colours: NDArray[np.uint8], voxel: float | None = None
     logits = _logit(colours)
     tree = cKDTree(p)
     count = np.bincount(owner.reshape(-1), minlength=len(anchors))
-    parts = [_describe(anchors[i : i + BLOCK], count[i : i + BLOCK], tree, p, logits, v) for i in range(0, len(anchors), BLOCK)]
+    parts = [
+        _describe(anchors[i : i + BLOCK], count[i : i + BLOCK], tree, p, logits, v)
+        for i in range(0, len(anchors), BLOCK)
+    ]
     features, scalings, offsets, masks = (np.concatenate(column) for column in zip(*parts, strict=True))
     # Colours stay as they are, for display; what follows is brought to a spread of one, channel by channel.
     features[:, 3:] /= np.maximum(features[:, 3:].std(axis=0), 1e-3)
     return AnchorCloud(
-        anchors.astype(np.float32), features.astype(np.float32), scalings.astype(np.float32), offsets.astype(np.float32), masks
+        anchors.astype(np.float32),
+        features.astype(np.float32),
+        scalings.astype(np.float32),
+        offsets.astype(np.float32),
+        masks,
     )
 
 
