@@ -1,6 +1,6 @@
 """Annex A and clause 8.4: the tables, from the shipped file, which is checked against its SHA-256.
 
-The rules that make the file are in Annex A; tools/make_tables.py follows them with 50 digits.
+The rules that make the file are in Annex A; spec/tables.py follows them with 50 digits.
 """
 
 from __future__ import annotations

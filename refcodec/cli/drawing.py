@@ -168,6 +168,8 @@ def add(commands: Any) -> None:
     )
     evaluate.add_argument("--images", metavar="DIR", help="where to write the images that were compared, as PNG files")
     evaluate.add_argument(
-        "--lpips", metavar="WEIGHTS", help="LPIPS too, with the weights of a file that tools/lpips_weights.py makes"
+        "--lpips",
+        metavar="WEIGHTS",
+        help="LPIPS too, with the weights of a file that python -m refcodec.evaluate.lpips_weights makes",
     )
     evaluate.add_argument("--json", action="store_true", help="all figures, of each image too")

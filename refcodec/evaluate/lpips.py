@@ -1,5 +1,5 @@
 """LPIPS (Zhang et al. 2018), version 0.1: how different two images look to a network that recognises things. Weights are a file of the
-user's (tools/lpips_weights.py makes it); nothing is downloaded."""
+user's (refcodec.evaluate.lpips_weights makes it); nothing is downloaded."""
 
 from __future__ import annotations
 
@@ -41,7 +41,9 @@ class Lpips:
         except SafetensorError as error:
             raise ValueError(f"{path} is no safetensors file ({error})") from None
         if self.network not in LAYERS:
-            raise ValueError(f"{path} does not say that it has weights of LPIPS: make it with tools/lpips_weights.py")
+            raise ValueError(
+                f"{path} does not say that it has weights of LPIPS: make it with python -m refcodec.evaluate.lpips_weights"
+            )
         convolutions = sum("padding" in layer for layer in LAYERS[self.network])
         needed = {f"conv{i}.{kind}" for i in range(convolutions) for kind in ("weight", "bias")} | {
             f"linear{i}" for i in range(5)

@@ -1,0 +1,62 @@
+"""Trains the scenes of the suite's trained vectors anew: conformance/cases/sources/*.c3gs.
+
+python -m conformance.cases.train_sources [NAME]
+
+The suite is generated from the files that are there; a training gives the same file only on the same machine and libraries.
+"""
+
+from __future__ import annotations
+
+import sys
+import tempfile
+from dataclasses import dataclass
+from pathlib import Path
+
+from refcodec.bitstream import codec
+from refcodec.encoder.quantise import packed
+from refcodec.folder.read import read_folder
+from refcodec.photographs.photographs import read_photographs
+from refcodec.train.command import train
+from refcodec.train.trainer import TrainSettings
+
+ROOT = Path(__file__).resolve().parents[2]
+SOURCES = Path(__file__).with_name("sources")
+
+
+@dataclass(frozen=True)
+class Source:
+    """A training: photographs, size of images, settings; positions and weights as of `refcodec encode`."""
+
+    photographs: str
+    size: tuple[int, int]
+    settings: TrainSettings
+    form: str
+
+
+TRAININGS = {
+    "caliterra": Source(
+        "caliterra", (160, 120), TrainSettings(rate=0.004, steps=800, anchors=1500, most_anchors=2500), "packed"
+    ),
+    "snowmiku": Source(
+        "snowmiku", (160, 120), TrainSettings(rate=0.01, steps=1000, anchors=4000, most_anchors=5000), "raw"
+    ),
+}
+
+
+def main() -> int:
+    """Trains one source, or all."""
+    for name in sys.argv[1:] or TRAININGS:
+        source = TRAININGS[name]
+        photographs = read_photographs(ROOT / "examples" / "photographs" / source.photographs, source.size)
+        with tempfile.TemporaryDirectory() as folder:
+            scene = Path(folder) / "scene"
+            train(photographs, source.settings, scene, threads=1, device="cpu", resume=False, progress=True)
+            data = codec.emit(packed(read_folder(scene), source.form, source.form))
+        SOURCES.mkdir(parents=True, exist_ok=True)
+        (SOURCES / f"{name}.c3gs").write_bytes(data)
+        print(f"{name}: {len(data)} bytes")
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

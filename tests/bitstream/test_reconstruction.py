@@ -1,0 +1,99 @@
+"""Reconstruction (SPEC.md 9): each value is exact and rounded once; the digest is the same everywhere."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from fractions import Fraction
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from test_exact import exact_f32
+
+from conformance.cases.random_scenes import random_scene
+from conformance.fuzz.strategies import grids, positions, scenes
+from refcodec.bitstream import codec, reconstruction
+from refcodec.bitstream.attributes import ATTRIBUTE_SYMBOL_MAX, KINDS
+from refcodec.bitstream.header import PositionGrid
+from refcodec.bitstream.scene import Scene
+from refcodec.bitstream.tables import tables
+
+EXAMPLE = Path(__file__).resolve().parents[2] / "vectors" / "tiny-example.c3gs"
+
+
+@pytest.mark.requirement("D9.1-1")
+@given(grids(), positions(4))
+def test_world_positions(grid: PositionGrid, half: np.ndarray) -> None:
+    found = reconstruction.world_positions(replace(random_scene(0, 4), grid=grid, positions=half))
+    for n in range(4):
+        for axis in range(3):
+            p = int(Fraction(float(half[n, axis])) * 2**24)
+            wanted = exact_f32(grid.origin[axis] + grid.scale_mantissa * p, grid.scale_exponent - 24)
+            assert Fraction(float(found[n, axis])) == wanted
+
+
+@pytest.mark.requirement("D9.2-1")
+@given(
+    st.lists(
+        st.tuples(st.integers(-ATTRIBUTE_SYMBOL_MAX, ATTRIBUTE_SYMBOL_MAX), st.integers(0, 63)), min_size=1, max_size=9
+    ),
+    st.floats(2.0**-60, 2.0**60, width=32),
+)
+def test_attribute_values(pairs: list[tuple[int, int]], base_step: float) -> None:
+    symbols, steps = (np.array(x) for x in zip(*pairs, strict=True))
+    found = reconstruction.dequantise(symbols.astype(np.int32), steps.astype(np.uint8), base_step)
+    for value, (symbol, index) in zip(found, pairs, strict=True):
+        exact = symbol * int(tables().step[index]) * Fraction(base_step) / 4096
+        scaled = exact * 2**200
+        assert scaled.denominator == 1
+        assert Fraction(float(value)) == exact_f32(int(scaled), -200)
+
+
+@given(scenes())
+@settings(max_examples=30)
+def test_zeros_and_finiteness(scene: Scene) -> None:
+    """No value is -0, NaN, infinite or subnormal; a masked offset is +0."""
+    r = reconstruction.reconstruct(scene)
+    for name in ("positions", *KINDS):
+        values = getattr(r, name)
+        assert values.dtype == np.float32
+        assert np.isfinite(values).all()
+        assert not np.signbit(values[values == 0]).any()
+        assert not ((values != 0) & (np.abs(values) < 2.0**-126)).any()
+    assert (r.offsets[~scene.masks].view(np.uint32) == 0).all()
+
+
+# Measured once; they change only with the format, and with SPEC.md Annex D, which prints them.
+GOLDEN = "626d34269a67ea1f46a5400c3d48e76710c8affcc3715c5f164a00c4be9bfa4a"
+
+
+@pytest.mark.requirement("D9.3-1")
+def test_golden_digest() -> None:
+    whole, parts = reconstruction.digest(codec.parse(EXAMPLE.read_bytes()).scene)
+    assert whole == GOLDEN
+    assert tuple(parts) == reconstruction.PARTS
+    text = (EXAMPLE.parent.parent / "SPEC.md").read_text(encoding="utf-8")
+    for name, value in {"whole": whole, **parts}.items():
+        assert f"| {name} | `{value}` |" in text
+
+
+def test_each_part_changes_the_whole() -> None:
+    """The digest sees a change of any part, and of where parts end."""
+    scene = random_scene(3, 6)
+    seen = {reconstruction.digest(scene)[0]}
+    a = scene.attributes
+    for array in (
+        scene.positions.view(np.uint16),
+        scene.masks,
+        scene.planes,
+        a.features,
+        a.scalings,
+        scene.networks["colour"][1][1],
+    ):
+        array.reshape(-1)[0] = not array.reshape(-1)[0] if array.dtype == bool else array.reshape(-1)[0] + 1
+        seen.add(reconstruction.digest(scene)[0])
+    a.offsets[scene.masks.nonzero()[0][0], scene.masks.nonzero()[1][0], 2] += 1
+    seen.add(reconstruction.digest(scene)[0])
+    assert len(seen) == 8

@@ -1,0 +1,176 @@
+"""Weights in mode 1 (SPEC.md 5.8, 6.8, 7.13): grids against the text, round trips, and what the encoder puts on a grid."""
+
+from __future__ import annotations
+
+import hashlib
+import math
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from hypothesis.extra import numpy as hnp
+
+from conformance.blocks import blocks, decode
+from conformance.cases.random_scenes import MAIN_DIMENSIONS, random_scene
+from refcodec.bitstream import codec, directory, reconstruction
+from refcodec.bitstream.codec import parse_container
+from refcodec.bitstream.dimensions import layers_of
+from refcodec.bitstream.entropy import TraceRow
+from refcodec.bitstream.networks import IntNetwork, derive_layer
+from refcodec.bitstream.weights import WEIGHT_SYMBOL_MAX, from_grid, to_grid
+from refcodec.encoder.quantise import packed
+from refcodec.encoder.weights import RENDERING, exact_networks, pack_weights, quantise_rendering
+from refcodec.inspect import elements, trace
+
+SPACE = blocks((Path(__file__).resolve().parents[2] / "SPEC.md").read_text(encoding="utf-8"))
+FINITE = st.floats(width=32, allow_nan=False, allow_infinity=False)
+GRID = st.tuples(st.integers(-WEIGHT_SYMBOL_MAX, WEIGHT_SYMBOL_MAX), st.integers(-149, 104)).map(
+    lambda p: math.ldexp(*p)
+)
+
+
+def same_bits(a: np.ndarray, b: np.ndarray) -> bool:
+    return a.dtype == b.dtype == np.float32 and np.array_equal(a.view(np.uint32), b.view(np.uint32))
+
+
+@pytest.mark.requirement("D7.13-1")
+@given(
+    hnp.arrays(
+        np.float32,
+        hnp.array_shapes(min_dims=2, max_dims=2, min_side=2, max_side=5),
+        elements=st.one_of(
+            FINITE, GRID, st.integers(-50, 50).map(float), st.sampled_from([0.0, -0.0, 2.0**-149, -(2.0**127)])
+        ),
+        fill=st.just(np.float32(0)),
+    )
+)
+def test_grids(values: np.ndarray) -> None:
+    """A layer is packed exactly if the text says so, and comes back bit for bit."""
+    layer = (np.ascontiguousarray(values[:, :-1]), np.ascontiguousarray(values[:, -1]))
+    grid = to_grid(layer)
+    assert (grid is not None) == SPACE["CAN_BE_PACKED"](layer[0].tolist(), layer[1].tolist())
+    if grid is None:
+        return
+    back = from_grid(grid)
+    assert back is not None
+    assert all(same_bits(a, b) for a, b in zip(back, layer, strict=True))
+    text = SPACE["PACKED_LAYER"](grid.exponent, grid.difference.tolist(), grid.weight.tolist(), grid.bias.tolist())
+    assert text == (layer[0].tolist(), layer[1].tolist())
+
+
+@given(st.data())
+def test_exponents_that_are_not_the_least(data: st.DataObject) -> None:
+    """What the text refuses, and nothing else, is refused."""
+    rows = data.draw(st.integers(1, 4))
+    small = st.integers(-3, 3)
+    exponent, difference = (
+        data.draw(st.sampled_from([0, 0, 5, -104, 149])),
+        data.draw(hnp.arrays(np.int64, rows, elements=small)),
+    )
+    weight, bias = (
+        data.draw(hnp.arrays(np.int64, (rows, 2), elements=small)),
+        data.draw(hnp.arrays(np.int64, rows, elements=small)),
+    )
+    text = SPACE["PACKED_LAYER"](exponent, difference.tolist(), weight.tolist(), bias.tolist())
+    grid = type(to_grid((np.zeros((1, 1), np.float32), np.zeros(1, np.float32))))(exponent, difference, weight, bias)
+    found = from_grid(grid)
+    assert (found is None) == (text is None)
+    if found is not None:
+        again = to_grid(found)
+        assert again is not None
+        assert again.exponent == exponent
+        assert np.array_equal(again.difference, difference)
+
+
+def test_the_integers_change_no_output() -> None:
+    """exact_networks: the same outputs for any inputs, also where the integers could be doubled."""
+    rng = np.random.default_rng(1)
+    for seed in range(5):
+        networks = random_scene(seed, 1, MAIN_DIMENSIONS, gain=[0.01, 0.5, 1, 3, 8][seed]).networks
+        exact = exact_networks(networks)
+        for name, layers in networks.items():
+            if name in RENDERING:
+                assert exact[name] is layers
+                continue
+            before, after = (IntNetwork([derive_layer(*layer) for layer in n[name]]) for n in (networks, exact))
+            inputs = rng.integers(-1023, 1024, (100, layers[0][0].shape[1]))
+            assert np.array_equal(before(inputs), after(inputs))
+            assert all(to_grid(layer) is not None for layer in exact[name])
+
+
+@pytest.mark.parametrize("bits", [2, 6, 8, 12])
+def test_rendering_networks_on_a_grid(bits: int) -> None:
+    networks = random_scene(2, 1, MAIN_DIMENSIONS).networks
+    coarse = quantise_rendering(networks, bits)
+    for name, layers in networks.items():
+        for (weight, bias), (grid_weight, grid_bias) in zip(layers, coarse[name], strict=True):
+            if name not in RENDERING:
+                assert grid_weight is weight
+                continue
+            grid = to_grid((grid_weight, grid_bias))
+            assert grid is not None
+            step = np.abs(weight).max() / ((1 << (bits - 1)) - 0.5)
+            assert np.abs(weight - grid_weight).max() <= step
+            assert np.abs(bias - grid_bias).max() <= step
+            assert np.abs(grid.weight).max() < 1 << (bits - 1)
+
+
+def test_a_scene_of_grids() -> None:
+    """Its weights take less than a third of mode 0, every symbol stays, and the text decodes it."""
+    scene = random_scene(3, 20, MAIN_DIMENSIONS, chunk_size=256)
+    small = pack_weights(replace(scene, networks=quantise_rendering(scene.networks, 6)))
+    data, raw = codec.emit(small), codec.emit(scene)
+    sections, before = (parse_container(d).sections[directory.WEIGHTS] for d in (data, raw))
+    assert (sections.mode, before.mode) == (1, 0)
+    assert 3 * (sections.end - sections.start) < before.end - before.start
+    found = codec.parse(data).scene
+    assert codec.emit(found) == data
+    for kind in ("features", "scalings", "offsets", "steps"):
+        assert np.array_equal(getattr(found.attributes, kind), getattr(scene.attributes, kind))
+    for name, layers in small.networks.items():
+        assert all(
+            same_bits(a, b)
+            for x, y in zip(layers, found.networks[name], strict=True)
+            for a, b in zip(x, y, strict=True)
+        )
+    assert packed(found, "raw", None).weight_scales is found.weight_scales
+    assert packed(scene, "raw", "raw").weight_scales is None
+    assert packed(scene, "raw", None).weight_scales is not None
+
+
+def test_the_text_decodes_it() -> None:
+    scene = pack_weights(random_scene(4, 5))
+    data = codec.emit(scene)
+    whole, verdicts = decode(SPACE, data, parse_container(data))
+    assert not any(verdicts)
+    assert reconstruction.digest(codec.parse(data).scene)[0] == hashlib.sha256(whole).hexdigest()
+
+
+def test_scales_that_cannot_be_written() -> None:
+    scene = pack_weights(random_scene(5, 2))
+    assert scene.weight_scales is not None
+    raw = next(i for i, (name, _, _) in enumerate(layers_of(scene.dimensions)) if name == "opacity.0")
+    assert not scene.weight_scales[raw].any(), "float32 of a training framework is on no grid"
+    wrong = scene.weight_scales.copy()
+    wrong[raw, 1] = 3
+    with pytest.raises(ValueError, match="outside its limits"):
+        codec.emit(replace(scene, weight_scales=wrong))
+    with pytest.raises(ValueError, match="weight_scales is"):
+        codec.emit(replace(scene, weight_scales=wrong[1:]))
+
+
+def test_inspection_and_trace() -> None:
+    data = codec.emit(pack_weights(random_scene(6, 2)))
+    names = {row.path for row in elements.rows(data)}
+    assert {"weights.hyper.0.form", "weights.opacity.0.weight", "weights.word", "weights.symbol_crc"} <= names
+    seen: list[TraceRow] = []
+    codec.parse(data, trace=seen.append)
+    symbols = [row.path for row in seen if row.path.startswith("weights")]
+    assert symbols[0] == "weights.hyper.0.exponent[0]"
+    assert "weights.carm.1.1.bias[0]" in symbols
+    lines: list[str] = []
+    trace.trace(data, lines.append)
+    assert sum(line.startswith("weights.sarm.0.weight[") for line in lines) == 16

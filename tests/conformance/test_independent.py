@@ -1,0 +1,366 @@
+"""The second decoder (conformance/independent): it agrees with refcodec, and it is a work of its own."""
+
+from __future__ import annotations
+
+import ast
+import json
+import re
+import subprocess
+import sys
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from conformance import cli, independent
+from conformance.cases.faults import FAULTS, Fault, draw_fault
+from conformance.cases.files import Target, repair, resized
+from conformance.cases.random_scenes import MAIN_DIMENSIONS, random_scene
+from conformance.fuzz import compare
+from conformance.independent import conventions, limits
+from conformance.independent import errors as second_errors
+from refcodec.bitstream import codec, directory, reconstruction
+from refcodec.bitstream.dimensions import Dimensions
+from refcodec.bitstream.errors import REGISTRY, BitstreamError
+from refcodec.bitstream.header import Lanes
+from refcodec.bitstream.limits import PROFILES, Profile
+from refcodec.encoder.positions import position_model
+from refcodec.encoder.weights import pack_weights
+
+ROOT = Path(__file__).resolve().parents[2]
+SOURCES = sorted((ROOT / "conformance" / "independent").glob("*.py"))
+EXAMPLE = ROOT / "vectors" / "tiny-example.c3gs"
+
+MIXED = random_scene(39, 9, chunk_size=4, lanes=Lanes(0, 1, 0))
+# Files that between them have a place for every fault: extensions, idle lanes, several chunks, one slice and more, no anchors,
+# positions and weights in mode 1.
+TARGETS = [
+    Target(codec.emit(scene))
+    for scene in (
+        replace(
+            random_scene(32, 11, chunk_size=4, lanes=Lanes(1, 4, 1), spread=6),
+            extensions=((5, 1, b"hello"), (9, 0, b"")),
+        ),
+        random_scene(36, 3, Dimensions(1, (2,), 1, 1, 3, (2, 2), (2,), (), 1), chunk_size=1, lanes=Lanes(0, 2, 3)),
+        random_scene(37, 0),
+        # Anchors in no order: two raw chunks, and a packed one of a single anchor.
+        pack_weights(replace(MIXED, position_model=position_model(MIXED.positions, 4))),
+    )
+]
+
+
+def test_every_code_has_a_fault() -> None:
+    assert set(FAULTS) == set(REGISTRY)
+
+
+@st.composite
+def faulty(draw: st.DrawFn, name: str) -> Fault:
+    made = [fault for t in draw(st.permutations(TARGETS)) if (fault := draw_fault(draw, t, name))]
+    return made[0]
+
+
+@pytest.mark.requirement("D2.1-1")
+@pytest.mark.parametrize("name", REGISTRY)
+@settings(max_examples=25)
+@given(st.data())
+def test_fault(name: str, data: st.DataObject) -> None:
+    """Both decoders refuse a file with one fault by its code, at its offset."""
+    fault = data.draw(faulty(name))
+    verdict, wrong = compare.compare(fault.data, (fault.name, fault.offset))
+    assert wrong is None, wrong
+    assert verdict == (name, fault.offset)
+    with pytest.raises(BitstreamError) as caught:
+        codec.parse(fault.data)
+    error = caught.value
+    assert error.exit_status == (2 if error.kind.klass == "unsupported" else 1)
+    # What was found, what is allowed, where, and which clause.
+    assert error.found
+    assert error.allowed
+    assert error.found != error.allowed
+    for part in (error.found, error.allowed, error.path, f"byte {error.offset}", f"SPEC.md {error.kind.clause}"):
+        assert part in str(error)
+
+
+@pytest.mark.requirement("D2.1-1", "D7.7-1", "D7.8-1", "D7.9-1", "D7.10-1", "D10.1-1")
+@given(compare.families())
+@settings(max_examples=40)
+def test_decoders_agree(made: list[tuple[bytes, compare.Verdict | None]]) -> None:
+    for data, expected in made:
+        _, wrong = compare.compare(data, expected)
+        assert wrong is None, wrong
+
+
+def test_a_main_file() -> None:
+    data = codec.emit(random_scene(38, 40, replace(MAIN_DIMENSIONS, plane_size=5), chunk_size=256))
+    assert compare.compare(data)[1] is None
+
+
+def test_the_comparison_can_fail(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A decoder that differs, one that fails otherwise, one that hangs, and one that accepts what is not canonical are found."""
+    data = EXAMPLE.read_bytes()
+    assert compare.compare(data)[1] is None
+    assert "expected was" in str(compare.compare(data, ("prologue.crc", 16))[1])
+    with monkeypatch.context() as m:
+        m.setattr(independent, "digest", lambda scene: "0")
+        assert "the second decoder" in str(compare.compare(data)[1])
+    with monkeypatch.context() as m:
+        m.setattr(independent, "decode", lambda data: {}["x"])
+        assert "KeyError" in str(compare.compare(data)[1])
+    with monkeypatch.context() as m:
+        m.setattr(codec, "emit", lambda scene: b"")
+        assert "accepted, but" in str(compare.compare(data)[1])
+    with monkeypatch.context() as m:
+        m.setattr(compare, "FILE_SECONDS", 1)
+        m.setattr(independent, "decode", lambda data: [None for _ in iter(int, 1)])
+        assert "BudgetError" in str(compare.compare(data)[1])
+
+
+def test_sections_of_no_anchors_grow() -> None:
+    """Of empty sections at one place only those behind the one that grows move."""
+    data = codec.emit(random_scene(5, 0))
+    for kind in (directory.POSITIONS, directory.MASKS, directory.ATTRIBUTES):
+        verdict, wrong = compare.compare(resized(data, kind, b"\0"))
+        assert wrong is None
+        assert verdict[0] == ("directory.length" if kind == directory.POSITIONS else "chunks.length")
+
+
+def saying(code: int, offset: str, status: int) -> list[str]:
+    """A decoder that refuses every file so."""
+    return ["sh", "-c", f"""echo '{{"code": {code}{offset}}}' >&2; exit {status}""", "sh", "{input}", "{output}"]
+
+
+@pytest.mark.parametrize(
+    ("command", "what"),
+    [
+        (["cp", "{input}", "{output}"], "the decoder ('"),
+        (["true", "{input}", "{output}"], "a crash: exit status 0 without an output"),
+        (["false", "{input}", "{output}"], "a crash: exit status 1"),
+        (saying(103, ', "offset": 16', 1), "the decoder ('prologue.crc', 16)"),
+        (saying(103, "", 1), "without an offset"),
+        (saying(103, ', "offset": 16', 2), "exit status 2 with prologue.crc, which is malformed"),
+    ],
+)
+def test_another_decoder_is_compared(command: list[str], what: str) -> None:
+    wrong = compare.compare(EXAMPLE.read_bytes(), None, command)[1]
+    assert wrong is not None
+    assert what in wrong
+    right = [sys.executable, "-m", "conformance.independent", "decode", "{input}", "{output}"]
+    assert compare.compare(EXAMPLE.read_bytes(), None, right)[1] is None
+    refused = EXAMPLE.read_bytes()[:9]
+    assert compare.compare(refused, None, right) == (("prologue.truncated", 9), None)
+
+
+class Here:
+    """A pool of this process."""
+
+    def __init__(self, *_: object) -> None:
+        pass
+
+    def __enter__(self) -> Here:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        pass
+
+    imap = staticmethod(map)
+
+
+def in_this_process(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Small batches, without processes of their own."""
+    monkeypatch.setattr(compare.multiprocessing, "get_context", lambda kind: type("Context", (), {"Pool": Here}))
+    monkeypatch.setattr(compare, "BATCH_SCENES", 3)
+
+
+def test_a_batch_is_the_same_again(monkeypatch: pytest.MonkeyPatch) -> None:
+    in_this_process(monkeypatch)
+    first, second = compare.run_batch(7), compare.run_batch(7)
+    assert first == second
+    assert sum(first.seen.values()) > 40
+    assert not first.wrong
+
+
+def test_fuzz_notes_what_is_done(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    in_this_process(monkeypatch)
+    state = tmp_path / "state.json"
+    assert compare.run(1, 3, 1, state, tmp_path / "keep", []) == 0
+    saved = json.loads(state.read_text())
+    assert saved["batches"] == [3]
+    assert compare.run(1, 3, 1, state, tmp_path / "keep", []) == 0
+    assert json.loads(state.read_text()) == saved, "nothing is done twice"
+    with pytest.raises(SystemExit, match="seed 3"):
+        compare.run(1, 4, 1, state, tmp_path / "keep", [])
+    with pytest.raises(SystemExit, match="another decoder"):
+        compare.run(1, 3, 1, state, tmp_path / "keep", ["true", "{input}", "{output}"])
+    assert "0 disagreements" in capsys.readouterr().out
+    assert not (tmp_path / "keep").exists()
+
+
+def test_fuzz_of_another_decoder(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    in_this_process(monkeypatch)
+    words = ["fuzz", "-n", "1", "--state", str(tmp_path / "state.json"), "--keep", str(tmp_path / "keep"), "--"]
+    assert cli.main([*words, *saying(102, ', "offset": 0', 1)]) == 1
+    assert "the decoder ('prologue.signature', 0)" in capsys.readouterr().out
+    assert list((tmp_path / "keep").iterdir())
+    assert cli.main([*words, str(tmp_path / "none"), "{input}", "{output}"]) == cli.EXIT_USAGE
+    assert cli.main([*words, "true", "{input}"]) == cli.EXIT_USAGE
+    assert "needs {output}" in capsys.readouterr().err
+    for state in (
+        "",
+        "{}",
+        '{"seed": 0, "batches": [], "seen": {}, "wrong": 0}',
+        '{"seed": 0, "command": [], "batches": 1, "seen": {}, "wrong": 0}',
+    ):
+        (tmp_path / "bad.json").write_text(state)
+        with pytest.raises(SystemExit, match="no state of this command"):
+            compare.run(1, 0, 1, tmp_path / "bad.json", tmp_path / "keep", [])
+    with pytest.raises(SystemExit):
+        cli.main(["fuzz", "-n", "0"])
+
+
+# --- a work of its own ------------------------------------------------------------------------------------------------
+
+
+def test_it_imports_the_standard_library_alone() -> None:
+    for path in SOURCES:
+        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+            names = []
+            if isinstance(node, ast.Import):
+                names = [alias.name for alias in node.names]
+            elif isinstance(node, ast.ImportFrom) and node.level == 0:
+                names = [node.module or ""]
+            for name in names:
+                assert name.partition(".")[0] in sys.stdlib_module_names, f"{path.name} imports {name}"
+
+
+def statements(folder: Path) -> set[str]:
+    """Every statement of a package as its syntax tree says it, but imports, docstrings, SPEC.md's constants and what is too short to
+    be anyone's."""
+    found = set()
+    for path in folder.rglob("*.py"):
+        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+            if isinstance(node, ast.stmt) and not isinstance(
+                node, ast.Import | ast.ImportFrom | ast.FunctionDef | ast.ClassDef
+            ):
+                text = ast.unparse(node)
+                documentation = isinstance(node, ast.Expr) and isinstance(node.value, ast.Constant)
+                if len(text) > 45 and not documentation and not re.match(r"[A-Z_]+(, [A-Z_]+)* = ", text):
+                    found.add(text)
+    return found
+
+
+def test_it_shares_no_line_with_refcodec() -> None:
+    assert statements(ROOT / "conformance" / "independent") & statements(ROOT / "refcodec") == set()
+
+
+def test_each_function_stands_under_its_clause() -> None:
+    for path in SOURCES:
+        lines = path.read_text(encoding="utf-8").splitlines()
+        for node in ast.walk(ast.parse("\n".join(lines))):
+            if not isinstance(node, ast.FunctionDef) or node.name == "__init__":
+                continue
+            first = min([node.lineno, *(d.lineno for d in node.decorator_list)])
+            # Accessors of a few lines need none.
+            if node.end_lineno - node.lineno > 3:
+                assert re.match(r"\s*# SPEC ", lines[first - 2]), f"{path.name}: {node.name}"
+
+
+def test_its_registry_and_limits_are_those_of_the_specification() -> None:
+    assert {name: (kind.code, kind.klass, kind.clause) for name, kind in REGISTRY.items()} == {
+        name: row[:3] for name, row in second_errors.REGISTRY.items()
+    }
+    fields = [f for f in Profile.__dataclass_fields__ if f not in ("name", "levels", "chunk_size")]
+    assert list(limits.PROFILE_BOUNDS) == fields
+    for number, profile in PROFILES.items():
+        assert [limits.PROFILE_BOUNDS[f][number] for f in fields] == [getattr(profile, f) for f in fields]
+        assert limits.CHUNK_SIZE_BOUNDS[number] == profile.chunk_size
+        assert limits.LEVELS[number] == {n: (level.anchors, level.plane_size) for n, level in profile.levels.items()}
+
+
+def test_its_constants_are_those_of_the_specification() -> None:
+    text = (ROOT / "SPEC.md").read_text(encoding="utf-8").partition("### 2.5 ")[2].partition("\n## ")[0]
+    printed = re.findall(r"^\| ([A-Z][A-Z0-9_]+) \| ([^|]+) \|", text, re.MULTILINE)
+    assert len(printed) > 30
+    for name, value in printed:
+        if name != "VERSION":
+            assert getattr(conventions, name) == eval(value.replace("^", "**")), name
+
+
+# --- its command ------------------------------------------------------------------------------------------------------
+
+
+def command(*arguments: str | Path) -> subprocess.CompletedProcess[str]:
+    return subprocess.run(
+        [sys.executable, "-m", "conformance.independent", *map(str, arguments)],
+        capture_output=True,
+        text=True,
+        check=False,
+        cwd=ROOT,
+    )
+
+
+def test_command(tmp_path: Path) -> None:
+    whole, parts = reconstruction.digest(codec.parse(EXAMPLE.read_bytes()).scene)
+    assert command("digest", EXAMPLE).stdout.split() == ["whole", whole]
+    printed = dict(line.split() for line in command("digest", "--parts", EXAMPLE).stdout.splitlines())
+    assert printed == {"whole": whole, **parts}
+    assert command("validate", EXAMPLE).returncode == 0
+    bad = tmp_path / "bad.c3gs"
+    bad.write_bytes(EXAMPLE.read_bytes()[:-1])
+    result = command("validate", bad)
+    assert result.returncode == 1
+    assert json.loads(result.stderr.splitlines()[-1])["code"] == 306
+    bad.write_bytes(repair(Target(EXAMPLE.read_bytes()).put(20, b"\7")))
+    assert command("digest", bad).returncode == 2
+    assert command("validate", tmp_path / "none").returncode == 3
+    assert command().returncode == 3
+
+
+def test_the_suite_s_command(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    arguments = [
+        "fuzz",
+        "-n",
+        "1",
+        "--seed",
+        "5",
+        "--jobs",
+        "1",
+        "--state",
+        str(tmp_path / "state.json"),
+        "--keep",
+        str(tmp_path / "keep"),
+    ]
+    assert cli.main(arguments) == 0
+    assert "0 disagreements" in capsys.readouterr().out
+    # What an earlier part of the run found is not forgotten.
+    saved = json.loads((tmp_path / "state.json").read_text())
+    (tmp_path / "state.json").write_text(json.dumps({**saved, "wrong": 2}))
+    assert cli.main(arguments) == 1
+
+    def interrupted(*_: object) -> int:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(compare, "run", interrupted)
+    assert cli.main(arguments) == 130
+    with pytest.raises(SystemExit):
+        cli.main([])
+
+
+def test_a_disagreement_is_kept(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """The file is written, and the command that shows it printed."""
+
+    found = compare.Findings(compare.Counter({"accepted": 3}), [("refcodec says a, the second decoder b", b"file")])
+    monkeypatch.setattr(compare, "run_batch", lambda number, command: found)
+    in_this_process(monkeypatch)
+    assert compare.run(2, 0, 1, tmp_path / "state.json", tmp_path / "keep", []) == 1
+    assert (tmp_path / "keep" / "0-1.c3gs").read_bytes() == b"file"
+    assert "refcodec inspect" in capsys.readouterr().out

@@ -1,0 +1,1009 @@
+"""Folders of posed photographs: what is written is read back, geometry is kept by every step, whatever is wrong is one clear error."""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import shutil
+import struct
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+pytest.importorskip("PIL", reason="the reader of photographs needs the packages of the extra train")
+pytest.importorskip("scipy", reason="the reader of photographs needs the packages of the extra train")
+
+from PIL import Image
+from plyfile import PlyData, PlyElement
+from scipy.spatial.transform import Rotation
+
+from refcodec.photographs import images, lens, transforms
+from refcodec.photographs.cameras import Camera, PhotographError, quaternion_rotation
+from refcodec.photographs.photographs import parse_size, read_photographs
+
+ROOT = Path(__file__).resolve().parents[2]
+EXAMPLES = ROOT / "examples" / "photographs"
+WIDTH, HEIGHT, COUNT, POINTS = 40, 30, 10, 25
+PINHOLE = ("PINHOLE", WIDTH, HEIGHT, (35.5, 36.25, 20.5, 14.75))
+MODEL_IDS = {"SIMPLE_PINHOLE": 0, "PINHOLE": 1, "SIMPLE_RADIAL": 2, "RADIAL": 3, "OPENCV": 4, "OPENCV_FISHEYE": 5}
+
+
+# --- datasets ---------------------------------------------------------------------------------------------------------
+
+
+def model(count=COUNT, camera=PINHOLE, seed=0):
+    """cameras {id: (model, width, height, parameters)}, images [(id, quaternion, translation, camera, name, 2D points)], points."""
+    rng = np.random.default_rng(seed)
+    quaternions, translations = rng.normal(size=(count, 4)), rng.normal(size=(count, 3))
+    rows = [
+        (i + 3, quaternions[i], translations[i], 7, f"{i:02}.png", [(1.5, 2.25, 4), (3.0, 4.0, -1)] if i % 2 else [])
+        for i in range(count)
+    ]
+    points = [(i + 1, rng.normal(size=3), rng.integers(0, 256, 3), 0.5, [(3, 0), (5, 1)]) for i in range(POINTS)]
+    return {7: camera}, rows, points
+
+
+def write_text(folder, cameras, rows, points):
+    folder.mkdir(parents=True, exist_ok=True)
+    text = ["# cameras"] + [
+        f"{i} {m} {w} {h} {' '.join(map(repr, map(float, p)))}" for i, (m, w, h, p) in cameras.items()
+    ]
+    (folder / "cameras.txt").write_text("\n".join(text) + "\n")
+    text = ["# images"]
+    for i, q, t, camera, name, seen in rows:
+        text += [
+            f"{i} {' '.join(repr(float(v)) for v in (*q, *t))} {camera} {name}",
+            " ".join(f"{x} {y} {k}" for x, y, k in seen),
+        ]
+    (folder / "images.txt").write_text("\n".join(text) + "\n")
+    text = ["# points"]
+    for i, p, c, e, track in points:
+        text.append(
+            " ".join(
+                [
+                    str(i),
+                    *(repr(float(v)) for v in p),
+                    *(str(int(v)) for v in c),
+                    str(e),
+                    *(f"{a} {b}" for a, b in track),
+                ]
+            )
+        )
+    (folder / "points3D.txt").write_text("\n".join(text) + "\n")
+
+
+def write_binary(folder, cameras, rows, points):
+    folder.mkdir(parents=True, exist_ok=True)
+    data = struct.pack("<Q", len(cameras))
+    for i, (m, w, h, p) in cameras.items():
+        data += struct.pack(f"<IiQQ{len(p)}d", i, MODEL_IDS.get(m, 99), w, h, *p)
+    (folder / "cameras.bin").write_bytes(data)
+    data = struct.pack("<Q", len(rows))
+    for i, q, t, camera, name, seen in rows:
+        data += struct.pack("<I7dI", i, *q, *t, camera) + name.encode() + b"\0" + struct.pack("<Q", len(seen))
+        data += b"".join(struct.pack("<ddq", *s) for s in seen)
+    (folder / "images.bin").write_bytes(data)
+    data = struct.pack("<Q", len(points))
+    for i, p, c, e, track in points:
+        data += struct.pack("<Q3d3BdQ", i, *p, *(int(v) for v in c), e, len(track)) + b"".join(
+            struct.pack("<II", *t) for t in track
+        )
+    (folder / "points3D.bin").write_bytes(data)
+
+
+WRITERS = {"text": write_text, "binary": write_binary}
+
+
+def pixels(seed, width=WIDTH, height=HEIGHT):
+    return np.random.default_rng(seed).integers(0, 256, (height, width, 3), dtype=np.uint8)
+
+
+def write_images(folder, names, width=WIDTH, height=HEIGHT):
+    folder.mkdir(parents=True, exist_ok=True)
+    for i, name in enumerate(names):
+        (folder / name).parent.mkdir(parents=True, exist_ok=True)
+        Image.fromarray(pixels(i, width, height)).save(folder / name)
+
+
+def write_colmap(folder, writer=write_text, place="sparse/0", content=None, **camera):
+    content = content or model(**camera)
+    writer(folder / place, *content)
+    write_images(folder / "images", [row[4] for row in content[1]], *content[0][7][1:3])
+    return content
+
+
+@pytest.fixture(scope="module", params=WRITERS)
+def template(request, tmp_path_factory):
+    """A whole COLMAP folder, text and binary in turn."""
+    folder = tmp_path_factory.mktemp("colmap") / request.param
+    write_colmap(folder, WRITERS[request.param])
+    return folder
+
+
+@pytest.fixture
+def made(template, tmp_path):
+    return Path(shutil.copytree(template, tmp_path / template.name))
+
+
+@pytest.fixture
+def text(tmp_path):
+    write_colmap(tmp_path / "text")
+    return tmp_path / "text"
+
+
+def edit(file: Path, old: str, new: str):
+    content = file.read_text()
+    assert old in content
+    file.write_text(content.replace(old, new, 1))
+
+
+def refused(folder, *words, **arguments):
+    """The error of reading a folder and all its images, which says all the words."""
+    with pytest.raises(PhotographError) as caught:
+        [photograph.image for photograph in read_photographs(folder, **arguments).train]
+    message = str(caught.value)
+    assert all(word in message for word in words), message
+    assert caught.value.problem
+    assert caught.value.advice
+    return caught.value
+
+
+def everything(photographs):
+    return sorted((*photographs.train, *photographs.test), key=lambda p: p.camera.name)
+
+
+def project(camera, points):
+    """Positions [N, 2] in the image, by the definition."""
+    p = points @ camera.rotation.T + camera.translation
+    return np.stack([camera.fx * p[:, 0] / p[:, 2] + camera.cx, camera.fy * p[:, 1] / p[:, 2] + camera.cy], axis=1)
+
+
+# --- COLMAP -----------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("place", ["sparse/0", "sparse", "."])
+@pytest.mark.parametrize("writer", WRITERS)
+def test_colmap_is_read_back(writer, place, tmp_path):
+    _, rows, points = write_colmap(tmp_path, WRITERS[writer], place)
+    (tmp_path / "images" / "notes.md").write_text("not an image")
+    found = read_photographs(tmp_path)
+    assert [p.camera.name for p in found.test] == ["00.png", "08.png"]
+    assert [p.camera.name for p in found.train] == [f"{i:02}.png" for i in range(COUNT) if i % 8]
+    assert found.skipped == 0
+    for i, (photograph, (_, q, t, _, name, _)) in enumerate(zip(everything(found), rows, strict=True)):
+        c = photograph.camera
+        assert (c.name, c.width, c.height, c.fx, c.fy, c.cx, c.cy) == (name, *PINHOLE[1:3], *PINHOLE[3])
+        np.testing.assert_allclose(c.rotation, Rotation.from_quat(q[[1, 2, 3, 0]]).as_matrix(), atol=1e-14)
+        np.testing.assert_array_equal(c.translation, t)
+        np.testing.assert_allclose(c.rotation @ c.centre + c.translation, 0, atol=1e-14)
+        np.testing.assert_array_equal(photograph.image, pixels(i))
+        assert photograph.image is photograph.image
+        assert photograph.image.dtype == np.uint8
+    np.testing.assert_array_equal(found.points, [p[1] for p in points])
+    np.testing.assert_array_equal(found.colours, [p[2] for p in points])
+    assert (found.points.dtype, found.colours.dtype, c.rotation.dtype) == (np.float64, np.uint8, np.float64)
+
+
+@pytest.mark.parametrize("writer", WRITERS)
+@pytest.mark.parametrize(
+    ("name", "parameters", "expected"),
+    [
+        ("SIMPLE_PINHOLE", (35, 20, 15), (35, 35, 20, 15)),
+        ("SIMPLE_RADIAL", (35, 20, 15, 0), (35, 35, 20, 15)),
+        ("RADIAL", (35, 20, 15, 0, 0), (35, 35, 20, 15)),
+        ("OPENCV", (35, 36, 20, 15, 0, 0, 0, 0), (35, 36, 20, 15)),
+    ],
+)
+def test_camera_models(writer, name, parameters, expected, tmp_path):
+    write_colmap(tmp_path, WRITERS[writer], camera=(name, WIDTH, HEIGHT, parameters))
+    c = read_photographs(tmp_path).train[0].camera
+    assert (c.fx, c.fy, c.cx, c.cy) == expected
+
+
+def test_names_in_folders_and_with_spaces(tmp_path):
+    cameras, rows, points = model()
+    rows = [(i, q, t, c, f"left {i % 2}/a photograph {name}", s) for i, q, t, c, name, s in reversed(rows)]
+    write_colmap(tmp_path, content=(cameras, rows, points))
+    names = [p.camera.name for p in everything(read_photographs(tmp_path))]
+    assert names == sorted(row[4] for row in rows)
+
+
+def test_binary_comes_before_text(tmp_path):
+    write_colmap(tmp_path, write_text)
+    write_binary(tmp_path / "sparse/0", *model(seed=1))
+    np.testing.assert_array_equal(read_photographs(tmp_path).points, [p[1] for p in model(seed=1)[2]])
+
+
+def test_images_without_pose_are_counted(made):
+    write_images(made / "images", ["a.png", "deeper/b.jpg"])
+    assert read_photographs(made).skipped == 2
+
+
+def test_images_of_another_size_rescale_the_camera(made):
+    before = everything(read_photographs(made))
+    write_images(made / "images", [f"{i:02}.png" for i in range(COUNT)], 27, 20)
+    after = everything(read_photographs(made))
+    points = np.random.default_rng(0).normal(size=(50, 3))
+    for a, b in zip(before, after, strict=True):
+        assert b.image.shape == (20, 27, 3)
+        np.testing.assert_allclose(
+            project(b.camera, points), project(a.camera, points) * (27 / WIDTH, 20 / HEIGHT), rtol=1e-12
+        )
+
+
+def test_image_folder_is_chosen_by_size(tmp_path):
+    write_colmap(tmp_path)
+    names = [f"{i:02}.png" for i in range(COUNT)]
+    for divisor in (2, 4):
+        write_images(tmp_path / f"images_{divisor}", names, WIDTH // divisor, round(HEIGHT / divisor))
+    (tmp_path / "images_notes").mkdir()
+
+    def source(size):
+        return everything(read_photographs(tmp_path, size))[3]
+
+    for size, (width, height) in (
+        (None, (40, 30)),
+        (40, (40, 30)),
+        (21, (40, 30)),
+        (20, (20, 15)),
+        (11, (20, 15)),
+        (10, (10, 8)),
+    ):
+        expected = images.shrink(pixels(3, width, height), *images.wanted_size("", width, height, size))
+        np.testing.assert_array_equal(source(size).image, expected)
+    np.testing.assert_array_equal(source((10, 8)).image, pixels(3, 10, 8))
+    np.testing.assert_array_equal(source((16, 12)).image, images.shrink(pixels(3, 20, 15), 16, 12))
+    shutil.rmtree(tmp_path / "images")
+    assert source(None).image.shape == (15, 20, 3)
+    shutil.rmtree(tmp_path / "images_2")
+    shutil.rmtree(tmp_path / "images_4")
+    refused(tmp_path, "there is no image folder", "images_2")
+
+
+# --- COLMAP's errors --------------------------------------------------------------------------------------------------
+
+
+def test_no_folder(tmp_path):
+    refused(tmp_path / "nowhere", "there is no such folder")
+    refused(tmp_path, "there are no cameras", "sparse/0/cameras.bin", "transforms.json")
+
+
+@pytest.mark.parametrize("part", ["cameras", "images", "points3D"])
+def test_missing_part(made, part):
+    (file,) = (made / "sparse/0").glob(f"{part}.*")
+    file.unlink()
+    refused(made, part, "the file is missing", "together")
+
+
+@pytest.mark.parametrize("part", ["cameras", "images", "points3D"])
+def test_every_truncation_of_binary(part, tmp_path):
+    cameras, rows, points = model(2)
+    write_colmap(tmp_path, write_binary, content=(cameras, rows, points[:3]))
+    file = tmp_path / "sparse/0" / f"{part}.bin"
+    whole = file.read_bytes()
+    for length in range(len(whole)):
+        file.write_bytes(whole[:length])
+        refused(tmp_path, f"{part}.bin")
+    file.write_bytes(whole + b"\0")
+    refused(tmp_path, f"{part}.bin", "1 bytes follow")
+
+
+@pytest.mark.parametrize("part", ["cameras", "images", "points3D"])
+@pytest.mark.parametrize("count", [1 << 20, 1 << 40, (1 << 64) - 1])
+def test_absurd_counts(part, count, tmp_path):
+    write_colmap(tmp_path, write_binary)
+    file = tmp_path / "sparse/0" / f"{part}.bin"
+    file.write_bytes(struct.pack("<Q", count) + file.read_bytes()[8:])
+    refused(tmp_path, f"{count} {part}", "at most")
+
+
+def test_absurd_counts_inside_records(tmp_path):
+    content = write_colmap(tmp_path, write_binary, count=2)
+    image, points = tmp_path / "sparse/0/images.bin", tmp_path / "sparse/0/points3D.bin"
+    at = 8 + 64 + len(content[1][0][4]) + 1
+    whole = image.read_bytes()
+    image.write_bytes(whole[:at] + struct.pack("<Q", 1 << 60) + whole[at + 8 :])
+    refused(tmp_path, "images.bin", "ends inside record 0 of 2")
+    image.write_bytes(whole)
+    whole = points.read_bytes()
+    points.write_bytes(whole[:51] + struct.pack("<Q", 1 << 60) + whole[59:])
+    refused(tmp_path, "points3D.bin", "ends inside record 0 of 25")
+
+
+@pytest.mark.parametrize(
+    ("part", "old", "new", "words"),
+    [
+        ("cameras", "PINHOLE 40", "PINHOLE forty", ("line 2", "CAMERA_ID MODEL WIDTH", "forty")),
+        ("cameras", " 14.75", "", ("3 parameters, PINHOLE has 4",)),
+        ("cameras", "35.5", "x", ("line 2", "'x'")),
+        ("cameras", "35.5", "nan", ("focal length fx of nan", "0.4 to 40000")),
+        ("cameras", "35.5", "0", ("focal length fx of 0",)),
+        ("cameras", "36.25", "-36.25", ("focal length fy of -36.25",)),
+        ("cameras", "36.25", "1e9", ("focal length fy",)),
+        ("cameras", "20.5", "inf", ("cx is inf",)),
+        ("cameras", "20.5", "2000", ("principal point (2000, 14.75)",)),
+        ("cameras", "40 30", "0 30", ("0 x 30", "131072 are allowed")),
+        ("cameras", "40 30", "40 99999999999999999999", ("40 x 99999999999999999999",)),
+        (
+            "cameras",
+            "7 PINHOLE",
+            "7 EQUIRECTANGULAR",
+            ("EQUIRECTANGULAR is not supported", "SIMPLE_PINHOLE, PINHOLE, SIMPLE_RADIAL"),
+        ),
+        ("cameras", "7 PINHOLE", "7 PINHOLES", ("PINHOLES is not supported",)),
+        (
+            "cameras",
+            "7 PINHOLE 40 30 35.5 36.25 20.5 14.75\n",
+            "7 PINHOLE 40 30 35.5 36.25 20.5 14.75\n" * 2,
+            ("camera 7 was there before",),
+        ),
+        ("cameras", "7 PINHOLE", "8 PINHOLE", ("camera 7 is not in cameras.txt",)),
+        ("images", "00.png\n\n", "00.png\n", ("line 3", "2D points", "second line")),
+        ("images", " 7 01.png", " seven 01.png", ("line 4", "IMAGE_ID QW", "seven")),
+        ("images", " 01.png", "", ("line 4", "IMAGE_ID QW")),
+        ("images", "01.png", "../01.png", ("'../01.png'", "relative to the image folder")),
+        ("images", "01.png", "/01.png", ("'/01.png'",)),
+        ("images", "01.png", "00.png", ("two images are named '00.png'",)),
+        ("points3D", " 0.5 3 0 5 1", " 128 0.5 3 0 5 1", ("points3D.txt, line 2", "a track has two")),
+        ("points3D", " 0.5 3 0 5 1", ".5 3 3 0 5 1", ("points3D.txt, line 2", "invalid literal")),
+        ("points3D", " 0.5 3 0 5 1", "", ("points3D.txt, line 2", "not enough values")),
+    ],
+)
+def test_wrong_text(text, part, old, new, words):
+    edit(text / "sparse/0" / f"{part}.txt", old, new)
+    refused(text, *words)
+
+
+def test_wrong_poses_and_points(tmp_path):
+    def attempt(*words, quaternion=None, translation=None, point=None, colour=None):
+        cameras, rows, points = model()
+        i, q, t, c, name, seen = rows[4]
+        rows[4] = (i, q if quaternion is None else quaternion, t if translation is None else translation, c, name, seen)
+        k, p, rgb, e, track = points[3]
+        points[3] = (k, p if point is None else point, rgb if colour is None else colour, e, track)
+        write_text(tmp_path / "sparse/0", cameras, rows, points)
+        refused(tmp_path, *words)
+
+    write_images(tmp_path / "images", [f"{i:02}.png" for i in range(COUNT)])
+    attempt("images.txt, line 10", "NaN", quaternion=[1, np.nan, 0, 0])
+    attempt("images.txt, line 10", "NaN", quaternion=[1, np.inf, 0, 0])
+    attempt("images.txt, line 10", "NaN", translation=[1, np.nan, 0])
+    attempt("images.txt, line 10", "0 0 0 0", quaternion=[0, 0, 0, 0])
+    attempt("points3D.txt", "NaN or infinite", point=[0, np.inf, 0])
+    attempt("points3D.txt", "outside 0 to 255", colour=[0, 256, 0])
+    attempt("points3D.txt", "outside 0 to 255", colour=[0, -1, 0])
+    attempt("points3D.txt, line 5", "too large", colour=[0, 10**400, 0])
+    write_binary(tmp_path / "sparse/0", *model())
+    data = bytearray((tmp_path / "sparse/0/images.bin").read_bytes())
+    struct.pack_into("<d", data, 12, float("nan"))
+    (tmp_path / "sparse/0/images.bin").write_bytes(data)
+    refused(tmp_path, "images.bin, record 0 of 10", "NaN")
+
+
+def test_any_quaternion_length():
+    q = np.array([0.5, -1.0, 2.0, 0.25])
+    for scale in (1e-300, 1e-9, 1.0, 1e200):
+        np.testing.assert_allclose(
+            quaternion_rotation("", q * scale), Rotation.from_quat(q[[1, 2, 3, 0]]).as_matrix(), atol=1e-14
+        )
+
+
+@pytest.mark.parametrize("name", ["OPENCV_FISHEYE", "THE_NEXT_ONE"])
+def test_unsupported_model_in_binary(tmp_path, name):
+    write_colmap(tmp_path, write_binary, camera=(name, WIDTH, HEIGHT, (35.0,) * 8))
+    refused(
+        tmp_path, {"OPENCV_FISHEYE": name}.get(name, "number 99"), "is not supported", "OPENCV are", "image_undistorter"
+    )
+
+
+def test_bytes_that_are_not_text(tmp_path):
+    content = write_colmap(tmp_path)
+    (tmp_path / "sparse/0/images.txt").write_bytes(b"\xff\xfe\x00")
+    refused(tmp_path, "images.txt", "not text in UTF-8")
+    write_binary(tmp_path / "sparse/0", *content)
+    file = tmp_path / "sparse/0/images.bin"
+    file.write_bytes(file.read_bytes().replace(b"04.png", b"\xff4.png"))
+    refused(tmp_path, "record 4 of 10", "not UTF-8")
+
+
+def test_nothing_in_it(made):
+    writer = WRITERS[made.name]
+    cameras, rows, points = model()
+    writer(made / "sparse/0", cameras, [], points)
+    refused(made, "images", "no image has a pose")
+    writer(made / "sparse/0", cameras, rows, [])
+    refused(made, "points3D", "there are no points", "point_triangulator")
+    writer(made / "sparse/0", cameras, rows[:1], points)
+    refused(made, "no image is left to learn from", "1 are for tests")
+
+
+def test_file_that_cannot_be_opened(text):
+    (text / "sparse/0/points3D.txt").unlink()
+    (text / "sparse/0/points3D.txt").mkdir()
+    refused(text, "points3D.txt", "missing")
+
+
+@given(st.sampled_from(["cameras", "images", "points3D"]), st.integers(0, 10_000), st.binary(min_size=1, max_size=12))
+def test_damaged_models(template, part, at, patch):
+    """Whatever stands anywhere in a model's files: a set of photographs, or PhotographError."""
+    (file,) = (template / "sparse/0").glob(f"{part}.*")
+    whole = file.read_bytes()
+    at %= len(whole)
+    try:
+        file.write_bytes(whole[:at] + patch + whole[at + len(patch) :])
+        read_photographs(template)
+    except PhotographError:
+        pass
+    finally:
+        file.write_bytes(whole)
+
+
+# --- image files ------------------------------------------------------------------------------------------------------
+
+
+def test_missing_image(made):
+    (made / "images/02.png").unlink()
+    (made / "images/05.png").unlink()
+    refused(made, "02.png", "the image is missing", "2 of 10")
+
+
+def test_not_an_image(made):
+    (made / "images/02.png").write_text("hello")
+    refused(made, "02.png", "not a readable image", "JPEG, PNG")
+    # PostScript is what Pillow would start a program for.
+    Image.fromarray(pixels(0)).save(made / "images/02.png", format="EPS")
+    refused(made, "02.png", "not a readable image")
+
+
+def test_half_an_image(made):
+    file = made / "images/02.png"
+    file.write_bytes(file.read_bytes()[:1000])
+    found = read_photographs(made)
+    refused(made, "02.png", "not a readable image", "truncated")
+    assert found.train[0].image.shape == (HEIGHT, WIDTH, 3)
+
+
+def test_image_that_shrinks_after_it_was_looked_at(made):
+    found = read_photographs(made)
+    write_images(made / "images", [f"{i:02}.png" for i in range(COUNT)], 20, 15)
+    with pytest.raises(PhotographError, match="has changed"):
+        found.train[0].image  # noqa: B018
+
+
+def test_sixteen_bits(made):
+    Image.fromarray(np.full((HEIGHT, WIDTH), 40000, np.uint16)).save(made / "images/02.png")
+    refused(made, "02.png", "of the kind I", "8 bits")
+
+
+@pytest.mark.parametrize(("width", "height", "word"), [(40, 28, "40 x 28"), (30, 40, "turned"), (80, 63, "40 x 30")])
+def test_image_of_another_shape(made, width, height, word):
+    write_images(made / "images", ["02.png"], width, height)
+    refused(made, "02.png", "not the same shape", word)
+
+
+@pytest.mark.parametrize(
+    ("mode", "value", "expected"),
+    [
+        ("RGB", (10, 20, 30), (10, 20, 30)),
+        ("L", 7, (7, 7, 7)),
+        ("1", 1, (255, 255, 255)),
+        ("RGBA", (10, 20, 30, 255), (10, 20, 30)),
+        ("RGBA", (10, 20, 30, 0), (200, 100, 50)),
+        ("RGBA", (100, 200, 30, 51), (180, 120, 46)),
+        ("LA", (100, 51), (180, 100, 60)),
+    ],
+)
+def test_kinds_of_pixels(tmp_path, mode, value, expected):
+    Image.new(mode, (4, 3), value).save(tmp_path / "a.png")
+    assert (images.read_image(tmp_path / "a.png", (200, 100, 50)) == expected).all()
+
+
+def test_palette_with_a_transparent_entry(tmp_path):
+    image = Image.new("P", (2, 1))
+    image.putpalette([10, 20, 30, 40, 50, 60])
+    image.putpixel((1, 0), 1)
+    image.save(tmp_path / "a.png", transparency=1)
+    assert images.read_image(tmp_path / "a.png", (1, 2, 3)).tolist() == [[[10, 20, 30], [1, 2, 3]]]
+
+
+def test_orientation_is_not_applied(tmp_path):
+    exif = Image.Exif()
+    exif[0x0112] = 6
+    Image.fromarray(pixels(0)).save(tmp_path / "a.jpg", exif=exif)
+    assert images.image_size(tmp_path / "a.jpg") == (WIDTH, HEIGHT)
+    assert images.read_image(tmp_path / "a.jpg", (0, 0, 0)).shape == (HEIGHT, WIDTH, 3)
+
+
+# --- sizes ------------------------------------------------------------------------------------------------------------
+
+
+def test_parse_size():
+    assert parse_size("400x300") == (400, 300)
+    assert parse_size(" 1600 ") == 1600
+    for wrong in ("", "0", "0x3", "x", "4x", "-4", "4x5x6", "4.5", "999999", "4 x 5", "٤"):
+        with pytest.raises(PhotographError, match="400x300"):
+            parse_size(wrong)
+
+
+@pytest.mark.parametrize("size", [(20, 15), (16, 12), (27, 20), 13, 1, 40])
+def test_smaller_cameras_project_to_the_smaller_image(made, size):
+    points = np.random.default_rng(0).normal(size=(50, 3))
+    for whole, part in zip(everything(read_photographs(made)), everything(read_photographs(made, size)), strict=True):
+        c = part.camera
+        assert part.image.shape == (c.height, c.width, 3)
+        assert (c.width, c.height) == size if isinstance(size, tuple) else max(c.width, c.height) == size
+        np.testing.assert_allclose(
+            project(c, points), project(whole.camera, points) * (c.width / WIDTH, c.height / HEIGHT), rtol=1e-12
+        )
+
+
+def test_sizes_that_are_refused(made):
+    refused(made, "20 x 20 would stretch", "20x15", size=(20, 20))
+    refused(made, "not enlarged", "40x30", size=(80, 60))
+    assert read_photographs(made, 400).train[0].camera.width == WIDTH
+
+
+@pytest.mark.parametrize(("width", "height"), [(8, 6), (27, 20), (39, 29), (40, 7), (1, 1)])
+def test_shrinking_averages_areas(width, height):
+    """Against the definition: every source pixel cut into width x height equal parts, and the parts averaged."""
+    image = pixels(5)
+    fine = np.repeat(np.repeat(image, height, axis=0), width, axis=1).astype(np.float64)
+    expected = fine.reshape(height, HEIGHT, width, WIDTH, 3).mean(axis=(1, 3))
+    assert np.abs(images.shrink(image, width, height) - expected).max() <= 0.5 + 1e-3
+
+
+def test_shrinking_keeps_places():
+    """A spot's centre of mass stays where the camera of the smaller image says."""
+    image = spots(Camera("", WIDTH, HEIGHT, 1.0, 1.0, 0.0, 0.0, np.eye(3), np.zeros(3)), [(25.5, 14.5)])
+    for width, height in ((20, 15), (27, 20), (13, 10)):
+        small = images.shrink(image, width, height)[..., 0].astype(np.float64)
+        centre = [(small * (axis + 0.5)).sum() / small.sum() for axis in np.indices(small.shape)]
+        np.testing.assert_allclose(centre, [14.5 * height / HEIGHT, 25.5 * width / WIDTH], atol=0.02)
+
+
+# --- distortion -------------------------------------------------------------------------------------------------------
+
+LENSES = {
+    "barrel": (-0.2, 0.05, 0.0, 0.0),
+    "pincushion": (0.15, 0.0, 0.0, 0.0),
+    "tangential": (0.0, 0.0, 0.01, -0.015),
+    "all": (-0.1, 0.02, -0.003, 0.004),
+}
+
+
+@pytest.mark.parametrize("name", LENSES)
+def test_distortion_and_back(name):
+    points = np.random.default_rng(0).uniform(-0.6, 0.6, (1000, 2))
+    there = lens.distort(points, LENSES[name])
+    assert np.abs(there - points).max() > 1e-3
+    np.testing.assert_allclose(lens.undistort(there, LENSES[name]), points, atol=1e-12)
+
+
+def test_distortion_by_hand():
+    """x = 0.5, y = 0.25: r^2 = 0.3125."""
+    at = lens.distort(np.array([[0.5, 0.25]]), (0.1, 0.2, 0.01, 0.02))
+    radial = 1 + 0.1 * 0.3125 + 0.2 * 0.3125**2
+    x = 0.5 * radial + 2 * 0.01 * 0.5 * 0.25 + 0.02 * (0.3125 + 2 * 0.25)
+    y = 0.25 * radial + 0.01 * (0.3125 + 2 * 0.0625) + 2 * 0.02 * 0.5 * 0.25
+    np.testing.assert_allclose(at, [[x, y]], rtol=1e-14)
+
+
+def spots(camera, places):
+    """An image with a soft spot of 3 pixels' deviation at each place [N, 2]."""
+    y, x = np.indices((camera.height, camera.width)) + 0.5
+    out = sum(np.exp(-((x - u) ** 2 + (y - v) ** 2) / 18) for u, v in places)
+    return np.repeat(np.rint(np.clip(out, 0, 1) * 255).astype(np.uint8)[..., None], 3, axis=2)
+
+
+def spot_near(image, place, reach=6):
+    """The centre of mass of the brightness within `reach` pixels of a place."""
+    y, x = np.indices(image.shape[:2]) + 0.5
+    weight = image[..., 0] * (np.hypot(x - place[0], y - place[1]) < reach)
+    return np.array([(weight * x).sum(), (weight * y).sum()]) / weight.sum()
+
+
+@pytest.mark.parametrize("size", [None, 240, 150])
+@pytest.mark.parametrize("name", LENSES)
+def test_undistorted_spots_are_where_the_pinhole_camera_sees_them(name, size, tmp_path):
+    """A grid of points photographed through the lens by its formula: after undistortion they are where a pinhole projects them."""
+    distortion, photographed = LENSES[name], Camera("", 320, 240, 300.0, 310.0, 165.0, 117.0, np.eye(3), np.zeros(3))
+    points = np.stack(
+        [*np.meshgrid(np.linspace(-0.4, 0.4, 7), np.linspace(-0.3, 0.3, 5)), np.ones((5, 7))], axis=2
+    ).reshape(-1, 3)
+    # The camera stands in the world with a pose of its own.
+    content = model(2, ("OPENCV", 320, 240, (300.0, 310.0, 165.0, 117.0, *distortion)))
+    write_text(tmp_path / "sparse/0", *content)
+    seen = lens.distort(points[:, :2], distortion) * (300, 310) + (165, 117)
+    (tmp_path / "images").mkdir()
+    for row in content[1]:
+        Image.fromarray(spots(photographed, seen)).save(tmp_path / "images" / row[4])
+    photograph = read_photographs(tmp_path, size).train[0]
+    c = photograph.camera
+    assert (c.width, c.height) == ((320, 240) if size is None else (size, size * 3 // 4))
+    expected = project(c, (points - c.translation) @ c.rotation)
+    scale = 320 / c.width
+    inside = ((expected > 15 / scale) & (expected < np.array([c.width, c.height]) - 15 / scale)).all(axis=1)
+    assert inside.sum() >= 15
+    found = np.array([spot_near(photograph.image, place, 12 / scale) for place in expected[inside]])
+    error = np.abs(found - expected[inside]).max()
+    assert error < 0.15, error
+    # Without undistortion they would not be there.
+    assert np.abs(seen / scale - expected).max() > 0.5
+
+
+@pytest.mark.parametrize("name", LENSES)
+def test_every_undistorted_pixel_was_photographed(name):
+    photographed = Camera("", 320, 240, 300.0, 310.0, 165.0, 117.0, np.eye(3), np.zeros(3))
+    camera = lens.undistorted_camera("", photographed, LENSES[name])
+    y, x = np.indices((241, 321))
+    plane = np.stack([(x - camera.cx) / camera.fx, (y - camera.cy) / camera.fy], axis=2).reshape(-1, 2)
+    at = lens.distort(plane, LENSES[name]) * (300, 310) + (165, 117)
+    assert (at > -1e-3).all()
+    assert (at < np.array([320, 240]) + 1e-3).all()
+    # None that fits is wasted: the frame touches the photograph's edge, unless its middle is off.
+    assert min(at.min(axis=0).min(), (np.array([320, 240]) - at.max(axis=0)).min()) < 0.5
+    white = lens.undistorted_image(np.full((240, 320, 3), 255, np.uint8), photographed, LENSES[name], camera)
+    assert (white == 255).all()
+
+
+@pytest.mark.parametrize(
+    "distortion",
+    [(-0.9, 0, 0, 0), (-3.0, 4.0, 0, 0), (0, 0, 5.0, 0), (500.0, 0, 0, 0), (1e300, 0, 0, 0), (0.0, 1e308, 0, 1e308)],
+)
+def test_distortion_that_cannot_be_undone(tmp_path, distortion):
+    write_colmap(tmp_path, camera=("OPENCV", WIDTH, HEIGHT, (25, 25, 20, 15, *distortion)))
+    refused(tmp_path, "the distortion k1, k2, p1, p2", "image_undistorter")
+
+
+def test_distortion_that_is_no_number(tmp_path):
+    write_colmap(tmp_path, camera=("OPENCV", WIDTH, HEIGHT, (25, 25, 20, 15, 0, 0, 0, np.nan)))
+    refused(tmp_path, "p2 is nan")
+
+
+# --- transforms.json --------------------------------------------------------------------------------------------------
+
+
+def looking_at_origin(count, distance=4.0, seed=0):
+    """Camera-to-world matrices in Blender's convention: y up, looking along -z at the origin."""
+    out = []
+    for direction in np.random.default_rng(seed).normal(size=(count, 3)):
+        back = direction / np.linalg.norm(direction)
+        right = np.cross([0.1, 0.2, 1.0], back)
+        right /= np.linalg.norm(right)
+        matrix = np.eye(4)
+        matrix[:3] = np.stack([right, np.cross(back, right), back, back * distance], axis=1)
+        out.append(matrix)
+    return out
+
+
+def write_nerf(folder, name="transforms.json", prefix="images/", suffix=".png", count=COUNT, seed=0, **keys):
+    frames = [
+        {"file_path": f"{prefix}r_{i}", "transform_matrix": m.tolist()}
+        for i, m in enumerate(looking_at_origin(count, seed=seed))
+    ]
+    write_images(folder, [f["file_path"] + suffix for f in frames])
+    document = {"camera_angle_x": 0.8, **keys, "frames": frames}
+    (folder / name).parent.mkdir(exist_ok=True)
+    (folder / name).write_text(json.dumps(document))
+    return document
+
+
+@pytest.fixture
+def nerf(tmp_path):
+    write_nerf(tmp_path / "nerf")
+    return tmp_path / "nerf"
+
+
+def change(folder, edit_document, name="transforms.json"):
+    document = json.loads((folder / name).read_text())
+    edit_document(document)
+    (folder / name).write_text(json.dumps(document))
+
+
+def test_transforms(nerf):
+    found = read_photographs(nerf)
+    assert [p.camera.name for p in found.test] == ["images/r_0", "images/r_8"]
+    assert len(found.train) == 8
+    for i, (photograph, matrix) in enumerate(zip(everything(found), looking_at_origin(COUNT), strict=True)):
+        c = photograph.camera
+        np.testing.assert_allclose(c.centre, matrix[:3, 3], atol=1e-12)
+        np.testing.assert_allclose(c.rotation @ c.rotation.T, np.eye(3), atol=1e-12)
+        assert np.linalg.det(c.rotation) > 0
+        focal = WIDTH / 2 / np.tan(0.4)
+        np.testing.assert_allclose((c.fx, c.fy, c.cx, c.cy), (focal, focal, 20, 15))
+        # The origin is in the middle; what Blender's camera has above it (+y) is above it in the image (smaller y).
+        up, right = matrix[:3, 1] * 0.1, matrix[:3, 0] * 0.1
+        np.testing.assert_allclose(
+            project(c, np.stack([np.zeros(3), up, right])),
+            [[20, 15], [20, 15 - focal / 40], [20 + focal / 40, 15]],
+            atol=1e-9,
+        )
+        np.testing.assert_array_equal(photograph.image, pixels(i))
+
+
+def test_random_points_are_in_the_box_and_repeat(nerf):
+    found = read_photographs(nerf)
+    assert found.points.shape == (transforms.RANDOM_POINTS, 3)
+    # All cameras look at the origin from 4 away.
+    assert 1.33 < np.abs(found.points).max() <= 4 / 3 + 1e-9
+    assert np.abs(found.points.mean(axis=0)).max() < 0.02
+    assert (found.colours == 128).all()
+    np.testing.assert_array_equal(read_photographs(nerf).points, found.points)
+    assert (read_photographs(nerf, seed=1).points != found.points).any()
+
+
+def test_no_box_no_points(nerf):
+    def parallel(document):
+        for i, frame in enumerate(document["frames"]):
+            frame["transform_matrix"] = np.eye(4).tolist()
+            frame["transform_matrix"][0][3] = i
+
+    def outward(document):
+        for frame in document["frames"]:
+            matrix = np.array(frame["transform_matrix"])
+            matrix[:3, [0, 2]] *= -1
+            frame["transform_matrix"] = matrix.tolist()
+
+    change(nerf, outward)
+    refused(nerf, "look away from each other", "points3d.ply")
+    change(nerf, parallel)
+    refused(nerf, "axes do not meet", "points3d.ply")
+
+
+def write_ply(file, points, colours=None, dtype="u1"):
+    fields = [(n, "f4") for n in "xyz"] + (
+        [(n, dtype) for n in ("red", "green", "blue")] if colours is not None else []
+    )
+    rows = np.array(
+        [tuple(r) for r in (points if colours is None else np.concatenate([points, colours], axis=1)).tolist()], fields
+    )
+    PlyData([PlyElement.describe(rows, "vertex")]).write(str(file))
+
+
+def test_points_of_a_ply_file(nerf):
+    points, colours = np.arange(12.0).reshape(4, 3), np.arange(12).reshape(4, 3)
+    write_ply(nerf / "points3d.ply", points, colours)
+    found = read_photographs(nerf)
+    np.testing.assert_array_equal(found.points, points)
+    np.testing.assert_array_equal(found.colours, colours)
+    assert (found.points.dtype, found.colours.dtype) == (np.float64, np.uint8)
+    change(nerf, lambda d: d.update(ply_file_path="cloud.ply"))
+    refused(nerf, "cloud.ply", "ply_file_path", "missing")
+    write_ply(nerf / "cloud.ply", points[:2])
+    assert (read_photographs(nerf).colours == 128).all()
+    write_ply(nerf / "cloud.ply", points, colours, "f4")
+    refused(nerf, "cloud.ply", "float32, uint8 is required")
+    write_ply(nerf / "cloud.ply", points[:0])
+    refused(nerf, "cloud.ply", "there are no points")
+    write_ply(nerf / "cloud.ply", points * np.nan)
+    refused(nerf, "cloud.ply", "NaN")
+    (nerf / "cloud.ply").write_text(
+        "ply\nformat binary_little_endian 1.0\nelement vertex 99999999999999\nproperty float x\nend_header\n"
+    )
+    refused(nerf, "cloud.ply", "not a readable point cloud")
+
+
+def test_own_split(tmp_path):
+    write_nerf(tmp_path, "transforms_train.json", "./train/")
+    write_nerf(tmp_path, "transforms_test.json", "./test/", count=3, seed=1)
+    found = read_photographs(tmp_path)
+    assert [p.camera.name for p in found.train] == [f"train/r_{i}" for i in range(COUNT)]
+    assert [p.camera.name for p in found.test] == [f"test/r_{i}" for i in range(3)]
+    (tmp_path / "transforms_test.json").unlink()
+    refused(tmp_path, "transforms_test.json", "the file is missing")
+
+
+@pytest.mark.parametrize("suffix", [".png", ".jpg", ".jpeg", ".JPG"])
+def test_file_path_with_and_without_extension(tmp_path, suffix):
+    write_nerf(tmp_path, suffix=suffix)
+    assert len(read_photographs(tmp_path).train) == 8
+    change(tmp_path, lambda d: [f.update(file_path=f["file_path"] + suffix) for f in d["frames"]])
+    assert read_photographs(tmp_path).train[0].camera.name == f"images/r_1{suffix}"
+
+
+def test_file_path_that_leads_out(nerf):
+    """instant-ngp writes ../images/x.png; a name must not lead anywhere."""
+    (nerf / "model").mkdir()
+    shutil.move(nerf / "transforms.json", nerf / "model")
+    change(nerf / "model", lambda d: [f.update(file_path="../" + f["file_path"]) for f in d["frames"]])
+    assert read_photographs(nerf / "model").train[0].camera.name == "images/r_1"
+
+
+def test_intrinsics_of_file_and_frame(nerf):
+    change(nerf, lambda d: d.update(fl_x=50, fl_y=51.5, cx=19, cy=16.5, w=40.0, h=30, camera_model="OPENCV", k1=0.0))
+    change(nerf, lambda d: d["frames"][1].update(fl_x=60, cx=18))
+    first, second = read_photographs(nerf).train[:2]
+    assert (first.camera.fx, first.camera.fy, first.camera.cx, first.camera.cy) == (60, 51.5, 18, 16.5)
+    assert (second.camera.fx, second.camera.fy, second.camera.cx, second.camera.cy) == (50, 51.5, 19, 16.5)
+    change(nerf, lambda d: (d.pop("fl_y"), d.update(camera_angle_y=1.0)))
+    assert read_photographs(nerf).train[1].camera.fy == pytest.approx(15 / np.tan(0.5))
+
+
+def test_size_stated_for_larger_images(nerf):
+    change(nerf, lambda d: d.update(w=400, h=300, fl_x=350))
+    c = read_photographs(nerf).train[0].camera
+    np.testing.assert_allclose((c.width, c.height, c.fx, c.fy, c.cx, c.cy), (40, 30, 35, 35, 20, 15))
+
+
+def test_distorted_transforms_are_undistorted(nerf):
+    change(nerf, lambda d: d.update(k1=-0.1, k2=0.01, p1=0.001, p2=-0.002))
+    camera = Camera("", 40, 30, *(20 / np.tan(0.4),) * 2, 20.0, 15.0, np.eye(3), np.zeros(3))
+    expected = lens.undistorted_camera("", camera, (-0.1, 0.01, 0.001, -0.002))
+    photograph = read_photographs(nerf).train[0]
+    np.testing.assert_allclose((photograph.camera.fx, photograph.camera.cx), (expected.fx, expected.cx))
+    assert photograph.image.shape == (30, 40, 3)
+
+
+def test_transparent_images(nerf):
+    image = np.zeros((HEIGHT, WIDTH, 4), np.uint8)
+    image[:, :20] = (10, 20, 30, 255)
+    Image.fromarray(image).save(nerf / "images/r_1.png")
+    for background, arguments in (((255, 255, 255), {}), ((0, 9, 99), {"background": (0, 9, 99)})):
+        found = read_photographs(nerf, 20, **arguments).train[0].image
+        assert (found[:, :10] == (10, 20, 30)).all()
+        assert (found[:, 10:] == background).all()
+
+
+def test_frames_without_pose_are_counted(nerf):
+    change(nerf, lambda d: [d["frames"][i].pop("transform_matrix") for i in (2, 5)])
+    found = read_photographs(nerf)
+    assert (found.skipped, len(found.train) + len(found.test)) == (2, 8)
+    change(nerf, lambda d: [f.pop("transform_matrix", None) for f in d["frames"]])
+    refused(nerf, "no image has a pose", "transform_matrix")
+
+
+def _set(key, value, frame=None):
+    return lambda d: (d if frame is None else d["frames"][frame]).update({key: value})
+
+
+@pytest.mark.parametrize(
+    ("action", "words"),
+    [
+        (lambda d: d.pop("frames"), ('no list "frames"',)),
+        (lambda d: d.pop("camera_angle_x"), ("frame 0", "no focal length", "fl_x")),
+        (_set("camera_angle_x", 0), ("camera_angle_x is 0",)),
+        (_set("camera_angle_x", 4), ("camera_angle_x is 4",)),
+        (_set("camera_angle_x", float("nan")), ("camera_angle_x is nan",)),
+        (_set("camera_angle_x", "wide"), ("camera_angle_x is 'wide'", "number")),
+        (_set("camera_angle_x", True), ("camera_angle_x is True",)),
+        (_set("fl_x", 10**400), ("focal length fx of inf",)),
+        (_set("fl_x", 0), ("focal length fx of 0",)),
+        (_set("w", 40.5), ("w is 40.5", "whole number")),
+        (_set("w", 40 * 2), ("r_1.png", "not the same shape")),
+        (_set("h", -30), ("40 x -30",)),
+        (_set("cx", float("inf")), ("cx is inf",)),
+        (_set("k3", 0.1), ("FULL_OPENCV is not supported", "OPENCV are")),
+        (_set("camera_model", "OPENCV_FISHEYE"), ("OPENCV_FISHEYE is not supported", "PINHOLE")),
+        (_set("camera_model", ["OPENCV"]), ("is not supported",)),
+        (_set("is_fisheye", True), ("fisheye is not supported",)),
+        (_set("file_path", "images/none", 3), ("images/none", "missing")),
+        (_set("file_path", 3, 3), ("frame 3", "no file_path")),
+        (_set("file_path", "images/r_0", 3), ("frame 3", "two images are named 'images/r_0'")),
+        (_set("transform_matrix", "here", 3), ("frame 3", "not 4 rows of 4 numbers")),
+        (_set("transform_matrix", [[1, 0], [0, 1]], 3), ("frame 3", "not 4 rows of 4 numbers")),
+        (_set("transform_matrix", [[1], [0, 1]], 3), ("frame 3", "not 4 rows of 4 numbers")),
+        (_set("transform_matrix", (2 * np.eye(4)).tolist(), 3), ("frame 3", "last row")),
+        (_set("transform_matrix", np.diag([2.0, 2, 2, 1]).tolist(), 3), ("frame 3", "not a rotation", "2, 2, 2")),
+        (
+            _set("transform_matrix", np.diag([1.0, 1, -1, 1]).tolist(), 3),
+            ("frame 3", "not a rotation", "determinant -1"),
+        ),
+        (_set("transform_matrix", [[float("nan")] * 4] * 3, 3), ("frame 3", "NaN")),
+        (
+            _set("transform_matrix", [[1, 0, 0, 0], [0, 1, 0, float("inf")], [0, 0, 1, 0]], 3),
+            ("frame 3", "NaN or an infinite"),
+        ),
+    ],
+)
+def test_wrong_transforms(nerf, action, words):
+    change(nerf, action)
+    refused(nerf, *words)
+
+
+@pytest.mark.parametrize(
+    "data", [b"", b"{", b"[]", b"\xff\xfe", b"[" * 100_000, b'{"frames": 3}', b'{"frames": [3]}', b'{"frames": []}']
+)
+def test_not_a_transforms_file(nerf, data):
+    (nerf / "transforms.json").write_bytes(data)
+    refused(nerf)
+
+
+JSON = st.recursive(
+    st.none() | st.booleans() | st.integers() | st.floats() | st.text(max_size=8),
+    lambda inside: (
+        st.lists(inside, max_size=4)
+        | st.dictionaries(st.sampled_from(["frames", "file_path", "w"]), inside, max_size=3)
+    ),
+    max_leaves=20,
+)
+KEYS = [
+    "frames",
+    "file_path",
+    "transform_matrix",
+    "ply_file_path",
+    *transforms.INTRINSICS,
+    *transforms.HIGHER,
+    "camera_model",
+    "is_fisheye",
+]
+
+
+@pytest.fixture(scope="module")
+def shared_nerf(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("nerf")
+    write_ply(folder / "points3d.ply", np.ones((3, 3)))
+    return folder, write_nerf(folder)
+
+
+@given(st.sampled_from(KEYS), JSON, st.booleans())
+def test_any_json(shared_nerf, key, value, of_frame):
+    """Whatever a key holds: a set of photographs, or PhotographError."""
+    folder, document = shared_nerf
+    document = {**document, "frames": [dict(frame) for frame in document["frames"]]}
+    (document["frames"][2] if of_frame else document)[key] = value
+    (folder / "transforms.json").write_text(json.dumps(document))
+    with contextlib.suppress(PhotographError):
+        read_photographs(folder)
+
+
+def test_names_longer_than_a_file_system_allows(nerf, text):
+    change(nerf, _set("file_path", "long" * 2000, 3))
+    refused(nerf, "cannot be read", "too long")
+    edit(text / "sparse/0/images.txt", "03.png", "long" * 2000)
+    refused(text, "cannot be read", "too long")
+
+
+# --- the examples -----------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(("name", "train", "test"), [("caliterra", 65, 10), ("snowmiku", 84, 13)])
+def test_examples(name, train, test):
+    found = read_photographs(EXAMPLES / name)
+    assert (len(found.train), len(found.test), found.skipped, found.points.shape) == (train, test, 0, (12500, 3))
+    assert (EXAMPLES / name / "LICENSE").is_file()
+    assert (EXAMPLES / name / "SOURCE.md").is_file()
+    for photograph in found.train[:3]:
+        assert photograph.image.shape == (300, 400, 3)
+        at = project(photograph.camera, found.points)
+        depth = (found.points @ photograph.camera.rotation.T + photograph.camera.translation)[:, 2]
+        inside = (depth > 0) & (at > 0).all(axis=1) & (at < (400, 300)).all(axis=1)
+        assert inside.sum() > 100
+        # Points have the colours of where they are seen (most: some are hidden), and not those of the image turned by 180 degrees.
+        x, y = at[inside].astype(int).T
+        colours = found.colours[inside].astype(int)
+        own, other = (
+            np.median(np.abs(image[y, x] - colours)) for image in (photograph.image, photograph.image[::-1, ::-1])
+        )
+        assert own < 0.7 * other
+
+
+def test_reducing_tool(text, tmp_path):
+    """What the tool writes is read back: the same cameras, points rounded to 6 digits, JPEG."""
+    command = [sys.executable, str(ROOT / "examples" / "reduce_photographs.py")]
+    subprocess.run(
+        [*command, str(text), str(tmp_path / "small"), "--size", "20x15", "--points", "7"],
+        check=True,
+        capture_output=True,
+    )
+    before, after = read_photographs(text, (20, 15)), read_photographs(tmp_path / "small")
+    assert len(after.points) == 7
+    for a, b in zip(everything(before), everything(after), strict=True):
+        assert b.camera.name == a.camera.name.replace("png", "jpg")
+        np.testing.assert_allclose(b.camera.rotation, a.camera.rotation, atol=1e-11)
+        np.testing.assert_allclose(b.camera.translation, a.camera.translation, atol=1e-11)
+        np.testing.assert_allclose((b.camera.fx, b.camera.cy), (a.camera.fx, a.camera.cy), rtol=1e-8)
+        assert b.image.shape == a.image.shape
+    gone = subprocess.run(
+        [*command, str(tmp_path / "none"), str(tmp_path / "x"), "--size", "20"],
+        check=False,
+        capture_output=True,
+        text=True,
+    )
+    assert gone.returncode == 1
+    assert "there is no such folder" in gone.stderr
+    assert "Traceback" not in gone.stderr

@@ -1,0 +1,335 @@
+"""Rendering (SPEC.md chapter 14): Gaussians against the text's own python blocks in binary64."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import mpmath
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from conformance.blocks import SPEC, blocks
+from conformance.cases.random_scenes import random_scene
+from conformance.fuzz.strategies import render_infos
+from refcodec.bitstream.header import RenderInfo
+from refcodec.bitstream.reconstruction import Reconstruction, reconstruct
+from refcodec.bitstream.scene import Scene
+from refcodec.render.camera import Camera, default_camera, rotation_matrix
+from refcodec.render.gaussians import Gaussians, gaussians
+
+ROOT = Path(__file__).resolve().parents[2]
+
+
+@pytest.fixture(scope="module")
+def text() -> dict:
+    return blocks(SPEC.read_text(encoding="utf-8"))
+
+
+# Of the scenes: the distance that the networks have as 1.
+UNIT = 2.5
+
+
+def scene_of(seed: int, anchors: int = 60) -> tuple[Scene, Reconstruction, Camera]:
+    """A scene of ordinary sizes, and a camera among its anchors."""
+    rng = np.random.default_rng(seed)
+    scene = random_scene(seed, anchors, gain=0.3, base_step=(0.5, 0.125, 0.25))
+    scene = replace(scene, render=replace(scene.render, distance_unit=UNIT))
+    # Some opacities above 0 and some below, by the offset and by the anchor.
+    weight, bias = scene.networks["opacity"][-1]
+    weight[:], bias[:] = rng.normal(0, 0.1, weight.shape), [0.5, -0.3]
+    values = reconstruct(scene)
+    values = replace(values, positions=rng.normal(0, 4, (anchors, 3)).astype(np.float32))
+    quaternion = rng.normal(size=4)
+    rotation = rotation_matrix(quaternion / np.linalg.norm(quaternion))
+    return scene, values, Camera("c", 64, 48, 55.0, 54.0, 31.5, 25.0, rotation, rng.normal(0, 3, 3))
+
+
+def by_the_text(text: dict, scene: Scene, values: Reconstruction, camera: Camera) -> list[tuple]:
+    networks = {
+        n: [(w.tolist(), b.tolist()) for w, b in scene.networks[n]] for n in ("opacity", "covariance", "colour")
+    }
+    found = []
+    for n in range(scene.anchor_count):
+        row = (
+            getattr(values, name)[n].astype(np.float64).tolist()
+            for name in ("positions", "features", "scalings", "offsets")
+        )
+        position, feature, scaling, offsets = row
+        found += text["GAUSSIANS"](
+            networks,
+            position,
+            feature,
+            scaling,
+            offsets,
+            scene.masks[n].tolist(),
+            camera.centre.tolist(),
+            scene.render.distance_unit,
+        )
+    return found
+
+
+def compared(found: Gaussians, wanted: list[tuple], tolerance: float) -> None:
+    """Each vector within a tolerance relative to its length."""
+    assert len(found.opacity) == len(wanted) > 0
+    for name, column in (("mean", 0), ("lengths", 1), ("quaternion", 2), ("opacity", 3), ("colour", 4)):
+        made = getattr(found, name).astype(np.float64).reshape(len(wanted), -1)
+        right = np.array([w[column] for w in wanted]).reshape(len(wanted), -1)
+        assert (np.abs(made - right).max(axis=1) <= tolerance * np.linalg.norm(right, axis=1)).all(), name
+
+
+@pytest.mark.requirement("G14.3-1")
+@pytest.mark.parametrize("seed", range(8))
+def test_gaussians_are_those_of_the_text(text: dict, seed: int) -> None:
+    scene, values, camera = scene_of(seed)
+    wanted = by_the_text(text, scene, values, camera)
+    compared(gaussians(values, scene.masks, scene.networks, camera, UNIT, np.float64), wanted, 1e-12)
+    # In binary32 those whose opacity is next to nothing may come and go.
+    found = gaussians(values, scene.masks, scene.networks, camera, UNIT)
+    assert found.opacity.dtype == np.float32
+    assert abs(len(found.opacity) - len(wanted)) <= 1
+    if len(found.opacity) == len(wanted):
+        compared(found, wanted, 1e-4)
+
+
+def test_masked_offsets_and_negative_opacities_give_nothing(text: dict) -> None:
+    scene, values, camera = scene_of(9)
+    found = gaussians(values, scene.masks, scene.networks, camera, UNIT)
+    assert scene.masks[found.anchor, found.offset].all()
+    assert (found.opacity > 0).all()
+    nothing = replace(scene, masks=np.zeros_like(scene.masks))
+    assert len(gaussians(values, nothing.masks, scene.networks, camera, UNIT).opacity) == 0
+    assert by_the_text(text, nothing, values, camera) == []
+
+
+def test_an_anchor_in_the_camera_and_a_quaternion_of_nothing(text: dict) -> None:
+    """Direction zero at distance zero; an output of four zeros is no rotation."""
+    scene, values, camera = scene_of(10, 1)
+    for layers in (scene.networks["covariance"], scene.networks["opacity"]):
+        layers[-1][0][:] = 0
+        layers[-1][1][:] = 1
+    scene.networks["covariance"][-1][1].reshape(-1, 7)[:, 3:] = 0
+    masks = np.ones_like(scene.masks)
+    values = replace(values, positions=camera.centre[None].astype(np.float32))
+    camera = replace(camera, translation=-camera.rotation @ values.positions[0].astype(np.float64))
+    found = gaussians(values, masks, scene.networks, camera, UNIT, np.float64)
+    assert found.quaternion.tolist() == [[1, 0, 0, 0]] * len(found.opacity)
+    compared(found, by_the_text(text, replace(scene, masks=masks), values, camera), 1e-9)
+
+
+@given(render_infos())
+def test_the_default_camera_of_any_file(info: RenderInfo) -> None:
+    camera = default_camera(info)
+    assert np.allclose(camera.rotation @ camera.rotation.T, np.eye(3), atol=1e-9)
+    assert np.linalg.det(camera.rotation) == pytest.approx(1)
+    assert (camera.cx, camera.cy) == (camera.width / 2, camera.height / 2)
+
+
+@given(st.integers(0, 2**32 - 1))
+def test_rotation_is_that_of_the_text(seed: int) -> None:
+    quaternion = np.random.default_rng(seed).normal(size=(3, 4))
+    quaternion /= np.linalg.norm(quaternion, axis=1, keepdims=True)
+    rotation = blocks(SPEC.read_text(encoding="utf-8"))["ROTATION"]
+    assert np.allclose(rotation_matrix(quaternion), [rotation(q) for q in quaternion.tolist()], atol=1e-15)
+
+
+# --- images -----------------------------------------------------------------------------------------------------------
+
+
+def drawn_by_the_text(text: dict, found: Gaussians, camera: Camera, info: RenderInfo) -> np.ndarray:
+    """An image by PROJECT and PIXEL."""
+    stated = {
+        "rotation": camera.rotation.tolist(), "translation": camera.translation.tolist(), "focal": (camera.fx, camera.fy),
+        "principal_point": (camera.cx, camera.cy), "size": (camera.width, camera.height),
+    }  # fmt: skip
+    drawn = []
+    for n in range(len(found.opacity)):
+        shape = (getattr(found, name)[n].astype(np.float64).tolist() for name in ("mean", "lengths", "quaternion"))
+        projection = text["PROJECT"](*shape, stated, info.near_plane, info.low_pass)
+        if projection is not None:
+            drawn.append((projection, float(found.opacity[n]), found.colour[n].tolist()))
+    drawn.sort(key=lambda d: d[0][2])
+    background = [b / 255 for b in info.background]
+    return np.array([
+        [text["PIXEL"](i + 0.5, j + 0.5, drawn, background, info.alpha_max) for i in range(camera.width)] for j in range(camera.height)
+    ])  # fmt: skip
+
+
+def cloud(seed: int, count: int, spread: float = 1.0) -> Gaussians:
+    """Gaussians of all sizes around a point in front of a camera at the origin; some behind it, some beside the image."""
+    rng = np.random.default_rng(seed)
+    quaternion = rng.normal(size=(count, 4))
+    return Gaussians(
+        (rng.normal(0, spread, (count, 3)) + np.array([0, 0, 3])).astype(np.float32),
+        np.exp(rng.normal(-2, 1.5, (count, 3))).astype(np.float32),
+        (quaternion / np.linalg.norm(quaternion, axis=1, keepdims=True)).astype(np.float32),
+        rng.uniform(0.001, 1, count).astype(np.float32),
+        rng.uniform(0, 1, (count, 3)).astype(np.float32),
+        np.arange(count),
+        np.zeros(count, np.int64),
+    )
+
+
+VIEW = Camera("view", 37, 21, 30.0, 28.0, 17.0, 11.5, np.eye(3), np.zeros(3))
+
+
+@pytest.mark.requirement("G14.5-1")
+@pytest.mark.parametrize(
+    ("seed", "count", "spread"), [(0, 0, 1.0), (1, 1, 0.1), (2, 30, 0.5), (3, 80, 1.5), (4, 60, 6.0)]
+)
+def test_images_are_those_of_the_text(text: dict, seed: int, count: int, spread: float) -> None:
+    rasterise = pytest.importorskip("refcodec.render.rasterise", reason="images need the packages of the extra render")
+    info = RenderInfo(background=(10, 200, 90))
+    found = cloud(seed, count, spread)
+    wanted = drawn_by_the_text(text, found, VIEW, info)
+    made = rasterise.image(found, VIEW, info)
+    assert made.shape == (21, 37, 3)
+    assert made.dtype == np.float32
+    # Far better than the 50 dB asked for: a pixel differs where an alpha next to 1/255 falls on the other side.
+    assert np.mean((made - wanted) ** 2) < 1e-9
+    assert np.abs(made - wanted).max() < 5e-3
+
+
+def test_equal_depths_keep_their_order(text: dict) -> None:
+    rasterise = pytest.importorskip("refcodec.render.rasterise", reason="images need the packages of the extra render")
+    found = cloud(5, 12, 0.2)
+    found.mean[:, 2] = 3
+    made = rasterise.image(found, VIEW, RenderInfo())
+    assert np.allclose(made, drawn_by_the_text(text, found, VIEW, RenderInfo()), atol=1e-5)
+
+
+@pytest.mark.parametrize("alpha_max", [1.0, 0.5, 0.0039215689, 0.003, 1e-30])
+def test_any_largest_alpha(text: dict, alpha_max: float) -> None:
+    """1: an opaque Gaussian finishes a pixel and is not in it; below 1/255 nothing counts."""
+    rasterise = pytest.importorskip("refcodec.render.rasterise", reason="images need the packages of the extra render")
+    info, found = RenderInfo(alpha_max=alpha_max, background=(10, 200, 90)), cloud(8, 40, 0.5)
+    found.opacity[:] = 1
+    made = rasterise.image(found, VIEW, info)
+    assert np.abs(made - drawn_by_the_text(text, found, VIEW, info)).max() < 5e-3
+    assert (made == made[0, 0]).all() == (alpha_max < 1 / 255)
+
+
+@pytest.mark.parametrize("angle", [1e-8, -1e-8])
+def test_depths_that_binary32_does_not_tell_apart(text: dict, angle: float) -> None:
+    rasterise = pytest.importorskip("refcodec.render.rasterise", reason="images need the packages of the extra render")
+    found = cloud(9, 30, 0.3)
+    found.mean[:, 2] = 3
+    camera = replace(VIEW, rotation=np.array([[1, 0, -angle], [0, 1, 0], [angle, 0, 1]]))
+    made = rasterise.image(found, camera, RenderInfo())
+    assert np.allclose(made, drawn_by_the_text(text, found, camera, RenderInfo()), atol=1e-5)
+
+
+@pytest.mark.parametrize("size", [1e3, 1e6, 1e9, 1e15, 1e18])
+def test_long_and_far(text: dict, size: float) -> None:
+    """Needles whose centres are far outside the image and that reach into it, and Gaussians that hardly change over it."""
+    rasterise = pytest.importorskip("refcodec.render.rasterise", reason="images need the packages of the extra render")
+    found = cloud(10, 6, 0.3)
+    found.mean[:, 0], found.mean[:3, 1], found.mean[:, 2] = size * np.array([-1, 1, -0.5, 1, -2, 0.3]), 0.1, 3
+    found.mean[3:, 1] = size * np.array([0.2, -0.5, 0.1])
+    found.quaternion[:] = (1, 0, 0, 0)
+    found.lengths[:] = size
+    found.lengths[:3, 1:] = 0.3
+    info = RenderInfo(background=(10, 200, 90))
+    made = rasterise.image(found, VIEW, info)
+    assert (made != made[0, 0]).any()
+    assert np.allclose(made, drawn_by_the_text(text, found, VIEW, info), atol=1e-4)
+
+
+@pytest.mark.parametrize("seed", range(12))
+def test_any_sizes(text: dict, seed: int) -> None:
+    """Against the text with 60 digits: binary64 does not hold its d of a needle. Bound: what float32 makes of a pixel."""
+    rasterise = pytest.importorskip("refcodec.render.rasterise", reason="images need the packages of the extra render")
+    rng = np.random.default_rng(seed)
+    found, q = cloud(seed, 6), rng.normal(size=4)
+    magnitude = np.exp2(rng.uniform(-30, 30, (2, 6, 3))).astype(np.float32)
+    found = replace(found, mean=found.mean * magnitude[0], lengths=found.lengths * magnitude[1])
+    camera = Camera("view", 11, 7, 9.0, 8.0, 5.0, 3.5, rotation_matrix(q / np.linalg.norm(q)), np.array([0, 0, 3.0]))
+    info = RenderInfo(low_pass=(0.0, 1e-9, 0.3, 100.0)[seed % 4], near_plane=1e-30, background=(10, 200, 90))
+    with mpmath.workdps(60):
+        mp = np.frompyfunc(lambda x: mpmath.mpf(float(x)), 1, 1)
+        quaternion = [[x / mpmath.norm(row.tolist()) for x in row] for row in mp(found.quaternion)]
+        stated = {
+            "rotation": mp(camera.rotation).tolist(), "translation": mp(camera.translation).tolist(), "focal": (9, 8),
+            "principal_point": (5, 3.5), "size": (11, 7),
+        }  # fmt: skip
+        shapes = zip(mp(found.mean).tolist(), mp(found.lengths).tolist(), quaternion, strict=True)
+        projected = [text["PROJECT"](*shape, stated, info.near_plane, info.low_pass) for shape in shapes]
+        drawn = [
+            (p, o, c)
+            for p, o, c in zip(projected, found.opacity.tolist(), found.colour.tolist(), strict=True)
+            if p is not None
+        ]
+        drawn.sort(key=lambda d: d[0][2])
+        rest = (drawn, [b / 255 for b in info.background], info.alpha_max)
+        wanted = np.array([[text["PIXEL"](i + 0.5, j + 0.5, *rest) for i in range(11)] for j in range(7)]).astype(float)
+    assert np.abs(rasterise.image(found, camera, info) - wanted).max() < 1e-5
+
+
+@pytest.mark.parametrize("low_pass", [0.0, 1e-20, 1e20, 3e38])
+def test_any_low_pass(text: dict, low_pass: float) -> None:
+    rasterise = pytest.importorskip("refcodec.render.rasterise", reason="images need the packages of the extra render")
+    info, found = RenderInfo(low_pass=low_pass, background=(10, 200, 90)), cloud(11, 20, 0.5)
+    found.lengths[:] = np.maximum(found.lengths, 0.01)
+    made = rasterise.image(found, VIEW, info)
+    assert np.abs(made - drawn_by_the_text(text, found, VIEW, info)).max() < 5e-3
+
+
+def test_images_do_not_depend_on_threads() -> None:
+    rasterise = pytest.importorskip("refcodec.render.rasterise", reason="images need the packages of the extra render")
+    numba = pytest.importorskip("numba")
+    found, camera = cloud(6, 500, 2.0), VIEW.resized(200, 120)
+    before = numba.get_num_threads()
+    try:
+        images = []
+        for threads in (1, before):
+            numba.set_num_threads(threads)
+            images.append(rasterise.image(found, camera, RenderInfo()).tobytes())
+    finally:
+        numba.set_num_threads(before)
+    assert images[0] == images[1]
+
+
+@pytest.mark.filterwarnings("error")
+def test_hostile_numbers_give_an_image() -> None:
+    """Whatever a valid file's floats are, an image is made, of finite numbers and without a warning."""
+    rasterise = pytest.importorskip("refcodec.render.rasterise", reason="images need the packages of the extra render")
+    found = cloud(7, 40)
+    found.mean[:10] = [[1e30, 0, 1], [0, 0, 0.2], [0, 0, 1e-30], [np.inf, 0, 1], [np.nan, 0, 1], *[[0, 0, 1e20]] * 5]
+    found.lengths[10:16] = [
+        [0, 0, 0],
+        [1e30, 1e30, 1e30],
+        [np.inf, 1, 1],
+        [1e-40, 1, 1],
+        [1e18, 1e-18, 0],
+        [1e6, 1e6, 1e6],
+    ]
+    assert np.isfinite(rasterise.image(found, VIEW, RenderInfo())).all()
+    found.colour[20:23] = [[np.nan, 0, 0], [0, np.inf, 0], [0, 0, -np.inf]]
+    assert np.isfinite(rasterise.image(found, VIEW, RenderInfo())).all()
+    # Any magnitudes of means and lengths, with the least and the largest values of the render information.
+    rng = np.random.default_rng(12)
+    least, most = float(np.finfo(np.float32).smallest_subnormal), float(np.finfo(np.float32).max)
+    for near_plane, low_pass, focal in ((least, 0.0, most), (least, most, least), (1.0, 0.0, 30.0), (most, 0.3, 30.0)):
+        found = cloud(13, 300)
+        magnitude = np.exp2(rng.uniform(-140, 120, (2, 300, 3))).astype(np.float32)
+        found = replace(found, mean=found.mean * magnitude[0], lengths=found.lengths * magnitude[1])
+        info = RenderInfo(
+            near_plane=near_plane, low_pass=low_pass, camera_focal=(focal, focal), camera_width=40, camera_height=30
+        )
+        made = rasterise.image(found, default_camera(info), info)
+        assert np.isfinite(made).all()
+
+
+@pytest.mark.filterwarnings("error")
+def test_hostile_networks_give_gaussians() -> None:
+    """Weights and scalings whose products and exponentials overflow."""
+    scene, values, camera = scene_of(14)
+    for layers in scene.networks.values():
+        layers[0][0][:] *= np.float32(1e30)
+        layers[-1][0][:] *= np.float32(1e20)
+    values = replace(values, scalings=values.scalings * np.float32(1e4), positions=values.positions * np.float32(1e30))
+    for dtype in (np.float32, np.float64):
+        found = gaussians(values, scene.masks, scene.networks, camera, UNIT, dtype)
+        assert (found.opacity > 0).all()

@@ -1,0 +1,231 @@
+"""Looking at scenes: cameras, files of images, figures of quality, and the commands render and eval."""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+for package in ("numba", "PIL", "skimage", "scipy"):
+    pytest.importorskip(package, reason="looking at scenes needs the packages of the extra render")
+
+from PIL import Image  # noqa: E402
+
+from conformance.cases.random_scenes import random_scene  # noqa: E402
+from refcodec.bitstream import codec  # noqa: E402
+from refcodec.cli.main import main  # noqa: E402
+from refcodec.evaluate.quality import measures  # noqa: E402
+from refcodec.render.view import View, eight_bits, looking, own_camera, write_gif, write_png  # noqa: E402
+
+ROOT = Path(__file__).resolve().parents[2]
+PHOTOGRAPHS = ROOT / "examples" / "photographs" / "caliterra"
+EXAMPLE = ROOT / "vectors" / "tiny-example.c3gs"
+
+
+@pytest.mark.parametrize("up_axis", range(6))
+def test_an_orbit_looks_at_the_middle(up_axis: int) -> None:
+    scene = random_scene(71, 50)
+    view = View(replace(scene, render=replace(scene.render, up_axis=up_axis)))
+    middle = np.median(view.values.positions.astype(np.float64), axis=0)
+    up = np.zeros(3)
+    up[up_axis // 2] = [1, -1][up_axis % 2]
+    distances = []
+    for camera in view.orbit(7):
+        assert np.allclose(camera.rotation @ camera.rotation.T, np.eye(3))
+        assert np.linalg.det(camera.rotation) == pytest.approx(1)
+        x, y, z = camera.rotation @ middle + camera.translation
+        assert abs(x) + abs(y) < 1e-9 * z
+        # What is above the middle is above it in the image, whose y points down, and in its middle column.
+        above = camera.rotation @ (middle + up * z / 10) + camera.translation
+        assert above[1] < 0
+        assert above[0] == pytest.approx(0, abs=1e-9 * z)
+        distances.append(z)
+    assert np.allclose(distances, distances[0])
+
+
+def test_an_orbit_around_nothing() -> None:
+    cameras = View(random_scene(72, 0)).orbit(2)
+    assert all(np.isfinite(camera.translation).all() for camera in cameras)
+    assert View(random_scene(72, 0)).draw(cameras[0].resized(8, 6)).shape == (6, 8, 3)
+
+
+def test_huge_cameras_are_drawn_smaller(tmp_path: Path) -> None:
+    """A file of a few bytes may ask for 65535 x 65535 pixels."""
+    scene = random_scene(73, 3)
+    info = replace(scene.render, camera_width=65535, camera_height=13107, camera_focal=(65535.0, 50000.0))
+    camera = own_camera(info)
+    assert (camera.width, camera.height) == (4096, 819)
+    assert camera.fx == pytest.approx(4096)
+    assert camera.cy == pytest.approx(409.5)
+    thin = own_camera(replace(info, camera_width=1, camera_height=65535))
+    assert (thin.width, thin.height) == (1, 4096)
+    assert own_camera(scene.render).width == scene.render.camera_width
+    assert View(replace(scene, render=info)).orbit(1)[0].width == 4096
+
+
+def test_what_does_not_fit_in_memory_is_refused(tmp_path: Path, monkeypatch, capsys) -> None:
+    monkeypatch.setattr("refcodec.render.rasterise.PAIRS_MAX", 0)
+    assert main(["render", str(EXAMPLE), "-o", str(tmp_path / "images")]) == 64
+    assert "cannot be drawn" in capsys.readouterr().err
+    assert main(["eval", str(EXAMPLE), str(PHOTOGRAPHS), "--size", "32"]) == 64
+    assert "cannot be drawn" in capsys.readouterr().err
+
+
+def test_looking() -> None:
+    rotation = looking(np.array([0.0, 0.0, 2.0]), np.array([0.0, -1.0, 0.0]))
+    assert np.allclose(rotation, np.eye(3))
+
+
+def test_images_as_files(tmp_path: Path) -> None:
+    made = np.array([[[0, 0.5, 1], [-1, 2, 0.25]]], np.float32)
+    assert eight_bits(made).tolist() == [[[0, 128, 255], [0, 255, 64]]]
+    write_png(tmp_path / "a.png", made)
+    assert np.asarray(Image.open(tmp_path / "a.png")).tolist() == eight_bits(made).tolist()
+    write_gif(tmp_path / "a.gif", [np.full((4, 4, 3), v, np.uint8) for v in (0, 100, 200)])
+    with Image.open(tmp_path / "a.gif") as animation:
+        assert animation.n_frames == 3
+
+
+def by_loops(a: np.ndarray, b: np.ndarray) -> float:
+    """SSIM with zeros outside, written out."""
+    window = np.exp(-((np.arange(11) - 5) ** 2) / 4.5)
+    window = np.outer(window, window) / window.sum() ** 2
+    total = []
+    for channel in range(3):
+        x, y = (np.pad(image[..., channel], 5) for image in (a, b))
+        for i in range(a.shape[0]):
+            for j in range(a.shape[1]):
+                p, q = x[i : i + 11, j : j + 11], y[i : i + 11, j : j + 11]
+                mp, mq = (window * p).sum(), (window * q).sum()
+                vp, vq, both = (
+                    (window * p * p).sum() - mp**2,
+                    (window * q * q).sum() - mq**2,
+                    (window * p * q).sum() - mp * mq,
+                )
+                total.append((2 * mp * mq + 1e-4) * (2 * both + 9e-4) / ((mp**2 + mq**2 + 1e-4) * (vp + vq + 9e-4)))
+    return float(np.mean(total))
+
+
+def test_measures() -> None:
+    rng = np.random.default_rng(3)
+    photograph = rng.integers(0, 256, (14, 17, 3)).astype(np.uint8)
+    same = measures(photograph / 255, photograph)
+    assert (same["psnr"], same["psnr_3dgs"]) == (np.inf, np.inf)
+    assert same["ssim"] == pytest.approx(1)
+    assert same["ssim_3dgs"] == pytest.approx(1)
+    grey = np.full((14, 17, 3), 100, np.uint8)
+    # 10 of 255 everywhere: 20 log10(25.5).
+    assert measures(np.full((14, 17, 3), 110 / 255), grey)["psnr"] == pytest.approx(20 * np.log10(25.5))
+    assert measures(np.full((14, 17, 3), 110 / 255), grey)["psnr_3dgs"] == pytest.approx(20 * np.log10(25.5))
+    # A value past white counts as white.
+    assert measures(np.full((14, 17, 3), 7.0), np.full((14, 17, 3), 255, np.uint8))["psnr_3dgs"] == np.inf
+    made = np.clip(photograph / 255 + rng.normal(0, 0.2, photograph.shape), 0, 1)
+    assert measures(made, photograph)["ssim_3dgs"] == pytest.approx(by_loops(made, photograph / 255), abs=1e-12)
+
+
+# --- commands ---------------------------------------------------------------------------------------------------------
+
+
+@pytest.fixture
+def file(tmp_path: Path) -> str:
+    """A scene with a small camera of its own."""
+    scene = random_scene(73, 30, gain=0.3, base_step=(0.5, 0.125, 0.25))
+    scene.networks["opacity"][-1][1][:] = 5
+    scene = replace(scene, render=replace(scene.render, camera_width=40, camera_height=30, camera_focal=(35.0, 35.0)))
+    path = tmp_path / "scene.c3gs"
+    path.write_bytes(codec.emit(scene))
+    return str(path)
+
+
+def test_an_image_of_a_file_does_not_depend_on_threads(file: str) -> None:
+    program = (
+        "import sys, hashlib, numba\nfrom refcodec.bitstream.codec import parse\n"
+        "from refcodec.render.camera import default_camera\nfrom refcodec.render.view import View\n"
+        "view = View(parse(open(sys.argv[1], 'rb').read()).scene)\n"
+        "camera = default_camera(view.info).resized(400, 300)\n"
+        "print(numba.get_num_threads(), hashlib.sha256(view.draw(camera).tobytes()).hexdigest())"
+    )
+    found = []
+    for threads in ("1", "2"):
+        environment = {**os.environ, "NUMBA_NUM_THREADS": threads, "OMP_WAIT_POLICY": "PASSIVE"}
+        done = subprocess.run(
+            [sys.executable, "-c", program, file], env=environment, check=True, capture_output=True, text=True
+        )
+        found.append(done.stdout.split())
+    assert [threads for threads, _ in found] == ["1", "2"]
+    assert found[0][1] == found[1][1]
+
+
+def test_render(file: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["render", file, "-o", str(tmp_path / "own")]) == 0
+    assert Image.open(tmp_path / "own" / "default.png").size == (40, 30)
+    assert main(["render", file, "-o", str(tmp_path / "orbit"), "--cameras", "orbit", "--frames", "3"]) == 0
+    assert sorted(p.name for p in (tmp_path / "orbit").iterdir()) == [
+        "orbit-0000.png",
+        "orbit-0001.png",
+        "orbit-0002.png",
+        "orbit.gif",
+    ]
+    assert main(["render", file, "-o", str(tmp_path / "photos"), "--cameras", str(PHOTOGRAPHS), "--size", "40"]) == 0
+    made = sorted((tmp_path / "photos").iterdir())
+    assert [p.stem for p in made] == sorted(p.stem for p in (PHOTOGRAPHS / "images").iterdir())
+    assert Image.open(made[0]).size == (40, 30)
+    assert "3 images, orbit.gif" in capsys.readouterr().out
+
+
+def test_eval(file: str, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["eval", file, str(PHOTOGRAPHS), "--size", "40x30", "--json"]) == 0
+    result = json.loads(capsys.readouterr().out)
+    assert result["bytes"] == Path(file).stat().st_size == sum(result["parts"].values())
+    assert set(result["mean"]) == {"psnr", "ssim", "psnr_3dgs", "ssim_3dgs"}
+    assert {"planes", "masks", "attributes", "total"} <= set(result["decode_seconds"])
+    assert result["held_out"]
+    assert len(result["images"]) == 10
+    for name, value in result["mean"].items():
+        assert value == pytest.approx(np.mean([row[name] for row in result["images"]]))
+    assert main(["eval", file, str(PHOTOGRAPHS), "--size", "40"]) == 0
+    printed = capsys.readouterr().out
+    assert f"{result['mean']['psnr']:.4f}" in printed
+    assert "images a second" in printed
+
+
+@pytest.mark.parametrize("command", ["render", "eval"])
+def test_what_is_wrong_is_said(
+    command: str, file: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    folder = str(tmp_path / "none")
+
+    def arguments(name: str, photographs: str, *more: str) -> list[str]:
+        last = ["--cameras", photographs, "-o", str(tmp_path / "o")] if command == "render" else [photographs]
+        return [command, name, *last, *more]
+
+    assert main(arguments(file, folder)) == 64
+    assert main(arguments(file, str(PHOTOGRAPHS), "--size", "wide")) == 64
+    bad = tmp_path / "bad.c3gs"
+    bad.write_bytes(EXAMPLE.read_bytes()[:-1])
+    assert main(arguments(str(bad), str(PHOTOGRAPHS))) == 1
+    assert '"code": 306' in capsys.readouterr().err
+    # Without numba; and an import that fails for another reason is a fault, and not hidden.
+    for name in [
+        m
+        for m in sys.modules
+        if m
+        in (
+            "refcodec.evaluate.evaluation",
+            "refcodec.render.view",
+            "refcodec.evaluate.quality",
+            "refcodec.render.rasterise",
+        )
+    ]:
+        monkeypatch.delitem(sys.modules, name)
+    monkeypatch.setitem(sys.modules, "numba", None)
+    assert main(arguments(file, folder)) == 64
+    assert "pip install 'refcodec[render]'" in capsys.readouterr().err
+    monkeypatch.setitem(sys.modules, "refcodec.render.view", None)
+    assert main(arguments(file, folder)) == 70
