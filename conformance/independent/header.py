@@ -123,18 +123,13 @@ def read_header(data: bytes, header_length: int) -> Header:
     """Parse and check the header."""
     end = PROLOGUE_LENGTH + header_length
     require(len(data) >= end, "header.truncated", len(data))
-    require(
-        zlib.crc32(data[PROLOGUE_LENGTH : end - 4]) == struct.unpack_from("<I", data, end - 4)[0], "header.crc", end - 4
-    )
+    (stored,) = struct.unpack_from("<I", data, end - 4)
+    require(zlib.crc32(data[PROLOGUE_LENGTH : end - 4]) == stored, "header.crc", end - 4)
     header = Header(data, PROLOGUE_LENGTH, end)
     _read_fields(header)
     at = header.offsets
-    for name in (
-        "reserved_0",
-        "reserved_1",
-        "grid_reserved",
-        *(f"reserved.{n}" for n in range(header["section_count"])),
-    ):
+    entries = [f"reserved.{n}" for n in range(header["section_count"])]
+    for name in ("reserved_0", "reserved_1", "grid_reserved", *entries):
         require(header[name] == 0, "header.reserved", at[name])
     check_profile(header)
     for name in ("plane_lanes_log2", "mask_lanes_log2", "attribute_lanes_log2"):
