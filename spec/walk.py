@@ -6,15 +6,16 @@ steps are those of SPEC.md's own python blocks, watched while they decode.
 
 from __future__ import annotations
 
-import re
 from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
 
 from conformance import blocks
-from refcodec.bitstream import codec, syntax
+from refcodec.bitstream import codec
 from refcodec.inspect.elements import Row, rows
+from refcodec.inspect.meaning import meaning
+from refcodec.inspect.specification import fields
 
 # Longer contents are folded to their first bytes.
 SHOWN_BYTES = 12
@@ -29,49 +30,10 @@ def hex_dump(data: bytes) -> str:
 # --- elements ---------------------------------------------------------------------------------------------------------
 
 
-def meanings(spec: str) -> dict[str, str]:
-    """Meaning of each field of each syntax table of SPEC.md, by table.field."""
-    found = {}
-    for name in syntax.SYNTAX:
-        clause = re.search(rf"^### 5\.\d+ {name}$.*?(?=^##)", spec, re.DOTALL | re.MULTILINE)
-        if clause is None:
-            raise SystemExit(f"SPEC.md has no syntax table {name}")
-        for field, _, meaning in re.findall(r"^\| (\w+) \| (\S+) \| (.*) \|$", clause[0], re.MULTILINE):
-            found[f"{name}.{field}"] = meaning
-    return found
-
-
-# Which table an element's path belongs to, tried in this order; the group is the field.
-TABLES = [
-    (r"prologue\.(\w+)", "Prologue"),
-    (r"header\.dimensions\.(\w+)", "Dimensions"),
-    (r"header\.position_grid\.(\w+)", "PositionGrid"),
-    (r"header\.render_info\.(\w+)", "RenderInfo"),
-    (r"header\.directory\[\d+\]\.(\w+)", "DirectoryEntry"),
-    (r"header\.(\w+)", "Header"),
-    (r"frame\.(\w+)", "Frame"),
-    (r"weights\.(plane_shift|carm_input_count|carm_shift)", "WeightScales"),
-    (r"planes\.(length)", "PlaneTable"),
-    (r"chunk_table\.entry\[\d+\]\.(\w+)", "ChunkEntry"),
-    (r".*\.(symbol_crc|word_count)", "SubstreamHead"),
-]
-OTHERS = [
-    (r"weights\.\w.*\.weight", "weights of a layer, row by row"),
-    (r"weights\.\w.*\.bias", "its biases"),
-    (r"chunk_table\.mask_model", "frequency of kept (7.6)"),
-    (r"positions", "x, y, z of each anchor of the chunk"),
-    (r".*\.state", "initial state of each lane"),
-    (r".*\.word", "words"),
-    (r".*\.raw", "raw bits (D.5)"),
-]
-
-
-def meaning_of(path: str, known: dict[str, str]) -> str:
-    for pattern, table in TABLES:
-        match = re.match(pattern, path)
-        if match:
-            return known[f"{table}.{match[1]}"]
-    return next(blocks for pattern, blocks in OTHERS if re.match(pattern, path))
+def meaning_of(path: str, known: dict[str, tuple[str, str]]) -> str:
+    """In words, those of the syntax table if the element stands in one."""
+    found = meaning(path)
+    return known[f"{found.table}.{found.field}"][1] if found.table else found.words
 
 
 def _contents(data: bytes, row: Row) -> str:
@@ -89,7 +51,7 @@ def _value(row: Row) -> str:
 
 def element_table(data: bytes, spec: str) -> str:
     """Start, length, contents, element, value and meaning of every element, from the first byte to the last."""
-    known = meanings(spec)
+    known = fields(spec)
     lines = ["| start | length | contents | element | value | meaning |", "|---|---|---|---|---|---|"]
     for row in rows(data):
         cells = f"| 0x{row.start:03x} | {row.end - row.start} | `{_contents(data, row)}` | {row.path} | {_value(row)} |"
@@ -260,11 +222,11 @@ def raw_fields(data: bytes, spec: str) -> str:
     raw = next(r for r in reversed(list(rows(data))) if r.path.endswith(".raw"))
     lines = ["| start | length | contents | meaning |", "|---|---|---|---|"]
     end = 0
-    for start, bits, value, meaning in _fields(groups):
+    for start, bits, value, words in _fields(groups):
         if start != end:
             raise SystemExit(f"raw bits {end} to {start} are not told")
         end = start + bits
-        lines.append(f"| 0x{raw.start + start // 8:03x}+{start % 8} | {bits} | `{value:0{bits}b}` | {meaning} |")
+        lines.append(f"| 0x{raw.start + start // 8:03x}+{start % 8} | {bits} | `{value:0{bits}b}` | {words} |")
     padding = 8 * (raw.end - raw.start) - end
     if padding:
         lines.append(f"| 0x{raw.start + end // 8:03x}+{end % 8} | {padding} | `{0:0{padding}b}` | padding (8.8) |")

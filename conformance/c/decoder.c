@@ -846,7 +846,7 @@ static const struct model *SELECT(family f, int32_t mean, int32_t scale, int32_t
     return &f[row - SCALE_MIN][h & 15];
 }
 
-/* 8.7; k <= 25 */
+/* 8.6, 8.7; k <= 25 */
 static uint32_t READ_BITS(struct stream *s, unsigned k)
 {
     uint32_t value = 0;
@@ -1810,7 +1810,7 @@ static int WRITE(const struct part part[PART_COUNT], const char *name)
     return right;
 }
 
-/* 7.1, 10.1: the order of decoding and of checks */
+/* 2.1, 7.1, 10.1: the order of decoding and of checks */
 static void DECODE_SCENE(struct scene *s)
 {
     PROLOGUE(&s->h, s->data, s->length);

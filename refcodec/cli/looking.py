@@ -11,6 +11,7 @@ import sys
 from typing import TYPE_CHECKING, Any
 
 from ..bitstream.errors import BitstreamError
+from . import statuses
 from .shared import UsageError, add_command, parse_file, read_file, reject
 
 if TYPE_CHECKING:
@@ -63,11 +64,33 @@ def _inspect(arguments: argparse.Namespace) -> int:
         lines = summary.summary(summary.document(data, verdict), arguments.file)
     for line in lines:
         print(line)
+    if arguments.near is not None:
+        print(*dump.about_lines(data, arguments.near), sep="\n")
     return reject(arguments.file, error) if error else 0
+
+
+def _explain(arguments: argparse.Namespace) -> int:
+    from ..inspect.explain import UnknownKeyError, explain
+
+    try:
+        found = [list(explain(key)) for key in arguments.keys]
+    except UnknownKeyError as error:
+        raise UsageError(error.args[0]) from None
+    print("\n\n".join("\n".join(lines) for lines in found))
+    return statuses.DONE
 
 
 def add(commands: Any) -> None:
     """Adds the commands of this module."""
+    explain = add_command(
+        commands,
+        "explain",
+        _explain,
+        "say what an error, a requirement, a clause or an element is, with its code, tests and vectors",
+        ["explain 432", "explain R6.10-2", "explain 7.5.4", "explain 'chunk_table.entry[0].mask_length'"],
+        "KEY is an error's code or name, a requirement or a clause of SPEC.md, or an element's path as inspect prints it.",
+    )
+    explain.add_argument("keys", nargs="+", metavar="KEY")
     inspect = add_command(
         commands,
         "inspect",

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shlex
 from collections import deque
 from collections.abc import Iterator, Sequence
 
@@ -9,6 +10,8 @@ import numpy as np
 
 from ..bitstream.errors import BitstreamError
 from .elements import Row, rows
+from .explain import element_lines, requirement_lines
+from .meaning import meaning
 
 # Payloads longer than this are folded to their first bytes.
 _HEX_BYTES = 16
@@ -54,6 +57,16 @@ def _rows_near(data: bytes, near: int | None) -> Iterator[Row]:
             before.clear()
             yield row
             after -= 1
+
+
+def about_lines(data: bytes, near: int) -> Iterator[str]:
+    """What the element at a byte is, with its clauses and requirements, and the command that tells more."""
+    row = next((row for row in rows(data) if row.end > min(near, len(data) - 1)), None)
+    if row is not None:
+        yield ""
+        yield from element_lines(row.path)
+        yield from requirement_lines(meaning(row.path))
+        yield f"  more         refcodec explain {shlex.quote(row.path)}"
 
 
 def hex_lines(data: bytes, errors: Sequence[BitstreamError] = (), near: int | None = None) -> Iterator[str]:

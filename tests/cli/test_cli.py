@@ -91,7 +91,7 @@ def verdict(err: str) -> dict:
     """The JSON line that ends stderr, after a line for people."""
     lines = err.splitlines()
     found = json.loads(lines[-1])
-    assert list(found) == ["code", "name", "offset", "path", "clause", "found", "allowed"]
+    assert list(found) == ["code", "name", "offset", "path", "clause", "requirement", "found", "allowed"]
     assert found["found"]
     assert found["allowed"]
     assert "refcodec inspect" in lines[-2]

@@ -1,0 +1,193 @@
+"""From a key to all that is of it: an error's code or name, a requirement, a clause, an element's path, a field.
+
+What is printed comes from SPEC.md, from the registry of errors, and from the trail that `python -m spec` records: code of each
+decoder, tests, vectors.
+"""
+
+from __future__ import annotations
+
+import difflib
+import json
+import textwrap
+import tomllib
+from collections.abc import Iterator
+from functools import cache
+from typing import Any
+
+from ..bitstream.errors import REGISTRY, ErrorKind
+from ..resources import find
+from . import specification
+from .meaning import FIELDS, TABLE_CLAUSES, Meaning, is_path, meaning, of_field
+
+WIDTH = 112
+# Vectors that are printed of one requirement.
+SHOWN = 12
+
+
+class UnknownKeyError(KeyError):
+    """A key that is none of these; the argument says so in a line."""
+
+
+@cache
+def _clauses() -> dict[str, specification.Clause]:
+    return specification.clauses(specification.text())
+
+
+@cache
+def _requirements() -> dict[str, specification.Requirement]:
+    return specification.requirements(specification.text())
+
+
+@cache
+def _trail() -> dict[str, Any]:
+    data: dict[str, Any] = json.loads(find("data/trail.json").read_text(encoding="utf-8"))
+    return data
+
+
+@cache
+def _reasons() -> dict[str, dict[str, str]]:
+    return tomllib.loads(find("data/explanations.toml").read_text(encoding="utf-8"))
+
+
+def _wrapped(text: str, indent: str = "  ") -> Iterator[str]:
+    yield from textwrap.wrap(text, WIDTH, initial_indent=indent, subsequent_indent=indent, break_on_hyphens=False)
+
+
+def _sentence(text: str) -> str:
+    return text[0].upper() + text[1:] + "."
+
+
+def _clause_name(number: str) -> str:
+    return f"{number} {_clauses()[number].title}"
+
+
+# --- one kind of key each ---------------------------------------------------------------------------------------------
+
+
+def _requirement_lines(name: str) -> Iterator[str]:
+    """A requirement with its trail."""
+    r, trail = _requirements()[name], _trail()[name]
+    whose = {"R": "files", "D": "decoders", "G": "renderers"}[name[0]]
+    yield f"{name}, a requirement on {whose}, clause {_clause_name(r.clause)}"
+    yield from _wrapped(f"It is required that {r.text}.")
+    if r.error:
+        kind = REGISTRY[r.error]
+        yield f"  a file that breaks it: error {kind.code} {kind.name}"
+    for title, places in (*trail["code"].items(), ("tests", trail["tests"])):
+        for i, (path, line, function) in enumerate(places):
+            yield f"  {title if i == 0 else '':<15} {path}:{line} {function}"
+    vectors = trail["vectors"]
+    yield f"  {'vectors':<15} {len(vectors)}"
+    for vector in vectors[:SHOWN]:
+        yield f"  {'':<15} {vector}"
+    if len(vectors) > SHOWN:
+        yield f"  {'':<15} ... all of them: conformance run --select requirement:{name} -- YOUR DECODER"
+
+
+def _error_lines(kind: ErrorKind) -> Iterator[str]:
+    """An error: its row, why, how, what next, and the requirement that it breaks."""
+    reason = _reasons()[kind.name]
+    yield f"{kind.code} {kind.name}, {kind.klass}, clause {_clause_name(kind.clause)}, requirement {kind.requirement}"
+    yield from _wrapped(_sentence(kind.text))
+    yield from _wrapped(f"Its offset: {kind.where}.")
+    yield f"  {'why':<5}{next(iter(_wrapped(reason['why'], '')))}"
+    yield from _wrapped(" ".join(textwrap.wrap(reason["why"], WIDTH, break_on_hyphens=False)[1:]), "       ")
+    yield f"  {'how':<5}{next(iter(_wrapped(reason['how'], '')))}"
+    yield from _wrapped(" ".join(textwrap.wrap(reason["how"], WIDTH, break_on_hyphens=False)[1:]), "       ")
+    yield "  next refcodec inspect FILE --near OFFSET"
+    yield ""
+    yield from _requirement_lines(kind.requirement)
+
+
+def _clause_lines(number: str) -> Iterator[str]:
+    """A clause: its text, and the trails of its requirements."""
+    clause = _clauses()[number]
+    yield f"{number} {clause.title}, SPEC.md#{clause.anchor}"
+    yield ""
+    yield from clause.text.splitlines()
+    for name, r in _requirements().items():
+        if r.clause == number:
+            yield ""
+            yield from _requirement_lines(name)
+
+
+def _field_lines(table: str, field: str) -> Iterator[str]:
+    """What the syntax table says of a field."""
+    kind, words = specification.fields(specification.text())[f"{table}.{field}"]
+    yield f"  {kind}, {words} ({table}, {TABLE_CLAUSES[table]})"
+
+
+def element_lines(path: str) -> Iterator[str]:
+    """What an element is, and the clauses to read. Raises KeyError for a path of no file."""
+    found = meaning(path)
+    yield path
+    if found.table:
+        yield from _field_lines(found.table, found.field)
+    else:
+        yield f"  {found.words}"
+    yield f"  clauses      {', '.join(_clause_name(number) for number in found.clauses)}"
+
+
+def requirement_lines(found: Meaning) -> Iterator[str]:
+    """The requirements on an element, in words."""
+    for i, name in enumerate(found.requirements):
+        text = textwrap.wrap(f"{name}: {_requirements()[name].text}", WIDTH - 15, break_on_hyphens=False)
+        yield f"  {'requirements' if i == 0 else '':<12} {text[0]}"
+        yield from (f"  {'':<12} {line}" for line in text[1:])
+
+
+def _path_lines(path: str) -> Iterator[str]:
+    yield from element_lines(path)
+    yield f"  requirements {', '.join(meaning(path).requirements)}"
+    for name in meaning(path).requirements:
+        yield ""
+        yield from _requirement_lines(name)
+
+
+# --- any key ----------------------------------------------------------------------------------------------------------
+
+
+def _parts(key: str) -> Iterator[Iterator[str]]:
+    """What a key names: at times two things, as prologue.signature is an error and an element."""
+    codes = {str(kind.code): kind for kind in REGISTRY.values()}
+    name = key.strip("[]")
+    clause = name.removeprefix("Annex ").removeprefix("clause ")
+    if key in codes or key in REGISTRY:
+        yield _error_lines(codes.get(key) or REGISTRY[key])
+    if name in _requirements():
+        yield _requirement_lines(name)
+    if clause in _clauses():
+        yield _clause_lines(clause)
+    table, _, field = key.partition(".")
+    if key in FIELDS:
+        yield _table_field_lines(table, field)
+    if is_path(key):
+        yield _path_lines(key)
+
+
+def explain(key: str) -> Iterator[str]:
+    """The lines that explain a key. Raises UnknownKeyError."""
+    parts = list(_parts(key))
+    if not parts:
+        raise UnknownKeyError(_unknown(key))
+    for i, part in enumerate(parts):
+        if i:
+            yield ""
+        yield from part
+
+
+def _table_field_lines(table: str, field: str) -> Iterator[str]:
+    yield f"{table}.{field}"
+    yield from _field_lines(table, field)
+    found = of_field(table, field)
+    yield f"  clauses      {', '.join(_clause_name(number) for number in found.clauses)}"
+    yield from requirement_lines(found)
+
+
+def _unknown(key: str) -> str:
+    known = [*map(str, (k.code for k in REGISTRY.values())), *REGISTRY, *_requirements(), *_clauses(), *FIELDS]
+    near = difflib.get_close_matches(key, known, 3)
+    hint = f"; did you mean {', '.join(near)}" if near else ""
+    return (
+        f"{key} is no error, requirement, clause, or path of an element, such as 432, R6.10-2, 6.10, frame.low[1]{hint}"
+    )

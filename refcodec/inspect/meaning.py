@@ -1,0 +1,216 @@
+"""What each element of a file is for: its syntax table, the clauses that say how it is used, and the requirements on it.
+
+Elements are named by their paths, as `elements` gives them. A test compares the rules with SPEC.md, and tries them on every
+byte of the vectors.
+"""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass
+
+from ..bitstream.syntax import SYNTAX
+
+# Clause of each syntax table, in the order of SPEC.md.
+TABLE_CLAUSES = {
+    "Prologue": "5.1",
+    "Header": "5.2",
+    "Dimensions": "5.3",
+    "PositionGrid": "5.4",
+    "RenderInfo": "5.5",
+    "DirectoryEntry": "5.6",
+    "Frame": "5.7",
+    "WeightScales": "5.8",
+    "PlaneTable": "5.9",
+    "ChunkEntry": "5.10",
+    "SubstreamHead": "5.14",
+    "PositionModel": "5.15",
+    "LayerModel": "5.16",
+}
+
+# Where the fields of each table stand: a path, in which FIELD is the field. The first pattern that fits counts.
+TABLES: list[tuple[str, str]] = [
+    (r"prologue\.FIELD", "Prologue"),
+    (r"header\.dimensions\.FIELD", "Dimensions"),
+    (r"header\.position_grid\.FIELD", "PositionGrid"),
+    (r"header\.render_info\.FIELD", "RenderInfo"),
+    (r"header\.directory\[\d+\]\.FIELD", "DirectoryEntry"),
+    (r"header\.FIELD", "Header"),
+    (r"frame\.FIELD", "Frame"),
+    (r"planes\.FIELD", "PlaneTable"),
+    (r"chunk_table\.position_model\.FIELD", "PositionModel"),
+    (r"chunk_table\.entry\[\d+\]\.FIELD", "ChunkEntry"),
+    (r"(?:weights|planes\.[\w.]+|(?:positions|masks|attributes)\[chunk \d+\])\.FIELD", "SubstreamHead"),
+    (r"weights\.(?:hyper|sarm|carm\.\d+|opacity|covariance|colour)\.\d+\.FIELD", "LayerModel"),
+    (r"weights\.FIELD", "WeightScales"),
+]
+
+# The clauses that use a field beside that of its table, and the requirements on it: those that a wrong value breaks first.
+FIELDS: dict[str, str] = {
+    "Prologue.signature": "6.1 R6.1-1 R6.1-2",
+    "Prologue.version": "6.1 R6.1-4",
+    "Prologue.header_length": "6.1 R6.1-5 R6.2-1 R6.2-3",
+    "Prologue.prologue_crc": "6.1 R6.1-3",
+    "Header.profile": "11.1 R11.1-1",
+    "Header.level": "11.2 R11.2-1 R11.2-3",
+    "Header.section_count": "6.6 R6.6-2 R6.2-3",
+    "Header.reserved_0": "6.2 R6.2-4",
+    "Header.reserved_1": "6.2 R6.2-4",
+    "Header.anchor_count": "6.10 11.2 R11.2-2 R11.2-3",
+    "Header.chunk_size": "6.10 11.1 R11.1-3",
+    "Header.plane_lanes_log2": "6.2 8.3 R6.2-5",
+    "Header.mask_lanes_log2": "6.2 8.3 R6.2-5",
+    "Header.attribute_lanes_log2": "6.2 8.3 R6.2-5",
+    "Header.base_step": "6.2 7.8 9.2 R6.2-6",
+    "Header.header_crc": "6.2 R6.2-2",
+    "Dimensions.offset_count": "6.3 7.6 R11.1-2",
+    "Dimensions.slice_count": "6.3 7.10 R11.1-2",
+    "Dimensions.slice_width": "6.3 7.10 R11.1-2",
+    "Dimensions.plane_channels": "6.3 7.3 R11.1-2",
+    "Dimensions.frequency_count": "6.3 7.5.5 R11.1-2",
+    "Dimensions.plane_size": "6.3 7.3 11.2 R11.1-2 R11.2-3",
+    "Dimensions.hyper_layers": "6.3 5.8 R11.1-2",
+    "Dimensions.hyper_width": "6.3 5.8 R11.1-2",
+    "Dimensions.sarm_layers": "6.3 5.8 R11.1-2",
+    "Dimensions.sarm_width": "6.3 5.8 R11.1-2",
+    "Dimensions.carm_layers": "6.3 5.8 R11.1-2",
+    "Dimensions.carm_width": "6.3 5.8 R11.1-2",
+    "Dimensions.render_width": "6.3 5.8 R11.1-2",
+    "PositionGrid.origin": "6.4 9.1 R6.4-1 D9.1-1",
+    "PositionGrid.scale_mantissa": "6.4 9.1 R6.4-1 D9.1-1",
+    "PositionGrid.scale_exponent": "6.4 9.1 R6.4-1 D9.1-1",
+    "PositionGrid.reserved": "6.2 R6.2-4",
+    "RenderInfo.background": "14.5",
+    "RenderInfo.up_axis": "6.5 R6.5-1",
+    "RenderInfo.near_plane": "6.5 14.4 R6.5-1",
+    "RenderInfo.distance_unit": "6.5 14.3 R6.5-1",
+    "RenderInfo.alpha_max": "6.5 14.5 R6.5-1",
+    "RenderInfo.low_pass": "6.5 14.4 R6.5-1",
+    "RenderInfo.camera_width": "6.5 14.2 R6.5-1",
+    "RenderInfo.camera_height": "6.5 14.2 R6.5-1",
+    "RenderInfo.camera_focal": "6.5 14.2 R6.5-1",
+    "RenderInfo.camera_rotation": "6.5 14.2 R6.5-1",
+    "RenderInfo.camera_translation": "6.5 14.2 R6.5-1",
+    "DirectoryEntry.type": "6.6 12.1 R6.6-1 R6.6-2",
+    "DirectoryEntry.mode": "6.6 R6.6-3",
+    "DirectoryEntry.reserved": "6.2 R6.2-4",
+    "DirectoryEntry.offset": "6.6 R6.6-4",
+    "DirectoryEntry.length": "6.6 R6.6-5 R6.6-6",
+    "DirectoryEntry.crc": "6.6 R6.6-7",
+    "Frame.matrix": "6.7 7.5.1 R6.7-1 D7.5.1-1",
+    "Frame.translation": "6.7 7.5.1 R6.7-1 D7.5.1-1",
+    "Frame.shift": "6.7 7.5.1 R6.7-1 D7.5.1-1",
+    "Frame.reserved": "6.7 R6.7-1",
+    "Frame.low": "6.7 7.5.3 R6.7-1 D7.5.3-1",
+    "Frame.high": "6.7 7.5.3 R6.7-1 D7.5.3-1",
+    "WeightScales.plane_shift": "6.8 7.5.4 R6.8-1 D7.5.4-1",
+    "WeightScales.carm_input_count": "6.8 R6.8-1",
+    "WeightScales.carm_shift": "6.8 7.9 R6.8-1 D7.9-1",
+    "PlaneTable.length": "6.9 R6.9-1",
+    "ChunkEntry.position_length": "6.10 R6.10-2",
+    "ChunkEntry.position_crc": "6.10 R6.10-3",
+    "ChunkEntry.mask_length": "6.10 R6.10-2",
+    "ChunkEntry.mask_crc": "6.10 R6.10-3",
+    "ChunkEntry.attribute_length": "6.10 R6.10-2",
+    "ChunkEntry.attribute_crc": "6.10 R6.10-3",
+    "SubstreamHead.symbol_crc": "8.8 R8.8-5 R8.1-1 D8.8-1 D8.8-2",
+    "SubstreamHead.word_count": "8.8 R8.1-1 R8.8-1",
+    "PositionModel.cell_shift": "6.10 7.12 R6.10-4 D7.12-1",
+    "PositionModel.frequency": "6.10 7.12 R6.10-4 D7.12-1",
+    "LayerModel.form": "6.8 7.13 R6.8-5 R6.8-4 R6.8-7",
+    "LayerModel.exponent": "6.8 7.13 R6.8-5 R6.8-6 D7.13-1",
+    "LayerModel.exponent_scale": "7.13 R6.8-5 D7.13-1",
+    "LayerModel.weight_scale": "7.13 R6.8-5 D7.13-1",
+    "LayerModel.bias_scale": "7.13 R6.8-5 D7.13-1",
+}
+
+# Elements outside tables: what they hold, and the same of them.
+_CODING = r"weights\.(?:hyper|sarm|carm\.\d+)\.\d+"
+_RENDERING = r"weights\.(?:opacity|covariance|colour)\.\d+"
+_STREAM = r"(?:weights|planes\.[\w.]+|(?:positions|masks|attributes)\[chunk \d+\])"
+PAYLOADS: list[tuple[str, str, str]] = [
+    (rf"{_CODING}\.weight", "weights of a layer, row by row", "5.8 6.8 7.2 R6.8-2 R6.8-3 R6.8-7 D7.2-1"),
+    (rf"{_CODING}\.bias", "its biases", "5.8 6.8 7.2 R6.8-2 R6.8-3 R6.8-7 D7.2-1"),
+    (rf"{_RENDERING}\.weight", "weights of a layer, row by row", "5.8 6.8 14.3 R6.8-2 R6.8-7 G14.3-1"),
+    (rf"{_RENDERING}\.bias", "its biases", "5.8 6.8 14.3 R6.8-2 R6.8-7 G14.3-1"),
+    (r"chunk_table\.mask_model\[\d+\]", "frequency of kept (7.6)", "5.10 6.10 7.6 R6.10-1 D7.6-1"),
+    (r"positions\[chunk \d+\]\.form", "form of the chunk: 0 raw, 1 packed", "5.11 6.11 R6.11-3 R6.11-4"),
+    (
+        r"positions\[chunk \d+\]",
+        "x, y, z of each anchor of the chunk",
+        "5.11 6.11 7.4 R6.11-1 R6.11-2 R6.11-4 D7.4-1",
+    ),
+    (rf"{_STREAM}\.state", "initial state of each lane", "5.14 8.1 8.3 R8.1-1 R8.1-2 R8.8-2 D8.3-1"),
+    (rf"{_STREAM}\.word", "words", "5.14 8.2 8.3 R8.8-1 R8.8-2 R8.8-5 D8.2-1"),
+    (
+        rf"{_STREAM}\.raw",
+        "raw bits (D.5)",
+        "5.14 8.5 8.6 8.7 R8.8-3 R8.8-4 R8.7-1 R8.5-1 R8.8-5 D8.5-1 D8.6-1 D8.7-1",
+    ),
+    (_STREAM, "a substream that is cut off", "5.14 8.1 R8.1-1"),
+    (r"extension_[0-9a-f]{2}", "an ancillary section, which a decoder skips", "12.1 R6.6-7"),
+    (r"header, bytes that no field uses", "bytes between the last field and the CRC-32", "6.2 R6.2-3"),
+    (r"bytes that no element uses", "bytes that no element uses", "6.6 R6.6-6 R6.1-2 R6.2-1"),
+    (r"[\w.]+, bytes that no element uses", "bytes of a section that no element uses", "6.6 R6.6-5 R6.10-2"),
+    (
+        r"frame|weights|planes|chunk_table|positions|masks|attributes",
+        "bytes of a section that no element uses",
+        "6.6 R6.6-5 R6.6-7",
+    ),
+]
+
+# What a section's substreams are decoded by.
+DECODED = {
+    "weights": "7.13 R6.8-6 D7.13-1",
+    "planes": "7.3 D7.3-1 D7.3-2",
+    "positions": "7.12 R6.11-5 R6.11-6 D7.12-1",
+    "masks": "7.6 D7.6-1",
+    "attributes": "7.5 7.7 7.8 7.9 7.10 D7.10-1",
+}
+
+
+@dataclass(frozen=True)
+class Meaning:
+    """table and field: of chapter 5, or empty for a payload. words: what a payload holds. clauses and requirements: in the
+    order in which they are worth reading."""
+
+    table: str
+    field: str
+    words: str
+    clauses: tuple[str, ...]
+    requirements: tuple[str, ...]
+
+
+def _meaning(table: str, field: str, words: str, names: list[str]) -> Meaning:
+    unique = list(dict.fromkeys(names))
+    clauses = tuple(name for name in unique if name[0].isdigit())
+    return Meaning(table, field, words, clauses, tuple(name for name in unique if not name[0].isdigit()))
+
+
+def of_field(table: str, field: str) -> Meaning:
+    """The meaning of a field of a syntax table. Raises KeyError."""
+    return _meaning(table, field, "", [TABLE_CLAUSES[table], *FIELDS[f"{table}.{field}"].split()])
+
+
+def meaning(path: str) -> Meaning:
+    """The meaning of the element with a path. Raises KeyError for a path that no file has."""
+    stream = re.fullmatch(rf"{_STREAM}\.(?:symbol_crc|word_count|state|word|raw)", path)
+    decoded = DECODED[re.split(r"\W", path)[0]].split() if stream else []
+    for pattern, table in TABLES:
+        found = re.fullmatch(pattern.replace("FIELD", r"(\w+)") + r"(?:\[\d+\])?", path)
+        if found and any(found[1] == field for field, _ in SYNTAX[table]):
+            names = [TABLE_CLAUSES[table], *FIELDS[f"{table}.{found[1]}"].split(), *decoded]
+            return _meaning(table, found[1], "", names)
+    for pattern, words, names_of in PAYLOADS:
+        if re.fullmatch(pattern, path):
+            return _meaning("", "", words, [*names_of.split(), *decoded])
+    raise KeyError(path)
+
+
+def is_path(key: str) -> bool:
+    """Whether a key is the path of an element."""
+    try:
+        meaning(key)
+    except KeyError:
+        return False
+    return True

@@ -1,0 +1,79 @@
+"""What SPEC.md says, clause by clause and requirement by requirement, for programs that explain it."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass
+from functools import cache
+
+from ..resources import find
+
+# A clause's number: 6.10, 7.5.4, B.2; the annexes are letters.
+CLAUSE = r"(?:\d+|[A-D])(?:\.\d+)*"
+
+
+@dataclass(frozen=True)
+class Clause:
+    """A clause: number, title, its own Markdown without that of its subclauses, and the heading as a link's anchor."""
+
+    number: str
+    title: str
+    text: str
+    anchor: str
+
+
+@dataclass(frozen=True)
+class Requirement:
+    """A requirement: identifier, clause, what must be so, and the name of its error (empty where it has none)."""
+
+    id: str
+    clause: str
+    text: str
+    error: str
+
+
+@cache
+def text() -> str:
+    """SPEC.md, of the checkout or the one that the installed package has."""
+    return find("SPEC.md").read_text(encoding="utf-8")
+
+
+def anchor(heading: str) -> str:
+    """The anchor that code hosts give a heading."""
+    return re.sub(r"[^a-z0-9 _-]", "", heading.lower()).replace(" ", "-")
+
+
+def clauses(spec: str) -> dict[str, Clause]:
+    """The clauses by number, in the order of SPEC.md."""
+    # Headings inside code blocks are comments of Python.
+    bare = re.sub(r"^```.*?^```", lambda block: re.sub(r"^#", " ", block[0], flags=re.M), spec, flags=re.S | re.M)
+    heads = list(re.finditer(rf"^#{{2,4}} ((?:Annex )?({CLAUSE}):? (.*))$", bare, re.MULTILINE))
+    found = {}
+    for head, after in zip(heads, [*heads[1:], None], strict=True):
+        end = after.start() if after else len(spec)
+        title = head[3].removesuffix(" (normative)").removesuffix(" (informative)")
+        found[head[2]] = Clause(head[2], title, spec[head.end() : end].strip(), anchor(head[1]))
+    return found
+
+
+def fields(spec: str) -> dict[str, tuple[str, str]]:
+    """Type and meaning of each field of the syntax tables of chapter 5, by table.field."""
+    found = {}
+    for clause in clauses(spec).values():
+        if clause.number.startswith("5."):
+            for field, kind, words in re.findall(r"^\| (\w+) \| (\S+) \| (.*) \|$", clause.text, re.MULTILINE):
+                found[f"{clause.title}.{field}"] = kind, words
+    return found
+
+
+def requirements(spec: str) -> dict[str, Requirement]:
+    """The requirements by identifier, in the order of SPEC.md."""
+    pattern = (
+        rf"^- \[([RDG]({CLAUSE})-\d+)\] It is a requirement of (?:bitstream|decoder|renderer) conformance that (.*)$"
+    )
+    found = {}
+    for name, clause, sentence in re.findall(pattern, spec, re.MULTILINE):
+        error = re.search(r" \(`([a-z_.]+)`\)", sentence)
+        words = sentence[: error.start()] if error else sentence.rstrip(".")
+        found[name] = Requirement(name, clause, words, error[1] if error and name.startswith("R") else "")
+    return found

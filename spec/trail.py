@@ -1,0 +1,176 @@
+"""Where each requirement of SPEC.md is met, tested and tried: code of the three decoders, tests, vectors.
+
+A requirement on files is met where its error is raised, one on decoders where the code cites its clause. Tests name the
+requirements that they prove (`pytest.mark.requirement`). An error's fault is tested under its name, in test_fault.
+"""
+
+from __future__ import annotations
+
+import ast
+import re
+from collections import defaultdict
+from collections.abc import Callable, Iterable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+from conformance.manifest import Manifest, Vector
+from refcodec.bitstream.errors import REGISTRY
+from refcodec.inspect.specification import CLAUSE, Requirement
+
+from .made import ROOT
+
+# The decoders, and the files in which each of them meets requirements. Only refcodec renders.
+DECODERS = {
+    "refcodec": ("refcodec/bitstream/*.py", "refcodec/render/*.py"),
+    "second decoder": ("conformance/independent/*.py",),
+    "decoder in C": ("conformance/c/decoder.c",),
+}
+RENDERS = ("refcodec",)
+FAULTS = ("tests/conformance/test_independent.py", "test_fault")
+
+
+@dataclass(frozen=True, order=True)
+class Place:
+    """A line of a file of the repository, and the function that it is of."""
+
+    path: str
+    line: int
+    name: str
+
+
+@dataclass(frozen=True)
+class Trail:
+    """What there is of a requirement. code: by decoder."""
+
+    requirement: Requirement
+    code: dict[str, list[Place]]
+    tests: list[Place]
+    vectors: list[str]
+
+
+@dataclass
+class Found:
+    """Of a decoder: the places by error name, and by clause."""
+
+    raising: dict[str, list[Place]]
+    citing: dict[str, list[Place]]
+
+
+def _cited(comment: str) -> Iterator[str]:
+    """The clauses that a comment or docstring cites."""
+    yield from re.findall(rf"(?<![\w.]){CLAUSE}(?![\w])", comment)
+    if "Annex A" in comment:
+        yield "A"
+
+
+def _python(path: Path, found: Found) -> None:
+    """Functions and classes of a module: where they raise errors, and the clauses that they or comments above them cite."""
+    source, name = path.read_text(encoding="utf-8"), path.relative_to(ROOT).as_posix()
+    lines = source.splitlines()
+
+    def visit(node: ast.AST, scope: str) -> None:
+        for child in ast.iter_child_nodes(node):
+            if not isinstance(child, ast.FunctionDef | ast.ClassDef):
+                continue
+            own = f"{scope}.{child.name}" if scope else child.name
+            first = child.lineno - 1
+            while first > 0 and re.match(r"\s*[#@]", lines[first - 1]):
+                first -= 1
+            inner = {
+                id(n) for c in ast.walk(child) if c is not child and isinstance(c, ast.FunctionDef) for n in ast.walk(c)
+            }
+            for part in ast.walk(child):
+                if id(part) not in inner and isinstance(part, ast.Constant) and part.value in REGISTRY:
+                    found.raising[str(part.value)].append(Place(name, part.lineno, own))
+            text = "\n".join(lines[first : child.end_lineno])
+            for line in re.findall(r"SPEC [^\n]*", text):
+                for clause in _cited(line):
+                    found.citing[clause].append(Place(name, child.lineno, own))
+            visit(child, own)
+
+    visit(ast.parse(source), "")
+
+
+def _c(path: Path, found: Found) -> None:
+    """Functions of the decoder in C: where they refuse, and the clauses in the comment above them."""
+    name, known = path.relative_to(ROOT).as_posix(), {e.replace(".", "_").upper(): e for e in REGISTRY}
+    function, comment = "", ""
+    for number, line in enumerate(path.read_text(encoding="utf-8").splitlines(), start=1):
+        if line.startswith("/*"):
+            comment = line
+        head = re.match(r"(?:\w+ )*[\w *]*?\b([A-Z][A-Z0-9_]*)\(", line) if line[:1].isalpha() else None
+        if head:
+            function = head[1]
+            for clause in _cited(comment):
+                found.citing[clause].append(Place(name, number, function))
+            comment = ""
+        if function and line[:1].isspace():
+            for word in re.findall(r"\b[A-Z]+_[A-Z_]+\b", line):
+                if word in known:
+                    found.raising[known[word]].append(Place(name, number, function))
+
+
+def _innermost(places: Iterable[Place]) -> list[Place]:
+    """Each function once, by its first line, without a class whose method is there, or a function whose inner one is."""
+    first: dict[tuple[str, str], Place] = {}
+    for place in sorted(places):
+        first.setdefault((place.path, place.name), place)
+    names = list(first)
+    return [p for key, p in first.items() if not any(o[0] == key[0] and o[1].startswith(key[1] + ".") for o in names)]
+
+
+def code() -> dict[str, Found]:
+    """What each decoder has."""
+    every = {}
+    for decoder, patterns in DECODERS.items():
+        found = Found(defaultdict(list), defaultdict(list))
+        for pattern in patterns:
+            for path in sorted(ROOT.glob(pattern)):
+                (_c if path.suffix == ".c" else _python)(path, found)
+        every[decoder] = found
+    return every
+
+
+def proofs() -> tuple[dict[str, list[Place]], Place]:
+    """The tests by requirement, and the one of faults."""
+    found = defaultdict(list)
+    fault = None
+    for path in sorted((ROOT / "tests").rglob("test_*.py")):
+        name = path.relative_to(ROOT).as_posix()
+        for node in ast.parse(path.read_text(encoding="utf-8")).body:
+            if not isinstance(node, ast.FunctionDef):
+                continue
+            place = Place(name, node.lineno, node.name)
+            if (name, node.name) == FAULTS:
+                fault = place
+            for mark in node.decorator_list:
+                if isinstance(mark, ast.Call) and ast.unparse(mark.func) == "pytest.mark.requirement":
+                    for argument in mark.args:
+                        found[ast.literal_eval(argument)].append(place)
+    assert fault is not None, "the test of faults is gone"
+    return found, fault
+
+
+def by_name(suite: Manifest, names: Callable[[Vector], Iterable[str]]) -> dict[str, list[str]]:
+    """The vectors by each name that they have."""
+    found = defaultdict(list)
+    for vector in suite.vectors:
+        for name in names(vector):
+            found[name].append(vector.id)
+    return found
+
+
+def trails(requirements: dict[str, Requirement], suite: Manifest) -> dict[str, Trail]:
+    """The trail of each requirement. Raises SystemExit for a test or a vector of a requirement that SPEC.md does not have."""
+    found, (tests, fault), tried = code(), proofs(), by_name(suite, lambda v: v.requirements)
+    strangers = [name for name in (*tests, *tried) if name not in requirements]
+    if strangers:
+        raise SystemExit(f"SPEC.md does not have {', '.join(sorted(set(strangers)))}")
+    made = {}
+    for name, r in requirements.items():
+        places = {d: _innermost(f.raising[r.error] if r.error else f.citing[r.clause]) for d, f in found.items()}
+        if name.startswith("G"):
+            places = {decoder: places[decoder] for decoder in RENDERS}
+        faults = [Place(fault.path, fault.line, f"{fault.name}[{r.error}]")] if r.error else []
+        made[name] = Trail(r, places, faults + tests[name], tried[name])
+    return made
