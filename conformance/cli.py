@@ -54,6 +54,7 @@ def _factor(text: str) -> float:
 
 
 def _add_run(commands: Any) -> None:
+    from .manifest import VECTORS  # noqa: PLC0415
     from .runner import commands as run  # noqa: PLC0415
     from .runner import selection  # noqa: PLC0415
 
@@ -68,9 +69,9 @@ def _add_run(commands: Any) -> None:
         parser.add_argument(
             "--vectors",
             type=Path,
-            default=Path("vectors"),
+            default=VECTORS,
             metavar="DIR",
-            help="folder of the suite (default: vectors)",
+            help="folder of the suite (default: the one that came with this program)",
         )
         parser.add_argument(
             "--gaussians", metavar="COMMAND", help="one with {input}, {camera} and {output}, as a shell would read it"
@@ -115,7 +116,11 @@ def _add_run(commands: Any) -> None:
     verify.set_defaults(run=run.verify_report)
     export = commands.add_parser("export", help="write the valid vectors as a suite of another runner")
     export.add_argument(
-        "--vectors", type=Path, default=Path("vectors"), metavar="DIR", help="folder of the suite (default: vectors)"
+        "--vectors",
+        type=Path,
+        default=VECTORS,
+        metavar="DIR",
+        help="folder of the suite (default: the one that came with this program)",
     )
     export.add_argument(
         "--fluster", type=Path, required=True, metavar="DIR", help="for Fluster, with the script that runs it"
@@ -135,14 +140,16 @@ def _selftest(arguments: argparse.Namespace) -> int:
 
 
 def _add_selftest(commands: Any) -> None:
+    from .manifest import MANIFEST, VECTORS  # noqa: PLC0415
+
     selftest = commands.add_parser(
         "selftest", help="plant bugs in the second decoder; the vectors must catch every one"
     )
     selftest.add_argument(
         "--manifest",
         type=Path,
-        default=Path("vectors/manifest.json"),
-        help="the suite (default: vectors/manifest.json)",
+        default=VECTORS / MANIFEST,
+        help="the suite (default: the one that came with this program)",
     )
     selftest.add_argument(
         "--jobs", type=_positive, default=os.cpu_count() or 1, help="processes (default: one for each core)"

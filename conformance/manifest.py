@@ -11,7 +11,10 @@ from typing import Any
 
 import jsonschema
 
-VECTORS = Path(__file__).resolve().parent.parent / "vectors"
+from refcodec.resources import find
+
+# The suite that came with this package, wherever it is installed.
+VECTORS = find("vectors", Path(__file__).resolve().parent)
 MANIFEST, SCHEMA = "manifest.json", "manifest.schema.json"
 
 
