@@ -9,12 +9,12 @@ from __future__ import annotations
 import sys
 from collections.abc import Callable, Iterator
 
-from . import example, figures, generated, matrix, tables
+from . import example, figures, generated, house, matrix, tables
 from .made import Made
 
 # In this order: the worked example is read by the parts of SPEC.md, and SPEC.md by the matrix.
 MAKERS: tuple[Callable[[], Iterator[Made]], ...] = (
-    tables.made, example.made, figures.made, generated.made, matrix.made,
+    tables.made, example.made, figures.made, generated.made, matrix.made, house.made,
 )  # fmt: skip
 
 

@@ -1,0 +1,72 @@
+"""The house stands as ARCHITECTURE.md draws it: rooms build on each other in one order, and both decoders have the same."""
+
+from __future__ import annotations
+
+import re
+from graphlib import CycleError, TopologicalSorter
+
+import pytest
+
+from spec.house import ROOMS, docstring, imports, modules, room
+
+BITSTREAM, INDEPENDENT = "refcodec.bitstream", "conformance.independent"
+# The reference decodes chunks side by side.
+ONLY_REFERENCE = {"batches"}
+# The second decoder has a command and a trace of its own. Those of the reference are in refcodec.cli and refcodec.inspect.
+ONLY_INDEPENDENT = {"__main__", "trace"}
+# What decoding must not need. plyfile and safetensors belong to the scene folder.
+HEAVY = {"torch", "numba", "scipy", "plyfile", "safetensors", "tqdm", "PIL", "skimage"}
+
+
+def test_a_room_uses_those_below_it() -> None:
+    above = {
+        (module, name)
+        for module in modules()
+        for name in imports(module)
+        if ROOMS.index(room(name)) > ROOMS.index(room(module))
+    }
+    assert above == set()
+
+
+def test_no_circle() -> None:
+    """No modules import each other, neither at their top nor within functions."""
+    try:
+        TopologicalSorter({name: set(imports(name)) for name in modules()}).prepare()
+    except CycleError as error:
+        pytest.fail(" -> ".join(error.args[1]))
+
+
+def test_the_bitstream_side_stands_alone() -> None:
+    """It uses no other room than the one that knows where the project's files lie, and no heavy package."""
+    for module in modules():
+        if module.startswith(BITSTREAM):
+            assert {room(name) for name in imports(module)} <= {BITSTREAM, "refcodec"}, module
+            text = modules()[module].read_text(encoding="utf-8")
+            assert not set(re.findall(r"^\s*(?:from|import) (\w+)", text, re.MULTILINE)) & HEAVY, module
+
+
+def test_the_second_decoder_stands_alone() -> None:
+    """It shares no line with the first."""
+    for module in modules():
+        if module.startswith(INDEPENDENT):
+            assert {room(name) for name in imports(module)} <= {INDEPENDENT}, module
+
+
+def _modules(package: str) -> set[str]:
+    return {name.removeprefix(f"{package}.") for name in modules() if name.startswith(f"{package}.")}
+
+
+def test_both_decoders_have_the_same_modules() -> None:
+    """There is one module for each group of clauses, under one name, and it names the clauses first."""
+    first, second = _modules(BITSTREAM), _modules(INDEPENDENT)
+    assert first - second == ONLY_REFERENCE
+    assert second - first == ONLY_INDEPENDENT
+    for name in sorted(second & first):
+        clauses = [docstring(f"{package}.{name}").partition(":")[0] for package in (BITSTREAM, INDEPENDENT)]
+        assert clauses[0] == clauses[1], name
+
+
+def test_what_is_private_stays_in_its_module() -> None:
+    for module in modules():
+        taken = {name for names in imports(module).values() for name in names if name.startswith("_")}
+        assert {name for name in taken if not name.endswith("__")} == set(), module
