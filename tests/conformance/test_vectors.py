@@ -6,6 +6,8 @@ import copy
 import hashlib
 import io
 import json
+import subprocess
+import sys
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -15,8 +17,9 @@ import numpy as np
 import pytest
 
 from conformance import blocks, cli, independent
-from conformance.cases import recipes
-from conformance.cases.book import Recipe, Refused
+from conformance.cases import masks, recipes
+from conformance.cases.book import Book, Recipe
+from conformance.cases.fault import Refused
 from conformance.cases.features import FEATURES
 from conformance.cases.flags import FLAGS
 from conformance.cases.numbers import Numbers
@@ -200,9 +203,30 @@ def test_recipes_that_say_something_else() -> None:
             list(vectors([Recipe(f"{klass}-wrong", "a wrong recipe", lambda result=result: result, ("header",))]))  # type: ignore[misc]
 
 
-def test_recipes_are_named_once() -> None:
-    names = [r.id for r in recipes()]
-    assert len(names) == len(set(names)) == len(SUITE.vectors)
+def test_recipes_are_those_of_the_manifest_in_its_order() -> None:
+    assert [r.id for r in recipes()] == [v.id for v in SUITE.vectors]
+
+
+def test_an_identifier_is_permanent(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A new case comes last wherever its file is; an identifier that is gone is told."""
+    old = masks.add
+
+    def new(book: Book) -> None:
+        book.valid("new", "a new case", bytes, features="masks")
+        old(book)
+
+    monkeypatch.setattr(masks, "add", new)
+    assert [r.id for r in recipes()] == [*(v.id for v in SUITE.vectors), "valid-new"]
+    monkeypatch.setattr(masks, "add", lambda book: None)
+    with pytest.raises(ValueError, match="no case has the identifiers valid-mask-contexts, valid-mask-model-extreme, "):
+        recipes()
+
+
+def test_the_generator_does_without_hypothesis() -> None:
+    """The extra `test` is not needed for the suite."""
+    without = "import sys; sys.modules['hypothesis'] = None"
+    code = f"{without}; from conformance.cases import recipes; recipes()[-1].make()"
+    subprocess.run([sys.executable, "-c", code], check=True, cwd=VECTORS.parent)
 
 
 # --- the decoders -----------------------------------------------------------------------------------------------------

@@ -12,7 +12,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from conformance.blocks import SPEC, blocks
-from conformance.cases.random_scenes import random_scene
+from conformance.cases.scenes import random_scene
 from conformance.fuzz.strategies import render_infos
 from refcodec.bitstream.header import RenderInfo
 from refcodec.bitstream.reconstruction import Reconstruction, reconstruct
