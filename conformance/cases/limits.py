@@ -152,6 +152,7 @@ OUTSIDE_TINY: list[tuple[str, list[int]]] = [
 OUTSIDE_MAIN: list[tuple[str, list[int]]] = [
     ("offset_count", [9, 11]),
     ("slice_width[0]", [4]),
+    ("slice_width[1]", [4]),
     ("slice_width[3]", [21]),
     ("plane_channels", [7, 9]),
     ("frequency_count", [9, 11]),
