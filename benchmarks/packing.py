@@ -27,13 +27,12 @@ import numpy as np
 import torch
 
 from benchmarks.ideal import BitCounter
-from conformance.fuzz.strategies import substreams
+from conformance.cases.target import Target
 from refcodec.bitstream import codec
 from refcodec.bitstream.attributes import code_attributes
 from refcodec.bitstream.codec import parse_container
 from refcodec.bitstream.conventions import Int64
 from refcodec.bitstream.dimensions import layers_of
-from refcodec.bitstream.directory import SECTIONS
 from refcodec.bitstream.entropy import SymbolName
 from refcodec.bitstream.header import PROLOGUE_BYTES
 from refcodec.bitstream.masks import code_masks, mask_models
@@ -212,14 +211,10 @@ def account(data: bytes) -> list[str]:
     heads: dict[int, int] = defaultdict(int)
     states: dict[int, int] = defaultdict(int)
     streams: dict[int, int] = defaultdict(int)
-    lanes = scene.lanes
-    exponents = dict(
-        zip(SECTIONS, (0, lanes.attribute, lanes.plane, 0, lanes.mask, lanes.mask, lanes.attribute), strict=True)
-    )
-    for kind, _, length, _ in substreams(data):
-        heads[kind] += 8
-        states[kind] += 4 << exponents[kind]
-        streams[kind] += length
+    for s in Target(data).substreams.values():
+        heads[s.section] += 8
+        states[s.section] += 4 * s.lanes
+        streams[s.section] += s.end - s.start
     symbols = code_lengths(scene)
     first = min(s.start for s in header.sections.values())
     rows: list[tuple[str, str, float]] = [

@@ -1,19 +1,14 @@
-"""What SPEC.md says to a program: its requirements, and the decoder that its python blocks are together."""
+"""The decoder that SPEC.md's python blocks are together."""
 
 from __future__ import annotations
 
 import re
 import struct
-from collections.abc import Iterator
-from pathlib import Path
 from typing import Any
 
 from refcodec.bitstream import directory, syntax, tables
 from refcodec.bitstream.dimensions import layers_of
 from refcodec.bitstream.header import PROLOGUE_BYTES, Header
-
-CLAUSE = r"(?:\d+|[A-D])(?:\.\d+)*"
-SPEC = Path(__file__).resolve().parent.parent / "SPEC.md"
 
 
 def blocks(text: str) -> dict[str, Any]:
@@ -28,17 +23,6 @@ def blocks(text: str) -> dict[str, Any]:
     data = tables.tables_file().read_bytes()
     space["SINE"], space["STEP"], space["GAUSS"], space["LAPLACE"] = space["READ_TABLES"](data)
     return space
-
-
-def requirements(spec: str) -> Iterator[tuple[str, str, str, str]]:
-    """(identifier, clause, sentence, error's name or nothing) in the order of SPEC.md."""
-    pattern = (
-        rf"^- \[([RDG]({CLAUSE})-\d+)\] It is a requirement of (?:bitstream|decoder|renderer) conformance that (.*)$"
-    )
-    for name, clause, sentence in re.findall(pattern, spec, re.MULTILINE):
-        error = re.search(r" \(`([a-z_.]+)`\)", sentence)
-        text = sentence[: error.start()] if error else sentence.rstrip(".")
-        yield name, clause, text, error[1] if error and name.startswith("R") else ""
 
 
 def decode(space: dict[str, Any], data: bytes, header: Header) -> tuple[bytes, list[str | None]]:

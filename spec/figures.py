@@ -213,6 +213,6 @@ MAKE: dict[str, Callable[[dict[str, Any]], str]] = {
 
 def made() -> Iterator[Made]:
     """The pictures."""
-    space = blocks.blocks(blocks.SPEC.read_text(encoding="utf-8"))
+    space = blocks.blocks(specification.text())
     for name, make in MAKE.items():
         yield Made.text(PICTURES / f"{name}.svg", make(space))

@@ -51,7 +51,11 @@ def modules() -> dict[str, Path]:
 
 def room(module: str) -> str:
     """The room of a module. A package's __main__ is of its commands."""
-    module = module.replace(".__main__", ".cli.__main__") if module in ("refcodec.__main__", "conformance.__main__") else module
+    module = (
+        module.replace(".__main__", ".cli.__main__")
+        if module in ("refcodec.__main__", "conformance.__main__")
+        else module
+    )
     return max((name for name in ROOMS if f"{module}.".startswith(f"{name}.")), key=len)
 
 

@@ -1,41 +1,114 @@
-"""The generator of the suite's vectors."""
+"""The suite's cases, chapter by chapter, and the faults that files can have.
 
+A chapter of SPEC.md has a file here, with its valid files, its refused ones and its faults. The file has the name of
+the module of the same clauses in refcodec/bitstream and conformance/independent. What would be too long in one file is
+in several: weights (weights_raw, weights_packed) and entropy (entropy_values, entropy_escapes, entropy_substreams).
+These are of no group of clauses:
+
+    order_header, order_sections   two faults in one file (10.1)
+    resource                       small files that ask for much (13.1)
+    cameras                        what cameras see (14)
+    whole                          trained and unusual scenes
+
+A new case is an entry in the file of its chapter. A new fault is a function there, with what draws its parameters
+(fault.py).
+
+The other modules help:
+
+    book, fault         what a case is, and what a fault is
+    target, checksums   a valid file and its elements, and files whose checksums are made right again
+    targets             the valid files that faults are put into
+    scenes, cells       valid scenes and parts of them, and positions as cells
+    samplers, numbers   what makes symbols up, and integers that are the same everywhere
+    suite               from cases to files and the manifest
+    features, flags     what the manifest says of a vector
+    train_sources       where the trained scenes come from
+"""
+
+from __future__ import annotations
+
+import json
+from types import ModuleType
+
+from ..manifest import MANIFEST, VECTORS
 from .book import Book, Recipe
+from .fault import FAULTS, Fault
+
+
+def chapters() -> tuple[ModuleType, ...]:
+    """The modules with cases."""
+    # What makes files needs the encoder; who asks for the package alone does not.
+    from . import (  # noqa: PLC0415
+        attributes,
+        cameras,
+        chunks,
+        context,
+        dimensions,
+        directory,
+        entropy_escapes,
+        entropy_substreams,
+        entropy_values,
+        frame,
+        header,
+        limits,
+        masks,
+        networks,
+        order_header,
+        order_sections,
+        planes,
+        positions,
+        reconstruction,
+        resource,
+        weights_packed,
+        weights_raw,
+        whole,
+    )
+
+    return (
+        header,
+        limits,
+        dimensions,
+        directory,
+        frame,
+        weights_raw,
+        weights_packed,
+        networks,
+        planes,
+        chunks,
+        positions,
+        context,
+        masks,
+        attributes,
+        entropy_values,
+        entropy_escapes,
+        entropy_substreams,
+        reconstruction,
+        order_header,
+        order_sections,
+        resource,
+        whole,
+        cameras,
+    )
+
+
+def faults() -> dict[str, Fault[...]]:
+    """All faults by name."""
+    chapters()
+    return FAULTS
 
 
 def recipes() -> list[Recipe]:
-    """All vectors, in the order of the manifest."""
-    # What makes files needs the encoder; who only asks for the package does not.
-    from . import (  # noqa: PLC0415
-        coding,
-        decoding,
-        orders,
-        outside,
-        packing,
-        planted,
-        refused_header,
-        refused_sections,
-        refused_streams,
-        resource,
-        structure,
-        whole,
-    )
+    """All vectors in the order of the manifest: those of the committed one as they stand there, then the new ones.
 
+    Identifiers are permanent, and so is the place of a vector. A case may move from file to file here, and the
+    manifest stays as it is. Raises ValueError if the manifest has an identifier that no case has.
+    """
     book = Book()
-    parts = (
-        structure,
-        decoding,
-        coding,
-        packing,
-        whole,
-        refused_header,
-        refused_sections,
-        refused_streams,
-        orders,
-        resource,
-        planted,
-        outside,
-    )
-    for part in parts:
-        part.add(book)
-    return book.recipes
+    for chapter in chapters():
+        chapter.add(book)
+    document = json.loads((VECTORS / MANIFEST).read_text(encoding="utf-8"))
+    known = {vector["id"]: place for place, vector in enumerate(document["vectors"])}
+    gone = known.keys() - {recipe.id for recipe in book.recipes}
+    if gone:
+        raise ValueError(f"no case has the identifiers {', '.join(sorted(gone))}, which the manifest has")
+    return sorted(book.recipes, key=lambda recipe: known.get(recipe.id, len(known)))

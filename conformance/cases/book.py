@@ -9,21 +9,15 @@ from typing import Any
 from refcodec.bitstream import codec
 from refcodec.bitstream.scene import Scene
 
-
-@dataclass(frozen=True)
-class Refused:
-    """A file and the error that it has: name and offset (SPEC 10.2)."""
-
-    data: bytes
-    name: str
-    offset: int
+from .fault import Refused
 
 
 @dataclass(frozen=True)
 class Seen:
-    """The file of another vector by its path, and a camera (vectors/README.md)."""
+    """What a camera sees of the file of another vector. id, data: that vector's; camera: JSON (vectors/README.md)."""
 
-    path: str
+    id: str
+    data: bytes
     camera: dict[str, Any]
 
 
@@ -55,16 +49,21 @@ class Recipe:
         return self.id.partition("-")[2]
 
 
+def path_of(identifier: str) -> str:
+    """Where the suite has the file of a vector: the class is its folder."""
+    return f"{identifier.replace('-', '/', 1)}.c3gs"
+
+
 @dataclass
 class Book:
-    """Recipes in the order of the manifest."""
+    """The recipes, in the order in which the chapters add them."""
 
     recipes: list[Recipe] = field(default_factory=list)
 
     def add(
         self, id: str, title: str, make: Make, *, features: str, requirements: str = "", flags: str = "", **more: Any
     ) -> None:
-        """Adds a recipe; features, requirements and flags are names with blanks between them."""
+        """Adds a recipe. features, requirements, flags: names with blanks between them. more: fields of Recipe."""
         self.recipes.append(
             Recipe(id, title, make, tuple(features.split()), tuple(requirements.split()), tuple(flags.split()), **more)
         )
@@ -77,3 +76,13 @@ class Book:
             return made if isinstance(made, bytes) else codec.emit(made)
 
         self.add(f"valid-{name}", title, data, **more)
+
+    def ordered(
+        self, id: str, title: str, make: Callable[[], Refused], requirements: str = "", features: str = "order"
+    ) -> None:
+        """Adds a file with two faults, whose order is what it tests. id: without `order-of-` behind its class."""
+        klass, _, name = id.partition("-")
+        proved = f"D10.1-1 {requirements}"
+        self.add(
+            f"{klass}-order-of-{name}", title, make, features=features, requirements=proved, flags="order-of-checks"
+        )

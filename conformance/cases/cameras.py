@@ -1,19 +1,25 @@
-"""Cameras and the Gaussians that SPEC.md's blocks give for them (SPEC 14.3), evaluated in binary64."""
+"""Cases of clause 14: what cameras see. SPEC.md's blocks give the Gaussians (14.3), evaluated in binary64."""
 
 from __future__ import annotations
 
 import json
-from functools import cache
+from dataclasses import replace
+from functools import cache, partial
 from typing import Any
 
 import numpy as np
 
 from refcodec.bitstream import codec
+from refcodec.bitstream.header import PositionGrid
 from refcodec.bitstream.reconstruction import reconstruct
+from refcodec.inspect import specification
 from refcodec.render.camera import read_camera
 from refcodec.render.gaussians import RENDERING
 
-from ..blocks import SPEC, blocks
+from ..blocks import blocks
+from .book import Book, Seen
+from .numbers import Numbers
+from .scenes import TINY_DIMENSIONS, dyadic, lattice, scene, with_symbols
 
 # SPEC [G14.3-1]
 TOLERANCE = 1e-4
@@ -23,7 +29,7 @@ DIGITS = 9
 
 @cache
 def _text() -> dict[str, Any]:
-    return blocks(SPEC.read_text(encoding="utf-8"))
+    return blocks(specification.text())
 
 
 def expected(data: bytes, camera: dict[str, Any]) -> bytes:
@@ -60,3 +66,71 @@ def expected(data: bytes, camera: dict[str, Any]) -> bytes:
 def _rounded(value: Any) -> Any:
     """Numbers with DIGITS significant digits."""
     return [_rounded(x) for x in value] if isinstance(value, list) else float(f"{value:.{DIGITS}g}")
+
+
+# --- the suite's ------------------------------------------------------------------------------------------------------
+
+DIMENSIONS = replace(TINY_DIMENSIONS, offset_count=5, render_width=8)
+# Rotation, as rows, and translation of each camera.
+VIEWS: dict[str, tuple[str, list[list[float]]]] = {
+    "ahead": ("a camera that looks along z", [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]]),
+    "turned": (
+        "a camera that is turned about all axes",
+        [[0.36, 0.48, -0.8], [-0.8, 0.6, 0.0], [0.48, 0.64, 0.6]],
+    ),
+    "within": ("a camera in the place of an anchor", [[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]]),
+}
+
+
+def add(book: Book) -> None:
+    """Adds the vectors."""
+    title = "a scene that cameras look at"
+    book.valid("cameras", title, _file, features="cameras", requirements="D9.1-1 D9.2-1")
+    # Anchor 4 is where the third camera is.
+    place = [float(x) for x in lattice(Numbers("cameras"), 12)[4]]
+    translations = {
+        "ahead": [0.5, -0.25, 6.0],
+        "turned": [1.5, 2.0, -3.0],
+        "within": [place[1], -place[0], -place[2]],
+    }
+    for name, (text, rotation) in VIEWS.items():
+        camera: dict[str, Any] = {
+            "width": 64,
+            "height": 48,
+            "focal": [50.0, 52.0],
+            "principal_point": [32.0, 23.5],
+            "rotation": rotation,
+            "translation": translations[name],
+        }
+        book.add(
+            f"valid-camera-{name}",
+            text,
+            partial(_seen, camera),
+            features="cameras",
+            requirements="G14.3-1",
+            flags="direction-sign",
+        )
+
+
+def _seen(camera: dict[str, Any]) -> Seen:
+    return Seen("valid-cameras", _file(), camera)
+
+
+@cache
+def _file() -> bytes:
+    numbers, d = Numbers("cameras"), DIMENSIONS
+    where, grid = lattice(numbers, 12), PositionGrid((0, 0, 0), 1, 0)
+    made = scene("cameras", 12, d, positions=where, base_step=(0.0625, 0.0625, 0.25), grid=grid)
+    made = replace(made, render=replace(made.render, distance_unit=2.5))
+    # The steps are the base steps, so that sizes are ordinary ones.
+    w, b = made.networks["hyper"][-1]
+    w[-3:], b[-3:] = 0, 32
+    for name in ("opacity", "covariance", "colour"):
+        for w, b in made.networks[name]:
+            w[:] = dyadic(numbers.integers(-99, 99, *w.shape), 8)
+            b[:] = dyadic(numbers.integers(-99, 99, len(b)), 7)
+    # Of one offset four numbers that are no quaternion.
+    w, b = made.networks["covariance"][-1]
+    w[3:7], b[3:7] = 0, 0
+    shapes = {"features": (12, d.features), "scalings": (12, 6), "offsets": (12, d.offset_count, 3)}
+    return codec.emit(with_symbols(made, **{kind: numbers.integers(-25, 9, *shape) for kind, shape in shapes.items()}))

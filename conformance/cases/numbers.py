@@ -18,7 +18,10 @@ class Numbers:
         self._draws = 0
 
     def integers(self, low: int, high: int, *shape: int) -> Int64:
-        """int64 of a shape, each low to high inclusive: 8 bytes of SHAKE-256("NAME/SEED/DRAW"), little-endian, modulo the span."""
+        """int64 of a shape, each low to high inclusive.
+
+        Each is 8 bytes of SHAKE-256("NAME/SEED/DRAW"), little-endian, modulo the span, plus low.
+        """
         count = int(np.prod(shape, dtype=np.int64))
         stream = hashlib.shake_256(f"{self._name}/{self._draws}".encode()).digest(8 * count)
         self._draws += 1

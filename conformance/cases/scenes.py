@@ -1,4 +1,10 @@
-"""Scenes of the generator: every float in them is an integer times a power of two, so that they are the same on every machine."""
+"""Valid scenes and parts of them.
+
+- `scene` takes its numbers from SHAKE-256 of a name (numbers.py), and every float in it is an integer times a power of
+  two. So it is the same on every machine. The suite's files are made of such scenes: another name makes another file,
+  which is why names stay.
+- `random_scene` takes its numbers from numpy's generator, with spreads that the caller chooses. It is for tests.
+"""
 
 from __future__ import annotations
 
@@ -15,22 +21,189 @@ from refcodec.bitstream.frame import Frame
 from refcodec.bitstream.header import Lanes, PositionGrid, RenderInfo
 from refcodec.bitstream.limits import MAIN, TINY
 from refcodec.bitstream.networks import Layer
-from refcodec.bitstream.scene import Scene
+from refcodec.bitstream.scene import Scene, take_anchors
 from refcodec.bitstream.weights import to_grid
+from refcodec.encoder.positions import morton_order
 
-from .numbers import Numbers
+from .numbers import Int64, Numbers
 
 Networks = dict[str, list[Layer]]
 
-SMALL = Dimensions(2, (2, 3), 2, 2, 4, (6,), (4, 4), (5,), 3)
+# Of either profile those that most scenes here have, and the least and the largest that there can be.
+TINY_DIMENSIONS = Dimensions(2, (2, 3), 2, 2, 4, (6,), (4, 4), (5,), 3)
+MAIN_DIMENSIONS = Dimensions(10, (5, 10, 15, 20), 8, 10, 16, (100,), (16, 16), (100,), 50)
 SMALLEST = Dimensions(1, (1,), 1, 1, 2, (1,), (1,), (), 1)
 LARGEST = Dimensions(10, (16, 16, 16, 16), 8, 10, 32, (64, 64), (16, 16), (64, 64), 64)
 MAIN_SMALLEST = Dimensions(10, (5, 10, 15, 20), 8, 10, 2, (16,), (16, 16), (16,), 50)
 
 
-def dyadic(integers: NDArray[np.int64], bits: int) -> NDArray[np.float32]:
+def dyadic(integers: Int64, bits: int) -> NDArray[np.float32]:
     """Integers over 2^bits, exact in f32."""
     return np.ldexp(integers.astype(np.float32), -bits).astype(np.float32)
+
+
+# --- whole scenes -----------------------------------------------------------------------------------------------------
+
+
+def scene(name: str, anchors: int = 6, d: Dimensions = TINY_DIMENSIONS, seed: int = 0, **changes: Any) -> Scene:
+    """A valid scene of ordinary numbers. name, seed: of its Numbers. changes: fields of Scene that are given."""
+    numbers = Numbers(name, seed)
+    masks = numbers.integers(0, 4, anchors, d.offset_count) > 1
+    offsets = numbers.centred(3, anchors, d.offset_count, 3).astype(np.int32)
+    drawn = {
+        "frame": Frame(
+            numbers.integers(1 - (1 << 20), (1 << 20) - 1, 3, 3),
+            numbers.integers(-(1 << 40), 1 << 40, 3),
+            np.array([29, 30, 31]),
+            *_BOUNDS,
+        ),
+        "plane_shift": numbers.integer(1, 6),
+        "carm_shift": numbers.integers(0, 2, d.carm_inputs).astype(np.uint8),
+        "networks": networks(d, numbers),
+        "planes": numbers.centred(3, 5, d.plane_channels, d.plane_size, d.plane_size).astype(np.int16),
+        "mask_model": numbers.integers(2000, 14000, mask_contexts(d.offset_count)).astype(np.uint16),
+        "positions": positions(numbers, anchors),
+        "masks": masks,
+        "attributes": Attributes(
+            numbers.centred(3, anchors, d.features).astype(np.int32),
+            numbers.centred(3, anchors, 6).astype(np.int32),
+            offsets,
+            np.zeros((anchors, 3), np.uint8),
+        ),
+    }
+    return _assembled(d, {**drawn, **changes})
+
+
+def random_scene(
+    seed: int,
+    anchors: int,
+    d: Dimensions = TINY_DIMENSIONS,
+    *,
+    gain: float = 1.0,
+    spread: float = 3.0,
+    keep: float = 0.6,
+    base_step: tuple[float, float, float] = (1.0, 0.03125, 0.2),
+    **changes: Any,
+) -> Scene:
+    """A valid scene of numpy's random numbers.
+
+    gain: of the networks, whose outputs stay in useful ranges at 1. spread: standard deviation of the symbols.
+    keep: share of the offsets that are kept. base_step: rounded to f32. changes: fields of Scene that are given.
+    """
+    rng = np.random.default_rng(seed)
+    where = rng.normal(0, 1, (anchors, 3)).astype(np.float16)
+    where[where == 0] = 0
+    masks = rng.random((anchors, d.offset_count)) < keep
+    offsets = np.round(rng.normal(0, spread, (anchors, d.offset_count, 3))).astype(np.int32)
+    drawn = {
+        "base_step": tuple(float(np.float32(step)) for step in base_step),
+        "frame": Frame(
+            rng.integers(1 - (1 << 20), 1 << 20, (3, 3)),
+            rng.integers(-(1 << 40), 1 << 40, 3),
+            np.array([27, 28, 29]),
+            *_BOUNDS,
+        ),
+        "plane_shift": int(rng.integers(0, 8)),
+        "carm_shift": rng.integers(0, 3, d.carm_inputs).astype(np.uint8),
+        "networks": random_networks(d, rng, gain),
+        "planes": np.round(rng.laplace(0, spread, (5, d.plane_channels, d.plane_size, d.plane_size))).astype(np.int16),
+        "mask_model": rng.integers(1, 1 << 14, mask_contexts(d.offset_count)).astype(np.uint16),
+        "positions": where,
+        "masks": masks,
+        "attributes": Attributes(
+            np.round(rng.normal(0, spread, (anchors, d.features))).astype(np.int32),
+            np.round(rng.normal(0, spread, (anchors, 6))).astype(np.int32),
+            offsets,
+            np.zeros((anchors, 3), np.uint8),
+        ),
+    }
+    return _assembled(d, {**drawn, **changes})
+
+
+# SPEC 5.7: low and high of the ordinary frames.
+_BOUNDS = (np.array([-131072, -100000, -70000]), np.array([131072, 90000, 70001]))
+
+
+def _assembled(d: Dimensions, fields: dict[str, Any]) -> Scene:
+    """A scene of these fields, the others as usual, and what follows from them."""
+    usual = {
+        "profile": MAIN if d.features == 50 else TINY,
+        "chunk_size": 4096,
+        "lanes": Lanes(1, 1, 2),
+        "base_step": (1.0, 0.03125, float(np.float32(0.2))),
+        "grid": PositionGrid((-5, 1 << 40, 77), 40000, -15),
+        "render": RenderInfo(),
+    }
+    return settled(Scene(dimensions=d, **{**usual, **fields}))
+
+
+def settled(made: Scene) -> Scene:
+    """The scene with masked offsets at 0, and with the step indices that its networks give."""
+    a = made.attributes
+    offsets = np.where(made.masks[:, :, None], a.offsets, 0).astype(np.int32)
+    return with_steps(replace(made, attributes=replace(a, offsets=offsets)))
+
+
+def with_steps(made: Scene) -> Scene:
+    """The scene with the step indices that its networks give."""
+    return replace(made, attributes=replace(made.attributes, steps=codec.derive_steps(made)))
+
+
+def with_symbols(made: Scene, **symbols: NDArray[Any]) -> Scene:
+    """The scene with other symbols: features, scalings or offsets."""
+    changes: dict[str, Any] = {kind: value.astype(np.int32) for kind, value in symbols.items()}
+    return settled(replace(made, attributes=replace(made.attributes, **changes)))
+
+
+def without_chunks(made: Scene, dropped: list[int]) -> Scene:
+    """The scene without the anchors of some chunks."""
+    keep = np.ones(made.anchor_count, dtype=bool)
+    for number in dropped:
+        keep[number * made.chunk_size : (number + 1) * made.chunk_size] = False
+    return take_anchors(made, keep)
+
+
+# --- frames and positions ---------------------------------------------------------------------------------------------
+
+
+def frame_of(
+    matrix: Any, translation: Any = (0, 0, 0), shift: Any = (0, 0, 0), low: Any = None, high: Any = None
+) -> Frame:
+    """A frame from lists. Without low or high its range is -2 to 2, which is 2^17 of its units (SPEC 7.5.1)."""
+    bounds = [np.full(3, -1 << 17) if low is None else low, np.full(3, 1 << 17) if high is None else high]
+    return Frame(
+        *(np.array(part, dtype=np.int64) for part in (np.reshape(matrix, (3, 3)), translation, shift, *bounds))
+    )
+
+
+def positions(numbers: Numbers, anchors: int) -> NDArray[np.float16]:
+    """Finite f16 of all magnitudes, no -0."""
+    bits = numbers.integers(0, 0x7BFF, anchors, 3) | numbers.chosen([0, 0x8000], anchors, 3)
+    bits[bits == 0x8000] = 0
+    return bits.astype(np.uint16).view(np.float16)
+
+
+def f16(integers: Int64) -> NDArray[np.float16]:
+    """The positions whose P (SPEC 7.4) are these integers, which f16 must hold."""
+    found = np.ldexp(integers.astype(np.float64), -24).astype(np.float16)
+    assert (np.ldexp(found.astype(np.float64), 24) == integers).all()
+    found[found == 0] = 0
+    return found
+
+
+def lattice(numbers: Numbers, anchors: int, spread: int = 12) -> NDArray[np.float16]:
+    """Different points of a lattice of the unit 1/4, in the order of their cells."""
+    codes: Int64 = np.zeros(0, np.int64)
+    side = 2 * spread + 1
+    while len(codes) < anchors:
+        codes = np.unique(np.append(codes, numbers.integers(0, side**3 - 1, anchors)))
+    points = np.stack([codes // side**2, codes // side % side, codes % side], axis=1) - spread
+    found = (points * 0.25).astype(np.float16)
+    found = found[morton_order(found)]
+    return found[np.linspace(0, len(found) - 1, anchors).astype(int)] if len(found) > anchors else found
+
+
+# --- networks ---------------------------------------------------------------------------------------------------------
 
 
 def networks(d: Dimensions, numbers: Numbers) -> Networks:
@@ -48,78 +221,63 @@ def networks(d: Dimensions, numbers: Numbers) -> Networks:
     return found
 
 
-def positions(numbers: Numbers, anchors: int) -> NDArray[np.float16]:
-    """Finite f16 of all magnitudes, no -0."""
-    bits = numbers.integers(0, 0x7BFF, anchors, 3) | numbers.chosen([0, 0x8000], anchors, 3)
-    bits[bits == 0x8000] = 0
-    return bits.astype(np.uint16).view(np.float16)
+def random_networks(d: Dimensions, rng: np.random.Generator, gain: float = 1.0) -> Networks:
+    """Networks of numpy's random numbers, whose outputs stay in useful ranges at gain 1."""
+    found: Networks = {}
+    for name, shapes in d.network_shapes().items():
+        found[name] = []
+        for index, (out, fan_in) in enumerate(shapes):
+            last = index == len(shapes) - 1
+            spread = gain * (0.05 if last else 1.0) / np.sqrt(fan_in)
+            weight = rng.normal(0, spread, (out, fan_in)).astype(np.float32)
+            bias = rng.normal(0, 20 * gain, out).astype(np.float32)
+            if last and name == "hyper":
+                bias[-3:] += 32
+            found[name].append((weight, bias))
+    return found
 
 
-def lattice(numbers: Numbers, anchors: int, spread: int = 12) -> NDArray[np.float16]:
-    """Different points of a lattice of the unit 1/4, in the order of their cells."""
-    codes: NDArray[np.int64] = np.zeros(0, np.int64)
-    while len(codes) < anchors:
-        codes = np.unique(np.append(codes, numbers.integers(0, (2 * spread + 1) ** 3 - 1, anchors)))
-    side = 2 * spread + 1
-    points = np.stack([codes // side**2, codes // side % side, codes % side], axis=1) - spread
-    found = (points * 0.25).astype(np.float16)
-    # Imported late: the encoder's choices are no part of most scenes.
-    from refcodec.encoder.positions import morton_order  # noqa: PLC0415
-
-    found = found[morton_order(found)]
-    return found[np.linspace(0, len(found) - 1, anchors).astype(int)] if len(found) > anchors else found
+def silent(layers: list[Layer]) -> list[Layer]:
+    """Layers of zeros."""
+    return [(np.zeros_like(weight), np.zeros_like(bias)) for weight, bias in layers]
 
 
-def scene(name: str, anchors: int = 6, d: Dimensions = SMALL, seed: int = 0, **changes: Any) -> Scene:
-    """A valid scene of ordinary numbers; changes: fields of Scene, of which the symbols may be given too."""
-    numbers = Numbers(name, seed)
-    main = d.features == 50
-    masks = numbers.integers(0, 4, anchors, d.offset_count) > 1
-    offsets = numbers.centred(3, anchors, d.offset_count, 3).astype(np.int32)
-    made = Scene(
-        profile=MAIN if main else TINY,
-        dimensions=d,
-        chunk_size=4096,
-        lanes=Lanes(1, 1, 2),
-        base_step=(1.0, 0.03125, float(np.float32(0.2))),
-        grid=PositionGrid((-5, 1 << 40, 77), 40000, -15),
-        render=RenderInfo(),
-        frame=Frame(
-            numbers.integers(1 - (1 << 20), (1 << 20) - 1, 3, 3),
-            numbers.integers(-(1 << 40), 1 << 40, 3),
-            np.array([29, 30, 31]),
-            np.array([-131072, -100000, -70000]),
-            np.array([131072, 90000, 70001]),
-        ),
-        plane_shift=numbers.integer(1, 6),
-        carm_shift=numbers.integers(0, 2, d.carm_inputs).astype(np.uint8),
-        networks=networks(d, numbers),
-        planes=numbers.centred(3, 5, d.plane_channels, d.plane_size, d.plane_size).astype(np.int16),
-        mask_model=numbers.integers(2000, 14000, mask_contexts(d.offset_count)).astype(np.uint16),
-        positions=positions(numbers, anchors),
-        masks=masks,
-        attributes=Attributes(
-            numbers.centred(3, anchors, d.features).astype(np.int32),
-            numbers.centred(3, anchors, 6).astype(np.int32),
-            offsets,
-            np.zeros((anchors, 3), np.uint8),
-        ),
-    )
-    return settled(replace(made, **changes))
+def constant(d: Dimensions, numbers: Numbers, mean: Int64, scale: Int64) -> Networks:
+    """Networks whose F_h says the same of every anchor, while CARM adds nothing.
+
+    mean: int64 [channels], in sixteenths of a symbol. scale: int64 [channels], scale indices.
+    """
+    found = {
+        name: silent(layers) if name == "hyper" or name.startswith("carm") else layers
+        for name, layers in networks(d, numbers).items()
+    }
+    found["hyper"][-1][1][:] = np.concatenate([mean, scale, [32, 32, 32]])
+    return found
 
 
-def settled(made: Scene) -> Scene:
-    """The scene with masked offsets at 0 and the step indices that its networks give."""
-    a = made.attributes
-    attributes = replace(a, offsets=np.where(made.masks[:, :, None], a.offsets, 0).astype(np.int32))
-    found = replace(made, attributes=attributes)
-    return replace(found, attributes=replace(attributes, steps=codec.derive_steps(found)))
+def observing(d: Dimensions, numbers: Numbers, scale: int = -8) -> Networks:
+    """Networks that pass the context on, so that a context that is wrong by one gives another model.
+
+    The mean of channel c is the context's number c modulo their count, in sixteenths. The hidden layer of F_h has two
+    units for each number, one for either sign. scale: the scale index of all channels.
+    """
+    found = networks(d, numbers)
+    inputs, total = 2 * d.plane_channels + 2 * d.frequency_count, d.attribute_width
+    assert d.hyper_width == (2 * inputs,)
+    first: Int64 = np.concatenate([np.eye(inputs, dtype=np.int64), -np.eye(inputs, dtype=np.int64)])
+    last = np.zeros((2 * total + 3, 2 * inputs), np.int64)
+    bias = np.zeros(2 * total + 3, np.int64)
+    for c in range(total):
+        last[c, [c % inputs, inputs + c % inputs]] = 1, -1
+    bias[total : 2 * total], bias[2 * total :] = scale, 32
+    found["hyper"] = [(dyadic(first, 0), dyadic(np.zeros(2 * inputs, np.int64), 0)), (dyadic(last, 0), dyadic(bias, 0))]
+    for name in found:
+        if name.startswith("carm"):
+            found[name] = silent(found[name])
+    return found
 
 
-def with_symbols(made: Scene, **symbols: NDArray[Any]) -> Scene:
-    """The scene with other symbols: features, scalings or offsets."""
-    changes: dict[str, Any] = {kind: value.astype(np.int32) for kind, value in symbols.items()}
-    return settled(replace(made, attributes=replace(made.attributes, **changes)))
+# --- weights in mode 1 ------------------------------------------------------------------------------------------------
 
 
 def scales(found: Networks) -> NDArray[np.uint8]:
@@ -133,40 +291,16 @@ def scales(found: Networks) -> NDArray[np.uint8]:
     return np.array(rows, dtype=np.uint8)
 
 
-def packed_weights(made: Scene, values: NDArray[np.uint8] | None = None) -> Scene:
-    """The scene with its weights in mode 1 as they are; values: other scale indices."""
-    return replace(made, weight_scales=scales(made.networks) if values is None else values)
+def packed_weights(made: Scene) -> Scene:
+    """The scene with its weights in mode 1, as they are."""
+    return replace(made, weight_scales=scales(made.networks))
 
 
-def observing(d: Dimensions, numbers: Numbers, scale: int = -8) -> Networks:
-    """Networks that pass the context on: the mean of channel c is the context's number c modulo their count, in 1/16 steps, so that a
-    context that is wrong by one gives another model. The hidden layer of F_h has two units for each number, for either sign."""
-    found = networks(d, numbers)
-    inputs, total = 2 * d.plane_channels + 2 * d.frequency_count, d.attribute_width
-    assert d.hyper_width == (2 * inputs,)
-    first: NDArray[np.int64] = np.concatenate([np.eye(inputs, dtype=np.int64), -np.eye(inputs, dtype=np.int64)])
-    last = np.zeros((2 * total + 3, 2 * inputs), np.int64)
-    bias = np.zeros(2 * total + 3, np.int64)
-    for c in range(total):
-        last[c, [c % inputs, inputs + c % inputs]] = 1, -1
-    bias[total : 2 * total], bias[2 * total :] = scale, 32
-    found["hyper"] = [(dyadic(first, 0), dyadic(np.zeros(2 * inputs, np.int64), 0)), (dyadic(last, 0), dyadic(bias, 0))]
-    for name in found:
-        if name.startswith("carm"):
-            found[name] = silent(found[name])
-    return found
-
-
-def silent(layers: list[Layer]) -> list[Layer]:
-    """Layers of zeros."""
-    return [(np.zeros_like(weight), np.zeros_like(bias)) for weight, bias in layers]
-
-
-def constant(d: Dimensions, numbers: Numbers, mean: NDArray[np.int64], scale: NDArray[np.int64]) -> Networks:
-    """Networks whose F_h says the same of every anchor: means and scale indices of the D channels; CARM adds nothing."""
-    found = networks(d, numbers)
-    found = {
-        name: silent(layers) if name == "hyper" or name.startswith("carm") else layers for name, layers in found.items()
+def sparse(made: Scene) -> Scene:
+    """The scene with few weights that are not zero, in mode 1: large networks in few bytes."""
+    numbers = Numbers("sparse")
+    kept = {
+        name: [(np.where(numbers.integers(0, 15, *w.shape) == 0, w, 0).astype(np.float32), b) for w, b in layers]
+        for name, layers in made.networks.items()
     }
-    found["hyper"][-1][1][:] = np.concatenate([mean, scale, [32, 32, 32]])
-    return found
+    return packed_weights(replace(made, networks=kept))

@@ -11,15 +11,15 @@ from pathlib import Path
 from typing import Any
 
 from refcodec.bitstream import codec, header
-from refcodec.bitstream.errors import REGISTRY, BitstreamError
+from refcodec.bitstream.errors import BitstreamError
 from refcodec.bitstream.limits import PROFILES
 from refcodec.bitstream.reconstruction import canonical_head, digest
 from refcodec.inspect.trace import symbol_trace
 
-from ..blocks import SPEC, requirements
 from ..manifest import MANIFEST, SCHEMA, VECTORS
-from .book import Recipe, Refused, Seen
+from .book import Recipe, Seen, path_of
 from .cameras import TOLERANCE, expected
+from .fault import Refused
 from .features import FEATURES
 from .flags import FLAGS
 
@@ -72,11 +72,11 @@ def _rejected(recipe: Recipe, made: Refused) -> dict[str, Any]:
         codec.parse(made.data)
     except BitstreamError as error:
         if (error.kind.name, error.offset) != (made.name, made.offset):
-            text = f"{recipe.id}: the recipe says {made.name} at {made.offset}, refcodec {error.kind.name} at {error.offset}"
-            raise GeneratorError(text) from None
+            said = f"the recipe says {made.name} at {made.offset}"
+            raise GeneratorError(f"{recipe.id}: {said}, refcodec {error.kind.name} at {error.offset}") from None
     else:
         raise GeneratorError(f"{recipe.id}: {made.name} expected, refcodec accepts the file")
-    kind = REGISTRY[made.name]
+    kind = made.kind
     if recipe.klass not in (kind.klass, "resource"):
         raise GeneratorError(f"{recipe.id}: {made.name} is {kind.klass}")
     return {"result": "rejected", "code": kind.code, "name": made.name, "offset": made.offset, "clause": kind.clause}
@@ -84,14 +84,12 @@ def _rejected(recipe: Recipe, made: Refused) -> dict[str, Any]:
 
 def vectors(recipes: Iterable[Recipe]) -> Iterator[tuple[dict[str, Any], dict[str, bytes]]]:
     """For each recipe the vector as the manifest has it, and its files by path. Raises GeneratorError."""
-    names = {error: name for name, _, _, error in requirements(SPEC.read_text(encoding="utf-8")) if error}
-    inputs: dict[str, bytes] = {}
     for recipe in recipes:
-        made, path = recipe.make(), f"{recipe.klass}/{recipe.name}.c3gs"
+        made, path = recipe.make(), path_of(recipe.id)
         files: dict[str, bytes] = {}
         proved = ["D2.1-1"]
         if isinstance(made, Seen):
-            path, data = made.path, inputs[made.path]
+            path, data = path_of(made.id), made.data
             listed, found = path.replace(".c3gs", f"-{recipe.name}.json"), expected(data, made.camera)
             files[listed] = found
             expectation: dict[str, Any] = {
@@ -99,17 +97,17 @@ def vectors(recipes: Iterable[Recipe]) -> Iterator[tuple[dict[str, Any], dict[st
                 "camera": made.camera,
                 "path": listed,
                 "sha256": _sha256(found),
+                "tolerance": TOLERANCE,
             }
-            expectation["tolerance"] = TOLERANCE
             proved = ["G14.3-1"]
         elif isinstance(made, Refused):
-            data, expectation = made.data, _rejected(recipe, made)
-            proved = [names[made.name], "D2.1-1"]
+            files[path] = data = made.data
+            expectation = _rejected(recipe, made)
+            proved = [made.kind.requirement, "D2.1-1"]
         else:
-            data, expectation = made, _accepted(recipe, made)
+            files[path] = data = made
+            expectation = _accepted(recipe, made)
             proved = ["D2.1-1", "D9.3-1"]
-        if not isinstance(made, Seen):
-            files[path] = inputs[path] = data
         profile, level = _stated(data)
         yield (
             {

@@ -2,7 +2,8 @@
 
 python -m conformance.cases.train_sources [NAME]
 
-The suite is generated from the files that are there; a training gives the same file only on the same machine and libraries.
+The suite is generated from the files that are there. A training gives the same file only on the same machine with the
+same libraries.
 """
 
 from __future__ import annotations

@@ -1,8 +1,8 @@
-"""Both decoders, and any other one, over many files: valid scenes of profile Tiny, and files made from them that are changed, cut or
-faulty.
+"""Both decoders, and any other one, over many files.
 
-They must agree on each: the same digest, or the same code at the same offset, and the expected one where it is known; and an
-accepted file must be the one that the encoder writes for its scene (SPEC.md 4.3).
+The files are of valid scenes of profile Tiny, and made from them: changed, cut or faulty. The decoders must agree on
+each: on the digest, or on the code and its offset. Where the verdict is known, theirs must be the known one. An
+accepted file must be the one that the encoder writes for its scene (SPEC 4.3).
 """
 
 from __future__ import annotations
@@ -30,13 +30,12 @@ from refcodec.bitstream import codec, reconstruction
 from refcodec.bitstream.errors import BitstreamError
 
 from .. import independent
-from ..cases.faults import FAULTS, draw_fault
-from ..cases.files import Target
+from ..cases.target import Target
 from ..runner import grading, process
-from .strategies import draw_mutation, draw_splice, scenes
+from .strategies import draw_fault, draw_mutation, draw_splice, drawable, scenes
 
-# Budgets: seconds for one decoder and one file; bytes of address space of a worker, most of it libraries; bytes of resident memory of
-# another decoder's process.
+# Budgets: seconds for one decoder and one file, bytes of address space of a worker, of which libraries take most, and
+# bytes of resident memory of another decoder's process.
 FILE_SECONDS = 20
 WORKER_BYTES = 3 << 30
 PROCESS_BYTES = 256 << 20
@@ -48,7 +47,7 @@ Verdict = tuple[str, int]
 
 
 def first_verdict(data: bytes) -> Verdict:
-    """refcodec's: ("", 0) and the digest in place of the name for an accepted file, else name and offset of its error."""
+    """refcodec's: name and offset of its error, or for an accepted file its digest and -1."""
     try:
         return reconstruction.digest(codec.parse(data).scene)[0], -1
     except BitstreamError as error:
@@ -117,9 +116,10 @@ def _limited(seconds: int) -> Iterator[None]:
 
 
 def compare(data: bytes, expected: Verdict | None = None, command: Sequence[str] = ()) -> tuple[Verdict, str | None]:
-    """refcodec's verdict, and what is wrong: the decoders differ, one fails otherwise, or the verdict is not the expected one.
+    """refcodec's verdict, and what is wrong, or None.
 
-    command: another decoder's, with {input} and {output}.
+    Wrong is that the decoders differ, that one fails otherwise, and that the verdict is not the expected one. command:
+    another decoder's, with {input} and {output}.
     """
     verdicts = []
     for decoder in (first_verdict, second_verdict):
@@ -158,7 +158,7 @@ def families(draw: st.DrawFn) -> list[tuple[bytes, Verdict | None]]:
     for _ in range(FILES_OF_A_SCENE - 1):
         kind = draw(st.sampled_from(KINDS))
         if kind == "fault":
-            fault = draw_fault(draw, target, draw(st.sampled_from(sorted(FAULTS))))
+            fault = draw_fault(draw, target, draw(st.sampled_from(sorted(drawable()))))
             if fault is not None:
                 made.append((fault.data, (fault.name, fault.offset)))
         elif kind in ("cut", "flip"):
@@ -227,9 +227,10 @@ def _load(state: Path, first_seed: int, command: Sequence[str]) -> tuple[set[int
 
 
 def run(count: int, first_seed: int, jobs: int, state: Path, keep: Path, command: Sequence[str]) -> int:
-    """Compares the decoders on at least `count` files; `jobs` processes. Batches done are noted in `state`, so that a run which is
-    interrupted goes on from there; files on which they disagree go to the folder `keep`. command: another decoder's, with {input} and
-    {output}, or nothing. Returns 0 if there are no disagreements, else 1.
+    """Compares the decoders on at least `count` files, in `jobs` processes. Returns 1 if they disagree on any, else 0.
+
+    state: where batches are noted that are done: a run that is interrupted goes on from there. keep: the folder for
+    files on which they disagree. command: another decoder's, with {input} and {output}, or nothing.
     """
     done, seen, wrong = _load(state, first_seed, command)
     # Some scenes have no place for a fault that is drawn, and give fewer files; the last batches make up for them.
@@ -247,9 +248,8 @@ def run(count: int, first_seed: int, jobs: int, state: Path, keep: Path, command
                 keep.mkdir(parents=True, exist_ok=True)
                 path = keep / f"{number}-{wrong}.c3gs"
                 path.write_bytes(data)
-                print(
-                    f"{path}: {text}\n  to see it: refcodec inspect {path} --hex; python -m conformance.independent validate {path}"
-                )
+                see = f"refcodec inspect {path} --hex; python -m conformance.independent validate {path}"
+                print(f"{path}: {text}\n  to see it: {see}")
             state.parent.mkdir(parents=True, exist_ok=True)
             saved = {
                 "seed": first_seed,
@@ -261,9 +261,8 @@ def run(count: int, first_seed: int, jobs: int, state: Path, keep: Path, command
             state.write_text(json.dumps(saved), encoding="utf-8")
             if sum(seen.values()) >= count:
                 break
-    print(
-        f"{sum(seen.values())} files, {wrong} disagreements, {time.monotonic() - began:.0f} s with {jobs} processes; verdicts:"
-    )
+    took = f"{time.monotonic() - began:.0f} s with {jobs} processes"
+    print(f"{sum(seen.values())} files, {wrong} disagreements, {took}; verdicts:")
     for name, number in seen.most_common():
         print(f"  {name:<26} {number:>7}")
     return 1 if wrong else 0

@@ -2,8 +2,9 @@
 
     python -m conformance.fuzz.guided out/corpus vectors -max_total_time=600
 
-The first folder collects what reaches new code; arguments after the folders are libFuzzer's. Checksums are repaired before a file is
-decoded, unless its last byte is odd, so that changes reach what lies behind them. A disagreement ends it, and libFuzzer keeps the file.
+The first folder collects what reaches new code. Arguments after the folders are libFuzzer's. Checksums are repaired
+before a file is decoded, unless the input's last byte is odd, so that changes reach what lies behind them. A
+disagreement ends the run, and libFuzzer keeps the file.
 """
 
 from __future__ import annotations
@@ -13,7 +14,7 @@ import sys
 import atheris
 
 with atheris.instrument_imports(include=["refcodec", "conformance.independent"]):
-    from conformance.cases.files import repair
+    from conformance.cases.checksums import repair
     from conformance.fuzz import compare
 
 

@@ -1,16 +1,21 @@
-"""Hypothesis strategies: one for each structure of SPEC.md, whole scenes, and files changed with their checksums repaired."""
+"""Hypothesis strategies: structures of SPEC.md, whole scenes, faults, and changed files whose checksums are right."""
 
 from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import TypeVar
 
 import numpy as np
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
-from conformance.cases.files import repair, resized, substreams
-from conformance.cases.random_scenes import with_steps
+from conformance.cases import faults
+from conformance.cases.checksums import repair
+from conformance.cases.fault import Draw, Fault, Refused
+from conformance.cases.scenes import with_steps
+from conformance.cases.target import Target
 from refcodec.bitstream import frame, header, weights
 from refcodec.bitstream.attributes import ATTRIBUTE_SYMBOL_MAX, Attributes
-from refcodec.bitstream.codec import parse_container
 from refcodec.bitstream.dimensions import Dimensions, mask_contexts
 from refcodec.bitstream.frame import Frame
 from refcodec.bitstream.header import ORIGIN_BOUND, Lanes, PositionGrid, RenderInfo
@@ -22,6 +27,7 @@ from refcodec.bitstream.scene import Scene
 from refcodec.encoder.positions import frequencies, morton_order, position_model
 from refcodec.encoder.weights import exact_networks, quantise_rendering, weight_scales
 
+T = TypeVar("T")
 F32 = st.floats(width=32, allow_nan=False, allow_infinity=False)
 
 
@@ -94,7 +100,7 @@ def frames(draw: st.DrawFn) -> Frame:
 
 @st.composite
 def networks(draw: st.DrawFn, d: Dimensions) -> dict:
-    """Weights of all sizes whose rows keep the accumulator bound: random, zero, subnormal, and as large as the bound allows."""
+    """Weights whose rows keep the accumulator bound: random, zero, subnormal, and as large as the bound allows."""
     rng = np.random.default_rng(draw(st.integers(0, 2**32 - 1)))
     out = {}
     for name, shapes in d.network_shapes().items():
@@ -236,6 +242,38 @@ def scenes(draw: st.DrawFn, max_anchors: int = 12) -> Scene:
     return with_steps(scene)
 
 
+class Drawer(Draw):
+    """What draws the parameters of faults: hypothesis's own strategies."""
+
+    def __init__(self, draw: st.DrawFn) -> None:
+        self._draw = draw
+
+    def integer(self, low: int, high: int) -> int:
+        return self._draw(st.integers(low, high))
+
+    def flag(self) -> bool:
+        return self._draw(st.booleans())
+
+    def choice(self, items: Sequence[T]) -> T:
+        return self._draw(st.sampled_from(items))
+
+    def content(self, low: int, high: int) -> bytes:
+        return self._draw(st.binary(min_size=low, max_size=high))
+
+
+def drawable() -> dict[str, Fault[...]]:
+    """The faults whose parameters can be drawn, by name; the others are of the suite alone."""
+    return {name: fault for name, fault in faults().items() if fault.draw is not None}
+
+
+def draw_fault(draw: st.DrawFn, target: Target, name: str) -> Refused | None:
+    """A file with the named fault, made from a valid file of profile Tiny; None if that file has no place for it."""
+    fault = faults()[name]
+    assert fault.draw is not None
+    arguments = fault.draw(Drawer(draw), target)
+    return None if arguments is None else fault(*arguments)
+
+
 def draw_mutation(draw: st.DrawFn, data: bytes) -> bytes:
     """A file with a few bytes changed behind the prologue, its checksums repaired if they can still be found."""
     out = bytearray(data)
@@ -249,21 +287,20 @@ mutations = st.composite(draw_mutation)
 
 
 def draw_splice(draw: st.DrawFn, data: bytes) -> bytes:
-    """A file with a few bytes of one substream taken out, put in or moved to another value, all lengths and checksums made right;
-    with or without a word count that follows."""
-    kind, start, length, length_at = draw(st.sampled_from(substreams(data)))
-    section = parse_container(data).sections[kind]
-    at = draw(st.integers(0, length))
-    out = draw(st.integers(0, min(8, length - at)))
-    new = draw(st.binary(max_size=8))
-    part = bytearray(data[start : start + length])
-    part[at : at + out] = new
+    """A file with a few bytes of one substream taken out, put in or changed.
+
+    Lengths and checksums are right. The word count may change too.
+    """
+    target = Target(data)
+    s = draw(st.sampled_from(list(target.substreams.values())))
+    part = bytearray(data[s.start : s.end])
+    at = draw(st.integers(0, len(part)))
+    out = draw(st.integers(0, min(8, len(part) - at)))
+    part[at : at + out] = draw(st.binary(max_size=8))
     if len(part) >= 8 and draw(st.booleans()):
         words = max(0, int.from_bytes(part[4:8], "little") + draw(st.integers(-4, 4)))
         part[4:8] = words.to_bytes(4, "little")
-    return resized(
-        data, kind, data[section.start : start] + bytes(part) + data[start + length : section.end], length_at
-    )
+    return target.with_substream(s.path, bytes(part))
 
 
 splices = st.composite(draw_splice)

@@ -14,7 +14,7 @@ import pytest
 from hypothesis import example, given
 from hypothesis import strategies as st
 
-from conformance.cases.random_scenes import MAIN_DIMENSIONS, random_scene
+from conformance.cases.scenes import MAIN_DIMENSIONS, random_scene
 from conformance.fuzz.strategies import frames
 from refcodec.bitstream import batches, codec, context, conventions, networks, positions, reconstruction
 from refcodec.bitstream.entropy import select

@@ -12,8 +12,9 @@ import pytest
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
-from conformance.cases.files import Target, repair, resized, substreams
-from conformance.cases.random_scenes import MAIN_DIMENSIONS, TINY_DIMENSIONS, random_scene
+from conformance.cases.checksums import repair
+from conformance.cases.scenes import MAIN_DIMENSIONS, TINY_DIMENSIONS, random_scene
+from conformance.cases.target import Target
 from conformance.fuzz.strategies import mutations, scenes, splices
 from refcodec.bitstream import codec, directory, header
 from refcodec.bitstream.codec import parse_container
@@ -104,14 +105,12 @@ def test_bytes_of_a_substream_taken_out_or_put_in(data: bytes) -> None:
 
 def test_every_substream_longer_and_shorter() -> None:
     """Each substream one byte longer, one byte shorter, and empty: refused where it starts."""
-    sections = parse_container(FILE).sections
-    for kind, at, length, length_at in substreams(FILE):
-        head, tail = FILE[sections[kind].start : at], FILE[at + length : sections[kind].end]
-        part = FILE[at : at + length]
+    for path, s in TARGET.substreams.items():
+        part = FILE[s.start : s.end]
         for content in (part + b"\0", part[:-1], b"", part[:7], part[:8]):
-            error = refused(resized(FILE, kind, head + content + tail, length_at))
+            error = refused(TARGET.with_substream(path, content))
             assert error is not None
-            assert error.offset == at
+            assert error.offset == s.start
             assert error.kind.name.startswith("substream.")
 
 
@@ -151,7 +150,7 @@ def test_random_bytes_behind_a_prologue(data: bytes) -> None:
 # --- one field at a time ---------------------------------------------------------------------------------------------
 
 TARGET = Target(FILE)
-TABLE = TARGET.entries
+TABLE = TARGET.at("chunk_table.entry[0].position_length")
 ATTRIBUTES = TARGET.start(directory.ATTRIBUTES)
 NAN = struct.pack("<f", float("nan"))
 

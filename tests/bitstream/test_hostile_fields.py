@@ -12,8 +12,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from test_hostile import refused
 
-from conformance.cases.files import layout, repair
-from conformance.cases.random_scenes import MAIN_DIMENSIONS, random_scene, without_chunks
+from conformance.cases.checksums import layout, repair
+from conformance.cases.scenes import MAIN_DIMENSIONS, random_scene, without_chunks
 from refcodec.bitstream import codec, directory, header, syntax
 from refcodec.bitstream.codec import parse_container
 from refcodec.bitstream.dimensions import Dimensions

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from conformance.cases.files import repair
-from conformance.cases.random_scenes import random_scene, without_chunks
+from conformance.cases.checksums import repair
+from conformance.cases.scenes import random_scene, without_chunks
 from conformance.fuzz import compare
 from refcodec.bitstream import batches, codec, directory
 from refcodec.bitstream.chunks import chunk_ranges

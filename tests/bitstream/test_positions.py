@@ -11,7 +11,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from conformance.blocks import blocks
-from conformance.cases.random_scenes import MAIN_DIMENSIONS, random_scene, with_steps
+from conformance.cases.scenes import MAIN_DIMENSIONS, random_scene, with_steps
 from conformance.fuzz.strategies import position_models, positions, some_positions
 from refcodec.bitstream import codec, directory
 from refcodec.bitstream.chunks import chunk_ranges

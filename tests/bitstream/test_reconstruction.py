@@ -12,7 +12,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from test_exact import exact_f32
 
-from conformance.cases.random_scenes import random_scene
+from conformance.cases.scenes import random_scene
 from conformance.fuzz.strategies import grids, positions, scenes
 from refcodec.bitstream import codec, reconstruction
 from refcodec.bitstream.attributes import ATTRIBUTE_SYMBOL_MAX, KINDS

@@ -14,7 +14,7 @@ import pytest
 from hypothesis import example, given
 from hypothesis import strategies as st
 
-from conformance.cases.random_scenes import MAIN_DIMENSIONS, TINY_DIMENSIONS, random_networks, random_scene, with_steps
+from conformance.cases.scenes import MAIN_DIMENSIONS, TINY_DIMENSIONS, random_networks, random_scene, with_steps
 from refcodec.bitstream import codec, conventions, masks, networks, planes, positions, reconstruction
 from refcodec.bitstream import tables as tables_module
 from refcodec.bitstream.attributes import Attributes

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 
-from conformance.cases.random_scenes import MAIN_DIMENSIONS, TINY_DIMENSIONS, random_scene, with_steps
+from conformance.cases.scenes import MAIN_DIMENSIONS, TINY_DIMENSIONS, random_scene, with_steps
 from conformance.fuzz.strategies import scenes
 from refcodec.bitstream import batches, codec, reconstruction
 from refcodec.bitstream.attributes import ATTRIBUTE_SYMBOL_MAX

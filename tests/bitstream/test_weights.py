@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
 from conformance.blocks import blocks, decode
-from conformance.cases.random_scenes import MAIN_DIMENSIONS, random_scene
+from conformance.cases.scenes import MAIN_DIMENSIONS, random_scene
 from refcodec.bitstream import codec, directory, reconstruction
 from refcodec.bitstream.codec import parse_container
 from refcodec.bitstream.dimensions import layers_of

@@ -17,7 +17,7 @@ import numpy as np
 import pytest
 
 import refcodec
-from conformance.cases.random_scenes import MAIN_DIMENSIONS, random_scene, with_steps, without_chunks
+from conformance.cases.scenes import MAIN_DIMENSIONS, random_scene, with_steps, without_chunks
 from refcodec.bitstream import codec, directory, syntax
 from refcodec.bitstream.codec import parse_container
 from refcodec.bitstream.errors import BitstreamError

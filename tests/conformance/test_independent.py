@@ -15,10 +15,12 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from conformance import cli, independent
-from conformance.cases.faults import FAULTS, Fault, draw_fault
-from conformance.cases.files import Target, repair, resized
-from conformance.cases.random_scenes import MAIN_DIMENSIONS, random_scene
+from conformance.cases.checksums import repair, resized
+from conformance.cases.fault import Refused
+from conformance.cases.scenes import MAIN_DIMENSIONS, random_scene
+from conformance.cases.target import Target
 from conformance.fuzz import compare
+from conformance.fuzz.strategies import draw_fault, drawable
 from conformance.independent import conventions, limits
 from conformance.independent import errors as second_errors
 from refcodec.bitstream import codec, directory, reconstruction
@@ -52,13 +54,16 @@ TARGETS = [
 
 
 def test_every_code_has_a_fault() -> None:
-    assert set(FAULTS) == set(REGISTRY)
+    """One at least whose parameters can be drawn."""
+    assert {fault.error for fault in drawable().values()} == set(REGISTRY)
 
 
 @st.composite
-def faulty(draw: st.DrawFn, name: str) -> Fault:
-    made = [fault for t in draw(st.permutations(TARGETS)) if (fault := draw_fault(draw, t, name))]
-    return made[0]
+def faulty(draw: st.DrawFn, error: str) -> Refused:
+    """A file with any fault that has this error."""
+    name = draw(st.sampled_from([name for name, fault in drawable().items() if fault.error == error]))
+    targets = draw(st.permutations(TARGETS))
+    return next(refused for t in targets if (refused := draw_fault(draw, t, name)) is not None)
 
 
 @pytest.mark.requirement("D2.1-1")

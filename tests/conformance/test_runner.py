@@ -21,7 +21,8 @@ import jsonschema
 import pytest
 
 from conformance import cli
-from conformance.cases.files import Target, repair
+from conformance.cases.checksums import repair
+from conformance.cases.target import Target
 from conformance.manifest import MANIFEST, SCHEMA, VECTORS, load
 from conformance.report import summary
 from conformance.runner import commands, fluster, process

@@ -6,6 +6,8 @@ import copy
 import hashlib
 import io
 import json
+import subprocess
+import sys
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -15,8 +17,9 @@ import numpy as np
 import pytest
 
 from conformance import blocks, cli, independent
-from conformance.cases import recipes
-from conformance.cases.book import Recipe, Refused
+from conformance.cases import masks, recipes
+from conformance.cases.book import Book, Recipe
+from conformance.cases.fault import Refused
 from conformance.cases.features import FEATURES
 from conformance.cases.flags import FLAGS
 from conformance.cases.numbers import Numbers
@@ -43,6 +46,7 @@ from refcodec.bitstream.entropy import select
 from refcodec.bitstream.errors import REGISTRY
 from refcodec.bitstream.tables import tables
 from refcodec.cli.main import main
+from refcodec.inspect import specification
 from refcodec.inspect.trace import symbol_trace
 
 SUITE = load()
@@ -85,7 +89,7 @@ def test_everything_has_a_vector() -> None:
     """Every requirement that a file can test, every error, feature and flag."""
     assert {v.expectation.name for v in DECODED if isinstance(v.expectation, Rejected)} == set(REGISTRY)
     proved = {name for v in SUITE.vectors for name in v.requirements}
-    names = {name for name, *_ in blocks.requirements(blocks.SPEC.read_text(encoding="utf-8"))}
+    names = set(specification.requirements(specification.text()))
     # What a mode or an image would show that no runner asks for.
     assert names - proved == {"D10.1-2", "G14.5-1"}
     assert proved <= names
@@ -200,9 +204,30 @@ def test_recipes_that_say_something_else() -> None:
             list(vectors([Recipe(f"{klass}-wrong", "a wrong recipe", lambda result=result: result, ("header",))]))  # type: ignore[misc]
 
 
-def test_recipes_are_named_once() -> None:
-    names = [r.id for r in recipes()]
-    assert len(names) == len(set(names)) == len(SUITE.vectors)
+def test_recipes_are_those_of_the_manifest_in_its_order() -> None:
+    assert [r.id for r in recipes()] == [v.id for v in SUITE.vectors]
+
+
+def test_an_identifier_is_permanent(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A new case comes last wherever its file is; an identifier that is gone is told."""
+    old = masks.add
+
+    def new(book: Book) -> None:
+        book.valid("new", "a new case", bytes, features="masks")
+        old(book)
+
+    monkeypatch.setattr(masks, "add", new)
+    assert [r.id for r in recipes()] == [*(v.id for v in SUITE.vectors), "valid-new"]
+    monkeypatch.setattr(masks, "add", lambda book: None)
+    with pytest.raises(ValueError, match="no case has the identifiers valid-mask-contexts, valid-mask-model-extreme, "):
+        recipes()
+
+
+def test_the_generator_does_without_hypothesis() -> None:
+    """The extra `test` is not needed for the suite."""
+    without = "import sys; sys.modules['hypothesis'] = None"
+    code = f"{without}; from conformance.cases import recipes; recipes()[-1].make()"
+    subprocess.run([sys.executable, "-c", code], check=True, cwd=VECTORS.parent)
 
 
 # --- the decoders -----------------------------------------------------------------------------------------------------
@@ -234,7 +259,7 @@ def test_the_second_decoder(klass: str) -> None:
 @pytest.mark.slow
 def test_the_text_of_the_specification() -> None:
     """SPEC.md's blocks decode the small files to the same numbers."""
-    space = blocks.blocks(blocks.SPEC.read_text(encoding="utf-8"))
+    space = blocks.blocks(specification.text())
     assert len(SMALL) > 100
     for vector in SMALL:
         found, verdicts = blocks.decode(space, data(vector), parse_container(data(vector)))
@@ -245,7 +270,7 @@ def test_the_text_of_the_specification() -> None:
 
 def test_the_text_s_verdict_on_weights() -> None:
     """The block of 7.13 refuses what the vectors refuse there."""
-    space, seen = blocks.blocks(blocks.SPEC.read_text(encoding="utf-8")), set()
+    space, seen = blocks.blocks(specification.text()), set()
     for vector in DECODED:
         e = vector.expectation
         if isinstance(e, Rejected) and e.name in ("weights.not_finite", "weights.exponent", "weights.raw"):

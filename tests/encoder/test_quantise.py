@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from conformance.cases.random_scenes import MAIN_DIMENSIONS, TINY_DIMENSIONS, random_networks
+from conformance.cases.scenes import MAIN_DIMENSIONS, TINY_DIMENSIONS, random_networks
 from refcodec.bitstream import codec
 from refcodec.bitstream.context import contract, frame_coordinates, rescale
 from refcodec.bitstream.frame import (

@@ -16,7 +16,7 @@ from pathlib import Path
 
 from PIL import Image
 
-from conformance.cases.random_scenes import random_scene
+from conformance.cases.scenes import random_scene
 from refcodec.bitstream.codec import emit, parse
 from refcodec.cli import main as cli
 from refcodec.folder.write import write_folder

@@ -14,7 +14,7 @@ import pytest
 from plyfile import PlyData, PlyElement
 from safetensors.numpy import load_file, save_file
 
-from conformance.cases.random_scenes import MAIN_DIMENSIONS, random_scene, with_steps, without_chunks
+from conformance.cases.scenes import MAIN_DIMENSIONS, random_scene, with_steps, without_chunks
 from refcodec.bitstream import codec
 from refcodec.bitstream.dimensions import Dimensions
 from refcodec.bitstream.header import RenderInfo

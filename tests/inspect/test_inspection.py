@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from conformance.cases.random_scenes import MAIN_DIMENSIONS, TINY_DIMENSIONS, random_scene
+from conformance.cases.scenes import MAIN_DIMENSIONS, TINY_DIMENSIONS, random_scene
 from refcodec.bitstream import codec, syntax
 from refcodec.bitstream.codec import parse_container
 from refcodec.bitstream.directory import SECTIONS

@@ -11,12 +11,13 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from conformance.blocks import SPEC, blocks
-from conformance.cases.random_scenes import random_scene
+from conformance.blocks import blocks
+from conformance.cases.scenes import random_scene
 from conformance.fuzz.strategies import render_infos
 from refcodec.bitstream.header import RenderInfo
 from refcodec.bitstream.reconstruction import Reconstruction, reconstruct
 from refcodec.bitstream.scene import Scene
+from refcodec.inspect import specification
 from refcodec.render.camera import Camera, default_camera, rotation_matrix
 from refcodec.render.gaussians import Gaussians, gaussians
 
@@ -25,7 +26,7 @@ ROOT = Path(__file__).resolve().parents[2]
 
 @pytest.fixture(scope="module")
 def text() -> dict:
-    return blocks(SPEC.read_text(encoding="utf-8"))
+    return blocks(specification.text())
 
 
 # Of the scenes: the distance that the networks have as 1.
@@ -131,7 +132,7 @@ def test_the_default_camera_of_any_file(info: RenderInfo) -> None:
 def test_rotation_is_that_of_the_text(seed: int) -> None:
     quaternion = np.random.default_rng(seed).normal(size=(3, 4))
     quaternion /= np.linalg.norm(quaternion, axis=1, keepdims=True)
-    rotation = blocks(SPEC.read_text(encoding="utf-8"))["ROTATION"]
+    rotation = blocks(specification.text())["ROTATION"]
     assert np.allclose(rotation_matrix(quaternion), [rotation(q) for q in quaternion.tolist()], atol=1e-15)
 
 

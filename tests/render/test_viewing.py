@@ -17,7 +17,7 @@ for package in ("numba", "PIL", "skimage", "scipy"):
 
 from PIL import Image  # noqa: E402
 
-from conformance.cases.random_scenes import random_scene  # noqa: E402
+from conformance.cases.scenes import random_scene  # noqa: E402
 from refcodec.bitstream import codec  # noqa: E402
 from refcodec.cli.main import main  # noqa: E402
 from refcodec.evaluate.quality import measures  # noqa: E402

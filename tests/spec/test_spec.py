@@ -15,7 +15,7 @@ import numpy as np
 import pytest
 
 from conformance.blocks import blocks, decode
-from conformance.cases.random_scenes import MAIN_DIMENSIONS, TINY_DIMENSIONS, random_scene
+from conformance.cases.scenes import MAIN_DIMENSIONS, TINY_DIMENSIONS, random_scene
 from conformance.manifest import load
 from refcodec import bitstream
 from refcodec.bitstream import codec, context, directory, entropy, errors, networks, reconstruction, syntax, tables

@@ -1,29 +1,31 @@
-"""Symbols that are drawn from the models that a decoder will use: the decoding process of refcodec with a coder that makes them up."""
+"""Coders that make symbols up. refcodec's decoding process runs with them, so the models are those of a decoder."""
 
 from __future__ import annotations
 
 from collections import defaultdict
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 
 from refcodec.bitstream import codec
 from refcodec.bitstream.attributes import ATTRIBUTE_SYMBOL_MAX, code_attributes
 from refcodec.bitstream.chunks import chunk_ranges
+from refcodec.bitstream.dimensions import Dimensions
 from refcodec.bitstream.entropy import SymbolName, select
 from refcodec.bitstream.planes import code_planes
 from refcodec.bitstream.scene import Scene
 from refcodec.bitstream.tables import ModelSet
 
 from .numbers import Int64, Numbers
-from .scenes import settled
+from .scenes import TINY_DIMENSIONS, scene, settled
 
 # One value in this many is escaped, of those that a scene's sampler draws.
 ESCAPES = 40
 
 
 class Sampler:
-    """A coder that makes symbols up: any symbol of a model is as likely as another, the raw bits are any, and some are escaped."""
+    """Takes each symbol of a model as often as another, any raw bits, and now and then an escape."""
 
     def __init__(self, numbers: Numbers, escapes: int = ESCAPES) -> None:
         """escapes: one value in so many, 0 for none."""
@@ -60,7 +62,7 @@ class Sampler:
 
 
 class Sweep(Sampler):
-    """Takes the symbols of each model in turn: the escape, the ends, and then the others."""
+    """Takes the symbols of each model in turn: the escape first, then the ends, then the others."""
 
     def __init__(self, numbers: Numbers) -> None:
         super().__init__(numbers)
@@ -76,8 +78,16 @@ class Sweep(Sampler):
         return np.array(found, dtype=np.int64)
 
 
+class Rare(Sampler):
+    """Takes always the rarest symbol of a model that is no escape, at one end or the other."""
+
+    def distances(self, model: Int64, radius: Int64) -> Int64:
+        """As Sampler's."""
+        return np.asarray(radius * self.numbers.chosen([-1, 1], len(model)))
+
+
 def sampled(made: Scene, coder: Sampler, planes: bool = True) -> Scene:
-    """The scene with attributes, and planes if wanted, that the coder makes up."""
+    """The scene with attributes that the coder makes up, and with such planes if they are wanted."""
     d = made.dimensions
     if planes:
         made = replace(made, planes=code_planes(coder, codec.Coding(made).sarm, d.plane_channels, d.plane_size))
@@ -87,3 +97,8 @@ def sampled(made: Scene, coder: Sampler, planes: bool = True) -> Scene:
     )
     assert np.abs(attributes.features).max(initial=0) <= ATTRIBUTE_SYMBOL_MAX
     return settled(replace(made, attributes=attributes))
+
+
+def drawn(name: str, anchors: int, d: Dimensions = TINY_DIMENSIONS, **changes: Any) -> Scene:
+    """A scene whose symbols are drawn from its models. changes: as of scene."""
+    return sampled(scene(name, anchors, d, **changes), Sampler(Numbers(f"{name}/symbols")))

@@ -1,0 +1,95 @@
+"""Positions as cells of a lattice (SPEC 7.12), models that no encoder would choose, and files with other cells."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from refcodec.bitstream import codec
+from refcodec.bitstream.entropy import Encoder
+from refcodec.bitstream.header import Lanes
+from refcodec.bitstream.positions import (
+    CELL_INDEX,
+    EMPTY_MODELS,
+    HALVES,
+    PACKED,
+    POSITION_MODELS,
+    PositionModel,
+    cell_positions,
+    chunk_codes,
+    code_cells,
+    morton,
+)
+from refcodec.bitstream.scene import Scene
+from refcodec.bitstream.tables import TOTAL
+from refcodec.encoder.positions import position_model
+
+from .numbers import Int64, Numbers
+from .scenes import SMALLEST, scene
+from .target import Target
+
+# The cell of the position 0 along each axis.
+MIDDLE = 1 << 15
+
+
+def any_model(numbers: Numbers, largest: int = 5000) -> PositionModel:
+    """Frequencies that no one has observed."""
+    counts = numbers.integers(1, largest, POSITION_MODELS, HALVES)
+    for model, row in enumerate(counts):
+        row[0] = 0 if model in EMPTY_MODELS else row[0]
+        row[:] = np.where(row > 0, np.maximum(row * (TOTAL - 16) // row.sum(), 1), 0)
+        row[int(np.argmax(row))] += TOTAL - row.sum()
+    return PositionModel(CELL_INDEX, counts.astype(np.uint16))
+
+
+def sharp_model() -> PositionModel:
+    """Models in which the last symbol is as likely as can be."""
+    rows = np.ones((POSITION_MODELS, HALVES), np.int64)
+    rows[list(EMPTY_MODELS), 0] = 0
+    rows[:, -1] += TOTAL - rows.sum(axis=1)
+    return PositionModel(CELL_INDEX, rows.astype(np.uint16))
+
+
+def of_cells(cells: Int64, cell_shift: int) -> NDArray[np.float16]:
+    """The positions of cells, in the order of the tree, each once."""
+    ordered = cells[np.unique(morton(cells), return_index=True)[1]]
+    found, fits = cell_positions(ordered, cell_shift)
+    assert fits.all()
+    return found
+
+
+def placed(
+    name: str, where: NDArray[np.float16], model: PositionModel | None = None, shift: int | None = None, **changes: Any
+) -> Scene:
+    """A small scene at these positions, in mode 1. shift: the model's cell_shift. changes: as of scene."""
+    chosen = model or position_model(where, 4096)
+    if shift is not None:
+        chosen = replace(chosen, cell_shift=shift)
+    fields: dict[str, Any] = {"lanes": Lanes(0, 1, 0), "position_model": chosen, **changes}
+    return scene(name, len(where), SMALLEST, positions=where, **fields)
+
+
+def codes_of(t: Target) -> Int64:
+    """The Morton codes of the cells of a file whose one chunk is packed: int64 [anchors]."""
+    made = codec.parse(t.data).scene
+    assert made.position_model is not None
+    found = chunk_codes(made.positions, made.position_model.cell_shift)
+    assert found is not None
+    return found
+
+
+def with_cells(t: Target, code: Int64) -> bytes:
+    """The file with other cells in its first chunk, coded rightly with its model and lanes."""
+    made = codec.parse(t.data).scene
+    assert made.position_model is not None
+    encoder = Encoder(1, 1 << made.lanes.mask)
+    code_cells(encoder, made.position_model.models(), [0], [len(code)], code)
+    return t.with_positions(0, bytes([PACKED]) + encoder.finish()[0])
+
+
+def with_raw_chunk(t: Target) -> bytes:
+    """The file with its first chunk raw, the only one that it has."""
+    return t.with_positions(0, b"\0" + codec.parse(t.data).scene.positions.astype("<f2").tobytes())

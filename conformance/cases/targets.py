@@ -1,0 +1,100 @@
+"""The valid files that faults are put into.
+
+A file with a seed is one of several alike: the suite's has seed 0, and the fuzzer draws others.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from functools import cache, lru_cache
+
+import numpy as np
+
+from refcodec.bitstream import codec
+from refcodec.bitstream.header import Lanes
+from refcodec.bitstream.tables import tables
+from refcodec.encoder.positions import position_model
+
+from .cells import placed, sharp_model
+from .numbers import Numbers
+from .samplers import drawn
+from .scenes import (
+    MAIN_SMALLEST,
+    SMALLEST,
+    constant,
+    lattice,
+    packed_weights,
+    scene,
+    settled,
+    silent,
+    with_symbols,
+)
+from .target import Target
+
+# Seeds that the fuzzer draws.
+SEEDS = 6
+# The first substream of attributes, which is the only one of some files.
+ATTRIBUTES_0 = "attributes[chunk 0]"
+
+
+@cache
+def plain() -> Target:
+    """A file of three chunks in mode 0. Behind its critical sections are two ancillary ones, the last of them empty."""
+    made = drawn("refused", 11, chunk_size=4)
+    return Target(codec.emit(replace(made, extensions=((5, 1, b"hello"), (9, 0, b"")))))
+
+
+@cache
+def packed() -> Target:
+    """A file in mode 1: two packed chunks, a raw one and a packed one; the layer colour.0 is raw."""
+    where = lattice(Numbers("refused-packed"), 11)
+    where[6] = where[7]
+    made = drawn("refused-packed", 11, chunk_size=3, positions=where, position_model=position_model(where, 3))
+    made.networks["colour"][0][1][0] = -0.0
+    return Target(codec.emit(packed_weights(made)))
+
+
+@cache
+def main_file() -> Target:
+    """A file of profile Main, level 1, in mode 1, without anchors and with weights of 0."""
+    made = scene("refused-main", 0, MAIN_SMALLEST)
+    networks = {name: silent(layers) for name, layers in made.networks.items()}
+    networks["sarm"][-1][1][1] = -40
+    quiet = replace(made, networks=networks, planes=np.zeros_like(made.planes), position_model=sharp_model())
+    return Target(codec.emit(packed_weights(quiet)))
+
+
+@cache
+def grids(seed: int = 0) -> Target:
+    """A file in mode 1 whose first layer is raw because of a bias of -0, all others packed."""
+    d = replace(SMALLEST, slices=(1, 1), carm_width=(2,)) if seed % 2 else SMALLEST
+    made = scene("refused-grids", 2, d, seed, lanes=Lanes(0, 0, (1 + seed) % 3))
+    made.networks["hyper"][0][1][0] = -0.0
+    return Target(codec.emit(packed_weights(settled(made))))
+
+
+@cache
+def five_cells(seed: int = 0) -> Target:
+    """A file of five anchors in one packed chunk."""
+    where = lattice(Numbers("refused-cells", seed), 5)
+    return Target(codec.emit(placed("refused-cells", where, chunk_size=5, seed=seed)))
+
+
+@lru_cache(maxsize=64)
+def far(symbol: int, scale: int = -40, seed: int = 0) -> Target:
+    """A file of one anchor. Its one feature is far from its mean, which is 0; all else there costs next to nothing.
+
+    So the raw bytes of its attributes are those of one value. scale: the feature's scale index.
+    """
+    zero = np.zeros(SMALLEST.attribute_width, np.int64)
+    networks = constant(SMALLEST, Numbers("refused-far", seed), zero, zero - 40)
+    made = scene("refused-far", 1, SMALLEST, seed, networks=networks)
+    made.networks["hyper"][-1][1][SMALLEST.attribute_width] = scale
+    made = replace(made, masks=np.zeros((1, 1), bool), lanes=Lanes(0, 0, seed % 3))
+    return Target(codec.emit(with_symbols(made, features=np.array([[symbol]]), scalings=np.zeros((1, 6)))))
+
+
+@cache
+def radius() -> int:
+    """The radius of the models of far's feature, of the least scale: what is farther from the mean is escaped."""
+    return int(tables().gauss.radius[8])
