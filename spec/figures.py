@@ -6,6 +6,7 @@ from collections.abc import Callable, Iterator
 from typing import Any
 
 from conformance import blocks
+from refcodec.inspect import specification
 
 from .made import ROOT, Made
 
