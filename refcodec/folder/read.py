@@ -300,7 +300,7 @@ def _compare_ply(scene: Scene, path: Path) -> None:
     Somebody has edited it then, and encoding would silently leave the edit out.
     """
     file = path / PLY_FILE
-    advice = f"if {PLY_FILE} is the one to encode, delete {CODED_FILE} so that encode quantises it anew; otherwise decode again"
+    advice = f"to encode {PLY_FILE} as it is now, delete {CODED_FILE}; to undo the change, decode again"
     columns = Columns(file)
     if columns.count != scene.anchor_count:
         raise SceneFolderError(file, f"it has {columns.count} anchors, {CODED_FILE} has {scene.anchor_count}", advice)
