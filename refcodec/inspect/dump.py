@@ -62,7 +62,7 @@ def _rows_near(data: bytes, near: int | None) -> Iterator[Row]:
 
 
 def about_lines(data: bytes, near: int) -> Iterator[str]:
-    """Gives lines about the element at a byte: what it is, its clauses and requirements, and a command that tells more."""
+    """Gives lines about the element at a byte: what it is, its clauses and requirements, and a command to try next."""
     row = next((row for row in rows(data) if row.end > min(near, len(data) - 1)), None)
     if row is not None:
         yield ""
