@@ -1,4 +1,4 @@
-"""What SPEC.md says to a program: its requirements, and the decoder that its python blocks are together."""
+"""Reads SPEC.md as a program: its requirements, and the decoder that its python blocks make together."""
 
 from __future__ import annotations
 
@@ -12,12 +12,16 @@ from refcodec.bitstream import directory, syntax, tables
 from refcodec.bitstream.dimensions import layers_of
 from refcodec.bitstream.header import PROLOGUE_BYTES, Header
 
+# The number of a clause.
 CLAUSE = r"(?:\d+|[A-D])(?:\.\d+)*"
 SPEC = Path(__file__).resolve().parent.parent / "SPEC.md"
 
 
 def blocks(text: str) -> dict[str, Any]:
-    """The names that the python blocks of SPEC.md's text define, with the constants of 2.5 and the tables of Annex A."""
+    """Returns the names that the python blocks of SPEC.md define, with the constants of 2.5 and the tables of Annex A.
+
+    text: SPEC.md.
+    """
     table = text.partition("### 2.5 ")[2].partition("\n## ")[0]
     space: dict[str, Any] = {
         name: eval(value.replace("^", "**"))
@@ -31,7 +35,7 @@ def blocks(text: str) -> dict[str, Any]:
 
 
 def requirements(spec: str) -> Iterator[tuple[str, str, str, str]]:
-    """(identifier, clause, sentence, error's name or nothing) in the order of SPEC.md."""
+    """Gives (identifier, clause, sentence, name of the error or "") of each requirement, in the order of SPEC.md."""
     pattern = (
         rf"^- \[([RDG]({CLAUSE})-\d+)\] It is a requirement of (?:bitstream|decoder|renderer) conformance that (.*)$"
     )
@@ -42,9 +46,11 @@ def requirements(spec: str) -> Iterator[tuple[str, str, str, str]]:
 
 
 def decode(space: dict[str, Any], data: bytes, header: Header) -> tuple[bytes, list[str | None]]:
-    """The canonical reconstruction of a file by SPEC.md's blocks, and the verdict on each substream.
+    """Decodes a file with SPEC.md's blocks. Returns the canonical reconstruction, and the verdict on each substream.
 
-    The container is read with the schemas; its checksums are not looked at again.
+    space: what `blocks` returns. header: what parse_container returns. The schemas of refcodec read the container, and
+    its checksums are not checked again. If the weights or a chunk's positions have an error, the reconstruction is
+    empty.
     """
     h, _ = syntax.parse("Header", data, PROLOGUE_BYTES)
     start = {name: header.sections[kind].start for kind, name in directory.SECTIONS.items()}
