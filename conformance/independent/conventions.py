@@ -48,7 +48,7 @@ def clamp(value: int, low: int, high: int) -> int:
     return low if value < low else high if value > high else value
 
 
-# SPEC 7.2, 7.9: the range of an input activation
+# SPEC 7.2, 7.9: the range of a network's input
 def activation(value: int) -> int:
     """Return value, clamped to what a network reads."""
     return clamp(value, -ACTIVATION_MAX, ACTIVATION_MAX)

@@ -1,6 +1,6 @@
 """Clause 10.2: the registry of errors, and the exception that every refused file raises."""
 
-# SPEC 10.2: name -> (code, class, clause, meaning)
+# SPEC 10.2: for each name its code, class, clause and meaning
 REGISTRY: dict[str, tuple[int, str, str, str]] = {
     "prologue.truncated": (101, "malformed", "5.1", "the file is shorter than a prologue"),
     "prologue.signature": (102, "malformed", "6.1", "the first eight bytes are not the signature"),
