@@ -17,6 +17,7 @@ class Build(build_py):
     """Copies the travellers into the packages that it builds. An editable installation needs no copies."""
 
     def run(self) -> None:
+        """Builds the packages."""
         super().run()
         if self.editable_mode:
             return

@@ -35,7 +35,7 @@ def blocks(text: str) -> dict[str, Any]:
 
 
 def requirements(spec: str) -> Iterator[tuple[str, str, str, str]]:
-    """Gives (identifier, clause, sentence, name of the error or "") of each requirement, in the order of SPEC.md."""
+    """Yields (identifier, clause, sentence, name of the error or "") of each requirement, in the order of SPEC.md."""
     pattern = (
         rf"^- \[([RDG]({CLAUSE})-\d+)\] It is a requirement of (?:bitstream|decoder|renderer) conformance that (.*)$"
     )

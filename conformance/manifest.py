@@ -133,7 +133,7 @@ def _vector(fields: dict[str, Any]) -> Vector:
 
 
 def faults(document: dict[str, Any]) -> Iterator[str]:
-    """Gives the faults of a manifest that its schema cannot find."""
+    """Yields the faults of a manifest that its schema cannot find."""
     vectors = document["vectors"]
     for what, values in (
         ("id", [v["id"] for v in vectors]),

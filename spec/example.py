@@ -82,5 +82,5 @@ def example() -> Scene:
 
 
 def made() -> Iterator[Made]:
-    """Gives the file."""
+    """Yields the file."""
     yield Made(TARGET, codec.emit(example()))

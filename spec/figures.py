@@ -227,7 +227,7 @@ MAKE: dict[str, Callable[[dict[str, Any]], str]] = {
 
 
 def made() -> Iterator[Made]:
-    """Gives the pictures."""
+    """Yields the pictures."""
     space = blocks.blocks(blocks.SPEC.read_text(encoding="utf-8"))
     for name, make in MAKE.items():
         yield Made.text(PICTURES / f"{name}.svg", make(space))

@@ -89,5 +89,5 @@ def rewritten(text: str) -> str:
 
 
 def made() -> Iterator[Made]:
-    """Gives SPEC.md."""
+    """Yields SPEC.md."""
     yield Made.text(SPEC, rewritten(SPEC.read_text(encoding="utf-8")))

@@ -117,7 +117,7 @@ def record(found: dict[str, Trail]) -> str:
 
 
 def made() -> Iterator[Made]:
-    """Gives the three files."""
+    """Yields the three files."""
     spec, suite = text(), load()
     found = trails(requirements(spec), suite)
     yield Made.text(FOLDER / "REQUIREMENTS.md", document(spec, found))

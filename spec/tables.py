@@ -75,5 +75,5 @@ def tables() -> bytes:
 
 
 def made() -> Iterator[Made]:
-    """Gives the file."""
+    """Yields the file."""
     yield Made(TARGET, tables())

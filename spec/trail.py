@@ -64,7 +64,7 @@ class Found:
 
 
 def _cited(comment: str) -> Iterator[str]:
-    """Gives the clauses that a line of a comment or docstring cites."""
+    """Yields the clauses that a line of a comment or docstring cites."""
     yield from re.findall(rf"(?<![\w.]){CLAUSE}(?![\w])", comment)
     if "Annex A" in comment:
         yield "A"

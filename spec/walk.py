@@ -242,7 +242,7 @@ def raw_fields(data: bytes, spec: str) -> str:
 
 
 def _fields(groups: list[dict[str, Any]]) -> Iterator[tuple[int, int, int, str]]:
-    """Gives (bit, length, value, meaning) of each raw field of some groups of values. Empty fields are left out."""
+    """Yields (bit, length, value, meaning) of each raw field of some groups of values. Empty fields are left out."""
     for number, group in enumerate(groups):
         fields = iter(group["fields"])
         for n, ((_, _, _, k), value) in enumerate(zip(group["chosen"], group["values"], strict=True)):

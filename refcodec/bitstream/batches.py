@@ -43,7 +43,7 @@ class Live:
     chunks: list[range]
 
     def groups(self) -> Iterator[tuple[list[int], slice]]:
-        """Gives the groups of chunks that are coded side by side, as their numbers and the rows of their anchors."""
+        """Yields the groups of chunks that are coded side by side, as their numbers and the rows of their anchors."""
         group: list[int] = []
         first = row = 0
         for number in self.numbers:
@@ -72,7 +72,7 @@ class Live:
 
 
 def each_group(work: Callable[[list[int], slice], T], live: Live, stage: str, progress: Progress) -> Iterator[T]:
-    """Gives the result of `work` for each group, in order. A group is worked on when its result is asked for."""
+    """Yields the result of `work` for each group, in order. A group is worked on when its result is asked for."""
     groups = list(live.groups())
     progress(stage, 0, len(groups))
     for done, group in enumerate(groups, start=1):
@@ -83,7 +83,7 @@ def each_group(work: Callable[[list[int], slice], T], live: Live, stage: str, pr
 def settle(
     results: Iterable[tuple[T, dict[int, BitstreamError]]], damage: dict[int, BitstreamError] | None
 ) -> Iterator[T]:
-    """SPEC 10.1: gives the values of results, and deals with their errors, which are by number of the chunk.
+    """SPEC 10.1: yields the values of results, and deals with their errors, which are by number of the chunk.
 
     damage: None, or where the first error of each chunk is noted. If it is None, the error of the lowest chunk is
     raised before any further result is asked for.

@@ -62,7 +62,7 @@ def reconstruct(scene: Scene) -> Reconstruction:
 
 
 def canonical_parts(scene: Scene) -> Iterator[tuple[str, bytes]]:
-    """SPEC 9.3: gives the name and the bytes of each part of the canonical reconstruction behind the head."""
+    """SPEC 9.3: yields the name and the bytes of each part of the canonical reconstruction behind the head."""
     r = reconstruct(scene)
     yield "positions", r.positions.astype("<f4").tobytes()
     yield "masks", scene.masks.astype(np.uint8).tobytes()

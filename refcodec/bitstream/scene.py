@@ -74,8 +74,8 @@ def take_anchors(scene: Scene, keep: NDArray) -> Scene:
 def check_shapes(scene: Scene) -> None:
     """Raises ValueError for a scene that is not what Scene says.
 
-    It checks the shapes and dtypes of all arrays, and the values that the decoder's checks cannot see: cell_shift,
-    chunk_size, plane symbols of -32768, and masked offsets that are not 0.
+    It checks the shapes and dtypes of all arrays, the names and layers of the networks, cell_shift and chunk_size. It
+    also refuses plane symbols of -32768, and masked offsets that are not 0.
     """
     d, n, a = scene.dimensions, scene.anchor_count, scene.attributes
     wanted: dict[str, tuple[NDArray, tuple[int, ...], type]] = {

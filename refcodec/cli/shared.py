@@ -161,7 +161,7 @@ def read_photographs_of(folder: str, size: str | None) -> PhotographSet:
 
 @contextlib.contextmanager
 def progress_bar(wanted: bool) -> Iterator[Progress]:
-    """Gives a function that shows progress on stderr.
+    """Yields a function that shows progress on stderr.
 
     If progress is wanted, it is always shown. Otherwise it is shown only on a terminal, for stages of more than a
     second.

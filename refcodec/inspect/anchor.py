@@ -16,7 +16,7 @@ from ..bitstream.scene import Scene
 
 
 def anchor_rows(scene: Scene, number: int) -> Iterator[tuple[str, str, str]]:
-    """Gives the quantities that clauses 7.4 to 7.10 compute for an anchor, as in Annex D.4.
+    """Yields the quantities that clauses 7.4 to 7.10 compute for an anchor, as in Annex D.4.
 
     They lead from the position to the distributions and the symbols. Each is (what it is, clause, numbers). Raises
     IndexError for an anchor that the scene does not have.

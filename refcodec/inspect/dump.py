@@ -44,7 +44,7 @@ def _error_line(error: BitstreamError) -> str:
 
 
 def _rows_near(data: bytes, near: int | None) -> Iterator[Row]:
-    """Gives all rows, or those of the element at the byte `near` and of a few elements before and after it."""
+    """Yields all rows, or those of the element at the byte `near` and of a few elements before and after it."""
     if near is None:
         yield from rows(data)
         return
@@ -62,7 +62,7 @@ def _rows_near(data: bytes, near: int | None) -> Iterator[Row]:
 
 
 def about_lines(data: bytes, near: int) -> Iterator[str]:
-    """Gives lines about the element at a byte: what it is, its clauses and requirements, and a command to try next."""
+    """Yields lines about the element at a byte: what it is, its clauses and requirements, and a command to try next."""
     row = next((row for row in rows(data) if row.end > min(near, len(data) - 1)), None)
     if row is not None:
         yield ""
@@ -72,7 +72,7 @@ def about_lines(data: bytes, near: int) -> Iterator[str]:
 
 
 def hex_lines(data: bytes, errors: Sequence[BitstreamError] = (), near: int | None = None) -> Iterator[str]:
-    """Gives a line for each element with its offset, bytes, path, type and value.
+    """Yields a line for each element with its offset, bytes, path, type and value.
 
     Each error stands after the element that it points at. near: a byte around which elements are shown. None shows all.
     """

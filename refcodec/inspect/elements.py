@@ -101,7 +101,7 @@ def outline_of(data: bytes) -> Outline:
 
 
 def rows(data: bytes) -> Iterator[Row]:
-    """Gives the elements of a file in file order. They cover every byte, whatever the bytes are."""
+    """Yields the elements of a file in file order. They cover every byte, whatever the bytes are."""
     outline = outline_of(data)
     at = 0
     for row in rows_of(data, outline):
@@ -112,7 +112,7 @@ def rows(data: bytes) -> Iterator[Row]:
 
 
 def rows_of(data: bytes, outline: Outline) -> Iterator[Row]:
-    """Gives the elements of the prologue, the header and the sections of an outline."""
+    """Yields the elements of the prologue, the header and the sections of an outline."""
     yield from parse_elements("Prologue", data, 0, PROLOGUE_BYTES, "prologue")[0]
     if outline.header_end > PROLOGUE_BYTES:
         header = parse_elements("Header", data, PROLOGUE_BYTES, outline.header_end, "header")[0]
@@ -129,14 +129,14 @@ def rows_of(data: bytes, outline: Outline) -> Iterator[Row]:
 
 
 def _payload(start: int, stop: int, end: int, path: str, kind: str) -> Iterator[Row]:
-    """Gives one row for data[start:stop], cut at `end`, or none if it is empty."""
+    """Yields one row for data[start:stop], cut at `end`, or none if it is empty."""
     stop = min(stop, end)
     if start < stop:
         yield Row(start, stop, path, kind)
 
 
 def section_rows(data: bytes, outline: Outline, kind: int, start: int, end: int) -> Iterator[Row]:
-    """Gives the elements of a section in data[start:end]. kind: its type."""
+    """Yields the elements of a section in data[start:end]. kind: its type."""
     h = outline.header
     name = SECTIONS.get(kind)
     if name == "frame":
@@ -188,7 +188,7 @@ def _weight_rows(data: bytes, outline: Outline, start: int, end: int) -> Iterato
 
 
 def _substream_rows(data: bytes, start: int, end: int, lanes: int, path: str) -> Iterator[Row]:
-    """Gives the elements of a substream (SPEC 5.14). What is cut off is left out."""
+    """Yields the elements of a substream (SPEC 5.14). What is cut off is left out."""
     found, head = parse_elements("SubstreamHead", data, start, end, path)
     yield from found
     if head is None:

@@ -119,7 +119,7 @@ def _field_lines(table: str, field: str) -> Iterator[str]:
 
 
 def element_lines(path: str) -> Iterator[str]:
-    """Gives lines that say what an element is, and which clauses to read. Raises KeyError for a path of no file."""
+    """Yields lines that say what an element is, and which clauses to read. Raises KeyError for a path of no file."""
     found = meaning(path)
     yield path
     if found.table:
@@ -130,7 +130,7 @@ def element_lines(path: str) -> Iterator[str]:
 
 
 def requirement_lines(found: Meaning) -> Iterator[str]:
-    """Gives lines with the requirements on an element, in words."""
+    """Yields lines with the requirements on an element, in words."""
     for i, name in enumerate(found.requirements):
         text = textwrap.wrap(f"{name}: {_requirements()[name].text}", WIDTH - 15, break_on_hyphens=False)
         yield f"  {'requirements' if i == 0 else '':<12} {text[0]}"
@@ -149,7 +149,7 @@ def _path_lines(path: str) -> Iterator[str]:
 
 
 def _parts(key: str) -> Iterator[Iterator[str]]:
-    """Gives the explanations of a key. There can be two: prologue.signature is an error and an element."""
+    """Yields the explanations of a key. There can be two: prologue.signature is an error and an element."""
     codes = {str(kind.code): kind for kind in REGISTRY.values()}
     name = key.strip("[]")
     clause = name.removeprefix("Annex ").removeprefix("clause ")
@@ -167,7 +167,7 @@ def _parts(key: str) -> Iterator[Iterator[str]]:
 
 
 def explain(key: str) -> Iterator[str]:
-    """Gives the lines that explain a key. Raises UnknownKeyError."""
+    """Yields the lines that explain a key. Raises UnknownKeyError."""
     parts = list(_parts(key))
     if not parts:
         raise UnknownKeyError(_unknown(key))

@@ -100,7 +100,7 @@ def document(data: bytes, verdict: Parsed | BitstreamError) -> dict[str, Any]:
 
 
 def summary(facts: dict[str, Any], name: str) -> Iterator[str]:
-    """Gives the facts of `document` as lines of text. name: that of the file."""
+    """Yields the facts of `document` as lines of text. name: that of the file."""
     p, h = facts["prologue"], facts["header"]
     version = f"version {p['version']}" if p else "version unknown"
     yield f"{name}: {facts['bytes']} bytes, C3GS {version}"

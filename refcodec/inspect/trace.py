@@ -80,7 +80,7 @@ _LAST = 2
 
 
 def _trace_parts(data: bytes) -> Iterator[tuple[int, Iterator[Row]]]:
-    """Gives the elements that are no symbols, in file order, with the part of the decoding that they belong to."""
+    """Yields the elements that are no symbols, in file order, with the part of the decoding that they belong to."""
     outline = outline_of(data)
 
     yield 0, rows_of(data, replace(outline, sections=[]))
@@ -94,7 +94,7 @@ def _trace_parts(data: bytes) -> Iterator[tuple[int, Iterator[Row]]]:
 
 
 def _position_rows(data: bytes, start: int, end: int) -> Iterator[Row]:
-    """Gives raw positions, value by value."""
+    """Yields raw positions, value by value."""
     values = np.frombuffer(data, "<f2", max(0, end - start) // POSITION_BYTES * 3, start)
     for i, value in enumerate(values):
         yield Row(start + 2 * i, start + 2 * i + 2, f"positions[{i // 3},{i % 3}]", "f16", value)
