@@ -1,6 +1,6 @@
-"""What pyproject.toml cannot say: SPEC.md and the vectors lie outside the packages, and travel in them.
+"""Puts SPEC.md and the vectors into the packages. They lie outside the packages, and pyproject.toml cannot say that.
 
-`refcodec.resources.find` looks for them in an installed package first, then in the checkout.
+`refcodec.resources.find` looks for them in an installed package first, and then in the checkout.
 """
 
 import shutil
@@ -9,14 +9,15 @@ from pathlib import Path
 from setuptools import setup
 from setuptools.command.build_py import build_py
 
-# What a checkout has at its top, and where it stands in an installed package.
+# The files and folders at the top of a checkout, and their places in an installed package.
 TRAVELLERS = {"SPEC.md": "refcodec/data/SPEC.md", "vectors": "conformance/data/vectors"}
 
 
 class Build(build_py):
-    """Copies the travellers into the packages that it builds, except where the checkout itself is installed."""
+    """Copies the travellers into the packages that it builds. An editable installation needs no copies."""
 
     def run(self) -> None:
+        """Builds the packages."""
         super().run()
         if self.editable_mode:
             return

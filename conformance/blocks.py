@@ -1,4 +1,4 @@
-"""The decoder that SPEC.md's python blocks are together."""
+"""Runs SPEC.md's python blocks, which are a decoder together."""
 
 from __future__ import annotations
 
@@ -12,7 +12,10 @@ from refcodec.bitstream.header import PROLOGUE_BYTES, Header
 
 
 def blocks(text: str) -> dict[str, Any]:
-    """The names that the python blocks of SPEC.md's text define, with the constants of 2.5 and the tables of Annex A."""
+    """Returns the names that the python blocks of SPEC.md define, with the constants of 2.5 and the tables of Annex A.
+
+    text: SPEC.md.
+    """
     table = text.partition("### 2.5 ")[2].partition("\n## ")[0]
     space: dict[str, Any] = {
         name: eval(value.replace("^", "**"))
@@ -26,9 +29,11 @@ def blocks(text: str) -> dict[str, Any]:
 
 
 def decode(space: dict[str, Any], data: bytes, header: Header) -> tuple[bytes, list[str | None]]:
-    """The canonical reconstruction of a file by SPEC.md's blocks, and the verdict on each substream.
+    """Decodes a file with SPEC.md's blocks. Returns the canonical reconstruction, and the verdict on each substream.
 
-    The container is read with the schemas; its checksums are not looked at again.
+    space: what `blocks` returns. header: what parse_container returns. The schemas of refcodec read the container, and
+    its checksums are not checked again. If the weights or a chunk's positions have an error, the reconstruction is
+    empty.
     """
     h, _ = syntax.parse("Header", data, PROLOGUE_BYTES)
     start = {name: header.sections[kind].start for kind, name in directory.SECTIONS.items()}

@@ -1,4 +1,4 @@
-"""The suite's manifest: what vectors/manifest.json says of each vector, checked against vectors/manifest.schema.json."""
+"""The manifest of the suite, vectors/manifest.json, which is checked against vectors/manifest.schema.json."""
 
 from __future__ import annotations
 
@@ -19,12 +19,12 @@ MANIFEST, SCHEMA = "manifest.json", "manifest.schema.json"
 
 
 class ManifestError(Exception):
-    """A manifest that does not say what its schema demands."""
+    """A manifest breaks its schema, or contradicts itself."""
 
 
 @dataclass(frozen=True)
 class Input:
-    """A vector's file: path from the manifest, size in bytes, SHA-256 in hexadecimal."""
+    """The file of a vector. path: from the manifest's folder. size: in bytes. sha256: in hexadecimal."""
 
     path: str
     size: int
@@ -33,8 +33,11 @@ class Input:
 
 @dataclass(frozen=True)
 class Accepted:
-    """The file is accepted. digest: of the canonical reconstruction (SPEC 9.3); parts: that of each part by name, the head too;
-    trace: SHA-256 of the symbol trace."""
+    """The file is accepted.
+
+    digest: of the canonical reconstruction (SPEC 9.3). parts: the digest of each part by name, the head too. trace: the
+    SHA-256 of the symbol trace.
+    """
 
     digest: str
     parts: dict[str, str]
@@ -53,7 +56,11 @@ class Rejected:
 
 @dataclass(frozen=True)
 class GaussiansOf:
-    """What a camera sees (SPEC 14.3). camera: JSON; path, sha256: of the expected list; tolerance: relative to a vector's length."""
+    """The Gaussians for a camera are within a tolerance of a list (SPEC 14.3).
+
+    camera: a JSON object. path, sha256: those of the list. tolerance: relative to the length of the vector of each
+    kind.
+    """
 
     camera: dict[str, Any]
     path: str
@@ -63,7 +70,7 @@ class GaussiansOf:
 
 @dataclass(frozen=True)
 class Budget:
-    """Most time, and most memory of a process, that a decoder may take."""
+    """The most time, in seconds, and the most memory of a process, in bytes, that a decoder may take."""
 
     seconds: int
     bytes: int
@@ -71,7 +78,11 @@ class Budget:
 
 @dataclass(frozen=True)
 class Vector:
-    """One vector: a file and what a decoder makes of it. klass: its "class"; profile and level: None where the header cannot say."""
+    """A vector: a file, and what a decoder makes of it.
+
+    operation: "decode" or "gaussians". klass: its "class". profile, level: None if the header cannot be read.
+    generator: how the file was made.
+    """
 
     id: str
     title: str
@@ -91,7 +102,7 @@ class Vector:
 
 @dataclass(frozen=True)
 class Manifest:
-    """The suite. flags, features: what each means, by name; folder: where the manifest is, which paths start from."""
+    """The suite. flags, features: the meaning of each, by name. folder: that of the manifest. Paths start there."""
 
     suite_version: str
     format_version: int
@@ -101,7 +112,7 @@ class Manifest:
     folder: Path
 
     def path(self, vector: Vector) -> Path:
-        """The file of a vector."""
+        """Returns the path of a vector's file."""
         return self.folder / vector.input.path
 
 
@@ -122,7 +133,7 @@ def _vector(fields: dict[str, Any]) -> Vector:
 
 
 def faults(document: dict[str, Any]) -> Iterator[str]:
-    """What is wrong with a manifest that its schema cannot say."""
+    """Yields the faults of a manifest that its schema cannot find."""
     vectors = document["vectors"]
     for what, values in (
         ("id", [v["id"] for v in vectors]),
@@ -141,7 +152,7 @@ def faults(document: dict[str, Any]) -> Iterator[str]:
 
 
 def _once(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
-    """A JSON object whose names are unique."""
+    """Returns a JSON object. Raises ManifestError if it has a name twice."""
     for name, count in Counter(name for name, _ in pairs).items():
         if count > 1:
             raise ManifestError(f"{name} is there twice")
@@ -149,7 +160,10 @@ def _once(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
 
 
 def load(path: Path = VECTORS / MANIFEST) -> Manifest:
-    """The manifest at a path, with the schema beside it. Raises ManifestError, and OSError if it cannot be read."""
+    """Returns the manifest at a path. The schema is beside it.
+
+    Raises ManifestError for a fault of the manifest, and OSError if it cannot be read.
+    """
     try:
         document = json.loads(path.read_text(encoding="utf-8"), object_pairs_hook=_once)
         schema = json.loads((path.parent / SCHEMA).read_text(encoding="utf-8"))

@@ -1,4 +1,4 @@
-"""Files that belong to the project and lie outside its packages in a checkout: SPEC.md, the vectors."""
+"""Finds files of the project that lie outside its packages in a checkout, such as SPEC.md and the vectors."""
 
 from __future__ import annotations
 
@@ -8,9 +8,11 @@ PACKAGE = Path(__file__).resolve().parent
 
 
 def find(name: str, package: Path = PACKAGE) -> Path:
-    """A file or folder of the project: in the package, in the `data` of an installed one, or in the checkout around it.
+    """Returns the path of a file or folder of the project.
 
-    package: the folder of the package that ships it. Raises FileNotFoundError if it is in none of them.
+    It is searched in the package, then in the folder `data` of the package, and then in the folder around it. The
+    second is its place in an installed package, and the third in a checkout. package: the folder of the package that
+    ships it. Raises FileNotFoundError if it is in none of them.
     """
     for folder in (package, package / "data", package.parent):
         if (folder / name).exists():

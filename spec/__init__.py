@@ -1,1 +1,1 @@
-"""SPEC.md's own tools: what in it, and beside it, is made from the code, and the check that all of it is current."""
+"""The tools of SPEC.md: they make what SPEC.md and files beside it hold of the code, and check that it is current."""

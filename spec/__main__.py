@@ -1,7 +1,7 @@
-"""Makes what SPEC.md and the repository hold of generated text, tables and pictures.
+"""Makes the generated texts, tables and pictures of SPEC.md and of the repository.
 
-python -m spec            write what is not current
-python -m spec --check    write nothing; exit 1 and say what is not current
+python -m spec            writes the files that are not current
+python -m spec --check    writes nothing, names the files that are not current, and exits with 1 if there are any
 """
 
 from __future__ import annotations
@@ -12,14 +12,14 @@ from collections.abc import Callable, Iterator
 from . import example, figures, generated, house, matrix, tables
 from .made import Made
 
-# In this order: the worked example is read by the parts of SPEC.md, and SPEC.md by the matrix.
+# The order counts. The worked example needs the tables, SPEC.md holds the example, and the matrix reads SPEC.md.
 MAKERS: tuple[Callable[[], Iterator[Made]], ...] = (
     tables.made, example.made, figures.made, generated.made, matrix.made, house.made,
 )  # fmt: skip
 
 
 def main(arguments: list[str]) -> int:
-    """Runs the command; returns its exit status."""
+    """Runs the command and returns its exit status. arguments: those after `python -m spec`."""
     if arguments not in ([], ["--check"]):
         print(__doc__, file=sys.stderr)
         return 64

@@ -1,8 +1,8 @@
-"""Measures what the vectors alone reach of the second decoder: branch coverage, which must be over 98 %.
+"""Measures the branch coverage that the vectors alone have of the second decoder. It has to be above 98 %.
 
 python -m spec.coverage
 
-The trained scenes and the largest files are left out: they take long, and reach nothing that the others do not.
+Vectors with a budget of more than ten seconds are left out. They take long, and reach nothing that the others do not.
 """
 
 from __future__ import annotations
@@ -13,17 +13,18 @@ import sys
 
 import coverage
 
+# The least coverage in per cent, and the largest budget of a vector in seconds.
 LEAST = 98.0
 LARGEST_SECONDS = 10
-# What no file decides: the command line.
+# No file decides what the command line does.
 OMIT = ["*/independent/__main__.py"]
 
 
 def main() -> int:
-    """Decodes the vectors under measurement."""
+    """Decodes the vectors, prints the coverage, and returns the exit status."""
     measured = coverage.Coverage(branch=True, source=["conformance.independent"], omit=OMIT, data_file=None)
     measured.start()
-    # Imported late, so that what runs at import counts.
+    # These are imported late, so that what runs at import counts.
     from conformance import independent  # noqa: PLC0415
     from conformance.independent.trace import Trace  # noqa: PLC0415
     from conformance.manifest import load  # noqa: PLC0415

@@ -1,4 +1,4 @@
-"""vectors/tiny-example.c3gs, the file that SPEC.md Annex D walks through. Every number in it is a small formula."""
+"""Makes vectors/tiny-example.c3gs, the file that SPEC.md Annex D explains. Small formulas give all its numbers."""
 
 from __future__ import annotations
 
@@ -23,13 +23,16 @@ ANCHORS = 5
 
 
 def pattern(count: int, period: int) -> np.ndarray:
-    """0, 1, -1, 2, -2 ... of some period: small integers of both signs."""
+    """Returns `count` small integers of both signs, int64: 0, 1, -1, 2, -2 and so on, with a period."""
     n = np.arange(count) % period
     return np.where(n % 2, (n + 1) // 2, -(n // 2))
 
 
 def example() -> Scene:
-    """Five anchors, two chunks; one offset in three is masked; one feature is large enough to need an escape."""
+    """Returns the scene. It has five anchors in two chunks.
+
+    One offset in three is masked. One feature is so large that it needs an escape.
+    """
     networks = {}
     for number, (name, shapes) in enumerate(DIMENSIONS.network_shapes().items()):
         layers = []
@@ -37,7 +40,8 @@ def example() -> Scene:
             weight = (pattern(out * fan_in, 7 + number) / 4).astype(np.float32).reshape(out, fan_in)
             layers.append((weight, (8 * pattern(out, 5 + number)).astype(np.float32)))
         networks[name] = layers
-    networks["hyper"][-1][1][-3:] += 32  # step indices near the middle of the table
+    # The step indices lie near the middle of the table.
+    networks["hyper"][-1][1][-3:] += 32
     count = ANCHORS * 2
     masks = (np.arange(count) % 3 != 2).reshape(ANCHORS, 2)
     offsets = pattern(3 * count, 9).reshape(ANCHORS, 2, 3).astype(np.int32)
@@ -78,5 +82,5 @@ def example() -> Scene:
 
 
 def made() -> Iterator[Made]:
-    """The file."""
+    """Yields the file."""
     yield Made(TARGET, codec.emit(example()))

@@ -1,4 +1,4 @@
-"""The pictures of SPEC.md. What they show is computed by SPEC.md's own python blocks."""
+"""Draws the pictures of SPEC.md. SPEC.md's own python blocks compute what they show."""
 
 from __future__ import annotations
 
@@ -15,25 +15,30 @@ INK, FAINT, FILL, LIGHT, STRONG, PAPER = "#1f2933", "#9aa5b1", "#dce6f2", "#f3f6
 
 
 class Drawing:
-    """Shapes of an SVG, in pixels from the upper left corner."""
+    """An SVG picture. Coordinates are pixels from the upper left corner."""
 
     def __init__(self, width: int, height: int, title: str) -> None:
         self.parts = [
-            f'<svg xmlns="http://www.w3.org/2000/svg" width="{width}" height="{height}" viewBox="0 0 {width} {height}" role="img">',
+            f'<svg xmlns="http://www.w3.org/2000/svg" width="{width}" height="{height}" '
+            f'viewBox="0 0 {width} {height}" role="img">',
             f"<title>{title}</title>",
-            '<defs><marker id="head" viewBox="0 0 8 8" refX="7" refY="4" markerWidth="7" markerHeight="7" orient="auto">'
+            '<defs><marker id="head" viewBox="0 0 8 8" refX="7" refY="4" markerWidth="7" markerHeight="7" '
+            'orient="auto">'
             f'<path d="M0 0 L8 4 L0 8 z" fill="{INK}"/></marker></defs>',
             f'<rect width="{width}" height="{height}" fill="{PAPER}"/>',
         ]
 
     def box(self, x: float, y: float, w: float, h: float, fill: str = FILL, line: str = INK) -> None:
+        """Draws a rectangle."""
         self.parts.append(f'<rect x="{x:g}" y="{y:g}" width="{w:g}" height="{h:g}" fill="{fill}" stroke="{line}"/>')
 
     def words(self, x: float, y: float, value: str, size: int = 13, anchor: str = "middle", bold: bool = False) -> None:
+        """Writes a line of text at the baseline y. anchor: which part of it is at x, as in SVG."""
         weight = ' font-weight="bold"' if bold else ""
         safe = value.replace("&", "&amp;").replace("<", "&lt;")
         self.parts.append(
-            f'<text x="{x:g}" y="{y:g}" font-family="sans-serif" font-size="{size}" text-anchor="{anchor}"{weight}>{safe}</text>'
+            f'<text x="{x:g}" y="{y:g}" font-family="sans-serif" font-size="{size}" '
+            f'text-anchor="{anchor}"{weight}>{safe}</text>'
         )
 
     def line(
@@ -44,6 +49,7 @@ class Drawing:
         width: float = 1.2,
         dash: str = "",
     ) -> None:
+        """Draws lines from point to point. dash: as in SVG."""
         path = " ".join(f"{x:g},{y:g}" for x, y in points)
         end = ' marker-end="url(#head)"' if arrow else ""
         dashes = f' stroke-dasharray="{dash}"' if dash else ""
@@ -52,18 +58,22 @@ class Drawing:
         )
 
     def labelled(self, x: float, y: float, w: float, h: float, lines: list[str], fill: str = FILL) -> None:
-        """A box with lines of text in its middle, the first one bold."""
+        """Draws a box with lines of text in its middle, the first of them bold."""
         self.box(x, y, w, h, fill)
         top = y + h / 2 - 8 * (len(lines) - 1) + 4
         for i, value in enumerate(lines):
             self.words(x + w / 2, top + 16 * i, value, 13 if i == 0 else 11, bold=i == 0)
 
     def svg(self) -> str:
+        """Returns the file."""
         return "\n".join([*self.parts, "</svg>"]) + "\n"
 
 
 def planes(space: dict[str, Any]) -> str:
-    """Sub-planes, their wavefronts, and a symbol's context."""
+    """Returns the picture of the sub-planes, their wavefronts, and the context of a symbol.
+
+    space: the names of SPEC.md's blocks.
+    """
     d = Drawing(760, 315, "Sub-planes, wavefronts and the context of a symbol")
     d.words(85, 24, "r = 1", bold=True)
     d.box(35, 50, 100, 100)
@@ -102,7 +112,7 @@ def planes(space: dict[str, Any]) -> str:
 
 
 def stages(space: dict[str, Any]) -> str:
-    """What an anchor's symbols are decoded from."""
+    """Returns the picture of what the symbols of an anchor are decoded from."""
     del space
     d = Drawing(760, 330, "From position to symbols")
     d.labelled(20, 30, 110, 50, ["position", "7.4"], LIGHT)
@@ -143,7 +153,7 @@ def stages(space: dict[str, Any]) -> str:
 
 
 def substream(space: dict[str, Any]) -> str:
-    """The bytes of a substream, and which lane decodes which symbol of a group."""
+    """Returns the picture of the bytes of a substream, and of which lane decodes which symbol of a group."""
     streams = {"state": [0, 0, 0, 0]}
     lanes_of: list[int] = []
     original = space["DECODE_SYMBOL"]
@@ -158,8 +168,13 @@ def substream(space: dict[str, Any]) -> str:
         space["DECODE_GROUP"](streams, [None] * count)
     space["DECODE_SYMBOL"] = original
     d = Drawing(760, 250, "A substream and its lanes")
-    parts = [("symbol_crc", "u32", 90), ("word_count", "u32", 90), ("states", "u32[lanes]", 150), ("words", "u16[word_count]", 200),
-             ("raw bytes", "to the end", 170)]  # fmt: skip
+    parts = [
+        ("symbol_crc", "u32", 90),
+        ("word_count", "u32", 90),
+        ("states", "u32[lanes]", 150),
+        ("words", "u16[word_count]", 200),
+        ("raw bytes", "to the end", 170),
+    ]
     x = 20.0
     for name, kind, width in parts:
         d.labelled(x, 20, width, 46, [name, kind], LIGHT)
@@ -187,7 +202,7 @@ def substream(space: dict[str, Any]) -> str:
 
 
 def contraction(space: dict[str, Any]) -> str:
-    """Length after the contraction against length before it, along an axis, in units of U."""
+    """Returns the graph of the length after the contraction against the length before it, in units of U."""
     d = Drawing(560, 300, "Contraction")
     left, bottom, unit = 70, 250, 90
 
@@ -213,7 +228,7 @@ MAKE: dict[str, Callable[[dict[str, Any]], str]] = {
 
 
 def made() -> Iterator[Made]:
-    """The pictures."""
+    """Yields the pictures."""
     space = blocks.blocks(specification.text())
     for name, make in MAKE.items():
         yield Made.text(PICTURES / f"{name}.svg", make(space))

@@ -1,4 +1,4 @@
-"""The generated parts of SPEC.md: the error registry, the profiles and levels, and the worked example."""
+"""Makes the generated parts of SPEC.md: the registry of errors, the profiles and levels, and the worked example."""
 
 from __future__ import annotations
 
@@ -18,6 +18,7 @@ EXAMPLE = ROOT / "vectors" / "tiny-example.c3gs"
 
 
 def errors() -> str:
+    """Returns the table of errors (clause 10.2)."""
     rows = ["| code | name | class | clause | meaning | offset |", "|---|---|---|---|---|---|"]
     rows += [f"| {k.code} | {k.name} | {k.klass} | {k.clause} | {k.text} | {k.where} |" for k in REGISTRY.values()]
     return "\n".join(rows)
@@ -29,6 +30,7 @@ def _bounds(profile: Profile, field: str) -> str:
 
 
 def profiles() -> str:
+    """Returns the table of profiles (clause 11.1)."""
     numbers = list(PROFILES)
     fields = [f for f in Profile.__dataclass_fields__ if f not in ("name", "levels")]
     head = "| dimension | " + " | ".join(f"{PROFILES[n].name} ({n})" for n in numbers) + " |"
@@ -38,6 +40,7 @@ def profiles() -> str:
 
 
 def levels() -> str:
+    """Returns the table of levels (clause 11.2)."""
     rows = ["| profile | level | largest anchor_count | largest plane_size |", "|---|---|---|---|"]
     for profile in PROFILES.values():
         rows += [
@@ -47,6 +50,7 @@ def levels() -> str:
 
 
 def digests() -> str:
+    """Returns the table of the worked example's digests (D.6)."""
     whole, parts = digest(parse(EXAMPLE.read_bytes()).scene)
     rows = [
         "| part | SHA-256 |",
@@ -58,11 +62,12 @@ def digests() -> str:
 
 
 def _escape(made: str) -> str:
+    """Returns text as a replacement of a regular expression."""
     return made.replace("\\", r"\\")
 
 
 def rewritten(text: str) -> str:
-    """SPEC.md with each generated part replaced."""
+    """Returns SPEC.md with each generated part made anew. Raises SystemExit if a part is missing, or there twice."""
     data = EXAMPLE.read_bytes()
     parts: dict[str, Callable[[], str]] = {
         "errors": errors,
@@ -84,5 +89,5 @@ def rewritten(text: str) -> str:
 
 
 def made() -> Iterator[Made]:
-    """SPEC.md."""
+    """Yields SPEC.md."""
     yield Made.text(SPEC, rewritten(SPEC.read_text(encoding="utf-8")))

@@ -1,4 +1,4 @@
-"""A file that is made, and not written by hand."""
+"""Files that a program makes."""
 
 from __future__ import annotations
 
@@ -10,21 +10,21 @@ ROOT = Path(__file__).resolve().parent.parent
 
 @dataclass(frozen=True)
 class Made:
-    """Where a file is, and what it has to be."""
+    """A file that a program makes. content: what it has to hold."""
 
     path: Path
     content: bytes
 
     @classmethod
     def text(cls, path: Path, content: str) -> Made:
-        """One of UTF-8."""
+        """Returns a file of text in UTF-8."""
         return cls(path, content.encode("utf-8"))
 
     def is_current(self) -> bool:
-        """Whether the file is there and right."""
+        """Whether the file is there and has this content."""
         return self.path.is_file() and self.path.read_bytes() == self.content
 
     def write(self) -> None:
-        """Makes it so."""
+        """Writes the file, and the folders above it that are missing."""
         self.path.parent.mkdir(parents=True, exist_ok=True)
         self.path.write_bytes(self.content)

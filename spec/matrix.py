@@ -1,4 +1,9 @@
-"""conformance/REQUIREMENTS.md, conformance/VECTORS.md and refcodec/data/trail.json: from each requirement to all that is of it."""
+"""Makes the matrix of requirements.
+
+conformance/REQUIREMENTS.md    the code, the tests and the number of vectors of each requirement
+conformance/VECTORS.md         the vectors of each requirement, error code, feature and flag
+refcodec/data/trail.json       the code, the tests and the vectors of each requirement, for `refcodec explain`
+"""
 
 from __future__ import annotations
 
@@ -17,19 +22,21 @@ FOLDER = ROOT / "conformance"
 HEAD = f"""# Requirements
 
 Each requirement of [SPEC.md](../SPEC.md) with the code that meets it in each decoder, the tests that prove it, and the
-[vectors](../vectors/README.md) that try it. `python -m spec` writes this page. `refcodec explain R6.10-2` prints a line of it.
+[vectors](../vectors/README.md) that try it. `python -m spec` writes this page. `refcodec explain R6.10-2` prints the
+same of one requirement.
 
-`test_fault[...]` stands for generated files with that one fault, which the decoders must refuse with its code and offset.
+`test_fault[...]` stands for generated files with that one fault. The decoders must refuse them with its code and
+offset.
 
 | requirement | what | {" | ".join(DECODERS)} | tests | vectors |
 |{"---|" * (len(DECODERS) + 4)}
 """
 VECTORS_HEAD = """# Vectors by what they are for
 
-The [vectors](../vectors/README.md) of each requirement, error code, feature and flag. `python -m spec` writes this page.
-`conformance run --select requirement:R6.10-2 -- ...` runs those of one.
+The [vectors](../vectors/README.md) of each requirement, error code, feature and flag. `python -m spec` writes this
+page. `conformance run --select requirement:R6.10-2 -- ...` runs the vectors of one requirement.
 """
-# What no file and its one result can show, and why.
+# The requirements that no file and its one result can show, and why.
 NO_VECTOR = {
     "D10.1-2": "none: a mode of decoding that a runner does not ask for",
     "G14.5-1": "none: a runner does not compare images",
@@ -37,13 +44,16 @@ NO_VECTOR = {
 
 
 def _link(place: Place) -> str:
-    """A place as a link that works on a code host."""
+    """Returns a link to a place that works on a code host."""
     file = place.path.rpartition("/")[2].removesuffix(".py")
     return f"[{file}.{place.name}](../{place.path}#L{place.line})".replace("decoder.c.", "")
 
 
 def holes(found: dict[str, Trail]) -> list[str]:
-    """What is missing in words: a requirement without code in a decoder, without a test or without a vector."""
+    """Returns in words which requirement has no code in a decoder, no test, or no vector.
+
+    A requirement of NO_VECTOR must have none.
+    """
     missing = []
     for name, trail in found.items():
         missing += [f"{name} has no code in {decoder}" for decoder, places in trail.code.items() if not places]
@@ -54,7 +64,7 @@ def holes(found: dict[str, Trail]) -> list[str]:
 
 
 def document(spec: str, found: dict[str, Trail]) -> str:
-    """REQUIREMENTS.md. Raises SystemExit for a hole."""
+    """Returns REQUIREMENTS.md. spec: SPEC.md. Raises SystemExit if there is a hole."""
     if missing := holes(found):
         raise SystemExit(f"holes in the matrix: {'; '.join(missing)}")
     known, rows = clauses(spec), []
@@ -71,7 +81,7 @@ def document(spec: str, found: dict[str, Trail]) -> str:
 
 
 def vector_lists(suite: Manifest, found: dict[str, Trail]) -> str:
-    """VECTORS.md. Raises SystemExit for an error code, a feature or a flag without a vector."""
+    """Returns VECTORS.md. Raises SystemExit for an error code, a feature or a flag without a vector."""
     paths = {v.id: v.input.path for v in suite.vectors}
     refused = by_name(suite, lambda v: [v.expectation.name] if isinstance(v.expectation, Rejected) else [])
     having, catching = by_name(suite, lambda v: v.features), by_name(suite, lambda v: v.flags)
@@ -93,7 +103,7 @@ def vector_lists(suite: Manifest, found: dict[str, Trail]) -> str:
 
 
 def record(found: dict[str, Trail]) -> str:
-    """trail.json, for `refcodec explain`: of each requirement the places and the vectors."""
+    """Returns trail.json, with the places and the vectors of each requirement."""
     entries = {
         name: {
             "code": {decoder: [astuple(p) for p in places] for decoder, places in trail.code.items()},
@@ -107,7 +117,7 @@ def record(found: dict[str, Trail]) -> str:
 
 
 def made() -> Iterator[Made]:
-    """The three files."""
+    """Yields the three files."""
     spec, suite = text(), load()
     found = trails(requirements(spec), suite)
     yield Made.text(FOLDER / "REQUIREMENTS.md", document(spec, found))

@@ -1,4 +1,4 @@
-"""The tables' file, refcodec/data/tables-0.bin, from the rules of SPEC.md Annex A in 50-digit arithmetic."""
+"""Makes refcodec/data/tables-0.bin, the file of the tables, by the rules of SPEC.md Annex A, with 50 digits."""
 
 from __future__ import annotations
 
@@ -15,25 +15,31 @@ mp.mp.dps = 50
 
 
 def half_up(x: mp.mpf) -> int:
+    """Returns x rounded to an integer, half up."""
     return int(mp.floor(x + mp.mpf(1) / 2))
 
 
 def upper_gauss(t: mp.mpf, scale: mp.mpf) -> mp.mpf:
+    """Returns the probability above t of the normal distribution with this standard deviation."""
     return mp.erfc(t / (scale * mp.sqrt(2))) / 2
 
 
 def upper_laplace(t: mp.mpf, scale: mp.mpf) -> mp.mpf:
+    """Returns the probability above t of the Laplace distribution with this scale."""
     return mp.exp(-t / scale) / 2 if t >= 0 else 1 - mp.exp(t / scale) / 2
 
 
 def radius(kind: str, scale: mp.mpf) -> int:
-    """Annex A.3."""
+    """Returns R (A.3). kind: "gauss" or "laplace"."""
     width = mp.sqrt(2 * mp.log(TOTAL)) if kind == "gauss" else mp.log(TOTAL)
     return int(mp.ceil(width * scale + mp.mpf(1) / 2))
 
 
 def frequencies(kind: str, scale_index: int, fraction: int) -> tuple[int, list[int]]:
-    """Annex A.3 and A.4: radius R and the 2R + 2 frequencies, the escape's last."""
+    """Returns R and the 2 R + 2 frequencies of a model, with that of the escape last (A.3, A.4).
+
+    kind: "gauss" or "laplace". scale_index: the row. fraction: the column.
+    """
     scale = mp.mpf(2) ** (mp.mpf(scale_index) / 8)
     mean = mp.mpf(fraction) / 16 - mp.mpf(1) / 2
     upper = upper_gauss if kind == "gauss" else upper_laplace
@@ -52,10 +58,13 @@ def frequencies(kind: str, scale_index: int, fraction: int) -> tuple[int, list[i
 
 
 def tables() -> bytes:
+    """Returns the bytes of the file (Annex A)."""
     out = b""
-    for j in range(1024):  # Annex A.1
+    # A.1
+    for j in range(1024):
         out += struct.pack("<h", half_up(1023 * mp.sin(2 * mp.pi * j / 1024)))
-    for q in range(64):  # Annex A.2
+    # A.2
+    for q in range(64):
         out += struct.pack("<H", half_up(mp.mpf(2) ** (mp.mpf(q - 32) / 8) * 4096))
     for kind in ("gauss", "laplace"):
         for scale_index in range(-40, 24):
@@ -66,5 +75,5 @@ def tables() -> bytes:
 
 
 def made() -> Iterator[Made]:
-    """The file."""
+    """Yields the file."""
     yield Made(TARGET, tables())

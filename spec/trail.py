@@ -1,7 +1,12 @@
-"""Where each requirement of SPEC.md is met, tested and tried: code of the three decoders, tests, vectors.
+"""Finds the trail of each requirement of SPEC.md: its code in the three decoders, its tests and its vectors.
 
-A requirement on files is met where its error is raised, one on decoders where the code cites its clause. Tests name the
-requirements that they prove (`pytest.mark.requirement`). An error's fault is tested under its name, in test_fault.
+- The code of a requirement on files is where its error is raised.
+- The code of a requirement on decoders or renderers is where its clause is cited.
+- The tests of a requirement name it, by `pytest.mark.requirement`. Each error also has a case of test_fault.
+- The vectors of a requirement name it in the manifest.
+
+Python code cites a clause by "SPEC" and its number, in a docstring or a comment. Code in C cites it in the comment
+above the function.
 """
 
 from __future__ import annotations
@@ -19,19 +24,21 @@ from refcodec.inspect.specification import CLAUSE, Requirement
 
 from .made import ROOT
 
-# The decoders, and the files in which each of them meets requirements. Only refcodec renders.
+# The decoders, and the files that hold the code of each.
 DECODERS = {
     "refcodec": ("refcodec/bitstream/*.py", "refcodec/render/*.py"),
     "second decoder": ("conformance/independent/*.py",),
     "decoder in C": ("conformance/c/decoder.c",),
 }
+# The decoders that also render.
 RENDERS = ("refcodec",)
+# The test that has a case for each error.
 FAULTS = ("tests/conformance/test_independent.py", "test_fault")
 
 
 @dataclass(frozen=True, order=True)
 class Place:
-    """A line of a file of the repository, and the function that it is of."""
+    """A line of a file of the repository. name: the function or the class that it is in."""
 
     path: str
     line: int
@@ -40,7 +47,7 @@ class Place:
 
 @dataclass(frozen=True)
 class Trail:
-    """What there is of a requirement. code: by decoder."""
+    """The trail of a requirement. code: by decoder. vectors: their ids."""
 
     requirement: Requirement
     code: dict[str, list[Place]]
@@ -50,21 +57,24 @@ class Trail:
 
 @dataclass
 class Found:
-    """Of a decoder: the places by error name, and by clause."""
+    """The places in the code of a decoder. raising: by name of an error. citing: by clause."""
 
     raising: dict[str, list[Place]]
     citing: dict[str, list[Place]]
 
 
 def _cited(comment: str) -> Iterator[str]:
-    """The clauses that a comment or docstring cites."""
+    """Yields the clauses that a line of a comment or docstring cites."""
     yield from re.findall(rf"(?<![\w.]){CLAUSE}(?![\w])", comment)
     if "Annex A" in comment:
         yield "A"
 
 
 def _python(path: Path, found: Found) -> None:
-    """Functions and classes of a module: where they raise errors, and the clauses that they or comments above them cite."""
+    """Adds the places of a module in Python: where functions and classes raise errors, and where they cite clauses.
+
+    The comments above a function and its decorators belong to it.
+    """
     source, name = path.read_text(encoding="utf-8"), path.relative_to(ROOT).as_posix()
     lines = source.splitlines()
 
@@ -92,7 +102,10 @@ def _python(path: Path, found: Found) -> None:
 
 
 def _c(path: Path, found: Found) -> None:
-    """Functions of the decoder in C: where they refuse, and the clauses in the comment above them."""
+    """Adds the places of the decoder in C: where functions refuse, and which cite clauses.
+
+    A function cites the clauses in the first line of the comment above it.
+    """
     name, known = path.relative_to(ROOT).as_posix(), {e.replace(".", "_").upper(): e for e in REGISTRY}
     function, comment = "", ""
     for number, line in enumerate(path.read_text(encoding="utf-8").splitlines(), start=1):
@@ -111,7 +124,7 @@ def _c(path: Path, found: Found) -> None:
 
 
 def _innermost(places: Iterable[Place]) -> list[Place]:
-    """Each function once, by its first line, without a class whose method is there, or a function whose inner one is."""
+    """Returns each function once, by its first line. A function or class that holds another one of them is left out."""
     first: dict[tuple[str, str], Place] = {}
     for place in sorted(places):
         first.setdefault((place.path, place.name), place)
@@ -120,7 +133,7 @@ def _innermost(places: Iterable[Place]) -> list[Place]:
 
 
 def code() -> dict[str, Found]:
-    """What each decoder has."""
+    """Returns the places in the code of each decoder."""
     every = {}
     for decoder, patterns in DECODERS.items():
         found = Found(defaultdict(list), defaultdict(list))
@@ -132,7 +145,7 @@ def code() -> dict[str, Found]:
 
 
 def proofs() -> tuple[dict[str, list[Place]], Place]:
-    """The tests by requirement, and the one of faults."""
+    """Returns the tests by requirement, and the test of faults."""
     found = defaultdict(list)
     fault = None
     for path in sorted((ROOT / "tests").rglob("test_*.py")):
@@ -152,7 +165,7 @@ def proofs() -> tuple[dict[str, list[Place]], Place]:
 
 
 def by_name(suite: Manifest, names: Callable[[Vector], Iterable[str]]) -> dict[str, list[str]]:
-    """The vectors by each name that they have."""
+    """Returns the ids of the vectors by each name that they have. names: gives the names of a vector."""
     found = defaultdict(list)
     for vector in suite.vectors:
         for name in names(vector):
@@ -161,7 +174,10 @@ def by_name(suite: Manifest, names: Callable[[Vector], Iterable[str]]) -> dict[s
 
 
 def trails(requirements: dict[str, Requirement], suite: Manifest) -> dict[str, Trail]:
-    """The trail of each requirement. Raises SystemExit for a test or a vector of a requirement that SPEC.md does not have."""
+    """Returns the trail of each requirement.
+
+    Raises SystemExit if a test or a vector names a requirement that SPEC.md does not have.
+    """
     found, (tests, fault), tried = code(), proofs(), by_name(suite, lambda v: v.requirements)
     strangers = [name for name in (*tests, *tried) if name not in requirements]
     if strangers:

@@ -1,7 +1,7 @@
-"""The walk through the worked example (SPEC.md Annex D): every byte, and the bits and coder steps of parts of it, in Markdown.
+"""Explains the worked example (SPEC.md Annex D) in Markdown: every byte, and the raw bits and coder steps of parts.
 
-Bytes come from the file and their elements from refcodec.inspection; meanings are those of SPEC.md's own syntax tables, and the coder's
-steps are those of SPEC.md's own python blocks, watched while they decode.
+refcodec.inspect gives the elements of the file, and SPEC.md's syntax tables give their meanings. SPEC.md's python
+blocks are watched while they decode, and give the steps of the coder.
 """
 
 from __future__ import annotations
@@ -17,12 +17,12 @@ from refcodec.inspect.elements import Row, rows
 from refcodec.inspect.meaning import meaning
 from refcodec.inspect.specification import fields
 
-# Longer contents are folded to their first bytes.
+# Elements of more bytes are folded to their first ones.
 SHOWN_BYTES = 12
 
 
 def hex_dump(data: bytes) -> str:
-    """The file, 16 bytes a line."""
+    """Returns the bytes of the file, 16 on a line."""
     lines = [f"{at:08x}  {data[at : at + 16].hex(' ')}" for at in range(0, len(data), 16)]
     return "\n".join(["```text", *lines, "```"])
 
@@ -31,7 +31,7 @@ def hex_dump(data: bytes) -> str:
 
 
 def meaning_of(path: str, known: dict[str, tuple[str, str]]) -> str:
-    """In words, those of the syntax table if the element stands in one."""
+    """Returns the meaning of the element at a path. known: type and meaning of the fields of syntax tables."""
     found = meaning(path)
     return known[f"{found.table}.{found.field}"][1] if found.table else found.words
 
@@ -50,7 +50,7 @@ def _value(row: Row) -> str:
 
 
 def element_table(data: bytes, spec: str) -> str:
-    """Start, length, contents, element, value and meaning of every element, from the first byte to the last."""
+    """Returns the table of all elements: start, length, contents, element, value and meaning. spec: SPEC.md."""
     known = fields(spec)
     lines = ["| start | length | contents | element | value | meaning |", "|---|---|---|---|---|---|"]
     for row in rows(data):
@@ -63,7 +63,10 @@ def element_table(data: bytes, spec: str) -> str:
 
 
 class Watch:
-    """SPEC.md's decoder with a note of each symbol, each raw field and each value. Streams are told apart by their identity."""
+    """SPEC.md's decoder, which notes each symbol, raw field, value and network output. Streams are told by identity.
+
+    space: the names of SPEC.md's blocks, of which some are replaced.
+    """
 
     def __init__(self, spec: str) -> None:
         self.space = blocks.blocks(spec)
@@ -77,7 +80,7 @@ class Watch:
             self.space[name] = getattr(self, f"_{name.lower()}")(original)
 
     def hyper(self, context: list[int]) -> list[int]:
-        """F_h's outputs for a context that was seen."""
+        """Returns the outputs of F_h for a context that it was given."""
         return next(out for inputs, out in self.networks if inputs == context)
 
     def _network(self, original: Any) -> Any:
@@ -94,8 +97,9 @@ class Watch:
             symbol: int = original(stream, lane, frequencies)
             took = stream["words"][word_at] if stream["word_at"] > word_at else None
             self.symbols.append({
-                "stream": id(stream), "lane": lane, "before": before, "slot": before & 0x3FFF, "low": sum(frequencies[:symbol]),
-                "frequency": frequencies[symbol], "symbol": symbol, "word": took, "after": stream["state"][lane],
+                "stream": id(stream), "lane": lane, "before": before, "slot": before & 0x3FFF,
+                "low": sum(frequencies[:symbol]), "frequency": frequencies[symbol], "symbol": symbol, "word": took,
+                "after": stream["state"][lane],
             })  # fmt: skip
             return symbol
 
@@ -116,8 +120,8 @@ class Watch:
             values: list[int] = original(stream, family, parameters, limit)
             chosen = [self.space["SELECT"](m, s) for m, s in parameters]
             self.values.append({
-                "stream": id(stream), "parameters": parameters, "chosen": chosen, "values": values, "fields": self.fields[fields:],
-                "planes": family is self.space["LAPLACE"],
+                "stream": id(stream), "parameters": parameters, "chosen": chosen, "values": values,
+                "fields": self.fields[fields:], "planes": family is self.space["LAPLACE"],
             })  # fmt: skip
             return values
 
@@ -125,13 +129,13 @@ class Watch:
 
 
 def _watched(data: bytes, spec: str) -> tuple[Watch, list[int]]:
-    """The decoder after it decoded a file, and the identities of the substreams in decoding order."""
+    """Returns the decoder after it decoded a file, and the identities of the substreams in decoding order."""
     watch = Watch(spec)
     opened = []
     original = watch.space["OPEN"]
 
     def noted(part: bytes, lanes: int) -> dict:
-        # The streams are kept, so that no identity is used twice.
+        # The streams are kept, because an identity could be used again otherwise.
         opened.append(original(part, lanes))
         return opened[-1]
 
@@ -142,7 +146,7 @@ def _watched(data: bytes, spec: str) -> tuple[Watch, list[int]]:
 
 
 def plane_steps(data: bytes, spec: str, count: int) -> str:
-    """The first symbols of sub-plane 0, step by step."""
+    """Returns the table of the coder's steps for the first `count` symbols of sub-plane 0."""
     watch, streams = _watched(data, spec)
     d = codec.parse_container(data).dimensions
     points = [
@@ -152,7 +156,8 @@ def plane_steps(data: bytes, spec: str, count: int) -> str:
     parameters, chosen, values = ([x for g in groups for x in g[name]] for name in ("parameters", "chosen", "values"))
     symbols = [s for s in watch.symbols if s["stream"] == streams[0]]
     lines = [
-        "| t | (k, i, j) | mean, scale index | row, column, centre, k | state | slot | j: its slots | value | word taken | next state |",
+        "| t | (k, i, j) | mean, scale index | row, column, centre, k | state | slot | j: its slots | value "
+        "| word taken | next state |",
         "|---|---|---|---|---|---|---|---|---|---|",
     ]
     for (t, point), mean_scale, pick, symbol, value in list(
@@ -169,7 +174,7 @@ def plane_steps(data: bytes, spec: str, count: int) -> str:
 
 
 def first_anchor(data: bytes, spec: str) -> str:
-    """What clauses 7.4 to 7.9 compute for anchor 0, and the symbols that are decoded with it."""
+    """Returns the table of what clauses 7.4 to 7.10 compute for the first anchor."""
     watch = Watch(spec)
     space = watch.space
     seen: dict[str, list[Any]] = {}
@@ -186,7 +191,7 @@ def first_anchor(data: bytes, spec: str) -> str:
     blocks.decode(space, data, codec.parse_container(data))
     header = codec.parse_container(data)
     width = header.dimensions.attribute_width
-    # The first group of values with an anchor's channels comes after the planes'.
+    # The groups of attributes come after those of the planes.
     groups = watch.values[sum(1 for g in watch.values if g["planes"]) :]
     chunk = len(header.chunks[0])
     slices = header.dimensions.slices
@@ -216,7 +221,10 @@ def first_anchor(data: bytes, spec: str) -> str:
 
 
 def raw_fields(data: bytes, spec: str) -> str:
-    """All raw bits of the last attribute substream: start as byte+bit, length, contents with the last bit first, meaning."""
+    """Returns the table of all raw bits of the last attribute substream: start, length, contents and meaning.
+
+    A start is a byte and a bit. Contents have the last bit first. Raises SystemExit if bits are left out.
+    """
     watch, streams = _watched(data, spec)
     groups = [g for g in watch.values if g["stream"] == streams[-1]]
     raw = next(r for r in reversed(list(rows(data))) if r.path.endswith(".raw"))
@@ -234,7 +242,7 @@ def raw_fields(data: bytes, spec: str) -> str:
 
 
 def _fields(groups: list[dict[str, Any]]) -> Iterator[tuple[int, int, int, str]]:
-    """(bit, length, value, meaning) of each raw field of some groups of values; fields of no bits are left out."""
+    """Yields (bit, length, value, meaning) of each raw field of some groups of values. Empty fields are left out."""
     for number, group in enumerate(groups):
         fields = iter(group["fields"])
         for n, ((_, _, _, k), value) in enumerate(zip(group["chosen"], group["values"], strict=True)):

@@ -1,11 +1,19 @@
 /* A decoder for C3GS, format version 0, written from SPEC.md alone.
  *
- *   decoder digest FILE
- *   decoder decode FILE OUTPUT
+ *   decoder digest FILE           prints the digests of the canonical reconstruction (9.3)
+ *   decoder decode FILE OUTPUT    writes the canonical reconstruction
  *
- * prints the digests of the canonical reconstruction (9.3), or writes it, exit status 0. A refused file: exit status 1 (malformed or
- * invalid) or 2 (unsupported), and a last line {"code":C, "offset":O} on stderr. Exit status 3: usage, input or output, memory.
- * Numbers in parentheses at functions are clauses of SPEC.md; names are those of the specification where it has one.
+ * The exit status is:
+ *
+ *   0   done
+ *   1   the file is malformed or invalid
+ *   2   the file is unsupported
+ *   3   wrong usage, or a failure of input, output or memory
+ *
+ * With status 1 or 2 the last line on stderr is {"code":C, "offset":O}. The tables of Annex A are read from the file
+ * that the environment variable C3GS_TABLES names, or else from tables-0.bin in the folder of the program.
+ *
+ * The comment above a function begins with its clauses of SPEC.md. Names are those of SPEC.md where it has one.
  */
 #include <stdint.h>
 #include <stdio.h>
@@ -82,10 +90,10 @@ enum error {
 
 enum { STATUS_REFUSED = 1, STATUS_UNSUPPORTED = 2, STATUS_FAILED = 3 };
 
-/* All memory is in one list, so that every exit can release it. */
+/* All allocated memory is in one list, so that every exit can release it. */
 struct block {
     struct block *next;
-    uint64_t length; /* keeps what follows aligned to 16 bytes */
+    uint64_t length; /* it also keeps what follows aligned to 16 bytes */
 };
 static struct block *blocks;
 
@@ -99,7 +107,7 @@ static void RELEASE(void)
     }
 }
 
-/* not of the specification: usage, input and output, memory */
+/* not of the specification: ends the program for wrong usage, or for a failure of input, output or memory */
 _Noreturn static void FAIL(const char *message)
 {
     fprintf(stderr, "decoder: %s\n", message);
@@ -107,7 +115,7 @@ _Noreturn static void FAIL(const char *message)
     exit(STATUS_FAILED);
 }
 
-/* 10.1, 10.2: the first error ends the decoding. */
+/* 10.1, 10.2: the first error ends the decoding */
 _Noreturn static void REFUSE(enum error code, uint64_t offset)
 {
     int unsupported = code == PROLOGUE_VERSION || code == HEADER_PROFILE || code == HEADER_LEVEL ||
@@ -186,7 +194,7 @@ static float F32(uint32_t bits)
 /* 2.3 */
 static int FINITE(uint32_t bits) { return (bits >> 23 & 255) != 255; }
 
-/* 2.3: a finite f32 is sign * m * 2^e, with m below 2^24. */
+/* 2.3: a finite f32 is m * 2^e, with m below 2^24 in magnitude */
 static void SPLIT_F32(uint32_t bits, int64_t *m, int *e)
 {
     int exponent = (int)(bits >> 23 & 255);
@@ -196,21 +204,21 @@ static void SPLIT_F32(uint32_t bits, int64_t *m, int *e)
         *m = -*m;
 }
 
-/* 2.4: a >> s, towards minus infinity, without a shift of a negative number; s <= 62. */
+/* 2.4: a >> s, rounded towards minus infinity, for s <= 62. It never shifts a negative number. */
 static int64_t RSHIFT(int64_t a, unsigned s) { return a >= 0 ? a >> s : ~(~a >> s); }
 
-/* 2.4; s <= 62, and a with the rounding term is below 2^63 at every use. */
+/* 2.4: for s <= 62. At every use a is below 2^63 in magnitude, with the rounding term too. */
 static int64_t RSHIFT_ROUND(int64_t a, unsigned s) { return RSHIFT(a + ((INT64_C(1) << s) >> 1), s); }
 
-/* 2.4: a // b for b > 0. */
+/* 2.4: a // b, for b > 0 */
 static int64_t FLOOR_DIV(int64_t a, int64_t b) { return a / b - (a % b < 0); }
 
 /* 2.4 */
 static int64_t CLAMP(int64_t a, int64_t low, int64_t high) { return a < low ? low : a > high ? high : a; }
-/* 6: |a|; never of -2^63 */
+/* 6: |a|, for any a but -2^63 */
 static int64_t MAGNITUDE(int64_t a) { return a < 0 ? -a : a; }
 
-/* 2.4; a < 2^62. */
+/* 2.4: for 0 <= a < 2^62 */
 static int64_t ISQRT(int64_t a)
 {
     uint64_t rest = (uint64_t)a, root = 0, bit = UINT64_C(1) << 60;
@@ -225,7 +233,7 @@ static int64_t ISQRT(int64_t a)
     return (int64_t)root;
 }
 
-/* 2.4; a result of magnitude 2^53 or more stands for any that large: no bound of 7.2 allows it. */
+/* 2.4: a result of 2^53 or more in magnitude may be inexact, because no bound of 7.2 allows it */
 static int64_t ROUND_SCALED(uint32_t x, int e)
 {
     int64_t m;
@@ -237,7 +245,7 @@ static int64_t ROUND_SCALED(uint32_t x, int e)
     return shift < -40 ? 0 : RSHIFT_ROUND(m, (unsigned)-shift);
 }
 
-/* 2.4: the bits of the f32; |n| < 2^63, the result normal or zero. */
+/* 2.4: the bits of the f32, for |n| < 2^63. The result is normal or zero. */
 static uint32_t ROUND_F32(int64_t n, int e)
 {
     uint64_t a = n < 0 ? (uint64_t)-n : (uint64_t)n, m = a;
@@ -254,7 +262,7 @@ static uint32_t ROUND_F32(int64_t n, int e)
     e += s;
     for (; m < UINT64_C(1) << 23; m <<= 1)
         e--;
-    for (; m >= UINT64_C(1) << 24; m >>= 1) /* 2^24, after a carry */
+    for (; m >= UINT64_C(1) << 24; m >>= 1) /* only 2^24, after a carry */
         e++;
     return (n < 0 ? UINT32_C(1) << 31 : 0) | (uint32_t)(e + 150) << 23 | ((uint32_t)m & 0x7FFFFF);
 }
@@ -274,7 +282,7 @@ static void MAKE_CRC_TABLE(void)
     }
 }
 
-/* 2.3: crc is 0 at first, or the CRC-32 of the bytes before. */
+/* 2.3: crc is 0, or the CRC-32 of the bytes before */
 static uint32_t CRC32(uint32_t crc, const uint8_t *p, uint64_t n)
 {
     crc = ~crc;
@@ -393,22 +401,22 @@ static void READ_TABLES(const uint8_t *data, uint64_t length)
 
 /* ---------------------------------------------------------------- 5.2 to 5.6 the header */
 
-struct list { /* a length and that many items of type u8, with the offsets of both */
+struct list { /* 5.3: a length and that many items of type u8, with the offsets of both */
     uint32_t at, items_at;
     uint8_t count, item[255];
 };
 
 struct entry {
-    uint32_t at; /* of type; mode is at + 1, reserved at + 2, offset at + 4, length at + 8 */
+    uint32_t at; /* the offset of type. mode is at + 1, reserved at + 2, offset at + 4, length at + 8. */
     uint8_t type, mode;
     uint32_t reserved, offset, length, crc;
 };
 
 struct header {
-    uint32_t length, end; /* end: the first byte after the header */
+    uint32_t length, end; /* end is the first byte after the header */
     uint8_t profile, level, section_count, reserved_0, reserved_1;
     uint32_t anchor_count, chunk_size;
-    uint8_t lanes_log2[3]; /* planes, masks, attributes */
+    uint8_t lanes_log2[3]; /* of planes, masks, attributes */
     uint8_t offset_count, plane_channels, frequency_count, render_width;
     uint32_t plane_size;
     struct list slice_width, hyper_width, sarm_width, carm_width;
@@ -421,20 +429,20 @@ struct header {
     uint8_t grid_reserved;
     uint32_t render_at;
     struct entry directory[255];
-    /* derived, 6.3 and 6.10 */
+    /* derived: F, D (6.3) and C (6.10) */
     uint32_t features, channels, chunks;
 };
 
 struct cursor {
     const uint8_t *data;
-    uint64_t at, end; /* end: where header_crc starts */
+    uint64_t at, end; /* end is where header_crc starts */
 };
 
 /* 5: the next n bytes of the header */
 static const uint8_t *TAKE(struct cursor *c, uint64_t n)
 {
     if (n > c->end - c->at)
-        REFUSE(HEADER_SYNTAX, c->end + 4); /* the header's end */
+        REFUSE(HEADER_SYNTAX, c->end + 4); /* the end of the header, with header_crc */
     c->at += n;
     return c->data + c->at - n;
 }
@@ -448,7 +456,7 @@ static void TAKE_LIST(struct cursor *c, struct list *l)
     memcpy(l->item, TAKE(c, l->count), l->count);
 }
 
-/* 6.1, 6.2 as far as R6.2-2 */
+/* 6.1, and 6.2 as far as R6.2-2 */
 static void PROLOGUE(struct header *h, const uint8_t *data, uint64_t length)
 {
     static const uint8_t signature[8] = {0x89, 0x43, 0x33, 0x47, 0x0D, 0x0A, 0x1A, 0x0A};
@@ -509,7 +517,7 @@ static void HEADER_FIELDS(struct header *h, const uint8_t *data)
     h->scale_exponent = p[26] < 128 ? p[26] : p[26] - 256;
     h->grid_reserved = p[27];
     h->render_at = (uint32_t)c.at;
-    TAKE(&c, 60); /* 5.5; read again in RENDER_INFO */
+    TAKE(&c, 60); /* 5.5: RENDER_INFO reads it */
     for (int i = 0; i < h->section_count; i++) {
         struct entry *s = &h->directory[i];
         s->at = (uint32_t)c.at;
@@ -522,7 +530,7 @@ static void HEADER_FIELDS(struct header *h, const uint8_t *data)
         s->crc = GET_U32(p + 12);
     }
     if (c.at != c.end)
-        REFUSE(HEADER_SYNTAX, c.at); /* the first byte that no field uses, header_crc being the last four */
+        REFUSE(HEADER_SYNTAX, c.at); /* the first byte that no field uses. It comes before header_crc. */
     if (h->reserved_0)
         REFUSE(HEADER_RESERVED, 23);
     if (h->reserved_1)
@@ -614,7 +622,7 @@ static void RENDER_INFO(const uint8_t *data, uint64_t at)
     for (uint32_t i = 20; i < 24; i += 2)
         if (GET_U16(p + i) < 1)
             REFUSE(HEADER_RENDER_INFO, at + i);
-    /* camera_focal, camera_rotation and camera_translation start at 24, 32 and 48; the field is named, not its item. */
+    /* camera_focal, camera_rotation and camera_translation start at 24, 32 and 48. The error names the field. */
     for (uint32_t i = 24; i < 60; i += 4)
         if (!FINITE(GET_U32(p + i)))
             REFUSE(HEADER_RENDER_INFO, at + (i < 32 ? 24 : i < 48 ? 32 : 48));
@@ -627,7 +635,7 @@ static void RENDER_INFO(const uint8_t *data, uint64_t at)
     REFUSE(HEADER_RENDER_INFO, at + 32);
 }
 
-/* 6.2 to 6.5, 11: the header's other requirements, in the order of their codes */
+/* 6.2 to 6.5, 11: the requirements on the header from R6.2-3 on, in the order of their codes */
 static void HEADER(struct header *h, const uint8_t *data)
 {
     HEADER_FIELDS(h, data);
@@ -664,8 +672,8 @@ struct layer {
     int16_t *weight; /* row by row */
     int32_t *bias;
     uint8_t *exponent;
-    const uint8_t *model; /* in mode 1: its LayerModel, 5.16 */
-    const uint8_t *raw;   /* and its values if it is raw */
+    const uint8_t *model; /* in mode 1 its LayerModel (5.16) */
+    const uint8_t *raw;   /* in mode 1 its values, if it is raw */
 };
 
 struct network {
@@ -685,7 +693,7 @@ static void SHAPE(struct network *n, uint32_t inputs, uint32_t hidden, const uin
     }
 }
 
-/* 5.8: the shapes of all networks; those that are not present have no layers */
+/* 5.8: the shapes of all networks. Networks that are not present have no layers. */
 static void SHAPES(const struct header *h, struct network *n)
 {
     uint32_t k = h->offset_count, inputs = 0;
@@ -701,7 +709,7 @@ static void SHAPES(const struct header *h, struct network *n)
     SHAPE(&n[COLOUR], h->features + 4, 1, &h->render_width, 3 * k);
 }
 
-/* 6.6: W; below 2^20, as widths are below 2^8 */
+/* 6.6: W, which is below 2^20, because widths are below 2^8 */
 static uint64_t VALUE_COUNT(const struct network *n)
 {
     uint64_t count = 0;
@@ -711,11 +719,11 @@ static uint64_t VALUE_COUNT(const struct network *n)
     return count;
 }
 
-/* 7.2: one row; 0 where no exponent will do */
+/* 7.2: derives one row. The result is 0 if no exponent will do. */
 static int DERIVE_ROW(const uint8_t *weights, uint32_t bias, struct layer *l, uint32_t row)
 {
     for (int e = EXPONENT_MAX; e >= 0; e--) {
-        int64_t sum = 0, b = ROUND_SCALED(bias, e); /* |b| < 2^54, sum below 2^8 * 2^10 */
+        int64_t sum = 0, b = ROUND_SCALED(bias, e); /* |b| < 2^54, and sum is below 2^8 * 2^10 */
         uint32_t i;
         for (i = 0; i < l->inputs; i++) {
             int64_t w = ROUND_SCALED(GET_U32(weights + 4 * i), e);
@@ -733,7 +741,7 @@ static int DERIVE_ROW(const uint8_t *weights, uint32_t bias, struct layer *l, ui
     return 0;
 }
 
-/* 6.8, 5.8: the values are finite already; at: where they are in the file, in mode 0; data: the file */
+/* 6.8, 5.8: the values are known to be finite. In mode 0 they are at `at` in the file, which is `data`. */
 static void DERIVE_NETWORKS(struct network *n, const uint8_t *values, uint64_t at, const uint8_t *data)
 {
     uint64_t v = 0;
@@ -756,7 +764,7 @@ static void DERIVE_NETWORKS(struct network *n, const uint8_t *values, uint64_t a
 /* 7.2 */
 static int32_t ACTIVATION(int64_t a) { return (int32_t)CLAMP(a, -ACTIVATION_MAX, ACTIVATION_MAX); }
 
-/* 7.2: the accumulator stays below ACCUMULATOR_BOUND, so 32 bits hold it */
+/* 7.2: accumulators stay below ACCUMULATOR_BOUND, so 32 bits hold them */
 static void NETWORK(const struct network *n, const int32_t *inputs, int32_t *outputs)
 {
     int32_t a[2][WIDTH_MAX];
@@ -782,7 +790,7 @@ struct stream {
     uint64_t at; /* offset of the substream in the file */
     uint32_t expected_crc, symbol_crc, lanes, word_count;
     const uint8_t *words, *raw;
-    uint64_t raw_length, word_at, raw_at; /* raw_length in bytes, raw_at in bits */
+    uint64_t raw_length, word_at, raw_at; /* raw_length counts bytes, raw_at counts bits */
     int bad_escape, bad_range;
     uint32_t state[LANES_MAX];
 };
@@ -812,7 +820,7 @@ static void OPEN(struct stream *s, const uint8_t *data, uint64_t at, uint64_t le
     s->raw_length = length - raw_at;
 }
 
-/* 8.2, 8.3: STATE_MIN <= x < 2^32 before and after: f * (x >> 14) + slot - low is 4 at least and below f * 2^18 */
+/* 8.2, 8.3: STATE_MIN <= x < 2^32 holds before and after. In between x is at least 4 and below f * 2^18. */
 static uint32_t DECODE_SYMBOL(struct stream *s, uint32_t lane, const uint16_t *frequency)
 {
     uint32_t x = s->state[lane], slot = x & ((1 << PRECISION) - 1), low = 0, symbol = 0;
@@ -835,7 +843,7 @@ static void NOTE_SYMBOL(struct stream *s, int32_t value)
     s->symbol_crc = CRC32(s->symbol_crc, b, 4);
 }
 
-/* 8.5; |mean|, |scale| < 2^25 */
+/* 8.5: for |mean| and |scale| below 2^25 */
 static const struct model *SELECT(family f, int32_t mean, int32_t scale, int32_t *centre, unsigned *raw_bits)
 {
     unsigned k = (unsigned)CLAMP(RSHIFT(scale - 24, 3) + 1, 0, RAW_MAX);
@@ -846,7 +854,7 @@ static const struct model *SELECT(family f, int32_t mean, int32_t scale, int32_t
     return &f[row - SCALE_MIN][h & 15];
 }
 
-/* 8.6, 8.7; k <= 25 */
+/* 8.6, 8.7: for k <= 25 */
 static uint32_t READ_BITS(struct stream *s, unsigned k)
 {
     uint32_t value = 0;
@@ -856,7 +864,7 @@ static uint32_t READ_BITS(struct stream *s, unsigned k)
     return value;
 }
 
-/* 8.7: the distance from the centre; its magnitude is below 2^26 + 2^8 */
+/* 8.7: the distance from the centre, which is below 2^26 + 2^8 in magnitude */
 static int32_t READ_ESCAPE(struct stream *s, int32_t radius)
 {
     uint32_t negative = READ_BITS(s, 1);
@@ -942,10 +950,10 @@ struct scene {
     unsigned cell_shift; /* 5.15 */
     uint16_t position_model[POSITION_MODELS][16];
     const uint8_t *entries; /* of type ChunkEntry, 5.10 */
-    uint16_t *position_bits; /* of each anchor three f16 */
-    int16_t *plane[5];      /* sub-planes: [channel][i][j] */
+    uint16_t *position_bits; /* three f16 of each anchor */
+    int16_t *plane[5];      /* the sub-planes, [channel][i][j] */
     int16_t *plane_2;       /* the plane of r = 2 */
-    uint8_t *masks;         /* of each anchor, K */
+    uint8_t *masks;         /* K bits of each anchor, a byte each */
     struct value *group;    /* room for the largest group of a chunk */
     uint8_t *positions, *features, *scalings, *offsets; /* parts of the canonical reconstruction */
 };
@@ -1036,7 +1044,7 @@ static void FRAME(struct scene *s)
     }
 }
 
-/* 5.16, R6.8-4, R6.8-5: all layers, and where the substream begins */
+/* 5.16, R6.8-4, R6.8-5: reads the models of all layers. The result is where the substream begins. */
 static uint64_t LAYER_MODELS(struct scene *s, uint64_t at)
 {
     uint64_t section = SECTION(s, S_WEIGHTS), end = section + SECTION_LENGTH(s, S_WEIGHTS);
@@ -1071,7 +1079,7 @@ static uint64_t LAYER_MODELS(struct scene *s, uint64_t at)
     return at;
 }
 
-/* 7.13: a finite f32 as n * 2^x with odd n; 0 has n = 0 */
+/* 7.13: a finite f32 is +-n * 2^x with an odd n. For 0, n is 0. */
 static uint32_t PARTS(uint32_t bits, int *x)
 {
     uint32_t n = bits & 0x7FFFFF;
@@ -1086,7 +1094,7 @@ static uint32_t PARTS(uint32_t bits, int *x)
     return n;
 }
 
-/* 7.13, R6.8-7; v: finite values */
+/* 7.13, R6.8-7: whether a layer with the finite values v can be packed */
 static int CAN_BE_PACKED(const uint8_t *v, const struct layer *l)
 {
     for (uint64_t r = 0; r < l->outputs; r++) {
@@ -1111,7 +1119,7 @@ static int CAN_BE_PACKED(const uint8_t *v, const struct layer *l)
     return 1;
 }
 
-/* 7.13: n * 2^-e as f32, exactly; |n| < 2^24, e as a row's exponent */
+/* 7.13: the bits of n * 2^-e, exactly, for |n| < 2^24 and the exponent e of a row */
 static uint32_t ON_GRID(int32_t n, int64_t e)
 {
     uint32_t m = (uint32_t)MAGNITUDE(n), sign = n < 0 ? UINT32_C(1) << 31 : 0;
@@ -1126,7 +1134,7 @@ static uint32_t ON_GRID(int32_t n, int64_t e)
     return sign | (uint32_t)(150 - e) << 23 | (m & 0x7FFFFF);
 }
 
-/* 7.13: one layer, from its differences and biases at few and its weights at many; v: room for its values */
+/* 7.13: writes the values of one layer to v. few has its differences and its biases, many has its weights. */
 static void PACKED_LAYER(const struct scene *s, const struct layer *l, const struct value *few, const struct value *many, uint8_t *v)
 {
     uint64_t at = (uint64_t)(l->model - s->data), rows = l->outputs, inputs = l->inputs;
@@ -1149,7 +1157,7 @@ static void PACKED_LAYER(const struct scene *s, const struct layer *l, const str
         REFUSE(WEIGHTS_EXPONENT, at);
 }
 
-/* 7.13, 6.8: the values of mode 1, from the first LayerModel on */
+/* 7.13, 6.8: the values in mode 1. The first LayerModel is at `at`. */
 static void DECODE_WEIGHTS(struct scene *s, uint64_t at)
 {
     uint8_t *values = ALLOCATE(s->value_count, 4), *v = values;
@@ -1157,7 +1165,7 @@ static void DECODE_WEIGHTS(struct scene *s, uint64_t at)
     uint64_t few_count = 0, many_count = 0;
     struct stream stream;
     at = LAYER_MODELS(s, at);
-    few = ALLOCATE(s->value_count + 1, 2 * sizeof *few); /* two for each row, of one weight at least */
+    few = ALLOCATE(s->value_count + 1, 2 * sizeof *few); /* two for each row, which has at least one weight */
     many = ALLOCATE(s->value_count + 1, sizeof *many);
     OPEN(&stream, s->data, at, SECTION(s, S_WEIGHTS) + SECTION_LENGTH(s, S_WEIGHTS) - at, UINT32_C(1) << s->h.lanes_log2[2]);
     for (int i = 0; i < NETWORKS; i++)
@@ -1194,7 +1202,7 @@ static void DECODE_WEIGHTS(struct scene *s, uint64_t at)
     s->values = values;
 }
 
-/* 5.8, 6.8; in mode 0 the section has the length of 6.6 */
+/* 5.8, 6.8: in mode 0 the section is known to have the length of 6.6 */
 static void WEIGHTS(struct scene *s)
 {
     uint64_t at = SECTION(s, S_WEIGHTS), values_at;
@@ -1226,17 +1234,18 @@ static void WEIGHTS(struct scene *s)
 
 /* ---------------------------------------------------------------- 7.3 planes */
 
-/* 7.3: a symbol of a sub-plane's channel, 0 outside it */
+/* 7.3: a symbol of a channel of a sub-plane, or 0 outside the sub-plane */
 static int32_t AT(const int16_t *y, int32_t size, int32_t i, int32_t j)
 {
     return i >= 0 && i < size && j >= 0 && j < size ? y[i * size + j] : 0;
 }
 
-/* 7.3: the groups are the wavefronts, the points of each in the order of channels, then of rows */
+/* 7.3: the groups are the wavefronts. Their points are in the order of channels, then of rows. */
 static void DECODE_PLANE(struct stream *stream, const struct network *sarm, int32_t channels, int32_t size, int16_t *plane, struct value *group)
 {
     for (int32_t t = 0; t < 3 * size - 2; t++) {
-        int32_t first = t < size ? 0 : (t - size + 2) / 2, last = t / 2 < size ? t / 2 : size - 1; /* 0 <= t - 2 i < size */
+        /* the rows with 0 <= t - 2 i < size */
+        int32_t first = t < size ? 0 : (t - size + 2) / 2, last = t / 2 < size ? t / 2 : size - 1;
         uint64_t count = 0;
         for (int32_t k = 0; k < channels; k++)
             for (int32_t i = first; i <= last; i++) {
@@ -1296,11 +1305,11 @@ static void JOIN_QUADRANTS(struct scene *s)
 
 struct chunk {
     uint32_t first, anchors; /* 6.10 */
-    uint64_t at[3], length[3]; /* its parts of positions, masks, attributes */
+    uint64_t at[3], length[3]; /* of its parts of positions, masks, attributes */
     uint32_t crc[3];
 };
 
-/* 6.10: the next chunk, or the first one where index is 0 */
+/* 6.10: makes c the chunk of this index. c is the chunk before it, or anything if index is 0. */
 static void NEXT_CHUNK(const struct scene *s, uint32_t index, struct chunk *c)
 {
     const uint8_t *p = s->entries + CHUNK_ENTRY_LENGTH * (uint64_t)index;
@@ -1378,7 +1387,7 @@ static int64_t POSITION_INTEGER(uint32_t bits)
     return bits >> 15 ? -p : p;
 }
 
-/* 6.11: the f16 of a chunk, which stand in the file from at on */
+/* 6.11: reads the f16 of a chunk, which are at `at` in the file */
 static void RAW_POSITIONS(const struct scene *s, const struct chunk *c, uint64_t at)
 {
     for (uint64_t i = 0; i < 3 * (uint64_t)c->anchors; i++) {
@@ -1391,7 +1400,7 @@ static void RAW_POSITIONS(const struct scene *s, const struct chunk *c, uint64_t
     }
 }
 
-/* 7.12: -1 where there is none; |n| << cell_shift is below 2^55 */
+/* 7.12: -1 if there is none. |n| << cell_shift is below 2^55. */
 static int32_t CELL_NUMBER(uint32_t c, unsigned cell_shift)
 {
     int32_t n = (int32_t)c - (1 << (CELL_LEVELS - 1));
@@ -1410,7 +1419,7 @@ static int32_t CELL_NUMBER(uint32_t c, unsigned cell_shift)
     return (int32_t)bits | (n < 0 ? 0x8000 : 0);
 }
 
-/* 7.12: -1 where there is none */
+/* 7.12: -1 if there is none */
 static int32_t CELL_OF(uint32_t bits, unsigned cell_shift)
 {
     int64_t n = bits & 0x7FFF, c;
@@ -1424,7 +1433,7 @@ static int32_t CELL_OF(uint32_t bits, unsigned cell_shift)
     return c >= 0 && c < 1 << CELL_LEVELS ? (int32_t)c : -1;
 }
 
-/* 7.12: below 2^48 */
+/* 7.12: the result is below 2^48 */
 static uint64_t MORTON(const uint16_t cell[3])
 {
     uint64_t code = 0;
@@ -1455,7 +1464,8 @@ static int PACKS(const struct scene *s, const struct chunk *c)
     return 1;
 }
 
-/* 7.12: nodes and next have room for the chunk's anchors; whether there are as many cells. The cells end up in nodes. */
+/* 7.12: writes the cells to nodes. The result is whether there are as many cells as anchors. nodes, next and halves have
+   room for the anchors. */
 static int DECODE_CELLS(const struct scene *s, struct stream *stream, uint64_t anchors, uint16_t (*nodes)[3], uint16_t (*next)[3], uint8_t *halves)
 {
     uint64_t count = 1, below;
@@ -1490,7 +1500,7 @@ static int DECODE_CELLS(const struct scene *s, struct stream *stream, uint64_t a
     return whole && count == anchors;
 }
 
-/* 6.11, 7.12: a chunk in mode 1; room as for DECODE_CELLS */
+/* 6.11, 7.12: a chunk in mode 1. nodes, next and halves are as for DECODE_CELLS. */
 static void DECODE_POSITIONS(struct scene *s, const struct chunk *c, uint16_t (*nodes)[3], uint16_t (*next)[3], uint8_t *halves)
 {
     uint64_t at = c->at[0], length = c->length[0];
@@ -1533,13 +1543,14 @@ static void POSITIONS(struct scene *s)
         else
             RAW_POSITIONS(s, &c, c.at[0]);
         for (uint64_t i = 3 * (uint64_t)c.first; i < 3 * ((uint64_t)c.first + c.anchors); i++) {
-            int64_t world = s->h.origin[i % 3] + s->h.scale_mantissa * POSITION_INTEGER(s->position_bits[i]); /* below 2^62 + 2^56 */
+            /* below 2^62 + 2^56 in magnitude */
+            int64_t world = s->h.origin[i % 3] + s->h.scale_mantissa * POSITION_INTEGER(s->position_bits[i]);
             PUT_U32(s->positions + 4 * i, ROUND_F32(world, s->h.scale_exponent - 24));
         }
     }
 }
 
-/* 7.5.1: products below 2^60, the sum with the rounding term below 2^63 */
+/* 7.5.1: products are below 2^60, and the sum with the rounding term is below 2^63 */
 static void FRAME_COORDINATES(const struct frame *f, const int64_t p[3], int64_t v[3])
 {
     for (int r = 0; r < 3; r++) {
@@ -1570,7 +1581,7 @@ static void RESCALE(const struct frame *f, int64_t w[3])
         w[r] = CLAMP(FLOOR_DIV((w[r] - f->low[r]) * unit, f->high[r] - f->low[r]), 0, unit);
 }
 
-/* 7.5.4: g < 2^25; the sum with the rounding term is below 2^31 */
+/* 7.5.4: g is below 2^25, and the sum with the rounding term is below 2^31 */
 static void QUERY(const int16_t *plane, int32_t channels, int32_t size, const int64_t u[2], unsigned plane_shift, int32_t *out)
 {
     int32_t cell[2], weight[2];
@@ -1588,7 +1599,7 @@ static void QUERY(const int16_t *plane, int32_t channels, int32_t size, const in
     }
 }
 
-/* 7.5.5: the phase is modulo one turn, so 32 unsigned bits do */
+/* 7.5.5: the phase is taken modulo one turn, so 32 unsigned bits suffice */
 static void GAMMA(int64_t u, uint32_t frequencies, int32_t *out)
 {
     for (uint32_t k = 0; k < frequencies; k++) {
@@ -1616,7 +1627,7 @@ static void CONTEXT(const struct scene *s, const uint16_t *p, int32_t *out)
 
 /* ---------------------------------------------------------------- 7.6 masks */
 
-/* 7.6: bits of anchors, K each */
+/* 7.6: writes the K bits of each anchor */
 static void DECODE_MASKS(struct stream *s, const uint32_t *mask_model, uint32_t offset_count, uint32_t anchors, uint8_t *masks)
 {
     for (uint32_t k = 0; k < offset_count; k++)
@@ -1647,8 +1658,9 @@ static void MASKS(struct scene *s)
 
 /* ---------------------------------------------------------------- 7.7 to 7.10 attributes */
 
-/* 7.10: a group of channels first to first + width - 1 of all anchors of a chunk. parameters: of each anchor the outputs of F_h (7.7);
-   change: of each anchor the outputs of CARM, or a null pointer; symbols: of each anchor D. */
+/* 7.10, 7.7: decodes the group of channels first to first + width - 1 of all anchors of a chunk. For each anchor,
+   parameters has the outputs of F_h, change has the outputs of CARM unless it is a null pointer, and symbols has D
+   symbols. */
 static void DECODE_STAGE(struct scene *s, struct stream *stream, const struct chunk *c, uint32_t first, uint32_t width,
                          const int32_t *parameters, const int32_t *change, int32_t *symbols)
 {
@@ -1675,7 +1687,7 @@ static void DECODE_STAGE(struct scene *s, struct stream *stream, const struct ch
     }
 }
 
-/* 7.9: the outputs of CARM for slice i, whose first channel is first */
+/* 7.9: writes the outputs of CARM for slice i, which begins at channel `first` */
 static void CHANNEL_CONTEXT(const struct scene *s, uint32_t i, uint32_t first, uint64_t anchors, const int32_t *symbols, int32_t *change)
 {
     int32_t inputs[WIDTH_MAX];
@@ -1686,7 +1698,7 @@ static void CHANNEL_CONTEXT(const struct scene *s, uint32_t i, uint32_t first, u
     }
 }
 
-/* 9.2: base step m * 2^e, m below 2^24; the product is below 2^63 */
+/* 9.2: the base step is m * 2^e, with m below 2^24. The product is below 2^63. */
 static uint32_t VALUE(int32_t symbol, int64_t step_index, uint32_t base_step)
 {
     int64_t m;
@@ -1695,7 +1707,7 @@ static uint32_t VALUE(int32_t symbol, int64_t step_index, uint32_t base_step)
     return ROUND_F32(symbol * STEP[step_index] * m, e - STEP_SHIFT);
 }
 
-/* 7.8, 9.2: channels first to first + width - 1 of a chunk's anchors, of kind a */
+/* 7.8, 9.2: writes channels first to first + width - 1 of a chunk's anchors. They are of kind a. */
 static void RECONSTRUCT(const struct scene *s, const struct chunk *c, int a, uint32_t first, uint32_t width, const int32_t *parameters,
                         const int32_t *symbols, uint8_t *part)
 {
@@ -1779,7 +1791,7 @@ static void CANONICAL(const struct scene *s, struct part part[PART_COUNT])
     part[7] = (struct part){"weights", s->values, 4 * s->value_count};
 }
 
-/* 9.3: of the whole, then of each part but the head */
+/* 9.3: prints the digest of the whole, and then that of each part but the head */
 static int DIGEST(const struct part part[PART_COUNT])
 {
     struct sha256 s;
@@ -1798,7 +1810,7 @@ static int DIGEST(const struct part part[PART_COUNT])
     return fflush(stdout) == 0 && !ferror(stdout);
 }
 
-/* 9.3: the reconstruction itself */
+/* 9.3: writes the reconstruction */
 static int WRITE(const struct part part[PART_COUNT], const char *name)
 {
     FILE *f = fopen(name, "wb");
@@ -1817,12 +1829,12 @@ static void DECODE_SCENE(struct scene *s)
     HEADER(&s->h, s->data);
     SHAPES(&s->h, s->networks);
     s->value_count = VALUE_COUNT(s->networks);
-    DIRECTORY(s); /* from here on C is bounded by the file's length */
+    DIRECTORY(s); /* from here on the length of the file bounds C */
     FRAME(s);
     WEIGHTS(s);
     PLANES(s);
     JOIN_QUADRANTS(s);
-    CHUNK_TABLE(s); /* and from here on N */
+    CHUNK_TABLE(s); /* from here on it bounds N too */
     s->position_bits = ALLOCATE(s->h.anchor_count, 6);
     s->positions = ALLOCATE(s->h.anchor_count, 12);
     POSITIONS(s);
@@ -1845,7 +1857,7 @@ static const uint8_t *READ_FILE(const char *name, uint64_t *length)
     data = ALLOCATE(room, 1);
     while ((got = fread(data + n, 1, (size_t)(room - n), f)) > 0) {
         n += got;
-        if (n == room) { /* the old block is the head of the list: nothing else is allocated meanwhile */
+        if (n == room) { /* nothing else was allocated meanwhile, so the old block is the head of the list */
             struct block *old = blocks;
             uint8_t *larger = ALLOCATE(2 * room, 1);
             memcpy(larger, data, (size_t)n);

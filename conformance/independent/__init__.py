@@ -1,4 +1,7 @@
-"""An independent decoder of C3GS files, version 0, in plain Python."""
+"""An independent decoder of C3GS files, version 0, in plain Python.
+
+It was written from SPEC.md and shares no line with refcodec.
+"""
 
 from .codec import decode
 from .errors import C3GSError

@@ -1,4 +1,4 @@
-"""Command line: validate, digest and decode."""
+"""The command line: validate, digest and decode."""
 
 import json
 import sys
@@ -9,13 +9,16 @@ from .errors import C3GSError
 from .reconstruction import canonical_parts, digests
 from .trace import Trace
 
-USAGE = "usage: python -m independent validate FILE | digest FILE [--parts] | decode FILE OUTPUT [--trace TRACE]"
+USAGE = (
+    "usage: python -m conformance.independent "
+    "validate FILE | digest FILE [--parts] | decode FILE OUTPUT [--trace TRACE]"
+)
 REJECTED, UNSUPPORTED, USAGE_ERROR = 1, 2, 3
 
 
-# SPEC 10.1: the command line tells what 10.1 reports
+# SPEC 10.1: a refusal is reported on stderr and by the exit status
 def main(arguments: list[str]) -> int:
-    """Run a command; the exit status."""
+    """Run a command and return its exit status."""
     output = trace = ""
     match arguments:
         case ["validate" | "digest" as command, path]:

@@ -10,11 +10,12 @@ from .weights import Weights
 
 
 class AttributeDecoder:
-    """The stages of a chunk's attributes."""
+    """Decodes the attributes of a chunk, stage by stage."""
 
     def __init__(
         self, stream: Substream, header: Header, weights: Weights, gauss: Family, trace: Trace | None, first: int
     ) -> None:
+        """first: the number of the chunk's first anchor, for the trace."""
         self._stream = stream
         self._trace = trace
         self._first_anchor = first
@@ -26,7 +27,10 @@ class AttributeDecoder:
 
     # SPEC 7.7, 7.8, 7.10
     def run(self, contexts: list[list[int]], masks: list[list[int]]) -> tuple[list[list[int]], list[list[int]]]:
-        """For each anchor its D symbols and its three step indices."""
+        """Return for each anchor its D symbols, and for each anchor its three step indices.
+
+        contexts: the inputs of F_h for each anchor. masks: the K bits of each anchor.
+        """
         hyper = self._weights.networks["hyper"]
         d = self._channels
         predictions = [hyper(context) for context in contexts]
@@ -58,7 +62,7 @@ class AttributeDecoder:
     def _stage(
         self, channels: list[range] | list[list[int]], predictions: list[list[int]], symbols: list[list[int]]
     ) -> None:
-        """Decode one group: for each anchor the given channels."""
+        """Decode one group, the given channels of each anchor, into symbols."""
         d = self._channels
         parameters = [(p[c], p[d + c]) for p, coded in zip(predictions, channels) for c in coded]
         values = self._stream.values(self._gauss, parameters, ATTRIBUTE_SYMBOL_MAX)
@@ -82,7 +86,7 @@ def read_attributes(
     masks: list[list[int]],
     trace: Trace | None,
 ) -> tuple[list[list[int]], list[list[int]]]:
-    """Symbols and step indices of a chunk whose CRC-32 was checked."""
+    """Return the symbols and the step indices of a chunk's anchors. The CRC-32 of its part has been checked."""
     stream = Substream(data, part.offset, part.length, header["attribute_lanes_log2"])
     out = AttributeDecoder(stream, header, weights, gauss, trace, chunk * header["chunk_size"]).run(contexts, masks)
     stream.finish()

@@ -13,7 +13,7 @@ POSITION_MODEL_LENGTH = 577
 
 @dataclass(frozen=True)
 class Part:
-    """A chunk's part of a section."""
+    """A chunk's part of a section: its first byte in the file, its length in bytes, and its CRC-32 in the table."""
 
     offset: int
     length: int
@@ -21,21 +21,24 @@ class Part:
 
     # SPEC [R6.10-3]
     def check(self, data: bytes) -> None:
-        """Check the CRC-32 of the part."""
+        """Refuse the file if the CRC-32 of the part is wrong."""
         if zlib.crc32(memoryview(data)[self.offset : self.offset + self.length]) != self.crc:
             raise C3GSError("chunks.crc", self.offset)
 
 
 # SPEC 5.10
 def entries_start(header: Header) -> int:
-    """Bytes of the chunk table before its entries."""
+    """Return how many bytes of the chunk table come before its entries."""
     offsets = header["offset_count"]
     return offsets * (offsets + 1) + POSITION_MODEL_LENGTH * header.position_mode
 
 
 # SPEC 5.10, 6.10, 10.1 step 6
 def read_entries(data: bytes, header: Header, entries_at: int, spans: list[tuple[int, int]]) -> list[tuple[Part, ...]]:
-    """For each chunk its parts of the positions, masks and attributes; spans: offset and length of these sections."""
+    """Return for each chunk its parts of the positions, the masks and the attributes.
+
+    entries_at: where the first entry is. spans: the offset and the length of each of these sections.
+    """
     ends = [offset for offset, _ in spans]
     chunks = []
     for c in range(header.chunk_count):

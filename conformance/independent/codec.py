@@ -18,7 +18,10 @@ from .weights import read_weights
 
 # SPEC 2.1, 7.1, 10.1
 def decode(data: bytes, trace: Trace | None = None) -> Scene:
-    """The scene of a file; C3GSError for a file that is refused. The trace gets each symbol once its group is decoded."""
+    """Return the scene of a file. Raises C3GSError if the file is refused.
+
+    trace: gets the symbols of a group when the group is decoded.
+    """
     tables = load_tables()
     header = read_header(data, read_prologue(data))
     sections = read_directory(data, header, weight_count(header))

@@ -11,11 +11,12 @@ WHOLE = 1 << LERP_BITS
 
 
 class ContextSource:
-    """The context of an anchor from its position (7.5)."""
+    """Computes the context of an anchor from its position."""
 
     def __init__(
         self, frame: Frame, planes: list[Plane], plane_shift: int, frequencies: int, sine: tuple[int, ...]
     ) -> None:
+        """planes: those of r = 1 and r = 2. frequencies: L. sine: the sine table."""
         self._frame = frame
         self._planes = planes
         self._down = 2 * LERP_BITS - plane_shift
@@ -24,6 +25,7 @@ class ContextSource:
 
     # SPEC 7.5
     def __call__(self, position: tuple[int, int, int]) -> list[int]:
+        """Return the 2 ch + 2 L inputs of F_h. position: P of each axis."""
         u = self._unit_coordinates(position)
         out = []
         for plane in self._planes:

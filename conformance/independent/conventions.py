@@ -1,4 +1,4 @@
-"""Clause 2: constants, and operators on integers."""
+"""Clause 2: the constants, and the operators on integers."""
 
 HEADER_LENGTH_MIN, HEADER_LENGTH_MAX = 4, 65535
 LANES_LOG2_MAX = 8
@@ -38,32 +38,32 @@ STEP_SHIFT = 12
 
 # SPEC 2.4, RSHIFT_ROUND
 def shift_round(value: int, shift: int) -> int:
-    """value / 2^shift, rounded half up."""
+    """Return value / 2^shift, rounded half up."""
     return (value + (1 << shift - 1)) >> shift if shift else value
 
 
 # SPEC 2.4, CLAMP
 def clamp(value: int, low: int, high: int) -> int:
-    """The number of low .. high that is nearest to value."""
+    """Return the integer from low to high that is nearest to value."""
     return low if value < low else high if value > high else value
 
 
-# SPEC 7.2, 7.9: the range of an input activation
+# SPEC 7.2, 7.9: the range of a network's input
 def activation(value: int) -> int:
-    """value clamped to what a network reads."""
+    """Return value, clamped to what a network reads."""
     return clamp(value, -ACTIVATION_MAX, ACTIVATION_MAX)
 
 
-# SPEC 2.4, ROUND_SCALED, with the f32 given as a numerator over 2^denominator_log2
+# SPEC 2.4, ROUND_SCALED: the f32 is given as numerator / 2^denominator_log2
 def round_ratio(numerator: int, denominator_log2: int, exponent: int) -> int:
-    """numerator * 2^(exponent - denominator_log2), rounded half up."""
+    """Return numerator * 2^(exponent - denominator_log2), rounded half up."""
     down = denominator_log2 - exponent
     return shift_round(numerator, down) if down >= 0 else numerator << -down
 
 
 # SPEC 2.4, ROUND_F32
 def f32_bits(number: int, exponent: int) -> int:
-    """The 32 bits of the binary32 nearest to number * 2^exponent (normal or zero), ties to even."""
+    """Return the bits of the binary32 nearest to number * 2^exponent, ties to even. The result is normal or zero."""
     if number == 0:
         return 0
     magnitude = abs(number)

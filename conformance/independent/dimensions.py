@@ -6,29 +6,32 @@ from .syntax import Fields
 
 
 class Dimensions(Fields):
-    """A header's fields, with what follows from its dimensions."""
+    """The fields of a header, and what follows from its dimensions."""
 
     # SPEC 6.3
     @property
     def features(self) -> int:
-        """F of 6.3."""
+        """F, the number of feature channels of an anchor."""
         return sum(self["slice_width"])
 
     # SPEC 6.3
     @property
     def channels(self) -> int:
-        """D of 6.3."""
+        """D, the number of attribute channels of an anchor."""
         return self.features + 6 + 3 * self["offset_count"]
 
     # SPEC 5.8
     @property
     def carm_inputs(self) -> int:
-        """F less the width of the last slice (5.8)."""
+        """The number of inputs of CARM: F less the width of the last slice."""
         return self.features - self["slice_width"][-1]
 
 
 class Shape(NamedTuple):
-    """A network as 5.8 lists it: its widths from inputs to outputs."""
+    """The shape of a network.
+
+    widths: from the inputs to the outputs. integer: whether it acts on integers, as all but the rendering networks do.
+    """
 
     name: str
     widths: list[int]
@@ -37,7 +40,7 @@ class Shape(NamedTuple):
 
 # SPEC 5.8
 def shapes(header: Dimensions) -> list[Shape]:
-    """The networks in file order."""
+    """Return the shapes of the networks, in file order."""
     k, f, d = header["offset_count"], header.features, header.channels
     slices = header["slice_width"]
     context = 2 * header["plane_channels"] + 2 * header["frequency_count"]
@@ -54,5 +57,5 @@ def shapes(header: Dimensions) -> list[Shape]:
 
 # SPEC 5.8, [R6.6-5]
 def weight_count(header: Dimensions) -> int:
-    """W, the number of values."""
+    """Return W, the number of weights and biases."""
     return sum((a + 1) * b for shape in shapes(header) for a, b in zip(shape.widths, shape.widths[1:]))

@@ -13,7 +13,7 @@ FRAME_LENGTH = 88
 
 @dataclass(frozen=True)
 class Section:
-    """One entry of the directory."""
+    """A section of the file: its type, its first byte in the file, and its length in bytes."""
 
     type: int
     offset: int
@@ -31,9 +31,9 @@ def _check_order(header: Header) -> None:
     require(header["section_count"] >= len(CRITICAL_TYPES), "directory.order", header.offsets["section_count"])
 
 
-# SPEC 6.6, 10.1 step 3; 13.1: every length is checked before what it sizes is read; 12.1: ancillary sections are skipped
+# SPEC 6.6, 10.1 step 3, 12.1, 13.1: lengths are checked before what they size is read, ancillary sections are skipped
 def read_directory(data: bytes, header: Header, weight_count: int) -> list[Section]:
-    """Check the directory and the CRC-32s of the sections; weight_count is W."""
+    """Check the directory and the CRC-32s of the sections, and return the sections. weight_count: W."""
     at = header.offsets
     entries = range(header["section_count"])
     for n in entries:

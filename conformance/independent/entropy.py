@@ -15,7 +15,7 @@ SLOT_MASK = (1 << PRECISION) - 1
 
 # SPEC 8.5, SELECT
 def select(mean: int, scale: int) -> tuple[int, int, int, int]:
-    """Row (from 0), column, centre and number of raw bits of a value."""
+    """Return the row from 0, the column, the centre and the number of raw bits of a value."""
     raw = clamp((scale - SCALE_END) // 8 + 1, 0, RAW_MAX)
     row = clamp(scale - 8 * raw, SCALE_MIN, SCALE_END - 1) - SCALE_MIN
     centre, column = divmod(shift_round(mean - 8 * ((1 << raw) - 1), raw) + 8, 16)
@@ -23,7 +23,7 @@ def select(mean: int, scale: int) -> tuple[int, int, int, int]:
 
 
 class RawBits:
-    """The bit string behind the words; zero past its end."""
+    """The bits behind the words. Past their end they are 0."""
 
     def __init__(self, data: bytes) -> None:
         self._data = data
@@ -31,27 +31,28 @@ class RawBits:
 
     # SPEC 8.6
     def take(self, count: int) -> int:
-        """The next field of count bits."""
+        """Return the next field of count bits."""
         first, self._taken = self._taken, self._taken + count
         window = self._data[first >> 3 : (self._taken + 7) >> 3]
         return int.from_bytes(window, "little") >> (first & 7) & ((1 << count) - 1)
 
     # SPEC [R8.8-3]
     def length_right(self) -> bool:
-        """Whether the bytes are as few as hold the bits taken."""
+        """Whether the bytes are as few as hold the taken bits."""
         return len(self._data) == (self._taken + 7) // 8
 
-    # SPEC [R8.8-4]; the length is right
+    # SPEC [R8.8-4]: the length is known to be right
     def padding_zero(self) -> bool:
         """Whether the bits after the last one taken are 0."""
         return self._taken % 8 == 0 or self._data[-1] >> self._taken % 8 == 0
 
 
 class Substream:
-    """A substream that is being decoded."""
+    """A substream while it is decoded."""
 
     # SPEC 5.14, [R8.1-1], [R8.1-2]
     def __init__(self, data: bytes, offset: int, length: int, lanes_log2: int) -> None:
+        """Read the substream in data[offset : offset + length], and check its head and its states."""
         lanes = 1 << lanes_log2
         self._offset = offset
         words_at = HEAD_LENGTH + 4 * lanes
@@ -92,7 +93,7 @@ class Substream:
 
     # SPEC 7.6, 7.12, 8.3
     def plain(self, models: Iterable[Model]) -> list[int]:
-        """A group of symbols that are no values: mask bits, halves of children."""
+        """Decode a group of symbols that are no values: mask bits, or halves of children. models: one for each."""
         out = self._group(models)
         self._note(out)
         return out
@@ -112,7 +113,7 @@ class Substream:
 
     # SPEC 8.5, 8.6, [R8.5-1]
     def values(self, family: Family, parameters: Sequence[Sequence[int]], limit: int) -> list[int]:
-        """A group of values, each with a mean and a scale index."""
+        """Decode a group of values. parameters: the mean and the scale index of each. limit: the largest magnitude."""
         chosen = [select(mean, scale) for mean, scale in parameters]
         models = [family[row][column] for row, column, _, _ in chosen]
         symbols = self._group(models)
@@ -132,7 +133,7 @@ class Substream:
 
     # SPEC 8.8
     def finish(self) -> None:
-        """Check what must hold when all groups are decoded."""
+        """Check the end of the substream, when all groups are decoded."""
         at = self._offset
         require(self._words_taken == len(self._words), "substream.words", at)
         require(all(state == STATE_MIN for state in self._states), "substream.final_state", at)

@@ -1,6 +1,6 @@
-"""Clause 10.2: the registry of errors, and the one exception that this package raises for a file."""
+"""Clause 10.2: the registry of errors, and the exception that every refused file raises."""
 
-# SPEC 10.2: name -> (code, class, clause, meaning)
+# SPEC 10.2: for each name its code, class, clause and meaning
 REGISTRY: dict[str, tuple[int, str, str, str]] = {
     "prologue.truncated": (101, "malformed", "5.1", "the file is shorter than a prologue"),
     "prologue.signature": (102, "malformed", "6.1", "the first eight bytes are not the signature"),
@@ -61,7 +61,10 @@ REGISTRY: dict[str, tuple[int, str, str, str]] = {
 
 # SPEC 10.1, 10.2
 class C3GSError(Exception):
-    """A file that a decoder refuses: code, name, kind (the class), offset, clause."""
+    """A file that is refused.
+
+    code, name, clause, meaning: of the registry. kind: the class of the error. offset: a byte of the file.
+    """
 
     def __init__(self, name: str, offset: int) -> None:
         self.name = name
@@ -70,12 +73,12 @@ class C3GSError(Exception):
         super().__init__(f"{self.code} {name} ({self.kind}) at byte {offset}: {self.meaning} (clause {self.clause})")
 
     def as_dict(self) -> dict[str, int | str]:
-        """The error as a record for JSON."""
+        """Return the error as a JSON object: code, name, class, offset, clause."""
         return {"code": self.code, "name": self.name, "class": self.kind, "offset": self.offset, "clause": self.clause}
 
 
 # SPEC 10.1
 def require(condition: bool, name: str, offset: int) -> None:
-    """Refuse the file with the named error unless the condition holds."""
+    """Raise the named error unless the condition holds."""
     if not condition:
         raise C3GSError(name, offset)

@@ -10,7 +10,7 @@ from .errors import require
 
 @dataclass(frozen=True)
 class Frame:
-    """The map from positions to the coordinates of the hyperprior."""
+    """The map from positions to principal components. matrix: 9 integers, row by row. The others: 3 integers each."""
 
     matrix: tuple[int, ...]
     translation: tuple[int, ...]
@@ -21,7 +21,7 @@ class Frame:
 
 # SPEC 5.7, 6.7, 10.1 step 4
 def read_frame(data: bytes, section: Section) -> Frame:
-    """Parse and check the frame."""
+    """Read the frame, check it, and return it."""
     at = section.offset
     numbers = struct.unpack_from("<9i3q3BB3i3i", data, at)
     frame = Frame(numbers[:9], numbers[9:12], numbers[12:15], numbers[16:19], numbers[19:22])

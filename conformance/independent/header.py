@@ -24,37 +24,40 @@ ENTRY_NAMES = ("type", "mode", "reserved", "offset", "length", "crc")
 
 
 class Header(Dimensions):
-    """The values of the header's fields by name, and what follows from them."""
+    """The values of the header's fields by name, and what follows from them.
+
+    The directory's modes can be asked for only after its check.
+    """
 
     # SPEC 5.6
     @property
     def weight_mode(self) -> int:
-        """The mode of the weights, of a right directory."""
+        """The mode of the weights."""
         mode: int = self[f"mode.{WEIGHTS}"]
         return mode
 
     # SPEC 5.6
     @property
     def position_mode(self) -> int:
-        """The mode of the positions, of a right directory."""
+        """The mode of the positions."""
         mode: int = self[f"mode.{POSITIONS}"]
         return mode
 
     # SPEC 6.10
     @property
     def chunk_count(self) -> int:
-        """C."""
+        """C, the number of chunks."""
         return -(-self["anchor_count"] // self["chunk_size"])
 
     # SPEC 6.10
     def chunk_anchors(self, chunk: int) -> int:
-        """How many anchors a chunk holds."""
+        """Return how many anchors a chunk has."""
         return min(self["chunk_size"], self["anchor_count"] - chunk * self["chunk_size"])
 
 
 # SPEC 6.1, 10.1 step 1
 def read_prologue(data: bytes) -> int:
-    """Check the prologue; the header's length."""
+    """Check the prologue, and return header_length."""
     require(len(data) >= PROLOGUE_LENGTH, "prologue.truncated", len(data))
     signature, version, header_length, crc = struct.unpack_from("<8s3I", data)
     require(signature == SIGNATURE, "prologue.signature", 0)
@@ -120,7 +123,7 @@ def _check_render_info(header: Header) -> None:
 
 # SPEC 6.2 to 6.5, 10.1 step 2
 def read_header(data: bytes, header_length: int) -> Header:
-    """Parse and check the header."""
+    """Read the header, check it, and return it. The directory is checked later."""
     end = PROLOGUE_LENGTH + header_length
     require(len(data) >= end, "header.truncated", len(data))
     (stored,) = struct.unpack_from("<I", data, end - 4)

@@ -3,7 +3,7 @@
 from .errors import require
 from .syntax import Fields
 
-# SPEC 11.1: dimension -> bounds of Tiny and of Main; a list's bounds are those of each item
+# SPEC 11.1: for each dimension the bounds of Tiny and of Main. The bounds of a list are those of each item
 PROFILE_BOUNDS: dict[str, tuple[tuple[int, int], tuple[int, int]]] = {
     "offset_count": ((1, 10), (10, 10)),
     "slice_count": ((1, 4), (4, 4)),
@@ -22,7 +22,7 @@ PROFILE_BOUNDS: dict[str, tuple[tuple[int, int], tuple[int, int]]] = {
 CHUNK_SIZE_BOUNDS = ((1, 65536), (256, 65536))
 MAIN = 1
 MAIN_SLICES = [5, 10, 15, 20]
-# SPEC 11.2: for each profile, level -> (largest anchor_count, largest plane_size)
+# SPEC 11.2: for each profile, and each of its levels, the largest anchor_count and the largest plane_size
 LEVELS: tuple[dict[int, tuple[int, int]], ...] = (
     {0: (4096, 32)},
     {1: (131072, 128), 2: (1048576, 256), 3: (16777216, 256)},
@@ -31,6 +31,7 @@ LEVELS: tuple[dict[int, tuple[int, int]], ...] = (
 
 # SPEC 11.1, 11.2, 10.1 step 2
 def check_profile(header: Fields) -> None:
+    """Check the profile, the level, the dimensions, anchor_count and chunk_size."""
     at = header.offsets
     profile, level, anchors, size = (header[name] for name in ("profile", "level", "anchor_count", "plane_size"))
     require(profile < len(LEVELS), "header.profile", at["profile"])

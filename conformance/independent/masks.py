@@ -13,7 +13,7 @@ from .trace import Trace
 
 # SPEC 5.10, [R6.10-1]
 def read_mask_model(data: bytes, header: Header, table: int) -> list[int]:
-    """The frequencies of the mask model, which the chunk table begins with."""
+    """Return the frequencies of the mask model. table: where the chunk table starts."""
     count = header["offset_count"] * (header["offset_count"] + 1) // 2
     mask_model = list(struct.unpack_from(f"<{count}H", data, table))
     for n, frequency in enumerate(mask_model):
@@ -25,7 +25,7 @@ def read_mask_model(data: bytes, header: Header, table: int) -> list[int]:
 def read_masks(
     data: bytes, header: Header, chunk: int, part: Part, mask_model: list[int], trace: Trace | None
 ) -> list[list[int]]:
-    """For each anchor of a chunk its K bits."""
+    """Return the K bits of each anchor of a chunk. mask_model: the frequencies of a kept offset."""
     part.check(data)
     models = [make_model([(1 << PRECISION) - kept, kept], 0) for kept in mask_model]
     stream = Substream(data, part.offset, part.length, header["mask_lanes_log2"])

@@ -7,7 +7,7 @@ from .conventions import ACCUMULATOR_BOUND, ACTIVATION_MAX, EXPONENT_MAX, WEIGHT
 
 
 class Row(NamedTuple):
-    """One output of a layer."""
+    """The integers of one output of a layer."""
 
     weights: list[int]
     bias: int
@@ -15,7 +15,7 @@ class Row(NamedTuple):
 
 
 class Network:
-    """A network of integer weights."""
+    """A network that acts on integers."""
 
     def __init__(self, layers: list[list[Row]]) -> None:
         self._hidden = layers[:-1]
@@ -23,6 +23,7 @@ class Network:
 
     # SPEC 7.2
     def __call__(self, inputs: list[int]) -> list[int]:
+        """Return the outputs. inputs: integers from -ACTIVATION_MAX to ACTIVATION_MAX."""
         for layer in self._hidden:
             inputs = [clamp(value, 0, ACTIVATION_MAX) for value in _layer(layer, inputs)]
         return _layer(self._last, inputs)
@@ -35,7 +36,7 @@ def _layer(rows: list[Row], inputs: list[int]) -> list[int]:
 
 # SPEC 7.2
 def derive_row(weights: tuple[float, ...], bias: float) -> Row | None:
-    """The row with the largest exponent that keeps the bounds, or None."""
+    """Return the integers with the largest exponent that keeps the bounds, or None if no exponent does."""
     ratios = [(n, d.bit_length() - 1) for n, d in (x.as_integer_ratio() for x in (*weights, bias))]
     for exponent in range(EXPONENT_MAX, -1, -1):
         *integers, integer_bias = [round_ratio(n, d, exponent) for n, d in ratios]

@@ -12,6 +12,7 @@ from .tables import Family
 from .trace import Trace
 
 PLANE_TABLE_LENGTH = 20
+# plane[channel][i][j]
 Plane = list[list[list[int]]]
 
 
@@ -19,7 +20,7 @@ Plane = list[list[list[int]]]
 def _decode_plane(
     stream: Substream, sarm: Network, laplace: Family, channels: int, size: int, number: int, trace: Trace | None
 ) -> Plane:
-    """One sub-plane, with a border of zeros above, left and right while it is decoded."""
+    """Decode one sub-plane. While it is decoded it has a border of zeros above, left and right."""
     padded = [[[0] * (size + 2) for _ in range(size + 1)] for _ in range(channels)]
     known: dict[tuple[int, ...], list[int]] = {}
     for t in range(3 * size - 2):
@@ -50,7 +51,7 @@ def _decode_plane(
 def read_planes(
     data: bytes, header: Header, section: Section, sarm: Network, laplace: Family, trace: Trace | None
 ) -> list[Plane]:
-    """The five sub-planes."""
+    """Return the five sub-planes."""
     require(section.length >= PLANE_TABLE_LENGTH, "planes.length", section.offset)
     lengths = struct.unpack_from("<5I", data, section.offset)
     require(sum(lengths) == section.length - PLANE_TABLE_LENGTH, "planes.length", section.offset)
@@ -66,7 +67,7 @@ def read_planes(
 
 # SPEC 7.3, 7.5.4
 def join_quadrants(quadrants: list[Plane]) -> Plane:
-    """The plane of r = 2 from top left, top right, bottom left and bottom right."""
+    """Return the plane of r = 2. quadrants: top left, top right, bottom left, bottom right."""
     top_left, top_right, bottom_left, bottom_right = quadrants
     out = []
     for k in range(len(top_left)):

@@ -27,7 +27,7 @@ def _integers(bits: list[int]) -> list[int]:
 
 # SPEC 6.11
 def _read_raw(data: bytes, at: int, anchors: int) -> list[int]:
-    """The f16 numbers of a chunk as bits."""
+    """Return the bits of the f16 numbers of a chunk."""
     bits = list(struct.unpack_from(f"<{3 * anchors}H", data, at))
     for n, item in enumerate(bits):
         require(item & 0x7C00 != 0x7C00, "positions.not_finite", at + 2 * n)
@@ -37,7 +37,7 @@ def _read_raw(data: bytes, at: int, anchors: int) -> list[int]:
 
 # SPEC 7.12, CELL_OF
 def _cell_of(bits: int, integer: int, cell_shift: int) -> int | None:
-    """A coordinate of the cell of a position."""
+    """Return a coordinate of the cell of a position, or None. integer: P of the f16 with these bits."""
     if cell_shift == CELL_INDEX:
         return HALF + (bits if bits < 0x8000 else 0x8000 - bits)
     n, rest = divmod(integer, 1 << cell_shift)
@@ -46,7 +46,7 @@ def _cell_of(bits: int, integer: int, cell_shift: int) -> int | None:
 
 # SPEC 7.12, CELL_NUMBER
 def _number(cell: int, cell_shift: int) -> int | None:
-    """The bits of the f16 that a coordinate of a cell stands for."""
+    """Return the bits of the f16 that a coordinate of a cell stands for, or None."""
     n = cell - HALF
     if cell_shift == CELL_INDEX:
         bits = n if n >= 0 else 0x8000 - n
@@ -59,7 +59,7 @@ def _number(cell: int, cell_shift: int) -> int | None:
     return int.from_bytes(packed, "little") if struct.unpack("<e", packed)[0] == value else None
 
 
-# SPEC 7.12, MORTON: cells are in its order if their bits, the highest first, are
+# SPEC 7.12, MORTON: the bits of its number, the highest first
 def _order(cell: list[int]) -> str:
     x, y, z = (format(c, f"0{CELL_LEVELS}b") for c in cell)
     return "".join(c + b + a for a, b, c in zip(x, y, z))
@@ -77,7 +77,7 @@ def _packs(bits: list[int], cell_shift: int) -> bool:
 
 @dataclass(frozen=True)
 class PositionModel:
-    """What packed positions are coded with: the frequencies of each model."""
+    """What packed positions are coded with. frequencies: the 16 of each of the 18 models."""
 
     cell_shift: int
     frequencies: list[list[int]]
@@ -85,11 +85,12 @@ class PositionModel:
 
 # SPEC 5.15, [R6.10-4]
 def read_position_model(data: bytes, at: int) -> PositionModel:
+    """Return the model that starts at data[at]."""
     require(data[at] <= CELL_INDEX, "chunks.position_model", at)
     frequencies = []
     for n in range(POSITION_MODELS):
         model = list(struct.unpack_from("<16H", data, at + 1 + 32 * n))
-        # a first half without children is never followed by a second one without
+        # At least one half of a node has children. So the second half is not empty if the first one is.
         least = [0 if n % 6 == 1 else 1] + [1] * 15
         right = sum(model) == 1 << PRECISION and all(map(int.__ge__, model, least)) and (n % 6 != 1 or model[0] == 0)
         require(right, "chunks.position_model", at + 1 + 32 * n)
@@ -101,7 +102,7 @@ def read_position_model(data: bytes, at: int) -> PositionModel:
 def _decode_cells(
     stream: Substream, model: PositionModel, anchors: int, chunk: int, trace: Trace | None
 ) -> tuple[list[Position], bool]:
-    """The cells of a chunk, and whether they are as many as the anchors."""
+    """Return the cells of a chunk, and whether there are as many as anchors."""
     models = [make_model(frequencies, 0) for frequencies in model.frequencies]
     nodes, whole = [(0, 0, 0)], True
     for level in reversed(range(CELL_LEVELS)):
@@ -123,7 +124,7 @@ def _decode_cells(
 def read_positions(
     data: bytes, header: Header, chunk: int, part: Part, model: PositionModel | None, trace: Trace | None
 ) -> list[Position]:
-    """The integers P of a chunk's anchors."""
+    """Return P of each axis of each anchor of a chunk. model: None in mode 0."""
     part.check(data)
     anchors, at = header.chunk_anchors(chunk), part.offset
     if model is None:

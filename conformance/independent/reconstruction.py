@@ -1,4 +1,4 @@
-"""Clause 9: values, canonical reconstruction and digest."""
+"""Clause 9: reconstruction, to values, the canonical reconstruction and its digest."""
 
 import hashlib
 import struct
@@ -15,14 +15,14 @@ if TYPE_CHECKING:
 
 # SPEC 9.1
 def world_bits(header: Header, position: Sequence[int]) -> list[int]:
-    """The world position of an anchor, as bits of f32."""
+    """Return the world position of an anchor, as the bits of three f32. position: P of each axis."""
     scale, exponent = header["scale_mantissa"], header["scale_exponent"] - 24
     return [f32_bits(origin + scale * p, exponent) for origin, p in zip(header["origin"], position)]
 
 
 # SPEC 9.2
 def value_bits(symbols: Sequence[int], step_index: int, base_step: float) -> list[int]:
-    """The values of symbols of one kind and anchor, as bits of f32."""
+    """Return the values of an anchor's symbols of one kind, as the bits of f32."""
     numerator, denominator = base_step.as_integer_ratio()
     unit = load_tables().step[step_index] * numerator
     exponent = 1 - denominator.bit_length() - STEP_SHIFT
@@ -31,7 +31,7 @@ def value_bits(symbols: Sequence[int], step_index: int, base_step: float) -> lis
 
 # SPEC 9.3
 def canonical_parts(scene: "Scene") -> dict[str, bytes]:
-    """The parts of the canonical reconstruction, in its order."""
+    """Return the parts of the canonical reconstruction by name, in their order, with the head."""
     header = scene.header
     f = header.features
     dimensions = (header[name] for name in ("plane_channels", "plane_size"))
@@ -54,7 +54,7 @@ def canonical_parts(scene: "Scene") -> dict[str, bytes]:
 
 # SPEC 9.3
 def digests(scene: "Scene") -> dict[str, str]:
-    """The digest of the scene, as `whole`, and of each part but the head."""
+    """Return the digest of the scene, as `whole`, and that of each part but the head, by name."""
     parts = canonical_parts(scene)
     out = {"whole": hashlib.sha256(b"".join(parts.values())).hexdigest()}
     out.update((name, hashlib.sha256(part).hexdigest()) for name, part in parts.items() if name != "head")
@@ -63,5 +63,5 @@ def digests(scene: "Scene") -> dict[str, str]:
 
 # SPEC 9.3
 def digest(scene: "Scene") -> str:
-    """The digest of the scene."""
+    """Return the digest of the scene."""
     return digests(scene)["whole"]

@@ -1,4 +1,4 @@
-"""What a file says."""
+"""The scene: what a file says, as integers in lists."""
 
 from dataclasses import dataclass
 
@@ -10,7 +10,10 @@ from .weights import Weights
 
 @dataclass(frozen=True)
 class Chunk:
-    """The decoded anchors of a chunk; an item for each anchor in each list."""
+    """The decoded anchors of a chunk. Each list has an item for each anchor.
+
+    positions: P of each axis. masks: K bits. symbols: D symbols. steps: three step indices.
+    """
 
     positions: list[tuple[int, int, int]]
     masks: list[list[int]]
@@ -20,7 +23,10 @@ class Chunk:
 
 @dataclass(frozen=True)
 class Scene:
-    """What a file says."""
+    """All that a file says.
+
+    planes: the five sub-planes. mask_model: the frequencies of a kept offset.
+    """
 
     header: Header
     frame: Frame

@@ -16,19 +16,20 @@ TABLE_PATH = Path(__file__).resolve().parents[2] / "refcodec" / "data" / "tables
 
 # SPEC 8.2, 8.4
 class Model(NamedTuple):
-    """Frequencies, the first slot of each symbol, and the radius (0 where a model has none)."""
+    """A model. starts: the first slot of each symbol. radius: 0 if the model has none."""
 
     starts: list[int]
     frequencies: list[int]
     radius: int
 
 
+# family[row][column]: the rows count from SCALE_MIN
 Family = list[list[Model]]
 
 
 @dataclass(frozen=True)
 class Tables:
-    """The sine and step tables and the two families, each a list of rows from SCALE_MIN."""
+    """The sine table, the step table and the two families of models."""
 
     sine: tuple[int, ...]
     step: tuple[int, ...]
@@ -38,13 +39,13 @@ class Tables:
 
 # SPEC 8.2
 def make_model(frequencies: list[int], radius: int) -> Model:
-    """A model from frequencies that sum to 2^PRECISION."""
+    """Return a model. The frequencies sum to 2^PRECISION."""
     return Model([0, *accumulate(frequencies[:-1])], frequencies, radius)
 
 
 # SPEC Annex A
 def parse_tables(data: bytes) -> Tables:
-    """The tables in the bytes of the file, which must be the normative ones."""
+    """Return the tables. data: the bytes of the file. Raises RuntimeError if they are not the normative ones."""
     if hashlib.sha256(data).hexdigest() != TABLE_SHA256:
         raise RuntimeError("the table file is not the one of version 0")
     sine = struct.unpack_from(f"<{SINE_LENGTH}h", data, 0)
@@ -65,5 +66,5 @@ def parse_tables(data: bytes) -> Tables:
 # SPEC Annex A
 @lru_cache(maxsize=1)
 def load_tables() -> Tables:
-    """The normative tables, read once."""
+    """Return the normative tables, which are read once."""
     return parse_tables(TABLE_PATH.read_bytes())

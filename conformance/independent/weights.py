@@ -27,7 +27,7 @@ MODEL_LENGTH = 6
 
 
 class Layer(NamedTuple):
-    """The values of a layer, row by row and then the biases, and where an error in them points."""
+    """A layer. values: the weights row by row, and then the biases. at: the byte at which an error in it points."""
 
     values: list[float]
     inputs: int
@@ -35,7 +35,7 @@ class Layer(NamedTuple):
 
 
 class Model(NamedTuple):
-    """A LayerModel, where it is, and the values of a raw layer."""
+    """A LayerModel. at: its first byte in the file. raw: the values of a raw layer, or nothing."""
 
     form: int
     exponent: int
@@ -48,14 +48,14 @@ class Model(NamedTuple):
 
 # SPEC [R6.8-2]
 def check_finite(values: list[float], at: int) -> None:
-    """Refuse values that are not finite; the first of them is at `at`."""
+    """Refuse the file if a value is not finite. at: where the first value is in the file."""
     for n, value in enumerate(values):
         require(math.isfinite(value), "weights.not_finite", at + 4 * n)
 
 
 # SPEC 5.16, [R6.8-4], [R6.8-5]
 def _read_models(data: bytes, section: Section, at: int, forms: list[tuple[int, int]]) -> tuple[list[Model], int]:
-    """The models of all layers, and where the substream begins."""
+    """Return the models of all layers, and where the substream begins. forms: (outputs, inputs) of each layer."""
     end = section.offset + section.length
     found = []
     for outputs, inputs in forms:
@@ -135,7 +135,10 @@ def read_grids(
     tables: Tables,
     trace: tuple[Trace, list[str]] | None,
 ) -> list[Layer]:
-    """The layers of a section in mode 1, from the first LayerModel on; forms: (outputs, inputs) of each; trace: with their names."""
+    """Return the layers of a section in mode 1, whose first LayerModel is at data[at].
+
+    forms: (outputs, inputs) of each layer. trace: a trace and the names of the layers.
+    """
     models, stream_at = _read_models(data, section, at, forms)
     stream = Substream(data, stream_at, section.offset + section.length - stream_at, header["attribute_lanes_log2"])
     first, second = [], []
@@ -167,7 +170,10 @@ def read_grids(
 
 @dataclass(frozen=True)
 class Weights:
-    """The scales, the integer networks, and the bytes of all values."""
+    """The section of weights.
+
+    networks: F_h, SARM and CARM, by name. raw: the bytes of all values as f32.
+    """
 
     plane_shift: int
     carm_shift: list[int]
@@ -177,7 +183,7 @@ class Weights:
 
 # SPEC 6.8, 10.1 step 4
 def read_weights(data: bytes, header: Header, section: Section, tables: Tables, trace: Trace | None) -> Weights:
-    """Parse and check the section of weights."""
+    """Read the section of weights, check it, and return it."""
     at = section.offset
     require(section.length >= 2 + header.carm_inputs, "weights.length", at)
     require(data[at] <= PLANE_SHIFT_MAX, "weights.scale", at)

@@ -1,15 +1,14 @@
-"""The bitstream: what SPEC.md says, one module for each chapter or group of clauses.
+"""The bitstream: one module for each chapter of SPEC.md or group of its clauses.
 
-The first line of each module names its clauses. `conformance/independent` has a module of the same name for each of them,
-with the same clauses, but for three that only this decoder needs: `syntax` (the schemas), `scene` (all that a file says,
-as arrays) and `batches` (chunks that are decoded side by side).
+The first line of a module names its clauses. `conformance/independent` has a module of the same name with the same
+clauses. Only `batches`, chunks that are decoded side by side, has no module there.
 
     conventions     2           operators
     syntax          5           the syntax tables as construct schemas
     errors          10.2        the registry and the exception
-    dimensions      5.3, 6.3    dimensions, and the networks that follow from them
+    dimensions      5.3, 5.8, 6.3   dimensions, and the networks that follow from them
     limits          11          profiles and levels
-    tables          A           sine, steps, models
+    tables          A, 8.4      sine, steps, models
     header          5.1 to 5.5, 6.1 to 6.5
     directory       5.6, 6.6, 12.1
     entropy         5.14, 8
@@ -23,7 +22,12 @@ as arrays) and `batches` (chunks that are decoded side by side).
     masks           5.12, 6.12, 7.6
     attributes      5.13, 6.13, 7.7 to 7.10
     reconstruction  9
-    codec           7.1, 10.1   the order of all of it, and nothing else
+    codec           7.1, 10.1   the order of decoding and of checks, and nothing else
 
-Nothing here imports another room of the package, torch or a renderer.
+Two modules have no clause of their own:
+
+    scene           what a file says, as arrays
+    batches         chunks that are decoded or encoded side by side
+
+No module here imports another part of the package, torch or a renderer.
 """

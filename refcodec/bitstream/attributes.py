@@ -1,4 +1,4 @@
-"""Clauses 5.13, 6.13 and 7.7 to 7.10: the attributes, by F_h, steps, CARM and the stages of a chunk."""
+"""Clauses 5.13, 6.13 and 7.7 to 7.10: the attributes."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from .entropy import Coder
 from .networks import IntNetwork, activation
 from .tables import STEP_LENGTH, tables
 
-# SPEC 6.13: an attribute symbol is at most 2^23 - 1 in magnitude.
+# SPEC 6.13: the largest magnitude of an attribute symbol.
 ATTRIBUTE_SYMBOL_MAX = (1 << 23) - 1
 # SPEC 7.8: the kinds of attribute, in the order of their steps.
 KINDS = ("features", "scalings", "offsets")
@@ -24,7 +24,10 @@ KINDS = ("features", "scalings", "offsets")
 class Attributes:
     """Symbols and step indices of some anchors.
 
-    features int32 [n, F]; scalings int32 [n, 6]; offsets int32 [n, K, 3], 0 where masked; steps uint8 [n, 3], by KINDS.
+    features: int32 [n, F].
+    scalings: int32 [n, 6].
+    offsets: int32 [n, K, 3], 0 where masked.
+    steps: uint8 [n, 3], the step index of each kind, in the order of KINDS.
     """
 
     features: NDArray[np.int32]
@@ -35,7 +38,10 @@ class Attributes:
 
 @dataclass(frozen=True)
 class EntropyModel:
-    """What gives the distributions: F_h, CARM of slices 1, 2 and so on, the shifts of CARM's inputs, and the slices."""
+    """What the distributions of attributes are computed with.
+
+    hyper: F_h. carm: the network of each slice from slice 1 on. carm_shift: int64 [CARM inputs]. slices: their widths.
+    """
 
     hyper: IntNetwork
     carm: list[IntNetwork]
@@ -46,13 +52,13 @@ class EntropyModel:
     def of(
         cls, networks: Mapping[str, IntNetwork], carm_shift: NDArray[np.uint8], slices: tuple[int, ...]
     ) -> EntropyModel:
-        """From the networks by name (networks.derive_networks)."""
+        """Returns the model of the networks that derive_networks gives. carm_shift: uint8 [CARM inputs]."""
         carm = [networks[f"carm.{i}"] for i in range(1, len(slices))]
         return cls(networks["hyper"], carm, carm_shift.astype(np.int64), slices)
 
 
 def step_indices(hyper: Int64) -> NDArray[np.uint8]:
-    """SPEC 7.8: the last three outputs of F_h, clamped to the step table. uint8 [n, 3]."""
+    """SPEC 7.8: returns the step indices, uint8 [n, 3]. hyper: int64 [n, 2 D + 3], the outputs of F_h."""
     return clamp(hyper[:, -3:], 0, STEP_LENGTH - 1).astype(np.uint8)
 
 
@@ -64,15 +70,16 @@ def code_attributes(
     chunks: list[range],
     given: Attributes | None = None,
 ) -> Attributes:
-    """Codes the attributes of the anchors in `chunks` (one substream each), in either direction (SPEC 7.10).
+    """SPEC 7.10: codes the attributes of some chunks, in either direction, and returns them.
 
-    contexts int16 [n, inputs of F_h]; masks bool [n, K].
+    contexts: int16 [n, inputs of F_h]. masks: bool [n, K]. chunks: the anchors of each chunk, which has one substream.
+    given: the attributes if they are encoded. The returned steps are always those that the networks give.
     """
     counts = [len(c) for c in chunks]
     n, offset_count = masks.shape
     width = sum(model.slices)
     total = width + SCALINGS + 3 * offset_count
-    # SPEC 7.7: means of all channels, then scale indices of all channels, then three step indices.
+    # SPEC 7.7: the outputs are the means of all channels, then all scale indices, then three step indices.
     hyper = model.hyper(contexts).astype(np.int64)
     mean, scale = hyper[:, :total], hyper[:, total : 2 * total]
 
@@ -86,14 +93,14 @@ def code_attributes(
         symbols = coder.values(tables().gauss, m.reshape(-1), s.reshape(-1), sizes, ATTRIBUTE_SYMBOL_MAX, name, flat)
         return symbols.reshape(n, columns)
 
-    # SPEC 7.10: stages 0 to slices - 1 are the feature slices.
+    # SPEC 7.10: the feature slices come first.
     features = np.zeros((n, width), dtype=np.int64)
     done = 0
     for index, columns in enumerate(model.slices):
         part = slice(done, done + columns)
         m, s = mean[:, part], scale[:, part]
         if index:
-            # SPEC 7.9: CARM's outputs, means then scale indices, are added.
+            # SPEC 7.9: the outputs of CARM, means and then scale indices, are added to those of F_h.
             earlier = activation(rshift_round(features[:, :done], model.carm_shift[:done]))
             change = model.carm[index - 1](earlier).astype(np.int64)
             m, s = m + change[:, :columns], s + change[:, columns:]
@@ -131,7 +138,7 @@ def code_attributes(
 
 
 def zero_attributes(d: Dimensions, anchors: int) -> Attributes:
-    """Symbols and step indices of 0."""
+    """Returns symbols and step indices of 0."""
     return Attributes(
         np.zeros((anchors, d.features), np.int32),
         np.zeros((anchors, SCALINGS), np.int32),
@@ -141,6 +148,6 @@ def zero_attributes(d: Dimensions, anchors: int) -> Attributes:
 
 
 def join_attributes(parts: Iterable[Attributes], d: Dimensions) -> Attributes:
-    """The attributes of all parts, in order."""
+    """Returns the attributes of all parts, one after the other."""
     every = [zero_attributes(d, 0), *parts]
     return Attributes(*(np.concatenate([getattr(part, name) for part in every]) for name in vars(every[0])))

@@ -1,4 +1,7 @@
-"""Chunks that are decoded or encoded side by side, in bounded memory (SPEC.md 13.1), and the error that counts among theirs."""
+"""Chunks that are decoded or encoded side by side, in bounded memory (SPEC.md 13.1).
+
+The error that is reported does not depend on what is decoded side by side (SPEC.md 10.1).
+"""
 
 from __future__ import annotations
 
@@ -13,31 +16,34 @@ from .chunks import Part
 from .entropy import Decoder, Trace, open_substream
 from .errors import BitstreamError
 
-# Bounds of a group's memory: its anchors and its chunks. They have no effect on the result.
+# The most anchors and the most chunks of a group, which bound its memory. No result depends on them.
 GROUP_ANCHORS = 65536
 GROUP_CHUNKS = 1024
 
-# Told of work: the stage's name, how much of it is done, and how much there is.
+# A function that is told of the work: the name of the stage, how much of it is done, and how much there is.
 Progress = Callable[[str, int, int], None]
 T = TypeVar("T")
 
 
 def no_progress(stage: str, done: int, total: int) -> None:
-    """Tells nobody."""
+    """Does nothing. It is the Progress that tells nobody."""
 
 
 @dataclass(frozen=True)
 class Live:
-    """The chunks that no error has taken yet: their numbers in the file, and the anchors of every chunk of the file.
+    """The chunks in which no error has been found yet.
 
-    Arrays of anchors hold those of the live chunks alone, in order. What a damaged file only claims to have costs nothing.
+    numbers: their numbers in the file. chunks: the anchors of every chunk of the file.
+
+    Arrays of anchors hold only the anchors of these chunks, in order. So chunks that a damaged file only claims to have
+    take no memory.
     """
 
     numbers: list[int]
     chunks: list[range]
 
     def groups(self) -> Iterator[tuple[list[int], slice]]:
-        """Runs of chunks that are coded side by side, and the rows of their anchors."""
+        """Yields the groups of chunks that are coded side by side, as their numbers and the rows of their anchors."""
         group: list[int] = []
         first = row = 0
         for number in self.numbers:
@@ -51,11 +57,14 @@ class Live:
             yield group, slice(first, row)
 
     def ranges(self, group: list[int]) -> list[range]:
-        """The anchors of some chunks, by their numbers in the file."""
+        """Returns the anchors of some chunks. group: their numbers in the file."""
         return [self.chunks[number] for number in group]
 
     def without(self, damage: Mapping[int, BitstreamError] | None) -> tuple[Live, NDArray[np.bool_]]:
-        """What is left, and which rows that are."""
+        """Returns the chunks that are left without the damaged ones, and which rows of anchors stay, bool [anchors].
+
+        damage: by number of the chunk, or None.
+        """
         lost = damage or {}
         keep = [number not in lost for number in self.numbers]
         rows = np.repeat(np.array(keep, dtype=bool), [len(self.chunks[number]) for number in self.numbers])
@@ -63,7 +72,7 @@ class Live:
 
 
 def each_group(work: Callable[[list[int], slice], T], live: Live, stage: str, progress: Progress) -> Iterator[T]:
-    """What `work` gives for each group, in order. A group is worked on when its result is asked for."""
+    """Yields the result of `work` for each group, in order. A group is worked on when its result is asked for."""
     groups = list(live.groups())
     progress(stage, 0, len(groups))
     for done, group in enumerate(groups, start=1):
@@ -74,8 +83,11 @@ def each_group(work: Callable[[list[int], slice], T], live: Live, stage: str, pr
 def settle(
     results: Iterable[tuple[T, dict[int, BitstreamError]]], damage: dict[int, BitstreamError] | None
 ) -> Iterator[T]:
-    """SPEC 10.1: raises the error of the lowest chunk, before any further group is looked at. With `damage`, notes the
-    first error of each chunk there instead."""
+    """SPEC 10.1: yields the values of results, and deals with their errors, which are by number of the chunk.
+
+    damage: None, or where the first error of each chunk is noted. If it is None, the error of the lowest chunk is
+    raised before any further result is asked for.
+    """
     for value, errors in results:
         for number, error in errors.items():
             if damage is None:
@@ -85,9 +97,10 @@ def settle(
 
 
 class PartDecoder:
-    """Decodes one part of a group of chunks, and merges the errors of each chunk into one verdict."""
+    """Decodes the parts of a group of chunks in one section, and finds the first error of each."""
 
     def __init__(self, data: bytes, part: Part, lanes: int, group: list[int], trace: Trace | None) -> None:
+        """lanes: the lanes of each substream. group: the numbers of the chunks."""
         self.group = group
         self.errors: list[BitstreamError | None] = []
         streams = []
@@ -102,7 +115,7 @@ class PartDecoder:
         self.decoder = Decoder(streams, trace)
 
     def verdicts(self) -> dict[int, BitstreamError]:
-        """The first error of each chunk that has one, by chunk."""
+        """Returns the first error of each chunk that has one, by number. Call it after the last group."""
         found = {}
         for number, before, after in zip(self.group, self.errors, self.decoder.finish(), strict=True):
             error = before or after

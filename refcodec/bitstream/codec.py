@@ -1,6 +1,6 @@
-"""Clauses 7.1 and 10.1: the order in which a file is decoded and checked, and the reverse, parse(bytes) and emit(Scene).
+"""Clauses 7.1 and 10.1: the order in which a file is decoded and checked, and in which it is made.
 
-What is decoded, and what is checked, is said by the modules of the clauses.
+`parse` decodes a file and `emit` makes one. The modules of the other clauses do the steps.
 """
 
 from __future__ import annotations
@@ -32,17 +32,16 @@ from .weights import bound_error, emit_weights, parse_weights
 
 @dataclass(frozen=True, eq=False)
 class Parsed:
-    """A parsed file. damage: for each chunk that was dropped, its number and its first error (keep_going only)."""
+    """A parsed file. damage: the first error of each dropped chunk, by number. Only keep_going drops chunks."""
 
     scene: Scene
     damage: dict[int, BitstreamError]
 
 
 def parse_container(data: bytes, keep_going: bool = False) -> Header:
-    """SPEC 10.1, steps 1 to 3: prologue, header, directory and the CRC-32s of the sections.
+    """SPEC 10.1, steps 1 to 3: checks the prologue, the header, the directory and the CRC-32s of the sections.
 
-    keep_going: a file that is cut within its chunked sections, and damage inside them, is left to the checks of the chunks.
-    Raises BitstreamError 101 to 307.
+    keep_going: as in parse_directory. Raises BitstreamError 101 to 307.
     """
     header_length = parse_prologue(data)
     header, struct = parse_header(data, header_length)
@@ -56,7 +55,8 @@ def parse(
 ) -> Parsed:
     """SPEC 2.1, 7.1 and 10.1: decodes a file. Raises BitstreamError and nothing else, whatever the bytes are.
 
-    keep_going: chunks with errors are dropped and listed instead. trace: told of each symbol.
+    keep_going: a chunk with an error is dropped and listed in damage. progress: told of the work. trace: told of each
+    symbol.
     """
     with threadpool_limits(1, "blas"):
         return _parse(bytes(data), keep_going, progress, trace)
@@ -118,7 +118,7 @@ def _parse(data: bytes, keep_going: bool, progress: Progress, trace: Trace | Non
 
     attributes = join_attributes(settle(each_group(attribute_group, live, "attributes", progress), damage), d)
     _, kept = live.without(damage)
-    # SPEC 12.1: ancillary sections are kept as they are.
+    # SPEC 12.1: ancillary sections are kept as they are. One that the file cuts off is dropped.
     ancillary = (s for s in sections.values() if s.type < FRAME and s.end <= len(data))
     scene = Scene(
         header.profile,
@@ -145,27 +145,25 @@ def _parse(data: bytes, keep_going: bool, progress: Progress, trace: Trace | Non
 
 
 class Coding:
-    """What codes a scene's symbols: SARM, the attributes' model, and the contexts of its anchors.
-
-    exact_float, block_rows: of networks.IntNetwork.
-    """
+    """What the symbols of a scene are coded with: SARM, the model of attributes, and the contexts of anchors."""
 
     def __init__(self, scene: Scene, exact_float: bool | None = None, block_rows: int | None = None) -> None:
+        """exact_float, block_rows: as in IntNetwork. Raises BoundError."""
         networks = derive_networks(scene.networks, exact_float, block_rows)
         self.sarm = networks["sarm"]
         self.model = EntropyModel.of(networks, scene.carm_shift, scene.dimensions.slices)
         self._scene, self._planes = scene, assemble_planes(scene.planes)
 
     def contexts(self, rows: slice | NDArray = slice(None)) -> NDArray[np.int16]:
-        """SPEC 7.5 for some anchors: int16 [n, inputs of F_h]."""
+        """SPEC 7.5: returns the contexts of some anchors, int16 [n, inputs of F_h]."""
         s = self._scene
         return context(s.frame, self._planes, s.plane_shift, s.dimensions.frequency_count, s.positions[rows])
 
 
 def emit(scene: Scene, *, progress: Progress = no_progress) -> bytes:
-    """The file of a scene. For each file b that is accepted, emit(parse(b).scene) == b (SPEC 4.3).
+    """Returns the file of a scene. For each file b that is accepted, emit(parse(b).scene) == b (SPEC 4.3).
 
-    Raises ValueError if the scene breaks a rule of SPEC.md, with the error that a decoder would report.
+    Raises ValueError if the scene breaks a rule of SPEC.md. Its text is the error that a decoder would report.
     """
     check_shapes(scene)
     try:
@@ -178,7 +176,7 @@ def emit(scene: Scene, *, progress: Progress = no_progress) -> bytes:
 def _emit(scene: Scene, progress: Progress) -> bytes:
     d, lanes = scene.dimensions, scene.lanes
     modes = {WEIGHTS: int(scene.weight_scales is not None), POSITIONS: int(scene.position_model is not None)}
-    # What can be refused before any symbol is coded is refused here. The header follows once all lengths are known.
+    # A scene that cannot be written is refused before any symbol is coded, as far as the decoder's checks allow it.
     frame = emit_frame(scene.frame)
     parse_frame(frame, 0)
     weights = emit_weights(
@@ -223,7 +221,7 @@ def _emit(scene: Scene, progress: Progress) -> bytes:
         {},
     )
     data = emit_file(header, sections)
-    # What the header and the chunk table may hold is checked by the rules that decoders have.
+    # The header and the chunk table exist only now. The decoder's own checks say whether they are allowed.
     made = parse_container(data).sections
     parse_mask_model(data, made[CHUNK_TABLE].start, d.offset_count)
     spans = {made[kind].name: (made[kind].start, made[kind].end) for kind in CHUNKED}
@@ -235,7 +233,7 @@ def _emit(scene: Scene, progress: Progress) -> bytes:
 def _emit_chunks(
     scene: Scene, coding: Coding, chunks: list[range], progress: Progress
 ) -> list[tuple[bytes, bytes, bytes]]:
-    """The three parts of each chunk, in the order of chunks.PARTS."""
+    """Returns the three parts of each chunk, in the order of chunks.PARTS."""
     d, a, lanes = scene.dimensions, scene.attributes, scene.lanes
     models, live = mask_models(scene.mask_model), Live(list(range(len(chunks))), chunks)
 
@@ -255,7 +253,7 @@ def _emit_chunks(
 
 
 def derive_steps(scene: Scene) -> NDArray[np.uint8]:
-    """SPEC 7.8 for every anchor of a scene, whose attributes need not be there yet: uint8 [N, 3]."""
+    """SPEC 7.8: returns the step indices of all anchors, uint8 [N, 3]. The attributes of the scene are not read."""
     coding = Coding(scene)
     steps = [np.zeros((0, 3), np.uint8)]
     for group in chunk_ranges(scene.anchor_count, GROUP_ANCHORS):

@@ -11,22 +11,25 @@ from .networks import activation
 from .positions import position_integers
 from .tables import SINE_LENGTH, tables
 
-# SPEC 7.5: 2^16 is one unit of every coordinate after the frame; the frame's output is clamped to +-(2^30 - 1).
+# SPEC 7.5: UNIT stands for 1 in every coordinate after the frame. SPEC 7.5.1: the largest magnitude of a coordinate.
 UNIT_BITS = 16
 UNIT = 1 << UNIT_BITS
 FRAME_CLAMP = (1 << 30) - 1
-# SPEC 7.5.4: fraction bits of a bilinear weight.
+# SPEC 7.5.4: the fraction bits of an interpolation weight.
 LERP_BITS = 8
 
 
 def frame_coordinates(frame: Frame, p: Int64) -> Int64:
-    """SPEC 7.5.1: the affine map, [n, 3] -> [n, 3], in units of 2^-16."""
+    """SPEC 7.5.1: returns v, the frame coordinates in units of 2^-16. p: P of the positions. Both are int64 [n, 3]."""
     v = rshift_round(p @ frame.matrix.T + frame.translation, frame.shift)
     return clamp(v, -FRAME_CLAMP, FRAME_CLAMP)
 
 
 def contract(v: Int64) -> Int64:
-    """SPEC 7.5.2: identity in the unit ball, (2 - 1/|v|) v/|v| outside, with floor square root and floor divisions."""
+    """SPEC 7.5.2: returns w, the contracted coordinates. v and w are int64 [n, 3], in units of 2^-16.
+
+    Points in the unit ball stay. Other points become (2 - 1/|v|) v/|v|, with a floor square root and floor divisions.
+    """
     square = (v * v).sum(axis=1)
     n = isqrt(square)[:, None]
     outside = square[:, None] > UNIT * UNIT
@@ -36,12 +39,15 @@ def contract(v: Int64) -> Int64:
 
 
 def rescale(frame: Frame, w: Int64) -> Int64:
-    """SPEC 7.5.3: [low, high] to [0, 2^16], both ends inclusive."""
+    """SPEC 7.5.3: returns u, with low to high as 0 to 2^16, both ends included. w and u are int64 [n, 3]."""
     return clamp(((w - frame.low) << UNIT_BITS) // (frame.high - frame.low), 0, UNIT)
 
 
 def query(plane: Int64, u: Int64, plane_shift: int) -> Int64:
-    """SPEC 7.5.4: bilinear samples of a plane [channels, R, R] at u [n, 2] (u[:, 0] along columns). int64 [n, channels]."""
+    """SPEC 7.5.4: returns bilinear samples of a plane, int64 [n, channels].
+
+    plane: int64 [channels, s, s]. u: int64 [n, 2], 0 to 2^16. u[:, 0] counts columns, u[:, 1] rows.
+    """
     size = plane.shape[-1]
     grid = u * (size - 1)
     cell = np.minimum(grid >> UNIT_BITS, size - 2)
@@ -61,7 +67,10 @@ def query(plane: Int64, u: Int64, plane_shift: int) -> Int64:
 
 
 def positional_encoding(u: Int64, frequencies: int) -> Int64:
-    """SPEC 7.5.5: gamma of z', int64 [n, 2 * frequencies]: sine and cosine of each frequency in turn. u: [n] in [0, 2^16]."""
+    """SPEC 7.5.5: returns gamma of z', int64 [n, 2 * frequencies]: the sine, then the cosine of each frequency.
+
+    u: int64 [n], 0 to 2^16, which stands for z'.
+    """
     k = np.arange(frequencies)
     phase = ((u[:, None] - UNIT // 2) << k) & (UNIT - 1)
     turn = rshift_round(phase, UNIT_BITS - SINE_LENGTH.bit_length() + 1)
@@ -73,7 +82,10 @@ def positional_encoding(u: Int64, frequencies: int) -> Int64:
 def context(
     frame: Frame, planes: tuple[Int64, Int64], plane_shift: int, frequencies: int, positions: NDArray[np.float16]
 ) -> NDArray[np.int16]:
-    """SPEC 7.5: the inputs of F_h, int16 [n, 2 ch + 2 L], each in [-1023, 1023]."""
+    """SPEC 7.5: returns the inputs of F_h, int16 [n, 2 ch + 2 L], each in [-1023, 1023].
+
+    planes: those of r = 1 and r = 2, as assemble_planes gives them. frequencies: L. positions: float16 [n, 3].
+    """
     u = rescale(frame, contract(frame_coordinates(frame, position_integers(positions))))
     parts = [query(plane, u[:, :2], plane_shift) for plane in planes]
     return np.concatenate([*parts, positional_encoding(u[:, 2], frequencies)], axis=1).astype(np.int16)

@@ -6,15 +6,24 @@ from dataclasses import dataclass
 from itertools import pairwise
 from typing import Any
 
-# SPEC 3.2: scalings of an anchor.
+# SPEC 3.2: the number of scalings of an anchor.
 SCALINGS = 6
-# SPEC 5.8: the networks that no symbol depends on.
+# SPEC 5.8: the rendering networks. No symbol depends on them.
 RENDERING = ("opacity", "covariance", "colour")
 
 
 @dataclass(frozen=True)
 class Dimensions:
-    """SPEC 6.3, in its names: K, the feature slices, ch, L, B and the hidden widths of each network."""
+    """SPEC 5.3 and 6.3: the dimensions of a scene.
+
+    offset_count: K.
+    slices: the channels of each feature slice.
+    plane_channels: ch.
+    frequency_count: L.
+    plane_size: B.
+    hyper_width, sarm_width, carm_width: the widths of the hidden layers of F_h, of SARM and of each network of CARM.
+    render_width: the width of the one hidden layer of each rendering network.
+    """
 
     offset_count: int
     slices: tuple[int, ...]
@@ -28,21 +37,21 @@ class Dimensions:
 
     @property
     def features(self) -> int:
-        """F, the feature channels of an anchor."""
+        """F, the number of feature channels of an anchor."""
         return sum(self.slices)
 
     @property
     def attribute_width(self) -> int:
-        """D = F + 6 + 3 K, the attribute channels of an anchor."""
+        """D = F + 6 + 3 K, the number of attribute channels of an anchor."""
         return self.features + SCALINGS + 3 * self.offset_count
 
     @property
     def carm_inputs(self) -> int:
-        """Feature channels that CARM reads: all but the last slice."""
+        """The number of feature channels that CARM reads. These are the channels of all slices but the last."""
         return self.features - self.slices[-1]
 
     def network_shapes(self) -> dict[str, list[tuple[int, int]]]:
-        """SPEC 5.8: for each network, in file order, the (out, in) of its layers."""
+        """SPEC 5.8: returns the shapes (outputs, inputs) of the layers of each network, by name, in file order."""
 
         def mlp(widths: list[int]) -> list[tuple[int, int]]:
             return [(out, fan_in) for fan_in, out in pairwise(widths)]
@@ -60,7 +69,7 @@ class Dimensions:
 
 
 def dimensions_of(d: Any) -> Dimensions:
-    """SPEC 5.3: the struct as parsed, in the scene's terms. Nothing is checked."""
+    """SPEC 5.3: returns the dimensions that a parsed struct states. Nothing is checked."""
     return Dimensions(
         d.offset_count,
         tuple(d.slice_width),
@@ -75,7 +84,7 @@ def dimensions_of(d: Any) -> Dimensions:
 
 
 def dimension_fields(d: Dimensions) -> dict[str, Any]:
-    """SPEC 5.3: the fields of the struct."""
+    """SPEC 5.3: returns the fields of the struct, by name."""
     return {
         "offset_count": d.offset_count,
         "slice_count": len(d.slices),
@@ -94,16 +103,16 @@ def dimension_fields(d: Dimensions) -> dict[str, Any]:
 
 
 def mask_contexts(offset_count: int) -> int:
-    """SPEC 7.6: K (K + 1) / 2, the contexts of the mask model."""
+    """SPEC 7.6: returns K (K + 1) / 2, the number of contexts of the mask model."""
     return offset_count * (offset_count + 1) // 2
 
 
 def layers_of(d: Dimensions) -> list[tuple[str, int, int]]:
-    """SPEC 5.8: (name, outputs, inputs) of every layer, in file order."""
+    """SPEC 5.8: returns (name, outputs, inputs) of every layer, in file order. Names are such as hyper.0."""
     shapes = d.network_shapes()
     return [(f"{name}.{i}", out, fan_in) for name in shapes for i, (out, fan_in) in enumerate(shapes[name])]
 
 
 def weight_count(d: Dimensions) -> int:
-    """SPEC 5.8: W, the weights and biases of all networks."""
+    """SPEC 5.8: returns W, the number of weights and biases of all networks."""
     return sum(out * (fan_in + 1) for _, out, fan_in in layers_of(d))

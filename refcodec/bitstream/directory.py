@@ -11,7 +11,7 @@ from .chunks import POSITION_BYTES, table_bytes
 from .dimensions import Dimensions, weight_count
 from .errors import BitstreamError
 
-# SPEC 6.6: the critical sections in file order. Bit 7 of a type says that a section is critical.
+# SPEC 6.6: the critical sections in file order. Bit 7 of a type is set if the section is critical.
 CRITICAL = 0x80
 SECTIONS = {
     0x81: "frame",
@@ -25,13 +25,13 @@ SECTIONS = {
 FRAME, WEIGHTS, PLANES_SECTION, CHUNK_TABLE, POSITIONS, MASKS, ATTRIBUTES = SECTIONS
 # SPEC 5.10: the sections in which each chunk has a part.
 CHUNKED = (POSITIONS, MASKS, ATTRIBUTES)
-# SPEC 6.6: the highest mode of each section that has more than mode 0.
+# SPEC 6.6: the highest mode of each section that has another mode than 0.
 MODES = {WEIGHTS: 1, POSITIONS: 1}
 
 
 @dataclass(frozen=True)
 class Section:
-    """SPEC 5.6: an entry's type and mode. data[start:end] is the section."""
+    """SPEC 5.6: a section of a file. data[start:end] are its bytes."""
 
     type: int
     mode: int
@@ -40,12 +40,15 @@ class Section:
 
     @property
     def name(self) -> str:
-        """The section's name in paths."""
+        """The name of the section in paths."""
         return SECTIONS.get(self.type, f"extension_{self.type:02x}")
 
 
 def section_lengths(d: Dimensions, anchors: int, chunks: int, modes: Mapping[int, int]) -> dict[int, int]:
-    """SPEC [R6.6-5]: the lengths that the header implies. modes: by type."""
+    """SPEC [R6.6-5]: returns the lengths in bytes that the header implies, by type.
+
+    Sections whose length is free are left out. modes: by type.
+    """
     lengths = {
         FRAME: syntax.size_of("Frame"),
         CHUNK_TABLE: table_bytes(d.offset_count, modes[POSITIONS], chunks),
@@ -60,11 +63,13 @@ def section_lengths(d: Dimensions, anchors: int, chunks: int, modes: Mapping[int
 def parse_directory(
     header: syntax.Struct, dimensions: Dimensions, chunks: int, data: bytes, start: int, keep_going: bool
 ) -> dict[int, Section]:
-    """SPEC 6.6: the sections by type. Each rule is checked over all entries before the next one (SPEC 10.1, step 3).
+    """SPEC 6.6: checks the directory and returns the sections by type. Raises BitstreamError 301 to 307.
 
-    Lengths are checked before anything that they size is read (SPEC 13.1). Ancillary sections are skipped (SPEC 12.1).
-    start: where the header ends. chunks: how many there are. keep_going: a file that is cut within its chunked sections,
-    and damage inside them, is left to the checks of the chunks. Raises BitstreamError 301 to 307.
+    Each requirement is checked over all entries before the next requirement (SPEC 10.1, step 3). Lengths are checked
+    before anything of that length is read (SPEC 13.1). The contents of ancillary sections are not read (SPEC 12.1).
+
+    header: the parsed header. chunks: the number of chunks. start: where the header ends. keep_going: the file may end
+    behind the start of the positions, and the CRC-32s of the chunked sections are left to the checks of the chunks.
     """
     entries = header.fields.directory
     # SPEC [R6.6-1]
@@ -72,7 +77,7 @@ def parse_directory(
         if e.type & CRITICAL and e.type not in SECTIONS:
             name = "directory.unknown_critical"
             raise header.error(name, f"directory[{i}].type", f"{e.type:02x}", "a type of 6.6")
-    # SPEC [R6.6-2]: the critical sections first, then ancillary ones, whose types ascend from 01.
+    # SPEC [R6.6-2]: the critical sections come first. The types of the ancillary ones behind them ascend.
     wanted = list(SECTIONS)
     for i, e in enumerate(entries):
         before = 0 if i <= len(wanted) else entries[i - 1].type
@@ -86,7 +91,7 @@ def parse_directory(
         if e.type in SECTIONS and e.mode > MODES.get(e.type, 0):
             allowed = "0 or 1" if e.type in MODES else "0"
             raise header.error("directory.mode", f"directory[{i}].mode", e.mode, f"of {SECTIONS[e.type]} {allowed}")
-    # SPEC [R6.6-4]: no gaps.
+    # SPEC [R6.6-4]
     end = start
     for i, e in enumerate(entries):
         if e.offset != end:
@@ -100,7 +105,7 @@ def parse_directory(
         if e.length != implied:
             raise header.error("directory.length", f"directory[{i}].length", e.length, implied)
     sections = {e.type: Section(e.type, e.mode, e.offset, e.offset + e.length) for e in entries}
-    # SPEC [R6.6-6]: nothing behind the last section.
+    # SPEC [R6.6-6]
     cut = len(data) < end and keep_going and sections[POSITIONS].start <= len(data)
     if len(data) != end and not cut:
         raise BitstreamError("directory.file_length", min(len(data), end), "file", f"{len(data)} bytes", end)

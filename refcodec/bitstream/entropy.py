@@ -1,8 +1,8 @@
 """Clauses 5.14 and 8: the entropy coder, interleaved rANS over many substreams at once.
 
-A Decoder and an Encoder have the same two methods, `values` and `plain`. So each part of the decoding process is written
-once, and runs in either direction. Symbols come in groups (SPEC 8.3). The arrays of a group hold the symbols of the first
-substream, then those of the second, and so on.
+A Decoder and an Encoder have the same two methods, `values` and `plain`. So each part of the decoding process is
+written once and runs in either direction. Symbols come in groups (SPEC 8.3). The arrays of a group hold the symbols of
+the first substream, then those of the second, and so on.
 """
 
 from __future__ import annotations
@@ -21,19 +21,27 @@ from .conventions import Int64, clamp, rshift_round
 from .errors import BitstreamError
 from .tables import FRACTIONS, PRECISION, SCALE_END, SCALE_MIN, TOTAL, ModelSet
 
-# SPEC 8.1: bounds of a lane's state and its final value.
+# SPEC 8.1: the smallest state of a lane, and its final state.
 STATE_MIN = 1 << 16
-# SPEC 8.5: most low bits sent raw.
+# SPEC 8.5: the largest number of raw bits of a value.
 RAW_MAX = 16
-# SPEC 8.7: longest prefix of an escape.
+# SPEC 8.7: the largest number of zero bits in the prefix of an escape.
 ESCAPE_PREFIX_MAX = 25
-# Names a symbol of a group for a trace: (substream in the batch, index in its part of the group) -> path.
+# The name of a symbol of a group in a trace: (substream of the batch, index in its part of the group) -> path.
 SymbolName = Callable[[int, int], str]
 
 
 @dataclass(frozen=True)
 class TraceRow:
-    """One decoded symbol: its path, the model it was decoded with, its value, and the offset of its substream."""
+    """One decoded symbol of a trace.
+
+    path: its name.
+    family: the family of its model, or the name of a set of models that is no family.
+    mean: in 1/16 of a step. Of a symbol that is no value: the index of its model.
+    scale: the scale index. Of a symbol that is no value: 0.
+    value: the symbol.
+    substream: the offset of its substream in the file.
+    """
 
     path: str
     family: str
@@ -48,7 +56,11 @@ Trace = Callable[[TraceRow], None]
 
 @dataclass(frozen=True)
 class Substream:
-    """SPEC 5.14. symbol_crc: u32; states: uint32 [lanes]; words: uint16; raw: bytes; offset and path say where it stands."""
+    """SPEC 5.14: a substream.
+
+    states: uint32 [lanes]. words: uint16 [word_count]. raw: the raw bytes. offset: its first byte in the file.
+    path: its name.
+    """
 
     symbol_crc: int
     states: NDArray[np.uint32]
@@ -59,7 +71,10 @@ class Substream:
 
 
 def parse_substream(data: bytes, start: int, end: int, lanes: int, path: str) -> Substream:
-    """SPEC 5.14 and 8.1: the substream in data[start:end]. Raises BitstreamError substream.length or substream.state."""
+    """SPEC 5.14 and 8.1: returns the substream in data[start:end].
+
+    Raises BitstreamError substream.length or substream.state.
+    """
     try:
         head, size = syntax.parse("SubstreamHead", data[start : min(end, start + 8)])
     except cs.ConstructError:
@@ -82,7 +97,10 @@ def parse_substream(data: bytes, start: int, end: int, lanes: int, path: str) ->
 
 
 def open_substream(data: bytes, start: int, end: int, lanes: int, path: str) -> tuple[Substream, BitstreamError | None]:
-    """A substream, or an empty one and the error, so that its neighbours can still be decoded."""
+    """Returns a substream and None, or an empty substream and the error of parse_substream.
+
+    The empty one can be decoded in its place, side by side with substreams that have no error.
+    """
     try:
         return parse_substream(data, start, end, lanes, path), None
     except BitstreamError as error:
@@ -91,15 +109,19 @@ def open_substream(data: bytes, start: int, end: int, lanes: int, path: str) -> 
 
 
 class SymbolCoder(Protocol):
-    """What decoding processes without values need of a coder: either direction, `given` is None when decoding."""
+    """What codes symbols that are no values, in either direction."""
 
-    def plain(
-        self, models: ModelSet, index: Int64, counts: list[int], name: SymbolName, given: Int64 | None
-    ) -> Int64: ...
+    def plain(self, models: ModelSet, index: Int64, counts: list[int], name: SymbolName, given: Int64 | None) -> Int64:
+        """Codes one group of symbols and returns them, int64 [symbols].
+
+        index: int64 [symbols], the model of each symbol. counts: how many symbols each substream has. name: for a
+        trace. given: int64 [symbols], the symbols if they are encoded, or None if they are decoded.
+        """
+        ...
 
 
 class Coder(SymbolCoder, Protocol):
-    """What the decoding process needs of a coder."""
+    """What codes symbols and values, in either direction."""
 
     def values(
         self,
@@ -110,11 +132,21 @@ class Coder(SymbolCoder, Protocol):
         limit: int,
         name: SymbolName,
         given: Int64 | None,
-    ) -> Int64: ...
+    ) -> Int64:
+        """Codes one group of values and returns them, int64 [values].
+
+        mean: int64 [values], in 1/16 of a step. scale: int64 [values], scale indices. counts: how many values each
+        substream has. limit: the largest magnitude of a value. name: for a trace. given: int64 [values], the values if
+        they are encoded, or None if they are decoded.
+        """
+        ...
 
 
 def select(mean: Int64, scale: Int64) -> tuple[Int64, Int64, Int64]:
-    """SPEC 8.5: (model, centre, raw) for means in 1/16 and scale indices in 1/8 octave; all int64, same shape."""
+    """SPEC 8.5, SELECT: returns (model, centre, number of raw bits) of values. All arrays are int64 of one shape.
+
+    mean: in 1/16 of a step. scale: scale indices. model: an index of a ModelSet, which counts rows, then columns.
+    """
     raw = clamp(((scale - SCALE_END) >> 3) + 1, 0, RAW_MAX)
     row = clamp(scale - 8 * raw, SCALE_MIN, SCALE_END - 1)
     shifted = rshift_round(mean - 8 * ((np.int64(1) << raw) - 1), raw) + 8
@@ -122,7 +154,10 @@ def select(mean: Int64, scale: Int64) -> tuple[Int64, Int64, Int64]:
 
 
 class _Layout:
-    """SPEC 8.3: symbol i of a substream's group is coded by lane i mod lanes, in step i div lanes."""
+    """SPEC 8.3: where the symbols of a group stand. Lane i mod lanes codes symbol i of a substream, in step i // lanes.
+
+    even: every substream fills all lanes of all steps, so that no symbol has to be moved.
+    """
 
     def __init__(self, counts: list[int], lanes: int) -> None:
         self.counts = np.asarray(counts, dtype=np.int64)
@@ -135,7 +170,7 @@ class _Layout:
             self.place = np.arange(int(self.counts.sum())) + np.repeat(shift, self.counts)
 
     def spread(self, flat: NDArray, fill: int) -> NDArray:
-        """[symbols] -> [steps, substreams, lanes], with `fill` where there is no symbol."""
+        """Returns [symbols] as [steps, substreams, lanes], with `fill` where there is no symbol."""
         if not self.even:
             padded = np.full(int(np.prod(self.shape)), fill, dtype=flat.dtype)
             padded[self.place] = flat
@@ -143,22 +178,25 @@ class _Layout:
         return np.ascontiguousarray(flat.reshape(self.shape).transpose(1, 0, 2))
 
     def gather(self, grid: NDArray) -> NDArray:
-        """The reverse of spread."""
+        """Returns [steps, substreams, lanes] as [symbols]: the reverse of spread."""
         flat = grid.transpose(1, 0, 2).reshape(-1)
         return flat if self.even else flat[self.place]
 
 
 class Decoder:
-    """Decodes a batch of substreams side by side.
+    """A coder that decodes a batch of substreams side by side.
 
-    Decoding is total (SPEC 8.8): words and raw bits past the end read as zero, and what is wrong is said by finish.
+    Decoding never stops within a substream (SPEC 8.8). Words and raw bits past the end read as zero. `finish` tells
+    what is wrong.
     """
 
     def __init__(self, streams: list[Substream], trace: Trace | None = None) -> None:
+        """streams: at least one, all with the same number of lanes."""
         self.streams = streams
         self.trace = trace
         self.lanes = len(streams[0].states)
         self.state = np.stack([s.states for s in streams])
+        # What is past the end of a substream is read from one zero word and eight zero bytes behind it.
         zero_word = np.zeros(1, np.uint16)
         self.words = np.concatenate([part for s in streams for part in (s.words, zero_word)]).astype(np.uint32)
         lengths = np.array([len(s.words) for s in streams], dtype=np.int64)
@@ -175,7 +213,7 @@ class Decoder:
         self.bad_range: dict[int, tuple[int, int]] = {}
 
     def _group(self, models: ModelSet, index: Int64, layout: _Layout) -> Int64:
-        """SPEC 8.2 and 8.3: one symbol for each model index. The lanes of all substreams make one step at a time."""
+        """SPEC 8.2 and 8.3: decodes one symbol for each model index, with the lanes of all substreams at once."""
         grid = layout.spread(index, models.null).reshape(layout.steps, len(layout.counts) * self.lanes)
         base = models.offset.take(grid)
         grid = grid << 8
@@ -192,6 +230,7 @@ class Decoder:
             position = models.first.take(key)
             position += base[step]
             upper = models.upper.take(position)
+            # The top bits of a slot name the first symbol that it can mean. Few slots mean a later one.
             late = (upper <= slot).nonzero()[0]
             while late.size:
                 position[late] += 1
@@ -208,6 +247,7 @@ class Decoder:
             hungry = state < low
             need = hungry.nonzero()[0]
             if need.size:
+                # Lanes of one substream take its words in the order of lanes.
                 stream = stream_of.take(need)
                 taken = hungry.reshape(count, self.lanes).sum(axis=1)
                 place = np.arange(need.size) + (at - np.cumsum(taken) + taken).take(stream)
@@ -219,7 +259,7 @@ class Decoder:
         return layout.gather(out.reshape(layout.steps, count, self.lanes))
 
     def _raw(self, width: Int64, layout: _Layout) -> Int64:
-        """SPEC 8.6: the raw low bits of each symbol of a group."""
+        """SPEC 8.6: reads the raw low bits of each value of a group. width: int64 [values], how many bits."""
         low = np.zeros(len(width), dtype=np.int64)
         some = np.flatnonzero(width)
         if some.size:
@@ -230,6 +270,7 @@ class Decoder:
             local = before - (np.cumsum(total) - total)[stream] + self.raw_at[stream]
             bit = self.raw_base[stream] + np.minimum(local, self.raw_end[stream])
             byte = bit >> 3
+            # Four bytes hold 16 bits that start at any bit of the first one.
             window = np.zeros(len(bit), dtype=np.int64)
             for i in range(4):
                 window |= self.raw_bytes[byte + i].astype(np.int64) << (8 * i)
@@ -238,7 +279,7 @@ class Decoder:
         return low
 
     def _escape(self, stream: int) -> tuple[int, int]:
-        """SPEC 8.7: (sign bit, excess) of one escape."""
+        """SPEC 8.7: reads one escape of a substream. Returns (sign bit, n - 1)."""
         at = int(min(self.raw_at[stream], self.raw_end[stream]) + self.raw_base[stream])
         window = int.from_bytes(self.raw[at >> 3 : (at >> 3) + 8], "little") >> (at & 7)
         sign = window & 1
@@ -264,7 +305,7 @@ class Decoder:
         name: SymbolName,
         given: Int64 | None = None,
     ) -> Int64:
-        """SPEC 8.5: a group of integers with means (1/16), scale indices (1/8 octave) and |value| <= limit. int64 [symbols]."""
+        """SPEC 8.5: decodes a group, as Coder.values. Values past the limit become 0, and finish tells them."""
         layout = _Layout(counts, self.lanes)
         model, centre, raw = select(mean, scale)
         j = self._group(models, model, layout)
@@ -272,7 +313,7 @@ class Decoder:
         high = centre + j - radius
         low = self._raw(raw, layout)
         for i in np.flatnonzero(j == 2 * radius + 1).tolist():
-            # Of substreams that share a start, all but the last are empty.
+            # Several substreams can have the same start. All of them but the last are empty.
             sign, excess = self._escape(int(np.searchsorted(layout.starts, i, side="right")) - 1)
             away = int(radius[i]) + 1 + excess
             high[i] = centre[i] + (-away if sign else away)
@@ -291,7 +332,7 @@ class Decoder:
     def plain(
         self, models: ModelSet, index: Int64, counts: list[int], name: SymbolName, given: Int64 | None = None
     ) -> Int64:
-        """SPEC 8.2: a group of symbols, each with the model that `index` names. int64 [symbols]."""
+        """SPEC 8.2: decodes a group, as SymbolCoder.plain."""
         layout = _Layout(counts, self.lanes)
         value = self._group(models, index, layout)
         self._note(value, layout)
@@ -302,7 +343,7 @@ class Decoder:
     def _show(
         self, models: ModelSet, mean: Int64, scale: Int64, value: Int64, layout: _Layout, name: SymbolName
     ) -> None:
-        """A group's symbols for the trace."""
+        """Tells the trace the symbols of a group."""
         assert self.trace is not None
         rows = zip(mean.tolist(), scale.tolist(), value.tolist(), strict=True)
         for stream, count in enumerate(layout.counts.tolist()):
@@ -311,13 +352,13 @@ class Decoder:
                 self.trace(TraceRow(name(stream, i), models.family, *next(rows), offset))
 
     def _note(self, value: Int64, layout: _Layout) -> None:
-        """SPEC 8.8: the CRC-32 runs over the symbols in coding order, each as an i32."""
+        """SPEC 8.8: adds the symbols of a group to the CRC-32s, in coding order, each as an i32."""
         data = value.astype("<i4")
         for stream, (start, count) in enumerate(zip(layout.starts, layout.counts, strict=True)):
             self.crc[stream] = zlib.crc32(data[start : start + count].tobytes(), self.crc[stream])
 
     def finish(self) -> list[BitstreamError | None]:
-        """SPEC 8.8: the checks at the end of each substream, in their order; the first that fails, or None."""
+        """SPEC 8.8: returns for each substream the error of the first check at its end that fails, or None."""
         return [self._verdict(i, s) for i, s in enumerate(self.streams)]
 
     def _verdict(self, i: int, s: Substream) -> BitstreamError | None:
@@ -352,9 +393,10 @@ class Decoder:
 
 
 class Encoder:
-    """Encodes a batch of substreams; the calls are the decoder's, with the symbols given (SPEC B.4)."""
+    """A coder that encodes a batch of substreams (SPEC B.4). Its calls are the decoder's, with the symbols given."""
 
     def __init__(self, count: int, lanes: int) -> None:
+        """count: the number of substreams. lanes: the lanes of each."""
         self.count, self.lanes = count, lanes
         self.groups: list[tuple[NDArray[np.uint32], NDArray[np.uint32]]] = []
         self.raw: list[list[tuple[Int64, Int64]]] = [[] for _ in range(count)]
@@ -376,7 +418,7 @@ class Encoder:
         name: SymbolName,
         given: Int64 | None,
     ) -> Int64:
-        """As Decoder.values. Raises ValueError for a symbol past the limit."""
+        """Encodes a group, as Coder.values. Raises ValueError for a value past the limit."""
         assert given is not None
         if np.abs(given).max(initial=0) > limit:
             raise ValueError(f"a symbol is {int(np.abs(given).max())}, at most {limit} fits its type (SPEC.md 8.5)")
@@ -398,7 +440,7 @@ class Encoder:
         return given
 
     def plain(self, models: ModelSet, index: Int64, counts: list[int], name: SymbolName, given: Int64 | None) -> Int64:
-        """As Decoder.plain."""
+        """Encodes a group, as SymbolCoder.plain."""
         assert given is not None
         layout = _Layout(counts, self.lanes)
         self._group(models, index, given, layout)
@@ -407,7 +449,7 @@ class Encoder:
         return given
 
     def finish(self) -> list[bytes]:
-        """The substreams' bytes: rANS runs backwards from the final states to the initial ones."""
+        """Returns the bytes of each substream. rANS runs backwards, from the final states to the initial ones."""
         state = np.full((self.count, self.lanes), STATE_MIN, dtype=np.uint32)
         emitted: list[tuple[NDArray[np.bool_], NDArray[np.uint16]]] = []
         for frequency, lower in reversed(self.groups):
@@ -434,7 +476,7 @@ class Encoder:
 
 
 def _escape_bits(away: int, radius: int) -> tuple[Int64, Int64]:
-    """SPEC 8.7: the bits of one escape as (values, widths)."""
+    """SPEC 8.7: returns the fields of one escape as (values, widths in bits)."""
     n = abs(away) - radius
     prefix = n.bit_length() - 1
     fields = [(int(away < 0), 1), (1 << prefix, prefix + 1), (n - (1 << prefix), prefix)]
@@ -443,7 +485,7 @@ def _escape_bits(away: int, radius: int) -> tuple[Int64, Int64]:
 
 
 def _pack(fields: list[tuple[Int64, Int64]]) -> bytes:
-    """SPEC 8.6: fields of some width, least significant bit first, zero padded to whole bytes."""
+    """SPEC 8.6: returns the bytes of fields (values, widths in bits), least significant bit first, zero padded."""
     if not fields:
         return b""
     value = np.concatenate([v for v, _ in fields])

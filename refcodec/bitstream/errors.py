@@ -1,6 +1,6 @@
-"""Clause 10.2: the registry of errors, and the one exception for everything that a bitstream can do wrong.
+"""Clause 10.2: the registry of errors, and the exception that every refused file raises.
 
-The registry is the only place where codes are defined. A test compares SPEC.md with it.
+The registry is the only place where codes are defined. A test compares it with SPEC.md.
 """
 
 from __future__ import annotations
@@ -17,8 +17,12 @@ ErrorClass = Literal["malformed", "invalid", "unsupported"]
 class ErrorKind:
     """One row of SPEC.md 10.2.
 
-    code: a stable integer. name: a stable dotted name. klass: malformed and invalid exit 1, unsupported exits 2.
-    clause: the clause of SPEC.md to read. requirement: the requirement that the file breaks. text: its meaning.
+    code: an integer that never changes.
+    name: a dotted name that never changes.
+    klass: how the file is refused. A command exits with 1 for malformed and invalid, with 2 for unsupported.
+    clause: the clause of SPEC.md to read.
+    requirement: the requirement that the file breaks.
+    text: the meaning.
     where: the byte that the offset of the error points at.
     """
 
@@ -113,22 +117,24 @@ _TABLE = """
 
 
 def _registry() -> Iterator[ErrorKind]:
-    # A line that is indented goes on with the line before it.
+    # An indented line continues the line before it.
     for line in _TABLE.replace("\n    ", " ").strip().splitlines():
         head, text, where = line.split(" | ")
         code, name, klass, clause, requirement = head.split()
         yield ErrorKind(int(code), name, cast(ErrorClass, klass), clause, requirement, text, where)
 
 
-# By name, in the order of the codes.
+# The rows by name, in the order of the codes.
 REGISTRY: dict[str, ErrorKind] = {kind.name: kind for kind in _registry()}
 
 
 class BitstreamError(Exception):
-    """A file that is not an acceptable bitstream: the one error type of the decoder.
+    """A file that is refused. Decoding raises no other error.
 
-    kind: row of the registry; offset: byte offset in the file (SPEC 10.2 says which); path: the syntax element;
-    found, allowed: what stands there, and what may, as text.
+    kind: the row of the registry.
+    offset: a byte of the file. SPEC 10.2 says which one.
+    path: the syntax element.
+    found, allowed: what the file has there, and what it may have, as text.
     """
 
     def __init__(self, name: str, offset: int, path: str, found: object, allowed: object) -> None:
@@ -141,11 +147,11 @@ class BitstreamError(Exception):
 
     @property
     def exit_status(self) -> int:
-        """1 for a rejected file, 2 for one that needs a newer decoder (SPEC 10.1)."""
+        """The exit status of a command: 1 for a malformed or invalid file, 2 for an unsupported one (SPEC 10.1)."""
         return 2 if self.kind.klass == "unsupported" else 1
 
     def to_json(self) -> str:
-        """The verdict as one line of JSON: code, name, offset, path, clause, requirement, found, allowed."""
+        """Returns one line of JSON: code, name, offset, path, clause, requirement, found, allowed."""
         return json.dumps(
             {
                 "code": self.kind.code,

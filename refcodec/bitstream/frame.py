@@ -18,7 +18,7 @@ FRAME_RANGE_BOUND = 1 << 18
 
 @dataclass(frozen=True)
 class Frame:
-    """SPEC 5.7. matrix: int64 [3, 3]. translation, shift, low and high: int64 [3]."""
+    """SPEC 5.7: the frame. matrix: int64 [3, 3]. translation, shift, low and high: int64 [3]."""
 
     matrix: Int64
     translation: Int64
@@ -28,7 +28,10 @@ class Frame:
 
 
 def parse_frame(data: bytes, start: int) -> Frame:
-    """SPEC 5.7 and [R6.7-1], in the order of its sentence. Raises BitstreamError frame.range."""
+    """SPEC 5.7 and [R6.7-1]: returns the frame at data[start:]. Raises BitstreamError frame.range.
+
+    The fields are checked in the order of the requirement's sentence.
+    """
     struct, name = syntax.Struct("Frame", data, start, "frame"), "frame.range"
     f = struct.fields
     for field, low, high in (
@@ -42,7 +45,7 @@ def parse_frame(data: bytes, start: int) -> Frame:
         raise struct.error(name, "reserved", f.reserved, 0)
     for i, (low, high) in enumerate(zip(f.low, f.high, strict=True)):
         struct.require_within(name, f"low[{i}]", low, -FRAME_RANGE_BOUND, FRAME_RANGE_BOUND - 1)
-        # 7.5.3 divides by high - low.
+        # The rescaling (7.5.3) divides by high - low.
         struct.require_within(name, f"high[{i}]", high, low + 1, FRAME_RANGE_BOUND)
 
     def array(values: list[int]) -> Int64:
@@ -52,6 +55,6 @@ def parse_frame(data: bytes, start: int) -> Frame:
 
 
 def emit_frame(frame: Frame) -> bytes:
-    """SPEC 5.7."""
+    """SPEC 5.7: returns the bytes of the section."""
     fields = {name: value.reshape(-1).tolist() for name, value in vars(frame).items()}
     return syntax.build("Frame", {**fields, "reserved": 0})

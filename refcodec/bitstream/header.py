@@ -33,7 +33,7 @@ SCALE_EXPONENT_MAX = 60
 
 @dataclass(frozen=True)
 class Lanes:
-    """SPEC 6.2: base-2 logarithms of the lanes of a substream of planes, of masks and of attributes."""
+    """SPEC 6.2: the base-2 logarithms of the number of lanes of a substream of planes, of masks and of attributes."""
 
     plane: int = 3
     mask: int = 3
@@ -42,7 +42,7 @@ class Lanes:
 
 @dataclass(frozen=True)
 class PositionGrid:
-    """SPEC 6.4: world = (origin + scale_mantissa * P) * 2^(scale_exponent - 24)."""
+    """SPEC 6.4: P stands for the world position (origin + scale_mantissa * P) * 2^(scale_exponent - 24)."""
 
     origin: tuple[int, int, int] = (0, 0, 0)
     scale_mantissa: int = 1
@@ -51,8 +51,16 @@ class PositionGrid:
 
 @dataclass(frozen=True)
 class RenderInfo:
-    """SPEC 6.5. background: RGB, 0 to 255. up_axis: 0 to 5 for +x -x +y -y +z -z. near_plane, distance_unit and
-    camera_translation: world units. low_pass: square pixels. The camera is a pinhole, from the world to the camera."""
+    """SPEC 5.5 and 6.5: what a renderer needs to know of a scene.
+
+    background: red, green and blue, 0 to 255.
+    up_axis: 0 to 5 if +x, -x, +y, -y, +z or -z points up.
+    near_plane, distance_unit: world units.
+    low_pass: square pixels.
+    camera_width, camera_height, camera_focal: pixels.
+    camera_rotation: a quaternion w, x, y, z, from the world to the camera.
+    camera_translation: from the world to the camera, world units.
+    """
 
     background: tuple[int, int, int] = (0, 0, 0)
     up_axis: int = 3
@@ -69,7 +77,7 @@ class RenderInfo:
 
 @dataclass(frozen=True)
 class Header:
-    """SPEC 6.2, in the scene's terms. sections: by type; empty until the directory was read."""
+    """SPEC 6.2: the values of a header. sections: by type, or empty if the directory has not been read yet."""
 
     profile: int
     level: int
@@ -84,7 +92,7 @@ class Header:
 
     @property
     def chunk_count(self) -> int:
-        """SPEC 6.10: C."""
+        """SPEC 6.10: C, the number of chunks."""
         return -(-self.anchor_count // self.chunk_size)
 
     @property
@@ -97,7 +105,7 @@ class Header:
 
 
 def parse_prologue(data: bytes) -> int:
-    """SPEC 5.1 and 6.1. Returns header_length. Raises BitstreamError 101 to 105."""
+    """SPEC 5.1 and 6.1: checks the prologue and returns header_length. Raises BitstreamError 101 to 105."""
     # SPEC [R6.1-1]
     if len(data) < PROLOGUE_BYTES:
         found = f"{len(data)} bytes"
@@ -108,7 +116,7 @@ def parse_prologue(data: bytes) -> int:
     if p.signature != SIGNATURE:
         found = _signature_text(p.signature)
         raise prologue.error("prologue.signature", "signature", found, SIGNATURE.hex(" "))
-    # SPEC [R6.1-3]: before the version, which a damaged byte could change.
+    # SPEC [R6.1-3]: the CRC-32 comes before the version, because damage could have changed the version.
     crc = zlib.crc32(data[: PROLOGUE_BYTES - CRC_BYTES])
     if p.prologue_crc != crc:
         raise prologue.error("prologue.crc", "prologue_crc", f"0x{p.prologue_crc:08x}", f"0x{crc:08x}")
@@ -131,8 +139,9 @@ def _signature_text(found: bytes) -> str:
 
 
 def parse_header(data: bytes, header_length: int) -> tuple[Header, syntax.Struct]:
-    """SPEC 5.2 to 5.5 and 6.2 to 6.5: the header without its directory, and its struct, which has that unchecked.
+    """SPEC 5.2 to 5.5 and 6.2 to 6.5: checks the header, and returns its values and its struct.
 
+    The directory is left out of the values. The struct has its entries, of which only the reserved fields were checked.
     Raises BitstreamError 201 to 214, in the order of SPEC 10.1.
     """
     end = PROLOGUE_BYTES + header_length
@@ -151,7 +160,7 @@ def parse_header(data: bytes, header_length: int) -> tuple[Header, syntax.Struct
         allowed = f"what {header_length} bytes hold"
         raise BitstreamError("header.syntax", end, "header", "more fields", allowed) from None
     if header.size != header_length:
-        # The CRC-32 is at the header's end, so what no field uses lies before it.
+        # The CRC-32 is the last field. The bytes that no field uses lie before it.
         at = PROLOGUE_BYTES + header.size - CRC_BYTES
         allowed = f"the {header.size} that its fields take"
         raise BitstreamError("header.syntax", at, "header", f"{header_length} bytes", allowed)
@@ -159,9 +168,9 @@ def parse_header(data: bytes, header_length: int) -> tuple[Header, syntax.Struct
 
 
 def _checked(header: syntax.Struct) -> Header:
-    """SPEC 10.1, step 2, from [R6.2-4] on: the rules of the header's fields in the order of their codes."""
+    """SPEC 10.1, step 2, from [R6.2-4] on: checks the header's fields in the order of the errors' codes."""
     h = header.fields
-    # SPEC [R6.2-4]: what is reserved is 0.
+    # SPEC [R6.2-4]
     for field, value in (
         ("reserved_0", h.reserved_0),
         ("reserved_1", h.reserved_1),
@@ -192,7 +201,7 @@ def _checked(header: syntax.Struct) -> Header:
 
 
 def _checked_limits(header: syntax.Struct) -> Dimensions:
-    """SPEC 11.1 and 11.2: profile, level, dimensions, and the counts that these allow."""
+    """SPEC 11.1 and 11.2: checks profile, level, dimensions and the counts that these allow."""
     h = header.fields
     # SPEC [R11.1-1]
     if h.profile not in PROFILES:
@@ -203,7 +212,7 @@ def _checked_limits(header: syntax.Struct) -> Dimensions:
         known = " or ".join(map(str, sorted(profile.levels)))
         raise header.error("header.level", "level", h.level, f"in {profile.name} {known}")
     level = profile.levels[h.level]
-    # SPEC [R11.1-2]: what the profile allows, then what the level does.
+    # SPEC [R11.1-2]: the bounds of the profile come before the bound of the level.
     dimensions = dimensions_of(h.dimensions)
     fault = dimension_fault(profile, dimensions)
     if fault:
@@ -223,7 +232,7 @@ def _checked_limits(header: syntax.Struct) -> Dimensions:
 
 
 def _checked_grid(header: syntax.Struct) -> PositionGrid:
-    """SPEC [R6.4-1]."""
+    """SPEC [R6.4-1]: checks the position grid."""
     name, g = "header.position_grid", header.fields.position_grid
     for i, origin in enumerate(g.origin):
         header.require_within(name, f"position_grid.origin[{i}]", origin, 1 - ORIGIN_BOUND, ORIGIN_BOUND - 1)
@@ -234,7 +243,7 @@ def _checked_grid(header: syntax.Struct) -> PositionGrid:
 
 
 def _checked_render(header: syntax.Struct) -> RenderInfo:
-    """SPEC [R6.5-1], in the order of its sentence."""
+    """SPEC [R6.5-1]: checks the render information in the order of the requirement's sentence."""
     name, r = "header.render_info", header.fields.render_info
 
     def field(own: str) -> str:
@@ -278,7 +287,10 @@ def _checked_render(header: syntax.Struct) -> RenderInfo:
 
 
 def emit_file(header: Header, sections: list[tuple[int, int, bytes]]) -> bytes:
-    """SPEC 5.1 to 5.6: the file of a header and of sections (type, mode, bytes) in file order."""
+    """SPEC 5.1 to 5.6: returns the file of a header and of sections (type, mode, bytes) in file order.
+
+    The directory is made from the sections. header.sections is not read.
+    """
     fields: dict[str, Any] = {
         "profile": header.profile,
         "level": header.level,

@@ -1,4 +1,4 @@
-"""Profiles and levels (SPEC.md chapter 11)."""
+"""Clause 11: profiles and levels."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ Bounds = tuple[int, int]
 
 @dataclass(frozen=True)
 class Level:
-    """SPEC 11.2: most anchors and largest plane size."""
+    """SPEC 11.2: the largest number of anchors and the largest plane size of a level."""
 
     anchors: int
     plane_size: int
@@ -20,7 +20,11 @@ class Level:
 
 @dataclass(frozen=True)
 class Profile:
-    """SPEC 11.1: inclusive bounds of each dimension; a list's bounds are those of its length and of its items."""
+    """SPEC 11.1: the bounds of each dimension, both ends included.
+
+    Bounds such as slice_count are those of the length of a list. Bounds such as slice_width are those of its items.
+    levels: by number.
+    """
 
     name: str
     offset_count: Bounds
@@ -84,7 +88,10 @@ MAIN_SLICES = (5, 10, 15, 20)
 
 
 def dimension_fault(profile: Profile, d: Dimensions) -> tuple[str, object, str] | None:
-    """SPEC 11.1: the first dimension outside the profile, as (field of the Dimensions table, found, allowed), or None."""
+    """SPEC 11.1: returns the first dimension outside the profile, or None.
+
+    It is given as (field of the Dimensions table, found, allowed).
+    """
 
     def outside(field: str, value: int, bounds: Bounds) -> tuple[str, object, str] | None:
         if bounds[0] <= value <= bounds[1]:
@@ -110,7 +117,7 @@ def dimension_fault(profile: Profile, d: Dimensions) -> tuple[str, object, str] 
         fault = outside(field, value, bounds)
         if fault:
             return fault
-    # SPEC 11.1: CARM has hidden layers exactly when there is a second slice.
+    # SPEC 11.1: without a second slice there is no network of CARM, and so no hidden layer.
     if (len(d.slices) == 1) != (len(d.carm_width) == 0):
         return "carm_layers", len(d.carm_width), "0 exactly if there is one slice"
     if profile is PROFILES[MAIN] and d.slices != MAIN_SLICES:
@@ -119,7 +126,7 @@ def dimension_fault(profile: Profile, d: Dimensions) -> tuple[str, object, str] 
 
 
 def minimal_level(profile: Profile, anchors: int, plane_size: int) -> int | None:
-    """SPEC 11.2: the lowest level that holds a scene, or None."""
+    """SPEC 11.2: returns the lowest level that holds a scene, or None if no level does."""
     for number, level in sorted(profile.levels.items()):
         if anchors <= level.anchors and plane_size <= level.plane_size:
             return number

@@ -1,4 +1,7 @@
-"""Clauses 5.12, 6.12 and 7.6: the masks, by contexts of the offset's index and of the offsets kept so far."""
+"""Clauses 5.12, 6.12 and 7.6: the masks.
+
+The context of a mask bit is the index of its offset and the number of offsets of the anchor that are kept before it.
+"""
 
 from __future__ import annotations
 
@@ -13,7 +16,10 @@ from .tables import TOTAL, ModelSet, build_models
 
 
 def parse_mask_model(data: bytes, start: int, offset_count: int) -> NDArray[np.uint16]:
-    """SPEC 5.10 and [R6.10-1]: the frequencies of the mask model. Raises BitstreamError chunks.mask_model."""
+    """SPEC 5.10 and [R6.10-1]: returns the mask model at data[start:], uint16 [K (K + 1) / 2].
+
+    Raises BitstreamError chunks.mask_model.
+    """
     model = np.frombuffer(data, "<u2", mask_contexts(offset_count), start).astype(np.uint16)
     bad = np.flatnonzero((model < 1) | (model >= TOTAL))
     if bad.size:
@@ -24,19 +30,25 @@ def parse_mask_model(data: bytes, start: int, offset_count: int) -> NDArray[np.u
 
 
 def mask_models(frequencies: NDArray[np.uint16]) -> ModelSet:
-    """SPEC 7.6: a binary model for each context, from the frequency of a kept offset (1 to 2^14 - 1)."""
+    """SPEC 7.6: returns a binary model for each context. frequencies: those of a kept offset, 1 to 2^14 - 1."""
     return build_models("mask", [np.array([TOTAL - int(f), int(f)]) for f in frequencies], [0] * len(frequencies))
 
 
 def contexts(offset: int, kept: Int64) -> Int64:
-    """SPEC 7.6: the context of an offset index, for the count of offsets kept before it."""
+    """SPEC 7.6: returns the contexts of the mask bits of one offset, int64 [n].
+
+    offset: its index. kept: int64 [n], how many offsets each anchor keeps before it.
+    """
     return offset * (offset + 1) // 2 + kept
 
 
 def code_masks(
     coder: Coder, models: ModelSet, offset_count: int, chunks: list[range], given: NDArray[np.bool_] | None = None
 ) -> NDArray[np.bool_]:
-    """Codes the masks of the anchors in `chunks` (one substream each), bool [anchors, K], in either direction (SPEC 7.6)."""
+    """SPEC 7.6: codes the masks of some chunks, in either direction, and returns them, bool [anchors, K].
+
+    chunks: the anchors of each chunk, which has one substream. given: the masks if they are encoded.
+    """
     counts = [len(c) for c in chunks]
     masks = np.zeros((sum(counts), offset_count), dtype=bool)
     kept = np.zeros(len(masks), dtype=np.int64)

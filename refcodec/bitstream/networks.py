@@ -1,7 +1,7 @@
 """Clause 7.2: integer networks, from fp32 weights to integers, and the forward pass.
 
-A float32 matrix product may compute the integers, because no partial sum can pass 2^24. Every order of summation, fused or
-not, gives the same exact result. Where it does not, because a BLAS is broken, the self-test chooses int64 instead.
+A float32 matrix product may compute the integers, because no partial sum reaches 2^24. So every order of summation,
+fused or not, gives the same exact result. If a broken BLAS does not, the self-test chooses int64 instead.
 """
 
 from __future__ import annotations
@@ -16,18 +16,18 @@ from numpy.typing import NDArray
 from .conventions import F32, Int64, clamp, rshift_round
 from .dimensions import RENDERING
 
-# SPEC 7.2: largest activation, largest integer weight, accumulator bound, largest exponent.
+# SPEC 7.2: the largest activation, the largest integer weight, the bound of accumulators, the largest exponent.
 ACTIVATION_MAX = 1023
 WEIGHT_MAX = 1023
 ACCUMULATOR_BOUND = 1 << 24
 EXPONENT_MAX = 20
-# Rows of a product computed at once: a matter of speed alone.
+# How many rows of a product are computed at once. Only speed depends on it.
 BLOCK_ROWS = 8192
 Layer = tuple[F32, F32]
 
 
 class BoundError(ValueError):
-    """A row whose integers could pass the accumulator bound; `row` counts within its layer, `layer` names that."""
+    """A row whose integers could pass the accumulator bound. `row` is its number in the layer with the name `layer`."""
 
     def __init__(self, row: int, layer: str = "layer") -> None:
         self.row, self.layer = row, layer
@@ -38,7 +38,7 @@ class BoundError(ValueError):
 
 @dataclass(frozen=True)
 class IntLayer:
-    """SPEC 7.2: weight int64 [out, in], bias int64 [out], exponent int64 [out]."""
+    """SPEC 7.2: a layer of integers. weight: int64 [out, in]. bias, exponent: int64 [out]."""
 
     weight: Int64
     bias: Int64
@@ -46,18 +46,19 @@ class IntLayer:
 
 
 def derive_layer(weight: F32, bias: F32) -> IntLayer:
-    """SPEC 7.2: for each row the largest exponent that keeps the bounds. weight [out, in], bias [out], finite.
+    """SPEC 7.2, DERIVE_ROW: returns a layer of integers. Each row has the largest exponent that keeps the bounds.
 
-    Raises BoundError. The float64 steps are exact: a 24-bit significand times a power of two, plus 1/2, floored.
+    weight: float32 [out, in]. bias: float32 [out]. Both are finite. Raises BoundError for a row without an exponent.
     """
     out = len(bias)
     w64, b64 = weight.astype(np.float64), bias.astype(np.float64)
     found = np.full(out, -1, dtype=np.int64)
     chosen_w = np.zeros(weight.shape, dtype=np.int64)
     chosen_b = np.zeros(out, dtype=np.int64)
-    # Values past 2^24 break a bound whatever they are; cutting them there keeps the integers below in range.
+    # A value past the bound breaks it, however large it is. The cut keeps such values within int64.
     cut = 2.0 * ACCUMULATOR_BOUND
     for e in range(EXPONENT_MAX, -1, -1):
+        # Exact in float64: a 24-bit significand times a power of two, plus 1/2.
         w = np.floor(np.clip(w64 * 2.0**e, -cut, cut) + 0.5).astype(np.int64)
         b = np.floor(np.clip(b64 * 2.0**e, -cut, cut) + 0.5).astype(np.int64)
         worst = np.abs(w).sum(axis=1) * ACTIVATION_MAX + np.abs(b) + ((1 << e) >> 1)
@@ -70,12 +71,12 @@ def derive_layer(weight: F32, bias: F32) -> IntLayer:
 
 
 class IntNetwork:
-    """SPEC 7.2: layers with a clamp to [0, 1023] between them and none after the last.
-
-    exact_float: compute in float32 (None: as the self-test says); block_rows: rows at once. Neither changes a bit.
-    """
+    """SPEC 7.2, NETWORK: integer layers, with a clamp to [0, 1023] between them and none after the last."""
 
     def __init__(self, layers: list[IntLayer], exact_float: bool | None = None, block_rows: int | None = None) -> None:
+        """exact_float: whether to compute in float32. None leaves it to the self-test.
+        block_rows: how many rows are computed at once. None means BLOCK_ROWS. No result depends on either.
+        """
         self.layers = layers
         self.exact_float = float32_is_exact() if exact_float is None else exact_float
         self.block_rows = block_rows or BLOCK_ROWS
@@ -90,7 +91,7 @@ class IntNetwork:
         ]
 
     def __call__(self, inputs: NDArray[np.signedinteger]) -> NDArray[np.int32]:
-        """inputs: integers [rows, in], each in [-1023, 1023]. Returns int32 [rows, out]."""
+        """Returns the outputs, int32 [rows, out]. inputs: integers [rows, in], each in [-1023, 1023]."""
         out = np.empty((len(inputs), len(self.layers[-1].bias)), dtype=np.int32)
         forward = self._forward_float if self.exact_float else self._forward_int
         for start in range(0, len(inputs), self.block_rows):
@@ -123,9 +124,9 @@ class IntNetwork:
 def derive_networks(
     networks: Mapping[str, list[Layer]], exact_float: bool | None = None, block_rows: int | None = None
 ) -> dict[str, IntNetwork]:
-    """SPEC 7.2 for F_h, SARM and CARM, by name. The rendering networks are left out.
+    """SPEC 7.2: returns the integer networks F_h, SARM and CARM, by name. The rendering networks are left out.
 
-    exact_float and block_rows: of IntNetwork. Raises BoundError, which names the layer.
+    exact_float, block_rows: as in IntNetwork. Raises BoundError, which names the layer.
     """
     found = {}
     for name, layers in networks.items():
@@ -142,15 +143,16 @@ def derive_networks(
 
 
 def activation(a: Int64) -> Int64:
-    """SPEC 7.2: a network's input, clamped to [-1023, 1023]."""
+    """SPEC 7.2, ACTIVATION: returns a clamped to [-1023, 1023], the range of a network's inputs."""
     return clamp(a, -ACTIVATION_MAX, ACTIVATION_MAX)
 
 
 @cache
 def float32_is_exact() -> bool:
-    """The start-up self-test: float32 products at the bound against int64, over shapes that the decoder uses.
+    """Whether float32 products are exact on this machine: the self-test of SPEC 13.3, at the first use.
 
-    Informative (SPEC 13.3): guards against a BLAS, or a reduced-precision mode, that does not add float32 exactly.
+    It compares products near the bound with int64, over shapes that the decoder uses. It finds a faulty BLAS and a mode
+    of reduced precision.
     """
     generator = np.random.Generator(np.random.PCG64(0))
     for rows, fan_in, width in ((1, 4, 16), (7, 36, 100), (65, 100, 175), (33, 128, 128), (257, 30, 100)):

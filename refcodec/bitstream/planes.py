@@ -14,15 +14,15 @@ from .errors import BitstreamError
 from .networks import IntNetwork, activation
 from .tables import tables
 
-# SPEC 7.3: one plane of r = 1 and four quadrants of r = 2.
+# SPEC 7.3: the number of sub-planes: the plane of r = 1, and four quadrants of the plane of r = 2.
 PLANES = 5
-# SPEC 6.9: a plane symbol is an i16, -32768 excluded.
+# SPEC 6.9: the largest magnitude of a plane symbol. Arrays hold it as int16, of which -32768 is not used.
 PLANE_SYMBOL_MAX = (1 << 15) - 1
 PLANE_NAMES = ("r1", "r2.top_left", "r2.top_right", "r2.bottom_left", "r2.bottom_right")
 
 
 def wavefront(t: int, size: int) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """SPEC 7.3: rows and columns (i, j) with j + 2 i = t, rows ascending."""
+    """SPEC 7.3: returns the rows i and the columns j of wavefront t, int64 [points]. j + 2 i = t, and rows ascend."""
     i = np.arange(max(0, (t - size + 2) // 2), min(size - 1, t // 2) + 1)
     return i, t - 2 * i
 
@@ -30,8 +30,11 @@ def wavefront(t: int, size: int) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
 def code_planes(
     coder: Coder, sarm: IntNetwork, channels: int, size: int, given: NDArray[np.int16] | None = None
 ) -> NDArray[np.int16]:
-    """Codes the five planes, int16 [5, ch, B, B], in either direction (SPEC 7.3)."""
-    # A border of zeros above, left and right is the padding.
+    """SPEC 7.3: codes the five sub-planes, in either direction, and returns them, int16 [5, ch, B, B].
+
+    channels: ch. size: B. given: the sub-planes if they are encoded.
+    """
+    # The border of zeros above, left and right stands for the symbols outside the sub-plane.
     padded = np.zeros((PLANES, channels, size + 1, size + 2), dtype=np.int64)
     flat = padded.reshape(-1)
     width = size + 2
@@ -39,7 +42,7 @@ def code_planes(
     for t in range(3 * size - 2):
         i, j = wavefront(t, size)
         at = (block + ((i + 1) * width + j + 1)).reshape(-1)
-        # SPEC 7.3: the context is (i-1, j-1), (i-1, j), (i-1, j+1), (i, j-1).
+        # SPEC 7.3: the context of (i, j) is (i-1, j-1), (i-1, j), (i-1, j+1) and (i, j-1).
         near = np.stack([flat[at - width - 1], flat[at - width], flat[at - width + 1], flat[at - 1]], axis=1)
         parameters = sarm(activation(near)).astype(np.int64)
         known = None if given is None else given[:, :, i, j].reshape(-1).astype(np.int64)
@@ -58,9 +61,10 @@ def code_planes(
 def parse_planes(
     data: bytes, start: int, end: int, d: Dimensions, lanes: int, sarm: IntNetwork, trace: Trace | None
 ) -> NDArray[np.int16]:
-    """SPEC 5.9, 6.9 and 7.3: the planes of the section data[start:end], int16 [5, ch, B, B].
+    """SPEC 5.9, 6.9 and 7.3: returns the sub-planes of the section data[start:end], int16 [5, ch, B, B].
 
-    Raises BitstreamError planes.length, or the error of the first substream that has one.
+    lanes: the lanes of each substream. Raises BitstreamError planes.length, or the error of the first substream that
+    has one.
     """
     # SPEC [R6.9-1]
     try:
@@ -78,7 +82,7 @@ def parse_planes(
     ]
     decoder = Decoder([stream for stream, _ in opened], trace)
     planes = code_planes(decoder, sarm, d.plane_channels, d.plane_size)
-    # SPEC 10.1, step 5: each substream as a whole, in order.
+    # SPEC 10.1, step 5: all errors of a substream come before those of the next one.
     for (_, before), after in zip(opened, decoder.finish(), strict=True):
         error = before or after
         if error is not None:
@@ -87,7 +91,7 @@ def parse_planes(
 
 
 def emit_planes(planes: NDArray[np.int16], sarm: IntNetwork, lanes: int) -> bytes:
-    """SPEC 5.9: the section. planes: int16 [5, ch, B, B]."""
+    """SPEC 5.9: returns the bytes of the section. planes: int16 [5, ch, B, B]. lanes: the lanes of each substream."""
     encoder = Encoder(PLANES, lanes)
     code_planes(encoder, sarm, planes.shape[1], planes.shape[2], planes)
     streams = encoder.finish()
@@ -95,7 +99,10 @@ def emit_planes(planes: NDArray[np.int16], sarm: IntNetwork, lanes: int) -> byte
 
 
 def assemble_planes(planes: NDArray[np.int16]) -> tuple[Int64, Int64]:
-    """SPEC 7.3, JOIN_QUADRANTS: from [5, ch, B, B] the plane of r = 1, [ch, B, B], and that of r = 2, [ch, 2B, 2B]."""
+    """SPEC 7.3, JOIN_QUADRANTS: returns the plane of r = 1, int64 [ch, B, B], and that of r = 2, int64 [ch, 2 B, 2 B].
+
+    planes: the sub-planes, int16 [5, ch, B, B].
+    """
     first, *quadrants = planes.astype(np.int64)
     top, bottom = (np.concatenate(quadrants[i : i + 2], axis=2) for i in (0, 2))
     return first, np.concatenate([top, bottom], axis=1)

@@ -1,7 +1,7 @@
-"""Clauses 5.11, 5.15, 6.11, 7.4 and 7.12: the positions, raw fp16 or for each chunk a tree of cells.
+"""Clauses 5.11, 5.15, 6.11, 7.4 and 7.12: the positions, as raw fp16 numbers or for each chunk as a tree of cells.
 
-A cell's code is its MORTON. The nodes of a level are the codes without their low bits. The number of the chunk stands above
-these bits, so that the chunks of a batch are coded side by side.
+The code of a cell is its MORTON. A node of the tree is the code of its cells without their low bits. While the chunks
+of a batch are coded side by side, the number of the chunk stands above the bits of a code.
 """
 
 from __future__ import annotations
@@ -19,24 +19,27 @@ from .errors import BitstreamError
 from .tables import TOTAL, ModelSet, build_models
 
 F16 = NDArray[np.float16]
-# SPEC 7.12: levels of the tree; the cell_shift of cells that count fp16 numbers; models of the tree.
+# SPEC 7.12: the levels of the tree, the cell_shift of cells that count fp16 numbers, and the models of the tree.
 CELL_LEVELS = 16
 CELL_INDEX = 40
 POSITION_MODELS = 18
-# SPEC 5.15: symbols of a model, which say which of four children there are.
+# SPEC 5.15: the symbols of a model. A symbol names which of four children there are.
 HALVES = 16
-# SPEC 6.10: symbol 0 of these models cannot occur.
+# SPEC 6.10: the models whose symbol 0 cannot occur.
 EMPTY_MODELS = (1, 7, 13)
-# SPEC 5.11: the forms of a chunk.
+# SPEC 5.11: the forms of a chunk in mode 1.
 RAW, PACKED = 0, 1
 _MIDDLE = 1 << (CELL_LEVELS - 1)
 _CODE_BITS = 3 * CELL_LEVELS
-# How many children a symbol names.
+# The number of children that each symbol names.
 _CHILDREN = np.array([half.bit_count() for half in range(HALVES)])
 
 
 def position_integers(positions: F16) -> Int64:
-    """SPEC 7.4, POSITION_INTEGER: P with position = P * 2^-24, |P| < 2^40. positions: [n, 3], finite; int64 [n, 3]."""
+    """SPEC 7.4, POSITION_INTEGER: returns P, int64 [n, 3], with position = P * 2^-24 and |P| < 2^40.
+
+    positions: float16 [n, 3], finite.
+    """
     bits = positions.view(np.uint16).astype(np.int64)
     exponent, mantissa = (bits >> 10) & 31, bits & 1023
     magnitude = np.where(exponent == 0, mantissa, (mantissa + 1024) << np.maximum(exponent - 1, 0))
@@ -48,13 +51,13 @@ def position_integers(positions: F16) -> Int64:
 
 @dataclass(frozen=True, eq=False)
 class PositionModel:
-    """SPEC 5.15: cell_shift, 0 to 40; frequency uint16 [18, 16]."""
+    """SPEC 5.15: what packed positions are coded with. cell_shift: 0 to 40. frequency: uint16 [18, 16]."""
 
     cell_shift: int
     frequency: NDArray[np.uint16]
 
     def fault(self) -> int | None:
-        """SPEC 6.10: what is first wrong: -1 for cell_shift, else the number of a model; None if all is right."""
+        """SPEC 6.10: returns -1 if cell_shift is wrong, else the number of the first wrong model, or None."""
         if not 0 <= self.cell_shift <= CELL_INDEX:
             return -1
         never = np.zeros(self.frequency.shape, dtype=bool)
@@ -63,12 +66,12 @@ class PositionModel:
         return None if right.all() else int(np.argmin(right))
 
     def models(self) -> ModelSet:
-        """SPEC 7.12: the 18 models."""
+        """SPEC 7.12: returns the 18 models."""
         return build_models("cells", list(self.frequency.astype(np.int64)), [0] * POSITION_MODELS)
 
 
 def parse_position_model(data: bytes, start: int) -> PositionModel:
-    """SPEC 5.15 and [R6.10-4]. Raises BitstreamError chunks.position_model."""
+    """SPEC 5.15 and [R6.10-4]: returns the model at data[start:]. Raises BitstreamError chunks.position_model."""
     fields, _ = syntax.parse("PositionModel", data, start)
     frequency = np.array(fields.frequency, dtype=np.uint16).reshape(POSITION_MODELS, HALVES)
     model = PositionModel(fields.cell_shift, frequency)
@@ -83,7 +86,7 @@ def parse_position_model(data: bytes, start: int) -> PositionModel:
 
 
 def emit_position_model(model: PositionModel) -> bytes:
-    """SPEC 5.15."""
+    """SPEC 5.15: returns the bytes of the model."""
     fields = {"cell_shift": model.cell_shift, "frequency": model.frequency.reshape(-1).tolist()}
     return syntax.build("PositionModel", fields)
 
@@ -92,7 +95,10 @@ def emit_position_model(model: PositionModel) -> bytes:
 
 
 def cells(positions: F16, cell_shift: int) -> Int64:
-    """SPEC 7.12, CELL_OF: the cells of positions, int64 [n, 3]; -1 on an axis where there is none. positions: [n, 3], finite."""
+    """SPEC 7.12, CELL_OF: returns the cells of positions, int64 [n, 3], with -1 on an axis without a cell.
+
+    positions: float16 [n, 3], finite.
+    """
     bits = positions.view(np.uint16).astype(np.int64)
     if cell_shift == CELL_INDEX:
         return _MIDDLE + np.where(bits >> 15, -(bits & 0x7FFF), bits)
@@ -102,12 +108,15 @@ def cells(positions: F16, cell_shift: int) -> Int64:
 
 
 def cell_positions(cell: Int64, cell_shift: int) -> tuple[F16, NDArray[np.bool_]]:
-    """SPEC 7.12, CELL_NUMBER: (positions [n, 3], which anchors have one). Anchors without one are 0."""
+    """SPEC 7.12, CELL_NUMBER: returns positions, float16 [n, 3], and whether each anchor has one, bool [n].
+
+    cell: int64 [n, 3]. An anchor has no position if fp16 does not hold one of its coordinates. Its position is then 0.
+    """
     n = cell - _MIDDLE
     bits = np.abs(n)
     fits = np.ones(bits.shape, dtype=bool)
     if cell_shift < CELL_INDEX:
-        # |n| is at most 2^15, so that a float64 holds |n| * 2^cell_shift and its exponent exactly.
+        # |n| is at most 2^15, so a float64 holds |n| * 2^cell_shift exactly.
         p = bits << cell_shift
         e = np.maximum(np.frexp(p.astype(np.float64))[1].astype(np.int64) - 11, 0)
         fits = (p >> e) << e == p
@@ -119,7 +128,7 @@ def cell_positions(cell: Int64, cell_shift: int) -> tuple[F16, NDArray[np.bool_]
 
 
 def morton(cell: Int64) -> Int64:
-    """SPEC 7.12, MORTON: int64 [n]. cell: int64 [n, 3], each 0 to 2^16 - 1."""
+    """SPEC 7.12, MORTON: returns the codes of cells, int64 [n]. cell: int64 [n, 3], each 0 to 2^16 - 1."""
     code = np.zeros(len(cell), dtype=np.int64)
     for bit in range(CELL_LEVELS):
         for axis in range(3):
@@ -128,7 +137,7 @@ def morton(cell: Int64) -> Int64:
 
 
 def _cells_of_codes(code: Int64) -> Int64:
-    """The reverse of morton."""
+    """Returns the cells of codes, int64 [n, 3]: the reverse of morton."""
     cell = np.zeros((len(code), 3), dtype=np.int64)
     for bit in range(CELL_LEVELS):
         for axis in range(3):
@@ -137,7 +146,7 @@ def _cells_of_codes(code: Int64) -> Int64:
 
 
 def chunk_codes(positions: F16, cell_shift: int) -> Int64 | None:
-    """SPEC 6.11: the codes of a chunk's cells if the chunk is packed in mode 1, None if it is raw."""
+    """SPEC 6.11: returns the codes of a chunk's cells, int64 [n], if mode 1 packs the chunk, or None if it is raw."""
     cell = cells(positions, cell_shift)
     if (cell < 0).any():
         return None
@@ -148,10 +157,12 @@ def chunk_codes(positions: F16, cell_shift: int) -> Int64 | None:
 def code_cells(
     coder: SymbolCoder, models: ModelSet, numbers: list[int], counts: list[int], given: Int64 | None = None
 ) -> tuple[Int64, Int64]:
-    """SPEC 7.12, DECODE_CELLS, in either direction: (the codes of all cells, [cells]; how many each chunk has, [chunks]).
+    """SPEC 7.12, DECODE_CELLS: codes the trees of some chunks, in either direction.
 
-    numbers: of the chunks, for traces; counts: their anchors; given: the codes when encoding. A chunk whose tree grew past its
-    anchors has one cell more than anchors.
+    Returns the codes of all cells, int64 [cells], and how many cells each chunk has, int64 [chunks]. A chunk whose tree
+    had more nodes than anchors on some level counts one cell more than it has anchors.
+
+    numbers: those of the chunks, for a trace. counts: the anchors of each chunk. given: the codes if they are encoded.
     """
     chunk_bits = np.repeat(np.arange(len(counts), dtype=np.int64), counts) << _CODE_BITS
     full = None if given is None else given | chunk_bits
@@ -180,7 +191,7 @@ def code_cells(
         high = coder.plain(models, model, held.tolist(), high_name, None if known is None else known >> 4)
         parent, child = np.nonzero(((low | high << 4)[:, None] >> np.arange(8)) & 1)
         nodes = nodes[parent] << 3 | child
-        # SPEC 7.12: nodes past the chunk's anchors are dropped, so that the time is bounded.
+        # SPEC 7.12: nodes past the number of the chunk's anchors are dropped, so that the time is bounded.
         chunk = nodes >> (_CODE_BITS - 3 * level)
         held = np.bincount(chunk, minlength=len(counts))
         past |= held > most
@@ -190,7 +201,7 @@ def code_cells(
 
 
 def decode_cells(code: Int64, cell_shift: int) -> tuple[F16, NDArray[np.bool_]]:
-    """Positions of codes: as cell_positions."""
+    """Returns the positions of codes, int64 [n], as cell_positions does."""
     return cell_positions(_cells_of_codes(code), cell_shift)
 
 
@@ -206,13 +217,14 @@ def parse_positions(
     lanes: int,
     trace: Trace | None,
 ) -> tuple[F16, dict[int, BitstreamError]]:
-    """SPEC 5.11 and 6.11: the positions of some chunks, and the first error of each that has one; its anchors are left out.
+    """SPEC 5.11 and 6.11: returns the positions of some chunks, float16 [n, 3], and the first error of each.
 
-    group: the chunks' numbers. chunks: their anchors. model: None in mode 0.
+    A chunk without an error is not among the errors. A chunk with one has no positions.
+    group: the numbers of the chunks. chunks: their anchors. model: None in mode 0. lanes: those of each substream.
     """
     found: dict[int, F16 | BitstreamError | None] = {}
     for number, chunk in zip(group, chunks, strict=True):
-        # SPEC 10.1, step 7: the CRC-32 first.
+        # SPEC 10.1, step 7: the CRC-32 comes first.
         error = part.check(data, number)
         if error is not None:
             found[number] = error
@@ -229,7 +241,7 @@ def parse_positions(
 
 
 def _raw(data: bytes, start: int, chunk: range) -> F16 | BitstreamError:
-    """SPEC [R6.11-1] and [R6.11-2]: a chunk's fp16 numbers, or the error of the first that is not allowed."""
+    """SPEC [R6.11-1] and [R6.11-2]: returns a chunk's fp16 numbers, or the error of the first that is not allowed."""
     bits = np.frombuffer(data, "<u2", 3 * len(chunk), start).astype(np.uint16)
     bad = first_bad(bits)
     if bad is None:
@@ -240,7 +252,7 @@ def _raw(data: bytes, start: int, chunk: range) -> F16 | BitstreamError:
 
 
 def _formed(data: bytes, part: Part, number: int, chunk: range, model: PositionModel) -> F16 | BitstreamError | None:
-    """SPEC 5.11, mode 1: a raw chunk's positions, or the error of its form. None for a packed chunk."""
+    """SPEC 5.11: returns the positions of a raw chunk in mode 1, or its error, or None for a packed chunk."""
     (start, end), path = part.span(number), part.path(number)
     form = data[start] if end > start else None
     if form == PACKED:
@@ -251,7 +263,7 @@ def _formed(data: bytes, part: Part, number: int, chunk: range, model: PositionM
         allowed = f"form {RAW} with {size} bytes, or form {PACKED}"
         return BitstreamError("positions.form", start, path, f"form {form} with {end - start} bytes", allowed)
     found = _raw(data, start + 1, chunk)
-    # SPEC [R6.11-4]: raw only where it has to be.
+    # SPEC [R6.11-4]
     if not isinstance(found, BitstreamError) and chunk_codes(found, model.cell_shift) is not None:
         return BitstreamError("positions.raw", start, path, f"form {RAW}", f"form {PACKED}: the chunk can be packed")
     return found
@@ -260,7 +272,7 @@ def _formed(data: bytes, part: Part, number: int, chunk: range, model: PositionM
 def _packed(
     data: bytes, part: Part, chunks: dict[int, range], model: PositionModel, lanes: int, trace: Trace | None
 ) -> dict[int, F16 | BitstreamError]:
-    """SPEC 7.12, DECODE_POSITIONS: the positions of packed chunks, or the error of each."""
+    """SPEC 7.12, DECODE_POSITIONS: returns the positions or the error of each packed chunk, by number."""
     opened = []
     for number in chunks:
         start, end = part.span(number)
@@ -290,7 +302,7 @@ def _packed(
 
 
 def first_bad(bits: NDArray[np.uint16]) -> tuple[str, int] | None:
-    """SPEC 6.11: the first fp16 that is not allowed, as the error's name and its index."""
+    """SPEC 6.11: returns the error's name and the index of the first fp16 number that is not allowed, or None."""
     bad = np.flatnonzero(((bits & 0x7C00) == 0x7C00) | (bits == 0x8000))
     if not bad.size:
         return None
@@ -299,7 +311,10 @@ def first_bad(bits: NDArray[np.uint16]) -> tuple[str, int] | None:
 
 
 def encode_positions(model: PositionModel | None, positions: F16, chunks: list[range], lanes: int) -> list[bytes]:
-    """SPEC 5.11: the part of each chunk; model: None for mode 0. positions: of the chunks' anchors alone, in order."""
+    """SPEC 5.11: returns the part of each chunk, in mode 0 if model is None, and otherwise in mode 1.
+
+    positions: float16 [n, 3], those of the chunks' anchors alone. lanes: the lanes of each substream.
+    """
     ends = np.cumsum([len(c) for c in chunks])
     each = [positions[end - len(c) : end] for end, c in zip(ends, chunks, strict=True)]
     raw = [p.astype("<f2").tobytes() for p in each]

@@ -1,6 +1,6 @@
 """The scene: what a file says, as one dataclass of numpy arrays.
 
-Everything that decides a symbol is an integer here. Float values are made from it by `reconstruction`.
+Everything that decides a symbol is an integer here. `reconstruction` makes the float values.
 """
 
 from __future__ import annotations
@@ -23,15 +23,19 @@ from .positions import CELL_INDEX, HALVES, POSITION_MODELS, PositionModel
 class Scene:
     """One scene of N anchors with K offsets each.
 
-    base_step: float32 values; the steps of features, scalings and offsets at step index 32 (SPEC 7.8).
-    plane_shift: SPEC 7.5.4. carm_shift: uint8 [CARM inputs], SPEC 7.9.
-    networks: by the names of Dimensions.network_shapes, the layers (weight float32 [out, in], bias float32 [out]).
-    planes: int16 [5, ch, B, B]. mask_model: uint16 [K (K + 1) / 2].
-    positions: float16 [N, 3]. masks: bool [N, K], True where an offset is kept.
-    attributes: symbols and step indices.
+    profile: its number (SPEC 11.1).
+    base_step: float32 values, the steps of features, scalings and offsets at step index 32 (SPEC 7.8).
+    plane_shift: the scale of the plane query (SPEC 7.5.4).
+    carm_shift: uint8 [CARM inputs], the scale of each input of CARM (SPEC 7.9).
+    networks: the layers (weight float32 [out, in], bias float32 [out]) by the names of Dimensions.network_shapes.
+    planes: int16 [5, ch, B, B], the symbols of the sub-planes.
+    mask_model: uint16 [K (K + 1) / 2].
+    positions: float16 [N, 3], on the position grid.
+    masks: bool [N, K], True where an offset is kept.
+    attributes: the symbols and the step indices.
     extensions: (type, mode, bytes) of the ancillary sections, types ascending.
-    position_model: what the positions are packed with. None in mode 0, which packs none (SPEC 5.11).
-    weight_scales: uint8 [layers, 3], in the order of SPEC 5.16. None in mode 0 of the weights (SPEC 5.8).
+    position_model: what positions are packed with (SPEC 5.15), or None if their mode is 0.
+    weight_scales: uint8 [layers, 3], the scale indices in the order of SPEC 5.16, or None if the weights' mode is 0.
     """
 
     profile: int
@@ -56,19 +60,23 @@ class Scene:
 
     @property
     def anchor_count(self) -> int:
-        """N."""
+        """N, the number of anchors."""
         return len(self.positions)
 
 
 def take_anchors(scene: Scene, keep: NDArray) -> Scene:
-    """The scene with the anchors that an index or a boolean array selects, in its order."""
+    """Returns the scene with some of its anchors. keep: their indices in the wanted order, or a boolean array [N]."""
     a = scene.attributes
     chosen = Attributes(a.features[keep], a.scalings[keep], a.offsets[keep], a.steps[keep])
     return replace(scene, positions=scene.positions[keep], masks=scene.masks[keep], attributes=chosen)
 
 
 def check_shapes(scene: Scene) -> None:
-    """Raises ValueError for an array whose shape or dtype is not what Scene says."""
+    """Raises ValueError for a scene that is not what Scene says.
+
+    It checks the shapes and dtypes of all arrays, the names and layers of the networks, cell_shift and chunk_size. It
+    also refuses plane symbols of -32768, and masked offsets that are not 0.
+    """
     d, n, a = scene.dimensions, scene.anchor_count, scene.attributes
     wanted: dict[str, tuple[NDArray, tuple[int, ...], type]] = {
         "planes": (scene.planes, (PLANES, d.plane_channels, d.plane_size, d.plane_size), np.int16),

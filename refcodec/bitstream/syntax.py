@@ -1,7 +1,7 @@
 """Clause 5: one construct schema for each syntax table.
 
-SYNTAX holds the tables as SPEC.md prints them, field by field and type by type. The schemas are built from it. A test
-compares it with SPEC.md. Payloads of fixed-width numbers stay bytes here; they become arrays where they are used.
+SYNTAX holds the tables as SPEC.md prints them, and a test compares the two. The schemas are built from SYNTAX. Payloads
+such as weights and words are no part of a schema. The modules of their clauses read them as arrays.
 """
 
 from __future__ import annotations
@@ -17,8 +17,8 @@ import construct as cs
 
 from .errors import BitstreamError
 
-# SPEC 5: struct -> rows (field, type). Types: u8 u16 u32 i8 i32 i64 f32 (little-endian), a struct's name, bytes[n],
-# and T[n], where n is a number or an earlier field of the same struct.
+# SPEC 5: for each struct its rows (field, type). A type is a name of _SCALARS, the name of a struct, bytes[n], or T[n].
+# There n is a number or an earlier field of the same struct.
 SYNTAX: dict[str, list[tuple[str, str]]] = {
     # SPEC 5.1
     "Prologue": [
@@ -111,7 +111,7 @@ SYNTAX: dict[str, list[tuple[str, str]]] = {
     "PlaneTable": [
         ("length", "u32[5]"),
     ],
-    # SPEC 5.10: the mask model's u16 come before the entries
+    # SPEC 5.10: the mask model comes before the entries
     "ChunkEntry": [
         ("position_length", "u32"),
         ("position_crc", "u32"),
@@ -125,12 +125,12 @@ SYNTAX: dict[str, list[tuple[str, str]]] = {
         ("symbol_crc", "u32"),
         ("word_count", "u32"),
     ],
-    # SPEC 5.15: between the mask model and the entries, in mode 1 of the positions
+    # SPEC 5.15: it stands between the mask model and the entries, in mode 1 of the positions
     "PositionModel": [
         ("cell_shift", "u8"),
         ("frequency", "u16[288]"),
     ],
-    # SPEC 5.16: of each layer, in mode 1 of the weights; a raw layer's values follow
+    # SPEC 5.16: one for each layer, in mode 1 of the weights. The values of a raw layer follow it
     "LayerModel": [
         ("form", "u8"),
         ("exponent", "i16"),
@@ -153,7 +153,13 @@ _SCALARS = {
 
 @dataclass(frozen=True)
 class Element:
-    """A parsed syntax element: where it stands, in bytes of the stream that was parsed, and its value."""
+    """A syntax element that was parsed.
+
+    path: its name, such as header.base_step[0].
+    kind: its type in SYNTAX.
+    start, end: its bytes, counted from the start of the parsed stream.
+    value: what construct parsed.
+    """
 
     path: str
     kind: str
@@ -163,7 +169,11 @@ class Element:
 
 
 class Recorded(cs.Subconstruct):
-    """Notes each element it parses in the list passed to parse as `elements`, with its path in `at`."""
+    """A construct that notes each element that it parses.
+
+    It takes two parameters of parse_stream. `elements` is the list that receives the elements. `at` is the stack of the
+    paths around the current one. If `at` is None, nothing is noted.
+    """
 
     def __init__(self, subcon: cs.Construct, name: str, kind: str, indexed: bool = False) -> None:
         super().__init__(subcon)
@@ -213,7 +223,11 @@ def parse(name: str, data: bytes, start: int = 0) -> tuple[cs.Container, int]:
 
 
 def parse_elements(name: str, data: bytes, start: int = 0, path: str = "") -> list[Element]:
-    """The elements of one struct in stream order, offsets counted from the start of data."""
+    """Returns the elements of one struct of SYNTAX in file order. Their offsets count from the start of data.
+
+    path: the name of the struct, with which the elements' paths begin. Raises construct.ConstructError if the data end
+    too early.
+    """
     stream = io.BytesIO(data)
     stream.seek(start)
     elements: list[Element] = []
@@ -222,28 +236,34 @@ def parse_elements(name: str, data: bytes, start: int = 0, path: str = "") -> li
 
 
 def build(name: str, value: dict[str, Any]) -> bytes:
-    """The bytes of one struct of SYNTAX. Raises construct.ConstructError for a value that its type cannot hold."""
+    """Returns the bytes of one struct of SYNTAX. Raises construct.ConstructError for a value outside its type."""
     return SCHEMAS[name].build(value, at=None, elements=None)
 
 
 def size_of(name: str) -> int:
-    """Bytes of a struct of SYNTAX whose size is always the same."""
+    """Returns the size in bytes of a struct of SYNTAX. Raises construct.SizeofError if it depends on a field."""
     return int(SCHEMAS[name].sizeof(at=None, elements=None))
 
 
 class Struct:
-    """A parsed struct that knows where its elements stand, which is what an error about one of them says.
+    """A parsed struct that knows where its elements stand, so that an error can name a byte of the file.
 
-    fields: the struct. data[start:] is where it was read; path is its own name in paths.
+    fields: the values by name. size: the bytes that were read.
     """
 
     def __init__(self, name: str, data: bytes, start: int, path: str) -> None:
-        """Raises construct.ConstructError if the data end too early."""
+        """Parses the struct from data[start:]. Raises construct.ConstructError if the data end too early.
+
+        path: the name of the struct in paths.
+        """
         self.fields, self.size = parse(name, data, start)
         self._where = name, data, start, path
 
     def error(self, name: str, field: str, found: object, allowed: object) -> BitstreamError:
-        """The error `name` about a field; about the first item if the field is an array or a struct (SPEC 10.2)."""
+        """Returns the error `name` about a field. It points at the first byte of the field (SPEC 10.2).
+
+        found, allowed: as in BitstreamError.
+        """
         path = f"{self._where[3]}.{field}"
         for element in parse_elements(*self._where):
             if element.path == path or element.path.startswith((path + "[", path + ".")):
@@ -251,7 +271,7 @@ class Struct:
         raise AssertionError(path)
 
     def require_within(self, name: str, field: str, value: float, low: float, high: float) -> None:
-        """Raises the error `name` unless low <= value <= high. NaN is within nothing."""
+        """Raises the error `name` unless low <= value <= high. NaN is outside every range."""
         if not low <= value <= high:
             raise self.error(name, field, value, f"{low} to {high}")
 

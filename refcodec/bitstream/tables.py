@@ -1,6 +1,7 @@
-"""Annex A and clause 8.4: the tables, from the shipped file, which is checked against its SHA-256.
+"""Annex A and clause 8.4: the tables.
 
-The rules that make the file are in Annex A; spec/tables.py follows them with 50 digits.
+They are read from the shipped file, whose SHA-256 is checked. Annex A states the rules that make the file, and
+spec/tables.py follows them with 50 digits.
 """
 
 from __future__ import annotations
@@ -17,14 +18,15 @@ from numpy.typing import NDArray
 # SPEC A: the shipped file and its SHA-256.
 TABLES_FILE = "tables-0.bin"
 TABLES_SHA256 = "b8b489ae1faadaa4b3c91467cd7517a68c3ac7cda6ee1c5a2c8282dd3ec087b5"
-# SPEC 8.4: precision of the frequencies; SPEC A.3: rows (scale index) and columns (mean fraction) of a family.
+# SPEC 8.2: the frequencies of a model sum to 2^PRECISION. SPEC A.3: the rows of a family, which are scale indices, and
+# its columns, which are fractions of the mean.
 PRECISION = 14
 TOTAL = 1 << PRECISION
 SCALE_MIN = -40
 SCALE_END = 24
 FRACTIONS = 16
 MODELS = (SCALE_END - SCALE_MIN) * FRACTIONS
-# SPEC A.1 and A.2: lengths of the sine and the step table; the step table's unit is 2^-12.
+# SPEC A.1 and A.2: the lengths of the sine table and the step table. The unit of the step table is 2^-STEP_SHIFT.
 SINE_LENGTH = 1024
 STEP_LENGTH = 64
 STEP_SHIFT = 12
@@ -32,11 +34,13 @@ STEP_SHIFT = 12
 
 @dataclass(frozen=True)
 class ModelSet:
-    """Frequency models of one family, laid out for lookup.
+    """The models of one family, in arrays for lookup. The symbols of all models stand one after the other.
 
-    family: its name in traces; offset: int64 [models], where a model's symbols start; lower and upper: uint32, the slots of a
-    symbol, from lower to upper - 1; radius: int64 [models], SPEC A.3's R (0 for models without one); first: int64 [models * 256],
-    for the top 8 bits of a slot the first symbol it can mean.
+    family: its name in traces.
+    offset: int64 [models], where the symbols of each model start.
+    lower, upper: uint32 [symbols]. A symbol has the slots from lower to upper - 1.
+    radius: int64 [models], R of SPEC A.3, or 0 for a model without one.
+    first: int64 [models * 256], for each model and the top 8 bits of a slot the first symbol that the slot can mean.
     """
 
     family: str
@@ -48,12 +52,15 @@ class ModelSet:
 
     @property
     def null(self) -> int:
-        """Index of a model with one symbol of full frequency: coding it changes nothing (SPEC 8.2)."""
+        """The index of a model with one symbol that has all slots. Coding it changes no state (SPEC 8.2)."""
         return len(self.offset) - 1
 
 
 def build_models(family: str, frequencies: list[NDArray[np.int64]], radius: list[int]) -> ModelSet:
-    """A ModelSet from the frequencies of each model (each sums to 2^14); the null model is appended."""
+    """Returns the ModelSet of some models, with the null model after them.
+
+    frequencies: for each model int64 [symbols], with the sum 2^14. radius: for each model R, or 0.
+    """
     every = [*frequencies, np.array([TOTAL])]
     upper = [np.cumsum(f) for f in every]
     lengths = np.array([len(f) for f in every])
@@ -70,7 +77,10 @@ def build_models(family: str, frequencies: list[NDArray[np.int64]], radius: list
 
 @dataclass(frozen=True)
 class Tables:
-    """The shipped tables: sine int64 [1024]; step int64 [64] in units of 2^-12; the two families of models."""
+    """The shipped tables.
+
+    sine: int64 [1024]. step: int64 [64], in units of 2^-12. gauss, laplace: the two families of models.
+    """
 
     sine: NDArray[np.int64]
     step: NDArray[np.int64]
@@ -79,13 +89,13 @@ class Tables:
 
 
 def tables_file() -> Traversable:
-    """SPEC A: the shipped file."""
+    """SPEC A: returns the place of the shipped file."""
     return resources.files("refcodec").joinpath("data", TABLES_FILE)
 
 
 @cache
 def tables() -> Tables:
-    """Reads the shipped file (SPEC A). Raises RuntimeError when it is not the file that SPEC.md names."""
+    """Returns the tables of the shipped file (SPEC A). Raises RuntimeError if it is not the file that SPEC.md names."""
     data = tables_file().read_bytes()
     if hashlib.sha256(data).hexdigest() != TABLES_SHA256:
         raise RuntimeError(

@@ -27,8 +27,13 @@ Networks = dict[str, list[Layer]]
 
 @dataclass(frozen=True, eq=False)
 class ParsedWeights:
-    """SPEC 5.8. scales: uint8 [layers, 3], as Scene.weight_scales, None in mode 0; starts: by the layer's name the offset of its
-    values, or of its model in mode 1."""
+    """SPEC 5.8: the section of weights.
+
+    carm_shift: uint8 [CARM inputs].
+    networks: the layers of each network, by name.
+    scales: uint8 [layers, 3], as Scene.weight_scales. None in mode 0.
+    starts: the offset of each layer, by the layer's name. In mode 0 it is that of the values, in mode 1 of the model.
+    """
 
     plane_shift: int
     carm_shift: NDArray[np.uint8]
@@ -38,7 +43,10 @@ class ParsedWeights:
 
 
 def bound_error(weights: ParsedWeights, d: Dimensions, error: BoundError) -> BitstreamError:
-    """SPEC [R6.8-3]: a broken bound as weights.bound, at the row's first weight, or in mode 1 at the layer's model."""
+    """SPEC [R6.8-3]: returns the error weights.bound of a row.
+
+    It points at the row's first weight, or in mode 1 at the layer's model.
+    """
     at = weights.starts[error.layer]
     if weights.scales is None:
         fan_in = next(fan_in for name, _, fan_in in layers_of(d) if name == error.layer)
@@ -48,7 +56,11 @@ def bound_error(weights: ParsedWeights, d: Dimensions, error: BoundError) -> Bit
 
 @dataclass(frozen=True)
 class GridLayer:
-    """SPEC 7.13: a packed layer. exponent: the model's; difference int64 [out]; weight int64 [out, in]; bias int64 [out]."""
+    """SPEC 7.13: the integers of a packed layer.
+
+    exponent: that of the layer's model. difference: int64 [out], of each row's exponent to that of the row before.
+    weight: int64 [out, in]. bias: int64 [out].
+    """
 
     exponent: int
     difference: Int64
@@ -57,14 +69,18 @@ class GridLayer:
 
 
 def _regrouped(d: Dimensions, layers: list[Layer]) -> Networks:
-    """Layers by network."""
+    """Returns the layers, given in file order, by network."""
     rest = iter(layers)
     return {name: [next(rest) for _ in shapes] for name, shapes in d.network_shapes().items()}
 
 
 def least_exponents(values: F32) -> tuple[Int64, NDArray[np.bool_]]:
-    """SPEC 7.13, LEAST_EXPONENT of each row of [rows, n]: (int64 [rows], which rows have one). The float64 steps are exact."""
+    """SPEC 7.13, LEAST_EXPONENT: returns the least exponent of each row, and whether the row has one.
+
+    values: float32 [rows, n], finite. The results are int64 [rows] and bool [rows]. A row of zeros has no exponent.
+    """
     significand, exponent = np.frexp(values.astype(np.float64))
+    # The lowest set bit of a significand is its least power of two. All of it is exact in float64.
     integer = np.abs(significand * 2.0**53).astype(np.int64)
     lowest = np.frexp((integer & -integer).astype(np.float64))[1] - 1 + exponent - 53
     some = values != 0
@@ -72,7 +88,7 @@ def least_exponents(values: F32) -> tuple[Int64, NDArray[np.bool_]]:
 
 
 def to_grid(layer: Layer) -> GridLayer | None:
-    """SPEC 6.8 and 7.13, CAN_BE_PACKED: a layer as integers, None if it is raw in mode 1. Values are finite."""
+    """SPEC 6.8 and 7.13, CAN_BE_PACKED: returns a finite layer as integers, or None if it has to be raw."""
     values = np.concatenate([layer[0], layer[1][:, None]], axis=1)
     if (values.view(np.uint32) == 0x80000000).any():
         return None
@@ -83,7 +99,7 @@ def to_grid(layer: Layer) -> GridLayer | None:
     scaled = np.ldexp(values.astype(np.float64), least[:, None])
     if np.abs(scaled).max() > WEIGHT_SYMBOL_MAX:
         return None
-    # A row of zeros has the exponent of the row before; what comes before the first other row has that row's.
+    # A row of zeros has the exponent of the row before. The first rows, if zero, have that of the first other row.
     row = np.maximum.accumulate(np.where(some, np.arange(len(some)), 0))
     row[: int(np.argmax(some))] = int(np.argmax(some))
     exponent = least[row]
@@ -92,7 +108,7 @@ def to_grid(layer: Layer) -> GridLayer | None:
 
 
 def from_grid(grid: GridLayer) -> Layer | None:
-    """SPEC 7.13, PACKED_LAYER: the values of a layer, None if an exponent is wrong."""
+    """SPEC 7.13, PACKED_LAYER: returns the values of a layer, or None if an exponent is wrong."""
     integers = np.concatenate([grid.weight, grid.bias[:, None]], axis=1)
     exponent = grid.exponent + np.cumsum(grid.difference)
     odd, zero = (integers & 1).any(axis=1), ~integers.any(axis=1)
@@ -108,9 +124,10 @@ def from_grid(grid: GridLayer) -> Layer | None:
 def code_grids(
     coder: Coder, shapes: list[tuple[str, int, int]], scales: NDArray[np.uint8], given: list[GridLayer] | None = None
 ) -> tuple[list[tuple[Int64, Int64]], list[Int64]]:
-    """SPEC 7.13, DECODE_WEIGHTS, in either direction: for each packed layer (differences, biases), and weights [out, in].
+    """SPEC 7.13, DECODE_WEIGHTS: codes the packed layers, in either direction.
 
-    shapes: of the packed layers; scales: uint8 [layers, 3], theirs.
+    Returns for each of them (differences, biases), int64 [out], and for each of them its weights, int64 [out, in].
+    shapes: (name, outputs, inputs) of each. scales: uint8 [layers, 3]. given: the layers if they are encoded.
     """
     few_counts = [out for _, out, _ in shapes for _ in range(2)]
     many_counts = [out * fan_in for _, out, fan_in in shapes]
@@ -141,7 +158,7 @@ def code_grids(
 
 
 def _finite(values: F32, start: int, path: str) -> None:
-    """SPEC 6.8. Raises BitstreamError weights.not_finite."""
+    """SPEC [R6.8-2]: raises BitstreamError weights.not_finite for the first value that is not finite."""
     finite = np.isfinite(values)
     if not finite.all():
         first = int(np.argmin(finite))
@@ -161,15 +178,15 @@ def _as_layer(values: F32, out: int, fan_in: int) -> Layer:
 def parse_weights(
     data: bytes, start: int, end: int, mode: int, d: Dimensions, lanes: int, trace: Trace | None = None
 ) -> ParsedWeights:
-    """SPEC 5.8 and 6.8, the section data[start:end]. Raises BitstreamError 411, 412, 414 to 417, and those of a substream.
+    """SPEC 5.8 and 6.8: returns the weights of the section data[start:end].
 
-    lanes: of the substream in mode 1.
+    lanes: the lanes of the substream in mode 1. Raises BitstreamError 411, 412, 414 to 417, or that of the substream.
     """
 
     def bad(offset: int, field: str, value: int, low: int, high: int) -> BitstreamError:
         return BitstreamError("weights.scale", offset, f"weights.{field}", value, f"{low} to {high}")
 
-    # In mode 0 the section's length is already known to be right.
+    # Only mode 1 can fail here. In mode 0 the length is known to be right.
     if end - start < 2 + d.carm_inputs:
         raise BitstreamError(
             "weights.length", start, "weights", f"{end - start} bytes", f"at least {2 + d.carm_inputs}"
@@ -200,7 +217,7 @@ def parse_weights(
 
 
 def _parse_model(data: bytes, at: int, name: str) -> cs.Container:
-    """SPEC 5.16 and 6.8. Raises BitstreamError weights.layer."""
+    """SPEC 5.16 and [R6.8-5]: returns the LayerModel at data[at:]. Raises BitstreamError weights.layer."""
     model, _ = syntax.parse("LayerModel", data, at)
     elements = {row.path: row for row in syntax.parse_elements("LayerModel", data, at)}
     checks = [("form", 0, 1), ("exponent", WEIGHT_EXPONENT_MIN, WEIGHT_EXPONENT_MAX)]
@@ -217,7 +234,7 @@ def _parse_model(data: bytes, at: int, name: str) -> cs.Container:
 def _parse_packed(
     data: bytes, section: int, at: int, end: int, d: Dimensions, lanes: int, trace: Trace | None
 ) -> tuple[list[Layer], NDArray[np.uint8], dict[str, int]]:
-    """SPEC 7.13, from the first LayerModel on: layers, scales and where each model starts."""
+    """SPEC 7.13: returns the layers, their scales, and where each model starts. The first model is at data[at:]."""
     model_bytes = syntax.SCHEMAS["LayerModel"].sizeof(at=None)
     shapes, models, starts, raw = layers_of(d), [], {}, {}
     for name, out, fan_in in shapes:
@@ -276,7 +293,11 @@ def emit_weights(
     d: Dimensions,
     lanes: int,
 ) -> bytes:
-    """SPEC 5.8. Raw bytes are copied, so every bit of a value stays. scales: as Scene.weight_scales."""
+    """SPEC 5.8: returns the bytes of the section, in mode 0 if scales is None, and otherwise in mode 1.
+
+    Raw values keep all their bits. carm_shift: uint8 [CARM inputs]. scales: as Scene.weight_scales. lanes: the lanes of
+    the substream in mode 1.
+    """
     shifts = carm_shift.tolist()
     parts = [
         syntax.build(

@@ -1,6 +1,6 @@
-"""Commands that code: encode, decode, validate, digest, reconstruct."""
+"""The commands that encode and decode: encode, decode, validate, digest, reconstruct."""
 
-# Modules that need NumPy are imported by the commands that use them, so that help is instant.
+# Modules that need NumPy are imported where they are used, so that help is instant.
 # ruff: noqa: PLC0415
 
 from __future__ import annotations
@@ -56,7 +56,7 @@ def _decode(arguments: argparse.Namespace) -> int:
 
 
 def _report_damage(path: str, data: bytes, parsed: Parsed) -> int:
-    """Each dropped chunk on stderr, then the verdict that validate gives, which writing a part of the file does not change."""
+    """Reports each dropped chunk on stderr, and then the verdict on the file. It is the same that validate gives."""
     from ..bitstream.codec import parse_container
 
     if parsed.damage:
@@ -64,9 +64,8 @@ def _report_damage(path: str, data: bytes, parsed: Parsed) -> int:
         lost = sum(len(chunks[number]) for number in parsed.damage)
         for number, error in sorted(parsed.damage.items()):
             note(f"chunk {number} is dropped, {len(chunks[number])} anchors: {error}")
-        note(
-            f"{len(parsed.damage)} of {len(chunks)} chunks and {lost} anchors are lost, {parsed.scene.anchor_count} are written"
-        )
+        left = parsed.scene.anchor_count
+        note(f"{len(parsed.damage)} of {len(chunks)} chunks and {lost} anchors are lost, {left} are written")
     try:
         parse_container(data)
     except BitstreamError as error:
@@ -75,7 +74,7 @@ def _report_damage(path: str, data: bytes, parsed: Parsed) -> int:
         return reject(path, error)
     if not parsed.damage:
         return 0
-    # SPEC 10.1: the error of an earlier stage comes first, then that of a lower chunk.
+    # SPEC 10.1: the error of an earlier step comes first, and within a step that of a lower chunk.
     stages = {"positions": 0, "masks": 1, "attributes": 2}
     return reject(
         path, min(parsed.damage.items(), key=lambda found: (stages[found[1].path.split("[")[0]], found[0]))[1]
@@ -127,20 +126,22 @@ def add(commands: Any) -> None:
         _encode,
         "encode a scene folder",
         ["encode scene -o scene.c3gs"],
-        "A folder that decode wrote from a packed file, or from one of Tiny, gives the same bytes again, and so does any other\nwith "
-        "--positions raw --weights raw. If coded.safetensors is deleted, point_cloud.ply is quantised anew.",
+        "A folder that decode wrote gives the same bytes again. For a file of Main, add --positions raw if its\n"
+        "positions are raw, and --weights raw if its weights are raw. If coded.safetensors is deleted,\n"
+        "point_cloud.ply is quantised anew.",
     )
     encode.add_argument("scene", metavar="SCENE_DIR")
     encode.add_argument("-o", "--output", metavar="FILE", required=True)
     encode.add_argument(
         "--positions",
         choices=("raw", "packed"),
-        help="48 bits an anchor, or a tenth of that with the anchors sorted (default: packed in Main, and where the folder says so)",
+        help="48 bits an anchor, or about a tenth of that with the anchors sorted (default: packed in Main, and where "
+        "the folder says so)",
     )
     encode.add_argument(
         "--weights",
         choices=("raw", "packed"),
-        help="32 bits each, or those of the coding networks as the integers that they act as (default: as --positions)",
+        help="32 bits each, or the integers that those of the coding networks act as (default: as for --positions)",
     )
     decode = add_command(
         commands,
@@ -148,15 +149,15 @@ def add(commands: Any) -> None:
         _decode,
         "decode a file into a scene folder",
         ["decode scene.c3gs -o scene", "decode damaged.c3gs -o scene --keep-going"],
-        "SCENE_DIR is made; an existing one is overwritten only if it is empty or a scene folder.",
+        "SCENE_DIR is made. An existing one is overwritten only if it is empty or a scene folder.",
     )
     decode.add_argument("file", metavar="FILE")
     decode.add_argument("-o", "--output", metavar="SCENE_DIR", required=True)
     decode.add_argument(
         "--keep-going",
         action="store_true",
-        help="write the undamaged chunks of a damaged file and list the others on stderr; the exit status is 1 all the same "
-        "if anything is lost, and 0 if nothing is",
+        help="write the undamaged chunks of a damaged file and list the others on stderr; the exit status is still "
+        "that of validate",
     )
     digest = add_command(
         commands,
@@ -173,13 +174,13 @@ def add(commands: Any) -> None:
         commands,
         "reconstruct",
         _reconstruct,
-        "write a file's canonical reconstruction (SPEC.md 9.3), the numbers that its digest is of",
+        "write a file's canonical reconstruction (SPEC.md 9.3), whose SHA-256 is its digest",
         ["reconstruct scene.c3gs scene.bin", "reconstruct scene.c3gs scene.bin --trace symbols.txt"],
     )
     reconstruct.add_argument("file", metavar="FILE")
     reconstruct.add_argument("output", metavar="OUTPUT")
     reconstruct.add_argument(
-        "--trace", metavar="TRACE", help="write every symbol to this file: a line with its path and its value"
+        "--trace", metavar="TRACE", help="write every symbol to this file, a line with its path and its value each"
     )
     validate = add_command(
         commands, "validate", _validate, "check whether a file is a conforming bitstream", ["validate scene.c3gs"]

@@ -1,6 +1,6 @@
-"""Commands that draw a file: gaussians, render, eval."""
+"""The commands that draw a file: gaussians, render, eval."""
 
-# Modules that need NumPy are imported by the commands that use them, so that help is instant.
+# Modules that need NumPy are imported where they are used, so that help is instant.
 # ruff: noqa: PLC0415
 
 from __future__ import annotations
@@ -82,7 +82,7 @@ def _render(arguments: argparse.Namespace) -> int:
 
 
 def _lpips(path: str) -> Any:
-    """LPIPS with the weights of a file. Raises UsageError."""
+    """Returns LPIPS with the weights of a file. Raises UsageError."""
     try:
         from ..evaluate.lpips import Lpips
     except ModuleNotFoundError as error:
@@ -124,7 +124,7 @@ def add(commands: Any) -> None:
         _gaussians,
         "write the Gaussians that a camera sees (SPEC.md 14.3) as JSON",
         ["gaussians scene.c3gs camera.json gaussians.json"],
-        "CAMERA is a JSON object; vectors/README.md says which.",
+        "CAMERA is a JSON object. vectors/README.md describes it.",
     )
     gaussians.add_argument("file", metavar="FILE")
     gaussians.add_argument("camera", metavar="CAMERA")
@@ -139,7 +139,8 @@ def add(commands: Any) -> None:
             "render scene.c3gs --cameras orbit -o images",
             "render scene.c3gs --cameras photographs -o images",
         ],
-        "PHOTOGRAPHS is a folder that COLMAP or a NeRF dataset made. An orbit is an animation too. Needs: pip install 'refcodec[render]'.",
+        "PHOTOGRAPHS is a folder that COLMAP or a NeRF dataset made. The images of an orbit are also written as an\n"
+        "animation. Needs: pip install 'refcodec[render]'.",
     )
     render.add_argument("file", metavar="FILE")
     render.add_argument("-o", "--output", metavar="DIR", required=True)
@@ -149,7 +150,7 @@ def add(commands: Any) -> None:
         default="default",
         help="which cameras (default: the file's own)",
     )
-    render.add_argument("--size", metavar="WxH", help="size of the images, or their longest side, with PHOTOGRAPHS")
+    render.add_argument("--size", metavar="WxH", help="with PHOTOGRAPHS, the size of the images or their longest side")
     render.add_argument(
         "--frames", type=positive, metavar="N", default=60, help="images of an orbit (default: %(default)s)"
     )
@@ -159,17 +160,18 @@ def add(commands: Any) -> None:
         _eval,
         "compare what a file shows with photographs",
         ["eval scene.c3gs photographs", "eval scene.c3gs photographs --size 400x300 --json"],
-        "On the images that were held out: every eighth, or the test set of the dataset. Needs: pip install 'refcodec[render]'.",
+        "The photographs are those that training holds out: every eighth one, or the test set of the dataset.\n"
+        "Needs: pip install 'refcodec[render]'.",
     )
     evaluate.add_argument("file", metavar="FILE")
     evaluate.add_argument("photographs", metavar="PHOTOGRAPHS")
     evaluate.add_argument(
-        "--size", metavar="WxH", help="size that photographs are averaged down to, or their longest side"
+        "--size", metavar="WxH", help="the size to which photographs are averaged down, or its longest side"
     )
-    evaluate.add_argument("--images", metavar="DIR", help="where to write the images that were compared, as PNG files")
+    evaluate.add_argument("--images", metavar="DIR", help="write the compared images to this folder, as PNG files")
     evaluate.add_argument(
         "--lpips",
         metavar="WEIGHTS",
-        help="LPIPS too, with the weights of a file that python -m refcodec.evaluate.lpips_weights makes",
+        help="compute LPIPS too, with the weights of a file that python -m refcodec.evaluate.lpips_weights makes",
     )
-    evaluate.add_argument("--json", action="store_true", help="all figures, of each image too")
+    evaluate.add_argument("--json", action="store_true", help="print all figures as JSON, with those of each image")

@@ -1,6 +1,6 @@
-"""Commands that look into a file: inspect."""
+"""The commands that look into a file: explain, inspect."""
 
-# Modules that need NumPy are imported by the commands that use them, so that help is instant.
+# Modules that need NumPy are imported where they are used, so that help is instant.
 # ruff: noqa: PLC0415
 
 from __future__ import annotations
@@ -20,7 +20,10 @@ if TYPE_CHECKING:
 
 
 def _spots(data: bytes, error: BitstreamError) -> list[BitstreamError]:
-    """An error, and those of the single chunks: the CRC-32 of a section only says that one of its bytes is wrong."""
+    """Returns an error, and those of the single chunks.
+
+    The error of the file can be the CRC-32 of a section, which does not say where in the section the damage is.
+    """
     from ..bitstream.codec import parse
 
     with contextlib.suppress(BitstreamError):
@@ -86,9 +89,10 @@ def add(commands: Any) -> None:
         commands,
         "explain",
         _explain,
-        "say what an error, a requirement, a clause or an element is, with its code, tests and vectors",
+        "explain an error, a requirement, a clause or an element, with its code, tests and vectors",
         ["explain 432", "explain R6.10-2", "explain 7.5.4", "explain 'chunk_table.entry[0].mask_length'"],
-        "KEY is an error's code or name, a requirement or a clause of SPEC.md, or an element's path as inspect prints it.",
+        "KEY is the code or name of an error, a requirement or a clause of SPEC.md, or the path of an element as\n"
+        "inspect prints it.",
     )
     explain.add_argument("keys", nargs="+", metavar="KEY")
     inspect = add_command(
@@ -108,11 +112,21 @@ def add(commands: Any) -> None:
     inspect.add_argument("file", metavar="FILE")
     form = inspect.add_mutually_exclusive_group()
     form.add_argument(
-        "--hex", action="store_true", help="every byte with its syntax element; payloads folded to a line each"
+        "--hex", action="store_true", help="every byte with its syntax element, and each payload folded to a line"
     )
-    form.add_argument("--near", type=int, metavar="OFFSET", help="the same, of the elements around a byte")
-    form.add_argument("--json", action="store_true", help="the summary as one JSON document")
-    form.add_argument("--trace", action="store_true", help="one line per syntax element and symbol, in decoding order")
     form.add_argument(
-        "--anchor", type=int, metavar="N", help="all numbers from an anchor's position to its symbols, as in Annex D.4"
+        "--near",
+        type=int,
+        metavar="OFFSET",
+        help="the same for the elements around a byte, and what the one at the byte means",
+    )
+    form.add_argument("--json", action="store_true", help="the summary as one JSON document")
+    form.add_argument(
+        "--trace", action="store_true", help="a line for each syntax element and symbol, in decoding order"
+    )
+    form.add_argument(
+        "--anchor",
+        type=int,
+        metavar="N",
+        help="all numbers from the position of an anchor to its symbols, as in Annex D.4",
     )

@@ -14,7 +14,7 @@ from .shared import EXITS, UsageError, note, reject
 
 
 class _Parser(argparse.ArgumentParser):
-    """argparse, with the exit status of wrong usage in place of 2, which would read as a verdict."""
+    """argparse, which exits with the status of wrong usage. Its own status 2 would read as a verdict."""
 
     def error(self, message: str) -> NoReturn:
         self.print_usage(sys.stderr)
@@ -36,8 +36,9 @@ def _parser() -> argparse.ArgumentParser:
 
 
 def main(argv: list[str] | None = None) -> int:
-    """Runs one command; returns its exit status."""
-    # Read when numba or torch is loaded: threads that wait do not spin, which on busy cores makes training ten times as slow.
+    """Runs one command and returns its exit status. argv: the arguments, or None for those of the process."""
+    # numba and torch read this when they are loaded. Waiting threads then do not spin, which would make training ten
+    # times as slow on busy cores.
     os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")
     arguments = None
     try:
@@ -46,12 +47,12 @@ def main(argv: list[str] | None = None) -> int:
         sys.stdout.flush()
         return status
     except SystemExit as end:
-        # argparse leaves this way for --help, --version and wrong usage.
+        # argparse ends this way after --help, --version and wrong usage.
         return int(end.code or 0)
     except BitstreamError as error:
         return reject(arguments.file, error)  # type: ignore[union-attr]
     except BrokenPipeError:
-        # The reader of stdout went away; what is left to write must not fail again when Python closes it.
+        # The reader of stdout went away. What is left to write must not fail again when Python closes stdout.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return statuses.BROKEN_PIPE
     except KeyboardInterrupt:
@@ -62,7 +63,7 @@ def main(argv: list[str] | None = None) -> int:
 
 
 def _report(error: Exception) -> int:
-    """The exit status of an error that is no verdict."""
+    """Reports an error that is no verdict, and returns the exit status."""
     folder = sys.modules.get("refcodec.folder.layout")
     if isinstance(error, UsageError) or (folder is not None and isinstance(error, folder.SceneFolderError)):
         note(f"refcodec: {error}")
@@ -73,7 +74,6 @@ def _report(error: Exception) -> int:
     if os.environ.get("REFCODEC_DEBUG") == "1":
         raise error
     kind = type(error).__name__
-    note(
-        f"refcodec: internal error, please report it with the command and the file ({kind}: {' '.join(str(error).split())})"
-    )
+    text = " ".join(str(error).split())
+    note(f"refcodec: internal error, please report it with the command and the file ({kind}: {text})")
     return statuses.FAULT

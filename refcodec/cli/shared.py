@@ -1,6 +1,6 @@
-"""What the commands share: files, progress, verdicts and the types of arguments."""
+"""What the commands share: files, progress, verdicts, and the types of arguments."""
 
-# Modules that need NumPy are imported by the commands that use them, so that help is instant.
+# Modules that need NumPy are imported where they are used, so that help is instant.
 # ruff: noqa: PLC0415
 
 from __future__ import annotations
@@ -24,11 +24,11 @@ if TYPE_CHECKING:
     from ..folder.uncompressed import Uncompressed
     from ..photographs.photographs import PhotographSet
 
-# Section offsets are u32, so a longer file is only read as far as its own header says.
+# Offsets of sections are u32. A longer file is read only as far as its own header says.
 _WHOLE_FILE_MAX = (1 << 32) - 1
 _HEAD_BYTES = 1 << 17
 
-# Packages of the extra `render`.
+# The packages of the extra `render`.
 RENDER_PACKAGES = ("numba", "PIL", "skimage", "scipy")
 
 EXITS = """\
@@ -42,10 +42,11 @@ exit status:
 
 
 class UsageError(Exception):
-    """Something that the caller can put right; exit status 64."""
+    """A wrong use that the caller can put right. The exit status is 64."""
 
 
 def note(text: str) -> None:
+    """Prints a line on stderr."""
     print(text, file=sys.stderr)
 
 
@@ -53,9 +54,10 @@ def note(text: str) -> None:
 
 
 def read_file(path: str) -> bytes:
-    """A whole file. Of one that is too long, or endless, no more is read than its header announces, and one byte.
+    """Returns the bytes of a file.
 
-    Raises UsageError if it cannot be read, BitstreamError if it is too long to be read before its header is accepted.
+    A file that is longer than any bitstream, or endless, is read only to one byte past the end that its header states.
+    Raises UsageError if the file cannot be read, and BitstreamError if such a file has a wrong header or length.
     """
     try:
         with open(path, "rb") as file:
@@ -76,7 +78,10 @@ def read_file(path: str) -> bytes:
 
 
 def _announced_length(head: bytes) -> int:
-    """Where the last section of a file ends; head: its beginning. Raises BitstreamError for what comes before that check."""
+    """Returns where the last section of a file ends. head: the beginning of the file.
+
+    Raises BitstreamError for each error that comes before that of the file's length.
+    """
     from ..bitstream import syntax
     from ..bitstream.codec import parse_container
     from ..bitstream.header import PROLOGUE_BYTES
@@ -91,7 +96,10 @@ def _announced_length(head: bytes) -> int:
 
 
 def check_output_file(path: Path, signature: bytes, kind: str) -> None:
-    """Before any work is done: that _write_file may write there; signature, kind: of the files that it may replace."""
+    """Raises UsageError if write_file must not write to a path. It is called before any work is done.
+
+    signature, kind: the first bytes and the name of the files that may be replaced.
+    """
     if path.is_dir():
         raise UsageError(f"{path} is a directory: give the name of a file")
     if not path.parent.is_dir():
@@ -103,7 +111,7 @@ def check_output_file(path: Path, signature: bytes, kind: str) -> None:
 
 
 def write_file(path: Path, data: bytes) -> None:
-    """A file that takes its name when it is whole; a pipe or a device is written as it is."""
+    """Writes a file, which gets its name only when it is whole. A pipe or a device is written directly."""
     if path.exists() and not path.is_file():
         path.write_bytes(data)
         return
@@ -112,7 +120,7 @@ def write_file(path: Path, data: bytes) -> None:
     try:
         with os.fdopen(handle, "wb") as file:
             file.write(data)
-        # mkstemp makes files private; a result has the rights that open would have given it.
+        # mkstemp makes files private. This one gets the permissions that open would have given it.
         mask = os.umask(0)
         os.umask(mask)
         os.chmod(temporary, 0o666 & ~mask)
@@ -124,7 +132,7 @@ def write_file(path: Path, data: bytes) -> None:
 
 
 def check_output_folder(path: str) -> None:
-    """Before any work is done: that write_folder will accept the folder."""
+    """Raises UsageError if write_folder must not write to a folder. It is called before any work is done."""
     from ..folder.layout import is_free
 
     if not is_free(Path(path)):
@@ -132,14 +140,14 @@ def check_output_folder(path: str) -> None:
 
 
 def uncompressed_of(path: str) -> Uncompressed | None:
-    """An uncompressed scene, if the path is the folder of one."""
+    """Returns the uncompressed scene of a folder, or None for another path. Raises SceneFolderError."""
     from ..folder.uncompressed import is_uncompressed, read_uncompressed
 
     return read_uncompressed(Path(path)) if is_uncompressed(Path(path)) else None
 
 
 def read_photographs_of(folder: str, size: str | None) -> PhotographSet:
-    """The photographs of a folder. Raises UsageError."""
+    """Returns the photographs of a folder. size: as the option --size, or None. Raises UsageError."""
     from ..photographs.photographs import PhotographError, parse_size, read_photographs
 
     try:
@@ -153,7 +161,11 @@ def read_photographs_of(folder: str, size: str | None) -> PhotographSet:
 
 @contextlib.contextmanager
 def progress_bar(wanted: bool) -> Iterator[Progress]:
-    """A progress bar on stderr for what takes more than a second; off unless stderr is a terminal or it is wanted."""
+    """Yields a function that shows progress on stderr.
+
+    If progress is wanted, it is always shown. Otherwise it is shown only on a terminal, for stages of more than a
+    second.
+    """
     if not (wanted or sys.stderr.isatty()):
         yield lambda stage, done, total: None
         return
@@ -176,7 +188,7 @@ def progress_bar(wanted: bool) -> Iterator[Progress]:
 
 
 def reject(path: str, error: BitstreamError) -> int:
-    """Reports a verdict on stderr: a line for people, then a line of JSON."""
+    """Reports a verdict on stderr, as a line for people and a line of JSON. Returns the exit status."""
     word = "is not supported" if error.kind.klass == "unsupported" else "is rejected"
     sys.stdout.flush()
     note(f"{path} {word}: {error}. To see the spot: refcodec inspect {shlex.quote(path)} --near {error.offset}")
@@ -185,6 +197,7 @@ def reject(path: str, error: BitstreamError) -> int:
 
 
 def parse_file(arguments: argparse.Namespace, data: bytes, keep_going: bool = False) -> Parsed:
+    """Decodes a file and shows progress. Raises BitstreamError."""
     from ..bitstream.codec import parse
 
     with progress_bar(arguments.progress) as progress:
@@ -192,7 +205,10 @@ def parse_file(arguments: argparse.Namespace, data: bytes, keep_going: bool = Fa
 
 
 def needs(command: str, extra: str, error: ModuleNotFoundError, packages: tuple[str, ...]) -> UsageError:
-    """What to install for a command. Raises the error again if it is not one of the extra's packages that is missing."""
+    """Returns an error that says which extra a command needs.
+
+    error: the import that failed. It is raised again if the missing module is none of the extra's packages.
+    """
     if (error.name or "").split(".")[0] not in packages:
         raise error
     return UsageError(f"{command} needs {error.name}: pip install 'refcodec[{extra}]'")
@@ -202,7 +218,7 @@ def needs(command: str, extra: str, error: ModuleNotFoundError, packages: tuple[
 
 
 def positive(text: str) -> int:
-    """An integer from 1."""
+    """Returns an integer of at least 1."""
     value = int(text)
     if value < 1:
         raise argparse.ArgumentTypeError(f"{text} found, at least 1 required")
@@ -210,7 +226,7 @@ def positive(text: str) -> int:
 
 
 def seed(text: str) -> int:
-    """An integer that every generator of random numbers takes."""
+    """Returns an integer from 0 to 2^63 - 1, which every generator of random numbers takes."""
     value = int(text)
     if not 0 <= value < 1 << 63:
         raise argparse.ArgumentTypeError(f"{text} found, 0 to 2^63 - 1 allowed")
@@ -218,7 +234,7 @@ def seed(text: str) -> int:
 
 
 def weight(text: str) -> float:
-    """A number from 0 to 1."""
+    """Returns a number from 0 to 1."""
     value = float(text)
     if not 0 <= value <= 1:
         raise argparse.ArgumentTypeError(f"{text} found, 0 to 1 allowed")
@@ -226,7 +242,7 @@ def weight(text: str) -> float:
 
 
 def length(text: str) -> float:
-    """A finite length above 0."""
+    """Returns a finite number above 0."""
     value = float(text)
     if not 0 < value < float("inf"):
         raise argparse.ArgumentTypeError(f"{text} found, a number above 0 required")
@@ -234,7 +250,7 @@ def length(text: str) -> float:
 
 
 def rate(text: str) -> float:
-    """A lambda_r of the paper, above 0."""
+    """Returns a lambda_r of the paper, above 0 and at most 1."""
     value = float(text)
     if not 0 < value <= 1:
         raise argparse.ArgumentTypeError(f"{text} found, above 0 to 1 allowed")
@@ -244,7 +260,11 @@ def rate(text: str) -> float:
 def add_command(
     commands: Any, name: str, run: Callable[[argparse.Namespace], int], text: str, examples: list[str], notes: str = ""
 ) -> argparse.ArgumentParser:
-    """A command, with its examples and the exit statuses in its help."""
+    """Adds a command and returns its parser.
+
+    run: returns the exit status. text: what the command does, in a clause. examples: without the program's name. notes:
+    further help. The help ends with the exit statuses.
+    """
     epilog = (
         "examples:\n"
         + "".join(f"  refcodec {e}\n" for e in examples)

@@ -1,4 +1,4 @@
-"""A scene before quantisation, in floating point."""
+"""A scene in floating point, before it is quantised."""
 
 from __future__ import annotations
 
@@ -12,8 +12,14 @@ from ..bitstream.conventions import F32
 
 @dataclass(frozen=True, eq=False)
 class AnchorCloud:
-    """A scene before quantisation. Float32: positions [N, 3] in world units; features [N, F]; scalings [N, 6], natural
-    logarithms; offsets [N, K, 3], in units of exp(scalings[:3]); masks: bool [N, K], True where an offset is kept."""
+    """A scene of anchors before it is quantised.
+
+    positions: float32 [N, 3], world units.
+    features: float32 [N, F].
+    scalings: float32 [N, 6], natural logarithms of world units.
+    offsets: float32 [N, K, 3], in units of exp(scalings[:, :3]).
+    masks: bool [N, K], True where an offset is kept.
+    """
 
     positions: F32
     features: F32

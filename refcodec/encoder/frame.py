@@ -11,14 +11,16 @@ from ..bitstream.context import UNIT, contract, frame_coordinates
 from ..bitstream.frame import FRAME_SHIFT_MAX, MATRIX_BOUND, TRANSLATION_BOUND, Frame
 from ..bitstream.positions import position_integers
 
-# SPEC B.2: share of the anchors, nearest to the median, that shape the frame.
+# SPEC B.2: the share of the anchors that shape the frame. They are those nearest to the median.
 INLIERS = 0.95
 
 
 def choose_frame(positions: NDArray[np.float16]) -> Frame:
-    """SPEC B.2: principal axes of the 95 % of anchors nearest to the median; one unit is one standard deviation.
+    """SPEC B.2: returns the frame of some positions, float16 [N, 3] and finite.
 
-    A direction without extent gets the unit of the widest one (or 1, if there is none), so that any set has a frame.
+    Its axes are the principal axes of the 95 % of anchors nearest to the median. Its unit along an axis is one standard
+    deviation. A direction without extent gets the unit of the widest direction, or one unit of P if none has an extent.
+    So every set of positions has a frame, the empty set too.
     """
     p = position_integers(positions).astype(np.float64)
     if len(p) == 0:

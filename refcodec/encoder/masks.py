@@ -11,7 +11,7 @@ from ..bitstream.tables import TOTAL
 
 
 def mask_model(masks: NDArray[np.bool_]) -> NDArray[np.uint16]:
-    """SPEC B.6: the frequency of a kept offset in each context, uint16 [K (K + 1) / 2]. masks: bool [N, K]."""
+    """SPEC B.6: returns the frequency of a kept offset in each context, uint16 [K (K + 1) / 2]. masks: bool [N, K]."""
     count = mask_contexts(masks.shape[1])
     seen, kept = np.zeros(count), np.zeros(count)
     before = np.cumsum(masks, axis=1, dtype=np.int64) - masks

@@ -28,21 +28,25 @@ from ..bitstream.positions import (
 from ..bitstream.scene import Scene, take_anchors
 from ..bitstream.tables import TOTAL, ModelSet, tables
 
-# SPEC B.1: without a lattice, the largest coordinate becomes about this in fp16.
+# The largest coordinate in fp16 of a scene without a lattice, about.
 FP16_EXTENT = 1024.0
 
 
 def choose_grid(positions: F32, voxel: float | None = None) -> PositionGrid:
-    """SPEC B.1. With a voxel its lattice is exact in fp16 up to 2048 voxels from the origin, which lies on the lattice near
-    the middle. Without one, the largest coordinate is 1024 in fp16. Raises ValueError for NaN, infinity, or a size out of range."""
+    """SPEC B.1: returns the position grid of some positions, float32 [N, 3] in world units.
+
+    voxel: the edge of the lattice's voxels in world units, or None. With a voxel, the origin lies on the lattice near
+    the middle, and fp16 holds the lattice exactly up to 2048 voxels from it. Without one, the largest coordinate is
+    about 1024 in fp16. Raises ValueError for NaN, infinity, and a voxel or a distance that the grid cannot hold.
+    """
     if not np.isfinite(positions).all():
         raise ValueError("a position is NaN or infinite")
     p = positions.astype(np.float64)
     low, high = (p.min(axis=0), p.max(axis=0)) if len(p) else (np.zeros(3), np.zeros(3))
     middle = (low + high) / 2
-    # Far from the world's origin a unit cannot be smaller than the bound on the grid's origin allows.
+    # The bound of the grid's origin does not allow a smaller unit this far from the world's origin.
     unit = voxel or max(float((high - low).max()) / 2 / FP16_EXTENT, float(np.abs(middle).max()) * 2.0**-21) or 1.0
-    # 16 bits of mantissa, so that scale_mantissa * P fits 56 bits.
+    # A mantissa of 16 bits keeps scale_mantissa * P within 56 bits.
     fraction, exponent = math.frexp(unit)
     mantissa = round(fraction * 65536)
     if mantissa == 65536:
@@ -50,7 +54,7 @@ def choose_grid(positions: F32, voxel: float | None = None) -> PositionGrid:
     exponent -= 16
     if abs(exponent) > SCALE_EXPONENT_MAX:
         raise ValueError(f"a voxel of {unit} is out of range")
-    # The origin is a whole number of units, in 2^(exponent - 24).
+    # The origin is a whole number of units. It is stated in 2^(exponent - 24).
     step = mantissa * 2.0**exponent
     origin = tuple(round(m / step) * mantissa << 24 for m in middle.tolist())
     if max(abs(o) for o in origin) >= ORIGIN_BOUND:
@@ -59,7 +63,10 @@ def choose_grid(positions: F32, voxel: float | None = None) -> PositionGrid:
 
 
 def to_fp16(positions: F32, grid: PositionGrid) -> NDArray[np.float16]:
-    """SPEC 6.4 backwards: the fp16 positions nearest to world positions; never -0. Raises ValueError if one overflows fp16."""
+    """Returns the fp16 positions nearest to world positions, float16 [N, 3], with 0 in place of -0 (SPEC 6.4, B.7).
+
+    positions: float32 [N, 3]. Raises ValueError if fp16 cannot hold one.
+    """
     unit = grid.scale_mantissa * 2.0**grid.scale_exponent
     origin = np.array([o * 2.0 ** (grid.scale_exponent - 24) for o in grid.origin])
     with np.errstate(over="ignore"):
@@ -71,19 +78,25 @@ def to_fp16(positions: F32, grid: PositionGrid) -> NDArray[np.float16]:
 
 
 def choose_cells(positions: NDArray[np.float16]) -> int:
-    """SPEC B.1: the largest cell_shift with which every position has a cell, or 40 if none will do."""
+    """SPEC B.1: returns the largest cell_shift with which every position has a cell, or 40 if there is none.
+
+    positions: float16 [N, 3], finite.
+    """
     every = int(np.bitwise_or.reduce(position_integers(positions), axis=None))
     shift = min((every & -every).bit_length() - 1, CELL_INDEX - 1) if every else 0
     return CELL_INDEX if (cells(positions, shift) < 0).any() else shift
 
 
 def morton_order(positions: NDArray[np.float16]) -> Int64:
-    """SPEC B.1: a stable order along the Morton curve of the positions' cells."""
+    """SPEC B.1: returns the indices that sort positions, float16 [N, 3], along the Morton curve of their cells.
+
+    Positions with the same cell keep their order.
+    """
     return np.argsort(morton(cells(positions, choose_cells(positions))), kind="stable")
 
 
 class _Counter:
-    """A coder that only counts the symbols of the tree of cells. counts: int64 [18, 16]."""
+    """A coder that only counts the symbols of trees of cells. counts: int64 [18, 16], by model and symbol."""
 
     def __init__(self) -> None:
         self.counts = np.zeros((POSITION_MODELS, HALVES), dtype=np.int64)
@@ -95,7 +108,11 @@ class _Counter:
 
 
 def frequencies(counts: Int64, first: int) -> Int64:
-    """Frequencies that sum to 2^14 for symbols from `first` on, none of them 0; what rounding leaves goes to the most frequent."""
+    """Returns the frequencies of a model, int64 [symbols], with the sum 2^14.
+
+    counts: int64 [symbols], how often each symbol occurs. first: the first symbol that can occur. From there on no
+    frequency is 0. The most frequent symbol takes the difference that rounding leaves.
+    """
     found = np.zeros(len(counts), dtype=np.int64)
     seen = counts[first:] if counts[first:].any() else np.ones(len(counts) - first, dtype=np.int64)
     found[first:] = np.maximum(seen * TOTAL // seen.sum(), 1)
@@ -104,7 +121,10 @@ def frequencies(counts: Int64, first: int) -> Int64:
 
 
 def position_model(positions: NDArray[np.float16], chunk_size: int) -> PositionModel:
-    """SPEC B.1: cell_shift, and the observed frequencies of the chunks that can be packed."""
+    """SPEC B.1: returns cell_shift and the observed frequencies of the chunks that can be packed.
+
+    positions: float16 [N, 3], finite, in the order of the file.
+    """
     cell_shift, counter = choose_cells(positions), _Counter()
     for chunk in chunk_ranges(len(positions), chunk_size):
         code = chunk_codes(positions[chunk.start : chunk.stop], cell_shift)
@@ -115,14 +135,16 @@ def position_model(positions: NDArray[np.float16], chunk_size: int) -> PositionM
 
 
 def pack_positions(scene: Scene) -> Scene:
-    """SPEC B.1: the scene with its anchors along the Morton curve and positions in mode 1 where
-    6.10 allows it. No attribute changes but its place."""
+    """SPEC B.1: returns the scene with its anchors along the Morton curve, and with positions in mode 1.
+
+    Positions stay in mode 0 if [R6.10-2] does not allow mode 1. The attributes of an anchor do not change.
+    """
     scene = take_anchors(scene, morton_order(scene.positions))
     model, chunks = (
         position_model(scene.positions, scene.chunk_size),
         chunk_ranges(scene.anchor_count, scene.chunk_size),
     )
     parts = encode_positions(model, scene.positions, chunks, 1 << scene.lanes.mask)
-    # SPEC 6.10 asks for a byte for 16 anchors, which a scene that fills a cube may not need.
+    # SPEC 6.10 asks for at least a byte for 16 anchors. A tree can be shorter if its cells fill a cube.
     allowed = all(len(part) * ANCHORS_OF_A_BYTE >= len(chunk) for part, chunk in zip(parts, chunks, strict=True))
     return replace(scene, position_model=model if allowed else None)

@@ -26,7 +26,11 @@ from .weights import pack_weights
 
 
 def packed(scene: Scene, positions: str | None, weights: str | None) -> Scene:
-    """The scene with positions and weights each "raw" or "packed"; None: packed in Main. What is packed already stays as it is."""
+    """Returns the scene with positions and weights in the wanted modes.
+
+    positions, weights: "raw" for mode 0, "packed" for mode 1. None packs them in Main, and leaves them as they are in
+    Tiny. What is packed already is not packed again.
+    """
     if positions == "raw":
         scene = replace(scene, position_model=None)
     elif scene.position_model is None and (positions or scene.profile == MAIN):
@@ -39,14 +43,21 @@ def packed(scene: Scene, positions: str | None, weights: str | None) -> Scene:
 
 
 def carm_shifts(features: NDArray[np.int32], inputs: int) -> NDArray[np.uint8]:
-    """SPEC 7.9: for each input channel of CARM the smallest shift that brings its symbols within an activation."""
+    """Returns for each input of CARM the smallest shift that brings its symbols within an activation (SPEC 7.9).
+
+    features: int32 [N, F], symbols. inputs: the number of inputs. The result is uint8 [inputs].
+    """
     largest = np.abs(features[:, :inputs]).max(axis=0, initial=0)
     shift = [max(int(v) // (ACTIVATION_MAX + 1), 0).bit_length() for v in largest]
     return np.array(shift, dtype=np.uint8)
 
 
 def symbols(values: F32, steps: NDArray[np.uint8], base_step: float) -> NDArray[np.int32]:
-    """SPEC 9.2 backwards: the nearest symbols. values [n, ...], steps [n]. Raises ValueError if one does not fit its type."""
+    """SPEC B.7: returns the symbols nearest to values, int32 [n, ...].
+
+    values: float32 [n, ...]. steps: uint8 [n], the step index of each anchor. base_step: the step at index 32. Raises
+    ValueError for a value that is not finite, or whose symbol is too large.
+    """
     unit = base_step * tables().step[steps].astype(np.float64) / (1 << STEP_SHIFT)
     scaled = np.rint(values.astype(np.float64) / unit.reshape(-1, *[1] * (values.ndim - 1)))
     limit = ATTRIBUTE_SYMBOL_MAX
@@ -56,7 +67,10 @@ def symbols(values: F32, steps: NDArray[np.uint8], base_step: float) -> NDArray[
 
 
 def order_anchors(cloud: AnchorCloud, grid: PositionGrid) -> tuple[AnchorCloud, NDArray[np.float16]]:
-    """SPEC B.1 and B.6: the anchors that keep an offset, along a Morton curve, and their fp16 positions."""
+    """SPEC B.1 and B.6: returns the anchors that keep an offset, along a Morton curve, and their positions.
+
+    The positions are float16 [n, 3]. Masked offsets become 0. Raises ValueError if fp16 cannot hold a position.
+    """
     kept = np.flatnonzero(cloud.masks.any(axis=1))
     half = to_fp16(cloud.positions[kept], grid)
     order = morton_order(half)
@@ -84,9 +98,13 @@ def quantise(
     profile: int = MAIN,
     chunk_size: int = CHUNK_SIZE,
 ) -> Scene:
-    """A scene from float attributes and given networks (SPEC B): steps follow from the networks, symbols from the steps.
+    """Returns a scene from float attributes, and from networks and planes that are given (SPEC B).
 
-    Anchors are sorted, and dropped if no offset is kept. Raises ValueError for what cannot be written.
+    The step indices follow from the networks, and the symbols from the steps. Anchors that keep no offset are dropped.
+    The others are sorted. Positions and weights are in mode 0.
+
+    planes: int16 [5, ch, B, B]. carm_shift: uint8 [CARM inputs]. base_step: float32 values of features, scalings and
+    offsets. render, lanes: None for the defaults. Raises ValueError for a value that a file cannot hold.
     """
     ordered, positions = order_anchors(cloud, grid)
     count = len(positions)

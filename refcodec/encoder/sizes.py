@@ -1,4 +1,4 @@
-"""SPEC.md B.3: lanes, chunks, plane size and widths."""
+"""SPEC.md B.3: lanes, chunk size, plane size and widths."""
 
 from __future__ import annotations
 
@@ -7,26 +7,38 @@ import math
 from ..bitstream.header import Lanes
 from ..bitstream.planes import PLANES
 
-# SPEC B.3: chunk size that measured best, and most lanes worth having.
+# SPEC B.3: the chunk size that measured best, and the base-2 logarithm of the most lanes.
 CHUNK_SIZE = 4096
 LANES_LOG2_MOST = 6
 
 
 def choose_plane_size(anchors: int) -> int:
-    """SPEC B.3: B = sqrt(N) / 5, from 8 to 128: the paper's 128 at Amsterdam's 421,600 anchors, fewer points than anchors always."""
+    """SPEC B.3: returns B = sqrt(N) / 5, rounded, from 8 to 128.
+
+    For the 421,600 anchors of the paper's scene Amsterdam that is its 128. Between the bounds, the planes have a fifth
+    as many points as the scene has anchors.
+    """
     return int(min(max(round(math.sqrt(anchors) / 5), 8), 128))
 
 
 def choose_width(anchors: int) -> int:
-    """SPEC B.3: hidden units of F_h and of CARM: N / 400, from 32 to 100: fp32 weights are a part of the file that does not shrink."""
+    """SPEC B.3: returns the number of hidden units of F_h and of CARM. It is N / 400, rounded down, from 32 to 100.
+
+    Small scenes get narrow networks, because the weights take the same bytes however few anchors there are.
+    """
     return min(max(anchors // 400, 32), 100)
 
 
 def choose_lanes(anchors: int, attribute_bits: float) -> Lanes:
-    """SPEC B.3: as many lanes as cost, at 4 bytes each, at most 0.2 % of the attributes' bytes in the attributes, 0.01 % of them
-    in the planes (about 0.5 % of the planes) and 0.1 % in the masks; 64 at most.
+    """SPEC B.3: returns the largest numbers of lanes whose cost, 4 bytes each, stays small.
 
-    attribute_bits: expected bits of an anchor's attributes.
+    The cost is a share of the attributes' bytes, at most:
+
+    - 0.2 % for the attributes, with 64 lanes at most,
+    - 0.01 % for the planes, with 64 lanes at most (about 0.5 % of the planes' own bytes),
+    - 0.1 % for the masks, with 8 lanes at most.
+
+    attribute_bits: the expected bits of an anchor's attributes.
     """
     total = anchors * attribute_bits / 8
     chunks = max(-(-anchors // CHUNK_SIZE), 1)

@@ -18,9 +18,10 @@ from ..bitstream.weights import to_grid
 
 
 def exact_networks(networks: Mapping[str, list[Layer]]) -> dict[str, list[Layer]]:
-    """SPEC B.5: the networks with the values of F_h, SARM and CARM replaced by their integers (7.2) over a power of two.
+    """SPEC B.5: returns the networks with F_h, SARM and CARM on the grids of their integers.
 
-    SPEC 7.2 gives the same outputs for them. Raises networks.BoundError.
+    Their values become the integers of 7.2 over a power of two. No output of these networks changes. The rendering
+    networks stay as they are. Raises BoundError.
     """
     found = dict(networks)
     for name, layers in networks.items():
@@ -38,14 +39,20 @@ def exact_networks(networks: Mapping[str, list[Layer]]) -> dict[str, list[Layer]
 
 
 def rendering_exponent(weight: F32, bits: int) -> int:
-    """SPEC B.5: the largest e with which no weight, times 2^e and rounded, needs more than `bits` bits, sign included; 0 for zeros."""
+    """SPEC B.5: returns the largest e with which no weight, times 2^e and rounded, needs more than `bits` bits.
+
+    The bits include the sign. For weights that are all 0 the result is 0.
+    """
     largest = float(np.abs(weight).max())
     return math.floor(math.log2(((1 << (bits - 1)) - 0.5) / largest)) if largest else 0
 
 
 def quantise_rendering(networks: Mapping[str, list[Layer]], bits: int) -> dict[str, list[Layer]]:
-    """SPEC B.5: the networks with each layer of opacity, covariance and colour on a grid: multiples of a power of two, the least with
-    which no weight needs more than `bits` bits, sign included; biases on the same grid. bits: 2 to 24."""
+    """SPEC B.5: returns the networks with each layer of the rendering networks on a grid.
+
+    The weights and biases of a layer become multiples of one power of two. It is the least one with which no weight
+    needs more than `bits` bits, sign included. bits: 2 to 24.
+    """
     found = dict(networks)
     for name in RENDERING:
         found[name] = []
@@ -59,7 +66,7 @@ def quantise_rendering(networks: Mapping[str, list[Layer]], bits: int) -> dict[s
 
 
 def weight_scales(networks: Mapping[str, list[Layer]]) -> NDArray[np.uint8]:
-    """SPEC B.5: the scale indices of each layer in mode 1, uint8 [layers, 3]; 0 for a raw layer."""
+    """SPEC B.5: returns the scale indices of each layer in mode 1, uint8 [layers, 3]. Those of a raw layer are 0."""
 
     def index(scale: float) -> int:
         return min(max(round(8 * math.log2(scale)) - SCALE_MIN, 0), 255) if scale else 0
@@ -77,6 +84,9 @@ def weight_scales(networks: Mapping[str, list[Layer]]) -> NDArray[np.uint8]:
 
 
 def pack_weights(scene: Scene) -> Scene:
-    """SPEC B.5: the scene with its weights in mode 1, those of the coding networks replaced by their integers. No symbol changes."""
+    """SPEC B.5: returns the scene with its weights in mode 1. No symbol changes.
+
+    F_h, SARM and CARM get the values of exact_networks.
+    """
     networks = exact_networks(scene.networks)
     return replace(scene, networks=networks, weight_scales=weight_scales(networks))

@@ -1,1 +1,1 @@
-"""The scene folder: a scene in files that other programs read."""
+"""The scene folder: a scene as files that other programs can read."""

@@ -1,4 +1,4 @@
-"""scene.json: its values, each checked where it is read."""
+"""scene.json, whose values are checked when they are read."""
 
 from __future__ import annotations
 
@@ -21,9 +21,13 @@ _I32 = (-(1 << 31), (1 << 31) - 1)
 
 
 class Document:
-    """scene.json, field by field, each checked as it is read. Fields are named by dotted paths."""
+    """The values of scene.json. A field is named by its path, such as grid.origin or frame.matrix[0].
+
+    Every method raises SceneFolderError for a field that is missing or not allowed.
+    """
 
     def __init__(self, file: Path) -> None:
+        """Reads the file. Raises SceneFolderError if it is not JSON, or of another format or version."""
         self.file = file
         try:
             self.root = json.loads(file.read_text(encoding="utf-8"))
@@ -36,9 +40,11 @@ class Document:
         self.integer("version", VERSION, VERSION)
 
     def fault(self, name: str, problem: str) -> SceneFolderError:
+        """Returns the error about a field. problem: what is wrong with it."""
         return SceneFolderError(self.file, f'"{name}" {problem}', "correct the field, or decode again")
 
     def value(self, name: str) -> Any:
+        """Returns a field as JSON gives it."""
         found = self.root
         for key, index in re.findall(r"(\w+)|\[(\d+)\]", name):
             if isinstance(found, dict) and key in found:
@@ -55,6 +61,7 @@ class Document:
         return value
 
     def integer(self, name: str, low: int, high: int) -> int:
+        """Returns an integer from low to high."""
         return self._checked(name, self.value(name), low, high)
 
     def _list(self, name: str, count: int | None) -> list[Any]:
@@ -64,10 +71,11 @@ class Document:
         return values
 
     def integers(self, name: str, count: int | None, low: int, high: int) -> list[int]:
+        """Returns a list of integers from low to high. count: its length, or None for any length."""
         return [self._checked(f"{name}[{i}]", v, low, high) for i, v in enumerate(self._list(name, count))]
 
     def _float(self, name: str, value: Any) -> float:
-        """A finite float32."""
+        """Returns a value as the float32 nearest to it, which has to be finite."""
         number = np.float32(np.nan)
         if isinstance(value, int | float) and not isinstance(value, bool):
             with np.errstate(over="ignore"), contextlib.suppress(OverflowError):
@@ -77,7 +85,9 @@ class Document:
         return float(number)
 
     def float(self, name: str) -> float:
+        """Returns a finite number, rounded to float32."""
         return self._float(name, self.value(name))
 
     def floats(self, name: str, count: int) -> list[Any]:
+        """Returns a list of `count` finite numbers, rounded to float32."""
         return [self._float(f"{name}[{i}]", v) for i, v in enumerate(self._list(name, count))]

@@ -1,6 +1,6 @@
-"""point_cloud.ply in the layout of Scaffold-GS checkpoints."""
+"""point_cloud.ply, in the layout of Scaffold-GS checkpoints."""
 
-# plyfile, safetensors and the encoder are imported where they are used: a decode that fails should not wait for them.
+# plyfile and the encoder are imported where they are used. A decode that fails should not wait for them.
 # ruff: noqa: PLC0415
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 
 
 def ply_properties(offset_count: int, features: int) -> list[str]:
-    """The properties of a Scaffold-GS point cloud with masks, in file order."""
+    """Returns the names of the properties of a Scaffold-GS point cloud with masks, in file order."""
     return [
         *("x", "y", "z", "nx", "ny", "nz"),
         *(f"f_offset_{i}" for i in range(3 * offset_count)),
@@ -35,10 +35,13 @@ def ply_properties(offset_count: int, features: int) -> list[str]:
 
 
 def ply_values(r: Reconstruction, masks: NDArray[np.bool_]) -> dict[str, NDArray]:
-    """The columns of the PLY that say something, by the stem of their properties; float32 [N, columns]."""
+    """Returns the columns of the PLY file that hold data, float32 [N, columns], by the stem of their properties.
+
+    The other properties, such as the normals, are constant. masks: bool [N, K].
+    """
     return {
         "xyz": r.positions,
-        # Axis-major: property axis * K + k.
+        # Component `axis` of offset k is the property axis * K + k.
         "f_offset_": r.offsets.transpose(0, 2, 1).reshape(len(masks), 3 * masks.shape[1]),
         "f_mask_": masks.astype(np.float32),
         "f_anchor_feat_": r.features,
@@ -47,7 +50,7 @@ def ply_values(r: Reconstruction, masks: NDArray[np.bool_]) -> dict[str, NDArray
 
 
 def write_cloud(r: Reconstruction, masks: NDArray[np.bool_], path: str | Path) -> None:
-    """Anchors as a Scaffold-GS point cloud, binary little-endian float32. masks: bool [N, K]."""
+    """Writes anchors as a Scaffold-GS point cloud, in binary little-endian float32. masks: bool [N, K]."""
     from plyfile import PlyData, PlyElement
 
     n, values = len(masks), ply_values(r, masks)
@@ -63,9 +66,10 @@ def write_cloud(r: Reconstruction, masks: NDArray[np.bool_], path: str | Path) -
 
 
 class Columns:
-    """The vertex properties of a PLY file as float32 columns."""
+    """The vertex properties of a PLY file, as float32 columns. count: the number of vertices."""
 
     def __init__(self, file: Path) -> None:
+        """Reads the file. Raises SceneFolderError."""
         from plyfile import PlyData
 
         self.file = file
@@ -75,7 +79,7 @@ class Columns:
             raise SceneFolderError(
                 file, "it has no vertices", "give a point cloud in the layout of Scaffold-GS"
             ) from None
-        # plyfile answers bad bytes with many types; whatever it is, the file cannot be read.
+        # plyfile raises errors of many types for bad bytes. Whatever the type is, the file cannot be read.
         except Exception as error:
             raise SceneFolderError(
                 file, f"it is not a readable PLY file ({error})", "export the point cloud again"
@@ -83,7 +87,10 @@ class Columns:
         self.count = len(self.data)
 
     def names(self, stem: str) -> list[str]:
-        """The properties of a stem in the order of their numbers; "xyz" stands for x, y and z."""
+        """Returns the properties that are a stem and a number, in the order of their numbers.
+
+        The stem "xyz" stands for the properties x, y and z. Raises SceneFolderError if a number is missing.
+        """
         known = self.data.dtype.names
         if stem == "xyz":
             return [name for name in ("x", "y", "z") if name in known]
@@ -96,7 +103,7 @@ class Columns:
         return numbered
 
     def array(self, names: Sequence[str]) -> NDArray[np.float32]:
-        """Some properties as float32 [N, columns]."""
+        """Returns some properties as float32 [N, columns]. Raises SceneFolderError for a property that is a list."""
         out = np.empty((self.count, len(names)), np.float32)
         for i, name in enumerate(names):
             if self.data.dtype[name].kind not in "fiu":
@@ -106,11 +113,16 @@ class Columns:
 
 
 def read_cloud(path: str | Path) -> AnchorCloud:
-    """A trained Scaffold-GS, HAC or CAT-3DGS point_cloud.ply, or that of a scene folder, as an AnchorCloud.
+    """Returns the anchors of a point_cloud.ply of Scaffold-GS, HAC, CAT-3DGS or a scene folder.
 
-    Masks: where f_mask_* holds nothing but 0 and 1 it is the mask; otherwise it holds the logits of HAC and CAT-3DGS, and an offset
-    is kept where their sigmoid is above 0.01 (CAT-3DGS also weighs it with view counts, which the file does not have). Without
-    f_mask_* every offset is kept. Raises SceneFolderError.
+    The masks come from the properties f_mask_*:
+
+    - Without these properties, every offset is kept.
+    - If they are all 0 or 1, they are the masks.
+    - Otherwise they are the logits of HAC and CAT-3DGS. An offset is kept if the sigmoid of its logit is above 0.01.
+      CAT-3DGS also weighs the sigmoid with view counts, which the file does not have.
+
+    Raises SceneFolderError if the file cannot be read, or a property is missing, or a value is not finite.
     """
     from ..encoder.cloud import AnchorCloud
 

@@ -1,6 +1,6 @@
 """Reads a scene folder."""
 
-# plyfile, safetensors and the encoder are imported where they are used: a decode that fails should not wait for them.
+# safetensors and the encoder are imported where they are used. A decode that fails should not wait for them.
 # ruff: noqa: PLC0415
 
 from __future__ import annotations
@@ -42,9 +42,9 @@ if TYPE_CHECKING:
 
 
 def read_folder(path: str | Path) -> Scene:
-    """The scene of a folder. Raises SceneFolderError for whatever is wrong in it.
+    """Returns the scene of a folder. Raises SceneFolderError for whatever is wrong in it.
 
-    Without coded.safetensors, point_cloud.ply is quantised.
+    With coded.safetensors the scene is exactly the one that was written. Without it, point_cloud.ply is quantised anew.
     """
     path = Path(path)
     if not path.is_dir():
@@ -100,7 +100,7 @@ def _read_dimensions(doc: Document) -> tuple[Dimensions, int]:
 
 
 def _read_document(doc: Document, d: Dimensions, profile: int, path: Path) -> Scene:
-    """All of the scene but what coded.safetensors holds; it has no anchors."""
+    """Returns the scene without what coded.safetensors holds. It has no anchors."""
     base_step = doc.floats("base_step", 3)
     if not all(BASE_STEP_MIN <= step <= BASE_STEP_MAX for step in base_step):
         raise doc.fault("base_step", f"is {base_step}, {BASE_STEP_MIN} to {BASE_STEP_MAX} is allowed")
@@ -157,7 +157,7 @@ def _read_document(doc: Document, d: Dimensions, profile: int, path: Path) -> Sc
 
 
 def _read_weight_scales(doc: Document, d: Dimensions) -> NDArray[np.uint8] | None:
-    """SPEC 5.16, if the folder says that weights are packed."""
+    """Returns the scale indices of packed weights (SPEC 5.16), uint8 [layers, 3], or None if weights are not packed."""
     if "weight_scales" not in doc.root:
         return None
     rows = [doc.integers(f"weight_scales[{i}]", 3, 0, 255) for i in range(len(layers_of(d)))]
@@ -165,7 +165,7 @@ def _read_weight_scales(doc: Document, d: Dimensions) -> NDArray[np.uint8] | Non
 
 
 def _read_position_model(doc: Document) -> PositionModel | None:
-    """SPEC 5.15, if the folder says that positions are packed."""
+    """Returns the model of packed positions (SPEC 5.15), or None if positions are not packed."""
     if "position_model" not in doc.root:
         return None
     frequency = [doc.integers(f"position_model.frequency[{i}]", HALVES, 0, TOTAL) for i in range(POSITION_MODELS)]
@@ -204,7 +204,7 @@ def _read_extensions(doc: Document, path: Path) -> tuple[tuple[int, int, bytes],
     for i in range(len(entries)):
         at = f"extensions[{i}]"
         kind = doc.integer(f"{at}.type", found[-1][0] + 1 if found else 1, 127)
-        # A name of our own making: scene.json cannot point outside the folder.
+        # The name has to be the expected one, so that scene.json cannot point outside the folder.
         if doc.value(f"{at}.file") != extension_name(kind):
             raise doc.fault(f"{at}.file", f"is {doc.value(f'{at}.file')!r}, {extension_name(kind)!r} is required")
         if not (path / extension_name(kind)).is_file():
@@ -218,13 +218,16 @@ def _read_extensions(doc: Document, path: Path) -> tuple[tuple[int, int, bytes],
 
 
 def _tensors(file: Path, wanted: dict[str, tuple[tuple[int, ...], type[np.generic]]]) -> dict[str, NDArray]:
-    """The arrays of a safetensors file: exactly the wanted ones, of the wanted shapes and types."""
+    """Returns the arrays of a safetensors file by name. wanted: the shape and the dtype of each.
+
+    Raises SceneFolderError if the file has other arrays, or one of another shape or dtype.
+    """
     from safetensors import SafetensorError
     from safetensors.numpy import load_file
 
     try:
         arrays = load_file(file)
-    # A type that NumPy lacks is a KeyError or TypeError of the safetensors package.
+    # The safetensors package raises KeyError or TypeError for a dtype that NumPy does not have.
     except (SafetensorError, ValueError, KeyError, TypeError, OSError) as error:
         raise SceneFolderError(file, f"it cannot be read ({error})", "restore it, or decode again") from None
     for name in sorted(wanted.keys() | arrays.keys()):
@@ -292,9 +295,12 @@ def _read_coded(bare: Scene, doc: Document, path: Path) -> Scene:
 
 
 def _compare_ply(scene: Scene, path: Path) -> None:
-    """Refuses a PLY that is not the reconstruction of coded.safetensors: encoding would silently leave the edit out."""
+    """Raises SceneFolderError if the PLY file is not the reconstruction of coded.safetensors.
+
+    Somebody has edited it then, and encoding would silently leave the edit out.
+    """
     file = path / PLY_FILE
-    advice = f"if {PLY_FILE} is the one to encode, delete {CODED_FILE} so that encode quantises it anew; otherwise decode again"
+    advice = f"to encode {PLY_FILE} as it is now, delete {CODED_FILE}; to undo the change, decode again"
     columns = Columns(file)
     if columns.count != scene.anchor_count:
         raise SceneFolderError(file, f"it has {columns.count} anchors, {CODED_FILE} has {scene.anchor_count}", advice)
@@ -319,7 +325,10 @@ def _compare_ply(scene: Scene, path: Path) -> None:
 
 
 def _compare_digest(scene: Scene, doc: Document) -> None:
-    """Refuses arrays that are not those that the digest was made of; a folder without a digest is not checked."""
+    """Raises SceneFolderError if scene.json states a digest that is not the scene's.
+
+    A folder without a digest is not checked.
+    """
     if "digest" not in doc.root:
         return
     whole, parts = digest(scene)
@@ -330,7 +339,7 @@ def _compare_digest(scene: Scene, doc: Document) -> None:
 
 
 def _requantise(bare: Scene, path: Path) -> Scene:
-    """The scene of a folder without coded.safetensors: point_cloud.ply, quantised with all that the folder gives."""
+    """Returns the scene of point_cloud.ply, quantised with the networks, planes, frame and grid of the folder."""
     from ..encoder.quantise import quantise
 
     d, file = bare.dimensions, path / PLY_FILE

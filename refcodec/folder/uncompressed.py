@@ -1,11 +1,11 @@
-"""A trained Scaffold-GS as it is before anything is quantised: a folder of floats, for comparison with coded scenes.
+"""The folder of a trained Scaffold-GS before anything is quantised, for comparison with coded scenes.
 
 point_cloud.ply         anchors, in the layout of Scaffold-GS checkpoints, world units
 networks.safetensors    fp32 weights and biases of the three rendering networks, as SPEC.md 5.8 shapes them
-render.json             what SPEC.md 6.5 says of a scene
+render.json             the render information of SPEC.md 5.5
 """
 
-# plyfile and safetensors are imported where they are used: starting fast matters more to the other commands.
+# safetensors is imported where it is used, so that the other commands start fast.
 # ruff: noqa: PLC0415
 
 from __future__ import annotations
@@ -31,7 +31,10 @@ FORMAT = "Scaffold-GS, uncompressed"
 
 @dataclass(frozen=True, eq=False)
 class Uncompressed:
-    """values: float32 attributes, world units; masks: bool [N, K]; networks: the three of SPEC 14.3."""
+    """A trained Scaffold-GS.
+
+    values: the float32 attributes. masks: bool [N, K]. networks: the three rendering networks of SPEC 14.3, by name.
+    """
 
     values: Reconstruction
     masks: NDArray[np.bool_]
@@ -40,11 +43,11 @@ class Uncompressed:
 
     @property
     def anchor_count(self) -> int:
-        """N."""
+        """N, the number of anchors."""
         return len(self.values.positions)
 
     def sizes(self) -> dict[str, int]:
-        """Bytes of its float32 numbers, by the parts that a coded file has."""
+        """Returns the bytes of the float32 numbers, by part of a coded file: positions, attributes, weights."""
         v = self.values
         weights = sum(array.size for layers in self.networks.values() for layer in layers for array in layer)
         return {
@@ -55,12 +58,12 @@ class Uncompressed:
 
 
 def is_uncompressed(path: Path) -> bool:
-    """Whether a folder is one of these."""
+    """Whether a folder holds an uncompressed scene."""
     return (path / RENDER_FILE).is_file()
 
 
 def write_uncompressed(scene: Uncompressed, path: Path) -> None:
-    """Writes the folder, which is made if it is not there."""
+    """Writes the folder. It is made if it is not there."""
     from safetensors.numpy import save
 
     path.mkdir(parents=True, exist_ok=True)
@@ -78,7 +81,7 @@ def write_uncompressed(scene: Uncompressed, path: Path) -> None:
 
 
 def read_uncompressed(path: Path) -> Uncompressed:
-    """The scene of such a folder. Raises SceneFolderError."""
+    """Returns the scene of a folder. Raises SceneFolderError if one of its files is missing or cannot be read."""
     from safetensors import SafetensorError
     from safetensors.numpy import load_file
 

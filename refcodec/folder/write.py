@@ -1,6 +1,6 @@
 """Writes a scene folder."""
 
-# plyfile, safetensors and the encoder are imported where they are used: a decode that fails should not wait for them.
+# safetensors is imported where it is used. A decode that fails should not wait for it.
 # ruff: noqa: PLC0415
 
 from __future__ import annotations
@@ -42,10 +42,10 @@ if TYPE_CHECKING:
 
 
 def write_folder(scene: Scene, path: str | Path, damage: dict[int, BitstreamError] | None = None) -> None:
-    """Writes a scene folder; damage (of codec.parse) is noted in scene.json.
+    """Writes a scene folder. damage: the damage of a Parsed, which is noted in scene.json.
 
-    An interrupted write leaves the folder as it was, or without scene.json: never a mixture that reads as whole.
-    Raises SceneFolderError if `path` is a file, or a directory with something else in it.
+    An interrupted write leaves the folder as it was, or without scene.json. It never leaves a mixture that reads as a
+    whole scene. Raises SceneFolderError if `path` is a file, or a directory with something else in it.
     """
     path = Path(path)
     if not is_free(path):
@@ -61,7 +61,7 @@ def write_folder(scene: Scene, path: str | Path, damage: dict[int, BitstreamErro
         for old in path.iterdir():
             if old.name in (PLY_FILE, NETWORKS_FILE, PLANES_FILE, CODED_FILE) or EXTENSION_FILE.fullmatch(old.name):
                 old.unlink()
-        # scene.json comes last: without it the folder does not read as a scene.
+        # scene.json comes last, because a folder without it does not read as a scene.
         for new in sorted(incoming.iterdir(), key=lambda p: p.name == SCENE_FILE):
             new.replace(path / new.name)
     finally:
@@ -96,7 +96,10 @@ def _write_files(scene: Scene, path: Path, damage: dict[int, BitstreamError]) ->
 
 
 def _short(value: Any) -> Any:
-    """Floats, alone or in a tuple, as those whose shortest text reads back as the same float32; the rest as it is."""
+    """Returns a value for JSON. A float becomes the one with the shortest text that reads back as the same float32.
+
+    Tuples become lists. Other values stay as they are.
+    """
     if isinstance(value, tuple):
         return [_short(v) for v in value]
     return float(str(np.float32(value))) if isinstance(value, float) else value
@@ -134,7 +137,7 @@ def _scene_document(scene: Scene, damage: dict[int, BitstreamError]) -> dict[str
 
 
 def _position_document(model: PositionModel | None) -> dict[str, Any]:
-    """What packed positions were coded with, so that a folder gives its file again."""
+    """Returns what packed positions were coded with. With it, the folder gives the same file again."""
     return (
         {}
         if model is None
@@ -143,7 +146,7 @@ def _position_document(model: PositionModel | None) -> dict[str, Any]:
 
 
 def _json_text(document: dict[str, Any]) -> str:
-    """Indented JSON with each list of numbers on one line."""
+    """Returns indented JSON with each list of numbers on one line."""
     text = json.dumps(document, indent=2, allow_nan=False)
     return (
         re.sub(r"\[[^\[\]{}]*\]", lambda m: " ".join(m.group().split()).replace("[ ", "[").replace(" ]", "]"), text)

@@ -1,1 +1,1 @@
-"""What a file is made of, for people: elements, dumps, summaries, traces, explanations."""
+"""Shows people what a file is made of: elements, dumps, summaries, traces, explanations."""

@@ -16,8 +16,10 @@ from ..bitstream.scene import Scene
 
 
 def anchor_rows(scene: Scene, number: int) -> Iterator[tuple[str, str, str]]:
-    """What clauses 7.4 to 7.9 compute for an anchor, from its position to its distributions, and its symbols: as in Annex D.4, the
-    quantity, its clause, its numbers. Raises IndexError for an anchor that the scene does not have.
+    """Yields the quantities that clauses 7.4 to 7.10 compute for an anchor, as in Annex D.4.
+
+    They lead from the position to the distributions and the symbols. Each is (what it is, clause, numbers). Raises
+    IndexError for an anchor that the scene does not have.
     """
     if not 0 <= number < scene.anchor_count:
         raise IndexError(number)

@@ -1,4 +1,4 @@
-"""The bytes of a file with their elements, as text."""
+"""The bytes of a file and their elements, as text."""
 
 from __future__ import annotations
 
@@ -13,13 +13,15 @@ from .elements import Row, rows
 from .explain import element_lines, requirement_lines
 from .meaning import meaning
 
-# Payloads longer than this are folded to their first bytes.
+# An element of more than _HEX_BYTES is folded to its first _FOLDED_BYTES.
 _HEX_BYTES = 16
 _FOLDED_BYTES = 8
+# How many elements are shown before and after the one at a byte.
 _NEAR_ROWS = 6
 
 
 def value_text(row: Row) -> str:
+    """Returns the value of an element. It is empty for bytes, and of a payload it is the number of bytes."""
     if row.value is None:
         return f"{row.end - row.start} bytes"
     if isinstance(row.value, bytes):
@@ -42,14 +44,14 @@ def _error_line(error: BitstreamError) -> str:
 
 
 def _rows_near(data: bytes, near: int | None) -> Iterator[Row]:
-    """All rows, or those of the element at a byte and of a few before and after it."""
+    """Yields all rows, or those of the element at the byte `near` and of a few elements before and after it."""
     if near is None:
         yield from rows(data)
         return
     before: deque[Row] = deque(maxlen=_NEAR_ROWS)
     after = _NEAR_ROWS
     for row in rows(data):
-        # A byte past the end is looked for at the end.
+        # The last element stands for a byte past the end.
         if row.end <= min(near, len(data) - 1):
             before.append(row)
         elif after >= 0:
@@ -60,7 +62,7 @@ def _rows_near(data: bytes, near: int | None) -> Iterator[Row]:
 
 
 def about_lines(data: bytes, near: int) -> Iterator[str]:
-    """What the element at a byte is, with its clauses and requirements, and the command that tells more."""
+    """Yields lines about the element at a byte: what it is, its clauses and requirements, and a command to try next."""
     row = next((row for row in rows(data) if row.end > min(near, len(data) - 1)), None)
     if row is not None:
         yield ""
@@ -70,9 +72,9 @@ def about_lines(data: bytes, near: int) -> Iterator[str]:
 
 
 def hex_lines(data: bytes, errors: Sequence[BitstreamError] = (), near: int | None = None) -> Iterator[str]:
-    """Offset, bytes, path, type and value of each element; errors of the file after the elements that they point at.
+    """Yields a line for each element with its offset, bytes, path, type and value.
 
-    near: a byte; the elements around it alone.
+    Each error stands after the element that it points at. near: a byte around which elements are shown. None shows all.
     """
     yield f"{'offset':<8}  {'bytes':<47}  {'element':<44}  {'type':<12}  value"
     waiting = deque(sorted(errors, key=lambda error: error.offset))

@@ -1,7 +1,7 @@
-"""Every byte of a file with its syntax element.
+"""Every byte of a file, with its syntax element.
 
-All of it works on damaged files as far as they parse: nothing here raises for whatever bytes, and nothing here judges a file
-(bitstream.codec does). Headers are read without checks, so every count is limited by the bytes that are there.
+Damaged files are shown as far as they parse. No bytes make a function here raise, and no function here judges a file.
+Headers are read without checks. So every count from a header is limited by the bytes that are there.
 """
 
 from __future__ import annotations
@@ -29,7 +29,10 @@ _STRUCT_BYTES_MAX = 1 << 16
 
 @dataclass(frozen=True)
 class Row:
-    """Some bytes of a file: data[start:end] are the element `path` of the type `kind`; value is None for a payload."""
+    """A syntax element in a file.
+
+    start, end: data[start:end] are its bytes. path: its name. kind: its type. value: None for a payload.
+    """
 
     start: int
     end: int
@@ -40,8 +43,13 @@ class Row:
 
 @dataclass(frozen=True)
 class Outline:
-    """The header's fields as far as they parse, unchecked; sections: (type, start, end) in file order, cut to the file; entries:
-    bytes of the chunk table before its entries."""
+    """What the header says of a file, as far as it parses. Nothing is checked.
+
+    header: the fields, or None if the header is not whole.
+    header_end: where the header ends, or where the file does.
+    dimensions: None if they cannot be read.
+    sections: (type, start, end) in file order, cut to the file.
+    """
 
     header: Any
     header_end: int
@@ -49,7 +57,7 @@ class Outline:
     sections: list[tuple[int, int, int]]
 
     def mode(self, name: str) -> int:
-        """The mode of a section, 0 if there is none."""
+        """Returns the mode of a section by its name, or 0 if the file does not have the section."""
         return max((entry.mode for entry in self.header.directory if SECTIONS.get(entry.type) == name), default=0)
 
     @property
@@ -59,12 +67,12 @@ class Outline:
 
     @property
     def entries_start(self) -> int:
-        """Bytes of the chunk table before its entries (SPEC 5.10)."""
+        """The bytes of the chunk table before its entries (SPEC 5.10)."""
         return entries_start(self.header.dimensions.offset_count, self.position_mode)
 
 
 def parse_elements(name: str, data: bytes, start: int, end: int, path: str) -> tuple[list[Row], Any]:
-    """The elements of one struct in data[start:end], up to where the bytes end, and the struct if it is whole."""
+    """Returns the elements of one struct in data[start:end], as far as the bytes go, and the struct if it is whole."""
     stream = io.BytesIO(data[start : min(end, start + _STRUCT_BYTES_MAX)])
     found: list[syntax.Element] = []
     try:
@@ -75,6 +83,7 @@ def parse_elements(name: str, data: bytes, start: int, end: int, path: str) -> t
 
 
 def outline_of(data: bytes) -> Outline:
+    """Returns the outline of a file. Without a whole header of this version it has no sections."""
     _, prologue = parse_elements("Prologue", data, 0, PROLOGUE_BYTES, "prologue")
     if prologue is None or prologue.version != VERSION:
         return Outline(None, min(len(data), PROLOGUE_BYTES), None, [])
@@ -92,7 +101,7 @@ def outline_of(data: bytes) -> Outline:
 
 
 def rows(data: bytes) -> Iterator[Row]:
-    """Every byte of a file, in file order and without gaps, whatever the bytes are."""
+    """Yields the elements of a file in file order. They cover every byte, whatever the bytes are."""
     outline = outline_of(data)
     at = 0
     for row in rows_of(data, outline):
@@ -103,6 +112,7 @@ def rows(data: bytes) -> Iterator[Row]:
 
 
 def rows_of(data: bytes, outline: Outline) -> Iterator[Row]:
+    """Yields the elements of the prologue, the header and the sections of an outline."""
     yield from parse_elements("Prologue", data, 0, PROLOGUE_BYTES, "prologue")[0]
     if outline.header_end > PROLOGUE_BYTES:
         header = parse_elements("Header", data, PROLOGUE_BYTES, outline.header_end, "header")[0]
@@ -119,13 +129,14 @@ def rows_of(data: bytes, outline: Outline) -> Iterator[Row]:
 
 
 def _payload(start: int, stop: int, end: int, path: str, kind: str) -> Iterator[Row]:
-    """One row for data[start:stop], cut at `end`; nothing if it is empty."""
+    """Yields one row for data[start:stop], cut at `end`, or none if it is empty."""
     stop = min(stop, end)
     if start < stop:
         yield Row(start, stop, path, kind)
 
 
 def section_rows(data: bytes, outline: Outline, kind: int, start: int, end: int) -> Iterator[Row]:
+    """Yields the elements of a section in data[start:end]. kind: its type."""
     h = outline.header
     name = SECTIONS.get(kind)
     if name == "frame":
@@ -177,7 +188,7 @@ def _weight_rows(data: bytes, outline: Outline, start: int, end: int) -> Iterato
 
 
 def _substream_rows(data: bytes, start: int, end: int, lanes: int, path: str) -> Iterator[Row]:
-    """SPEC 5.14; what is cut off is left out."""
+    """Yields the elements of a substream (SPEC 5.14). What is cut off is left out."""
     found, head = parse_elements("SubstreamHead", data, start, end, path)
     yield from found
     if head is None:
@@ -193,7 +204,7 @@ def _substream_rows(data: bytes, start: int, end: int, lanes: int, path: str) ->
 
 
 def read_chunk_table(data: bytes, outline: Outline) -> NDArray[np.int64]:
-    """The chunk table's entries that are there: [chunks, 6], fields as in SPEC 5.10."""
+    """Returns the entries of the chunk table that are there, int64 [chunks, 6], with the fields of SPEC 5.10."""
     for kind, start, end in outline.sections:
         if SECTIONS.get(kind) == "chunk_table":
             at = start + outline.entries_start
@@ -206,7 +217,7 @@ def read_chunk_table(data: bytes, outline: Outline) -> NDArray[np.int64]:
 
 
 def chunk_anchors(header: Any, number: int) -> int:
-    """Anchors of a chunk."""
+    """Returns how many anchors a chunk has. header: the parsed struct. number: that of the chunk."""
     return int(min(header.chunk_size, max(0, header.anchor_count - number * header.chunk_size)))
 
 

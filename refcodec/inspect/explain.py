@@ -1,7 +1,7 @@
-"""From a key to all that is of it: an error's code or name, a requirement, a clause, an element's path, a field.
+"""Explains a key: the code or name of an error, a requirement, a clause, the path of an element, or a field.
 
-What is printed comes from SPEC.md, from the registry of errors, and from the trail that `python -m spec` records: code of each
-decoder, tests, vectors.
+The text comes from SPEC.md and the registry of errors. The code of each decoder, the tests and the vectors come from
+the trail that `python -m spec` records.
 """
 
 from __future__ import annotations
@@ -19,13 +19,14 @@ from ..resources import find
 from . import specification
 from .meaning import FIELDS, TABLE_CLAUSES, Meaning, is_path, meaning, of_field
 
+# Columns of the printed text.
 WIDTH = 112
-# Vectors that are printed of one requirement.
+# How many vectors of a requirement are printed.
 SHOWN = 12
 
 
 class UnknownKeyError(KeyError):
-    """A key that is none of these; the argument says so in a line."""
+    """Nothing is known under a key. The argument is a line that says so."""
 
 
 @cache
@@ -65,7 +66,7 @@ def _clause_name(number: str) -> str:
 
 
 def _requirement_lines(name: str) -> Iterator[str]:
-    """A requirement with its trail."""
+    """A requirement, its error, code, tests and vectors."""
     r, trail = _requirements()[name], _trail()[name]
     whose = {"R": "files", "D": "decoders", "G": "renderers"}[name[0]]
     yield f"{name}, a requirement on {whose}, clause {_clause_name(r.clause)}"
@@ -85,7 +86,7 @@ def _requirement_lines(name: str) -> Iterator[str]:
 
 
 def _error_lines(kind: ErrorKind) -> Iterator[str]:
-    """An error: its row, why, how, what next, and the requirement that it breaks."""
+    """An error: its meaning, why there is the rule, how files come to break it, and its requirement."""
     reason = _reasons()[kind.name]
     yield f"{kind.code} {kind.name}, {kind.klass}, clause {_clause_name(kind.clause)}, requirement {kind.requirement}"
     yield from _wrapped(_sentence(kind.text))
@@ -100,7 +101,7 @@ def _error_lines(kind: ErrorKind) -> Iterator[str]:
 
 
 def _clause_lines(number: str) -> Iterator[str]:
-    """A clause: its text, and the trails of its requirements."""
+    """A clause: its text, and its requirements."""
     clause = _clauses()[number]
     yield f"{number} {clause.title}, SPEC.md#{clause.anchor}"
     yield ""
@@ -112,13 +113,13 @@ def _clause_lines(number: str) -> Iterator[str]:
 
 
 def _field_lines(table: str, field: str) -> Iterator[str]:
-    """What the syntax table says of a field."""
+    """The row of a field in its syntax table."""
     kind, words = specification.fields(specification.text())[f"{table}.{field}"]
     yield f"  {kind}, {words} ({table}, {TABLE_CLAUSES[table]})"
 
 
 def element_lines(path: str) -> Iterator[str]:
-    """What an element is, and the clauses to read. Raises KeyError for a path of no file."""
+    """Yields lines that say what an element is, and which clauses to read. Raises KeyError for a path of no file."""
     found = meaning(path)
     yield path
     if found.table:
@@ -129,7 +130,7 @@ def element_lines(path: str) -> Iterator[str]:
 
 
 def requirement_lines(found: Meaning) -> Iterator[str]:
-    """The requirements on an element, in words."""
+    """Yields lines with the requirements on an element, in words."""
     for i, name in enumerate(found.requirements):
         text = textwrap.wrap(f"{name}: {_requirements()[name].text}", WIDTH - 15, break_on_hyphens=False)
         yield f"  {'requirements' if i == 0 else '':<12} {text[0]}"
@@ -148,7 +149,7 @@ def _path_lines(path: str) -> Iterator[str]:
 
 
 def _parts(key: str) -> Iterator[Iterator[str]]:
-    """What a key names: at times two things, as prologue.signature is an error and an element."""
+    """Yields the explanations of a key. There can be two: prologue.signature is an error and an element."""
     codes = {str(kind.code): kind for kind in REGISTRY.values()}
     name = key.strip("[]")
     clause = name.removeprefix("Annex ").removeprefix("clause ")
@@ -166,7 +167,7 @@ def _parts(key: str) -> Iterator[Iterator[str]]:
 
 
 def explain(key: str) -> Iterator[str]:
-    """The lines that explain a key. Raises UnknownKeyError."""
+    """Yields the lines that explain a key. Raises UnknownKeyError."""
     parts = list(_parts(key))
     if not parts:
         raise UnknownKeyError(_unknown(key))

@@ -1,7 +1,7 @@
-"""What each element of a file is for: its syntax table, the clauses that say how it is used, and the requirements on it.
+"""The meaning of each element of a file: its syntax table, the clauses that use it, and the requirements on it.
 
-Elements are named by their paths, as `elements` gives them. A test compares the rules with SPEC.md, and tries them on every
-byte of the vectors.
+Elements are named by their paths, as `elements` gives them. A test compares the rules here with SPEC.md, and tries them
+on every byte of the vectors.
 """
 
 from __future__ import annotations
@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 from ..bitstream.syntax import SYNTAX
 
-# Clause of each syntax table, in the order of SPEC.md.
+# The clause of each syntax table, in the order of SPEC.md.
 TABLE_CLAUSES = {
     "Prologue": "5.1",
     "Header": "5.2",
@@ -28,7 +28,7 @@ TABLE_CLAUSES = {
     "LayerModel": "5.16",
 }
 
-# Where the fields of each table stand: a path, in which FIELD is the field. The first pattern that fits counts.
+# The paths at which the fields of each table stand. FIELD is the name of the field. The first pattern that fits counts.
 TABLES: list[tuple[str, str]] = [
     (r"prologue\.FIELD", "Prologue"),
     (r"header\.dimensions\.FIELD", "Dimensions"),
@@ -45,7 +45,8 @@ TABLES: list[tuple[str, str]] = [
     (r"weights\.FIELD", "WeightScales"),
 ]
 
-# The clauses that use a field beside that of its table, and the requirements on it: those that a wrong value breaks first.
+# For each field the clauses that use it, without that of its table, and the requirements on it. The requirements that a
+# wrong value breaks come first.
 FIELDS: dict[str, str] = {
     "Prologue.signature": "6.1 R6.1-1 R6.1-2",
     "Prologue.version": "6.1 R6.1-4",
@@ -124,7 +125,7 @@ FIELDS: dict[str, str] = {
     "LayerModel.bias_scale": "7.13 R6.8-5 D7.13-1",
 }
 
-# Elements outside tables: what they hold, and the same of them.
+# The elements outside tables: the pattern of their paths, what they hold, and their clauses and requirements.
 _CODING = r"weights\.(?:hyper|sarm|carm\.\d+)\.\d+"
 _RENDERING = r"weights\.(?:opacity|covariance|colour)\.\d+"
 _STREAM = r"(?:weights|planes\.[\w.]+|(?:positions|masks|attributes)\[chunk \d+\])"
@@ -159,7 +160,7 @@ PAYLOADS: list[tuple[str, str, str]] = [
     ),
 ]
 
-# What a section's substreams are decoded by.
+# The clauses and requirements by which the substreams of a section are decoded.
 DECODED = {
     "weights": "7.13 R6.8-6 D7.13-1",
     "planes": "7.3 D7.3-1 D7.3-2",
@@ -171,8 +172,12 @@ DECODED = {
 
 @dataclass(frozen=True)
 class Meaning:
-    """table and field: of chapter 5, or empty for a payload. words: what a payload holds. clauses and requirements: in the
-    order in which they are worth reading."""
+    """The meaning of an element.
+
+    table, field: those of chapter 5, or empty for a payload.
+    words: what a payload holds.
+    clauses, requirements: in the order in which they are worth reading.
+    """
 
     table: str
     field: str
@@ -188,12 +193,12 @@ def _meaning(table: str, field: str, words: str, names: list[str]) -> Meaning:
 
 
 def of_field(table: str, field: str) -> Meaning:
-    """The meaning of a field of a syntax table. Raises KeyError."""
+    """Returns the meaning of a field of a syntax table. Raises KeyError."""
     return _meaning(table, field, "", [TABLE_CLAUSES[table], *FIELDS[f"{table}.{field}"].split()])
 
 
 def meaning(path: str) -> Meaning:
-    """The meaning of the element with a path. Raises KeyError for a path that no file has."""
+    """Returns the meaning of the element at a path. Raises KeyError for a path that no file has."""
     stream = re.fullmatch(rf"{_STREAM}\.(?:symbol_crc|word_count|state|word|raw)", path)
     decoded = DECODED[re.split(r"\W", path)[0]].split() if stream else []
     for pattern, table in TABLES:

@@ -1,4 +1,4 @@
-"""What SPEC.md says, clause by clause and requirement by requirement, for programs that explain it."""
+"""The clauses, syntax tables and requirements of SPEC.md, for programs that explain them."""
 
 from __future__ import annotations
 
@@ -8,13 +8,13 @@ from functools import cache
 
 from ..resources import find
 
-# A clause's number: 6.10, 7.5.4, B.2; the annexes are letters.
+# The number of a clause, such as 6.10, 7.5.4 or B.2. The annexes have letters.
 CLAUSE = r"(?:\d+|[A-D])(?:\.\d+)*"
 
 
 @dataclass(frozen=True)
 class Clause:
-    """A clause: number, title, its own Markdown without that of its subclauses, and the heading as a link's anchor."""
+    """A clause. text: its own Markdown, without that of its subclauses. anchor: the anchor of its heading in links."""
 
     number: str
     title: str
@@ -24,7 +24,7 @@ class Clause:
 
 @dataclass(frozen=True)
 class Requirement:
-    """A requirement: identifier, clause, what must be so, and the name of its error (empty where it has none)."""
+    """A requirement. text: what has to be so. error: the name of its error, or empty if it has none."""
 
     id: str
     clause: str
@@ -34,18 +34,18 @@ class Requirement:
 
 @cache
 def text() -> str:
-    """SPEC.md, of the checkout or the one that the installed package has."""
+    """Returns SPEC.md, from the checkout or the installed package."""
     return find("SPEC.md").read_text(encoding="utf-8")
 
 
 def anchor(heading: str) -> str:
-    """The anchor that code hosts give a heading."""
+    """Returns the anchor that code hosts give a heading."""
     return re.sub(r"[^a-z0-9 _-]", "", heading.lower()).replace(" ", "-")
 
 
 def clauses(spec: str) -> dict[str, Clause]:
-    """The clauses by number, in the order of SPEC.md."""
-    # Headings inside code blocks are comments of Python.
+    """Returns the clauses by number, in the order of SPEC.md."""
+    # A line of a code block that begins with # is no heading, but a comment of Python.
     bare = re.sub(r"^```.*?^```", lambda block: re.sub(r"^#", " ", block[0], flags=re.M), spec, flags=re.S | re.M)
     heads = list(re.finditer(rf"^#{{2,4}} ((?:Annex )?({CLAUSE}):? (.*))$", bare, re.MULTILINE))
     found = {}
@@ -57,7 +57,7 @@ def clauses(spec: str) -> dict[str, Clause]:
 
 
 def fields(spec: str) -> dict[str, tuple[str, str]]:
-    """Type and meaning of each field of the syntax tables of chapter 5, by table.field."""
+    """Returns (type, meaning) of each field of the syntax tables of chapter 5, by table.field."""
     found = {}
     for clause in clauses(spec).values():
         if clause.number.startswith("5."):
@@ -67,7 +67,7 @@ def fields(spec: str) -> dict[str, tuple[str, str]]:
 
 
 def requirements(spec: str) -> dict[str, Requirement]:
-    """The requirements by identifier, in the order of SPEC.md."""
+    """Returns the requirements by identifier, in the order of SPEC.md."""
     pattern = (
         rf"^- \[([RDG]({CLAUSE})-\d+)\] It is a requirement of (?:bitstream|decoder|renderer) conformance that (.*)$"
     )

@@ -19,11 +19,12 @@ from ..bitstream.planes import PLANE_NAMES
 from ..bitstream.reconstruction import digest
 from .elements import Outline, chunk_anchors, outline_of, parse_elements, read_chunk_table
 
+# Columns of the bar of a section that is the whole file.
 _BAR = 20
 
 
 def _plain(value: Any) -> Any:
-    """Containers of construct as JSON values: bytes in hexadecimal, numbers that JSON lacks as text."""
+    """Returns what construct parsed as JSON values. Bytes become hexadecimal, numbers that JSON lacks become text."""
     if isinstance(value, dict):
         return {k: _plain(v) for k, v in value.items() if not k.startswith("_")}
     if isinstance(value, list | tuple):
@@ -36,7 +37,7 @@ def _plain(value: Any) -> Any:
 
 
 def _section_table(data: bytes, outline: Outline) -> list[dict[str, Any]]:
-    """Name, place, size and share of the prologue, the header and each section."""
+    """Returns the name, place, size and share of the prologue, the header and each section."""
     h = outline.header
     spans: list[tuple[str, int | None, int | None, int, int]] = [
         ("prologue", None, None, 0, min(len(data), PROLOGUE_BYTES))
@@ -61,7 +62,7 @@ def _section_table(data: bytes, outline: Outline) -> list[dict[str, Any]]:
 
 
 def document(data: bytes, verdict: Parsed | BitstreamError) -> dict[str, Any]:
-    """The facts about a file as JSON values; verdict: what codec.parse returned or raised."""
+    """Returns the facts about a file as JSON values. verdict: what codec.parse returned or raised."""
     outline = outline_of(data)
     h, d = outline.header, outline.dimensions
     found: dict[str, Any] = {
@@ -99,19 +100,25 @@ def document(data: bytes, verdict: Parsed | BitstreamError) -> dict[str, Any]:
 
 
 def summary(facts: dict[str, Any], name: str) -> Iterator[str]:
-    """The facts of `document` as lines of text."""
+    """Yields the facts of `document` as lines of text. name: that of the file."""
     p, h = facts["prologue"], facts["header"]
     version = f"version {p['version']}" if p else "version unknown"
     yield f"{name}: {facts['bytes']} bytes, C3GS {version}"
     if h:
         yield from _header_lines(facts, h)
     yield ""
-    yield f"{'section':<14} {'type':>4} {'mode':>4} {'offset':>10} {'bytes':>10} {'share':>7}  {'':<{_BAR}} {'bits/anchor':>12}"
+    yield (
+        f"{'section':<14} {'type':>4} {'mode':>4} {'offset':>10} {'bytes':>10} {'share':>7}  {'':<{_BAR}} "
+        f"{'bits/anchor':>12}"
+    )
     for s in facts["sections"]:
         kind, mode = ("" if s["type"] is None else f"{s['type']:02x}"), ("" if s["mode"] is None else s["mode"])
         bits = "-" if s["bits_per_anchor"] is None else f"{s['bits_per_anchor']:.2f}"
         bar = "#" * round(_BAR * s["share"])
-        yield f"{s['name']:<14} {kind:>4} {mode:>4} {s['offset']:>10} {s['bytes']:>10} {s['share']:>7.1%}  {bar:<{_BAR}} {bits:>12}"
+        yield (
+            f"{s['name']:<14} {kind:>4} {mode:>4} {s['offset']:>10} {s['bytes']:>10} {s['share']:>7.1%}  {bar:<{_BAR}} "
+            f"{bits:>12}"
+        )
     whole_bits = f"{8 * facts['bytes'] / h['anchor_count']:.2f}" if h and h["anchor_count"] else "-"
     yield f"{'whole':<14} {'':>4} {'':>4} {'':>10} {facts['bytes']:>10} {1:>7.1%}  {'':<{_BAR}} {whole_bits:>12}"
     yield ""
@@ -136,7 +143,8 @@ def _header_lines(facts: dict[str, Any], h: dict[str, Any]) -> Iterator[str]:
     )
     yield f"anchors      {h['anchor_count']}, {d['offset_count']} offsets each{kept}"
     yield f"features     {sum(d['slice_width'])} in slices {widths(d['slice_width'])}"
-    yield f"planes       5 of {d['plane_channels']} x {d['plane_size']} x {d['plane_size']}, {d['frequency_count']} frequencies"
+    size = f"{d['plane_channels']} x {d['plane_size']} x {d['plane_size']}"
+    yield f"planes       5 of {size}, {d['frequency_count']} frequencies"
     hidden = ", ".join(f"{n} {widths(d[f'{n}_width'])}" for n in ("hyper", "sarm", "carm"))
     yield f"networks     hidden {hidden}, render {d['render_width']}"
     yield "lanes        " + ", ".join(

@@ -1,4 +1,4 @@
-"""The elements and symbols of a file in decoding order, and its symbol trace."""
+"""The trace of a file, with its elements and symbols in decoding order, and its symbol trace."""
 
 from __future__ import annotations
 
@@ -19,17 +19,17 @@ from .elements import Row, outline_of, rows_of, section_rows
 
 
 def trace(data: bytes, write: Callable[[str], object]) -> Parsed:
-    """Decodes a file and writes one line per syntax element and per symbol, in decoding order.
+    """Decodes a file and writes a line for each syntax element and each symbol, in decoding order.
 
-    Columns, separated by tabs: path, type or family of models, mean, scale, value ("-" where there is none). Raises the
-    BitstreamError of a file that is not accepted, after the lines that come before it.
+    The columns are path, type or family of models, mean, scale and value. Tabs separate them. "-" stands for nothing.
+    Raises the BitstreamError of a file that is refused, after the lines of what was read before it.
     """
     write("path\tkind\tmean\tscale\tvalue\n")
     waiting = deque(_trace_parts(data))
     stage = ""
 
     def show(part: int, end: int) -> None:
-        """Writes the elements up to those of a part, or to the byte `end`."""
+        """Writes the elements up to those of a part, but none that starts after the byte `end`."""
         while waiting and waiting[0][0] <= part:
             for row in waiting.popleft()[1]:
                 if row.start > end:
@@ -38,7 +38,7 @@ def trace(data: bytes, write: Callable[[str], object]) -> Parsed:
 
     def symbol(row: TraceRow) -> None:
         nonlocal stage
-        # Elements stand before the first symbol that is decoded after them.
+        # Elements come before the first symbol that is decoded after them.
         now = row.path[:5]
         if now != stage:
             stage = now
@@ -48,7 +48,7 @@ def trace(data: bytes, write: Callable[[str], object]) -> Parsed:
     try:
         parsed = parse(data, trace=symbol)
     except BitstreamError as error:
-        # What was read before the error, and the element that it points at.
+        # The last element is the one that the error points at.
         show(_LAST, error.offset)
         raise
     show(_LAST, len(data))
@@ -56,12 +56,12 @@ def trace(data: bytes, write: Callable[[str], object]) -> Parsed:
 
 
 def symbol_trace(data: bytes, write: Callable[[str], object]) -> Parsed:
-    """Decodes a file and writes its symbol trace (vectors/README.md): a line `path value` for each symbol, substream after substream in
-    file order, of each in the order of its CRC-32 (SPEC 8.8).
+    """Decodes a file and writes its symbol trace (vectors/README.md), a line `path value` for each symbol.
 
-    Raises the BitstreamError of a file that is not accepted, after the lines of what was decoded.
+    The substreams are in file order. The symbols of a substream are in the order of its CRC-32 (SPEC 8.8). Raises the
+    BitstreamError of a file that is refused, after the lines of what was decoded.
     """
-    # Of the symbols that are read side by side, in text: a row takes many times as much.
+    # The symbols of substreams that are decoded side by side are kept as text. Rows would take many times the memory.
     found: dict[int, io.StringIO] = {}
 
     def add(row: TraceRow) -> None:
@@ -74,13 +74,13 @@ def symbol_trace(data: bytes, write: Callable[[str], object]) -> Parsed:
             write(text.getvalue())
 
 
-# Beginnings of the symbols' paths, and the parts of _trace_parts that come before them.
+# For the beginning of a symbol's path, the last part of _trace_parts that comes before the symbol.
 _ORDER = {"weigh": 0, "plane": 0, "posit": 1, "masks": 1, "attri": 2}
 _LAST = 2
 
 
 def _trace_parts(data: bytes) -> Iterator[tuple[int, Iterator[Row]]]:
-    """The elements that are not symbols, in file order, by the part of the decoding that they belong to."""
+    """Yields the elements that are no symbols, in file order, with the part of the decoding that they belong to."""
     outline = outline_of(data)
 
     yield 0, rows_of(data, replace(outline, sections=[]))
@@ -94,7 +94,7 @@ def _trace_parts(data: bytes) -> Iterator[tuple[int, Iterator[Row]]]:
 
 
 def _position_rows(data: bytes, start: int, end: int) -> Iterator[Row]:
-    """Positions value by value."""
+    """Yields raw positions, value by value."""
     values = np.frombuffer(data, "<f2", max(0, end - start) // POSITION_BYTES * 3, start)
     for i, value in enumerate(values):
         yield Row(start + 2 * i, start + 2 * i + 2, f"positions[{i // 3},{i % 3}]", "f16", value)

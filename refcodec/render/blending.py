@@ -1,4 +1,4 @@
-"""Tiles blended front to back, and the gradients back (SPEC.md 14.5)."""
+"""Blends the Gaussians of each tile front to back, and takes gradients back through it (SPEC.md 14.5)."""
 
 from __future__ import annotations
 
@@ -11,10 +11,10 @@ from .constants import BLOCK, BLOCK_HEIGHT, F32, I32, I64, LEAST, SUMS, TILE_HEI
 from .simd import WIDTH, bits, column_sums, exp2, fma, fnma, load, lowest, maximum, minimum, select, splat, store, total
 from .tiles import block_at, blocks_reached
 
-# Gaussians of a tile between two looks at what of it is still to be drawn.
+# How many Gaussians of a tile are drawn before its unfinished blocks are found again.
 LOOK = 16
 _STOP = np.float32(TRANSMITTANCE_MIN)
-# Exponents below this give alphas far below 1/255, and are raised to it: exp2 wants at least -126.
+# Smaller exponents are raised to this one, because exp2 takes no less than -126. Their alphas are far below 1/255.
 _FLOOR = np.float32(-32)
 
 
@@ -22,7 +22,11 @@ _FLOOR = np.float32(-32)
 def blend_tiles(
     record: F32, tile_begin: I64, members: I32, width: int, height: int, alpha_max: np.float32, background: F32
 ) -> Any:
-    """Image f32[H,W,3], transmittance f32[H,W] and last f32[H,W] (see _Tape)."""
+    """Blends all tiles. Returns image f32[H,W,3], transmittance f32[H,W] and last f32[H,W], as in _Tape.
+
+    record: f32[N,16], as project_gaussians gives it. tile_begin: i64[tiles+1] and members: i32[P], as list_tiles gives
+    them. background: f32[3].
+    """
     image, transmittance = np.empty((height, width, 3), np.float32), np.empty((height, width), np.float32)
     last = np.empty((height, width), np.float32)
     columns = (width + TILE_WIDTH - 1) // TILE_WIDTH
@@ -54,10 +58,11 @@ def _blend_tile(
     transmittance: F32,
     last: F32,
 ) -> None:
-    """SPEC 14.5, PIXEL: blends one tile; image, transmittance and last are its parts of the whole."""
+    """SPEC 14.5, PIXEL: blends one tile into its parts of image, transmittance and last. x0, y0: its first pixel."""
     rows, columns = transmittance.shape
-    # Planes of a block: x, y, transmittance, place of the last Gaussian drawn, red, green, blue. The sign of the transmittance is a
-    # flag: it is negative where the pixel is finished or outside the image, so that what would be left is below the least one too.
+    # The planes of a block are x, y, transmittance, place of the last Gaussian drawn, red, green and blue. A
+    # transmittance is negative if the pixel is finished or outside the image. What would be left of it is then below
+    # the least one too.
     state = np.zeros(TILE_HEIGHT * TILE_WIDTH // WIDTH * BLOCK, np.float32)
     for y in range(TILE_HEIGHT):
         for x in range(TILE_WIDTH):
@@ -79,7 +84,8 @@ def _blend_tile(
             x, y = load(state, at), load(state, at + WIDTH)
             u, v = fma(splat(a), x, fma(splat(b), y, splat(u0))), fma(splat(c), y, splat(v0))
             raw = exp2(maximum(fnma(u, u, fnma(v, v, splat(log_opacity))), floor))
-            # SPEC 14.5, PIXEL. Unseen: alpha 0. So the transmittance stays, or is what it was when the pixel was finished.
+            # SPEC 14.5, PIXEL. Where the Gaussian is not seen, alpha is 0, and so the transmittance stays. Where the
+            # pixel is finished, the transmittance keeps its magnitude and gets the negative sign.
             alpha = minimum(raw, cap)
             seen = alpha >= least
             alpha = select(seen, alpha, zero)
@@ -88,7 +94,8 @@ def _blend_tile(
             going = after >= stop
             weight = select(going, alpha * before, zero)
             store(state, at + 2 * WIDTH, select(going, after, minimum(before, zero - before)))
-            # A sum, exact for integers: a choice between the stored value and another would compile to a masked store, ten times slower.
+            # The sum is exact for integers. A choice between the stored value and another would compile to a masked
+            # store, which is ten times as slow.
             place = load(state, at + 3 * WIDTH)
             store(state, at + 3 * WIDTH, place + select(going & seen, splat(np.float32(k)) - place, zero))
             store(state, at + 4 * WIDTH, fma(weight, splat(record[i, 8]), load(state, at + 4 * WIDTH)))
@@ -109,7 +116,7 @@ def _blend_tile(
 
 @njit(cache=True, error_model="numpy")
 def _unfinished(state: F32) -> np.uint64:
-    """The blocks with a pixel that takes more, as blocks_reached has them."""
+    """Returns the blocks with a pixel that takes more Gaussians, as bits in the order of blocks_reached."""
     found = np.uint64(0)
     for block in range(TILE_HEIGHT * TILE_WIDTH // WIDTH):
         some = bits(load(state, block * BLOCK + 2 * WIDTH) >= splat(_STOP)) != np.uint64(0)
@@ -129,7 +136,10 @@ def unblend_tiles(
     grad_image: F32,
     grad_transmittance: F32,
 ) -> F32:
-    """Gradient of each pair, f32[P * 9]: see SUMS. A pair that no pixel reached has zeros."""
+    """Returns the gradients of the pairs, f32[P * 9], nine for each pair as SUMS says. They are 0 if no pixel drew it.
+
+    last, transmittance: f32[H,W], as blend_tiles gives them. grad_image: f32[H,W,3]. grad_transmittance: f32[H,W].
+    """
     sums = np.empty(members.shape[0] * SUMS, np.float32)
     columns = (transmittance.shape[1] + TILE_WIDTH - 1) // TILE_WIDTH
     for t in prange(tile_begin.shape[0] - 1):
@@ -164,10 +174,14 @@ def _unblend_tile(
     grad_transmittance: F32,
     sums: F32,
 ) -> None:
-    """Walks one tile back to front, undoing the blending: what lies behind a Gaussian is then known, and small where it is small."""
+    """Walks one tile back to front and undoes the blending, to find the gradients of its pairs.
+
+    What lies behind a Gaussian is then summed up from the back. It is no difference of large numbers, and so it is
+    accurate where it is small.
+    """
     rows, columns = transmittance.shape
-    # Planes of a block: x, y, transmittance in front of what was undone, dL/d of its logarithm, place of the last Gaussian drawn, and
-    # the gradient of red, green, blue.
+    # The planes of a block are x, y, the transmittance in front of what was undone, the gradient of its logarithm, the
+    # place of the last Gaussian drawn, and the gradients of red, green and blue.
     state = np.zeros(TILE_HEIGHT * TILE_WIDTH // WIDTH * BLOCK, np.float32)
     furthest = np.full(TILE_HEIGHT * TILE_WIDTH // WIDTH, np.float32(-1))
     for y in range(TILE_HEIGHT):
@@ -197,7 +211,7 @@ def _unblend_tile(
     reached = np.uint64(0)
     for k in range(end - 1, -1, -1):
         if k == end - 1 or k % LOOK == LOOK - 1:
-            # The blocks in which this Gaussian, or one of the next until this is asked again, was drawn.
+            # The blocks in which this Gaussian was drawn, or one of those before the next look.
             reached = np.uint64(0)
             for row in range(TILE_HEIGHT // BLOCK_HEIGHT):
                 some = load(furthest, row * WIDTH) >= splat(np.float32(k - k % LOOK))
@@ -226,7 +240,8 @@ def _unblend_tile(
             behind = load(state, at + 3 * WIDTH)
             store(state, at + 2 * WIDTH, before)
             store(state, at + 3 * WIDTH, fma(weight, along, behind))
-            # dL/dlog(alpha): alpha adds its colour and dims what lies behind. The cap lets no gradient through.
+            # The gradient of log(alpha). Alpha adds its colour and dims what lies behind. The cap lets no gradient
+            # through.
             g = select(raw <= cap, raw * fnma(behind, inverse, before * along), zero)
             g_u, g_v = g * u, g * v
             s_1, s_u, s_v = s_1 + g, s_u + g_u, s_v + g_v

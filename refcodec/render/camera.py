@@ -17,8 +17,12 @@ F64 = NDArray[np.float64]
 class Camera:
     """SPEC 14.2: a pinhole camera.
 
-    name: the image's name in its dataset; width, height, fx, fy, cx, cy: pixels; rotation: float64 [3, 3], world to camera;
-    translation: float64 [3], world units.
+    name: the name of its image.
+    width, height: the size of the image in pixels.
+    fx, fy: the focal lengths in pixels.
+    cx, cy: the principal point in pixels.
+    rotation: float64 [3, 3], from the world to the camera.
+    translation: float64 [3], from the world to the camera, in world units.
     """
 
     name: str
@@ -33,17 +37,17 @@ class Camera:
 
     @property
     def centre(self) -> F64:
-        """Where the camera is in the world, float64 [3]."""
+        """The position of the camera in the world, float64 [3]."""
         return -self.rotation.T @ self.translation
 
     def resized(self, width: int, height: int) -> Camera:
-        """The camera of the same image with another number of pixels."""
+        """Returns the camera of the same view, with an image of another number of pixels."""
         x, y = width / self.width, height / self.height
         return replace(self, width=width, height=height, fx=self.fx * x, fy=self.fy * y, cx=self.cx * x, cy=self.cy * y)
 
 
 def rotation_matrix(quaternion: F64) -> F64:
-    """SPEC 14.4, ROTATION: float64 [..., 3, 3] of unit quaternions w, x, y, z [..., 4]."""
+    """SPEC 14.4, ROTATION: returns the matrices, float64 [..., 3, 3], of unit quaternions w, x, y, z, [..., 4]."""
     w, x, y, z = np.moveaxis(np.asarray(quaternion, np.float64), -1, 0)
     rows = [
         [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
@@ -54,9 +58,9 @@ def rotation_matrix(quaternion: F64) -> F64:
 
 
 def default_camera(info: RenderInfo) -> Camera:
-    """SPEC 5.5 and 14.2: the camera that a file states."""
+    """SPEC 5.5 and 14.2: returns the camera that a file states."""
     quaternion = np.array(info.camera_rotation, np.float64)
-    # Scaled first: any finite quaternion but zero is allowed, and squares of large ones are not finite.
+    # The quaternion is scaled first. Every finite one but zero is allowed, and squares of large numbers are infinite.
     quaternion /= np.abs(quaternion).max()
     return Camera(
         "default",
@@ -71,7 +75,10 @@ def default_camera(info: RenderInfo) -> Camera:
 
 
 def read_camera(text: str) -> Camera:
-    """A camera from JSON (vectors/README.md): width, height, focal, principal_point, rotation by rows, translation. Raises ValueError."""
+    """Returns the camera that a JSON object states (vectors/README.md).
+
+    Its fields are width, height, focal, principal_point, rotation by rows, and translation. Raises ValueError.
+    """
     try:
         c = json.loads(text)
         (fx, fy), (cx, cy) = c["focal"], c["principal_point"]

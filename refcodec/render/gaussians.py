@@ -16,8 +16,15 @@ from .camera import Camera
 
 @dataclass(frozen=True, eq=False)
 class Gaussians:
-    """What an image is made of, arrays of one floating type: mean [n, 3], world units; lengths [n, 3] of the axes, world units;
-    quaternion [n, 4], w x y z, of length 1; opacity [n]; colour [n, 3]. anchor, offset: int64 [n], where each comes from."""
+    """The n Gaussians of a view. All arrays but the last two have one floating-point dtype.
+
+    mean: [n, 3], world units.
+    lengths: [n, 3], of the axes, world units.
+    quaternion: [n, 4], w, x, y, z, of length 1.
+    opacity: [n].
+    colour: [n, 3].
+    anchor, offset: int64 [n], the anchor and the offset that each comes from.
+    """
 
     mean: NDArray
     lengths: NDArray
@@ -38,12 +45,12 @@ def _network(layers: list[Layer], values: NDArray) -> NDArray:
 
 
 def _logistic(x: NDArray) -> NDArray:
-    """1 / (1 + exp(-x)) without overflow."""
+    """Returns 1 / (1 + exp(-x)), without overflow."""
     tail = np.exp(-np.abs(x))
     return np.where(x >= 0, 1 / (1 + tail), tail / (1 + tail))
 
 
-# A file may hold any finite numbers; a Gaussian with one that overflows is not drawn.
+# A file may hold any finite numbers. A Gaussian with a value that overflows is not drawn.
 @np.errstate(over="ignore", invalid="ignore")
 def gaussians(
     values: Reconstruction,
@@ -53,9 +60,13 @@ def gaussians(
     distance_unit: float,
     dtype: DTypeLike = np.float32,
 ) -> Gaussians:
-    """SPEC 14.3: the Gaussians that a camera sees or not, in the order of anchors and offsets. masks: bool [N, K]."""
+    """SPEC 14.3, GAUSSIANS: returns the Gaussians of all anchors for a camera, in the order of anchors and offsets.
+
+    They need not be in the camera's view. masks: bool [N, K]. networks: the rendering networks, by name. distance_unit:
+    world units. dtype: that of the computation and of the result.
+    """
     count, k = masks.shape
-    # Positions lose what they share with the camera before they lose digits.
+    # The difference is taken in float64, because far from the origin it would lose digits in float32.
     away = (values.positions.astype(np.float64) - camera.centre).astype(dtype)
     distance = np.linalg.norm(away, axis=1, keepdims=True)
     direction = np.divide(away, distance, out=np.zeros_like(away), where=distance > 0)
@@ -68,7 +79,7 @@ def gaussians(
     chosen = covariance.reshape(count, k, 7)[anchor, offset]
     lengths = np.exp(values.scalings.astype(dtype))
     quaternion = chosen[:, 3:]
-    # Scaled first, as squares of small components vanish.
+    # The quaternion is scaled first, because squares of small components vanish.
     quaternion = quaternion / np.maximum(np.abs(quaternion).max(axis=1, keepdims=True), np.finfo(dtype).tiny)
     norm = np.linalg.norm(quaternion, axis=1, keepdims=True)
     unit = np.array([1, 0, 0, 0], dtype)
@@ -84,7 +95,7 @@ def gaussians(
 
 
 def gaussians_document(found: Gaussians) -> dict[str, Any]:
-    """Gaussians as JSON values (vectors/README.md)."""
+    """Returns Gaussians as JSON values (vectors/README.md)."""
     kinds = ("anchor", "offset", "mean", "lengths", "quaternion", "opacity", "colour")
     columns = [getattr(found, kind).tolist() for kind in kinds]
     return {"gaussians": [dict(zip(kinds, row, strict=True)) for row in zip(*columns, strict=True)]}

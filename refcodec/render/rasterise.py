@@ -1,12 +1,13 @@
 """Images of Gaussians on the CPU, and their gradients (SPEC.md 14.4 and 14.5), with numba and without torch.
 
-A renderer of this kind is that of Kerbl et al., "3D Gaussian Splatting for Real-Time Radiance Field Rendering" (2023), with the
-projection of Zwicker et al., "EWA Splatting" (2002). `image` draws what SPEC.md 14.3 makes of a file; `rasterise` draws any arrays and
-keeps what `rasterise_backward` needs.
+The rasteriser is of the kind of Kerbl et al., "3D Gaussian Splatting for Real-Time Radiance Field Rendering" (2023).
+Its projection is that of Zwicker et al., "EWA Splatting" (2002). `image` draws the Gaussians of a file. `rasterise`
+draws any arrays and keeps what `rasterise_backward` needs.
 
-Projection is float64 inside, blending float32. Results are the same bits whatever the number of threads: each tile is blended by one
-thread, and every sum has one order. The number of threads is numba's (numba.set_num_threads, NUMBA_NUM_THREADS). Numbers of any size
-are taken: a Gaussian with a value that is not finite, or whose projection leaves float64, is not drawn.
+The projection computes in float64 and the blending in float32. The results are the same bits whatever the number of
+threads, because one thread blends a tile and every sum has one order. The number of threads is numba's
+(numba.set_num_threads, NUMBA_NUM_THREADS). Numbers of any size are allowed. A Gaussian is not drawn if one of its
+values is not finite, or if its projection leaves float64.
 """
 
 from __future__ import annotations
@@ -29,10 +30,14 @@ from .tiles import LIST_MAX, PAIRS_MAX, list_tiles, sort_by_depth
 
 @dataclass(frozen=True)
 class Settings:
-    """What SPEC 6.5 leaves to a file, with the values of the original 3DGS. low_pass: square pixels added to both variances; near_plane:
-    depth in world units up to which nothing is drawn; alpha_max: largest alpha; background: red, green, blue, 1 for white.
+    """What SPEC 6.5 leaves to a file. The defaults are the values of the original 3DGS.
 
-    Raises ValueError for values that SPEC R6.5-1 excludes, or another number of background values than three.
+    low_pass: square pixels, added to both variances.
+    near_plane: the depth in world units up to which nothing is drawn.
+    alpha_max: the largest alpha.
+    background: red, green and blue, 1 for white.
+
+    Raises ValueError for values that SPEC R6.5-1 excludes, and for another number of background values than three.
     """
 
     low_pass: float = 0.3
@@ -52,31 +57,38 @@ class Settings:
 
 @dataclass(frozen=True, eq=False)
 class _Tape:
-    """What the backward pass needs: the inputs, and the lists of the forward pass (P pairs of Gaussian and tile)."""
+    """What the backward pass needs: the inputs, and the lists of the forward pass. P is the number of its pairs."""
 
     inputs: tuple[F32, F32, F32, F32, F32]
     camera: Camera
     settings: Settings
-    # f32[N,16]: see project_gaussians.
+    # f32[N,16], as project_gaussians gives it.
     record: F32
-    # i64[N+1]: Gaussian i has room for its pairs at begin[i] : begin[i + 1], of which the first count[i] are used.
+    # i64[N+1] and i32[N]. Gaussian i has room for its pairs at begin[i] : begin[i + 1]. The first count[i] are used.
     begin: I64
     count: I32
-    # i32[...]: for each of these its place among the pairs sorted by tile, then depth.
+    # i32[begin[N]]: for each pair its place among the pairs sorted by tile, then by depth.
     place: I32
-    # i64[tiles+1] and i32[P]: the Gaussians of tile t are members[tile_begin[t] : tile_begin[t + 1]], nearest first.
+    # i64[tiles+1] and i32[P]. The Gaussians of tile t are members[tile_begin[t] : tile_begin[t + 1]], nearest first.
     tile_begin: I64
     members: I32
-    # f32[H,W]: place in the tile's list of the last Gaussian drawn in each pixel, -1 for none.
+    # f32[H,W]: for each pixel the place of its last drawn Gaussian in the list of the tile, or -1.
     last: F32
 
 
 @dataclass(frozen=True, eq=False)
 class Rendering:
-    """image f32[H,W,3] with the background; transmittance f32[H,W] that reaches it; radius f32[N] in pixels.
+    """A drawn image.
 
-    radius is the larger half axis of the ellipse in which alpha is at least 1/255, and 0 for what is not drawn: behind the near plane,
-    outside the image, of opacity below 1/255 or from 2^126 on, or not finite.
+    image: f32[H,W,3], with the background.
+    transmittance: f32[H,W], the share of the background in each pixel.
+    radius: f32[N], pixels. It is the larger half axis of the ellipse in which alpha is at least 1/255.
+
+    The radius is 0 for a Gaussian that is not drawn:
+
+    - It is behind the near plane, or outside the image.
+    - Its opacity is below 1/255, or 2^126 or more.
+    - One of its values is not finite.
     """
 
     image: F32
@@ -87,11 +99,14 @@ class Rendering:
 
 @dataclass(frozen=True, eq=False)
 class Gradients:
-    """dL/dx, f32 and shaped like the inputs; 0 for what is not drawn. screen f32[N]: densification's measure.
+    """The gradients of a loss L with respect to the inputs. They are f32 and have the shapes of the inputs.
 
-    quaternion: with respect to the value given, not the normalised one. screen: the length of the gradient of the projected mean in
-    normalised device units, in which the image is 2 wide and 2 high: |(dL/dx * width / 2, dL/dy * height / 2)| with x, y in pixels;
-    3DGS grows where its mean over the views exceeds 0.0002.
+    quaternion: with respect to the given quaternion, not to the normalised one.
+    screen: f32[N], the measure of densification. It is the length of the gradient of the projected mean in normalised
+    device units, |(dL/dx * width / 2, dL/dy * height / 2)| with x and y in pixels. 3DGS grows where its mean over the
+    views is above 0.0002.
+
+    All are 0 for a Gaussian that is not drawn.
     """
 
     mean: F32
@@ -103,7 +118,7 @@ class Gradients:
 
 
 def check_camera(camera: Camera) -> None:
-    """Raises ValueError for wrong shapes, values that are not finite, focal lengths or sizes that are not positive."""
+    """Raises ValueError for a wrong shape, a value that is not finite, and a size or focal length of 0 or less."""
     for name, shape in (("rotation", (3, 3)), ("translation", (3,))):
         value = getattr(camera, name)
         if value.shape != shape or not np.isfinite(value).all():
@@ -113,13 +128,14 @@ def check_camera(camera: Camera) -> None:
         or min(camera.fx, camera.fy) <= 0
     ):
         raise ValueError(
-            f"focal lengths {camera.fx}, {camera.fy} and centre {camera.cx}, {camera.cy}: finite and lengths above 0 are wanted"
+            f"focal lengths {camera.fx}, {camera.fy} and centre {camera.cx}, {camera.cy}: "
+            "finite and lengths above 0 are wanted"
         )
     if min(camera.width, camera.height) < 1:
         raise ValueError(f"image of {camera.width} x {camera.height}")
 
 
-# What float32 cannot hold becomes infinite, and is not drawn.
+# A number that float32 cannot hold becomes infinite, and its Gaussian is not drawn.
 @np.errstate(over="ignore")
 def _inputs(*values: ArrayLike) -> tuple[F32, F32, F32, F32, F32]:
     mean, quaternion, scale, opacity, colour = (np.ascontiguousarray(v, dtype=np.float32) for v in values)
@@ -147,12 +163,18 @@ def rasterise(
     camera: Camera,
     settings: Settings | None = None,
 ) -> Rendering:
-    """Draws N Gaussians: mean f32[N,3], quaternion f32[N,4] (w, x, y, z; any length but 0), scale f32[N,3] (standard deviations, in
-    the unit of mean), opacity f32[N], colour f32[N,3]. Other dtypes are cast. Without settings: Settings().
+    """Draws N Gaussians. Arrays of other dtypes than float32 are cast.
 
-    Raises ValueError for other shapes, for a camera that check_camera refuses, and if there are 2^27 pairs of a Gaussian and a tile it
-    may touch. The rendering keeps the inputs for rasterise_backward, uncopied where they are contiguous float32: do not change them
-    before.
+    mean: f32[N,3].
+    quaternion: f32[N,4], w, x, y, z, of any length but 0.
+    scale: f32[N,3], standard deviations along the axes, in the unit of mean.
+    opacity: f32[N].
+    colour: f32[N,3].
+    settings: None for Settings().
+
+    Raises ValueError for other shapes, for a camera that check_camera refuses, and for 2^27 or more pairs of a Gaussian
+    and a tile that it may touch. The rendering keeps the inputs for rasterise_backward. It does not copy contiguous
+    float32 arrays, so they must not be changed before that.
     """
     check_camera(camera)
     settings = settings or Settings()
@@ -178,10 +200,14 @@ def rasterise(
 def rasterise_backward(
     rendering: Rendering, grad_image: ArrayLike, grad_transmittance: ArrayLike | None = None
 ) -> Gradients:
-    """Gradients of a loss of which grad_image f32[H,W,3] and grad_transmittance f32[H,W] (None: zeros) are the gradients.
+    """Returns the gradients of a loss with respect to the inputs of a rendering.
 
-    Exact where the image is smooth: not drawing below 1/255, finishing a pixel and the order of depths are taken as they were.
-    Raises ValueError for other shapes, and if 2^24 or more Gaussians meet one tile.
+    grad_image: f32[H,W,3], the gradient with respect to the image.
+    grad_transmittance: f32[H,W], that with respect to the transmittance, or None for zeros.
+
+    The gradients are exact where the image is smooth. Which alphas are below 1/255, where pixels are finished, and the
+    order of depths are taken as constant. Raises ValueError for other shapes, and if 2^24 or more Gaussians meet one
+    tile.
     """
     tape, shape = rendering.tape, rendering.transmittance.shape
     grad_image = np.ascontiguousarray(grad_image, dtype=np.float32)
@@ -227,7 +253,7 @@ def rasterise_backward(
 
 
 def image(g: Gaussians, camera: Camera, info: RenderInfo) -> F32:
-    """SPEC 14.5: what a camera sees, float32 [height, width, 3], 1 for white. Raises ValueError as rasterise does."""
+    """SPEC 14.5: returns what a camera sees, f32[H,W,3], 1 for white. Raises ValueError as rasterise."""
     red, green, blue = info.background
     settings = Settings(info.low_pass, info.near_plane, info.alpha_max, (red / 255, green / 255, blue / 255))
     return rasterise(g.mean, g.quaternion, g.lengths, g.opacity, g.colour, camera, settings).image

@@ -1,8 +1,9 @@
-"""Eight float32 lanes as a numba type: the arithmetic of the rasteriser's inner loops, one machine instruction for most calls.
+"""Eight float32 lanes as a numba type, for the inner loops of the rasteriser. Most calls are one machine instruction.
 
-A loop over single floats is turned into such instructions only while the compiler sees how, and falls back silently. Here the width
-is written down. Every operation is IEEE 754 binary32 lane by lane (fma rounds once), so the result does not depend on the machine's
-own width. To be called inside numba.njit functions alone; a Lanes value never reaches Python.
+A compiler turns a loop over single floats into such instructions only if it sees how, and else it falls back silently.
+Here the width is written down. Every operation is IEEE 754 binary32 in each lane, and fma rounds once. So the result
+does not depend on the machine's own width. The functions can be called only inside numba.njit functions. A value of
+lanes never reaches Python.
 """
 
 from __future__ import annotations
@@ -18,32 +19,32 @@ from numba.core import cgutils
 from numba.core.typing.templates import ConcreteTemplate, infer_global, signature
 from numba.extending import lower_builtin, models, register_model
 
-# What it makes takes one argument less than it is made of; type checkers need not know.
+# A function that it decorates is called with one argument less than it has. Any keeps type checkers from objecting.
 intrinsic: Any = extending.intrinsic
 
-# Lanes of a value.
+# The number of lanes of a value.
 WIDTH = 8
 
 _FLOATS = ir.VectorType(ir.FloatType(), WIDTH)
 _INTEGERS = ir.VectorType(ir.IntType(32), WIDTH)
 _BITS = ir.VectorType(ir.IntType(1), WIDTH)
 
-# 2^f on [-0.5, 0.5] as a polynomial with the constant term held at one, least relative error (9.1e-8 before rounding).
+# The polynomial of 2^f on [-0.5, 0.5] with the constant term one and the least relative error, 9.1e-8 before rounding.
 _C1, _C2, _C3 = np.float32(0.693147), np.float32(0.24022242), np.float32(0.055507336)
 _C4, _C5 = np.float32(0.009671513), np.float32(0.0013264727)
-# 1.5 * 2^23: added to a float32 of magnitude below 2^22 it leaves the nearest integer in the low bits.
+# 1.5 * 2^23. Its sum with a float32 of magnitude below 2^22 has the nearest integer in its low bits.
 _ROUNDER = np.float32(12582912.0)
 
 
 class LanesType(types.Type):
-    """Eight float32."""
+    """The numba type of eight float32 lanes."""
 
     def __init__(self) -> None:
         super().__init__(name="Lanes")
 
 
 class MaskType(types.Type):
-    """Eight booleans."""
+    """The numba type of eight booleans."""
 
     def __init__(self) -> None:
         super().__init__(name="Mask")
@@ -65,14 +66,17 @@ class _MaskModel(models.PrimitiveModel):
 
 
 def _address(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
-    """Pointer to eight floats at an index of a contiguous float32 array; no bounds are checked."""
+    """Returns a pointer to eight floats at an index of a contiguous float32 array. No bounds are checked."""
     array = context.make_array(signature.args[0])(context, builder, arguments[0])
     return builder.bitcast(builder.gep(array.data, [arguments[1]]), _FLOATS.as_pointer())
 
 
 @intrinsic
 def load(_: Any, array: Any, index: Any) -> Any:
-    """array[index : index + 8] of a contiguous float32[...] array, index counted over the flat array and not checked."""
+    """Returns array[index : index + 8] of a contiguous float32 array.
+
+    The index counts over the flat array. It is not checked.
+    """
 
     def emit(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
         return builder.load(_address(context, builder, signature, arguments), align=4)
@@ -82,7 +86,7 @@ def load(_: Any, array: Any, index: Any) -> Any:
 
 @intrinsic
 def store(_: Any, array: Any, index: Any, value: Any) -> Any:
-    """array[index : index + 8] = value; as load."""
+    """Sets array[index : index + 8] to the lanes of a value, with the index of `load`."""
 
     def emit(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
         builder.store(arguments[2], _address(context, builder, signature, arguments), align=4)
@@ -98,13 +102,13 @@ def _spread(builder: Any, scalar: Any) -> Any:
 
 @intrinsic
 def splat(_: Any, scalar: Any) -> Any:
-    """Eight copies of a float32."""
+    """Returns eight copies of a float32."""
     return LANES(types.float32), lambda _context, builder, _signature, arguments: _spread(builder, arguments[0])
 
 
 @intrinsic
 def count_up(_: Any) -> Any:
-    """(0, 1, ..., 7)."""
+    """Returns the lanes 0, 1, ..., 7."""
     return LANES(), lambda _context, _builder, _signature, _arguments: ir.Constant(
         _FLOATS, [float(i) for i in range(WIDTH)]
     )
@@ -117,19 +121,19 @@ def _unary(builder: Any, name: str, value: Any) -> Any:
 
 @intrinsic
 def square_root(_: Any, value: Any) -> Any:
-    """Square root, correctly rounded; not a number below 0."""
+    """Returns the square root of each lane, correctly rounded. It is NaN below 0."""
     return LANES(LANES), lambda _context, builder, _signature, arguments: _unary(builder, "sqrt", arguments[0])
 
 
 @intrinsic
 def round_down(_: Any, value: Any) -> Any:
-    """The greatest integer that is not above the value."""
+    """Returns the greatest integer that is not above each lane."""
     return LANES(LANES), lambda _context, builder, _signature, arguments: _unary(builder, "floor", arguments[0])
 
 
 @intrinsic
 def round_up(_: Any, value: Any) -> Any:
-    """The least integer that is not below the value."""
+    """Returns the least integer that is not below each lane."""
     return LANES(LANES), lambda _context, builder, _signature, arguments: _unary(builder, "ceil", arguments[0])
 
 
@@ -140,13 +144,13 @@ def _fused(builder: Any, x: Any, y: Any, z: Any) -> Any:
 
 @intrinsic
 def fma(_: Any, x: Any, y: Any, z: Any) -> Any:
-    """x * y + z, rounded once."""
+    """Returns x * y + z, rounded once."""
     return LANES(LANES, LANES, LANES), lambda _context, builder, _signature, arguments: _fused(builder, *arguments)
 
 
 @intrinsic
 def fnma(_: Any, x: Any, y: Any, z: Any) -> Any:
-    """z - x * y, rounded once."""
+    """Returns z - x * y, rounded once."""
 
     def emit(_context: Any, builder: Any, _signature: Any, arguments: Any) -> Any:
         x, y, z = arguments
@@ -157,13 +161,13 @@ def fnma(_: Any, x: Any, y: Any, z: Any) -> Any:
 
 @intrinsic
 def select(_: Any, mask: Any, x: Any, y: Any) -> Any:
-    """x where mask, y elsewhere."""
+    """Returns the lanes of x where the mask is set, and those of y elsewhere."""
     return LANES(MASK, LANES, LANES), lambda _context, builder, _signature, arguments: builder.select(*arguments)
 
 
 @intrinsic
 def bits(_: Any, mask: Any) -> Any:
-    """The mask as a uint64, lane 0 in the lowest bit."""
+    """Returns the mask as a uint64, with lane 0 in the lowest bit."""
 
     def emit(_context: Any, builder: Any, _signature: Any, arguments: Any) -> Any:
         return builder.zext(builder.bitcast(arguments[0], ir.IntType(WIDTH)), ir.IntType(64))
@@ -173,7 +177,10 @@ def bits(_: Any, mask: Any) -> Any:
 
 @intrinsic
 def runs(_: Any, first: Any, end: Any) -> Any:
-    """A uint64 whose byte j has the bits first[j], ..., end[j] - 1 set, for lanes that are integers and 0 <= first <= end <= 8."""
+    """Returns a uint64 in whose byte j the bits first[j], ..., end[j] - 1 are set.
+
+    The lanes have to be integers with 0 <= first <= end <= 8.
+    """
 
     def emit(_context: Any, builder: Any, _signature: Any, arguments: Any) -> Any:
         one = ir.Constant(_INTEGERS, [1] * WIDTH)
@@ -186,7 +193,7 @@ def runs(_: Any, first: Any, end: Any) -> Any:
 
 @intrinsic
 def lowest(_: Any, value: Any) -> Any:
-    """Number of the lowest set bit of a uint64 other than 0."""
+    """Returns the number of the lowest set bit of a uint64 that is not 0."""
 
     def emit(_context: Any, builder: Any, _signature: Any, arguments: Any) -> Any:
         return builder.cttz(arguments[0], ir.Constant(ir.IntType(1), 1))
@@ -196,7 +203,7 @@ def lowest(_: Any, value: Any) -> Any:
 
 @intrinsic
 def _times_power(_: Any, value: Any, rounded: Any) -> Any:
-    """value * 2^n, where n are the low bits of `rounded` = n + _ROUNDER; no overflow is checked."""
+    """Returns value * 2^n, for `rounded` = n + _ROUNDER. Overflow is not checked."""
 
     def emit(_context: Any, builder: Any, _signature: Any, arguments: Any) -> Any:
         bits, power = (builder.bitcast(a, _INTEGERS) for a in arguments)
@@ -208,7 +215,7 @@ def _times_power(_: Any, value: Any, rounded: Any) -> Any:
 
 @intrinsic
 def total(_: Any, value: Any) -> Any:
-    """Sum of the lanes, added as a balanced tree."""
+    """Returns the sum of the lanes, added as a balanced tree."""
 
     def emit(_context: Any, builder: Any, _signature: Any, arguments: Any) -> Any:
         value, half = arguments[0], WIDTH // 2
@@ -223,12 +230,13 @@ def total(_: Any, value: Any) -> Any:
 
 @intrinsic
 def column_sums(_: Any, a: Any, b: Any, c: Any, d: Any, e: Any, f: Any, g: Any, h: Any) -> Any:
-    """(sum of a's lanes, of b's, ..., of h's), each added as a balanced tree."""
+    """Returns the sums of the lanes of a, of b, ..., of h, each added as a balanced tree."""
 
     def emit(_context: Any, builder: Any, _signature: Any, arguments: Any) -> Any:
         rows = list(arguments)
         size = WIDTH
-        # A round adds the halves of each row's part: afterwards a vector holds shorter parts of twice as many rows, in order.
+        # A round adds the two halves of each row's part. A vector then holds shorter parts of twice as many rows, in
+        # order.
         while len(rows) > 1:
             half = size // 2
             low = [i for i in range(2 * WIDTH) if i % size < half]
@@ -244,7 +252,7 @@ def column_sums(_: Any, a: Any, b: Any, c: Any, d: Any, e: Any, f: Any, g: Any, 
 
 
 def _operator(function: Any, kind: types.Type, result: types.Type, emit: Callable[[Any, Any, Any], Any]) -> None:
-    """Gives a Python operator a meaning for two values of `kind`."""
+    """Defines a Python operator for two values of the type `kind`."""
     infer_global(function)(type(function.__name__, (ConcreteTemplate,), {"cases": [signature(result, kind, kind)]}))
     lower_builtin(function, kind, kind)(lambda _context, builder, _signature, arguments: emit(builder, *arguments))
 
@@ -261,19 +269,19 @@ _operator(operator.and_, MASK, MASK, lambda builder, x, y: builder.and_(x, y))
 
 @njit(inline="always")
 def minimum(x: Any, y: Any) -> Any:
-    """The smaller of each lane; y where x is not a number."""
+    """Returns the smaller of x and y in each lane, and y where x is NaN."""
     return select(x < y, x, y)
 
 
 @njit(inline="always")
 def maximum(x: Any, y: Any) -> Any:
-    """The larger of each lane; y where x is not a number."""
+    """Returns the larger of x and y in each lane, and y where x is NaN."""
     return select(y < x, x, y)
 
 
 @njit(inline="always")
 def exp2(x: Any) -> Any:
-    """2^x for x in [-126, 127], undefined elsewhere; relative error 1.7e-7 at most."""
+    """Returns 2^x for x in [-126, 127], with a relative error of at most 1.7e-7. It is undefined elsewhere."""
     rounded = x + splat(_ROUNDER)
     f = x - (rounded - splat(_ROUNDER))
     p = fma(f, splat(_C5), splat(_C4))

@@ -1,4 +1,4 @@
-"""Which Gaussians reach which tile of an image, in the order of depth."""
+"""Finds which Gaussians reach which tiles and blocks of an image, and sorts them by depth."""
 
 from __future__ import annotations
 
@@ -24,15 +24,19 @@ from .constants import (
 )
 from .simd import count_up, fma, fnma, maximum, minimum, round_down, round_up, runs, select, splat, square_root
 
-# Parts into which the sorted Gaussians are cut to be listed in parallel; no result depends on it.
+# The number of parts of the sorted Gaussians that are listed in parallel. No result depends on it.
 PARTS = 16
-# A pair's place in its tile's list is kept as a float32 lane, and among all pairs as an int32.
+# The bounds of a pair's place in the list of its tile, which a float32 lane holds, and among all pairs, which an int32
+# holds.
 LIST_MAX, PAIRS_MAX = 1 << 24, 1 << 27
 
 
 @njit(cache=True, error_model="numpy")
 def sort_by_depth(depth: F64, room: I32) -> I32:
-    """SPEC 14.5: the drawn Gaussians (those with room) by depth, equal depths by index: i32[V]."""
+    """SPEC 14.5: returns the Gaussians that are drawn by increasing depth, and those of equal depth by index, i32[V].
+
+    depth: f64[N]. room: i32[N], which is 0 for a Gaussian that is not drawn.
+    """
     n = 0
     for i in range(room.shape[0]):
         n += room[i] > 0
@@ -42,7 +46,8 @@ def sort_by_depth(depth: F64, room: I32) -> I32:
         if room[i] > 0:
             order[n], rounded[n] = i, depth[i]
             n += 1
-    # Depths are above 0: their bits sort as integers. A radix sort, eleven bits at a time from the lowest, keeps equal keys in order.
+    # Depths are above 0, so their bits sort as integers. A radix sort takes eleven bits at a time, from the lowest, and
+    # keeps equal keys in order.
     key = rounded.view(np.uint32)
     other_order, other_key = np.empty_like(order), np.empty_like(key)
     at = np.zeros((3, 2048), np.int32)
@@ -62,7 +67,7 @@ def sort_by_depth(depth: F64, room: I32) -> I32:
             other_order[to], other_key[to] = order[i], key[i]
         order, other_order = other_order, order
         key, other_key = other_key, key
-    # Few depths are the same as float32; a stable sort of those settles them.
+    # Few depths are equal as float32. A stable sort in float64 orders them.
     first = 0
     for i in range(1, n + 1):
         if i < n and key[i] == key[first]:
@@ -76,18 +81,22 @@ def sort_by_depth(depth: F64, room: I32) -> I32:
 
 @njit(cache=True, parallel=True, error_model="numpy")
 def list_tiles(order: I32, record: F32, room: I32, columns: int, rows: int) -> Any:
-    """Pairs of Gaussians and tiles, by tile, then depth: a _Tape's begin, count, place, tile_begin, members."""
+    """Lists the pairs of Gaussians and tiles, by tile, then by depth.
+
+    Returns begin, count, place, tile_begin and members of _Tape.
+    order: as sort_by_depth gives it. record, room: as project_gaussians gives them. columns, rows: of tiles.
+    """
     n, drawn, tiles = room.shape[0], order.shape[0], columns * rows
     begin, count = np.empty(n + 1, np.int64), np.empty(n, np.int32)
     begin[0] = 0
     for i in range(n):
         begin[i + 1] = begin[i] + room[i]
     box = record.view(np.int32)
-    # First the tile of each pair, then its place in the sorted list.
+    # First this holds the tile of each pair, and at the end its place in the sorted list.
     place = np.empty(begin[n], np.int32)
     for i in prange(n):
         count[i] = _tiles_of(i, record, box, columns, place, begin[i]) if room[i] else 0
-    # Pairs of each part of the order in each tile, then where they begin.
+    # First this holds how many pairs each part of the order has in each tile, and then where they begin.
     held = np.empty((PARTS, tiles), np.int64)
     for part in prange(PARTS):
         for t in range(tiles):
@@ -120,7 +129,10 @@ def list_tiles(order: I32, record: F32, room: I32, columns: int, rows: int) -> A
 
 @njit(cache=True, error_model="numpy")
 def _tiles_of(i: int, record: F32, box: I32, columns: int, tiles: I32, begin: int) -> int:
-    """Writes the tiles with a pixel centre where Gaussian i's alpha may reach 1/255 to tiles[begin:], and returns how many."""
+    """Writes to tiles[begin:] the tiles that Gaussian i may reach, and returns how many.
+
+    It may reach a tile if its alpha may be 1/255 at the centre of a pixel there.
+    """
     left, right, top, bottom = box[i, 11], box[i, 12], box[i, 13], box[i, 14]
     n = begin
     if right - left == 1 or bottom - top == 1:
@@ -139,11 +151,11 @@ def _tiles_of(i: int, record: F32, box: I32, columns: int, tiles: I32, begin: in
     c = np.float64(record[i, 6])
     lean, width = record[i, 5] / c, 1 / np.float64(record[i, 4])
     reach2 = max(np.float64(record[i, 7]) - LOG2_MIN, 0.0)
-    # v of the ellipse's rightmost point; its leftmost lies opposite.
+    # v of the rightmost point of the ellipse. The leftmost point lies opposite.
     v_right = -lean * math.sqrt(reach2 / (lean * lean + 1))
     for row in range(top, bottom):
-        # v of the tile's first and last row of pixel centres. There u^2 is at most reach2 - v^2; a pixel where u and v are so much
-        # is (u - u_there - b / c * (v - v_there)) / a from the record's.
+        # v at the first and the last row of pixel centres of the tile. On a row u^2 is at most reach2 - v^2. The pixel
+        # with given u and v is (u - u_there - b / c * (v - v_there)) / a columns from the pixel of the record.
         v_from = v_there + c * (row * TILE_HEIGHT - SLACK - y)
         v_to = v_from + c * (TILE_HEIGHT - 1 + 2 * SLACK)
         v = min(max(v_right, v_from), v_to)
@@ -164,7 +176,7 @@ def _tiles_of(i: int, record: F32, box: I32, columns: int, tiles: I32, begin: in
 
 @njit(cache=True, inline="always", error_model="numpy")
 def block_at(x: int, y: int) -> int:
-    """Where pixel (x, y) of a tile is in the first plane of its state."""
+    """Returns where pixel (x, y) of a tile is in its state, in the first plane of a block."""
     return (
         ((y // BLOCK_HEIGHT) * BLOCKS_WIDE + x // BLOCK_WIDTH) * BLOCK
         + y % BLOCK_HEIGHT * BLOCK_WIDTH
@@ -176,21 +188,22 @@ def block_at(x: int, y: int) -> int:
 def blocks_reached(
     a: np.float32, b: np.float32, c: np.float32, log_opacity: np.float32, u: np.float32, v: np.float32
 ) -> np.uint64:
-    """The blocks of a tile in which alpha may reach 1/255; bit 8 * row + column is set for a block's.
+    """Returns the blocks of a tile in which alpha may reach 1/255, as bits. That of a block is 8 * row + column.
 
-    u and v: at the centre of the tile's first pixel. One lane is one row of blocks; each has two rows of pixels.
+    a, b, c, log_opacity: of the record. u, v: at the centre of the first pixel of the tile. One lane stands for one row
+    of blocks, which has two rows of pixels.
     """
     zero, end = splat(np.float32(0)), splat(np.float32(BLOCKS_WIDE))
     shift, slack, width = splat(np.float32(1 / BLOCK_WIDTH)), splat(np.float32(SLACK)), splat(np.float32(1) / a)
     u_even = fma(count_up(), splat(b * np.float32(BLOCK_HEIGHT)), splat(u))
     v_even = fma(count_up(), splat(c * np.float32(BLOCK_HEIGHT)), splat(v))
     u_odd, v_odd = u_even + splat(b), v_even + splat(c)
-    # u^2 can be this much.
+    # The largest u^2 in each row of pixels.
     rest = splat(log_opacity - np.float32(LOG2_MIN))
     even, odd = fnma(v_even, v_even, rest), fnma(v_odd, v_odd, rest)
     half_even = fma(square_root(maximum(even, zero)), width, slack)
     half_odd = fma(square_root(maximum(odd, zero)), width, slack)
-    # A row that is out of reach, by more than a rounding, has an empty span.
+    # A row of pixels that is out of reach by more than a rounding error has an empty span.
     half_even = select(even >= zero - slack, half_even, splat(-FAR))
     half_odd = select(odd >= zero - slack, half_odd, splat(-FAR))
     middle_even, middle_odd = zero - u_even * width, zero - u_odd * width

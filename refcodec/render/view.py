@@ -1,4 +1,4 @@
-"""Looking at a scene: cameras around it, images of it as files (SPEC.md chapter 14)."""
+"""Views of a scene: cameras around it, and images of it as files (SPEC.md chapter 14)."""
 
 from __future__ import annotations
 
@@ -22,17 +22,21 @@ F32 = NDArray[np.float32]
 F64 = NDArray[np.float64]
 U8 = NDArray[np.uint8]
 
-# Pixels along a side of an image from a file's own camera, which may say 65535: an image of that size would not fit in memory.
+# The longest side in pixels of an image from a file's own camera. A file may state 65535, and such an image would not
+# fit in memory.
 SIDE_MAX = 4096
-# The circle's height above the scene, in degrees, and its radius, in radii of the scene.
+# The orbit: its elevation above the scene in degrees, and its distance in radii of the scene.
 ELEVATION = 25.0
 DISTANCE = 2.2
-# An orbit's pictures a second, in its animation.
+# The images a second in the animation of an orbit.
 FRAME_RATE = 15
 
 
 class View:
-    """A scene that cameras look at."""
+    """A scene that cameras look at.
+
+    info: its render information. values: its float32 values. masks: bool [N, K]. networks: the rendering networks.
+    """
 
     def __init__(self, scene: Scene | Uncompressed) -> None:
         self.info, self.masks = scene.render, scene.masks
@@ -40,18 +44,18 @@ class View:
         self.networks = {name: scene.networks[name] for name in RENDERING}
 
     def draw(self, camera: Camera) -> F32:
-        """What a camera sees: float32 [height, width, 3], 1 for white."""
+        """Returns what a camera sees, float32 [height, width, 3], 1 for white. Raises ValueError as rasterise."""
         return image(
             gaussians(self.values, self.masks, self.networks, camera, self.info.distance_unit), camera, self.info
         )
 
     def orbit(self, frames: int) -> list[Camera]:
-        """Cameras on a circle around the scene that look at its middle, with the size and focal lengths of the file's own camera."""
+        """Returns cameras on a circle around the scene that look at its middle, with the lens of own_camera."""
         positions = self.values.positions.astype(np.float64)
         if not len(positions):
             positions = np.zeros((1, 3))
         middle = np.median(positions, axis=0)
-        # Few anchors are far out in the background; they set neither the middle nor the distance.
+        # The median and the quantile leave out the few anchors that are far out in the background.
         radius = max(float(np.quantile(np.linalg.norm(positions - middle, axis=1), 0.9)), 1e-6)
         up = np.zeros(3)
         up[self.info.up_axis // 2] = -1.0 if self.info.up_axis % 2 else 1.0
@@ -82,7 +86,7 @@ class View:
 
 
 def own_camera(info: RenderInfo) -> Camera:
-    """The camera that a file states, with fewer pixels if one of its sides is longer than SIDE_MAX."""
+    """Returns the camera that a file states, with fewer pixels if a side of its image is longer than SIDE_MAX."""
     camera = default_camera(info)
     longer = max(camera.width, camera.height)
     if longer <= SIDE_MAX:
@@ -91,7 +95,10 @@ def own_camera(info: RenderInfo) -> Camera:
 
 
 def looking(direction: F64, up: F64) -> F64:
-    """The rotation [3, 3] of a camera that looks along a direction with `up` upwards in its image; the two are not parallel."""
+    """Returns the rotation, float64 [3, 3], of a camera that looks along a direction with `up` upwards in its image.
+
+    direction, up: float64 [3], not parallel.
+    """
     z = direction / np.linalg.norm(direction)
     x = np.cross(z, up)
     x /= np.linalg.norm(x)
@@ -99,16 +106,16 @@ def looking(direction: F64, up: F64) -> F64:
 
 
 def eight_bits(made: F32) -> U8:
-    """SPEC 14.5: uint8 of an image."""
+    """SPEC 14.5: returns an image as uint8, 255 for 1."""
     return np.floor(np.clip(made, 0, 1) * 255 + 0.5).astype(np.uint8)
 
 
 def write_png(path: Path, made: F32) -> None:
-    """An image as a PNG file."""
+    """Writes an image, float32 [height, width, 3], as a PNG file."""
     Image.fromarray(eight_bits(made)).save(path)
 
 
 def write_gif(path: Path, frames: Iterable[U8]) -> None:
-    """Images as an endless animation."""
+    """Writes images, uint8 [height, width, 3], as an endless animation."""
     first, *rest = (Image.fromarray(frame).quantize(dither=Image.Dither.NONE) for frame in frames)
     first.save(path, save_all=True, append_images=rest, duration=1000 // FRAME_RATE, loop=0)
