@@ -20,7 +20,7 @@ from pathlib import Path
 
 from conformance.manifest import Manifest, Vector
 from refcodec.bitstream.errors import REGISTRY
-from refcodec.inspect.specification import CLAUSE, Requirement
+from refcodec.inspect.specification import Requirement
 
 from .made import ROOT
 
@@ -65,9 +65,9 @@ class Found:
 
 def _cited(comment: str) -> Iterator[str]:
     """Yields the clauses that a line of a comment or docstring cites."""
-    yield from re.findall(rf"(?<![\w.]){CLAUSE}(?![\w])", comment)
-    if "Annex A" in comment:
-        yield "A"
+    yield from re.findall(r"(?<![\w.])(?:\d+|[A-D]\.\d+)(?:\.\d+)*(?!\w)", comment)
+    # An annex as a whole is a letter that no word follows: "A value" is none.
+    yield from re.findall(r"(?:Annex |SPEC |, |and |/\* )([A-D])\b(?![ .]\w)", comment)
 
 
 def _python(path: Path, found: Found) -> None:

@@ -9,10 +9,9 @@ from __future__ import annotations
 from collections.abc import Iterator
 from typing import Any
 
-import numpy as np
-
 from conformance import blocks
 from refcodec.bitstream import codec
+from refcodec.inspect.dump import value_text
 from refcodec.inspect.elements import Row, rows
 from refcodec.inspect.meaning import meaning
 from refcodec.inspect.specification import fields
@@ -41,20 +40,12 @@ def _contents(data: bytes, row: Row) -> str:
     return part.hex(" ") if len(part) <= SHOWN_BYTES else part[:SHOWN_BYTES].hex(" ") + " ..."
 
 
-def _value(row: Row) -> str:
-    if row.value is None or isinstance(row.value, bytes):
-        return ""
-    if row.path.endswith(("crc", ".type")):
-        return f"0x{row.value:0{2 * (row.end - row.start)}x}"
-    return str(np.float32(row.value)) if isinstance(row.value, float) else str(row.value)
-
-
 def element_table(data: bytes, spec: str) -> str:
     """Returns the table of all elements: start, length, contents, element, value and meaning. spec: SPEC.md."""
     known = fields(spec)
     lines = ["| start | length | contents | element | value | meaning |", "|---|---|---|---|---|---|"]
     for row in rows(data):
-        cells = f"| 0x{row.start:03x} | {row.end - row.start} | `{_contents(data, row)}` | {row.path} | {_value(row)} |"
+        cells = f"| 0x{row.start:03x} | {row.end - row.start} | `{_contents(data, row)}` | {row.path} | {value_text(row) if row.value is not None else ''} |"
         lines.append(f"{cells} {meaning_of(row.path, known)} |")
     return "\n".join(lines)
 

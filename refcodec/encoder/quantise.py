@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from ..bitstream.attributes import ATTRIBUTE_SYMBOL_MAX, KINDS, Attributes
+from ..bitstream.attributes import ATTRIBUTE_SYMBOL_MAX, KINDS, Attributes, zero_attributes
 from ..bitstream.codec import derive_steps
 from ..bitstream.conventions import F32
 from ..bitstream.dimensions import Dimensions
@@ -124,12 +124,7 @@ def quantise(
         mask_model=mask_model(ordered.masks),
         positions=positions,
         masks=ordered.masks,
-        attributes=Attributes(
-            np.zeros((count, dimensions.features), np.int32),
-            np.zeros((count, 6), np.int32),
-            np.zeros((count, dimensions.offset_count, 3), np.int32),
-            np.zeros((count, len(KINDS)), np.uint8),
-        ),
+        attributes=zero_attributes(dimensions, count),
     )
     steps = derive_steps(scene)
     features, scalings, offsets = (

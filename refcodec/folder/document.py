@@ -6,18 +6,12 @@ import contextlib
 import json
 import re
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
 from ..bitstream.header import VERSION
 from .layout import FORMAT, SceneFolderError
-
-if TYPE_CHECKING:
-    pass
-
-
-_I32 = (-(1 << 31), (1 << 31) - 1)
 
 
 class Document:

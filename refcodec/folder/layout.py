@@ -15,13 +15,8 @@ from __future__ import annotations
 
 import re
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
-
-if TYPE_CHECKING:
-    pass
-
 
 SCENE_FILE = "scene.json"
 PLY_FILE = "point_cloud.ply"

@@ -7,12 +7,12 @@ from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from ..bitstream.attributes import ATTRIBUTE_SYMBOL_MAX, KINDS, SCALINGS, Attributes
+from ..bitstream.attributes import ATTRIBUTE_SYMBOL_MAX, KINDS, SCALINGS, Attributes, zero_attributes
 from ..bitstream.dimensions import Dimensions, layers_of, mask_contexts
 from ..bitstream.frame import FRAME_RANGE_BOUND, FRAME_SHIFT_MAX, MATRIX_BOUND, TRANSLATION_BOUND, Frame
 from ..bitstream.header import (
@@ -36,9 +36,6 @@ from ..bitstream.weights import CARM_SHIFT_MAX, PLANE_SHIFT_MAX
 from .document import Document
 from .layout import CODED_FILE, NETWORKS_FILE, PLANES_FILE, PLY_FILE, SCENE_FILE, SceneFolderError, extension_name
 from .ply import Columns, ply_values, read_cloud
-
-if TYPE_CHECKING:
-    pass
 
 
 def read_folder(path: str | Path) -> Scene:
@@ -144,12 +141,7 @@ def _read_document(doc: Document, d: Dimensions, profile: int, path: Path) -> Sc
         np.array(doc.integers("mask_model", mask_contexts(d.offset_count), 1, TOTAL - 1), dtype=np.uint16),
         np.zeros((0, 3), np.float16),
         np.zeros((0, d.offset_count), bool),
-        Attributes(
-            np.zeros((0, d.features), np.int32),
-            np.zeros((0, SCALINGS), np.int32),
-            np.zeros((0, d.offset_count, 3), np.int32),
-            np.zeros((0, 3), np.uint8),
-        ),
+        zero_attributes(d, 0),
         _read_extensions(doc, path),
         _read_position_model(doc),
         _read_weight_scales(doc, d),

@@ -10,7 +10,7 @@ import re
 import shutil
 from dataclasses import fields
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -36,9 +36,6 @@ from .layout import (
     is_free,
 )
 from .ply import write_cloud
-
-if TYPE_CHECKING:
-    pass
 
 
 def write_folder(scene: Scene, path: str | Path, damage: dict[int, BitstreamError] | None = None) -> None:

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..bitstream import syntax
-from ..bitstream.chunks import CHUNK_ENTRY_BYTES, entries_start
+from ..bitstream.chunks import CHUNK_ENTRY_BYTES, PARTS, entries_start
 from ..bitstream.dimensions import Dimensions, layers_of, mask_contexts
 from ..bitstream.directory import SECTIONS
 from ..bitstream.header import PROLOGUE_BYTES, VERSION, dimensions_of
@@ -223,7 +223,7 @@ def chunk_anchors(header: Any, number: int) -> int:
 
 def _chunk_rows(data: bytes, outline: Outline, name: str, start: int, end: int) -> Iterator[Row]:
     h = outline.header
-    column = ("positions", "masks", "attributes").index(name)
+    column = PARTS.index(name)
     at = start
     for number, length in enumerate(read_chunk_table(data, outline)[:, 2 * column].tolist()):
         if at == end:
