@@ -37,15 +37,15 @@ from .runs import EXAMPLES, HOW, JOBS, Run, keep, perform_all
 STEPS, SMALL_STEPS = 3000, 2000
 SCENES_NOTE = """
 lambda_r 0: Scaffold-GS of the same code and steps, uncompressed float32. KB are 10^3 bytes. The last columns but one
-compare with it: the attributes, masks and planes with its attributes, the file with all of it. Weights are the cost that
-does not depend on the scene's size. Features, scalings and offsets apart are code lengths, the other columns bytes of the
-file."""
+compare with it: the attributes, masks and planes with its attributes, the file with all of it. Weights are the cost
+that does not depend on the scene's size. Features, scalings and offsets apart are code lengths, the other columns bytes
+of the file."""
 HYPERPRIOR_NOTE = """
 P and A are code lengths with everything rounded; those hyperpriors but VM have no bitstream. PSNR is of rounded
 attributes. There is one run of each: two runs of one setting differ by about 0.2 dB and 2 % of the bytes."""
 SAMPLING_NOTE = """
-There is one run of each on one scene. The differences in PSNR are partly those between any two runs, and a BD-rate makes
-much of them."""
+There is one run of each on one scene. The differences in PSNR are partly those between any two runs, and a BD-rate
+makes much of them."""
 
 
 def scenes(work: Path) -> list[str]:
@@ -70,9 +70,9 @@ def scenes(work: Path) -> list[str]:
     least, most = 100 * min(sizes), 100 * max(sizes)
     lines += [*SCENES_NOTE.splitlines()[1:], ""]
     lines += [
-        f"Attributes and planes of these files are {least:+.2f} to {most:+.2f} % of what training had estimated at its end.",
-        "PSNR of each held-out image, as the training draws its scene of integers and as `eval` draws the decoded file in a",
-        f"process of its own, differs by {max(shown):.1g} dB at most.",
+        f"Attributes and planes of these files are {least:+.2f} to {most:+.2f} % of what training had estimated at its",
+        "end. PSNR of each held-out image, as the training draws its scene of integers and as `eval` draws the decoded",
+        f"file in a process of its own, differs by {max(shown):.1g} dB at most.",
     ]
     return lines
 

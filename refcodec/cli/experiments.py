@@ -19,7 +19,7 @@ def _demo(arguments: argparse.Namespace) -> int:
         from ..experiments.runs import RunError
         from ..photographs.photographs import PhotographError
     except ModuleNotFoundError as error:
-        raise needs("demo", "train,render", error, RENDER_PACKAGES) from None
+        raise needs("demo", "demo", error, ("jinja2", *RENDER_PACKAGES)) from None
     try:
         photographs = Path(arguments.photographs) if arguments.photographs else find_example(arguments.scene)
         page, whole = run_demo(Path(arguments.output), photographs, arguments.steps or STEPS)
@@ -78,7 +78,7 @@ def add(commands: Any) -> None:
         ["demo", "demo -o out --scene snowmiku", "demo -o out --steps 600", "demo -o out --photographs my-photographs"],
         "DIR/index.html shows everything. It takes about six minutes on two cores. Ctrl-C ends the training early and\n"
         "shows what there is. The same command goes on, and does nothing twice.\n"
-        "Needs: pip install 'refcodec[train,render]'.",
+        "Needs: pip install 'refcodec[demo]'.",
     )
     demo.add_argument(
         "-o", "--output", metavar="DIR", default="demo", help="folder of the results (default: %(default)s)"
