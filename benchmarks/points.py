@@ -12,6 +12,7 @@ Fits networks to the cloud's anchors, codes the scene, and writes a section of R
 from __future__ import annotations
 
 import argparse
+import os
 import subprocess
 import sys
 import tempfile
@@ -158,7 +159,9 @@ def section(arguments: argparse.Namespace) -> list[str]:
             f"Repeated: {len(tile_data):,} bytes, {symbols:,} attribute symbols, anchors drawn from the fitted scene "
             "and moved."
         ]
-    options = [f"--points {arguments.points.name}", f"--name {arguments.name}", f"--steps {settings.steps}"]
+    # Where a file lies outside the project is nobody's business.
+    points = arguments.points.name if arguments.points.is_absolute() else arguments.points
+    options = [f"--points {points}", f"--name {arguments.name}", f"--steps {settings.steps}"]
     options += [f"--tile {arguments.tile}"] if arguments.tile else []
     return [
         f"`python -m benchmarks.points {' '.join(options)}`",
@@ -176,6 +179,7 @@ def section(arguments: argparse.Namespace) -> list[str]:
         *table(["", "seconds", "planes", "attributes", "masks", "peak MiB"], rows),
         "",
         f"Decoding: fastest of {arguments.repeats}, each in a process of its own, whose peak is with Python and numpy.",
+        f"Load average {os.getloadavg()[1]:.1f} in the last five minutes, this run included.",
         *more,
     ]
 
