@@ -23,8 +23,8 @@ from .runs import EXAMPLES
 STEPS = 100
 # Parts of a step, and what of the profile belongs to them: functions, or ends of file names.
 PARTS = {
-    "rasteriser, forward": ("_project", "_sort", "_list", "_blend"),
-    "rasteriser, backward": ("_unblend", "_unproject"),
+    "rasteriser, forward": ("project_gaussians", "sort_by_depth", "list_tiles", "blend_tiles"),
+    "rasteriser, backward": ("unblend_tiles", "unproject_gaussians"),
     "SSIM": ("ssim.py",),
     "anchors to Gaussians": ("spawn.py",),
     "Adam": ("adam.py",),
