@@ -1,8 +1,8 @@
 """How far the coded size is from the ideal, and why: float64 code lengths of a scene's symbols, cause by cause.
 
-The ideal is the code length under the same networks with nothing rounded: the stored weights in float64, no integer activations
-or outputs, sine and cosine and bilinear samples in float64, and the continuous distributions integrated over a symbol's bin. What
-limits a value without rounding it stays: activations in [0, 1023], scales of at least 2^-5.
+The ideal is the code length under the same networks with nothing rounded: the stored weights in float64, no integer
+activations or outputs, sine and cosine and bilinear samples in float64, and continuous distributions integrated over a
+symbol's bin. What limits a value without rounding it stays: activations in [0, 1023], scales of at least 2^-5.
 """
 
 from __future__ import annotations
@@ -38,7 +38,10 @@ BLOCK = 8192
 
 
 def bin_bits(family: str, mean: F64, log2_scale: F64, symbol: F64) -> F64:
-    """-log2 of the mass of [symbol - 1/2, symbol + 1/2]; mean in steps, log2_scale of the deviation (gauss) or of b (laplace)."""
+    """-log2 of the mass of [symbol - 1/2, symbol + 1/2].
+
+    mean: in steps. log2_scale: of the deviation (gauss) or of b (laplace).
+    """
     scale = np.exp2(log2_scale)
     away = np.abs(symbol - mean)
     near, far = (away - 0.5) / scale, (away + 0.5) / scale
@@ -47,7 +50,8 @@ def bin_bits(family: str, mean: F64, log2_scale: F64, symbol: F64) -> F64:
     with np.errstate(divide="ignore"):
         log_near, log_far = upper(near), upper(far)
         mass = log_near + np.log(-np.expm1(np.minimum(log_far - log_near, 0)))
-    # In the middle of a wide distribution the two tails agree to some digits only, which is harmless: 1e-12 at a scale of 2^10.
+    # In the middle of a wide distribution the two tails agree to some digits only. It is harmless: 1e-12 at a scale of
+    # 2^10.
     return np.asarray(-mass / np.log(2))
 
 
@@ -95,8 +99,9 @@ def _float_coordinates(frame: Frame, p: F64) -> F64:
 class BitCounter:
     """A coder (entropy.Coder) that codes nothing and adds up code lengths, float64 bits.
 
-    integer: continuous distributions with the integer means and scales, capped. table: the frequency models, escapes and raw bits
-    included. raw: the raw low bits. escape: what escapes send beside their model's symbol. symbols, escapes: counts.
+    integer: of continuous distributions with the integer means and scales, capped. table: of the frequency models, with
+    escapes and raw bits. raw: of the raw low bits. escape: of what escapes send beside their model's symbol. symbols,
+    escapes: how many there are.
     """
 
     integer: float = 0.0
@@ -148,9 +153,12 @@ class BitCounter:
 
 @dataclass(frozen=True)
 class CodeLength:
-    """Bits of one part of a scene: `ideal` (nothing rounded); `capped` (the same with no symbol above 14 bits), and on top of it,
-    capped too, `grid` (outputs rounded to 1/16 step and 1/8 octave) and `integer` (integer networks and contexts); `table`
-    (frequency models, escapes and raw bits included); of `table`, escapes and raw bits; counts of symbols and escapes."""
+    """Bits of one part of a scene.
+
+    ideal: nothing is rounded. capped: the same with no symbol above 14 bits. grid: outputs are rounded to 1/16 step and
+    1/8 octave, too. integer: networks and contexts are integers, too. table: of the frequency models, with escapes and
+    raw bits. escape, raw: of `table`, those of escapes and of raw bits. symbols, escapes: how many there are.
+    """
 
     ideal: float
     capped: float

@@ -1,11 +1,9 @@
 """Speed and memory of the rasteriser as training uses it: an image, the L1 loss, and the gradients of all inputs.
 
-python benchmarks/rasteriser.py
-python benchmarks/rasteriser.py --prototype FOLDER
+OMP_WAIT_POLICY=PASSIVE python -m benchmarks.rasteriser
 
-Draws two made-up scenes with the rasteriser and with a plain one that torch differentiates, on one thread and on two, each time in a
-process of its own, in turns; and writes the section of RESULTS.md. FOLDER holds an earlier rasteriser to measure beside them: a module
-raster_numba2 whose render takes a dictionary of tensors and returns the image first.
+Draws two made-up scenes with the rasteriser and with a plain one that torch differentiates, on one thread and on two,
+each time in a process of its own, in turns, and writes a section of RESULTS.md.
 """
 
 from __future__ import annotations
@@ -13,13 +11,11 @@ from __future__ import annotations
 import argparse
 import json
 import os
-import platform
 import statistics
 import subprocess
 import sys
 import time
 from collections.abc import Callable
-from importlib import import_module
 from pathlib import Path
 from typing import Any
 
@@ -32,7 +28,7 @@ from refcodec.render import constants, projection, rasterise
 from refcodec.render.camera import Camera
 from refcodec.train import splat
 
-from .results import write_section
+from .results import machine, table, write_section
 
 # Gaussians, width, height; the first one loads and compiles what the others use.
 SCENES = {"tiny": (100, 40, 30), "S": (20_000, 200, 150), "L": (100_000, 400, 300)}
@@ -55,7 +51,7 @@ Draw = Callable[..., torch.Tensor]
 
 
 def made_up(name: str) -> tuple[list[torch.Tensor], Camera]:
-    """Means, quaternions, lengths, opacities and colours, float32, and a camera that nearly all of them are in front of."""
+    """Means, quaternions, lengths, opacities and colours, float32, and a camera that sees nearly all of them."""
     count, width, height = SCENES[name]
     chance = torch.Generator().manual_seed(0)
     focal = 0.9 * width
@@ -101,7 +97,10 @@ def project_with_torch(
 
 
 def draw_with_torch(*inputs: torch.Tensor, camera: Camera) -> torch.Tensor:
-    """SPEC 14.4 and 14.5 in plain torch: tiles with lists of about the same length at a time, every pixel against every Gaussian listed."""
+    """SPEC 14.4 and 14.5 in plain torch: every pixel of a tile against every Gaussian that is listed for it.
+
+    Tiles with lists of about the same length are drawn at a time.
+    """
     mean, quaternion, lengths, opacity, colour = inputs
     place, xx, xy, yy, depth = project_with_torch(mean, quaternion, lengths, camera)
     inverse = torch.stack([yy, -xy, xx], -1) / (xx * yy - xy * xy)[:, None]
@@ -152,27 +151,13 @@ def draw_with_torch(*inputs: torch.Tensor, camera: Camera) -> torch.Tensor:
     return image.reshape(down * TILE, across * TILE, 3)[: camera.height, : camera.width]
 
 
-def drawer(name: str, folder: str | None) -> Draw:
-    """The function that draws, called with the inputs and the camera."""
-    if name == "rasteriser":
-        return lambda m, q, s, o, c, camera: splat.draw(m, q, s, o, c, camera, SETTINGS)[0]
-    if name == "plain torch":
-        return draw_with_torch
-    sys.path.insert(0, str(folder))
-    render = import_module("raster_numba2").render
+def draw_with_rasteriser(*inputs: torch.Tensor, camera: Camera) -> torch.Tensor:
+    """As training does."""
+    mean, quaternion, lengths, opacity, colour = inputs
+    return splat.draw(mean, quaternion, lengths, opacity, colour, camera, SETTINGS)[0]
 
-    def draw(*inputs: torch.Tensor, camera: Camera) -> torch.Tensor:
-        view, lens = torch.eye(4), torch.eye(3)
-        view[:3, :3], view[:3, 3] = torch.from_numpy(camera.rotation), torch.from_numpy(camera.translation)
-        lens[0, 0], lens[1, 1], lens[0, 2], lens[1, 2] = camera.fx, camera.fy, camera.cx, camera.cy
-        named = dict(zip(("means", "quats", "scales", "opac", "rgb"), inputs, strict=True))
-        image: torch.Tensor = render(
-            {**named, "view": view, "K": lens, "w": camera.width, "h": camera.height, "bg": background}
-        )[0]
-        return image
 
-    background = torch.tensor(SETTINGS.background)
-    return draw
+DRAWERS: dict[str, Draw] = {"rasteriser": draw_with_rasteriser, "plain torch": draw_with_torch}
 
 
 def memory(field: str) -> float:
@@ -198,10 +183,10 @@ def iterate(draw: Draw, scene: str, iterations: int, seconds: float) -> tuple[li
     return times, float(loss.detach())
 
 
-def measure(name: str, scene: str, folder: str | None) -> dict[str, Any]:
+def measure(name: str, scene: str) -> dict[str, Any]:
     """What a process of its own does and prints."""
     torch.set_num_threads(numba.get_num_threads())
-    draw, spent = drawer(name, folder), dict.fromkeys(STAGES, 0.0)
+    draw, spent = DRAWERS[name], dict.fromkeys(STAGES, 0.0)
 
     def timed(stage: str, function: Callable[..., Any]) -> Callable[..., Any]:
         def call(*arguments: Any) -> Any:
@@ -225,88 +210,78 @@ def measure(name: str, scene: str, folder: str | None) -> dict[str, Any]:
     return {"times": times, "loss": loss, "peak": memory("VmHWM"), "before": before, "stages": stages}
 
 
-def ask(name: str, scene: str, threads: int, folder: str | None) -> dict[str, Any]:
+def ask(name: str, scene: str, threads: int) -> dict[str, Any]:
     """measure in a process of its own."""
-    command = [sys.executable, __file__, "--measure", name, scene, *(["--prototype", folder] if folder else [])]
+    command = [sys.executable, "-m", "benchmarks.rasteriser", "--measure", name, scene]
     environment = {**os.environ, "NUMBA_NUM_THREADS": str(threads), "OMP_NUM_THREADS": str(threads)}
     done = subprocess.run(command, env=environment, check=True, capture_output=True, text=True)
     print(f"{name}, {scene}, {threads} threads", file=sys.stderr, flush=True)
     return dict(json.loads(done.stdout))
 
 
-def report(folder: str | None, rounds: int) -> list[str]:
+def section(rounds: int) -> list[str]:
     """The section's text."""
-    names = ["rasteriser", "plain torch", *(["prototype"] if folder else [])]
     runs: dict[tuple[str, str, int], list[dict[str, Any]]] = {}
     # Compiles, if nothing has yet.
-    ask("rasteriser", "tiny", 2, None)
+    ask("rasteriser", "tiny", 2)
     for _ in range(rounds):
         for scene in ("S", "L"):
-            for name in names:
+            for name in DRAWERS:
                 for threads in (1, 2):
-                    runs.setdefault((scene, name, threads), []).append(ask(name, scene, threads, folder))
-    rows = [
-        "| scene | | threads | iterations a second | median | rasteriser, by the median | peak MiB | for the scene |",
-        "|" + "---|" * 8,
-    ]
-    split = ["| scene | threads | " + " | ".join(STAGES) + " | the rest |", "|" + "---|" * (len(STAGES) + 3)]
+                    runs.setdefault((scene, name, threads), []).append(ask(name, scene, threads))
+    rows, split = [], []
     for (scene, name, threads), found in runs.items():
-        times = [t for run in found for t in run["times"]]
-        own = [t for run in runs[scene, "rasteriser", threads] for t in run["times"]]
-        if abs(found[0]["loss"] / runs[scene, "rasteriser", threads][0]["loss"] - 1) > 1e-4:
+        own = runs[scene, "rasteriser", threads]
+        if abs(found[0]["loss"] / own[0]["loss"] - 1) > 1e-4:
             raise AssertionError(f"{name} draws another image")
+        times, base = ([t for run in of for t in run["times"]] for of in (found, own))
         peak, scenes = max(run["peak"] for run in found), max(run["peak"] - run["before"] for run in found)
-        ratio = "" if name == "rasteriser" else f"{statistics.median(times) / statistics.median(own):.1f} times as fast"
-        figures = f"{1 / min(times):.2f} | {1 / statistics.median(times):.2f} | {ratio} | {peak:.0f} | {scenes:.0f}"
-        rows.append(f"| {scene} | {name} | {threads} | {figures} |")
+        ratio = f"{statistics.median(times) / statistics.median(base):.1f} times as fast"
+        speed = [f"{1 / min(times):.2f}", f"{1 / statistics.median(times):.2f}"]
+        memories = [f"{peak:.0f}", f"{scenes:.0f}"]
+        rows.append([scene, name, str(threads), *speed, "" if name == "rasteriser" else ratio, *memories])
         if name == "rasteriser":
-            stages = min((run["stages"] for run in found), key=lambda s: sum(s.values()))
-            run = next(run for run in found if run["stages"] is stages)
-            rest = 1000 * statistics.fmean(run["times"]) - sum(stages.values())
-            split.append(f"| {scene} | {threads} | " + " | ".join(f"{v:.1f}" for v in (*stages.values(), rest)) + " |")
-    sizes = "; ".join(
-        f"{name}: {SCENES[name][0]:,} Gaussians, {SCENES[name][1]} x {SCENES[name][2]} pixels" for name in ("S", "L")
-    )
+            run = min(found, key=lambda run: sum(run["stages"].values()))
+            stages = list(run["stages"].values())
+            rest = 1000 * statistics.fmean(run["times"]) - sum(stages)
+            split.append([scene, str(threads), *(f"{v:.1f}" for v in (*stages, rest))])
+    sizes = "; ".join(f"{name}: {n:,} Gaussians, {w} x {h} pixels" for name, (n, w, h) in SCENES.items() if n > 100)
+    head = ["scene", "", "threads", "iterations a second", "median", "rasteriser, by the median", "peak MiB"]
     return [
-        f"`OMP_WAIT_POLICY=PASSIVE python benchmarks/rasteriser.py{' --prototype FOLDER' if folder else ''}`",
+        "`OMP_WAIT_POLICY=PASSIVE python -m benchmarks.rasteriser`",
         "",
-        f"{platform.machine()}, {os.cpu_count()} cores, Python {platform.python_version()}, numpy {np.__version__}, "
-        f"numba {numba.__version__}, torch {torch.__version__}. {sizes}; median deviation {DEVIATION} pixels. An iteration is projection, "
-        "image, L1 loss and the gradients of means, quaternions, lengths, opacities and colours. Fastest and median iteration of "
-        f"{rounds} processes each, taken in turns; load average {os.getloadavg()[1]:.1f} in the last five minutes, this run included.",
+        machine("numba", "torch"),
+        f"{sizes}; median deviation {DEVIATION} pixels.",
+        "An iteration is projection, image, L1 loss and the gradients of means, quaternions, lengths, opacities and",
+        f"colours. Fastest and median iteration of {rounds} processes each, taken in turns; load average",
+        f"{os.getloadavg()[1]:.1f} in the last five minutes, this run included.",
         "",
-        *rows,
+        *table([*head, "for the scene"], rows),
         "",
-        "Plain torch is the tiled rasteriser of benchmarks/rasteriser.py, differentiated by autograd"
-        + ("; the prototype projects with torch and blends with numba" if folder else "")
-        + ". Peak: the whole process, with Python, torch and numba; the last column is what of it came after they were loaded.",
+        "Plain torch is the tiled rasteriser of benchmarks/rasteriser.py, differentiated by autograd. Peak: the whole",
+        "process, with Python, torch and numba; the last column is what of it came after they were loaded.",
         "",
         "Milliseconds of an iteration of the rasteriser, mean of its fastest process:",
         "",
-        *split,
+        *table(["scene", "threads", *STAGES, "the rest"], split),
         "",
         "The rest is the loss, its gradient and what torch does around.",
     ]
 
 
-def main() -> int:
+def main() -> None:
     """Command line."""
-    parser = argparse.ArgumentParser(description="Speed and memory of the rasteriser as training uses it.")
-    parser.add_argument("--prototype", metavar="FOLDER", help="an earlier rasteriser to measure too")
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--rounds", type=int, default=2, help="processes of each kind (default: %(default)s)")
     parser.add_argument(
         "--measure", nargs=2, metavar=("NAME", "SCENE"), help="measure one in this process and print it"
     )
     arguments = parser.parse_args()
     if arguments.measure:
-        name, scene = arguments.measure
-        print(json.dumps(measure(name, scene, arguments.prototype)))
-        return 0
-    lines = report(arguments.prototype, arguments.rounds)
-    print("\n".join(lines))
-    write_section("rasteriser", "Rasteriser", lines)
-    return 0
+        print(json.dumps(measure(*arguments.measure)))
+        return
+    write_section("rasteriser", "Rasteriser", section(arguments.rounds))
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    main()

@@ -1,13 +1,12 @@
-"""The conformance suite on the project's three decoders: seconds and processor time, in one run; and what the self-test takes.
+"""The conformance suite on the project's three decoders, and the self-test: seconds and processor time of one run.
 
-python benchmarks/suite.py        needs a C compiler, `cc`
+python -m benchmarks.suite        needs a C compiler, `cc`
 """
 
 from __future__ import annotations
 
 import json
 import os
-import platform
 import resource
 import subprocess
 import sys
@@ -15,10 +14,9 @@ import tempfile
 import time
 from pathlib import Path
 
-import numpy as np
 from tqdm import tqdm
 
-from .results import write_section
+from .results import machine, table, write_section
 
 ROOT = Path(__file__).resolve().parent.parent
 PYTHON = sys.executable
@@ -48,14 +46,6 @@ def run(options: list[str], command: list[str], folder: Path) -> tuple[float, fl
 
 
 def main() -> None:
-    lines = [
-        "`python benchmarks/suite.py`",
-        "",
-        f"{platform.machine()}, {os.cpu_count()} cores and as many processes, Python {platform.python_version()}, numpy {np.__version__}.",
-        "",
-        "| decoder | vectors | seconds | processor seconds | against the decoder in C |",
-        "|---|---|---|---|---|",
-    ]
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
         subprocess.run(
@@ -67,14 +57,20 @@ def main() -> None:
         for title, (options, command) in tqdm(RUNS.items(), leave=False):
             found[title] = run(options, [word.replace("{c}", str(folder / "decoder")) for word in command], folder)
     (least, *_) = found["the decoder in C"]
+    rows = []
     for title, (wall, processor, counts) in found.items():
-        shown = ", ".join(f"{count} {status}" for status, count in counts.items() if count)
-        lines.append(f"| {title} | {shown} | {wall:.1f} | {processor:.0f} | {wall / least:.1f} |")
+        vectors = ", ".join(f"{count} {status}" for status, count in counts.items() if count)
+        rows.append([title, vectors, f"{wall:.1f}", f"{processor:.0f}", f"{wall / least:.1f}"])
     start = time.perf_counter()
     done = subprocess.run(
         [PYTHON, "-m", "conformance", "selftest"], cwd=ROOT, capture_output=True, text=True, check=False
     )
-    lines += [
+    lines = [
+        "`python -m benchmarks.suite`",
+        "",
+        f"{machine()} As many processes as cores.",
+        "",
+        *table(["decoder", "vectors", "seconds", "processor seconds", "against the decoder in C"], rows),
         "",
         f"`conformance selftest`: {done.stdout.strip().splitlines()[-1]}; {time.perf_counter() - start:.0f} s.",
     ]

@@ -18,7 +18,8 @@ from refcodec.encoder.quantise import packed
 from refcodec.folder.read import read_folder
 from refcodec.photographs.photographs import read_photographs
 from refcodec.train.command import train
-from refcodec.train.trainer import TrainSettings
+from refcodec.train.settings import TrainSettings
+from refcodec.train.settings_file import varied
 
 ROOT = Path(__file__).resolve().parents[2]
 SOURCES = Path(__file__).with_name("sources")
@@ -34,13 +35,14 @@ class Source:
     form: str
 
 
+def _settings(rate: float, steps: int, anchors: int, most: int) -> TrainSettings:
+    """lambda_r, steps, anchors in the beginning, and at any time."""
+    return varied(TrainSettings(), {"rate.weight": rate, "steps": steps, "start.anchors": anchors, "growth.most": most})
+
+
 TRAININGS = {
-    "caliterra": Source(
-        "caliterra", (160, 120), TrainSettings(rate=0.004, steps=800, anchors=1500, most_anchors=2500), "packed"
-    ),
-    "snowmiku": Source(
-        "snowmiku", (160, 120), TrainSettings(rate=0.01, steps=1000, anchors=4000, most_anchors=5000), "raw"
-    ),
+    "caliterra": Source("caliterra", (160, 120), _settings(0.004, 800, 1500, 2500), "packed"),
+    "snowmiku": Source("snowmiku", (160, 120), _settings(0.01, 1000, 4000, 5000), "raw"),
 }
 
 

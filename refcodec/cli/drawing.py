@@ -86,7 +86,7 @@ def _lpips(path: str) -> Any:
     try:
         from ..evaluate.lpips import Lpips
     except ModuleNotFoundError as error:
-        raise needs("eval --lpips", "fit", error, ("torch",)) from None
+        raise needs("eval --lpips", "lpips", error, ("torch",)) from None
     try:
         return Lpips(path)
     except ValueError as error:

@@ -19,7 +19,7 @@ def _demo(arguments: argparse.Namespace) -> int:
         from ..experiments.runs import RunError
         from ..photographs.photographs import PhotographError
     except ModuleNotFoundError as error:
-        raise needs("demo", "train,render", error, RENDER_PACKAGES) from None
+        raise needs("demo", "demo", error, ("jinja2", *RENDER_PACKAGES)) from None
     try:
         photographs = Path(arguments.photographs) if arguments.photographs else find_example(arguments.scene)
         page, whole = run_demo(Path(arguments.output), photographs, arguments.steps or STEPS)
@@ -37,7 +37,7 @@ def _rd(arguments: argparse.Namespace) -> int:
         from ..experiments.rd import FIGURES, Settings, run_rd
         from ..experiments.runs import RunError
         from ..photographs.photographs import PhotographError
-        from ..train.command import PRESETS
+        from ..train.settings import PRESETS
     except ModuleNotFoundError as error:
         raise needs("rd", "train,render,rd", error, ("matplotlib", "bjontegaard", "torch", *RENDER_PACKAGES)) from None
     options = [
@@ -47,7 +47,7 @@ def _rd(arguments: argparse.Namespace) -> int:
         ("--seed", arguments.seed),
     ]
     given = tuple(word for name, value in options if value is not None for word in (name, str(value)))
-    size = arguments.size or str(PRESETS[arguments.preset]["side"])
+    size = arguments.size or PRESETS[arguments.preset].size
     settings = Settings(Path(arguments.output), Path(arguments.photographs), given, size, arguments.jobs)
     rates = sorted({*arguments.rates, *([0.0] if arguments.uncompressed else [])})
     try:
@@ -76,8 +76,9 @@ def add(commands: Any) -> None:
         _demo,
         "train on the photographs that come with the project, code the scene, and make a page of the results",
         ["demo", "demo -o out --scene snowmiku", "demo -o out --steps 600", "demo -o out --photographs my-photographs"],
-        "DIR/index.html shows everything; it takes about six minutes on two cores. Ctrl-C ends the training early and shows what there\n"
-        "is; the same command goes on, and does nothing twice. Needs: pip install 'refcodec[train,render]'.",
+        "DIR/index.html shows everything. It takes about six minutes on two cores. Ctrl-C ends the training early and\n"
+        "shows what there is. The same command goes on, and does nothing twice.\n"
+        "Needs: pip install 'refcodec[demo]'.",
     )
     demo.add_argument(
         "-o", "--output", metavar="DIR", default="demo", help="folder of the results (default: %(default)s)"
@@ -103,8 +104,8 @@ def add(commands: Any) -> None:
             "rd photographs -o curve --rates 0.002 0.004 0.01 0.04 --uncompressed",
             "rd photographs -o curve --against other/rd.csv",
         ],
-        "DIR gets rd.csv, rd.png, and for each rate a scene folder, a file and its figures. The same command goes on with what was\n"
-        "interrupted, and does nothing twice. Needs: pip install 'refcodec[train,render,rd]'.",
+        "DIR gets rd.csv, rd.png, and for each rate a scene folder, a file and its figures. The same command goes on\n"
+        "with what was interrupted, and does nothing twice. Needs: pip install 'refcodec[train,render,rd]'.",
     )
     rd.add_argument("photographs", metavar="PHOTOGRAPHS")
     rd.add_argument("-o", "--output", metavar="DIR", required=True)

@@ -8,7 +8,7 @@ from __future__ import annotations
 import argparse
 import os
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from . import statuses
 from .shared import (
@@ -25,11 +25,42 @@ from .shared import (
     weight,
 )
 
+if TYPE_CHECKING:
+    from ..train.settings import TrainSettings
+
+
+def _settings(arguments: argparse.Namespace) -> TrainSettings:
+    """A preset, changed by a file of settings, by --set, and by the options that have names of their own."""
+    from ..train.settings import PRESETS
+    from ..train.settings_file import SettingsError, assigned, from_toml, varied
+
+    options = {"rate.weight": arguments.rate, "steps": arguments.steps, "size": arguments.size, "seed": arguments.seed}
+    settings = PRESETS[arguments.preset]
+    try:
+        if arguments.settings:
+            settings = from_toml(Path(arguments.settings), settings)
+        settings = assigned(settings, arguments.set)
+        return varied(settings, {name: value for name, value in options.items() if value is not None})
+    except SettingsError as error:
+        raise UsageError(str(error)) from None
+
+
+def _interrupted(done: int, steps: int) -> int:
+    note(f"refcodec: stopped at step {done} of {steps}; the scene is written, and --resume goes on from there")
+    return statuses.INTERRUPTED
+
 
 def _train(arguments: argparse.Namespace) -> int:
+    settings = _settings(arguments)
+    if arguments.print_settings:
+        from ..train.settings_file import to_toml
+
+        print(to_toml(settings), end="")
+        return 0
+    if arguments.photographs is None or arguments.output is None:
+        raise UsageError("train needs PHOTOGRAPHS and -o SCENE_DIR")
     try:
-        from ..train.command import PRESETS, may_write, state_path, train
-        from ..train.trainer import TrainSettings
+        from ..train.command import may_write, state_path, train
     except ModuleNotFoundError as error:
         raise needs("train", "train", error, ("torch", "numba", "scipy", "PIL", "skimage")) from None
     output = Path(arguments.output.rstrip("/") or "/")
@@ -37,20 +68,7 @@ def _train(arguments: argparse.Namespace) -> int:
         raise UsageError(f"{output} exists and is not a scene folder: choose another one, or empty it")
     if arguments.resume and not state_path(output).exists():
         raise UsageError(f"there is nothing to resume: {state_path(output)} does not exist")
-    preset = PRESETS[arguments.preset]
-    photographs = read_photographs_of(arguments.photographs, arguments.size or str(preset["side"]))
-    settings = TrainSettings(
-        rate=arguments.rate,
-        steps=arguments.steps or preset["steps"],
-        seed=arguments.seed,
-        hyperprior=arguments.hyperprior,
-        uniform=arguments.sampling == "uniform",
-        plane_period=arguments.plane_period,
-        masks=not arguments.no_masks,
-        epsilon=arguments.epsilon,
-        anchors=preset["anchors"],
-        most_anchors=preset["most_anchors"],
-    )
+    photographs = read_photographs_of(arguments.photographs, settings.size)
     try:
         trainer, whole = train(
             photographs,
@@ -63,24 +81,22 @@ def _train(arguments: argparse.Namespace) -> int:
         )
     except ValueError as error:
         raise UsageError(f"{arguments.photographs} cannot be trained: {error}") from None
-    print(f"{output}: {trainer.scaffold.count} anchors, {trainer.done} steps, {trainer.seconds:.0f} s")
+    done = trainer.clock.done
+    print(f"{output}: {trainer.scaffold.count} anchors, {done} steps, {trainer.looks.seconds:.0f} s")
     if not whole:
-        note(
-            f"refcodec: stopped at step {trainer.done} of {settings.steps}; the scene is written, and --resume goes on from there"
-        )
-        return statuses.INTERRUPTED
+        return _interrupted(done, settings.steps)
     return 0
 
 
 def _fit(arguments: argparse.Namespace) -> int:
     from zipfile import BadZipFile
 
-    from ..folder.ply import read_cloud
     from ..folder.write import write_folder
 
     try:
         from ..train.fit import fit
-        from ..train.voxelise import default_voxel, read_points, short_mantissa, voxelise
+        from ..train.fit_input import read_given
+        from ..train.settings import FitSettings
     except ModuleNotFoundError as error:
         raise needs("fit", "fit", error, ("torch", "scipy")) from None
     check_output_folder(arguments.output)
@@ -88,18 +104,13 @@ def _fit(arguments: argparse.Namespace) -> int:
     state = Path(f"{arguments.output.rstrip('/')}.fit-state")
     if arguments.resume and not state.exists():
         raise UsageError(f"there is nothing to resume: {state} does not exist")
-    voxel = arguments.voxel and short_mantissa(arguments.voxel)
+    settings = FitSettings(steps=arguments.steps, seed=arguments.seed)
     try:
-        if arguments.points.endswith(".ply"):
-            cloud = read_cloud(arguments.points)
-        else:
-            found = read_points(arguments.points)
-            voxel = voxel or default_voxel(found.points)
-            cloud = voxelise(found.points, found.colours, voxel)
+        given = read_given(arguments.points, arguments.voxel)
         if not arguments.resume:
             state.unlink(missing_ok=True)
         with progress_bar(arguments.progress) as progress:
-            result = fit(cloud, voxel=voxel, steps=arguments.steps, seed=arguments.seed, progress=progress, state=state)
+            result = fit(given, settings, progress=progress, state=state)
     # Of the npz files that cannot be read some are no archives, and some are cut.
     except (ValueError, BadZipFile, EOFError) as error:
         raise UsageError(f"{arguments.points} cannot be fitted: {error}") from None
@@ -108,10 +119,7 @@ def _fit(arguments: argparse.Namespace) -> int:
     print(f"{arguments.output}: {result.scene.anchor_count} anchors, {dropped} without offsets left out, {done} steps")
     # Ctrl-C ends the training, not the program.
     if done < arguments.steps and state.exists():
-        note(
-            f"refcodec: stopped at step {done} of {arguments.steps}; the scene is written, and --resume goes on from there"
-        )
-        return statuses.INTERRUPTED
+        return _interrupted(done, arguments.steps)
     state.unlink(missing_ok=True)
     return 0
 
@@ -128,21 +136,17 @@ def add(commands: Any) -> None:
             "train photographs -o scene --rate 0.01 --steps 8000",
             "train photographs -o scene --resume",
             "train photographs -o scaffold --rate 0",
+            "train photographs -o scene --set masks.epsilon=0.0004 --set growth.most=60000",
+            "train --preset paper --print-settings > settings.toml",
+            "train photographs -o scene --settings settings.toml",
         ],
-        "PHOTOGRAPHS is a folder that COLMAP or a NeRF dataset made; every eighth image is held out. Then: refcodec encode SCENE_DIR.\n"
+        "PHOTOGRAPHS is a folder that COLMAP or a NeRF dataset made; every eighth image is held out. SCENE_DIR is\n"
+        "what refcodec encode reads. Its training.json says with which settings it was trained, and how that went.\n"
         "Ctrl-C ends the training early, writes the scene all the same, and keeps SCENE_DIR.train-state for --resume.\n"
         "Needs: pip install 'refcodec[train]'.",
     )
-    train.add_argument("photographs", metavar="PHOTOGRAPHS")
-    train.add_argument("-o", "--output", metavar="SCENE_DIR", required=True)
-    train.add_argument(
-        "--rate",
-        type=weight,
-        metavar="L",
-        default=0.004,
-        help="lambda_r, the weight of the rate: 0.002 to 0.04, or 0 for an uncompressed Scaffold-GS (default: %(default)s)",
-    )
-    train.add_argument("--steps", type=positive, metavar="N", help="training steps (default: the preset's)")
+    train.add_argument("photographs", metavar="PHOTOGRAPHS", nargs="?")
+    train.add_argument("-o", "--output", metavar="SCENE_DIR")
     train.add_argument(
         "--preset",
         choices=("fast", "paper"),
@@ -150,9 +154,25 @@ def add(commands: Any) -> None:
         help="fast: 4,000 steps on photographs of 400 pixels; paper: 40,000 on 1,600 (default: %(default)s)",
     )
     train.add_argument(
+        "--settings", metavar="FILE", help="settings that replace the preset's, as --print-settings prints them"
+    )
+    train.add_argument(
+        "--set", metavar="NAME=VALUE", action="append", default=[], help="change one setting; can be given again"
+    )
+    train.add_argument(
+        "--print-settings", action="store_true", help="print all settings, with what they mean, and do nothing else"
+    )
+    train.add_argument(
+        "--rate",
+        type=weight,
+        metavar="L",
+        help="lambda_r, the weight of the rate: 0.002 to 0.04, or 0 for an uncompressed Scaffold-GS (default: 0.004)",
+    )
+    train.add_argument("--steps", type=positive, metavar="N", help="training steps (default: the preset's)")
+    train.add_argument(
         "--size", metavar="WxH", help="size that photographs are averaged down to, or their longest side"
     )
-    train.add_argument("--seed", type=seed, metavar="S", default=0, help="of the random numbers (default: %(default)s)")
+    train.add_argument("--seed", type=seed, metavar="S", help="of the random numbers (default: 0)")
     train.add_argument(
         "--device",
         choices=("cpu", "cuda"),
@@ -165,40 +185,20 @@ def add(commands: Any) -> None:
     train.add_argument(
         "--resume", action="store_true", help="go on with an interrupted training of the same photographs and settings"
     )
-    paper = train.add_argument_group("what the paper compares")
-    paper.add_argument(
-        "--hyperprior",
-        choices=("vm", "plane", "triplane", "triplane72"),
-        default="vm",
-        help="only vm can be written; the others are for estimates (default: %(default)s)",
-    )
-    paper.add_argument(
-        "--sampling", choices=("uniform", "visible"), default="uniform", help="anchors whose rate counts: USRO or ViSRO"
-    )
-    paper.add_argument(
-        "--plane-period", type=int, choices=(1, 4), default=4, help="steps between two with the planes' rate (A-RDO: 4)"
-    )
-    paper.add_argument("--no-masks", action="store_true", help="keep every offset")
-    paper.add_argument(
-        "--epsilon",
-        type=length,
-        metavar="E",
-        default=0.01,
-        help="share below which an offset is masked; 0.0004 where views are concentrated",
-    )
     fit = add_command(
         commands,
         "fit",
         _fit,
-        "fit an entropy model to points or to a trained scene, and write a scene folder",
+        "fit an entropy model to points or to a scene, and write a scene folder",
         [
             "fit points3D.txt -o scene",
-            "fit point_cloud.ply -o scene --steps 6000",
+            "fit trained -o scene --steps 6000",
             "fit points3D.txt -o scene --resume",
         ],
-        "POINTS is a COLMAP points3D.txt, an .npz with means3d and colors, or a Scaffold-GS, HAC or CAT-3DGS point_cloud.ply with\n"
-        "10 offsets and 50 features. The rendering networks are simple ones that show coloured points. Ctrl-C ends the training\n"
-        "early, writes the scene all the same, and keeps SCENE_DIR.fit-state for --resume. Needs: pip install 'refcodec[fit]'.",
+        "POINTS is a COLMAP points3D.txt, an .npz with means3d and colors, or a scene folder of train, fit or decode,\n"
+        "or the point_cloud.ply in one. A scene keeps its rendering networks, points get simple ones.\n"
+        "Ctrl-C ends the training early, writes the scene all the same, and keeps SCENE_DIR.fit-state for --resume.\n"
+        "Needs: pip install 'refcodec[fit]'.",
     )
     fit.add_argument("points", metavar="POINTS")
     fit.add_argument("-o", "--output", metavar="SCENE_DIR", required=True)
@@ -207,7 +207,7 @@ def add(commands: Any) -> None:
         "--voxel",
         type=length,
         metavar="V",
-        help="edge of the anchors' lattice, in world units (default: median distance of the points; none for a .ply)",
+        help="edge of the anchors' lattice, in world units (default: median distance of the points; a scene's own)",
     )
     fit.add_argument("--seed", type=seed, metavar="S", default=0, help="of the random numbers (default: %(default)s)")
     fit.add_argument("--resume", action="store_true", help="go on with an interrupted fit of the same points")

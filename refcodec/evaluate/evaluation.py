@@ -1,4 +1,4 @@
-"""What a file, or a scene before coding, shows of photographs: image quality, bytes of each part, seconds of each stage."""
+"""What a file, or a scene before coding, shows of photographs: image quality, bytes of its parts, seconds."""
 
 from __future__ import annotations
 
@@ -28,9 +28,10 @@ def evaluate(
 ) -> dict[str, Any]:
     """A file, or an uncompressed scene, compared with the held-out photographs, or with all if none are held out.
 
-    images: a folder, made if need be, for the images that were compared, as PNG. Returns bytes, anchors, parts (bytes), decode_seconds,
-    frames_per_second, held_out, and quality.measures of each image, with lpips.measures if it is given, and on the mean. Raises
-    BitstreamError for a file that is rejected, PhotographError for photographs that cannot be read or compared.
+    images: a folder for the images that were compared, as PNG; it is made if need be. Returns bytes, anchors, parts
+    (bytes), decode_seconds, frames_per_second and held_out. For each image, and on the mean, it returns
+    quality.measures, and lpips.measures if lpips is given. Raises BitstreamError for a file that is rejected,
+    PhotographError for photographs that cannot be read or compared.
     """
     began: dict[str, float] = {}
     spent: dict[str, float] = {}

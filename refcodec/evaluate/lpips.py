@@ -1,5 +1,7 @@
-"""LPIPS (Zhang et al. 2018), version 0.1: how different two images look to a network that recognises things. Weights are a file of the
-user's (refcodec.evaluate.lpips_weights makes it); nothing is downloaded."""
+"""LPIPS (Zhang et al. 2018), version 0.1: how different two images look to a network that recognises things.
+
+Weights are a file of the user's, which refcodec.evaluate.lpips_weights makes. Nothing is downloaded.
+"""
 
 from __future__ import annotations
 
@@ -15,8 +17,8 @@ from torch.nn import functional
 
 from ..photographs.cameras import PhotographError
 
-# Layers of the networks up to the last that is compared: a convolution's stride and padding, or a maximum's size and stride. After the
-# convolutions of COMPARED, in the order of the linear layers, images are compared.
+# Layers of the networks up to the last that is compared: a convolution's stride and padding, or a maximum's size and
+# stride. After the convolutions of COMPARED, in the order of the linear layers, images are compared.
 _CONV, _POOL = {"stride": 1, "padding": 1}, {"kernel_size": 2, "stride": 2}
 _ALEX_POOL = {"kernel_size": 3, "stride": 2}
 LAYERS: dict[str, list[dict[str, int]]] = {
@@ -31,7 +33,10 @@ _SHIFT, _SCALE = (-0.030, -0.088, -0.188), (0.458, 0.448, 0.450)
 
 
 class Lpips:
-    """The measure with the weights of a safetensors file, whose metadata say which network they are of. Raises ValueError, OSError."""
+    """The measure with the weights of a safetensors file, whose metadata say which network they are of.
+
+    Raises ValueError, OSError.
+    """
 
     def __init__(self, path: str | Path) -> None:
         try:
@@ -42,7 +47,8 @@ class Lpips:
             raise ValueError(f"{path} is no safetensors file ({error})") from None
         if self.network not in LAYERS:
             raise ValueError(
-                f"{path} does not say that it has weights of LPIPS: make it with python -m refcodec.evaluate.lpips_weights"
+                f"{path} does not say that it has weights of LPIPS: "
+                "make it with python -m refcodec.evaluate.lpips_weights"
             )
         convolutions = sum("padding" in layer for layer in LAYERS[self.network])
         needed = {f"conv{i}.{kind}" for i in range(convolutions) for kind in ("weight", "bias")} | {
@@ -52,10 +58,11 @@ class Lpips:
             raise ValueError(f"{path} lacks {', '.join(sorted(missing))}")
 
     def measures(self, made: NDArray[Any], photograph: NDArray[np.uint8]) -> dict[str, float]:
-        """How far an image, float [h, w, 3] with 1 for white and cut to 0 to 1, is from a photograph uint8 [h, w, 3]: 0 if it is the same.
+        """How far an image is from a photograph: 0 if it is the same.
 
-        lpips: of values from -1 to 1, as its authors do; lpips_3dgs: of values from 0 to 1, which 3D Gaussian Splatting's code and
-        most that follows it gives to the same network. Sides below 32 pixels are too short: PhotographError.
+        made: float [h, w, 3], 1 for white, cut to 0 to 1. photograph: uint8 [h, w, 3]. lpips is of values from -1 to 1,
+        as its authors do. lpips_3dgs is of values from 0 to 1, which 3D Gaussian Splatting's code and most that follows
+        it gives to the same network. Raises PhotographError for sides below 32 pixels.
         """
         if min(photograph.shape[:2]) < SIDE_MIN:
             height, width = photograph.shape[:2]

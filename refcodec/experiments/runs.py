@@ -1,4 +1,4 @@
-"""refcodec's own commands as processes, several at a time. What is done is noted in a file, so that it is not done again."""
+"""refcodec's own commands as processes, several at a time. What is done is noted in a file, and not done again."""
 
 from __future__ import annotations
 
@@ -37,8 +37,9 @@ class RunError(Exception):
 class Command:
     """refcodec with some arguments.
 
-    subject: what it works on, a line of progress; output: what it makes; after: names of commands whose output it reads; printed: whether
-    its output is what it prints; state: what it leaves when it is interrupted, to go on with --resume.
+    subject: what it works on, a line of progress. output: what it makes. after: names of commands whose output it
+    reads. printed: whether its output is what it prints. state: what it leaves when it is interrupted, to go on with
+    --resume.
     """
 
     subject: str
@@ -136,9 +137,10 @@ class Notes:
 
 
 class Runner:
-    """Runs chains of commands, `jobs` at a time. show: gets the subject of a command and each line that it writes to stderr.
+    """Runs chains of commands, `jobs` at a time.
 
-    SIGINT and SIGTERM are passed on to the processes as SIGINT, so that trainings keep what they have; a second one kills them.
+    show: gets the subject of a command and each line that it writes to stderr. SIGINT and SIGTERM are passed on to the
+    processes as SIGINT, so that trainings keep what they have; a second one kills them.
     """
 
     def __init__(self, notes: Notes, show: Show, jobs: int) -> None:
@@ -147,7 +149,10 @@ class Runner:
         self._stopped = False
 
     def run(self, chains: Sequence[Sequence[Command]]) -> bool:
-        """Runs what is not done yet; returns whether all of it is done. False: it was interrupted. Raises RunError if a command fails."""
+        """Runs what is not done yet. Returns whether all of it is done now: False if it was interrupted.
+
+        Raises RunError if a command fails.
+        """
         self._stopped = False
         with self._signals(), ThreadPoolExecutor(self.jobs) as pool:
             futures = [pool.submit(self._chain, chain) for chain in chains]
@@ -230,7 +235,10 @@ class Runner:
 
 @contextlib.contextmanager
 def shown(names: Sequence[str]) -> Iterator[Show]:
-    """Shows what commands say of each subject on stderr: on a terminal a line for each, which is overwritten, else one below the other."""
+    """Shows what commands say of each subject on stderr.
+
+    On a terminal each has a line, which is overwritten. Elsewhere lines follow each other.
+    """
     width = max(len(name) for name in names)
     if not sys.stderr.isatty():
         yield lambda name, text: print(f"{name:<{width}}  {text}", file=sys.stderr, flush=True)

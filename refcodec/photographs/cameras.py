@@ -1,9 +1,9 @@
 """Cameras, their checks, and the one error of reading photographs.
 
-Conventions are COLMAP's. A camera looks along +z, with x to the right and y down; a point p of the world is at rotation @ p +
-translation in its frame, and at (fx x/z + cx, fy y/z + cy) in its image. Image coordinates are continuous: the image spans
-[0, width] x [0, height] and the centre of the top left pixel is at (0.5, 0.5). Resizing therefore multiplies fx and cx by one
-factor, fy and cy by another, with no half pixels.
+Conventions are COLMAP's. A camera looks along +z, with x to the right and y down. A point p of the world is at
+rotation @ p + translation in its frame, and at (fx x/z + cx, fy y/z + cy) in its image. Image coordinates are
+continuous: the image spans [0, width] x [0, height] and the centre of the top left pixel is at (0.5, 0.5). So resizing
+multiplies fx and cx by one factor, fy and cy by another, with no half pixels.
 """
 
 from __future__ import annotations
@@ -63,8 +63,8 @@ def check_intrinsics(where: Path | str, camera: Camera, distortion: Distortion) 
         if not FOCAL_MIN * longer <= focal <= FOCAL_MAX * longer:
             raise PhotographError(
                 where,
-                f"a focal length {name} of {focal} pixels, {FOCAL_MIN * longer:g} to {FOCAL_MAX * longer:g} are allowed for "
-                f"{camera.width} x {camera.height}",
+                f"a focal length {name} of {focal} pixels, {FOCAL_MIN * longer:g} to {FOCAL_MAX * longer:g} are "
+                f"allowed for {camera.width} x {camera.height}",
                 "correct the camera's intrinsics",
             )
     for name, value in zip(("cx", "cy", "k1", "k2", "p1", "p2"), (camera.cx, camera.cy, *distortion), strict=True):
@@ -75,7 +75,8 @@ def check_intrinsics(where: Path | str, camera: Camera, distortion: Distortion) 
     if not (-camera.width <= camera.cx <= 2 * camera.width and -camera.height <= camera.cy <= 2 * camera.height):
         raise PhotographError(
             where,
-            f"a principal point ({camera.cx:g}, {camera.cy:g}) more than one image away from an image of {camera.width} x {camera.height}",
+            f"a principal point ({camera.cx:g}, {camera.cy:g}) more than one image away from an image of "
+            f"{camera.width} x {camera.height}",
             "correct the camera's intrinsics",
         )
 
@@ -89,7 +90,8 @@ def checked_rotation(where: Path | str, matrix: F64) -> F64:
     if np.abs(matrix @ matrix.T - np.eye(3)).max() > ROTATION_TOLERANCE or np.linalg.det(matrix) < 0:
         raise PhotographError(
             where,
-            f"the pose's matrix is not a rotation (rows of length {', '.join(f'{v:.4g}' for v in np.linalg.norm(matrix, axis=1))}, "
+            "the pose's matrix is not a rotation "
+            f"(rows of length {', '.join(f'{v:.4g}' for v in np.linalg.norm(matrix, axis=1))}, "
             f"determinant {np.linalg.det(matrix):.4g})",
             "give poses without scale, shear or mirroring",
         )
@@ -107,7 +109,7 @@ def checked_translation(where: Path | str, translation: F64) -> F64:
 
 
 def quaternion_rotation(where: Path | str, quaternion: F64) -> F64:
-    """The rotation [3, 3] of a quaternion w, x, y, z of any length. Raises PhotographError for zero, NaN and infinity."""
+    """The rotation [3, 3] of a quaternion w, x, y, z of any length. Raises PhotographError for zero, NaN, infinity."""
     if not np.isfinite(quaternion).all():
         raise PhotographError(
             where, "the pose has a NaN or an infinite number", "estimate the poses again, or remove this image"

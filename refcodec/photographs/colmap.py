@@ -1,7 +1,7 @@
 """COLMAP's sparse models, text and binary, and the image folder that goes with one.
 
-Read by own code: pycolmap 4.2.1 reads both, but is 135 MB installed, takes a truncated cameras.bin without a word, and does not
-come back from a points3D.bin that states 2^60 points. Formats: https://colmap.github.io/format.html
+They are read by own code: pycolmap 4.2.1 reads both, but is 135 MB installed, takes a truncated cameras.bin without a
+word, and does not come back from a points3D.bin that states 2^60 points. Formats: https://colmap.github.io/format.html
 """
 
 from __future__ import annotations
@@ -82,7 +82,7 @@ class _Lens:
 
 @dataclass(frozen=True, eq=False)
 class _Pose:
-    """A row of images: its camera's identifier, its name, the quaternion w, x, y, z [4] and translation [3], world to camera."""
+    """A row of images: its camera, its name, quaternion w, x, y, z [4] and translation [3], from world to camera."""
 
     where: str
     camera: int
@@ -102,8 +102,8 @@ def find_model(folder: Path) -> Path | None:
 def read_colmap(folder: Path, model: Path, size: Size) -> tuple[list[Shot], F64, U8, int]:
     """Posed images in the order of their names, points [M, 3], colours [M, 3], and how many images have no pose.
 
-    folder: the dataset; model: what find_model gave. Images are in folder/images, or in images_2, images_4 and so on, whichever is
-    the smallest that the wanted size can be made from. Raises PhotographError.
+    folder: the dataset. model: what find_model gave. Images are in folder/images, or in images_2, images_4 and so on,
+    whichever is the smallest that the wanted size can be made from. Raises PhotographError.
     """
     suffix = ".bin" if any((model / f"{part}.bin").exists() for part in PARTS) else ".txt"
     for part in PARTS:
@@ -111,7 +111,8 @@ def read_colmap(folder: Path, model: Path, size: Size) -> tuple[list[Shot], F64,
             raise PhotographError(
                 model / f"{part}{suffix}",
                 "the file is missing",
-                f"a model is {', '.join(f'{p}{suffix}' for p in PARTS)} together: export it again (colmap model_converter)",
+                f"a model is {', '.join(f'{p}{suffix}' for p in PARTS)} together: "
+                "export it again (colmap model_converter)",
             )
     binary = suffix == ".bin"
     lenses = (_binary_cameras if binary else _text_cameras)(model / f"cameras{suffix}")
@@ -265,8 +266,8 @@ def _text_images(file: Path) -> list[_Pose]:
             int(identifier)
             w, x, y, z, a, b, c = (float(p) for p in pose)
             out.append(_Pose(where, int(camera), name, np.array([w, x, y, z]), np.array([a, b, c])))
-        # The line after it holds its 2D points, three numbers each, or nothing. They are not needed here, but where the line was
-        # left out every second image would be lost without a word.
+        # The line after it holds its 2D points, three numbers each, or nothing. They are not needed here, but where the
+        # line was left out every second image would be lost without a word.
         below, points = next(lines, (where, ""))
         if len(points.split()) % 3:
             raise PhotographError(
@@ -294,7 +295,7 @@ def _text_points(file: Path) -> tuple[F64, U8]:
 
 
 class _Bytes:
-    """A binary file, read from front to back. Nothing is allocated for a count before the file is known to hold that much."""
+    """A binary file, read from front to back. Nothing is allocated for a count that the file cannot hold."""
 
     def __init__(self, file: Path) -> None:
         self.file, self.data, self.at = file, file.read_bytes(), 0

@@ -88,7 +88,7 @@ def _opened(path: Path) -> Iterator[Image.Image]:
 def image_size(path: Path) -> tuple[int, int]:
     """Width and height of an image file, of which only the header is read. Raises PhotographError.
 
-    As in COLMAP, pixels are taken as they are stored: an EXIF orientation is not applied, because poses do not know of it.
+    As in COLMAP, pixels are taken as they are stored. An EXIF orientation is not applied, as poses do not know of it.
     """
     with _opened(path) as image:
         return image.size
@@ -116,8 +116,9 @@ def read_image(path: Path, background: tuple[int, int, int]) -> U8:
 def shrink(image: U8, width: int, height: int) -> U8:
     """An image [H, W, 3] averaged over the area of each pixel of the smaller one, uint8 [height, width, 3].
 
-    A source pixel that lies in two of them counts in each by its share: Pillow's BOX filter gives it to one of them, which moves
-    the picture by up to a quarter of a pixel when sides do not divide. The stored values are averaged, without undoing their gamma.
+    A source pixel that lies in two of them counts in each by its share. Pillow's BOX filter gives it to one of them,
+    which moves the picture by up to a quarter of a pixel when sides do not divide. The stored values are averaged,
+    without undoing their gamma.
     """
     h, w = image.shape[:2]
     if (w, h) == (width, height):

@@ -1,6 +1,7 @@
 """Lens distortion: COLMAP's SIMPLE_RADIAL, RADIAL and OPENCV models, and images freed of it.
 
-All three are k1, k2, p1, p2 of the last. (scipy's map_coordinates resamples; opencv would do it faster, and weighs 150 MB.)
+All three are k1, k2, p1, p2 of the last. scipy's map_coordinates resamples; opencv would do it faster, and weighs
+150 MB.
 """
 
 from __future__ import annotations
@@ -71,9 +72,9 @@ def undistort(points: F64, distortion: Distortion) -> F64:
 def undistorted_camera(where: Path | str, camera: Camera, distortion: Distortion) -> Camera:
     """The pinhole camera of the undistorted image: as many pixels as before, every one of them inside the photograph.
 
-    Its frame is the largest upright rectangle of the photograph's shape that fits in the middle of the undistorted photograph;
-    the focal lengths and the principal point follow from it. What is outside, along the curved edges, is lost.
-    Raises PhotographError for a distortion that cannot be undone over that frame.
+    Its frame is the largest upright rectangle of the photograph's shape that fits in the middle of the undistorted
+    photograph. The focal lengths and the principal point follow from it. What is outside, along the curved edges, is
+    lost. Raises PhotographError for a distortion that cannot be undone over that frame.
     """
     edge = np.linspace(0, 1, EDGE_POINTS)
     zero, one = np.zeros(EDGE_POINTS), np.ones(EDGE_POINTS)
@@ -91,8 +92,8 @@ def undistorted_camera(where: Path | str, camera: Camera, distortion: Distortion
     if not ZOOM_MIN <= zoom <= ZOOM_MAX:
         raise PhotographError(
             where,
-            f"the distortion k1, k2, p1, p2 = {', '.join(f'{v:g}' for v in distortion)} cannot be undone over the whole image, or changes "
-            f"the field of view more than {ZOOM_MIN:g} to {ZOOM_MAX:g} times",
+            f"the distortion k1, k2, p1, p2 = {', '.join(f'{v:g}' for v in distortion)} cannot be undone over the "
+            f"whole image, or changes the field of view more than {ZOOM_MIN:g} to {ZOOM_MAX:g} times",
             advice,
         )
     focal = focal / zoom
@@ -114,9 +115,9 @@ def undistorted_camera(where: Path | str, camera: Camera, distortion: Distortion
 def undistorted_image(image: U8, photographed: Camera, distortion: Distortion, camera: Camera) -> U8:
     """What `camera` would have photographed, uint8 [camera.height, camera.width, 3].
 
-    photographed: the camera of `image` [H, W, 3], distortion aside. Linear interpolation blurs on its own grid of pixels, so it is
-    done on the photograph's, and the result averaged down. A photograph of more than twice the wanted size is brought to that
-    first: finer blur would not be seen.
+    photographed: the camera of `image` [H, W, 3], distortion aside. Linear interpolation blurs on its own grid of
+    pixels, so it is done on the photograph's, and the result averaged down. A photograph of more than twice the wanted
+    size is brought to that first: finer blur would not be seen.
     """
     width, height = photographed.width, photographed.height
     if width >= 2 * camera.width and height >= 2 * camera.height:

@@ -1,6 +1,7 @@
 """Folders of posed photographs, from COLMAP or in NeRF's format, as cameras, images and points.
 
-Nothing here needs a GPU, torch or pickle. Whatever a folder holds, the outcome is a PhotographSet or one PhotographError.
+Nothing here needs a GPU, torch or pickle. Whatever a folder holds, the outcome is a PhotographSet or one
+PhotographError.
 """
 
 from __future__ import annotations
@@ -20,7 +21,7 @@ __all__ = ["Camera", "Photograph", "PhotographError", "PhotographSet", "parse_si
 
 # Every eighth image is for tests, the usual hold-out of real scenes.
 TEST_EVERY = 8
-# What transparent photographs are laid over: NeRF's datasets are white there; black where nothing is transparent, as in 3DGS.
+# What transparent photographs are laid over: white in NeRF's datasets, black in others, as in 3DGS.
 WHITE, BLACK = (255, 255, 255), (0, 0, 0)
 
 
@@ -41,8 +42,8 @@ class Photograph:
 class PhotographSet:
     """Photographs to learn from and to test with, each in the order of their names, and the points of the scene.
 
-    points: float64 [M, 3], world units; colours: uint8 [M, 3], RGB; skipped: images without pose that were left out; background: what
-    transparent images were laid over.
+    points: float64 [M, 3], world units. colours: uint8 [M, 3], RGB. skipped: images without pose that were left out.
+    background: what transparent images were laid over.
     """
 
     train: tuple[Photograph, ...]
@@ -58,12 +59,13 @@ def read_photographs(
 ) -> PhotographSet:
     """The photographs of a COLMAP or NeRF folder; where it is both, COLMAP's, which has points.
 
-    size: (width, height) or the longest side in pixels that images are averaged down to, None for their own; background: what
-    transparent images are laid over, 0 to 255, None for white in NeRF's format and black in COLMAP's; seed: of points that are drawn
-    where the folder has none (transforms.random_points).
-    Images with index % 8 == 0 by name are for tests, unless the folder has a split of its own. Raises PhotographError.
+    size: (width, height) or the longest side in pixels that images are averaged down to, None for their own.
+    background: what transparent images are laid over, 0 to 255, None for white in NeRF's format and black in COLMAP's.
+    seed: of points that are drawn where the folder has none (transforms.random_points).
 
-    The headers of all images are read here, their pixels when they are asked for: what is wrong in those is raised then.
+    Images with index % 8 == 0 by name are for tests, unless the folder has a split of its own. The headers of all
+    images are read here. Their pixels are read when they are asked for, and what is wrong in those is raised then.
+    Raises PhotographError.
     """
     folder = Path(folder)
     if not folder.is_dir():
@@ -79,7 +81,8 @@ def read_photographs(
         else:
             raise PhotographError(
                 folder,
-                "there are no cameras: neither sparse/0/cameras.bin or .txt (COLMAP) nor transforms.json or transforms_train.json (NeRF)",
+                "there are no cameras: neither sparse/0/cameras.bin or .txt (COLMAP) nor transforms.json or "
+                "transforms_train.json (NeRF)",
                 "give the folder that has them, or run COLMAP",
             )
         if test_shots is None:
@@ -110,7 +113,8 @@ def _photograph(shot: Shot, size: Size, background: tuple[int, int, int]) -> Pho
         turned = same_aspect(height, width, stated.width, stated.height)
         raise PhotographError(
             shot.path,
-            f"the image has {width} x {height} pixels, its camera {stated.width} x {stated.height}: not the same shape within a pixel",
+            f"the image has {width} x {height} pixels, its camera {stated.width} x {stated.height}: "
+            "not the same shape within a pixel",
             "the file was turned after its pose was estimated: restore it as it was"
             if turned
             else "restore the image that the camera was estimated from, or a version of it in another size",

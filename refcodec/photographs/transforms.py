@@ -1,7 +1,7 @@
 """NeRF's transforms.json: cameras in Blender's convention, with or without points.
 
-transform_matrix takes camera to world, and a camera looks along -z with y up; y and z are negated to get COLMAP's. Pixels are
-counted as in COLMAP (instant-ngp, nerfstudio). Without cx and cy the principal point is in the middle.
+transform_matrix takes camera to world, and a camera looks along -z with y up: y and z are negated to get COLMAP's.
+Pixels are counted as in COLMAP (instant-ngp, nerfstudio). Without cx and cy the principal point is in the middle.
 """
 
 from __future__ import annotations
@@ -37,7 +37,8 @@ HIGHER = ("k3", "k4", "k5", "k6")
 POINT_FILES = ("points3d.ply", "points3D.ply")
 # As many points as 3DGS starts NeRF's synthetic scenes with.
 RANDOM_POINTS = 100_000
-# Half the side of the scene's box, as a share of the cameras' distance: 1.34 for NeRF's synthetic scenes, where 3DGS has 1.3.
+# Half the side of the scene's box, as a share of the cameras' distance. It is 1.34 for NeRF's synthetic scenes, where
+# 3DGS has 1.3.
 BOX_SHARE = 1 / 3
 GREY = 128
 REPAIR = "write the file again with the program that made it"
@@ -49,11 +50,11 @@ def is_transforms(folder: Path) -> bool:
 
 
 def read_transforms(folder: Path, seed: int) -> tuple[list[Shot], list[Shot] | None, F64, U8, int]:
-    """Posed images, those for tests (None if the dataset has no split of its own), points [M, 3], colours [M, 3], images without pose.
+    """Posed images to learn from, those for tests, points [M, 3], colours [M, 3], and how many images have no pose.
 
-    transforms_train.json and transforms_test.json are a split, transforms.json is none. A frame without transform_matrix is an image
-    without pose. Points come from the PLY file that ply_file_path names, or from points3d.ply; without either they are random_points of
-    all the cameras. Raises PhotographError.
+    transforms_train.json and transforms_test.json are a split. transforms.json is none: then None stands for those for
+    tests. A frame without transform_matrix is an image without pose. Points come from the PLY file that ply_file_path
+    names, or from points3d.ply. Without either they are random_points of all the cameras. Raises PhotographError.
     """
     if (folder / SINGLE).is_file():
         document = _document(folder / SINGLE)
@@ -169,7 +170,8 @@ def _distortion(where: str, keys: dict[str, Any], fields: dict[str, float | None
     if higher:
         raise PhotographError(
             where,
-            f"{higher[0]} is {fields[higher[0]]}: the camera model FULL_OPENCV is not supported, {', '.join(MODELS)} are",
+            f"{higher[0]} is {fields[higher[0]]}: the camera model FULL_OPENCV is not supported, "
+            f"{', '.join(MODELS)} are",
             "undistort the images beforehand",
         )
     k1, k2, p1, p2 = (fields[key] or 0.0 for key in ("k1", "k2", "p1", "p2"))
@@ -211,7 +213,10 @@ def _pose(where: str, rows: Any) -> tuple[F64, F64]:
 
 
 def read_points(file: Path) -> tuple[F64, U8]:
-    """The vertices of a PLY file: positions float64 [M, 3] and colours uint8 [M, 3] (grey where it has none). Raises PhotographError."""
+    """The vertices of a PLY file: positions float64 [M, 3] and colours uint8 [M, 3], grey where it has none.
+
+    Raises PhotographError.
+    """
     advice = "give vertices with x, y, z and, as 8-bit integers, red, green, blue"
     try:
         data = PlyData.read(str(file))["vertex"].data
@@ -239,9 +244,9 @@ def read_points(file: Path) -> tuple[F64, U8]:
 def random_points(folder: Path, cameras: list[Camera], seed: int) -> tuple[F64, U8]:
     """RANDOM_POINTS grey points drawn evenly in the scene's box: positions float64 [M, 3] and colours uint8 [M, 3].
 
-    The box is a cube around the point that is nearest to all the cameras' axes (least squares); half its side is BOX_SHARE of the
-    median distance of the cameras from there. It suits cameras around an object. Raises PhotographError if the axes do not meet in
-    front of the cameras.
+    The box is a cube around the point that is nearest to all the cameras' axes (least squares). Half its side is
+    BOX_SHARE of the median distance of the cameras from there. It suits cameras around an object. Raises
+    PhotographError if the axes do not meet in front of the cameras.
     """
     centres = np.stack([camera.centre for camera in cameras])
     axes = np.stack([camera.rotation[2] for camera in cameras])

@@ -1,4 +1,4 @@
-"""Adam on some rows of a table (Kingma and Ba 2015): a step of training sees a part of the anchors, and changes only these."""
+"""Adam on some rows of a table (Kingma and Ba 2015): a step of training changes only the anchors that it sees."""
 
 from __future__ import annotations
 
@@ -9,15 +9,19 @@ from numpy.typing import NDArray
 F32 = NDArray[np.float32]
 I64 = NDArray[np.int64]
 
-# 3DGS's constants.
-BETA_1, BETA_2, EPSILON = np.float32(0.9), np.float32(0.999), np.float32(1e-15)
+# 3DGS's constants. They are compiled, so they are no settings.
+ADAM_EPSILON = 1e-15
+BETA_1, BETA_2, EPSILON = np.float32(0.9), np.float32(0.999), np.float32(ADAM_EPSILON)
 _REST_1, _REST_2 = np.float32(1) - BETA_1, np.float32(1) - BETA_2
 
 
 @njit(cache=True, error_model="numpy")
 def gather_rows(rows: I64, gradient: F32, total: F32, place: I64, found: I64, count: int) -> int:
-    """Adds gradient [n, D] to the rows of total [M, D] that `place` [N] gives the anchors `rows` [n]; place is -1 where an anchor has none
-    yet, and then gets the next row, which begins with this gradient. found [M]: the anchor of each row. Returns the rows used."""
+    """Adds gradients [n, D] of the anchors `rows` [n] to the rows of total [M, D] that `place` [N] gives them.
+
+    place is -1 where an anchor has no row yet. Such an anchor gets the next row, which begins with its gradient. found
+    [M]: the anchor of each row. count: rows used so far. Returns the rows used now.
+    """
     for r in range(rows.shape[0]):
         at = place[rows[r]]
         if at < 0:
@@ -31,10 +35,14 @@ def gather_rows(rows: I64, gradient: F32, total: F32, place: I64, found: I64, co
 
 @njit(cache=True, parallel=True, error_model="numpy")
 def adam_rows(table: F32, first: F32, second: F32, steps: int, rows: I64, gradient: F32, rate: np.float32) -> None:
-    """One step of Adam on table[rows]. first, second: its moments, shaped like the table; steps: of training, from 1, for the correction
-    of the moments' bias. gradient [n, D]; rows: int64 [n], each at most once.
+    """One step of Adam on table[rows].
 
-    As in 3DGS the correction knows of the training's steps alone: anchors that are new, or were rarely seen, move faster at first."""
+    first, second: its moments, shaped like the table. steps: of training, from 1, for the correction of the moments'
+    bias. rows: int64 [n], each at most once. gradient [n, D].
+
+    As in 3DGS the correction knows of the training's steps alone. So anchors that are new, or were rarely seen, move
+    faster at first.
+    """
     by_first = np.float32(1 / (1 - 0.9**steps))
     by_second = np.float32(1 / (1 - 0.999**steps))
     for r in prange(rows.shape[0]):

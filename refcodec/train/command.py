@@ -1,14 +1,12 @@
-"""What `refcodec train` does: presets, progress, the saved state, and what it leaves behind."""
+"""What `refcodec train` does: progress, the saved state, and what it leaves behind."""
 
 from __future__ import annotations
 
 import contextlib
 import json
-import math
 import sys
 import time
 from collections.abc import Iterator
-from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
@@ -22,15 +20,13 @@ from ..folder.layout import is_free
 from ..folder.uncompressed import Uncompressed, is_uncompressed, write_uncompressed
 from ..folder.write import write_folder
 from ..photographs.photographs import PhotographSet
-from .state import restore
-from .trainer import Trainer, TrainSettings, Watch
+from .looks import psnr
+from .settings import TrainSettings
+from .settings_file import document
+from .state import restore, save
+from .trainer import Trainer, Watch
 
 REPORT_FILE = "training.json"
-# fast: minutes on two cores. paper: the paper's steps, anchors from the points' median distance, photographs as large as 3DGS takes them.
-PRESETS: dict[str, dict[str, int]] = {
-    "fast": {"steps": 4000, "anchors": 5000, "most_anchors": 40000, "side": 400},
-    "paper": {"steps": 40000, "anchors": 0, "most_anchors": 1 << 20, "side": 1600},
-}
 # Seconds between two lines of progress where there is no terminal.
 LINE_SECONDS = 5.0
 
@@ -57,7 +53,8 @@ def train(
 ) -> tuple[Trainer, bool]:
     """Trains, and writes the scene folder and training.json. Returns the training, and whether it came to its end.
 
-    threads: of the rasteriser; all else uses one, so that no result depends on it. Raises ValueError for photographs that cannot be
+    threads: of the rasteriser; all else uses one, so that no result depends on it. resume: from the saved state.
+    progress: whether lines tell of it where there is no terminal. Raises ValueError for photographs that cannot be
     learnt from, for a saved state that is damaged or of another training, and for a scene that cannot be written.
     """
     torch.set_num_threads(1)
@@ -67,7 +64,7 @@ def train(
     if resume:
         restore(trainer, state)
     with _shown(trainer, progress) as watch:
-        whole = trainer.run(watch, state)
+        whole = trainer.run(watch, lambda: save(trainer, state))
     result = trainer.result()
     if isinstance(result, Uncompressed):
         write_uncompressed(result, output)
@@ -80,53 +77,53 @@ def train(
 
 
 def report(trainer: Trainer, result: Scene | Uncompressed) -> dict[str, Any]:
-    """What training.json says. bytes: of each part, as estimated (uncompressed: as they are); attributes are the sum of their kinds;
-    quantised: what training draws of the scene of integers, for each held-out photograph, PSNR in 3DGS's convention."""
+    """What training.json says.
+
+    bytes: of each part, as estimated (uncompressed: as they are); attributes are the sum of their kinds. quantised: of
+    what training draws of the scene of integers, PSNR for each held-out photograph in 3DGS's convention.
+    """
     shown = {}
     if isinstance(result, Scene):
         for photograph in trainer.photographs.test:
-            error = np.mean((trainer.show(result, photograph.camera).double().numpy() - photograph.image / 255) ** 2)
-            shown[photograph.camera.name] = -10 * math.log10(float(error) + 1e-12)
+            made = trainer.views.show(result, photograph.camera).double().numpy()
+            shown[photograph.camera.name] = psnr(float(np.mean((made - photograph.image / 255) ** 2)))
+    first = trainer.photographs.train[0].camera
     return {
-        "settings": asdict(trainer.settings),
-        "size": [trainer.cameras[0].width, trainer.cameras[0].height],
-        "steps": trainer.done,
-        "seconds": round(trainer.seconds, 2),
+        "settings": document(trainer.settings),
+        "size": [first.width, first.height],
+        "steps": trainer.clock.done,
+        "seconds": round(trainer.looks.seconds, 2),
         "anchors": result.anchor_count,
         "quantised": shown,
         "unit": trainer.scaffold.units.length,
         "bytes": {name: round(value) for name, value in trainer.estimate().items()},
-        "history": trainer.history,
+        "history": trainer.looks.history,
     }
 
 
 def line(trainer: Trainer) -> str:
     """A training's progress in words."""
-    left = trainer.pace * (trainer.settings.steps - trainer.done)
-    known = (
-        trainer.history[-1]["bytes"] / 1000
-        if trainer.history
-        else sum(v for k, v in trainer.estimate().items() if k not in KINDS) / 1000
-    )
-    held_out = f", held-out {trainer.history[-1]['psnr']:.2f} dB" if trainer.history else ""
-    return (
-        f"step {trainer.done} of {trainer.settings.steps}, {np.mean(trainer.recent):.2f} dB{held_out}, {trainer.scaffold.count} anchors, "
-        f"{known:.0f} KB, {left:.0f} s left"
-    )
+    clock, looks, last = trainer.clock, trainer.looks, trainer.looks.history[-1:]
+    size = last[0]["bytes"] if last else sum(v for k, v in trainer.estimate().items() if k not in KINDS)
+    words = [f"step {clock.done} of {clock.steps}", f"{np.mean(looks.recent):.2f} dB"]
+    words += [f"held-out {look['psnr']:.2f} dB" for look in last]
+    words += [f"{trainer.scaffold.count} anchors", f"{size / 1000:.0f} KB"]
+    return ", ".join([*words, f"{looks.pace * (clock.steps - clock.done):.0f} s left"])
 
 
 @contextlib.contextmanager
 def _shown(trainer: Trainer, progress: bool) -> Iterator[Watch]:
     """Progress on stderr: a bar on a terminal, else lines if they are wanted."""
+    clock, looks = trainer.clock, trainer.looks
     if sys.stderr.isatty():
         from tqdm import tqdm  # noqa: PLC0415 (only here)
 
-        with tqdm(total=trainer.settings.steps, initial=trainer.done, desc="train", file=sys.stderr) as bar:
+        with tqdm(total=clock.steps, initial=clock.done, desc="train", file=sys.stderr) as bar:
 
-            def show(t: Trainer) -> None:
-                bar.update(t.done - bar.n)
-                if t.done % 20 == 0 and t.history:
-                    last = t.history[-1]
+            def show(_: Trainer) -> None:
+                bar.update(clock.done - bar.n)
+                if clock.done % 20 == 0 and looks.history:
+                    last = looks.history[-1]
                     bar.set_postfix_str(
                         f"{last['psnr']:.2f} dB, {last['anchors']} anchors, {last['bytes'] / 1000:.0f} KB"
                     )
@@ -135,10 +132,10 @@ def _shown(trainer: Trainer, progress: bool) -> Iterator[Watch]:
         return
     last = time.monotonic()
 
-    def tell(t: Trainer) -> None:
+    def tell(_: Trainer) -> None:
         nonlocal last
-        if progress and (time.monotonic() - last > LINE_SECONDS or t.done == t.settings.steps):
-            print(line(t), file=sys.stderr, flush=True)
+        if progress and (time.monotonic() - last > LINE_SECONDS or clock.done == clock.steps):
+            print(line(trainer), file=sys.stderr, flush=True)
             last = time.monotonic()
 
     yield tell

@@ -5,18 +5,15 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
-import torch
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
-from torch import Tensor
 
 from ..bitstream.attributes import KINDS, SCALINGS, Attributes
 from ..bitstream.chunks import chunk_ranges
 from ..bitstream.codec import derive_steps
 from ..bitstream.dimensions import Dimensions
-from ..bitstream.frame import Frame
 from ..bitstream.header import Lanes, RenderInfo
-from ..bitstream.limits import MAIN, MAIN_SLICES
+from ..bitstream.limits import MAIN
 from ..bitstream.networks import Layer
 from ..bitstream.planes import PLANE_SYMBOL_MAX
 from ..bitstream.positions import encode_positions
@@ -30,13 +27,17 @@ from ..encoder.sizes import CHUNK_SIZE, choose_lanes
 from ..encoder.weights import exact_networks, weight_scales
 from ..folder.uncompressed import Uncompressed
 from ..render.camera import Camera
-from .rate import FREQUENCIES
-from .rate_model import PLANE_SHIFT
-from .scaffold import NEAR, OFFSETS, RENDER_WIDTH, Scaffold, lattice_positions
+from .entropy.hyperprior import VectorMatrix
+from .entropy.model import OFFSETS, SLICES
+from .entropy.units import PLANE_SHIFT
+from .parts.rate import Rate
+from .rendering_networks import RENDER_WIDTH
+from .scaffold import Scaffold
+from .start import lattice_positions
 
 
 def render_info(scaffold: Scaffold, cameras: list[Camera], background: tuple[int, int, int]) -> RenderInfo:
-    """SPEC 6.5 of a scene: the first of the cameras, which are of the world, is its own; up is the axis nearest to theirs."""
+    """SPEC 6.5 of a scene: the first camera of the world is its own, and up is the axis that is nearest to theirs."""
     ups = -np.mean([c.rotation[1] for c in cameras], axis=0)
     axis = int(np.abs(ups).argmax())
     first = cameras[0]
@@ -46,7 +47,7 @@ def render_info(scaffold: Scaffold, cameras: list[Camera], background: tuple[int
     return RenderInfo(
         background=background,
         up_axis=2 * axis + int(ups[axis] < 0),
-        near_plane=float(np.float32(NEAR * scaffold.units.length)),
+        near_plane=float(np.float32(scaffold.near * scaffold.units.length)),
         distance_unit=scaffold.units.length,
         camera_width=first.width,
         camera_height=first.height,
@@ -67,31 +68,20 @@ def uncompressed(scaffold: Scaffold, render: RenderInfo) -> Uncompressed:
     return Uncompressed(values, np.ones((n, OFFSETS), bool), scaffold.networks.layers(), render)
 
 
-@torch.no_grad()
-def rounded(scaffold: Scaffold, render: RenderInfo, steps: Tensor, kept: Tensor) -> Uncompressed:
-    """The scene with attributes rounded to multiples of their steps [N, 3], and masks [N, K], in world units."""
-    whole = uncompressed(scaffold, render)
-    values = [np.asarray(getattr(whole.values, kind)).reshape(scaffold.count, -1) for kind in KINDS]
-    size = steps.detach().numpy()
-    features, scalings, offsets = (
-        np.floor(v / size[:, i : i + 1] + 0.5) * size[:, i : i + 1] for i, v in enumerate(values)
-    )
-    masks = kept.numpy()
-    offsets = np.where(masks[:, :, None], offsets.reshape(scaffold.count, OFFSETS, 3), np.float32(0))
-    return replace(whole, values=Reconstruction(whole.values.positions, features, scalings, offsets), masks=masks)
-
-
 def _dimensions(coding: dict[str, list[Layer]], channels: int, plane_size: int) -> Dimensions:
     """SPEC 5.3, from F_h, SARM and CARM and the planes' sizes."""
     hyper, sarm, carm = (tuple(len(b) for _, b in coding[name][:-1]) for name in ("hyper", "sarm", "carm.1"))
-    return Dimensions(OFFSETS, MAIN_SLICES, channels, FREQUENCIES, plane_size, hyper, sarm, carm, RENDER_WIDTH)
+    frequencies = VectorMatrix.frequencies
+    return Dimensions(OFFSETS, SLICES, channels, frequencies, plane_size, hyper, sarm, carm, RENDER_WIDTH)
 
 
 def weight_bytes(
     coding: dict[str, list[Layer]], rendering: dict[str, list[Layer]], channels: int, plane_size: int, lanes: Lanes
 ) -> int:
-    """Bytes of the section of weights in mode 1 (SPEC 5.8), of F_h, SARM and CARM, and of the rendering networks. Raises
-    networks.BoundError."""
+    """Bytes of the section of weights in mode 1 (SPEC 5.8).
+
+    coding: F_h, SARM and CARM. channels, plane_size: ch and B. Raises networks.BoundError.
+    """
     d = _dimensions(coding, channels, plane_size)
     networks = exact_networks({name: {**coding, **rendering}[name] for name in d.network_shapes()})
     return len(
@@ -111,33 +101,29 @@ def position_bytes(lattice: NDArray[np.int64], lanes: Lanes) -> int:
     return sum(len(part) for part in parts)
 
 
-def coded_scene(
-    scaffold: Scaffold,
-    coding: dict[str, list[Layer]],
-    frame: Frame,
-    planes: NDArray[np.int16],
-    base_step: tuple[float, float, float],
-    kept: NDArray[np.bool_],
-    render: RenderInfo,
-) -> Scene:
-    """The scene of integers: steps follow from the networks, symbols from the steps. Raises ValueError for what cannot be written.
+def coded_scene(scaffold: Scaffold, rate: Rate, render: RenderInfo) -> Scene:
+    """The scene of integers: steps follow from the networks, symbols from the steps.
 
-    coding: F_h, SARM and CARM; planes int16 [5, ch, B, B]; kept: masks, bool [N, K]. Anchors without a kept offset are left out, the rest
-    sorted along a Morton curve (B.1).
+    Anchors without a kept offset are left out. The rest is sorted along a Morton curve (B.1). Raises ValueError for
+    what cannot be written.
     """
+    model, kept = rate.started(), rate.masks.decided().numpy()
+    planes = model.symbols(None).detach().numpy()
+    first, second, third = rate.base_step.tolist()
+    base_step = (first, second, third)
     rows = np.flatnonzero(kept.any(axis=1))
     half = lattice_positions(scaffold.lattice[rows])
     order = morton_order(half)
     rows, half = rows[order], half[order]
     count, masks = len(rows), kept[rows]
-    d = _dimensions(coding, planes.shape[1], planes.shape[2])
+    networks = {**model.networks(), **scaffold.networks.layers()}
+    d = _dimensions(networks, planes.shape[1], planes.shape[2])
     empty = Attributes(
         np.zeros((count, d.features), np.int32),
         np.zeros((count, SCALINGS), np.int32),
         np.zeros((count, OFFSETS, 3), np.int32),
         np.zeros((count, len(KINDS)), np.uint8),
     )
-    networks = {**coding, **scaffold.networks.layers()}
     scene = Scene(
         profile=MAIN,
         dimensions=d,
@@ -146,7 +132,7 @@ def coded_scene(
         base_step=base_step,
         grid=scaffold.units.grid,
         render=render,
-        frame=frame,
+        frame=rate.frame,
         plane_shift=PLANE_SHIFT,
         carm_shift=np.zeros(d.carm_inputs, np.uint8),
         networks={name: networks[name] for name in d.network_shapes()},

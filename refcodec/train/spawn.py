@@ -1,7 +1,7 @@
 """From anchors and what the rendering networks say of them to Gaussians, and back (SPEC.md 14.3), for training on CPUs.
 
-What autograd would do in a dozen passes over arrays of all offsets is one pass each way, over the offsets that are drawn. Every anchor's
-gradients are summed by one thread in one order: results do not depend on the number of threads.
+What autograd would do in a dozen passes over arrays of all offsets is one pass each way, over those that are drawn. One
+thread sums an anchor's gradients in one order, so that no result depends on the number of threads.
 """
 
 from __future__ import annotations
@@ -75,11 +75,12 @@ def _backward(
 
 
 class Spawn(torch.autograd.Function):
-    """Spawn.apply(chosen, k, position, offsets, scalings, covariance, colour) -> mean, quaternion, lengths, rgb of n Gaussians.
+    """Spawn.apply(chosen, k, position, offsets, scalings, covariance, colour) -> mean, quaternion, lengths, rgb.
 
-    chosen: int64 [n], ascending, anchor * k + offset; position float32 [N, 3]; offsets [N, 3 k] in units of exp(scalings[:3]); scalings
-    [N, 6], natural logarithms; covariance [N, 7 k] and colour [N, 3 k], outputs of the networks. Positions have no gradient; quaternions
-    are as long as the network makes them.
+    These are n Gaussians, whose quaternions are as long as the network makes them. Positions have no gradient.
+
+    chosen: int64 [n], ascending, anchor * k + offset. The rest is float32. position [N, 3]. offsets [N, 3 k], in units
+    of exp(scalings[:3]). scalings [N, 6], natural logarithms. covariance [N, 7 k] and colour [N, 3 k], of the networks.
     """
 
     @staticmethod

@@ -1,4 +1,4 @@
-"""Drawing Gaussians as a function of torch's autograd: on the CPU with refcodec.rasterise, on a GPU with gsplat."""
+"""Drawing Gaussians as a function of torch's autograd: on the CPU with refcodec.render, on a GPU with gsplat."""
 
 from __future__ import annotations
 
@@ -13,11 +13,14 @@ Drawn = tuple[torch.Tensor, torch.Tensor, torch.Tensor]
 
 
 class Rasterise(torch.autograd.Function):
-    """Rasterise.apply(mean, quaternion, scale, opacity, colour, camera, settings, screen) -> image, transmittance, radius.
+    """Rasterise.apply(mean, quaternion, scale, opacity, colour, camera, settings, screen).
 
-    Shapes, units and errors are those of refcodec.rasterise.rasterise, whose arrays the results share; all tensors are on the CPU and
-    are read as float32. settings may be None. screen, a tensor of shape [N] or None, takes no part in the image: its gradient is
-    Gradients.screen, so that screen.grad adds up densification's measure over the calls. radius has no gradient.
+    Returns image, transmittance and radius, which has no gradient. Shapes, units and errors are those of
+    refcodec.render.rasterise.rasterise, whose arrays the results share. All tensors are on the CPU and are read as
+    float32. settings may be None.
+
+    screen, a tensor of shape [N] or None, takes no part in the image. Its gradient is Gradients.screen, so that
+    screen.grad adds up densification's measure over the calls.
     """
 
     @staticmethod
@@ -40,7 +43,7 @@ class Rasterise(torch.autograd.Function):
         ctx.rendering = rendering
         radius = torch.from_numpy(rendering.radius)
         ctx.mark_non_differentiable(radius)
-        # The backward pass reads the transmittance but not the image: only the one has to be safe from changes in place.
+        # The backward pass reads the transmittance, but not the image: only the first has to be safe from changes.
         return torch.from_numpy(rendering.image), torch.from_numpy(rendering.transmittance.copy()), radius
 
     @staticmethod
@@ -65,19 +68,21 @@ def draw(
     settings: Settings | None = None,
     screen: torch.Tensor | None = None,
 ) -> Drawn:
-    """Image [H, W, 3] with the background, transmittance [H, W] that reaches it, and radius [N] in pixels, on the tensors' device.
+    """Draws Gaussians on the tensors' device.
 
-    Tensors on the CPU are drawn by Rasterise, which states shapes, units and what screen is; tensors on a GPU by gsplat 1.5.3, which
-    is imported then (ModuleNotFoundError without the extra `cuda`). The two draw the same image but for what gsplat fixes:
+    Returns the image [H, W, 3] with the background, the transmittance [H, W] that reaches it, and radius [N] in pixels.
+    Tensors on the CPU are drawn by Rasterise, which states shapes, units and what screen is. Tensors on a GPU are drawn
+    by gsplat 1.5.3, which is imported then (ModuleNotFoundError without the extra `cuda`). The two draw the same image
+    but for what gsplat fixes:
 
-    - alpha_max is 0.999, whatever the settings say;
-    - projection is float32, depths that float32 does not tell apart count as equal, what is exactly at near_plane is drawn, what is
-      beyond a depth of 1e10 is not, and values that are not finite are not looked for;
-    - a pixel is finished by what would leave 1e-4 of it, not only by what would leave less;
-    - radius is the larger half side, rounded up, of the box around the ellipse of which Rasterise gives the larger half axis;
-    - gradients of many pixels are added in any order: the last bits differ from run to run.
+    - alpha_max is 0.999, whatever the settings say.
+    - Projection is float32. Depths that float32 does not tell apart count as equal. What is exactly at near_plane is
+      drawn, what is beyond a depth of 1e10 is not. Values that are not finite are not looked for.
+    - A pixel is finished by what would leave 1e-4 of it, not only by what would leave less.
+    - radius is the larger half side, rounded up, of the box around the ellipse. Rasterise gives its larger half axis.
+    - Gradients of many pixels are added in any order, so that the last bits differ from run to run.
 
-    Raises ValueError for tensors on different devices or on one that is neither, and as refcodec.rasterise.rasterise does.
+    Raises ValueError for tensors on different devices or on one that is neither, and as Rasterise does.
     """
     tensors = (
         (mean, quaternion, scale, opacity, colour)

@@ -1,9 +1,9 @@
 """Structural similarity of two images as 3D Gaussian Splatting takes it, and its gradient, for CPUs.
 
-Wang et al., "Image quality assessment: from error visibility to structural similarity" (2004), with an 11 x 11 Gaussian window of
-deviation 1.5, C1 = 0.01^2 and C2 = 0.03^2 for values in [0, 1], channel by channel, mean over all pixels. As in 3DGS the images are
-continued by zeros, so that the pixels near the edge count; scikit-image leaves out the outer five, and so has another value. Float32;
-the same bits whatever the number of threads.
+Wang et al., "Image quality assessment: from error visibility to structural similarity" (2004), with an 11 x 11 Gaussian
+window of deviation 1.5, C1 = 0.01^2 and C2 = 0.03^2 for values in [0, 1], channel by channel, mean over all pixels. As
+in 3DGS the images are continued by zeros, so that the pixels near the edge count. scikit-image leaves out the outer
+five, and so has another value. Float32; the same bits whatever the number of threads.
 """
 
 from __future__ import annotations
@@ -38,8 +38,10 @@ WINDOW = _window()
 
 @dataclass(frozen=True, eq=False)
 class Similarity:
-    """value: the mean SSIM. The rest is for similarity_backward: both images, and the derivatives of the sum of SSIM with respect to
-    the window's means of x, x^2 and xy; all f32[H + 10, row], rows of W * C values between zeros.
+    """value: the mean SSIM. The rest is for similarity_backward.
+
+    x, y: both images. d_mean, d_square, d_product: derivatives of the sum of SSIM with respect to the window's means of
+    x, x^2 and xy. All are f32[H + 10, row], rows of W * C values between zeros.
     """
 
     value: float
@@ -170,7 +172,10 @@ def _backward(
 
 
 def similarity(x: ArrayLike, y: ArrayLike) -> Similarity:
-    """Mean SSIM of two images f32[H,W,C] with values in [0, 1]. Raises ValueError for shapes that differ, or without a pixel."""
+    """Mean SSIM of two images f32[H,W,C] with values in [0, 1].
+
+    Raises ValueError for shapes that differ, or without a pixel.
+    """
     first, second = np.asarray(x, np.float32), np.asarray(y, np.float32)
     if first.shape != second.shape or first.ndim != 3 or first.size == 0:
         raise ValueError(f"images of shapes {first.shape} and {second.shape}: two of the same [H,W,C] are wanted")
@@ -194,7 +199,10 @@ def similarity_backward(s: Similarity, gradient: float = 1.0) -> F32:
 
 
 class SSIM(torch.autograd.Function):
-    """SSIM.apply(image, target) -> mean SSIM, a scalar; both [H,W,C] on the CPU, read as float32. Only the image has a gradient."""
+    """SSIM.apply(image, target) -> mean SSIM, a scalar.
+
+    Both are [H,W,C] on the CPU, read as float32. Only the image has a gradient.
+    """
 
     @staticmethod
     def forward(ctx: Any, image: torch.Tensor, target: torch.Tensor) -> torch.Tensor:

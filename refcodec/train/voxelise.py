@@ -1,7 +1,7 @@
 """Anchors from a coloured point cloud: real input for the codec where no trained scene is at hand (SPEC.md B.1).
 
-Positions follow Scaffold-GS (unique voxels of the points); attributes are measured from the points around an anchor, so that
-they depend on place and on each other as learned ones do.
+Positions follow Scaffold-GS (unique voxels of the points). Attributes are measured from the points around an anchor, so
+that they depend on place and on each other as learned ones do.
 """
 
 from __future__ import annotations
@@ -42,7 +42,7 @@ class PointCloud:
 
 
 def read_points(path: str | Path) -> PointCloud:
-    """COLMAP's points3D.txt, or an npz with `means3d` [M, 3] and `colors` [M, 3]. Raises ValueError for anything else."""
+    """COLMAP's points3D.txt, or an npz with `means3d` and `colors`, [M, 3] each. Raises ValueError for any other."""
     path = Path(path)
     if path.suffix == ".npz":
         with np.load(path) as archive:
@@ -78,10 +78,10 @@ def short_mantissa(value: float) -> float:
 
 
 def voxelise(points: F32, colours: NDArray[np.uint8], voxel: float | None = None) -> AnchorCloud:
-    """Anchors at unique(round(p / v)) * v, K = 10 offsets to the nearest points, F = 50 features of their neighbourhood.
+    """Anchors at unique(round(p / v)) * v, K = 10 offsets to the nearest points, F = 50 features of the points around.
 
-    points [M, 3], world units; colours uint8 [M, 3]; voxel: None for default_voxel. With mask and offsets as they come out,
-    centre = position + offset * exp(scaling[:3]) is a point of the cloud. Raises ValueError for an empty cloud.
+    points: [M, 3], world units. colours: uint8 [M, 3]. voxel: v, world units, None for default_voxel. position + offset
+    * exp(scaling[:3]) of a kept offset is a point of the cloud. Raises ValueError for an empty cloud.
     """
     if len(points) == 0:
         raise ValueError("there are no points")
@@ -173,8 +173,8 @@ def _describe(
 def display_networks(dimensions: Dimensions) -> dict[str, list[Layer]]:
     """Rendering networks that show an anchor's offsets as balls of its colour: features 0 to 2 are the logits of RGB.
 
-    Float32 layers as SPEC 5.8 stores them: opacity (tanh) about 1, scale logits 0, quaternions (1, 0, 0, 0), colour (sigmoid).
-    Raises ValueError if the dimensions have fewer than three features or six hidden units.
+    They are float32 layers as SPEC 5.8 stores them: opacity (tanh) about 1, scale logits 0, quaternions (1, 0, 0, 0),
+    colour (sigmoid). Raises ValueError if the dimensions have fewer than three features or six hidden units.
     """
     if dimensions.features < 3 or dimensions.render_width < 6:
         raise ValueError("three features and six hidden units are needed to pass a colour on")

@@ -1,7 +1,7 @@
 """refcodec with a training and an evaluation that take no time, made up. Run as a program by the tests of demo and rd.
 
-As `train` of refcodec, it writes a line to stderr every few steps, stops at SIGINT with what it has and status 130, and resumes. Each step
-takes as many milliseconds as FAKE_STEP says.
+As `train` of refcodec, it writes a line to stderr every few steps, stops at SIGINT with what it has and status 130, and
+resumes. Each step takes as many milliseconds as FAKE_STEP says.
 """
 
 from __future__ import annotations

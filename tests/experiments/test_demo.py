@@ -1,4 +1,4 @@
-"""The demo: its page, and what its commands leave when they are done, interrupted or wrong. The training is made up: fake_refcodec.py."""
+"""The demo: its page, and what its commands leave when they are done, interrupted or wrong. Its training is made up."""
 
 from __future__ import annotations
 
@@ -16,14 +16,15 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-for package in ("numba", "PIL", "skimage", "scipy"):
-    pytest.importorskip(package, reason="the demo needs the packages of the extras train and render")
+for package in ("numba", "PIL", "skimage", "scipy", "jinja2"):
+    pytest.importorskip(package, reason="the demo needs the packages of the extra demo")
 
 from PIL import Image  # noqa: E402
 
 from refcodec.cli.main import main  # noqa: E402
 from refcodec.experiments import demo, runs  # noqa: E402
-from refcodec.experiments.page import Chart, File, Part, Result, Step, View, difference, page, readable  # noqa: E402
+from refcodec.experiments.page import difference, page, readable  # noqa: E402
+from refcodec.experiments.result import Chart, File, Part, Result, Step, View  # noqa: E402
 
 ROOT = Path(__file__).resolve().parents[2]
 FAKE = (sys.executable, str(ROOT / "tests" / "experiments" / "fake_refcodec.py"))
@@ -187,6 +188,16 @@ def test_the_size_of_each_part() -> None:
     ]
 
 
+def test_the_page_needs_its_extra(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    for name in ("refcodec.experiments.demo", "refcodec.experiments.page", "jinja2"):
+        monkeypatch.delitem(sys.modules, name)
+    monkeypatch.setitem(sys.modules, "jinja2", None)
+    assert main(["demo", "-o", str(tmp_path / "out")]) == 64
+    assert "demo needs jinja2: pip install 'refcodec[demo]'" in capsys.readouterr().err
+
+
 # --- the command ------------------------------------------------------------------------------------------------------
 
 
@@ -300,7 +311,7 @@ def test_the_whole_way(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def test_notes(tmp_path: Path) -> None:
-    """What is made from something that is made anew, with other arguments or after an interruption, is no longer done."""
+    """What is made from something that is made anew is no longer done."""
     out = tmp_path / "out"
     notes = runs.Notes.open(out, "notes.json", "a format")
     commands = [

@@ -1,4 +1,4 @@
-"""Curves of rate and distortion: Bjontegaard's deltas of known curves, and the command. The training is made up: fake_refcodec.py."""
+"""Curves of rate and distortion: Bjontegaard's deltas of known curves, and the command. Its training is made up."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Folders of posed photographs: what is written is read back, geometry is kept by every step, whatever is wrong is one clear error."""
+"""Folders of posed photographs: what is written is read back, no step changes geometry, and faults are clear errors."""
 
 from __future__ import annotations
 
@@ -37,7 +37,10 @@ MODEL_IDS = {"SIMPLE_PINHOLE": 0, "PINHOLE": 1, "SIMPLE_RADIAL": 2, "RADIAL": 3,
 
 
 def model(count=COUNT, camera=PINHOLE, seed=0):
-    """cameras {id: (model, width, height, parameters)}, images [(id, quaternion, translation, camera, name, 2D points)], points."""
+    """cameras {id: (model, width, height, parameters)}, images, points.
+
+    An image is (id, quaternion, translation, camera, name, 2D points).
+    """
     rng = np.random.default_rng(seed)
     quaternions, translations = rng.normal(size=(count, 4)), rng.normal(size=(count, 3))
     rows = [
@@ -610,7 +613,7 @@ def spot_near(image, place, reach=6):
 @pytest.mark.parametrize("size", [None, 240, 150])
 @pytest.mark.parametrize("name", LENSES)
 def test_undistorted_spots_are_where_the_pinhole_camera_sees_them(name, size, tmp_path):
-    """A grid of points photographed through the lens by its formula: after undistortion they are where a pinhole projects them."""
+    """Points photographed through the lens by its formula are, after undistortion, where a pinhole projects them."""
     distortion, photographed = LENSES[name], Camera("", 320, 240, 300.0, 310.0, 165.0, 117.0, np.eye(3), np.zeros(3))
     points = np.stack(
         [*np.meshgrid(np.linspace(-0.4, 0.4, 7), np.linspace(-0.3, 0.3, 5)), np.ones((5, 7))], axis=2
@@ -973,7 +976,7 @@ def test_examples(name, train, test):
         depth = (found.points @ photograph.camera.rotation.T + photograph.camera.translation)[:, 2]
         inside = (depth > 0) & (at > 0).all(axis=1) & (at < (400, 300)).all(axis=1)
         assert inside.sum() > 100
-        # Points have the colours of where they are seen (most: some are hidden), and not those of the image turned by 180 degrees.
+        # Most points have the colours of where they are seen (some are hidden), not those of the image upside down.
         x, y = at[inside].astype(int).T
         colours = found.colours[inside].astype(int)
         own, other = (

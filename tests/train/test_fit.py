@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import subprocess
+import sys
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -17,8 +20,23 @@ from refcodec.bitstream.dimensions import Dimensions  # noqa: E402
 from refcodec.bitstream.directory import ATTRIBUTES, PLANES_SECTION  # noqa: E402
 from refcodec.bitstream.entropy import select  # noqa: E402
 from refcodec.bitstream.networks import IntNetwork, derive_layer  # noqa: E402
+from refcodec.bitstream.scene import Scene  # noqa: E402
 from refcodec.bitstream.tables import tables  # noqa: E402
-from refcodec.train import fit, rate_model, voxelise  # noqa: E402
+from refcodec.cli.main import main  # noqa: E402
+from refcodec.encoder.cloud import AnchorCloud  # noqa: E402
+from refcodec.encoder.quantise import packed  # noqa: E402
+from refcodec.folder.uncompressed import Uncompressed, read_uncompressed, write_uncompressed  # noqa: E402
+from refcodec.folder.write import write_folder  # noqa: E402
+from refcodec.photographs.photographs import PhotographSet  # noqa: E402
+from refcodec.render.view import View  # noqa: E402
+from refcodec.train import fit, voxelise  # noqa: E402
+from refcodec.train.entropy.bits import gauss_bits, laplace_bits  # noqa: E402
+from refcodec.train.entropy.folded import FoldedMlp  # noqa: E402
+from refcodec.train.entropy.hyperprior import VectorMatrix  # noqa: E402
+from refcodec.train.fit_input import Given, read_given  # noqa: E402
+from refcodec.train.settings import FitSettings, TrainSettings  # noqa: E402
+from refcodec.train.settings_file import varied  # noqa: E402
+from refcodec.train.trainer import Trainer  # noqa: E402
 
 STEPS = 40
 VOXEL = voxelise.short_mantissa(0.1)
@@ -41,14 +59,18 @@ def points(count: int = 2500, seed: int = 0) -> voxelise.PointCloud:
 
 
 @pytest.fixture(scope="module")
-def cloud():
+def cloud() -> AnchorCloud:
     found = points()
     return voxelise.voxelise(found.points, found.colours, VOXEL)
 
 
+def fitted(cloud: AnchorCloud, steps: int = STEPS, voxel: float | None = VOXEL) -> fit.FitResult:
+    return fit.fit(Given(cloud, voxel), FitSettings(steps=steps))
+
+
 @pytest.fixture(scope="module")
-def result(cloud):
-    return fit.fit(cloud, voxel=VOXEL, steps=STEPS, plane_size=8)
+def result(cloud: AnchorCloud) -> fit.FitResult:
+    return fitted(cloud)
 
 
 def test_readers(tmp_path):
@@ -88,13 +110,13 @@ def test_tiny_clouds(count):
     cloud = voxelise.voxelise(found.points, found.colours)
     assert cloud.features.shape == (len(cloud.positions), 50)
     assert all(np.isfinite(a).all() for a in (cloud.features, cloud.scalings, cloud.offsets))
-    scene = fit.fit(cloud, steps=3, plane_size=4).scene
+    scene = fitted(cloud, 3, None).scene
     data = codec.emit(scene)
     assert codec.emit(codec.parse(data).scene) == data
 
 
 def test_a_cloud_that_keeps_no_offset_gives_an_empty_scene(cloud):
-    result = fit.fit(replace(cloud, masks=np.zeros_like(cloud.masks)), steps=3)
+    result = fitted(replace(cloud, masks=np.zeros_like(cloud.masks)), 3, None)
     assert result.report["dropped"] == len(cloud.positions)
     assert result.scene.anchor_count == 0
     data = codec.emit(result.scene)
@@ -103,7 +125,7 @@ def test_a_cloud_that_keeps_no_offset_gives_an_empty_scene(cloud):
 
 def test_a_lattice_too_wide_for_fp16_falls_back_to_a_grid_without_it():
     wide = points(50).points * np.array([1, 1, 1e6], np.float32)
-    scene = fit.fit(voxelise.voxelise(wide, points(50).colours, 0.5), voxel=0.5, steps=1, plane_size=2).scene
+    scene = fitted(voxelise.voxelise(wide, points(50).colours, 0.5), 1, 0.5).scene
     assert scene.grid.scale_mantissa * 2.0**scene.grid.scale_exponent > 0.5
     codec.emit(scene)
 
@@ -116,7 +138,7 @@ def test_an_empty_cloud_and_a_bad_voxel_are_refused():
 
 
 def test_display_networks_show_the_colours():
-    d = fit.default_dimensions(voxelise.voxelise(np.zeros((1, 3), np.float32), np.zeros((1, 3), np.uint8)), 8)
+    d = fit.fit_dimensions(voxelise.voxelise(np.zeros((1, 3), np.float32), np.zeros((1, 3), np.uint8)))
     networks = voxelise.display_networks(d)
     x = np.zeros((1, 54), np.float32)
     x[0, :3] = [1.5, -2.0, 0.25]
@@ -137,7 +159,7 @@ def test_bits_and_their_gradient_are_those_of_the_distributions():
     rng = np.random.default_rng(0)
     mean, scale = rng.normal(0, 40, 200), rng.uniform(-30, 40, 200)
     symbol = np.round(mean / 16 + rng.normal(0, 1, 200) * 2 ** (scale / 8))
-    for family, function in (("gauss", rate_model.gauss_bits), ("laplace", rate_model.laplace_bits)):
+    for family, function in (("gauss", gauss_bits), ("laplace", laplace_bits)):
         exact = ideal.bin_bits(family, mean / 16, scale / 8, symbol)
         ours = function(torch.tensor(mean), torch.tensor(scale), torch.tensor(symbol)).numpy()
         likely = exact < 8
@@ -177,7 +199,7 @@ def test_bin_bits_are_those_of_the_frequency_models():
 def test_folding_is_exact_and_the_integers_follow():
     generator = torch.Generator().manual_seed(1)
     units = torch.exp2(torch.randint(2, 8, (6,), generator=generator).float())
-    network = rate_model.FoldedMlp([6, 12, 4], units, torch.tensor([16.0, 64.0, 8.0, 8.0]), generator, 0.5)
+    network = FoldedMlp([6, 12, 4], units, torch.tensor([16.0, 64.0, 8.0, 8.0]), generator, 0.5)
     inputs = torch.randint(-1023, 1024, (500, 6), generator=generator).float()
     network.calibrate(inputs)
     layers = network.layers()
@@ -197,8 +219,9 @@ def test_the_scene_can_be_written_and_read(result):
 
 def test_contexts_in_training_are_those_of_the_codec(result):
     scene = result.scene
-    data = fit._Data(scene)
-    found = data.context(torch.tensor(scene.planes.astype(np.float32)), torch.arange(data.count), True).numpy()
+    contexts = VectorMatrix().contexts(scene.frame, scene.positions, scene.dimensions.plane_size)
+    rows = torch.arange(scene.anchor_count)
+    found = contexts.inputs(torch.tensor(scene.planes.astype(np.float32)), rows, True).numpy()
     full, wanted = planes.assemble_planes(scene.planes), codec.Coding(scene).contexts()
     assert np.array_equal(found, wanted)
     exact = ideal.float_context(scene, tuple(p.astype(float) for p in full), scene.positions)
@@ -206,7 +229,7 @@ def test_contexts_in_training_are_those_of_the_codec(result):
 
 
 def test_training_pays_and_the_coded_size_is_close_to_the_ideal(cloud, result):
-    untrained = fit.fit(cloud, voxel=VOXEL, steps=0, plane_size=8)
+    untrained = fitted(cloud, 0)
     assert len(codec.emit(result.scene)) < len(codec.emit(untrained.scene))
     data = codec.emit(result.scene)
     sections = parse_container(data).sections
@@ -218,14 +241,12 @@ def test_training_pays_and_the_coded_size_is_close_to_the_ideal(cloud, result):
     assert abs(attributes.table / attributes.capped - 1) < 0.005
     assert abs(attributes.integer / attributes.capped - 1) < 0.002
     assert attributes.capped <= attributes.ideal
-    bits = fit.ideal_bits(result)
-    assert bits == {"attributes": attributes.ideal, "planes": planes.ideal}
     assert attributes.table < ideal.order_zero_bits(result.scene)["attributes"]
 
 
-def test_a_training_that_was_stopped_goes_on_to_the_same_result(cloud, tmp_path):
-    settings = {"voxel": VOXEL, "steps": 12, "plane_size": 4}
-    whole = fit.fit(cloud, **settings)
+def test_a_training_that_was_stopped_goes_on_to_the_same_result(cloud: AnchorCloud, tmp_path: Path) -> None:
+    given, settings = Given(cloud, VOXEL), FitSettings(steps=12)
+    whole = fit.fit(given, settings)
 
     def stop(stage: str, done: int, total: int) -> None:
         assert (stage, total) == ("fit", 12)
@@ -233,13 +254,105 @@ def test_a_training_that_was_stopped_goes_on_to_the_same_result(cloud, tmp_path)
             raise KeyboardInterrupt
 
     state = tmp_path / "new" / "folder" / "state"
-    stopped = fit.fit(cloud, **settings, progress=stop, state=state)
+    stopped = fit.fit(given, settings, progress=stop, state=state)
     assert stopped.report["steps"] == 5
     codec.emit(stopped.scene)
-    resumed = fit.fit(cloud, **settings, state=state)
+    resumed = fit.fit(given, settings, state=state)
     assert codec.emit(resumed.scene) == codec.emit(whole.scene)
-    with pytest.raises(ValueError, match="belongs to"):
-        fit.fit(cloud, **settings, seed=1, state=state)
+    with pytest.raises(ValueError, match="of other settings; seed is 0, not 1"):
+        fit.fit(given, replace(settings, seed=1), state=state)
     state.write_bytes(b"\x80\x04N.")  # a pickle is not read
     with pytest.raises(ValueError, match="cannot be read"):
-        fit.fit(cloud, **settings, state=state)
+        fit.fit(given, settings, state=state)
+
+
+def test_large_symbols_are_shifted_for_carm(cloud: AnchorCloud) -> None:
+    """Features far from zero give CARM's inputs shifts, in training as in the decoder."""
+    features = cloud.features.copy()
+    features[:, 7] *= 5000
+    scene = fitted(replace(cloud, features=features), 5).scene
+    assert scene.carm_shift[7] > 0
+    assert codec.emit(codec.parse(codec.emit(scene)).scene) == codec.emit(scene)
+
+
+# --- a trained scene --------------------------------------------------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def plain(photographs: PhotographSet, small: TrainSettings, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The folder of an uncompressed scene that was trained for seconds."""
+    trainer = Trainer(photographs, varied(small, {"rate.weight": 0.0, "steps": 400}))
+    trainer.run(lambda _: None)
+    result, folder = trainer.result(), tmp_path_factory.mktemp("plain") / "scene"
+    assert isinstance(result, Uncompressed)
+    write_uncompressed(result, folder)
+    return folder
+
+
+def decibels(one: View, two: View, photographs: PhotographSet) -> float:
+    """PSNR between drawings of two scenes, from the cameras of the held-out photographs."""
+    pairs = [(one.draw(p.camera), two.draw(p.camera)) for p in photographs.test]
+    return float(-10 * np.log10(np.mean([(a.clip(0, 1) - b.clip(0, 1)) ** 2 for a, b in pairs])))
+
+
+def test_a_trained_scene_keeps_its_looks(plain: Path, photographs: PhotographSet) -> None:
+    """The file of the fitted scene shows what the uncompressed scene shows: the same networks, rounded attributes."""
+    before = read_uncompressed(plain)
+    for path in (plain, plain / "point_cloud.ply"):
+        scene = fit.fit(read_given(path), FitSettings(steps=STEPS)).scene
+        for name, layers in before.networks.items():
+            for (weight, bias), (kept, kept_bias) in zip(layers, scene.networks[name], strict=True):
+                assert (weight == kept).all()
+                assert (bias == kept_bias).all()
+        assert scene.render == before.render
+        file = codec.emit(packed(scene, None, None))
+        assert decibels(View(before), View(codec.parse(file).scene), photographs) > 43
+    # Balls in the colours of features would be far from it.
+    balls = replace(scene, networks={**scene.networks, **voxelise.display_networks(scene.dimensions)})
+    assert decibels(View(before), View(balls), photographs) < 20
+
+
+def test_a_coded_scene_is_fitted_again(trained: Trainer, photographs: PhotographSet, tmp_path: Path) -> None:
+    """Its positions stay where they are, on its own grid."""
+    before = trained.result()
+    assert isinstance(before, Scene)
+    write_folder(before, tmp_path / "scene")
+    scene = fit.fit(read_given(tmp_path / "scene"), FitSettings(steps=STEPS)).scene
+    assert scene.grid == before.grid
+    np.testing.assert_array_equal(scene.positions, before.positions)
+    np.testing.assert_array_equal(scene.masks, before.masks)
+    assert decibels(View(before), View(scene), photographs) > 47
+
+
+def test_what_is_missing_is_said(plain: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """A trained point cloud without its networks is refused, and so are networks without the rest of their scene."""
+    cloud, networks = (plain / name for name in ("point_cloud.ply", "networks.safetensors"))
+    bare, half, wrong = (tmp_path / name for name in ("bare.ply", "half", "wrong"))
+    bare.write_bytes(cloud.read_bytes())
+    for folder in (half, wrong):
+        folder.mkdir()
+        for file in (cloud, networks):
+            (folder / file.name).write_bytes(file.read_bytes())
+    (half / "other.ply").write_bytes(cloud.read_bytes())
+    scene = read_uncompressed(plain)
+    layers = {**scene.networks, "opacity": [(w[: len(b) // 2], b[: len(b) // 2]) for w, b in scene.networks["opacity"]]}
+    write_uncompressed(replace(scene, networks=layers), wrong)
+    for path, message in (
+        (bare, "networks.safetensors is not beside it"),
+        (half, "neither scene.json nor render.json"),
+        (half / "point_cloud.ply", "neither scene.json nor render.json"),
+        (half / "other.ply", "it is not point_cloud.ply"),
+        (wrong, "the rendering network opacity has layers"),
+        (tmp_path / "none", "expected"),
+    ):
+        assert main(["fit", str(path), "-o", str(tmp_path / "new"), "--steps", "1"]) == 64
+        said = capsys.readouterr().err
+        assert said.count("\n") == 1
+        assert message in said
+        assert not (tmp_path / "new").exists()
+
+
+def test_fit_needs_no_more_than_its_extra() -> None:
+    """torch and scipy: neither numba nor what reads photographs."""
+    code = "import sys, refcodec.train.fit\nprint({'numba', 'PIL', 'skimage'} & set(sys.modules))"
+    assert subprocess.run([sys.executable, "-c", code], check=True, capture_output=True, text=True).stdout == "set()\n"

@@ -1,0 +1,135 @@
+"""A network on integer activations, trained in float32, and its export to the weights of SPEC.md 5.8.
+
+Inputs and outputs are those of SPEC 7: integers in [-1023, 1023] in, means in 1/16 symbol and scale indices in 1/8
+octave out. Between them the parameters are of order one. Every factor between the two is a power of two, so that
+folding it into a stored weight is exact.
+"""
+
+from __future__ import annotations
+
+import math
+from itertools import pairwise
+
+import numpy as np
+import torch
+from torch import Tensor, nn
+from torch.nn import functional
+
+from ...bitstream.networks import ACCUMULATOR_BOUND, ACTIVATION_MAX, WEIGHT_MAX, Layer, derive_layer
+from ..settings import EntropySettings
+from .units import grid_through, round_through
+
+
+class FoldedMlp(nn.Module):
+    """An MLP on integer activations (SPEC 7.2), trained in parameters of order one.
+
+    The buffers hidden_unit_* hold the integers that stand for one at each hidden activation; calibrate sets them. The
+    buffers step_* hold the step of each row's weights and bias in the file, if they are multiples of one; set_grid sets
+    them.
+    """
+
+    def __init__(
+        self,
+        widths: list[int],
+        input_unit: Tensor,
+        output_unit: Tensor,
+        generator: torch.Generator,
+        gain: float = EntropySettings.gain,
+        bias: float = EntropySettings.bias,
+    ) -> None:
+        """widths: inputs, hidden widths, outputs.
+
+        input_unit, output_unit: float32 [in] and [out], powers of two, the integers that stand for one at the inputs
+        and outputs. gain, bias: see EntropySettings.
+        """
+        super().__init__()
+        self.weights, self.biases = nn.ParameterList(), nn.ParameterList()
+        for i, (fan_in, out) in enumerate(pairwise(widths)):
+            last = i == len(widths) - 2
+            spread = (gain if last else math.sqrt(2)) / math.sqrt(fan_in)
+            self.weights.append(nn.Parameter(torch.randn(out, fan_in, generator=generator) * spread))
+            self.biases.append(nn.Parameter(torch.zeros(out) if last else torch.rand(out, generator=generator) * bias))
+        self.register_buffer("input_unit", input_unit)
+        self.register_buffer("output_unit", output_unit)
+        self.hidden = len(widths) - 2
+        for i in range(self.hidden):
+            self.register_buffer(f"hidden_unit_{i}", torch.full((widths[i + 1],), 64.0))
+        for i, out in enumerate(widths[1:]):
+            self.register_buffer(f"step_{i}", torch.ones(out))
+        self.rounding = self.gridded = False
+
+    def forward(self, inputs: Tensor) -> Tensor:
+        """inputs: integers as float32 [n, in]. Returns float32 [n, out] in the units of the file."""
+        return self.outputs(self.activations(inputs), slice(None))
+
+    def outputs(self, hidden: Tensor, columns: slice) -> Tensor:
+        """Some columns of the outputs for the last hidden activations."""
+        return functional.linear(hidden, *self._layer(self.hidden, columns)) * self.get_buffer("output_unit")[columns]
+
+    def activations(self, inputs: Tensor) -> Tensor:
+        """The last hidden activations."""
+        x = inputs / self.get_buffer("input_unit")
+        for i in range(self.hidden):
+            x = functional.relu(functional.linear(x, *self._layer(i, slice(None))))
+            if self.rounding:
+                unit = self.get_buffer(f"hidden_unit_{i}")
+                x = round_through((x * unit).clamp_max(ACTIVATION_MAX)) / unit
+        return x
+
+    @torch.no_grad()
+    def calibrate(self, inputs: Tensor) -> None:
+        """Sets the unit of each hidden activation, from inputs like those of the file.
+
+        It is the largest power of two that keeps the activation within 1023 for these inputs, and its row of weights
+        within half of SPEC 7.2's bounds.
+        """
+        x = inputs / self.get_buffer("input_unit")
+        before = self.get_buffer("input_unit")
+        for i in range(self.hidden):
+            x = functional.relu(functional.linear(x, self.weights[i], self.biases[i]))
+            row = (self.weights[i] / before).abs()
+            total = row.sum(dim=1) * ACTIVATION_MAX + self.biases[i].abs()
+            limits = (
+                ACTIVATION_MAX / x.max(dim=0).values,
+                WEIGHT_MAX / 2 / row.max(dim=1).values,
+                ACCUMULATOR_BOUND / 2 / total,
+            )
+            unit = torch.stack(limits).min(dim=0).values.clamp(2.0**-16, 2.0**16)
+            before = self.get_buffer(f"hidden_unit_{i}").copy_(torch.exp2(torch.floor(torch.log2(unit))))
+
+    def _units(self, layer: int) -> tuple[Tensor, Tensor]:
+        """What a layer's weights [out, in] and biases [out] are multiplied by in the file: powers of two."""
+        before = self.get_buffer(f"hidden_unit_{layer - 1}" if layer else "input_unit")
+        after = self.get_buffer(f"hidden_unit_{layer}" if layer < self.hidden else "output_unit")
+        return after[:, None] / before[None, :], after
+
+    def _layer(self, layer: int, rows: slice) -> tuple[Tensor, Tensor]:
+        """Some rows of a layer's weights and biases, on their grid if there is one."""
+        weight, bias = self.weights[layer][rows], self.biases[layer][rows]
+        if not self.gridded:
+            return weight, bias
+        weight_unit, bias_unit = self._units(layer)
+        step = self.get_buffer(f"step_{layer}")[rows]
+        return grid_through(weight, step[:, None] / weight_unit[rows]), grid_through(bias, step / bias_unit[rows])
+
+    @torch.no_grad()
+    def set_grid(self, coarser: int) -> None:
+        """From now on each row's weights and bias are multiples of 2^coarser steps of its integers (SPEC 7.2).
+
+        Raises networks.BoundError for a row that has none.
+        """
+        self.gridded = False
+        for i, (weight, bias) in enumerate(self.layers()):
+            exponent = torch.from_numpy(coarser - derive_layer(weight, bias).exponent)
+            self.get_buffer(f"step_{i}").copy_(torch.exp2(exponent.float()))
+        self.gridded = True
+
+    @torch.no_grad()
+    def layers(self) -> list[Layer]:
+        """The weights that SPEC 5.8 stores: float32 (weight [out, in], bias [out]) of each layer."""
+        found = []
+        for i in range(self.hidden + 1):
+            layer = zip(self._layer(i, slice(None)), self._units(i), strict=True)
+            weight, bias = ((value * unit).numpy().astype(np.float32) for value, unit in layer)
+            found.append((weight, bias))
+        return found

@@ -1,0 +1,134 @@
+"""The hyperprior: what F_h reads of an anchor, made of planes of symbols and of the anchor's place (SPEC.md 7.5).
+
+A training takes any object with the calls of `Hyperprior`. The format has one of them, VectorMatrix.
+"""
+
+from __future__ import annotations
+
+from typing import Protocol
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+from torch.nn import functional
+
+from ...bitstream.context import (
+    LERP_BITS,
+    UNIT_BITS,
+    contract,
+    frame_coordinates,
+    positional_encoding,
+    rescale,
+)
+from ...bitstream.conventions import Int64
+from ...bitstream.frame import Frame
+from ...bitstream.networks import ACTIVATION_MAX
+from ...bitstream.planes import PLANES
+from ...bitstream.positions import position_integers
+from .units import GAMMA_UNIT, LATENT_UNIT, PLANE_SHIFT, round_through
+
+
+class Contexts(Protocol):
+    """The contexts of given anchors."""
+
+    def inputs(self, symbols: Tensor, rows: Tensor, rounding: bool) -> Tensor:
+        """Inputs of F_h for the anchors `rows`, float32 [n, inputs], from the plane symbols [planes, ch, B, B].
+
+        rounding: whether contexts are integers, as in the decoder.
+        """
+
+
+class Hyperprior(Protocol):
+    """A kind of hyperprior."""
+
+    @property
+    def coded(self) -> bool:
+        """Whether the format has it, so that a scene with it can be written."""
+
+    def input_units(self) -> Tensor:
+        """The integer that stands for one in each input of F_h: float32 [inputs], powers of two."""
+
+    def latent_shape(self, plane_size: int) -> tuple[int, int, int, int]:
+        """The shape of the planes' symbols, [planes, ch, B, B], with B = plane_size."""
+
+    def contexts(self, frame: Frame, positions: NDArray[np.float16], plane_size: int) -> Contexts:
+        """Contexts of anchors at the given cells of the lattice, fp16 [N, 3]."""
+
+
+class PlaneSamples:
+    """SPEC 7.5.4 for given positions: corners int64 [n, 4] and weights float32 [n, 4] of the planes of both scales."""
+
+    def __init__(self, u: Int64, plane_size: int) -> None:
+        """u: integers [n, 2] in [0, 2^16], columns of the plane along u[:, 0]. plane_size: B."""
+        self.corners, self.shares = [], []
+        for size in (plane_size, 2 * plane_size):
+            grid = u * (size - 1)
+            cell = np.minimum(grid >> UNIT_BITS, size - 2)
+            cut = UNIT_BITS - LERP_BITS
+            share = (grid - (cell << UNIT_BITS) + (1 << (cut - 1)) >> cut) / (1 << LERP_BITS)
+            at = cell[:, 1] * size + cell[:, 0]
+            fj, fi = share[:, 0], share[:, 1]
+            self.corners.append(torch.from_numpy(np.stack([at, at + 1, at + size, at + size + 1], axis=1)))
+            weights = [(1 - fj) * (1 - fi), fj * (1 - fi), (1 - fj) * fi, fj * fi]
+            self.shares.append(torch.from_numpy(np.stack(weights, axis=1).astype(np.float32)))
+
+    def query(self, symbols: Tensor, rows: Tensor, rounding: bool) -> Tensor:
+        """Context of the anchors `rows` [b] from plane symbols [5, ch, B, B]: float32 [b, 2 ch], in [-1023, 1023]."""
+        channels = symbols.shape[1]
+        top, bottom = (torch.cat([symbols[i], symbols[i + 1]], dim=2) for i in (1, 3))
+        parts = []
+        for plane, corners, shares in zip(
+            (symbols[0], torch.cat([top, bottom], dim=1)), self.corners, self.shares, strict=True
+        ):
+            table = plane.reshape(channels, -1).T.contiguous()
+            parts.append(functional.embedding_bag(corners[rows], table, per_sample_weights=shares[rows], mode="sum"))
+        units = torch.cat(parts, dim=1) * 2.0**PLANE_SHIFT
+        return (round_through(units) if rounding else units).clamp(-ACTIVATION_MAX, ACTIVATION_MAX)
+
+
+class VectorMatrix:
+    """SPEC 7.5: planes over the first two principal axes at two scales, and gamma, the vector of the third axis."""
+
+    coded = True
+    # SPEC 11.1: Main's dimensions.
+    channels, frequencies = 8, 10
+
+    def input_units(self) -> Tensor:
+        """As Hyperprior."""
+        planes = torch.full((2 * self.channels,), LATENT_UNIT * 2**PLANE_SHIFT)
+        return torch.cat([planes, torch.full((2 * self.frequencies,), GAMMA_UNIT)])
+
+    def latent_shape(self, plane_size: int) -> tuple[int, int, int, int]:
+        """As Hyperprior."""
+        return PLANES, self.channels, plane_size, plane_size
+
+    def contexts(self, frame: Frame, positions: NDArray[np.float16], plane_size: int) -> Contexts:
+        """As Hyperprior."""
+        u = scene_coordinates(frame, positions)
+        gamma = positional_encoding(u[:, 2], self.frequencies)
+        return _VectorMatrixContexts(PlaneSamples(u[:, :2], plane_size), torch.from_numpy(gamma.astype(np.float32)))
+
+
+class _VectorMatrixContexts:
+    def __init__(self, samples: PlaneSamples, gamma: Tensor) -> None:
+        self.samples, self.gamma = samples, gamma
+
+    def inputs(self, symbols: Tensor, rows: Tensor, rounding: bool) -> Tensor:
+        return torch.cat([self.samples.query(symbols, rows, rounding), self.gamma[rows]], dim=1)
+
+
+def scene_coordinates(frame: Frame, positions: NDArray[np.float16]) -> Int64:
+    """SPEC 7.5.1 to 7.5.3: integers [N, 3] in [0, 2^16] of positions fp16 [N, 3]."""
+    return rescale(frame, contract(frame_coordinates(frame, position_integers(positions))))
+
+
+def plane_neighbours(symbols: Tensor) -> Tensor:
+    """SPEC 7.3: the contexts (i-1, j-1), (i-1, j), (i-1, j+1) and (i, j-1) of all plane symbols, [planes ch B B, 4].
+
+    symbols: [planes, ch, B, B]. A neighbour outside its plane is 0.
+    """
+    size = symbols.shape[-1]
+    padded = functional.pad(symbols, (1, 1, 1, 0))
+    views = [padded[..., di : di + size, dj : dj + size] for di, dj in ((0, 0), (0, 1), (0, 2), (1, 0))]
+    return torch.stack([view.reshape(-1) for view in views], dim=1).clamp(-ACTIVATION_MAX, ACTIVATION_MAX)

@@ -1,0 +1,185 @@
+"""The entropy model in training: planes, F_h with its steps, SARM and CARM (SPEC.md chapter 7). Rates are bits."""
+
+from __future__ import annotations
+
+from itertools import accumulate
+from typing import cast
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor, nn
+
+from ...bitstream.attributes import KINDS, SCALINGS
+from ...bitstream.limits import MAIN_SLICES
+from ...bitstream.networks import ACTIVATION_MAX, Layer
+from ...bitstream.tables import STEP_LENGTH
+from ..settings import EntropySettings
+from .bits import gauss_bits, laplace_bits
+from .folded import FoldedMlp
+from .hyperprior import Hyperprior, plane_neighbours
+from .units import LATENT_UNIT, MEAN_UNIT, SCALE_UNIT, STEP_ONE, round_through
+
+# SPEC 11.1: Main's dimensions.
+FEATURES, OFFSETS, SLICES, SARM_WIDTH = sum(MAIN_SLICES), 10, MAIN_SLICES, (16, 16)
+# Columns of the three kinds of attributes in file order, and D.
+WIDTHS = dict(zip(KINDS, (FEATURES, SCALINGS, 3 * OFFSETS), strict=True))
+WIDTH = sum(WIDTHS.values())
+
+
+class RateModel(nn.Module):
+    """Planes, F_h with its steps, SARM and CARM of one scene of Main.
+
+    What is trained is `latents`, the planes in units of LATENT_UNIT symbols, and the networks' parameters.
+    """
+
+    def __init__(
+        self,
+        hyperprior: Hyperprior,
+        plane_size: int,
+        width: int,
+        mean: NDArray[np.float64],
+        deviation: NDArray[np.float64],
+        generator: torch.Generator,
+        settings: EntropySettings,
+        carm_shift: NDArray[np.uint8] | None = None,
+    ) -> None:
+        """plane_size: B. width: of the hidden layers of F_h and CARM.
+
+        mean, deviation: [D], of each channel's symbols at the beginning, when every step is the base step. carm_shift:
+        SPEC 7.9, of CARM's inputs; None for zeros.
+        """
+        super().__init__()
+        self.floor = settings.floor
+        self.carm_unit: Tensor | None = None
+        if carm_shift is not None and carm_shift.any():
+            self.carm_unit = torch.from_numpy(np.exp2(carm_shift.astype(np.float32)))
+        octave = np.log2(np.maximum(deviation, settings.deviation))
+        unit = torch.tensor(2.0 ** np.round(octave), dtype=torch.float32)
+
+        def network(widths: list[int], inputs: Tensor, outputs: Tensor, gain: float = settings.gain) -> FoldedMlp:
+            return FoldedMlp(widths, inputs, outputs, generator, gain, settings.bias)
+
+        inputs = hyperprior.input_units()
+        outputs = torch.cat([unit * MEAN_UNIT, torch.full((WIDTH + len(KINDS),), SCALE_UNIT)])
+        self.hyper = network([len(inputs), width, 2 * WIDTH + len(KINDS)], inputs, outputs)
+        with torch.no_grad():
+            start = np.concatenate([mean / unit.numpy(), octave, np.full(len(KINDS), STEP_ONE / SCALE_UNIT)])
+            self.hyper.biases[-1].copy_(torch.tensor(start, dtype=torch.float32))
+            self.hyper.weights[-1][2 * WIDTH :] = 0
+        # The step of scalings is one for all anchors: their symbols lie far from zero, and would move with it.
+        still = torch.ones(2 * WIDTH + len(KINDS), 1)
+        still[2 * WIDTH + KINDS.index("scalings")] = 0
+        self.hyper.weights[-1].register_hook(lambda gradient: gradient * still)
+        outputs = torch.tensor([LATENT_UNIT * MEAN_UNIT, SCALE_UNIT])
+        self.sarm = network([4, *SARM_WIDTH, 2], torch.full((4,), LATENT_UNIT), outputs)
+        inputs = unit[: sum(SLICES[:-1])] / (1 if self.carm_unit is None else self.carm_unit)
+        carm, done = [], SLICES[0]
+        for columns in SLICES[1:]:
+            outputs = torch.cat([unit[done : done + columns] * MEAN_UNIT, torch.full((columns,), SCALE_UNIT)])
+            carm.append(network([done, width, 2 * columns], inputs[:done], outputs, 0.0))
+            done += columns
+        self.carm = nn.ModuleList(carm)
+        shape = hyperprior.latent_shape(plane_size)
+        self.latents = nn.Parameter(torch.randn(shape, generator=generator) * settings.planes)
+
+    def _networks(self) -> list[FoldedMlp]:
+        """F_h, SARM, and CARM of slices 1, 2 and so on."""
+        return [self.hyper, self.sarm, *self._carm()]
+
+    def _carm(self) -> list[FoldedMlp]:
+        return cast(list[FoldedMlp], list(self.carm))
+
+    def coding_parameters(self) -> list[nn.Parameter]:
+        """The weights of F_h, SARM and CARM."""
+        return [p for name, p in self.named_parameters() if name != "latents"]
+
+    # --- bits ---------------------------------------------------------------------------------------------------------
+
+    def symbols(self, noise: torch.Generator | None) -> Tensor:
+        """Plane symbols [planes, ch, B, B]: with uniform noise in place of rounding, or rounded if noise is None."""
+        fine = self.latents * LATENT_UNIT
+        return round_through(fine) if noise is None else fine + torch.rand(fine.shape, generator=noise) - 0.5
+
+    def plane_bits(self, symbols: Tensor) -> Tensor:
+        """Bits of all plane symbols."""
+        out = self.sarm(plane_neighbours(symbols))
+        return laplace_bits(out[:, 0], out[:, 1], symbols.reshape(-1), self.floor).sum()
+
+    def activations(self, inputs: Tensor) -> Tensor:
+        """The last hidden activations of F_h, [n, .], for its inputs."""
+        return self.hyper.activations(inputs)
+
+    def steps(self, hidden: Tensor) -> Tensor:
+        """SPEC 7.8: multiples of the base steps, [n, 3], for the hidden activations of F_h.
+
+        Columns are those of features, scalings and offsets.
+        """
+        index = self.hyper.outputs(hidden, slice(2 * WIDTH, None)).clamp(0, STEP_LENGTH - 1)
+        if self.integers:
+            index = round_through(index)
+        return torch.exp2((index - STEP_ONE) / SCALE_UNIT)
+
+    def attribute_bits(self, hidden: Tensor, symbols: Tensor, kept: Tensor) -> Tensor:
+        """Bits of features, scalings and offsets of each anchor, [n, 3].
+
+        hidden [n, .]: of F_h. symbols [n, D]. kept: float32 [n, K]. An anchor without a kept offset costs nothing.
+        """
+        out = self.hyper.outputs(hidden, slice(0, 2 * WIDTH))
+        mean, scale = out[:, :WIDTH], out[:, WIDTH:]
+        means, scales = [mean[:, : SLICES[0]]], [scale[:, : SLICES[0]]]
+        done = SLICES[0]
+        earlier = self.carm_inputs(symbols[:, : FEATURES - SLICES[-1]])
+        for columns, network in zip(SLICES[1:], self._carm(), strict=True):
+            change = network(earlier[:, :done])
+            means.append(mean[:, done : done + columns] + change[:, :columns])
+            scales.append(scale[:, done : done + columns] + change[:, columns:])
+            done += columns
+        all_means, all_scales = torch.cat([*means, mean[:, done:]], dim=1), torch.cat([*scales, scale[:, done:]], dim=1)
+        bits = gauss_bits(all_means, all_scales, symbols, self.floor)
+        some = 1 - torch.prod(1 - kept, dim=1)
+        offsets = (bits[:, FEATURES + SCALINGS :].reshape(len(bits), OFFSETS, 3).sum(dim=2) * kept).sum(dim=1)
+        features, scalings = bits[:, :FEATURES], bits[:, FEATURES : FEATURES + SCALINGS]
+        return torch.stack([features.sum(dim=1) * some, scalings.sum(dim=1) * some, offsets], dim=1)
+
+    def carm_inputs(self, features: Tensor) -> Tensor:
+        """SPEC 7.9: CARM's inputs for symbols of features [n, 40], shifted where they are large, and cut."""
+        if self.carm_unit is not None:
+            features = torch.floor(features / self.carm_unit + 0.5)
+        return features.clamp(-ACTIVATION_MAX, ACTIVATION_MAX)
+
+    # --- as the decoder has it ----------------------------------------------------------------------------------------
+
+    @property
+    def integers(self) -> bool:
+        """Whether activations are rounded and cut as in the decoder."""
+        return self.hyper.rounding
+
+    def set_integers(self, on: bool) -> None:
+        """From now on activations are rounded and cut as in the decoder, in the units that they have, or are not."""
+        for network in self._networks():
+            network.rounding = on
+
+    @torch.no_grad()
+    def calibrate(self, inputs: Tensor, earlier: Tensor, symbols: Tensor) -> None:
+        """set_integers, with units that fit these inputs of F_h [n, .] and of CARM [n, 40], and these plane symbols."""
+        self.hyper.calibrate(inputs)
+        self.sarm.calibrate(plane_neighbours(symbols))
+        for network, done in zip(self._carm(), accumulate(SLICES), strict=False):
+            network.calibrate(earlier[:, :done])
+        self.set_integers(True)
+
+    def set_grid(self, coarser: int) -> None:
+        """From now on the networks' weights are on grids, as FoldedMlp.set_grid has them."""
+        for network in self._networks():
+            network.set_grid(coarser)
+
+    def set_gridded(self, on: bool) -> None:
+        """From now on the networks' weights are on the grids that they have, or are not."""
+        for network in self._networks():
+            network.gridded = on
+
+    def networks(self) -> dict[str, list[Layer]]:
+        """F_h, SARM and CARM as SPEC 5.8 stores them."""
+        carm = {f"carm.{i}": network.layers() for i, network in enumerate(self._carm(), start=1)}
+        return {"hyper": self.hyper.layers(), "sarm": self.sarm.layers(), **carm}

@@ -1,0 +1,52 @@
+"""Bytes that a file would have of a training as it is."""
+
+from __future__ import annotations
+
+import torch
+
+from ..bitstream.attributes import KINDS
+from ..encoder.sizes import choose_lanes
+from ..encoder.weights import quantise_rendering
+from .entropy.model import WIDTH
+from .export import position_bytes, weight_bytes
+from .parts.rate import Rate
+from .scaffold import Scaffold
+
+
+def uncompressed_bytes(scaffold: Scaffold) -> dict[str, float]:
+    """Bytes of each part as float32 numbers."""
+    n = scaffold.count
+    weights = 4 * sum(p.numel() for p in scaffold.networks.parameters())
+    return {"positions": 12 * n, "attributes": 4 * WIDTH * n, "weights": weights}
+
+
+@torch.no_grad()
+def coded_bytes(scaffold: Scaffold, rate: Rate, likely_bits: int) -> dict[str, float]:
+    """Bytes of each part of the file, and of each kind of attributes, without those of chunks and sections.
+
+    Attributes and planes are ideal code lengths after rounding. Masks are counted as if each offset's were drawn with
+    its own frequency. Positions and weights are packed, the rendering networks with `likely_bits` before they have a
+    grid; weights are 0 where the format lacks the hyperprior.
+    """
+    kept = rate.masks.decided()
+    bits, planes = rate.bits(kept)
+    some = kept.any(dim=1)
+    share = kept[some].double().mean(dim=0).clamp(1e-9, 1 - 1e-9)
+    entropy = -(share * share.log2() + (1 - share) * (1 - share).log2()).sum()
+    lanes = choose_lanes(scaffold.count, 2.0 * WIDTH)
+    weights = 0
+    if rate.hyperprior.coded:
+        rendering = scaffold.networks.layers()
+        if not scaffold.networks.gridded:
+            rendering = quantise_rendering(rendering, likely_bits)
+        model = rate.started()
+        weights = weight_bytes(model.networks(), rendering, model.latents.shape[1], model.latents.shape[2], lanes)
+    kinds = dict(zip(KINDS, (bits / 8).tolist(), strict=True))
+    return {
+        "positions": position_bytes(scaffold.lattice[some.numpy()], lanes),
+        "attributes": sum(kinds.values()),
+        **kinds,
+        "masks": float(entropy) * int(some.sum()) / 8,
+        "planes": planes / 8,
+        "weights": weights,
+    }

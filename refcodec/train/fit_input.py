@@ -1,0 +1,80 @@
+"""What `refcodec fit` is given: points, which become anchors here, or a scene with its rendering networks."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+
+from ..bitstream.dimensions import RENDERING
+from ..bitstream.header import PositionGrid, RenderInfo
+from ..bitstream.networks import Layer
+from ..bitstream.reconstruction import Reconstruction, reconstruct
+from ..encoder.cloud import AnchorCloud
+from ..folder.layout import NETWORKS_FILE, PLY_FILE, SCENE_FILE
+from ..folder.read import read_folder
+from ..folder.uncompressed import RENDER_FILE, is_uncompressed, read_uncompressed
+from .voxelise import default_voxel, read_points, short_mantissa, voxelise
+
+
+@dataclass(frozen=True, eq=False)
+class Given:
+    """Anchors to fit an entropy model to.
+
+    voxel: edge of the lattice of their positions, world units; None if it is not known. grid: that of the coded scene
+    that they come from. networks: the rendering networks of SPEC 14.3; None where features 0 to 2 are logits of colour,
+    as voxelise makes them. render: SPEC 6.5.
+    """
+
+    cloud: AnchorCloud
+    voxel: float | None = None
+    grid: PositionGrid | None = None
+    networks: dict[str, list[Layer]] | None = None
+    render: RenderInfo = field(default_factory=RenderInfo)
+
+
+def read_given(path: str | Path, voxel: float | None = None) -> Given:
+    """A point cloud (COLMAP's points3D.txt, or an npz), a scene folder of refcodec, or the point_cloud.ply in one.
+
+    voxel: edge of the lattice, None for the points' median distance, or for what a scene says. Raises ValueError for
+    anything else; SceneFolderError is one.
+    """
+    path = Path(path)
+    voxel = voxel and short_mantissa(voxel)
+    if path.is_dir():
+        return _read_scene(path, voxel)
+    if path.suffix == ".ply":
+        return _read_scene(_folder_of(path), voxel)
+    points = read_points(path)
+    voxel = voxel or default_voxel(points.points)
+    return Given(voxelise(points.points, points.colours, voxel), voxel)
+
+
+def _folder_of(cloud: Path) -> Path:
+    """The scene folder that a PLY file is the point cloud of. Raises ValueError."""
+    folder = cloud.parent
+    if not (folder / NETWORKS_FILE).is_file():
+        raise ValueError(
+            f"{NETWORKS_FILE} is not beside it: a trained scene is fitted with its rendering networks; "
+            "give a scene folder of refcodec train, fit or decode"
+        )
+    if cloud.name != PLY_FILE:
+        raise ValueError(f"it is not {PLY_FILE}, the point cloud of the scene in {folder}: give that folder")
+    return folder
+
+
+def _read_scene(folder: Path, voxel: float | None) -> Given:
+    if is_uncompressed(folder):
+        plain = read_uncompressed(folder)
+        return Given(_cloud(plain.values, plain.masks), voxel, None, plain.networks, plain.render)
+    if not (folder / SCENE_FILE).is_file():
+        raise ValueError(f"{folder} has neither {SCENE_FILE} nor {RENDER_FILE}: it is no scene folder")
+    scene = read_folder(folder)
+    networks = {name: scene.networks[name] for name in RENDERING}
+    grid = None if voxel else scene.grid
+    return Given(_cloud(reconstruct(scene), scene.masks), voxel, grid, networks, scene.render)
+
+
+def _cloud(values: Reconstruction, masks: np.ndarray) -> AnchorCloud:
+    return AnchorCloud(values.positions, values.features, values.scalings, values.offsets, masks)

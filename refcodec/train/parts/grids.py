@@ -1,0 +1,83 @@
+"""Grids: the weights of all networks are rounded to grids, which rate and distortion choose (SPEC.md B.8).
+
+Training goes on with rounded weights and the identity's gradient, so that it makes good for most of what that loses.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import torch
+
+from ..entropy.model import WIDTH
+from ..losses import Photometric
+from ..part import Part
+from ..scaffold import Scaffold
+from ..schedule import Clock
+from ..settings import TrainSettings
+from ..views import Views, pixels
+from .rate import Rate
+
+
+class Grids(Part):
+    """Puts the weights on grids once, when its phase begins."""
+
+    name = "weights"
+
+    def __init__(
+        self,
+        settings: TrainSettings,
+        scaffold: Scaffold,
+        rate: Rate,
+        views: Views,
+        estimate: Callable[[], dict[str, float]],
+        clock: Clock,
+    ) -> None:
+        """estimate: bytes of each part of the file."""
+        self.settings, self.scaffold, self.rate = settings, scaffold, rate
+        self.views, self.estimate, self.clock = views, estimate, clock
+
+    def begin(self) -> None:
+        """As Part."""
+        if self.clock.mode(self.name) == "grid":
+            self.finish()
+
+    def finish(self) -> None:
+        """Chooses the grids, if there are none yet."""
+        if not self.scaffold.networks.gridded and self.rate.model is not None:
+            self._choose()
+
+    @torch.no_grad()
+    def _choose(self) -> None:
+        """Takes the grids of the least loss, the rendering networks' first, then the coding networks'."""
+        settings = self.settings.weights
+        for grid, (least, most) in (
+            (self.scaffold.networks.set_grid, settings.rendering_bits),
+            (self.rate.started().set_grid, settings.coarser),
+        ):
+            losses = []
+            for choice in range(least, most + 1):
+                grid(choice)
+                losses.append(self._loss())
+            grid(least + int(np.argmin(losses)))
+
+    def _loss(self) -> float:
+        """L_Scaffold of a few photographs and lambda_r L_rate, in which bits of weights count like the others."""
+        train, settings = self.views.photographs.train, self.settings
+        judges = train[:: max(len(train) // settings.weights.judges, 1)][: settings.weights.judges]
+        shown = sum(float(Photometric.apply(self.views.draw(p.camera), pixels(p), settings.loss.ssim)) for p in judges)
+        parts = self.estimate()
+        bits = 8 * (parts["attributes"] + parts["weights"] + settings.rate.planes * parts["planes"])
+        return shown / len(judges) + settings.rate.weight * bits / (self.scaffold.count * WIDTH)
+
+    def state(self) -> dict[str, Any]:
+        """Whether there are grids; their steps are the networks' own."""
+        return {"gridded": self.scaffold.networks.gridded}
+
+    def restore(self, state: dict[str, Any]) -> None:
+        """As Part. The rate is restored before."""
+        self.scaffold.networks.gridded = state["gridded"]
+        if state["gridded"]:
+            self.rate.started().set_gridded(True)

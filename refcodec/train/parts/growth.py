@@ -1,0 +1,135 @@
+"""Growth (Scaffold-GS): new anchors where the image asks for more, and transparent ones go.
+
+An anchor grows where the gradient of an offset's projected centre is large, on the mean of the steps that drew it.
+Larger gradients make anchors on finer lattices.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+
+from ..entropy.model import OFFSETS
+from ..part import Part, Step
+from ..scaffold import Scaffold
+from ..schedule import Clock
+from ..settings import GrowthSettings
+from ..start import LATTICE_MAX, lattice_positions
+
+I64 = NDArray[np.int64]
+
+_STATISTICS = ("gradient", "drawn", "opacity", "seen")
+
+
+class Growth(Part):
+    """Observes what is drawn, and lets anchors grow.
+
+    gradient, drawn: float32 [N, K], sums of gradients of the projected centres, and how often each offset was drawn.
+    opacity, seen: float32 [N], sums of the opacities of an anchor's offsets, and how often each anchor was seen.
+    """
+
+    name = "growth"
+
+    def __init__(
+        self,
+        settings: GrowthSettings,
+        mask_start: float,
+        scaffold: Scaffold,
+        clock: Clock,
+        random: torch.Generator,
+        changed: Callable[[], None],
+    ) -> None:
+        """mask_start: logit of a new offset. changed: is called when anchors have come or gone."""
+        self.settings, self.mask_start = settings, mask_start
+        self.scaffold, self.clock, self.random, self.changed = scaffold, clock, random, changed
+        self.anchors_changed()
+
+    def anchors_changed(self) -> None:
+        """Starts the statistics anew."""
+        n = self.scaffold.count
+        self.gradient, self.drawn = np.zeros((n, OFFSETS), np.float32), np.zeros((n, OFFSETS), np.float32)
+        self.opacity, self.seen = np.zeros(n, np.float32), np.zeros(n, np.float32)
+
+    def descend(self, step: Step) -> None:
+        """Adds a step's statistics."""
+        if self.clock.mode(self.name) == "off":
+            return
+        assert step.chosen is not None
+        assert step.opacity is not None
+        assert step.screen is not None
+        screen = (step.screen.detach() if step.screen.grad is None else step.screen.grad).numpy()
+        rows, chosen = step.rows.numpy(), step.chosen.numpy()
+        anchor, offset = rows[chosen // OFFSETS], chosen % OFFSETS
+        drawn = screen > 0
+        self.gradient[anchor[drawn], offset[drawn]] += screen[drawn]
+        self.drawn[anchor[drawn], offset[drawn]] += 1
+        self.opacity[rows] += step.opacity.detach().clamp_min(0).sum(dim=1).numpy()
+        self.seen[rows] += 1
+
+    def end(self) -> None:
+        """Grows when it is time, also where growing begins or ends with this step."""
+        done = self.clock.done
+        if done % self.settings.period == 0 and "grow" in (self.clock.mode(self.name, d) for d in (done - 1, done)):
+            self.grow()
+            self.scaffold.place()
+            self.changed()
+
+    def grow(self) -> None:
+        """Adds and drops anchors. Scaffold.place, and anchors_changed of all parts, are to be called afterwards."""
+        scaffold = self.scaffold
+        units = scaffold.units
+        cells, owner, edge = self._asked_for()
+        stays = np.flatnonzero(~self._transparent())
+        room = max(self.settings.most - len(stays), 0)
+        if room < len(cells):
+            chosen = torch.randperm(len(cells), generator=self.random).numpy()[:room]
+            cells, owner, edge = cells[chosen], owner[chosen], edge[chosen]
+        born = {name: table[torch.from_numpy(owner)].clone() for name, table in scaffold.tables.items()}
+        born["offsets"].zero_()
+        born["scalings"][:] = torch.from_numpy(np.log(edge * units.cell * units.length)).float()[:, None]
+        born["masks"].fill_(self.mask_start)
+        scaffold.keep(stays)
+        scaffold.add(cells, born)
+
+    def _transparent(self) -> NDArray[np.bool_]:
+        """The anchors that were seen often and are nearly transparent, bool [N]."""
+        settings = self.settings
+        return (self.seen > settings.anchor_views) & (self.opacity < settings.opacity * self.seen)
+
+    def _asked_for(self) -> tuple[I64, I64, NDArray[np.float64]]:
+        """New anchors: their cells [n, 3], the anchors that they come from [n], the edges of their lattices [n]."""
+        settings, scaffold = self.settings, self.scaffold
+        mean = self.gradient / np.maximum(self.drawn, 1) * (self.drawn >= settings.offset_views)
+        units, tables = scaffold.units, scaffold.tables
+        spread = np.exp(tables["scalings"].numpy()[:, None, :3] - math.log(units.length)) / units.cell
+        centre = scaffold.lattice[:, None] + tables["offsets"].numpy().reshape(-1, OFFSETS, 3) * spread
+        centre, gradient = centre.reshape(-1, 3), mean.reshape(-1)
+        found, owners, edges = [scaffold.lattice], [np.zeros(0, np.int64)], [np.zeros(0)]
+        for level, edge in enumerate(settings.edges):
+            lucky = torch.rand(len(gradient), generator=self.random).numpy() > settings.chance ** (level + 1)
+            asks = gradient > settings.gradient * settings.ratio**level
+            grows = asks & lucky & (np.abs(centre).max(axis=1) < LATTICE_MAX)
+            if not grows.any():
+                continue
+            cells, first = np.unique(np.round(centre[grows] / edge).astype(np.int64), axis=0, return_index=True)
+            taken = {tuple(c) for c in np.round(np.concatenate(found) / edge).astype(np.int64).tolist()}
+            free = np.array([tuple(c) not in taken for c in cells.tolist()], bool)
+            found.append(cells[free] * edge)
+            owners.append(np.flatnonzero(grows)[first[free]] // OFFSETS)
+            edges.append(np.full(int(free.sum()), edge))
+        cells = lattice_positions(np.concatenate([np.zeros((0, 3), np.int64), *found[1:]])).astype(np.int64)
+        return cells, np.concatenate(owners), np.concatenate(edges)
+
+    def state(self) -> dict[str, Any]:
+        """The statistics."""
+        return {name: torch.from_numpy(getattr(self, name)) for name in _STATISTICS}
+
+    def restore(self, state: dict[str, Any]) -> None:
+        """As Part."""
+        for name in _STATISTICS:
+            setattr(self, name, state[name].numpy())

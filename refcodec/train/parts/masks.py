@@ -1,0 +1,81 @@
+"""Masks of offsets (CAT-3DGS Pro): an offset is kept if its weighted share is above epsilon (SPEC.md B.8).
+
+The share is the logistic function of its logit. The weight is how many views see its anchor, over the mean of all.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import torch
+from torch import Tensor
+
+from ...render.camera import Camera
+from ..part import Part, Sight, Step
+from ..scaffold import Scaffold
+from ..schedule import Clock
+from ..settings import MaskSettings
+
+
+class Masks(Part):
+    """Which offsets are kept, and the loss that drops them. weight: float32 [N]."""
+
+    name = "masks"
+
+    def __init__(
+        self, settings: MaskSettings, lambda_r: float, scaffold: Scaffold, cameras: list[Camera], clock: Clock
+    ) -> None:
+        """lambda_r: the weight of the rate. cameras: of the training, in its units."""
+        self.settings, self.scaffold, self.cameras, self.clock = settings, scaffold, cameras, clock
+        self.lambda_m = max(settings.least, settings.share * lambda_r)
+        self.weight = torch.ones(scaffold.count)
+        self._shares: Tensor | None = None
+
+    @property
+    def on(self) -> bool:
+        """Whether offsets may be masked now."""
+        return self.settings.used and self.clock.mode(self.name) == "on"
+
+    def anchors_changed(self) -> None:
+        """Counts the views anew."""
+        if self.settings.used:
+            self.weight = self.scaffold.views(self.cameras)
+
+    def kept(self, logits: Tensor, rows: Tensor) -> Tensor:
+        """Masks of 0 and 1, float32 [n, K], of some anchors, with the gradient of their shares."""
+        return self._kept(torch.sigmoid(logits), rows) if self.on else torch.ones_like(logits)
+
+    def _kept(self, share: Tensor, rows: Tensor) -> Tensor:
+        hard = (share * self.weight[rows, None] > self.settings.epsilon).float()
+        return share + (hard - share).detach()
+
+    def prepare(self, step: Step) -> None:
+        """Masks the image."""
+        if self.on:
+            self._shares = torch.sigmoid(step.leaves["masks"])
+            step.masks = self._kept(self._shares, step.rows)
+
+    def loss(self, step: Step) -> Tensor | None:
+        """lambda_m L_m, where L_m is the mean share of the visible anchors' offsets."""
+        if not self.on:
+            return None
+        assert self._shares is not None
+        return self.lambda_m * self._shares.mean()
+
+    def show(self, sight: Sight) -> None:
+        """As Part."""
+        if self.on:
+            sight.masks = self.kept(sight.values["masks"], sight.rows)
+
+    @torch.no_grad()
+    def decided(self) -> Tensor:
+        """Which offsets are kept, bool [N, K]."""
+        return self.kept(self.scaffold.tables["masks"], torch.arange(self.scaffold.count)) > 0.5
+
+    def state(self) -> dict[str, Any]:
+        """The weights."""
+        return {"weight": self.weight}
+
+    def restore(self, state: dict[str, Any]) -> None:
+        """As Part."""
+        self.weight = state["weight"]

@@ -1,0 +1,70 @@
+"""Quantisation: what stands for rounding in training, and the base steps of attributes (SPEC.md B.5)."""
+
+from __future__ import annotations
+
+import torch
+from torch import Tensor
+
+from ...bitstream.attributes import KINDS
+from ..part import Part, Sight, Step
+from ..scaffold import Scaffold
+from ..schedule import Clock
+from ..settings import QuantisationSettings
+
+
+class Quantisation(Part):
+    """Noise in place of rounding, or rounding, with the same gradients."""
+
+    name = "quantisation"
+
+    def __init__(
+        self, settings: QuantisationSettings, scaffold: Scaffold, clock: Clock, random: torch.Generator
+    ) -> None:
+        self.settings, self.scaffold, self.clock, self.random = settings, scaffold, clock, random
+
+    @property
+    def rounds(self) -> bool:
+        """Whether attributes and planes are rounded."""
+        return self.clock.mode(self.name) == "round"
+
+    @property
+    def noise(self) -> torch.Generator | None:
+        """The source of the noise that stands for rounding; None where values are rounded."""
+        return None if self.rounds else self.random
+
+    def base_steps(self) -> Tensor:
+        """The base steps of features, scalings and offsets for the anchors as they are, float32 [3]."""
+        settings = self.settings
+        spread = float(self.scaffold.tables["features"].std(dim=0).median()) or 1.0
+        return torch.tensor([spread * settings.features, settings.scalings, settings.offsets])
+
+    def residue(self, values: Tensor, step: Tensor) -> Tensor:
+        """What is added to values [n, w], in steps [n, 1], in place of rounding: at most a half. It has no gradient."""
+        with torch.no_grad():
+            if self.rounds:
+                scaled = values / step
+                return torch.floor(scaled + 0.5) - scaled
+            return torch.rand(values.shape, generator=self.random) - 0.5
+
+    def symbols(self, values: Tensor, step: Tensor) -> Tensor:
+        """The symbols of values [n, w] with steps [n, 1], noisy or rounded."""
+        residue = self.residue(values, step)
+        return values / step + residue
+
+    def prepare(self, step: Step) -> None:
+        """Shows the image with what the decoder will have.
+
+        values + residue * step has the distortion's gradient for the step too. Rounding with the identity's gradient
+        alone would hide it.
+        """
+        if step.steps is not None:
+            for i, kind in enumerate(KINDS):
+                size = step.steps[:, i : i + 1]
+                step.values[kind] = step.leaves[kind] + self.residue(step.leaves[kind], size) * size
+
+    def show(self, sight: Sight) -> None:
+        """As Part."""
+        if sight.steps is not None and self.rounds:
+            for i, kind in enumerate(KINDS):
+                size = sight.steps[:, i : i + 1]
+                sight.values[kind] = torch.floor(sight.values[kind] / size + 0.5) * size

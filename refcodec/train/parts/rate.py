@@ -1,0 +1,213 @@
+"""The rate: bits of some anchors' attributes and of the planes in the loss (the paper's equation 5).
+
+It starts once, when its phase begins: then the frame, the size of the planes and the widths of the networks are fixed.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from ...bitstream.attributes import KINDS
+from ...bitstream.frame import Frame
+from ...encoder.frame import choose_frame
+from ...encoder.sizes import choose_plane_size, choose_width
+from ..adam import ADAM_EPSILON
+from ..entropy.hyperprior import Hyperprior
+from ..entropy.model import WIDTH, RateModel
+from ..optimisers import learning_rate, moments, restore_moments
+from ..part import Part, Sight, Step
+from ..scaffold import Scaffold
+from ..schedule import Clock
+from ..settings import TrainSettings
+from ..start import lattice_positions
+from .masks import Masks
+from .quantisation import Quantisation
+
+_FRAME = ("matrix", "translation", "shift", "low", "high")
+# Anchors at once where all are counted: a bound of memory.
+BLOCK = 8192
+
+
+class Rate(Part):
+    """L_rate, and the entropy model that it trains.
+
+    Once it has started there are the model, the frame (SPEC 7.5.1), base_step (float32 [3]), the contexts of all
+    anchors, and the optimiser.
+    """
+
+    name = "rate"
+
+    def __init__(
+        self,
+        settings: TrainSettings,
+        scaffold: Scaffold,
+        masks: Masks,
+        quantisation: Quantisation,
+        hyperprior: Hyperprior,
+        clock: Clock,
+        random: torch.Generator,
+    ) -> None:
+        self.settings, self.scaffold, self.clock, self.random = settings, scaffold, clock, random
+        self.masks, self.quantisation, self.hyperprior = masks, quantisation, hyperprior
+        self.model: RateModel | None = None
+
+    # --- milestones ---------------------------------------------------------------------------------------------------
+
+    def begin(self) -> None:
+        """Starts the entropy model, and later rounds its activations."""
+        mode = self.clock.mode(self.name)
+        if mode != "off" and self.model is None:
+            self.start()
+        if mode == "integers" and self.model is not None and not self.model.integers:
+            self.round_activations()
+
+    def start(self) -> None:
+        """Fixes the frame and the planes' size, and starts the entropy model from the attributes' statistics."""
+        self.masks.anchors_changed()
+        frame = choose_frame(lattice_positions(self.scaffold.lattice))
+        self._make(frame, self.quantisation.base_steps(), choose_plane_size(self.scaffold.count))
+
+    def _make(self, frame: Frame, base_step: Tensor, plane_size: int) -> RateModel:
+        """An entropy model for the anchors as they are. plane_size: B."""
+        scaffold, learning = self.scaffold, self.settings.learning
+        symbols = torch.cat([scaffold.tables[kind] / base_step[i] for i, kind in enumerate(KINDS)], dim=1).double()
+        mean, deviation = symbols.mean(dim=0).numpy(), symbols.std(dim=0).numpy()
+        width = choose_width(scaffold.count)
+        model = RateModel(self.hyperprior, plane_size, width, mean, deviation, self.random, self.settings.entropy)
+        self.model, self.frame, self.base_step = model, frame, base_step
+        self.contexts = self.hyperprior.contexts(frame, lattice_positions(scaffold.lattice), plane_size)
+        groups = [
+            {"params": [model.latents], "decay": learning.planes},
+            {"params": model.coding_parameters(), "decay": learning.coding},
+        ]
+        self.optimiser = torch.optim.Adam(groups, eps=ADAM_EPSILON, fused=True)
+        return model
+
+    def round_activations(self) -> None:
+        """Switches to the decoder's activations, with units from all anchors."""
+        model = self.started()
+        symbols, rows = model.symbols(None), torch.arange(self.scaffold.count)
+        with torch.no_grad():
+            inputs = self.contexts.inputs(symbols, rows, False)
+            step = model.steps(model.activations(inputs))[:, :1] * self.base_step[0]
+            features = self.scaffold.tables["features"] / step
+        model.calibrate(inputs, features, symbols)
+
+    def finish(self) -> None:
+        """As Part."""
+        if self.model is None:
+            self.start()
+        if not self.started().integers:
+            self.round_activations()
+
+    def started(self) -> RateModel:
+        """The entropy model, which must be there."""
+        assert self.model is not None
+        return self.model
+
+    # --- a step -------------------------------------------------------------------------------------------------------
+
+    def prepare(self, step: Step) -> None:
+        """Draws the anchors whose bits count, and finds the steps of these and of the visible ones."""
+        if self.model is None:
+            return
+        model = self.model
+        planes = model.symbols(self.quantisation.noise)
+        rows = self._sample(step.rows)
+        hidden = model.activations(self.contexts.inputs(planes, torch.cat([step.rows, rows]), model.integers))
+        steps = model.steps(hidden) * self.base_step
+        visible = len(step.rows)
+        step.steps = steps[:visible]
+        self._sampled = (rows, hidden[visible:], steps[visible:], planes)
+
+    def _sample(self, visible: Tensor) -> Tensor:
+        """The anchors whose bits a step counts: of all (USRO), or of the visible ones (ViSRO)."""
+        sampling, everyone = self.settings.sampling, self.settings.sampling.among == "all"
+        count = self.scaffold.count if everyone else len(visible)
+        some = min(max(int(sampling.share * count), sampling.least), count)
+        drawn = torch.randperm(count, generator=self.random)[:some]
+        return drawn if everyone else visible[drawn]
+
+    def loss(self, step: Step) -> Tensor | None:
+        """lambda_r L_rate: bits of an attribute's parameter, and the planes' share of it."""
+        if self.model is None:
+            return None
+        settings = self.settings.rate
+        rows, hidden, steps, planes = self._sampled
+        leaves = self.scaffold.leaves(rows)
+        step.taken.append((rows, leaves))
+        symbols = [self.quantisation.symbols(leaves[kind], steps[:, i : i + 1]) for i, kind in enumerate(KINDS)]
+        kept = self.masks.kept(leaves["masks"], rows)
+        bits = self.model.attribute_bits(hidden, torch.cat(symbols, dim=1), kept).mean(dim=0)
+        loss = bits.sum() / WIDTH
+        if self.clock.done % settings.plane_period == 0:
+            # A-RDO: the term is not scaled up for the steps that lack it.
+            loss = loss + settings.planes * self.model.plane_bits(planes) / (self.scaffold.count * WIDTH)
+        return settings.weight * loss
+
+    def descend(self, step: Step) -> None:
+        """A step of Adam for planes and coding networks."""
+        if self.model is None:
+            return
+        torch.nn.utils.clip_grad_norm_(self.model.coding_parameters(), self.settings.learning.clip)
+        for group in self.optimiser.param_groups:
+            group["lr"] = learning_rate(group["decay"], self.clock.since(self.name))
+        self.optimiser.step()
+        self.optimiser.zero_grad(set_to_none=True)
+
+    # --- looking ------------------------------------------------------------------------------------------------------
+
+    def show(self, sight: Sight) -> None:
+        """As Part."""
+        if self.model is not None:
+            sight.steps = self.steps(sight.rows)
+
+    @torch.no_grad()
+    def steps(self, rows: Tensor) -> Tensor:
+        """The steps of some anchors with rounded planes [n, 3]."""
+        model = self.started()
+        inputs = self.contexts.inputs(model.symbols(None), rows, model.integers)
+        return model.steps(model.activations(inputs)) * self.base_step
+
+    @torch.no_grad()
+    def bits(self, kept: Tensor) -> tuple[Tensor, float]:
+        """Ideal code lengths with everything rounded: of features, scalings and offsets [3], and of the planes.
+
+        kept: which offsets are, bool [N, K].
+        """
+        model = self.started()
+        planes, bits = model.symbols(None), torch.zeros(3)
+        for rows in torch.arange(self.scaffold.count).split(BLOCK):
+            hidden = model.activations(self.contexts.inputs(planes, rows, model.integers))
+            steps = model.steps(hidden) * self.base_step
+            symbols = [
+                torch.floor(self.scaffold.tables[kind][rows] / steps[:, i : i + 1] + 0.5)
+                for i, kind in enumerate(KINDS)
+            ]
+            bits += model.attribute_bits(hidden, torch.cat(symbols, dim=1), kept[rows].float()).sum(dim=0)
+        return bits, float(model.plane_bits(planes))
+
+    # --- the saved state ----------------------------------------------------------------------------------------------
+
+    def state(self) -> dict[str, Any]:
+        """The frame, the base steps, the model with its moments, and whether it is rounded."""
+        if self.model is None:
+            return {}
+        frame = {f"frame.{name}": torch.from_numpy(np.asarray(getattr(self.frame, name))) for name in _FRAME}
+        model = {f"model.{name}": value for name, value in self.model.state_dict().items()}
+        more = {"base_step": self.base_step, "integers": self.model.integers}
+        return {**frame, **model, **moments(self.optimiser), **more}
+
+    def restore(self, state: dict[str, Any]) -> None:
+        """As Part."""
+        if not state:
+            return
+        arrays = [state[f"frame.{name}"].numpy() for name in _FRAME]
+        model = self._make(Frame(*arrays), state["base_step"], state["model.latents"].shape[-1])
+        model.load_state_dict({k.removeprefix("model."): v for k, v in state.items() if k.startswith("model.")})
+        model.set_integers(state["integers"])
+        restore_moments(self.optimiser, state)

@@ -1,0 +1,80 @@
+"""The three networks that make Gaussians of anchors (SPEC.md 14.3), in training."""
+
+from __future__ import annotations
+
+import math
+
+import torch
+from torch import Tensor, nn
+from torch.nn import functional
+
+from ..bitstream.dimensions import RENDERING
+from ..bitstream.networks import Layer
+from ..encoder.weights import rendering_exponent
+from .entropy.model import FEATURES, OFFSETS
+from .entropy.units import grid_through
+
+# SPEC 11.1: units of the hidden layer in Main.
+RENDER_WIDTH = 50
+# An anchor's feature, the direction and the distance from the camera.
+INPUTS = FEATURES + 4
+OUTPUTS = dict(zip(RENDERING, (OFFSETS, 7 * OFFSETS, 3 * OFFSETS), strict=True))
+
+
+class RenderNetworks(nn.Module):
+    """SPEC 14.3's networks, with one hidden layer each, as torch starts linear layers."""
+
+    def __init__(self, generator: torch.Generator) -> None:
+        super().__init__()
+        for name, width in OUTPUTS.items():
+            for layer, (fan_in, out) in enumerate(((INPUTS, RENDER_WIDTH), (RENDER_WIDTH, width))):
+                bound = 1 / math.sqrt(fan_in)
+                weight, bias = (
+                    nn.Parameter((torch.rand(shape, generator=generator) * 2 - 1) * bound)
+                    for shape in ((out, fan_in), (out,))
+                )
+                self.register_parameter(f"{name}_{layer}_weight", weight)
+                self.register_parameter(f"{name}_{layer}_bias", bias)
+                self.register_buffer(f"{name}_{layer}_step", torch.ones(()))
+        self.gridded = False
+
+    def parameters_of(self, network: str) -> list[nn.Parameter]:
+        """Weights and biases of one of the three networks."""
+        return [value for name, value in self.named_parameters() if name.startswith(network)]
+
+    def _values(self) -> dict[str, Tensor]:
+        """The parameters, each layer's on its grid if there is one."""
+        p: dict[str, Tensor] = dict(self.named_parameters())
+        if not self.gridded:
+            return p
+        return {
+            name: grid_through(value, self.get_buffer(f"{name.rpartition('_')[0]}_step")) for name, value in p.items()
+        }
+
+    @torch.no_grad()
+    def set_grid(self, bits: int) -> None:
+        """From now on weights and biases of each layer are multiples of a power of two (weights.rendering_exponent)."""
+        for name, value in self.named_parameters():
+            layer, _, kind = name.rpartition("_")
+            if kind == "weight":
+                self.get_buffer(f"{layer}_step").fill_(2.0 ** -rendering_exponent(value.numpy(), bits))
+        self.gridded = True
+
+    def forward(self, inputs: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+        """Opacities before masks [n, K], covariance [n, 7 K], colour before its logistic function [n, 3 K].
+
+        inputs: float32 [n, 54].
+        """
+        p = self._values()
+        weight, bias = (torch.cat([p[f"{name}_0_{kind}"] for name in RENDERING]) for kind in ("weight", "bias"))
+        hidden = functional.relu(functional.linear(inputs, weight, bias)).split(RENDER_WIDTH, dim=1)
+        opacity, covariance, colour = (
+            functional.linear(h, p[f"{name}_1_weight"], p[f"{name}_1_bias"])
+            for h, name in zip(hidden, RENDERING, strict=True)
+        )
+        return torch.tanh(opacity), covariance, colour
+
+    def layers(self) -> dict[str, list[Layer]]:
+        """The weights that SPEC 5.8 stores."""
+        p = {name: value.detach().numpy().copy() for name, value in self._values().items()}
+        return {name: [(p[f"{name}_{i}_weight"], p[f"{name}_{i}_bias"]) for i in range(2)] for name in RENDERING}

@@ -1,0 +1,374 @@
+"""Every constant of the training method, as settings with a meaning, a unit, a default and a source.
+
+`TrainSettings` is one training. It is made of groups, one for each part of the method, and of phases, which say when
+the parts work. Presets are objects of the same type. settings_file.py prints settings, reads them and changes them.
+
+Nothing here needs NumPy or torch.
+"""
+
+# setting() gives a field.
+# ruff: noqa: RUF009
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import TypeVar
+
+T = TypeVar("T")
+
+# Where a default comes from: tried for this trainer, 3D Gaussian Splatting (Kerbl et al. 2023), Scaffold-GS (Lu et al.
+# 2024), the published code of CAT-3DGS, the paper of CAT-3DGS Pro.
+OWN, GS, SCAFFOLD, CAT, PRO = "own", "3DGS", "Scaffold-GS", "CAT-3DGS's code", "CAT-3DGS Pro"
+
+
+def setting(
+    default: T,
+    meaning: str,
+    source: str = OWN,
+    *,
+    unit: str = "",
+    low: float = -math.inf,
+    high: float = math.inf,
+    choices: tuple[str, ...] = (),
+) -> T:
+    """A field with its documentation.
+
+    source: where the default comes from, or what others have. low, high: the least and the largest value that is
+    allowed, of each element of a tuple. choices: the allowed texts.
+    """
+    notes = {"meaning": meaning, "source": source, "unit": unit, "low": low, "high": high, "choices": choices}
+    return field(default=default, metadata=notes)
+
+
+# --- learning rates ---------------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class Decay:
+    """A learning rate that falls from `start` to `end` with a constant ratio from step to step.
+
+    held: the share of the way for which `start` is kept first.
+    """
+
+    start: float = setting(0.01, "learning rate at first", low=1e-12)
+    end: float = setting(0.001, "learning rate at the end", low=1e-12)
+    held: float = setting(0.0, "share of the way for which the first rate is held", low=0, high=0.99)
+
+
+@dataclass(frozen=True)
+class LearningSettings:
+    """Adam's learning rates.
+
+    Those of planes and coding networks fall from the beginning of the rate on, the others from the first step on.
+    """
+
+    features: Decay = setting(Decay(0.01, 0.001, 0.6), "of the anchors' features", f"{OWN}; {SCAFFOLD}: 0.0075")
+    offsets: Decay = setting(Decay(0.01, 1e-4), "of the anchors' offsets", SCAFFOLD)
+    scalings: Decay = setting(Decay(0.01, 0.001, 0.6), "of the anchors' scalings", f"{OWN}; {SCAFFOLD}: 0.007")
+    masks: Decay = setting(Decay(0.1, 0.01, 0.6), "of the masks' logits", f"{OWN}; {CAT}: 0.01 to 1e-4")
+    opacity: Decay = setting(Decay(0.004, 2e-4), "of the opacity network", f"{OWN}; {SCAFFOLD}: 0.002 to 2e-5")
+    covariance: Decay = setting(Decay(0.004, 0.002), "of the covariance network", f"{OWN}; {SCAFFOLD}: 0.004")
+    colour: Decay = setting(Decay(0.008, 5e-4), "of the colour network", f"{OWN}; {SCAFFOLD}: 0.008 to 5e-5")
+    planes: Decay = setting(Decay(0.0075, 0.001), "of the planes")
+    coding: Decay = setting(Decay(0.005, 0.0005), "of F_h, SARM and CARM", f"{CAT}: 0.005 at first")
+    clip: float = setting(1.0, "largest norm of the coding networks' gradient, which is scaled down to it", low=0)
+
+
+# --- the parts --------------------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class StartSettings:
+    """The anchors of the beginning."""
+
+    anchors: int = setting(
+        5000,
+        "about how many there are; 0: a voxel is the median distance of neighbouring points",
+        f"{OWN}; {SCAFFOLD}: 0",
+        low=0,
+    )
+    cells: int = setting(2, "edge of the voxels of the first anchors", unit="cells of the lattice", low=1, high=64)
+    near: float = setting(0.02, "nearest depth that is drawn", unit="training units", low=1e-6)
+    neighbours: int = setting(3, "anchors around one whose distances give its size", GS, low=1, high=64)
+    colours: int = setting(4, "points around an anchor whose mean colour it begins with", low=1, high=64)
+    smallest: float = setting(0.1, "least size of a first anchor", unit="median sizes", low=0)
+    largest: float = setting(0.99, "quantile of the sizes that none exceeds", low=0, high=1)
+    least_cells: float = setting(0.5, "least size of a first anchor", unit="cells of the lattice", low=1e-3)
+
+
+@dataclass(frozen=True)
+class LossSettings:
+    """L_Scaffold, the loss of the image."""
+
+    ssim: float = setting(0.2, "share of 1 - SSIM in the loss; the rest is L1", GS, low=0, high=1)
+    volume: float = setting(
+        0.01, "weight of the Gaussians' mean volume", SCAFFOLD, unit="loss / cubic training unit", low=0
+    )
+
+
+@dataclass(frozen=True)
+class GrowthSettings:
+    """How anchors grow where the image asks for more, and which are dropped."""
+
+    period: int = setting(100, "from one growth to the next", SCAFFOLD, unit="steps", low=1)
+    most: int = setting(40000, "largest number of anchors at any time", unit="anchors", low=1)
+    gradient: float = setting(
+        2e-4,
+        "mean gradient of a projected centre above which its offset grows on the coarsest lattice",
+        SCAFFOLD,
+        unit="loss / normalised device unit",
+        low=0,
+    )
+    ratio: float = setting(2.0, "factor of that gradient from one lattice to the next finer one", SCAFFOLD, low=1)
+    chance: float = setting(
+        0.5,
+        "share of the offsets that may not grow on the coarsest lattice; its powers on finer ones",
+        SCAFFOLD,
+        low=0,
+        high=1,
+    )
+    edges: tuple[int, ...] = setting(
+        (4, 2, 1),
+        "edges of the lattices on which anchors grow, coarsest first",
+        f"{OWN}; {SCAFFOLD}: 16, 4 and 1 voxels",
+        unit="cells of the lattice",
+        low=1,
+        high=1024,
+    )
+    opacity: float = setting(0.005, "mean sum of an anchor's opacities under which it is dropped", SCAFFOLD, low=0)
+    offset_views: int = setting(
+        10, "times that an offset was drawn before it is judged", f"{OWN}; {SCAFFOLD}: 40", unit="steps", low=1
+    )
+    anchor_views: int = setting(
+        25, "times that an anchor was seen before it is judged", f"{OWN}; {SCAFFOLD}: 80", unit="steps", low=1
+    )
+
+
+@dataclass(frozen=True)
+class MaskSettings:
+    """The masks of offsets. An offset is kept if its weighted share is above epsilon.
+
+    The share is the logistic function of its logit. The weight is the number of views that see its anchor over the mean
+    of all anchors.
+    """
+
+    used: bool = setting(True, "whether offsets may be masked at all", PRO)
+    epsilon: float = setting(
+        0.01, "weighted share up to which one is dropped; 0.0004 where views are concentrated", PRO, low=0, high=1
+    )
+    start: float = setting(1.0, "logit of a new offset; 1 is a share of 0.73")
+    least: float = setting(0.001, "least weight of the masks' mean share in the loss, lambda_m", CAT, low=0)
+    share: float = setting(0.3, "that weight over lambda_r, where it is more", CAT, low=0)
+
+
+@dataclass(frozen=True)
+class RateSettings:
+    """L_rate, the bits of a parameter (the paper's equation 5), and its weight in the loss (its equation 4)."""
+
+    weight: float = setting(
+        0.004,
+        "weight in the loss, lambda_r; 0 trains an uncompressed Scaffold-GS",
+        f"{PRO}: 0.002 to 0.04",
+        low=0,
+        high=1,
+    )
+    planes: float = setting(10.0, "weight of the planes' bits, lambda_tri", CAT, low=0)
+    plane_period: int = setting(
+        4,
+        "from a step that counts the planes' bits to the next (A-RDO); they are not scaled up",
+        PRO,
+        unit="steps",
+        low=1,
+    )
+
+
+@dataclass(frozen=True)
+class SamplingSettings:
+    """The anchors whose bits a step counts."""
+
+    among: str = setting(
+        "all", "drawn from all anchors (USRO) or from the visible ones (ViSRO)", PRO, choices=("all", "visible")
+    )
+    share: float = setting(0.05, "share of them that is drawn", PRO, low=0, high=1)
+    least: int = setting(512, "least number that is drawn", unit="anchors", low=1)
+
+
+@dataclass(frozen=True)
+class EntropySettings:
+    """The entropy model in training: planes, F_h, SARM and CARM."""
+
+    planes: float = setting(0.03, "deviation of the planes at first", unit="latents, of 16 plane symbols each", low=0)
+    gain: float = setting(0.1, "spread of a last layer's first weights, times the root of its inputs", low=0)
+    bias: float = setting(0.2, "largest first bias of a hidden unit; none is negative", low=0)
+    deviation: float = setting(
+        2.0**-4, "least deviation of a channel that the model begins with", unit="symbols", low=2**-5
+    )
+    floor: float = setting(
+        2.0**-20,
+        "probability added to each symbol's, about an escape's, so that an outlier costs what it will",
+        low=1e-12,
+        high=0.01,
+    )
+
+
+@dataclass(frozen=True)
+class QuantisationSettings:
+    """The base steps of attributes (SPEC B.5): the entropy model's steps are multiples of them."""
+
+    features: float = setting(1 / 3, "of features", unit="median spreads of a feature", low=1e-4)
+    scalings: float = setting(0.1, "of scalings", unit="natural logarithms", low=1e-4)
+    offsets: float = setting(0.2, "of offsets", PRO, unit="exp(scaling)", low=1e-4)
+
+
+@dataclass(frozen=True)
+class WeightSettings:
+    """The grids of the networks' weights. All of these are tried, and rate and distortion choose (SPEC B.8)."""
+
+    rendering_bits: tuple[int, int] = setting(
+        (8, 12), "fewest and most bits of the largest weight of a rendering network's layer", low=2, high=24
+    )
+    coarser: tuple[int, int] = setting(
+        (0, 3), "least and most bits by which coding networks are coarser than SPEC 7.2's integers", low=0, high=12
+    )
+    judges: int = setting(5, "training photographs that judge the grids", low=1)
+    likely_bits: int = setting(8, "bits of rendering networks in estimates before a grid is chosen", low=2, high=24)
+
+
+@dataclass(frozen=True)
+class LookSettings:
+    """What a training notes of itself on the way."""
+
+    count: int = setting(40, "looks at held-out photographs during a training", low=1)
+    images: int = setting(5, "about how many photographs a look takes", low=1)
+    save_seconds: float = setting(30.0, "from one saving of the state to the next", unit="seconds", low=0)
+
+
+# --- phases -----------------------------------------------------------------------------------------------------------
+
+# The modes that a phase may give each part.
+MODES: dict[str, tuple[str, ...]] = {
+    # observe: gradients and opacities are noted. grow: anchors grow and are dropped, too.
+    "growth": ("off", "observe", "grow"),
+    # on: offsets may be masked, and the masks' loss counts.
+    "masks": ("off", "on"),
+    # on: the frame and the size of the planes are fixed, and bits count. integers: activations, contexts and step
+    # indices are rounded and cut as in the decoder, too.
+    "rate": ("off", "on", "integers"),
+    # noise: uniform noise stands for rounding. round: attributes and planes are rounded, with the same gradients.
+    "quantisation": ("noise", "round"),
+    # grid: the weights of all networks are rounded to grids.
+    "weights": ("float", "grid"),
+}
+
+
+@dataclass(frozen=True)
+class Phase:
+    """A part of a training's time.
+
+    name: what messages and tables call it. begin: the share of all steps after which it begins. modes: the modes that
+    parts have from then on; the other parts keep theirs. What happens between two steps, as growth does, belongs to
+    the phases on both sides.
+    """
+
+    name: str
+    begin: float
+    modes: Mapping[str, str]
+
+
+PHASES = (
+    Phase("start", 0.0, {"growth": "observe"}),
+    Phase("growth", 0.03, {"growth": "grow"}),
+    Phase("masks", 0.25, {"masks": "on"}),
+    Phase("rate", 0.4, {"growth": "off", "rate": "on", "quantisation": "noise"}),
+    Phase("rounding", 0.6, {"quantisation": "round"}),
+    Phase("integers", 0.8, {"rate": "integers"}),
+    Phase("weights", 0.85, {"weights": "grid"}),
+)
+
+
+# --- the whole --------------------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class TrainSettings:
+    """A training of a scene from photographs: what `refcodec train --print-settings` prints."""
+
+    steps: int = setting(4000, "steps of training, a photograph each", f"{OWN}; {PRO}: 40,000", unit="steps", low=1)
+    seed: int = setting(0, "of all random numbers", low=0, high=2**63 - 1)
+    size: str = setting("400", "size that photographs are averaged down to: WxH, or their longest side", unit="pixels")
+    start: StartSettings = StartSettings()
+    loss: LossSettings = LossSettings()
+    growth: GrowthSettings = GrowthSettings()
+    masks: MaskSettings = MaskSettings()
+    rate: RateSettings = RateSettings()
+    sampling: SamplingSettings = SamplingSettings()
+    entropy: EntropySettings = EntropySettings()
+    quantisation: QuantisationSettings = QuantisationSettings()
+    weights: WeightSettings = WeightSettings()
+    learning: LearningSettings = LearningSettings()
+    looks: LookSettings = LookSettings()
+    phases: tuple[Phase, ...] = PHASES
+
+    def __post_init__(self) -> None:
+        """Raises ValueError for phases that are no schedule, and for ranges that are empty."""
+        begins = [phase.begin for phase in self.phases]
+        if begins != sorted(begins) or any(not 0 <= begin < 1 for begin in begins):
+            raise ValueError(f"phases begin at {begins}: shares from 0 to less than 1 in ascending order are required")
+        if len({phase.name for phase in self.phases}) < len(self.phases):
+            raise ValueError("two phases have the same name")
+        for phase in self.phases:
+            for part, mode in phase.modes.items():
+                if mode not in MODES.get(part, ()):
+                    known = ", ".join(f"{name}: {' or '.join(modes)}" for name, modes in MODES.items())
+                    raise ValueError(f"phases.{phase.name} has {part} = {mode!r}; parts and their modes are {known}")
+        growth = rate = "off"
+        for phase in self.phases:
+            growth, rate = phase.modes.get("growth", growth), phase.modes.get("rate", rate)
+            if rate != "off" and growth != "off":
+                raise ValueError(f"phases.{phase.name} has growth = {growth!r}: anchors cannot change under a rate")
+        for name in ("rendering_bits", "coarser"):
+            least, most = getattr(self.weights, name)
+            if least > most:
+                raise ValueError(f"weights.{name} is {least} to {most}: nothing is left to try")
+
+
+@dataclass(frozen=True)
+class FitSettings:
+    """A fit of an entropy model to anchors that are given (SPEC B.5)."""
+
+    steps: int = setting(4000, "steps of training, a batch of anchors each", unit="steps", low=0)
+    seed: int = setting(0, "of all random numbers", low=0, high=2**63 - 1)
+    batch: int = setting(4096, "anchors of a step, drawn from all (USRO)", unit="anchors", low=1)
+    plane_period: int = setting(
+        4,
+        "from one step that counts the planes' bits to the next (A-RDO), scaled up by as much",
+        PRO,
+        unit="steps",
+        low=1,
+    )
+    plane_rate: float = setting(0.01, "largest learning rate of the planes under the one-cycle schedule", low=0)
+    network_rate: float = setting(0.008, "largest learning rate of the networks under the one-cycle schedule", low=0)
+    clip: float = setting(1.0, "largest norm of the networks' gradient, which is scaled down to it", low=0)
+    rounding: float = setting(0.6, "share of the steps after which planes are rounded, not noisy", low=0, high=1)
+    integers: float = setting(0.85, "share of the steps after which activations are integers", low=0, high=1)
+    calibration: int = setting(8, "batches whose activations give the hidden units their integers' units", low=1)
+    notes: int = setting(50, "entries of the history", low=1)
+    save_seconds: float = setting(30.0, "from one saving of the state to the next", unit="seconds", low=0)
+    entropy: EntropySettings = EntropySettings()
+    # Of points.
+    quantisation: QuantisationSettings = QuantisationSettings()
+    # Of a scene with its rendering networks, which shows coarse steps that it was not trained with (own measurement, in
+    # benchmarks/RESULTS.md: Fitting a trained scene).
+    scene: QuantisationSettings = QuantisationSettings(offsets=0.025)
+
+
+# fast: minutes on two cores.
+# paper: the paper's steps, Scaffold-GS's first voxels, photographs as large as 3DGS takes them.
+PRESETS = {
+    "fast": TrainSettings(),
+    "paper": TrainSettings(
+        steps=40000, size="1600", start=StartSettings(anchors=0), growth=GrowthSettings(most=1 << 20)
+    ),
+}

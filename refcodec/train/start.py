@@ -1,0 +1,109 @@
+"""Where a training begins: its units, its lattice, and the first anchors on it.
+
+Training works in units of its own, in which the scene has a size of about one. So nothing depends on the unit of the
+cameras. `Units` says what they are in the world. The file says it by its distance_unit and its scalings.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial import cKDTree
+
+from ..bitstream.header import PositionGrid
+from ..encoder.positions import choose_grid
+from ..photographs.photographs import PhotographSet
+from ..render.camera import Camera
+from .settings import StartSettings
+from .voxelise import default_voxel, short_mantissa
+
+F64 = NDArray[np.float64]
+I64 = NDArray[np.int64]
+
+# Cells of the lattice that fp16 can reach.
+LATTICE_MAX = 60000
+
+
+@dataclass(frozen=True, eq=False)
+class Units:
+    """What training units are.
+
+    grid: the lattice's cells in the world (SPEC 6.4). origin: of the lattice, float64 [3], world. length: of a training
+    unit, in the world. cell: edge of the lattice, in training units.
+    """
+
+    grid: PositionGrid
+    origin: F64
+    length: float
+    cell: float
+
+    def camera(self, camera: Camera) -> Camera:
+        """A camera of the world in training units."""
+        return replace(camera, translation=(camera.translation + camera.rotation @ self.origin) / self.length)
+
+
+@dataclass(frozen=True, eq=False)
+class FirstAnchors:
+    """The anchors of the beginning. lattice: int64 [N, 3], cells. colours: [N, 3], from -1 to 1. sizes: [N], world."""
+
+    units: Units
+    lattice: I64
+    colours: F64
+    sizes: F64
+
+
+def scene_length(photographs: PhotographSet) -> float:
+    """The median distance of the cameras from the median of the points: about one scene, whatever its unit.
+
+    It is a number of float32, as SPEC 5.5 has it.
+    """
+    middle = np.median(photographs.points, axis=0)
+    away = [float(np.linalg.norm(p.camera.centre - middle)) for p in photographs.train]
+    return float(np.float32(np.median(away))) or 1.0
+
+
+def choose_voxel(points: F64, anchors: int) -> float:
+    """The edge of voxels of which the points fill about `anchors`; fewer if there are fewer points."""
+    extent = float(np.ptp(points, axis=0).max()) or 1.0
+    low, high = 1e-5 * extent, extent
+    for _ in range(40):
+        middle = math.sqrt(low * high)
+        if len(np.unique(np.round(points / middle), axis=0)) > anchors:
+            low = middle
+        else:
+            high = middle
+    return high
+
+
+def lattice_positions(lattice: I64) -> NDArray[np.float16]:
+    """SPEC 6.4: cells as fp16, which is exact up to 2048 and coarser beyond."""
+    return np.clip(lattice, -LATTICE_MAX, LATTICE_MAX).astype(np.float16)
+
+
+def first_anchors(photographs: PhotographSet, settings: StartSettings) -> FirstAnchors:
+    """Scaffold-GS: an anchor in each voxel that has points. Raises ValueError without points.
+
+    An anchor's colour is that of the points around it, its size the distance of its neighbours.
+    """
+    if not len(photographs.points):
+        raise ValueError("there are no points to begin with")
+    points = photographs.points
+    length = scene_length(photographs)
+    voxel = choose_voxel(points, settings.anchors) if settings.anchors else default_voxel(points.astype(np.float32))
+    grid = choose_grid(points.astype(np.float32), short_mantissa(voxel / settings.cells))
+    origin = np.array(grid.origin, np.float64) * 2.0 ** (grid.scale_exponent - 24)
+    units = Units(grid, origin, length, grid.scale_mantissa * 2.0**grid.scale_exponent / length)
+    away = (points - origin) / (units.cell * length)
+    lattice = np.unique(np.round(away / settings.cells).astype(np.int64), axis=0) * settings.cells
+    lattice = np.unique(lattice_positions(lattice).astype(np.int64), axis=0)
+    n = len(lattice)
+    distance = cKDTree(lattice).query(lattice, min(settings.neighbours + 1, n))[0].reshape(n, -1)[:, 1:]
+    spread = np.sqrt((distance**2).mean(axis=1)) if distance.shape[1] else np.ones(n)
+    spread = np.clip(spread, np.median(spread) * settings.smallest, np.quantile(spread, settings.largest))
+    near = cKDTree(away).query(lattice, min(settings.colours, len(points)))[1].reshape(n, -1)
+    colours = photographs.colours[near].mean(axis=1) / 255 * 2 - 1
+    sizes = np.maximum(spread, settings.least_cells) * units.cell * length
+    return FirstAnchors(units, lattice, colours, sizes)

@@ -1,0 +1,42 @@
+"""A small set of photographs, and a training of seconds on it."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+pytest.importorskip("torch")
+pytest.importorskip("numba")
+
+from refcodec.photographs.photographs import PhotographSet, read_photographs
+from refcodec.train.settings import TrainSettings
+from refcodec.train.settings_file import varied
+from refcodec.train.trainer import Trainer
+
+EXAMPLES = Path(__file__).resolve().parents[2] / "examples" / "photographs"
+SMALL = varied(TrainSettings(), {"steps": 160, "start.anchors": 800, "growth.most": 900})
+
+
+@pytest.fixture(scope="session")
+def examples() -> Path:
+    return EXAMPLES
+
+
+@pytest.fixture(scope="session")
+def small() -> TrainSettings:
+    """Settings of a training of seconds."""
+    return SMALL
+
+
+@pytest.fixture(scope="session")
+def photographs() -> PhotographSet:
+    return read_photographs(EXAMPLES / "caliterra", (100, 75))
+
+
+@pytest.fixture(scope="session")
+def trained(photographs: PhotographSet) -> Trainer:
+    """A training that came to its end."""
+    trainer = Trainer(photographs, SMALL)
+    assert trainer.run(lambda _: None)
+    return trainer

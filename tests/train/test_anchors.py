@@ -1,0 +1,140 @@
+"""Anchors: units, what a camera may see, growth."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import torch
+
+from refcodec.bitstream.scene import Scene
+from refcodec.photographs.photographs import PhotographSet
+from refcodec.train.parts.growth import Growth
+from refcodec.train.scaffold import COLUMNS, Scaffold
+from refcodec.train.schedule import Clock
+from refcodec.train.settings import TrainSettings
+from refcodec.train.settings_file import varied
+from refcodec.train.splat import draw
+from refcodec.train.start import lattice_positions
+from refcodec.train.trainer import Trainer
+
+
+def beginning(photographs: PhotographSet, anchors: int) -> Scaffold:
+    settings = varied(TrainSettings(), {"start.anchors": anchors})
+    return Scaffold(photographs, settings, torch.Generator().manual_seed(0))
+
+
+def growth(scaffold: Scaffold, most: int) -> Growth:
+    settings = varied(TrainSettings(), {"growth.most": most})
+    clock, random = Clock(settings.phases, settings.steps), torch.Generator().manual_seed(1)
+    return Growth(settings.growth, settings.masks.start, scaffold, clock, random, lambda: None)
+
+
+def test_units(photographs: PhotographSet) -> None:
+    scaffold, cells = beginning(photographs, 500), TrainSettings().start.cells
+    units = scaffold.units
+    camera = photographs.train[3].camera
+    local = units.camera(camera)
+    world = units.origin + scaffold.lattice * (units.cell * units.length)
+    np.testing.assert_allclose(
+        (world @ camera.rotation.T + camera.translation) / units.length,
+        scaffold.position.double().numpy() @ local.rotation.T + local.translation,
+        atol=1e-5,
+    )
+    # Anchors begin in the middle of voxels that have points, and fp16 holds them exactly.
+    assert (scaffold.lattice % cells == 0).all()
+    # Voxels begin elsewhere than where they were counted.
+    assert 250 <= scaffold.count <= 550
+    np.testing.assert_array_equal(lattice_positions(scaffold.lattice).astype(np.int64), scaffold.lattice)
+    away = np.abs(photographs.points[:, None] - world[None]).max(axis=2).min(axis=0)
+    assert away.max() <= units.cell * units.length * cells / 2 * (1 + 1e-6)
+
+
+def test_no_anchor_is_left_out_that_could_be_seen(photographs: PhotographSet, trained: Trainer) -> None:
+    """The images of a training are those of all anchors; those behind the camera are left out."""
+    scene = trained.result()
+    assert isinstance(scene, Scene)
+    scaffold = trained.scaffold
+    for photograph in photographs.test:
+        camera = scaffold.units.camera(photograph.camera)
+        images = []
+        for anchors in (scaffold.visible(camera), torch.arange(scaffold.count)):
+            values = {kind: table[anchors] for kind, table in scaffold.tables.items()}
+            _, gaussians, _ = scaffold.gaussians(anchors, camera, values, None)
+            images.append(draw(*gaussians, camera, trained.views.settings)[0].detach())
+        assert float((images[0] - images[1]).abs().max()) < 1e-3
+    fresh = beginning(photographs, 500)
+    # The camera looks the other way: no anchor is in front of it.
+    turned = replace(
+        camera,
+        rotation=np.diag([-1.0, 1, -1]) @ camera.rotation,
+        translation=np.diag([-1.0, 1, -1]) @ camera.translation,
+    )
+    assert len(fresh.visible(turned)) < 0.05 * fresh.count < 0.5 * len(fresh.visible(camera))
+    share = fresh.views([camera, camera])
+    assert set(torch.nonzero(share)[:, 0].tolist()) == set(fresh.visible(camera).tolist())
+    assert float(share.mean()) == pytest.approx(1)
+
+
+def test_growth(photographs: PhotographSet) -> None:
+    scaffold = beginning(photographs, 300)
+    before = {tuple(c) for c in scaffold.lattice.tolist()}
+    # Anchor 5 asks for more around its offset 3, some cells away; anchor 7 is transparent.
+    scaffold.tables["scalings"][5] = np.log(scaffold.units.cell * scaffold.units.length)
+    scaffold.tables["offsets"][5, 9:12] = torch.tensor([40.0, 41.0, 43.0])
+    part = growth(scaffold, 400)
+    part.seen[:], part.opacity[:] = 30, 30
+    part.opacity[7] = 0.0
+    gone, feature = tuple(scaffold.lattice[7].tolist()), scaffold.tables["features"][5].clone()
+    near = scaffold.lattice[5] + [40, 41, 43]
+    # Which offsets grow is drawn by lot, too.
+    for _ in range(8):
+        part.gradient[5, 3], part.drawn[5, 3] = 20 * 0.01, 20
+        part.grow()
+        part.anchors_changed()
+        if scaffold.count > len(before) - 1:
+            break
+    after = {tuple(c) for c in scaffold.lattice.tolist()}
+    assert len(after) == scaffold.count
+    assert gone not in after
+    assert before - {gone} <= after
+    new = sorted(after - before)
+    assert 1 <= len(new) <= 3
+    assert all(np.abs(np.array(c) - near).max() <= 2 for c in new)
+    born = len(before) - 1
+    assert torch.equal(scaffold.tables["features"][born], feature)
+    assert (scaffold.tables["offsets"][born:] == 0).all()
+    assert (scaffold.tables["masks"][born:] == TrainSettings().masks.start).all()
+    for name, table in scaffold.tables.items():
+        shape = (scaffold.count, COLUMNS[name])
+        assert table.shape == scaffold.first[name].shape == scaffold.second[name].shape == shape
+
+
+def test_growth_has_a_limit(photographs: PhotographSet) -> None:
+    scaffold = beginning(photographs, 300)
+    count = scaffold.count
+    scaffold.tables["offsets"].uniform_(-30, 30, generator=torch.Generator().manual_seed(2))
+    for most, expected in ((count + 17, count + 17), (count - 5, count + 17)):
+        part = growth(scaffold, most)
+        part.gradient[:], part.drawn[:] = 1, 20
+        part.grow()
+        assert scaffold.count == expected
+
+
+def test_growth_takes_its_time_from_the_phases(photographs: PhotographSet) -> None:
+    """It grows every period while its phase lasts, its first and last step included."""
+    scaffold = beginning(photographs, 100)
+    settings = varied(TrainSettings(), {"steps": 1000, "growth.period": 10, "growth.most": 1})
+    clock, times = Clock(settings.phases, settings.steps), []
+    part = Growth(settings.growth, 0.0, scaffold, clock, torch.Generator(), lambda: times.append(clock.done))
+    for done in range(1, 1001):
+        clock.done = done
+        part.end()
+    assert times == list(range(30, 401, 10))
+
+
+def test_no_points(photographs: PhotographSet, small: TrainSettings) -> None:
+    empty = replace(photographs, points=np.zeros((0, 3)), colours=np.zeros((0, 3), np.uint8))
+    with pytest.raises(ValueError, match="no points"):
+        Trainer(empty, small)

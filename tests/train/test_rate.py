@@ -1,0 +1,115 @@
+"""The rate in training against the coder's, and hyperpriors."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import torch
+
+from benchmarks.hyperpriors import HYPERPRIORS, rounded_scene
+from benchmarks.ideal import attribute_code_length, plane_code_length
+from refcodec.bitstream.codec import emit, parse, parse_container
+from refcodec.bitstream.reconstruction import world_positions
+from refcodec.bitstream.scene import Scene
+from refcodec.bitstream.weights import to_grid
+from refcodec.encoder.quantise import packed
+from refcodec.photographs.photographs import PhotographSet
+from refcodec.render.view import View
+from refcodec.train.entropy.hyperprior import Hyperprior, VectorMatrix
+from refcodec.train.entropy.model import OFFSETS, WIDTH
+from refcodec.train.settings import TrainSettings
+from refcodec.train.settings_file import varied
+from refcodec.train.trainer import Trainer
+
+
+@pytest.mark.parametrize("hyperprior", [VectorMatrix(), *HYPERPRIORS.values()], ids=["vm", *HYPERPRIORS])
+def test_hyperpriors(hyperprior: Hyperprior, photographs: PhotographSet, small: TrainSettings) -> None:
+    """Each gives finite bits with a gradient for its planes; the step of scalings is one for all anchors."""
+    trainer = Trainer(photographs, small, hyperprior=hyperprior)
+    assert trainer.rate is not None
+    trainer.rate.start()
+    model, contexts = trainer.rate.started(), trainer.rate.contexts
+    assert model.latents.shape == hyperprior.latent_shape(model.latents.shape[-1])
+    rows = torch.arange(50)
+    weights = model.hyper.weights[-1]
+    with torch.no_grad():
+        weights.add_(torch.randn(weights.shape, generator=trainer.random) * weights.abs().gt(0))
+    hidden = model.activations(contexts.inputs(model.symbols(trainer.random), rows, False))
+    kept = torch.ones(50, OFFSETS)
+    kept[7] = 0
+    bits = model.attribute_bits(hidden, torch.zeros(50, WIDTH), kept)
+    assert bits.shape == (50, 3)
+    assert (bits[7] == 0).all()
+    assert float(bits[8].detach().sum()) > 0
+    (bits.sum() + model.plane_bits(model.symbols(None)) + model.steps(hidden).sum()).backward()
+    assert model.latents.grad is not None
+    assert torch.isfinite(model.latents.grad).all()
+    assert (model.latents.grad.abs().sum(dim=(1, 2, 3)) > 0).all()
+    assert (weights.grad[2 * WIDTH + 1] == 0).all()
+    assert float(model.steps(hidden)[:, 1].std()) == 0
+
+
+def test_a_hyperprior_that_no_file_can_hold(photographs: PhotographSet, small: TrainSettings) -> None:
+    """It is trained and estimated, and its attributes are rounded; it has no result."""
+    trainer = Trainer(photographs, varied(small, {"steps": 40}), hyperprior=HYPERPRIORS["triplane"])
+    trainer.run(lambda _: None)
+    with pytest.raises(ValueError, match="does not have this hyperprior"):
+        trainer.result()
+    assert trainer.rate is not None
+    result = rounded_scene(trainer)
+    steps = trainer.rate.steps(torch.arange(trainer.scaffold.count)).numpy()
+    symbols = result.values.features / steps[:, :1]
+    np.testing.assert_allclose(symbols, np.round(symbols), atol=1e-3)
+    assert View(result).draw(photographs.test[0].camera).shape == (75, 100, 3)
+
+
+def test_bytes_are_what_was_estimated(trained: Trainer) -> None:
+    """Code lengths as training counts them, against the coder's own models of the file's symbols: integers in both."""
+    scene = trained.result()
+    assert isinstance(scene, Scene)
+    estimate = trained.estimate()
+    found = attribute_code_length(scene)
+    assert estimate["attributes"] * 8 == pytest.approx(found.table, rel=0.01)
+    assert estimate["planes"] * 8 == pytest.approx(plane_code_length(scene).table, rel=0.01)
+    packing = {s.name: s.end - s.start for s in parse_container(emit(packed(scene, None, None))).sections.values()}
+    assert estimate["positions"] == packing["positions"]
+    assert estimate["weights"] == packing["weights"]
+    assert estimate["attributes"] == pytest.approx(sum(estimate[kind] for kind in ("features", "scalings", "offsets")))
+
+
+def test_weights_end_on_grids(trained: Trainer) -> None:
+    """Every layer can be packed, and training draws with the weights of the file."""
+    scene = trained.result()
+    assert isinstance(scene, Scene)
+    for name, layers in scene.networks.items():
+        for number, layer in enumerate(layers):
+            grid = to_grid(layer)
+            assert grid is not None
+            # A few weights grow after the grid was chosen.
+            assert np.abs(grid.weight).max() < 4096, (name, number)
+    assert trained.scaffold.networks.gridded
+    for name, found in trained.scaffold.networks.layers().items():
+        for (weight, bias), (wanted, wanted_bias) in zip(found, scene.networks[name], strict=True):
+            assert (weight == wanted).all()
+            assert (bias == wanted_bias).all()
+
+
+def test_the_file_shows_what_the_training_showed(trained: Trainer, photographs: PhotographSet) -> None:
+    """SPEC 14.5: 50 dB between the trainer's image of the quantised scene and that of the decoded file."""
+    scene = trained.result()
+    assert isinstance(scene, Scene)
+    view = View(parse(emit(scene)).scene)
+    for photograph in photographs.test[:3]:
+        shown = trained.views.show(scene, photograph.camera).numpy()
+        error = float(np.mean((view.draw(photograph.camera).clip(0, 1) - shown) ** 2))
+        assert -10 * np.log10(error + 1e-12) > 50
+
+
+def test_positions_are_exact(trained: Trainer) -> None:
+    scene = trained.result()
+    assert isinstance(scene, Scene)
+    units = trained.scaffold.units
+    lattice = {tuple(c) for c in trained.scaffold.lattice.tolist()}
+    cells = (world_positions(scene).astype(np.float64) - units.origin) / (units.cell * units.length)
+    np.testing.assert_allclose(cells, np.round(cells), atol=1e-3)
+    assert {tuple(c) for c in np.round(cells).astype(int).tolist()} <= lattice

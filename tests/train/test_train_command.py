@@ -1,0 +1,129 @@
+"""The command `refcodec train`."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+from PIL import Image
+
+from refcodec.bitstream.codec import parse
+from refcodec.cli.main import main
+from refcodec.folder.uncompressed import read_uncompressed
+from refcodec.train.command import state_path
+
+
+def test_command(examples: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    source, scene, file = str(examples / "caliterra"), tmp_path / "scene", tmp_path / "scene.c3gs"
+    words = ["--steps", "30", "--size", "64", "--set", "growth.most=6000", "--progress"]
+    assert main(["train", source, "-o", str(scene), *words]) == 0
+    said = capsys.readouterr()
+    assert "30 steps" in said.out
+    assert "step 30 of 30" in said.err
+    assert not state_path(scene).exists()
+    assert main(["encode", str(scene), "-o", str(file)]) == 0
+    assert main(["eval", str(file), source, "--size", "64", "--json"]) == 0
+    measured = json.loads(capsys.readouterr().out)
+    facts = json.loads((scene / "training.json").read_text())
+    assert (facts["settings"]["size"], facts["settings"]["growth"]["most"]) == ("64", 6000)
+    assert facts["anchors"] == measured["anchors"]
+    assert facts["bytes"]["weights"] == pytest.approx(measured["parts"]["weights"], abs=100)
+    # Over an older result, and from there nothing to go on with.
+    assert main(["train", source, "-o", str(scene), "--steps", "5", "--size", "64"]) == 0
+    assert main(["train", source, "-o", str(scene), "--resume"]) == 64
+    assert "nothing to resume" in capsys.readouterr().err
+
+
+def test_command_without_rate(examples: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    source, folder = str(examples / "snowmiku"), tmp_path / "scaffold"
+    for _ in range(2):
+        assert main(["train", source, "-o", str(folder), "--rate", "0", "--steps", "20", "--size", "64"]) == 0
+    scene = read_uncompressed(folder)
+    assert main(["eval", str(folder), source, "--size", "64", "--json"]) == 0
+    found = json.loads(capsys.readouterr().out.split("\n", 2)[2])
+    assert found["parts"] == {
+        "positions": 12 * scene.anchor_count,
+        "attributes": 4 * 86 * scene.anchor_count,
+        "weights": 4 * 13860,
+    }
+    assert main(["render", str(folder), "-o", str(tmp_path / "images")]) == 0
+    assert (tmp_path / "images" / "default.png").is_file()
+    (folder / "networks.safetensors").write_bytes(b"")
+    assert main(["eval", str(folder), source]) == 64
+    assert "train it again" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        (["--rate", "2"], "0 to 1"),
+        (["--steps", "0"], "at least 1"),
+        (["--size", "0x5"], "size"),
+        (["--device", "cuda"], "CUDA"),
+        (["-o", "."], "not a scene folder"),
+    ],
+)
+def test_command_errors(
+    options: list[str], message: str, examples: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    if options == ["--device", "cuda"] and torch.cuda.is_available():
+        pytest.skip("there is a CUDA device")
+    output = [] if options[0] == "-o" else ["-o", str(tmp_path / "scene")]
+    assert main(["train", str(examples / "caliterra"), *output, *options]) == 64
+    assert message in capsys.readouterr().err
+
+
+def test_what_is_missing(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    for words in ([], ["photographs"], ["-o", str(tmp_path)]):
+        assert main(["train", *words]) == 64
+        assert "train needs PHOTOGRAPHS and -o SCENE_DIR" in capsys.readouterr().err
+
+
+def test_the_bitstream_side_does_not_import_training() -> None:
+    code = """
+import sys
+from refcodec.bitstream import codec
+from refcodec.evaluate import evaluation
+from refcodec.render import view
+print([m for m in sys.modules if m == 'torch' or m.startswith('refcodec.train')])
+"""
+    assert subprocess.run([sys.executable, "-c", code], check=True, capture_output=True, text=True).stdout == "[]\n"
+
+
+def test_settings_need_no_torch() -> None:
+    code = "import sys\nfrom refcodec.cli.main import main\nmain(['train', '--print-settings'])\n"
+    code += "print({'torch', 'numpy', 'numba'} & set(sys.modules), file=sys.stderr)"
+    assert subprocess.run([sys.executable, "-c", code], check=True, capture_output=True, text=True).stderr == "set()\n"
+
+
+def test_a_nerf_folder_with_transparent_images(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """A red ball without ground, seen from around it, without points: it is learnt over white."""
+    frames = []
+    (tmp_path / "images").mkdir()
+    across, down = np.meshgrid(np.arange(32) - 15.5, np.arange(32) - 15.5)
+    ball = np.zeros((32, 32, 4), np.uint8)
+    ball[across**2 + down**2 < 64] = (220, 30, 20, 255)
+    for number in range(16):
+        angle = 2 * np.pi * number / 16
+        pose = np.array(
+            [
+                [np.cos(angle), 0, np.sin(angle), 4 * np.sin(angle)],
+                [0, 1, 0, 0],
+                [-np.sin(angle), 0, np.cos(angle), 4 * np.cos(angle)],
+            ]
+        )
+        Image.fromarray(ball).save(tmp_path / "images" / f"r_{number}.png")
+        frames.append({"file_path": f"images/r_{number}.png", "transform_matrix": pose.tolist()})
+    (tmp_path / "transforms.json").write_text(json.dumps({"camera_angle_x": 0.7, "frames": frames}))
+    scene, file = tmp_path / "scene", tmp_path / "scene.c3gs"
+    assert main(["train", str(tmp_path), "-o", str(scene), "--steps", "150"]) == 0
+    assert main(["encode", str(scene), "-o", str(file)]) == 0
+    capsys.readouterr()
+    assert parse(file.read_bytes()).scene.render.background == (255, 255, 255)
+    assert main(["eval", str(file), str(tmp_path), "--json"]) == 0
+    assert json.loads(capsys.readouterr().out)["mean"]["psnr"] > 15

@@ -1,0 +1,165 @@
+"""Whole trainings of seconds: what they end with, and that they can stop and go on."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import subprocess
+import sys
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from refcodec.bitstream.codec import emit, parse
+from refcodec.bitstream.scene import Scene
+from refcodec.photographs.photographs import Photograph, PhotographSet
+from refcodec.train.command import report
+from refcodec.train.settings import TrainSettings
+from refcodec.train.settings_file import varied
+from refcodec.train.state import restore, save
+from refcodec.train.trainer import Trainer
+
+
+def coded(trainer: Trainer) -> bytes:
+    scene = trainer.result()
+    assert isinstance(scene, Scene)
+    return emit(scene)
+
+
+def times(photographs: PhotographSet, factor: float) -> PhotographSet:
+    """The same scene in another unit."""
+
+    def moved(group: Sequence[Photograph]) -> tuple[Photograph, ...]:
+        return tuple(
+            replace(p, camera=replace(p.camera, translation=p.camera.translation * factor), load=lambda p=p: p.image)
+            for p in group
+        )
+
+    return replace(
+        photographs, train=moved(photographs.train), test=moved(photographs.test), points=photographs.points * factor
+    )
+
+
+def test_what_a_training_says(trained: Trainer, small: TrainSettings) -> None:
+    scene = trained.result()
+    assert isinstance(scene, Scene)
+    said = report(trained, scene)
+    assert len(said["quantised"]) == len(trained.photographs.test)
+    assert json.loads(json.dumps(said)) == said
+    assert said["steps"] == small.steps
+    # All settings, by which it can be trained again.
+    assert varied(TrainSettings(), said["settings"]) == small
+    assert len(said["history"]) >= small.looks.count
+    assert said["history"][-1]["psnr"] > said["history"][0]["psnr"] + 1
+
+
+def test_going_on_is_not_seen(
+    trained: Trainer, photographs: PhotographSet, small: TrainSettings, tmp_path: Path
+) -> None:
+    """A training that stops and goes on, before and after each milestone, ends with the same file."""
+    expected = coded(trained)
+    for steps in (30, 125):
+        one = Trainer(photographs, small)
+        for _ in range(steps):
+            one.step()
+        save(one, tmp_path / "state")
+        two = Trainer(photographs, small)
+        restore(two, tmp_path / "state")
+        assert two.run(lambda _: None)
+        assert coded(two) == expected
+    with pytest.raises(ValueError, match=r"other settings; rate\.weight is 0\.004, not 0\.01$"):
+        restore(Trainer(photographs, varied(small, {"rate.weight": 0.01})), tmp_path / "state")
+    with pytest.raises(ValueError, match=r"other photographs$"):
+        restore(Trainer(replace(photographs, train=photographs.train[1:]), small), tmp_path / "state")
+    (tmp_path / "state").write_bytes(b"no state")
+    with pytest.raises(ValueError, match="cannot be read"):
+        restore(Trainer(photographs, small), tmp_path / "state")
+
+
+@pytest.mark.parametrize("steps", [5, 100])
+def test_an_interrupt_leaves_a_scene_and_a_state(
+    steps: int, photographs: PhotographSet, small: TrainSettings, trained: Trainer, tmp_path: Path
+) -> None:
+    trainer = Trainer(photographs, small)
+
+    def interrupt(t: Trainer) -> None:
+        if t.clock.done == steps:
+            os.kill(os.getpid(), signal.SIGINT)
+
+    assert not trainer.run(interrupt, lambda: save(trainer, tmp_path / "state"))
+    assert steps <= trainer.clock.done <= steps + 1
+    assert parse(coded(trainer)).scene.anchor_count > 100
+    again = Trainer(photographs, small)
+    restore(again, tmp_path / "state")
+    again.run(lambda _: None)
+    assert coded(again) == coded(trained)
+
+
+DIGEST = """
+import hashlib, sys
+from pathlib import Path
+from refcodec.bitstream.codec import emit
+from refcodec.photographs.photographs import read_photographs
+from refcodec.train.command import train
+from refcodec.train.settings import TrainSettings
+from refcodec.train.settings_file import varied
+settings = varied(TrainSettings(), {"steps": 60, "start.anchors": 800, "growth.most": 900})
+found = read_photographs(sys.argv[1], (100, 75))
+threads = int(sys.argv[3])
+trainer, _ = train(found, settings, Path(sys.argv[2]), threads=threads, device="cpu", resume=False, progress=False)
+print(hashlib.sha256(emit(trainer.result())).hexdigest())
+"""
+
+
+def test_same_file_whatever_the_number_of_threads(examples: Path, tmp_path: Path) -> None:
+    def run(threads: int) -> str:
+        environment = {
+            **os.environ,
+            "NUMBA_NUM_THREADS": str(threads),
+            "OMP_NUM_THREADS": str(threads),
+            "OMP_WAIT_POLICY": "PASSIVE",
+        }
+        words = [str(examples / "caliterra"), str(tmp_path / str(threads)), str(threads)]
+        command = [sys.executable, "-c", DIGEST, *words]
+        return subprocess.run(command, env=environment, check=True, capture_output=True, text=True).stdout
+
+    assert run(1) == run(2)
+
+
+def test_another_unit_gives_the_same_scene(trained: Trainer, photographs: PhotographSet, small: TrainSettings) -> None:
+    """The same photographs with cameras and points in hundredths of the unit: same anchors, about the same bytes."""
+    other = Trainer(times(photographs, 100.0), small)
+    other.run(lambda _: None)
+    one, two = trained.looks.history[-1], other.looks.history[-1]
+    assert two["psnr"] == pytest.approx(one["psnr"], abs=0.5)
+    assert two["bytes"] == pytest.approx(one["bytes"], rel=0.02)
+    assert other.scaffold.units.length == pytest.approx(100 * trained.scaffold.units.length)
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        {"sampling.among": "visible"},
+        {"rate.plane_period": 1},
+        {"masks.used": False},
+        {"masks.epsilon": 0.0004},
+        {"phases.masks.begin": 0.5, "phases.rate.begin": 0.5},
+        {"phases.weights.modes": {"weights": "float"}},
+    ],
+)
+def test_variations(change: dict[str, Any], photographs: PhotographSet, small: TrainSettings) -> None:
+    trainer = Trainer(photographs, varied(small, {"steps": 40, **change}))
+    trainer.run(lambda _: None)
+    result = trainer.result()
+    assert isinstance(result, Scene)
+    assert result.masks.all() or change.get("masks.used", True)
+    assert parse(emit(result)).scene.anchor_count == result.anchor_count
+
+
+def test_masks_move(trained: Trainer) -> None:
+    """In this short time the masks' loss and the rate move all masks together towards the threshold; none passes it."""
+    assert float(trained.scaffold.tables["masks"].mean()) < 0
