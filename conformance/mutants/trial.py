@@ -24,15 +24,18 @@ MOST_CALLS = 1 << 20
 
 @dataclass(frozen=True)
 class Case:
-    """A vector as a trial needs it. digests: hexadecimal, those of the parts by name (SPEC 9.3), and of all as "whole"; empty if the file
-    is to be refused. error: then its code and offset, else None. requirements: what the vector is for."""
+    """A vector as a trial needs it.
+
+    digests: hexadecimal, those of the parts by name (SPEC 9.3), and of all as "whole". They are empty if the file is to be refused.
+    error: the code and the offset of that refusal, else None. requirements: what the vector is for. seconds: of processor time.
+    """
 
     id: str
     data: bytes
     digests: dict[str, str]
     error: tuple[int, int] | None
     requirements: frozenset[str]
-    seconds: int
+    seconds: float
     bytes: int
 
 
