@@ -5,6 +5,7 @@ from __future__ import annotations
 import hashlib
 import json
 import os
+import shlex
 import shutil
 import signal
 import subprocess
@@ -29,10 +30,11 @@ from conformance.runner import run as runner
 from refcodec.bitstream import codec
 from refcodec.bitstream.errors import REGISTRY, BitstreamError
 from refcodec.bitstream.reconstruction import canonical_head, canonical_parts, digest
+from refcodec.cli import statuses
 from refcodec.inspect.trace import symbol_trace
 
-HERE = Path(__file__).resolve().parent
-FAKE = HERE / "fake_decoder.py"
+FAKE = Path(__file__).with_name("fake_decoder.py")
+ROOT = Path(__file__).resolve().parents[2]
 
 
 @dataclass(frozen=True)
@@ -135,7 +137,7 @@ def suite(tmp_path_factory: pytest.TempPathFactory) -> Suite:
     return Suite(folder, answers / "answers.json")
 
 
-def statuses(record: dict[str, Any]) -> dict[str, str]:
+def by_vector(record: dict[str, Any]) -> dict[str, str]:
     return {v["id"]: v["status"] for v in record["vectors"]}
 
 
@@ -155,8 +157,8 @@ def test_the_files_are_what_they_are_called(suite: Suite) -> None:
 def test_a_right_decoder(suite: Suite, tmp_path: Path) -> None:
     for mode in ("right", "talks-much", "leaves-child"):
         status, record = suite.report(mode, tmp_path)
-        assert status == commands.EXIT_RIGHT
-        assert set(statuses(record).values()) == {"passed"}
+        assert status == statuses.DONE
+        assert set(by_vector(record).values()) == {"passed"}
         assert record["verdict"] == {
             "conforms": True, "grade": 3, "not_run": 0,
             "counts": {"failed": 0, "crashed": 0, "unexpected": 0, "known": 0, "passed": 6, "skipped": 0},
@@ -196,7 +198,7 @@ WRONG = [
 @pytest.mark.parametrize(("mode", "good", "bad"), WRONG, ids=[row[0] for row in WRONG])
 def test_a_wrong_decoder(suite: Suite, tmp_path: Path, mode: str, good: tuple[str, int], bad: tuple[str, int]) -> None:
     status, record = suite.report(mode, tmp_path)
-    assert status == commands.EXIT_WRONG
+    assert status == statuses.REJECTED
     found = {v["id"]: (v["status"], v["grade"]) for v in record["vectors"]}
     assert found == dict.fromkeys(GOOD, good) | dict.fromkeys(BAD, bad)
     assert not record["verdict"]["conforms"]
@@ -208,7 +210,7 @@ def test_a_wrong_decoder(suite: Suite, tmp_path: Path, mode: str, good: tuple[st
 def test_one_code_for_everything(suite: Suite, tmp_path: Path) -> None:
     """Its only right answer is the file of that code; others are refused, which is grade 1 or 2."""
     status, record = suite.report("rejects", tmp_path)
-    assert status == commands.EXIT_WRONG
+    assert status == statuses.REJECTED
     assert {v["id"]: v["grade"] for v in record["vectors"]} == {
         **dict.fromkeys(GOOD, 0), "malformed-crc": 3, "invalid-up-axis": 1, "unsupported-profile": 1, "resource-anchors": 1,
     }  # fmt: skip
@@ -216,8 +218,8 @@ def test_one_code_for_everything(suite: Suite, tmp_path: Path) -> None:
 
 def test_ancillary_sections(suite: Suite, tmp_path: Path) -> None:
     status, record = suite.report("no-ancillary", tmp_path)
-    assert status == commands.EXIT_WRONG
-    assert statuses(record) == {**dict.fromkeys((*GOOD, *BAD), "passed"), "valid-extended": "failed"}
+    assert status == statuses.REJECTED
+    assert by_vector(record) == {**dict.fromkeys((*GOOD, *BAD), "passed"), "valid-extended": "failed"}
     (failed,) = [v for v in record["vectors"] if v["status"] == "failed"]
     assert "302" in failed["text"]
     # The bytes at which the decoder says the fault is.
@@ -247,24 +249,24 @@ def test_time_is_bounded(suite: Suite, tmp_path: Path, mode: str) -> None:
     began = time.monotonic()
     # One that waits is given ten times its budget.
     status, record = small.report(mode, tmp_path, "--slow", "1" if mode == "spins" else "0.1")
-    assert status == commands.EXIT_WRONG
+    assert status == statuses.REJECTED
     (vector,) = record["vectors"]
     assert (vector["status"], vector["text"]) == ("crashed", "crash: took too long")
     assert 1 <= vector["seconds"] <= time.monotonic() - began < 60
     # --slow gives a slow machine more time.
-    assert small.run("right", "--slow", "30") == commands.EXIT_RIGHT
+    assert small.run("right", "--slow", "30") == statuses.DONE
 
 
 @pytest.mark.parametrize("mode", ["memory", "memory-in-child"])
 def test_memory_is_bounded(suite: Suite, tmp_path: Path, mode: str) -> None:
     status, record = _shrunk(suite, tmp_path / "suite", 30, 64 << 20).report(mode, tmp_path)
-    assert status == commands.EXIT_WRONG
+    assert status == statuses.REJECTED
     assert record["vectors"][0]["text"] == "crash: took too much memory"
 
 
 def test_stderr_is_bounded(suite: Suite, tmp_path: Path) -> None:
     status, record = _shrunk(suite, tmp_path / "suite", 30, 256 << 20).report("floods-stderr", tmp_path)
-    assert (status, record["vectors"][0]["status"]) == (commands.EXIT_WRONG, "crashed")
+    assert (status, record["vectors"][0]["status"]) == (statuses.REJECTED, "crashed")
     assert len(record["vectors"][0]["stderr"]) < 5000
 
 
@@ -296,11 +298,11 @@ def test_what_diverges(suite: Suite, tmp_path: Path) -> None:
 
 
 def test_traces(suite: Suite, tmp_path: Path) -> None:
-    assert suite.run("right", "--trace", trace=True) == commands.EXIT_RIGHT
+    assert suite.run("right", "--trace", trace=True) == statuses.DONE
     # Without --trace a trace explains and does not decide.
-    assert suite.run("wrong-trace", trace=True) == commands.EXIT_RIGHT
+    assert suite.run("wrong-trace", trace=True) == statuses.DONE
     status, record = suite.report("wrong-trace", tmp_path, "--trace", trace=True)
-    assert status == commands.EXIT_WRONG
+    assert status == statuses.REJECTED
     vector = record["vectors"][0]
     (line,) = vector["divergence"]
     assert line.startswith("trace: planes.r1[0,0,0] is ")
@@ -309,22 +311,22 @@ def test_traces(suite: Suite, tmp_path: Path) -> None:
     assert [line.split()[6] for line in vector["hex"] if line.startswith("> ")] == ["planes.r1.symbol_crc"]
     status, record = suite.report("no-trace", tmp_path, "--trace", trace=True)
     assert [v["status"] for v in record["vectors"][:2]] == ["failed", "failed"]
-    assert suite.run("right", "--trace") == commands.EXIT_USAGE
+    assert suite.run("right", "--trace") == statuses.USAGE
 
 
 def test_known_failures(suite: Suite, tmp_path: Path) -> None:
     known = tmp_path / "known"
     known.write_text("# those two\nvalid-plain   # a comment\n\nvalid-extended\n")
     status, record = suite.report("last-bit", tmp_path, "--known-failures", str(known))
-    assert status == commands.EXIT_RIGHT
+    assert status == statuses.DONE
     assert record["verdict"]["counts"]["known"] == 2
     assert not record["verdict"]["conforms"]
     status, record = suite.report("no-ancillary", tmp_path, "--known-failures", str(known))
-    assert status == commands.EXIT_WRONG
-    assert statuses(record)["valid-plain"] == "unexpected"
-    assert statuses(record)["valid-extended"] == "known"
+    assert status == statuses.REJECTED
+    assert by_vector(record)["valid-plain"] == "unexpected"
+    assert by_vector(record)["valid-extended"] == "known"
     known.write_text("valid-plian\n")
-    assert suite.run("right", "--known-failures", str(known)) == commands.EXIT_USAGE
+    assert suite.run("right", "--known-failures", str(known)) == statuses.USAGE
 
 
 def test_a_damaged_suite(suite: Suite, tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
@@ -335,22 +337,22 @@ def test_a_damaged_suite(suite: Suite, tmp_path: Path, capfd: pytest.CaptureFixt
         return Suite(folder, suite.answers).run("right", "--select", "valid-plain")
 
     plain = Path("valid") / "plain.c3gs"
-    assert damaged("same", lambda folder: None) == commands.EXIT_RIGHT
-    assert damaged("byte", lambda folder: (folder / plain).write_bytes(b"other")) == commands.EXIT_SUITE
+    assert damaged("same", lambda folder: None) == statuses.DONE
+    assert damaged("byte", lambda folder: (folder / plain).write_bytes(b"other")) == statuses.DAMAGED_SUITE
     assert "valid/plain.c3gs" in capfd.readouterr().err
-    assert damaged("missing", lambda folder: (folder / plain).unlink()) == commands.EXIT_SUITE
-    assert damaged("manifest", lambda folder: (folder / MANIFEST).write_text("{}")) == commands.EXIT_SUITE
-    assert damaged("none", lambda folder: (folder / MANIFEST).unlink()) == commands.EXIT_SUITE
+    assert damaged("missing", lambda folder: (folder / plain).unlink()) == statuses.DAMAGED_SUITE
+    assert damaged("manifest", lambda folder: (folder / MANIFEST).write_text("{}")) == statuses.DAMAGED_SUITE
+    assert damaged("none", lambda folder: (folder / MANIFEST).unlink()) == statuses.DAMAGED_SUITE
 
 
 def test_a_decoder_that_changes_the_suite(suite: Suite, tmp_path: Path) -> None:
     shutil.copytree(suite.folder, tmp_path / "suite")
-    assert Suite(tmp_path / "suite", suite.answers).run("changes-vectors") == commands.EXIT_SUITE
+    assert Suite(tmp_path / "suite", suite.answers).run("changes-vectors") == statuses.DAMAGED_SUITE
 
 
 def test_nothing_selected_is_a_failure(suite: Suite) -> None:
-    assert suite.run("right", "--select", "class:none-such") == commands.EXIT_NOTHING
-    assert suite.run("right", "--select", "clas:valid") == commands.EXIT_USAGE
+    assert suite.run("right", "--select", "class:none-such") == statuses.NOTHING
+    assert suite.run("right", "--select", "clas:valid") == statuses.USAGE
 
 
 @pytest.mark.parametrize(
@@ -368,8 +370,8 @@ def test_nothing_selected_is_a_failure(suite: Suite) -> None:
 def test_selection(suite: Suite, tmp_path: Path, expressions: list[str], expected: tuple[str, ...]) -> None:
     options = [word for expression in expressions for word in ("--select", expression)]
     status, record = suite.report("right", tmp_path, *options)
-    assert status == commands.EXIT_RIGHT
-    assert tuple(statuses(record)) == expected
+    assert status == statuses.DONE
+    assert tuple(by_vector(record)) == expected
     assert record["verdict"]["not_run"] == 6 - len(expected)
     assert record["profiles"][0]["verdict"] == ("conforms" if len(expected) == 6 else "incomplete")
 
@@ -378,12 +380,12 @@ def test_usage(suite: Suite) -> None:
     def run(*words: str) -> int:
         return cli.main(["run", "--vectors", str(suite.folder), *words])
 
-    assert run("--", "no-such-program", "{input}", "{output}") == commands.EXIT_USAGE
-    assert run("--", "true", "{input}") == commands.EXIT_USAGE
-    assert run("--gaussians", "true {input} {output}", "--", "true", "{input}", "{output}") == commands.EXIT_USAGE
-    assert run("--describe", "no-such-file", "--", "true", "{input}", "{output}") == commands.EXIT_USAGE
-    with pytest.raises(SystemExit):
-        run("--jobs", "0", "--", "true", "{input}", "{output}")
+    assert run("--", "no-such-program", "{input}", "{output}") == statuses.USAGE
+    assert run("--", "true", "{input}") == statuses.USAGE
+    assert run("--gaussians", "true {input} {output}", "--", "true", "{input}", "{output}") == statuses.USAGE
+    assert run("--describe", "no-such-file", "--", "true", "{input}", "{output}") == statuses.USAGE
+    assert run("--jobs", "0", "--", "true", "{input}", "{output}") == statuses.USAGE
+    assert run("--help") == statuses.DONE
 
 
 def test_description(suite: Suite, tmp_path: Path) -> None:
@@ -393,7 +395,7 @@ def test_description(suite: Suite, tmp_path: Path) -> None:
     assert record["decoder"]["description"] == {"name": "mydecoder", "version": "1.2", "language": "C++"}
     for text in ('{"name": "mydecoder"}', '{"name": "a", "version": "1", "colour": "red"}', "nothing"):
         about.write_text(text)
-        assert suite.run("right", "--describe", str(about)) == commands.EXIT_USAGE
+        assert suite.run("right", "--describe", str(about)) == statuses.USAGE
 
 
 # A server of the suite's files by mode: the right answers, with one fault.
@@ -450,7 +452,7 @@ def test_a_decoder_that_serves(suite: Suite, tmp_path: Path, mode: str, text: st
     command = [sys.executable, "-S", "-E", str(script), mode, str(suite.answers)]
     slow = "0.1" if mode == "sleeps" else "20"
     options = ["--vectors", str(suite.folder), "--jobs", "2", "--slow", slow, "--report", str(tmp_path), "--serve"]
-    assert cli.main(["run", *options, "--", *command]) == (commands.EXIT_WRONG if text else commands.EXIT_RIGHT)
+    assert cli.main(["run", *options, "--", *command]) == (statuses.REJECTED if text else statuses.DONE)
     record = json.loads((tmp_path / "report.json").read_text())
     assert {v["id"]: v["text"] for v in record["vectors"]} == dict.fromkeys(GOOD, text) | dict.fromkeys(BAD, "")
 
@@ -460,7 +462,7 @@ def test_the_decoders_serve(suite: Suite, name: str) -> None:
     options = ["--vectors", str(suite.folder), "--jobs", "1", "--slow", "20", "--serve"]
     assert (
         cli.main(["run", *options, "--trace", "--", sys.executable, "-m", "conformance.runner.serve", name])
-        == commands.EXIT_RIGHT
+        == statuses.DONE
     )
 
 
@@ -526,17 +528,17 @@ def test_verify_report(suite: Suite, tmp_path: Path) -> None:
         )
 
     suite.report("no-ancillary", tmp_path, "--select", "class:valid,malformed")
-    assert verify("no-ancillary") == commands.EXIT_RIGHT
-    assert verify("right") == commands.EXIT_WRONG
+    assert verify("no-ancillary") == statuses.DONE
+    assert verify("right") == statuses.REJECTED
     # A record that was embellished: its verdict, one of its vectors, or both.
     better = {"conforms": True, "grade": 3}
-    assert verify("no-ancillary", lambda r: r["verdict"].update(better)) == commands.EXIT_WRONG
-    assert verify("no-ancillary", lambda r: r["vectors"][1].update(status="passed", grade=3)) == commands.EXIT_WRONG
-    assert verify("no-ancillary", lambda r: r["vectors"].pop()) == commands.EXIT_WRONG
-    assert verify("no-ancillary", lambda r: r["vectors"].append(r["vectors"][0])) == commands.EXIT_USAGE
-    assert verify("no-ancillary", lambda r: r.update(more=1)) == commands.EXIT_USAGE
-    assert verify("no-ancillary", lambda r: r["suite"].update(manifest_sha256="0" * 64)) == commands.EXIT_SUITE
-    assert verify("no-ancillary", lambda r: r["vectors"].clear()) == commands.EXIT_NOTHING
+    assert verify("no-ancillary", lambda r: r["verdict"].update(better)) == statuses.REJECTED
+    assert verify("no-ancillary", lambda r: r["vectors"][1].update(status="passed", grade=3)) == statuses.REJECTED
+    assert verify("no-ancillary", lambda r: r["vectors"].pop()) == statuses.REJECTED
+    assert verify("no-ancillary", lambda r: r["vectors"].append(r["vectors"][0])) == statuses.USAGE
+    assert verify("no-ancillary", lambda r: r.update(more=1)) == statuses.USAGE
+    assert verify("no-ancillary", lambda r: r["suite"].update(manifest_sha256="0" * 64)) == statuses.DAMAGED_SUITE
+    assert verify("no-ancillary", lambda r: r["vectors"].clear()) == statuses.NOTHING
 
 
 def test_an_interrupted_run_leaves_a_report(suite: Suite, tmp_path: Path) -> None:
@@ -565,7 +567,7 @@ def test_an_interrupted_run_leaves_a_report(suite: Suite, tmp_path: Path) -> Non
         "100",
     ]
     command += ["--report", str(tmp_path / "report"), "--", "sh", str(script), "{input}", "{output}"]
-    running = subprocess.Popen(command, cwd=HERE.parent, stdout=subprocess.PIPE, text=True, start_new_session=True)
+    running = subprocess.Popen(command, cwd=ROOT, stdout=subprocess.PIPE, text=True, start_new_session=True)
     end = time.monotonic() + 60
     while not (tmp_path / "one").exists() and time.monotonic() < end:
         time.sleep(0.05)
@@ -573,10 +575,10 @@ def test_an_interrupted_run_leaves_a_report(suite: Suite, tmp_path: Path) -> Non
     time.sleep(1)
     os.kill(running.pid, signal.SIGINT)
     out, _ = running.communicate(timeout=20)
-    assert running.returncode == commands.EXIT_INTERRUPTED
+    assert running.returncode == statuses.INTERRUPTED
     record = json.loads((tmp_path / "report" / "report.json").read_text())
     assert record["runner"]["interrupted"]
-    assert "valid-plain" not in statuses(record)
+    assert "valid-plain" not in by_vector(record)
     assert len(record["vectors"]) >= 1
     assert not record["verdict"]["conforms"]
     assert "interrupted" in out
@@ -603,8 +605,40 @@ def test_a_missing_package_is_told(monkeypatch: pytest.MonkeyPatch, capsys: pyte
         raise ModuleNotFoundError(name="jsonschema")
 
     monkeypatch.setattr(cli, "_parser", missing)
-    assert cli.main([]) == cli.EXIT_USAGE
-    assert "pip install" in capsys.readouterr().err
+    assert cli.main([]) == statuses.USAGE
+    assert "jsonschema is not installed: pip install" in capsys.readouterr().err
+
+
+def test_a_fault_of_our_own(suite: Suite, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+    def broken(*_: object) -> None:
+        raise ZeroDivisionError("a bug\nin two lines")
+
+    monkeypatch.setattr(commands, "select", broken)
+    monkeypatch.delenv("REFCODEC_DEBUG", raising=False)
+    assert suite.run("right") == statuses.FAULT
+    err = capsys.readouterr().err
+    assert err.count("\n") == 1
+    assert "please report it" in err
+    assert "(ZeroDivisionError: a bug in two lines)" in err
+    monkeypatch.setenv("REFCODEC_DEBUG", "1")
+    with pytest.raises(ZeroDivisionError):
+        suite.run("right")
+
+
+def test_a_reader_that_goes_away(suite: Suite, tmp_path: Path) -> None:
+    command = shlex.join(
+        [sys.executable, "-m", "conformance", "check-encoder", *[str(suite.folder / "valid" / "plain.c3gs")] * 40]
+    )
+    done = subprocess.run(
+        f"{{ {command}; echo $? >{tmp_path / 'status'}; }} | :",
+        shell=True,
+        check=False,
+        cwd=ROOT,
+        capture_output=True,
+        text=True,
+    )
+    assert done.stderr == ""
+    assert int((tmp_path / "status").read_text()) == statuses.BROKEN_PIPE
 
 
 def test_peaks_are_not_the_runners_own(tmp_path: Path) -> None:
@@ -636,13 +670,13 @@ def test_check_encoder(
         [str(suite.folder / "valid" / f"{n}.c3gs") for n in ("plain", "extended")],
         str(suite.folder / "invalid" / "up-axis.c3gs"),
     )
-    assert cli.main(["check-encoder", *good]) == commands.EXIT_RIGHT
-    assert cli.main(["check-encoder", *good, bad]) == commands.EXIT_WRONG
+    assert cli.main(["check-encoder", *good]) == statuses.DONE
+    assert cli.main(["check-encoder", *good, bad]) == statuses.REJECTED
     assert "214 header.render_info" in capsys.readouterr().out
-    assert cli.main(["check-encoder", str(tmp_path / "none")]) == commands.EXIT_USAGE
+    assert cli.main(["check-encoder", str(tmp_path / "none")]) == statuses.USAGE
     emit = codec.emit
     monkeypatch.setattr(codec, "emit", lambda scene: emit(scene)[:-1])
-    assert cli.main(["check-encoder", good[0]]) == commands.EXIT_WRONG
+    assert cli.main(["check-encoder", good[0]]) == statuses.REJECTED
     assert "not canonical" in capsys.readouterr().out
 
 
