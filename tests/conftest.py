@@ -1,8 +1,12 @@
-"""Hypothesis profiles: `ci` is derandomised; HYPOTHESIS_PROFILE=long looks longer and at random."""
+"""What all tests share: hypothesis profiles, and an environment that does not depend on the machine or the current folder.
+
+Profiles: `ci` is derandomised; HYPOTHESIS_PROFILE=long looks longer and at random.
+"""
 
 from __future__ import annotations
 
 import os
+from pathlib import Path
 
 from hypothesis import HealthCheck, settings
 
@@ -11,6 +15,11 @@ settings.register_profile(
     "ci", derandomize=True, deadline=None, max_examples=60, suppress_health_check=_SLOW, print_blob=True
 )
 settings.register_profile("long", deadline=None, max_examples=3000, suppress_health_check=_SLOW, print_blob=True)
-# Read when numba or torch is loaded: threads that wait do not spin, which on busy cores makes training ten times as slow.
-os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")
 settings.load_profile(os.environ.get("HYPOTHESIS_PROFILE", "ci"))
+
+# Processes that tests start import this tree too, whatever folder they are in and whatever is installed.
+_ROOT = str(Path(__file__).resolve().parents[1])
+os.environ["PYTHONPATH"] = os.pathsep.join(filter(None, [_ROOT, os.environ.get("PYTHONPATH")]))
+# Read when numba or torch is loaded: two threads, whatever the machine has. Those that wait do not spin, which on busy cores makes
+# training ten times as slow.
+os.environ.update(NUMBA_NUM_THREADS="2", OMP_NUM_THREADS="2", OMP_WAIT_POLICY="PASSIVE")
