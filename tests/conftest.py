@@ -7,7 +7,9 @@ from __future__ import annotations
 
 import os
 from pathlib import Path
+from typing import Any
 
+import pytest
 from hypothesis import HealthCheck, settings
 
 _SLOW = [HealthCheck.too_slow, HealthCheck.data_too_large, HealthCheck.filter_too_much]
@@ -23,3 +25,19 @@ os.environ["PYTHONPATH"] = os.pathsep.join(filter(None, [_ROOT, os.environ.get("
 # Read when numba or torch is loaded: two threads, whatever the machine has. Those that wait do not spin, which on busy cores makes
 # training ten times as slow.
 os.environ.update(NUMBA_NUM_THREADS="2", OMP_NUM_THREADS="2", OMP_WAIT_POLICY="PASSIVE")
+
+
+class _Names(dict[str, Any]):
+    """hypothesis writes the arguments of an example out, which takes a fifth of a second for the tables."""
+
+    def __repr__(self) -> str:
+        return "spec"
+
+
+@pytest.fixture(scope="session")
+def spec() -> dict[str, Any]:
+    """The names that SPEC.md's python blocks define: what a step of the decoding process gives is what they say."""
+    # Not every test needs the codec.
+    from conformance.blocks import SPEC, blocks  # noqa: PLC0415
+
+    return _Names(blocks(SPEC.read_text(encoding="utf-8")))

@@ -246,26 +246,25 @@ def test_the_second_decoder() -> None:
 
 
 @pytest.mark.slow
-def test_the_text_of_the_specification() -> None:
+def test_the_text_of_the_specification(spec: dict[str, Any]) -> None:
     """SPEC.md's blocks decode the small files to the same numbers."""
-    space = blocks.blocks(blocks.SPEC.read_text(encoding="utf-8"))
     assert len(SMALL) > 100
     for vector in SMALL:
-        found, verdicts = blocks.decode(space, data(vector), parse_container(data(vector)))
+        found, verdicts = blocks.decode(spec, data(vector), parse_container(data(vector)))
         assert isinstance(vector.expectation, Accepted)
         assert not any(verdicts), vector.id
         assert sha256(found) == vector.expectation.digest, vector.id
 
 
-def test_the_text_s_verdict_on_weights() -> None:
+def test_the_text_s_verdict_on_weights(spec: dict[str, Any]) -> None:
     """The block of 7.13 refuses what the vectors refuse there."""
-    space, seen = blocks.blocks(blocks.SPEC.read_text(encoding="utf-8")), set()
+    seen = set()
     for vector in DECODED:
         e = vector.expectation
         if isinstance(e, Rejected) and e.name in ("weights.not_finite", "weights.exponent", "weights.raw"):
             header = parse_container(data(vector))
             if header.sections[directory.WEIGHTS].mode:
-                assert blocks.decode(space, data(vector), header)[1] == [e.name], vector.id
+                assert blocks.decode(spec, data(vector), header)[1] == [e.name], vector.id
                 seen.add(e.name)
     assert len(seen) == 3
 
