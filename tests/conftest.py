@@ -1,4 +1,4 @@
-"""What all tests share: hypothesis profiles, and an environment that does not depend on the machine or the current folder.
+"""What all tests share: profiles of hypothesis, SPEC.md's blocks, and an environment that is the same on every machine.
 
 Profiles: `ci` is derandomised; HYPOTHESIS_PROFILE=long looks longer and at random.
 """
@@ -22,8 +22,8 @@ settings.load_profile(os.environ.get("HYPOTHESIS_PROFILE", "ci"))
 # Processes that tests start import this tree too, whatever folder they are in and whatever is installed.
 _ROOT = str(Path(__file__).resolve().parents[1])
 os.environ["PYTHONPATH"] = os.pathsep.join(filter(None, [_ROOT, os.environ.get("PYTHONPATH")]))
-# Read when numba or torch is loaded: two threads, whatever the machine has. Those that wait do not spin, which on busy cores makes
-# training ten times as slow.
+# Read when numba or torch is loaded: two threads, whatever the machine has. Those that wait do not spin, which on
+# busy cores makes training ten times as slow.
 os.environ.update(NUMBA_NUM_THREADS="2", OMP_NUM_THREADS="2", OMP_WAIT_POLICY="PASSIVE")
 
 

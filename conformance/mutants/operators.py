@@ -1,4 +1,4 @@
-"""Wrong decoders that nobody chose: each is one small change of the second decoder's syntax trees. A fixed sample is taken."""
+"""Wrong decoders that nobody chose: a fixed sample of the small changes that the second decoder's code allows."""
 
 from __future__ import annotations
 
@@ -103,7 +103,7 @@ def removal(node: ast.AST) -> Iterator[Change]:
 
 
 def _swaps(items: list[ast.expr]) -> Iterator[list[ast.expr]]:
-    """The items with two neighbours swapped that differ, and are not a text and something else: that would only crash."""
+    """The items with two neighbours swapped that differ. A text and something else stay: that would only crash."""
     for i, (a, b) in enumerate(pairwise(items)):
         texts = [isinstance(item, ast.Constant) and isinstance(item.value, str) for item in (a, b)]
         if (
@@ -217,7 +217,8 @@ def points(module: str) -> dict[str, list[Mutant]]:
             for what, changed in operator(node):
                 assert isinstance(node, ast.expr | ast.stmt)
                 old, new = text.of(node), ast.unparse(ast.fix_missing_locations(changed))
-                # Another name for the same place, whatever is changed elsewhere in the module, and wherever the function moves.
+                # The same for the same place, whatever is changed elsewhere in the module, and wherever the function
+                # moves.
                 key = f"{scope.partition('.')[2]}\n{operator.__name__}\n{old}\n{new}"
                 times[key] += 1
                 digest = hashlib.sha256(f"{SEED}\n{key}\n{times[key]}".encode()).hexdigest()

@@ -18,12 +18,13 @@ Caught = dict[str, tuple[str, str]]
 
 _HEAD = """# Planted bugs
 
-Written by `conformance selftest --write`. Each line is a wrong decoder, made from the second decoder by the change shown, and the first
-vector that catches it: the cheapest of those for a requirement that it breaks, or else of all. Bugs planted by hand name the requirements;
-the others were made by operators over the syntax tree, and nobody chose them.
+Written by `conformance selftest --write`. Each line is a wrong decoder, made from the second decoder by the change
+shown, and the first vector that catches it: the cheapest of those for a requirement that it breaks, or else of all.
+Bugs planted by hand name the requirements. The others were made by operators over the syntax tree, and nobody chose
+them.
 
-A bug is planted by adding it to `handwritten.toml` and running `conformance selftest --write`. One that survives needs a vector, which
-`conformance/cases/planted.py` is for, or a proof in `equivalent.py`.
+A bug is planted by adding it to `handwritten.toml` and running `conformance selftest --write`. One that survives
+needs a vector, which `conformance/cases/planted.py` is for, or a proof in `equivalent.py`.
 """
 
 
@@ -41,8 +42,12 @@ def _cell(text: str) -> str:
 
 
 _TOLD = {
-    "another": "another digest", "accepted,": "a bad file accepted", "refused": "a good file refused", "crash": "a crash", "hang": "no end",
-}  # fmt: skip
+    "another": "another digest",
+    "accepted,": "a bad file accepted",
+    "refused": "a good file refused",
+    "crash": "a crash",
+    "hang": "no end",
+}
 
 
 def _summary(mutants: Sequence[Mutant], caught: Mapping[str, tuple[str, str]]) -> str:
@@ -50,9 +55,11 @@ def _summary(mutants: Sequence[Mutant], caught: Mapping[str, tuple[str, str]]) -
     right = sum(m.id in PROOFS for m in mutants)
     kinds = Counter(wrong.split()[0] for _, wrong in found)
     shares = [f"{text} {kinds.pop(word, 0)}" for word, text in _TOLD.items()]
+    vectors = len({vector for vector, _ in found})
     return (
-        f"{len(found)} of {len(mutants) - right} bugs are caught, by {len({vector for vector, _ in found})} vectors; {right} more changes "
-        f"are proved to be no bugs. What gave them away: {', '.join(shares)}, another error {sum(kinds.values())}.\n"
+        f"{len(found)} of {len(mutants) - right} bugs are caught, by {vectors} vectors; "
+        f"{right} more changes are proved to be no bugs. "
+        f"What gave them away: {', '.join(shares)}, another error {sum(kinds.values())}.\n"
     )
 
 

@@ -217,9 +217,9 @@ class Trials:
     def order(self, made: Sequence[Mutant]) -> dict[str, list[str]]:
         """For each mutant the vectors that can catch it.
 
-        Those for a requirement that it breaks come before the others, and of both the cheapest first. The cost is counted in calls of the
-        unchanged decoder, which are the same on every machine. A vector for which that does not call what the mutant changes is left
-        out: the mutant passes it.
+        Those for a requirement that it breaks come before the others, and of both the cheapest first. The cost is
+        counted in calls of the unchanged decoder, which are the same on every machine. A vector for which that does
+        not call what the mutant changes is left out: the mutant passes it.
         """
         names = list(self._by_name)
         visits = list(_progress(self._pool.imap(_visit, names), len(names), "the vectors' costs"))
@@ -258,7 +258,8 @@ def trials(all_cases: Sequence[Case], jobs: int, judge: Grade = grade) -> Iterat
 class Score:
     """What the vectors make of the bugs.
 
-    caught: bug -> (first vector, what was wrong). survivors: bugs that no vector catches. refuted: proved to be none, and caught.
+    caught: bug -> (first vector, what was wrong). survivors: bugs that no vector catches. refuted: proved to be none,
+    and caught.
     """
 
     caught: Caught
@@ -293,8 +294,9 @@ def show(result: Score, made: Sequence[Mutant]) -> None:
 def run(manifest: Path, jobs: int, recorded: bool, matrix: Path | None, write: bool) -> int:
     """Tries every planted bug on the vectors until one catches it, and prints the score.
 
-    recorded: only on the vector that is recorded as the first to catch it. matrix: on all vectors, and which catch it is written to this
-    file. write: renews the record. Returns 0 if all are caught, else 1. Raises ManifestError and OSError for the manifest.
+    recorded: only on the vector that is recorded as the first to catch it. matrix: on all vectors, and which catch it
+    is written to this file. write: renews the record. Returns 0 if all are caught, else 1. Raises ManifestError and
+    OSError for the manifest.
     """
     suite = load(manifest)
     made: Sequence[Mutant] = mutants()

@@ -35,7 +35,10 @@ class RecordError(Exception):
 
 @dataclass(frozen=True)
 class About:
-    """What a record says besides results. decoder: the decoder's own description; select: expressions; started: ISO 8601."""
+    """What a record says besides results.
+
+    decoder: the decoder's own description. select: expressions. started: ISO 8601.
+    """
 
     decoder: dict[str, str]
     select: tuple[str, ...]
@@ -49,7 +52,7 @@ def manifest_digest(manifest: Manifest) -> str:
 
 
 def describe(path: Path | None, command: Sequence[str]) -> dict[str, str]:
-    """A decoder's description of itself: a JSON object of texts with `name` and `version` at least. Raises RecordError."""
+    """A decoder's description of itself: a JSON object of texts, with `name` and `version`. Raises RecordError."""
     if path is None:
         return {"name": Path(command[0]).name, "version": NOT_STATED}
     try:
@@ -153,8 +156,8 @@ def _group(vector: Vector) -> str:
 def conclusions(groups: dict[str, str], entries: Sequence[dict[str, Any]], manifest: Manifest) -> dict[str, Any]:
     """What follows from the vectors' entries: counts, the grade, coverage, and a verdict for each profile and level.
 
-    groups: what each vector of the suite counts for; a decoder conforms to a profile and level if each vector of that profile up to
-    the level, and each that has none, passes with the highest grade. Rendering has a verdict of its own.
+    groups: what each vector of the suite counts for. A decoder conforms to a profile and level if each vector of that
+    profile up to the level, and each that has none, passes with the highest grade. Rendering has a verdict of its own.
     """
     counts = Counter(e["status"] for e in entries)
     judged = [e for e in entries if e["status"] != "skipped"]

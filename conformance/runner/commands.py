@@ -146,8 +146,10 @@ def _status(done: Run) -> int:
 
 def _differences(old: dict[str, Any], new: dict[str, Any]) -> list[str]:
     """What a record says otherwise than a new run of its vectors."""
-    wrong = [f"{name} does not follow from the record's vectors" for name in ("verdict", "profiles", "requirements", "features")
-             if old[name] != new["concluded"][name]]  # fmt: skip
+    concluded = [
+        name for name in ("verdict", "profiles", "requirements", "features") if old[name] != new["concluded"][name]
+    ]
+    wrong = [f"{name} does not follow from the record's vectors" for name in concluded]
     again = {v["id"]: v for v in new["vectors"]}
     for v in old["vectors"]:
         now = again[v["id"]]
@@ -224,5 +226,6 @@ def add_grade(parser: argparse.ArgumentParser) -> None:
         type=int,
         choices=range(1, GRADE_EXACT + 1),
         default=GRADE_EXACT,
-        help=f"what a refusal must reach: 1 it is one, {GRADE_CLASS} its class, {GRADE_EXACT} code and offset too (default: %(default)s)",
+        help=f"what a refusal must reach: 1 it is one, {GRADE_CLASS} its class, {GRADE_EXACT} code and offset too "
+        "(default: %(default)s)",
     )

@@ -1,7 +1,8 @@
 """What a decoder said of a vector, and whether it is right.
 
-A decoder accepts with exit status 0 and its output written. It refuses with exit status 1 (malformed, invalid) or 2 (unsupported) and,
-as the last line of stderr, a JSON object with a registered code. Whatever else happens is a crash, and a crash is never a pass.
+A decoder accepts with exit status 0 and its output written. It refuses with exit status 1 (malformed, invalid) or 2
+(unsupported) and, as the last line of stderr, a JSON object with a registered code. Whatever else happens is a crash,
+and a crash is never a pass.
 """
 
 from __future__ import annotations
@@ -20,7 +21,8 @@ from ..manifest import Accepted, GaussiansOf, Manifest, Rejected, Vector
 from .gaussians import difference
 from .process import Ended
 
-# Grades of a vector: 1 refused or accepted as it must be, with the right output; 2 the right class of error; 3 code and offset.
+# Grades of a vector. 1: refused or accepted as it must be, with the right output. 2: the right class of error too. 3:
+# code and offset too.
 GRADE_NONE, GRADE_VERDICT, GRADE_CLASS, GRADE_EXACT = range(4)
 GRADES = {
     GRADE_NONE: "a wrong verdict, a wrong output or a crash",
@@ -41,8 +43,8 @@ BY_CODE = {kind.code: kind for kind in REGISTRY.values()}
 class Found:
     """What a decoder said.
 
-    result: "accepted", "rejected" or "crashed". status, signal: how the process ended. code, offset: of a rejection; the offset is None
-    if none was said. digest: SHA-256 of the output of an acceptance. text: why it is a crash.
+    result: "accepted", "rejected" or "crashed". status, signal: how the process ended. code, offset: of a rejection;
+    the offset is None if none was said. digest: SHA-256 of the output of an acceptance. text: why it is a crash.
     """
 
     result: str

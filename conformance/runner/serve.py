@@ -1,9 +1,9 @@
-"""Serves one of the project's decoders to `conformance run --serve`: its modules are read once, and not for each vector.
+"""Serves one of the project's decoders to `conformance run --serve`, so that its modules are read once.
 
 python -m conformance.runner.serve refcodec | independent
 
-Reads lines of JSON, {"input", "output"} and perhaps "trace", and answers each with {"status", "signal", "stderr"}. Each file is
-decoded in a fork, whose end is all that the next one could know of it.
+Reads lines of JSON, {"input", "output"} and perhaps "trace", and answers each with {"status", "signal", "stderr"}. Each
+file is decoded in a fork, whose end is all that the next one could know of it.
 """
 
 from __future__ import annotations

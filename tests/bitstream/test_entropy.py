@@ -66,7 +66,7 @@ def random_group(
 
 @st.composite
 def group_lists(draw: st.DrawFn) -> tuple[list, int, int]:
-    """Groups with ragged and empty parts; values near the mean, far from it, and at the limits; binary symbols among them."""
+    """Groups with ragged and empty parts, some of binary symbols; values near the mean, far from it, at the limits."""
     streams, lanes = draw(st.integers(1, 4)), 1 << draw(st.integers(0, 4))
     rng = np.random.default_rng(draw(st.integers(0, 2**32 - 1)))
     groups = []
@@ -169,8 +169,10 @@ CASES = {
 
 @pytest.mark.parametrize("case", CASES)
 def test_every_changed_bit_is_refused_or_canonical(case: str) -> None:
-    """A substream with one bit changed is refused; with its symbols' CRC-32 made right, it is refused or it is exactly what its
-    own symbols encode to."""
+    """A substream with one bit changed is refused.
+
+    With the CRC-32 of its symbols made right, it is refused, or it is exactly what its own symbols encode to.
+    """
     lanes, kinds = CASES[case]
     rng = np.random.default_rng(3)
     groups = [random_group(rng, [n], kind, far, 64) for kind, n, far in kinds]
@@ -251,7 +253,8 @@ def test_models(family: str) -> None:
         assert upper[-1] - lower[-1] == 1
         # The symbol from which a slot is looked for is never past the right one.
         assert starts[index].tolist() == np.searchsorted(upper, np.arange(256) * 64, side="right").tolist()
-        # A table is a distribution of the stated mean and scale: checked to the accuracy of 14 bits where it is wide enough.
+        # A table is a distribution of the stated mean and scale: checked to the accuracy of 14 bits where it is wide
+        # enough.
         x = np.arange(-models.radius[index], models.radius[index] + 1)
         p = (upper - lower)[:-1] / tables.TOTAL
         mean = (p * x).sum()

@@ -1,4 +1,4 @@
-"""Exactness: nothing about the machine changes a digest (SPEC.md 2, 9.3), and a fixed scene has the same bytes everywhere."""
+"""Exactness (SPEC.md 2, 9.3): no machine changes a digest, and a fixed scene has the same bytes everywhere."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Integer networks (SPEC.md 7.2): rows and outputs are those of the text's blocks, in float32 and in int64, at the bound of a sum."""
+"""Integer networks (SPEC.md 7.2): rows and outputs are those of the text, in float32 and in int64, up to the bound."""
 
 from __future__ import annotations
 

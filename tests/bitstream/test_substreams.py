@@ -1,4 +1,4 @@
-"""Substreams of rANS (SPEC.md 8), symbol by symbol as the text's blocks decode them: values, verdicts, escapes and raw bits."""
+"""Substreams of rANS (SPEC.md 8) as the text decodes them, symbol by symbol: values, verdicts, escapes, raw bits."""
 
 from __future__ import annotations
 
@@ -86,7 +86,10 @@ def test_values_come_back(by_the_text: Decode, seed: int, lanes: int) -> None:
 @pytest.mark.parametrize("repaired", [False, True])
 @pytest.mark.parametrize("lanes", [1, 2])
 def test_each_changed_bit_has_the_verdict_of_the_text(by_the_text: Decode, lanes: int, repaired: bool) -> None:
-    """Values and verdict of a substream with one changed bit. With the CRC-32 of its symbols made right, an accepted one is canonical."""
+    """Values and verdict of a substream with one changed bit.
+
+    With the CRC-32 of its symbols made right, one that is accepted is canonical.
+    """
     groups, _, data = substream(7, lanes)
     limit, seen = 5000, set()
     for bit in range(8 * len(data)):

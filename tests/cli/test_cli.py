@@ -1,4 +1,4 @@
-"""The command line as a user and a script meet it: exit statuses, what is printed where, and what is left on the disk."""
+"""The command line as a user and a script meet it: exit statuses, what is printed where, what is left on the disk."""
 
 from __future__ import annotations
 
@@ -482,13 +482,20 @@ def test_fault_of_our_own(file, monkeypatch, capsys):
         main(["validate", str(file)])
 
 
+# A shell starts what runs in the background with the signal ignored.
+PROGRAM = """
+import signal
+from refcodec.cli.main import main
+signal.signal(signal.SIGINT, signal.default_int_handler)
+exit(main())
+"""
+
+
 def test_interrupt(file, tmp_path):
     """Ctrl-C while a named pipe keeps the reader waiting."""
     pipe = tmp_path / "pipe"
     os.mkfifo(pipe)
-    # A shell starts what runs in the background with the signal ignored.
-    program = "import signal; signal.signal(signal.SIGINT, signal.default_int_handler)\nfrom refcodec.cli.main import main; exit(main())"
-    process = subprocess.Popen([sys.executable, "-c", program, "validate", pipe], stderr=subprocess.PIPE, text=True)
+    process = subprocess.Popen([sys.executable, "-c", PROGRAM, "validate", pipe], stderr=subprocess.PIPE, text=True)
     with pipe.open("wb") as writer:
         writer.write(b"\x89C3G")
         writer.flush()
@@ -534,14 +541,12 @@ def test_help_imports_nothing_heavy():
 
 
 def test_decoding_never_imports_torch(file, tmp_path):
-    modules = imported(
-        f"from refcodec.cli import main as cli; cli.main(['decode', {str(file)!r}, '-o', {str(tmp_path / 's')!r}])"
-    )
+    words = ["decode", str(file), "-o", str(tmp_path / "s")]
+    modules = imported(f"from refcodec.cli import main as cli; cli.main({words})")
     assert "numpy" in modules
     assert not {m for m in modules if m.split(".")[0] in ("torch", "scipy") or m.startswith("refcodec.train")}
-    modules = imported(
-        f"from refcodec.cli import main as cli; cli.main(['encode', {str(tmp_path / 's')!r}, '-o', {str(tmp_path / 'f')!r}])"
-    )
+    words = ["encode", str(tmp_path / "s"), "-o", str(tmp_path / "f")]
+    modules = imported(f"from refcodec.cli import main as cli; cli.main({words})")
     assert not {m for m in modules if m.split(".")[0] in ("torch", "scipy") or m.startswith("refcodec.train")}
 
 

@@ -112,6 +112,8 @@ def test_every_selection_of_the_guide_selects_something() -> None:
     assert all(select(suite.vectors, [expression]) for expression in expressions)
 
 
+@pytest.mark.slow
+@pytest.mark.no_cover
 @needs_compiler
 def test_the_decoder_in_c_passes_the_suite(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     program = tmp_path / "decoder"

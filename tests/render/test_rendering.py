@@ -135,9 +135,12 @@ def test_rotation_is_that_of_the_text(spec: dict, seed: int) -> None:
 def drawn_by_the_text(spec: dict, found: Gaussians, camera: Camera, info: RenderInfo) -> np.ndarray:
     """An image by PROJECT and PIXEL."""
     stated = {
-        "rotation": camera.rotation.tolist(), "translation": camera.translation.tolist(), "focal": (camera.fx, camera.fy),
-        "principal_point": (camera.cx, camera.cy), "size": (camera.width, camera.height),
-    }  # fmt: skip
+        "rotation": camera.rotation.tolist(),
+        "translation": camera.translation.tolist(),
+        "focal": (camera.fx, camera.fy),
+        "principal_point": (camera.cx, camera.cy),
+        "size": (camera.width, camera.height),
+    }
     drawn = []
     for n in range(len(found.opacity)):
         shape = (getattr(found, name)[n].astype(np.float64).tolist() for name in ("mean", "lengths", "quaternion"))
@@ -146,13 +149,16 @@ def drawn_by_the_text(spec: dict, found: Gaussians, camera: Camera, info: Render
             drawn.append((projection, float(found.opacity[n]), found.colour[n].tolist()))
     drawn.sort(key=lambda d: d[0][2])
     background = [b / 255 for b in info.background]
-    return np.array([
-        [spec["PIXEL"](i + 0.5, j + 0.5, drawn, background, info.alpha_max) for i in range(camera.width)] for j in range(camera.height)
-    ])  # fmt: skip
+
+    def pixel(j: int, i: int) -> list[float]:
+        found: list[float] = spec["PIXEL"](i + 0.5, j + 0.5, drawn, background, info.alpha_max)
+        return found
+
+    return np.array([[pixel(j, i) for i in range(camera.width)] for j in range(camera.height)])
 
 
 def cloud(seed: int, count: int, spread: float = 1.0) -> Gaussians:
-    """Gaussians of all sizes around a point in front of a camera at the origin; some behind it, some beside the image."""
+    """Gaussians of all sizes around a point before a camera at the origin; some behind it, some beside the image."""
     rng = np.random.default_rng(seed)
     quaternion = rng.normal(size=(count, 4))
     return Gaussians(
@@ -217,7 +223,7 @@ def test_depths_that_binary32_does_not_tell_apart(spec: dict, angle: float) -> N
 
 @pytest.mark.parametrize("size", [1e3, 1e6, 1e9, 1e15, 1e18])
 def test_long_and_far(spec: dict, size: float) -> None:
-    """Needles whose centres are far outside the image and that reach into it, and Gaussians that hardly change over it."""
+    """Needles that reach into the image from far outside, and Gaussians that hardly change over it."""
     rasterise = pytest.importorskip("refcodec.render.rasterise", reason="images need the packages of the extra render")
     found = cloud(10, 6, 0.3)
     found.mean[:, 0], found.mean[:3, 1], found.mean[:, 2] = size * np.array([-1, 1, -0.5, 1, -2, 0.3]), 0.1, 3
@@ -233,7 +239,7 @@ def test_long_and_far(spec: dict, size: float) -> None:
 
 @pytest.mark.parametrize("seed", range(12))
 def test_any_sizes(spec: dict, seed: int) -> None:
-    """Against the text with 60 digits: binary64 does not hold its d of a needle. Bound: what float32 makes of a pixel."""
+    """The text with 60 digits: binary64 does not hold its d of a needle. Bound: what float32 makes of a pixel."""
     rasterise = pytest.importorskip("refcodec.render.rasterise", reason="images need the packages of the extra render")
     rng = np.random.default_rng(seed)
     found, q = cloud(seed, 6), rng.normal(size=4)

@@ -177,8 +177,10 @@ def test_the_largest_sums_of_the_widths(spec: dict) -> None:
 
 
 def test_terms_are_defined_before_they_are_used() -> None:
-    """Letters and terms are listed before the chapters that use them, each with the clause that states it; names in capitals and with
-    underscores are functions, constants and fields."""
+    """Letters and terms are listed before the chapters that use them, each with the clause that states it.
+
+    Names in capitals and with underscores are functions, constants and fields.
+    """
     fields = {field for table in syntax.SYNTAX.values() for field, _ in table}
     letters = rows(section("3.1"))
     assert len(letters) > 10
@@ -418,9 +420,16 @@ def test_container_numbers() -> None:
 def test_networks_table() -> None:
     d = TINY_DIMENSIONS
     space = {
-        "ch": d.plane_channels, "L": d.frequency_count, "F": d.features, "K": d.offset_count, "D": d.attribute_width,
-        "hyper_width": d.hyper_width, "sarm_width": d.sarm_width, "carm_width": d.carm_width, "render_width": (d.render_width,),
-    }  # fmt: skip
+        "ch": d.plane_channels,
+        "L": d.frequency_count,
+        "F": d.features,
+        "K": d.offset_count,
+        "D": d.attribute_width,
+        "hyper_width": d.hyper_width,
+        "sarm_width": d.sarm_width,
+        "carm_width": d.carm_width,
+        "render_width": (d.render_width,),
+    }
     shapes = d.network_shapes()
     printed = [r for r in rows(section("5.8")) if len(r) == 5]
     assert [r[0].split(",")[0].replace(".i", ".1") for r in printed] == list(shapes)
@@ -500,8 +509,11 @@ def test_worked_example(spec: dict) -> None:
 
 
 def test_the_walk_is_the_file() -> None:
-    """Annex D against the vector, without the code that printed it: the dump is its bytes, the elements lie side by side from the
-    first byte to the last with their bytes and values, and so do the raw bits."""
+    """Annex D against the vector, without the code that printed it.
+
+    The dump is its bytes. The elements, with their bytes and values, lie side by side from the first byte to the last.
+    So do the raw bits.
+    """
     data = EXAMPLE.read_bytes()
     dump = re.findall(r"^([0-9a-f]{8})  ([0-9a-f ]+)$", section("D.1"), re.MULTILINE)
     assert [int(at, 16) for at, _ in dump] == list(range(0, len(data), 16))
