@@ -9,10 +9,12 @@ import re
 from collections import Counter
 from collections.abc import Iterable, Sequence
 from dataclasses import asdict, dataclass
+from functools import cache
 from pathlib import Path
 from typing import Any
 
-import jsonschema
+from jsonschema import Draft202012Validator
+from jsonschema.exceptions import best_match
 
 from refcodec import __version__
 
@@ -57,17 +59,18 @@ def describe(path: Path | None, command: Sequence[str]) -> dict[str, str]:
         return {"name": Path(command[0]).name, "version": NOT_STATED}
     try:
         said = json.loads(path.read_text(encoding="utf-8"))
-        jsonschema.validate(said, _schema()["$defs"]["decoder"])
     except ValueError as error:
         raise RecordError(f"{path}: {error}") from None
-    except jsonschema.ValidationError as error:
-        raise RecordError(f"{path}: {error.json_path}: {error.message}") from None
+    if fault := best_match(_validator("decoder").iter_errors(said)):
+        raise RecordError(f"{path}: {fault.json_path}: {fault.message}")
     return dict(said)
 
 
-def _schema() -> dict[str, Any]:
-    schema: dict[str, Any] = json.loads(SCHEMA.read_text(encoding="utf-8"))
-    return schema
+@cache
+def _validator(part: str = "") -> Draft202012Validator:
+    """That of the records' schema, or of one of its definitions. The schema itself is known to be right."""
+    schema = json.loads(SCHEMA.read_text(encoding="utf-8"))
+    return Draft202012Validator(schema["$defs"][part] if part else schema)
 
 
 def _clauses(vector: Vector) -> list[str]:
@@ -225,10 +228,8 @@ def _order(name: str) -> list[tuple[bool, int, str]]:
 
 def check(record: Any) -> None:
     """Raises RecordError for what the schema does not allow."""
-    try:
-        jsonschema.validate(record, _schema())
-    except jsonschema.ValidationError as error:
-        raise RecordError(f"{error.json_path}: {error.message}") from None
+    if fault := best_match(_validator().iter_errors(record)):
+        raise RecordError(f"{fault.json_path}: {fault.message}")
 
 
 def load(path: Path) -> dict[str, Any]:
