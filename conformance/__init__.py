@@ -1,1 +1,1 @@
-"""Conformance of decoders: a second decoder (`independent`), generators of files, and the comparison of decoders over them."""
+"""Conformance of decoders: two more decoders, the suite and its runner, a fuzzer, and planted bugs."""

@@ -6,10 +6,17 @@ import argparse
 import os
 import sys
 from pathlib import Path
-from typing import Any
+from typing import Any, NoReturn
 
-# That of the other commands, which need packages that may be missing.
-EXIT_USAGE = 2
+from refcodec.cli import statuses
+
+
+class _Parser(argparse.ArgumentParser):
+    """argparse, with the exit status of wrong usage in place of 2, which would read as a verdict."""
+
+    def error(self, message: str) -> NoReturn:
+        self.print_usage(sys.stderr)
+        self.exit(statuses.USAGE, f"{self.prog}: {message}\n")
 
 
 def _fuzz(arguments: argparse.Namespace) -> int:
@@ -171,7 +178,7 @@ def _add_selftest(commands: Any) -> None:
 
 
 def _parser() -> argparse.ArgumentParser:
-    parser = argparse.ArgumentParser(prog="conformance", description=__doc__)
+    parser = _Parser(prog="conformance", description=__doc__)
     commands = parser.add_subparsers(required=True, metavar="command")
     fuzz = commands.add_parser(
         "fuzz", help="compare refcodec, the second decoder and, if you like, yours on many generated files"
@@ -200,27 +207,53 @@ def _parser() -> argparse.ArgumentParser:
     return parser
 
 
-def _missing(error: ModuleNotFoundError) -> int:
-    print(
-        f"conformance: {error.name} is not installed: pip install '.[conformance]' for run, verify-report, export and check-encoder, "
-        "'.[test]' for the others",
-        file=sys.stderr,
-    )
-    return EXIT_USAGE
+def _note(text: str) -> None:
+    print(f"conformance: {text}", file=sys.stderr)
+
+
+def _report(error: Exception) -> int:
+    """Tells an error in a line; returns its exit status."""
+    if isinstance(error, ModuleNotFoundError):
+        _note(
+            f"{error.name} is not installed: pip install '.[conformance]' for run, verify-report, export and "
+            "check-encoder, '.[test]' for the others"
+        )
+        return statuses.USAGE
+    from .runner import commands  # noqa: PLC0415
+
+    status = commands.status_of(error)
+    if isinstance(error, OSError):
+        _note(f"{error.filename or 'output'}: {error.strerror or error}")
+    elif status is not None:
+        _note(str(error))
+    if status is not None:
+        return status
+    if os.environ.get("REFCODEC_DEBUG") == "1":
+        raise error
+    kind, text = type(error).__name__, " ".join(str(error).split())
+    _note(f"internal error, please report it with the command ({kind}: {text})")
+    return statuses.FAULT
 
 
 def main(argv: list[str] | None = None) -> int:
-    """Runs one command; returns its exit status."""
+    """Runs one command; returns its exit status, one of refcodec/cli/statuses.py."""
     try:
-        # Packages beyond those of the decoder are needed from here on.
-        from .runner import commands  # noqa: PLC0415
-
         arguments = _parser().parse_args(argv)
-    except ModuleNotFoundError as error:
-        return _missing(error)
-    try:
-        return commands.guarded(lambda: arguments.run(arguments))
-    except ModuleNotFoundError as error:
-        return _missing(error)
+        status: int = arguments.run(arguments)
+        sys.stdout.flush()
+        return status
+    except SystemExit as end:
+        # argparse leaves this way for --help and wrong usage, and fuzz with a text for a state that is not its own.
+        if isinstance(end.code, str):
+            _note(end.code)
+            return statuses.USAGE
+        return end.code or 0
+    except BrokenPipeError:
+        # The reader of stdout went away; what is left to write must not fail again when Python closes it.
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return statuses.BROKEN_PIPE
     except KeyboardInterrupt:
-        return commands.EXIT_INTERRUPTED
+        _note("interrupted")
+        return statuses.INTERRUPTED
+    except Exception as error:
+        return _report(error)

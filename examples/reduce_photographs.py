@@ -2,8 +2,9 @@
 
 python examples/reduce_photographs.py SOURCE TARGET --size 400x300 [--quality 90] [--points 25000]
 
-Images are undistorted, averaged down and written as JPEG without metadata; cameras are PINHOLE, points come without their tracks and
-are thinned out at random (seed 0) to the number asked for. The result is the same for the same versions of numpy, scipy and Pillow.
+Images are undistorted, averaged down and written as JPEG without metadata. Cameras are PINHOLE. Points come without
+their tracks, and a random part of them (seed 0) is kept, of the number asked for. The result is the same for the same
+versions of numpy, scipy and Pillow.
 """
 
 from __future__ import annotations

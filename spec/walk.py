@@ -45,7 +45,8 @@ def element_table(data: bytes, spec: str) -> str:
     known = fields(spec)
     lines = ["| start | length | contents | element | value | meaning |", "|---|---|---|---|---|---|"]
     for row in rows(data):
-        cells = f"| 0x{row.start:03x} | {row.end - row.start} | `{_contents(data, row)}` | {row.path} | {value_text(row) if row.value is not None else ''} |"
+        value = value_text(row) if row.value is not None else ""
+        cells = f"| 0x{row.start:03x} | {row.end - row.start} | `{_contents(data, row)}` | {row.path} | {value} |"
         lines.append(f"{cells} {meaning_of(row.path, known)} |")
     return "\n".join(lines)
 

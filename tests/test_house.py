@@ -1,4 +1,4 @@
-"""The house stands as ARCHITECTURE.md draws it: rooms build on each other in one order, and both decoders have the same."""
+"""The house stands as ARCHITECTURE.md draws it: rooms in one order, and the same modules in both decoders."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from spec.house import ROOMS, docstring, imports, modules, room
 BITSTREAM, INDEPENDENT = "refcodec.bitstream", "conformance.independent"
 # The reference decodes chunks side by side.
 ONLY_REFERENCE = {"batches"}
-# The second decoder has a command and a trace of its own. Those of the reference are in refcodec.cli and refcodec.inspect.
+# The second decoder's own command and trace. Those of the reference are in refcodec.cli and refcodec.inspect.
 ONLY_INDEPENDENT = {"__main__", "trace"}
 # What decoding must not need. plyfile and safetensors belong to the scene folder.
 HEAVY = {"torch", "numba", "scipy", "plyfile", "safetensors", "tqdm", "PIL", "skimage"}

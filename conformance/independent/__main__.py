@@ -13,7 +13,7 @@ USAGE = (
     "usage: python -m conformance.independent "
     "validate FILE | digest FILE [--parts] | decode FILE OUTPUT [--trace TRACE]"
 )
-REJECTED, UNSUPPORTED, USAGE_ERROR = 1, 2, 3
+REJECTED, UNSUPPORTED, USAGE_ERROR = 1, 2, 64
 
 
 # SPEC 10.1: a refusal is reported on stderr and by the exit status
@@ -34,25 +34,24 @@ def main(arguments: list[str]) -> int:
             return USAGE_ERROR
     try:
         data = Path(path).read_bytes()
-    except OSError as error:
-        print(error, file=sys.stderr)
-        return USAGE_ERROR
-    try:
         if trace:
             with open(trace, "w", encoding="utf-8", newline="\n") as file:
                 scene = decode(data, Trace(file))
         else:
             scene = decode(data)
+        if command == "decode":
+            Path(output).write_bytes(b"".join(canonical_parts(scene).values()))
     except C3GSError as error:
         print(error, file=sys.stderr)
         print(json.dumps(error.as_dict()), file=sys.stderr)
         return UNSUPPORTED if error.kind == "unsupported" else REJECTED
+    except OSError as error:
+        print(error, file=sys.stderr)
+        return USAGE_ERROR
     if command == "digest":
         for name, value in digests(scene).items():
             if parts or name == "whole":
                 print(f"{name}  {value}")
-    if command == "decode":
-        Path(output).write_bytes(b"".join(canonical_parts(scene).values()))
     return 0
 
 

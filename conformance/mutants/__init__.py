@@ -1,1 +1,1 @@
-"""Planted bugs: wrong decoders made from the second decoder, every one of which the vectors must tell from a right one."""
+"""Planted bugs: wrong decoders made from the second decoder. The vectors must tell each from a right one."""

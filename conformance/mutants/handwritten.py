@@ -17,7 +17,10 @@ class BugError(ValueError):
 
 
 def plant(name: str, module: str, old: str, new: str, what: str, requirements: list[str]) -> Mutant:
-    """The mutant in which `new` stands for `old`; BugError if the text does not occur exactly once, or the name or module is wrong."""
+    """The mutant in which `new` stands for `old`.
+
+    Raises BugError if the text does not occur exactly once, or the name or the module is wrong.
+    """
     if module not in MODULES or not re.fullmatch(r"[a-z0-9-]+", name):
         raise BugError(f"{name}: {module} is no module, or the name is not one")
     text = text_of(module)

@@ -1,4 +1,4 @@
-"""A wrong decoder as a package of its own in this process: the second decoder's modules, one of them with another text."""
+"""A wrong decoder as a package of this process: the second decoder's modules, one of them with another text."""
 
 from __future__ import annotations
 

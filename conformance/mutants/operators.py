@@ -1,5 +1,4 @@
-"""Wrong decoders that nobody chose: small changes at every place of the second decoder's syntax trees that has room for one, and a
-fixed sample of them."""
+"""Wrong decoders that nobody chose: a fixed sample of the small changes that the second decoder's code allows."""
 
 from __future__ import annotations
 
@@ -9,7 +8,7 @@ import hashlib
 from collections import defaultdict
 from collections.abc import Callable, Iterator
 from functools import cache
-from itertools import pairwise
+from itertools import accumulate, pairwise
 
 from .mutant import MODULES, Mutant, text_of
 
@@ -104,7 +103,7 @@ def removal(node: ast.AST) -> Iterator[Change]:
 
 
 def _swaps(items: list[ast.expr]) -> Iterator[list[ast.expr]]:
-    """The items with two neighbours swapped that differ, and are not a text and something else: that would only crash."""
+    """The items with two neighbours swapped that differ. A text and something else stay: that would only crash."""
     for i, (a, b) in enumerate(pairwise(items)):
         texts = [isinstance(item, ast.Constant) and isinstance(item.value, str) for item in (a, b)]
         if (
@@ -150,8 +149,10 @@ OPERATORS: tuple[Callable[[ast.AST], Iterator[Change]], ...] = (
 
 
 def _decodes(node: ast.AST) -> bool:
-    """Whether a node has a part in a verdict, which is a digest or code and offset: types, imports, messages, traces and the
-    place of the tables' file have none."""
+    """Whether a node has a part in a verdict, which is a digest, or a code and an offset.
+
+    Types, imports, messages, traces and the place of the tables' file have none.
+    """
     if isinstance(node, ast.Assign):
         return not ast.unparse(node.targets[0]).endswith("_PATH")
     if isinstance(node, ast.Subscript):
@@ -180,38 +181,49 @@ def _inside(node: ast.AST, scope: str) -> Iterator[tuple[str, ast.AST]]:
         yield from _inside(child, inner)
 
 
-def _replaced(text: str, node: ast.AST, new: str) -> str:
-    """The text with a node's part of it replaced. Columns of the syntax tree count bytes of UTF-8."""
-    assert isinstance(node, ast.expr | ast.stmt)
-    assert node.end_lineno is not None
-    assert node.end_col_offset is not None
-    lines = text.encode().splitlines(keepends=True)
-    start = sum(map(len, lines[: node.lineno - 1])) + node.col_offset
-    end = sum(map(len, lines[: node.end_lineno - 1])) + node.end_col_offset
-    data = text.encode()
-    return (data[:start] + new.encode() + data[end:]).decode()
+class _Text:
+    """A module's text, of which a node's part is read or replaced. Columns of the syntax tree count bytes of UTF-8."""
+
+    def __init__(self, text: str) -> None:
+        self._data = text.encode()
+        self._lines = [0, *accumulate(map(len, self._data.splitlines(keepends=True)))]
+
+    def _span(self, node: ast.expr | ast.stmt) -> tuple[int, int]:
+        assert node.end_lineno is not None
+        assert node.end_col_offset is not None
+        return self._lines[node.lineno - 1] + node.col_offset, self._lines[node.end_lineno - 1] + node.end_col_offset
+
+    def of(self, node: ast.expr | ast.stmt) -> str:
+        """The node's part."""
+        start, end = self._span(node)
+        return self._data[start:end].decode()
+
+    def replaced(self, node: ast.expr | ast.stmt, new: str) -> str:
+        """The whole text with other text in the place of the node's."""
+        start, end = self._span(node)
+        return (self._data[:start] + new.encode() + self._data[end:]).decode()
 
 
 def points(module: str) -> dict[str, list[Mutant]]:
     """All changes of a module, by function."""
-    text = text_of(module)
+    text = _Text(text_of(module))
     found: dict[str, list[Mutant]] = defaultdict(list)
     times: dict[str, int] = defaultdict(int)
-    for scope, node in _inside(ast.parse(text), module):
+    for scope, node in _inside(ast.parse(text_of(module)), module):
         for operator in OPERATORS:
             if operator is arguments and module == "errors":
                 # Class, clause and meaning of an error are told, and not judged.
                 continue
             for what, changed in operator(node):
-                old = ast.get_source_segment(text, node) or ""
-                new = ast.unparse(ast.fix_missing_locations(changed))
-                # Another name for the same place, whatever is changed elsewhere in the module, and wherever the function moves.
+                assert isinstance(node, ast.expr | ast.stmt)
+                old, new = text.of(node), ast.unparse(ast.fix_missing_locations(changed))
+                # The same for the same place, whatever is changed elsewhere in the module, and wherever the function
+                # moves.
                 key = f"{scope.partition('.')[2]}\n{operator.__name__}\n{old}\n{new}"
                 times[key] += 1
                 digest = hashlib.sha256(f"{SEED}\n{key}\n{times[key]}".encode()).hexdigest()
-                source = _replaced(text, node, new if isinstance(node, ast.stmt) else f"({new})")
+                source = text.replaced(node, new if isinstance(node, ast.stmt) else f"({new})")
                 name = f"{scope}-{operator.__name__}-{digest[:8]}"
-                assert isinstance(node, ast.expr | ast.stmt)
                 found[scope].append(Mutant(name, module, node.lineno, old, new, what, source))
     return found
 

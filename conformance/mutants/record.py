@@ -55,8 +55,9 @@ def _summary(mutants: Sequence[Mutant], caught: Mapping[str, tuple[str, str]]) -
     right = sum(m.id in PROOFS for m in mutants)
     kinds = Counter(wrong.split()[0] for _, wrong in found)
     shares = [f"{text} {kinds.pop(word, 0)}" for word, text in _TOLD.items()]
+    vectors = len({vector for vector, _ in found})
     return (
-        f"{len(found)} of {len(mutants) - right} bugs are caught, by {len({vector for vector, _ in found})} vectors; "
+        f"{len(found)} of {len(mutants) - right} bugs are caught, by {vectors} vectors; "
         f"{right} more changes are proved to be no bugs. "
         f"What gave them away: {', '.join(shares)}, another error {sum(kinds.values())}.\n"
     )

@@ -10,7 +10,7 @@ import sys
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
-from functools import partial
+from functools import cache, partial
 from multiprocessing.pool import Pool
 from pathlib import Path
 from typing import TypeVar
@@ -34,15 +34,18 @@ class SelfTestError(Exception):
     """The self-test says nothing: there are no vectors, the unchanged decoder fails, or the grader is wrong."""
 
 
-def mutants() -> list[Mutant]:
-    """All planted bugs, those by hand first, without those of the operators that are one of them."""
+@cache
+def decoder(mutant: Mutant) -> tuple[str, str]:
+    """The module and its syntax tree as text: what makes two mutants one."""
+    return mutant.module, ast.dump(ast.parse(mutant.source))
 
-    def decoder(mutant: Mutant) -> tuple[str, str]:
-        return mutant.module, ast.dump(ast.parse(mutant.source))
 
+@cache
+def mutants() -> tuple[Mutant, ...]:
+    """All planted bugs. Those by hand come first, and one of the operators that is one of these is left out."""
     hand = handwritten.bugs()
     known = {decoder(mutant) for mutant in hand}
-    return [*hand, *(mutant for mutant in operators.sample() if decoder(mutant) not in known)]
+    return *hand, *(mutant for mutant in operators.sample() if decoder(mutant) not in known)
 
 
 def cases(manifest: Manifest) -> list[Case]:
@@ -131,8 +134,10 @@ def check_grader(all_cases: Sequence[Case], judge: Grade) -> None:
 
 # --- processes --------------------------------------------------------------------------------------------------------
 
-# Vectors for which the unchanged decoder is loaded once, and more seconds than any budget has.
-BATCH, SECONDS = 8, 3600
+# Vectors for which the unchanged decoder is loaded once.
+BATCH = 8
+# Seconds of processor time: more than any budget has, and what a decoder that is none is given.
+SECONDS, FAKE_SECONDS = 3600.0, 0.2
 
 _cases: dict[str, Case] = {}
 
@@ -145,7 +150,7 @@ def _start(all_cases: Sequence[Case]) -> None:
     load_decoder(None)
 
 
-def _try(task: tuple[Mutant | None, list[str]], stop: Grade | None, seconds: int) -> list[Outcome]:
+def _try(task: tuple[Mutant | None, list[str]], stop: Grade | None, seconds: float) -> list[Outcome]:
     mutant, names = task
     found = [_cases[name] for name in names]
     return outcomes(mutant, [replace(case, seconds=min(case.seconds, seconds)) for case in found], stop)
@@ -174,10 +179,11 @@ class Trials:
         what: str,
         *,
         first_only: bool = False,
-        seconds: int = SECONDS,
+        seconds: float = SECONDS,
     ) -> Iterator[list[tuple[str, str]]]:
-        """For each task, a decoder and vectors, the vectors that catch it and what was wrong; if first_only, the first of them alone.
-        seconds: bounds those of the vectors' budgets.
+        """For each task, a decoder and vectors: the vectors that catch it, and what was wrong.
+
+        first_only: the first of them alone. seconds: bounds those of the vectors' budgets.
         """
         # The judge is always asked here too: one of a test's own may not be known to the processes.
         found = self._pool.imap(partial(_try, stop=grade if first_only else None, seconds=seconds), tasks)
@@ -203,15 +209,17 @@ class Trials:
         ]
         names = [name for name in first if name]
         made = fakes()
-        found = self.tries([(fake, names) for fake in made], "decoders that are none", seconds=1)
+        found = self.tries([(fake, names) for fake in made], "decoders that are none", seconds=FAKE_SECONDS)
         for fake, wrong in zip(made, found, strict=True):
             if len(wrong) != len(names):
                 raise SelfTestError(f"a decoder that {fake.id} passes one of {names}")
 
     def order(self, made: Sequence[Mutant]) -> dict[str, list[str]]:
-        """For each mutant the vectors that can catch it: those for a requirement that it breaks before the others, and of both the cheapest
-        first, counted in calls of the unchanged decoder, which are the same on every machine. Those are left out for which that does not
-        call what the mutant changes: they pass.
+        """For each mutant the vectors that can catch it.
+
+        Those for a requirement that it breaks come before the others, and of both the cheapest first. The cost is
+        counted in calls of the unchanged decoder, which are the same on every machine. A vector for which that does
+        not call what the mutant changes is left out: the mutant passes it.
         """
         names = list(self._by_name)
         visits = list(_progress(self._pool.imap(_visit, names), len(names), "the vectors' costs"))
@@ -248,7 +256,11 @@ def trials(all_cases: Sequence[Case], jobs: int, judge: Grade = grade) -> Iterat
 
 @dataclass(frozen=True)
 class Score:
-    """caught: bug -> (first vector, what was wrong); survivors: bugs that no vector catches; refuted: proved to be none, and caught."""
+    """What the vectors make of the bugs.
+
+    caught: bug -> (first vector, what was wrong). survivors: bugs that no vector catches. refuted: proved to be none,
+    and caught.
+    """
 
     caught: Caught
     survivors: list[Mutant]
@@ -275,21 +287,22 @@ def show(result: Score, made: Sequence[Mutant]) -> None:
     for name in result.refuted:
         print(f"no equivalent: {name} is caught by {result.caught[name][0]}: {result.caught[name][1]}")
     hand, caught = sum(bool(m.requirements) for m in bugs), len(bugs) - len(result.survivors)
-    print(
-        f"{len(bugs)} planted bugs, {hand} by hand, {len(bugs) - hand} by operators: {caught} caught, {100 * caught / len(bugs):.1f} %"
-    )
+    share = 100 * caught / len(bugs)
+    print(f"{len(bugs)} planted bugs, {hand} by hand, {len(bugs) - hand} by operators: {caught} caught, {share:.1f} %")
 
 
 def run(manifest: Path, jobs: int, recorded: bool, matrix: Path | None, write: bool) -> int:
-    """Tries every planted bug on the vectors until one catches it, or only on the one recorded, or, with `matrix`, on all of them, and
-    writes to that file which catch it. Prints the score; `write` renews the record. Returns 0 if all are caught, else 1.
+    """Tries every planted bug on the vectors until one catches it, and prints the score.
+
+    recorded: only on the vector that is recorded as the first to catch it. matrix: on all vectors, and which catch it
+    is written to this file. write: renews the record. Returns 0 if all are caught, else 1. Raises ManifestError and
+    OSError for the manifest.
     """
-    made = mutants()
+    suite = load(manifest)
+    made: Sequence[Mutant] = mutants()
     known = record.read() if recorded else {}
     try:
-        all_cases = [
-            c for c in cases(load(manifest)) if not recorded or c.id in {vector for vector, _ in known.values()}
-        ]
+        all_cases = [c for c in cases(suite) if not recorded or c.id in {vector for vector, _ in known.values()}]
         with trials(all_cases, jobs) as test:
             if recorded:
                 made = [m for m in made if m.id in known]

@@ -1,4 +1,4 @@
-"""One wrong decoder on vectors: in a child process, its time and memory bounded, so that whatever it does has an outcome."""
+"""One wrong decoder on vectors, in a process of bounded time and memory: whatever it does has an outcome."""
 
 from __future__ import annotations
 
@@ -24,15 +24,19 @@ MOST_CALLS = 1 << 20
 
 @dataclass(frozen=True)
 class Case:
-    """A vector as a trial needs it. digests: hexadecimal, those of the parts by name (SPEC 9.3), and of all as "whole"; empty if the file
-    is to be refused. error: then its code and offset, else None. requirements: what the vector is for."""
+    """A vector as a trial needs it.
+
+    digests: hexadecimal, those of the parts by name (SPEC 9.3), and of all as "whole"; empty if the file is to be
+    refused. error: the code and the offset of that refusal, else None. requirements: what the vector is for. seconds:
+    of processor time.
+    """
 
     id: str
     data: bytes
     digests: dict[str, str]
     error: tuple[int, int] | None
     requirements: frozenset[str]
-    seconds: int
+    seconds: float
     bytes: int
 
 
@@ -75,7 +79,7 @@ def decode(package: ModuleType, data: bytes) -> Outcome:
 
 
 def _child(write: int, mutant: Mutant | None, cases: Sequence[Case], stop: Grade | None) -> None:
-    """Writes a line of JSON for each case. The timer is of processor time and ends the process, even inside a call of C."""
+    """Writes a line of JSON for each case. The timer counts processor time, and ends a call of C too."""
     signal.signal(signal.SIGPROF, signal.SIG_DFL)
     with os.fdopen(write, "w", encoding="utf-8") as out:
         package, broken = None, Outcome("crash")
@@ -135,7 +139,7 @@ class _EnoughError(Exception):
 
 
 def visit(data: bytes) -> tuple[int, frozenset[str] | None]:
-    """How many calls the unchanged decoder makes for a file, which is what a vector costs on any machine; and of what functions.
+    """How many calls the unchanged decoder makes for a file, and of what functions: a vector's cost on any machine.
 
     Beyond MOST_CALLS it is not counted further; None stands for all functions then.
     """

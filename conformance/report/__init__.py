@@ -1,1 +1,1 @@
-"""Reports of a run: the record (JSON), JUnit XML, a page (HTML) and a summary for a terminal; each is made from the record alone."""
+"""Reports of a run: a record in JSON, and made from it alone JUnit XML, a page in HTML and a summary for a terminal."""

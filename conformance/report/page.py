@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -14,19 +15,23 @@ from .summary import most_telling
 _TEMPLATE = Path(__file__).with_name("page.html")
 
 
-def document(record: dict[str, Any]) -> str:
-    """The page: verdicts, then the vectors, what failed first, and of that what tells most."""
+@cache
+def _template() -> jinja2.Template:
     environment = jinja2.Environment(
         autoescape=True, undefined=jinja2.StrictUndefined, trim_blocks=True, lstrip_blocks=True
     )
+    return environment.from_string(_TEMPLATE.read_text(encoding="utf-8"))
+
+
+def document(record: dict[str, Any]) -> str:
+    """The page: verdicts, then the vectors, what failed first, and of that what tells most."""
     order = {status: i for i, status in enumerate(STATUSES)}
     failed = most_telling(record["vectors"])
     rank = {v["id"]: i for i, v in enumerate(failed)}
     vectors = sorted(record["vectors"], key=lambda v: (order[v["status"]], rank.get(v["id"], 0)))
     holes = [(name, row) for name, row in record["requirements"].items() if row["right"] < row["vectors"]]
     right_features = sum(row["right"] == row["vectors"] for row in record["features"].values())
-    template = environment.from_string(_TEMPLATE.read_text(encoding="utf-8"))
-    return template.render(
+    return _template().render(
         r=record,
         vectors=vectors,
         bad=len(failed),

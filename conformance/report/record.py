@@ -9,10 +9,12 @@ import re
 from collections import Counter
 from collections.abc import Iterable, Sequence
 from dataclasses import asdict, dataclass
+from functools import cache
 from pathlib import Path
 from typing import Any
 
-import jsonschema
+from jsonschema import Draft202012Validator
+from jsonschema.exceptions import best_match
 
 from refcodec import __version__
 
@@ -35,7 +37,10 @@ class RecordError(Exception):
 
 @dataclass(frozen=True)
 class About:
-    """What a record says besides results. decoder: the decoder's own description; select: expressions; started: ISO 8601."""
+    """What a record says besides results.
+
+    decoder: the decoder's own description. select: expressions. started: ISO 8601.
+    """
 
     decoder: dict[str, str]
     select: tuple[str, ...]
@@ -49,22 +54,23 @@ def manifest_digest(manifest: Manifest) -> str:
 
 
 def describe(path: Path | None, command: Sequence[str]) -> dict[str, str]:
-    """A decoder's description of itself: a JSON object of texts with `name` and `version` at least. Raises RecordError."""
+    """A decoder's description of itself: a JSON object of texts, with `name` and `version`. Raises RecordError."""
     if path is None:
         return {"name": Path(command[0]).name, "version": NOT_STATED}
     try:
         said = json.loads(path.read_text(encoding="utf-8"))
-        jsonschema.validate(said, _schema()["$defs"]["decoder"])
     except ValueError as error:
         raise RecordError(f"{path}: {error}") from None
-    except jsonschema.ValidationError as error:
-        raise RecordError(f"{path}: {error.json_path}: {error.message}") from None
+    if fault := best_match(_validator("decoder").iter_errors(said)):
+        raise RecordError(f"{path}: {fault.json_path}: {fault.message}")
     return dict(said)
 
 
-def _schema() -> dict[str, Any]:
-    schema: dict[str, Any] = json.loads(SCHEMA.read_text(encoding="utf-8"))
-    return schema
+@cache
+def _validator(part: str = "") -> Draft202012Validator:
+    """That of the records' schema, or of one of its definitions. The schema itself is known to be right."""
+    schema = json.loads(SCHEMA.read_text(encoding="utf-8"))
+    return Draft202012Validator(schema["$defs"][part] if part else schema)
 
 
 def _clauses(vector: Vector) -> list[str]:
@@ -153,8 +159,8 @@ def _group(vector: Vector) -> str:
 def conclusions(groups: dict[str, str], entries: Sequence[dict[str, Any]], manifest: Manifest) -> dict[str, Any]:
     """What follows from the vectors' entries: counts, the grade, coverage, and a verdict for each profile and level.
 
-    groups: what each vector of the suite counts for; a decoder conforms to a profile and level if each vector of that profile up to
-    the level, and each that has none, passes with the highest grade. Rendering has a verdict of its own.
+    groups: what each vector of the suite counts for. A decoder conforms to a profile and level if each vector of that
+    profile up to the level, and each that has none, passes with the highest grade. Rendering has a verdict of its own.
     """
     counts = Counter(e["status"] for e in entries)
     judged = [e for e in entries if e["status"] != "skipped"]
@@ -222,10 +228,8 @@ def _order(name: str) -> list[tuple[bool, int, str]]:
 
 def check(record: Any) -> None:
     """Raises RecordError for what the schema does not allow."""
-    try:
-        jsonschema.validate(record, _schema())
-    except jsonschema.ValidationError as error:
-        raise RecordError(f"{error.json_path}: {error.message}") from None
+    if fault := best_match(_validator().iter_errors(record)):
+        raise RecordError(f"{fault.json_path}: {fault.message}")
 
 
 def load(path: Path) -> dict[str, Any]:

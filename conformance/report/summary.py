@@ -21,7 +21,7 @@ _WORDS = {"unexpected": "known failures that pass", "known": "known failures"}
 
 
 def most_telling(vectors: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
-    """The vectors that are not as they must be, those first that test the fewest requirements: they are nearest to the place."""
+    """The vectors that are not as they must be. Those of the fewest requirements, nearest to the place, come first."""
     bad = [v for v in vectors if v["status"] in ("failed", "crashed", "unexpected")]
     return sorted(bad, key=lambda v: len(v["requirements"]))
 

@@ -8,9 +8,11 @@ import json
 import shlex
 import sys
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
+
+from refcodec.cli import statuses
 
 from ..manifest import MANIFEST, Manifest, ManifestError, load
 from ..report import record as records
@@ -19,10 +21,12 @@ from .grading import GRADE_CLASS, GRADE_EXACT
 from .run import Options, Run, run, wrong_hashes
 from .selection import SelectionError, select
 
-EXIT_RIGHT, EXIT_WRONG, EXIT_USAGE, EXIT_SUITE, EXIT_NOTHING, EXIT_INTERRUPTED = 0, 1, 2, 3, 4, 130
-STATUSES = """exit status: 0 every selected vector as it must be; 1 the decoder is wrong somewhere, or a known failure passes;
-2 usage; 3 the suite is damaged (manifest or a file's hash), so there is no verdict; 4 no vector was selected, or all were skipped;
-130 interrupted"""
+STATUSES = f"""exit status: {statuses.DONE} every selected vector as it must be;
+{statuses.REJECTED} the decoder is wrong somewhere, or a known failure passes;
+{statuses.DAMAGED_SUITE} the suite is damaged (manifest or a file's hash), so there is no verdict;
+{statuses.NOTHING} no vector was selected, or all were skipped;
+{statuses.USAGE} wrong usage, or a file or folder that cannot be read or written;
+{statuses.FAULT} a fault of this program; {statuses.INTERRUPTED} interrupted"""
 
 
 class UsageError(Exception):
@@ -93,23 +97,17 @@ def _write(folder: Path, record: dict[str, Any]) -> None:
     (folder / "report.html").write_text(page.document(record), encoding="utf-8")
 
 
-def guarded(work: Callable[[], int]) -> int:
-    """The exit status of a command, whose errors are told in a line."""
-    try:
-        return work()
-    except ManifestError as error:
-        _note(str(error))
-        return EXIT_SUITE
-    except OSError as error:
-        _note(f"{error.filename}: {error.strerror}")
-        return EXIT_USAGE
-    except (UsageError, SelectionError, process.CommandError, records.RecordError) as error:
-        _note(str(error))
-        return EXIT_USAGE
+def status_of(error: Exception) -> int | None:
+    """The exit status of an error that the caller can put right, None for any other one."""
+    if isinstance(error, ManifestError):
+        return statuses.DAMAGED_SUITE
+    if isinstance(error, OSError | UsageError | SelectionError | process.CommandError | records.RecordError):
+        return statuses.USAGE
+    return None
 
 
 def run_command(arguments: argparse.Namespace) -> int:
-    """`conformance run`; returns its exit status. Raises what `guarded` catches."""
+    """`conformance run`; returns its exit status. Raises what `status_of` knows."""
     from ..report import summary  # noqa: PLC0415
 
     manifest = _suite(arguments.vectors)
@@ -119,7 +117,7 @@ def run_command(arguments: argparse.Namespace) -> int:
     description = records.describe(arguments.describe, options.command)
     if not vectors:
         _note(f"no vector is selected: {' | '.join(arguments.select)}")
-        return EXIT_NOTHING
+        return statuses.NOTHING
     if arguments.report:
         # A report that cannot be written is told before the work.
         arguments.report.mkdir(parents=True, exist_ok=True)
@@ -140,16 +138,18 @@ def run_command(arguments: argparse.Namespace) -> int:
 
 def _status(done: Run) -> int:
     if done.interrupted:
-        return EXIT_INTERRUPTED
+        return statuses.INTERRUPTED
     if not all(r.good for r in done.results):
-        return EXIT_WRONG
-    return EXIT_RIGHT if any(r.status != "skipped" for r in done.results) else EXIT_NOTHING
+        return statuses.REJECTED
+    return statuses.DONE if any(r.status != "skipped" for r in done.results) else statuses.NOTHING
 
 
 def _differences(old: dict[str, Any], new: dict[str, Any]) -> list[str]:
     """What a record says otherwise than a new run of its vectors."""
-    wrong = [f"{name} does not follow from the record's vectors" for name in ("verdict", "profiles", "requirements", "features")
-             if old[name] != new["concluded"][name]]  # fmt: skip
+    concluded = [
+        name for name in ("verdict", "profiles", "requirements", "features") if old[name] != new["concluded"][name]
+    ]
+    wrong = [f"{name} does not follow from the record's vectors" for name in concluded]
     again = {v["id"]: v for v in new["vectors"]}
     for v in old["vectors"]:
         now = again[v["id"]]
@@ -161,7 +161,7 @@ def _differences(old: dict[str, Any], new: dict[str, Any]) -> list[str]:
 
 
 def verify_report(arguments: argparse.Namespace) -> int:
-    """`conformance verify-report`; returns its exit status. Raises what `guarded` catches."""
+    """`conformance verify-report`; returns its exit status. Raises what `status_of` knows."""
     old = records.load(arguments.report)
     manifest = _suite(arguments.vectors)
     if old["suite"]["manifest_sha256"] != records.manifest_digest(manifest):
@@ -178,12 +178,12 @@ def verify_report(arguments: argparse.Namespace) -> int:
         raise records.RecordError(f"{arguments.report}: not the vectors of its suite, each once")
     if not names:
         _note("the report has no vector")
-        return EXIT_NOTHING
+        return statuses.NOTHING
     known = [v["id"] for v in old["vectors"] if v["status"] in ("known", "unexpected")]
     done = run(manifest, [by_id[name] for name in names], options, known, show=sys.stderr.isatty())
     _check_files(manifest, "the suite was changed while the decoder ran, so no verdict:")
     if done.interrupted:
-        return EXIT_INTERRUPTED
+        return statuses.INTERRUPTED
     description = old["decoder"]["description"]
     new = records.build(manifest, options, records.About(description, (), stated["started"], 0), done)
     groups = {v.id: new["suite"]["vectors"][v.id] for v in manifest.vectors}
@@ -192,20 +192,20 @@ def verify_report(arguments: argparse.Namespace) -> int:
         print(line)
     partial = ", of an interrupted run" if stated["interrupted"] else ""
     print(f"{arguments.report}: {len(names)} vectors run again, {len(wrong)} differences{partial}")
-    return EXIT_WRONG if wrong else EXIT_RIGHT
+    return statuses.REJECTED if wrong else statuses.DONE
 
 
 def export(arguments: argparse.Namespace) -> int:
-    """`conformance export`; returns its exit status. Raises what `guarded` catches."""
+    """`conformance export`; returns its exit status. Raises what `status_of` knows."""
     from . import fluster  # noqa: PLC0415
 
     count = fluster.export(_suite(arguments.vectors), arguments.fluster)
     print(f"{arguments.fluster}: {count} vectors; {arguments.fluster / fluster.README} says how to run them")
-    return EXIT_RIGHT
+    return statuses.DONE
 
 
 def check_encoder(arguments: argparse.Namespace) -> int:
-    """`conformance check-encoder`; returns its exit status. Raises what `guarded` catches."""
+    """`conformance check-encoder`; returns its exit status. Raises what `status_of` knows."""
     from . import encoders  # noqa: PLC0415
 
     wrong = 0
@@ -216,7 +216,7 @@ def check_encoder(arguments: argparse.Namespace) -> int:
         for line in verdict.lines:
             print(f"    {line}")
     print(f"{len(arguments.files)} files, {wrong} wrong")
-    return EXIT_WRONG if wrong else EXIT_RIGHT
+    return statuses.REJECTED if wrong else statuses.DONE
 
 
 def add_grade(parser: argparse.ArgumentParser) -> None:
@@ -226,5 +226,6 @@ def add_grade(parser: argparse.ArgumentParser) -> None:
         type=int,
         choices=range(1, GRADE_EXACT + 1),
         default=GRADE_EXACT,
-        help=f"what a refusal must reach: 1 it is one, {GRADE_CLASS} its class, {GRADE_EXACT} code and offset too (default: %(default)s)",
+        help=f"what a refusal must reach: 1 it is one, {GRADE_CLASS} its class, {GRADE_EXACT} code and offset too "
+        "(default: %(default)s)",
     )

@@ -42,9 +42,12 @@ _HEX_LINES = 14
 
 @dataclass(frozen=True)
 class Divergence:
-    """The first difference. part: of the canonical reconstruction, or "trace"; element: what differs, in words; expected, found: its
-    values; offset: in the output, or of the substream in the file for a trace; differing: how many values; clauses: of SPEC.md, that say
-    how the element comes about."""
+    """The first difference.
+
+    part: of the canonical reconstruction, or "trace". element: what differs, in words. expected, found: its values.
+    offset: in the output, or for a trace that of the substream in the file. differing: how many values. clauses: of
+    SPEC.md, that say how the element comes about.
+    """
 
     part: str
     element: str
@@ -56,7 +59,8 @@ class Divergence:
 
     def text(self) -> str:
         """One line."""
-        return f"{self.part}: {self.element} is {self.found}, {self.expected} expected ({self.differing}); read {self.clauses}"
+        values = f"{self.found}, {self.expected} expected ({self.differing})"
+        return f"{self.part}: {self.element} is {values}; read {self.clauses}"
 
 
 def _types(scene: Scene) -> dict[str, tuple[str, tuple[int, ...]]]:

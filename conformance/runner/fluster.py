@@ -1,4 +1,6 @@
-"""The valid vectors as a suite for Fluster, a runner of decoder conformance suites that industry uses, and a script that runs it.
+"""The valid vectors as a suite for Fluster, and a script that runs it there.
+
+Fluster is a runner of conformance suites of decoders that industry uses.
 
 Fluster knows no refusals: of the vectors whose outcome is a digest, it compares the MD5 of the output.
 """

@@ -29,7 +29,10 @@ def _by_place(text: str) -> dict[tuple[int, int], dict[str, list[float]]]:
 
 
 def difference(expected: str, found: str, tolerance: float) -> str | None:
-    """The first difference in words, or None. expected, found: JSON; tolerance: relative to the length of the expected vector."""
+    """The first difference in words, or None.
+
+    expected, found: JSON. tolerance: relative to the length of the expected vector.
+    """
     wanted = _by_place(expected)
     try:
         made: dict[tuple[int, int], dict[str, Any]] = _by_place(found)

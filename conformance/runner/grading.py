@@ -1,7 +1,8 @@
 """What a decoder said of a vector, and whether it is right.
 
-A decoder accepts with exit status 0 and its output written. It refuses with exit status 1 (malformed, invalid) or 2 (unsupported) and,
-as the last line of stderr, a JSON object with a registered code. Whatever else happens is a crash, and a crash is never a pass.
+A decoder accepts with exit status 0 and its output written. It refuses with exit status 1 (malformed, invalid) or 2
+(unsupported) and, as the last line of stderr, a JSON object with a registered code. Whatever else happens is a crash,
+and a crash is never a pass.
 """
 
 from __future__ import annotations
@@ -14,12 +15,14 @@ from pathlib import Path
 from typing import Any
 
 from refcodec.bitstream.errors import REGISTRY
+from refcodec.cli import statuses
 
 from ..manifest import Accepted, GaussiansOf, Manifest, Rejected, Vector
 from .gaussians import difference
 from .process import Ended
 
-# Grades of a vector: 1 refused or accepted as it must be, with the right output; 2 the right class of error; 3 code and offset.
+# Grades of a vector. 1: refused or accepted as it must be, with the right output. 2: the right class of error too. 3:
+# code and offset too.
 GRADE_NONE, GRADE_VERDICT, GRADE_CLASS, GRADE_EXACT = range(4)
 GRADES = {
     GRADE_NONE: "a wrong verdict, a wrong output or a crash",
@@ -27,7 +30,6 @@ GRADES = {
     GRADE_CLASS: "right verdicts, outputs and classes of error",
     GRADE_EXACT: "right verdicts, outputs, codes and offsets",
 }
-EXIT_ACCEPTED, EXIT_REFUSED, EXIT_UNSUPPORTED = 0, 1, 2
 _OVER = {
     "time": "took too long",
     "memory": "took too much memory",
@@ -39,8 +41,11 @@ BY_CODE = {kind.code: kind for kind in REGISTRY.values()}
 
 @dataclass(frozen=True)
 class Found:
-    """What a decoder said: result "accepted", "rejected" or "crashed"; code and offset of a rejection (the offset None if it has
-    none); digest: SHA-256 of the output of an acceptance; status, signal: how the process ended; text: why it is a crash."""
+    """What a decoder said.
+
+    result: "accepted", "rejected" or "crashed". status, signal: how the process ended. code, offset: of a rejection;
+    the offset is None if none was said. digest: SHA-256 of the output of an acceptance. text: why it is a crash.
+    """
 
     result: str
     status: int | None
@@ -61,7 +66,7 @@ class Judgement:
 
 def exit_status(klass: str) -> int:
     """Of a refusal with an error of this class (SPEC.md 10.1)."""
-    return EXIT_UNSUPPORTED if klass == "unsupported" else EXIT_REFUSED
+    return statuses.UNSUPPORTED if klass == "unsupported" else statuses.REJECTED
 
 
 def signal_name(number: int) -> str:
@@ -96,12 +101,12 @@ def read(ended: Ended, output: Path) -> Found:
         return crash(_OVER[ended.over])
     if ended.signal is not None:
         return crash(f"ended by {signal_name(ended.signal)}")
-    if ended.status == EXIT_ACCEPTED:
+    if ended.status == statuses.DONE:
         if not output.is_file():
             return crash("exit status 0 without an output file")
         with output.open("rb") as file:
             return Found("accepted", ended.status, None, digest=hashlib.file_digest(file, "sha256").hexdigest())
-    if ended.status not in (EXIT_REFUSED, EXIT_UNSUPPORTED):
+    if ended.status not in (statuses.REJECTED, statuses.UNSUPPORTED):
         return crash(f"exit status {ended.status}")
     lines = ended.stderr.decode("utf-8", "replace").strip().splitlines()
     said = _refusal(lines[-1] if lines else "")

@@ -1,6 +1,7 @@
 """One decoder process, bounded: its time, its memory, the files that it writes, and everything that it starts.
 
-A process decodes one file, or serves: it then reads a request for each file from stdin and answers on stdout, a line of JSON each.
+A process decodes one file, or serves: it then reads a request for each file from stdin, and answers on stdout. Either
+is a line of JSON.
 """
 
 from __future__ import annotations
@@ -34,7 +35,8 @@ _LOOK = 0.02
 _PATIENCE = 10
 _TICK = 1 / os.sysconf("SC_CLK_TCK")
 _RSS_UNIT = 1 if sys.platform == "darwin" else 1024
-# A shell's `ulimit` counts blocks of 512 bytes (POSIX). It binds before the first instruction of the decoder, and in what that starts.
+# A shell's `ulimit` counts blocks of 512 bytes (POSIX). It binds from the decoder's first instruction on, and what that
+# starts too.
 _LIMITS = f'ulimit -c 0; ulimit -f {FILE_BYTES // 512}; exec "$@"'
 
 
@@ -50,9 +52,10 @@ class StoppedError(Exception):
 class Ended:
     """How a process ended.
 
-    status: exit status, None if a signal ended it; signal: its number, None if it exited; over: the bound that it passed ("time",
-    "memory" or "output"), "answer" for a server's answer that cannot be read, or None; stderr: the end of it; seconds: wall time;
-    peak: bytes of resident memory of its largest process, None where the runner's own is larger, which hides it.
+    status: exit status, None if a signal ended it. signal: its number, None if it exited. over: the bound that it
+    passed ("time", "memory" or "output"), "answer" for a server's answer that cannot be read, or None. stderr: the
+    end of it. seconds: wall time. peak: bytes of resident memory of its largest process, None where the runner's own
+    is larger, which hides it.
     """
 
     status: int | None
@@ -102,8 +105,11 @@ def _use(pid: int) -> _Use:
 
 
 def _over(use: _Use, wall: float, seconds: float, memory: int) -> str | None:
-    """The bound that is passed. A process that other work of the machine keeps from running is not late, nor is one that is quick on
-    many cores: both its wall time and its processor time are above the bound."""
+    """The bound that is passed, if any.
+
+    A process is late if both its wall time and its processor time are above the bound: neither one that other work of
+    the machine keeps from running, nor one that is quick on many cores.
+    """
     if wall > seconds * _PATIENCE or min(wall, use.seconds) > seconds:
         return "time"
     return "memory" if use.memory > memory else None
@@ -137,11 +143,11 @@ def _start(command: Sequence[str], stderr: Path, serves: bool) -> subprocess.Pop
 def run(
     command: Sequence[str], stderr: Path, seconds: float, memory: int, stop: threading.Event, output: Path | None = None
 ) -> Ended:
-    """Runs a command to its end, or to a bound: time in seconds (_over), resident memory in bytes, FILE_BYTES of each file.
+    """Runs a command to its end, or to a bound: seconds (_over), bytes of resident memory, FILE_BYTES of each file.
 
-    stderr: where its error output goes; output: the file whose length is looked at. Address space is not bounded: interpreters and
-    sanitizers reserve much that they never use. Every process of its group is killed at the end. Raises CommandError and, if `stop`
-    is set meanwhile, StoppedError.
+    stderr: where its error output goes. output: the file whose length is looked at. Address space is not bounded,
+    because interpreters and sanitizers reserve much that they never use. Every process of its group is killed at the
+    end. Raises CommandError and, if `stop` is set meanwhile, StoppedError.
     """
     began = time.monotonic()
     process = _start(command, stderr, serves=False)
@@ -196,7 +202,10 @@ class Server:
         self._lines: queue.SimpleQueue[bytes] = queue.SimpleQueue()
 
     def ask(self, request: dict[str, str], seconds: float, memory: int, stop: threading.Event) -> Ended:
-        """How a process for this request would have ended; bounds as for run(), of which that of the output is the answer's too."""
+        """How a process for this request would have ended.
+
+        The bounds are those of run(). An answer has that of the output.
+        """
         process = self._process
         if process is None or process.poll() is not None:
             self.close()

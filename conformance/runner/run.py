@@ -24,9 +24,12 @@ from .process import Ended, Server, StoppedError
 
 @dataclass(frozen=True)
 class Options:
-    """What is run. command: the decoder's, a template with {input} and {output}, perhaps {trace}; gaussians: one with {camera} too, None
-    without a renderer; grade: what a vector must reach; slow: factor of the time budgets; trace: a trace must be right too;
-    serve: the command is no template, but serves (process.Server)."""
+    """What is run.
+
+    command: the decoder's, a template with {input} and {output}, perhaps {trace}. gaussians: one with {camera} too,
+    None without a renderer. grade: what a vector must reach. slow: factor of the time budgets. trace: a trace must be
+    right too. serve: the command is no template, but serves (process.Server).
+    """
 
     command: tuple[str, ...]
     gaussians: tuple[str, ...] | None = None
@@ -39,10 +42,11 @@ class Options:
 
 @dataclass(frozen=True)
 class Result:
-    """A vector's outcome. status: "passed", "failed", "crashed" or "skipped"; of a known failure "known", or "unexpected" if it passes.
+    """A vector's outcome.
 
-    grade: 0 to 3; text: what is wrong; found: what the decoder said, None if it was not run; lines: how an output or trace diverges, and
-    the bytes of the file, annotated; stderr: its end; seconds, peak: of the process (Ended).
+    status: "passed", "failed", "crashed" or "skipped"; of a known failure "known", or "unexpected" if it passes.
+    grade: 0 to 3. text: what is wrong. found: what the decoder said, None if it was not run. lines: how an output or
+    trace diverges, and the bytes of the file, annotated. stderr: its end. seconds, peak: of the process (Ended).
     """
 
     vector: Vector
@@ -192,7 +196,10 @@ class _Desk:
 def run(
     manifest: Manifest, vectors: Sequence[Vector], options: Options, known: Iterable[str] = (), show: bool = True
 ) -> Run:
-    """Runs a decoder on vectors; known: ids that must fail; show: a bar of progress on stderr. Ctrl-C ends it with what there is."""
+    """Runs a decoder on vectors. Ctrl-C ends it with what there is.
+
+    known: ids that must fail. show: a bar of progress on stderr.
+    """
     ended: dict[str, Result] = {}
     done = Run()
     bar = tqdm(total=len(vectors), unit="vector", file=sys.stderr, disable=not show)

@@ -19,8 +19,9 @@ _VALUES: dict[str, Callable[[Vector], Iterable[str]]] = {
     "code": lambda v: [str(v.expectation.code)] if isinstance(v.expectation, Rejected) else [],
 }
 HELP = (
-    "vectors that fit: terms such as class:valid or id:escape-*, separated by spaces, must all hold; commas separate alternatives, * and ? "
-    f"stand for any characters, a leading ! negates; names: {', '.join(_VALUES)}; given several times, what any of them selects"
+    "vectors that fit: terms such as class:valid or id:escape-*, separated by spaces, must all hold; commas separate "
+    "alternatives, * and ? stand for any characters, a leading ! negates; "
+    f"names: {', '.join(_VALUES)}; given several times, what any of them selects"
 )
 
 

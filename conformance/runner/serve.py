@@ -1,7 +1,9 @@
-"""Serves one of the project's decoders to `conformance run --serve`, so that its modules are read once and not for each vector.
+"""Serves one of the project's decoders to `conformance run --serve`, so that its modules are read once.
 
-python -m conformance.runner.serve refcodec | independent: reads lines of JSON, {"input", "output"} and perhaps "trace", and answers each with
-{"status", "signal", "stderr"}. Each file is decoded in a fork, whose end is all that the next one could know of it.
+python -m conformance.runner.serve refcodec | independent
+
+Reads lines of JSON, {"input", "output"} and perhaps "trace", and answers each with {"status", "signal", "stderr"}. Each
+file is decoded in a fork, whose end is all that the next one could know of it.
 """
 
 from __future__ import annotations
@@ -14,14 +16,16 @@ import tempfile
 from collections.abc import Callable
 from typing import Any
 
+from refcodec.cli import statuses
+
 
 def _refcodec() -> Callable[[list[str]], int]:
-    # What the command imports when it runs, and the tables, are there before the first fork.
-    from refcodec.bitstream import reconstruction, tables  # noqa: F401, PLC0415
+    # What the command imports or computes once is there before the first fork, which would do it again for each file.
+    from refcodec.bitstream import codec, networks, reconstruction, tables  # noqa: F401, PLC0415
     from refcodec.cli import main as cli  # noqa: PLC0415
+    from refcodec.inspect import trace  # noqa: F401, PLC0415
 
-    pass
-
+    networks.float32_is_exact()
     tables.tables()
     return lambda words: cli.main(["reconstruct", *words])
 
@@ -39,7 +43,7 @@ def _in_fork(decode: Callable[[list[str]], int], words: list[str]) -> dict[str, 
     with tempfile.TemporaryFile() as errors:
         pid = os.fork()
         if pid == 0:
-            status = 70
+            status = statuses.FAULT
             with contextlib.suppress(BaseException):
                 os.dup2(errors.fileno(), 2)
                 status = decode(words)
@@ -55,7 +59,7 @@ def main(arguments: list[str]) -> int:
     """Answers until stdin ends; returns the exit status."""
     if len(arguments) != 1 or arguments[0] not in DECODERS:
         print(f"usage: python -m conformance.runner.serve {' | '.join(DECODERS)}", file=sys.stderr)
-        return 64
+        return statuses.USAGE
     decode = DECODERS[arguments[0]]()
     for line in sys.stdin:
         request = json.loads(line)

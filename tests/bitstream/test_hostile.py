@@ -1,4 +1,4 @@
-"""Hostile files (SPEC.md 10 and 13): every one is a scene or one registered error, in bounded memory, whatever its checksums say."""
+"""Hostile files (SPEC.md 10 and 13): whatever its checksums say, each is a scene or one error, in bounded memory."""
 
 from __future__ import annotations
 
@@ -47,7 +47,7 @@ def refused(data: bytes) -> BitstreamError | None:
 
 
 def salvaged(data: bytes) -> None:
-    """What is refused as a whole is refused with keep_going too, or named as damage; what is kept is a scene that can be written."""
+    """What is refused as a whole is refused with keep_going too, or named as damage. What is kept can be written."""
     error = refused(data)
     try:
         parsed = codec.parse(data, keep_going=True)
@@ -56,8 +56,8 @@ def salvaged(data: bytes) -> None:
     else:
         other = None
     if other is not None:
-        # The chunks' own checks refuse no file as a whole, and the first fault before them stays the first, but for the two that
-        # keep_going leaves to the chunks.
+        # The chunks' own checks refuse no file as a whole, and the first fault before them stays the first, but for
+        # the two that keep_going leaves to the chunks.
         assert error is not None
         if error.kind.name not in ("directory.file_length", "section.crc"):
             assert (other.kind.name, other.offset) == (error.kind.name, error.offset)
@@ -72,6 +72,7 @@ def salvaged(data: bytes) -> None:
     assert codec.parse(codec.emit(parsed.scene)).scene.anchor_count == parsed.scene.anchor_count
 
 
+@pytest.mark.no_cover
 def test_every_truncation() -> None:
     for length in range(len(SMALL_FILE)):
         assert refused(SMALL_FILE[:length]) is not None, length
@@ -83,6 +84,8 @@ def test_trailing_bytes() -> None:
     assert (error.kind.name, error.offset) == ("directory.file_length", len(SMALL_FILE))
 
 
+@pytest.mark.slow
+@pytest.mark.no_cover
 @pytest.mark.parametrize("bit", range(8))
 def test_every_single_bit_flip(bit: int) -> None:
     for at in range(len(SMALL_FILE)):
@@ -91,12 +94,16 @@ def test_every_single_bit_flip(bit: int) -> None:
         assert refused(bytes(data)) is not None, (at, bit)
 
 
+@pytest.mark.slow
+@pytest.mark.no_cover
 @given(mutations(FILE))
 @settings(max_examples=300)
 def test_changed_with_checksums_repaired(data: bytes) -> None:
     salvaged(data)
 
 
+@pytest.mark.slow
+@pytest.mark.no_cover
 @given(splices(FILE))
 @settings(max_examples=200)
 def test_bytes_of_a_substream_taken_out_or_put_in(data: bytes) -> None:
@@ -114,6 +121,8 @@ def test_every_substream_longer_and_shorter() -> None:
             assert error.kind.name.startswith("substream.")
 
 
+@pytest.mark.slow
+@pytest.mark.no_cover
 @given(st.data(), scenes(max_anchors=4))
 @settings(max_examples=40)
 def test_any_scene_changed_with_checksums_repaired(data: st.DataObject, scene: Scene) -> None:
@@ -121,6 +130,8 @@ def test_any_scene_changed_with_checksums_repaired(data: st.DataObject, scene: S
     salvaged(data.draw(st.one_of(mutations(file), splices(file))))
 
 
+@pytest.mark.slow
+@pytest.mark.no_cover
 def test_keep_going_with_single_bit_flips() -> None:
     """One bit of each byte, without any checksum repaired: an error, or damage to one chunk at most."""
     first = parse_container(SMALL_FILE).sections[directory.POSITIONS].start
@@ -287,7 +298,7 @@ def test_asking_for_much_allocates_nothing(name: str, keep_going: bool) -> None:
 
 
 def test_many_anchors_need_many_bytes() -> None:
-    """The level's anchors without their bytes: the positions' length is checked against the directory, the directory against the file."""
+    """The level's anchors without their bytes: the directory's length of the positions is not theirs."""
     error = refused(field("anchor_count", struct.pack("<I", 4096)))
     assert error is not None
     assert error.kind.name == "directory.length"

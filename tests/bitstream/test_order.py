@@ -65,8 +65,10 @@ def test_keep_going_keeps_the_other_chunks(kind: int, chunks: list[int]) -> None
 @pytest.mark.parametrize("together", [1, 2, 1000])
 @pytest.mark.parametrize("repaired", [False, True])
 def test_keep_going_with_damage_of_every_kind(monkeypatch: pytest.MonkeyPatch, together: int, repaired: bool) -> None:
-    """Chunk 0 loses its attributes, chunk 1 its masks, chunk 3 its positions and masks: 2 and 4 are left, and each chunk has its own
-    first error, whether a checksum finds it or the coder."""
+    """Chunk 0 loses its attributes, chunk 1 its masks, chunk 3 its positions and masks: 2 and 4 are left.
+
+    Each chunk has its own first error, whether a checksum finds it or the coder.
+    """
     monkeypatch.setattr(batches, "GROUP_CHUNKS", together)
     faults = [(directory.ATTRIBUTES, 0), (directory.MASKS, 1), (directory.POSITIONS, 3), (directory.MASKS, 3)]
     data = WHOLE

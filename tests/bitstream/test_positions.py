@@ -1,16 +1,14 @@
-"""Positions in mode 1 (SPEC.md 5.11, 6.11, 7.12): cells and trees against the text, round trips, what is packed and what is raw."""
+"""Positions in mode 1 (SPEC.md 5.11, 6.11, 7.12): cells and trees against the text, round trips, what is packed."""
 
 from __future__ import annotations
 
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from conformance.blocks import blocks
 from conformance.cases.scenes import MAIN_DIMENSIONS, random_scene, with_steps
 from conformance.fuzz.strategies import position_models, positions, some_positions
 from refcodec.bitstream import codec, directory
@@ -33,13 +31,7 @@ from refcodec.encoder.positions import choose_cells, morton_order, pack_position
 from refcodec.encoder.quantise import packed
 from refcodec.inspect import elements, summary, trace
 
-TEXT = (Path(__file__).resolve().parents[2] / "SPEC.md").read_text(encoding="utf-8")
 EVERY = np.array([b for b in range(1 << 16) if b & 0x7C00 != 0x7C00 and b != 0x8000], dtype=np.uint16)
-
-
-@pytest.fixture(scope="module")
-def spec() -> dict:
-    return blocks(TEXT)
 
 
 def lattice_scene(seed: int, anchors: int, d=MAIN_DIMENSIONS, **more):
@@ -75,7 +67,7 @@ def test_cells(spec: dict, shift: int) -> None:
 
 
 @given(st.data())
-def test_round_trip(data: st.DataObject) -> None:
+def test_round_trip(spec: dict, data: st.DataObject) -> None:
     """Any positions, in any order, with any model: the same bits, and the parts that the text decodes."""
     count = data.draw(st.integers(1, 30))
     where = data.draw(some_positions(count))
@@ -83,10 +75,9 @@ def test_round_trip(data: st.DataObject) -> None:
     model = data.draw(position_models(where, chunk_size)) or position_model(where, chunk_size)
     chunks = chunk_ranges(count, chunk_size)
     parts = encode_positions(model, where, chunks, 2)
-    space = blocks(TEXT)
     frequency = [f.tolist() for f in model.frequency]
     for part, chunk in zip(parts, chunks, strict=True):
-        found, verdict = space["DECODE_POSITIONS"](part, model.cell_shift, frequency, len(chunk), 2)
+        found, verdict = spec["DECODE_POSITIONS"](part, model.cell_shift, frequency, len(chunk), 2)
         assert verdict is None
         mine = where[chunk.start : chunk.stop]
         assert found == mine.view(np.uint16).tolist()

@@ -1,11 +1,10 @@
-"""Weights in mode 1 (SPEC.md 5.8, 6.8, 7.13): grids against the text, round trips, and what the encoder puts on a grid."""
+"""Weights in mode 1 (SPEC.md 5.8, 6.8, 7.13): grids against the text, round trips, what the encoder puts on a grid."""
 
 from __future__ import annotations
 
 import hashlib
 import math
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -13,7 +12,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
-from conformance.blocks import blocks, decode
+from conformance.blocks import decode
 from conformance.cases.scenes import MAIN_DIMENSIONS, random_scene
 from refcodec.bitstream import codec, directory, reconstruction
 from refcodec.bitstream.codec import parse_container
@@ -25,7 +24,6 @@ from refcodec.encoder.quantise import packed
 from refcodec.encoder.weights import RENDERING, exact_networks, pack_weights, quantise_rendering
 from refcodec.inspect import elements, trace
 
-SPACE = blocks((Path(__file__).resolve().parents[2] / "SPEC.md").read_text(encoding="utf-8"))
 FINITE = st.floats(width=32, allow_nan=False, allow_infinity=False)
 GRID = st.tuples(st.integers(-WEIGHT_SYMBOL_MAX, WEIGHT_SYMBOL_MAX), st.integers(-149, 104)).map(
     lambda p: math.ldexp(*p)
@@ -47,22 +45,22 @@ def same_bits(a: np.ndarray, b: np.ndarray) -> bool:
         fill=st.just(np.float32(0)),
     )
 )
-def test_grids(values: np.ndarray) -> None:
+def test_grids(spec: dict, values: np.ndarray) -> None:
     """A layer is packed exactly if the text says so, and comes back bit for bit."""
     layer = (np.ascontiguousarray(values[:, :-1]), np.ascontiguousarray(values[:, -1]))
     grid = to_grid(layer)
-    assert (grid is not None) == SPACE["CAN_BE_PACKED"](layer[0].tolist(), layer[1].tolist())
+    assert (grid is not None) == spec["CAN_BE_PACKED"](layer[0].tolist(), layer[1].tolist())
     if grid is None:
         return
     back = from_grid(grid)
     assert back is not None
     assert all(same_bits(a, b) for a, b in zip(back, layer, strict=True))
-    text = SPACE["PACKED_LAYER"](grid.exponent, grid.difference.tolist(), grid.weight.tolist(), grid.bias.tolist())
+    text = spec["PACKED_LAYER"](grid.exponent, grid.difference.tolist(), grid.weight.tolist(), grid.bias.tolist())
     assert text == (layer[0].tolist(), layer[1].tolist())
 
 
 @given(st.data())
-def test_exponents_that_are_not_the_least(data: st.DataObject) -> None:
+def test_exponents_that_are_not_the_least(spec: dict, data: st.DataObject) -> None:
     """What the text refuses, and nothing else, is refused."""
     rows = data.draw(st.integers(1, 4))
     small = st.integers(-3, 3)
@@ -74,7 +72,7 @@ def test_exponents_that_are_not_the_least(data: st.DataObject) -> None:
         data.draw(hnp.arrays(np.int64, (rows, 2), elements=small)),
         data.draw(hnp.arrays(np.int64, rows, elements=small)),
     )
-    text = SPACE["PACKED_LAYER"](exponent, difference.tolist(), weight.tolist(), bias.tolist())
+    text = spec["PACKED_LAYER"](exponent, difference.tolist(), weight.tolist(), bias.tolist())
     grid = type(to_grid((np.zeros((1, 1), np.float32), np.zeros(1, np.float32))))(exponent, difference, weight, bias)
     found = from_grid(grid)
     assert (found is None) == (text is None)
@@ -141,10 +139,10 @@ def test_a_scene_of_grids() -> None:
     assert packed(scene, "raw", None).weight_scales is not None
 
 
-def test_the_text_decodes_it() -> None:
+def test_the_text_decodes_it(spec: dict) -> None:
     scene = pack_weights(random_scene(4, 5))
     data = codec.emit(scene)
-    whole, verdicts = decode(SPACE, data, parse_container(data))
+    whole, verdicts = decode(spec, data, parse_container(data))
     assert not any(verdicts)
     assert reconstruction.digest(codec.parse(data).scene)[0] == hashlib.sha256(whole).hexdigest()
 

@@ -1,15 +1,17 @@
-"""The command line as a user and a script meet it: exit statuses, what is printed where, and what is left on the disk."""
+"""The command line as a user and a script meet it: exit statuses, what is printed where, what is left on the disk."""
 
 from __future__ import annotations
 
 import json
 import os
+import resource
 import signal
 import stat
 import subprocess
 import sys
 import time
 import zlib
+from collections.abc import Callable, Iterator
 from dataclasses import replace
 from pathlib import Path
 
@@ -28,11 +30,25 @@ from refcodec.folder.read import read_folder
 from refcodec.folder.write import write_folder
 
 ROOT = Path(refcodec.__file__).parent
+# More than any command here needs beside what Python and its libraries have taken.
+MEMORY = 1 << 30
 
 
-def run(*arguments: object, cwd: Path | None = None, **options) -> subprocess.CompletedProcess[str]:
+def run(*arguments: object, **options) -> subprocess.CompletedProcess[str]:
+    """The command in a process of its own, where that is the point."""
     command = [sys.executable, "-m", "refcodec", *map(str, arguments)]
-    return subprocess.run(command, capture_output=True, text=True, cwd=cwd, check=False, timeout=120, **options)
+    return subprocess.run(command, capture_output=True, text=True, check=False, timeout=120, **options)
+
+
+@pytest.fixture
+def call(capsys) -> Callable[..., tuple[int, str, str]]:
+    """The command in this process: its exit status, stdout and stderr."""
+
+    def command(*arguments: object) -> tuple[int, str, str]:
+        status = main([str(argument) for argument in arguments])
+        return status, *capsys.readouterr()
+
+    return command
 
 
 @pytest.fixture(scope="module")
@@ -45,7 +61,7 @@ def data(scene) -> bytes:
     return codec.emit(scene)
 
 
-def test_encode_packs(tmp_path):
+def test_encode_packs(tmp_path, call):
     """Positions and weights are packed in Main, and not in Tiny, unless the options or the folder say otherwise."""
     where = np.random.default_rng(1).permutation(900)[:300][:, None] // np.array([1, 30, 900]) % np.array([30, 30, 1])
     scene = random_scene(22, 300, replace(MAIN_DIMENSIONS, plane_size=4), chunk_size=256)
@@ -55,8 +71,7 @@ def test_encode_packs(tmp_path):
 
     def modes(folder: str, *options: str) -> tuple[int, int]:
         target = tmp_path / "out.c3gs"
-        result = run("encode", tmp_path / folder, "-o", target, *options)
-        assert result.returncode == 0, result.stderr
+        assert call("encode", tmp_path / folder, "-o", target, *options) == (0, "", "")
         sections = parse_container(target.read_bytes()).sections
         return sections[directory.WEIGHTS].mode, sections[directory.POSITIONS].mode
 
@@ -109,11 +124,9 @@ def no_verdict(err: str) -> None:
 # --- the commands -----------------------------------------------------------------------------------------------------
 
 
-def test_decode_then_encode(file, data, tmp_path):
-    done = run("decode", file, "-o", tmp_path / "scene")
-    assert (done.returncode, done.stdout, done.stderr) == (0, "", "")
-    done = run("encode", tmp_path / "scene", "-o", tmp_path / "again.c3gs")
-    assert (done.returncode, done.stdout, done.stderr) == (0, "", "")
+def test_decode_then_encode(file, data, tmp_path, call):
+    assert call("decode", file, "-o", tmp_path / "scene") == (0, "", "")
+    assert call("encode", tmp_path / "scene", "-o", tmp_path / "again.c3gs") == (0, "", "")
     assert (tmp_path / "again.c3gs").read_bytes() == data
     assert sorted(os.listdir(tmp_path)) == ["again.c3gs", "scene", "scene.c3gs"]
 
@@ -230,24 +243,40 @@ def sparse(path: Path, head: bytes, size: int) -> Path:
     return path
 
 
-def test_too_long_files_are_not_read(data, tmp_path):
+@pytest.fixture
+def little_memory() -> Iterator[None]:
+    """Who reads a large file as a whole gets a MemoryError, and ends with status 70."""
+    taken_pages = Path("/proc/self/statm")
+    if not taken_pages.exists():
+        pytest.skip("this system does not tell how much memory is taken")
+    before = resource.getrlimit(resource.RLIMIT_AS)
+    taken = int(taken_pages.read_text().split()[0]) * resource.getpagesize()
+    resource.setrlimit(resource.RLIMIT_AS, (taken + MEMORY, before[1]))
+    yield
+    resource.setrlimit(resource.RLIMIT_AS, before)
+
+
+@pytest.mark.usefixtures("little_memory")
+def test_too_long_files_are_not_read(data, tmp_path, call):
     """Five GiB of nothing, and a scene followed by it: judged by the header alone."""
-    started = time.monotonic()
-    done = run("validate", sparse(tmp_path / "zeros", b"", 5 << 30))
-    assert done.returncode == 1
-    assert verdict(done.stderr)["name"] == "prologue.signature"
+    status, _, err = call("validate", sparse(tmp_path / "zeros", b"", 5 << 30))
+    assert (status, verdict(err)["name"]) == (1, "prologue.signature")
     for command in ("validate", "inspect", "digest"):
-        done = run(command, sparse(tmp_path / "long", data, 5 << 30))
-        assert done.returncode == 1
-        assert verdict(done.stderr) | {"offset": len(data)} == verdict(done.stderr)
-        assert verdict(done.stderr)["name"] == "directory.file_length"
-    assert time.monotonic() - started < 10
+        status, _, err = call(command, sparse(tmp_path / "long", data, 5 << 30))
+        found = verdict(err)
+        assert (status, found["name"], found["offset"]) == (1, "directory.file_length", len(data))
 
 
-def test_endless_file_ends():
-    done = run("validate", "/dev/zero")
-    assert done.returncode == 1
-    assert verdict(done.stderr)["name"] == "prologue.signature"
+@pytest.mark.usefixtures("little_memory")
+def test_endless_file_ends(call):
+    status, _, err = call("validate", "/dev/zero")
+    assert (status, verdict(err)["name"]) == (1, "prologue.signature")
+
+
+@pytest.mark.usefixtures("little_memory")
+def test_the_bound_of_memory_bounds():
+    with pytest.raises(MemoryError):
+        bytes(2 * MEMORY)
 
 
 # --- keep going -------------------------------------------------------------------------------------------------------
@@ -263,19 +292,19 @@ def flipped(data: bytes, *chunks: int) -> bytes:
 
 
 @pytest.mark.requirement("D10.1-2")
-def test_keep_going(file, data, scene, tmp_path):
+def test_keep_going(file, data, scene, tmp_path, call):
     file.write_bytes(flipped(data, 0, 2))
-    done = run("decode", file, "-o", tmp_path / "scene", "--keep-going")
-    assert done.returncode == 1
-    lines = done.stderr.splitlines()
+    status, _, err = call("decode", file, "-o", tmp_path / "scene", "--keep-going")
+    assert status == 1
+    lines = err.splitlines()
     assert lines[0].startswith("chunk 0 is dropped, 16 anchors: ")
     assert lines[1].startswith("chunk 2 is dropped, 8 anchors: ")
     assert lines[2] == "2 of 3 chunks and 24 anchors are lost, 16 are written"
-    assert verdict(done.stderr) == verdict(run("validate", file).stderr)
+    assert verdict(err) == verdict(call("validate", file)[2])
     # --hex shows the chunks, too, not just the section that they are in.
-    spots = [line for line in run("inspect", file, "--hex").stdout.splitlines() if "^^ error" in line]
+    spots = [line for line in call("inspect", file, "--hex")[1].splitlines() if "^^ error" in line]
     assert [line.split()[3] for line in spots] == ["307", "433", "433"]
-    assert run("encode", tmp_path / "scene", "-o", tmp_path / "out.c3gs").returncode == 0
+    assert call("encode", tmp_path / "scene", "-o", tmp_path / "out.c3gs") == (0, "", "")
     assert (tmp_path / "out.c3gs").read_bytes() == codec.emit(without_chunks(scene, [0, 2]))
 
 
@@ -453,13 +482,20 @@ def test_fault_of_our_own(file, monkeypatch, capsys):
         main(["validate", str(file)])
 
 
+# A shell starts what runs in the background with the signal ignored.
+PROGRAM = """
+import signal
+from refcodec.cli.main import main
+signal.signal(signal.SIGINT, signal.default_int_handler)
+exit(main())
+"""
+
+
 def test_interrupt(file, tmp_path):
     """Ctrl-C while a named pipe keeps the reader waiting."""
     pipe = tmp_path / "pipe"
     os.mkfifo(pipe)
-    # A shell starts what runs in the background with the signal ignored.
-    program = "import signal; signal.signal(signal.SIGINT, signal.default_int_handler)\nfrom refcodec.cli.main import main; exit(main())"
-    process = subprocess.Popen([sys.executable, "-c", program, "validate", pipe], stderr=subprocess.PIPE, text=True)
+    process = subprocess.Popen([sys.executable, "-c", PROGRAM, "validate", pipe], stderr=subprocess.PIPE, text=True)
     with pipe.open("wb") as writer:
         writer.write(b"\x89C3G")
         writer.flush()
@@ -482,14 +518,14 @@ def test_reader_goes_away(file, form):
 # --- start-up ---------------------------------------------------------------------------------------------------------
 
 
-def test_help_and_version():
+def test_help_and_version(call):
     done = run("--version")
     assert (done.returncode, done.stdout) == (0, f"refcodec {refcodec.__version__}\n")
     for command in ([], ["encode"], ["decode"], ["digest"], ["validate"], ["inspect"], ["fit"]):
-        done = run(*command, "--help")
-        assert done.returncode == 0
-        assert "examples:" in done.stdout
-        assert "exit status:" in done.stdout
+        status, out, _ = call(*command, "--help")
+        assert status == 0
+        assert "examples:" in out
+        assert "exit status:" in out
 
 
 def imported(code: str) -> set[str]:
@@ -505,14 +541,12 @@ def test_help_imports_nothing_heavy():
 
 
 def test_decoding_never_imports_torch(file, tmp_path):
-    modules = imported(
-        f"from refcodec.cli import main as cli; cli.main(['decode', {str(file)!r}, '-o', {str(tmp_path / 's')!r}])"
-    )
+    words = ["decode", str(file), "-o", str(tmp_path / "s")]
+    modules = imported(f"from refcodec.cli import main as cli; cli.main({words})")
     assert "numpy" in modules
     assert not {m for m in modules if m.split(".")[0] in ("torch", "scipy") or m.startswith("refcodec.train")}
-    modules = imported(
-        f"from refcodec.cli import main as cli; cli.main(['encode', {str(tmp_path / 's')!r}, '-o', {str(tmp_path / 'f')!r}])"
-    )
+    words = ["encode", str(tmp_path / "s"), "-o", str(tmp_path / "f")]
+    modules = imported(f"from refcodec.cli import main as cli; cli.main({words})")
     assert not {m for m in modules if m.split(".")[0] in ("torch", "scipy") or m.startswith("refcodec.train")}
 
 

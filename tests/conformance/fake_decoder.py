@@ -1,7 +1,7 @@
 """A decoder that knows the answers of a few files, and goes wrong in the way that its first argument says.
 
-fake_decoder.py MODE ANSWERS INPUT OUTPUT [TRACE]; ANSWERS: JSON of SHA-256 -> {"exit": 0, "output": path, "trace": path, "extended": bool}
-or {"exit": 1 or 2, "code", "offset"}. Standard library alone, so that it starts fast.
+fake_decoder.py MODE ANSWERS INPUT OUTPUT [TRACE]; ANSWERS: JSON of SHA-256 -> {"exit": 0, "output": path, "trace":
+path, "extended": bool} or {"exit": 1 or 2, "code", "offset"}. Standard library alone, so that it starts fast.
 """
 
 import hashlib

@@ -1,4 +1,4 @@
-"""The decoder in C (conformance/c), written from SPEC.md alone: it gives what refcodec gives, and the compiler's sanitizers are silent."""
+"""The decoder in C (conformance/c): it gives what refcodec gives, and the compiler's sanitizers are silent."""
 
 from __future__ import annotations
 
@@ -55,6 +55,7 @@ def decode(tmp_path_factory: pytest.TempPathFactory) -> Callable[[bytes], compar
     return verdict
 
 
+@pytest.mark.no_cover
 @pytest.mark.parametrize("name", REGISTRY)
 @settings(max_examples=3)
 @given(st.data())
@@ -63,6 +64,8 @@ def test_fault(decode: Callable[[bytes], compare.Verdict], name: str, data: st.D
     assert decode(fault.data) == (name, fault.offset)
 
 
+@pytest.mark.slow
+@pytest.mark.no_cover
 @given(compare.families())
 @settings(max_examples=10)
 def test_it_agrees(

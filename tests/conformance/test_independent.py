@@ -21,6 +21,7 @@ from conformance.cases.scenes import MAIN_DIMENSIONS, random_scene
 from conformance.cases.target import Target
 from conformance.fuzz import compare
 from conformance.fuzz.strategies import draw_fault, drawable
+from conformance.independent import __main__ as second_main
 from conformance.independent import conventions, limits
 from conformance.independent import errors as second_errors
 from refcodec.bitstream import codec, directory, reconstruction
@@ -28,16 +29,18 @@ from refcodec.bitstream.dimensions import Dimensions
 from refcodec.bitstream.errors import REGISTRY, BitstreamError
 from refcodec.bitstream.header import Lanes
 from refcodec.bitstream.limits import PROFILES, Profile
+from refcodec.cli import statuses
 from refcodec.encoder.positions import position_model
 from refcodec.encoder.weights import pack_weights
 
 ROOT = Path(__file__).resolve().parents[2]
+start_worker = compare._start_worker
 SOURCES = sorted((ROOT / "conformance" / "independent").glob("*.py"))
 EXAMPLE = ROOT / "vectors" / "tiny-example.c3gs"
 
 MIXED = random_scene(39, 9, chunk_size=4, lanes=Lanes(0, 1, 0))
-# Files that between them have a place for every fault: extensions, idle lanes, several chunks, one slice and more, no anchors,
-# positions and weights in mode 1.
+# Files that between them have a place for every fault: extensions, idle lanes, several chunks, one slice and more, no
+# anchors, positions and weights in mode 1.
 TARGETS = [
     Target(codec.emit(scene))
     for scene in (
@@ -66,6 +69,7 @@ def faulty(draw: st.DrawFn, error: str) -> Refused:
     return next(refused for t in targets if (refused := draw_fault(draw, t, name)) is not None)
 
 
+@pytest.mark.no_cover
 @pytest.mark.requirement("D2.1-1")
 @pytest.mark.parametrize("name", REGISTRY)
 @settings(max_examples=25)
@@ -88,6 +92,8 @@ def test_fault(name: str, data: st.DataObject) -> None:
         assert part in str(error)
 
 
+@pytest.mark.no_cover
+@pytest.mark.slow
 @pytest.mark.requirement("D2.1-1", "D7.7-1", "D7.8-1", "D7.9-1", "D7.10-1", "D10.1-1")
 @given(compare.families())
 @settings(max_examples=40)
@@ -103,7 +109,7 @@ def test_a_main_file() -> None:
 
 
 def test_the_comparison_can_fail(monkeypatch: pytest.MonkeyPatch) -> None:
-    """A decoder that differs, one that fails otherwise, one that hangs, and one that accepts what is not canonical are found."""
+    """Found are a decoder that differs, one that fails otherwise, one that hangs, and one that is not canonical."""
     data = EXAMPLE.read_bytes()
     assert compare.compare(data)[1] is None
     assert "expected was" in str(compare.compare(data, ("prologue.crc", 16))[1])
@@ -178,6 +184,7 @@ def in_this_process(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(compare, "BATCH_SCENES", 3)
 
 
+@pytest.mark.no_cover
 def test_a_batch_is_the_same_again(monkeypatch: pytest.MonkeyPatch) -> None:
     in_this_process(monkeypatch)
     first, second = compare.run_batch(7), compare.run_batch(7)
@@ -212,8 +219,8 @@ def test_fuzz_of_another_decoder(
     assert cli.main([*words, *saying(102, ', "offset": 0', 1)]) == 1
     assert "the decoder ('prologue.signature', 0)" in capsys.readouterr().out
     assert list((tmp_path / "keep").iterdir())
-    assert cli.main([*words, str(tmp_path / "none"), "{input}", "{output}"]) == cli.EXIT_USAGE
-    assert cli.main([*words, "true", "{input}"]) == cli.EXIT_USAGE
+    assert cli.main([*words, str(tmp_path / "none"), "{input}", "{output}"]) == statuses.USAGE
+    assert cli.main([*words, "true", "{input}"]) == statuses.USAGE
     assert "needs {output}" in capsys.readouterr().err
     for state in (
         "",
@@ -224,8 +231,9 @@ def test_fuzz_of_another_decoder(
         (tmp_path / "bad.json").write_text(state)
         with pytest.raises(SystemExit, match="no state of this command"):
             compare.run(1, 0, 1, tmp_path / "bad.json", tmp_path / "keep", [])
-    with pytest.raises(SystemExit):
-        cli.main(["fuzz", "-n", "0"])
+    assert cli.main(["fuzz", "-n", "0"]) == statuses.USAGE
+    assert cli.main(["fuzz", "-n", "1", "--state", str(tmp_path / "bad.json")]) == statuses.USAGE
+    assert "no state of this command" in capsys.readouterr().err
 
 
 # --- a work of its own ------------------------------------------------------------------------------------------------
@@ -244,8 +252,10 @@ def test_it_imports_the_standard_library_alone() -> None:
 
 
 def statements(folder: Path) -> set[str]:
-    """Every statement of a package as its syntax tree says it, but imports, docstrings, SPEC.md's constants and what is too short to
-    be anyone's."""
+    """Every statement of a package, as its syntax tree says it.
+
+    Left out are imports, docstrings, SPEC.md's constants, and what is too short to be anyone's.
+    """
     found = set()
     for path in folder.rglob("*.py"):
         for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
@@ -299,49 +309,55 @@ def test_its_constants_are_those_of_the_specification() -> None:
 # --- its command ------------------------------------------------------------------------------------------------------
 
 
-def command(*arguments: str | Path) -> subprocess.CompletedProcess[str]:
-    return subprocess.run(
-        [sys.executable, "-m", "conformance.independent", *map(str, arguments)],
-        capture_output=True,
-        text=True,
-        check=False,
-        cwd=ROOT,
-    )
-
-
-def test_command(tmp_path: Path) -> None:
+def test_command(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     whole, parts = reconstruction.digest(codec.parse(EXAMPLE.read_bytes()).scene)
-    assert command("digest", EXAMPLE).stdout.split() == ["whole", whole]
-    printed = dict(line.split() for line in command("digest", "--parts", EXAMPLE).stdout.splitlines())
-    assert printed == {"whole": whole, **parts}
-    assert command("validate", EXAMPLE).returncode == 0
+
+    def command(*arguments: str | Path) -> tuple[int, str, str]:
+        status = second_main.main([str(argument) for argument in arguments])
+        return status, *capsys.readouterr()
+
+    assert command("digest", EXAMPLE) == (0, f"whole  {whole}\n", "")
+    status, out, _ = command("digest", "--parts", EXAMPLE)
+    assert (status, dict(line.split() for line in out.splitlines())) == (0, {"whole": whole, **parts})
+    assert command("validate", EXAMPLE) == (0, "", "")
     bad = tmp_path / "bad.c3gs"
     bad.write_bytes(EXAMPLE.read_bytes()[:-1])
-    result = command("validate", bad)
-    assert result.returncode == 1
-    assert json.loads(result.stderr.splitlines()[-1])["code"] == 306
+    status, _, err = command("validate", bad)
+    assert (status, json.loads(err.splitlines()[-1])["code"]) == (statuses.REJECTED, 306)
     bad.write_bytes(repair(Target(EXAMPLE.read_bytes()).put(20, b"\7")))
-    assert command("digest", bad).returncode == 2
-    assert command("validate", tmp_path / "none").returncode == 3
-    assert command().returncode == 3
+    assert command("digest", bad)[0] == statuses.UNSUPPORTED
+    for wrong in ((), ("validate", tmp_path / "none"), ("decode", EXAMPLE, tmp_path / "none" / "output")):
+        status, out, err = command(*wrong)
+        assert (status, out) == (statuses.USAGE, "")
+        assert err
+
+
+def test_its_statuses_are_those_of_the_project() -> None:
+    """It may not import them."""
+    own = second_main.REJECTED, second_main.UNSUPPORTED, second_main.USAGE_ERROR
+    assert own == (statuses.REJECTED, statuses.UNSUPPORTED, statuses.USAGE)
+
+
+def test_command_in_a_process_of_its_own() -> None:
+    words = [sys.executable, "-m", "conformance.independent", "digest", EXAMPLE]
+    done = subprocess.run(words, capture_output=True, text=True, check=False, cwd=ROOT)
+    assert (done.returncode, done.stderr) == (0, "")
+    assert done.stdout == f"whole  {reconstruction.digest(codec.parse(EXAMPLE.read_bytes()).scene)[0]}\n"
+    assert subprocess.run(words[:3], capture_output=True, check=False, cwd=ROOT).returncode == statuses.USAGE
+
+
+def small_batches() -> None:
+    """What a worker of fuzz does first, in a test."""
+    start_worker()
+    compare.BATCH_SCENES = 2
 
 
 def test_the_suite_s_command(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    arguments = [
-        "fuzz",
-        "-n",
-        "1",
-        "--seed",
-        "5",
-        "--jobs",
-        "1",
-        "--state",
-        str(tmp_path / "state.json"),
-        "--keep",
-        str(tmp_path / "keep"),
-    ]
+    arguments = ["fuzz", "-n", "1", "--seed", "5", "--jobs", "1"]
+    arguments += ["--state", str(tmp_path / "state.json"), "--keep", str(tmp_path / "keep")]
+    monkeypatch.setattr(compare, "_start_worker", small_batches)
     assert cli.main(arguments) == 0
     assert "0 disagreements" in capsys.readouterr().out
     # What an earlier part of the run found is not forgotten.
@@ -353,9 +369,8 @@ def test_the_suite_s_command(
         raise KeyboardInterrupt
 
     monkeypatch.setattr(compare, "run", interrupted)
-    assert cli.main(arguments) == 130
-    with pytest.raises(SystemExit):
-        cli.main([])
+    assert cli.main(arguments) == statuses.INTERRUPTED
+    assert cli.main([]) == statuses.USAGE
 
 
 def test_a_disagreement_is_kept(

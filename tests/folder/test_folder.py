@@ -260,7 +260,7 @@ JUNK = [None, True, "x", -1, 256, 0.5, 1e300, 1 << 70, -(1 << 63), [], {}, [0], 
 
 
 def test_no_field_of_scene_json_is_trusted(made):
-    """Each field replaced with junk, or left out: a clear error, or a scene that emit accepts or refuses with ValueError."""
+    """Each field replaced with junk, or left out: a clear error, or a scene that emit takes or refuses."""
     file = made / "scene.json"
     document = json.loads(file.read_text())
     accepted = 0
@@ -556,7 +556,8 @@ def test_read_cloud_refuses_more(tmp_path):
     with pytest.raises(SceneFolderError, match="NaN"):
         ply.read_cloud(file)
     file.write_bytes(
-        b"ply\nformat ascii 1.0\nelement vertex 1\nproperty list uchar float x\nproperty float y\nproperty float z\nend_header\n1 2 3 4\n"
+        b"ply\nformat ascii 1.0\nelement vertex 1\n"
+        b"property list uchar float x\nproperty float y\nproperty float z\nend_header\n1 2 3 4\n"
     )
     with pytest.raises(SceneFolderError, match="f_offset"):
         ply.read_cloud(file)

@@ -142,7 +142,7 @@ def test_the_trail_leads_to_lines_that_are_there() -> None:
 
 
 def test_it_works_away_from_the_checkout(tmp_path: Path) -> None:
-    """A package whose data lie in it, as an installed one's do, explains the same; without SPEC.md it says so in a line."""
+    """A package with its data inside, as an installed one, explains the same. Without SPEC.md it says so in a line."""
     package = tmp_path / "site" / "refcodec"
     (package / "data").mkdir(parents=True)
     source = Path(refcodec.__file__).parent

@@ -72,7 +72,7 @@ def test_rows_name_every_header_element(data):
 
 
 def sealed(data: bytes) -> bytes:
-    """The CRC-32s of sections, header and prologue made right, as far as the directory can be found: damage is met further in."""
+    """The CRC-32s of sections, header and prologue made right where they can be found: damage is met further in."""
     out = bytearray(data)
     end = PROLOGUE_BYTES + int.from_bytes(out[12:16], "little")
     for row in elements.rows(data):
@@ -86,6 +86,7 @@ def sealed(data: bytes) -> bytes:
     return bytes(out)
 
 
+@pytest.mark.slow
 def test_nothing_raises_on_damaged_files():
     """Cut and changed at random: the rows tile the file, and every form has something to say."""
     data = codec.emit(replace(random_scene(3, 12, chunk_size=5), extensions=((2, 5, b"note"),)))
@@ -218,7 +219,7 @@ def test_trace_stops_at_the_error(data):
 
 
 def test_near_shows_the_elements_around_a_byte() -> None:
-    """Every byte's element is shown, as the whole dump shows it, with at most six on each side, and the error at that byte."""
+    """Of every byte the element, as the whole dump shows it, at most six on each side, and the error at that byte."""
     data = codec.emit(random_scene(61, 3))
     whole = list(dump.hex_lines(data))
     rows = list(elements.rows(data))

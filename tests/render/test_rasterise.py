@@ -7,6 +7,7 @@ import os
 import subprocess
 import sys
 from dataclasses import replace
+from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
@@ -25,15 +26,16 @@ from refcodec.train import splat  # noqa: E402
 from refcodec.train.splat import Rasterise  # noqa: E402
 from refcodec.train.ssim import SSIM, similarity  # noqa: E402
 
+HERE = Path(__file__).resolve().parent
 NAMES = ("mean", "quaternion", "scale", "opacity", "colour")
 Scene = dict[str, np.ndarray]
 
-# Float32 blending against float64. An exponent is off by some 1e-6 (u and v are up to 40 and rounded to 2e-6, but small where alpha is
-# not), and so are alpha, the image and the gradients, relative to their norm. Measured over six seeds of each case: 1.4e-6 and 2e-6 at
-# most; the bounds leave a factor of three to five.
+# Float32 blending against float64. An exponent is off by some 1e-6 (u and v are up to 40 and rounded to 2e-6, but
+# small where alpha is not), and so are alpha, the image and the gradients, relative to their norm. Measured over six
+# seeds of each case: 1.4e-6 and 2e-6 at most; the bounds leave a factor of three to five.
 IMAGE_ERROR, GRADIENT_ERROR = 5e-6, 1e-5
-# Where alpha is this close (relatively) to 1/255 or to its cap, or transmittance to 1e-4, the float32 image may rightly take the other
-# branch: such pixels are not compared, and no gradient comes from them.
+# Where alpha is this close (relatively) to 1/255 or to its cap, or transmittance to 1e-4, the float32 image may
+# rightly take the other branch: such pixels are not compared, and no gradient comes from them.
 FRAGILE = 2e-5
 
 
@@ -48,7 +50,10 @@ def camera(width: int = 50, height: int = 37, angle: float = 0.1) -> Camera:
 def scene(
     n: int, seed: int, view: Camera, *, size: float = 0.1, low: float = 2.0, high: float = 6.0, spread: float = 1.1
 ) -> Scene:
-    """n Gaussians of depth low to high in the view, `spread` times as far as its edges; size: of their deviations, in the mean's unit."""
+    """n Gaussians of depth low to high in the view, `spread` times as far as its edges.
+
+    size: of their deviations, in the mean's unit.
+    """
     rng = np.random.default_rng(seed)
     z = rng.uniform(low, high, n)
     x = (rng.uniform(-spread, spread, n) * view.width / 2) / view.fx * z
@@ -66,8 +71,9 @@ def scene(
 def dense(
     values: dict[str, torch.Tensor], view: Camera, settings: Settings
 ) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
-    """Image, transmittance and the pixels that are fragile: every Gaussian in every pixel, float64. values["moved"] [N,2], if there,
-    is added to the projected means.
+    """Image, transmittance and the pixels that are fragile: every Gaussian in every pixel, float64.
+
+    values["moved"] [N,2], if there, is added to the projected means.
     """
     world, shift = torch.from_numpy(view.rotation), torch.from_numpy(view.translation)
     p = values["mean"] @ world.T + shift
@@ -211,7 +217,7 @@ def test_huge() -> None:
 
 
 def test_needles() -> None:
-    """Thousands of pixels long and less than one wide: u is up to 1e3 and differences of it count. Measured: 3e-5 (quaternion)."""
+    """Thousands of pixels long and less than one wide: u is up to 1e3, and its differences count. Measured: 3e-5."""
     view = camera()
     values = scene(60, 7, view)
     values["scale"][:] = (10.0, 1e-3, 1e-3)
@@ -305,7 +311,7 @@ def test_radius() -> None:
 
 @pytest.mark.parametrize("name", NAMES)
 def test_finite_differences(name: str) -> None:
-    """Along random directions, with the rasteriser's own images: steps of 1e-3 against a rounding of 1e-7 leave some 1e-3."""
+    """Along random directions, with the rasteriser's own images: of steps of 1e-3 a rounding of 1e-7 leaves 1e-3."""
     view = camera()
     values = scene(30, 20, view, size=0.3)
     values["opacity"] = (0.2 + 0.6 * values["opacity"]).astype(np.float32)
@@ -314,7 +320,8 @@ def test_finite_differences(name: str) -> None:
     step = 1e-3
     moved = [{**values, name: (values[name] + sign * step * direction).astype(np.float32)} for sign in (-1, 1)]
     ends = [rasterise(**m, camera=view) for m in moved]
-    # Only pixels in which no Gaussian begins or ceases to be drawn: their last one is the same, and so is the sum of what is drawn.
+    # Only pixels in which no Gaussian begins or ceases to be drawn: their last one is the same, and so is the sum of
+    # what is drawn.
     weight = rng.normal(size=ends[0].image.shape)
     sharp = [dense({k: torch.from_numpy(v).double() for k, v in m.items()}, view, Settings())[2].numpy() for m in moved]
     drawn = [_drawn(m, view) for m in moved]
@@ -368,12 +375,6 @@ def test_many_in_one_tile() -> None:
     compare(scene(5000, 30, view, size=0.01), view)
 
 
-DIGEST = """
-from tests.test_rasterise import digest
-print(digest())
-"""
-
-
 def digest() -> str:
     """A hash of every result for a scene of many tiles."""
     view = camera(400, 300)
@@ -399,13 +400,19 @@ def digest() -> str:
 
 
 def test_same_bits_whatever_the_number_of_threads() -> None:
-    def run(threads: int) -> str:
-        environment = {**os.environ, "NUMBA_NUM_THREADS": str(threads), "OMP_WAIT_POLICY": "PASSIVE"}
-        return subprocess.run(
-            [sys.executable, "-c", DIGEST], env=environment, check=True, capture_output=True, text=True
-        ).stdout
-
-    assert run(1) == run(2) == run(3)
+    program = f"""
+import sys, numba
+sys.path.insert(0, {str(HERE)!r})
+from {Path(__file__).stem} import digest
+for threads in (1, 2, 3):
+    numba.set_num_threads(threads)
+    print(digest())
+"""
+    environment = {**os.environ, "NUMBA_NUM_THREADS": "3"}
+    done = subprocess.run([sys.executable, "-c", program], env=environment, check=True, capture_output=True, text=True)
+    found = done.stdout.split()
+    assert len(found) == 3
+    assert len(set(found)) == 1
 
 
 def test_no_torch() -> None:
@@ -446,7 +453,7 @@ def test_autograd_sees_changes_in_place() -> None:
 
 
 def drawn_with_gradients(draw: Any, inputs: list[torch.Tensor]) -> tuple[torch.Tensor, ...]:
-    """Image, transmittance, radius, and the gradients of a loss with respect to the five inputs and the screen, on the CPU."""
+    """Image, transmittance, radius, and the gradients of a loss by the five inputs and the screen, on the CPU."""
     inputs = [v.detach().requires_grad_() for v in inputs]
     screen = torch.zeros(len(inputs[0]), device=inputs[0].device, requires_grad=True)
     image, transmittance, radius = draw(*inputs, camera(), Settings(background=(0.1, 0.2, 0.3)), screen)
@@ -469,7 +476,7 @@ def test_draw_on_the_cpu() -> None:
 
 
 def test_what_gsplat_is_given(monkeypatch: pytest.MonkeyPatch) -> None:
-    """With the dense images of this file in its place, called as it is: matrices, units, the screen's gradient added over calls."""
+    """The dense images of this file stand in its place: matrices, units, the screen's gradient added over calls."""
 
     def rasterization(
         *inputs: Any, near_plane: float, eps2d: float, packed: bool, backgrounds: torch.Tensor, rasterize_mode: str
@@ -509,7 +516,7 @@ def test_what_gsplat_is_given(monkeypatch: pytest.MonkeyPatch) -> None:
 
 @pytest.mark.skipif(not torch.cuda.is_available(), reason="no GPU")
 def test_draw_on_the_gpu() -> None:
-    """Opacities that no cap reaches. Pixels differ where an alpha next to 1/255 falls on the other side, and gradients with them."""
+    """Opacities that no cap reaches. Pixels and gradients differ where an alpha by 1/255 falls on the other side."""
     pytest.importorskip("gsplat", reason="the extra cuda")
     values = scene(500, 54, camera())
     values["opacity"] *= 0.95
@@ -592,7 +599,7 @@ def dense_ssim(x: torch.Tensor, y: torch.Tensor) -> torch.Tensor:
     noise=st.floats(0, 1),
 )
 def test_ssim(width: int, height: int, channels: int, seed: int, noise: float) -> None:
-    """Float32 variances, differences of squares of size one, are off by some 1e-7: 1e-4 of C2, and so much where all is flat."""
+    """Float32 variances, differences of squares of size one, are off by some 1e-7: 1e-4 of C2 where all is flat."""
     rng = np.random.default_rng(seed)
     x = rng.uniform(size=(height, width, channels)).astype(np.float32)
     y = ((1 - noise) * x + noise * rng.uniform(size=x.shape)).astype(np.float32)

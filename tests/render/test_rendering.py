@@ -11,22 +11,15 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from conformance.blocks import blocks
 from conformance.cases.scenes import random_scene
 from conformance.fuzz.strategies import render_infos
 from refcodec.bitstream.header import RenderInfo
 from refcodec.bitstream.reconstruction import Reconstruction, reconstruct
 from refcodec.bitstream.scene import Scene
-from refcodec.inspect import specification
 from refcodec.render.camera import Camera, default_camera, rotation_matrix
 from refcodec.render.gaussians import Gaussians, gaussians
 
 ROOT = Path(__file__).resolve().parents[2]
-
-
-@pytest.fixture(scope="module")
-def text() -> dict:
-    return blocks(specification.text())
 
 
 # Of the scenes: the distance that the networks have as 1.
@@ -48,7 +41,7 @@ def scene_of(seed: int, anchors: int = 60) -> tuple[Scene, Reconstruction, Camer
     return scene, values, Camera("c", 64, 48, 55.0, 54.0, 31.5, 25.0, rotation, rng.normal(0, 3, 3))
 
 
-def by_the_text(text: dict, scene: Scene, values: Reconstruction, camera: Camera) -> list[tuple]:
+def by_the_text(spec: dict, scene: Scene, values: Reconstruction, camera: Camera) -> list[tuple]:
     networks = {
         n: [(w.tolist(), b.tolist()) for w, b in scene.networks[n]] for n in ("opacity", "covariance", "colour")
     }
@@ -59,7 +52,7 @@ def by_the_text(text: dict, scene: Scene, values: Reconstruction, camera: Camera
             for name in ("positions", "features", "scalings", "offsets")
         )
         position, feature, scaling, offsets = row
-        found += text["GAUSSIANS"](
+        found += spec["GAUSSIANS"](
             networks,
             position,
             feature,
@@ -83,9 +76,9 @@ def compared(found: Gaussians, wanted: list[tuple], tolerance: float) -> None:
 
 @pytest.mark.requirement("G14.3-1")
 @pytest.mark.parametrize("seed", range(8))
-def test_gaussians_are_those_of_the_text(text: dict, seed: int) -> None:
+def test_gaussians_are_those_of_the_text(spec: dict, seed: int) -> None:
     scene, values, camera = scene_of(seed)
-    wanted = by_the_text(text, scene, values, camera)
+    wanted = by_the_text(spec, scene, values, camera)
     compared(gaussians(values, scene.masks, scene.networks, camera, UNIT, np.float64), wanted, 1e-12)
     # In binary32 those whose opacity is next to nothing may come and go.
     found = gaussians(values, scene.masks, scene.networks, camera, UNIT)
@@ -95,17 +88,17 @@ def test_gaussians_are_those_of_the_text(text: dict, seed: int) -> None:
         compared(found, wanted, 1e-4)
 
 
-def test_masked_offsets_and_negative_opacities_give_nothing(text: dict) -> None:
+def test_masked_offsets_and_negative_opacities_give_nothing(spec: dict) -> None:
     scene, values, camera = scene_of(9)
     found = gaussians(values, scene.masks, scene.networks, camera, UNIT)
     assert scene.masks[found.anchor, found.offset].all()
     assert (found.opacity > 0).all()
     nothing = replace(scene, masks=np.zeros_like(scene.masks))
     assert len(gaussians(values, nothing.masks, scene.networks, camera, UNIT).opacity) == 0
-    assert by_the_text(text, nothing, values, camera) == []
+    assert by_the_text(spec, nothing, values, camera) == []
 
 
-def test_an_anchor_in_the_camera_and_a_quaternion_of_nothing(text: dict) -> None:
+def test_an_anchor_in_the_camera_and_a_quaternion_of_nothing(spec: dict) -> None:
     """Direction zero at distance zero; an output of four zeros is no rotation."""
     scene, values, camera = scene_of(10, 1)
     for layers in (scene.networks["covariance"], scene.networks["opacity"]):
@@ -117,7 +110,7 @@ def test_an_anchor_in_the_camera_and_a_quaternion_of_nothing(text: dict) -> None
     camera = replace(camera, translation=-camera.rotation @ values.positions[0].astype(np.float64))
     found = gaussians(values, masks, scene.networks, camera, UNIT, np.float64)
     assert found.quaternion.tolist() == [[1, 0, 0, 0]] * len(found.opacity)
-    compared(found, by_the_text(text, replace(scene, masks=masks), values, camera), 1e-9)
+    compared(found, by_the_text(spec, replace(scene, masks=masks), values, camera), 1e-9)
 
 
 @given(render_infos())
@@ -129,37 +122,43 @@ def test_the_default_camera_of_any_file(info: RenderInfo) -> None:
 
 
 @given(st.integers(0, 2**32 - 1))
-def test_rotation_is_that_of_the_text(seed: int) -> None:
+def test_rotation_is_that_of_the_text(spec: dict, seed: int) -> None:
     quaternion = np.random.default_rng(seed).normal(size=(3, 4))
     quaternion /= np.linalg.norm(quaternion, axis=1, keepdims=True)
-    rotation = blocks(specification.text())["ROTATION"]
-    assert np.allclose(rotation_matrix(quaternion), [rotation(q) for q in quaternion.tolist()], atol=1e-15)
+    wanted = [spec["ROTATION"](q) for q in quaternion.tolist()]
+    assert np.allclose(rotation_matrix(quaternion), wanted, atol=1e-15)
 
 
 # --- images -----------------------------------------------------------------------------------------------------------
 
 
-def drawn_by_the_text(text: dict, found: Gaussians, camera: Camera, info: RenderInfo) -> np.ndarray:
+def drawn_by_the_text(spec: dict, found: Gaussians, camera: Camera, info: RenderInfo) -> np.ndarray:
     """An image by PROJECT and PIXEL."""
     stated = {
-        "rotation": camera.rotation.tolist(), "translation": camera.translation.tolist(), "focal": (camera.fx, camera.fy),
-        "principal_point": (camera.cx, camera.cy), "size": (camera.width, camera.height),
-    }  # fmt: skip
+        "rotation": camera.rotation.tolist(),
+        "translation": camera.translation.tolist(),
+        "focal": (camera.fx, camera.fy),
+        "principal_point": (camera.cx, camera.cy),
+        "size": (camera.width, camera.height),
+    }
     drawn = []
     for n in range(len(found.opacity)):
         shape = (getattr(found, name)[n].astype(np.float64).tolist() for name in ("mean", "lengths", "quaternion"))
-        projection = text["PROJECT"](*shape, stated, info.near_plane, info.low_pass)
+        projection = spec["PROJECT"](*shape, stated, info.near_plane, info.low_pass)
         if projection is not None:
             drawn.append((projection, float(found.opacity[n]), found.colour[n].tolist()))
     drawn.sort(key=lambda d: d[0][2])
     background = [b / 255 for b in info.background]
-    return np.array([
-        [text["PIXEL"](i + 0.5, j + 0.5, drawn, background, info.alpha_max) for i in range(camera.width)] for j in range(camera.height)
-    ])  # fmt: skip
+
+    def pixel(j: int, i: int) -> list[float]:
+        found: list[float] = spec["PIXEL"](i + 0.5, j + 0.5, drawn, background, info.alpha_max)
+        return found
+
+    return np.array([[pixel(j, i) for i in range(camera.width)] for j in range(camera.height)])
 
 
 def cloud(seed: int, count: int, spread: float = 1.0) -> Gaussians:
-    """Gaussians of all sizes around a point in front of a camera at the origin; some behind it, some beside the image."""
+    """Gaussians of all sizes around a point before a camera at the origin; some behind it, some beside the image."""
     rng = np.random.default_rng(seed)
     quaternion = rng.normal(size=(count, 4))
     return Gaussians(
@@ -180,11 +179,11 @@ VIEW = Camera("view", 37, 21, 30.0, 28.0, 17.0, 11.5, np.eye(3), np.zeros(3))
 @pytest.mark.parametrize(
     ("seed", "count", "spread"), [(0, 0, 1.0), (1, 1, 0.1), (2, 30, 0.5), (3, 80, 1.5), (4, 60, 6.0)]
 )
-def test_images_are_those_of_the_text(text: dict, seed: int, count: int, spread: float) -> None:
+def test_images_are_those_of_the_text(spec: dict, seed: int, count: int, spread: float) -> None:
     rasterise = pytest.importorskip("refcodec.render.rasterise", reason="images need the packages of the extra render")
     info = RenderInfo(background=(10, 200, 90))
     found = cloud(seed, count, spread)
-    wanted = drawn_by_the_text(text, found, VIEW, info)
+    wanted = drawn_by_the_text(spec, found, VIEW, info)
     made = rasterise.image(found, VIEW, info)
     assert made.shape == (21, 37, 3)
     assert made.dtype == np.float32
@@ -193,38 +192,38 @@ def test_images_are_those_of_the_text(text: dict, seed: int, count: int, spread:
     assert np.abs(made - wanted).max() < 5e-3
 
 
-def test_equal_depths_keep_their_order(text: dict) -> None:
+def test_equal_depths_keep_their_order(spec: dict) -> None:
     rasterise = pytest.importorskip("refcodec.render.rasterise", reason="images need the packages of the extra render")
     found = cloud(5, 12, 0.2)
     found.mean[:, 2] = 3
     made = rasterise.image(found, VIEW, RenderInfo())
-    assert np.allclose(made, drawn_by_the_text(text, found, VIEW, RenderInfo()), atol=1e-5)
+    assert np.allclose(made, drawn_by_the_text(spec, found, VIEW, RenderInfo()), atol=1e-5)
 
 
 @pytest.mark.parametrize("alpha_max", [1.0, 0.5, 0.0039215689, 0.003, 1e-30])
-def test_any_largest_alpha(text: dict, alpha_max: float) -> None:
+def test_any_largest_alpha(spec: dict, alpha_max: float) -> None:
     """1: an opaque Gaussian finishes a pixel and is not in it; below 1/255 nothing counts."""
     rasterise = pytest.importorskip("refcodec.render.rasterise", reason="images need the packages of the extra render")
     info, found = RenderInfo(alpha_max=alpha_max, background=(10, 200, 90)), cloud(8, 40, 0.5)
     found.opacity[:] = 1
     made = rasterise.image(found, VIEW, info)
-    assert np.abs(made - drawn_by_the_text(text, found, VIEW, info)).max() < 5e-3
+    assert np.abs(made - drawn_by_the_text(spec, found, VIEW, info)).max() < 5e-3
     assert (made == made[0, 0]).all() == (alpha_max < 1 / 255)
 
 
 @pytest.mark.parametrize("angle", [1e-8, -1e-8])
-def test_depths_that_binary32_does_not_tell_apart(text: dict, angle: float) -> None:
+def test_depths_that_binary32_does_not_tell_apart(spec: dict, angle: float) -> None:
     rasterise = pytest.importorskip("refcodec.render.rasterise", reason="images need the packages of the extra render")
     found = cloud(9, 30, 0.3)
     found.mean[:, 2] = 3
     camera = replace(VIEW, rotation=np.array([[1, 0, -angle], [0, 1, 0], [angle, 0, 1]]))
     made = rasterise.image(found, camera, RenderInfo())
-    assert np.allclose(made, drawn_by_the_text(text, found, camera, RenderInfo()), atol=1e-5)
+    assert np.allclose(made, drawn_by_the_text(spec, found, camera, RenderInfo()), atol=1e-5)
 
 
 @pytest.mark.parametrize("size", [1e3, 1e6, 1e9, 1e15, 1e18])
-def test_long_and_far(text: dict, size: float) -> None:
-    """Needles whose centres are far outside the image and that reach into it, and Gaussians that hardly change over it."""
+def test_long_and_far(spec: dict, size: float) -> None:
+    """Needles that reach into the image from far outside, and Gaussians that hardly change over it."""
     rasterise = pytest.importorskip("refcodec.render.rasterise", reason="images need the packages of the extra render")
     found = cloud(10, 6, 0.3)
     found.mean[:, 0], found.mean[:3, 1], found.mean[:, 2] = size * np.array([-1, 1, -0.5, 1, -2, 0.3]), 0.1, 3
@@ -235,12 +234,12 @@ def test_long_and_far(text: dict, size: float) -> None:
     info = RenderInfo(background=(10, 200, 90))
     made = rasterise.image(found, VIEW, info)
     assert (made != made[0, 0]).any()
-    assert np.allclose(made, drawn_by_the_text(text, found, VIEW, info), atol=1e-4)
+    assert np.allclose(made, drawn_by_the_text(spec, found, VIEW, info), atol=1e-4)
 
 
 @pytest.mark.parametrize("seed", range(12))
-def test_any_sizes(text: dict, seed: int) -> None:
-    """Against the text with 60 digits: binary64 does not hold its d of a needle. Bound: what float32 makes of a pixel."""
+def test_any_sizes(spec: dict, seed: int) -> None:
+    """The text with 60 digits: binary64 does not hold its d of a needle. Bound: what float32 makes of a pixel."""
     rasterise = pytest.importorskip("refcodec.render.rasterise", reason="images need the packages of the extra render")
     rng = np.random.default_rng(seed)
     found, q = cloud(seed, 6), rng.normal(size=4)
@@ -256,7 +255,7 @@ def test_any_sizes(text: dict, seed: int) -> None:
             "principal_point": (5, 3.5), "size": (11, 7),
         }  # fmt: skip
         shapes = zip(mp(found.mean).tolist(), mp(found.lengths).tolist(), quaternion, strict=True)
-        projected = [text["PROJECT"](*shape, stated, info.near_plane, info.low_pass) for shape in shapes]
+        projected = [spec["PROJECT"](*shape, stated, info.near_plane, info.low_pass) for shape in shapes]
         drawn = [
             (p, o, c)
             for p, o, c in zip(projected, found.opacity.tolist(), found.colour.tolist(), strict=True)
@@ -264,31 +263,30 @@ def test_any_sizes(text: dict, seed: int) -> None:
         ]
         drawn.sort(key=lambda d: d[0][2])
         rest = (drawn, [b / 255 for b in info.background], info.alpha_max)
-        wanted = np.array([[text["PIXEL"](i + 0.5, j + 0.5, *rest) for i in range(11)] for j in range(7)]).astype(float)
+        wanted = np.array([[spec["PIXEL"](i + 0.5, j + 0.5, *rest) for i in range(11)] for j in range(7)]).astype(float)
     assert np.abs(rasterise.image(found, camera, info) - wanted).max() < 1e-5
 
 
 @pytest.mark.parametrize("low_pass", [0.0, 1e-20, 1e20, 3e38])
-def test_any_low_pass(text: dict, low_pass: float) -> None:
+def test_any_low_pass(spec: dict, low_pass: float) -> None:
     rasterise = pytest.importorskip("refcodec.render.rasterise", reason="images need the packages of the extra render")
     info, found = RenderInfo(low_pass=low_pass, background=(10, 200, 90)), cloud(11, 20, 0.5)
     found.lengths[:] = np.maximum(found.lengths, 0.01)
     made = rasterise.image(found, VIEW, info)
-    assert np.abs(made - drawn_by_the_text(text, found, VIEW, info)).max() < 5e-3
+    assert np.abs(made - drawn_by_the_text(spec, found, VIEW, info)).max() < 5e-3
 
 
 def test_images_do_not_depend_on_threads() -> None:
     rasterise = pytest.importorskip("refcodec.render.rasterise", reason="images need the packages of the extra render")
     numba = pytest.importorskip("numba")
     found, camera = cloud(6, 500, 2.0), VIEW.resized(200, 120)
-    before = numba.get_num_threads()
+    images = []
     try:
-        images = []
-        for threads in (1, before):
+        for threads in (1, 2):
             numba.set_num_threads(threads)
             images.append(rasterise.image(found, camera, RenderInfo()).tobytes())
     finally:
-        numba.set_num_threads(before)
+        numba.set_num_threads(2)
     assert images[0] == images[1]
 
 

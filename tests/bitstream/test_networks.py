@@ -1,0 +1,278 @@
+"""Integer networks (SPEC.md 7.2): rows and outputs are those of the text, in float32 and in int64, up to the bound."""
+
+from __future__ import annotations
+
+import math
+import random
+from typing import Any
+
+import numpy as np
+import pytest
+from conformance.cases.random_scenes import MAIN_DIMENSIONS, TINY_DIMENSIONS, random_networks
+from hypothesis import example, given, settings
+from hypothesis import strategies as st
+
+from refcodec.bitstream import networks
+from refcodec.bitstream.networks import ACCUMULATOR_BOUND, BoundError, IntLayer, IntNetwork, derive_layer
+
+Spec = dict[str, Any]
+Row = tuple[list[float], float]
+
+
+# --- rows -------------------------------------------------------------------------------------------------------------
+
+MAGNITUDES = st.one_of(
+    st.floats(-2, 2, width=32),
+    st.floats(-2000, 2000, width=32),
+    st.floats(width=32, allow_nan=False, allow_infinity=False),
+    st.integers(-1024, 1024).map(lambda n: n + 0.5),
+    # Ties of the rounding at some exponent, and their neighbours.
+    st.builds(lambda k, e: math.ldexp(2 * k + 1, -e - 1), st.integers(-1100, 1100), st.integers(0, 20)),
+    st.sampled_from(
+        [0.0, -0.0, 2.0**-149, -(2.0**-149), 2.0**-126, 1023.0, 1023.5, -1023.5, -1024.0, 1022.9999389648438]
+    ),
+)
+BIASES = st.one_of(
+    MAGNITUDES,
+    st.floats(-(2.0**25), 2.0**25, width=32),
+    st.sampled_from([16777215.0, 16777214.0, -16777215.0, 16777216.0]),
+)
+
+
+def layers(fan_in: st.SearchStrategy[int], rows: int) -> st.SearchStrategy[list[Row]]:
+    """Up to so many rows of one length."""
+    return fan_in.flatmap(
+        lambda n: st.lists(st.tuples(st.lists(MAGNITUDES, min_size=n, max_size=n), BIASES), min_size=1, max_size=rows)
+    )
+
+
+@pytest.mark.requirement("D7.2-1")
+@settings(max_examples=120)
+@given(st.one_of(layers(st.integers(1, 6), 4), layers(st.integers(1, 128), 1)))
+@example([([1023.0], 0.0)])
+@example([([1023.5], 0.0)])
+@example([([-1023.5], 0.0)])
+@example([([0.0], 16777215.0)])
+@example([([0.0], 16777216.0)])
+@example([([0.0] * 128, float(2**24 - 1))])
+@example([([128.0] * 128, 0.0)])
+@example([([128.0] * 128, float(2**24 - 128 * 128 * 1023 - 1))])
+@example([([128.0] * 128, float(2**24 - 128 * 128 * 1023))])
+@example([([0.5, -0.5, 1.5, -1.5], -0.5)])
+@example([([1e-45] * 3, -1e-45)])
+@example([([3.4e38], 1.0)])
+@example([([0.0, -0.0], 0.0)])
+@example([([2.0**-149, -(2.0**-149)], -(2.0**-149))])
+@example([([0.5, -0.5], 0.5)])
+@example([([1.0], 0.0), ([3e38], 0.0)])
+# The rounding term alone takes this row from exponent 20 to 19.
+@example([([0.0], 15.75)])
+def test_derived_rows(spec: Spec, rows: list[Row]) -> None:
+    """Those of exact arithmetic; no input and no order of summation takes one past 2^24."""
+    weight = np.array([w for w, _ in rows], dtype=np.float32)
+    bias = np.array([b for _, b in rows], dtype=np.float32)
+    wanted = [spec["DERIVE_ROW"](w, b) for w, b in zip(weight.tolist(), bias.tolist(), strict=True)]
+    if None in wanted:
+        with pytest.raises(BoundError) as caught:
+            derive_layer(weight, bias)
+        assert caught.value.row == wanted.index(None)
+        return
+    layer = derive_layer(weight, bias)
+    assert rows_of(layer) == wanted
+    for w, b, e in wanted:
+        # Every partial sum is at most the sum of magnitudes at the extreme inputs, with bias and rounding term.
+        assert sum(map(abs, w)) * 1023 + abs(b) + ((1 << e) >> 1) < 1 << 24
+
+
+def rows_of(layer: IntLayer) -> list[tuple[list[int], int, int]]:
+    """A layer as the blocks take it."""
+    return list(zip(layer.weight.tolist(), layer.bias.tolist(), layer.exponent.tolist(), strict=True))
+
+
+@pytest.mark.parametrize("value", [1023.5, -1024.0, 1e9, 3.4e38])
+def test_a_weight_past_its_limit_is_refused(value: float) -> None:
+    weight = np.zeros((3, 2), np.float32)
+    weight[1, 1] = value
+    with pytest.raises(BoundError) as caught:
+        derive_layer(weight, np.zeros(3, np.float32))
+    assert caught.value.row == 1
+
+
+@pytest.mark.parametrize(("fan_in", "bias", "accepted"), [(16, 33023.0, True), (16, 33024.0, False), (17, 0.0, False)])
+def test_the_bound_itself(fan_in: int, bias: float, accepted: bool) -> None:
+    """16 weights of 1023 take 16,744,464 of 16,777,215, which leaves 32,751 for the bias; one more breaks the bound."""
+    assert ACCUMULATOR_BOUND - 1 - 16 * 1023 * 1023 == 32751
+    weight = np.full((1, fan_in), 1023, np.float32)
+    biases = np.array([bias - 272 if fan_in == 16 else bias], np.float32)
+    if accepted:
+        layer = derive_layer(weight, biases)
+        assert (int(layer.bias[0]), int(layer.exponent[0])) == (32751, 0)
+    else:
+        with pytest.raises(BoundError):
+            derive_layer(weight, biases)
+
+
+def test_derive_networks_names_the_layer_of_a_broken_row() -> None:
+    nets = random_networks(TINY_DIMENSIONS, np.random.default_rng(0))
+    nets["carm.1"][1][0][2, 0] = 2000
+    with pytest.raises(BoundError) as caught:
+        networks.derive_networks(nets)
+    assert (caught.value.layer, caught.value.row) == ("carm.1.1", 2)
+
+
+# --- at the bound -----------------------------------------------------------------------------------------------------
+
+
+def largest_scale(w: np.ndarray) -> float:
+    """The largest scale at which a row is accepted, to the last bit of the search."""
+    low, high = 0.0, 1e9
+    for _ in range(26):
+        middle = (low + high) / 2
+        try:
+            derive_layer((w * middle).astype(np.float32)[None], np.zeros(1, np.float32))
+            low = middle
+        except BoundError:
+            high = middle
+    return low
+
+
+@pytest.fixture(scope="module")
+def at_the_bound(spec: Spec) -> list[IntLayer]:
+    """Layers whose rows stand at the bound of a sum: few large weights, many small ones, a large bias, mixed signs."""
+    rng = np.random.default_rng(7)
+    found = []
+    for fan_in in (1, 4, 16, 36, 100, 128):
+        rows, biases = [], []
+        for kind in range(12):
+            w = rng.normal(0, 1, fan_in) if kind % 3 else rng.choice([-1.0, 1.0], fan_in)
+            w *= [1.0, 1e-3, 30.0, 1e-6][kind % 4]
+            row = (w * largest_scale(w)).astype(np.float32)
+            integers, _, e = spec["DERIVE_ROW"](row.tolist(), 0.0)
+            left = ACCUMULATOR_BOUND - 1 - 1023 * sum(map(abs, integers)) - (1 << e) // 2
+            bias = float(np.float32(min(left, (1 << 24) - 1) >> e)) * (-1) ** kind
+            rows.append(row)
+            biases.append(bias if spec["DERIVE_ROW"](row.tolist(), bias) else 0.0)
+        found.append(derive_layer(np.array(rows, np.float32), np.array(biases, np.float32)))
+    return found
+
+
+def test_no_sum_can_pass_the_bound(at_the_bound: list[IntLayer]) -> None:
+    nearest = 0
+    for layer in at_the_bound:
+        for w, b, e in rows_of(layer):
+            half = (1 << e) // 2
+            worst = 1023 * sum(map(abs, w)) + abs(b) + half
+            assert worst < ACCUMULATOR_BOUND
+            nearest = max(nearest, worst)
+            # The largest and the smallest sum that any input can give.
+            for sign in (1, -1):
+                assert abs(sign * 1023 * sum(map(abs, w)) + b + half) <= worst
+    assert nearest > ACCUMULATOR_BOUND - 2048, "the layers do come close to the bound"
+
+
+def test_float32_sums_are_exact_in_any_order(at_the_bound: list[IntLayer]) -> None:
+    shuffle = random.Random(3)
+    for layer in at_the_bound:
+        for w, b, e in zip(layer.weight, layer.bias, layer.exponent, strict=True):
+            for sign in (1, -1):
+                terms = [*(w * (sign * 1023 * np.where(w < 0, -1, 1))).tolist(), int(b), (1 << int(e)) // 2]
+                for _ in range(3):
+                    shuffle.shuffle(terms)
+                    partial = np.cumsum(np.array(terms, np.float32), dtype=np.float32)
+                    assert partial.tolist() == np.cumsum(terms).tolist()
+
+
+@pytest.mark.parametrize("exact_float", [True, False])
+def test_networks_at_the_bound(spec: Spec, at_the_bound: list[IntLayer], exact_float: bool) -> None:
+    rng = np.random.default_rng(5)
+    for layer in at_the_bound:
+        inputs = rng.integers(-1023, 1024, (30, layer.weight.shape[1]))
+        inputs[: len(layer.weight)] = 1023 * np.where(layer.weight < 0, -1, 1)
+        inputs[12:24] = -inputs[:12]
+        found = IntNetwork([layer], exact_float)(inputs)
+        assert found.tolist() == [spec["NETWORK"]([rows_of(layer)], row) for row in inputs.tolist()]
+
+
+# --- outputs ----------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.requirement("D7.2-2")
+@pytest.mark.parametrize("exact_float", [True, False])
+@pytest.mark.parametrize("name", ["hyper", "sarm", "carm.1", "carm.3"])
+@pytest.mark.parametrize("gain", [0.01, 1.0, 4.0])
+def test_networks_are_those_of_the_text(spec: Spec, name: str, exact_float: bool, gain: float) -> None:
+    layers = random_networks(MAIN_DIMENSIONS, np.random.default_rng(4), gain)[name]
+    stated = [
+        [spec["DERIVE_ROW"](w, b) for w, b in zip(weight.tolist(), bias.tolist(), strict=True)]
+        for weight, bias in layers
+    ]
+    inputs = np.random.default_rng(1).integers(-1023, 1024, (9, layers[0][0].shape[1]))
+    inputs[0], inputs[1], inputs[2] = 1023, -1023, 0
+    found = IntNetwork([derive_layer(*layer) for layer in layers], exact_float)(inputs)
+    assert found.tolist() == [spec["NETWORK"](stated, row) for row in inputs.tolist()]
+
+
+@pytest.mark.parametrize("exact_float", [True, False])
+@pytest.mark.parametrize("block_rows", [1, 7, 4096])
+def test_a_row_does_not_depend_on_its_place(exact_float: bool, block_rows: int) -> None:
+    rng = np.random.default_rng(2)
+    layers = [derive_layer(*layer) for layer in random_networks(MAIN_DIMENSIONS, rng)["hyper"]]
+    inputs = rng.integers(-1023, 1024, (260, layers[0].weight.shape[1]))
+    network = IntNetwork(layers, exact_float, block_rows)
+    whole = IntNetwork(layers)(inputs)
+    order = rng.permutation(len(inputs))
+    assert np.array_equal(network(inputs[order]), whole[order])
+    assert np.array_equal(network(inputs[5:6]), whole[5:6])
+    assert np.array_equal(network(np.asfortranarray(inputs)), whole)
+    assert network(inputs[:0]).shape == (0, whole.shape[1])
+
+
+@pytest.mark.requirement("D7.2-2")
+@given(st.integers(0, 2**32 - 1), st.integers(1, 128), st.integers(1, 40), st.sampled_from(["random", "worst"]))
+def test_float32_equals_int64(seed: int, fan_in: int, rows: int, kind: str) -> None:
+    """At the bound, with inputs that reach it, in any order of the inputs, in any order of the rows."""
+    rng = np.random.default_rng(seed)
+    limit = min(1023, ((1 << 24) - 1) // (1023 * fan_in))
+    out = 5
+    weight = (
+        rng.integers(-limit, limit + 1, (out, fan_in))
+        if kind == "random"
+        else limit * rng.choice([-1, 1], (out, fan_in))
+    )
+    layers = [derive_layer(weight.astype(np.float32), np.zeros(out, np.float32))]
+    inputs = rng.integers(-1023, 1024, (rows, fan_in))
+    inputs[0] = 1023 * np.sign(weight[0])
+    wanted = IntNetwork(layers, exact_float=False)(inputs)
+    assert np.array_equal(IntNetwork(layers, exact_float=True)(inputs), wanted)
+    assert np.array_equal(IntNetwork(layers, exact_float=True, block_rows=3)(inputs), wanted)
+    order, columns = rng.permutation(rows), rng.permutation(fan_in)
+    assert np.array_equal(IntNetwork(layers, exact_float=True)(inputs[order]), wanted[order])
+    turned = [IntLayer(layers[0].weight[:, columns], layers[0].bias, layers[0].exponent)]
+    assert np.array_equal(IntNetwork(turned, exact_float=True)(inputs[:, columns]), wanted)
+
+
+def test_the_self_test_sees_a_reduced_precision(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A product that rounds its inputs to bfloat16 fails the self-test; this machine's product passes it."""
+    assert networks.float32_is_exact()
+
+    class Rounded(np.ndarray):
+        def __matmul__(self, other: np.ndarray) -> np.ndarray:
+            cut = [(np.asarray(a).view(np.uint32) & np.uint32(0xFFFF0000)).view(np.float32) for a in (self, other)]
+            return cut[0] @ cut[1]
+
+    kept = np.random.Generator.integers
+
+    class Generator:
+        def __init__(self, bits: object) -> None:
+            self.inner = np.random.default_rng(0)
+
+        def integers(self, low: int, high: int, shape: tuple) -> np.ndarray:
+            class Wrapped(np.ndarray):
+                def astype(self, dtype: object, *a: object, **k: object) -> np.ndarray:
+                    cast = np.asarray(self).astype(dtype)
+                    return cast.view(Rounded) if dtype is np.float32 else cast
+
+            return kept(self.inner, low, high, shape).view(Wrapped)
+
+    monkeypatch.setattr(np.random, "Generator", Generator)
+    assert not networks.float32_is_exact.__wrapped__()
