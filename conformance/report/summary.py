@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import os
 import re
+import shlex
 from collections.abc import Iterator, Sequence
+from pathlib import Path
 from typing import Any
 
 from ..runner.grading import GRADES
@@ -26,8 +29,13 @@ def most_telling(vectors: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
     return sorted(bad, key=lambda v: len(v["requirements"]))
 
 
-def lines(record: dict[str, Any]) -> Iterator[str]:
-    """What a person wants to know first: what failed, where, and the verdict."""
+def lines(record: dict[str, Any], suite: Path) -> Iterator[str]:
+    """What a person wants to know first: what failed, where, and the verdict.
+
+    Args:
+        record: what `record.build` made.
+        suite: the folder of the vectors, for the commands that are printed.
+    """
     bad = most_telling(record["vectors"])
     for v in bad[:_SHOWN]:
         yield f"{v['status'].upper()} {v['id']}: {v['text']}"
@@ -36,7 +44,8 @@ def lines(record: dict[str, Any]) -> Iterator[str]:
             yield from (f"    stderr: {line[:_WIDTH]}" for line in v["stderr"].splitlines()[-_STDERR_LINES:])
         anchor = _ANCHOR.search("\n".join(v["divergence"]))
         form = f"--anchor {anchor.group(1)}" if anchor else "--hex"
-        yield f"    {v['title']}; read {', '.join(v['clauses'])}; refcodec inspect vectors/{v['input']} {form}"
+        look = shlex.join(["refcodec", "inspect", os.path.relpath(suite / v["input"])])
+        yield f"    {v['title']}; read {', '.join(v['clauses'])}; {look} {form}"
     if len(bad) > _SHOWN:
         yield f"... and {len(bad) - _SHOWN} more, which --report shows"
     if bad:

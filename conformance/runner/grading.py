@@ -14,8 +14,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from refcodec import statuses
 from refcodec.bitstream.errors import REGISTRY
-from refcodec.cli import statuses
 
 from ..manifest import Accepted, GaussiansOf, Manifest, Rejected, Vector
 from .gaussians import difference

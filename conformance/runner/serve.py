@@ -16,7 +16,7 @@ import tempfile
 from collections.abc import Callable
 from typing import Any
 
-from refcodec.cli import statuses
+from refcodec import statuses
 
 
 def _refcodec() -> Callable[[list[str]], int]:

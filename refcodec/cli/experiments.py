@@ -9,7 +9,7 @@ import argparse
 from pathlib import Path
 from typing import Any
 
-from . import statuses
+from .. import statuses
 from .shared import RENDER_PACKAGES, UsageError, add_command, needs, note, positive, rate, seed
 
 

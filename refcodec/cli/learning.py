@@ -10,7 +10,7 @@ import os
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from . import statuses
+from .. import statuses
 from .shared import (
     UsageError,
     add_command,

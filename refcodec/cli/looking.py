@@ -10,8 +10,8 @@ import contextlib
 import sys
 from typing import TYPE_CHECKING, Any
 
+from .. import statuses
 from ..bitstream.errors import BitstreamError
-from . import statuses
 from .shared import UsageError, add_command, parse_file, read_file, reject
 
 if TYPE_CHECKING:

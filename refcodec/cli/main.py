@@ -7,9 +7,9 @@ import os
 import sys
 from typing import NoReturn
 
-from .. import __version__
+from .. import __version__, statuses
 from ..bitstream.errors import BitstreamError
-from . import coding, drawing, experiments, learning, looking, statuses
+from . import coding, drawing, experiments, learning, looking
 from .shared import EXITS, UsageError, note, reject
 
 

@@ -24,12 +24,12 @@ from conformance.fuzz.strategies import draw_fault, drawable
 from conformance.independent import __main__ as second_main
 from conformance.independent import conventions, limits
 from conformance.independent import errors as second_errors
+from refcodec import statuses
 from refcodec.bitstream import codec, directory, reconstruction
 from refcodec.bitstream.dimensions import Dimensions
 from refcodec.bitstream.errors import REGISTRY, BitstreamError
 from refcodec.bitstream.header import Lanes
 from refcodec.bitstream.limits import PROFILES, Profile
-from refcodec.cli import statuses
 from refcodec.encoder.positions import position_model
 from refcodec.encoder.weights import pack_weights
 

@@ -16,7 +16,7 @@ from conformance.mutants import handwritten, loading, operators, record, selftes
 from conformance.mutants.equivalent import PROOFS
 from conformance.mutants.mutant import MODULES, Mutant, text_of
 from conformance.mutants.trial import Case, Grade, Outcome, grade
-from refcodec.cli import statuses
+from refcodec import statuses
 
 ROOT = Path(__file__).resolve().parents[2]
 SUITE = load(VECTORS / "manifest.json")

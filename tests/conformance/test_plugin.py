@@ -19,9 +19,9 @@ from test_independent import faulty
 from conformance import cli
 from conformance.manifest import VECTORS, load
 from conformance.runner.selection import select
+from refcodec import statuses
 from refcodec.bitstream import tables
 from refcodec.bitstream.errors import REGISTRY
-from refcodec.cli import statuses
 
 ROOT = Path(__file__).resolve().parents[2]
 PLUGIN = ROOT / "examples" / "plugin-js"

@@ -24,14 +24,15 @@ import pytest
 from conformance import cli
 from conformance.cases.checksums import repair
 from conformance.cases.target import Target
+from conformance.cli import running
 from conformance.manifest import MANIFEST, SCHEMA, VECTORS, load
 from conformance.report import summary
-from conformance.runner import commands, fluster, process
+from conformance.runner import fluster, process
 from conformance.runner import run as runner
+from refcodec import statuses
 from refcodec.bitstream import codec
 from refcodec.bitstream.errors import REGISTRY, BitstreamError
 from refcodec.bitstream.reconstruction import canonical_head, canonical_parts, digest
-from refcodec.cli import statuses
 from refcodec.inspect.trace import symbol_trace
 
 FAKE = Path(__file__).with_name("fake_decoder.py")
@@ -612,23 +613,24 @@ def test_the_anchor_of_a_divergence_is_named(suite: Suite, tmp_path: Path) -> No
         ([], "--hex"),
     ):
         record["vectors"] = [{**vector, "divergence": lines}]
-        assert [line for line in summary.lines(record) if line.endswith(form)]
+        path = os.path.relpath(suite.folder / vector["input"])
+        wanted = f"refcodec inspect {shlex.join([path])} {form}"
+        assert [line for line in summary.lines(record, suite.folder) if line.endswith(wanted)]
 
 
-def test_a_missing_package_is_told(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
-    def missing(*_: object) -> None:
-        raise ModuleNotFoundError(name="jsonschema")
-
-    monkeypatch.setattr(cli, "_parser", missing)
-    assert cli.main([]) == statuses.USAGE
-    assert "jsonschema is not installed: pip install" in capsys.readouterr().err
+def test_a_missing_package_is_told(suite: Suite) -> None:
+    program = "import sys; sys.modules['jsonschema'] = None; from conformance.cli import main; sys.exit(main())"
+    done = subprocess.run([sys.executable, "-c", program, "run"], capture_output=True, text=True, cwd=ROOT, check=False)
+    assert done.returncode == statuses.USAGE
+    assert done.stderr.startswith("conformance: jsonschema is not installed: pip install")
+    assert done.stderr.count("\n") == 1
 
 
 def test_a_fault_of_our_own(suite: Suite, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
     def broken(*_: object) -> None:
         raise ZeroDivisionError("a bug\nin two lines")
 
-    monkeypatch.setattr(commands, "select", broken)
+    monkeypatch.setattr(running, "select", broken)
     monkeypatch.delenv("REFCODEC_DEBUG", raising=False)
     assert suite.run("right") == statuses.FAULT
     err = capsys.readouterr().err

@@ -8,7 +8,7 @@ import pytest
 
 from conformance import cli
 from conformance.manifest import VECTORS, load
-from refcodec.cli import statuses
+from refcodec import statuses
 
 # test_vectors has the second decoder decode the others.
 LONG = [v.id for v in load().vectors if v.operation == "decode" and v.budget.seconds > 10]

@@ -1,25 +1,28 @@
-"""The commands of the runner, and their exit statuses."""
+"""The commands that test a decoder: `run` and `verify-report`."""
 
 from __future__ import annotations
 
 import argparse
 import datetime
 import json
+import os
 import shlex
 import sys
 import time
-from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from refcodec.cli import statuses
+from refcodec import statuses
 
-from ..manifest import MANIFEST, Manifest, ManifestError, load
+from ..manifest import Manifest, ManifestError
 from ..report import record as records
-from . import process
-from .grading import GRADE_CLASS, GRADE_EXACT
-from .run import Options, Run, run, wrong_hashes
-from .selection import SelectionError, select
+from ..report import summary
+from ..runner import selection
+from ..runner.grading import GRADE_CLASS, GRADE_EXACT
+from ..runner.run import Options, Run, run
+from ..runner.selection import select
+from .errors import UsageError, note
+from .shared import add_vectors, check_files, check_template, positive, suite
 
 STATUSES = f"""exit status: {statuses.DONE} every selected vector as it must be;
 {statuses.REJECTED} the decoder is wrong somewhere, or a known failure passes;
@@ -27,30 +30,6 @@ STATUSES = f"""exit status: {statuses.DONE} every selected vector as it must be;
 {statuses.NOTHING} no vector was selected, or all were skipped;
 {statuses.USAGE} wrong usage, or a file or folder that cannot be read or written;
 {statuses.FAULT} a fault of this program; {statuses.INTERRUPTED} interrupted"""
-
-
-class UsageError(Exception):
-    """Arguments that do not make sense."""
-
-
-def _note(text: str) -> None:
-    print(f"conformance: {text}", file=sys.stderr)
-
-
-def _check_files(manifest: Manifest, text: str) -> None:
-    wrong = wrong_hashes(manifest)
-    if wrong:
-        raise ManifestError("\n".join([text, *wrong]))
-
-
-def _suite(folder: Path) -> Manifest:
-    """The manifest of a folder whose files are all there and right. Raises ManifestError."""
-    try:
-        manifest = load(folder / MANIFEST)
-    except OSError as error:
-        raise ManifestError(f"{error.filename}: {error.strerror}") from None
-    _check_files(manifest, "the suite is damaged, nothing was run:")
-    return manifest
 
 
 def _options(arguments: argparse.Namespace) -> Options:
@@ -65,14 +44,6 @@ def _options(arguments: argparse.Namespace) -> Options:
     return Options(
         command, gaussians, arguments.jobs, arguments.grade, arguments.slow, arguments.trace, arguments.serve
     )
-
-
-def check_template(command: Sequence[str], names: Sequence[str]) -> None:
-    """Raises UsageError for a command without one of the places, and CommandError for a program that is not there."""
-    missing = [f"{{{name}}}" for name in names if not any(f"{{{name}}}" in word for word in command)]
-    if not command or missing:
-        raise UsageError(f"the command needs {' and '.join(missing)}: {shlex.join(command)}")
-    process.check_command(command)
 
 
 def _known(path: Path | None, manifest: Manifest) -> list[str]:
@@ -97,39 +68,28 @@ def _write(folder: Path, record: dict[str, Any]) -> None:
     (folder / "report.html").write_text(page.document(record), encoding="utf-8")
 
 
-def status_of(error: Exception) -> int | None:
-    """The exit status of an error that the caller can put right, None for any other one."""
-    if isinstance(error, ManifestError):
-        return statuses.DAMAGED_SUITE
-    if isinstance(error, OSError | UsageError | SelectionError | process.CommandError | records.RecordError):
-        return statuses.USAGE
-    return None
-
-
 def run_command(arguments: argparse.Namespace) -> int:
     """`conformance run`; returns its exit status. Raises what `status_of` knows."""
-    from ..report import summary  # noqa: PLC0415
-
-    manifest = _suite(arguments.vectors)
+    manifest = suite(arguments.vectors)
     options = _options(arguments)
     vectors = select(manifest.vectors, arguments.select)
     known = _known(arguments.known_failures, manifest)
     description = records.describe(arguments.describe, options.command)
     if not vectors:
-        _note(f"no vector is selected: {' | '.join(arguments.select)}")
+        note(f"no vector is selected: {' | '.join(arguments.select)}")
         return statuses.NOTHING
     if arguments.report:
         # A report that cannot be written is told before the work.
         arguments.report.mkdir(parents=True, exist_ok=True)
     started, began = datetime.datetime.now(datetime.UTC).isoformat(timespec="seconds"), time.monotonic()
     done = run(manifest, vectors, options, known, show=sys.stderr.isatty())
-    _check_files(manifest, "the suite was changed while the decoder ran, so no verdict:")
+    check_files(manifest, "the suite was changed while the decoder ran, so no verdict:")
     about = records.About(description, tuple(arguments.select), started, time.monotonic() - began)
     record = records.build(manifest, options, about, done)
     records.check(record)
     if arguments.report:
         _write(arguments.report, record)
-    for line in summary.lines(record):
+    for line in summary.lines(record, arguments.vectors):
         print(line)
     if arguments.report:
         print(f"report: {arguments.report / 'report.html'}")
@@ -163,7 +123,7 @@ def _differences(old: dict[str, Any], new: dict[str, Any]) -> list[str]:
 def verify_report(arguments: argparse.Namespace) -> int:
     """`conformance verify-report`; returns its exit status. Raises what `status_of` knows."""
     old = records.load(arguments.report)
-    manifest = _suite(arguments.vectors)
+    manifest = suite(arguments.vectors)
     if old["suite"]["manifest_sha256"] != records.manifest_digest(manifest):
         raise ManifestError(
             f"{arguments.report} is of another suite, {old['suite']['version']}, whose manifest has another SHA-256"
@@ -177,11 +137,11 @@ def verify_report(arguments: argparse.Namespace) -> int:
     if len(set(names)) != len(names) or not set(names) <= set(by_id):
         raise records.RecordError(f"{arguments.report}: not the vectors of its suite, each once")
     if not names:
-        _note("the report has no vector")
+        note("the report has no vector")
         return statuses.NOTHING
     known = [v["id"] for v in old["vectors"] if v["status"] in ("known", "unexpected")]
     done = run(manifest, [by_id[name] for name in names], options, known, show=sys.stderr.isatty())
-    _check_files(manifest, "the suite was changed while the decoder ran, so no verdict:")
+    check_files(manifest, "the suite was changed while the decoder ran, so no verdict:")
     if done.interrupted:
         return statuses.INTERRUPTED
     description = old["decoder"]["description"]
@@ -195,32 +155,14 @@ def verify_report(arguments: argparse.Namespace) -> int:
     return statuses.REJECTED if wrong else statuses.DONE
 
 
-def export(arguments: argparse.Namespace) -> int:
-    """`conformance export`; returns its exit status. Raises what `status_of` knows."""
-    from . import fluster  # noqa: PLC0415
-
-    count = fluster.export(_suite(arguments.vectors), arguments.fluster)
-    print(f"{arguments.fluster}: {count} vectors; {arguments.fluster / fluster.README} says how to run them")
-    return statuses.DONE
+def _factor(text: str) -> float:
+    value = float(text)
+    if not 0 < value < 1e6:
+        raise argparse.ArgumentTypeError("must be above 0")
+    return value
 
 
-def check_encoder(arguments: argparse.Namespace) -> int:
-    """`conformance check-encoder`; returns its exit status. Raises what `status_of` knows."""
-    from . import encoders  # noqa: PLC0415
-
-    wrong = 0
-    for path in arguments.files:
-        verdict = encoders.examine(path.read_bytes())
-        wrong += not verdict.good
-        print(f"{'right' if verdict.good else 'WRONG'} {path}: {verdict.text}")
-        for line in verdict.lines:
-            print(f"    {line}")
-    print(f"{len(arguments.files)} files, {wrong} wrong")
-    return statuses.REJECTED if wrong else statuses.DONE
-
-
-def add_grade(parser: argparse.ArgumentParser) -> None:
-    """The option for the grade that a vector must reach."""
+def _add_grade(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--grade",
         type=int,
@@ -229,3 +171,58 @@ def add_grade(parser: argparse.ArgumentParser) -> None:
         help=f"what a refusal must reach: 1 it is one, {GRADE_CLASS} its class, {GRADE_EXACT} code and offset too "
         "(default: %(default)s)",
     )
+
+
+def add(commands: Any) -> None:
+    """Adds the commands to the parser."""
+
+    def shared(name: str, text: str, example: str) -> argparse.ArgumentParser:
+        parser: argparse.ArgumentParser = commands.add_parser(
+            name,
+            help=text,
+            description=text,
+            epilog=f"{example}; {STATUSES}",
+            usage=f"conformance {name} [options] {example}",
+        )
+        add_vectors(parser)
+        parser.add_argument(
+            "--gaussians", metavar="COMMAND", help="one with {input}, {camera} and {output}, as a shell would read it"
+        )
+        parser.add_argument(
+            "--jobs", type=positive, default=os.cpu_count() or 1, metavar="N", help="processes (default: one a core)"
+        )
+        parser.add_argument(
+            "--slow", type=_factor, default=1.0, metavar="X", help="factor of the time budgets (default: %(default)s)"
+        )
+        return parser
+
+    parser = shared(
+        "run", "tell whether a decoder is right, and if not, where it goes wrong", "-- ./mydecoder {input} {output}"
+    )
+    parser.add_argument("--select", action="append", default=[], metavar="EXPR", help=selection.HELP)
+    _add_grade(parser)
+    parser.add_argument("--trace", action="store_true", help="the command has {trace}, and the trace must be right too")
+    parser.add_argument(
+        "--serve",
+        action="store_true",
+        help="the command stays, reads a request for each vector from stdin, and answers on stdout, in JSON",
+    )
+    parser.add_argument(
+        "--known-failures", type=Path, metavar="FILE", help="identifiers of vectors that must fail, one in a line"
+    )
+    parser.add_argument(
+        "--describe", type=Path, metavar="FILE", help="the decoder's description of itself, JSON with name and version"
+    )
+    parser.add_argument(
+        "--report", type=Path, metavar="DIR", help="write report.json, report.xml (JUnit) and report.html there"
+    )
+    parser.add_argument(
+        "command", nargs="+", metavar="-- COMMAND", help="{input}, {output} and {trace} stand for paths"
+    )
+    parser.set_defaults(run=run_command)
+    verify = shared(
+        "verify-report", "run the vectors of a report again, and compare", "REPORT.json -- ./mydecoder {input} {output}"
+    )
+    verify.add_argument("report", type=Path, metavar="REPORT.json")
+    verify.add_argument("command", nargs="+", metavar="-- COMMAND", help="as for run")
+    verify.set_defaults(run=verify_report)

@@ -1,0 +1,103 @@
+"""The commands that keep the suite: `generate`, `fuzz` and `selftest`."""
+
+from __future__ import annotations
+
+import argparse
+import os
+from pathlib import Path
+from typing import Any
+
+from ..manifest import MANIFEST, VECTORS
+from .shared import check_template, positive
+
+
+def _fuzz(arguments: argparse.Namespace) -> int:
+    # hypothesis belongs to the extra `test`, and is slow to import.
+    from ..fuzz.compare import run  # noqa: PLC0415
+
+    if arguments.command:
+        check_template(arguments.command, ["input", "output"])
+    return run(arguments.count, arguments.seed, arguments.jobs, arguments.state, arguments.keep, arguments.command)
+
+
+def _generate(arguments: argparse.Namespace) -> int:
+    from ..cases import recipes  # noqa: PLC0415
+    from ..cases.suite import generate  # noqa: PLC0415
+
+    count, size = generate(arguments.output, recipes())
+    print(f"{arguments.output}: {count} vectors, {size} bytes")
+    return 0
+
+
+def _add_generate(commands: Any) -> None:
+    generate = commands.add_parser("generate", help="make all vectors and the manifest anew, the same bytes each time")
+    generate.add_argument(
+        "-o", "--output", type=Path, default=Path("vectors"), metavar="DIR", help="where (default: vectors)"
+    )
+    generate.set_defaults(run=_generate)
+
+
+def _selftest(arguments: argparse.Namespace) -> int:
+    from ..mutants.selftest import run  # noqa: PLC0415
+
+    return run(arguments.manifest, arguments.jobs, arguments.recorded, arguments.matrix, arguments.write)
+
+
+def _add_selftest(commands: Any) -> None:
+    selftest = commands.add_parser(
+        "selftest", help="plant bugs in the second decoder; the vectors must catch every one"
+    )
+    selftest.add_argument(
+        "--manifest",
+        type=Path,
+        default=VECTORS / MANIFEST,
+        help="the suite (default: the one that came with this program)",
+    )
+    selftest.add_argument(
+        "--jobs", type=positive, default=os.cpu_count() or 1, help="processes (default: one for each core)"
+    )
+    how = selftest.add_mutually_exclusive_group()
+    how.add_argument(
+        "--recorded", action="store_true", help="each bug on the vector that is recorded as the first to catch it alone"
+    )
+    how.add_argument(
+        "--matrix",
+        type=Path,
+        metavar="FILE",
+        help="each bug on all vectors; write which catch it to this file, as JSON",
+    )
+    how.add_argument(
+        "--write", action="store_true", help="renew the record and its table, conformance/mutants/CAUGHT.md"
+    )
+    selftest.set_defaults(run=_selftest)
+
+
+def _add_fuzz(commands: Any) -> None:
+    fuzz = commands.add_parser(
+        "fuzz", help="compare refcodec, the second decoder and, if you like, yours on many generated files"
+    )
+    fuzz.add_argument("-n", "--count", type=positive, default=1000, help="files, valid and not (default 1000)")
+    fuzz.add_argument("--seed", type=int, default=0, help="the same seed gives the same files (default 0)")
+    fuzz.add_argument(
+        "--jobs", type=positive, default=os.cpu_count() or 1, help="processes (default: one for each core)"
+    )
+    fuzz.add_argument(
+        "--state",
+        type=Path,
+        default=Path("out/fuzz.json"),
+        help="where batches done are noted; a run goes on from there",
+    )
+    fuzz.add_argument(
+        "--keep", type=Path, default=Path("out/fuzz"), help="folder for files on which the decoders disagree"
+    )
+    fuzz.add_argument(
+        "command", nargs="*", metavar="-- COMMAND", help="a third decoder, with {input} and {output} as for run"
+    )
+    fuzz.set_defaults(run=_fuzz)
+
+
+def add(commands: Any) -> None:
+    """Adds the commands to the parser."""
+    _add_fuzz(commands)
+    _add_generate(commands)
+    _add_selftest(commands)

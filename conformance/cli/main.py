@@ -1,0 +1,77 @@
+"""The command `conformance`: its parser, and what it says of errors."""
+
+from __future__ import annotations
+
+import argparse
+import os
+import sys
+from typing import NoReturn
+
+from refcodec import statuses
+
+from .errors import note, status_of
+
+
+class _Parser(argparse.ArgumentParser):
+    """argparse, with the exit status of wrong usage in place of 2, which would read as a verdict."""
+
+    def error(self, message: str) -> NoReturn:
+        self.print_usage(sys.stderr)
+        self.exit(statuses.USAGE, f"{self.prog}: {message}\n")
+
+
+def _parser() -> argparse.ArgumentParser:
+    # The extra `conformance` is needed from here on.
+    from . import exchange, keeping, running  # noqa: PLC0415
+
+    parser = _Parser(prog="conformance", description="Tests of decoders and encoders of C3GS files.")
+    commands = parser.add_subparsers(required=True, metavar="command")
+    for module in (running, exchange, keeping):
+        module.add(commands)
+    return parser
+
+
+def _report(error: Exception) -> int:
+    """Tells an error in a line; returns its exit status."""
+    if isinstance(error, ModuleNotFoundError):
+        note(
+            f"{error.name} is not installed: pip install '.[conformance]' for run, verify-report, export and "
+            "check-encoder, '.[test]' for the others"
+        )
+        return statuses.USAGE
+    status = status_of(error)
+    if isinstance(error, OSError):
+        note(f"{error.filename or 'output'}: {error.strerror or error}")
+    elif status is not None:
+        note(str(error))
+    if status is not None:
+        return status
+    if os.environ.get("REFCODEC_DEBUG") == "1":
+        raise error
+    kind, text = type(error).__name__, " ".join(str(error).split())
+    note(f"internal error, please report it with the command ({kind}: {text})")
+    return statuses.FAULT
+
+
+def main(argv: list[str] | None = None) -> int:
+    """Runs one command; returns its exit status, one of refcodec/statuses.py."""
+    try:
+        arguments = _parser().parse_args(argv)
+        status: int = arguments.run(arguments)
+        sys.stdout.flush()
+        return status
+    except SystemExit as end:
+        # argparse leaves this way for --help and wrong usage, and fuzz with a text for a state that is not its own.
+        if isinstance(end.code, str):
+            note(end.code)
+            return statuses.USAGE
+        return end.code or 0
+    except BrokenPipeError:
+        # The reader of stdout went away; what is left to write must not fail again when Python closes it.
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return statuses.BROKEN_PIPE
+    except KeyboardInterrupt:
+        note("interrupted")
+        return statuses.INTERRUPTED
+    except Exception as error:
+        return _report(error)
