@@ -66,13 +66,18 @@ def fields(spec: str) -> dict[str, tuple[str, str]]:
     return found
 
 
+def unfolded(spec: str) -> str:
+    """Returns SPEC.md with each requirement in one line."""
+    return re.sub(r"^- \[[RDG].*(?:\n  \S.*)+", lambda item: item[0].replace("\n ", ""), spec, flags=re.MULTILINE)
+
+
 def requirements(spec: str) -> dict[str, Requirement]:
     """Returns the requirements by identifier, in the order of SPEC.md."""
     pattern = (
         rf"^- \[([RDG]({CLAUSE})-\d+)\] It is a requirement of (?:bitstream|decoder|renderer) conformance that (.*)$"
     )
     found = {}
-    for name, clause, sentence in re.findall(pattern, spec, re.MULTILINE):
+    for name, clause, sentence in re.findall(pattern, unfolded(spec), re.MULTILINE):
         error = re.search(r" \(`([a-z_.]+)`\)", sentence)
         words = sentence[: error.start()] if error else sentence.rstrip(".")
         found[name] = Requirement(name, clause, words, error[1] if error and name.startswith("R") else "")

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from conformance.cases.random_scenes import MAIN_DIMENSIONS, TINY_DIMENSIONS, random_networks
+from conformance.cases.scenes import MAIN_DIMENSIONS, TINY_DIMENSIONS, random_networks
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from conformance.cases.random_scenes import random_scene
+from conformance.cases.scenes import random_scene
 from hypothesis import example, given
 from hypothesis import strategies as st
 
