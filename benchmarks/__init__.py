@@ -1,1 +1,1 @@
-"""Measurements of speed, size and quality: `python -m benchmarks.NAME`. RESULTS.md has what they printed."""
+"""Measurements of speed, size and quality. `python -m benchmarks.NAME` runs one; RESULTS.md has what they printed."""

@@ -8,10 +8,10 @@ from typing import Any
 
 import numpy as np
 import pytest
-from conformance.cases.scenes import MAIN_DIMENSIONS, TINY_DIMENSIONS, random_networks
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
+from conformance.cases.scenes import MAIN_DIMENSIONS, TINY_DIMENSIONS, random_networks
 from refcodec.bitstream import networks
 from refcodec.bitstream.networks import ACCUMULATOR_BOUND, BoundError, IntLayer, IntNetwork, derive_layer
 

@@ -8,10 +8,10 @@ from typing import Any
 
 import numpy as np
 import pytest
-from conformance.cases.scenes import random_scene
 from hypothesis import example, given
 from hypothesis import strategies as st
 
+from conformance.cases.scenes import random_scene
 from conformance.fuzz.strategies import frames
 from refcodec.bitstream import conventions, planes, positions
 from refcodec.bitstream.context import context, contract, frame_coordinates, positional_encoding, query, rescale
