@@ -15,6 +15,7 @@ PAGE = ROOT / "ARCHITECTURE.md"
 # Rooms from the ground up. Each may use those before it.
 ROOMS = (
     "refcodec",
+    "refcodec.files",
     "refcodec.bitstream",
     "refcodec.encoder",
     "refcodec.folder",
