@@ -184,6 +184,7 @@ def in_this_process(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(compare, "BATCH_SCENES", 3)
 
 
+@pytest.mark.slow
 @pytest.mark.no_cover
 def test_a_batch_is_the_same_again(monkeypatch: pytest.MonkeyPatch) -> None:
     in_this_process(monkeypatch)

@@ -306,6 +306,7 @@ def test_a_wrong_proof_and_a_survivor_are_told(
     assert "0 caught, 0.0 %" in text
 
 
+@pytest.mark.slow
 def test_command(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
     """Two bugs on two vectors: the matrix, the record, and the status if one survives."""
     caught = [m for m in selftest.mutants() if m.id in ("digest-order", "world-unit")]

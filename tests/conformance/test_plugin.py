@@ -58,6 +58,7 @@ def plugin() -> Iterator[Callable[[Path], dict[str, Any]]]:
         asks.close()
 
 
+@pytest.mark.slow
 @needs_node
 def test_the_plugin_passes_the_vectors_of_the_container(tmp_path: Path) -> None:
     options = ["--vectors", str(VECTORS), "--jobs", "2", "--slow", "20", "--report", str(tmp_path)]

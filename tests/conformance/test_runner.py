@@ -450,7 +450,7 @@ for line in sys.stdin:
     [
         ("right", ""),
         ("dies", "crash: ended by SIGABRT"),
-        ("sleeps", "crash: took too long"),
+        pytest.param("sleeps", "crash: took too long", marks=pytest.mark.slow),
         ("leaves", "crash: gave an answer that cannot be read"),
         ("eats", "crash: took too much memory"),
         ("signal", "crash: ended by SIGSEGV"),

@@ -51,6 +51,7 @@ def test_units(photographs: PhotographSet) -> None:
     assert away.max() <= units.cell * units.length * cells / 2 * (1 + 1e-6)
 
 
+@pytest.mark.slow
 def test_no_anchor_is_left_out_that_could_be_seen(photographs: PhotographSet, trained: Trainer) -> None:
     """The images of a training are those of all anchors; those behind the camera are left out."""
     scene = trained.result()

@@ -39,6 +39,7 @@ def test_command(examples: Path, tmp_path: Path, capsys: pytest.CaptureFixture[s
     assert "nothing to resume" in capsys.readouterr().err
 
 
+@pytest.mark.slow
 def test_command_without_rate(examples: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     source, folder = str(examples / "snowmiku"), tmp_path / "scaffold"
     for _ in range(2):
@@ -101,6 +102,7 @@ def test_settings_need_no_torch() -> None:
     assert subprocess.run([sys.executable, "-c", code], check=True, capture_output=True, text=True).stderr == "set()\n"
 
 
+@pytest.mark.slow
 def test_a_nerf_folder_with_transparent_images(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """A red ball without ground, seen from around it, without points: it is learnt over white."""
     frames = []

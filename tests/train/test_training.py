@@ -57,6 +57,7 @@ def test_what_a_training_says(trained: Trainer, small: TrainSettings) -> None:
     assert said["history"][-1]["psnr"] > said["history"][0]["psnr"] + 1
 
 
+@pytest.mark.slow
 def test_going_on_is_not_seen(
     trained: Trainer, photographs: PhotographSet, small: TrainSettings, tmp_path: Path
 ) -> None:
@@ -80,6 +81,7 @@ def test_going_on_is_not_seen(
         restore(Trainer(photographs, small), tmp_path / "state")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("steps", [5, 100])
 def test_an_interrupt_leaves_a_scene_and_a_state(
     steps: int, photographs: PhotographSet, small: TrainSettings, trained: Trainer, tmp_path: Path
@@ -115,6 +117,7 @@ print(hashlib.sha256(emit(trainer.result())).hexdigest())
 """
 
 
+@pytest.mark.slow
 def test_same_file_whatever_the_number_of_threads(examples: Path, tmp_path: Path) -> None:
     def run(threads: int) -> str:
         environment = {
@@ -130,6 +133,7 @@ def test_same_file_whatever_the_number_of_threads(examples: Path, tmp_path: Path
     assert run(1) == run(2)
 
 
+@pytest.mark.slow
 def test_another_unit_gives_the_same_scene(trained: Trainer, photographs: PhotographSet, small: TrainSettings) -> None:
     """The same photographs with cameras and points in hundredths of the unit: same anchors, about the same bytes."""
     other = Trainer(times(photographs, 100.0), small)
@@ -140,6 +144,7 @@ def test_another_unit_gives_the_same_scene(trained: Trainer, photographs: Photog
     assert other.scaffold.units.length == pytest.approx(100 * trained.scaffold.units.length)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "change",
     [
