@@ -130,8 +130,11 @@ def main(mode, answers, name, target, *rest):
         case "leaves-child":
             subprocess.Popen(["sleep", "600"])
             return right(answer, output, trace)
-        case "changes-vectors":
+        case "changes-input":
+            Path(name).chmod(0o600)
             Path(name).write_bytes(b"")
+        case "changes-suite":
+            Path(os.environ["FAKE_DECODER_CHANGES"]).write_bytes(b"")
     return right(answer, output, trace)
 
 
