@@ -163,6 +163,21 @@ class Watcher:
 
         The bounds are those of run(). An answer has one too. A decoder that passes one is started again.
         """
+        found = self._asked_once(command, request, seconds, memory, stop, folder)
+        if found.over == "other":
+            # A late answer to an earlier request is not the fault of this one.
+            found = self._asked_once(command, request, seconds, memory, stop, folder)
+        return found
+
+    def _asked_once(
+        self,
+        command: Sequence[str],
+        request: dict[str, Any],
+        seconds: float,
+        memory: int,
+        stop: threading.Event,
+        folder: Folder | None,
+    ) -> Ended:
         self._asked += 1
         reply = self._request(command, {"id": self._asked, **request}, seconds, memory, stop, folder)
         if reply["over"] or not reply["answer"]:

@@ -297,8 +297,8 @@ class Watcher:
                 pids = descendants(os.getpid())
                 used, spent = _use(pids)
                 spent = _ended_seconds() + spent - before if os.path.exists("/proc/self/stat") else math.inf
-                over = _over(now - began, spent, seconds, used, memory)
-                over = over or ("processes" if len(pids) > PROCESSES else _stored(folder) if folder else None)
+                over = "processes" if len(pids) > PROCESSES else _over(now - began, spent, seconds, used, memory)
+                over = over or (_stored(folder) if folder else None)
                 if over:
                     return over
 
