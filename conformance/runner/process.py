@@ -29,8 +29,8 @@ from .watcher import ANSWER_BYTES, GONE, PATIENCE, STDERR_HEAD, STDERR_TAIL
 
 # What is kept of stderr.
 STDERR_BYTES = STDERR_HEAD + STDERR_TAIL
-# Seconds between two looks at whether the run is to stop.
-_LOOK = 0.1
+# Milliseconds between two looks at whether the run is to stop.
+_LOOK = 100
 # Seconds that a watcher may be late with what it says of a process.
 _GRACE = 10.0
 # Watchers that this process started, which are not to be taken for what a decoder left behind; and those who start and
@@ -264,9 +264,10 @@ class Watcher:
     def _read(self, process: subprocess.Popen[bytes], end: float, stop: threading.Event) -> bytes:
         """A line; without its end if the watcher has gone, is stopped, or is silent."""
         assert process.stdout is not None
-        said = b""
+        said, poll = b"", select.poll()
+        poll.register(process.stdout, select.POLLIN)
         while not said.endswith(b"\n") and not stop.is_set():
-            if select.select([process.stdout], [], [], _LOOK)[0]:
+            if poll.poll(_LOOK):
                 data = os.read(process.stdout.fileno(), 1 << 16)
                 if not data:
                     break

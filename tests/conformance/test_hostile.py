@@ -5,8 +5,10 @@ from __future__ import annotations
 import hashlib
 import json
 import os
+import subprocess
 import sys
 import tempfile
+import time
 import uuid
 from collections.abc import Callable
 from pathlib import Path
@@ -199,6 +201,38 @@ def test_what_is_not_prevented(ground: Ground) -> None:
     assert set(texts(record).values()) == {"crash: exit status 64"}
     assert place.read_text() == "x\n"
     place.unlink()
+
+
+@linux
+@pytest.mark.slow
+def test_a_runner_that_is_killed_leaves_no_process(ground: Ground) -> None:
+    """The watchers notice that it is gone."""
+    shell = "setsid sleep 30 & sleep 30"
+    words = [
+        "run",
+        "--vectors",
+        str(ground.suite.folder),
+        "--jobs",
+        "2",
+        "--",
+        "/bin/sh",
+        "-c",
+        shell,
+        "{input}{output}",
+    ]
+    runner = subprocess.Popen([sys.executable, "-m", "conformance", *words], stderr=subprocess.DEVNULL)
+    wait(lambda: len(processes(ground.mark)) >= 1 + 2 + 2 * 3)
+    runner.kill()
+    runner.wait()
+    wait(lambda: processes(ground.mark) == [])
+
+
+def wait(until: Callable[[], bool]) -> None:
+    """Waits at most a minute."""
+    end = time.monotonic() + 60
+    while not until():
+        assert time.monotonic() < end
+        time.sleep(0.05)
 
 
 # A server by attack, which is on one file. The line is what is written at last.
