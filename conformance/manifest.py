@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections import Counter
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -11,11 +10,17 @@ from typing import Any
 
 import jsonschema
 
+from refcodec.files.documents import DocumentError, read_json
+from refcodec.files.text import printable
 from refcodec.resources import find
 
 # The suite that came with this package, wherever it is installed.
 VECTORS = find("vectors", Path(__file__).resolve().parent)
 MANIFEST, SCHEMA = "manifest.json", "manifest.schema.json"
+
+
+# So many characters are told of what is wrong.
+_WRONG = 300
 
 
 class ManifestError(Exception):
@@ -151,29 +156,21 @@ def faults(document: dict[str, Any]) -> Iterator[str]:
             yield f"{v['id']}: class {klass} and operation {v['operation']} with the result {result}"
 
 
-def _once(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
-    """Returns a JSON object. Raises ManifestError if it has a name twice."""
-    for name, count in Counter(name for name, _ in pairs).items():
-        if count > 1:
-            raise ManifestError(f"{name} is there twice")
-    return dict(pairs)
-
-
 def load(path: Path = VECTORS / MANIFEST) -> Manifest:
-    """Returns the manifest at a path. The schema is beside it.
+    """Returns the manifest at a path. Its schema is the one that came with this package, of whatever suite it is.
 
     Raises ManifestError for a fault of the manifest, and OSError if it cannot be read.
     """
     try:
-        document = json.loads(path.read_text(encoding="utf-8"), object_pairs_hook=_once)
-        schema = json.loads((path.parent / SCHEMA).read_text(encoding="utf-8"))
-        jsonschema.validate(document, schema)
-    except ValueError as error:
+        document = read_json(path)
+        jsonschema.validate(document, read_json(VECTORS / SCHEMA))
+    except DocumentError as error:
         raise ManifestError(f"{path}: {error}") from None
     except jsonschema.ValidationError as error:
-        raise ManifestError(f"{path}: {error.json_path}: {error.message}") from None
+        text = f"{printable(error.json_path, _WRONG)}: {printable(error.message, _WRONG)}"
+        raise ManifestError(f"{path}: {text}") from None
     for fault in faults(document):
-        raise ManifestError(f"{path}: {fault}")
+        raise ManifestError(f"{path}: {printable(fault, _WRONG)}")
     return Manifest(
         document["suite_version"],
         document["format_version"],

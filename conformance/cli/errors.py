@@ -5,6 +5,10 @@ from __future__ import annotations
 import sys
 
 from refcodec import statuses
+from refcodec.files.text import printable
+
+# The longest text that is told, in characters.
+_TEXT = 4000
 
 
 class UsageError(Exception):
@@ -27,5 +31,5 @@ def status_of(error: Exception) -> int | None:
 
 
 def note(text: str) -> None:
-    """Tells a line on stderr."""
-    print(f"conformance: {text}", file=sys.stderr)
+    """Tells a line on stderr, or the lines of a list. Names in it may be anybody's."""
+    print(f"conformance: {printable(text, _TEXT, lines=True)}", file=sys.stderr)

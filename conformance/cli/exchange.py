@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from refcodec import statuses
+from refcodec.files.text import printable
 
 from ..runner import encoders, fluster
 from .shared import add_vectors, suite
@@ -15,7 +16,8 @@ from .shared import add_vectors, suite
 def export_suite(arguments: argparse.Namespace) -> int:
     """`conformance export`; returns its exit status. Raises what `status_of` knows."""
     count = fluster.export(suite(arguments.vectors), arguments.fluster)
-    print(f"{arguments.fluster}: {count} vectors; {arguments.fluster / fluster.README} says how to run them")
+    guide = printable(str(arguments.fluster / fluster.README))
+    print(f"{printable(str(arguments.fluster))}: {count} vectors; {guide} says how to run them")
     return statuses.DONE
 
 
@@ -25,7 +27,7 @@ def check_encoder(arguments: argparse.Namespace) -> int:
     for path in arguments.files:
         verdict = encoders.examine(path.read_bytes())
         wrong += not verdict.good
-        print(f"{'right' if verdict.good else 'WRONG'} {path}: {verdict.text}")
+        print(f"{'right' if verdict.good else 'WRONG'} {printable(str(path))}: {verdict.text}")
         for line in verdict.lines:
             print(f"    {line}")
     print(f"{len(arguments.files)} files, {wrong} wrong")

@@ -8,16 +8,20 @@ from pathlib import Path
 from typing import Any
 
 from ..manifest import MANIFEST, VECTORS
+from .errors import UsageError
 from .shared import check_template, positive
 
 
 def _fuzz(arguments: argparse.Namespace) -> int:
     # hypothesis belongs to the extra `test`, and is slow to import.
-    from ..fuzz.compare import run  # noqa: PLC0415
+    from ..fuzz.compare import StateError, run  # noqa: PLC0415
 
     if arguments.command:
         check_template(arguments.command, ["input", "output"])
-    return run(arguments.count, arguments.seed, arguments.jobs, arguments.state, arguments.keep, arguments.command)
+    try:
+        return run(arguments.count, arguments.seed, arguments.jobs, arguments.state, arguments.keep, arguments.command)
+    except StateError as error:
+        raise UsageError(str(error)) from None
 
 
 def _generate(arguments: argparse.Namespace) -> int:

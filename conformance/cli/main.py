@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import argparse
+import io
 import os
 import sys
 from typing import NoReturn
 
 from refcodec import statuses
+from refcodec.files.text import printable
 
 from .errors import note, status_of
 
@@ -17,7 +19,7 @@ class _Parser(argparse.ArgumentParser):
 
     def error(self, message: str) -> NoReturn:
         self.print_usage(sys.stderr)
-        self.exit(statuses.USAGE, f"{self.prog}: {message}\n")
+        self.exit(statuses.USAGE, f"{self.prog}: {printable(message)}\n")
 
 
 def _parser() -> argparse.ArgumentParser:
@@ -55,17 +57,18 @@ def _report(error: Exception) -> int:
 
 def main(argv: list[str] | None = None) -> int:
     """Runs one command; returns its exit status, one of refcodec/statuses.py."""
+    for stream in (sys.stdout, sys.stderr):
+        # A terminal that lacks a character shows its number.
+        if isinstance(stream, io.TextIOWrapper):
+            stream.reconfigure(errors="backslashreplace")
     try:
         arguments = _parser().parse_args(argv)
         status: int = arguments.run(arguments)
         sys.stdout.flush()
         return status
     except SystemExit as end:
-        # argparse leaves this way for --help and wrong usage, and fuzz with a text for a state that is not its own.
-        if isinstance(end.code, str):
-            note(end.code)
-            return statuses.USAGE
-        return end.code or 0
+        # argparse leaves this way for --help and wrong usage.
+        return int(end.code or 0)
     except BrokenPipeError:
         # The reader of stdout went away; what is left to write must not fail again when Python closes it.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())

@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import Any
 
 from refcodec import statuses
+from refcodec.files.text import printable
 
 from ..manifest import Manifest, ManifestError
 from ..report import record as records
@@ -32,6 +33,10 @@ STATUSES = f"""exit status: {statuses.DONE} every selected vector as it must be;
 {statuses.FAULT} a fault of this program; {statuses.INTERRUPTED} interrupted"""
 
 
+# The longest list of known failures, in bytes.
+_KNOWN_BYTES = 1 << 20
+
+
 def _options(arguments: argparse.Namespace) -> Options:
     """The options that `run` and `verify-report` share. Raises UsageError."""
     command = tuple(arguments.command)
@@ -47,14 +52,24 @@ def _options(arguments: argparse.Namespace) -> Options:
 
 
 def _known(path: Path | None, manifest: Manifest) -> list[str]:
-    """The identifiers of a file: one in a line, # starts a comment. Raises UsageError for one that is no vector."""
+    """The identifiers of a file: one in a line, # starts a comment.
+
+    Raises OSError, and UsageError for one that is no vector and for a file that is no text.
+    """
     if path is None:
         return []
-    lines = [line.partition("#")[0].strip() for line in path.read_text(encoding="utf-8").splitlines()]
+    with path.open("rb") as file:
+        data = file.read(_KNOWN_BYTES + 1)
+    if len(data) > _KNOWN_BYTES:
+        raise UsageError(f"{path}: more than {_KNOWN_BYTES} bytes")
+    try:
+        lines = [line.partition("#")[0].strip() for line in data.decode("utf-8").splitlines()]
+    except UnicodeDecodeError as error:
+        raise UsageError(f"{path}: not UTF-8 (byte {error.start})") from None
     known = [line for line in lines if line]
     strangers = sorted(set(known) - {v.id for v in manifest.vectors})
     if strangers:
-        raise UsageError(f"{path}: there is no vector {', '.join(strangers)}")
+        raise UsageError(f"{path}: there is no vector {printable(', '.join(strangers), 300)}")
     return known
 
 
@@ -79,20 +94,23 @@ def run_command(arguments: argparse.Namespace) -> int:
         note(f"no vector is selected: {' | '.join(arguments.select)}")
         return statuses.NOTHING
     if arguments.report:
-        # A report that cannot be written is told before the work.
+        # A report that cannot be written is told before the work. A decoder may remove the folder that this runs in.
+        arguments.report = arguments.report.absolute()
         arguments.report.mkdir(parents=True, exist_ok=True)
     started, began = datetime.datetime.now(datetime.UTC).isoformat(timespec="seconds"), time.monotonic()
     done = run(manifest, vectors, options, known, show=sys.stderr.isatty())
+    for text in done.left:
+        note(f"a folder of a decoder could not be removed: {text}")
     check_files(manifest, "the suite was changed while the decoder ran, so no verdict:")
     about = records.About(description, tuple(arguments.select), started, time.monotonic() - began)
     record = records.build(manifest, options, about, done)
     records.check(record)
     if arguments.report:
         _write(arguments.report, record)
-    for line in summary.lines(record, arguments.vectors):
+    for line in summary.lines(record, manifest.folder):
         print(line)
     if arguments.report:
-        print(f"report: {arguments.report / 'report.html'}")
+        print(f"report: {printable(str(arguments.report / 'report.html'))}")
     return _status(done)
 
 
@@ -102,6 +120,10 @@ def _status(done: Run) -> int:
     if not all(r.good for r in done.results):
         return statuses.REJECTED
     return statuses.DONE if any(r.status != "skipped" for r in done.results) else statuses.NOTHING
+
+
+def _shown(value: object) -> str:
+    return printable(str(value), 300)
 
 
 def _differences(old: dict[str, Any], new: dict[str, Any]) -> list[str]:
@@ -115,7 +137,7 @@ def _differences(old: dict[str, Any], new: dict[str, Any]) -> list[str]:
         now = again[v["id"]]
         for name in ("status", "grade", "found"):
             if v[name] != now[name]:
-                wrong.append(f"{v['id']}: {name} is {now[name]} now, {v[name]} in the report")
+                wrong.append(f"{v['id']}: {name} is {_shown(now[name])} now, {_shown(v[name])} in the report")
                 break
     return wrong
 
@@ -126,7 +148,8 @@ def verify_report(arguments: argparse.Namespace) -> int:
     manifest = suite(arguments.vectors)
     if old["suite"]["manifest_sha256"] != records.manifest_digest(manifest):
         raise ManifestError(
-            f"{arguments.report} is of another suite, {old['suite']['version']}, whose manifest has another SHA-256"
+            f"{arguments.report} is of another suite, {_shown(old['suite']['version'])}, "
+            "whose manifest has another SHA-256"
         )
     stated = old["runner"]
     arguments.grade, arguments.trace, arguments.serve = stated["grade"], stated["trace"], stated["serve"]
@@ -151,7 +174,7 @@ def verify_report(arguments: argparse.Namespace) -> int:
     for line in wrong:
         print(line)
     partial = ", of an interrupted run" if stated["interrupted"] else ""
-    print(f"{arguments.report}: {len(names)} vectors run again, {len(wrong)} differences{partial}")
+    print(f"{printable(str(arguments.report))}: {len(names)} vectors run again, {len(wrong)} differences{partial}")
     return statuses.REJECTED if wrong else statuses.DONE
 
 

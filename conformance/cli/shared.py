@@ -29,9 +29,9 @@ def check_files(manifest: Manifest, text: str) -> None:
 
 
 def suite(folder: Path) -> Manifest:
-    """The manifest of a folder whose files are all there and right. Raises ManifestError."""
+    """The manifest of a folder whose files are all there and right, with whole paths. Raises ManifestError."""
     try:
-        manifest = load(folder / MANIFEST)
+        manifest = load(folder.absolute() / MANIFEST)
     except OSError as error:
         raise ManifestError(f"{error.filename}: {error.strerror}") from None
     check_files(manifest, "the suite is damaged, nothing was run:")

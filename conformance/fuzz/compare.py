@@ -12,15 +12,15 @@ import multiprocessing
 import resource
 import signal
 import sys
-import tempfile
 import threading
 import time
 from collections import Counter
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Iterable, Iterator, Sequence
+from contextlib import closing, contextmanager
 from dataclasses import dataclass, field
-from functools import partial
+from functools import cache, partial
 from pathlib import Path
+from typing import Any
 
 from hypothesis import HealthCheck, Phase, given, seed, settings
 from hypothesis import strategies as st
@@ -28,10 +28,12 @@ from tqdm import tqdm
 
 from refcodec.bitstream import codec, reconstruction
 from refcodec.bitstream.errors import BitstreamError
+from refcodec.files.documents import DocumentError, read_json
 
 from .. import independent
 from ..cases.target import Target
 from ..runner import grading, process
+from ..runner.folder import Folder
 from .strategies import draw_fault, draw_mutation, draw_splice, drawable, scenes
 
 # Budgets: seconds for one decoder and one file, bytes of address space of a worker, of which libraries take most, and
@@ -66,6 +68,10 @@ class BudgetError(Exception):
     """A decoder took too long."""
 
 
+class StateError(Exception):
+    """A file that is no state of this command, or that of another run."""
+
+
 class AnswerError(Exception):
     """What a process said is neither an acceptance nor a refusal."""
 
@@ -81,13 +87,21 @@ def _unlimited() -> Iterator[None]:
         resource.setrlimit(resource.RLIMIT_AS, (soft, hard))
 
 
+@cache
+def _watcher() -> process.Watcher:
+    """That of this process, with which it ends."""
+    return process.Watcher()
+
+
 def command_verdict(command: Sequence[str], data: bytes) -> Verdict:
     """The same of a decoder in a process of its own, which answers as `conformance run` demands. Raises AnswerError."""
-    with tempfile.TemporaryDirectory() as name, _unlimited():
-        file, output, errors = (Path(name) / part for part in ("file.c3gs", "output", "stderr"))
-        file.write_bytes(data)
-        words = process.fill(command, {"input": file, "output": output})
-        found = grading.read(process.run(words, errors, FILE_SECONDS, PROCESS_BYTES, threading.Event(), output), output)
+    with closing(Folder()) as folder, _unlimited():
+        folder.put(data)
+        words = process.fill(command, {"input": folder.input, "output": folder.output})
+        ended = _watcher().run(words, FILE_SECONDS, PROCESS_BYTES, threading.Event(), folder)
+        found, damage = grading.read(ended, folder.output), folder.fault()
+    if damage:
+        raise AnswerError(f"a crash: {damage}")
     if found.result == "accepted":
         return str(found.digest), -1
     if found.result == "crashed":
@@ -210,20 +224,35 @@ def _start_worker() -> None:
 
 
 def _load(state: Path, first_seed: int, command: Sequence[str]) -> tuple[set[int], Counter[str], int]:
-    """Batches done, files by verdict, and disagreements of an earlier run."""
+    """Batches done, files by verdict, and disagreements of an earlier run. Raises OSError, StateError."""
     if not state.exists():
         return set(), Counter(), 0
     try:
-        saved = json.loads(state.read_text(encoding="utf-8"))
-        found = set(saved["batches"]), Counter[str](saved["seen"]), int(saved["wrong"])
-        before = saved["seed"], saved["command"]
-    except (ValueError, KeyError, TypeError):
-        raise SystemExit(f"{state} is no state of this command: give another --state") from None
-    if before[0] != first_seed:
-        raise SystemExit(f"{state} is of seed {before[0]}: give --seed {before[0]}, or another --state")
-    if before[1] != list(command):
-        raise SystemExit(f"{state} is of another decoder: give another --state")
-    return found
+        saved = read_json(state)
+    except DocumentError as error:
+        raise StateError(f"{state} is no state of this command ({error}): give another --state") from None
+    if not _is_state(saved):
+        raise StateError(f"{state} is no state of this command: give another --state")
+    if saved["seed"] != first_seed:
+        raise StateError(f"{state} is of seed {saved['seed']}: give --seed {saved['seed']}, or another --state")
+    if saved["command"] != list(command):
+        raise StateError(f"{state} is of another decoder: give another --state")
+    return set(saved["batches"]), Counter(saved["seen"]), saved["wrong"]
+
+
+def _is_state(saved: Any) -> bool:
+    """Whether a JSON value is what `run` writes."""
+
+    def are(kind: type, values: Iterable[Any]) -> bool:
+        return all(type(value) is kind for value in values)
+
+    if not isinstance(saved, dict) or set(saved) != {"seed", "command", "batches", "seen", "wrong"}:
+        return False
+    if not are(int, (saved["seed"], saved["wrong"])) or not are(list, (saved["command"], saved["batches"])):
+        return False
+    if not isinstance(saved["seen"], dict):
+        return False
+    return are(str, saved["command"]) and are(int, (*saved["batches"], *saved["seen"].values()))
 
 
 def run(count: int, first_seed: int, jobs: int, state: Path, keep: Path, command: Sequence[str]) -> int:

@@ -7,6 +7,9 @@ from collections import Counter
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
+from refcodec.files.documents import DocumentError, read_json
+
+from ..manifest import ManifestError
 from .equivalent import PROOFS
 from .mutant import Mutant
 
@@ -29,10 +32,14 @@ a vector, or a proof in `equivalent.py`. A vector is a case in the file of its c
 
 
 def read(path: Path = JSON) -> Caught:
-    """The committed record."""
-    return {
-        name: (found["vector"], found["wrong"]) for name, found in json.loads(path.read_text(encoding="utf-8")).items()
-    }
+    """The committed record. Raises OSError, and ManifestError for a file that is none."""
+    try:
+        document = read_json(path)
+        return {name: (str(found["vector"]), str(found["wrong"])) for name, found in document.items()}
+    except DocumentError as error:
+        raise ManifestError(f"{path}: {error}") from None
+    except (AttributeError, KeyError, TypeError):
+        raise ManifestError(f"{path}: no record of planted bugs") from None
 
 
 def _cell(text: str) -> str:

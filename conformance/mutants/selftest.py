@@ -17,7 +17,7 @@ from typing import TypeVar
 
 from tqdm import tqdm
 
-from conformance.manifest import Accepted, Manifest, Rejected, load
+from conformance.manifest import Accepted, Manifest, ManifestError, Rejected, load
 
 from . import handwritten, operators, record
 from .equivalent import PROOFS
@@ -302,7 +302,11 @@ def run(manifest: Path, jobs: int, recorded: bool, matrix: Path | None, write: b
     made: Sequence[Mutant] = mutants()
     known = record.read() if recorded else {}
     try:
-        all_cases = [c for c in cases(suite) if not recorded or c.id in {vector for vector, _ in known.values()}]
+        wanted = {vector for vector, _ in known.values()}
+        all_cases = [c for c in cases(suite) if not recorded or c.id in wanted]
+        missing = wanted - {c.id for c in all_cases}
+        if missing:
+            raise ManifestError(f"{manifest}: it lacks vectors of the record: {', '.join(sorted(missing)[:3])}")
         with trials(all_cases, jobs) as test:
             if recorded:
                 made = [m for m in made if m.id in known]

@@ -14,9 +14,11 @@ from pathlib import Path
 from typing import Any
 
 from jsonschema import Draft202012Validator
-from jsonschema.exceptions import best_match
+from jsonschema.exceptions import ValidationError, best_match
 
 from refcodec import __version__
+from refcodec.files.documents import DocumentError, read_json
+from refcodec.files.text import printable
 
 from ..manifest import MANIFEST, Accepted, Manifest, Rejected, Vector
 from ..runner.grading import GRADE_EXACT
@@ -27,8 +29,8 @@ STATUSES = ("failed", "crashed", "unexpected", "known", "passed", "skipped")
 REPORT_VERSION = 1
 # The version of a decoder that says nothing of itself.
 NOT_STATED = "not stated"
-# What a record keeps of a process's error output.
-_STDERR_CHARACTERS = 4000
+# The longest texts of a decoder's description, and of what is wrong with a document, in characters.
+_TEXT, _WRONG = 2000, 300
 
 
 class RecordError(Exception):
@@ -58,12 +60,26 @@ def describe(path: Path | None, command: Sequence[str]) -> dict[str, str]:
     if path is None:
         return {"name": Path(command[0]).name, "version": NOT_STATED}
     try:
-        said = json.loads(path.read_text(encoding="utf-8"))
-    except ValueError as error:
+        said = read_json(path)
+    except DocumentError as error:
         raise RecordError(f"{path}: {error}") from None
     if fault := best_match(_validator("decoder").iter_errors(said)):
-        raise RecordError(f"{path}: {fault.json_path}: {fault.message}")
-    return dict(said)
+        raise RecordError(f"{path}: {_words(fault)}")
+    return {name: printable(text, _TEXT, lines=name == "notes") for name, text in said.items()}
+
+
+def _words(fault: ValidationError) -> str:
+    """What is wrong, and where, without all that is there."""
+    return f"{printable(fault.json_path, _WRONG)}: {printable(fault.message, _WRONG)}"
+
+
+def _printable(value: Any) -> Any:
+    """A JSON value all of whose texts can be shown anywhere."""
+    if isinstance(value, dict):
+        return {_printable(name): _printable(inner) for name, inner in value.items()}
+    if isinstance(value, list):
+        return [_printable(inner) for inner in value]
+    return printable(value, lines=True) if isinstance(value, str) and not value.isprintable() else value
 
 
 @cache
@@ -111,7 +127,7 @@ def _entry(result: Result) -> dict[str, Any]:
         "found": asdict(result.found) if result.found else None,
         "divergence": list(result.divergence),
         "hex": list(result.hex),
-        "stderr": result.stderr[-_STDERR_CHARACTERS:],
+        "stderr": result.stderr,
         "seconds": round(result.seconds, 3),
         "peak_bytes": result.peak,
     }
@@ -146,7 +162,9 @@ def build(manifest: Manifest, options: Options, about: About, run: Run) -> dict[
         },
     }
     record |= conclusions(record["suite"]["vectors"], entries, manifest)  # type: ignore[index]
-    return record | {"vectors": entries}
+    # Names, commands and descriptions are from outside, and every report and the terminal show them.
+    shown: dict[str, Any] = _printable(record | {"vectors": entries})
+    return shown
 
 
 def _group(vector: Vector) -> str:
@@ -229,14 +247,17 @@ def _order(name: str) -> list[tuple[bool, int, str]]:
 def check(record: Any) -> None:
     """Raises RecordError for what the schema does not allow."""
     if fault := best_match(_validator().iter_errors(record)):
-        raise RecordError(f"{fault.json_path}: {fault.message}")
+        raise RecordError(_words(fault))
 
 
 def load(path: Path) -> dict[str, Any]:
     """A record that the schema allows. Raises RecordError, OSError."""
     try:
-        record: dict[str, Any] = json.loads(path.read_text(encoding="utf-8"))
-    except ValueError as error:
+        record: dict[str, Any] = read_json(path)
+    except DocumentError as error:
         raise RecordError(f"{path}: {error}") from None
-    check(record)
+    try:
+        check(record)
+    except RecordError as error:
+        raise RecordError(f"{path}: {error}") from None
     return record

@@ -9,6 +9,8 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
+from refcodec.files.text import printable
+
 from ..runner.grading import GRADES
 from .record import NOT_STATED, STATUSES
 
@@ -29,6 +31,14 @@ def most_telling(vectors: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
     return sorted(bad, key=lambda v: len(v["requirements"]))
 
 
+def _from_here(path: Path) -> str:
+    """A path as a person would type it. The folder of this process may be gone: then the whole path."""
+    try:
+        return printable(os.path.relpath(path))
+    except OSError:
+        return printable(str(path))
+
+
 def lines(record: dict[str, Any], suite: Path) -> Iterator[str]:
     """What a person wants to know first: what failed, where, and the verdict.
 
@@ -44,7 +54,7 @@ def lines(record: dict[str, Any], suite: Path) -> Iterator[str]:
             yield from (f"    stderr: {line[:_WIDTH]}" for line in v["stderr"].splitlines()[-_STDERR_LINES:])
         anchor = _ANCHOR.search("\n".join(v["divergence"]))
         form = f"--anchor {anchor.group(1)}" if anchor else "--hex"
-        look = shlex.join(["refcodec", "inspect", os.path.relpath(suite / v["input"])])
+        look = shlex.join(["refcodec", "inspect", _from_here(suite / v["input"])])
         yield f"    {v['title']}; read {', '.join(v['clauses'])}; {look} {form}"
     if len(bad) > _SHOWN:
         yield f"... and {len(bad) - _SHOWN} more, which --report shows"

@@ -5,7 +5,6 @@ from __future__ import annotations
 import itertools
 from collections.abc import Iterator
 from dataclasses import dataclass
-from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,6 +15,7 @@ from refcodec.bitstream.entropy import TraceRow
 from refcodec.bitstream.planes import PLANE_NAMES
 from refcodec.bitstream.reconstruction import canonical_head, canonical_parts
 from refcodec.bitstream.scene import Scene
+from refcodec.files.text import printable
 from refcodec.inspect import dump
 
 HEAD_FIELDS = ("N", "K", "F", "ch", "B")
@@ -38,6 +38,8 @@ SYMBOL_CLAUSES = {
 }
 # Lines of annotated bytes: a head, six elements before the spot, it, and six after it.
 _HEX_LINES = 14
+# So many characters of a line of somebody's trace are shown.
+_SHOWN = 80
 
 
 @dataclass(frozen=True)
@@ -138,10 +140,9 @@ def _parts(scene: Scene) -> Iterator[tuple[str, bytes]]:
     yield from canonical_parts(scene)
 
 
-def of_output(data: bytes, output: Path) -> Divergence | None:
-    """The first difference of a decoder's output for a valid file, or None if it is right."""
+def of_output(data: bytes, found: bytes) -> Divergence | None:
+    """The first difference of a decoder's output, `found`, for a valid file, or None if it is right."""
     scene = codec.parse(data).scene
-    found = output.read_bytes()
     at = 0
     for part, right in _parts(scene):
         got = found[at : at + len(right)]
@@ -159,10 +160,11 @@ def of_output(data: bytes, output: Path) -> Divergence | None:
     return None
 
 
-def of_trace(data: bytes, trace: Path) -> Divergence | None:
+def of_trace(data: bytes, trace: bytes) -> Divergence | None:
     """The first symbol on which a decoder's trace of a valid file differs from the right one, or None."""
     rows = _symbols(data)
-    lines = trace.read_bytes().decode("utf-8", "replace").split("\n")
+    # No more lines are told apart than there are symbols, and one behind.
+    lines = trace.decode("utf-8", "replace").split("\n", len(rows) + 1)
     if lines[-1] == "":
         lines.pop()
     for number, (row, line) in enumerate(itertools.zip_longest(rows, lines)):
@@ -170,10 +172,12 @@ def of_trace(data: bytes, trace: Path) -> Divergence | None:
             continue
         count = f"symbol {number} of {len(rows)}"
         if row is None:
-            return Divergence("trace", "the line after the last symbol", "nothing", str(line), len(data), count)
+            return Divergence(
+                "trace", "the line after the last symbol", "nothing", printable(str(line), _SHOWN), len(data), count
+            )
         # Of the same symbol the values are enough.
         same, value = line is not None and line.startswith(f"{row.path} "), str(row.value)
-        found = "nothing" if line is None else line.removeprefix(f"{row.path} ")
+        found = "nothing" if line is None else printable(line.removeprefix(f"{row.path} "), _SHOWN)
         count += f"; rightly of the model {row.family}, mean {row.mean}, scale {row.scale}"
         clauses = SYMBOL_CLAUSES[row.path.partition("[")[0].split(".")[0]]
         clauses = (

@@ -2,20 +2,22 @@
 
 from __future__ import annotations
 
-import json
 import math
 from typing import Any
+
+from refcodec.files.documents import parse_json
+from refcodec.files.text import printable
 
 # SPEC [G14.3-1]: below this opacity a Gaussian may be missing or added.
 FAINT = 1e-4
 KINDS = {"mean": 3, "lengths": 3, "quaternion": 4, "opacity": 1, "colour": 3}
 
 
-def _by_place(text: str) -> dict[tuple[int, int], dict[str, list[float]]]:
+def _by_place(text: bytes | str) -> dict[tuple[int, int], dict[str, list[float]]]:
     """The Gaussians of a list by anchor and offset. Raises ValueError for what is no such list."""
     try:
         found = {}
-        for g in json.loads(text)["gaussians"]:
+        for g in parse_json(text)["gaussians"]:
             values = {kind: [float(x) for x in (g[kind] if size > 1 else [g[kind]])] for kind, size in KINDS.items()}
             if any(len(values[kind]) != size for kind, size in KINDS.items()):
                 raise ValueError("a vector of another length")
@@ -24,11 +26,11 @@ def _by_place(text: str) -> dict[tuple[int, int], dict[str, list[float]]]:
                 raise ValueError(f"anchor {place[0]}, offset {place[1]} twice")
             found[place] = values
     except (KeyError, TypeError) as error:
-        raise ValueError(f"no list of Gaussians: {type(error).__name__} {error}") from None
+        raise ValueError(f"no list of Gaussians: {type(error).__name__} {printable(str(error), 80)}") from None
     return found
 
 
-def difference(expected: str, found: str, tolerance: float) -> str | None:
+def difference(expected: bytes | str, found: bytes | str, tolerance: float) -> str | None:
     """The first difference in words, or None.
 
     expected, found: JSON. tolerance: relative to the length of the expected vector.

@@ -8,7 +8,6 @@ and a crash is never a pass.
 from __future__ import annotations
 
 import hashlib
-import json
 import signal
 from dataclasses import dataclass
 from pathlib import Path
@@ -16,8 +15,10 @@ from typing import Any
 
 from refcodec import statuses
 from refcodec.bitstream.errors import REGISTRY
+from refcodec.files.documents import DocumentError, parse_json
 
-from ..manifest import Accepted, GaussiansOf, Manifest, Rejected, Vector
+from ..manifest import Accepted, GaussiansOf, Manifest, ManifestError, Rejected, Vector
+from .folder import FileError, open_file
 from .gaussians import difference
 from .process import Ended
 
@@ -30,12 +31,22 @@ GRADES = {
     GRADE_CLASS: "right verdicts, outputs and classes of error",
     GRADE_EXACT: "right verdicts, outputs, codes and offsets",
 }
-_OVER = {
+# What a watcher, or an answer, says against a decoder (process.Ended.over).
+OVER = {
     "time": "took too long",
     "memory": "took too much memory",
     "output": "wrote too much",
+    "files": "left too many files, or too large ones",
+    "processes": "started too many processes",
+    "start": "could not be started",
+    "left": "left processes that could not be ended",
+    "watcher": "ended or stopped the process that watches it",
     "answer": "gave an answer that cannot be read",
+    "twice": "answered more than once",
+    "other": "answered another request",
 }
+# The longest last line of stderr that is read, in characters.
+_LINE = 8 << 10
 BY_CODE = {kind.code: kind for kind in REGISTRY.values()}
 
 
@@ -80,8 +91,8 @@ def signal_name(number: int) -> str:
 def _refusal(line: str) -> tuple[int, int | None] | str:
     """Code and offset of the last line of stderr, or what is wrong with it."""
     try:
-        said: Any = json.loads(line)
-    except (ValueError, RecursionError):
+        said: Any = parse_json(line, _LINE)
+    except DocumentError:
         return "whose last line of stderr is not JSON"
     if not isinstance(said, dict) or type(said.get("code")) is not int:
         return "whose last line of stderr is not an object with a code"
@@ -98,18 +109,21 @@ def read(ended: Ended, output: Path) -> Found:
         return Found("crashed", ended.status, ended.signal, text=text)
 
     if ended.over:
-        return crash(_OVER[ended.over])
+        return crash(OVER[ended.over])
     if ended.signal is not None:
         return crash(f"ended by {signal_name(ended.signal)}")
     if ended.status == statuses.DONE:
-        if not output.is_file():
+        try:
+            with open_file(output) as file:
+                return Found("accepted", ended.status, None, digest=hashlib.file_digest(file, "sha256").hexdigest())
+        except FileNotFoundError:
             return crash("exit status 0 without an output file")
-        with output.open("rb") as file:
-            return Found("accepted", ended.status, None, digest=hashlib.file_digest(file, "sha256").hexdigest())
+        except FileError as error:
+            return crash(f"its output {error}")
     if ended.status not in (statuses.REJECTED, statuses.UNSUPPORTED):
         return crash(f"exit status {ended.status}")
-    lines = ended.stderr.decode("utf-8", "replace").strip().splitlines()
-    said = _refusal(lines[-1] if lines else "")
+    last = ended.stderr.strip().splitlines()[-1:]
+    said = _refusal(b"".join(last).decode("utf-8", "replace"))
     if isinstance(said, str):
         return crash(f"exit status {ended.status}, {said}")
     return Found("rejected", ended.status, None, *said)
@@ -153,9 +167,13 @@ def judge(manifest: Manifest, vector: Vector, found: Found, output: Path) -> Jud
 
 
 def _judge_gaussians(manifest: Manifest, expected: GaussiansOf, output: Path) -> Judgement:
-    wanted = (manifest.folder / expected.path).read_text(encoding="utf-8")
     try:
-        wrong = difference(wanted, output.read_text(encoding="utf-8"), expected.tolerance)
-    except (ValueError, OverflowError, RecursionError) as error:
+        wanted = (manifest.folder / expected.path).read_bytes()
+    except OSError as error:
+        raise ManifestError(f"{expected.path}: {error.strerror}") from None
+    try:
+        with open_file(output) as file:
+            wrong = difference(wanted, file.read(), expected.tolerance)
+    except (ValueError, OverflowError) as error:
         wrong = f"the output is no list of Gaussians ({type(error).__name__})"
     return Judgement(GRADE_NONE, wrong) if wrong else Judgement(GRADE_EXACT, "")

@@ -6,20 +6,25 @@ import hashlib
 import json
 import queue
 import sys
-import tempfile
 import threading
 from collections.abc import Iterable, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, ThreadPoolExecutor, wait
-from contextlib import ExitStack, closing
+from contextlib import ExitStack, closing, suppress
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 from tqdm import tqdm
 
-from ..manifest import Accepted, GaussiansOf, Manifest, Rejected, Vector
+from refcodec.files.text import printable
+
+from ..manifest import Accepted, GaussiansOf, Manifest, ManifestError, Rejected, Vector
 from . import process
+from .folder import FileError, Folder, open_file
 from .grading import GRADE_EXACT, Found, Judgement, judge, read
-from .process import Ended, Server, StoppedError
+from .process import Ended, StoppedError, Watcher
+
+# What is shown of a process's error output, in characters.
+STDERR_CHARACTERS = 4000
 
 
 @dataclass(frozen=True)
@@ -28,7 +33,7 @@ class Options:
 
     command: the decoder's, a template with {input} and {output}, perhaps {trace}. gaussians: one with {camera} too,
     None without a renderer. grade: what a vector must reach. slow: factor of the time budgets. trace: a trace must be
-    right too. serve: the command is no template, but serves (process.Server).
+    right too. serve: the command is no template, but serves (process.Watcher.ask).
     """
 
     command: tuple[str, ...]
@@ -46,7 +51,8 @@ class Result:
 
     status: "passed", "failed", "crashed" or "skipped"; of a known failure "known", or "unexpected" if it passes.
     grade: 0 to 3. text: what is wrong. found: what the decoder said, None if it was not run. lines: how an output or
-    trace diverges, and the bytes of the file, annotated. stderr: its end. seconds, peak: of the process (Ended).
+    trace diverges, and the bytes of the file, annotated. stderr: its
+    beginning and its end, printable. seconds, peak: of the process (Ended).
     """
 
     vector: Vector
@@ -68,10 +74,24 @@ class Result:
 
 @dataclass
 class Run:
-    """What came of a run; results in the order of the vectors, those that were reached before `interrupted`."""
+    """What came of a run; results in the order of the vectors, those that were reached before `interrupted`.
+
+    left: folders that could not be removed, and why.
+    """
 
     results: list[Result] = field(default_factory=list)
     interrupted: bool = False
+    left: list[str] = field(default_factory=list)
+
+
+def shown(stderr: bytes) -> str:
+    """Error output as it may be shown anywhere: of bounded length, and without what steers a terminal."""
+    text = printable(stderr.decode("utf-8", "backslashreplace"), lines=True)
+    left = len(text) - STDERR_CHARACTERS
+    if left <= 0:
+        return text
+    first = STDERR_CHARACTERS // 4
+    return f"{text[:first]}\n[{left} characters left out] {text[first + left :]}"
 
 
 def wrong_hashes(manifest: Manifest) -> list[str]:
@@ -93,104 +113,159 @@ def wrong_hashes(manifest: Manifest) -> list[str]:
 
 
 class _Desk:
-    """Runs single vectors in a folder for their files."""
+    """Runs single vectors, each in a folder of its own."""
 
-    def __init__(self, manifest: Manifest, options: Options, folder: Path) -> None:
-        self.manifest, self.options, self.folder = manifest, options, folder
+    def __init__(self, manifest: Manifest, options: Options) -> None:
+        self.manifest, self.options = manifest, options
         self.stop = threading.Event()
-        self.servers: queue.SimpleQueue[Server] = queue.SimpleQueue()
-        for number in range(options.jobs if options.serve else 0):
-            self.servers.put(Server(options.command, folder / f"server-{number}"))
-
-    def file(self, vector: Vector, name: str) -> Path:
-        return self.folder / f"{vector.id}.{name}"
+        self.left: list[str] = []
+        self._watchers: queue.SimpleQueue[Watcher] = queue.SimpleQueue()
+        for _ in range(options.jobs):
+            self._watchers.put(Watcher())
+        # Those that vectors have, and those that are free.
+        self._folders: dict[str, Folder] = {}
+        self._free: queue.SimpleQueue[Folder] = queue.SimpleQueue()
 
     def run(self, vector: Vector) -> Result:
-        """The outcome of a vector; raises StoppedError if the run was ended meanwhile."""
-        o, output, trace = self.options, self.file(vector, "out"), self.file(vector, "trace")
-        places = {"input": self.manifest.path(vector).resolve(), "output": output, "trace": trace}
-        template = o.command
+        """The outcome of a vector; raises StoppedError if the run was ended meanwhile.
+
+        Its folder is kept for `explain` if something can be explained.
+        """
+        camera, template = None, self.options.command
         if isinstance(vector.expectation, GaussiansOf):
-            if o.gaussians is None:
+            if self.options.gaussians is None:
                 return Result(vector, "skipped", text="no command for Gaussians was given (--gaussians)")
-            template = o.gaussians
-            places["camera"] = self.file(vector, "camera")
-            places["camera"].write_text(json.dumps(vector.expectation.camera), encoding="utf-8")
+            template = self.options.gaussians
+            camera = json.dumps(vector.expectation.camera).encode()
         if self.stop.is_set():
             raise StoppedError
-        seconds = vector.budget.seconds * o.slow
-        if o.serve and template is o.command:
-            ended = self._ask(vector, places, seconds)
-        else:
-            errors = self.file(vector, "stderr")
-            ended = process.run(process.fill(template, places), errors, seconds, vector.budget.bytes, self.stop, output)
-            errors.unlink()
-        found = read(ended, output)
-        judgement = self._with_trace(vector, judge(self.manifest, vector, found, output), trace)
-        status = "passed" if judgement.grade >= o.grade else "crashed" if found.result == "crashed" else "failed"
-        if not judgement.text or found.result == "crashed":
-            # The others are looked at again (explain).
-            output.unlink(missing_ok=True)
-        if not judgement.text:
-            trace.unlink(missing_ok=True)
+        folder = self._folders[vector.id] = self._folder()
+        folder.put(self._data(vector), camera)
+        ended = self._end(vector, template, folder)
+        found, damage = read(ended, folder.output), folder.fault()
+        if damage and not ended.over:
+            found = Found("crashed", ended.status, ended.signal, text=damage)
+        judgement = self._with_trace(vector, judge(self.manifest, vector, found, folder.output), folder)
+        if found.result == "crashed":
+            self._remove(self._folders.pop(vector.id))
+        elif not judgement.text:
+            self._release(vector)
+        status = "passed" if judgement.grade >= self.options.grade else "failed"
         return Result(
             vector,
-            status,
+            "crashed" if found.result == "crashed" else status,
             judgement.grade,
             judgement.text,
             found,
-            stderr=ended.stderr.decode("utf-8", "replace"),
+            stderr=shown(ended.stderr),
             seconds=ended.seconds,
             peak=ended.peak,
         )
 
-    def _ask(self, vector: Vector, places: dict[str, Path], seconds: float) -> Ended:
-        server = self.servers.get()
+    def _data(self, vector: Vector) -> bytes:
+        """The file of a vector, which was right when the run began."""
         try:
-            wanted = {name: str(path) for name, path in places.items() if name != "trace" or self.options.trace}
-            return server.ask(wanted, seconds, vector.budget.bytes, self.stop)
+            data = self.manifest.path(vector).read_bytes()
+        except OSError as error:
+            raise ManifestError(f"{vector.input.path}: {error.strerror}") from None
+        if hashlib.sha256(data).hexdigest() != vector.input.sha256:
+            raise ManifestError(f"{vector.input.path}: it was changed while the decoder ran")
+        return data
+
+    def _end(self, vector: Vector, template: tuple[str, ...], folder: Folder) -> Ended:
+        o, seconds, memory = self.options, vector.budget.seconds * self.options.slow, vector.budget.bytes
+        places = {"input": folder.input, "output": folder.output, "trace": folder.trace, "camera": folder.camera}
+        watcher = self._watchers.get()
+        try:
+            if o.serve and template is o.command:
+                wanted = ("input", "output", "trace") if o.trace else ("input", "output")
+                request = {name: str(places[name]) for name in wanted}
+                return watcher.ask(template, request, seconds, memory, self.stop, folder)
+            return watcher.run(process.fill(template, places), seconds, memory, self.stop, folder)
         finally:
-            self.servers.put(server)
+            self._watchers.put(watcher)
+
+    def _folder(self) -> Folder:
+        with suppress(queue.Empty):
+            return self._free.get_nowait()
+        return Folder()
+
+    def _release(self, vector: Vector) -> None:
+        """Makes the folder of a decoder that did nothing wrong there ready for the next one."""
+        folder = self._folders.pop(vector.id)
+        try:
+            folder.clear()
+        except OSError:
+            self._remove(folder)
+        else:
+            self._free.put(folder)
+
+    def _remove(self, folder: Folder) -> None:
+        left = folder.close()
+        if left:
+            self.left.append(left)
 
     def close(self) -> None:
-        """Ends what serves; after the last vector."""
-        while not self.servers.empty():
-            self.servers.get().close()
+        """Ends all that runs, and removes what is left; after the last vector."""
+        while not self._watchers.empty():
+            self._watchers.get().close()
+        while not self._free.empty():
+            self._remove(self._free.get())
+        for folder in self._folders.values():
+            self._remove(folder)
 
-    def _with_trace(self, vector: Vector, judgement: Judgement, trace: Path) -> Judgement:
+    def _with_trace(self, vector: Vector, judgement: Judgement, folder: Folder) -> Judgement:
         if not self.options.trace or judgement.text or not isinstance(vector.expectation, Accepted):
             return judgement
-        if not trace.is_file():
+        try:
+            with open_file(folder.trace) as file:
+                right = hashlib.file_digest(file, "sha256").hexdigest() == vector.expectation.trace
+        except FileNotFoundError:
             return Judgement(0, "the output is right; no trace was written")
-        with trace.open("rb") as file:
-            right = hashlib.file_digest(file, "sha256").hexdigest() == vector.expectation.trace
+        except FileError as error:
+            return Judgement(0, f"the output is right; the trace {error}")
         return judgement if right else Judgement(0, "the output is right, the trace is not")
 
     def explain(self, result: Result) -> Result:
-        """The result of a failure with what can be said of it."""
+        """The result of a failure with what can be said of it. Its folder is free then."""
+        folder = self._folders.get(result.vector.id)
+        if folder is None:
+            return result
+        try:
+            return self._explained(result, folder)
+        finally:
+            self._release(result.vector)
+
+    def _explained(self, result: Result, folder: Folder) -> Result:
         vector, found = result.vector, result.found
-        if not result.text or found is None or isinstance(vector.expectation, GaussiansOf):
+        if found is None or isinstance(vector.expectation, GaussiansOf):
             return result
         # numpy is slow to import, and is needed for failures alone.
         from . import divergence  # noqa: PLC0415
 
-        data = self.manifest.path(vector).read_bytes()
+        data = self._data(vector)
         lines, spot = [], None
-        output, trace = self.file(vector, "out"), self.file(vector, "trace")
         if isinstance(vector.expectation, Rejected):
             spot = vector.expectation.offset
         else:
-            differs = divergence.of_output(data, output) if found.result == "accepted" else None
+            output = _content(folder.output) if found.result == "accepted" else None
+            differs = None if output is None else divergence.of_output(data, output)
             if differs:
                 lines.append(differs.text())
-            symbol = divergence.of_trace(data, trace) if trace.is_file() else None
+            trace = _content(folder.trace)
+            symbol = None if trace is None else divergence.of_trace(data, trace)
             if symbol:
                 lines.append(symbol.text())
             spot = symbol.offset if symbol else found.offset
         near = [] if spot is None else divergence.annotated(data, spot)
-        for path in (output, trace):
-            path.unlink(missing_ok=True)
         return replace(result, divergence=tuple(lines), hex=tuple(near))
+
+
+def _content(path: Path) -> bytes | None:
+    """What a decoder wrote, None if it is no file."""
+    with suppress(FileNotFoundError, FileError), open_file(path) as file:
+        return file.read()
+    return None
 
 
 def run(
@@ -204,8 +279,8 @@ def run(
     done = Run()
     bar = tqdm(total=len(vectors), unit="vector", file=sys.stderr, disable=not show)
     with ExitStack() as stack:
-        folder = stack.enter_context(tempfile.TemporaryDirectory(prefix="c3gs-"))
-        desk = stack.enter_context(closing(_Desk(manifest, options, Path(folder))))
+        stack.enter_context(process.adopting())
+        desk = stack.enter_context(closing(_Desk(manifest, options)))
         pool = stack.enter_context(ThreadPoolExecutor(options.jobs))
         stack.enter_context(bar)
         # The longest first, so that no single one is left at the end.
@@ -223,6 +298,7 @@ def run(
             for future in queue:
                 future.cancel()
     done.results = [ended[v.id] for v in vectors if v.id in ended]
+    done.left = [printable(text) for text in desk.left]
     names = set(known)
     done.results = [_as_known(r) if r.vector.id in names else r for r in done.results]
     return done

@@ -2,8 +2,8 @@
 
 python -m conformance.runner.serve refcodec | independent
 
-Reads lines of JSON, {"input", "output"} and perhaps "trace", and answers each with {"status", "signal", "stderr"}. Each
-file is decoded in a fork, whose end is all that the next one could know of it.
+Reads lines of JSON, {"id", "input", "output"} and perhaps "trace". It answers each with {"id", "status", "signal",
+"stderr"}. Each file is decoded in a fork, whose end is all that the next one could know of it.
 """
 
 from __future__ import annotations
@@ -17,6 +17,9 @@ from collections.abc import Callable
 from typing import Any
 
 from refcodec import statuses
+
+# What is answered of a file's error output: its end.
+_STDERR_BYTES = 16 << 10
 
 
 def _refcodec() -> Callable[[list[str]], int]:
@@ -50,7 +53,7 @@ def _in_fork(decode: Callable[[list[str]], int], words: list[str]) -> dict[str, 
             sys.stderr.flush()
             os._exit(status)
         code = os.waitstatus_to_exitcode(os.waitpid(pid, 0)[1])
-        errors.seek(0)
+        errors.seek(max(0, errors.seek(0, os.SEEK_END) - _STDERR_BYTES))
         text = errors.read().decode("utf-8", "replace")
     return {"status": code if code >= 0 else None, "signal": -code if code < 0 else None, "stderr": text}
 
@@ -64,7 +67,7 @@ def main(arguments: list[str]) -> int:
     for line in sys.stdin:
         request = json.loads(line)
         words = [request["input"], request["output"]] + (["--trace", request["trace"]] if "trace" in request else [])
-        print(json.dumps(_in_fork(decode, words)), flush=True)
+        print(json.dumps({"id": request["id"], **_in_fork(decode, words)}), flush=True)
     return 0
 
 

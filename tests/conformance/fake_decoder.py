@@ -29,10 +29,14 @@ def right(answer, output, trace):
     return 0
 
 
+def answer(answers, name):
+    return json.loads(Path(answers).read_text())[hashlib.sha256(Path(name).read_bytes()).hexdigest()]
+
+
 def main(mode, answers, name, target, *rest):
-    answer = json.loads(Path(answers).read_text())[hashlib.sha256(Path(name).read_bytes()).hexdigest()]
+    known = answer(answers, name)
     output, trace = Path(target), Path(rest[0]) if rest else None
-    good = answer["exit"] == 0
+    good = known["exit"] == 0
     match mode:
         case "raises":
             raise RuntimeError("planted")
@@ -46,7 +50,7 @@ def main(mode, answers, name, target, *rest):
         case "segfault":
             os.kill(os.getpid(), signal.SIGSEGV)
         case "segfault-after-json":
-            refuse(1, answer.get("code", 103), answer.get("offset", 16))
+            refuse(1, known.get("code", 103), known.get("offset", 16))
             os.kill(os.getpid(), signal.SIGSEGV)
         case "hang":
             time.sleep(600)
@@ -61,18 +65,18 @@ def main(mode, answers, name, target, *rest):
                 held.append(bytes(8 << 20) + b"x")
         case "memory-in-child":
             subprocess.run([sys.executable, "-S", __file__, "memory", answers, name, target], check=False)
-            return right(answer, output, trace)
+            return right(known, output, trace)
         case "json-exit-0" if not good:
-            refuse(0, answer["code"], answer["offset"])
+            refuse(0, known["code"], known["offset"])
             return 0
         case "right-exit-1" if good:
-            right(answer, output, trace)
+            right(known, output, trace)
             return 1
         case "json-and-output" if good:
-            right(answer, output, trace)
+            right(known, output, trace)
             return refuse(1, 103, 16)
         case "exit-3" if not good:
-            return refuse(3, answer["code"], answer["offset"])
+            return refuse(3, known["code"], known["offset"])
         case "giant":
             with output.open("wb") as file:
                 while True:
@@ -87,52 +91,55 @@ def main(mode, answers, name, target, *rest):
         case "talks-much":
             sys.stderr.write("a line of talk\n" * 50_000)
             print("and much on stdout " * 100_000)
-            return right(answer, output, trace)
-        case "no-ancillary" if good and answer["extended"]:
+            return right(known, output, trace)
+        case "no-ancillary" if good and known["extended"]:
             return refuse(1, 302, 263)
         case "unregistered" if not good:
-            return refuse(answer["exit"], 999, answer["offset"])
+            return refuse(known["exit"], 999, known["offset"])
         case "code-as-text" if not good:
-            return refuse(answer["exit"], str(answer["code"]), answer["offset"])
+            return refuse(known["exit"], str(known["code"]), known["offset"])
         case "code-true" if not good:
-            return refuse(answer["exit"], True, answer["offset"])
+            return refuse(known["exit"], True, known["offset"])
         case "json-then-text" if not good:
-            refuse(answer["exit"], answer["code"], answer["offset"])
+            refuse(known["exit"], known["code"], known["offset"])
             print("the end", file=sys.stderr)
-            return answer["exit"]
+            return known["exit"]
         case "json-list" if not good:
-            print(json.dumps([answer["code"], answer["offset"]]), file=sys.stderr)
-            return answer["exit"]
+            print(json.dumps([known["code"], known["offset"]]), file=sys.stderr)
+            return known["exit"]
         case "json-deep" if not good:
             print("[" * 10_000, file=sys.stderr)
-            return answer["exit"]
+            return known["exit"]
         case "no-offset" if not good:
-            print(json.dumps({"code": answer["code"]}), file=sys.stderr)
-            return answer["exit"]
+            print(json.dumps({"code": known["code"]}), file=sys.stderr)
+            return known["exit"]
         case "offset-1" if not good:
-            return refuse(answer["exit"], answer["code"], answer["offset"] + 1)
+            return refuse(known["exit"], known["code"], known["offset"] + 1)
         case "other-code" if not good:
             same = {"malformed": 103, "invalid": 212, "unsupported": 205}
-            return refuse(answer["exit"], same[answer["class"]], answer["offset"])
+            return refuse(known["exit"], same[known["class"]], known["offset"])
         case "always-exit-1" if not good:
-            return refuse(1, answer["code"], answer["offset"])
+            return refuse(1, known["code"], known["offset"])
         case "last-bit" | "first-bit" | "short" | "long" if good:
-            data = bytearray(Path(answer["output"]).read_bytes())
+            data = bytearray(Path(known["output"]).read_bytes())
             data[{"last-bit": -1, "first-bit": 0}.get(mode, 0)] ^= mode in ("last-bit", "first-bit")
             output.write_bytes({"short": data[:-1], "long": data + b"\0"}.get(mode, data))
             return 0
         case "wrong-trace" if good and trace:
-            right(answer, output, trace)
+            right(known, output, trace)
             trace.write_text(trace.read_text().replace(" ", "  ", 1))
             return 0
         case "no-trace" if good:
-            return right(answer, output, None)
+            return right(known, output, None)
         case "leaves-child":
             subprocess.Popen(["sleep", "600"])
-            return right(answer, output, trace)
-        case "changes-vectors":
+            return right(known, output, trace)
+        case "changes-input":
+            Path(name).chmod(0o600)
             Path(name).write_bytes(b"")
-    return right(answer, output, trace)
+        case "changes-suite":
+            Path(os.environ["FAKE_DECODER_CHANGES"]).write_bytes(b"")
+    return right(known, output, trace)
 
 
 if __name__ == "__main__":

@@ -204,9 +204,9 @@ def test_fuzz_notes_what_is_done(
     assert saved["batches"] == [3]
     assert compare.run(1, 3, 1, state, tmp_path / "keep", []) == 0
     assert json.loads(state.read_text()) == saved, "nothing is done twice"
-    with pytest.raises(SystemExit, match="seed 3"):
+    with pytest.raises(compare.StateError, match="seed 3"):
         compare.run(1, 4, 1, state, tmp_path / "keep", [])
-    with pytest.raises(SystemExit, match="another decoder"):
+    with pytest.raises(compare.StateError, match="another decoder"):
         compare.run(1, 3, 1, state, tmp_path / "keep", ["true", "{input}", "{output}"])
     assert "0 disagreements" in capsys.readouterr().out
     assert not (tmp_path / "keep").exists()
@@ -230,7 +230,7 @@ def test_fuzz_of_another_decoder(
         '{"seed": 0, "command": [], "batches": 1, "seen": {}, "wrong": 0}',
     ):
         (tmp_path / "bad.json").write_text(state)
-        with pytest.raises(SystemExit, match="no state of this command"):
+        with pytest.raises(compare.StateError, match="no state of this command"):
             compare.run(1, 0, 1, tmp_path / "bad.json", tmp_path / "keep", [])
     assert cli.main(["fuzz", "-n", "0"]) == statuses.USAGE
     assert cli.main(["fuzz", "-n", "1", "--state", str(tmp_path / "bad.json")]) == statuses.USAGE

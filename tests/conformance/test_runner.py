@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 import json
 import os
 import shlex
@@ -13,143 +12,27 @@ import sys
 import threading
 import time
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass, replace
+from contextlib import closing
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 from xml.etree import ElementTree
 
 import jsonschema
 import pytest
+from small_suite import Suite
 
 from conformance import cli
-from conformance.cases.checksums import repair
-from conformance.cases.target import Target
 from conformance.cli import running
-from conformance.manifest import MANIFEST, SCHEMA, VECTORS, load
+from conformance.manifest import MANIFEST, load
 from conformance.report import summary
 from conformance.runner import fluster, process
 from conformance.runner import run as runner
 from refcodec import statuses
 from refcodec.bitstream import codec
-from refcodec.bitstream.errors import REGISTRY, BitstreamError
-from refcodec.bitstream.reconstruction import canonical_head, canonical_parts, digest
-from refcodec.inspect.trace import symbol_trace
+from refcodec.bitstream.errors import REGISTRY
 
-FAKE = Path(__file__).with_name("fake_decoder.py")
 ROOT = Path(__file__).resolve().parents[2]
-
-
-@dataclass(frozen=True)
-class Suite:
-    """A small suite and the answers to it."""
-
-    folder: Path
-    answers: Path
-
-    def command(self, mode: str, *more: str) -> list[str]:
-        return [sys.executable, "-S", "-E", str(FAKE), mode, str(self.answers), "{input}", "{output}", *more]
-
-    def run(self, mode: str, *options: str, trace: bool = False) -> int:
-        command = self.command(mode, *(["{trace}"] if trace else []))
-        # Whatever else the machine does: where time itself is tested, the options say so.
-        slow = [] if "--slow" in options else ["--slow", "20"]
-        return cli.main(["run", "--vectors", str(self.folder), "--jobs", "2", *slow, *options, "--", *command])
-
-    def report(self, mode: str, folder: Path, *options: str, trace: bool = False) -> tuple[int, dict[str, Any]]:
-        status = self.run(mode, "--report", str(folder), *options, trace=trace)
-        return status, json.loads((folder / "report.json").read_text())
-
-
-def _files() -> dict[str, bytes]:
-    plain = (VECTORS / "tiny-example.c3gs").read_bytes()
-    target = Target(plain)
-    extended = codec.emit(replace(codec.parse(plain).scene, extensions=((1, 0, b"more"),)))
-    return {
-        "valid-plain": plain,
-        "valid-extended": extended,
-        "malformed-crc": target.put(17, bytes([plain[17] ^ 1])),
-        "invalid-up-axis": repair(target.put(target.at("render_info.up_axis"), b"\6")),
-        "unsupported-profile": repair(target.put(target.at("profile"), b"\7")),
-        "resource-anchors": repair(target.put(target.at("anchor_count"), b"\xff\xff\xff\xff")),
-    }
-
-
-def _expectation(data: bytes, place: Path) -> tuple[dict[str, Any], dict[str, Any]]:
-    """What the manifest says of a file, and the fake decoder's answer."""
-    lines: list[str] = []
-    try:
-        scene = symbol_trace(data, lines.append).scene
-    except BitstreamError as error:
-        kind = error.kind
-        said = {
-            "result": "rejected",
-            "code": kind.code,
-            "name": kind.name,
-            "offset": error.offset,
-            "clause": kind.clause,
-        }
-        return said, {
-            "exit": 2 if kind.klass == "unsupported" else 1,
-            "code": kind.code,
-            "offset": error.offset,
-            "class": kind.klass,
-        }
-    output, trace = place.with_suffix(".out"), place.with_suffix(".trace")
-    output.write_bytes(canonical_head(scene) + b"".join(part for _, part in canonical_parts(scene)))
-    trace.write_text("".join(lines))
-    whole, parts = digest(scene)
-    parts = {"head": hashlib.sha256(canonical_head(scene)).hexdigest(), **parts}
-    said = {
-        "result": "accepted",
-        "digest": whole,
-        "parts": parts,
-        "trace": hashlib.sha256(trace.read_bytes()).hexdigest(),
-    }
-    return said, {"exit": 0, "output": str(output), "trace": str(trace), "extended": bool(scene.extensions)}
-
-
-@pytest.fixture(scope="module")
-def suite(tmp_path_factory: pytest.TempPathFactory) -> Suite:
-    folder, answers = tmp_path_factory.mktemp("suite"), tmp_path_factory.mktemp("answers")
-    shutil.copyfile(VECTORS / SCHEMA, folder / SCHEMA)
-    vectors, known = [], {}
-    for name, data in _files().items():
-        klass, _, rest = name.partition("-")
-        path = folder / klass / f"{rest}.c3gs"
-        path.parent.mkdir(exist_ok=True)
-        path.write_bytes(data)
-        expectation, answer = _expectation(data, answers / rest)
-        sha = hashlib.sha256(data).hexdigest()
-        known[sha] = answer
-        profile, level = (None, None) if klass == "malformed" else ("tiny", 0)
-        vectors.append(
-            {
-                "id": name,
-                "title": rest,
-                "operation": "decode",
-                "class": klass,
-                "profile": profile,
-                "level": level,
-                "features": ["header"],
-                "requirements": ["R6.2-1"],
-                "flags": [],
-                "input": {"path": f"{klass}/{rest}.c3gs", "size": len(data), "sha256": sha},
-                "expectation": expectation,
-                "budget": {"seconds": 10, "bytes": 256 << 20},
-                "licence": "CC0-1.0",
-                "generator": {"name": "test", "seed": 0},
-            }
-        )
-    manifest = {
-        "suite": "c3gs-conformance",
-        "suite_version": "0.0.1",
-        "format_version": 0,
-        "flags": {},
-        "features": {"header": "it"},
-    }
-    (folder / MANIFEST).write_text(json.dumps({**manifest, "vectors": vectors}))
-    (answers / "answers.json").write_text(json.dumps(known))
-    return Suite(folder, answers / "answers.json")
 
 
 def by_vector(record: dict[str, Any]) -> dict[str, str]:
@@ -290,7 +173,8 @@ def test_stderr_is_bounded(suite: Suite, tmp_path: Path) -> None:
 def test_children_do_not_outlive_the_decoder(tmp_path: Path) -> None:
     mark = tmp_path / "mark"
     command = ["/bin/sh", "-c", f"(sleep 0.5; touch {mark}) & exit 0"]
-    process.run(command, tmp_path / "stderr", 10, 1 << 30, threading.Event())
+    with closing(process.Watcher()) as watcher:
+        watcher.run(command, 10, 1 << 30, threading.Event())
     time.sleep(1)
     assert not mark.exists()
 
@@ -362,9 +246,15 @@ def test_a_damaged_suite(suite: Suite, tmp_path: Path, capfd: pytest.CaptureFixt
     assert damaged("none", lambda folder: (folder / MANIFEST).unlink()) == statuses.DAMAGED_SUITE
 
 
-def test_a_decoder_that_changes_the_suite(suite: Suite, tmp_path: Path) -> None:
+def test_a_decoder_that_changes_the_suite(suite: Suite, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """What it is given is a copy; the suite itself is looked at again at the end."""
     shutil.copytree(suite.folder, tmp_path / "suite")
-    assert Suite(tmp_path / "suite", suite.answers).run("changes-vectors") == statuses.DAMAGED_SUITE
+    other = Suite(tmp_path / "suite", suite.answers)
+    status, record = other.report("changes-input", tmp_path)
+    assert status == statuses.REJECTED
+    assert {v["text"] for v in record["vectors"]} == {"crash: changed its input"}
+    monkeypatch.setenv("FAKE_DECODER_CHANGES", str(tmp_path / "suite" / "valid" / "plain.c3gs"))
+    assert other.run("changes-suite") == statuses.DAMAGED_SUITE
 
 
 def test_nothing_selected_is_a_failure(suite: Suite) -> None:
@@ -579,7 +469,8 @@ def test_an_interrupted_run_leaves_a_report(suite: Suite, tmp_path: Path) -> Non
     script = tmp_path / "decoder.sh"
     quick = " ".join(Suite(tmp_path / "suite", suite.answers).command("right")[:-2])
     others = f'{quick} "$1" "$2"; s=$?; touch {tmp_path}/one; exit $s'
-    script.write_text(f'case "$1" in */valid/plain.c3gs) sleep 60;; *) {others};; esac\n')
+    slow = suite.folder / "valid" / "plain.c3gs"
+    script.write_text(f'if cmp -s "$1" {slow}; then sleep 60; else {others}; fi\n')
     command = [sys.executable, "-c", PROGRAM, "run", "--vectors", str(tmp_path / "suite"), "--jobs", "2"]
     command += ["--slow", "100", "--report", str(tmp_path / "report")]
     command += ["--", "sh", str(script), "{input}", "{output}"]
@@ -658,10 +549,11 @@ def test_a_reader_that_goes_away(suite: Suite, tmp_path: Path) -> None:
     assert int((tmp_path / "status").read_text()) == statuses.BROKEN_PIPE
 
 
-def test_peaks_are_not_the_runners_own(tmp_path: Path) -> None:
+def test_peaks_are_not_the_runners_own() -> None:
     """The memory of whoever starts a process is not taken for its own."""
     ballast = bytearray(os.urandom(1 << 20)) * 300
-    ended = process.run(["true"], tmp_path / "stderr", 10, 100 << 20, threading.Event())
+    with closing(process.Watcher()) as watcher:
+        ended = watcher.run(["true"], 10, 100 << 20, threading.Event())
     assert len(ballast) > 100 << 20
     assert (ended.over, ended.peak) == (None, None)
 

@@ -1,0 +1,134 @@
+"""A suite of six small files, one of each kind, and a decoder that knows the answers (fake_decoder.py)."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import shutil
+import sys
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+from conformance import cli
+from conformance.cases.checksums import repair
+from conformance.cases.target import Target
+from conformance.manifest import MANIFEST, SCHEMA, VECTORS
+from refcodec.bitstream import codec
+from refcodec.bitstream.errors import BitstreamError
+from refcodec.bitstream.reconstruction import canonical_head, canonical_parts, digest
+from refcodec.inspect.trace import symbol_trace
+
+FAKE = Path(__file__).with_name("fake_decoder.py")
+
+
+@dataclass(frozen=True)
+class Suite:
+    """A small suite and the answers to it."""
+
+    folder: Path
+    answers: Path
+
+    def command(self, mode: str, *more: str) -> list[str]:
+        return [sys.executable, "-S", "-E", str(FAKE), mode, str(self.answers), "{input}", "{output}", *more]
+
+    def run(self, mode: str, *options: str, trace: bool = False) -> int:
+        command = self.command(mode, *(["{trace}"] if trace else []))
+        # Whatever else the machine does: where time itself is tested, the options say so.
+        slow = [] if "--slow" in options else ["--slow", "20"]
+        return cli.main(["run", "--vectors", str(self.folder), "--jobs", "2", *slow, *options, "--", *command])
+
+    def report(self, mode: str, folder: Path, *options: str, trace: bool = False) -> tuple[int, dict[str, Any]]:
+        status = self.run(mode, "--report", str(folder), *options, trace=trace)
+        return status, json.loads((folder / "report.json").read_text())
+
+
+def _files() -> dict[str, bytes]:
+    plain = (VECTORS / "tiny-example.c3gs").read_bytes()
+    target = Target(plain)
+    extended = codec.emit(replace(codec.parse(plain).scene, extensions=((1, 0, b"more"),)))
+    return {
+        "valid-plain": plain,
+        "valid-extended": extended,
+        "malformed-crc": target.put(17, bytes([plain[17] ^ 1])),
+        "invalid-up-axis": repair(target.put(target.at("render_info.up_axis"), b"\6")),
+        "unsupported-profile": repair(target.put(target.at("profile"), b"\7")),
+        "resource-anchors": repair(target.put(target.at("anchor_count"), b"\xff\xff\xff\xff")),
+    }
+
+
+def _expectation(data: bytes, place: Path) -> tuple[dict[str, Any], dict[str, Any]]:
+    """What the manifest says of a file, and the fake decoder's answer."""
+    lines: list[str] = []
+    try:
+        scene = symbol_trace(data, lines.append).scene
+    except BitstreamError as error:
+        kind = error.kind
+        said = {
+            "result": "rejected",
+            "code": kind.code,
+            "name": kind.name,
+            "offset": error.offset,
+            "clause": kind.clause,
+        }
+        return said, {
+            "exit": 2 if kind.klass == "unsupported" else 1,
+            "code": kind.code,
+            "offset": error.offset,
+            "class": kind.klass,
+        }
+    output, trace = place.with_suffix(".out"), place.with_suffix(".trace")
+    output.write_bytes(canonical_head(scene) + b"".join(part for _, part in canonical_parts(scene)))
+    trace.write_text("".join(lines))
+    whole, parts = digest(scene)
+    parts = {"head": hashlib.sha256(canonical_head(scene)).hexdigest(), **parts}
+    said = {
+        "result": "accepted",
+        "digest": whole,
+        "parts": parts,
+        "trace": hashlib.sha256(trace.read_bytes()).hexdigest(),
+    }
+    return said, {"exit": 0, "output": str(output), "trace": str(trace), "extended": bool(scene.extensions)}
+
+
+def build(folder: Path, answers: Path) -> Suite:
+    """Writes the suite and the answers into two empty folders."""
+    shutil.copyfile(VECTORS / SCHEMA, folder / SCHEMA)
+    vectors, known = [], {}
+    for name, data in _files().items():
+        klass, _, rest = name.partition("-")
+        path = folder / klass / f"{rest}.c3gs"
+        path.parent.mkdir(exist_ok=True)
+        path.write_bytes(data)
+        expectation, answer = _expectation(data, answers / rest)
+        sha = hashlib.sha256(data).hexdigest()
+        known[sha] = answer
+        profile, level = (None, None) if klass == "malformed" else ("tiny", 0)
+        vectors.append(
+            {
+                "id": name,
+                "title": rest,
+                "operation": "decode",
+                "class": klass,
+                "profile": profile,
+                "level": level,
+                "features": ["header"],
+                "requirements": ["R6.2-1"],
+                "flags": [],
+                "input": {"path": f"{klass}/{rest}.c3gs", "size": len(data), "sha256": sha},
+                "expectation": expectation,
+                "budget": {"seconds": 10, "bytes": 256 << 20},
+                "licence": "CC0-1.0",
+                "generator": {"name": "test", "seed": 0},
+            }
+        )
+    manifest = {
+        "suite": "c3gs-conformance",
+        "suite_version": "0.0.1",
+        "format_version": 0,
+        "flags": {},
+        "features": {"header": "it"},
+    }
+    (folder / MANIFEST).write_text(json.dumps({**manifest, "vectors": vectors}))
+    (answers / "answers.json").write_text(json.dumps(known))
+    return Suite(folder, answers / "answers.json")
