@@ -20,3 +20,7 @@ FAULT = 70
 INTERRUPTED = 130
 # The reader of stdout went away.
 BROKEN_PIPE = 141
+
+
+class UsageError(Exception):
+    """A wrong use that the caller can put right. The exit status is USAGE, and the text is one line."""

@@ -5,10 +5,7 @@ from __future__ import annotations
 import sys
 
 from refcodec import statuses
-
-
-class UsageError(Exception):
-    """Arguments that do not make sense."""
+from refcodec.statuses import UsageError
 
 
 def status_of(error: Exception) -> int | None:
