@@ -7,6 +7,8 @@ from collections import Counter
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
+from refcodec.files.stage import Stage
+
 from .equivalent import PROOFS
 from .mutant import Mutant
 
@@ -91,5 +93,6 @@ def table(mutants: Sequence[Mutant], caught: Mapping[str, tuple[str, str]]) -> s
 def write(mutants: Sequence[Mutant], caught: Mapping[str, tuple[str, str]]) -> None:
     """Writes both files."""
     document = {m.id: {"vector": caught[m.id][0], "wrong": caught[m.id][1]} for m in mutants if m.id in caught}
-    JSON.write_text(json.dumps(document, indent=1) + "\n", encoding="utf-8")
-    TABLE.write_text(table(mutants, caught), encoding="utf-8")
+    with Stage() as stage:
+        stage.write(JSON, (json.dumps(document, indent=1) + "\n").encode())
+        stage.write(TABLE, table(mutants, caught).encode())
