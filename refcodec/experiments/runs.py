@@ -18,7 +18,7 @@ from pathlib import Path
 from types import FrameType
 from typing import Any
 
-from ..files.stage import Stage, write_file
+from ..files.stage import Stage, make_folder, write_file
 
 PROGRAM = (sys.executable, "-m", "refcodec")
 # Lines of a failed command's stderr that are worth repeating.
@@ -76,7 +76,7 @@ class Notes:
         """The notes of a folder, which is made. Raises RunError if there is something else in it."""
         path = folder / name
         try:
-            folder.mkdir(parents=True, exist_ok=True)
+            make_folder(folder, [])
             if path.is_file():
                 found = json.loads(path.read_text())
                 if found["format"] == format:

@@ -10,6 +10,7 @@ Pipes and devices are written to as they are, because nothing in them is lost.
 
 from __future__ import annotations
 
+import contextlib
 import os
 import re
 import stat
@@ -111,11 +112,21 @@ def _identities(paths: list[Path]) -> tuple[dict[_Identity, Path], dict[_Identit
             files.setdefault(_identity(status), path)
         elif folders.setdefault(_identity(status), path) is path:
             # Links of both kinds give its files other names elsewhere.
-            for file in sorted(path.iterdir()):
-                there = _status(file)
-                if there is not None and stat.S_ISREG(there.st_mode):
-                    files.setdefault(_identity(there), file)
+            for file in _listed(path):
+                # A link in a circle is told by who reads it.
+                with contextlib.suppress(OSError):
+                    there = _status(file)
+                    if there is not None and stat.S_ISREG(there.st_mode):
+                        files.setdefault(_identity(there), file)
     return files, folders
+
+
+def _listed(folder: Path) -> list[Path]:
+    """Returns what is in a folder, or nothing if it may not be listed. Its files may be readable all the same."""
+    try:
+        return sorted(folder.iterdir())
+    except PermissionError:
+        return []
 
 
 def _status(path: Path) -> os.stat_result | None:
