@@ -1,4 +1,4 @@
-"""Exit statuses of all commands of the project: one number means one thing."""
+"""Exit statuses of all commands of the project: one number means one thing. The error of wrong usage."""
 
 from __future__ import annotations
 
@@ -20,3 +20,7 @@ FAULT = 70
 INTERRUPTED = 130
 # The reader of stdout went away.
 BROKEN_PIPE = 141
+
+
+class UsageError(Exception):
+    """A wrong use that the caller can put right. The exit status is USAGE, and the text is one line."""

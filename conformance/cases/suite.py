@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import hashlib
 import json
-import shutil
 import zlib
 from collections.abc import Iterable, Iterator
 from pathlib import Path
@@ -14,7 +13,10 @@ from refcodec.bitstream import codec, header
 from refcodec.bitstream.errors import BitstreamError
 from refcodec.bitstream.limits import PROFILES
 from refcodec.bitstream.reconstruction import canonical_head, digest
+from refcodec.files.exchange import INCOMING, exchange
+from refcodec.files.stage import make_folder, new_file
 from refcodec.inspect.trace import symbol_trace
+from refcodec.statuses import UsageError
 
 from ..manifest import MANIFEST, SCHEMA, VECTORS
 from .book import Recipe, Seen, path_of
@@ -23,6 +25,7 @@ from .fault import Refused
 from .features import FEATURES
 from .flags import FLAGS
 
+NAME = "c3gs-conformance"
 SUITE_VERSION = "0.1.0"
 MEMORY = 256 << 20
 CLASSES = ("valid", "malformed", "invalid", "unsupported", "resource")
@@ -130,28 +133,48 @@ def vectors(recipes: Iterable[Recipe]) -> Iterator[tuple[dict[str, Any], dict[st
         )
 
 
+def _check(folder: Path) -> None:
+    """Raises UsageError for a folder with something in it that is no suite."""
+    if not folder.is_dir() or not any(p.name != INCOMING for p in folder.iterdir()):
+        return
+    manifest = folder / MANIFEST
+    if not manifest.is_file() or NAME not in manifest.read_bytes()[:100].decode(errors="replace"):
+        raise UsageError(f"{folder} exists and is not a conformance suite: choose another one, or empty it")
+
+
 def generate(folder: Path, recipes: Iterable[Recipe]) -> tuple[int, int]:
-    """Writes the suite: (vectors, bytes of their files). What the folder had in the places of vectors is gone."""
-    # A folder that cannot be made is told before the work.
-    folder.mkdir(parents=True, exist_ok=True)
+    """Writes the suite: (vectors, bytes of their files). It takes the place of the suite that the folder had.
+
+    Raises UsageError, before the work, if the folder has something else in it, and OSError.
+    """
+    _check(folder)
     found, written = [], {}
     for vector, files in vectors(recipes):
         found.append(vector)
         written.update(files)
-    for klass in CLASSES:
-        shutil.rmtree(folder / klass, ignore_errors=True)
-        (folder / klass).mkdir()
-    for path, data in written.items():
-        (folder / path).write_bytes(data)
     document = {
-        "suite": "c3gs-conformance",
+        "suite": NAME,
         "suite_version": SUITE_VERSION,
         "format_version": header.VERSION,
         "flags": FLAGS,
         "features": FEATURES,
         "vectors": found,
     }
-    (folder / MANIFEST).write_text(json.dumps(document, indent=1) + "\n", encoding="utf-8")
-    if folder.resolve() != VECTORS:
-        shutil.copyfile(VECTORS / SCHEMA, folder / SCHEMA)
-    return len(found), sum(map(len, written.values()))
+    size = sum(map(len, written.values()))
+    written[MANIFEST] = (json.dumps(document, indent=1) + "\n").encode()
+    written[SCHEMA] = (VECTORS / SCHEMA).read_bytes()
+
+    def write(new: Path) -> None:
+        for klass in CLASSES:
+            (new / klass).mkdir()
+        for path, data in written.items():
+            make_folder((new / path).parent, [])
+            with new_file(new / path) as file:
+                file.write(data)
+
+    def replaced() -> list[Path]:
+        _check(folder)
+        return [folder / name for name in (*CLASSES, MANIFEST, SCHEMA)]
+
+    exchange(folder, write, replaced, MANIFEST)
+    return len(found), size

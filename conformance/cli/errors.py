@@ -6,13 +6,10 @@ import sys
 
 from refcodec import statuses
 from refcodec.files.text import printable
+from refcodec.statuses import UsageError
 
 # The longest text that is told, in characters.
 _TEXT = 4000
-
-
-class UsageError(Exception):
-    """Arguments that do not make sense."""
 
 
 def status_of(error: Exception) -> int | None:

@@ -4,12 +4,18 @@ from __future__ import annotations
 
 import argparse
 import os
+import re
 from pathlib import Path
 from typing import Any
+
+from refcodec.files.outputs import Kind, check_apart, check_file
 
 from ..manifest import MANIFEST, VECTORS
 from .errors import UsageError
 from .shared import check_template, positive
+
+# Planted bugs, each with the vectors that catch it.
+MATRIX = Kind("a matrix of this command", re.compile(rb'\{\n "[^"\n]+": (\{\}|\{\n  "[^"\n]+": ")'))
 
 
 def _fuzz(arguments: argparse.Namespace) -> int:
@@ -44,6 +50,9 @@ def _add_generate(commands: Any) -> None:
 def _selftest(arguments: argparse.Namespace) -> int:
     from ..mutants.selftest import run  # noqa: PLC0415
 
+    if arguments.matrix:
+        check_file(arguments.matrix, MATRIX)
+        check_apart([arguments.matrix], [arguments.manifest, arguments.manifest.parent])
     return run(arguments.manifest, arguments.jobs, arguments.recorded, arguments.matrix, arguments.write)
 
 

@@ -6,6 +6,7 @@ import argparse
 import datetime
 import json
 import os
+import re
 import shlex
 import sys
 import time
@@ -13,6 +14,8 @@ from pathlib import Path
 from typing import Any
 
 from refcodec import statuses
+from refcodec.files.outputs import Kind, check_apart, check_file
+from refcodec.files.stage import Stage
 from refcodec.files.text import printable
 
 from ..manifest import Manifest, ManifestError
@@ -24,6 +27,15 @@ from ..runner.run import Options, Run, run
 from ..runner.selection import select
 from .errors import UsageError, note
 from .shared import add_vectors, check_files, check_template, positive, suite
+
+# The files of a report.
+REPORTS = {
+    "report.json": Kind("a report of this command", re.compile(rb'\{\n "report": "c3gs-conformance-report"')),
+    "report.xml": Kind("a report of this command", re.compile(rb'<\?xml [^>]*>\n<testsuites name="C3GS conformance"')),
+    "report.html": Kind(
+        "a report of this command", re.compile(rb"<!doctype html>\n.*: C3GS conformance</title>", re.DOTALL)
+    ),
+}
 
 STATUSES = f"""exit status: {statuses.DONE} every selected vector as it must be;
 {statuses.REJECTED} the decoder is wrong somewhere, or a known failure passes;
@@ -73,14 +85,22 @@ def _known(path: Path | None, manifest: Manifest) -> list[str]:
     return known
 
 
+def _check_report(arguments: argparse.Namespace) -> None:
+    """Tells of a report that must not be written before the work is done. Raises UsageError."""
+    places = {arguments.report / name: kind for name, kind in REPORTS.items()}
+    check_apart(places, [arguments.vectors, arguments.known_failures, arguments.describe])
+    for path, kind in places.items():
+        check_file(path, kind, made=True)
+
+
 def _write(folder: Path, record: dict[str, Any]) -> None:
     # jinja2 is needed here alone.
     from ..report import junit, page  # noqa: PLC0415
 
-    folder.mkdir(parents=True, exist_ok=True)
-    (folder / "report.json").write_text(json.dumps(record, indent=1) + "\n", encoding="utf-8")
-    (folder / "report.xml").write_text(junit.document(record), encoding="utf-8")
-    (folder / "report.html").write_text(page.document(record), encoding="utf-8")
+    contents = (json.dumps(record, indent=1) + "\n", junit.document(record), page.document(record))
+    with Stage() as stage:
+        for name, text in zip(REPORTS, contents, strict=True):
+            stage.write(folder / name, text.encode())
 
 
 def run_command(arguments: argparse.Namespace) -> int:
@@ -94,9 +114,9 @@ def run_command(arguments: argparse.Namespace) -> int:
         note(f"no vector is selected: {' | '.join(arguments.select)}")
         return statuses.NOTHING
     if arguments.report:
-        # A report that cannot be written is told before the work. A decoder may remove the folder that this runs in.
+        # A decoder may remove the folder that this runs in.
         arguments.report = arguments.report.absolute()
-        arguments.report.mkdir(parents=True, exist_ok=True)
+        _check_report(arguments)
     started, began = datetime.datetime.now(datetime.UTC).isoformat(timespec="seconds"), time.monotonic()
     done = run(manifest, vectors, options, known, show=sys.stderr.isatty())
     for text in done.left:
@@ -237,7 +257,10 @@ def add(commands: Any) -> None:
         "--describe", type=Path, metavar="FILE", help="the decoder's description of itself, JSON with name and version"
     )
     parser.add_argument(
-        "--report", type=Path, metavar="DIR", help="write report.json, report.xml (JUnit) and report.html there"
+        "--report",
+        type=Path,
+        metavar="DIR",
+        help="write report.json, report.xml (JUnit) and report.html there; only earlier reports are replaced",
     )
     parser.add_argument(
         "command", nargs="+", metavar="-- COMMAND", help="{input}, {output} and {trace} stand for paths"

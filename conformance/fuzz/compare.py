@@ -7,6 +7,7 @@ accepted file must be the one that the encoder writes for its scene (SPEC 4.3).
 
 from __future__ import annotations
 
+import hashlib
 import json
 import multiprocessing
 import resource
@@ -29,6 +30,9 @@ from tqdm import tqdm
 from refcodec.bitstream import codec, reconstruction
 from refcodec.bitstream.errors import BitstreamError
 from refcodec.files.documents import DocumentError, read_json
+from refcodec.files.lock import hold_file
+from refcodec.files.present import NotAFileError, is_there
+from refcodec.files.stage import write_file
 
 from .. import independent
 from ..cases.target import Target
@@ -225,11 +229,11 @@ def _start_worker() -> None:
 
 def _load(state: Path, first_seed: int, command: Sequence[str]) -> tuple[set[int], Counter[str], int]:
     """Batches done, files by verdict, and disagreements of an earlier run. Raises OSError, StateError."""
-    if not state.exists():
-        return set(), Counter(), 0
     try:
+        if not is_there(state):
+            return set(), Counter(), 0
         saved = read_json(state)
-    except DocumentError as error:
+    except (DocumentError, NotAFileError) as error:
         raise StateError(f"{state} is no state of this command ({error}): give another --state") from None
     if not _is_state(saved):
         raise StateError(f"{state} is no state of this command: give another --state")
@@ -261,6 +265,11 @@ def run(count: int, first_seed: int, jobs: int, state: Path, keep: Path, command
     state: where batches are noted that are done: a run that is interrupted goes on from there. keep: the folder for
     files on which they disagree. command: another decoder's, with {input} and {output}, or nothing.
     """
+    with hold_file(state.with_name(state.name + ".lock")):
+        return _run(count, first_seed, jobs, state, keep, command)
+
+
+def _run(count: int, first_seed: int, jobs: int, state: Path, keep: Path, command: Sequence[str]) -> int:
     done, seen, wrong = _load(state, first_seed, command)
     # Some scenes have no place for a fault that is drawn, and give fewer files; the last batches make up for them.
     least = BATCH_SCENES * FILES_OF_A_SCENE * 9 // 10
@@ -274,12 +283,11 @@ def run(count: int, first_seed: int, jobs: int, state: Path, keep: Path, command
             bar.update(min(sum(found.seen.values()), bar.total - bar.n))
             for text, data in found.wrong:
                 wrong += 1
-                keep.mkdir(parents=True, exist_ok=True)
-                path = keep / f"{number}-{wrong}.c3gs"
-                path.write_bytes(data)
+                # The name is of the content, so that no other run's file is replaced.
+                path = keep / f"{number}-{hashlib.sha256(data).hexdigest()[:12]}.c3gs"
+                write_file(path, data)
                 see = f"refcodec inspect {path} --hex; python -m conformance.independent validate {path}"
                 print(f"{path}: {text}\n  to see it: {see}")
-            state.parent.mkdir(parents=True, exist_ok=True)
             saved = {
                 "seed": first_seed,
                 "command": list(command),
@@ -287,7 +295,7 @@ def run(count: int, first_seed: int, jobs: int, state: Path, keep: Path, command
                 "seen": seen,
                 "wrong": wrong,
             }
-            state.write_text(json.dumps(saved), encoding="utf-8")
+            write_file(state, json.dumps(saved).encode())
             if sum(seen.values()) >= count:
                 break
     took = f"{time.monotonic() - began:.0f} s with {jobs} processes"

@@ -1,6 +1,7 @@
 """The command line: validate, digest and decode."""
 
 import json
+import os
 import sys
 from pathlib import Path
 
@@ -32,6 +33,10 @@ def main(arguments: list[str]) -> int:
         case _:
             print(USAGE, file=sys.stderr)
             return USAGE_ERROR
+    places = [os.path.realpath(place) for place in (path, output, trace) if place]
+    if len(set(places)) < len(places) or any(os.path.isfile(p) and os.path.samefile(path, p) for p in places[1:]):
+        print("an output is the input, or another output", file=sys.stderr)
+        return USAGE_ERROR
     try:
         data = Path(path).read_bytes()
         if trace:

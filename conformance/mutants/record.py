@@ -8,6 +8,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 from refcodec.files.documents import DocumentError, read_json
+from refcodec.files.stage import Stage
 
 from ..manifest import ManifestError
 from .equivalent import PROOFS
@@ -98,5 +99,6 @@ def table(mutants: Sequence[Mutant], caught: Mapping[str, tuple[str, str]]) -> s
 def write(mutants: Sequence[Mutant], caught: Mapping[str, tuple[str, str]]) -> None:
     """Writes both files."""
     document = {m.id: {"vector": caught[m.id][0], "wrong": caught[m.id][1]} for m in mutants if m.id in caught}
-    JSON.write_text(json.dumps(document, indent=1) + "\n", encoding="utf-8")
-    TABLE.write_text(table(mutants, caught), encoding="utf-8")
+    with Stage() as stage:
+        stage.write(JSON, (json.dumps(document, indent=1) + "\n").encode())
+        stage.write(TABLE, table(mutants, caught).encode())

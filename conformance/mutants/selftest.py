@@ -18,6 +18,7 @@ from typing import TypeVar
 from tqdm import tqdm
 
 from conformance.manifest import Accepted, Manifest, ManifestError, Rejected, load
+from refcodec.files.stage import write_file
 
 from . import handwritten, operators, record
 from .equivalent import PROOFS
@@ -320,9 +321,8 @@ def run(manifest: Path, jobs: int, recorded: bool, matrix: Path | None, write: b
         return 1
     result = score(made, catchers)
     if matrix:
-        matrix.write_text(
-            json.dumps({name: dict(wrong) for name, wrong in catchers.items()}, indent=1) + "\n", encoding="utf-8"
-        )
+        text = json.dumps({name: dict(wrong) for name, wrong in catchers.items()}, indent=1) + "\n"
+        write_file(matrix, text.encode())
     if write:
         record.write(made, result.caught)
     show(result, made)

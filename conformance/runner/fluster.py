@@ -9,11 +9,15 @@ from __future__ import annotations
 
 import hashlib
 import json
-import shutil
+import re
 from pathlib import Path
 
 from refcodec.bitstream import codec
+from refcodec.bitstream.header import SIGNATURE
 from refcodec.bitstream.reconstruction import canonical_head, canonical_parts
+from refcodec.files.lock import hold_folder
+from refcodec.files.outputs import Kind, check_apart, check_file
+from refcodec.files.stage import Stage
 
 from ..manifest import Accepted, Manifest
 
@@ -36,9 +40,29 @@ The result of a vector is the MD5 of the canonical reconstruction (SPEC.md 9.3) 
 Fluster has no word for a file that must be refused: for those, `conformance run`.
 """
 
+# What an earlier export may have left.
+_LIST = Kind("a suite of this command", re.compile(rb'\{\n    "name": "C3GS",\n    "codec": "None"'))
+_RUN = Kind.signed("the script of this command", b'"""Fluster on the C3GS suite beside this file')
+_TEXT = Kind.signed("the guide of this command", b"# C3GS vectors for Fluster\n")
+_VECTOR = Kind.signed("a C3GS file", SIGNATURE)
+
 
 def export(manifest: Manifest, folder: Path) -> int:
-    """Writes the suite, its files and the script into a folder; returns the number of vectors."""
+    """Writes the suite, its files and the script into a folder; returns the number of vectors.
+
+    All of them get their places together. Raises UsageError, before the work, if one would replace a file of another
+    kind, or would be in the folder of the suite.
+    """
+    fixed = {_list_of(folder): _LIST, folder / "run.py": _RUN, folder / README: _TEXT}
+    sources = [manifest.path(v) for v in manifest.vectors]
+    check_apart(fixed, [manifest.folder, *sources])
+    for path, kind in fixed.items():
+        check_file(path, kind, made=True)
+    with hold_folder(folder), Stage() as stage:
+        return _export(manifest, folder, stage)
+
+
+def _export(manifest: Manifest, folder: Path, stage: Stage) -> int:
     entries = []
     for v in manifest.vectors:
         if not isinstance(v.expectation, Accepted):
@@ -49,9 +73,9 @@ def export(manifest: Manifest, folder: Path) -> int:
         output = hashlib.md5(canonical_head(scene), usedforsecurity=False)
         for _, part in canonical_parts(scene):
             output.update(part)
-        place = folder / "resources" / SUITE / v.id
-        place.mkdir(parents=True, exist_ok=True)
-        shutil.copyfile(source, place / source.name)
+        place = folder / "resources" / SUITE / v.id / source.name
+        check_file(place, _VECTOR, made=True)
+        stage.write(place, data)
         entries.append(
             {
                 "name": v.id,
@@ -68,12 +92,11 @@ def export(manifest: Manifest, folder: Path) -> int:
         "description": f"C3GS conformance suite {manifest.suite_version}, valid files",
         "test_vectors": entries,
     }
-    _write(folder / "test_suites" / "c3gs" / f"{SUITE}.json", json.dumps(suite, indent=4) + "\n")
-    _write(folder / "run.py", _SCRIPT.read_text(encoding="utf-8"))
-    _write(folder / README, _GUIDE.format(version=manifest.suite_version, suite=SUITE))
+    stage.write(_list_of(folder), (json.dumps(suite, indent=4) + "\n").encode())
+    stage.write(folder / "run.py", _SCRIPT.read_bytes())
+    stage.write(folder / README, _GUIDE.format(version=manifest.suite_version, suite=SUITE).encode())
     return len(entries)
 
 
-def _write(path: Path, text: str) -> None:
-    path.parent.mkdir(parents=True, exist_ok=True)
-    path.write_text(text, encoding="utf-8")
+def _list_of(folder: Path) -> Path:
+    return folder / "test_suites" / "c3gs" / f"{SUITE}.json"

@@ -6,25 +6,29 @@
 from __future__ import annotations
 
 import argparse
+import re
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from ..bitstream.errors import BitstreamError
+from ..files.outputs import Kind, check_apart, check_file
+from ..files.stage import Stage, write_file
 from .shared import (
     UsageError,
     add_command,
-    check_output_file,
-    check_output_folder,
+    check_scene_output,
     note,
     parse_file,
     progress_bar,
     read_file,
     reject,
-    write_file,
 )
 
 if TYPE_CHECKING:
     from ..bitstream.codec import Parsed
+
+# The lines of a symbol trace (vectors/README.md).
+TRACE = Kind("a symbol trace", re.compile(rb"(planes|positions|masks|attributes|weights)\S* -?\d+\n"))
 
 
 def _encode(arguments: argparse.Namespace) -> int:
@@ -34,7 +38,8 @@ def _encode(arguments: argparse.Namespace) -> int:
     from ..folder.read import read_folder
 
     output = Path(arguments.output)
-    check_output_file(output, SIGNATURE, "a C3GS file")
+    check_file(output, Kind.signed("a C3GS file", SIGNATURE))
+    check_apart([output], [arguments.scene])
     scene = read_folder(arguments.scene)
     try:
         with progress_bar(arguments.progress) as progress:
@@ -48,8 +53,8 @@ def _encode(arguments: argparse.Namespace) -> int:
 def _decode(arguments: argparse.Namespace) -> int:
     from ..folder.write import write_folder
 
+    check_scene_output(Path(arguments.output), [arguments.file])
     data = read_file(arguments.file)
-    check_output_folder(arguments.output)
     parsed = parse_file(arguments, data, arguments.keep_going)
     write_folder(parsed.scene, arguments.output, parsed.damage)
     return _report_damage(arguments.file, data, parsed) if arguments.keep_going else 0
@@ -105,16 +110,23 @@ def _reconstruct(arguments: argparse.Namespace) -> int:
     from ..bitstream.reconstruction import DIGEST_MAGIC, canonical_head, canonical_parts
 
     output = Path(arguments.output)
-    check_output_file(output, DIGEST_MAGIC, "a reconstruction")
+    trace = Path(arguments.trace) if arguments.trace else None
+    check_file(output, Kind.signed("a reconstruction", DIGEST_MAGIC))
+    if trace:
+        check_file(trace, TRACE)
+    check_apart([output, *([trace] if trace else [])], [arguments.file])
     data = read_file(arguments.file)
-    if arguments.trace:
-        from ..inspect.trace import symbol_trace
+    with Stage() as stage:
+        if trace:
+            from ..inspect.trace import symbol_trace
 
-        with open(arguments.trace, "w", encoding="utf-8", newline="\n") as file:
-            scene = symbol_trace(data, file.write).scene
-    else:
-        scene = parse_file(arguments, data).scene
-    write_file(output, b"".join([canonical_head(scene), *(part for _, part in canonical_parts(scene))]))
+            lines = stage.open(trace)
+            scene = symbol_trace(data, lambda text: lines.write(text.encode())).scene
+        else:
+            scene = parse_file(arguments, data).scene
+        whole = stage.open(output)
+        for part in (canonical_head(scene), *(part for _, part in canonical_parts(scene))):
+            whole.write(part)
     return 0
 
 
@@ -129,6 +141,7 @@ def add(commands: Any) -> None:
         "A folder that decode wrote gives the same bytes again. For a file of Main, add --positions raw if its\n"
         "positions are raw, and --weights raw if its weights are raw. If coded.safetensors is deleted,\n"
         "point_cloud.ply is quantised anew.",
+        writes=True,
     )
     encode.add_argument("scene", metavar="SCENE_DIR")
     encode.add_argument("-o", "--output", metavar="FILE", required=True)
@@ -149,7 +162,9 @@ def add(commands: Any) -> None:
         _decode,
         "decode a file into a scene folder",
         ["decode scene.c3gs -o scene", "decode damaged.c3gs -o scene --keep-going"],
-        "SCENE_DIR is made. An existing one is overwritten only if it is empty or a scene folder.",
+        "SCENE_DIR is made. An existing one is written to only if it is empty or a scene folder. Its scene is\n"
+        "replaced as a whole, and other files in it stay.",
+        writes=True,
     )
     decode.add_argument("file", metavar="FILE")
     decode.add_argument("-o", "--output", metavar="SCENE_DIR", required=True)
@@ -176,6 +191,7 @@ def add(commands: Any) -> None:
         _reconstruct,
         "write a file's canonical reconstruction (SPEC.md 9.3), whose SHA-256 is its digest",
         ["reconstruct scene.c3gs scene.bin", "reconstruct scene.c3gs scene.bin --trace symbols.txt"],
+        writes=True,
     )
     reconstruct.add_argument("file", metavar="FILE")
     reconstruct.add_argument("output", metavar="OUTPUT")

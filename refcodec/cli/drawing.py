@@ -6,14 +6,16 @@
 from __future__ import annotations
 
 import argparse
+import contextlib
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
+from ..files.outputs import Kind, check_apart, check_file
+from ..files.stage import write_file
 from .shared import (
     RENDER_PACKAGES,
     UsageError,
     add_command,
-    check_output_file,
     needs,
     parse_file,
     positive,
@@ -21,8 +23,18 @@ from .shared import (
     read_file,
     read_photographs_of,
     uncompressed_of,
-    write_file,
 )
+
+if TYPE_CHECKING:
+    from ..render.camera import Camera
+
+
+# The help of the commands that write images.
+IMAGES = """\
+An image has the name of its camera, with the folders in it, and .png for its ending. If another one has that name,
+it keeps its own ending as well. The images say that refcodec wrote them, and only such images are replaced. They get
+into DIR when all are drawn.
+"""
 
 
 def _gaussians(arguments: argparse.Namespace) -> int:
@@ -33,7 +45,8 @@ def _gaussians(arguments: argparse.Namespace) -> int:
     from ..render.gaussians import gaussians, gaussians_document
 
     output = Path(arguments.output)
-    check_output_file(output, b'{"gaussians":', "a list of Gaussians")
+    check_file(output, Kind.signed("a list of Gaussians", b'{"gaussians":'))
+    check_apart([output], [arguments.file, arguments.camera])
     try:
         camera = read_camera(Path(arguments.camera).read_text(encoding="utf-8"))
     except ValueError as error:
@@ -46,38 +59,42 @@ def _gaussians(arguments: argparse.Namespace) -> int:
 
 def _render(arguments: argparse.Namespace) -> int:
     try:
-        from ..render.view import View, eight_bits, own_camera, write_gif, write_png
+        from ..render.camera import OWN
+        from ..render.images import ORBIT, ImageFolder
+        from ..render.view import View, eight_bits, orbit_name, own_camera
     except ModuleNotFoundError as error:
         raise needs("render", "render", error, RENDER_PACKAGES) from None
-    view = View(uncompressed_of(arguments.file) or parse_file(arguments, read_file(arguments.file)).scene)
-    if arguments.cameras == "default":
-        cameras = [own_camera(view.info)]
-    elif arguments.cameras == "orbit":
-        cameras = view.orbit(arguments.frames)
+    inputs: list[str | Path] = [arguments.file]
+    orbit = arguments.cameras == "orbit"
+    cameras: list[Camera] = []
+    if orbit:
+        names = [orbit_name(number) for number in range(arguments.frames)]
+    elif arguments.cameras == "default":
+        names = [OWN]
     else:
         found = read_photographs_of(arguments.cameras, arguments.size)
         cameras = [p.camera for p in (*found.test, *found.train)]
+        names = [camera.name for camera in cameras]
+        inputs += found.places()
     folder = Path(arguments.output)
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise UsageError(f"cannot make {folder}: {error.strerror}") from None
+    images = ImageFolder(folder, names, orbit, inputs)
+    view = View(uncompressed_of(arguments.file) or parse_file(arguments, read_file(arguments.file)).scene)
+    cameras = cameras or (view.orbit(arguments.frames) if orbit else [own_camera(view.info)])
     frames = []
-    with progress_bar(arguments.progress) as progress:
+    with images, progress_bar(arguments.progress) as progress:
         for number, camera in enumerate(cameras):
             progress("images", number, len(cameras))
             try:
                 made = view.draw(camera)
             except ValueError as error:
                 raise UsageError(f"{arguments.file} cannot be drawn: {error}") from None
-            path = folder / f"{Path(camera.name).stem}.png"
-            write_png(path, made)
-            if arguments.cameras == "orbit":
+            images.add(made)
+            if orbit:
                 frames.append(eight_bits(made))
+        if orbit:
+            images.animate(frames)
         progress("images", len(cameras), len(cameras))
-    if frames:
-        write_gif(folder / "orbit.gif", frames)
-    print(f"{folder}: {len(cameras)} images" + (", orbit.gif" if frames else ""))
+    print(f"{folder}: {len(cameras)} images" + (f", {ORBIT}" if orbit else ""))
     return 0
 
 
@@ -97,16 +114,22 @@ def _eval(arguments: argparse.Namespace) -> int:
     import json
 
     try:
-        from ..evaluate.evaluation import evaluate, table
+        from ..evaluate.evaluation import compared_of, evaluate, table
         from ..photographs.cameras import PhotographError
+        from ..render.images import ImageFolder
     except ModuleNotFoundError as error:
         raise needs("eval", "render", error, RENDER_PACKAGES) from None
+    found = read_photographs_of(arguments.photographs, arguments.size)
+    images = None
+    if arguments.images:
+        inputs = [arguments.file, arguments.lpips, *found.places()]
+        names = [p.camera.name for p in compared_of(found)]
+        images = ImageFolder(Path(arguments.images), names, False, inputs)
     lpips = _lpips(arguments.lpips) if arguments.lpips else None
     shown = uncompressed_of(arguments.file) or read_file(arguments.file)
-    found = read_photographs_of(arguments.photographs, arguments.size)
     try:
-        with progress_bar(arguments.progress) as progress:
-            result = evaluate(shown, found, Path(arguments.images) if arguments.images else None, progress, lpips)
+        with images or contextlib.nullcontext(), progress_bar(arguments.progress) as progress:
+            result = evaluate(shown, found, images.add if images else None, progress, lpips)
     except PhotographError as error:
         raise UsageError(str(error)) from None
     except ValueError as error:
@@ -125,6 +148,7 @@ def add(commands: Any) -> None:
         "write the Gaussians that a camera sees (SPEC.md 14.3) as JSON",
         ["gaussians scene.c3gs camera.json gaussians.json"],
         "CAMERA is a JSON object. vectors/README.md describes it.",
+        writes=True,
     )
     gaussians.add_argument("file", metavar="FILE")
     gaussians.add_argument("camera", metavar="CAMERA")
@@ -140,7 +164,8 @@ def add(commands: Any) -> None:
             "render scene.c3gs --cameras photographs -o images",
         ],
         "PHOTOGRAPHS is a folder that COLMAP or a NeRF dataset made. The images of an orbit are also written as an\n"
-        "animation. Needs: pip install 'refcodec[render]'.",
+        "animation.\n" + IMAGES + "Needs: pip install 'refcodec[render]'.",
+        writes=True,
     )
     render.add_argument("file", metavar="FILE")
     render.add_argument("-o", "--output", metavar="DIR", required=True)
@@ -161,7 +186,9 @@ def add(commands: Any) -> None:
         "compare what a file shows with photographs",
         ["eval scene.c3gs photographs", "eval scene.c3gs photographs --size 400x300 --json"],
         "The photographs are those that training holds out: every eighth one, or the test set of the dataset.\n"
-        "Needs: pip install 'refcodec[render]'.",
+        + IMAGES
+        + "Needs: pip install 'refcodec[render]'.",
+        writes=True,
     )
     evaluate.add_argument("file", metavar="FILE")
     evaluate.add_argument("photographs", metavar="PHOTOGRAPHS")

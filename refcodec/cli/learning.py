@@ -7,14 +7,17 @@ from __future__ import annotations
 
 import argparse
 import os
+import re
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from .. import statuses
+from ..files.lock import hold_file
+from ..files.outputs import Kind
 from .shared import (
     UsageError,
     add_command,
-    check_output_folder,
+    check_scene_output,
     length,
     needs,
     note,
@@ -27,6 +30,29 @@ from .shared import (
 
 if TYPE_CHECKING:
     from ..train.settings import TrainSettings
+
+
+# A saved training is a safetensors file with notes.
+STATE = Kind(
+    "the saved state of a training",
+    re.compile(rb'.{8}\{"__metadata__":\{"(format|of|sha256|values|version)":"', re.DOTALL),
+)
+REPORT = Kind("the report of a training", re.compile(rb'\{\n "settings": '))
+
+
+def _folder(text: str) -> Path:
+    """Returns the path of a folder beside which a state has a place. Raises UsageError for the root of all files."""
+    path = Path(text)
+    if path.name in ("", ".."):
+        path = Path(os.path.abspath(path))
+    if not path.name:
+        raise UsageError(f"{path} is not a scene folder: choose another one")
+    return path
+
+
+def _lock(state: Path) -> Path:
+    """Returns the file that a run holds as long as it trains, so that no other one trains into the same folder."""
+    return state.with_name(state.name + ".lock")
 
 
 def _settings(arguments: argparse.Namespace) -> TrainSettings:
@@ -60,25 +86,28 @@ def _train(arguments: argparse.Namespace) -> int:
     if arguments.photographs is None or arguments.output is None:
         raise UsageError("train needs PHOTOGRAPHS and -o SCENE_DIR")
     try:
-        from ..train.command import may_write, state_path, train
+        from ..train.command import REPORT_FILE, state_path, train
     except ModuleNotFoundError as error:
         raise needs("train", "train", error, ("torch", "numba", "scipy", "PIL", "skimage")) from None
-    output = Path(arguments.output.rstrip("/") or "/")
-    if not may_write(output):
-        raise UsageError(f"{output} exists and is not a scene folder: choose another one, or empty it")
-    if arguments.resume and not state_path(output).exists():
-        raise UsageError(f"there is nothing to resume: {state_path(output)} does not exist")
+    output = _folder(arguments.output)
+    state = state_path(output)
+    others = [(state, STATE), (output / REPORT_FILE, REPORT)]
+    check_scene_output(output, [arguments.settings], uncompressed=True, others=others)
+    if arguments.resume and not state.exists():
+        raise UsageError(f"there is nothing to resume: {state} does not exist")
     photographs = read_photographs_of(arguments.photographs, settings.size)
+    check_scene_output(output, photographs.places(), uncompressed=True)
     try:
-        trainer, whole = train(
-            photographs,
-            settings,
-            output,
-            threads=arguments.threads or os.cpu_count() or 1,
-            device=arguments.device,
-            resume=arguments.resume,
-            progress=arguments.progress,
-        )
+        with hold_file(_lock(state)):
+            trainer, whole = train(
+                photographs,
+                settings,
+                output,
+                threads=arguments.threads or os.cpu_count() or 1,
+                device=arguments.device,
+                resume=arguments.resume,
+                progress=arguments.progress,
+            )
     except ValueError as error:
         raise UsageError(f"{arguments.photographs} cannot be trained: {error}") from None
     done = trainer.clock.done
@@ -91,6 +120,7 @@ def _train(arguments: argparse.Namespace) -> int:
 def _fit(arguments: argparse.Namespace) -> int:
     from zipfile import BadZipFile
 
+    from ..folder.layout import scene_files
     from ..folder.write import write_folder
 
     try:
@@ -99,29 +129,33 @@ def _fit(arguments: argparse.Namespace) -> int:
         from ..train.settings import FitSettings
     except ModuleNotFoundError as error:
         raise needs("fit", "fit", error, ("torch", "scipy")) from None
-    check_output_folder(arguments.output)
+    output, points = _folder(arguments.output), Path(arguments.points)
     # Beside the folder, not in it: a scene folder is whole or it is not there.
-    state = Path(f"{arguments.output.rstrip('/')}.fit-state")
+    state = output.with_name(output.name + ".fit-state")
+    # With the point cloud of a scene goes the rest of the scene.
+    inputs = [points, *(scene_files(points.parent) if points.suffix == ".ply" else [])]
+    check_scene_output(output, inputs, others=[(state, STATE)])
     if arguments.resume and not state.exists():
         raise UsageError(f"there is nothing to resume: {state} does not exist")
     settings = FitSettings(steps=arguments.steps, seed=arguments.seed)
     try:
         given = read_given(arguments.points, arguments.voxel)
-        if not arguments.resume:
-            state.unlink(missing_ok=True)
-        with progress_bar(arguments.progress) as progress:
-            result = fit(given, settings, progress=progress, state=state)
+        with hold_file(_lock(state)):
+            if not arguments.resume:
+                state.unlink(missing_ok=True)
+            with progress_bar(arguments.progress) as progress:
+                result = fit(given, settings, progress=progress, state=state)
+            write_folder(result.scene, output)
+            done, dropped = result.report["steps"], result.report["dropped"]
+            # Ctrl-C ends the training, not the program.
+            stopped = done < arguments.steps and state.exists()
+            if not stopped:
+                state.unlink(missing_ok=True)
     # Of the npz files that cannot be read some are no archives, and some are cut.
     except (ValueError, BadZipFile, EOFError) as error:
         raise UsageError(f"{arguments.points} cannot be fitted: {error}") from None
-    write_folder(result.scene, arguments.output)
-    done, dropped = result.report["steps"], result.report["dropped"]
     print(f"{arguments.output}: {result.scene.anchor_count} anchors, {dropped} without offsets left out, {done} steps")
-    # Ctrl-C ends the training, not the program.
-    if done < arguments.steps and state.exists():
-        return _interrupted(done, arguments.steps)
-    state.unlink(missing_ok=True)
-    return 0
+    return _interrupted(done, arguments.steps) if stopped else 0
 
 
 def add(commands: Any) -> None:
@@ -144,6 +178,7 @@ def add(commands: Any) -> None:
         "what refcodec encode reads. Its training.json says with which settings it was trained, and how that went.\n"
         "Ctrl-C ends the training early, writes the scene all the same, and keeps SCENE_DIR.train-state for --resume.\n"
         "Needs: pip install 'refcodec[train]'.",
+        writes=True,
     )
     train.add_argument("photographs", metavar="PHOTOGRAPHS", nargs="?")
     train.add_argument("-o", "--output", metavar="SCENE_DIR")
@@ -199,6 +234,7 @@ def add(commands: Any) -> None:
         "or the point_cloud.ply in one. A scene keeps its rendering networks, points get simple ones.\n"
         "Ctrl-C ends the training early, writes the scene all the same, and keeps SCENE_DIR.fit-state for --resume.\n"
         "Needs: pip install 'refcodec[fit]'.",
+        writes=True,
     )
     fit.add_argument("points", metavar="POINTS")
     fit.add_argument("-o", "--output", metavar="SCENE_DIR", required=True)

@@ -11,12 +11,13 @@ import os
 import shlex
 import stat
 import sys
-import tempfile
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from ..bitstream.errors import BitstreamError
+from ..files.outputs import HELP, Kind, check_apart, check_file
+from ..statuses import UsageError
 
 if TYPE_CHECKING:
     from ..bitstream.batches import Progress
@@ -39,10 +40,6 @@ exit status:
   64  wrong usage, or a file or folder that cannot be read or written
   70  a fault of this program
 """
-
-
-class UsageError(Exception):
-    """A wrong use that the caller can put right. The exit status is 64."""
 
 
 def note(text: str) -> None:
@@ -95,48 +92,27 @@ def _announced_length(head: bytes) -> int:
     return int(header.directory[-1].offset + header.directory[-1].length)
 
 
-def check_output_file(path: Path, signature: bytes, kind: str) -> None:
-    """Raises UsageError if write_file must not write to a path. It is called before any work is done.
+def check_scene_output(
+    path: Path,
+    inputs: Iterable[str | Path | None],
+    uncompressed: bool = False,
+    others: Sequence[tuple[Path, Kind]] = (),
+) -> None:
+    """Raises UsageError if a scene must not be written to a folder. It is called before any work is done.
 
-    signature, kind: the first bytes and the name of the files that may be replaced.
+    Args:
+        path: of the folder.
+        inputs: what the run reads.
+        uncompressed: whether it may be the folder of an uncompressed scene.
+        others: further outputs.
     """
-    if path.is_dir():
-        raise UsageError(f"{path} is a directory: give the name of a file")
-    if not path.parent.is_dir():
-        raise UsageError(f"there is no directory {path.parent}")
-    if path.is_file() and path.stat().st_size:
-        with path.open("rb") as file:
-            if file.read(len(signature)) != signature:
-                raise UsageError(f"{path} exists and is not {kind}: choose another name, or remove it")
+    from ..folder.layout import is_free, scene_files
 
-
-def write_file(path: Path, data: bytes) -> None:
-    """Writes a file, which gets its name only when it is whole. A pipe or a device is written directly."""
-    if path.exists() and not path.is_file():
-        path.write_bytes(data)
-        return
-    path = path.resolve()
-    handle, temporary = tempfile.mkstemp(prefix=f".{path.name}.", dir=path.parent)
-    try:
-        with os.fdopen(handle, "wb") as file:
-            file.write(data)
-        # mkstemp makes files private. This one gets the permissions that open would have given it.
-        mask = os.umask(0)
-        os.umask(mask)
-        os.chmod(temporary, 0o666 & ~mask)
-        os.replace(temporary, path)
-    except BaseException:
-        with contextlib.suppress(FileNotFoundError):
-            os.unlink(temporary)
-        raise
-
-
-def check_output_folder(path: str) -> None:
-    """Raises UsageError if write_folder must not write to a folder. It is called before any work is done."""
-    from ..folder.layout import is_free
-
-    if not is_free(Path(path)):
+    if not is_free(path, uncompressed):
         raise UsageError(f"{path} exists and is not a scene folder: choose another one, or empty it")
+    for other, kind in others:
+        check_file(other, kind, made=True)
+    check_apart([*scene_files(path), *(other for other, _ in others)], inputs)
 
 
 def uncompressed_of(path: str) -> Uncompressed | None:
@@ -258,18 +234,25 @@ def rate(text: str) -> float:
 
 
 def add_command(
-    commands: Any, name: str, run: Callable[[argparse.Namespace], int], text: str, examples: list[str], notes: str = ""
+    commands: Any,
+    name: str,
+    run: Callable[[argparse.Namespace], int],
+    text: str,
+    examples: list[str],
+    notes: str = "",
+    writes: bool = False,
 ) -> argparse.ArgumentParser:
     """Adds a command and returns its parser.
 
     run: returns the exit status. text: what the command does, in a clause. examples: without the program's name. notes:
-    further help. The help ends with the exit statuses.
+    further help. writes: whether it has outputs. The help ends with the rule of outputs, and the exit statuses.
     """
     epilog = (
         "examples:\n"
         + "".join(f"  refcodec {e}\n" for e in examples)
         + "\n"
         + (notes + "\n\n" if notes else "")
+        + (HELP + "\n\n" if writes else "")
         + EXITS
     )
     parser: argparse.ArgumentParser = commands.add_parser(

@@ -3,33 +3,40 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Iterator
-from pathlib import Path
+from collections.abc import Callable, Iterator
 from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
 
 from ..bitstream.batches import Progress
 from ..bitstream.codec import parse
 from ..folder.uncompressed import Uncompressed
 from ..inspect.summary import document
-from ..render.view import View, write_png
+from ..render.view import View
 from .quality import measures
 
 if TYPE_CHECKING:
-    from ..photographs.photographs import PhotographSet
+    from ..photographs.photographs import Photograph, PhotographSet
     from .lpips import Lpips
+
+
+def compared_of(photographs: PhotographSet) -> tuple[Photograph, ...]:
+    """Returns the photographs that a scene is compared with: those held out, or all if none are."""
+    return photographs.test or photographs.train
 
 
 def evaluate(
     shown: bytes | Uncompressed,
     photographs: PhotographSet,
-    images: Path | None,
+    images: Callable[[NDArray[np.float32]], None] | None,
     progress: Progress,
     lpips: Lpips | None = None,
 ) -> dict[str, Any]:
     """A file, or an uncompressed scene, compared with the held-out photographs, or with all if none are held out.
 
-    images: a folder for the images that were compared, as PNG; it is made if need be. Returns bytes, anchors, parts
-    (bytes), decode_seconds, frames_per_second and held_out. For each image, and on the mean, it returns
+    images: gets each image that was compared, float32 [height, width, 3], in the order of compared_of. Returns bytes,
+    anchors, parts (bytes), decode_seconds, frames_per_second and held_out. For each image, and on the mean, it returns
     quality.measures, and lpips.measures if lpips is given. Raises BitstreamError for a file that is rejected,
     PhotographError for photographs that cannot be read or compared.
     """
@@ -49,9 +56,7 @@ def evaluate(
         view, size, anchors = View(parsed.scene), len(shown), parsed.scene.anchor_count
         parts = {s["name"]: s["bytes"] for s in document(shown, parsed)["sections"]}
     spent["total"] = time.perf_counter() - start
-    compared = photographs.test or photographs.train
-    if images:
-        images.mkdir(parents=True, exist_ok=True)
+    compared = compared_of(photographs)
     view.draw(compared[0].camera)  # compiles what is not compiled yet
     rows: list[dict[str, Any]] = []
     drawing = 0.0
@@ -63,7 +68,7 @@ def evaluate(
         more = lpips.measures(made, photograph.image) if lpips else {}
         rows.append({"image": photograph.camera.name, **measures(made, photograph.image), **more})
         if images:
-            write_png(images / f"{Path(photograph.camera.name).stem}.png", made)
+            images(made)
     progress("images", len(compared), len(compared))
     return {
         "bytes": size,

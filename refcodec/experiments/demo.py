@@ -15,9 +15,13 @@ from numpy.typing import NDArray
 from PIL import Image
 
 from ..bitstream.reconstruction import digest
+from ..files.lock import hold_folder
+from ..files.outputs import check_apart
+from ..files.stage import write_file
 from ..folder.layout import SCENE_FILE
 from ..folder.read import read_folder
 from ..photographs.photographs import parse_size, read_photographs
+from ..render.images import image_names
 from .page import page
 from .result import Chart, File, Part, Result, Step, View
 from .runs import Command, Notes, RunError, Runner, shown
@@ -108,11 +112,18 @@ def run_demo(folder: Path, photographs: Path, steps: int) -> tuple[Path, bool]:
 
     What was done before in this folder with the same settings is not done again. Returns the page's path, and whether
     the trainings came to their end. Raises RunError, also after Ctrl-C if there is nothing to show; PhotographError;
-    SceneFolderError.
+    SceneFolderError; UsageError if the folder is one that is read, or another run writes to it.
     """
     demo = Demo(folder, photographs, steps)
-    read_photographs(photographs, parse_size(SIZE))  # what is wrong with them is said before anything is made
-    notes = Notes.open(folder, NOTES, FORMAT)
+    # What is wrong with them is said before anything is made.
+    found = read_photographs(photographs, parse_size(SIZE))
+    check_apart([folder / NOTES, folder / PAGE], found.places())
+    with hold_folder(folder):
+        return _run(demo)
+
+
+def _run(demo: Demo) -> tuple[Path, bool]:
+    notes = Notes.open(demo.folder, NOTES, FORMAT)
     trainings, rest = demo.trainings(), demo.rest()
     with shown([UNCOMPRESSED, CODED]) as show:
         runner = Runner(notes, show, jobs=2)
@@ -123,7 +134,7 @@ def run_demo(folder: Path, photographs: Path, steps: int) -> tuple[Path, bool]:
             raise RunError("stopped; the same command goes on", 130)
     result = collect(demo, notes)
     path = demo.path(PAGE)
-    path.write_text(page(result), encoding="utf-8")
+    write_file(path, page(result).encode())
     return path, whole
 
 
@@ -150,10 +161,9 @@ def collect(demo: Demo, notes: Notes) -> Result:
     found = read_photographs(demo.photographs, parse_size(SIZE))
     held_out = {p.camera.name: p for p in (found.test or found.train)}
     views = []
-    for before, after in zip(evals[UNCOMPRESSED]["images"], evals[CODED]["images"], strict=True):
-        made = [
-            _read(demo.path(f"images-{name}") / f"{Path(before['image']).stem}.png") for name in (UNCOMPRESSED, CODED)
-        ]
+    names = image_names(row["image"] for row in evals[CODED]["images"])
+    for before, after, file in zip(evals[UNCOMPRESSED]["images"], evals[CODED]["images"], names, strict=True):
+        made = [_read(demo.path(f"images-{name}") / file) for name in (UNCOMPRESSED, CODED)]
         views.append(View(before["image"], held_out[before["image"]].image, made[0], made[1], before, after))
     commands = [*demo.trainings(), *(command for chain in demo.rest() for command in chain)]
     return Result(

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import io
 import json
 import math
 import os
@@ -16,6 +17,9 @@ import bjontegaard
 import matplotlib as mpl
 from matplotlib.figure import Figure
 
+from ..files.lock import hold_folder
+from ..files.outputs import check_apart
+from ..files.stage import write_file
 from ..photographs.photographs import parse_size, read_photographs
 from .runs import Command, Notes, RunError, Runner, shown
 
@@ -83,7 +87,8 @@ def run_rd(
     """Trains, encodes and evaluates at each rate, and writes the table and the chart.
 
     What was done before in this folder with the same settings is not done again. Returns the table, and how far its
-    curve is from that of the table `against`. Raises RunError, also after Ctrl-C; PhotographError.
+    curve is from that of the table `against`. Raises RunError, also after Ctrl-C; PhotographError; UsageError if an
+    output is an input, or another run writes to the folder.
     """
     other = read_curve(against) if against else None
     coded = sum(rate > 0 for rate in rates)
@@ -91,7 +96,16 @@ def run_rd(
         raise RunError(
             f"BD-rate needs {BD_POINTS} rates above 0 or more in both curves: {coded} here, {len(other)} in {against}"
         )
-    read_photographs(settings.photographs, parse_size(settings.size))
+    found = read_photographs(settings.photographs, parse_size(settings.size))
+    folder = settings.folder
+    check_apart([folder / name for name in (NOTES, TABLE, CHART)], [against, *found.places()])
+    with hold_folder(folder):
+        return _run(settings, rates, against, other)
+
+
+def _run(
+    settings: Settings, rates: Sequence[float], against: Path | None, other: list[Row] | None
+) -> tuple[list[Row], Difference | None]:
     notes = Notes.open(settings.folder, NOTES, FORMAT)
     chains = [settings.chain(rate) for rate in rates]
     with shown([chain[0].subject for chain in chains]) as show:
@@ -127,12 +141,13 @@ def write_table(path: Path, rows: Sequence[Row]) -> None:
     They are bytes of the file and its parts (float32 at rate 0), bits of it an anchor, means of the figures over the
     held-out images, and seconds of training.
     """
-    with path.open("w", newline="") as file:
-        writer = csv.DictWriter(file, COLUMNS)
-        writer.writeheader()
-        writer.writerows(
-            {name: f"{value:.6g}" if isinstance(value, float) else value for name, value in row.items()} for row in rows
-        )
+    text = io.StringIO(newline="")
+    writer = csv.DictWriter(text, COLUMNS)
+    writer.writeheader()
+    writer.writerows(
+        {name: f"{value:.6g}" if isinstance(value, float) else value for name, value in row.items()} for row in rows
+    )
+    write_file(path, text.getvalue().encode())
 
 
 def read_curve(path: Path) -> list[Row]:
@@ -201,4 +216,6 @@ def write_chart(path: Path, curves: Mapping[str, Sequence[Row]]) -> None:
     axes.xaxis.set_minor_formatter("{x:.4g}")
     axes.grid(which="both", alpha=0.3)
     axes.legend()
-    figure.savefig(path, dpi=150)
+    data = io.BytesIO()
+    figure.savefig(data, format="png", dpi=150)
+    write_file(path, data.getvalue())

@@ -18,6 +18,8 @@ from pathlib import Path
 from types import FrameType
 from typing import Any
 
+from ..files.stage import Stage, make_folder, write_file
+
 PROGRAM = (sys.executable, "-m", "refcodec")
 # Lines of a failed command's stderr that are worth repeating.
 _LAST_LINES = 12
@@ -74,7 +76,7 @@ class Notes:
         """The notes of a folder, which is made. Raises RunError if there is something else in it."""
         path = folder / name
         try:
-            folder.mkdir(parents=True, exist_ok=True)
+            make_folder(folder, [])
             if path.is_file():
                 found = json.loads(path.read_text())
                 if found["format"] == format:
@@ -90,9 +92,8 @@ class Notes:
         raise RunError(f"{folder} exists and is not a folder of this command: choose another one, or empty it")
 
     def _write(self) -> None:
-        temporary = self.path.with_suffix(".part")
-        temporary.write_text(json.dumps({"format": self.format, "commands": self.commands}, indent=1) + "\n")
-        temporary.replace(self.path)
+        text = json.dumps({"format": self.format, "commands": self.commands}, indent=1) + "\n"
+        write_file(self.path, text.encode())
 
     def is_done(self, command: Command) -> bool:
         """Whether it was run to its end with these arguments, and its output is there."""
@@ -194,9 +195,9 @@ class Runner:
         resume = ["--resume"] if self.notes.can_resume(command) else []
         self.notes.begin(command)
         began = time.perf_counter()
-        temporary = command.output.with_name(command.output.name + ".part")
         with contextlib.ExitStack() as stack:
-            printed = stack.enter_context(temporary.open("w")) if command.printed else subprocess.DEVNULL
+            stage = stack.enter_context(Stage())
+            printed = stage.open(command.output) if command.printed else subprocess.DEVNULL
             # In a group of its own, a process gets Ctrl-C once, from here.
             process = stack.enter_context(
                 subprocess.Popen(
@@ -217,11 +218,9 @@ class Runner:
                 self.show(command.subject, f"{command.arguments[0]}: {line.strip()}")
             status = process.wait()
             self._running.discard(process)
+            if status:
+                stage.cancel()
         seconds = time.perf_counter() - began
-        if status == 0 and command.printed:
-            temporary.replace(command.output)
-        elif command.printed:
-            temporary.unlink()
         self.notes.end(command, seconds, status == 0)
         if status == 0:
             self.show(command.subject, f"{command.arguments[0]}: done in {seconds:.1f} s")

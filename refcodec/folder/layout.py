@@ -13,10 +13,15 @@ networks, planes, frame and grid of the folder.
 
 from __future__ import annotations
 
+import os
 import re
+import stat
 from pathlib import Path
 
 import numpy as np
+
+from ..files.exchange import INCOMING
+from ..files.present import NotAFileError, is_there
 
 SCENE_FILE = "scene.json"
 PLY_FILE = "point_cloud.ply"
@@ -24,9 +29,10 @@ NETWORKS_FILE = "networks.safetensors"
 PLANES_FILE = "planes.safetensors"
 CODED_FILE = "coded.safetensors"
 EXTENSION_FILE = re.compile(r"extension_[0-9a-f]{2}\.bin")
-# The folder inside the scene folder in which files are written. They are moved out when all of them are whole.
-INCOMING = ".c3gs-incoming"
+# The file that only the folder of an uncompressed scene has.
+RENDER_FILE = "render.json"
 FORMAT = "C3GS scene"
+UNCOMPRESSED = "Scaffold-GS, uncompressed"
 # HAC and CAT-3DGS store a mask as a logit. They keep an offset if the sigmoid of its logit is above 0.01.
 MASK_LOGIT_MIN = float(np.log(0.01 / 0.99))
 
@@ -39,11 +45,43 @@ class SceneFolderError(ValueError):
         super().__init__(f"{file}: {problem}; {advice}")
 
 
-def is_free(path: Path) -> bool:
-    """Whether write_folder may write to a path: nothing is there, or an empty directory, or a scene folder."""
-    if not path.exists():
-        return True
-    return path.is_dir() and ((path / SCENE_FILE).is_file() or all(p.name == INCOMING for p in path.iterdir()))
+def there(path: Path, advice: str) -> bool:
+    """Whether a file that may be missing is there. Raises SceneFolderError for a link, pipe or folder in its place.
+
+    advice: what to do about such a thing.
+    """
+    try:
+        return is_there(path)
+    except NotAFileError as error:
+        raise SceneFolderError(path, str(error), advice) from None
+
+
+def is_free(path: Path, uncompressed: bool = False) -> bool:
+    """Whether a scene may be written to a path.
+
+    It may if nothing is there, or an empty directory, or a scene folder, or one that a killed run left without
+    scene.json. uncompressed: whether the folder of an uncompressed scene is one, too.
+    """
+    try:
+        if not is_there(path, stat.S_IFDIR):
+            return True
+        plain = is_there(path / RENDER_FILE)
+        if plain:
+            with (path / RENDER_FILE).open("rb") as file:
+                if UNCOMPRESSED.encode() not in file.read(len(UNCOMPRESSED) + 64):
+                    return False
+        if is_there(path / SCENE_FILE) or (plain and uncompressed):
+            return True
+        return (path / INCOMING).is_dir() or not any(path.iterdir())
+    except NotAFileError:
+        return False
+
+
+def scene_files(path: Path) -> list[Path]:
+    """Returns the files that writing a scene to a folder makes, replaces or removes. Some may not be there."""
+    fixed = (SCENE_FILE, PLY_FILE, NETWORKS_FILE, PLANES_FILE, CODED_FILE, RENDER_FILE)
+    found = sorted(os.listdir(path)) if path.is_dir() else []
+    return [path / name for name in (*fixed, *(name for name in found if EXTENSION_FILE.fullmatch(name)))]
 
 
 def extension_name(kind: int) -> str:

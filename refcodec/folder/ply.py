@@ -15,7 +15,8 @@ from numpy.typing import NDArray
 
 from ..bitstream.attributes import SCALINGS
 from ..bitstream.reconstruction import Reconstruction
-from .layout import MASK_LOGIT_MIN, SceneFolderError
+from ..files.stage import new_file
+from .layout import MASK_LOGIT_MIN, SceneFolderError, there
 
 if TYPE_CHECKING:
     from ..encoder.cloud import AnchorCloud
@@ -50,7 +51,10 @@ def ply_values(r: Reconstruction, masks: NDArray[np.bool_]) -> dict[str, NDArray
 
 
 def write_cloud(r: Reconstruction, masks: NDArray[np.bool_], path: str | Path) -> None:
-    """Writes anchors as a Scaffold-GS point cloud, in binary little-endian float32. masks: bool [N, K]."""
+    """Writes anchors as a Scaffold-GS point cloud, in binary little-endian float32, to a new file.
+
+    masks: bool [N, K]. Raises OSError, also if something is there.
+    """
     from plyfile import PlyData, PlyElement
 
     n, values = len(masks), ply_values(r, masks)
@@ -62,7 +66,8 @@ def write_cloud(r: Reconstruction, masks: NDArray[np.bool_], path: str | Path) -
         *(zeros[:, :1], values["scale_"], rotation),
     ]
     table = np.concatenate(columns, axis=1).astype("<f4").view([(name, "<f4") for name in names]).reshape(n)
-    PlyData([PlyElement.describe(table, "vertex")], byte_order="<").write(str(path))
+    with new_file(Path(path)) as file:
+        PlyData([PlyElement.describe(table, "vertex")], byte_order="<").write(file)
 
 
 class Columns:
@@ -127,7 +132,7 @@ def read_cloud(path: str | Path) -> AnchorCloud:
     from ..encoder.cloud import AnchorCloud
 
     file = Path(path)
-    if not file.is_file():
+    if not there(file, "give a point_cloud.ply in the layout of Scaffold-GS"):
         raise SceneFolderError(file, "there is no such file", "give a point_cloud.ply in the layout of Scaffold-GS")
     columns = Columns(file)
     advice = "give a point_cloud.ply in the layout of Scaffold-GS"

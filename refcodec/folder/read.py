@@ -34,7 +34,16 @@ from ..bitstream.scene import Scene
 from ..bitstream.tables import STEP_LENGTH, TOTAL
 from ..bitstream.weights import CARM_SHIFT_MAX, PLANE_SHIFT_MAX
 from .document import Document
-from .layout import CODED_FILE, NETWORKS_FILE, PLANES_FILE, PLY_FILE, SCENE_FILE, SceneFolderError, extension_name
+from .layout import (
+    CODED_FILE,
+    NETWORKS_FILE,
+    PLANES_FILE,
+    PLY_FILE,
+    SCENE_FILE,
+    SceneFolderError,
+    extension_name,
+    there,
+)
 from .ply import Columns, ply_values, read_cloud
 
 
@@ -54,12 +63,12 @@ def read_folder(path: str | Path) -> Scene:
         (NETWORKS_FILE, "restore it, or decode again"),
         (PLANES_FILE, "restore it, or decode again"),
     ):
-        if not (path / name).is_file():
+        if not there(path / name, advice):
             raise SceneFolderError(path / name, "the file is missing", advice)
     document = Document(path / SCENE_FILE)
     d, profile = _read_dimensions(document)
     bare = _read_document(document, d, profile, path)
-    if not (path / CODED_FILE).is_file():
+    if not there(path / CODED_FILE, f"restore it, or remove it so that encode quantises {PLY_FILE} anew"):
         return _requantise(bare, path)
     scene = _read_coded(bare, document, path)
     _compare_ply(scene, path)
@@ -199,12 +208,9 @@ def _read_extensions(doc: Document, path: Path) -> tuple[tuple[int, int, bytes],
         # The name has to be the expected one, so that scene.json cannot point outside the folder.
         if doc.value(f"{at}.file") != extension_name(kind):
             raise doc.fault(f"{at}.file", f"is {doc.value(f'{at}.file')!r}, {extension_name(kind)!r} is required")
-        if not (path / extension_name(kind)).is_file():
-            raise SceneFolderError(
-                path / extension_name(kind),
-                "the file is missing",
-                f'restore it, or delete its entry in "extensions" of {SCENE_FILE}',
-            )
+        advice = f'restore it, or delete its entry in "extensions" of {SCENE_FILE}'
+        if not there(path / extension_name(kind), advice):
+            raise SceneFolderError(path / extension_name(kind), "the file is missing", advice)
         found.append((kind, doc.integer(f"{at}.mode", 0, 255), (path / extension_name(kind)).read_bytes()))
     return tuple(found)
 

@@ -22,11 +22,10 @@ from ..bitstream.dimensions import RENDERING
 from ..bitstream.header import RenderInfo
 from ..bitstream.networks import Layer
 from ..bitstream.reconstruction import Reconstruction
-from .layout import NETWORKS_FILE, PLY_FILE, SceneFolderError
+from ..files.stage import new_file
+from .layout import NETWORKS_FILE, PLY_FILE, RENDER_FILE, UNCOMPRESSED, SceneFolderError, there
 from .ply import read_cloud, write_cloud
-
-RENDER_FILE = "render.json"
-FORMAT = "Scaffold-GS, uncompressed"
+from .replace import replace_scene
 
 
 @dataclass(frozen=True, eq=False)
@@ -58,15 +57,22 @@ class Uncompressed:
 
 
 def is_uncompressed(path: Path) -> bool:
-    """Whether a folder holds an uncompressed scene."""
-    return (path / RENDER_FILE).is_file()
+    """Whether a folder holds an uncompressed scene. Raises SceneFolderError if that cannot be told."""
+    return there(path / RENDER_FILE, "restore it, or remove it if the folder holds a coded scene")
 
 
 def write_uncompressed(scene: Uncompressed, path: Path) -> None:
-    """Writes the folder. It is made if it is not there."""
+    """Writes the folder. It is made if it is not there.
+
+    It has the whole scene then, or is as it was (replace_scene). Raises SceneFolderError if `path` is a file, or a
+    directory with something else in it.
+    """
+    replace_scene(path, lambda folder: _write_files(scene, folder))
+
+
+def _write_files(scene: Uncompressed, path: Path) -> None:
     from safetensors.numpy import save
 
-    path.mkdir(parents=True, exist_ok=True)
     write_cloud(scene.values, scene.masks, path / PLY_FILE)
     networks = {
         f"{name}.{index}.{part}": np.ascontiguousarray(value)
@@ -74,10 +80,10 @@ def write_uncompressed(scene: Uncompressed, path: Path) -> None:
         for index, layer in enumerate(scene.networks[name])
         for part, value in zip(("weight", "bias"), layer, strict=True)
     }
-    (path / NETWORKS_FILE).write_bytes(save(networks))
-    (path / RENDER_FILE).write_text(
-        json.dumps({"format": FORMAT, "render": vars(scene.render)}, indent=2) + "\n", encoding="utf-8"
-    )
+    with new_file(path / NETWORKS_FILE) as file:
+        file.write(save(networks))
+    with new_file(path / RENDER_FILE) as file:
+        file.write((json.dumps({"format": UNCOMPRESSED, "render": vars(scene.render)}, indent=2) + "\n").encode())
 
 
 def read_uncompressed(path: Path) -> Uncompressed:

@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import json
 import re
-import shutil
 from dataclasses import fields
 from pathlib import Path
 from typing import Any
@@ -22,49 +21,19 @@ from ..bitstream.limits import PROFILES
 from ..bitstream.positions import PositionModel
 from ..bitstream.reconstruction import digest, reconstruct
 from ..bitstream.scene import Scene
-from .layout import (
-    CODED_FILE,
-    EXTENSION_FILE,
-    FORMAT,
-    INCOMING,
-    NETWORKS_FILE,
-    PLANES_FILE,
-    PLY_FILE,
-    SCENE_FILE,
-    SceneFolderError,
-    extension_name,
-    is_free,
-)
+from ..files.stage import new_file
+from .layout import CODED_FILE, FORMAT, NETWORKS_FILE, PLANES_FILE, PLY_FILE, SCENE_FILE, extension_name
 from .ply import write_cloud
+from .replace import replace_scene
 
 
 def write_folder(scene: Scene, path: str | Path, damage: dict[int, BitstreamError] | None = None) -> None:
     """Writes a scene folder. damage: the damage of a Parsed, which is noted in scene.json.
 
-    An interrupted write leaves the folder as it was, or without scene.json. It never leaves a mixture that reads as a
-    whole scene. Raises SceneFolderError if `path` is a file, or a directory with something else in it.
+    The folder has the whole scene then, or is as it was (replace_scene). Raises SceneFolderError if `path` is a file,
+    or a directory with something else in it.
     """
-    path = Path(path)
-    if not is_free(path):
-        raise SceneFolderError(path, "it exists and is not a scene folder", "choose another folder, or empty this one")
-    made = not path.exists()
-    incoming = path / INCOMING
-    try:
-        path.mkdir(parents=True, exist_ok=True)
-        shutil.rmtree(incoming, ignore_errors=True)
-        incoming.mkdir()
-        _write_files(scene, incoming, damage or {})
-        (path / SCENE_FILE).unlink(missing_ok=True)
-        for old in path.iterdir():
-            if old.name in (PLY_FILE, NETWORKS_FILE, PLANES_FILE, CODED_FILE) or EXTENSION_FILE.fullmatch(old.name):
-                old.unlink()
-        # scene.json comes last, because a folder without it does not read as a scene.
-        for new in sorted(incoming.iterdir(), key=lambda p: p.name == SCENE_FILE):
-            new.replace(path / new.name)
-    finally:
-        shutil.rmtree(incoming, ignore_errors=True)
-        if made and path.is_dir() and not any(path.iterdir()):
-            path.rmdir()
+    replace_scene(Path(path), lambda folder: _write_files(scene, folder, damage or {}))
 
 
 def _write_files(scene: Scene, path: Path, damage: dict[int, BitstreamError]) -> None:
@@ -78,18 +47,23 @@ def _write_files(scene: Scene, path: Path, damage: dict[int, BitstreamError]) ->
         for index, layer in enumerate(layers)
         for part, value in zip(("weight", "bias"), layer, strict=True)
     }
-    (path / NETWORKS_FILE).write_bytes(save(networks))
-    (path / PLANES_FILE).write_bytes(save({"planes": np.ascontiguousarray(scene.planes)}))
+    _put(path / NETWORKS_FILE, save(networks))
+    _put(path / PLANES_FILE, save({"planes": np.ascontiguousarray(scene.planes)}))
     coded: dict[str, NDArray] = {
         "positions": scene.positions.view(np.uint16),
         "masks": scene.masks.astype(np.uint8),
         "steps": a.steps,
     }
     coded |= {kind: getattr(a, kind) for kind in KINDS}
-    (path / CODED_FILE).write_bytes(save({name: np.ascontiguousarray(value) for name, value in coded.items()}))
+    _put(path / CODED_FILE, save({name: np.ascontiguousarray(value) for name, value in coded.items()}))
     for kind, _, content in scene.extensions:
-        (path / extension_name(kind)).write_bytes(content)
-    (path / SCENE_FILE).write_text(_json_text(_scene_document(scene, damage)), encoding="utf-8")
+        _put(path / extension_name(kind), content)
+    _put(path / SCENE_FILE, _json_text(_scene_document(scene, damage)).encode())
+
+
+def _put(path: Path, content: bytes) -> None:
+    with new_file(path) as file:
+        file.write(content)
 
 
 def _short(value: Any) -> Any:

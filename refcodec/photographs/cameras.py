@@ -8,12 +8,14 @@ multiplies fx and cx by one factor, fy and cy by another, with no half pixels.
 
 from __future__ import annotations
 
+import stat
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
+from ..files.present import NotAFileError, is_there
 from ..render.camera import Camera
 
 F64 = NDArray[np.float64]
@@ -33,6 +35,17 @@ class PhotographError(ValueError):
     def __init__(self, where: Path | str, problem: str, advice: str) -> None:
         self.where, self.problem, self.advice = str(where), problem, advice
         super().__init__(f"{where}: {problem}; {advice}")
+
+
+def there(path: Path, kind: int = stat.S_IFREG) -> bool:
+    """Whether a file of a dataset is there, which may be missing. kind: stat.S_IFDIR for a folder.
+
+    Raises PhotographError if something else is in its place, such as a link that leads nowhere.
+    """
+    try:
+        return is_there(path, kind)
+    except NotAFileError as error:
+        raise PhotographError(path, str(error), "restore it, or remove it") from None
 
 
 # k1, k2, p1, p2 of COLMAP's and OpenCV's OPENCV model, in normalised image coordinates.

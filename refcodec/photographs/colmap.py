@@ -7,6 +7,7 @@ word, and does not come back from a points3D.bin that states 2^60 points. Format
 from __future__ import annotations
 
 import re
+import stat
 import struct
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -27,6 +28,7 @@ from .cameras import (
     check_intrinsics,
     checked_translation,
     quaternion_rotation,
+    there,
 )
 from .images import Size, image_size
 
@@ -94,7 +96,7 @@ class _Pose:
 def find_model(folder: Path) -> Path | None:
     """The folder of a COLMAP model: sparse/0, sparse or the folder itself, whichever first has one of its files."""
     for place in (folder / "sparse" / "0", folder / "sparse", folder):
-        if any((place / f"{part}{suffix}").exists() for part in PARTS for suffix in (".bin", ".txt")):
+        if any(there(place / f"{part}{suffix}") for part in PARTS for suffix in (".bin", ".txt")):
             return place
     return None
 
@@ -105,9 +107,9 @@ def read_colmap(folder: Path, model: Path, size: Size) -> tuple[list[Shot], F64,
     folder: the dataset. model: what find_model gave. Images are in folder/images, or in images_2, images_4 and so on,
     whichever is the smallest that the wanted size can be made from. Raises PhotographError.
     """
-    suffix = ".bin" if any((model / f"{part}.bin").exists() for part in PARTS) else ".txt"
+    suffix = ".bin" if any(there(model / f"{part}.bin") for part in PARTS) else ".txt"
     for part in PARTS:
-        if not (model / f"{part}{suffix}").is_file():
+        if not there(model / f"{part}{suffix}"):
             raise PhotographError(
                 model / f"{part}{suffix}",
                 "the file is missing",
@@ -141,8 +143,8 @@ def read_colmap(folder: Path, model: Path, size: Size) -> tuple[list[Shot], F64,
             f"the image is missing ({len(missing)} of {len(shots)} are that have a pose)",
             "restore it, or remove its pose from the model",
         )
-    there = (p for p in images.rglob("*") if p.suffix.lower() in IMAGE_SUFFIXES and p.is_file())
-    skipped = sum(p.relative_to(images).as_posix() not in names for p in there)
+    found = (p for p in images.rglob("*") if p.suffix.lower() in IMAGE_SUFFIXES and p.is_file())
+    skipped = sum(p.relative_to(images).as_posix() not in names for p in found)
     return [replace(shot, path=images / shot.camera.name) for shot in shots], points, colours, skipped
 
 
@@ -169,16 +171,16 @@ def _image_folder(folder: Path, shots: list[Shot], size: Size) -> Path:
     reduced = {
         int(m[1]): p
         for p in folder.glob("images_*")
-        if (m := re.fullmatch(r"images_([1-9][0-9]{0,3})", p.name)) and p.is_dir()
+        if (m := re.fullmatch(r"images_([1-9][0-9]{0,3})", p.name)) and there(p, stat.S_IFDIR)
     }
-    folders = [p for p in (folder / "images", *(reduced[n] for n in sorted(reduced))) if p.is_dir()]
+    folders = [p for p in (folder / "images", *(reduced[n] for n in sorted(reduced))) if there(p, stat.S_IFDIR)]
     if not folders:
         raise PhotographError(
             folder / "images", "there is no image folder", "put the images into images/ (or images_2/, images_4/, ...)"
         )
     if size is not None:
         for place in reversed(folders[1:]):
-            if (first := place / shots[0].camera.name).is_file():
+            if there(first := place / shots[0].camera.name):
                 width, height = image_size(first)
                 if max(width, height) >= size if isinstance(size, int) else (width >= size[0] and height >= size[1]):
                     return place

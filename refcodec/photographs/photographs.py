@@ -27,10 +27,11 @@ WHITE, BLACK = (255, 255, 255), (0, 0, 0)
 
 @dataclass(frozen=True, eq=False)
 class Photograph:
-    """A camera and what it saw. load: reads the image, when it is first asked for."""
+    """A camera and what it saw. load: reads the image, when it is first asked for. path: of its file."""
 
     camera: Camera
     load: Callable[[], U8]
+    path: Path
 
     @cached_property
     def image(self) -> U8:
@@ -52,6 +53,11 @@ class PhotographSet:
     colours: U8
     skipped: int
     background: tuple[int, int, int]
+
+    def places(self) -> list[Path]:
+        """Returns the image files, and the folders that they are in."""
+        files = [photograph.path for photograph in (*self.train, *self.test)]
+        return [*files, *dict.fromkeys(file.parent for file in files)]
 
 
 def read_photographs(
@@ -124,7 +130,7 @@ def _photograph(shot: Shot, size: Size, background: tuple[int, int, int]) -> Pho
         photographed if shot.distortion == UNDISTORTED else undistorted_camera(shot.path, photographed, shot.distortion)
     )
     camera = camera.resized(*wanted_size(shot.path, width, height, size))
-    return Photograph(camera, partial(_load, shot, photographed, camera, background))
+    return Photograph(camera, partial(_load, shot, photographed, camera, background), shot.path)
 
 
 def _load(shot: Shot, photographed: Camera, camera: Camera, background: tuple[int, int, int]) -> U8:

@@ -24,6 +24,7 @@ from .cameras import (
     check_intrinsics,
     checked_rotation,
     checked_translation,
+    there,
 )
 from .images import image_size
 
@@ -46,7 +47,7 @@ REPAIR = "write the file again with the program that made it"
 
 def is_transforms(folder: Path) -> bool:
     """Whether a folder has one of NeRF's files."""
-    return any((folder / name).exists() for name in (SINGLE, TRAIN, TEST))
+    return any(there(folder / name) for name in (SINGLE, TRAIN, TEST))
 
 
 def read_transforms(folder: Path, seed: int) -> tuple[list[Shot], list[Shot] | None, F64, U8, int]:
@@ -56,13 +57,13 @@ def read_transforms(folder: Path, seed: int) -> tuple[list[Shot], list[Shot] | N
     tests. A frame without transform_matrix is an image without pose. Points come from the PLY file that ply_file_path
     names, or from points3d.ply. Without either they are random_points of all the cameras. Raises PhotographError.
     """
-    if (folder / SINGLE).is_file():
+    if there(folder / SINGLE):
         document = _document(folder / SINGLE)
         shots, skipped = _frames(folder / SINGLE, document)
         test = None
     else:
         for name, other in ((TRAIN, TEST), (TEST, TRAIN)):
-            if not (folder / name).is_file():
+            if not there(folder / name):
                 raise PhotographError(
                     folder / name, f"the file is missing, {other} is there", f"give both, or a {SINGLE}"
                 )
@@ -75,7 +76,7 @@ def read_transforms(folder: Path, seed: int) -> tuple[list[Shot], list[Shot] | N
         raise PhotographError(folder, "no image has a pose", "give the frames a transform_matrix")
     named = document.get("ply_file_path")
     places = [folder / str(named)] if named is not None else [folder / name for name in POINT_FILES]
-    place = next((p for p in places if p.is_file()), None)
+    place = next((p for p in places if there(p)), None)
     if place is None and named is not None:
         raise PhotographError(
             places[0], "the point cloud that ply_file_path names is missing", "restore it, or remove ply_file_path"
@@ -116,7 +117,9 @@ def _frames(file: Path, document: dict[str, Any]) -> tuple[list[Shot], int]:
 
 def _shot(where: str, folder: Path, document: dict[str, Any], frame: dict[str, Any]) -> Shot:
     stated = frame["file_path"]
-    path = next((p for s in SUFFIXES if (p := folder / f"{stated}{s}").is_file()), folder / stated)
+    # A link that leads nowhere is the file that is meant, and it is missing.
+    places = [folder / f"{stated}{suffix}" for suffix in SUFFIXES]
+    path = next((p for p in places if p.is_file() or (p.is_symlink() and not p.is_dir())), folder / stated)
     # A name is also that of a file that is written for the image, so it may not lead out of a folder.
     name = "/".join(part for part in PurePosixPath(stated).parts if part not in ("/", ".."))
     # A frame's own numbers come before those of the whole file.

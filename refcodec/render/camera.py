@@ -11,6 +11,8 @@ from numpy.typing import NDArray
 from ..bitstream.header import RenderInfo
 
 F64 = NDArray[np.float64]
+# The name of the camera that a file states.
+OWN = "default"
 
 
 @dataclass(frozen=True, eq=False)
@@ -63,7 +65,7 @@ def default_camera(info: RenderInfo) -> Camera:
     # The quaternion is scaled first. Every finite one but zero is allowed, and squares of large numbers are infinite.
     quaternion /= np.abs(quaternion).max()
     return Camera(
-        "default",
+        OWN,
         info.camera_width,
         info.camera_height,
         *info.camera_focal,

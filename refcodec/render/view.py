@@ -1,13 +1,14 @@
-"""Views of a scene: cameras around it, and images of it as files (SPEC.md chapter 14)."""
+"""Views of a scene: cameras around it, and images of it as PNG and GIF (SPEC.md chapter 14)."""
 
 from __future__ import annotations
 
+import io
 from collections.abc import Iterable
-from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 from PIL import Image
+from PIL.PngImagePlugin import PngInfo
 
 from ..bitstream.dimensions import RENDERING
 from ..bitstream.header import RenderInfo
@@ -30,6 +31,8 @@ ELEVATION = 25.0
 DISTANCE = 2.2
 # The images a second in the animation of an orbit.
 FRAME_RATE = 15
+# What images say of the program that wrote them.
+MARK = "refcodec"
 
 
 class View:
@@ -68,10 +71,9 @@ class View:
             away = np.cos(height) * (np.cos(turn) * side + np.sin(turn) * front) + np.sin(height) * up
             rotation = looking(-away, up)
             place = middle + DISTANCE * radius * away
-            name = f"orbit-{number:04d}"
             cameras.append(
                 Camera(
-                    name,
+                    orbit_name(number),
                     default.width,
                     default.height,
                     default.fx,
@@ -83,6 +85,11 @@ class View:
                 )
             )
         return cameras
+
+
+def orbit_name(number: int) -> str:
+    """Returns the name of a camera of View.orbit."""
+    return f"orbit-{number:04d}"
 
 
 def own_camera(info: RenderInfo) -> Camera:
@@ -110,12 +117,19 @@ def eight_bits(made: F32) -> U8:
     return np.floor(np.clip(made, 0, 1) * 255 + 0.5).astype(np.uint8)
 
 
-def write_png(path: Path, made: F32) -> None:
-    """Writes an image, float32 [height, width, 3], as a PNG file."""
-    Image.fromarray(eight_bits(made)).save(path)
+def png(pixels: U8) -> bytes:
+    """Returns an image, uint8 [height, width, 3], as a PNG file, which names refcodec as its maker."""
+    text = PngInfo()
+    text.add_text("Software", MARK)
+    data = io.BytesIO()
+    Image.fromarray(pixels).save(data, "PNG", pnginfo=text)
+    return data.getvalue()
 
 
-def write_gif(path: Path, frames: Iterable[U8]) -> None:
-    """Writes images, uint8 [height, width, 3], as an endless animation."""
+def gif(frames: Iterable[U8]) -> bytes:
+    """Returns images, uint8 [height, width, 3], as an endless animation, which names refcodec as its maker."""
     first, *rest = (Image.fromarray(frame).quantize(dither=Image.Dither.NONE) for frame in frames)
-    first.save(path, save_all=True, append_images=rest, duration=1000 // FRAME_RATE, loop=0)
+    data = io.BytesIO()
+    duration = 1000 // FRAME_RATE
+    first.save(data, "GIF", save_all=True, append_images=rest, duration=duration, loop=0, comment=MARK.encode())
+    return data.getvalue()

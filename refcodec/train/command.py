@@ -16,8 +16,8 @@ import torch
 
 from ..bitstream.attributes import KINDS
 from ..bitstream.scene import Scene
-from ..folder.layout import is_free
-from ..folder.uncompressed import Uncompressed, is_uncompressed, write_uncompressed
+from ..files.stage import write_file
+from ..folder.uncompressed import Uncompressed, write_uncompressed
 from ..folder.write import write_folder
 from ..photographs.photographs import PhotographSet
 from .looks import psnr
@@ -34,11 +34,6 @@ LINE_SECONDS = 5.0
 def state_path(output: Path) -> Path:
     """Where a training saves itself: beside the folder, which is whole or not there."""
     return output.with_name(output.name + ".train-state")
-
-
-def may_write(output: Path) -> bool:
-    """Whether a training may leave its result there."""
-    return is_free(output) or is_uncompressed(output)
 
 
 def train(
@@ -70,7 +65,7 @@ def train(
         write_uncompressed(result, output)
     else:
         write_folder(result, output)
-    (output / REPORT_FILE).write_text(json.dumps(report(trainer, result), indent=1) + "\n", encoding="utf-8")
+    write_file(output / REPORT_FILE, (json.dumps(report(trainer, result), indent=1) + "\n").encode())
     if whole:
         state.unlink(missing_ok=True)
     return trainer, whole

@@ -12,9 +12,9 @@ from ..bitstream.header import PositionGrid, RenderInfo
 from ..bitstream.networks import Layer
 from ..bitstream.reconstruction import Reconstruction, reconstruct
 from ..encoder.cloud import AnchorCloud
-from ..folder.layout import NETWORKS_FILE, PLY_FILE, SCENE_FILE
+from ..folder.layout import NETWORKS_FILE, PLY_FILE, RENDER_FILE, SCENE_FILE
 from ..folder.read import read_folder
-from ..folder.uncompressed import RENDER_FILE, is_uncompressed, read_uncompressed
+from ..folder.uncompressed import is_uncompressed, read_uncompressed
 from .voxelise import default_voxel, read_points, short_mantissa, voxelise
 
 

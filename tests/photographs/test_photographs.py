@@ -428,7 +428,7 @@ def test_nothing_in_it(made):
 def test_file_that_cannot_be_opened(text):
     (text / "sparse/0/points3D.txt").unlink()
     (text / "sparse/0/points3D.txt").mkdir()
-    refused(text, "points3D.txt", "missing")
+    refused(text, "points3D.txt", "directory")
 
 
 @given(st.sampled_from(["cameras", "images", "points3D"]), st.integers(0, 10_000), st.binary(min_size=1, max_size=12))

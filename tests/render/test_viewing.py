@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 import json
 import os
 import subprocess
@@ -21,7 +22,7 @@ from conformance.cases.scenes import random_scene  # noqa: E402
 from refcodec.bitstream import codec  # noqa: E402
 from refcodec.cli.main import main  # noqa: E402
 from refcodec.evaluate.quality import measures  # noqa: E402
-from refcodec.render.view import View, eight_bits, looking, own_camera, write_gif, write_png  # noqa: E402
+from refcodec.render.view import View, eight_bits, gif, looking, own_camera, png  # noqa: E402
 
 ROOT = Path(__file__).resolve().parents[2]
 PHOTOGRAPHS = ROOT / "examples" / "photographs" / "caliterra"
@@ -82,13 +83,11 @@ def test_looking() -> None:
     assert np.allclose(rotation, np.eye(3))
 
 
-def test_images_as_files(tmp_path: Path) -> None:
+def test_images_as_files() -> None:
     made = np.array([[[0, 0.5, 1], [-1, 2, 0.25]]], np.float32)
     assert eight_bits(made).tolist() == [[[0, 128, 255], [0, 255, 64]]]
-    write_png(tmp_path / "a.png", made)
-    assert np.asarray(Image.open(tmp_path / "a.png")).tolist() == eight_bits(made).tolist()
-    write_gif(tmp_path / "a.gif", [np.full((4, 4, 3), v, np.uint8) for v in (0, 100, 200)])
-    with Image.open(tmp_path / "a.gif") as animation:
+    assert np.asarray(Image.open(io.BytesIO(png(eight_bits(made))))).tolist() == eight_bits(made).tolist()
+    with Image.open(io.BytesIO(gif([np.full((4, 4, 3), v, np.uint8) for v in (0, 100, 200)]))) as animation:
         assert animation.n_frames == 3
 
 
