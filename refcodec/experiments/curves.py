@@ -2,19 +2,13 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from pathlib import Path
 
 import matplotlib as mpl
 from matplotlib.figure import Figure
 
-from .tables import Row, Spread, grouped, spread
-
-
-def _bar(values: Sequence[Spread]) -> list[float]:
-    """Lengths of error bars. A single value has none."""
-    return [0.0 if math.isnan(value.deviation) else value.deviation for value in values]
+from .tables import Row, grouped, spread
 
 
 def write_curves(folder: Path, rows: Sequence[Row]) -> None:
@@ -31,7 +25,7 @@ def write_curves(folder: Path, rows: Sequence[Row]) -> None:
 
 
 def draw(scene: str, rows: Sequence[Row]) -> Figure:
-    """The chart of one scene. An uncompressed method is a ring."""
+    """The chart of one scene. An uncompressed method is a ring. A deviation that is NaN has no bar."""
     figure = Figure(figsize=(6.4, 4.4), layout="constrained")
     axes = figure.subplots()
     for (method,), of_method in grouped(rows, "method").items():
@@ -47,8 +41,8 @@ def draw(scene: str, rows: Sequence[Row]) -> Figure:
         axes.errorbar(
             [size.mean for size in sizes],
             [psnr.mean for psnr in psnrs],
-            xerr=_bar(sizes),
-            yerr=_bar(psnrs),
+            xerr=[size.deviation for size in sizes],
+            yerr=[psnr.deviation for psnr in psnrs],
             label=method,
             capsize=2,
             fmt="o-" if rated else "o",
