@@ -34,7 +34,8 @@ def _demo(arguments: argparse.Namespace) -> int:
 
 def _rd(arguments: argparse.Namespace) -> int:
     try:
-        from ..experiments.rd import FIGURES, Settings, run_rd
+        from ..experiments.figures import FIGURES
+        from ..experiments.rd import Settings, run_rd
         from ..experiments.runs import RunError
         from ..photographs.photographs import PhotographError
         from ..train.settings import PRESETS

@@ -15,6 +15,7 @@ from .. import __version__
 from ..files.documents import DocumentError, read_json
 from ..train.settings import TrainSettings
 from ..train.settings_file import document
+from .figures import FIGURES
 from .plan import Experiment, Method, Scene
 from .runs import Command
 
@@ -22,8 +23,6 @@ FORMAT = "C3GS cell"
 # Below a cell's folder: what its commands make, the lines that they print to stderr, and the result.
 WORK, LOG, RESULT = "work", "log.txt", "result.json"
 REPORT = "training.json"
-# What tables need of an evaluation.
-FIGURES = ("psnr", "ssim", "psnr_3dgs", "ssim_3dgs")
 # Stand for paths in a definition, which does not depend on where things lie.
 _PHOTOGRAPHS, _HERE = Path("PHOTOGRAPHS"), Path()
 

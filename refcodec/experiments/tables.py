@@ -11,8 +11,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from .cells import FIGURES, Cell
-from .rd import BD_POINTS, PARTS, compare
+from .cells import Cell
+from .figures import BD_POINTS, FIGURES, PARTS, compare, figures_of
 from .runs import RunError
 
 CSV, MARKDOWN = "results.csv", "tables.md"
@@ -50,18 +50,12 @@ def spread(values: Sequence[float]) -> Spread:
 
 def row(cell: Cell, result: Mapping[str, Any]) -> Row:
     """The COLUMNS of a cell. `seconds` and `processor_seconds` are those of its training."""
-    parts, anchors = result["parts"], result["anchors"]
     return {
         "scene": cell.scene.name,
         "method": cell.method.name,
         "rate": cell.rate,
         "seed": cell.seed,
-        "bytes": result["bytes"],
-        **{part: parts.get(part, 0) for part in PARTS},
-        "headers": sum(value for part, value in parts.items() if part not in PARTS),
-        "bits_per_anchor": 8 * result["bytes"] / anchors if anchors else math.nan,
-        "anchors": anchors,
-        **{figure: result["mean"][figure] for figure in FIGURES},
+        **figures_of(result),
         "steps": cell.settings.steps,
         "seconds": result["seconds"]["train"],
         "processor_seconds": result["processor_seconds"]["train"],

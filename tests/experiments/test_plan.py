@@ -9,12 +9,12 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-pytest.importorskip("PIL", reason="experiments need the packages of the extras train, render and rd")
-pytest.importorskip("scipy", reason="experiments need the packages of the extras train, render and rd")
+for package in ("PIL", "scipy", "matplotlib", "bjontegaard"):
+    pytest.importorskip(package, reason="experiments need the packages of the extras train, render and rd")
 
-from refcodec.experiments import plan
-from refcodec.experiments.cells import cells, hash_of
-from refcodec.experiments.plan import ExperimentError, read_experiment
+from refcodec.experiments import plan  # noqa: E402
+from refcodec.experiments.cells import cells, hash_of  # noqa: E402
+from refcodec.experiments.plan import ExperimentError, read_experiment  # noqa: E402
 
 ROOT = Path(__file__).resolve().parents[2]
 FILES = ROOT / "benchmarks" / "experiments"
