@@ -1,4 +1,4 @@
-"""Commands that run others: demo, rd."""
+"""Commands that run others: demo, rd, experiment."""
 
 # Modules that need NumPy are imported by the commands that use them, so that help is instant.
 # ruff: noqa: PLC0415
@@ -34,7 +34,8 @@ def _demo(arguments: argparse.Namespace) -> int:
 
 def _rd(arguments: argparse.Namespace) -> int:
     try:
-        from ..experiments.rd import FIGURES, Settings, run_rd
+        from ..experiments.figures import FIGURES
+        from ..experiments.rd import Settings, run_rd
         from ..experiments.runs import RunError
         from ..photographs.photographs import PhotographError
         from ..train.settings import PRESETS
@@ -68,8 +69,74 @@ def _rd(arguments: argparse.Namespace) -> int:
     return 0
 
 
+def _experiment(arguments: argparse.Namespace) -> int:
+    try:
+        from ..experiments.command import Options, run_experiment
+        from ..experiments.plan import ExperimentError
+        from ..experiments.runs import RunError
+    except ModuleNotFoundError as error:
+        packages = ("matplotlib", "bjontegaard", "torch", *RENDER_PACKAGES)
+        raise needs("experiment", "train,render,rd", error, packages) from None
+    options = Options(
+        file=Path(arguments.file),
+        folder=Path(arguments.output),
+        engine=arguments.engine,
+        jobs=arguments.jobs,
+        threads=arguments.threads,
+        only=tuple(arguments.only),
+        tables=arguments.tables,
+    )
+    try:
+        return run_experiment(options)
+    except ExperimentError as error:
+        raise UsageError(str(error)) from None
+    except RunError as error:
+        note(f"refcodec: {error}")
+        return error.status
+    except ModuleNotFoundError as error:
+        raise needs("experiment --engine ray", "ray", error, ("ray",)) from None
+
+
+# What the help of `experiment` says of the file and the folder.
+_EXPERIMENT_NOTES = """\
+FILE is TOML. It has
+  rates, seeds          lists of lambda_r, and of seeds; each scene is trained by each method at each of them
+  steps                 of each training (default: the preset's)
+  device                cpu or cuda (default: cpu)
+  baseline              a method; the BD-rates of the others are against it
+and a table [[scenes]] for each scene, with
+  name                  of 1 to 64 letters, digits and . _ + -
+  photographs           a folder, from the file's own; ${NAME} is a variable of the environment
+  size                  as of train (default: the preset's)
+  rates                 those of this scene
+  set                   a list of NAME=VALUE, as of train --set
+  group                 the data set that it belongs to; BD-rates have means over its scenes
+and a table [[methods]] for each method, with
+  name                  as of scenes
+  kind                  train (the default), or uncompressed, which has no rates
+  preset                as of train (default: fast)
+  set                   a list of NAME=VALUE, as of train --set, after those of the scene
+  scenes                names of the only scenes that it is for
+A cell is SCENE/METHOD/rate-R/seed-S: one training, encode, eval --json. It is done when DIR/cells/CELL/result.json is
+whole and was made by the same commands, settings, photographs and version of refcodec. The command runs the others,
+and what has failed or was interrupted goes on when it is called again. DIR gets results.csv (a row for each cell),
+tables.md (means and sample standard deviations over seeds, BD-rates) and curves/ (PNG, SVG).
+Ctrl-C stops the trainings, which keep what they have.
+
+--engine ray runs cells on Ray: on this machine, or on the cluster that RAY_ADDRESS names. There all machines need
+refcodec, and DIR, the photographs under the same paths. A cell asks for --threads processors (default: 1), and with
+device = "cuda" for one GPU.
+Needs: pip install 'refcodec[train,render,rd]', and 'refcodec[ray]' for --engine ray."""
+
+
 def add(commands: Any) -> None:
     """Adds the commands of this module."""
+    _add_demo(commands)
+    _add_rd(commands)
+    _add_experiment(commands)
+
+
+def _add_demo(commands: Any) -> None:
     demo = add_command(
         commands,
         "demo",
@@ -94,6 +161,9 @@ def add(commands: Any) -> None:
     demo.add_argument(
         "--steps", type=positive, metavar="N", help="steps of each training (default: those of four minutes)"
     )
+
+
+def _add_rd(commands: Any) -> None:
     rd = add_command(
         commands,
         "rd",
@@ -128,3 +198,42 @@ def add(commands: Any) -> None:
     rd.add_argument("--preset", choices=("fast", "paper"), default="fast", help="as of train (default: %(default)s)")
     for name, kind in (("steps", positive), ("seed", seed), ("device", str)):
         rd.add_argument(f"--{name}", type=kind, help="as of train")
+
+
+def _add_experiment(commands: Any) -> None:
+    experiment = add_command(
+        commands,
+        "experiment",
+        _experiment,
+        "train scenes by methods, rates and seeds as a file says, and write tables and curves",
+        [
+            "experiment benchmarks/experiments/small.toml -o small",
+            "experiment benchmarks/experiments/small.toml -o small --only 'caliterra/*' --jobs 4",
+            "experiment benchmarks/experiments/paper.toml -o /shared/paper --engine ray",
+            "experiment benchmarks/experiments/small.toml -o small --tables",
+        ],
+        _EXPERIMENT_NOTES,
+    )
+    experiment.add_argument("file", metavar="FILE")
+    experiment.add_argument("-o", "--output", metavar="DIR", required=True)
+    experiment.add_argument(
+        "--engine", choices=("local", "ray"), default="local", help="what runs the cells (default: %(default)s)"
+    )
+    experiment.add_argument(
+        "--jobs",
+        type=positive,
+        metavar="N",
+        help="cells at a time (default: 2; with Ray, as many as there is room for)",
+    )
+    experiment.add_argument(
+        "--threads",
+        type=positive,
+        metavar="N",
+        help="processors of each training (default: all divided by the jobs; with Ray 1); no result depends on them",
+    )
+    experiment.add_argument(
+        "--only", metavar="PATTERN", action="append", default=[], help="cells to run, with * and ?; can be given again"
+    )
+    experiment.add_argument(
+        "--tables", action="store_true", help="run nothing: write the tables and curves of the cells that are done"
+    )

@@ -1,1 +1,1 @@
-"""The package's own commands as processes: the demo, curves of rate and distortion."""
+"""The package's own commands as processes: the demo, curves of rate and distortion, experiments."""

@@ -7,33 +7,21 @@ import io
 import json
 import math
 import os
-import warnings
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from itertools import pairwise
 from pathlib import Path
 
-import bjontegaard
-import matplotlib as mpl
 from matplotlib.figure import Figure
 
 from ..files.lock import hold_folder
 from ..files.outputs import check_apart
 from ..files.stage import write_file
 from ..photographs.photographs import parse_size, read_photographs
+from .figures import BD_POINTS, FIGURES, PARTS, Difference, Row, compare, figures_of
 from .runs import Command, Notes, RunError, Runner, shown
 
 FORMAT, NOTES, TABLE, CHART, REPORT = "C3GS rate and distortion", "rd.json", "rd.csv", "rd.png", "training.json"
-PARTS = ("positions", "attributes", "masks", "planes", "weights")
-FIGURES = ("psnr", "ssim", "psnr_3dgs", "ssim_3dgs")
 COLUMNS = ("rate", "bytes", *PARTS, "headers", "bits_per_anchor", "anchors", *FIGURES, "seconds")
-# Bjontegaard's method fits cubics.
-BD_POINTS = 4
-
-# bjontegaard imports pyplot, which must not look for a screen.
-mpl.use("Agg")
-
-Row = dict[str, float]
 
 
 @dataclass(frozen=True)
@@ -67,18 +55,6 @@ class Settings:
         what = ("eval", str(file if rate else scene), str(self.photographs), *size, "--json")
         after = encode if rate else train
         return [*commands, Command(name, what, self.folder / f"{name}.json", (after,), printed=True)]
-
-
-@dataclass(frozen=True)
-class Difference:
-    """Of a curve from another.
-
-    rate: BD-rate in percent, negative where it saves. psnr: BD-PSNR in dB. warning: if little of both is compared.
-    """
-
-    rate: float
-    psnr: float
-    warning: str
 
 
 def run_rd(
@@ -122,15 +98,9 @@ def _run(
 def _row(settings: Settings, rate: float, notes: Notes) -> Row:
     name = f"rate-{rate:g}"
     found = json.loads((settings.folder / f"{name}.json").read_text())
-    sections, anchors = found["parts"], found["anchors"]
     return {
         "rate": rate,
-        "bytes": found["bytes"],
-        **{part: sections.get(part, 0) for part in PARTS},
-        "headers": sum(value for part, value in sections.items() if part not in PARTS),
-        "bits_per_anchor": 8 * found["bytes"] / anchors if anchors else math.nan,
-        "anchors": anchors,
-        **{figure: found["mean"][figure] for figure in FIGURES},
+        **figures_of(found),
         "seconds": notes.seconds(f"{name} train"),
     }
 
@@ -172,33 +142,6 @@ def read_curve(path: Path) -> list[Row]:
     ):
         raise RunError(f"{path} has sizes or PSNRs that no file has")
     return points
-
-
-def compare(anchor: Sequence[Row], test: Sequence[Row]) -> Difference:
-    """The Bjontegaard deltas of the test curve from the anchor, by piecewise cubic interpolation, as JCTVC-L1100 does.
-
-    Uncompressed points are left out. Raises RunError if there is no answer.
-    """
-    curves = [
-        sorted((point["bytes"], point["psnr"]) for point in curve if point.get("rate", 1) > 0)
-        for curve in (anchor, test)
-    ]
-    for curve in curves:
-        if any(a[0] >= b[0] or a[1] >= b[1] for a, b in pairwise(curve)):
-            raise RunError(
-                "BD-rate needs curves on which PSNR rises with the size: "
-                + ", ".join(f"{b:.0f} B {p:.2f} dB" for b, p in curve)
-            )
-    columns = [[point[i] for point in curve] for curve in curves for i in (0, 1)]
-    with warnings.catch_warnings(record=True) as caught:
-        warnings.simplefilter("always")
-        rate, psnr = (
-            float(measure(*columns, method="pchip", require_matching_points=False))
-            for measure in (bjontegaard.bd_rate, bjontegaard.bd_psnr)
-        )
-    if not (math.isfinite(rate) and math.isfinite(psnr)):
-        raise RunError("BD-rate needs curves that have sizes and PSNRs in common")
-    return Difference(rate, psnr, "the curves have less than three quarters of their range in common" if caught else "")
 
 
 def write_chart(path: Path, curves: Mapping[str, Sequence[Row]]) -> None:

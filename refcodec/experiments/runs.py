@@ -41,7 +41,7 @@ class Command:
 
     subject: what it works on, a line of progress. output: what it makes. after: names of commands whose output it
     reads. printed: whether its output is what it prints. state: what it leaves when it is interrupted, to go on with
-    --resume.
+    --resume. free: further arguments on which its output does not depend, such as its threads.
     """
 
     subject: str
@@ -50,6 +50,7 @@ class Command:
     after: tuple[str, ...] = ()
     printed: bool = False
     state: Path | None = None
+    free: tuple[str, ...] = ()
 
     @property
     def name(self) -> str:
@@ -58,7 +59,7 @@ class Command:
 
     def __str__(self) -> str:
         """As it is typed in a shell."""
-        text = shlex.join(["refcodec", *self.arguments])
+        text = shlex.join(["refcodec", *self.arguments, *self.free])
         return f"{text} > {shlex.quote(str(self.output))}" if self.printed else text
 
 
@@ -109,10 +110,15 @@ class Notes:
         """How long a command ran, with the runs that were interrupted."""
         return float(self.commands[name]["seconds"])
 
+    def processor_seconds(self, name: str) -> float:
+        """How long processors worked for a command, with the runs that were interrupted."""
+        return float(self.commands[name].get("processor_seconds", 0.0))
+
     def begin(self, command: Command) -> None:
         """What was made from an earlier output is no longer done."""
         with self._lock:
-            before = self.seconds(command.name) if self.can_resume(command) else 0.0
+            goes_on = self.can_resume(command)
+            before = (self.seconds(command.name), self.processor_seconds(command.name)) if goes_on else (0.0, 0.0)
             gone = {command.name}
             while more := {
                 name for name, note in self.commands.items() if name not in gone and gone & set(note["after"])
@@ -123,16 +129,18 @@ class Notes:
             note = {
                 "arguments": list(command.arguments),
                 "after": list(command.after),
-                "seconds": before,
+                "seconds": before[0],
+                "processor_seconds": before[1],
                 "done": False,
             }
             self.commands[command.name] = note
             self._write()
 
-    def end(self, command: Command, seconds: float, done: bool) -> None:
+    def end(self, command: Command, seconds: float, done: bool, processor_seconds: float = 0.0) -> None:
         with self._lock:
             note = self.commands[command.name]
             note["seconds"] += seconds
+            note["processor_seconds"] += processor_seconds
             note["done"] = done
             self._write()
 
@@ -140,12 +148,13 @@ class Notes:
 class Runner:
     """Runs chains of commands, `jobs` at a time.
 
-    show: gets the subject of a command and each line that it writes to stderr. SIGINT and SIGTERM are passed on to the
-    processes as SIGINT, so that trainings keep what they have; a second one kills them.
+    show: gets the subject of a command and each line that it writes to stderr. held: file descriptors that the
+    processes inherit. Under run(), SIGINT and SIGTERM are passed on to the processes as SIGINT, so that trainings keep
+    what they have; a second one kills them.
     """
 
-    def __init__(self, notes: Notes, show: Show, jobs: int) -> None:
-        self.notes, self.show, self.jobs = notes, show, jobs
+    def __init__(self, notes: Notes, show: Show, jobs: int, held: tuple[int, ...] = ()) -> None:
+        self.notes, self.show, self.jobs, self.held = notes, show, jobs, held
         self._running: set[subprocess.Popen[str]] = set()
         self._stopped = False
 
@@ -156,7 +165,7 @@ class Runner:
         """
         self._stopped = False
         with self._signals(), ThreadPoolExecutor(self.jobs) as pool:
-            futures = [pool.submit(self._chain, chain) for chain in chains]
+            futures = [pool.submit(self.chain, chain) for chain in chains]
             wait(futures)
         for future in futures:
             future.result()
@@ -165,7 +174,7 @@ class Runner:
     @contextlib.contextmanager
     def _signals(self) -> Iterator[None]:
         def pass_on(number: int, frame: FrameType | None) -> None:
-            self._stop(signal.SIGKILL if self._stopped else signal.SIGINT)
+            self.stop(signal.SIGKILL if self._stopped else signal.SIGINT)
 
         before = {number: signal.signal(number, pass_on) for number in (signal.SIGINT, signal.SIGTERM)}
         try:
@@ -174,14 +183,15 @@ class Runner:
             for number, handler in before.items():
                 signal.signal(number, handler)
 
-    def _stop(self, number: int) -> None:
+    def stop(self, number: int) -> None:
+        """Sends a signal to the processes that run, and begins no other."""
         # No lock: a handler may interrupt the thread that holds it.
         self._stopped = True
         for process in tuple(self._running):
-            with contextlib.suppress(ProcessLookupError):
-                process.send_signal(number)
+            _send(process, number)
 
-    def _chain(self, commands: Sequence[Command]) -> None:
+    def chain(self, commands: Sequence[Command]) -> None:
+        """Runs what is not done yet, one after the other, until stop(). Raises RunError if a command fails."""
         for command in commands:
             if self._stopped:
                 return
@@ -201,35 +211,45 @@ class Runner:
             # In a group of its own, a process gets Ctrl-C once, from here.
             process = stack.enter_context(
                 subprocess.Popen(
-                    [*PROGRAM, *command.arguments, *resume],
+                    [*PROGRAM, *command.arguments, *command.free, *resume],
                     stdout=printed,
                     stderr=subprocess.PIPE,
                     text=True,
+                    errors="replace",
                     process_group=0,
+                    pass_fds=self.held,
                 )
             )
             self._running.add(process)
             if self._stopped:
-                process.send_signal(signal.SIGINT)
+                _send(process, signal.SIGINT)
             assert process.stderr is not None
             last: list[str] = []
             for line in process.stderr:
                 last = [*last[1 - _LAST_LINES :], line.rstrip()]
                 self.show(command.subject, f"{command.arguments[0]}: {line.strip()}")
-            status = process.wait()
+            # As process.wait(), and with the seconds of processors.
+            _, ended, used = os.wait4(process.pid, 0)
+            process.returncode = status = os.waitstatus_to_exitcode(ended)
             self._running.discard(process)
             if status:
                 stage.cancel()
         seconds = time.perf_counter() - began
-        self.notes.end(command, seconds, status == 0)
+        self.notes.end(command, seconds, status == 0, used.ru_utime + used.ru_stime)
         if status == 0:
             self.show(command.subject, f"{command.arguments[0]}: done in {seconds:.1f} s")
             return True
         if self._stopped:
             return False
         # One that fails ends the others, which keep what they have.
-        self._stop(signal.SIGINT)
+        self.stop(signal.SIGINT)
         raise RunError("\n".join([f"this command failed: {command}", *last]), status if status > 0 else os.EX_SOFTWARE)
+
+
+def _send(process: subprocess.Popen[str], number: int) -> None:
+    # Not Popen.send_signal: that may take the end of a process away from the thread that waits for it.
+    with contextlib.suppress(ProcessLookupError):
+        os.kill(process.pid, number)
 
 
 @contextlib.contextmanager

@@ -1,4 +1,5 @@
-"""refcodec with a training and an evaluation that take no time, made up. Run as a program by the tests of demo and rd.
+"""refcodec with a training and an evaluation that take no time, made up. Run as a program by the tests of demo, rd and
+experiment.
 
 As `train` of refcodec, it writes a line to stderr every few steps, stops at SIGINT with what it has and status 130, and
 resumes. Each step takes as many milliseconds as FAKE_STEP says.
@@ -32,6 +33,7 @@ def train(argv: list[str]) -> int:
     parser.add_argument("--size")
     for name in ("--threads", "--seed", "--preset", "--device"):
         parser.add_argument(name)
+    parser.add_argument("--set", action="append")
     parser.add_argument("--resume", action="store_true")
     parser.add_argument("--progress", action="store_true")
     arguments = parser.parse_args(argv)

@@ -18,7 +18,8 @@ from PIL import Image  # noqa: E402
 
 from refcodec.cli.main import main  # noqa: E402
 from refcodec.experiments import runs  # noqa: E402
-from refcodec.experiments.rd import COLUMNS, compare, read_curve  # noqa: E402
+from refcodec.experiments.figures import compare  # noqa: E402
+from refcodec.experiments.rd import COLUMNS, read_curve  # noqa: E402
 from refcodec.experiments.runs import RunError  # noqa: E402
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -157,7 +158,7 @@ def test_what_is_wrong_is_said(
         assert main(["rd", PHOTOGRAPHS, "-o", out, *wrong]) == 64
         assert word in capsys.readouterr().err
     assert main(["rd", str(tmp_path / "none"), "-o", out]) == 64
-    for name in ("refcodec.experiments.rd", "bjontegaard"):
+    for name in ("refcodec.experiments.rd", "refcodec.experiments.figures", "bjontegaard"):
         monkeypatch.delitem(sys.modules, name)
     monkeypatch.setitem(sys.modules, "bjontegaard", None)
     assert main(["rd", PHOTOGRAPHS, "-o", out]) == 64

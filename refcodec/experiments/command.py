@@ -1,0 +1,112 @@
+"""What `refcodec experiment` does: runs what is missing, then writes the tables of all that is there."""
+
+from __future__ import annotations
+
+import os
+import sys
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from .. import statuses
+from .cells import LOG, Cell, cells
+from .curves import write_curves
+from .engines import Engine
+from .experiment import COPY, Folder, State, Watch, look, named, run, tasks
+from .local import Local
+from .on_ray import OnRay
+from .plan import Experiment, ExperimentError, read_experiment
+from .tables import CSV, MARKDOWN, as_csv, as_markdown, row, write
+
+CURVES = "curves"
+
+
+@dataclass(frozen=True)
+class Options:
+    """Of the command.
+
+    jobs: cells at a time, None for the engine's own number. threads: of each training, None likewise. only: patterns of
+    the cells to run, none for all. tables: whether nothing is run.
+    """
+
+    file: Path
+    folder: Path
+    engine: str
+    jobs: int | None
+    threads: int | None
+    only: tuple[str, ...]
+    tables: bool
+
+
+def run_experiment(options: Options) -> int:
+    """Returns the exit status.
+
+    Raises ExperimentError for what is wrong before anything runs, RunError for an engine that cannot run, OSError.
+    """
+    experiment = read_experiment(options.file)
+    chosen = list(cells(experiment, options.only))
+    if not chosen:
+        raise ExperimentError(
+            f"no cell has a name like {' or '.join(options.only)}; the first one is {next(cells(experiment)).name}"
+        )
+    folder = Folder(options.folder)
+    if options.tables:
+        _write_tables(experiment, folder)
+        return statuses.DONE
+    with folder.locked():
+        state = look(experiment, folder, chosen, need=True)
+        write(folder.path / COPY, options.file.read_text(encoding="utf-8"))
+        threads, engine = _engine(options, folder)
+        waiting = tasks(experiment, folder, state, threads)
+        print(f"{len(state.results)} of {len(chosen)} cells are done before", file=sys.stderr, flush=True)
+        try:
+            watch, stopped = run(engine, waiting, len(chosen)) if waiting else (Watch(len(chosen), len(chosen)), False)
+        finally:
+            _write_tables(experiment, folder)
+    for outcome in watch.failed:
+        place = folder.path / "cells" / outcome.name / LOG
+        print(f"refcodec: cell {outcome.name} has failed; all its lines are in {place}", file=sys.stderr)
+        print(outcome.text, file=sys.stderr)
+    if stopped or watch.interrupted:
+        words = f"stopped with {watch.done} of {len(chosen)} cells done; the same command goes on"
+        print(f"refcodec: {words}", file=sys.stderr)
+        return statuses.INTERRUPTED
+    if watch.failed:
+        count = len(watch.failed)
+        print(f"refcodec: {count} of {len(chosen)} cells failed; the same command runs them again", file=sys.stderr)
+        return watch.failed[0].status
+    return statuses.DONE
+
+
+def _engine(options: Options, folder: Folder) -> tuple[int, Engine]:
+    """The threads of each training, and what runs them."""
+    if options.engine == "ray":
+        return options.threads or 1, OnRay(folder.path.absolute(), options.jobs)
+    jobs = options.jobs or 2
+    return options.threads or max(1, (os.cpu_count() or 1) // jobs), Local(jobs)
+
+
+def _write_tables(experiment: Experiment, folder: Folder) -> None:
+    """Tables and curves of all cells of the experiment that are done, whichever call ran them."""
+    every = list(cells(experiment))
+    state = look(experiment, folder, every, need=False)
+    missing = _missing(every, state)
+    rows = [row(cell, state.results[cell.name]) for cell in every if cell.name in state.results]
+    write(folder.path / CSV, as_csv(rows))
+    groups = {scene.name: scene.group for scene in experiment.scenes}
+    write(folder.path / MARKDOWN, as_markdown(experiment.path.stem, rows, missing, experiment.baseline, groups))
+    write_curves(folder.path / CURVES, rows)
+    print(f"{len(rows)} of {len(every)} cells are in {folder.path / MARKDOWN}, {CSV} and {CURVES}")
+    if missing:
+        print(missing)
+
+
+def _missing(every: Sequence[Cell], state: State) -> str:
+    lines = []
+    if state.missing:
+        names = [cell.name for cell in state.missing]
+        lines.append(f"{len(names)} of {len(every)} cells are missing: {named(names)}.")
+    if state.unknown:
+        where = f"Photographs are not there for scenes {named(state.unknown)}"
+        lines.append(f"{where}: their results are not compared with them.")
+    return " ".join(lines)

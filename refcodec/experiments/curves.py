@@ -1,0 +1,54 @@
+"""Curves of an experiment's results: bytes against PSNR, a line for each method, as PNG and SVG."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+import matplotlib as mpl
+from matplotlib.figure import Figure
+
+from .tables import Row, grouped, spread
+
+
+def write_curves(folder: Path, rows: Sequence[Row]) -> None:
+    """SCENE.png and SCENE.svg for each scene. Points are means over seeds, bars their sample standard deviations."""
+    folder.mkdir(exist_ok=True)
+    # The same rows give the same SVG.
+    with mpl.rc_context({"svg.hashsalt": "C3GS"}):
+        for (scene,), of_scene in grouped(rows, "scene").items():
+            figure = draw(scene, of_scene)
+            for suffix, notes in (("png", {}), ("svg", {"Date": None})):
+                temporary = folder / f".{scene}.part"
+                figure.savefig(temporary, dpi=150, format=suffix, metadata=notes)
+                temporary.replace(folder / f"{scene}.{suffix}")
+
+
+def draw(scene: str, rows: Sequence[Row]) -> Figure:
+    """The chart of one scene. An uncompressed method is a ring. A deviation that is NaN has no bar."""
+    figure = Figure(figsize=(6.4, 4.4), layout="constrained")
+    axes = figure.subplots()
+    for (method,), of_method in grouped(rows, "method").items():
+        points = sorted(
+            (
+                (spread([one["bytes"] for one in same]), spread([one["psnr"] for one in same]), rate)
+                for (rate,), same in grouped(of_method, "rate").items()
+            ),
+            key=lambda point: point[0].mean,
+        )
+        sizes, psnrs = [point[0] for point in points], [point[1] for point in points]
+        rated = any(rate for *_, rate in points)
+        axes.errorbar(
+            [size.mean for size in sizes],
+            [psnr.mean for psnr in psnrs],
+            xerr=[size.deviation for size in sizes],
+            yerr=[psnr.deviation for psnr in psnrs],
+            label=method,
+            capsize=2,
+            fmt="o-" if rated else "o",
+            markerfacecolor=None if rated else "none",
+        )
+    axes.set(xscale="log", xlabel="bytes", ylabel="PSNR, dB", title=scene)
+    axes.grid(which="both", alpha=0.3)
+    axes.legend()
+    return figure

@@ -1,0 +1,209 @@
+"""An experiment in its folder: what is there, what is missing, and the call that runs it."""
+
+from __future__ import annotations
+
+import contextlib
+import fcntl
+import json
+import sys
+import threading
+import time
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from .. import statuses
+from ..files.documents import DocumentError, read_json
+from ..photographs.photographs import PhotographError, parse_size, read_photographs
+from .cells import Cell, hash_of, read_result
+from .engines import Engine, Stop
+from .identity import Identities
+from .plan import Experiment, ExperimentError, Scene
+from .work import Outcome, Task
+
+FORMAT = "C3GS experiment"
+MARK, LOCK, COPY, PHOTOGRAPHS = "experiment.json", "lock", "experiment.toml", "photographs.json"
+# Of all the cells that are missing or have failed, so many are named.
+_NAMED = 20
+
+
+class Folder:
+    """The folder of an experiment, which is made. Raises ExperimentError if there is something else in it, OSError."""
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+        path.mkdir(parents=True, exist_ok=True)
+        mark = path / MARK
+        if not mark.exists() and not any(path.iterdir()):
+            mark.write_text(json.dumps({"format": FORMAT}) + "\n", encoding="utf-8")
+        try:
+            if read_json(mark)["format"] == FORMAT:
+                return
+        except (OSError, DocumentError, KeyError, TypeError):
+            pass
+        raise ExperimentError(f"{path} exists and is not the folder of an experiment: choose another one, or empty it")
+
+    @contextlib.contextmanager
+    def locked(self) -> Iterator[None]:
+        """Raises ExperimentError while another call runs cells in this folder."""
+        with (self.path / LOCK).open("w") as file:
+            try:
+                fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            except BlockingIOError:
+                raise ExperimentError(f"another call of this command runs in {self.path}: wait for it") from None
+            yield
+
+
+@dataclass
+class State:
+    """Which cells of an experiment are done. results: theirs, by name. photographs: digests by scene.
+
+    missing: cells that are not done. unknown: scenes whose photographs are not there, so that results are taken as
+    they are.
+    """
+
+    results: dict[str, dict[str, Any]]
+    missing: list[Cell]
+    photographs: dict[str, str]
+    unknown: list[str]
+
+
+def look(experiment: Experiment, folder: Folder, chosen: Sequence[Cell], need: bool) -> State:
+    """What is there of some cells.
+
+    need: whether photographs must be there and be readable. Raises ExperimentError if they are not, PhotographError,
+    OSError.
+    """
+    identities = Identities(folder.path / PHOTOGRAPHS)
+    state = State({}, [], {}, [])
+    sizes: dict[str, set[str]] = {}
+    for cell in chosen:
+        sizes.setdefault(cell.scene.name, set()).add(cell.settings.size)
+    for scene in experiment.scenes:
+        if scene.name in sizes:
+            digest = _photographs(experiment, scene, sizes[scene.name], identities, need)
+            if digest is None:
+                state.unknown.append(scene.name)
+            else:
+                state.photographs[scene.name] = digest
+    if need:
+        identities.save()
+    for cell in chosen:
+        result = read_result(cell.folder(folder.path))
+        # Photographs that are not there are taken for those of the result.
+        digest = state.photographs.get(cell.scene.name) or (result["definition"]["photographs"] if result else "")
+        if result and result["hash"] == hash_of(cell.definition(digest)):
+            state.results[cell.name] = result
+        else:
+            state.missing.append(cell)
+    return state
+
+
+def _photographs(
+    experiment: Experiment, scene: Scene, sizes: set[str], identities: Identities, need: bool
+) -> str | None:
+    """The digest of a scene's photographs, None if they are not there and not needed."""
+    try:
+        path = experiment.photographs(scene)
+        if need:
+            # What is wrong with them is said before anything runs.
+            for size in sorted(sizes):
+                read_photographs(path, parse_size(size))
+        elif not path.is_dir():
+            return None
+        return identities.digest(path)
+    except ExperimentError:
+        if need:
+            raise
+        return None
+    except PhotographError as error:
+        raise ExperimentError(f"scene {scene.name}: {error}") from None
+
+
+def tasks(experiment: Experiment, folder: Folder, state: State, threads: int) -> list[Task]:
+    """What is missing, as engines run it. Rates and seeds come in their order, so that curves fill evenly."""
+    found = []
+    for cell in state.missing:
+        place = cell.folder(folder.path.absolute())
+        commands = cell.commands(place / "work", experiment.photographs(cell.scene), threads)
+        definition = cell.definition(state.photographs[cell.scene.name])
+        found.append(Task(cell.name, place, commands, definition, threads, int(cell.device == "cuda")))
+    return found
+
+
+# --- running ----------------------------------------------------------------------------------------------------------
+
+
+@dataclass
+class Watch:
+    """Says on stderr which cells begin and end, how many are left, and about how long those take."""
+
+    total: int
+    done: int
+    running: dict[str, float] = field(default_factory=dict)
+    failed: list[Outcome] = field(default_factory=list)
+    interrupted: int = 0
+    _seconds: list[float] = field(default_factory=list)
+    _lock: Any = field(default_factory=threading.Lock)
+
+    def begun(self, task: Task) -> None:
+        """A cell begins."""
+        with self._lock:
+            self.running[task.name] = time.monotonic()
+            self._say(f"{task.name} begins")
+
+    def ended(self, outcome: Outcome) -> None:
+        """A cell has ended."""
+        with self._lock:
+            self.running.pop(outcome.name, None)
+            if outcome.status == statuses.DONE:
+                self.done += 1
+                self._seconds.append(outcome.seconds)
+                self._say(f"{outcome.name} is done in {outcome.seconds:.0f} s")
+            elif outcome.status == statuses.INTERRUPTED:
+                self.interrupted += 1
+                self._say(f"{outcome.name} is interrupted")
+            else:
+                self.failed.append(outcome)
+                self._say(f"{outcome.name} has failed")
+
+    def _say(self, event: str) -> None:
+        left = self.total - self.done - len(self.running) - len(self.failed) - self.interrupted
+        words = f"{self.done} of {self.total} done, {len(self.running)} running, {left} left"
+        words += f", {len(self.failed)} failed" if self.failed else ""
+        if (seconds := self.seconds_left(left)) is not None:
+            words += f", about {duration(seconds)} left"
+        print(f"{event}; {words}", file=sys.stderr, flush=True)
+
+    def seconds_left(self, left: int) -> float | None:
+        """By the mean of the cells that are done in this call, None before the first. left: cells not begun."""
+        if not self._seconds or not self.running:
+            return None
+        mean, now = sum(self._seconds) / len(self._seconds), time.monotonic()
+        rest = sum(max(0.0, mean - (now - began)) for began in self.running.values())
+        return (rest + mean * left) / len(self.running)
+
+
+def duration(seconds: float) -> str:
+    """Seconds as people say them."""
+    if seconds < 100:
+        return f"{seconds:.0f} s"
+    return f"{seconds / 60:.0f} min" if seconds < 6000 else f"{seconds / 3600:.1f} h"
+
+
+def run(engine: Engine, wanted: Sequence[Task], total: int) -> tuple[Watch, bool]:
+    """Runs tasks. Returns what became of them, and whether a signal stopped it.
+
+    total: cells, with those that were done before.
+    """
+    watch, stop = Watch(total, total - len(wanted)), Stop()
+    with stop.on_signals():
+        engine(wanted, stop, watch.begun, watch.ended)
+    return watch, bool(stop.number)
+
+
+def named(names: Sequence[str]) -> str:
+    """Names as a list of words; of many, the first."""
+    more = f" and {len(names) - _NAMED} more" if len(names) > _NAMED else ""
+    return ", ".join(names[:_NAMED]) + more
