@@ -9,6 +9,8 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from .. import statuses
+from ..files.lock import hold_folder
+from ..files.stage import write_file
 from .cells import LOG, Cell, cells
 from .curves import write_curves
 from .engines import Engine
@@ -16,7 +18,7 @@ from .experiment import COPY, Folder, State, Watch, look, named, run, tasks
 from .local import Local
 from .on_ray import OnRay
 from .plan import Experiment, ExperimentError, read_experiment
-from .tables import CSV, MARKDOWN, as_csv, as_markdown, row, write
+from .tables import CSV, MARKDOWN, as_csv, as_markdown, row
 
 CURVES = "curves"
 
@@ -53,9 +55,9 @@ def run_experiment(options: Options) -> int:
     if options.tables:
         _write_tables(experiment, folder)
         return statuses.DONE
-    with folder.locked():
+    with hold_folder(folder.path):
         state = look(experiment, folder, chosen, need=True)
-        write(folder.path / COPY, options.file.read_text(encoding="utf-8"))
+        write_file(folder.path / COPY, options.file.read_bytes())
         threads, engine = _engine(options, folder)
         waiting = tasks(experiment, folder, state, threads)
         print(f"{len(state.results)} of {len(chosen)} cells are done before", file=sys.stderr, flush=True)
@@ -92,9 +94,11 @@ def _write_tables(experiment: Experiment, folder: Folder) -> None:
     state = look(experiment, folder, every, need=False)
     missing = _missing(every, state)
     rows = [row(cell, state.results[cell.name]) for cell in every if cell.name in state.results]
-    write(folder.path / CSV, as_csv(rows))
+    write_file(folder.path / CSV, as_csv(rows).encode())
     groups = {scene.name: scene.group for scene in experiment.scenes}
-    write(folder.path / MARKDOWN, as_markdown(experiment.path.stem, rows, missing, experiment.baseline, groups))
+    write_file(
+        folder.path / MARKDOWN, as_markdown(experiment.path.stem, rows, missing, experiment.baseline, groups).encode()
+    )
     write_curves(folder.path / CURVES, rows)
     print(f"{len(rows)} of {len(every)} cells are in {folder.path / MARKDOWN}, {CSV} and {CURVES}")
     if missing:

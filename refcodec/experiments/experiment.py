@@ -2,19 +2,18 @@
 
 from __future__ import annotations
 
-import contextlib
-import fcntl
 import json
 import sys
 import threading
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
 from .. import statuses
 from ..files.documents import DocumentError, read_json
+from ..files.stage import write_file
 from ..photographs.photographs import PhotographError, parse_size, read_photographs
 from .cells import Cell, hash_of, read_result
 from .engines import Engine, Stop
@@ -23,7 +22,7 @@ from .plan import Experiment, ExperimentError, Scene
 from .work import Outcome, Task
 
 FORMAT = "C3GS experiment"
-MARK, LOCK, COPY, PHOTOGRAPHS = "experiment.json", "lock", "experiment.toml", "photographs.json"
+MARK, COPY, PHOTOGRAPHS = "experiment.json", "experiment.toml", "photographs.json"
 # Of all the cells that are missing or have failed, so many are named.
 _NAMED = 20
 
@@ -36,23 +35,13 @@ class Folder:
         path.mkdir(parents=True, exist_ok=True)
         mark = path / MARK
         if not mark.exists() and not any(path.iterdir()):
-            mark.write_text(json.dumps({"format": FORMAT}) + "\n", encoding="utf-8")
+            write_file(mark, f"{json.dumps({'format': FORMAT})}\n".encode())
         try:
             if read_json(mark)["format"] == FORMAT:
                 return
         except (OSError, DocumentError, KeyError, TypeError):
             pass
         raise ExperimentError(f"{path} exists and is not the folder of an experiment: choose another one, or empty it")
-
-    @contextlib.contextmanager
-    def locked(self) -> Iterator[None]:
-        """Raises ExperimentError while another call runs cells in this folder."""
-        with (self.path / LOCK).open("w") as file:
-            try:
-                fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
-            except BlockingIOError:
-                raise ExperimentError(f"another call of this command runs in {self.path}: wait for it") from None
-            yield
 
 
 @dataclass

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from ..files.documents import DocumentError, read_json
+from ..files.stage import write_file
 from ..photographs.colmap import IMAGE_SUFFIXES
 
 # Images, models of COLMAP, transforms of NeRF, points.
@@ -48,6 +49,4 @@ class Identities:
 
     def save(self) -> None:
         """Writes the file."""
-        temporary = self.path.with_name(f"{self.path.name}.part")
-        temporary.write_text(json.dumps(self._kept) + "\n", encoding="utf-8")
-        temporary.replace(self.path)
+        write_file(self.path, f"{json.dumps(self._kept)}\n".encode())

@@ -17,6 +17,7 @@ from pathlib import Path
 from typing import Any
 
 from .. import statuses
+from ..files.stage import write_file
 from .engines import Stop
 from .runs import RunError
 from .work import Outcome, Task, run_cell
@@ -78,9 +79,7 @@ class OnRay:
 
 
 def _write(file: Path, number: int) -> None:
-    temporary = file.with_suffix(".part")
-    temporary.write_text(str(int(number)))
-    temporary.replace(file)
+    write_file(file, str(int(number)).encode())
 
 
 @contextlib.contextmanager

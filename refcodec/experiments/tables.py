@@ -8,7 +8,6 @@ import math
 import statistics
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any
 
 from .cells import Cell
@@ -181,10 +180,3 @@ def as_markdown(title: str, rows: Sequence[Row], missing: str, baseline: str | N
     ]
     lines += _bd(rows, baseline, groups) if baseline else []
     return "\n".join(lines) + "\n"
-
-
-def write(path: Path, text: str) -> None:
-    """Writes a file that is whole or not there."""
-    temporary = path.with_name(f".{path.name}.part")
-    temporary.write_text(text, encoding="utf-8")
-    temporary.replace(path)

@@ -16,6 +16,7 @@ from typing import IO, Any
 
 from .. import __version__, statuses
 from ..files.documents import DocumentError, read_json
+from ..files.stage import write_file
 from .cells import FORMAT, LOG, RESULT, WORK, hash_of, read_result
 from .runs import Command, Notes, RunError, Runner
 
@@ -130,9 +131,7 @@ def _run(task: Task, held: IO[str], wanted: Wanted) -> None:
                 if not notes.is_done(command):
                     raise _InterruptedError
     result = {"format": FORMAT, "hash": hash_of(task.definition), **_result(task, notes)}
-    temporary = task.folder / f"{RESULT}.part"
-    temporary.write_text(json.dumps(result, indent=1) + "\n", encoding="utf-8")
-    temporary.replace(task.folder / RESULT)
+    write_file(task.folder / RESULT, f"{json.dumps(result, indent=1)}\n".encode())
 
 
 @contextlib.contextmanager

@@ -29,6 +29,7 @@ from refcodec.experiments.local import Local  # noqa: E402
 from refcodec.experiments.on_ray import OnRay  # noqa: E402
 from refcodec.experiments.runs import RunError  # noqa: E402
 from refcodec.experiments.work import Outcome, Task  # noqa: E402
+from refcodec.files.lock import hold_folder
 
 ROOT = Path(__file__).resolve().parents[2]
 FAKE = (sys.executable, str(ROOT / "tests" / "experiments" / "fake_refcodec.py"))
@@ -162,7 +163,7 @@ def test_tables_of_what_is_there(place: Path, call: Call) -> None:
     assert call("--only", "*/whole/*")[:2] == (0, NAMES[2:])
     # Also while another call runs, and where the photographs are not.
     (place / "photographs").rename(place / "gone")
-    with experiments.Folder(place / "out").locked():
+    with hold_folder(experiments.Folder(place / "out").path):
         status, begun, printed = call("--tables")
         assert (status, begun) == (0, [])
         assert call("--only", "one/a*")[0] == 64
@@ -179,8 +180,8 @@ def test_what_is_wrong_is_said(place: Path, call: Call, monkeypatch: pytest.Monk
         return printed
 
     assert "no cell has a name like two/*" in refused("--only", "two/*")
-    with experiments.Folder(place / "out").locked():
-        assert "another call of this command runs" in refused()
+    with hold_folder(experiments.Folder(place / "out").path):
+        assert "another run writes to" in refused()
     monkeypatch.setitem(sys.modules, "ray", None)
     status, _, printed = call("--engine", "ray")
     assert status == 64
