@@ -199,28 +199,30 @@ class Watcher:
             over = self._wait(began, before, seconds, memory, folder, ask is not None)
         took = time.monotonic() - began
         if ask is not None and over is None and b"\n" in self._answer:
-            # What it left behind goes; what lives below it is its own.
-            assert self._process is not None
-            gone = self._kill(self._process.pid)
-            line, _, more = self._answer.partition(b"\n")
-            self._answer = b""
-            over = "left" if not gone else "twice" if more else _stored(folder) if folder else None
-            if over:
-                self._kill()
-            return self._reply(over, took, answer=line)
+            return self._answered(took, folder)
         crashed = self._end_of is not None and os.WIFSIGNALED(self._end_of[0])
         if ask is not None and over is None and not crashed:
             over = "answer"
         if not self._kill():
             over = over or "left"
-        if over is None and self._end_of is not None:
-            # A process inherits the peak of the one that started it.
-            peak = self._end_of[1].ru_maxrss * _RSS_UNIT
-            peak = peak if peak > floor else 0
-            spent = _ended_seconds() - before
-            over = _over(took, spent, seconds, peak, memory) or (_stored(folder) if folder else None)
-            return self._reply(over, took, peak=peak or None)
-        return self._reply(over, took)
+        if over is not None or self._end_of is None:
+            return self._reply(over, took)
+        # A process inherits the peak of the one that started it.
+        peak = self._end_of[1].ru_maxrss * _RSS_UNIT
+        peak = peak if peak > floor else 0
+        over = _over(took, _ended_seconds() - before, seconds, peak, memory)
+        return self._reply(over or (_stored(folder) if folder else None), took, peak=peak or None)
+
+    def _answered(self, took: float, folder: str | None) -> dict[str, Any]:
+        """What a server said. What it left behind is killed; what lives below it is its own."""
+        assert self._process is not None
+        gone = self._kill(self._process.pid)
+        line, _, more = self._answer.partition(b"\n")
+        self._answer = b""
+        over = "left" if not gone else "twice" if more else _stored(folder) if folder else None
+        if over:
+            self._kill()
+        return self._reply(over, took, answer=line)
 
     def _reply(
         self, over: str | None, took: float, peak: int | None = None, answer: bytes = b"", error: str = ""

@@ -220,11 +220,15 @@ def test_a_runner_that_is_killed_leaves_no_process(ground: Ground) -> None:
         shell,
         "{input}{output}",
     ]
-    runner = subprocess.Popen([sys.executable, "-m", "conformance", *words], stderr=subprocess.DEVNULL)
+    environment = {**os.environ, "TMPDIR": str(ground.temporary)}
+    command = [sys.executable, "-m", "conformance", *words]
+    runner = subprocess.Popen(command, env=environment, stderr=subprocess.DEVNULL)
     wait(lambda: len(processes(ground.mark)) >= 1 + 2 + 2 * 3)
     runner.kill()
     runner.wait()
     wait(lambda: processes(ground.mark) == [])
+    # Nobody is left who could remove the folders (README.md).
+    assert {path.name[:5] for path in ground.temporary.iterdir()} == {"c3gs-"}
 
 
 def wait(until: Callable[[], bool]) -> None:

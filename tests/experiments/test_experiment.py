@@ -29,7 +29,7 @@ from refcodec.experiments.local import Local  # noqa: E402
 from refcodec.experiments.on_ray import OnRay  # noqa: E402
 from refcodec.experiments.runs import RunError  # noqa: E402
 from refcodec.experiments.work import Outcome, Task  # noqa: E402
-from refcodec.files.lock import hold_folder
+from refcodec.files.lock import hold_folder  # noqa: E402
 
 ROOT = Path(__file__).resolve().parents[2]
 FAKE = (sys.executable, str(ROOT / "tests" / "experiments" / "fake_refcodec.py"))
