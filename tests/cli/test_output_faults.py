@@ -187,6 +187,11 @@ def try_all(
                     continue
                 assert name in left or name not in old or name not in new, f"{name} is lost: {where}"
                 assert name not in left or left[name] in known, f"{name} is no old or new output: {where}"
+            for name in left.keys() - old.keys():
+                # A new folder has something in it, unless it is meant to be empty.
+                filled = any(n.startswith(f"{name}/") for n in new)
+                left_over = filled and left[name] is None and not any(n.startswith(f"{name}/") for n in left)
+                assert not left_over, f"{name} is left: {where}"
             # A scene is the old one or the new one, not something between.
             for folder in {Path(name).parent for name in changed if Path(name).name == "scene.json"}:
                 names = {n for n in old.keys() | new.keys() if Path(n).parent == folder and Path(n).name in SCENE_FILES}
