@@ -6,6 +6,7 @@
 from __future__ import annotations
 
 import argparse
+import contextlib
 import os
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -45,9 +46,17 @@ def _settings(arguments: argparse.Namespace) -> TrainSettings:
         raise UsageError(str(error)) from None
 
 
-def _interrupted(done: int, steps: int) -> int:
-    note(f"refcodec: stopped at step {done} of {steps}; the scene is written, and --resume goes on from there")
+def _interrupted(done: int, steps: int, state: Path) -> int:
+    goes_on = "--resume goes on from the saved state" if state.exists() else "there is no saved state to go on from"
+    note(f"refcodec: stopped at step {done} of {steps}; the scene is written, and {goes_on}")
     return statuses.INTERRUPTED
+
+
+def _check_writable(output: Path) -> None:
+    """Raises UsageError if a result cannot be written to a folder. It is called before any work is done."""
+    there = next(path for path in (output, *output.absolute().parents) if path.exists())
+    if not os.access(there, os.W_OK | os.X_OK):
+        raise UsageError(f"{output} cannot be written: {there} is read-only")
 
 
 def _train(arguments: argparse.Namespace) -> int:
@@ -61,6 +70,7 @@ def _train(arguments: argparse.Namespace) -> int:
         raise UsageError("train needs PHOTOGRAPHS and -o SCENE_DIR")
     try:
         from ..train.command import may_write, state_path, train
+        from ..train.state import StateError
     except ModuleNotFoundError as error:
         raise needs("train", "train", error, ("torch", "numba", "scipy", "PIL", "skimage")) from None
     output = Path(arguments.output.rstrip("/") or "/")
@@ -68,6 +78,7 @@ def _train(arguments: argparse.Namespace) -> int:
         raise UsageError(f"{output} exists and is not a scene folder: choose another one, or empty it")
     if arguments.resume and not state_path(output).exists():
         raise UsageError(f"there is nothing to resume: {state_path(output)} does not exist")
+    _check_writable(output)
     photographs = read_photographs_of(arguments.photographs, settings.size)
     try:
         trainer, whole = train(
@@ -79,12 +90,14 @@ def _train(arguments: argparse.Namespace) -> int:
             resume=arguments.resume,
             progress=arguments.progress,
         )
+    except StateError as error:
+        raise UsageError(str(error)) from None
     except ValueError as error:
         raise UsageError(f"{arguments.photographs} cannot be trained: {error}") from None
     done = trainer.clock.done
     print(f"{output}: {trainer.scaffold.count} anchors, {done} steps, {trainer.looks.seconds:.0f} s")
     if not whole:
-        return _interrupted(done, settings.steps)
+        return _interrupted(done, settings.steps, state_path(output))
     return 0
 
 
@@ -97,9 +110,12 @@ def _fit(arguments: argparse.Namespace) -> int:
         from ..train.fit import fit
         from ..train.fit_input import read_given
         from ..train.settings import FitSettings
+        from ..train.state import StateError, write_somewhere
     except ModuleNotFoundError as error:
         raise needs("fit", "fit", error, ("torch", "scipy")) from None
     check_output_folder(arguments.output)
+    output = Path(arguments.output)
+    _check_writable(output)
     # Beside the folder, not in it: a scene folder is whole or it is not there.
     state = Path(f"{arguments.output.rstrip('/')}.fit-state")
     if arguments.resume and not state.exists():
@@ -111,16 +127,19 @@ def _fit(arguments: argparse.Namespace) -> int:
             state.unlink(missing_ok=True)
         with progress_bar(arguments.progress) as progress:
             result = fit(given, settings, progress=progress, state=state)
+    except StateError as error:
+        raise UsageError(str(error)) from None
     # Of the npz files that cannot be read some are no archives, and some are cut.
     except (ValueError, BadZipFile, EOFError) as error:
         raise UsageError(f"{arguments.points} cannot be fitted: {error}") from None
-    write_folder(result.scene, arguments.output)
+    write_somewhere(lambda folder: write_folder(result.scene, folder), output, state)
     done, dropped = result.report["steps"], result.report["dropped"]
     print(f"{arguments.output}: {result.scene.anchor_count} anchors, {dropped} without offsets left out, {done} steps")
     # Ctrl-C ends the training, not the program.
-    if done < arguments.steps and state.exists():
-        return _interrupted(done, arguments.steps)
-    state.unlink(missing_ok=True)
+    if done < arguments.steps and result.scene.anchor_count:
+        return _interrupted(done, arguments.steps, state)
+    with contextlib.suppress(OSError):
+        state.unlink(missing_ok=True)
     return 0
 
 

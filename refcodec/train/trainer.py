@@ -35,6 +35,7 @@ from .scaffold import Scaffold
 from .schedule import Clock
 from .settings import TrainSettings
 from .settings_file import document
+from .state import Saved
 from .views import Views
 
 Watch = Callable[["Trainer"], None]
@@ -202,15 +203,16 @@ class Trainer:
             found |= {f"{part.name}/{name}": value for name, value in part.state().items()}
         return {**found, "random": self.random.get_state()}
 
-    def restore(self, state: dict[str, Any]) -> None:
-        """Makes a new training the one that gave the state."""
-
-        def of(name: str) -> dict[str, Any]:
-            return {key.removeprefix(name + "/"): v for key, v in state.items() if key.startswith(name + "/")}
-
-        self.clock.done, self.order = state["clock/done"], state["order"]
-        self.scaffold.restore(of("scaffold"))
+    def restore(self, state: Saved) -> None:
+        """Makes a new training the one that gave the state. Raises ValueError for what cannot be a state of it."""
+        self.clock.done = state.integer("clock/done", 0, self.clock.steps)
+        order, views = state.value("order"), len(self.views.cameras)
+        right = isinstance(order, list) and all(type(n) is int and 0 <= n < views for n in order)
+        if not right or len(set(order)) != len(order):
+            raise state.fault("order", f"is not a list of different numbers of the {views} photographs")
+        self.order = order
+        self.scaffold.restore(state.within("scaffold"))
         self._anchors_changed()
         for part in self.parts:
-            part.restore(of(part.name))
-        self.random.set_state(state["random"])
+            part.restore(state.within(part.name))
+        state.generator("random", self.random)

@@ -1,0 +1,44 @@
+"""The standard streams of a command: what is said on them cannot fail, and cannot steer a terminal."""
+
+from __future__ import annotations
+
+import contextlib
+import io
+import os
+import sys
+
+from .text import printable
+
+
+def open_streams() -> None:
+    """Makes the standard streams usable, whatever the caller did with them. A command calls it before anything else.
+
+    - A stream that is closed becomes one to nowhere. Else the next file to be opened would get its number, and what
+      libraries print would go into that file.
+    - A character that a stream's encoding lacks is written as an escape.
+    """
+    for number, name, mode in ((0, "stdin", "r"), (1, "stdout", "w"), (2, "stderr", "w")):
+        if getattr(sys, name) is None:
+            with contextlib.suppress(OSError):
+                os.fstat(number)
+                continue
+            # The lowest free number is taken, which is this one: those below it are open.
+            os.open(os.devnull, os.O_RDONLY if mode == "r" else os.O_WRONLY)
+            setattr(sys, name, open(number, mode, encoding="utf-8", closefd=False))  # noqa: SIM115 (stays open)
+    for stream in (sys.stdout, sys.stderr):
+        if isinstance(stream, io.TextIOWrapper):
+            stream.reconfigure(errors="backslashreplace")
+
+
+def note(text: str) -> None:
+    """Prints a line on stderr. If stderr takes nothing, nothing is said."""
+    with contextlib.suppress(OSError, ValueError):
+        print(printable(text), file=sys.stderr, flush=True)
+
+
+def silence_stdout() -> None:
+    """Lets what is left to write to a stdout that failed go nowhere, so that Python does not fail at its end."""
+    with contextlib.suppress(OSError, ValueError):
+        nowhere = os.open(os.devnull, os.O_WRONLY)
+        os.dup2(nowhere, sys.stdout.fileno())
+        os.close(nowhere)
