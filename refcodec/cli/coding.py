@@ -10,12 +10,12 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from ..bitstream.errors import BitstreamError
+from ..files.terminal import note, say
 from .shared import (
     UsageError,
     add_command,
     check_output_file,
     check_output_folder,
-    note,
     parse_file,
     progress_bar,
     read_file,
@@ -85,7 +85,7 @@ def _validate(arguments: argparse.Namespace) -> int:
     from ..bitstream.limits import PROFILES
 
     scene = parse_file(arguments, read_file(arguments.file)).scene
-    print(f"{arguments.file} is accepted: profile {PROFILES[scene.profile].name}, {scene.anchor_count} anchors")
+    say(f"{arguments.file} is accepted: profile {PROFILES[scene.profile].name}, {scene.anchor_count} anchors")
     return 0
 
 

@@ -9,12 +9,15 @@ import argparse
 from pathlib import Path
 from typing import Any
 
+from ..files.terminal import say
+from ..files.text import printable
 from .shared import (
     RENDER_PACKAGES,
     UsageError,
     add_command,
     check_output_file,
     needs,
+    note_compiling,
     parse_file,
     positive,
     progress_bar,
@@ -49,6 +52,7 @@ def _render(arguments: argparse.Namespace) -> int:
         from ..render.view import View, eight_bits, own_camera, write_gif, write_png
     except ModuleNotFoundError as error:
         raise needs("render", "render", error, RENDER_PACKAGES) from None
+    note_compiling()
     view = View(uncompressed_of(arguments.file) or parse_file(arguments, read_file(arguments.file)).scene)
     if arguments.cameras == "default":
         cameras = [own_camera(view.info)]
@@ -77,7 +81,7 @@ def _render(arguments: argparse.Namespace) -> int:
         progress("images", len(cameras), len(cameras))
     if frames:
         write_gif(folder / "orbit.gif", frames)
-    print(f"{folder}: {len(cameras)} images" + (", orbit.gif" if frames else ""))
+    say(f"{folder}: {len(cameras)} images" + (", orbit.gif" if frames else ""))
     return 0
 
 
@@ -101,6 +105,7 @@ def _eval(arguments: argparse.Namespace) -> int:
         from ..photographs.cameras import PhotographError
     except ModuleNotFoundError as error:
         raise needs("eval", "render", error, RENDER_PACKAGES) from None
+    note_compiling()
     lpips = _lpips(arguments.lpips) if arguments.lpips else None
     shown = uncompressed_of(arguments.file) or read_file(arguments.file)
     found = read_photographs_of(arguments.photographs, arguments.size)
@@ -112,7 +117,7 @@ def _eval(arguments: argparse.Namespace) -> int:
     except ValueError as error:
         raise UsageError(f"{arguments.file} cannot be drawn: {error}") from None
     result = {"file": arguments.file, **result}
-    print(json.dumps(result, indent=1) if arguments.json else "\n".join(table(result)))
+    say(json.dumps(result, indent=1) if arguments.json else "\n".join(map(printable, table(result))), lines=True)
     return 0
 
 

@@ -12,13 +12,14 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from .. import statuses
+from ..files.terminal import note, say
 from .shared import (
     UsageError,
     add_command,
     check_output_folder,
     length,
     needs,
-    note,
+    note_compiling,
     positive,
     progress_bar,
     read_photographs_of,
@@ -80,6 +81,7 @@ def _train(arguments: argparse.Namespace) -> int:
         raise UsageError(f"there is nothing to resume: {state_path(output)} does not exist")
     _check_writable(output)
     photographs = read_photographs_of(arguments.photographs, settings.size)
+    note_compiling()
     try:
         trainer, whole = train(
             photographs,
@@ -95,7 +97,7 @@ def _train(arguments: argparse.Namespace) -> int:
     except ValueError as error:
         raise UsageError(f"{arguments.photographs} cannot be trained: {error}") from None
     done = trainer.clock.done
-    print(f"{output}: {trainer.scaffold.count} anchors, {done} steps, {trainer.looks.seconds:.0f} s")
+    say(f"{output}: {trainer.scaffold.count} anchors, {done} steps, {trainer.looks.seconds:.0f} s")
     if not whole:
         return _interrupted(done, settings.steps, state_path(output))
     return 0
@@ -134,7 +136,7 @@ def _fit(arguments: argparse.Namespace) -> int:
         raise UsageError(f"{arguments.points} cannot be fitted: {error}") from None
     write_somewhere(lambda folder: write_folder(result.scene, folder), output, state)
     done, dropped = result.report["steps"], result.report["dropped"]
-    print(f"{arguments.output}: {result.scene.anchor_count} anchors, {dropped} without offsets left out, {done} steps")
+    say(f"{arguments.output}: {result.scene.anchor_count} anchors, {dropped} without offsets left out, {done} steps")
     # Ctrl-C ends the training, not the program.
     if done < arguments.steps and result.scene.anchor_count:
         return _interrupted(done, arguments.steps, state)

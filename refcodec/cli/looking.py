@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any
 
 from .. import statuses
 from ..bitstream.errors import BitstreamError
+from ..files.text import printable
 from .shared import UsageError, add_command, parse_file, read_file, reject
 
 if TYPE_CHECKING:
@@ -64,7 +65,7 @@ def _inspect(arguments: argparse.Namespace) -> int:
     elif arguments.json:
         lines = iter([json.dumps(summary.document(data, verdict), indent=1)])
     else:
-        lines = summary.summary(summary.document(data, verdict), arguments.file)
+        lines = summary.summary(summary.document(data, verdict), printable(arguments.file))
     for line in lines:
         print(line)
     if arguments.near is not None:

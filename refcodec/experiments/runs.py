@@ -5,7 +5,6 @@ from __future__ import annotations
 import contextlib
 import json
 import os
-import shlex
 import signal
 import subprocess
 import sys
@@ -17,6 +16,9 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from types import FrameType
 from typing import Any
+
+from ..files.terminal import ProgressStream, note
+from ..files.text import printable, shell_word
 
 PROGRAM = (sys.executable, "-m", "refcodec")
 # Lines of a failed command's stderr that are worth repeating.
@@ -56,8 +58,8 @@ class Command:
 
     def __str__(self) -> str:
         """As it is typed in a shell."""
-        text = shlex.join(["refcodec", *self.arguments])
-        return f"{text} > {shlex.quote(str(self.output))}" if self.printed else text
+        text = " ".join(map(shell_word, ["refcodec", *self.arguments]))
+        return f"{text} > {shell_word(str(self.output))}" if self.printed else text
 
 
 @dataclass
@@ -241,16 +243,16 @@ def shown(names: Sequence[str]) -> Iterator[Show]:
     """
     width = max(len(name) for name in names)
     if not sys.stderr.isatty():
-        yield lambda name, text: print(f"{name:<{width}}  {text}", file=sys.stderr, flush=True)
+        yield lambda name, text: note(f"{name:<{width}}  {text}")
         return
     from tqdm import tqdm  # noqa: PLC0415
 
     bars = {
-        name: tqdm(total=0, position=i, bar_format="{desc}", dynamic_ncols=True, file=sys.stderr)
+        name: tqdm(total=0, position=i, bar_format="{desc}", dynamic_ncols=True, file=ProgressStream())
         for i, name in enumerate(names)
     }
     try:
-        yield lambda name, text: bars[name].set_description_str(f"{name:<{width}}  {text}")
+        yield lambda name, text: bars[name].set_description_str(f"{name:<{width}}  {printable(text)}")
     finally:
         for bar in bars.values():
             bar.close()

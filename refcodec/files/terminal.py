@@ -36,6 +36,34 @@ def note(text: str) -> None:
         print(printable(text), file=sys.stderr, flush=True)
 
 
+def say(text: str, lines: bool = False) -> None:
+    """Prints a text on stdout. lines: whether it has several. Raises OSError if stdout takes nothing."""
+    print(printable(text, lines=lines))
+
+
+class ProgressStream(io.TextIOBase):
+    """stderr for bars of progress. Work does not end because nobody can be told of it."""
+
+    def write(self, text: str) -> int:
+        """Writes a text as it is, if stderr takes it."""
+        with contextlib.suppress(OSError, ValueError):
+            sys.stderr.write(text)
+        return len(text)
+
+    def flush(self) -> None:
+        """Shows what has been written, if stderr takes it."""
+        with contextlib.suppress(OSError, ValueError):
+            sys.stderr.flush()
+
+    def isatty(self) -> bool:
+        """Whether stderr is a terminal."""
+        return sys.stderr.isatty()
+
+    def fileno(self) -> int:
+        """Returns the number of stderr."""
+        return sys.stderr.fileno()
+
+
 def silence_stdout() -> None:
     """Lets what is left to write to a stdout that failed go nowhere, so that Python does not fail at its end."""
     with contextlib.suppress(OSError, ValueError):

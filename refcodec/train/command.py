@@ -16,6 +16,7 @@ import torch
 
 from ..bitstream.attributes import KINDS
 from ..bitstream.scene import Scene
+from ..files.terminal import ProgressStream, note
 from ..folder.layout import is_free
 from ..folder.uncompressed import Uncompressed, is_uncompressed, write_uncompressed
 from ..folder.write import write_folder
@@ -128,7 +129,7 @@ def _shown(trainer: Trainer, progress: bool) -> Iterator[Watch]:
     if sys.stderr.isatty():
         from tqdm import tqdm  # noqa: PLC0415 (only here)
 
-        with tqdm(total=clock.steps, initial=clock.done, desc="train", file=sys.stderr) as bar:
+        with tqdm(total=clock.steps, initial=clock.done, desc="train", file=ProgressStream()) as bar:
 
             def show(_: Trainer) -> None:
                 bar.update(clock.done - bar.n)
@@ -145,7 +146,7 @@ def _shown(trainer: Trainer, progress: bool) -> Iterator[Watch]:
     def tell(_: Trainer) -> None:
         nonlocal last
         if progress and (time.monotonic() - last > LINE_SECONDS or clock.done == clock.steps):
-            print(line(trainer), file=sys.stderr, flush=True)
+            note(line(trainer))
             last = time.monotonic()
 
     yield tell

@@ -140,14 +140,17 @@ class Trainer:
         return image, gaussians[2].prod(dim=1).mean() if len(chosen) else None
 
     def run(self, watch: Watch, save: Callable[[], None] | None = None) -> bool:
-        """Trains to the end, or until an interrupt (Ctrl-C), after which the step at hand is still finished.
+        """Trains to the end, or until an interrupt, after which the step at hand is still finished.
+
+        An interrupt is Ctrl-C, or the SIGTERM by which containers are stopped.
 
         watch: is told of each step. save: is called now and then, and when training ends early. Returns whether it came
         to the end.
         """
         stop = threading.Event()
         main = threading.current_thread() is threading.main_thread()
-        before = signal.signal(signal.SIGINT, lambda *_: stop.set()) if main else None
+        numbers = (signal.SIGINT, signal.SIGTERM) if main else ()
+        before = [(number, signal.signal(number, lambda *_: stop.set())) for number in numbers]
         saved = time.monotonic()
         try:
             while self.clock.done < self.clock.steps and not stop.is_set():
@@ -158,8 +161,8 @@ class Trainer:
                     save()
                     saved = time.monotonic()
         finally:
-            if main:
-                signal.signal(signal.SIGINT, before)
+            for number, handler in before:
+                signal.signal(number, handler)
         return self.clock.done == self.clock.steps
 
     # --- results ------------------------------------------------------------------------------------------------------
