@@ -32,13 +32,14 @@ def _gaussians(arguments: argparse.Namespace) -> int:
     import json
 
     from ..bitstream.reconstruction import reconstruct
-    from ..render.camera import read_camera
+    from ..render.camera import CAMERA_MAX, read_camera
     from ..render.gaussians import gaussians, gaussians_document
 
     output = Path(arguments.output)
     check_output_file(output, b'{"gaussians":', "a list of Gaussians")
     try:
-        camera = read_camera(Path(arguments.camera).read_text(encoding="utf-8"))
+        with open(arguments.camera, "rb") as file:
+            camera = read_camera(file.read(CAMERA_MAX + 1))
     except ValueError as error:
         raise UsageError(f"{arguments.camera} is no camera: {error}") from None
     scene = parse_file(arguments, read_file(arguments.file)).scene

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import csv
-import json
 import math
 import os
 import warnings
@@ -17,7 +16,7 @@ import matplotlib as mpl
 from matplotlib.figure import Figure
 
 from ..photographs.photographs import parse_size, read_photographs
-from .runs import Command, Notes, RunError, Runner, shown
+from .runs import Command, Notes, RunError, Runner, is_evaluation, read_result, shown
 
 FORMAT, NOTES, TABLE, CHART, REPORT = "C3GS rate and distortion", "rd.json", "rd.csv", "rd.png", "training.json"
 PARTS = ("positions", "attributes", "masks", "planes", "weights")
@@ -107,7 +106,7 @@ def run_rd(
 
 def _row(settings: Settings, rate: float, notes: Notes) -> Row:
     name = f"rate-{rate:g}"
-    found = json.loads((settings.folder / f"{name}.json").read_text())
+    found = read_result(settings.folder / f"{name}.json", is_evaluation)
     sections, anchors = found["parts"], found["anchors"]
     return {
         "rate": rate,
@@ -127,7 +126,7 @@ def write_table(path: Path, rows: Sequence[Row]) -> None:
     They are bytes of the file and its parts (float32 at rate 0), bits of it an anchor, means of the figures over the
     held-out images, and seconds of training.
     """
-    with path.open("w", newline="") as file:
+    with path.open("w", newline="", encoding="utf-8") as file:
         writer = csv.DictWriter(file, COLUMNS)
         writer.writeheader()
         writer.writerows(
@@ -141,7 +140,7 @@ def read_curve(path: Path) -> list[Row]:
     Other columns are ignored.
     """
     try:
-        with path.open(newline="") as file:
+        with path.open(newline="", encoding="utf-8") as file:
             rows = list(csv.DictReader(file))
         points = [
             {"bytes": float(row["bytes"]), "psnr": float(row["psnr"])}

@@ -17,12 +17,16 @@ from pathlib import Path
 from types import FrameType
 from typing import Any
 
+from ..files.documents import DocumentError, read_json
 from ..files.terminal import ProgressStream, note
 from ..files.text import printable, shell_word
 
 PROGRAM = (sys.executable, "-m", "refcodec")
 # Lines of a failed command's stderr that are worth repeating.
 _LAST_LINES = 12
+
+# What `refcodec eval` measures.
+FIGURES = {"psnr", "ssim", "psnr_3dgs", "ssim_3dgs"}
 
 Show = Callable[[str, str], None]
 
@@ -62,6 +66,61 @@ class Command:
         return f"{text} > {shell_word(str(self.output))}" if self.printed else text
 
 
+def _are_notes(value: Any) -> bool:
+    """Whether a value of JSON is what Notes has of its commands."""
+
+    def texts(value: Any) -> bool:
+        return isinstance(value, list) and all(isinstance(text, str) for text in value)
+
+    return isinstance(value, dict) and all(
+        isinstance(note, dict)
+        and texts(note.get("arguments"))
+        and texts(note.get("after"))
+        and is_number(note.get("seconds"))
+        and isinstance(note.get("done"), bool)
+        for note in value.values()
+    )
+
+
+def is_number(value: Any) -> bool:
+    """Whether a value of JSON is a number."""
+    return isinstance(value, int | float) and not isinstance(value, bool)
+
+
+def read_result(path: Path, *right: Callable[[Any], bool]) -> Any:
+    """Returns what a command has written as JSON. right: what has to hold of it. Raises RunError."""
+    try:
+        found = read_json(path)
+        # A check that comes upon a value of another type is not met.
+        if all(check(found) for check in right):
+            return found
+        problem = "it is not what the command writes"
+    except DocumentError as error:
+        problem = f"it is not JSON ({error})"
+    except (KeyError, TypeError, AttributeError):
+        problem = "it is not what the command writes"
+    except OSError as error:
+        problem = error.strerror or str(error)
+    raise RunError(f"{path}: {problem}; remove it, and the same command makes it again")
+
+
+def is_report(found: Any) -> bool:
+    """Whether a document is a training.json, as far as it is used."""
+    return is_number(found["steps"]) and all(is_number(e["seconds"]) and is_number(e["psnr"]) for e in found["history"])
+
+
+def is_evaluation(found: Any) -> bool:
+    """Whether a document is what `refcodec eval --json` prints, as far as it is used."""
+    return (
+        is_number(found["bytes"])
+        and is_number(found["anchors"])
+        and all(map(is_number, found["parts"].values()))
+        and all(map(is_number, found["mean"].values()))
+        and found["mean"].keys() >= FIGURES
+        and all(isinstance(e["image"], str) and all(is_number(e[f]) for f in FIGURES) for e in found["images"])
+    )
+
+
 @dataclass
 class Notes:
     """What was run in a folder: a JSON file there. format: what kind of folder it is."""
@@ -78,22 +137,23 @@ class Notes:
         try:
             folder.mkdir(parents=True, exist_ok=True)
             if path.is_file():
-                found = json.loads(path.read_text())
-                if found["format"] == format:
-                    return cls(path, format, dict(found["commands"]))
+                found = read_json(path)
+                if isinstance(found, dict) and found.get("format") == format and _are_notes(found.get("commands")):
+                    return cls(path, format, found["commands"])
             elif not any(folder.iterdir()):
                 notes = cls(path, format)
                 notes._write()
                 return notes
         except OSError as error:
             raise RunError(f"{error.filename}: {error.strerror}") from None
-        except (ValueError, KeyError, TypeError):
+        except DocumentError:
             pass
         raise RunError(f"{folder} exists and is not a folder of this command: choose another one, or empty it")
 
     def _write(self) -> None:
         temporary = self.path.with_suffix(".part")
-        temporary.write_text(json.dumps({"format": self.format, "commands": self.commands}, indent=1) + "\n")
+        document = {"format": self.format, "commands": self.commands}
+        temporary.write_text(json.dumps(document, indent=1) + "\n", encoding="utf-8")
         temporary.replace(self.path)
 
     def is_done(self, command: Command) -> bool:

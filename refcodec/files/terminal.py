@@ -9,6 +9,9 @@ import sys
 
 from .text import printable
 
+# The most characters of a line on stderr.
+LINE_MAX = 10_000
+
 
 def open_streams() -> None:
     """Makes the standard streams usable, whatever the caller did with them. A command calls it before anything else.
@@ -33,7 +36,7 @@ def open_streams() -> None:
 def note(text: str) -> None:
     """Prints a line on stderr. If stderr takes nothing, nothing is said."""
     with contextlib.suppress(OSError, ValueError):
-        print(printable(text), file=sys.stderr, flush=True)
+        print(printable(text, LINE_MAX), file=sys.stderr, flush=True)
 
 
 def say(text: str, lines: bool = False) -> None:

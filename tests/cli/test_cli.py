@@ -560,7 +560,7 @@ def test_the_rooms_of_the_codec_import_nothing_heavy():
     heavy = {"torch", "scipy", "numba", "PIL", "skimage"}
     assert not {m.split(".")[0] for m in modules} & heavy
     loaded = {m.split(".")[1] for m in modules if m.startswith("refcodec.")}
-    assert not loaded - {*rooms, "resources"}
+    assert not loaded - {*rooms, "files", "resources"}
     assert {m for m in modules if m.startswith("refcodec.render.")} <= {"refcodec.render.camera"}
 
 
