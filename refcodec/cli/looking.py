@@ -45,8 +45,6 @@ def _show_anchor(scene: Scene, number: int) -> int:
 
 
 def _inspect(arguments: argparse.Namespace) -> int:
-    import json
-
     from ..inspect import dump, summary, trace
 
     data = read_file(arguments.file)
@@ -63,7 +61,7 @@ def _inspect(arguments: argparse.Namespace) -> int:
     if arguments.hex or arguments.near is not None:
         lines = dump.hex_lines(data, _spots(data, error) if error else [], arguments.near)
     elif arguments.json:
-        lines = iter([json.dumps(summary.document(data, verdict), indent=1)])
+        lines = summary.json_lines(summary.document(data, verdict))
     else:
         lines = summary.summary(summary.document(data, verdict), printable(arguments.file))
     for line in lines:
