@@ -140,7 +140,7 @@ def test_the_lowest_plane_is_reported() -> None:
 
 
 @pytest.mark.requirement("D13.1-1")
-@pytest.mark.parametrize(("kind", "decoder"), zip(directory.CHUNKED, DECODERS, strict=True))
+@pytest.mark.parametrize(("kind", "decoder"), list(zip(directory.CHUNKED, DECODERS, strict=True)))
 @pytest.mark.parametrize("chunk", range(len(CHUNKS)))
 def test_nothing_is_decoded_after_the_group_of_an_error(
     monkeypatch: pytest.MonkeyPatch, kind: int, decoder: str, chunk: int

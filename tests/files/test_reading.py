@@ -4,7 +4,10 @@ from __future__ import annotations
 
 import json
 import shutil
+import struct
+import warnings
 import zipfile
+import zlib
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -367,3 +370,63 @@ def test_results_of_runs_are_checked(tmp_path: Path) -> None:
 
 
 # --- images -----------------------------------------------------------------------------------------------------------
+
+
+def png(width: int, height: int, rows: int) -> bytes:
+    """A grey image that has only some of its rows, with right checksums."""
+
+    def chunk(kind: bytes, data: bytes) -> bytes:
+        return len(data).to_bytes(4, "big") + kind + data + zlib.crc32(kind + data).to_bytes(4, "big")
+
+    head = struct.pack(">IIBBBBB", width, height, 8, 0, 0, 0, 0)
+    data = zlib.compress(bytes([0] + [99] * width) * rows)
+    return b"\x89PNG\r\n\x1a\n" + chunk(b"IHDR", head) + chunk(b"IDAT", data) + chunk(b"IEND", b"")
+
+
+def test_large_images_are_refused_by_their_header(tmp_path: Path) -> None:
+    images = pytest.importorskip("refcodec.photographs.images")
+    cameras = pytest.importorskip("refcodec.photographs.cameras")
+    file = tmp_path / "a.png"
+    # Below the bound, above the size of which Pillow warns.
+    file.write_bytes(png(9999, 9999, 1))
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        assert images.image_size(file) == (9999, 9999)
+        for size in ((13_000, 13_000), (100_001, 1000), (60_000, 60_000)):
+            file.write_bytes(png(*size, 1))
+            for read in (images.image_size, lambda path: images.read_image(path, (0, 0, 0))):
+                with pytest.raises(cameras.PhotographError) as caught:
+                    read(file)
+                assert len(str(caught.value).splitlines()) == 1
+
+
+@pytest.mark.parametrize("suffix", ["png", "jpg", "bmp", "tiff", "webp"])
+def test_images_without_all_their_data_are_refused(suffix: str, tmp_path: Path) -> None:
+    images = pytest.importorskip("refcodec.photographs.images")
+    cameras = pytest.importorskip("refcodec.photographs.cameras")
+    pixels = np.random.default_rng(0).integers(0, 256, (60, 80, 3)).astype(np.uint8)
+    file = tmp_path / f"a.{suffix}"
+    images.Image.fromarray(pixels).save(file)
+    assert images.read_image(file, (0, 0, 0)).shape == (60, 80, 3)
+    file.write_bytes(file.read_bytes()[: len(file.read_bytes()) // 2])
+    with pytest.raises(cameras.PhotographError, match="export or copy the image again"):
+        images.read_image(file, (0, 0, 0))
+
+
+def test_a_png_without_all_its_rows_is_refused(tmp_path: Path) -> None:
+    images = pytest.importorskip("refcodec.photographs.images")
+    cameras = pytest.importorskip("refcodec.photographs.cameras")
+    file = tmp_path / "a.png"
+    file.write_bytes(png(13, 30, 30))
+    assert (images.read_image(file, (0, 0, 0)) == 99).all()
+    file.write_bytes(png(13, 30, 10))
+    with pytest.raises(cameras.PhotographError, match="some rows of the image are missing"):
+        images.read_image(file, (0, 0, 0))
+
+
+@pytest.mark.parametrize("mode", ["1", "L", "LA", "P", "RGB", "RGBA"])
+@pytest.mark.parametrize("size", [(1, 1), (3, 2), (9, 17), (130, 70)])
+def test_every_kind_of_png_has_its_rows(mode: str, size: tuple[int, int], tmp_path: Path) -> None:
+    images = pytest.importorskip("refcodec.photographs.images")
+    images.Image.new(mode, size, 1 if mode in ("1", "L", "P") else None).save(tmp_path / "a.png")
+    assert images.read_image(tmp_path / "a.png", (0, 0, 0)).shape == (size[1], size[0], 3)

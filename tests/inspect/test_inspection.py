@@ -171,7 +171,7 @@ def test_document(scene, data):
 def test_document_of_an_empty_scene():
     data = codec.emit(random_scene(0, 0))
     facts = summary.document(data, codec.parse(data))
-    assert facts["chunks"] == []
+    assert list(facts["chunks"]) == []
     assert facts["sections"][0]["bits_per_anchor"] is None
     assert "accepted; digest" in "\n".join(summary.summary(facts, "empty.c3gs"))
 
