@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 from ..bitstream.errors import BitstreamError
 from ..files.terminal import note, say
+from .bounds import add_bounds, check_folder, read_bounded
 from .shared import (
     UsageError,
     add_command,
@@ -18,7 +19,6 @@ from .shared import (
     check_output_folder,
     parse_file,
     progress_bar,
-    read_file,
     reject,
     write_file,
 )
@@ -35,6 +35,7 @@ def _encode(arguments: argparse.Namespace) -> int:
 
     output = Path(arguments.output)
     check_output_file(output, SIGNATURE, "a C3GS file")
+    check_folder(arguments, Path(arguments.scene))
     scene = read_folder(arguments.scene)
     try:
         with progress_bar(arguments.progress) as progress:
@@ -48,7 +49,7 @@ def _encode(arguments: argparse.Namespace) -> int:
 def _decode(arguments: argparse.Namespace) -> int:
     from ..folder.write import write_folder
 
-    data = read_file(arguments.file)
+    data = read_bounded(arguments)
     check_output_folder(arguments.output)
     parsed = parse_file(arguments, data, arguments.keep_going)
     write_folder(parsed.scene, arguments.output, parsed.damage)
@@ -84,7 +85,7 @@ def _report_damage(path: str, data: bytes, parsed: Parsed) -> int:
 def _validate(arguments: argparse.Namespace) -> int:
     from ..bitstream.limits import PROFILES
 
-    scene = parse_file(arguments, read_file(arguments.file)).scene
+    scene = parse_file(arguments, read_bounded(arguments)).scene
     say(f"{arguments.file} is accepted: profile {PROFILES[scene.profile].name}, {scene.anchor_count} anchors")
     return 0
 
@@ -92,7 +93,7 @@ def _validate(arguments: argparse.Namespace) -> int:
 def _digest(arguments: argparse.Namespace) -> int:
     from ..bitstream.reconstruction import digest
 
-    whole, parts = digest(parse_file(arguments, read_file(arguments.file)).scene)
+    whole, parts = digest(parse_file(arguments, read_bounded(arguments)).scene)
     if arguments.parts:
         for name, value in {**parts, "whole": whole}.items():
             print(f"{name:<10} {value}")
@@ -106,7 +107,7 @@ def _reconstruct(arguments: argparse.Namespace) -> int:
 
     output = Path(arguments.output)
     check_output_file(output, DIGEST_MAGIC, "a reconstruction")
-    data = read_file(arguments.file)
+    data = read_bounded(arguments)
     if arguments.trace:
         from ..inspect.trace import symbol_trace
 
@@ -131,6 +132,7 @@ def add(commands: Any) -> None:
         "point_cloud.ply is quantised anew.",
     )
     encode.add_argument("scene", metavar="SCENE_DIR")
+    add_bounds(encode)
     encode.add_argument("-o", "--output", metavar="FILE", required=True)
     encode.add_argument(
         "--positions",
@@ -152,6 +154,7 @@ def add(commands: Any) -> None:
         "SCENE_DIR is made. An existing one is overwritten only if it is empty or a scene folder.",
     )
     decode.add_argument("file", metavar="FILE")
+    add_bounds(decode)
     decode.add_argument("-o", "--output", metavar="SCENE_DIR", required=True)
     decode.add_argument(
         "--keep-going",
@@ -167,6 +170,7 @@ def add(commands: Any) -> None:
         ["digest scene.c3gs", "digest scene.c3gs --parts"],
     )
     digest.add_argument("file", metavar="FILE")
+    add_bounds(digest)
     digest.add_argument(
         "--parts", action="store_true", help="one line for each part of the reconstruction, then the whole"
     )
@@ -178,6 +182,7 @@ def add(commands: Any) -> None:
         ["reconstruct scene.c3gs scene.bin", "reconstruct scene.c3gs scene.bin --trace symbols.txt"],
     )
     reconstruct.add_argument("file", metavar="FILE")
+    add_bounds(reconstruct)
     reconstruct.add_argument("output", metavar="OUTPUT")
     reconstruct.add_argument(
         "--trace", metavar="TRACE", help="write every symbol to this file, a line with its path and its value each"
@@ -186,3 +191,4 @@ def add(commands: Any) -> None:
         commands, "validate", _validate, "check whether a file is a conforming bitstream", ["validate scene.c3gs"]
     )
     validate.add_argument("file", metavar="FILE")
+    add_bounds(validate)

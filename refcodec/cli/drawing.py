@@ -11,6 +11,7 @@ from typing import Any
 
 from ..files.terminal import say
 from ..files.text import printable
+from .bounds import add_bounds, check_folder, read_bounded
 from .shared import (
     RENDER_PACKAGES,
     UsageError,
@@ -21,7 +22,6 @@ from .shared import (
     parse_file,
     positive,
     progress_bar,
-    read_file,
     read_photographs_of,
     uncompressed_of,
     write_file,
@@ -42,7 +42,7 @@ def _gaussians(arguments: argparse.Namespace) -> int:
             camera = read_camera(file.read(CAMERA_MAX + 1))
     except ValueError as error:
         raise UsageError(f"{arguments.camera} is no camera: {error}") from None
-    scene = parse_file(arguments, read_file(arguments.file)).scene
+    scene = parse_file(arguments, read_bounded(arguments)).scene
     found = gaussians(reconstruct(scene), scene.masks, scene.networks, camera, scene.render.distance_unit)
     write_file(output, json.dumps(gaussians_document(found), separators=(",", ":")).encode())
     return 0
@@ -54,7 +54,8 @@ def _render(arguments: argparse.Namespace) -> int:
     except ModuleNotFoundError as error:
         raise needs("render", "render", error, RENDER_PACKAGES) from None
     note_compiling()
-    view = View(uncompressed_of(arguments.file) or parse_file(arguments, read_file(arguments.file)).scene)
+    check_folder(arguments, Path(arguments.file))
+    view = View(uncompressed_of(arguments.file) or parse_file(arguments, read_bounded(arguments)).scene)
     if arguments.cameras == "default":
         cameras = [own_camera(view.info)]
     elif arguments.cameras == "orbit":
@@ -108,7 +109,8 @@ def _eval(arguments: argparse.Namespace) -> int:
         raise needs("eval", "render", error, RENDER_PACKAGES) from None
     note_compiling()
     lpips = _lpips(arguments.lpips) if arguments.lpips else None
-    shown = uncompressed_of(arguments.file) or read_file(arguments.file)
+    check_folder(arguments, Path(arguments.file))
+    shown = uncompressed_of(arguments.file) or read_bounded(arguments)
     found = read_photographs_of(arguments.photographs, arguments.size)
     try:
         with progress_bar(arguments.progress) as progress:
@@ -133,6 +135,7 @@ def add(commands: Any) -> None:
         "CAMERA is a JSON object. vectors/README.md describes it.",
     )
     gaussians.add_argument("file", metavar="FILE")
+    add_bounds(gaussians)
     gaussians.add_argument("camera", metavar="CAMERA")
     gaussians.add_argument("output", metavar="OUTPUT")
     render = add_command(
@@ -149,6 +152,7 @@ def add(commands: Any) -> None:
         "animation. Needs: pip install 'refcodec[render]'.",
     )
     render.add_argument("file", metavar="FILE")
+    add_bounds(render)
     render.add_argument("-o", "--output", metavar="DIR", required=True)
     render.add_argument(
         "--cameras",
@@ -170,6 +174,7 @@ def add(commands: Any) -> None:
         "Needs: pip install 'refcodec[render]'.",
     )
     evaluate.add_argument("file", metavar="FILE")
+    add_bounds(evaluate)
     evaluate.add_argument("photographs", metavar="PHOTOGRAPHS")
     evaluate.add_argument(
         "--size", metavar="WxH", help="the size to which photographs are averaged down, or its longest side"

@@ -13,7 +13,8 @@ from typing import TYPE_CHECKING, Any
 from .. import statuses
 from ..bitstream.errors import BitstreamError
 from ..files.text import printable
-from .shared import UsageError, add_command, parse_file, read_file, reject
+from .bounds import add_bounds, read_bounded
+from .shared import UsageError, add_command, parse_file, reject
 
 if TYPE_CHECKING:
     from ..bitstream.codec import Parsed
@@ -47,7 +48,7 @@ def _show_anchor(scene: Scene, number: int) -> int:
 def _inspect(arguments: argparse.Namespace) -> int:
     from ..inspect import dump, summary, trace
 
-    data = read_file(arguments.file)
+    data = read_bounded(arguments)
     if arguments.trace:
         trace.trace(data, sys.stdout.write)
         return 0
@@ -109,6 +110,7 @@ def add(commands: Any) -> None:
         "Damaged files are shown as far as they parse, and then rejected as by validate.",
     )
     inspect.add_argument("file", metavar="FILE")
+    add_bounds(inspect)
     form = inspect.add_mutually_exclusive_group()
     form.add_argument(
         "--hex", action="store_true", help="every byte with its syntax element, and each payload folded to a line"

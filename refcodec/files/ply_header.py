@@ -28,17 +28,18 @@ class PlyHeaderError(ValueError):
     """A header that is not PLY within the bounds. The text says what is wrong, without the file's name."""
 
 
-def check_ply_header(path: Path) -> None:
+def check_ply_header(path: Path) -> tuple[int, int]:
     """Checks that a file begins with a header of PLY that is short, and that it can hold the rows that it states.
 
-    Raises PlyHeaderError, and OSError.
+    Returns the largest number of rows of an element, and the number of properties of all elements. Raises
+    PlyHeaderError, and OSError.
     """
     with path.open("rb") as file:
         lines = _header_lines(file)
         rest = path.stat().st_size - file.tell()
     # The least bytes of a row: its numbers in binary, or a digit and a separator for each in text.
     text = lines[1].split()[1:2] == ["ascii"] if len(lines) > 1 else False
-    elements, properties, count, row = 0, 0, 0, 0
+    elements, properties, count, row, most = 0, 0, 0, 0, 0
     for line in lines:
         first, *words = line.split() or [""]
         if first == "element":
@@ -47,6 +48,7 @@ def check_ply_header(path: Path) -> None:
             if len(words) != 2 or not _COUNT.fullmatch(words[1]) or int(words[1]) > COUNT_MAX:
                 raise PlyHeaderError(f"an element has no name and a count of at most {COUNT_MAX}")
             count = int(words[1])
+            most = max(most, count)
         elif first == "property":
             properties += 1
             row += 2 if text else _least_size(words)
@@ -59,6 +61,7 @@ def check_ply_header(path: Path) -> None:
     # A last line of text may end with the file.
     if rest + text < count * row:
         raise PlyHeaderError("it has fewer bytes than the rows that it states")
+    return most, properties
 
 
 def _header_lines(file: BinaryIO) -> list[str]:

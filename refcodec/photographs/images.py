@@ -121,6 +121,7 @@ def read_image(path: Path, background: tuple[int, int, int]) -> U8:
                 f"its pixels are of the kind {image.mode}, 8 bits per channel are required",
                 "convert it to 8 bits",
             )
+        image.load()
         if not has_all_rows(path):
             raise PhotographError(path, "some rows of the image are missing", "export or copy the image again")
         if image.has_transparency_data:
