@@ -58,6 +58,11 @@ class ProgressStream(io.TextIOBase):
         with contextlib.suppress(OSError, ValueError):
             sys.stderr.flush()
 
+    @property
+    def encoding(self) -> str:  # type: ignore[override]
+        """The encoding of stderr, by which tqdm chooses the characters of a bar."""
+        return sys.stderr.encoding or "ascii"
+
     def isatty(self) -> bool:
         """Whether stderr is a terminal."""
         return sys.stderr.isatty()
