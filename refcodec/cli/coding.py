@@ -13,14 +13,14 @@ from typing import TYPE_CHECKING, Any
 from ..bitstream.errors import BitstreamError
 from ..files.outputs import Kind, check_apart, check_file
 from ..files.stage import Stage, write_file
+from ..files.terminal import note, say
+from .bounds import add_bounds, check_folder, read_bounded
 from .shared import (
     UsageError,
     add_command,
     check_scene_output,
-    note,
     parse_file,
     progress_bar,
-    read_file,
     reject,
 )
 
@@ -40,6 +40,7 @@ def _encode(arguments: argparse.Namespace) -> int:
     output = Path(arguments.output)
     check_file(output, Kind.signed("a C3GS file", SIGNATURE))
     check_apart([output], [arguments.scene])
+    check_folder(arguments, Path(arguments.scene))
     scene = read_folder(arguments.scene)
     try:
         with progress_bar(arguments.progress) as progress:
@@ -54,7 +55,7 @@ def _decode(arguments: argparse.Namespace) -> int:
     from ..folder.write import write_folder
 
     check_scene_output(Path(arguments.output), [arguments.file])
-    data = read_file(arguments.file)
+    data = read_bounded(arguments)
     parsed = parse_file(arguments, data, arguments.keep_going)
     write_folder(parsed.scene, arguments.output, parsed.damage)
     return _report_damage(arguments.file, data, parsed) if arguments.keep_going else 0
@@ -89,15 +90,15 @@ def _report_damage(path: str, data: bytes, parsed: Parsed) -> int:
 def _validate(arguments: argparse.Namespace) -> int:
     from ..bitstream.limits import PROFILES
 
-    scene = parse_file(arguments, read_file(arguments.file)).scene
-    print(f"{arguments.file} is accepted: profile {PROFILES[scene.profile].name}, {scene.anchor_count} anchors")
+    scene = parse_file(arguments, read_bounded(arguments)).scene
+    say(f"{arguments.file} is accepted: profile {PROFILES[scene.profile].name}, {scene.anchor_count} anchors")
     return 0
 
 
 def _digest(arguments: argparse.Namespace) -> int:
     from ..bitstream.reconstruction import digest
 
-    whole, parts = digest(parse_file(arguments, read_file(arguments.file)).scene)
+    whole, parts = digest(parse_file(arguments, read_bounded(arguments)).scene)
     if arguments.parts:
         for name, value in {**parts, "whole": whole}.items():
             print(f"{name:<10} {value}")
@@ -115,7 +116,7 @@ def _reconstruct(arguments: argparse.Namespace) -> int:
     if trace:
         check_file(trace, TRACE)
     check_apart([output, *([trace] if trace else [])], [arguments.file])
-    data = read_file(arguments.file)
+    data = read_bounded(arguments)
     with Stage() as stage:
         if trace:
             from ..inspect.trace import symbol_trace
@@ -144,6 +145,7 @@ def add(commands: Any) -> None:
         writes=True,
     )
     encode.add_argument("scene", metavar="SCENE_DIR")
+    add_bounds(encode)
     encode.add_argument("-o", "--output", metavar="FILE", required=True)
     encode.add_argument(
         "--positions",
@@ -167,6 +169,7 @@ def add(commands: Any) -> None:
         writes=True,
     )
     decode.add_argument("file", metavar="FILE")
+    add_bounds(decode)
     decode.add_argument("-o", "--output", metavar="SCENE_DIR", required=True)
     decode.add_argument(
         "--keep-going",
@@ -182,6 +185,7 @@ def add(commands: Any) -> None:
         ["digest scene.c3gs", "digest scene.c3gs --parts"],
     )
     digest.add_argument("file", metavar="FILE")
+    add_bounds(digest)
     digest.add_argument(
         "--parts", action="store_true", help="one line for each part of the reconstruction, then the whole"
     )
@@ -194,6 +198,7 @@ def add(commands: Any) -> None:
         writes=True,
     )
     reconstruct.add_argument("file", metavar="FILE")
+    add_bounds(reconstruct)
     reconstruct.add_argument("output", metavar="OUTPUT")
     reconstruct.add_argument(
         "--trace", metavar="TRACE", help="write every symbol to this file, a line with its path and its value each"
@@ -202,3 +207,4 @@ def add(commands: Any) -> None:
         commands, "validate", _validate, "check whether a file is a conforming bitstream", ["validate scene.c3gs"]
     )
     validate.add_argument("file", metavar="FILE")
+    add_bounds(validate)

@@ -12,15 +12,18 @@ from typing import TYPE_CHECKING, Any
 
 from ..files.outputs import Kind, check_apart, check_file
 from ..files.stage import write_file
+from ..files.terminal import say
+from ..files.text import printable
+from .bounds import add_bounds, check_folder, read_bounded
 from .shared import (
     RENDER_PACKAGES,
     UsageError,
     add_command,
     needs,
+    note_compiling,
     parse_file,
     positive,
     progress_bar,
-    read_file,
     read_photographs_of,
     uncompressed_of,
 )
@@ -41,17 +44,18 @@ def _gaussians(arguments: argparse.Namespace) -> int:
     import json
 
     from ..bitstream.reconstruction import reconstruct
-    from ..render.camera import read_camera
+    from ..render.camera import CAMERA_MAX, read_camera
     from ..render.gaussians import gaussians, gaussians_document
 
     output = Path(arguments.output)
     check_file(output, Kind.signed("a list of Gaussians", b'{"gaussians":'))
     check_apart([output], [arguments.file, arguments.camera])
     try:
-        camera = read_camera(Path(arguments.camera).read_text(encoding="utf-8"))
+        with open(arguments.camera, "rb") as file:
+            camera = read_camera(file.read(CAMERA_MAX + 1))
     except ValueError as error:
         raise UsageError(f"{arguments.camera} is no camera: {error}") from None
-    scene = parse_file(arguments, read_file(arguments.file)).scene
+    scene = parse_file(arguments, read_bounded(arguments)).scene
     found = gaussians(reconstruct(scene), scene.masks, scene.networks, camera, scene.render.distance_unit)
     write_file(output, json.dumps(gaussians_document(found), separators=(",", ":")).encode())
     return 0
@@ -64,6 +68,7 @@ def _render(arguments: argparse.Namespace) -> int:
         from ..render.view import View, eight_bits, orbit_name, own_camera
     except ModuleNotFoundError as error:
         raise needs("render", "render", error, RENDER_PACKAGES) from None
+    note_compiling()
     inputs: list[str | Path] = [arguments.file]
     orbit = arguments.cameras == "orbit"
     cameras: list[Camera] = []
@@ -78,7 +83,8 @@ def _render(arguments: argparse.Namespace) -> int:
         inputs += found.places()
     folder = Path(arguments.output)
     images = ImageFolder(folder, names, orbit, inputs)
-    view = View(uncompressed_of(arguments.file) or parse_file(arguments, read_file(arguments.file)).scene)
+    check_folder(arguments, Path(arguments.file))
+    view = View(uncompressed_of(arguments.file) or parse_file(arguments, read_bounded(arguments)).scene)
     cameras = cameras or (view.orbit(arguments.frames) if orbit else [own_camera(view.info)])
     frames = []
     with images, progress_bar(arguments.progress) as progress:
@@ -94,7 +100,7 @@ def _render(arguments: argparse.Namespace) -> int:
         if orbit:
             images.animate(frames)
         progress("images", len(cameras), len(cameras))
-    print(f"{folder}: {len(cameras)} images" + (f", {ORBIT}" if orbit else ""))
+    say(f"{folder}: {len(cameras)} images" + (f", {ORBIT}" if orbit else ""))
     return 0
 
 
@@ -119,6 +125,7 @@ def _eval(arguments: argparse.Namespace) -> int:
         from ..render.images import ImageFolder
     except ModuleNotFoundError as error:
         raise needs("eval", "render", error, RENDER_PACKAGES) from None
+    note_compiling()
     found = read_photographs_of(arguments.photographs, arguments.size)
     images = None
     if arguments.images:
@@ -126,7 +133,8 @@ def _eval(arguments: argparse.Namespace) -> int:
         names = [p.camera.name for p in compared_of(found)]
         images = ImageFolder(Path(arguments.images), names, False, inputs)
     lpips = _lpips(arguments.lpips) if arguments.lpips else None
-    shown = uncompressed_of(arguments.file) or read_file(arguments.file)
+    check_folder(arguments, Path(arguments.file))
+    shown = uncompressed_of(arguments.file) or read_bounded(arguments)
     try:
         with images or contextlib.nullcontext(), progress_bar(arguments.progress) as progress:
             result = evaluate(shown, found, images.add if images else None, progress, lpips)
@@ -135,7 +143,7 @@ def _eval(arguments: argparse.Namespace) -> int:
     except ValueError as error:
         raise UsageError(f"{arguments.file} cannot be drawn: {error}") from None
     result = {"file": arguments.file, **result}
-    print(json.dumps(result, indent=1) if arguments.json else "\n".join(table(result)))
+    say(json.dumps(result, indent=1) if arguments.json else "\n".join(map(printable, table(result))), lines=True)
     return 0
 
 
@@ -151,6 +159,7 @@ def add(commands: Any) -> None:
         writes=True,
     )
     gaussians.add_argument("file", metavar="FILE")
+    add_bounds(gaussians)
     gaussians.add_argument("camera", metavar="CAMERA")
     gaussians.add_argument("output", metavar="OUTPUT")
     render = add_command(
@@ -168,6 +177,7 @@ def add(commands: Any) -> None:
         writes=True,
     )
     render.add_argument("file", metavar="FILE")
+    add_bounds(render)
     render.add_argument("-o", "--output", metavar="DIR", required=True)
     render.add_argument(
         "--cameras",
@@ -191,6 +201,7 @@ def add(commands: Any) -> None:
         writes=True,
     )
     evaluate.add_argument("file", metavar="FILE")
+    add_bounds(evaluate)
     evaluate.add_argument("photographs", metavar="PHOTOGRAPHS")
     evaluate.add_argument(
         "--size", metavar="WxH", help="the size to which photographs are averaged down, or its longest side"

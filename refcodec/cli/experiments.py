@@ -10,7 +10,8 @@ from pathlib import Path
 from typing import Any
 
 from .. import statuses
-from .shared import RENDER_PACKAGES, UsageError, add_command, needs, note, positive, rate, seed
+from ..files.terminal import note, say
+from .shared import RENDER_PACKAGES, UsageError, add_command, needs, positive, rate, seed
 
 
 def _demo(arguments: argparse.Namespace) -> int:
@@ -26,9 +27,10 @@ def _demo(arguments: argparse.Namespace) -> int:
     except PhotographError as error:
         raise UsageError(str(error)) from None
     except RunError as error:
-        note(f"refcodec: {error}")
+        for line in f"refcodec: {error}".splitlines():
+            note(line)
         return error.status
-    print(f"The page: {page.resolve().as_uri()}")
+    say(f"The page: {page.resolve().as_uri()}")
     return 0 if whole else statuses.INTERRUPTED
 
 
@@ -56,14 +58,15 @@ def _rd(arguments: argparse.Namespace) -> int:
     except PhotographError as error:
         raise UsageError(str(error)) from None
     except RunError as error:
-        note(f"refcodec: {error}")
+        for line in f"refcodec: {error}".splitlines():
+            note(line)
         return error.status
     print(f"{'rate':>8} {'bytes':>10} {'anchors':>8}" + "".join(f" {name:>10}" for name in FIGURES))
     for row in rows:
         figures = "".join(f" {row[name]:>10.4f}" for name in FIGURES)
         print(f"{row['rate']:>8g} {row['bytes']:>10.0f} {row['anchors']:>8.0f}{figures}")
     if difference:
-        print(f"BD-rate {difference.rate:+.2f} %, BD-PSNR {difference.psnr:+.3f} dB against {arguments.against}")
+        say(f"BD-rate {difference.rate:+.2f} %, BD-PSNR {difference.psnr:+.3f} dB against {arguments.against}")
         if difference.warning:
             note(f"refcodec: {difference.warning}")
     return 0

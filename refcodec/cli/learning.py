@@ -6,6 +6,7 @@
 from __future__ import annotations
 
 import argparse
+import contextlib
 import os
 import re
 from pathlib import Path
@@ -14,13 +15,14 @@ from typing import TYPE_CHECKING, Any
 from .. import statuses
 from ..files.lock import hold_file
 from ..files.outputs import Kind
+from ..files.terminal import note, say
 from .shared import (
     UsageError,
     add_command,
     check_scene_output,
     length,
     needs,
-    note,
+    note_compiling,
     positive,
     progress_bar,
     read_photographs_of,
@@ -71,9 +73,17 @@ def _settings(arguments: argparse.Namespace) -> TrainSettings:
         raise UsageError(str(error)) from None
 
 
-def _interrupted(done: int, steps: int) -> int:
-    note(f"refcodec: stopped at step {done} of {steps}; the scene is written, and --resume goes on from there")
+def _interrupted(done: int, steps: int, state: Path) -> int:
+    goes_on = "--resume goes on from the saved state" if state.exists() else "there is no saved state to go on from"
+    note(f"refcodec: stopped at step {done} of {steps}; the scene is written, and {goes_on}")
     return statuses.INTERRUPTED
+
+
+def _check_writable(output: Path) -> None:
+    """Raises UsageError if a result cannot be written to a folder. It is called before any work is done."""
+    there = next(path for path in (output, *output.absolute().parents) if path.exists())
+    if not os.access(there, os.W_OK | os.X_OK):
+        raise UsageError(f"{output} cannot be written: {there} is read-only")
 
 
 def _train(arguments: argparse.Namespace) -> int:
@@ -87,6 +97,7 @@ def _train(arguments: argparse.Namespace) -> int:
         raise UsageError("train needs PHOTOGRAPHS and -o SCENE_DIR")
     try:
         from ..train.command import REPORT_FILE, state_path, train
+        from ..train.state import StateError
     except ModuleNotFoundError as error:
         raise needs("train", "train", error, ("torch", "numba", "scipy", "PIL", "skimage")) from None
     output = _folder(arguments.output)
@@ -95,8 +106,10 @@ def _train(arguments: argparse.Namespace) -> int:
     check_scene_output(output, [arguments.settings], uncompressed=True, others=others)
     if arguments.resume and not state.exists():
         raise UsageError(f"there is nothing to resume: {state} does not exist")
+    _check_writable(output)
     photographs = read_photographs_of(arguments.photographs, settings.size)
     check_scene_output(output, photographs.places(), uncompressed=True)
+    note_compiling()
     try:
         with hold_file(_lock(state)):
             trainer, whole = train(
@@ -108,12 +121,14 @@ def _train(arguments: argparse.Namespace) -> int:
                 resume=arguments.resume,
                 progress=arguments.progress,
             )
+    except StateError as error:
+        raise UsageError(str(error)) from None
     except ValueError as error:
         raise UsageError(f"{arguments.photographs} cannot be trained: {error}") from None
     done = trainer.clock.done
-    print(f"{output}: {trainer.scaffold.count} anchors, {done} steps, {trainer.looks.seconds:.0f} s")
+    say(f"{output}: {trainer.scaffold.count} anchors, {done} steps, {trainer.looks.seconds:.0f} s")
     if not whole:
-        return _interrupted(done, settings.steps)
+        return _interrupted(done, settings.steps, state_path(output))
     return 0
 
 
@@ -127,9 +142,11 @@ def _fit(arguments: argparse.Namespace) -> int:
         from ..train.fit import fit
         from ..train.fit_input import read_given
         from ..train.settings import FitSettings
+        from ..train.state import StateError, write_somewhere
     except ModuleNotFoundError as error:
         raise needs("fit", "fit", error, ("torch", "scipy")) from None
     output, points = _folder(arguments.output), Path(arguments.points)
+    _check_writable(output)
     # Beside the folder, not in it: a scene folder is whole or it is not there.
     state = output.with_name(output.name + ".fit-state")
     # With the point cloud of a scene goes the rest of the scene.
@@ -145,17 +162,20 @@ def _fit(arguments: argparse.Namespace) -> int:
                 state.unlink(missing_ok=True)
             with progress_bar(arguments.progress) as progress:
                 result = fit(given, settings, progress=progress, state=state)
-            write_folder(result.scene, output)
+            write_somewhere(lambda folder: write_folder(result.scene, folder), output, state)
             done, dropped = result.report["steps"], result.report["dropped"]
             # Ctrl-C ends the training, not the program.
-            stopped = done < arguments.steps and state.exists()
+            stopped = done < arguments.steps and bool(result.scene.anchor_count)
             if not stopped:
-                state.unlink(missing_ok=True)
+                with contextlib.suppress(OSError):
+                    state.unlink(missing_ok=True)
+    except StateError as error:
+        raise UsageError(str(error)) from None
     # Of the npz files that cannot be read some are no archives, and some are cut.
     except (ValueError, BadZipFile, EOFError) as error:
         raise UsageError(f"{arguments.points} cannot be fitted: {error}") from None
-    print(f"{arguments.output}: {result.scene.anchor_count} anchors, {dropped} without offsets left out, {done} steps")
-    return _interrupted(done, arguments.steps) if stopped else 0
+    say(f"{arguments.output}: {result.scene.anchor_count} anchors, {dropped} without offsets left out, {done} steps")
+    return _interrupted(done, arguments.steps, state) if stopped else 0
 
 
 def add(commands: Any) -> None:

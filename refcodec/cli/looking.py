@@ -12,7 +12,9 @@ from typing import TYPE_CHECKING, Any
 
 from .. import statuses
 from ..bitstream.errors import BitstreamError
-from .shared import UsageError, add_command, parse_file, read_file, reject
+from ..files.text import printable
+from .bounds import add_bounds, read_bounded
+from .shared import UsageError, add_command, parse_file, reject
 
 if TYPE_CHECKING:
     from ..bitstream.codec import Parsed
@@ -44,11 +46,9 @@ def _show_anchor(scene: Scene, number: int) -> int:
 
 
 def _inspect(arguments: argparse.Namespace) -> int:
-    import json
-
     from ..inspect import dump, summary, trace
 
-    data = read_file(arguments.file)
+    data = read_bounded(arguments)
     if arguments.trace:
         trace.trace(data, sys.stdout.write)
         return 0
@@ -62,9 +62,9 @@ def _inspect(arguments: argparse.Namespace) -> int:
     if arguments.hex or arguments.near is not None:
         lines = dump.hex_lines(data, _spots(data, error) if error else [], arguments.near)
     elif arguments.json:
-        lines = iter([json.dumps(summary.document(data, verdict), indent=1)])
+        lines = summary.json_lines(summary.document(data, verdict))
     else:
-        lines = summary.summary(summary.document(data, verdict), arguments.file)
+        lines = summary.summary(summary.document(data, verdict), printable(arguments.file))
     for line in lines:
         print(line)
     if arguments.near is not None:
@@ -110,6 +110,7 @@ def add(commands: Any) -> None:
         "Damaged files are shown as far as they parse, and then rejected as by validate.",
     )
     inspect.add_argument("file", metavar="FILE")
+    add_bounds(inspect)
     form = inspect.add_mutually_exclusive_group()
     form.add_argument(
         "--hex", action="store_true", help="every byte with its syntax element, and each payload folded to a line"

@@ -9,8 +9,9 @@ from typing import NoReturn
 
 from .. import __version__, statuses
 from ..bitstream.errors import BitstreamError
+from ..files.terminal import note, open_streams, silence_stdout
 from . import coding, drawing, experiments, learning, looking
-from .shared import EXITS, UsageError, note, reject
+from .shared import EXITS, UsageError, reject
 
 
 class _Parser(argparse.ArgumentParser):
@@ -18,7 +19,8 @@ class _Parser(argparse.ArgumentParser):
 
     def error(self, message: str) -> NoReturn:
         self.print_usage(sys.stderr)
-        self.exit(statuses.USAGE, f"{self.prog}: {message}\n")
+        note(f"{self.prog}: {message}")
+        self.exit(statuses.USAGE)
 
 
 def _parser() -> argparse.ArgumentParser:
@@ -40,26 +42,33 @@ def main(argv: list[str] | None = None) -> int:
     # numba and torch read this when they are loaded. Waiting threads then do not spin, which would make training ten
     # times as slow on busy cores.
     os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")
-    arguments = None
+    open_streams()
     try:
-        arguments = _parser().parse_args(argv)
-        status: int = arguments.run(arguments)
+        status = _run(argv)
         sys.stdout.flush()
         return status
-    except SystemExit as end:
-        # argparse ends this way after --help, --version and wrong usage.
-        return int(end.code or 0)
-    except BitstreamError as error:
-        return reject(arguments.file, error)  # type: ignore[union-attr]
     except BrokenPipeError:
-        # The reader of stdout went away. What is left to write must not fail again when Python closes stdout.
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        # The reader of stdout went away.
+        silence_stdout()
         return statuses.BROKEN_PIPE
     except KeyboardInterrupt:
         note("refcodec: interrupted")
         return statuses.INTERRUPTED
     except Exception as error:
         return _report(error)
+
+
+def _run(argv: list[str] | None) -> int:
+    """Runs one command and returns its exit status. What it raises is no verdict."""
+    arguments = None
+    try:
+        arguments = _parser().parse_args(argv)
+        return int(arguments.run(arguments))
+    except SystemExit as end:
+        # argparse ends this way after --help, --version and wrong usage.
+        return int(end.code or 0)
+    except BitstreamError as error:
+        return reject(arguments.file, error)  # type: ignore[union-attr]
 
 
 def _report(error: Exception) -> int:
@@ -69,6 +78,9 @@ def _report(error: Exception) -> int:
         note(f"refcodec: {error}")
         return statuses.USAGE
     if isinstance(error, OSError):
+        # stdout has no name. What is left to write to it would fail again.
+        if not error.filename:
+            silence_stdout()
         note(f"refcodec: {error.filename or 'output'}: {error.strerror or error}")
         return statuses.USAGE
     if os.environ.get("REFCODEC_DEBUG") == "1":

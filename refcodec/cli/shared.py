@@ -8,7 +8,6 @@ from __future__ import annotations
 import argparse
 import contextlib
 import os
-import shlex
 import stat
 import sys
 from collections.abc import Callable, Iterable, Iterator, Sequence
@@ -17,6 +16,8 @@ from typing import TYPE_CHECKING, Any
 
 from ..bitstream.errors import BitstreamError
 from ..files.outputs import HELP, Kind, check_apart, check_file
+from ..files.terminal import ProgressStream, note
+from ..files.text import shell_word
 from ..statuses import UsageError
 
 if TYPE_CHECKING:
@@ -40,11 +41,6 @@ exit status:
   64  wrong usage, or a file or folder that cannot be read or written
   70  a fault of this program
 """
-
-
-def note(text: str) -> None:
-    """Prints a line on stderr."""
-    print(text, file=sys.stderr)
 
 
 # --- files ------------------------------------------------------------------------------------------------------------
@@ -153,7 +149,7 @@ def progress_bar(wanted: bool) -> Iterator[Progress]:
         if stage not in bars:
             for finished in bars.values():
                 finished.close()
-            bars[stage] = tqdm(total=total, desc=stage, file=sys.stderr, delay=0 if wanted else 1, leave=wanted)
+            bars[stage] = tqdm(total=total, desc=stage, file=ProgressStream(), delay=0 if wanted else 1, leave=wanted)
         bars[stage].update(done - bars[stage].n)
 
     try:
@@ -167,7 +163,7 @@ def reject(path: str, error: BitstreamError) -> int:
     """Reports a verdict on stderr, as a line for people and a line of JSON. Returns the exit status."""
     word = "is not supported" if error.kind.klass == "unsupported" else "is rejected"
     sys.stdout.flush()
-    note(f"{path} {word}: {error}. To see the spot: refcodec inspect {shlex.quote(path)} --near {error.offset}")
+    note(f"{path} {word}: {error}. To see the spot: refcodec inspect {shell_word(path)} --near {error.offset}")
     note(error.to_json())
     return error.exit_status
 
@@ -188,6 +184,17 @@ def needs(command: str, extra: str, error: ModuleNotFoundError, packages: tuple[
     if (error.name or "").split(".")[0] not in packages:
         raise error
     return UsageError(f"{command} needs {error.name}: pip install 'refcodec[{extra}]'")
+
+
+def note_compiling() -> None:
+    """Says on stderr if the rasteriser is compiled anew at each start. It needs the extra `render`."""
+    from ..render.compiled import is_kept
+
+    if not is_kept():
+        note(
+            "refcodec: compiled code cannot be kept, so compiling takes some seconds now; "
+            "name a folder that can be written with NUMBA_CACHE_DIR"
+        )
 
 
 # --- arguments --------------------------------------------------------------------------------------------------------

@@ -56,6 +56,12 @@ class Lpips:
         }
         if missing := needed - set(self.weights):
             raise ValueError(f"{path} lacks {', '.join(sorted(missing))}")
+        black = np.zeros((SIDE_MIN, SIDE_MIN, 3), np.uint8)
+        try:
+            self.measures(black.astype(np.float32), black)
+        # torch says so of weights of other shapes.
+        except (RuntimeError, TypeError, IndexError):
+            raise ValueError(f"{path} has weights of other shapes than those of LPIPS") from None
 
     def measures(self, made: NDArray[Any], photograph: NDArray[np.uint8]) -> dict[str, float]:
         """How far an image is from a photograph: 0 if it is the same.

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-import sys
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -11,6 +10,7 @@ from pathlib import Path
 from .. import statuses
 from ..files.lock import hold_folder
 from ..files.stage import write_file
+from ..files.terminal import note, say
 from .cells import LOG, Cell, cells
 from .curves import write_curves
 from .engines import Engine
@@ -60,22 +60,23 @@ def run_experiment(options: Options) -> int:
         write_file(folder.path / COPY, options.file.read_bytes())
         threads, engine = _engine(options, folder)
         waiting = tasks(experiment, folder, state, threads)
-        print(f"{len(state.results)} of {len(chosen)} cells are done before", file=sys.stderr, flush=True)
+        note(f"{len(state.results)} of {len(chosen)} cells are done before")
         try:
             watch, stopped = run(engine, waiting, len(chosen)) if waiting else (Watch(len(chosen), len(chosen)), False)
         finally:
             _write_tables(experiment, folder)
     for outcome in watch.failed:
         place = folder.path / "cells" / outcome.name / LOG
-        print(f"refcodec: cell {outcome.name} has failed; all its lines are in {place}", file=sys.stderr)
-        print(outcome.text, file=sys.stderr)
+        note(f"refcodec: cell {outcome.name} has failed; all its lines are in {place}")
+        for line in outcome.text.splitlines():
+            note(line)
     if stopped or watch.interrupted:
         words = f"stopped with {watch.done} of {len(chosen)} cells done; the same command goes on"
-        print(f"refcodec: {words}", file=sys.stderr)
+        note(f"refcodec: {words}")
         return statuses.INTERRUPTED
     if watch.failed:
         count = len(watch.failed)
-        print(f"refcodec: {count} of {len(chosen)} cells failed; the same command runs them again", file=sys.stderr)
+        note(f"refcodec: {count} of {len(chosen)} cells failed; the same command runs them again")
         return watch.failed[0].status
     return statuses.DONE
 
@@ -100,9 +101,9 @@ def _write_tables(experiment: Experiment, folder: Folder) -> None:
         folder.path / MARKDOWN, as_markdown(experiment.path.stem, rows, missing, experiment.baseline, groups).encode()
     )
     write_curves(folder.path / CURVES, rows)
-    print(f"{len(rows)} of {len(every)} cells are in {folder.path / MARKDOWN}, {CSV} and {CURVES}")
+    say(f"{len(rows)} of {len(every)} cells are in {folder.path / MARKDOWN}, {CSV} and {CURVES}")
     if missing:
-        print(missing)
+        say(missing, lines=True)
 
 
 def _missing(every: Sequence[Cell], state: State) -> str:

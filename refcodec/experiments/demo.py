@@ -5,7 +5,6 @@ Another process decodes the file.
 
 from __future__ import annotations
 
-import json
 import re
 from dataclasses import dataclass
 from pathlib import Path
@@ -24,7 +23,7 @@ from ..photographs.photographs import parse_size, read_photographs
 from ..render.images import image_names
 from .page import page
 from .result import Chart, File, Part, Result, Step, View
-from .runs import Command, Notes, RunError, Runner, shown
+from .runs import Command, Notes, RunError, Runner, is_evaluation, is_report, read_result, shown
 
 FORMAT, NOTES, PAGE, REPORT = "C3GS demo", "demo.json", "index.html", "training.json"
 EXAMPLES = Path(__file__).resolve().parents[2] / "examples" / "photographs"
@@ -141,7 +140,8 @@ def _run(demo: Demo) -> tuple[Path, bool]:
 def check_decoder(demo: Demo) -> str:
     """The SHA-256 of the scene before coding. Raises RunError if that of the decoder's folder is another one."""
     before = digest(read_folder(demo.path(CODED)))[0]
-    after = str(json.loads((demo.path("decoded") / SCENE_FILE).read_text())["digest"]["whole"])
+    decoded = read_result(demo.path("decoded") / SCENE_FILE, lambda found: isinstance(found["digest"]["whole"], str))
+    after = decoded["digest"]["whole"]
     if before != after:
         raise RunError(f"the decoder's scene is another one than the encoder's: SHA-256 {after} and {before}", 70)
     return before
@@ -156,8 +156,8 @@ def sizes(before: dict[str, int], sections: dict[str, int]) -> tuple[Part, ...]:
 
 def collect(demo: Demo, notes: Notes) -> Result:
     """What the page shows, from the files of a demo."""
-    reports = {name: json.loads((demo.path(name) / REPORT).read_text()) for name in (UNCOMPRESSED, CODED)}
-    evals = {name: json.loads(demo.path(f"{name}.eval.json").read_text()) for name in (UNCOMPRESSED, CODED)}
+    reports = {name: read_result(demo.path(name) / REPORT, is_report) for name in (UNCOMPRESSED, CODED)}
+    evals = {name: read_result(demo.path(f"{name}.eval.json"), is_evaluation) for name in (UNCOMPRESSED, CODED)}
     found = read_photographs(demo.photographs, parse_size(SIZE))
     held_out = {p.camera.name: p for p in (found.test or found.train)}
     views = []
@@ -219,7 +219,7 @@ def _size(path: Path) -> int:
 def _credits(photographs: Path) -> str:
     """What the folder says of where its photographs are from, and their licence."""
     found = [
-        path.read_text(encoding="utf-8").strip()
+        path.read_text(encoding="utf-8", errors="replace").strip()
         for name in ("SOURCE.md", "LICENSE")
         if (path := photographs / name).is_file()
     ]

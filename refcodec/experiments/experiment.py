@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import sys
 import threading
 import time
 from collections.abc import Sequence
@@ -14,6 +13,7 @@ from typing import Any
 from .. import statuses
 from ..files.documents import DocumentError, read_json
 from ..files.stage import write_file
+from ..files.terminal import note
 from ..photographs.photographs import PhotographError, parse_size, read_photographs
 from .cells import Cell, hash_of, read_result
 from .engines import Engine, Stop
@@ -163,7 +163,7 @@ class Watch:
         words += f", {len(self.failed)} failed" if self.failed else ""
         if (seconds := self.seconds_left(left)) is not None:
             words += f", about {duration(seconds)} left"
-        print(f"{event}; {words}", file=sys.stderr, flush=True)
+        note(f"{event}; {words}")
 
     def seconds_left(self, left: int) -> float | None:
         """By the mean of the cells that are done in this call, None before the first. left: cells not begun."""

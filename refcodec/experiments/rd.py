@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import csv
 import io
-import json
 import math
 import os
 from collections.abc import Mapping, Sequence
@@ -18,7 +17,7 @@ from ..files.outputs import check_apart
 from ..files.stage import write_file
 from ..photographs.photographs import parse_size, read_photographs
 from .figures import BD_POINTS, FIGURES, PARTS, Difference, Row, compare, figures_of
-from .runs import Command, Notes, RunError, Runner, shown
+from .runs import Command, Notes, RunError, Runner, is_evaluation, read_result, shown
 
 FORMAT, NOTES, TABLE, CHART, REPORT = "C3GS rate and distortion", "rd.json", "rd.csv", "rd.png", "training.json"
 COLUMNS = ("rate", "bytes", *PARTS, "headers", "bits_per_anchor", "anchors", *FIGURES, "seconds")
@@ -97,7 +96,7 @@ def _run(
 
 def _row(settings: Settings, rate: float, notes: Notes) -> Row:
     name = f"rate-{rate:g}"
-    found = json.loads((settings.folder / f"{name}.json").read_text())
+    found = read_result(settings.folder / f"{name}.json", is_evaluation)
     return {
         "rate": rate,
         **figures_of(found),
@@ -126,7 +125,7 @@ def read_curve(path: Path) -> list[Row]:
     Other columns are ignored.
     """
     try:
-        with path.open(newline="") as file:
+        with path.open(newline="", encoding="utf-8") as file:
             rows = list(csv.DictReader(file))
         points = [
             {"bytes": float(row["bytes"]), "psnr": float(row["psnr"])}

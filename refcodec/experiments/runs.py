@@ -5,7 +5,6 @@ from __future__ import annotations
 import contextlib
 import json
 import os
-import shlex
 import signal
 import subprocess
 import sys
@@ -18,11 +17,17 @@ from pathlib import Path
 from types import FrameType
 from typing import Any
 
+from ..files.documents import DocumentError, read_json
 from ..files.stage import Stage, make_folder, write_file
+from ..files.terminal import ProgressStream, note
+from ..files.text import printable, shell_word
 
 PROGRAM = (sys.executable, "-m", "refcodec")
 # Lines of a failed command's stderr that are worth repeating.
 _LAST_LINES = 12
+
+# What `refcodec eval` measures.
+FIGURES = {"psnr", "ssim", "psnr_3dgs", "ssim_3dgs"}
 
 Show = Callable[[str, str], None]
 
@@ -59,8 +64,63 @@ class Command:
 
     def __str__(self) -> str:
         """As it is typed in a shell."""
-        text = shlex.join(["refcodec", *self.arguments, *self.free])
-        return f"{text} > {shlex.quote(str(self.output))}" if self.printed else text
+        text = " ".join(map(shell_word, ["refcodec", *self.arguments, *self.free]))
+        return f"{text} > {shell_word(str(self.output))}" if self.printed else text
+
+
+def _are_notes(value: Any) -> bool:
+    """Whether a value of JSON is what Notes has of its commands."""
+
+    def texts(value: Any) -> bool:
+        return isinstance(value, list) and all(isinstance(text, str) for text in value)
+
+    return isinstance(value, dict) and all(
+        isinstance(note, dict)
+        and texts(note.get("arguments"))
+        and texts(note.get("after"))
+        and is_number(note.get("seconds"))
+        and isinstance(note.get("done"), bool)
+        for note in value.values()
+    )
+
+
+def is_number(value: Any) -> bool:
+    """Whether a value of JSON is a number."""
+    return isinstance(value, int | float) and not isinstance(value, bool)
+
+
+def read_result(path: Path, *right: Callable[[Any], bool]) -> Any:
+    """Returns what a command has written as JSON. right: what has to hold of it. Raises RunError."""
+    try:
+        found = read_json(path)
+        # A check that comes upon a value of another type is not met.
+        if all(check(found) for check in right):
+            return found
+        problem = "it is not what the command writes"
+    except DocumentError as error:
+        problem = f"it is not JSON ({error})"
+    except (KeyError, TypeError, AttributeError):
+        problem = "it is not what the command writes"
+    except OSError as error:
+        problem = error.strerror or str(error)
+    raise RunError(f"{path}: {problem}; remove it, and the same command makes it again")
+
+
+def is_report(found: Any) -> bool:
+    """Whether a document is a training.json, as far as it is used."""
+    return is_number(found["steps"]) and all(is_number(e["seconds"]) and is_number(e["psnr"]) for e in found["history"])
+
+
+def is_evaluation(found: Any) -> bool:
+    """Whether a document is what `refcodec eval --json` prints, as far as it is used."""
+    return (
+        is_number(found["bytes"])
+        and is_number(found["anchors"])
+        and all(map(is_number, found["parts"].values()))
+        and all(map(is_number, found["mean"].values()))
+        and found["mean"].keys() >= FIGURES
+        and all(isinstance(e["image"], str) and all(is_number(e[f]) for f in FIGURES) for e in found["images"])
+    )
 
 
 @dataclass
@@ -79,16 +139,16 @@ class Notes:
         try:
             make_folder(folder, [])
             if path.is_file():
-                found = json.loads(path.read_text())
-                if found["format"] == format:
-                    return cls(path, format, dict(found["commands"]))
+                found = read_json(path)
+                if isinstance(found, dict) and found.get("format") == format and _are_notes(found.get("commands")):
+                    return cls(path, format, found["commands"])
             elif not any(folder.iterdir()):
                 notes = cls(path, format)
                 notes._write()
                 return notes
         except OSError as error:
             raise RunError(f"{error.filename}: {error.strerror}") from None
-        except (ValueError, KeyError, TypeError):
+        except DocumentError:
             pass
         raise RunError(f"{folder} exists and is not a folder of this command: choose another one, or empty it")
 
@@ -260,16 +320,16 @@ def shown(names: Sequence[str]) -> Iterator[Show]:
     """
     width = max(len(name) for name in names)
     if not sys.stderr.isatty():
-        yield lambda name, text: print(f"{name:<{width}}  {text}", file=sys.stderr, flush=True)
+        yield lambda name, text: note(f"{name:<{width}}  {text}")
         return
     from tqdm import tqdm  # noqa: PLC0415
 
     bars = {
-        name: tqdm(total=0, position=i, bar_format="{desc}", dynamic_ncols=True, file=sys.stderr)
+        name: tqdm(total=0, position=i, bar_format="{desc}", dynamic_ncols=True, file=ProgressStream())
         for i, name in enumerate(names)
     }
     try:
-        yield lambda name, text: bars[name].set_description_str(f"{name:<{width}}  {text}")
+        yield lambda name, text: bars[name].set_description_str(f"{name:<{width}}  {printable(text)}")
     finally:
         for bar in bars.values():
             bar.close()

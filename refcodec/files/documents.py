@@ -1,15 +1,19 @@
-"""JSON from outside, read within bounds: size, depth, encoding, numbers."""
+"""JSON and TOML from outside, read within bounds: size, depth, encoding, numbers."""
 
 from __future__ import annotations
 
 import json
 import math
 import re
+import tomllib
+from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
 # The largest document that people write by hand or programs write for people, in bytes.
 SIZE_MAX = 64 << 20
+# A file of settings.
+TOML_MAX = 1 << 20
 # Python's parser goes one call deeper for each level.
 DEPTH_MAX = 64
 # Of an integer's digits: enough for every 64-bit number, and for its neighbours to be told that they are too large.
@@ -20,7 +24,7 @@ _BRACKETS = re.compile(r'"(?:[^"\\]|\\.)*"?|[\[{]|[\]}]', re.DOTALL)
 
 
 class DocumentError(ValueError):
-    """A document that is not JSON within the bounds. The text says what is wrong, without the file's name."""
+    """A document that is not JSON, or not TOML, within the bounds. The text says what is wrong, but not where."""
 
 
 def _depth(text: str) -> int:
@@ -85,6 +89,40 @@ def parse_json(data: bytes | str, most: int = SIZE_MAX) -> Any:
         )
     except json.JSONDecodeError as error:
         raise DocumentError(f"not JSON ({error})") from None
+
+
+def parse_toml(data: bytes | str, most: int = TOML_MAX) -> dict[str, Any]:
+    """Returns the values of a TOML text.
+
+    Args:
+        data: UTF-8, or text.
+        most: the most bytes that are looked at.
+
+    Raises:
+        DocumentError: too long, not UTF-8, nested deeper than 64, an integer of more than 40 digits, or not TOML.
+    """
+    if len(data) > most:
+        raise DocumentError(f"more than {most} bytes")
+    try:
+        found = tomllib.loads(data if isinstance(data, str) else data.decode("utf-8"))
+    except UnicodeDecodeError as error:
+        raise DocumentError(f"not UTF-8 (byte {error.start})") from None
+    # The parser goes a call deeper for each level. It gives a plain ValueError for an integer of thousands of digits.
+    except (RecursionError, ValueError) as error:
+        raise DocumentError(f"not TOML ({error})") from None
+    level: list[Any] = [found]
+    for _ in range(DEPTH_MAX):
+        level = [inner for value in level for inner in _inner(value)]
+        if any(type(value) is int and abs(value) >= 10**DIGITS_MAX for value in level):
+            raise DocumentError(f"an integer has more than {DIGITS_MAX} digits")
+    if level:
+        raise DocumentError(f"nested deeper than {DEPTH_MAX}")
+    return found
+
+
+def _inner(value: Any) -> Iterable[Any]:
+    """Returns the values in a table or an array."""
+    return value.values() if isinstance(value, dict) else value if isinstance(value, list) else ()
 
 
 def read_json(path: Path, most: int = SIZE_MAX) -> Any:

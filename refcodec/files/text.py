@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import os
+import shlex
+
 # Lines and tabs may stay where the text is a block of lines.
 _LAYOUT = "\n\t"
 
@@ -24,3 +27,16 @@ def printable(text: str, most: int | None = None, lines: bool = False) -> str:
     if most is None or (len(shown) <= most and len(found) == len(text)):
         return shown
     return f"{shown[:most]}... ({len(text)} characters)"
+
+
+def shell_word(text: str) -> str:
+    """Returns a text as a word of a shell's command line, which can be shown: printable() leaves it as it is.
+
+    A text that is not printable is quoted as bash, zsh and ksh do it.
+    """
+    if printable(text) == text:
+        return shlex.quote(text)
+    escaped = "".join(
+        chr(byte) if 0x20 <= byte < 0x7F and byte not in b"'\\" else f"\\x{byte:02x}" for byte in os.fsencode(text)
+    )
+    return f"$'{escaped}'"

@@ -1,41 +1,45 @@
-"""scene.json, whose values are checked when they are read."""
+"""scene.json and render.json, whose values are checked when they are read."""
 
 from __future__ import annotations
 
 import contextlib
-import json
 import re
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from ..bitstream.header import VERSION
+from ..files.documents import DocumentError, read_json
+from ..files.text import printable
 from .layout import FORMAT, SceneFolderError
 
 
+def _shown(value: Any) -> str:
+    return printable(repr(value), 60)
+
+
 class Document:
-    """The values of scene.json. A field is named by its path, such as grid.origin or frame.matrix[0].
+    """The values of scene.json or render.json. A field is named by its path, such as grid.origin or frame.matrix[0].
 
     Every method raises SceneFolderError for a field that is missing or not allowed.
     """
 
-    def __init__(self, file: Path) -> None:
-        """Reads the file. Raises SceneFolderError if it is not JSON, or of another format or version."""
-        self.file = file
+    def __init__(self, file: Path, form: str = FORMAT, again: str = "decode again") -> None:
+        """Reads the file. form: what its field "format" has to say. again: the last advice in every message.
+
+        Raises SceneFolderError if it is not JSON, or of another format.
+        """
+        self.file, self.again = file, again
         try:
-            self.root = json.loads(file.read_text(encoding="utf-8"))
-        except (ValueError, RecursionError) as error:
-            raise SceneFolderError(file, f"it is not JSON ({error})", "restore it, or decode again") from None
-        if not isinstance(self.root, dict) or self.root.get("format") != FORMAT:
-            raise SceneFolderError(
-                file, f'its "format" is not "{FORMAT}"', "give a folder that `refcodec decode` or `refcodec fit` wrote"
-            )
-        self.integer("version", VERSION, VERSION)
+            self.root = read_json(file)
+        except DocumentError as error:
+            raise SceneFolderError(file, f"it is not JSON ({error})", f"restore it, or {again}") from None
+        if not isinstance(self.root, dict) or self.root.get("format") != form:
+            raise SceneFolderError(file, f'its "format" is not "{form}"', f"give a folder of refcodec, or {again}")
 
     def fault(self, name: str, problem: str) -> SceneFolderError:
         """Returns the error about a field. problem: what is wrong with it."""
-        return SceneFolderError(self.file, f'"{name}" {problem}', "correct the field, or decode again")
+        return SceneFolderError(self.file, f'"{name}" {problem}', f"correct the field, or {self.again}")
 
     def value(self, name: str) -> Any:
         """Returns a field as JSON gives it."""
@@ -51,7 +55,7 @@ class Document:
 
     def _checked(self, name: str, value: Any, low: int, high: int) -> int:
         if not isinstance(value, int) or isinstance(value, bool) or not low <= value <= high:
-            raise self.fault(name, f"is {value!r}, an integer from {low} to {high} is required")
+            raise self.fault(name, f"is {_shown(value)}, an integer from {low} to {high} is required")
         return value
 
     def integer(self, name: str, low: int, high: int) -> int:
@@ -75,7 +79,7 @@ class Document:
             with np.errstate(over="ignore"), contextlib.suppress(OverflowError):
                 number = np.float32(value)
         if not np.isfinite(number):
-            raise self.fault(name, f"is {value!r}, a finite number is required")
+            raise self.fault(name, f"is {_shown(value)}, a finite number is required")
         return float(number)
 
     def float(self, name: str) -> float:

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from ..bitstream.attributes import SCALINGS
 from ..bitstream.reconstruction import Reconstruction
+from ..files.ply_header import check_ply_header
 from ..files.stage import new_file
 from .layout import MASK_LOGIT_MIN, SceneFolderError, there
 
@@ -79,6 +80,7 @@ class Columns:
 
         self.file = file
         try:
+            check_ply_header(file)
             self.data = PlyData.read(str(file))["vertex"].data
         except KeyError:
             raise SceneFolderError(

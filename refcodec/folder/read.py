@@ -5,6 +5,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -21,6 +22,7 @@ from ..bitstream.header import (
     LANES_LOG2_MAX,
     ORIGIN_BOUND,
     SCALE_EXPONENT_MAX,
+    VERSION,
     Lanes,
     PositionGrid,
     RenderInfo,
@@ -33,6 +35,7 @@ from ..bitstream.reconstruction import digest, reconstruct
 from ..bitstream.scene import Scene
 from ..bitstream.tables import STEP_LENGTH, TOTAL
 from ..bitstream.weights import CARM_SHIFT_MAX, PLANE_SHIFT_MAX
+from .arrays import read_arrays
 from .document import Document
 from .layout import (
     CODED_FILE,
@@ -66,6 +69,7 @@ def read_folder(path: str | Path) -> Scene:
         if not there(path / name, advice):
             raise SceneFolderError(path / name, "the file is missing", advice)
     document = Document(path / SCENE_FILE)
+    document.integer("version", VERSION, VERSION)
     d, profile = _read_dimensions(document)
     bare = _read_document(document, d, profile, path)
     if not there(path / CODED_FILE, f"restore it, or remove it so that encode quantises {PLY_FILE} anew"):
@@ -141,7 +145,7 @@ def _read_document(doc: Document, d: Dimensions, profile: int, path: Path) -> Sc
         lanes,
         (base_step[0], base_step[1], base_step[2]),
         grid,
-        _read_render(doc),
+        read_render(doc),
         frame,
         doc.integer("plane_shift", 0, PLANE_SHIFT_MAX),
         np.array(doc.integers("carm_shift", d.carm_inputs, 0, CARM_SHIFT_MAX), dtype=np.uint8),
@@ -177,22 +181,35 @@ def _read_position_model(doc: Document) -> PositionModel | None:
     return model
 
 
-def _read_render(doc: Document) -> RenderInfo:
+def read_render(doc: Document) -> RenderInfo:
+    """SPEC [R6.5-1]: returns the render information of a document, under "render". Raises SceneFolderError."""
+
     def vector(name: str, count: int) -> Any:
         return tuple(doc.floats(f"render.{name}", count))
 
+    def scalar(name: str, right: Callable[[float], bool], allowed: str) -> float:
+        value = doc.float(f"render.{name}")
+        if not right(value):
+            raise doc.fault(f"render.{name}", f"is {value}, {allowed} is required")
+        return value
+
     background = doc.integers("render.background", 3, 0, 255)
+    focal, rotation = vector("camera_focal", 2), vector("camera_rotation", 4)
+    if min(focal) <= 0:
+        raise doc.fault("render.camera_focal", f"is {focal}, numbers above 0 are required")
+    if not any(rotation):
+        raise doc.fault("render.camera_rotation", "is a quaternion of zeros")
     return RenderInfo(
         (background[0], background[1], background[2]),
         doc.integer("render.up_axis", 0, 5),
-        doc.float("render.near_plane"),
-        doc.float("render.distance_unit"),
-        doc.float("render.alpha_max"),
-        doc.float("render.low_pass"),
+        scalar("near_plane", lambda x: x > 0, "a number above 0"),
+        scalar("distance_unit", lambda x: x > 0, "a number above 0"),
+        scalar("alpha_max", lambda x: 0 < x <= 1, "a number above 0 and at most 1"),
+        scalar("low_pass", lambda x: x >= 0, "a number of at least 0"),
         doc.integer("render.camera_width", 1, 65535),
         doc.integer("render.camera_height", 1, 65535),
-        vector("camera_focal", 2),
-        vector("camera_rotation", 4),
+        focal,
+        rotation,
         vector("camera_translation", 3),
     )
 
@@ -220,14 +237,7 @@ def _tensors(file: Path, wanted: dict[str, tuple[tuple[int, ...], type[np.generi
 
     Raises SceneFolderError if the file has other arrays, or one of another shape or dtype.
     """
-    from safetensors import SafetensorError
-    from safetensors.numpy import load_file
-
-    try:
-        arrays = load_file(file)
-    # The safetensors package raises KeyError or TypeError for a dtype that NumPy does not have.
-    except (SafetensorError, ValueError, KeyError, TypeError, OSError) as error:
-        raise SceneFolderError(file, f"it cannot be read ({error})", "restore it, or decode again") from None
+    arrays = read_arrays(file, "restore it, or decode again")
     for name in sorted(wanted.keys() | arrays.keys()):
         if name not in arrays:
             raise SceneFolderError(file, f"the array {name} is missing", "restore it, or decode again")

@@ -13,7 +13,6 @@ from __future__ import annotations
 import json
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,9 +22,13 @@ from ..bitstream.header import RenderInfo
 from ..bitstream.networks import Layer
 from ..bitstream.reconstruction import Reconstruction
 from ..files.stage import new_file
+from .arrays import read_arrays
+from .document import Document
 from .layout import NETWORKS_FILE, PLY_FILE, RENDER_FILE, UNCOMPRESSED, SceneFolderError, there
 from .ply import read_cloud, write_cloud
 from .replace import replace_scene
+
+AGAIN = "train it again"
 
 
 @dataclass(frozen=True, eq=False)
@@ -54,6 +57,26 @@ class Uncompressed:
             "attributes": 4 * (v.features.size + v.scalings.size + v.offsets.size),
             "weights": 4 * weights,
         }
+
+
+def _read_networks(file: Path, offsets: int, features: int) -> dict[str, list[Layer]]:
+    """SPEC 14.3: returns the rendering networks of a file. offsets: K. features: F. Raises SceneFolderError."""
+    arrays = read_arrays(file, AGAIN)
+    outputs = dict(zip(RENDERING, (offsets, 7 * offsets, 3 * offsets), strict=True))
+    networks: dict[str, list[Layer]] = {}
+    for name, out in outputs.items():
+        # The hidden layer may have any width.
+        hidden = len(arrays.get(f"{name}.0.bias", ())) if arrays.get(f"{name}.0.bias", np.zeros(0)).ndim == 1 else 0
+        layers = []
+        for i, shape in enumerate(((hidden, features + 4), (out, hidden))):
+            found = [arrays.get(f"{name}.{i}.{part}") for part in ("weight", "bias")]
+            for part, array, wanted in zip(("weight", "bias"), found, (shape, shape[:1]), strict=True):
+                if array is None or array.shape != wanted or array.dtype != np.float32 or not np.isfinite(array).all():
+                    problem = f"{name}.{i}.{part} is not there as finite float32 numbers {list(wanted)}"
+                    raise SceneFolderError(file, problem, AGAIN)
+            layers.append((found[0], found[1]))
+        networks[name] = layers  # type: ignore[assignment]
+    return networks
 
 
 def is_uncompressed(path: Path) -> bool:
@@ -88,20 +111,12 @@ def _write_files(scene: Uncompressed, path: Path) -> None:
 
 def read_uncompressed(path: Path) -> Uncompressed:
     """Returns the scene of a folder. Raises SceneFolderError if one of its files is missing or cannot be read."""
-    from safetensors import SafetensorError
-    from safetensors.numpy import load_file
+    from .read import read_render
 
     cloud = read_cloud(path / PLY_FILE)
-    try:
-        facts = json.loads((path / RENDER_FILE).read_text(encoding="utf-8"))
-        given: dict[str, Any] = {k: tuple(v) if isinstance(v, list) else v for k, v in facts["render"].items()}
-        render = RenderInfo(**given)
-        arrays = load_file(path / NETWORKS_FILE)
-        networks = {
-            name: [(arrays[f"{name}.{i}.weight"], arrays[f"{name}.{i}.bias"]) for i in range(2)] for name in RENDERING
-        }
-    except (OSError, ValueError, KeyError, TypeError, SafetensorError) as error:
-        raise SceneFolderError(path, f"it is not a whole uncompressed scene ({error})", "train it again") from None
+    document = Document(path / RENDER_FILE, UNCOMPRESSED, AGAIN)
+    render = read_render(document)
+    networks = _read_networks(path / NETWORKS_FILE, cloud.masks.shape[1], cloud.features.shape[1])
     return Uncompressed(
         Reconstruction(
             cloud.positions,

@@ -59,6 +59,8 @@ def _rows_near(data: bytes, near: int | None) -> Iterator[Row]:
             before.clear()
             yield row
             after -= 1
+        else:
+            return
 
 
 def about_lines(data: bytes, near: int) -> Iterator[str]:

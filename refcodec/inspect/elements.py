@@ -203,17 +203,17 @@ def _substream_rows(data: bytes, start: int, end: int, lanes: int, path: str) ->
     yield from _payload(raw_at, end, end, f"{path}.raw", f"u8[{end - raw_at}]")
 
 
-def read_chunk_table(data: bytes, outline: Outline) -> NDArray[np.int64]:
-    """Returns the entries of the chunk table that are there, int64 [chunks, 6], with the fields of SPEC 5.10."""
+def read_chunk_table(data: bytes, outline: Outline) -> NDArray[np.uint32]:
+    """Returns the entries of the chunk table that are there, uint32 [chunks, 6], with the fields of SPEC 5.10.
+
+    The array is a view of the file: a file may claim many chunks.
+    """
     for kind, start, end in outline.sections:
         if SECTIONS.get(kind) == "chunk_table":
             at = start + outline.entries_start
-            return (
-                np.frombuffer(data, "<u4", 6 * max(0, (end - at) // CHUNK_ENTRY_BYTES), min(at, end))
-                .astype(np.int64)
-                .reshape(-1, 6)
-            )
-    return np.zeros((0, 6), np.int64)
+            count = max(0, (end - at) // CHUNK_ENTRY_BYTES)
+            return np.frombuffer(data, "<u4", 6 * count, min(at, end)).reshape(-1, 6)
+    return np.zeros((0, 6), np.uint32)
 
 
 def chunk_anchors(header: Any, number: int) -> int:
@@ -225,10 +225,10 @@ def _chunk_rows(data: bytes, outline: Outline, name: str, start: int, end: int) 
     h = outline.header
     column = PARTS.index(name)
     at = start
-    for number, length in enumerate(read_chunk_table(data, outline)[:, 2 * column].tolist()):
+    for number, length in enumerate(read_chunk_table(data, outline)[:, 2 * column]):
         if at == end:
             return
-        stop, path = min(end, at + length), f"{name}[chunk {number}]"
+        stop, path = min(end, at + int(length)), f"{name}[chunk {number}]"
         if name == "positions" and outline.position_mode and at < stop:
             yield Row(at, at + 1, f"{path}.form", "u8", data[at])
             at += 1

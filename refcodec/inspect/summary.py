@@ -5,9 +5,11 @@ from __future__ import annotations
 import json
 import math
 from collections.abc import Iterator
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ..bitstream.codec import Parsed
 from ..bitstream.dimensions import mask_contexts
@@ -19,6 +21,10 @@ from ..bitstream.planes import PLANE_NAMES
 from ..bitstream.reconstruction import digest
 from .elements import Outline, chunk_anchors, outline_of, parse_elements, read_chunk_table
 
+# SPEC 5.10: the parts of a chunk, as the fields of the chunk table name them.
+_PARTS = ("position", "mask", "attribute")
+# Chunks that are made at once.
+_BLOCK = 4096
 # Columns of the bar of a section that is the whole file.
 _BAR = 20
 
@@ -61,8 +67,35 @@ def _section_table(data: bytes, outline: Outline) -> list[dict[str, Any]]:
     ]
 
 
+@dataclass(frozen=True, eq=False)
+class ChunkSizes:
+    """The chunks that a file claims to have. A damaged file may claim a million, so each is made when it is asked for.
+
+    header: the parsed struct. table: uint32 [chunks, 3], the bytes of the parts of each, in the order of PARTS.
+    """
+
+    header: Any
+    table: NDArray[np.uint32]
+
+    def __len__(self) -> int:
+        return len(self.table)
+
+    def __iter__(self) -> Iterator[dict[str, int]]:
+        names = [f"{part}_bytes" for part in _PARTS]
+        for first in range(0, len(self.table), _BLOCK):
+            for number, row in enumerate(self.table[first : first + _BLOCK].tolist(), start=first):
+                yield {"anchors": self.anchors(number), **dict(zip(names, row, strict=True))}
+
+    def anchors(self, number: int) -> int:
+        """Returns how many anchors a chunk has."""
+        return chunk_anchors(self.header, number)
+
+
 def document(data: bytes, verdict: Parsed | BitstreamError) -> dict[str, Any]:
-    """Returns the facts about a file as JSON values. verdict: what codec.parse returned or raised."""
+    """Returns the facts about a file as JSON values, and its chunks as ChunkSizes.
+
+    verdict: what codec.parse returned or raised.
+    """
     outline = outline_of(data)
     h, d = outline.header, outline.dimensions
     found: dict[str, Any] = {
@@ -87,16 +120,29 @@ def document(data: bytes, verdict: Parsed | BitstreamError) -> dict[str, Any]:
             if outline.position_mode:
                 model = parse_elements("PositionModel", data, start + 2 * count, end, "chunk_table.position_model")[1]
                 found["position_model"] = _plain(model)
-            found["chunks"] = [
-                {"anchors": chunk_anchors(h, number), "position_bytes": p, "mask_bytes": m, "attribute_bytes": a}
-                for number, (p, _, m, _, a, _) in enumerate(read_chunk_table(data, outline).tolist())
-            ]
+            found["chunks"] = ChunkSizes(h, read_chunk_table(data, outline)[:, ::2])
     if isinstance(verdict, BitstreamError):
         found["accepted"], found["error"] = False, {**json.loads(verdict.to_json()), "text": str(verdict)}
     else:
         whole, parts = digest(verdict.scene)
         found |= {"accepted": True, "kept_offsets": int(verdict.scene.masks.sum()), "digest": {"whole": whole, **parts}}
     return found
+
+
+def json_lines(facts: dict[str, Any]) -> Iterator[str]:
+    """Yields the lines of the facts of `document` as one JSON text."""
+    # Only the facts themselves have a field of this name with one space before it.
+    mark = ' "chunks": ['
+    chunks: ChunkSizes | tuple[()] = facts.get("chunks", ())
+    for line in json.dumps({**facts, "chunks": []} if chunks else facts, indent=1, default=list).splitlines():
+        if not chunks or not line.startswith(mark):
+            yield line
+            continue
+        yield mark
+        for number, chunk in enumerate(chunks, start=1):
+            fields = ",\n".join(f'   "{name}": {value}' for name, value in chunk.items())
+            yield f"  {{\n{fields}\n  }}{',' if number < len(chunks) else ''}"
+        yield f" {line.removeprefix(mark)}"
 
 
 def summary(facts: dict[str, Any], name: str) -> Iterator[str]:
@@ -161,8 +207,9 @@ def _chunk_lines(facts: dict[str, Any]) -> Iterator[str]:
     chunks = facts.get("chunks")
     if not chunks:
         return
-    yield f"{len(chunks)} chunks of {facts['header']['chunk_size']} anchors, the last one of {chunks[-1]['anchors']}"
+    last = chunks.anchors(len(chunks) - 1)
+    yield f"{len(chunks)} chunks of {facts['header']['chunk_size']} anchors, the last one of {last}"
     yield f"{'bytes of a chunk':<18} {'smallest':>10} {'mean':>12} {'largest':>10}"
-    for part in ("position", "mask", "attribute"):
-        sizes = [c[f"{part}_bytes"] for c in chunks]
-        yield f"  {part + 's':<16} {min(sizes):>10} {sum(sizes) / len(sizes):>12.1f} {max(sizes):>10}"
+    for part, sizes in zip(_PARTS, chunks.table.T, strict=True):
+        mean = int(sizes.sum(dtype=np.uint64)) / len(sizes)
+        yield f"  {part + 's':<16} {sizes.min():>10} {mean:>12.1f} {sizes.max():>10}"

@@ -100,12 +100,15 @@ def checked_rotation(where: Path | str, matrix: F64) -> F64:
         raise PhotographError(
             where, "the pose has a NaN or an infinite number", "estimate the poses again, or remove this image"
         )
-    if np.abs(matrix @ matrix.T - np.eye(3)).max() > ROTATION_TOLERANCE or np.linalg.det(matrix) < 0:
+    with np.errstate(over="ignore", invalid="ignore"):
+        # Written so that NaN fails: squares of large numbers are infinite.
+        right = np.abs(matrix @ matrix.T - np.eye(3)).max() <= ROTATION_TOLERANCE and np.linalg.det(matrix) > 0
+        lengths = ", ".join(f"{v:.4g}" for v in np.linalg.norm(matrix, axis=1))
+        determinant = np.linalg.det(matrix)
+    if not right:
         raise PhotographError(
             where,
-            "the pose's matrix is not a rotation "
-            f"(rows of length {', '.join(f'{v:.4g}' for v in np.linalg.norm(matrix, axis=1))}, "
-            f"determinant {np.linalg.det(matrix):.4g})",
+            f"the pose's matrix is not a rotation (rows of length {lengths}, determinant {determinant:.4g})",
             "give poses without scale, shear or mirroring",
         )
     u, _, v = np.linalg.svd(matrix)

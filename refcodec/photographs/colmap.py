@@ -69,6 +69,8 @@ IMAGE_SUFFIXES = (".jpg", ".jpeg", ".png", ".webp", ".tif", ".tiff", ".bmp")
 # Smallest records of the binary files, in bytes: counts are held against what the file has left.
 CAMERA_HEAD, IMAGE_HEAD, POINT_HEAD = struct.Struct("<IiQQ"), struct.Struct("<I7dI"), struct.Struct("<Q3d3BdQ")
 SMALLEST = {"cameras": CAMERA_HEAD.size, "images": IMAGE_HEAD.size + 1 + 8, "points3D": POINT_HEAD.size}
+# A line of images.txt has all 2D points of an image.
+LINE_MAX = 1 << 26
 RERUN = "the file is damaged or incomplete: export the model again (colmap model_converter)"
 
 
@@ -223,8 +225,10 @@ def _cloud(file: Path, rows: list[tuple[float, ...]]) -> tuple[F64, U8]:
 def _lines(file: Path) -> Iterator[tuple[str, str]]:
     """Where it is and what it says, for every line but comments."""
     try:
-        with file.open(encoding="utf-8") as lines:
-            for number, line in enumerate(lines, 1):
+        with file.open(encoding="utf-8") as text:
+            for number, line in enumerate(iter(lambda: text.readline(LINE_MAX), ""), 1):
+                if len(line) == LINE_MAX:
+                    raise PhotographError(f"{file}, line {number}", f"it has more than {LINE_MAX} characters", RERUN)
                 if not line.startswith("#"):
                     yield f"{file}, line {number}", line.strip()
     except UnicodeDecodeError:

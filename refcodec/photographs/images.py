@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+import warnings
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -12,9 +13,12 @@ from PIL import Image
 from scipy import sparse
 
 from .cameras import SIDE_MAX, U8, PhotographError
+from .png import has_all_rows
 
 # What photographs come in. Others stay closed: some of Pillow's readers start programs (EPS).
 FORMATS = ("JPEG", "PNG", "WEBP", "TIFF", "BMP")
+# The most pixels of an image. Reading one with transparency takes 20 bytes a pixel for a moment.
+PIXELS_MAX = 100_000_000
 # 16-bit and float images have no agreed range.
 EIGHT_BITS = ("1", "L", "LA", "P", "PA", "RGB", "RGBA", "RGBX", "CMYK", "YCbCr")
 
@@ -74,7 +78,18 @@ def _opened(path: Path) -> Iterator[Image.Image]:
     if not path.is_file():
         raise PhotographError(path, "the image is missing", "restore it, or remove its pose from the dataset")
     try:
-        with Image.open(path, formats=FORMATS) as image:
+        with warnings.catch_warnings():
+            # Pillow warns of large images in several lines. The bound here is stated, and an error.
+            warnings.simplefilter("ignore", Image.DecompressionBombWarning)
+            opened = Image.open(path, formats=FORMATS)
+        with opened as image:
+            width, height = image.size
+            if width * height > PIXELS_MAX:
+                raise PhotographError(
+                    path,
+                    f"the image has {width} x {height} pixels, {PIXELS_MAX} are allowed",
+                    "export it again with fewer pixels",
+                )
             yield image
     except PhotographError:
         raise
@@ -106,6 +121,9 @@ def read_image(path: Path, background: tuple[int, int, int]) -> U8:
                 f"its pixels are of the kind {image.mode}, 8 bits per channel are required",
                 "convert it to 8 bits",
             )
+        image.load()
+        if not has_all_rows(path):
+            raise PhotographError(path, "some rows of the image are missing", "export or copy the image again")
         if image.has_transparency_data:
             pixels = np.asarray(image.convert("RGBA"), np.float32)
             alpha = pixels[..., 3:] / 255

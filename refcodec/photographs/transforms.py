@@ -6,13 +6,14 @@ Pixels are counted as in COLMAP (instant-ngp, nerfstudio). Without cx and cy the
 
 from __future__ import annotations
 
-import json
 from pathlib import Path, PurePosixPath
 from typing import Any
 
 import numpy as np
 from plyfile import PlyData
 
+from ..files.documents import DocumentError, read_json
+from ..files.ply_header import check_ply_header
 from .cameras import (
     F64,
     U8,
@@ -87,9 +88,8 @@ def read_transforms(folder: Path, seed: int) -> tuple[list[Shot], list[Shot] | N
 
 def _document(file: Path) -> dict[str, Any]:
     try:
-        document = json.loads(file.read_bytes())
-    # RecursionError: arrays nested without end.
-    except (ValueError, RecursionError) as error:
+        document = read_json(file)
+    except DocumentError as error:
         raise PhotographError(file, f"it is not JSON ({error})", REPAIR) from None
     if not isinstance(document, dict) or not isinstance(document.get("frames"), list):
         raise PhotographError(file, 'it has no list "frames"', REPAIR)
@@ -222,6 +222,7 @@ def read_points(file: Path) -> tuple[F64, U8]:
     """
     advice = "give vertices with x, y, z and, as 8-bit integers, red, green, blue"
     try:
+        check_ply_header(file)
         data = PlyData.read(str(file))["vertex"].data
         points = np.stack([data[axis].astype(np.float64) for axis in "xyz"], axis=1)
         colours = np.full(points.shape, GREY, np.uint8)

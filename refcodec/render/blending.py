@@ -5,8 +5,9 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-from numba import njit, prange
+from numba import prange
 
+from .compiled import compiled
 from .constants import BLOCK, BLOCK_HEIGHT, F32, I32, I64, LEAST, SUMS, TILE_HEIGHT, TILE_WIDTH, TRANSMITTANCE_MIN
 from .simd import WIDTH, bits, column_sums, exp2, fma, fnma, load, lowest, maximum, minimum, select, splat, store, total
 from .tiles import block_at, blocks_reached
@@ -18,7 +19,7 @@ _STOP = np.float32(TRANSMITTANCE_MIN)
 _FLOOR = np.float32(-32)
 
 
-@njit(cache=True, parallel=True, error_model="numpy")
+@compiled(parallel=True)
 def blend_tiles(
     record: F32, tile_begin: I64, members: I32, width: int, height: int, alpha_max: np.float32, background: F32
 ) -> Any:
@@ -46,7 +47,7 @@ def blend_tiles(
     return image, transmittance, last
 
 
-@njit(cache=True, error_model="numpy")
+@compiled()
 def _blend_tile(
     record: F32,
     members: I32,
@@ -114,7 +115,7 @@ def _blend_tile(
                 image[y, x, channel] = state[at + (4 + channel) * WIDTH] + left * background[channel]
 
 
-@njit(cache=True, error_model="numpy")
+@compiled()
 def _unfinished(state: F32) -> np.uint64:
     """Returns the blocks with a pixel that takes more Gaussians, as bits in the order of blocks_reached."""
     found = np.uint64(0)
@@ -124,7 +125,7 @@ def _unfinished(state: F32) -> np.uint64:
     return found
 
 
-@njit(cache=True, parallel=True, error_model="numpy")
+@compiled(parallel=True)
 def unblend_tiles(
     record: F32,
     tile_begin: I64,
@@ -160,7 +161,7 @@ def unblend_tiles(
     return sums
 
 
-@njit(cache=True, error_model="numpy")
+@compiled()
 def _unblend_tile(
     record: F32,
     members: I32,

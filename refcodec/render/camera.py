@@ -2,17 +2,26 @@
 
 from __future__ import annotations
 
-import json
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ..bitstream.header import RenderInfo
+from ..files.documents import parse_json
 
 F64 = NDArray[np.float64]
 # The name of the camera that a file states.
 OWN = "default"
+
+# The most bytes of a stated camera, which has some hundred.
+CAMERA_MAX = 1 << 16
+# SPEC 6.5 has 16 bits for each side of an image.
+SIDE_MAX = 65535
+# How far rotation @ rotation.T of a stated camera may be from the identity. The camera's centre follows from the
+# rotation's transpose, so a matrix that is none would show another place.
+ROTATION_TOLERANCE = 1e-3
 
 
 @dataclass(frozen=True, eq=False)
@@ -76,28 +85,51 @@ def default_camera(info: RenderInfo) -> Camera:
     )
 
 
-def read_camera(text: str) -> Camera:
+def read_camera(data: bytes | str) -> Camera:
     """Returns the camera that a JSON object states (vectors/README.md).
 
-    Its fields are width, height, focal, principal_point, rotation by rows, and translation. Raises ValueError.
+    Its fields are width, height, focal, principal_point, rotation by rows, and translation. Raises ValueError for a
+    field that is missing or has another type, a side of more than 65535 pixels, a focal length of 0 or less, and a
+    rotation that is none to ROTATION_TOLERANCE.
     """
-    try:
-        c = json.loads(text)
-        (fx, fy), (cx, cy) = c["focal"], c["principal_point"]
-        rotation, translation = np.array(c["rotation"], np.float64), np.array(c["translation"], np.float64)
-        camera = Camera(
-            "stated",
-            int(c["width"]),
-            int(c["height"]),
-            float(fx),
-            float(fy),
-            float(cx),
-            float(cy),
-            rotation,
-            translation,
-        )
-    except (KeyError, TypeError) as error:
-        raise ValueError(str(error)) from None
-    if rotation.shape != (3, 3) or translation.shape != (3,):
-        raise ValueError("rotation is not 3 x 3, or translation is not 3 numbers")
-    return camera
+    fields = parse_json(data, CAMERA_MAX)
+    if not isinstance(fields, dict):
+        raise ValueError("it is no JSON object")
+    width, height = (_side(fields, name) for name in ("width", "height"))
+    focal, principal = _floats(fields, "focal", (2,)), _floats(fields, "principal_point", (2,))
+    rotation, translation = _floats(fields, "rotation", (3, 3)), _floats(fields, "translation", (3,))
+    if focal.min() <= 0:
+        raise ValueError(f"focal is {focal.tolist()}, numbers above 0 are required")
+    # Rows that are far too long would overflow when they are multiplied.
+    right = np.abs(rotation).max() < 2 and np.abs(rotation @ rotation.T - np.eye(3)).max() <= ROTATION_TOLERANCE
+    if not right or np.linalg.det(rotation) < 0:
+        raise ValueError(f"rotation is no rotation to {ROTATION_TOLERANCE}")
+    (fx, fy), (cx, cy) = focal.tolist(), principal.tolist()
+    return Camera("stated", width, height, fx, fy, cx, cy, rotation, translation)
+
+
+def _field(fields: dict[str, Any], name: str) -> Any:
+    if name not in fields:
+        raise ValueError(f"{name} is missing")
+    return fields[name]
+
+
+def _side(fields: dict[str, Any], name: str) -> int:
+    value = _field(fields, name)
+    if type(value) is not int or not 1 <= value <= SIDE_MAX:
+        raise ValueError(f"{name} is not an integer from 1 to {SIDE_MAX}")
+    return value
+
+
+def _floats(fields: dict[str, Any], name: str, shape: tuple[int, ...]) -> F64:
+    """Returns an array of finite numbers."""
+
+    def right(value: Any, sides: tuple[int, ...]) -> bool:
+        if not sides:
+            return isinstance(value, int | float) and not isinstance(value, bool)
+        return isinstance(value, list) and len(value) == sides[0] and all(right(v, sides[1:]) for v in value)
+
+    value = _field(fields, name)
+    if not right(value, shape):
+        raise ValueError(f"{name} is not {' x '.join(map(str, shape))} numbers")
+    return np.array(value, np.float64)

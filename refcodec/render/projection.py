@@ -6,9 +6,10 @@ import math
 from typing import Any
 
 import numpy as np
-from numba import njit, prange
+from numba import prange
 
 from .camera import Camera
+from .compiled import compiled
 from .constants import F32, I32, I64, LEAST, LOG2_MIN, SLACK, SUMS, TILE_HEIGHT, TILE_WIDTH
 
 # SPEC 14.4: how far beyond the edges of the image slopes may be, as a share of its size.
@@ -22,12 +23,12 @@ _FLATTEST, _STEEPEST = 1e-30, 1e30
 _OPACITY_MAX = 2.0**126
 
 
-@njit(cache=True, error_model="numpy")
+@compiled()
 def _dot(x: Any, y: Any) -> float:
     return x[0] * y[0] + x[1] * y[1] + x[2] * y[2]
 
 
-@njit(cache=True, error_model="numpy")
+@compiled()
 def _combine(f: Any, v: Any) -> Any:
     """Returns the sum of three vectors v, each times its factor in f."""
     return (
@@ -37,25 +38,25 @@ def _combine(f: Any, v: Any) -> Any:
     )
 
 
-@njit(cache=True, error_model="numpy")
+@compiled()
 def _row3(values: F32, i: int) -> Any:
     return np.float64(values[i, 0]), np.float64(values[i, 1]), np.float64(values[i, 2])
 
 
-@njit(cache=True, error_model="numpy")
+@compiled()
 def _rows_of(v: Any) -> Any:
     """Returns a flat tuple as rows of three. Parallel loops take no nested tuples."""
     return (v[0], v[1], v[2]), (v[3], v[4], v[5]), (v[6], v[7], v[8]), (v[9], v[10], v[11])
 
 
-@njit(cache=True, error_model="numpy")
+@compiled()
 def _camera_space(i: int, mean: F32, view: Any) -> Any:
     """Returns the mean of Gaussian i in camera space. view: the rows of the rotation and the translation, as tuples."""
     m = _row3(mean, i)
     return _dot(view[0], m) + view[3][0], _dot(view[1], m) + view[3][1], _dot(view[2], m) + view[3][2]
 
 
-@njit(cache=True, error_model="numpy")
+@compiled()
 def _axes(i: int, p: Any, quaternion: F32, view: Any, lens: Any) -> Any:
     """Returns the directions of Gaussian i, whose mean is p in camera space.
 
@@ -86,12 +87,12 @@ def _axes(i: int, p: Any, quaternion: F32, view: Any, lens: Any) -> Any:
     return row_x, row_y, (w, x, y, z), shrink, columns, along_x, along_y
 
 
-@njit(cache=True, error_model="numpy")
+@compiled()
 def _scaled(s: Any, v: Any) -> Any:
     return s[0] * v[0], s[1] * v[1], s[2] * v[2]
 
 
-@njit(cache=True, parallel=True, error_model="numpy")
+@compiled(parallel=True)
 def project_gaussians(
     mean: F32,
     quaternion: F32,
@@ -187,7 +188,7 @@ def project_gaussians(
     return record, room, depth, radius
 
 
-@njit(cache=True, parallel=True, error_model="numpy")
+@compiled(parallel=True)
 def unproject_gaussians(
     sums: F32,
     record: F32,

@@ -6,8 +6,9 @@ import math
 from typing import Any
 
 import numpy as np
-from numba import njit, prange
+from numba import prange
 
+from .compiled import compiled
 from .constants import (
     BLOCK,
     BLOCK_HEIGHT,
@@ -31,7 +32,7 @@ PARTS = 16
 LIST_MAX, PAIRS_MAX = 1 << 24, 1 << 27
 
 
-@njit(cache=True, error_model="numpy")
+@compiled()
 def sort_by_depth(depth: F64, room: I32) -> I32:
     """SPEC 14.5: returns the Gaussians that are drawn by increasing depth, and those of equal depth by index, i32[V].
 
@@ -79,7 +80,7 @@ def sort_by_depth(depth: F64, room: I32) -> I32:
     return order
 
 
-@njit(cache=True, parallel=True, error_model="numpy")
+@compiled(parallel=True)
 def list_tiles(order: I32, record: F32, room: I32, columns: int, rows: int) -> Any:
     """Lists the pairs of Gaussians and tiles, by tile, then by depth.
 
@@ -127,7 +128,7 @@ def list_tiles(order: I32, record: F32, room: I32, columns: int, rows: int) -> A
     return begin, count, place, tile_begin, members
 
 
-@njit(cache=True, error_model="numpy")
+@compiled()
 def _tiles_of(i: int, record: F32, box: I32, columns: int, tiles: I32, begin: int) -> int:
     """Writes to tiles[begin:] the tiles that Gaussian i may reach, and returns how many.
 
@@ -174,7 +175,7 @@ def _tiles_of(i: int, record: F32, box: I32, columns: int, tiles: I32, begin: in
     return n - begin
 
 
-@njit(cache=True, inline="always", error_model="numpy")
+@compiled(inline="always")
 def block_at(x: int, y: int) -> int:
     """Returns where pixel (x, y) of a tile is in its state, in the first plane of a block."""
     return (
@@ -184,7 +185,7 @@ def block_at(x: int, y: int) -> int:
     )
 
 
-@njit(cache=True, inline="always", error_model="numpy")
+@compiled(inline="always")
 def blocks_reached(
     a: np.float32, b: np.float32, c: np.float32, log_opacity: np.float32, u: np.float32, v: np.float32
 ) -> np.uint64:

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import numpy as np
-from numba import njit, prange
+from numba import prange
 from numpy.typing import NDArray
+
+from ..render.compiled import compiled
 
 F32 = NDArray[np.float32]
 I64 = NDArray[np.int64]
@@ -15,7 +17,7 @@ BETA_1, BETA_2, EPSILON = np.float32(0.9), np.float32(0.999), np.float32(ADAM_EP
 _REST_1, _REST_2 = np.float32(1) - BETA_1, np.float32(1) - BETA_2
 
 
-@njit(cache=True, error_model="numpy")
+@compiled()
 def gather_rows(rows: I64, gradient: F32, total: F32, place: I64, found: I64, count: int) -> int:
     """Adds gradients [n, D] of the anchors `rows` [n] to the rows of total [M, D] that `place` [N] gives them.
 
@@ -33,7 +35,7 @@ def gather_rows(rows: I64, gradient: F32, total: F32, place: I64, found: I64, co
     return count
 
 
-@njit(cache=True, parallel=True, error_model="numpy")
+@compiled(parallel=True)
 def adam_rows(table: F32, first: F32, second: F32, steps: int, rows: I64, gradient: F32, rate: np.float32) -> None:
     """One step of Adam on table[rows].
 

@@ -17,13 +17,14 @@ import torch
 from ..bitstream.attributes import KINDS
 from ..bitstream.scene import Scene
 from ..files.stage import write_file
+from ..files.terminal import ProgressStream, note
 from ..folder.uncompressed import Uncompressed, write_uncompressed
 from ..folder.write import write_folder
 from ..photographs.photographs import PhotographSet
 from .looks import psnr
 from .settings import TrainSettings
 from .settings_file import document
-from .state import restore, save
+from .state import Keeper, restore, write_somewhere
 from .trainer import Trainer, Watch
 
 REPORT_FILE = "training.json"
@@ -49,25 +50,35 @@ def train(
     """Trains, and writes the scene folder and training.json. Returns the training, and whether it came to its end.
 
     threads: of the rasteriser; all else uses one, so that no result depends on it. resume: from the saved state.
-    progress: whether lines tell of it where there is no terminal. Raises ValueError for photographs that cannot be
-    learnt from, for a saved state that is damaged or of another training, and for a scene that cannot be written.
+    progress: whether lines tell of it where there is no terminal.
+
+    A state that cannot be saved does not end the training. A scene that cannot be written to `output` is written among
+    the temporary files, and the error says where.
+
+    Raises ValueError for photographs that cannot be learnt from, and for what has been learnt but has no file.
+    Raises StateError for a saved state that cannot be used, and OSError for a scene that cannot be written.
     """
     torch.set_num_threads(1)
     numba.set_num_threads(min(threads, numba.get_num_threads()))
     trainer = Trainer(photographs, settings, device)
-    state = state_path(output)
+    keep = Keeper(trainer, state_path(output))
     if resume:
-        restore(trainer, state)
+        restore(trainer, keep.path)
     with _shown(trainer, progress) as watch:
-        whole = trainer.run(watch, lambda: save(trainer, state))
+        whole = trainer.run(watch, keep)
     result = trainer.result()
-    if isinstance(result, Uncompressed):
-        write_uncompressed(result, output)
-    else:
-        write_folder(result, output)
-    write_file(output / REPORT_FILE, (json.dumps(report(trainer, result), indent=1) + "\n").encode())
+    said = json.dumps(report(trainer, result), indent=1) + "\n"
+
+    def write(folder: Path) -> None:
+        if isinstance(result, Uncompressed):
+            write_uncompressed(result, folder)
+        else:
+            write_folder(result, folder)
+        write_file(folder / REPORT_FILE, said.encode())
+
+    write_somewhere(write, output, keep.path, keep)
     if whole:
-        state.unlink(missing_ok=True)
+        keep.discard()
     return trainer, whole
 
 
@@ -113,7 +124,7 @@ def _shown(trainer: Trainer, progress: bool) -> Iterator[Watch]:
     if sys.stderr.isatty():
         from tqdm import tqdm  # noqa: PLC0415 (only here)
 
-        with tqdm(total=clock.steps, initial=clock.done, desc="train", file=sys.stderr) as bar:
+        with tqdm(total=clock.steps, initial=clock.done, desc="train", file=ProgressStream()) as bar:
 
             def show(_: Trainer) -> None:
                 bar.update(clock.done - bar.n)
@@ -130,7 +141,7 @@ def _shown(trainer: Trainer, progress: bool) -> Iterator[Watch]:
     def tell(_: Trainer) -> None:
         nonlocal last
         if progress and (time.monotonic() - last > LINE_SECONDS or clock.done == clock.steps):
-            print(line(trainer), file=sys.stderr, flush=True)
+            note(line(trainer))
             last = time.monotonic()
 
     yield tell

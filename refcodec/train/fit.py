@@ -39,7 +39,7 @@ from .optimisers import moments, restore_moments
 from .rendering_networks import RENDER_WIDTH
 from .settings import FitSettings, QuantisationSettings
 from .settings_file import document
-from .state import restore, save
+from .state import Keeper, Saved, restore
 from .voxelise import display_networks
 
 
@@ -204,18 +204,19 @@ class _Fitting:
         if state is not None and state.exists():
             restore(self, state)
         saved, steps = time.monotonic(), self.settings.steps
+        keep = Keeper(self, state) if state is not None else None
         try:
             while self.done < steps:
                 self._step()
                 if progress:
                     progress("fit", self.done, steps)
                 late = time.monotonic() - saved > self.settings.save_seconds
-                if state is not None and (late or self.done == steps):
-                    save(self, state)
+                if keep is not None and (late or self.done == steps):
+                    keep()
                     saved = time.monotonic()
         except KeyboardInterrupt:
-            if state is not None:
-                save(self, state)
+            if keep is not None:
+                keep()
 
     def _step(self) -> None:
         settings, model = self.settings, self.model
@@ -272,19 +273,20 @@ class _Fitting:
         values = {
             "done": self.done,
             "integers": self.model.integers,
-            "history": self.history,
+            "history": [dict(zip(("step", "bits", "planes"), entry, strict=True)) for entry in self.history],
             "draw": self.draw.get_state(),
         }
         return {**model, **moments(self.optimiser), **values}
 
-    def restore(self, state: dict[str, Any]) -> None:
+    def restore(self, state: Saved) -> None:
         """As state.Savable."""
-        self.model.load_state_dict({k.removeprefix("model."): v for k, v in state.items() if k.startswith("model.")})
-        self.model.set_integers(state["integers"])
+        state.module("model.", self.model)
+        self.model.set_integers(state.flag("integers"))
         restore_moments(self.optimiser, state)
-        self.draw.set_state(state["draw"])
-        self.history = [(int(step), float(bits), float(planes)) for step, bits, planes in state["history"]]
-        self.done = int(state["done"])
+        state.generator("draw", self.draw)
+        notes = state.records("history", ("step", "bits", "planes"))
+        self.history = [(int(n["step"]), float(n["bits"]), float(n["planes"])) for n in notes]
+        self.done = state.integer("done", 0, self.settings.steps)
         if self.done:
             # The learning rates follow from the number of steps alone: this is their state after `done` of them.
             self.schedule.last_epoch = self.done - 1

@@ -14,6 +14,7 @@ from ..bitstream.attributes import KINDS
 from .part import Part
 from .schedule import Clock
 from .settings import LookSettings
+from .state import Saved
 from .views import Views, pixels
 
 # Steps whose mean PSNR is told, and the weight of the newest step in the mean time of a step.
@@ -75,6 +76,7 @@ class Looks(Part):
         """The notes."""
         return {"history": self.history, "recent": self.recent, "seconds": self.seconds}
 
-    def restore(self, state: dict[str, Any]) -> None:
+    def restore(self, state: Saved) -> None:
         """As Part."""
-        self.history, self.recent, self.seconds = state["history"], state["recent"], state["seconds"]
+        self.history = state.records("history", ("step", "seconds", "psnr", "anchors", "bytes"))
+        self.recent, self.seconds = state.numbers("recent"), state.real("seconds", 0)

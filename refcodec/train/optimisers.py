@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import math
-from typing import Any
 
 import torch
 from torch import Tensor
 
 from .settings import Decay
+from .state import Saved
 
 
 def learning_rate(decay: Decay, share: float) -> float:
@@ -23,11 +23,19 @@ def moments(optimiser: torch.optim.Optimizer) -> dict[str, Tensor]:
     return {f"adam.{i}.{key}": value for i, values in found.items() for key, value in values.items()}
 
 
-def restore_moments(optimiser: torch.optim.Optimizer, state: dict[str, Any]) -> None:
-    """Sets what `moments` gave."""
+def restore_moments(optimiser: torch.optim.Optimizer, state: Saved) -> None:
+    """Sets what `moments` gave. Raises ValueError.
+
+    A parameter that never had a gradient has no moments.
+    """
     found: dict[int, dict[str, Tensor]] = {}
-    for key, value in state.items():
-        if key.startswith("adam."):
-            _, index, moment = key.split(".")
-            found.setdefault(int(index), {})[moment] = value
+    names = set(state.names())
+    parameters = [value for group in optimiser.param_groups for value in group["params"]]
+    for i, value in enumerate(parameters):
+        if any(f"adam.{i}.{moment}" in names for moment in ("step", "exp_avg", "exp_avg_sq")):
+            found[i] = {
+                "step": state.tensor(f"adam.{i}.step", (), low=0),
+                "exp_avg": state.tensor(f"adam.{i}.exp_avg", value.shape),
+                "exp_avg_sq": state.tensor(f"adam.{i}.exp_avg_sq", value.shape, low=0),
+            }
     optimiser.load_state_dict({"state": found, "param_groups": optimiser.state_dict()["param_groups"]})

@@ -8,6 +8,7 @@ from typing import Any
 from torch import Tensor
 
 from ..render.camera import Camera
+from .state import Saved
 
 
 @dataclass(eq=False)
@@ -84,5 +85,8 @@ class Part:
         """What a saved training needs: tensors, and values of JSON."""
         return {}
 
-    def restore(self, state: dict[str, Any]) -> None:
-        """Sets what `state` gave. The anchors are restored before, the random numbers after all parts."""
+    def restore(self, state: Saved) -> None:
+        """Sets what `state` gave. The anchors are restored before, the random numbers after all parts.
+
+        Raises ValueError for what cannot be a state of this part.
+        """

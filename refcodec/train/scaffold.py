@@ -16,7 +16,8 @@ from .entropy.model import OFFSETS, WIDTHS
 from .rendering_networks import RenderNetworks
 from .settings import TrainSettings
 from .spawn import Spawn
-from .start import first_anchors
+from .start import LATTICE_MAX, first_anchors
+from .state import Saved
 
 I64 = NDArray[np.int64]
 
@@ -138,12 +139,13 @@ class Scaffold:
         networks = {f"networks.{name}": value for name, value in self.networks.state_dict().items()}
         return {**found, **networks, "lattice": torch.from_numpy(self.lattice)}
 
-    def restore(self, state: dict[str, Any]) -> None:
-        """Sets what `state` gave."""
-        self.lattice = state["lattice"].numpy()
+    def restore(self, state: Saved) -> None:
+        """Sets what `state` gave. Raises ValueError."""
+        self.lattice = state.tensor("lattice", (None, 3), torch.int64, -LATTICE_MAX, LATTICE_MAX).numpy()
         for kind, tables in (("tables", self.tables), ("first", self.first), ("second", self.second)):
-            for name in tables:
-                tables[name] = state[f"{kind}.{name}"]
-        networks = {k.removeprefix("networks."): v for k, v in state.items() if k.startswith("networks.")}
-        self.networks.load_state_dict(networks)
+            for name, columns in COLUMNS.items():
+                # The second moments are means of squares.
+                low = 0 if kind == "second" else -math.inf
+                tables[name] = state.tensor(f"{kind}.{name}", (self.count, columns), low=low)
+        state.module("networks.", self.networks)
         self.place()

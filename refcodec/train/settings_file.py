@@ -8,12 +8,12 @@ from __future__ import annotations
 import json
 import math
 import textwrap
-import tomllib
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import Field, asdict, fields, is_dataclass, replace
 from pathlib import Path
 from typing import Any, TypeVar, get_args, get_origin, get_type_hints
 
+from ..files.documents import TOML_MAX, DocumentError, parse_toml
 from .settings import Phase, TrainSettings
 
 T = TypeVar("T")
@@ -119,9 +119,10 @@ def _toml(value: Any) -> str:
 def from_toml(path: Path, base: T) -> T:
     """The settings of a file; what it does not name is as in `base`. Raises SettingsError, OSError."""
     try:
-        return merged(base, tomllib.loads(path.read_text(encoding="utf-8")))
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
-        raise SettingsError(f"{path} is not TOML: {error}") from None
+        with path.open("rb") as file:
+            return merged(base, parse_toml(file.read(TOML_MAX + 1)))
+    except DocumentError as error:
+        raise SettingsError(f"{path} cannot be read: {error}") from None
     except SettingsError as error:
         raise SettingsError(f"{path}: {error}") from None
 
@@ -137,8 +138,8 @@ def assigned(base: T, assignments: Iterable[str]) -> T:
         if not equals:
             raise SettingsError(f"{assignment!r} is not NAME=VALUE")
         try:
-            changes[name.strip()] = tomllib.loads(f"value = {text}")["value"]
-        except tomllib.TOMLDecodeError:
+            changes[name.strip()] = parse_toml(f"value = {text}")["value"]
+        except DocumentError:
             changes[name.strip()] = text
     return varied(base, changes)
 

@@ -11,20 +11,22 @@ from typing import Any
 
 import numpy as np
 import torch
-from numba import njit, prange
+from numba import prange
 from numpy.typing import NDArray
 from torch import Tensor
+
+from ..render.compiled import compiled
 
 F32 = NDArray[np.float32]
 I64 = NDArray[np.int64]
 
 
-@njit(cache=True, inline="always", error_model="numpy")
+@compiled(inline="always")
 def _logistic(x: float) -> float:
     return 1 / (1 + math.exp(-x))
 
 
-@njit(cache=True, parallel=True, error_model="numpy")
+@compiled(parallel=True)
 def _forward(chosen: I64, k: int, position: F32, offsets: F32, scalings: F32, covariance: F32, colour: F32) -> Any:
     n = chosen.shape[0]
     mean, lengths = np.empty((n, 3), np.float32), np.empty((n, 3), np.float32)
@@ -40,7 +42,7 @@ def _forward(chosen: I64, k: int, position: F32, offsets: F32, scalings: F32, co
     return mean, quaternion, lengths, rgb
 
 
-@njit(cache=True, parallel=True, error_model="numpy")
+@compiled(parallel=True)
 def _backward(
     first: I64,
     chosen: I64,

@@ -13,9 +13,10 @@ from typing import Any
 
 import numpy as np
 import torch
-from numba import njit, prange
+from numba import prange
 from numpy.typing import ArrayLike, NDArray
 
+from ..render.compiled import compiled
 from ..render.simd import WIDTH, fma, fnma, load, splat, store, total
 
 F32 = NDArray[np.float32]
@@ -53,7 +54,7 @@ class Similarity:
     d_product: F32
 
 
-@njit(cache=True, inline="always", error_model="numpy")
+@compiled(inline="always")
 def _across(row: F32, begin: int, at: int, channels: int, window: F32) -> Any:
     """The window's mean along the row of a buffer that begins at `begin`, for eight values from `at`."""
     mean = splat(np.float32(0))
@@ -62,7 +63,7 @@ def _across(row: F32, begin: int, at: int, channels: int, window: F32) -> Any:
     return mean
 
 
-@njit(cache=True, parallel=True, error_model="numpy")
+@compiled(parallel=True)
 def _forward(
     x: F32, y: F32, window: F32, height: int, values: int, channels: int, d_mean: F32, d_square: F32, d_product: F32
 ) -> F64:
@@ -129,7 +130,7 @@ def _forward(
     return sums
 
 
-@njit(cache=True, parallel=True, error_model="numpy")
+@compiled(parallel=True)
 def _backward(
     x: F32,
     y: F32,

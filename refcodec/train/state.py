@@ -1,16 +1,38 @@
-"""The state of a training as one safetensors file, without pickles: tensors, and other values as JSON beside them."""
+"""The state of a training as one safetensors file, without pickles: tensors, and other values as JSON beside them.
+
+The file's metadata has its format, its version and a SHA-256 of everything else. What is read is checked against what
+the training expects: each name, shape, dtype and range. So a state is loaded as it was saved, or it is refused.
+"""
 
 from __future__ import annotations
 
+import contextlib
+import hashlib
 import json
+import math
+import os
+import tempfile
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, Protocol
 
+import torch
 from safetensors import SafetensorError, safe_open
 from safetensors.torch import save_file
-from torch import Tensor
+from torch import Tensor, nn
 
+from ..files.documents import parse_json
+from ..files.terminal import note
+from ..files.text import printable
 from .settings_file import differences
+
+FORMAT, VERSION = "C3GS training state", "1"
+# The most characters that a message repeats of a value.
+_SHOWN = 60
+
+
+class StateError(ValueError):
+    """A saved state that cannot be used. The text is one line, with a way out."""
 
 
 class Savable(Protocol):
@@ -22,38 +44,283 @@ class Savable(Protocol):
     def state(self) -> dict[str, Any]:
         """All that it needs: tensors, and values of JSON."""
 
-    def restore(self, state: dict[str, Any]) -> None:
-        """Sets what `state` gave."""
+    def restore(self, state: Saved) -> None:
+        """Sets what `state` gave. Raises ValueError for what cannot be a state of it."""
+
+
+class Saved:
+    """The values of a saved state. Names have slashes, and `within` gives those that begin with a part's name.
+
+    Every method raises ValueError for a value that is missing or not allowed.
+    """
+
+    def __init__(self, values: Mapping[str, Any], prefix: str = "", read: set[str] | None = None) -> None:
+        self._values, self._prefix = values, prefix
+        self._read = set() if read is None else read
+
+    def within(self, name: str) -> Saved:
+        """Returns the values of a part, by the rest of their names."""
+        return Saved(self._values, f"{self._prefix}{name}/", self._read)
+
+    def names(self) -> list[str]:
+        """Returns the names of the values."""
+        return [name.removeprefix(self._prefix) for name in self._values if name.startswith(self._prefix)]
+
+    def fault(self, name: str, problem: str) -> ValueError:
+        """Returns the error about a value. problem: what is wrong with it."""
+        return ValueError(f"{printable(self._prefix + name, _SHOWN)} {problem}")
+
+    def value(self, name: str) -> Any:
+        """Returns a value as it is: a tensor, or a value of JSON."""
+        whole = self._prefix + name
+        if whole not in self._values:
+            raise self.fault(name, "is missing")
+        self._read.add(whole)
+        return self._values[whole]
+
+    def tensor(
+        self,
+        name: str,
+        shape: Sequence[int | None],
+        dtype: torch.dtype = torch.float32,
+        low: float = -math.inf,
+        high: float = math.inf,
+    ) -> Tensor:
+        """Returns a tensor of finite numbers from low to high. shape: None stands for any length."""
+        found = self.value(name)
+        if not isinstance(found, Tensor):
+            raise self.fault(name, "is no tensor")
+        right = found.dim() == len(shape) and all(n in (None, m) for n, m in zip(shape, found.shape, strict=True))
+        if not right or found.dtype != dtype:
+            wanted = ", ".join("any" if n is None else str(n) for n in shape)
+            raise self.fault(name, f"is {found.dtype} {list(found.shape)}, {dtype} [{wanted}] is required")
+        if found.numel() and not (bool(found.isfinite().all()) and low <= found.min() and found.max() <= high):
+            raise self.fault(name, f"has a number that is not finite, or not from {low:g} to {high:g}")
+        return found
+
+    def integer(self, name: str, low: int, high: float = math.inf) -> int:
+        """Returns an integer from low to high."""
+        found = self.value(name)
+        if not isinstance(found, int) or isinstance(found, bool) or not low <= found <= high:
+            raise self.fault(name, f"is {_shown(found)}, an integer from {low} to {high} is required")
+        return found
+
+    def real(self, name: str, low: float = -math.inf) -> float:
+        """Returns a finite number of at least low."""
+        found = self.value(name)
+        if not _is_number(found) or found < low:
+            raise self.fault(name, f"is {_shown(found)}, a number of at least {low:g} is required")
+        return float(found)
+
+    def flag(self, name: str) -> bool:
+        """Returns true or false."""
+        found = self.value(name)
+        if not isinstance(found, bool):
+            raise self.fault(name, f"is {_shown(found)}, true or false is required")
+        return found
+
+    def numbers(self, name: str) -> list[float]:
+        """Returns a list of finite numbers."""
+        found = self.value(name)
+        if not isinstance(found, list) or not all(map(_is_number, found)):
+            raise self.fault(name, "is not a list of finite numbers")
+        return found
+
+    def records(self, name: str, keys: Sequence[str]) -> list[dict[str, Any]]:
+        """Returns a list of objects that have these keys, each with a finite number."""
+        found = self.value(name)
+        right = isinstance(found, list) and all(
+            isinstance(entry, dict) and entry.keys() == set(keys) and all(map(_is_number, entry.values()))
+            for entry in found
+        )
+        if not right:
+            raise self.fault(name, f"is not a list of objects with the numbers {', '.join(keys)}")
+        return list(found)
+
+    def module(self, prefix: str, module: nn.Module) -> None:
+        """Sets the parameters and buffers of a module, whose names follow the prefix.
+
+        Buffers are units and steps, which are above 0.
+        """
+        positive = {name for name, _ in module.named_buffers()}
+        found = {}
+        for name, value in module.state_dict().items():
+            low = torch.finfo(value.dtype).tiny if name in positive else -math.inf
+            found[name] = self.tensor(prefix + name, value.shape, value.dtype, low)
+        module.load_state_dict(found)
+
+    def generator(self, name: str, generator: torch.Generator) -> None:
+        """Sets a generator of random numbers."""
+        found = self.tensor(name, generator.get_state().shape, torch.uint8)
+        try:
+            generator.set_state(found)
+        # torch checks the bytes, and says so with this type.
+        except RuntimeError:
+            raise self.fault(name, "is no state of a generator") from None
+
+    def check_all_read(self) -> None:
+        """Raises ValueError if there is a value that nobody has asked for."""
+        for name in sorted(self._values.keys() - self._read):
+            raise self.fault(name, "is not known")
+
+
+def _shown(value: Any) -> str:
+    return printable("a tensor" if isinstance(value, Tensor) else json.dumps(value), _SHOWN)
+
+
+def _is_number(value: Any) -> bool:
+    return isinstance(value, int | float) and not isinstance(value, bool) and abs(value) <= 1e300
+
+
+def _checksum(notes: Mapping[str, str], tensors: Mapping[str, Tensor]) -> str:
+    """Returns the SHA-256 of the notes and tensors: of each name, dtype, shape and content, in the names' order."""
+    found = hashlib.sha256()
+    for key in ("format", "version", "of", "values"):
+        found.update(json.dumps([key, notes[key]]).encode())
+    for name, value in sorted(tensors.items()):
+        found.update(json.dumps([name, str(value.dtype), list(value.shape)]).encode())
+        found.update(value.reshape(-1).view(torch.uint8).numpy().data)
+    return found.hexdigest()
+
+
+# --- out --------------------------------------------------------------------------------------------------------------
 
 
 def save(training: Savable, path: Path) -> None:
-    """Writes the state, beside the old one first, so that a crash never leaves half of one."""
+    """Writes the state. The file gets its name only when it is whole on the disk.
+
+    Raises OSError or SafetensorError if it cannot be written. The state that was there before is left as it was.
+    """
     found = training.state()
-    tensors = {name: value for name, value in found.items() if isinstance(value, Tensor)}
+    tensors = {name: value.detach().clone().contiguous() for name, value in found.items() if isinstance(value, Tensor)}
     values = {name: value for name, value in found.items() if name not in tensors}
+    notes = {
+        "format": FORMAT,
+        "version": VERSION,
+        "of": json.dumps(training.fingerprint()),
+        "values": json.dumps(values),
+    }
+    notes["sha256"] = _checksum(notes, tensors)
     path.parent.mkdir(parents=True, exist_ok=True)
     beside = path.with_name(path.name + ".new")
-    save_file(
-        {name: value.detach().clone().contiguous() for name, value in tensors.items()},
-        beside,
-        {"of": json.dumps(training.fingerprint()), "values": json.dumps(values)},
-    )
-    beside.replace(path)
+    try:
+        save_file(tensors, beside, notes)
+        with beside.open("rb") as file:
+            os.fsync(file.fileno())
+        beside.replace(path)
+    except BaseException:
+        # Half a state takes room that the scene may need.
+        with contextlib.suppress(OSError):
+            beside.unlink()
+        raise
+
+
+class Keeper:
+    """Saves a training now and then. A state that cannot be saved does not end the training."""
+
+    def __init__(self, training: Savable, path: Path) -> None:
+        self.training, self.path = training, path
+        self._said = False
+
+    def __call__(self) -> None:
+        """Saves the state. The first failure is said on stderr, in one line."""
+        try:
+            save(self.training, self.path)
+        # What safetensors cannot write is no OSError.
+        except (OSError, SafetensorError) as error:
+            if not self._said:
+                kept = "the one before is kept" if self.path.exists() else "there is none yet"
+                note(
+                    f"refcodec: the training's state cannot be saved to {self.path} ({_reason(error)}); {kept}. "
+                    "The training goes on, and tries it again"
+                )
+                self._said = True
+
+    def discard(self) -> None:
+        """Removes the state, if it is there and can be removed."""
+        with contextlib.suppress(OSError):
+            self.path.unlink(missing_ok=True)
+
+
+def _reason(error: Exception) -> str:
+    return (error.strerror if isinstance(error, OSError) else None) or str(error)
+
+
+# --- in ---------------------------------------------------------------------------------------------------------------
 
 
 def restore(training: Savable, path: Path) -> None:
-    """Makes a new training the one that was saved. Raises ValueError if the file is damaged, or of another training."""
-    try:
-        with safe_open(path, "pt") as file:
-            notes = file.metadata()
-            before, values = json.loads(notes["of"]), json.loads(notes["values"])
-            tensors = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118 (not a dictionary)
-    except (SafetensorError, OSError, KeyError, TypeError, ValueError) as error:
-        raise ValueError(f"the saved state {path} cannot be read ({error}); start without --resume") from None
+    """Makes a new training the one that was saved.
+
+    Raises StateError for a file that is damaged, of another version, of another training, or no state of it.
+    """
+    before, saved = _read(path)
     for key, now in training.fingerprint().items():
         if before.get(key) != now:
             changes = (
                 differences(before[key], now) if isinstance(now, dict) and isinstance(before.get(key), dict) else ()
             )
-            raise ValueError("; ".join([f"the saved state {path} is of other {key}", *changes]))
-    training.restore({**tensors, **values})
+            raise StateError("; ".join([f"the saved state {path} is of other {key}", *changes]))
+    try:
+        training.restore(saved)
+        saved.check_all_read()
+    except ValueError as error:
+        raise _refused(path, str(error)) from None
+
+
+def _refused(path: Path, problem: str) -> StateError:
+    return StateError(
+        f"the saved state {path} cannot be used: {problem}; remove it, or write the scene to another folder"
+    )
+
+
+def _read(path: Path) -> tuple[dict[str, Any], Saved]:
+    """Returns the fingerprint and the values of a state. Raises StateError."""
+    if not path.is_file():
+        raise _refused(path, "it is no file")
+    try:
+        with safe_open(path, "pt") as file:
+            notes = file.metadata() or {}
+            tensors = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118 (not a dictionary)
+    except (SafetensorError, OSError, KeyError, TypeError, ValueError) as error:
+        raise _refused(path, f"it cannot be read ({_reason(error)})") from None
+    if notes.get("format") != FORMAT or notes.get("version") != VERSION:
+        stated = printable(" ".join(notes.get(key, "unknown") for key in ("format", "version")), _SHOWN)
+        raise _refused(path, f"it is of another format ({stated}), this program reads {FORMAT} {VERSION}")
+    if not {"of", "values", "sha256"} <= notes.keys() or notes["sha256"] != _checksum(notes, tensors):
+        raise _refused(path, "it is damaged (its checksum is wrong)")
+    try:
+        before, values = parse_json(notes["of"]), parse_json(notes["values"])
+    except ValueError as error:
+        raise _refused(path, str(error)) from None
+    if not isinstance(before, dict) or not isinstance(values, dict):
+        raise _refused(path, "its values are no JSON objects")
+    return before, Saved({**values, **tensors})
+
+
+# --- results ----------------------------------------------------------------------------------------------------------
+
+
+def write_somewhere(
+    write: Callable[[Path], None], output: Path, state: Path, keep: Callable[[], None] | None = None
+) -> None:
+    """Writes what a training has learnt, and in a second place if it cannot be written where it should be.
+
+    write: gets the folder to write to. state: the saved state. keep: saves it, or None if it is saved already. Raises
+    OSError with the reason and the place where the result is, or where the state is.
+    """
+    try:
+        write(output)
+    except OSError as error:
+        problem = f"the scene cannot be written there ({error.strerror or error})"
+        try:
+            second = Path(tempfile.mkdtemp(prefix="refcodec-")) / output.name
+            write(second)
+        except OSError as other:
+            if keep is not None:
+                keep()
+            nor = f"{problem}, nor among the temporary files ({other.strerror or other})"
+            found = state.exists()
+            left = f"the same command with --resume goes on from {state}" if found else "no state could be saved"
+            raise OSError(error.errno, f"{nor}; {left}", str(output)) from None
+        raise OSError(error.errno, f"{problem}; it is in {second}", str(output)) from None

@@ -35,6 +35,7 @@ from .scaffold import Scaffold
 from .schedule import Clock
 from .settings import TrainSettings
 from .settings_file import document
+from .state import Saved
 from .views import Views
 
 Watch = Callable[["Trainer"], None]
@@ -139,14 +140,17 @@ class Trainer:
         return image, gaussians[2].prod(dim=1).mean() if len(chosen) else None
 
     def run(self, watch: Watch, save: Callable[[], None] | None = None) -> bool:
-        """Trains to the end, or until an interrupt (Ctrl-C), after which the step at hand is still finished.
+        """Trains to the end, or until an interrupt, after which the step at hand is still finished.
+
+        An interrupt is Ctrl-C, or the SIGTERM by which containers are stopped.
 
         watch: is told of each step. save: is called now and then, and when training ends early. Returns whether it came
         to the end.
         """
         stop = threading.Event()
         main = threading.current_thread() is threading.main_thread()
-        before = signal.signal(signal.SIGINT, lambda *_: stop.set()) if main else None
+        numbers = (signal.SIGINT, signal.SIGTERM) if main else ()
+        before = [(number, signal.signal(number, lambda *_: stop.set())) for number in numbers]
         saved = time.monotonic()
         try:
             while self.clock.done < self.clock.steps and not stop.is_set():
@@ -157,8 +161,8 @@ class Trainer:
                     save()
                     saved = time.monotonic()
         finally:
-            if main:
-                signal.signal(signal.SIGINT, before)
+            for number, handler in before:
+                signal.signal(number, handler)
         return self.clock.done == self.clock.steps
 
     # --- results ------------------------------------------------------------------------------------------------------
@@ -202,15 +206,16 @@ class Trainer:
             found |= {f"{part.name}/{name}": value for name, value in part.state().items()}
         return {**found, "random": self.random.get_state()}
 
-    def restore(self, state: dict[str, Any]) -> None:
-        """Makes a new training the one that gave the state."""
-
-        def of(name: str) -> dict[str, Any]:
-            return {key.removeprefix(name + "/"): v for key, v in state.items() if key.startswith(name + "/")}
-
-        self.clock.done, self.order = state["clock/done"], state["order"]
-        self.scaffold.restore(of("scaffold"))
+    def restore(self, state: Saved) -> None:
+        """Makes a new training the one that gave the state. Raises ValueError for what cannot be a state of it."""
+        self.clock.done = state.integer("clock/done", 0, self.clock.steps)
+        order, views = state.value("order"), len(self.views.cameras)
+        right = isinstance(order, list) and all(type(n) is int and 0 <= n < views for n in order)
+        if not right or len(set(order)) != len(order):
+            raise state.fault("order", f"is not a list of different numbers of the {views} photographs")
+        self.order = order
+        self.scaffold.restore(state.within("scaffold"))
         self._anchors_changed()
         for part in self.parts:
-            part.restore(of(part.name))
-        self.random.set_state(state["random"])
+            part.restore(state.within(part.name))
+        state.generator("random", self.random)

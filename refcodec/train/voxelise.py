@@ -45,10 +45,7 @@ def read_points(path: str | Path) -> PointCloud:
     """COLMAP's points3D.txt, or an npz with `means3d` and `colors`, [M, 3] each. Raises ValueError for any other."""
     path = Path(path)
     if path.suffix == ".npz":
-        with np.load(path) as archive:
-            if not {"means3d", "colors"} <= set(archive.files):
-                raise ValueError(f"{path} has {archive.files}, means3d and colors are required")
-            points, colours = archive["means3d"].astype(np.float32), archive["colors"].astype(np.uint8)
+        points, colours = _read_archive(path)
     elif path.suffix == ".txt":
         # POINT3D_ID X Y Z R G B ERROR, then tracks of any length.
         table = np.loadtxt(path, usecols=range(1, 7), ndmin=2, dtype=np.float64)
@@ -60,6 +57,19 @@ def read_points(path: str | Path) -> PointCloud:
     if not np.isfinite(points).all():
         raise ValueError(f"{path}: a point is NaN or infinite")
     return PointCloud(points, colours)
+
+
+def _read_archive(path: Path) -> tuple[F32, NDArray[np.uint8]]:
+    try:
+        with np.load(path) as archive:
+            if not {"means3d", "colors"} <= set(archive.files):
+                raise ValueError(f"it has {archive.files}, means3d and colors are required")
+            return archive["means3d"].astype(np.float32), archive["colors"].astype(np.uint8)
+    except OSError:
+        raise
+    # NumPy, zipfile and zlib answer bad bytes with many types. Whatever the type is, the file cannot be read.
+    except Exception as error:
+        raise ValueError(f"{path} cannot be read ({error})") from None
 
 
 def default_voxel(points: F32) -> float:

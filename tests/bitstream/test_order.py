@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from typing import Any
+
 import numpy as np
 import pytest
 
@@ -29,6 +32,9 @@ CHUNKS = chunk_ranges(23, 5)
 
 
 SECTIONS = parse_container(WHOLE).sections
+
+# What codec calls for each group of chunks, in the order of directory.CHUNKED.
+DECODERS = ("parse_positions", "code_masks", "code_attributes")
 
 
 def put(data: bytes, at: int, value: bytes) -> bytes:
@@ -131,3 +137,40 @@ def test_the_lowest_plane_is_reported() -> None:
         "substream.symbol_crc",
         second,
     )
+
+
+@pytest.mark.requirement("D13.1-1")
+@pytest.mark.parametrize(("kind", "decoder"), list(zip(directory.CHUNKED, DECODERS, strict=True)))
+@pytest.mark.parametrize("chunk", range(len(CHUNKS)))
+def test_nothing_is_decoded_after_the_group_of_an_error(
+    monkeypatch: pytest.MonkeyPatch, kind: int, decoder: str, chunk: int
+) -> None:
+    """A file of many chunks is refused for its first one as soon as that is decoded, and no later step begins."""
+    monkeypatch.setattr(batches, "GROUP_CHUNKS", 1)
+    calls = dict.fromkeys(DECODERS, 0)
+
+    def counted(name: str) -> Callable[..., Any]:
+        original = getattr(codec, name)
+
+        def decode(*arguments: Any) -> Any:
+            calls[name] += 1
+            return original(*arguments)
+
+        return decode
+
+    for name in DECODERS:
+        monkeypatch.setattr(codec, name, counted(name))
+    with pytest.raises(BitstreamError):
+        codec.parse(repair(put(WHOLE, part_start(kind, chunk), b"\xff\xff")))
+    step = DECODERS.index(decoder)
+    assert list(calls.values()) == [len(CHUNKS)] * step + [chunk + 1] + [0] * (len(DECODERS) - step - 1)
+
+
+@pytest.mark.parametrize("kind", directory.SECTIONS)
+def test_a_wrong_section_is_refused_before_anything_is_decoded(monkeypatch: pytest.MonkeyPatch, kind: int) -> None:
+    for name in ("parse_weights", "parse_planes", *DECODERS):
+        monkeypatch.setattr(codec, name, None)
+    section = SECTIONS[kind]
+    with pytest.raises(BitstreamError) as caught:
+        codec.parse(put(WHOLE, section.end - 1, bytes([WHOLE[section.end - 1] ^ 1])))
+    assert (caught.value.kind.name, caught.value.offset) == ("section.crc", section.start)

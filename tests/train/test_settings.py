@@ -161,7 +161,7 @@ def test_wrong_changes(assignment: str, message: str, capsys: pytest.CaptureFixt
 
 def test_wrong_files(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     file = tmp_path / "settings.toml"
-    for content, message in ((b"steps = ", "is not TOML"), (b"\xff", "is not TOML"), (b"speed = 1", "setting speed")):
+    for content, message in ((b"steps = ", "not TOML"), (b"\xff", "not UTF-8"), (b"speed = 1", "setting speed")):
         file.write_bytes(content)
         assert main(["train", "--settings", str(file), "--print-settings"]) == 64
         said = capsys.readouterr().err

@@ -15,7 +15,7 @@ from PIL import Image
 from refcodec.bitstream.codec import parse
 from refcodec.cli.main import main
 from refcodec.folder.uncompressed import read_uncompressed
-from refcodec.train.command import state_path
+from refcodec.train.command import LINE_SECONDS, state_path
 
 
 def test_command(examples: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -129,3 +129,21 @@ def test_a_nerf_folder_with_transparent_images(tmp_path: Path, capsys: pytest.Ca
     assert parse(file.read_bytes()).scene.render.background == (255, 255, 255)
     assert main(["eval", str(file), str(tmp_path), "--json"]) == 0
     assert json.loads(capsys.readouterr().out)["mean"]["psnr"] > 15
+
+
+@pytest.mark.slow
+def test_a_terminal_that_goes_away_does_not_end_a_training(examples: Path, tmp_path: Path) -> None:
+    """Neither lines of progress nor SIGTERM cost the scene. Containers are stopped with that signal."""
+    command = [sys.executable, "-m", "refcodec", "train", str(examples / "caliterra"), "-o", str(tmp_path / "scene")]
+    options = ["--steps", "100000", "--size", "64", "--set", "growth.most=6000", "--progress"]
+    with subprocess.Popen([*command, *options], stderr=subprocess.PIPE, stdout=subprocess.DEVNULL) as process:
+        assert process.stderr is not None
+        assert b"step" in process.stderr.readline()
+        process.stderr.close()
+        # Longer than from one line to the next.
+        with pytest.raises(subprocess.TimeoutExpired):
+            process.wait(LINE_SECONDS * 1.5)
+        process.terminate()
+        assert process.wait() == 130
+    assert (tmp_path / "scene" / "scene.json").is_file()
+    assert state_path(tmp_path / "scene").is_file()

@@ -17,6 +17,7 @@ from ..part import Part
 from ..scaffold import Scaffold
 from ..schedule import Clock
 from ..settings import TrainSettings
+from ..state import Saved
 from ..views import Views, pixels
 from .rate import Rate
 
@@ -76,8 +77,11 @@ class Grids(Part):
         """Whether there are grids; their steps are the networks' own."""
         return {"gridded": self.scaffold.networks.gridded}
 
-    def restore(self, state: dict[str, Any]) -> None:
+    def restore(self, state: Saved) -> None:
         """As Part. The rate is restored before."""
-        self.scaffold.networks.gridded = state["gridded"]
-        if state["gridded"]:
+        gridded = state.flag("gridded")
+        if gridded and self.rate.model is None:
+            raise state.fault("gridded", "is true before there is an entropy model")
+        self.scaffold.networks.gridded = gridded
+        if gridded:
             self.rate.started().set_gridded(True)

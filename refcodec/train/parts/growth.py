@@ -20,6 +20,7 @@ from ..scaffold import Scaffold
 from ..schedule import Clock
 from ..settings import GrowthSettings
 from ..start import LATTICE_MAX, lattice_positions
+from ..state import Saved
 
 I64 = NDArray[np.int64]
 
@@ -129,7 +130,8 @@ class Growth(Part):
         """The statistics."""
         return {name: torch.from_numpy(getattr(self, name)) for name in _STATISTICS}
 
-    def restore(self, state: dict[str, Any]) -> None:
+    def restore(self, state: Saved) -> None:
         """As Part."""
         for name in _STATISTICS:
-            setattr(self, name, state[name].numpy())
+            shape = getattr(self, name).shape
+            setattr(self, name, state.tensor(name, shape, low=0).numpy())

@@ -14,6 +14,7 @@ from ..part import Part, Step
 from ..scaffold import COLUMNS, Scaffold
 from ..schedule import Clock
 from ..settings import LearningSettings
+from ..state import Saved
 
 
 class Learning(Part):
@@ -68,6 +69,6 @@ class Learning(Part):
         """The networks' moments; those of the anchors are the scaffold's."""
         return dict(moments(self.optimiser))
 
-    def restore(self, state: dict[str, Any]) -> None:
+    def restore(self, state: Saved) -> None:
         """As Part."""
         restore_moments(self.optimiser, state)

@@ -15,6 +15,7 @@ from ..part import Part, Sight, Step
 from ..scaffold import Scaffold
 from ..schedule import Clock
 from ..settings import MaskSettings
+from ..state import Saved
 
 
 class Masks(Part):
@@ -76,6 +77,6 @@ class Masks(Part):
         """The weights."""
         return {"weight": self.weight}
 
-    def restore(self, state: dict[str, Any]) -> None:
+    def restore(self, state: Saved) -> None:
         """As Part."""
-        self.weight = state["weight"]
+        self.weight = state.tensor("weight", (self.scaffold.count,), low=0)

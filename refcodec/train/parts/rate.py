@@ -12,7 +12,7 @@ import torch
 from torch import Tensor
 
 from ...bitstream.attributes import KINDS
-from ...bitstream.frame import Frame
+from ...bitstream.frame import FRAME_RANGE_BOUND, FRAME_SHIFT_MAX, MATRIX_BOUND, TRANSLATION_BOUND, Frame
 from ...encoder.frame import choose_frame
 from ...encoder.sizes import choose_plane_size, choose_width
 from ..adam import ADAM_EPSILON
@@ -24,10 +24,22 @@ from ..scaffold import Scaffold
 from ..schedule import Clock
 from ..settings import TrainSettings
 from ..start import lattice_positions
+from ..state import Saved
 from .masks import Masks
 from .quantisation import Quantisation
 
-_FRAME = ("matrix", "translation", "shift", "low", "high")
+# SPEC 6.7: the fields of a frame in a saved state, with their shapes and bounds.
+_FRAME: dict[str, tuple[tuple[int, ...], float, float]] = {
+    "matrix": ((3, 3), 1 - MATRIX_BOUND, MATRIX_BOUND - 1),
+    "translation": ((3,), 1 - TRANSLATION_BOUND, TRANSLATION_BOUND - 1),
+    "shift": ((3,), 0, FRAME_SHIFT_MAX),
+    "low": ((3,), -FRAME_RANGE_BOUND, FRAME_RANGE_BOUND - 1),
+    "high": ((3,), 1 - FRAME_RANGE_BOUND, FRAME_RANGE_BOUND),
+}
+# The least base step that float32 has at full precision. Symbols are attributes over it.
+BASE_STEP_MIN = float(np.finfo(np.float32).tiny)
+# The header counts anchors in 32 bits.
+ANCHORS_MAX = (1 << 32) - 1
 # Anchors at once where all are counted: a bound of memory.
 BLOCK = 8192
 
@@ -69,14 +81,14 @@ class Rate(Part):
         """Fixes the frame and the planes' size, and starts the entropy model from the attributes' statistics."""
         self.masks.anchors_changed()
         frame = choose_frame(lattice_positions(self.scaffold.lattice))
-        self._make(frame, self.quantisation.base_steps(), choose_plane_size(self.scaffold.count))
+        count = self.scaffold.count
+        self._make(frame, self.quantisation.base_steps(), choose_plane_size(count), choose_width(count))
 
-    def _make(self, frame: Frame, base_step: Tensor, plane_size: int) -> RateModel:
-        """An entropy model for the anchors as they are. plane_size: B."""
+    def _make(self, frame: Frame, base_step: Tensor, plane_size: int, width: int) -> RateModel:
+        """An entropy model for the anchors as they are. plane_size: B. width: of the hidden layers of F_h and CARM."""
         scaffold, learning = self.scaffold, self.settings.learning
         symbols = torch.cat([scaffold.tables[kind] / base_step[i] for i, kind in enumerate(KINDS)], dim=1).double()
         mean, deviation = symbols.mean(dim=0).numpy(), symbols.std(dim=0).numpy()
-        width = choose_width(scaffold.count)
         model = RateModel(self.hyperprior, plane_size, width, mean, deviation, self.random, self.settings.entropy)
         self.model, self.frame, self.base_step = model, frame, base_step
         self.contexts = self.hyperprior.contexts(frame, lattice_positions(scaffold.lattice), plane_size)
@@ -202,12 +214,28 @@ class Rate(Part):
         more = {"base_step": self.base_step, "integers": self.model.integers}
         return {**frame, **model, **moments(self.optimiser), **more}
 
-    def restore(self, state: dict[str, Any]) -> None:
+    def restore(self, state: Saved) -> None:
         """As Part."""
-        if not state:
+        if not state.names():
             return
-        arrays = [state[f"frame.{name}"].numpy() for name in _FRAME]
-        model = self._make(Frame(*arrays), state["base_step"], state["model.latents"].shape[-1])
-        model.load_state_dict({k.removeprefix("model."): v for k, v in state.items() if k.startswith("model.")})
-        model.set_integers(state["integers"])
+        arrays = []
+        for name, (shape, low, high) in _FRAME.items():
+            arrays.append(state.tensor(f"frame.{name}", shape, torch.int64, low, high).numpy())
+        frame = Frame(*arrays)
+        if (frame.high <= frame.low).any():
+            raise state.fault("frame.high", "is not above frame.low")
+        base_step = state.tensor("base_step", (len(KINDS),), low=BASE_STEP_MIN)
+        # The planes' size and the width are those for the anchors when the rate began. They may be others by now.
+        latents = state.tensor("model.latents", (None,) * len(self.hyperprior.latent_shape(1)))
+        width = state.tensor("model.hyper.biases.0", (None,)).shape[0]
+        plane_size = latents.shape[-1]
+        for name, found, choose in (
+            ("model.latents", plane_size, choose_plane_size),
+            ("model.hyper.biases.0", width, choose_width),
+        ):
+            if not choose(0) <= found <= choose(ANCHORS_MAX):
+                raise state.fault(name, f"has a size of {found}, {choose(0)} to {choose(ANCHORS_MAX)} are possible")
+        model = self._make(frame, base_step, plane_size, width)
+        state.module("model.", model)
+        model.set_integers(state.flag("integers"))
         restore_moments(self.optimiser, state)

@@ -1,0 +1,113 @@
+"""--max-anchors and --max-memory: work is refused by the header, and the estimate is near what is measured."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from refcodec.bitstream import codec
+from refcodec.bitstream.attributes import Attributes
+from refcodec.cli.bounds import estimated_memory
+from refcodec.cli.main import main
+
+VECTORS = Path(__file__).resolve().parents[2] / "vectors"
+EXAMPLE = VECTORS / "tiny-example.c3gs"
+COMMANDS = [
+    ["validate"],
+    ["digest"],
+    ["decode", "-o", "OUT"],
+    ["reconstruct", "OUT"],
+    ["inspect"],
+    ["inspect", "--trace"],
+    ["render", "-o", "OUT"],
+    ["eval", str(VECTORS.parent / "examples" / "photographs" / "caliterra"), "--size", "48"],
+]
+# Runs the program, and prints its status and its largest resident memory in bytes. What getrusage says of it would be
+# that of the process that started it, if that was larger.
+MEASURED = """
+import sys
+from pathlib import Path
+from refcodec.cli.main import main
+status = main(sys.argv[1:])
+fields = dict(line.split(":", 1) for line in Path("/proc/self/status").read_text().splitlines())
+print(status, int(fields["VmHWM"].split()[0]) << 10, file=sys.stderr)
+"""
+
+LINUX = pytest.mark.skipif(not Path("/proc/self/status").exists(), reason="memory is read from /proc")
+
+
+def words(command: list[str], file: Path, output: Path) -> list[str]:
+    first, *rest = (str(output) if word == "OUT" else word for word in command)
+    return [first, str(file), *rest]
+
+
+@pytest.mark.parametrize("command", COMMANDS, ids=lambda command: " ".join(command[:2]).split("/")[0])
+def test_more_is_refused_before_any_work(
+    command: list[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    if command[0] in ("render", "eval"):
+        pytest.importorskip("numba")
+    monkeypatch.setattr(codec, "parse", pytest.fail)
+    for bound in (["--max-anchors", "4"], ["--max-memory", "64K"], ["--max-memory", "64M"]):
+        assert main([*words(command, EXAMPLE, tmp_path / "out"), *bound]) == 64
+        said = capsys.readouterr()
+        assert said.out == ""
+        assert len(said.err.splitlines()) == 1
+        assert bound[0] in said.err
+        assert "no verdict" in said.err
+    assert not (tmp_path / "out").exists()
+
+
+def test_what_is_within_the_bounds_is_done(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    bounds = ["--max-anchors", "5", "--max-memory", "1g"]
+    for command in (["validate"], ["digest"], ["decode", "-o", "OUT"], ["inspect"]):
+        assert main([*words(command, EXAMPLE, tmp_path / "scene"), *bounds]) == 0
+    assert main(["encode", str(tmp_path / "scene"), "-o", str(tmp_path / "a.c3gs"), *bounds]) == 0
+    for bound in (["--max-anchors", "4"], ["--max-memory", "1M"]):
+        assert main(["encode", str(tmp_path / "scene"), "-o", str(tmp_path / "b.c3gs"), *bound]) == 64
+        assert "no verdict" in capsys.readouterr().err
+    assert not (tmp_path / "b.c3gs").exists()
+
+
+def test_verdicts_stay_within_the_bounds(tmp_path: Path) -> None:
+    """A header that is not allowed is a verdict, whatever the bounds are."""
+    (tmp_path / "a.c3gs").write_bytes(EXAMPLE.read_bytes()[:100])
+    assert main(["validate", str(tmp_path / "a.c3gs"), "--max-anchors", "1"]) == 1
+
+
+@pytest.mark.parametrize("value", ["", "0", "-1", "1.5", "1T", "9" * 30, "M"])
+def test_bounds_that_are_none(value: str) -> None:
+    assert main(["validate", str(EXAMPLE), f"--max-memory={value}"]) == 64
+
+
+@LINUX
+@pytest.mark.slow
+def test_the_estimate_is_one_to_two_times_what_is_measured(tmp_path: Path) -> None:
+    scene = codec.parse((VECTORS / "valid" / "trained-snowmiku.c3gs").read_bytes()).scene
+    rows, a, count = np.resize(np.arange(scene.anchor_count), 40_000), scene.attributes, 40_000
+    many = replace(
+        scene,
+        positions=scene.positions[rows],
+        masks=scene.masks[rows],
+        attributes=Attributes(a.features[rows], a.scalings[rows], a.offsets[rows], a.steps[rows]),
+        position_model=None,
+    )
+    file = tmp_path / "many.c3gs"
+    file.write_bytes(codec.emit(many))
+    d = scene.dimensions
+    for command in (["validate"], ["digest"], ["decode", "-o", "OUT"], ["inspect"]):
+        run = subprocess.run(
+            [sys.executable, "-c", MEASURED, *words(command, file, tmp_path / "out")],
+            capture_output=True,
+            text=True,
+            check=True,
+        )
+        status, measured = map(int, run.stderr.splitlines()[-1].split())
+        estimate = estimated_memory(command[0], file.stat().st_size, count, d.attribute_width + d.offset_count)
+        assert status == 0
+        assert measured < estimate < 2 * measured, command

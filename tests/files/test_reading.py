@@ -1,0 +1,432 @@
+"""Files from outside that the commands read: each is used as it says, or refused in one line with status 64."""
+
+from __future__ import annotations
+
+import json
+import shutil
+import struct
+import warnings
+import zipfile
+import zlib
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+from safetensors.numpy import load_file, save
+
+from refcodec.cli.main import main
+from refcodec.files.documents import DocumentError, parse_toml
+from refcodec.files.ply_header import PlyHeaderError, check_ply_header
+from refcodec.folder.layout import SceneFolderError
+from refcodec.folder.ply import ply_properties, read_cloud
+from refcodec.folder.uncompressed import Uncompressed, read_uncompressed, write_uncompressed
+from refcodec.render.camera import read_camera
+
+ROOT = Path(__file__).resolve().parents[2]
+EXAMPLE = ROOT / "vectors" / "tiny-example.c3gs"
+
+Captured = pytest.CaptureFixture[str]
+
+
+def refused(capsys: Captured, *words: str | Path) -> str:
+    """What a command says that refuses its input."""
+    assert main([str(word) for word in words]) == 64
+    said = capsys.readouterr().err
+    assert len(said.splitlines()) == 1, said
+    assert len(said) < 1000
+    return said
+
+
+# --- cameras ----------------------------------------------------------------------------------------------------------
+
+CAMERA: dict[str, Any] = {
+    "width": 40,
+    "height": 30,
+    "focal": [50, 50.5],
+    "principal_point": [20, 15],
+    "rotation": [[1, 0, 0], [0, 1, 0], [0, 0, 1]],
+    "translation": [0, 0, 2],
+}
+
+
+def test_a_camera_is_read() -> None:
+    camera = read_camera(json.dumps(CAMERA))
+    assert (camera.width, camera.height, camera.fx, camera.fy, camera.cx, camera.cy) == (40, 30, 50, 50.5, 20, 15)
+    assert camera.centre.tolist() == [0, 0, -2]
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "",
+        "[]",
+        "null",
+        "[" * 100_000,
+        *(json.dumps({k: v for k, v in CAMERA.items() if k != name}) for name in CAMERA),
+        *(
+            json.dumps({**CAMERA, **change})
+            for change in (
+                {"width": 0},
+                {"width": 65536},
+                {"width": 40.0},
+                {"width": True},
+                {"width": "40"},
+                {"height": -1},
+                {"height": 10**400},
+                {"focal": [0, 1]},
+                {"focal": [1]},
+                {"focal": [float("inf"), 1]},
+                {"principal_point": [float("nan"), 1]},
+                {"principal_point": 7},
+                {"rotation": [[1, 0, 0], [0, 1, 0]]},
+                {"rotation": [[1, 0, 0], [0, 1, 0], [0, 0, -1]]},
+                {"rotation": [[1, 0, 0], [0, 1, 0], [0, 0, 1.01]]},
+                {"rotation": [[1e200, -1e200, 1e200]] * 3},
+                {"rotation": [[True, 0, 0], [0, 1, 0], [0, 0, 1]]},
+                {"translation": [0, 0, "2"]},
+                {"translation": [0, 0, 1e400]},
+            )
+        ),
+    ],
+)
+def test_what_is_no_camera(text: str, tmp_path: Path, capsys: Captured) -> None:
+    (tmp_path / "camera.json").write_text(text)
+    assert "is no camera" in refused(capsys, "gaussians", EXAMPLE, tmp_path / "camera.json", tmp_path / "out.json")
+    assert not (tmp_path / "out.json").exists()
+
+
+# --- uncompressed scenes ----------------------------------------------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def plain(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """An uncompressed scene of some anchors."""
+    from refcodec.bitstream.header import RenderInfo  # noqa: PLC0415
+    from refcodec.bitstream.reconstruction import Reconstruction  # noqa: PLC0415
+
+    rng = np.random.default_rng(1)
+
+    def some(*shape: int) -> np.ndarray:
+        return rng.normal(size=shape).astype(np.float32)
+
+    networks = {
+        name: [(some(6, 9), some(6)), (some(outputs, 6), some(outputs))]
+        for name, outputs in (("opacity", 2), ("covariance", 14), ("colour", 6))
+    }
+    values = Reconstruction(some(4, 3), some(4, 5), some(4, 6), some(4, 2, 3))
+    folder = tmp_path_factory.mktemp("plain") / "scene"
+    write_uncompressed(Uncompressed(values, np.ones((4, 2), bool), networks, RenderInfo()), folder)
+    return folder
+
+
+def test_an_uncompressed_scene_is_read(plain: Path) -> None:
+    scene = read_uncompressed(plain)
+    assert scene.anchor_count == 4
+    assert scene.networks["colour"][1][0].shape == (6, 6)
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        {"background": [0, 0]},
+        {"background": [0, 0, 256]},
+        {"background": [0, 0, 0.5]},
+        {"up_axis": 6},
+        {"up_axis": None},
+        {"near_plane": 0},
+        {"near_plane": "0.2"},
+        {"distance_unit": -1},
+        {"alpha_max": 1.5},
+        {"low_pass": 1e300},
+        {"camera_width": 10**30},
+        {"camera_height": 0},
+        {"camera_focal": [0, 1]},
+        {"camera_focal": 5},
+        {"camera_rotation": [0, 0, 0, 0]},
+        {"camera_translation": [[0], [0], [0]]},
+        {"camera_translation": None},
+    ],
+)
+def test_render_json_is_checked(change: dict[str, Any], plain: Path, tmp_path: Path, capsys: Captured) -> None:
+    pytest.importorskip("numba")
+    folder = tmp_path / "scene"
+    shutil.copytree(plain, folder)
+    document = json.loads((folder / "render.json").read_text())
+    (folder / "render.json").write_text(json.dumps({**document, "render": {**document["render"], **change}}))
+    said = refused(capsys, "render", folder, "-o", tmp_path / "images")
+    assert f"render.{next(iter(change))}" in said
+    assert "train it again" in said
+
+
+@pytest.mark.parametrize("text", ["", "[]", "{}", "[" * 100_000, '{"format": "Scaffold-GS, uncompressed"}', "\xff"])
+def test_what_is_no_render_json(text: str, plain: Path, tmp_path: Path) -> None:
+    folder = tmp_path / "scene"
+    shutil.copytree(plain, folder)
+    (folder / "render.json").write_text(text, encoding="latin-1")
+    with pytest.raises(SceneFolderError):
+        read_uncompressed(folder)
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        lambda a: a.pop("opacity.0.bias"),
+        lambda a: a.update({"opacity.0.bias": a["opacity.0.bias"][:2]}),
+        lambda a: a.update({"opacity.0.bias": np.zeros((), np.float32)}),
+        lambda a: a.update({"colour.1.weight": a["colour.1.weight"].astype(np.float64)}),
+        lambda a: a.update({"colour.1.weight": a["colour.1.weight"] * np.inf}),
+        lambda a: a.update({"covariance.0.weight": a["covariance.0.weight"].T.copy()}),
+    ],
+)
+def test_networks_are_checked(change: Callable[[dict[str, np.ndarray]], None], plain: Path, tmp_path: Path) -> None:
+    folder = tmp_path / "scene"
+    shutil.copytree(plain, folder)
+    arrays = load_file(folder / "networks.safetensors")
+    change(arrays)
+    (folder / "networks.safetensors").write_bytes(save(arrays))
+    with pytest.raises(SceneFolderError, match="train it again"):
+        read_uncompressed(folder)
+
+
+def test_a_header_of_safetensors_is_bounded(plain: Path, tmp_path: Path) -> None:
+    folder = tmp_path / "scene"
+    shutil.copytree(plain, folder)
+    (folder / "networks.safetensors").write_bytes((50 << 20).to_bytes(8, "little") + b"{" + b" " * 100)
+    with pytest.raises(SceneFolderError, match="its header has 52428800 bytes"):
+        read_uncompressed(folder)
+
+
+# --- PLY --------------------------------------------------------------------------------------------------------------
+
+
+def header(*lines: str) -> bytes:
+    return "\n".join(["ply", "format binary_little_endian 1.0", *lines, "end_header", ""]).encode()
+
+
+@pytest.mark.parametrize(
+    ("data", "message"),
+    [
+        (b"", "no end"),
+        (b"png\n", "not begin"),
+        (b"ply\n" + b"comment a\n" * 70_000, "longer"),
+        (b"ply\ncomment " + b"a" * 10_000_000 + b"\n", "longer"),
+        (header("element vertex 1", "property float f_offset_" + "9" * 5000), "longer"),
+        (header("element vertex 1", "property float f_offset_" + "9" * 100), "64 characters"),
+        (header("element vertex 1", *(f"property uchar p{i}" for i in range(2100))), "2100 properties"),
+        (header(*(f"element e{i} 0" for i in range(20))), "20 elements"),
+        (header("element vertex " + "9" * 400, "property float x"), "count"),
+        (header("element vertex 4294967296", "property float x"), "count"),
+        (header("element vertex 1000000000", "property float x") + b"abcd", "fewer bytes"),
+        (header("element vertex 1000000000", "property list uchar int x") + b"abcd", "fewer bytes"),
+        (header("element vertex"), "count"),
+        (header("comment \xe4"), "not ASCII"),
+    ],
+)
+def test_headers_of_ply_are_bounded(data: bytes, message: str, tmp_path: Path) -> None:
+    file = tmp_path / "point_cloud.ply"
+    file.write_bytes(data)
+    with pytest.raises(PlyHeaderError, match=message):
+        check_ply_header(file)
+    with pytest.raises(SceneFolderError, match=message):
+        read_cloud(file)
+
+
+def test_every_point_cloud_of_ours_is_within_the_bounds(plain: Path, tmp_path: Path) -> None:
+    check_ply_header(plain / "point_cloud.ply")
+    # The widest anchors of any profile: ten offsets, and eight slices of 255 channels would still be few.
+    names = ply_properties(10, 1900)
+    lines = [f"property float {name}" for name in names]
+    (tmp_path / "wide.ply").write_bytes(header("element vertex 1", *lines) + bytes(4 * len(names)))
+    check_ply_header(tmp_path / "wide.ply")
+
+
+@settings(max_examples=200, deadline=None, suppress_health_check=list(HealthCheck))
+@given(st.data())
+def test_a_changed_point_cloud_is_read_or_refused(plain: Path, tmp_path_factory: Any, data: st.DataObject) -> None:
+    whole = (plain / "point_cloud.ply").read_bytes()
+    at = data.draw(st.integers(0, 900))
+    changed = whole[:at] + data.draw(st.binary(max_size=6)) + whole[at + data.draw(st.integers(0, 6)) :]
+    file = tmp_path_factory.mktemp("cloud") / "point_cloud.ply"
+    file.write_bytes(changed)
+    try:
+        cloud = read_cloud(file)
+    except SceneFolderError:
+        return
+    assert len(cloud.positions) == len(cloud.masks)
+
+
+# --- settings ---------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        b"x = " + b"[" * 10_000,
+        b"growth = " + b"[" * 60 + b"1" + b"]" * 60,
+        b"growth." + b"a." * 500 + b"a = 1",
+        b"steps = " + b"9" * 5000,
+        b"steps = " + b"9" * 400,
+        b"steps = inf",
+        b"steps = 1979-05-27",
+        b"seed = '\\u001b'",
+        b"phases = 3",
+        b"phases = [1]",
+        b"phases = [{name = 'a', begin = 1, modes = {}, more = 2}]",
+        b"[growth]\nedges = []",
+        b"[[growth]]",
+        b"a = '" + b"x" * (1 << 20) + b"'",
+        b"steps = '''" + b"x" * 5000 + b"\n\n'''",
+    ],
+)
+def test_settings_are_checked(text: bytes, tmp_path: Path, capsys: Captured) -> None:
+    (tmp_path / "settings.toml").write_bytes(text)
+    assert main(["train", "--settings", str(tmp_path / "settings.toml"), "--print-settings"]) == 64
+    said = capsys.readouterr().err
+    assert len(said.splitlines()) == 1
+    assert len(said) <= 10_100
+
+
+@pytest.mark.parametrize("change", ["steps=" + "9" * 400, "steps=" + "[" * 10_000, "growth=" + "[" * 50 + "]" * 50])
+def test_changes_of_settings_are_checked(change: str, capsys: Captured) -> None:
+    assert main(["train", "--set", change, "--print-settings"]) == 64
+    assert len(capsys.readouterr().err.splitlines()) == 1
+
+
+def test_toml_within_bounds() -> None:
+    assert parse_toml("a = [[1, 2], [3]]\n[b]\nc.d = 'x'") == {"a": [[1, 2], [3]], "b": {"c": {"d": "x"}}}
+    with pytest.raises(DocumentError, match="nested deeper"):
+        parse_toml(".".join(["a"] * 70) + " = 1")
+
+
+# --- points, notes of demo and rd -------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("kind", ["cut", "encrypted", "damaged", "array", "pickle"])
+def test_archives_of_points(kind: str, tmp_path: Path, capsys: Captured) -> None:
+    pytest.importorskip("torch")
+    file = tmp_path / "points.npz"
+    np.savez_compressed(file, means3d=np.zeros((5, 3)), colors=np.zeros((5, 3)))
+    data = bytearray(file.read_bytes())
+    if kind == "cut":
+        data = data[:100]
+    elif kind == "encrypted":
+        with zipfile.ZipFile(file) as archive:
+            at = archive.start_dir
+        data[6] |= 1
+        data[at + 8] |= 1
+    elif kind == "damaged":
+        data[60:90] = bytes(30)
+    file.write_bytes(data)
+    if kind == "array":
+        np.save(tmp_path / "a.npy", np.zeros(3))
+        file.write_bytes((tmp_path / "a.npy").read_bytes())
+    if kind == "pickle":
+        np.savez(file, means3d=np.array([{}], object), colors=np.zeros((1, 3)))
+    refused(capsys, "fit", file, "-o", tmp_path / "scene", "--steps", "1")
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "{}",
+        "[1]",
+        "[" * 100_000,
+        '{"format": "C3GS rate and distortion", "commands": [1]}',
+        '{"format": "C3GS rate and distortion", "commands": {"a": 3}}',
+        '{"format": "C3GS rate and distortion", "commands": {"a": {"arguments": [], "after": 3}}}',
+    ],
+)
+def test_notes_of_runs_are_checked(text: str, tmp_path: Path, capsys: Captured) -> None:
+    pytest.importorskip("bjontegaard")
+    folder = tmp_path / "curve"
+    folder.mkdir()
+    (folder / "rd.json").write_text(text)
+    photographs = ROOT / "examples" / "photographs" / "caliterra"
+    said = refused(capsys, "rd", photographs, "-o", folder, "--size", "48")
+    assert "is not a folder of this command" in said
+
+
+def test_results_of_runs_are_checked(tmp_path: Path) -> None:
+    from refcodec.experiments.runs import RunError, is_evaluation, is_report, read_result  # noqa: PLC0415
+
+    for text in (
+        "",
+        "[]",
+        "{}",
+        '{"steps": "a"}',
+        '{"steps": 1, "history": [3]}',
+        '{"bytes": 1, "anchors": 1, "parts": 3}',
+    ):
+        (tmp_path / "a.json").write_text(text)
+        for check in (is_report, is_evaluation):
+            with pytest.raises(RunError, match=r"a\.json: .*; remove it"):
+                read_result(tmp_path / "a.json", check)
+    (tmp_path / "a.json").write_text('{"steps": 1, "history": []}')
+    assert read_result(tmp_path / "a.json", is_report) == {"steps": 1, "history": []}
+
+
+# --- images -----------------------------------------------------------------------------------------------------------
+
+
+def png(width: int, height: int, rows: int) -> bytes:
+    """A grey image that has only some of its rows, with right checksums."""
+
+    def chunk(kind: bytes, data: bytes) -> bytes:
+        return len(data).to_bytes(4, "big") + kind + data + zlib.crc32(kind + data).to_bytes(4, "big")
+
+    head = struct.pack(">IIBBBBB", width, height, 8, 0, 0, 0, 0)
+    data = zlib.compress(bytes([0] + [99] * width) * rows)
+    return b"\x89PNG\r\n\x1a\n" + chunk(b"IHDR", head) + chunk(b"IDAT", data) + chunk(b"IEND", b"")
+
+
+def test_large_images_are_refused_by_their_header(tmp_path: Path) -> None:
+    images = pytest.importorskip("refcodec.photographs.images")
+    cameras = pytest.importorskip("refcodec.photographs.cameras")
+    file = tmp_path / "a.png"
+    # Below the bound, above the size of which Pillow warns.
+    file.write_bytes(png(9999, 9999, 1))
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        assert images.image_size(file) == (9999, 9999)
+        for size in ((13_000, 13_000), (100_001, 1000), (60_000, 60_000)):
+            file.write_bytes(png(*size, 1))
+            for read in (images.image_size, lambda path: images.read_image(path, (0, 0, 0))):
+                with pytest.raises(cameras.PhotographError) as caught:
+                    read(file)
+                assert len(str(caught.value).splitlines()) == 1
+
+
+@pytest.mark.parametrize("suffix", ["png", "jpg", "bmp", "tiff", "webp"])
+def test_images_without_all_their_data_are_refused(suffix: str, tmp_path: Path) -> None:
+    images = pytest.importorskip("refcodec.photographs.images")
+    cameras = pytest.importorskip("refcodec.photographs.cameras")
+    pixels = np.random.default_rng(0).integers(0, 256, (60, 80, 3)).astype(np.uint8)
+    file = tmp_path / f"a.{suffix}"
+    images.Image.fromarray(pixels).save(file)
+    assert images.read_image(file, (0, 0, 0)).shape == (60, 80, 3)
+    file.write_bytes(file.read_bytes()[: len(file.read_bytes()) // 2])
+    with pytest.raises(cameras.PhotographError, match="export or copy the image again"):
+        images.read_image(file, (0, 0, 0))
+
+
+def test_a_png_without_all_its_rows_is_refused(tmp_path: Path) -> None:
+    images = pytest.importorskip("refcodec.photographs.images")
+    cameras = pytest.importorskip("refcodec.photographs.cameras")
+    file = tmp_path / "a.png"
+    file.write_bytes(png(13, 30, 30))
+    assert (images.read_image(file, (0, 0, 0)) == 99).all()
+    file.write_bytes(png(13, 30, 10))
+    with pytest.raises(cameras.PhotographError, match="some rows of the image are missing"):
+        images.read_image(file, (0, 0, 0))
+
+
+@pytest.mark.parametrize("mode", ["1", "L", "LA", "P", "RGB", "RGBA"])
+@pytest.mark.parametrize("size", [(1, 1), (3, 2), (9, 17), (130, 70)])
+def test_every_kind_of_png_has_its_rows(mode: str, size: tuple[int, int], tmp_path: Path) -> None:
+    images = pytest.importorskip("refcodec.photographs.images")
+    images.Image.new(mode, size, 1 if mode in ("1", "L", "P") else None).save(tmp_path / "a.png")
+    assert images.read_image(tmp_path / "a.png", (0, 0, 0)).shape == (size[1], size[0], 3)
