@@ -330,6 +330,7 @@ def test_train(inputs: Path, tmp_path: Path, monkeypatch: Any, capsys: Any) -> N
     try_all(case, inputs, tmp_path, monkeypatch, capsys)
 
 
+@pytest.mark.slow
 def test_fit(inputs: Path, tmp_path: Path, monkeypatch: Any, capsys: Any) -> None:
     """The state that a fit saves meanwhile is another matter (tests/train)."""
     pytest.importorskip("torch")
@@ -351,6 +352,7 @@ def test_fit(inputs: Path, tmp_path: Path, monkeypatch: Any, capsys: Any) -> Non
 # --- demo and rd ------------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_rd(inputs: Path, tmp_path: Path, monkeypatch: Any, capsys: Any) -> None:
     """A folder in which all commands are done: the table and the chart."""
     for package in ("torch", "matplotlib", "bjontegaard"):
@@ -363,7 +365,7 @@ def test_rd(inputs: Path, tmp_path: Path, monkeypatch: Any, capsys: Any) -> None
     options = ("--preset", "fast")
     settings = rd.Settings(Path("curve"), Path("photos"), options, "16", 2)
     notes = runs.Notes.open(settings.folder, rd.NOTES, rd.FORMAT)
-    figures = {"bytes": 100, "parts": {}, "anchors": 5, "mean": dict.fromkeys(rd.FIGURES, 20.0)}
+    figures = {"bytes": 100, "parts": {}, "anchors": 5, "mean": dict.fromkeys(rd.FIGURES, 20.0), "images": []}
     for made in settings.chain(0.01):
         made.output.parent.mkdir(exist_ok=True)
         made.output.write_text(json.dumps(figures))
@@ -443,11 +445,13 @@ def test_report(inputs: Path, tmp_path: Path, monkeypatch: Any, capsys: Any) -> 
     try_all(case, inputs, tmp_path, monkeypatch, capsys)
 
 
+@pytest.mark.slow
 def test_export(inputs: Path, tmp_path: Path, monkeypatch: Any, capsys: Any) -> None:
     case = Case(["export", "--vectors", "suite", "--fluster", "out"], 25, run=suite_cli)
     try_all(case, inputs, tmp_path, monkeypatch, capsys)
 
 
+@pytest.mark.slow
 def test_matrix(inputs: Path, tmp_path: Path, monkeypatch: Any, capsys: Any) -> None:
     from contextlib import contextmanager  # noqa: PLC0415
 
