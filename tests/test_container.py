@@ -9,8 +9,10 @@ import os
 import shutil
 import subprocess
 import sys
+import tempfile
 from collections.abc import Callable, Iterator
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -37,36 +39,41 @@ WITHOUT_RIGHTS = ("setpriv", "--bounding-set=-dac_override,-dac_read_search,-fow
 Run = Callable[..., subprocess.CompletedProcess[str]]
 
 
+def identity(user: int) -> dict[str, Any]:
+    """Of a process of a user and its group alone: those of root's group may not do what others may."""
+    return {"user": user, "group": user, "extra_groups": [], "capture_output": True}
+
+
 def may_be(user: int) -> bool:
     """Whether Python can run as another user: its own files may lie where that user cannot read them."""
     if os.geteuid() != 0:
         return False
     try:
-        found = subprocess.run([sys.executable, "-c", "import numpy"], user=user, capture_output=True, check=False)
+        found = subprocess.run([sys.executable, "-c", "import numpy"], **identity(user), check=False)
     except OSError:
         return False
     return found.returncode == 0
 
 
 @pytest.fixture(scope="module", params=["the same user", "another user"])
-def contained(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Run]:
+def contained(request: pytest.FixtureRequest) -> Iterator[Run]:
     """Runs refcodec from a read-only copy, in a folder that may be written."""
-    folder = tmp_path_factory.mktemp("contained")
+    # pytest closes the folders above its own to others whenever it starts.
+    folder = Path(tempfile.mkdtemp(prefix="contained-"))
+    request.addfinalizer(lambda: shutil.rmtree(folder))
+    folder.chmod(0o755)
     site, work = folder / "site", folder / "work"
     site.mkdir()
     work.mkdir()
     shutil.copytree(ROOT / "refcodec", site / "refcodec", ignore=shutil.ignore_patterns("__pycache__"))
     shutil.copyfile(ROOT / "SPEC.md", site / "SPEC.md")
     first: tuple[str, ...] = ()
-    user = None
+    who: dict[str, Any] = {"capture_output": True}
     if request.param == "another user":
-        user = NOBODY
-        if not may_be(user):
+        if not may_be(NOBODY):
             pytest.skip("Python cannot run as another user here")
-        os.chown(work, user, user)
-        for above in (folder, *folder.parents):
-            if not above.stat().st_mode & 0o005 and above.owner() == "root":
-                above.chmod(above.stat().st_mode | 0o005)
+        who = identity(NOBODY)
+        os.chown(work, NOBODY, NOBODY)
     elif os.geteuid() == 0:
         if shutil.which(WITHOUT_RIGHTS[0]) is None:
             pytest.skip("root may write everywhere")
@@ -85,7 +92,7 @@ def contained(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathF
     def run(*words: str | Path, **more: object) -> subprocess.CompletedProcess[str]:
         command = [*first, sys.executable, "-c", PRELUDE, *map(str, words)]
         return subprocess.run(  # type: ignore[call-overload, no-any-return]
-            command, cwd=work, env=environment, user=user, capture_output=True, text=True, check=False, **more
+            command, cwd=work, env=environment, text=True, check=False, **who, **more
         )
 
     yield run
