@@ -1,0 +1,119 @@
+"""Peers in one harness.
+
+python -m benchmarks.peers train PHOTOGRAPHS -o SPLAT.ply          a plain 3DGS, as an ordinary PLY file
+python -m benchmarks.peers run PHOTOGRAPHS FOLDER --method 3dgs    runs of a method, one JSON file each
+python -m benchmarks.peers table FOLDER                            one table and one plot of all runs in a folder
+python -m benchmarks.peers.scene SPLAT.ply -o FOLDER               photographs in NeRF's format, of a splat
+
+What is whole is not run again. What was interrupted goes on where it was. SPZ and SOG are written by splat-transform,
+which `run` says how to install.
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from pathlib import Path
+
+import numba
+import torch
+
+from refcodec.files.documents import DocumentError
+from refcodec.photographs.photographs import PhotographError, read_photographs
+from refcodec.statuses import DONE, INTERRUPTED, USAGE
+from refcodec.train.settings_file import SettingsError
+
+from .convert import ToolError
+from .figures import scenes
+from .runs import Run, methods, perform, records, splat_settings, train_splats
+from .table import PLOT_FILE, TABLE_FILE, TableError, plot, report
+
+
+def _train(arguments: argparse.Namespace) -> int:
+    torch.set_num_threads(1)
+    numba.set_num_threads(1)
+    run = Run(arguments.photographs, "3dgs", arguments.most, arguments.seed, arguments.size, arguments.steps)
+    settings = splat_settings(Run(**{**vars(run), "changes": tuple(arguments.set)}))
+    photographs = read_photographs(arguments.photographs, arguments.size, seed=arguments.seed)
+    trainer = train_splats(photographs, settings, arguments.output, arguments.resume)
+    if trainer is None:
+        print("interrupted; the same command with --resume goes on", file=sys.stderr)
+        return INTERRUPTED
+    print(f"{arguments.output}: {len(trainer.result()['mean'])} Gaussians, {trainer.seconds:.0f} s of the processor")
+    return DONE
+
+
+def _run(arguments: argparse.Namespace) -> int:
+    for seed in arguments.seeds:
+        for strength in arguments.strengths:
+            run = Run(
+                arguments.photographs,
+                arguments.method,
+                strength,
+                seed,
+                arguments.size,
+                arguments.steps,
+                tuple(arguments.set),
+            )
+            if perform(run, arguments.folder) is None:
+                print("interrupted; the same command goes on", file=sys.stderr)
+                return INTERRUPTED
+    return DONE
+
+
+def _table(arguments: argparse.Namespace) -> int:
+    found = scenes(records(arguments.folder))
+    lines = report(found, arguments.baseline)
+    (arguments.folder / TABLE_FILE).write_text("\n".join(lines) + "\n", encoding="utf-8")
+    plot(found, arguments.folder / PLOT_FILE)
+    print("\n".join(lines))
+    return DONE
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(
+        prog="python -m benchmarks.peers", description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    commands = parser.add_subparsers(required=True)
+
+    def command(name: str, work: object, help_: str) -> argparse.ArgumentParser:
+        found = commands.add_parser(name, help=help_, description=help_)
+        found.set_defaults(work=work)
+        return found
+
+    train = command("train", _train, "trains a plain 3DGS and writes an ordinary PLY file")
+    train.add_argument("photographs", type=Path)
+    train.add_argument("-o", "--output", type=Path, required=True)
+    train.add_argument("--most", type=int, default=16000, help="largest number of Gaussians (16000)")
+    train.add_argument("--seed", type=int, default=0)
+    train.add_argument("--resume", action="store_true", help="goes on from the saved state")
+    run = command("run", _run, "runs a method on photographs, for each strength and seed")
+    run.add_argument("photographs", type=Path)
+    run.add_argument("folder", type=Path)
+    run.add_argument("--method", choices=methods(), required=True)
+    run.add_argument(
+        "--strengths", type=float, nargs="+", required=True, help="3dgs: largest numbers of Gaussians; others: lambda_r"
+    )
+    run.add_argument("--seeds", type=int, nargs="+", default=[0, 1, 2], help="0 1 2")
+    for either in (train, run):
+        either.add_argument("--size", type=int, default=200, help="longest side in pixels (200)")
+        either.add_argument("--steps", type=int, default=2000, help="2000")
+        either.add_argument("--set", action="append", default=[], metavar="NAME=VALUE", help="changes a setting")
+    table = command("table", _table, "writes the table and the plot of all runs in a folder")
+    table.add_argument("folder", type=Path)
+    table.add_argument("--baseline", default="3DGS, SPZ", help="what others are compared with (3DGS, SPZ)")
+    return parser
+
+
+def main(words: list[str] | None = None) -> int:
+    """Runs one command. Returns its exit status."""
+    arguments = _parser().parse_args(words)
+    try:
+        return int(arguments.work(arguments))
+    except (PhotographError, SettingsError, DocumentError, ToolError, TableError, ValueError, OSError) as error:
+        print(error, file=sys.stderr)
+        return USAGE
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,82 @@
+"""The report of all runs in a folder: Markdown tables, and a plot of PSNR against bytes."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+
+from matplotlib.figure import Figure as Drawing
+
+from ..results import kb, table
+from .figures import Point, Scene, bd_rate, bytes_at
+
+TABLE_FILE, PLOT_FILE = "peers.md", "peers.svg"
+
+
+class TableError(Exception):
+    """What was asked for is not among the runs."""
+
+
+def report(scenes: Sequence[Scene], baseline: str) -> list[str]:
+    """The lines of the report. baseline: the method that others are compared with. Raises TableError without it."""
+    known = sorted({label for scene in scenes for label in scene.curves})
+    if baseline not in known:
+        raise TableError(f"no run has the method {baseline!r}; there are: {', '.join(known) or 'none'}")
+    return [line for scene in scenes for line in _scene(scene, baseline)]
+
+
+def _scene(scene: Scene, baseline: str) -> Iterator[str]:
+    yield f"### {scene.name}, {scene.size} pixels, {scene.steps:,} steps"
+    yield ""
+    head = ["method", "cap or lambda_r", "seeds", "bytes", "PSNR, dB", "SSIM", "processor, s"]
+    yield from table(head, [_row(label, point) for label, curve in scene.curves.items() for point in curve])
+    yield ""
+    if baseline not in scene.curves:
+        return
+    against = scene.curves[baseline]
+    rates = [[label, _signed(bd_rate(against, curve))] for label, curve in scene.curves.items() if label != baseline]
+    yield from table(["method", f"BD-rate against {baseline}"], rates)
+    yield ""
+    others = [label for label in scene.curves if label != baseline]
+    rows = [_equal(point, [scene.curves[label] for label in others]) for point in against]
+    yield f"KB at the PSNR of {baseline}, and how many times smaller that is:"
+    yield ""
+    yield from table(["PSNR, dB", baseline, *others], rows)
+    yield ""
+
+
+def _row(label: str, point: Point) -> list[str]:
+    figures = [point.bytes.words(0), point.psnr.words(2), point.ssim.words(4), point.seconds.words(0)]
+    return [label, f"{point.strength:g}", str(point.seeds), *figures]
+
+
+def _signed(found: float | str) -> str:
+    return found if isinstance(found, str) else f"{found:+.1f} %"
+
+
+def _equal(point: Point, curves: Sequence[Sequence[Point]]) -> list[str]:
+    cells = [f"{point.psnr.mean:.2f}", kb(point.bytes.mean)]
+    for curve in curves:
+        size = bytes_at(curve, point.psnr.mean)
+        if size is None:
+            low, high = (end([p.psnr.mean for p in curve]) for end in (min, max))
+            cells.append(f"not between its points, {low:.2f} to {high:.2f} dB")
+        else:
+            cells.append(f"{kb(size)}, {point.bytes.mean / size:.2f}")
+    return cells
+
+
+def plot(scenes: Sequence[Scene], path: Path) -> None:
+    """PSNR against bytes on a logarithmic axis, a panel for each scene, spreads as bars."""
+    drawing = Drawing(figsize=(6.4 * len(scenes), 4.8), layout="constrained")
+    panels = drawing.subplots(1, len(scenes), squeeze=False)[0]
+    for axes, scene in zip(panels, scenes, strict=True):
+        for label, curve in scene.curves.items():
+            x, y = [p.bytes.mean for p in curve], [p.psnr.mean for p in curve]
+            across, up = [p.bytes.spread or 0 for p in curve], [p.psnr.spread or 0 for p in curve]
+            axes.errorbar(x, y, up, across, fmt="o-", capsize=2, label=label)
+        axes.set(xscale="log", xlabel="bytes", ylabel="PSNR, dB")
+        axes.set_title(f"{scene.name}, {scene.size} pixels, {scene.steps:,} steps")
+        axes.grid(which="both", alpha=0.3)
+        axes.legend()
+    drawing.savefig(path)
