@@ -28,6 +28,9 @@ from .figures import scenes
 from .runs import Run, methods, perform, records, splat_settings, train_splats
 from .table import PLOT_FILE, TABLE_FILE, TableError, plot, report
 
+# A method as the table calls it.
+BASELINE = "3DGS, SPZ, 2000 steps"
+
 
 def _train(arguments: argparse.Namespace) -> int:
     torch.set_num_threads(1)
@@ -101,7 +104,7 @@ def _parser() -> argparse.ArgumentParser:
         either.add_argument("--set", action="append", default=[], metavar="NAME=VALUE", help="changes a setting")
     table = command("table", _table, "writes the table and the plot of all runs in a folder")
     table.add_argument("folder", type=Path)
-    table.add_argument("--baseline", default="3DGS, SPZ", help="what others are compared with (3DGS, SPZ)")
+    table.add_argument("--baseline", default=BASELINE, help=f"what others are compared with ({BASELINE})")
     return parser
 
 

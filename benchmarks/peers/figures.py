@@ -49,28 +49,31 @@ class Point:
 
 @dataclass(frozen=True)
 class Scene:
-    """Figures of one scene at one size and number of steps. curves: the points of each method by rising bytes."""
+    """Figures of one scene at one size. curves: the points of each method by rising bytes."""
 
     name: str
     size: int
-    steps: int
     curves: dict[str, list[Point]]
 
 
 def scenes(records: Iterable[Record]) -> list[Scene]:
-    """All runs, by scene and method. A run has a row for each kind of file that it made."""
-    rows: dict[Any, dict[Any, dict[float, list[Any]]]] = defaultdict(lambda: defaultdict(lambda: defaultdict(list)))
+    """All runs, by scene and method. A run has a row for each kind of file that it made.
+
+    A method's name says its steps and the settings that were changed: only seeds are averaged.
+    """
+    rows: dict[Any, dict[str, dict[float, list[Any]]]] = defaultdict(lambda: defaultdict(lambda: defaultdict(list)))
     for record in records:
-        place = rows[record["scene"], record["size"], record["steps"]]
-        for label, shown in record["files"].items():
+        place = rows[record["scene"], record["size"]]
+        for kind, shown in record["files"].items():
+            label = ", ".join([kind, f"{record['steps']} steps", *record["changes"]])
             place[label][record["strength"]].append((shown, record["seconds"]))
     found = []
-    for (name, size, steps), methods in sorted(rows.items()):
+    for (name, size), methods in sorted(rows.items()):
         curves = {}
         for label, strengths in sorted(methods.items()):
             points = [_point(strength, shown) for strength, shown in strengths.items()]
             curves[label] = sorted(points, key=lambda point: point.bytes.mean)
-        found.append(Scene(name, size, steps, curves))
+        found.append(Scene(name, size, curves))
     return found
 
 

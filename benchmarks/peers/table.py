@@ -26,7 +26,7 @@ def report(scenes: Sequence[Scene], baseline: str) -> list[str]:
 
 
 def _scene(scene: Scene, baseline: str) -> Iterator[str]:
-    yield f"### {scene.name}, {scene.size} pixels, {scene.steps:,} steps"
+    yield f"### {scene.name}, {scene.size} pixels"
     yield ""
     head = ["method", "cap or lambda_r", "seeds", "bytes", "PSNR, dB", "SSIM", "processor, s"]
     yield from table(head, [_row(label, point) for label, curve in scene.curves.items() for point in curve])
@@ -76,7 +76,7 @@ def plot(scenes: Sequence[Scene], path: Path) -> None:
             across, up = [p.bytes.spread or 0 for p in curve], [p.psnr.spread or 0 for p in curve]
             axes.errorbar(x, y, up, across, fmt="o-", capsize=2, label=label)
         axes.set(xscale="log", xlabel="bytes", ylabel="PSNR, dB")
-        axes.set_title(f"{scene.name}, {scene.size} pixels, {scene.steps:,} steps")
+        axes.set_title(f"{scene.name}, {scene.size} pixels")
         axes.grid(which="both", alpha=0.3)
         axes.legend()
     drawing.savefig(path)

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import json
 import math
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 import torch
-from conftest import random_splats
 
 from benchmarks.peers import convert, runs
 from benchmarks.peers.__main__ import main
@@ -23,12 +23,14 @@ from benchmarks.peers.table import TableError, report
 from refcodec.photographs.photographs import PhotographSet, read_photographs
 from refcodec.render.rasterise import Settings
 
+MakeSplats = Callable[[int, int], dict[str, torch.Tensor]]
+
 # --- figures ----------------------------------------------------------------------------------------------------------
 
 
 def record(label: str, strength: float, seed: int, size: int, psnr: float) -> dict[str, Any]:
     shown = {"bytes": size, "psnr": psnr, "ssim": 0.9}
-    run = {"scene": "a", "size": 200, "steps": 10, "strength": strength, "seed": seed, "seconds": 5.0}
+    run = {"scene": "a", "size": 200, "steps": 10, "changes": [], "strength": strength, "seed": seed, "seconds": 5.0}
     return {**run, "files": {label: shown}}
 
 
@@ -47,11 +49,23 @@ def test_mean_and_spread() -> None:
 def test_runs_are_grouped_by_method_and_strength() -> None:
     given = [record("X", s, seed, 100 * s, 30.0 + s + seed) for s in (2, 1) for seed in (0, 1)]
     (scene,) = scenes([*given, record("Y", 1, 0, 70, 20)])
-    assert [(p.strength, p.seeds, p.bytes.mean, p.psnr.mean) for p in scene.curves["X"]] == [
+    assert [(p.strength, p.seeds, p.bytes.mean, p.psnr.mean) for p in scene.curves["X, 10 steps"]] == [
         (1, 2, 100, 31.5),
         (2, 2, 200, 32.5),
     ]
-    assert [p.seeds for p in scene.curves["Y"]] == [1]
+    assert [p.seeds for p in scene.curves["Y, 10 steps"]] == [1]
+
+
+def test_only_seeds_are_averaged() -> None:
+    """Other steps and other settings are other methods."""
+    one = record("X", 1, 0, 100, 30)
+    others = [{**one, "steps": 20}, {**one, "changes": ["degree=0"]}, {**one, "size": 400}]
+    found = scenes([one, *others])
+    assert [sorted(scene.curves) for scene in found] == [
+        ["X, 10 steps", "X, 10 steps, degree=0", "X, 20 steps"],
+        ["X, 10 steps"],
+    ]
+    assert {point.seeds for scene in found for curve in scene.curves.values() for point in curve} == {1}
 
 
 def test_bytes_between_two_points() -> None:
@@ -88,12 +102,12 @@ def test_the_report_says_where_it_would_extrapolate() -> None:
         record("Y", 1, 0, 50, 31),
         record("Y", 2, 0, 99, 34),
     ]
-    text = "\n".join(report(scenes(given), "X"))
-    assert "| Y | 1 | 1 | 50 | 31.00 | 0.9000 | 5 |" in text
+    text = "\n".join(report(scenes(given), "X, 10 steps"))
+    assert "| Y, 10 steps | 1 | 1 | 50 | 31.00 | 0.9000 | 5 |" in text
     assert "| 30.00 | 0.1 | not between its points, 31.00 to 34.00 dB |" in text
     # A third of the way from 50 to 99 bytes: 62.8, which is 6.37 times smaller.
     assert "| 32.00 | 0.4 | 0.1, 6.37 |" in text
-    with pytest.raises(TableError, match="'Z'; there are: X, Y"):
+    with pytest.raises(TableError, match="'Z'; there are: X, 10 steps, Y, 10 steps"):
         report(scenes(given), "Z")
 
 
@@ -148,9 +162,9 @@ def test_commands(folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch)
     words = ["run", str(folder), str(tmp_path), "--method", "3dgs", "--size", "40", "--steps", "3"]
     assert main([*words, "--strengths", "200", "400", "--seeds", "0", "1"]) == 0
     assert len(records(tmp_path)) == 4
-    assert main(["table", str(tmp_path), "--baseline", "3DGS, PLY"]) == 0
+    assert main(["table", str(tmp_path), "--baseline", "3DGS, PLY, 3 steps"]) == 0
     text = (tmp_path / "peers.md").read_text()
-    assert text.count("| 3DGS, PLY | 200 | 2 |") == 1
+    assert text.count("| 3DGS, PLY, 3 steps | 200 | 2 |") == 1
     assert (tmp_path / "peers.svg").read_text().startswith("<?xml")
     assert main(["table", str(tmp_path), "--baseline", "another"]) == 64
 
@@ -186,9 +200,11 @@ needs_tool = pytest.mark.skipif(tool() is None, reason=f"splat-transform is miss
 @needs_tool
 @pytest.mark.parametrize("suffix", convert.FORMATS)
 @pytest.mark.parametrize("degree", [0, 1, 3])
-def test_there_and_back(suffix: str, degree: int, photographs: PhotographSet, tmp_path: Path) -> None:
+def test_there_and_back(
+    suffix: str, degree: int, photographs: PhotographSet, make_splats: MakeSplats, tmp_path: Path
+) -> None:
     """What comes back looks the same but for the formats' rounding, and is as many Gaussians."""
-    splats = random_splats(500, degree)
+    splats = make_splats(500, degree)
     # SOG keeps clusters of harmonics, so there are only a few here, and 1 % of noise.
     few = splats["rest"][torch.arange(500) % 8]
     splats["rest"] = few + 0.01 * splats["rest"]
@@ -216,9 +232,9 @@ def test_without_the_program(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) ->
 
 
 @pytest.mark.parametrize("background", ["white", "black"])
-def test_a_scene_of_a_splat(background: str, tmp_path: Path) -> None:
+def test_a_scene_of_a_splat(background: str, make_splats: MakeSplats, tmp_path: Path) -> None:
     """The cameras that the reader finds show the images that were written, and there are no points."""
-    splats = random_splats(300, 1)
+    splats = make_splats(300, 1)
     write_ply(splats, tmp_path / "a.ply")
     words = [str(tmp_path / "a.ply"), "-o", str(tmp_path / "scene"), "--views", "5", "--tests", "3", "--size", "48"]
     assert make_scene([*words, "--up=-y", "--background", background]) == 0
