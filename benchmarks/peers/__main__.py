@@ -19,13 +19,14 @@ import numba
 import torch
 
 from refcodec.files.documents import DocumentError
+from refcodec.files.text import printable
 from refcodec.photographs.photographs import PhotographError, read_photographs
 from refcodec.statuses import DONE, INTERRUPTED, USAGE
 from refcodec.train.settings_file import SettingsError
 
 from .convert import ToolError
 from .figures import scenes
-from .runs import Run, methods, perform, records, splat_settings, train_splats
+from .runs import PLAIN, Run, methods, perform, records, splat_settings, train_splats
 from .table import PLOT_FILE, TABLE_FILE, TableError, plot, report
 
 # A method as the table calls it.
@@ -35,8 +36,8 @@ BASELINE = "3DGS, SPZ, 2000 steps"
 def _train(arguments: argparse.Namespace) -> int:
     torch.set_num_threads(1)
     numba.set_num_threads(1)
-    run = Run(arguments.photographs, "3dgs", arguments.most, arguments.seed, arguments.size, arguments.steps)
-    settings = splat_settings(Run(**{**vars(run), "changes": tuple(arguments.set)}))
+    own = (arguments.photographs, PLAIN, arguments.most, arguments.seed, arguments.size, arguments.steps)
+    settings = splat_settings(Run(*own, tuple(arguments.set)))
     photographs = read_photographs(arguments.photographs, arguments.size, seed=arguments.seed)
     trainer = train_splats(photographs, settings, arguments.output, arguments.resume)
     if trainer is None:
@@ -114,8 +115,11 @@ def main(words: list[str] | None = None) -> int:
     try:
         return int(arguments.work(arguments))
     except (PhotographError, SettingsError, DocumentError, ToolError, TableError, ValueError, OSError) as error:
-        print(error, file=sys.stderr)
+        print(printable(str(error), lines=True), file=sys.stderr)
         return USAGE
+    except KeyboardInterrupt:
+        print("interrupted", file=sys.stderr)
+        return INTERRUPTED
 
 
 if __name__ == "__main__":

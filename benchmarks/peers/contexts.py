@@ -1,4 +1,13 @@
-"""Entropy models of others on the same trainer, by code lengths: no file can hold them."""
+"""Entropy models of others on the same trainer, by code lengths: no file can hold them.
+
+- CAT-3DGS: planes over three pairs of axes (benchmarks.hyperpriors).
+- HAC: tables of signs (hash_grid).
+- HAC++: those, and mixtures of two distributions within an anchor (mixture).
+- ContextGS: levels of anchors (levels), without its latents for each anchor.
+
+HEMGS is not here. Its hyperprior has features of a network that was trained on other scenes, and its symbols are
+decoded one neighbour after the other, for which the trainer has no order of anchors.
+"""
 
 from __future__ import annotations
 

@@ -6,7 +6,7 @@ import json
 import sys
 import time
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -21,7 +21,7 @@ from refcodec.files.documents import read_json
 from refcodec.folder.uncompressed import Uncompressed
 from refcodec.photographs.photographs import PhotographSet, read_photographs
 from refcodec.train.settings import TrainSettings
-from refcodec.train.settings_file import assigned, document, varied
+from refcodec.train.settings_file import assigned, differences, document, varied
 from refcodec.train.state import restore, save
 from refcodec.train.trainer import Trainer
 
@@ -58,17 +58,22 @@ class Run:
     seed: int
     size: int
     steps: int
-    changes: tuple[str, ...] = field(default=())
+    changes: tuple[str, ...] = ()
+
+    @property
+    def scene(self) -> str:
+        """The name of the photographs."""
+        return self.photographs.resolve().name
 
     @property
     def name(self) -> str:
         """The name of its files."""
-        words = [self.photographs.name, self.method, f"{self.strength:g}", f"s{self.seed}", f"{self.size}px"]
+        words = [self.scene, self.method, f"{self.strength:g}", f"s{self.seed}", f"{self.size}px"]
         return "-".join([*words, f"{self.steps}", *self.changes]).replace("/", "_")
 
     def record(self, seconds: float, settings: Any, files: Record, **more: Any) -> Record:
         """What its JSON file says: itself, processor seconds of the training, and each kind of file that it made."""
-        own = {"scene": self.photographs.name, "method": self.method, "strength": self.strength, "seed": self.seed}
+        own = {"scene": self.scene, "method": self.method, "strength": self.strength, "seed": self.seed}
         own |= {"size": self.size, "steps": self.steps, "changes": list(self.changes)}
         return {**own, "seconds": round(seconds, 2), "files": files, **more, "settings": document(settings)}
 
@@ -76,7 +81,8 @@ class Run:
 def perform(run: Run, folder: Path) -> Record | None:
     """The record of a run: what its file says if that is whole, else it is run. None if it was interrupted.
 
-    A 3DGS without SPZ and SOG is whole where splat-transform is missing. It gets them once that is there.
+    A 3DGS without SPZ and SOG is whole where splat-transform is missing. It gets them once that is there. Raises
+    ValueError for a record of other settings, and for what cannot be learnt from.
     """
     torch.set_num_threads(1)
     numba.set_num_threads(1)
@@ -84,11 +90,19 @@ def perform(run: Run, folder: Path) -> Record | None:
     file = folder / f"{run.name}.json"
     if file.exists():
         record: Record = read_json(file)
+        _check(record, file, splat_settings(run) if run.method == PLAIN else anchor_settings(run))
         if run.method != PLAIN or len(record["files"]) > len(FORMATS) or tool() is None:
             return record
         return _written(file, _with_formats(run, record, folder))
     made = _plain(run, folder) if run.method == PLAIN else _anchored(run, folder)
     return made and _written(file, made)
+
+
+def _check(record: Record, file: Path, settings: Any) -> None:
+    """Raises ValueError if the settings of a method are others than when a record was made."""
+    changes = list(differences(record["settings"], document(settings)))
+    if changes:
+        raise ValueError(f"{file} is of other settings, remove it: {'; '.join(changes)}")
 
 
 def records(folder: Path) -> list[Record]:
@@ -240,7 +254,10 @@ def _anchored(run: Run, folder: Path) -> Record | None:
             files["VM, code lengths"] = {**files["C3GS"], "bytes": size}
     for file in (state, spent):
         file.unlink(missing_ok=True)
-    return run.record(took, settings, files, anchors=trainer.scaffold.count, lengths=lengths)
+    rate = trainer.rate
+    coding = sum(p.numel() for p in rate.started().coding_parameters()) if rate else 0
+    more = {"anchors": trainer.scaffold.count, "lengths": lengths, "coding_parameters": coding}
+    return run.record(took, settings, files, **more)
 
 
 def _anchors_shown(scene: Any, size: int, photographs: PhotographSet) -> dict[str, float]:

@@ -4,7 +4,7 @@ python -m benchmarks.peers.scene SPLAT.ply -o FOLDER
 
 The cameras look at the splat's middle from a sphere around it, as those of NeRF's synthetic scenes do. Those to learn
 from are spread evenly over it; those for tests go around it in a spiral. The images are what refcodec's renderer draws,
-so a splat is the truth of its scene.
+so a splat is the truth of its scene. The images have the splat's licence.
 """
 
 from __future__ import annotations
@@ -18,6 +18,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from refcodec.files.text import printable
 from refcodec.render.camera import Camera
 from refcodec.render.rasterise import Settings
 from refcodec.render.view import looking, write_png
@@ -33,7 +34,7 @@ ANGLE = 0.6911
 LOWEST, HIGHEST = -0.3, 0.95
 # The turns of the spiral of test cameras.
 TURNS = 3
-# Radius of the sphere that holds this share of the Gaussians is the splat's, and what is left free around it.
+# The share of the Gaussians within the splat's radius, and how much more than that the cameras see.
 SHARE, MARGIN = 0.99, 1.1
 AXES = {f"{sign}{axis}": (1 if sign == "+" else -1) * np.eye(3)[i] for sign in "+-" for i, axis in enumerate("xyz")}
 BACKGROUNDS = {"white": (1.0, 1.0, 1.0), "black": (0.0, 0.0, 0.0)}
@@ -135,7 +136,7 @@ def main(words: list[str] | None = None) -> int:
             arguments.background,
         )
     except (ValueError, OSError) as error:
-        print(error, file=sys.stderr)
+        print(printable(str(error)), file=sys.stderr)
         return USAGE
     print(f"{arguments.output}: {arguments.views} images to learn from, {arguments.tests} for tests, no points")
     return DONE

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+import signal
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -20,6 +21,7 @@ from benchmarks.peers.runs import Run, perform, records
 from benchmarks.peers.scene import main as make_scene
 from benchmarks.peers.splats import drawn, quality, read_ply, write_ply
 from benchmarks.peers.table import TableError, report
+from benchmarks.peers.trainer import SplatTrainer
 from refcodec.photographs.photographs import PhotographSet, read_photographs
 from refcodec.render.rasterise import Settings
 
@@ -133,6 +135,41 @@ def test_a_whole_run_is_not_run_again(
     monkeypatch.setattr(runs, "read_photographs", lambda *_, **__: pytest.fail("it was run again"))
     assert perform(small(folder), tmp_path) == made
     assert records(tmp_path) == [made]
+
+
+def test_a_record_of_other_settings_is_refused(folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A default may change after a run was made. Its points must not stand beside new ones."""
+    monkeypatch.setattr(runs, "tool", lambda: None)
+    made = perform(small(folder), tmp_path)
+    assert made is not None
+    made["settings"]["density"]["gradient"] = 0.5
+    next(tmp_path.glob("*.json")).write_text(json.dumps(made))
+    with pytest.raises(ValueError, match=r"density.gradient is 0.5, not 0.0002"):
+        perform(small(folder), tmp_path)
+
+
+def test_an_interrupted_run_goes_on(folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The same run again ends as one that was not interrupted."""
+    monkeypatch.setattr(runs, "tool", lambda: None)
+    whole = perform(small(folder), tmp_path / "whole")
+    step = SplatTrainer.step
+
+    def interrupted(trainer: SplatTrainer) -> None:
+        step(trainer)
+        if trainer.done == 7:
+            signal.raise_signal(signal.SIGINT)
+
+    with monkeypatch.context() as patch:
+        patch.setattr(SplatTrainer, "step", interrupted)
+        assert perform(small(folder), tmp_path / "part") is None
+    assert not list((tmp_path / "part").glob("*.json"))
+    steps = []
+    monkeypatch.setattr(SplatTrainer, "step", lambda trainer: (steps.append(trainer.done), step(trainer)))
+    part = perform(small(folder), tmp_path / "part")
+    assert steps == [7, 8, 9, 10, 11]
+    assert whole is not None
+    assert part is not None
+    assert part["files"] == whole["files"]
 
 
 def test_a_run_gets_its_other_formats_later(folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
