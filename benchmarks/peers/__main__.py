@@ -24,13 +24,23 @@ from refcodec.photographs.photographs import PhotographError, read_photographs
 from refcodec.statuses import DONE, INTERRUPTED, USAGE
 from refcodec.train.settings_file import SettingsError
 
+from ..results import machine, write_section
 from .convert import ToolError
 from .figures import scenes
 from .runs import PLAIN, Run, methods, perform, records, splat_settings, train_splats
-from .table import PLOT_FILE, TABLE_FILE, TableError, plot, report
+from .table import PLOT_FILE, TABLE_FILE, TableError, plot, report, with_seeds
 
 # A method as the table calls it.
 BASELINE = "3DGS, SPZ, 2000 steps"
+# Fewer seeds are no result.
+SEEDS = 3
+RESULTS_NOTE = (
+    "`python -m benchmarks.peers table FOLDER --results`, of the runs of `python -m benchmarks.peers run`.",
+    "",
+    "One thread each. Every eighth image is held out. PSNR and SSIM are by scikit-image, of eight-bit images.",
+    "Bytes are those of the file. SPZ and SOG are drawn after decoding. Processor seconds are those of the training.",
+    "A spread is the standard deviation of the seeds.",
+)
 
 
 def _train(arguments: argparse.Namespace) -> int:
@@ -68,6 +78,9 @@ def _run(arguments: argparse.Namespace) -> int:
 def _table(arguments: argparse.Namespace) -> int:
     found = scenes(records(arguments.folder))
     lines = report(found, arguments.baseline)
+    if arguments.results:
+        certain = report(with_seeds(found, SEEDS), arguments.baseline)
+        write_section("peers", "Peers in one harness", [*RESULTS_NOTE, f"{machine('torch')}", "", *certain])
     (arguments.folder / TABLE_FILE).write_text("\n".join(lines) + "\n", encoding="utf-8")
     plot(found, arguments.folder / PLOT_FILE)
     print("\n".join(lines))
@@ -106,6 +119,9 @@ def _parser() -> argparse.ArgumentParser:
     table = command("table", _table, "writes the table and the plot of all runs in a folder")
     table.add_argument("folder", type=Path)
     table.add_argument("--baseline", default=BASELINE, help=f"what others are compared with ({BASELINE})")
+    table.add_argument(
+        "--results", action="store_true", help=f"writes what has {SEEDS} seeds or more into benchmarks/RESULTS.md, too"
+    )
     return parser
 
 

@@ -17,6 +17,15 @@ class TableError(Exception):
     """What was asked for is not among the runs."""
 
 
+def with_seeds(scenes: Sequence[Scene], least: int) -> list[Scene]:
+    """The points that have at least so many seeds, and the methods and scenes that have such points."""
+    found = []
+    for scene in scenes:
+        curves = {label: [p for p in curve if p.seeds >= least] for label, curve in scene.curves.items()}
+        found.append(Scene(scene.name, scene.size, {label: curve for label, curve in curves.items() if curve}))
+    return [scene for scene in found if scene.curves]
+
+
 def report(scenes: Sequence[Scene], baseline: str) -> list[str]:
     """The lines of the report. baseline: the method that others are compared with. Raises TableError without it."""
     known = sorted({label for scene in scenes for label in scene.curves})
@@ -59,11 +68,16 @@ def _equal(point: Point, curves: Sequence[Sequence[Point]]) -> list[str]:
     for curve in curves:
         size = bytes_at(curve, point.psnr.mean)
         if size is None:
-            low, high = (end([p.psnr.mean for p in curve]) for end in (min, max))
-            cells.append(f"not between its points, {low:.2f} to {high:.2f} dB")
+            cells.append(f"beyond its {_range(curve)}")
         else:
             cells.append(f"{kb(size)}, {point.bytes.mean / size:.2f}")
     return cells
+
+
+def _range(curve: Sequence[Point]) -> str:
+    """The PSNR of a method's points, in words."""
+    low, high = (end([point.psnr.mean for point in curve]) for end in (min, max))
+    return f"{low:.2f} dB" if low == high else f"{low:.2f} to {high:.2f} dB"
 
 
 def plot(scenes: Sequence[Scene], path: Path) -> None:

@@ -142,6 +142,7 @@ class SplatTrainer:
     def _change(self, large: bool) -> None:
         change = self.density.change(self.splats, large, self.random)
         shrink = self.settings.density.shrink
+        # Harmonics that are not in use yet have no moments.
         before = {
             name: self.optimiser.state[self.splats[name]] for name in NAMES if self.splats[name] in self.optimiser.state
         }

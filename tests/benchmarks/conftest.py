@@ -11,6 +11,7 @@ pytest.importorskip("torch")
 pytest.importorskip("numba")
 pytest.importorskip("skimage")
 pytest.importorskip("bjontegaard")
+pytest.importorskip("matplotlib")
 
 import torch
 

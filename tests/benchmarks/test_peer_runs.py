@@ -20,7 +20,7 @@ from benchmarks.peers.figures import Point, bd_rate, bytes_at, figure, scenes
 from benchmarks.peers.runs import Run, perform, records
 from benchmarks.peers.scene import main as make_scene
 from benchmarks.peers.splats import drawn, quality, read_ply, write_ply
-from benchmarks.peers.table import TableError, report
+from benchmarks.peers.table import TableError, report, with_seeds
 from benchmarks.peers.trainer import SplatTrainer
 from refcodec.photographs.photographs import PhotographSet, read_photographs
 from refcodec.render.rasterise import Settings
@@ -106,11 +106,18 @@ def test_the_report_says_where_it_would_extrapolate() -> None:
     ]
     text = "\n".join(report(scenes(given), "X, 10 steps"))
     assert "| Y, 10 steps | 1 | 1 | 50 | 31.00 | 0.9000 | 5 |" in text
-    assert "| 30.00 | 0.1 | not between its points, 31.00 to 34.00 dB |" in text
+    assert "| 30.00 | 0.1 | beyond its 31.00 to 34.00 dB |" in text
     # A third of the way from 50 to 99 bytes: 62.8, which is 6.37 times smaller.
     assert "| 32.00 | 0.4 | 0.1, 6.37 |" in text
     with pytest.raises(TableError, match="'Z'; there are: X, 10 steps, Y, 10 steps"):
         report(scenes(given), "Z")
+
+
+def test_few_seeds_are_no_result() -> None:
+    given = [record("X", 1, seed, 100, 30) for seed in range(3)] + [record("X", 2, 0, 200, 31), record("Y", 1, 0, 9, 9)]
+    (scene,) = with_seeds(scenes(given), 3)
+    assert {label: [p.strength for p in curve] for label, curve in scene.curves.items()} == {"X, 10 steps": [1]}
+    assert with_seeds(scenes(given), 4) == []
 
 
 # --- runs -------------------------------------------------------------------------------------------------------------
