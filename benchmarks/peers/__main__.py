@@ -28,18 +28,17 @@ from ..results import machine, write_section
 from .convert import ToolError
 from .figures import scenes
 from .runs import PLAIN, Run, methods, perform, records, splat_settings, train_splats
-from .table import PLOT_FILE, TABLE_FILE, TableError, plot, report, with_seeds
+from .table import PLOT_FILE, TABLE_FILE, TableError, commands, plot, report, with_seeds
 
 # A method as the table calls it.
 BASELINE = "3DGS, SPZ, 2000 steps"
 # Fewer seeds are no result.
 SEEDS = 3
 RESULTS_NOTE = (
-    "`python -m benchmarks.peers table FOLDER --results`, of the runs of `python -m benchmarks.peers run`.",
-    "",
     "One thread each. Every eighth image is held out. PSNR and SSIM are by scikit-image, of eight-bit images.",
     "Bytes are those of the file. SPZ and SOG are drawn after decoding. Processor seconds are those of the training.",
     "A spread is the standard deviation of the seeds.",
+    "",
 )
 
 
@@ -76,11 +75,13 @@ def _run(arguments: argparse.Namespace) -> int:
 
 
 def _table(arguments: argparse.Namespace) -> int:
-    found = scenes(records(arguments.folder))
+    every = records(arguments.folder)
+    found = scenes(every)
     lines = report(found, arguments.baseline)
     if arguments.results:
         certain = report(with_seeds(found, SEEDS), arguments.baseline)
-        write_section("peers", "Peers in one harness", [*RESULTS_NOTE, f"{machine('torch')}", "", *certain])
+        made = ["```", *commands(every, SEEDS), "python -m benchmarks.peers table FOLDER --results", "```"]
+        write_section("peers", "Peers in one harness", [*made, "", machine("torch"), *RESULTS_NOTE, *certain])
     (arguments.folder / TABLE_FILE).write_text("\n".join(lines) + "\n", encoding="utf-8")
     plot(found, arguments.folder / PLOT_FILE)
     print("\n".join(lines))
@@ -91,10 +92,10 @@ def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(
         prog="python -m benchmarks.peers", description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
-    commands = parser.add_subparsers(required=True)
+    subcommands = parser.add_subparsers(required=True)
 
     def command(name: str, work: object, help_: str) -> argparse.ArgumentParser:
-        found = commands.add_parser(name, help=help_, description=help_)
+        found = subcommands.add_parser(name, help=help_, description=help_)
         found.set_defaults(work=work)
         return found
 

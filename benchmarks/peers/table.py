@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
+from typing import Any
 
 from matplotlib.figure import Figure as Drawing
 
 from ..results import kb, table
-from .figures import Point, Scene, bd_rate, bytes_at
+from .figures import Point, Record, Scene, bd_rate, bytes_at
 
 TABLE_FILE, PLOT_FILE = "peers.md", "peers.svg"
 
@@ -24,6 +25,24 @@ def with_seeds(scenes: Sequence[Scene], least: int) -> list[Scene]:
         curves = {label: [p for p in curve if p.seeds >= least] for label, curve in scene.curves.items()}
         found.append(Scene(scene.name, scene.size, {label: curve for label, curve in curves.items() if curve}))
     return [scene for scene in found if scene.curves]
+
+
+def commands(records: Iterable[Record], least: int) -> list[str]:
+    """The commands that make the runs of a folder, those of methods with at least so many seeds."""
+    groups: dict[Any, tuple[set[float], set[int]]] = {}
+    for record in records:
+        key = (record["scene"], record["method"], record["size"], record["steps"], tuple(record["changes"]))
+        strengths, seeds = groups.setdefault(key, (set(), set()))
+        strengths.add(record["strength"])
+        seeds.add(record["seed"])
+    found = []
+    for (scene, method, size, steps, changes), (strengths, seeds) in sorted(groups.items()):
+        words = ["python -m benchmarks.peers run", scene, "FOLDER", "--method", method]
+        words += ["--strengths", *(f"{strength:g}" for strength in sorted(strengths))]
+        words += ["--seeds", *map(str, sorted(seeds)), "--size", str(size), "--steps", str(steps)]
+        if len(seeds) >= least:
+            found.append(" ".join([*words, *(word for change in changes for word in ("--set", change))]))
+    return found
 
 
 def report(scenes: Sequence[Scene], baseline: str) -> list[str]:
@@ -48,7 +67,7 @@ def _scene(scene: Scene, baseline: str) -> Iterator[str]:
     yield ""
     others = [label for label in scene.curves if label != baseline]
     rows = [_equal(point, [scene.curves[label] for label in others]) for point in against]
-    yield f"KB at the PSNR of {baseline}, and how many times smaller that is:"
+    yield f"KB of each method at the PSNR of {baseline}, and how many times as large {baseline} is:"
     yield ""
     yield from table(["PSNR, dB", baseline, *others], rows)
     yield ""

@@ -20,7 +20,7 @@ from benchmarks.peers.figures import Point, bd_rate, bytes_at, figure, scenes
 from benchmarks.peers.runs import Run, perform, records
 from benchmarks.peers.scene import main as make_scene
 from benchmarks.peers.splats import drawn, quality, read_ply, write_ply
-from benchmarks.peers.table import TableError, report, with_seeds
+from benchmarks.peers.table import TableError, commands, report, with_seeds
 from benchmarks.peers.trainer import SplatTrainer
 from refcodec.photographs.photographs import PhotographSet, read_photographs
 from refcodec.render.rasterise import Settings
@@ -118,6 +118,14 @@ def test_few_seeds_are_no_result() -> None:
     (scene,) = with_seeds(scenes(given), 3)
     assert {label: [p.strength for p in curve] for label, curve in scene.curves.items()} == {"X, 10 steps": [1]}
     assert with_seeds(scenes(given), 4) == []
+
+
+def test_the_commands_of_the_runs() -> None:
+    given = [{**record("X", s, seed, 1, 1), "method": "x"} for s in (0.5, 8000.0) for seed in (1, 0)]
+    given.append({**given[0], "changes": ["a.b=1"]})
+    words = "python -m benchmarks.peers run a FOLDER --method x --strengths"
+    assert commands(given, 2) == [f"{words} 0.5 8000 --seeds 0 1 --size 200 --steps 10"]
+    assert commands(given, 1)[1] == f"{words} 0.5 --seeds 1 --size 200 --steps 10 --set a.b=1"
 
 
 # --- runs -------------------------------------------------------------------------------------------------------------
