@@ -174,17 +174,24 @@ def test_small_ones_are_cloned_and_large_ones_split() -> None:
 
 def test_children_are_drawn_from_their_parent() -> None:
     """Many children of a flat and turned Gaussian have its mean and its covariance."""
-    n = 4000
-    lengths, half = torch.tensor([0.5, 0.2, 0.01]), math.sqrt(0.5)
+    n, turn = 4000, math.radians(30)
+    lengths = torch.tensor([0.5, 0.2, 0.01])
     splats = {name: table[2:3].repeat(n, *[1] * (table.dim() - 1)) for name, table in _four().items()}
     splats["scale"] = torch.log(lengths).repeat(n, 1)
-    # A quarter turn around z: the longest axis lies along y.
-    splats["quaternion"] = torch.tensor([half, 0, 0, half]).repeat(n, 1)
+    # Around z, from x to y.
+    splats["quaternion"] = torch.tensor([math.cos(turn / 2), 0, 0, math.sin(turn / 2)]).repeat(n, 1)
     moved = _after(splats, DensitySettings(most=10 * n), torch.ones(n))["mean"] - splats["mean"][0]
     assert len(moved) == 2 * n
-    spread = moved.double().std(dim=0)
-    assert spread.tolist() == pytest.approx([0.2, 0.5, 0.01], rel=0.05)
-    assert (moved.double().mean(dim=0).abs() < 5 * spread / math.sqrt(2 * n)).all()
+    c, s = math.cos(turn), math.sin(turn)
+    wanted = [
+        [0.25 * c * c + 0.04 * s * s, 0.21 * c * s, 0],
+        [0.21 * c * s, 0.25 * s * s + 0.04 * c * c, 0],
+        [0, 0, 1e-4],
+    ]
+    found = np.cov(moved.double().numpy().T)
+    np.testing.assert_allclose(found, wanted, atol=0.01)
+    assert found[2, 2] == pytest.approx(1e-4, rel=0.1)
+    assert moved.double().mean(dim=0).tolist() == pytest.approx([0, 0, 0], abs=0.03)
 
 
 @pytest.mark.parametrize("most", [200, 201, 230, 1000])
