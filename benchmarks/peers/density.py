@@ -52,7 +52,7 @@ class Density:
     """What is noted of the Gaussians between two changes, and the change that follows from it.
 
     gradient: float32 [N], sums of the lengths of the projected means' gradients. seen: float32 [N], times that each was
-    drawn. radius: float32 [N], the largest in an image, pixels.
+    drawn.
     """
 
     def __init__(self, settings: DensitySettings, extent: float, count: int) -> None:
@@ -62,14 +62,13 @@ class Density:
 
     def begin(self, count: int) -> None:
         """Notes nothing of `count` Gaussians."""
-        self.gradient, self.seen, self.radius = torch.zeros(count), torch.zeros(count), torch.zeros(count)
+        self.gradient, self.seen = torch.zeros(count), torch.zeros(count)
 
     def note(self, screen: Tensor, radius: Tensor) -> None:
         """Notes a step. screen: float32 [N], the gradients' lengths. radius: float32 [N], 0 for what was not drawn."""
         drawn = radius > 0
         self.gradient += torch.where(drawn, screen, 0)
         self.seen += drawn
-        self.radius = torch.maximum(self.radius, radius)
 
     @torch.no_grad()
     def change(self, splats: Splats, large: bool, random: torch.Generator) -> Change:
@@ -81,7 +80,7 @@ class Density:
         length = splats["scale"].exp().amax(dim=1)
         dead = torch.sigmoid(splats["opacity"]) < settings.opacity
         if large:
-            dead |= (length > settings.largest * self.extent) | (self.radius > settings.widest)
+            dead |= length > settings.largest * self.extent
         mean = self.gradient / self.seen.clamp_min(1)
         grows = self._within_the_cap(mean, (mean >= settings.gradient) & ~dead, int((~dead).sum()))
         splits = length > settings.dense * self.extent

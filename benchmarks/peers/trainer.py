@@ -195,7 +195,7 @@ class SplatTrainer:
 
     def state(self) -> dict[str, Any]:
         """As Savable."""
-        density = {f"density/{name}": getattr(self.density, name) for name in ("gradient", "seen", "radius")}
+        density = {f"density/{name}": getattr(self.density, name) for name in ("gradient", "seen")}
         return {
             **{f"splats/{name}": self.splats[name].detach() for name in NAMES},
             **moments(self.optimiser),
@@ -210,7 +210,7 @@ class SplatTrainer:
         """As Savable."""
         self._take({name: state[f"splats/{name}"] for name in NAMES})
         restore_moments(self.optimiser, state)
-        for name in ("gradient", "seen", "radius"):
+        for name in ("gradient", "seen"):
             setattr(self.density, name, state[f"density/{name}"])
         self.done, self.seconds, self.order = state["done"], state["seconds"], state["order"]
         self.random.set_state(state["random"])
