@@ -35,11 +35,12 @@ BASELINE = "3DGS, SPZ, 2000 steps"
 # Fewer seeds are no result.
 SEEDS = 3
 RESULTS_NOTE = (
-    "One thread each. Every eighth image is held out. PSNR and SSIM are by scikit-image, of eight-bit images.",
+    "One thread each. Every eighth image is held out, of playbot the 25 of its own split.",
+    "PSNR and SSIM are by scikit-image, of eight-bit images.",
     "Bytes are those of the file. SPZ and SOG are drawn after decoding. Processor seconds are those of the training.",
     "A spread is the standard deviation of the seeds.",
-    "playbot is drawn from a splat of 31,000 Gaussians, by `python -m benchmarks.peers.scene playbot_lod3.ply -o playbot",
-    "--views 100 --tests 25 --size 400 --up=-y`. The splat is PLAYBOT by Stephane Agullo (https://sa3d.fr), CC-BY-4.0.",
+    "playbot is drawn from a splat of 31,000 Gaussians, PLAYBOT by Stephane Agullo (https://sa3d.fr), CC-BY-4.0, by",
+    "`python -m benchmarks.peers.scene playbot_lod3.ply -o playbot --views 100 --tests 25 --size 400 --up=-y`.",
     "",
 )
 
