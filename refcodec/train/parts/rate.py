@@ -52,6 +52,8 @@ class Rate(Part):
     """
 
     name = "rate"
+    # A comparison with models that no file can hold sets another one before the rate starts.
+    model_type: type[RateModel] = RateModel
 
     def __init__(
         self,
@@ -89,7 +91,8 @@ class Rate(Part):
         scaffold, learning = self.scaffold, self.settings.learning
         symbols = torch.cat([scaffold.tables[kind] / base_step[i] for i, kind in enumerate(KINDS)], dim=1).double()
         mean, deviation = symbols.mean(dim=0).numpy(), symbols.std(dim=0).numpy()
-        model = RateModel(self.hyperprior, plane_size, width, mean, deviation, self.random, self.settings.entropy)
+        entropy = self.settings.entropy
+        model = self.model_type(self.hyperprior, plane_size, width, mean, deviation, self.random, entropy)
         self.model, self.frame, self.base_step = model, frame, base_step
         self.contexts = self.hyperprior.contexts(frame, lattice_positions(scaffold.lattice), plane_size)
         groups = [

@@ -1,0 +1,146 @@
+"""Peers in one harness.
+
+python -m benchmarks.peers train PHOTOGRAPHS -o SPLAT.ply          a plain 3DGS, as an ordinary PLY file
+python -m benchmarks.peers run PHOTOGRAPHS FOLDER --method 3dgs    runs of a method, one JSON file each
+python -m benchmarks.peers table FOLDER                            one table and one plot of all runs in a folder
+python -m benchmarks.peers.scene SPLAT.ply -o FOLDER               photographs in NeRF's format, of a splat
+
+What is whole is not run again. What was interrupted goes on where it was. SPZ and SOG are written by splat-transform,
+which `run` says how to install.
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from pathlib import Path
+
+import numba
+import torch
+
+from refcodec.files.documents import DocumentError
+from refcodec.files.text import printable
+from refcodec.photographs.photographs import PhotographError, read_photographs
+from refcodec.statuses import DONE, INTERRUPTED, USAGE
+from refcodec.train.settings_file import SettingsError
+
+from ..results import machine, write_section
+from .convert import ToolError
+from .figures import scenes
+from .runs import PLAIN, Run, methods, perform, records, splat_settings, train_splats
+from .table import PLOT_FILE, TABLE_FILE, TableError, commands, plot, report, with_seeds
+
+# A method as the table calls it.
+BASELINE = "3DGS, SPZ, 2000 steps"
+# Fewer seeds are no result.
+SEEDS = 3
+RESULTS_NOTE = (
+    "One thread each. Every eighth image is held out, of playbot the 25 of its own split.",
+    "PSNR and SSIM are by scikit-image, of eight-bit images.",
+    "Bytes are those of the file. SPZ and SOG are drawn after decoding. Processor seconds are those of the training.",
+    "A spread is the standard deviation of the seeds.",
+    "playbot is drawn from a splat of 31,000 Gaussians, PLAYBOT by Stephane Agullo (https://sa3d.fr), CC-BY-4.0, by",
+    "`python -m benchmarks.peers.scene playbot_lod3.ply -o playbot --views 100 --tests 25 --size 400 --up=-y`.",
+    "",
+)
+
+
+def _train(arguments: argparse.Namespace) -> int:
+    torch.set_num_threads(1)
+    numba.set_num_threads(1)
+    own = (arguments.photographs, PLAIN, arguments.most, arguments.seed, arguments.size, arguments.steps)
+    settings = splat_settings(Run(*own, tuple(arguments.set)))
+    photographs = read_photographs(arguments.photographs, arguments.size, seed=arguments.seed)
+    trainer = train_splats(photographs, settings, arguments.output, arguments.resume)
+    if trainer is None:
+        print("interrupted; the same command with --resume goes on", file=sys.stderr)
+        return INTERRUPTED
+    print(f"{arguments.output}: {len(trainer.result()['mean'])} Gaussians, {trainer.seconds:.0f} s of the processor")
+    return DONE
+
+
+def _run(arguments: argparse.Namespace) -> int:
+    for seed in arguments.seeds:
+        for strength in arguments.strengths:
+            run = Run(
+                arguments.photographs,
+                arguments.method,
+                strength,
+                seed,
+                arguments.size,
+                arguments.steps,
+                tuple(arguments.set),
+            )
+            if perform(run, arguments.folder) is None:
+                print("interrupted; the same command goes on", file=sys.stderr)
+                return INTERRUPTED
+    return DONE
+
+
+def _table(arguments: argparse.Namespace) -> int:
+    every = records(arguments.folder)
+    found = scenes(every)
+    lines = report(found, arguments.baseline)
+    if arguments.results:
+        certain = report(with_seeds(found, SEEDS), arguments.baseline)
+        made = ["```", *commands(every, SEEDS), "python -m benchmarks.peers table FOLDER --results", "```"]
+        write_section("peers", "Peers in one harness", [*made, "", machine("torch"), *RESULTS_NOTE, *certain])
+    (arguments.folder / TABLE_FILE).write_text("\n".join(lines) + "\n", encoding="utf-8")
+    plot(found, arguments.folder / PLOT_FILE)
+    print("\n".join(lines))
+    return DONE
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(
+        prog="python -m benchmarks.peers", description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    subcommands = parser.add_subparsers(required=True)
+
+    def command(name: str, work: object, help_: str) -> argparse.ArgumentParser:
+        found = subcommands.add_parser(name, help=help_, description=help_)
+        found.set_defaults(work=work)
+        return found
+
+    train = command("train", _train, "trains a plain 3DGS and writes an ordinary PLY file")
+    train.add_argument("photographs", type=Path)
+    train.add_argument("-o", "--output", type=Path, required=True)
+    train.add_argument("--most", type=int, default=16000, help="largest number of Gaussians (16000)")
+    train.add_argument("--seed", type=int, default=0)
+    train.add_argument("--resume", action="store_true", help="goes on from the saved state")
+    run = command("run", _run, "runs a method on photographs, for each strength and seed")
+    run.add_argument("photographs", type=Path)
+    run.add_argument("folder", type=Path)
+    run.add_argument("--method", choices=methods(), required=True)
+    run.add_argument(
+        "--strengths", type=float, nargs="+", required=True, help="3dgs: largest numbers of Gaussians; others: lambda_r"
+    )
+    run.add_argument("--seeds", type=int, nargs="+", default=[0, 1, 2], help="0 1 2")
+    for either in (train, run):
+        either.add_argument("--size", type=int, default=200, help="longest side in pixels (200)")
+        either.add_argument("--steps", type=int, default=2000, help="2000")
+        either.add_argument("--set", action="append", default=[], metavar="NAME=VALUE", help="changes a setting")
+    table = command("table", _table, "writes the table and the plot of all runs in a folder")
+    table.add_argument("folder", type=Path)
+    table.add_argument("--baseline", default=BASELINE, help=f"what others are compared with ({BASELINE})")
+    table.add_argument(
+        "--results", action="store_true", help=f"writes what has {SEEDS} seeds or more into benchmarks/RESULTS.md, too"
+    )
+    return parser
+
+
+def main(words: list[str] | None = None) -> int:
+    """Runs one command. Returns its exit status."""
+    arguments = _parser().parse_args(words)
+    try:
+        return int(arguments.work(arguments))
+    except (PhotographError, SettingsError, DocumentError, ToolError, TableError, ValueError, OSError) as error:
+        print(printable(str(error), lines=True), file=sys.stderr)
+        return USAGE
+    except KeyboardInterrupt:
+        print("interrupted", file=sys.stderr)
+        return INTERRUPTED
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,70 @@
+"""HAC++'s context within an anchor (Chen et al. 2025): features under mixtures of two Gaussian distributions.
+
+The first is that of the hyperprior, the second also knows the slices of features before. HAC++ has five slices of ten
+features and reads the hyperprior's distribution, too. Here the slices and widths are CARM's (SPEC 7.9), and the second
+distribution is CARM's change of the first, so that only the mixture is new.
+"""
+
+from __future__ import annotations
+
+import math
+from itertools import accumulate
+from typing import Any
+
+import numpy as np
+import torch
+from torch import Tensor, nn
+
+from refcodec.bitstream.attributes import SCALINGS
+from refcodec.train.entropy.bits import gauss_bits
+from refcodec.train.entropy.folded import FoldedMlp
+from refcodec.train.entropy.hyperprior import Hyperprior
+from refcodec.train.entropy.model import FEATURES, OFFSETS, SLICES, WIDTH, RateModel
+from refcodec.train.entropy.units import MEAN_UNIT, SCALE_UNIT
+from refcodec.train.settings import EntropySettings
+
+
+def mixed_bits(first: Tensor, second: Tensor, logit: Tensor) -> Tensor:
+    """Bits under a mixture of two distributions, from the bits under each. logit: of the first one's weight."""
+    weighed = [nn.functional.logsigmoid(sign * logit) - bits * math.log(2) for sign, bits in ((1, first), (-1, second))]
+    return -torch.logsumexp(torch.stack(weighed), dim=0) / math.log(2)
+
+
+class Mixture(RateModel):
+    """An entropy model with a third output of CARM for each feature: the logit of the hyperprior's weight."""
+
+    def __init__(
+        self,
+        hyperprior: Hyperprior,
+        plane_size: int,
+        width: int,
+        mean: np.ndarray[Any, np.dtype[np.float64]],
+        deviation: np.ndarray[Any, np.dtype[np.float64]],
+        generator: torch.Generator,
+        settings: EntropySettings,
+    ) -> None:
+        """As RateModel."""
+        super().__init__(hyperprior, plane_size, width, mean, deviation, generator, settings)
+        unit = torch.tensor(2.0 ** np.round(np.log2(np.maximum(deviation, settings.deviation))), dtype=torch.float32)
+        carm = []
+        for done, columns in zip(accumulate(SLICES), SLICES[1:], strict=False):
+            outputs = torch.cat([unit[done : done + columns] * MEAN_UNIT, torch.full((2 * columns,), SCALE_UNIT)])
+            carm.append(FoldedMlp([done, width, 3 * columns], unit[:done], outputs, generator, 0.0, settings.bias))
+        self.carm = nn.ModuleList(carm)
+
+    def attribute_bits(self, hidden: Tensor, symbols: Tensor, kept: Tensor) -> Tensor:
+        """As RateModel."""
+        out = self.hyper.outputs(hidden, slice(0, 2 * WIDTH))
+        mean, scale = out[:, :WIDTH], out[:, WIDTH:]
+        alone = gauss_bits(mean, scale, symbols, self.floor)
+        parts = [alone[:, : SLICES[0]]]
+        earlier = self.carm_inputs(symbols[:, : FEATURES - SLICES[-1]])
+        for done, columns, network in zip(accumulate(SLICES), SLICES[1:], self.carm, strict=False):
+            change, place = network(earlier[:, :done]), slice(done, done + columns)
+            by_mean, by_scale, logit = change.split(columns, dim=1)
+            second = gauss_bits(mean[:, place] + by_mean, scale[:, place] + by_scale, symbols[:, place], self.floor)
+            parts.append(mixed_bits(alone[:, place], second, logit / SCALE_UNIT))
+        some = 1 - torch.prod(1 - kept, dim=1)
+        offsets = (alone[:, FEATURES + SCALINGS :].reshape(len(alone), OFFSETS, 3).sum(dim=2) * kept).sum(dim=1)
+        scalings = alone[:, FEATURES : FEATURES + SCALINGS].sum(dim=1)
+        return torch.stack([torch.cat(parts, dim=1).sum(dim=1) * some, scalings * some, offsets], dim=1)

@@ -1,0 +1,115 @@
+"""The report of all runs in a folder: Markdown tables, and a plot of PSNR against bytes."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Sequence
+from pathlib import Path
+from typing import Any
+
+from matplotlib.figure import Figure as Drawing
+
+from ..results import kb, table
+from .figures import Point, Record, Scene, bd_rate, bytes_at
+
+TABLE_FILE, PLOT_FILE = "peers.md", "peers.svg"
+
+
+class TableError(Exception):
+    """What was asked for is not among the runs."""
+
+
+def with_seeds(scenes: Sequence[Scene], least: int) -> list[Scene]:
+    """The points that have at least so many seeds, and the methods and scenes that have such points."""
+    found = []
+    for scene in scenes:
+        curves = {label: [p for p in curve if p.seeds >= least] for label, curve in scene.curves.items()}
+        found.append(Scene(scene.name, scene.size, {label: curve for label, curve in curves.items() if curve}))
+    return [scene for scene in found if scene.curves]
+
+
+def commands(records: Iterable[Record], least: int) -> list[str]:
+    """The commands that make the runs of a folder, those of methods with at least so many seeds."""
+    groups: dict[Any, tuple[set[float], set[int]]] = {}
+    for record in records:
+        key = (record["scene"], record["method"], record["size"], record["steps"], tuple(record["changes"]))
+        strengths, seeds = groups.setdefault(key, (set(), set()))
+        strengths.add(record["strength"])
+        seeds.add(record["seed"])
+    found = []
+    for (scene, method, size, steps, changes), (strengths, seeds) in sorted(groups.items()):
+        words = ["python -m benchmarks.peers run", scene, "FOLDER", "--method", method]
+        words += ["--strengths", *(f"{strength:g}" for strength in sorted(strengths))]
+        words += ["--seeds", *map(str, sorted(seeds)), "--size", str(size), "--steps", str(steps)]
+        if len(seeds) >= least:
+            found.append(" ".join([*words, *(word for change in changes for word in ("--set", change))]))
+    return found
+
+
+def report(scenes: Sequence[Scene], baseline: str) -> list[str]:
+    """The lines of the report. baseline: the method that others are compared with. Raises TableError without it."""
+    known = sorted({label for scene in scenes for label in scene.curves})
+    if baseline not in known:
+        raise TableError(f"no run has the method {baseline!r}; there are: {', '.join(known) or 'none'}")
+    return [line for scene in scenes for line in _scene(scene, baseline)]
+
+
+def _scene(scene: Scene, baseline: str) -> Iterator[str]:
+    yield f"### {scene.name}, {scene.size} pixels"
+    yield ""
+    head = ["method", "cap or lambda_r", "seeds", "bytes", "PSNR, dB", "SSIM", "processor, s"]
+    yield from table(head, [_row(label, point) for label, curve in scene.curves.items() for point in curve])
+    yield ""
+    if baseline not in scene.curves:
+        return
+    against = scene.curves[baseline]
+    rates = [[label, _signed(bd_rate(against, curve))] for label, curve in scene.curves.items() if label != baseline]
+    yield from table(["method", f"BD-rate against {baseline}"], rates)
+    yield ""
+    others = [label for label in scene.curves if label != baseline]
+    rows = [_equal(point, [scene.curves[label] for label in others]) for point in against]
+    yield f"KB of each method at the PSNR of {baseline}, and how many times as large {baseline} is:"
+    yield ""
+    yield from table(["PSNR, dB", baseline, *others], rows)
+    yield ""
+
+
+def _row(label: str, point: Point) -> list[str]:
+    figures = [point.bytes.words(0), point.psnr.words(2), point.ssim.words(4), point.seconds.words(0)]
+    return [label, f"{point.strength:g}", str(point.seeds), *figures]
+
+
+def _signed(found: float | str) -> str:
+    return found if isinstance(found, str) else f"{found:+.1f} %"
+
+
+def _equal(point: Point, curves: Sequence[Sequence[Point]]) -> list[str]:
+    cells = [f"{point.psnr.mean:.2f}", kb(point.bytes.mean)]
+    for curve in curves:
+        size = bytes_at(curve, point.psnr.mean)
+        if size is None:
+            cells.append(f"beyond its {_range(curve)}")
+        else:
+            cells.append(f"{kb(size)}, {point.bytes.mean / size:.2f}")
+    return cells
+
+
+def _range(curve: Sequence[Point]) -> str:
+    """The PSNR of a method's points, in words."""
+    low, high = (end([point.psnr.mean for point in curve]) for end in (min, max))
+    return f"{low:.2f} dB" if low == high else f"{low:.2f} to {high:.2f} dB"
+
+
+def plot(scenes: Sequence[Scene], path: Path) -> None:
+    """PSNR against bytes on a logarithmic axis, a panel for each scene, spreads as bars."""
+    drawing = Drawing(figsize=(6.4 * len(scenes), 4.8), layout="constrained")
+    panels = drawing.subplots(1, len(scenes), squeeze=False)[0]
+    for axes, scene in zip(panels, scenes, strict=True):
+        for label, curve in scene.curves.items():
+            x, y = [p.bytes.mean for p in curve], [p.psnr.mean for p in curve]
+            across, up = [p.bytes.spread or 0 for p in curve], [p.psnr.spread or 0 for p in curve]
+            axes.errorbar(x, y, up, across, fmt="o-", capsize=2, label=label)
+        axes.set(xscale="log", xlabel="bytes", ylabel="PSNR, dB")
+        axes.set_title(f"{scene.name}, {scene.size} pixels")
+        axes.grid(which="both", alpha=0.3)
+        axes.legend()
+    drawing.savefig(path)
