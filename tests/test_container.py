@@ -58,9 +58,12 @@ def may_be(user: int) -> bool:
 @pytest.fixture(scope="module", params=["the same user", "another user"])
 def contained(request: pytest.FixtureRequest) -> Iterator[Run]:
     """Runs refcodec from a read-only copy, in a folder that may be written."""
+    if request.param == "another user" and not may_be(NOBODY):
+        pytest.skip("Python cannot run as another user here")
+    if request.param == "the same user" and os.geteuid() == 0 and shutil.which(WITHOUT_RIGHTS[0]) is None:
+        pytest.skip("root may write everywhere")
     # pytest closes the folders above its own to others whenever it starts.
     folder = Path(tempfile.mkdtemp(prefix="contained-"))
-    request.addfinalizer(lambda: shutil.rmtree(folder))
     folder.chmod(0o755)
     site, work = folder / "site", folder / "work"
     site.mkdir()
@@ -70,13 +73,9 @@ def contained(request: pytest.FixtureRequest) -> Iterator[Run]:
     first: tuple[str, ...] = ()
     who: dict[str, Any] = {"capture_output": True}
     if request.param == "another user":
-        if not may_be(NOBODY):
-            pytest.skip("Python cannot run as another user here")
         who = identity(NOBODY)
         os.chown(work, NOBODY, NOBODY)
     elif os.geteuid() == 0:
-        if shutil.which(WITHOUT_RIGHTS[0]) is None:
-            pytest.skip("root may write everywhere")
         first = WITHOUT_RIGHTS
     places = [site, *site.rglob("*")]
     for path in places:
@@ -98,6 +97,7 @@ def contained(request: pytest.FixtureRequest) -> Iterator[Run]:
     yield run
     for path in places:
         path.chmod(0o755)
+    shutil.rmtree(folder)
 
 
 def test_coding(contained: Run) -> None:

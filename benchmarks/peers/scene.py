@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 from refcodec.files.text import printable
 from refcodec.render.camera import Camera
 from refcodec.render.rasterise import Settings
-from refcodec.render.view import looking, write_png
+from refcodec.render.view import eight_bits, looking, png
 from refcodec.statuses import DONE, USAGE
 
 from .splats import Splats, drawn, read_ply
@@ -101,7 +101,8 @@ def write_scene(splats: Splats, folder: Path, up: F64, views: int, tests: int, s
         (folder / name).mkdir(parents=True, exist_ok=True)
         found = cameras(splats, directions, up, size, name)
         for camera in found:
-            write_png(folder / f"{camera.name}.png", drawn(splats, camera, settings)[0].numpy())
+            image = eight_bits(drawn(splats, camera, settings)[0].numpy())
+            (folder / f"{camera.name}.png").write_bytes(png(image))
         document = json.dumps(transforms(found, background), indent=1) + "\n"
         (folder / f"transforms_{name}.json").write_text(document, encoding="utf-8")
 

@@ -21,6 +21,7 @@ from refcodec.train.losses import Photometric
 from refcodec.train.optimisers import learning_rate, moments, restore_moments
 from refcodec.train.settings_file import document
 from refcodec.train.start import scene_length
+from refcodec.train.state import Saved
 from refcodec.train.views import pixels
 
 from .density import Density
@@ -206,14 +207,20 @@ class SplatTrainer:
             "random": self.random.get_state(),
         }
 
-    def restore(self, state: dict[str, Any]) -> None:
+    def restore(self, state: Saved) -> None:
         """As Savable."""
-        self._take({name: state[f"splats/{name}"] for name in NAMES})
+        count = len(state.tensor("splats/opacity", (None, *self.splats["opacity"].shape[1:])))
+        shapes = {name: (count, *self.splats[name].shape[1:]) for name in NAMES}
+        self._take({name: state.tensor(f"splats/{name}", shape) for name, shape in shapes.items()})
         restore_moments(self.optimiser, state)
         for name in ("gradient", "seen"):
-            setattr(self.density, name, state[f"density/{name}"])
-        self.done, self.seconds, self.order = state["done"], state["seconds"], state["order"]
-        self.random.set_state(state["random"])
+            setattr(self.density, name, state.tensor(f"density/{name}", (count,), low=0))
+        self.done, self.seconds = state.integer("done", 0, self.settings.steps), state.real("seconds", 0)
+        views = len(self.photographs.train)
+        self.order = [int(number) for number in state.numbers("order")]
+        if any(not 0 <= number < views for number in self.order):
+            raise state.fault("order", f"has a number that is not from 0 to {views - 1}")
+        state.generator("random", self.random)
 
 
 def _logit(share: float) -> float:
