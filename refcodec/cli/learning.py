@@ -28,6 +28,7 @@ from .shared import (
     read_photographs_of,
     seed,
     weight,
+    whole,
 )
 
 if TYPE_CHECKING:
@@ -62,7 +63,17 @@ def _settings(arguments: argparse.Namespace) -> TrainSettings:
     from ..train.settings import PRESETS
     from ..train.settings_file import SettingsError, assigned, from_toml, varied
 
-    options = {"rate.weight": arguments.rate, "steps": arguments.steps, "size": arguments.size, "seed": arguments.seed}
+    options = {
+        "rate.weight": arguments.rate,
+        "steps": arguments.steps,
+        "size": arguments.size,
+        "seed": arguments.seed,
+        "background": arguments.background,
+        "holdout": arguments.holdout,
+        "start.anchors": arguments.anchors,
+        # A number of anchors asks for an edge of its own.
+        "start.voxel": 0.0 if arguments.anchors else arguments.voxel,
+    }
     settings = PRESETS[arguments.preset]
     try:
         if arguments.settings:
@@ -77,6 +88,16 @@ def _interrupted(done: int, steps: int, state: Path) -> int:
     goes_on = "--resume goes on from the saved state" if state.exists() else "there is no saved state to go on from"
     note(f"refcodec: stopped at step {done} of {steps}; the scene is written, and {goes_on}")
     return statuses.INTERRUPTED
+
+
+def _check_state(state: Path, resume: bool) -> None:
+    """Raises UsageError unless there is a saved state to go on from, or none that would be lost."""
+    if resume and not state.exists():
+        raise UsageError(f"there is nothing to resume: {state} does not exist")
+    if not resume and os.path.lexists(state):
+        raise UsageError(
+            f"{state} is the saved state of a training into the same folder: go on with it by --resume, or remove it"
+        )
 
 
 def _check_writable(output: Path) -> None:
@@ -104,10 +125,9 @@ def _train(arguments: argparse.Namespace) -> int:
     state = state_path(output)
     others = [(state, STATE), (output / REPORT_FILE, REPORT)]
     check_scene_output(output, [arguments.settings], uncompressed=True, others=others)
-    if arguments.resume and not state.exists():
-        raise UsageError(f"there is nothing to resume: {state} does not exist")
+    _check_state(state, arguments.resume)
     _check_writable(output)
-    photographs = read_photographs_of(arguments.photographs, settings.size)
+    photographs = read_photographs_of(arguments.photographs, settings.size, settings.background, settings.holdout)
     check_scene_output(output, photographs.places(), uncompressed=True)
     note_compiling()
     try:
@@ -152,14 +172,11 @@ def _fit(arguments: argparse.Namespace) -> int:
     # With the point cloud of a scene goes the rest of the scene.
     inputs = [points, *(scene_files(points.parent) if points.suffix == ".ply" else [])]
     check_scene_output(output, inputs, others=[(state, STATE)])
-    if arguments.resume and not state.exists():
-        raise UsageError(f"there is nothing to resume: {state} does not exist")
+    _check_state(state, arguments.resume)
     settings = FitSettings(steps=arguments.steps, seed=arguments.seed)
     try:
         given = read_given(arguments.points, arguments.voxel)
         with hold_file(_lock(state)):
-            if not arguments.resume:
-                state.unlink(missing_ok=True)
             with progress_bar(arguments.progress) as progress:
                 result = fit(given, settings, progress=progress, state=state)
             write_somewhere(lambda folder: write_folder(result.scene, folder), output, state)
@@ -189,14 +206,16 @@ def add(commands: Any) -> None:
             "train photographs -o scene",
             "train photographs -o scene --rate 0.01 --steps 8000",
             "train photographs -o scene --resume",
+            "train photographs -o scene --anchors 20000 --background white --holdout 0",
             "train photographs -o scaffold --rate 0",
             "train photographs -o scene --set masks.epsilon=0.0004 --set growth.most=60000",
             "train --preset paper --print-settings > settings.toml",
             "train photographs -o scene --settings settings.toml",
         ],
         "PHOTOGRAPHS is a folder that COLMAP or a NeRF dataset made; every eighth image is held out. SCENE_DIR is\n"
-        "what refcodec encode reads. Its training.json says with which settings it was trained, and how that went.\n"
+        "what refcodec encode and eval read. Its training.json has the settings of the training, and how it went.\n"
         "Ctrl-C ends the training early, writes the scene all the same, and keeps SCENE_DIR.train-state for --resume.\n"
+        "Without --resume a training does not begin where such a state is: it goes on, or the state is removed first.\n"
         "Needs: pip install 'refcodec[train]'.",
         writes=True,
     )
@@ -225,7 +244,24 @@ def add(commands: Any) -> None:
     )
     train.add_argument("--steps", type=positive, metavar="N", help="training steps (default: the preset's)")
     train.add_argument(
-        "--size", metavar="WxH", help="size that photographs are averaged down to, or their longest side"
+        "--size", metavar="WxH", help="size that photographs are averaged down to, their longest side, or full"
+    )
+    train.add_argument(
+        "--background",
+        metavar="C",
+        help="what transparent photographs are laid over: white, black or R,G,B (default: white for NeRF's format, "
+        "else black)",
+    )
+    train.add_argument(
+        "--holdout",
+        type=whole,
+        metavar="N",
+        help="hold out every N-th photograph, or none with 0, unless the data set has a split (default: 8)",
+    )
+    first = train.add_mutually_exclusive_group()
+    first.add_argument("--anchors", type=positive, metavar="N", help="about how many anchors to begin with")
+    first.add_argument(
+        "--voxel", type=length, metavar="V", help="edge of the voxels of the first anchors, in world units"
     )
     train.add_argument("--seed", type=seed, metavar="S", help="of the random numbers (default: 0)")
     train.add_argument(
