@@ -10,7 +10,6 @@ import pytest
 from refcodec.bitstream.codec import parse
 from refcodec.cli.main import main
 from refcodec.photographs.photographs import PhotographSet
-from refcodec.train.command import state_path
 from refcodec.train.settings import TrainSettings
 from refcodec.train.settings_file import varied
 from refcodec.train.start import first_anchors
