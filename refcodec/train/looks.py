@@ -32,8 +32,8 @@ def psnr(error: float) -> float:
 class Looks(Part):
     """A training's notes.
 
-    history: what each look at held-out images found: COLUMNS, and the name of the phase. recent: PSNR of the latest
-    steps, dB. seconds: of the training so far. pace: of its steps.
+    history: COLUMNS of each look at held-out images, and the phase of its last step. recent: PSNR of the latest steps,
+    dB. seconds: of the training so far. pace: of its steps.
     """
 
     name = "looks"
@@ -73,7 +73,7 @@ class Looks(Part):
                 "anchors": self.views.scaffold.count,
                 "bytes": round(sum(sizes.values())),
                 **{name: round(size) for name, size in sizes.items()},
-                PHASE: self.clock.phase(),
+                PHASE: self.clock.phase(done - 1),
             }
         )
 

@@ -60,9 +60,9 @@ class Clock:
         """The share of the steps at which the phase of a name begins."""
         return next(phase.begin for phase in self.phases if phase.name == name)
 
-    def phase(self) -> str:
-        """The name of the last phase that has begun, empty before the first."""
-        return next((phase.name for phase in reversed(self.phases) if phase.begin <= self.share), "")
+    def phase(self, done: int) -> str:
+        """The name of the last phase that has begun after `done` steps, empty before the first."""
+        return next((phase.name for phase in reversed(self.phases) if phase.begin <= self.share_at(done)), "")
 
     def state(self) -> dict[str, Any]:
         """What a saved training needs of it."""
