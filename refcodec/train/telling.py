@@ -46,10 +46,16 @@ def line(trainer: Trainer) -> str:
     words = [f"step {clock.done} of {clock.steps}", f"{np.mean(looks.recent):.2f} dB"]
     words += [f"held-out {look['psnr']:.2f} dB" for look in last]
     words += [f"{trainer.scaffold.count} anchors", kilobytes(trainer, size)]
-    if (left := looks.pace.left()) and clock.done < clock.steps:
-        seconds, sure = left
-        words.append(f"{'' if sure else 'about '}{max(seconds, 1):.0f} s left")
-    return ", ".join(words)
+    return ", ".join([*words, *_left(trainer)])
+
+
+def _left(trainer: Trainer) -> list[str]:
+    """The time that is left, in words, if there is any and it is known."""
+    found = trainer.looks.pace.left()
+    if found is None or trainer.clock.done == trainer.clock.steps:
+        return []
+    seconds, sure = found
+    return [f"{'' if sure else 'about '}{max(seconds, 1):.0f} s left"]
 
 
 def kilobytes(trainer: Trainer, size: float) -> str:
@@ -107,14 +113,16 @@ def _told(trainer: Trainer, progress: bool) -> Iterator[Watch]:
     if sys.stderr.isatty():
         from tqdm import tqdm  # noqa: PLC0415 (only here)
 
-        with tqdm(total=clock.steps, initial=clock.done, desc="train", file=ProgressStream()) as bar:
+        # tqdm's own time left knows nothing of the rate.
+        form = "{desc}: {percentage:3.0f}%|{bar}| {n_fmt}/{total_fmt} [{elapsed}{postfix}]"
+        with tqdm(total=clock.steps, initial=clock.done, desc="train", file=ProgressStream(), bar_format=form) as bar:
 
             def show(_: Trainer) -> None:
                 bar.update(clock.done - bar.n)
                 if clock.done % 20 == 0 and looks.history:
                     last = looks.history[-1]
-                    size = kilobytes(trainer, last["bytes"])
-                    bar.set_postfix_str(f"{last['psnr']:.2f} dB, {last['anchors']} anchors, {size}")
+                    words = [f"{last['psnr']:.2f} dB, {last['anchors']} anchors", kilobytes(trainer, last["bytes"])]
+                    bar.set_postfix_str(", ".join([*words, *_left(trainer)]))
 
             yield show
         return

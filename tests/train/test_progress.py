@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import contextlib
 import csv
 import json
 import os
+import re
 import subprocess
 import sys
 import types
@@ -255,6 +257,29 @@ def test_it_says_when_it_compiles(examples: Path, tmp_path: Path) -> None:
         run = subprocess.run(command, env=environment, check=True, capture_output=True, text=True)
         told.append(run.stderr.count("train: compiling"))
     assert told == [1, 0]
+
+
+@pytest.mark.slow
+def test_the_bar_of_a_terminal(examples: Path, tmp_path: Path) -> None:
+    """Its time left is the training's own: tqdm's knows nothing of the rate, nor of what went before --resume."""
+    pty, termios = pytest.importorskip("pty"), pytest.importorskip("termios")
+    ours, theirs = pty.openpty()
+    termios.tcsetwinsize(theirs, (24, 140))
+    words = ["train", str(examples / "caliterra"), "-o", str(tmp_path / "scene"), *TINY, "--steps", "60"]
+    with subprocess.Popen(
+        [sys.executable, "-m", "refcodec", *words], stderr=theirs, stdout=subprocess.DEVNULL
+    ) as process:
+        os.close(theirs)
+        shown = b""
+        # At the end of a terminal Linux gives an error.
+        with contextlib.suppress(OSError):
+            while part := os.read(ours, 1 << 16):
+                shown += part
+        os.close(ours)
+    assert process.returncode == 0
+    bars = [bar for bar in shown.decode().split("\r") if "/60 [" in bar]
+    assert any(re.search(r" 20/60 \[.* dB, \d+ anchors, about \d+ KB, about \d+ s left\]", bar) for bar in bars), bars
+    assert re.search(r" 60/60 \[.* dB, \d+ anchors, \d+ KB\]", bars[-1])
 
 
 # --- logs -------------------------------------------------------------------------------------------------------------
