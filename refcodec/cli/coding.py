@@ -14,13 +14,14 @@ from ..bitstream.errors import BitstreamError
 from ..files.outputs import Kind, check_apart, check_file
 from ..files.stage import Stage, write_file
 from ..files.terminal import note, say
+from ..files.text import shell_word
 from .bounds import add_bounds, check_folder, read_bounded
 from .shared import (
     UsageError,
     add_command,
     check_scene_output,
+    encoded,
     parse_file,
-    progress_bar,
     reject,
 )
 
@@ -32,22 +33,22 @@ TRACE = Kind("a symbol trace", re.compile(rb"(planes|positions|masks|attributes|
 
 
 def _encode(arguments: argparse.Namespace) -> int:
-    from ..bitstream.codec import emit
     from ..bitstream.header import SIGNATURE
-    from ..encoder.quantise import packed
     from ..folder.read import read_folder
+    from ..folder.uncompressed import is_uncompressed
 
     output = Path(arguments.output)
     check_file(output, Kind.signed("a C3GS file", SIGNATURE))
     check_apart([output], [arguments.scene])
     check_folder(arguments, Path(arguments.scene))
+    if is_uncompressed(Path(arguments.scene)):
+        fitted = shell_word(f"{arguments.scene.rstrip('/')}-fitted")
+        raise UsageError(
+            f"{arguments.scene} is an uncompressed scene, which has no entropy model: train it with a rate, or fit a "
+            f"model to it with refcodec fit {shell_word(arguments.scene)} -o {fitted}"
+        )
     scene = read_folder(arguments.scene)
-    try:
-        with progress_bar(arguments.progress) as progress:
-            data = emit(packed(scene, arguments.positions, arguments.weights), progress=progress)
-    except ValueError as error:
-        raise UsageError(f"{arguments.scene} cannot be encoded: {error}") from None
-    write_file(output, data)
+    write_file(output, encoded(arguments, arguments.scene, scene, arguments.positions, arguments.weights))
     return 0
 
 

@@ -12,21 +12,22 @@ from typing import TYPE_CHECKING, Any
 
 from ..files.outputs import Kind, check_apart, check_file
 from ..files.stage import write_file
-from ..files.terminal import say
+from ..files.terminal import note, say
 from ..files.text import printable
-from .bounds import add_bounds, check_folder, read_bounded
+from .bounds import add_bounds, read_bounded
 from .shared import (
     RENDER_PACKAGES,
     UsageError,
     add_command,
+    encoded,
     needs,
     note_compiling,
     parse_file,
     positive,
     progress_bar,
-    read_photographs_of,
-    uncompressed_of,
+    whole,
 )
+from .shown import photographs_as_trained, read_shown, render_info
 
 if TYPE_CHECKING:
     from ..render.camera import Camera
@@ -38,6 +39,11 @@ An image has the name of its camera, with the folders in it, and .png for its en
 it keeps its own ending as well. The images say that refcodec wrote them, and only such images are replaced. They get
 into DIR when all are drawn.
 """
+
+
+def _tell(line: str | None) -> None:
+    if line is not None:
+        note(line)
 
 
 def _gaussians(arguments: argparse.Namespace) -> int:
@@ -69,7 +75,9 @@ def _render(arguments: argparse.Namespace) -> int:
     except ModuleNotFoundError as error:
         raise needs("render", "render", error, RENDER_PACKAGES) from None
     note_compiling()
+    shown = read_shown(arguments)
     inputs: list[str | Path] = [arguments.file]
+    said = None
     orbit = arguments.cameras == "orbit"
     cameras: list[Camera] = []
     if orbit:
@@ -77,14 +85,14 @@ def _render(arguments: argparse.Namespace) -> int:
     elif arguments.cameras == "default":
         names = [OWN]
     else:
-        found = read_photographs_of(arguments.cameras, arguments.size)
+        found, said = photographs_as_trained(arguments, arguments.cameras, render_info(shown))
         cameras = [p.camera for p in (*found.test, *found.train)]
         names = [camera.name for camera in cameras]
         inputs += found.places()
     folder = Path(arguments.output)
     images = ImageFolder(folder, names, orbit, inputs)
-    check_folder(arguments, Path(arguments.file))
-    view = View(uncompressed_of(arguments.file) or parse_file(arguments, read_bounded(arguments)).scene)
+    _tell(said)
+    view = View(parse_file(arguments, shown).scene if isinstance(shown, bytes) else shown)
     cameras = cameras or (view.orbit(arguments.frames) if orbit else [own_camera(view.info)])
     frames = []
     with images, progress_bar(arguments.progress) as progress:
@@ -119,6 +127,8 @@ def _lpips(path: str) -> Any:
 def _eval(arguments: argparse.Namespace) -> int:
     import json
 
+    from ..bitstream.scene import Scene
+
     try:
         from ..evaluate.evaluation import compared_of, evaluate, table
         from ..photographs.cameras import PhotographError
@@ -126,15 +136,17 @@ def _eval(arguments: argparse.Namespace) -> int:
     except ModuleNotFoundError as error:
         raise needs("eval", "render", error, RENDER_PACKAGES) from None
     note_compiling()
-    found = read_photographs_of(arguments.photographs, arguments.size)
+    shown = read_shown(arguments)
+    found, said = photographs_as_trained(arguments, arguments.photographs, render_info(shown))
     images = None
     if arguments.images:
         inputs = [arguments.file, arguments.lpips, *found.places()]
         names = [p.camera.name for p in compared_of(found)]
         images = ImageFolder(Path(arguments.images), names, False, inputs)
+    _tell(said)
     lpips = _lpips(arguments.lpips) if arguments.lpips else None
-    check_folder(arguments, Path(arguments.file))
-    shown = uncompressed_of(arguments.file) or read_bounded(arguments)
+    if isinstance(shown, Scene):
+        shown = encoded(arguments, arguments.file, shown)
     try:
         with images or contextlib.nullcontext(), progress_bar(arguments.progress) as progress:
             result = evaluate(shown, found, images.add if images else None, progress, lpips)
@@ -172,8 +184,10 @@ def add(commands: Any) -> None:
             "render scene.c3gs --cameras orbit -o images",
             "render scene.c3gs --cameras photographs -o images",
         ],
-        "PHOTOGRAPHS is a folder that COLMAP or a NeRF dataset made. The images of an orbit are also written as an\n"
-        "animation.\n" + IMAGES + "Needs: pip install 'refcodec[render]'.",
+        "FILE is a file or a scene folder. PHOTOGRAPHS is a folder that COLMAP or a NeRF dataset made. Its images are\n"
+        "drawn at the size of the training. The images of an orbit are also written as an animation.\n"
+        + IMAGES
+        + "Needs: pip install 'refcodec[render]'.",
         writes=True,
     )
     render.add_argument("file", metavar="FILE")
@@ -185,7 +199,11 @@ def add(commands: Any) -> None:
         default="default",
         help="which cameras (default: the file's own)",
     )
-    render.add_argument("--size", metavar="WxH", help="with PHOTOGRAPHS, the size of the images or their longest side")
+    render.add_argument(
+        "--size",
+        metavar="WxH",
+        help="with PHOTOGRAPHS, the size of the images, their longest side, or full (default: that of the training)",
+    )
     render.add_argument(
         "--frames", type=positive, metavar="N", default=60, help="images of an orbit (default: %(default)s)"
     )
@@ -194,8 +212,14 @@ def add(commands: Any) -> None:
         "eval",
         _eval,
         "compare what a file shows with photographs",
-        ["eval scene.c3gs photographs", "eval scene.c3gs photographs --size 400x300 --json"],
+        [
+            "eval scene.c3gs photographs",
+            "eval scene photographs",
+            "eval scene.c3gs photographs --size 400x300 --json",
+        ],
+        "FILE is a file, or the scene folder of one, which is coded for it, or that of an uncompressed scene.\n"
         "The photographs are those that training holds out: every eighth one, or the test set of the dataset.\n"
+        "Their size is that of the training: training.json of a scene folder says it, or else the scene's camera.\n"
         + IMAGES
         + "Needs: pip install 'refcodec[render]'.",
         writes=True,
@@ -204,7 +228,22 @@ def add(commands: Any) -> None:
     add_bounds(evaluate)
     evaluate.add_argument("photographs", metavar="PHOTOGRAPHS")
     evaluate.add_argument(
-        "--size", metavar="WxH", help="the size to which photographs are averaged down, or its longest side"
+        "--size",
+        metavar="WxH",
+        help="the size to which photographs are averaged down, its longest side, or full for their own (default: that "
+        "of the training)",
+    )
+    evaluate.add_argument(
+        "--background",
+        metavar="C",
+        help="what transparent photographs are laid over: white, black or R,G,B (default: the scene's background)",
+    )
+    evaluate.add_argument(
+        "--holdout",
+        type=whole,
+        metavar="N",
+        help="compare every N-th photograph, or all with 0, unless the data set has a split (default: as in the "
+        "training of a scene folder, else 8)",
     )
     evaluate.add_argument("--images", metavar="DIR", help="write the compared images to this folder, as PNG files")
     evaluate.add_argument(

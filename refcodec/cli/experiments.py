@@ -110,7 +110,8 @@ FILE is TOML. It has
 and a table [[scenes]] for each scene, with
   name                  of 1 to 64 letters, digits and . _ + -
   photographs           a folder, from the file's own; ${NAME} is a variable of the environment
-  size                  as of train (default: the preset's)
+  size, background, holdout, voxel, anchors
+                        as of train (default: the preset's)
   rates                 those of this scene
   set                   a list of NAME=VALUE, as of train --set
   group                 the data set that it belongs to; BD-rates have means over its scenes

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any
 
 from .. import statuses
 from ..files.lock import hold_file
-from ..files.outputs import Kind
+from ..files.outputs import Kind, check_apart
 from ..files.terminal import note, say
 from .shared import (
     UsageError,
@@ -28,6 +28,7 @@ from .shared import (
     read_photographs_of,
     seed,
     weight,
+    whole,
 )
 
 if TYPE_CHECKING:
@@ -62,7 +63,17 @@ def _settings(arguments: argparse.Namespace) -> TrainSettings:
     from ..train.settings import PRESETS
     from ..train.settings_file import SettingsError, assigned, from_toml, varied
 
-    options = {"rate.weight": arguments.rate, "steps": arguments.steps, "size": arguments.size, "seed": arguments.seed}
+    options = {
+        "rate.weight": arguments.rate,
+        "steps": arguments.steps,
+        "size": arguments.size,
+        "seed": arguments.seed,
+        "background": arguments.background,
+        "holdout": arguments.holdout,
+        "start.anchors": arguments.anchors,
+        # A number of anchors asks for an edge of its own.
+        "start.voxel": 0.0 if arguments.anchors else arguments.voxel,
+    }
     settings = PRESETS[arguments.preset]
     try:
         if arguments.settings:
@@ -77,6 +88,19 @@ def _interrupted(done: int, steps: int, state: Path) -> int:
     goes_on = "--resume goes on from the saved state" if state.exists() else "there is no saved state to go on from"
     note(f"refcodec: stopped at step {done} of {steps}; the scene is written, and {goes_on}")
     return statuses.INTERRUPTED
+
+
+def _check_state(state: Path, resume: bool, advice: str = "") -> None:
+    """Raises UsageError unless there is a saved state to go on from, or none that would be lost.
+
+    advice: what to say where there is nothing to go on from.
+    """
+    if resume and not state.exists():
+        raise UsageError(f"there is nothing to resume: {state} does not exist{advice}")
+    if not resume and os.path.lexists(state):
+        raise UsageError(
+            f"{state} is the saved state of a training into the same folder: go on with it by --resume, or remove it"
+        )
 
 
 def _check_writable(output: Path) -> None:
@@ -95,24 +119,34 @@ def _train(arguments: argparse.Namespace) -> int:
         return 0
     if arguments.photographs is None or arguments.output is None:
         raise UsageError("train needs PHOTOGRAPHS and -o SCENE_DIR")
+    from ..folder.layout import scene_files
+
     try:
         from ..train.command import REPORT_FILE, state_path, train
+        from ..train.log import check_log, open_log
         from ..train.state import StateError
+        from ..train.telling import closing
     except ModuleNotFoundError as error:
         raise needs("train", "train", error, ("torch", "numba", "scipy", "PIL", "skimage")) from None
     output = _folder(arguments.output)
     state = state_path(output)
     others = [(state, STATE), (output / REPORT_FILE, REPORT)]
+    log = Path(arguments.log) if arguments.log else None
+    logged = [] if log is None else [check_log(log)]
     check_scene_output(output, [arguments.settings], uncompressed=True, others=others)
-    if arguments.resume and not state.exists():
-        raise UsageError(f"there is nothing to resume: {state} does not exist")
+    _check_state(state, arguments.resume, "; a training that came to its end keeps it only with --keep-state")
     _check_writable(output)
-    photographs = read_photographs_of(arguments.photographs, settings.size)
+    photographs = read_photographs_of(arguments.photographs, settings.size, settings.background, settings.holdout)
     check_scene_output(output, photographs.places(), uncompressed=True)
+    check_apart([*scene_files(output), state, output / REPORT_FILE, *logged], photographs.places())
     note_compiling()
     try:
+        rows = None if log is None else open_log(log)
+    except ModuleNotFoundError as error:
+        raise needs("train --log DIR", "tensorboard", error, ("tensorboard",)) from None
+    try:
         with hold_file(_lock(state)):
-            trainer, whole = train(
+            found = train(
                 photographs,
                 settings,
                 output,
@@ -120,16 +154,16 @@ def _train(arguments: argparse.Namespace) -> int:
                 device=arguments.device,
                 resume=arguments.resume,
                 progress=arguments.progress,
+                keep_state=arguments.keep_state,
+                log=rows,
             )
     except StateError as error:
         raise UsageError(str(error)) from None
     except ValueError as error:
         raise UsageError(f"{arguments.photographs} cannot be trained: {error}") from None
-    done = trainer.clock.done
-    say(f"{output}: {trainer.scaffold.count} anchors, {done} steps, {trainer.looks.seconds:.0f} s")
-    if not whole:
-        return _interrupted(done, settings.steps, state_path(output))
-    return 0
+    for line in closing(found.trainer, found.report, output, arguments.photographs):
+        say(line)
+    return 0 if found.whole else _interrupted(found.trainer.clock.done, settings.steps, state)
 
 
 def _fit(arguments: argparse.Namespace) -> int:
@@ -152,14 +186,11 @@ def _fit(arguments: argparse.Namespace) -> int:
     # With the point cloud of a scene goes the rest of the scene.
     inputs = [points, *(scene_files(points.parent) if points.suffix == ".ply" else [])]
     check_scene_output(output, inputs, others=[(state, STATE)])
-    if arguments.resume and not state.exists():
-        raise UsageError(f"there is nothing to resume: {state} does not exist")
+    _check_state(state, arguments.resume)
     settings = FitSettings(steps=arguments.steps, seed=arguments.seed)
     try:
         given = read_given(arguments.points, arguments.voxel)
         with hold_file(_lock(state)):
-            if not arguments.resume:
-                state.unlink(missing_ok=True)
             with progress_bar(arguments.progress) as progress:
                 result = fit(given, settings, progress=progress, state=state)
             write_somewhere(lambda folder: write_folder(result.scene, folder), output, state)
@@ -189,14 +220,21 @@ def add(commands: Any) -> None:
             "train photographs -o scene",
             "train photographs -o scene --rate 0.01 --steps 8000",
             "train photographs -o scene --resume",
+            "train photographs -o scene --anchors 20000 --background white --holdout 0",
+            "train photographs -o scene --resume --steps 12000",
+            "train photographs -o scene --log scene.csv",
             "train photographs -o scaffold --rate 0",
             "train photographs -o scene --set masks.epsilon=0.0004 --set growth.most=60000",
             "train --preset paper --print-settings > settings.toml",
             "train photographs -o scene --settings settings.toml",
         ],
         "PHOTOGRAPHS is a folder that COLMAP or a NeRF dataset made; every eighth image is held out. SCENE_DIR is\n"
-        "what refcodec encode reads. Its training.json says with which settings it was trained, and how that went.\n"
+        "what refcodec encode and eval read. Its training.json has the settings of the training, and how it went.\n"
         "Ctrl-C ends the training early, writes the scene all the same, and keeps SCENE_DIR.train-state for --resume.\n"
+        "Without --resume a training does not begin where such a state is: it goes on, or the state is removed first.\n"
+        "--resume --steps N with more steps than before extends a training. What is left of its schedule is stretched\n"
+        "over the steps that are left: phases that have passed stay passed, learning rates go on from where they are.\n"
+        "One that came to its end goes on in its last phase. Its state is there if it was trained with --keep-state.\n"
         "Needs: pip install 'refcodec[train]'.",
         writes=True,
     )
@@ -225,7 +263,24 @@ def add(commands: Any) -> None:
     )
     train.add_argument("--steps", type=positive, metavar="N", help="training steps (default: the preset's)")
     train.add_argument(
-        "--size", metavar="WxH", help="size that photographs are averaged down to, or their longest side"
+        "--size", metavar="WxH", help="size that photographs are averaged down to, their longest side, or full"
+    )
+    train.add_argument(
+        "--background",
+        metavar="C",
+        help="what transparent photographs are laid over: white, black or R,G,B (default: white for NeRF's format, "
+        "else black)",
+    )
+    train.add_argument(
+        "--holdout",
+        type=whole,
+        metavar="N",
+        help="hold out every N-th photograph, or none with 0, unless the data set has a split (default: 8)",
+    )
+    first = train.add_mutually_exclusive_group()
+    first.add_argument("--anchors", type=positive, metavar="N", help="about how many anchors to begin with")
+    first.add_argument(
+        "--voxel", type=length, metavar="V", help="edge of the voxels of the first anchors, in world units"
     )
     train.add_argument("--seed", type=seed, metavar="S", help="of the random numbers (default: 0)")
     train.add_argument(
@@ -238,7 +293,20 @@ def add(commands: Any) -> None:
         "--threads", type=positive, metavar="N", help="of the rasteriser (default: all); no result depends on them"
     )
     train.add_argument(
-        "--resume", action="store_true", help="go on with an interrupted training of the same photographs and settings"
+        "--resume",
+        action="store_true",
+        help="go on with a saved training of the same photographs and settings; --steps may be more than before",
+    )
+    train.add_argument(
+        "--keep-state",
+        action="store_true",
+        help="keep SCENE_DIR.train-state after the end, so that --resume --steps N can go on to more steps",
+    )
+    train.add_argument(
+        "--log",
+        metavar="FILE.csv|DIR",
+        help="write a row for each look at held-out photographs: step, seconds, PSNR, anchors, bytes by part, phase; "
+        "into a folder for TensorBoard, which needs pip install 'refcodec[tensorboard]'",
     )
     fit = add_command(
         commands,

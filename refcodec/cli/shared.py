@@ -23,6 +23,7 @@ from ..statuses import UsageError
 if TYPE_CHECKING:
     from ..bitstream.batches import Progress
     from ..bitstream.codec import Parsed
+    from ..bitstream.scene import Scene
     from ..folder.uncompressed import Uncompressed
     from ..photographs.photographs import PhotographSet
 
@@ -118,14 +119,38 @@ def uncompressed_of(path: str) -> Uncompressed | None:
     return read_uncompressed(Path(path)) if is_uncompressed(Path(path)) else None
 
 
-def read_photographs_of(folder: str, size: str | None) -> PhotographSet:
-    """Returns the photographs of a folder. size: as the option --size, or None. Raises UsageError."""
-    from ..photographs.photographs import PhotographError, parse_size, read_photographs
+def read_photographs_of(folder: str, size: str, background: str = "auto", holdout: int | None = None) -> PhotographSet:
+    """Returns the photographs of a folder. The others are as the options --size, --background and --holdout.
+
+    holdout: None for every eighth image. Raises UsageError.
+    """
+    from ..photographs.photographs import (
+        TEST_EVERY,
+        PhotographError,
+        parse_background,
+        parse_size,
+        read_photographs,
+    )
 
     try:
-        return read_photographs(folder, parse_size(size) if size else None)
+        colour, every = parse_background(background), TEST_EVERY if holdout is None else holdout
+        return read_photographs(folder, parse_size(size), colour, holdout=every)
     except (PhotographError, ValueError) as error:
         raise UsageError(str(error)) from None
+
+
+def encoded(
+    arguments: argparse.Namespace, path: str, scene: Scene, positions: str | None = None, weights: str | None = None
+) -> bytes:
+    """Returns the file of a scene folder. positions, weights: as encoder.quantise.packed. Raises UsageError."""
+    from ..bitstream.codec import emit
+    from ..encoder.quantise import packed
+
+    try:
+        with progress_bar(arguments.progress) as progress:
+            return emit(packed(scene, positions, weights), progress=progress)
+    except ValueError as error:
+        raise UsageError(f"{path} cannot be encoded: {error}") from None
 
 
 # --- progress and verdicts --------------------------------------------------------------------------------------------
@@ -198,6 +223,14 @@ def note_compiling() -> None:
 
 
 # --- arguments --------------------------------------------------------------------------------------------------------
+
+
+def whole(text: str) -> int:
+    """Returns an integer of at least 0."""
+    value = int(text)
+    if value < 0:
+        raise argparse.ArgumentTypeError(f"{text} found, at least 0 required")
+    return value
 
 
 def positive(text: str) -> int:

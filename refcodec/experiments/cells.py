@@ -55,7 +55,19 @@ class Cell:
         """
         scene, file = work / "scene", work / "scene.c3gs"
         size = ("--size", self.settings.size)
-        words = ["--preset", self.method.preset, "--rate", f"{self.rate:g}", "--seed", str(self.seed), *size]
+        held = () if self.scene.holdout is None else ("--holdout", str(self.scene.holdout))
+        over = () if self.scene.background is None else ("--background", self.scene.background)
+        words = [
+            "--preset",
+            self.method.preset,
+            "--rate",
+            f"{self.rate:g}",
+            "--seed",
+            str(self.seed),
+            *size,
+            *held,
+            *over,
+        ]
         words += ["--steps", str(self.steps)] if self.steps else []
         words += ["--device", self.device] if self.device != "cpu" else []
         words += [word for change in (*self.scene.changes, *self.method.changes) for word in ("--set", change)]
@@ -68,7 +80,7 @@ class Cell:
         )
         encode = Command(self.name, ("encode", str(scene), "-o", str(file)), file, (train.name,))
         coded = (encode,) if self.rate else ()
-        shown = ("eval", str(file if coded else scene), str(photographs), *size, "--json")
+        shown = ("eval", str(file if coded else scene), str(photographs), *size, *held, "--json")
         return (train, *coded, Command(self.name, shown, work / "eval.json", ((coded or (train,))[0].name,), True))
 
     def definition(self, photographs: str) -> dict[str, Any]:

@@ -14,7 +14,7 @@ from .. import statuses
 from ..files.documents import DocumentError, read_json
 from ..files.stage import write_file
 from ..files.terminal import note
-from ..photographs.photographs import PhotographError, parse_size, read_photographs
+from ..photographs.photographs import TEST_EVERY, PhotographError, parse_size, read_photographs
 from .cells import Cell, hash_of, read_result
 from .engines import Engine, Stop
 from .identity import Identities
@@ -98,7 +98,7 @@ def _photographs(
         if need:
             # What is wrong with them is said before anything runs.
             for size in sorted(sizes):
-                read_photographs(path, parse_size(size))
+                read_photographs(path, parse_size(size), holdout=TEST_EVERY if scene.holdout is None else scene.holdout)
         elif not path.is_dir():
             return None
         return identities.digest(path)

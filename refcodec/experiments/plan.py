@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any, TypeVar
 
 from ..files.text import printable
-from ..photographs.photographs import PhotographError, parse_size
+from ..photographs.photographs import PhotographError, parse_background, parse_size
 from ..train.settings import PRESETS, TrainSettings
 from ..train.settings_file import SettingsError, assigned, varied
 
@@ -27,7 +27,14 @@ SEED_MAX = (1 << 63) - 1
 _NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9._+-]{0,63}")
 _VARIABLE = re.compile(r"\$\{([^}]*)\}")
 # Settings that have a key of their own, which is the one to use.
-_OWN_KEYS = {"rate.weight": "rates", "steps": "steps", "size": "the scene's size", "seed": "seeds"}
+_OWN_KEYS = {
+    "rate.weight": "rates",
+    "steps": "steps",
+    "size": "the scene's size",
+    "seed": "seeds",
+    "background": "the scene's background",
+    "holdout": "the scene's holdout",
+}
 
 
 class ExperimentError(ValueError):
@@ -39,13 +46,16 @@ class Scene:
     """Photographs to learn from.
 
     photographs: the folder as the file has it. A path that is not absolute begins at the file's folder, and ${NAME}
-    stands for a variable of the environment. size: of `train --size`, None for the preset's. rates: lambda_r of this
-    scene, empty for those of all. changes: NAME=VALUE for `train --set`. group: the data set that it belongs to.
+    stands for a variable of the environment. size, background, holdout: of `train`, None for the preset's. rates:
+    lambda_r of this scene, empty for those of all. changes: NAME=VALUE for `train --set`. group: the data set that it
+    belongs to.
     """
 
     name: str
     photographs: str
     size: str | None
+    background: str | None
+    holdout: int | None
     rates: tuple[float, ...]
     changes: tuple[str, ...]
     group: str
@@ -80,7 +90,14 @@ class Experiment:
 
     def settings(self, scene: Scene, method: Method, rate: float, seed: int) -> TrainSettings:
         """All settings of one training, as the command that trains it has them. Raises ExperimentError."""
-        options = {"rate.weight": rate, "steps": self.steps, "size": scene.size, "seed": seed}
+        options = {
+            "rate.weight": rate,
+            "steps": self.steps,
+            "size": scene.size,
+            "background": scene.background,
+            "holdout": scene.holdout,
+            "seed": seed,
+        }
         try:
             settings = assigned(PRESETS[method.preset], (*scene.changes, *method.changes))
             return varied(settings, {name: value for name, value in options.items() if value is not None})
@@ -201,9 +218,35 @@ def _size(value: Any) -> str | None:
     """Of photographs: a text, or a number for the longest side."""
     text = str(value) if isinstance(value, int) and not isinstance(value, bool) else value
     try:
-        return text if isinstance(text, str) and parse_size(text) else None
+        parse_size(text if isinstance(text, str) else "")
     except PhotographError:
         return None
+    return text
+
+
+def _background(value: Any) -> str | None:
+    try:
+        parse_background(value if isinstance(value, str) else "")
+    except PhotographError:
+        return None
+    return str(value)
+
+
+def _length(value: Any) -> float | None:
+    right = isinstance(value, int | float) and not isinstance(value, bool) and math.isfinite(value) and value > 0
+    return float(value) if right else None
+
+
+def _first_anchors(table: _Table) -> tuple[str, ...]:
+    """The settings of a scene's first anchors, which those of `set` and of methods come after."""
+    changes = []
+    if "voxel" in table.value:
+        changes.append(f"start.voxel={table.get('voxel', 'a number above 0', _length)!r}")
+    if "anchors" in table.value:
+        changes.append(f"start.anchors={table.get('anchors', 'a whole number of 1 or more', _integer(1, SEED_MAX))}")
+    if len(changes) > 1:
+        raise ExperimentError(f"{table.where} has voxel and anchors: one of them is enough")
+    return tuple(changes)
 
 
 def _changes(table: _Table) -> tuple[str, ...]:
@@ -220,14 +263,21 @@ _NAMES = "a name of 1 to 64 letters, digits and . _ + -, which begins with a let
 
 
 def _scene(where: str, value: Any) -> Scene:
-    table = _Table(where, value, ("name", "photographs", "size", "rates", "set", "group"))
+    keys = ("name", "photographs", "size", "background", "holdout", "voxel", "anchors", "rates", "set", "group")
+    table = _Table(where, value, keys)
     name = table.get("name", _NAMES, _name)
     return Scene(
         name=name,
         photographs=table.get("photographs", "a folder", _text),
         size=table.get("size", "WIDTHxHEIGHT or the longest side", _size) if "size" in table.value else None,
+        background=table.get("background", "white, black or R,G,B", _background)
+        if "background" in table.value
+        else None,
+        holdout=table.get("holdout", "a whole number of 0 or more", _integer(0, SEED_MAX))
+        if "holdout" in table.value
+        else None,
         rates=table.several("rates", _RATES, _rate, ()),
-        changes=_changes(table),
+        changes=(*_first_anchors(table), *_changes(table)),
         group=table.get("group", _NAMES, _name, name),
     )
 

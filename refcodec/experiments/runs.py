@@ -263,6 +263,9 @@ class Runner:
     def _one(self, command: Command) -> bool:
         """Whether it came to its end. Raises RunError if it failed."""
         resume = ["--resume"] if self.notes.can_resume(command) else []
+        if command.state is not None and not resume:
+            # Of other arguments: the command would not begin as long as it is there.
+            command.state.unlink(missing_ok=True)
         self.notes.begin(command)
         began = time.perf_counter()
         with contextlib.ExitStack() as stack:

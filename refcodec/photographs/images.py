@@ -26,17 +26,41 @@ EIGHT_BITS = ("1", "L", "LA", "P", "PA", "RGB", "RGBA", "RGBX", "CMYK", "YCbCr")
 Size = tuple[int, int] | int | None
 
 
-def parse_size(text: str) -> tuple[int, int] | int:
-    """The size that a command line states: "400x300", or "400" for the longest side. Raises PhotographError."""
+def parse_size(text: str) -> Size:
+    """The size that a command line states: "400x300", "400" for the longest side, or "full" for photographs' own.
+
+    Raises PhotographError.
+    """
+    if text.strip() == "full":
+        return None
     match = re.fullmatch(r"([1-9][0-9]{0,5})(?:x([1-9][0-9]{0,5}))?", text.strip())
     numbers = [int(n) for n in match.groups() if n] if match else []
     if not numbers or max(numbers) > SIDE_MAX:
         raise PhotographError(
             f"size {text!r}",
             f"it is neither WIDTHxHEIGHT nor a longest side of 1 to {SIDE_MAX} pixels",
-            "give for example 400x300, or 400",
+            "give for example 400x300, 400, or full for the photographs' own",
         )
     return numbers[0] if len(numbers) == 1 else (numbers[0], numbers[1])
+
+
+def parse_background(text: str) -> tuple[int, int, int] | None:
+    """The colour that a command line states: "white", "black", or "R,G,B" of 0 to 255; None for "auto".
+
+    Raises PhotographError.
+    """
+    text = {"white": "255,255,255", "black": "0,0,0"}.get(text.strip(), text.strip())
+    if text == "auto":
+        return None
+    match = re.fullmatch(r"([0-9]{1,3}),([0-9]{1,3}),([0-9]{1,3})", text, re.ASCII)
+    if not match or max(map(int, match.groups())) > 255:
+        raise PhotographError(
+            f"background {text!r}",
+            "it is neither white nor black, nor R,G,B of 0 to 255",
+            "give for example white, or 255,128,0",
+        )
+    red, green, blue = map(int, match.groups())
+    return red, green, blue
 
 
 def same_aspect(width: int, height: int, other_width: int, other_height: int) -> bool:

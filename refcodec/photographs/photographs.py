@@ -13,11 +13,19 @@ from pathlib import Path
 
 from .cameras import F64, U8, UNDISTORTED, Camera, PhotographError, Shot
 from .colmap import find_model, read_colmap
-from .images import Size, image_size, parse_size, read_image, same_aspect, shrink, wanted_size
+from .images import Size, image_size, parse_background, parse_size, read_image, same_aspect, shrink, wanted_size
 from .lens import undistorted_camera, undistorted_image
 from .transforms import is_transforms, read_transforms
 
-__all__ = ["Camera", "Photograph", "PhotographError", "PhotographSet", "parse_size", "read_photographs"]
+__all__ = [
+    "Camera",
+    "Photograph",
+    "PhotographError",
+    "PhotographSet",
+    "parse_background",
+    "parse_size",
+    "read_photographs",
+]
 
 # Every eighth image is for tests, the usual hold-out of real scenes.
 TEST_EVERY = 8
@@ -44,7 +52,7 @@ class PhotographSet:
     """Photographs to learn from and to test with, each in the order of their names, and the points of the scene.
 
     points: float64 [M, 3], world units. colours: uint8 [M, 3], RGB. skipped: images without pose that were left out.
-    background: what transparent images were laid over.
+    background: what transparent images were laid over. random: whether the points were drawn at random.
     """
 
     train: tuple[Photograph, ...]
@@ -53,6 +61,7 @@ class PhotographSet:
     colours: U8
     skipped: int
     background: tuple[int, int, int]
+    random: bool = False
 
     def places(self) -> list[Path]:
         """Returns the image files, and the folders that they are in."""
@@ -61,15 +70,20 @@ class PhotographSet:
 
 
 def read_photographs(
-    folder: str | Path, size: Size = None, background: tuple[int, int, int] | None = None, seed: int = 0
+    folder: str | Path,
+    size: Size = None,
+    background: tuple[int, int, int] | None = None,
+    seed: int = 0,
+    holdout: int = TEST_EVERY,
 ) -> PhotographSet:
     """The photographs of a COLMAP or NeRF folder; where it is both, COLMAP's, which has points.
 
     size: (width, height) or the longest side in pixels that images are averaged down to, None for their own.
     background: what transparent images are laid over, 0 to 255, None for white in NeRF's format and black in COLMAP's.
-    seed: of points that are drawn where the folder has none (transforms.random_points).
+    seed: of points that are drawn where the folder has none (transforms.random_points). holdout: every how many images
+    one is for tests, 0 for none.
 
-    Images with index % 8 == 0 by name are for tests, unless the folder has a split of its own. The headers of all
+    Images with index % holdout == 0 by name are for tests, unless the folder has a split of its own. The headers of all
     images are read here. Their pixels are read when they are asked for, and what is wrong in those is raised then.
     Raises PhotographError.
     """
@@ -79,11 +93,12 @@ def read_photographs(
             folder, "there is no such folder", "give a folder with COLMAP's or NeRF's cameras and their images"
         )
     try:
+        random = False
         if model := find_model(folder):
             shots, points, colours, skipped = read_colmap(folder, model, size)
             test_shots = None
         elif is_transforms(folder):
-            shots, test_shots, points, colours, skipped = read_transforms(folder, seed)
+            shots, test_shots, points, colours, skipped, random = read_transforms(folder, seed)
         else:
             raise PhotographError(
                 folder,
@@ -92,8 +107,8 @@ def read_photographs(
                 "give the folder that has them, or run COLMAP",
             )
         if test_shots is None:
-            test_shots = shots[::TEST_EVERY]
-            shots = [shot for index, shot in enumerate(shots) if index % TEST_EVERY]
+            test_shots = shots[::holdout] if holdout else []
+            shots = [shot for index, shot in enumerate(shots) if not holdout or index % holdout]
         if not shots:
             raise PhotographError(
                 folder, f"no image is left to learn from, {len(test_shots)} are for tests", "give two images or more"
@@ -104,7 +119,7 @@ def read_photographs(
         raise PhotographError(
             error.filename or folder, f"it cannot be read ({error.strerror})", "check the file and its permissions"
         ) from None
-    return PhotographSet(train, test, points, colours, skipped, over)
+    return PhotographSet(train, test, points, colours, skipped, over, random)
 
 
 def _photographs(shots: Iterable[Shot], size: Size, background: tuple[int, int, int]) -> tuple[Photograph, ...]:

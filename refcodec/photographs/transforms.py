@@ -51,25 +51,24 @@ def is_transforms(folder: Path) -> bool:
     return any(there(folder / name) for name in (SINGLE, TRAIN, TEST))
 
 
-def read_transforms(folder: Path, seed: int) -> tuple[list[Shot], list[Shot] | None, F64, U8, int]:
-    """Posed images to learn from, those for tests, points [M, 3], colours [M, 3], and how many images have no pose.
+def read_transforms(folder: Path, seed: int) -> tuple[list[Shot], list[Shot] | None, F64, U8, int, bool]:
+    """Reads a folder.
 
-    transforms_train.json and transforms_test.json are a split. transforms.json is none: then None stands for those for
-    tests. A frame without transform_matrix is an image without pose. Points come from the PLY file that ply_file_path
-    names, or from points3d.ply. Without either they are random_points of all the cameras. Raises PhotographError.
+    Returns posed images to learn from, those for tests, points [M, 3], colours [M, 3], how many images have no pose,
+    and whether the points were drawn at random.
+
+    transforms_train.json and transforms_test.json are a split. One of transforms.json and transforms_train.json alone
+    is none: then None stands for those for tests. A frame without transform_matrix is an image without pose. Points
+    come from the PLY file that ply_file_path names, or from points3d.ply. Without either they are random_points of all
+    the cameras. Raises PhotographError.
     """
-    if there(folder / SINGLE):
-        document = _document(folder / SINGLE)
-        shots, skipped = _frames(folder / SINGLE, document)
-        test = None
-    else:
-        for name, other in ((TRAIN, TEST), (TEST, TRAIN)):
-            if not there(folder / name):
-                raise PhotographError(
-                    folder / name, f"the file is missing, {other} is there", f"give both, or a {SINGLE}"
-                )
-        document = _document(folder / TRAIN)
-        shots, skipped = _frames(folder / TRAIN, document)
+    name = SINGLE if there(folder / SINGLE) else TRAIN
+    if not there(folder / name):
+        raise PhotographError(folder / TRAIN, f"the file is missing, {TEST} is there", f"give both, or a {SINGLE}")
+    document = _document(folder / name)
+    shots, skipped = _frames(folder / name, document)
+    test = None
+    if name == TRAIN and there(folder / TEST):
         test, more = _frames(folder / TEST, _document(folder / TEST))
         skipped += more
     everything = [*shots, *(test or ())]
@@ -83,7 +82,7 @@ def read_transforms(folder: Path, seed: int) -> tuple[list[Shot], list[Shot] | N
             places[0], "the point cloud that ply_file_path names is missing", "restore it, or remove ply_file_path"
         )
     points, colours = read_points(place) if place else random_points(folder, [shot.camera for shot in everything], seed)
-    return shots, test, points, colours, skipped
+    return shots, test, points, colours, skipped, place is None
 
 
 def _document(file: Path) -> dict[str, Any]:

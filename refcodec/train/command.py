@@ -2,11 +2,8 @@
 
 from __future__ import annotations
 
-import contextlib
 import json
-import sys
-import time
-from collections.abc import Iterator
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -14,22 +11,30 @@ import numba
 import numpy as np
 import torch
 
-from ..bitstream.attributes import KINDS
 from ..bitstream.scene import Scene
 from ..files.stage import write_file
-from ..files.terminal import ProgressStream, note
+from ..files.terminal import note
 from ..folder.uncompressed import Uncompressed, write_uncompressed
 from ..folder.write import write_folder
 from ..photographs.photographs import PhotographSet
+from .log import Log, Logging
 from .looks import psnr
 from .settings import TrainSettings
 from .settings_file import document
 from .state import Keeper, restore, write_somewhere
-from .trainer import Trainer, Watch
+from .telling import opening, shown
+from .trainer import Trainer
 
 REPORT_FILE = "training.json"
-# Seconds between two lines of progress where there is no terminal.
-LINE_SECONDS = 5.0
+
+
+@dataclass(frozen=True, eq=False)
+class Trained:
+    """A training that is over. whole: whether it came to its end. report: what training.json says."""
+
+    trainer: Trainer
+    whole: bool
+    report: dict[str, Any]
 
 
 def state_path(output: Path) -> Path:
@@ -46,11 +51,14 @@ def train(
     device: str,
     resume: bool,
     progress: bool,
-) -> tuple[Trainer, bool]:
-    """Trains, and writes the scene folder and training.json. Returns the training, and whether it came to its end.
+    keep_state: bool = False,
+    log: Log | None = None,
+) -> Trained:
+    """Trains, and writes the scene folder and training.json. What it begins with is said on stderr.
 
     threads: of the rasteriser; all else uses one, so that no result depends on it. resume: from the saved state.
-    progress: whether lines tell of it where there is no terminal.
+    progress: whether lines tell of it where there is no terminal. keep_state: whether the saved state stays after the
+    end, so that more steps can follow. log: gets the history.
 
     A state that cannot be saved does not end the training. A scene that cannot be written to `output` is written among
     the temporary files, and the error says where.
@@ -64,10 +72,15 @@ def train(
     keep = Keeper(trainer, state_path(output))
     if resume:
         restore(trainer, keep.path)
-    with _shown(trainer, progress) as watch:
+    note(opening(trainer))
+    logging = Logging(log, trainer.looks.history) if log else lambda rows: None
+    with shown(trainer, progress, logging) as watch:
         whole = trainer.run(watch, keep)
+    if whole and keep_state:
+        keep()
     result = trainer.result()
-    said = json.dumps(report(trainer, result), indent=1) + "\n"
+    told = report(trainer, result)
+    said = json.dumps(told, indent=1) + "\n"
 
     def write(folder: Path) -> None:
         if isinstance(result, Uncompressed):
@@ -77,22 +90,24 @@ def train(
         write_file(folder / REPORT_FILE, said.encode())
 
     write_somewhere(write, output, keep.path, keep)
-    if whole:
+    if whole and not keep_state:
         keep.discard()
-    return trainer, whole
+    return Trained(trainer, whole, told)
 
 
 def report(trainer: Trainer, result: Scene | Uncompressed) -> dict[str, Any]:
     """What training.json says.
 
     bytes: of each part, as estimated (uncompressed: as they are); attributes are the sum of their kinds. quantised: of
-    what training draws of the scene of integers, PSNR for each held-out photograph in 3DGS's convention.
+    what training draws of the scene of integers, PSNR for each held-out photograph in 3DGS's convention. psnr: the mean
+    of these, or of those of the uncompressed scene, None if no photograph is held out. schedule: where a training was
+    extended last, as schedule.Clock.
     """
-    shown = {}
-    if isinstance(result, Scene):
-        for photograph in trainer.photographs.test:
-            made = trainer.views.show(result, photograph.camera).double().numpy()
-            shown[photograph.camera.name] = psnr(float(np.mean((made - photograph.image / 255) ** 2)))
+    found, views = {}, trainer.views
+    for photograph in trainer.photographs.test:
+        camera = photograph.camera
+        made = (views.show(result, camera) if isinstance(result, Scene) else views.draw(camera)).double().numpy()
+        found[camera.name] = psnr(float(np.mean((made - photograph.image / 255) ** 2)))
     first = trainer.photographs.train[0].camera
     return {
         "settings": document(trainer.settings),
@@ -100,48 +115,10 @@ def report(trainer: Trainer, result: Scene | Uncompressed) -> dict[str, Any]:
         "steps": trainer.clock.done,
         "seconds": round(trainer.looks.seconds, 2),
         "anchors": result.anchor_count,
-        "quantised": shown,
+        "quantised": found if isinstance(result, Scene) else {},
+        "psnr": float(np.mean(list(found.values()))) if found else None,
+        "schedule": {"first": trainer.clock.first, "base": trainer.clock.base},
         "unit": trainer.scaffold.units.length,
         "bytes": {name: round(value) for name, value in trainer.estimate().items()},
         "history": trainer.looks.history,
     }
-
-
-def line(trainer: Trainer) -> str:
-    """A training's progress in words."""
-    clock, looks, last = trainer.clock, trainer.looks, trainer.looks.history[-1:]
-    size = last[0]["bytes"] if last else sum(v for k, v in trainer.estimate().items() if k not in KINDS)
-    words = [f"step {clock.done} of {clock.steps}", f"{np.mean(looks.recent):.2f} dB"]
-    words += [f"held-out {look['psnr']:.2f} dB" for look in last]
-    words += [f"{trainer.scaffold.count} anchors", f"{size / 1000:.0f} KB"]
-    return ", ".join([*words, f"{looks.pace * (clock.steps - clock.done):.0f} s left"])
-
-
-@contextlib.contextmanager
-def _shown(trainer: Trainer, progress: bool) -> Iterator[Watch]:
-    """Progress on stderr: a bar on a terminal, else lines if they are wanted."""
-    clock, looks = trainer.clock, trainer.looks
-    if sys.stderr.isatty():
-        from tqdm import tqdm  # noqa: PLC0415 (only here)
-
-        with tqdm(total=clock.steps, initial=clock.done, desc="train", file=ProgressStream()) as bar:
-
-            def show(_: Trainer) -> None:
-                bar.update(clock.done - bar.n)
-                if clock.done % 20 == 0 and looks.history:
-                    last = looks.history[-1]
-                    bar.set_postfix_str(
-                        f"{last['psnr']:.2f} dB, {last['anchors']} anchors, {last['bytes'] / 1000:.0f} KB"
-                    )
-
-            yield show
-        return
-    last = time.monotonic()
-
-    def tell(_: Trainer) -> None:
-        nonlocal last
-        if progress and (time.monotonic() - last > LINE_SECONDS or clock.done == clock.steps):
-            note(line(trainer))
-            last = time.monotonic()
-
-    yield tell

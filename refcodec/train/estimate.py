@@ -12,12 +12,31 @@ from .export import position_bytes, weight_bytes
 from .parts.rate import Rate
 from .scaffold import Scaffold
 
+# Bits of an anchor's attributes, masks and share of the planes at one weight of the rate. At others they go with a
+# power of it. In benchmarks/RESULTS.md they are 204 and 229 at 0.001, 139 and 170 at 0.004, 102 and 128 at 0.015.
+LIKELY_BITS, LIKELY_WEIGHT, LIKELY_POWER = 155, 0.004, -0.23
+# Bytes of packed weights.
+LIKELY_NETWORKS = 24_000
+
 
 def uncompressed_bytes(scaffold: Scaffold) -> dict[str, float]:
     """Bytes of each part as float32 numbers."""
     n = scaffold.count
     weights = 4 * sum(p.numel() for p in scaffold.networks.parameters())
     return {"positions": 12 * n, "attributes": 4 * WIDTH * n, "weights": weights}
+
+
+def likely_bytes(scaffold: Scaffold, weight: float) -> dict[str, float]:
+    """About the bytes of each part of the file of a training that has no entropy model yet.
+
+    weight: of the rate. Positions are packed. The rest is what other files have (benchmarks/RESULTS.md).
+    """
+    bits = LIKELY_BITS * (weight / LIKELY_WEIGHT) ** LIKELY_POWER
+    return {
+        "positions": position_bytes(scaffold.lattice, choose_lanes(scaffold.count, 2.0 * WIDTH)),
+        "attributes": bits / 8 * scaffold.count,
+        "weights": LIKELY_NETWORKS,
+    }
 
 
 @torch.no_grad()

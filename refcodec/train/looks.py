@@ -10,15 +10,18 @@ from typing import Any
 import numpy as np
 from torch import Tensor
 
-from ..bitstream.attributes import KINDS
+from .pace import Pace
 from .part import Part
 from .schedule import Clock
 from .settings import LookSettings
 from .state import Saved
 from .views import Views, pixels
 
-# Steps whose mean PSNR is told, and the weight of the newest step in the mean time of a step.
-LATELY, NEWEST = 50, 0.02
+# Steps whose mean PSNR is told.
+LATELY = 50
+# What is noted of the file's parts, in bytes; and of a look, in numbers, with the name of the phase beside them.
+PARTS = ("positions", "attributes", "masks", "planes", "weights")
+COLUMNS, PHASE = ("step", "seconds", "psnr", "anchors", "bytes", *PARTS), "phase"
 
 
 def psnr(error: float) -> float:
@@ -29,28 +32,26 @@ def psnr(error: float) -> float:
 class Looks(Part):
     """A training's notes.
 
-    history: what each look at held-out images found. recent: PSNR of the latest steps, dB. seconds: of the training so
-    far. pace: seconds of a step, lately.
+    history: COLUMNS of each look at held-out images, and the phase of its last step. recent: PSNR of the latest steps,
+    dB. seconds: of the training so far. pace: of its steps.
     """
 
     name = "looks"
 
     def __init__(
-        self, settings: LookSettings, views: Views, estimate: Callable[[], dict[str, float]], clock: Clock
+        self, settings: LookSettings, views: Views, estimate: Callable[[], dict[str, float]], clock: Clock, pace: Pace
     ) -> None:
         """estimate: bytes of each part of the file."""
         self.settings, self.views, self.estimate, self.clock = settings, views, estimate, clock
         self.history: list[dict[str, Any]] = []
         self.recent: list[float] = []
-        self.seconds = self.pace = 0.0
+        self.seconds, self.pace = 0.0, pace
 
     def step_done(self, image: Tensor, photograph: Tensor, seconds: float) -> None:
         """Notes a step: its image, and the time that it took."""
         self.recent = [*self.recent[1 - LATELY :], psnr(float((image.detach() - photograph).square().mean()))]
         self.seconds += seconds
-        # The first step compiles; it says nothing of those to come.
-        if self.clock.done > 1:
-            self.pace = (1 - NEWEST) * self.pace + NEWEST * seconds if self.pace else seconds
+        self.pace.note(seconds)
 
     def look(self) -> None:
         """Adds to the history, if it is time or the training is at its end."""
@@ -62,21 +63,27 @@ class Looks(Part):
         some = test[:: max(len(test) // self.settings.images, 1)] or self.views.photographs.train[:1]
         errors = [float((self.views.draw(p.camera) - pixels(p)).square().mean()) for p in some]
         self.seconds += time.perf_counter() - began
+        found = self.estimate()
+        sizes = {name: found.get(name, 0) for name in PARTS}
         self.history.append(
             {
                 "step": done,
                 "seconds": round(self.seconds, 2),
                 "psnr": float(np.mean([psnr(e) for e in errors])),
                 "anchors": self.views.scaffold.count,
-                "bytes": round(sum(v for name, v in self.estimate().items() if name not in KINDS)),
+                "bytes": round(sum(sizes.values())),
+                **{name: round(size) for name, size in sizes.items()},
+                PHASE: self.clock.phase(done - 1),
             }
         )
 
     def state(self) -> dict[str, Any]:
         """The notes."""
-        return {"history": self.history, "recent": self.recent, "seconds": self.seconds}
+        pace = {f"pace/{name}": value for name, value in self.pace.state().items()}
+        return {"history": self.history, "recent": self.recent, "seconds": self.seconds, **pace}
 
     def restore(self, state: Saved) -> None:
         """As Part."""
-        self.history = state.records("history", ("step", "seconds", "psnr", "anchors", "bytes"))
+        self.history = state.records("history", COLUMNS, (PHASE,))
+        self.pace.restore(state.within("pace"))
         self.recent, self.seconds = state.numbers("recent"), state.real("seconds", 0)

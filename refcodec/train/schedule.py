@@ -2,29 +2,49 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
+from typing import Any
 
 from .settings import MODES, Phase
+from .state import Saved
 
 
 class Clock:
-    """How far a training is. done: the steps that are done, of `steps`."""
+    """How far a training is. done: the steps that are done, of `steps`.
+
+    A training that is extended keeps its place in the schedule: what is left of the schedule is stretched over the
+    steps that are left. So phases that have passed stay passed, and learning rates go on from where they are. One that
+    came to its end goes on in its last phase, at its last learning rates. first, base: the step at which the training
+    was extended last, and the share of the schedule that was done there.
+    """
 
     def __init__(self, phases: Sequence[Phase], steps: int) -> None:
         self.phases, self.steps = tuple(phases), steps
-        self.done = 0
+        self.done = self.first = 0
+        self.base = 0.0
 
     @property
     def share(self) -> float:
-        """The share of the steps that is done."""
-        return self.done / self.steps
+        """The share of the schedule that is done."""
+        return self.share_at(self.done)
+
+    def share_at(self, done: int) -> float:
+        """The share of the schedule that is done after `done` steps."""
+        return self.base + (1 - self.base) * ((done - self.first) / (self.steps - self.first))
+
+    def step_of(self, share: float) -> int:
+        """The number of steps after which a share of the schedule is done, of those since it was extended."""
+        if share <= self.base:
+            return self.first
+        return self.first + math.ceil((share - self.base) / (1 - self.base) * (self.steps - self.first) - 1e-6)
 
     def mode(self, part: str, done: int | None = None) -> str:
         """The mode of a part after `done` steps, or now.
 
         It is that of the last phase that names the part, or else the part's first in MODES.
         """
-        share = (self.done if done is None else done) / self.steps
+        share = self.share_at(self.done if done is None else done)
         found = MODES[part][0]
         for phase in self.phases:
             if phase.begin <= share:
@@ -39,3 +59,24 @@ class Clock:
     def begin(self, name: str) -> float:
         """The share of the steps at which the phase of a name begins."""
         return next(phase.begin for phase in self.phases if phase.name == name)
+
+    def phase(self, done: int) -> str:
+        """The name of the last phase that has begun after `done` steps, empty before the first."""
+        return next((phase.name for phase in reversed(self.phases) if phase.begin <= self.share_at(done)), "")
+
+    def state(self) -> dict[str, Any]:
+        """What a saved training needs of it."""
+        return {"done": self.done, "steps": self.steps, "first": self.first, "base": self.base}
+
+    def restore(self, state: Saved) -> None:
+        """Sets what `state` gave, and extends a training of fewer steps. Raises ValueError."""
+        steps = state.integer("steps", 1)
+        if steps > self.steps:
+            raise state.fault("steps", f"is {steps}: a training can be extended, but not cut to {self.steps} steps")
+        before = Clock(self.phases, steps)
+        before.first, before.base = state.integer("first", 0, steps - 1), state.real("base", 0)
+        if before.base > 1:
+            raise state.fault("base", f"is {before.base}, a share of at most 1 is required")
+        self.done = before.done = state.integer("done", before.first, steps)
+        extended = steps < self.steps
+        self.first, self.base = (before.done, before.share) if extended else (before.first, before.base)

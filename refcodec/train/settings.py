@@ -89,6 +89,12 @@ class StartSettings:
         f"{OWN}; {SCAFFOLD}: 0",
         low=0,
     )
+    voxel: float = setting(
+        0.0,
+        "edge of the voxels of the first anchors; 0: what the number of anchors asks for",
+        unit="world units",
+        low=0,
+    )
     cells: int = setting(2, "edge of the voxels of the first anchors", unit="cells of the lattice", low=1, high=64)
     near: float = setting(0.02, "nearest depth that is drawn", unit="training units", low=1e-6)
     neighbours: int = setting(3, "anchors around one whose distances give its size", GS, low=1, high=64)
@@ -297,7 +303,20 @@ class TrainSettings:
 
     steps: int = setting(4000, "steps of training, a photograph each", f"{OWN}; {PRO}: 40,000", unit="steps", low=1)
     seed: int = setting(0, "of all random numbers", low=0, high=2**63 - 1)
-    size: str = setting("400", "size that photographs are averaged down to: WxH, or their longest side", unit="pixels")
+    size: str = setting(
+        "400",
+        "size that photographs are averaged down to: WxH, their longest side, or full for their own",
+        unit="pixels",
+    )
+    background: str = setting(
+        "auto",
+        "what transparent photographs are laid over: white, black or R,G,B; auto: white in NeRF's format, else black",
+        GS,
+        unit="0 to 255",
+    )
+    holdout: int = setting(
+        8, "every N-th photograph by name is held out, 0 for none; a data set's own split comes before it", GS, low=0
+    )
     start: StartSettings = StartSettings()
     loss: LossSettings = LossSettings()
     growth: GrowthSettings = GrowthSettings()

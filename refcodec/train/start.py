@@ -92,7 +92,9 @@ def first_anchors(photographs: PhotographSet, settings: StartSettings) -> FirstA
         raise ValueError("there are no points to begin with")
     points = photographs.points
     length = scene_length(photographs)
-    voxel = choose_voxel(points, settings.anchors) if settings.anchors else default_voxel(points.astype(np.float32))
+    voxel = settings.voxel or (
+        choose_voxel(points, settings.anchors) if settings.anchors else default_voxel(points.astype(np.float32))
+    )
     grid = choose_grid(points.astype(np.float32), short_mantissa(voxel / settings.cells))
     origin = np.array(grid.origin, np.float64) * 2.0 ** (grid.scale_exponent - 24)
     units = Units(grid, origin, length, grid.scale_mantissa * 2.0**grid.scale_exponent / length)

@@ -26,7 +26,7 @@ from ..files.terminal import note
 from ..files.text import printable
 from .settings_file import differences
 
-FORMAT, VERSION = "C3GS training state", "1"
+FORMAT, VERSION = "C3GS training state", "2"
 # The most characters that a message repeats of a value.
 _SHOWN = 60
 
@@ -126,11 +126,14 @@ class Saved:
             raise self.fault(name, "is not a list of finite numbers")
         return found
 
-    def records(self, name: str, keys: Sequence[str]) -> list[dict[str, Any]]:
-        """Returns a list of objects that have these keys, each with a finite number."""
+    def records(self, name: str, keys: Sequence[str], texts: Sequence[str] = ()) -> list[dict[str, Any]]:
+        """Returns a list of objects that have these keys, each with a finite number or, for `texts`, a text."""
         found = self.value(name)
         right = isinstance(found, list) and all(
-            isinstance(entry, dict) and entry.keys() == set(keys) and all(map(_is_number, entry.values()))
+            isinstance(entry, dict)
+            and entry.keys() == {*keys, *texts}
+            and all(_is_number(entry[key]) for key in keys)
+            and all(isinstance(entry[key], str) for key in texts)
             for entry in found
         )
         if not right:

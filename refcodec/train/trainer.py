@@ -20,10 +20,11 @@ from ..bitstream.scene import Scene
 from ..folder.uncompressed import Uncompressed
 from ..photographs.photographs import PhotographSet
 from .entropy.hyperprior import Hyperprior, VectorMatrix
-from .estimate import coded_bytes, uncompressed_bytes
+from .estimate import coded_bytes, likely_bytes, uncompressed_bytes
 from .export import coded_scene, render_info, uncompressed
 from .looks import Looks
 from .losses import Photometric
+from .pace import Pace
 from .part import Part, Step
 from .parts.grids import Grids
 from .parts.growth import Growth
@@ -67,7 +68,8 @@ class Trainer:
         self.scaffold = Scaffold(photographs, settings, self.random)
         self.parts: list[Part] = []
         self.views = Views(photographs, self.scaffold, self.parts, device)
-        self.looks = Looks(settings.looks, self.views, self.estimate, self.clock)
+        pace = Pace(self.clock, bool(settings.rate.weight))
+        self.looks = Looks(settings.looks, self.views, self.estimate, self.clock, pace)
         self.rate: Rate | None = None
         self.parts += self._compose(hyperprior or VectorMatrix())
         self.order: list[int] = []
@@ -168,9 +170,14 @@ class Trainer:
     # --- results ------------------------------------------------------------------------------------------------------
 
     def estimate(self) -> dict[str, float]:
-        """Bytes of each part of the file as they are now: estimate.coded_bytes, or float32 numbers before the rate."""
-        if self.rate is None or self.rate.model is None:
+        """Bytes of each part of the file as they are now: estimate.coded_bytes, or likely_bytes before the rate.
+
+        Of an uncompressed scene they are those of its float32 numbers.
+        """
+        if self.rate is None:
             return uncompressed_bytes(self.scaffold)
+        if self.rate.model is None:
+            return likely_bytes(self.scaffold, self.settings.rate.weight)
         return coded_bytes(self.scaffold, self.rate, self.settings.weights.likely_bits)
 
     def result(self) -> Scene | Uncompressed:
@@ -191,14 +198,15 @@ class Trainer:
     # --- the saved state ----------------------------------------------------------------------------------------------
 
     def fingerprint(self) -> dict[str, Any]:
-        """What must be the same for a training to go on: settings, photographs and their sizes."""
+        """What must be the same for a training to go on: settings but for the steps, photographs and their sizes."""
         photographs = [[p.camera.name, p.camera.width, p.camera.height] for p in self.photographs.train]
-        return {"settings": document(self.settings), "photographs": photographs}
+        settings = {name: value for name, value in document(self.settings).items() if name != "steps"}
+        return {"settings": settings, "photographs": photographs}
 
     def state(self) -> dict[str, Any]:
         """All that going on exactly where it stopped needs: tensors, and values of JSON, by names with slashes."""
         found: dict[str, Any] = {
-            "clock/done": self.clock.done,
+            **{f"clock/{name}": value for name, value in self.clock.state().items()},
             "order": self.order,
             **{f"scaffold/{name}": value for name, value in self.scaffold.state().items()},
         }
@@ -208,7 +216,7 @@ class Trainer:
 
     def restore(self, state: Saved) -> None:
         """Makes a new training the one that gave the state. Raises ValueError for what cannot be a state of it."""
-        self.clock.done = state.integer("clock/done", 0, self.clock.steps)
+        self.clock.restore(state.within("clock"))
         order, views = state.value("order"), len(self.views.cameras)
         right = isinstance(order, list) and all(type(n) is int and 0 <= n < views for n in order)
         if not right or len(set(order)) != len(order):

@@ -220,17 +220,17 @@ CODING = {
     "gaussians": Case(["gaussians", "scene.c3gs", "camera.json", "out.json"], 5),
 }
 DRAWING = {
-    "render": Case(["render", "scene.c3gs", "--cameras", "photos", "-o", "images"], 20),
+    "render": Case(["render", "scene.c3gs", "--cameras", "photos", "--size", "full", "-o", "images"], 20),
     "render over old images": Case(
-        ["render", "scene.c3gs", "--cameras", "photos", "-o", "images"],
+        ["render", "scene.c3gs", "--cameras", "photos", "--size", "full", "-o", "images"],
         17,
-        [["render", "other.c3gs", "--cameras", "photos", "-o", "images"]],
+        [["render", "other.c3gs", "--cameras", "photos", "--size", "full", "-o", "images"]],
     ),
     "render an orbit": Case(
         ["render", "scene.c3gs", "--cameras", "orbit", "--frames", "2", "-o", "images"],
         12,
     ),
-    "eval": Case(["eval", "scene.c3gs", "photos", "--images", "images"], 12),
+    "eval": Case(["eval", "scene.c3gs", "photos", "--size", "full", "--images", "images"], 12),
 }
 
 

@@ -31,7 +31,7 @@ def train(argv: list[str]) -> int:
     parser.add_argument("--rate", type=float)
     parser.add_argument("--steps", type=int)
     parser.add_argument("--size")
-    for name in ("--threads", "--seed", "--preset", "--device"):
+    for name in ("--threads", "--seed", "--preset", "--device", "--background", "--holdout"):
         parser.add_argument(name)
     parser.add_argument("--set", action="append")
     parser.add_argument("--resume", action="store_true")
@@ -48,6 +48,9 @@ def train(argv: list[str]) -> int:
 
     signal.signal(signal.SIGINT, stop)
     state = Path(f"{arguments.output}.train-state")
+    if state.exists() and not arguments.resume:
+        print("there is a state", file=sys.stderr)
+        return 64
     done = int(state.read_text()) if arguments.resume else 0
     history = []
     while done < arguments.steps and not stopped:
@@ -90,6 +93,7 @@ def evaluate(argv: list[str]) -> int:
     parser.add_argument("scene", type=Path)
     parser.add_argument("photographs")
     parser.add_argument("--size")
+    parser.add_argument("--holdout")
     parser.add_argument("--images", type=Path)
     parser.add_argument("--json", action="store_true")
     arguments = parser.parse_args(argv)

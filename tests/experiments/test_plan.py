@@ -30,6 +30,9 @@ size = 40
 [[scenes]]
 name = "two"
 photographs = "${SOMEWHERE}/two"
+background = "white"
+holdout = 5
+anchors = 700
 rates = [0.5]
 set = ["masks.epsilon=0.02", "growth.most=99"]
 [[methods]]
@@ -72,6 +75,12 @@ def test_the_cells(tmp_path: Path) -> None:
     assert train.arguments[train.arguments.index("--rate") + 1] == "0"
     assert list(shown.arguments) == ["eval", "w/scene", "photographs", "--size", "40", "--json"]
     assert shown.after == (train.name,)
+    train, _, shown = two.commands(Path("w"), Path("photographs"), 3)
+    words = "--size 400 --holdout 5 --background white --steps 5 --set start.anchors=700 --set masks.epsilon=0.02"
+    assert words in " ".join(train.arguments)
+    # The file has the background.
+    assert list(shown.arguments[3:]) == ["--size", "400", "--holdout", "5", "--json"]
+    assert (two.settings.background, two.settings.holdout, two.settings.start.anchors) == ("white", 5, 700)
     # What a method sets is set after what the scene sets.
     assert (two.settings.masks.epsilon, two.settings.growth.most) == (0.03, 99)
     assert (two.settings.rate.weight, two.settings.steps, two.settings.seed, two.settings.size) == (0.5, 5, 0, "400")
@@ -136,6 +145,14 @@ def test_where_photographs_are(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) 
         ('photographs = "one"', 'photographs = "a\\u0000"', "a folder is required"),
         ("size = 40", 'size = "wide"', "WIDTHxHEIGHT"),
         ("size = 40", "size = -1", "WIDTHxHEIGHT"),
+        ("size = 40", 'background = "grey"', "white, black or R,G,B"),
+        ("size = 40", "background = 1", "white, black or R,G,B"),
+        ("size = 40", "holdout = -1", "a whole number of 0 or more"),
+        ("size = 40", "voxel = 0", "a number above 0"),
+        ("size = 40", "voxel = inf", "a number above 0"),
+        ("size = 40", "anchors = 0", "a whole number of 1 or more"),
+        ("size = 40", "voxel = 1\nanchors = 9", "one of them is enough"),
+        ("size = 40", 'set = ["holdout=3"]', "the scene's holdout"),
         ("size = 40", "size = 40\ncolour = 1", "has colour"),
         ('kind = "uncompressed"', 'kind = "other"', "train or uncompressed"),
         ('kind = "uncompressed"', 'preset = "slow"', "fast or paper"),

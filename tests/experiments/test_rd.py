@@ -135,11 +135,18 @@ def test_interrupted(tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeyp
     assert process.returncode == 130
     assert "0 of 1 rates done" in printed
     monkeypatch.setenv("FAKE_STEP", "0")
+    state = out / "rate-0.01.train-state"
+    saved = state.read_bytes()
     assert main(arguments) == 0
     printed = capsys.readouterr().err
     steps = [int(line.split()[-1]) for line in printed.splitlines() if "train: step" in line]
     assert steps[0] > 1
     assert steps[-1] == 400
+    # With other settings it begins anew, and what an interrupt left is in nobody's way.
+    state.write_bytes(saved)
+    assert main([*arguments, "--seed", "3"]) == 0
+    assert "train: step 1\n" in capsys.readouterr().err
+    assert not state.exists()
     assert [row["rate"] for row in rows(out)] == ["0.01"]
 
 

@@ -24,7 +24,7 @@ from scipy.spatial.transform import Rotation
 
 from refcodec.photographs import images, lens, transforms
 from refcodec.photographs.cameras import Camera, PhotographError, quaternion_rotation
-from refcodec.photographs.photographs import parse_size, read_photographs
+from refcodec.photographs.photographs import parse_background, parse_size, read_photographs
 
 ROOT = Path(__file__).resolve().parents[2]
 EXAMPLES = ROOT / "examples" / "photographs"
@@ -528,6 +528,7 @@ def test_orientation_is_not_applied(tmp_path):
 def test_parse_size():
     assert parse_size("400x300") == (400, 300)
     assert parse_size(" 1600 ") == 1600
+    assert parse_size("full") is None
     for wrong in ("", "0", "0x3", "x", "4x", "-4", "4x5x6", "4.5", "999999", "4 x 5", "٤"):
         with pytest.raises(PhotographError, match="400x300"):
             parse_size(wrong)
@@ -797,8 +798,38 @@ def test_own_split(tmp_path):
     found = read_photographs(tmp_path)
     assert [p.camera.name for p in found.train] == [f"train/r_{i}" for i in range(COUNT)]
     assert [p.camera.name for p in found.test] == [f"test/r_{i}" for i in range(3)]
-    (tmp_path / "transforms_test.json").unlink()
-    refused(tmp_path, "transforms_test.json", "the file is missing")
+    (tmp_path / "transforms_train.json").rename(tmp_path / "transforms.json.kept")
+    refused(tmp_path, "transforms_train.json", "the file is missing")
+
+
+def test_half_a_split_is_none(tmp_path):
+    """transforms_train.json alone is a list of images as any other: every eighth one is held out."""
+    write_nerf(tmp_path, "transforms_train.json", "./train/")
+    found = read_photographs(tmp_path)
+    assert [p.camera.name for p in found.test] == [f"train/r_{i}" for i in range(0, COUNT, 8)]
+    assert len(found.train) + len(found.test) == COUNT
+
+
+def test_holdout(tmp_path):
+    write_nerf(tmp_path)
+    names = [f"images/r_{i}" for i in range(COUNT)]
+    for every in (2, 3):
+        found = read_photographs(tmp_path, holdout=every)
+        assert [p.camera.name for p in found.test] == names[::every]
+        assert sorted(p.camera.name for p in (*found.train, *found.test)) == names
+    found = read_photographs(tmp_path, holdout=0)
+    assert (len(found.train), found.test, found.random) == (COUNT, (), True)
+    refused(tmp_path, "no image is left to learn from", holdout=1)
+
+
+def test_parse_background():
+    assert parse_background("white") == parse_background("255,255,255") == (255, 255, 255)
+    assert parse_background(" black ") == (0, 0, 0)
+    assert parse_background("1,20,255") == (1, 20, 255)
+    assert parse_background("auto") is None
+    for wrong in ("", "grey", "1,2", "1,2,256", "1,2,-3", "1, 2, 3", "1,2,3,4", "\u0661,2,3"):
+        with pytest.raises(PhotographError, match="background"):
+            parse_background(wrong)
 
 
 @pytest.mark.parametrize("suffix", [".png", ".jpg", ".jpeg", ".JPG"])

@@ -15,7 +15,8 @@ from PIL import Image
 from refcodec.bitstream.codec import parse
 from refcodec.cli.main import main
 from refcodec.folder.uncompressed import read_uncompressed
-from refcodec.train.command import LINE_SECONDS, state_path
+from refcodec.train.command import state_path
+from refcodec.train.telling import LINE_SECONDS
 
 
 def test_command(examples: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -46,7 +47,7 @@ def test_command_without_rate(examples: Path, tmp_path: Path, capsys: pytest.Cap
         assert main(["train", source, "-o", str(folder), "--rate", "0", "--steps", "20", "--size", "64"]) == 0
     scene = read_uncompressed(folder)
     assert main(["eval", str(folder), source, "--size", "64", "--json"]) == 0
-    found = json.loads(capsys.readouterr().out.split("\n", 2)[2])
+    found = json.loads(capsys.readouterr().out.split("\n", 6)[6])
     assert found["parts"] == {
         "positions": 12 * scene.anchor_count,
         "attributes": 4 * 86 * scene.anchor_count,

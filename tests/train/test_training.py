@@ -112,8 +112,8 @@ from refcodec.train.settings_file import varied
 settings = varied(TrainSettings(), {"steps": 60, "start.anchors": 800, "growth.most": 900})
 found = read_photographs(sys.argv[1], (100, 75))
 threads = int(sys.argv[3])
-trainer, _ = train(found, settings, Path(sys.argv[2]), threads=threads, device="cpu", resume=False, progress=False)
-print(hashlib.sha256(emit(trainer.result())).hexdigest())
+done = train(found, settings, Path(sys.argv[2]), threads=threads, device="cpu", resume=False, progress=False)
+print(hashlib.sha256(emit(done.trainer.result())).hexdigest())
 """
 
 

@@ -1,0 +1,87 @@
+"""What render and eval draw, and the photographs that go with it as it was trained."""
+
+# Modules that need NumPy are imported where they are used, so that help is instant.
+# ruff: noqa: PLC0415
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from ..files.documents import DocumentError, read_json
+from ..statuses import UsageError
+from .bounds import check_folder, read_bounded
+from .shared import read_photographs_of, uncompressed_of
+
+if TYPE_CHECKING:
+    from ..bitstream.header import RenderInfo
+    from ..bitstream.scene import Scene
+    from ..folder.uncompressed import Uncompressed
+    from ..photographs.photographs import PhotographSet
+
+# What a training says of itself, in its scene folder.
+REPORT_FILE = "training.json"
+
+
+def read_shown(arguments: argparse.Namespace) -> bytes | Scene | Uncompressed:
+    """Returns the bytes of the command's file, or the scene of its folder.
+
+    Raises BitstreamError for a file whose container is rejected, UsageError and SceneFolderError.
+    """
+    from ..bitstream.codec import parse_container
+    from ..folder.read import read_folder
+
+    path = Path(arguments.file)
+    if path.is_dir():
+        check_folder(arguments, path)
+        return uncompressed_of(arguments.file) or read_folder(path)
+    data = read_bounded(arguments)
+    parse_container(data)
+    return data
+
+
+def render_info(shown: bytes | Scene | Uncompressed) -> RenderInfo:
+    """Returns the render information (SPEC 6.5) of what read_shown gave."""
+    from ..bitstream.codec import parse_container
+
+    return parse_container(shown).render if isinstance(shown, bytes) else shown.render
+
+
+def photographs_as_trained(
+    arguments: argparse.Namespace, folder: str, render: RenderInfo
+) -> tuple[PhotographSet, str | None]:
+    """Returns the photographs of a folder as the scene's training had them, unless the options say otherwise.
+
+    A scene folder says it in training.json. Otherwise the camera of the scene is that of the first photograph, and
+    every eighth one is held out. Also returns a line on the size, if no option says it. Raises UsageError.
+    """
+    path = Path(arguments.file) / REPORT_FILE
+    trained = _trained(path) if path.is_file() else {}
+    size, said = arguments.size, None
+    if size is None:
+        size = trained.get("size") or str(max(render.camera_width, render.camera_height))
+        source = f"{path} says" if "size" in trained else "the scene's own camera has"
+        said = f"refcodec: photographs are taken at size {size}, as {source}; --size full takes them as they are"
+    background = getattr(arguments, "background", None) or ",".join(map(str, render.background))
+    holdout = getattr(arguments, "holdout", None)
+    holdout = trained.get("holdout") if holdout is None else holdout
+    return read_photographs_of(folder, size, background, holdout), said
+
+
+def _trained(path: Path) -> dict[str, Any]:
+    """Returns `size` and `holdout` of a training's settings, as far as they are there. Raises UsageError."""
+    try:
+        found = read_json(path)
+        settings = {key: found["settings"][key] for key in ("size", "holdout") if key in found["settings"]}
+        size, holdout = settings.get("size", ""), settings.get("holdout", 0)
+        if isinstance(size, str) and isinstance(holdout, int) and not isinstance(holdout, bool) and holdout >= 0:
+            return settings
+        problem = "its size or holdout is none"
+    except DocumentError as error:
+        problem = str(error)
+    except (KeyError, TypeError):
+        problem = "it has no settings"
+    except OSError as error:
+        problem = error.strerror or str(error)
+    raise UsageError(f"{path} is not the report of a training ({problem}): remove it, and give --size")

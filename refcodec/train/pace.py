@@ -1,0 +1,80 @@
+"""How long a training still takes: the time of a step, before the rate and with it."""
+
+from __future__ import annotations
+
+import math
+from itertools import pairwise
+from typing import Any
+
+from .schedule import Clock
+from .state import Saved
+
+# Steps over which the time of a step is a mean, and how many make it one to rely on.
+LATELY, ENOUGH = 50, 10
+# How many times as long a step takes with the rate (1.5 to 4 were measured), as long as this training has none.
+RATIO = 2.5
+OFF, ON = 0, 1
+
+
+class Pace:
+    """The times of a training's steps. coded: whether it has a rate at all.
+
+    means: seconds of a step before the rate and with it. counts: steps that they are of, at most LATELY.
+    """
+
+    def __init__(self, clock: Clock, coded: bool) -> None:
+        self.clock, self.coded = clock, coded
+        self.counts, self.means = [0.0, 0.0], [0.0, 0.0]
+        self._last: int | None = None
+
+    def _stage(self, done: int) -> int:
+        return ON if self.coded and self.clock.mode("rate", done) != "off" else OFF
+
+    def note(self, seconds: float) -> None:
+        """Notes the time of the step that was done last."""
+        stage = self._stage(self.clock.done - 1)
+        if stage != self._last:
+            # The first step of a process compiles, and the first one with the rate begins it.
+            self._last = stage
+            return
+        self.counts[stage] = min(self.counts[stage] + 1, LATELY)
+        self.means[stage] += (seconds - self.means[stage]) / self.counts[stage]
+
+    def left(self) -> tuple[float, bool] | None:
+        """Returns the seconds of the steps that are left, and whether they follow from measurements alone.
+
+        None before any step was measured.
+        """
+        measured = [stage for stage in (OFF, ON) if self.counts[stage]]
+        if not measured:
+            return None
+        total, sure = 0.0, True
+        for stage, steps in enumerate(self._steps_left()):
+            if steps:
+                known = stage in measured
+                mean = self.means[stage if known else measured[0]]
+                total += steps * (mean if known else mean * RATIO if stage == ON else mean / RATIO)
+                sure = sure and self.counts[stage] >= ENOUGH
+        return total, sure
+
+    def _steps_left(self) -> tuple[int, int]:
+        """The steps that are left before the rate and with it."""
+        clock = self.clock
+        begins = (clock.step_of(phase.begin) for phase in clock.phases)
+        bounds = sorted({clock.done, clock.steps, *(step for step in begins if clock.done < step < clock.steps)})
+        found = [0, 0]
+        for begin, end in pairwise(bounds):
+            found[self._stage(begin)] += end - begin
+        return found[OFF], found[ON]
+
+    def state(self) -> dict[str, Any]:
+        """What a saved training needs of it."""
+        return {"counts": self.counts, "means": self.means}
+
+    def restore(self, state: Saved) -> None:
+        """Sets what `state` gave. Raises ValueError."""
+        for name in ("counts", "means"):
+            found = state.numbers(name)
+            if len(found) != len(self.counts) or not all(0 <= value < math.inf for value in found):
+                raise state.fault(name, "is not two numbers of at least 0")
+        self.counts, self.means = state.numbers("counts"), state.numbers("means")

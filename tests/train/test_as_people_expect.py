@@ -1,0 +1,174 @@
+"""What a person who trains meets: what is said, what is refused, and what the other commands know of a training."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pytest
+
+from refcodec.bitstream.codec import parse
+from refcodec.cli.main import main
+from refcodec.photographs.photographs import PhotographSet
+from refcodec.train.settings import TrainSettings
+from refcodec.train.settings_file import varied
+from refcodec.train.start import first_anchors
+
+TINY = ["--steps", "12", "--size", "60", "--set", "growth.most=900"]
+CHOSEN = ["--anchors", "300", "--holdout", "5", "--background", "9,20,30"]
+
+
+@pytest.fixture(scope="module")
+def source(examples: Path) -> str:
+    return str(examples / "caliterra")
+
+
+@pytest.fixture(scope="module")
+def place(source: str, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder with a coded scene, its file, and an uncompressed scene."""
+    place = tmp_path_factory.mktemp("trained")
+    assert main(["train", source, "-o", str(place / "scene"), *TINY, *CHOSEN]) == 0
+    assert main(["encode", str(place / "scene"), "-o", str(place / "scene.c3gs")]) == 0
+    assert main(["train", source, "-o", str(place / "plain"), *TINY, *CHOSEN, "--rate", "0"]) == 0
+    return place
+
+
+def evaluated(capsys: pytest.CaptureFixture[str], *words: object) -> tuple[dict, str]:
+    capsys.readouterr()
+    assert main(["eval", *map(str, words), "--json"]) == 0
+    said = capsys.readouterr()
+    return json.loads(said.out), said.err
+
+
+# --- other commands know of the training ------------------------------------------------------------------------------
+
+
+@pytest.mark.slow
+def test_eval_takes_what_the_training_took(place: Path, source: str, capsys: pytest.CaptureFixture[str]) -> None:
+    """The size was forgotten: PSNR of full photographs was told without a word."""
+    report = json.loads((place / "scene" / "training.json").read_text())
+    folder, said = evaluated(capsys, place / "scene", source)
+    assert said.count("\n") == 1
+    assert "at size 60, as" in said
+    assert "training.json says" in said
+    # The same photographs, and the PSNR that the training had of them.
+    assert [row["image"] for row in folder["images"]] == list(report["quantised"])
+    assert folder["mean"]["psnr_3dgs"] == pytest.approx(
+        sum(report["quantised"].values()) / len(folder["images"]), abs=0.02
+    )
+    # A file does not say which photographs were held out.
+    file, said = evaluated(capsys, place / "scene.c3gs", source, "--holdout", 5)
+    assert "at size 60, as the scene's own camera has" in said
+    for key in ("bytes", "parts", "mean", "images"):
+        assert file[key] == folder[key]
+    # It has the background of its photographs.
+    assert parse((place / "scene.c3gs").read_bytes()).scene.render.background == (9, 20, 30)
+    given, said = evaluated(capsys, place / "scene.c3gs", source, "--holdout", 5, "--size", 60)
+    assert (given["mean"], said) == (file["mean"], "")
+    assert len(evaluated(capsys, place / "plain", source, "--holdout", 0)[0]["images"]) == 75
+
+
+@pytest.mark.slow
+def test_full_photographs_are_asked_for(place: Path, source: str, capsys: pytest.CaptureFixture[str]) -> None:
+    file, scene = place / "scene.c3gs", place / "plain"
+    small = evaluated(capsys, file, source, "--holdout", 30)[0]["mean"]
+    full, said = evaluated(capsys, file, source, "--holdout", 30, "--size", "full")
+    assert said == ""
+    assert full["mean"]["psnr"] != small["psnr"]
+    assert main(["render", str(scene), "--cameras", source, "-o", str(place / "images")]) == 0
+    assert "at size 60" in capsys.readouterr().err
+
+
+@pytest.mark.slow
+def test_a_report_that_is_none(place: Path, source: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    (tmp_path / "scene").mkdir()
+    for file in (place / "plain").iterdir():
+        (tmp_path / "scene" / file.name).write_bytes(file.read_bytes())
+    report = tmp_path / "scene" / "training.json"
+    for text in ("[]", "{", '{"settings": 5}', '{"settings": {"size": 5}}', '{"settings": {"holdout": true}}'):
+        report.write_text(text)
+        capsys.readouterr()
+        assert main(["eval", str(tmp_path / "scene"), source]) == 64
+        said = capsys.readouterr().err
+        assert said.count("\n") == 1
+        assert "is not the report of a training" in said
+    # An older one, and none.
+    report.write_text('{"settings": {"size": "50"}}')
+    assert "at size 50" in evaluated(capsys, tmp_path / "scene", source)[1]
+    report.unlink()
+    assert "at size 60, as the scene's own camera has" in evaluated(capsys, tmp_path / "scene", source)[1]
+
+
+@pytest.mark.slow
+def test_a_folder_where_a_file_belongs(
+    place: Path, source: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["encode", str(place / "plain"), "-o", str(tmp_path / "x.c3gs")]) == 64
+    said = capsys.readouterr().err
+    assert said.count("\n") == 1
+    assert "is an uncompressed scene" in said
+    assert f"refcodec fit {place / 'plain'} -o" in said
+    assert main(["render", str(place / "scene"), "-o", str(tmp_path / "one")]) == 0
+    assert main(["render", str(place / "scene.c3gs"), "-o", str(tmp_path / "two")]) == 0
+    drawn = [(tmp_path / name / "default.png").read_bytes() for name in ("one", "two")]
+    assert drawn[0] == drawn[1]
+    (tmp_path / "empty").mkdir()
+    for words in (["eval", str(tmp_path / "empty"), source], ["render", str(tmp_path / "empty"), "-o", str(tmp_path)]):
+        assert main(words) == 64
+        assert "is not a scene folder" in capsys.readouterr().err
+
+
+# --- options ----------------------------------------------------------------------------------------------------------
+
+
+def test_first_anchors(photographs: PhotographSet) -> None:
+    few, many, coarse, fine = (
+        len(first_anchors(photographs, varied(TrainSettings(), changes).start).lattice)
+        for changes in ({"start.anchors": 300}, {"start.anchors": 2000}, {"start.voxel": 3.0}, {"start.voxel": 1.5})
+    )
+    assert 200 < few < 400
+    assert 1500 < many < 2500
+    assert coarse < fine
+    # World units: twice the edge of one is that of the other.
+    edges = [
+        first_anchors(photographs, varied(TrainSettings(), {"start.voxel": edge}).start).units for edge in (3.0, 1.5)
+    ]
+    assert edges[0].cell * edges[0].length * 2 == pytest.approx(3, rel=1e-3)
+    assert edges[0].cell == pytest.approx(2 * edges[1].cell, rel=1e-3)
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        (["--background", "grey"], "white nor black"),
+        (["--holdout", "-1"], "at least 0"),
+        (["--holdout", "1"], "no image is left to learn from"),
+        (["--voxel", "0"], "above 0"),
+        (["--anchors", "0"], "at least 1"),
+        (["--anchors", "5", "--voxel", "1"], "not allowed with"),
+    ],
+)
+def test_wrong_options(
+    options: list[str], message: str, source: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["train", source, "-o", str(tmp_path / "scene"), *options]) == 64
+    assert message in capsys.readouterr().err
+    assert not list(tmp_path.iterdir())
+
+
+# --- saved states -----------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("command", ["train", "fit"])
+def test_a_state_is_not_lost(command: str, source: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """The same command without --resume began anew, and removed the state without a word."""
+    state = tmp_path / f"scene.{command}-state"
+    state.write_bytes(b'12345678{"__metadata__":{"format":"C3GS training state"}}')
+    before = state.read_bytes()
+    assert main([command, source, "-o", str(tmp_path / "scene"), "--steps", "3"]) == 64
+    said = capsys.readouterr().err
+    assert said.count("\n") == 1
+    assert str(state) in said
+    assert "--resume, or remove it" in said
+    assert state.read_bytes() == before
+    assert [path.name for path in tmp_path.iterdir()] == [state.name]
