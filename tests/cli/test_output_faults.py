@@ -234,6 +234,7 @@ DRAWING = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", CODING)
 def test_coding(name: str, inputs: Path, tmp_path: Path, monkeypatch: Any, capsys: Any) -> None:
     try_all(CODING[name], inputs, tmp_path, monkeypatch, capsys)

@@ -194,6 +194,7 @@ def test_a_batch_is_the_same_again(monkeypatch: pytest.MonkeyPatch) -> None:
     assert not first.wrong
 
 
+@pytest.mark.slow
 def test_fuzz_notes_what_is_done(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -212,6 +213,7 @@ def test_fuzz_notes_what_is_done(
     assert not (tmp_path / "keep").exists()
 
 
+@pytest.mark.slow
 def test_fuzz_of_another_decoder(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -353,6 +355,7 @@ def small_batches() -> None:
     compare.BATCH_SCENES = 2
 
 
+@pytest.mark.slow
 def test_the_suite_s_command(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:

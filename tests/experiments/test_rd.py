@@ -120,6 +120,7 @@ def test_rd(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert not (out / "rate-0.03").exists()
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("fake")
 def test_interrupted(tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> None:
     out = tmp_path / "curve"

@@ -261,6 +261,7 @@ def leaves(value, path=()):
 JUNK = [None, True, "x", -1, 256, 0.5, 1e300, 1 << 70, -(1 << 63), [], {}, [0], [[]], {"a": 1}]
 
 
+@pytest.mark.slow
 def test_no_field_of_scene_json_is_trusted(made):
     """Each field replaced with junk, or left out: a clear error, or a scene that emit takes or refuses."""
     file = made / "scene.json"

@@ -399,6 +399,7 @@ def digest() -> str:
     return hashlib.sha256(b"".join(np.ascontiguousarray(v).tobytes() for v in found)).hexdigest()
 
 
+@pytest.mark.slow
 def test_same_bits_whatever_the_number_of_threads() -> None:
     program = f"""
 import sys, numba

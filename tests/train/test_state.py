@@ -86,6 +86,7 @@ def test_a_state_is_loaded_as_it_was_saved(kept: Kept) -> None:
     assert same(found, {**kept.tensors, **kept.values})
 
 
+@pytest.mark.slow
 @MANY
 @given(st.data())
 def test_changed_bytes_are_refused_or_mean_the_same(kept: Kept, data: st.DataObject) -> None:
@@ -124,6 +125,7 @@ def changed(tensor: Tensor, data: st.DataObject) -> Tensor:
 INTS = st.sampled_from([0, 1, 200])
 
 
+@pytest.mark.slow
 @MANY
 @given(st.data())
 def test_what_is_checked_does_not_rest_on_the_checksum(kept: Kept, data: st.DataObject) -> None:
@@ -246,6 +248,7 @@ def failing(places: Callable[[Path], bool]) -> Callable[..., None]:
     return write
 
 
+@pytest.mark.slow
 def test_a_scene_that_cannot_be_written_gets_a_second_place(
     examples: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -262,6 +265,7 @@ def test_a_scene_that_cannot_be_written_gets_a_second_place(
     assert (second / "training.json").is_file()
 
 
+@pytest.mark.slow
 def test_without_any_place_the_state_goes_on(
     examples: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -19,6 +19,7 @@ from refcodec.train.command import state_path
 from refcodec.train.telling import LINE_SECONDS
 
 
+@pytest.mark.slow
 def test_command(examples: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     source, scene, file = str(examples / "caliterra"), tmp_path / "scene", tmp_path / "scene.c3gs"
     words = ["--steps", "30", "--size", "64", "--set", "growth.most=6000", "--progress"]
