@@ -171,11 +171,6 @@ class CodeLength:
     escapes: int
 
 
-def ideal_code_length(scene: Scene) -> dict[str, float]:
-    """Bits of `attributes` and `planes` with nothing rounded."""
-    return {"attributes": attribute_code_length(scene).ideal, "planes": plane_code_length(scene).ideal}
-
-
 def plane_code_length(scene: Scene) -> CodeLength:
     """The code lengths of the planes."""
     d, planes = scene.dimensions, scene.planes.astype(np.int64)

@@ -122,7 +122,8 @@ def _train(arguments: argparse.Namespace) -> int:
     from ..folder.layout import scene_files
 
     try:
-        from ..train.command import REPORT_FILE, state_path, train
+        from ..folder.layout import REPORT_FILE
+        from ..train.command import state_path, train
         from ..train.log import check_log, open_log
         from ..train.state import StateError
         from ..train.telling import closing

@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from ..files.documents import DocumentError, read_json
+from ..files.present import NotAFileError, is_there
 from ..statuses import UsageError
 from .bounds import check_folder, read_bounded
 from .shared import read_photographs_of, uncompressed_of
@@ -19,9 +20,6 @@ if TYPE_CHECKING:
     from ..bitstream.scene import Scene
     from ..folder.uncompressed import Uncompressed
     from ..photographs.photographs import PhotographSet
-
-# What a training says of itself, in its scene folder.
-REPORT_FILE = "training.json"
 
 
 def read_shown(arguments: argparse.Namespace) -> bytes | Scene | Uncompressed:
@@ -56,8 +54,10 @@ def photographs_as_trained(
     A scene folder says it in training.json. Otherwise the camera of the scene is that of the first photograph, and
     every eighth one is held out. Also returns a line on the size, if no option says it. Raises UsageError.
     """
+    from ..folder.layout import REPORT_FILE
+
     path = Path(arguments.file) / REPORT_FILE
-    trained = _trained(path) if path.is_file() else {}
+    trained = _trained(path)
     size, said = arguments.size, None
     if size is None:
         size = trained.get("size") or str(max(render.camera_width, render.camera_height))
@@ -72,13 +72,15 @@ def photographs_as_trained(
 def _trained(path: Path) -> dict[str, Any]:
     """Returns `size` and `holdout` of a training's settings, as far as they are there. Raises UsageError."""
     try:
+        if not is_there(path):
+            return {}
         found = read_json(path)
         settings = {key: found["settings"][key] for key in ("size", "holdout") if key in found["settings"]}
         size, holdout = settings.get("size", ""), settings.get("holdout", 0)
         if isinstance(size, str) and isinstance(holdout, int) and not isinstance(holdout, bool) and holdout >= 0:
             return settings
         problem = "its size or holdout is none"
-    except DocumentError as error:
+    except (DocumentError, NotAFileError) as error:
         problem = str(error)
     except (KeyError, TypeError):
         problem = "it has no settings"

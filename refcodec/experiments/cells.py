@@ -13,6 +13,7 @@ from typing import Any
 
 from .. import __version__
 from ..files.documents import DocumentError, read_json
+from ..folder.layout import REPORT_FILE
 from ..train.settings import TrainSettings
 from ..train.settings_file import document
 from .figures import FIGURES
@@ -22,7 +23,6 @@ from .runs import Command
 FORMAT = "C3GS cell"
 # Below a cell's folder: what its commands make, the lines that they print to stderr, and the result.
 WORK, LOG, RESULT = "work", "log.txt", "result.json"
-REPORT = "training.json"
 # Stand for paths in a definition, which does not depend on where things lie.
 _PHOTOGRAPHS, _HERE = Path("PHOTOGRAPHS"), Path()
 
@@ -74,7 +74,7 @@ class Cell:
         train = Command(
             self.name,
             ("train", str(photographs), "-o", str(scene), *words),
-            scene / REPORT,
+            scene / REPORT_FILE,
             state=work / "scene.train-state",
             free=("--threads", str(threads), "--progress"),
         )

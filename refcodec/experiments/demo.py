@@ -17,7 +17,7 @@ from ..bitstream.reconstruction import digest
 from ..files.lock import hold_folder
 from ..files.outputs import check_apart
 from ..files.stage import write_file
-from ..folder.layout import SCENE_FILE
+from ..folder.layout import REPORT_FILE, SCENE_FILE
 from ..folder.read import read_folder
 from ..photographs.photographs import parse_size, read_photographs
 from ..render.images import image_names
@@ -25,7 +25,7 @@ from .page import page
 from .result import Chart, File, Part, Result, Step, View
 from .runs import Command, Notes, RunError, Runner, is_evaluation, is_report, read_result, shown
 
-FORMAT, NOTES, PAGE, REPORT = "C3GS demo", "demo.json", "index.html", "training.json"
+FORMAT, NOTES, PAGE = "C3GS demo", "demo.json", "index.html"
 EXAMPLES = Path(__file__).resolve().parents[2] / "examples" / "photographs"
 TITLES = {"caliterra": "A building site from the air", "snowmiku": "A plush doll"}
 # lambda_r: the paper's middle.
@@ -63,7 +63,7 @@ class Demo:
         settings = ("--rate", f"{rate:g}", "--steps", str(self.steps), "--size", SIZE, "--threads", "1", "--progress")
         state = output.with_name(f"{name}.train-state")
         return Command(
-            name, ("train", str(self.photographs), "-o", str(output), *settings), output / REPORT, state=state
+            name, ("train", str(self.photographs), "-o", str(output), *settings), output / REPORT_FILE, state=state
         )
 
     def _evaluation(self, name: str, scene: Path, after: str) -> Command:
@@ -156,7 +156,7 @@ def sizes(before: dict[str, int], sections: dict[str, int]) -> tuple[Part, ...]:
 
 def collect(demo: Demo, notes: Notes) -> Result:
     """What the page shows, from the files of a demo."""
-    reports = {name: read_result(demo.path(name) / REPORT, is_report) for name in (UNCOMPRESSED, CODED)}
+    reports = {name: read_result(demo.path(name) / REPORT_FILE, is_report) for name in (UNCOMPRESSED, CODED)}
     evals = {name: read_result(demo.path(f"{name}.eval.json"), is_evaluation) for name in (UNCOMPRESSED, CODED)}
     found = read_photographs(demo.photographs, parse_size(SIZE))
     held_out = {p.camera.name: p for p in (found.test or found.train)}

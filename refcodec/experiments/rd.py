@@ -15,11 +15,12 @@ from matplotlib.figure import Figure
 from ..files.lock import hold_folder
 from ..files.outputs import check_apart
 from ..files.stage import write_file
+from ..folder.layout import REPORT_FILE
 from ..photographs.photographs import parse_size, read_photographs
 from .figures import BD_POINTS, FIGURES, PARTS, Difference, Row, compare, figures_of
 from .runs import Command, Notes, RunError, Runner, is_evaluation, read_result, shown
 
-FORMAT, NOTES, TABLE, CHART, REPORT = "C3GS rate and distortion", "rd.json", "rd.csv", "rd.png", "training.json"
+FORMAT, NOTES, TABLE, CHART = "C3GS rate and distortion", "rd.json", "rd.csv", "rd.png"
 COLUMNS = ("rate", "bytes", *PARTS, "headers", "bits_per_anchor", "anchors", *FIGURES, "seconds")
 
 
@@ -47,7 +48,9 @@ class Settings:
         train, encode = f"{name} train", f"{name} encode"
         state = self.folder / f"{name}.train-state"
         commands = [
-            Command(name, ("train", str(self.photographs), "-o", str(scene), *settings), scene / REPORT, state=state)
+            Command(
+                name, ("train", str(self.photographs), "-o", str(scene), *settings), scene / REPORT_FILE, state=state
+            )
         ]
         if rate:
             commands.append(Command(name, ("encode", str(scene), "-o", str(file)), file, (train,)))

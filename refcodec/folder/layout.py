@@ -29,6 +29,8 @@ NETWORKS_FILE = "networks.safetensors"
 PLANES_FILE = "planes.safetensors"
 CODED_FILE = "coded.safetensors"
 EXTENSION_FILE = re.compile(r"extension_[0-9a-f]{2}\.bin")
+# What a training says of itself, beside the scene.
+REPORT_FILE = "training.json"
 # The file that only the folder of an uncompressed scene has.
 RENDER_FILE = "render.json"
 FORMAT = "C3GS scene"

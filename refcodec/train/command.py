@@ -14,6 +14,7 @@ import torch
 from ..bitstream.scene import Scene
 from ..files.stage import write_file
 from ..files.terminal import note
+from ..folder.layout import REPORT_FILE
 from ..folder.uncompressed import Uncompressed, write_uncompressed
 from ..folder.write import write_folder
 from ..photographs.photographs import PhotographSet
@@ -24,8 +25,6 @@ from .settings_file import document
 from .state import Keeper, restore, write_somewhere
 from .telling import opening, shown
 from .trainer import Trainer
-
-REPORT_FILE = "training.json"
 
 
 @dataclass(frozen=True, eq=False)

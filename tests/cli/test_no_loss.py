@@ -22,6 +22,8 @@ from refcodec.bitstream.codec import emit
 from refcodec.cli.main import main
 from refcodec.folder.write import write_folder
 
+ROOT = Path(__file__).resolve().parents[2]
+
 
 @pytest.fixture
 def place(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
@@ -268,3 +270,13 @@ def test_the_second_decoder(place: Path, refused: Callable[..., str]) -> None:
     os.link("scene.c3gs", "hard")
     refused("decode", "scene.c3gs", "hard", program=second_main)
     assert second_main(["decode", "scene.c3gs", "out", "--trace", "trace"]) == 0
+
+
+def test_a_link_in_the_place_of_a_training_s_report(tmp_path: Path, capsys: Any) -> None:
+    pytest.importorskip("numba")
+    scene = tmp_path / "scene"
+    assert main(["decode", str(ROOT / "vectors" / "tiny-example.c3gs"), "-o", str(scene)]) == 0
+    (scene / "training.json").symlink_to("nowhere")
+    photographs = str(ROOT / "examples" / "photographs" / "caliterra")
+    assert main(["eval", str(scene), photographs]) == 64
+    assert "a link that leads nowhere" in capsys.readouterr().err
