@@ -11,6 +11,9 @@ from dataclasses import dataclass
 from functools import cached_property, partial
 from pathlib import Path
 
+import numpy as np
+from numpy.typing import NDArray
+
 from .cameras import F64, U8, UNDISTORTED, Camera, PhotographError, Shot
 from .colmap import find_model, read_colmap
 from .images import Size, image_size, parse_background, parse_size, read_image, same_aspect, shrink, wanted_size
@@ -29,22 +32,36 @@ __all__ = [
 
 # Every eighth image is for tests, the usual hold-out of real scenes.
 TEST_EVERY = 8
+Colour = tuple[int, int, int]
+
 # What transparent photographs are laid over: white in NeRF's datasets, black in others, as in 3DGS.
 WHITE, BLACK = (255, 255, 255), (0, 0, 0)
 
 
 @dataclass(frozen=True, eq=False)
 class Photograph:
-    """A camera and what it saw. load: reads the image, when it is first asked for. path: of its file."""
+    """A camera and what it saw.
+
+    load: reads the image over a background, 0 to 255 each. background: what it is laid over, if it is transparent.
+    path: of its file.
+    """
 
     camera: Camera
-    load: Callable[[], U8]
+    load: Callable[[Colour], U8]
+    background: Colour
     path: Path
 
     @cached_property
     def image(self) -> U8:
         """uint8 [H, W, 3], RGB, of the camera's size; kept once it is loaded. Raises PhotographError."""
-        return self.load()
+        return self.load(self.background)
+
+    def empty(self) -> NDArray[np.bool_]:
+        """The pixels that are wholly transparent, bool [H, W]: each background is seen through them as it is.
+
+        Raises PhotographError.
+        """
+        return ((self.load(WHITE) == 255) & (self.load(BLACK) == 0)).all(axis=2)
 
 
 @dataclass(frozen=True, eq=False)
@@ -60,7 +77,7 @@ class PhotographSet:
     points: F64
     colours: U8
     skipped: int
-    background: tuple[int, int, int]
+    background: Colour
     random: bool = False
 
     def places(self) -> list[Path]:
@@ -72,7 +89,7 @@ class PhotographSet:
 def read_photographs(
     folder: str | Path,
     size: Size = None,
-    background: tuple[int, int, int] | None = None,
+    background: Colour | None = None,
     seed: int = 0,
     holdout: int = TEST_EVERY,
 ) -> PhotographSet:
@@ -122,11 +139,11 @@ def read_photographs(
     return PhotographSet(train, test, points, colours, skipped, over, random)
 
 
-def _photographs(shots: Iterable[Shot], size: Size, background: tuple[int, int, int]) -> tuple[Photograph, ...]:
+def _photographs(shots: Iterable[Shot], size: Size, background: Colour) -> tuple[Photograph, ...]:
     return tuple(_photograph(shot, size, background) for shot in shots)
 
 
-def _photograph(shot: Shot, size: Size, background: tuple[int, int, int]) -> Photograph:
+def _photograph(shot: Shot, size: Size, background: Colour) -> Photograph:
     """The pinhole camera of the wanted size, and how its image is made from the file. Raises PhotographError."""
     stated = shot.camera
     width, height = image_size(shot.path)
@@ -145,10 +162,10 @@ def _photograph(shot: Shot, size: Size, background: tuple[int, int, int]) -> Pho
         photographed if shot.distortion == UNDISTORTED else undistorted_camera(shot.path, photographed, shot.distortion)
     )
     camera = camera.resized(*wanted_size(shot.path, width, height, size))
-    return Photograph(camera, partial(_load, shot, photographed, camera, background), shot.path)
+    return Photograph(camera, partial(_load, shot, photographed, camera), background, shot.path)
 
 
-def _load(shot: Shot, photographed: Camera, camera: Camera, background: tuple[int, int, int]) -> U8:
+def _load(shot: Shot, photographed: Camera, camera: Camera, background: Colour) -> U8:
     image = read_image(shot.path, background)
     if image.shape != (photographed.height, photographed.width, 3):
         raise PhotographError(shot.path, "its size has changed since its header was read", "read the folder again")

@@ -41,7 +41,7 @@ class Scaffold:
 
     def __init__(self, photographs: PhotographSet, settings: TrainSettings, generator: torch.Generator) -> None:
         """Raises ValueError without points."""
-        found = first_anchors(photographs, settings.start)
+        found = first_anchors(photographs, settings.start, settings.seed)
         self.units, self.lattice, self.near = found.units, found.lattice, settings.start.near
         n = len(self.lattice)
         self.tables = {name: torch.zeros(n, columns) for name, columns in COLUMNS.items()}

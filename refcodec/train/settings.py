@@ -96,6 +96,14 @@ class StartSettings:
         low=0,
     )
     cells: int = setting(2, "edge of the voxels of the first anchors", unit="cells of the lattice", low=1, high=64)
+    random_cells: int = setting(
+        8,
+        "that edge where points are drawn at random: such anchors are far from where they belong, and many must grow",
+        unit="cells of the lattice",
+        low=1,
+        high=64,
+    )
+    drawn: int = setting(20000, "random points to begin with where photographs are transparent", unit="points", low=1)
     near: float = setting(0.02, "nearest depth that is drawn", unit="training units", low=1e-6)
     neighbours: int = setting(3, "anchors around one whose distances give its size", GS, low=1, high=64)
     colours: int = setting(4, "points around an anchor whose mean colour it begins with", low=1, high=64)

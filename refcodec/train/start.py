@@ -17,6 +17,7 @@ from ..bitstream.header import PositionGrid
 from ..encoder.positions import choose_grid
 from ..photographs.photographs import PhotographSet
 from ..render.camera import Camera
+from .hull import carved
 from .settings import StartSettings
 from .voxelise import default_voxel, short_mantissa
 
@@ -66,7 +67,12 @@ def scene_length(photographs: PhotographSet) -> float:
 
 
 def choose_voxel(points: F64, anchors: int) -> float:
-    """The edge of voxels of which the points fill about `anchors`; fewer if there are fewer points."""
+    """The edge of voxels of which the points fill about `anchors`.
+
+    If there are fewer points, it is the median distance of neighbours.
+    """
+    if len(np.unique(points, axis=0)) <= anchors:
+        return default_voxel(points.astype(np.float32))
     extent = float(np.ptp(points, axis=0).max()) or 1.0
     low, high = 1e-5 * extent, extent
     for _ in range(40):
@@ -83,29 +89,33 @@ def lattice_positions(lattice: I64) -> NDArray[np.float16]:
     return np.clip(lattice, -LATTICE_MAX, LATTICE_MAX).astype(np.float16)
 
 
-def first_anchors(photographs: PhotographSet, settings: StartSettings) -> FirstAnchors:
+def first_anchors(photographs: PhotographSet, settings: StartSettings, seed: int) -> FirstAnchors:
     """Scaffold-GS: an anchor in each voxel that has points. Raises ValueError without points.
 
-    An anchor's colour is that of the points around it, its size the distance of its neighbours.
+    An anchor's colour is that of the points around it, its size the distance of its neighbours. Points that were drawn
+    at random are drawn anew where something can be (hull.carved), with `seed`.
     """
     if not len(photographs.points):
         raise ValueError("there are no points to begin with")
-    points = photographs.points
+    points, seen, cells = photographs.points, photographs.colours, settings.cells
+    if photographs.random:
+        points, seen = carved(photographs, settings.drawn, seed)
+        cells = settings.random_cells
     length = scene_length(photographs)
     voxel = settings.voxel or (
         choose_voxel(points, settings.anchors) if settings.anchors else default_voxel(points.astype(np.float32))
     )
-    grid = choose_grid(points.astype(np.float32), short_mantissa(voxel / settings.cells))
+    grid = choose_grid(points.astype(np.float32), short_mantissa(voxel / cells))
     origin = np.array(grid.origin, np.float64) * 2.0 ** (grid.scale_exponent - 24)
     units = Units(grid, origin, length, grid.scale_mantissa * 2.0**grid.scale_exponent / length)
     away = (points - origin) / (units.cell * length)
-    lattice = np.unique(np.round(away / settings.cells).astype(np.int64), axis=0) * settings.cells
+    lattice = np.unique(np.round(away / cells).astype(np.int64), axis=0) * cells
     lattice = np.unique(lattice_positions(lattice).astype(np.int64), axis=0)
     n = len(lattice)
     distance = cKDTree(lattice).query(lattice, min(settings.neighbours + 1, n))[0].reshape(n, -1)[:, 1:]
     spread = np.sqrt((distance**2).mean(axis=1)) if distance.shape[1] else np.ones(n)
     spread = np.clip(spread, np.median(spread) * settings.smallest, np.quantile(spread, settings.largest))
     near = cKDTree(away).query(lattice, min(settings.colours, len(points)))[1].reshape(n, -1)
-    colours = photographs.colours[near].mean(axis=1) / 255 * 2 - 1
+    colours = seen[near].mean(axis=1) / 255 * 2 - 1
     sizes = np.maximum(spread, settings.least_cells) * units.cell * length
     return FirstAnchors(units, lattice, colours, sizes)

@@ -1,0 +1,59 @@
+"""The visual hull: where something can be, by what transparent photographs show to be empty."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..photographs.photographs import Photograph, PhotographSet
+
+F64 = NDArray[np.float64]
+U8 = NDArray[np.uint8]
+
+# Points that are drawn at once, and how often at most: enough to find things that fill a thousandth of the box.
+BATCH, BATCHES = 100_000, 60
+
+
+def carved(photographs: PhotographSet, wanted: int, seed: int) -> tuple[F64, U8]:
+    """Points where no photograph sees through: positions float64 [M, 3] and colours uint8 [M, 3].
+
+    They are drawn evenly in the box of the photographs' points until `wanted` are found or BATCHES are drawn. The
+    colour of one is the mean of what the photographs show at its place. Without transparent photographs nothing is
+    known to be empty; the photographs' points are returned then. So they are where nothing is left. Raises
+    PhotographError.
+    """
+    empty = [photograph.empty() for photograph in photographs.train]
+    if not any(pixels.any() for pixels in empty):
+        return photographs.points, photographs.colours
+    low, high = photographs.points.min(axis=0), photographs.points.max(axis=0)
+    random = np.random.default_rng(seed)
+    points, colours = [np.zeros((0, 3))], [np.zeros((0, 3), np.uint8)]
+    for _ in range(BATCHES):
+        drawn = random.uniform(low, high, (BATCH, 3))
+        total, seen = np.zeros((BATCH, 3)), np.zeros(BATCH)
+        rows = np.arange(BATCH)
+        for photograph, pixels in zip(photographs.train, empty, strict=True):
+            inside, at = _pixels(photograph, drawn[rows])
+            through = np.zeros(len(rows), bool)
+            through[inside] = pixels[at]
+            total[rows[inside]] += photograph.image[at]
+            seen[rows[inside]] += 1
+            rows = rows[~through]
+        rows = rows[seen[rows] > 0]
+        points.append(drawn[rows])
+        colours.append((total[rows] / seen[rows, None]).astype(np.uint8))
+        if sum(map(len, points)) >= wanted:
+            break
+    found = np.concatenate(points)
+    return (found, np.concatenate(colours)) if len(found) else (photographs.points, photographs.colours)
+
+
+def _pixels(photograph: Photograph, points: F64) -> tuple[NDArray[np.int64], tuple[NDArray[np.int64], ...]]:
+    """The points that a photograph shows, int64 [n], and their pixels: rows and columns, int64 [n] each."""
+    camera = photograph.camera
+    away = points @ camera.rotation.T + camera.translation
+    ahead = np.flatnonzero(away[:, 2] > 0)
+    x, y, depth = away[ahead].T
+    column, row = (np.floor(v) for v in (x / depth * camera.fx + camera.cx, y / depth * camera.fy + camera.cy))
+    inside = (column >= 0) & (column < camera.width) & (row >= 0) & (row < camera.height)
+    return ahead[inside], (row[inside].astype(np.int64), column[inside].astype(np.int64))

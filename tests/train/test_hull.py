@@ -1,0 +1,94 @@
+"""Starts without points: where transparent photographs show something, and with few points."""
+
+from __future__ import annotations
+
+import json
+import math
+from pathlib import Path
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from refcodec.photographs.photographs import PhotographSet, read_photographs
+from refcodec.render.view import looking
+from refcodec.train.hull import carved
+from refcodec.train.settings import TrainSettings
+from refcodec.train.start import choose_voxel, first_anchors
+
+SIZE, AWAY, RADIUS, VIEWS = 48, 4.0, 0.5, 24
+FOCAL = SIZE / 2 / math.tan(0.35)
+BALL = (200, 60, 20)
+
+
+def write_ball(folder: Path, mode: str) -> PhotographSet:
+    """Photographs of a ball around (0.2, 0, 0) from a circle and a wave around it, in NeRF's format."""
+    folder.mkdir()
+    frames = []
+    row, column = np.mgrid[:SIZE, :SIZE] + 0.5
+    for number in range(VIEWS):
+        turn = 2 * math.pi * number / VIEWS
+        centre = AWAY * np.array([math.cos(turn), math.sin(turn), 0.6 * math.sin(3 * turn)])
+        rotation = looking(-centre, np.array([0.0, 0.0, 1.0]))
+        ball = rotation @ (np.array([0.2, 0, 0]) - centre)
+        rays = np.stack([(column - SIZE / 2) / FOCAL, (row - SIZE / 2) / FOCAL, np.ones_like(row)], axis=2)
+        rays /= np.linalg.norm(rays, axis=2, keepdims=True)
+        hit = (ball**2).sum() - (rays @ ball) ** 2 < RADIUS**2
+        image = np.zeros((SIZE, SIZE, 4), np.uint8)
+        image[hit] = (*BALL, 255)
+        Image.fromarray(image).convert(mode).save(folder / f"{number}.png")
+        matrix = np.eye(4)
+        matrix[:3, :3], matrix[:3, 3] = rotation.T * [1, -1, -1], centre
+        frames.append({"file_path": f"{number}.png", "transform_matrix": matrix.tolist()})
+    document = {"fl_x": FOCAL, "fl_y": FOCAL, "cx": SIZE / 2, "cy": SIZE / 2, "frames": frames}
+    (folder / "transforms.json").write_text(json.dumps(document))
+    return read_photographs(folder)
+
+
+def test_points_are_where_something_is(tmp_path: Path) -> None:
+    photographs = write_ball(tmp_path / "ball", "RGBA")
+    points, colours = carved(photographs, 2000, 0)
+    away = np.linalg.norm(points - [0.2, 0, 0], axis=1)
+    assert len(points) >= 2000
+    # A pixel is an eightieth of the distance; the hull of some views is a little more than the ball.
+    assert away.max() < 1.3 * RADIUS
+    # The hull holds all of the ball.
+    assert (away > 0.9 * RADIUS).any()
+    assert np.linalg.norm(points.mean(axis=0) - [0.2, 0, 0]) < 0.05
+    # The background is white: no colour is mixed with it but at the edge.
+    inner = colours[away < 0.6 * RADIUS]
+    assert (inner == BALL).all()
+    again, _ = carved(photographs, 2000, 0)
+    assert np.array_equal(points, again)
+    assert not np.array_equal(points[:100], carved(photographs, 2000, 1)[0][:100])
+
+
+def test_photographs_that_are_not_transparent_show_nothing_empty(tmp_path: Path) -> None:
+    photographs = write_ball(tmp_path / "ball", "RGB")
+    points, colours = carved(photographs, 2000, 0)
+    assert np.array_equal(points, photographs.points)
+    assert np.array_equal(colours, photographs.colours)
+
+
+def test_first_anchors_of_random_points(tmp_path: Path) -> None:
+    """A cube of random points had anchors all over it, of which five in a hundred were on the ball."""
+    settings = TrainSettings().start
+    for mode, least in (("RGBA", 0.95), ("RGB", 0.0)):
+        photographs = write_ball(tmp_path / mode, mode)
+        found = first_anchors(photographs, settings, 0)
+        places = found.units.origin + found.lattice * (found.units.cell * found.units.length)
+        inside = (np.linalg.norm(places - [0.2, 0, 0], axis=1) < 1.3 * RADIUS).mean()
+        assert inside >= least
+        assert 0.5 * settings.anchors < len(found.lattice) < 1.5 * settings.anchors
+        edges = np.diff(np.unique(found.lattice[:, 0]))
+        assert (edges % settings.random_cells == 0).all()
+
+
+@pytest.mark.parametrize("count", [2, 40, 3000])
+def test_few_points_have_voxels_as_far_apart_as_they_are(count: int) -> None:
+    """Fewer points than anchors that are wanted got voxels of a hundred-thousandth of the scene.
+
+    The lattice did not reach its ends then, and nothing grew.
+    """
+    points = np.random.default_rng(0).uniform(-1, 1, (count, 3))
+    assert choose_voxel(points, 5000) > 0.02
