@@ -7,6 +7,7 @@ import pytest
 import torch
 from torch import Tensor
 
+from refcodec.train.entropy.folded import FoldedMlp
 from refcodec.train.entropy.hyperprior import PlaneSamples
 from refcodec.train.residues import Shown, Symbols
 
@@ -69,3 +70,25 @@ def test_noise_is_the_seeds_alone() -> None:
     assert torch.equal(one, same)
     for a, b in ((one, other), (one[:, :8], one[:, 8:]), (one[1:], one[:-1])):
         assert abs(float(torch.corrcoef(torch.stack([a.flatten(), b.flatten()]))[0, 1])) < 0.15
+
+
+@ROUNDED
+@pytest.mark.parametrize("gridded", [False, True], ids=["free", "grids"])
+def test_a_folded_network(rounding: bool, gridded: bool) -> None:
+    draw = torch.Generator().manual_seed(4)
+    units = torch.exp2(torch.randint(2, 8, (6,), generator=draw).float())
+    network = FoldedMlp([6, 12, 4], units, torch.tensor([16.0, 64.0, 8.0, 8.0]), draw, 0.5)
+    x = torch.randint(-1023, 1024, (500, 6), generator=draw).float().requires_grad_()
+    network.calibrate(x.detach() / 2)
+    if gridded:
+        network.set_grid(3)
+    network.rounding = rounding
+    rows, weights = slice(1, 3), torch.randn(500, 2, generator=draw)
+    ours = network.outputs(network.activations(x), rows)
+    hidden = network.run_anywhere(0, x, slice(None))
+    # Some activations are past 1023, and have no gradient.
+    assert (0 < float((hidden >= 1023).float().mean()) < 0.5) or not rounding
+    wanted = network.run_anywhere(1, hidden, rows)
+    agree([ours], [wanted])
+    inputs = [x, *network.parameters()]
+    agree(gradients(ours, weights, inputs), gradients(wanted, weights, inputs))
