@@ -126,7 +126,7 @@ class _LevelContexts:
         parts = []
         for i, kind in enumerate(("features", "scalings")):
             step = steps[:, i : i + 1] * rate.base_step[i]
-            rounded = rate.quantisation.symbols(rate.scaffold.tables[kind][rows], step)
+            rounded = rate.quantisation.symbols([rate.scaffold.tables[kind][rows]], step)
             parts.append(rounded * steps[:, i : i + 1])
         return torch.cat(parts, dim=1)[place]
 

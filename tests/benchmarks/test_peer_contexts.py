@@ -143,7 +143,7 @@ def test_a_context_is_what_the_decoder_has() -> None:
         masks=SimpleNamespace(decided=lambda: kept),
         started=_Halves,
         base_step=torch.tensor([0.2, 0.4, 1.0]),
-        quantisation=SimpleNamespace(symbols=lambda values, step: torch.floor(values / step + 0.5)),
+        quantisation=SimpleNamespace(symbols=lambda values, steps: torch.floor(values[0] / steps + 0.5)),
         scaffold=SimpleNamespace(tables=tables),
     )
     hyperprior = Levels()

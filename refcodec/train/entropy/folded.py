@@ -10,13 +10,13 @@ from __future__ import annotations
 import math
 from itertools import pairwise
 
-import numpy as np
 import torch
 from torch import Tensor, nn
 from torch.nn import functional
 
 from ...bitstream.networks import ACCUMULATOR_BOUND, ACTIVATION_MAX, WEIGHT_MAX, Layer, derive_layer
 from ..settings import EntropySettings
+from .passes import is_compiled
 from .units import grid_through, round_through
 
 
@@ -64,16 +64,35 @@ class FoldedMlp(nn.Module):
 
     def outputs(self, hidden: Tensor, columns: slice) -> Tensor:
         """Some columns of the outputs for the last hidden activations."""
-        return functional.linear(hidden, *self._layer(self.hidden, columns)) * self.get_buffer("output_unit")[columns]
+        return self._run(self.hidden, hidden, columns)
 
     def activations(self, inputs: Tensor) -> Tensor:
-        """The last hidden activations."""
-        x = inputs / self.get_buffer("input_unit")
+        """The last hidden activations, in the units of the file."""
+        x = inputs
         for i in range(self.hidden):
-            x = functional.relu(functional.linear(x, *self._layer(i, slice(None))))
+            x = self._run(i, x, slice(None))
+        return x
+
+    def _run(self, layer: int, x: Tensor, rows: slice) -> Tensor:
+        """What some rows of a layer make of its inputs."""
+        if not is_compiled(x):
+            return self.run_anywhere(layer, x, rows)
+        from .layers import FoldedLayer  # noqa: PLC0415 (needs numba)
+
+        before, after = self._ends(layer)
+        values = self.weights[layer], self.biases[layer], after, self.get_buffer(f"step_{layer}")
+        weight, bias, after, step = values if rows == slice(None) else (v[rows] for v in values)
+        rectifies = layer < self.hidden
+        found: Tensor = FoldedLayer.apply(x, weight, bias, before, after, step, self.gridded, rectifies, self.rounding)
+        return found
+
+    def run_anywhere(self, layer: int, x: Tensor, rows: slice) -> Tensor:
+        """What some rows of a layer make of its inputs, with torch on the device of the tensors."""
+        x = functional.linear(x, *self._layer(layer, rows))
+        if layer < self.hidden:
+            x = functional.relu(x)
             if self.rounding:
-                unit = self.get_buffer(f"hidden_unit_{i}")
-                x = round_through((x * unit).clamp_max(ACTIVATION_MAX)) / unit
+                x = round_through(x.clamp_max(ACTIVATION_MAX))
         return x
 
     @torch.no_grad()
@@ -97,20 +116,21 @@ class FoldedMlp(nn.Module):
             unit = torch.stack(limits).min(dim=0).values.clamp(2.0**-16, 2.0**16)
             before = self.get_buffer(f"hidden_unit_{i}").copy_(torch.exp2(torch.floor(torch.log2(unit))))
 
-    def _units(self, layer: int) -> tuple[Tensor, Tensor]:
-        """What a layer's weights [out, in] and biases [out] are multiplied by in the file: powers of two."""
+    def _ends(self, layer: int) -> tuple[Tensor, Tensor]:
+        """The integers that stand for one at a layer's inputs [in] and outputs [out]: powers of two."""
         before = self.get_buffer(f"hidden_unit_{layer - 1}" if layer else "input_unit")
-        after = self.get_buffer(f"hidden_unit_{layer}" if layer < self.hidden else "output_unit")
-        return after[:, None] / before[None, :], after
+        return before, self.get_buffer(f"hidden_unit_{layer}" if layer < self.hidden else "output_unit")
 
     def _layer(self, layer: int, rows: slice) -> tuple[Tensor, Tensor]:
-        """Some rows of a layer's weights and biases, on their grid if there is one."""
-        weight, bias = self.weights[layer][rows], self.biases[layer][rows]
+        """Some rows of a layer's weights and biases in the units of the file, on their grid if there is one."""
+        before, after = self._ends(layer)
+        after = after[rows]
+        weight = self.weights[layer][rows] * (after[:, None] / before)
+        bias = self.biases[layer][rows] * after
         if not self.gridded:
             return weight, bias
-        weight_unit, bias_unit = self._units(layer)
         step = self.get_buffer(f"step_{layer}")[rows]
-        return grid_through(weight, step[:, None] / weight_unit[rows]), grid_through(bias, step / bias_unit[rows])
+        return grid_through(weight, step[:, None]), grid_through(bias, step)
 
     @torch.no_grad()
     def set_grid(self, coarser: int) -> None:
@@ -129,7 +149,6 @@ class FoldedMlp(nn.Module):
         """The weights that SPEC 5.8 stores: float32 (weight [out, in], bias [out]) of each layer."""
         found = []
         for i in range(self.hidden + 1):
-            layer = zip(self._layer(i, slice(None)), self._units(i), strict=True)
-            weight, bias = ((value * unit).numpy().astype(np.float32) for value, unit in layer)
+            weight, bias = (value.cpu().numpy() for value in self._layer(i, slice(None)))
             found.append((weight, bias))
         return found

@@ -26,6 +26,7 @@ from ...bitstream.frame import Frame
 from ...bitstream.networks import ACTIVATION_MAX
 from ...bitstream.planes import PLANES
 from ...bitstream.positions import position_integers
+from .passes import is_compiled
 from .units import GAMMA_UNIT, LATENT_UNIT, PLANE_SHIFT, round_through
 
 
@@ -57,11 +58,14 @@ class Hyperprior(Protocol):
 
 
 class PlaneSamples:
-    """SPEC 7.5.4 for given positions: corners int64 [n, 4] and weights float32 [n, 4] of the planes of both scales."""
+    """SPEC 7.5.4 for given positions.
+
+    corners: int64 [2, n, 4], of the planes of both scales. shares: float32 [2, n, 4], their weights.
+    """
 
     def __init__(self, u: Int64, plane_size: int) -> None:
         """u: integers [n, 2] in [0, 2^16], columns of the plane along u[:, 0]. plane_size: B."""
-        self.corners, self.shares = [], []
+        corners, shares = [], []
         for size in (plane_size, 2 * plane_size):
             grid = u * (size - 1)
             cell = np.minimum(grid >> UNIT_BITS, size - 2)
@@ -69,12 +73,28 @@ class PlaneSamples:
             share = (grid - (cell << UNIT_BITS) + (1 << (cut - 1)) >> cut) / (1 << LERP_BITS)
             at = cell[:, 1] * size + cell[:, 0]
             fj, fi = share[:, 0], share[:, 1]
-            self.corners.append(torch.from_numpy(np.stack([at, at + 1, at + size, at + size + 1], axis=1)))
+            corners.append(np.stack([at, at + 1, at + size, at + size + 1], axis=1))
             weights = [(1 - fj) * (1 - fi), fj * (1 - fi), (1 - fj) * fi, fj * fi]
-            self.shares.append(torch.from_numpy(np.stack(weights, axis=1).astype(np.float32)))
+            shares.append(np.stack(weights, axis=1))
+        self.corners = torch.as_tensor(np.stack(corners))
+        self.shares = torch.as_tensor(np.stack(shares).astype(np.float32))
+        self.nothing = torch.empty(len(u), 0)
 
-    def query(self, symbols: Tensor, rows: Tensor, rounding: bool) -> Tensor:
-        """Context of the anchors `rows` [b] from plane symbols [5, ch, B, B]: float32 [b, 2 ch], in [-1023, 1023]."""
+    def query(self, symbols: Tensor, rows: Tensor, rounding: bool, more: Tensor | None = None) -> Tensor:
+        """Context of the anchors `rows` [b] from plane symbols [5, ch, B, B]: float32 [b, 2 ch], in [-1023, 1023].
+
+        more: float32 [n, G], of which the anchors' rows follow: the result is [b, 2 ch + G].
+        """
+        more = self.nothing if more is None else more
+        if is_compiled(symbols):
+            from .query import Query  # noqa: PLC0415 (needs numba)
+
+            found: Tensor = Query.apply(symbols, rows, self.corners, self.shares, more, rounding)
+            return found
+        return torch.cat([self.query_anywhere(symbols, rows, rounding), more[rows]], dim=1)
+
+    def query_anywhere(self, symbols: Tensor, rows: Tensor, rounding: bool) -> Tensor:
+        """Context [b, 2 ch], with torch on the device of the tensors."""
         channels = symbols.shape[1]
         top, bottom = (torch.cat([symbols[i], symbols[i + 1]], dim=2) for i in (1, 3))
         parts = []
@@ -107,7 +127,7 @@ class VectorMatrix:
         """As Hyperprior."""
         u = scene_coordinates(frame, positions)
         gamma = positional_encoding(u[:, 2], self.frequencies)
-        return _VectorMatrixContexts(PlaneSamples(u[:, :2], plane_size), torch.from_numpy(gamma.astype(np.float32)))
+        return _VectorMatrixContexts(PlaneSamples(u[:, :2], plane_size), torch.as_tensor(gamma.astype(np.float32)))
 
 
 class _VectorMatrixContexts:
@@ -115,7 +135,7 @@ class _VectorMatrixContexts:
         self.samples, self.gamma = samples, gamma
 
     def inputs(self, symbols: Tensor, rows: Tensor, rounding: bool) -> Tensor:
-        return torch.cat([self.samples.query(symbols, rows, rounding), self.gamma[rows]], dim=1)
+        return self.samples.query(symbols, rows, rounding, self.gamma)
 
 
 def scene_coordinates(frame: Frame, positions: NDArray[np.float16]) -> Int64:

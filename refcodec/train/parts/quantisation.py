@@ -7,6 +7,7 @@ from torch import Tensor
 
 from ...bitstream.attributes import KINDS
 from ..part import Part, Sight, Step
+from ..residues import Shown, Symbols
 from ..scaffold import Scaffold
 from ..schedule import Clock
 from ..settings import QuantisationSettings
@@ -46,10 +47,17 @@ class Quantisation(Part):
                 return torch.floor(scaled + 0.5) - scaled
             return torch.rand(values.shape, generator=self.random) - 0.5
 
-    def symbols(self, values: Tensor, step: Tensor) -> Tensor:
-        """The symbols of values [n, w] with steps [n, 1], noisy or rounded."""
-        residue = self.residue(values, step)
-        return values / step + residue
+    def symbols(self, values: list[Tensor], steps: Tensor) -> Tensor:
+        """The symbols of k kinds of values, [n, w] each, with steps [n, k], noisy or rounded: [n, sum of w]."""
+        if steps.device.type == "cpu":
+            found: Tensor = Symbols.apply(steps, self._seed(), *values)
+            return found
+        each = [(v, steps[:, i : i + 1]) for i, v in enumerate(values)]
+        return torch.cat([v / size + self.residue(v, size) for v, size in each], dim=1)
+
+    def _seed(self) -> int | None:
+        """A seed of new noise; None where values are rounded."""
+        return None if self.rounds else int(torch.randint((1 << 63) - 1, (1,), generator=self.random))
 
     def prepare(self, step: Step) -> None:
         """Shows the image with what the decoder will have.
@@ -57,10 +65,15 @@ class Quantisation(Part):
         values + residue * step has the distortion's gradient for the step too. Rounding with the identity's gradient
         alone would hide it.
         """
-        if step.steps is not None:
-            for i, kind in enumerate(KINDS):
-                size = step.steps[:, i : i + 1]
-                step.values[kind] = step.leaves[kind] + self.residue(step.leaves[kind], size) * size
+        if step.steps is None:
+            return
+        values = [step.leaves[kind] for kind in KINDS]
+        if step.steps.device.type == "cpu":
+            shown = Shown.apply(step.steps, self._seed(), *values)
+        else:
+            each = [(v, step.steps[:, i : i + 1]) for i, v in enumerate(values)]
+            shown = [v + self.residue(v, size) * size for v, size in each]
+        step.values |= zip(KINDS, shown, strict=True)
 
     def show(self, sight: Sight) -> None:
         """As Part."""

@@ -155,9 +155,9 @@ class Rate(Part):
         rows, hidden, steps, planes = self._sampled
         leaves = self.scaffold.leaves(rows)
         step.taken.append((rows, leaves))
-        symbols = [self.quantisation.symbols(leaves[kind], steps[:, i : i + 1]) for i, kind in enumerate(KINDS)]
+        symbols = self.quantisation.symbols([leaves[kind] for kind in KINDS], steps)
         kept = self.masks.kept(leaves["masks"], rows)
-        bits = self.model.attribute_bits(hidden, torch.cat(symbols, dim=1), kept).mean(dim=0)
+        bits = self.model.attribute_bits(hidden, symbols, kept).mean(dim=0)
         loss = bits.sum() / WIDTH
         if self.clock.done % settings.plane_period == 0:
             # A-RDO: the term is not scaled up for the steps that lack it.

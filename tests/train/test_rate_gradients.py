@@ -1,0 +1,94 @@
+"""Gradients of the rate's own passes for CPUs against autograd's of the formulas."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import torch
+from torch import Tensor
+
+from refcodec.train.entropy.folded import FoldedMlp
+from refcodec.train.entropy.hyperprior import PlaneSamples
+from refcodec.train.residues import Shown, Symbols
+
+ROUNDED = pytest.mark.parametrize("rounding", [False, True], ids=["floats", "integers"])
+
+
+def agree(ours: list[Tensor], wanted: list[Tensor], tolerance: float = 1e-5) -> None:
+    """Values or gradients are the same up to a share of the largest."""
+    for a, b in zip(ours, wanted, strict=True):
+        exact = b.detach().double().numpy()
+        np.testing.assert_allclose(a.detach().double().numpy(), exact, rtol=0, atol=tolerance * np.abs(exact).max())
+
+
+def gradients(value: Tensor, weights: Tensor, inputs: list[Tensor]) -> list[Tensor]:
+    """Of the weighted sum of a value."""
+    return list(torch.autograd.grad((value * weights.to(value.dtype)).sum(), inputs))
+
+
+@ROUNDED
+def test_the_planes_query(rounding: bool) -> None:
+    draw = torch.Generator().manual_seed(1)
+    samples = PlaneSamples(torch.randint(0, 65537, (300, 2), generator=draw).numpy(), 9)
+    # Some contexts are past 1023, and have no gradient.
+    symbols = (60 * torch.randn(5, 4, 9, 9, generator=draw)).requires_grad_()
+    rows, more = torch.randint(0, 300, (200,), generator=draw), torch.randn(300, 3, generator=draw)
+    ours = samples.query(symbols, rows, rounding, more)
+    wanted = torch.cat([samples.query_anywhere(symbols, rows, rounding), more[rows]], dim=1)
+    assert 0 < float((wanted.abs() == 1023).float().mean()) < 0.5
+    weights = torch.randn(200, 11, generator=draw)
+    agree([ours], [wanted])
+    agree(gradients(ours, weights, [symbols]), gradients(wanted, weights, [symbols]))
+
+
+@pytest.mark.parametrize("seed", [None, 3], ids=["rounded", "noise"])
+def test_residues(seed: int | None) -> None:
+    draw = torch.Generator().manual_seed(2)
+    values = [torch.randn(40, width, generator=draw).requires_grad_() for width in (5, 2, 7)]
+    steps = (torch.rand(40, 3, generator=draw) + 0.1).requires_grad_()
+    size = torch.cat([steps[:, i : i + 1].expand_as(v) for i, v in enumerate(values)], dim=1).double()
+    given = torch.cat(values, dim=1).double()
+    shown, symbols = torch.cat(Shown.apply(steps, seed, *values), dim=1), Symbols.apply(steps, seed, *values)
+    if seed is None:
+        residue = (torch.floor(given / size + 0.5) - given / size).detach()
+        assert (symbols == torch.round(symbols)).all()
+    else:
+        residue = ((shown - given) / size).detach()
+        assert float(residue.abs().max()) <= 0.5001
+        assert float(residue.std()) == pytest.approx(12**-0.5, rel=0.1)
+        assert len(residue.unique()) > 0.99 * residue.numel()
+    wanted = given + residue * size, given / size + residue
+    agree([shown, symbols], list(wanted))
+    inputs, weights = [steps, *values], torch.randn(40, 14, generator=draw)
+    for a, b in zip((shown, symbols), wanted, strict=True):
+        agree(gradients(a, weights, inputs), gradients(b, weights, inputs))
+
+
+def test_noise_is_the_seeds_alone() -> None:
+    steps, values = torch.ones(100, 2), [torch.zeros(100, 8), torch.zeros(100, 8)]
+    one, same, other = (Symbols.apply(steps, seed, *values) for seed in (5, 5, 6))
+    assert torch.equal(one, same)
+    for a, b in ((one, other), (one[:, :8], one[:, 8:]), (one[1:], one[:-1])):
+        assert abs(float(torch.corrcoef(torch.stack([a.flatten(), b.flatten()]))[0, 1])) < 0.15
+
+
+@ROUNDED
+@pytest.mark.parametrize("gridded", [False, True], ids=["free", "grids"])
+def test_a_folded_network(rounding: bool, gridded: bool) -> None:
+    draw = torch.Generator().manual_seed(4)
+    units = torch.exp2(torch.randint(2, 8, (6,), generator=draw).float())
+    network = FoldedMlp([6, 12, 4], units, torch.tensor([16.0, 64.0, 8.0, 8.0]), draw, 0.5)
+    x = torch.randint(-1023, 1024, (500, 6), generator=draw).float().requires_grad_()
+    network.calibrate(x.detach() / 2)
+    if gridded:
+        network.set_grid(3)
+    network.rounding = rounding
+    rows, weights = slice(1, 3), torch.randn(500, 2, generator=draw)
+    ours = network.outputs(network.activations(x), rows)
+    hidden = network.run_anywhere(0, x, slice(None))
+    # Some activations are past 1023, and have no gradient.
+    assert (0 < float((hidden >= 1023).float().mean()) < 0.5) or not rounding
+    wanted = network.run_anywhere(1, hidden, rows)
+    agree([ours], [wanted])
+    inputs = [x, *network.parameters()]
+    agree(gradients(ours, weights, inputs), gradients(wanted, weights, inputs))
