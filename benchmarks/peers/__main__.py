@@ -25,13 +25,14 @@ from refcodec.statuses import DONE, INTERRUPTED, USAGE
 from refcodec.train.settings_file import SettingsError
 
 from ..results import machine, write_section
+from .cells import experiment_records
 from .convert import ToolError
 from .figures import scenes
 from .runs import PLAIN, Run, methods, perform, records, splat_settings, train_splats
 from .table import PLOT_FILE, TABLE_FILE, TableError, commands, plot, report, with_seeds
 
 # A method as the table calls it.
-BASELINE = "3DGS, SPZ, 2000 steps"
+BASELINE = "3DGS, SPZ, 4000 steps"
 # Fewer seeds are no result.
 SEEDS = 3
 RESULTS_NOTE = (
@@ -79,7 +80,8 @@ def _run(arguments: argparse.Namespace) -> int:
 
 def _table(arguments: argparse.Namespace) -> int:
     every = records(arguments.folder)
-    found = scenes(every)
+    cells = [cell for folder in arguments.experiment for cell in experiment_records(folder)]
+    found = scenes([*every, *cells])
     lines = report(found, arguments.baseline)
     if arguments.results:
         certain = report(with_seeds(found, SEEDS), arguments.baseline)
@@ -122,6 +124,14 @@ def _parser() -> argparse.ArgumentParser:
         either.add_argument("--set", action="append", default=[], metavar="NAME=VALUE", help="changes a setting")
     table = command("table", _table, "writes the table and the plot of all runs in a folder")
     table.add_argument("folder", type=Path)
+    table.add_argument(
+        "--experiment",
+        type=Path,
+        action="append",
+        default=[],
+        metavar="FOLDER",
+        help="adds the cells of an experiment, as `refcodec experiment -o` made them",
+    )
     table.add_argument("--baseline", default=BASELINE, help=f"what others are compared with ({BASELINE})")
     table.add_argument(
         "--results", action="store_true", help=f"writes what has {SEEDS} seeds or more into benchmarks/RESULTS.md, too"

@@ -22,11 +22,11 @@ def choose_plane_size(anchors: int) -> int:
 
 
 def choose_width(anchors: int) -> int:
-    """SPEC B.3: returns the number of hidden units of F_h and of CARM. It is N / 400, rounded down, from 32 to 100.
+    """SPEC B.3: returns the number of hidden units of F_h and of CARM. It is N / 800, rounded down, from 16 to 100.
 
     Small scenes get narrow networks, because the weights take the same bytes however few anchors there are.
     """
-    return min(max(anchors // 400, 32), 100)
+    return min(max(anchors // 800, 16), 100)
 
 
 def choose_lanes(anchors: int, attribute_bits: float) -> Lanes:

@@ -174,6 +174,12 @@ class MaskSettings:
     )
     start: float = setting(1.0, "logit of a new offset; 1 is a share of 0.73")
     least: float = setting(0.001, "least weight of the masks' mean share in the loss, lambda_m", CAT, low=0)
+    drop_period: int = setting(
+        100,
+        "from one dropping of the anchors without a kept offset to the next, once the rate counts",
+        unit="steps",
+        low=1,
+    )
     share: float = setting(0.3, "that weight over lambda_r, where it is more", CAT, low=0)
 
 
@@ -205,7 +211,13 @@ class SamplingSettings:
     among: str = setting(
         "all", "drawn from all anchors (USRO) or from the visible ones (ViSRO)", PRO, choices=("all", "visible")
     )
-    share: float = setting(0.05, "share of them that is drawn", PRO, low=0, high=1)
+    share: float = setting(
+        0.05,
+        "number that is drawn, as a share of all anchors: the two differ by where they draw alone",
+        PRO,
+        low=0,
+        high=1,
+    )
     least: int = setting(512, "least number that is drawn", unit="anchors", low=1)
 
 

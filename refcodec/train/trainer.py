@@ -82,7 +82,7 @@ class Trainer:
         always = [growth, Learning(settings.learning, scaffold, clock), self.looks]
         if not settings.rate.weight:
             return always
-        masks = Masks(settings.masks, settings.rate.weight, scaffold, self.views.cameras, clock)
+        masks = Masks(settings.masks, settings.rate.weight, scaffold, self.views.cameras, clock, self._anchors_changed)
         quantisation = Quantisation(settings.quantisation, scaffold, clock, random)
         self.rate = Rate(settings, scaffold, masks, quantisation, hyperprior, clock, random)
         coded: list[Part] = [masks, self.rate, quantisation]

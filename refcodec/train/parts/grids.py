@@ -71,7 +71,7 @@ class Grids(Part):
         shown = sum(float(Photometric.apply(self.views.draw(p.camera), pixels(p), settings.loss.ssim)) for p in judges)
         parts = self.estimate()
         bits = 8 * (parts["attributes"] + parts["weights"] + settings.rate.planes * parts["planes"])
-        return shown / len(judges) + settings.rate.weight * bits / (self.scaffold.count * WIDTH)
+        return shown / len(judges) + settings.rate.weight * bits / (self.rate.masks.total * WIDTH)
 
     def state(self) -> dict[str, Any]:
         """Whether there are grids; their steps are the networks' own."""

@@ -5,6 +5,7 @@ The share is the logistic function of its logit. The weight is how many views se
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any
 
 import torch
@@ -19,15 +20,28 @@ from ..state import Saved
 
 
 class Masks(Part):
-    """Which offsets are kept, and the loss that drops them. weight: float32 [N]."""
+    """Which offsets are kept, and the loss that drops them.
+
+    weight: float32 [N]. all_anchors: how many anchors there were before any was dropped, once some can be.
+    """
 
     name = "masks"
 
     def __init__(
-        self, settings: MaskSettings, lambda_r: float, scaffold: Scaffold, cameras: list[Camera], clock: Clock
+        self,
+        settings: MaskSettings,
+        lambda_r: float,
+        scaffold: Scaffold,
+        cameras: list[Camera],
+        clock: Clock,
+        changed: Callable[[], None],
     ) -> None:
-        """lambda_r: the weight of the rate. cameras: of the training, in its units."""
+        """lambda_r: the weight of the rate. cameras: of the training, in its units.
+
+        changed: is called when anchors have gone.
+        """
         self.settings, self.scaffold, self.cameras, self.clock = settings, scaffold, cameras, clock
+        self.changed, self.all_anchors = changed, 0
         self.lambda_m = max(settings.least, settings.share * lambda_r)
         self.weight = torch.ones(scaffold.count)
         self._shares: Tensor | None = None
@@ -57,11 +71,34 @@ class Masks(Part):
             step.masks = self._kept(self._shares, step.rows)
 
     def loss(self, step: Step) -> Tensor | None:
-        """lambda_m L_m, where L_m is the mean share of the visible anchors' offsets."""
+        """lambda_m L_m, where L_m is the mean share of the visible anchors' offsets.
+
+        Dropped anchors count in it, with shares of zero.
+        """
         if not self.on:
             return None
         assert self._shares is not None
-        return self.lambda_m * self._shares.mean()
+        return self.lambda_m * self._shares.mean() * (self.scaffold.count / self.total)
+
+    @property
+    def total(self) -> int:
+        """The number of anchors with those that were dropped for want of a kept offset."""
+        return self.all_anchors or self.scaffold.count
+
+    def end(self) -> None:
+        """Drops the anchors that have no kept offset, once the rate counts.
+
+        They take part in no image and cost nothing, but time. The gradient of a share that low hardly brings one back.
+        """
+        if not self.on or self.clock.mode("rate") == "off" or self.clock.done % self.settings.drop_period:
+            return
+        self.all_anchors = self.all_anchors or self.scaffold.count
+        stay = self.decided().any(dim=1)
+        if bool(stay.all()) or not bool(stay.any()):
+            return
+        self.scaffold.keep(torch.nonzero(stay)[:, 0].numpy())
+        self.scaffold.place()
+        self.changed()
 
     def show(self, sight: Sight) -> None:
         """As Part."""
@@ -74,9 +111,12 @@ class Masks(Part):
         return self.kept(self.scaffold.tables["masks"], torch.arange(self.scaffold.count)) > 0.5
 
     def state(self) -> dict[str, Any]:
-        """The weights."""
-        return {"weight": self.weight}
+        """The weights, and how many anchors there were."""
+        return {"weight": self.weight, "all_anchors": self.all_anchors}
 
     def restore(self, state: Saved) -> None:
         """As Part."""
         self.weight = state.tensor("weight", (self.scaffold.count,), low=0)
+        self.all_anchors = state.integer("all_anchors", 0)
+        if 0 < self.all_anchors < self.scaffold.count:
+            raise state.fault("all_anchors", f"is {self.all_anchors}, there are {self.scaffold.count} anchors")

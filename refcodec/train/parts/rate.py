@@ -94,13 +94,22 @@ class Rate(Part):
         entropy = self.settings.entropy
         model = self.model_type(self.hyperprior, plane_size, width, mean, deviation, self.random, entropy)
         self.model, self.frame, self.base_step = model, frame, base_step
-        self.contexts = self.hyperprior.contexts(frame, lattice_positions(scaffold.lattice), plane_size)
+        self._place()
         groups = [
             {"params": [model.latents], "decay": learning.planes},
             {"params": model.coding_parameters(), "decay": learning.coding},
         ]
         self.optimiser = torch.optim.Adam(groups, eps=ADAM_EPSILON, fused=True)
         return model
+
+    def anchors_changed(self) -> None:
+        """Finds the contexts of the anchors that are left. The frame and the planes stay."""
+        if self.model is not None:
+            self._place()
+
+    def _place(self) -> None:
+        cells, plane_size = lattice_positions(self.scaffold.lattice), self.started().latents.shape[-1]
+        self.contexts = self.hyperprior.contexts(self.frame, cells, plane_size)
 
     def round_activations(self) -> None:
         """Switches to the decoder's activations, with units from all anchors."""
@@ -143,7 +152,7 @@ class Rate(Part):
         """The anchors whose bits a step counts: of all (USRO), or of the visible ones (ViSRO)."""
         sampling, everyone = self.settings.sampling, self.settings.sampling.among == "all"
         count = self.scaffold.count if everyone else len(visible)
-        some = min(max(int(sampling.share * count), sampling.least), count)
+        some = min(max(int(sampling.share * self.scaffold.count), sampling.least), count)
         drawn = torch.randperm(count, generator=self.random)[:some]
         return drawn if everyone else visible[drawn]
 
@@ -158,10 +167,11 @@ class Rate(Part):
         symbols = self.quantisation.symbols([leaves[kind] for kind in KINDS], steps)
         kept = self.masks.kept(leaves["masks"], rows)
         bits = self.model.attribute_bits(hidden, symbols, kept).mean(dim=0)
-        loss = bits.sum() / WIDTH
+        # N counts the anchors that were dropped, too, so that the weight of the others' bits stays what it was.
+        loss = bits.sum() * self.scaffold.count / (self.masks.total * WIDTH)
         if self.clock.done % settings.plane_period == 0:
             # A-RDO: the term is not scaled up for the steps that lack it.
-            loss = loss + settings.planes * self.model.plane_bits(planes) / (self.scaffold.count * WIDTH)
+            loss = loss + settings.planes * self.model.plane_bits(planes) / (self.masks.total * WIDTH)
         return settings.weight * loss
 
     def descend(self, step: Step) -> None:

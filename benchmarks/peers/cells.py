@@ -1,0 +1,47 @@
+"""Cells of an experiment (refcodec.experiments) as records of runs, for one table with the peers."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+
+from refcodec.experiments.cells import read_result
+
+from .figures import Record
+
+# How the table calls a coded scene and an uncompressed one.
+CODED, PLAIN = "C3GS", "Scaffold-GS"
+# The methods whose names say no more than that.
+USUAL = ("pro", "uncompressed")
+
+
+def experiment_records(folder: Path) -> Iterator[Record]:
+    """All whole cells of the folder that `refcodec experiment -o` made.
+
+    A cell that is not whole is left out. Seconds are those of the processor for the whole command `train`.
+    """
+    for place in sorted(folder.glob("cells/*/*/rate-*/seed-*")):
+        result = read_result(place)
+        if result is None:
+            continue
+        settings = result["definition"]["settings"]
+        method = place.parent.parent.name
+        kind = CODED if settings["rate"]["weight"] else PLAIN
+        mean = result["mean"]
+        yield {
+            "scene": place.parent.parent.parent.name,
+            "method": method,
+            "strength": settings["rate"]["weight"],
+            "seed": settings["seed"],
+            "size": int(settings["size"]),
+            "steps": settings["steps"],
+            "changes": [],
+            "seconds": result["processor_seconds"]["train"],
+            "files": {
+                kind if method in USUAL else f"{kind}, {method}": {
+                    "bytes": result["bytes"],
+                    "psnr": mean["psnr"],
+                    "ssim": mean["ssim"],
+                }
+            },
+        }

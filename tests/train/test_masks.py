@@ -1,0 +1,99 @@
+"""Masks: anchors that have no kept offset go, and what is left means the same."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+import torch
+
+from refcodec.photographs.photographs import PhotographSet
+from refcodec.train.settings import TrainSettings
+from refcodec.train.settings_file import varied
+from refcodec.train.state import restore, save
+from refcodec.train.trainer import Trainer
+
+
+def masked(photographs: PhotographSet, small: TrainSettings) -> Trainer:
+    """A training just before a step after which anchors are dropped, whose every third anchor has no kept offset."""
+    settings = varied(small, {"steps": 40, "masks.drop_period": 5, "rate.weight": 0.01})
+    trainer = Trainer(photographs, settings)
+    while trainer.clock.mode("rate") == "off" or trainer.clock.done % 5 != 4:
+        trainer.step()
+    trainer.scaffold.tables["masks"][::3] = -20
+    # The step that comes now is the fifth.
+    trainer.clock.done += 1
+    return trainer
+
+
+def test_anchors_without_a_kept_offset_go(photographs: PhotographSet, small: TrainSettings) -> None:
+    trainer = masked(photographs, small)
+    rate, scaffold = trainer.rate, trainer.scaffold
+    assert rate is not None
+    before, bits = scaffold.count, rate.bits(rate.masks.decided())
+    lattice = torch.from_numpy(scaffold.lattice)[rate.masks.decided().any(dim=1)]
+    rate.masks.end()
+    assert scaffold.count == len(lattice) < 0.7 * before
+    assert torch.equal(torch.from_numpy(scaffold.lattice), lattice)
+    assert rate.masks.total == before
+    # They had no bits, and the contexts of the others are what they were.
+    found = rate.bits(rate.masks.decided())
+    assert torch.allclose(found[0], bits[0], rtol=0.02)
+    assert found[1] == bits[1]
+
+
+def test_losses_mean_what_they_meant(photographs: PhotographSet, small: TrainSettings) -> None:
+    """L_rate, and the part of L_m that the anchors left have, do not change by the dropping of others."""
+    trainer = masked(photographs, small)
+    rate = trainer.rate
+    assert rate is not None
+
+    def losses() -> list[float]:
+        found = []
+        for part in (rate.masks, rate):
+            step = trainer._looked_at(0)
+            everyone = torch.arange(trainer.scaffold.count)
+            step.rows, step.leaves = everyone, trainer.scaffold.leaves(everyone)
+            torch.manual_seed(0)
+            for other in (rate.masks, rate):
+                other.prepare(step)
+            if part is rate:
+                rate._sampled = (everyone, *_of_all(trainer))
+            found.append(float(part.loss(step).detach()))
+        return found
+
+    before = losses()
+    rate.masks.end()
+    after = losses()
+    assert after[0] == pytest.approx(before[0], rel=1e-3)
+    assert after[1] == pytest.approx(before[1], rel=0.05)
+
+
+def _of_all(trainer: Trainer) -> tuple[torch.Tensor, ...]:
+    """What Rate.prepare finds of its sample, of all anchors and without noise."""
+    rate = trainer.rate
+    assert rate is not None
+    model, rows = rate.started(), torch.arange(trainer.scaffold.count)
+    planes = model.symbols(None)
+    hidden = model.activations(rate.contexts.inputs(planes, rows, model.integers))
+    return hidden, model.steps(hidden) * rate.base_step, planes
+
+
+def test_a_saved_training_knows_how_many_there_were(
+    photographs: PhotographSet, small: TrainSettings, tmp_path: Path
+) -> None:
+    trainer = masked(photographs, small)
+    assert trainer.rate is not None
+    trainer.rate.masks.end()
+    assert trainer.rate is not None
+    assert trainer.scaffold.count < trainer.rate.masks.total
+    save(trainer, tmp_path / "state")
+    again = Trainer(photographs, trainer.settings)
+    restore(again, tmp_path / "state")
+    assert again.rate is not None
+    assert again.rate.masks.total == trainer.rate.masks.total
+    for _ in range(6):
+        trainer.step()
+        again.step()
+    for name, table in trainer.scaffold.tables.items():
+        assert torch.equal(table, again.scaffold.tables[name])
