@@ -130,6 +130,6 @@ class FoldedMlp(nn.Module):
         found = []
         for i in range(self.hidden + 1):
             layer = zip(self._layer(i, slice(None)), self._units(i), strict=True)
-            weight, bias = ((value * unit).numpy().astype(np.float32) for value, unit in layer)
+            weight, bias = ((value * unit).cpu().numpy().astype(np.float32) for value, unit in layer)
             found.append((weight, bias))
         return found

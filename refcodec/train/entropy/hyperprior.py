@@ -69,9 +69,9 @@ class PlaneSamples:
             share = (grid - (cell << UNIT_BITS) + (1 << (cut - 1)) >> cut) / (1 << LERP_BITS)
             at = cell[:, 1] * size + cell[:, 0]
             fj, fi = share[:, 0], share[:, 1]
-            self.corners.append(torch.from_numpy(np.stack([at, at + 1, at + size, at + size + 1], axis=1)))
+            self.corners.append(torch.as_tensor(np.stack([at, at + 1, at + size, at + size + 1], axis=1)))
             weights = [(1 - fj) * (1 - fi), fj * (1 - fi), (1 - fj) * fi, fj * fi]
-            self.shares.append(torch.from_numpy(np.stack(weights, axis=1).astype(np.float32)))
+            self.shares.append(torch.as_tensor(np.stack(weights, axis=1).astype(np.float32)))
 
     def query(self, symbols: Tensor, rows: Tensor, rounding: bool) -> Tensor:
         """Context of the anchors `rows` [b] from plane symbols [5, ch, B, B]: float32 [b, 2 ch], in [-1023, 1023]."""
@@ -107,7 +107,7 @@ class VectorMatrix:
         """As Hyperprior."""
         u = scene_coordinates(frame, positions)
         gamma = positional_encoding(u[:, 2], self.frequencies)
-        return _VectorMatrixContexts(PlaneSamples(u[:, :2], plane_size), torch.from_numpy(gamma.astype(np.float32)))
+        return _VectorMatrixContexts(PlaneSamples(u[:, :2], plane_size), torch.as_tensor(gamma.astype(np.float32)))
 
 
 class _VectorMatrixContexts:

@@ -29,7 +29,7 @@ class Masks(Part):
         """lambda_r: the weight of the rate. cameras: of the training, in its units."""
         self.settings, self.scaffold, self.cameras, self.clock = settings, scaffold, cameras, clock
         self.lambda_m = max(settings.least, settings.share * lambda_r)
-        self.weight = torch.ones(scaffold.count)
+        self.weight = torch.ones(scaffold.count, device=scaffold.device)
         self._shares: Tensor | None = None
 
     @property
@@ -71,7 +71,7 @@ class Masks(Part):
     @torch.no_grad()
     def decided(self) -> Tensor:
         """Which offsets are kept, bool [N, K]."""
-        return self.kept(self.scaffold.tables["masks"], torch.arange(self.scaffold.count)) > 0.5
+        return self.kept(self.scaffold.tables["masks"], torch.arange(self.scaffold.count, device=self.weight.device)) > 0.5
 
     def state(self) -> dict[str, Any]:
         """The weights."""
@@ -79,4 +79,4 @@ class Masks(Part):
 
     def restore(self, state: Saved) -> None:
         """As Part."""
-        self.weight = state.tensor("weight", (self.scaffold.count,), low=0)
+        self.weight = state.tensor("weight", (self.scaffold.count,), low=0).to(self.scaffold.device)
