@@ -1,7 +1,7 @@
-"""From anchors and what the rendering networks say of them to Gaussians, and back (SPEC.md 14.3), in training.
+"""From anchors and what the rendering networks say of them to Gaussians, and back (SPEC.md 14.3).
 
-On CPUs, what autograd would do in a dozen passes over arrays of all offsets is one pass each way, over those that are drawn. One
-thread sums an anchor's gradients in one order, so that no result depends on the number of threads.
+On CPUs, what autograd would do in a dozen passes over arrays of all offsets is one pass each way, over those that are
+drawn. One thread sums an anchor's gradients in one order, so that no result depends on the number of threads.
 """
 
 from __future__ import annotations

@@ -1,9 +1,9 @@
 """Training on a device that is not the CPU, without one.
 
-A pretended device stands for a GPU: its tensors hold their numbers in the CPU's memory, but to torch they are elsewhere.
-What fails on a GPU fails on it: an operation on tensors of two devices, and an array of NumPy made of a tensor that was
-not copied to the CPU. Everything else gives true numbers, so that what torch does there is compared with what is
-compiled for CPUs. Drawing is the CPU's own.
+A pretended device stands for a GPU. Its tensors hold their numbers in the CPU's memory, but to torch they are
+elsewhere. What fails on a GPU fails on it: an operation on tensors of two devices, and an array of NumPy made of a
+tensor that was not copied to the CPU. Everything else gives true numbers. So what torch does there is compared with
+what is compiled for CPUs. Drawing is the CPU's own.
 """
 
 from __future__ import annotations
@@ -59,7 +59,12 @@ class Pretended(torch.Tensor):
     @staticmethod
     def __new__(cls, held: Tensor) -> Any:
         made = torch.Tensor._make_wrapper_subclass(  # type: ignore[attr-defined]
-            cls, held.shape, strides=held.stride(), storage_offset=held.storage_offset(), dtype=held.dtype, device=DEVICE
+            cls,
+            held.shape,
+            strides=held.stride(),
+            storage_offset=held.storage_offset(),
+            dtype=held.dtype,
+            device=DEVICE,
         )
         made.held = held
         return made
@@ -257,7 +262,7 @@ def tensors(training: Trainer) -> dict[str, Tensor]:
 def test_a_step_is_that_of_the_cpu(device: str, tiny: PhotographSet, tmp_path: Path) -> None:
     """A step from one state, at the beginning, where anchors grow, and in every later phase.
 
-    Two trainings of many steps are not compared so: Adam makes steps of equal length of gradients that rounding decides.
+    Two trainings of many steps are not compared so: what rounding makes different grows with each step.
     """
     settings, path = varied(TrainSettings(), SHORT), tmp_path / "state"
     along = trained(tiny, settings, "cpu", 0)
@@ -275,7 +280,9 @@ def test_a_step_is_that_of_the_cpu(device: str, tiny: PhotographSet, tmp_path: P
         for name, value in found.items():
             assert value.shape == expected[name].shape, name
             away = (value - expected[name]).norm() / expected[name].norm().clamp_min(1e-6)
-            assert away < 1e-4, f"{name} after step {done + 1}"
+            # Adam makes whole steps even of gradients that are nothing but rounding.
+            learnt = name.startswith(("scaffold/tables", "scaffold/networks", "rate/model"))
+            assert away < (1e-2 if learnt else 1e-4), f"{name} after step {done + 1}"
 
 
 @pytest.mark.slow
@@ -317,7 +324,7 @@ def test_a_state_is_good_on_any_device(device: str, tiny: PhotographSet, tmp_pat
             restore(two, path)
             own, other = tensors(one), tensors(two)
             assert own.keys() == other.keys()
-            assert all(torch.equal(value, other[name]) for name, value in own.items())
+            assert [name for name, value in own.items() if not torch.equal(value, other[name])] == []
             assert torch.equal(one.random.get_state(), two.random.get_state())
             while two.clock.done < settings.steps:
                 two.step()

@@ -99,7 +99,11 @@ class RateModel(nn.Module):
     def symbols(self, noise: torch.Generator | None) -> Tensor:
         """Plane symbols [planes, ch, B, B]: with uniform noise in place of rounding, or rounded if noise is None."""
         fine = self.latents * LATENT_UNIT
-        return round_through(fine) if noise is None else fine + torch.rand(fine.shape, generator=noise, device=fine.device) - 0.5
+        return (
+            round_through(fine)
+            if noise is None
+            else fine + torch.rand(fine.shape, generator=noise, device=fine.device) - 0.5
+        )
 
     def plane_bits(self, symbols: Tensor) -> Tensor:
         """Bits of all plane symbols."""

@@ -90,7 +90,9 @@ class Growth(Part):
         if room < len(cells):
             chosen = torch.randperm(len(cells), generator=self.random).numpy()[:room]
             cells, owner, edge = cells[chosen], owner[chosen], edge[chosen]
-        born = {name: table[torch.from_numpy(owner).to(table.device)].clone() for name, table in scaffold.tables.items()}
+        born = {
+            name: table[torch.from_numpy(owner).to(table.device)].clone() for name, table in scaffold.tables.items()
+        }
         born["offsets"].zero_()
         born["scalings"][:] = torch.from_numpy(np.log(edge * units.cell * units.length)).float()[:, None]
         born["masks"].fill_(self.mask_start)

@@ -71,7 +71,9 @@ class Masks(Part):
     @torch.no_grad()
     def decided(self) -> Tensor:
         """Which offsets are kept, bool [N, K]."""
-        return self.kept(self.scaffold.tables["masks"], torch.arange(self.scaffold.count, device=self.weight.device)) > 0.5
+        return (
+            self.kept(self.scaffold.tables["masks"], torch.arange(self.scaffold.count, device=self.weight.device)) > 0.5
+        )
 
     def state(self) -> dict[str, Any]:
         """The weights."""
