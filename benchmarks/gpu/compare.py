@@ -72,7 +72,14 @@ def steps_agree(device: str, work: Path, size: Size) -> list[Row]:
     In neither do random numbers matter: there is no noise, and the rate counts all anchors.
     """
     photographs = read_photographs(EXAMPLES / "caliterra", size.sides[0])
-    changes = {"steps": size.steps[0], "start.anchors": size.anchors, "sampling.share": 1.0, "sampling.among": "all"}
+    changes = {
+        "steps": size.steps[0],
+        "start.anchors": size.anchors,
+        "sampling.share": 1.0,
+        "sampling.among": "all",
+        # No anchor comes or goes, so that rows before and after a step are the same.
+        "growth.period": size.steps[0] + 1,
+    }
     settings = varied(TrainSettings(), changes)
     along, state = Trainer(photographs, settings), work / "state"
     rows = []
@@ -83,10 +90,9 @@ def steps_agree(device: str, work: Path, size: Size) -> list[Row]:
         image, gradients = _step(photographs, settings, "cpu", state)
         other_image, other_gradients = _step(photographs, settings, device, state)
         rows.append(_image_far(f"image before {when}, mean difference", image, other_image))
-        for name in COLUMNS:
-            # Masks have no gradient before there is a rate.
-            if gradients[name].any() or other_gradients[name].any():
-                rows.append(_far(f"gradient of {name}, {when}", gradients[name], other_gradients[name]))
+        # Masks have no gradient before there is a rate.
+        names = [name for name in COLUMNS if gradients[name].any() or other_gradients[name].any()]
+        rows += [_far(f"gradient of {name}, {when}", gradients[name], other_gradients[name]) for name in names]
     return rows
 
 
