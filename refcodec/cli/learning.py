@@ -288,7 +288,7 @@ def add(commands: Any) -> None:
         "--device",
         choices=("cpu", "cuda"),
         default="cpu",
-        help="what rasterises; cuda needs pip install 'refcodec[cuda]'",
+        help="where it trains (default: cpu); cuda needs pip install 'refcodec[cuda]'",
     )
     train.add_argument(
         "--threads", type=positive, metavar="N", help="of the rasteriser (default: all); no result depends on them"

@@ -1,10 +1,17 @@
-"""Adam on some rows of a table (Kingma and Ba 2015): a step of training changes only the anchors that it sees."""
+"""Adam on some rows of a table (Kingma and Ba 2015): a step of training changes only the anchors that it sees.
+
+adam_rows and gather_rows are compiled for CPUs. adam_anywhere and joined do the same with torch on any device.
+"""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
+import torch
 from numba import prange
 from numpy.typing import NDArray
+from torch import Tensor
 
 from ..render.compiled import compiled
 
@@ -55,3 +62,26 @@ def adam_rows(table: F32, first: F32, second: F32, steps: int, rows: I64, gradie
             v = BETA_2 * second[i, c] + _REST_2 * g * g
             first[i, c], second[i, c] = m, v
             table[i, c] -= rate * (m * by_first) / (np.sqrt(v * by_second) + EPSILON)
+
+
+def joined(rows: Sequence[Tensor]) -> tuple[Tensor, Tensor]:
+    """The union of sets of anchors, each int64 [n]: int64 [M], ascending, and the place of each given row in it."""
+    union, place = torch.unique(torch.cat(list(rows)), return_inverse=True)
+    return union, place
+
+
+def added(place: Tensor, gradients: Sequence[Tensor], count: int) -> Tensor:
+    """The sums of gradients [n, D] of the same anchors, float32 [count, D]. place: that of each row, of `joined`."""
+    every = torch.cat(list(gradients))
+    return torch.zeros(count, every.shape[1], device=every.device).index_add_(0, place, every)
+
+
+def adam_anywhere(
+    table: Tensor, first: Tensor, second: Tensor, steps: int, rows: Tensor, gradient: Tensor, rate: float
+) -> None:
+    """What adam_rows does, on the device of the tensors."""
+    m = first[rows].mul_(float(BETA_1)).add_(gradient, alpha=float(_REST_1))
+    v = second[rows].mul_(float(BETA_2)).addcmul_(gradient, gradient, value=float(_REST_2))
+    first[rows], second[rows] = m, v
+    away = (m / (1 - 0.9**steps)) / ((v / (1 - 0.999**steps)).sqrt_() + ADAM_EPSILON)
+    table[rows] -= rate * away

@@ -105,7 +105,7 @@ def report(trainer: Trainer, result: Scene | Uncompressed) -> dict[str, Any]:
     found, views = {}, trainer.views
     for photograph in trainer.photographs.test:
         camera = photograph.camera
-        made = (views.show(result, camera) if isinstance(result, Scene) else views.draw(camera)).double().numpy()
+        made = (views.show(result, camera) if isinstance(result, Scene) else views.draw(camera)).double().cpu().numpy()
         found[camera.name] = psnr(float(np.mean((made - photograph.image / 255) ** 2)))
     first = trainer.photographs.train[0].camera
     return {

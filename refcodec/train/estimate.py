@@ -62,7 +62,7 @@ def coded_bytes(scaffold: Scaffold, rate: Rate, likely_bits: int) -> dict[str, f
         weights = weight_bytes(model.networks(), rendering, model.latents.shape[1], model.latents.shape[2], lanes)
     kinds = dict(zip(KINDS, (bits / 8).tolist(), strict=True))
     return {
-        "positions": position_bytes(scaffold.lattice[some.numpy()], lanes),
+        "positions": position_bytes(scaffold.lattice[some.cpu().numpy()], lanes),
         "attributes": sum(kinds.values()),
         **kinds,
         "masks": float(entropy) * int(some.sum()) / 8,

@@ -61,7 +61,7 @@ def uncompressed(scaffold: Scaffold, render: RenderInfo) -> Uncompressed:
     """The scene as it is, in world units."""
     n = scaffold.count
     positions = scaffold.units.origin + scaffold.lattice * (scaffold.units.cell * scaffold.units.length)
-    tables = {name: table.numpy().copy() for name, table in scaffold.tables.items()}
+    tables = {name: table.cpu().numpy().copy() for name, table in scaffold.tables.items()}
     values = Reconstruction(
         positions.astype(np.float32), tables["features"], tables["scalings"], tables["offsets"].reshape(n, OFFSETS, 3)
     )
@@ -107,8 +107,8 @@ def coded_scene(scaffold: Scaffold, rate: Rate, render: RenderInfo) -> Scene:
     Anchors without a kept offset are left out. The rest is sorted along a Morton curve (B.1). Raises ValueError for
     what cannot be written.
     """
-    model, kept = rate.started(), rate.masks.decided().numpy()
-    planes = model.symbols(None).detach().numpy()
+    model, kept = rate.started(), rate.masks.decided().cpu().numpy()
+    planes = model.symbols(None).detach().cpu().numpy()
     first, second, third = rate.base_step.tolist()
     base_step = (first, second, third)
     rows = np.flatnonzero(kept.any(axis=1))
@@ -143,7 +143,7 @@ def coded_scene(scaffold: Scaffold, rate: Rate, render: RenderInfo) -> Scene:
         attributes=empty,
     )
     steps = derive_steps(scene)
-    values = {name: scaffold.tables[name].numpy()[rows] for name in KINDS}
+    values = {name: scaffold.tables[name].cpu().numpy()[rows] for name in KINDS}
     values["offsets"] = np.where(masks[:, :, None], values["offsets"].reshape(count, OFFSETS, 3), np.float32(0))
     features, scalings, offsets = (symbols(values[kind], steps[:, i], base_step[i]) for i, kind in enumerate(KINDS))
     return replace(scene, attributes=Attributes(features, scalings, offsets, steps))

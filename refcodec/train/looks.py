@@ -15,7 +15,7 @@ from .part import Part
 from .schedule import Clock
 from .settings import LookSettings
 from .state import Saved
-from .views import Views, pixels
+from .views import Views
 
 # Steps whose mean PSNR is told.
 LATELY = 50
@@ -61,7 +61,7 @@ class Looks(Part):
         began = time.perf_counter()
         test = self.views.photographs.test
         some = test[:: max(len(test) // self.settings.images, 1)] or self.views.photographs.train[:1]
-        errors = [float((self.views.draw(p.camera) - pixels(p)).square().mean()) for p in some]
+        errors = [float((self.views.draw(p.camera) - self.views.pixels(p)).square().mean()) for p in some]
         self.seconds += time.perf_counter() - began
         found = self.estimate()
         sizes = {name: found.get(name, 0) for name in PARTS}

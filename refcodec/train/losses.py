@@ -7,7 +7,7 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from .ssim import similarity, similarity_backward
+from .ssim import similarity, similarity_anywhere, similarity_backward
 
 
 class Photometric(torch.autograd.Function):
@@ -29,3 +29,16 @@ class Photometric(torch.autograd.Function):
         gradient = torch.sign(away).mul_((1 - ctx.ssim) / away.numel())
         gradient -= torch.from_numpy(similarity_backward(ctx.similarity, ctx.ssim))
         return gradient * upstream[0], None, None
+
+
+def photometric(image: Tensor, photograph: Tensor, ssim: float) -> Tensor:
+    """Photometric.apply on the CPU. On any other device the same with torch, differentiated by autograd."""
+    if image.device.type == "cpu":
+        loss: Tensor = Photometric.apply(image, photograph, ssim)
+        return loss
+    return photometric_anywhere(image, photograph, ssim)
+
+
+def photometric_anywhere(image: Tensor, photograph: Tensor, ssim: float) -> Tensor:
+    """What Photometric takes, with torch on the device of the images."""
+    return (1 - ssim) * (image - photograph).abs().mean() + ssim * (1 - similarity_anywhere(image, photograph))

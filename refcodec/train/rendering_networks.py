@@ -57,7 +57,7 @@ class RenderNetworks(nn.Module):
         for name, value in self.named_parameters():
             layer, _, kind = name.rpartition("_")
             if kind == "weight":
-                self.get_buffer(f"{layer}_step").fill_(2.0 ** -rendering_exponent(value.numpy(), bits))
+                self.get_buffer(f"{layer}_step").fill_(2.0 ** -rendering_exponent(value.cpu().numpy(), bits))
         self.gridded = True
 
     def forward(self, inputs: Tensor) -> tuple[Tensor, Tensor, Tensor]:
@@ -76,5 +76,5 @@ class RenderNetworks(nn.Module):
 
     def layers(self) -> dict[str, list[Layer]]:
         """The weights that SPEC 5.8 stores."""
-        p = {name: value.detach().numpy().copy() for name, value in self._values().items()}
+        p = {name: value.detach().cpu().numpy().copy() for name, value in self._values().items()}
         return {name: [(p[f"{name}_{i}_weight"], p[f"{name}_{i}_bias"]) for i in range(2)] for name in RENDERING}

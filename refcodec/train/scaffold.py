@@ -15,7 +15,7 @@ from ..render.camera import Camera
 from .entropy.model import OFFSETS, WIDTHS
 from .rendering_networks import RenderNetworks
 from .settings import TrainSettings
-from .spawn import Spawn
+from .spawn import spawn
 from .start import LATTICE_MAX, first_anchors
 from .state import Saved
 
@@ -37,19 +37,28 @@ class Scaffold:
     tables: float32 [N, columns] each. These are features, offsets (in units of exp(scalings[:3])), scalings (natural
     logarithms of world lengths) and masks (logits). first, second: their moments (adam_rows). lattice: int64 [N, 3],
     cells from the grid's origin. position: float32 [N, 3], training units.
+
+    The lattice is NumPy's. All else is on the training's device.
     """
 
-    def __init__(self, photographs: PhotographSet, settings: TrainSettings, generator: torch.Generator) -> None:
-        """Raises ValueError without points."""
+    def __init__(
+        self,
+        photographs: PhotographSet,
+        settings: TrainSettings,
+        generator: torch.Generator,
+        device: torch.device | str = "cpu",
+    ) -> None:
+        """generator: of the networks' first weights, on the CPU. Raises ValueError without points."""
+        self.device = torch.device(device)
         found = first_anchors(photographs, settings.start, settings.seed)
         self.units, self.lattice, self.near = found.units, found.lattice, settings.start.near
         n = len(self.lattice)
-        self.tables = {name: torch.zeros(n, columns) for name, columns in COLUMNS.items()}
+        self.tables = {name: torch.zeros(n, columns, device=self.device) for name, columns in COLUMNS.items()}
         self.first, self.second = ({name: torch.zeros_like(t) for name, t in self.tables.items()} for _ in range(2))
         self.tables["features"][:, :3] = torch.from_numpy(found.colours).float()
         self.tables["scalings"][:] = torch.from_numpy(np.log(found.sizes)).float()[:, None]
         self.tables["masks"].fill_(settings.masks.start)
-        self.networks = RenderNetworks(generator)
+        self.networks = RenderNetworks(generator).to(self.device)
         self.place()
 
     @property
@@ -59,7 +68,11 @@ class Scaffold:
 
     def place(self) -> None:
         """Sets the positions; to be called when the lattice has changed."""
-        self.position = torch.from_numpy((self.lattice * self.units.cell).astype(np.float32))
+        self.position = self._moved(self.lattice * self.units.cell)
+
+    def _moved(self, values: NDArray[Any]) -> Tensor:
+        """Values as float32 on the training's device."""
+        return torch.from_numpy(values.astype(np.float32)).to(self.device)
 
     def leaves(self, rows: Tensor) -> dict[str, Tensor]:
         """Values of some anchors, as tensors of their own with gradients."""
@@ -71,8 +84,7 @@ class Scaffold:
         None is left out that could be drawn. An anchor reaches as far as its farthest offset and the longest axes of
         its Gaussians.
         """
-        rotation = torch.from_numpy(camera.rotation.astype(np.float32))
-        p = self.position @ rotation.T + torch.from_numpy(camera.translation.astype(np.float32))
+        p = self.position @ self._moved(camera.rotation).T + self._moved(camera.translation)
         lengths = torch.exp(self.tables["scalings"] - math.log(self.units.length))
         reach = self.tables["offsets"].reshape(-1, OFFSETS, 3).abs().amax(dim=1).mul_(lengths[:, :3]).norm(dim=1)
         reach = REACH * (reach + EXTENT * lengths[:, 3:].amax(dim=1))
@@ -90,7 +102,7 @@ class Scaffold:
 
     def views(self, cameras: list[Camera]) -> Tensor:
         """How often each anchor is visible, over the mean of all: float32 [N], the weight in the masks' rule."""
-        count = torch.zeros(self.count)
+        count = torch.zeros(self.count, device=self.device)
         for camera in cameras:
             count[self.visible(camera)] += 1
         return count / count.mean().clamp_min(1e-6)
@@ -103,7 +115,7 @@ class Scaffold:
         Returns the offsets that are drawn, int64 indices into [n, K]; their Gaussians; all opacities [n, K].
         """
         position = self.position[rows]
-        away = position - torch.from_numpy(camera.centre.astype(np.float32))
+        away = position - self._moved(camera.centre)
         distance = away.norm(dim=1, keepdim=True).clamp_min(1e-12)
         opacity, covariance, colour = self.networks(torch.cat([values["features"], away / distance, distance], dim=1))
         if masks is not None:
@@ -111,14 +123,14 @@ class Scaffold:
         flat = opacity.reshape(-1)
         chosen = torch.nonzero(flat.detach() > 0)[:, 0]
         scalings = values["scalings"] - math.log(self.units.length)
-        mean, quaternion, lengths, rgb = Spawn.apply(
+        mean, quaternion, lengths, rgb = spawn(
             chosen, OFFSETS, position, values["offsets"], scalings, covariance, colour
         )
         return chosen, (mean, quaternion, lengths, flat[chosen], rgb), opacity
 
     def keep(self, rows: I64) -> None:
         """Leaves these anchors alone. `place` is to be called afterwards."""
-        index = torch.from_numpy(rows)
+        index = torch.from_numpy(rows).to(self.device)
         for table in (self.tables, self.first, self.second):
             for name in table:
                 table[name] = table[name][index]
@@ -146,6 +158,6 @@ class Scaffold:
             for name, columns in COLUMNS.items():
                 # The second moments are means of squares.
                 low = 0 if kind == "second" else -math.inf
-                tables[name] = state.tensor(f"{kind}.{name}", (self.count, columns), low=low)
+                tables[name] = state.tensor(f"{kind}.{name}", (self.count, columns), low=low).to(self.device)
         state.module("networks.", self.networks)
         self.place()

@@ -1,7 +1,7 @@
-"""From anchors and what the rendering networks say of them to Gaussians, and back (SPEC.md 14.3), for training on CPUs.
+"""From anchors and what the rendering networks say of them to Gaussians, and back (SPEC.md 14.3).
 
-What autograd would do in a dozen passes over arrays of all offsets is one pass each way, over those that are drawn. One
-thread sums an anchor's gradients in one order, so that no result depends on the number of threads.
+On CPUs, what autograd would do in a dozen passes over arrays of all offsets is one pass each way, over those that are
+drawn. One thread sums an anchor's gradients in one order, so that no result depends on the number of threads.
 """
 
 from __future__ import annotations
@@ -113,3 +113,26 @@ class Spawn(torch.autograd.Function):
         ]
         gradients = _backward(first.numpy(), chosen.numpy(), ctx.k, *arrays)
         return (None, None, None, *(torch.from_numpy(g) for g in gradients))
+
+
+def spawn(
+    chosen: Tensor, k: int, position: Tensor, offsets: Tensor, scalings: Tensor, covariance: Tensor, colour: Tensor
+) -> tuple[Tensor, Tensor, Tensor, Tensor]:
+    """Spawn.apply on the CPU. On any other device the same with torch, differentiated by autograd."""
+    if position.device.type == "cpu":
+        made: tuple[Tensor, Tensor, Tensor, Tensor] = Spawn.apply(
+            chosen, k, position, offsets, scalings, covariance, colour
+        )
+        return made
+    return spawn_anywhere(chosen, k, position, offsets, scalings, covariance, colour)
+
+
+def spawn_anywhere(
+    chosen: Tensor, k: int, position: Tensor, offsets: Tensor, scalings: Tensor, covariance: Tensor, colour: Tensor
+) -> tuple[Tensor, Tensor, Tensor, Tensor]:
+    """What Spawn makes, with torch on the device of the tensors."""
+    anchor, spread = chosen // k, torch.exp(scalings)
+    shape = covariance.reshape(-1, 7)[chosen]
+    mean = position[anchor] + offsets.reshape(-1, 3)[chosen] * spread[anchor, :3]
+    lengths = spread[anchor, 3:] * torch.sigmoid(shape[:, :3])
+    return mean, shape[:, 3:], lengths, torch.sigmoid(colour.reshape(-1, 3)[chosen])

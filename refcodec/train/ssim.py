@@ -1,9 +1,12 @@
-"""Structural similarity of two images as 3D Gaussian Splatting takes it, and its gradient, for CPUs.
+"""Structural similarity of two images as 3D Gaussian Splatting takes it, and its gradient.
 
 Wang et al., "Image quality assessment: from error visibility to structural similarity" (2004), with an 11 x 11 Gaussian
 window of deviation 1.5, C1 = 0.01^2 and C2 = 0.03^2 for values in [0, 1], channel by channel, mean over all pixels. As
 in 3DGS the images are continued by zeros, so that the pixels near the edge count. scikit-image leaves out the outer
-five, and so has another value. Float32; the same bits whatever the number of threads.
+five, and so has another value.
+
+On CPUs it is compiled, and has the same bits whatever the number of threads. similarity_anywhere is torch's, for any
+device. Both are float32.
 """
 
 from __future__ import annotations
@@ -15,6 +18,7 @@ import numpy as np
 import torch
 from numba import prange
 from numpy.typing import ArrayLike, NDArray
+from torch.nn.functional import conv2d
 
 from ..render.compiled import compiled
 from ..render.simd import WIDTH, fma, fnma, load, splat, store, total
@@ -213,3 +217,19 @@ class SSIM(torch.autograd.Function):
     @staticmethod
     def backward(ctx: Any, gradient: torch.Tensor) -> tuple[torch.Tensor, None]:
         return torch.from_numpy(similarity_backward(ctx.similarity, float(gradient))).to(ctx.dtype), None
+
+
+def similarity_anywhere(x: torch.Tensor, y: torch.Tensor) -> torch.Tensor:
+    """Mean SSIM of two images, float32 [H, W, C] on one device: a scalar, which autograd differentiates."""
+    height, width, channels = x.shape
+    planes = torch.stack([x, y, x * x, y * y, x * y]).permute(0, 3, 1, 2).reshape(1, -1, height, width)
+    groups = 5 * channels
+    # One group for each plane: torch then takes a kernel of its own on a GPU. cuDNN's would cut float32 to TF32.
+    window = torch.from_numpy(WINDOW).to(x.device).expand(groups, 1, TAPS).contiguous()
+    down = conv2d(planes, window[:, :, :, None], padding=(RADIUS, 0), groups=groups)
+    means = conv2d(down, window[:, :, None, :], padding=(0, RADIUS), groups=groups)
+    m_x, m_y, m_xx, m_yy, m_xy = means.reshape(5, channels, height, width)
+    c1, c2 = float(C1), float(C2)
+    luminance = (2 * m_x * m_y + c1) / (m_x * m_x + m_y * m_y + c1)
+    rest = (2 * (m_xy - m_x * m_y) + c2) / ((m_xx - m_x * m_x) + (m_yy - m_y * m_y) + c2)
+    return (luminance * rest).mean()

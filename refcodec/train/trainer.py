@@ -23,7 +23,7 @@ from .entropy.hyperprior import Hyperprior, VectorMatrix
 from .estimate import coded_bytes, likely_bytes, uncompressed_bytes
 from .export import coded_scene, render_info, uncompressed
 from .looks import Looks
-from .losses import Photometric
+from .losses import photometric
 from .pace import Pace
 from .part import Part, Step
 from .parts.grids import Grids
@@ -40,6 +40,13 @@ from .state import Saved
 from .views import Views
 
 Watch = Callable[["Trainer"], None]
+# What a saved state calls the device's random numbers.
+NOISE = "noise"
+
+
+def generator_on(device: torch.device) -> torch.Generator:
+    """A source of random numbers for tensors on a device."""
+    return torch.Generator(device)
 
 
 class Trainer:
@@ -47,6 +54,11 @@ class Trainer:
 
     parts: of the method, in the order in which the loop calls them. rate: the part that counts bits; None for an
     uncompressed Scaffold-GS, which has neither masks nor an entropy model.
+
+    device: of all tensors of a step. What is compiled for CPUs is torch's on any other device. random: draws on the CPU
+    what a training begins with, its photographs' order and what grows, so that these are the same on every device.
+    noise: draws on the device what steps need, which is the noise and the anchors whose bits count. On the CPU the two
+    are one.
     """
 
     def __init__(
@@ -62,12 +74,14 @@ class Trainer:
         """
         if device == "cuda" and not torch.cuda.is_available():
             raise ValueError("there is no CUDA device")
-        self.settings, self.photographs = settings, photographs
+        self.settings, self.photographs, self.device = settings, photographs, torch.device(device)
         self.random = torch.Generator().manual_seed(settings.seed)
+        on_cpu = self.device.type == "cpu"
+        self.noise = self.random if on_cpu else generator_on(self.device).manual_seed(settings.seed)
         self.clock = Clock(settings.phases, settings.steps)
-        self.scaffold = Scaffold(photographs, settings, self.random)
+        self.scaffold = Scaffold(photographs, settings, self.random, self.device)
         self.parts: list[Part] = []
-        self.views = Views(photographs, self.scaffold, self.parts, device)
+        self.views = Views(photographs, self.scaffold, self.parts)
         pace = Pace(self.clock, bool(settings.rate.weight))
         self.looks = Looks(settings.looks, self.views, self.estimate, self.clock, pace)
         self.rate: Rate | None = None
@@ -83,7 +97,7 @@ class Trainer:
         if not settings.rate.weight:
             return always
         masks = Masks(settings.masks, settings.rate.weight, scaffold, self.views.cameras, clock, self._anchors_changed)
-        quantisation = Quantisation(settings.quantisation, scaffold, clock, random)
+        quantisation = Quantisation(settings.quantisation, scaffold, clock, self.noise)
         self.rate = Rate(settings, scaffold, masks, quantisation, hyperprior, clock, random)
         coded: list[Part] = [masks, self.rate, quantisation]
         if hyperprior.coded:
@@ -106,7 +120,7 @@ class Trainer:
         for part in self.parts:
             part.prepare(step)
         image, volume = self._drawn(step)
-        loss = Photometric.apply(image, photograph, self.settings.loss.ssim)
+        loss = photometric(image, photograph, self.settings.loss.ssim)
         if volume is not None:
             loss = loss + self.settings.loss.volume * volume
         for part in self.parts:
@@ -136,7 +150,7 @@ class Trainer:
     def _drawn(self, step: Step) -> tuple[Tensor, Tensor | None]:
         """The image of a step, and the mean volume of its Gaussians, None if there are none."""
         chosen, gaussians, opacity = self.scaffold.gaussians(step.rows, step.camera, step.values, step.masks)
-        screen = torch.zeros(len(chosen), requires_grad=True)
+        screen = torch.zeros(len(chosen), device=self.device, requires_grad=True)
         step.chosen, step.opacity, step.screen = chosen, opacity, screen
         image = self.views.drawn(gaussians, step.camera, screen)
         return image, gaussians[2].prod(dim=1).mean() if len(chosen) else None
@@ -212,7 +226,10 @@ class Trainer:
         }
         for part in self.parts:
             found |= {f"{part.name}/{name}": value for name, value in part.state().items()}
-        return {**found, "random": self.random.get_state()}
+        found["random"] = self.random.get_state()
+        if self.noise is not self.random:
+            found[NOISE] = self.noise.get_state()
+        return {name: value.cpu() if isinstance(value, Tensor) else value for name, value in found.items()}
 
     def restore(self, state: Saved) -> None:
         """Makes a new training the one that gave the state. Raises ValueError for what cannot be a state of it."""
@@ -227,3 +244,14 @@ class Trainer:
         for part in self.parts:
             part.restore(state.within(part.name))
         state.generator("random", self.random)
+        if NOISE in state.names():
+            self._restore_noise(state)
+
+    def _restore_noise(self, state: Saved) -> None:
+        """Sets the device's random numbers, if the state is of a device of this kind.
+
+        A state is good on any device. On one of another kind the noise begins anew.
+        """
+        drawn = state.tensor(NOISE, (None,), torch.uint8)
+        if self.noise is not self.random and drawn.shape == self.noise.get_state().shape:
+            state.generator(NOISE, self.noise)

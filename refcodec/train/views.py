@@ -19,17 +19,17 @@ from .scaffold import Gaussians, Scaffold
 from .splat import draw
 
 
-def pixels(photograph: Photograph) -> Tensor:
-    """A photograph as float32 [H, W, 3], 1 for white."""
-    return torch.from_numpy(photograph.image.astype(np.float32) / 255)
+def pixels(photograph: Photograph, device: torch.device | str = "cpu") -> Tensor:
+    """A photograph as float32 [H, W, 3] on a device, 1 for white."""
+    return torch.from_numpy(photograph.image.astype(np.float32) / 255).to(device)
 
 
 class Views:
     """Draws for a training. cameras: of the photographs to learn from, in training units."""
 
-    def __init__(self, photographs: PhotographSet, scaffold: Scaffold, parts: Iterable[Part], device: str) -> None:
+    def __init__(self, photographs: PhotographSet, scaffold: Scaffold, parts: Iterable[Part]) -> None:
         """parts: what changes an image on the way; the training adds to them later."""
-        self.photographs, self.scaffold, self.parts, self.device = photographs, scaffold, parts, device
+        self.photographs, self.scaffold, self.parts = photographs, scaffold, parts
         self.cameras = [scaffold.units.camera(p.camera) for p in photographs.train]
         red, green, blue = photographs.background
         self.settings = Settings(near_plane=scaffold.near, background=(red / 255, green / 255, blue / 255))
@@ -38,17 +38,19 @@ class Views:
     def image(self, number: int) -> Tensor:
         """A photograph to learn from, float32 [H, W, 3]."""
         if number not in self._images:
-            self._images[number] = pixels(self.photographs.train[number])
+            self._images[number] = self.pixels(self.photographs.train[number])
         return self._images[number]
 
-    def drawn(self, gaussians: Gaussians, camera: Camera, screen: Tensor | None) -> Tensor:
-        """The image of some Gaussians, drawn on the training's device: float32 [H, W, 3] on the CPU.
+    def pixels(self, photograph: Photograph) -> Tensor:
+        """A photograph on the training's device, float32 [H, W, 3], 1 for white."""
+        return pixels(photograph, self.scaffold.device)
 
-        camera: in training units. screen: splat.draw's, on the CPU.
+    def drawn(self, gaussians: Gaussians, camera: Camera, screen: Tensor | None) -> Tensor:
+        """The image of some Gaussians: float32 [H, W, 3].
+
+        camera: in training units. screen: splat.draw's.
         """
-        mean, quaternion, lengths, opacity, colour = (g.to(self.device) for g in gaussians)
-        moved = None if screen is None else screen.to(self.device)
-        return draw(mean, quaternion, lengths, opacity, colour, camera, self.settings, moved)[0].cpu()
+        return draw(*gaussians, camera, self.settings, screen)[0]
 
     @torch.no_grad()
     def draw(self, camera: Camera) -> Tensor:
@@ -67,12 +69,16 @@ class Views:
 
         The networks, units and rasteriser are the training's own, and no anchor is left out.
         """
-        held = copy(self.scaffold)
+        held, device = copy(self.scaffold), self.scaffold.device
         held.lattice = scene.positions.astype(np.int64)
         held.place()
         found = reconstruct(scene)
-        values = {"features": torch.from_numpy(found.features), "scalings": torch.from_numpy(found.scalings)}
-        values["offsets"] = torch.from_numpy(found.offsets.reshape(scene.anchor_count, -1))
-        camera, rows = held.units.camera(camera), torch.arange(scene.anchor_count)
-        _, gaussians, _ = held.gaussians(rows, camera, values, torch.from_numpy(scene.masks).float())
+        attributes = {
+            "features": found.features,
+            "scalings": found.scalings,
+            "offsets": found.offsets.reshape(scene.anchor_count, -1),
+        }
+        values = {name: torch.from_numpy(value).to(device) for name, value in attributes.items()}
+        camera, rows = held.units.camera(camera), torch.arange(scene.anchor_count, device=device)
+        _, gaussians, _ = held.gaussians(rows, camera, values, torch.from_numpy(scene.masks).float().to(device))
         return self.drawn(gaussians, camera, None).clamp(0, 1)

@@ -70,7 +70,7 @@ class RateModel(nn.Module):
         # The step of scalings is one for all anchors: their symbols lie far from zero, and would move with it.
         still = torch.ones(2 * WIDTH + len(KINDS), 1)
         still[2 * WIDTH + KINDS.index("scalings")] = 0
-        self.hyper.weights[-1].register_hook(lambda gradient: gradient * still)
+        self.hyper.weights[-1].register_hook(lambda gradient: gradient * still.to(gradient.device))
         outputs = torch.tensor([LATENT_UNIT * MEAN_UNIT, SCALE_UNIT])
         self.sarm = network([4, *SARM_WIDTH, 2], torch.full((4,), LATENT_UNIT), outputs)
         inputs = unit[: sum(SLICES[:-1])] / (1 if self.carm_unit is None else self.carm_unit)
@@ -99,7 +99,11 @@ class RateModel(nn.Module):
     def symbols(self, noise: torch.Generator | None) -> Tensor:
         """Plane symbols [planes, ch, B, B]: with uniform noise in place of rounding, or rounded if noise is None."""
         fine = self.latents * LATENT_UNIT
-        return round_through(fine) if noise is None else fine + torch.rand(fine.shape, generator=noise) - 0.5
+        return (
+            round_through(fine)
+            if noise is None
+            else fine + torch.rand(fine.shape, generator=noise, device=fine.device) - 0.5
+        )
 
     def plane_bits(self, symbols: Tensor) -> Tensor:
         """Bits of all plane symbols."""

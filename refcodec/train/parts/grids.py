@@ -12,13 +12,13 @@ import numpy as np
 import torch
 
 from ..entropy.model import WIDTH
-from ..losses import Photometric
+from ..losses import photometric
 from ..part import Part
 from ..scaffold import Scaffold
 from ..schedule import Clock
 from ..settings import TrainSettings
 from ..state import Saved
-from ..views import Views, pixels
+from ..views import Views
 from .rate import Rate
 
 
@@ -68,7 +68,8 @@ class Grids(Part):
         """L_Scaffold of a few photographs and lambda_r L_rate, in which bits of weights count like the others."""
         train, settings = self.views.photographs.train, self.settings
         judges = train[:: max(len(train) // settings.weights.judges, 1)][: settings.weights.judges]
-        shown = sum(float(Photometric.apply(self.views.draw(p.camera), pixels(p), settings.loss.ssim)) for p in judges)
+        views = self.views
+        shown = sum(float(photometric(views.draw(p.camera), views.pixels(p), settings.loss.ssim)) for p in judges)
         parts = self.estimate()
         bits = 8 * (parts["attributes"] + parts["weights"] + settings.rate.planes * parts["planes"])
         return shown / len(judges) + settings.rate.weight * bits / (self.rate.masks.total * WIDTH)

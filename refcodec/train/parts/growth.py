@@ -52,9 +52,9 @@ class Growth(Part):
 
     def anchors_changed(self) -> None:
         """Starts the statistics anew."""
-        n = self.scaffold.count
-        self.gradient, self.drawn = np.zeros((n, OFFSETS), np.float32), np.zeros((n, OFFSETS), np.float32)
-        self.opacity, self.seen = np.zeros(n, np.float32), np.zeros(n, np.float32)
+        n, device = self.scaffold.count, self.scaffold.device
+        self.gradient, self.drawn = (torch.zeros((n, OFFSETS), device=device) for _ in range(2))
+        self.opacity, self.seen = (torch.zeros(n, device=device) for _ in range(2))
 
     def descend(self, step: Step) -> None:
         """Adds a step's statistics."""
@@ -63,13 +63,13 @@ class Growth(Part):
         assert step.chosen is not None
         assert step.opacity is not None
         assert step.screen is not None
-        screen = (step.screen.detach() if step.screen.grad is None else step.screen.grad).numpy()
-        rows, chosen = step.rows.numpy(), step.chosen.numpy()
+        screen = step.screen.detach() if step.screen.grad is None else step.screen.grad
+        rows, chosen = step.rows, step.chosen
         anchor, offset = rows[chosen // OFFSETS], chosen % OFFSETS
         drawn = screen > 0
-        self.gradient[anchor[drawn], offset[drawn]] += screen[drawn]
-        self.drawn[anchor[drawn], offset[drawn]] += 1
-        self.opacity[rows] += step.opacity.detach().clamp_min(0).sum(dim=1).numpy()
+        self.gradient[anchor, offset] += torch.where(drawn, screen, 0)
+        self.drawn[anchor, offset] += drawn.float()
+        self.opacity[rows] += step.opacity.detach().clamp_min(0).sum(dim=1)
         self.seen[rows] += 1
 
     def end(self) -> None:
@@ -90,7 +90,9 @@ class Growth(Part):
         if room < len(cells):
             chosen = torch.randperm(len(cells), generator=self.random).numpy()[:room]
             cells, owner, edge = cells[chosen], owner[chosen], edge[chosen]
-        born = {name: table[torch.from_numpy(owner)].clone() for name, table in scaffold.tables.items()}
+        born = {
+            name: table[torch.from_numpy(owner).to(table.device)].clone() for name, table in scaffold.tables.items()
+        }
         born["offsets"].zero_()
         born["scalings"][:] = torch.from_numpy(np.log(edge * units.cell * units.length)).float()[:, None]
         born["masks"].fill_(self.mask_start)
@@ -99,16 +101,18 @@ class Growth(Part):
 
     def _transparent(self) -> NDArray[np.bool_]:
         """The anchors that were seen often and are nearly transparent, bool [N]."""
-        settings = self.settings
-        return (self.seen > settings.anchor_views) & (self.opacity < settings.opacity * self.seen)
+        settings, seen, opacity = self.settings, self.seen.cpu().numpy(), self.opacity.cpu().numpy()
+        return np.asarray((seen > settings.anchor_views) & (opacity < settings.opacity * seen))
 
     def _asked_for(self) -> tuple[I64, I64, NDArray[np.float64]]:
         """New anchors: their cells [n, 3], the anchors that they come from [n], the edges of their lattices [n]."""
         settings, scaffold = self.settings, self.scaffold
-        mean = self.gradient / np.maximum(self.drawn, 1) * (self.drawn >= settings.offset_views)
-        units, tables = scaffold.units, scaffold.tables
-        spread = np.exp(tables["scalings"].numpy()[:, None, :3] - math.log(units.length)) / units.cell
-        centre = scaffold.lattice[:, None] + tables["offsets"].numpy().reshape(-1, OFFSETS, 3) * spread
+        total, drawn = self.gradient.cpu().numpy(), self.drawn.cpu().numpy()
+        mean = total / np.maximum(drawn, 1) * (drawn >= settings.offset_views)
+        units = scaffold.units
+        scalings, offsets = (scaffold.tables[name].cpu().numpy() for name in ("scalings", "offsets"))
+        spread = np.exp(scalings[:, None, :3] - math.log(units.length)) / units.cell
+        centre = scaffold.lattice[:, None] + offsets.reshape(-1, OFFSETS, 3) * spread
         centre, gradient = centre.reshape(-1, 3), mean.reshape(-1)
         found, owners, edges = [scaffold.lattice], [np.zeros(0, np.int64)], [np.zeros(0)]
         for level, edge in enumerate(settings.edges):
@@ -128,10 +132,10 @@ class Growth(Part):
 
     def state(self) -> dict[str, Any]:
         """The statistics."""
-        return {name: torch.from_numpy(getattr(self, name)) for name in _STATISTICS}
+        return {name: getattr(self, name) for name in _STATISTICS}
 
     def restore(self, state: Saved) -> None:
         """As Part."""
         for name in _STATISTICS:
             shape = getattr(self, name).shape
-            setattr(self, name, state.tensor(name, shape, low=0).numpy())
+            setattr(self, name, state.tensor(name, shape, low=0).to(self.scaffold.device))

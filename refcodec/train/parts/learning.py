@@ -6,9 +6,10 @@ from typing import Any
 
 import numpy as np
 import torch
+from torch import Tensor
 
 from ...bitstream.dimensions import RENDERING
-from ..adam import ADAM_EPSILON, adam_rows, gather_rows
+from ..adam import ADAM_EPSILON, adam_anywhere, adam_rows, added, gather_rows, joined
 from ..optimisers import learning_rate, moments, restore_moments
 from ..part import Part, Step
 from ..scaffold import COLUMNS, Scaffold
@@ -31,11 +32,15 @@ class Learning(Part):
             {"params": scaffold.networks.parameters_of(name), "decay": getattr(settings, name)} for name in RENDERING
         ]
         self.optimiser = torch.optim.Adam(groups, eps=ADAM_EPSILON, fused=True)
+        self._compiled = scaffold.device.type == "cpu"
         self.anchors_changed()
 
     def anchors_changed(self) -> None:
-        """Makes arrays of all anchors' size, which are used again in each step: gather_rows says for what."""
-        n = self.scaffold.count
+        """Makes arrays of all anchors' size, which are used again in each step: gather_rows says for what.
+
+        Only the CPU has use for them.
+        """
+        n = self.scaffold.count if self._compiled else 0
         self._place, self._found = np.full(n, -1, np.int64), np.zeros(n, np.int64)
         self._total = {name: np.zeros((n, columns), np.float32) for name, columns in COLUMNS.items()}
 
@@ -45,10 +50,33 @@ class Learning(Part):
             group["lr"] = learning_rate(group["decay"], self.clock.share)
         self.optimiser.step()
         self.optimiser.zero_grad(set_to_none=True)
+        joints: dict[tuple[int, ...], tuple[Tensor, Tensor]] = {}
         for name in COLUMNS:
-            self._descend_table(name, step)
+            rate = learning_rate(getattr(self.settings, name), self.clock.share)
+            if self._compiled:
+                self._descend_on_cpu(name, step, rate)
+            else:
+                self._descend_on_device(name, step, rate, joints)
 
-    def _descend_table(self, name: str, step: Step) -> None:
+    def _descend_on_device(
+        self, name: str, step: Step, rate: float, joints: dict[tuple[int, ...], tuple[Tensor, Tensor]]
+    ) -> None:
+        """_descend_on_cpu with torch. joints: adam.joined of the step's sets of rows, by the numbers of these sets.
+
+        Most tables have gradients for the same sets, and each union makes the CPU wait for the device.
+        """
+        scaffold = self.scaffold
+        found = tuple(i for i, (_, leaves) in enumerate(step.taken) if leaves[name].grad is not None)
+        if not found:
+            return
+        if found not in joints:
+            joints[found] = joined([step.taken[i][0] for i in found])
+        rows, place = joints[found]
+        gradient = added(place, [g for i in found if (g := step.taken[i][1][name].grad) is not None], len(rows))
+        moments = scaffold.first[name], scaffold.second[name]
+        adam_anywhere(scaffold.tables[name], *moments, self.clock.done + 1, rows, gradient, rate)
+
+    def _descend_on_cpu(self, name: str, step: Step, rate: float) -> None:
         """A step of Adam for the rows of one table that have a gradient."""
         scaffold, total, count = self.scaffold, self._total[name], 0
         for rows, leaves in step.taken:
@@ -61,7 +89,7 @@ class Learning(Part):
             self.clock.done + 1,
             self._found[:count],
             total,
-            np.float32(learning_rate(getattr(self.settings, name), self.clock.share)),
+            np.float32(rate),
         )
         self._place[self._found[:count]] = -1
 

@@ -43,7 +43,7 @@ class Masks(Part):
         self.settings, self.scaffold, self.cameras, self.clock = settings, scaffold, cameras, clock
         self.changed, self.all_anchors = changed, 0
         self.lambda_m = max(settings.least, settings.share * lambda_r)
-        self.weight = torch.ones(scaffold.count)
+        self.weight = torch.ones(scaffold.count, device=scaffold.device)
         self._shares: Tensor | None = None
 
     @property
@@ -108,7 +108,9 @@ class Masks(Part):
     @torch.no_grad()
     def decided(self) -> Tensor:
         """Which offsets are kept, bool [N, K]."""
-        return self.kept(self.scaffold.tables["masks"], torch.arange(self.scaffold.count)) > 0.5
+        return (
+            self.kept(self.scaffold.tables["masks"], torch.arange(self.scaffold.count, device=self.weight.device)) > 0.5
+        )
 
     def state(self) -> dict[str, Any]:
         """The weights, and how many anchors there were."""
@@ -116,7 +118,7 @@ class Masks(Part):
 
     def restore(self, state: Saved) -> None:
         """As Part."""
-        self.weight = state.tensor("weight", (self.scaffold.count,), low=0)
+        self.weight = state.tensor("weight", (self.scaffold.count,), low=0).to(self.scaffold.device)
         self.all_anchors = state.integer("all_anchors", 0)
         if 0 < self.all_anchors < self.scaffold.count:
             raise state.fault("all_anchors", f"is {self.all_anchors}, there are {self.scaffold.count} anchors")

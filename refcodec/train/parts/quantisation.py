@@ -37,7 +37,8 @@ class Quantisation(Part):
         """The base steps of features, scalings and offsets for the anchors as they are, float32 [3]."""
         settings = self.settings
         spread = float(self.scaffold.tables["features"].std(dim=0).median()) or 1.0
-        return torch.tensor([spread * settings.features, settings.scalings, settings.offsets])
+        steps = [spread * settings.features, settings.scalings, settings.offsets]
+        return torch.tensor(steps, device=self.scaffold.device)
 
     def residue(self, values: Tensor, step: Tensor) -> Tensor:
         """What is added to values [n, w], in steps [n, 1], in place of rounding: at most a half. It has no gradient."""
@@ -45,7 +46,7 @@ class Quantisation(Part):
             if self.rounds:
                 scaled = values / step
                 return torch.floor(scaled + 0.5) - scaled
-            return torch.rand(values.shape, generator=self.random) - 0.5
+            return torch.rand(values.shape, generator=self.random, device=values.device) - 0.5
 
     def symbols(self, values: list[Tensor], steps: Tensor) -> Tensor:
         """The symbols of k kinds of values, [n, w] each, with steps [n, k], noisy or rounded: [n, sum of w]."""

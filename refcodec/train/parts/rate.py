@@ -90,9 +90,10 @@ class Rate(Part):
         """An entropy model for the anchors as they are. plane_size: B. width: of the hidden layers of F_h and CARM."""
         scaffold, learning = self.scaffold, self.settings.learning
         symbols = torch.cat([scaffold.tables[kind] / base_step[i] for i, kind in enumerate(KINDS)], dim=1).double()
-        mean, deviation = symbols.mean(dim=0).numpy(), symbols.std(dim=0).numpy()
+        mean, deviation = symbols.mean(dim=0).cpu().numpy(), symbols.std(dim=0).cpu().numpy()
         entropy = self.settings.entropy
         model = self.model_type(self.hyperprior, plane_size, width, mean, deviation, self.random, entropy)
+        model.to(scaffold.device)
         self.model, self.frame, self.base_step = model, frame, base_step
         self._place()
         groups = [
@@ -109,12 +110,13 @@ class Rate(Part):
 
     def _place(self) -> None:
         cells, plane_size = lattice_positions(self.scaffold.lattice), self.started().latents.shape[-1]
-        self.contexts = self.hyperprior.contexts(self.frame, cells, plane_size)
+        with self.scaffold.device:
+            self.contexts = self.hyperprior.contexts(self.frame, cells, plane_size)
 
     def round_activations(self) -> None:
         """Switches to the decoder's activations, with units from all anchors."""
         model = self.started()
-        symbols, rows = model.symbols(None), torch.arange(self.scaffold.count)
+        symbols, rows = model.symbols(None), torch.arange(self.scaffold.count, device=self.scaffold.device)
         with torch.no_grad():
             inputs = self.contexts.inputs(symbols, rows, False)
             step = model.steps(model.activations(inputs))[:, :1] * self.base_step[0]
@@ -153,7 +155,7 @@ class Rate(Part):
         sampling, everyone = self.settings.sampling, self.settings.sampling.among == "all"
         count = self.scaffold.count if everyone else len(visible)
         some = min(max(int(sampling.share * self.scaffold.count), sampling.least), count)
-        drawn = torch.randperm(count, generator=self.random)[:some]
+        drawn = torch.randperm(count, generator=self.quantisation.random, device=visible.device)[:some]
         return drawn if everyone else visible[drawn]
 
     def loss(self, step: Step) -> Tensor | None:
@@ -205,8 +207,8 @@ class Rate(Part):
         kept: which offsets are, bool [N, K].
         """
         model = self.started()
-        planes, bits = model.symbols(None), torch.zeros(3)
-        for rows in torch.arange(self.scaffold.count).split(BLOCK):
+        planes, bits = model.symbols(None), torch.zeros(3, device=kept.device)
+        for rows in torch.arange(self.scaffold.count, device=kept.device).split(BLOCK):
             hidden = model.activations(self.contexts.inputs(planes, rows, model.integers))
             steps = model.steps(hidden) * self.base_step
             symbols = [
@@ -237,7 +239,7 @@ class Rate(Part):
         frame = Frame(*arrays)
         if (frame.high <= frame.low).any():
             raise state.fault("frame.high", "is not above frame.low")
-        base_step = state.tensor("base_step", (len(KINDS),), low=BASE_STEP_MIN)
+        base_step = state.tensor("base_step", (len(KINDS),), low=BASE_STEP_MIN).to(self.scaffold.device)
         # The planes' size and the width are those for the anchors when the rate began. They may be others by now.
         latents = state.tensor("model.latents", (None,) * len(self.hyperprior.latent_shape(1)))
         width = state.tensor("model.hyper.biases.0", (None,)).shape[0]

@@ -1,0 +1,336 @@
+"""Training on a device that is not the CPU, without one.
+
+A pretended device stands for a GPU. Its tensors hold their numbers in the CPU's memory, but to torch they are
+elsewhere. What fails on a GPU fails on it: an operation on tensors of two devices, and an array of NumPy made of a
+tensor that was not copied to the CPU. Everything else gives true numbers. So what torch does there is compared with
+what is compiled for CPUs. Drawing is the CPU's own.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import torch
+from hypothesis import given
+from hypothesis import strategies as st
+from torch import Tensor
+from torch.optim import optimizer
+from torch.overrides import TorchFunctionMode
+from torch.utils._python_dispatch import TorchDispatchMode
+from torch.utils._pytree import tree_leaves, tree_map
+
+from refcodec.bitstream.codec import emit, parse
+from refcodec.bitstream.reconstruction import digest
+from refcodec.bitstream.scene import Scene
+from refcodec.photographs.photographs import PhotographSet, read_photographs
+from refcodec.train import splat, trainer, views
+from refcodec.train.adam import adam_anywhere, adam_rows, added, joined
+from refcodec.train.command import report
+from refcodec.train.entropy.model import OFFSETS
+from refcodec.train.losses import Photometric, photometric_anywhere
+from refcodec.train.settings import TrainSettings
+from refcodec.train.settings_file import varied
+from refcodec.train.spawn import Spawn, spawn_anywhere
+from refcodec.train.state import restore, save
+from refcodec.train.trainer import Trainer
+
+# torch has no tensors with numbers on it, and autograd runs its gradients on the CPU's thread.
+DEVICE = "meta"
+aten = torch.ops.aten
+# Operations that torch allows on tensors of two devices: copies, and a choice of elements by indices on the CPU.
+MIXED = {aten.copy_.default, aten._to_copy.default}
+INDEXED = {aten.index.Tensor, aten.index_put_.default, aten.index_put.default, aten._index_put_impl_.default}
+SHORT = {"steps": 60, "start.anchors": 400, "growth.most": 600, "growth.period": 10, "growth.offset_views": 1}
+
+
+class MixedDevicesError(Exception):
+    """An operation on tensors of two devices."""
+
+
+class Pretended(torch.Tensor):
+    """A tensor on the pretended device. held: its numbers, on the CPU."""
+
+    held: Tensor
+
+    @staticmethod
+    def __new__(cls, held: Tensor) -> Any:
+        made = torch.Tensor._make_wrapper_subclass(  # type: ignore[attr-defined]
+            cls,
+            held.shape,
+            strides=held.stride(),
+            storage_offset=held.storage_offset(),
+            dtype=held.dtype,
+            device=DEVICE,
+        )
+        made.held = held
+        return made
+
+    @classmethod
+    def __torch_dispatch__(cls, function: Any, types: Any, arguments: Any = (), named: Any = None) -> Any:
+        return on_pretended(function, arguments, named or {})
+
+
+class Source(torch.Generator):
+    """Random numbers of the pretended device."""
+
+
+def on_pretended(function: Any, arguments: Any, named: dict[str, Any]) -> Any:
+    """An operation, if it could be done on a GPU. Raises MixedDevicesError."""
+    given_tensors = [v for v in tree_leaves((arguments, named)) if isinstance(v, Tensor)]
+    there = [v for v in given_tensors if isinstance(v, Pretended)]
+    here = [v for v in given_tensors if not isinstance(v, Pretended)]
+    asked = named.get("device")
+    if asked is not None:
+        named = {**named, "device": torch.device("cpu")}
+    assert all(v.device.type == "cpu" for v in here)
+    if there and function not in MIXED and any(v.dim() for v in here):
+        by_index = function in INDEXED and isinstance(arguments[0], Pretended)
+        if not by_index or any(v.dim() for v in here if all(v is not i for i in arguments[1])):
+            raise MixedDevicesError(str(function))
+    found = function(*(tree_map(_held, v) for v in arguments), **tree_map(_held, named))
+    if not (there if asked is None else torch.device(asked).type == DEVICE):
+        return found
+    known = {id(v.held): v for v in there}
+
+    def moved(value: Any) -> Any:
+        if not isinstance(value, Tensor):
+            return value
+        # What is changed in place stays the same tensor.
+        return known[id(value)] if id(value) in known else Pretended(value)
+
+    return tree_map(moved, found)
+
+
+def _held(value: Any) -> Any:
+    return value.held if isinstance(value, Pretended) else value
+
+
+class Pretending(TorchDispatchMode):
+    """Makes tensors on the pretended device where they are asked for."""
+
+    def __torch_dispatch__(self, function: Any, types: Any, arguments: Any = (), named: Any = None) -> Any:
+        return on_pretended(function, arguments, named or {})
+
+
+class Made(TorchFunctionMode):
+    """What a TorchDispatchMode is not asked, or not in time.
+
+    These are tensors made of values, lists made of tensors, and which generator random numbers are drawn from.
+    """
+
+    def __torch_function__(self, function: Any, types: Any, arguments: Any = (), named: Any = None) -> Any:
+        named = dict(named or {})
+        if named.get("generator") and isinstance(named["generator"], Source) != (str(named.get("device")) == DEVICE):
+            raise MixedDevicesError(str(function))
+        if function in (torch.tensor, torch.as_tensor) and str(named.get("device")) == DEVICE:
+            del named["device"]
+            return function(*arguments, **named).to(DEVICE)
+        if function is Tensor.tolist:
+            return arguments[0].cpu().tolist()
+        return function(*arguments, **named)
+
+
+def drawn_on_cpu(*values: Any) -> splat.Drawn:
+    """splat.draw, of tensors on the pretended device too, which must then all be there."""
+    *gaussians, camera, settings, screen = values
+    if not isinstance(gaussians[0], Pretended):
+        return splat.draw(*values)
+    assert all(isinstance(v, Pretended) for v in gaussians)
+    assert screen is None or isinstance(screen, Pretended)
+    here = [v.cpu() for v in gaussians]
+    image, rest, radius = splat.draw(*here, camera, settings, None if screen is None else screen.cpu())
+    return image.to(DEVICE), rest.to(DEVICE), radius.to(DEVICE)
+
+
+@pytest.fixture
+def device(monkeypatch: pytest.MonkeyPatch) -> Iterator[str]:
+    """The pretended device."""
+    monkeypatch.setattr(views, "draw", drawn_on_cpu)
+    monkeypatch.setattr(trainer, "generator_on", lambda _: Source())
+    fused = optimizer._get_fused_kernels_supported_devices
+    monkeypatch.setattr(optimizer, "_get_fused_kernels_supported_devices", lambda: [*fused(), DEVICE])
+    with Pretending(), Made():
+        yield DEVICE
+
+
+@pytest.fixture(scope="module")
+def tiny(examples: Path) -> PhotographSet:
+    return read_photographs(examples / "caliterra", (60, 45))
+
+
+def test_the_pretended_device_fails_where_a_gpu_does(device: str) -> None:
+    there, here = torch.arange(3.0, device=device), torch.arange(3.0)
+    every: list[Callable[[], Any]] = [
+        lambda: there + here,
+        lambda: torch.cat([there, here]),
+        lambda: here[there.long()],
+        lambda: torch.rand(3, generator=torch.Generator(), device=device),
+        lambda: torch.rand(3, generator=Source()),
+    ]
+    for fails in every:
+        with pytest.raises(MixedDevicesError):
+            fails()
+    with pytest.raises(RuntimeError, match="numpy"):
+        there.numpy()
+    assert (there + torch.tensor(1.0)).device.type == DEVICE
+    assert torch.equal((there[torch.tensor([2, 0])] * 2).cpu(), torch.tensor([4.0, 0.0]))
+    there[torch.tensor([1])] = 7
+    assert there.cpu().tolist() == [0, 7, 2]
+
+
+# --- what torch does against what is compiled -------------------------------------------------------------------------
+
+
+@given(seed=st.integers(0, 1 << 20), anchors=st.integers(1, 20), share=st.floats(0, 1))
+def test_gaussians_of_anchors(seed: int, anchors: int, share: float) -> None:
+    draw = torch.Generator().manual_seed(seed)
+    position = torch.randn(anchors, 3, generator=draw)
+    inputs = [torch.randn(anchors, width, generator=draw) for width in (30, 6, 70, 30)]
+    chosen = torch.nonzero(torch.rand(anchors * OFFSETS, generator=draw) < share)[:, 0]
+    weights = [torch.randn(len(chosen), width, generator=draw) for width in (3, 4, 3, 3)]
+    found = []
+    for make in (Spawn.apply, spawn_anywhere):
+        values = [v.clone().requires_grad_() for v in inputs]
+        made = make(chosen, OFFSETS, position, *values)
+        sum((v * w).sum() for v, w in zip(made, weights, strict=True)).backward()
+        found.append([*(v.detach() for v in made), *(v.grad for v in values)])
+    for compiled, torchs in zip(*found, strict=True):
+        torch.testing.assert_close(torchs, compiled, rtol=1e-5, atol=1e-5)
+
+
+@given(seed=st.integers(0, 1 << 20), height=st.integers(1, 30), width=st.integers(1, 30), ssim=st.floats(0, 1))
+def test_the_loss_of_an_image(seed: int, height: int, width: int, ssim: float) -> None:
+    draw = torch.Generator().manual_seed(seed)
+    image, photograph = torch.rand(2, height, width, 3, generator=draw)
+    found = []
+    for loss in (Photometric.apply, photometric_anywhere):
+        seen = image.clone().requires_grad_()
+        value = loss(seen, photograph, ssim)
+        value.backward()
+        found.append((value.detach(), seen.grad * image.numel()))
+    torch.testing.assert_close(found[1][0], found[0][0], rtol=1e-5, atol=1e-6)
+    # One pixel's share of the loss has a gradient of about one.
+    torch.testing.assert_close(found[1][1], found[0][1], rtol=1e-4, atol=1e-4)
+
+
+@given(seed=st.integers(0, 1 << 20), steps=st.integers(1, 5000))
+def test_adam_on_rows(seed: int, steps: int) -> None:
+    draw = torch.Generator().manual_seed(seed)
+    table, first = torch.randn(2, 40, 7, generator=draw)
+    second, rate = torch.rand(40, 7, generator=draw), np.float32(0.01)
+    rows = [torch.randperm(40, generator=draw)[:n] for n in (25, 10)]
+    gradients = [torch.randn(len(r), 7, generator=draw) for r in rows]
+    union, place = joined(rows)
+    total = added(place, gradients, len(union))
+    expected = torch.zeros(40, 7).index_add_(0, torch.cat(rows), torch.cat(gradients))
+    assert union.tolist() == sorted({*rows[0].tolist(), *rows[1].tolist()})
+    torch.testing.assert_close(total, expected[union], rtol=0, atol=0)
+    compiled, torchs = ([v.clone() for v in (table, first, second)] for _ in range(2))
+    adam_rows(*(v.numpy() for v in compiled), steps, union.numpy(), total.numpy(), rate)
+    adam_anywhere(torchs[0], torchs[1], torchs[2], steps, union, total, float(rate))
+    for a, b in zip(torchs, compiled, strict=True):
+        torch.testing.assert_close(a, b, rtol=1e-5, atol=1e-6)
+
+
+# --- whole trainings --------------------------------------------------------------------------------------------------
+
+
+def trained(photographs: PhotographSet, settings: TrainSettings, device: str, steps: int | None = None) -> Trainer:
+    """A training of some steps, or to its end. On the CPU it draws the random numbers that a device would draw."""
+    made = Trainer(photographs, settings, device)
+    if device == "cpu":
+        made.noise = torch.Generator().manual_seed(settings.seed)
+        if made.rate is not None:
+            made.rate.quantisation.random = made.noise
+    while made.clock.done < (settings.steps if steps is None else steps):
+        made.step()
+        made.looks.look()
+    return made
+
+
+def tensors(training: Trainer) -> dict[str, Tensor]:
+    """What a training has learnt, and what it has observed: tensors on the CPU."""
+    return {name: v for name, v in training.state().items() if isinstance(v, Tensor) and v.is_floating_point()}
+
+
+@pytest.mark.slow
+@pytest.mark.filterwarnings("ignore:.*meta parameter")
+def test_a_step_is_that_of_the_cpu(device: str, tiny: PhotographSet, tmp_path: Path) -> None:
+    """A step from one state: what it does to anchors and rendering networks, at first, where anchors grow, and later.
+
+    Two trainings of many steps are not compared so: what rounding makes different grows with each step.
+    """
+    settings, path = varied(TrainSettings(), SHORT), tmp_path / "state"
+    along = trained(tiny, settings, "cpu", 0)
+    for done in (0, 19, 35):
+        while along.clock.done < done:
+            along.step()
+        save(along, path)
+        pair = [trained(tiny, settings, where, 0) for where in (device, "cpu")]
+        for each in pair:
+            restore(each, path)
+            each.noise.manual_seed(done)
+            each.step()
+        found, expected = (tensors(each) for each in pair)
+        assert found.keys() == expected.keys()
+        for name in (name for name in found if name.startswith("scaffold/")):
+            value = found[name]
+            assert value.shape == expected[name].shape, name
+            away = (value - expected[name]).norm() / expected[name].norm().clamp_min(1e-6)
+            # Adam makes whole steps even of gradients that are nothing but rounding.
+            learnt = name.startswith(("scaffold/tables", "scaffold/networks"))
+            assert away < (1e-2 if learnt else 1e-4), f"{name} after step {done + 1}"
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("rate", [0.004, 0.0])
+def test_a_training_is_as_good_as_on_the_cpu(rate: float, device: str, tiny: PhotographSet) -> None:
+    settings = varied(TrainSettings(), {**SHORT, "rate.weight": rate})
+    found, expected = trained(tiny, settings, device), trained(tiny, settings, "cpu")
+    assert isinstance(found.scaffold.tables["features"], Pretended)
+    assert found.scaffold.count == pytest.approx(expected.scaffold.count, rel=0.02)
+    # Anchors have come.
+    assert found.scaffold.count > 400
+    assert found.looks.history[-1]["psnr"] == pytest.approx(expected.looks.history[-1]["psnr"], abs=0.1)
+    results = found.result(), expected.result()
+    said = [report(t, result) for t, result in zip((found, expected), results, strict=True)]
+    assert said[0]["psnr"] == pytest.approx(said[1]["psnr"], abs=0.1)
+    if not rate:
+        return
+    files = []
+    for result in results:
+        assert isinstance(result, Scene)
+        files.append(emit(result))
+        # What a decoder of the file has is what the training has.
+        assert digest(parse(files[-1]).scene) == digest(result)
+    assert len(files[0]) == pytest.approx(len(files[1]), rel=0.02)
+
+
+@pytest.mark.slow
+@pytest.mark.filterwarnings("ignore:.*meta parameter")
+def test_a_state_is_good_on_any_device(device: str, tiny: PhotographSet, tmp_path: Path) -> None:
+    """It goes on exactly on its own device, and on the other one with the same numbers but the noise."""
+    settings, path = varied(TrainSettings(), SHORT), tmp_path / "state"
+    for before in (device, "cpu"):
+        one = Trainer(tiny, settings, before)
+        for _ in range(45):
+            one.step()
+        save(one, path)
+        # Its own device last, as the first training then goes on too.
+        for after in sorted((device, "cpu"), key=lambda after: after == before):
+            two = Trainer(tiny, settings, after)
+            restore(two, path)
+            own, other = tensors(one), tensors(two)
+            assert own.keys() == other.keys()
+            assert [name for name, value in own.items() if not torch.equal(value, other[name])] == []
+            assert torch.equal(one.random.get_state(), two.random.get_state())
+            while two.clock.done < settings.steps:
+                two.step()
+            if before == after:
+                while one.clock.done < settings.steps:
+                    one.step()
+                assert emit(one.result()) == emit(two.result())
