@@ -7,8 +7,11 @@ import pytest
 import torch
 from torch import Tensor
 
+from refcodec.train.entropy.bits import bits_anywhere, gauss_bits, laplace_bits
 from refcodec.train.entropy.folded import FoldedMlp
 from refcodec.train.entropy.hyperprior import PlaneSamples
+from refcodec.train.entropy.likelihood import AttributeBits
+from refcodec.train.entropy.model import CHANGES, FEATURES, OFFSETS, WIDTH, count_anywhere
 from refcodec.train.residues import Shown, Symbols
 
 ROUNDED = pytest.mark.parametrize("rounding", [False, True], ids=["floats", "integers"])
@@ -92,3 +95,42 @@ def test_a_folded_network(rounding: bool, gridded: bool) -> None:
     agree([ours], [wanted])
     inputs = [x, *network.parameters()]
     agree(gradients(ours, weights, inputs), gradients(wanted, weights, inputs))
+
+
+def distributions(count: int, draw: torch.Generator) -> list[Tensor]:
+    """Means, scales and symbols: likely and unlikely ones, past both ends of the scales, and some at their mean."""
+    mean = 60 * torch.randn(count, generator=draw)
+    scale = torch.empty(count).uniform_(-40, 60, generator=draw)
+    symbol = mean / 16 + torch.randn(count, generator=draw) * torch.exp2(scale / 8)
+    symbol[::7] = mean[::7] / 16
+    return [v.requires_grad_() for v in (mean, scale, symbol)]
+
+
+@pytest.mark.parametrize("gauss", [False, True], ids=["laplace", "gauss"])
+@pytest.mark.parametrize("count", [1, 4003])
+def test_bits(gauss: bool, count: int) -> None:
+    draw = torch.Generator().manual_seed(5)
+    inputs = distributions(count, draw)
+    ours = (gauss_bits if gauss else laplace_bits)(*inputs)
+    exact = [v.detach().double().requires_grad_() for v in inputs]
+    wanted = bits_anywhere(*exact, gauss, 2.0**-20)
+    weights = torch.rand(count, generator=draw) - 0.2
+    agree([ours], [wanted])
+    agree(gradients(ours, weights, inputs), gradients(wanted, weights, exact), 1e-4)
+
+
+def test_bits_of_attributes() -> None:
+    draw = torch.Generator().manual_seed(6)
+    mean, scale, symbols = (v.detach().reshape(60, WIDTH) for v in distributions(60 * WIDTH, draw))
+    change = torch.randn(60, 90, generator=draw)
+    kept = (torch.rand(60, OFFSETS, generator=draw) < 0.3).float()
+    kept[:5] = 0
+    inputs = [v.clone().requires_grad_() for v in (torch.cat([mean, scale], dim=1), change, symbols, kept)]
+    ours = AttributeBits.apply(*inputs, CHANGES, FEATURES, 2.0**-20)
+    exact = [v.detach().double().requires_grad_() for v in inputs]
+
+    wanted = count_anywhere(*exact, 2.0**-20)
+    weights = torch.rand(60, 3, generator=draw)
+    assert float(ours[:5].abs().max()) == 0
+    agree([ours], [wanted])
+    agree(gradients(ours, weights, inputs), gradients(wanted, weights, exact), 1e-4)

@@ -10,6 +10,7 @@ from torch import Tensor
 
 from ...bitstream.tables import SCALE_MIN
 from ..settings import EntropySettings
+from .passes import is_compiled
 from .units import MEAN_UNIT, SCALE_MOST, SCALE_UNIT
 
 
@@ -62,11 +63,24 @@ def gauss_bits(mean: Tensor, scale: Tensor, symbol: Tensor, floor: float = Entro
     mean, in 1/16 symbol, scale index, in 1/8 octave, and symbol have one shape, which is that of the result. floor: see
     EntropySettings.
     """
-    bits: Tensor = _Bits.apply(mean, scale, symbol, True, floor)
-    return bits
+    return _bits(mean, scale, symbol, True, floor)
 
 
 def laplace_bits(mean: Tensor, scale: Tensor, symbol: Tensor, floor: float = EntropySettings.floor) -> Tensor:
     """Bits of each plane symbol (SPEC 7.3), as gauss_bits; the gradient reaches the symbol too."""
-    bits: Tensor = _Bits.apply(mean, scale, symbol, False, floor)
+    return _bits(mean, scale, symbol, False, floor)
+
+
+def _bits(mean: Tensor, scale: Tensor, symbol: Tensor, gauss: bool, floor: float) -> Tensor:
+    if not is_compiled(mean):
+        return bits_anywhere(mean, scale, symbol, gauss, floor)
+    from .likelihood import Bits  # noqa: PLC0415 (needs numba)
+
+    bits: Tensor = Bits.apply(mean, scale, symbol, gauss, floor)
+    return bits
+
+
+def bits_anywhere(mean: Tensor, scale: Tensor, symbol: Tensor, gauss: bool, floor: float) -> Tensor:
+    """gauss_bits or laplace_bits, with torch on the device of the tensors."""
+    bits: Tensor = _Bits.apply(mean, scale, symbol, gauss, floor)
     return bits

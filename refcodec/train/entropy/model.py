@@ -9,15 +9,17 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 from torch import Tensor, nn
+from torch.nn import functional
 
 from ...bitstream.attributes import KINDS, SCALINGS
 from ...bitstream.limits import MAIN_SLICES
 from ...bitstream.networks import ACTIVATION_MAX, Layer
 from ...bitstream.tables import STEP_LENGTH
 from ..settings import EntropySettings
-from .bits import gauss_bits, laplace_bits
+from .bits import bits_anywhere, laplace_bits
 from .folded import FoldedMlp
 from .hyperprior import Hyperprior, plane_neighbours
+from .passes import is_compiled
 from .units import LATENT_UNIT, MEAN_UNIT, SCALE_UNIT, STEP_ONE, round_through
 
 # SPEC 11.1: Main's dimensions.
@@ -25,6 +27,34 @@ FEATURES, OFFSETS, SLICES, SARM_WIDTH = sum(MAIN_SLICES), 10, MAIN_SLICES, (16, 
 # Columns of the three kinds of attributes in file order, and D.
 WIDTHS = dict(zip(KINDS, (FEATURES, SCALINGS, 3 * OFFSETS), strict=True))
 WIDTH = sum(WIDTHS.values())
+
+
+def _changes() -> Tensor:
+    """Columns of CARM's outputs, slice by slice, that the means and scales of attributes add: int64 [2, D], or -1."""
+    found, done, at = torch.full((2, WIDTH), -1), SLICES[0], 0
+    for columns in SLICES[1:]:
+        for row in found:
+            row[done : done + columns] = torch.arange(at, at + columns)
+            at += columns
+        done += columns
+    return found
+
+
+CHANGES = _changes()
+
+
+def count_anywhere(out: Tensor, change: Tensor, symbols: Tensor, kept: Tensor, floor: float) -> Tensor:
+    """RateModel.attribute_bits of F_h's outputs [n, 2 D] and CARM's [n, .], with torch on the tensors' device."""
+    mean, scale = out[:, :WIDTH], out[:, WIDTH:]
+    changed = slice(SLICES[0], FEATURES)
+    by_mean, by_scale = (change[:, columns[changed].to(change.device)] for columns in CHANGES)
+    rest = (SLICES[0], WIDTH - FEATURES)
+    mean, scale = mean + functional.pad(by_mean, rest), scale + functional.pad(by_scale, rest)
+    bits = bits_anywhere(mean, scale, symbols, True, floor)
+    some = 1 - torch.prod(1 - kept, dim=1)
+    offsets = (bits[:, FEATURES + SCALINGS :].reshape(len(bits), OFFSETS, 3).sum(dim=2) * kept).sum(dim=1)
+    features, scalings = bits[:, :FEATURES], bits[:, FEATURES : FEATURES + SCALINGS]
+    return torch.stack([features.sum(dim=1) * some, scalings.sum(dim=1) * some, offsets], dim=1)
 
 
 class RateModel(nn.Module):
@@ -130,21 +160,15 @@ class RateModel(nn.Module):
         hidden [n, .]: of F_h. symbols [n, D]. kept: float32 [n, K]. An anchor without a kept offset costs nothing.
         """
         out = self.hyper.outputs(hidden, slice(0, 2 * WIDTH))
-        mean, scale = out[:, :WIDTH], out[:, WIDTH:]
-        means, scales = [mean[:, : SLICES[0]]], [scale[:, : SLICES[0]]]
-        done = SLICES[0]
         earlier = self.carm_inputs(symbols[:, : FEATURES - SLICES[-1]])
-        for columns, network in zip(SLICES[1:], self._carm(), strict=True):
-            change = network(earlier[:, :done])
-            means.append(mean[:, done : done + columns] + change[:, :columns])
-            scales.append(scale[:, done : done + columns] + change[:, columns:])
-            done += columns
-        all_means, all_scales = torch.cat([*means, mean[:, done:]], dim=1), torch.cat([*scales, scale[:, done:]], dim=1)
-        bits = gauss_bits(all_means, all_scales, symbols, self.floor)
-        some = 1 - torch.prod(1 - kept, dim=1)
-        offsets = (bits[:, FEATURES + SCALINGS :].reshape(len(bits), OFFSETS, 3).sum(dim=2) * kept).sum(dim=1)
-        features, scalings = bits[:, :FEATURES], bits[:, FEATURES : FEATURES + SCALINGS]
-        return torch.stack([features.sum(dim=1) * some, scalings.sum(dim=1) * some, offsets], dim=1)
+        widths = accumulate(SLICES)
+        change = torch.cat([network(earlier[:, :w]) for network, w in zip(self._carm(), widths, strict=False)], dim=1)
+        if not is_compiled(out):
+            return count_anywhere(out, change, symbols, kept, self.floor)
+        from .likelihood import AttributeBits  # noqa: PLC0415 (needs numba)
+
+        bits: Tensor = AttributeBits.apply(out, change, symbols, kept, CHANGES, FEATURES, self.floor)
+        return bits
 
     def carm_inputs(self, features: Tensor) -> Tensor:
         """SPEC 7.9: CARM's inputs for symbols of features [n, 40], shifted where they are large, and cut."""

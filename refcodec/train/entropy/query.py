@@ -17,6 +17,7 @@ from torch import Tensor
 
 from ...bitstream.networks import ACTIVATION_MAX
 from ...render.compiled import compiled
+from ...render.simd import WIDTH, fma, load, splat, store
 from .units import PLANE_SHIFT
 
 F32 = NDArray[np.float32]
@@ -76,20 +77,29 @@ def _forward(symbols: F32, rows: I64, corners: I64, shares: F32, gamma: F32, rou
 @compiled(parallel=True)
 def _backward(upstream: F32, inside: NDArray[np.bool_], rows: I64, corners: I64, shares: F32, size: int) -> F32:
     channels = inside.shape[1] // 2
-    tables = np.zeros((5 * size * size, channels), np.float32)
+    # Rows of whole lanes: anchors near each other add to the same rows, and wait for each other's sums.
+    room = (channels + WIDTH - 1) // WIDTH * WIDTH
+    tables = np.zeros((5 * size * size, room), np.float32)
+    flat = tables.reshape(-1)
     gradient = np.zeros((5, channels, size * size), np.float32)
     for scale in prange(2):
         side, begin = (scale + 1) * size, scale * size * size
+        along = np.zeros(room, np.float32)
         for r in range(rows.shape[0]):
-            at = begin + corners[scale, rows[r], 0]
-            s = shares[scale, rows[r]]
+            row = rows[r]
+            at = (begin + corners[scale, row, 0]) * room
+            s0, s1 = splat(shares[scale, row, 0]), splat(shares[scale, row, 1])
+            s2, s3 = splat(shares[scale, row, 2]), splat(shares[scale, row, 3])
             for c in range(channels):
                 k = scale * channels + c
-                g = upstream[r, k] * _UNIT if inside[r, k] else np.float32(0)
-                tables[at, c] += s[0] * g
-                tables[at + 1, c] += s[1] * g
-                tables[at + side, c] += s[2] * g
-                tables[at + side + 1, c] += s[3] * g
+                along[c] = upstream[r, k] * _UNIT if inside[r, k] else np.float32(0)
+            for c in range(0, room, WIDTH):
+                g, here = load(along, c), at + c
+                below = here + side * room
+                store(flat, here, fma(s0, g, load(flat, here)))
+                store(flat, here + room, fma(s1, g, load(flat, here + room)))
+                store(flat, below, fma(s2, g, load(flat, below)))
+                store(flat, below + room, fma(s3, g, load(flat, below + room)))
         for i in range(side):
             for j in range(side):
                 plane, at = _plane(scale, i, j, size)
