@@ -1,6 +1,7 @@
 """Measures other entropy models by code lengths, on fixed symbols of trained scenes.
 
   python -m benchmarks.lengths run FOLDER --question widths --scenes caliterra.c3gs --seeds 0 1 2
+  python -m benchmarks.lengths note FOLDER trained-scene
   python -m benchmarks.lengths table FOLDER --results
 
 FOLDER keeps what was measured, so that a run that is given again goes on where it was.
@@ -17,7 +18,7 @@ import torch
 
 from .fit import fit
 from .questions import QUESTIONS
-from .report import FILE, write
+from .report import FILE, note_training, write
 from .scenes import read
 
 
@@ -68,10 +69,16 @@ def main() -> None:
     making = commands.add_parser("table", help="print the tables")
     making.add_argument("work", type=Path)
     making.add_argument("--results", action="store_true", help="write them as a section of RESULTS.md")
+    noting = commands.add_parser("note", help="keep what trained folders report of themselves")
+    noting.add_argument("work", type=Path)
+    noting.add_argument("folders", type=Path, nargs="+")
     args = parser.parse_args()
     torch.set_num_threads(1)
     if args.command == "run":
         run(args.work, args.question, args.scenes, args.seeds, args.counts, args.only)
+    elif args.command == "note":
+        for folder in args.folders:
+            note_training(args.work, folder)
     else:
         write(args.work, args.results)
 

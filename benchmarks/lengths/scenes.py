@@ -1,20 +1,28 @@
-"""Scenes whose symbols are coded: those of a file, or of the anchors of a file that lie together."""
+"""Scenes whose symbols are coded: those of a file or of a saved training, or of its anchors that lie together."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, replace
+import json
+from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
 
 import numpy as np
 import torch
 from numpy.typing import NDArray
+from safetensors import safe_open
 from torch import Tensor
 
 from refcodec.bitstream import codec
+from refcodec.bitstream.attributes import KINDS
 from refcodec.bitstream.codec import parse_container
 from refcodec.bitstream.context import UNIT_BITS
 from refcodec.bitstream.conventions import Int64
-from refcodec.train.entropy.hyperprior import scene_coordinates
+from refcodec.bitstream.frame import Frame
+from refcodec.encoder.positions import morton_order
+from refcodec.train.entropy.hyperprior import VectorMatrix, scene_coordinates
+from refcodec.train.entropy.model import WIDTH, RateModel
+from refcodec.train.settings import EntropySettings
+from refcodec.train.start import lattice_positions
 
 
 @dataclass(frozen=True, eq=False)
@@ -69,7 +77,9 @@ class Coded:
 
 
 def read(path: Path) -> Coded:
-    """The symbols of a file. Anchors without a kept offset have none, and are left out."""
+    """The symbols of a file, or of a training's state. Anchors without a kept offset have none, and are left out."""
+    if path.suffix == ".train-state":
+        return _of_training(path)
     data = path.read_bytes()
     scene = codec.parse(data).scene
     a, some = scene.attributes, scene.masks.any(axis=1)
@@ -85,4 +95,37 @@ def read(path: Path) -> Coded:
         counts=(columns[0].shape[1], columns[1].shape[1], columns[2].shape[1]),
         sizes={s.name: s.end - s.start for s in container.sections.values()},
         whole=len(data),
+    )
+
+
+def _of_training(path: Path) -> Coded:
+    """The symbols that a training, saved after its planes were rounded, would write with its steps as they are."""
+    with safe_open(path, "pt") as found:
+        state = {name: found.get_tensor(name) for name in found.keys()}  # noqa: SIM118
+        settings = json.loads(found.metadata()["of"])["settings"]
+    frame = Frame(*(state[f"rate/frame.{field.name}"].numpy() for field in fields(Frame)))
+    positions, latents = lattice_positions(state["scaffold/lattice"].numpy()), state["rate/model.latents"]
+    hyperprior, width = VectorMatrix(), len(state["rate/model.hyper.biases.0"])
+    size = latents.shape[-1]
+    model = RateModel(hyperprior, size, width, np.zeros(WIDTH), np.ones(WIDTH), torch.Generator(), EntropySettings())
+    model.load_state_dict({k[len("rate/model.") :]: v for k, v in state.items() if k.startswith("rate/model.")})
+    kept = torch.sigmoid(state["scaffold/tables.masks"]) * state["masks/weight"][:, None] > settings["masks"]["epsilon"]
+    some = kept.any(dim=1)
+    order = torch.from_numpy(morton_order(positions))
+    rows = order[some[order]]
+    with torch.no_grad():
+        contexts = hyperprior.contexts(frame, positions, size)
+        steps = model.steps(model.activations(contexts.inputs(model.symbols(None), rows, True)))
+    parts = []
+    for i, kind in enumerate(KINDS):
+        step = steps[:, i : i + 1] * state["rate/base_step"][i]
+        parts.append(torch.floor(state[f"scaffold/tables.{kind}"][rows] / step + 0.5))
+    parts[2] *= kept[rows].repeat_interleave(3, dim=1)
+    return Coded(
+        name=path.stem,
+        symbols=torch.cat(parts, dim=1),
+        kept=kept[rows].float(),
+        places=scene_coordinates(frame, positions)[rows.numpy()],
+        cells=positions[rows.numpy()].astype(np.int64),
+        counts=(parts[0].shape[1], parts[1].shape[1], parts[2].shape[1]),
     )

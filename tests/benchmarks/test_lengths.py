@@ -10,6 +10,7 @@ import pytest
 import torch
 
 from benchmarks.lengths import report
+from benchmarks.lengths.bounds import cell_means, mean_of, measure, rows
 from benchmarks.lengths.fit import count, fit
 from benchmarks.lengths.model import Model
 from benchmarks.lengths.moves import moved
@@ -184,3 +185,32 @@ def test_measurements_become_tables(tmp_path: Path) -> None:
     text = "\n".join(report.sections(tmp_path))
     assert "made" in text
     assert "+10.00 %" in text
+
+
+def test_linear_prediction_finds_what_a_context_tells() -> None:
+    """Scalings that are features to a factor cost little after them, and neighbours are no worse than nothing."""
+    made = scene()
+    found = measure(made)
+    assert found["scalings after features"][1] < 0.5 * found["nothing"][1]
+    assert found["slices (S)"][0] < found["nothing"][0]
+    assert found["S, 8 nearest of all in space"][0] <= found["slices (S)"][0]
+    assert rows(found)[1][-1] == "+0.0 %"
+
+
+def test_means_of_neighbours_leave_out_oneself() -> None:
+    """In a cell of two anchors each has the other's value; alone, it has none."""
+    places = np.array([[10, 10, 0], [20, 20, 0], [60000, 60000, 0]])
+    found = cell_means(np.array([[1.0], [4.0], [7.0]]), places, 2)[:, 0] + 4.0
+    assert found.tolist() == [4.0, 1.0, 4.0]
+    assert mean_of(np.array([[1.0], [3.0]]), np.array([[-1], [0]])).tolist() == [[0.0], [-1.0]]
+
+
+def test_trainings_are_noted(tmp_path: Path) -> None:
+    """What a folder reports of itself is a row."""
+    folder = tmp_path / "scene"
+    folder.mkdir()
+    sizes = {"positions": 1, "attributes": 2, "masks": 3, "planes": 4, "weights": 5}
+    settings = {"seed": 7, "weights": {"coarser": [0, 3], "rendering_bits": [8, 12]}}
+    (folder / "training.json").write_text(report.json.dumps({"settings": settings, "psnr": 30.0, "bytes": sizes}))
+    report.note_training(tmp_path, folder)
+    assert report.trained(tmp_path)[-1] == "| scene | 7 | 0 to 3 | 8 to 12 | 2 | 5 | 15 | 30.000 |"
