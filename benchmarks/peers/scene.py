@@ -4,7 +4,8 @@ python -m benchmarks.peers.scene SPLAT.ply -o FOLDER
 
 The cameras look at the splat's middle from a sphere around it, as those of NeRF's synthetic scenes do. Those to learn
 from are spread evenly over it; those for tests go around it in a spiral. The images are what refcodec's renderer draws,
-so a splat is the truth of its scene. The images have the splat's licence.
+so a splat is the truth of its scene. They are transparent where it is, as those of the synthetic scenes are. The images
+have the splat's licence.
 """
 
 from __future__ import annotations
@@ -17,11 +18,12 @@ from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
+from PIL import Image
 
 from refcodec.files.text import printable
 from refcodec.render.camera import Camera
 from refcodec.render.rasterise import Settings
-from refcodec.render.view import eight_bits, looking, png
+from refcodec.render.view import eight_bits, looking
 from refcodec.statuses import DONE, USAGE
 
 from .splats import Splats, drawn, read_ply
@@ -37,7 +39,6 @@ TURNS = 3
 # The share of the Gaussians within the splat's radius, and how much more than that the cameras see.
 SHARE, MARGIN = 0.99, 1.1
 AXES = {f"{sign}{axis}": (1 if sign == "+" else -1) * np.eye(3)[i] for sign in "+-" for i, axis in enumerate("xyz")}
-BACKGROUNDS = {"white": (1.0, 1.0, 1.0), "black": (0.0, 0.0, 0.0)}
 
 
 def middle_and_radius(splats: Splats) -> tuple[F64, float]:
@@ -83,27 +84,35 @@ def cameras(splats: Splats, directions: F64, up: F64, size: int, name: str) -> l
     return found
 
 
-def transforms(views: list[Camera], background: str) -> dict[str, object]:
-    """NeRF's document for cameras: y and z of a camera are those of Blender. background: its name, for readers."""
+def transforms(views: list[Camera]) -> dict[str, object]:
+    """NeRF's document for cameras: y and z of a camera are those of Blender."""
     frames = []
     for camera in views:
         matrix = np.eye(4)
         matrix[:3, :3], matrix[:3, 3] = camera.rotation.T * (1, -1, -1), camera.centre
         frames.append({"file_path": camera.name, "transform_matrix": matrix.tolist()})
-    return {"camera_angle_x": ANGLE, "background": background, "frames": frames}
+    return {"camera_angle_x": ANGLE, "frames": frames}
 
 
-def write_scene(splats: Splats, folder: Path, up: F64, views: int, tests: int, size: int, background: str) -> None:
-    """Writes images and the two files of cameras. background: white or black. Raises OSError."""
+def transparent(splats: Splats, camera: Camera, settings: Settings) -> Image.Image:
+    """What a camera sees, without a background: RGBA, whose colours are not multiplied by alpha."""
+    image, transmittance, _ = drawn(splats, camera, settings)
+    alpha = np.rint((1 - transmittance.numpy()[:, :, None]) * 255)
+    # Where the splat hides less than half a grade of eight bits, the pixel is empty.
+    colour = np.where(alpha > 0, image.numpy() * 255 / np.maximum(alpha, 1), 0)
+    return Image.fromarray(np.concatenate([eight_bits(colour), alpha.astype(np.uint8)], axis=2), "RGBA")
+
+
+def write_scene(splats: Splats, folder: Path, up: F64, views: int, tests: int, size: int) -> None:
+    """Writes images and the two files of cameras. Raises OSError."""
     _, radius = middle_and_radius(splats)
-    settings = Settings(near_plane=0.01 * radius, background=BACKGROUNDS[background])
+    settings = Settings(near_plane=0.01 * radius, background=(0.0, 0.0, 0.0))
     for name, directions in (("train", train_directions(views)), ("test", test_directions(tests))):
         (folder / name).mkdir(parents=True, exist_ok=True)
         found = cameras(splats, directions, up, size, name)
         for camera in found:
-            image = eight_bits(drawn(splats, camera, settings)[0].numpy())
-            (folder / f"{camera.name}.png").write_bytes(png(image))
-        document = json.dumps(transforms(found, background), indent=1) + "\n"
+            transparent(splats, camera, settings).save(folder / f"{camera.name}.png")
+        document = json.dumps(transforms(found), indent=1) + "\n"
         (folder / f"transforms_{name}.json").write_text(document, encoding="utf-8")
 
 
@@ -120,9 +129,6 @@ def main(words: list[str] | None = None) -> int:
     parser.add_argument("--tests", type=int, default=25, help="images for tests (25)")
     parser.add_argument("--size", type=int, default=400, help="sides in pixels (400)")
     parser.add_argument("--up", choices=AXES, default="+z", help="axis that is up (+z); write --up=-y")
-    parser.add_argument(
-        "--background", choices=BACKGROUNDS, default="white", help="white (default), as readers of the format take it"
-    )
     arguments = parser.parse_args(words)
     try:
         if min(arguments.views, arguments.tests, arguments.size) < 1:
@@ -134,7 +140,6 @@ def main(words: list[str] | None = None) -> int:
             arguments.views,
             arguments.tests,
             arguments.size,
-            arguments.background,
         )
     except (ValueError, OSError) as error:
         print(printable(str(error)), file=sys.stderr)

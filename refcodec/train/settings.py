@@ -173,12 +173,14 @@ class MaskSettings:
         0.01, "weighted share up to which one is dropped; 0.0004 where views are concentrated", PRO, low=0, high=1
     )
     start: float = setting(1.0, "logit of a new offset; 1 is a share of 0.73")
-    least: float = setting(0.001, "least weight of the masks' mean share in the loss, lambda_m", CAT, low=0)
+    least: float = setting(
+        0.0, "least weight of the masks' mean share in the loss, lambda_m", f"{OWN}; {CAT}: 0.001", low=0
+    )
     drop_period: int = setting(
-        100,
-        "from one dropping of the anchors without a kept offset to the next, once the rate counts",
-        unit="steps",
-        low=1,
+        100, "from one dropping of lost anchors to the next, once the rate counts", unit="steps", low=1
+    )
+    lost: float = setting(
+        0.2, "weighted share up to which all of an anchor's offsets are if it is lost", unit="epsilon", low=0, high=1
     )
     share: float = setting(0.3, "that weight over lambda_r, where it is more", CAT, low=0)
 
@@ -253,10 +255,10 @@ class WeightSettings:
     """The grids of the networks' weights. All of these are tried, and rate and distortion choose (SPEC B.8)."""
 
     rendering_bits: tuple[int, int] = setting(
-        (8, 12), "fewest and most bits of the largest weight of a rendering network's layer", low=2, high=24
+        (5, 12), "fewest and most bits of the largest weight of a rendering network's layer", low=2, high=24
     )
     coarser: tuple[int, int] = setting(
-        (0, 3), "least and most bits by which coding networks are coarser than SPEC 7.2's integers", low=0, high=12
+        (0, 7), "least and most bits by which coding networks are coarser than SPEC 7.2's integers", low=0, high=12
     )
     judges: int = setting(5, "training photographs that judge the grids", low=1)
     likely_bits: int = setting(8, "bits of rendering networks in estimates before a grid is chosen", low=2, high=24)

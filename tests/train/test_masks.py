@@ -1,4 +1,4 @@
-"""Masks: anchors that have no kept offset go, and what is left means the same."""
+"""Masks: anchors whose offsets are all far from being kept go, and what is left means the same."""
 
 from __future__ import annotations
 
@@ -30,8 +30,12 @@ def test_anchors_without_a_kept_offset_go(photographs: PhotographSet, small: Tra
     trainer = masked(photographs, small)
     rate, scaffold = trainer.rate, trainer.scaffold
     assert rate is not None
-    before, bits = scaffold.count, rate.bits(rate.masks.decided())
-    lattice = torch.from_numpy(scaffold.lattice)[rate.masks.decided().any(dim=1)]
+    before = scaffold.count
+    lost = (scaffold.tables["masks"] == -20).all(dim=1)
+    # One that is hardly not kept may come back.
+    scaffold.tables["masks"][1] = -4.7
+    bits = rate.bits(rate.masks.decided())
+    lattice = torch.from_numpy(scaffold.lattice)[~lost]
     rate.masks.end()
     assert scaffold.count == len(lattice) < 0.7 * before
     assert torch.equal(torch.from_numpy(scaffold.lattice), lattice)

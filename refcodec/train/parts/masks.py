@@ -86,17 +86,19 @@ class Masks(Part):
         return self.all_anchors or self.scaffold.count
 
     def end(self) -> None:
-        """Drops the anchors that have no kept offset, once the rate counts.
+        """Drops the anchors that are lost, once the rate counts.
 
-        They take part in no image and cost nothing, but time. The gradient of a share that low hardly brings one back.
+        They have no kept offset, so they take part in no image and cost nothing, but time. The gradient of shares that
+        low hardly brings one back.
         """
         if not self.on or self.clock.mode("rate") == "off" or self.clock.done % self.settings.drop_period:
             return
         self.all_anchors = self.all_anchors or self.scaffold.count
-        stay = self.decided().any(dim=1)
+        share = torch.sigmoid(self.scaffold.tables["masks"]) * self.weight[:, None]
+        stay = (share > self.settings.lost * self.settings.epsilon).any(dim=1)
         if bool(stay.all()) or not bool(stay.any()):
             return
-        self.scaffold.keep(torch.nonzero(stay)[:, 0].numpy())
+        self.scaffold.keep(torch.nonzero(stay)[:, 0].cpu().numpy())
         self.scaffold.place()
         self.changed()
 
