@@ -260,13 +260,14 @@ def tensors(training: Trainer) -> dict[str, Tensor]:
 @pytest.mark.slow
 @pytest.mark.filterwarnings("ignore:.*meta parameter")
 def test_a_step_is_that_of_the_cpu(device: str, tiny: PhotographSet, tmp_path: Path) -> None:
-    """A step from one state: what it does to anchors and rendering networks, at first, where anchors grow, and later.
+    """A step from one state: what it does to all that is learnt, at first, where anchors grow, and in each phase.
 
-    Two trainings of many steps are not compared so: what rounding makes different grows with each step.
+    Two trainings of many steps are not compared so: what rounding makes different grows with each step. Values are
+    rounded as soon as they can be, because devices have noise of their own.
     """
-    settings, path = varied(TrainSettings(), SHORT), tmp_path / "state"
+    settings, path = varied(TrainSettings(), {**SHORT, "phases.rounding.begin": 0.4}), tmp_path / "state"
     along = trained(tiny, settings, "cpu", 0)
-    for done in (0, 19, 35):
+    for done in (0, 19, 35, 49, 57):
         while along.clock.done < done:
             along.step()
         save(along, path)
@@ -277,13 +278,13 @@ def test_a_step_is_that_of_the_cpu(device: str, tiny: PhotographSet, tmp_path: P
             each.step()
         found, expected = (tensors(each) for each in pair)
         assert found.keys() == expected.keys()
-        for name in (name for name in found if name.startswith("scaffold/")):
-            value = found[name]
+        for name, value in found.items():
             assert value.shape == expected[name].shape, name
             away = (value - expected[name]).norm() / expected[name].norm().clamp_min(1e-6)
-            # Adam makes whole steps even of gradients that are nothing but rounding.
+            # Adam makes whole steps even of gradients that are nothing but rounding. Once values are rounded, one of them
+            # now and then falls on the other side of a half.
             learnt = name.startswith(("scaffold/tables", "scaffold/networks"))
-            assert away < (1e-2 if learnt else 1e-4), f"{name} after step {done + 1}"
+            assert away < (1e-2 if learnt or done > 30 else 1e-4), f"{name} after step {done + 1}"
 
 
 @pytest.mark.slow

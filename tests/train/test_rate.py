@@ -45,6 +45,8 @@ def test_hyperpriors(hyperprior: Hyperprior, photographs: PhotographSet, small: 
     assert model.latents.grad is not None
     assert torch.isfinite(model.latents.grad).all()
     assert (model.latents.grad.abs().sum(dim=(1, 2, 3)) > 0).all()
+    assert (weights.grad[2 * WIDTH + 1] != 0).any()
+    model.hold_scalings()
     assert (weights.grad[2 * WIDTH + 1] == 0).all()
     assert float(model.steps(hidden)[:, 1].std()) == 0
 

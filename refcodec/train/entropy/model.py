@@ -97,10 +97,6 @@ class RateModel(nn.Module):
             start = np.concatenate([mean / unit.numpy(), octave, np.full(len(KINDS), STEP_ONE / SCALE_UNIT)])
             self.hyper.biases[-1].copy_(torch.tensor(start, dtype=torch.float32))
             self.hyper.weights[-1][2 * WIDTH :] = 0
-        # The step of scalings is one for all anchors: their symbols lie far from zero, and would move with it.
-        still = torch.ones(2 * WIDTH + len(KINDS), 1)
-        still[2 * WIDTH + KINDS.index("scalings")] = 0
-        self.hyper.weights[-1].register_hook(lambda gradient: gradient * still.to(gradient.device))
         outputs = torch.tensor([LATENT_UNIT * MEAN_UNIT, SCALE_UNIT])
         self.sarm = network([4, *SARM_WIDTH, 2], torch.full((4,), LATENT_UNIT), outputs)
         inputs = unit[: sum(SLICES[:-1])] / (1 if self.carm_unit is None else self.carm_unit)
@@ -153,6 +149,15 @@ class RateModel(nn.Module):
         if self.integers:
             index = round_through(index)
         return torch.exp2((index - STEP_ONE) / SCALE_UNIT)
+
+    def hold_scalings(self) -> None:
+        """Clears the gradient of the weights that would make the step of scalings depend on the anchor.
+
+        It is one for all anchors: their symbols lie far from zero, and would move with it.
+        """
+        gradient = self.hyper.weights[-1].grad
+        if gradient is not None:
+            gradient[2 * WIDTH + KINDS.index("scalings")] = 0
 
     def attribute_bits(self, hidden: Tensor, symbols: Tensor, kept: Tensor) -> Tensor:
         """Bits of features, scalings and offsets of each anchor, [n, 3].

@@ -180,6 +180,7 @@ class Rate(Part):
         """A step of Adam for planes and coding networks."""
         if self.model is None:
             return
+        self.model.hold_scalings()
         torch.nn.utils.clip_grad_norm_(self.model.coding_parameters(), self.settings.learning.clip)
         for group in self.optimiser.param_groups:
             group["lr"] = learning_rate(group["decay"], self.clock.since(self.name))
