@@ -32,11 +32,11 @@ def packed(scene: Scene, positions: str | None, weights: str | None) -> Scene:
     Tiny. What is packed already is not packed again.
     """
     if positions == "raw":
-        scene = replace(scene, position_model=None)
+        scene = replace(scene, position_model=None, position_forms=None)
     elif scene.position_model is None and (positions or scene.profile == MAIN):
         scene = pack_positions(scene)
     if weights == "raw":
-        return replace(scene, weight_scales=None)
+        return replace(scene, weight_scales=None, weight_forms=None)
     if scene.weight_scales is None and (weights or scene.profile == MAIN):
         return pack_weights(scene)
     return scene
@@ -87,7 +87,7 @@ def quantise(
     *,
     dimensions: Dimensions,
     networks: Mapping[str, list[Layer]],
-    frame: Frame,
+    frame: Frame | None,
     grid: PositionGrid,
     planes: NDArray[np.int16],
     plane_shift: int,
