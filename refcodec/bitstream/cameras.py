@@ -86,7 +86,7 @@ def _camera(fields: Any) -> tuple[NamedCamera | None, str | None]:
     except UnicodeDecodeError:
         return None, "its name is not text"
     numbers = (tuple(fields[key]) for key in ("focal", "principal_point", "rotation", "translation"))
-    camera = NamedCamera(name, fields.width, fields.height, *numbers)  # type: ignore[arg-type]
+    camera = NamedCamera(name, fields.width, fields.height, *numbers)
     return camera, camera.fault()
 
 

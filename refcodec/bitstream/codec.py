@@ -6,6 +6,7 @@
 from __future__ import annotations
 
 import zlib
+from contextlib import suppress
 from dataclasses import dataclass
 
 import numpy as np
@@ -16,7 +17,7 @@ from .attributes import Attributes, EntropyModel, code_attributes, step_indices
 from .batches import GROUP_ANCHORS, Progress, groups, no_progress
 from .chunks import chunk_ranges, emit_chunk
 from .context import context
-from .directory import DATA, FRAME, INDEX, PLANES_SECTION, WEIGHTS, critical_sections
+from .directory import DATA, FRAME, INDEX, PLANES_SECTION, WEIGHTS, critical_sections, is_critical, read_section
 from .entropy import Encoder, Trace
 from .errors import BitstreamError
 from .frame import emit_frame, parse_frame
@@ -28,7 +29,7 @@ from .networks import derive_networks
 from .planes import assemble_planes, emit_planes
 from .positions import emit_position_model, encode_positions, first_bad
 from .reader import Chunk, Reader
-from .scene import Scene, check_shapes
+from .scene import Ancillary, Scene, check_shapes
 from .source import Piece, WholeFile, pad4
 from .weights import emit_weights, parse_weights
 
@@ -49,6 +50,21 @@ class Parsed:
 def parse_container(data: bytes) -> Header:
     """SPEC 10.1, steps 1 to 3: checks the prologue, the header and the directory. Raises BitstreamError 101 to 305."""
     return read_header(WholeFile(data))
+
+
+def parse_ancillary(data: bytes) -> list[Ancillary]:
+    """SPEC 12.1: returns the ancillary sections of a file that are whole, without a look at the others.
+
+    Raises BitstreamError 101 to 305.
+    """
+    source, found, after = WholeFile(data), [], 0
+    for section in read_header(source).sections:
+        if is_critical(section.type):
+            after += 1
+            continue
+        with suppress(BitstreamError):
+            found.append(Ancillary(section.type, section.mode, read_section(source, section).data, after))
+    return found
 
 
 def parse(

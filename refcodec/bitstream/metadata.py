@@ -107,6 +107,20 @@ def metadata(sections: Iterable[Ancillary]) -> dict[str, str]:
     return found
 
 
+def with_metadata(sections: tuple[Ancillary, ...], changes: Mapping[str, str]) -> tuple[Ancillary, ...]:
+    """Returns the ancillary sections with changed entries, in one section of metadata.
+
+    An empty value removes an entry. The section takes the place of the first one, or comes before all others. Raises
+    ValueError as emit_metadata.
+    """
+    entries = {key: value for key, value in {**metadata(sections), **changes}.items() if value}
+    mine = [section for section in sections if section.type == METADATA and not section.mode]
+    made = Ancillary(METADATA, 0, emit_metadata(entries), mine[0].after if mine else 0)
+    rest = [section for section in sections if section not in mine]
+    first = sections.index(mine[0]) if mine else 0
+    return (*rest[:first], made, *rest[first:]) if entries else tuple(rest)
+
+
 def warnings(sections: Iterable[Ancillary]) -> list[str]:
     """SPEC 6.14: returns what is wrong with the sections of metadata, as text."""
     return [

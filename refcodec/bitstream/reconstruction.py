@@ -111,11 +111,17 @@ def canonical_head(scene: Scene) -> bytes:
     return DIGEST_MAGIC + struct.pack("<5I", *counts)
 
 
+def digested(scene: Scene) -> bytes:
+    """SPEC 9.3: returns the 252 bytes that the digest of a scene is the SHA-256 of: counts, and the parts' digests."""
+    return canonical_head(scene) + b"".join(hashlib.sha256(data).digest() for _, data in canonical_parts(scene))
+
+
 def digest(scene: Scene) -> tuple[str, dict[str, str]]:
     """SPEC 9.3: returns the digest of a scene, and that of each part by name, in hexadecimal."""
-    parts = {name: hashlib.sha256(data) for name, data in canonical_parts(scene)}
-    whole = hashlib.sha256(canonical_head(scene) + b"".join(part.digest() for part in parts.values()))
-    return whole.hexdigest(), {name: part.hexdigest() for name, part in parts.items()}
+    data = digested(scene)
+    head = len(canonical_head(scene))
+    parts = {name: data[head + 32 * i : head + 32 * i + 32].hex() for i, name in enumerate(PARTS)}
+    return hashlib.sha256(data).hexdigest(), parts
 
 
 def chunk_digest(scene: Scene) -> str:

@@ -34,10 +34,17 @@ def assert_round_trip(scene: Scene) -> None:
         "grid",
         "render",
         "plane_shift",
-        "extensions",
+        "minor",
+        "later",
+        "chunks",
+        "frame" if scene.frame is None else "profile",
     ):
         assert getattr(found, name) == getattr(scene, name), name
-    for name in ("matrix", "translation", "shift", "low", "high"):
+    # Places behind the last critical section are one place.
+    assert [(a.type, a.mode, a.content) for a in found.ancillary] == [
+        (a.type, a.mode, a.content) for a in scene.ancillary
+    ]
+    for name in ("matrix", "translation", "shift", "low", "high") if scene.frame is not None else ():
         assert np.array_equal(getattr(found.frame, name), getattr(scene.frame, name)), name
     for name, layers in scene.networks.items():
         for ours, theirs in zip(layers, found.networks[name], strict=True):
