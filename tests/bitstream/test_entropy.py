@@ -46,7 +46,7 @@ def run(decoder: Decoder, groups: list, limit: int = LIMIT) -> tuple[list[np.nda
 
 
 def decode(data: list[bytes], groups: list, lanes: int, limit: int = LIMIT) -> tuple[list[np.ndarray], list]:
-    return run(Decoder([parse_substream(d, 0, len(d), lanes, "test") for d in data]), groups, limit)
+    return run(Decoder([parse_substream(Piece(d, 0), lanes, "test") for d in data]), groups, limit)
 
 
 def random_group(
@@ -182,7 +182,7 @@ def test_every_changed_bit_is_refused_or_canonical(case: str) -> None:
         changed = bytearray(data)
         changed[bit // 8] ^= 1 << (bit % 8)
         try:
-            stream = parse_substream(bytes(changed), 0, len(changed), lanes, "test")
+            stream = parse_substream(Piece(bytes(changed), 0), lanes, "test")
         except BitstreamError as error:
             refused.add(error.kind.name)
             continue
@@ -211,7 +211,7 @@ def test_every_cut_and_every_added_byte_is_refused(case: str) -> None:
     lanes, kinds = CASES[case]
     groups = [random_group(np.random.default_rng(4), [n], kind, far, 64) for kind, n, far in kinds]
     data = encode(groups, 1, lanes)[0]
-    raw = len(parse_substream(data, 0, len(data), lanes, "test").raw)
+    raw = len(parse_substream(Piece(data, 0), lanes, "test").raw)
     for length in range(len(data)):
         if length < len(data) - raw:
             with pytest.raises(BitstreamError) as caught:

@@ -12,6 +12,7 @@ import pytest
 
 from refcodec.bitstream.entropy import Decoder, Encoder, parse_substream, select
 from refcodec.bitstream.errors import BitstreamError
+from refcodec.bitstream.source import Piece
 from refcodec.bitstream.tables import tables
 
 WIDE = (1 << 31) - 1
@@ -53,7 +54,7 @@ def coded(groups: Groups, values: list[list[int]], lanes: int, limit: int = WIDE
 
 def decoded(data: bytes, groups: Groups, lanes: int, limit: int = WIDE) -> Decoded:
     try:
-        decoder = Decoder([parse_substream(data, 0, len(data), lanes, "test")])
+        decoder = Decoder([parse_substream(Piece(data, 0), lanes, "test")])
     except BitstreamError as error:
         return [], error.kind.name
     out = [decoder.values(tables().gauss, *split(group), [len(group)], limit, no_name).tolist() for group in groups]
