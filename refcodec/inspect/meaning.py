@@ -166,7 +166,7 @@ PAYLOADS: list[tuple[str, str, str]] = [
     (rf"{_RENDERING}\.weight", "weights of a layer, row by row", "5.8 6.8 14.3 R6.8-3 G14.3-1"),
     (rf"{_RENDERING}\.bias", "its biases", "5.8 6.8 14.3 R6.8-3 G14.3-1"),
     (
-        r"positions\[chunk \d+\](?:\[\d+,\d+\])?",
+        r"positions\[chunk \d+\]",
         "x, y, z of each anchor of the chunk",
         "5.14 6.11 7.4 R6.11-6 R6.11-7 R6.11-10 D7.4-1",
     ),

@@ -48,14 +48,14 @@ def _plain(value: Any) -> Any:
 
 
 def _section_table(data: bytes, outline: Outline) -> list[dict[str, Any]]:
-    """Returns the name, place, size and share of the prologue, the header and each section."""
+    """Returns the name, place, size with its padding, and share of the prologue, the header and each section."""
     h = outline.header
     spans: list[tuple[str, str | None, int | None, int, int]] = [
         ("prologue", None, None, 0, min(len(data), PROLOGUE_BYTES))
     ]
     if outline.header_end > PROLOGUE_BYTES:
         spans.append(("header", None, None, PROLOGUE_BYTES, outline.header_end))
-    spans += [(p.name, p.type.decode("latin-1"), p.mode, p.start, p.end) for p in outline.sections]
+    spans += [(p.name, p.type.decode("latin-1"), p.mode, p.start, p.stop) for p in outline.sections]
     anchors = h.anchor_count if h else 0
     return [
         {

@@ -12,6 +12,7 @@ import numpy as np
 from ..bitstream.codec import Parsed, parse
 from ..bitstream.entropy import TraceRow
 from ..bitstream.errors import BitstreamError
+from ..bitstream.positions import POSITION_BYTES
 from .dump import value_text
 from .elements import Row, outline_of, rows_of, section_rows
 
@@ -73,17 +74,19 @@ def _trace_parts(data: bytes) -> Iterator[Row]:
     """Yields the elements that are no symbols, in file order. Raw positions are values, one by one."""
     outline = outline_of(data)
     yield from rows_of(data, replace(outline, sections=[]))
+    anchor = 0
     for place in outline.sections:
         for row in section_rows(data, outline, place):
             if row.kind.startswith("f16["):
-                yield from _position_rows(data, row)
+                yield from _position_rows(data, row, anchor)
+                anchor += (row.end - row.start) // POSITION_BYTES
             else:
                 yield row
 
 
-def _position_rows(data: bytes, part: Row) -> Iterator[Row]:
-    """Yields raw positions of a chunk, value by value."""
+def _position_rows(data: bytes, part: Row, anchor: int) -> Iterator[Row]:
+    """Yields raw positions of a chunk, value by value. anchor: its first one."""
     values = np.frombuffer(data, "<f2", (part.end - part.start) // 2, part.start)
     for i, value in enumerate(values):
         at = part.start + 2 * i
-        yield Row(at, at + 2, f"{part.path}[{i // 3},{i % 3}]", "f16", value)
+        yield Row(at, at + 2, f"positions[{anchor + i // 3},{i % 3}]", "f16", value)
