@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import zlib
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
@@ -39,12 +39,14 @@ class Parsed:
     """A parsed file.
 
     damage: the first error of each dropped chunk, by number. Only keep_going drops chunks.
+    lost: how many anchors each dropped chunk has, by number.
     error: the first error of the file, or None if it is accepted. Only keep_going returns a file with an error.
     """
 
     scene: Scene
     damage: dict[int, BitstreamError]
     error: BitstreamError | None = None
+    lost: dict[int, int] = field(default_factory=dict)
 
 
 def parse_container(data: bytes) -> Header:
@@ -95,7 +97,8 @@ def parse(
         if not keep_going:
             raise
         first = first or error
-    return Parsed(reader.scene(chunks), damage, first)
+    lost = {number: len(index[number].anchors) for number in damage}
+    return Parsed(reader.scene(chunks), damage, first, lost)
 
 
 class Coding:

@@ -90,9 +90,9 @@ def _report_damage(path: str, data: bytes, parsed: Parsed) -> int:
     if parsed.damage:
         header = parse_container(data)
         for number, error in sorted(parsed.damage.items()):
-            note(f"chunk {number} is dropped: {error}")
+            note(f"chunk {number} is dropped, {parsed.lost[number]} anchors: {error}")
         left = parsed.scene.anchor_count
-        lost = header.anchor_count - left
+        lost = sum(parsed.lost.values())
         note(f"{len(parsed.damage)} of {header.chunk_count} chunks and {lost} anchors are lost, {left} are written")
     elif parsed.error:
         note("every chunk is whole, but the file is damaged elsewhere")

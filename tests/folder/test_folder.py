@@ -35,14 +35,9 @@ def odd_floats(seed: int):
     """A scene whose floats are hard to write as text, and whose weights have every kind of zero."""
     scene = random_scene(seed, 20, base_step=(1 / 3, 2.0**-60, 2.0**60))
     tiny = float(np.float32(1e-45))
-    vectors = {
-        "camera_rotation": (-0.0, 0.0, tiny, 1.0),
-        "camera_translation": (-0.0, float(np.finfo(np.float32).max), 0.1),
-    }
-    vectors["camera_translation"] = tuple(float(np.float32(v)) for v in vectors["camera_translation"])
     networks = copy.deepcopy(scene.networks)
     networks["opacity"][0][0][0, :2] = [-0.0, 1e-45]
-    render = RenderInfo(background=(1, 2, 255), near_plane=tiny, alpha_max=1.0, low_pass=-0.0, **vectors)
+    render = RenderInfo(background=(1, 2, 255), near_plane=tiny, alpha_max=1.0, low_pass=-0.0)
     return with_steps(replace(scene, render=render, networks=networks))
 
 
@@ -211,7 +206,7 @@ def test_interrupted_while_moving(made, monkeypatch, count):
 
 
 def test_damage_is_noted(scene, tmp_path):
-    error = codec.BitstreamError("chunks.crc", 7, "masks[chunk 1]", "x", "y")
+    error = codec.BitstreamError("chunk.crc", 7, "chunk[1]", "x", "y")
     write_folder(without_chunks(scene, [1]), tmp_path / "scene", {1: error})
     document = json.loads((tmp_path / "scene" / "scene.json").read_text())
     assert document["dropped_chunks"] == [{"chunk": 1, **json.loads(error.to_json())}]

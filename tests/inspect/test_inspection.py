@@ -199,7 +199,7 @@ def test_trace_is_the_decoding(scene, data):
     order = [row[0].split(".")[0].split("[")[0] for row in rows[1:]]
     stages = list(dict.fromkeys(order))
     assert stages[:5] == ["prologue", "header", "frame", "weights", "planes"]
-    assert stages[5:] == ["index", "chunk", "positions", "masks", "attributes", "noTE"]
+    assert stages[5:] == ["index", "noTE", "chunk", "positions", "masks", "attributes"]
     d = TINY_DIMENSIONS
     symbols = (
         5 * d.plane_channels * d.plane_size**2
@@ -228,9 +228,9 @@ def test_near_shows_the_elements_around_a_byte() -> None:
         lines = list(dump.hex_lines(data, near=at))
         index = next(i for i, row in enumerate(rows) if row.start <= at < row.end)
         assert lines == [whole[0], *whole[1 + max(0, index - 6) : 1 + min(len(rows), index + 7)]]
-    error = BitstreamError("directory.file_length", len(data), "file", "x", "y")
-    assert "error 306" in list(dump.hex_lines(data, [error], len(data)))[-1]
-    assert "error 306" not in "".join(dump.hex_lines(data, [error], 0))
+    error = BitstreamError("file.trailing", len(data), "file", "x", "y")
+    assert "error 321" in list(dump.hex_lines(data, [error], len(data)))[-1]
+    assert "error 321" not in "".join(dump.hex_lines(data, [error], 0))
 
 
 def test_an_anchor_is_shown_as_in_the_text() -> None:
