@@ -67,7 +67,7 @@ def rounded_scene(trainer: Trainer) -> Uncompressed:
     for part in trainer.parts:
         part.finish()
     cameras = [p.camera for p in trainer.photographs.train]
-    whole = uncompressed(scaffold, render_info(scaffold, cameras, trainer.photographs.background))
+    whole = uncompressed(scaffold, render_info(scaffold, cameras, trainer.photographs.background), default_view(cameras[0]))
     steps, masks = rate.steps(torch.arange(scaffold.count)).numpy(), rate.masks.decided().numpy()
     values = {}
     for i, kind in enumerate(KINDS):

@@ -92,7 +92,7 @@ def read_bounded(arguments: argparse.Namespace) -> bytes:
 
     Raises UsageError, and BitstreamError as read_file. A header that is not allowed is left to the decoder.
     """
-    from ..bitstream.header import parse_header, parse_prologue
+    from ..bitstream.codec import parse_container
 
     path = arguments.file
     if arguments.max_memory is not None:
@@ -106,7 +106,7 @@ def read_bounded(arguments: argparse.Namespace) -> bytes:
     if arguments.max_anchors is None and arguments.max_memory is None:
         return data
     try:
-        header = parse_header(data, parse_prologue(data))[0]
+        header = parse_container(data)
     except BitstreamError:
         return data
     d = header.dimensions

@@ -7,14 +7,14 @@ from __future__ import annotations
 
 import argparse
 import re
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from ..bitstream.errors import BitstreamError
 from ..files.outputs import Kind, check_apart, check_file
 from ..files.stage import Stage, write_file
 from ..files.terminal import note, say
-from ..files.text import shell_word
+from ..files.text import printable, shell_word
 from .bounds import add_bounds, check_folder, read_bounded
 from .shared import (
     UsageError,
@@ -27,6 +27,7 @@ from .shared import (
 
 if TYPE_CHECKING:
     from ..bitstream.codec import Parsed
+    from ..bitstream.scene import Ancillary
 
 # The lines of a symbol trace (vectors/README.md).
 TRACE = Kind("a symbol trace", re.compile(rb"(planes|positions|masks|attributes|weights)\S* -?\d+\n"))
@@ -48,8 +49,28 @@ def _encode(arguments: argparse.Namespace) -> int:
             f"model to it with refcodec fit {shell_word(arguments.scene)} -o {fitted}"
         )
     scene = read_folder(arguments.scene)
+    if arguments.meta:
+        scene = replace(scene, ancillary=_with_metadata(scene.ancillary, arguments.meta))
     write_file(output, encoded(arguments, arguments.scene, scene, arguments.positions, arguments.weights))
     return 0
+
+
+def _pair(text: str) -> tuple[str, str]:
+    """Returns the key and the value of KEY=VALUE."""
+    key, sign, value = text.partition("=")
+    if not sign:
+        raise argparse.ArgumentTypeError(f"{text!r} found, KEY=VALUE is required")
+    return key, value
+
+
+def _with_metadata(sections: tuple[Ancillary, ...], changes: list[tuple[str, str]]) -> tuple[Ancillary, ...]:
+    """Returns the ancillary sections with changed metadata. Raises UsageError."""
+    from ..bitstream.metadata import with_metadata
+
+    try:
+        return with_metadata(sections, dict(changes))
+    except ValueError as error:
+        raise UsageError(str(error)) from None
 
 
 def _decode(arguments: argparse.Namespace) -> int:
@@ -67,31 +88,24 @@ def _report_damage(path: str, data: bytes, parsed: Parsed) -> int:
     from ..bitstream.codec import parse_container
 
     if parsed.damage:
-        chunks = parse_container(data, keep_going=True).chunks
-        lost = sum(len(chunks[number]) for number in parsed.damage)
+        header = parse_container(data)
         for number, error in sorted(parsed.damage.items()):
-            note(f"chunk {number} is dropped, {len(chunks[number])} anchors: {error}")
+            note(f"chunk {number} is dropped, {parsed.lost[number]} anchors: {error}")
         left = parsed.scene.anchor_count
-        note(f"{len(parsed.damage)} of {len(chunks)} chunks and {lost} anchors are lost, {left} are written")
-    try:
-        parse_container(data)
-    except BitstreamError as error:
-        if not parsed.damage:
-            note("every chunk is whole, but the file is damaged elsewhere")
-        return reject(path, error)
-    if not parsed.damage:
-        return 0
-    # SPEC 10.1: the error of an earlier step comes first, and within a step that of a lower chunk.
-    stages = {"positions": 0, "masks": 1, "attributes": 2}
-    return reject(
-        path, min(parsed.damage.items(), key=lambda found: (stages[found[1].path.split("[")[0]], found[0]))[1]
-    )
+        lost = sum(parsed.lost.values())
+        note(f"{len(parsed.damage)} of {header.chunk_count} chunks and {lost} anchors are lost, {left} are written")
+    elif parsed.error:
+        note("every chunk is whole, but the file is damaged elsewhere")
+    return reject(path, parsed.error) if parsed.error else 0
 
 
 def _validate(arguments: argparse.Namespace) -> int:
+    from ..bitstream import cameras, metadata
     from ..bitstream.limits import PROFILES
 
     scene = parse_file(arguments, read_bounded(arguments)).scene
+    for warning in (*metadata.warnings(scene.ancillary), *cameras.warnings(scene.ancillary)):
+        note(f"warning: {printable(warning)}")
     say(f"{arguments.file} is accepted: profile {PROFILES[scene.profile].name}, {scene.anchor_count} anchors")
     return 0
 
@@ -109,7 +123,7 @@ def _digest(arguments: argparse.Namespace) -> int:
 
 
 def _reconstruct(arguments: argparse.Namespace) -> int:
-    from ..bitstream.reconstruction import DIGEST_MAGIC, canonical_head, canonical_parts
+    from ..bitstream.reconstruction import DIGEST_MAGIC, canonical_parts, digested
 
     output = Path(arguments.output)
     trace = Path(arguments.trace) if arguments.trace else None
@@ -127,7 +141,7 @@ def _reconstruct(arguments: argparse.Namespace) -> int:
         else:
             scene = parse_file(arguments, data).scene
         whole = stage.open(output)
-        for part in (canonical_head(scene), *(part for _, part in canonical_parts(scene))):
+        for part in (digested(scene), *(part for _, part in canonical_parts(scene))):
             whole.write(part)
     return 0
 
@@ -139,7 +153,7 @@ def add(commands: Any) -> None:
         "encode",
         _encode,
         "encode a scene folder",
-        ["encode scene -o scene.c3gs"],
+        ["encode scene -o scene.c3gs", "encode scene -o scene.c3gs --meta title=Kitchen --meta licence=CC-BY-4.0"],
         "A folder that decode wrote gives the same bytes again. For a file of Main, add --positions raw if its\n"
         "positions are raw, and --weights raw if its weights are raw. If coded.safetensors is deleted,\n"
         "point_cloud.ply is quantised anew.",
@@ -148,6 +162,14 @@ def add(commands: Any) -> None:
     encode.add_argument("scene", metavar="SCENE_DIR")
     add_bounds(encode)
     encode.add_argument("-o", "--output", metavar="FILE", required=True)
+    encode.add_argument(
+        "--meta",
+        metavar="KEY=VALUE",
+        type=_pair,
+        action="append",
+        help="write an entry of metadata (SPEC.md 6.14), such as title=Kitchen; an empty value removes the entry; "
+        "may be given several times",
+    )
     encode.add_argument(
         "--positions",
         choices=("raw", "packed"),
@@ -194,7 +216,7 @@ def add(commands: Any) -> None:
         commands,
         "reconstruct",
         _reconstruct,
-        "write a file's canonical reconstruction (SPEC.md 9.3), whose SHA-256 is its digest",
+        "write a file's canonical reconstruction (SPEC.md 9.3), behind the 252 bytes that the digest is of",
         ["reconstruct scene.c3gs scene.bin", "reconstruct scene.c3gs scene.bin --trace symbols.txt"],
         writes=True,
     )

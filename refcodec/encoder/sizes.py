@@ -10,6 +10,8 @@ from ..bitstream.planes import PLANES
 # SPEC B.3: the chunk size that measured best, and the base-2 logarithm of the most lanes.
 CHUNK_SIZE = 4096
 LANES_LOG2_MOST = 6
+# SPEC B.3: the slices of the features, in order, as in the paper.
+SLICES = (5, 10, 15, 20)
 
 
 def choose_plane_size(anchors: int) -> int:

@@ -148,6 +148,7 @@ def _start(given: Given, settings: FitSettings) -> Scene:
         base_step=base_step,
         render=given.render,
         profile=MAIN,
+        camera=given.camera,
     )
 
 
@@ -187,6 +188,7 @@ class _Fitting:
         self.count = scene.anchor_count
         self.symbol_count = (d.features + a.scalings.shape[1]) * self.count + 3 * float(self.kept.sum())
         hyperprior, start = VectorMatrix(), torch.Generator().manual_seed(settings.seed)
+        assert scene.frame is not None
         self.contexts = hyperprior.contexts(scene.frame, scene.positions, d.plane_size)
         self.model = RateModel(
             hyperprior, d.plane_size, d.hyper_width[0], *_statistics(scene), start, settings.entropy, scene.carm_shift

@@ -10,10 +10,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from conformance.cases.scenes import MAIN_DIMENSIONS, random_scene, with_steps
+from conformance.cases.target import Target
 from conformance.fuzz.strategies import position_models, positions, some_positions
-from refcodec.bitstream import codec, directory
+from refcodec.bitstream import codec
 from refcodec.bitstream.chunks import chunk_ranges
-from refcodec.bitstream.codec import parse_container
 from refcodec.bitstream.entropy import TraceRow
 from refcodec.bitstream.errors import BitstreamError
 from refcodec.bitstream.positions import (
@@ -74,14 +74,14 @@ def test_round_trip(spec: dict, data: st.DataObject) -> None:
     chunk_size = data.draw(st.integers(1, 40))
     model = data.draw(position_models(where, chunk_size)) or position_model(where, chunk_size)
     chunks = chunk_ranges(count, chunk_size)
-    parts = encode_positions(model, where, chunks, 2)
+    parts = encode_positions(model, where, [len(chunk) for chunk in chunks], 2)
     frequency = [f.tolist() for f in model.frequency]
-    for part, chunk in zip(parts, chunks, strict=True):
-        found, verdict = spec["DECODE_POSITIONS"](part, model.cell_shift, frequency, len(chunk), 2)
+    for (form, part), chunk in zip(parts, chunks, strict=True):
+        found, verdict = spec["DECODE_POSITIONS"](form, part, model.cell_shift, frequency, len(chunk), 2)
         assert verdict is None
         mine = where[chunk.start : chunk.stop]
         assert found == mine.view(np.uint16).tolist()
-        assert (part[0] == PACKED) == (chunk_codes(mine, model.cell_shift) is not None)
+        assert (form == PACKED) == (chunk_codes(mine, model.cell_shift) is not None)
 
 
 @given(st.integers(0, 20).flatmap(positions))
@@ -100,30 +100,28 @@ def test_a_surface_is_small() -> None:
     scene = lattice_scene(3, 3000, chunk_size=1024)
     small = packed(scene, None, "raw")
     data, raw = codec.emit(small), codec.emit(packed(small, "raw", "raw"))
-    sections = parse_container(data).sections
-    assert [s.mode for s in sections.values()] == [0, 0, 0, 0, 1, 0, 0]
-    assert 8 * (sections[directory.POSITIONS].end - sections[directory.POSITIONS].start) < 6 * 3000
+    target = Target(data)
+    assert [s.mode for s in target.header.sections] == [0, 0, 0, 1, 0]
+    spans = [target.part("positions", chunk) for chunk in range(3)]
+    assert 8 * sum(end - start for start, end in spans) < 6 * 3000
     assert len(data) < len(raw) - 5 * 3000
     parsed = codec.parse(data)
     assert codec.emit(parsed.scene) == data
     assert np.array_equal(parsed.scene.positions, scene.positions[morton_order(scene.positions)])
     assert packed(parsed.scene, None, "raw").positions is parsed.scene.positions
+    # The form is a coding parameter: what could be packed may be raw.
+    mixed = replace(parsed.scene, position_forms=(1, 0, 1))
+    assert codec.parse(codec.emit(mixed)).scene.position_forms == (1, 0, 1)
     assert packed(replace(scene, profile=0), None, "raw").position_model is None
-
-
-def test_a_full_cube_takes_mode_0() -> None:
-    where = np.stack(np.meshgrid(*[np.arange(16)] * 3), axis=-1).reshape(-1, 3).astype(np.float16)
-    assert pack_positions(with_steps(replace(random_scene(4, 4096), positions=where))).position_model is None
 
 
 def test_damage_takes_one_chunk() -> None:
     scene = pack_positions(lattice_scene(5, 900, chunk_size=256))
     data = bytearray(codec.emit(scene))
-    section = parse_container(bytes(data)).sections[directory.POSITIONS]
-    data[section.start + 40] ^= 1
+    data[Target(bytes(data)).part("positions", 0)[0] + 40] ^= 1
     with pytest.raises(BitstreamError) as error:
         codec.parse(bytes(data))
-    assert error.value.kind.name == "section.crc"
+    assert error.value.kind.name == "chunk.crc"
     parsed = codec.parse(bytes(data), keep_going=True)
     assert list(parsed.damage) == [0]
     assert np.array_equal(parsed.scene.positions, scene.positions[256:])
@@ -138,7 +136,7 @@ def test_models_that_cannot_be_written() -> None:
         replace(model, frequency=model.frequency.astype(np.int64)),
         replace(model, frequency=np.zeros_like(model.frequency)),
     ):
-        with pytest.raises(ValueError, match=r"position_model|cell_shift|434|model of positions"):
+        with pytest.raises(ValueError, match=r"position_model|cell_shift|model of positions"):
             codec.emit(replace(scene, position_model=bad))
 
 
@@ -146,8 +144,8 @@ def test_inspection_and_trace() -> None:
     scene = pack_positions(lattice_scene(7, 300, chunk_size=256))
     data = codec.emit(scene)
     names = [row.path for row in elements.rows(data)]
-    assert "chunk_table.position_model.cell_shift" in names
-    assert {"positions[chunk 1].form", "positions[chunk 1].word"} <= set(names)
+    assert "index.position_model.cell_shift" in names
+    assert {"chunk[1].position_form", "positions[chunk 1].word"} <= set(names)
     facts = summary.document(data, codec.parse(data))
     assert facts["position_model"]["cell_shift"] == 24
     seen: list[TraceRow] = []

@@ -121,7 +121,9 @@ def test_a_scene_of_grids() -> None:
     scene = random_scene(3, 20, MAIN_DIMENSIONS, chunk_size=256)
     small = pack_weights(replace(scene, networks=quantise_rendering(scene.networks, 6)))
     data, raw = codec.emit(small), codec.emit(scene)
-    sections, before = (parse_container(d).sections[directory.WEIGHTS] for d in (data, raw))
+    sections, before = (parse_container(d).section(directory.WEIGHTS) for d in (data, raw))
+    assert sections is not None
+    assert before is not None
     assert (sections.mode, before.mode) == (1, 0)
     assert 3 * (sections.end - sections.start) < before.end - before.start
     found = codec.parse(data).scene

@@ -19,12 +19,15 @@ import numpy as np
 import pytest
 
 import refcodec
+from conformance.cases.checksums import repair
 from conformance.cases.scenes import MAIN_DIMENSIONS, random_scene, with_steps, without_chunks
-from refcodec.bitstream import codec, directory, syntax
+from refcodec.bitstream import codec, directory
 from refcodec.bitstream.codec import parse_container
+from refcodec.bitstream.directory import DATA
 from refcodec.bitstream.errors import BitstreamError
 from refcodec.bitstream.header import PROLOGUE_BYTES
 from refcodec.bitstream.reconstruction import digest
+from refcodec.bitstream.scene import Ancillary
 from refcodec.cli.main import main
 from refcodec.folder.read import read_folder
 from refcodec.folder.write import write_folder
@@ -53,7 +56,7 @@ def call(capsys) -> Callable[..., tuple[int, str, str]]:
 
 @pytest.fixture(scope="module")
 def scene():
-    return replace(random_scene(21, 40, chunk_size=16), extensions=((3, 0, b"kept"),))
+    return replace(random_scene(21, 40, chunk_size=16), ancillary=(Ancillary(b"noTE", 0, b"kept", 5),))
 
 
 @pytest.fixture(scope="module")
@@ -234,7 +237,7 @@ def test_verdict_through_a_shell(file, data):
     file.write_bytes(data[:-1])
     done = run("validate", file)
     assert done.returncode == 1
-    assert verdict(done.stderr)["name"] == "directory.file_length"
+    assert verdict(done.stderr)["name"] == "section.truncated"
 
 
 def sparse(path: Path, head: bytes, size: int) -> Path:
@@ -264,7 +267,7 @@ def test_too_long_files_are_not_read(data, tmp_path, call):
     for command in ("validate", "inspect", "digest"):
         status, _, err = call(command, sparse(tmp_path / "long", data, 5 << 30))
         found = verdict(err)
-        assert (status, found["name"], found["offset"]) == (1, "directory.file_length", len(data))
+        assert (status, found["name"], found["offset"]) == (1, "section.truncated", len(data))
 
 
 @pytest.mark.usefixtures("little_memory")
@@ -284,14 +287,15 @@ def test_the_bound_of_memory_bounds():
 
 def flipped(data: bytes, *chunks: int) -> bytes:
     """One bit flipped in the attributes of the first or the last chunk."""
-    section = parse_container(data).sections[0x87]
+    section = parse_container(data).section(DATA)
+    assert section is not None
     changed = bytearray(data)
     for chunk in chunks:
         changed[section.start + 40 if chunk == 0 else section.end - 40] ^= 1
     return bytes(changed)
 
 
-@pytest.mark.requirement("D10.1-2")
+@pytest.mark.requirement("D10.2-2")
 def test_keep_going(file, data, scene, tmp_path, call):
     file.write_bytes(flipped(data, 0, 2))
     status, _, err = call("decode", file, "-o", tmp_path / "scene", "--keep-going")
@@ -301,29 +305,15 @@ def test_keep_going(file, data, scene, tmp_path, call):
     assert lines[1].startswith("chunk 2 is dropped, 8 anchors: ")
     assert lines[2] == "2 of 3 chunks and 24 anchors are lost, 16 are written"
     assert verdict(err) == verdict(call("validate", file)[2])
-    # --hex shows the chunks, too, not just the section that they are in.
     spots = [line for line in call("inspect", file, "--hex")[1].splitlines() if "^^ error" in line]
-    assert [line.split()[3] for line in spots] == ["307", "433", "433"]
+    assert [line.split()[3] for line in spots] == ["441", "441"]
     assert call("encode", tmp_path / "scene", "-o", tmp_path / "out.c3gs") == (0, "", "")
     assert (tmp_path / "out.c3gs").read_bytes() == codec.emit(without_chunks(scene, [0, 2]))
 
 
 def test_keep_going_where_only_a_symbol_is_wrong(file, data, tmp_path, capsys):
     """Every CRC-32 of bytes is right: the chunk's own checks find it, and the verdict is theirs."""
-    changed = bytearray(flipped(data, 2))
-    header = parse_container(data)
-    attributes, table = header.sections[0x87], header.sections[0x84]
-    length = int.from_bytes(data[table.end - 8 : table.end - 4], "little")
-    changed[table.end - 4 : table.end] = zlib.crc32(changed[attributes.end - length : attributes.end]).to_bytes(
-        4, "little"
-    )
-    for element in syntax.parse_elements("Header", data, PROLOGUE_BYTES, "header"):
-        for index, section in ((3, table), (6, attributes)):
-            if element.path == f"header.directory[{index}].crc":
-                changed[element.start : element.end] = zlib.crc32(changed[section.start : section.end]).to_bytes(
-                    4, "little"
-                )
-    file.write_bytes(sealed(bytes(changed)))
+    file.write_bytes(repair(flipped(data, 2)))
     assert main(["decode", str(file), "-o", str(tmp_path / "scene"), "--keep-going"]) == 1
     kept = verdict(capsys.readouterr().err)
     assert kept["path"] == "attributes[chunk 2]"
@@ -337,13 +327,13 @@ def test_keep_going_without_need(file, tmp_path, capsys):
     assert capsys.readouterr().err == ""
 
 
-def test_keep_going_loses_an_extension(file, data, tmp_path, capsys):
+def test_keep_going_loses_an_ancillary_section(file, data, tmp_path, capsys):
     """All chunks are there, but the file is cut after them: written, and not called accepted."""
     file.write_bytes(data[:-2])
     assert main(["decode", str(file), "-o", str(tmp_path / "scene"), "--keep-going"]) == 1
     err = capsys.readouterr().err
     assert "every chunk is whole" in err
-    assert verdict(err)["name"] == "directory.file_length"
+    assert verdict(err)["name"] == "section.truncated"
     assert (tmp_path / "scene" / "scene.json").exists()
 
 
@@ -659,3 +649,30 @@ def test_fit_refuses_other_shapes(file, tmp_path, capsys):
     assert main(["decode", str(file), "-o", str(tmp_path / "scene")]) == 0
     assert main(["fit", str(tmp_path / "scene" / "point_cloud.ply"), "-o", str(tmp_path / "new")]) == 64
     assert "5 features and 2 offsets" in capsys.readouterr().err
+
+
+def test_metadata_is_written_shown_and_checked(file, tmp_path, call):
+    assert call("decode", file, "-o", tmp_path / "scene")[0] == 0
+    out = tmp_path / "meta.c3gs"
+    entries = ["--meta", "title=K\u00fcche", "--meta", "unit=1.0", "--meta", "org.example.note=a\x1b[2Jb"]
+    assert call("encode", tmp_path / "scene", "-o", out, *entries) == (0, "", "")
+    text = call("inspect", out)[1]
+    assert "title        K\u00fcche" in text
+    assert "\x1b" not in text
+    status, _, err = call("validate", out)
+    assert (status, err) == (0, "")
+    assert call("digest", out)[1] == call("digest", file)[1]
+    assert call("encode", tmp_path / "scene", "-o", out, "--meta", "Title=x")[0] == 64
+    assert call("encode", tmp_path / "scene", "-o", out, "--meta", "title")[0] == 64
+
+
+def test_a_broken_ancillary_section_is_a_warning(scene, tmp_path, call):
+    broken = (Ancillary(b"mETA", 0, b"\1\0\0\0\xff"), Ancillary(b"cAMS", 0, b""))
+    out = tmp_path / "broken.c3gs"
+    out.write_bytes(codec.emit(replace(scene, ancillary=broken)))
+    status, _, err = call("validate", out)
+    assert status == 0
+    assert err.splitlines() == [
+        "warning: metadata: it ends within an entry",
+        "warning: cameras: it ends within camera 0",
+    ]

@@ -12,9 +12,9 @@ from torch import Tensor, nn
 from torch.nn import functional
 
 from ...bitstream.attributes import KINDS, SCALINGS
-from ...bitstream.limits import MAIN_SLICES
 from ...bitstream.networks import ACTIVATION_MAX, Layer
 from ...bitstream.tables import STEP_LENGTH
+from ...encoder.sizes import SLICES
 from ..settings import EntropySettings
 from .bits import bits_anywhere, laplace_bits
 from .folded import FoldedMlp
@@ -23,7 +23,7 @@ from .passes import is_compiled
 from .units import LATENT_UNIT, MEAN_UNIT, SCALE_UNIT, STEP_ONE, round_through
 
 # SPEC 11.1: Main's dimensions.
-FEATURES, OFFSETS, SLICES, SARM_WIDTH = sum(MAIN_SLICES), 10, MAIN_SLICES, (16, 16)
+FEATURES, OFFSETS, SARM_WIDTH = sum(SLICES), 10, (16, 16)
 # Columns of the three kinds of attributes in file order, and D.
 WIDTHS = dict(zip(KINDS, (FEATURES, SCALINGS, 3 * OFFSETS), strict=True))
 WIDTH = sum(WIDTHS.values())
