@@ -25,10 +25,10 @@ def beginning(photographs: PhotographSet, anchors: int) -> Scaffold:
     return Scaffold(photographs, settings, torch.Generator().manual_seed(0))
 
 
-def growth(scaffold: Scaffold, most: int) -> Growth:
+def growth(scaffold: Scaffold, most: int, pixels: int = 10**6) -> Growth:
     settings = varied(TrainSettings(), {"growth.most": most})
     clock, random = Clock(settings.phases, settings.steps), torch.Generator().manual_seed(1)
-    return Growth(settings.growth, settings.masks.start, scaffold, clock, random, lambda: None)
+    return Growth(settings.growth, settings.masks.start, scaffold, clock, random, lambda: None, pixels)
 
 
 def test_units(photographs: PhotographSet) -> None:
@@ -123,12 +123,23 @@ def test_growth_has_a_limit(photographs: PhotographSet) -> None:
         assert scaffold.count == expected
 
 
+def test_few_pixels_have_few_anchors(photographs: PhotographSet) -> None:
+    """18 small photographs were learnt by heart: 40,000 anchors took 419 kB, and showed no more than 10,000 in 88 kB."""
+    scaffold = beginning(photographs, 300)
+    count, least = scaffold.count, TrainSettings().growth.pixels
+    scaffold.tables["offsets"].uniform_(-30, 30, generator=torch.Generator().manual_seed(2))
+    part = growth(scaffold, 10 * count, pixels=least * (count + 9) + 1)
+    part.gradient[:], part.drawn[:] = 1, 20
+    part.grow()
+    assert scaffold.count == count + 9
+
+
 def test_growth_takes_its_time_from_the_phases(photographs: PhotographSet) -> None:
     """It grows every period while its phase lasts, its first and last step included."""
     scaffold = beginning(photographs, 100)
     settings = varied(TrainSettings(), {"steps": 1000, "growth.period": 10, "growth.most": 1})
     clock, times = Clock(settings.phases, settings.steps), []
-    part = Growth(settings.growth, 0.0, scaffold, clock, torch.Generator(), lambda: times.append(clock.done))
+    part = Growth(settings.growth, 0.0, scaffold, clock, torch.Generator(), lambda: times.append(clock.done), 10**6)
     for done in range(1, 1001):
         clock.done = done
         part.end()
