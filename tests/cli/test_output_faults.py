@@ -230,7 +230,7 @@ DRAWING = {
         ["render", "scene.c3gs", "--cameras", "orbit", "--frames", "2", "-o", "images"],
         12,
     ),
-    "eval": Case(["eval", "scene.c3gs", "photos", "--size", "full", "--images", "images"], 12),
+    "eval": Case(["eval", "scene.c3gs", "photos", "--size", "full", "--holdout", "8", "--images", "images"], 12),
 }
 
 
