@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import copy
+
 import numpy as np
 import pytest
 import torch
@@ -9,10 +11,10 @@ from torch import Tensor
 
 from refcodec.train.entropy.bits import bits_anywhere, gauss_bits, laplace_bits
 from refcodec.train.entropy.folded import FoldedMlp
-from refcodec.train.entropy.hyperprior import PlaneSamples
-from refcodec.train.entropy.likelihood import AttributeBits
-from refcodec.train.entropy.model import CHANGES, FEATURES, OFFSETS, WIDTH, count_anywhere
+from refcodec.train.entropy.hyperprior import PlaneSamples, VectorMatrix
+from refcodec.train.entropy.model import FEATURES, OFFSETS, SLICES, WIDTH, RateModel
 from refcodec.train.residues import Shown, Symbols
+from refcodec.train.settings import EntropySettings
 
 ROUNDED = pytest.mark.parametrize("rounding", [False, True], ids=["floats", "integers"])
 
@@ -119,18 +121,30 @@ def test_bits(gauss: bool, count: int) -> None:
     agree(gradients(ours, weights, inputs), gradients(wanted, weights, exact), 1e-4)
 
 
-def test_bits_of_attributes() -> None:
+@ROUNDED
+def test_bits_of_attributes(rounding: bool) -> None:
+    """Of F_h's last layer, CARM and the likelihoods: against the same model in float64, which has torch's formulas."""
     draw = torch.Generator().manual_seed(6)
-    mean, scale, symbols = (v.detach().reshape(60, WIDTH) for v in distributions(60 * WIDTH, draw))
-    change = torch.randn(60, 90, generator=draw)
+    # Some symbols are past the bounds of CARM's inputs.
+    spread = np.full(WIDTH, 400.0)
+    model = RateModel(VectorMatrix(), 9, 12, np.zeros(WIDTH), spread, draw, EntropySettings())
+    with torch.no_grad():
+        for parameter in model.coding_parameters():
+            parameter.add_(0.05 * torch.randn(parameter.shape, generator=draw))
+    symbols, inputs = 450 * torch.randn(60, WIDTH, generator=draw), 300 * torch.randn(60, 36, generator=draw)
+    model.calibrate(inputs, symbols[:, : FEATURES - SLICES[-1]], model.symbols(None).detach())
+    model.set_grid(2)
+    model.set_integers(rounding)
+    model.set_gridded(rounding)
+    assert (symbols[:, : FEATURES - SLICES[-1]].abs() > 1023).any()
     kept = (torch.rand(60, OFFSETS, generator=draw) < 0.3).float()
     kept[:5] = 0
-    inputs = [v.clone().requires_grad_() for v in (torch.cat([mean, scale], dim=1), change, symbols, kept)]
-    ours = AttributeBits.apply(*inputs, CHANGES, FEATURES, 2.0**-20)
-    exact = [v.detach().double().requires_grad_() for v in inputs]
-
-    wanted = count_anywhere(*exact, 2.0**-20)
-    weights = torch.rand(60, 3, generator=draw)
-    assert float(ours[:5].abs().max()) == 0
-    agree([ours], [wanted])
-    agree(gradients(ours, weights, inputs), gradients(wanted, weights, exact), 1e-4)
+    hidden = model.activations(inputs).detach()
+    weights, found = torch.rand(60, 3, generator=draw), []
+    for kind, network in ((torch.float32, model), (torch.float64, copy.deepcopy(model).double())):
+        leaves = [v.to(kind).requires_grad_() for v in (hidden, symbols, kept)]
+        bits = network.attribute_bits(*leaves)
+        trained = [p for name, p in network.named_parameters() if name.startswith(("carm", "hyper.weights.1"))]
+        found.append([bits, *gradients(bits, weights, [*leaves, *trained])])
+    assert float(found[0][0].detach()[:5].abs().max()) == 0
+    agree(*found, 1e-4)
