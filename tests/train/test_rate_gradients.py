@@ -9,6 +9,7 @@ import pytest
 import torch
 from torch import Tensor
 
+from refcodec.bitstream.tables import SCALE_MIN
 from refcodec.train.entropy.bits import bits_anywhere, gauss_bits, laplace_bits
 from refcodec.train.entropy.folded import FoldedMlp
 from refcodec.train.entropy.hyperprior import PlaneSamples, VectorMatrix
@@ -131,7 +132,11 @@ def test_bits_of_attributes(rounding: bool) -> None:
     with torch.no_grad():
         for parameter in model.coding_parameters():
             parameter.add_(0.05 * torch.randn(parameter.shape, generator=draw))
+        # Some scales are past the smallest one, where likely symbols would have them smaller still.
+        model.hyper.weights[1][WIDTH - 10 : WIDTH] = 0
+        model.hyper.biases[1][2 * WIDTH - 10 : 2 * WIDTH] -= 13.65
     symbols, inputs = 450 * torch.randn(60, WIDTH, generator=draw), 300 * torch.randn(60, 36, generator=draw)
+    symbols[:, -10:] /= 1000
     model.calibrate(inputs, symbols[:, : FEATURES - SLICES[-1]], model.symbols(None).detach())
     model.set_grid(2)
     model.set_integers(rounding)
@@ -140,6 +145,8 @@ def test_bits_of_attributes(rounding: bool) -> None:
     kept = (torch.rand(60, OFFSETS, generator=draw) < 0.3).float()
     kept[:5] = 0
     hidden = model.activations(inputs).detach()
+    small = model.hyper.outputs(hidden, slice(2 * WIDTH - 10, 2 * WIDTH)) <= SCALE_MIN
+    assert 0.1 < float(small.float().mean()) < 0.9
     weights, found = torch.rand(60, 3, generator=draw), []
     for kind, network in ((torch.float32, model), (torch.float64, copy.deepcopy(model).double())):
         leaves = [v.to(kind).requires_grad_() for v in (hidden, symbols, kept)]
