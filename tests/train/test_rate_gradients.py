@@ -12,7 +12,7 @@ from torch import Tensor
 from refcodec.bitstream.tables import SCALE_MIN
 from refcodec.train.entropy.bits import bits_anywhere, gauss_bits, laplace_bits
 from refcodec.train.entropy.folded import FoldedMlp
-from refcodec.train.entropy.hyperprior import PlaneSamples, VectorMatrix
+from refcodec.train.entropy.hyperprior import PlaneSamples, VectorMatrix, plane_neighbours
 from refcodec.train.entropy.model import FEATURES, OFFSETS, SLICES, WIDTH, RateModel
 from refcodec.train.residues import Shown, Symbols
 from refcodec.train.settings import EntropySettings
@@ -154,4 +154,31 @@ def test_bits_of_attributes(rounding: bool) -> None:
         trained = [p for name, p in network.named_parameters() if name.startswith(("carm", "hyper.weights.1"))]
         found.append([bits, *gradients(bits, weights, [*leaves, *trained])])
     assert float(found[0][0].detach()[:5].abs().max()) == 0
+    agree(*found, 1e-4)
+
+
+@ROUNDED
+@pytest.mark.parametrize("size", [5, 30])
+def test_bits_of_planes(rounding: bool, size: int) -> None:
+    """Of SARM and the likelihoods: against the same model in float64, which has torch's formulas."""
+    draw = torch.Generator().manual_seed(7)
+    model = RateModel(VectorMatrix(), size, 8, np.zeros(WIDTH), np.ones(WIDTH), draw, EntropySettings())
+    with torch.no_grad():
+        # Scales past the smallest one, and on both sides of it.
+        model.sarm.biases[-1][1] -= 5
+    symbols = torch.round(20 * torch.randn(model.latents.shape, generator=draw))
+    # Some contexts are past their bounds.
+    symbols[:, 0, 1] *= 60
+    symbols[:, 1] = 0
+    model.calibrate(torch.randn(9, 36, generator=draw), torch.randn(9, FEATURES - SLICES[-1], generator=draw), symbols)
+    model.set_grid(2)
+    model.set_integers(rounding)
+    model.set_gridded(rounding)
+    scales = model.sarm(plane_neighbours(symbols))[:, 1]
+    assert 0.1 < float((scales <= SCALE_MIN).float().mean()) < 0.9
+    found = []
+    for kind, network in ((torch.float32, model), (torch.float64, copy.deepcopy(model).double())):
+        planes = symbols.to(kind).requires_grad_()
+        bits = network.plane_bits(planes)
+        found.append([bits, *torch.autograd.grad(0.3 * bits, [planes, *network.sarm.parameters()])])
     agree(*found, 1e-4)

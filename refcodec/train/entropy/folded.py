@@ -88,6 +88,10 @@ class FoldedMlp(nn.Module):
         found: Tensor = FoldedLayer.apply(self.plan(layer, rows), x, weight, bias)
         return found
 
+    def pairs(self) -> list[Tensor]:
+        """Weights and biases of each layer, which take turns."""
+        return [p for pair in zip(self.weights, self.biases, strict=True) for p in pair]
+
     def plan(self, layer: int, rows: slice = slice(None)) -> Plan:
         """What some rows of a layer do beside their weights, for passes on CPUs."""
         from .layers import Plan  # noqa: PLC0415 (needs numba)

@@ -21,7 +21,7 @@ _HALF, _MOST = np.float32(0.5), np.float32(ACTIVATION_MAX)
 
 
 @compiled()
-def _fold(weight: F32, bias: F32, before: F32, after: F32, step: F32, gridded: bool) -> Any:
+def fold(weight: F32, bias: F32, before: F32, after: F32, step: F32, gridded: bool) -> Any:
     """The file's weights and biases, [out, in] and [out], of those of order one."""
     by_weight, by_bias = np.empty(weight.shape, np.float32), np.empty(bias.shape, np.float32)
     for o in range(weight.shape[0]):
@@ -34,7 +34,7 @@ def _fold(weight: F32, bias: F32, before: F32, after: F32, step: F32, gridded: b
 
 
 @compiled()
-def _unfold(weight: F32, bias: F32, before: F32, after: F32) -> None:
+def unfold(weight: F32, bias: F32, before: F32, after: F32) -> None:
     """Makes gradients of the file's weights and biases those of the weights and biases of order one."""
     for o in range(weight.shape[0]):
         for i in range(weight.shape[1]):
@@ -94,7 +94,7 @@ class Trace(NamedTuple):
 
 def layer_forward(plan: Plan, x: Tensor, weight: Tensor, bias: Tensor) -> tuple[Tensor, Trace]:
     """What a layer makes of x, float32 [n, in], with weights [out, in] and biases [out] of order one: [n, out]."""
-    folded = _fold(weight.detach().numpy(), bias.detach().numpy(), *plan[:4])
+    folded = fold(weight.detach().numpy(), bias.detach().numpy(), *plan[:4])
     by_weight, by_bias = (torch.from_numpy(v) for v in folded)
     found = torch.addmm(by_bias, x, by_weight.T)
     inside = _rectify(found.numpy(), plan.rounding) if plan.rectifies else None
@@ -107,7 +107,7 @@ def layer_backward(trace: Trace, upstream: Tensor, reaches_inputs: bool) -> tupl
     if trace.inside is not None:
         along = torch.from_numpy(_through(along.contiguous().numpy(), trace.inside))
     weight, bias = along.T @ trace.x, along.sum(dim=0)
-    _unfold(weight.numpy(), bias.numpy(), *trace.plan[:2])
+    unfold(weight.numpy(), bias.numpy(), *trace.plan[:2])
     return along @ trace.by_weight if reaches_inputs else None, weight, bias
 
 

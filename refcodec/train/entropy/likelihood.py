@@ -66,32 +66,39 @@ def _laplace(t: Any) -> Any:
     return select(t < splat(_ZERO), splat(_ONE) - density, density), density
 
 
-@compiled(parallel=True)
-def _likelihood(mean: F32, scale: F32, symbol: F32, gauss: bool, floor: np.float32, to: F32) -> None:
-    """Of arrays of a multiple of eight values: probabilities, and what bits change by with means and scales: to [3, n].
+@compiled(inline="always")
+def one_likelihood(mean: Any, scale: Any, symbol: Any, gauss: bool, floor: np.float32) -> Any:
+    """Of eight symbols: probabilities, and what bits change by with means and scales.
 
     A gradient for scales past the table's smallest one is among them.
     """
+    zero = splat(_ZERO)
+    narrow = splat(_ONE) / exp2(minimum(maximum(scale, splat(_LOW)), splat(_HIGH)) * splat(_PER_SCALE))
+    away = symbol - mean * splat(_PER_MEAN)
+    a = maximum(away, zero - away)
+    t0, t1 = (a - splat(_HALF)) * narrow, (a + splat(_HALF)) * narrow
+    if gauss:
+        p0, d0 = _gauss(t0)
+        p1, d1 = _gauss(t1)
+    else:
+        p0, d0 = _laplace(t0)
+        p1, d1 = _laplace(t1)
+    p = maximum(p0 - p1, zero) + splat(floor)
+    along = (d1 - d0) * narrow * splat(_BY_MEAN) / p
+    by_mean = select(away < zero, zero - along, select(zero < away, along, zero))
+    return p, by_mean, (t1 * d1 - t0 * d0) * splat(_PER_SCALE) / p
+
+
+@compiled(parallel=True)
+def _likelihood(mean: F32, scale: F32, symbol: F32, gauss: bool, floor: np.float32, to: F32) -> None:
+    """one_likelihood of arrays of a multiple of eight values: to [3, n]."""
     p_to, mean_to, scale_to = to[0], to[1], to[2]
     for block in prange((mean.shape[0] + _BLOCK - 1) // _BLOCK):
-        zero = splat(_ZERO)
         for at in range(block * _BLOCK, min(block * _BLOCK + _BLOCK, mean.shape[0]), WIDTH):
-            cut = minimum(maximum(load(scale, at), splat(_LOW)), splat(_HIGH))
-            narrow = splat(_ONE) / exp2(cut * splat(_PER_SCALE))
-            away = load(symbol, at) - load(mean, at) * splat(_PER_MEAN)
-            a = maximum(away, zero - away)
-            t0, t1 = (a - splat(_HALF)) * narrow, (a + splat(_HALF)) * narrow
-            if gauss:
-                p0, d0 = _gauss(t0)
-                p1, d1 = _gauss(t1)
-            else:
-                p0, d0 = _laplace(t0)
-                p1, d1 = _laplace(t1)
-            p = maximum(p0 - p1, zero) + splat(floor)
-            along = (d1 - d0) * narrow * splat(_BY_MEAN) / p
+            p, by_mean, by_scale = one_likelihood(load(mean, at), load(scale, at), load(symbol, at), gauss, floor)
             store(p_to, at, p)
-            store(mean_to, at, select(away < zero, zero - along, select(zero < away, along, zero)))
-            store(scale_to, at, (t1 * d1 - t0 * d0) * splat(_PER_SCALE) / p)
+            store(mean_to, at, by_mean)
+            store(scale_to, at, by_scale)
 
 
 def likelihood(mean: F32, scale: F32, symbol: F32, gauss: bool, floor: float) -> tuple[F32, F32, F32]:

@@ -132,7 +132,13 @@ class RateModel(nn.Module):
         )
 
     def plane_bits(self, symbols: Tensor) -> Tensor:
-        """Bits of all plane symbols."""
+        """Bits of all plane symbols, which are part of a loss."""
+        if is_compiled(symbols):
+            from .plane_bits import PlaneBits  # noqa: PLC0415 (needs numba)
+
+            plans = [self.sarm.plan(i) for i in range(self.sarm.hidden + 1)]
+            bits: Tensor = PlaneBits.apply(plans, symbols, self.floor, *self.sarm.pairs())
+            return bits
         out = self.sarm(plane_neighbours(symbols))
         return laplace_bits(out[:, 0], out[:, 1], symbols.reshape(-1), self.floor).sum()
 
@@ -179,9 +185,9 @@ class RateModel(nn.Module):
         rows, last, carm = slice(0, 2 * WIDTH), self.hyper.hidden, self._carm()
         plans = [[network.plan(i) for i in range(network.hidden + 1)] for network in carm]
         counting = Counting(rows, self.hyper.plan(last, rows), plans, CHANGES.numpy(), FEATURES, self.floor)
-        parameters = [self.hyper.weights[last], self.hyper.biases[last]]
+        parameters = self.hyper.pairs()[-2:]
         for network in carm:
-            parameters += [p for pair in zip(network.weights, network.biases, strict=True) for p in pair]
+            parameters += network.pairs()
         with torch.no_grad():
             earlier = self.carm_inputs(symbols[:, : FEATURES - SLICES[-1]])
         bits: Tensor = AttributeBits.apply(counting, hidden, symbols, earlier, kept, *parameters)
