@@ -10,6 +10,7 @@ import torch
 
 from refcodec.bitstream.scene import Scene
 from refcodec.photographs.photographs import PhotographSet
+from refcodec.render.camera import Camera
 from refcodec.train.parts.growth import Growth
 from refcodec.train.scaffold import COLUMNS, Scaffold
 from refcodec.train.schedule import Clock
@@ -18,6 +19,7 @@ from refcodec.train.settings_file import varied
 from refcodec.train.splat import draw
 from refcodec.train.start import lattice_positions
 from refcodec.train.trainer import Trainer
+from refcodec.train.visible import visible, visible_anywhere
 
 
 def beginning(photographs: PhotographSet, anchors: int) -> Scaffold:
@@ -49,6 +51,20 @@ def test_units(photographs: PhotographSet) -> None:
     np.testing.assert_array_equal(lattice_positions(scaffold.lattice).astype(np.int64), scaffold.lattice)
     away = np.abs(photographs.points[:, None] - world[None]).max(axis=2).min(axis=0)
     assert away.max() <= units.cell * units.length * cells / 2 * (1 + 1e-6)
+
+
+def test_visible_anchors_are_those_of_the_formula_in_torch() -> None:
+    draw = torch.Generator().manual_seed(3)
+    turn = torch.linalg.qr(torch.randn(3, 3, generator=draw, dtype=torch.float64))[0].numpy()
+    camera = Camera("", 200, 150, 210.0, 190.0, 90.0, 80.0, turn, np.array([0.3, -0.2, 4]))
+    position = 6 * torch.randn(4000, 3, generator=draw)
+    tables = {name: torch.randn(4000, columns, generator=draw) for name, columns in (("offsets", 30), ("scalings", 6))}
+    tables["scalings"] -= 2
+    found, wanted = (f(position, tables, 1.5, camera, 0.1) for f in (visible, visible_anywhere))
+    assert 400 < len(found) < 3600
+    assert found.dtype == wanted.dtype
+    # An anchor at the very edge may be on either side of it.
+    assert len(set(found.tolist()) ^ set(wanted.tolist())) <= 2
 
 
 @pytest.mark.slow
