@@ -35,7 +35,7 @@ def times(photographs: PhotographSet, factor: float) -> PhotographSet:
 
     def moved(group: Sequence[Photograph]) -> tuple[Photograph, ...]:
         return tuple(
-            replace(p, camera=replace(p.camera, translation=p.camera.translation * factor), load=lambda p=p: p.image)
+            replace(p, camera=replace(p.camera, translation=p.camera.translation * factor), load=lambda _, p=p: p.image)
             for p in group
         )
 
