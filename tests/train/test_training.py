@@ -34,10 +34,7 @@ def times(photographs: PhotographSet, factor: float) -> PhotographSet:
     """The same scene in another unit."""
 
     def moved(group: Sequence[Photograph]) -> tuple[Photograph, ...]:
-        return tuple(
-            replace(p, camera=replace(p.camera, translation=p.camera.translation * factor), load=lambda _, p=p: p.image)
-            for p in group
-        )
+        return tuple(replace(p, camera=replace(p.camera, translation=p.camera.translation * factor)) for p in group)
 
     return replace(
         photographs, train=moved(photographs.train), test=moved(photographs.test), points=photographs.points * factor
