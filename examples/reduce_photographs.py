@@ -64,7 +64,7 @@ def main() -> int:
         for photograph in tqdm((*photographs.train, *photographs.test), unit="image"):
             file = args.target / "images" / target_name(photograph.camera)
             file.parent.mkdir(parents=True, exist_ok=True)
-            Image.fromarray(photograph.load()).save(file, quality=args.quality, optimize=True)
+            Image.fromarray(photograph.load(photograph.background)).save(file, quality=args.quality, optimize=True)
     except PhotographError as error:
         print(error, file=sys.stderr)
         return 1

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import argparse
 import contextlib
+from collections.abc import Iterable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -41,9 +42,9 @@ into DIR when all are drawn.
 """
 
 
-def _tell(line: str | None) -> None:
-    if line is not None:
-        note(line)
+def _tell(lines: Iterable[str]) -> None:
+    for line in lines:
+        note(f"refcodec: {line}")
 
 
 def _gaussians(arguments: argparse.Namespace) -> int:
@@ -77,7 +78,7 @@ def _render(arguments: argparse.Namespace) -> int:
     note_compiling()
     shown = read_shown(arguments)
     inputs: list[str | Path] = [arguments.file]
-    said = None
+    said: list[str] = []
     orbit = arguments.cameras == "orbit"
     cameras: list[Camera] = []
     if orbit:
@@ -220,6 +221,7 @@ def add(commands: Any) -> None:
         "FILE is a file, or the scene folder of one, which is coded for it, or that of an uncompressed scene.\n"
         "The photographs are those that training holds out: every eighth one, or the test set of the dataset.\n"
         "Their size is that of the training: training.json of a scene folder says it, or else the scene's camera.\n"
+        "training.json says which ones were held out, too. A file does not: eval says what it takes instead.\n"
         + IMAGES
         + "Needs: pip install 'refcodec[render]'.",
         writes=True,

@@ -11,19 +11,25 @@ from typing import Any
 
 from .. import statuses
 from ..files.terminal import note, say
+from . import train_options
 from .shared import RENDER_PACKAGES, UsageError, add_command, needs, positive, rate, seed
 
 
 def _demo(arguments: argparse.Namespace) -> int:
     try:
+        from ..experiments.data_set import DataSet
         from ..experiments.demo import STEPS, find_example, run_demo
         from ..experiments.runs import RunError
         from ..photographs.photographs import PhotographError
+        from ..train.settings import TrainSettings
     except ModuleNotFoundError as error:
         raise needs("demo", "demo", error, ("jinja2", *RENDER_PACKAGES)) from None
+    train_options.refuse_rate(arguments, "the demo itself")
+    chosen = train_options.settings(arguments, TrainSettings(steps=STEPS), {"steps": arguments.steps})
     try:
-        photographs = Path(arguments.photographs) if arguments.photographs else find_example(arguments.scene)
-        page, whole = run_demo(Path(arguments.output), photographs, arguments.steps or STEPS)
+        folder = Path(arguments.photographs) if arguments.photographs else find_example(arguments.scene)
+        photographs = DataSet(folder, chosen.size, chosen.background, chosen.holdout, train_options.words(arguments))
+        page, whole = run_demo(Path(arguments.output), photographs, chosen.steps)
     except PhotographError as error:
         raise UsageError(str(error)) from None
     except RunError as error:
@@ -36,6 +42,7 @@ def _demo(arguments: argparse.Namespace) -> int:
 
 def _rd(arguments: argparse.Namespace) -> int:
     try:
+        from ..experiments.data_set import DataSet
         from ..experiments.figures import FIGURES
         from ..experiments.rd import Settings, run_rd
         from ..experiments.runs import RunError
@@ -50,8 +57,11 @@ def _rd(arguments: argparse.Namespace) -> int:
         ("--seed", arguments.seed),
     ]
     given = tuple(word for name, value in options if value is not None for word in (name, str(value)))
-    size = arguments.size or PRESETS[arguments.preset].size
-    settings = Settings(Path(arguments.output), Path(arguments.photographs), given, size, arguments.jobs)
+    given += train_options.words(arguments)
+    train_options.refuse_rate(arguments, "--rates")
+    chosen = train_options.settings(arguments, PRESETS[arguments.preset], {"size": arguments.size})
+    photographs = DataSet(Path(arguments.photographs), chosen.size, chosen.background, chosen.holdout, given)
+    settings = Settings(Path(arguments.output), photographs, arguments.jobs)
     rates = sorted({*arguments.rates, *([0.0] if arguments.uncompressed else [])})
     try:
         rows, difference = run_rd(settings, rates, Path(arguments.against) if arguments.against else None)
@@ -146,10 +156,17 @@ def _add_demo(commands: Any) -> None:
         "demo",
         _demo,
         "train on the photographs that come with the project, code the scene, and make a page of the results",
-        ["demo", "demo -o out --scene snowmiku", "demo -o out --steps 600", "demo -o out --photographs my-photographs"],
+        [
+            "demo",
+            "demo -o out --scene snowmiku",
+            "demo -o out --steps 600",
+            "demo -o out --photographs my-photographs --background white --holdout 5",
+        ],
         "DIR/index.html shows everything. It takes about six minutes on two cores. Ctrl-C ends the training early and\n"
-        "shows what there is. The same command goes on, and does nothing twice.\n"
+        "shows what there is. The same command goes on, and does nothing twice. Both trainings get the options that\n"
+        "are train's.\n"
         "Needs: pip install 'refcodec[demo]'.",
+        parents=[train_options.parser()],
     )
     demo.add_argument(
         "-o", "--output", metavar="DIR", default="demo", help="folder of the results (default: %(default)s)"
@@ -177,9 +194,12 @@ def _add_rd(commands: Any) -> None:
             "rd photographs -o curve --size 400x300",
             "rd photographs -o curve --rates 0.002 0.004 0.01 0.04 --uncompressed",
             "rd photographs -o curve --against other/rd.csv",
+            "rd photographs -o curve --anchors 20000 --holdout 5 --set masks.epsilon=0.0004",
         ],
         "DIR gets rd.csv, rd.png, and for each rate a scene folder, a file and its figures. The same command goes on\n"
-        "with what was interrupted, and does nothing twice. Needs: pip install 'refcodec[train,render,rd]'.",
+        "with what was interrupted, and does nothing twice. All trainings get the options that are train's.\n"
+        "Needs: pip install 'refcodec[train,render,rd]'.",
+        parents=[train_options.parser()],
     )
     rd.add_argument("photographs", metavar="PHOTOGRAPHS")
     rd.add_argument("-o", "--output", metavar="DIR", required=True)

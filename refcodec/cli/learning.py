@@ -15,7 +15,9 @@ from typing import TYPE_CHECKING, Any
 from .. import statuses
 from ..files.lock import hold_file
 from ..files.outputs import Kind, check_apart
+from ..files.present import NotAFileError, is_there
 from ..files.terminal import note, say
+from . import train_options
 from .shared import (
     UsageError,
     add_command,
@@ -28,7 +30,6 @@ from .shared import (
     read_photographs_of,
     seed,
     weight,
-    whole,
 )
 
 if TYPE_CHECKING:
@@ -61,31 +62,26 @@ def _lock(state: Path) -> Path:
 def _settings(arguments: argparse.Namespace) -> TrainSettings:
     """A preset, changed by a file of settings, by --set, and by the options that have names of their own."""
     from ..train.settings import PRESETS
-    from ..train.settings_file import SettingsError, assigned, from_toml, varied
+    from ..train.settings_file import SettingsError, from_toml
 
-    options = {
+    base = PRESETS[arguments.preset]
+    try:
+        if arguments.settings:
+            base = from_toml(Path(arguments.settings), base)
+    except SettingsError as error:
+        raise UsageError(str(error)) from None
+    own = {
         "rate.weight": arguments.rate,
         "steps": arguments.steps,
         "size": arguments.size,
         "seed": arguments.seed,
-        "background": arguments.background,
-        "holdout": arguments.holdout,
-        "start.anchors": arguments.anchors,
-        # A number of anchors asks for an edge of its own.
-        "start.voxel": 0.0 if arguments.anchors else arguments.voxel,
     }
-    settings = PRESETS[arguments.preset]
-    try:
-        if arguments.settings:
-            settings = from_toml(Path(arguments.settings), settings)
-        settings = assigned(settings, arguments.set)
-        return varied(settings, {name: value for name, value in options.items() if value is not None})
-    except SettingsError as error:
-        raise UsageError(str(error)) from None
+    return train_options.settings(arguments, base, own)
 
 
 def _interrupted(done: int, steps: int, state: Path) -> int:
-    goes_on = "--resume goes on from the saved state" if state.exists() else "there is no saved state to go on from"
+    kept = os.path.lexists(state)
+    goes_on = "--resume goes on from the saved state" if kept else "there is no saved state to go on from"
     note(f"refcodec: stopped at step {done} of {steps}; the scene is written, and {goes_on}")
     return statuses.INTERRUPTED
 
@@ -93,10 +89,13 @@ def _interrupted(done: int, steps: int, state: Path) -> int:
 def _check_state(state: Path, resume: bool, advice: str = "") -> None:
     """Raises UsageError unless there is a saved state to go on from, or none that would be lost.
 
-    advice: what to say where there is nothing to go on from.
+    advice: what to say where there is nothing to go on from. Raises OSError if it cannot be found out.
     """
-    if resume and not state.exists():
-        raise UsageError(f"there is nothing to resume: {state} does not exist{advice}")
+    try:
+        if resume and not is_there(state):
+            raise UsageError(f"there is nothing to resume: {state} does not exist{advice}")
+    except NotAFileError as error:
+        raise UsageError(f"there is nothing to resume: {state}: {error}") from None
     if not resume and os.path.lexists(state):
         raise UsageError(
             f"{state} is the saved state of a training into the same folder: go on with it by --resume, or remove it"
@@ -231,6 +230,10 @@ def add(commands: Any) -> None:
         ],
         "PHOTOGRAPHS is a folder that COLMAP or a NeRF dataset made; every eighth image is held out. SCENE_DIR is\n"
         "what refcodec encode and eval read. Its training.json has the settings of the training, and how it went.\n"
+        "A training begins with an anchor in each voxel that has points. --voxel or --anchors say how large one is.\n"
+        "A NeRF dataset may have no points. Then they are drawn at random: in the visual hull of transparent\n"
+        "photographs, which none of them sees through, and else in a cube. Anchors grow until the rate counts, at\n"
+        "40 % of the steps. The setting growth.most is the most that there are: 40,000 in the preset fast.\n"
         "Ctrl-C ends the training early, writes the scene all the same, and keeps SCENE_DIR.train-state for --resume.\n"
         "Without --resume a training does not begin where such a state is: it goes on, or the state is removed first.\n"
         "--resume --steps N with more steps than before extends a training. What is left of its schedule is stretched\n"
@@ -238,6 +241,7 @@ def add(commands: Any) -> None:
         "One that came to its end goes on in its last phase. Its state is there if it was trained with --keep-state.\n"
         "Needs: pip install 'refcodec[train]'.",
         writes=True,
+        parents=[train_options.parser()],
     )
     train.add_argument("photographs", metavar="PHOTOGRAPHS", nargs="?")
     train.add_argument("-o", "--output", metavar="SCENE_DIR")
@@ -245,13 +249,11 @@ def add(commands: Any) -> None:
         "--preset",
         choices=("fast", "paper"),
         default="fast",
-        help="fast: 4,000 steps on photographs of 400 pixels; paper: 40,000 on 1,600 (default: %(default)s)",
+        help="fast: 4,000 steps on photographs of 400 pixels, about 5,000 anchors at first; paper: 40,000 on 1,600, "
+        "a voxel is the median distance of neighbouring points (default: %(default)s)",
     )
     train.add_argument(
         "--settings", metavar="FILE", help="settings that replace the preset's, as --print-settings prints them"
-    )
-    train.add_argument(
-        "--set", metavar="NAME=VALUE", action="append", default=[], help="change one setting; can be given again"
     )
     train.add_argument(
         "--print-settings", action="store_true", help="print all settings, with what they mean, and do nothing else"
@@ -265,23 +267,6 @@ def add(commands: Any) -> None:
     train.add_argument("--steps", type=positive, metavar="N", help="training steps (default: the preset's)")
     train.add_argument(
         "--size", metavar="WxH", help="size that photographs are averaged down to, their longest side, or full"
-    )
-    train.add_argument(
-        "--background",
-        metavar="C",
-        help="what transparent photographs are laid over: white, black or R,G,B (default: white for NeRF's format, "
-        "else black)",
-    )
-    train.add_argument(
-        "--holdout",
-        type=whole,
-        metavar="N",
-        help="hold out every N-th photograph, or none with 0, unless the data set has a split (default: 8)",
-    )
-    first = train.add_mutually_exclusive_group()
-    first.add_argument("--anchors", type=positive, metavar="N", help="about how many anchors to begin with")
-    first.add_argument(
-        "--voxel", type=length, metavar="V", help="edge of the voxels of the first anchors, in world units"
     )
     train.add_argument("--seed", type=seed, metavar="S", help="of the random numbers (default: 0)")
     train.add_argument(

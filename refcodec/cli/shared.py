@@ -281,11 +281,13 @@ def add_command(
     examples: list[str],
     notes: str = "",
     writes: bool = False,
+    parents: Sequence[argparse.ArgumentParser] = (),
 ) -> argparse.ArgumentParser:
     """Adds a command and returns its parser.
 
     run: returns the exit status. text: what the command does, in a clause. examples: without the program's name. notes:
-    further help. writes: whether it has outputs. The help ends with the rule of outputs, and the exit statuses.
+    further help. writes: whether it has outputs. parents: parsers of options that it shares with others. The help ends
+    with the rule of outputs, and the exit statuses.
     """
     epilog = (
         "examples:\n"
@@ -301,6 +303,7 @@ def add_command(
         description=text[0].upper() + text[1:] + ".",
         epilog=epilog,
         formatter_class=argparse.RawDescriptionHelpFormatter,
+        parents=parents,
     )
     parser.add_argument("--progress", action="store_true", help="show progress on stderr even if it is not a terminal")
     parser.set_defaults(run=run)

@@ -60,24 +60,31 @@ def camera_of(shown: bytes | Scene | Uncompressed) -> NamedCamera:
 
 def photographs_as_trained(
     arguments: argparse.Namespace, folder: str, render: RenderInfo, camera: NamedCamera
-) -> tuple[PhotographSet, str | None]:
+) -> tuple[PhotographSet, list[str]]:
     """Returns the photographs of a folder as the scene's training had them, unless the options say otherwise.
 
     A scene folder says it in training.json. Otherwise the camera of the scene is that of the first photograph, and
-    every eighth one is held out. Also returns a line on the size, if no option says it. Raises UsageError.
+    every eighth one is held out. Also returns lines on what neither the options nor training.json say: the size, and
+    for a command with --holdout which photographs are compared. Raises UsageError.
     """
     from ..folder.layout import REPORT_FILE
+    from ..photographs.photographs import TEST_EVERY
 
     path = Path(arguments.file) / REPORT_FILE
     trained = _trained(path)
-    size, said = arguments.size, None
+    size, said = arguments.size, []
     if size is None:
         size = trained.get("size") or str(max(camera.width, camera.height))
         source = f"{path} says" if "size" in trained else "the scene's own camera has"
-        said = f"refcodec: photographs are taken at size {size}, as {source}; --size full takes them as they are"
+        said.append(f"photographs are taken at size {size}, as {source}; --size full takes them as they are")
     background = getattr(arguments, "background", None) or ",".join(map(str, render.background))
     holdout = getattr(arguments, "holdout", None)
     holdout = trained.get("holdout") if holdout is None else holdout
+    if holdout is None and "holdout" in arguments:
+        said.append(
+            f"every {TEST_EVERY}th photograph is compared, or the test set of the data set, because "
+            f"{arguments.file} does not say which ones training held out; --holdout N takes every N-th one, 0 all"
+        )
     return read_photographs_of(folder, size, background, holdout), said
 
 

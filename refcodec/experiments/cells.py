@@ -18,7 +18,7 @@ from ..train.settings import TrainSettings
 from ..train.settings_file import document
 from .figures import FIGURES
 from .plan import Experiment, Method, Scene
-from .runs import Command
+from .runs import Command, has
 
 FORMAT = "C3GS cell"
 # Below a cell's folder: what its commands make, the lines that they print to stderr, and the result.
@@ -115,14 +115,19 @@ def hash_of(definition: dict[str, Any]) -> str:
 
 
 def read_result(folder: Path) -> dict[str, Any] | None:
-    """The result of a cell's folder, whole, or None. Its hash is that of the definition in it.
+    """The result of a cell's folder, or None if there is none, or none that is whole.
+
+    Its hash is that of the definition in it. Raises RunError for something else in its place, and OSError for one that
+    cannot be read.
 
     `bytes`, `anchors`, `parts` (bytes by section) and `mean` are those of `eval --json`, `sha256` is of the file, None
     for an uncompressed scene, and `seconds` and `processor_seconds` are by command.
     """
     try:
+        if not has(folder / RESULT):
+            return None
         found = read_json(folder / RESULT)
-    except (OSError, DocumentError):
+    except DocumentError:
         return None
     try:
         whole = (

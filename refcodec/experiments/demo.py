@@ -19,19 +19,17 @@ from ..files.outputs import check_apart
 from ..files.stage import write_file
 from ..folder.layout import REPORT_FILE, SCENE_FILE
 from ..folder.read import read_folder
-from ..photographs.photographs import parse_size, read_photographs
 from ..render.images import image_names
+from .data_set import DataSet
 from .page import page
 from .result import Chart, File, Part, Result, Step, View
-from .runs import Command, Notes, RunError, Runner, is_evaluation, is_report, read_result, shown
+from .runs import Command, Notes, RunError, Runner, has, is_evaluation, is_report, read_result, shown
 
 FORMAT, NOTES, PAGE = "C3GS demo", "demo.json", "index.html"
 EXAMPLES = Path(__file__).resolve().parents[2] / "examples" / "photographs"
 TITLES = {"caliterra": "A building site from the air", "snowmiku": "A plush doll"}
 # lambda_r: the paper's middle.
 RATE = 0.004
-# The longest side of an image, in pixels.
-SIZE = "400"
 # Three minutes of training on two cores for caliterra, five for snowmiku.
 STEPS = 3000
 
@@ -49,30 +47,29 @@ HEADERS = "headers and tables"
 
 @dataclass(frozen=True)
 class Demo:
-    """Where everything is. folder: of the results. photographs: a folder of posed ones. steps: of each training."""
+    """Where everything is. folder: of the results. steps: of each training."""
 
     folder: Path
-    photographs: Path
+    photographs: DataSet
     steps: int
 
     def path(self, name: str) -> Path:
         return self.folder / name
 
     def _training(self, name: str, rate: float) -> Command:
-        output = self.path(name)
-        settings = ("--rate", f"{rate:g}", "--steps", str(self.steps), "--size", SIZE, "--threads", "1", "--progress")
+        output, source = self.path(name), str(self.photographs.folder)
+        words = ("--rate", f"{rate:g}", "--steps", str(self.steps), *self.photographs.trained, "--threads", "1")
         state = output.with_name(f"{name}.train-state")
         return Command(
-            name, ("train", str(self.photographs), "-o", str(output), *settings), output / REPORT_FILE, state=state
+            name, ("train", source, "-o", str(output), *words, "--progress"), output / REPORT_FILE, state=state
         )
 
     def _evaluation(self, name: str, scene: Path, after: str) -> Command:
         what = (
             "eval",
             str(scene),
-            str(self.photographs),
-            "--size",
-            SIZE,
+            str(self.photographs.folder),
+            *self.photographs.evaluated,
             "--images",
             str(self.path(f"images-{name}")),
             "--json",
@@ -106,7 +103,7 @@ def find_example(name: str) -> Path:
     return folder
 
 
-def run_demo(folder: Path, photographs: Path, steps: int) -> tuple[Path, bool]:
+def run_demo(folder: Path, photographs: DataSet, steps: int) -> tuple[Path, bool]:
     """Trains, encodes, decodes, evaluates and writes the page.
 
     What was done before in this folder with the same settings is not done again. Returns the page's path, and whether
@@ -115,7 +112,7 @@ def run_demo(folder: Path, photographs: Path, steps: int) -> tuple[Path, bool]:
     """
     demo = Demo(folder, photographs, steps)
     # What is wrong with them is said before anything is made.
-    found = read_photographs(photographs, parse_size(SIZE))
+    found = photographs.read()
     check_apart([folder / NOTES, folder / PAGE], found.places())
     with hold_folder(folder):
         return _run(demo)
@@ -127,7 +124,7 @@ def _run(demo: Demo) -> tuple[Path, bool]:
     with shown([UNCOMPRESSED, CODED]) as show:
         runner = Runner(notes, show, jobs=2)
         whole = runner.run([[command] for command in trainings])
-        if not all(command.output.exists() for command in trainings):
+        if not all(has(command.output) for command in trainings):
             raise RunError("stopped before both trainings had a scene to show; the same command goes on", 130)
         if not runner.run(rest):
             raise RunError("stopped; the same command goes on", 130)
@@ -158,7 +155,7 @@ def collect(demo: Demo, notes: Notes) -> Result:
     """What the page shows, from the files of a demo."""
     reports = {name: read_result(demo.path(name) / REPORT_FILE, is_report) for name in (UNCOMPRESSED, CODED)}
     evals = {name: read_result(demo.path(f"{name}.eval.json"), is_evaluation) for name in (UNCOMPRESSED, CODED)}
-    found = read_photographs(demo.photographs, parse_size(SIZE))
+    found, name = demo.photographs.read(), demo.photographs.folder.name
     held_out = {p.camera.name: p for p in (found.test or found.train)}
     views = []
     names = image_names(row["image"] for row in evals[CODED]["images"])
@@ -167,7 +164,7 @@ def collect(demo: Demo, notes: Notes) -> Result:
         views.append(View(before["image"], held_out[before["image"]].image, made[0], made[1], before, after))
     commands = [*demo.trainings(), *(command for chain in demo.rest() for command in chain)]
     return Result(
-        title=TITLES.get(demo.photographs.name, demo.photographs.name),
+        title=TITLES.get(name, name),
         photographs=len(found.train) + len(found.test),
         held_out=bool(found.test),
         views=tuple(views),
@@ -187,7 +184,7 @@ def collect(demo: Demo, notes: Notes) -> Result:
             Chart(name, tuple((row["seconds"], row["psnr"]) for row in reports[name]["history"])) for name in reports
         ),
         files=_files(demo),
-        credits=_credits(demo.photographs),
+        credits=_credits(demo.photographs.folder),
     )
 
 
@@ -221,7 +218,7 @@ def _credits(photographs: Path) -> str:
     found = [
         path.read_text(encoding="utf-8", errors="replace").strip()
         for name in ("SOURCE.md", "LICENSE")
-        if (path := photographs / name).is_file()
+        if has(path := photographs / name)
     ]
     # Items of a list are broken into lines for an editor; a page breaks them itself.
     return re.sub(r"\n +", " ", "\n\n".join(found)).removeprefix("# ") or f"The photographs are those in {photographs}."

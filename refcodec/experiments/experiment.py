@@ -12,6 +12,7 @@ from typing import Any
 
 from .. import statuses
 from ..files.documents import DocumentError, read_json
+from ..files.present import NotAFileError, is_there
 from ..files.stage import write_file
 from ..files.terminal import note
 from ..photographs.photographs import TEST_EVERY, PhotographError, parse_size, read_photographs
@@ -28,18 +29,21 @@ _NAMED = 20
 
 
 class Folder:
-    """The folder of an experiment, which is made. Raises ExperimentError if there is something else in it, OSError."""
+    """The folder of an experiment, which is made. Raises ExperimentError if there is something else in it, OSError.
+
+    A mark that cannot be read is an OSError: the folder may well be that of an experiment.
+    """
 
     def __init__(self, path: Path) -> None:
         self.path = path
         path.mkdir(parents=True, exist_ok=True)
         mark = path / MARK
-        if not mark.exists() and not any(path.iterdir()):
-            write_file(mark, f"{json.dumps({'format': FORMAT})}\n".encode())
         try:
-            if read_json(mark)["format"] == FORMAT:
+            if not is_there(mark) and not any(path.iterdir()):
+                write_file(mark, f"{json.dumps({'format': FORMAT})}\n".encode())
+            if is_there(mark) and read_json(mark)["format"] == FORMAT:
                 return
-        except (OSError, DocumentError, KeyError, TypeError):
+        except (NotAFileError, DocumentError, KeyError, TypeError):
             pass
         raise ExperimentError(f"{path} exists and is not the folder of an experiment: choose another one, or empty it")
 

@@ -16,7 +16,7 @@ from ..files.lock import hold_folder
 from ..files.outputs import check_apart
 from ..files.stage import write_file
 from ..folder.layout import REPORT_FILE
-from ..photographs.photographs import parse_size, read_photographs
+from .data_set import DataSet
 from .figures import BD_POINTS, FIGURES, PARTS, Difference, Row, compare, figures_of
 from .runs import Command, Notes, RunError, Runner, is_evaluation, read_result, shown
 
@@ -28,14 +28,11 @@ COLUMNS = ("rate", "bytes", *PARTS, "headers", "bits_per_anchor", "anchors", *FI
 class Settings:
     """Of all trainings.
 
-    folder: of the results. photographs: a folder of posed ones. options: of train, but for the rate and the threads.
-    size: WxH or the longest side. jobs: trainings at a time.
+    folder: of the results. jobs: trainings at a time.
     """
 
     folder: Path
-    photographs: Path
-    options: tuple[str, ...]
-    size: str
+    photographs: DataSet
     jobs: int
 
     def chain(self, rate: float) -> list[Command]:
@@ -43,18 +40,14 @@ class Settings:
         name = f"rate-{rate:g}"
         scene, file = self.folder / name, self.folder / f"{name}.c3gs"
         threads = max(1, (os.cpu_count() or 1) // self.jobs)
-        size = ("--size", self.size)
-        settings = ("--rate", f"{rate:g}", *self.options, *size, "--threads", str(threads), "--progress")
+        source = str(self.photographs.folder)
+        settings = ("--rate", f"{rate:g}", *self.photographs.trained, "--threads", str(threads), "--progress")
         train, encode = f"{name} train", f"{name} encode"
         state = self.folder / f"{name}.train-state"
-        commands = [
-            Command(
-                name, ("train", str(self.photographs), "-o", str(scene), *settings), scene / REPORT_FILE, state=state
-            )
-        ]
+        commands = [Command(name, ("train", source, "-o", str(scene), *settings), scene / REPORT_FILE, state=state)]
         if rate:
             commands.append(Command(name, ("encode", str(scene), "-o", str(file)), file, (train,)))
-        what = ("eval", str(file if rate else scene), str(self.photographs), *size, "--json")
+        what = ("eval", str(file if rate else scene), source, *self.photographs.evaluated, "--json")
         after = encode if rate else train
         return [*commands, Command(name, what, self.folder / f"{name}.json", (after,), printed=True)]
 
@@ -74,7 +67,7 @@ def run_rd(
         raise RunError(
             f"BD-rate needs {BD_POINTS} rates above 0 or more in both curves: {coded} here, {len(other)} in {against}"
         )
-    found = read_photographs(settings.photographs, parse_size(settings.size))
+    found = settings.photographs.read()
     folder = settings.folder
     check_apart([folder / name for name in (NOTES, TABLE, CHART)], [against, *found.places()])
     with hold_folder(folder):

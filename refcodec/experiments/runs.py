@@ -18,6 +18,7 @@ from types import FrameType
 from typing import Any
 
 from ..files.documents import DocumentError, read_json
+from ..files.present import NotAFileError, is_there
 from ..files.stage import Stage, make_folder, write_file
 from ..files.terminal import ProgressStream, note
 from ..files.text import printable, shell_word
@@ -38,6 +39,10 @@ class RunError(Exception):
     def __init__(self, text: str, status: int = 64) -> None:
         self.status = status
         super().__init__(text)
+
+
+class OtherFolderError(RunError):
+    """A folder that has no notes, or notes of something else, or damaged ones."""
 
 
 @dataclass(frozen=True)
@@ -66,6 +71,17 @@ class Command:
         """As it is typed in a shell."""
         text = " ".join(map(shell_word, ["refcodec", *self.arguments, *self.free]))
         return f"{text} > {shell_word(str(self.output))}" if self.printed else text
+
+
+def has(path: Path) -> bool:
+    """Whether a file that a command makes is there. Raises RunError for something else in its place, OSError.
+
+    One that is there and cannot be read is not missing: what it took hours to make would be made again.
+    """
+    try:
+        return is_there(path)
+    except NotAFileError as error:
+        raise RunError(f"{path}: {error}; remove it, and the same command makes it again") from None
 
 
 def _are_notes(value: Any) -> bool:
@@ -134,11 +150,14 @@ class Notes:
 
     @classmethod
     def open(cls, folder: Path, name: str, format: str) -> Notes:
-        """The notes of a folder, which is made. Raises RunError if there is something else in it."""
+        """The notes of a folder, which is made.
+
+        Raises OtherFolderError if there is something else in it, and RunError if it cannot be read or written.
+        """
         path = folder / name
         try:
             make_folder(folder, [])
-            if path.is_file():
+            if is_there(path):
                 found = read_json(path)
                 if isinstance(found, dict) and found.get("format") == format and _are_notes(found.get("commands")):
                     return cls(path, format, found["commands"])
@@ -148,23 +167,23 @@ class Notes:
                 return notes
         except OSError as error:
             raise RunError(f"{error.filename}: {error.strerror}") from None
-        except DocumentError:
+        except (DocumentError, NotAFileError):
             pass
-        raise RunError(f"{folder} exists and is not a folder of this command: choose another one, or empty it")
+        raise OtherFolderError(f"{folder} exists and is not a folder of this command: choose another one, or empty it")
 
     def _write(self) -> None:
         text = json.dumps({"format": self.format, "commands": self.commands}, indent=1) + "\n"
         write_file(self.path, text.encode())
 
     def is_done(self, command: Command) -> bool:
-        """Whether it was run to its end with these arguments, and its output is there."""
+        """Whether it was run to its end with these arguments, and its output is there. Raises RunError, OSError."""
         note = self.commands.get(command.name, {})
-        return bool(note.get("done")) and note["arguments"] == list(command.arguments) and command.output.exists()
+        return bool(note.get("done")) and note["arguments"] == list(command.arguments) and has(command.output)
 
     def can_resume(self, command: Command) -> bool:
-        """Whether it was interrupted with these arguments, and left what it goes on from."""
+        """Whether it was interrupted with these arguments, and left what it goes on from. Raises RunError, OSError."""
         note = self.commands.get(command.name, {})
-        return command.state is not None and command.state.exists() and note.get("arguments") == list(command.arguments)
+        return command.state is not None and has(command.state) and note.get("arguments") == list(command.arguments)
 
     def seconds(self, name: str) -> float:
         """How long a command ran, with the runs that were interrupted."""

@@ -18,7 +18,7 @@ from .. import __version__, statuses
 from ..files.documents import DocumentError, read_json
 from ..files.stage import write_file
 from .cells import FORMAT, LOG, RESULT, WORK, hash_of, read_result
-from .runs import Command, Notes, RunError, Runner
+from .runs import Command, Notes, OtherFolderError, RunError, Runner
 
 NOTES = "commands.json"
 # Seconds between two looks at whether to stop.
@@ -108,8 +108,8 @@ def _run(task: Task, held: IO[str], wanted: Wanted) -> None:
     (task.folder / RESULT).unlink(missing_ok=True)
     try:
         notes = Notes.open(work, NOTES, kind)
-    except RunError:
-        # Of another definition, or damaged.
+    except OtherFolderError:
+        # Of another definition, or damaged. What cannot be read is kept.
         shutil.rmtree(work)
         notes = Notes.open(work, NOTES, kind)
     with (task.folder / LOG).open("a", encoding="utf-8") as log:

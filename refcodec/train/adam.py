@@ -1,6 +1,6 @@
 """Adam on some rows of a table (Kingma and Ba 2015): a step of training changes only the anchors that it sees.
 
-adam_rows and gather_rows are compiled for CPUs. adam_anywhere and joined do the same with torch on any device.
+adam_rows and share_rows are compiled for CPUs. adam_anywhere, joined and added do the same with torch on any device.
 """
 
 from __future__ import annotations
@@ -25,21 +25,22 @@ _REST_1, _REST_2 = np.float32(1) - BETA_1, np.float32(1) - BETA_2
 
 
 @compiled()
-def gather_rows(rows: I64, gradient: F32, total: F32, place: I64, found: I64, count: int) -> int:
-    """Adds gradients [n, D] of the anchors `rows` [n] to the rows of total [M, D] that `place` [N] gives them.
+def share_rows(rows: I64, gradient: F32, place: I64, to: F32) -> I64:
+    """Adds gradients [n, D] of the anchors `rows` [n] to the rows of to [m, D] that `place` [N] gives them.
 
-    place is -1 where an anchor has no row yet. Such an anchor gets the next row, which begins with its gradient. found
-    [M]: the anchor of each row. count: rows used so far. Returns the rows used now.
+    place is -1 where an anchor has no such row. Returns which of the n are of such anchors, ascending.
     """
+    apart = np.empty(rows.shape[0], np.int64)
+    count = 0
     for r in range(rows.shape[0]):
         at = place[rows[r]]
         if at < 0:
-            place[rows[r]], found[count] = count, rows[r]
-            total[count] = gradient[r]
+            apart[count] = r
             count += 1
         else:
-            total[at] += gradient[r]
-    return count
+            for c in range(to.shape[1]):
+                to[at, c] += gradient[r, c]
+    return apart[:count]
 
 
 @compiled(parallel=True)

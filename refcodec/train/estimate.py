@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import math
+
+import numpy as np
 import torch
 
 from ..bitstream.attributes import KINDS
@@ -12,11 +15,11 @@ from .export import position_bytes, weight_bytes
 from .parts.rate import Rate
 from .scaffold import Scaffold
 
-# Bits of an anchor's attributes, masks and share of the planes at one weight of the rate. At others they go with a
-# power of it. In benchmarks/RESULTS.md they are 204 and 229 at 0.001, 139 and 170 at 0.004, 102 and 128 at 0.015.
-LIKELY_BITS, LIKELY_WEIGHT, LIKELY_POWER = 155, 0.004, -0.23
+# Bits that attributes, masks and planes have in the end, for each anchor that there is before the rate, at some weights
+# of the rate. They are means of three scenes in benchmarks/RESULTS.md (Experiment: quality).
+LIKELY_BITS = ((0.001, 164), (0.004, 91), (0.015, 37), (0.04, 14))
 # Bytes of packed weights.
-LIKELY_NETWORKS = 24_000
+LIKELY_NETWORKS = 16_000
 
 
 def uncompressed_bytes(scaffold: Scaffold) -> dict[str, float]:
@@ -31,7 +34,8 @@ def likely_bytes(scaffold: Scaffold, weight: float) -> dict[str, float]:
 
     weight: of the rate. Positions are packed. The rest is what other files have (benchmarks/RESULTS.md).
     """
-    bits = LIKELY_BITS * (weight / LIKELY_WEIGHT) ** LIKELY_POWER
+    weights, found = np.log(np.array(LIKELY_BITS)).T
+    bits = float(np.exp(np.interp(math.log(weight), weights, found)))
     return {
         "positions": position_bytes(scaffold.lattice, choose_lanes(scaffold.count, 2.0 * WIDTH)),
         "attributes": bits / 8 * scaffold.count,

@@ -39,7 +39,7 @@ from .optimisers import moments, restore_moments
 from .rendering_networks import RENDER_WIDTH
 from .settings import FitSettings, QuantisationSettings
 from .settings_file import document
-from .state import Keeper, Saved, restore
+from .state import Keeper, Saved, is_saved, restore
 from .voxelise import display_networks
 
 
@@ -203,7 +203,7 @@ class _Fitting:
 
     def run(self, progress: Progress | None, state: Path | None) -> None:
         """Trains to the end, or until an interrupt."""
-        if state is not None and state.exists():
+        if state is not None and is_saved(state):
             restore(self, state)
         saved, steps = time.monotonic(), self.settings.steps
         keep = Keeper(self, state) if state is not None else None

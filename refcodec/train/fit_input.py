@@ -13,10 +13,12 @@ from ..bitstream.header import PositionGrid, RenderInfo
 from ..bitstream.networks import Layer
 from ..bitstream.reconstruction import Reconstruction, reconstruct
 from ..encoder.cloud import AnchorCloud
-from ..folder.layout import NETWORKS_FILE, PLY_FILE, RENDER_FILE, SCENE_FILE
+from ..folder.layout import NETWORKS_FILE, PLY_FILE, RENDER_FILE, SCENE_FILE, there
 from ..folder.read import read_folder
 from ..folder.uncompressed import is_uncompressed, read_uncompressed
 from .voxelise import default_voxel, read_points, short_mantissa, voxelise
+
+_ADVICE = "restore the file, or give another scene folder"
 
 
 @dataclass(frozen=True, eq=False)
@@ -56,7 +58,7 @@ def read_given(path: str | Path, voxel: float | None = None) -> Given:
 def _folder_of(cloud: Path) -> Path:
     """The scene folder that a PLY file is the point cloud of. Raises ValueError."""
     folder = cloud.parent
-    if not (folder / NETWORKS_FILE).is_file():
+    if not there(folder / NETWORKS_FILE, _ADVICE):
         raise ValueError(
             f"{NETWORKS_FILE} is not beside it: a trained scene is fitted with its rendering networks; "
             "give a scene folder of refcodec train, fit or decode"
@@ -70,7 +72,7 @@ def _read_scene(folder: Path, voxel: float | None) -> Given:
     if is_uncompressed(folder):
         plain = read_uncompressed(folder)
         return Given(_cloud(plain.values, plain.masks), voxel, None, plain.networks, plain.render, plain.camera)
-    if not (folder / SCENE_FILE).is_file():
+    if not there(folder / SCENE_FILE, _ADVICE):
         raise ValueError(f"{folder} has neither {SCENE_FILE} nor {RENDER_FILE}: it is no scene folder")
     scene = read_folder(folder)
     networks = {name: scene.networks[name] for name in RENDERING}

@@ -5,11 +5,13 @@ from __future__ import annotations
 import csv
 import io
 import re
+import stat
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, Protocol
 
 from ..files.outputs import Kind, check_file
+from ..files.present import NotAFileError, is_there
 from ..files.stage import write_file
 from ..files.terminal import note
 from ..statuses import UsageError
@@ -76,14 +78,16 @@ def check_log(path: Path) -> Path:
     if path.suffix.lower() == ".csv":
         check_file(path, TABLE)
         return path
-    if path.is_dir():
+    try:
+        there = is_there(path, stat.S_IFDIR)
+    except NotAFileError:
+        raise UsageError(f"{path} is neither a .csv file nor a folder: choose another log") from None
+    if there:
         others = [file.name for file in path.iterdir() if not file.name.startswith(_EVENTS)]
         if others:
             raise UsageError(
                 f"{path} exists and is not a folder of TensorBoard: choose another one, or name a .csv file"
             )
-    elif path.exists() or path.is_symlink():
-        raise UsageError(f"{path} is neither a .csv file nor a folder: choose another log")
     return path / _EVENTS
 
 

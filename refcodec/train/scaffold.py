@@ -18,14 +18,12 @@ from .settings import TrainSettings
 from .spawn import spawn
 from .start import LATTICE_MAX, first_anchors
 from .state import Saved
+from .visible import visible
 
 I64 = NDArray[np.int64]
 
 # Columns of each table of the anchors.
 COLUMNS = {"features": WIDTHS["features"], "offsets": 3 * OFFSETS, "scalings": WIDTHS["scalings"], "masks": OFFSETS}
-# Bounds of what a camera may see. EXTENT: deviations at which an alpha of one has fallen to 1/255. REACH: a factor, for
-# values that rounding moves. EDGE: pixels around an image, for the low-pass filter.
-EXTENT, REACH, EDGE = 3.33, 1.05, 4.0
 
 # Mean, quaternion, lengths, opacity and colour of some Gaussians.
 Gaussians = tuple[Tensor, Tensor, Tensor, Tensor, Tensor]
@@ -76,29 +74,11 @@ class Scaffold:
 
     def leaves(self, rows: Tensor) -> dict[str, Tensor]:
         """Values of some anchors, as tensors of their own with gradients."""
-        return {name: table[rows].requires_grad_() for name, table in self.tables.items()}
+        return {name: table.index_select(0, rows).requires_grad_() for name, table in self.tables.items()}
 
     def visible(self, camera: Camera) -> Tensor:
-        """The anchors that have a Gaussian which a camera, in training units, may see: int64 [n], ascending.
-
-        None is left out that could be drawn. An anchor reaches as far as its farthest offset and the longest axes of
-        its Gaussians.
-        """
-        p = self.position @ self._moved(camera.rotation).T + self._moved(camera.translation)
-        lengths = torch.exp(self.tables["scalings"] - math.log(self.units.length))
-        reach = self.tables["offsets"].reshape(-1, OFFSETS, 3).abs().amax(dim=1).mul_(lengths[:, :3]).norm(dim=1)
-        reach = REACH * (reach + EXTENT * lengths[:, 3:].amax(dim=1))
-        depth = p[:, 2]
-        inside = depth > self.near - reach
-        for axis, size, focal, middle in (
-            (0, camera.width, camera.fx, camera.cx),
-            (1, camera.height, camera.fy, camera.cy),
-        ):
-            # A sphere against the planes through the eye and the image's edges, some pixels farther out.
-            half, skew = (size / 2 + EDGE) / focal, (size / 2 - middle) / focal
-            away = (p[:, axis] - skew * depth).abs() - half * depth
-            inside &= away < reach * math.sqrt(1 + (half + abs(skew)) ** 2)
-        return torch.nonzero(inside)[:, 0]
+        """The anchors that a camera, in training units, may see: int64 [n], ascending (visible.visible)."""
+        return visible(self.position, self.tables, self.units.length, camera, self.near)
 
     def views(self, cameras: list[Camera]) -> Tensor:
         """How often each anchor is visible, over the mean of all: float32 [N], the weight in the masks' rule."""

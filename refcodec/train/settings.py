@@ -128,6 +128,12 @@ class GrowthSettings:
 
     period: int = setting(100, "from one growth to the next", SCAFFOLD, unit="steps", low=1)
     most: int = setting(40000, "largest number of anchors at any time", unit="anchors", low=1)
+    pixels: int = setting(
+        64,
+        "pixels of all photographs for each anchor, at least: more anchors than that learn the photographs by heart",
+        unit="pixels",
+        low=1,
+    )
     gradient: float = setting(
         2e-4,
         "mean gradient of a projected centre above which its offset grows on the coarsest lattice",

@@ -22,6 +22,7 @@ from safetensors.torch import save_file
 from torch import Tensor, nn
 
 from ..files.documents import parse_json
+from ..files.present import NotAFileError, is_there
 from ..files.terminal import note
 from ..files.text import printable
 from .settings_file import differences
@@ -232,7 +233,7 @@ class Keeper:
         # What safetensors cannot write is no OSError.
         except (OSError, SafetensorError) as error:
             if not self._said:
-                kept = "the one before is kept" if self.path.exists() else "there is none yet"
+                kept = _kept(self.path, "the one before is kept", "there is none yet")
                 note(
                     f"refcodec: the training's state cannot be saved to {self.path} ({_reason(error)}); {kept}. "
                     "The training goes on, and tries it again"
@@ -245,11 +246,29 @@ class Keeper:
             self.path.unlink(missing_ok=True)
 
 
+def _kept(path: Path, yes: str, no: str) -> str:
+    """What to say of a state in a message of another failure. Whatever fails here as well is told, and not raised."""
+    try:
+        return yes if is_there(path) else no
+    except (OSError, NotAFileError) as error:
+        return f"it cannot be told whether {path} is there ({_reason(error)})"
+
+
 def _reason(error: Exception) -> str:
     return (error.strerror if isinstance(error, OSError) else None) or str(error)
 
 
 # --- in ---------------------------------------------------------------------------------------------------------------
+
+
+def is_saved(path: Path) -> bool:
+    """Whether there is a saved state. Raises StateError if something else is in its place, or if it cannot be told."""
+    try:
+        return is_there(path)
+    except NotAFileError as error:
+        raise _refused(path, str(error)) from None
+    except OSError as error:
+        raise StateError(f"it cannot be told whether there is a saved state {path} ({_reason(error)})") from None
 
 
 def restore(training: Savable, path: Path) -> None:
@@ -279,8 +298,8 @@ def _refused(path: Path, problem: str) -> StateError:
 
 def _read(path: Path) -> tuple[dict[str, Any], Saved]:
     """Returns the fingerprint and the values of a state. Raises StateError."""
-    if not path.is_file():
-        raise _refused(path, "it is no file")
+    if not is_saved(path):
+        raise StateError(f"there is no saved state {path}")
     try:
         with safe_open(path, "pt") as file:
             notes = file.metadata() or {}
@@ -323,7 +342,6 @@ def write_somewhere(
             if keep is not None:
                 keep()
             nor = f"{problem}, nor among the temporary files ({other.strerror or other})"
-            found = state.exists()
-            left = f"the same command with --resume goes on from {state}" if found else "no state could be saved"
+            left = _kept(state, f"the same command with --resume goes on from {state}", "no state could be saved")
             raise OSError(error.errno, f"{nor}; {left}", str(output)) from None
         raise OSError(error.errno, f"{problem}; it is in {second}", str(output)) from None

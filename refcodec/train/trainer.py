@@ -92,7 +92,8 @@ class Trainer:
         """The parts of the method that the settings ask for."""
         settings, scaffold, clock, random = self.settings, self.scaffold, self.clock, self.random
         start = settings.masks.start
-        growth = Growth(settings.growth, start, scaffold, clock, random, self._anchors_changed)
+        pixels = sum(p.camera.width * p.camera.height for p in self.photographs.train)
+        growth = Growth(settings.growth, start, scaffold, clock, random, self._anchors_changed, pixels)
         always = [growth, Learning(settings.learning, scaffold, clock), self.looks]
         if not settings.rate.weight:
             return always

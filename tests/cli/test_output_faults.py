@@ -230,7 +230,7 @@ DRAWING = {
         ["render", "scene.c3gs", "--cameras", "orbit", "--frames", "2", "-o", "images"],
         12,
     ),
-    "eval": Case(["eval", "scene.c3gs", "photos", "--size", "full", "--images", "images"], 12),
+    "eval": Case(["eval", "scene.c3gs", "photos", "--size", "full", "--holdout", "8", "--images", "images"], 12),
 }
 
 
@@ -359,12 +359,13 @@ def test_rd(inputs: Path, tmp_path: Path, monkeypatch: Any, capsys: Any) -> None
     for package in ("torch", "matplotlib", "bjontegaard"):
         pytest.importorskip(package)
     from refcodec.experiments import rd, runs  # noqa: PLC0415
+    from refcodec.experiments.data_set import DataSet  # noqa: PLC0415
 
     start = tmp_path / "start"
     shutil.copytree(inputs, start)
     monkeypatch.chdir(start)
-    options = ("--preset", "fast")
-    settings = rd.Settings(Path("curve"), Path("photos"), options, "16", 2)
+    photographs = DataSet(Path("photos"), "16", "auto", 8, ("--preset", "fast"))
+    settings = rd.Settings(Path("curve"), photographs, 2)
     notes = runs.Notes.open(settings.folder, rd.NOTES, rd.FORMAT)
     figures = {"bytes": 100, "parts": {}, "anchors": 5, "mean": dict.fromkeys(rd.FIGURES, 20.0), "images": []}
     for made in settings.chain(0.01):

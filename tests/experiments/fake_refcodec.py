@@ -31,7 +31,7 @@ def train(argv: list[str]) -> int:
     parser.add_argument("--rate", type=float)
     parser.add_argument("--steps", type=int)
     parser.add_argument("--size")
-    for name in ("--threads", "--seed", "--preset", "--device", "--background", "--holdout"):
+    for name in ("--threads", "--seed", "--preset", "--device", "--background", "--holdout", "--anchors", "--voxel"):
         parser.add_argument(name)
     parser.add_argument("--set", action="append")
     parser.add_argument("--resume", action="store_true")
@@ -87,13 +87,13 @@ def train(argv: list[str]) -> int:
 
 def evaluate(argv: list[str]) -> int:
     """Grey images, and figures that rise with the size of the file."""
-    from refcodec.photographs.photographs import parse_size, read_photographs  # noqa: PLC0415
+    from refcodec.photographs.photographs import TEST_EVERY, parse_size, read_photographs  # noqa: PLC0415
 
     parser = argparse.ArgumentParser()
     parser.add_argument("scene", type=Path)
     parser.add_argument("photographs")
     parser.add_argument("--size")
-    parser.add_argument("--holdout")
+    parser.add_argument("--holdout", type=int, default=TEST_EVERY)
     parser.add_argument("--images", type=Path)
     parser.add_argument("--json", action="store_true")
     arguments = parser.parse_args(argv)
@@ -101,7 +101,8 @@ def evaluate(argv: list[str]) -> int:
     facts = document(file.read_bytes(), parse(file.read_bytes()))
     mean = {"psnr": 20 + facts["bytes"] / 1000, "ssim": 0.9, "psnr_3dgs": 20.5, "ssim_3dgs": 0.91}
     rows = []
-    for photograph in read_photographs(arguments.photographs, parse_size(arguments.size)).test:
+    size = parse_size(arguments.size)
+    for photograph in read_photographs(arguments.photographs, size, holdout=arguments.holdout).test:
         camera = photograph.camera
         rows.append({"image": camera.name, **mean})
         if arguments.images:

@@ -235,6 +235,21 @@ def test_demo(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert "another one" in capsys.readouterr().err
 
 
+@pytest.mark.usefixtures("fake")
+def test_options_of_train_are_passed_on(tmp_path: Path) -> None:
+    """Both trainings get them, and the page shows the photographs that were held out."""
+    out = tmp_path / "out"
+    given = ["--voxel", "0.5", "--holdout", "30", "--set", "masks.epsilon=0.02", "--set", "size=40"]
+    assert main(["demo", "-o", str(out), "--steps", "3", *given]) == 0
+    notes = json.loads((out / "demo.json").read_text())["commands"]
+    for name in ("uncompressed", "coded"):
+        train, evaluated = (notes[f"{name} {command}"]["arguments"] for command in ("train", "eval"))
+        words = "--steps 3 --holdout 30 --voxel 0.5 --set masks.epsilon=0.02 --set size=40 --size 40 --threads 1"
+        assert words in " ".join(train)
+        assert "--size 40 --holdout 30 --images" in " ".join(evaluated)
+    assert len(Reader((out / "index.html").read_text()).images()) == 2 + 4 * 3
+
+
 @pytest.mark.slow
 @pytest.mark.usefixtures("fake")
 def test_interrupted(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -291,6 +306,9 @@ def test_what_is_wrong_is_said(
     assert "no cameras" in refused("-o", out, "--photographs", str(mine))
     assert "not allowed with" in refused("--scene", "snowmiku", "--photographs", "x")
     assert "at least 1" in refused("--steps", "0")
+    assert "no setting masks.epsilom" in refused("-o", out, "--set", "masks.epsilom=1")
+    assert "said by the demo itself" in refused("-o", out, "--set", "rate.weight=1")
+    assert "R,G,B" in refused("-o", out, "--background", "grey")
     monkeypatch.setattr(demo, "EXAMPLES", tmp_path)
     assert "--photographs" in refused("-o", out)
     assert not Path(out).exists()

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 from typing import Any
 
@@ -15,6 +16,7 @@ for package in ("PIL", "scipy", "matplotlib", "bjontegaard"):
 from refcodec.experiments import plan  # noqa: E402
 from refcodec.experiments.cells import cells, hash_of  # noqa: E402
 from refcodec.experiments.plan import ExperimentError, read_experiment  # noqa: E402
+from refcodec.train.settings_file import differences, document  # noqa: E402
 
 ROOT = Path(__file__).resolve().parents[2]
 FILES = ROOT / "benchmarks" / "experiments"
@@ -222,13 +224,37 @@ def test_what_a_definition_depends_on(tmp_path: Path) -> None:
     assert hash_of(next(cells(read(tmp_path, renamed))).definition("photographs")) == first
 
 
-@pytest.mark.parametrize(("name", "count"), [("tiny", 3), ("small", 36), ("paper", 525)])
-def test_the_files_of_the_project(name: str, count: int) -> None:
-    experiment = read_experiment(FILES / f"{name}.toml")
-    assert len(list(cells(experiment))) == count
+# The files of the project with their cells.
+COUNTS = {"tiny": 3, "small": 36, "quality": 60, "departures": 72, "larger": 24, "largest": 3, "paper": 525}
+
+
+def test_every_file_of_the_project_is_counted() -> None:
+    assert {path.stem for path in FILES.iterdir()} == set(COUNTS)
+
+
+@pytest.mark.parametrize("name", COUNTS)
+def test_the_files_of_the_project(name: str) -> None:
+    """The settings of all cells are accepted, and the file's own notes count its trainings."""
+    path = FILES / f"{name}.toml"
+    experiment = read_experiment(path)
+    found = list(cells(experiment))
+    assert len(found) == COUNTS[name]
+    if name != "tiny":
+        assert re.search(rf"^# (There are )?{len(found)} trainings", path.read_text(), re.MULTILINE)
     if name == "paper":
         assert {scene.group for scene in experiment.scenes} == {
             "Mip-NeRF360", "TanksAndTemples", "DeepBlending", "BungeeNeRF",
         }  # fmt: skip
-    else:
-        assert all(experiment.photographs(scene).is_dir() for scene in experiment.scenes)
+    for scene in experiment.scenes:
+        if "$" not in scene.photographs:
+            assert experiment.photographs(scene).is_dir()
+
+
+def test_departures_differ_from_the_method_in_what_they_set() -> None:
+    """Each method of departures.toml changes what it names, and nothing else."""
+    experiment = read_experiment(FILES / "departures.toml")
+    (scene,) = experiment.scenes
+    pro, *others = (document(experiment.settings(scene, method, 0.004, 0)) for method in experiment.methods)
+    for method, other in zip(experiment.methods[1:], others, strict=True):
+        changed = [difference.split(" is ")[0] for difference in differences(other, pro)]
+        assert changed == sorted(change.partition("=")[0] for change in method.changes), method.name

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import json
 import math
 import signal
 import subprocess
@@ -118,6 +119,25 @@ def test_rd(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert main([*command, "0.04", "0.03", "--against", str(other)]) == 64
     assert "needs 4 rates" in capsys.readouterr().err
     assert not (out / "rate-0.03").exists()
+
+
+@pytest.mark.usefixtures("fake")
+def test_options_of_train_are_passed_on(tmp_path: Path) -> None:
+    """The trainings get them as they are. What is compared is what was held out."""
+    out = tmp_path / "curve"
+    given = "--background 9,20,30 --holdout 30 --anchors 700 --set masks.epsilon=0.02 --set size=40"
+    command = ["rd", PHOTOGRAPHS, "-o", str(out), "--steps", "2", "--rates", "0.04", *given.split()]
+    assert main(command) == 0
+    notes = json.loads((out / "rd.json").read_text())["commands"]
+    train, evaluated = (notes[f"rate-0.04 {name}"]["arguments"] for name in ("train", "eval"))
+    assert " ".join(train).endswith(f"{given} --size 40 --threads {train[-2]} --progress")
+    assert evaluated[-5:] == ["--size", "40", "--holdout", "30", "--json"]
+    assert len(json.loads((out / "rate-0.04.json").read_text())["images"]) == 3
+    # As train refuses them, before any training.
+    for wrong in ("--holdout -1", "--voxel 0", "--voxel 1 --anchors 9", "--set masks.epsilom=1", "--background grey"):
+        assert main([*command[:2], "-o", str(tmp_path / "none"), *wrong.split()]) == 64
+    assert main([*command, "--set", "rate.weight=0.1"]) == 64
+    assert not (tmp_path / "none").exists()
 
 
 @pytest.mark.slow

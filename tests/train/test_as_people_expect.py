@@ -65,6 +65,11 @@ def test_eval_takes_what_the_training_took(place: Path, source: str, capsys: pyt
     assert parse((place / "scene.c3gs").read_bytes()).scene.render.background == (9, 20, 30)
     given, said = evaluated(capsys, place / "scene.c3gs", source, "--holdout", 5, "--size", 60)
     assert (given["mean"], said) == (file["mean"], "")
+    eighth, said = evaluated(capsys, place / "scene.c3gs", source, "--size", 60)
+    assert said.count("\n") == 1
+    assert "every 8th photograph is compared" in said
+    assert "--holdout N takes every N-th one" in said
+    assert len(eighth["images"]) == 10
     assert len(evaluated(capsys, place / "plain", source, "--holdout", 0)[0]["images"]) == 75
 
 

@@ -2,17 +2,20 @@
 
 from __future__ import annotations
 
+import copy
+
 import numpy as np
 import pytest
 import torch
 from torch import Tensor
 
+from refcodec.bitstream.tables import SCALE_MIN
 from refcodec.train.entropy.bits import bits_anywhere, gauss_bits, laplace_bits
 from refcodec.train.entropy.folded import FoldedMlp
-from refcodec.train.entropy.hyperprior import PlaneSamples
-from refcodec.train.entropy.likelihood import AttributeBits
-from refcodec.train.entropy.model import CHANGES, FEATURES, OFFSETS, WIDTH, count_anywhere
+from refcodec.train.entropy.hyperprior import PlaneSamples, VectorMatrix, plane_neighbours
+from refcodec.train.entropy.model import FEATURES, OFFSETS, SLICES, WIDTH, RateModel
 from refcodec.train.residues import Shown, Symbols
+from refcodec.train.settings import EntropySettings
 
 ROUNDED = pytest.mark.parametrize("rounding", [False, True], ids=["floats", "integers"])
 
@@ -119,18 +122,63 @@ def test_bits(gauss: bool, count: int) -> None:
     agree(gradients(ours, weights, inputs), gradients(wanted, weights, exact), 1e-4)
 
 
-def test_bits_of_attributes() -> None:
+@ROUNDED
+def test_bits_of_attributes(rounding: bool) -> None:
+    """Of F_h's last layer, CARM and the likelihoods: against the same model in float64, which has torch's formulas."""
     draw = torch.Generator().manual_seed(6)
-    mean, scale, symbols = (v.detach().reshape(60, WIDTH) for v in distributions(60 * WIDTH, draw))
-    change = torch.randn(60, 90, generator=draw)
+    # Some symbols are past the bounds of CARM's inputs.
+    spread = np.full(WIDTH, 400.0)
+    model = RateModel(VectorMatrix(), 9, 12, np.zeros(WIDTH), spread, draw, EntropySettings())
+    with torch.no_grad():
+        for parameter in model.coding_parameters():
+            parameter.add_(0.05 * torch.randn(parameter.shape, generator=draw))
+        # Some scales are past the smallest one, where likely symbols would have them smaller still.
+        model.hyper.weights[1][WIDTH - 10 : WIDTH] = 0
+        model.hyper.biases[1][2 * WIDTH - 10 : 2 * WIDTH] -= 13.65
+    symbols, inputs = 450 * torch.randn(60, WIDTH, generator=draw), 300 * torch.randn(60, 36, generator=draw)
+    symbols[:, -10:] /= 1000
+    model.calibrate(inputs, symbols[:, : FEATURES - SLICES[-1]], model.symbols(None).detach())
+    model.set_grid(2)
+    model.set_integers(rounding)
+    model.set_gridded(rounding)
+    assert (symbols[:, : FEATURES - SLICES[-1]].abs() > 1023).any()
     kept = (torch.rand(60, OFFSETS, generator=draw) < 0.3).float()
     kept[:5] = 0
-    inputs = [v.clone().requires_grad_() for v in (torch.cat([mean, scale], dim=1), change, symbols, kept)]
-    ours = AttributeBits.apply(*inputs, CHANGES, FEATURES, 2.0**-20)
-    exact = [v.detach().double().requires_grad_() for v in inputs]
+    hidden = model.activations(inputs).detach()
+    small = model.hyper.outputs(hidden, slice(2 * WIDTH - 10, 2 * WIDTH)) <= SCALE_MIN
+    assert 0.1 < float(small.float().mean()) < 0.9
+    weights, found = torch.rand(60, 3, generator=draw), []
+    for kind, network in ((torch.float32, model), (torch.float64, copy.deepcopy(model).double())):
+        leaves = [v.to(kind).requires_grad_() for v in (hidden, symbols, kept)]
+        bits = network.attribute_bits(*leaves)
+        trained = [p for name, p in network.named_parameters() if name.startswith(("carm", "hyper.weights.1"))]
+        found.append([bits, *gradients(bits, weights, [*leaves, *trained])])
+    assert float(found[0][0].detach()[:5].abs().max()) == 0
+    agree(*found, 1e-4)
 
-    wanted = count_anywhere(*exact, 2.0**-20)
-    weights = torch.rand(60, 3, generator=draw)
-    assert float(ours[:5].abs().max()) == 0
-    agree([ours], [wanted])
-    agree(gradients(ours, weights, inputs), gradients(wanted, weights, exact), 1e-4)
+
+@ROUNDED
+@pytest.mark.parametrize("size", [5, 30])
+def test_bits_of_planes(rounding: bool, size: int) -> None:
+    """Of SARM and the likelihoods: against the same model in float64, which has torch's formulas."""
+    draw = torch.Generator().manual_seed(7)
+    model = RateModel(VectorMatrix(), size, 8, np.zeros(WIDTH), np.ones(WIDTH), draw, EntropySettings())
+    with torch.no_grad():
+        # Scales past the smallest one, and on both sides of it.
+        model.sarm.biases[-1][1] -= 5
+    symbols = torch.round(20 * torch.randn(model.latents.shape, generator=draw))
+    # Some contexts are past their bounds.
+    symbols[:, 0, 1] *= 60
+    symbols[:, 1] = 0
+    model.calibrate(torch.randn(9, 36, generator=draw), torch.randn(9, FEATURES - SLICES[-1], generator=draw), symbols)
+    model.set_grid(2)
+    model.set_integers(rounding)
+    model.set_gridded(rounding)
+    scales = model.sarm(plane_neighbours(symbols))[:, 1]
+    assert 0.1 < float((scales <= SCALE_MIN).float().mean()) < 0.9
+    found = []
+    for kind, network in ((torch.float32, model), (torch.float64, copy.deepcopy(model).double())):
+        planes = symbols.to(kind).requires_grad_()
+        bits = network.plane_bits(planes)
+        found.append([bits, *torch.autograd.grad(0.3 * bits, [planes, *network.sarm.parameters()])])
+    agree(*found, 1e-4)

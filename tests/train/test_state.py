@@ -10,7 +10,7 @@ import subprocess
 import sys
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import pytest
 import torch
@@ -183,7 +183,7 @@ def test_another_version_and_other_files_are_refused(kept: Kept, tmp_path: Path)
     save_file(kept.tensors, kept.path)
     with pytest.raises(StateError, match="another format"):
         restore(trainer, kept.path)
-    with pytest.raises(StateError, match="no file"):
+    with pytest.raises(StateError, match="a directory, not a file"):
         restore(trainer, tmp_path)
     kept.path.write_bytes(kept.data[:-1] + bytes([kept.data[-1] ^ 1]))
     with pytest.raises(StateError, match="checksum"):
@@ -232,6 +232,37 @@ def test_the_last_good_state_is_kept(kept: Kept, tmp_path: Path, capsys: pytest.
     (tmp_path / "state.new").rmdir()
     keep()
     assert path.read_bytes() != before
+
+
+def test_a_state_that_cannot_be_looked_at(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """It is not taken for one that is missing, and does not end a training that cannot save itself."""
+    path, look = tmp_path / "state", os.stat
+    for make, words in (
+        (lambda: None, "there is no saved state"),
+        (lambda: path.symlink_to("nowhere"), "it is a link that leads nowhere, not a file"),
+        (lambda: (path.unlink(), path.mkdir()), "it is a directory, not a file"),
+    ):
+        make()
+        with pytest.raises(StateError, match=words):
+            restore(cast(Any, None), path)
+
+    def refuse(place: Any, *arguments: Any, **options: Any) -> os.stat_result:
+        if os.fspath(place) == str(path):
+            raise PermissionError(errno.EACCES, os.strerror(errno.EACCES), str(path))
+        return look(place, *arguments, **options)
+
+    monkeypatch.setattr("tempfile.tempdir", str(tmp_path))
+    monkeypatch.setattr(os, "stat", refuse)
+    with pytest.raises(StateError, match="cannot be told whether there is a saved state"):
+        restore(cast(Any, None), path)
+    monkeypatch.setattr(state, "save", failing(lambda folder: True))
+    capsys.readouterr()
+    Keeper(cast(Any, None), path)()
+    assert f"it cannot be told whether {path} is there (Permission denied)" in capsys.readouterr().err
+    with pytest.raises(OSError, match=f"nor among the temporary files .*cannot be told whether {path} is there"):
+        state.write_somewhere(lambda folder: failing(lambda _: True)(None, folder), tmp_path / "scene", path)
 
 
 def faults(capsys: pytest.CaptureFixture[str]) -> list[str]:

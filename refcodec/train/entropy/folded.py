@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import math
 from itertools import pairwise
+from typing import TYPE_CHECKING
 
 import torch
 from torch import Tensor, nn
@@ -18,6 +19,9 @@ from ...bitstream.networks import ACCUMULATOR_BOUND, ACTIVATION_MAX, WEIGHT_MAX,
 from ..settings import EntropySettings
 from .passes import is_compiled
 from .units import grid_through, round_through
+
+if TYPE_CHECKING:
+    from .layers import Plan
 
 
 class FoldedMlp(nn.Module):
@@ -79,12 +83,23 @@ class FoldedMlp(nn.Module):
             return self.run_anywhere(layer, x, rows)
         from .layers import FoldedLayer  # noqa: PLC0415 (needs numba)
 
-        before, after = self._ends(layer)
-        values = self.weights[layer], self.biases[layer], after, self.get_buffer(f"step_{layer}")
-        weight, bias, after, step = values if rows == slice(None) else (v[rows] for v in values)
-        rectifies = layer < self.hidden
-        found: Tensor = FoldedLayer.apply(x, weight, bias, before, after, step, self.gridded, rectifies, self.rounding)
+        values = self.weights[layer], self.biases[layer]
+        weight, bias = values if rows == slice(None) else (v[rows] for v in values)
+        found: Tensor = FoldedLayer.apply(self.plan(layer, rows), x, weight, bias)
         return found
+
+    def pairs(self) -> list[Tensor]:
+        """Weights and biases of each layer, which take turns."""
+        return [p for pair in zip(self.weights, self.biases, strict=True) for p in pair]
+
+    def plan(self, layer: int, rows: slice = slice(None)) -> Plan:
+        """What some rows of a layer do beside their weights, for passes on CPUs."""
+        from .layers import Plan  # noqa: PLC0415 (needs numba)
+
+        before, after = self._ends(layer)
+        step = self.get_buffer(f"step_{layer}")
+        arrays = before.numpy(), after[rows].numpy(), step[rows].numpy()
+        return Plan(*arrays, self.gridded, layer < self.hidden, self.rounding)
 
     def run_anywhere(self, layer: int, x: Tensor, rows: slice) -> Tensor:
         """What some rows of a layer make of its inputs, with torch on the device of the tensors."""

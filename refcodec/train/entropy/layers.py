@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import torch
@@ -21,7 +21,7 @@ _HALF, _MOST = np.float32(0.5), np.float32(ACTIVATION_MAX)
 
 
 @compiled()
-def _fold(weight: F32, bias: F32, before: F32, after: F32, step: F32, gridded: bool) -> Any:
+def fold(weight: F32, bias: F32, before: F32, after: F32, step: F32, gridded: bool) -> Any:
     """The file's weights and biases, [out, in] and [out], of those of order one."""
     by_weight, by_bias = np.empty(weight.shape, np.float32), np.empty(bias.shape, np.float32)
     for o in range(weight.shape[0]):
@@ -34,7 +34,7 @@ def _fold(weight: F32, bias: F32, before: F32, after: F32, step: F32, gridded: b
 
 
 @compiled()
-def _unfold(weight: F32, bias: F32, before: F32, after: F32) -> None:
+def unfold(weight: F32, bias: F32, before: F32, after: F32) -> None:
     """Makes gradients of the file's weights and biases those of the weights and biases of order one."""
     for o in range(weight.shape[0]):
         for i in range(weight.shape[1]):
@@ -67,44 +67,58 @@ def _through(upstream: F32, inside: Mask) -> F32:
     return found
 
 
-class FoldedLayer(torch.autograd.Function):
-    """FoldedLayer.apply(x, weight, bias, before, after, step, gridded, rectifies, rounding) -> float32 [n, out].
+class Plan(NamedTuple):
+    """What a layer does beside its weights.
 
-    x: float32 [n, in]. weight [out, in], bias [out]: of order one. before [in], after [out]: the integers that stand
-    for one at inputs and outputs, powers of two. step [out]: of each row's weights and bias in the file, which count if
-    gridded. The result is activations if it rectifies, which are integers if rounding, or else sums. Roundings have the
-    identity's gradient.
+    before [in], after [out]: the integers that stand for one at inputs and outputs, powers of two. step [out]: of each
+    row's weights and bias in the file, which count if gridded. The result is activations if it rectifies, which are
+    integers if rounding, or else sums. Roundings have the identity's gradient.
     """
 
+    before: F32
+    after: F32
+    step: F32
+    gridded: bool
+    rectifies: bool
+    rounding: bool
+
+
+class Trace(NamedTuple):
+    """What the way back through a layer needs of the way forward."""
+
+    x: Tensor
+    by_weight: Tensor
+    inside: Mask | None
+    plan: Plan
+
+
+def layer_forward(plan: Plan, x: Tensor, weight: Tensor, bias: Tensor) -> tuple[Tensor, Trace]:
+    """What a layer makes of x, float32 [n, in], with weights [out, in] and biases [out] of order one: [n, out]."""
+    folded = fold(weight.detach().numpy(), bias.detach().numpy(), *plan[:4])
+    by_weight, by_bias = (torch.from_numpy(v) for v in folded)
+    found = torch.addmm(by_bias, x, by_weight.T)
+    inside = _rectify(found.numpy(), plan.rounding) if plan.rectifies else None
+    return found, Trace(x, by_weight, inside, plan)
+
+
+def layer_backward(trace: Trace, upstream: Tensor, reaches_inputs: bool) -> tuple[Tensor | None, Tensor, Tensor]:
+    """Gradients of inputs, None if they do not matter, of weights and of biases."""
+    along = upstream
+    if trace.inside is not None:
+        along = torch.from_numpy(_through(along.contiguous().numpy(), trace.inside))
+    weight, bias = along.T @ trace.x, along.sum(dim=0)
+    unfold(weight.numpy(), bias.numpy(), *trace.plan[:2])
+    return along @ trace.by_weight if reaches_inputs else None, weight, bias
+
+
+class FoldedLayer(torch.autograd.Function):
+    """FoldedLayer.apply(plan, x, weight, bias) -> float32 [n, out], as layer_forward."""
+
     @staticmethod
-    def forward(
-        ctx: Any,
-        x: Tensor,
-        weight: Tensor,
-        bias: Tensor,
-        before: Tensor,
-        after: Tensor,
-        step: Tensor,
-        gridded: bool,
-        rectifies: bool,
-        rounding: bool,
-    ) -> Tensor:
-        units = before.numpy(), after.numpy()
-        folded = _fold(weight.detach().numpy(), bias.detach().numpy(), *units, step.numpy(), gridded)
-        by_weight, by_bias = (torch.from_numpy(v) for v in folded)
-        found = torch.addmm(by_bias, x, by_weight.T)
-        ctx.inside = _rectify(found.numpy(), rounding) if rectifies else None
-        ctx.units = units
-        ctx.save_for_backward(x, by_weight)
+    def forward(ctx: Any, plan: Plan, x: Tensor, weight: Tensor, bias: Tensor) -> Tensor:
+        found, ctx.trace = layer_forward(plan, x, weight, bias)
         return found
 
     @staticmethod
     def backward(ctx: Any, *upstream: Tensor) -> tuple[Tensor | None, ...]:
-        x, by_weight = ctx.saved_tensors
-        along = upstream[0]
-        if ctx.inside is not None:
-            along = torch.from_numpy(_through(along.contiguous().numpy(), ctx.inside))
-        weight, bias = along.T @ x, along.sum(dim=0)
-        _unfold(weight.numpy(), bias.numpy(), *ctx.units)
-        inputs = along @ by_weight if ctx.needs_input_grad[0] else None
-        return inputs, weight, bias, None, None, None, None, None, None
+        return None, *layer_backward(ctx.trace, upstream[0], ctx.needs_input_grad[1])

@@ -132,7 +132,13 @@ class RateModel(nn.Module):
         )
 
     def plane_bits(self, symbols: Tensor) -> Tensor:
-        """Bits of all plane symbols."""
+        """Bits of all plane symbols, which are part of a loss."""
+        if is_compiled(symbols):
+            from .plane_bits import PlaneBits  # noqa: PLC0415 (needs numba)
+
+            plans = [self.sarm.plan(i) for i in range(self.sarm.hidden + 1)]
+            bits: Tensor = PlaneBits.apply(plans, symbols, self.floor, *self.sarm.pairs())
+            return bits
         out = self.sarm(plane_neighbours(symbols))
         return laplace_bits(out[:, 0], out[:, 1], symbols.reshape(-1), self.floor).sum()
 
@@ -164,15 +170,27 @@ class RateModel(nn.Module):
 
         hidden [n, .]: of F_h. symbols [n, D]. kept: float32 [n, K]. An anchor without a kept offset costs nothing.
         """
+        # The pass of our own takes CARM's inputs for the symbols themselves, or the bounds of SPEC 7.9.
+        if is_compiled(hidden) and not (self.carm_unit is not None and symbols.requires_grad):
+            return self._attribute_bits_on_cpu(hidden, symbols, kept)
         out = self.hyper.outputs(hidden, slice(0, 2 * WIDTH))
         earlier = self.carm_inputs(symbols[:, : FEATURES - SLICES[-1]])
         widths = accumulate(SLICES)
         change = torch.cat([network(earlier[:, :w]) for network, w in zip(self._carm(), widths, strict=False)], dim=1)
-        if not is_compiled(out):
-            return count_anywhere(out, change, symbols, kept, self.floor)
-        from .likelihood import AttributeBits  # noqa: PLC0415 (needs numba)
+        return count_anywhere(out, change, symbols, kept, self.floor)
 
-        bits: Tensor = AttributeBits.apply(out, change, symbols, kept, CHANGES, FEATURES, self.floor)
+    def _attribute_bits_on_cpu(self, hidden: Tensor, symbols: Tensor, kept: Tensor) -> Tensor:
+        from .attributes import AttributeBits, Counting  # noqa: PLC0415 (needs numba)
+
+        rows, last, carm = slice(0, 2 * WIDTH), self.hyper.hidden, self._carm()
+        plans = [[network.plan(i) for i in range(network.hidden + 1)] for network in carm]
+        counting = Counting(rows, self.hyper.plan(last, rows), plans, CHANGES.numpy(), FEATURES, self.floor)
+        parameters = self.hyper.pairs()[-2:]
+        for network in carm:
+            parameters += network.pairs()
+        with torch.no_grad():
+            earlier = self.carm_inputs(symbols[:, : FEATURES - SLICES[-1]])
+        bits: Tensor = AttributeBits.apply(counting, hidden, symbols, earlier, kept, *parameters)
         return bits
 
     def carm_inputs(self, features: Tensor) -> Tensor:

@@ -44,9 +44,14 @@ class Growth(Part):
         clock: Clock,
         random: torch.Generator,
         changed: Callable[[], None],
+        pixels: int,
     ) -> None:
-        """mask_start: logit of a new offset. changed: is called when anchors have come or gone."""
+        """mask_start: logit of a new offset. changed: is called when anchors have come or gone.
+
+        pixels: of all photographs to learn from.
+        """
         self.settings, self.mask_start = settings, mask_start
+        self.most = min(settings.most, pixels // settings.pixels)
         self.scaffold, self.clock, self.random, self.changed = scaffold, clock, random, changed
         self.anchors_changed()
 
@@ -86,7 +91,7 @@ class Growth(Part):
         units = scaffold.units
         cells, owner, edge = self._asked_for()
         stays = np.flatnonzero(~self._transparent())
-        room = max(self.settings.most - len(stays), 0)
+        room = max(self.most - len(stays), 0)
         if room < len(cells):
             chosen = torch.randperm(len(cells), generator=self.random).numpy()[:room]
             cells, owner, edge = cells[chosen], owner[chosen], edge[chosen]

@@ -9,7 +9,7 @@ import torch
 from torch import Tensor
 
 from ...bitstream.dimensions import RENDERING
-from ..adam import ADAM_EPSILON, adam_anywhere, adam_rows, added, gather_rows, joined
+from ..adam import ADAM_EPSILON, F32, I64, adam_anywhere, adam_rows, added, joined, share_rows
 from ..optimisers import learning_rate, moments, restore_moments
 from ..part import Part, Step
 from ..scaffold import COLUMNS, Scaffold
@@ -36,13 +36,8 @@ class Learning(Part):
         self.anchors_changed()
 
     def anchors_changed(self) -> None:
-        """Makes arrays of all anchors' size, which are used again in each step: gather_rows says for what.
-
-        Only the CPU has use for them.
-        """
-        n = self.scaffold.count if self._compiled else 0
-        self._place, self._found = np.full(n, -1, np.int64), np.zeros(n, np.int64)
-        self._total = {name: np.zeros((n, columns), np.float32) for name, columns in COLUMNS.items()}
+        """Makes room for the place of each anchor in a step, -1 if it has none. Only the CPU has use for it."""
+        self._place = np.full(self.scaffold.count if self._compiled else 0, -1, np.int64)
 
     def descend(self, step: Step) -> None:
         """A step of Adam."""
@@ -50,20 +45,21 @@ class Learning(Part):
             group["lr"] = learning_rate(group["decay"], self.clock.share)
         self.optimiser.step()
         self.optimiser.zero_grad(set_to_none=True)
+        rates = {name: learning_rate(getattr(self.settings, name), self.clock.share) for name in COLUMNS}
+        if self._compiled:
+            self._descend_on_cpu(step, rates)
+            return
         joints: dict[tuple[int, ...], tuple[Tensor, Tensor]] = {}
-        for name in COLUMNS:
-            rate = learning_rate(getattr(self.settings, name), self.clock.share)
-            if self._compiled:
-                self._descend_on_cpu(name, step, rate)
-            else:
-                self._descend_on_device(name, step, rate, joints)
+        for name, rate in rates.items():
+            self._descend_on_device(name, step, rate, joints)
 
     def _descend_on_device(
         self, name: str, step: Step, rate: float, joints: dict[tuple[int, ...], tuple[Tensor, Tensor]]
     ) -> None:
-        """_descend_on_cpu with torch. joints: adam.joined of the step's sets of rows, by the numbers of these sets.
+        """_descend_on_cpu for one table, with torch.
 
-        Most tables have gradients for the same sets, and each union makes the CPU wait for the device.
+        joints: adam.joined of the step's sets of rows, by the numbers of these sets. Most tables have gradients for the
+        same sets, and each union makes the CPU wait for the device.
         """
         scaffold = self.scaffold
         found = tuple(i for i, (_, leaves) in enumerate(step.taken) if leaves[name].grad is not None)
@@ -76,22 +72,35 @@ class Learning(Part):
         moments = scaffold.first[name], scaffold.second[name]
         adam_anywhere(scaffold.tables[name], *moments, self.clock.done + 1, rows, gradient, rate)
 
-    def _descend_on_cpu(self, name: str, step: Step, rate: float) -> None:
-        """A step of Adam for the rows of one table that have a gradient."""
-        scaffold, total, count = self.scaffold, self._total[name], 0
-        for rows, leaves in step.taken:
-            if (gradient := leaves[name].grad) is not None:
-                count = gather_rows(rows.numpy(), gradient.numpy(), total, self._place, self._found, count)
-        adam_rows(
-            scaffold.tables[name].numpy(),
-            scaffold.first[name].numpy(),
-            scaffold.second[name].numpy(),
-            self.clock.done + 1,
-            self._found[:count],
-            total,
-            np.float32(rate),
-        )
-        self._place[self._found[:count]] = -1
+    def _descend_on_cpu(self, step: Step, rates: dict[str, float]) -> None:
+        """A step of Adam for the rows of each table that have a gradient.
+
+        There are at most two sets of rows, each with an anchor at most once. The gradients of the second are added to
+        those of the first where the two share an anchor.
+        """
+        (seen, _), *later = step.taken
+        assert len(later) <= 1
+        if later:
+            self._place[seen.numpy()] = np.arange(len(seen))
+        for name, rate in rates.items():
+            found = [
+                (rows.numpy(), grad.contiguous().numpy())
+                for rows, leaves in step.taken
+                if (grad := leaves[name].grad) is not None
+            ]
+            if len(found) == 2:
+                (_, first), (rows, second) = found
+                apart = share_rows(rows, second, self._place, first)
+                found[1] = rows[apart], second[apart]
+            for rows, gradient in found:
+                self._adam(name, rows, gradient, rate)
+        if later:
+            self._place[seen.numpy()] = -1
+
+    def _adam(self, name: str, rows: I64, gradient: F32, rate: float) -> None:
+        """A step of Adam for some rows of a table."""
+        tables = (kind[name].numpy() for kind in (self.scaffold.tables, self.scaffold.first, self.scaffold.second))
+        adam_rows(*tables, self.clock.done + 1, rows, gradient, np.float32(rate))
 
     def state(self) -> dict[str, Any]:
         """The networks' moments; those of the anchors are the scaffold's."""

@@ -1,0 +1,45 @@
+"""Photographs as all trainings and evaluations of a folder of results take them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+from ..photographs.photographs import (
+    TEST_EVERY,
+    PhotographSet,
+    parse_background,
+    parse_size,
+    read_photographs,
+)
+
+
+@dataclass(frozen=True)
+class DataSet:
+    """A folder of posed photographs, and how it is read.
+
+    size, background, holdout: as the settings of `train` have them. options: further arguments of `train`.
+    """
+
+    folder: Path
+    size: str
+    background: str
+    holdout: int
+    options: tuple[str, ...] = ()
+
+    def read(self) -> PhotographSet:
+        """The photographs. Raises PhotographError."""
+        return read_photographs(
+            self.folder, parse_size(self.size), parse_background(self.background), holdout=self.holdout
+        )
+
+    @property
+    def trained(self) -> tuple[str, ...]:
+        """Arguments of `train`."""
+        return *self.options, "--size", self.size
+
+    @property
+    def evaluated(self) -> tuple[str, ...]:
+        """Arguments of `eval`. A scene has its background, and a file does not say what was held out."""
+        held_out = () if self.holdout == TEST_EVERY else ("--holdout", str(self.holdout))
+        return "--size", self.size, *held_out
