@@ -12,10 +12,12 @@ from refcodec.bitstream import tables
 def blocks(text: str) -> dict[str, Any]:
     """Returns the names that the python blocks of SPEC.md define, with all that they use.
 
-    These are the constants of 2.5, the tables of Annex A, the bounds and levels of chapter 11, and SHA256 of 10.4.
+    These are the constants of 2.5, ASCII of 2.4, the tables of Annex A, the bounds and levels of chapter 11, and SHA256
+    of 10.4.
     text: SPEC.md.
     """
     space: dict[str, Any] = {name: _number(value) for name, value, *_ in _rows(text, "### 2.5 ")}
+    space["ASCII"] = lambda letters: list(letters.encode("ascii"))
     for block in re.findall(r"^```python\n(.*?)^```", text, re.DOTALL | re.MULTILINE):
         exec(compile(block, "SPEC.md", "exec"), space)
     data = list(tables.tables_file().read_bytes())
