@@ -196,7 +196,7 @@ def substream(space: dict[str, Any]) -> str:
         11,
         "start",
     )
-    d.words(20, 242, "the symbols of a group: first those of all values, then those of the escapes.", 11, "start")
+    d.words(20, 242, "the model indices of a group: first those of all symbols, then the escapes.", 11, "start")
     return d.svg()
 
 

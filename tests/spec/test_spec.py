@@ -13,6 +13,7 @@ import struct
 from collections import Counter
 from dataclasses import replace
 from fractions import Fraction
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -194,6 +195,66 @@ def test_widths() -> None:
         assert smaller is None or most > LARGEST[smaller], quantity
         assert clause in HEADINGS
     assert max(tables.tables().step) <= 60097
+
+
+def largest_main() -> Dimensions:
+    """The dimensions of Main with the most weights: early slices are large, because all later networks read them."""
+    main = PROFILES[1]
+
+    @cache
+    def best(networks: int, features: int) -> tuple[int, tuple[int, ...]]:
+        """The most weights of the layers of CARM that depend on the slices, and the widths of these."""
+        if networks == 0:
+            return 0, ()
+        widths = range(1, min(64, FEATURES_MAX - features - networks + 1) + 1)
+        found = ((best(networks - 1, features + w), w) for w in widths)
+        return max((rest[0] + 128 * features + 129 * 2 * w, (w, *rest[1])) for rest, w in found)
+
+    slices = max(((w, *best(15, w)[1]) for w in range(1, 65)), key=lambda s: best(15, s[0])[0])
+    top = {name: getattr(main, name)[1] for name in vars(main) if isinstance(getattr(main, name), tuple)}
+    widths = [(top[f"{name}_width"],) * top[f"{name}_layers"] for name in ("hyper", "sarm", "carm")]
+    return Dimensions(
+        top["offset_count"], slices, top["plane_channels"], top["frequency_count"], top["plane_size"], *widths,
+        top["render_width"],
+    )  # fmt: skip
+
+
+def test_the_figures_of_security() -> None:
+    """13.1's memory and times, from its formulas and the largest dimensions of Main. 7.11 has the width of the work."""
+    d = largest_main()
+    assert d.features == FEATURES_MAX
+    names = {
+        "W": weight_count(d), "ch": d.plane_channels, "B": d.plane_size, "C": 1, "n": 1, "D": d.attribute_width,
+        "K": d.offset_count, "L": d.frequency_count,
+    }  # fmt: skip
+    printed = {stage: (formula, stated) for stage, formula, stated in rows(section("13.1"))}
+
+    def memory(stage: str) -> int:
+        formula = re.sub(r"(?<=[\w)]) (?=[\w(])", "*", printed[stage][0]).replace("^", "**")
+        return int(eval(formula, {}, names))
+
+    assert (
+        f"{memory('weights, as f32 and as integers of 16 bits') / 1e6:.1f} MB"
+        == printed["weights, as f32 and as integers of 16 bits"][1]
+    )
+    assert f"{memory('planes') / 1e6:.1f} MB" == printed["planes"][1]
+    chunk = PROFILES[1].chunk_size[1]
+    assert printed["one chunk, as it is decoded"][1] == (
+        f"{memory('one chunk, as it is decoded') * chunk / 1e6:.1f} MB, with {chunk:,} anchors"
+    )
+    assert printed["values of one chunk"][1] == f"{memory('values of one chunk') * chunk / 1e6:.1f} MB"
+    text = " ".join(section("13.1").split())
+    anchors = PROFILES[1].levels[3].anchors
+    assert f"At most this is {memory('values of one chunk') * anchors / 1e9:.1f} GB" in text
+    paper = 12 + 10 + 4 * MAIN_DIMENSIONS.attribute_width
+    assert f"With the dimensions of CAT-3DGS it is {paper * anchors / 1e9:.1f} GB" in text
+    seconds = [level.work / 1e9 for level in PROFILES[1].levels.values()]
+    assert f"at most {seconds[0]:.0f} s, level 2 takes {seconds[1]:.0f} s, and level 3" in text
+    assert f"level 3 takes {seconds[2] / 60:.0f} minutes" in text
+    assert f"for each anchor: {(2 * 16 + 16) * 16 * anchors / 1e9:.0f} s at level 3" in text
+    assert f"A file of {anchors / 16 / 1e6 + 16 * anchors / chunk / 1e6:.1f} MB" in text
+    bound = next(bound for quantity, _, bound, *_ in rows(section("7.11")) if quantity == "work")
+    assert eval(bound.replace("^", "**")) == work(d, anchors)
 
 
 def test_the_largest_sums_of_the_widths(spec: dict) -> None:
