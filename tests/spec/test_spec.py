@@ -734,6 +734,12 @@ def test_lines_are_not_long() -> None:
         assert len(line) <= 120 or line.startswith("|"), number
 
 
+def test_normative_text_names_no_file_of_the_repository() -> None:
+    """Pictures are informative, and the annexes behind A are, too."""
+    body = re.sub(r"!\[[^\]]*\]\([^)]*\)", "", PROSE.partition("## Annex B")[0])
+    assert not re.findall(r"(?:refcodec|conformance|vectors|spec|benchmarks|tests)/\w+|python -m|refcodec \w+", body)
+
+
 def test_worked_example(spec: dict) -> None:
     data = EXAMPLE.read_bytes()
     assert len(data) <= 4096
