@@ -64,7 +64,7 @@ class ChunkReader:
         self._gauss = tables.gauss
         self._trace = trace
 
-    # SPEC 7.1, 10.1 step 5
+    # SPEC 7.1, 10.1
     def read(self, entry: ChunkEntry) -> Chunk:
         """Check a chunk, and return it."""
         data, header, model = self._data, self._header, self._index.position_model

@@ -29,7 +29,7 @@ class _Decoder:
         self.planes: list[Plane] = []
         self.chunks: list[Chunk] = []
 
-    # SPEC 10.1 steps 4 to 6
+    # SPEC 10.1
     def run(self) -> None:
         """Read the sections in file order."""
         for section in self._sections:
@@ -55,7 +55,7 @@ class _Decoder:
         elif section.type == DATA:
             self._read_chunks(section)
 
-    # SPEC 10.1 step 5, [R6.6-7]
+    # SPEC 10.1, [R6.6-7]
     def _read_chunks(self, section: Section) -> None:
         planes = [self.planes[0], join_quadrants(self.planes[1:])] if self.planes else []
         frequencies = self.header["frequency_count"]

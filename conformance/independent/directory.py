@@ -55,7 +55,7 @@ def _check_types(header: Header) -> None:
         require(entry.mode <= HIGHEST_MODES[entry.type], "directory.mode", entry.at + 4)
 
 
-# SPEC [R6.6-5], 10.1 step 3, 13.1: lengths are checked before what they size is read
+# SPEC [R6.6-5], 10.1, 13.1: lengths are checked before what they size is read
 def read_directory(header: Header) -> list[Section]:
     """Check the directory, and return the sections in file order."""
     _check_types(header)

@@ -19,7 +19,7 @@ class Frame:
     high: tuple[int, ...]
 
 
-# SPEC 5.7, 6.7, 10.1 step 4
+# SPEC 5.7, 6.7, 10.1
 def read_frame(data: bytes, section: Section) -> Frame:
     """Read the frame, check it, and return it."""
     at = section.offset

@@ -42,7 +42,7 @@ class Header(Dimensions):
     entries: list[Entry]
 
 
-# SPEC 6.1, 10.1 step 1
+# SPEC 6.1, 10.1
 def read_prologue(data: bytes) -> tuple[int, int]:
     """Check the prologue, and return minor and header_length."""
     require(len(data) >= PROLOGUE_LENGTH, "prologue.truncated", len(data))
@@ -105,7 +105,7 @@ def _check_render_info(header: Header) -> None:
     require(header["low_pass"] >= 0, name, at["low_pass"])
 
 
-# SPEC 6.2 to 6.5, 10.1 step 2
+# SPEC 6.2 to 6.5, 10.1
 def read_header(data: bytes) -> Header:
     """Read the prologue and the header, check them, and return the header. The directory is checked later."""
     minor, header_length = read_prologue(data)

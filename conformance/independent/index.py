@@ -3,7 +3,7 @@
 import struct
 from typing import NamedTuple
 
-from .conventions import padded
+from .conventions import ANCHORS_OF_A_BYTE, padded
 from .errors import require
 from .header import Header
 from .masks import read_mask_model
@@ -53,7 +53,7 @@ def _read_entry(data: bytes, at: int, header: Header, number: int, offset: int, 
     error = "index.chunk"
     length, crc, anchors, kept, *bounds = struct.unpack_from("<4I6H", data, at)
     require(1 <= anchors <= header["chunk_size"], error, at + 8)
-    require(length & 3 == 0 and 16 * (length - CHUNK_HEAD_LENGTH) >= anchors, error, at)
+    require(length & 3 == 0 and ANCHORS_OF_A_BYTE * (length - CHUNK_HEAD_LENGTH) >= anchors, error, at)
     require(kept <= header["offset_count"] * anchors, error, at + 12)
     for n, bits in enumerate(bounds):
         require(bits & 0x7C00 != 0x7C00 and bits != 0x8000, error, at + 16 + 2 * n)
@@ -63,7 +63,7 @@ def _read_entry(data: bytes, at: int, header: Header, number: int, offset: int, 
     return ChunkEntry(number, offset, length, crc, first, anchors, kept, low, high)
 
 
-# SPEC 5.11, 6.10, 10.1 step 4
+# SPEC 5.11, 6.10, 10.1
 def read_index(data: bytes, header: Header, mode: int, at: int, data_span: tuple[int, int]) -> Index:
     """Return the index at data[at]. mode: of its section. data_span: where DATA starts, and its length."""
     mask_model = read_mask_model(data, header, at)

@@ -58,7 +58,7 @@ def _check_dimensions(header: Dimensions, profile: int) -> None:
     require(header["slice_count"] > 1 or header["carm_layers"] == 0, error, at["carm_layers"])
 
 
-# SPEC 11.1, 11.2, 10.1 step 2
+# SPEC 11.1, 11.2, 10.1
 def check_profile(header: Dimensions) -> Level:
     """Check the profile, the level, the dimensions, anchor_count and chunk_size. Return the level."""
     at = header.offsets

@@ -48,7 +48,7 @@ def _decode_plane(
     return [[row[1:-1] for row in grid[1:]] for grid in padded]
 
 
-# SPEC 6.9, 10.1 step 4
+# SPEC 6.9, 10.1
 def read_planes(
     data: bytes, header: Header, section: Section, sarm: Network, laplace: Family, trace: Trace | None
 ) -> list[Plane]:

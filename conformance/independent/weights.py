@@ -106,7 +106,7 @@ def _unpacked(model: Model, steps: list[int], biases: list[int], weights: list[i
     return values + [math.ldexp(x, -exponent) for x, exponent in zip(biases, exponents)]
 
 
-# SPEC 7.13, DECODE_WEIGHTS, 10.1 step 4: a raw layer may be one that can be packed
+# SPEC 7.13, DECODE_WEIGHTS, 10.1: a raw layer may be one that can be packed
 def read_grids(
     data: bytes,
     header: Header,
@@ -161,7 +161,7 @@ class Weights:
     raw: bytes
 
 
-# SPEC 5.8, 6.8, 10.1 step 4
+# SPEC 5.8, 6.8, 10.1
 def read_weights(data: bytes, header: Header, section: Section, tables: Tables, trace: Trace | None) -> Weights:
     """Read the section of weights, check it, and return it."""
     at = section.offset
