@@ -153,7 +153,11 @@ def wrong_value(
 
     @made.drawn
     def _(draw: Draw, t: Target) -> Drawn:
-        path = draw.choice(list(values))
+        # A file without a frame, or with few sections, has no place for some of them.
+        paths = [path for path in values if path in t.elements or f"header.{path}" in t.elements]
+        if not paths:
+            return None
+        path = draw.choice(paths)
         return t, path, draw.choice(values[path])
 
     return made
