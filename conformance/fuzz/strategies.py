@@ -317,9 +317,11 @@ mutations = st.composite(draw_mutation)
 def draw_splice(draw: st.DrawFn, data: bytes) -> bytes:
     """A file with a few bytes of one substream taken out, put in or changed.
 
-    Lengths and checksums are right. The word count may change too.
+    Lengths and checksums are right. The word count may change too. A file without a substream is mutated instead.
     """
     target = Target(data)
+    if not target.substreams:
+        return draw_mutation(draw, data)
     s = draw(st.sampled_from(list(target.substreams.values())))
     part = bytearray(data[s.start : s.end])
     at = draw(st.integers(0, len(part)))
