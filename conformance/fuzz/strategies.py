@@ -172,7 +172,7 @@ def chunkings(draw: st.DrawFn, anchors: int, chunk_size: int) -> tuple[int, ...]
     """None for the fewest chunks, or any number of anchors for each chunk."""
     if draw(st.booleans()):
         return None
-    found = []
+    found: list[int] = []
     while sum(found) < anchors:
         found.append(draw(st.integers(1, min(chunk_size, anchors - sum(found)))))
     return tuple(found)
