@@ -3,8 +3,8 @@
  *   decoder digest FILE           prints the digests of the canonical reconstruction (9.3)
  *   decoder decode FILE OUTPUT    writes the bytes that the scene's digest is the SHA-256 of, and then the seven parts
  *
- * It reads FILE once, from the first byte to the last, so FILE may be a pipe. It holds one section or one chunk at a
- * time. OUTPUT is empty if the file is refused.
+ * It reads FILE from the first byte to the last, and holds one section or one chunk at a time. To be digested, FILE may
+ * be a pipe. OUTPUT is written in a second pass, so a refused file leaves it alone.
  *
  * The exit status is:
  *
@@ -141,22 +141,29 @@ struct block {
 };
 static struct block blocks = {&blocks, &blocks};
 
-static FILE *input, *output; /* output is a null pointer if there is none */
-static const char *output_name;
-static uint64_t input_at; /* the bytes that were read of the file */
+static FILE *input, *output; /* null pointers if they are not open */
+static uint64_t input_at;     /* the bytes that were read of the file */
 
-/* not of the specification: releases all that the program holds. OUTPUT becomes empty, if it is still open. */
-static void RELEASE(void)
+/* not of the specification */
+static void RELEASE_BLOCKS(void)
 {
     while (blocks.next != &blocks) {
         struct block *b = blocks.next;
         blocks.next = b->next;
         free(b);
     }
+    blocks.before = &blocks;
+}
+
+/* not of the specification: releases all that the program holds. The result is 0 if the output could not be written. */
+static int RELEASE(void)
+{
+    int right = !output || !fclose(output);
+    RELEASE_BLOCKS();
     if (input)
         fclose(input);
-    if (output && (output = freopen(output_name, "wb", output)))
-        fclose(output);
+    input = output = NULL;
+    return right;
 }
 
 /* not of the specification: ends the program for wrong usage, or for a failure of input, output or memory */
@@ -1674,7 +1681,7 @@ static int DECODE_CELLS(struct scene *s, struct stream *stream, uint64_t anchors
     int whole = 1;
     memset(nodes[0], 0, sizeof nodes[0]);
     for (int level = CELL_LEVELS - 1; level >= 0; level--) {
-        const uint16_t (*models)[16] = s->position_model + 6 * (level < 2 ? level : 2);
+        uint16_t (*models)[16] = s->position_model + 6 * (level < 2 ? level : 2);
         for (uint64_t i = 0; i < count; i++) {
             s->halves[i] = (uint8_t)DECODE_SYMBOL(stream, (uint32_t)(i % stream->lanes), models[0]);
             NOTE_SYMBOL(stream, s->halves[i]);
@@ -2049,8 +2056,8 @@ static void PARTS_BEGIN(struct scene *s)
     }
 }
 
-/* 9.3: writes what the scene's digest is of, or prints all digests */
-static void PARTS_END(struct scene *s)
+/* 9.3: writes what the scene's digest is of to OUTPUT, if there is one; prints all digests, if they are wanted */
+static void PARTS_END(struct scene *s, int print)
 {
     static const char names[PARTS][10] = {"positions", "masks", "planes", "features", "scalings", "offsets", "weights"};
     const struct header *h = &s->h;
@@ -2065,22 +2072,15 @@ static void PARTS_END(struct scene *s)
     SHA_START(&whole.digest);
     EMIT(&whole, head, sizeof head);
     SHA_END(&whole.digest, digest);
-    if (output) {
-        FILE *written = output;
-        output = NULL; /* nothing takes it back from here on */
-        if (fclose(written))
-            FAIL("cannot write");
+    if (!print)
         return;
-    }
     printf("whole %s\n", HEX(digest));
     for (int i = 0; i < PARTS; i++)
         printf("%s %s\n", names[i], HEX(head + HEAD_LENGTH + 32 * i));
-    if (fflush(stdout) || ferror(stdout))
-        FAIL("cannot write");
 }
 
-/* 2.1, 7.1, 10.1, 10.4: the order of decoding and of checks */
-static void DECODE_FILE(struct scene *s)
+/* 2.1, 7.1, 10.1, 10.4: the order of decoding and of checks. print: whether the digests are wanted. */
+static void DECODE_FILE(struct scene *s, int print)
 {
     struct header *h = &s->h;
     uint64_t data_length = 0;
@@ -2117,7 +2117,7 @@ static void DECODE_FILE(struct scene *s)
     }
     if (READ(&s->section, 1).length)
         REFUSE(FILE_TRAILING, input_at - 1);
-    PARTS_END(s);
+    PARTS_END(s, print);
 }
 
 /* not of the specification */
@@ -2154,13 +2154,19 @@ int main(int argc, char **argv)
     input = fopen(argv[2], "rb");
     if (!input)
         FAIL("cannot open the file");
-    if (decode) {
-        output_name = argv[3];
-        output = fopen(output_name, "wb");
+    DECODE_FILE(&s, !decode);
+    if (decode) { /* the file is right, and is decoded again */
+        RELEASE_BLOCKS();
+        memset(&s, 0, sizeof s);
+        input_at = 0;
+        if (fseek(input, 0, SEEK_SET))
+            FAIL("cannot read the file again");
+        output = fopen(argv[3], "wb");
         if (!output)
             FAIL("cannot open the output");
+        DECODE_FILE(&s, 0);
     }
-    DECODE_FILE(&s);
-    RELEASE();
+    if (!RELEASE() || fflush(stdout) || ferror(stdout))
+        FAIL("cannot write");
     return 0;
 }

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import resource
 import struct
+import subprocess
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -148,15 +149,15 @@ def test_a_pipe_is_read(c_decoder: Program) -> None:
     assert c_decoder.run("digest", "/dev/stdin", input=FILES["raw"][:-1]).returncode == statuses.REJECTED
 
 
-def test_a_refused_file_leaves_an_empty_output(c_decoder: Program) -> None:
-    """A fault of the last chunk: all others had been written."""
+def test_a_refused_file_leaves_the_output_alone(c_decoder: Program) -> None:
+    """A fault of the last chunk: all others had been decoded."""
     target = Target(FILES["raw"])
     last = target.part("attributes", target.header.chunk_count - 1)[0]
     file, output = c_decoder.folder / "refused.c3gs", c_decoder.folder / "output"
     file.write_bytes(repair(target.put(last, struct.pack("<I", 0))))
     output.write_bytes(b"from before")
     assert c_decoder.run("decode", file, output).returncode == statuses.REJECTED
-    assert output.read_bytes() == b""
+    assert output.read_bytes() == b"from before"
 
 
 @pytest.mark.parametrize(
@@ -170,11 +171,13 @@ def test_a_refused_file_leaves_an_empty_output(c_decoder: Program) -> None:
         ("digest", "."),
         ("decode", "file.c3gs", "nowhere/output"),
         ("decode", "file.c3gs", "/dev/full"),
+        ("decode", "/dev/stdin", "output"),
     ],
 )
 def test_wrong_usage(c_decoder: Program, arguments: tuple[str, ...]) -> None:
     (c_decoder.folder / "file.c3gs").write_bytes(FILES["raw"])
-    ended = c_decoder.run(*arguments, cwd=c_decoder.folder)
+    with subprocess.Popen(["cat", "file.c3gs"], stdout=subprocess.PIPE, cwd=c_decoder.folder) as pipe:
+        ended = c_decoder.run(*arguments, cwd=c_decoder.folder, stdin=pipe.stdout)
     assert ended.returncode == statuses.USAGE
     assert ended.stderr.startswith(b"decoder: ")
     assert ended.stdout == b""
