@@ -2079,7 +2079,7 @@ static void PARTS_END(struct scene *s, int print)
         printf("%s %s\n", names[i], HEX(head + HEAD_LENGTH + 32 * i));
 }
 
-/* 2.1, 7.1, 10.1, 10.4: the order of decoding and of checks. print: whether the digests are wanted. */
+/* 2.1, 7.1, 10.1, 10.2, 10.4: the order of decoding and of checks. print: whether the digests are wanted. */
 static void DECODE_FILE(struct scene *s, int print)
 {
     struct header *h = &s->h;
