@@ -66,6 +66,7 @@ enum {
     SINE_LENGTH = 1024,
     STEP_LENGTH = 64,
     STEP_SHIFT = 12,
+    ANCHORS_OF_A_BYTE = 16,
     /* 11.1 */
     FEATURES_MAX = 128,
     OFFSETS_MAX = 16,
@@ -1587,7 +1588,8 @@ static void CHECK_ENTRY(const struct scene *s, const struct chunk *c, uint64_t a
 {
     if (c->anchors < 1 || c->anchors > s->h.chunk_size)
         REFUSE(INDEX_CHUNK, at + 8);
-    if (c->length % 4 || c->length < CHUNK_HEAD_LENGTH || 16 * (c->length - CHUNK_HEAD_LENGTH) < c->anchors)
+    if (c->length % 4 || c->length < CHUNK_HEAD_LENGTH ||
+        ANCHORS_OF_A_BYTE * (c->length - CHUNK_HEAD_LENGTH) < c->anchors)
         REFUSE(INDEX_CHUNK, at);
     if (c->kept > (uint64_t)s->h.offset_count * c->anchors)
         REFUSE(INDEX_CHUNK, at + 12);
