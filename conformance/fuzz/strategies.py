@@ -172,7 +172,7 @@ def chunkings(draw: st.DrawFn, anchors: int, chunk_size: int) -> tuple[int, ...]
     """None for the fewest chunks, or any number of anchors for each chunk."""
     if draw(st.booleans()):
         return None
-    found = []
+    found: list[int] = []
     while sum(found) < anchors:
         found.append(draw(st.integers(1, min(chunk_size, anchors - sum(found)))))
     return tuple(found)
@@ -317,9 +317,11 @@ mutations = st.composite(draw_mutation)
 def draw_splice(draw: st.DrawFn, data: bytes) -> bytes:
     """A file with a few bytes of one substream taken out, put in or changed.
 
-    Lengths and checksums are right. The word count may change too.
+    Lengths and checksums are right. The word count may change too. A file without a substream is mutated instead.
     """
     target = Target(data)
+    if not target.substreams:
+        return draw_mutation(draw, data)
     s = draw(st.sampled_from(list(target.substreams.values())))
     part = bytearray(data[s.start : s.end])
     at = draw(st.integers(0, len(part)))
