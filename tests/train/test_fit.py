@@ -15,9 +15,7 @@ pytest.importorskip("scipy")
 
 from benchmarks import ideal  # noqa: E402
 from refcodec.bitstream import codec, planes  # noqa: E402
-from refcodec.bitstream.codec import parse_container  # noqa: E402
 from refcodec.bitstream.dimensions import Dimensions  # noqa: E402
-from refcodec.bitstream.directory import ATTRIBUTES, PLANES_SECTION  # noqa: E402
 from refcodec.bitstream.entropy import select  # noqa: E402
 from refcodec.bitstream.networks import IntNetwork, derive_layer  # noqa: E402
 from refcodec.bitstream.scene import Scene  # noqa: E402
@@ -27,6 +25,8 @@ from refcodec.encoder.cloud import AnchorCloud  # noqa: E402
 from refcodec.encoder.quantise import packed  # noqa: E402
 from refcodec.folder.uncompressed import Uncompressed, read_uncompressed, write_uncompressed  # noqa: E402
 from refcodec.folder.write import write_folder  # noqa: E402
+from refcodec.inspect.elements import outline_of  # noqa: E402
+from refcodec.inspect.parts import part_bytes  # noqa: E402
 from refcodec.photographs.photographs import PhotographSet  # noqa: E402
 from refcodec.render.view import View  # noqa: E402
 from refcodec.train import fit, voxelise  # noqa: E402
@@ -232,11 +232,10 @@ def test_training_pays_and_the_coded_size_is_close_to_the_ideal(cloud, result):
     untrained = fitted(cloud, 0)
     assert len(codec.emit(result.scene)) < len(codec.emit(untrained.scene))
     data = codec.emit(result.scene)
-    sections = parse_container(data).sections
+    parts = part_bytes(data, outline_of(data))
     attributes, planes = ideal.attribute_code_length(result.scene), ideal.plane_code_length(result.scene)
-    for kind, length in ((ATTRIBUTES, attributes), (PLANES_SECTION, planes)):
-        coded = 8 * (sections[kind].end - sections[kind].start)
-        assert length.table <= coded
+    for kind, length in (("attributes", attributes), ("planes", planes)):
+        assert length.table <= 8 * parts[kind]
     assert attributes.symbols == 56 * result.scene.anchor_count + 3 * int(result.scene.masks.sum())
     assert abs(attributes.table / attributes.capped - 1) < 0.005
     assert abs(attributes.integer / attributes.capped - 1) < 0.002
