@@ -75,7 +75,7 @@ def float_context(scene: Scene, planes: tuple[F64, F64], positions: NDArray[np.f
         return np.zeros((len(positions), 0))
     u = _float_coordinates(scene.frame, position_integers(positions).astype(np.float64))
     parts = []
-    for plane in planes:
+    for plane in planes if scene.dimensions.plane_channels else ():
         size = plane.shape[-1]
         grid = u[:, :2] * (size - 1)
         cell = np.minimum(grid.astype(np.int64), size - 2)
