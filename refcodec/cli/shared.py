@@ -136,15 +136,28 @@ def read_photographs_of(folder: str, size: str, background: str = "auto", holdou
 
 
 def encoded(
-    arguments: argparse.Namespace, path: str, scene: Scene, positions: str | None = None, weights: str | None = None
+    arguments: argparse.Namespace,
+    path: str,
+    scene: Scene,
+    positions: str | None = None,
+    weights: str | None = None,
+    smallest: bool = False,
 ) -> bytes:
-    """Returns the file of a scene folder. positions, weights: as encoder.quantise.packed. Raises UsageError."""
+    """Returns the file of a scene folder. positions, weights: as encoder.quantise.packed. Raises UsageError.
+
+    smallest: whether encoder.constants.smallest chooses.
+    """
     from ..bitstream.codec import emit
     from ..encoder.quantise import packed
 
     try:
+        scene = packed(scene, positions, weights)
+        if smallest:
+            from ..encoder import constants
+
+            scene = constants.smallest(scene, positions)
         with progress_bar(arguments.progress) as progress:
-            return emit(packed(scene, positions, weights), progress=progress)
+            return emit(scene, progress=progress)
     except ValueError as error:
         raise UsageError(f"{path} cannot be encoded: {error}") from None
 
