@@ -22,12 +22,12 @@ from .entropy import Encoder, Trace
 from .errors import BitstreamError
 from .frame import emit_frame, parse_frame
 from .header import Header, emit_file, read_header
-from .index import emit_entry, entries_start, parse_index
+from .index import chunk_floor, emit_entry, entries_start, parse_index
 from .limits import PROFILES, minimal_level
 from .masks import code_masks, mask_models
 from .networks import derive_networks
 from .planes import assemble_planes, emit_planes
-from .positions import emit_position_model, encode_positions, first_bad
+from .positions import RAW, emit_position_model, encode_positions, first_bad, raw_positions
 from .reader import Chunk, Reader
 from .scene import Ancillary, Scene, check_shapes
 from .source import Piece, WholeFile, pad4
@@ -231,8 +231,14 @@ def _emit_chunks(scene: Scene, coding: Coding, chunks: list[range], progress: Pr
         own = code_attributes(attributes, coding.model, coding.contexts(rows), scene.masks[rows], ranges, given)
         if not np.array_equal(own.steps, given.steps):
             raise ValueError("the scene's step indices are not those that its networks give (SPEC.md 7.8)")
-        for (form, where), bits, symbols in zip(positions, masks.finish(), attributes.finish(), strict=True):
-            coded.append(emit_chunk(form, (where, bits, symbols)))
+        streams = zip(ranges, positions, masks.finish(), attributes.finish(), strict=True)
+        for chunk, (form, where), bits, symbols in streams:
+            content = emit_chunk(form, (where, bits, symbols))
+            # SPEC [R6.10-5]: raw positions take six bytes an anchor, which is above the floor by themselves.
+            if forms is None and len(content) < chunk_floor(len(chunk)):
+                raw = raw_positions(scene.positions[chunk.start : chunk.stop])
+                content = emit_chunk(RAW, (raw, bits, symbols))
+            coded.append(content)
         progress("chunks", len(coded), len(chunks))
     return coded
 

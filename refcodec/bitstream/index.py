@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,6 +15,9 @@ from .errors import BitstreamError
 from .masks import parse_mask_model
 from .positions import F16, PositionModel, first_bad, parse_position_model
 from .source import Piece, pad4
+
+# One number of anchors, or an array of them.
+Count = TypeVar("Count", int, Int64)
 
 # SPEC 5.13: the bytes of a chunk's entry, and its fields as a dtype.
 ENTRY_BYTES = syntax.size_of("ChunkEntry")
@@ -122,15 +126,15 @@ def parse_index(
     return Index(mask_model, position_model, table, data_start + sums[0], sums[1])
 
 
-def _floor(anchors: Int64) -> Int64:
-    """SPEC [R6.10-5]: returns the least length of a chunk."""
+def chunk_floor(anchors: Count) -> Count:
+    """SPEC [R6.10-5]: returns the least length of a chunk, of its number of anchors or of an array of them."""
     return CHUNK_HEAD_BYTES + -(-anchors // ANCHORS_OF_A_BYTE)
 
 
 def _wrong_entries(table: NDArray[np.void], offset_count: int, chunk_size: int) -> NDArray[np.bool_]:
     """SPEC [R6.10-5]: returns which entries have a field that is not allowed, bool [C]."""
     count, length = table["anchor_count"].astype(np.int64), table["length"].astype(np.int64)
-    wrong = (count < 1) | (count > chunk_size) | (length % 4 != 0) | (length < _floor(count))
+    wrong = (count < 1) | (count > chunk_size) | (length % 4 != 0) | (length < chunk_floor(count))
     wrong |= table["kept_count"] > offset_count * count
     for name in ("low", "high"):
         bits = table[name].view(np.uint16)
@@ -148,7 +152,7 @@ def _entry_error(
     name, e = "index.chunk", entry.fields
     if not 1 <= e.anchor_count <= chunk_size:
         return entry.error(name, "anchor_count", e.anchor_count, f"1 to {chunk_size}")
-    least = CHUNK_HEAD_BYTES + -(-e.anchor_count // ANCHORS_OF_A_BYTE)
+    least = chunk_floor(int(e.anchor_count))
     if e.length % 4 or e.length < least:
         return entry.error(name, "length", e.length, f"a multiple of 4, at least {least}")
     if e.kept_count > offset_count * e.anchor_count:

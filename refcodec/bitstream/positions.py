@@ -289,6 +289,11 @@ def first_bad(bits: NDArray[np.uint16]) -> tuple[str, int] | None:
     return ("positions.negative_zero" if bits[first] == 0x8000 else "positions.not_finite"), first
 
 
+def raw_positions(positions: F16) -> bytes:
+    """SPEC 5.14: returns the bytes of positions, float16 [n, 3], in form RAW."""
+    return positions.astype("<f2").tobytes()
+
+
 def encode_positions(
     model: PositionModel | None, positions: F16, counts: list[int], lanes: int, forms: list[int] | None = None
 ) -> list[tuple[int, bytes]]:
@@ -313,6 +318,6 @@ def encode_positions(
         streams = encoder.finish()
     streams.reverse()
     return [
-        (RAW, p.astype("<f2").tobytes()) if code is None else (PACKED, streams.pop())
+        (RAW, raw_positions(p)) if code is None else (PACKED, streams.pop())
         for p, code in zip(each, codes, strict=True)
     ]

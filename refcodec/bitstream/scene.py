@@ -51,7 +51,8 @@ class Scene:
     position_model: what positions are packed with (SPEC 5.12), or None if the index has mode 0.
     weight_scales: uint8 [layers, 3], the scale indices in the order of SPEC 5.9, or None if the weights' mode is 0.
     chunk_anchors: how many anchors each chunk has. None stands for the fewest chunks that chunk_size allows.
-    position_forms: the form of each chunk's positions (SPEC 5.14). None stands for packed wherever that is possible.
+    position_forms: the form of each chunk's positions (SPEC 5.14). None stands for packed wherever that is possible and
+        keeps the chunk above its floor (SPEC [R6.10-5]).
     weight_forms: uint8 [layers], the form of each layer in mode 1. None stands for packed wherever that is possible.
     minor, later: the file's minor version, and the bytes of header fields that it added (SPEC 12.3).
     """

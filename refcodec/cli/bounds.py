@@ -102,7 +102,7 @@ def read_bounded(arguments: argparse.Namespace) -> bytes:
             raise UsageError(f"cannot read {path}: {error.strerror or error}") from None
         if stat.S_ISREG(status.st_mode):
             check_bounds(arguments, path, status.st_size)
-    data = read_file(path)
+    data = read_file(path, lambda length: check_bounds(arguments, path, length))
     if arguments.max_anchors is None and arguments.max_memory is None:
         return data
     try:

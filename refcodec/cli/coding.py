@@ -51,7 +51,9 @@ def _encode(arguments: argparse.Namespace) -> int:
     scene = read_folder(arguments.scene)
     if arguments.meta:
         scene = replace(scene, ancillary=_with_metadata(scene.ancillary, arguments.meta))
-    write_file(output, encoded(arguments, arguments.scene, scene, arguments.positions, arguments.weights))
+    write_file(
+        output, encoded(arguments, arguments.scene, scene, arguments.positions, arguments.weights, arguments.smallest)
+    )
     return 0
 
 
@@ -180,6 +182,12 @@ def add(commands: Any) -> None:
         "--weights",
         choices=("raw", "packed"),
         help="32 bits each, or the integers that those of the coding networks act as (default: as for --positions)",
+    )
+    encode.add_argument(
+        "--smallest",
+        action="store_true",
+        help="also try the scene without a hyperprior and with raw positions, and write the smallest file; no "
+        "position, mask or attribute changes; for scenes of few anchors, such as fit makes",
     )
     decode = add_command(
         commands,

@@ -12,9 +12,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..bitstream.cameras import cameras
+from ..bitstream.chunks import PARTS as CHUNK_PARTS
 from ..bitstream.codec import Parsed
 from ..bitstream.dimensions import mask_contexts
-from ..bitstream.directory import FRAME, INDEX, PLANES_SECTION, WEIGHTS, is_critical
+from ..bitstream.directory import DATA, FRAME, INDEX, PLANES_SECTION, WEIGHTS, is_critical
 from ..bitstream.errors import BitstreamError
 from ..bitstream.header import PROLOGUE_BYTES
 from ..bitstream.limits import PROFILES
@@ -25,6 +26,7 @@ from ..bitstream.scene import Ancillary
 from ..bitstream.source import pad4
 from ..files.text import printable
 from .elements import Outline, outline_of, parse_elements, read_index
+from .parts import part_bytes
 
 # SPEC 5.13: what is shown of the entries of the index, as the fields and in words.
 _SHOWN = {"length": "bytes", "anchor_count": "anchors", "kept_count": "kept offsets"}
@@ -103,6 +105,7 @@ def document(data: bytes, verdict: Parsed | BitstreamError) -> dict[str, Any]:
         "header": _plain(h),
         "profile": PROFILES[h.profile].name if h and h.profile in PROFILES else None,
         "sections": _section_table(data, outline),
+        "parts": part_bytes(data, outline),
     }
     for place in outline.sections:
         start, end = place.start, place.end
@@ -143,8 +146,8 @@ def json_lines(facts: dict[str, Any]) -> Iterator[str]:
             continue
         yield mark
         for number, chunk in enumerate(chunks, start=1):
-            fields = ",\n".join(f'   "{name}": {json.dumps(value)}' for name, value in chunk.items())
-            yield f"  {{\n{fields}\n  }}{',' if number < len(chunks) else ''}"
+            lines = json.dumps(chunk, indent=1).replace("\n", "\n  ")
+            yield f"  {lines}{',' if number < len(chunks) else ''}"
         yield f" {line.removeprefix(mark)}"
 
 
@@ -168,6 +171,8 @@ def summary(facts: dict[str, Any], name: str) -> Iterator[str]:
             f"{s['name']:<14} {kind:>4} {mode:>4} {s['offset']:>10} {s['bytes']:>10} {s['share']:>7.1%}  {bar:<{_BAR}} "
             f"{bits:>12}"
         )
+        if kind == DATA.decode():
+            yield from _data_lines(facts, h["anchor_count"])
     whole_bits = f"{8 * facts['bytes'] / h['anchor_count']:.2f}" if h and h["anchor_count"] else "-"
     yield f"{'whole':<14} {'':>4} {'':>4} {'':>10} {facts['bytes']:>10} {1:>7.1%}  {'':<{_BAR}} {whole_bits:>12}"
     yield ""
@@ -210,6 +215,15 @@ def _header_lines(facts: dict[str, Any], h: dict[str, Any]) -> Iterator[str]:
     for camera in facts["cameras"][:1]:
         more = f", and {len(facts['cameras']) - 1} more" if len(facts["cameras"]) > 1 else ""
         yield f"default view {printable(camera['name'], 60)}, {camera['width']} x {camera['height']} pixels{more}"
+
+
+def _data_lines(facts: dict[str, Any], anchors: int) -> Iterator[str]:
+    """Yields what the parts of all chunks take."""
+    for name in (*CHUNK_PARTS, "heads"):
+        size = facts["parts"][name]
+        share = size / max(1, facts["bytes"])
+        bits = f"{8 * size / anchors:.2f}" if anchors else "-"
+        yield f"  {name:<12} {'':>4} {'':>4} {'':>10} {size:>10} {share:>7.1%}  {'':<{_BAR}} {bits:>12}"
 
 
 def _chunk_lines(facts: dict[str, Any]) -> Iterator[str]:

@@ -62,8 +62,7 @@ def coded_bytes(scaffold: Scaffold, rate: Rate, likely_bits: int) -> dict[str, f
         rendering = scaffold.networks.layers()
         if not scaffold.networks.gridded:
             rendering = quantise_rendering(rendering, likely_bits)
-        model = rate.started()
-        weights = weight_bytes(model.networks(), rendering, model.latents.shape[1], model.latents.shape[2], lanes)
+        weights = weight_bytes(rate.started(), rendering, lanes)
     kinds = dict(zip(KINDS, (bits / 8).tolist(), strict=True))
     return {
         "positions": position_bytes(scaffold.lattice[some.cpu().numpy()], lanes),

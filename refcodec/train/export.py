@@ -29,8 +29,7 @@ from ..encoder.sizes import CHUNK_SIZE, choose_lanes
 from ..encoder.weights import exact_networks, weight_scales
 from ..folder.uncompressed import Uncompressed
 from ..render.camera import Camera
-from .entropy.hyperprior import VectorMatrix
-from .entropy.model import OFFSETS, SLICES
+from .entropy.model import OFFSETS, RateModel
 from .entropy.units import PLANE_SHIFT
 from .parts.rate import Rate
 from .rendering_networks import RENDER_WIDTH
@@ -78,21 +77,23 @@ def uncompressed(scaffold: Scaffold, render: RenderInfo, camera: NamedCamera) ->
     return Uncompressed(values, np.ones((n, OFFSETS), bool), scaffold.networks.layers(), render, camera)
 
 
-def _dimensions(coding: dict[str, list[Layer]], channels: int, plane_size: int) -> Dimensions:
-    """SPEC 5.3, from F_h, SARM and CARM and the planes' sizes."""
-    hyper, sarm, carm = (tuple(len(b) for _, b in coding[name][:-1]) for name in ("hyper", "sarm", "carm.1"))
-    frequencies = VectorMatrix.frequencies
-    return Dimensions(OFFSETS, SLICES, channels, frequencies, plane_size, hyper, sarm, carm, RENDER_WIDTH)
+def _dimensions(model: RateModel, coding: dict[str, list[Layer]]) -> Dimensions:
+    """SPEC 5.3, of a model. coding: its networks."""
+    hyper, sarm, carm = (
+        tuple(len(bias) for _, bias in coding.get(name, [])[:-1]) for name in ("hyper", "sarm", "carm.1")
+    )
+    _, channels, plane_size, _ = model.latents.shape
+    frequencies = coding["hyper"][0][0].shape[1] // 2 - channels
+    columns = model.columns
+    return Dimensions(
+        columns.offsets, columns.slices, channels, frequencies, plane_size, hyper, sarm, carm, RENDER_WIDTH
+    )
 
 
-def weight_bytes(
-    coding: dict[str, list[Layer]], rendering: dict[str, list[Layer]], channels: int, plane_size: int, lanes: Lanes
-) -> int:
-    """Bytes of the section of weights in mode 1 (SPEC 5.8).
-
-    coding: F_h, SARM and CARM. channels, plane_size: ch and B. Raises networks.BoundError.
-    """
-    d = _dimensions(coding, channels, plane_size)
+def weight_bytes(model: RateModel, rendering: dict[str, list[Layer]], lanes: Lanes) -> int:
+    """Bytes of the section of weights in mode 1 (SPEC 5.8). Raises networks.BoundError."""
+    coding = model.networks()
+    d = _dimensions(model, coding)
     networks = exact_networks({name: {**coding, **rendering}[name] for name in d.network_shapes()})
     return len(
         emit_weights(
@@ -126,7 +127,7 @@ def coded_scene(scaffold: Scaffold, rate: Rate, render: RenderInfo, camera: Name
     rows, half = rows[order], half[order]
     count, masks = len(rows), kept[rows]
     networks = {**model.networks(), **scaffold.networks.layers()}
-    d = _dimensions(networks, planes.shape[1], planes.shape[2])
+    d = _dimensions(model, networks)
     empty = Attributes(
         np.zeros((count, d.features), np.int32),
         np.zeros((count, SCALINGS), np.int32),
@@ -142,7 +143,7 @@ def coded_scene(scaffold: Scaffold, rate: Rate, render: RenderInfo, camera: Name
         grid=scaffold.units.grid,
         render=render,
         frame=rate.frame,
-        plane_shift=PLANE_SHIFT,
+        plane_shift=PLANE_SHIFT if d.plane_channels else 0,
         carm_shift=np.zeros(d.carm_inputs, np.uint8),
         networks={name: networks[name] for name in d.network_shapes()},
         planes=np.clip(planes, -PLANE_SYMBOL_MAX, PLANE_SYMBOL_MAX).astype(np.int16),

@@ -42,6 +42,10 @@ def setting(
     return field(default=default, metadata=notes)
 
 
+# SPEC 11.1: the most slices of features in Main.
+SLICES_MAX = 16
+
+
 # --- learning rates ---------------------------------------------------------------------------------------------------
 
 
@@ -233,6 +237,30 @@ class SamplingSettings:
 class EntropySettings:
     """The entropy model in training: planes, F_h, SARM and CARM."""
 
+    channels: int = setting(
+        8, "channels of the planes; 0 for none, which saves bytes where anchors are few", PRO, low=0, high=16
+    )
+    frequencies: int = setting(
+        10,
+        "frequencies of the positional encoding; with none and without planes F_h is a row of constants",
+        PRO,
+        low=0,
+        high=16,
+    )
+    layers: int = setting(
+        1,
+        "hidden layers of F_h and CARM; 0 saves bytes where anchors are few; F_h of constants has none",
+        PRO,
+        low=0,
+        high=2,
+    )
+    slices: tuple[int, ...] = setting(
+        (5, 10, 15, 20),
+        "features of each slice, 16 slices at most; other numbers of features have slices in these proportions",
+        PRO,
+        low=1,
+        high=64,
+    )
     planes: float = setting(0.03, "deviation of the planes at first", unit="latents, of 16 plane symbols each", low=0)
     gain: float = setting(0.1, "spread of a last layer's first weights, times the root of its inputs", low=0)
     bias: float = setting(0.2, "largest first bias of a hidden unit; none is negative", low=0)
@@ -245,6 +273,11 @@ class EntropySettings:
         low=1e-12,
         high=0.01,
     )
+
+    def __post_init__(self) -> None:
+        """Raises ValueError for more slices than Main holds (SPEC 11.1)."""
+        if not 1 <= len(self.slices) <= SLICES_MAX:
+            raise ValueError(f"entropy.slices has {len(self.slices)} slices, 1 to {SLICES_MAX} are allowed")
 
 
 @dataclass(frozen=True)

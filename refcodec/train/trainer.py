@@ -85,7 +85,8 @@ class Trainer:
         pace = Pace(self.clock, bool(settings.rate.weight))
         self.looks = Looks(settings.looks, self.views, self.estimate, self.clock, pace)
         self.rate: Rate | None = None
-        self.parts += self._compose(hyperprior or VectorMatrix())
+        entropy = settings.entropy
+        self.parts += self._compose(hyperprior or VectorMatrix(entropy.channels, entropy.frequencies))
         self.order: list[int] = []
 
     def _compose(self, hyperprior: Hyperprior) -> list[Part]:

@@ -12,6 +12,7 @@ import pytest
 
 from refcodec.bitstream import codec
 from refcodec.bitstream.attributes import Attributes
+from refcodec.bitstream.reader import Reader
 from refcodec.cli.bounds import estimated_memory
 from refcodec.cli.main import main
 
@@ -52,8 +53,8 @@ def test_more_is_refused_before_any_work(
 ) -> None:
     if command[0] in ("render", "eval"):
         pytest.importorskip("numba")
-    # Other modules have codec.parse by their own names; what it calls is here alone.
-    monkeypatch.setattr(codec, "_parse", pytest.fail)
+    # What decodes calls it first of all.
+    monkeypatch.setattr(Reader, "open", pytest.fail)
     for bound in (["--max-anchors", "4"], ["--max-memory", "64K"], ["--max-memory", "64M"]):
         assert main([*words(command, EXAMPLE, tmp_path / "out"), *bound]) == 64
         said = capsys.readouterr()
@@ -97,6 +98,8 @@ def test_the_estimate_is_one_to_two_times_what_is_measured(tmp_path: Path) -> No
         masks=scene.masks[rows],
         attributes=Attributes(a.features[rows], a.scalings[rows], a.offsets[rows], a.steps[rows]),
         position_model=None,
+        chunk_anchors=None,
+        position_forms=None,
     )
     file = tmp_path / "many.c3gs"
     file.write_bytes(codec.emit(many))

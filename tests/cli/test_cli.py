@@ -75,8 +75,8 @@ def test_encode_packs(tmp_path, call):
     def modes(folder: str, *options: str) -> tuple[int, int]:
         target = tmp_path / "out.c3gs"
         assert call("encode", tmp_path / folder, "-o", target, *options) == (0, "", "")
-        sections = parse_container(target.read_bytes()).sections
-        return sections[directory.WEIGHTS].mode, sections[directory.POSITIONS].mode
+        modes = {section.type: section.mode for section in parse_container(target.read_bytes()).sections}
+        return modes[directory.WEIGHTS], modes[directory.INDEX]
 
     assert modes("tiny") == (0, 0)
     assert modes("tiny", "--weights", "packed", "--positions", "packed") == (1, 1)
@@ -188,8 +188,8 @@ def test_progress_only_when_wanted(file, capsys):
     assert capsys.readouterr().err == ""
     assert main(["validate", str(file), "--progress"]) == 0
     err = capsys.readouterr().err
-    assert err.count("attributes:   0%") == 1
-    assert err.count("attributes: 100%") >= 1
+    assert err.count("chunks:   0%") == 1
+    assert err.count("chunks: 100%") >= 1
 
 
 # --- verdicts ---------------------------------------------------------------------------------------------------------
@@ -261,13 +261,13 @@ def little_memory() -> Iterator[None]:
 
 @pytest.mark.usefixtures("little_memory")
 def test_too_long_files_are_not_read(data, tmp_path, call):
-    """Five GiB of nothing, and a scene followed by it: judged by the header alone."""
+    """Five GiB of nothing, and a scene followed by it: no more is read than the header states, and one byte."""
     status, _, err = call("validate", sparse(tmp_path / "zeros", b"", 5 << 30))
     assert (status, verdict(err)["name"]) == (1, "prologue.signature")
     for command in ("validate", "inspect", "digest"):
         status, _, err = call(command, sparse(tmp_path / "long", data, 5 << 30))
         found = verdict(err)
-        assert (status, found["name"], found["offset"]) == (1, "section.truncated", len(data))
+        assert (status, found["name"], found["offset"]) == (1, "file.trailing", len(data))
 
 
 @pytest.mark.usefixtures("little_memory")

@@ -14,11 +14,14 @@ import pytest
 from conformance.cases.checksums import repair
 from conformance.cases.scenes import MAIN_DIMENSIONS, TINY_DIMENSIONS, random_scene
 from refcodec.bitstream import codec, syntax
+from refcodec.bitstream.chunks import read_chunk
 from refcodec.bitstream.codec import parse_container
 from refcodec.bitstream.errors import BitstreamError
 from refcodec.bitstream.header import PROLOGUE_BYTES
+from refcodec.bitstream.reader import Reader
 from refcodec.bitstream.reconstruction import digest
 from refcodec.bitstream.scene import Ancillary
+from refcodec.bitstream.source import WholeFile
 from refcodec.inspect import anchor, dump, elements, summary, trace
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -100,6 +103,8 @@ def test_nothing_raises_on_damaged_files():
         facts = summary.document(damaged, found)
         json.loads("\n".join(summary.json_lines(facts)), parse_constant=pytest.fail)
         assert list(summary.summary(facts, "x"))
+        assert sum(facts["parts"].values()) == len(damaged)
+        assert min(facts["parts"].values()) >= 0
         if error is not None:
             met.add(error.kind.code // 100)
             lines: list[str] = []
@@ -149,6 +154,12 @@ def test_document(scene, data):
     assert facts["kept_offsets"] == scene.masks.sum()
     assert sum(s["bytes"] for s in facts["sections"]) == len(data)
     assert sum(s["share"] for s in facts["sections"]) == pytest.approx(1)
+    reader = Reader(WholeFile(data))
+    index = reader.open().index
+    chunks = [read_chunk(WholeFile(data), index[number], 0) for number in range(3)]
+    for part in ("positions", "masks", "attributes"):
+        assert facts["parts"][part] == sum(len(getattr(chunk, part)) for chunk in chunks)
+    assert sum(facts["parts"].values()) == len(data)
     assert [c["anchor_count"] for c in facts["chunks"]] == [16, 16, 8]
     assert facts["mask_model"] == scene.mask_model.tolist()
     assert facts["header"]["dimensions"]["slice_width"] == list(scene.dimensions.slices)
