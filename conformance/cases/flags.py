@@ -10,6 +10,7 @@ FLAGS = {
     "mode-unchecked": "takes an unknown mode of a section for one that it knows",
     "form-unchecked": "takes an unknown form of a chunk for one that it knows",
     "reserved-unchecked": "lets fields that must be 0 be anything",
+    "padding-unchecked": "does not look at padding",
     "limit-off-by-one": "a limit is one too low or too high",
     "signed-limits": "a limit holds on one side only, or a magnitude overflows",
     "float-limits": "compares so that NaN, an infinity, -0 or a subnormal number gets through",

@@ -155,7 +155,7 @@ def generate(folder: Path, recipes: Iterable[Recipe]) -> tuple[int, int]:
     document = {
         "suite": NAME,
         "suite_version": SUITE_VERSION,
-        "format_version": header.VERSION,
+        "format_version": header.MAJOR,
         "flags": FLAGS,
         "features": FEATURES,
         "vectors": found,

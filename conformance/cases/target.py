@@ -12,7 +12,7 @@ from typing import Any
 from refcodec.bitstream import codec, directory, syntax
 from refcodec.bitstream.chunks import PARTS
 from refcodec.bitstream.dimensions import layers_of
-from refcodec.bitstream.header import SIGNATURE
+from refcodec.bitstream.header import PROLOGUE_BYTES, SIGNATURE
 from refcodec.bitstream.index import CHUNK_HEAD_BYTES
 from refcodec.bitstream.planes import PLANE_NAMES
 from refcodec.bitstream.source import pad4
@@ -73,7 +73,8 @@ class Target:
         self.data = data
         self.header = codec.parse_container(data)
         self.sections = {s.type: s for s in self.header.sections if s.type in directory.SECTIONS}
-        self.fields, self.header_end = layout(data)
+        self.fields = layout(data)[0]
+        self.header_end = PROLOGUE_BYTES + int.from_bytes(data[12:16], "little")
 
     @cached_property
     def elements(self) -> dict[str, Row]:
@@ -186,7 +187,10 @@ class Target:
         return {at: bytes([self.data[at] ^ bits])}
 
     def with_header(self, change: Callable[[Any], None]) -> bytes:
-        """The file with changed fields in its header; header_length is right."""
+        """The file with changed fields in its header; header_length is right.
+
+        Not for a file of a later minor version, whose header has more than these.
+        """
         fields = copy.deepcopy(self.fields)
         change(fields)
         built = syntax.build("Header", fields)

@@ -11,7 +11,9 @@ from functools import cache, lru_cache
 import numpy as np
 
 from refcodec.bitstream import codec
+from refcodec.bitstream.directory import SECTIONS
 from refcodec.bitstream.header import Lanes
+from refcodec.bitstream.scene import Ancillary
 from refcodec.bitstream.tables import tables
 from refcodec.encoder.positions import position_model
 
@@ -31,6 +33,8 @@ from .scenes import (
 )
 from .target import Target
 
+# Where an ancillary section stands that comes behind all critical ones, however many these are.
+BEHIND = len(SECTIONS)
 # Seeds that the fuzzer draws.
 SEEDS = 6
 # The first substream of attributes, which is the only one of some files.
@@ -41,7 +45,17 @@ ATTRIBUTES_0 = "attributes[chunk 0]"
 def plain() -> Target:
     """A file of three chunks in mode 0. Behind its critical sections are two ancillary ones, the last of them empty."""
     made = drawn("refused", 11, chunk_size=4)
-    return Target(codec.emit(replace(made, extensions=((5, 1, b"hello"), (9, 0, b"")))))
+    behind = (Ancillary(b"noTE", 1, b"hello", BEHIND), Ancillary(b"moRE", 0, b"", BEHIND))
+    return Target(codec.emit(replace(made, ancillary=behind)))
+
+
+@cache
+def strewn() -> Target:
+    """A file of two chunks in mode 0 whose ancillary sections stand before, among and behind the critical ones."""
+    made = drawn("refused-strewn", 5, chunk_size=3)
+    texts = (b"a", b"bcd", b"efghi", b"jk", b"l")
+    every = tuple(Ancillary(b"noTE", 0, text, after) for after, text in enumerate(texts, 1))
+    return Target(codec.emit(replace(made, ancillary=(Ancillary(b"moRE", 0, b"first"), *every))))
 
 
 @cache
