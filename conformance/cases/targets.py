@@ -12,6 +12,7 @@ import numpy as np
 
 from refcodec.bitstream import codec
 from refcodec.bitstream.header import Lanes
+from refcodec.bitstream.scene import Ancillary
 from refcodec.bitstream.tables import tables
 from refcodec.encoder.positions import position_model
 
@@ -41,7 +42,8 @@ ATTRIBUTES_0 = "attributes[chunk 0]"
 def plain() -> Target:
     """A file of three chunks in mode 0. Behind its critical sections are two ancillary ones, the last of them empty."""
     made = drawn("refused", 11, chunk_size=4)
-    return Target(codec.emit(replace(made, extensions=((5, 1, b"hello"), (9, 0, b"")))))
+    behind = (Ancillary(b"noTE", 1, b"hello", 5), Ancillary(b"noNE", 0, b"", 5))
+    return Target(codec.emit(replace(made, ancillary=behind)))
 
 
 @cache
