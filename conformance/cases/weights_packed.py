@@ -1,20 +1,25 @@
-"""Cases of clauses 5.16, 6.8 and 7.13: weights in mode 1, as integers on grids, and layers that are raw there."""
+"""Cases of clauses 5.9, 6.8 and 7.13: weights in mode 1, as integers on grids, and layers that are raw there.
+
+A layer is raw or packed as its form says. An encoder may choose the raw form for a layer that could be packed.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
 from functools import cache, partial
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from refcodec.bitstream import codec, weights
-from refcodec.bitstream.dimensions import layers_of
+from refcodec.bitstream.dimensions import Dimensions, layers_of
 from refcodec.bitstream.directory import WEIGHTS
 from refcodec.bitstream.entropy import Coder, Encoder
 from refcodec.bitstream.header import Lanes
 from refcodec.bitstream.scene import Scene
-from refcodec.bitstream.weights import GridLayer
+from refcodec.bitstream.weights import GridLayer, packable
 from refcodec.encoder.weights import pack_weights
 
 from .book import Book
@@ -22,7 +27,18 @@ from .checksums import resized
 from .fault import Draw, Drawn, Edit, Whole, fault
 from .numbers import Int64, Numbers
 from .samplers import Sampler, drawn, sampled
-from .scenes import SMALLEST, TINY_DIMENSIONS, Networks, dyadic, packed_weights, scales, scene, settled
+from .scenes import (
+    CONSTANT,
+    SMALLEST,
+    TINY_DIMENSIONS,
+    Networks,
+    dyadic,
+    packed_weights,
+    scales,
+    scene,
+    settled,
+    silent,
+)
 from .target import Target
 from .targets import SEEDS, grids
 
@@ -45,7 +61,7 @@ def cut(t: Target, layer: str | None, more: int) -> Whole:
 def _(draw: Draw, t: Target) -> Drawn:
     t = _any_grids(draw)
     layer = draw.choice([None, *t.layers])
-    return t, layer, draw.integer(0, 2 if layer is None else 5)
+    return t, layer, draw.integer(0, 3 if layer is None else 7)
 
 
 @fault("weights.layer")
@@ -66,16 +82,17 @@ def _(draw: Draw, t: Target) -> Drawn:
     return t, *draw.choice(wrong)
 
 
-@fault("weights.raw")
-def packable(t: Target, layer: str) -> Edit:
-    """A raw layer whose first bias is 0: without the -0 that it had there it can be packed."""
-    return Edit({t.weight_at(layer, 0, None): bytes(4)}, t.layer_at(layer))
+@fault("weights.reserved")
+def reserved(t: Target, layer: str, item: int, value: int) -> Edit:
+    """A reserved byte of a layer's model is not zero. The first byte of them is told."""
+    path = f"weights.{layer}.reserved"
+    return Edit(t.pack({f"{path}[{item}]": value}), t.at(f"{path}[0]"))
 
 
-@packable.drawn
+@reserved.drawn
 def _(draw: Draw, t: Target) -> Drawn:
     t = _any_grids(draw)
-    return t, t.layers[0]
+    return t, draw.choice(t.layers), draw.integer(0, 1), draw.integer(1, 255)
 
 
 def with_integers(
@@ -227,23 +244,16 @@ def _last_raw() -> Target:
     return Target(codec.emit(packed_weights(made)))
 
 
-@cache
-def _at_the_limit() -> Target:
-    """A file whose raw layer opacity.0 has the largest integer in one row, and a far smaller number in the other."""
-    made = scene("planted-scaled", 2, replace(SMALLEST, render_width=2), lanes=Lanes(0, 0, 1))
-    w, b = made.networks["opacity"][0]
-    w[0], b[0], w[1], b[1] = 0, -0.0, 0, 0
-    w[0, 0], w[1, 0] = (1 << 24) - 1, 2.0**-30
-    return Target(codec.emit(packed_weights(made)))
-
-
 def _refused(book: Book) -> None:
     add = partial(book.add, features="packed-weights")
     behind = "and the bytes of the planes make none"
     cuts: list[tuple[str, str, Callable[[], Target], str | None, int]] = [
         ("nothing", "a section of weights without a byte", grids, None, 0),
         ("cut-in-table", "the section ends within its table", grids, None, 1),
+        ("cut-in-padding", "the section ends within the padding of its table", grids, None, 3),
+        ("cut-behind-table", "the section ends behind its table", grids, None, 4),
         ("cut-in-model", "the section ends within a layer's model", grids, "sarm.1", 5),
+        ("cut-in-reserved", "the section ends within the reserved bytes of a layer's model", grids, "hyper.1", 7),
         ("cut-in-values", "the section ends within the values of a raw layer", grids, "hyper.0", 9),
         ("cut-before-model", f"the weights end before a layer's model, {behind}", grids, "sarm.1", 0),
         ("cut-in-exponent", f"the weights end within the exponent of a layer, {behind}", grids, "sarm.1", 2),
@@ -263,21 +273,17 @@ def _refused(book: Book) -> None:
         ("exponent-150", "exponent 150", "sarm.0", "exponent", 150),
         ("exponent-minus-105", "exponent -105", "sarm.0", "exponent", -105),
         ("raw-exponent", "a raw layer with an exponent", "hyper.0", "exponent", 1),
+        ("raw-exponent-below", "a raw layer with an exponent of -1", "hyper.0", "exponent", -1),
         ("raw-exponent-scale", "a raw layer with a scale of exponents", "hyper.0", "exponent_scale", 1),
         ("raw-weight-scale", "a raw layer with a scale of weights", "hyper.0", "weight_scale", 1),
         ("raw-bias-scale", "a raw layer with a scale of biases", "hyper.0", "bias_scale", 255),
     ):
         make = model_field.of(grids, of_layer, field, value)
         add(f"invalid-grids-{name}", title, make, flags="limit-off-by-one reserved-unchecked")
-    title, make = "a raw layer that can be packed", packable.of(grids, "hyper.0")
-    add("invalid-grids-raw-for-nothing", title, make, flags="canonical-form raw-layer")
-    add(
-        "invalid-grids-raw-at-the-limit",
-        "a raw layer with the largest integer in one row, and a far smaller number in another",
-        packable.of(_at_the_limit, "opacity.0"),
-        requirements="D7.13-1",
-        flags="canonical-form raw-layer limit-off-by-one",
-    )
+    for name, of_layer, item in (("raw", "hyper.0", 0), ("packed", "opacity.1", 1), ("last", "colour.1", 1)):
+        title = f"a reserved byte of a layer's model that is not zero: {name}"
+        make = reserved.of(grids, of_layer, item, 1)
+        add(f"unsupported-grids-reserved-{name}", title, make, flags="reserved-unchecked")
 
 
 def _exponents(book: Book) -> None:
@@ -337,28 +343,28 @@ def _valid(book: Book) -> None:
         "grids-limits",
         "exponents and integers at their limits",
         partial(_regular, "grids-limits", _limits),
-        requirements="D7.13-1 R6.8-6 R6.8-5",
+        requirements="D7.13-1 R6.8-8 R6.8-7",
         flags="grid-exponent symbol-limit limit-off-by-one",
     )
     add(
         "grids-zeros",
         "rows of zeros at the beginning, between and at the end of a layer, and layers of zeros",
         partial(_regular, "grids-zeros", _zeros),
-        requirements="D7.13-1 R6.8-6",
+        requirements="D7.13-1 R6.8-8",
         flags="zero-rows",
     )
     add(
         "grids-differences",
         "exponents that rise and fall from row to row",
         partial(_regular, "grids-differences", _differences),
-        requirements="D7.13-1 R6.8-6",
+        requirements="D7.13-1 R6.8-8",
         flags="grid-exponent",
     )
     add(
         "grids-biases",
         "rows whose exponent is that of the bias",
         partial(_regular, "grids-biases", _biases),
-        requirements="D7.13-1 R6.8-6",
+        requirements="D7.13-1 R6.8-8",
         flags="grid-exponent",
     )
     for value in (0, 255):
@@ -366,28 +372,28 @@ def _valid(book: Book) -> None:
             f"grids-scales-{value}",
             f"all scale indices {value}",
             partial(_one_scale, value),
-            requirements="D7.13-1 R6.8-6 D8.5-1 D8.7-1",
+            requirements="D7.13-1 R6.8-8 D8.5-1 D8.7-1",
             flags="grid-scales raw-width",
         )
     add(
         "grids-scales",
         "scale indices of their own for exponents, weights and biases of each layer",
         _own_scales,
-        requirements="D7.13-1 R6.8-6 D8.5-1",
+        requirements="D7.13-1 R6.8-8 D8.5-1",
         flags="grid-scales",
     )
     add(
         "grids-escapes",
         "integers of each length, far beyond their scale",
         _escapes,
-        requirements="D7.13-1 R6.8-6 D8.6-1 D8.7-1",
+        requirements="D7.13-1 R6.8-8 D8.6-1 D8.7-1",
         flags="escape-prefix escape-sign raw-before-escapes",
     )
     add(
         "grids-lanes",
         "a substream of 256 lanes",
         lambda: replace(_regular("grids-lanes", lambda n: None), lanes=Lanes(0, 0, 8)),
-        requirements="D7.13-1 R6.8-6 D8.3-1",
+        requirements="D7.13-1 R6.8-8 D8.3-1",
         flags="lane-order idle-lanes",
     )
 
@@ -448,7 +454,7 @@ def _escapes() -> Scene:
     def change(n: Networks) -> None:
         numbers = Numbers("grids-escapes")
         w, b = n["colour"][0]
-        values = [s * ((1 << z) | 1) for z in range(1, 24) for s in (1, -1)]
+        values = [s * ((1 << z) | 1) for z in range(1, 24) for s in (1, -1)] + [(1 << 24) - 1, 1 - (1 << 24)]
         w[:] = dyadic(numbers.chosen(values, *w.shape), 0)
         b[:] = dyadic(numbers.chosen(values, len(b)), 0)
 
@@ -456,7 +462,7 @@ def _escapes() -> Scene:
     return replace(made, weight_scales=np.minimum(scales(made.networks), 60).astype(np.uint8))
 
 
-# --- layers that cannot be packed -------------------------------------------------------------------------------------
+# --- raw layers -------------------------------------------------------------------------------------------------------
 
 
 def _raw(book: Book) -> None:
@@ -465,21 +471,21 @@ def _raw(book: Book) -> None:
         "grids-raw-layers",
         "layers that are raw: -0, integers and exponents beyond the limits",
         partial(_regular, "grids-raw-layers", _beyond),
-        requirements="D7.13-1 R6.8-6 R6.8-4 R6.8-7",
+        requirements="D7.13-1 R6.8-7 R6.8-3",
         flags="raw-layer",
     )
     add(
         "grids-raw-all",
         "every layer raw, and a substream of no symbols",
         partial(_regular, "grids-raw-all", _all_raw),
-        requirements="D7.13-1 R6.8-6 R6.8-4 R6.8-7",
+        requirements="D7.13-1 R6.8-7 R6.8-3",
         flags="raw-layer empty-substream",
     )
     add(
         "grids-last-bias",
         "a layer that is raw because of its last bias alone",
         _last_bias,
-        requirements="R6.8-7 D7.13-1",
+        requirements="R6.8-7 R6.8-3 D7.13-1",
         flags="raw-layer grid-exponent",
     )
     add(
@@ -489,6 +495,83 @@ def _raw(book: Book) -> None:
         requirements="D7.13-1 R6.8-7",
         flags="subnormals raw-layer grid-exponent",
     )
+    add(
+        "grids-raw-by-choice",
+        "every second layer raw, all of which could be packed",
+        partial(_chosen, "grids-raw-by-choice", lambda n: np.arange(n) % 2),
+        requirements="D7.13-1 R6.8-7 R6.8-5",
+        flags="raw-layer canonical-form",
+    )
+    add(
+        "grids-raw-all-by-choice",
+        "every layer raw, none of which has to be: as in mode 0, but for the models and the substream",
+        partial(_chosen, "grids-raw-all-by-choice", np.zeros),
+        requirements="D7.13-1 R6.8-7 R6.8-5",
+        flags="raw-layer empty-substream canonical-form",
+    )
+    add(
+        "grids-packed-one",
+        "the last layer packed, all others raw",
+        partial(_chosen, "grids-packed-one", lambda n: np.arange(n) == n - 1),
+        requirements="D7.13-1 R6.8-7 R6.8-5",
+        flags="raw-layer",
+    )
+    add(
+        "grids-raw-of-zeros",
+        "raw layers of zeros, and packed ones",
+        _zeros_of_both_forms,
+        requirements="D7.13-1 R6.8-7",
+        flags="raw-layer zero-rows",
+    )
+    add(
+        "grids-raw-at-the-limit",
+        "the largest integer in one row and a far smaller number in another, in a raw and in a packed layer",
+        _at_the_limit,
+        requirements="D7.13-1 R6.8-7",
+        flags="raw-layer limit-off-by-one",
+    )
+    for name, forms in (("packed", np.ones), ("raw", np.zeros)):
+        add(
+            f"grids-no-inputs-{name}",
+            f"a layer of F_h that has no inputs, {name}",
+            partial(_chosen, f"grids-no-inputs-{name}", forms, CONSTANT),
+            requirements="D7.13-1 R6.8-8" if name == "packed" else "D7.13-1 R6.8-7",
+            flags="raw-layer grid-exponent empty-refused",
+        )
+
+
+def _chosen(name: str, forms: Callable[[int], NDArray[Any]], d: Dimensions = TINY_DIMENSIONS) -> Scene:
+    """A scene in mode 1 whose layers all could be packed. forms: those of so many layers."""
+    made = packed_weights(drawn(name, 3, d))
+    found = forms(len(layers_of(d))).astype(np.uint8)
+    assert packable(made.networks).all()
+    assert made.weight_scales is not None
+    # The model of a raw layer has no scales.
+    return replace(made, weight_scales=made.weight_scales * found[:, None], weight_forms=found)
+
+
+def _zeros_of_both_forms() -> Scene:
+    made = scene("grids-raw-of-zeros", 2, SMALLEST)
+    for name in ("opacity", "colour"):
+        made.networks[name] = silent(made.networks[name])
+    return _some_raw(settled(packed_weights(made)), "opacity.0", "colour.1")
+
+
+def _at_the_limit() -> Scene:
+    made = scene("planted-scaled", 2, replace(SMALLEST, render_width=2), lanes=Lanes(0, 0, 1))
+    for name in ("opacity", "covariance"):
+        w, b = made.networks[name][0]
+        w[:], b[:] = 0, 0
+        w[0, 0], w[1, 0] = (1 << 24) - 1, 2.0**-30
+    return _some_raw(packed_weights(made), "opacity.0")
+
+
+def _some_raw(made: Scene, *names: str) -> Scene:
+    """The scene with some layers raw, and the others packed."""
+    raw = np.array([name in names for name, _, _ in layers_of(made.dimensions)])
+    assert made.weight_scales is not None
+    scale = np.where(raw[:, None], 0, made.weight_scales).astype(np.uint8)
+    return replace(made, weight_scales=scale, weight_forms=(~raw).astype(np.uint8))
 
 
 def _beyond(n: Networks) -> None:
