@@ -4,19 +4,17 @@ from __future__ import annotations
 
 import zlib
 from collections.abc import Callable
-from functools import cache, partial
+from functools import partial
 from typing import Any
 
-from refcodec.bitstream import codec, directory
+from refcodec.bitstream import directory
 from refcodec.bitstream.directory import DATA, FRAME, INDEX, PLANES_SECTION, SECTION_LENGTH_MAX, SECTIONS, WEIGHTS
 
 from .book import Book
 from .checksums import Depth, resized
 from .fault import Draw, Drawn, Edit, Refused, Whole, fault
-from .samplers import drawn
-from .scenes import CONSTANT, PLANELESS, UNENCODED
 from .target import Target
-from .targets import packed, plain, strewn
+from .targets import packed, plain, planeless, strewn, unencoded, unpredicted
 
 # --- faults of the entries --------------------------------------------------------------------------------------------
 
@@ -269,21 +267,6 @@ def _types(add: Add) -> None:
     add("unsupported-mode-data-255", "mode 255 of the data", mode.of(plain, 4, 255), flags="mode-unchecked")
 
 
-@cache
-def _planeless() -> Target:
-    return Target(codec.emit(drawn("refused-planeless", 2, PLANELESS)))
-
-
-@cache
-def _unencoded() -> Target:
-    return Target(codec.emit(drawn("refused-unencoded", 2, UNENCODED)))
-
-
-@cache
-def _constant() -> Target:
-    return Target(codec.emit(drawn("refused-constant", 2, CONSTANT)))
-
-
 def _orders(add: Add) -> None:
     orders: list[tuple[str, str, dict[int, bytes], int]] = [
         ("swapped", "the planes come before the weights", {1: PLANES_SECTION, 2: WEIGHTS}, 1),
@@ -297,14 +280,14 @@ def _orders(add: Add) -> None:
     for name, title, kinds, wrong in orders:
         add(f"malformed-order-{name}", title, types.of(plain, kinds, wrong), flags="section-order")
     without: list[tuple[str, str, Callable[[], Target], dict[int, bytes], int]] = [
-        ("planes-of-none", "planes, though there are no plane channels", _planeless, {2: PLANES_SECTION}, 2),
-        ("frame-of-none", "a frame, though there are neither planes nor frequencies", _constant, {0: FRAME}, 0),
+        ("planes-of-none", "planes, though there are no plane channels", planeless, {2: PLANES_SECTION}, 2),
+        ("frame-of-none", "a frame, though there are neither planes nor frequencies", unpredicted, {0: FRAME}, 0),
     ]
     for name, title, base, kinds, wrong in without:
         add(f"malformed-order-{name}", title, types.of(base, kinds, wrong), flags="section-order")
-    title, make = "no frame, though there are frequencies", types.of(_planeless, {0: b"frAM"}, 1)
+    title, make = "no frame, though there are frequencies", types.of(planeless, {0: b"frAM"}, 1)
     add("malformed-order-no-frame", title, make, flags="section-order")
-    title, make = "no frame, though there are planes", types.of(_unencoded, {0: b"frAM"}, 1)
+    title, make = "no frame, though there are planes", types.of(unencoded, {0: b"frAM"}, 1)
     add("malformed-order-no-frame-of-planes", title, make, flags="section-order")
     title, make = "two sections of the last type", types.of(strewn, {10: DATA}, 10)
     add("malformed-order-data-behind", title, make, flags="section-order")
