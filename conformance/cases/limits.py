@@ -24,9 +24,7 @@ from .header import label_of
 from .numbers import Numbers
 from .samplers import Sampler, drawn, sampled
 from .scenes import (
-    CONSTANT,
     MAIN_SMALLEST,
-    PLANELESS,
     SMALLEST,
     TINY_DIMENSIONS,
     lattice,
