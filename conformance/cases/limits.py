@@ -186,6 +186,19 @@ def _(draw: Draw, t: Target) -> Drawn:
     return t, WORK_BEYOND, level, PROFILES[MAIN].levels[level].anchors - draw.integer(0, 9)
 
 
+@fault("header.work")
+def work_of_widths(t: Target, level: int = 1) -> Edit:
+    """Widths and anchors that the level allows, and whose work it does not. It is for a file of four slices."""
+    values = {"level": level, "anchor_count": PROFILES[MAIN].levels[level].anchors}
+    widths = {"slice_width[0]": 64, "slice_width[3]": 34, "hyper_width[0]": 128, "carm_width[0]": 128}
+    return Edit(t.pack(values | {f"dimensions.{name}": w for name, w in widths.items()}), t.at("anchor_count"))
+
+
+@work_of_widths.drawn
+def _(draw: Draw, t: Target) -> Drawn:
+    return main_file(), draw.integer(1, 3)
+
+
 @fault("header.level_not_minimal")
 def level_of_less_work(t: Target, d: Dimensions, level: int, anchors: int) -> Whole:
     """A level whose lower one allows the anchors, the planes and their work."""
