@@ -2,8 +2,8 @@
 
 A chapter of SPEC.md has a file here, with its valid files, its refused ones and its faults. The file has the name of
 the module of the same clauses in refcodec/bitstream and conformance/independent. What would be too long in one file is
-in several: weights (weights_raw, weights_packed), chunks (chunks, chunk_sizes) and entropy (entropy_values,
-entropy_escapes, entropy_substreams).
+in several: weights (weights_raw, weights_packed, weights_forms), chunks (chunks, chunk_sizes) and entropy
+(entropy_values, entropy_escapes, entropy_substreams).
 These are of no group of clauses:
 
     order_header, order_sections   two faults in one file (10.1)
@@ -62,6 +62,7 @@ def chapters() -> tuple[ModuleType, ...]:
         positions,
         reconstruction,
         resource,
+        weights_forms,
         weights_packed,
         weights_raw,
         whole,
@@ -75,6 +76,7 @@ def chapters() -> tuple[ModuleType, ...]:
         frame,
         weights_raw,
         weights_packed,
+        weights_forms,
         networks,
         planes,
         index,
