@@ -2,7 +2,8 @@
 
 A chapter of SPEC.md has a file here, with its valid files, its refused ones and its faults. The file has the name of
 the module of the same clauses in refcodec/bitstream and conformance/independent. What would be too long in one file is
-in several: weights (weights_raw, weights_packed) and entropy (entropy_values, entropy_escapes, entropy_substreams).
+in several: weights (weights_raw, weights_packed, weights_forms), chunks (chunks, chunk_sizes) and entropy
+(entropy_values, entropy_escapes, entropy_substreams).
 These are of no group of clauses:
 
     order_header, order_sections   two faults in one file (10.1)
@@ -41,6 +42,7 @@ def chapters() -> tuple[ModuleType, ...]:
     from . import (  # noqa: PLC0415
         attributes,
         cameras,
+        chunk_sizes,
         chunks,
         context,
         dimensions,
@@ -50,6 +52,7 @@ def chapters() -> tuple[ModuleType, ...]:
         entropy_values,
         frame,
         header,
+        index,
         limits,
         masks,
         networks,
@@ -59,6 +62,7 @@ def chapters() -> tuple[ModuleType, ...]:
         positions,
         reconstruction,
         resource,
+        weights_forms,
         weights_packed,
         weights_raw,
         whole,
@@ -72,9 +76,12 @@ def chapters() -> tuple[ModuleType, ...]:
         frame,
         weights_raw,
         weights_packed,
+        weights_forms,
         networks,
         planes,
+        index,
         chunks,
+        chunk_sizes,
         positions,
         context,
         masks,

@@ -1,25 +1,20 @@
-"""Cases of clauses 5.9, 6.8 and 7.13: weights in mode 1, as integers on grids, and layers that are raw there.
-
-A layer is raw or packed as its form says. An encoder may choose the raw form for a layer that could be packed.
-"""
+"""Cases of clauses 5.9, 6.8 and 7.13: weights in mode 1, as integers on grids. Raw layers are in weights_forms.py."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
 from functools import cache, partial
-from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from refcodec.bitstream import codec, weights
-from refcodec.bitstream.dimensions import Dimensions, layers_of
+from refcodec.bitstream.dimensions import layers_of
 from refcodec.bitstream.directory import WEIGHTS
 from refcodec.bitstream.entropy import Coder, Encoder
 from refcodec.bitstream.header import Lanes
 from refcodec.bitstream.scene import Scene
-from refcodec.bitstream.weights import GridLayer, packable
+from refcodec.bitstream.weights import GridLayer
 from refcodec.encoder.weights import pack_weights
 
 from .book import Book
@@ -28,7 +23,6 @@ from .fault import Draw, Drawn, Edit, Whole, fault
 from .numbers import Int64, Numbers
 from .samplers import Sampler, drawn, sampled
 from .scenes import (
-    CONSTANT,
     SMALLEST,
     TINY_DIMENSIONS,
     Networks,
@@ -36,8 +30,6 @@ from .scenes import (
     packed_weights,
     scales,
     scene,
-    settled,
-    silent,
 )
 from .target import Target
 from .targets import SEEDS, grids
@@ -233,7 +225,6 @@ def add(book: Book) -> None:
     _refused(book)
     _exponents(book)
     _valid(book)
-    _raw(book)
 
 
 @cache
@@ -316,7 +307,7 @@ def _exponents(book: Book) -> None:
 # --- the suite's valid files ------------------------------------------------------------------------------------------
 
 
-def _regular(name: str, change: Callable[[Networks], None]) -> Scene:
+def regular(name: str, change: Callable[[Networks], None]) -> Scene:
     """A scene with changed networks, packed. The symbols are drawn after the change."""
     made = scene(name, 3)
     change(made.networks)
@@ -342,28 +333,28 @@ def _valid(book: Book) -> None:
     add(
         "grids-limits",
         "exponents and integers at their limits",
-        partial(_regular, "grids-limits", _limits),
+        partial(regular, "grids-limits", _limits),
         requirements="D7.13-1 R6.8-8 R6.8-7",
         flags="grid-exponent symbol-limit limit-off-by-one",
     )
     add(
         "grids-zeros",
         "rows of zeros at the beginning, between and at the end of a layer, and layers of zeros",
-        partial(_regular, "grids-zeros", _zeros),
+        partial(regular, "grids-zeros", _zeros),
         requirements="D7.13-1 R6.8-8",
         flags="zero-rows",
     )
     add(
         "grids-differences",
         "exponents that rise and fall from row to row",
-        partial(_regular, "grids-differences", _differences),
+        partial(regular, "grids-differences", _differences),
         requirements="D7.13-1 R6.8-8",
         flags="grid-exponent",
     )
     add(
         "grids-biases",
         "rows whose exponent is that of the bias",
-        partial(_regular, "grids-biases", _biases),
+        partial(regular, "grids-biases", _biases),
         requirements="D7.13-1 R6.8-8",
         flags="grid-exponent",
     )
@@ -392,7 +383,7 @@ def _valid(book: Book) -> None:
     add(
         "grids-lanes",
         "a substream of 256 lanes",
-        lambda: replace(_regular("grids-lanes", lambda n: None), lanes=Lanes(0, 0, 8)),
+        lambda: replace(regular("grids-lanes", lambda n: None), lanes=Lanes(0, 0, 8)),
         requirements="D7.13-1 R6.8-8 D8.3-1",
         flags="lane-order idle-lanes",
     )
@@ -458,153 +449,5 @@ def _escapes() -> Scene:
         w[:] = dyadic(numbers.chosen(values, *w.shape), 0)
         b[:] = dyadic(numbers.chosen(values, len(b)), 0)
 
-    made = _regular("grids-escapes", change)
+    made = regular("grids-escapes", change)
     return replace(made, weight_scales=np.minimum(scales(made.networks), 60).astype(np.uint8))
-
-
-# --- raw layers -------------------------------------------------------------------------------------------------------
-
-
-def _raw(book: Book) -> None:
-    add = partial(book.valid, features="packed-weights")
-    add(
-        "grids-raw-layers",
-        "layers that are raw: -0, integers and exponents beyond the limits",
-        partial(_regular, "grids-raw-layers", _beyond),
-        requirements="D7.13-1 R6.8-7 R6.8-3",
-        flags="raw-layer",
-    )
-    add(
-        "grids-raw-all",
-        "every layer raw, and a substream of no symbols",
-        partial(_regular, "grids-raw-all", _all_raw),
-        requirements="D7.13-1 R6.8-7 R6.8-3",
-        flags="raw-layer empty-substream",
-    )
-    add(
-        "grids-last-bias",
-        "a layer that is raw because of its last bias alone",
-        _last_bias,
-        requirements="R6.8-7 R6.8-3 D7.13-1",
-        flags="raw-layer grid-exponent",
-    )
-    add(
-        "grids-raw-subnormal",
-        "layers that are raw because of one subnormal number",
-        _subnormal,
-        requirements="D7.13-1 R6.8-7",
-        flags="subnormals raw-layer grid-exponent",
-    )
-    add(
-        "grids-raw-by-choice",
-        "every second layer raw, all of which could be packed",
-        partial(_chosen, "grids-raw-by-choice", lambda n: np.arange(n) % 2),
-        requirements="D7.13-1 R6.8-7 R6.8-5",
-        flags="raw-layer canonical-form",
-    )
-    add(
-        "grids-raw-all-by-choice",
-        "every layer raw, none of which has to be: as in mode 0, but for the models and the substream",
-        partial(_chosen, "grids-raw-all-by-choice", np.zeros),
-        requirements="D7.13-1 R6.8-7 R6.8-5",
-        flags="raw-layer empty-substream canonical-form",
-    )
-    add(
-        "grids-packed-one",
-        "the last layer packed, all others raw",
-        partial(_chosen, "grids-packed-one", lambda n: np.arange(n) == n - 1),
-        requirements="D7.13-1 R6.8-7 R6.8-5",
-        flags="raw-layer",
-    )
-    add(
-        "grids-raw-of-zeros",
-        "raw layers of zeros, and packed ones",
-        _zeros_of_both_forms,
-        requirements="D7.13-1 R6.8-7",
-        flags="raw-layer zero-rows",
-    )
-    add(
-        "grids-raw-at-the-limit",
-        "the largest integer in one row and a far smaller number in another, in a raw and in a packed layer",
-        _at_the_limit,
-        requirements="D7.13-1 R6.8-7",
-        flags="raw-layer limit-off-by-one",
-    )
-    for name, forms in (("packed", np.ones), ("raw", np.zeros)):
-        add(
-            f"grids-no-inputs-{name}",
-            f"a layer of F_h that has no inputs, {name}",
-            partial(_chosen, f"grids-no-inputs-{name}", forms, CONSTANT),
-            requirements="D7.13-1 R6.8-8" if name == "packed" else "D7.13-1 R6.8-7",
-            flags="raw-layer grid-exponent empty-refused",
-        )
-
-
-def _chosen(name: str, forms: Callable[[int], NDArray[Any]], d: Dimensions = TINY_DIMENSIONS) -> Scene:
-    """A scene in mode 1 whose layers all could be packed. forms: those of so many layers."""
-    made = packed_weights(drawn(name, 3, d))
-    found = forms(len(layers_of(d))).astype(np.uint8)
-    assert packable(made.networks).all()
-    assert made.weight_scales is not None
-    # The model of a raw layer has no scales.
-    return replace(made, weight_scales=made.weight_scales * found[:, None], weight_forms=found)
-
-
-def _zeros_of_both_forms() -> Scene:
-    made = scene("grids-raw-of-zeros", 2, SMALLEST)
-    for name in ("opacity", "colour"):
-        made.networks[name] = silent(made.networks[name])
-    return _some_raw(settled(packed_weights(made)), "opacity.0", "colour.1")
-
-
-def _at_the_limit() -> Scene:
-    made = scene("planted-scaled", 2, replace(SMALLEST, render_width=2), lanes=Lanes(0, 0, 1))
-    for name in ("opacity", "covariance"):
-        w, b = made.networks[name][0]
-        w[:], b[:] = 0, 0
-        w[0, 0], w[1, 0] = (1 << 24) - 1, 2.0**-30
-    return _some_raw(packed_weights(made), "opacity.0")
-
-
-def _some_raw(made: Scene, *names: str) -> Scene:
-    """The scene with some layers raw, and the others packed."""
-    raw = np.array([name in names for name, _, _ in layers_of(made.dimensions)])
-    assert made.weight_scales is not None
-    scale = np.where(raw[:, None], 0, made.weight_scales).astype(np.uint8)
-    return replace(made, weight_scales=scale, weight_forms=(~raw).astype(np.uint8))
-
-
-def _beyond(n: Networks) -> None:
-    n["hyper"][0][0][0, 0] = -0.0
-    n["covariance"][1][1][3] = -0.0
-    # An odd integer beyond the limit, exponents beyond theirs.
-    n["opacity"][0][0][0, :2] = 2.0**24, 1
-    n["opacity"][1][0][0, 0] = 2.0**105
-    n["opacity"][1][0][0, 1:] = 0
-    n["opacity"][1][1][0] = 0
-    n["colour"][0][0][1, :2] = 3.0e38, 2.0**-149
-    # A row of zeros in a raw layer.
-    n["colour"][0][0][0], n["colour"][0][1][0] = 0, 0
-
-
-def _all_raw(n: Networks) -> None:
-    for layers in n.values():
-        for _, b in layers:
-            b[0] = -0.0
-
-
-def _last_bias() -> Scene:
-    made = scene("planted-last-bias", 2, replace(SMALLEST, render_width=3), lanes=Lanes(0, 0, 1))
-    w, b = made.networks["opacity"][0]
-    w[:], b[:] = 1, 1
-    b[2] = 2.0**-24
-    return packed_weights(made)
-
-
-def _subnormal() -> Scene:
-    made = scene("outside-least", 2, SMALLEST, lanes=Lanes(0, 0, 1))
-    for name, tiny in (("hyper", 2.0**-149), ("opacity", 2.0**-149), ("colour", (2.0**23 - 1) * 2.0**-149)):
-        w, b = made.networks[name][0]
-        w[:], b[:] = 1, 1
-        w[0, 0] = tiny
-    return packed_weights(settled(made))
