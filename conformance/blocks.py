@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import math
 import re
 from typing import Any
 
@@ -17,6 +18,8 @@ def blocks(text: str) -> dict[str, Any]:
     text: SPEC.md.
     """
     space: dict[str, Any] = {name: _number(value) for name, value, *_ in _rows(text, "### 2.5 ")}
+    # The blocks of chapter 14 are of binary64, with Python's functions.
+    space["math"] = math
     space["ASCII"] = lambda letters: list(letters.encode("ascii"))
     for block in re.findall(r"^```python\n(.*?)^```", text, re.DOTALL | re.MULTILINE):
         exec(compile(block, "SPEC.md", "exec"), space)
