@@ -132,9 +132,16 @@ def _watched(data: bytes, spec: str) -> tuple[Watch, list[int]]:
         return opened[-1]
 
     watch.space["OPEN"] = noted
-    blocks.decode(watch.space, data, codec.parse_container(data))
+    _decode(watch, data)
     watch.opened = opened
     return watch, [id(stream) for stream in opened]
+
+
+def _decode(watch: Watch, data: bytes) -> None:
+    """Decodes a file. Raises SystemExit if the blocks refuse it."""
+    _, error = blocks.decode(watch.space, data)
+    if error:
+        raise SystemExit(f"SPEC.md's blocks refuse the worked example: {error}")
 
 
 def plane_steps(data: bytes, spec: str, count: int) -> str:
@@ -180,13 +187,13 @@ def first_anchor(data: bytes, spec: str) -> str:
             return value
 
         space[name] = noted
-    blocks.decode(space, data, codec.parse_container(data))
+    _decode(watch, data)
+    scene = codec.parse(data).scene
     header = codec.parse_container(data)
     width = header.dimensions.attribute_width
     # The groups of attributes come after those of the planes.
     groups = watch.values[sum(1 for g in watch.values if g["planes"]) :]
-    chunk = len(header.chunks[0])
-    slices = header.dimensions.slices
+    chunk, slices, kept = len(scene.chunks[0]), header.dimensions.slices, scene.masks[0]
     lines = ["| what | clause | value |", "|---|---|---|"]
 
     def row(what: str, clause: str, value: Any) -> None:
@@ -203,12 +210,16 @@ def first_anchor(data: bytes, spec: str) -> str:
     row("means that F_h gives", "7.7", hyper[:width])
     row("scale indices that F_h gives", "7.7", hyper[width : 2 * width])
     row("outputs for the step indices", "7.8", hyper[2 * width :])
+    row("scalings: symbols", "7.10", groups[0]["values"][:6])
+    values = iter(groups[1]["values"])
+    row("offsets: symbols", "7.10", [tuple(next(values) for _ in range(3)) if mask else "masked" for mask in kept])
     for i, columns in enumerate(slices):
-        group = groups[i]
+        group = groups[2 + i]
         assert len(group["values"]) == chunk * columns
         row(f"slice {i}: mean and scale index of each channel", "7.9", group["parameters"][:columns])
         row(f"slice {i}: symbols", "7.10", group["values"][:columns])
-    row("scalings: symbols", "7.10", groups[len(slices)]["values"][:6])
+    steps = [max(0, min(x, 63)) for x in hyper[2 * width :]]
+    row("step indices of features, scalings, offsets", "7.8", steps)
     return "\n".join(lines)
 
 

@@ -12,6 +12,7 @@ from typing import Any
 from refcodec.bitstream import codec, directory, syntax
 from refcodec.bitstream.chunks import PARTS
 from refcodec.bitstream.dimensions import layers_of
+from refcodec.bitstream.directory import Section
 from refcodec.bitstream.header import PROLOGUE_BYTES, SIGNATURE
 from refcodec.bitstream.index import CHUNK_HEAD_BYTES
 from refcodec.bitstream.planes import PLANE_NAMES
@@ -93,6 +94,10 @@ class Target:
         """The value of an element."""
         return self.element(path).value
 
+    def section(self, kind: bytes) -> Section:
+        """The first section of a type."""
+        return next(section for section in self.header.sections if section.type == kind)
+
     def start(self, kind: bytes) -> int:
         """Offset of a critical section."""
         return self.sections[kind].start
@@ -167,9 +172,11 @@ class Target:
         return self.at(f"chunk[{number}].{part.removesuffix('s')}_length"), self.part(part, int(number))[1]
 
     def pack(self, values: dict[str, Any]) -> dict[int, bytes]:
-        """Elements with other values, as bytes by their offset."""
-        found = {path: self.element(path) for path in values}
-        return {e.start: struct.pack(FORMATS[e.kind], values[path]) for path, e in found.items()}
+        """Elements with other values, as bytes by their offset. A value is a number, or bytes."""
+        return {self.at(path): self._packed(path, value) for path, value in values.items()}
+
+    def _packed(self, path: str, value: Any) -> bytes:
+        return value if isinstance(value, bytes) else struct.pack(FORMATS[self.element(path).kind], value)
 
     def with_values(self, values: dict[str, Any], depth: Depth = Depth.CHUNKS) -> bytes:
         """The file with other values of elements, and its checksums right down to a depth."""

@@ -21,8 +21,11 @@ from .cells import placed, sharp_model
 from .numbers import Numbers
 from .samplers import drawn
 from .scenes import (
+    CONSTANT,
     MAIN_SMALLEST,
+    PLANELESS,
     SMALLEST,
+    UNENCODED,
     constant,
     lattice,
     packed_weights,
@@ -66,6 +69,30 @@ def packed() -> Target:
     made = drawn("refused-packed", 11, chunk_size=3, positions=where, position_model=position_model(where, 3))
     made.networks["colour"][0][1][0] = -0.0
     return Target(codec.emit(packed_weights(made)))
+
+
+@cache
+def planeless() -> Target:
+    """A file without planes."""
+    return Target(codec.emit(drawn("refused-planeless", 2, PLANELESS)))
+
+
+@cache
+def unencoded() -> Target:
+    """A file without a positional encoding."""
+    return Target(codec.emit(drawn("refused-unencoded", 2, UNENCODED)))
+
+
+@cache
+def unpredicted() -> Target:
+    """A file without planes and without a positional encoding."""
+    return Target(codec.emit(drawn("refused-constant", 2, CONSTANT)))
+
+
+@cache
+def later() -> Target:
+    """A file of a later minor version, whose header has eight more bytes."""
+    return Target(codec.emit(replace(drawn("refused-later", 2, SMALLEST), minor=3, later=b"\1\2\3\4\5\6\7\x08")))
 
 
 @cache

@@ -160,6 +160,7 @@ SYNTAX: dict[str, list[tuple[str, str]]] = {
         ("count", "u16"),
         ("reserved", "u16"),
     ],
+    # SPEC 5.16.1
     "Entry": [
         ("key_length", "u16"),
         ("value_length", "u16"),
@@ -172,6 +173,7 @@ SYNTAX: dict[str, list[tuple[str, str]]] = {
         ("count", "u16"),
         ("reserved", "u16"),
     ],
+    # SPEC 5.17.1
     "Camera": [
         ("width", "u32"),
         ("height", "u32"),

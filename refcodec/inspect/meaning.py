@@ -29,9 +29,9 @@ TABLE_CLAUSES = {
     "Chunk": "5.14",
     "Substream": "5.15",
     "Metadata": "5.16",
-    "Entry": "5.16",
+    "Entry": "5.16.1",
     "Cameras": "5.17",
-    "Camera": "5.17",
+    "Camera": "5.17.1",
 }
 
 # The paths at which the fields of each table stand. FIELD is the name of the field. The first pattern that fits counts.
