@@ -2,8 +2,14 @@
 
 A chapter of SPEC.md has a file here, with its valid files, its refused ones and its faults. The file has the name of
 the module of the same clauses in refcodec/bitstream and conformance/independent. What would be too long in one file is
-in several: weights (weights_raw, weights_packed, weights_forms), chunks (chunks, chunk_sizes) and entropy
-(entropy_values, entropy_escapes, entropy_substreams).
+in several:
+
+    header, dimensions, limits                                 the header
+    directory, ancillary                                       sections, and what a decoder passes over
+    weights_raw, weights_packed, weights_forms                 weights
+    index, chunks, chunk_sizes                                 the index and the chunks
+    entropy_values, entropy_escapes, entropy_substreams        the entropy coder
+
 These are of no group of clauses:
 
     order_header, order_sections   two faults in one file (10.1)
@@ -40,6 +46,7 @@ def chapters() -> tuple[ModuleType, ...]:
     """The modules with cases."""
     # What makes files needs the encoder; who asks for the package alone does not.
     from . import (  # noqa: PLC0415
+        ancillary,
         attributes,
         cameras,
         chunk_sizes,
@@ -73,6 +80,7 @@ def chapters() -> tuple[ModuleType, ...]:
         limits,
         dimensions,
         directory,
+        ancillary,
         frame,
         weights_raw,
         weights_packed,
