@@ -109,8 +109,8 @@ def add(book: Book) -> None:
     add("resource-anchors-in-large-chunks", title, chunks_without_bytes.of(main_file, 3, 1024, FLOOR))
     title = "16,777,216 anchors in chunks with fewer bytes than these need"
     add("resource-anchors-in-few-bytes", title, crowded.of(main_file, 3, 1024, FLOOR - 4))
-    title = "1,048,576 anchors in 64 chunks of zeros, as few bytes as these can have"
-    add("resource-anchors-of-zeros", title, chunks_of_zeros.of(main_file, 2, 64))
+    title = "524,288 anchors in 32 chunks of zeros, as few bytes as these can have"
+    add("resource-anchors-of-zeros", title, chunks_of_zeros.of(main_file, 2, 32))
     title = "an index that announces terabytes"
     add("resource-lengths-of-gigabytes", title, chunks_without_bytes.of(main_file, 3, 1024, 0xFFFFFFFC))
     title, make = "an ancillary section of four gigabytes", long_section.of(plain, 6, 0xFFFFFFFF)
@@ -141,8 +141,8 @@ def add(book: Book) -> None:
     )
     accepted(
         "resource-many-chunks",
-        "2,000 chunks of one anchor",
-        lambda: codec.emit(_quiet("resource-chunks", 2000, SMALLEST, 1)),
+        "1,000 chunks of one anchor",
+        lambda: codec.emit(_quiet("resource-chunks", 1000, SMALLEST, 1)),
         features="many chunks",
         seconds=60,
     )
