@@ -13,6 +13,7 @@ in several:
 These are of no group of clauses:
 
     order_header, order_sections   two faults in one file (10.1)
+    order_weights                  the same of weights
     resource                       small files that ask for much (13.1)
     cameras                        what cameras see (14)
     whole                          trained and unusual scenes
@@ -26,6 +27,7 @@ The other modules help:
     target, checksums   a valid file and its elements, and files whose checksums are made right again
     targets             the valid files that faults are put into
     scenes, cells       valid scenes and parts of them, and positions as cells
+    chain               files with two faults
     samplers, numbers   what makes symbols up, and integers that are the same everywhere
     suite               from cases to files and the manifest
     features, flags     what the manifest says of a vector
@@ -64,7 +66,8 @@ def chapters() -> tuple[ModuleType, ...]:
         masks,
         networks,
         order_header,
-        # order_sections,
+        order_sections,
+        order_weights,
         planes,
         positions,
         reconstruction,
@@ -99,7 +102,8 @@ def chapters() -> tuple[ModuleType, ...]:
         entropy_substreams,
         reconstruction,
         order_header,
-        # order_sections,
+        order_sections,
+        order_weights,
         resource,
         whole,
         cameras,

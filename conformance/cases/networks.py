@@ -23,7 +23,7 @@ from .numbers import Numbers
 from .samplers import Sampler, sampled
 from .scenes import CONSTANT, SMALLEST, TINY_DIMENSIONS, dyadic, networks, packed_weights, scene
 from .target import Target
-from .targets import SEEDS, grids, plain
+from .targets import SEEDS, grids, plain, unpredicted
 from .weights_packed import with_integers
 
 # F_h reads ten numbers, and has sixteen hidden units: at 1023 each, they and weights of 1023 are next to the bound.
@@ -135,12 +135,6 @@ def _all_packed() -> Target:
 
 
 @cache
-def _constant() -> Target:
-    """A file whose F_h has no inputs."""
-    return Target(codec.emit(scene("refused-constant", 3, CONSTANT)))
-
-
-@cache
 def _constant_packed() -> Target:
     return Target(codec.emit(packed_weights(scene("refused-constant-packed", 3, CONSTANT))))
 
@@ -160,7 +154,7 @@ def _refused(book: Book) -> None:
         add(f"invalid-weights-bound-{name}", title, make, flags="accumulator-bound weight-limit")
     for name, row, bias in (("first", 0, 2.0**24), ("last", 36, -LARGEST_F32)):
         title = f"a bias of F_h that is too large, where F_h has no inputs: the {name} row"
-        make = large_value.of(_constant, "hyper.0", row, None, bias)
+        make = large_value.of(unpredicted, "hyper.0", row, None, bias)
         add(f"invalid-weights-bound-no-inputs-{name}", title, make, flags="accumulator-bound row-order")
     title = "a row that is at the accumulator bound, and not below it"
     make = large_row.of(rows_file, "hyper.1", 4, [-1023] * 16, SPARE + 1)

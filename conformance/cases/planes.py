@@ -31,7 +31,7 @@ def cut_in_table(t: Target, length: int) -> Whole:
 
 @cut_in_table.drawn
 def _(draw: Draw, t: Target) -> Drawn:
-    return t, draw.integer(0, 4 * PLANES)
+    return (t, draw.integer(0, 4 * PLANES)) if PLANES_SECTION in t.sections else None
 
 
 @fault("planes.length")
@@ -46,6 +46,8 @@ def sub_plane_lengths(t: Target, changes: dict[int, int]) -> Edit:
 
 @sub_plane_lengths.drawn
 def _(draw: Draw, t: Target) -> Drawn:
+    if PLANES_SECTION not in t.sections:
+        return None
     plane = draw.integer(0, PLANES - 1)
     if draw.flag():
         return t, {plane: draw.choice([4, -4, 1 << 31])}

@@ -88,8 +88,9 @@ class Rare(Sampler):
 def sampled(made: Scene, coder: Sampler, planes: bool = True) -> Scene:
     """The scene with attributes that the coder makes up, and with such planes if it has any and they are wanted."""
     d = made.dimensions
-    if planes and d.plane_channels:
-        made = replace(made, planes=code_planes(coder, codec.Coding(made).sarm, d.plane_channels, d.plane_size))
+    sarm = codec.Coding(made).sarm
+    if planes and sarm is not None:
+        made = replace(made, planes=code_planes(coder, sarm, d.plane_channels, d.plane_size))
     coding, chunks = codec.Coding(made), made.chunks
     attributes = (
         code_attributes(coder, coding.model, coding.contexts(), made.masks, chunks) if chunks else made.attributes

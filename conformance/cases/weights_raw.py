@@ -3,11 +3,10 @@
 from __future__ import annotations
 
 import struct
-from functools import cache, partial
+from functools import partial
 
 import numpy as np
 
-from refcodec.bitstream import codec
 from refcodec.bitstream.dimensions import RENDERING, layers_of
 from refcodec.bitstream.scene import Scene
 from refcodec.bitstream.weights import CARM_SHIFT_MAX, PLANE_SHIFT_MAX
@@ -19,7 +18,7 @@ from .numbers import Numbers
 from .samplers import Sampler, drawn, sampled
 from .scenes import CONSTANT, PLANELESS, UNENCODED
 from .target import Target
-from .targets import five_cells, grids, packed, plain
+from .targets import five_cells, grids, packed, plain, planeless
 
 NOT_FINITE = {
     "not-a-number": struct.pack("<f", NAN),
@@ -80,12 +79,6 @@ def _(draw: Draw, t: Target) -> Drawn:
     return t, layer, draw.integer(0, out - 1), None if column == fan_in else column, value
 
 
-@cache
-def _planeless() -> Target:
-    """A file without planes in mode 0."""
-    return Target(codec.emit(drawn("refused-planeless", 3, PLANELESS)))
-
-
 def add(book: Book) -> None:
     """Adds the vectors."""
     for base, before, features, field, value in (
@@ -100,7 +93,7 @@ def add(book: Book) -> None:
         identifier = f"invalid-{before}{label_of(title).replace(' ', '-')}"
         book.add(identifier, title, scale.of(base, field, value), features=features, flags="limit-off-by-one")
     title = "plane_shift 1, and no planes"
-    make = scale.of(_planeless, "plane_shift", 1)
+    make = scale.of(planeless, "plane_shift", 1)
     book.add("invalid-planeless-plane-shift-1", title, make, features="raw-weights", flags="limit-off-by-one")
     for name, base, at, features in (
         ("raw", five_cells, 1, "raw-weights"),
