@@ -258,7 +258,7 @@ def _types(add: Add) -> None:
         (5, b"Priv", "that is private"),
     ):
         title, make = f"a critical section {kind.decode()} {text}", unknown_section.of(plain, entry, kind)
-        add(f"unsupported-section-{kind.decode()}-as-entry-{entry}", title, make, flags="critical-skipped")
+        add(f"unsupported-section-{kind.decode().lower()}-as-entry-{entry}", title, make, flags="critical-skipped")
     for entry, section in enumerate(SECTIONS.values()):
         kind = list(SECTIONS)[entry]
         value = 1 + directory.MODES.get(kind, 0)

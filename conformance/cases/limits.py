@@ -290,8 +290,8 @@ def _refused_dimensions(book: Book) -> None:
         ("hyper-for-nothing", "F_h has a hidden layer, but no inputs", unpredicted, "hyper_layers"),
         ("sarm-for-nothing", "SARM has a hidden layer, though there are no planes", planeless, "sarm_layers"),
     ]
-    for name, title, base, counter in for_nothing:
-        add(f"invalid-dimension-{name}", title, list_length.of(base, counter, [4]), flags="optional-parts")
+    for name, title, small, counter in for_nothing:
+        add(f"invalid-dimension-{name}", title, list_length.of(small, counter, [4]), flags="optional-parts")
     title, make = "plane_size 2, though there are no plane channels", dimension.of(planeless, "plane_size", 2)
     add("invalid-dimension-size-for-nothing", title, make, flags="optional-parts")
     title, make = "129 features", many_features.of(main_file, 64, 63, 1, 1)
