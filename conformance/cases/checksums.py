@@ -28,7 +28,9 @@ class Depth(IntEnum):
 
 
 def layout(data: bytes) -> tuple[construct.Container, int]:
-    """The fields of a file's header, and where it ends. Checksums are not looked at.
+    """The fields of a file's header, and where these end with its CRC-32. Checksums are not looked at.
+
+    In a file of a later minor version the header can be longer (SPEC 12.3).
 
     Raises construct.ConstructError if the header does not parse.
     """
@@ -59,15 +61,13 @@ def _repair_sections(out: bytearray, end: int, depth: Depth) -> None:
         fields, found_end = layout(bytes(out[:end]))
     except construct.ConstructError:
         return
-    if found_end != end:
-        return
     places, at = [], end
     for e in fields.directory:
         places.append((e.type, e.mode, at, at + e.length))
         at += pad4(e.length)
     if depth >= Depth.CHUNKS:
         _repair_chunks(out, fields, places)
-    entry = end - 4 - ENTRY_BYTES * fields.section_count
+    entry = found_end - 4 - ENTRY_BYTES * fields.section_count
     for kind, _, first, last in places:
         if kind != directory.DATA:
             out[entry + 16 : entry + 20] = _crc(out[first:last])

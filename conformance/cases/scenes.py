@@ -304,11 +304,13 @@ def packed_weights(made: Scene) -> Scene:
     return replace(made, weight_scales=scales(made.networks))
 
 
-def sparse(made: Scene) -> Scene:
+def sparse(made: Scene, one_in: int = 16) -> Scene:
     """The scene with few weights that are not zero, in mode 1: large networks in few bytes."""
     numbers = Numbers("sparse")
     kept = {
-        name: [(np.where(numbers.integers(0, 15, *w.shape) == 0, w, 0).astype(np.float32), b) for w, b in layers]
+        name: [
+            (np.where(numbers.integers(0, one_in - 1, *w.shape) == 0, w, 0).astype(np.float32), b) for w, b in layers
+        ]
         for name, layers in made.networks.items()
     }
     return packed_weights(replace(made, networks=kept))

@@ -106,7 +106,7 @@ def vectors(recipes: Iterable[Recipe]) -> Iterator[tuple[dict[str, Any], dict[st
         elif isinstance(made, Refused):
             files[path] = data = made.data
             expectation = _rejected(recipe, made)
-            proved = [made.kind.requirement, "D2.1-1"]
+            proved = [made.kind.requirement, "D2.1-1", "D10.2-1"]
         else:
             files[path] = data = made
             expectation = _accepted(recipe, made)
@@ -155,7 +155,7 @@ def generate(folder: Path, recipes: Iterable[Recipe]) -> tuple[int, int]:
     document = {
         "suite": NAME,
         "suite_version": SUITE_VERSION,
-        "format_version": header.VERSION,
+        "format_version": header.MAJOR,
         "flags": FLAGS,
         "features": FEATURES,
         "vectors": found,

@@ -12,7 +12,8 @@ from typing import Any
 from refcodec.bitstream import codec, directory, syntax
 from refcodec.bitstream.chunks import PARTS
 from refcodec.bitstream.dimensions import layers_of
-from refcodec.bitstream.header import SIGNATURE
+from refcodec.bitstream.directory import Section
+from refcodec.bitstream.header import PROLOGUE_BYTES, SIGNATURE
 from refcodec.bitstream.index import CHUNK_HEAD_BYTES
 from refcodec.bitstream.planes import PLANE_NAMES
 from refcodec.bitstream.source import pad4
@@ -73,7 +74,8 @@ class Target:
         self.data = data
         self.header = codec.parse_container(data)
         self.sections = {s.type: s for s in self.header.sections if s.type in directory.SECTIONS}
-        self.fields, self.header_end = layout(data)
+        self.fields = layout(data)[0]
+        self.header_end = PROLOGUE_BYTES + int.from_bytes(data[12:16], "little")
 
     @cached_property
     def elements(self) -> dict[str, Row]:
@@ -91,6 +93,10 @@ class Target:
     def value(self, path: str) -> Any:
         """The value of an element."""
         return self.element(path).value
+
+    def section(self, kind: bytes) -> Section:
+        """The first section of a type."""
+        return next(section for section in self.header.sections if section.type == kind)
 
     def start(self, kind: bytes) -> int:
         """Offset of a critical section."""
@@ -166,9 +172,11 @@ class Target:
         return self.at(f"chunk[{number}].{part.removesuffix('s')}_length"), self.part(part, int(number))[1]
 
     def pack(self, values: dict[str, Any]) -> dict[int, bytes]:
-        """Elements with other values, as bytes by their offset."""
-        found = {path: self.element(path) for path in values}
-        return {e.start: struct.pack(FORMATS[e.kind], values[path]) for path, e in found.items()}
+        """Elements with other values, as bytes by their offset. A value is a number, or bytes."""
+        return {self.at(path): self._packed(path, value) for path, value in values.items()}
+
+    def _packed(self, path: str, value: Any) -> bytes:
+        return value if isinstance(value, bytes) else struct.pack(FORMATS[self.element(path).kind], value)
 
     def with_values(self, values: dict[str, Any], depth: Depth = Depth.CHUNKS) -> bytes:
         """The file with other values of elements, and its checksums right down to a depth."""
@@ -186,7 +194,10 @@ class Target:
         return {at: bytes([self.data[at] ^ bits])}
 
     def with_header(self, change: Callable[[Any], None]) -> bytes:
-        """The file with changed fields in its header; header_length is right."""
+        """The file with changed fields in its header; header_length is right.
+
+        Not for a file of a later minor version, whose header has more than these.
+        """
         fields = copy.deepcopy(self.fields)
         change(fields)
         built = syntax.build("Header", fields)
@@ -226,7 +237,3 @@ class Target:
         at = self.at(f"directory[{section.number}].length")
         out[at : at + 8] = len(whole).to_bytes(8, "little")
         return repair(bytes(out[: section.start]) + bytes(whole) + self.data[section.end :])
-
-    def with_positions(self, chunk: int, content: bytes) -> bytes:
-        """The file with other bytes as one chunk's positions, lengths and checksums right."""
-        return self.with_part("positions", chunk, content)
