@@ -9,12 +9,14 @@ from __future__ import annotations
 
 import hashlib
 import signal
+import struct
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, BinaryIO
 
 from refcodec import statuses
 from refcodec.bitstream.errors import REGISTRY
+from refcodec.bitstream.reconstruction import DIGEST_MAGIC, PARTS
 from refcodec.files.documents import DocumentError, parse_json
 
 from ..manifest import Accepted, GaussiansOf, Manifest, ManifestError, Rejected, Vector
@@ -45,6 +47,10 @@ OVER = {
     "twice": "answered more than once",
     "other": "answered another request",
 }
+# SPEC 9.3: the bytes that the digest of a scene is of.
+DIGESTED_BYTES = len(DIGEST_MAGIC) + 4 * 5 + 32 * len(PARTS)
+# How much of an output is read at once.
+_BLOCK = 1 << 20
 # The longest last line of stderr that is read, in characters.
 _LINE = 8 << 10
 BY_CODE = {kind.code: kind for kind in REGISTRY.values()}
@@ -55,7 +61,7 @@ class Found:
     """What a decoder said.
 
     result: "accepted", "rejected" or "crashed". status, signal: how the process ended. code, offset: of a rejection;
-    the offset is None if none was said. digest: SHA-256 of the output of an acceptance. text: why it is a crash.
+    the offset is None if none was said. digest: of the accepted output (output_digest). text: why it is a crash.
     """
 
     result: str
@@ -102,6 +108,31 @@ def _refusal(line: str) -> tuple[int, int | None] | str:
     return said["code"], offset if type(offset) is int else None
 
 
+def output_digest(file: BinaryIO) -> str:
+    """SPEC 9.3: returns the digest of the scene that an output holds.
+
+    The output is what the digest is of, which lists the digests of the parts, and then the parts. If the parts have
+    other digests, or are not there, the result is the SHA-256 of a zero and the output, which is no scene's digest.
+    """
+    listed = file.read(DIGESTED_BYTES)
+    whole = hashlib.sha256(b"\0" + listed)
+    if len(listed) < DIGESTED_BYTES:
+        return whole.hexdigest()
+    n, k, f, ch, b = struct.unpack_from("<5I", listed, len(DIGEST_MAGIC))
+    sizes = [12 * n, n * k, 2 * 5 * ch * b * b, 4 * n * f, 24 * n, 12 * n * k]
+    found = listed[: -32 * len(PARTS)]
+    for number in range(len(PARTS)):
+        # The weights are the last part. They take what is left.
+        left = sizes[number] if number < len(sizes) else None
+        digest = hashlib.sha256()
+        while block := file.read(_BLOCK if left is None else min(_BLOCK, left)):
+            digest.update(block)
+            whole.update(block)
+            left = None if left is None else left - len(block)
+        found += digest.digest()
+    return hashlib.sha256(listed).hexdigest() if found == listed else whole.hexdigest()
+
+
 def read(ended: Ended, output: Path) -> Found:
     """What a process said by the way it ended and by its output file."""
 
@@ -115,7 +146,7 @@ def read(ended: Ended, output: Path) -> Found:
     if ended.status == statuses.DONE:
         try:
             with open_file(output) as file:
-                return Found("accepted", ended.status, None, digest=hashlib.file_digest(file, "sha256").hexdigest())
+                return Found("accepted", ended.status, None, digest=output_digest(file))
         except FileNotFoundError:
             return crash("exit status 0 without an output file")
         except FileError as error:

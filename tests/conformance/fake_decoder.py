@@ -43,7 +43,7 @@ def main(mode, answers, name, target, *rest):
         case "nothing":
             return 0
         case "accepts":
-            output.write_bytes(b"C3GSREC0")
+            output.write_bytes(b"C3GSREC1")
             return 0
         case "rejects":
             return refuse(1, 103, 16)
@@ -93,7 +93,7 @@ def main(mode, answers, name, target, *rest):
             print("and much on stdout " * 100_000)
             return right(known, output, trace)
         case "no-ancillary" if good and known["extended"]:
-            return refuse(1, 302, 263)
+            return refuse(2, 302, 263)
         case "unregistered" if not good:
             return refuse(known["exit"], 999, known["offset"])
         case "code-as-text" if not good:
