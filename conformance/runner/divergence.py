@@ -119,7 +119,8 @@ def _compare_part(scene: Scene, part: str, right: bytes, found: bytes, start: in
     if part == "digests":
         number = next(i for i, (a, b) in enumerate(zip(right, found, strict=True)) if a != b) // 32
         values = [data[32 * number : 32 * number + 32].hex() for data in (right, found)]
-        return Divergence(part, f"that of the {PARTS[number]}", *values, start + 32 * number, "the parts are right")
+        element, place = f"that of the {PARTS[number]}", start + 32 * number
+        return Divergence(part, element, values[0], values[1], place, "the parts are right")
     kind, shape = _types(scene)[part]
     a, b = (np.frombuffer(data, kind).reshape(shape) for data in (right, found))
     # Bits are compared: -0 is not +0, and a NaN is what it is.

@@ -91,6 +91,7 @@ WRONG = [
     ("offset-1", ("passed", 3), ("failed", 2)),
     ("last-bit", ("failed", 0), ("passed", 3)),
     ("first-bit", ("failed", 0), ("passed", 3)),
+    ("digest-bit", ("failed", 0), ("passed", 3)),
     ("short", ("failed", 0), ("passed", 3)),
     ("long", ("failed", 0), ("passed", 3)),
 ]
@@ -123,7 +124,7 @@ def test_ancillary_sections(suite: Suite, tmp_path: Path) -> None:
     (failed,) = [v for v in record["vectors"] if v["status"] == "failed"]
     assert "302" in failed["text"]
     # The bytes at which the decoder says the fault is.
-    assert [line.startswith("> 00000107 ") for line in failed["hex"] if line.startswith(">")] == [True]
+    assert [line.startswith("> 000000d8 ") for line in failed["hex"] if line.startswith(">")] == [True]
 
 
 @pytest.mark.parametrize(
@@ -190,9 +191,10 @@ def test_what_diverges(suite: Suite, tmp_path: Path) -> None:
     assert "1 of" in vector["divergence"][0]
     lines = {
         mode: suite.report(mode, tmp_path)[1]["vectors"][0]["divergence"]
-        for mode in ("first-bit", "short", "long", "accepts")
+        for mode in ("first-bit", "digest-bit", "short", "long", "accepts")
     }
     assert lines["first-bit"][0].startswith("head: the eight bytes is 42 33")
+    assert lines["digest-bit"][0].startswith("digests: that of the weights is ")
     assert "weights: the part is" in lines["short"][0]
     assert lines["long"][0].startswith("end: the output is")
     assert lines["accepts"][0].startswith("head: the part is 8 bytes, 28 bytes expected")
