@@ -179,6 +179,26 @@ def _(draw: Draw, t: Target) -> Drawn:
     return t, chunk, part, draw.integer(0, len(range(*_padding(t, part, chunk))) - 1), draw.integer(1, 255)
 
 
+@fault("chunk.padding")
+def last_byte(t: Target, chunk: int, part: str) -> Edit:
+    """A length that leaves the last byte of a part, which is not zero, to the padding."""
+    start, end = t.part(part, chunk)
+    assert (end - start) % 4 != 1
+    assert t.data[end - 1]
+    return Edit(t.pack({f"chunk[{chunk}].{LENGTHS[part]}": end - start - 1}), end - 1)
+
+
+@last_byte.drawn
+def _(draw: Draw, t: Target) -> Drawn:
+    # The length of raw positions is known, and is checked first.
+    substreams = [
+        (n, part) for n in range(t.header.chunk_count) for part in PARTS if f"{part}[chunk {n}]" in t.substreams
+    ]
+    places = [(n, part, *t.part(part, n)) for n, part in substreams]
+    right = [(n, part) for n, part, start, end in places if (end - start) % 4 != 1 and t.data[end - 1]]
+    return (t, *draw.choice(right)) if right else None
+
+
 # --- faults of entries that a chunk tells -----------------------------------------------------------------------------
 
 
@@ -287,6 +307,9 @@ def _heads(book: Book) -> None:
     for name, base, chunk, part, at in rows:
         title, make = f"padding behind a chunk's part that is not zero: {name}", padding.of(base, chunk, part, at, 1)
         add(f"malformed-chunk-padding-{name}", title.replace("-", ", "), make, flags="padding-unchecked")
+    for base, part in ((packed, "positions"), (plain, "attributes")):
+        title, make = f"the last byte of the {part} is where padding should be", last_byte.of(base, 0, part)
+        add(f"malformed-chunk-padding-of-{part}", title, make, flags="padding-unchecked lengths-trusted")
 
 
 @cache

@@ -17,7 +17,7 @@ from refcodec.bitstream.scene import Scene
 from .book import Book
 from .numbers import Int64, Numbers
 from .samplers import Sampler, sampled
-from .scenes import f16, frame_of, observing, scene
+from .scenes import f16, frame_of, observing, packed_weights, scene
 
 # Of the scenes that show their context. Two plane channels and three frequencies make ten numbers of it, and sixteen
 # channels of attributes see all of them.
@@ -298,11 +298,16 @@ def _encodings(book: Book) -> None:
     book.valid(
         "encoding-16",
         "positional encoding of 16 frequencies, the most there can be",
-        partial(shown, "encoding-16", where, frame, d, profile=MAIN),
-        features="encoding main",
+        partial(_packed, "encoding-16", where, frame, d, profile=MAIN),
+        features="encoding main packed-weights",
         requirements="D7.5.5-1 D7.5-1",
         flags="phase-rounding sine-order",
     )
+
+
+def _packed(*args: Any, **fields: Any) -> Scene:
+    """What `shown` makes, with its weights in mode 1: nearly all of them are 0."""
+    return packed_weights(shown(*args, **fields))
 
 
 def _parts_of_context(book: Book) -> None:
@@ -327,8 +332,8 @@ def _parts_of_context(book: Book) -> None:
         book.valid(
             f"context-{name}",
             title,
-            partial(shown, f"context-{name}", where, frame, replace(SEEN, **changes), **fields),
-            features="query encoding dimensions",
+            partial(_packed, f"context-{name}", where, frame, replace(SEEN, **changes), **fields),
+            features="query encoding dimensions packed-weights",
             requirements="D7.5-1 D7.5.4-1 D7.7-1",
             flags="plane-axes sine-order",
         )

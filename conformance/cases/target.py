@@ -237,7 +237,3 @@ class Target:
         at = self.at(f"directory[{section.number}].length")
         out[at : at + 8] = len(whole).to_bytes(8, "little")
         return repair(bytes(out[: section.start]) + bytes(whole) + self.data[section.end :])
-
-    def with_positions(self, chunk: int, content: bytes) -> bytes:
-        """The file with other bytes as one chunk's positions, lengths and checksums right."""
-        return self.with_part("positions", chunk, content)
