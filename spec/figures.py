@@ -135,9 +135,7 @@ def stages(space: dict[str, Any]) -> str:
     for n, name in enumerate(names):
         x = 20 + 122 * n
         d.labelled(x, 230, 105, 50, [name, f"group {n}"], LIGHT)
-        d.line(
-            [(560, 80), (560, 132), (x + 52, 132), (x + 52, 230 if n <= 2 else 165)], arrow=True, stroke=FAINT
-        )
+        d.line([(560, 80), (560, 132), (x + 52, 132), (x + 52, 230 if n <= 2 else 165)], arrow=True, stroke=FAINT)
         if n > 2:
             earlier = "of slice 0" if n == 3 else f"of slices 0 to {n - 3}"
             d.labelled(x + 2, 165, 101, 40, [f"+ carm.{n - 2}", earlier])
@@ -198,7 +196,7 @@ def substream(space: dict[str, Any]) -> str:
         11,
         "start",
     )
-    d.words(20, 242, "the symbols of a group: first those of all values, then those of the escapes.", 11, "start")
+    d.words(20, 242, "the model indices of a group: first those of all symbols, then the escapes.", 11, "start")
     return d.svg()
 
 

@@ -17,7 +17,7 @@ from refcodec.inspect.meaning import meaning
 from refcodec.inspect.specification import fields
 
 # Elements of more bytes are folded to their first ones.
-SHOWN_BYTES = 12
+SHOWN_BYTES = 8
 
 
 def hex_dump(data: bytes) -> str:
@@ -44,10 +44,14 @@ def element_table(data: bytes, spec: str) -> str:
     """Returns the table of all elements: start, length, contents, element, value and meaning. spec: SPEC.md."""
     known = fields(spec)
     lines = ["| start | length | contents | element | value | meaning |", "|---|---|---|---|---|---|"]
+    told = ""
     for row in rows(data):
         value = value_text(row) if row.value is not None else ""
         cells = f"| 0x{row.start:03x} | {row.end - row.start} | `{_contents(data, row)}` | {row.path} | {value} |"
-        lines.append(f"{cells} {meaning_of(row.path, known)} |")
+        # The items of an array have one meaning.
+        array, item = row.path.rstrip("]").rsplit("[", 1) if row.path.endswith("]") else (row.path, "")
+        lines.append(f"{cells} {'the same' if item and array == told else meaning_of(row.path, known)} |")
+        told = array
     return "\n".join(lines)
 
 
@@ -155,8 +159,8 @@ def plane_steps(data: bytes, spec: str, count: int) -> str:
     parameters, chosen, values = ([x for g in groups for x in g[name]] for name in ("parameters", "chosen", "values"))
     symbols = [s for s in watch.symbols if s["stream"] == streams[0]]
     lines = [
-        "| t | (k, i, j) | mean, scale index | row, column, centre, k | state | slot | j: its slots | value "
-        "| word taken | next state |",
+        "| t | (k, i, j) | mean, scale index | row, column, centre, k | state | slot | j: slots | symbol "
+        "| word | next state |",
         "|---|---|---|---|---|---|---|---|---|---|",
     ]
     for (t, point), mean_scale, pick, symbol, value in list(
@@ -251,7 +255,7 @@ def _fields(groups: list[dict[str, Any]]) -> Iterator[tuple[int, int, int, str]]
         for n, ((_, _, _, k), value) in enumerate(zip(group["chosen"], group["values"], strict=True)):
             field = next(fields)
             if k:
-                yield field["at"], k, field["value"], f"low {k} bits of value {n} of group {number}, which is {value}"
+                yield field["at"], k, field["value"], f"low {k} bits of symbol {n} of group {number}, which is {value}"
         name = f"of group {number}"
         rest = list(fields)
         while rest:

@@ -72,7 +72,7 @@ def parse_ancillary(data: bytes) -> list[Ancillary]:
 def parse(
     data: bytes, *, keep_going: bool = False, progress: Progress = no_progress, trace: Trace | None = None
 ) -> Parsed:
-    """SPEC 2.1, 7.1 and 10.1: decodes a file. Raises BitstreamError and nothing else, whatever the bytes are.
+    """SPEC 2.1, 7.1, 10.1 and 10.4: decodes a file. Raises BitstreamError and nothing else, whatever the bytes are.
 
     keep_going: a chunk with an error is dropped and listed in damage, and so is what is wrong behind the chunks.
     progress: told of the work. trace: told of each symbol.

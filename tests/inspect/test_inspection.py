@@ -230,11 +230,7 @@ def test_an_anchor_is_shown_as_in_the_text() -> None:
     wanted = [tuple(cell.strip() for cell in line.strip("|").split("|")) for line in table.group(1).splitlines()[2:]]
     scene = codec.parse((ROOT / "vectors" / "tiny-example.c3gs").read_bytes()).scene
     rows = list(anchor.anchor_rows(scene, 0))
-    assert rows[: len(wanted)] == wanted
-    assert [what for what, *_ in rows[len(wanted) :]] == [
-        "offsets: symbols",
-        "step indices of features, scalings, offsets",
-    ]
+    assert rows == wanted
     last = {what: values for what, _, values in anchor.anchor_rows(scene, scene.anchor_count - 1)}
     assert last["scalings: symbols"] == ", ".join(map(str, scene.attributes.scalings[-1]))
     assert last["offsets: symbols"].count("masked") == (~scene.masks[-1]).sum()
