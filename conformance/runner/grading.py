@@ -24,13 +24,13 @@ from .folder import FileError, open_file
 from .gaussians import difference
 from .process import Ended
 
-# Grades of a vector. 1: refused or accepted as it must be, with the right output. 2: the right class of error too. 3:
-# code and offset too.
-GRADE_NONE, GRADE_VERDICT, GRADE_CLASS, GRADE_EXACT = range(4)
+# SPEC 10.2: the grades of a decoder, and so of a vector. 1: refused or accepted as it must be, with the right output.
+# 2: the code of the error too. 3: its offset too.
+GRADE_NONE, GRADE_VERDICT, GRADE_CODE, GRADE_EXACT = range(4)
 GRADES = {
     GRADE_NONE: "a wrong verdict, a wrong output or a crash",
     GRADE_VERDICT: "right verdicts and outputs",
-    GRADE_CLASS: "right verdicts, outputs and classes of error",
+    GRADE_CODE: "right verdicts, outputs and codes",
     GRADE_EXACT: "right verdicts, outputs, codes and offsets",
 }
 # What a watcher, or an answer, says against a decoder (process.Ended.over).
@@ -168,13 +168,15 @@ def _describe(code: int) -> str:
 def _judge_refusal(expected: Rejected, found: Found) -> Judgement:
     if found.result != "rejected" or found.code is None:
         return Judgement(GRADE_NONE, f"accepted; {_describe(expected.code)}, at byte {expected.offset} expected")
-    wanted, said = BY_CODE[expected.code].klass, BY_CODE[found.code].klass
+    wanted = exit_status(BY_CODE[expected.code].klass)
     where = "no offset" if found.offset is None else f"byte {found.offset}"
     text = f"{_describe(found.code)}, {where}; {_describe(expected.code)}, byte {expected.offset} expected"
-    if said != wanted or found.status != exit_status(wanted):
-        return Judgement(GRADE_VERDICT, f"exit status {found.status}, {exit_status(wanted)} expected; {text}")
-    if (found.code, found.offset) != (expected.code, expected.offset):
-        return Judgement(GRADE_CLASS, text)
+    if found.status != wanted:
+        return Judgement(GRADE_VERDICT, f"exit status {found.status}, {wanted} expected; {text}")
+    if found.code != expected.code:
+        return Judgement(GRADE_VERDICT, text)
+    if found.offset != expected.offset:
+        return Judgement(GRADE_CODE, text)
     return Judgement(GRADE_EXACT, "")
 
 

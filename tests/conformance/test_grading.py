@@ -72,7 +72,7 @@ CASES = [
     Case("wrong offset", INVALID, _ended(1, REFUSED.replace(b"300", b"301")), None, False, 2),
     Case("offset as text", INVALID, _ended(1, REFUSED.replace(b"300", b'"300"')), None, False, 2),
     Case("offset as a fraction", INVALID, _ended(1, REFUSED.replace(b"300", b"300.0")), None, False, 2),
-    Case("wrong code of the class", INVALID, _ended(1, REFUSED.replace(b"412", b"413")), None, False, 2),
+    Case("wrong code of the class", INVALID, _ended(1, REFUSED.replace(b"412", b"413")), None, False, 1),
     Case("code of another class", INVALID, _ended(1, REFUSED.replace(b"412", b"103")), None, False, 1),
     Case("exit 2 for what is invalid", INVALID, _ended(2, REFUSED), None, False, 1),
     Case("exit 1 for what is unsupported", VERSION, _ended(1, NEW_VERSION), None, False, 1),

@@ -110,7 +110,7 @@ def test_a_wrong_decoder(suite: Suite, tmp_path: Path, mode: str, good: tuple[st
 
 
 def test_one_code_for_everything(suite: Suite, tmp_path: Path) -> None:
-    """Its only right answer is the file of that code; others are refused, which is grade 1 or 2."""
+    """Its only right answer is the file of that code; others are refused, which is grade 1."""
     status, record = suite.report("rejects", tmp_path)
     assert status == statuses.REJECTED
     grades = dict.fromkeys(GOOD, 0) | dict.fromkeys(BAD, 1) | {"malformed-crc": 3}
@@ -128,7 +128,13 @@ def test_ancillary_sections(suite: Suite, tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("mode", "grades"), [("other-code", {1: 0, 2: 0, 3: 1}), ("always-exit-1", {1: 0, 2: 1, 3: 1})]
+    ("mode", "grades"),
+    [
+        ("other-code", {1: 0, 2: 1, 3: 1}),
+        ("always-exit-1", {1: 0, 2: 1, 3: 1}),
+        ("offset-1", {1: 0, 2: 0, 3: 1}),
+        ("no-offset", {1: 0, 2: 0, 3: 1}),
+    ],
 )
 def test_grades(suite: Suite, mode: str, grades: dict[int, int]) -> None:
     for grade, status in grades.items():

@@ -237,7 +237,9 @@ def test_an_identifier_is_permanent(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(masks, "add", new)
     assert [r.id for r in recipes()] == [*(v.id for v in SUITE.vectors), "valid-new"]
     monkeypatch.setattr(masks, "add", lambda book: None)
-    with pytest.raises(ValueError, match="no case has the identifiers .*valid-mask-contexts, valid-mask-model-extreme, "):
+    with pytest.raises(
+        ValueError, match=r"no case has the identifiers .*valid-mask-contexts, valid-mask-model-extreme, "
+    ):
         recipes()
 
 
