@@ -98,7 +98,7 @@ class StartSettings:
     cells: int = setting(2, "edge of the voxels of the first anchors", unit="cells of the lattice", low=1, high=64)
     random_cells: int = setting(
         8,
-        "that edge where points are drawn at random: such anchors are far from where they belong, and many must grow",
+        "that edge where points were drawn at random: the scene must find its places by growing, on a finer lattice",
         unit="cells of the lattice",
         low=1,
         high=64,

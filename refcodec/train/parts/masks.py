@@ -82,7 +82,7 @@ class Masks(Part):
 
     @property
     def total(self) -> int:
-        """The number of anchors with those that were dropped for want of a kept offset."""
+        """The number of anchors, counted with those that were dropped as lost."""
         return self.all_anchors or self.scaffold.count
 
     def end(self) -> None:
