@@ -294,6 +294,8 @@ MODES: dict[str, tuple[str, ...]] = {
     "quantisation": ("noise", "round"),
     # grid: the weights of all networks are rounded to grids.
     "weights": ("float", "grid"),
+    # on: the training ends with the mean of its steps from here on, and no anchor goes.
+    "averaging": ("off", "on"),
 }
 
 
@@ -319,6 +321,7 @@ PHASES = (
     Phase("rounding", 0.6, {"quantisation": "round"}),
     Phase("integers", 0.8, {"rate": "integers"}),
     Phase("weights", 0.85, {"weights": "grid"}),
+    Phase("averaging", 0.9, {"averaging": "on"}),
 )
 
 

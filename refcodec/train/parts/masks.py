@@ -89,9 +89,10 @@ class Masks(Part):
         """Drops the anchors that are lost, once the rate counts.
 
         They have no kept offset, so they take part in no image and cost nothing, but time. The gradient of shares that
-        low hardly brings one back.
+        low hardly brings one back. While means are made of anchors, all stay.
         """
-        if not self.on or self.clock.mode("rate") == "off" or self.clock.done % self.settings.drop_period:
+        late = self.clock.mode("rate") != "off" and self.clock.mode("averaging") == "off"
+        if not (self.on and late) or self.clock.done % self.settings.drop_period:
             return
         self.all_anchors = self.all_anchors or self.scaffold.count
         share = torch.sigmoid(self.scaffold.tables["masks"]) * self.weight[:, None]
