@@ -61,7 +61,8 @@ class Photograph:
 
         Raises PhotographError.
         """
-        return ((self.load(WHITE) == 255) & (self.load(BLACK) == 0)).all(axis=2)
+        white, black = (self.image if self.background == over else self.load(over) for over in (WHITE, BLACK))
+        return ((white == 255) & (black == 0)).all(axis=2)
 
 
 @dataclass(frozen=True, eq=False)

@@ -18,9 +18,8 @@ def carved(photographs: PhotographSet, wanted: int, seed: int) -> tuple[F64, U8]
     """Points where no photograph sees through: positions float64 [M, 3] and colours uint8 [M, 3].
 
     They are drawn evenly in the box of the photographs' points until `wanted` are found or BATCHES are drawn. The
-    colour of one is the mean of what the photographs show at its place. Without transparent photographs nothing is
-    known to be empty; the photographs' points are returned then. So they are where nothing is left. Raises
-    PhotographError.
+    colour of one is the mean of what the photographs show at its place. The photographs' points are returned in two
+    cases: no photograph is transparent, or everything that was drawn is seen through. Raises PhotographError.
     """
     empty = [photograph.empty() for photograph in photographs.train]
     if not any(pixels.any() for pixels in empty):

@@ -102,7 +102,7 @@ class StartSettings:
     cells: int = setting(2, "edge of the voxels of the first anchors", unit="cells of the lattice", low=1, high=64)
     random_cells: int = setting(
         8,
-        "that edge where points are drawn at random: such anchors are far from where they belong, and many must grow",
+        "that edge where points were drawn at random: the scene must find its places by growing, on a finer lattice",
         unit="cells of the lattice",
         low=1,
         high=64,
@@ -327,6 +327,8 @@ MODES: dict[str, tuple[str, ...]] = {
     "quantisation": ("noise", "round"),
     # grid: the weights of all networks are rounded to grids.
     "weights": ("float", "grid"),
+    # on: the training ends with the mean of its steps from here on, and no anchor goes.
+    "averaging": ("off", "on"),
 }
 
 
@@ -352,6 +354,7 @@ PHASES = (
     Phase("rounding", 0.6, {"quantisation": "round"}),
     Phase("integers", 0.8, {"rate": "integers"}),
     Phase("weights", 0.85, {"weights": "grid"}),
+    Phase("averaging", 0.9, {"averaging": "on"}),
 )
 
 

@@ -26,6 +26,7 @@ from .looks import Looks
 from .losses import photometric
 from .pace import Pace
 from .part import Part, Step
+from .parts.averaging import Averaging
 from .parts.grids import Grids
 from .parts.growth import Growth
 from .parts.learning import Learning
@@ -95,16 +96,16 @@ class Trainer:
         start = settings.masks.start
         pixels = sum(p.camera.width * p.camera.height for p in self.photographs.train)
         growth = Growth(settings.growth, start, scaffold, clock, random, self._anchors_changed, pixels)
-        always = [growth, Learning(settings.learning, scaffold, clock), self.looks]
+        always = [growth, Learning(settings.learning, scaffold, clock)]
         if not settings.rate.weight:
-            return always
+            return [*always, Averaging(scaffold, None, clock), self.looks]
         masks = Masks(settings.masks, settings.rate.weight, scaffold, self.views.cameras, clock, self._anchors_changed)
         quantisation = Quantisation(settings.quantisation, scaffold, clock, self.noise)
         self.rate = Rate(settings, scaffold, masks, quantisation, hyperprior, clock, random)
         coded: list[Part] = [masks, self.rate, quantisation]
         if hyperprior.coded:
             coded.append(Grids(settings, scaffold, self.rate, self.views, self.estimate, clock))
-        return [*coded, *always]
+        return [*coded, *always, Averaging(scaffold, self.rate, clock), self.looks]
 
     def _anchors_changed(self) -> None:
         for part in self.parts:

@@ -396,11 +396,12 @@ def test_a_trained_scene_keeps_its_looks(plain: Path, photographs: PhotographSet
 
 
 def test_a_coded_scene_is_fitted_again(trained: Trainer, photographs: PhotographSet, tmp_path: Path) -> None:
-    """Its positions stay where they are, on its own grid."""
+    """Its positions stay where they are, on its own grid. Its values are rounded anew, scalings ten times as finely."""
     before = trained.result()
     assert isinstance(before, Scene)
     write_folder(before, tmp_path / "scene")
-    scene = fit.fit(read_given(tmp_path / "scene"), FitSettings(steps=STEPS)).scene
+    settings = varied(FitSettings(), {"steps": STEPS, "scene.scalings": 0.01})
+    scene = fit.fit(read_given(tmp_path / "scene"), settings).scene
     assert scene.grid == before.grid
     np.testing.assert_array_equal(scene.positions, before.positions)
     np.testing.assert_array_equal(scene.masks, before.masks)

@@ -131,18 +131,20 @@ def test_same_file_whatever_the_number_of_threads(examples: Path, tmp_path: Path
 
 
 @pytest.mark.slow
-def test_another_unit_gives_the_same_scene(trained: Trainer, photographs: PhotographSet, small: TrainSettings) -> None:
-    """The same photographs with cameras and points in hundredths of the unit: same anchors, about the same bytes."""
-    other = Trainer(times(photographs, 100.0), small)
-    other.run(lambda _: None)
-    one, two = trained.looks.history[-1], other.looks.history[-1]
-    assert two["psnr"] == pytest.approx(one["psnr"], abs=0.5)
-    # Anchors come and go by sums that are rounded otherwise: 802 and 800. Of the weights' grids one may be as good as
-    # the next, which has a bit more or less of about eight, for rendering networks and for coding networks.
-    without = [look["bytes"] - look["weights"] for look in (one, two)]
-    assert without[1] == pytest.approx(without[0], rel=0.05)
-    assert two["weights"] == pytest.approx(one["weights"], rel=0.25)
-    assert other.scaffold.units.length == pytest.approx(100 * trained.scaffold.units.length)
+def test_another_unit_gives_the_same_scene(photographs: PhotographSet, small: TrainSettings) -> None:
+    """The same photographs with cameras and points in hundredths of the unit: same anchors, about the same bytes.
+
+    Grids of weights are fixed. Of two that are as good a training may take either, which has a fifth of the weights'
+    bytes more or less; anchors come and go by sums that are rounded otherwise.
+    """
+    settings = varied(small, {"weights.rendering_bits": (8, 8), "weights.coarser": (2, 2)})
+    one, other = Trainer(photographs, settings), Trainer(times(photographs, 100.0), settings)
+    for trainer in (one, other):
+        trainer.run(lambda _: None)
+    looks = [trainer.looks.history[-1] for trainer in (one, other)]
+    assert looks[1]["psnr"] == pytest.approx(looks[0]["psnr"], abs=0.5)
+    assert looks[1]["bytes"] == pytest.approx(looks[0]["bytes"], rel=0.02)
+    assert other.scaffold.units.length == pytest.approx(100 * one.scaffold.units.length)
 
 
 @pytest.mark.slow

@@ -82,16 +82,17 @@ class Masks(Part):
 
     @property
     def total(self) -> int:
-        """The number of anchors with those that were dropped for want of a kept offset."""
+        """The number of anchors, counted with those that were dropped as lost."""
         return self.all_anchors or self.scaffold.count
 
     def end(self) -> None:
         """Drops the anchors that are lost, once the rate counts.
 
         They have no kept offset, so they take part in no image and cost nothing, but time. The gradient of shares that
-        low hardly brings one back.
+        low hardly brings one back. While means are made of anchors, all stay.
         """
-        if not self.on or self.clock.mode("rate") == "off" or self.clock.done % self.settings.drop_period:
+        late = self.clock.mode("rate") != "off" and self.clock.mode("averaging") == "off"
+        if not (self.on and late) or self.clock.done % self.settings.drop_period:
             return
         self.all_anchors = self.all_anchors or self.scaffold.count
         share = torch.sigmoid(self.scaffold.tables["masks"]) * self.weight[:, None]

@@ -1,0 +1,77 @@
+"""Averaging: a training ends with the mean of what it had in its last steps.
+
+A step follows one photograph, so that values wander about what all photographs ask for. Their mean is nearer to that.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import torch
+from torch import Tensor
+
+from ..part import Part
+from ..scaffold import Scaffold
+from ..schedule import Clock
+from ..state import Saved
+from .rate import Rate
+
+# Steps from one value that counts to the next. Neighbouring steps hardly differ.
+PERIOD = 5
+
+
+class Averaging(Part):
+    """Means of the anchors' tables, of the rendering networks, and of planes and coding networks if there are any.
+
+    means: by name, like the values; empty before the first. count: how many values they are of.
+    """
+
+    name = "averaging"
+
+    def __init__(self, scaffold: Scaffold, rate: Rate | None, clock: Clock) -> None:
+        self.scaffold, self.rate, self.clock = scaffold, rate, clock
+        self.means: dict[str, Tensor] = {}
+        self.count = 0
+
+    def _values(self) -> dict[str, Tensor]:
+        """What is averaged, by name: the tensors that a training changes."""
+        found = {f"tables.{name}": table for name, table in self.scaffold.tables.items()}
+        found |= {f"networks.{name}": value for name, value in self.scaffold.networks.named_parameters()}
+        if self.rate is not None and self.rate.model is not None:
+            found |= {f"model.{name}": value for name, value in self.rate.model.named_parameters()}
+        return found
+
+    def anchors_changed(self) -> None:
+        """Begins anew: means of other anchors are of no use."""
+        self.means, self.count = {}, 0
+
+    @torch.no_grad()
+    def end(self) -> None:
+        """Counts the values of now and then, and takes the means at the end of the training."""
+        if self.clock.mode(self.name) == "off":
+            return
+        last = self.clock.done == self.clock.steps
+        if last or self.clock.done % PERIOD == 0:
+            self._count()
+        if last:
+            for name, value in self._values().items():
+                value.copy_(self.means[name])
+            self.means, self.count = {}, 0
+
+    def _count(self) -> None:
+        values = self._values()
+        self.means = self.means or {name: torch.zeros_like(value) for name, value in values.items()}
+        self.count += 1
+        for name, value in values.items():
+            self.means[name].lerp_(value, 1 / self.count)
+
+    def state(self) -> dict[str, Any]:
+        """The means, and of how many values they are."""
+        return {"count": self.count, **self.means}
+
+    def restore(self, state: Saved) -> None:
+        """As Part. The anchors and the rate are restored before."""
+        self.count = state.integer("count", 0)
+        values = self._values() if self.count else {}
+        device = self.scaffold.device
+        self.means = {name: state.tensor(name, value.shape).to(device) for name, value in values.items()}
