@@ -79,7 +79,7 @@ def test_golden_digest() -> None:
     assert whole == GOLDEN
     assert tuple(parts) == reconstruction.PARTS
     text = (EXAMPLE.parent.parent / "SPEC.md").read_text(encoding="utf-8")
-    for name, value in {"whole": whole, **parts}.items():
+    for name, value in {"the scene": whole, **parts}.items():
         assert f"| {name} | `{value}` |" in text
 
 

@@ -12,7 +12,7 @@ from dataclasses import astuple, replace
 from pathlib import Path
 
 import pytest
-from hypothesis import given, settings
+from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
 from conformance import cli, independent
@@ -71,7 +71,10 @@ def faulty(draw: st.DrawFn, error: str) -> Refused:
     """A file with any fault that has this error."""
     name = draw(st.sampled_from([name for name, fault in drawable().items() if fault.error == error]))
     targets = draw(st.permutations(TARGETS))
-    return next(refused for t in targets if (refused := draw_fault(draw, t, name)) is not None)
+    found = next((refused for t in targets if (refused := draw_fault(draw, t, name)) is not None), None)
+    assume(found is not None)
+    assert found is not None
+    return found
 
 
 @pytest.mark.no_cover
