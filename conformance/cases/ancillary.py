@@ -309,7 +309,7 @@ def _versions(book: Book) -> None:
         (
             "unsupported-minor-level",
             "a level that a later minor version may have",
-            limits.level.of(later, "level", 1),
+            limits.level.of(later, 1),
             "level-limits",
         ),
         (

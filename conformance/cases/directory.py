@@ -162,6 +162,8 @@ def long_section(t: Target, entry: int, length: int) -> Edit:
 def _(draw: Draw, t: Target) -> Drawn:
     # SPEC [R6.10-6]: another length of DATA would be told by the index.
     free = [s for s in t.header.sections if s.type not in _implied(t) and s.type != DATA]
+    if not free:
+        return None
     section = draw.choice(free)
     return t, section.number, draw.integer(len(t.data) - section.start + 1, SECTION_LENGTH_MAX)
 

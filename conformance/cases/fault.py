@@ -153,8 +153,7 @@ def wrong_value(
 
     @made.drawn
     def _(draw: Draw, t: Target) -> Drawn:
-        # A file without a frame, or with few sections, has no place for some of them.
-        paths = [path for path in values if path in t.elements or f"header.{path}" in t.elements]
+        paths = [path for path in values if t.has(path)]
         if not paths:
             return None
         path = draw.choice(paths)

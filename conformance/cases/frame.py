@@ -39,7 +39,7 @@ def empty_range(t: Target, axis: int) -> Edit:
 
 @empty_range.drawn
 def _(draw: Draw, t: Target) -> Drawn:
-    return (t, draw.integer(0, 2)) if t.header.dimensions.has_frame else None
+    return (t, draw.integer(0, 2)) if t.has("frame.low[0]") else None
 
 
 def add(book: Book) -> None:

@@ -16,7 +16,7 @@ import numpy as np
 from refcodec.bitstream.header import HEADER_LENGTH_MAX, PROLOGUE_BYTES, PositionGrid, RenderInfo
 
 from .book import Book
-from .checksums import Depth
+from .checksums import Depth, layout
 from .fault import Draw, Drawn, Edit, Whole, fault, wrong_value
 from .samplers import drawn
 from .scenes import SMALLEST, f16, scene
@@ -124,7 +124,7 @@ def fields_cut_or_padded(t: Target, length: int, alone: bool = False, minor: int
 
     length: the header's bytes before its CRC-32, a multiple of 4. alone: the file ends with the header.
     """
-    fields = t.data[PROLOGUE_BYTES : t.header_end - 4]
+    fields = t.data[PROLOGUE_BYTES:][: fields_length(t)]
     head = fields[:length].ljust(length, b"\0")
     start = t.data[:10] + minor.to_bytes(2, "little") + (length + 4).to_bytes(4, "little")
     made = start + struct.pack("<I", zlib.crc32(start)) + head + struct.pack("<I", zlib.crc32(head))
@@ -151,8 +151,8 @@ def _(draw: Draw, t: Target) -> Drawn:
 
 
 def fields_length(t: Target) -> int:
-    """Bytes of the header's fields but its CRC-32."""
-    return t.header_end - 4 - PROLOGUE_BYTES
+    """Bytes of the header's fields that are known, but its CRC-32."""
+    return layout(t.data)[1] - 4 - PROLOGUE_BYTES
 
 
 # --- faults of single fields ------------------------------------------------------------------------------------------

@@ -40,7 +40,6 @@ from .targets import main_file, plain, planeless, unpredicted
 
 # Of a file of Tiny.
 profile = wrong_value("header.profile", {"profile": [2, 3, 255]})
-level = wrong_value("header.level", {"level": [1, 2, 255]})
 chunk_size = wrong_value("header.chunk_size", {"chunk_size": [0, 65537, 0xFFFFFFFF]})
 # SPEC 5.3: the lists of the dimensions, by the field that counts them.
 LISTS = {
@@ -49,6 +48,18 @@ LISTS = {
     "sarm_layers": "sarm_width",
     "carm_layers": "carm_width",
 }
+
+
+@fault("header.level")
+def level(t: Target, value: int) -> Edit:
+    """A level that the profile does not have."""
+    return Edit(t.pack({"level": value}), t.at("level"))
+
+
+@level.drawn
+def _(draw: Draw, t: Target) -> Drawn:
+    levels = PROFILES[t.header.profile].levels
+    return t, draw.choice([value for value in range(256) if value not in levels])
 
 
 @fault("header.dimension")
@@ -307,7 +318,7 @@ def _refused_levels(book: Book) -> None:
     book.add("unsupported-header-profile-2", title, make, features="header", flags="profile-unchecked")
     for base, name, before, levels in ((plain, "Tiny", "", [1]), (main_file, "Main", "main-", [0, 4])):
         for number in levels:
-            title, make = f"level {number} of {name}", level.of(base, "level", number)
+            title, make = f"level {number} of {name}", level.of(base, number)
             identifier = f"unsupported-header-{before}level-{number}"
             book.add(identifier, title, make, features="header", flags="level-limits")
     for value in (4097, 0xFFFFFFFF):

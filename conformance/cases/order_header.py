@@ -90,7 +90,7 @@ def _neighbours(book: Book) -> None:
         [
             reserved,
             ("unsupported", "profile", limits.profile, ("profile", 9)),
-            ("unsupported", "level", limits.level, ("level", 9)),
+            ("unsupported", "level", limits.level, (9,)),
             ("invalid", "dimensions.render_width", limits.dimension, ("render_width", 0)),
             ("invalid", "anchor_count", limits.too_many_anchors, (5000,)),
             ("invalid", "chunk_size", limits.chunk_size, ("chunk_size", 0)),

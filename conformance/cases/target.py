@@ -82,6 +82,10 @@ class Target:
         """All elements by path, as `refcodec inspect --hex` prints them."""
         return {row.path: row for row in rows(self.data)}
 
+    def has(self, path: str) -> bool:
+        """Whether there is an element of a path."""
+        return path in self.elements or f"header.{path}" in self.elements
+
     def element(self, path: str) -> Row:
         """An element by its path; `header.` may be left out. Raises KeyError."""
         return self.elements.get(path) or self.elements[f"header.{path}"]
