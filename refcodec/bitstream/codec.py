@@ -15,6 +15,7 @@ from threadpoolctl import threadpool_limits
 
 from .attributes import Attributes, EntropyModel, code_attributes, step_indices
 from .batches import GROUP_ANCHORS, Progress, groups, no_progress
+from .bounds import Bounds
 from .chunks import chunk_ranges, emit_chunk
 from .context import context
 from .directory import DATA, FRAME, INDEX, PLANES_SECTION, WEIGHTS, critical_sections, is_critical, read_section
@@ -70,14 +71,23 @@ def parse_ancillary(data: bytes) -> list[Ancillary]:
 
 
 def parse(
-    data: bytes, *, keep_going: bool = False, progress: Progress = no_progress, trace: Trace | None = None
+    data: bytes,
+    *,
+    keep_going: bool = False,
+    progress: Progress = no_progress,
+    trace: Trace | None = None,
+    bounds: Bounds | None = None,
 ) -> Parsed:
     """SPEC 2.1, 7.1, 10.1 and 10.4: decodes a file. Raises BitstreamError and nothing else, whatever the bytes are.
 
     keep_going: a chunk with an error is dropped and listed in damage, and so is what is wrong behind the chunks.
-    progress: told of the work. trace: told of each symbol.
+    progress: told of the work. trace: told of each symbol. bounds: what the caller allows. BoundPassedError is raised
+    after the header's errors and before any work if the file needs more.
     """
     reader = Reader(WholeFile(bytes(data)), trace=trace)
+    if bounds:
+        count = reader.header.anchor_count
+        bounds.check(reader.header, min(count, GROUP_ANCHORS), count, len(data))
     index = reader.open(progress=progress).index
     chunks: list[Chunk] = []
     damage: dict[int, BitstreamError] = {}

@@ -15,6 +15,7 @@ from threadpoolctl import threadpool_limits
 
 from .attributes import Attributes, EntropyModel, code_attributes, zero_attributes
 from .batches import GROUP_ANCHORS, GROUP_CHUNKS, PartDecoder, Progress, no_progress
+from .bounds import Bounds
 from .chunks import CodedChunk, read_chunk
 from .context import context
 from .conventions import Int64
@@ -72,14 +73,23 @@ class Reader:
     opened: what `open` read, or None before.
     """
 
-    def __init__(self, source: Source, *, keep_ancillary: bool = True, trace: Trace | None = None) -> None:
-        """SPEC 10.1, steps 1 to 3. Raises BitstreamError 101 to 305.
+    def __init__(
+        self,
+        source: Source,
+        *,
+        keep_ancillary: bool = True,
+        trace: Trace | None = None,
+        bounds: Bounds | None = None,
+    ) -> None:
+        """SPEC 10.1, steps 1 to 3. Raises BitstreamError 101 to 305, and BoundPassedError after them.
 
         keep_ancillary: whether ancillary sections are kept. Otherwise they are only checked. trace: told of each
-        symbol. Symbols come chunk by chunk then.
+        symbol. Symbols come chunk by chunk then. bounds: of a reader of one chunk after the other.
         """
         self.source, self.trace, self._keep = source, trace, keep_ancillary
         self.header: Header = read_header(source)
+        if bounds:
+            bounds.check(self.header, min(self.header.anchor_count, self.header.chunk_size))
         self.ancillary: list[Ancillary] = []
         self.opened: Opened | None = None
         self._before = 0
@@ -298,13 +308,13 @@ def _kept_error(chunk: CodedChunk, masks: NDArray[np.bool_]) -> BitstreamError |
     return None if kept == e.kept else BitstreamError("chunk.kept", e.start, e.path, f"{kept} kept offsets", e.kept)
 
 
-def decode_chunk(source: Source, number: int) -> Scene:
+def decode_chunk(source: Source, number: int, *, bounds: Bounds | None = None) -> Scene:
     """SPEC 10.2: decodes one chunk with the fewest bytes: header, FRAM, WGTS, PLNS, INDX, and the chunk's one range.
 
     Returns the scene with the anchors of that chunk. Raises BitstreamError for the first error of what a decoder of one
-    chunk checks, and IndexError if the file has no such chunk.
+    chunk checks, BoundPassedError, and IndexError if the file has no such chunk.
     """
-    reader = Reader(source, keep_ancillary=False)
+    reader = Reader(source, keep_ancillary=False, bounds=bounds)
     index = reader.open(critical_only=True).index
     if not 0 <= number < len(index):
         raise IndexError(f"there is no chunk {number}: the file has {len(index)}")
