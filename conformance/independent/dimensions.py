@@ -1,4 +1,4 @@
-"""Clauses 5.3, 5.8, 6.3 and 11.2: the dimensions, and the networks and the work that follow from them."""
+"""Clauses 5.3, 5.8 and 6.3: the dimensions, and the networks and the work that follow from them."""
 
 from itertools import pairwise
 from typing import NamedTuple

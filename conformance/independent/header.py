@@ -1,4 +1,4 @@
-"""Clauses 5.1 to 5.6 and 6.1 to 6.5: the prologue and the header."""
+"""Clauses 5.1 to 5.5 and 6.1 to 6.5: the prologue and the header."""
 
 import math
 import struct
