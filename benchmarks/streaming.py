@@ -22,6 +22,7 @@ from refcodec.bitstream.directory import DATA
 from refcodec.bitstream.reader import Reader
 from refcodec.bitstream.source import WholeFile
 from refcodec.encoder.quantise import packed
+from refcodec.encoder.sizes import choose_lanes, choose_plane_size
 
 from .results import machine, table, write_section
 
@@ -92,7 +93,9 @@ def mib(value: float) -> str:
 
 def section(anchors: int) -> list[str]:
     """The section's text."""
-    scene = packed(random_scene(17, anchors, replace(MAIN_DIMENSIONS, plane_size=63)), None, None)
+    d = replace(MAIN_DIMENSIONS, plane_size=choose_plane_size(anchors))
+    lanes = choose_lanes(anchors, 2.0 * d.attribute_width)
+    scene = packed(random_scene(17, anchors, d, lanes=lanes), None, None)
     data = emit(scene)
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "scene.c3gs"
@@ -139,14 +142,14 @@ def section(anchors: int) -> list[str]:
         f"`python -m benchmarks.streaming --anchors {anchors}`",
         "",
         machine(),
-        f"{anchors:,} random anchors in {len(scene.chunks)} chunks, {len(data):,} bytes, of which {content.start:,} come",
-        f"before the chunks. Planes are 5 x {d.plane_channels} x {d.plane_size}^2.",
+        f"{anchors:,} random anchors in {len(scene.chunks)} chunks, {len(data):,} bytes.",
+        f"{content.start:,} of them come before the chunks. Planes are 5 x {d.plane_channels} x {d.plane_size}^2.",
         "",
         *table(head, rows),
         "",
         "Traced: the largest sum of what Python and numpy allocated, without the program and its tables. Resident: of",
-        "the process. First anchors: the share of the chunks' bytes that had arrived when the first chunk was decoded.",
-        "The digests of the whole file and of the arriving one are equal.",
+        "the process. Share: of what the whole file takes. First anchors: the share of the chunks' bytes that had",
+        "arrived when the first chunk was decoded. The digests of the whole file and of the arriving one are equal.",
     ]
 
 

@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import argparse
 import re
-from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -16,6 +15,7 @@ from ..files.stage import Stage, write_file
 from ..files.terminal import note, say
 from ..files.text import printable, shell_word
 from .bounds import add_bounds, check_folder, read_bounded
+from .meta import add_meta, metadata_of, with_entries
 from .shared import (
     UsageError,
     add_command,
@@ -27,7 +27,6 @@ from .shared import (
 
 if TYPE_CHECKING:
     from ..bitstream.codec import Parsed
-    from ..bitstream.scene import Ancillary
 
 # The lines of a symbol trace (vectors/README.md).
 TRACE = Kind("a symbol trace", re.compile(rb"(planes|positions|masks|attributes|weights)\S* -?\d+\n"))
@@ -48,31 +47,12 @@ def _encode(arguments: argparse.Namespace) -> int:
             f"{arguments.scene} is an uncompressed scene, which has no entropy model: train it with a rate, or fit a "
             f"model to it with refcodec fit {shell_word(arguments.scene)} -o {fitted}"
         )
-    scene = read_folder(arguments.scene)
-    if arguments.meta:
-        scene = replace(scene, ancillary=_with_metadata(scene.ancillary, arguments.meta))
+    entries = metadata_of(arguments)
+    scene = with_entries(read_folder(arguments.scene), entries)
     write_file(
         output, encoded(arguments, arguments.scene, scene, arguments.positions, arguments.weights, arguments.smallest)
     )
     return 0
-
-
-def _pair(text: str) -> tuple[str, str]:
-    """Returns the key and the value of KEY=VALUE."""
-    key, sign, value = text.partition("=")
-    if not sign:
-        raise argparse.ArgumentTypeError(f"{text!r} found, KEY=VALUE is required")
-    return key, value
-
-
-def _with_metadata(sections: tuple[Ancillary, ...], changes: list[tuple[str, str]]) -> tuple[Ancillary, ...]:
-    """Returns the ancillary sections with changed metadata. Raises UsageError."""
-    from ..bitstream.metadata import with_metadata
-
-    try:
-        return with_metadata(sections, dict(changes))
-    except ValueError as error:
-        raise UsageError(str(error)) from None
 
 
 def _decode(arguments: argparse.Namespace) -> int:
@@ -155,7 +135,12 @@ def add(commands: Any) -> None:
         "encode",
         _encode,
         "encode a scene folder",
-        ["encode scene -o scene.c3gs", "encode scene -o scene.c3gs --meta title=Kitchen --meta licence=CC-BY-4.0"],
+        [
+            "encode scene -o scene.c3gs",
+            "encode scene -o scene.c3gs --meta title=Kitchen --meta licence=CC-BY-4.0",
+            "encode scene -o scene.c3gs --meta about.toml",
+            "encode scene -o scene.c3gs --smallest",
+        ],
         "A folder that decode wrote gives the same bytes again. For a file of Main, add --positions raw if its\n"
         "positions are raw, and --weights raw if its weights are raw. If coded.safetensors is deleted,\n"
         "point_cloud.ply is quantised anew.",
@@ -164,14 +149,7 @@ def add(commands: Any) -> None:
     encode.add_argument("scene", metavar="SCENE_DIR")
     add_bounds(encode)
     encode.add_argument("-o", "--output", metavar="FILE", required=True)
-    encode.add_argument(
-        "--meta",
-        metavar="KEY=VALUE",
-        type=_pair,
-        action="append",
-        help="write an entry of metadata (SPEC.md 6.14), such as title=Kitchen; an empty value removes the entry; "
-        "may be given several times",
-    )
+    add_meta(encode)
     encode.add_argument(
         "--positions",
         choices=("raw", "packed"),

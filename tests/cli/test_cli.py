@@ -25,11 +25,13 @@ from refcodec.bitstream import codec, directory
 from refcodec.bitstream.codec import parse_container
 from refcodec.bitstream.directory import DATA
 from refcodec.bitstream.errors import BitstreamError
-from refcodec.bitstream.header import PROLOGUE_BYTES
-from refcodec.bitstream.reconstruction import digest
+from refcodec.bitstream.header import PROLOGUE_BYTES, RenderInfo
+from refcodec.bitstream.metadata import metadata
+from refcodec.bitstream.reconstruction import Reconstruction, digest
 from refcodec.bitstream.scene import Ancillary
 from refcodec.cli.main import main
 from refcodec.folder.read import read_folder
+from refcodec.folder.uncompressed import Uncompressed, write_uncompressed
 from refcodec.folder.write import write_folder
 
 ROOT = Path(refcodec.__file__).parent
@@ -644,11 +646,32 @@ def test_fit_refuses(name, content, tmp_path, capsys):
     assert os.listdir(tmp_path) == [name]
 
 
-def test_fit_refuses_other_shapes(file, tmp_path, capsys):
+def test_fit_takes_other_shapes_within_main(file, tmp_path, capsys):
+    """A scene of 5 features and 2 offsets; 17 offsets are more than Main has."""
     pytest.importorskip("torch")
     assert main(["decode", str(file), "-o", str(tmp_path / "scene")]) == 0
-    assert main(["fit", str(tmp_path / "scene" / "point_cloud.ply"), "-o", str(tmp_path / "new")]) == 64
-    assert "5 features and 2 offsets" in capsys.readouterr().err
+    small = ["--steps", "2", "--set", "entropy.channels=0", "--set", "entropy.slices=[1, 1]", "--meta", "title=Fit"]
+    assert main(["fit", str(tmp_path / "scene"), "-o", str(tmp_path / "new"), *small]) == 0
+    found = read_folder(tmp_path / "new")
+    d = found.dimensions
+    assert (d.features, d.offset_count, d.slices, d.plane_channels) == (5, 2, (2, 3), 0)
+    assert metadata(found.ancillary) == {"title": "Fit"}
+    for option in ("entropy.channels=17", "entropy.slices=[]", "entropy.slices=7", "entropy.none=1"):
+        assert main(["fit", str(tmp_path / "scene"), "-o", str(tmp_path / "other"), "--set", option]) == 64
+        assert option.partition("=")[0] in capsys.readouterr().err
+
+    def some(*shape: int) -> np.ndarray:
+        return np.zeros(shape, np.float32)
+
+    networks = {
+        name: [(some(6, 9), some(6)), (some(17 * each, 6), some(17 * each))]
+        for name, each in (("opacity", 1), ("covariance", 7), ("colour", 3))
+    }
+    values = Reconstruction(some(4, 3), some(4, 5), some(4, 6), some(4, 17, 3))
+    write_uncompressed(Uncompressed(values, np.ones((4, 17), bool), networks, RenderInfo()), tmp_path / "many")
+    assert main(["fit", str(tmp_path / "many"), "-o", str(tmp_path / "other")]) == 64
+    assert "offset_count would be 17, in Main 1 to 16 is allowed" in capsys.readouterr().err
+    assert not (tmp_path / "other").exists()
 
 
 def test_metadata_is_written_shown_and_checked(file, tmp_path, call):
@@ -663,7 +686,29 @@ def test_metadata_is_written_shown_and_checked(file, tmp_path, call):
     assert (status, err) == (0, "")
     assert call("digest", out)[1] == call("digest", file)[1]
     assert call("encode", tmp_path / "scene", "-o", out, "--meta", "Title=x")[0] == 64
-    assert call("encode", tmp_path / "scene", "-o", out, "--meta", "title")[0] == 64
+    status, _, err = call("encode", tmp_path / "scene", "-o", out, "--meta", "title")
+    assert status == 64
+    assert "neither KEY=VALUE nor a file" in err
+
+
+def test_metadata_of_a_file(file, tmp_path, call):
+    """Entries of TOML, of which the last word counts; an empty value removes one."""
+    assert call("decode", file, "-o", tmp_path / "scene")[0] == 0
+    about, out = tmp_path / "about.toml", tmp_path / "meta.c3gs"
+    about.write_text('title = "Hall"\nlicence = "CC0-1.0"\n[org.example]\nnote = "two\\nlines"\n')
+    words = ("encode", tmp_path / "scene", "-o", out)
+    assert call(*words, "--meta", about, "--meta", "title=Kitchen")[0] == 0
+    entries = {"title": "Kitchen", "licence": "CC0-1.0", "org.example.note": "two\nlines"}
+    assert metadata(codec.parse(out.read_bytes()).scene.ancillary) == entries
+    assert call("decode", out, "-o", tmp_path / "scene")[0] == 0
+    assert call(*words, "--meta", "licence=")[0] == 0
+    del entries["licence"]
+    assert metadata(codec.parse(out.read_bytes()).scene.ancillary) == entries
+    for text in ("title = 7", "title = [", "Title = 'x'", "date = 'today'"):
+        about.write_text(text)
+        status, _, err = call(*words, "--meta", about)
+        assert status == 64, text
+        assert len(err.splitlines()) == 1
 
 
 def test_a_broken_ancillary_section_is_a_warning(scene, tmp_path, call):
