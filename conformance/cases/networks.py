@@ -145,7 +145,7 @@ def _refused(book: Book) -> None:
         ("weight-1023-5", "a weight that rounds to 1024 at each exponent", ("hyper.1", 3, 1, 1023.5)),
         ("weight-minus-1024", "a weight of -1024", ("carm.1.0", 1, 0, -1024.0)),
         ("weight-largest", "the largest f32 as a weight", ("sarm.2", 1, 3, -LARGEST_F32)),
-        ("bias-2-24", "a bias of 2^24", ("hyper.0", 2, None, 2.0**24)),
+        ("bias-2-24", "a bias of 2^24", ("hyper.0", 1, None, 2.0**24)),
         ("bias-minus-2-24", "a bias of -2^24", ("sarm.1", 0, None, -(2.0**24))),
         ("bias-largest", "the largest f32 as a bias", ("carm.1.1", 5, None, LARGEST_F32)),
     ]

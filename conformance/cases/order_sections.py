@@ -223,11 +223,11 @@ def _chunk(book: Book) -> None:
         packed,
         "packed-chunk",
         [
-            Link("padding", "padding behind the attributes of a packed chunk", chunks.padding, 0, "attributes", 0, 1),
-            Link("state", "a state of its positions", entropy_substreams.state, "positions[chunk 0]", 1, 0),
-            other_symbols("positions[chunk 0]", "positions", "symbol_crc of its positions"),
-            Link("bounds", "its bounds", chunks.bound, 0, "low[0]", False),
-            other_symbols("masks[chunk 0]", "masks", "symbol_crc of its masks"),
+            Link("padding", "padding behind the attributes of a packed chunk", chunks.padding, 1, "attributes", 0, 1),
+            Link("state", "a state of its positions", entropy_substreams.state, "positions[chunk 1]", 1, 0),
+            other_symbols("positions[chunk 1]", "positions", "symbol_crc of its positions"),
+            Link("bounds", "its bounds", chunks.bound, 1, "low[0]", False),
+            other_symbols("masks[chunk 1]", "masks", "symbol_crc of its masks"),
         ],
         "R6.11-10",
     )

@@ -25,6 +25,7 @@ from .scenes import (
     MAIN_SMALLEST,
     PLANELESS,
     SMALLEST,
+    TINY_DIMENSIONS,
     UNENCODED,
     constant,
     lattice,
@@ -40,6 +41,8 @@ from .target import Target
 BEHIND = len(SECTIONS)
 # Seeds that the fuzzer draws.
 SEEDS = 6
+# Of most files here: small networks, since hundreds of files of the suite are one of them with a fault.
+_SMALL = replace(TINY_DIMENSIONS, hyper_width=(2,), carm_width=(2,), render_width=1)
 # The first substream of attributes, which is the only one of some files.
 ATTRIBUTES_0 = "attributes[chunk 0]"
 
@@ -47,7 +50,7 @@ ATTRIBUTES_0 = "attributes[chunk 0]"
 @cache
 def plain() -> Target:
     """A file of three chunks in mode 0. Behind its critical sections are two ancillary ones, the last of them empty."""
-    made = drawn("refused", 11, chunk_size=4)
+    made = drawn("refused", 11, _SMALL, chunk_size=4)
     behind = (Ancillary(b"noTE", 1, b"hello", BEHIND), Ancillary(b"moRE", 0, b"", BEHIND))
     return Target(codec.emit(replace(made, ancillary=behind)))
 
@@ -55,7 +58,7 @@ def plain() -> Target:
 @cache
 def strewn() -> Target:
     """A file of two chunks in mode 0 whose ancillary sections stand before, among and behind the critical ones."""
-    made = drawn("refused-strewn", 5, chunk_size=3)
+    made = drawn("refused-strewn", 5, _SMALL, chunk_size=3)
     texts = (b"a", b"bcd", b"efghi", b"jk", b"l")
     every = tuple(Ancillary(b"noTE", 0, text, after) for after, text in enumerate(texts, 1))
     return Target(codec.emit(replace(made, ancillary=(Ancillary(b"moRE", 0, b"first"), *every))))
@@ -66,7 +69,7 @@ def packed() -> Target:
     """A file in mode 1: two packed chunks, a raw one and a packed one; the layer colour.0 is raw."""
     where = lattice(Numbers("refused-packed"), 11)
     where[6] = where[7]
-    made = drawn("refused-packed", 11, chunk_size=3, positions=where, position_model=position_model(where, 3))
+    made = drawn("refused-packed", 11, _SMALL, chunk_size=3, positions=where, position_model=position_model(where, 3))
     made.networks["colour"][0][1][0] = -0.0
     return Target(codec.emit(packed_weights(made)))
 

@@ -49,7 +49,7 @@ def streamed(source: Source) -> tuple[Scene | None, tuple[str, int] | None]:
     return reader.scene(chunks), None
 
 
-@pytest.mark.requirement("D10.1-1")
+@pytest.mark.requirement("D10.2-3")
 @pytest.mark.parametrize("size", [1, 1000, 1 << 20])
 def test_bytes_that_arrive_give_the_same_scene(size: int) -> None:
     scene, error = streamed(Arriving(blocks(FILE, size)))
@@ -58,7 +58,7 @@ def test_bytes_that_arrive_give_the_same_scene(size: int) -> None:
     assert codec.emit(scene) == FILE
 
 
-@pytest.mark.requirement("D10.1-1")
+@pytest.mark.requirement("D10.2-3")
 @pytest.mark.no_cover
 @given(mutations(FILE))
 @settings(max_examples=150)
@@ -71,7 +71,7 @@ def test_bytes_that_arrive_have_the_same_first_error(data: bytes) -> None:
     assert streamed(Arriving(blocks(data, 100)))[1] == wanted
 
 
-@pytest.mark.requirement("D10.1-1")
+@pytest.mark.requirement("D10.2-3")
 @pytest.mark.no_cover
 def test_every_cut_has_the_same_first_error() -> None:
     for length in range(0, len(FILE), 13):
