@@ -20,8 +20,9 @@ from refcodec.bitstream.frame import Frame
 from refcodec.encoder.positions import morton_order
 from refcodec.inspect.elements import outline_of
 from refcodec.inspect.parts import part_bytes
+from refcodec.train.entropy.columns import Columns
 from refcodec.train.entropy.hyperprior import VectorMatrix, scene_coordinates
-from refcodec.train.entropy.model import WIDTH, RateModel
+from refcodec.train.entropy.model import OFFSETS, RateModel
 from refcodec.train.settings import EntropySettings
 from refcodec.train.start import lattice_positions
 
@@ -109,7 +110,9 @@ def _of_training(path: Path) -> Coded:
     positions, latents = lattice_positions(state["scaffold/lattice"].numpy()), state["rate/model.latents"]
     hyperprior, width = VectorMatrix(), len(state["rate/model.hyper.biases.0"])
     size = latents.shape[-1]
-    model = RateModel(hyperprior, size, width, np.zeros(WIDTH), np.ones(WIDTH), torch.Generator(), EntropySettings())
+    columns = Columns(tuple(settings["entropy"]["slices"]), OFFSETS)
+    likely = np.zeros(columns.width), np.ones(columns.width)
+    model = RateModel(hyperprior, size, width, *likely, torch.Generator(), EntropySettings(), columns=columns)
     model.load_state_dict({k[len("rate/model.") :]: v for k, v in state.items() if k.startswith("rate/model.")})
     kept = torch.sigmoid(state["scaffold/tables.masks"]) * state["masks/weight"][:, None] > settings["masks"]["epsilon"]
     some = kept.any(dim=1)

@@ -10,7 +10,6 @@ import torch
 from ..bitstream.attributes import KINDS
 from ..encoder.sizes import choose_lanes
 from ..encoder.weights import quantise_rendering
-from .entropy.model import WIDTH
 from .export import position_bytes, weight_bytes
 from .parts.rate import Rate
 from .scaffold import Scaffold
@@ -27,7 +26,7 @@ def uncompressed_bytes(scaffold: Scaffold) -> dict[str, float]:
     """Bytes of each part as float32 numbers."""
     n = scaffold.count
     weights = 4 * sum(p.numel() for p in scaffold.networks.parameters())
-    return {"positions": 12 * n, "attributes": 4 * WIDTH * n, "weights": weights}
+    return {"positions": 12 * n, "attributes": 4 * scaffold.columns.width * n, "weights": weights}
 
 
 def likely_bytes(scaffold: Scaffold, weight: float) -> dict[str, float]:
@@ -38,7 +37,7 @@ def likely_bytes(scaffold: Scaffold, weight: float) -> dict[str, float]:
     weights, found = np.log(np.array(LIKELY_BITS)).T
     bits = float(np.exp(np.interp(math.log(weight), weights, found)))
     return {
-        "positions": position_bytes(scaffold.lattice, choose_lanes(scaffold.count, 2.0 * WIDTH)),
+        "positions": position_bytes(scaffold.lattice, choose_lanes(scaffold.count, 2.0 * scaffold.columns.width)),
         "attributes": bits / 8 * scaffold.count,
         "weights": LIKELY_NETWORKS,
     }
@@ -57,7 +56,7 @@ def coded_bytes(scaffold: Scaffold, rate: Rate, likely_bits: int) -> dict[str, f
     some = kept.any(dim=1)
     share = kept[some].double().mean(dim=0).clamp(1e-9, 1 - 1e-9)
     entropy = -(share * share.log2() + (1 - share) * (1 - share).log2()).sum()
-    lanes = choose_lanes(scaffold.count, 2.0 * WIDTH)
+    lanes = choose_lanes(scaffold.count, 2.0 * scaffold.columns.width)
     weights = 0
     if rate.hyperprior.coded:
         rendering = scaffold.networks.layers()

@@ -20,7 +20,7 @@ from refcodec.inspect.parts import part_bytes
 from refcodec.photographs.photographs import PhotographSet
 from refcodec.render.view import View
 from refcodec.train.entropy.hyperprior import Hyperprior, VectorMatrix
-from refcodec.train.entropy.model import OFFSETS, WIDTH
+from refcodec.train.entropy.model import OFFSETS
 from refcodec.train.settings import TrainSettings
 from refcodec.train.settings_file import varied
 from refcodec.train.state import restore, save
@@ -42,7 +42,7 @@ def test_hyperpriors(hyperprior: Hyperprior, photographs: PhotographSet, small: 
     hidden = model.activations(contexts.inputs(model.symbols(trainer.random), rows, False))
     kept = torch.ones(50, OFFSETS)
     kept[7] = 0
-    bits = model.attribute_bits(hidden, torch.zeros(50, WIDTH), kept)
+    bits = model.attribute_bits(hidden, torch.zeros(50, model.columns.width), kept)
     assert bits.shape == (50, 3)
     assert (bits[7] == 0).all()
     assert float(bits[8].detach().sum()) > 0
@@ -50,9 +50,9 @@ def test_hyperpriors(hyperprior: Hyperprior, photographs: PhotographSet, small: 
     assert model.latents.grad is not None
     assert torch.isfinite(model.latents.grad).all()
     assert (model.latents.grad.abs().sum(dim=(1, 2, 3)) > 0).all()
-    assert (weights.grad[2 * WIDTH + 1] != 0).any()
+    assert (weights.grad[2 * model.columns.width + 1] != 0).any()
     model.hold_scalings()
-    assert (weights.grad[2 * WIDTH + 1] == 0).all()
+    assert (weights.grad[2 * model.columns.width + 1] == 0).all()
     assert float(model.steps(hidden)[:, 1].std()) == 0
 
 
@@ -77,7 +77,8 @@ def test_bytes_are_what_was_estimated(trained: Trainer) -> None:
     estimate = trained.estimate()
     found = attribute_code_length(scene)
     assert estimate["attributes"] * 8 == pytest.approx(found.table, rel=0.01)
-    assert estimate["planes"] * 8 == pytest.approx(plane_code_length(scene).table, rel=0.01)
+    # Planes of so few anchors take 400 bytes: 1 % of them is less than the models' rounding makes.
+    assert estimate["planes"] * 8 == pytest.approx(plane_code_length(scene).table, abs=64)
     file = emit(packed(scene, None, None))
     packing = part_bytes(file, outline_of(file))
     assert estimate["positions"] == packing["positions"]

@@ -24,11 +24,9 @@ from .hyperprior import Hyperprior, plane_neighbours
 from .passes import is_compiled
 from .units import LATENT_UNIT, MEAN_UNIT, SCALE_UNIT, STEP_ONE, round_through
 
-# What a training gives its anchors, and the widths of SARM's hidden layers, all as in the paper.
-FEATURES, OFFSETS, SARM_WIDTH = sum(SLICES), 10, (16, 16)
+# The offsets that a training gives its anchors, and the widths of SARM's hidden layers, both as in the paper.
+OFFSETS, SARM_WIDTH = 10, (16, 16)
 PAPER = Columns(SLICES, OFFSETS)
-# Columns of the three kinds of attributes in file order, and D.
-WIDTHS, WIDTH = PAPER.widths, PAPER.width
 
 
 def count_anywhere(out: Tensor, change: Tensor, symbols: Tensor, kept: Tensor, floor: float, of: Columns) -> Tensor:

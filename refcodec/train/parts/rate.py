@@ -15,11 +15,10 @@ from torch import Tensor
 from ...bitstream.attributes import KINDS
 from ...bitstream.frame import FRAME_RANGE_BOUND, FRAME_SHIFT_MAX, MATRIX_BOUND, TRANSLATION_BOUND, Frame
 from ...encoder.frame import choose_frame
-from ...encoder.sizes import choose_plane_size, choose_slices, choose_width
+from ...encoder.sizes import choose_plane_size, choose_width
 from ..adam import ADAM_EPSILON
-from ..entropy.columns import Columns
 from ..entropy.hyperprior import Hyperprior, contexts_of
-from ..entropy.model import FEATURES, OFFSETS, WIDTH, RateModel
+from ..entropy.model import RateModel
 from ..optimisers import learning_rate, moments, restore_moments
 from ..part import Part, Sight, Step
 from ..scaffold import Scaffold
@@ -104,9 +103,8 @@ class Rate(Part):
         symbols = torch.cat([scaffold.tables[kind] / base_step[i] for i, kind in enumerate(KINDS)], dim=1).double()
         mean, deviation = symbols.mean(dim=0).cpu().numpy(), symbols.std(dim=0).cpu().numpy()
         entropy = self.settings.entropy
-        columns = Columns(choose_slices(FEATURES, entropy.slices), OFFSETS)
         model = self.model_type(
-            self.hyperprior, plane_size, width, mean, deviation, self.random, entropy, columns=columns
+            self.hyperprior, plane_size, width, mean, deviation, self.random, entropy, columns=scaffold.columns
         )
         model.to(scaffold.device)
         self.model, self.frame, self.base_step = model, frame, base_step
@@ -185,10 +183,11 @@ class Rate(Part):
         kept = self.masks.kept(leaves["masks"], rows)
         bits = self.model.attribute_bits(hidden, symbols, kept).mean(dim=0)
         # N counts the anchors that were dropped, too, so that the weight of the others' bits stays what it was.
-        loss = bits.sum() * self.scaffold.count / (self.masks.total * WIDTH)
+        symbols_of_all = self.masks.total * self.scaffold.columns.width
+        loss = bits.sum() * self.scaffold.count / symbols_of_all
         if self.clock.done % settings.plane_period == 0:
             # A-RDO: the term is not scaled up for the steps that lack it.
-            loss = loss + settings.planes * self.model.plane_bits(planes) / (self.masks.total * WIDTH)
+            loss = loss + settings.planes * self.model.plane_bits(planes) / symbols_of_all
         return settings.weight * loss
 
     def descend(self, step: Step) -> None:
