@@ -21,6 +21,7 @@ from ..bitstream.planes import PLANE_SYMBOL_MAX
 from ..bitstream.positions import encode_positions
 from ..bitstream.reconstruction import Reconstruction
 from ..bitstream.scene import Ancillary, Scene
+from ..bitstream.source import pad4
 from ..bitstream.weights import emit_weights
 from ..encoder.masks import mask_model
 from ..encoder.positions import morton_order, position_model
@@ -91,15 +92,14 @@ def _dimensions(model: RateModel, coding: dict[str, list[Layer]]) -> Dimensions:
 
 
 def weight_bytes(model: RateModel, rendering: dict[str, list[Layer]], lanes: Lanes) -> int:
-    """Bytes of the section of weights in mode 1 (SPEC 5.8). Raises networks.BoundError."""
+    """Bytes of the section of weights in mode 1 (SPEC 5.8), with its padding. Raises networks.BoundError."""
     coding = model.networks()
     d = _dimensions(model, coding)
     networks = exact_networks({name: {**coding, **rendering}[name] for name in d.network_shapes()})
-    return len(
-        emit_weights(
-            PLANE_SHIFT, np.zeros(d.carm_inputs, np.uint8), networks, weight_scales(networks), d, 1 << lanes.attribute
-        )
+    content = emit_weights(
+        PLANE_SHIFT, np.zeros(d.carm_inputs, np.uint8), networks, weight_scales(networks), d, 1 << lanes.attribute
     )
+    return pad4(len(content))
 
 
 def position_bytes(lattice: NDArray[np.int64], lanes: Lanes) -> int:
