@@ -328,8 +328,8 @@ def draw_splice(draw: st.DrawFn, data: bytes) -> bytes:
     out = draw(st.integers(0, min(8, len(part) - at)))
     part[at : at + out] = draw(st.binary(max_size=8))
     if len(part) >= 8 and draw(st.booleans()):
-        words = max(0, int.from_bytes(part[4:8], "little") + draw(st.integers(-4, 4)))
-        part[4:8] = words.to_bytes(4, "little")
+        words = int.from_bytes(part[4:8], "little") + draw(st.integers(-4, 4))
+        part[4:8] = min(max(words, 0), 0xFFFFFFFF).to_bytes(4, "little")
     return target.with_substream(s.path, bytes(part))
 
 
