@@ -131,7 +131,7 @@ def section(anchors: int) -> list[str]:
     head = [
         "reading",
         "traced MiB",
-        "of the whole file's",
+        "share",
         "resident MiB",
         "seconds",
         "bytes",
