@@ -216,6 +216,8 @@ def idle() -> Target:
 def _refused_ends(book: Book) -> None:
     title, make = "the file ends within the head of its last substream", cut.of(partial(far, 1000), ATTRIBUTES_0, 5)
     book.add("malformed-attributes-of-5-bytes", title, make, features="substream attributes", flags="truncation")
+    title, make = "the file ends within symbol_crc of its last substream", cut.of(partial(far, 1000), ATTRIBUTES_0, 3)
+    book.add("malformed-attributes-of-3-bytes", title, make, features="substream attributes", flags="truncation")
     title = "a word_count whose double is right modulo 2^32"
     book.add("malformed-words-wrap", title, _words_wrap, features="substream", flags="sum-wraps lengths-trusted")
     # 16 bits of an escape fill two bytes; a third has nothing to hold.

@@ -82,7 +82,11 @@ def _neighbours(book: Book) -> None:
     _pairs(
         book,
         grids,
-        [("malformed", "the padding of the dimensions", header.padding_byte, (2, 1)), reserved],
+        [
+            ("malformed", "section_count", header.count_beyond_header, ("section_count", 0xFFFF)),
+            ("malformed", "the padding of the dimensions", header.padding_byte, (2, 1)),
+            reserved,
+        ],
     )
     _pairs(
         book,

@@ -390,7 +390,7 @@ def _valid(book: Book) -> None:
 
 
 def _limits(n: Networks) -> None:
-    # The least and the largest exponent of a row, and integers at the limit.
+    # The least and the largest exponent of a layer and of a row, and integers at the limit.
     w, b = n["opacity"][0]
     w[0], b[0] = 0, np.float32(2.0**-149)
     w[1], b[1] = 2.0**104, 0
@@ -399,6 +399,8 @@ def _limits(n: Networks) -> None:
     w[0], b[0] = 1 - (1 << 24), (1 << 24) - 1
     w[1], b[1] = 2.0**104, -(2.0**127)
     w[2], b[2] = float(np.float32(2.0**104 * ((1 << 24) - 1))), 2.0**104
+    w, b = n["colour"][0]
+    w[0], b[0] = 2.0**104, 0
 
 
 def _zeros(n: Networks) -> None:
