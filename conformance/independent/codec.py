@@ -1,4 +1,4 @@
-"""Clauses 7.1 and 10.1: the order in which a file is decoded and checked."""
+"""Clauses 7.1, 10.1 and 10.4: the order in which a file is decoded and checked."""
 
 from .chunks import ChunkReader
 from .context import ContextSource
@@ -66,7 +66,7 @@ class _Decoder:
         require(section.crc == 0, "section.crc", section.offset)
 
 
-# SPEC 2.1, 7.1, 10.1
+# SPEC 2.1, 7.1, 10.1, 10.2, 10.4
 def decode(data: bytes, trace: Trace | None = None) -> Scene:
     """Return the scene of a file. Raises C3GSError if the file is refused.
 
