@@ -1,4 +1,4 @@
-"""Clauses 7.1 and 10.1: a whole file, decoded and made.
+"""Clauses 7.1, 10.1 and 10.4: a whole file, decoded and made.
 
 `parse` decodes a file and `emit` makes one. The modules of the other clauses do the steps.
 """
