@@ -280,11 +280,6 @@ class EntropySettings:
         """Raises ValueError for more slices than Main holds (SPEC 11.1)."""
         if not 1 <= len(self.slices) <= SLICES_MAX:
             raise ValueError(f"entropy.slices has {len(self.slices)} slices, 1 to {SLICES_MAX} are allowed")
-        if not COLOURS <= sum(self.slices) <= FEATURES_MAX:
-            raise ValueError(
-                f"entropy.slices has {sum(self.slices)} features: {COLOURS}, which begin as an anchor's colour, "
-                f"to {FEATURES_MAX} are allowed"
-            )
 
 
 @dataclass(frozen=True)
@@ -419,6 +414,12 @@ class TrainSettings:
             growth, rate = phase.modes.get("growth", growth), phase.modes.get("rate", rate)
             if rate != "off" and growth != "off":
                 raise ValueError(f"phases.{phase.name} has growth = {growth!r}: anchors cannot change under a rate")
+        features = sum(self.entropy.slices)
+        if not COLOURS <= features <= FEATURES_MAX:
+            raise ValueError(
+                f"entropy.slices has {features} features: {COLOURS}, which begin as an anchor's colour, "
+                f"to {FEATURES_MAX} are allowed"
+            )
         for name in ("rendering_bits", "coarser"):
             least, most = getattr(self.weights, name)
             if least > most:
