@@ -146,7 +146,9 @@ FIELDS: dict[str, str] = {
     "Substream.word": "8.2 8.3 R8.8-1 R8.8-2 R8.8-5 D8.2-1",
     "Substream.raw": "8.5 8.6 8.7 R8.8-3 R8.8-4 R8.7-1 R8.5-1 R8.8-5 D8.5-1 D8.6-1 D8.7-1",
     **dict.fromkeys((f"Metadata.{name}" for name in ("count", "reserved")), "6.14 R6.6-7"),
-    **dict.fromkeys((f"Entry.{name}" for name in ("key_length", "value_length", "key", "value", "padding")), "6.14 R6.6-7"),
+    **dict.fromkeys(
+        (f"Entry.{name}" for name in ("key_length", "value_length", "key", "value", "padding")), "6.14 R6.6-7"
+    ),
     **dict.fromkeys((f"Cameras.{name}" for name in ("count", "reserved")), "6.15 R6.6-7"),
     **dict.fromkeys(
         (f"Camera.{name}" for name in ("width", "height", "focal", "principal_point", "rotation", "translation")),
