@@ -145,14 +145,16 @@ FIELDS: dict[str, str] = {
     "Substream.state": "8.1 8.3 R8.1-1 R8.1-2 R8.8-2 D8.3-1",
     "Substream.word": "8.2 8.3 R8.8-1 R8.8-2 R8.8-5 D8.2-1",
     "Substream.raw": "8.5 8.6 8.7 R8.8-3 R8.8-4 R8.7-1 R8.5-1 R8.8-5 D8.5-1 D8.6-1 D8.7-1",
-    **dict.fromkeys((f"Metadata.{name}" for name in ("count", "reserved")), "6.14"),
-    **dict.fromkeys((f"Entry.{name}" for name in ("key_length", "value_length", "key", "value", "padding")), "6.14"),
-    **dict.fromkeys((f"Cameras.{name}" for name in ("count", "reserved")), "6.15"),
+    **dict.fromkeys((f"Metadata.{name}" for name in ("count", "reserved")), "6.14 R6.6-7"),
+    **dict.fromkeys(
+        (f"Entry.{name}" for name in ("key_length", "value_length", "key", "value", "padding")), "6.14 R6.6-7"
+    ),
+    **dict.fromkeys((f"Cameras.{name}" for name in ("count", "reserved")), "6.15 R6.6-7"),
     **dict.fromkeys(
         (f"Camera.{name}" for name in ("width", "height", "focal", "principal_point", "rotation", "translation")),
-        "6.15 14.2",
+        "6.15 14.2 R6.6-7",
     ),
-    **dict.fromkeys((f"Camera.{name}" for name in ("name_length", "name", "padding")), "6.15"),
+    **dict.fromkeys((f"Camera.{name}" for name in ("name_length", "name", "padding")), "6.15 R6.6-7"),
 }
 
 # The elements outside tables: the pattern of their paths, what they hold, and their clauses and requirements.

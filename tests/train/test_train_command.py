@@ -51,10 +51,12 @@ def test_command_without_rate(examples: Path, tmp_path: Path, capsys: pytest.Cap
     scene = read_uncompressed(folder)
     assert main(["eval", str(folder), source, "--size", "64", "--json"]) == 0
     found = json.loads(capsys.readouterr().out.split("\n", 6)[6])
+    # Six scalings and ten offsets, and networks with one hidden layer of 50 units.
+    features = scene.values.features.shape[1]
     assert found["parts"] == {
         "positions": 12 * scene.anchor_count,
-        "attributes": 4 * 86 * scene.anchor_count,
-        "weights": 4 * 13860,
+        "attributes": 4 * (features + 36) * scene.anchor_count,
+        "weights": 4 * (3 * 50 * (features + 5) + 51 * 110),
     }
     assert main(["render", str(folder), "-o", str(tmp_path / "images")]) == 0
     assert (tmp_path / "images" / "default.png").is_file()
