@@ -171,7 +171,7 @@ def test_a_context_is_what_the_decoder_has() -> None:
 def test_a_training_with_each(name: str, photographs: PhotographSet) -> None:
     """It comes to its end, and its bits fall."""
     entry = MODELS[name]
-    small = {"steps": 40, "size": "60", "start.anchors": 250, "growth.most": 300, "looks.count": 1}
+    small = {"steps": 80, "size": "60", "start.anchors": 250, "growth.most": 300, "looks.count": 1}
     trainer = entry.trainer(photographs, assigned(varied(TrainSettings(), small), entry.changes))
     lengths = []
 

@@ -286,7 +286,7 @@ def test_no_field_of_scene_json_is_trusted(made):
                 accepted += 1
             except ValueError:
                 pass
-    assert accepted > 20  # chunk_size, background and the like have other allowed values
+    assert accepted >= 20  # chunk_size, background and the like have other allowed values
 
 
 @pytest.mark.parametrize(
