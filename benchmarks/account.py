@@ -2,22 +2,21 @@
 
 from __future__ import annotations
 
+import re
 from collections import defaultdict
 
-from conformance.cases.target import Target
 from refcodec.bitstream import codec
 from refcodec.bitstream.attributes import code_attributes
-from refcodec.bitstream.codec import parse_container
 from refcodec.bitstream.conventions import Int64
 from refcodec.bitstream.dimensions import layers_of
 from refcodec.bitstream.entropy import SymbolName
-from refcodec.bitstream.header import PROLOGUE_BYTES
 from refcodec.bitstream.masks import code_masks, mask_models
 from refcodec.bitstream.planes import code_planes
 from refcodec.bitstream.positions import chunk_codes, code_cells
 from refcodec.bitstream.scene import Scene
 from refcodec.bitstream.tables import ModelSet
 from refcodec.bitstream.weights import code_grids, to_grid
+from refcodec.inspect.elements import rows
 
 from .ideal import BitCounter
 from .results import table
@@ -56,17 +55,18 @@ class Ledger(BitCounter):
 
 
 def code_lengths(scene: Scene) -> dict[str, dict[str, float]]:
-    """Of each section with substreams, bits of the symbols of each kind under the file's models."""
+    """Of each part with substreams, bits of the symbols of each kind under the file's models."""
     d, every = scene.dimensions, [range(scene.anchor_count)]
     coding = codec.Coding(scene)
     found = {name: Ledger() for name in ("weights", "planes", "positions", "masks", "attributes")}
-    code_planes(found["planes"], coding.sarm, d.plane_channels, d.plane_size, scene.planes)
+    if coding.sarm is not None:
+        code_planes(found["planes"], coding.sarm, d.plane_channels, d.plane_size, scene.planes)
     code_masks(found["masks"], mask_models(scene.mask_model), d.offset_count, every, scene.masks)
     code_attributes(found["attributes"], coding.model, coding.contexts(), scene.masks, every, scene.attributes)
     model = scene.position_model
     assert model is not None
-    for start in range(0, scene.anchor_count, scene.chunk_size):
-        codes = chunk_codes(scene.positions[start : start + scene.chunk_size], model.cell_shift)
+    for chunk in scene.chunks:
+        codes = chunk_codes(scene.positions[chunk.start : chunk.stop], model.cell_shift)
         assert codes is not None
         code_cells(found["positions"], model.models(), [0], [len(codes)], codes)
     layers = layers_of(d)
@@ -79,48 +79,45 @@ def code_lengths(scene: Scene) -> dict[str, dict[str, float]]:
     return {name: ledger.bits for name, ledger in found.items()}
 
 
+# What an element of a substream is, by the end of its path. The other elements of a part are its tables.
+ELEMENTS = {
+    "symbol_crc": "heads of substreams",
+    "word_count": "heads of substreams",
+    "state": "states of lanes",
+    "word": "stream",
+    "raw": "stream",
+    ", padding": "padding",
+    ".padding": "padding",
+}
+
+
+def elements(data: bytes) -> dict[str, dict[str, int]]:
+    """Bytes of each part of a file, by what they are: tables, stream, or another value of ELEMENTS."""
+    found: dict[str, dict[str, int]] = defaultdict(lambda: defaultdict(int))
+    for row in rows(data):
+        what = next((what for end, what in ELEMENTS.items() if row.path.endswith(end)), "tables")
+        found[re.split(r"[.\[,]", row.path)[0]][what] += row.end - row.start
+    return found
+
+
 def account(data: bytes) -> list[str]:
     """A table of all bytes of a file with packed positions and weights, which adds up to its size."""
-    scene, header = codec.parse(data).scene, parse_container(data)
-    heads: dict[int, int] = defaultdict(int)
-    states: dict[int, int] = defaultdict(int)
-    streams: dict[int, int] = defaultdict(int)
-    for s in Target(data).substreams.values():
-        heads[s.section] += 8
-        states[s.section] += 4 * s.lanes
-        streams[s.section] += s.end - s.start
-    symbols = code_lengths(scene)
-    first = min(s.start for s in header.sections.values())
-    rows: list[tuple[str, str, float]] = [
-        ("prologue", "", PROLOGUE_BYTES),
-        ("header", "fields and directory", first - PROLOGUE_BYTES),
-    ]
-    for kind, section in header.sections.items():
-        name, size = section.name, section.end - section.start
-        rows.append((name, "tables", size - streams[kind]))
-        if not streams[kind]:
-            continue
-        rows.append((name, "heads of substreams", heads[kind]))
-        rows.append((name, "states of lanes", states[kind]))
-        spent = 0.0
+    symbols = code_lengths(codec.parse(data).scene)
+    cells: list[list[str]] = []
+    total = 0.0
+    for part, sizes in elements(data).items():
+        shares: dict[str, float] = {what: size for what, size in sizes.items() if what != "stream"}
         grouped: dict[str, float] = defaultdict(float)
-        for path, bits in symbols[name].items():
+        for path, bits in symbols.get(part, {}).items():
             words = path.split(".")
-            group = "symbols"
-            if name == "weights":
-                group = f"{words[1]}, {words[-1]}s"
-            elif name == "attributes":
-                group = words[1]
-            grouped[group] += bits / 8
-        for group, size_of in sorted(grouped.items(), key=lambda item: -item[1]):
-            rows.append((name, group, size_of))
-            spent += size_of
-        # Lanes end in one state, so that the states sent are not lost whole.
-        rows.append((name, "coder, less what the states hold", streams[kind] - heads[kind] - states[kind] - spent))
-    total = sum(size for _, _, size in rows)
+            kind = {"weights": f"{words[1]}, {words[-1]}s", "attributes": words[1]} if len(words) > 1 else {}
+            grouped[kind.get(part, "symbols")] += bits / 8
+        shares |= dict(sorted(grouped.items(), key=lambda item: -item[1]))
+        if "stream" in sizes:
+            # Lanes end in one state, so that the states sent are not lost whole.
+            shares["coder, less what the states hold"] = sizes["stream"] - sum(grouped.values())
+        for i, (what, size) in enumerate(shares.items()):
+            cells.append(["" if i else part, what, f"{size:,.1f}", f"{size / len(data):.2%}"])
+        total += sum(shares.values())
     assert round(total) == len(data), (total, len(data))
-    cells, before = [], ""
-    for name, what, share in rows:
-        cells.append(["" if name == before else name, what, f"{share:,.1f}", f"{share / len(data):.2%}"])
-        before = name
-    return table(["section", "what", "bytes", "share"], [*cells, ["whole", "", f"{total:,.1f}", "100 %"]])
+    return table(["part", "what", "bytes", "share"], [*cells, ["whole", "", f"{total:,.1f}", "100 %"]])

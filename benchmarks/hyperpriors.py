@@ -19,7 +19,7 @@ from refcodec.bitstream.reconstruction import Reconstruction
 from refcodec.folder.uncompressed import Uncompressed
 from refcodec.train.entropy.hyperprior import Contexts, PlaneSamples, scene_coordinates
 from refcodec.train.entropy.units import LATENT_UNIT, PLANE_SHIFT
-from refcodec.train.export import render_info, uncompressed
+from refcodec.train.export import default_view, render_info, uncompressed
 from refcodec.train.trainer import Trainer
 
 
@@ -67,7 +67,8 @@ def rounded_scene(trainer: Trainer) -> Uncompressed:
     for part in trainer.parts:
         part.finish()
     cameras = [p.camera for p in trainer.photographs.train]
-    whole = uncompressed(scaffold, render_info(scaffold, cameras, trainer.photographs.background))
+    info = render_info(scaffold, cameras, trainer.photographs.background)
+    whole = uncompressed(scaffold, info, default_view(cameras[0]))
     steps, masks = rate.steps(torch.arange(scaffold.count)).numpy(), rate.masks.decided().numpy()
     values = {}
     for i, kind in enumerate(KINDS):

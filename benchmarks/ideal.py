@@ -71,9 +71,11 @@ def float_network(layers: list[Layer], inputs: F64) -> F64:
 
 def float_context(scene: Scene, planes: tuple[F64, F64], positions: NDArray[np.float16]) -> F64:
     """SPEC 7.5 without roundings, float64 [n, 2 ch + 2 L], in the integers' units."""
+    if scene.frame is None:
+        return np.zeros((len(positions), 0))
     u = _float_coordinates(scene.frame, position_integers(positions).astype(np.float64))
     parts = []
-    for plane in planes:
+    for plane in planes if scene.dimensions.plane_channels else ():
         size = plane.shape[-1]
         grid = u[:, :2] * (size - 1)
         cell = np.minimum(grid.astype(np.int64), size - 2)
@@ -174,8 +176,10 @@ class CodeLength:
 def plane_code_length(scene: Scene) -> CodeLength:
     """The code lengths of the planes."""
     d, planes = scene.dimensions, scene.planes.astype(np.int64)
-    counter = BitCounter()
-    code_planes(counter, Coding(scene).sarm, d.plane_channels, d.plane_size, scene.planes)
+    counter, sarm = BitCounter(), Coding(scene).sarm
+    if sarm is None:
+        return _code_length(np.zeros(3), counter)
+    code_planes(counter, sarm, d.plane_channels, d.plane_size, scene.planes)
     padded = np.pad(planes, ((0, 0), (0, 0), (1, 0), (1, 1)))
     size = d.plane_size
     near = [padded[..., i : i + size, j : j + size].reshape(-1) for i, j in ((0, 0), (0, 1), (0, 2), (1, 0))]

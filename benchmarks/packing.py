@@ -24,13 +24,14 @@ import numpy as np
 import torch
 
 from refcodec.bitstream import codec
-from refcodec.bitstream.codec import parse_container
 from refcodec.bitstream.dimensions import RENDERING
 from refcodec.bitstream.scene import Scene
 from refcodec.bitstream.weights import to_grid
 from refcodec.encoder.quantise import packed
 from refcodec.encoder.weights import quantise_rendering
 from refcodec.evaluate.quality import measures
+from refcodec.inspect.elements import outline_of
+from refcodec.inspect.parts import part_bytes
 from refcodec.photographs.photographs import PhotographSet, read_photographs
 from refcodec.render.view import View
 from refcodec.train.fit import fit
@@ -51,7 +52,7 @@ FIT_STEPS = 100
 # Runs of each decoder, in turn.
 REPEATS = 7
 CODINGS = (("raw", "raw"), ("packed", "raw"), ("raw", "packed"), ("packed", "packed"))
-COLUMNS = ("weights", "planes", "chunk_table", "positions", "masks", "attributes")
+COLUMNS = ("weights", "planes", "index", "positions", "masks", "attributes")
 HEAD = ["scene", "positions", "weights", *(f"{c}, bytes" for c in COLUMNS), "file, bytes", "decoding, ms of one core"]
 
 
@@ -91,8 +92,8 @@ def shown(scene: Scene, photographs: PhotographSet) -> float:
 
 
 def lengths(data: bytes) -> dict[str, int]:
-    """Bytes of each section."""
-    return {s.name: s.end - s.start for s in parse_container(data).sections.values()}
+    """Bytes of each part."""
+    return part_bytes(data, outline_of(data))
 
 
 def seconds(files: list[bytes]) -> list[float]:

@@ -24,11 +24,10 @@ from pathlib import Path
 import numpy as np
 
 from refcodec.bitstream import codec
-from refcodec.bitstream.chunks import chunk_ranges
-from refcodec.bitstream.codec import parse_container
-from refcodec.bitstream.directory import ATTRIBUTES, MASKS, PLANES_SECTION, POSITIONS, WEIGHTS
 from refcodec.bitstream.scene import Scene, take_anchors
 from refcodec.encoder.masks import mask_model
+from refcodec.inspect.elements import outline_of
+from refcodec.inspect.parts import part_bytes
 from refcodec.train.fit import fit
 from refcodec.train.fit_input import read_given
 from refcodec.train.settings import FitSettings
@@ -52,7 +51,7 @@ start = time.perf_counter()
 codec.parse(data, progress=note)
 total = time.perf_counter() - start
 peak = next(line for line in open("/proc/self/status") if line.startswith("VmHWM")).split()[1]
-print(total, *(stages[s] for s in ("planes", "masks", "attributes")), peak)
+print(total, stages["planes"], stages["chunks"], peak)
 """
 
 
@@ -71,7 +70,7 @@ class StageTimer:
 
 
 def decode_times(data: bytes, repeats: int) -> tuple[list[float], float]:
-    """Seconds of the fastest of some parses (whole, planes, masks, attributes), and the peak in MiB of its process."""
+    """Seconds of the fastest of some parses (whole, planes, chunks), and the peak in MiB of its process."""
     runs = []
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "scene.c3gs"
@@ -81,7 +80,7 @@ def decode_times(data: bytes, repeats: int) -> tuple[list[float], float]:
             done = subprocess.run(command, check=True, capture_output=True, text=True)
             runs.append([float(x) for x in done.stdout.split()])
     best = min(runs)
-    return best[:4], best[4] / 1024
+    return best[:3], best[3] / 1024
 
 
 def tiled(scene: Scene, count: int, seed: int) -> Scene:
@@ -98,19 +97,16 @@ def tiled(scene: Scene, count: int, seed: int) -> Scene:
 
 def size_tables(scene: Scene, data: bytes) -> list[str]:
     """Coded bytes beside the ideal and beside the order-0 entropy, and the losses by cause."""
-    sections = parse_container(data).sections
-    parts = [
-        ("attributes", ATTRIBUTES, ideal.attribute_code_length(scene)),
-        ("planes", PLANES_SECTION, ideal.plane_code_length(scene)),
-    ]
+    sizes = part_bytes(data, outline_of(data))
+    parts = [("attributes", ideal.attribute_code_length(scene)), ("planes", ideal.plane_code_length(scene))]
     zero = ideal.order_zero_bits(scene)
     rows, losses, total = [], [], np.zeros(4)
-    for name, kind, length in parts:
-        coded = sections[kind].end - sections[kind].start
+    for name, length in parts:
+        coded = sizes[name]
         total += [length.symbols, coded, length.capped / 8, zero[name] / 8]
-        sizes = [f"{8 * coded / length.capped - 1:+.3%}", f"{length.ideal / 8:,.0f}", f"{zero[name] / 8:,.0f}"]
+        shown = [f"{8 * coded / length.capped - 1:+.3%}", f"{length.ideal / 8:,.0f}", f"{zero[name] / 8:,.0f}"]
         each = f"{8 * coded / length.symbols:.3f}"
-        rows.append([name, f"{length.symbols:,}", f"{coded:,}", f"{length.capped / 8:,.0f}", *sizes, each])
+        rows.append([name, f"{length.symbols:,}", f"{coded:,}", f"{length.capped / 8:,.0f}", *shown, each])
         steps = [length.capped, length.grid, length.integer, length.table, 8 * coded]
         shares = [f"{(b - a) / length.capped:+.3%}" for a, b in pairwise(steps)]
         escapes = f"{length.escapes:,} symbols, {length.escape / 8:,.0f} bytes"
@@ -130,9 +126,9 @@ def speed_rows(name: str, scene: Scene, repeats: int) -> tuple[list[list[str]], 
     start = time.perf_counter()
     data = codec.emit(scene, progress=timer)
     whole, s = time.perf_counter() - start, timer.seconds
-    encode = [f"{whole:.2f}", f"{s['planes']:.2f}", f"masks and attributes {s['chunks']:.2f}", "", ""]
-    (whole, planes, masks, attributes), peak = decode_times(data, repeats)
-    decode = [f"{whole:.2f}", f"{planes:.2f}", f"{attributes:.2f}", f"{masks:.2f}", f"{peak:.0f}"]
+    encode = [f"{whole:.2f}", f"{s['planes']:.2f}", f"{s['chunks']:.2f}", ""]
+    (whole, planes, chunks), peak = decode_times(data, repeats)
+    decode = [f"{whole:.2f}", f"{planes:.2f}", f"{chunks:.2f}", f"{peak:.0f}"]
     return [[f"{name}, encode", *encode], [f"{name}, decode", *decode]], data
 
 
@@ -173,10 +169,10 @@ def section(arguments: argparse.Namespace) -> list[str]:
         *size_tables(scene, data),
         "",
         "The ideal is the code length under the same weights in float64 with nothing rounded. Capped, no symbol counts",
-        "more than the 14 bits of the least likely symbol of a model. Bytes coded are whole sections: tables, heads,",
-        "states, words and raw bits.",
+        "more than the 14 bits of the least likely symbol of a model. Bytes coded are those of whole parts:",
+        "heads, states, words and raw bits.",
         "",
-        *table(["", "seconds", "planes", "attributes", "masks", "peak MiB"], rows),
+        *table(["", "seconds", "planes", "chunks", "peak MiB"], rows),
         "",
         f"Decoding: fastest of {arguments.repeats}, each in a process of its own, whose peak is with Python and numpy.",
         f"Load average {os.getloadavg()[1]:.1f} in the last five minutes, this run included.",
@@ -185,17 +181,15 @@ def section(arguments: argparse.Namespace) -> list[str]:
 
 
 def _facts(scene: Scene, data: bytes) -> list[str]:
-    """What was coded, and the sizes of the sections that the tables leave out."""
-    sections, lanes = parse_container(data).sections, scene.lanes
-    others = {kind: sections[kind].end - sections[kind].start for kind in (POSITIONS, MASKS, WEIGHTS)}
-    chunks = len(chunk_ranges(scene.anchor_count, scene.chunk_size))
+    """What was coded, and the sizes of the parts that the tables leave out."""
+    sizes, lanes = part_bytes(data, outline_of(data)), scene.lanes
     features, scalings, offsets = scene.base_step
     return [
         f"{scene.anchor_count:,} anchors, {int(scene.masks.sum()):,} offsets kept, B = {scene.dimensions.plane_size}.",
         f"Steps are {features:.4g} (features), {scalings:.4g} (logarithms of scalings), {offsets:.4g} (offsets).",
-        f"The file has {len(data):,} bytes, of which positions {others[POSITIONS]:,}, masks {others[MASKS]:,}, weights",
-        f"{others[WEIGHTS]:,}, in {chunks} chunks. Lanes are {1 << lanes.plane} (planes), {1 << lanes.mask} (masks),",
-        f"{1 << lanes.attribute} (attributes).",
+        f"The file has {len(data):,} bytes, of which positions {sizes['positions']:,}, masks {sizes['masks']:,} and",
+        f"weights {sizes['weights']:,}, in {len(scene.chunks)} chunks. Lanes are {1 << lanes.plane} (planes),",
+        f"{1 << lanes.mask} (masks) and {1 << lanes.attribute} (attributes).",
     ]
 
 

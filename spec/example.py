@@ -9,11 +9,13 @@ import numpy as np
 
 from refcodec.bitstream import codec
 from refcodec.bitstream.attributes import Attributes
+from refcodec.bitstream.cameras import CAMERAS, NamedCamera, emit_cameras
 from refcodec.bitstream.dimensions import Dimensions
 from refcodec.bitstream.frame import Frame
 from refcodec.bitstream.header import Lanes, PositionGrid, RenderInfo
 from refcodec.bitstream.limits import TINY
-from refcodec.bitstream.scene import Scene
+from refcodec.bitstream.metadata import METADATA, emit_metadata
+from refcodec.bitstream.scene import Ancillary, Scene
 
 from .made import ROOT, Made
 
@@ -31,7 +33,8 @@ def pattern(count: int, period: int) -> np.ndarray:
 def example() -> Scene:
     """Returns the scene. It has five anchors in two chunks.
 
-    One offset in three is masked. One feature is so large that it needs an escape.
+    One offset in three is masked. One feature is so large that it needs an escape. Metadata come before all other
+    sections, and a camera after them.
     """
     networks = {}
     for number, (name, shapes) in enumerate(DIMENSIONS.network_shapes().items()):
@@ -76,6 +79,10 @@ def example() -> Scene:
             pattern(6 * ANCHORS, 6).reshape(ANCHORS, 6).astype(np.int32),
             offsets,
             np.zeros((ANCHORS, 3), np.uint8),
+        ),
+        ancillary=(
+            Ancillary(METADATA, 0, emit_metadata({"title": "Worked example", "licence": "CC0-1.0"}), 0),
+            Ancillary(CAMERAS, 0, emit_cameras([NamedCamera()]), 5),
         ),
     )
     return replace(scene, attributes=replace(scene.attributes, steps=codec.derive_steps(scene)))

@@ -131,21 +131,20 @@ def stages(space: dict[str, Any]) -> str:
     d.words(645, 46, "means, scale", 11, "start")
     d.words(645, 60, "indices, step", 11, "start")
     d.words(645, 74, "indices (7.8)", 11, "start")
-    names = ["slice 0", "slice 1", "slice 2", "slice 3", "scalings", "offsets"]
+    names = ["scalings", "offsets", "slice 0", "slice 1", "slice 2", "slice 3"]
     for n, name in enumerate(names):
         x = 20 + 122 * n
         d.labelled(x, 230, 105, 50, [name, f"group {n}"], LIGHT)
-        d.line(
-            [(560, 80), (560, 132), (x + 52, 132), (x + 52, 230 if n in (0, 4, 5) else 165)], arrow=True, stroke=FAINT
-        )
-        if 1 <= n <= 3:
-            d.labelled(x + 2, 165, 101, 40, [f"+ carm.{n}", "of slice 0" if n == 1 else f"of slices 0 to {n - 1}"])
+        d.line([(560, 80), (560, 132), (x + 52, 132), (x + 52, 230 if n <= 2 else 165)], arrow=True, stroke=FAINT)
+        if n > 2:
+            earlier = "of slice 0" if n == 3 else f"of slices 0 to {n - 3}"
+            d.labelled(x + 2, 165, 101, 40, [f"+ carm.{n - 2}", earlier])
             d.line([(x + 52, 205), (x + 52, 230)], arrow=True)
             d.line([(x - 17, 242), (x - 8, 242), (x - 8, 185), (x + 2, 185)], arrow=True)
     d.words(
         20,
         310,
-        "Groups of one substream, in coding order (7.10), with the slices of Main; masked offsets have no symbols.",
+        "Groups of one substream, in coding order (7.10), with four slices; masked offsets have no symbols.",
         11,
         "start",
     )
@@ -197,7 +196,7 @@ def substream(space: dict[str, Any]) -> str:
         11,
         "start",
     )
-    d.words(20, 242, "the symbols of a group: first those of all values, then those of the escapes.", 11, "start")
+    d.words(20, 242, "the model indices of a group: first those of all symbols, then the escapes.", 11, "start")
     return d.svg()
 
 

@@ -5,20 +5,25 @@ from __future__ import annotations
 import re
 from collections.abc import Callable, Iterator
 
+import numpy as np
+
 from refcodec.bitstream.codec import parse
 from refcodec.bitstream.errors import REGISTRY
 from refcodec.bitstream.limits import PROFILES, Profile
-from refcodec.bitstream.reconstruction import digest
+from refcodec.bitstream.reconstruction import chunk_digest, digest
+from refcodec.bitstream.scene import take_anchors
 
 from . import walk
 from .made import ROOT, Made
 
 SPEC = ROOT / "SPEC.md"
 EXAMPLE = ROOT / "vectors" / "tiny-example.c3gs"
+# The dimensions that are 0 in a scene without planes, whatever their bounds are.
+OPTIONAL = ("plane_size", "sarm_layers")
 
 
 def errors() -> str:
-    """Returns the table of errors (clause 10.2)."""
+    """Returns the table of errors (clause 10.3)."""
     rows = ["| code | name | class | clause | meaning | offset |", "|---|---|---|---|---|---|"]
     rows += [f"| {k.code} | {k.name} | {k.klass} | {k.clause} | {k.text} | {k.where} |" for k in REGISTRY.values()]
     return "\n".join(rows)
@@ -26,7 +31,8 @@ def errors() -> str:
 
 def _bounds(profile: Profile, field: str) -> str:
     low, high = getattr(profile, field)
-    return str(low) if low == high else f"{low} to {high}"
+    bounds = str(low) if low == high else f"{low} to {high}"
+    return f"0, or {bounds}" if field in OPTIONAL else bounds
 
 
 def profiles() -> str:
@@ -41,23 +47,27 @@ def profiles() -> str:
 
 def levels() -> str:
     """Returns the table of levels (clause 11.2)."""
-    rows = ["| profile | level | largest anchor_count | largest plane_size |", "|---|---|---|---|"]
+    rows = ["| profile | level | largest anchor_count | largest plane_size | largest work |", "|---|---|---|---|---|"]
     for profile in PROFILES.values():
-        rows += [
-            f"| {profile.name} | {n} | {level.anchors} | {level.plane_size} |" for n, level in profile.levels.items()
-        ]
+        for number, level in profile.levels.items():
+            power = level.work.bit_length() - 1
+            assert level.work == 1 << power
+            rows.append(f"| {profile.name} | {number} | {level.anchors} | {level.plane_size} | 2^{power} |")
     return "\n".join(rows)
 
 
 def digests() -> str:
     """Returns the table of the worked example's digests (D.6)."""
-    whole, parts = digest(parse(EXAMPLE.read_bytes()).scene)
+    scene = parse(EXAMPLE.read_bytes()).scene
+    whole, parts = digest(scene)
     rows = [
-        "| part | SHA-256 |",
+        "| of | SHA-256 |",
         "|---|---|",
-        f"| whole | `{whole}` |",
+        f"| the scene | `{whole}` |",
         *(f"| {name} | `{value}` |" for name, value in parts.items()),
     ]
+    for number, anchors in enumerate(scene.chunks):
+        rows.append(f"| chunk {number} | `{chunk_digest(take_anchors(scene, np.array(anchors)))}` |")
     return "\n".join(rows)
 
 

@@ -38,7 +38,7 @@ page. `conformance run --select requirement:R6.10-2 -- ...` runs the vectors of 
 """
 # The requirements that no file and its one result can show, and why.
 NO_VECTOR = {
-    "D10.1-2": "none: a mode of decoding that a runner does not ask for",
+    "D10.2-2": "none: a mode of decoding that a runner does not ask for",
     "G14.5-1": "none: a runner does not compare images",
 }
 

@@ -65,9 +65,9 @@ class Found:
 
 def _cited(comment: str) -> Iterator[str]:
     """Yields the clauses that a line of a comment or docstring cites."""
-    yield from re.findall(r"(?<![\w.])(?:\d+|[A-D]\.\d+)(?:\.\d+)*(?!\w)", comment)
+    yield from re.findall(r"(?<![\w.])(?:\d+|[A-G]\.\d+)(?:\.\d+)*(?!\w)", comment)
     # An annex as a whole is a letter that no word follows: "A value" is none.
-    yield from re.findall(r"(?:Annex |SPEC |, |and |/\* )([A-D])\b(?![ .]\w)", comment)
+    yield from re.findall(r"(?:Annex |SPEC |, |and |/\* )([A-G])\b(?![ .]\w)", comment)
 
 
 def _python(path: Path, found: Found) -> None:

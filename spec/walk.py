@@ -17,7 +17,7 @@ from refcodec.inspect.meaning import meaning
 from refcodec.inspect.specification import fields
 
 # Elements of more bytes are folded to their first ones.
-SHOWN_BYTES = 12
+SHOWN_BYTES = 8
 
 
 def hex_dump(data: bytes) -> str:
@@ -44,10 +44,14 @@ def element_table(data: bytes, spec: str) -> str:
     """Returns the table of all elements: start, length, contents, element, value and meaning. spec: SPEC.md."""
     known = fields(spec)
     lines = ["| start | length | contents | element | value | meaning |", "|---|---|---|---|---|---|"]
+    told = ""
     for row in rows(data):
         value = value_text(row) if row.value is not None else ""
         cells = f"| 0x{row.start:03x} | {row.end - row.start} | `{_contents(data, row)}` | {row.path} | {value} |"
-        lines.append(f"{cells} {meaning_of(row.path, known)} |")
+        # The items of an array have one meaning.
+        array, item = row.path.rstrip("]").rsplit("[", 1) if row.path.endswith("]") else (row.path, "")
+        lines.append(f"{cells} {'the same' if item and array == told else meaning_of(row.path, known)} |")
+        told = array
     return "\n".join(lines)
 
 
@@ -132,9 +136,16 @@ def _watched(data: bytes, spec: str) -> tuple[Watch, list[int]]:
         return opened[-1]
 
     watch.space["OPEN"] = noted
-    blocks.decode(watch.space, data, codec.parse_container(data))
+    _decode(watch, data)
     watch.opened = opened
     return watch, [id(stream) for stream in opened]
+
+
+def _decode(watch: Watch, data: bytes) -> None:
+    """Decodes a file. Raises SystemExit if the blocks refuse it."""
+    _, error = blocks.decode(watch.space, data)
+    if error:
+        raise SystemExit(f"SPEC.md's blocks refuse the worked example: {error}")
 
 
 def plane_steps(data: bytes, spec: str, count: int) -> str:
@@ -148,8 +159,8 @@ def plane_steps(data: bytes, spec: str, count: int) -> str:
     parameters, chosen, values = ([x for g in groups for x in g[name]] for name in ("parameters", "chosen", "values"))
     symbols = [s for s in watch.symbols if s["stream"] == streams[0]]
     lines = [
-        "| t | (k, i, j) | mean, scale index | row, column, centre, k | state | slot | j: its slots | value "
-        "| word taken | next state |",
+        "| t | (k, i, j) | mean, scale index | row, column, centre, k | state | slot | j: slots | symbol "
+        "| word | next state |",
         "|---|---|---|---|---|---|---|---|---|---|",
     ]
     for (t, point), mean_scale, pick, symbol, value in list(
@@ -180,13 +191,13 @@ def first_anchor(data: bytes, spec: str) -> str:
             return value
 
         space[name] = noted
-    blocks.decode(space, data, codec.parse_container(data))
+    _decode(watch, data)
+    scene = codec.parse(data).scene
     header = codec.parse_container(data)
     width = header.dimensions.attribute_width
     # The groups of attributes come after those of the planes.
     groups = watch.values[sum(1 for g in watch.values if g["planes"]) :]
-    chunk = len(header.chunks[0])
-    slices = header.dimensions.slices
+    chunk, slices, kept = len(scene.chunks[0]), header.dimensions.slices, scene.masks[0]
     lines = ["| what | clause | value |", "|---|---|---|"]
 
     def row(what: str, clause: str, value: Any) -> None:
@@ -203,12 +214,16 @@ def first_anchor(data: bytes, spec: str) -> str:
     row("means that F_h gives", "7.7", hyper[:width])
     row("scale indices that F_h gives", "7.7", hyper[width : 2 * width])
     row("outputs for the step indices", "7.8", hyper[2 * width :])
+    row("scalings: symbols", "7.10", groups[0]["values"][:6])
+    values = iter(groups[1]["values"])
+    row("offsets: symbols", "7.10", [tuple(next(values) for _ in range(3)) if mask else "masked" for mask in kept])
     for i, columns in enumerate(slices):
-        group = groups[i]
+        group = groups[2 + i]
         assert len(group["values"]) == chunk * columns
         row(f"slice {i}: mean and scale index of each channel", "7.9", group["parameters"][:columns])
         row(f"slice {i}: symbols", "7.10", group["values"][:columns])
-    row("scalings: symbols", "7.10", groups[len(slices)]["values"][:6])
+    steps = [max(0, min(x, 63)) for x in hyper[2 * width :]]
+    row("step indices of features, scalings, offsets", "7.8", steps)
     return "\n".join(lines)
 
 
@@ -240,7 +255,7 @@ def _fields(groups: list[dict[str, Any]]) -> Iterator[tuple[int, int, int, str]]
         for n, ((_, _, _, k), value) in enumerate(zip(group["chosen"], group["values"], strict=True)):
             field = next(fields)
             if k:
-                yield field["at"], k, field["value"], f"low {k} bits of value {n} of group {number}, which is {value}"
+                yield field["at"], k, field["value"], f"low {k} bits of symbol {n} of group {number}, which is {value}"
         name = f"of group {number}"
         rest = list(fields)
         while rest:

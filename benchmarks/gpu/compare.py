@@ -15,7 +15,7 @@ from torch import Tensor
 
 from refcodec.photographs.photographs import PhotographSet, read_photographs
 from refcodec.train.adam import BETA_1
-from refcodec.train.scaffold import COLUMNS
+from refcodec.train.scaffold import TABLES
 from refcodec.train.settings import TrainSettings
 from refcodec.train.settings_file import varied
 from refcodec.train.state import restore, save
@@ -91,7 +91,7 @@ def steps_agree(device: str, work: Path, size: Size) -> list[Row]:
         other_image, other_gradients = _step(photographs, settings, device, state)
         rows.append(_image_far(f"image before {when}, mean difference", image, other_image))
         # Masks have no gradient before there is a rate.
-        names = [name for name in COLUMNS if gradients[name].any() or other_gradients[name].any()]
+        names = [name for name in TABLES if gradients[name].any() or other_gradients[name].any()]
         rows += [_far(f"gradient of {name}, {when}", gradients[name], other_gradients[name]) for name in names]
     return rows
 
@@ -108,7 +108,7 @@ def _step(
     # Adam's first moment: only the rows that were seen have changed.
     after, share = trainer.scaffold.first, float(BETA_1)
     found = {}
-    for name in COLUMNS:
+    for name in TABLES:
         changed = (after[name] != before[name]).any(dim=1, keepdim=True)
         found[name] = ((after[name] - share * before[name]) * changed / (1 - share)).cpu()
     return image, found

@@ -14,13 +14,15 @@ from torch import Tensor
 
 from refcodec.bitstream import codec
 from refcodec.bitstream.attributes import KINDS
-from refcodec.bitstream.codec import parse_container
 from refcodec.bitstream.context import UNIT_BITS
 from refcodec.bitstream.conventions import Int64
 from refcodec.bitstream.frame import Frame
 from refcodec.encoder.positions import morton_order
+from refcodec.inspect.elements import outline_of
+from refcodec.inspect.parts import part_bytes
+from refcodec.train.entropy.columns import Columns
 from refcodec.train.entropy.hyperprior import VectorMatrix, scene_coordinates
-from refcodec.train.entropy.model import WIDTH, RateModel
+from refcodec.train.entropy.model import OFFSETS, RateModel
 from refcodec.train.settings import EntropySettings
 from refcodec.train.start import lattice_positions
 
@@ -85,7 +87,8 @@ def read(path: Path) -> Coded:
     a, some = scene.attributes, scene.masks.any(axis=1)
     columns = [a.features, a.scalings, a.offsets.reshape(scene.anchor_count, 3 * scene.dimensions.offset_count)]
     symbols = np.concatenate(columns, axis=1).astype(np.float32)[some]
-    container = parse_container(data)
+    if scene.frame is None:
+        raise ValueError(f"{path} has no hyperprior")
     return Coded(
         name=path.stem,
         symbols=torch.from_numpy(symbols),
@@ -93,7 +96,7 @@ def read(path: Path) -> Coded:
         places=scene_coordinates(scene.frame, scene.positions)[some],
         cells=scene.positions[some].astype(np.int64),
         counts=(columns[0].shape[1], columns[1].shape[1], columns[2].shape[1]),
-        sizes={s.name: s.end - s.start for s in container.sections.values()},
+        sizes=part_bytes(data, outline_of(data)),
         whole=len(data),
     )
 
@@ -107,7 +110,9 @@ def _of_training(path: Path) -> Coded:
     positions, latents = lattice_positions(state["scaffold/lattice"].numpy()), state["rate/model.latents"]
     hyperprior, width = VectorMatrix(), len(state["rate/model.hyper.biases.0"])
     size = latents.shape[-1]
-    model = RateModel(hyperprior, size, width, np.zeros(WIDTH), np.ones(WIDTH), torch.Generator(), EntropySettings())
+    columns = Columns(tuple(settings["entropy"]["slices"]), OFFSETS)
+    likely = np.zeros(columns.width), np.ones(columns.width)
+    model = RateModel(hyperprior, size, width, *likely, torch.Generator(), EntropySettings(), columns=columns)
     model.load_state_dict({k[len("rate/model.") :]: v for k, v in state.items() if k.startswith("rate/model.")})
     kept = torch.sigmoid(state["scaffold/tables.masks"]) * state["masks/weight"][:, None] > settings["masks"]["epsilon"]
     some = kept.any(dim=1)

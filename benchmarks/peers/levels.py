@@ -24,7 +24,7 @@ from refcodec.bitstream.attributes import SCALINGS
 from refcodec.bitstream.frame import Frame
 from refcodec.bitstream.networks import ACTIVATION_MAX
 from refcodec.train.entropy.hyperprior import Contexts
-from refcodec.train.entropy.model import FEATURES, RateModel
+from refcodec.train.entropy.model import RateModel
 from refcodec.train.parts.rate import Rate
 
 I64 = NDArray[np.int64]
@@ -88,7 +88,8 @@ class Levels:
 
     def input_units(self) -> Tensor:
         """As Hyperprior."""
-        counts = ((FEATURE_UNIT, FEATURES), (SCALING_UNIT, SCALINGS), (PLACE_UNIT, 3), (LEVEL_UNIT, LEVELS))
+        features = self.rate.scaffold.columns.features
+        counts = ((FEATURE_UNIT, features), (SCALING_UNIT, SCALINGS), (PLACE_UNIT, 3), (LEVEL_UNIT, LEVELS))
         return torch.cat([torch.full((count,), unit) for unit, count in counts])
 
     def latent_shape(self, plane_size: int) -> tuple[int, int, int, int]:
@@ -108,7 +109,7 @@ class _LevelContexts:
     def inputs(self, symbols: Tensor, rows: Tensor, rounding: bool) -> Tensor:
         level = self.level[rows]
         own = [self.away[rows] * PLACE_UNIT, torch.nn.functional.one_hot(level, LEVELS) * LEVEL_UNIT]
-        context = torch.zeros(len(rows), FEATURES + SCALINGS)
+        context = torch.zeros(len(rows), self.rate.scaffold.columns.features + SCALINGS)
         parent = self.parent[rows]
         # A parent without a kept offset is not in the file.
         known = (parent != rows) & self.rate.masks.decided().any(dim=1)[parent]
@@ -119,7 +120,7 @@ class _LevelContexts:
 
     @torch.no_grad()
     def _decoded(self, symbols: Tensor, anchors: Tensor, rounding: bool) -> Tensor:
-        """Features and scalings of anchors as the decoder has them, in base steps: [n, 56]."""
+        """Features and scalings of anchors as the decoder has them, in base steps: [n, F + 6]."""
         rows, place = torch.unique(anchors, return_inverse=True)
         rate, model = self.rate, self.rate.started()
         steps = model.steps(model.activations(self.inputs(symbols, rows, rounding)))

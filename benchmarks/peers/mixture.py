@@ -17,9 +17,10 @@ from torch import Tensor, nn
 
 from refcodec.bitstream.attributes import SCALINGS
 from refcodec.train.entropy.bits import gauss_bits
+from refcodec.train.entropy.columns import Columns
 from refcodec.train.entropy.folded import FoldedMlp
 from refcodec.train.entropy.hyperprior import Hyperprior
-from refcodec.train.entropy.model import FEATURES, OFFSETS, SLICES, WIDTH, RateModel
+from refcodec.train.entropy.model import RateModel
 from refcodec.train.entropy.units import MEAN_UNIT, SCALE_UNIT
 from refcodec.train.settings import EntropySettings
 
@@ -42,29 +43,38 @@ class Mixture(RateModel):
         deviation: np.ndarray[Any, np.dtype[np.float64]],
         generator: torch.Generator,
         settings: EntropySettings,
+        *,
+        columns: Columns,
     ) -> None:
         """As RateModel."""
-        super().__init__(hyperprior, plane_size, width, mean, deviation, generator, settings)
+        super().__init__(hyperprior, plane_size, width, mean, deviation, generator, settings, columns=columns)
         unit = torch.tensor(2.0 ** np.round(np.log2(np.maximum(deviation, settings.deviation))), dtype=torch.float32)
         carm = []
-        for done, columns in zip(accumulate(SLICES), SLICES[1:], strict=False):
-            outputs = torch.cat([unit[done : done + columns] * MEAN_UNIT, torch.full((2 * columns,), SCALE_UNIT)])
-            carm.append(FoldedMlp([done, width, 3 * columns], unit[:done], outputs, generator, 0.0, settings.bias))
+        for done, own in self._later():
+            outputs = torch.cat([unit[done : done + own] * MEAN_UNIT, torch.full((2 * own,), SCALE_UNIT)])
+            carm.append(FoldedMlp([done, width, 3 * own], unit[:done], outputs, generator, 0.0, settings.bias))
         self.carm = nn.ModuleList(carm)
+
+    def _later(self) -> list[tuple[int, int]]:
+        """For each slice but the first, the features before it and its own."""
+        slices = self.columns.slices
+        return list(zip(accumulate(slices), slices[1:], strict=False))
 
     def attribute_bits(self, hidden: Tensor, symbols: Tensor, kept: Tensor) -> Tensor:
         """As RateModel."""
-        out = self.hyper.outputs(hidden, slice(0, 2 * WIDTH))
-        mean, scale = out[:, :WIDTH], out[:, WIDTH:]
+        of = self.columns
+        out = self.hyper.outputs(hidden, slice(0, 2 * of.width))
+        mean, scale = out[:, : of.width], out[:, of.width :]
         alone = gauss_bits(mean, scale, symbols, self.floor)
-        parts = [alone[:, : SLICES[0]]]
-        earlier = self.carm_inputs(symbols[:, : FEATURES - SLICES[-1]])
-        for done, columns, network in zip(accumulate(SLICES), SLICES[1:], self.carm, strict=False):
-            change, place = network(earlier[:, :done]), slice(done, done + columns)
-            by_mean, by_scale, logit = change.split(columns, dim=1)
+        parts = [alone[:, : of.slices[0]]]
+        earlier = self.carm_inputs(symbols[:, : of.carm_inputs])
+        for (done, own), network in zip(self._later(), self.carm, strict=True):
+            change, place = network(earlier[:, :done]), slice(done, done + own)
+            by_mean, by_scale, logit = change.split(own, dim=1)
             second = gauss_bits(mean[:, place] + by_mean, scale[:, place] + by_scale, symbols[:, place], self.floor)
             parts.append(mixed_bits(alone[:, place], second, logit / SCALE_UNIT))
         some = 1 - torch.prod(1 - kept, dim=1)
-        offsets = (alone[:, FEATURES + SCALINGS :].reshape(len(alone), OFFSETS, 3).sum(dim=2) * kept).sum(dim=1)
-        scalings = alone[:, FEATURES : FEATURES + SCALINGS].sum(dim=1)
+        place = slice(of.features, of.features + SCALINGS)
+        offsets = (alone[:, place.stop :].reshape(len(alone), of.offsets, 3).sum(dim=2) * kept).sum(dim=1)
+        scalings = alone[:, place].sum(dim=1)
         return torch.stack([torch.cat(parts, dim=1).sum(dim=1) * some, scalings * some, offsets], dim=1)

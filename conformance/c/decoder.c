@@ -1,20 +1,26 @@
 /* A decoder for C3GS, format version 0, written from SPEC.md alone.
  *
  *   decoder digest FILE           prints the digests of the canonical reconstruction (9.3)
- *   decoder decode FILE OUTPUT    writes the canonical reconstruction
+ *   decoder decode FILE OUTPUT    writes the bytes that the scene's digest is the SHA-256 of, and then the seven parts
+ *
+ * It reads FILE from the first byte to the last, and holds one section or one chunk at a time. To be digested, FILE may
+ * be a pipe. OUTPUT is written in a second pass, so a refused file leaves it alone.
  *
  * The exit status is:
  *
  *   0   done
  *   1   the file is malformed or invalid
- *   2   the file is unsupported
- *   3   wrong usage, or a failure of input, output or memory
+ *   2   the file is not supported
+ *   64  wrong usage, or a failure of input, output or memory
  *
- * With status 1 or 2 the last line on stderr is {"code":C, "offset":O}. The tables of Annex A are read from the file
- * that the environment variable C3GS_TABLES names, or else from tables-0.bin in the folder of the program.
+ * With status 1 or 2 the last line on stderr is {"code": 202, "name": "header.crc", "offset": 300}. The tables of Annex
+ * A are read from the file that the environment variable C3GS_TABLES names, or else from tables-0.bin in the folder of
+ * the program.
  *
  * The comment above a function begins with its clauses of SPEC.md. Names are those of SPEC.md where it has one.
  */
+#include <ctype.h>
+#include <limits.h>
 #include <stdint.h>
 #include <stdio.h>
 #include <stdlib.h>
@@ -23,8 +29,10 @@
 /* ---------------------------------------------------------------- 2.5 constants */
 
 enum {
+    MAJOR = 0,
+    MINOR = 0,
     HEADER_LENGTH_MIN = 4,
-    HEADER_LENGTH_MAX = 65535,
+    HEADER_LENGTH_MAX = 65532,
     LANES_LOG2_MAX = 8,
     LANES_MAX = 1 << LANES_LOG2_MAX,
     SCALE_EXPONENT_MAX = 60,
@@ -51,60 +59,112 @@ enum {
     STATE_MIN = 1 << 16,
     PRECISION = 14,
     RAW_MAX = 16,
-    ESCAPE_PREFIX_MAX = 25,
+    ESCAPE_PREFIX_MAX = 23,
     SCALE_MIN = -40,
     SCALE_END = 24,
     FRACTIONS = 16,
     SINE_LENGTH = 1024,
     STEP_LENGTH = 64,
     STEP_SHIFT = 12,
+    ANCHORS_OF_A_BYTE = 16,
+    /* 11.1 */
+    FEATURES_MAX = 128,
+    OFFSETS_MAX = 16,
+    SLICES_MAX = 16,
+    SLICE_WIDTH_MAX = 64,
+    /* A, 5 */
     TABLES_LENGTH = 99840,
     PROLOGUE_LENGTH = 20,
+    FIXED_LENGTH = 90,
+    DIRECTORY_ENTRY_LENGTH = 20,
     FRAME_LENGTH = 88,
-    CHUNK_ENTRY_LENGTH = 24,
-    POSITION_MODEL_LENGTH = 577,
-    LAYER_MODEL_LENGTH = 6
+    LAYER_MODEL_LENGTH = 8,
+    PLANE_TABLE_LENGTH = 20,
+    POSITION_MODEL_LENGTH = 580,
+    CHUNK_ENTRY_LENGTH = 28,
+    CHUNK_HEAD_LENGTH = 16
 };
+#define SECTION_LENGTH_MAX (UINT64_C(1) << 48)
 #define ORIGIN_BOUND (INT64_C(1) << 62)
 #define TRANSLATION_BOUND (INT64_C(1) << 61)
 #define BASE_STEP_MIN 0x1p-60f
 #define BASE_STEP_MAX 0x1p60f
 
-/* ---------------------------------------------------------------- 10.2 registry */
+/* ---------------------------------------------------------------- 10.3 registry */
 
-enum error {
-    PROLOGUE_TRUNCATED = 101, PROLOGUE_SIGNATURE, PROLOGUE_CRC, PROLOGUE_VERSION, PROLOGUE_HEADER_LENGTH,
-    HEADER_TRUNCATED = 201, HEADER_CRC, HEADER_SYNTAX, HEADER_RESERVED, HEADER_PROFILE, HEADER_LEVEL, HEADER_DIMENSION,
-    HEADER_ANCHOR_COUNT, HEADER_LEVEL_NOT_MINIMAL, HEADER_CHUNK_SIZE, HEADER_LANES, HEADER_BASE_STEP, HEADER_POSITION_GRID,
-    HEADER_RENDER_INFO,
-    DIRECTORY_UNKNOWN_CRITICAL = 301, DIRECTORY_ORDER, DIRECTORY_MODE, DIRECTORY_OFFSET, DIRECTORY_LENGTH,
-    DIRECTORY_FILE_LENGTH, SECTION_CRC,
-    FRAME_RANGE = 401,
-    WEIGHTS_SCALE = 411, WEIGHTS_NOT_FINITE, WEIGHTS_BOUND, WEIGHTS_LENGTH, WEIGHTS_LAYER, WEIGHTS_EXPONENT, WEIGHTS_RAW,
-    PLANES_LENGTH = 421,
-    CHUNKS_MASK_MODEL = 431, CHUNKS_LENGTH, CHUNKS_CRC, CHUNKS_POSITION_MODEL,
-    POSITIONS_NOT_FINITE = 441, POSITIONS_NEGATIVE_ZERO, POSITIONS_FORM, POSITIONS_RAW, POSITIONS_COUNT, POSITIONS_CELL,
-    SUBSTREAM_LENGTH = 501, SUBSTREAM_STATE, SUBSTREAM_WORDS, SUBSTREAM_FINAL_STATE, SUBSTREAM_ESCAPE,
-    SUBSTREAM_SYMBOL_RANGE, SUBSTREAM_RAW_LENGTH, SUBSTREAM_RAW_PADDING, SUBSTREAM_SYMBOL_CRC
-};
+enum class { MALFORMED, INVALID, UNSUPPORTED };
 
-enum { STATUS_REFUSED = 1, STATUS_UNSUPPORTED = 2, STATUS_FAILED = 3 };
+#define REGISTRY(X)                                                                                                    \
+    X(101, PROLOGUE_TRUNCATED, MALFORMED) X(102, PROLOGUE_SIGNATURE, MALFORMED) X(103, PROLOGUE_CRC, MALFORMED)        \
+    X(104, PROLOGUE_VERSION, UNSUPPORTED) X(105, PROLOGUE_HEADER_LENGTH, MALFORMED)                                    \
+    X(201, HEADER_TRUNCATED, MALFORMED) X(202, HEADER_CRC, MALFORMED) X(203, HEADER_SYNTAX, MALFORMED)                 \
+    X(204, HEADER_RESERVED, UNSUPPORTED) X(205, HEADER_PROFILE, UNSUPPORTED) X(206, HEADER_LEVEL, UNSUPPORTED)         \
+    X(207, HEADER_DIMENSION, INVALID) X(208, HEADER_ANCHOR_COUNT, INVALID) X(209, HEADER_LEVEL_NOT_MINIMAL, INVALID)   \
+    X(210, HEADER_CHUNK_SIZE, INVALID) X(211, HEADER_LANES, INVALID) X(212, HEADER_BASE_STEP, INVALID)                 \
+    X(213, HEADER_POSITION_GRID, INVALID) X(214, HEADER_RENDER_INFO, INVALID) X(215, HEADER_WORK, INVALID)             \
+    X(216, HEADER_PADDING, MALFORMED) X(217, HEADER_CHUNK_COUNT, INVALID)                                              \
+    X(301, DIRECTORY_TYPE, MALFORMED) X(302, DIRECTORY_UNKNOWN_CRITICAL, UNSUPPORTED)                                  \
+    X(303, DIRECTORY_ORDER, MALFORMED) X(304, DIRECTORY_MODE, UNSUPPORTED) X(305, DIRECTORY_LENGTH, MALFORMED)         \
+    X(311, SECTION_TRUNCATED, MALFORMED) X(312, SECTION_CRC, MALFORMED) X(313, SECTION_PADDING, MALFORMED)             \
+    X(321, FILE_TRAILING, MALFORMED)                                                                                   \
+    X(401, FRAME_RANGE, INVALID) X(402, FRAME_RESERVED, UNSUPPORTED)                                                   \
+    X(411, WEIGHTS_SCALE, INVALID) X(412, WEIGHTS_NOT_FINITE, INVALID) X(413, WEIGHTS_BOUND, INVALID)                  \
+    X(414, WEIGHTS_LENGTH, MALFORMED) X(415, WEIGHTS_LAYER, INVALID) X(416, WEIGHTS_EXPONENT, INVALID)                 \
+    X(417, WEIGHTS_PADDING, MALFORMED) X(418, WEIGHTS_RESERVED, UNSUPPORTED)                                           \
+    X(421, PLANES_LENGTH, MALFORMED) X(422, PLANES_PADDING, MALFORMED)                                                 \
+    X(431, INDEX_MASK_MODEL, INVALID) X(432, INDEX_POSITION_MODEL, INVALID) X(433, INDEX_CHUNK, INVALID)               \
+    X(434, INDEX_LENGTH, MALFORMED) X(435, INDEX_PADDING, MALFORMED) X(436, INDEX_RESERVED, UNSUPPORTED)               \
+    X(441, CHUNK_CRC, MALFORMED) X(442, CHUNK_LENGTH, MALFORMED) X(443, CHUNK_FORM, MALFORMED)                         \
+    X(444, CHUNK_PADDING, MALFORMED) X(445, CHUNK_RESERVED, UNSUPPORTED) X(446, CHUNK_KEPT, INVALID)                   \
+    X(447, CHUNK_BOUNDS, INVALID)                                                                                      \
+    X(451, POSITIONS_NOT_FINITE, INVALID) X(452, POSITIONS_NEGATIVE_ZERO, INVALID) X(453, POSITIONS_COUNT, INVALID)    \
+    X(454, POSITIONS_CELL, INVALID)                                                                                    \
+    X(501, SUBSTREAM_LENGTH, MALFORMED) X(502, SUBSTREAM_STATE, INVALID) X(503, SUBSTREAM_WORDS, INVALID)              \
+    X(504, SUBSTREAM_FINAL_STATE, INVALID) X(505, SUBSTREAM_ESCAPE, INVALID) X(506, SUBSTREAM_SYMBOL_RANGE, INVALID)   \
+    X(507, SUBSTREAM_RAW_LENGTH, INVALID) X(508, SUBSTREAM_RAW_PADDING, INVALID) X(509, SUBSTREAM_SYMBOL_CRC, INVALID)
 
-/* All allocated memory is in one list, so that every exit can release it. */
+#define CODE(code, name, class) name = code,
+#define KIND(code, name, class) {name, #name, class},
+enum error { REGISTRY(CODE) };
+static const struct {
+    enum error code;
+    const char *name; /* in capitals, with `_` in the place of `.` */
+    enum class class;
+} registry[] = {REGISTRY(KIND)};
+
+enum { STATUS_REFUSED = 1, STATUS_UNSUPPORTED = 2, STATUS_USAGE = 64 };
+
+/* ---------------------------------------------------------------- memory, input and output */
+
+/* All allocated memory is in one ring, so that every exit can release it. */
 struct block {
-    struct block *next;
-    uint64_t length; /* it also keeps what follows aligned to 16 bytes */
+    struct block *before, *next; /* two pointers: what follows is aligned as they are */
 };
-static struct block *blocks;
+static struct block blocks = {&blocks, &blocks};
+
+static FILE *input, *output; /* null pointers if they are not open */
+static uint64_t input_at;     /* the bytes that were read of the file */
 
 /* not of the specification */
-static void RELEASE(void)
+static void RELEASE_BLOCKS(void)
 {
-    while (blocks) {
-        struct block *next = blocks->next;
-        free(blocks);
-        blocks = next;
+    while (blocks.next != &blocks) {
+        struct block *b = blocks.next;
+        blocks.next = b->next;
+        free(b);
     }
+    blocks.before = &blocks;
+}
+
+/* not of the specification: releases all that the program holds. The result is 0 if the output could not be written. */
+static int RELEASE(void)
+{
+    int right = !output || !fclose(output);
+    RELEASE_BLOCKS();
+    if (input)
+        fclose(input);
+    input = output = NULL;
+    return right;
 }
 
 /* not of the specification: ends the program for wrong usage, or for a failure of input, output or memory */
@@ -112,33 +172,104 @@ _Noreturn static void FAIL(const char *message)
 {
     fprintf(stderr, "decoder: %s\n", message);
     RELEASE();
-    exit(STATUS_FAILED);
+    exit(STATUS_USAGE);
 }
 
 /* 10.1, 10.2: the first error ends the decoding */
 _Noreturn static void REFUSE(enum error code, uint64_t offset)
 {
-    int unsupported = code == PROLOGUE_VERSION || code == HEADER_PROFILE || code == HEADER_LEVEL ||
-                      code == DIRECTORY_UNKNOWN_CRITICAL || code == DIRECTORY_MODE;
-    fprintf(stderr, "{\"code\":%d, \"offset\":%llu}\n", (int)code, (unsigned long long)offset);
+    size_t i = 0, dot = 0;
+    while (registry[i].code != code)
+        i++;
+    fprintf(stderr, "{\"code\": %d, \"name\": \"", (int)code);
+    for (const char *c = registry[i].name; *c; c++)
+        putc(*c == '_' && !dot++ ? '.' : tolower((unsigned char)*c), stderr);
+    fprintf(stderr, "\", \"offset\": %llu}\n", (unsigned long long)offset);
     RELEASE();
-    exit(unsupported ? STATUS_UNSUPPORTED : STATUS_REFUSED);
+    exit(registry[i].class == UNSUPPORTED ? STATUS_UNSUPPORTED : STATUS_REFUSED);
 }
 
-/* 13.1: callers have checked the count against the file or the level */
+/* 13.1: makes a block, or gives one another size. Callers have checked the size against the file or the level. */
+static void *RESIZE(void *p, uint64_t bytes)
+{
+    struct block *b = NULL;
+    if (bytes <= SIZE_MAX - sizeof *b)
+        b = realloc(p ? (struct block *)p - 1 : NULL, sizeof *b + (size_t)bytes);
+    if (!b)
+        FAIL("out of memory");
+    if (!p) {
+        b->before = &blocks;
+        b->next = blocks.next;
+    }
+    b->before->next = b->next->before = b;
+    return b + 1;
+}
+
+/* 13.1: a block of zeros */
 static void *ALLOCATE(uint64_t count, uint64_t size)
 {
     uint64_t bytes = count * size; /* count < 2^32, size < 2^16 */
-    struct block *b;
-    if (bytes > SIZE_MAX - sizeof *b)
-        FAIL("out of memory");
-    b = calloc(1, sizeof *b + (size_t)bytes);
-    if (!b)
-        FAIL("out of memory");
-    b->next = blocks;
-    b->length = bytes;
-    blocks = b;
-    return b + 1;
+    return memset(RESIZE(NULL, bytes), 0, (size_t)bytes);
+}
+
+/* 13.1 */
+static void FREE(void *p)
+{
+    struct block *b = (struct block *)p - 1;
+    b->before->next = b->next;
+    b->next->before = b->before;
+    free(b);
+}
+
+struct buffer { /* room for bytes of the file; data is a block */
+    uint8_t *data;
+    uint64_t room;
+};
+
+struct piece { /* bytes of the file; `at` is the offset of the first of them */
+    const uint8_t *data;
+    uint64_t at, length;
+};
+
+/* 13.1: reads the next n bytes. The piece has fewer if the file ends before, and so input_at is the file's length then.
+   The buffer grows with the bytes that are there, because nobody has checked n against the file. */
+static struct piece READ(struct buffer *b, uint64_t n)
+{
+    struct piece p = {NULL, input_at, 0};
+    for (;;) {
+        uint64_t room = p.length ? 2 * p.length : 1 << 16, got;
+        if (b->room < room) {
+            b->data = RESIZE(b->data, room);
+            b->room = room;
+        }
+        p.data = b->data;
+        room = b->room < n ? b->room : n;
+        got = fread(b->data + p.length, 1, (size_t)(room - p.length), input);
+        p.length += got;
+        input_at += got;
+        if (ferror(input))
+            FAIL("cannot read the file");
+        if (p.length == n || !got)
+            return p;
+    }
+}
+
+/* 5: n rounded up to a multiple of 4, for n below 2^63 */
+static uint64_t PAD4(uint64_t n) { return (n + 3) / 4 * 4; }
+
+/* 5: whether the bytes from `from` to `end` of a piece are zero */
+static int ZERO(struct piece p, uint64_t from, uint64_t end)
+{
+    while (from < end && !p.data[from])
+        from++;
+    return from >= end;
+}
+
+/* 5: a part of a piece */
+static struct piece CUT(struct piece p, uint64_t from, uint64_t length)
+{
+    struct piece cut = {p.data + from, p.at + from, length};
+    return cut;
 }
 
 /* ---------------------------------------------------------------- 2.2 to 2.4 numbers */
@@ -191,8 +322,8 @@ static float F32(uint32_t bits)
     return x;
 }
 
-/* 2.3 */
-static int FINITE(uint32_t bits) { return (bits >> 23 & 255) != 255; }
+/* 2.4 */
+static int IS_FINITE(uint32_t bits) { return (bits >> 23 & 255) != 255; }
 
 /* 2.3: a finite f32 is m * 2^e, with m below 2^24 in magnitude */
 static void SPLIT_F32(uint32_t bits, int64_t *m, int *e)
@@ -267,7 +398,7 @@ static uint32_t ROUND_F32(int64_t n, int e)
     return (n < 0 ? UINT32_C(1) << 31 : 0) | (uint32_t)(e + 150) << 23 | ((uint32_t)m & 0x7FFFFF);
 }
 
-/* ---------------------------------------------------------------- 2.3 CRC-32; SHA-256 (FIPS 180-4) */
+/* ---------------------------------------------------------------- 2.3 CRC-32; 9.3 SHA-256 (FIPS 180-4) */
 
 static uint32_t crc_table[256];
 
@@ -298,12 +429,14 @@ struct sha256 {
 };
 
 static const uint32_t SHA_K[64] = {
-    0x428a2f98, 0x71374491, 0xb5c0fbcf, 0xe9b5dba5, 0x3956c25b, 0x59f111f1, 0x923f82a4, 0xab1c5ed5, 0xd807aa98, 0x12835b01, 0x243185be,
-    0x550c7dc3, 0x72be5d74, 0x80deb1fe, 0x9bdc06a7, 0xc19bf174, 0xe49b69c1, 0xefbe4786, 0x0fc19dc6, 0x240ca1cc, 0x2de92c6f, 0x4a7484aa,
-    0x5cb0a9dc, 0x76f988da, 0x983e5152, 0xa831c66d, 0xb00327c8, 0xbf597fc7, 0xc6e00bf3, 0xd5a79147, 0x06ca6351, 0x14292967, 0x27b70a85,
-    0x2e1b2138, 0x4d2c6dfc, 0x53380d13, 0x650a7354, 0x766a0abb, 0x81c2c92e, 0x92722c85, 0xa2bfe8a1, 0xa81a664b, 0xc24b8b70, 0xc76c51a3,
-    0xd192e819, 0xd6990624, 0xf40e3585, 0x106aa070, 0x19a4c116, 0x1e376c08, 0x2748774c, 0x34b0bcb5, 0x391c0cb3, 0x4ed8aa4a, 0x5b9cca4f,
-    0x682e6ff3, 0x748f82ee, 0x78a5636f, 0x84c87814, 0x8cc70208, 0x90befffa, 0xa4506ceb, 0xbef9a3f7, 0xc67178f2};
+    0x428a2f98, 0x71374491, 0xb5c0fbcf, 0xe9b5dba5, 0x3956c25b, 0x59f111f1, 0x923f82a4, 0xab1c5ed5,
+    0xd807aa98, 0x12835b01, 0x243185be, 0x550c7dc3, 0x72be5d74, 0x80deb1fe, 0x9bdc06a7, 0xc19bf174,
+    0xe49b69c1, 0xefbe4786, 0x0fc19dc6, 0x240ca1cc, 0x2de92c6f, 0x4a7484aa, 0x5cb0a9dc, 0x76f988da,
+    0x983e5152, 0xa831c66d, 0xb00327c8, 0xbf597fc7, 0xc6e00bf3, 0xd5a79147, 0x06ca6351, 0x14292967,
+    0x27b70a85, 0x2e1b2138, 0x4d2c6dfc, 0x53380d13, 0x650a7354, 0x766a0abb, 0x81c2c92e, 0x92722c85,
+    0xa2bfe8a1, 0xa81a664b, 0xc24b8b70, 0xc76c51a3, 0xd192e819, 0xd6990624, 0xf40e3585, 0x106aa070,
+    0x19a4c116, 0x1e376c08, 0x2748774c, 0x34b0bcb5, 0x391c0cb3, 0x4ed8aa4a, 0x5b9cca4f, 0x682e6ff3,
+    0x748f82ee, 0x78a5636f, 0x84c87814, 0x8cc70208, 0x90befffa, 0xa4506ceb, 0xbef9a3f7, 0xc67178f2};
 
 /* 9.3 */
 static uint32_t ROTR(uint32_t x, int n) { return x >> n | x << (32 - n); }
@@ -311,7 +444,8 @@ static uint32_t ROTR(uint32_t x, int n) { return x >> n | x << (32 - n); }
 /* 9.3 */
 static void SHA_START(struct sha256 *s)
 {
-    static const uint32_t h[8] = {0x6a09e667, 0xbb67ae85, 0x3c6ef372, 0xa54ff53a, 0x510e527f, 0x9b05688c, 0x1f83d9ab, 0x5be0cd19};
+    static const uint32_t h[8] = {
+        0x6a09e667, 0xbb67ae85, 0x3c6ef372, 0xa54ff53a, 0x510e527f, 0x9b05688c, 0x1f83d9ab, 0x5be0cd19};
     memcpy(s->h, h, sizeof h);
     s->length = 0;
 }
@@ -319,16 +453,19 @@ static void SHA_START(struct sha256 *s)
 /* 9.3 */
 static void SHA_BLOCK(struct sha256 *s)
 {
-    uint32_t w[64], v[8];
+    uint32_t w[64] = {0}, v[8];
     for (int i = 0; i < 16; i++)
-        w[i] = (uint32_t)s->block[4 * i] << 24 | (uint32_t)s->block[4 * i + 1] << 16 | (uint32_t)s->block[4 * i + 2] << 8 | s->block[4 * i + 3];
+        for (int byte = 0; byte < 4; byte++)
+            w[i] = w[i] << 8 | s->block[4 * i + byte];
     for (int i = 16; i < 64; i++)
         w[i] = w[i - 16] + (ROTR(w[i - 15], 7) ^ ROTR(w[i - 15], 18) ^ w[i - 15] >> 3) + w[i - 7] +
                (ROTR(w[i - 2], 17) ^ ROTR(w[i - 2], 19) ^ w[i - 2] >> 10);
     memcpy(v, s->h, sizeof v);
     for (int i = 0; i < 64; i++) {
-        uint32_t t = v[7] + (ROTR(v[4], 6) ^ ROTR(v[4], 11) ^ ROTR(v[4], 25)) + ((v[4] & v[5]) ^ (~v[4] & v[6])) + SHA_K[i] + w[i];
-        uint32_t u = (ROTR(v[0], 2) ^ ROTR(v[0], 13) ^ ROTR(v[0], 22)) + ((v[0] & v[1]) ^ (v[0] & v[2]) ^ (v[1] & v[2]));
+        uint32_t t = v[7] + (ROTR(v[4], 6) ^ ROTR(v[4], 11) ^ ROTR(v[4], 25)) + ((v[4] & v[5]) ^ (~v[4] & v[6]));
+        uint32_t u = (ROTR(v[0], 2) ^ ROTR(v[0], 13) ^ ROTR(v[0], 22));
+        t += SHA_K[i] + w[i];
+        u += (v[0] & v[1]) ^ (v[0] & v[2]) ^ (v[1] & v[2]);
         memmove(v + 1, v, 7 * sizeof *v);
         v[4] += t;
         v[0] = t + u;
@@ -348,7 +485,7 @@ static void SHA_ADD(struct sha256 *s, const uint8_t *p, uint64_t n)
 }
 
 /* 9.3 */
-static void SHA_END(struct sha256 *s, char hex[65])
+static void SHA_END(struct sha256 *s, uint8_t digest[32])
 {
     static const uint8_t pad[64] = {0x80};
     uint64_t bits = 8 * s->length;
@@ -357,8 +494,17 @@ static void SHA_END(struct sha256 *s, char hex[65])
     for (int i = 0; i < 8; i++)
         tail[i] = (uint8_t)(bits >> (56 - 8 * i));
     SHA_ADD(s, tail, 8);
-    for (int i = 0; i < 8; i++)
-        snprintf(hex + 8 * i, 9, "%08lx", (unsigned long)s->h[i]);
+    for (int i = 0; i < 32; i++)
+        digest[i] = (uint8_t)(s->h[i / 4] >> (24 - 8 * (i % 4)));
+}
+
+/* 9.3: a digest in hexadecimal */
+static const char *HEX(const uint8_t digest[32])
+{
+    static char text[65];
+    for (int i = 0; i < 32; i++)
+        snprintf(text + 2 * i, 3, "%02x", digest[i]);
+    return text;
 }
 
 /* ---------------------------------------------------------------- Annex A tables */
@@ -377,11 +523,12 @@ static family GAUSS, LAPLACE;
 static void READ_TABLES(const uint8_t *data, uint64_t length)
 {
     struct sha256 s;
-    char hex[65];
+    uint8_t digest[32];
     SHA_START(&s);
     SHA_ADD(&s, data, length);
-    SHA_END(&s, hex);
-    if (length != TABLES_LENGTH || strcmp(hex, "b8b489ae1faadaa4b3c91467cd7517a68c3ac7cda6ee1c5a2c8282dd3ec087b5"))
+    SHA_END(&s, digest);
+    if (length != TABLES_LENGTH ||
+        strcmp(HEX(digest), "b8b489ae1faadaa4b3c91467cd7517a68c3ac7cda6ee1c5a2c8282dd3ec087b5"))
         FAIL("the table file is not that of Annex A");
     for (int j = 0; j < SINE_LENGTH; j++)
         SINE[j] = GET_I16(data + 2 * j);
@@ -399,147 +546,170 @@ static void READ_TABLES(const uint8_t *data, uint64_t length)
             }
 }
 
-/* ---------------------------------------------------------------- 5.2 to 5.6 the header */
+/* ---------------------------------------------------------------- 5.1 to 5.6 prologue, header, directory */
 
-struct list { /* 5.3: a length and that many items of type u8, with the offsets of both */
-    uint32_t at, items_at;
+/* 6.6: the critical sections, in their order */
+enum section { FRAM, WGTS, PLNS, INDX, DATA, CRITICAL, ANCILLARY };
+
+struct entry { /* 5.6; `at` is the offset of the entry */
+    uint64_t at, length;
+    uint32_t crc;
+    enum section section;
+    uint8_t type[4], mode, reserved[3];
+};
+
+struct list { /* 5.3: some widths; `at` is the offset of the first */
+    uint64_t at;
     uint8_t count, item[255];
 };
 
-struct entry {
-    uint32_t at; /* the offset of type. mode is at + 1, reserved at + 2, offset at + 4, length at + 8. */
-    uint8_t type, mode;
-    uint32_t reserved, offset, length, crc;
+/* 5.2 to 5.5: the offsets of the fields that are always at one place */
+enum {
+    AT_PROFILE = 20,
+    AT_LEVEL = 21,
+    AT_SECTION_COUNT = 22,
+    AT_ANCHOR_COUNT = 24,
+    AT_CHUNK_COUNT = 28,
+    AT_CHUNK_SIZE = 32,
+    AT_LANES = 36,
+    AT_RESERVED = 39,
+    AT_BASE_STEP = 40,
+    AT_ORIGIN = 52,
+    AT_SCALE_MANTISSA = 76,
+    AT_SCALE_EXPONENT = 78,
+    AT_GRID_RESERVED = 79,
+    AT_UP_AXIS = 83,
+    AT_RENDER_NUMBERS = 84, /* near_plane, distance_unit, alpha_max, low_pass */
+    AT_OFFSET_COUNT = 100,
+    AT_PLANE_CHANNELS = 101,
+    AT_FREQUENCY_COUNT = 102,
+    AT_RENDER_WIDTH = 103,
+    AT_PLANE_SIZE = 104,
+    AT_SLICE_COUNT = 106,
+    AT_HYPER_LAYERS = 107,
+    AT_SARM_LAYERS = 108,
+    AT_CARM_LAYERS = 109
 };
 
 struct header {
-    uint32_t length, end; /* end is the first byte after the header */
-    uint8_t profile, level, section_count, reserved_0, reserved_1;
-    uint32_t anchor_count, chunk_size;
+    uint32_t minor, length; /* 5.1 */
+    uint8_t profile, level;
+    uint32_t section_count, anchor_count, chunk_count, chunk_size;
     uint8_t lanes_log2[3]; /* of planes, masks, attributes */
-    uint8_t offset_count, plane_channels, frequency_count, render_width;
-    uint32_t plane_size;
-    struct list slice_width, hyper_width, sarm_width, carm_width;
-    uint32_t offset_count_at, plane_channels_at, frequency_count_at, plane_size_at, render_width_at;
-    uint32_t base_step_at, base_step[3];
-    uint32_t grid_at;
+    uint32_t base_step[3];
     int64_t origin[3];
     uint32_t scale_mantissa;
     int scale_exponent;
-    uint8_t grid_reserved;
-    uint32_t render_at;
-    struct entry directory[255];
-    /* derived: F, D (6.3) and C (6.10) */
-    uint32_t features, channels, chunks;
+    uint8_t up_axis;
+    uint32_t render[4]; /* near_plane, distance_unit, alpha_max, low_pass */
+    uint8_t offset_count, plane_channels, frequency_count, render_width;
+    uint32_t plane_size;
+    struct list slice_width, hyper_width, sarm_width, carm_width;
+    struct entry *directory;
+    uint32_t features, channels; /* F and D of 6.3 */
 };
 
-struct cursor {
-    const uint8_t *data;
-    uint64_t at, end; /* end is where header_crc starts */
-};
-
-/* 5: the next n bytes of the header */
-static const uint8_t *TAKE(struct cursor *c, uint64_t n)
+/* 5.1, 6.1 */
+static void PROLOGUE(struct header *h, struct buffer *b)
 {
-    if (n > c->end - c->at)
-        REFUSE(HEADER_SYNTAX, c->end + 4); /* the end of the header, with header_crc */
-    c->at += n;
-    return c->data + c->at - n;
-}
-
-/* 5.3 */
-static void TAKE_LIST(struct cursor *c, struct list *l)
-{
-    l->at = (uint32_t)c->at;
-    l->count = *TAKE(c, 1);
-    l->items_at = (uint32_t)c->at;
-    memcpy(l->item, TAKE(c, l->count), l->count);
-}
-
-/* 6.1, and 6.2 as far as R6.2-2 */
-static void PROLOGUE(struct header *h, const uint8_t *data, uint64_t length)
-{
-    static const uint8_t signature[8] = {0x89, 0x43, 0x33, 0x47, 0x0D, 0x0A, 0x1A, 0x0A};
-    if (length < PROLOGUE_LENGTH)
-        REFUSE(PROLOGUE_TRUNCATED, length);
-    if (memcmp(data, signature, 8))
+    static const uint8_t signature[8] = {0x89, 0x43, 0x33, 0x47, 0x53, 0x0D, 0x0A, 0x1A};
+    struct piece p = READ(b, PROLOGUE_LENGTH);
+    if (p.length < PROLOGUE_LENGTH)
+        REFUSE(PROLOGUE_TRUNCATED, p.length);
+    if (memcmp(p.data, signature, 8))
         REFUSE(PROLOGUE_SIGNATURE, 0);
-    if (GET_U32(data + 16) != CRC32(0, data, 16))
+    if (GET_U32(p.data + 16) != CRC32(0, p.data, 16))
         REFUSE(PROLOGUE_CRC, 16);
-    if (GET_U32(data + 8) != 0)
+    if (GET_U16(p.data + 8) != MAJOR)
         REFUSE(PROLOGUE_VERSION, 8);
-    h->length = GET_U32(data + 12);
-    if (h->length < HEADER_LENGTH_MIN || h->length > HEADER_LENGTH_MAX)
+    h->minor = GET_U16(p.data + 10);
+    h->length = GET_U32(p.data + 12);
+    if (h->length < HEADER_LENGTH_MIN || h->length > HEADER_LENGTH_MAX || h->length % 4)
         REFUSE(PROLOGUE_HEADER_LENGTH, 12);
-    h->end = PROLOGUE_LENGTH + h->length;
-    if (length < h->end)
-        REFUSE(HEADER_TRUNCATED, length);
-    if (GET_U32(data + h->end - 4) != CRC32(0, data + PROLOGUE_LENGTH, h->length - 4))
-        REFUSE(HEADER_CRC, h->end - 4);
 }
 
-/* 5.2 to 5.6: R6.2-3, R6.2-4 */
-static void HEADER_FIELDS(struct header *h, const uint8_t *data)
+/* 5.2: where n more bytes of the header's fields begin. `at` is where the fields before them end. */
+static const uint8_t *TAKE(struct piece p, uint64_t *at, uint64_t n)
 {
-    struct cursor c = {data, PROLOGUE_LENGTH, h->end - 4};
-    const uint8_t *p = TAKE(&c, 16);
-    h->profile = p[0];
-    h->level = p[1];
-    h->section_count = p[2];
-    h->reserved_0 = p[3];
-    h->anchor_count = GET_U32(p + 4);
-    h->chunk_size = GET_U32(p + 8);
-    memcpy(h->lanes_log2, p + 12, 3);
-    h->reserved_1 = p[15];
-    h->offset_count_at = (uint32_t)c.at;
-    h->offset_count = *TAKE(&c, 1);
-    TAKE_LIST(&c, &h->slice_width);
-    h->plane_channels_at = (uint32_t)c.at;
-    h->plane_channels = *TAKE(&c, 1);
-    h->frequency_count_at = (uint32_t)c.at;
-    h->frequency_count = *TAKE(&c, 1);
-    h->plane_size_at = (uint32_t)c.at;
-    h->plane_size = GET_U16(TAKE(&c, 2));
-    TAKE_LIST(&c, &h->hyper_width);
-    TAKE_LIST(&c, &h->sarm_width);
-    TAKE_LIST(&c, &h->carm_width);
-    h->render_width_at = (uint32_t)c.at;
-    h->render_width = *TAKE(&c, 1);
-    h->base_step_at = (uint32_t)c.at;
-    p = TAKE(&c, 12);
-    for (int a = 0; a < 3; a++)
-        h->base_step[a] = GET_U32(p + 4 * a);
-    h->grid_at = (uint32_t)c.at;
-    p = TAKE(&c, 28);
-    for (int a = 0; a < 3; a++)
-        h->origin[a] = GET_I64(p + 8 * a);
-    h->scale_mantissa = GET_U16(p + 24);
-    h->scale_exponent = p[26] < 128 ? p[26] : p[26] - 256;
-    h->grid_reserved = p[27];
-    h->render_at = (uint32_t)c.at;
-    TAKE(&c, 60); /* 5.5: RENDER_INFO reads it */
-    for (int i = 0; i < h->section_count; i++) {
-        struct entry *s = &h->directory[i];
-        s->at = (uint32_t)c.at;
-        p = TAKE(&c, 16);
-        s->type = p[0];
-        s->mode = p[1];
-        s->reserved = GET_U16(p + 2);
-        s->offset = GET_U32(p + 4);
-        s->length = GET_U32(p + 8);
-        s->crc = GET_U32(p + 12);
+    if (n > p.at + p.length - 4 - *at)
+        REFUSE(HEADER_SYNTAX, p.at + p.length); /* the end of the header, with header_crc */
+    *at += n;
+    return p.data + (*at - n - p.at);
+}
+
+/* 5.3: the items of a list whose length is known */
+static void TAKE_LIST(struct piece p, uint64_t *at, struct list *l)
+{
+    l->at = *at;
+    memcpy(l->item, TAKE(p, at, l->count), l->count);
+}
+
+/* 5.2 to 5.6, 6.2: R6.2-1 to R6.2-5 */
+static void HEADER_FIELDS(struct header *h, struct buffer *b)
+{
+    struct piece p = READ(b, h->length);
+    uint64_t at = PROLOGUE_LENGTH, padding_at, padding;
+    const uint8_t *f;
+    if (p.length < h->length)
+        REFUSE(HEADER_TRUNCATED, input_at);
+    if (GET_U32(p.data + p.length - 4) != CRC32(0, p.data, p.length - 4))
+        REFUSE(HEADER_CRC, p.at + p.length - 4);
+    /* The fixed fields, as 5.2 to 5.5 have them. f is the byte 0 of the file, as it were. */
+    f = TAKE(p, &at, FIXED_LENGTH) - PROLOGUE_LENGTH;
+    h->profile = f[AT_PROFILE];
+    h->level = f[AT_LEVEL];
+    h->section_count = GET_U16(f + AT_SECTION_COUNT);
+    h->anchor_count = GET_U32(f + AT_ANCHOR_COUNT);
+    h->chunk_count = GET_U32(f + AT_CHUNK_COUNT);
+    h->chunk_size = GET_U32(f + AT_CHUNK_SIZE);
+    memcpy(h->lanes_log2, f + AT_LANES, 3);
+    for (int a = 0; a < 3; a++) {
+        h->base_step[a] = GET_U32(f + AT_BASE_STEP + 4 * a);
+        h->origin[a] = GET_I64(f + AT_ORIGIN + 8 * a);
     }
-    if (c.at != c.end)
-        REFUSE(HEADER_SYNTAX, c.at); /* the first byte that no field uses. It comes before header_crc. */
-    if (h->reserved_0)
-        REFUSE(HEADER_RESERVED, 23);
-    if (h->reserved_1)
-        REFUSE(HEADER_RESERVED, 35);
-    if (h->grid_reserved)
-        REFUSE(HEADER_RESERVED, h->grid_at + 27);
-    for (int i = 0; i < h->section_count; i++)
-        if (h->directory[i].reserved)
-            REFUSE(HEADER_RESERVED, h->directory[i].at + 2);
+    h->scale_mantissa = GET_U16(f + AT_SCALE_MANTISSA);
+    h->scale_exponent = f[AT_SCALE_EXPONENT] < 128 ? f[AT_SCALE_EXPONENT] : f[AT_SCALE_EXPONENT] - 256;
+    h->up_axis = f[AT_UP_AXIS];
+    for (int i = 0; i < 4; i++)
+        h->render[i] = GET_U32(f + AT_RENDER_NUMBERS + 4 * i);
+    h->offset_count = f[AT_OFFSET_COUNT];
+    h->plane_channels = f[AT_PLANE_CHANNELS];
+    h->frequency_count = f[AT_FREQUENCY_COUNT];
+    h->render_width = f[AT_RENDER_WIDTH];
+    h->plane_size = GET_U16(f + AT_PLANE_SIZE);
+    h->slice_width.count = f[AT_SLICE_COUNT];
+    h->hyper_width.count = f[AT_HYPER_LAYERS];
+    h->sarm_width.count = f[AT_SARM_LAYERS];
+    h->carm_width.count = f[AT_CARM_LAYERS];
+    TAKE_LIST(p, &at, &h->slice_width);
+    TAKE_LIST(p, &at, &h->hyper_width);
+    TAKE_LIST(p, &at, &h->sarm_width);
+    TAKE_LIST(p, &at, &h->carm_width);
+    padding_at = at;
+    padding = PAD4(at) - at;
+    TAKE(p, &at, padding);
+    TAKE(p, &at, DIRECTORY_ENTRY_LENGTH * (uint64_t)h->section_count);
+    /* A later minor version may have more fields (12.3). */
+    if (at != p.at + p.length - 4 && h->minor <= MINOR)
+        REFUSE(HEADER_SYNTAX, at);
+    if (!ZERO(p, padding_at - p.at, padding_at - p.at + padding))
+        REFUSE(HEADER_PADDING, padding_at);
+    if (f[AT_RESERVED])
+        REFUSE(HEADER_RESERVED, AT_RESERVED);
+    if (f[AT_GRID_RESERVED])
+        REFUSE(HEADER_RESERVED, AT_GRID_RESERVED);
+    h->directory = ALLOCATE(h->section_count, sizeof *h->directory);
+    for (uint32_t i = 0; i < h->section_count; i++) {
+        struct entry *e = &h->directory[i];
+        e->at = padding_at + padding + DIRECTORY_ENTRY_LENGTH * (uint64_t)i;
+        f = p.data + (e->at - p.at);
+        memcpy(e->type, f, 4);
+        e->mode = f[4];
+        e->length = GET_U64(f + 8);
+        e->crc = GET_U32(f + 16);
+        if (f[5] || f[6] || f[7])
+            REFUSE(HEADER_RESERVED, e->at + 5);
+    }
 }
 
 struct bounds {
@@ -553,126 +723,57 @@ static void DIMENSION(uint32_t value, struct bounds b, uint64_t at)
         REFUSE(HEADER_DIMENSION, at);
 }
 
-/* 11.1: the length of a list, then its items */
-static void DIMENSION_LIST(const struct list *l, struct bounds count, struct bounds item)
+/* 11.1: the items of a list */
+static void DIMENSION_LIST(const struct list *l, struct bounds b)
 {
-    DIMENSION(l->count, count, l->at);
     for (uint32_t i = 0; i < l->count; i++)
-        DIMENSION(l->item[i], item, l->items_at + i);
+        DIMENSION(l->item[i], b, l->at + i);
 }
 
-/* 11.1, 11.2: profile, level, dimensions, anchor_count, chunk_size */
-static void PROFILE(struct header *h)
+/* 11.1, 6.3: the dimensions but for the level's bound; F and D */
+static void DIMENSIONS(struct header *h, const struct bounds b[13])
 {
-    static const struct bounds table[2][14] = {
-        {{1, 10}, {1, 4}, {1, 16}, {1, 8}, {1, 10}, {2, 32}, {1, 2}, {1, 64}, {1, 2}, {1, 16}, {0, 2}, {1, 64}, {1, 64}, {1, 65536}},
-        {{10, 10}, {4, 4}, {5, 20}, {8, 8}, {10, 10}, {2, 256}, {1, 1}, {16, 128}, {2, 2}, {16, 16}, {1, 1}, {16, 128}, {50, 50}, {256, 65536}}};
-    static const struct { uint32_t anchor_count, plane_size; } levels[4] = {{4096, 32}, {131072, 128}, {1048576, 256}, {16777216, 256}};
-    const struct bounds *b;
-    uint32_t lowest;
-    if (h->profile > 1)
-        REFUSE(HEADER_PROFILE, 20);
-    lowest = h->profile ? 1 : 0;
-    if (h->level < lowest || h->level > (h->profile ? 3 : 0))
-        REFUSE(HEADER_LEVEL, 21);
-    b = table[h->profile];
-    DIMENSION(h->offset_count, b[0], h->offset_count_at);
-    DIMENSION_LIST(&h->slice_width, b[1], b[2]);
-    DIMENSION(h->plane_channels, b[3], h->plane_channels_at);
-    DIMENSION(h->frequency_count, b[4], h->frequency_count_at);
-    DIMENSION(h->plane_size, b[5], h->plane_size_at);
-    DIMENSION_LIST(&h->hyper_width, b[6], b[7]);
-    DIMENSION_LIST(&h->sarm_width, b[8], b[9]);
-    DIMENSION_LIST(&h->carm_width, b[10], b[11]);
-    DIMENSION(h->render_width, b[12], h->render_width_at);
-    if ((h->carm_width.count == 0) != (h->slice_width.count == 1))
-        REFUSE(HEADER_DIMENSION, h->carm_width.at);
-    if (h->profile == 1)
-        for (uint32_t i = 0; i < 4; i++)
-            if (h->slice_width.item[i] != 5 * (i + 1))
-                REFUSE(HEADER_DIMENSION, h->slice_width.items_at);
-    if (h->plane_size > levels[h->level].plane_size)
-        REFUSE(HEADER_DIMENSION, h->plane_size_at);
-    if (h->anchor_count > levels[h->level].anchor_count)
-        REFUSE(HEADER_ANCHOR_COUNT, 24);
-    for (uint32_t l = lowest; l < h->level; l++)
-        if (h->anchor_count <= levels[l].anchor_count && h->plane_size <= levels[l].plane_size)
-            REFUSE(HEADER_LEVEL_NOT_MINIMAL, 21);
-    if (h->chunk_size < b[13].low || h->chunk_size > b[13].high)
-        REFUSE(HEADER_CHUNK_SIZE, 28);
-}
-
-/* 6.5 */
-static void RENDER_INFO(const uint8_t *data, uint64_t at)
-{
-    const uint8_t *p = data + at;
-    if (p[3] > 5)
-        REFUSE(HEADER_RENDER_INFO, at + 3);
-    for (uint32_t i = 4; i < 20; i += 4)
-        if (!FINITE(GET_U32(p + i)))
-            REFUSE(HEADER_RENDER_INFO, at + i);
-    /* near_plane, distance_unit */
-    for (uint32_t i = 4; i < 12; i += 4)
-        if (!(F32(GET_U32(p + i)) > 0))
-            REFUSE(HEADER_RENDER_INFO, at + i);
-    if (!(F32(GET_U32(p + 12)) > 0 && F32(GET_U32(p + 12)) <= 1))
-        REFUSE(HEADER_RENDER_INFO, at + 12);
-    if (!(F32(GET_U32(p + 16)) >= 0))
-        REFUSE(HEADER_RENDER_INFO, at + 16);
-    for (uint32_t i = 20; i < 24; i += 2)
-        if (GET_U16(p + i) < 1)
-            REFUSE(HEADER_RENDER_INFO, at + i);
-    /* camera_focal, camera_rotation and camera_translation start at 24, 32 and 48. The error names the field. */
-    for (uint32_t i = 24; i < 60; i += 4)
-        if (!FINITE(GET_U32(p + i)))
-            REFUSE(HEADER_RENDER_INFO, at + (i < 32 ? 24 : i < 48 ? 32 : 48));
-    for (uint32_t i = 24; i < 32; i += 4)
-        if (!(F32(GET_U32(p + i)) > 0))
-            REFUSE(HEADER_RENDER_INFO, at + 24);
-    for (uint32_t i = 32; i < 48; i += 4)
-        if (F32(GET_U32(p + i)) != 0)
-            return;
-    REFUSE(HEADER_RENDER_INFO, at + 32);
-}
-
-/* 6.2 to 6.5, 11: the requirements on the header from R6.2-3 on, in the order of their codes */
-static void HEADER(struct header *h, const uint8_t *data)
-{
-    HEADER_FIELDS(h, data);
-    PROFILE(h);
-    for (uint32_t i = 0; i < 3; i++)
-        if (h->lanes_log2[i] > LANES_LOG2_MAX)
-            REFUSE(HEADER_LANES, 32 + i);
-    for (uint32_t a = 0; a < 3; a++) {
-        float x = F32(h->base_step[a]);
-        if (!FINITE(h->base_step[a]) || !(x >= BASE_STEP_MIN && x <= BASE_STEP_MAX))
-            REFUSE(HEADER_BASE_STEP, h->base_step_at + 4 * a);
-    }
-    for (uint32_t a = 0; a < 3; a++)
-        if (h->origin[a] <= -ORIGIN_BOUND || h->origin[a] >= ORIGIN_BOUND)
-            REFUSE(HEADER_POSITION_GRID, h->grid_at + 8 * a);
-    if (h->scale_mantissa < 1)
-        REFUSE(HEADER_POSITION_GRID, h->grid_at + 24);
-    if (h->scale_exponent < -SCALE_EXPONENT_MAX || h->scale_exponent > SCALE_EXPONENT_MAX)
-        REFUSE(HEADER_POSITION_GRID, h->grid_at + 26);
-    RENDER_INFO(data, h->render_at);
+    const uint32_t field[9] = {h->offset_count,      h->plane_channels,    h->frequency_count,
+                               h->render_width,      h->plane_size,        h->slice_width.count,
+                               h->hyper_width.count, h->sarm_width.count,  h->carm_width.count};
+    static const uint64_t at[9] = {AT_OFFSET_COUNT, AT_PLANE_CHANNELS, AT_FREQUENCY_COUNT,
+                                   AT_RENDER_WIDTH, AT_PLANE_SIZE,     AT_SLICE_COUNT,
+                                   AT_HYPER_LAYERS, AT_SARM_LAYERS,    AT_CARM_LAYERS};
+    int planes = h->plane_channels > 0;
+    /* plane_size and sarm_layers may be 0 too, as is checked below. */
+    for (int i = 0; i < 9; i++)
+        if (field[i] || (at[i] != AT_PLANE_SIZE && at[i] != AT_SARM_LAYERS))
+            DIMENSION(field[i], b[i], at[i]);
+    DIMENSION_LIST(&h->slice_width, b[9]);
+    DIMENSION_LIST(&h->hyper_width, b[10]);
+    DIMENSION_LIST(&h->sarm_width, b[11]);
+    DIMENSION_LIST(&h->carm_width, b[12]);
     h->features = 0;
     for (int i = 0; i < h->slice_width.count; i++)
         h->features += h->slice_width.item[i];
     h->channels = h->features + 6 + 3u * h->offset_count;
-    h->chunks = (h->anchor_count + h->chunk_size - 1) / h->chunk_size; /* below 2^25 */
+    if (h->features > FEATURES_MAX)
+        REFUSE(HEADER_DIMENSION, h->slice_width.at);
+    if ((h->plane_size > 0) != planes)
+        REFUSE(HEADER_DIMENSION, AT_PLANE_SIZE);
+    if ((h->sarm_width.count > 0) != planes)
+        REFUSE(HEADER_DIMENSION, AT_SARM_LAYERS);
+    if (!planes && !h->frequency_count && h->hyper_width.count)
+        REFUSE(HEADER_DIMENSION, AT_HYPER_LAYERS);
+    if (h->slice_width.count == 1 && h->carm_width.count)
+        REFUSE(HEADER_DIMENSION, AT_CARM_LAYERS);
 }
 
 /* ---------------------------------------------------------------- 5.8, 7.2 networks */
 
-enum { LAYERS_MAX = 3, WIDTH_MAX = 256, CARM_MAX = 3 };
+enum { LAYERS_MAX = 3, WIDTH_MAX = 128, CARM_MAX = SLICES_MAX - 1 };
 
 struct layer {
     uint32_t inputs, outputs;
     int16_t *weight; /* row by row */
     int32_t *bias;
     uint8_t *exponent;
-    const uint8_t *model; /* in mode 1 its LayerModel (5.16) */
+    const uint8_t *model; /* in mode 1 its LayerModel (5.9) */
     const uint8_t *raw;   /* in mode 1 its values, if it is raw */
 };
 
@@ -684,40 +785,210 @@ struct network {
 enum { HYPER, SARM, CARM_1, OPACITY = CARM_1 + CARM_MAX, COVARIANCE, COLOUR, NETWORKS };
 
 /* 5.8: the shape of one network */
-static void SHAPE(struct network *n, uint32_t inputs, uint32_t hidden, const uint8_t *width, uint32_t outputs)
+static void SHAPE(struct network *n, uint32_t inputs, const struct list *hidden, uint32_t outputs)
 {
-    n->layers = hidden + 1;
-    for (uint32_t i = 0; i <= hidden; i++) {
+    n->layers = hidden->count + 1u;
+    for (uint32_t i = 0; i < n->layers; i++) {
         n->layer[i].inputs = inputs;
-        n->layer[i].outputs = inputs = i < hidden ? width[i] : outputs;
+        n->layer[i].outputs = inputs = i < hidden->count ? hidden->item[i] : outputs;
     }
 }
 
 /* 5.8: the shapes of all networks. Networks that are not present have no layers. */
 static void SHAPES(const struct header *h, struct network *n)
 {
+    struct list render = {.count = 1, .item = {h->render_width}};
     uint32_t k = h->offset_count, inputs = 0;
-    memset(n, 0, NETWORKS * sizeof *n);
-    SHAPE(&n[HYPER], 2u * h->plane_channels + 2u * h->frequency_count, h->hyper_width.count, h->hyper_width.item, 2 * h->channels + 3);
-    SHAPE(&n[SARM], 4, h->sarm_width.count, h->sarm_width.item, 2);
+    SHAPE(&n[HYPER], 2u * h->plane_channels + 2u * h->frequency_count, &h->hyper_width, 2 * h->channels + 3);
+    if (h->plane_channels)
+        SHAPE(&n[SARM], 4, &h->sarm_width, 2);
     for (uint32_t i = 1; i < h->slice_width.count; i++) {
         inputs += h->slice_width.item[i - 1];
-        SHAPE(&n[CARM_1 + i - 1], inputs, h->carm_width.count, h->carm_width.item, 2u * h->slice_width.item[i]);
+        SHAPE(&n[CARM_1 + i - 1], inputs, &h->carm_width, 2u * h->slice_width.item[i]);
     }
-    SHAPE(&n[OPACITY], h->features + 4, 1, &h->render_width, k);
-    SHAPE(&n[COVARIANCE], h->features + 4, 1, &h->render_width, 7 * k);
-    SHAPE(&n[COLOUR], h->features + 4, 1, &h->render_width, 3 * k);
+    SHAPE(&n[OPACITY], h->features + 4, &render, k);
+    SHAPE(&n[COVARIANCE], h->features + 4, &render, 7 * k);
+    SHAPE(&n[COLOUR], h->features + 4, &render, 3 * k);
 }
 
-/* 6.6: W, which is below 2^20, because widths are below 2^8 */
-static uint64_t VALUE_COUNT(const struct network *n)
+/* 5.8, 11.2: the weights and biases of some networks, below 2^20, because of the bounds of 11.1 */
+static uint64_t WEIGHT_COUNT(const struct network *n, int first, int end)
 {
     uint64_t count = 0;
-    for (int i = 0; i < NETWORKS; i++)
+    for (int i = first; i < end; i++)
         for (uint32_t l = 0; l < n[i].layers; l++)
             count += (uint64_t)n[i].layer[l].outputs * (n[i].layer[l].inputs + 1);
     return count;
 }
+
+/* 11.2: below 2^24 * 2^21 + 2^23 * 2^12 in a header whose dimensions and anchor_count have passed their checks */
+static uint64_t WORK(const struct header *h, const struct network *n)
+{
+    uint64_t anchor = WEIGHT_COUNT(n, HYPER, SARM) + WEIGHT_COUNT(n, CARM_1, OPACITY) + 16 * (uint64_t)h->channels;
+    uint64_t points = 5 * (uint64_t)h->plane_channels * h->plane_size * h->plane_size;
+    return h->anchor_count * anchor + points * (WEIGHT_COUNT(n, SARM, CARM_1) + 16);
+}
+
+/* 6.5 */
+static void RENDER_INFO(const struct header *h)
+{
+    float x[4];
+    if (h->up_axis > 5)
+        REFUSE(HEADER_RENDER_INFO, AT_UP_AXIS);
+    for (uint32_t i = 0; i < 4; i++) {
+        x[i] = F32(h->render[i]);
+        if (!IS_FINITE(h->render[i]))
+            REFUSE(HEADER_RENDER_INFO, AT_RENDER_NUMBERS + 4 * i);
+    }
+    for (uint32_t i = 0; i < 4; i++) /* only alpha_max is bounded above, and only low_pass may be 0 */
+        if (!(i == 3 ? x[i] >= 0 : x[i] > 0) || (i == 2 && x[i] > 1))
+            REFUSE(HEADER_RENDER_INFO, AT_RENDER_NUMBERS + 4 * i);
+}
+
+/* 6.2 to 6.5, 11.1, 11.2: the requirements on the header from R6.2-6 on, in the order of their codes; the shapes of the
+   networks */
+static void HEADER(struct header *h, struct network *networks)
+{
+    /* offset_count, plane_channels, frequency_count, render_width, plane_size, slice_count, hyper_layers, sarm_layers,
+       carm_layers, slice_width, hyper_width, sarm_width, carm_width, chunk_size */
+    static const struct bounds table[2][14] = {
+        {{1, 10}, {0, 8}, {0, 10}, {1, 64}, {2, 32}, {1, 4}, {0, 2}, {1, 2}, {0, 2}, {1, 16}, {1, 64}, {1, 16}, {1, 64},
+         {1, 65536}},
+        {{1, OFFSETS_MAX}, {0, 16}, {0, 16}, {1, 128}, {2, 256}, {1, SLICES_MAX}, {0, 2}, {1, 2}, {0, 2},
+         {1, SLICE_WIDTH_MAX}, {1, 128}, {1, 32}, {1, 128}, {256, 16384}}};
+    static const struct {
+        uint32_t anchor_count, plane_size;
+        uint64_t work;
+    } levels[4] = {{4096, 32, UINT64_C(1) << 28},
+                   {131072, 128, UINT64_C(1) << 33},
+                   {1048576, 256, UINT64_C(1) << 36},
+                   {16777216, 256, UINT64_C(1) << 40}};
+    uint32_t lowest = h->profile ? 1 : 0;
+    struct bounds most;
+    uint64_t work;
+    if (h->profile > 1)
+        REFUSE(HEADER_PROFILE, AT_PROFILE);
+    if (h->level < lowest || h->level > 3 * lowest)
+        REFUSE(HEADER_LEVEL, AT_LEVEL);
+    DIMENSIONS(h, table[h->profile]);
+    if (h->plane_size > levels[h->level].plane_size)
+        REFUSE(HEADER_DIMENSION, AT_PLANE_SIZE);
+    if (h->anchor_count > levels[h->level].anchor_count)
+        REFUSE(HEADER_ANCHOR_COUNT, AT_ANCHOR_COUNT);
+    SHAPES(h, networks);
+    work = WORK(h, networks);
+    for (uint32_t l = lowest; l < h->level; l++)
+        if (h->anchor_count <= levels[l].anchor_count && h->plane_size <= levels[l].plane_size &&
+            work <= levels[l].work)
+            REFUSE(HEADER_LEVEL_NOT_MINIMAL, AT_LEVEL);
+    most = table[h->profile][13];
+    if (h->chunk_size < most.low || h->chunk_size > most.high)
+        REFUSE(HEADER_CHUNK_SIZE, AT_CHUNK_SIZE);
+    for (uint32_t i = 0; i < 3; i++)
+        if (h->lanes_log2[i] > LANES_LOG2_MAX)
+            REFUSE(HEADER_LANES, AT_LANES + i);
+    for (uint32_t a = 0; a < 3; a++) {
+        float x = F32(h->base_step[a]);
+        if (!IS_FINITE(h->base_step[a]) || !(x >= BASE_STEP_MIN && x <= BASE_STEP_MAX))
+            REFUSE(HEADER_BASE_STEP, AT_BASE_STEP + 4 * a);
+    }
+    for (uint32_t a = 0; a < 3; a++)
+        if (h->origin[a] <= -ORIGIN_BOUND || h->origin[a] >= ORIGIN_BOUND)
+            REFUSE(HEADER_POSITION_GRID, AT_ORIGIN + 8 * a);
+    if (h->scale_mantissa < 1)
+        REFUSE(HEADER_POSITION_GRID, AT_SCALE_MANTISSA);
+    if (h->scale_exponent < -SCALE_EXPONENT_MAX || h->scale_exponent > SCALE_EXPONENT_MAX)
+        REFUSE(HEADER_POSITION_GRID, AT_SCALE_EXPONENT);
+    RENDER_INFO(h);
+    if (work > levels[h->level].work)
+        REFUSE(HEADER_WORK, AT_ANCHOR_COUNT);
+    if (h->chunk_count < (h->anchor_count + h->chunk_size - 1) / h->chunk_size || h->chunk_count > h->anchor_count)
+        REFUSE(HEADER_CHUNK_COUNT, AT_CHUNK_COUNT);
+}
+
+/* 6.6, 12.1: R6.6-1 to R6.6-5, each over all entries; which section each entry is */
+static void DIRECTORY(struct header *h, const struct network *networks)
+{
+    static const char types[CRITICAL][5] = {"FRAM", "WGTS", "PLNS", "INDX", "DATA"};
+    struct entry *d = h->directory;
+    uint64_t k = h->offset_count, inputs = h->features - h->slice_width.item[h->slice_width.count - 1];
+    int wanted[CRITICAL], next = 0, count = 0;
+    for (int i = 0; i < CRITICAL; i++)
+        if ((i != FRAM || h->plane_channels || h->frequency_count) && (i != PLNS || h->plane_channels))
+            wanted[count++] = i;
+    for (uint32_t i = 0; i < h->section_count; i++)
+        for (int c = 0; c < 4; c++) {
+            unsigned letter = d[i].type[c] & ~32u;
+            if (letter < 'A' || letter > 'Z')
+                REFUSE(DIRECTORY_TYPE, d[i].at);
+        }
+    for (uint32_t i = 0; i < h->section_count; i++) {
+        int section = d[i].type[0] & 32 ? ANCILLARY : 0;
+        while (section < CRITICAL && memcmp(d[i].type, types[section], 4))
+            section++;
+        if (section == CRITICAL)
+            REFUSE(DIRECTORY_UNKNOWN_CRITICAL, d[i].at);
+        d[i].section = (enum section)section;
+    }
+    for (uint32_t i = 0; i < h->section_count; i++)
+        if (d[i].section != ANCILLARY && (next == count || wanted[next++] != (int)d[i].section))
+            REFUSE(DIRECTORY_ORDER, d[i].at);
+    if (next < count)
+        REFUSE(DIRECTORY_ORDER, AT_SECTION_COUNT);
+    for (uint32_t i = 0; i < h->section_count; i++)
+        if (d[i].section != ANCILLARY && d[i].mode > (d[i].section == WGTS || d[i].section == INDX))
+            REFUSE(DIRECTORY_MODE, d[i].at + 4);
+    for (uint32_t i = 0; i < h->section_count; i++) {
+        uint64_t expected = d[i].length;
+        if (d[i].section == FRAM)
+            expected = FRAME_LENGTH;
+        if (d[i].section == WGTS && !d[i].mode)
+            expected = PAD4(2 + inputs) + 4 * WEIGHT_COUNT(networks, 0, NETWORKS);
+        if (d[i].section == INDX)
+            expected = PAD4(k * (k + 1)) + POSITION_MODEL_LENGTH * (uint64_t)d[i].mode +
+                       CHUNK_ENTRY_LENGTH * (uint64_t)h->chunk_count;
+        if (d[i].length != expected || d[i].length > SECTION_LENGTH_MAX)
+            REFUSE(DIRECTORY_LENGTH, d[i].at + 8);
+    }
+}
+
+/* 6.6: R6.6-6 to R6.6-8 of any section but DATA. The result has no padding. */
+static struct piece SECTION(const struct entry *e, struct buffer *b)
+{
+    struct piece p = READ(b, PAD4(e->length));
+    if (p.length < PAD4(e->length))
+        REFUSE(SECTION_TRUNCATED, input_at);
+    if (CRC32(0, p.data, e->length) != e->crc)
+        REFUSE(SECTION_CRC, p.at);
+    if (!ZERO(p, e->length, p.length))
+        REFUSE(SECTION_PADDING, p.at + e->length);
+    p.length = e->length;
+    return p;
+}
+
+/* 12.1, 6.6: the same of an ancillary section, of which little is held at a time */
+static void SKIP_SECTION(const struct entry *e, struct buffer *b)
+{
+    uint64_t start = input_at, rest = e->length;
+    uint32_t crc = 0;
+    struct piece p;
+    while (rest) {
+        p = READ(b, rest < 1 << 16 ? rest : 1 << 16);
+        if (!p.length)
+            REFUSE(SECTION_TRUNCATED, input_at);
+        crc = CRC32(crc, p.data, p.length);
+        rest -= p.length;
+    }
+    p = READ(b, PAD4(e->length) - e->length);
+    if (p.length < PAD4(e->length) - e->length)
+        REFUSE(SECTION_TRUNCATED, input_at);
+    if (crc != e->crc)
+        REFUSE(SECTION_CRC, start);
+    if (!ZERO(p, 0, p.length))
+        REFUSE(SECTION_PADDING, p.at);
+}
+
+/* ---------------------------------------------------------------- 7.2 integer networks */
 
 /* 7.2: derives one row. The result is 0 if no exponent will do. */
 static int DERIVE_ROW(const uint8_t *weights, uint32_t bias, struct layer *l, uint32_t row)
@@ -741,8 +1012,8 @@ static int DERIVE_ROW(const uint8_t *weights, uint32_t bias, struct layer *l, ui
     return 0;
 }
 
-/* 6.8, 5.8: the values are known to be finite. In mode 0 they are at `at` in the file, which is `data`. */
-static void DERIVE_NETWORKS(struct network *n, const uint8_t *values, uint64_t at, const uint8_t *data)
+/* 6.8: R6.8-4, for finite values. p is the section, whose values in mode 0 are at values_at of it. */
+static void DERIVE_NETWORKS(struct network *n, const uint8_t *values, struct piece p, uint64_t values_at)
 {
     uint64_t v = 0;
     for (int i = 0; i < OPACITY; i++)
@@ -754,8 +1025,9 @@ static void DERIVE_NETWORKS(struct network *n, const uint8_t *values, uint64_t a
             l->exponent = ALLOCATE(l->outputs, 1);
             for (uint32_t r = 0; r < l->outputs; r++) {
                 uint64_t row = v + 4 * (uint64_t)r * l->inputs;
+                uint64_t named = l->inputs ? row : biases + 4 * (uint64_t)r; /* a row without weights has its bias */
                 if (!DERIVE_ROW(values + row, GET_U32(values + biases + 4 * r), l, r))
-                    REFUSE(WEIGHTS_BOUND, l->model ? (uint64_t)(l->model - data) : at + row);
+                    REFUSE(WEIGHTS_BOUND, p.at + (l->model ? (uint64_t)(l->model - p.data) : values_at + named));
             }
             v = biases + 4 * (uint64_t)l->outputs;
         }
@@ -795,29 +1067,29 @@ struct stream {
     uint32_t state[LANES_MAX];
 };
 
-/* 8.1, 5.14 */
-static void OPEN(struct stream *s, const uint8_t *data, uint64_t at, uint64_t length, uint32_t lanes)
+/* 8.1, 5.15 */
+static void OPEN(struct stream *s, struct piece p, unsigned lanes_log2)
 {
-    const uint8_t *p = data + at;
+    uint32_t lanes = UINT32_C(1) << lanes_log2;
     uint64_t words_at = 8 + 4 * (uint64_t)lanes, raw_at;
-    if (length < words_at)
-        REFUSE(SUBSTREAM_LENGTH, at);
+    if (p.length < words_at)
+        REFUSE(SUBSTREAM_LENGTH, p.at);
     memset(s, 0, sizeof *s);
-    s->at = at;
+    s->at = p.at;
     s->lanes = lanes;
-    s->expected_crc = GET_U32(p);
-    s->word_count = GET_U32(p + 4);
+    s->expected_crc = GET_U32(p.data);
+    s->word_count = GET_U32(p.data + 4);
     raw_at = words_at + 2 * (uint64_t)s->word_count;
-    if (length < raw_at)
-        REFUSE(SUBSTREAM_LENGTH, at);
+    if (p.length < raw_at)
+        REFUSE(SUBSTREAM_LENGTH, p.at);
     for (uint32_t n = 0; n < lanes; n++) {
-        s->state[n] = GET_U32(p + 8 + 4 * n);
+        s->state[n] = GET_U32(p.data + 8 + 4 * n);
         if (s->state[n] < STATE_MIN)
-            REFUSE(SUBSTREAM_STATE, at);
+            REFUSE(SUBSTREAM_STATE, p.at);
     }
-    s->words = p + words_at;
-    s->raw = p + raw_at;
-    s->raw_length = length - raw_at;
+    s->words = p.data + words_at;
+    s->raw = p.data + raw_at;
+    s->raw_length = p.length - raw_at;
 }
 
 /* 8.2, 8.3: STATE_MIN <= x < 2^32 holds before and after. In between x is at least 4 and below f * 2^18. */
@@ -854,7 +1126,7 @@ static const struct model *SELECT(family f, int32_t mean, int32_t scale, int32_t
     return &f[row - SCALE_MIN][h & 15];
 }
 
-/* 8.6, 8.7: for k <= 25 */
+/* 8.6, 8.7: for k <= ESCAPE_PREFIX_MAX */
 static uint32_t READ_BITS(struct stream *s, unsigned k)
 {
     uint32_t value = 0;
@@ -864,7 +1136,7 @@ static uint32_t READ_BITS(struct stream *s, unsigned k)
     return value;
 }
 
-/* 8.7: the distance from the centre, which is below 2^26 + 2^8 in magnitude */
+/* 8.7: the distance from the centre, which is below 2^24 + 2^8 in magnitude */
 static int32_t READ_ESCAPE(struct stream *s, int32_t radius)
 {
     uint32_t negative = READ_BITS(s, 1);
@@ -890,8 +1162,10 @@ static void DECODE_VALUES(struct stream *s, family f, struct value *v, uint64_t 
 {
     int32_t centre;
     unsigned k;
-    for (uint64_t i = 0; i < count; i++)
-        v[i].symbol = (uint8_t)DECODE_SYMBOL(s, (uint32_t)(i % s->lanes), SELECT(f, v[i].mean, v[i].scale, &centre, &k)->frequency);
+    for (uint64_t i = 0; i < count; i++) {
+        const struct model *m = SELECT(f, v[i].mean, v[i].scale, &centre, &k);
+        v[i].symbol = (uint8_t)DECODE_SYMBOL(s, (uint32_t)(i % s->lanes), m->frequency);
+    }
     for (uint64_t i = 0; i < count; i++) {
         SELECT(f, v[i].mean, v[i].scale, &centre, &k);
         v[i].low = (uint16_t)READ_BITS(s, k);
@@ -929,6 +1203,24 @@ static void END(const struct stream *s)
         REFUSE(SUBSTREAM_SYMBOL_CRC, s->at);
 }
 
+/* ---------------------------------------------------------------- 9.3 the canonical reconstruction */
+
+enum { POSITIONS, MASKS, PLANES, FEATURES, SCALINGS, OFFSETS, WEIGHTS, PARTS, HEAD_LENGTH = 28 };
+
+struct part {
+    struct sha256 digest;
+    uint64_t at; /* where its next bytes are in OUTPUT */
+};
+
+/* 9.3: adds the next bytes of a part */
+static void EMIT(struct part *p, const uint8_t *data, uint64_t n)
+{
+    SHA_ADD(&p->digest, data, n);
+    if (output && (p->at > LONG_MAX || fseek(output, (long)p->at, SEEK_SET) || fwrite(data, 1, (size_t)n, output) != n))
+        FAIL("cannot write");
+    p->at += n;
+}
+
 /* ---------------------------------------------------------------- the scene */
 
 struct frame { /* 5.7 */
@@ -937,186 +1229,104 @@ struct frame { /* 5.7 */
 };
 
 struct scene {
-    const uint8_t *data;
-    uint64_t length;
     struct header h;
+    struct buffer section, index; /* bytes of a section or a chunk; those of INDX stay */
     struct frame frame;
     struct network networks[NETWORKS];
     unsigned plane_shift;
-    uint8_t carm_shift[255];
-    const uint8_t *values; /* 5.8 */
-    uint64_t value_count;
-    uint32_t mask_model[55];
-    unsigned cell_shift; /* 5.15 */
+    uint8_t carm_shift[FEATURES_MAX];
+    int16_t *plane[5]; /* the sub-planes, [channel][i][j] */
+    int16_t *plane_2;  /* the plane of r = 2 */
+    uint32_t mask_model[OFFSETS_MAX * (OFFSETS_MAX + 1) / 2];
+    int packed; /* the mode of INDX */
+    unsigned cell_shift; /* 5.12 */
     uint16_t position_model[POSITION_MODELS][16];
-    const uint8_t *entries; /* of type ChunkEntry, 5.10 */
+    const uint8_t *entries; /* of type ChunkEntry, 5.13 */
+    uint32_t largest;       /* anchors of the largest chunk */
+    struct part part[PARTS];
+
+    /* of the chunk that is decoded */
     uint16_t *position_bits; /* three f16 of each anchor */
-    int16_t *plane[5];      /* the sub-planes, [channel][i][j] */
-    int16_t *plane_2;       /* the plane of r = 2 */
-    uint8_t *masks;         /* K bits of each anchor, a byte each */
-    struct value *group;    /* room for the largest group of a chunk */
-    uint8_t *positions, *features, *scalings, *offsets; /* parts of the canonical reconstruction */
+    uint16_t (*nodes)[3], (*next_nodes)[3];
+    uint8_t *halves; /* of the nodes, the first symbols */
+    uint8_t *masks;  /* K bits of each anchor, a byte each */
+    int32_t *parameters, *change, *symbols; /* outputs of F_h, outputs of CARM, D symbols, of each anchor */
+    struct value *group;
+    uint8_t *values; /* of one part */
+    uint32_t step[3][STEP_LENGTH]; /* 9.2: the f32 of each kind and index */
 };
 
-enum { S_FRAME, S_WEIGHTS, S_PLANES, S_CHUNK_TABLE, S_POSITIONS, S_MASKS, S_ATTRIBUTES, CRITICAL };
-
-/* 5.6 */
-static uint64_t SECTION(const struct scene *s, int section) { return s->h.directory[section].offset; }
-/* 5.6 */
-static uint64_t SECTION_LENGTH(const struct scene *s, int section) { return s->h.directory[section].length; }
-
-/* 5.6 */
-static int POSITION_MODE(const struct scene *s) { return s->h.directory[S_POSITIONS].mode; }
-
-/* 6.6, 12.1 */
-static void DIRECTORY(struct scene *s)
-{
-    const struct header *h = &s->h;
-    const struct entry *d = h->directory;
-    uint64_t k = h->offset_count, end = h->end, inputs = h->features - h->slice_width.item[h->slice_width.count - 1];
-    uint64_t expected[CRITICAL] = {FRAME_LENGTH, UINT64_MAX, UINT64_MAX,
-                                   k * (k + 1) + CHUNK_ENTRY_LENGTH * (uint64_t)h->chunks, UINT64_MAX, UINT64_MAX, UINT64_MAX};
-    for (int i = 0; i < h->section_count; i++)
-        if (d[i].type >= 0x80 && (d[i].type < 0x81 || d[i].type > 0x87))
-            REFUSE(DIRECTORY_UNKNOWN_CRITICAL, d[i].at);
-    for (int i = 0; i < h->section_count; i++) {
-        int right = i < CRITICAL ? d[i].type == 0x81 + i
-                                 : d[i].type >= 0x01 && d[i].type <= 0x7F && (i == CRITICAL || d[i].type > d[i - 1].type);
-        if (!right)
-            REFUSE(DIRECTORY_ORDER, d[i].at);
-    }
-    if (h->section_count < CRITICAL)
-        REFUSE(DIRECTORY_ORDER, 22);
-    for (int i = 0; i < CRITICAL; i++)
-        if (d[i].mode > (i == S_WEIGHTS || i == S_POSITIONS))
-            REFUSE(DIRECTORY_MODE, d[i].at + 1);
-    if (!d[S_WEIGHTS].mode)
-        expected[S_WEIGHTS] = 2 + inputs + 4 * s->value_count;
-    if (POSITION_MODE(s))
-        expected[S_CHUNK_TABLE] += POSITION_MODEL_LENGTH;
-    else
-        expected[S_POSITIONS] = 6 * (uint64_t)h->anchor_count;
-    for (int i = 0; i < h->section_count; i++) {
-        if (d[i].offset != end)
-            REFUSE(DIRECTORY_OFFSET, d[i].at + 4);
-        end += d[i].length;
-    }
-    for (int i = 0; i < CRITICAL; i++)
-        if (expected[i] != UINT64_MAX && d[i].length != expected[i])
-            REFUSE(DIRECTORY_LENGTH, d[i].at + 8);
-    if (end != s->length)
-        REFUSE(DIRECTORY_FILE_LENGTH, end < s->length ? end : s->length);
-    for (int i = 0; i < h->section_count; i++)
-        if (CRC32(0, s->data + d[i].offset, d[i].length) != d[i].crc)
-            REFUSE(SECTION_CRC, d[i].offset);
-}
-
-/* 5.7, 6.7 */
-static void FRAME(struct scene *s)
+/* 5.7, 6.7: the section has its length */
+static void FRAME(struct scene *s, struct piece p)
 {
     struct frame *f = &s->frame;
-    uint64_t at = SECTION(s, S_FRAME);
-    const uint8_t *p = s->data + at;
+    if (p.data[63])
+        REFUSE(FRAME_RESERVED, p.at + 63);
     for (uint32_t i = 0; i < 9; i++) {
-        f->matrix[i] = GET_I32(p + 4 * i);
+        f->matrix[i] = GET_I32(p.data + 4 * i);
         if (MAGNITUDE(f->matrix[i]) >= MATRIX_BOUND)
-            REFUSE(FRAME_RANGE, at + 4 * i);
+            REFUSE(FRAME_RANGE, p.at + 4 * i);
     }
     for (uint32_t i = 0; i < 3; i++) {
-        f->translation[i] = GET_I64(p + 36 + 8 * i);
+        f->translation[i] = GET_I64(p.data + 36 + 8 * i);
         if (f->translation[i] <= -TRANSLATION_BOUND || f->translation[i] >= TRANSLATION_BOUND)
-            REFUSE(FRAME_RANGE, at + 36 + 8 * i);
+            REFUSE(FRAME_RANGE, p.at + 36 + 8 * i);
     }
     for (uint32_t i = 0; i < 3; i++) {
-        f->shift[i] = p[60 + i];
+        f->shift[i] = p.data[60 + i];
         if (f->shift[i] > FRAME_SHIFT_MAX)
-            REFUSE(FRAME_RANGE, at + 60 + i);
+            REFUSE(FRAME_RANGE, p.at + 60 + i);
     }
-    if (p[63])
-        REFUSE(FRAME_RANGE, at + 63);
     for (uint32_t i = 0; i < 3; i++) {
-        f->low[i] = GET_I32(p + 64 + 4 * i);
-        f->high[i] = GET_I32(p + 76 + 4 * i);
+        f->low[i] = GET_I32(p.data + 64 + 4 * i);
+        f->high[i] = GET_I32(p.data + 76 + 4 * i);
         if (f->low[i] < -FRAME_RANGE_BOUND || f->low[i] >= FRAME_RANGE_BOUND)
-            REFUSE(FRAME_RANGE, at + 64 + 4 * i);
+            REFUSE(FRAME_RANGE, p.at + 64 + 4 * i);
         if (f->high[i] <= f->low[i] || f->high[i] > FRAME_RANGE_BOUND)
-            REFUSE(FRAME_RANGE, at + 76 + 4 * i);
+            REFUSE(FRAME_RANGE, p.at + 76 + 4 * i);
     }
 }
 
-/* 5.16, R6.8-4, R6.8-5: reads the models of all layers. The result is where the substream begins. */
-static uint64_t LAYER_MODELS(struct scene *s, uint64_t at)
+/* ---------------------------------------------------------------- 5.8, 5.9, 7.13 weights */
+
+/* 5.9, 6.8: R6.8-5 to R6.8-7 of all layers, whose first LayerModel is at `at` of the section. The result is where the
+   substream begins. */
+static uint64_t LAYER_MODELS(struct scene *s, struct piece p, uint64_t at)
 {
-    uint64_t section = SECTION(s, S_WEIGHTS), end = section + SECTION_LENGTH(s, S_WEIGHTS);
     for (int i = 0; i < NETWORKS; i++)
         for (uint32_t k = 0; k < s->networks[i].layers; k++) {
             struct layer *l = &s->networks[i].layer[k];
-            const uint8_t *m = l->model = s->data + at;
+            const uint8_t *m = l->model = p.data + at;
             uint64_t bytes = 4 * (uint64_t)l->outputs * (l->inputs + 1);
             int64_t exponent;
-            if (at + LAYER_MODEL_LENGTH > end)
-                REFUSE(WEIGHTS_LENGTH, section);
-            exponent = GET_I16(m + 1);
+            if (LAYER_MODEL_LENGTH > p.length - at)
+                REFUSE(WEIGHTS_LENGTH, p.at);
+            if (m[6] || m[7])
+                REFUSE(WEIGHTS_RESERVED, p.at + at + 6);
             if (m[0] > 1)
-                REFUSE(WEIGHTS_LAYER, at);
+                REFUSE(WEIGHTS_LAYER, p.at + at);
+            exponent = GET_I16(m + 2);
             if (exponent < WEIGHT_EXPONENT_MIN || exponent > WEIGHT_EXPONENT_MAX)
-                REFUSE(WEIGHTS_LAYER, at + 1);
-            if (!m[0]) {
+                REFUSE(WEIGHTS_LAYER, p.at + at + 2);
+            if (!m[0]) { /* a raw one: exponent_scale, exponent, weight_scale, bias_scale are 0 */
+                if (m[1])
+                    REFUSE(WEIGHTS_LAYER, p.at + at + 1);
                 if (exponent)
-                    REFUSE(WEIGHTS_LAYER, at + 1);
-                for (unsigned f = 3; f < LAYER_MODEL_LENGTH; f++)
-                    if (m[f])
-                        REFUSE(WEIGHTS_LAYER, at + f);
+                    REFUSE(WEIGHTS_LAYER, p.at + at + 2);
+                if (m[4])
+                    REFUSE(WEIGHTS_LAYER, p.at + at + 4);
+                if (m[5])
+                    REFUSE(WEIGHTS_LAYER, p.at + at + 5);
             }
             at += LAYER_MODEL_LENGTH;
             if (!m[0]) {
-                if (at + bytes > end)
-                    REFUSE(WEIGHTS_LENGTH, section);
-                l->raw = s->data + at;
+                if (bytes > p.length - at)
+                    REFUSE(WEIGHTS_LENGTH, p.at);
+                l->raw = p.data + at;
                 at += bytes;
             }
         }
     return at;
-}
-
-/* 7.13: a finite f32 is +-n * 2^x with an odd n. For 0, n is 0. */
-static uint32_t PARTS(uint32_t bits, int *x)
-{
-    uint32_t n = bits & 0x7FFFFF;
-    int e = (int)(bits >> 23 & 255);
-    if (e)
-        n |= 0x800000;
-    *x = (e ? e : 1) - 150;
-    while (n && !(n & 1)) {
-        n >>= 1;
-        ++*x;
-    }
-    return n;
-}
-
-/* 7.13, R6.8-7: whether a layer with the finite values v can be packed */
-static int CAN_BE_PACKED(const uint8_t *v, const struct layer *l)
-{
-    for (uint64_t r = 0; r < l->outputs; r++) {
-        int least = 0, some = 0, x;
-        for (int pass = 0; pass < 2; pass++)
-            for (uint64_t i = 0; i <= l->inputs; i++) {
-                uint32_t bits = GET_U32(v + 4 * (i < l->inputs ? r * l->inputs + i : (uint64_t)l->outputs * l->inputs + r)), n;
-                if (bits == 0x80000000)
-                    return 0;
-                n = PARTS(bits, &x);
-                if (!n)
-                    continue;
-                if (!pass) {
-                    least = some && least > -x ? least : -x;
-                    some = 1;
-                } else if (least + x > 24 || (uint64_t)n << (least + x) > WEIGHT_SYMBOL_MAX)
-                    return 0;
-            }
-        if (some && (least < WEIGHT_EXPONENT_MIN || least > WEIGHT_EXPONENT_MAX))
-            return 0;
-    }
-    return 1;
 }
 
 /* 7.13: the bits of n * 2^-e, exactly, for |n| < 2^24 and the exponent e of a row */
@@ -1134,11 +1344,12 @@ static uint32_t ON_GRID(int32_t n, int64_t e)
     return sign | (uint32_t)(150 - e) << 23 | (m & 0x7FFFFF);
 }
 
-/* 7.13: writes the values of one layer to v. few has its differences and its biases, many has its weights. */
-static void PACKED_LAYER(const struct scene *s, const struct layer *l, const struct value *few, const struct value *many, uint8_t *v)
+/* 7.13, 6.8: writes the values of one layer to v, R6.8-8. few has its differences and its biases, many its weights. */
+static void PACKED_LAYER(struct piece p, const struct layer *l, const struct value *few, const struct value *many,
+                         uint8_t *v)
 {
-    uint64_t at = (uint64_t)(l->model - s->data), rows = l->outputs, inputs = l->inputs;
-    int64_t e = GET_I16(l->model + 1);
+    uint64_t at = p.at + (uint64_t)(l->model - p.data), rows = l->outputs, inputs = l->inputs;
+    int64_t e = GET_I16(l->model + 2);
     int first = 1;
     for (uint64_t r = 0; r < rows; r++) {
         int32_t difference = few[r].value, bias = few[rows + r].value;
@@ -1146,35 +1357,50 @@ static void PACKED_LAYER(const struct scene *s, const struct layer *l, const str
         e += difference;
         for (uint64_t i = 0; i < inputs; i++)
             any |= (uint32_t)MAGNITUDE(many[r * inputs + i].value);
-        if (e < WEIGHT_EXPONENT_MIN || e > WEIGHT_EXPONENT_MAX || (any && !(any & 1)) || (difference && (!any || first)))
+        if (e < WEIGHT_EXPONENT_MIN || e > WEIGHT_EXPONENT_MAX || (any && !(any & 1)) ||
+            (difference && (!any || first)))
             REFUSE(WEIGHTS_EXPONENT, at);
         first = first && !any;
         for (uint64_t i = 0; i < inputs; i++)
             PUT_U32(v + 4 * (r * inputs + i), ON_GRID(many[r * inputs + i].value, e));
         PUT_U32(v + 4 * (rows * inputs + r), ON_GRID(bias, e));
     }
-    if (first && GET_I16(l->model + 1))
+    if (first && GET_I16(l->model + 2))
         REFUSE(WEIGHTS_EXPONENT, at);
 }
 
-/* 7.13, 6.8: the values in mode 1. The first LayerModel is at `at`. */
-static void DECODE_WEIGHTS(struct scene *s, uint64_t at)
+/* 6.8: R6.8-3, of values at `at` of the section */
+static void CHECK_FINITE(struct piece p, uint64_t at, uint64_t count)
 {
-    uint8_t *values = ALLOCATE(s->value_count, 4), *v = values;
-    struct value *few, *many;
+    for (uint64_t n = 0; n < count; n++)
+        if (!IS_FINITE(GET_U32(p.data + at + 4 * n)))
+            REFUSE(WEIGHTS_NOT_FINITE, p.at + at + 4 * n);
+}
+
+/* 7.13, 6.8: writes the values in mode 1 to v. The first LayerModel is at `at` of the section. */
+static void DECODE_WEIGHTS(struct scene *s, struct piece p, uint64_t at, uint8_t *v)
+{
+    struct value *few, *many, *few_values, *many_values;
     uint64_t few_count = 0, many_count = 0;
     struct stream stream;
-    at = LAYER_MODELS(s, at);
-    few = ALLOCATE(s->value_count + 1, 2 * sizeof *few); /* two for each row, which has at least one weight */
-    many = ALLOCATE(s->value_count + 1, sizeof *many);
-    OPEN(&stream, s->data, at, SECTION(s, S_WEIGHTS) + SECTION_LENGTH(s, S_WEIGHTS) - at, UINT32_C(1) << s->h.lanes_log2[2]);
+    at = LAYER_MODELS(s, p, at);
+    for (int i = 0; i < NETWORKS; i++)
+        for (uint32_t k = 0; k < s->networks[i].layers; k++) {
+            const struct layer *l = &s->networks[i].layer[k];
+            few_count += l->raw ? 0 : 2 * l->outputs;
+            many_count += l->raw ? 0 : (uint64_t)l->outputs * l->inputs;
+        }
+    few = few_values = ALLOCATE(few_count, sizeof *few);
+    many = many_values = ALLOCATE(many_count, sizeof *many);
+    OPEN(&stream, CUT(p, at, p.length - at), s->h.lanes_log2[2]);
+    few_count = many_count = 0;
     for (int i = 0; i < NETWORKS; i++)
         for (uint32_t k = 0; k < s->networks[i].layers; k++) {
             const struct layer *l = &s->networks[i].layer[k];
             if (l->raw)
                 continue;
             for (uint32_t r = 0; r < 2 * l->outputs; r++)
-                few[few_count++].scale = SCALE_MIN + l->model[r < l->outputs ? 3 : 5];
+                few[few_count++].scale = SCALE_MIN + l->model[r < l->outputs ? 1 : 5];
             for (uint64_t n = 0; n < (uint64_t)l->outputs * l->inputs; n++)
                 many[many_count++].scale = SCALE_MIN + l->model[4];
         }
@@ -1186,50 +1412,48 @@ static void DECODE_WEIGHTS(struct scene *s, uint64_t at)
             const struct layer *l = &s->networks[i].layer[k];
             uint64_t weights = (uint64_t)l->outputs * l->inputs, count = weights + l->outputs;
             if (l->raw) {
-                for (uint64_t n = 0; n < count; n++)
-                    if (!FINITE(GET_U32(l->raw + 4 * n)))
-                        REFUSE(WEIGHTS_NOT_FINITE, (uint64_t)(l->raw - s->data) + 4 * n);
-                if (CAN_BE_PACKED(l->raw, l))
-                    REFUSE(WEIGHTS_RAW, (uint64_t)(l->model - s->data));
+                CHECK_FINITE(p, (uint64_t)(l->raw - p.data), count);
                 memcpy(v, l->raw, (size_t)(4 * count));
             } else {
-                PACKED_LAYER(s, l, few, many, v);
+                PACKED_LAYER(p, l, few, many, v);
                 few += 2 * l->outputs;
                 many += weights;
             }
             v += 4 * count;
         }
-    s->values = values;
+    FREE(few_values);
+    FREE(many_values);
 }
 
-/* 5.8, 6.8: in mode 0 the section is known to have the length of 6.6 */
-static void WEIGHTS(struct scene *s)
+/* 5.8, 6.8: in mode 0 the section is known to have the length of R6.6-5 */
+static void READ_WEIGHTS(struct scene *s, struct piece p, int mode)
 {
-    uint64_t at = SECTION(s, S_WEIGHTS), values_at;
-    const uint8_t *p = s->data + at;
     uint32_t inputs = s->h.features - s->h.slice_width.item[s->h.slice_width.count - 1];
-    if (SECTION_LENGTH(s, S_WEIGHTS) < 2 + inputs)
-        REFUSE(WEIGHTS_LENGTH, at);
-    s->plane_shift = p[0];
-    if (s->plane_shift > PLANE_SHIFT_MAX)
-        REFUSE(WEIGHTS_SCALE, at);
-    if (p[1] != inputs)
-        REFUSE(WEIGHTS_SCALE, at + 1);
+    uint64_t values_at = PAD4(2 + inputs), count = WEIGHT_COUNT(s->networks, 0, NETWORKS);
+    uint8_t *values = NULL;
+    if (p.length < values_at)
+        REFUSE(WEIGHTS_LENGTH, p.at);
+    s->plane_shift = p.data[0];
+    if (s->plane_shift > (s->h.plane_channels ? PLANE_SHIFT_MAX : 0))
+        REFUSE(WEIGHTS_SCALE, p.at);
+    if (p.data[1] != inputs)
+        REFUSE(WEIGHTS_SCALE, p.at + 1);
     for (uint32_t i = 0; i < inputs; i++) {
-        s->carm_shift[i] = p[2 + i];
+        s->carm_shift[i] = p.data[2 + i];
         if (s->carm_shift[i] > CARM_SHIFT_MAX)
-            REFUSE(WEIGHTS_SCALE, at + 2 + i);
+            REFUSE(WEIGHTS_SCALE, p.at + 2 + i);
     }
-    values_at = at + 2 + inputs;
-    if (s->h.directory[S_WEIGHTS].mode)
-        DECODE_WEIGHTS(s, values_at);
-    else {
-        s->values = s->data + values_at;
-        for (uint64_t i = 0; i < s->value_count; i++)
-            if (!FINITE(GET_U32(s->values + 4 * i)))
-                REFUSE(WEIGHTS_NOT_FINITE, values_at + 4 * i);
-    }
-    DERIVE_NETWORKS(s->networks, s->values, values_at, s->data);
+    if (!ZERO(p, 2 + inputs, values_at))
+        REFUSE(WEIGHTS_PADDING, p.at + 2 + inputs);
+    if (mode) {
+        values = ALLOCATE(count, 4);
+        DECODE_WEIGHTS(s, p, values_at, values);
+    } else
+        CHECK_FINITE(p, values_at, count);
+    DERIVE_NETWORKS(s->networks, mode ? values : p.data + values_at, p, values_at);
+    EMIT(&s->part[WEIGHTS], mode ? values : p.data + values_at, 4 * count);
+    if (mode)
+        FREE(values);
 }
 
 /* ---------------------------------------------------------------- 7.3 planes */
@@ -1241,7 +1465,8 @@ static int32_t AT(const int16_t *y, int32_t size, int32_t i, int32_t j)
 }
 
 /* 7.3: the groups are the wavefronts. Their points are in the order of channels, then of rows. */
-static void DECODE_PLANE(struct stream *stream, const struct network *sarm, int32_t channels, int32_t size, int16_t *plane, struct value *group)
+static void DECODE_PLANE(struct stream *stream, const struct network *sarm, int32_t channels, int32_t size,
+                         int16_t *plane, struct value *group)
 {
     for (int32_t t = 0; t < 3 * size - 2; t++) {
         /* the rows with 0 <= t - 2 i < size */
@@ -1265,29 +1490,38 @@ static void DECODE_PLANE(struct stream *stream, const struct network *sarm, int3
     }
 }
 
-/* 5.9, 6.9 */
-static void PLANES(struct scene *s)
+/* 5.10, 6.9, 9.3 */
+static void READ_PLANES(struct scene *s, struct piece p)
 {
-    uint64_t at = SECTION(s, S_PLANES), length = SECTION_LENGTH(s, S_PLANES), sum = 20;
-    const uint8_t *table = s->data + at;
+    uint64_t sum = PLANE_TABLE_LENGTH, at = PLANE_TABLE_LENGTH, length[5], points;
     int32_t size = (int32_t)s->h.plane_size, channels = s->h.plane_channels;
     struct stream stream;
     struct value *group;
-    if (length < 20)
-        REFUSE(PLANES_LENGTH, at);
-    for (int p = 0; p < 5; p++)
-        sum += GET_U32(table + 4 * p);
-    if (sum != length)
-        REFUSE(PLANES_LENGTH, at);
+    uint8_t *bytes;
+    if (p.length < PLANE_TABLE_LENGTH)
+        REFUSE(PLANES_LENGTH, p.at);
+    for (int i = 0; i < 5; i++)
+        sum += PAD4(length[i] = GET_U32(p.data + 4 * i));
+    if (sum != p.length)
+        REFUSE(PLANES_LENGTH, p.at);
+    for (int i = 0; i < 5; at += PAD4(length[i]), i++)
+        if (!ZERO(p, at + length[i], at + PAD4(length[i])))
+            REFUSE(PLANES_PADDING, p.at + at + length[i]);
+    points = (uint64_t)channels * s->h.plane_size * s->h.plane_size;
     group = ALLOCATE((uint64_t)(channels * size), sizeof *group);
-    at += 20;
-    for (int p = 0; p < 5; p++) {
-        s->plane[p] = ALLOCATE((uint64_t)(channels * size * size), sizeof **s->plane);
-        OPEN(&stream, s->data, at, GET_U32(table + 4 * p), UINT32_C(1) << s->h.lanes_log2[0]);
-        DECODE_PLANE(&stream, &s->networks[SARM], channels, size, s->plane[p], group);
+    bytes = ALLOCATE(points, 2);
+    at = PLANE_TABLE_LENGTH;
+    for (int i = 0; i < 5; at += PAD4(length[i]), i++) {
+        s->plane[i] = ALLOCATE(points, sizeof **s->plane);
+        OPEN(&stream, CUT(p, at, length[i]), s->h.lanes_log2[0]);
+        DECODE_PLANE(&stream, &s->networks[SARM], channels, size, s->plane[i], group);
         END(&stream);
-        at += GET_U32(table + 4 * p);
+        for (uint64_t n = 0; n < points; n++)
+            PUT_U16(bytes + 2 * n, (uint16_t)s->plane[i][n]);
+        EMIT(&s->part[PLANES], bytes, 2 * points);
     }
+    FREE(group);
+    FREE(bytes);
 }
 
 /* 7.5: the plane of r = 2 from its four sub-planes */
@@ -1297,84 +1531,106 @@ static void JOIN_QUADRANTS(struct scene *s)
     s->plane_2 = ALLOCATE((uint64_t)(channels * 4 * b * b), sizeof *s->plane_2);
     for (int32_t k = 0; k < channels; k++)
         for (int32_t i = 0; i < 2 * b; i++)
-            for (int32_t j = 0; j < 2 * b; j++)
-                s->plane_2[(k * 2 * b + i) * 2 * b + j] = s->plane[1 + 2 * (i >= b) + (j >= b)][(k * b + i % b) * b + j % b];
+            for (int32_t j = 0; j < 2 * b; j++) {
+                const int16_t *quadrant = s->plane[1 + 2 * (i >= b) + (j >= b)];
+                s->plane_2[(k * 2 * b + i) * 2 * b + j] = quadrant[(k * b + i % b) * b + j % b];
+            }
 }
 
-/* ---------------------------------------------------------------- 5.10, 6.10 chunks */
+/* ---------------------------------------------------------------- 5.11 to 5.13, 6.10 index */
 
-struct chunk {
-    uint32_t first, anchors; /* 6.10 */
-    uint64_t at[3], length[3]; /* of its parts of positions, masks, attributes */
-    uint32_t crc[3];
+struct chunk { /* 5.13 */
+    uint64_t length;
+    uint32_t crc, anchors, kept;
+    uint32_t low[3], high[3];
 };
 
-/* 6.10: makes c the chunk of this index. c is the chunk before it, or anything if index is 0. */
-static void NEXT_CHUNK(const struct scene *s, uint32_t index, struct chunk *c)
+/* 5.13 */
+static void ENTRY(const uint8_t *entries, uint64_t number, struct chunk *c)
 {
-    const uint8_t *p = s->entries + CHUNK_ENTRY_LENGTH * (uint64_t)index;
-    c->first = index * s->h.chunk_size;
-    c->anchors = s->h.anchor_count - c->first < s->h.chunk_size ? s->h.anchor_count - c->first : s->h.chunk_size;
-    for (int part = 0; part < 3; part++) {
-        c->at[part] = index ? c->at[part] + c->length[part] : SECTION(s, S_POSITIONS + part);
-        c->length[part] = GET_U32(p + 8 * part);
-        c->crc[part] = GET_U32(p + 8 * part + 4);
+    const uint8_t *e = entries + CHUNK_ENTRY_LENGTH * number;
+    c->length = GET_U32(e);
+    c->crc = GET_U32(e + 4);
+    c->anchors = GET_U32(e + 8);
+    c->kept = GET_U32(e + 12);
+    for (int a = 0; a < 3; a++) {
+        c->low[a] = GET_U16(e + 16 + 2 * a);
+        c->high[a] = GET_U16(e + 22 + 2 * a);
     }
 }
 
-/* 5.15, R6.10-4 */
-static void POSITION_MODEL(struct scene *s, uint64_t at)
+/* 6.10: an integer that orders f16 as their numbers are */
+static int32_t F16_ORDER(uint32_t bits) { return bits >> 15 ? -(int32_t)(bits & 0x7FFF) : (int32_t)bits; }
+
+/* 5.12, 6.10: R6.10-3, R6.10-4, of a model at `at` of the section */
+static void POSITION_MODEL(struct scene *s, struct piece p, uint64_t at)
 {
-    s->cell_shift = s->data[at];
+    if (!ZERO(p, at + 1, at + 4))
+        REFUSE(INDEX_RESERVED, p.at + at + 1);
+    s->cell_shift = p.data[at];
     if (s->cell_shift > CELL_INDEX)
-        REFUSE(CHUNKS_POSITION_MODEL, at);
+        REFUSE(INDEX_POSITION_MODEL, p.at + at);
     for (uint64_t m = 0; m < POSITION_MODELS; m++) {
         uint32_t sum = 0, right = 1;
         for (uint64_t i = 0; i < 16; i++) {
-            uint32_t f = GET_U16(s->data + at + 1 + 32 * m + 2 * i);
+            uint32_t f = GET_U16(p.data + at + 4 + 32 * m + 2 * i);
             sum += f;
             right &= (f == 0) == (i == 0 && m % 6 == 1);
             s->position_model[m][i] = (uint16_t)f;
         }
         if (!right || sum != 1 << PRECISION)
-            REFUSE(CHUNKS_POSITION_MODEL, at + 1 + 32 * m);
+            REFUSE(INDEX_POSITION_MODEL, p.at + at + 4 + 32 * m);
     }
 }
 
-/* 6.10 */
-static void CHUNK_TABLE(struct scene *s)
+/* 6.10: R6.10-5, of an entry whose offset is `at` */
+static void CHECK_ENTRY(const struct scene *s, const struct chunk *c, uint64_t at)
 {
-    uint64_t at = SECTION(s, S_CHUNK_TABLE), sum[3] = {0, 0, 0};
+    if (c->anchors < 1 || c->anchors > s->h.chunk_size)
+        REFUSE(INDEX_CHUNK, at + 8);
+    if (c->length % 4 || c->length < CHUNK_HEAD_LENGTH ||
+        ANCHORS_OF_A_BYTE * (c->length - CHUNK_HEAD_LENGTH) < c->anchors)
+        REFUSE(INDEX_CHUNK, at);
+    if (c->kept > (uint64_t)s->h.offset_count * c->anchors)
+        REFUSE(INDEX_CHUNK, at + 12);
+    for (uint32_t i = 0; i < 6; i++) {
+        uint32_t bits = i < 3 ? c->low[i] : c->high[i - 3];
+        if ((bits & 0x7C00) == 0x7C00 || bits == 0x8000)
+            REFUSE(INDEX_CHUNK, at + 16 + 2 * i);
+    }
+    for (uint32_t a = 0; a < 3; a++)
+        if (F16_ORDER(c->low[a]) > F16_ORDER(c->high[a]))
+            REFUSE(INDEX_CHUNK, at + 16 + 2 * a);
+}
+
+/* 5.11, 6.10: the section is known to have the length of R6.6-5. data_length is the length of DATA. */
+static void READ_INDEX(struct scene *s, struct piece p, int mode, uint64_t data_length)
+{
     uint32_t numbers = s->h.offset_count * (s->h.offset_count + 1u) / 2;
+    uint64_t at = PAD4(2 * numbers), anchors = 0, bytes = 0;
     struct chunk c;
     for (uint32_t i = 0; i < numbers; i++) {
-        s->mask_model[i] = GET_U16(s->data + at + 2 * i);
+        s->mask_model[i] = GET_U16(p.data + 2 * i);
         if (s->mask_model[i] < 1 || s->mask_model[i] > (1 << PRECISION) - 1)
-            REFUSE(CHUNKS_MASK_MODEL, at + 2 * i);
+            REFUSE(INDEX_MASK_MODEL, p.at + 2 * i);
     }
-    at += 2 * numbers;
-    if (POSITION_MODE(s)) {
-        POSITION_MODEL(s, at);
+    if (!ZERO(p, 2 * numbers, at))
+        REFUSE(INDEX_PADDING, p.at + 2 * numbers);
+    s->packed = mode;
+    if (mode) {
+        POSITION_MODEL(s, p, at);
         at += POSITION_MODEL_LENGTH;
     }
-    s->entries = s->data + at;
-    for (uint32_t i = 0; i < s->h.chunks; i++) {
-        NEXT_CHUNK(s, i, &c);
-        if (POSITION_MODE(s) ? 16 * c.length[0] < c.anchors : c.length[0] != 6 * (uint64_t)c.anchors)
-            REFUSE(CHUNKS_LENGTH, at + CHUNK_ENTRY_LENGTH * (uint64_t)i);
-        for (int part = 0; part < 3; part++)
-            sum[part] += c.length[part]; /* below 2^25 * 2^32 */
+    s->entries = p.data + at;
+    for (uint32_t i = 0; i < s->h.chunk_count; i++) {
+        ENTRY(s->entries, i, &c);
+        CHECK_ENTRY(s, &c, p.at + at + CHUNK_ENTRY_LENGTH * (uint64_t)i);
+        anchors += c.anchors;
+        bytes += c.length; /* below 2^24 * 2^32 */
+        s->largest = s->largest < c.anchors ? c.anchors : s->largest;
     }
-    for (int part = 0; part < 3; part++)
-        if (sum[part] != SECTION_LENGTH(s, S_POSITIONS + part))
-            REFUSE(CHUNKS_LENGTH, SECTION(s, S_POSITIONS + part));
-}
-
-/* R6.10-3 */
-static void CHUNK_CRC(const struct scene *s, const struct chunk *c, int part)
-{
-    if (CRC32(0, s->data + c->at[part], c->length[part]) != c->crc[part])
-        REFUSE(CHUNKS_CRC, c->at[part]);
+    if (anchors != s->h.anchor_count || bytes != data_length)
+        REFUSE(INDEX_LENGTH, p.at);
 }
 
 /* ---------------------------------------------------------------- 7.4, 7.5 positions and geometry to context */
@@ -1387,16 +1643,16 @@ static int64_t POSITION_INTEGER(uint32_t bits)
     return bits >> 15 ? -p : p;
 }
 
-/* 6.11: reads the f16 of a chunk, which are at `at` in the file */
-static void RAW_POSITIONS(const struct scene *s, const struct chunk *c, uint64_t at)
+/* 6.11: R6.11-6, R6.11-7; reads the positions of a chunk in form 0 */
+static void RAW_POSITIONS(struct scene *s, struct piece p)
 {
-    for (uint64_t i = 0; i < 3 * (uint64_t)c->anchors; i++) {
-        uint32_t bits = GET_U16(s->data + at + 2 * i);
-        if ((bits >> 10 & 31) == 31)
-            REFUSE(POSITIONS_NOT_FINITE, at + 2 * i);
+    for (uint64_t i = 0; i < p.length / 2; i++) {
+        uint32_t bits = GET_U16(p.data + 2 * i);
+        if ((bits & 0x7C00) == 0x7C00)
+            REFUSE(POSITIONS_NOT_FINITE, p.at + 2 * i);
         if (bits == 0x8000)
-            REFUSE(POSITIONS_NEGATIVE_ZERO, at + 2 * i);
-        s->position_bits[3 * (uint64_t)c->first + i] = (uint16_t)bits;
+            REFUSE(POSITIONS_NEGATIVE_ZERO, p.at + 2 * i);
+        s->position_bits[i] = (uint16_t)bits;
     }
 }
 
@@ -1419,67 +1675,22 @@ static int32_t CELL_NUMBER(uint32_t c, unsigned cell_shift)
     return (int32_t)bits | (n < 0 ? 0x8000 : 0);
 }
 
-/* 7.12: -1 if there is none */
-static int32_t CELL_OF(uint32_t bits, unsigned cell_shift)
+/* 7.12: writes the cells to s->nodes. The result is whether there are as many cells as anchors. */
+static int DECODE_CELLS(struct scene *s, struct stream *stream, uint64_t anchors)
 {
-    int64_t n = bits & 0x7FFF, c;
-    if (cell_shift < CELL_INDEX) {
-        int64_t p = MAGNITUDE(POSITION_INTEGER(bits));
-        n = p >> cell_shift;
-        if (n << cell_shift != p)
-            return -1;
-    }
-    c = (1 << (CELL_LEVELS - 1)) + (bits >> 15 ? -n : n);
-    return c >= 0 && c < 1 << CELL_LEVELS ? (int32_t)c : -1;
-}
-
-/* 7.12: the result is below 2^48 */
-static uint64_t MORTON(const uint16_t cell[3])
-{
-    uint64_t code = 0;
-    for (unsigned i = 0; i < CELL_LEVELS; i++)
-        for (unsigned axis = 0; axis < 3; axis++)
-            code |= (uint64_t)(cell[axis] >> i & 1) << (3 * i + axis);
-    return code;
-}
-
-/* R6.11-4: whether a raw chunk could be packed */
-static int PACKS(const struct scene *s, const struct chunk *c)
-{
-    uint64_t before = 0;
-    for (uint64_t n = 0; n < c->anchors; n++) {
-        uint16_t cell[3];
-        uint64_t code;
-        for (int axis = 0; axis < 3; axis++) {
-            int32_t found = CELL_OF(s->position_bits[3 * (c->first + n) + (uint64_t)axis], s->cell_shift);
-            if (found < 0)
-                return 0;
-            cell[axis] = (uint16_t)found;
-        }
-        code = MORTON(cell);
-        if (n && code <= before)
-            return 0;
-        before = code;
-    }
-    return 1;
-}
-
-/* 7.12: writes the cells to nodes. The result is whether there are as many cells as anchors. nodes, next and halves have
-   room for the anchors. */
-static int DECODE_CELLS(const struct scene *s, struct stream *stream, uint64_t anchors, uint16_t (*nodes)[3], uint16_t (*next)[3], uint8_t *halves)
-{
+    uint16_t (*nodes)[3] = s->nodes, (*next)[3] = s->next_nodes;
     uint64_t count = 1, below;
     int whole = 1;
     memset(nodes[0], 0, sizeof nodes[0]);
     for (int level = CELL_LEVELS - 1; level >= 0; level--) {
-        const uint16_t (*models)[16] = s->position_model + 6 * (level < 2 ? level : 2);
+        uint16_t (*models)[16] = s->position_model + 6 * (level < 2 ? level : 2);
         for (uint64_t i = 0; i < count; i++) {
-            halves[i] = (uint8_t)DECODE_SYMBOL(stream, (uint32_t)(i % stream->lanes), models[0]);
-            NOTE_SYMBOL(stream, halves[i]);
+            s->halves[i] = (uint8_t)DECODE_SYMBOL(stream, (uint32_t)(i % stream->lanes), models[0]);
+            NOTE_SYMBOL(stream, s->halves[i]);
         }
         below = 0;
         for (uint64_t i = 0; i < count; i++) {
-            unsigned a = halves[i], b, named = (a & 1) + (a >> 1 & 1) + (a >> 2 & 1) + (a >> 3);
+            unsigned a = s->halves[i], b, named = (a & 1) + (a >> 1 & 1) + (a >> 2 & 1) + (a >> 3);
             b = DECODE_SYMBOL(stream, (uint32_t)(i % stream->lanes), models[1 + named]);
             NOTE_SYMBOL(stream, (int32_t)b);
             for (unsigned k = 0; k < 8; k++) {
@@ -1500,54 +1711,47 @@ static int DECODE_CELLS(const struct scene *s, struct stream *stream, uint64_t a
     return whole && count == anchors;
 }
 
-/* 6.11, 7.12: a chunk in mode 1. nodes, next and halves are as for DECODE_CELLS. */
-static void DECODE_POSITIONS(struct scene *s, const struct chunk *c, uint16_t (*nodes)[3], uint16_t (*next)[3], uint8_t *halves)
+/* 7.12, 6.11: R6.11-8, R6.11-9; reads the positions of a chunk in form 1 */
+static void DECODE_POSITIONS(struct scene *s, struct piece p, uint64_t anchors)
 {
-    uint64_t at = c->at[0], length = c->length[0];
     struct stream stream;
     int whole;
-    if (length && s->data[at] == 1) {
-        OPEN(&stream, s->data, at + 1, length - 1, UINT32_C(1) << s->h.lanes_log2[1]);
-        whole = DECODE_CELLS(s, &stream, c->anchors, nodes, next, halves);
-        END(&stream);
-        if (!whole)
-            REFUSE(POSITIONS_COUNT, at);
-        for (uint64_t n = 0; n < c->anchors; n++)
-            for (unsigned axis = 0; axis < 3; axis++) {
-                int32_t bits = CELL_NUMBER(nodes[n][axis], s->cell_shift);
-                if (bits < 0)
-                    REFUSE(POSITIONS_CELL, at);
-                s->position_bits[3 * (c->first + n) + axis] = (uint16_t)bits;
-            }
-        return;
+    OPEN(&stream, p, s->h.lanes_log2[1]);
+    whole = DECODE_CELLS(s, &stream, anchors);
+    END(&stream);
+    if (!whole)
+        REFUSE(POSITIONS_COUNT, p.at);
+    for (uint64_t i = 0; i < 3 * anchors; i++) {
+        int32_t bits = CELL_NUMBER(s->nodes[i / 3][i % 3], s->cell_shift);
+        if (bits < 0)
+            REFUSE(POSITIONS_CELL, p.at);
+        s->position_bits[i] = (uint16_t)bits;
     }
-    if (length != 1 + 6 * (uint64_t)c->anchors || s->data[at])
-        REFUSE(POSITIONS_FORM, at);
-    RAW_POSITIONS(s, c, at + 1);
-    if (PACKS(s, c))
-        REFUSE(POSITIONS_RAW, at);
 }
 
-/* 5.11, 6.11, 9.1 */
-static void POSITIONS(struct scene *s)
+/* 6.11: R6.11-10, of a chunk at `at` */
+static void CHECK_BOUNDS(const struct scene *s, const struct chunk *c, uint64_t at)
 {
-    uint64_t largest = s->h.anchor_count < s->h.chunk_size ? s->h.anchor_count : s->h.chunk_size;
-    uint16_t (*nodes)[3] = ALLOCATE(largest + 1, sizeof *nodes), (*next)[3] = ALLOCATE(largest + 1, sizeof *next);
-    uint8_t *halves = ALLOCATE(largest + 1, 1);
-    struct chunk c;
-    for (uint32_t n = 0; n < s->h.chunks; n++) {
-        NEXT_CHUNK(s, n, &c);
-        CHUNK_CRC(s, &c, 0);
-        if (POSITION_MODE(s))
-            DECODE_POSITIONS(s, &c, nodes, next, halves);
-        else
-            RAW_POSITIONS(s, &c, c.at[0]);
-        for (uint64_t i = 3 * (uint64_t)c.first; i < 3 * ((uint64_t)c.first + c.anchors); i++) {
-            /* below 2^62 + 2^56 in magnitude */
-            int64_t world = s->h.origin[i % 3] + s->h.scale_mantissa * POSITION_INTEGER(s->position_bits[i]);
-            PUT_U32(s->positions + 4 * i, ROUND_F32(world, s->h.scale_exponent - 24));
+    for (int a = 0; a < 3; a++) {
+        int32_t low = INT32_MAX, high = INT32_MIN;
+        for (uint64_t n = 0; n < c->anchors; n++) {
+            int32_t x = F16_ORDER(s->position_bits[3 * n + (uint64_t)a]);
+            low = x < low ? x : low;
+            high = x > high ? x : high;
         }
+        if (low != F16_ORDER(c->low[a]) || high != F16_ORDER(c->high[a]))
+            REFUSE(CHUNK_BOUNDS, at);
     }
+}
+
+/* 9.1: origin + S P is below 2^62 + 2^56 in magnitude */
+static void WORLD(struct scene *s, uint64_t anchors)
+{
+    for (uint64_t i = 0; i < 3 * anchors; i++) {
+        int64_t world = s->h.origin[i % 3] + s->h.scale_mantissa * POSITION_INTEGER(s->position_bits[i]);
+        PUT_U32(s->values + 4 * i, ROUND_F32(world, s->h.scale_exponent - 24));
+    }
+    EMIT(&s->part[POSITIONS], s->values, 12 * anchors);
 }
 
 /* 7.5.1: products are below 2^60, and the sum with the rounding term is below 2^63 */
@@ -1582,7 +1786,8 @@ static void RESCALE(const struct frame *f, int64_t w[3])
 }
 
 /* 7.5.4: g is below 2^25, and the sum with the rounding term is below 2^31 */
-static void QUERY(const int16_t *plane, int32_t channels, int32_t size, const int64_t u[2], unsigned plane_shift, int32_t *out)
+static void QUERY(const int16_t *plane, int32_t channels, int32_t size, const int64_t u[2], unsigned plane_shift,
+                  int32_t *out)
 {
     int32_t cell[2], weight[2];
     for (int a = 0; a < 2; a++) {
@@ -1594,7 +1799,8 @@ static void QUERY(const int16_t *plane, int32_t channels, int32_t size, const in
     for (int32_t k = 0; k < channels; k++) {
         const int16_t *y = plane + (k * size + cell[1]) * size + cell[0];
         int32_t fj = weight[0], fi = weight[1], one = 1 << LERP_BITS;
-        int32_t t = y[0] * (one - fj) * (one - fi) + y[1] * fj * (one - fi) + y[size] * (one - fj) * fi + y[size + 1] * fj * fi;
+        int32_t t = y[0] * (one - fj) * (one - fi) + y[1] * fj * (one - fi);
+        t += y[size] * (one - fj) * fi + y[size + 1] * fj * fi;
         out[k] = ACTIVATION(RSHIFT_ROUND(t, 2 * LERP_BITS - plane_shift));
     }
 }
@@ -1615,70 +1821,64 @@ static void CONTEXT(const struct scene *s, const uint16_t *p, int32_t *out)
 {
     int32_t channels = s->h.plane_channels, size = (int32_t)s->h.plane_size;
     int64_t position[3], u[3];
+    if (!channels && !s->h.frequency_count) /* there is no frame */
+        return;
     for (int a = 0; a < 3; a++)
         position[a] = POSITION_INTEGER(p[a]);
     FRAME_COORDINATES(&s->frame, position, u);
     CONTRACT(u);
     RESCALE(&s->frame, u);
-    QUERY(s->plane[0], channels, size, u, s->plane_shift, out);
-    QUERY(s->plane_2, channels, 2 * size, u, s->plane_shift, out + channels);
+    if (channels) {
+        QUERY(s->plane[0], channels, size, u, s->plane_shift, out);
+        QUERY(s->plane_2, channels, 2 * size, u, s->plane_shift, out + channels);
+    }
     GAMMA(u[2], s->h.frequency_count, out + 2 * channels);
 }
 
 /* ---------------------------------------------------------------- 7.6 masks */
 
 /* 7.6: writes the K bits of each anchor */
-static void DECODE_MASKS(struct stream *s, const uint32_t *mask_model, uint32_t offset_count, uint32_t anchors, uint8_t *masks)
+static void DECODE_MASKS(struct stream *s, const uint32_t *mask_model, uint32_t offset_count, uint32_t anchors,
+                         uint8_t *masks)
 {
     for (uint32_t k = 0; k < offset_count; k++)
         for (uint32_t n = 0; n < anchors; n++) {
             uint8_t *m = masks + (uint64_t)n * offset_count;
             uint32_t kept = 0, f;
+            uint16_t model[2];
             for (uint32_t i = 0; i < k; i++)
                 kept += m[i];
             f = mask_model[k * (k + 1) / 2 + kept];
-            m[k] = (uint8_t)DECODE_SYMBOL(s, n % s->lanes, (const uint16_t[2]){(uint16_t)((1 << PRECISION) - f), (uint16_t)f});
+            model[0] = (uint16_t)((1 << PRECISION) - f);
+            model[1] = (uint16_t)f;
+            m[k] = (uint8_t)DECODE_SYMBOL(s, n % s->lanes, model);
             NOTE_SYMBOL(s, m[k]);
         }
 }
 
-/* 5.12, 6.12 */
-static void MASKS(struct scene *s)
-{
-    struct chunk c;
-    struct stream stream;
-    for (uint32_t n = 0; n < s->h.chunks; n++) {
-        NEXT_CHUNK(s, n, &c);
-        CHUNK_CRC(s, &c, 1);
-        OPEN(&stream, s->data, c.at[1], c.length[1], UINT32_C(1) << s->h.lanes_log2[1]);
-        DECODE_MASKS(&stream, s->mask_model, s->h.offset_count, c.anchors, s->masks + (uint64_t)c.first * s->h.offset_count);
-        END(&stream);
-    }
-}
-
 /* ---------------------------------------------------------------- 7.7 to 7.10 attributes */
 
-/* 7.10, 7.7: decodes the group of channels first to first + width - 1 of all anchors of a chunk. For each anchor,
-   parameters has the outputs of F_h, change has the outputs of CARM unless it is a null pointer, and symbols has D
-   symbols. */
-static void DECODE_STAGE(struct scene *s, struct stream *stream, const struct chunk *c, uint32_t first, uint32_t width,
-                         const int32_t *parameters, const int32_t *change, int32_t *symbols)
+/* 7.10, 7.7: decodes the group of channels first to first + width - 1. `change` has the outputs of CARM, or is a null
+   pointer. */
+static void DECODE_STAGE(struct scene *s, struct stream *stream, uint64_t anchors, uint32_t first, uint32_t width,
+                         const int32_t *change)
 {
     uint32_t d = s->h.channels, kinds = s->h.features + 6;
     uint64_t count = 0;
     for (int pass = 0; pass < 2; pass++) {
-        for (uint64_t n = 0; n < c->anchors; n++) {
-            const uint8_t *mask = s->masks + (c->first + n) * s->h.offset_count;
+        for (uint64_t n = 0; n < anchors; n++) {
+            const uint8_t *mask = s->masks + n * s->h.offset_count;
+            const int32_t *own = s->parameters + n * (2 * d + 3);
             for (uint32_t i = 0; i < width; i++) {
                 uint32_t channel = first + i;
                 if (channel >= kinds && !mask[(channel - kinds) / 3])
                     continue;
                 if (pass) {
-                    symbols[n * d + channel] = s->group[count++].value;
+                    s->symbols[n * d + channel] = s->group[count++].value;
                     continue;
                 }
-                s->group[count].mean = parameters[n * (2 * d + 3) + channel] + (change ? change[n * 2 * width + i] : 0);
-                s->group[count++].scale = parameters[n * (2 * d + 3) + d + channel] + (change ? change[n * 2 * width + width + i] : 0);
+                s->group[count].mean = own[channel] + (change ? change[n * 2 * width + i] : 0);
+                s->group[count++].scale = own[d + channel] + (change ? change[n * 2 * width + width + i] : 0);
             }
         }
         if (!pass)
@@ -1687,221 +1887,288 @@ static void DECODE_STAGE(struct scene *s, struct stream *stream, const struct ch
     }
 }
 
-/* 7.9: writes the outputs of CARM for slice i, which begins at channel `first` */
-static void CHANNEL_CONTEXT(const struct scene *s, uint32_t i, uint32_t first, uint64_t anchors, const int32_t *symbols, int32_t *change)
+/* 7.9: the outputs of CARM for slice i, which begins at channel `first` */
+static void CHANNEL_CONTEXT(struct scene *s, uint32_t i, uint32_t first, uint64_t anchors)
 {
-    int32_t inputs[WIDTH_MAX];
+    int32_t inputs[FEATURES_MAX];
     for (uint64_t n = 0; n < anchors; n++) {
         for (uint32_t k = 0; k < first; k++)
-            inputs[k] = ACTIVATION(RSHIFT_ROUND(symbols[n * s->h.channels + k], s->carm_shift[k]));
-        NETWORK(&s->networks[CARM_1 + i - 1], inputs, change + n * 2 * s->h.slice_width.item[i]);
+            inputs[k] = ACTIVATION(RSHIFT_ROUND(s->symbols[n * s->h.channels + k], s->carm_shift[k]));
+        NETWORK(&s->networks[CARM_1 + i - 1], inputs, s->change + n * 2 * s->h.slice_width.item[i]);
     }
 }
 
-/* 9.2: the base step is m * 2^e, with m below 2^24. The product is below 2^63. */
-static uint32_t VALUE(int32_t symbol, int64_t step_index, uint32_t base_step)
+/* 5.14, 7.7, 7.10: symbols of masked offsets stay 0 */
+static void DECODE_ATTRIBUTES(struct scene *s, struct piece p, uint64_t anchors)
+{
+    const struct header *h = &s->h;
+    uint32_t d = h->channels, first = 0;
+    struct stream stream;
+    OPEN(&stream, p, h->lanes_log2[2]);
+    for (uint64_t n = 0; n < anchors; n++) {
+        int32_t context[WIDTH_MAX];
+        CONTEXT(s, s->position_bits + 3 * n, context);
+        NETWORK(&s->networks[HYPER], context, s->parameters + n * (2 * d + 3));
+    }
+    memset(s->symbols, 0, (size_t)(anchors * d * sizeof *s->symbols));
+    DECODE_STAGE(s, &stream, anchors, h->features, 6, NULL);
+    DECODE_STAGE(s, &stream, anchors, h->features + 6, 3u * h->offset_count, NULL);
+    for (uint32_t i = 0; i < h->slice_width.count; i++) {
+        if (i)
+            CHANNEL_CONTEXT(s, i, first, anchors);
+        DECODE_STAGE(s, &stream, anchors, first, h->slice_width.item[i], i ? s->change : NULL);
+        first += h->slice_width.item[i];
+    }
+    END(&stream);
+}
+
+/* 9.2: the base step is m * 2^e, with m below 2^24 */
+static uint32_t STEP_VALUE(int64_t step_index, uint32_t base_step)
 {
     int64_t m;
     int e;
     SPLIT_F32(base_step, &m, &e);
-    return ROUND_F32(symbol * STEP[step_index] * m, e - STEP_SHIFT);
+    return ROUND_F32(STEP[step_index] * m, e - STEP_SHIFT);
 }
 
-/* 7.8, 9.2: writes channels first to first + width - 1 of a chunk's anchors. They are of kind a. */
-static void RECONSTRUCT(const struct scene *s, const struct chunk *c, int a, uint32_t first, uint32_t width, const int32_t *parameters,
-                        const int32_t *symbols, uint8_t *part)
+/* 9.2: an f32 holds the symbol. Wider intermediate results are exact, because the product has 48 bits at most. */
+static uint32_t VALUE(int32_t symbol, uint32_t step)
+{
+    float product = (float)symbol * F32(step);
+    uint32_t bits;
+    memcpy(&bits, &product, 4);
+    return bits;
+}
+
+/* 7.8, 9.2: the values of channels first to first + width - 1, of kind a */
+static void RECONSTRUCT(struct scene *s, uint64_t anchors, int a, uint32_t first, uint32_t width)
 {
     uint64_t d = s->h.channels;
-    part += 4 * (uint64_t)c->first * width;
-    for (uint64_t n = 0; n < c->anchors; n++) {
-        int64_t index = CLAMP(parameters[n * (2 * d + 3) + 2 * d + (uint64_t)a], 0, STEP_LENGTH - 1);
-        for (uint32_t i = 0; i < width; i++, part += 4)
-            PUT_U32(part, VALUE(symbols[n * d + first + i], index, s->h.base_step[a]));
+    uint8_t *value = s->values;
+    for (uint64_t n = 0; n < anchors; n++) {
+        int64_t index = CLAMP(s->parameters[n * (2 * d + 3) + 2 * d + (uint64_t)a], 0, STEP_LENGTH - 1);
+        for (uint32_t i = 0; i < width; i++, value += 4)
+            PUT_U32(value, VALUE(s->symbols[n * d + first + i], s->step[a][index]));
     }
+    EMIT(&s->part[FEATURES + a], s->values, 4 * anchors * width);
 }
 
-/* 5.13, 7.7, 7.10 */
-static void ATTRIBUTES(struct scene *s)
+/* ---------------------------------------------------------------- 5.14, 6.11 chunks */
+
+/* 5.14, 6.11, 10.1: a chunk as a whole */
+static void DECODE_CHUNK(struct scene *s, const struct chunk *c, struct piece p)
 {
     const struct header *h = &s->h;
-    uint64_t d = h->channels, largest = h->anchor_count < h->chunk_size ? h->anchor_count : h->chunk_size;
-    uint32_t k3 = 3u * h->offset_count;
-    int32_t *parameters = ALLOCATE(largest * (2 * d + 3), sizeof *parameters);
-    int32_t *change = ALLOCATE(largest * 2 * 64, sizeof *change); /* slice_width <= 64 */
-    int32_t *symbols = ALLOCATE(largest * d, sizeof *symbols);
-    struct chunk c;
+    uint64_t sum = CHUNK_HEAD_LENGTH, kept = 0, n = c->anchors;
+    struct piece part[3]; /* positions, masks, attributes */
     struct stream stream;
-    s->group = ALLOCATE(largest * d, sizeof *s->group);
-    for (uint32_t i = 0; i < h->chunks; i++) {
-        uint32_t first = 0;
-        NEXT_CHUNK(s, i, &c);
-        CHUNK_CRC(s, &c, 2);
-        OPEN(&stream, s->data, c.at[2], c.length[2], UINT32_C(1) << h->lanes_log2[2]);
-        for (uint64_t n = 0; n < c.anchors; n++) {
-            int32_t context[WIDTH_MAX];
-            CONTEXT(s, s->position_bits + 3 * (c.first + n), context);
-            NETWORK(&s->networks[HYPER], context, parameters + n * (2 * d + 3));
-        }
-        memset(symbols, 0, (size_t)(c.anchors * d * sizeof *symbols));
-        for (uint32_t slice = 0; slice < h->slice_width.count; slice++) {
-            uint32_t width = h->slice_width.item[slice];
-            if (slice)
-                CHANNEL_CONTEXT(s, slice, first, c.anchors, symbols, change);
-            DECODE_STAGE(s, &stream, &c, first, width, parameters, slice ? change : NULL, symbols);
-            first += width;
-        }
-        DECODE_STAGE(s, &stream, &c, first, 6, parameters, NULL, symbols);
-        DECODE_STAGE(s, &stream, &c, first + 6, k3, parameters, NULL, symbols);
-        END(&stream);
-        RECONSTRUCT(s, &c, 0, 0, first, parameters, symbols, s->features);
-        RECONSTRUCT(s, &c, 1, first, 6, parameters, symbols, s->scalings);
-        RECONSTRUCT(s, &c, 2, first + 6, k3, parameters, symbols, s->offsets);
+    uint8_t form;
+    if (CRC32(0, p.data, p.length) != c->crc)
+        REFUSE(CHUNK_CRC, p.at);
+    if (!ZERO(p, 13, 16))
+        REFUSE(CHUNK_RESERVED, p.at + 13);
+    form = p.data[12];
+    if (form > s->packed)
+        REFUSE(CHUNK_FORM, p.at + 12);
+    for (int i = 0; i < 3; i++) {
+        part[i].length = GET_U32(p.data + 4 * i);
+        part[i].at = p.at + sum;
+        sum += PAD4(part[i].length);
+    }
+    if (sum != p.length || (!form && part[0].length != 6 * n))
+        REFUSE(CHUNK_LENGTH, p.at);
+    for (int i = 0; i < 3; i++) {
+        uint64_t from = part[i].at - p.at;
+        part[i] = CUT(p, from, part[i].length);
+        if (!ZERO(p, from + part[i].length, from + PAD4(part[i].length)))
+            REFUSE(CHUNK_PADDING, part[i].at + part[i].length);
+    }
+    if (form)
+        DECODE_POSITIONS(s, part[0], n);
+    else
+        RAW_POSITIONS(s, part[0]);
+    CHECK_BOUNDS(s, c, p.at);
+    OPEN(&stream, part[1], h->lanes_log2[1]);
+    DECODE_MASKS(&stream, s->mask_model, h->offset_count, c->anchors, s->masks);
+    END(&stream);
+    for (uint64_t i = 0; i < n * h->offset_count; i++)
+        kept += s->masks[i];
+    if (kept != c->kept)
+        REFUSE(CHUNK_KEPT, p.at);
+    DECODE_ATTRIBUTES(s, part[2], n);
+    WORLD(s, n);
+    EMIT(&s->part[MASKS], s->masks, n * h->offset_count);
+    RECONSTRUCT(s, n, 0, 0, h->features);
+    RECONSTRUCT(s, n, 1, h->features, 6);
+    RECONSTRUCT(s, n, 2, h->features + 6, 3u * h->offset_count);
+}
+
+/* 5.14, 10.1, 13.1: DATA. What it needs is for the largest chunk. */
+static void CHUNKS(struct scene *s, const struct entry *e)
+{
+    const struct header *h = &s->h;
+    uint64_t start = input_at, n = s->largest, k3 = 3u * h->offset_count, widest = k3 < 6 ? 6 : k3, wide = widest;
+    struct chunk c;
+    for (int i = 0; i < h->slice_width.count; i++)
+        widest = widest < h->slice_width.item[i] ? h->slice_width.item[i] : widest;
+    wide = wide < h->features ? h->features : wide;
+    s->position_bits = ALLOCATE(n, 6);
+    s->nodes = ALLOCATE(n + 1, sizeof *s->nodes);
+    s->next_nodes = ALLOCATE(n + 1, sizeof *s->next_nodes);
+    s->halves = ALLOCATE(n + 1, 1);
+    s->masks = ALLOCATE(n, h->offset_count);
+    s->parameters = ALLOCATE(n, (2 * (uint64_t)h->channels + 3) * sizeof *s->parameters);
+    s->change = ALLOCATE(n, 2 * widest * sizeof *s->change);
+    s->symbols = ALLOCATE(n, h->channels * sizeof *s->symbols);
+    s->group = ALLOCATE(n, widest * sizeof *s->group);
+    s->values = ALLOCATE(n, 4 * wide);
+    for (int a = 0; a < 3; a++)
+        for (int q = 0; q < STEP_LENGTH; q++)
+            s->step[a][q] = STEP_VALUE(q, h->base_step[a]);
+    for (uint32_t i = 0; i < h->chunk_count; i++) {
+        struct piece p;
+        ENTRY(s->entries, i, &c);
+        p = READ(&s->section, c.length);
+        if (p.length < c.length)
+            REFUSE(SECTION_TRUNCATED, input_at);
+        DECODE_CHUNK(s, &c, p);
+    }
+    if (e->crc)
+        REFUSE(SECTION_CRC, start);
+}
+
+/* ---------------------------------------------------------------- 10.1 the file */
+
+/* 9.3: where each part begins in OUTPUT */
+static void PARTS_BEGIN(struct scene *s)
+{
+    const struct header *h = &s->h;
+    uint64_t n = h->anchor_count, at = HEAD_LENGTH + 32 * PARTS;
+    const uint64_t length[PARTS] = {12 * n,
+                                    n * h->offset_count,
+                                    10 * (uint64_t)h->plane_channels * h->plane_size * h->plane_size,
+                                    4 * n * h->features,
+                                    24 * n,
+                                    12 * n * h->offset_count,
+                                    4 * WEIGHT_COUNT(s->networks, 0, NETWORKS)};
+    for (int i = 0; i < PARTS; i++) {
+        SHA_START(&s->part[i].digest);
+        s->part[i].at = at;
+        at += length[i];
     }
 }
 
-/* ---------------------------------------------------------------- 9.3 canonical reconstruction */
-
-enum { PART_COUNT = 8, HEAD_LENGTH = 28 };
-struct part {
-    const char *name;
-    const uint8_t *data;
-    uint64_t length;
-};
-
-/* 9.3 */
-static void CANONICAL(const struct scene *s, struct part part[PART_COUNT])
+/* 9.3: writes what the scene's digest is of to OUTPUT, if there is one; prints all digests, if they are wanted */
+static void PARTS_END(struct scene *s, int print)
 {
+    static const char names[PARTS][10] = {"positions", "masks", "planes", "features", "scalings", "offsets", "weights"};
     const struct header *h = &s->h;
-    uint64_t n = h->anchor_count, k = h->offset_count, points = (uint64_t)h->plane_channels * h->plane_size * h->plane_size;
-    uint8_t *head = ALLOCATE(HEAD_LENGTH, 1), *planes = ALLOCATE(5 * points, 2);
-    uint32_t numbers[5] = {h->anchor_count, h->offset_count, h->features, h->plane_channels, h->plane_size};
-    memcpy(head, "C3GSREC0", 8);
+    const uint32_t numbers[5] = {h->anchor_count, h->offset_count, h->features, h->plane_channels, h->plane_size};
+    uint8_t head[HEAD_LENGTH + 32 * PARTS], digest[32];
+    struct part whole = {.at = 0};
+    memcpy(head, "C3GSREC1", 8);
     for (int i = 0; i < 5; i++)
         PUT_U32(head + 8 + 4 * i, numbers[i]);
-    for (uint64_t p = 0; p < 5; p++)
-        for (uint64_t i = 0; i < points; i++)
-            PUT_U16(planes + 2 * (p * points + i), (uint16_t)s->plane[p][i]);
-    part[0] = (struct part){"head", head, HEAD_LENGTH};
-    part[1] = (struct part){"positions", s->positions, 12 * n};
-    part[2] = (struct part){"masks", s->masks, n * k};
-    part[3] = (struct part){"planes", planes, 10 * points};
-    part[4] = (struct part){"features", s->features, 4 * n * h->features};
-    part[5] = (struct part){"scalings", s->scalings, 24 * n};
-    part[6] = (struct part){"offsets", s->offsets, 12 * n * k};
-    part[7] = (struct part){"weights", s->values, 4 * s->value_count};
+    for (int i = 0; i < PARTS; i++)
+        SHA_END(&s->part[i].digest, head + HEAD_LENGTH + 32 * i);
+    SHA_START(&whole.digest);
+    EMIT(&whole, head, sizeof head);
+    SHA_END(&whole.digest, digest);
+    if (!print)
+        return;
+    printf("whole %s\n", HEX(digest));
+    for (int i = 0; i < PARTS; i++)
+        printf("%s %s\n", names[i], HEX(head + HEAD_LENGTH + 32 * i));
 }
 
-/* 9.3: prints the digest of the whole, and then that of each part but the head */
-static int DIGEST(const struct part part[PART_COUNT])
+/* 2.1, 7.1, 10.1, 10.2, 10.4: the order of decoding and of checks. print: whether the digests are wanted. */
+static void DECODE_FILE(struct scene *s, int print)
 {
-    struct sha256 s;
-    char hex[65];
-    SHA_START(&s);
-    for (int i = 0; i < PART_COUNT; i++)
-        SHA_ADD(&s, part[i].data, part[i].length);
-    SHA_END(&s, hex);
-    printf("whole %s\n", hex);
-    for (int i = 1; i < PART_COUNT; i++) {
-        SHA_START(&s);
-        SHA_ADD(&s, part[i].data, part[i].length);
-        SHA_END(&s, hex);
-        printf("%s %s\n", part[i].name, hex);
+    struct header *h = &s->h;
+    uint64_t data_length = 0;
+    PROLOGUE(h, &s->section);
+    HEADER_FIELDS(h, &s->section);
+    HEADER(h, s->networks);
+    DIRECTORY(h, s->networks);
+    PARTS_BEGIN(s);
+    for (uint32_t i = 0; i < h->section_count; i++)
+        if (h->directory[i].section == DATA)
+            data_length = h->directory[i].length;
+    for (uint32_t i = 0; i < h->section_count; i++) {
+        const struct entry *e = &h->directory[i];
+        switch (e->section) {
+        case FRAM:
+            FRAME(s, SECTION(e, &s->section));
+            break;
+        case WGTS:
+            READ_WEIGHTS(s, SECTION(e, &s->section), e->mode);
+            break;
+        case PLNS:
+            READ_PLANES(s, SECTION(e, &s->section));
+            JOIN_QUADRANTS(s);
+            break;
+        case INDX:
+            READ_INDEX(s, SECTION(e, &s->index), e->mode, data_length);
+            break;
+        case DATA:
+            CHUNKS(s, e);
+            break;
+        default:
+            SKIP_SECTION(e, &s->section);
+        }
     }
-    return fflush(stdout) == 0 && !ferror(stdout);
-}
-
-/* 9.3: writes the reconstruction */
-static int WRITE(const struct part part[PART_COUNT], const char *name)
-{
-    FILE *f = fopen(name, "wb");
-    int right = f != NULL;
-    for (int i = 0; right && i < PART_COUNT; i++)
-        right = !part[i].length || fwrite(part[i].data, 1, (size_t)part[i].length, f) == part[i].length;
-    if (f && fclose(f))
-        right = 0;
-    return right;
-}
-
-/* 2.1, 7.1, 10.1: the order of decoding and of checks */
-static void DECODE_SCENE(struct scene *s)
-{
-    PROLOGUE(&s->h, s->data, s->length);
-    HEADER(&s->h, s->data);
-    SHAPES(&s->h, s->networks);
-    s->value_count = VALUE_COUNT(s->networks);
-    DIRECTORY(s); /* from here on the length of the file bounds C */
-    FRAME(s);
-    WEIGHTS(s);
-    PLANES(s);
-    JOIN_QUADRANTS(s);
-    CHUNK_TABLE(s); /* from here on it bounds N too */
-    s->position_bits = ALLOCATE(s->h.anchor_count, 6);
-    s->positions = ALLOCATE(s->h.anchor_count, 12);
-    POSITIONS(s);
-    s->masks = ALLOCATE(s->h.anchor_count, s->h.offset_count);
-    MASKS(s);
-    s->features = ALLOCATE(s->h.anchor_count, 4 * s->h.features);
-    s->scalings = ALLOCATE(s->h.anchor_count, 24);
-    s->offsets = ALLOCATE(s->h.anchor_count, 12u * s->h.offset_count);
-    ATTRIBUTES(s);
+    if (READ(&s->section, 1).length)
+        REFUSE(FILE_TRAILING, input_at - 1);
+    PARTS_END(s, print);
 }
 
 /* not of the specification */
-static const uint8_t *READ_FILE(const char *name, uint64_t *length)
+static void LOAD_TABLES(const char *program, struct buffer *b)
 {
-    FILE *f = fopen(name, "rb");
-    uint64_t room = 1 << 16, n = 0, got;
-    uint8_t *data;
-    if (!f)
-        FAIL("cannot open the file");
-    data = ALLOCATE(room, 1);
-    while ((got = fread(data + n, 1, (size_t)(room - n), f)) > 0) {
-        n += got;
-        if (n == room) { /* nothing else was allocated meanwhile, so the old block is the head of the list */
-            struct block *old = blocks;
-            uint8_t *larger = ALLOCATE(2 * room, 1);
-            memcpy(larger, data, (size_t)n);
-            blocks->next = old->next;
-            free(old);
-            data = larger;
-            room *= 2;
-        }
+    const char *tables = getenv("C3GS_TABLES"), *slash = strrchr(program, '/');
+    char *path = NULL;
+    struct piece p;
+    if (!tables) {
+        size_t folder = slash ? (size_t)(slash - program) + 1 : 0;
+        path = ALLOCATE(folder + 16, 1);
+        memcpy(path, program, folder);
+        memcpy(path + folder, "tables-0.bin", 13);
     }
-    if (ferror(f)) {
-        fclose(f);
-        FAIL("cannot read the file");
-    }
-    fclose(f);
-    *length = n;
-    return data;
+    input = fopen(tables ? tables : path, "rb");
+    if (!input)
+        FAIL("cannot open the table file");
+    p = READ(b, TABLES_LENGTH + 1);
+    READ_TABLES(p.data, p.length);
+    fclose(input);
+    input = NULL;
+    input_at = 0;
 }
 
 /* not of the specification */
 int main(int argc, char **argv)
 {
     static struct scene s;
-    struct part part[PART_COUNT];
-    const char *tables = getenv("C3GS_TABLES"), *slash;
-    uint64_t length;
-    const uint8_t *data;
     int decode = argc == 4 && !strcmp(argv[1], "decode");
     if (!decode && (argc != 3 || strcmp(argv[1], "digest")))
         FAIL("usage: decoder digest FILE | decoder decode FILE OUTPUT");
     MAKE_CRC_TABLE();
-    if (!tables) {
-        size_t folder = (slash = strrchr(argv[0], '/')) ? (size_t)(slash - argv[0]) + 1 : 0;
-        char *path = ALLOCATE(folder + 16, 1);
-        memcpy(path, argv[0], folder);
-        memcpy(path + folder, "tables-0.bin", 13);
-        tables = path;
+    LOAD_TABLES(argv[0], &s.section);
+    input = fopen(argv[2], "rb");
+    if (!input)
+        FAIL("cannot open the file");
+    DECODE_FILE(&s, !decode);
+    if (decode) { /* the file is right, and is decoded again */
+        RELEASE_BLOCKS();
+        memset(&s, 0, sizeof s);
+        input_at = 0;
+        if (fseek(input, 0, SEEK_SET))
+            FAIL("cannot read the file again");
+        output = fopen(argv[3], "wb");
+        if (!output)
+            FAIL("cannot open the output");
+        DECODE_FILE(&s, 0);
     }
-    data = READ_FILE(tables, &length);
-    READ_TABLES(data, length);
-    s.data = READ_FILE(argv[2], &s.length);
-    DECODE_SCENE(&s);
-    CANONICAL(&s, part);
-    if (!(decode ? WRITE(part, argv[3]) : DIGEST(part)))
+    if (!RELEASE() || fflush(stdout) || ferror(stdout))
         FAIL("cannot write");
-    RELEASE();
     return 0;
 }

@@ -2,10 +2,18 @@
 
 A chapter of SPEC.md has a file here, with its valid files, its refused ones and its faults. The file has the name of
 the module of the same clauses in refcodec/bitstream and conformance/independent. What would be too long in one file is
-in several: weights (weights_raw, weights_packed) and entropy (entropy_values, entropy_escapes, entropy_substreams).
+in several:
+
+    header, dimensions, limits                                 the header
+    directory, ancillary                                       sections, and what a decoder passes over
+    weights_raw, weights_packed, weights_forms                 weights
+    index, chunks, chunk_sizes                                 the index and the chunks
+    entropy_values, entropy_escapes, entropy_substreams        the entropy coder
+
 These are of no group of clauses:
 
     order_header, order_sections   two faults in one file (10.1)
+    order_weights                  the same of weights
     resource                       small files that ask for much (13.1)
     cameras                        what cameras see (14)
     whole                          trained and unusual scenes
@@ -19,6 +27,7 @@ The other modules help:
     target, checksums   a valid file and its elements, and files whose checksums are made right again
     targets             the valid files that faults are put into
     scenes, cells       valid scenes and parts of them, and positions as cells
+    chain               files with two faults
     samplers, numbers   what makes symbols up, and integers that are the same everywhere
     suite               from cases to files and the manifest
     features, flags     what the manifest says of a vector
@@ -39,8 +48,10 @@ def chapters() -> tuple[ModuleType, ...]:
     """The modules with cases."""
     # What makes files needs the encoder; who asks for the package alone does not.
     from . import (  # noqa: PLC0415
+        ancillary,
         attributes,
         cameras,
+        chunk_sizes,
         chunks,
         context,
         dimensions,
@@ -50,15 +61,18 @@ def chapters() -> tuple[ModuleType, ...]:
         entropy_values,
         frame,
         header,
+        index,
         limits,
         masks,
         networks,
         order_header,
         order_sections,
+        order_weights,
         planes,
         positions,
         reconstruction,
         resource,
+        weights_forms,
         weights_packed,
         weights_raw,
         whole,
@@ -69,12 +83,16 @@ def chapters() -> tuple[ModuleType, ...]:
         limits,
         dimensions,
         directory,
+        ancillary,
         frame,
         weights_raw,
         weights_packed,
+        weights_forms,
         networks,
         planes,
+        index,
         chunks,
+        chunk_sizes,
         positions,
         context,
         masks,
@@ -85,6 +103,7 @@ def chapters() -> tuple[ModuleType, ...]:
         reconstruction,
         order_header,
         order_sections,
+        order_weights,
         resource,
         whole,
         cameras,

@@ -1,4 +1,4 @@
-"""Cases of clauses 5.13, 6.13 and 7.7 to 7.10: hyperprior, steps, CARM and the stages of attributes.
+"""Cases of clauses 5.14, 6.13 and 7.7 to 7.10: hyperprior, steps, CARM and the stages of attributes.
 
 Their substreams' faults are in entropy_substreams.py.
 """

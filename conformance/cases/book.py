@@ -82,7 +82,7 @@ class Book:
     ) -> None:
         """Adds a file with two faults, whose order is what it tests. id: without `order-of-` behind its class."""
         klass, _, name = id.partition("-")
-        proved = f"D10.1-1 {requirements}"
+        proved = f"D10.2-3 {requirements}"
         self.add(
             f"{klass}-order-of-{name}", title, make, features=features, requirements=proved, flags="order-of-checks"
         )

@@ -15,7 +15,6 @@ from refcodec.bitstream.positions import (
     CELL_INDEX,
     EMPTY_MODELS,
     HALVES,
-    PACKED,
     POSITION_MODELS,
     PositionModel,
     cell_positions,
@@ -28,7 +27,7 @@ from refcodec.bitstream.tables import TOTAL
 from refcodec.encoder.positions import position_model
 
 from .numbers import Int64, Numbers
-from .scenes import SMALLEST, scene
+from .scenes import SMALLEST, constant, scene, with_symbols
 from .target import Target
 
 # The cell of the position 0 along each axis.
@@ -72,6 +71,29 @@ def placed(
     return scene(name, len(where), SMALLEST, positions=where, **fields)
 
 
+def cuboid(*size: int) -> Int64:
+    """The cells of a cuboid from the middle on."""
+    return np.stack(np.meshgrid(*(np.arange(n) for n in size), indexing="ij"), axis=-1).reshape(-1, 3) + MIDDLE
+
+
+def cheap(name: str, where: Int64, **changes: Any) -> Scene:
+    """A scene of cells whose masks and attributes cost next to nothing. where: the cells, whose cell_shift is 20."""
+    zero, anchors = np.zeros(SMALLEST.attribute_width, np.int64), len(where)
+    networks = constant(SMALLEST, Numbers(name), zero, zero - 40)
+    masks, rare = np.zeros((anchors, 1), bool), np.array([1], np.uint16)
+    fields: dict[str, Any] = {
+        "networks": networks,
+        "masks": masks,
+        "mask_model": rare,
+        "lanes": Lanes(0, 0, 0),
+        **changes,
+    }
+    made = placed(name, of_cells(where, 20), shift=20, **fields)
+    return with_symbols(
+        made, features=np.zeros((anchors, 1)), scalings=np.zeros((anchors, 6)), offsets=np.zeros((anchors, 1, 3))
+    )
+
+
 def codes_of(t: Target) -> Int64:
     """The Morton codes of the cells of a file whose one chunk is packed: int64 [anchors]."""
     made = codec.parse(t.data).scene
@@ -82,14 +104,9 @@ def codes_of(t: Target) -> Int64:
 
 
 def with_cells(t: Target, code: Int64) -> bytes:
-    """The file with other cells in its first chunk, coded rightly with its model and lanes."""
+    """The file with other cells in its first chunk, which is packed, coded rightly with its model and lanes."""
     made = codec.parse(t.data).scene
     assert made.position_model is not None
     encoder = Encoder(1, 1 << made.lanes.mask)
     code_cells(encoder, made.position_model.models(), [0], [len(code)], code)
-    return t.with_positions(0, bytes([PACKED]) + encoder.finish()[0])
-
-
-def with_raw_chunk(t: Target) -> bytes:
-    """The file with its first chunk raw, the only one that it has."""
-    return t.with_positions(0, b"\0" + codec.parse(t.data).scene.positions.astype("<f2").tobytes())
+    return t.with_part("positions", 0, encoder.finish()[0])

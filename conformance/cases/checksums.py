@@ -8,8 +8,10 @@ from enum import IntEnum
 import construct
 
 from refcodec.bitstream import codec, directory, syntax
-from refcodec.bitstream.chunks import CHUNK_ENTRY_BYTES, entries_start
 from refcodec.bitstream.header import PROLOGUE_BYTES
+from refcodec.bitstream.index import ENTRY_BYTES as INDEX_ENTRY_BYTES
+from refcodec.bitstream.index import entries_start
+from refcodec.bitstream.source import pad4
 
 # SPEC 5.6: bytes of an entry of the directory.
 ENTRY_BYTES = syntax.size_of("DirectoryEntry")
@@ -26,7 +28,9 @@ class Depth(IntEnum):
 
 
 def layout(data: bytes) -> tuple[construct.Container, int]:
-    """The fields of a file's header, and where it ends. Checksums are not looked at.
+    """The fields of a file's header, and where these end with its CRC-32. Checksums are not looked at.
+
+    In a file of a later minor version the header can be longer (SPEC 12.3).
 
     Raises construct.ConstructError if the header does not parse.
     """
@@ -52,57 +56,51 @@ def _crc(data: bytearray) -> bytes:
 
 
 def _repair_sections(out: bytearray, end: int, depth: Depth) -> None:
-    """The CRC-32s of the sections, and before them those of the chunks' parts."""
+    """The CRC-32s of the sections, and before them those of the chunks."""
     try:
         fields, found_end = layout(bytes(out[:end]))
     except construct.ConstructError:
         return
-    if found_end != end:
-        return
-    if depth >= Depth.CHUNKS:
-        _repair_chunks(out, fields, end)
-    entry = end - 4 - ENTRY_BYTES * fields.section_count
+    places, at = [], end
     for e in fields.directory:
-        out[entry + 12 : entry + 16] = _crc(out[e.offset : e.offset + e.length])
+        places.append((e.type, e.mode, at, at + e.length))
+        at += pad4(e.length)
+    if depth >= Depth.CHUNKS:
+        _repair_chunks(out, fields, places)
+    entry = found_end - 4 - ENTRY_BYTES * fields.section_count
+    for kind, _, first, last in places:
+        if kind != directory.DATA:
+            out[entry + 16 : entry + 20] = _crc(out[first:last])
         entry += ENTRY_BYTES
 
 
-def _repair_chunks(out: bytearray, fields: construct.Container, end: int) -> None:
-    """The CRC-32s of the chunks' parts, if all sections are there and the chunk table does not lie in the header."""
-    span = {e.type: (e.offset, e.offset + e.length) for e in fields.directory}
-    if not set(directory.SECTIONS) <= span.keys() or span[directory.CHUNK_TABLE][0] < end:
+def _repair_chunks(out: bytearray, fields: construct.Container, places: list[tuple[bytes, int, int, int]]) -> None:
+    """The CRC-32s of the chunks, if the index and the chunks are there."""
+    span = {kind: (mode, first, last) for kind, mode, first, last in places}
+    if not {directory.INDEX, directory.DATA} <= span.keys():
         return
-    mode = next(e.mode for e in fields.directory if e.type == directory.POSITIONS)
-    first, table_end = span[directory.CHUNK_TABLE]
+    mode, first, last = span[directory.INDEX]
+    at = span[directory.DATA][1]
     first += entries_start(fields.dimensions.offset_count, min(mode, 1))
-    at = [span[kind][0] for kind in directory.CHUNKED]
-    for entry in range(first, min(table_end, len(out)), CHUNK_ENTRY_BYTES):
-        for part in range(3):
-            field = entry + 8 * part
-            length = int.from_bytes(out[field : field + 4], "little")
-            out[field + 4 : field + 8] = _crc(out[at[part] : at[part] + length])
-            at[part] += length
+    for entry in range(first, min(last, len(out)) - INDEX_ENTRY_BYTES + 1, INDEX_ENTRY_BYTES):
+        length = int.from_bytes(out[entry : entry + 4], "little")
+        out[entry + 4 : entry + 8] = _crc(out[at : at + length])
+        at += length
 
 
-def resized(data: bytes, kind: int, content: bytes, length_at: int | None = None) -> bytes:
-    """A valid file with other bytes in one section, as many as there are: the directory and all checksums are right.
+def resized(data: bytes, kind: bytes, content: bytes, length_at: int | None = None) -> bytes:
+    """A valid file with other bytes in one critical section, as many as there are: directory and checksums are right.
 
     kind: the section's type. length_at: where a u32 of the old file says a length that grows with the section's.
     """
-    sections = codec.parse_container(data).sections
-    old = sections[kind]
-    change = len(content) - (old.end - old.start)
-    out = bytearray(data[: old.start] + content + data[old.end :])
-    entry = layout(data)[1] - 4 - ENTRY_BYTES * len(sections)
-    # In the order of the directory: an empty section may begin where this one begins, and lie before or behind it.
-    moved = 0
-    for s in sections.values():
-        out[entry + 4 : entry + 8] = (s.start + moved).to_bytes(4, "little")
-        if s.type == kind:
-            out[entry + 8 : entry + 12] = len(content).to_bytes(4, "little")
-            moved = change
-        entry += ENTRY_BYTES
+    header = codec.parse_container(data)
+    old = header.section(kind)
+    assert old is not None
+    padded = content + bytes(pad4(len(content)) - len(content))
+    out = bytearray(data[: old.start] + padded + data[old.end :])
+    entry = layout(data)[1] - 4 - ENTRY_BYTES * (len(header.sections) - old.number)
+    out[entry + 8 : entry + 16] = len(content).to_bytes(8, "little")
     if length_at is not None:
-        grown = int.from_bytes(data[length_at : length_at + 4], "little") + change
+        grown = int.from_bytes(data[length_at : length_at + 4], "little") + len(content) - old.length
         out[length_at : length_at + 4] = grown.to_bytes(4, "little")
     return repair(bytes(out))

@@ -1,8 +1,11 @@
-"""Cases of clauses 5.10, 5.15 and 6.10: the chunk table, its models, and the parts of chunks."""
+"""Cases of clauses 5.14 and 6.11: chunks, their heads, and what their entries say of them.
+
+The positions of a chunk are in positions.py, its masks and attributes in the files of these names, and valid files of
+several chunks in chunk_sizes.py.
+"""
 
 from __future__ import annotations
 
-import copy
 import struct
 from collections.abc import Callable
 from dataclasses import replace
@@ -10,391 +13,453 @@ from functools import cache, partial
 
 import numpy as np
 
-from refcodec.bitstream import codec, syntax
-from refcodec.bitstream.chunks import ANCHORS_OF_A_BYTE
-from refcodec.bitstream.directory import CHUNK_TABLE, CHUNKED, MASKS, POSITIONS, SECTIONS
-from refcodec.bitstream.header import PROLOGUE_BYTES, Lanes
-from refcodec.bitstream.positions import CELL_INDEX, HALVES, POSITION_MODELS, encode_positions
+from refcodec.bitstream import codec
+from refcodec.bitstream.chunks import PARTS, emit_chunk
+from refcodec.bitstream.directory import DATA, INDEX
+from refcodec.bitstream.header import Lanes
+from refcodec.bitstream.positions import PACKED, encode_positions
 from refcodec.bitstream.scene import Scene
-from refcodec.encoder.positions import position_model
 
 from .book import Book
-from .cells import MIDDLE, any_model, of_cells, placed, sharp_model
-from .checksums import Depth, repair
+from .cells import any_model, cuboid, of_cells, placed
+from .checksums import Depth, repair, resized
 from .fault import Draw, Drawn, Edit, Refused, Whole, fault
 from .numbers import Numbers
-from .samplers import drawn
-from .scenes import SMALLEST, constant, lattice, packed_weights, scene, with_symbols
+from .scenes import MAIN_SMALLEST, lattice, packed_weights, scene, settled, silent
 from .target import Target
-from .targets import main_file, packed, plain
+from .targets import far, five_cells, packed, plain
 
-# SPEC 5.10: the parts of a chunk as the fields of its entry name them, and their sections.
-PARTS = {SECTIONS[kind].removesuffix("s"): kind for kind in CHUNKED}
-
-
-# --- faults of the mask model and the entries -------------------------------------------------------------------------
+# SPEC 5.14: what heads call the lengths of the parts.
+LENGTHS = {part: f"{part.removesuffix('s')}_length" for part in PARTS}
 
 
-@fault("chunks.mask_model")
-def mask_model(t: Target, number: int, value: int) -> Edit:
-    """A frequency of the mask model that is outside its limits."""
-    path = f"chunk_table.mask_model[{number}]"
-    return Edit(t.pack({path: value}), t.at(path))
+def _chunk(draw: Draw, t: Target) -> int | None:
+    """One of the chunks, if there is any."""
+    return draw.integer(0, t.header.chunk_count - 1) if t.header.chunk_count else None
 
 
-@mask_model.drawn
+def _padding(t: Target, part: str, chunk: int) -> tuple[int, int]:
+    """Where the padding behind a part begins and ends."""
+    _, end = t.part(part, chunk)
+    return end, end + -end % 4
+
+
+# --- faults of the chunk's bytes --------------------------------------------------------------------------------------
+
+
+@fault("section.truncated")
+def cut_in_chunk(t: Target, chunk: int, more: int) -> Whole:
+    """The file ends within a chunk. more: bytes of the chunk that are there; -1 is all but the last."""
+    start = t.chunk_at(chunk)
+    end = range(start, start + t.value(f"index.entry[{chunk}].length"))[more]
+    return Whole(t.data[:end], end)
+
+
+@cut_in_chunk.drawn
 def _(draw: Draw, t: Target) -> Drawn:
-    k = t.header.dimensions.offset_count
-    return t, draw.integer(0, k * (k + 1) // 2 - 1), draw.choice([0, 1 << 14, 65535])
+    chunk = _chunk(draw, t)
+    return None if chunk is None else (t, chunk, draw.integer(0, t.value(f"index.entry[{chunk}].length") - 1))
 
 
-@fault("chunks.length")
-def lengths(t: Target, changes: dict[tuple[int, str], int]) -> Edit:
-    """Lengths of chunks' parts that do not add up. changes: what is added modulo 2^32, by (chunk, part)."""
-    values, told = {}, []
-    for (chunk, part), more in changes.items():
-        path = f"chunk_table.entry[{chunk}].{part}_length"
-        values[path] = (t.value(path) + more) % (1 << 32)
-        # SPEC [R6.10-2]: the length of raw positions is known; packed ones need a byte for so many anchors.
-        few = ANCHORS_OF_A_BYTE * values[path] < len(t.header.chunks[chunk])
-        alone = part == "position" and (not t.sections[POSITIONS].mode or few)
-        told.append((list(PARTS).index(part), not alone, t.at(path) if alone else t.start(PARTS[part])))
-    return Edit(t.pack(values), min(told)[-1], Depth.SECTIONS)
-
-
-@lengths.drawn
-def _(draw: Draw, t: Target) -> Drawn:
-    if not t.header.chunks:
-        return None
-    chunk, part = draw.integer(0, len(t.header.chunks) - 1), draw.choice(list(PARTS))
-    old = t.value(f"chunk_table.entry[{chunk}].{part}_length")
-    return t, {(chunk, part): draw.choice([1, -1, -old, 0xFFFFFFFF - old])}
-
-
-@fault("chunks.length")
-def more_anchors_than_bytes_hold(t: Target) -> Whole:
-    """A packed chunk of so many anchors in two bytes, which hold 32 at most."""
-    return Whole(t.with_positions(0, b"\1\0"), t.at("chunk_table.entry[0].position_length"))
-
-
-@fault("chunks.length")
-def bytes_without_chunks(t: Target, kind: int) -> Whole:
-    """A byte in a section that has parts of chunks, in a file without anchors."""
-    content = {other: b"\0" if other == kind else t.content(other) for other in SECTIONS}
-    return Whole(joined(t, content, 0), t.start(kind))
-
-
-@bytes_without_chunks.drawn
-def _(draw: Draw, t: Target) -> Drawn:
-    return without_anchors(), draw.choice(CHUNKED)
-
-
-def joined(t: Target, content: dict[int, bytes], anchors: int) -> bytes:
-    """The file with so many anchors, all in one chunk, and with other sections. content: by type, in their order."""
-    fields = copy.deepcopy(t.fields)
-    fields.anchor_count, fields.chunk_size = anchors, max(anchors, fields.chunk_size)
-    at = t.header_end
-    for entry in fields.directory:
-        entry.offset, entry.length = at, len(content[entry.type])
-        at += entry.length
-    return repair(t.data[:PROLOGUE_BYTES] + syntax.build("Header", fields) + b"".join(content.values()))
-
-
-@cache
-def without_anchors() -> Target:
-    """A file without anchors, whose positions are in mode 1."""
-    return Target(codec.emit(scene("outside-empty", 0, SMALLEST, position_model=sharp_model())))
-
-
-# --- faults of the parts' checksums -----------------------------------------------------------------------------------
-
-
-@fault("chunks.crc")
-def crc(t: Target, chunk: int, part: str, bits: int) -> Edit:
-    """Bits of a CRC-32 of a chunk's part are turned."""
-    flipped = t.flip(t.at(f"chunk_table.entry[{chunk}].{part}_crc"), bits)
-    return Edit(flipped, t.part(PARTS[part], chunk)[0], Depth.SECTIONS)
+@fault("chunk.crc")
+def crc(t: Target, chunk: int, bits: int) -> Edit:
+    """Bits of a chunk's CRC-32 are turned."""
+    return Edit(t.flip(t.at(f"index.entry[{chunk}].crc"), bits), t.chunk_at(chunk), Depth.SECTIONS)
 
 
 @crc.drawn
 def _(draw: Draw, t: Target) -> Drawn:
-    if not t.header.chunks:
-        return None
-    return t, draw.integer(0, len(t.header.chunks) - 1), draw.choice(list(PARTS)), draw.integer(1, 255)
+    chunk = _chunk(draw, t)
+    return None if chunk is None else (t, chunk, draw.integer(1, 255))
 
 
-@fault("chunks.crc")
-def part_byte(t: Target, chunk: int, part: str, at: int, bits: int) -> Edit:
-    """Bits of a byte of a chunk's part are turned, and the part's CRC-32 is the old one; its section's is right."""
-    start, _ = t.part(PARTS[part], chunk)
-    return Edit(t.flip(start + at, bits), start, Depth.SECTIONS)
+@fault("chunk.crc")
+def byte(t: Target, chunk: int, at: int, bits: int) -> Edit:
+    """Bits of a byte of a chunk are turned, and its CRC-32 is the old one. at: -1 is the last byte."""
+    start = t.chunk_at(chunk)
+    place = range(start, start + t.value(f"index.entry[{chunk}].length"))[at]
+    return Edit(t.flip(place, bits), start, Depth.SECTIONS)
 
 
-@part_byte.drawn
+@byte.drawn
 def _(draw: Draw, t: Target) -> Drawn:
-    if not t.header.chunks:
+    chunk = _chunk(draw, t)
+    if chunk is None:
         return None
-    chunk, part = draw.integer(0, len(t.header.chunks) - 1), draw.choice(list(PARTS))
-    start, end = t.part(PARTS[part], chunk)
-    return t, chunk, part, draw.integer(0, end - start - 1), draw.integer(1, 255)
+    return t, chunk, draw.integer(0, t.value(f"index.entry[{chunk}].length") - 1), draw.integer(1, 255)
 
 
-@fault("chunks.crc")
-def crc_behind_many_anchors(t: Target) -> Whole:
-    """A packed chunk of 65536 anchors in a file that has none, and behind it a part whose CRC-32 is wrong."""
-    axes = np.meshgrid(np.arange(16), np.arange(64), np.arange(64), indexing="ij")
-    cells = np.stack(axes, axis=-1).reshape(-1, 3) + MIDDLE
-    # Models that know no cuboid, for a byte stands for 16 anchors at most.
-    model = replace(any_model(Numbers("outside-crowd")), cell_shift=22)
-    part = encode_positions(model, of_cells(cells, 22), [range(len(cells))], 1 << t.header.lanes.mask)[0]
-    content = {kind: t.content(kind) for kind in SECTIONS}
-    numbers = struct.pack("<B288H", model.cell_shift, *model.frequency.reshape(-1).tolist())
-    # Of the masks there is a byte, of the attributes none.
-    entry = struct.pack("<6I", len(part), 0, 1, 0, 0, 0)
-    content[CHUNK_TABLE] = content[CHUNK_TABLE][: -len(numbers)] + numbers + entry
-    content[POSITIONS], content[MASKS] = part, b"\0"
-    refused = crc(Target(joined(t, content, len(cells))), 0, "mask", 1)
-    return Whole(refused.data, refused.offset)
+# --- faults of heads --------------------------------------------------------------------------------------------------
 
 
-# --- faults of the model of positions ---------------------------------------------------------------------------------
+@fault("chunk.reserved")
+def reserved(t: Target, chunk: int, item: int, value: int) -> Edit:
+    """A reserved byte of a chunk's head is not zero. The first of these bytes is told."""
+    path = f"chunk[{chunk}].reserved"
+    return Edit(t.pack({f"{path}[{item}]": value}), t.at(f"{path}[0]"))
 
 
-@fault("chunks.position_model")
-def cell_shift(t: Target, value: int) -> Edit:
-    """A cell_shift above the largest."""
-    path = "chunk_table.position_model.cell_shift"
+@reserved.drawn
+def _(draw: Draw, t: Target) -> Drawn:
+    chunk = _chunk(draw, t)
+    return None if chunk is None else (t, chunk, draw.integer(0, 2), draw.integer(1, 255))
+
+
+@fault("chunk.form")
+def form(t: Target, chunk: int, value: int) -> Edit:
+    """A form that is not known, or the packed one without a model of positions."""
+    path = f"chunk[{chunk}].position_form"
     return Edit(t.pack({path: value}), t.at(path))
 
 
-@cell_shift.drawn
+@form.drawn
 def _(draw: Draw, t: Target) -> Drawn:
-    return (t, draw.integer(CELL_INDEX + 1, 255)) if t.sections[POSITIONS].mode else None
+    chunk = _chunk(draw, t)
+    return None if chunk is None else (t, chunk, draw.integer(1 + t.sections[INDEX].mode, 255))
 
 
-def _frequencies(t: Target, model: int) -> tuple[str, list[int]]:
-    """A model's path and its frequencies."""
-    path = "chunk_table.position_model.frequency"
-    return path, [t.value(f"{path}[{HALVES * model + i}]") for i in range(HALVES)]
+@fault("chunk.length")
+def lengths(t: Target, chunk: int, changes: dict[str, int]) -> Edit:
+    """Parts that do not fill the chunk, or raw positions that are not six bytes an anchor.
 
-
-def _with_frequencies(t: Target, model: int, values: list[int]) -> Edit:
-    path, _ = _frequencies(t, model)
-    packed = t.pack({f"{path}[{HALVES * model + i}]": value for i, value in enumerate(values)})
-    return Edit(packed, t.at(f"{path}[{HALVES * model}]"))
-
-
-@fault("chunks.position_model")
-def frequencies(t: Target, model: int, changes: dict[int | None, int]) -> Edit:
-    """Frequencies that do not add up to the total, or stand for what cannot be.
-
-    changes: what is added, by symbol. None is the symbol with the largest frequency.
+    changes: what is added to the lengths of parts, modulo 2^32. With its padding a length counts in steps of four.
     """
-    _, values = _frequencies(t, model)
-    largest = int(np.argmax(values))
-    for symbol, more in changes.items():
-        values[largest if symbol is None else symbol] += more
-    return _with_frequencies(t, model, [value % (1 << 16) for value in values])
+    paths = {f"chunk[{chunk}].{LENGTHS[part]}": more for part, more in changes.items()}
+    values = {path: (t.value(path) + more) % (1 << 32) for path, more in paths.items()}
+    return Edit(t.pack(values), t.chunk_at(chunk))
 
 
-@frequencies.drawn
+@lengths.drawn
 def _(draw: Draw, t: Target) -> Drawn:
-    if not t.sections[POSITIONS].mode:
+    chunk = _chunk(draw, t)
+    if chunk is None:
         return None
-    return t, draw.integer(0, POSITION_MODELS - 1), {draw.integer(0, HALVES - 1): draw.integer(1, 65535)}
+    part = draw.choice(PARTS)
+    old = t.value(f"chunk[{chunk}].{LENGTHS[part]}")
+    return t, chunk, {part: draw.choice([4, -4, 1 << 31, -old, 0xFFFFFFFF - old])}
 
 
-@fault("chunks.position_model")
-def no_frequency(t: Target, model: int, symbol: int) -> Edit:
-    """A frequency of 0 for a symbol that can be; the largest of the others has what it had."""
-    _, values = _frequencies(t, model)
-    other = max((n for n in range(HALVES) if n != symbol), key=lambda n: (values[n], -n))
-    values[symbol], values[other] = 0, values[other] + values[symbol]
-    return _with_frequencies(t, model, values)
+@fault("chunk.length")
+def bytes_behind(t: Target, chunk: int, content: bytes) -> Whole:
+    """More bytes in a chunk than its parts have, behind them. content: a multiple of four bytes of them."""
+    start, old = t.chunk_at(chunk), t.value(f"index.entry[{chunk}].length")
+    own = t.data[start : start + old]
+    return Whole(with_chunk(t, chunk, own + content), start)
 
 
-@no_frequency.drawn
+@bytes_behind.drawn
 def _(draw: Draw, t: Target) -> Drawn:
-    if not t.sections[POSITIONS].mode:
+    chunk = _chunk(draw, t)
+    return None if chunk is None else (t, chunk, draw.content(4, 4))
+
+
+def with_chunk(t: Target, chunk: int, content: bytes) -> bytes:
+    """The file with other bytes as one chunk, a multiple of four. Lengths and checksums are right."""
+    path = f"index.entry[{chunk}].length"
+    start, base, old = t.chunk_at(chunk), t.start(DATA), t.value(path)
+    out = t.with_values({path: len(content)}, Depth.NOTHING)
+    whole = t.content(DATA)
+    return resized(out, DATA, whole[: start - base] + content + whole[start - base + old :])
+
+
+@fault("chunk.padding")
+def padding(t: Target, chunk: int, part: str, at: int, value: int) -> Edit:
+    """A byte of the padding behind a part is not zero."""
+    start, _ = _padding(t, part, chunk)
+    return Edit({start + at: bytes([value])}, start)
+
+
+@padding.drawn
+def _(draw: Draw, t: Target) -> Drawn:
+    places = [(n, part) for n in range(t.header.chunk_count) for part in PARTS]
+    padded = [(n, part) for n, part in places if range(*_padding(t, part, n))]
+    if not padded:
         return None
-    model, symbol = draw.integer(0, POSITION_MODELS - 1), draw.integer(0, HALVES - 1)
-    # Of an empty node symbol 0 cannot be, and has the frequency 0.
-    return (t, model, symbol) if _frequencies(t, model)[1][symbol] else None
+    chunk, part = draw.choice(padded)
+    return t, chunk, part, draw.integer(0, len(range(*_padding(t, part, chunk))) - 1), draw.integer(1, 255)
 
 
-# --- the suite's ------------------------------------------------------------------------------------------------------
+@fault("chunk.padding")
+def last_byte(t: Target, chunk: int, part: str) -> Edit:
+    """A length that leaves the last byte of a part, which is not zero, to the padding."""
+    start, end = t.part(part, chunk)
+    assert (end - start) % 4 != 1
+    assert t.data[end - 1]
+    return Edit(t.pack({f"chunk[{chunk}].{LENGTHS[part]}": end - start - 1}), end - 1)
+
+
+@last_byte.drawn
+def _(draw: Draw, t: Target) -> Drawn:
+    # The length of raw positions is known, and is checked first.
+    substreams = [
+        (n, part) for n in range(t.header.chunk_count) for part in PARTS if f"{part}[chunk {n}]" in t.substreams
+    ]
+    places = [(n, part, *t.part(part, n)) for n, part in substreams]
+    right = [(n, part) for n, part, start, end in places if (end - start) % 4 != 1 and t.data[end - 1]]
+    return (t, *draw.choice(right)) if right else None
+
+
+# --- faults of entries that a chunk tells -----------------------------------------------------------------------------
+
+
+@fault("chunk.bounds")
+def bound(t: Target, chunk: int, field: str, up: bool) -> Edit:
+    """A bound that is the next number up or down of what the positions have. field: such as `low[0]`."""
+    path = f"index.entry[{chunk}].{field}"
+    old = np.array([t.value(path)], np.float16)
+    new = np.nextafter(old, np.float16(np.inf if up else -np.inf))
+    # The number beside a least one is -0 perhaps, which no bound is.
+    return Edit({t.at(path): (new + np.float16(0)).tobytes()}, t.chunk_at(chunk))
+
+
+@bound.drawn
+def _(draw: Draw, t: Target) -> Drawn:
+    chunk = _chunk(draw, t)
+    if chunk is None:
+        return None
+    axis, name = draw.integer(0, 2), draw.choice(["low", "high"])
+    low, high = (t.value(f"index.entry[{chunk}].{side}[{axis}]") for side in ("low", "high"))
+    # A bound that goes inwards needs room, one that goes outwards a number.
+    up = draw.flag() if low < high else name == "high"
+    value, end = (low if name == "low" else high), float(np.finfo(np.float16).max)
+    return None if value == (end if up else -end) else (t, chunk, f"{name}[{axis}]", up)
+
+
+@fault("chunk.kept")
+def kept_count(t: Target, chunk: int, value: int) -> Edit:
+    """Another number of kept offsets than the chunk has."""
+    return Edit(t.pack({f"index.entry[{chunk}].kept_count": value}), t.chunk_at(chunk))
+
+
+@kept_count.drawn
+def _(draw: Draw, t: Target) -> Drawn:
+    chunk = _chunk(draw, t)
+    if chunk is None:
+        return None
+    entry = f"index.entry[{chunk}]"
+    most, old = t.header.dimensions.offset_count * t.value(f"{entry}.anchor_count"), t.value(f"{entry}.kept_count")
+    return (
+        t,
+        chunk,
+        draw.choice([value for value in {0, most, old - 1, old + 1} if value != old and 0 <= value <= most]),
+    )
+
+
+# --- the suite's refused files ----------------------------------------------------------------------------------------
 
 
 def add(book: Book) -> None:
     """Adds the vectors."""
+    _bytes(book)
+    _heads(book)
     _lengths(book)
-    _checksums(book)
-    _models(book)
-    _valid(book)
+    _entries(book)
 
 
-def _lengths(book: Book) -> None:
-    add = partial(book.add, features="chunks", flags="lengths-trusted last-chunk")
-    rows: list[tuple[str, str, Callable[[], Target], int, str, int]] = [
-        ("position-more", "a position_length that is not six times the anchors", plain, 1, "position", 6),
-        ("position-last", "the last chunk has as many positions as the others", plain, 2, "position", 6),
-        ("mask-more", "mask lengths that add up to one more", plain, 0, "mask", 1),
-        ("mask-less", "mask lengths that add up to one less", plain, 2, "mask", -1),
-        ("attribute-more", "attribute lengths that add up to one more", plain, 2, "attribute", 1),
-        ("attribute-huge", "an attribute_length of 2^31 more", plain, 1, "attribute", 1 << 31),
-        ("packed-position-more", "packed position lengths that add up to one more", packed, 0, "position", 1),
-        ("packed-position-less", "packed position lengths that add up to one less", packed, 2, "position", -1),
+def _bytes(book: Book) -> None:
+    add = partial(book.add, features="chunks", flags="truncation")
+    for name, title, chunk, more in (
+        ("before", "the file ends where chunk 1 would begin", 1, 0),
+        ("in-head", "the file ends within the head of chunk 0", 0, 15),
+        ("in-positions", "the file ends within the positions of chunk 1", 1, 20),
+        ("last-byte", "the file ends before the last byte of the last chunk", 2, -1),
+    ):
+        add(f"malformed-chunk-cut-{name}", title, cut_in_chunk.of(plain, chunk, more))
+    add = partial(book.add, features="chunks", flags="checksum-unchecked")
+    for name, title, base, chunk, bits in (
+        ("first", "the CRC-32 of the first chunk does not match", plain, 0, 1),
+        ("last", "the CRC-32 of the last chunk does not match", plain, 2, 0x80),
+        ("packed", "the CRC-32 of a packed chunk does not match", packed, 1, 1),
+    ):
+        add(f"malformed-chunk-crc-{name}", title, crc.of(base, chunk, bits))
+    for name, title, chunk, at in (
+        ("head", "a bit of a chunk's head is turned", 1, 12),
+        ("positions", "a bit of a chunk's positions is turned", 1, 17),
+        ("end", "a bit of a chunk's last byte is turned", 2, -1),
+    ):
+        add(f"malformed-chunk-byte-{name}", title, byte.of(plain, chunk, at, 4))
+
+
+def _heads(book: Book) -> None:
+    add = partial(book.add, features="chunks")
+    places: list[tuple[str, Callable[[], Target], int, int]] = [
+        ("first", plain, 0, 0),
+        ("last", plain, 2, 2),
+        ("packed", packed, 1, 1),
     ]
-    for name, title, base, chunk, part, more in rows:
-        add(f"malformed-chunks-{name}", title, lengths.of(base, {(chunk, part): more}))
-    flags = "lengths-trusted sum-wraps"
-    make = lengths.of(plain, {(0, "mask"): 1 << 31, (1, "mask"): 1 << 31})
-    add("malformed-chunks-mask-wraps", "mask lengths that add up modulo 2^32", make, flags=flags)
-    add = partial(book.add, features="chunks packed-positions")
-    title = "a packed chunk of no bytes"
-    add("malformed-chunks-packed-position-none", title, partial(_position_length, 1, 0), flags="lengths-trusted")
-    title, flags = "a position_length of which sixteen times is 2^32", "sum-wraps lengths-trusted"
-    add("malformed-chunks-position-wraps", title, partial(_position_length, 0, 1 << 28), flags=flags)
-    title, flags = "33 anchors in two bytes", "lengths-trusted limit-off-by-one"
-    add("malformed-chunks-packed-position-crowded", title, more_anchors_than_bytes_hold.of(_crowd), flags=flags)
-    for kind in CHUNKED:
-        book.add(
-            f"malformed-empty-{SECTIONS[kind]}-of-1-byte",
-            f"no anchors, and a byte of {SECTIONS[kind]}",
-            bytes_without_chunks.of(without_anchors, kind),
-            features="empty chunks",
-            requirements="R11.2-2",
-            flags="empty-sections",
-        )
-
-
-def _position_length(chunk: int, value: int) -> Refused:
-    t = packed()
-    old = t.value(f"chunk_table.entry[{chunk}].position_length")
-    return lengths(t, {(chunk, "position"): value - old})
+    for name, base, chunk, item in places:
+        title, make = f"a reserved byte of a chunk is not zero: {name}", reserved.of(base, chunk, item, 1)
+        add(f"unsupported-chunk-reserved-{name}", title, make, flags="reserved-unchecked")
+    for name, title, base, chunk, value in (
+        ("1-without-model", "a packed chunk, and no model of positions", plain, 1, 1),
+        ("2", "a chunk of form 2", five_cells, 0, 2),
+        ("2-of-raw-length", "form 2, with as many bytes as a raw chunk has", packed, 2, 2),
+        ("255", "a chunk of form 255, and no model of positions", plain, 2, 255),
+    ):
+        add(f"malformed-chunk-form-{name}", title, form.of(base, chunk, value), flags="form-unchecked")
+    rows: list[tuple[str, Callable[[], Target], int, str, int]] = [
+        ("positions", plain, 2, "positions", 0),
+        ("positions-last-byte", plain, 2, "positions", 1),
+        ("attributes", plain, 0, "attributes", 1),
+        ("packed-positions", _odd_positions, 0, "positions", 0),
+        ("masks", _odd_masks, 0, "masks", 0),
+    ]
+    for name, base, chunk, part, at in rows:
+        title, make = f"padding behind a chunk's part that is not zero: {name}", padding.of(base, chunk, part, at, 1)
+        add(f"malformed-chunk-padding-{name}", title.replace("-", ", "), make, flags="padding-unchecked")
+    for base, part in ((packed, "positions"), (plain, "attributes")):
+        title, make = f"the last byte of the {part} is where padding should be", last_byte.of(base, 0, part)
+        add(f"malformed-chunk-padding-of-{part}", title, make, flags="padding-unchecked lengths-trusted")
 
 
 @cache
-def _crowd() -> Target:
-    return Target(codec.emit(placed("refused-crowd", lattice(Numbers("refused-crowd"), 33))))
+def _odd_positions() -> Target:
+    """A file of one packed chunk, whose positions have padding behind them."""
+    return _padded("positions", lambda n: placed(f"refused-odd-positions-{n}", lattice(Numbers("odd"), 5 + n)))
 
 
-def _checksums(book: Book) -> None:
-    add = partial(book.add, features="chunks", flags="checksum-unchecked")
-    for base, before, part in (
-        (plain, "", "position"),
-        (plain, "", "mask"),
-        (plain, "", "attribute"),
-        (packed, "packed-", "position"),
-    ):
-        title = f"the CRC-32 of chunk 1 of the {part}s does not match"
-        add(f"malformed-chunk-crc-{before}{part}s", title, crc.of(base, 1, part, 1))
-    title = "the CRC-32 of the last chunk's attributes does not match"
-    add("malformed-chunk-crc-last", title, crc.of(plain, 2, "attribute", 0x80))
-    book.add(
-        "malformed-chunk-of-65536-anchors",
-        "a packed chunk of as many anchors as there can be, and a wrong CRC-32 behind it",
-        crc_behind_many_anchors.of(main_file),
-        features="packed-positions chunks main",
-        requirements="D7.12-1",
-        flags="count-in-16-bits",
-    )
+@cache
+def _odd_masks() -> Target:
+    """A file of one chunk, whose masks have padding behind them."""
+    return _padded("masks", lambda n: scene(f"refused-odd-masks-{n}", 8 + n, lanes=Lanes(0, 0, 0)))
 
 
-def _models(book: Book) -> None:
-    for number, value in ((0, 0), (2, 1 << 14), (1, 65535)):
-        title, make = f"a frequency of {value} in the mask model", mask_model.of(plain, number, value)
-        book.add(f"invalid-mask-model-{value}", title, make, features="masks", flags="limit-off-by-one")
-    add = partial(book.add, features="packed-positions", flags="position-model limit-off-by-one")
-    for name, title, make in (
-        ("sum-more", "frequencies that add up to one more", frequencies.of(packed, 0, {None: 1})),
-        ("sum-less", "frequencies that add up to one less", frequencies.of(packed, 17, {None: -1})),
-        ("zero", "a frequency of 0", no_frequency.of(packed, 6, 9)),
-        ("zero-after-none", "a frequency of 0 after no children, not of symbol 0", no_frequency.of(packed, 7, 9)),
+def _padded(part: str, make: Callable[[int], Scene]) -> Target:
+    """The first file of several whose first chunk has padding behind a part."""
+    found = (Target(codec.emit(make(n))) for n in range(20))
+    return next(t for t in found if range(*_padding(t, part, 0)))
+
+
+def _lengths(book: Book) -> None:
+    add = partial(book.add, features="chunks", flags="lengths-trusted")
+    rows: list[tuple[str, str, Callable[[], Target], int, dict[str, int]]] = [
+        ("positions-more", "parts of four bytes more than the chunk", plain, 1, {"positions": 4}),
+        ("masks-less", "parts of four bytes less than the chunk", plain, 0, {"masks": -4}),
+        ("attributes-huge", "an attribute_length of 2^31 more", plain, 2, {"attributes": 1 << 31}),
+        ("packed", "parts of a packed chunk of four bytes more than it has", packed, 3, {"positions": 4}),
+        ("raw-one-less", "raw positions of one byte less than six an anchor", plain, 2, {"positions": -1}),
+        ("raw-one-more", "raw positions of one byte more than six an anchor", plain, 2, {"positions": 1}),
         (
-            "empty-node",
-            "a frequency above 0 for a node without children",
-            frequencies.of(packed, 13, {None: -1, 0: 1}),
+            "raw-longer",
+            "raw positions of four bytes more than six an anchor, and masks of four less",
+            plain,
+            1,
+            {"positions": 4, "masks": -4},
         ),
-        ("no-first-half", "a frequency of 0 for no children in the first half", no_frequency.of(packed, 12, 0)),
-        # The sum is right modulo 2^16.
-        ("sum-wraps", "frequencies that add up modulo 2^16", frequencies.of(packed, 2, {3: 32768, 4: 32768})),
+        (
+            "raw-shorter",
+            "raw positions of four bytes less than six an anchor, and masks of four more",
+            plain,
+            0,
+            {"positions": -4, "masks": 4},
+        ),
+        (
+            "raw-in-mode-1",
+            "raw positions of two bytes more than six an anchor, in a file with a model",
+            packed,
+            2,
+            {"positions": 2},
+        ),
+    ]
+    for name, title, base, chunk, changes in rows:
+        add(f"malformed-chunk-lengths-{name}", title, lengths.of(base, chunk, changes))
+    add = partial(book.add, features="chunks", flags="lengths-trusted sum-wraps")
+    make = lengths.of(plain, 1, {"masks": 1 << 31, "attributes": 1 << 31})
+    add("malformed-chunk-lengths-wrap", "lengths that fill the chunk modulo 2^32", make)
+    title = "a length that is 0 modulo 2^32 with its padding, and one that makes good for it"
+    add("malformed-chunk-lengths-padding-wraps", title, _padding_wraps)
+    for name, chunk, title in (
+        ("behind", 1, "four bytes behind the attributes of a chunk"),
+        ("behind-last", 2, "four bytes behind the attributes of the last chunk"),
     ):
-        add(f"invalid-position-model-{name}", title, make)
-    title, make = "cell_shift 41", cell_shift.of(packed, 41)
-    flags = "limit-off-by-one shift-overflow"
-    book.add("invalid-cell-shift-41", title, make, features="packed-positions", flags=flags)
-
-
-def _valid(book: Book) -> None:
-    for size, anchors, title in (
-        (1, 4, "chunks of one anchor"),
-        (3, 7, "the last chunk is shorter than the others"),
-        (4, 8, "all chunks are full"),
-        (65536, 5, "a chunk that could hold more than there is"),
-    ):
-        book.valid(
-            f"chunks-of-{size}",
+        make = bytes_behind.of(plain, chunk, bytes(4))
+        book.add(
+            f"malformed-chunk-bytes-{name}",
             title,
-            partial(drawn, f"chunks-{size}", anchors, chunk_size=size),
+            make,
             features="chunks",
-            requirements="D7.6-1 D7.10-1",
-            flags="last-chunk",
+            flags="lengths-trusted canonical-form",
         )
-    book.valid(
-        "chunks-packed",
-        "chunks of seven anchors, packed",
-        _packed,
-        features="chunks packed-positions packed-weights",
-        requirements="D7.12-1 D7.13-1",
-        flags="last-chunk",
+
+
+def _padding_wraps() -> Refused:
+    t = plain()
+    old = t.value("chunk[0].mask_length")
+    return lengths(t, 0, {"masks": -old - 1, "attributes": old})
+
+
+def _entries(book: Book) -> None:
+    add = partial(book.add, features="chunks", flags="entry-unchecked")
+    rows: list[tuple[str, str, Callable[[], Target], int, str, bool]] = [
+        ("low-lower", "low of the first axis is the next number below the positions", plain, 0, "low[0]", False),
+        ("low-higher", "low of the second axis is the next number above the least position", plain, 1, "low[1]", True),
+        ("high-higher", "high of the last axis is the next number above the positions", plain, 2, "high[2]", True),
+        (
+            "high-lower",
+            "high of the first axis is the next number below the largest position",
+            plain,
+            1,
+            "high[0]",
+            False,
+        ),
+        ("packed", "high of a packed chunk is the next number above its positions", packed, 1, "high[1]", True),
+        ("packed-low", "low of a packed chunk is the next number below its positions", packed, 3, "low[2]", False),
+        ("one-anchor", "high is above the position of the one anchor", partial(far, 0), 0, "high[1]", True),
+    ]
+    for name, title, base, chunk, field, up in rows:
+        add(
+            f"invalid-chunk-bounds-{name}", title, bound.of(base, chunk, field, up), flags="entry-unchecked half-limits"
+        )
+    title = "the bounds of a chunk that are those of the whole scene"
+    add("invalid-chunk-bounds-of-scene", title, bounds_of_scene.of(plain, 1))
+    for name, title, base, chunk, value in (
+        ("one-more", "a kept_count that is one more than the masks keep", plain, 1, 6),
+        ("one-less", "a kept_count that is one less than the masks keep", plain, 2, 2),
+        ("none", "a kept_count of 0, and masks that keep offsets", plain, 0, 0),
+        ("all", "a kept_count of all offsets, and masks that drop some", packed, 1, 6),
+    ):
+        add(f"invalid-chunk-kept-{name}", title, kept_count.of(base, chunk, value))
+    book.add(
+        "invalid-chunk-of-16384-anchors",
+        "a packed chunk of as many anchors as there can be, and bounds that are not those of its positions",
+        bounds_of_many,
+        features="packed-positions chunks main",
+        requirements="D7.12-1 R11.1-3",
+        flags="buffer-too-small entry-unchecked",
     )
-    book.valid(
-        "cells-short-chunk",
-        "a last chunk of one anchor, in fewer bytes than a sixteenth of chunk_size",
-        _short,
-        features="packed-positions chunks",
-        requirements="R6.10-2",
-        flags="last-chunk",
-    )
-    book.valid(
-        "empty",
-        "no anchors, and no chunks",
-        partial(scene, "empty", 0),
-        features="empty",
-        requirements="D7.3-1",
-        flags="empty-refused",
-    )
-    book.valid(
-        "empty-packed",
-        "no anchors, in mode 1 of positions and weights",
-        _empty_packed,
-        features="empty packed-positions packed-weights",
-        requirements="D7.13-1",
-        flags="empty-refused",
-    )
 
 
-def _packed() -> Scene:
-    where = lattice(Numbers("packed-chunks"), 50)
-    made = drawn("packed-chunks", 50, positions=where, chunk_size=7, lanes=Lanes(0, 0, 0))
-    return packed_weights(replace(made, position_model=position_model(where, 7)))
+@fault("chunk.bounds")
+def bounds_of_scene(t: Target, chunk: int) -> Edit:
+    """A chunk whose bounds are those of all chunks together."""
+    fields = [f"{name}[{axis}]" for name in ("low", "high") for axis in range(3)]
+    values = {}
+    for field in fields:
+        every = [t.value(f"index.entry[{c}].{field}") for c in range(t.header.chunk_count)]
+        values[f"index.entry[{chunk}].{field}"] = min(every) if field.startswith("low") else max(every)
+    assert any(t.value(path) != value for path, value in values.items())
+    return Edit(t.pack(values), t.chunk_at(chunk))
 
 
-def _short() -> Scene:
-    # The last chunk is one anchor, and has far fewer bytes than a sixteenth of the others' anchors.
-    zero = np.zeros(SMALLEST.attribute_width, np.int64)
-    networks = constant(SMALLEST, Numbers("outside-short"), zero, zero - 40)
-    where, masks = lattice(Numbers("outside-short"), 601), np.zeros((601, 1), bool)
-    made = placed("outside-short", where, chunk_size=600, networks=networks, masks=masks, lanes=Lanes(0, 0, 0))
-    made = with_symbols(made, features=np.zeros((601, 1)), scalings=np.zeros((601, 6)), offsets=np.zeros((601, 1, 3)))
-    t = Target(codec.emit(made))
-    start, end = t.part(POSITIONS, 1)
-    assert [len(chunk) for chunk in t.header.chunks] == [600, 1]
-    assert ANCHORS_OF_A_BYTE * (end - start) < made.chunk_size
-    return made
-
-
-def _empty_packed() -> Scene:
-    made = scene("empty-packed", 0)
-    return packed_weights(replace(made, position_model=position_model(made.positions, 4096)))
+def bounds_of_many() -> Refused:
+    """A file of profile Main whose one chunk has 16384 anchors, packed. Nothing behind its positions is decoded."""
+    made = scene("refused-many", 1, MAIN_SMALLEST, chunk_size=16384)
+    model = replace(any_model(Numbers("outside-crowd")), cell_shift=20)
+    networks = {name: silent(layers) for name, layers in made.networks.items()}
+    networks["sarm"][-1][1][1] = -40
+    made = replace(made, networks=networks, planes=np.zeros_like(made.planes), position_model=model)
+    t = Target(codec.emit(packed_weights(settled(made))))
+    where = of_cells(cuboid(16, 32, 32), 20)
+    ((chosen, part),) = encode_positions(model, where, [len(where)], 1 << t.header.lanes.mask)
+    assert chosen == PACKED
+    nothing = bytes(4)
+    content = emit_chunk(PACKED, (part, nothing, nothing))
+    # Of the entry all is right but the least coordinate.
+    low, high = where.min(axis=0), where.max(axis=0)
+    low[2] = np.nextafter(low[2], np.float16(-1))
+    at = t.at("index.entry[0].length")
+    entry = struct.pack("<4I", len(content), 0, len(where), 0) + low.tobytes() + high.tobytes()
+    data = t.put(at, entry)
+    at = t.at("header.anchor_count")
+    data = data[:at] + struct.pack("<I", len(where)) + data[at + 4 :]
+    return Refused(resized(repair(data), DATA, content), "chunk.bounds", t.start(DATA))

@@ -11,12 +11,13 @@ from numpy.typing import NDArray
 
 from refcodec.bitstream.dimensions import Dimensions
 from refcodec.bitstream.frame import FRAME_RANGE_BOUND, MATRIX_BOUND, TRANSLATION_BOUND, Frame
+from refcodec.bitstream.limits import MAIN
 from refcodec.bitstream.scene import Scene
 
 from .book import Book
 from .numbers import Int64, Numbers
 from .samplers import Sampler, sampled
-from .scenes import f16, frame_of, observing, scene
+from .scenes import f16, frame_of, observing, packed_weights, scene
 
 # Of the scenes that show their context. Two plane channels and three frequencies make ten numbers of it, and sixteen
 # channels of attributes see all of them.
@@ -35,6 +36,7 @@ def add(book: Book) -> None:
     _exact_frames(book)
     _queries(book)
     _encodings(book)
+    _parts_of_context(book)
 
 
 def shown(
@@ -292,3 +294,46 @@ def _encodings(book: Book) -> None:
         requirements="D7.5.3-1 D7.5.5-1",
         flags="rescale-ends",
     )
+    d = replace(SEEN, frequency_count=16, plane_channels=1, hyper_width=(68,), slices=(16, 24))
+    book.valid(
+        "encoding-16",
+        "positional encoding of 16 frequencies, the most there can be",
+        partial(_packed, "encoding-16", where, frame, d, profile=MAIN),
+        features="encoding main packed-weights",
+        requirements="D7.5.5-1 D7.5-1",
+        flags="phase-rounding sine-order",
+    )
+
+
+def _packed(*args: Any, **fields: Any) -> Scene:
+    """What `shown` makes, with its weights in mode 1: nearly all of them are 0."""
+    return packed_weights(shown(*args, **fields))
+
+
+def _parts_of_context(book: Book) -> None:
+    """Contexts that have planes alone, the encoding alone, or as many planes as there can be."""
+    where, frame = _within()
+    rows: list[tuple[str, str, dict[str, Any], dict[str, Any]]] = [
+        (
+            "planeless",
+            "a context of the encoding alone",
+            {"plane_channels": 0, "plane_size": 0, "sarm_width": (), "hyper_width": (12,)},
+            {"plane_shift": 0},
+        ),
+        ("unencoded", "a context of planes alone", {"frequency_count": 0, "hyper_width": (8,)}, {}),
+        (
+            "most-planes",
+            "planes of 16 channels, the most there can be",
+            {"plane_channels": 16, "hyper_width": (76,), "slices": (16, 24)},
+            {"profile": MAIN},
+        ),
+    ]
+    for name, title, changes, fields in rows:
+        book.valid(
+            f"context-{name}",
+            title,
+            partial(_packed, f"context-{name}", where, frame, replace(SEEN, **changes), **fields),
+            features="query encoding dimensions packed-weights",
+            requirements="D7.5-1 D7.5.4-1 D7.7-1",
+            flags="plane-axes sine-order",
+        )

@@ -129,16 +129,17 @@ def _(draw: Draw, t: Target) -> Drawn:
 class Liar:
     """A coder that draws symbols, but codes others in place of the first ones. A decoder takes those for known values.
 
-    beyond: the first symbol is coded far beyond every limit, and is 0 for all that follows.
-    endless: the first symbol that is not beyond is coded as an escape whose prefix is too long, and is one past the
+    beyond: the first feature is coded far beyond every limit, and is 0 for all that follows.
+    endless: the first feature that is not beyond is coded as an escape whose prefix is too long, and is one past the
         radius for all that follows.
+    waiting: groups that come before it, scalings and offsets.
     """
 
     encoder: Encoder
     sampler: Sampler
     beyond: bool
     endless: bool
-    first: bool = True
+    waiting: int = 2
 
     def values(
         self,
@@ -152,8 +153,8 @@ class Liar:
     ) -> Int64:
         """A group of values."""
         found = self.sampler.values(models, mean, scale, counts, limit, name, given)
-        coded = found.copy()
-        if self.first:
+        coded, first = found.copy(), self.waiting == 0
+        if first:
             model, centre, raw = select(mean, scale)
             assert not raw.any()
             if self.beyond:
@@ -162,10 +163,10 @@ class Liar:
                 at = int(self.beyond)
                 found[at] = coded[at] = centre[at] + models.radius[model[at]] + 1
         self.encoder.values(models, mean, scale, counts, 1 << 40, name, coded)
-        if self.first and self.endless:
+        if first and self.endless:
             # The escape's fields: a sign, and zeros where the prefix was.
-            self.encoder.raw[0][-1] = np.array([0, 0]), np.array([1, 26])
-        self.first = False
+            self.encoder.raw[0][-1] = np.array([0, 0]), np.array([1, ESCAPE_PREFIX_MAX + 1])
+        self.waiting -= 1
         return found
 
     def plain(self, models: ModelSet, index: Int64, counts: list[int], name: SymbolName, given: Int64 | None) -> Int64:
@@ -214,7 +215,7 @@ def add(book: Book) -> None:
 def _refused_escapes(book: Book) -> None:
     add = partial(book.add, features="escapes substream", requirements="D8.8-1 D8.8-2 D8.7-1")
     usual = partial(far, 1000)
-    for prefix in (26, 40):
+    for prefix in (ESCAPE_PREFIX_MAX + 1, ESCAPE_PREFIX_MAX + 2, 40):
         title, make = f"{prefix} zero bits in an escape", long_prefix.of(usual, prefix)
         add(f"invalid-escape-prefix-{prefix}", title, make, flags="escape-unbounded")
     title, make = "an escape of zeros to the end of the substream", escape_of_zeros.of(usual, 12)
@@ -223,10 +224,10 @@ def _refused_escapes(book: Book) -> None:
     make = other_sign.of(partial(far, radius() + (1 << 8) + 3))
     add("invalid-raw-sign", title, make, flags="symbol-crc escape-sign")
     for negative, sign in ((False, "plus"), (True, "minus")):
-        for prefix in (24, 25):
-            title = f"an escape of {prefix} zero bits, which leads beyond every symbol"
-            make = far_escape.of(usual, prefix, 5, negative)
-            add(f"invalid-escape-{sign}-2-{prefix}", title, make, flags="symbol-limit escape-prefix")
+        for low, name in ((0, "least"), ((1 << ESCAPE_PREFIX_MAX) - 1, "largest")):
+            title = f"an escape of {ESCAPE_PREFIX_MAX} zero bits, which leads beyond every attribute: the {name} one"
+            make = far_escape.of(usual, ESCAPE_PREFIX_MAX, low, negative)
+            add(f"invalid-escape-{sign}-2-23-{name}", title, make, flags="symbol-limit escape-prefix")
         title, make = "an attribute symbol of magnitude 2^23", far_escape.of(usual, 22, low_beyond(), negative)
         add(f"invalid-symbol-{sign}-2-23", title, make, flags="symbol-limit limit-off-by-one")
     for name, title, beyond, endless, flags in (
@@ -257,7 +258,7 @@ def _refused_escapes(book: Book) -> None:
             title,
             partial(_lied, beyond, endless),
             features="substream escapes carm",
-            requirements="D8.8-1 D8.8-2 D10.1-1",
+            requirements="D8.8-1 D8.8-2 D10.2-3",
             flags=flags,
         )
 

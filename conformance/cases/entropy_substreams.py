@@ -1,4 +1,4 @@
-"""Cases of clauses 5.14, 8.1 to 8.3 and 8.8: states, lanes, words, raw bytes, and how a substream ends."""
+"""Cases of clauses 5.15, 8.1 to 8.3 and 8.8: states, lanes, words, raw bytes, and how a substream ends."""
 
 from __future__ import annotations
 
@@ -114,7 +114,8 @@ def idle_lane(t: Target, path: str, value: int) -> Edit:
 @idle_lane.drawn
 def _(draw: Draw, t: Target) -> Drawn:
     # A lane with symbols can begin at 2^16 as well. The last one has none where masks have more lanes than anchors.
-    anchors = {f"masks[chunk {n}]": len(chunk) for n, chunk in enumerate(t.header.chunks)}
+    counts = [t.value(f"index.entry[{n}].anchor_count") for n in range(t.header.chunk_count)]
+    anchors = {f"masks[chunk {n}]": count for n, count in enumerate(counts)}
     idle = [path for path, count in anchors.items() if t.substreams[path].lanes > count]
     return (t, draw.choice(idle), draw.integer(STATE_MIN + 1, 0xFFFFFFFF)) if idle else None
 
@@ -215,6 +216,8 @@ def idle() -> Target:
 def _refused_ends(book: Book) -> None:
     title, make = "the file ends within the head of its last substream", cut.of(partial(far, 1000), ATTRIBUTES_0, 5)
     book.add("malformed-attributes-of-5-bytes", title, make, features="substream attributes", flags="truncation")
+    title, make = "the file ends within symbol_crc of its last substream", cut.of(partial(far, 1000), ATTRIBUTES_0, 3)
+    book.add("malformed-attributes-of-3-bytes", title, make, features="substream attributes", flags="truncation")
     title = "a word_count whose double is right modulo 2^32"
     book.add("malformed-words-wrap", title, _words_wrap, features="substream", flags="sum-wraps lengths-trusted")
     # 16 bits of an escape fill two bytes; a third has nothing to hold.

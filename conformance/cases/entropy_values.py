@@ -101,8 +101,9 @@ def other_raw_bits(t: Target, bits: int) -> Edit:
 def wrapping_symbol(t: Target, scale: int, value: int) -> Whole:
     """A feature so large that in 32 bits it is a small one, which has the same symbol_crc. scale: that of its model."""
     encoder, gauss, none = Encoder(1, 1), tables().gauss, np.zeros(6, np.int64)
-    encoder.values(gauss, none[:1], none[:1] + scale, [1], 1 << 40, _numbered, np.array([value]))
+    # SPEC 7.10: the scalings come first.
     encoder.values(gauss, none, none + SCALE_MIN, [6], 1 << 40, _numbered, none)
+    encoder.values(gauss, none[:1], none[:1] + scale, [1], 1 << 40, _numbered, np.array([value]))
     return Whole(t.with_substream(ATTRIBUTES_0, encoder.finish()[0]), t.substreams[ATTRIBUTES_0].start)
 
 

@@ -153,7 +153,10 @@ def wrong_value(
 
     @made.drawn
     def _(draw: Draw, t: Target) -> Drawn:
-        path = draw.choice(list(values))
+        paths = [path for path in values if t.has(path)]
+        if not paths:
+            return None
+        path = draw.choice(paths)
         return t, path, draw.choice(values[path])
 
     return made

@@ -13,14 +13,15 @@ from functools import partial
 
 import numpy as np
 
-from refcodec.bitstream.header import PROLOGUE_BYTES, PositionGrid, RenderInfo
+from refcodec.bitstream.header import HEADER_LENGTH_MAX, PROLOGUE_BYTES, PositionGrid, RenderInfo
 
 from .book import Book
-from .checksums import Depth
+from .checksums import Depth, layout
 from .fault import Draw, Drawn, Edit, Whole, fault, wrong_value
+from .samplers import drawn
 from .scenes import SMALLEST, f16, scene
 from .target import Target
-from .targets import plain
+from .targets import grids, main_file, plain
 
 SMALLEST_F32 = 2.0**-149
 LARGEST_F32 = float(np.finfo(np.float32).max)
@@ -66,25 +67,26 @@ def _(draw: Draw, t: Target) -> Drawn:
 
 
 @fault("prologue.version")
-def version(t: Target, value: int) -> Edit:
-    """A version that is not 0."""
-    return Edit(t.pack({"prologue.version": value}), 8, Depth.PROLOGUE)
+def version(t: Target, major: int, minor: int = 0) -> Edit:
+    """A major version that is not 0."""
+    return Edit(t.pack({"prologue.major": major, "prologue.minor": minor}), 8, Depth.PROLOGUE)
 
 
 @version.drawn
 def _(draw: Draw, t: Target) -> Drawn:
-    return t, draw.integer(1, 0xFFFFFFFF)
+    return t, draw.integer(1, 0xFFFF), draw.integer(0, 0xFFFF)
 
 
 @fault("prologue.header_length")
 def header_length(t: Target, value: int) -> Edit:
-    """A header_length that no header can have."""
+    """A header_length that no header can have: too small, too large, or no multiple of 4."""
     return Edit(t.pack({"prologue.header_length": value}), 12, Depth.PROLOGUE)
 
 
 @header_length.drawn
 def _(draw: Draw, t: Target) -> Drawn:
-    return t, draw.integer(0, 3) if draw.flag() else draw.integer(65536, 0xFFFFFFFF)
+    odd = 4 * draw.integer(1, HEADER_LENGTH_MAX // 4 - 1) + draw.integer(1, 3)
+    return t, draw.choice([draw.integer(0, 3), odd, draw.integer(HEADER_LENGTH_MAX + 1, 0xFFFFFFFF)])
 
 
 # --- faults of the header as a whole ----------------------------------------------------------------------------------
@@ -117,14 +119,14 @@ def _(draw: Draw, t: Target) -> Drawn:
 
 
 @fault("header.syntax")
-def fields_cut_or_padded(t: Target, length: int, alone: bool = False) -> Whole:
-    """The header ends before its fields do, or there are zeros behind them.
+def fields_cut_or_padded(t: Target, length: int, alone: bool = False, minor: int = 0) -> Whole:
+    """The header ends before its fields do, or in a file of minor version 0 there are zeros behind them.
 
-    length: the header's bytes before its CRC-32. alone: the file ends with the header.
+    length: the header's bytes before its CRC-32, a multiple of 4. alone: the file ends with the header.
     """
-    fields = t.data[PROLOGUE_BYTES : t.header_end - 4]
+    fields = t.data[PROLOGUE_BYTES:][: fields_length(t)]
     head = fields[:length].ljust(length, b"\0")
-    start = t.data[:12] + (length + 4).to_bytes(4, "little")
+    start = t.data[:10] + minor.to_bytes(2, "little") + (length + 4).to_bytes(4, "little")
     made = start + struct.pack("<I", zlib.crc32(start)) + head + struct.pack("<I", zlib.crc32(head))
     told = PROLOGUE_BYTES + (len(fields) if length > len(fields) else length + 4)
     return Whole(made if alone else made + t.data[t.header_end :], told)
@@ -132,8 +134,9 @@ def fields_cut_or_padded(t: Target, length: int, alone: bool = False) -> Whole:
 
 @fields_cut_or_padded.drawn
 def _(draw: Draw, t: Target) -> Drawn:
-    length = draw.integer(0, fields_length(t) + 40)
-    return None if length == fields_length(t) else (t, length, draw.flag())
+    length = 4 * draw.integer(0, fields_length(t) // 4 + 10)
+    minor = draw.integer(0, 0xFFFF) if length < fields_length(t) else 0
+    return None if length == fields_length(t) else (t, length, draw.flag(), minor)
 
 
 @fault("header.syntax")
@@ -144,12 +147,12 @@ def count_beyond_header(t: Target, path: str, count: int) -> Edit:
 
 @count_beyond_header.drawn
 def _(draw: Draw, t: Target) -> Drawn:
-    return t, "section_count", draw.integer(200, 255)
+    return t, "section_count", draw.integer(200, 0xFFFF)
 
 
 def fields_length(t: Target) -> int:
-    """Bytes of the header's fields but its CRC-32."""
-    return t.header_end - 4 - PROLOGUE_BYTES
+    """Bytes of the header's fields that are known, but its CRC-32."""
+    return layout(t.data)[1] - 4 - PROLOGUE_BYTES
 
 
 # --- faults of single fields ------------------------------------------------------------------------------------------
@@ -157,13 +160,28 @@ def fields_length(t: Target) -> int:
 reserved = wrong_value(
     "header.reserved",
     {
-        "reserved_0": [1, 255],
-        "reserved_1": [1, 128],
+        "reserved": [1, 255],
         "position_grid.reserved": [1, 255],
-        "directory[0].reserved": [1],
-        "directory[6].reserved": [65535, 256],
+        **{f"directory[{entry}].reserved[{i}]": [1, 128] for entry in (0, 4) for i in range(3)},
     },
+    told=lambda path: path[: path.rindex("[")] + "[0]" if path.endswith("]") else path,
 )
+
+
+@fault("header.padding")
+def padding_byte(t: Target, place: int, value: int) -> Edit:
+    """A byte of the padding of the dimensions that is not zero."""
+    first = t.at("dimensions.padding")
+    return Edit({first + place: bytes([value])}, first)
+
+
+@padding_byte.drawn
+def _(draw: Draw, t: Target) -> Drawn:
+    if "header.dimensions.padding" not in t.elements:
+        t = grids()
+    return t, draw.integer(0, len(t.value("dimensions.padding")) - 1), draw.integer(1, 255)
+
+
 lanes = wrong_value("header.lanes", {f"{part}_lanes_log2": [9, 31, 32, 255] for part in ("plane", "mask", "attribute")})
 base_step = wrong_value(
     "header.base_step", {f"base_step[{i}]": [0.0, -1.0, 2.0**-61, 2.0**61, NAN, INFINITY] for i in range(3)}
@@ -184,27 +202,21 @@ render_info = wrong_value(
         "render_info.distance_unit": NOT_POSITIVE,
         "render_info.alpha_max": [*NOT_POSITIVE, 1.0001],
         "render_info.low_pass": NOT_POSITIVE[1:],
-        "render_info.camera_width": [0],
-        "render_info.camera_height": [0],
-        **{f"render_info.camera_focal[{i}]": NOT_POSITIVE for i in range(2)},
-        **{f"render_info.camera_rotation[{i}]": NOT_POSITIVE[2:] for i in range(4)},
-        **{f"render_info.camera_translation[{i}]": NOT_POSITIVE[2:] for i in range(3)},
     },
-    # SPEC 10.2: an item of an array is told by its array.
-    told=lambda path: path.partition("[")[0] + "[0]" if "[" in path else path,
 )
 
 
-@fault("header.render_info")
-def rotation_of_zeros(t: Target, *signs: float) -> Edit:
-    """A quaternion whose components are all 0. signs: four zeros, each of either sign."""
-    path = "render_info.camera_rotation"
-    return Edit(t.pack({f"{path}[{i}]": zero for i, zero in enumerate(signs)}), t.at(f"{path}[0]"))
+@fault("header.chunk_count")
+def chunk_count(t: Target, value: int) -> Edit:
+    """Fewer chunks than the anchors need, or more than there are anchors."""
+    return Edit(t.pack({"chunk_count": value}), t.at("chunk_count"))
 
 
-@rotation_of_zeros.drawn
+@chunk_count.drawn
 def _(draw: Draw, t: Target) -> Drawn:
-    return t, *(draw.choice([0.0, -0.0]) for _ in range(4))
+    count, size = t.header.anchor_count, t.header.chunk_size
+    least = -(-count // size)
+    return t, draw.integer(0, least - 1) if least and draw.flag() else draw.integer(count + 1, 0xFFFFFFFF)
 
 
 # --- the suite's ------------------------------------------------------------------------------------------------------
@@ -220,6 +232,8 @@ def add(book: Book) -> None:
     _prologue(book)
     _header(book)
     _fields(book)
+    _paddings(book)
+    _chunk_counts(book)
     _render_info(book)
     _position_grids(book)
 
@@ -232,15 +246,22 @@ def _prologue(book: Book) -> None:
     for name, at, value in (("seven-bits", 0, 9), ("last-byte", 7, 13)):
         title, make = f"byte {at} of the signature is {value}", signature_byte.of(plain, at, value)
         add(f"malformed-prologue-signature-{name}", title, make, flags="signature-partly")
-    for at, name in ((8, "version"), (15, "header-length"), (19, "itself")):
+    for at, name in ((8, "version"), (10, "minor"), (15, "header-length"), (19, "itself")):
         title = f"the prologue's CRC-32 does not match: byte {at} is changed"
         add(f"malformed-prologue-crc-{name}", title, prologue_byte.of(plain, at, 0x40), flags="checksum-unchecked")
-    for value in (1, 1 << 24):
-        title = f"version {value}"
-        add(f"unsupported-prologue-version-{value}", title, version.of(plain, value), flags="version-unchecked")
-    for value in (3, 65536):
+    for major, minor in ((1, 0), (256, 0), (65535, 1)):
+        title, make = f"version {major}.{minor}", version.of(plain, major, minor)
+        add(f"unsupported-prologue-version-{major}", title, make, flags="version-unchecked")
+    for value in (0, 3, 65533, 65536):
         title, make = f"header_length {value}", header_length.of(plain, value)
         add(f"malformed-prologue-header-length-{value}", title, make, flags="limit-off-by-one")
+    for more in (-2, 1, 2):
+        add(
+            f"malformed-prologue-header-length-{more:+}".replace("+", "plus-").replace("--", "-minus-"),
+            f"header_length is no multiple of 4, {more:+} against what the fields take",
+            lambda more=more: header_length(plain(), plain().header_end - PROLOGUE_BYTES + more),  # type: ignore[misc]
+            flags="limit-off-by-one header-slack",
+        )
 
 
 def _header(book: Book) -> None:
@@ -252,7 +273,7 @@ def _header(book: Book) -> None:
     for name, at in (("first", 0), ("last", -5)):
         title = f"the header's CRC-32 does not match: {name} byte changed"
         add(f"malformed-header-crc-{name}", title, header_byte.of(plain, at, 1), flags="checksum-unchecked")
-    for more in (1, -1, -4):
+    for more in (4, -4, -8):
         name, word = ("longer", "more") if more > 0 else ("shorter", "less")
         add(
             f"malformed-header-{name}-by-{abs(more)}",
@@ -263,23 +284,24 @@ def _header(book: Book) -> None:
     title, make = "a header that is its CRC-32 alone", fields_cut_or_padded.of(plain, 0, alone=True)
     add("malformed-header-of-crc-alone", title, make, flags="truncation")
     title = "the largest header_length, with zeros behind the fields"
-    add("malformed-header-longest", title, fields_cut_or_padded.of(plain, 65531, alone=True), flags="header-slack")
-    for path in ("dimensions.slice_count", "section_count"):
+    longest = HEADER_LENGTH_MAX - 4
+    add("malformed-header-longest", title, fields_cut_or_padded.of(plain, longest, alone=True), flags="header-slack")
+    for path, count in (("dimensions.slice_count", 255), ("section_count", 255), ("section_count", 65535)):
         name = path.rpartition(".")[2]
-        title, make = f"{name} 255, more than the header holds", count_beyond_header.of(plain, path, 255)
-        add(f"malformed-header-{label_of(name)}-255", title, make, flags="truncation buffer-too-small")
+        title, make = f"{name} {count}, more than the header holds", count_beyond_header.of(plain, path, count)
+        add(f"malformed-header-{label_of(name)}-{count}", title, make, flags="truncation buffer-too-small")
 
 
 def _fields(book: Book) -> None:
     for path, value in (
-        ("reserved_0", 1),
-        ("reserved_1", 1),
-        ("position_grid.reserved", 1),
-        ("directory[0].reserved", 256),
-        ("directory[8].reserved", 256),
+        ("reserved", 1),
+        ("position_grid.reserved", 128),
+        ("directory[0].reserved[0]", 1),
+        ("directory[2].reserved[1]", 1),
+        ("directory[6].reserved[2]", 128),
     ):
         name, title, make = f"header-set-{label_of(path)}", f"{path} is {value}", reserved.of(plain, path, value)
-        book.add(f"malformed-{name}", title, make, features="header", flags="reserved-unchecked")
+        book.add(f"unsupported-{name}", title, make, features="header", flags="reserved-unchecked")
     for part, values in (("plane", [9]), ("mask", [9, 32]), ("attribute", [9])):
         for value in values:
             path = f"{part}_lanes_log2"
@@ -310,6 +332,38 @@ def _fields(book: Book) -> None:
         add(f"invalid-{name}", title, position_grid.of(plain, "position_grid.scale_exponent", number), flags=flags)
 
 
+def _paddings(book: Book) -> None:
+    for place, value in enumerate((1, 255, 128)):
+        title, make = f"byte {place} of the padding of the dimensions is {value}", padding_byte.of(grids, place, value)
+        name = f"malformed-header-padding-{place}"
+        book.add(name, title, make, features="header dimensions", flags="padding-unchecked")
+
+
+def _chunk_counts(book: Book) -> None:
+    add = partial(book.add, features="header chunks", flags="limit-off-by-one")
+    for base, before, value, text in (
+        (plain, "", 0, "no chunks, though there are anchors"),
+        (plain, "", 2, "fewer chunks than 11 anchors need, 4 a chunk"),
+        (plain, "", 12, "more chunks than there are anchors"),
+        (plain, "", 0xFFFFFFFF, "as many chunks as a field can say"),
+        (main_file, "empty-", 1, "a chunk, though there are no anchors"),
+    ):
+        add(f"invalid-chunk-count-{before}{value}", text, chunk_count.of(base, value))
+    for name, text, sizes in (
+        ("least", "as few chunks as the anchors need", (4, 4, 1)),
+        ("most", "as many chunks as there are anchors, though one could hold four", (1,) * 9),
+        ("uneven", "chunks that are not full, in no order", (1, 4, 2, 2)),
+    ):
+        book.valid(
+            f"chunk-count-{name}",
+            text,
+            partial(drawn, "chunk-count", 9, chunk_size=4, chunk_anchors=sizes),
+            features="header chunks",
+            requirements="R6.2-8",
+            flags="last-chunk limit-off-by-one",
+        )
+
+
 def _render_info(book: Book) -> None:
     add = partial(book.add, features="render-info")
     for field, value, text in (
@@ -327,48 +381,15 @@ def _render_info(book: Book) -> None:
         ("low_pass", NAN, "not-a-number"),
         ("low_pass", INFINITY, "infinite"),
         ("low_pass", -SMALLEST_F32, "negative"),
-        ("camera_width", 0, "zero"),
-        ("camera_height", 0, "zero"),
-        ("camera_focal[0]", NAN, "not-a-number"),
-        ("camera_focal[1]", INFINITY, "infinite"),
-        ("camera_focal[1]", 0.0, "zero"),
-        ("camera_focal[0]", -1.0, "negative"),
-        ("camera_rotation[0]", -INFINITY, "infinite"),
-        ("camera_rotation[3]", NAN, "not-a-number"),
-        ("camera_translation[0]", NAN, "not-a-number"),
-        ("camera_translation[2]", -INFINITY, "infinite"),
+        ("low_pass", -1.0, "minus-one"),
+        ("distance_unit", -INFINITY, "infinite"),
+        ("alpha_max", INFINITY, "infinite"),
     ):
         title, make = f"{field} is {text.replace('-', ' ')}", render_info.of(plain, f"render_info.{field}", value)
         add(f"invalid-{label_of(field)}-{text}", title, make, flags="float-limits")
-    make = rotation_of_zeros.of(plain, -0.0, 0.0, -0.0, 0.0)
-    add("invalid-camera-rotation-zeros", "camera_rotation of zeros", make, flags="float-limits")
-    least = RenderInfo(
-        background=(0, 0, 0),
-        up_axis=0,
-        near_plane=SMALLEST_F32,
-        distance_unit=SMALLEST_F32,
-        alpha_max=SMALLEST_F32,
-        low_pass=0.0,
-        camera_width=1,
-        camera_height=1,
-        camera_focal=(SMALLEST_F32, SMALLEST_F32),
-        camera_rotation=(0.0, 0.0, 0.0, SMALLEST_F32),
-        camera_translation=(-LARGEST_F32,) * 3,
-    )
-    largest = RenderInfo(
-        background=(255, 255, 255),
-        up_axis=5,
-        near_plane=LARGEST_F32,
-        distance_unit=LARGEST_F32,
-        alpha_max=1.0,
-        low_pass=LARGEST_F32,
-        camera_width=65535,
-        camera_height=65535,
-        camera_focal=(LARGEST_F32, LARGEST_F32),
-        camera_rotation=(LARGEST_F32,) * 4,
-        camera_translation=(LARGEST_F32,) * 3,
-    )
-    zeros = replace(RenderInfo(), low_pass=-0.0, camera_rotation=(-0.0, 1.0, -0.0, 0.0), camera_translation=(-0.0,) * 3)
+    least = RenderInfo((0, 0, 0), 0, SMALLEST_F32, SMALLEST_F32, SMALLEST_F32, 0.0)
+    largest = RenderInfo((255, 255, 255), 5, LARGEST_F32, LARGEST_F32, 1.0, LARGEST_F32)
+    zeros = replace(RenderInfo(), low_pass=-0.0)
     for name, render in (("least", least), ("largest", largest), ("negative-zeros", zeros)):
         book.valid(
             f"render-info-{name}",

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 from functools import cache, partial
 from typing import Any
@@ -9,25 +10,36 @@ from typing import Any
 import numpy as np
 
 from refcodec.bitstream import codec
-from refcodec.bitstream.header import Lanes
-from refcodec.bitstream.limits import MAIN, MAIN_SLICES, PROFILES
+from refcodec.bitstream.dimensions import Dimensions, work
+from refcodec.bitstream.directory import INDEX, WEIGHTS, critical_sections, section_lengths
+from refcodec.bitstream.header import Header, Lanes, PositionGrid, RenderInfo, emit_file
+from refcodec.bitstream.limits import FEATURES_MAX, MAIN, PROFILES
 from refcodec.bitstream.scene import Scene
 from refcodec.encoder.positions import position_model
 
 from .book import Book
+from .checksums import ENTRY_BYTES, Depth, layout, repair
 from .fault import Draw, Drawn, Edit, Whole, fault, wrong_value
 from .header import label_of
 from .numbers import Numbers
 from .samplers import Sampler, drawn, sampled
-from .scenes import MAIN_SMALLEST, TINY_DIMENSIONS, lattice, packed_weights, scene, silent, sparse
+from .scenes import (
+    MAIN_SMALLEST,
+    SMALLEST,
+    TINY_DIMENSIONS,
+    lattice,
+    packed_weights,
+    scene,
+    silent,
+    sparse,
+)
 from .target import Target
-from .targets import main_file, plain
+from .targets import main_file, plain, planeless, unpredicted
 
 # --- faults -----------------------------------------------------------------------------------------------------------
 
 # Of a file of Tiny.
 profile = wrong_value("header.profile", {"profile": [2, 3, 255]})
-level = wrong_value("header.level", {"level": [1, 2, 255]})
 chunk_size = wrong_value("header.chunk_size", {"chunk_size": [0, 65537, 0xFFFFFFFF]})
 # SPEC 5.3: the lists of the dimensions, by the field that counts them.
 LISTS = {
@@ -38,9 +50,21 @@ LISTS = {
 }
 
 
+@fault("header.level")
+def level(t: Target, value: int) -> Edit:
+    """A level that the profile does not have."""
+    return Edit(t.pack({"level": value}), t.at("level"))
+
+
+@level.drawn
+def _(draw: Draw, t: Target) -> Drawn:
+    levels = PROFILES[t.header.profile].levels
+    return t, draw.choice([value for value in range(256) if value not in levels])
+
+
 @fault("header.dimension")
 def dimension(t: Target, name: str, value: int) -> Edit:
-    """A dimension outside the limits of the profile, or plane_size outside those of the level."""
+    """A dimension outside the limits of the profile, of the level, or of what the others allow."""
     path = f"dimensions.{name}"
     return Edit(t.pack({path: value}), t.at(path))
 
@@ -50,9 +74,9 @@ def _(draw: Draw, t: Target) -> Drawn:
     t = draw.choice([t, main_file()])
     before = "header.dimensions."
     names = [path.removeprefix(before) for path in t.elements if path.startswith(before)]
-    name = draw.choice([name for name in names if name not in LISTS])
+    name = draw.choice([name for name in names if name not in (*LISTS, "padding")])
     low, high = getattr(PROFILES[t.header.profile], name.partition("[")[0])
-    return t, name, draw.choice([low - 1, high + 1])
+    return t, name, draw.choice([value for value in (low - 1, high + 1) if value >= 0])
 
 
 @fault("header.dimension")
@@ -69,25 +93,28 @@ def list_length(t: Target, counter: str, widths: list[int]) -> Whole:
 @list_length.drawn
 def _(draw: Draw, t: Target) -> Drawn:
     counter = draw.choice(list(LISTS))
-    low, high = getattr(PROFILES[t.header.profile], counter)
-    counts = [high + 1] if low == 0 else [low - 1, high + 1]
-    if counter == "carm_layers":
-        # SPEC 11.1: a hidden layer exactly if there is a second slice.
-        counts.append(0 if t.fields.dimensions.carm_layers else 1)
+    d, (low, high) = t.header.dimensions, getattr(PROFILES[t.header.profile], counter)
+    counts = [high + 1] + ([low - 1] if low else [])
+    if counter == "carm_layers" and len(d.slices) == 1:
+        counts += [1, 2]
+    if counter == "hyper_layers" and not d.has_frame:
+        counts += [1, 2]
+    if counter == "sarm_layers" and not d.plane_channels:
+        counts += [1, 2]
     return t, counter, [1] * draw.choice(counts)
 
 
 @fault("header.dimension")
-def slices_of_main(t: Target, *widths: int) -> Edit:
-    """Slices that the limits of Main allow, but that are not those of Main."""
+def many_features(t: Target, *widths: int) -> Edit:
+    """Slices that the profile allows, but whose sum is above FEATURES_MAX. widths: as many as the file has."""
     paths = [f"dimensions.slice_width[{i}]" for i in range(len(widths))]
     return Edit(t.pack(dict(zip(paths, widths, strict=True))), t.at(paths[0]))
 
 
-@slices_of_main.drawn
+@many_features.drawn
 def _(draw: Draw, t: Target) -> Drawn:
-    widths = tuple(draw.integer(5, 20) for _ in MAIN_SLICES)
-    return None if widths == MAIN_SLICES else (main_file(), *widths)
+    widths = [draw.integer(30, 64) for _ in main_file().header.dimensions.slices]
+    return None if sum(widths) <= FEATURES_MAX else (main_file(), *widths)
 
 
 @fault("header.anchor_count")
@@ -119,10 +146,80 @@ def _(draw: Draw, t: Target) -> Drawn:
     return main_file(), level, draw.integer(0, lower.anchors), draw.integer(2, lower.plane_size)
 
 
-@fault("directory.file_length")
-def header_alone(t: Target, values: dict[str, int]) -> Whole:
-    """A header with other fields, which are allowed, and nothing behind it."""
-    return Whole(t.with_values(values)[: t.header_end], t.header_end)
+# SPEC 11.2: dimensions of Main whose work is 2^16 an anchor, which is what each level allows of its largest N.
+WORK_AT_BOUND = Dimensions(10, (64, 64), 0, 16, 0, (115, 120), (), (26,), 32)
+WORK_BEYOND = replace(WORK_AT_BOUND, hyper_width=(115, 121))
+# And such whose planes are a fifth of the work of level 1.
+WORK_OF_PLANES = Dimensions(10, (64, 64), 16, 16, 128, (115, 120), (32, 32), (26,), 32)
+
+
+def header_of(d: Dimensions, level: int, anchors: int, size: int = 16384) -> bytes:
+    """The header of a file of Main, with the lengths that it implies, and nothing behind it.
+
+    size: chunk_size. There are as few chunks as it allows.
+    """
+    chunks = -(-anchors // size)
+    lengths = section_lengths(d, chunks, {WEIGHTS: 0, INDEX: 0})
+    sections = [(kind, 0, b"") for kind in critical_sections(d)]
+    grid, render = PositionGrid(), RenderInfo()
+    header = Header(0, MAIN, level, anchors, chunks, size, Lanes(), (1.0, 1.0, 1.0), grid, render, d)
+    out = bytearray(emit_file(header, sections))
+    fields, end = layout(bytes(out))
+    for entry, e in enumerate(fields.directory):
+        at = end - 4 - ENTRY_BYTES * (len(fields.directory) - entry)
+        out[at + 8 : at + 16] = lengths.get(e.type, 0).to_bytes(8, "little")
+    return repair(bytes(out), Depth.HEADER)
+
+
+@fault("section.truncated")
+def header_alone(t: Target, d: Dimensions, level: int, anchors: int, size: int = 16384) -> Whole:
+    """A header of Main that is allowed, and nothing behind it."""
+    data = header_of(d, level, anchors, size)
+    return Whole(data, len(data))
+
+
+@header_alone.drawn
+def _(draw: Draw, t: Target) -> Drawn:
+    level = draw.integer(1, 3)
+    lower, most = PROFILES[MAIN].levels.get(level - 1), PROFILES[MAIN].levels[level]
+    return t, WORK_AT_BOUND, level, draw.integer(lower.anchors + 1 if lower else 0, most.anchors)
+
+
+@fault("header.work")
+def too_much_work(t: Target, d: Dimensions, level: int, anchors: int) -> Whole:
+    """More work than the level allows, of as many anchors and planes as it allows."""
+    return Whole(header_of(d, level, anchors), t.at("anchor_count"))
+
+
+@too_much_work.drawn
+def _(draw: Draw, t: Target) -> Drawn:
+    level = draw.integer(1, 3)
+    return t, WORK_BEYOND, level, PROFILES[MAIN].levels[level].anchors - draw.integer(0, 9)
+
+
+@fault("header.work")
+def work_of_widths(t: Target, level: int = 1) -> Edit:
+    """Widths and anchors that the level allows, and whose work it does not. It is for a file of four slices."""
+    values = {"level": level, "anchor_count": PROFILES[MAIN].levels[level].anchors}
+    widths = {"slice_width[0]": 64, "slice_width[3]": 34, "hyper_width[0]": 128, "carm_width[0]": 128}
+    return Edit(t.pack(values | {f"dimensions.{name}": w for name, w in widths.items()}), t.at("anchor_count"))
+
+
+@work_of_widths.drawn
+def _(draw: Draw, t: Target) -> Drawn:
+    return main_file(), draw.integer(1, 3)
+
+
+@fault("header.level_not_minimal")
+def level_of_less_work(t: Target, d: Dimensions, level: int, anchors: int) -> Whole:
+    """A level whose lower one allows the anchors, the planes and their work."""
+    return Whole(header_of(d, level, anchors), t.at("level"))
+
+
+@level_of_less_work.drawn
+def _(draw: Draw, t: Target) -> Drawn:
+    level = draw.integer(2, 3)
+    return t, WORK_AT_BOUND, level, draw.integer(0, PROFILES[MAIN].levels[level - 1].anchors)
 
 
 # --- the suite's ------------------------------------------------------------------------------------------------------
@@ -132,6 +229,7 @@ def add(book: Book) -> None:
     """Adds the vectors."""
     _refused_dimensions(book)
     _refused_levels(book)
+    _work(book)
     _main(book)
 
 
@@ -140,9 +238,9 @@ OUTSIDE_TINY: list[tuple[str, list[int]]] = [
     ("offset_count", [0, 11]),
     ("slice_width[0]", [0]),
     ("slice_width[1]", [17]),
-    ("plane_channels", [0, 9]),
-    ("frequency_count", [0, 11]),
-    ("plane_size", [1, 33, 258]),
+    ("plane_channels", [9]),
+    ("frequency_count", [11]),
+    ("plane_size", [0, 1, 33, 258]),
     ("hyper_width[0]", [0, 65]),
     ("sarm_width[0]", [0]),
     ("sarm_width[1]", [17]),
@@ -150,29 +248,29 @@ OUTSIDE_TINY: list[tuple[str, list[int]]] = [
     ("render_width", [0, 65]),
 ]
 OUTSIDE_MAIN: list[tuple[str, list[int]]] = [
-    ("offset_count", [9, 11]),
-    ("slice_width[0]", [4]),
-    ("slice_width[1]", [4]),
-    ("slice_width[3]", [21]),
-    ("plane_channels", [7, 9]),
-    ("frequency_count", [9, 11]),
-    ("plane_size", [257]),
-    ("hyper_width[0]", [15, 129]),
-    ("sarm_width[0]", [15, 17]),
-    ("carm_width[0]", [15, 129]),
-    ("render_width", [49, 51]),
+    ("offset_count", [0, 17]),
+    ("slice_width[0]", [0, 65]),
+    ("slice_width[3]", [0, 65]),
+    ("plane_channels", [17]),
+    ("frequency_count", [17]),
+    ("plane_size", [0, 1, 257, 65535]),
+    ("hyper_width[0]", [0, 129]),
+    ("sarm_width[0]", [0, 33]),
+    ("sarm_width[1]", [0, 33]),
+    ("carm_width[0]", [0, 129]),
+    ("render_width", [0, 129]),
 ]
 LISTS_OF_TINY: list[tuple[str, list[list[int]]]] = [
     ("slice_count", [[], [1] * 5]),
-    ("hyper_layers", [[], [4] * 3]),
+    ("hyper_layers", [[4] * 3]),
     ("sarm_layers", [[], [4] * 3]),
-    ("carm_layers", [[], [4] * 3]),
+    ("carm_layers", [[4] * 3]),
 ]
 LISTS_OF_MAIN: list[tuple[str, list[list[int]]]] = [
-    ("slice_count", [[5, 10, 15], [5, 10, 15, 20, 5]]),
-    ("hyper_layers", [[], [16, 16]]),
-    ("sarm_layers", [[16], [16] * 3]),
-    ("carm_layers", [[], [16, 16]]),
+    ("slice_count", [[], [5] * 17]),
+    ("hyper_layers", [[16] * 3]),
+    ("sarm_layers", [[], [16] * 3]),
+    ("carm_layers", [[16] * 3]),
 ]
 
 
@@ -198,14 +296,19 @@ def _refused_dimensions(book: Book) -> None:
                 title, make = f"{counter} {len(widths)} in {name}", list_length.of(base, counter, widths)
                 identifier = f"invalid-dimension-{before}{label_of(counter)}-{len(widths)}"
                 add(identifier, title, make, flags="limit-off-by-one")
-    add(
-        "invalid-dimension-carm-for-nothing",
-        "CARM has a hidden layer, though there is one slice",
-        list_length.of(_one_slice, "carm_layers", [4]),
-        flags="carm-slices",
-    )
-    title, make = "slices of Main in another order", slices_of_main.of(main_file, 5, 10, 20, 15)
-    add("invalid-dimension-main-slices", title, make, flags="main-carm")
+    for_nothing: list[tuple[str, str, Callable[[], Target], str]] = [
+        ("carm-for-nothing", "CARM has a hidden layer, though there is one slice", _one_slice, "carm_layers"),
+        ("hyper-for-nothing", "F_h has a hidden layer, but no inputs", unpredicted, "hyper_layers"),
+        ("sarm-for-nothing", "SARM has a hidden layer, though there are no planes", planeless, "sarm_layers"),
+    ]
+    for name, title, small, counter in for_nothing:
+        add(f"invalid-dimension-{name}", title, list_length.of(small, counter, [4]), flags="optional-parts")
+    title, make = "plane_size 2, though there are no plane channels", dimension.of(planeless, "plane_size", 2)
+    add("invalid-dimension-size-for-nothing", title, make, flags="optional-parts")
+    title, make = "129 features", many_features.of(main_file, 64, 63, 1, 1)
+    add("invalid-dimension-main-129-features", title, make, flags="limit-off-by-one")
+    title, make = "256 features, which are 0 in eight bits", many_features.of(main_file, 64, 64, 64, 64)
+    add("invalid-dimension-main-256-features", title, make, flags="limit-off-by-one sum-wraps")
     title, make = "plane_size 129 at level 1", dimension.of(main_file, "plane_size", 129)
     add("invalid-dimension-main-plane-size-129", title, make, flags="level-limits")
 
@@ -215,7 +318,7 @@ def _refused_levels(book: Book) -> None:
     book.add("unsupported-header-profile-2", title, make, features="header", flags="profile-unchecked")
     for base, name, before, levels in ((plain, "Tiny", "", [1]), (main_file, "Main", "main-", [0, 4])):
         for number in levels:
-            title, make = f"level {number} of {name}", level.of(base, "level", number)
+            title, make = f"level {number} of {name}", level.of(base, number)
             identifier = f"unsupported-header-{before}level-{number}"
             book.add(identifier, title, make, features="header", flags="level-limits")
     for value in (4097, 0xFFFFFFFF):
@@ -236,26 +339,42 @@ def _refused_levels(book: Book) -> None:
         )
     for base, text, before, features, sizes in (
         (plain, "", "", "header", (0, 65537)),
-        (main_file, " in Main", "main-", "main header", (255, 65537)),
+        (main_file, " in Main", "main-", "main header", (255, 16385, 65536)),
     ):
         for size in sizes:
             title, make = f"chunk_size {size}{text}", chunk_size.of(base, "chunk_size", size)
             book.add(f"invalid-chunk-size-{before}{size}", title, make, features=features, flags="limit-off-by-one")
-    values = {
-        "level": 2,
-        "dimensions.plane_size": 256,
-        "dimensions.hyper_width[0]": 128,
-        "dimensions.carm_width[0]": 128,
-        "chunk_size": 65536,
-    }
-    book.add(
-        "malformed-main-largest-cut",
-        "a header of Main with the largest dimensions, of a level that its planes alone need, and nothing behind it",
-        header_alone.of(main_file, values),
-        features="header main dimensions",
-        requirements="R11.1-2 R11.1-3 R11.2-2 R11.2-3",
-        flags="level-limits level-not-minimal truncation",
-    )
+
+
+def _work(book: Book) -> None:
+    """The work of the levels (11.2), in headers with nothing behind them."""
+    add = partial(book.add, features="header main dimensions", requirements="R11.1-2 R11.2-2 R11.2-3 R11.2-4")
+    for number, level in PROFILES[MAIN].levels.items():
+        title = f"as many anchors, and as much work, as level {number} allows, and nothing behind the header"
+        make = header_alone.of(plain, WORK_AT_BOUND, number, level.anchors)
+        add(f"malformed-work-at-bound-{number}", title, make, flags="level-limits level-not-minimal truncation")
+        title = f"as many anchors as level {number} allows, and more work"
+        make = too_much_work.of(plain, WORK_BEYOND, number, level.anchors)
+        add(f"invalid-work-beyond-{number}", title, make, flags="level-limits work-bound")
+        if number == 1:
+            continue
+        lower = PROFILES[MAIN].levels[number - 1].anchors
+        title = f"level {number}, though level {number - 1} allows this work"
+        make = level_of_less_work.of(plain, WORK_AT_BOUND, number, lower)
+        add(f"invalid-level-{number}-of-less-work", title, make, flags="level-not-minimal work-bound")
+        title = f"level {number}, which the work alone needs, and nothing behind the header"
+        make = header_alone.of(plain, WORK_BEYOND, number, lower)
+        add(f"malformed-work-needs-{number}", title, make, flags="level-not-minimal work-bound")
+    d, bound = WORK_OF_PLANES, PROFILES[MAIN].levels[1].work
+    most = (bound - work(d, 0)) // (work(d, 1) - work(d, 0))
+    title = "as many anchors as the work of level 1 allows beside that of the planes, and nothing behind the header"
+    make = header_alone.of(plain, d, 1, most)
+    add("malformed-work-of-planes", title, make, flags="level-not-minimal work-bound")
+    title, make = "one anchor more than that", too_much_work.of(plain, d, 1, most + 1)
+    add("invalid-work-of-planes", title, make, flags="work-bound")
+    title = "the largest planes, and no anchors: a level that the planes alone need"
+    make = header_alone.of(plain, replace(d, plane_size=256), 2, 0)
+    add("malformed-main-largest-planes", title, make, flags="level-limits level-not-minimal truncation")
 
 
 def _main(book: Book) -> None:
@@ -265,7 +384,7 @@ def _main(book: Book) -> None:
         partial(drawn, "main", 258, MAIN_SMALLEST, chunk_size=256),
         features="main chunks",
         requirements="R11.1-2 R11.1-3 D7.9-1 D7.10-1",
-        flags="main-carm",
+        flags="carm-slices",
     )
     book.valid(
         "main-packed",
@@ -273,15 +392,7 @@ def _main(book: Book) -> None:
         _packed,
         features="main packed-positions packed-weights chunks",
         requirements="D7.12-1 D7.13-1 D7.9-1",
-        flags="main-carm",
-    )
-    book.valid(
-        "main-wide",
-        "the widest networks of Main",
-        _wide,
-        features="main dimensions packed-weights",
-        requirements="R11.1-2 D7.2-2",
-        flags="buffer-too-small",
+        flags="carm-slices",
     )
     book.valid(
         "main-empty",
@@ -289,6 +400,23 @@ def _main(book: Book) -> None:
         lambda: sparse(scene("main-empty", 0, replace(MAIN_SMALLEST, plane_size=4))),
         features="main empty packed-weights",
         requirements="R11.2-2",
+    )
+    for size in (256, 16384):
+        book.valid(
+            f"main-chunk-size-{size}",
+            f"chunk_size {size} in Main, and chunks that are smaller",
+            partial(drawn, "main-chunk-size", 6, SMALLEST, profile=MAIN, chunk_size=size, chunk_anchors=(1, 5)),
+            features="main chunks",
+            requirements="R11.1-3 R6.10-5",
+            flags="limit-off-by-one chunk-sizes",
+        )
+    book.valid(
+        "tiny-chunk-size-65536",
+        "the largest chunk_size of Tiny",
+        partial(drawn, "tiny-chunk-size", 6, SMALLEST, chunk_size=65536),
+        features="header chunks",
+        requirements="R11.1-3",
+        flags="limit-off-by-one count-in-16-bits",
     )
     book.valid(
         "main-level-2",
@@ -307,11 +435,6 @@ def _packed() -> Scene:
     made = sparse(scene("main-packed", 300, d, positions=where, chunk_size=256, lanes=Lanes(2, 3, 4)))
     made = sampled(made, Sampler(Numbers("main-packed/symbols")))
     return replace(made, position_model=position_model(where, 256))
-
-
-def _wide() -> Scene:
-    d = replace(MAIN_SMALLEST, plane_size=3, hyper_width=(128,), carm_width=(128,))
-    return sampled(sparse(scene("main-wide", 5, d, lanes=Lanes(3, 1, 6))), Sampler(Numbers("main-wide/symbols")))
 
 
 def _large_planes() -> Scene:

@@ -1,4 +1,7 @@
-"""Cases of clauses 5.12, 6.12 and 7.6: masks. Their substreams' faults are in entropy_substreams.py."""
+"""Cases of clauses 5.11, 6.12 and 7.6: the mask model and masks.
+
+Their substreams' faults are in entropy_substreams.py.
+"""
 
 from __future__ import annotations
 
@@ -10,13 +13,49 @@ import numpy as np
 from refcodec.bitstream.dimensions import mask_contexts
 
 from .book import Book
+from .fault import Draw, Drawn, Edit, fault
 from .numbers import Numbers
 from .samplers import drawn
 from .scenes import TINY_DIMENSIONS
+from .target import Target
+from .targets import five_cells, packed, plain
+
+
+@fault("index.mask_model")
+def mask_model(t: Target, number: int, value: int) -> Edit:
+    """A frequency of the mask model that is outside its limits."""
+    path = f"index.mask_model.frequency[{number}]"
+    return Edit(t.pack({path: value}), t.at(path))
+
+
+@mask_model.drawn
+def _(draw: Draw, t: Target) -> Drawn:
+    contexts = mask_contexts(t.header.dimensions.offset_count)
+    return t, draw.integer(0, contexts - 1), draw.choice([0, 1 << 14, 65535])
+
+
+@fault("index.padding")
+def padding(t: Target, at: int, value: int) -> Edit:
+    """A byte of the padding behind the mask model is not zero."""
+    start = t.at("index.mask_model.padding")
+    return Edit({start + at: bytes([value])}, start)
+
+
+@padding.drawn
+def _(draw: Draw, t: Target) -> Drawn:
+    if "index.mask_model.padding" not in t.elements:
+        return None
+    return t, draw.integer(0, 1), draw.integer(1, 255)
 
 
 def add(book: Book) -> None:
     """Adds the vectors."""
+    for number, value in ((0, 0), (2, 1 << 14), (1, 65535)):
+        title, make = f"a frequency of {value} in the mask model", mask_model.of(plain, number, value)
+        book.add(f"invalid-mask-model-{value}", title, make, features="masks", flags="limit-off-by-one")
+    for name, base, at in (("first", plain, 0), ("last", packed, 1), ("one-model", five_cells, 1)):
+        title, make = f"padding of the mask model that is not zero: {name.replace('-', ' ')}", padding.of(base, at, 1)
+        book.add(f"malformed-mask-model-padding-{name}", title, make, features="masks", flags="padding-unchecked")
     four = replace(TINY_DIMENSIONS, offset_count=4)
     for name, title, kept in (("none", "no offset is kept", False), ("all", "every offset is kept", True)):
         book.valid(

@@ -21,9 +21,9 @@ from .fault import Draw, Drawn, Edit, Whole, fault, several
 from .header import LARGEST_F32
 from .numbers import Numbers
 from .samplers import Sampler, sampled
-from .scenes import SMALLEST, TINY_DIMENSIONS, dyadic, networks, packed_weights, scene
+from .scenes import CONSTANT, SMALLEST, TINY_DIMENSIONS, dyadic, networks, packed_weights, scene
 from .target import Target
-from .targets import SEEDS, grids, plain
+from .targets import SEEDS, grids, plain, unpredicted
 from .weights_packed import with_integers
 
 # F_h reads ten numbers, and has sixteen hidden units: at 1023 each, they and weights of 1023 are next to the bound.
@@ -37,8 +37,11 @@ LARGE_WEIGHTS = [1023.5, -1023.75, 1024.0, -LARGEST_F32]
 
 
 def _told(t: Target, layer: str, row: int) -> int:
-    """SPEC 10.2: the row's first weight, or in mode 1 the layer's model."""
-    return t.layer_at(layer) if t.sections[WEIGHTS].mode else t.weight_at(layer, row, 0)
+    """SPEC [R6.8-4]: the row's first weight, or its bias if it has none, or in mode 1 the layer's model."""
+    if t.sections[WEIGHTS].mode:
+        return t.layer_at(layer)
+    inputs = next(fan_in for name, _, fan_in in layers_of(t.header.dimensions) if name == layer)
+    return t.weight_at(layer, row, 0 if inputs else None)
 
 
 @fault("weights.bound")
@@ -50,12 +53,11 @@ def large_value(t: Target, layer: str, row: int, column: int | None, value: floa
 @large_value.drawn
 def _(draw: Draw, t: Target) -> Drawn:
     if t.sections[WEIGHTS].mode:
-        # What can be packed is refused before the bound: the bias of -0 stays, which keeps the layer raw.
         return grids(), "hyper.0", 0, 0, draw.choice(LARGE_WEIGHTS)
     shapes = [shape for shape in layers_of(t.header.dimensions) if not shape[0].startswith(RENDERING)]
     layer, out, fan_in = draw.choice(shapes)
     row = draw.integer(0, out - 1)
-    if draw.flag():
+    if draw.flag() or not fan_in:
         return t, layer, row, None, draw.choice([2.0**24, -(2.0**24), LARGEST_F32])
     return t, layer, row, draw.integer(0, fan_in - 1), draw.choice(LARGE_WEIGHTS)
 
@@ -92,6 +94,26 @@ def _(draw: Draw, t: Target) -> Drawn:
     return t, draw.choice(layers), draw.choice([-1, 1]) * ((1 << 23) + 1)
 
 
+@fault("weights.bound")
+def large_bias(t: Target, row: int) -> Whole:
+    """A packed first layer of F_h with a bias that is too large: the largest integer, and the exponent -1."""
+
+    def change(g: GridLayer) -> GridLayer:
+        bias, difference, exponent = g.bias.copy(), g.difference.copy(), g.exponent + int(g.difference[: row + 1].sum())
+        bias[row] = (1 << 24) - 1
+        difference[row] -= exponent + 1
+        difference[row + 1 : row + 2] += exponent + 1
+        return replace(g, bias=bias, difference=difference)
+
+    return with_integers(t, "hyper.0", change)
+
+
+@large_bias.drawn
+def _(draw: Draw, t: Target) -> Drawn:
+    # A first row has no difference.
+    return _constant_packed(), draw.integer(1, 36)
+
+
 @cache
 def rows_file() -> Target:
     """A file of ROWS."""
@@ -112,19 +134,28 @@ def _all_packed() -> Target:
     return Target(codec.emit(packed_weights(scene("refused-grids-bound", 1, SMALLEST))))
 
 
+@cache
+def _constant_packed() -> Target:
+    return Target(codec.emit(packed_weights(scene("refused-constant-packed", 3, CONSTANT))))
+
+
 def _refused(book: Book) -> None:
     add = partial(book.add, features="raw-weights")
     values: list[tuple[str, str, tuple[str, int, int | None, float]]] = [
         ("weight-1023-5", "a weight that rounds to 1024 at each exponent", ("hyper.1", 3, 1, 1023.5)),
         ("weight-minus-1024", "a weight of -1024", ("carm.1.0", 1, 0, -1024.0)),
         ("weight-largest", "the largest f32 as a weight", ("sarm.2", 1, 3, -LARGEST_F32)),
-        ("bias-2-24", "a bias of 2^24", ("hyper.0", 2, None, 2.0**24)),
+        ("bias-2-24", "a bias of 2^24", ("hyper.0", 1, None, 2.0**24)),
         ("bias-minus-2-24", "a bias of -2^24", ("sarm.1", 0, None, -(2.0**24))),
         ("bias-largest", "the largest f32 as a bias", ("carm.1.1", 5, None, LARGEST_F32)),
     ]
     for name, title, value in values:
         make = large_value.of(plain, *value)
         add(f"invalid-weights-bound-{name}", title, make, flags="accumulator-bound weight-limit")
+    for name, row, bias in (("first", 0, 2.0**24), ("last", 36, -LARGEST_F32)):
+        title = f"a bias of F_h that is too large, where F_h has no inputs: the {name} row"
+        make = large_value.of(unpredicted, "hyper.0", row, None, bias)
+        add(f"invalid-weights-bound-no-inputs-{name}", title, make, flags="accumulator-bound row-order")
     title = "a row that is at the accumulator bound, and not below it"
     make = large_row.of(rows_file, "hyper.1", 4, [-1023] * 16, SPARE + 1)
     add("invalid-weights-bound-by-one", title, make, flags="accumulator-bound")
@@ -139,6 +170,8 @@ def _refused(book: Book) -> None:
     add("invalid-grids-raw-bound", title, large_value.of(grids, "hyper.0", 0, 0, 4096.0))
     title = "a row of a packed layer that breaks the bound"
     add("invalid-grids-packed-bound", title, large_integer.of(_all_packed, "hyper.1", (1 << 23) + 1))
+    title, make = "a bias that breaks the bound, in a packed layer without inputs", large_bias.of(_constant_packed, 36)
+    add("invalid-grids-packed-bound-no-inputs", title, make)
 
 
 def _with_hyper(name: str, change: Callable[[list[Layer]], None], anchors: int = 24) -> Scene:

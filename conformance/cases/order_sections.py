@@ -1,6 +1,7 @@
 """Cases of clause 10.1 behind the directory: two faults of sections, chunks or substreams.
 
-The first in the order of checks counts, wherever in the file it is.
+The order of checks is the order of the file: the first fault counts, wherever the bytes of either are. Two faults of
+the weights are in order_weights.py.
 """
 
 from __future__ import annotations
@@ -8,10 +9,9 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import replace
 from functools import cache, partial
-from typing import Any
 
 from refcodec.bitstream import codec
-from refcodec.bitstream.directory import ATTRIBUTES
+from refcodec.bitstream.directory import FRAME, INDEX, PLANES_SECTION, WEIGHTS
 from refcodec.bitstream.entropy import STATE_MIN
 from refcodec.bitstream.header import Lanes
 
@@ -21,344 +21,304 @@ from . import (
     entropy_escapes,
     entropy_substreams,
     frame,
-    networks,
+    index,
+    masks,
     planes,
     positions,
-    weights_packed,
     weights_raw,
 )
 from .book import Book
 from .cells import placed
-from .checksums import Depth
-from .fault import Edit, Fault, Part, Refused, fault, several
+from .chain import Link, also, chain, other_symbols
+from .fault import Refused, several
 from .numbers import Numbers
-from .scenes import SMALLEST, lattice, packed_weights, scene, settled
+from .scenes import lattice, scene
 from .target import Target
-from .targets import ATTRIBUTES_0, far, grids, packed, plain
+from .targets import ATTRIBUTES_0, far, five_cells, grids, packed, plain, strewn
 from .weights_raw import NOT_FINITE
 
 Base = Callable[[], Target]
+NONE = NOT_FINITE["not-a-number"]
 
 
 def add(book: Book) -> None:
     """Adds the vectors."""
     _sections(book)
-    _tables(book)
-    _parts(book)
-    _weights(book)
-    _layers(book)
+    _frame(book)
+    _planes(book)
+    _index(book)
+    _entries(book)
+    _chunk(book)
+    _chunks(book)
+    _cut(book)
     _ends(book)
-
-
-def _also(first: Callable[[], Refused], second: Fault[...], *args: Any) -> Callable[[], Refused]:
-    """What makes a file with a fault, and with another one that must not be told."""
-
-    def made() -> Refused:
-        refused = first()
-        return replace(refused, data=second(Target(refused.data), *args).data)
-
-    return made
 
 
 # --- sections ---------------------------------------------------------------------------------------------------------
 
 
-@fault("directory.offset")
-def late_offset(t: Target) -> Edit:
-    """The frame is one byte longer, entries 1 to 5 follow it, and entry 6 does not."""
-    paths = ["directory[0].length", *(f"directory[{entry}].offset" for entry in range(1, 6))]
-    return Edit(t.pack({path: t.value(path) + 1 for path in paths}), t.at("directory[6].offset"), Depth.SECTIONS)
-
-
 def _sections(book: Book) -> None:
-    title = "the offset of a late section, and the length of the frame"
-    book.ordered("malformed-late-offset-and-frame-length", title, late_offset.of(plain), "R6.6-4 R6.6-5")
-    number = frame.number.edit
-    rows: list[tuple[str, str, tuple[Part, ...]]] = [
+    """The CRC-32 of a section comes before its contents, and behind those of the sections before it."""
+    crc = directory.section_byte
+    chain(
+        book,
+        plain,
+        "sections",
+        [
+            Link("frame-crc", "the CRC-32 of the frame", crc, FRAME, 3, 0x55),
+            Link("frame", "the frame's range", frame.number, "frame.matrix[0]", 1 << 20),
+            Link("weights-crc", "the CRC-32 of the weights", crc, WEIGHTS, -1, 0x55),
+            Link("weights", "plane_shift", weights_raw.scale, "plane_shift", 255),
+            Link("planes-crc", "the CRC-32 of the planes", crc, PLANES_SECTION, -1, 0x55),
+            Link("planes", "the lengths of the planes", planes.sub_plane_lengths, {3: 4}),
+            Link("index-crc", "the CRC-32 of the index", crc, INDEX, -30, 0x55),
+            Link("index", "the mask model", masks.mask_model, 0, 0),
+            Link("chunk-crc", "the CRC-32 of chunk 0", chunks.crc, 0, 0x55),
+        ],
+        "R6.6-7",
+    )
+    note = strewn().sections[WEIGHTS].number - 1
+    chain(
+        book,
+        strewn,
+        "ancillary",
+        [
+            Link("frame", "the frame's shift", frame.number, "frame.shift[2]", 61),
+            Link("crc", "the CRC-32 of an ancillary section behind the frame", directory.section_crc, note, 5),
+            Link("weights", "carm_shift", weights_raw.scale, "carm_shift[0]", 17),
+        ],
+        "R6.6-7 D12.1-1",
+    )
+    weights = grids().sections[WEIGHTS].number
+    chain(
+        book,
+        grids,
+        "padding",
+        [
+            Link("crc", "the CRC-32 of the weights", directory.section_byte, WEIGHTS, 0, 0x55),
+            Link("padding", "padding behind the weights", directory.padding_byte, weights, 0, 1),
+            Link("weights", "carm_input_count", weights_raw.scale, "carm_input_count", 9),
+        ],
+        "R6.6-8",
+    )
+
+
+def _frame(book: Book) -> None:
+    number = frame.number
+    chain(
+        book,
+        plain,
+        "frame",
+        [
+            Link("reserved", "the reserved byte", frame.reserved, "frame.reserved", 1),
+            Link("matrix", "the last item of the matrix", number, "frame.matrix[8]", 1 << 20),
+            Link("translation", "a translation", number, "frame.translation[2]", 1 << 61),
+            Link("shift", "a shift", number, "frame.shift[0]", 61),
+            Link("low-0", "low of the first axis", number, "frame.low[0]", 1 << 18),
+            Link("high-0", "high of the first axis", number, "frame.high[0]", 1 << 30),
+            Link("low-1", "low of the second axis", number, "frame.low[1]", 1 << 30),
+            Link("high-2", "high of the last axis", number, "frame.high[2]", -(1 << 31)),
+        ],
+        "R6.7-1 R6.7-2",
+    )
+
+
+# --- planes and the index ---------------------------------------------------------------------------------------------
+
+
+def _planes(book: Book) -> None:
+    words = entropy_substreams.word_count
+    chain(
+        book,
+        plain,
+        "planes",
+        [
+            Link("length", "the lengths of the planes", planes.sub_plane_lengths, {1: 4}),
+            Link("padding", "padding behind the second sub-plane", planes.padding, 1, 0, 1),
+            Link("last-padding", "padding behind the last sub-plane", planes.padding, 4, 1, 1),
+            other_symbols("planes.r1", "first-symbols", "symbol_crc of the first sub-plane"),
+            Link("words", "word_count of the second one", words, "planes.r2.top_left", (1 << 32) - 1),
+            Link("state", "a state of the second one", entropy_substreams.state, "planes.r2.top_left", 1, 0),
+            other_symbols("planes.r2.bottom_right", "last-symbols", "symbol_crc of the last sub-plane"),
+            Link("mask-model", "the mask model", masks.mask_model, 0, 0),
+        ],
+        "R6.9-1 R6.9-2",
+    )
+
+
+def _index(book: Book) -> None:
+    chain(
+        book,
+        packed,
+        "index",
+        [
+            Link("mask-model", "the mask model", masks.mask_model, 2, 0),
+            Link("padding", "padding of the mask model", masks.padding, 0, 1),
+            Link("reserved", "a reserved byte of the model of positions", index.reserved, 1, 1),
+            Link("cell-shift", "cell_shift", index.cell_shift, 41),
+            Link("frequency", "a frequency of 0 in the first model", index.no_frequency, 0, 9),
+            Link("sum", "a wrong sum of the second model", index.frequencies, 1, {None: 1}),
+            Link("entry", "the kept_count of an entry", index.kept_count, 1, 1),
+            Link("anchors", "anchors that do not add up", index.anchors_amiss, 0, 1),
+            Link("lengths", "lengths that do not add up", index.lengths_amiss, {3: 4}),
+            Link("chunk", "a reserved byte of chunk 0", chunks.reserved, 0, 0, 1),
+        ],
+        "R6.10-1 R6.10-2 R6.10-3 R6.10-4 R6.10-5 R6.10-6",
+    )
+
+
+def _entries(book: Book) -> None:
+    chain(
+        book,
+        plain,
+        "entry",
+        [
+            Link("anchors", "anchor_count of entry 0", index.anchor_count, 0, 0),
+            Link("length", "length of entry 0", index.length, 0, 2),
+            Link("kept", "kept_count of entry 0", index.kept_count, 0, 1),
+            Link("low", "low of entry 0", index.bound, 0, "low[2]", 0x7C00),
+            Link("high", "high of entry 0", index.bound, 0, "high[0]", 0x8000),
+            Link("low-above-high", "low above high in entry 0", index.low_above_high, 0, 2),
+            Link("next-anchors", "anchor_count of entry 1", index.anchor_count, 1, 0),
+            Link("last-length", "length of entry 2", index.length, 2, 0),
+        ],
+        "R6.10-5",
+    )
+    title = "a bound of the last axis that is -0, and low above high on the first"
+    make = several(plain, index.bound.edit(1, "high[2]", 0x8000), index.low_above_high.edit(1, 0))
+    book.ordered("invalid-entry-bound-and-low-above-high", title, make, "R6.10-5")
+
+
+# --- chunks -----------------------------------------------------------------------------------------------------------
+
+
+def _chunk(book: Book) -> None:
+    """The checks of one chunk, in their order: those of its entry's kept_count and bounds are among them."""
+    reserved, form = chunks.reserved, chunks.form
+    chain(
+        book,
+        packed,
+        "chunk",
+        [
+            Link("crc", "the CRC-32 of a chunk", chunks.crc, 2, 1),
+            Link("reserved", "a reserved byte of its head", reserved, 2, 1, 1),
+            Link("form", "its form", form, 2, 7),
+            Link("length", "the lengths of its parts", chunks.lengths, 2, {"masks": 4}),
+            Link("padding", "padding behind its positions", chunks.padding, 2, "positions", 0, 1),
+            Link("last-padding", "padding behind its attributes", chunks.padding, 2, "attributes", 0, 1),
+            Link("zero", "a position of -0", positions.negative_zero, 2, 1),
+            Link("infinity", "an infinite position behind it", positions.not_finite, 2, 8, 0xFC00),
+            Link("bounds", "its bounds", chunks.bound, 2, "high[1]", True),
+            Link("mask-state", "a state of its masks", entropy_substreams.state, "masks[chunk 2]", 0, 0),
+            other_symbols("masks[chunk 2]", "masks", "symbol_crc of its masks"),
+            Link("kept", "its kept_count", chunks.kept_count, 2, 0),
+            Link("words", "words of its attributes", entropy_substreams.word_count, "attributes[chunk 2]", 1 << 31),
+            other_symbols("attributes[chunk 2]", "attributes", "symbol_crc of its attributes"),
+            Link("next-crc", "the CRC-32 of the next chunk", chunks.crc, 3, 1),
+        ],
+        "R6.11-1 R6.11-2 R6.11-3 R6.11-4 R6.11-5 R6.11-10 R6.11-11",
+    )
+    chain(
+        book,
+        packed,
+        "packed-chunk",
+        [
+            Link("padding", "padding behind the attributes of a packed chunk", chunks.padding, 1, "attributes", 0, 1),
+            Link("state", "a state of its positions", entropy_substreams.state, "positions[chunk 1]", 1, 0),
+            other_symbols("positions[chunk 1]", "positions", "symbol_crc of its positions"),
+            Link("bounds", "its bounds", chunks.bound, 1, "low[0]", False),
+            other_symbols("masks[chunk 1]", "masks", "symbol_crc of its masks"),
+        ],
+        "R6.11-10",
+    )
+    title = "a tree with a cell less than there are anchors, and bounds"
+    make = also(positions.cell_less.of(five_cells), chunks.bound, 0, "high[2]", True)
+    book.ordered("invalid-cells-and-bounds", title, make, "R6.11-8 R6.11-10")
+
+
+def _chunks(book: Book) -> None:
+    """All checks of a chunk come before those of the next one, and these before what is behind the chunks."""
+    data = plain().sections[b"DATA"].number
+    chain(
+        book,
+        plain,
+        "chunks",
+        [
+            other_symbols(ATTRIBUTES_0, "first-attributes", "the attributes of chunk 0"),
+            Link("second-positions", "a position of chunk 1", positions.not_finite, 1, 10, 0x7C00),
+            Link("last-head", "the reserved byte of chunk 2", chunks.reserved, 2, 0, 1),
+        ],
+        "R6.11-1",
+    )
+    chain(
+        book,
+        plain,
+        "last-chunk",
+        [
+            Link("second-kept", "kept_count of chunk 1", chunks.kept_count, 1, 0),
+            Link("last-crc", "the CRC-32 of chunk 2", chunks.crc, 2, 0x55),
+            Link("data-crc", "the CRC-32 of the data, which is not 0", directory.section_crc, data, 1),
+            Link("behind-crc", "the CRC-32 of a section behind it", directory.section_crc, data + 1, 5),
+        ],
+        "R6.6-7",
+    )
+    rows: list[tuple[str, str, tuple[Link, Link]]] = [
         (
-            "malformed-section-crc-and-frame",
-            "the CRC-32 of the attributes, and the frame's range",
+            "attributes-and-first-mask",
+            "the first attributes, and the last masks",
             (
-                directory.section_byte.edit(ATTRIBUTES, -3, 0x55),
-                number("frame.matrix[0]", 1 << 20),
+                Link("", "", entropy_substreams.state, ATTRIBUTES_0, 0, 0),
+                other_symbols("masks[chunk 2]"),
             ),
         ),
         (
-            "invalid-frame-items",
-            "a translation, and the bounds",
-            (number("frame.translation[2]", 1 << 61), number("frame.low[0]", 1 << 18)),
+            "last-attributes-and-data-crc",
+            "the last attributes, and the CRC-32 of the data, which is not 0",
+            (other_symbols("attributes[chunk 2]"), Link("", "", directory.section_crc, data, 1)),
         ),
         (
-            "invalid-frame-axes",
-            "high of the first axis, and low of the second",
-            (number("frame.high[0]", 1 << 30), number("frame.low[1]", 1 << 30)),
+            "masks-and-position",
+            "the masks of chunk 0, and a position of chunk 1",
+            (other_symbols("masks[chunk 0]"), Link("", "", positions.negative_zero, 1, 0)),
         ),
         (
-            "invalid-frame-low-and-high",
-            "low and high of one axis",
-            (number("frame.low[2]", -(1 << 30)), number("frame.high[2]", -(1 << 31))),
-        ),
-        (
-            "invalid-frame-and-weights",
-            "the frame, and the weights' scale",
-            (number("frame.reserved", 1), weights_raw.scale.edit("plane_shift", 255)),
-        ),
-        (
-            "invalid-scale-and-not-finite",
-            "carm_shift, and a weight that is no number",
-            (
-                weights_raw.scale.edit("carm_shift[1]", 17),
-                weights_raw.not_finite.edit("hyper.0", 0, 0, NOT_FINITE["not-a-number"]),
-            ),
-        ),
-        (
-            "invalid-not-finite-and-bound",
-            "a rendering network's weight that is no number, and a row of F_h at no exponent",
-            (
-                weights_raw.not_finite.edit("colour.1", 0, 0, NOT_FINITE["infinite"]),
-                networks.large_value.edit("hyper.0", 0, 0, 1e9),
-            ),
-        ),
-        (
-            "invalid-bound-and-planes",
-            "a row of CARM at no exponent, and the lengths of the planes",
-            (networks.large_value.edit("carm.1.1", 0, 0, 1e9), _first_sub_plane(lambda n: n | 0xFF)),
-        ),
-        (
-            "malformed-planes-and-mask-model",
-            "the lengths of the planes, and the mask model",
-            (_first_sub_plane(lambda n: n ^ 0x55), chunks.mask_model.edit(0, 0)),
-        ),
-        (
-            "invalid-plane-stream-and-mask-model",
-            "the last symbol_crc of the planes, and the mask model",
-            (_symbols("planes.r2.bottom_right"), chunks.mask_model.edit(0, 0)),
+            "bounds-and-next-crc",
+            "the bounds of chunk 0, and the CRC-32 of chunk 1",
+            (Link("", "", chunks.bound, 0, "high[2]", True), Link("", "", chunks.crc, 1, 1)),
         ),
     ]
-    for identifier, title, pair in rows:
-        book.ordered(identifier, title, several(plain, *pair))
+    for name, title, (first, second) in rows:
+        book.ordered(f"{first.klass}-{name}", title, several(plain, first.part, second.part))
 
 
-def _first_sub_plane(change: Callable[[int], int]) -> Part:
-    """Another length of the first sub-plane."""
-
-    def made(t: Target) -> Edit:
-        old = t.value("planes.length[0]")
-        return planes.sub_plane_lengths.edit({0: change(old) - old})(t)
-
-    return made
-
-
-def _symbols(path: str, bits: int = 0x55) -> Part:
-    """Another symbol_crc."""
-    return entropy_substreams.symbol_crc.edit(path, 0, bits)
-
-
-def _length(chunk: int, part: str, value: int) -> Part:
-    """Another length of a chunk's part."""
-
-    def made(t: Target) -> Edit:
-        old = t.value(f"chunk_table.entry[{chunk}].{part}_length")
-        return chunks.lengths.edit({(chunk, part): value - old})(t)
-
-    return made
-
-
-def _tables(book: Book) -> None:
-    rows: list[tuple[str, str, Base, tuple[Part, ...], str]] = [
-        (
-            "invalid-mask-model-and-chunk-length",
-            "the mask model, and a position_length",
-            plain,
-            (chunks.mask_model.edit(1, 0), _length(0, "position", 1)),
-            "",
-        ),
-        (
-            "invalid-position-model-and-chunk-length",
-            "the model of positions, and a position_length",
-            packed,
-            (chunks.cell_shift.edit(41), _length(0, "position", 0)),
-            "",
-        ),
-        (
-            "malformed-chunk-lengths",
-            "position_length of chunk 2, and the sum of the mask lengths",
-            plain,
-            (_length(2, "position", 1), _length(0, "mask", 0xFFFF)),
-            "",
-        ),
-        (
-            "invalid-frequency-and-later-sum",
-            "a frequency of 0 in the first model, and a wrong sum of the second",
-            packed,
-            (chunks.no_frequency.edit(0, 9), chunks.frequencies.edit(1, {None: 1})),
-            "R6.10-4",
-        ),
+def _cut(book: Book) -> None:
+    """A file that ends within a chunk, and a fault before that. The file is not measured first."""
+    rows: list[tuple[str, Link, int]] = [
+        ("index-and-cut", Link("", "the model of masks", masks.mask_model, 0, 0), 0),
+        ("lengths-and-cut", Link("", "lengths that do not add up", index.lengths_amiss, {0: 4}), 1),
+        ("crc-and-cut", Link("", "the CRC-32 of chunk 0", chunks.crc, 0, 1), 1),
+        ("attributes-and-cut", other_symbols(ATTRIBUTES_0, text="the attributes of chunk 0"), 1),
+        ("kept-and-cut", Link("", "kept_count of chunk 1", chunks.kept_count, 1, 0), 2),
     ]
-    for identifier, title, base, pair, requirements in rows:
-        book.ordered(identifier, title, several(base, *pair), requirements)
-    for base, part, other in ((packed, "position", "mask"), (plain, "mask", "attribute")):
-        make = chunks.lengths.of(base, {(0, part): 1, (0, other): 1})
-        title = f"the lengths of the {part}s, and those of the {other}s"
-        book.ordered(f"malformed-sum-of-{part}s-and-{other}s", title, make, "R6.10-2")
+    for name, link, chunk in rows:
+        title = f"{link.text}, and a file that ends within chunk {chunk}"
+        make = partial(_ended, link.broken.of(plain, *link.args), chunk)
+        book.ordered(f"{link.klass}-{name}", title, make, "R6.6-6")
+    make = partial(_ended, chunks.crc.of(plain, 1, 1), 1)
+    told = chunks.cut_in_chunk
+    title = "a file that ends within chunk 1, whose CRC-32 is wrong"
+    book.ordered("malformed-cut-and-crc", title, lambda: replace(make(), name=told.error, offset=_end(1)), "R6.6-6")
 
 
-def _parts(book: Book) -> None:
-    rows: list[tuple[str, str, tuple[Part, ...]]] = [
-        (
-            "position-and-chunk-crc",
-            "a position of chunk 0, and the CRC-32 of chunk 1",
-            (positions.not_finite.edit(0, 10, 0x7C00), chunks.crc.edit(1, "position", 1)),
-        ),
-        (
-            "masks-and-chunk-crc",
-            "the symbols of chunk 0 of the masks, and the CRC-32 of chunk 1",
-            (_symbols("masks[chunk 0]", 1), chunks.crc.edit(1, "mask", 1)),
-        ),
-        (
-            "attributes-and-chunk-crc",
-            "the symbols of chunk 0, and the CRC-32 of chunk 1",
-            (_symbols(ATTRIBUTES_0, 1), chunks.crc.edit(1, "attribute", 1)),
-        ),
-        (
-            "zero-and-infinity",
-            "a position of -0, and an infinite one behind it",
-            (positions.negative_zero.edit(0, 3), positions.not_finite.edit(0, 4, 0xFC00)),
-        ),
-        (
-            "last-position-and-first-mask",
-            "a position of the last chunk, and the masks of the first",
-            (positions.negative_zero.edit(2, 8), _symbols("masks[chunk 0]")),
-        ),
-        (
-            "last-mask-and-first-attribute",
-            "the masks of the last chunk, and the attributes of the first",
-            (_symbols("masks[chunk 2]"), entropy_substreams.state.edit(ATTRIBUTES_0, 0, 0)),
-        ),
-        (
-            "chunks",
-            "symbol_crc of chunk 1, and the length of chunk 2",
-            (_symbols("attributes[chunk 1]"), _words("attributes[chunk 2]", (1 << 32) - 1)),
-        ),
-        (
-            "sub-planes",
-            "symbol_crc of sub-plane 0, and the length of sub-plane 1",
-            (_symbols("planes.r1"), _words("planes.r2.top_left", (1 << 32) - 1)),
-        ),
-    ]
-    for name, title, pair in rows:
-        book.ordered(f"invalid-{name}", title, several(plain, *pair))
-    make = several(plain, _words(ATTRIBUTES_0, (1 << 31) - 1), entropy_substreams.state.edit(ATTRIBUTES_0, 0, 0))
-    book.ordered("malformed-length-and-state", "the length of a substream, and its first state", make)
-    title = "symbol_crc of a packed chunk, and the form of a raw one behind it"
-    make = several(packed, _symbols("positions[chunk 0]"), positions.form.edit(2, 7))
-    book.ordered("invalid-packed-and-raw-chunk", title, make)
-    # The form of the raw chunk becomes 2.
-    title, make = "the CRC-32 of a chunk of positions, and its form", chunks.part_byte.of(packed, 2, "position", 0, 2)
-    book.ordered("malformed-chunk-crc-and-form", title, make, "R6.10-3 R6.11-3")
+def _end(chunk: int) -> int:
+    """Where a file ends that is cut within a chunk."""
+    return plain().chunk_at(chunk) + 20
 
 
-def _words(path: str, value: int) -> Part:
-    return entropy_substreams.word_count.edit(path, value)
-
-
-# --- weights ----------------------------------------------------------------------------------------------------------
-
-
-def _weights(book: Book) -> None:
-    for field, value in (("plane_shift", 11), ("carm_input_count", 0)):
-        make = several(plain, weights_raw.scale.edit(field, value), weights_raw.scale.edit("carm_shift[0]", 17))
-        identifier = f"invalid-{field.replace('_', '-')}-and-carm-shift"
-        book.ordered(identifier, f"{field} and carm_shift", make, "R6.8-1")
-    rows: list[tuple[str, str, tuple[Part, ...]]] = [
-        (
-            "weight-stream-and-raw-layer",
-            "symbol_crc of the weights, and a raw layer's number that is none",
-            (
-                _symbols("weights"),
-                weights_raw.not_finite.edit("hyper.0", 0, 0, NOT_FINITE["not-a-number"]),
-            ),
-        ),
-        (
-            "layer-and-weight-stream",
-            "the last layer's form, and the first state of the weights",
-            (
-                weights_packed.model_field.edit("colour.1", "form", 3),
-                entropy_substreams.state.edit("weights", 0, 0),
-            ),
-        ),
-        # The -0 is there, and keeps the layer raw.
-        ("raw-layer-twice", "a raw layer with a number that is none, and a -0", (_other_bits,)),
-    ]
-    for name, title, pair in rows:
-        book.ordered(f"invalid-{name}", title, several(grids, *pair))
-    for name, text, field, value in (
-        ("exponent", "an exponent of 5", "exponent", 5),
-        ("large-exponent", "an exponent of 999", "exponent", 999),
-        ("weight-scale", "a scale of weights", "weight_scale", 5),
-    ):
-        make = _also(weights_packed.model_field.of(grids, "hyper.0", field, value), weights_packed.cut, "hyper.0", 9)
-        title = f"{text} in a raw layer, and the end within its values"
-        book.ordered(f"invalid-raw-{name}-and-values", title, make, "R6.8-4 R6.8-5")
-
-
-def _other_bits(t: Target) -> Edit:
-    """The first weight of a raw layer as a NaN that has its lowest bits."""
-    at = t.weight_at("hyper.0", 0, 0)
-    return weights_raw.not_finite.edit("hyper.0", 0, 0, t.data[at : at + 1] + b"\0\xc0\x7f")(t)
-
-
-@cache
-def _two_raw() -> Target:
-    """A file in mode 1 whose layers hyper.0 and opacity.0 are raw."""
-    made = scene("outside-two-raw", 2, SMALLEST, lanes=Lanes(0, 0, 1))
-    for name in ("hyper", "opacity"):
-        made.networks[name][0][1][0] = -0.0
-    return Target(codec.emit(packed_weights(settled(made))))
-
-
-def _layers(book: Book) -> None:
-    """Faults that are found behind the substream: those of layers layer after layer, and bounds after them all."""
-
-    none, raw = NOT_FINITE["not-a-number"], weights_packed.packable.edit
-    no_number = {layer: weights_raw.not_finite.edit(layer, 0, 0, none) for layer in ("hyper.0", "opacity.0")}
-    rows: list[tuple[str, str, Base, tuple[Part, ...]]] = [
-        (
-            "raw-and-not-finite",
-            "a raw layer that can be packed, and a later one with a number that is none",
-            _two_raw,
-            (raw("hyper.0"), no_number["opacity.0"]),
-        ),
-        (
-            "not-finite-and-raw",
-            "a raw layer with a number that is none, and a later one that can be packed",
-            _two_raw,
-            (no_number["hyper.0"], raw("opacity.0")),
-        ),
-        (
-            "not-finite-and-exponent",
-            "a raw layer with a number that is none, and an exponent of a later one",
-            weights_packed.even_integers.target(_two_raw, "hyper.1"),
-            (no_number["hyper.0"],),
-        ),
-        (
-            "raw-and-bound",
-            "a raw layer that can be packed, and an earlier one that breaks the bound",
-            _two_raw,
-            (raw("opacity.0"), networks.large_value.edit("hyper.0", 0, 0, 4096.0)),
-        ),
-    ]
-    proved = "R6.8-2 R6.8-3 R6.8-6 R6.8-7"
-    for name, title, base, pair in rows:
-        book.ordered(f"invalid-layers-{name}", title, several(base, *pair), proved)
-    title = "an exponent, and a later raw layer with a number that is none"
-    first = weights_packed.even_integers.of(_two_raw, "hyper.1")
-    make = _also(first, weights_raw.not_finite, "opacity.0", 0, 0, none)
-    book.ordered("invalid-layers-exponent-and-not-finite", title, make, proved)
-    title = "an exponent, and an earlier raw layer that breaks the bound"
-    first = weights_packed.even_integers.of(_two_raw, "colour.0")
-    make = _also(first, networks.large_value, "hyper.0", 0, 0, 4096.0)
-    book.ordered("invalid-layers-exponent-and-bound", title, make, proved)
+def _ended(make: Callable[[], Refused], chunk: int) -> Refused:
+    """The file that ends within a chunk."""
+    made = make()
+    return replace(made, data=made.data[: _end(chunk)])
 
 
 # --- the end of a substream -------------------------------------------------------------------------------------------
@@ -387,7 +347,7 @@ def _ends(book: Book) -> None:
         "a word that no lane takes, and a lane that does not end at 2^16",
         words.of(idle_lane.target(_idle, ATTRIBUTES_0, STATE_MIN + 1), ATTRIBUTES_0, 1),
         features="order substream",
-        requirements="D8.8-2 D10.1-1",
+        requirements="D8.8-2 D10.2-3",
         flags="order-of-checks",
     )
     rows: list[tuple[str, str, Callable[[], Refused]]] = [
@@ -405,7 +365,7 @@ def _ends(book: Book) -> None:
         (
             "range-and-raw-length",
             "a symbol out of range, and raw bytes that nothing reads",
-            entropy_escapes.far_escape.of(usual, 24, 0, bits=800),
+            entropy_escapes.far_escape.of(usual, 23, 0, bits=800),
         ),
         ("padding-and-crc", "a padding bit, and symbol_crc", entropy_escapes.padding_bit.of(other_sign, 23)),
         ("raw-length-and-crc", "a raw byte more, and symbol_crc", raw_bytes.of(other_sign, ATTRIBUTES_0, b"\0")),
@@ -420,4 +380,4 @@ def _ends(book: Book) -> None:
         ("symbol-crc", "a CRC-32 of other symbols", entropy_substreams.symbol_crc.of(cell_less, path, 0, 1)),
     ):
         title = f"{text}, and a cell less than there are anchors"
-        book.ordered(f"invalid-{name}-and-cells", title, make, "R6.11-5 D8.8-2")
+        book.ordered(f"invalid-{name}-and-cells", title, make, "R6.11-8 D8.8-2")

@@ -1,4 +1,7 @@
-"""Cases of clauses 5.11, 6.11, 7.4 and 7.12: positions as f16, and as trees of cells."""
+"""Cases of clauses 5.14, 6.11, 7.4 and 7.12: positions as f16, and as trees of cells.
+
+Either form is an encoder's choice for each chunk. The form's own faults are with the chunk's head in chunks.py.
+"""
 
 from __future__ import annotations
 
@@ -9,16 +12,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from refcodec.bitstream import codec
-from refcodec.bitstream.chunks import ANCHORS_OF_A_BYTE
-from refcodec.bitstream.directory import POSITIONS
 from refcodec.bitstream.entropy import Encoder
 from refcodec.bitstream.header import Lanes
-from refcodec.bitstream.positions import PACKED, RAW, cell_positions, encode_positions
+from refcodec.bitstream.positions import PACKED, RAW, cell_positions
 from refcodec.bitstream.scene import Scene
 from refcodec.encoder.positions import position_model
 
 from .book import Book
-from .cells import MIDDLE, any_model, codes_of, of_cells, placed, sharp_model, with_cells, with_raw_chunk
+from .cells import MIDDLE, any_model, codes_of, cuboid, of_cells, placed, sharp_model, with_cells
 from .fault import Draw, Drawn, Edit, Whole, fault
 from .numbers import Int64, Numbers
 from .samplers import drawn
@@ -34,19 +35,18 @@ LAST_CODE, MIDDLE_CODE = (1 << 48) - 1, 7 << 45
 
 
 def _coordinate(t: Target, chunk: int, number: int, bits: int) -> Edit:
-    """Another number in a raw chunk. In mode 1 it has a form before its numbers."""
-    at = t.part(POSITIONS, chunk)[0] + t.sections[POSITIONS].mode + 2 * number
+    """Another number in a raw chunk."""
+    at = t.part("positions", chunk)[0] + 2 * number
     return Edit({at: bits.to_bytes(2, "little")}, at)
 
 
 def _draw_coordinate(draw: Draw, t: Target) -> tuple[int, int] | None:
     """A raw chunk, and one of its numbers."""
-    mode = t.sections[POSITIONS].mode
-    raw = [n for n in range(len(t.header.chunks)) if not mode or t.data[t.part(POSITIONS, n)[0]] == RAW]
+    raw = [n for n in range(t.header.chunk_count) if t.value(f"chunk[{n}].position_form") == RAW]
     if not raw:
         return None
     chunk = draw.choice(raw)
-    return chunk, draw.integer(0, 3 * len(t.header.chunks[chunk]) - 1)
+    return chunk, draw.integer(0, 3 * t.value(f"index.entry[{chunk}].anchor_count") - 1)
 
 
 @fault("positions.not_finite")
@@ -73,59 +73,17 @@ def _(draw: Draw, t: Target) -> Drawn:
     return place and (t, *place)
 
 
-# --- faults of mode 1 -------------------------------------------------------------------------------------------------
+# --- faults of trees --------------------------------------------------------------------------------------------------
 
 
 def _any_cells(draw: Draw) -> Target:
     return five_cells(draw.integer(0, SEEDS - 1))
 
 
-@fault("positions.form")
-def form(t: Target, chunk: int, value: int) -> Edit:
-    """A form that is not known."""
-    at = t.part(POSITIONS, chunk)[0]
-    return Edit({at: bytes([value])}, at)
-
-
-@form.drawn
-def _(draw: Draw, t: Target) -> Drawn:
-    if not t.sections[POSITIONS].mode or not t.header.chunks:
-        return None
-    return t, draw.integer(0, len(t.header.chunks) - 1), draw.integer(2, 255)
-
-
-@fault("positions.form")
-def raw_length(t: Target, chunk: int, more: int) -> Whole:
-    """A raw chunk of zeros, which has some bytes more than its anchors take, or fewer."""
-    size = 1 + 6 * len(t.header.chunks[chunk]) + more
-    return Whole(t.with_positions(chunk, bytes(size)), t.part(POSITIONS, chunk)[0])
-
-
-@raw_length.drawn
-def _(draw: Draw, t: Target) -> Drawn:
-    if not t.sections[POSITIONS].mode or not t.header.chunks:
-        return None
-    chunk = draw.integer(0, len(t.header.chunks) - 1)
-    # One byte for sixteen anchors is the least.
-    anchors = len(t.header.chunks[chunk])
-    return t, chunk, draw.integer(1, 9) if draw.flag() else -draw.integer(1, 6 * anchors - anchors // 16)
-
-
-@fault("positions.raw")
-def raw_for_nothing(t: Target) -> Whole:
-    """The one chunk of the file is raw, though it can be packed."""
-    return Whole(with_raw_chunk(t), t.start(POSITIONS))
-
-
-@raw_for_nothing.drawn
-def _(draw: Draw, t: Target) -> Drawn:
-    return (_any_cells(draw),)
-
-
 @fault("positions.count")
 def cell_less(t: Target) -> Whole:
     """A tree with a cell less than there are anchors."""
-    return Whole(with_cells(t, codes_of(t)[:-1]), t.start(POSITIONS))
+    return Whole(with_cells(t, codes_of(t)[:-1]), t.part("positions", 0)[0])
 
 
 @cell_less.drawn
@@ -138,7 +96,7 @@ def cell_more(t: Target) -> Whole:
     """A tree with a cell more, beside the last one. Its last level alone has more nodes than there are anchors."""
     code = codes_of(t)
     more = next(c for c in (int(code[-1]) ^ np.arange(1, 8)).tolist() if c not in code)
-    return Whole(with_cells(t, np.unique(np.append(code, more))), t.start(POSITIONS))
+    return Whole(with_cells(t, np.unique(np.append(code, more))), t.part("positions", 0)[0])
 
 
 @cell_more.drawn
@@ -154,7 +112,7 @@ def overgrown(t: Target, levels: int) -> Whole:
     """
     made = codec.parse(t.data).scene
     assert made.position_model is not None
-    anchors = len(t.header.chunks[0])
+    anchors = t.value("index.entry[0].anchor_count")
     encoder, nodes, models = Encoder(1, 1 << made.lanes.mask), 1, made.position_model.models()
     for level in range(15, -1, -1):
         every = level > 15 - levels
@@ -163,7 +121,7 @@ def overgrown(t: Target, levels: int) -> Whole:
         encoder.plain(models, np.full(nodes, first), [nodes], _unnamed, low)
         encoder.plain(models, np.full(nodes, first + (5 if every else 2)), [nodes], _unnamed, low if every else low - 1)
         nodes = min(8 * nodes, anchors) if every else nodes
-    return Whole(t.with_positions(0, bytes([PACKED]) + encoder.finish()[0]), t.start(POSITIONS))
+    return Whole(t.with_part("positions", 0, encoder.finish()[0]), t.part("positions", 0)[0])
 
 
 @overgrown.drawn
@@ -178,7 +136,7 @@ def _unnamed(stream: int, index: int) -> str:
 @fault("positions.cell")
 def cell_of_no_number(t: Target, code: int) -> Whole:
     """The last cell of the tree is another one, which stands for no f16. code: its Morton code."""
-    return Whole(with_cells(t, np.append(codes_of(t)[:-1], code)), t.start(POSITIONS))
+    return Whole(with_cells(t, np.append(codes_of(t)[:-1], code)), t.part("positions", 0)[0])
 
 
 @cell_of_no_number.drawn
@@ -198,11 +156,6 @@ def add(book: Book) -> None:
 
 
 @cache
-def _single() -> Target:
-    return Target(codec.emit(placed("refused-single", of_cells(MIDDLE + np.array([[5, -3, 2]]), 22))))
-
-
-@cache
 def _largest_index() -> Target:
     """Three cells that count f16 numbers, the last of them the largest."""
     cells = MIDDLE + np.array([[0, 0, 0], [1, 2, 3], [0x7BFF, 0x7BFF, 0x7BFF]])
@@ -214,26 +167,6 @@ def _coarsest() -> Target:
     """Two cells of the largest cell_shift that does not count, 39. The second is one unit of 2^39 along x."""
     cells = MIDDLE + np.array([[0, 0, 0], [1, 0, 0]])
     return Target(codec.emit(placed("refused-overflow", of_cells(cells, 39), shift=39)))
-
-
-@cache
-def _negative() -> Target:
-    return _placed_on("planted-negative", _along(0, -2, -1), 40)
-
-
-@cache
-def _x_before_y() -> Target:
-    where = cell_positions(MIDDLE + np.array([[1, 0, 0], [0, 1, 0]]), 22)[0]
-    return _placed_on("planted-x-before-y", where, 22)
-
-
-@cache
-def _lowest() -> Target:
-    return _placed_on("planted-lowest", _along(0, -32, -31), 14)
-
-
-def _placed_on(name: str, where: NDArray[np.float16], shift: int) -> Target:
-    return Target(codec.emit(placed(name, where, any_model(Numbers(name)), shift)))
 
 
 def _along(axis: int, *values: float) -> NDArray[np.float16]:
@@ -258,25 +191,6 @@ def _refused(book: Book) -> None:
     ):
         title, make = "a position is negative zero", negative_zero.of(base, chunk, number)
         book.add(f"invalid-{before}position-negative-zero", title, make, features=features, flags="half-limits")
-    add = partial(book.add, features="packed-positions")
-    add("malformed-cells-form-2", "a chunk of form 2", form.of(five_cells, 0, 2), flags="form-unchecked")
-    title, make = "form 2, with as many bytes as a raw chunk has", form.of(packed, 2, 2)
-    add("malformed-form-2-of-raw-length", title, make, flags="form-unchecked")
-    for name, more in (("raw-shorter", -1), ("raw-longer", 1)):
-        title, make = f"a raw chunk of {30 + more} bytes for five anchors", raw_length.of(five_cells, 0, more)
-        add(f"malformed-cells-{name}", title, make, flags="lengths-trusted form-unchecked")
-    for name, title, base in (
-        ("for-nothing", "a raw chunk that can be packed", five_cells),
-        ("single", "a raw chunk of one anchor, which is in order", _single),
-    ):
-        add(f"invalid-cells-raw-{name}", title, raw_for_nothing.of(base), flags="canonical-form raw-chunk")
-    for name, text, base in (
-        ("negative", "cells of negative numbers, counted", _negative),
-        ("x-before-y", "a step along x before one along y", _x_before_y),
-        ("lowest", "the lowest cell of a lattice", _lowest),
-    ):
-        title, flags = f"a raw chunk that can be packed: {text}", "raw-chunk cell-ends cell-index axes-swapped"
-        add(f"invalid-raw-{name}", title, raw_for_nothing.of(base), requirements="D7.12-1", flags=flags)
 
 
 def _refused_trees(book: Book) -> None:
@@ -295,6 +209,8 @@ def _refused_trees(book: Book) -> None:
     # Two units of 2^39 along x are one more than the largest f16.
     title, make = "a cell beyond the largest f16", cell_of_no_number.of(_coarsest, MIDDLE_CODE | 1 << 3)
     add("invalid-cells-cell-overflow", title, make, flags="cell-ends half-limits")
+    title, make = "a cell beyond the largest f16 along z", cell_of_no_number.of(_coarsest, MIDDLE_CODE | 1 << 5)
+    add("invalid-cells-cell-overflow-z", title, make, flags="cell-ends half-limits axes-swapped")
 
 
 # --- the suite's valid files ------------------------------------------------------------------------------------------
@@ -355,7 +271,7 @@ def _cells(book: Book) -> None:
     counted = np.arange(60).reshape(20, 3)
     cells = MIDDLE + np.where(counted % 2, 0x3400, -0x3400) + counted
     add_placed("index-of-lattice", "a lattice by the index of its f16 numbers", cells, 40, "cell-index")
-    cells = _cuboid(4, 4, 4) - 2
+    cells = cuboid(4, 4, 4) - 2
     make = partial(placed, "cells-full", of_cells(cells, 20))
     add("full", "a full cube of 64 cells about the middle", make, "tree-order tree-model")
     make = partial(placed, "cells-one", of_cells(np.array([[MIDDLE + 3, MIDDLE - 7, MIDDLE]]), 20))
@@ -371,13 +287,9 @@ def _cells(book: Book) -> None:
     where = np.unique(np.abs(Numbers("cells-subnormal").integers(-900, 900, 15, 3)), axis=0)
     make = partial(placed, "cells-subnormal", f16(where), shift=0)
     add("subnormal", "cells of the least numbers, packed or not", make, "subnormals")
-    title = "sixteen anchors for each byte of a chunk's positions"
-    add("dense", title, _dense, "tree-model limit-off-by-one", "R6.10-2")
-
-
-def _cuboid(*size: int) -> Int64:
-    """The cells of a cuboid from the middle on."""
-    return np.stack(np.meshgrid(*(np.arange(n) for n in size), indexing="ij"), axis=-1).reshape(-1, 3) + MIDDLE
+    cells = cuboid(4, 7, 8)
+    make = partial(placed, "cells-dense", of_cells(cells, 20), shift=20, lanes=Lanes(0, 0, 0))
+    add("dense", "a full cuboid whose models know it: many anchors for each byte", make, "tree-model")
 
 
 def _four_chunks() -> Scene:
@@ -385,41 +297,39 @@ def _four_chunks() -> Scene:
     return drawn("packed-positions", 60, positions=where, chunk_size=16, position_model=position_model(where, 16))
 
 
-def _dense() -> Scene:
-    # A cuboid whose models know it: 16 anchors for each byte of the part, the most there can be.
-    for size in ((4, 4, 15), (4, 4, 16), (4, 4, 17), (4, 4, 18), (8, 8, 4), (4, 7, 8)):
-        made = placed("cells-dense", of_cells(_cuboid(*size), 20), shift=20, lanes=Lanes(0, 0, 0))
-        part = encode_positions(made.position_model, made.positions, [range(made.anchor_count)], 1)[0]
-        if ANCHORS_OF_A_BYTE * len(part) == made.anchor_count:
-            return made
-    raise AssertionError("no cuboid has sixteen anchors for each byte")
-
-
 def _raw_chunks(book: Book) -> None:
     add = partial(_add_cells, book)
-    title = "packed chunks, and raw ones of each reason"
+    title = "packed chunks, and raw ones that cannot be packed: in another order, a position twice, no cell"
     add("mixed", title, _mixed, "raw-chunk last-chunk", "R6.11-3 R6.11-4")
     model = any_model(Numbers("cells-raw-model"))
     make = partial(placed, "cells-raw", positions(Numbers("cells-raw"), 9), model, chunk_size=4)
     add("raw", "no chunk can be packed", make, "raw-chunk last-chunk", "R6.11-3 R6.11-4")
     make = partial(placed, "cells-single", _lattice()[:5], chunk_size=1)
-    add("single-anchors", "chunks of one anchor, which always can be packed", make, "raw-chunk", "R6.11-4")
+    add("single-anchors", "packed chunks of one anchor", make, "raw-chunk", "R6.11-3")
     # In the order of x, y, z and not of the tree: only MORTON tells.
     where = cell_positions(MIDDLE + np.array([[0, 0, 1], [0, 1, 0], [1, 0, 0]]), 22)[0]
     make = partial(placed, "cells-other-order", where, any_model(Numbers("cells-other-order")), 22)
     title = "positions in the order of x, which is not the tree's"
-    add("other-order", title, make, "raw-chunk axes-swapped", "R6.11-4")
-    # In order along y too, whatever a decoder makes of the coordinate x that has no cell.
+    add("other-order", title, make, "raw-chunk axes-swapped", "R6.11-3")
     beyond = _along(0, 0, 32)
     beyond[1, 1] = 2.0**-10
-    book.valid(
-        "cells-beyond",
-        "a coordinate just above the highest cell of a lattice: the chunk is raw",
-        partial(placed, "planted-beyond", beyond, any_model(Numbers("planted-beyond")), 14),
-        features="packed-positions",
-        requirements="D7.12-1 R6.11-4",
-        flags="cell-ends raw-chunk",
-    )
+    make = partial(placed, "planted-beyond", beyond, any_model(Numbers("planted-beyond")), 14)
+    title = "a coordinate just above the highest cell of a lattice: the chunk is raw"
+    add("beyond", title, make, "cell-ends raw-chunk", "R6.11-3")
+    # Of these cells each position is given in both forms.
+    steps = cell_positions(MIDDLE + np.array([[1, 0, 0], [0, 1, 0]]), 22)[0]
+    one = of_cells(MIDDLE + np.array([[5, -3, 2]]), 22)
+    for name, text, where, shift in (
+        ("negative", "cells of negative numbers, counted", _along(0, -2, -1), 40),
+        ("x-before-y", "a step along x before one along y", steps, 22),
+        ("lowest", "the lowest cell of a lattice", _along(0, -32, -31), 14),
+        ("one-anchor", "one cell", one, 22),
+    ):
+        model = any_model(Numbers(f"planted-{name}"))
+        for chosen, form in (("packed", PACKED), ("raw", RAW)):
+            make = partial(placed, f"planted-{name}", where, model, shift, position_forms=(form,))
+            flags = "raw-chunk cell-ends cell-index axes-swapped"
+            add(f"{name}-{chosen}", f"{text}, {chosen}", make, flags, "R6.11-3 R6.11-4")
 
 
 def _mixed() -> Scene:

@@ -7,11 +7,13 @@ from functools import partial
 import numpy as np
 
 from refcodec.bitstream.attributes import ATTRIBUTE_SYMBOL_MAX
+from refcodec.bitstream.conventions import round_to_f32
 from refcodec.bitstream.dimensions import Dimensions
 from refcodec.bitstream.scene import Scene
+from refcodec.bitstream.tables import tables
 
 from .book import Book
-from .numbers import Numbers
+from .numbers import Int64, Numbers
 from .samplers import Sampler, sampled
 from .scenes import SMALLEST, constant, f16, frame_of, scene, with_symbols
 
@@ -40,7 +42,7 @@ def add(book: Book) -> None:
             title,
             partial(_values, f"values-{name}", base_step, steps),
             features="reconstruction steps",
-            requirements="D9.2-1 R6.2-6 R8.5-1",
+            requirements="D9.2-1 R6.2-7 R8.5-1",
             flags=f"{flag} symbol-limit",
         )
     book.valid(
@@ -52,10 +54,18 @@ def add(book: Book) -> None:
         flags="step-clamp step-table",
     )
     book.valid(
-        "values-of-69-bits",
-        "values just beside a tie, which binary64 takes for one",
-        _beside_ties,
-        features="reconstruction",
+        "values-of-rounded-steps",
+        "values that are others if their step is not rounded to f32",
+        _rounded_steps,
+        features="reconstruction steps",
+        requirements="D9.2-1",
+        flags="value-rounding",
+    )
+    book.valid(
+        "values-of-tied-steps",
+        "steps halfway between two f32, of which the even one counts",
+        _tied_steps,
+        features="reconstruction steps",
         requirements="D9.2-1",
         flags="value-rounding",
     )
@@ -103,19 +113,34 @@ def _table() -> Scene:
     return sampled(made, Sampler(numbers, 0), planes=False)
 
 
-def _beside_ties() -> Scene:
-    # The product is next to a tie of binary32, on which binary64 rounds it.
-    numbers, zero = Numbers("outside-rounded"), np.zeros(SMALLEST.attribute_width, np.int64)
-    significand = 14832217
-    made = scene(
-        "outside-rounded",
-        2,
-        SMALLEST,
-        networks=constant(SMALLEST, numbers, zero, zero + 160),
-        masks=np.ones((2, 1), bool),
-        base_step=(significand * 2.0**-24, significand * 2.0**-30, significand * 2.0**-20),
-    )
-    made.networks["hyper"][-1][1][-3:] = 63
-    y = 8388555 * np.array([[1], [-1]])
-    scalings, offsets = np.repeat(y, 6, axis=1), np.repeat(y, 3, axis=1)[:, None, :]
-    return with_symbols(made, features=y, scalings=scalings, offsets=offsets)
+def _with_step(name: str, index: int, base_step: tuple[float, ...], symbols: Int64) -> Scene:
+    """A scene of one anchor for each symbol, which all its attributes have. index: the step index of all kinds."""
+    numbers, zero, anchors = Numbers(name), np.zeros(SMALLEST.attribute_width, np.int64), len(symbols)
+    networks, masks = constant(SMALLEST, numbers, zero, zero + 160), np.ones((anchors, 1), bool)
+    made = scene(name, anchors, SMALLEST, networks=networks, masks=masks, base_step=base_step)
+    made.networks["hyper"][-1][1][-3:] = index
+    y = symbols[:, None]
+    return with_symbols(made, features=y, scalings=y.repeat(6, axis=1), offsets=y.repeat(3, axis=1)[:, None, :])
+
+
+def _rounded_steps() -> Scene:
+    significand, index = 14832217, 63
+    bases = tuple(significand * 2.0**-e for e in (24, 30, 20))
+    exact = int(tables().step[index]) * significand
+    symbols = np.arange(8388607, 8380000, -1234)
+    values = round_to_f32(np.array([exact]), 0) * symbols.astype(np.float32)
+    # Those symbols whose value is another one if the product of all three numbers is rounded once.
+    other = symbols[values != round_to_f32(exact * symbols, 0)]
+    assert len(other) >= 3
+    return _with_step("values-of-rounded-steps", index, bases, np.concatenate([other, -other]))
+
+
+def _tied_steps() -> Scene:
+    # An odd number of 25 bits is a tie. Its half is even or odd.
+    index = 1
+    entry = int(tables().step[index])
+    first = (1 << 24) // entry | 1
+    odd = [k for k in range(first, first + 40, 2) if k * entry > 1 << 24]
+    chosen = [next(k for k in odd if k * entry % 4 == rest) for rest in (1, 3)]
+    bases = (chosen[0] * 2.0**-20, chosen[1] * 2.0**-20, chosen[1] * 2.0**-9)
+    return _with_step("values-of-tied-steps", index, bases, np.array([1, -1, 3, -7, 8388607]))

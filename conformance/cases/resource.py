@@ -5,76 +5,123 @@ from __future__ import annotations
 import struct
 from dataclasses import replace
 from functools import cache, partial
+from typing import Any
 
 import numpy as np
 
 from refcodec.bitstream import codec
 from refcodec.bitstream.dimensions import Dimensions, layers_of
-from refcodec.bitstream.directory import CHUNK_TABLE, POSITIONS
+from refcodec.bitstream.directory import DATA, INDEX, SECTION_LENGTH_MAX
 from refcodec.bitstream.header import Lanes
+from refcodec.bitstream.index import index_bytes
 from refcodec.bitstream.limits import MAIN, PROFILES
-from refcodec.bitstream.scene import Scene
+from refcodec.bitstream.scene import Ancillary, Scene
 from refcodec.encoder.positions import position_model
 
 from .book import Book
 from .cells import MIDDLE, of_cells, placed, sharp_model
 from .checksums import Depth, repair, resized
+from .directory import long_section
 from .entropy_substreams import word_count
 from .fault import Edit, Whole, fault
 from .numbers import Numbers
 from .positions import overgrown
+from .samplers import drawn
 from .scenes import SMALLEST, constant, f16, scene, silent, with_symbols
 from .target import Target
 from .targets import main_file, plain
 
+# SPEC [R6.10-5]: the least bytes of a chunk of 16,384 anchors.
+FLOOR = 16 + 16384 // 16
+# Of so many anchors of the chunk at the floor a feature is not 0, which costs bytes.
+COSTLY = 242
+
 
 @fault("directory.length")
 def anchors_without_chunks(t: Target, values: dict[str, int]) -> Edit:
-    """A header with more chunks than the chunk table has entries. values: fields, within the limits of the level."""
-    return Edit(t.pack(values), t.at("directory[3].length"))
+    """A header with more chunks than the index has entries. values: fields, within the limits of the level."""
+    return Edit(t.pack(values), t.at(f"directory[{t.sections[INDEX].number}].length"))
 
 
-@fault("chunks.length")
-def chunks_without_bytes(t: Target, lengths: tuple[int, int, int]) -> Whole:
-    """As many anchors as level 3 of Main allows, in 256 chunks of which there is the table alone.
+@fault("section.truncated")
+def index_beyond(t: Target, level: int) -> Whole:
+    """As many anchors as a level of Main allows, each in a chunk of its own, and not one entry of the index."""
+    most = PROFILES[MAIN].levels[level].anchors
+    length = index_bytes(t.header.dimensions.offset_count, t.sections[INDEX].mode, most)
+    values = {
+        "anchor_count": most,
+        "chunk_count": most,
+        "chunk_size": 256,
+        "level": level,
+        f"directory[{t.sections[INDEX].number}].length": length,
+    }
+    data = t.with_values(values, Depth.HEADER)
+    return Whole(data, len(data))
 
-    lengths: of each chunk's parts, which the chunk could have.
+
+def announced(t: Target, level: int, chunks: int, length: int, content: bytes = b"") -> bytes:
+    """A file of Main with so many chunks of 16,384 anchors, of which there are the entries of the index.
+
+    length: of each chunk. content: the bytes of DATA that are there.
     """
-    most, size = PROFILES[MAIN].levels[3].anchors, PROFILES[MAIN].chunk_size[1]
-    entry = struct.pack("<6I", *(field for length in lengths for field in (length, 0)))
-    table = t.content(CHUNK_TABLE) + entry * (most // size)
-    data = bytearray(resized(t.data, CHUNK_TABLE, table))
-    for at, value in t.pack({"anchor_count": most, "chunk_size": size, "level": 3}).items():
-        data[at : at + len(value)] = value
-    # SPEC [R6.10-2]: without bytes a position_length is too small; else the sum of them is not the section.
-    told = t.start(POSITIONS) + (len(entry) * (most // size) if lengths[0] else 0)
-    return Whole(repair(bytes(data), Depth.SECTIONS), told)
+    data = resized(t.data, INDEX, t.content(INDEX) + struct.pack("<4I12x", length, 0, 16384, 0) * chunks)
+    out = bytearray(data + content)
+    values = {
+        "anchor_count": 16384 * chunks,
+        "chunk_count": chunks,
+        "chunk_size": 16384,
+        "level": level,
+        f"directory[{t.sections[DATA].number}].length": chunks * length,
+    }
+    for at, value in t.pack(values).items():
+        out[at : at + len(value)] = value
+    return repair(bytes(out))
 
 
-@fault("directory.file_length")
-def long_section(t: Target, entry: int, length: int) -> Edit:
-    """A last section that the file does not hold."""
-    return Edit(t.pack({f"directory[{entry}].length": length}), len(t.data))
+@fault("section.truncated")
+def chunks_without_bytes(t: Target, level: int, chunks: int, length: int) -> Whole:
+    """Many chunks, each of which could have its length, and not one of them."""
+    data = announced(t, level, chunks, length)
+    return Whole(data, len(data))
+
+
+@fault("index.chunk")
+def crowded(t: Target, level: int, chunks: int, length: int) -> Whole:
+    """Chunks with fewer bytes than their anchors need."""
+    at = t.start(INDEX) + t.sections[INDEX].length
+    return Whole(announced(t, level, chunks, length), at)
+
+
+@fault("chunk.length")
+def chunks_of_zeros(t: Target, level: int, chunks: int) -> Whole:
+    """Chunks that have as few bytes as there can be, all of them zero."""
+    data = announced(t, level, chunks, FLOOR, bytes(FLOOR * chunks))
+    return Whole(data, len(data) - FLOOR * chunks)
 
 
 def add(book: Book) -> None:
     """Adds the vectors."""
     add = partial(book.add, features="many", requirements="D13.1-1", flags="allocates-first lengths-trusted")
     for level, most in PROFILES[MAIN].levels.items():
-        title = f"a file of a few kilobytes with {most.anchors} anchors"
-        values = {"anchor_count": most.anchors, "level": level, "chunk_size": 256}
-        add(f"resource-anchors-of-level-{level}", title, anchors_without_chunks.of(main_file, values))
-    title, make = "16,777,216 anchors in 256 chunks of no bytes", chunks_without_bytes.of(main_file, (0, 0, 0))
-    add("resource-anchors-in-large-chunks", title, make)
-    title = "a chunk table that announces gigabytes"
-    make = chunks_without_bytes.of(main_file, (65536 * 6, 1 << 20, 1 << 22))
-    add("resource-lengths-of-gigabytes", title, make)
-    title, make = "an ancillary section of four gigabytes", long_section.of(plain, 8, 0xFFFFFFFF)
+        title = f"a file of a few kilobytes with {most.anchors} anchors, each of them a chunk"
+        add(f"resource-anchors-of-level-{level}", title, index_beyond.of(main_file, level))
+    title = "16,777,216 anchors in 1,024 chunks, of which there is the index alone"
+    add("resource-anchors-in-large-chunks", title, chunks_without_bytes.of(main_file, 3, 1024, FLOOR))
+    title = "16,777,216 anchors in chunks with fewer bytes than these need"
+    add("resource-anchors-in-few-bytes", title, crowded.of(main_file, 3, 1024, FLOOR - 4))
+    title = "524,288 anchors in 32 chunks of zeros, as few bytes as these can have"
+    add("resource-anchors-of-zeros", title, chunks_of_zeros.of(main_file, 2, 32))
+    title = "an index that announces terabytes"
+    add("resource-lengths-of-gigabytes", title, chunks_without_bytes.of(main_file, 3, 1024, 0xFFFFFFFC))
+    title, make = "an ancillary section of four gigabytes", long_section.of(plain, 6, 0xFFFFFFFF)
     add("resource-section-of-4-gigabytes", title, make)
+    title, make = "an ancillary section of 256 terabytes", long_section.of(plain, 6, SECTION_LENGTH_MAX)
+    add("resource-section-of-256-terabytes", title, make)
     title, make = "a substream of two thousand million words", word_count.of(plain, "attributes[chunk 1]", 0x7FFFFFFF)
     add("resource-words-of-4-gigabytes", title, make)
-    title = "4,096 anchors in as many chunks, in a file that has three"
-    add("resource-chunks-of-one", title, anchors_without_chunks.of(_large_chunks, {"chunk_size": 1}))
+    title = "4,096 anchors in as many chunks, in a file that has two"
+    values = {"chunk_size": 1, "chunk_count": 4096}
+    add("resource-chunks-of-one", title, anchors_without_chunks.of(_large_chunks, values))
     book.add(
         "resource-tree-of-all-cells",
         "a tree all of whose nodes have all their children",
@@ -84,24 +131,45 @@ def add(book: Book) -> None:
         requirements="D13.1-1",
         flags="tree-dropped allocates-first",
     )
-    book.add(
+    accepted = partial(book.add, requirements="D13.1-1", flags="buffer-too-small")
+    accepted(
         "resource-largest-tiny",
         "as many anchors and planes as Tiny allows, most of them predicted",
         lambda: codec.emit(_largest()),
         features="many",
-        requirements="D13.1-1",
-        flags="buffer-too-small",
         seconds=120,
     )
-    book.add(
+    accepted(
         "resource-many-chunks",
-        "2,000 chunks of one anchor",
-        lambda: codec.emit(_quiet("resource-chunks", 2000, SMALLEST, 1)),
+        "1,000 chunks of one anchor",
+        lambda: codec.emit(_quiet("resource-chunks", 1000, SMALLEST, 1)),
         features="many chunks",
-        requirements="D13.1-1",
-        flags="buffer-too-small",
         seconds=60,
     )
+    accepted(
+        "resource-chunk-at-the-floor",
+        "a chunk of 16,384 anchors in 1,040 bytes, as few as these can have",
+        _at_floor,
+        features="many main",
+        seconds=120,
+    )
+    accepted(
+        "resource-many-sections",
+        "3,000 ancillary sections without bytes",
+        lambda: codec.emit(replace(drawn("sections", 1, SMALLEST), ancillary=(Ancillary(b"noTE", 0, b""),) * 3000)),
+        features="many ancillary",
+    )
+
+
+def _at_floor() -> bytes:
+    made = _quiet("resource-floor", 16384, SMALLEST, 16384, profile=MAIN, lanes=Lanes(0, 5, 7))
+    made = replace(made, position_model=position_model(made.positions, 16384))
+    features = np.zeros_like(made.attributes.features)
+    # Values that cost much, so that the chunk has the bytes that it must have.
+    features[:COSTLY] = 1
+    data = codec.emit(with_symbols(made, features=features))
+    assert Target(data).value("index.entry[0].length") == FLOOR
+    return data
 
 
 @cache
@@ -115,8 +183,11 @@ def _one_tree() -> Target:
     return Target(codec.emit(placed("resource-tree", where, sharp_model(), lanes=lanes)))
 
 
-def _quiet(name: str, anchors: int, d: Dimensions, chunk_size: int) -> Scene:
-    """A scene whose symbols are all 0 and cost next to nothing, in positions that cost little."""
+def _quiet(name: str, anchors: int, d: Dimensions, chunk_size: int, **changes: Any) -> Scene:
+    """A scene whose symbols are all 0 and cost next to nothing, in positions that cost little.
+
+    changes: as of scene.
+    """
     numbers = Numbers(name)
     zero = np.zeros(d.attribute_width, np.int64)
     networks = constant(d, numbers, zero, zero - 40)
@@ -124,7 +195,7 @@ def _quiet(name: str, anchors: int, d: Dimensions, chunk_size: int) -> Scene:
     networks["sarm"][-1][1][1] = -40
     for layers in (networks["opacity"], networks["covariance"], networks["colour"]):
         layers[:] = silent(layers)
-    side = 16
+    side = 16 if anchors <= 4096 else 32
     n = np.arange(anchors)
     where = of_cells(MIDDLE + np.stack([n % side, n // side % side, n // side**2], axis=1), 20)
     made = scene(
@@ -135,9 +206,9 @@ def _quiet(name: str, anchors: int, d: Dimensions, chunk_size: int) -> Scene:
         positions=where,
         masks=np.zeros((anchors, d.offset_count), bool),
         chunk_size=chunk_size,
-        lanes=Lanes(3, 0, 3 if chunk_size > 9 else 0),
         mask_model=np.ones(d.offset_count * (d.offset_count + 1) // 2, np.uint16),
         weight_scales=np.zeros((len(layers_of(d)), 3), np.uint8),
+        **{"lanes": Lanes(3, 0, 3 if chunk_size > 9 else 0), **changes},
     )
     made = replace(made, planes=np.zeros_like(made.planes))
     return with_symbols(

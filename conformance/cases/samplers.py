@@ -10,7 +10,6 @@ import numpy as np
 
 from refcodec.bitstream import codec
 from refcodec.bitstream.attributes import ATTRIBUTE_SYMBOL_MAX, code_attributes
-from refcodec.bitstream.chunks import chunk_ranges
 from refcodec.bitstream.dimensions import Dimensions
 from refcodec.bitstream.entropy import SymbolName, select
 from refcodec.bitstream.planes import code_planes
@@ -87,11 +86,12 @@ class Rare(Sampler):
 
 
 def sampled(made: Scene, coder: Sampler, planes: bool = True) -> Scene:
-    """The scene with attributes that the coder makes up, and with such planes if they are wanted."""
+    """The scene with attributes that the coder makes up, and with such planes if it has any and they are wanted."""
     d = made.dimensions
-    if planes:
-        made = replace(made, planes=code_planes(coder, codec.Coding(made).sarm, d.plane_channels, d.plane_size))
-    coding, chunks = codec.Coding(made), chunk_ranges(made.anchor_count, made.chunk_size)
+    sarm = codec.Coding(made).sarm
+    if planes and sarm is not None:
+        made = replace(made, planes=code_planes(coder, sarm, d.plane_channels, d.plane_size))
+    coding, chunks = codec.Coding(made), made.chunks
     attributes = (
         code_attributes(coder, coding.model, coding.contexts(), made.masks, chunks) if chunks else made.attributes
     )

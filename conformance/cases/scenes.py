@@ -34,6 +34,10 @@ TINY_DIMENSIONS = Dimensions(2, (2, 3), 2, 2, 4, (6,), (4, 4), (5,), 3)
 MAIN_DIMENSIONS = Dimensions(10, (5, 10, 15, 20), 8, 10, 16, (100,), (16, 16), (100,), 50)
 SMALLEST = Dimensions(1, (1,), 1, 1, 2, (1,), (1,), (), 1)
 LARGEST = Dimensions(10, (16, 16, 16, 16), 8, 10, 32, (64, 64), (16, 16), (64, 64), 64)
+# Without planes, without a positional encoding, and without either.
+PLANELESS = Dimensions(2, (2, 3), 0, 2, 0, (6,), (), (5,), 3)
+UNENCODED = Dimensions(2, (2, 3), 2, 0, 4, (6,), (4, 4), (5,), 3)
+CONSTANT = Dimensions(2, (2, 3), 0, 0, 0, (), (), (5,), 3)
 MAIN_SMALLEST = Dimensions(10, (5, 10, 15, 20), 8, 10, 2, (16,), (16, 16), (16,), 50)
 
 
@@ -56,8 +60,10 @@ def scene(name: str, anchors: int = 6, d: Dimensions = TINY_DIMENSIONS, seed: in
             numbers.integers(-(1 << 40), 1 << 40, 3),
             np.array([29, 30, 31]),
             *_BOUNDS,
-        ),
-        "plane_shift": numbers.integer(1, 6),
+        )
+        if d.has_frame
+        else None,
+        "plane_shift": numbers.integer(1, 6) if d.plane_channels else 0,
         "carm_shift": numbers.integers(0, 2, d.carm_inputs).astype(np.uint8),
         "networks": networks(d, numbers),
         "planes": numbers.centred(3, 5, d.plane_channels, d.plane_size, d.plane_size).astype(np.int16),
@@ -102,8 +108,10 @@ def random_scene(
             rng.integers(-(1 << 40), 1 << 40, 3),
             np.array([27, 28, 29]),
             *_BOUNDS,
-        ),
-        "plane_shift": int(rng.integers(0, 8)),
+        )
+        if d.has_frame
+        else None,
+        "plane_shift": int(rng.integers(0, 8)) if d.plane_channels else 0,
         "carm_shift": rng.integers(0, 3, d.carm_inputs).astype(np.uint8),
         "networks": random_networks(d, rng, gain),
         "planes": np.round(rng.laplace(0, spread, (5, d.plane_channels, d.plane_size, d.plane_size))).astype(np.int16),
@@ -228,7 +236,7 @@ def random_networks(d: Dimensions, rng: np.random.Generator, gain: float = 1.0) 
         found[name] = []
         for index, (out, fan_in) in enumerate(shapes):
             last = index == len(shapes) - 1
-            spread = gain * (0.05 if last else 1.0) / np.sqrt(fan_in)
+            spread = gain * (0.05 if last else 1.0) / np.sqrt(max(fan_in, 1))
             weight = rng.normal(0, spread, (out, fan_in)).astype(np.float32)
             bias = rng.normal(0, 20 * gain, out).astype(np.float32)
             if last and name == "hyper":
@@ -296,11 +304,13 @@ def packed_weights(made: Scene) -> Scene:
     return replace(made, weight_scales=scales(made.networks))
 
 
-def sparse(made: Scene) -> Scene:
+def sparse(made: Scene, one_in: int = 16) -> Scene:
     """The scene with few weights that are not zero, in mode 1: large networks in few bytes."""
     numbers = Numbers("sparse")
     kept = {
-        name: [(np.where(numbers.integers(0, 15, *w.shape) == 0, w, 0).astype(np.float32), b) for w, b in layers]
+        name: [
+            (np.where(numbers.integers(0, one_in - 1, *w.shape) == 0, w, 0).astype(np.float32), b) for w, b in layers
+        ]
         for name, layers in made.networks.items()
     }
     return packed_weights(replace(made, networks=kept))

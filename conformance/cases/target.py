@@ -10,27 +10,42 @@ from functools import cached_property
 from typing import Any
 
 from refcodec.bitstream import codec, directory, syntax
+from refcodec.bitstream.chunks import PARTS
 from refcodec.bitstream.dimensions import layers_of
+from refcodec.bitstream.directory import Section
 from refcodec.bitstream.header import PROLOGUE_BYTES, SIGNATURE
+from refcodec.bitstream.index import CHUNK_HEAD_BYTES
 from refcodec.bitstream.planes import PLANE_NAMES
+from refcodec.bitstream.source import pad4
 from refcodec.inspect.elements import Row, rows
 
 from .checksums import Depth, layout, repair, resized
 
 # SPEC 5: the types of elements as formats of struct.
-FORMATS = {"u8": "<B", "u16": "<H", "u32": "<I", "i8": "<b", "i16": "<h", "i32": "<i", "i64": "<q", "f32": "<f"}
+FORMATS = {
+    "u8": "<B",
+    "u16": "<H",
+    "u32": "<I",
+    "u64": "<Q",
+    "i8": "<b",
+    "i16": "<h",
+    "i32": "<i",
+    "i64": "<q",
+    "f16": "<e",
+    "f32": "<f",
+}
 
 
 @dataclass(frozen=True)
 class Substream:
-    """A substream of a file (SPEC 5.14).
+    """A substream of a file (SPEC 5.15).
 
     path: as in errors: "planes.r1", "masks[chunk 0]", "weights". section: its type. data[start:end] are its bytes.
     lanes, words: how many. length_at: where a u32 says its length, or of weights and positions a length that holds it.
     """
 
     path: str
-    section: int
+    section: bytes
     start: int
     end: int
     lanes: int
@@ -40,7 +55,7 @@ class Substream:
     @property
     def words_at(self) -> int:
         """Where its words begin: behind the head and the states."""
-        return self.start + syntax.size_of("SubstreamHead") + 4 * self.lanes
+        return self.start + syntax.size_of("Substream") + 4 * self.lanes
 
     @property
     def raw_at(self) -> int:
@@ -49,7 +64,7 @@ class Substream:
 
     def state_at(self, lane: int) -> int:
         """Where a lane's initial state is; -1 is the last lane's."""
-        return range(self.start + syntax.size_of("SubstreamHead"), self.words_at, 4)[lane]
+        return range(self.start + syntax.size_of("Substream"), self.words_at, 4)[lane]
 
 
 class Target:
@@ -58,13 +73,18 @@ class Target:
     def __init__(self, data: bytes) -> None:
         self.data = data
         self.header = codec.parse_container(data)
-        self.sections = self.header.sections
-        self.fields, self.header_end = layout(data)
+        self.sections = {s.type: s for s in self.header.sections if s.type in directory.SECTIONS}
+        self.fields = layout(data)[0]
+        self.header_end = PROLOGUE_BYTES + int.from_bytes(data[12:16], "little")
 
     @cached_property
     def elements(self) -> dict[str, Row]:
         """All elements by path, as `refcodec inspect --hex` prints them."""
         return {row.path: row for row in rows(self.data)}
+
+    def has(self, path: str) -> bool:
+        """Whether there is an element of a path."""
+        return path in self.elements or f"header.{path}" in self.elements
 
     def element(self, path: str) -> Row:
         """An element by its path; `header.` may be left out. Raises KeyError."""
@@ -78,20 +98,33 @@ class Target:
         """The value of an element."""
         return self.element(path).value
 
-    def start(self, kind: int) -> int:
-        """Offset of a section."""
+    def section(self, kind: bytes) -> Section:
+        """The first section of a type."""
+        return next(section for section in self.header.sections if section.type == kind)
+
+    def start(self, kind: bytes) -> int:
+        """Offset of a critical section."""
         return self.sections[kind].start
 
-    def content(self, kind: int) -> bytes:
-        """Bytes of a section."""
-        return self.data[self.sections[kind].start : self.sections[kind].end]
+    def content(self, kind: bytes) -> bytes:
+        """Bytes of a critical section."""
+        section = self.sections[kind]
+        return self.data[section.start : section.start + section.length]
 
-    def part(self, kind: int, chunk: int) -> tuple[int, int]:
-        """Where a chunk's part of a section begins and ends."""
-        name = directory.SECTIONS[kind].removesuffix("s")
-        lengths = [self.value(f"chunk_table.entry[{n}].{name}_length") for n in range(chunk + 1)]
-        end = self.start(kind) + sum(lengths)
-        return end - lengths[-1], end
+    def chunk_at(self, chunk: int) -> int:
+        """Where a chunk begins."""
+        lengths = (self.value(f"index.entry[{n}].length") for n in range(chunk))
+        return self.start(directory.DATA) + sum(lengths)
+
+    def part(self, name: str, chunk: int) -> tuple[int, int]:
+        """Where a part of a chunk begins and ends, without its padding. name: as in PARTS."""
+        at = self.chunk_at(chunk) + CHUNK_HEAD_BYTES
+        for part in PARTS:
+            length = self.value(f"chunk[{chunk}].{part.removesuffix('s')}_length")
+            if part == name:
+                return at, at + length
+            at += pad4(length)
+        raise KeyError(name)
 
     @property
     def layers(self) -> list[str]:
@@ -114,38 +147,40 @@ class Target:
     def substreams(self) -> dict[str, Substream]:
         """All substreams by path."""
         lanes = self.header.lanes
-        columns = {
-            directory.PLANES_SECTION: ([f"planes.{name}" for name in PLANE_NAMES], lanes.plane),
-            directory.WEIGHTS: (["weights"], lanes.attribute),
-        }
-        chunks = range(len(self.header.chunks))
-        for kind, log2 in zip(directory.CHUNKED, (lanes.mask, lanes.mask, lanes.attribute), strict=True):
-            columns[kind] = ([f"{directory.SECTIONS[kind]}[chunk {n}]" for n in chunks], log2)
+        named = [("weights", directory.WEIGHTS, lanes.attribute)]
+        named += [(f"planes.{name}", directory.PLANES_SECTION, lanes.plane) for name in PLANE_NAMES]
+        named += [
+            (f"{part}[chunk {n}]", directory.DATA, lanes.attribute if part == "attributes" else lanes.mask)
+            for n in range(self.header.chunk_count)
+            for part in PARTS
+        ]
         found = {}
-        for kind, (paths, log2) in columns.items():
-            for number, path in enumerate(paths):
-                head = self.elements.get(f"{path}.symbol_crc")
-                # Raw weights and raw chunks are no substreams.
-                if head is not None:
-                    length_at, end = self._length_of(kind, number, head.start)
-                    words = self.value(f"{path}.word_count")
-                    found[path] = Substream(path, kind, head.start, end, 1 << log2, words, length_at)
+        for path, kind, log2 in named:
+            head = self.elements.get(f"{path}.symbol_crc")
+            # Raw weights and raw chunks are no substreams.
+            if head is not None:
+                length_at, end = self._length_of(path, kind, head.start)
+                words = self.value(f"{path}.word_count")
+                found[path] = Substream(path, kind, head.start, end, 1 << log2, words, length_at)
         return found
 
-    def _length_of(self, kind: int, number: int, start: int) -> tuple[int, int]:
+    def _length_of(self, path: str, kind: bytes, start: int) -> tuple[int, int]:
         """Where a substream's length is, and where the substream ends."""
         if kind == directory.WEIGHTS:
-            return self.at("directory[1].length"), self.sections[kind].end
+            section = self.sections[kind]
+            return self.at(f"directory[{section.number}].length"), section.start + section.length
         if kind == directory.PLANES_SECTION:
-            length = self.element(f"planes.length[{number}]")
+            length = self.element(f"planes.length[{PLANE_NAMES.index(path.removeprefix('planes.'))}]")
             return length.start, start + length.value
-        name = directory.SECTIONS[kind].removesuffix("s")
-        return self.at(f"chunk_table.entry[{number}].{name}_length"), self.part(kind, number)[1]
+        part, _, number = path.removesuffix("]").partition("[chunk ")
+        return self.at(f"chunk[{number}].{part.removesuffix('s')}_length"), self.part(part, int(number))[1]
 
     def pack(self, values: dict[str, Any]) -> dict[int, bytes]:
-        """Elements with other values, as bytes by their offset."""
-        found = {path: self.element(path) for path in values}
-        return {e.start: struct.pack(FORMATS[e.kind], values[path]) for path, e in found.items()}
+        """Elements with other values, as bytes by their offset. A value is a number, or bytes."""
+        return {self.at(path): self._packed(path, value) for path, value in values.items()}
+
+    def _packed(self, path: str, value: Any) -> bytes:
+        return value if isinstance(value, bytes) else struct.pack(FORMATS[self.element(path).kind], value)
 
     def with_values(self, values: dict[str, Any], depth: Depth = Depth.CHUNKS) -> bytes:
         """The file with other values of elements, and its checksums right down to a depth."""
@@ -163,26 +198,46 @@ class Target:
         return {at: bytes([self.data[at] ^ bits])}
 
     def with_header(self, change: Callable[[Any], None]) -> bytes:
-        """The file with changed fields in its header; header_length and the sections' places are right."""
+        """The file with changed fields in its header; header_length is right.
+
+        Not for a file of a later minor version, whose header has more than these.
+        """
         fields = copy.deepcopy(self.fields)
         change(fields)
-        end = PROLOGUE_BYTES + len(syntax.build("Header", fields))
-        for entry in fields.directory:
-            entry.offset += end - self.header_end
-        head = {"signature": SIGNATURE, "version": 0, "header_length": end - PROLOGUE_BYTES, "prologue_crc": 0}
-        whole = syntax.build("Prologue", head) + syntax.build("Header", fields) + self.data[self.header_end :]
-        return repair(whole)
+        built = syntax.build("Header", fields)
+        head = {"signature": SIGNATURE, "major": 0, "minor": 0, "header_length": len(built), "prologue_crc": 0}
+        return repair(syntax.build("Prologue", head) + built + self.data[self.header_end :])
 
     def with_substream(self, path: str, content: bytes) -> bytes:
         """The file with other bytes as one substream, lengths and checksums right."""
         s = self.substreams[path]
+        if s.section == directory.DATA:
+            part, _, number = path.removesuffix("]").partition("[chunk ")
+            return self.with_part(part, int(number), content)
         section = self.sections[s.section]
-        whole = self.data[section.start : s.start] + content + self.data[s.end : section.end]
-        return resized(self.data, s.section, whole, s.length_at)
+        if s.section == directory.WEIGHTS:
+            return resized(self.data, s.section, self.data[section.start : s.start] + content)
+        end = s.start + pad4(s.end - s.start)
+        padded = content + bytes(pad4(len(content)) - len(content))
+        whole = bytearray(self.data[section.start : s.start] + padded + self.data[end : section.start + section.length])
+        at = s.length_at - section.start
+        whole[at : at + 4] = len(content).to_bytes(4, "little")
+        return resized(self.data, s.section, bytes(whole))
 
-    def with_positions(self, chunk: int, content: bytes) -> bytes:
-        """The file with other bytes as one chunk's positions, lengths and checksums right."""
-        start, end = self.part(directory.POSITIONS, chunk)
-        section = self.sections[directory.POSITIONS]
-        whole = self.data[section.start : start] + content + self.data[end : section.end]
-        return resized(self.data, directory.POSITIONS, whole, self.at(f"chunk_table.entry[{chunk}].position_length"))
+    def with_part(self, name: str, chunk: int, content: bytes) -> bytes:
+        """The file with other bytes as one part of a chunk, lengths and checksums right. name: as in PARTS."""
+        section, (start, end) = self.sections[directory.DATA], self.part(name, chunk)
+        padded = content + bytes(pad4(len(content)) - len(content))
+        out = bytearray(self.data)
+        for at, length in (
+            (self.at(f"chunk[{chunk}].{name.removesuffix('s')}_length"), len(content)),
+            (
+                self.at(f"index.entry[{chunk}].length"),
+                self.value(f"index.entry[{chunk}].length") + len(padded) - pad4(end - start),
+            ),
+        ):
+            out[at : at + 4] = length.to_bytes(4, "little")
+        whole = out[section.start : start] + padded + out[start + pad4(end - start) : section.start + section.length]
+        at = self.at(f"directory[{section.number}].length")
+        out[at : at + 8] = len(whole).to_bytes(8, "little")
+        return repair(bytes(out[: section.start]) + bytes(whole) + self.data[section.end :])

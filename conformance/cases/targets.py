@@ -11,7 +11,9 @@ from functools import cache, lru_cache
 import numpy as np
 
 from refcodec.bitstream import codec
+from refcodec.bitstream.directory import SECTIONS
 from refcodec.bitstream.header import Lanes
+from refcodec.bitstream.scene import Ancillary
 from refcodec.bitstream.tables import tables
 from refcodec.encoder.positions import position_model
 
@@ -19,8 +21,12 @@ from .cells import placed, sharp_model
 from .numbers import Numbers
 from .samplers import drawn
 from .scenes import (
+    CONSTANT,
     MAIN_SMALLEST,
+    PLANELESS,
     SMALLEST,
+    TINY_DIMENSIONS,
+    UNENCODED,
     constant,
     lattice,
     packed_weights,
@@ -31,8 +37,12 @@ from .scenes import (
 )
 from .target import Target
 
+# Where an ancillary section stands that comes behind all critical ones, however many these are.
+BEHIND = len(SECTIONS)
 # Seeds that the fuzzer draws.
 SEEDS = 6
+# Of most files here: small networks, since hundreds of files of the suite are one of them with a fault.
+_SMALL = replace(TINY_DIMENSIONS, hyper_width=(2,), carm_width=(2,), render_width=1)
 # The first substream of attributes, which is the only one of some files.
 ATTRIBUTES_0 = "attributes[chunk 0]"
 
@@ -40,8 +50,18 @@ ATTRIBUTES_0 = "attributes[chunk 0]"
 @cache
 def plain() -> Target:
     """A file of three chunks in mode 0. Behind its critical sections are two ancillary ones, the last of them empty."""
-    made = drawn("refused", 11, chunk_size=4)
-    return Target(codec.emit(replace(made, extensions=((5, 1, b"hello"), (9, 0, b"")))))
+    made = drawn("refused", 11, _SMALL, chunk_size=4)
+    behind = (Ancillary(b"noTE", 1, b"hello", BEHIND), Ancillary(b"moRE", 0, b"", BEHIND))
+    return Target(codec.emit(replace(made, ancillary=behind)))
+
+
+@cache
+def strewn() -> Target:
+    """A file of two chunks in mode 0 whose ancillary sections stand before, among and behind the critical ones."""
+    made = drawn("refused-strewn", 5, _SMALL, chunk_size=3)
+    texts = (b"a", b"bcd", b"efghi", b"jk", b"l")
+    every = tuple(Ancillary(b"noTE", 0, text, after) for after, text in enumerate(texts, 1))
+    return Target(codec.emit(replace(made, ancillary=(Ancillary(b"moRE", 0, b"first"), *every))))
 
 
 @cache
@@ -49,9 +69,33 @@ def packed() -> Target:
     """A file in mode 1: two packed chunks, a raw one and a packed one; the layer colour.0 is raw."""
     where = lattice(Numbers("refused-packed"), 11)
     where[6] = where[7]
-    made = drawn("refused-packed", 11, chunk_size=3, positions=where, position_model=position_model(where, 3))
+    made = drawn("refused-packed", 11, _SMALL, chunk_size=3, positions=where, position_model=position_model(where, 3))
     made.networks["colour"][0][1][0] = -0.0
     return Target(codec.emit(packed_weights(made)))
+
+
+@cache
+def planeless() -> Target:
+    """A file without planes."""
+    return Target(codec.emit(drawn("refused-planeless", 2, PLANELESS)))
+
+
+@cache
+def unencoded() -> Target:
+    """A file without a positional encoding."""
+    return Target(codec.emit(drawn("refused-unencoded", 2, UNENCODED)))
+
+
+@cache
+def unpredicted() -> Target:
+    """A file without planes and without a positional encoding."""
+    return Target(codec.emit(drawn("refused-constant", 2, CONSTANT)))
+
+
+@cache
+def later() -> Target:
+    """A file of a later minor version, whose header has eight more bytes."""
+    return Target(codec.emit(replace(drawn("refused-later", 2, SMALLEST), minor=3, later=b"\1\2\3\4\5\6\7\x08")))
 
 
 @cache

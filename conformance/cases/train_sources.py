@@ -3,7 +3,7 @@
 python -m conformance.cases.train_sources [NAME]
 
 The suite is generated from the files that are there. A training gives the same file only on the same machine with the
-same libraries.
+same libraries. The files there were trained before files had this layout. They were written anew with the same values.
 """
 
 from __future__ import annotations

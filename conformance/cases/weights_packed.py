@@ -1,4 +1,4 @@
-"""Cases of clauses 5.16, 6.8 and 7.13: weights in mode 1, as integers on grids, and layers that are raw there."""
+"""Cases of clauses 5.9, 6.8 and 7.13: weights in mode 1, as integers on grids. Raw layers are in weights_forms.py."""
 
 from __future__ import annotations
 
@@ -22,7 +22,15 @@ from .checksums import resized
 from .fault import Draw, Drawn, Edit, Whole, fault
 from .numbers import Int64, Numbers
 from .samplers import Sampler, drawn, sampled
-from .scenes import SMALLEST, TINY_DIMENSIONS, Networks, dyadic, packed_weights, scales, scene, settled
+from .scenes import (
+    SMALLEST,
+    TINY_DIMENSIONS,
+    Networks,
+    dyadic,
+    packed_weights,
+    scales,
+    scene,
+)
 from .target import Target
 from .targets import SEEDS, grids
 
@@ -45,7 +53,7 @@ def cut(t: Target, layer: str | None, more: int) -> Whole:
 def _(draw: Draw, t: Target) -> Drawn:
     t = _any_grids(draw)
     layer = draw.choice([None, *t.layers])
-    return t, layer, draw.integer(0, 2 if layer is None else 5)
+    return t, layer, draw.integer(0, 3 if layer is None else 7)
 
 
 @fault("weights.layer")
@@ -66,16 +74,17 @@ def _(draw: Draw, t: Target) -> Drawn:
     return t, *draw.choice(wrong)
 
 
-@fault("weights.raw")
-def packable(t: Target, layer: str) -> Edit:
-    """A raw layer whose first bias is 0: without the -0 that it had there it can be packed."""
-    return Edit({t.weight_at(layer, 0, None): bytes(4)}, t.layer_at(layer))
+@fault("weights.reserved")
+def reserved(t: Target, layer: str, item: int, value: int) -> Edit:
+    """A reserved byte of a layer's model is not zero. The first byte of them is told."""
+    path = f"weights.{layer}.reserved"
+    return Edit(t.pack({f"{path}[{item}]": value}), t.at(f"{path}[0]"))
 
 
-@packable.drawn
+@reserved.drawn
 def _(draw: Draw, t: Target) -> Drawn:
     t = _any_grids(draw)
-    return t, t.layers[0]
+    return t, draw.choice(t.layers), draw.integer(0, 1), draw.integer(1, 255)
 
 
 def with_integers(
@@ -216,7 +225,6 @@ def add(book: Book) -> None:
     _refused(book)
     _exponents(book)
     _valid(book)
-    _raw(book)
 
 
 @cache
@@ -227,23 +235,16 @@ def _last_raw() -> Target:
     return Target(codec.emit(packed_weights(made)))
 
 
-@cache
-def _at_the_limit() -> Target:
-    """A file whose raw layer opacity.0 has the largest integer in one row, and a far smaller number in the other."""
-    made = scene("planted-scaled", 2, replace(SMALLEST, render_width=2), lanes=Lanes(0, 0, 1))
-    w, b = made.networks["opacity"][0]
-    w[0], b[0], w[1], b[1] = 0, -0.0, 0, 0
-    w[0, 0], w[1, 0] = (1 << 24) - 1, 2.0**-30
-    return Target(codec.emit(packed_weights(made)))
-
-
 def _refused(book: Book) -> None:
     add = partial(book.add, features="packed-weights")
     behind = "and the bytes of the planes make none"
     cuts: list[tuple[str, str, Callable[[], Target], str | None, int]] = [
         ("nothing", "a section of weights without a byte", grids, None, 0),
         ("cut-in-table", "the section ends within its table", grids, None, 1),
+        ("cut-in-padding", "the section ends within the padding of its table", grids, None, 3),
+        ("cut-behind-table", "the section ends behind its table", grids, None, 4),
         ("cut-in-model", "the section ends within a layer's model", grids, "sarm.1", 5),
+        ("cut-in-reserved", "the section ends within the reserved bytes of a layer's model", grids, "hyper.1", 7),
         ("cut-in-values", "the section ends within the values of a raw layer", grids, "hyper.0", 9),
         ("cut-before-model", f"the weights end before a layer's model, {behind}", grids, "sarm.1", 0),
         ("cut-in-exponent", f"the weights end within the exponent of a layer, {behind}", grids, "sarm.1", 2),
@@ -263,21 +264,17 @@ def _refused(book: Book) -> None:
         ("exponent-150", "exponent 150", "sarm.0", "exponent", 150),
         ("exponent-minus-105", "exponent -105", "sarm.0", "exponent", -105),
         ("raw-exponent", "a raw layer with an exponent", "hyper.0", "exponent", 1),
+        ("raw-exponent-below", "a raw layer with an exponent of -1", "hyper.0", "exponent", -1),
         ("raw-exponent-scale", "a raw layer with a scale of exponents", "hyper.0", "exponent_scale", 1),
         ("raw-weight-scale", "a raw layer with a scale of weights", "hyper.0", "weight_scale", 1),
         ("raw-bias-scale", "a raw layer with a scale of biases", "hyper.0", "bias_scale", 255),
     ):
         make = model_field.of(grids, of_layer, field, value)
         add(f"invalid-grids-{name}", title, make, flags="limit-off-by-one reserved-unchecked")
-    title, make = "a raw layer that can be packed", packable.of(grids, "hyper.0")
-    add("invalid-grids-raw-for-nothing", title, make, flags="canonical-form raw-layer")
-    add(
-        "invalid-grids-raw-at-the-limit",
-        "a raw layer with the largest integer in one row, and a far smaller number in another",
-        packable.of(_at_the_limit, "opacity.0"),
-        requirements="D7.13-1",
-        flags="canonical-form raw-layer limit-off-by-one",
-    )
+    for name, of_layer, item in (("raw", "hyper.0", 0), ("packed", "opacity.1", 1), ("last", "colour.1", 1)):
+        title = f"a reserved byte of a layer's model that is not zero: {name}"
+        make = reserved.of(grids, of_layer, item, 1)
+        add(f"unsupported-grids-reserved-{name}", title, make, flags="reserved-unchecked")
 
 
 def _exponents(book: Book) -> None:
@@ -310,7 +307,7 @@ def _exponents(book: Book) -> None:
 # --- the suite's valid files ------------------------------------------------------------------------------------------
 
 
-def _regular(name: str, change: Callable[[Networks], None]) -> Scene:
+def regular(name: str, change: Callable[[Networks], None]) -> Scene:
     """A scene with changed networks, packed. The symbols are drawn after the change."""
     made = scene(name, 3)
     change(made.networks)
@@ -336,29 +333,29 @@ def _valid(book: Book) -> None:
     add(
         "grids-limits",
         "exponents and integers at their limits",
-        partial(_regular, "grids-limits", _limits),
-        requirements="D7.13-1 R6.8-6 R6.8-5",
+        partial(regular, "grids-limits", _limits),
+        requirements="D7.13-1 R6.8-8 R6.8-7",
         flags="grid-exponent symbol-limit limit-off-by-one",
     )
     add(
         "grids-zeros",
         "rows of zeros at the beginning, between and at the end of a layer, and layers of zeros",
-        partial(_regular, "grids-zeros", _zeros),
-        requirements="D7.13-1 R6.8-6",
+        partial(regular, "grids-zeros", _zeros),
+        requirements="D7.13-1 R6.8-8",
         flags="zero-rows",
     )
     add(
         "grids-differences",
         "exponents that rise and fall from row to row",
-        partial(_regular, "grids-differences", _differences),
-        requirements="D7.13-1 R6.8-6",
+        partial(regular, "grids-differences", _differences),
+        requirements="D7.13-1 R6.8-8",
         flags="grid-exponent",
     )
     add(
         "grids-biases",
         "rows whose exponent is that of the bias",
-        partial(_regular, "grids-biases", _biases),
-        requirements="D7.13-1 R6.8-6",
+        partial(regular, "grids-biases", _biases),
+        requirements="D7.13-1 R6.8-8",
         flags="grid-exponent",
     )
     for value in (0, 255):
@@ -366,34 +363,34 @@ def _valid(book: Book) -> None:
             f"grids-scales-{value}",
             f"all scale indices {value}",
             partial(_one_scale, value),
-            requirements="D7.13-1 R6.8-6 D8.5-1 D8.7-1",
+            requirements="D7.13-1 R6.8-8 D8.5-1 D8.7-1",
             flags="grid-scales raw-width",
         )
     add(
         "grids-scales",
         "scale indices of their own for exponents, weights and biases of each layer",
         _own_scales,
-        requirements="D7.13-1 R6.8-6 D8.5-1",
+        requirements="D7.13-1 R6.8-8 D8.5-1",
         flags="grid-scales",
     )
     add(
         "grids-escapes",
         "integers of each length, far beyond their scale",
         _escapes,
-        requirements="D7.13-1 R6.8-6 D8.6-1 D8.7-1",
+        requirements="D7.13-1 R6.8-8 D8.6-1 D8.7-1",
         flags="escape-prefix escape-sign raw-before-escapes",
     )
     add(
         "grids-lanes",
         "a substream of 256 lanes",
-        lambda: replace(_regular("grids-lanes", lambda n: None), lanes=Lanes(0, 0, 8)),
-        requirements="D7.13-1 R6.8-6 D8.3-1",
+        lambda: replace(regular("grids-lanes", lambda n: None), lanes=Lanes(0, 0, 8)),
+        requirements="D7.13-1 R6.8-8 D8.3-1",
         flags="lane-order idle-lanes",
     )
 
 
 def _limits(n: Networks) -> None:
-    # The least and the largest exponent of a row, and integers at the limit.
+    # The least and the largest exponent of a layer and of a row, and integers at the limit.
     w, b = n["opacity"][0]
     w[0], b[0] = 0, np.float32(2.0**-149)
     w[1], b[1] = 2.0**104, 0
@@ -402,6 +399,8 @@ def _limits(n: Networks) -> None:
     w[0], b[0] = 1 - (1 << 24), (1 << 24) - 1
     w[1], b[1] = 2.0**104, -(2.0**127)
     w[2], b[2] = float(np.float32(2.0**104 * ((1 << 24) - 1))), 2.0**104
+    w, b = n["colour"][0]
+    w[0], b[0] = 2.0**104, 0
 
 
 def _zeros(n: Networks) -> None:
@@ -448,80 +447,9 @@ def _escapes() -> Scene:
     def change(n: Networks) -> None:
         numbers = Numbers("grids-escapes")
         w, b = n["colour"][0]
-        values = [s * ((1 << z) | 1) for z in range(1, 24) for s in (1, -1)]
+        values = [s * ((1 << z) | 1) for z in range(1, 24) for s in (1, -1)] + [(1 << 24) - 1, 1 - (1 << 24)]
         w[:] = dyadic(numbers.chosen(values, *w.shape), 0)
         b[:] = dyadic(numbers.chosen(values, len(b)), 0)
 
-    made = _regular("grids-escapes", change)
+    made = regular("grids-escapes", change)
     return replace(made, weight_scales=np.minimum(scales(made.networks), 60).astype(np.uint8))
-
-
-# --- layers that cannot be packed -------------------------------------------------------------------------------------
-
-
-def _raw(book: Book) -> None:
-    add = partial(book.valid, features="packed-weights")
-    add(
-        "grids-raw-layers",
-        "layers that are raw: -0, integers and exponents beyond the limits",
-        partial(_regular, "grids-raw-layers", _beyond),
-        requirements="D7.13-1 R6.8-6 R6.8-4 R6.8-7",
-        flags="raw-layer",
-    )
-    add(
-        "grids-raw-all",
-        "every layer raw, and a substream of no symbols",
-        partial(_regular, "grids-raw-all", _all_raw),
-        requirements="D7.13-1 R6.8-6 R6.8-4 R6.8-7",
-        flags="raw-layer empty-substream",
-    )
-    add(
-        "grids-last-bias",
-        "a layer that is raw because of its last bias alone",
-        _last_bias,
-        requirements="R6.8-7 D7.13-1",
-        flags="raw-layer grid-exponent",
-    )
-    add(
-        "grids-raw-subnormal",
-        "layers that are raw because of one subnormal number",
-        _subnormal,
-        requirements="D7.13-1 R6.8-7",
-        flags="subnormals raw-layer grid-exponent",
-    )
-
-
-def _beyond(n: Networks) -> None:
-    n["hyper"][0][0][0, 0] = -0.0
-    n["covariance"][1][1][3] = -0.0
-    # An odd integer beyond the limit, exponents beyond theirs.
-    n["opacity"][0][0][0, :2] = 2.0**24, 1
-    n["opacity"][1][0][0, 0] = 2.0**105
-    n["opacity"][1][0][0, 1:] = 0
-    n["opacity"][1][1][0] = 0
-    n["colour"][0][0][1, :2] = 3.0e38, 2.0**-149
-    # A row of zeros in a raw layer.
-    n["colour"][0][0][0], n["colour"][0][1][0] = 0, 0
-
-
-def _all_raw(n: Networks) -> None:
-    for layers in n.values():
-        for _, b in layers:
-            b[0] = -0.0
-
-
-def _last_bias() -> Scene:
-    made = scene("planted-last-bias", 2, replace(SMALLEST, render_width=3), lanes=Lanes(0, 0, 1))
-    w, b = made.networks["opacity"][0]
-    w[:], b[:] = 1, 1
-    b[2] = 2.0**-24
-    return packed_weights(made)
-
-
-def _subnormal() -> Scene:
-    made = scene("outside-least", 2, SMALLEST, lanes=Lanes(0, 0, 1))
-    for name, tiny in (("hyper", 2.0**-149), ("opacity", 2.0**-149), ("colour", (2.0**23 - 1) * 2.0**-149)):
-        w, b = made.networks[name][0]
-        w[:], b[:] = 1, 1
-        w[0, 0] = tiny
-    return packed_weights(settled(made))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import struct
+from functools import partial
 
 import numpy as np
 
@@ -15,14 +16,17 @@ from .fault import Draw, Drawn, Edit, fault
 from .header import INFINITY, LARGEST_F32, NAN, SMALLEST_F32, label_of
 from .numbers import Numbers
 from .samplers import Sampler, drawn, sampled
+from .scenes import CONSTANT, PLANELESS, UNENCODED
 from .target import Target
-from .targets import grids, packed, plain
+from .targets import five_cells, grids, packed, plain, planeless
 
 NOT_FINITE = {
     "not-a-number": struct.pack("<f", NAN),
     "infinite": struct.pack("<f", INFINITY),
     "signalling": b"\1\0\x80\xff",
 }
+
+MINUS = struct.pack("<f", -INFINITY)
 
 
 @fault("weights.scale")
@@ -34,11 +38,27 @@ def scale(t: Target, field: str, value: int) -> Edit:
 
 @scale.drawn
 def _(draw: Draw, t: Target) -> Drawn:
-    inputs = t.header.dimensions.carm_inputs
-    limits = {"plane_shift": PLANE_SHIFT_MAX, "carm_input_count": inputs}
+    d = t.header.dimensions
+    inputs = d.carm_inputs
+    limits = {"plane_shift": PLANE_SHIFT_MAX if d.plane_channels else 0, "carm_input_count": inputs}
     limits |= {f"carm_shift[{i}]": CARM_SHIFT_MAX for i in range(inputs)}
     field = draw.choice(list(limits))
     return t, field, draw.choice([limits[field] + 1, 255])
+
+
+@fault("weights.padding")
+def padding(t: Target, at: int, value: int) -> Edit:
+    """A byte of the padding behind carm_shift is not zero."""
+    start = t.at("weights.padding")
+    return Edit({start + at: bytes([value])}, start)
+
+
+@padding.drawn
+def _(draw: Draw, t: Target) -> Drawn:
+    if "weights.padding" not in t.elements:
+        return None
+    row = t.element("weights.padding")
+    return t, draw.integer(0, row.end - row.start - 1), draw.integer(1, 255)
 
 
 @fault("weights.not_finite")
@@ -64,12 +84,25 @@ def add(book: Book) -> None:
     for base, before, features, field, value in (
         (plain, "", "raw-weights", "plane_shift", 11),
         (plain, "", "raw-weights", "carm_input_count", 0),
+        (plain, "", "raw-weights", "carm_input_count", 3),
         (plain, "", "raw-weights", "carm_shift[0]", 17),
+        (plain, "last-", "raw-weights", "carm_shift[1]", 17),
         (packed, "packed-", "packed-weights", "carm_input_count", 0),
     ):
         title = f"{field.partition('[')[0]} {value}"
         identifier = f"invalid-{before}{label_of(title).replace(' ', '-')}"
         book.add(identifier, title, scale.of(base, field, value), features=features, flags="limit-off-by-one")
+    title = "plane_shift 1, and no planes"
+    make = scale.of(planeless, "plane_shift", 1)
+    book.add("invalid-planeless-plane-shift-1", title, make, features="raw-weights", flags="limit-off-by-one")
+    for name, base, at, features in (
+        ("raw", five_cells, 1, "raw-weights"),
+        ("packed", grids, 0, "packed-weights"),
+        ("packed-last-byte", grids, 1, "packed-weights"),
+    ):
+        title = f"padding of the table of scales that is not zero: {name.replace('-', ', ')}"
+        make = padding.of(base, at, 0x80)
+        book.add(f"malformed-weights-padding-{name}", title, make, features=features, flags="padding-unchecked")
     places: list[tuple[str, str, tuple[str, int, int | None]]] = [
         ("first", "not-a-number", ("hyper.0", 0, 0)),
         ("bias", "infinite", ("sarm.0", 1, None)),
@@ -84,6 +117,8 @@ def add(book: Book) -> None:
             features="raw-weights",
             flags="float-limits",
         )
+    title, make = "the last bias of a section of weights is infinite", not_finite.of(plain, "colour.1", 5, None, MINUS)
+    book.add("invalid-weights-infinite-end", title, make, features="raw-weights", flags="float-limits")
     title = "a raw layer with a number that is none"
     make = not_finite.of(grids, "hyper.0", 0, 0, NOT_FINITE["not-a-number"])
     book.add("invalid-grids-raw-not-a-number", title, make, features="packed-weights", flags="float-limits")
@@ -92,7 +127,7 @@ def add(book: Book) -> None:
         "rendering networks with any finite f32, which decide no symbol",
         _any_finite,
         features="raw-weights",
-        requirements="R6.8-2 D9.3-1",
+        requirements="R6.8-3 D9.3-1",
         flags="weight-bits",
     )
     book.valid(
@@ -103,6 +138,19 @@ def add(book: Book) -> None:
         requirements="D7.2-1 D9.3-1",
         flags="weight-bits",
     )
+    for name, text, d in (
+        ("planeless", "no planes: there is no SARM, and plane_shift is 0", PLANELESS),
+        ("unencoded", "no positional encoding: F_h has four inputs", UNENCODED),
+        ("constant", "neither planes nor encoding: F_h is its biases", CONSTANT),
+    ):
+        book.valid(
+            f"weights-{name}",
+            f"weights of a scene with {text}",
+            partial(drawn, f"weights-{name}", 7, d, chunk_size=4),
+            features="raw-weights dimensions",
+            requirements="R6.8-1 D7.2-1 D7.2-2",
+            flags="empty-refused",
+        )
 
 
 def _any_finite() -> Scene:

@@ -11,14 +11,14 @@ from numpy.typing import NDArray
 
 from refcodec.bitstream import codec
 from refcodec.bitstream.attributes import ATTRIBUTE_SYMBOL_MAX
-from refcodec.bitstream.dimensions import Dimensions, mask_contexts
+from refcodec.bitstream.dimensions import Dimensions, layers_of, mask_contexts
 from refcodec.bitstream.frame import Frame
 from refcodec.bitstream.header import Lanes, PositionGrid, RenderInfo
 from refcodec.bitstream.networks import BoundError, derive_layer
 from refcodec.bitstream.planes import PLANE_SYMBOL_MAX
-from refcodec.bitstream.positions import CELL_INDEX
-from refcodec.bitstream.scene import Scene
-from refcodec.bitstream.weights import to_grid
+from refcodec.bitstream.positions import CELL_INDEX, chunk_codes
+from refcodec.bitstream.scene import Ancillary, Scene
+from refcodec.bitstream.weights import packable
 
 from ..manifest import VECTORS
 from .book import Book
@@ -26,6 +26,7 @@ from .cells import any_model
 from .numbers import Int64, Numbers
 from .samplers import Sampler, drawn, sampled
 from .scenes import Networks, dyadic, lattice, positions, scene, with_symbols
+from .targets import BEHIND
 
 SOURCES = Path(__file__).resolve().parent / "sources"
 # How many there are.
@@ -136,7 +137,6 @@ def _render(numbers: Numbers) -> RenderInfo:
         return float(np.ldexp(np.float32(numbers.integer(1, (1 << 24) - 1)), numbers.integer(-120, 90)))
 
     background = tuple(numbers.integers(0, 255, 3).tolist())
-    rotation = tuple(float(x) for x in dyadic(numbers.integers(-9, 9, 4) * 2 + 1, 3))
     return RenderInfo(
         (background[0], background[1], background[2]),
         numbers.integer(0, 5),
@@ -144,12 +144,26 @@ def _render(numbers: Numbers) -> RenderInfo:
         positive(),
         float(dyadic(numbers.integers(1, 256, 1), 8)[0]),
         float(dyadic(numbers.integers(0, 999, 1), 4)[0]),
-        numbers.integer(1, 65535),
-        numbers.integer(1, 65535),
-        (positive(), positive()),
-        (rotation[0], rotation[1], rotation[2], rotation[3]),
-        (positive(), -positive(), positive()),
     )
+
+
+def _ancillary(numbers: Numbers) -> tuple[Ancillary, ...]:
+    """Ancillary sections of any types, in any places."""
+    found = []
+    for _ in range(numbers.integer(0, 4)):
+        letters = numbers.integers(0, 25, 4) + numbers.chosen([0x41, 0x61], 4)
+        letters[0] |= 0x20
+        kind, mode = bytes(letters.tolist()), numbers.integer(0, 255)
+        found.append(Ancillary(kind, mode, numbers.bytes(numbers.integer(0, 9)), numbers.integer(0, BEHIND)))
+    return tuple(sorted(found, key=lambda section: section.after))
+
+
+def _chunks(numbers: Numbers, anchors: int, chunk_size: int) -> tuple[int, ...]:
+    """The anchors of each chunk: any that there can be."""
+    found: list[int] = []
+    while sum(found) < anchors:
+        found.append(numbers.integer(1, min(chunk_size, anchors - sum(found))))
+    return tuple(found)
 
 
 def _places(numbers: Numbers, anchors: int) -> NDArray[np.float16]:
@@ -162,19 +176,29 @@ def _places(numbers: Numbers, anchors: int) -> NDArray[np.float16]:
     return found
 
 
+def _position_forms(numbers: Numbers, made: Scene) -> tuple[int, ...]:
+    """The form of each chunk: one that can be packed is raw now and then."""
+    forms = []
+    for chunk, wanted in zip(made.chunks, numbers.integers(0, 3, len(made.chunks)).tolist(), strict=True):
+        shift = None if made.position_model is None else made.position_model.cell_shift
+        fits = shift is not None and chunk_codes(made.positions[chunk.start : chunk.stop], shift) is not None
+        forms.append(int(fits and wanted > 0))
+    return tuple(forms)
+
+
 def unusual(seed: int) -> Scene:
     """A scene of which everything that the format leaves free is drawn."""
     numbers = Numbers("unusual", seed)
-    slices = _widths(numbers, (1, 4), 5)
-    layers = (1, 2)
+    slices, layers = _widths(numbers, (1, 4), 5), (0, 2)
+    channels, frequencies = (int(numbers.chosen([0, 1, 2, 3, most], 1)[0]) for most in (4, 10))
     d = Dimensions(
         numbers.integer(1, 5),
         slices,
-        numbers.integer(1, 4),
-        numbers.integer(1, 10),
-        numbers.integer(2, 9),
-        _widths(numbers, layers, 9),
-        _widths(numbers, layers, 6),
+        channels,
+        frequencies,
+        numbers.integer(2, 9) if channels else 0,
+        _widths(numbers, layers, 9) if channels + frequencies else (),
+        _widths(numbers, (1, 2), 6) if channels else (),
         _widths(numbers, layers, 7) if len(slices) > 1 else (),
         numbers.integer(1, 5),
     )
@@ -185,21 +209,26 @@ def unusual(seed: int) -> Scene:
         float(np.ldexp(np.float32(numbers.integer(1 << 23, (1 << 24) - 1)), numbers.integer(-83, 36))) for _ in range(3)
     )
     found = _weights(numbers, d)
-    weight_scales = None
+    weight_scales = weight_forms = None
     if numbers.integer(0, 1):
-        raw = [to_grid(layer) is None for layers in found.values() for layer in layers]
-        weight_scales = np.where(np.array(raw)[:, None], 0, numbers.integers(0, 200, len(raw), 3)).astype(np.uint8)
+        # A layer that can be packed is raw now and then.
+        weight_forms = np.where(numbers.integers(0, 4, len(layers_of(d))) == 0, 0, packable(found)).astype(np.uint8)
+        drawn_scales = numbers.integers(0, 200, len(weight_forms), 3)
+        weight_scales = np.where(weight_forms[:, None] == 0, 0, drawn_scales).astype(np.uint8)
     model = None
     if numbers.integer(0, 1):
         model = replace(any_model(numbers), cell_shift=int(numbers.chosen([CELL_INDEX, 22, 21, 20, 7], 1)[0]))
-    kinds = sorted(set(numbers.integers(1, 127, numbers.integer(0, 3)).tolist()))
+    chunk_size = int(numbers.chosen([1, 2, 3, 5, 7, 11, 64, 65536], 1)[0])
+    chunks = _chunks(numbers, anchors, chunk_size)
+    minor = numbers.integer(0, 1) * numbers.integer(1, 65535)
     origin = tuple(numbers.integers(1 - (1 << 62), (1 << 62) - 1, 3).tolist())
     made = scene(
         "unusual",
         anchors,
         d,
         seed,
-        chunk_size=int(numbers.chosen([1, 2, 3, 5, 7, 11, 64, 65536], 1)[0]),
+        chunk_size=chunk_size,
+        chunk_anchors=chunks,
         lanes=Lanes(*numbers.chosen([0, 1, 2, 3, 5], 3).tolist()),
         base_step=base_step,
         grid=PositionGrid((origin[0], origin[1], origin[2]), numbers.integer(1, 65535), numbers.integer(-60, 60)),
@@ -210,8 +239,10 @@ def unusual(seed: int) -> Scene:
             numbers.integers(0, 60, 3),
             low,
             np.minimum(low + numbers.integers(1, 1 << 19, 3), 1 << 18),
-        ),
-        plane_shift=numbers.integer(0, 10),
+        )
+        if d.has_frame
+        else None,
+        plane_shift=numbers.integer(0, 10) if channels else 0,
         carm_shift=numbers.integers(0, 16, d.carm_inputs).astype(np.uint8) >> numbers.integer(0, 3),
         networks=found,
         planes=_symbols(numbers, PLANE_SYMBOL_MAX, 5, d.plane_channels, d.plane_size, d.plane_size).astype(np.int16),
@@ -219,8 +250,12 @@ def unusual(seed: int) -> Scene:
         positions=where,
         position_model=model,
         weight_scales=weight_scales,
-        extensions=tuple((kind, numbers.integer(0, 255), numbers.bytes(numbers.integer(0, 9))) for kind in kinds),
+        weight_forms=weight_forms,
+        ancillary=_ancillary(numbers),
+        minor=minor,
+        later=numbers.bytes(4 * numbers.integer(0, 3)) if minor else b"",
     )
+    made = replace(made, position_forms=_position_forms(numbers, made))
     if seed % 2:
         return sampled(made, Sampler(numbers, 20), planes=numbers.integer(0, 1) == 1)
     given = {"features": (anchors, d.features), "scalings": (anchors, 6), "offsets": (anchors, d.offset_count, 3)}

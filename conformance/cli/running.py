@@ -22,7 +22,7 @@ from ..manifest import Manifest, ManifestError
 from ..report import record as records
 from ..report import summary
 from ..runner import selection
-from ..runner.grading import GRADE_CLASS, GRADE_EXACT
+from ..runner.grading import GRADE_CODE, GRADE_EXACT
 from ..runner.run import Options, Run, run
 from ..runner.selection import select
 from .errors import UsageError, note
@@ -211,7 +211,7 @@ def _add_grade(parser: argparse.ArgumentParser) -> None:
         type=int,
         choices=range(1, GRADE_EXACT + 1),
         default=GRADE_EXACT,
-        help=f"what a refusal must reach: 1 it is one, {GRADE_CLASS} its class, {GRADE_EXACT} code and offset too "
+        help=f"what a refusal must reach: 1 it is one, {GRADE_CODE} its code, {GRADE_EXACT} its offset too "
         "(default: %(default)s)",
     )
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import TypeVar
 
 import numpy as np
@@ -22,13 +23,12 @@ from refcodec.bitstream.header import ORIGIN_BOUND, Lanes, PositionGrid, RenderI
 from refcodec.bitstream.limits import PROFILES, TINY
 from refcodec.bitstream.networks import BoundError, derive_layer
 from refcodec.bitstream.planes import PLANE_SYMBOL_MAX
-from refcodec.bitstream.positions import CELL_INDEX, EMPTY_MODELS, HALVES, POSITION_MODELS, PositionModel
-from refcodec.bitstream.scene import Scene
+from refcodec.bitstream.positions import CELL_INDEX, EMPTY_MODELS, HALVES, POSITION_MODELS, PositionModel, chunk_codes
+from refcodec.bitstream.scene import Ancillary, Scene
 from refcodec.encoder.positions import frequencies, morton_order, position_model
 from refcodec.encoder.weights import exact_networks, quantise_rendering, weight_scales
 
 T = TypeVar("T")
-F32 = st.floats(width=32, allow_nan=False, allow_infinity=False)
 
 
 def _within(bounds: tuple[int, int], most: int) -> st.SearchStrategy[int]:
@@ -46,15 +46,17 @@ def dimensions(draw: st.DrawFn) -> Dimensions:
     def widths(count: tuple[int, int], width: tuple[int, int]) -> tuple[int, ...]:
         return tuple(draw(st.lists(_within(width, 6), min_size=count[0], max_size=count[1])))
 
+    channels, frequencies = draw(_within(p.plane_channels, 2)), draw(_within(p.frequency_count, 3))
+    sizes = st.one_of(st.integers(2, 7), st.sampled_from([2, 32])) if len(slices) < 3 else st.integers(2, 7)
     return Dimensions(
         draw(_within(p.offset_count, 3)),
         tuple(slices),
-        draw(_within(p.plane_channels, 2)),
-        draw(_within(p.frequency_count, 3)),
-        draw(st.one_of(st.integers(2, 7), st.sampled_from([2, 32]))) if len(slices) < 3 else draw(st.integers(2, 7)),
-        widths(p.hyper_layers, p.hyper_width),
-        widths(p.sarm_layers, p.sarm_width),
-        widths((1, 2), p.carm_width) if len(slices) > 1 else (),
+        channels,
+        frequencies,
+        draw(sizes) if channels else 0,
+        widths(p.hyper_layers, p.hyper_width) if channels + frequencies else (),
+        widths(p.sarm_layers, p.sarm_width) if channels else (),
+        widths(p.carm_layers, p.carm_width) if len(slices) > 1 else (),
         draw(_within(p.render_width, 3)),
     )
 
@@ -67,8 +69,6 @@ def grids() -> st.SearchStrategy[PositionGrid]:
 def render_infos() -> st.SearchStrategy[RenderInfo]:
     positive = st.floats(2.0**-100, 2.0**100, width=32)
     byte = st.integers(0, 255)
-    side = st.integers(1, 65535)
-    rotation = st.tuples(F32, F32, F32, F32).filter(any)
     return st.builds(
         RenderInfo,
         st.tuples(byte, byte, byte),
@@ -77,11 +77,6 @@ def render_infos() -> st.SearchStrategy[RenderInfo]:
         positive,
         st.floats(2.0**-20, 1, width=32),
         st.floats(0, 2.0**20, width=32),
-        side,
-        side,
-        st.tuples(positive, positive),
-        rotation,
-        st.tuples(F32, F32, F32),
     )
 
 
@@ -112,7 +107,7 @@ def networks(draw: st.DrawFn, d: Dimensions) -> dict:
             bias = (rng.normal(0, 40, rows) * min(scale * 2, 1)).astype(np.float32)
             if kind == "extreme":
                 # Just inside the bound at exponent 0: sum |w| * 1023 + |b| < 2^24.
-                weight = np.sign(weight) * np.float32(min(1023, ((1 << 24) - 1) // (1023 * fan_in)))
+                weight = np.sign(weight) * np.float32(min(1023, ((1 << 24) - 1) // (1023 * max(fan_in, 1))))
                 bias = np.zeros(rows, np.float32)
             try:
                 derive_layer(weight, bias)
@@ -149,11 +144,11 @@ def position_models(draw: st.DrawFn, positions: np.ndarray, chunk_size: int) -> 
 
 
 @st.composite
-def weight_codings(draw: st.DrawFn, networks: dict) -> tuple[dict, np.ndarray | None]:
-    """Networks in mode 0; or in mode 1, those of the encoder or as they are, with its scales or any."""
+def weight_codings(draw: st.DrawFn, networks: dict) -> tuple[dict, np.ndarray | None, np.ndarray | None]:
+    """Networks in mode 0; or in mode 1, those of the encoder or as they are, with its scales or any, and any forms."""
     kind = draw(st.sampled_from(["raw", "chosen", "any"]))
     if kind == "raw":
-        return networks, None
+        return networks, None, None
     if draw(st.booleans()):
         networks = exact_networks(networks)
     if draw(st.booleans()):
@@ -165,7 +160,32 @@ def weight_codings(draw: st.DrawFn, networks: dict) -> tuple[dict, np.ndarray | 
         scales = rng.integers(0, 256, scales.shape).astype(np.uint8) * np.array(
             [[grid is not None] for grid in grids], np.uint8
         )
-    return networks, scales
+    if draw(st.booleans()):
+        return networks, scales, None
+    # What can be packed may be raw, and has no scales then.
+    forms = weights.packable(networks) * draw(hnp.arrays(np.uint8, len(scales), elements=st.integers(0, 1)))
+    return networks, scales * forms[:, None], forms
+
+
+@st.composite
+def chunkings(draw: st.DrawFn, anchors: int, chunk_size: int) -> tuple[int, ...] | None:
+    """None for the fewest chunks, or any number of anchors for each chunk."""
+    if draw(st.booleans()):
+        return None
+    found: list[int] = []
+    while sum(found) < anchors:
+        found.append(draw(st.integers(1, min(chunk_size, anchors - sum(found)))))
+    return tuple(found)
+
+
+@st.composite
+def ancillary(draw: st.DrawFn) -> tuple[Ancillary, ...]:
+    """Some ancillary sections of any type, which may occur several times, at any places."""
+    letter = st.sampled_from("aZ")
+    kind = st.builds("{}{}{}{}".format, st.sampled_from("bz"), letter, letter, letter).map(str.encode)
+    known = st.sampled_from([b"mETA", b"cAMS"])
+    one = st.builds(Ancillary, st.one_of(kind, known), st.integers(0, 255), st.binary(max_size=9), st.integers(0, 3))
+    return tuple(sorted(draw(st.lists(one, max_size=3)), key=lambda a: a.after))
 
 
 @st.composite
@@ -211,8 +231,9 @@ def scenes(draw: st.DrawFn, max_anchors: int = 12) -> Scene:
     step = st.floats(2.0**-60, 2.0**60, width=32)
     chunk_size = draw(st.one_of(st.integers(1, 15), st.just(65536)))
     where = draw(some_positions(n))
-    chosen, scales = draw(weight_codings(draw(networks(d))))
-    types = sorted(draw(st.sets(st.integers(1, 127), max_size=2)))
+    chosen, scales, forms = draw(weight_codings(draw(networks(d))))
+    chunks, model = draw(chunkings(n, chunk_size)), draw(position_models(where, chunk_size))
+    minor = draw(st.sampled_from([0, 0, 1]))
     scene = Scene(
         profile=TINY,
         dimensions=d,
@@ -221,8 +242,8 @@ def scenes(draw: st.DrawFn, max_anchors: int = 12) -> Scene:
         base_step=draw(st.tuples(step, step, step)),
         grid=draw(grids()),
         render=draw(render_infos()),
-        frame=draw(frames()),
-        plane_shift=draw(st.integers(0, weights.PLANE_SHIFT_MAX)),
+        frame=draw(frames()) if d.has_frame else None,
+        plane_shift=draw(st.integers(0, weights.PLANE_SHIFT_MAX)) if d.plane_channels else 0,
         carm_shift=draw(hnp.arrays(np.uint8, d.carm_inputs, elements=st.integers(0, weights.CARM_SHIFT_MAX))),
         networks=chosen,
         planes=plane.astype(np.int16),
@@ -235,10 +256,17 @@ def scenes(draw: st.DrawFn, max_anchors: int = 12) -> Scene:
             offsets,
             np.zeros((n, 3), np.uint8),
         ),
-        extensions=tuple((t, draw(st.integers(0, 255)), draw(st.binary(max_size=9))) for t in types),
-        position_model=draw(position_models(where, chunk_size)),
+        ancillary=draw(ancillary()),
+        position_model=model,
         weight_scales=scales,
+        chunk_anchors=chunks,
+        weight_forms=forms,
+        minor=minor,
+        later=draw(st.sampled_from([b"", b"\1\2\3\4"])) if minor else b"",
     )
+    if model is not None and draw(st.booleans()):
+        packed = [chunk_codes(where[c.start : c.stop], model.cell_shift) is not None for c in scene.chunks]
+        scene = replace(scene, position_forms=tuple(int(p and draw(st.booleans())) for p in packed))
     return with_steps(scene)
 
 
@@ -289,17 +317,19 @@ mutations = st.composite(draw_mutation)
 def draw_splice(draw: st.DrawFn, data: bytes) -> bytes:
     """A file with a few bytes of one substream taken out, put in or changed.
 
-    Lengths and checksums are right. The word count may change too.
+    Lengths and checksums are right. The word count may change too. A file without a substream is mutated instead.
     """
     target = Target(data)
+    if not target.substreams:
+        return draw_mutation(draw, data)
     s = draw(st.sampled_from(list(target.substreams.values())))
     part = bytearray(data[s.start : s.end])
     at = draw(st.integers(0, len(part)))
     out = draw(st.integers(0, min(8, len(part) - at)))
     part[at : at + out] = draw(st.binary(max_size=8))
     if len(part) >= 8 and draw(st.booleans()):
-        words = max(0, int.from_bytes(part[4:8], "little") + draw(st.integers(-4, 4)))
-        part[4:8] = words.to_bytes(4, "little")
+        words = int.from_bytes(part[4:8], "little") + draw(st.integers(-4, 4))
+        part[4:8] = min(max(words, 0), 0xFFFFFFFF).to_bytes(4, "little")
     return target.with_substream(s.path, bytes(part))
 
 

@@ -7,7 +7,7 @@ from pathlib import Path
 
 from .codec import decode
 from .errors import C3GSError
-from .reconstruction import canonical_parts, digests
+from .reconstruction import canonical_parts, digested, digests
 from .trace import Trace
 
 USAGE = (
@@ -17,7 +17,7 @@ USAGE = (
 REJECTED, UNSUPPORTED, USAGE_ERROR = 1, 2, 64
 
 
-# SPEC 10.1: a refusal is reported on stderr and by the exit status
+# SPEC 10.2: a refusal is reported on stderr and by the exit status
 def main(arguments: list[str]) -> int:
     """Run a command and return its exit status."""
     output = trace = ""
@@ -45,7 +45,8 @@ def main(arguments: list[str]) -> int:
         else:
             scene = decode(data)
         if command == "decode":
-            Path(output).write_bytes(b"".join(canonical_parts(scene).values()))
+            canonical = canonical_parts(scene)
+            Path(output).write_bytes(digested(scene, canonical) + b"".join(canonical.values()))
     except C3GSError as error:
         print(error, file=sys.stderr)
         print(json.dumps(error.as_dict()), file=sys.stderr)

@@ -1,6 +1,5 @@
-"""Clauses 5.13, 6.13 and 7.7 to 7.10: the attributes."""
+"""Clauses 6.13 and 7.7 to 7.10: the attributes."""
 
-from .chunks import Part
 from .conventions import ATTRIBUTE_SYMBOL_MAX, STEP_LENGTH, activation, clamp, shift_round
 from .entropy import Substream
 from .header import Header
@@ -35,6 +34,10 @@ class AttributeDecoder:
         d = self._channels
         predictions = [hyper(context) for context in contexts]
         symbols = [[0] * d for _ in contexts]
+        geometry = self._features + 6
+        self._stage([range(self._features, geometry)] * len(contexts), predictions, symbols)
+        kept = [[geometry + 3 * k + axis for k, bit in enumerate(mask) if bit for axis in range(3)] for mask in masks]
+        self._stage(kept, predictions, symbols)
         first = 0
         for i, width in enumerate(self._slices):
             if i:
@@ -42,10 +45,6 @@ class AttributeDecoder:
                     self._correct(i, first, width, y, prediction)
             self._stage([range(first, first + width)] * len(contexts), predictions, symbols)
             first += width
-        self._stage([range(first, first + 6)] * len(contexts), predictions, symbols)
-        first += 6
-        kept = [[first + 3 * k + axis for k, bit in enumerate(mask) if bit for axis in range(3)] for mask in masks]
-        self._stage(kept, predictions, symbols)
         steps = [[clamp(x, 0, STEP_LENGTH - 1) for x in prediction[2 * d :]] for prediction in predictions]
         return symbols, steps
 
@@ -72,22 +71,3 @@ class AttributeDecoder:
         for y, coded in zip(symbols, channels):
             for c in coded:
                 y[c] = next(rest)
-
-
-# SPEC 6.13, 7.10, 10.1 step 9
-def read_attributes(
-    data: bytes,
-    header: Header,
-    chunk: int,
-    part: Part,
-    weights: Weights,
-    gauss: Family,
-    contexts: list[list[int]],
-    masks: list[list[int]],
-    trace: Trace | None,
-) -> tuple[list[list[int]], list[list[int]]]:
-    """Return the symbols and the step indices of a chunk's anchors. The CRC-32 of its part has been checked."""
-    stream = Substream(data, part.offset, part.length, header["attribute_lanes_log2"])
-    out = AttributeDecoder(stream, header, weights, gauss, trace, chunk * header["chunk_size"]).run(contexts, masks)
-    stream.finish()
-    return out

@@ -14,9 +14,12 @@ class ContextSource:
     """Computes the context of an anchor from its position."""
 
     def __init__(
-        self, frame: Frame, planes: list[Plane], plane_shift: int, frequencies: int, sine: tuple[int, ...]
+        self, frame: Frame | None, planes: list[Plane], plane_shift: int, frequencies: int, sine: tuple[int, ...]
     ) -> None:
-        """planes: those of r = 1 and r = 2. frequencies: L. sine: the sine table."""
+        """frame: None if there are no planes and no frequencies. planes: those of r = 1 and r = 2, or none.
+
+        frequencies: L. sine: the sine table.
+        """
         self._frame = frame
         self._planes = planes
         self._down = 2 * LERP_BITS - plane_shift
@@ -26,15 +29,17 @@ class ContextSource:
     # SPEC 7.5
     def __call__(self, position: tuple[int, int, int]) -> list[int]:
         """Return the 2 ch + 2 L inputs of F_h. position: P of each axis."""
-        u = self._unit_coordinates(position)
+        if self._frame is None:
+            return []
+        u = self._unit_coordinates(self._frame, position)
         out = []
         for plane in self._planes:
             out += self._query(plane, u[0], u[1])
         return out + self._gamma(u[2])
 
     # SPEC 7.5.1, 7.5.2, 7.5.3
-    def _unit_coordinates(self, position: tuple[int, int, int]) -> list[int]:
-        frame = self._frame
+    @staticmethod
+    def _unit_coordinates(frame: Frame, position: tuple[int, int, int]) -> list[int]:
         v = []
         for r in range(3):
             a, b, c = frame.matrix[3 * r : 3 * r + 3]

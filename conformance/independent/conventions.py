@@ -1,6 +1,10 @@
 """Clause 2: the constants, and the operators on integers."""
 
-HEADER_LENGTH_MIN, HEADER_LENGTH_MAX = 4, 65535
+MAJOR, MINOR = 0, 0
+HEADER_LENGTH_MIN, HEADER_LENGTH_MAX = 4, 65532
+SECTION_LENGTH_MAX = 1 << 48
+FEATURES_MAX = 128
+ANCHORS_OF_A_BYTE = 16
 LANES_LOG2_MAX = 8
 BASE_STEP_MIN, BASE_STEP_MAX = 2.0**-60, 2.0**60
 ORIGIN_BOUND = 1 << 62
@@ -28,12 +32,18 @@ LERP_BITS = 8
 STATE_MIN = 1 << 16
 PRECISION = 14
 RAW_MAX = 16
-ESCAPE_PREFIX_MAX = 25
+ESCAPE_PREFIX_MAX = 23
 SCALE_MIN, SCALE_END = -40, 24
 FRACTIONS = 16
 SINE_LENGTH = 1024
 STEP_LENGTH = 64
 STEP_SHIFT = 12
+
+
+# SPEC 5
+def padded(length: int) -> int:
+    """Return the least multiple of four that is not below length."""
+    return length + -length % 4
 
 
 # SPEC 2.4, RSHIFT_ROUND

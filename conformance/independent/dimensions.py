@@ -1,5 +1,6 @@
-"""Clauses 5.3, 5.8 and 6.3: the dimensions, and the networks that follow from them."""
+"""Clauses 5.3, 5.8 and 6.3: the dimensions, and the networks and the work that follow from them."""
 
+from itertools import pairwise
 from typing import NamedTuple
 
 from .syntax import Fields
@@ -26,6 +27,12 @@ class Dimensions(Fields):
         """The number of inputs of CARM: F less the width of the last slice."""
         return self.features - self["slice_width"][-1]
 
+    # SPEC 5.7, [R6.6-3]
+    @property
+    def framed(self) -> bool:
+        """Whether F_h has inputs. A file has a frame then."""
+        return self["plane_channels"] + self["frequency_count"] > 0
+
 
 class Shape(NamedTuple):
     """The shape of a network.
@@ -37,6 +44,12 @@ class Shape(NamedTuple):
     widths: list[int]
     integer: bool
 
+    # SPEC 5.8
+    @property
+    def weight_count(self) -> int:
+        """The number of its weights and biases."""
+        return sum((inputs + 1) * outputs for inputs, outputs in pairwise(self.widths))
+
 
 # SPEC 5.8
 def shapes(header: Dimensions) -> list[Shape]:
@@ -44,10 +57,9 @@ def shapes(header: Dimensions) -> list[Shape]:
     k, f, d = header["offset_count"], header.features, header.channels
     slices = header["slice_width"]
     context = 2 * header["plane_channels"] + 2 * header["frequency_count"]
-    out = [
-        Shape("hyper", [context, *header["hyper_width"], 2 * d + 3], True),
-        Shape("sarm", [4, *header["sarm_width"], 2], True),
-    ]
+    out = [Shape("hyper", [context, *header["hyper_width"], 2 * d + 3], True)]
+    if header["plane_channels"]:
+        out.append(Shape("sarm", [4, *header["sarm_width"], 2], True))
     out += [
         Shape(f"carm.{i}", [sum(slices[:i]), *header["carm_width"], 2 * slices[i]], True) for i in range(1, len(slices))
     ]
@@ -58,4 +70,18 @@ def shapes(header: Dimensions) -> list[Shape]:
 # SPEC 5.8, [R6.6-5]
 def weight_count(header: Dimensions) -> int:
     """Return W, the number of weights and biases."""
-    return sum((a + 1) * b for shape in shapes(header) for a, b in zip(shape.widths, shape.widths[1:]))
+    return sum(shape.weight_count for shape in shapes(header))
+
+
+# SPEC 11.2
+def work(header: Dimensions) -> int:
+    """Return the work of a file."""
+    anchor, symbol = 16 * header.channels, 16
+    for shape in shapes(header):
+        if shape.name == "sarm":
+            symbol += shape.weight_count
+        elif shape.integer:
+            anchor += shape.weight_count
+    symbols = 5 * header["plane_channels"] * header["plane_size"] ** 2
+    anchors: int = header["anchor_count"]
+    return anchors * anchor + symbols * symbol

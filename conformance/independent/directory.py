@@ -1,64 +1,84 @@
-"""Clauses 5.6, 6.6 and 12.1: the directory."""
+"""Clauses 5.6, 6.6 and 12.1: the directory and the sections."""
 
 import zlib
 from dataclasses import dataclass
 
-from .chunks import CHUNK_ENTRY_LENGTH, entries_start
+from .conventions import SECTION_LENGTH_MAX, padded
+from .dimensions import weight_count
 from .errors import require
-from .header import CHUNK_TABLE, FRAME, POSITIONS, WEIGHTS, Header
+from .header import Header
+from .index import CHUNK_ENTRY_LENGTH, entries_start
+from .syntax import check_padding
 
-CRITICAL_TYPES = range(0x81, 0x88)
+FRAME, WEIGHTS, PLANES, INDEX, DATA = b"FRAM", b"WGTS", b"PLNS", b"INDX", b"DATA"
+CRITICAL_TYPES = (FRAME, WEIGHTS, PLANES, INDEX, DATA)
+HIGHEST_MODES = {FRAME: 0, WEIGHTS: 1, PLANES: 0, INDEX: 1, DATA: 0}
+LETTERS = frozenset(b"ABCDEFGHIJKLMNOPQRSTUVWXYZabcdefghijklmnopqrstuvwxyz")
 FRAME_LENGTH = 88
 
 
 @dataclass(frozen=True)
 class Section:
-    """A section of the file: its type, its first byte in the file, and its length in bytes."""
+    """A section of the file. offset: its first byte in the file. length: its bytes, without the padding behind it."""
 
-    type: int
+    type: bytes
+    mode: int
     offset: int
     length: int
+    crc: int
+
+    @property
+    def end(self) -> int:
+        """The first byte after it and its padding."""
+        return self.offset + padded(self.length)
 
 
-# SPEC [R6.6-2], 12.1
-def _check_order(header: Header) -> None:
-    previous = 0
-    for n in range(header["section_count"]):
-        kind = header[f"type.{n}"]
-        right = kind == CRITICAL_TYPES[n] if n < len(CRITICAL_TYPES) else previous < kind < 0x80
-        require(right, "directory.order", header.offsets[f"type.{n}"])
-        previous = kind if n >= len(CRITICAL_TYPES) else 0
-    require(header["section_count"] >= len(CRITICAL_TYPES), "directory.order", header.offsets["section_count"])
+# SPEC 12.1
+def is_critical(kind: bytes) -> bool:
+    """Whether sections of a type are critical: its first letter is a capital."""
+    return kind[:1].isupper()
 
 
-# SPEC 6.6, 10.1 step 3, 12.1, 13.1: lengths are checked before what they size is read, ancillary sections are skipped
-def read_directory(data: bytes, header: Header, weight_count: int) -> list[Section]:
-    """Check the directory and the CRC-32s of the sections, and return the sections. weight_count: W."""
-    at = header.offsets
-    entries = range(header["section_count"])
-    for n in entries:
-        kind = header[f"type.{n}"]
-        require(kind < 0x80 or kind in CRITICAL_TYPES, "directory.unknown_critical", at[f"type.{n}"])
-    _check_order(header)
-    for n in range(len(CRITICAL_TYPES)):
-        require(header[f"mode.{n}"] <= (n in {WEIGHTS, POSITIONS}), "directory.mode", at[f"mode.{n}"])
-    end = header.end
-    for n in entries:
-        require(header[f"offset.{n}"] == end, "directory.offset", at[f"offset.{n}"])
-        end += header[f"length.{n}"]
-    implied = {
-        FRAME: FRAME_LENGTH,
-        CHUNK_TABLE: entries_start(header) + CHUNK_ENTRY_LENGTH * header.chunk_count,
-    }
-    if header.weight_mode == 0:
-        implied[WEIGHTS] = 2 + header.carm_inputs + 4 * weight_count
-    if header.position_mode == 0:
-        implied[POSITIONS] = 6 * header["anchor_count"]
-    for n, length in sorted(implied.items()):
-        require(header[f"length.{n}"] == length, "directory.length", at[f"length.{n}"])
-    require(end == len(data), "directory.file_length", min(end, len(data)))
-    sections = [Section(header[f"type.{n}"], header[f"offset.{n}"], header[f"length.{n}"]) for n in entries]
-    for n, section in enumerate(sections):
-        crc = zlib.crc32(memoryview(data)[section.offset : section.offset + section.length])
-        require(crc == header[f"crc.{n}"], "section.crc", section.offset)
+# SPEC [R6.6-1] to [R6.6-4]
+def _check_types(header: Header) -> None:
+    for entry in header.entries:
+        require(LETTERS.issuperset(entry.type), "directory.type", entry.at)
+    critical = [entry for entry in header.entries if is_critical(entry.type)]
+    for entry in critical:
+        require(entry.type in CRITICAL_TYPES, "directory.unknown_critical", entry.at)
+    present = {FRAME: header.framed, PLANES: header["plane_channels"] > 0}
+    wanted = [kind for kind in CRITICAL_TYPES if present.get(kind, True)]
+    for n, entry in enumerate(critical):
+        require(wanted[n : n + 1] == [entry.type], "directory.order", entry.at)
+    require(len(critical) == len(wanted), "directory.order", header.offsets["section_count"])
+    for entry in critical:
+        require(entry.mode <= HIGHEST_MODES[entry.type], "directory.mode", entry.at + 4)
+
+
+# SPEC [R6.6-5], 10.1, 13.1: lengths are checked before what they size is read
+def read_directory(header: Header) -> list[Section]:
+    """Check the directory, and return the sections in file order."""
+    _check_types(header)
+    sections, at = [], header.end
+    for entry in header.entries:
+        right = entry.length <= SECTION_LENGTH_MAX
+        if entry.type == FRAME:
+            right = entry.length == FRAME_LENGTH
+        elif entry.type == WEIGHTS and entry.mode == 0:
+            right = entry.length == padded(2 + header.carm_inputs) + 4 * weight_count(header)
+        elif entry.type == INDEX:
+            chunks = CHUNK_ENTRY_LENGTH * header["chunk_count"]
+            right = entry.length == entries_start(header, entry.mode) + chunks
+        require(right, "directory.length", entry.at + 8)
+        sections.append(Section(entry.type, entry.mode, at, entry.length, entry.crc))
+        at = sections[-1].end
     return sections
+
+
+# SPEC [R6.6-6] to [R6.6-8], 12.1: nothing else is checked of an ancillary section
+def check_section(data: bytes, section: Section) -> None:
+    """Check that a section other than DATA lies within the file, its CRC-32, and the padding behind it."""
+    after = section.offset + section.length
+    require(section.end <= len(data), "section.truncated", len(data))
+    require(zlib.crc32(memoryview(data)[section.offset : after]) == section.crc, "section.crc", section.offset)
+    check_padding(data, after, "section.padding")

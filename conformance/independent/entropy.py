@@ -1,4 +1,4 @@
-"""Clauses 5.14 and 8: the entropy coder."""
+"""Clauses 5.15 and 8: the entropy coder."""
 
 import struct
 import zlib
@@ -48,13 +48,13 @@ class RawBits:
 
 
 class Substream:
-    """A substream while it is decoded."""
+    """A substream while it is decoded. offset: its first byte in the file."""
 
-    # SPEC 5.14, [R8.1-1], [R8.1-2]
+    # SPEC 5.15, [R8.1-1], [R8.1-2]
     def __init__(self, data: bytes, offset: int, length: int, lanes_log2: int) -> None:
         """Read the substream in data[offset : offset + length], and check its head and its states."""
         lanes = 1 << lanes_log2
-        self._offset = offset
+        self.offset = offset
         words_at = HEAD_LENGTH + 4 * lanes
         require(length >= words_at, "substream.length", offset)
         self._crc_sent, word_count = struct.unpack_from("<2I", data, offset)
@@ -134,7 +134,7 @@ class Substream:
     # SPEC 8.8
     def finish(self) -> None:
         """Check the end of the substream, when all groups are decoded."""
-        at = self._offset
+        at = self.offset
         require(self._words_taken == len(self._words), "substream.words", at)
         require(all(state == STATE_MIN for state in self._states), "substream.final_state", at)
         require(self._escape_right, "substream.escape", at)

@@ -40,7 +40,7 @@ def derive_row(weights: tuple[float, ...], bias: float) -> Row | None:
     ratios = [(n, d.bit_length() - 1) for n, d in (x.as_integer_ratio() for x in (*weights, bias))]
     for exponent in range(EXPONENT_MAX, -1, -1):
         *integers, integer_bias = [round_ratio(n, d, exponent) for n, d in ratios]
-        if max(map(abs, integers)) > WEIGHT_MAX:
+        if max(map(abs, integers), default=0) > WEIGHT_MAX:
             continue
         rounding = (1 << exponent) >> 1
         if sum(map(abs, integers)) * ACTIVATION_MAX + abs(integer_bias) + rounding < ACCUMULATOR_BOUND:

@@ -1,13 +1,14 @@
-"""Clauses 5.9, 6.9 and 7.3: the planes."""
+"""Clauses 5.10, 6.9 and 7.3: the planes."""
 
 import struct
 
-from .conventions import PLANE_SYMBOL_MAX, activation
+from .conventions import PLANE_SYMBOL_MAX, activation, padded
 from .directory import Section
 from .entropy import Substream
 from .errors import require
 from .header import Header
 from .networks import Network
+from .syntax import check_padding
 from .tables import Family
 from .trace import Trace
 
@@ -47,21 +48,25 @@ def _decode_plane(
     return [[row[1:-1] for row in grid[1:]] for grid in padded]
 
 
-# SPEC 6.9, 10.1 step 5
+# SPEC 6.9, 10.1
 def read_planes(
     data: bytes, header: Header, section: Section, sarm: Network, laplace: Family, trace: Trace | None
 ) -> list[Plane]:
     """Return the five sub-planes."""
     require(section.length >= PLANE_TABLE_LENGTH, "planes.length", section.offset)
     lengths = struct.unpack_from("<5I", data, section.offset)
-    require(sum(lengths) == section.length - PLANE_TABLE_LENGTH, "planes.length", section.offset)
-    at = section.offset + PLANE_TABLE_LENGTH
+    total = PLANE_TABLE_LENGTH + sum(map(padded, lengths))
+    require(total == section.length, "planes.length", section.offset)
+    spans, at = [], section.offset + PLANE_TABLE_LENGTH
+    for length in lengths:
+        check_padding(data, at + length, "planes.padding")
+        spans.append((at, length))
+        at += padded(length)
     planes = []
-    for n, length in enumerate(lengths):
-        stream = Substream(data, at, length, header["plane_lanes_log2"])
+    for n, span in enumerate(spans):
+        stream = Substream(data, *span, header["plane_lanes_log2"])
         planes.append(_decode_plane(stream, sarm, laplace, header["plane_channels"], header["plane_size"], n, trace))
         stream.finish()
-        at += length
     return planes
 
 

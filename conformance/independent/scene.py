@@ -23,14 +23,13 @@ class Chunk:
 
 @dataclass(frozen=True)
 class Scene:
-    """All that a file says.
+    """All that the canonical reconstruction needs, and the frame.
 
-    planes: the five sub-planes. mask_model: the frequencies of a kept offset.
+    frame: None if F_h has no inputs. planes: the five sub-planes, or none.
     """
 
     header: Header
-    frame: Frame
+    frame: Frame | None
     weights: Weights
     planes: list[Plane]
-    mask_model: list[int]
     chunks: list[Chunk]

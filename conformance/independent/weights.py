@@ -1,4 +1,4 @@
-"""Clauses 5.8, 5.16, 6.8 and 7.13: the weights, raw or as integers on grids."""
+"""Clauses 5.8, 5.9, 6.8 and 7.13: the weights, raw or as integers on grids."""
 
 import math
 import struct
@@ -13,6 +13,7 @@ from .conventions import (
     WEIGHT_EXPONENT_MAX,
     WEIGHT_EXPONENT_MIN,
     WEIGHT_SYMBOL_MAX,
+    padded,
 )
 from .dimensions import shapes
 from .directory import Section
@@ -20,10 +21,12 @@ from .entropy import Substream
 from .errors import C3GSError, require
 from .header import Header
 from .networks import Network, Row, derive_row
+from .syntax import check_padding
 from .tables import Tables
 from .trace import Trace
 
-MODEL_LENGTH = 6
+MODEL_LENGTH = 8
+PACKED = 1
 
 
 class Layer(NamedTuple):
@@ -46,67 +49,45 @@ class Model(NamedTuple):
     raw: list[float]
 
 
-# SPEC [R6.8-2]
+# SPEC [R6.8-3]
 def check_finite(values: list[float], at: int) -> None:
     """Refuse the file if a value is not finite. at: where the first value is in the file."""
     for n, value in enumerate(values):
         require(math.isfinite(value), "weights.not_finite", at + 4 * n)
 
 
-# SPEC 5.16, [R6.8-4], [R6.8-5]
+# SPEC 5.9, [R6.8-6], [R6.8-7]
+def _read_model(data: bytes, at: int) -> Model:
+    """Return the LayerModel at data[at], as that of a packed layer."""
+    form, exponent_scale, exponent, weight_scale, bias_scale, *reserved = struct.unpack_from("<2Bh4B", data, at)
+    require(not any(reserved), "weights.reserved", at + 6)
+    require(form <= PACKED, "weights.layer", at)
+    require(WEIGHT_EXPONENT_MIN <= exponent <= WEIGHT_EXPONENT_MAX, "weights.layer", at + 2)
+    if form != PACKED:
+        for n, field in ((1, exponent_scale), (2, exponent), (4, weight_scale), (5, bias_scale)):
+            require(field == 0, "weights.layer", at + n)
+    return Model(form, exponent, exponent_scale, weight_scale, bias_scale, at, [])
+
+
+# SPEC 5.8, [R6.8-5]
 def _read_models(data: bytes, section: Section, at: int, forms: list[tuple[int, int]]) -> tuple[list[Model], int]:
     """Return the models of all layers, and where the substream begins. forms: (outputs, inputs) of each layer."""
     end = section.offset + section.length
     found = []
     for outputs, inputs in forms:
         require(at + MODEL_LENGTH <= end, "weights.length", section.offset)
-        form, exponent, *scales = struct.unpack_from("<Bh3B", data, at)
-        require(form <= 1, "weights.layer", at)
-        require(WEIGHT_EXPONENT_MIN <= exponent <= WEIGHT_EXPONENT_MAX, "weights.layer", at + 1)
-        raw: list[float] = []
-        values_at = at + MODEL_LENGTH
-        if form == 0:
-            require(exponent == 0, "weights.layer", at + 1)
-            for n, scale in enumerate(scales):
-                require(scale == 0, "weights.layer", at + 3 + n)
+        model = _read_model(data, at)
+        at += MODEL_LENGTH
+        if model.form != PACKED:
             count = outputs * (inputs + 1)
-            require(values_at + 4 * count <= end, "weights.length", section.offset)
-            raw = list(struct.unpack_from(f"<{count}f", data, values_at))
-        found.append(Model(form, exponent, scales[0], scales[1], scales[2], at, raw))
-        at = values_at + 4 * len(raw)
+            require(at + 4 * count <= end, "weights.length", section.offset)
+            model = model._replace(raw=list(struct.unpack_from(f"<{count}f", data, at)))
+            at += 4 * count
+        found.append(model)
     return found, at
 
 
-# SPEC 7.13, LEAST_EXPONENT
-def _least_exponent(values: list[float]) -> int | None:
-    least = None
-    for value in values:
-        if value:
-            numerator, denominator = value.as_integer_ratio()
-            twos = len(bin(numerator)) - len(bin(numerator).rstrip("0"))
-            own = denominator.bit_length() - 1 - twos
-            least = own if least is None else max(least, own)
-    return least
-
-
-# SPEC 7.13, CAN_BE_PACKED
-def _can_be_packed(values: list[float], inputs: int) -> bool:
-    if any(value == 0 and math.copysign(1, value) < 0 for value in values):
-        return False
-    outputs = len(values) // (inputs + 1)
-    for n in range(outputs):
-        row = [*values[n * inputs : (n + 1) * inputs], values[outputs * inputs + n]]
-        least = _least_exponent(row)
-        if least is None:
-            continue
-        if not WEIGHT_EXPONENT_MIN <= least <= WEIGHT_EXPONENT_MAX:
-            return False
-        if math.ldexp(max(map(abs, row)), least) > WEIGHT_SYMBOL_MAX:
-            return False
-    return True
-
-
-# SPEC 7.13, PACKED_LAYER, [R6.8-6]
+# SPEC 7.13, PACKED_LAYER, [R6.8-8]
 def _unpacked(model: Model, steps: list[int], biases: list[int], weights: list[int]) -> list[float]:
     inputs = len(weights) // len(biases)
     exponents = list(accumulate(steps, initial=model.exponent))[1:]
@@ -125,7 +106,7 @@ def _unpacked(model: Model, steps: list[int], biases: list[int], weights: list[i
     return values + [math.ldexp(x, -exponent) for x, exponent in zip(biases, exponents)]
 
 
-# SPEC 7.13, DECODE_WEIGHTS, 10.1 step 4
+# SPEC 7.13, DECODE_WEIGHTS, 10.1: a raw layer may be one that can be packed
 def read_grids(
     data: bytes,
     header: Header,
@@ -163,7 +144,6 @@ def read_grids(
             values = _unpacked(model, steps, biases, [next(many) for _ in range(outputs * inputs)])
         else:
             check_finite(values, model.at + MODEL_LENGTH)
-            require(not _can_be_packed(values, inputs), "weights.raw", model.at)
         layers.append(Layer(values, inputs, model.at))
     return layers
 
@@ -181,20 +161,22 @@ class Weights:
     raw: bytes
 
 
-# SPEC 6.8, 10.1 step 4
+# SPEC 5.8, 6.8, 10.1
 def read_weights(data: bytes, header: Header, section: Section, tables: Tables, trace: Trace | None) -> Weights:
     """Read the section of weights, check it, and return it."""
     at = section.offset
-    require(section.length >= 2 + header.carm_inputs, "weights.length", at)
-    require(data[at] <= PLANE_SHIFT_MAX, "weights.scale", at)
+    shifts_at, shifts_end = at + 2, at + 2 + header.carm_inputs
+    values_at = at + padded(2 + header.carm_inputs)
+    require(values_at <= at + section.length, "weights.length", at)
+    require(data[at] <= (PLANE_SHIFT_MAX if header["plane_channels"] else 0), "weights.scale", at)
     require(data[at + 1] == header.carm_inputs, "weights.scale", at + 1)
-    shifts_at, values_at = at + 2, at + 2 + header.carm_inputs
-    shifts = list(data[shifts_at:values_at])
+    shifts = list(data[shifts_at:shifts_end])
     for n, shift in enumerate(shifts):
         require(shift <= CARM_SHIFT_MAX, "weights.scale", shifts_at + n)
+    check_padding(data, shifts_end, "weights.padding")
     named = [(f"{shape.name}.{n}", b, a) for shape in shapes(header) for n, (a, b) in enumerate(pairwise(shape.widths))]
     forms = [(outputs, inputs) for _, outputs, inputs in named]
-    if header.weight_mode:
+    if section.mode:
         layers = read_grids(
             data, header, section, values_at, forms, tables, (trace, [name for name, _, _ in named]) if trace else None
         )
@@ -210,19 +192,22 @@ def read_weights(data: bytes, header: Header, section: Section, tables: Tables, 
     for shape in shapes(header):
         if shape.integer:
             found = [next(rest) for _ in shape.widths[1:]]
-            networks[shape.name] = Network([_derive_layer(layer, header.weight_mode == 0) for layer in found])
+            networks[shape.name] = Network([_derive_layer(layer, section.mode == 0) for layer in found])
     raw = b"".join(struct.pack(f"<{len(layer.values)}f", *layer.values) for layer in layers)
     return Weights(data[at], shifts, networks, raw)
 
 
-# SPEC [R6.8-3], 7.2
+# SPEC [R6.8-4], 7.2
 def _derive_layer(layer: Layer, each_row: bool) -> list[Row]:
+    """Return the integers of a layer. each_row: whether an error points at the row, not at the layer."""
     outputs = len(layer.values) // (layer.inputs + 1)
     rows = []
     for n in range(outputs):
         start = n * layer.inputs
         row = derive_row(tuple(layer.values[start : start + layer.inputs]), layer.values[outputs * layer.inputs + n])
         if row is None:
-            raise C3GSError("weights.bound", layer.at + 4 * start if each_row else layer.at)
+            # A row without inputs has a bias alone, and the biases are all that the layer has.
+            inside = start if layer.inputs else n
+            raise C3GSError("weights.bound", layer.at + 4 * inside if each_row else layer.at)
         rows.append(row)
     return rows

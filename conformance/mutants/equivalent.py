@@ -13,9 +13,9 @@ PROOFS: dict[str, str] = {
         "the end of a substream is then substream.words, at the same offset, whatever the words were. The number of "
         "symbols has the same bound."
     ),
-    "attributes.read_attributes-arithmetic-ae366443": (
-        "The number of a chunk's first anchor is used for the names in a trace alone. No verdict or digest depends "
-        "on a trace."
+    "chunks.ChunkReader.read-logic-0e9c5b94": (
+        "A chunk in form 1 is refused before, at its head, if there is no model of positions. So where the form is 1, "
+        "there is a model."
     ),
     "context.ContextSource._unit_coordinates-compare-0901d55f": (
         "The two differ only where the square is U^2. Then the norm is U, the factor (2 U - U) U // U = U, and each "
@@ -29,7 +29,6 @@ PROOFS: dict[str, str] = {
         "The text of an error is for people. Verdicts are made from code, name, offset, class and clause, attributes "
         "that are set before it."
     ),
-    "header.Header.chunk_anchors-arguments-57baaefa": "min of two integers does not depend on their order.",
     "planes._decode_plane-removal-0a220aaa": (
         "The results of SARM are kept by its inputs, and a result is the same whether it is kept or computed. Memory "
         "alone grows: by one entry for each symbol of a sub-plane at most, of which a file of the suite has few."
@@ -39,6 +38,9 @@ PROOFS: dict[str, str] = {
         "and memory alone differ."
     ),
     "planes._decode_plane-arguments-2dae30df": "min of two integers does not depend on their order.",
+    "syntax.Fields.read-constant-36a87389": (
+        "A field that is no list is read as one item. So the first item and the last one are the same."
+    ),
     "tables.parse_tables-removal-049093c9": (
         "The check is of the decoder's own file of tables, which is the right one. No file to be decoded changes it."
     ),

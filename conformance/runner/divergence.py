@@ -13,7 +13,7 @@ from refcodec.bitstream import codec
 from refcodec.bitstream.attributes import SCALINGS
 from refcodec.bitstream.entropy import TraceRow
 from refcodec.bitstream.planes import PLANE_NAMES
-from refcodec.bitstream.reconstruction import canonical_head, canonical_parts
+from refcodec.bitstream.reconstruction import PARTS, canonical_head, canonical_parts, digested
 from refcodec.bitstream.scene import Scene
 from refcodec.files.text import printable
 from refcodec.inspect import dump
@@ -21,7 +21,7 @@ from refcodec.inspect import dump
 HEAD_FIELDS = ("N", "K", "F", "ch", "B")
 # What says how a part's values, and the symbols of a trace and their models, come about.
 PART_CLAUSES = {
-    "positions": "9.1, 5.11, 7.12",
+    "positions": "9.1, 5.14, 7.12",
     "masks": "7.6",
     "planes": "7.3",
     "features": "9.2, 7.8",
@@ -93,7 +93,7 @@ def _element(scene: Scene, part: str, at: tuple[int, ...]) -> str:
                 if left < out:
                     return f"{name}, layer {layer}, bias {left}"
                 left -= out
-    chunk = f"anchor {at[0]} (chunk {at[0] // scene.chunk_size})"
+    chunk = f"anchor {at[0]} (chunk {next(i for i, c in enumerate(scene.chunks) if at[0] in c)})"
     if part == "positions":
         return f"{chunk}, {'xyz'[at[1]]}"
     if part == "offsets":
@@ -116,6 +116,11 @@ def _compare_part(scene: Scene, part: str, right: bytes, found: bytes, start: in
         at = (at - 8) // 4
         values = [str(int.from_bytes(data[8 + 4 * at : 12 + 4 * at], "little")) for data in (right, found)]
         return Divergence(part, HEAD_FIELDS[at], values[0], values[1], start + 8 + 4 * at, "the head")
+    if part == "digests":
+        number = next(i for i, (a, b) in enumerate(zip(right, found, strict=True)) if a != b) // 32
+        values = [data[32 * number : 32 * number + 32].hex() for data in (right, found)]
+        element, place = f"that of the {PARTS[number]}", start + 32 * number
+        return Divergence(part, element, values[0], values[1], place, "the parts are right")
     kind, shape = _types(scene)[part]
     a, b = (np.frombuffer(data, kind).reshape(shape) for data in (right, found))
     # Bits are compared: -0 is not +0, and a NaN is what it is.
@@ -135,16 +140,22 @@ def _compare_part(scene: Scene, part: str, right: bytes, found: bytes, start: in
     )
 
 
-def _parts(scene: Scene) -> Iterator[tuple[str, bytes]]:
-    yield "head", canonical_head(scene)
-    yield from canonical_parts(scene)
+def _parts(scene: Scene) -> Iterator[tuple[str, int, bytes]]:
+    """SPEC 9.3: the parts of the right output, with their places. The digests come last: a wrong part explains its."""
+    head, listed = canonical_head(scene), digested(scene)
+    yield "head", 0, head
+    at = len(listed)
+    for name, content in canonical_parts(scene):
+        yield name, at, content
+        at += len(content)
+    yield "digests", len(head), listed[len(head) :]
 
 
 def of_output(data: bytes, found: bytes) -> Divergence | None:
     """The first difference of a decoder's output, `found`, for a valid file, or None if it is right."""
     scene = codec.parse(data).scene
-    at = 0
-    for part, right in _parts(scene):
+    end = 0
+    for part, at, right in _parts(scene):
         got = found[at : at + len(right)]
         common = right[: len(got)]
         if got != common:
@@ -154,9 +165,9 @@ def of_output(data: bytes, found: bytes) -> Divergence | None:
             return Divergence(
                 part, "the part", f"{len(right)} bytes", f"{len(got)} bytes", at, f"the output has {len(found)} bytes"
             )
-        at += len(right)
-    if len(found) > at:
-        return Divergence("end", "the output", f"{at} bytes", f"{len(found)} bytes", at, "what is there is right")
+        end = max(end, at + len(right))
+    if len(found) > end:
+        return Divergence("end", "the output", f"{end} bytes", f"{len(found)} bytes", end, "what is there is right")
     return None
 
 

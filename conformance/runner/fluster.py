@@ -14,7 +14,7 @@ from pathlib import Path
 
 from refcodec.bitstream import codec
 from refcodec.bitstream.header import SIGNATURE
-from refcodec.bitstream.reconstruction import canonical_head, canonical_parts
+from refcodec.bitstream.reconstruction import canonical_parts, digested
 from refcodec.files.lock import hold_folder
 from refcodec.files.outputs import Kind, check_apart, check_file
 from refcodec.files.stage import Stage
@@ -70,7 +70,7 @@ def _export(manifest: Manifest, folder: Path, stage: Stage) -> int:
         source = manifest.path(v)
         data = source.read_bytes()
         scene = codec.parse(data).scene
-        output = hashlib.md5(canonical_head(scene), usedforsecurity=False)
+        output = hashlib.md5(digested(scene), usedforsecurity=False)
         for _, part in canonical_parts(scene):
             output.update(part)
         place = folder / "resources" / SUITE / v.id / source.name

@@ -9,12 +9,14 @@ from __future__ import annotations
 
 import hashlib
 import signal
+import struct
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, BinaryIO
 
 from refcodec import statuses
 from refcodec.bitstream.errors import REGISTRY
+from refcodec.bitstream.reconstruction import DIGEST_MAGIC, PARTS
 from refcodec.files.documents import DocumentError, parse_json
 
 from ..manifest import Accepted, GaussiansOf, Manifest, ManifestError, Rejected, Vector
@@ -22,13 +24,13 @@ from .folder import FileError, open_file
 from .gaussians import difference
 from .process import Ended
 
-# Grades of a vector. 1: refused or accepted as it must be, with the right output. 2: the right class of error too. 3:
-# code and offset too.
-GRADE_NONE, GRADE_VERDICT, GRADE_CLASS, GRADE_EXACT = range(4)
+# SPEC 10.2: the grades of a decoder, and so of a vector. 1: refused or accepted as it must be, with the right output.
+# 2: the code of the error too. 3: its offset too.
+GRADE_NONE, GRADE_VERDICT, GRADE_CODE, GRADE_EXACT = range(4)
 GRADES = {
     GRADE_NONE: "a wrong verdict, a wrong output or a crash",
     GRADE_VERDICT: "right verdicts and outputs",
-    GRADE_CLASS: "right verdicts, outputs and classes of error",
+    GRADE_CODE: "right verdicts, outputs and codes",
     GRADE_EXACT: "right verdicts, outputs, codes and offsets",
 }
 # What a watcher, or an answer, says against a decoder (process.Ended.over).
@@ -45,6 +47,10 @@ OVER = {
     "twice": "answered more than once",
     "other": "answered another request",
 }
+# SPEC 9.3: the bytes that the digest of a scene is of.
+DIGESTED_BYTES = len(DIGEST_MAGIC) + 4 * 5 + 32 * len(PARTS)
+# How much of an output is read at once.
+_BLOCK = 1 << 20
 # The longest last line of stderr that is read, in characters.
 _LINE = 8 << 10
 BY_CODE = {kind.code: kind for kind in REGISTRY.values()}
@@ -55,7 +61,7 @@ class Found:
     """What a decoder said.
 
     result: "accepted", "rejected" or "crashed". status, signal: how the process ended. code, offset: of a rejection;
-    the offset is None if none was said. digest: SHA-256 of the output of an acceptance. text: why it is a crash.
+    the offset is None if none was said. digest: of the accepted output (output_digest). text: why it is a crash.
     """
 
     result: str
@@ -102,6 +108,31 @@ def _refusal(line: str) -> tuple[int, int | None] | str:
     return said["code"], offset if type(offset) is int else None
 
 
+def output_digest(file: BinaryIO) -> str:
+    """SPEC 9.3: returns the digest of the scene that an output holds.
+
+    The output is what the digest is of, which lists the digests of the parts, and then the parts. If the parts have
+    other digests, or are not there, the result is the SHA-256 of a zero and the output, which is no scene's digest.
+    """
+    listed = file.read(DIGESTED_BYTES)
+    whole = hashlib.sha256(b"\0" + listed)
+    if len(listed) < DIGESTED_BYTES:
+        return whole.hexdigest()
+    n, k, f, ch, b = struct.unpack_from("<5I", listed, len(DIGEST_MAGIC))
+    sizes = [12 * n, n * k, 2 * 5 * ch * b * b, 4 * n * f, 24 * n, 12 * n * k]
+    found = listed[: -32 * len(PARTS)]
+    for number in range(len(PARTS)):
+        # The weights are the last part. They take what is left.
+        left = sizes[number] if number < len(sizes) else None
+        digest = hashlib.sha256()
+        while block := file.read(_BLOCK if left is None else min(_BLOCK, left)):
+            digest.update(block)
+            whole.update(block)
+            left = None if left is None else left - len(block)
+        found += digest.digest()
+    return hashlib.sha256(listed).hexdigest() if found == listed else whole.hexdigest()
+
+
 def read(ended: Ended, output: Path) -> Found:
     """What a process said by the way it ended and by its output file."""
 
@@ -115,7 +146,7 @@ def read(ended: Ended, output: Path) -> Found:
     if ended.status == statuses.DONE:
         try:
             with open_file(output) as file:
-                return Found("accepted", ended.status, None, digest=hashlib.file_digest(file, "sha256").hexdigest())
+                return Found("accepted", ended.status, None, digest=output_digest(file))
         except FileNotFoundError:
             return crash("exit status 0 without an output file")
         except FileError as error:
@@ -137,13 +168,15 @@ def _describe(code: int) -> str:
 def _judge_refusal(expected: Rejected, found: Found) -> Judgement:
     if found.result != "rejected" or found.code is None:
         return Judgement(GRADE_NONE, f"accepted; {_describe(expected.code)}, at byte {expected.offset} expected")
-    wanted, said = BY_CODE[expected.code].klass, BY_CODE[found.code].klass
+    wanted = exit_status(BY_CODE[expected.code].klass)
     where = "no offset" if found.offset is None else f"byte {found.offset}"
     text = f"{_describe(found.code)}, {where}; {_describe(expected.code)}, byte {expected.offset} expected"
-    if said != wanted or found.status != exit_status(wanted):
-        return Judgement(GRADE_VERDICT, f"exit status {found.status}, {exit_status(wanted)} expected; {text}")
-    if (found.code, found.offset) != (expected.code, expected.offset):
-        return Judgement(GRADE_CLASS, text)
+    if found.status != wanted:
+        return Judgement(GRADE_VERDICT, f"exit status {found.status}, {wanted} expected; {text}")
+    if found.code != expected.code:
+        return Judgement(GRADE_VERDICT, text)
+    if found.offset != expected.offset:
+        return Judgement(GRADE_CODE, text)
     return Judgement(GRADE_EXACT, "")
 
 

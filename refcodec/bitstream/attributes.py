@@ -1,4 +1,4 @@
-"""Clauses 5.13, 6.13 and 7.7 to 7.10: the attributes."""
+"""Clauses 6.13 and 7.7 to 7.10: the attributes."""
 
 from __future__ import annotations
 
@@ -93,20 +93,7 @@ def code_attributes(
         symbols = coder.values(tables().gauss, m.reshape(-1), s.reshape(-1), sizes, ATTRIBUTE_SYMBOL_MAX, name, flat)
         return symbols.reshape(n, columns)
 
-    # SPEC 7.10: the feature slices come first.
-    features = np.zeros((n, width), dtype=np.int64)
-    done = 0
-    for index, columns in enumerate(model.slices):
-        part = slice(done, done + columns)
-        m, s = mean[:, part], scale[:, part]
-        if index:
-            # SPEC 7.9: the outputs of CARM, means and then scale indices, are added to those of F_h.
-            earlier = activation(rshift_round(features[:, :done], model.carm_shift[:done]))
-            change = model.carm[index - 1](earlier).astype(np.int64)
-            m, s = m + change[:, :columns], s + change[:, columns:]
-        features[:, part] = stage("features", done, columns, m, s, None if given is None else given.features[:, part])
-        done += columns
-    # SPEC 7.10: then the scalings, then the offsets that the masks keep.
+    # SPEC 7.10: the scalings come first, then the offsets that the masks keep.
     part = slice(width, width + SCALINGS)
     scalings = stage("scalings", 0, SCALINGS, mean[:, part], scale[:, part], None if given is None else given.scalings)
     kept = np.flatnonzero(np.repeat(masks, 3, axis=1))
@@ -129,6 +116,19 @@ def code_attributes(
         offset_name,
         None if given is None else given.offsets.reshape(-1)[kept].astype(np.int64),
     )
+    # SPEC 7.10: then the feature slices.
+    features = np.zeros((n, width), dtype=np.int64)
+    done = 0
+    for index, columns in enumerate(model.slices):
+        part = slice(done, done + columns)
+        m, s = mean[:, part], scale[:, part]
+        if index:
+            # SPEC 7.9: the outputs of CARM, means and then scale indices, are added to those of F_h.
+            earlier = activation(rshift_round(features[:, :done], model.carm_shift[:done]))
+            change = model.carm[index - 1](earlier).astype(np.int64)
+            m, s = m + change[:, :columns], s + change[:, columns:]
+        features[:, part] = stage("features", done, columns, m, s, None if given is None else given.features[:, part])
+        done += columns
     return Attributes(
         features.astype(np.int32),
         scalings.astype(np.int32),

@@ -1,105 +1,85 @@
-"""Clauses 5.10 and 6.10: the chunk table."""
+"""Clauses 5.14 and 6.11: the chunks."""
 
 from __future__ import annotations
 
 import zlib
-from collections.abc import Mapping
 from dataclasses import dataclass
 
-import numpy as np
-
 from . import syntax
-from .conventions import Int64
-from .dimensions import mask_contexts
-from .errors import BitstreamError
+from .directory import truncated
+from .index import CHUNK_HEAD_BYTES, ChunkEntry
+from .positions import PACKED, POSITION_BYTES, RAW, CodedPositions
+from .source import Piece, Source, pad4
 
-# SPEC 5.10: the bytes of a chunk's entry, and the sections in which a chunk has a part, in the order of the fields.
-CHUNK_ENTRY_BYTES = syntax.size_of("ChunkEntry")
+# SPEC 5.14: the parts of a chunk, in file order.
 PARTS = ("positions", "masks", "attributes")
-# SPEC 5.11: the bytes of an anchor's raw position.
-POSITION_BYTES = 6
-# SPEC 6.10: how many anchors a byte of a chunk's positions stands for in mode 1, at most.
-ANCHORS_OF_A_BYTE = 16
-
-
-def chunk_ranges(anchor_count: int, chunk_size: int) -> list[range]:
-    """SPEC 6.10: returns the anchors of each of the ceil(N / chunk_size) chunks. The last chunk may be shorter."""
-    return [range(a, min(a + chunk_size, anchor_count)) for a in range(0, anchor_count, chunk_size)]
-
-
-def entries_start(offset_count: int, position_mode: int) -> int:
-    """SPEC 5.10: returns how many bytes of the chunk table come before its entries."""
-    return 2 * mask_contexts(offset_count) + (syntax.size_of("PositionModel") if position_mode else 0)
-
-
-def table_bytes(offset_count: int, position_mode: int, chunks: int) -> int:
-    """SPEC 5.10: returns the length of the chunk table in bytes."""
-    return entries_start(offset_count, position_mode) + CHUNK_ENTRY_BYTES * chunks
 
 
 @dataclass(frozen=True)
-class Part:
-    """The parts of all chunks in one section.
+class CodedChunk:
+    """SPEC 5.14: a chunk as a file has it, with the pieces of its parts."""
 
-    name: that of the section.
-    bounds: int64 [chunks + 1], offsets in the file. The part of chunk c is data[bounds[c]:bounds[c + 1]].
-    crc: int64 [chunks], the CRC-32s of the chunk table.
+    entry: ChunkEntry
+    form: int
+    positions: Piece
+    masks: Piece
+    attributes: Piece
+
+    @property
+    def coded_positions(self) -> CodedPositions:
+        """The positions with what their decoding needs."""
+        return CodedPositions(self.entry.number, self.positions, self.form, self.entry.anchors)
+
+
+def chunk_ranges(anchor_count: int, chunk_size: int) -> list[range]:
+    """Returns the anchors of the least number of chunks. All chunks but the last have chunk_size anchors."""
+    return [range(a, min(a + chunk_size, anchor_count)) for a in range(0, anchor_count, chunk_size)]
+
+
+def read_chunk(source: Source, entry: ChunkEntry, mode: int) -> CodedChunk:
+    """SPEC 5.14, [R6.6-6] and [R6.11-1] to [R6.11-5]: reads a chunk. mode: that of the index.
+
+    Raises BitstreamError section.truncated or 441 to 445.
     """
-
-    name: str
-    bounds: Int64
-    crc: Int64
-
-    def span(self, chunk: int) -> tuple[int, int]:
-        """Returns where a chunk's part begins and ends in the file."""
-        return int(self.bounds[chunk]), int(self.bounds[chunk + 1])
-
-    def path(self, chunk: int) -> str:
-        """Returns the name of a chunk's part in paths."""
-        return f"{self.name}[chunk {chunk}]"
-
-    def check(self, data: bytes, chunk: int) -> BitstreamError | None:
-        """SPEC [R6.10-3]: returns the error chunks.crc, or None. Parts that the file cuts off have the error."""
-        start, end = self.span(chunk)
-        crc, stored = zlib.crc32(memoryview(data)[start:end]), int(self.crc[chunk])
-        if end <= len(data) and crc == stored:
-            return None
-        at = min(start, len(data))
-        return BitstreamError("chunks.crc", at, self.path(chunk), f"0x{stored:08x}", f"0x{crc:08x}")
-
-
-def parse_entries(
-    data: bytes, at: int, chunks: list[range], spans: Mapping[str, tuple[int, int]], position_mode: int
-) -> dict[str, Part]:
-    """SPEC 5.10 and [R6.10-2]: returns the parts of the chunks, by the names of PARTS.
-
-    at: where the first entry is. chunks: the anchors of each chunk. spans: where each section begins and ends, by name.
-    Raises BitstreamError chunks.length.
-    """
-    table = np.frombuffer(data, "<u4", 6 * len(chunks), at).astype(np.int64).reshape(-1, 6)
-    anchors = np.array([len(c) for c in chunks], dtype=np.int64)
-    parts = {}
-    for column, name in enumerate(PARTS):
-        length = table[:, 2 * column]
-        if name == "positions":
-            wrong = length * ANCHORS_OF_A_BYTE < anchors if position_mode else length != POSITION_BYTES * anchors
-            if wrong.any():
-                chunk = int(np.argmax(wrong))
-                raw, least = str(POSITION_BYTES * anchors[chunk]), f"at least a sixteenth of {anchors[chunk]}"
-                path = f"chunk_table.entry[{chunk}].position_length"
-                place = at + CHUNK_ENTRY_BYTES * chunk
-                raise BitstreamError("chunks.length", place, path, length[chunk], least if position_mode else raw)
-        start, end = spans[name]
-        if length.sum() != end - start:
-            found = f"a chunk table that announces {int(length.sum())} bytes"
-            raise BitstreamError("chunks.length", start, name, found, end - start)
-        parts[name] = Part(name, start + np.concatenate([[0], np.cumsum(length)]), table[:, 2 * column + 1])
-    return parts
+    data = source.read(entry.start, entry.length)
+    # SPEC [R6.6-6]
+    if len(data) < entry.length:
+        raise truncated(source, entry.path, entry.start + entry.length)
+    piece = Piece(data, entry.start)
+    # SPEC [R6.11-1]
+    crc = zlib.crc32(data)
+    if crc != entry.crc:
+        raise piece.error("chunk.crc", 0, entry.path, f"0x{entry.crc:08x}", f"0x{crc:08x}")
+    head = syntax.Struct("Chunk", piece, 0, entry.path)
+    h = head.fields
+    # SPEC [R6.11-2]
+    if any(h.reserved):
+        raise head.error("chunk.reserved", "reserved", list(h.reserved), 0)
+    # SPEC [R6.11-3]
+    if h.position_form not in ((RAW, PACKED) if mode else (RAW,)):
+        raise head.error("chunk.form", "position_form", h.position_form, "0 or 1" if mode else 0)
+    # SPEC [R6.11-4]
+    lengths = (h.position_length, h.mask_length, h.attribute_length)
+    total = CHUNK_HEAD_BYTES + sum(map(pad4, lengths))
+    if total != entry.length:
+        found = f"parts that take {total} bytes"
+        raise piece.error("chunk.length", 0, entry.path, found, entry.length)
+    raw = POSITION_BYTES * len(entry.anchors)
+    if h.position_form == RAW and h.position_length != raw:
+        found = f"position_length {h.position_length}"
+        raise piece.error("chunk.length", 0, entry.path, found, f"{raw}, for {len(entry.anchors)} anchors")
+    # SPEC [R6.11-5]
+    at, parts = CHUNK_HEAD_BYTES, []
+    for name, length in zip(PARTS, lengths, strict=True):
+        piece.require_zero("chunk.padding", at + length, at + pad4(length), f"{name}[chunk {entry.number}]")
+        parts.append(piece.cut(at, at + length))
+        at += pad4(length)
+    return CodedChunk(entry, h.position_form, *parts)
 
 
-def emit_entry(parts: tuple[bytes, bytes, bytes]) -> bytes:
-    """SPEC 5.10: returns the entry of a chunk. parts: its bytes in each section, in the order of PARTS."""
-    names = ("position", "mask", "attribute")
-    entry = {f"{name}_length": len(part) for name, part in zip(names, parts, strict=True)}
-    entry |= {f"{name}_crc": zlib.crc32(part) for name, part in zip(names, parts, strict=True)}
-    return syntax.build("ChunkEntry", entry)
+def emit_chunk(form: int, parts: tuple[bytes, bytes, bytes]) -> bytes:
+    """SPEC 5.14: returns the bytes of a chunk. form: of its positions. parts: in the order of PARTS."""
+    names = ("position_length", "mask_length", "attribute_length")
+    lengths = dict(zip(names, map(len, parts), strict=True))
+    head = syntax.build("Chunk", {**lengths, "position_form": form, "reserved": [0, 0, 0]})
+    return head + b"".join(part + bytes(pad4(len(part)) - len(part)) for part in parts)

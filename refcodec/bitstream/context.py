@@ -80,12 +80,15 @@ def positional_encoding(u: Int64, frequencies: int) -> Int64:
 
 
 def context(
-    frame: Frame, planes: tuple[Int64, Int64], plane_shift: int, frequencies: int, positions: NDArray[np.float16]
+    frame: Frame | None, planes: tuple[Int64, Int64], plane_shift: int, frequencies: int, positions: NDArray[np.float16]
 ) -> NDArray[np.int16]:
     """SPEC 7.5: returns the inputs of F_h, int16 [n, 2 ch + 2 L], each in [-1023, 1023].
 
-    planes: those of r = 1 and r = 2, as assemble_planes gives them. frequencies: L. positions: float16 [n, 3].
+    frame: None if there are no inputs. planes: those of r = 1 and r = 2, as assemble_planes gives them. frequencies: L.
+    positions: float16 [n, 3].
     """
+    if frame is None:
+        return np.zeros((len(positions), 0), dtype=np.int16)
     u = rescale(frame, contract(frame_coordinates(frame, position_integers(positions))))
-    parts = [query(plane, u[:, :2], plane_shift) for plane in planes]
+    parts = [query(plane, u[:, :2], plane_shift) for plane in planes if len(plane)]
     return np.concatenate([*parts, positional_encoding(u[:, 2], frequencies)], axis=1).astype(np.int16)

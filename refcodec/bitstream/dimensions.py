@@ -18,9 +18,9 @@ class Dimensions:
 
     offset_count: K.
     slices: the channels of each feature slice.
-    plane_channels: ch.
-    frequency_count: L.
-    plane_size: B.
+    plane_channels: ch, or 0 for a scene without planes.
+    frequency_count: L, or 0 for a scene without a positional encoding.
+    plane_size: B, or 0 without planes.
     hyper_width, sarm_width, carm_width: the widths of the hidden layers of F_h, of SARM and of each network of CARM.
     render_width: the width of the one hidden layer of each rendering network.
     """
@@ -46,6 +46,11 @@ class Dimensions:
         return self.features + SCALINGS + 3 * self.offset_count
 
     @property
+    def has_frame(self) -> bool:
+        """SPEC 6.6: whether there is a frame. Only planes and the positional encoding need one."""
+        return self.plane_channels + self.frequency_count > 0
+
+    @property
     def carm_inputs(self) -> int:
         """The number of feature channels that CARM reads. These are the channels of all slices but the last."""
         return self.features - self.slices[-1]
@@ -57,10 +62,9 @@ class Dimensions:
             return [(out, fan_in) for fan_in, out in pairwise(widths)]
 
         context = 2 * self.plane_channels + 2 * self.frequency_count
-        shapes = {
-            "hyper": mlp([context, *self.hyper_width, 2 * self.attribute_width + 3]),
-            "sarm": mlp([4, *self.sarm_width, 2]),
-        }
+        shapes = {"hyper": mlp([context, *self.hyper_width, 2 * self.attribute_width + 3])}
+        if self.plane_channels:
+            shapes["sarm"] = mlp([4, *self.sarm_width, 2])
         for index in range(1, len(self.slices)):
             shapes[f"carm.{index}"] = mlp([sum(self.slices[:index]), *self.carm_width, 2 * self.slices[index]])
         for name, outputs in zip(RENDERING, (1, 7, 3), strict=True):
@@ -87,18 +91,18 @@ def dimension_fields(d: Dimensions) -> dict[str, Any]:
     """SPEC 5.3: returns the fields of the struct, by name."""
     return {
         "offset_count": d.offset_count,
-        "slice_count": len(d.slices),
-        "slice_width": d.slices,
         "plane_channels": d.plane_channels,
         "frequency_count": d.frequency_count,
-        "plane_size": d.plane_size,
-        "hyper_layers": len(d.hyper_width),
-        "hyper_width": d.hyper_width,
-        "sarm_layers": len(d.sarm_width),
-        "sarm_width": d.sarm_width,
-        "carm_layers": len(d.carm_width),
-        "carm_width": d.carm_width,
         "render_width": d.render_width,
+        "plane_size": d.plane_size,
+        "slice_count": len(d.slices),
+        "hyper_layers": len(d.hyper_width),
+        "sarm_layers": len(d.sarm_width),
+        "carm_layers": len(d.carm_width),
+        "slice_width": d.slices,
+        "hyper_width": d.hyper_width,
+        "sarm_width": d.sarm_width,
+        "carm_width": d.carm_width,
     }
 
 
@@ -116,3 +120,12 @@ def layers_of(d: Dimensions) -> list[tuple[str, int, int]]:
 def weight_count(d: Dimensions) -> int:
     """SPEC 5.8: returns W, the number of weights and biases of all networks."""
     return sum(out * (fan_in + 1) for _, out, fan_in in layers_of(d))
+
+
+def work(d: Dimensions, anchors: int) -> int:
+    """SPEC 11.2: returns the work of a scene, N * (W_a + 16 D) + 5 ch B^2 (W_s + 16). anchors: N."""
+    counts = {"hyper": 0, "sarm": 0, "carm": 0, **dict.fromkeys(RENDERING, 0)}
+    for name, out, fan_in in layers_of(d):
+        counts[name.split(".")[0]] += out * (fan_in + 1)
+    points = 5 * d.plane_channels * d.plane_size**2
+    return anchors * (counts["hyper"] + counts["carm"] + 16 * d.attribute_width) + points * (counts["sarm"] + 16)

@@ -7,114 +7,158 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 from . import syntax
-from .chunks import POSITION_BYTES, table_bytes
 from .dimensions import Dimensions, weight_count
 from .errors import BitstreamError
+from .index import index_bytes
+from .source import Piece, Source, pad4
 
-# SPEC 6.6: the critical sections in file order. Bit 7 of a type is set if the section is critical.
-CRITICAL = 0x80
-SECTIONS = {
-    0x81: "frame",
-    0x82: "weights",
-    0x83: "planes",
-    0x84: "chunk_table",
-    0x85: "positions",
-    0x86: "masks",
-    0x87: "attributes",
-}
-FRAME, WEIGHTS, PLANES_SECTION, CHUNK_TABLE, POSITIONS, MASKS, ATTRIBUTES = SECTIONS
-# SPEC 5.10: the sections in which each chunk has a part.
-CHUNKED = (POSITIONS, MASKS, ATTRIBUTES)
+# SPEC 6.6: the critical sections in file order, with their names in paths.
+FRAME, WEIGHTS, PLANES_SECTION, INDEX, DATA = b"FRAM", b"WGTS", b"PLNS", b"INDX", b"DATA"
+SECTIONS = {FRAME: "frame", WEIGHTS: "weights", PLANES_SECTION: "planes", INDEX: "index", DATA: "data"}
 # SPEC 6.6: the highest mode of each section that has another mode than 0.
-MODES = {WEIGHTS: 1, POSITIONS: 1}
+MODES = {WEIGHTS: 1, INDEX: 1}
+SECTION_LENGTH_MAX = 1 << 48
+# How many bytes of a section that is not kept are read at once.
+_BLOCK_BYTES = 1 << 20
 
 
 @dataclass(frozen=True)
 class Section:
-    """SPEC 5.6: a section of a file. data[start:end] are its bytes."""
+    """SPEC 5.6: a section of a file.
 
-    type: int
+    number: that of its entry in the directory. start: the offset of its first byte. length: its bytes without padding.
+    """
+
+    type: bytes
     mode: int
+    number: int
     start: int
-    end: int
+    length: int
+    crc: int
+
+    @property
+    def end(self) -> int:
+        """Where the next section starts: behind the padding."""
+        return self.start + pad4(self.length)
 
     @property
     def name(self) -> str:
         """The name of the section in paths."""
-        return SECTIONS.get(self.type, f"extension_{self.type:02x}")
+        return section_name(self.type, self.number)
 
 
-def section_lengths(d: Dimensions, anchors: int, chunks: int, modes: Mapping[int, int]) -> dict[int, int]:
+def section_name(kind: bytes, number: int) -> str:
+    """Returns the name of a section in paths. kind: its type. number: that of its entry in the directory."""
+    text = kind.decode("ascii") if kind.isalpha() else kind.hex()
+    return SECTIONS.get(kind, f"{text}[{number}]")
+
+
+def is_critical(kind: bytes) -> bool:
+    """SPEC 12.1: whether a type is critical. Its first letter is a capital then."""
+    return not kind[0] & 0x20
+
+
+def critical_sections(d: Dimensions) -> list[bytes]:
+    """SPEC [R6.6-3]: returns the critical sections that a file with these dimensions has, in file order."""
+    absent = {FRAME: not d.has_frame, PLANES_SECTION: not d.plane_channels}
+    return [kind for kind in SECTIONS if not absent.get(kind)]
+
+
+def section_lengths(d: Dimensions, chunks: int, modes: Mapping[bytes, int]) -> dict[bytes, int]:
     """SPEC [R6.6-5]: returns the lengths in bytes that the header implies, by type.
 
-    Sections whose length is free are left out. modes: by type.
+    Sections whose length is free are left out. chunks: C. modes: by type.
     """
-    lengths = {
-        FRAME: syntax.size_of("Frame"),
-        CHUNK_TABLE: table_bytes(d.offset_count, modes[POSITIONS], chunks),
-    }
+    lengths = {FRAME: syntax.size_of("Frame"), INDEX: index_bytes(d.offset_count, modes[INDEX], chunks)}
     if not modes[WEIGHTS]:
-        lengths[WEIGHTS] = 2 + d.carm_inputs + 4 * weight_count(d)
-    if not modes[POSITIONS]:
-        lengths[POSITIONS] = POSITION_BYTES * anchors
+        lengths[WEIGHTS] = pad4(2 + d.carm_inputs) + 4 * weight_count(d)
     return lengths
 
 
-def parse_directory(
-    header: syntax.Struct, dimensions: Dimensions, chunks: int, data: bytes, start: int, keep_going: bool
-) -> dict[int, Section]:
-    """SPEC 6.6: checks the directory and returns the sections by type. Raises BitstreamError 301 to 307.
+def parse_directory(header: syntax.Struct, d: Dimensions, start: int) -> tuple[Section, ...]:
+    """SPEC 6.6: checks the directory and returns the sections in file order. Raises BitstreamError 301 to 305.
 
     Each requirement is checked over all entries before the next requirement (SPEC 10.1, step 3). Lengths are checked
-    before anything of that length is read (SPEC 13.1). The contents of ancillary sections are not read (SPEC 12.1).
-
-    header: the parsed header. chunks: the number of chunks. start: where the header ends. keep_going: the file may end
-    behind the start of the positions, and the CRC-32s of the chunked sections are left to the checks of the chunks.
+    before anything of that length is read (SPEC 13.1). header: the parsed header. start: where the header ends.
     """
-    entries = header.fields.directory
+    entries = list(enumerate(header.fields.directory))
     # SPEC [R6.6-1]
-    for i, e in enumerate(entries):
-        if e.type & CRITICAL and e.type not in SECTIONS:
-            name = "directory.unknown_critical"
-            raise header.error(name, f"directory[{i}].type", f"{e.type:02x}", "a type of 6.6")
-    # SPEC [R6.6-2]: the critical sections come first. The types of the ancillary ones behind them ascend.
-    wanted = list(SECTIONS)
-    for i, e in enumerate(entries):
-        before = 0 if i <= len(wanted) else entries[i - 1].type
-        if not (e.type == wanted[i] if i < len(wanted) else before < e.type < CRITICAL):
-            allowed = f"{wanted[i]:02x}" if i < len(wanted) else f"{before + 1:02x} to 7f"
-            raise header.error("directory.order", f"directory[{i}].type", f"{e.type:02x}", allowed)
-    if len(entries) < len(wanted):
-        raise header.error("directory.order", "section_count", len(entries), f"at least {len(wanted)}")
+    for i, e in entries:
+        if not (e.type.isalpha() and e.type.isascii()):
+            raise header.error("directory.type", f"directory[{i}].type", e.type.hex(" "), "four letters")
+    # SPEC [R6.6-2]
+    critical = [(i, e) for i, e in entries if is_critical(e.type)]
+    for i, e in critical:
+        if e.type not in SECTIONS:
+            name, found = "directory.unknown_critical", e.type.decode("ascii")
+            raise header.error(name, f"directory[{i}].type", found, "a critical type of 6.6")
     # SPEC [R6.6-3]
-    for i, e in enumerate(entries):
-        if e.type in SECTIONS and e.mode > MODES.get(e.type, 0):
-            allowed = "0 or 1" if e.type in MODES else "0"
-            raise header.error("directory.mode", f"directory[{i}].mode", e.mode, f"of {SECTIONS[e.type]} {allowed}")
+    wanted = critical_sections(d)
+    for place, (i, e) in enumerate(critical):
+        if place >= len(wanted) or e.type != wanted[place]:
+            allowed = wanted[place].decode() if place < len(wanted) else "no further critical section"
+            raise header.error("directory.order", f"directory[{i}].type", e.type.decode("ascii"), allowed)
+    if len(critical) < len(wanted):
+        allowed = "the sections " + ", ".join(kind.decode() for kind in wanted)
+        raise header.error("directory.order", "section_count", len(entries), allowed)
     # SPEC [R6.6-4]
-    end = start
-    for i, e in enumerate(entries):
-        if e.offset != end:
-            raise header.error("directory.offset", f"directory[{i}].offset", e.offset, end)
-        end = e.offset + e.length
+    for i, e in critical:
+        if e.mode > MODES.get(e.type, 0):
+            allowed = f"of {e.type.decode()} {'0 or 1' if e.type in MODES else '0'}"
+            raise header.error("directory.mode", f"directory[{i}].mode", e.mode, allowed)
     # SPEC [R6.6-5]
-    modes = {e.type: e.mode for e in entries}
-    lengths = section_lengths(dimensions, header.fields.anchor_count, chunks, modes)
-    for i, e in enumerate(entries):
+    modes = {e.type: e.mode for _, e in critical}
+    lengths = section_lengths(d, header.fields.chunk_count, modes)
+    sections, at = [], start
+    for i, e in entries:
         implied = lengths.get(e.type, e.length)
-        if e.length != implied:
-            raise header.error("directory.length", f"directory[{i}].length", e.length, implied)
-    sections = {e.type: Section(e.type, e.mode, e.offset, e.offset + e.length) for e in entries}
-    # SPEC [R6.6-6]
-    cut = len(data) < end and keep_going and sections[POSITIONS].start <= len(data)
-    if len(data) != end and not cut:
-        raise BitstreamError("directory.file_length", min(len(data), end), "file", f"{len(data)} bytes", end)
-    # SPEC [R6.6-7]
-    for e in entries:
-        section = sections[e.type]
-        if keep_going and (e.type in CHUNKED or section.end > len(data)):
-            continue
-        crc = zlib.crc32(memoryview(data)[section.start : section.end])
-        if crc != e.crc:
-            raise BitstreamError("section.crc", e.offset, section.name, f"0x{e.crc:08x}", f"0x{crc:08x}")
-    return sections
+        if e.length != implied or e.length > SECTION_LENGTH_MAX:
+            allowed = implied if e.length != implied else f"at most {SECTION_LENGTH_MAX}"
+            raise header.error("directory.length", f"directory[{i}].length", e.length, allowed)
+        sections.append(Section(e.type, e.mode, i, at, e.length, e.crc))
+        at = sections[-1].end
+    return tuple(sections)
+
+
+def truncated(source: Source, path: str, wanted: int) -> BitstreamError:
+    """SPEC [R6.6-6]: returns the error of a section that the file cuts off. wanted: where it would end."""
+    length = source.length()
+    return BitstreamError("section.truncated", length, path, f"a file of {length} bytes", f"at least {wanted}")
+
+
+def read_section(source: Source, section: Section) -> Piece:
+    """SPEC [R6.6-6] to [R6.6-8]: reads a section but DATA. Raises BitstreamError 311 to 313."""
+    data = source.read(section.start, section.end - section.start)
+    if len(data) < section.end - section.start:
+        raise truncated(source, section.name, section.end)
+    whole = Piece(data, section.start)
+    piece = whole.cut(0, section.length)
+    crc = zlib.crc32(piece.data)
+    if crc != section.crc:
+        raise piece.error("section.crc", 0, section.name, f"0x{section.crc:08x}", f"0x{crc:08x}")
+    whole.require_zero("section.padding", section.length, len(data), section.name)
+    return piece
+
+
+def pass_section(source: Source, section: Section) -> None:
+    """SPEC [R6.6-6] to [R6.6-8]: checks a section that is not kept, in bounded memory. Raises as read_section."""
+    crc, at, end = 0, section.start, section.start + section.length
+    while at < end:
+        block = source.read(at, min(_BLOCK_BYTES, end - at))
+        if not block:
+            raise truncated(source, section.name, section.end)
+        crc, at = zlib.crc32(block, crc), at + len(block)
+    padding = Piece(source.read(end, section.end - end), end)
+    if len(padding) < section.end - end:
+        raise truncated(source, section.name, section.end)
+    if crc != section.crc:
+        found = f"0x{section.crc:08x}"
+        raise BitstreamError("section.crc", section.start, section.name, found, f"0x{crc:08x}")
+    padding.require_zero("section.padding", 0, len(padding), section.name)
+
+
+def check_end(source: Source, sections: tuple[Section, ...]) -> None:
+    """SPEC [R6.6-9]: checks that nothing follows the last section. Raises BitstreamError file.trailing."""
+    end = sections[-1].end
+    if source.read(end, 1):
+        raise BitstreamError("file.trailing", end, "file", f"{source.length()} bytes", end)

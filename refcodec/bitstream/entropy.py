@@ -1,4 +1,4 @@
-"""Clauses 5.14 and 8: the entropy coder, interleaved rANS over many substreams at once.
+"""Clauses 5.15 and 8: the entropy coder, interleaved rANS over many substreams at once.
 
 A Decoder and an Encoder have the same two methods, `values` and `plain`. So each part of the decoding process is
 written once and runs in either direction. Symbols come in groups (SPEC 8.3). The arrays of a group hold the symbols of
@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 from . import syntax
 from .conventions import Int64, clamp, rshift_round
 from .errors import BitstreamError
+from .source import Piece
 from .tables import FRACTIONS, PRECISION, SCALE_END, SCALE_MIN, TOTAL, ModelSet
 
 # SPEC 8.1: the smallest state of a lane, and its final state.
@@ -26,7 +27,9 @@ STATE_MIN = 1 << 16
 # SPEC 8.5: the largest number of raw bits of a value.
 RAW_MAX = 16
 # SPEC 8.7: the largest number of zero bits in the prefix of an escape.
-ESCAPE_PREFIX_MAX = 25
+ESCAPE_PREFIX_MAX = 23
+# SPEC 5.15: the bytes before the states.
+HEAD_BYTES = syntax.size_of("Substream")
 # The name of a symbol of a group in a trace: (substream of the batch, index in its part of the group) -> path.
 SymbolName = Callable[[int, int], str]
 
@@ -56,7 +59,7 @@ Trace = Callable[[TraceRow], None]
 
 @dataclass(frozen=True)
 class Substream:
-    """SPEC 5.14: a substream.
+    """SPEC 5.15: a substream.
 
     states: uint32 [lanes]. words: uint16 [word_count]. raw: the raw bytes. offset: its first byte in the file.
     path: its name.
@@ -70,42 +73,40 @@ class Substream:
     path: str
 
 
-def parse_substream(data: bytes, start: int, end: int, lanes: int, path: str) -> Substream:
-    """SPEC 5.14 and 8.1: returns the substream in data[start:end].
+def parse_substream(piece: Piece, lanes: int, path: str) -> Substream:
+    """SPEC 5.15 and 8.1: returns the substream that a piece of the file is.
 
     Raises BitstreamError substream.length or substream.state.
     """
     try:
-        head, size = syntax.parse("SubstreamHead", data[start : min(end, start + 8)])
+        head, size = syntax.parse("Substream", piece.data[:HEAD_BYTES])
     except cs.ConstructError:
-        raise BitstreamError(
-            "substream.length", start, path, f"{end - start} bytes", "at least the 8 of its head"
-        ) from None
-    words_at = start + size + 4 * lanes
+        allowed = f"at least the {HEAD_BYTES} of its head"
+        raise piece.error("substream.length", 0, path, f"{len(piece)} bytes", allowed) from None
+    words_at = size + 4 * lanes
     raw_at = words_at + 2 * head.word_count
-    if raw_at > end:
-        allowed = f"at least {raw_at - start}, for {lanes} states and {head.word_count} words"
-        raise BitstreamError("substream.length", start, path, f"{end - start} bytes", allowed)
-    states = np.frombuffer(data, "<u4", lanes, start + size).astype(np.uint32)
+    if raw_at > len(piece):
+        allowed = f"at least {raw_at}, for {lanes} states and {head.word_count} words"
+        raise piece.error("substream.length", 0, path, f"{len(piece)} bytes", allowed)
+    states = np.frombuffer(piece.data, "<u4", lanes, size).astype(np.uint32)
     if (states < STATE_MIN).any():
         lane = int(np.argmax(states < STATE_MIN))
-        raise BitstreamError(
-            "substream.state", start, path, f"state {states[lane]} of lane {lane}", f"at least {STATE_MIN}"
-        )
-    words = np.frombuffer(data, "<u2", head.word_count, words_at).astype(np.uint16)
-    return Substream(head.symbol_crc, states, words, data[raw_at:end], start, path)
+        found = f"state {states[lane]} of lane {lane}"
+        raise piece.error("substream.state", 0, path, found, f"at least {STATE_MIN}")
+    words = np.frombuffer(piece.data, "<u2", head.word_count, words_at).astype(np.uint16)
+    return Substream(head.symbol_crc, states, words, piece.data[raw_at:], piece.start, path)
 
 
-def open_substream(data: bytes, start: int, end: int, lanes: int, path: str) -> tuple[Substream, BitstreamError | None]:
+def open_substream(piece: Piece, lanes: int, path: str) -> tuple[Substream, BitstreamError | None]:
     """Returns a substream and None, or an empty substream and the error of parse_substream.
 
     The empty one can be decoded in its place, side by side with substreams that have no error.
     """
     try:
-        return parse_substream(data, start, end, lanes, path), None
+        return parse_substream(piece, lanes, path), None
     except BitstreamError as error:
         empty = np.empty(0, dtype=np.uint16)
-        return Substream(0, np.full(lanes, STATE_MIN, dtype=np.uint32), empty, b"", start, path), error
+        return Substream(0, np.full(lanes, STATE_MIN, dtype=np.uint32), empty, b"", piece.start, path), error
 
 
 class SymbolCoder(Protocol):
@@ -468,7 +469,7 @@ class Encoder:
         for stream in range(self.count):
             words = [w[:, stream][e[:, stream]] for e, w in emitted]
             flat = np.concatenate(words) if words else np.empty(0, np.uint16)
-            head = syntax.build("SubstreamHead", {"symbol_crc": self.crc[stream], "word_count": len(flat)})
+            head = syntax.build("Substream", {"symbol_crc": self.crc[stream], "word_count": len(flat)})
             out.append(
                 head + state[stream].astype("<u4").tobytes() + flat.astype("<u2").tobytes() + _pack(self.raw[stream])
             )

@@ -1,4 +1,4 @@
-"""Clause 10.2: the registry of errors, and the exception that every refused file raises.
+"""Clause 10.3: the registry of errors, and the exception that every refused file raises.
 
 The registry is the only place where codes are defined. A test compares it with SPEC.md.
 """
@@ -15,7 +15,7 @@ ErrorClass = Literal["malformed", "invalid", "unsupported"]
 
 @dataclass(frozen=True)
 class ErrorKind:
-    """One row of SPEC.md 10.2.
+    """One row of SPEC.md 10.3.
 
     code: an integer that never changes.
     name: a dotted name that never changes.
@@ -35,72 +35,88 @@ class ErrorKind:
     where: str
 
 
-# SPEC 10.2: code, name, class, clause and requirement | meaning | offset.
+# SPEC 10.3: code, name, class, clause and requirement | meaning | offset.
 _TABLE = """
 101 prologue.truncated         malformed   5.1  R6.1-1  | the file is shorter than a prologue | the file's length
 102 prologue.signature         malformed   6.1  R6.1-2  | the first eight bytes are not the signature | 0
 103 prologue.crc               malformed   6.1  R6.1-3  | the prologue's CRC-32 does not match | 16
-104 prologue.version           unsupported 6.1  R6.1-4  | the format version is not 0 | 8
-105 prologue.header_length     malformed   6.1  R6.1-5  | header_length is outside its limits | 12
+104 prologue.version           unsupported 6.1  R6.1-4  | the major version is not 0 | 8
+105 prologue.header_length     malformed   6.1  R6.1-5  | header_length is outside its limits, or no multiple of 4 | 12
 201 header.truncated           malformed   5.2  R6.2-1  | the file ends inside the header | the file's length
 202 header.crc                 malformed   6.2  R6.2-2  | the header's CRC-32 does not match | the field
 203 header.syntax              malformed   5.2  R6.2-3  | the header's fields do not fill header_length exactly |
     the header's end, CRC-32 included, if the fields are longer; the first byte between the last field and the CRC-32 if
     they are shorter
-204 header.reserved            malformed   6.2  R6.2-4  | a reserved field is not zero | the field
+204 header.reserved            unsupported 6.2  R6.2-5  | a reserved field is not zero | the field
 205 header.profile             unsupported 11.1 R11.1-1 | the profile is not known | the field
 206 header.level               unsupported 11.2 R11.2-1 | the level is not known in this profile | the field
 207 header.dimension           invalid     11.1 R11.1-2 | a dimension is outside what the profile allows | the field
     or item
 208 header.anchor_count        invalid     11.2 R11.2-2 | anchor_count passes the level's limit | the field
-209 header.level_not_minimal   invalid     11.2 R11.2-3 | a lower level would hold this scene | level
+209 header.level_not_minimal   invalid     11.2 R11.2-4 | a lower level would hold this scene | level
 210 header.chunk_size          invalid     11.1 R11.1-3 | chunk_size is outside its limits | the field
-211 header.lanes               invalid     6.2  R6.2-5  | a lane count is outside its limits | the field
-212 header.base_step           invalid     6.2  R6.2-6  | a base step is outside its limits | the item
+211 header.lanes               invalid     6.2  R6.2-6  | a lane count is outside its limits | the field
+212 header.base_step           invalid     6.2  R6.2-7  | a base step is outside its limits | the item
 213 header.position_grid       invalid     6.4  R6.4-1  | a field of the position grid is outside its limits | the
     field or item
 214 header.render_info         invalid     6.5  R6.5-1  | a field of the render information is outside its limits |
     the field
-301 directory.unknown_critical unsupported 12.1 R6.6-1  | a critical section of unknown type | the entry's type
-302 directory.order            malformed   6.6  R6.6-2  | a section is missing, repeated or out of order | the
+215 header.work                invalid     11.2 R11.2-3 | the work passes the level's limit | anchor_count
+216 header.padding             malformed   6.2  R6.2-4  | the padding of the dimensions is not zero | the padding
+217 header.chunk_count         invalid     6.2  R6.2-8  | chunk_count does not suit anchor_count and chunk_size | the
+    field
+301 directory.type             malformed   6.6  R6.6-1  | a section's type is not four letters | the entry's type
+302 directory.unknown_critical unsupported 12.1 R6.6-2  | a critical section of unknown type | the entry's type
+303 directory.order            malformed   6.6  R6.6-3  | a critical section is missing, repeated or out of order | the
     entry's type, or section_count
-303 directory.mode             unsupported 6.6  R6.6-3  | the coding mode of a section is not known | the entry's mode
-304 directory.offset           malformed   6.6  R6.6-4  | a section does not start where the one before it ends |
-    the entry's offset
-305 directory.length           malformed   6.6  R6.6-5  | a section's length is not the one that the header implies
-    | the entry's length
-306 directory.file_length      malformed   6.6  R6.6-6  | the last section does not end where the file ends | the
-    smaller of the file's length and the last section's end
-307 section.crc                malformed   6.6  R6.6-7  | a section's CRC-32 does not match | the section
-401 frame.range                invalid     6.7  R6.7-1  | a number of the PCA frame is outside its limits | the item
-411 weights.scale              invalid     6.8  R6.8-1  | a signalled scale is outside its limits | the item
-412 weights.not_finite         invalid     6.8  R6.8-2  | a weight or bias is NaN or infinite | the value
-413 weights.bound              invalid     7.2  R6.8-3  | a row's integers could pass the accumulator bound | the
-    row's first weight, or in mode 1 the layer's model
-414 weights.length             malformed   6.8  R6.8-4  | the layers' models and raw values do not fit the section |
+304 directory.mode             unsupported 6.6  R6.6-4  | the coding mode of a section is not known | the entry's mode
+305 directory.length           malformed   6.6  R6.6-5  | a section's length is not the one that the header implies, or
+    too large | the entry's length
+311 section.truncated          malformed   6.6  R6.6-6  | the file ends inside a section | the file's length
+312 section.crc                malformed   6.6  R6.6-7  | a section's CRC-32 does not match, or that of DATA is not 0 |
     the section
-415 weights.layer              invalid     6.8  R6.8-5  | a field of a layer's model is outside its limits | the field
-416 weights.exponent           invalid     6.8  R6.8-6  | a row's exponent is not the one that its values have | the
+313 section.padding            malformed   6.6  R6.6-8  | the padding behind a section is not zero | the padding
+321 file.trailing              malformed   6.6  R6.6-9  | bytes follow the last section | the first of them
+401 frame.range                invalid     6.7  R6.7-2  | a number of the PCA frame is outside its limits | the item
+402 frame.reserved             unsupported 6.7  R6.7-1  | a reserved field is not zero | the field
+411 weights.scale              invalid     6.8  R6.8-1  | a signalled scale is outside its limits | the item
+412 weights.not_finite         invalid     6.8  R6.8-3  | a weight or bias is NaN or infinite | the value
+413 weights.bound              invalid     7.2  R6.8-4  | a row's integers could pass the accumulator bound | the
+    row's first weight, or its bias if it has none, or in mode 1 the layer's model
+414 weights.length             malformed   6.8  R6.8-5  | the layers' models and raw values do not fit the section | the
+    section
+415 weights.layer              invalid     6.8  R6.8-7  | a field of a layer's model is outside its limits | the field
+416 weights.exponent           invalid     6.8  R6.8-8  | a row's exponent is not the one that its values have | the
     layer's model
-417 weights.raw                invalid     6.8  R6.8-7  | a layer that can be packed is raw | the layer's model
+417 weights.padding            malformed   6.8  R6.8-2  | the padding of the scales is not zero | the padding
+418 weights.reserved           unsupported 6.8  R6.8-6  | a reserved field is not zero | the field
 421 planes.length              malformed   6.9  R6.9-1  | the substreams' lengths do not add up to the section | the
     section
-431 chunks.mask_model          invalid     6.10 R6.10-1 | a frequency of the mask model is outside its limits | the
+422 planes.padding             malformed   6.9  R6.9-2  | the padding behind a substream is not zero | the padding
+431 index.mask_model           invalid     6.10 R6.10-1 | a frequency of the mask model is outside its limits | the
     frequency
-432 chunks.length              malformed   6.10 R6.10-2 | the chunks' lengths do not add up to their section | the
-    chunk's entry, or the section
-433 chunks.crc                 malformed   6.10 R6.10-3 | the CRC-32 of a chunk's part does not match | the chunk's part
-434 chunks.position_model      invalid     6.10 R6.10-4 | a number of the model of positions is outside its limits |
+432 index.position_model       invalid     6.10 R6.10-4 | a number of the model of positions is outside its limits |
     cell_shift, or the model's first frequency
-441 positions.not_finite       invalid     6.11 R6.11-1 | a position is NaN or infinite | the value
-442 positions.negative_zero    invalid     6.11 R6.11-2 | a position is -0 | the value
-443 positions.form             malformed   6.11 R6.11-3 | a chunk's form is not known or does not have its length |
-    the chunk's part
-444 positions.raw              invalid     6.11 R6.11-4 | a chunk that can be packed is raw | the chunk's part
-445 positions.count            invalid     6.11 R6.11-5 | a tree has not as many cells as the chunk has anchors |
-    the chunk's part
-446 positions.cell             invalid     6.11 R6.11-6 | a cell stands for no fp16 | the chunk's part
-501 substream.length           malformed   5.14 R8.1-1  | the substream is shorter than its states and words | the
+433 index.chunk                invalid     6.10 R6.10-5 | a field of a chunk's entry is outside its limits | the field
+    or item
+434 index.length               malformed   6.10 R6.10-6 | the chunks' anchors or bytes do not add up | the section
+435 index.padding              malformed   6.10 R6.10-2 | the padding of the mask model is not zero | the padding
+436 index.reserved             unsupported 6.10 R6.10-3 | a reserved field is not zero | the field
+441 chunk.crc                  malformed   6.11 R6.11-1 | a chunk's CRC-32 does not match | the chunk
+442 chunk.length               malformed   6.11 R6.11-4 | a chunk's parts do not fill it | the chunk
+443 chunk.form                 malformed   6.11 R6.11-3 | the form of a chunk's positions is not known | the field
+444 chunk.padding              malformed   6.11 R6.11-5 | the padding behind a part of a chunk is not zero | the padding
+445 chunk.reserved             unsupported 6.11 R6.11-2 | a reserved field is not zero | the field
+446 chunk.kept                 invalid     6.11 R6.11-11 | a chunk does not keep as many offsets as its entry says |
+    the chunk
+447 chunk.bounds               invalid     6.11 R6.11-10 | a chunk's positions do not have the bounds of its entry | the
+    chunk
+451 positions.not_finite       invalid     6.11 R6.11-6 | a position is NaN or infinite | the value
+452 positions.negative_zero    invalid     6.11 R6.11-7 | a position is -0 | the value
+453 positions.count            invalid     6.11 R6.11-8 | a tree has not as many cells as the chunk has anchors | the
+    substream
+454 positions.cell             invalid     6.11 R6.11-9 | a cell stands for no fp16 | the substream
+501 substream.length           malformed   5.15 R8.1-1  | the substream is shorter than its states and words | the
     substream
 502 substream.state            invalid     8.1  R8.1-2  | an initial state is below 2^16 | the substream
 503 substream.words            invalid     8.8  R8.8-1  | the symbols do not consume exactly the words sent | the
@@ -132,7 +148,7 @@ class BitstreamError(Exception):
     """A file that is refused. Decoding raises no other error.
 
     kind: the row of the registry.
-    offset: a byte of the file. SPEC 10.2 says which one.
+    offset: a byte of the file. SPEC 10.3 says which one.
     path: the syntax element.
     found, allowed: what the file has there, and what it may have, as text.
     """
@@ -147,7 +163,7 @@ class BitstreamError(Exception):
 
     @property
     def exit_status(self) -> int:
-        """The exit status of a command: 1 for a malformed or invalid file, 2 for an unsupported one (SPEC 10.1)."""
+        """The exit status of a command: 1 for a malformed or invalid file, 2 for an unsupported one (SPEC 10.2)."""
         return 2 if self.kind.klass == "unsupported" else 1
 
     def to_json(self) -> str:

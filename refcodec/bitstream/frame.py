@@ -8,6 +8,7 @@ import numpy as np
 
 from . import syntax
 from .conventions import Int64
+from .source import Piece
 
 # SPEC 6.7
 MATRIX_BOUND = 1 << 20
@@ -27,13 +28,17 @@ class Frame:
     high: Int64
 
 
-def parse_frame(data: bytes, start: int) -> Frame:
-    """SPEC 5.7 and [R6.7-1]: returns the frame at data[start:]. Raises BitstreamError frame.range.
+def parse_frame(section: Piece) -> Frame:
+    """SPEC 5.7 and 6.7: returns the frame of the section. Raises BitstreamError frame.reserved or frame.range.
 
-    The fields are checked in the order of the requirement's sentence.
+    The section has its length. The fields are checked in the order of the requirement's sentence.
     """
-    struct, name = syntax.Struct("Frame", data, start, "frame"), "frame.range"
+    struct, name = syntax.Struct("Frame", section, 0, "frame"), "frame.range"
     f = struct.fields
+    # SPEC [R6.7-1]
+    if f.reserved:
+        raise struct.error("frame.reserved", "reserved", f.reserved, 0)
+    # SPEC [R6.7-2]
     for field, low, high in (
         ("matrix", 1 - MATRIX_BOUND, MATRIX_BOUND - 1),
         ("translation", 1 - TRANSLATION_BOUND, TRANSLATION_BOUND - 1),
@@ -41,8 +46,6 @@ def parse_frame(data: bytes, start: int) -> Frame:
     ):
         for i, value in enumerate(f[field]):
             struct.require_within(name, f"{field}[{i}]", value, low, high)
-    if f.reserved:
-        raise struct.error(name, "reserved", f.reserved, 0)
     for i, (low, high) in enumerate(zip(f.low, f.high, strict=True)):
         struct.require_within(name, f"low[{i}]", low, -FRAME_RANGE_BOUND, FRAME_RANGE_BOUND - 1)
         # The rescaling (7.5.3) divides by high - low.

@@ -3,25 +3,24 @@
 from __future__ import annotations
 
 import zlib
-from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import construct as cs
 import numpy as np
 
 from . import syntax
-from .chunks import chunk_ranges
-from .dimensions import Dimensions, dimension_fields, dimensions_of
-from .directory import Section
+from .dimensions import Dimensions, dimension_fields, dimensions_of, work
+from .directory import DATA, Section, parse_directory
 from .errors import BitstreamError
 from .limits import MAIN, PROFILES, TINY, dimension_fault, minimal_level
+from .source import Piece, Source, pad4
 
 # SPEC 6.1
-SIGNATURE = b"\x89C3G\r\n\x1a\n"
-VERSION = 0
+SIGNATURE = b"\x89C3GS\r\n\x1a"
+MAJOR, MINOR = 0, 0
 PROLOGUE_BYTES = syntax.size_of("Prologue")
-HEADER_LENGTH_MIN, HEADER_LENGTH_MAX = 4, 65535
+HEADER_LENGTH_MIN, HEADER_LENGTH_MAX = 4, 65532
 CRC_BYTES = 4
 # SPEC 6.2
 LANES_LOG2_MAX = 8
@@ -57,9 +56,6 @@ class RenderInfo:
     up_axis: 0 to 5 if +x, -x, +y, -y, +z or -z points up.
     near_plane, distance_unit: world units.
     low_pass: square pixels.
-    camera_width, camera_height, camera_focal: pixels.
-    camera_rotation: a quaternion w, x, y, z, from the world to the camera.
-    camera_translation: from the world to the camera, world units.
     """
 
     background: tuple[int, int, int] = (0, 0, 0)
@@ -68,49 +64,50 @@ class RenderInfo:
     distance_unit: float = 1.0
     alpha_max: float = float(np.float32(0.99))
     low_pass: float = float(np.float32(0.3))
-    camera_width: int = 800
-    camera_height: int = 600
-    camera_focal: tuple[float, float] = (700.0, 700.0)
-    camera_rotation: tuple[float, float, float, float] = (1.0, 0.0, 0.0, 0.0)
-    camera_translation: tuple[float, float, float] = (0.0, 0.0, 0.0)
 
 
 @dataclass(frozen=True)
 class Header:
-    """SPEC 6.2: the values of a header. sections: by type, or empty if the directory has not been read yet."""
+    """SPEC 6.2: the values of a header.
 
+    minor: the minor version of the file.
+    chunk_count: C. chunk_size: the most anchors of a chunk.
+    later: the bytes of fields that a later minor version added.
+    sections: in file order, or empty if the directory has not been read yet.
+    """
+
+    minor: int
     profile: int
     level: int
     anchor_count: int
+    chunk_count: int
     chunk_size: int
     lanes: Lanes
-    dimensions: Dimensions
     base_step: tuple[float, float, float]
     grid: PositionGrid
     render: RenderInfo
-    sections: Mapping[int, Section]
+    dimensions: Dimensions
+    later: bytes = b""
+    sections: tuple[Section, ...] = ()
 
-    @property
-    def chunk_count(self) -> int:
-        """SPEC 6.10: C, the number of chunks."""
-        return -(-self.anchor_count // self.chunk_size)
-
-    @property
-    def chunks(self) -> list[range]:
-        """SPEC 6.10: the anchors of each chunk."""
-        return chunk_ranges(self.anchor_count, self.chunk_size)
+    def section(self, kind: bytes) -> Section | None:
+        """Returns the critical section of a type, or None if the file has none."""
+        return next((section for section in self.sections if section.type == kind), None)
 
 
 # --- prologue ---------------------------------------------------------------------------------------------------------
 
 
-def parse_prologue(data: bytes) -> int:
-    """SPEC 5.1 and 6.1: checks the prologue and returns header_length. Raises BitstreamError 101 to 105."""
+def parse_prologue(data: bytes) -> tuple[int, int]:
+    """SPEC 5.1 and 6.1: checks the prologue and returns minor and header_length. Raises BitstreamError 101 to 105.
+
+    data: the first bytes of the file, 20 of them if it has so many.
+    """
     # SPEC [R6.1-1]
     if len(data) < PROLOGUE_BYTES:
         found = f"{len(data)} bytes"
         raise BitstreamError("prologue.truncated", len(data), "prologue", found, f"at least {PROLOGUE_BYTES}")
-    prologue = syntax.Struct("Prologue", data[:PROLOGUE_BYTES], 0, "prologue")
+    prologue = syntax.Struct("Prologue", Piece(data[:PROLOGUE_BYTES], 0), 0, "prologue")
     p = prologue.fields
     # SPEC [R6.1-2]
     if p.signature != SIGNATURE:
@@ -120,14 +117,15 @@ def parse_prologue(data: bytes) -> int:
     crc = zlib.crc32(data[: PROLOGUE_BYTES - CRC_BYTES])
     if p.prologue_crc != crc:
         raise prologue.error("prologue.crc", "prologue_crc", f"0x{p.prologue_crc:08x}", f"0x{crc:08x}")
-    # SPEC [R6.1-4]
-    if p.version != VERSION:
-        raise prologue.error("prologue.version", "version", p.version, VERSION)
+    # SPEC [R6.1-4]: later minor versions are read (12.3).
+    if p.major != MAJOR:
+        raise prologue.error("prologue.version", "major", p.major, MAJOR)
     # SPEC [R6.1-5]
-    prologue.require_within(
-        "prologue.header_length", "header_length", p.header_length, HEADER_LENGTH_MIN, HEADER_LENGTH_MAX
-    )
-    return int(p.header_length)
+    length = int(p.header_length)
+    if not HEADER_LENGTH_MIN <= length <= HEADER_LENGTH_MAX or length % 4:
+        allowed = f"a multiple of 4 from {HEADER_LENGTH_MIN} to {HEADER_LENGTH_MAX}"
+        raise prologue.error("prologue.header_length", "header_length", length, allowed)
+    return int(p.minor), length
 
 
 def _signature_text(found: bytes) -> str:
@@ -138,11 +136,25 @@ def _signature_text(found: bytes) -> str:
 # --- header -----------------------------------------------------------------------------------------------------------
 
 
-def parse_header(data: bytes, header_length: int) -> tuple[Header, syntax.Struct]:
+def read_header(source: Source) -> Header:
+    """SPEC 10.1, steps 1 to 3: reads and checks the prologue, the header and the directory.
+
+    Raises BitstreamError 101 to 305.
+    """
+    prologue = source.read(0, PROLOGUE_BYTES)
+    minor, header_length = parse_prologue(prologue)
+    header, struct = parse_header(prologue + source.read(PROLOGUE_BYTES, header_length), minor, header_length)
+    sections = parse_directory(struct, header.dimensions, PROLOGUE_BYTES + header_length)
+    return replace(header, sections=sections)
+
+
+def parse_header(data: bytes, minor: int, header_length: int) -> tuple[Header, syntax.Struct]:
     """SPEC 5.2 to 5.5 and 6.2 to 6.5: checks the header, and returns its values and its struct.
 
+    data: the file up to the header's end, if it has so many bytes. minor, header_length: those of the prologue.
+
     The directory is left out of the values. The struct has its entries, of which only the reserved fields were checked.
-    Raises BitstreamError 201 to 214, in the order of SPEC 10.1.
+    Raises BitstreamError 201 to 217, in the order of SPEC 10.1.
     """
     end = PROLOGUE_BYTES + header_length
     # SPEC [R6.2-1]
@@ -155,48 +167,60 @@ def parse_header(data: bytes, header_length: int) -> tuple[Header, syntax.Struct
         raise BitstreamError("header.crc", end - CRC_BYTES, "header.header_crc", f"0x{stored:08x}", f"0x{crc:08x}")
     # SPEC [R6.2-3]
     try:
-        header = syntax.Struct("Header", data[:end], PROLOGUE_BYTES, "header")
+        header = syntax.Struct("Header", Piece(data[:end], 0), PROLOGUE_BYTES, "header")
     except cs.ConstructError:
         allowed = f"what {header_length} bytes hold"
         raise BitstreamError("header.syntax", end, "header", "more fields", allowed) from None
-    if header.size != header_length:
-        # The CRC-32 is the last field. The bytes that no field uses lie before it.
-        at = PROLOGUE_BYTES + header.size - CRC_BYTES
+    # The CRC-32 is the last field. The bytes that no field uses lie before it.
+    known = PROLOGUE_BYTES + header.size - CRC_BYTES
+    if header.size != header_length and minor <= MINOR:
         allowed = f"the {header.size} that its fields take"
-        raise BitstreamError("header.syntax", at, "header", f"{header_length} bytes", allowed)
-    return _checked(header), header
+        raise BitstreamError("header.syntax", known, "header", f"{header_length} bytes", allowed)
+    return _checked(header, minor, data[known : end - CRC_BYTES]), header
 
 
-def _checked(header: syntax.Struct) -> Header:
-    """SPEC 10.1, step 2, from [R6.2-4] on: checks the header's fields in the order of the errors' codes."""
+def _checked(header: syntax.Struct, minor: int, later: bytes) -> Header:
+    """SPEC 10.1, step 2, from [R6.2-4] on: checks padding and reserved fields, then the others by the errors' codes."""
     h = header.fields
     # SPEC [R6.2-4]
+    if any(h.dimensions.padding):
+        raise header.error("header.padding", "dimensions.padding", h.dimensions.padding.hex(" "), "zeros")
+    # SPEC [R6.2-5]
     for field, value in (
-        ("reserved_0", h.reserved_0),
-        ("reserved_1", h.reserved_1),
+        ("reserved", h.reserved),
         ("position_grid.reserved", h.position_grid.reserved),
-        *((f"directory[{i}].reserved", entry.reserved) for i, entry in enumerate(h.directory)),
+        *((f"directory[{i}].reserved", list(entry.reserved)) for i, entry in enumerate(h.directory)),
     ):
-        if value:
+        if any(value) if isinstance(value, list) else value:
             raise header.error("header.reserved", field, value, 0)
     dimensions = _checked_limits(header)
-    # SPEC [R6.2-5]
+    # SPEC [R6.2-6]
     for field in ("plane_lanes_log2", "mask_lanes_log2", "attribute_lanes_log2"):
         header.require_within("header.lanes", field, h[field], 0, LANES_LOG2_MAX)
-    # SPEC [R6.2-6]
+    # SPEC [R6.2-7]
     for i, step in enumerate(h.base_step):
         header.require_within("header.base_step", f"base_step[{i}]", step, BASE_STEP_MIN, BASE_STEP_MAX)
+    grid, render = _checked_grid(header), _checked_render(header)
+    # SPEC [R11.2-3]
+    needed, level = work(dimensions, h.anchor_count), PROFILES[h.profile].levels[h.level]
+    if needed > level.work:
+        raise header.error("header.work", "anchor_count", f"work of {needed}", f"at most {level.work}")
+    # SPEC [R6.2-8]
+    least = -(-h.anchor_count // h.chunk_size)
+    header.require_within("header.chunk_count", "chunk_count", h.chunk_count, least, h.anchor_count)
     return Header(
+        minor,
         h.profile,
         h.level,
         h.anchor_count,
+        h.chunk_count,
         h.chunk_size,
         Lanes(h.plane_lanes_log2, h.mask_lanes_log2, h.attribute_lanes_log2),
-        dimensions,
         tuple(h.base_step),
-        _checked_grid(header),
-        _checked_render(header),
-        {},
+        grid,
+        render,
+        dimensions,
+        later,
     )
 
 
@@ -222,9 +246,9 @@ def _checked_limits(header: syntax.Struct) -> Dimensions:
         raise header.error("header.dimension", "dimensions.plane_size", dimensions.plane_size, allowed)
     # SPEC [R11.2-2]
     header.require_within("header.anchor_count", "anchor_count", h.anchor_count, 0, level.anchors)
-    # SPEC [R11.2-3]
-    lowest = minimal_level(profile, h.anchor_count, dimensions.plane_size)
-    if lowest != h.level:
+    # SPEC [R11.2-4]: a file whose work no level holds has the error of its work.
+    lowest = minimal_level(profile, h.anchor_count, dimensions)
+    if lowest is not None and lowest < h.level:
         raise header.error("header.level_not_minimal", "level", h.level, lowest)
     # SPEC [R11.1-3]
     header.require_within("header.chunk_size", "chunk_size", h.chunk_size, *profile.chunk_size)
@@ -259,34 +283,13 @@ def _checked_render(header: syntax.Struct) -> RenderInfo:
         raise header.error(name, field("alpha_max"), r.alpha_max, "more than 0 and at most 1")
     if r.low_pass < 0:
         raise header.error(name, field("low_pass"), r.low_pass, "at least 0")
-    header.require_within(name, field("camera_width"), r.camera_width, 1, 65535)
-    header.require_within(name, field("camera_height"), r.camera_height, 1, 65535)
-    for vector in ("camera_focal", "camera_rotation", "camera_translation"):
-        header.require_finite(name, field(vector), r[vector])
-    if min(r.camera_focal) <= 0:
-        raise header.error(name, field("camera_focal"), list(r.camera_focal), "more than 0")
-    if not any(r.camera_rotation):
-        allowed = "a quaternion that is not zero"
-        raise header.error(name, field("camera_rotation"), list(r.camera_rotation), allowed)
-    return RenderInfo(
-        tuple(r.background),
-        r.up_axis,
-        r.near_plane,
-        r.distance_unit,
-        r.alpha_max,
-        r.low_pass,
-        r.camera_width,
-        r.camera_height,
-        tuple(r.camera_focal),
-        tuple(r.camera_rotation),
-        tuple(r.camera_translation),
-    )
+    return RenderInfo(tuple(r.background), r.up_axis, r.near_plane, r.distance_unit, r.alpha_max, r.low_pass)
 
 
 # --- writing ----------------------------------------------------------------------------------------------------------
 
 
-def emit_file(header: Header, sections: list[tuple[int, int, bytes]]) -> bytes:
+def emit_file(header: Header, sections: list[tuple[bytes, int, bytes]]) -> bytes:
     """SPEC 5.1 to 5.6: returns the file of a header and of sections (type, mode, bytes) in file order.
 
     The directory is made from the sections. header.sections is not read.
@@ -295,30 +298,42 @@ def emit_file(header: Header, sections: list[tuple[int, int, bytes]]) -> bytes:
         "profile": header.profile,
         "level": header.level,
         "section_count": len(sections),
-        "reserved_0": 0,
         "anchor_count": header.anchor_count,
+        "chunk_count": header.chunk_count,
         "chunk_size": header.chunk_size,
         "plane_lanes_log2": header.lanes.plane,
         "mask_lanes_log2": header.lanes.mask,
         "attribute_lanes_log2": header.lanes.attribute,
-        "reserved_1": 0,
-        "dimensions": dimension_fields(header.dimensions),
+        "reserved": 0,
         "base_step": header.base_step,
         "position_grid": {**vars(header.grid), "reserved": 0},
         "render_info": vars(header.render),
-        "directory": [],
+        "dimensions": dimension_fields(header.dimensions),
+        # SPEC 5.6: the chunks of DATA have CRC-32s of their own.
+        "directory": [
+            {
+                "type": kind,
+                "mode": mode,
+                "reserved": [0, 0, 0],
+                "length": len(content),
+                "crc": 0 if kind == DATA else zlib.crc32(content),
+            }
+            for kind, mode, content in sections
+        ],
         "header_crc": 0,
     }
-    bare = len(syntax.build("Header", {**fields, "section_count": 0}))
-    header_length = bare + syntax.size_of("DirectoryEntry") * len(sections)
-    at = PROLOGUE_BYTES + header_length
-    for kind, mode, content in sections:
-        place = {"offset": at, "length": len(content), "crc": zlib.crc32(content)}
-        fields["directory"].append({"type": kind, "mode": mode, "reserved": 0, **place})
-        at += len(content)
-    prologue = {"signature": SIGNATURE, "version": VERSION, "header_length": header_length, "prologue_crc": 0}
-    parts = []
-    for name, values in (("Prologue", prologue), ("Header", fields)):
-        bare_bytes = syntax.build(name, values)[:-CRC_BYTES]
-        parts += [bare_bytes, zlib.crc32(bare_bytes).to_bytes(CRC_BYTES, "little")]
-    return b"".join([*parts, *(content for _, _, content in sections)])
+    bare = syntax.build("Header", fields)[:-CRC_BYTES] + header.later
+    prologue = syntax.build(
+        "Prologue",
+        {
+            "signature": SIGNATURE,
+            "major": MAJOR,
+            "minor": header.minor,
+            "header_length": len(bare) + CRC_BYTES,
+            "prologue_crc": 0,
+        },
+    )[:-CRC_BYTES]
+    parts = [part for whole in (prologue, bare) for part in (whole, zlib.crc32(whole).to_bytes(CRC_BYTES, "little"))]
+    for _, _, content in sections:
+        parts += [content, bytes(pad4(len(content)) - len(content))]
+    return b"".join(parts)

@@ -1,4 +1,4 @@
-"""Clauses 5.12, 6.12 and 7.6: the masks.
+"""Clauses 5.11, 6.12 and 7.6: the masks.
 
 The context of a mask bit is the index of its offset and the number of offsets of the anchor that are kept before it.
 """
@@ -11,21 +11,21 @@ from numpy.typing import NDArray
 from .conventions import Int64
 from .dimensions import mask_contexts
 from .entropy import Coder
-from .errors import BitstreamError
+from .source import Piece
 from .tables import TOTAL, ModelSet, build_models
 
 
-def parse_mask_model(data: bytes, start: int, offset_count: int) -> NDArray[np.uint16]:
-    """SPEC 5.10 and [R6.10-1]: returns the mask model at data[start:], uint16 [K (K + 1) / 2].
+def parse_mask_model(section: Piece, offset_count: int) -> NDArray[np.uint16]:
+    """SPEC 5.11 and [R6.10-1]: returns the mask model at the start of the index, uint16 [K (K + 1) / 2].
 
-    Raises BitstreamError chunks.mask_model.
+    Raises BitstreamError index.mask_model.
     """
-    model = np.frombuffer(data, "<u2", mask_contexts(offset_count), start).astype(np.uint16)
+    model = np.frombuffer(section.data, "<u2", mask_contexts(offset_count)).astype(np.uint16)
     bad = np.flatnonzero((model < 1) | (model >= TOTAL))
     if bad.size:
         first = int(bad[0])
-        path = f"chunk_table.mask_model[{first}]"
-        raise BitstreamError("chunks.mask_model", start + 2 * first, path, model[first], f"1 to {TOTAL - 1}")
+        path = f"index.mask_model.frequency[{first}]"
+        raise section.error("index.mask_model", 2 * first, path, model[first], f"1 to {TOTAL - 1}")
     return model
 
 

@@ -1,4 +1,4 @@
-"""Clauses 5.9, 6.9 and 7.3: the planes."""
+"""Clauses 5.10, 6.9 and 7.3: the planes."""
 
 from __future__ import annotations
 
@@ -10,8 +10,8 @@ from . import syntax
 from .conventions import Int64
 from .dimensions import Dimensions
 from .entropy import Coder, Decoder, Encoder, Trace, open_substream
-from .errors import BitstreamError
 from .networks import IntNetwork, activation
+from .source import Piece, pad4
 from .tables import tables
 
 # SPEC 7.3: the number of sub-planes: the plane of r = 1, and four quadrants of the plane of r = 2.
@@ -58,31 +58,33 @@ def code_planes(
     return padded[:, :, 1:, 1:-1].astype(np.int16)
 
 
-def parse_planes(
-    data: bytes, start: int, end: int, d: Dimensions, lanes: int, sarm: IntNetwork, trace: Trace | None
-) -> NDArray[np.int16]:
-    """SPEC 5.9, 6.9 and 7.3: returns the sub-planes of the section data[start:end], int16 [5, ch, B, B].
+def parse_planes(section: Piece, d: Dimensions, lanes: int, sarm: IntNetwork, trace: Trace | None) -> NDArray[np.int16]:
+    """SPEC 5.10, 6.9 and 7.3: returns the sub-planes of the section, int16 [5, ch, B, B].
 
-    lanes: the lanes of each substream. Raises BitstreamError planes.length, or the error of the first substream that
-    has one.
+    lanes: the lanes of each substream. Raises BitstreamError planes.length, planes.padding, or the error of the first
+    substream that has one.
     """
     # SPEC [R6.9-1]
     try:
-        table, size = syntax.parse("PlaneTable", data[:end], start)
+        table, size = syntax.parse("PlaneTable", section.data)
     except cs.ConstructError:
-        found, allowed = f"{end - start} bytes", f"at least the table's {syntax.size_of('PlaneTable')}"
-        raise BitstreamError("planes.length", start, "planes", found, allowed) from None
-    if size + sum(table.length) != end - start:
-        found = f"a table that announces {size + sum(table.length)} bytes"
-        raise BitstreamError("planes.length", start, "planes.length", found, end - start)
-    bounds = start + size + np.concatenate([[0], np.cumsum(table.length, dtype=np.int64)])
+        found, allowed = f"{len(section)} bytes", f"at least the table's {syntax.size_of('PlaneTable')}"
+        raise section.error("planes.length", 0, "planes", found, allowed) from None
+    starts = size + np.cumsum([0, *(pad4(length) for length in table.length)], dtype=np.int64)
+    if starts[-1] != len(section):
+        found = f"a table that announces {starts[-1]} bytes"
+        raise section.error("planes.length", 0, "planes.length", found, len(section))
+    # SPEC [R6.9-2]
+    spans = [(int(start), int(start) + length) for start, length in zip(starts, table.length, strict=False)]
+    for name, (start, end) in zip(PLANE_NAMES, spans, strict=True):
+        section.require_zero("planes.padding", end, start + pad4(end - start), f"planes.{name}")
     opened = [
-        open_substream(data, int(bounds[i]), int(bounds[i + 1]), lanes, f"planes.{name}")
-        for i, name in enumerate(PLANE_NAMES)
+        open_substream(section.cut(*span), lanes, f"planes.{name}")
+        for name, span in zip(PLANE_NAMES, spans, strict=True)
     ]
     decoder = Decoder([stream for stream, _ in opened], trace)
     planes = code_planes(decoder, sarm, d.plane_channels, d.plane_size)
-    # SPEC 10.1, step 5: all errors of a substream come before those of the next one.
+    # SPEC 10.1, step 4: all errors of a substream come before those of the next one.
     for (_, before), after in zip(opened, decoder.finish(), strict=True):
         error = before or after
         if error is not None:
@@ -91,11 +93,17 @@ def parse_planes(
 
 
 def emit_planes(planes: NDArray[np.int16], sarm: IntNetwork, lanes: int) -> bytes:
-    """SPEC 5.9: returns the bytes of the section. planes: int16 [5, ch, B, B]. lanes: the lanes of each substream."""
+    """SPEC 5.10: returns the bytes of the section. planes: int16 [5, ch, B, B]. lanes: the lanes of each substream."""
     encoder = Encoder(PLANES, lanes)
     code_planes(encoder, sarm, planes.shape[1], planes.shape[2], planes)
     streams = encoder.finish()
-    return syntax.build("PlaneTable", {"length": [len(s) for s in streams]}) + b"".join(streams)
+    padded = [stream + bytes(pad4(len(stream)) - len(stream)) for stream in streams]
+    return syntax.build("PlaneTable", {"length": [len(s) for s in streams]}) + b"".join(padded)
+
+
+def no_planes() -> NDArray[np.int16]:
+    """Returns the sub-planes of a scene without planes, int16 [5, 0, 0, 0]."""
+    return np.zeros((PLANES, 0, 0, 0), dtype=np.int16)
 
 
 def assemble_planes(planes: NDArray[np.int16]) -> tuple[Int64, Int64]:

@@ -1,4 +1,4 @@
-"""Clauses 5.11, 5.15, 6.11, 7.4 and 7.12: the positions, as raw fp16 numbers or for each chunk as a tree of cells.
+"""Clauses 5.12, 6.11, 7.4 and 7.12: the positions, as raw fp16 numbers or for each chunk as a tree of cells.
 
 The code of a cell is its MORTON. A node of the tree is the code of its cells without their low bits. While the chunks
 of a batch are coded side by side, the number of the chunk stands above the bits of a code.
@@ -12,10 +12,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from . import syntax
-from .chunks import POSITION_BYTES, Part
 from .conventions import Int64
 from .entropy import Decoder, Encoder, SymbolCoder, Trace, open_substream
 from .errors import BitstreamError
+from .source import Piece
 from .tables import TOTAL, ModelSet, build_models
 
 F16 = NDArray[np.float16]
@@ -23,12 +23,13 @@ F16 = NDArray[np.float16]
 CELL_LEVELS = 16
 CELL_INDEX = 40
 POSITION_MODELS = 18
-# SPEC 5.15: the symbols of a model. A symbol names which of four children there are.
+# SPEC 5.12: the symbols of a model. A symbol names which of four children there are.
 HALVES = 16
 # SPEC 6.10: the models whose symbol 0 cannot occur.
 EMPTY_MODELS = (1, 7, 13)
-# SPEC 5.11: the forms of a chunk in mode 1.
+# SPEC 5.14: the forms of a chunk's positions, and the bytes of an anchor's position in the raw one.
 RAW, PACKED = 0, 1
+POSITION_BYTES = 6
 _MIDDLE = 1 << (CELL_LEVELS - 1)
 _CODE_BITS = 3 * CELL_LEVELS
 # The number of children that each symbol names.
@@ -51,7 +52,7 @@ def position_integers(positions: F16) -> Int64:
 
 @dataclass(frozen=True, eq=False)
 class PositionModel:
-    """SPEC 5.15: what packed positions are coded with. cell_shift: 0 to 40. frequency: uint16 [18, 16]."""
+    """SPEC 5.12: what packed positions are coded with. cell_shift: 0 to 40. frequency: uint16 [18, 16]."""
 
     cell_shift: int
     frequency: NDArray[np.uint16]
@@ -70,24 +71,28 @@ class PositionModel:
         return build_models("cells", list(self.frequency.astype(np.int64)), [0] * POSITION_MODELS)
 
 
-def parse_position_model(data: bytes, start: int) -> PositionModel:
-    """SPEC 5.15 and [R6.10-4]: returns the model at data[start:]. Raises BitstreamError chunks.position_model."""
-    fields, _ = syntax.parse("PositionModel", data, start)
-    frequency = np.array(fields.frequency, dtype=np.uint16).reshape(POSITION_MODELS, HALVES)
-    model = PositionModel(fields.cell_shift, frequency)
+def parse_position_model(section: Piece, at: int) -> PositionModel:
+    """SPEC 5.12, [R6.10-3] and [R6.10-4]: returns the model at byte `at` of the index.
+
+    Raises BitstreamError index.reserved or index.position_model.
+    """
+    struct = syntax.Struct("PositionModel", section, at, "index.position_model")
+    if any(struct.fields.reserved):
+        raise struct.error("index.reserved", "reserved", list(struct.fields.reserved), 0)
+    frequency = np.array(struct.fields.frequency, dtype=np.uint16).reshape(POSITION_MODELS, HALVES)
+    model = PositionModel(struct.fields.cell_shift, frequency)
     fault = model.fault()
     if fault is not None:
-        at, path, found = start, "cell_shift", str(model.cell_shift)
+        path, found = "cell_shift", str(model.cell_shift)
         if fault >= 0:
-            at, path = start + 1 + 2 * HALVES * fault, f"frequency[{HALVES * fault}]"
-            found = f"frequencies {model.frequency[fault].tolist()}"
-        raise BitstreamError("chunks.position_model", at, f"chunk_table.position_model.{path}", found, "what 6.10 says")
+            path, found = f"frequency[{HALVES * fault}]", f"frequencies {model.frequency[fault].tolist()}"
+        raise struct.error("index.position_model", path, found, "what 6.10 says")
     return model
 
 
 def emit_position_model(model: PositionModel) -> bytes:
-    """SPEC 5.15: returns the bytes of the model."""
-    fields = {"cell_shift": model.cell_shift, "frequency": model.frequency.reshape(-1).tolist()}
+    """SPEC 5.12: returns the bytes of the model."""
+    fields = {"cell_shift": model.cell_shift, "reserved": [0, 0, 0], "frequency": model.frequency.reshape(-1).tolist()}
     return syntax.build("PositionModel", fields)
 
 
@@ -205,99 +210,73 @@ def decode_cells(code: Int64, cell_shift: int) -> tuple[F16, NDArray[np.bool_]]:
     return cell_positions(_cells_of_codes(code), cell_shift)
 
 
-# --- the parts of chunks ----------------------------------------------------------------------------------------------
+# --- the positions of chunks ------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class CodedPositions:
+    """SPEC 5.14: the positions of a chunk as a file has them.
+
+    number: that of the chunk. piece: their bytes. form: RAW or PACKED. anchors: their numbers in the file.
+    """
+
+    number: int
+    piece: Piece
+    form: int
+    anchors: range
+
+    @property
+    def path(self) -> str:
+        """The name of the part in paths."""
+        return f"positions[chunk {self.number}]"
 
 
 def parse_positions(
-    data: bytes,
-    part: Part,
-    group: list[int],
-    chunks: list[range],
-    model: PositionModel | None,
-    lanes: int,
-    trace: Trace | None,
-) -> tuple[F16, dict[int, BitstreamError]]:
-    """SPEC 5.11 and 6.11: returns the positions of some chunks, float16 [n, 3], and the first error of each.
+    chunks: list[CodedPositions], model: PositionModel | None, lanes: int, trace: Trace | None
+) -> list[F16 | BitstreamError]:
+    """SPEC 5.14 and 6.11: returns the positions of each chunk, float16 [n, 3], or its first error.
 
-    A chunk without an error is not among the errors. A chunk with one has no positions.
-    group: the numbers of the chunks. chunks: their anchors. model: None in mode 0. lanes: those of each substream.
+    model: None in mode 0. lanes: those of each substream.
     """
-    found: dict[int, F16 | BitstreamError | None] = {}
-    for number, chunk in zip(group, chunks, strict=True):
-        # SPEC 10.1, step 7: the CRC-32 comes first.
-        error = part.check(data, number)
-        if error is not None:
-            found[number] = error
-        elif model is None:
-            found[number] = _raw(data, part.span(number)[0], chunk)
-        else:
-            found[number] = _formed(data, part, number, chunk, model)
-    packed = {number: chunk for number, chunk in zip(group, chunks, strict=True) if found[number] is None}
-    if packed and model is not None:
-        found |= _packed(data, part, packed, model, lanes, trace)
-    errors = {number: value for number, value in found.items() if isinstance(value, BitstreamError)}
-    good = [value for value in found.values() if isinstance(value, np.ndarray)]
-    return np.concatenate([np.zeros((0, 3), dtype=np.float16), *good]), errors
+    packed = [chunk for chunk in chunks if chunk.form == PACKED]
+    trees = iter(_packed(packed, model, lanes, trace) if packed and model is not None else ())
+    return [next(trees) if chunk.form == PACKED else _raw(chunk) for chunk in chunks]
 
 
-def _raw(data: bytes, start: int, chunk: range) -> F16 | BitstreamError:
-    """SPEC [R6.11-1] and [R6.11-2]: returns a chunk's fp16 numbers, or the error of the first that is not allowed."""
-    bits = np.frombuffer(data, "<u2", 3 * len(chunk), start).astype(np.uint16)
+def _raw(chunk: CodedPositions) -> F16 | BitstreamError:
+    """SPEC [R6.11-6] and [R6.11-7]: returns a chunk's fp16 numbers, or the error of the first that is not allowed."""
+    bits = np.frombuffer(chunk.piece.data, "<u2").astype(np.uint16)
     bad = first_bad(bits)
     if bad is None:
         return bits.view(np.float16).reshape(-1, 3)
     name, first = bad
-    path = f"positions[{chunk.start + first // 3},{first % 3}]"
-    return BitstreamError(name, start + 2 * first, path, f"0x{bits[first]:04x}", "finite numbers but -0")
-
-
-def _formed(data: bytes, part: Part, number: int, chunk: range, model: PositionModel) -> F16 | BitstreamError | None:
-    """SPEC 5.11: returns the positions of a raw chunk in mode 1, or its error, or None for a packed chunk."""
-    (start, end), path = part.span(number), part.path(number)
-    form = data[start] if end > start else None
-    if form == PACKED:
-        return None
-    # SPEC [R6.11-3]
-    size = 1 + POSITION_BYTES * len(chunk)
-    if form != RAW or end - start != size:
-        allowed = f"form {RAW} with {size} bytes, or form {PACKED}"
-        return BitstreamError("positions.form", start, path, f"form {form} with {end - start} bytes", allowed)
-    found = _raw(data, start + 1, chunk)
-    # SPEC [R6.11-4]
-    if not isinstance(found, BitstreamError) and chunk_codes(found, model.cell_shift) is not None:
-        return BitstreamError("positions.raw", start, path, f"form {RAW}", f"form {PACKED}: the chunk can be packed")
-    return found
+    path = f"positions[{chunk.anchors.start + first // 3},{first % 3}]"
+    return chunk.piece.error(name, 2 * first, path, f"0x{bits[first]:04x}", "finite numbers but -0")
 
 
 def _packed(
-    data: bytes, part: Part, chunks: dict[int, range], model: PositionModel, lanes: int, trace: Trace | None
-) -> dict[int, F16 | BitstreamError]:
-    """SPEC 7.12, DECODE_POSITIONS: returns the positions or the error of each packed chunk, by number."""
-    opened = []
-    for number in chunks:
-        start, end = part.span(number)
-        opened.append(open_substream(data, start + 1, end, lanes, part.path(number)))
+    chunks: list[CodedPositions], model: PositionModel, lanes: int, trace: Trace | None
+) -> list[F16 | BitstreamError]:
+    """SPEC 7.12, DECODE_POSITIONS: returns the positions or the error of each packed chunk."""
+    opened = [open_substream(chunk.piece, lanes, chunk.path) for chunk in chunks]
     decoder = Decoder([stream for stream, _ in opened], trace)
-    counts = [len(chunk) for chunk in chunks.values()]
-    code, held = code_cells(decoder, model.models(), list(chunks), counts)
+    counts = [len(chunk.anchors) for chunk in chunks]
+    code, held = code_cells(decoder, model.models(), [chunk.number for chunk in chunks], counts)
     rows = np.minimum(held, counts)
     firsts = np.cumsum(rows) - rows
-    found: dict[int, F16 | BitstreamError] = {}
-    for i, ((number, chunk), (_, before), after) in enumerate(
-        zip(chunks.items(), opened, decoder.finish(), strict=True)
-    ):
-        at, path = part.span(number)[0], part.path(number)
+    found: list[F16 | BitstreamError] = []
+    for i, (chunk, (_, before), after) in enumerate(zip(chunks, opened, decoder.finish(), strict=True)):
         error = before or after
-        # SPEC [R6.11-5]
-        if error is None and held[i] != len(chunk):
-            cells = f"{held[i]} cells" if held[i] < len(chunk) else "more cells"
-            error = BitstreamError("positions.count", at, path, cells, f"{len(chunk)}, one for each anchor")
-        # SPEC [R6.11-6]
+        # SPEC [R6.11-8]
+        if error is None and held[i] != counts[i]:
+            cells = f"{held[i]} cells" if held[i] < counts[i] else "more cells"
+            error = chunk.piece.error("positions.count", 0, chunk.path, cells, f"{counts[i]}, one for each anchor")
+        # SPEC [R6.11-9]
         positions, fits = decode_cells(code[firsts[i] : firsts[i] + rows[i]], model.cell_shift)
         if error is None and not fits.all():
-            cell = f"a cell of anchor {chunk.start + int(np.argmin(fits))} that no fp16 holds"
-            error = BitstreamError("positions.cell", at, path, cell, "cells that fp16 holds")
-        found[number] = error or positions
+            cell = f"a cell of anchor {chunk.anchors.start + int(np.argmin(fits))} that no fp16 holds"
+            error = chunk.piece.error("positions.cell", 0, chunk.path, cell, "cells that fp16 holds")
+        found.append(error or positions)
     return found
 
 
@@ -310,25 +289,35 @@ def first_bad(bits: NDArray[np.uint16]) -> tuple[str, int] | None:
     return ("positions.negative_zero" if bits[first] == 0x8000 else "positions.not_finite"), first
 
 
-def encode_positions(model: PositionModel | None, positions: F16, chunks: list[range], lanes: int) -> list[bytes]:
-    """SPEC 5.11: returns the part of each chunk, in mode 0 if model is None, and otherwise in mode 1.
+def raw_positions(positions: F16) -> bytes:
+    """SPEC 5.14: returns the bytes of positions, float16 [n, 3], in form RAW."""
+    return positions.astype("<f2").tobytes()
 
-    positions: float16 [n, 3], those of the chunks' anchors alone. lanes: the lanes of each substream.
+
+def encode_positions(
+    model: PositionModel | None, positions: F16, counts: list[int], lanes: int, forms: list[int] | None = None
+) -> list[tuple[int, bytes]]:
+    """SPEC 5.14: returns the form and the bytes of the positions of each chunk.
+
+    model: None in mode 0. positions: float16 [n, 3], those of the chunks' anchors alone. counts: the anchors of each
+    chunk. lanes: the lanes of each substream. forms: RAW or PACKED for each chunk, or None, which packs what can be
+    packed. Raises ValueError for a chunk that cannot have its form.
     """
-    ends = np.cumsum([len(c) for c in chunks])
-    each = [positions[end - len(c) : end] for end, c in zip(ends, chunks, strict=True)]
-    raw = [p.astype("<f2").tobytes() for p in each]
-    if model is None:
-        return raw
-    codes = [chunk_codes(p, model.cell_shift) for p in each]
+    each = np.split(positions, np.cumsum(counts)[:-1]) if counts else []
+    codes = [None if model is None else chunk_codes(p, model.cell_shift) for p in each]
+    for number, (form, code) in enumerate(zip(forms or [RAW] * len(each), codes, strict=True)):
+        if form == PACKED and code is None:
+            raise ValueError(f"the positions of chunk {number} cannot be packed (SPEC.md 7.12)")
+        if form == RAW and forms is not None:
+            codes[number] = None
     packed = [code for code in codes if code is not None]
     streams: list[bytes] = []
-    if packed:
+    if packed and model is not None:
         encoder = Encoder(len(packed), lanes)
-        code_cells(encoder, model.models(), [], [len(c) for c in packed], np.concatenate(packed))
+        code_cells(encoder, model.models(), [], [len(code) for code in packed], np.concatenate(packed))
         streams = encoder.finish()
     streams.reverse()
     return [
-        bytes([RAW]) + r if code is None else bytes([PACKED]) + streams.pop()
-        for r, code in zip(raw, codes, strict=True)
+        (RAW, raw_positions(p)) if code is None else (PACKED, streams.pop())
+        for p, code in zip(each, codes, strict=True)
     ]

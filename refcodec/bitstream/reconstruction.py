@@ -6,6 +6,7 @@ import hashlib
 import struct
 from collections.abc import Iterator
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,8 +17,9 @@ from .positions import position_integers
 from .scene import Scene
 from .tables import STEP_SHIFT, tables
 
-# SPEC 9.3: the first bytes of the canonical reconstruction, and its parts behind the head.
-DIGEST_MAGIC = b"C3GSREC0"
+# SPEC 9.3: the first bytes of what the digests of a scene and of a chunk are of, and the parts of the reconstruction.
+DIGEST_MAGIC = b"C3GSREC1"
+CHUNK_MAGIC = b"C3GSCHK1"
 PARTS = ("positions", "masks", "planes", "features", "scalings", "offsets", "weights")
 
 
@@ -44,14 +46,23 @@ def world_positions(scene: Scene) -> F32:
     return round_to_f32(integers, grid.scale_exponent - 24)
 
 
+def step_values(base_step: float) -> F32:
+    """SPEC 9.2, STEP_VALUE: returns the steps of a kind at all step indices, float32 [64], each rounded once.
+
+    base_step: a float32 value.
+    """
+    mantissa, exponent = f32_parts(base_step)
+    return round_to_f32(tables().step * mantissa, exponent - STEP_SHIFT)
+
+
 def dequantise(symbols: NDArray[np.int32], steps: NDArray[np.uint8], base_step: float) -> F32:
-    """SPEC 9.2, VALUE: returns symbol * step, rounded once, float32 [n, ...].
+    """SPEC 9.2, VALUE: returns symbol * step, one float32 product each, float32 [n, ...].
 
     symbols: int32 [n, ...]. steps: uint8 [n], the step index of each anchor. base_step: a float32 value.
     """
-    mantissa, exponent = f32_parts(base_step)
-    step = tables().step[steps].reshape(-1, *[1] * (symbols.ndim - 1))
-    return round_to_f32(symbols.astype(np.int64) * step * mantissa, exponent - STEP_SHIFT)
+    step = step_values(base_step)[steps].reshape(-1, *[1] * (symbols.ndim - 1))
+    # A float32 holds each symbol exactly.
+    return symbols.astype(np.float32) * step
 
 
 def reconstruct(scene: Scene) -> Reconstruction:
@@ -61,31 +72,85 @@ def reconstruct(scene: Scene) -> Reconstruction:
     return Reconstruction(world_positions(scene), *values)
 
 
+def _little(values: NDArray[Any], kind: str) -> bytes:
+    return values.astype(kind).tobytes()
+
+
 def canonical_parts(scene: Scene) -> Iterator[tuple[str, bytes]]:
-    """SPEC 9.3: yields the name and the bytes of each part of the canonical reconstruction behind the head."""
+    """SPEC 9.3: yields the name and the bytes of each part of the canonical reconstruction."""
     r = reconstruct(scene)
-    yield "positions", r.positions.astype("<f4").tobytes()
-    yield "masks", scene.masks.astype(np.uint8).tobytes()
-    yield "planes", scene.planes.astype("<i2").tobytes()
-    for kind in KINDS:
-        yield kind, getattr(r, kind).astype("<f4").tobytes()
+    anchors = anchor_parts(r, scene.masks)
+    for name in PARTS:
+        if name == "planes":
+            yield name, _little(scene.planes, "<i2")
+        elif name == "weights":
+            yield name, weight_part(scene)
+        else:
+            yield name, anchors[name]
+
+
+def anchor_parts(r: Reconstruction, masks: NDArray[np.bool_]) -> dict[str, bytes]:
+    """SPEC 9.3: returns what some anchors give of the parts that have anchors, by name. masks: bool [n, K]."""
+    return {
+        "positions": _little(r.positions, "<f4"),
+        "masks": _little(masks, "u1"),
+        **{kind: _little(getattr(r, kind), "<f4") for kind in KINDS},
+    }
+
+
+def weight_part(scene: Scene) -> bytes:
+    """SPEC 9.3: returns the part of the weights."""
     values = [value for layers in scene.networks.values() for layer in layers for value in layer]
-    yield "weights", b"".join(v.astype("<f4").tobytes() for v in values)
+    return b"".join(_little(value, "<f4") for value in values)
 
 
 def canonical_head(scene: Scene) -> bytes:
-    """SPEC 9.3: returns the head of the canonical reconstruction."""
+    """SPEC 9.3: returns what comes before the digests of the parts in the bytes that the scene's digest is of."""
     d = scene.dimensions
-    return DIGEST_MAGIC + struct.pack(
-        "<5I", scene.anchor_count, d.offset_count, d.features, d.plane_channels, d.plane_size
-    )
+    counts = scene.anchor_count, d.offset_count, d.features, d.plane_channels, d.plane_size
+    return DIGEST_MAGIC + struct.pack("<5I", *counts)
+
+
+def digested(scene: Scene) -> bytes:
+    """SPEC 9.3: returns the 252 bytes that the digest of a scene is the SHA-256 of: counts, and the parts' digests."""
+    return canonical_head(scene) + b"".join(hashlib.sha256(data).digest() for _, data in canonical_parts(scene))
 
 
 def digest(scene: Scene) -> tuple[str, dict[str, str]]:
-    """SPEC 9.3: returns the SHA-256 of the whole, and that of each part but the head by name, in hexadecimal."""
-    whole = hashlib.sha256(canonical_head(scene))
-    parts = {}
-    for name, data in canonical_parts(scene):
-        whole.update(data)
-        parts[name] = hashlib.sha256(data).hexdigest()
-    return whole.hexdigest(), parts
+    """SPEC 9.3: returns the digest of a scene, and that of each part by name, in hexadecimal."""
+    data = digested(scene)
+    head = len(canonical_head(scene))
+    parts = {name: data[head + 32 * i : head + 32 * i + 32].hex() for i, name in enumerate(PARTS)}
+    return hashlib.sha256(data).hexdigest(), parts
+
+
+def chunk_digest(scene: Scene) -> str:
+    """SPEC 9.3: returns the digest of a chunk, in hexadecimal. scene: with the anchors of the chunk alone."""
+    d = scene.dimensions
+    whole = hashlib.sha256(CHUNK_MAGIC + struct.pack("<3I", scene.anchor_count, d.offset_count, d.features))
+    for part in anchor_parts(reconstruct(scene), scene.masks).values():
+        whole.update(part)
+    return whole.hexdigest()
+
+
+class StreamDigest:
+    """SPEC 9.3: the digest of a scene in one pass, chunk after chunk, in the memory of one chunk."""
+
+    def __init__(self) -> None:
+        self._count = 0
+        self._parts = {name: hashlib.sha256() for name in PARTS}
+
+    def add(self, scene: Scene) -> None:
+        """Adds a chunk. scene: with the anchors of the chunk alone."""
+        self._count += scene.anchor_count
+        for name, data in anchor_parts(reconstruct(scene), scene.masks).items():
+            self._parts[name].update(data)
+
+    def finish(self, scene: Scene) -> str:
+        """Returns the digest, in hexadecimal. scene: with the planes and weights, of which no anchor is read."""
+        self._parts["planes"].update(_little(scene.planes, "<i2"))
+        self._parts["weights"].update(weight_part(scene))
+        d = scene.dimensions
+        counts = self._count, d.offset_count, d.features, d.plane_channels, d.plane_size
+        head = DIGEST_MAGIC + struct.pack("<5I", *counts)
+        return hashlib.sha256(head + b"".join(part.digest() for part in self._parts.values())).hexdigest()

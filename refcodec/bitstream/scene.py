@@ -5,12 +5,14 @@ Everything that decides a symbol is an integer here. `reconstruction` makes the 
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
+from itertools import accumulate
 
 import numpy as np
 from numpy.typing import NDArray
 
 from .attributes import Attributes
+from .chunks import chunk_ranges
 from .dimensions import SCALINGS, Dimensions, layers_of, mask_contexts
 from .frame import Frame
 from .header import Lanes, PositionGrid, RenderInfo
@@ -19,12 +21,24 @@ from .planes import PLANE_SYMBOL_MAX, PLANES
 from .positions import CELL_INDEX, HALVES, POSITION_MODELS, PositionModel
 
 
+@dataclass(frozen=True)
+class Ancillary:
+    """SPEC 12.1: an ancillary section. after: how many critical sections come before it in the file."""
+
+    type: bytes
+    mode: int
+    content: bytes
+    after: int = 0
+
+
 @dataclass(frozen=True, eq=False)
 class Scene:
     """One scene of N anchors with K offsets each.
 
     profile: its number (SPEC 11.1).
+    chunk_size: the most anchors of a chunk.
     base_step: float32 values, the steps of features, scalings and offsets at step index 32 (SPEC 7.8).
+    frame: None if the dimensions need none.
     plane_shift: the scale of the plane query (SPEC 7.5.4).
     carm_shift: uint8 [CARM inputs], the scale of each input of CARM (SPEC 7.9).
     networks: the layers (weight float32 [out, in], bias float32 [out]) by the names of Dimensions.network_shapes.
@@ -33,9 +47,14 @@ class Scene:
     positions: float16 [N, 3], on the position grid.
     masks: bool [N, K], True where an offset is kept.
     attributes: the symbols and the step indices.
-    extensions: (type, mode, bytes) of the ancillary sections, types ascending.
-    position_model: what positions are packed with (SPEC 5.15), or None if their mode is 0.
-    weight_scales: uint8 [layers, 3], the scale indices in the order of SPEC 5.16, or None if the weights' mode is 0.
+    ancillary: the ancillary sections in file order.
+    position_model: what positions are packed with (SPEC 5.12), or None if the index has mode 0.
+    weight_scales: uint8 [layers, 3], the scale indices in the order of SPEC 5.9, or None if the weights' mode is 0.
+    chunk_anchors: how many anchors each chunk has. None stands for the fewest chunks that chunk_size allows.
+    position_forms: the form of each chunk's positions (SPEC 5.14). None stands for packed wherever that is possible and
+        keeps the chunk above its floor (SPEC [R6.10-5]).
+    weight_forms: uint8 [layers], the form of each layer in mode 1. None stands for packed wherever that is possible.
+    minor, later: the file's minor version, and the bytes of header fields that it added (SPEC 12.3).
     """
 
     profile: int
@@ -45,7 +64,7 @@ class Scene:
     base_step: tuple[float, float, float]
     grid: PositionGrid
     render: RenderInfo
-    frame: Frame
+    frame: Frame | None
     plane_shift: int
     carm_shift: NDArray[np.uint8]
     networks: dict[str, list[Layer]]
@@ -54,21 +73,44 @@ class Scene:
     positions: NDArray[np.float16]
     masks: NDArray[np.bool_]
     attributes: Attributes
-    extensions: tuple[tuple[int, int, bytes], ...] = field(default=())
+    ancillary: tuple[Ancillary, ...] = ()
     position_model: PositionModel | None = None
     weight_scales: NDArray[np.uint8] | None = None
+    chunk_anchors: tuple[int, ...] | None = None
+    position_forms: tuple[int, ...] | None = None
+    weight_forms: NDArray[np.uint8] | None = None
+    minor: int = 0
+    later: bytes = b""
 
     @property
     def anchor_count(self) -> int:
         """N, the number of anchors."""
         return len(self.positions)
 
+    @property
+    def chunks(self) -> list[range]:
+        """The anchors of each chunk."""
+        if self.chunk_anchors is None:
+            return chunk_ranges(self.anchor_count, self.chunk_size)
+        ends = list(accumulate(self.chunk_anchors))
+        return [range(end - count, end) for end, count in zip(ends, self.chunk_anchors, strict=True)]
+
 
 def take_anchors(scene: Scene, keep: NDArray) -> Scene:
-    """Returns the scene with some of its anchors. keep: their indices in the wanted order, or a boolean array [N]."""
+    """Returns the scene with some of its anchors, in the fewest chunks.
+
+    keep: their indices in the wanted order, or a boolean array [N].
+    """
     a = scene.attributes
     chosen = Attributes(a.features[keep], a.scalings[keep], a.offsets[keep], a.steps[keep])
-    return replace(scene, positions=scene.positions[keep], masks=scene.masks[keep], attributes=chosen)
+    return replace(
+        scene,
+        positions=scene.positions[keep],
+        masks=scene.masks[keep],
+        attributes=chosen,
+        chunk_anchors=None,
+        position_forms=None,
+    )
 
 
 def check_shapes(scene: Scene) -> None:
@@ -91,6 +133,8 @@ def check_shapes(scene: Scene) -> None:
     }
     if scene.weight_scales is not None:
         wanted["weight_scales"] = (scene.weight_scales, (len(layers_of(d)), 3), np.uint8)
+        if scene.weight_forms is not None:
+            wanted["weight_forms"] = (scene.weight_forms, (len(layers_of(d)),), np.uint8)
     if scene.position_model is not None:
         wanted["position_model"] = (scene.position_model.frequency, (POSITION_MODELS, HALVES), np.uint16)
     if list(scene.networks) != list(d.network_shapes()):
@@ -112,6 +156,12 @@ def check_shapes(scene: Scene) -> None:
         )
     if scene.chunk_size < 1:
         raise ValueError(f"chunk_size is {scene.chunk_size}, at least 1 is required (SPEC.md 11.1)")
+    if (scene.frame is not None) != d.has_frame:
+        raise ValueError("there is a frame exactly if there are planes or frequencies (SPEC.md 6.6)")
+    if scene.chunk_anchors is not None and (sum(scene.chunk_anchors) != n or min(scene.chunk_anchors, default=1) < 1):
+        raise ValueError("the chunks do not have all anchors, or one of them has none (SPEC.md 6.10)")
+    if scene.position_forms is not None and len(scene.position_forms) != len(scene.chunks):
+        raise ValueError("there is not a form of positions for each chunk (SPEC.md 5.14)")
     if np.abs(scene.planes.astype(np.int32)).max(initial=0) > PLANE_SYMBOL_MAX:
         raise ValueError("a plane symbol is -32768 (SPEC.md 6.9)")
     if a.offsets[~scene.masks].any():

@@ -16,14 +16,17 @@ from typing import Any
 import construct as cs
 
 from .errors import BitstreamError
+from .source import Piece
 
-# SPEC 5: for each struct its rows (field, type). A type is a name of _SCALARS, the name of a struct, bytes[n], or T[n].
-# There n is a number or an earlier field of the same struct.
+# SPEC 5: for each struct its rows (field, type). A type is a name of _SCALARS, the name of a struct, padding, bytes[n],
+# or T[n]. There n is a number or an earlier field of the same struct. A schema ends before a row with any other length:
+# that row and those behind it are read as arrays.
 SYNTAX: dict[str, list[tuple[str, str]]] = {
     # SPEC 5.1
     "Prologue": [
         ("signature", "bytes[8]"),
-        ("version", "u32"),
+        ("major", "u16"),
+        ("minor", "u16"),
         ("header_length", "u32"),
         ("prologue_crc", "u32"),
     ],
@@ -31,36 +34,37 @@ SYNTAX: dict[str, list[tuple[str, str]]] = {
     "Header": [
         ("profile", "u8"),
         ("level", "u8"),
-        ("section_count", "u8"),
-        ("reserved_0", "u8"),
+        ("section_count", "u16"),
         ("anchor_count", "u32"),
+        ("chunk_count", "u32"),
         ("chunk_size", "u32"),
         ("plane_lanes_log2", "u8"),
         ("mask_lanes_log2", "u8"),
         ("attribute_lanes_log2", "u8"),
-        ("reserved_1", "u8"),
-        ("dimensions", "Dimensions"),
+        ("reserved", "u8"),
         ("base_step", "f32[3]"),
         ("position_grid", "PositionGrid"),
         ("render_info", "RenderInfo"),
+        ("dimensions", "Dimensions"),
         ("directory", "DirectoryEntry[section_count]"),
         ("header_crc", "u32"),
     ],
     # SPEC 5.3
     "Dimensions": [
         ("offset_count", "u8"),
-        ("slice_count", "u8"),
-        ("slice_width", "u8[slice_count]"),
         ("plane_channels", "u8"),
         ("frequency_count", "u8"),
-        ("plane_size", "u16"),
-        ("hyper_layers", "u8"),
-        ("hyper_width", "u8[hyper_layers]"),
-        ("sarm_layers", "u8"),
-        ("sarm_width", "u8[sarm_layers]"),
-        ("carm_layers", "u8"),
-        ("carm_width", "u8[carm_layers]"),
         ("render_width", "u8"),
+        ("plane_size", "u16"),
+        ("slice_count", "u8"),
+        ("hyper_layers", "u8"),
+        ("sarm_layers", "u8"),
+        ("carm_layers", "u8"),
+        ("slice_width", "u8[slice_count]"),
+        ("hyper_width", "u8[hyper_layers]"),
+        ("sarm_width", "u8[sarm_layers]"),
+        ("carm_width", "u8[carm_layers]"),
+        ("padding", "padding"),
     ],
     # SPEC 5.4
     "PositionGrid": [
@@ -77,19 +81,13 @@ SYNTAX: dict[str, list[tuple[str, str]]] = {
         ("distance_unit", "f32"),
         ("alpha_max", "f32"),
         ("low_pass", "f32"),
-        ("camera_width", "u16"),
-        ("camera_height", "u16"),
-        ("camera_focal", "f32[2]"),
-        ("camera_rotation", "f32[4]"),
-        ("camera_translation", "f32[3]"),
     ],
     # SPEC 5.6
     "DirectoryEntry": [
-        ("type", "u8"),
+        ("type", "bytes[4]"),
         ("mode", "u8"),
-        ("reserved", "u16"),
-        ("offset", "u32"),
-        ("length", "u32"),
+        ("reserved", "u8[3]"),
+        ("length", "u64"),
         ("crc", "u32"),
     ],
     # SPEC 5.7
@@ -101,42 +99,91 @@ SYNTAX: dict[str, list[tuple[str, str]]] = {
         ("low", "i32[3]"),
         ("high", "i32[3]"),
     ],
-    # SPEC 5.8: the values follow as bytes
+    # SPEC 5.8: the values follow
     "WeightScales": [
         ("plane_shift", "u8"),
         ("carm_input_count", "u8"),
         ("carm_shift", "u8[carm_input_count]"),
+        ("padding", "padding"),
     ],
-    # SPEC 5.9: the substreams follow
+    # SPEC 5.9: one for each layer, in mode 1 of the weights. The values of a raw layer follow it
+    "LayerModel": [
+        ("form", "u8"),
+        ("exponent_scale", "u8"),
+        ("exponent", "i16"),
+        ("weight_scale", "u8"),
+        ("bias_scale", "u8"),
+        ("reserved", "u8[2]"),
+    ],
+    # SPEC 5.10: the substreams follow
     "PlaneTable": [
         ("length", "u32[5]"),
     ],
-    # SPEC 5.10: the mask model comes before the entries
-    "ChunkEntry": [
-        ("position_length", "u32"),
-        ("position_crc", "u32"),
-        ("mask_length", "u32"),
-        ("mask_crc", "u32"),
-        ("attribute_length", "u32"),
-        ("attribute_crc", "u32"),
+    # SPEC 5.11
+    "MaskModel": [
+        ("frequency", "u16[K (K + 1) / 2]"),
+        ("padding", "padding"),
     ],
-    # SPEC 5.14: the states, the words and the raw bytes follow
-    "SubstreamHead": [
-        ("symbol_crc", "u32"),
-        ("word_count", "u32"),
-    ],
-    # SPEC 5.15: it stands between the mask model and the entries, in mode 1 of the positions
+    # SPEC 5.12
     "PositionModel": [
         ("cell_shift", "u8"),
+        ("reserved", "u8[3]"),
         ("frequency", "u16[288]"),
     ],
-    # SPEC 5.16: one for each layer, in mode 1 of the weights. The values of a raw layer follow it
-    "LayerModel": [
-        ("form", "u8"),
-        ("exponent", "i16"),
-        ("exponent_scale", "u8"),
-        ("weight_scale", "u8"),
-        ("bias_scale", "u8"),
+    # SPEC 5.13
+    "ChunkEntry": [
+        ("length", "u32"),
+        ("crc", "u32"),
+        ("anchor_count", "u32"),
+        ("kept_count", "u32"),
+        ("low", "f16[3]"),
+        ("high", "f16[3]"),
+    ],
+    # SPEC 5.14: positions, masks and attributes follow
+    "Chunk": [
+        ("position_length", "u32"),
+        ("mask_length", "u32"),
+        ("attribute_length", "u32"),
+        ("position_form", "u8"),
+        ("reserved", "u8[3]"),
+    ],
+    # SPEC 5.15
+    "Substream": [
+        ("symbol_crc", "u32"),
+        ("word_count", "u32"),
+        ("state", "u32[lanes]"),
+        ("word", "u16[word_count]"),
+        ("raw", "bytes to the substream's end"),
+    ],
+    # SPEC 5.16: the entries follow
+    "Metadata": [
+        ("count", "u16"),
+        ("reserved", "u16"),
+    ],
+    # SPEC 5.16.1
+    "Entry": [
+        ("key_length", "u16"),
+        ("value_length", "u16"),
+        ("key", "bytes[key_length]"),
+        ("value", "bytes[value_length]"),
+        ("padding", "padding"),
+    ],
+    # SPEC 5.17: the cameras follow
+    "Cameras": [
+        ("count", "u16"),
+        ("reserved", "u16"),
+    ],
+    # SPEC 5.17.1
+    "Camera": [
+        ("width", "u32"),
+        ("height", "u32"),
+        ("focal", "f32[2]"),
+        ("principal_point", "f32[2]"),
+        ("rotation", "f32[4]"),
+        ("translation", "f32[3]"),
+        ("name_length", "u32"),
+        ("name", "bytes[name_length]"),
+        ("padding", "padding"),
     ],
 }
 _SCALARS = {
@@ -147,6 +194,8 @@ _SCALARS = {
     "i16": cs.Int16sl,
     "i32": cs.Int32sl,
     "i64": cs.Int64sl,
+    "u64": cs.Int64ul,
+    "f16": cs.Float16l,
     "f32": cs.Float32l,
 }
 
@@ -188,24 +237,51 @@ class Recorded(cs.Subconstruct):
         start = stream.tell()
         value = self.subcon._parsereport(stream, context, path)
         where = at.pop()
-        if not isinstance(value, cs.Container | cs.ListContainer):
+        # Padding can be empty.
+        if stream.tell() > start and not isinstance(value, cs.Container | cs.ListContainer):
             context._params.elements.append(Element(where, self.kind, start, stream.tell(), value))
         return value
 
 
+class Padding(cs.Construct):
+    """SPEC 5: as few zero bytes as make the length of what was read or written so far a multiple of four."""
+
+    def _parse(self, stream: Any, context: Any, path: str) -> bytes:
+        return bytes(cs.stream_read(stream, -stream.tell() % 4, path))
+
+    def _build(self, obj: Any, stream: Any, context: Any, path: str) -> bytes:
+        stream.write(bytes(-stream.tell() % 4))
+        return b""
+
+
 def _subcon(kind: str) -> cs.Construct:
+    if kind == "padding":
+        # A struct that is built need not state it.
+        return cs.Default(Padding(), b"")
     array = re.fullmatch(r"(\w+)\[(\w+)\]", kind)
     if array is None:
         return _SCALARS[kind] if kind in _SCALARS else _struct(kind)
     item, count = array.groups()
-    if item == "bytes":
-        return cs.Bytes(int(count))
     length = int(count) if count.isdigit() else cs.this[count]
+    if item == "bytes":
+        return cs.Bytes(length)
     return cs.Array(length, Recorded(_subcon(item), "", item, indexed=True))
 
 
+def _fields(name: str) -> list[tuple[str, str]]:
+    """Returns the rows of a struct that its schema has."""
+    rows: list[tuple[str, str]] = []
+    for field, kind in SYNTAX[name]:
+        length = re.fullmatch(r"\w+\[(.+)\]", kind)
+        known = kind in _SCALARS or kind in SYNTAX or kind == "padding"
+        if not known and not (length and (length[1].isdigit() or length[1] in dict(rows))):
+            break
+        rows.append((field, kind))
+    return rows
+
+
 def _struct(name: str) -> cs.Struct:
-    return cs.Struct(*(field / Recorded(_subcon(kind), field, kind) for field, kind in SYNTAX[name]))
+    return cs.Struct(*(field / Recorded(_subcon(kind), field, kind) for field, kind in _fields(name)))
 
 
 SCHEMAS: dict[str, cs.Struct] = {name: _struct(name) for name in SYNTAX}
@@ -251,23 +327,23 @@ class Struct:
     fields: the values by name. size: the bytes that were read.
     """
 
-    def __init__(self, name: str, data: bytes, start: int, path: str) -> None:
-        """Parses the struct from data[start:]. Raises construct.ConstructError if the data end too early.
+    def __init__(self, name: str, piece: Piece, at: int, path: str) -> None:
+        """Parses the struct from byte `at` of a piece on. Raises construct.ConstructError if the piece ends too early.
 
         path: the name of the struct in paths.
         """
-        self.fields, self.size = parse(name, data, start)
-        self._where = name, data, start, path
+        self.fields, self.size = parse(name, piece.data, at)
+        self._piece, self._where = piece, (name, piece.data, at, path)
 
     def error(self, name: str, field: str, found: object, allowed: object) -> BitstreamError:
-        """Returns the error `name` about a field. It points at the first byte of the field (SPEC 10.2).
+        """Returns the error `name` about a field. It points at the first byte of the field (SPEC 10.3).
 
         found, allowed: as in BitstreamError.
         """
         path = f"{self._where[3]}.{field}"
         for element in parse_elements(*self._where):
             if element.path == path or element.path.startswith((path + "[", path + ".")):
-                return BitstreamError(name, element.start, path, found, allowed)
+                return self._piece.error(name, element.start, path, found, allowed)
         raise AssertionError(path)
 
     def require_within(self, name: str, field: str, value: float, low: float, high: float) -> None:

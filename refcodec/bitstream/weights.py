@@ -1,4 +1,4 @@
-"""Clauses 5.8, 5.16, 6.8 and 7.13: the weights, raw or as integers on grids."""
+"""Clauses 5.8, 5.9, 6.8 and 7.13: the weights, raw or as integers on grids."""
 
 from __future__ import annotations
 
@@ -14,6 +14,7 @@ from .dimensions import Dimensions, layers_of
 from .entropy import Coder, Decoder, Encoder, Trace, parse_substream
 from .errors import BitstreamError
 from .networks import F32, BoundError, Layer
+from .source import Piece, pad4
 from .tables import SCALE_MIN, tables
 
 # SPEC 6.8
@@ -31,7 +32,7 @@ class ParsedWeights:
 
     carm_shift: uint8 [CARM inputs].
     networks: the layers of each network, by name.
-    scales: uint8 [layers, 3], as Scene.weight_scales. None in mode 0.
+    scales, forms: uint8 [layers, 3] and uint8 [layers], as in Scene. None in mode 0.
     starts: the offset of each layer, by the layer's name. In mode 0 it is that of the values, in mode 1 of the model.
     """
 
@@ -39,18 +40,19 @@ class ParsedWeights:
     carm_shift: NDArray[np.uint8]
     networks: Networks
     scales: NDArray[np.uint8] | None
+    forms: NDArray[np.uint8] | None
     starts: dict[str, int]
 
 
 def bound_error(weights: ParsedWeights, d: Dimensions, error: BoundError) -> BitstreamError:
-    """SPEC [R6.8-3]: returns the error weights.bound of a row.
+    """SPEC [R6.8-4]: returns the error weights.bound of a row.
 
-    It points at the row's first weight, or in mode 1 at the layer's model.
+    It points at the row's first weight, or at its bias if it has no weights, or in mode 1 at the layer's model.
     """
     at = weights.starts[error.layer]
     if weights.scales is None:
         fan_in = next(fan_in for name, _, fan_in in layers_of(d) if name == error.layer)
-        at += 4 * fan_in * error.row
+        at += 4 * max(fan_in, 1) * error.row
     return BitstreamError("weights.bound", at, f"weights.{error.layer}", error.found, error.allowed)
 
 
@@ -88,7 +90,7 @@ def least_exponents(values: F32) -> tuple[Int64, NDArray[np.bool_]]:
 
 
 def to_grid(layer: Layer) -> GridLayer | None:
-    """SPEC 6.8 and 7.13, CAN_BE_PACKED: returns a finite layer as integers, or None if it has to be raw."""
+    """SPEC 7.13: returns a finite layer as integers, or None if it has to be raw."""
     values = np.concatenate([layer[0], layer[1][:, None]], axis=1)
     if (values.view(np.uint32) == 0x80000000).any():
         return None
@@ -158,7 +160,7 @@ def code_grids(
 
 
 def _finite(values: F32, start: int, path: str) -> None:
-    """SPEC [R6.8-2]: raises BitstreamError weights.not_finite for the first value that is not finite."""
+    """SPEC [R6.8-3]: raises BitstreamError weights.not_finite for the first value that is not finite."""
     finite = np.isfinite(values)
     if not finite.all():
         first = int(np.argmin(finite))
@@ -167,98 +169,101 @@ def _finite(values: F32, start: int, path: str) -> None:
         )
 
 
-def _raw_layer(data: bytes, at: int, out: int, fan_in: int) -> F32:
-    return np.frombuffer(data, "<f4", out * (fan_in + 1), at).astype(np.float32)
+def _raw_layer(section: Piece, at: int, out: int, fan_in: int) -> F32:
+    return np.frombuffer(section.data, "<f4", out * (fan_in + 1), at).astype(np.float32)
 
 
 def _as_layer(values: F32, out: int, fan_in: int) -> Layer:
     return values[: out * fan_in].reshape(out, fan_in), values[out * fan_in :]
 
 
-def parse_weights(
-    data: bytes, start: int, end: int, mode: int, d: Dimensions, lanes: int, trace: Trace | None = None
-) -> ParsedWeights:
-    """SPEC 5.8 and 6.8: returns the weights of the section data[start:end].
+def parse_weights(section: Piece, mode: int, d: Dimensions, lanes: int, trace: Trace | None = None) -> ParsedWeights:
+    """SPEC 5.8, 5.9 and 6.8: returns the weights of the section, whose length in mode 0 is known to be right.
 
-    lanes: the lanes of the substream in mode 1. Raises BitstreamError 411, 412, 414 to 417, or that of the substream.
+    lanes: the lanes of the substream in mode 1. Raises BitstreamError 411, 412, 414 to 418, or that of the substream.
     """
 
-    def bad(offset: int, field: str, value: int, low: int, high: int) -> BitstreamError:
-        return BitstreamError("weights.scale", offset, f"weights.{field}", value, f"{low} to {high}")
+    def bad(at: int, field: str, value: int, low: int, high: int) -> BitstreamError:
+        return section.error("weights.scale", at, f"weights.{field}", value, f"{low} to {high}")
 
-    # Only mode 1 can fail here. In mode 0 the length is known to be right.
-    if end - start < 2 + d.carm_inputs:
-        raise BitstreamError(
-            "weights.length", start, "weights", f"{end - start} bytes", f"at least {2 + d.carm_inputs}"
-        )
-    # The count is checked before the array that it sizes is read.
-    if data[start] > PLANE_SHIFT_MAX:
-        raise bad(start, "plane_shift", data[start], 0, PLANE_SHIFT_MAX)
-    if data[start + 1] != d.carm_inputs:
-        raise bad(start + 1, "carm_input_count", data[start + 1], d.carm_inputs, d.carm_inputs)
-    fields, size = syntax.parse("WeightScales", data, start)
-    for i, shift in enumerate(fields.carm_shift):
+    # SPEC [R6.8-5]: only mode 1 can fail here.
+    size = pad4(2 + d.carm_inputs)
+    if len(section) < size:
+        raise section.error("weights.length", 0, "weights", f"{len(section)} bytes", f"at least {size}")
+    # SPEC [R6.8-1]: the count is checked before the array that it sizes is read.
+    plane_shift, count, highest = section.data[0], section.data[1], PLANE_SHIFT_MAX if d.plane_channels else 0
+    if plane_shift > highest:
+        raise bad(0, "plane_shift", plane_shift, 0, highest)
+    if count != d.carm_inputs:
+        raise bad(1, "carm_input_count", count, d.carm_inputs, d.carm_inputs)
+    carm_shift = np.frombuffer(section.data, np.uint8, count, 2)
+    for i, shift in enumerate(carm_shift.tolist()):
         if shift > CARM_SHIFT_MAX:
-            raise bad(start + 2 + i, f"carm_shift[{i}]", shift, 0, CARM_SHIFT_MAX)
-    carm_shift = np.array(fields.carm_shift, dtype=np.uint8)
-    at = start + size
+            raise bad(2 + i, f"carm_shift[{i}]", shift, 0, CARM_SHIFT_MAX)
+    # SPEC [R6.8-2]
+    section.require_zero("weights.padding", 2 + count, size, "weights.carm_shift")
     if mode:
-        packed, scales, models = _parse_packed(data, start, at, end, d, lanes, trace)
-        return ParsedWeights(fields.plane_shift, carm_shift, _regrouped(d, packed), scales, models)
-    layers = []
-    starts: dict[str, int] = {}
+        return _parse_packed(section, size, d, lanes, trace, plane_shift, carm_shift)
+    layers, starts, at = [], {}, size
     for name, out, fan_in in layers_of(d):
-        values = _raw_layer(data, at, out, fan_in)
-        _finite(values, at, name)
-        starts[name] = at
+        values = _raw_layer(section, at, out, fan_in)
+        # SPEC [R6.8-3]
+        _finite(values, section.start + at, name)
+        starts[name] = section.start + at
         at += 4 * len(values)
         layers.append(_as_layer(values, out, fan_in))
-    return ParsedWeights(fields.plane_shift, carm_shift, _regrouped(d, layers), None, starts)
+    return ParsedWeights(plane_shift, carm_shift, _regrouped(d, layers), None, None, starts)
 
 
-def _parse_model(data: bytes, at: int, name: str) -> cs.Container:
-    """SPEC 5.16 and [R6.8-5]: returns the LayerModel at data[at:]. Raises BitstreamError weights.layer."""
-    model, _ = syntax.parse("LayerModel", data, at)
-    elements = {row.path: row for row in syntax.parse_elements("LayerModel", data, at)}
+def _parse_model(section: Piece, at: int, name: str) -> cs.Container:
+    """SPEC 5.9, [R6.8-6] and [R6.8-7]: returns the LayerModel at byte `at` of the section.
+
+    Raises BitstreamError weights.reserved or weights.layer.
+    """
+    struct = syntax.Struct("LayerModel", section, at, f"weights.{name}")
+    model = struct.fields
+    if any(model.reserved):
+        raise struct.error("weights.reserved", "reserved", list(model.reserved), 0)
     checks = [("form", 0, 1), ("exponent", WEIGHT_EXPONENT_MIN, WEIGHT_EXPONENT_MAX)]
     if not model.form:
-        checks += [(field, 0, 0) for field in ("exponent", "exponent_scale", "weight_scale", "bias_scale")]
+        checks += [(field, 0, 0) for field in ("exponent_scale", "exponent", "weight_scale", "bias_scale")]
     for field, low, high in checks:
-        if not low <= model[field] <= high:
-            raise BitstreamError(
-                "weights.layer", elements[field].start, f"weights.{name}.{field}", model[field], f"{low} to {high}"
-            )
+        struct.require_within("weights.layer", field, model[field], low, high)
     return model
 
 
 def _parse_packed(
-    data: bytes, section: int, at: int, end: int, d: Dimensions, lanes: int, trace: Trace | None
-) -> tuple[list[Layer], NDArray[np.uint8], dict[str, int]]:
-    """SPEC 7.13: returns the layers, their scales, and where each model starts. The first model is at data[at:]."""
-    model_bytes = syntax.SCHEMAS["LayerModel"].sizeof(at=None)
+    section: Piece,
+    at: int,
+    d: Dimensions,
+    lanes: int,
+    trace: Trace | None,
+    plane_shift: int,
+    carm_shift: NDArray[np.uint8],
+) -> ParsedWeights:
+    """SPEC 7.13: returns the weights of mode 1. at: the byte of the section at which the first LayerModel starts."""
+
+    def short(what: str) -> BitstreamError:
+        return section.error("weights.length", 0, "weights", f"a section that ends before {what}", "all layers")
+
+    model_bytes = syntax.size_of("LayerModel")
     shapes, models, starts, raw = layers_of(d), [], {}, {}
     for name, out, fan_in in shapes:
-        if at + model_bytes > end:
-            raise BitstreamError(
-                "weights.length", section, "weights", "a section that ends before a layer's model", "all layers"
-            )
-        starts[name] = at
-        models.append(_parse_model(data, at, name))
+        # SPEC [R6.8-5]
+        if at + model_bytes > len(section):
+            raise short("a layer's model")
+        starts[name] = section.start + at
+        models.append(_parse_model(section, at, name))
         at += model_bytes
         if not models[-1].form:
-            if at + 4 * out * (fan_in + 1) > end:
-                raise BitstreamError(
-                    "weights.length",
-                    section,
-                    "weights",
-                    "a section that ends before a raw layer's values",
-                    "all layers",
-                )
-            raw[name] = _raw_layer(data, at, out, fan_in)
-            at += 4 * out * (fan_in + 1)
+            size = 4 * out * (fan_in + 1)
+            if at + size > len(section):
+                raise short("a raw layer's values")
+            raw[name] = _raw_layer(section, at, out, fan_in)
+            at += size
     scales = np.array([[m.exponent_scale, m.weight_scale, m.bias_scale] for m in models], dtype=np.uint8)
     packed = [i for i, (name, _, _) in enumerate(shapes) if name not in raw]
-    decoder = Decoder([parse_substream(data, at, end, lanes, "weights")], trace)
+    decoder = Decoder([parse_substream(section.cut(at, len(section)), lanes, "weights")], trace)
     few, many = code_grids(decoder, [shapes[i] for i in packed], scales[packed])
     error = decoder.finish()[0]
     if error:
@@ -267,22 +272,26 @@ def _parse_packed(
     layers = []
     for i, (name, out, fan_in) in enumerate(shapes):
         if name in raw:
+            # SPEC [R6.8-3]
             _finite(raw[name], starts[name] + model_bytes, name)
-            layer = _as_layer(raw[name], out, fan_in)
-            if to_grid(layer) is not None:
-                raise BitstreamError(
-                    "weights.raw", starts[name], f"weights.{name}", "form 0", "form 1: the layer can be packed"
-                )
-        else:
-            (difference, bias), weight = grids[i]
-            found = from_grid(GridLayer(models[i].exponent, difference, weight, bias))
-            if found is None:
-                raise BitstreamError(
-                    "weights.exponent", starts[name], f"weights.{name}", "an exponent of a row", "the least one"
-                )
-            layer = found
-        layers.append(layer)
-    return layers, scales, starts
+            layers.append(_as_layer(raw[name], out, fan_in))
+            continue
+        (difference, bias), weight = grids[i]
+        found = from_grid(GridLayer(models[i].exponent, difference, weight, bias))
+        # SPEC [R6.8-8]
+        if found is None:
+            raise BitstreamError(
+                "weights.exponent", starts[name], f"weights.{name}", "an exponent of a row", "the least one"
+            )
+        layers.append(found)
+    forms = np.array([m.form for m in models], dtype=np.uint8)
+    return ParsedWeights(plane_shift, carm_shift, _regrouped(d, layers), scales, forms, starts)
+
+
+def packable(networks: Networks) -> NDArray[np.uint8]:
+    """Returns the forms that pack every layer that can be packed, uint8 [layers]."""
+    layers = [layer for network in networks.values() for layer in network]
+    return np.array([to_grid(layer) is not None for layer in layers], dtype=np.uint8)
 
 
 def emit_weights(
@@ -292,33 +301,42 @@ def emit_weights(
     scales: NDArray[np.uint8] | None,
     d: Dimensions,
     lanes: int,
+    forms: NDArray[np.uint8] | None = None,
 ) -> bytes:
     """SPEC 5.8: returns the bytes of the section, in mode 0 if scales is None, and otherwise in mode 1.
 
     Raw values keep all their bits. carm_shift: uint8 [CARM inputs]. scales: as Scene.weight_scales. lanes: the lanes of
-    the substream in mode 1.
+    the substream in mode 1. forms: as Scene.weight_forms, or None for those of `packable`. Raises ValueError for a
+    layer that cannot be packed but has to be.
     """
     shifts = carm_shift.tolist()
-    parts = [
-        syntax.build(
-            "WeightScales", {"plane_shift": plane_shift, "carm_input_count": len(shifts), "carm_shift": shifts}
-        )
-    ]
+    table = {"plane_shift": plane_shift, "carm_input_count": len(shifts), "carm_shift": shifts}
+    parts = [syntax.build("WeightScales", table)]
     layers = [layer for network in networks.values() for layer in network]
     raw = [b"".join(value.astype("<f4").tobytes() for value in layer) for layer in layers]
     if scales is None:
         return b"".join([*parts, *raw])
-    grids = [to_grid(layer) for layer in layers]
-    for grid, content, (exponent_scale, weight_scale, bias_scale) in zip(grids, raw, scales.tolist(), strict=True):
-        fields = {"exponent_scale": exponent_scale, "weight_scale": weight_scale, "bias_scale": bias_scale}
-        parts.append(
-            syntax.build(
-                "LayerModel", {"form": int(grid is not None), "exponent": grid.exponent if grid else 0, **fields}
-            )
-        )
-        parts.append(content if grid is None else b"")
-    packed = [i for i, grid in enumerate(grids) if grid is not None]
+    shapes, packed, grids = layers_of(d), [], []
+    wanted = packable(networks) if forms is None else forms
+    for i, (form, layer) in enumerate(zip(wanted.tolist(), layers, strict=True)):
+        grid = to_grid(layer) if form else None
+        if form and grid is None:
+            raise ValueError(f"the layer {shapes[i][0]} cannot be packed (SPEC.md 7.13)")
+        exponent_scale, weight_scale, bias_scale = scales[i].tolist()
+        model = {
+            "form": form,
+            "exponent_scale": exponent_scale,
+            "exponent": grid.exponent if grid else 0,
+            "weight_scale": weight_scale,
+            "bias_scale": bias_scale,
+            "reserved": [0, 0],
+        }
+        parts.append(syntax.build("LayerModel", model))
+        if grid is None:
+            parts.append(raw[i])
+        else:
+            packed.append(i)
+            grids.append(grid)
     encoder = Encoder(1, lanes)
-    shapes = layers_of(d)
-    code_grids(encoder, [shapes[i] for i in packed], scales[packed], [grid for grid in grids if grid is not None])
+    code_grids(encoder, [shapes[i] for i in packed], scales[packed], grids)
     return b"".join([*parts, *encoder.finish()])

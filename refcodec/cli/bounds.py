@@ -14,10 +14,9 @@ from pathlib import Path
 from ..bitstream.errors import BitstreamError
 from .shared import UsageError, read_file
 
-# What is estimated, in bytes. The program with its packages; a value of an anchor that is being decoded, of which at
-# most GROUP_ANCHORS are at a time; and a value of the scene, as a command holds it: in one copy, or in several.
+# What is estimated, in bytes, beside bitstream.bounds. The program with its packages; and a value of the scene, as a
+# command holds it: in one copy, or in several.
 PROGRAM, PROGRAM_DRAWING = 64 << 20, 192 << 20
-DECODING = 36
 HOLDING = {"validate": 8}
 HOLDING_MOST = 20
 # Bytes of symbols that stand for one value in the traces of inspect and reconstruct.
@@ -54,7 +53,7 @@ def add_bounds(parser: argparse.ArgumentParser) -> None:
     )
 
 
-def estimated_memory(command: str, length: int, count: int, values: int, trace: bool = False) -> int:
+def estimated_memory(command: str, length: int, count: int, values: int, trace: bool = False, fixed: int = 0) -> int:
     """Returns how many bytes of memory a command may take, from one to two times what is measured.
 
     The measured peak is the largest resident memory of the process. Images of a renderer come on top.
@@ -65,22 +64,29 @@ def estimated_memory(command: str, length: int, count: int, values: int, trace: 
         count: N, the number of anchors.
         values: D + K, the attributes and the masks of an anchor.
         trace: whether every symbol is written.
+        fixed: what networks and planes take.
     """
     from ..bitstream.batches import GROUP_ANCHORS
+    from ..bitstream.bounds import DECODING
 
     held = HOLDING.get(command, HOLDING_MOST) + (TRACE if trace else 0)
     program = PROGRAM_DRAWING if command in ("render", "eval") else PROGRAM
-    return program + 2 * length + values * (min(count, GROUP_ANCHORS) * DECODING + count * held)
+    return program + fixed + 2 * length + values * (min(count, GROUP_ANCHORS) * DECODING + count * held)
 
 
-def check_bounds(arguments: argparse.Namespace, path: str, length: int, count: int = 0, values: int = 0) -> None:
-    """Raises UsageError if the caller does not want the work. count, values: as for estimated_memory, 0 if unknown."""
+def check_bounds(
+    arguments: argparse.Namespace, path: str, length: int, count: int = 0, values: int = 0, fixed: int = 0
+) -> None:
+    """Raises UsageError if the caller does not want the work.
+
+    count, values, fixed: as for estimated_memory, 0 if unknown.
+    """
     if arguments.max_anchors is not None and count > arguments.max_anchors:
         raise UsageError(f"{path} has {count} anchors, --max-anchors is {arguments.max_anchors}; this is no verdict")
     if arguments.max_memory is None:
         return
     command = arguments.run.__name__.removeprefix("_")
-    needed = estimated_memory(command, length, count, values, bool(getattr(arguments, "trace", False)))
+    needed = estimated_memory(command, length, count, values, bool(getattr(arguments, "trace", False)), fixed)
     if needed > arguments.max_memory:
         raise UsageError(
             f"{path} may take {needed} bytes of memory, --max-memory is {arguments.max_memory}; this is no verdict"
@@ -92,7 +98,8 @@ def read_bounded(arguments: argparse.Namespace) -> bytes:
 
     Raises UsageError, and BitstreamError as read_file. A header that is not allowed is left to the decoder.
     """
-    from ..bitstream.header import parse_header, parse_prologue
+    from ..bitstream.bounds import memory_needed
+    from ..bitstream.codec import parse_container
 
     path = arguments.file
     if arguments.max_memory is not None:
@@ -102,15 +109,16 @@ def read_bounded(arguments: argparse.Namespace) -> bytes:
             raise UsageError(f"cannot read {path}: {error.strerror or error}") from None
         if stat.S_ISREG(status.st_mode):
             check_bounds(arguments, path, status.st_size)
-    data = read_file(path)
+    data = read_file(path, lambda length: check_bounds(arguments, path, length))
     if arguments.max_anchors is None and arguments.max_memory is None:
         return data
     try:
-        header = parse_header(data, parse_prologue(data))[0]
+        header = parse_container(data)
     except BitstreamError:
         return data
     d = header.dimensions
-    check_bounds(arguments, path, len(data), header.anchor_count, d.attribute_width + d.offset_count)
+    values = d.attribute_width + d.offset_count
+    check_bounds(arguments, path, len(data), header.anchor_count, values, memory_needed(header, 0))
     return data
 
 

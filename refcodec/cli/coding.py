@@ -10,12 +10,12 @@ import re
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from ..bitstream.errors import BitstreamError
 from ..files.outputs import Kind, check_apart, check_file
 from ..files.stage import Stage, write_file
 from ..files.terminal import note, say
-from ..files.text import shell_word
+from ..files.text import printable, shell_word
 from .bounds import add_bounds, check_folder, read_bounded
+from .meta import add_meta, metadata_of, with_entries
 from .shared import (
     UsageError,
     add_command,
@@ -47,8 +47,11 @@ def _encode(arguments: argparse.Namespace) -> int:
             f"{arguments.scene} is an uncompressed scene, which has no entropy model: train it with a rate, or fit a "
             f"model to it with refcodec fit {shell_word(arguments.scene)} -o {fitted}"
         )
-    scene = read_folder(arguments.scene)
-    write_file(output, encoded(arguments, arguments.scene, scene, arguments.positions, arguments.weights))
+    entries = metadata_of(arguments)
+    scene = with_entries(read_folder(arguments.scene), entries)
+    write_file(
+        output, encoded(arguments, arguments.scene, scene, arguments.positions, arguments.weights, arguments.smallest)
+    )
     return 0
 
 
@@ -67,31 +70,24 @@ def _report_damage(path: str, data: bytes, parsed: Parsed) -> int:
     from ..bitstream.codec import parse_container
 
     if parsed.damage:
-        chunks = parse_container(data, keep_going=True).chunks
-        lost = sum(len(chunks[number]) for number in parsed.damage)
+        header = parse_container(data)
         for number, error in sorted(parsed.damage.items()):
-            note(f"chunk {number} is dropped, {len(chunks[number])} anchors: {error}")
+            note(f"chunk {number} is dropped, {parsed.lost[number]} anchors: {error}")
         left = parsed.scene.anchor_count
-        note(f"{len(parsed.damage)} of {len(chunks)} chunks and {lost} anchors are lost, {left} are written")
-    try:
-        parse_container(data)
-    except BitstreamError as error:
-        if not parsed.damage:
-            note("every chunk is whole, but the file is damaged elsewhere")
-        return reject(path, error)
-    if not parsed.damage:
-        return 0
-    # SPEC 10.1: the error of an earlier step comes first, and within a step that of a lower chunk.
-    stages = {"positions": 0, "masks": 1, "attributes": 2}
-    return reject(
-        path, min(parsed.damage.items(), key=lambda found: (stages[found[1].path.split("[")[0]], found[0]))[1]
-    )
+        lost = sum(parsed.lost.values())
+        note(f"{len(parsed.damage)} of {header.chunk_count} chunks and {lost} anchors are lost, {left} are written")
+    elif parsed.error:
+        note("every chunk is whole, but the file is damaged elsewhere")
+    return reject(path, parsed.error) if parsed.error else 0
 
 
 def _validate(arguments: argparse.Namespace) -> int:
+    from ..bitstream import cameras, metadata
     from ..bitstream.limits import PROFILES
 
     scene = parse_file(arguments, read_bounded(arguments)).scene
+    for warning in (*metadata.warnings(scene.ancillary), *cameras.warnings(scene.ancillary)):
+        note(f"warning: {printable(warning)}")
     say(f"{arguments.file} is accepted: profile {PROFILES[scene.profile].name}, {scene.anchor_count} anchors")
     return 0
 
@@ -109,7 +105,7 @@ def _digest(arguments: argparse.Namespace) -> int:
 
 
 def _reconstruct(arguments: argparse.Namespace) -> int:
-    from ..bitstream.reconstruction import DIGEST_MAGIC, canonical_head, canonical_parts
+    from ..bitstream.reconstruction import DIGEST_MAGIC, canonical_parts, digested
 
     output = Path(arguments.output)
     trace = Path(arguments.trace) if arguments.trace else None
@@ -127,7 +123,7 @@ def _reconstruct(arguments: argparse.Namespace) -> int:
         else:
             scene = parse_file(arguments, data).scene
         whole = stage.open(output)
-        for part in (canonical_head(scene), *(part for _, part in canonical_parts(scene))):
+        for part in (digested(scene), *(part for _, part in canonical_parts(scene))):
             whole.write(part)
     return 0
 
@@ -139,7 +135,12 @@ def add(commands: Any) -> None:
         "encode",
         _encode,
         "encode a scene folder",
-        ["encode scene -o scene.c3gs"],
+        [
+            "encode scene -o scene.c3gs",
+            "encode scene -o scene.c3gs --meta title=Kitchen --meta licence=CC-BY-4.0",
+            "encode scene -o scene.c3gs --meta about.toml",
+            "encode scene -o scene.c3gs --smallest",
+        ],
         "A folder that decode wrote gives the same bytes again. For a file of Main, add --positions raw if its\n"
         "positions are raw, and --weights raw if its weights are raw. If coded.safetensors is deleted,\n"
         "point_cloud.ply is quantised anew.",
@@ -148,6 +149,7 @@ def add(commands: Any) -> None:
     encode.add_argument("scene", metavar="SCENE_DIR")
     add_bounds(encode)
     encode.add_argument("-o", "--output", metavar="FILE", required=True)
+    add_meta(encode)
     encode.add_argument(
         "--positions",
         choices=("raw", "packed"),
@@ -158,6 +160,12 @@ def add(commands: Any) -> None:
         "--weights",
         choices=("raw", "packed"),
         help="32 bits each, or the integers that those of the coding networks act as (default: as for --positions)",
+    )
+    encode.add_argument(
+        "--smallest",
+        action="store_true",
+        help="also try the scene without a hyperprior and with raw positions, and write the smallest file; no "
+        "position, mask or attribute changes; for scenes of few anchors, such as fit makes",
     )
     decode = add_command(
         commands,
@@ -194,7 +202,7 @@ def add(commands: Any) -> None:
         commands,
         "reconstruct",
         _reconstruct,
-        "write a file's canonical reconstruction (SPEC.md 9.3), whose SHA-256 is its digest",
+        "write a file's canonical reconstruction (SPEC.md 9.3), behind the 252 bytes that the digest is of",
         ["reconstruct scene.c3gs scene.bin", "reconstruct scene.c3gs scene.bin --trace symbols.txt"],
         writes=True,
     )

@@ -28,7 +28,7 @@ from .shared import (
     progress_bar,
     whole,
 )
-from .shown import photographs_as_trained, read_shown, render_info
+from .shown import camera_of, photographs_as_trained, read_shown, render_info
 
 if TYPE_CHECKING:
     from ..render.camera import Camera
@@ -86,7 +86,7 @@ def _render(arguments: argparse.Namespace) -> int:
     elif arguments.cameras == "default":
         names = [OWN]
     else:
-        found, said = photographs_as_trained(arguments, arguments.cameras, render_info(shown))
+        found, said = photographs_as_trained(arguments, arguments.cameras, render_info(shown), camera_of(shown))
         cameras = [p.camera for p in (*found.test, *found.train)]
         names = [camera.name for camera in cameras]
         inputs += found.places()
@@ -94,7 +94,7 @@ def _render(arguments: argparse.Namespace) -> int:
     images = ImageFolder(folder, names, orbit, inputs)
     _tell(said)
     view = View(parse_file(arguments, shown).scene if isinstance(shown, bytes) else shown)
-    cameras = cameras or (view.orbit(arguments.frames) if orbit else [own_camera(view.info)])
+    cameras = cameras or (view.orbit(arguments.frames) if orbit else [own_camera(view.camera)])
     frames = []
     with images, progress_bar(arguments.progress) as progress:
         for number, camera in enumerate(cameras):
@@ -138,7 +138,7 @@ def _eval(arguments: argparse.Namespace) -> int:
         raise needs("eval", "render", error, RENDER_PACKAGES) from None
     note_compiling()
     shown = read_shown(arguments)
-    found, said = photographs_as_trained(arguments, arguments.photographs, render_info(shown))
+    found, said = photographs_as_trained(arguments, arguments.photographs, render_info(shown), camera_of(shown))
     images = None
     if arguments.images:
         inputs = [arguments.file, arguments.lpips, *found.places()]

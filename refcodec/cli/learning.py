@@ -18,6 +18,7 @@ from ..files.outputs import Kind, check_apart
 from ..files.present import NotAFileError, is_there
 from ..files.terminal import note, say
 from . import train_options
+from .meta import add_meta, metadata_of, with_entries
 from .shared import (
     UsageError,
     add_command,
@@ -33,7 +34,7 @@ from .shared import (
 )
 
 if TYPE_CHECKING:
-    from ..train.settings import TrainSettings
+    from ..train.settings import FitSettings, TrainSettings
 
 
 # A saved training is a safetensors file with notes.
@@ -128,6 +129,9 @@ def _train(arguments: argparse.Namespace) -> int:
         from ..train.telling import closing
     except ModuleNotFoundError as error:
         raise needs("train", "train", error, ("torch", "numba", "scipy", "PIL", "skimage")) from None
+    entries = metadata_of(arguments)
+    if entries and not settings.rate.weight:
+        raise UsageError("an uncompressed scene, which rate 0 trains, has no metadata: leave --meta out")
     output = _folder(arguments.output)
     state = state_path(output)
     others = [(state, STATE), (output / REPORT_FILE, REPORT)]
@@ -156,6 +160,7 @@ def _train(arguments: argparse.Namespace) -> int:
                 progress=arguments.progress,
                 keep_state=arguments.keep_state,
                 log=rows,
+                metadata=entries,
             )
     except StateError as error:
         raise UsageError(str(error)) from None
@@ -164,6 +169,17 @@ def _train(arguments: argparse.Namespace) -> int:
     for line in closing(found.trainer, found.report, output, arguments.photographs):
         say(line)
     return 0 if found.whole else _interrupted(found.trainer.clock.done, settings.steps, state)
+
+
+def _fit_settings(arguments: argparse.Namespace) -> FitSettings:
+    """Returns the settings of a fit. Raises UsageError."""
+    from ..train.settings import FitSettings
+    from ..train.settings_file import SettingsError, assigned
+
+    try:
+        return assigned(FitSettings(steps=arguments.steps, seed=arguments.seed), arguments.set)
+    except SettingsError as error:
+        raise UsageError(str(error)) from None
 
 
 def _fit(arguments: argparse.Namespace) -> int:
@@ -175,7 +191,6 @@ def _fit(arguments: argparse.Namespace) -> int:
     try:
         from ..train.fit import fit
         from ..train.fit_input import read_given
-        from ..train.settings import FitSettings
         from ..train.state import StateError, write_somewhere
     except ModuleNotFoundError as error:
         raise needs("fit", "fit", error, ("torch", "scipy")) from None
@@ -187,16 +202,18 @@ def _fit(arguments: argparse.Namespace) -> int:
     inputs = [points, *(scene_files(points.parent) if points.suffix == ".ply" else [])]
     check_scene_output(output, inputs, others=[(state, STATE)])
     _check_state(state, arguments.resume)
-    settings = FitSettings(steps=arguments.steps, seed=arguments.seed)
+    settings = _fit_settings(arguments)
+    entries = metadata_of(arguments)
     try:
         given = read_given(arguments.points, arguments.voxel)
         with hold_file(_lock(state)):
             with progress_bar(arguments.progress) as progress:
                 result = fit(given, settings, progress=progress, state=state)
-            write_somewhere(lambda folder: write_folder(result.scene, folder), output, state)
+            scene = with_entries(result.scene, entries)
+            write_somewhere(lambda folder: write_folder(scene, folder), output, state)
             done, dropped = result.report["steps"], result.report["dropped"]
             # Ctrl-C ends the training, not the program.
-            stopped = done < arguments.steps and bool(result.scene.anchor_count)
+            stopped = done < settings.steps and bool(result.scene.anchor_count)
             if not stopped:
                 with contextlib.suppress(OSError):
                     state.unlink(missing_ok=True)
@@ -206,7 +223,7 @@ def _fit(arguments: argparse.Namespace) -> int:
     except (ValueError, BadZipFile, EOFError) as error:
         raise UsageError(f"{arguments.points} cannot be fitted: {error}") from None
     say(f"{arguments.output}: {result.scene.anchor_count} anchors, {dropped} without offsets left out, {done} steps")
-    return _interrupted(done, arguments.steps, state) if stopped else 0
+    return _interrupted(done, settings.steps, state) if stopped else 0
 
 
 def add(commands: Any) -> None:
@@ -278,6 +295,7 @@ def add(commands: Any) -> None:
     train.add_argument(
         "--threads", type=positive, metavar="N", help="of the rasteriser (default: all); no result depends on them"
     )
+    add_meta(train)
     train.add_argument(
         "--resume",
         action="store_true",
@@ -302,6 +320,7 @@ def add(commands: Any) -> None:
         [
             "fit points3D.txt -o scene",
             "fit trained -o scene --steps 6000",
+            "fit points3D.txt -o scene --set entropy.channels=0 --set entropy.frequencies=0",
             "fit points3D.txt -o scene --resume",
         ],
         "POINTS is a COLMAP points3D.txt, an .npz with means3d and colors, or a scene folder of train, fit or decode,\n"
@@ -320,4 +339,13 @@ def add(commands: Any) -> None:
         help="edge of the anchors' lattice, in world units (default: median distance of the points; a scene's own)",
     )
     fit.add_argument("--seed", type=seed, metavar="S", default=0, help="of the random numbers (default: %(default)s)")
+    fit.add_argument(
+        "--set",
+        metavar="NAME=VALUE",
+        action="append",
+        default=[],
+        help="change one setting of refcodec.train.settings.FitSettings, such as entropy.channels=0 for no planes; "
+        "can be given again",
+    )
+    add_meta(fit)
     fit.add_argument("--resume", action="store_true", help="go on with an interrupted fit of the same points")

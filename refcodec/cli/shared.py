@@ -12,7 +12,7 @@ import stat
 import sys
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, BinaryIO
 
 from ..bitstream.errors import BitstreamError
 from ..files.outputs import HELP, Kind, check_apart, check_file
@@ -27,9 +27,8 @@ if TYPE_CHECKING:
     from ..folder.uncompressed import Uncompressed
     from ..photographs.photographs import PhotographSet
 
-# Offsets of sections are u32. A longer file is read only as far as its own header says.
+# The most bytes of a file that is read whatever its header says.
 _WHOLE_FILE_MAX = (1 << 32) - 1
-_HEAD_BYTES = 1 << 17
 
 # The packages of the extra `render`.
 RENDER_PACKAGES = ("numba", "PIL", "skimage", "scipy")
@@ -47,46 +46,43 @@ exit status:
 # --- files ------------------------------------------------------------------------------------------------------------
 
 
-def read_file(path: str) -> bytes:
+def read_file(path: str, check: Callable[[int], None] | None = None) -> bytes:
     """Returns the bytes of a file.
 
-    A file that is longer than any bitstream, or endless, is read only to one byte past the end that its header states.
-    Raises UsageError if the file cannot be read, and BitstreamError if such a file has a wrong header or length.
+    A file of 4 GiB or more, or an endless one, is read only to one byte past the end that its header states. So the
+    verdict on it is that on the whole file. check: told of that end before what lies behind the header is read. Raises
+    UsageError if the file cannot be read, and BitstreamError if the header of such a file is wrong.
     """
+    from ..bitstream.header import read_header
+
     try:
         with open(path, "rb") as file:
             status = os.fstat(file.fileno())
             if stat.S_ISREG(status.st_mode) and status.st_size <= _WHOLE_FILE_MAX:
                 return file.read()
-            head = file.read(_HEAD_BYTES)
-            if len(head) < _HEAD_BYTES:
-                return head
-            end = _announced_length(head)
-            if stat.S_ISREG(status.st_mode) and status.st_size != end:
-                raise BitstreamError(
-                    "directory.file_length", min(status.st_size, end), "file", f"{status.st_size} bytes", end
-                )
-            return head + file.read(max(0, end - len(head)) + 1)
+            beginning = _Beginning(file)
+            end = read_header(beginning).sections[-1].end
+            if check:
+                check(end)
+            return beginning.held + file.read(end + 1 - len(beginning.held))
     except OSError as error:
         raise UsageError(f"cannot read {path}: {error.strerror or error}") from None
 
 
-def _announced_length(head: bytes) -> int:
-    """Returns where the last section of a file ends. head: the beginning of the file.
+class _Beginning:
+    """The first bytes of a file, as far as they were asked for (source.Source). held: these bytes."""
 
-    Raises BitstreamError for each error that comes before that of the file's length.
-    """
-    from ..bitstream import syntax
-    from ..bitstream.codec import parse_container
-    from ..bitstream.header import PROLOGUE_BYTES
+    def __init__(self, file: BinaryIO) -> None:
+        self._file, self.held = file, b""
 
-    try:
-        parse_container(head)
-    except BitstreamError as error:
-        if error.kind.name not in ("directory.file_length", "section.crc"):
-            raise
-    header, _ = syntax.parse("Header", head, PROLOGUE_BYTES)
-    return int(header.directory[-1].offset + header.directory[-1].length)
+    def read(self, start: int, size: int) -> bytes:
+        """As Source.read."""
+        self.held += self._file.read(max(0, start + size - len(self.held)))
+        return self.held[start : start + size]
+
+    def length(self) -> int:
+        """As Source.length: it is asked for only at the end of the file."""
+        return len(self.held)
 
 
 def check_scene_output(
@@ -140,15 +136,28 @@ def read_photographs_of(folder: str, size: str, background: str = "auto", holdou
 
 
 def encoded(
-    arguments: argparse.Namespace, path: str, scene: Scene, positions: str | None = None, weights: str | None = None
+    arguments: argparse.Namespace,
+    path: str,
+    scene: Scene,
+    positions: str | None = None,
+    weights: str | None = None,
+    smallest: bool = False,
 ) -> bytes:
-    """Returns the file of a scene folder. positions, weights: as encoder.quantise.packed. Raises UsageError."""
+    """Returns the file of a scene folder. positions, weights: as encoder.quantise.packed. Raises UsageError.
+
+    smallest: whether encoder.constants.smallest chooses.
+    """
     from ..bitstream.codec import emit
     from ..encoder.quantise import packed
 
     try:
+        scene = packed(scene, positions, weights)
+        if smallest:
+            from ..encoder import constants
+
+            scene = constants.smallest(scene, positions)
         with progress_bar(arguments.progress) as progress:
-            return emit(packed(scene, positions, weights), progress=progress)
+            return emit(scene, progress=progress)
     except ValueError as error:
         raise UsageError(f"{path} cannot be encoded: {error}") from None
 

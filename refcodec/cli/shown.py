@@ -16,6 +16,7 @@ from .bounds import check_folder, read_bounded
 from .shared import read_photographs_of, uncompressed_of
 
 if TYPE_CHECKING:
+    from ..bitstream.cameras import NamedCamera
     from ..bitstream.header import RenderInfo
     from ..bitstream.scene import Scene
     from ..folder.uncompressed import Uncompressed
@@ -46,8 +47,19 @@ def render_info(shown: bytes | Scene | Uncompressed) -> RenderInfo:
     return parse_container(shown).render if isinstance(shown, bytes) else shown.render
 
 
+def camera_of(shown: bytes | Scene | Uncompressed) -> NamedCamera:
+    """Returns the default view of what read_shown gave. A file without cameras has one at the world's origin."""
+    from ..bitstream.cameras import NamedCamera, cameras
+    from ..bitstream.codec import parse_ancillary
+    from ..render.view import default_view
+
+    if isinstance(shown, bytes):
+        return next(iter(cameras(parse_ancillary(shown))), NamedCamera())
+    return default_view(shown)
+
+
 def photographs_as_trained(
-    arguments: argparse.Namespace, folder: str, render: RenderInfo
+    arguments: argparse.Namespace, folder: str, render: RenderInfo, camera: NamedCamera
 ) -> tuple[PhotographSet, list[str]]:
     """Returns the photographs of a folder as the scene's training had them, unless the options say otherwise.
 
@@ -62,7 +74,7 @@ def photographs_as_trained(
     trained = _trained(path)
     size, said = arguments.size, []
     if size is None:
-        size = trained.get("size") or str(max(render.camera_width, render.camera_height))
+        size = trained.get("size") or str(max(camera.width, camera.height))
         source = f"{path} says" if "size" in trained else "the scene's own camera has"
         said.append(f"photographs are taken at size {size}, as {source}; --size full takes them as they are")
     background = getattr(arguments, "background", None) or ",".join(map(str, render.background))

@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from ..bitstream.chunks import ANCHORS_OF_A_BYTE, chunk_ranges
+from ..bitstream.chunks import chunk_ranges
 from ..bitstream.conventions import F32, Int64
 from ..bitstream.entropy import SymbolName
 from ..bitstream.header import ORIGIN_BOUND, SCALE_EXPONENT_MAX, PositionGrid
@@ -21,7 +21,6 @@ from ..bitstream.positions import (
     cells,
     chunk_codes,
     code_cells,
-    encode_positions,
     morton,
     position_integers,
 )
@@ -135,16 +134,9 @@ def position_model(positions: NDArray[np.float16], chunk_size: int) -> PositionM
 
 
 def pack_positions(scene: Scene) -> Scene:
-    """SPEC B.1: returns the scene with its anchors along the Morton curve, and with positions in mode 1.
+    """SPEC B.1: returns the scene with its anchors along the Morton curve, and with an index of mode 1.
 
-    Positions stay in mode 0 if [R6.10-2] does not allow mode 1. The attributes of an anchor do not change.
+    The attributes of an anchor do not change.
     """
     scene = take_anchors(scene, morton_order(scene.positions))
-    model, chunks = (
-        position_model(scene.positions, scene.chunk_size),
-        chunk_ranges(scene.anchor_count, scene.chunk_size),
-    )
-    parts = encode_positions(model, scene.positions, chunks, 1 << scene.lanes.mask)
-    # SPEC 6.10 asks for at least a byte for 16 anchors. A tree can be shorter if its cells fill a cube.
-    allowed = all(len(part) * ANCHORS_OF_A_BYTE >= len(chunk) for part, chunk in zip(parts, chunks, strict=True))
-    return replace(scene, position_model=model if allowed else None)
+    return replace(scene, position_model=position_model(scene.positions, scene.chunk_size))

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..bitstream.attributes import ATTRIBUTE_SYMBOL_MAX, KINDS, Attributes, zero_attributes
+from ..bitstream.cameras import CAMERAS, NamedCamera, emit_cameras
 from ..bitstream.codec import derive_steps
 from ..bitstream.conventions import F32
 from ..bitstream.dimensions import Dimensions
@@ -16,7 +17,7 @@ from ..bitstream.frame import Frame
 from ..bitstream.header import Lanes, PositionGrid, RenderInfo
 from ..bitstream.limits import MAIN
 from ..bitstream.networks import ACTIVATION_MAX, Layer
-from ..bitstream.scene import Scene
+from ..bitstream.scene import Ancillary, Scene
 from ..bitstream.tables import STEP_SHIFT, tables
 from .cloud import AnchorCloud
 from .masks import mask_model
@@ -32,11 +33,11 @@ def packed(scene: Scene, positions: str | None, weights: str | None) -> Scene:
     Tiny. What is packed already is not packed again.
     """
     if positions == "raw":
-        scene = replace(scene, position_model=None)
+        scene = replace(scene, position_model=None, position_forms=None)
     elif scene.position_model is None and (positions or scene.profile == MAIN):
         scene = pack_positions(scene)
     if weights == "raw":
-        return replace(scene, weight_scales=None)
+        return replace(scene, weight_scales=None, weight_forms=None)
     if scene.weight_scales is None and (weights or scene.profile == MAIN):
         return pack_weights(scene)
     return scene
@@ -87,13 +88,14 @@ def quantise(
     *,
     dimensions: Dimensions,
     networks: Mapping[str, list[Layer]],
-    frame: Frame,
+    frame: Frame | None,
     grid: PositionGrid,
     planes: NDArray[np.int16],
     plane_shift: int,
     carm_shift: NDArray[np.uint8],
     base_step: tuple[float, float, float],
     render: RenderInfo | None = None,
+    camera: NamedCamera | None = None,
     lanes: Lanes | None = None,
     profile: int = MAIN,
     chunk_size: int = CHUNK_SIZE,
@@ -104,7 +106,8 @@ def quantise(
     The others are sorted. Positions and weights are in mode 0.
 
     planes: int16 [5, ch, B, B]. carm_shift: uint8 [CARM inputs]. base_step: float32 values of features, scalings and
-    offsets. render, lanes: None for the defaults. Raises ValueError for a value that a file cannot hold.
+    offsets. render, lanes: None for the defaults. camera: the default view, or None. Raises
+    ValueError for a value that a file cannot hold.
     """
     ordered, positions = order_anchors(cloud, grid)
     count = len(positions)
@@ -125,6 +128,7 @@ def quantise(
         positions=positions,
         masks=ordered.masks,
         attributes=zero_attributes(dimensions, count),
+        ancillary=(Ancillary(CAMERAS, 0, emit_cameras([camera])),) if camera else (),
     )
     steps = derive_steps(scene)
     features, scalings, offsets = (

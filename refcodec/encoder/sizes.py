@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from itertools import accumulate
 
 from ..bitstream.header import Lanes
 from ..bitstream.planes import PLANES
@@ -10,6 +11,23 @@ from ..bitstream.planes import PLANES
 # SPEC B.3: the chunk size that measured best, and the base-2 logarithm of the most lanes.
 CHUNK_SIZE = 4096
 LANES_LOG2_MOST = 6
+# SPEC B.3: the slices of the features, in order, as in the paper.
+SLICES = (5, 10, 15, 20)
+
+
+def choose_slices(features: int, shares: tuple[int, ...] = SLICES) -> tuple[int, ...]:
+    """SPEC B.3: returns the slices of some features, in the proportions of `shares`, none of them empty.
+
+    With few features there are fewer slices than shares. features: F, from 1 to 128. With more than 64 a slice may be
+    too wide for Main.
+    """
+    total, done, found = sum(shares), 0, []
+    for end in accumulate(shares):
+        columns = round(features * end / total) - done
+        if columns > 0:
+            found.append(columns)
+            done += columns
+    return tuple(found)
 
 
 def choose_plane_size(anchors: int) -> int:

@@ -76,7 +76,8 @@ def weight_scales(networks: Mapping[str, list[Layer]]) -> NDArray[np.uint8]:
         if grid is None:
             found.append((0, 0, 0))
             continue
-        spread = math.sqrt(float(np.square(grid.weight, dtype=np.float64).mean()))
+        # F_h without inputs has no weights.
+        spread = math.sqrt(float(np.square(grid.weight, dtype=np.float64).mean())) if grid.weight.size else 0.0
         found.append(
             (index(float(np.abs(grid.difference).mean())), index(spread), index(float(np.abs(grid.bias).mean())))
         )
@@ -89,4 +90,4 @@ def pack_weights(scene: Scene) -> Scene:
     F_h, SARM and CARM get the values of exact_networks.
     """
     networks = exact_networks(scene.networks)
-    return replace(scene, networks=networks, weight_scales=weight_scales(networks))
+    return replace(scene, networks=networks, weight_scales=weight_scales(networks), weight_forms=None)

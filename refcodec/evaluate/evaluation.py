@@ -12,7 +12,8 @@ from numpy.typing import NDArray
 from ..bitstream.batches import Progress
 from ..bitstream.codec import parse
 from ..folder.uncompressed import Uncompressed
-from ..inspect.summary import document
+from ..inspect.elements import outline_of
+from ..inspect.parts import part_bytes
 from ..render.view import View
 from .quality import measures
 
@@ -35,10 +36,11 @@ def evaluate(
 ) -> dict[str, Any]:
     """A file, or an uncompressed scene, compared with the held-out photographs, or with all if none are held out.
 
-    images: gets each image that was compared, float32 [height, width, 3], in the order of compared_of. Returns bytes,
-    anchors, parts (bytes), decode_seconds, frames_per_second and held_out. For each image, and on the mean, it returns
-    quality.measures, and lpips.measures if lpips is given. Raises BitstreamError for a file that is rejected,
-    PhotographError for photographs that cannot be read or compared.
+    images: gets each image that was compared, float32 [height, width, 3], in the order of compared_of.
+
+    Returns bytes, anchors, parts (bytes, as inspect.parts names them), decode_seconds, frames_per_second and held_out.
+    For each image, and on the mean, it returns quality.measures, and lpips.measures if lpips is given. Raises
+    BitstreamError for a file that is rejected, PhotographError for photographs that cannot be read or compared.
     """
     began: dict[str, float] = {}
     spent: dict[str, float] = {}
@@ -54,7 +56,7 @@ def evaluate(
     else:
         parsed = parse(shown, progress=clock)
         view, size, anchors = View(parsed.scene), len(shown), parsed.scene.anchor_count
-        parts = {s["name"]: s["bytes"] for s in document(shown, parsed)["sections"]}
+        parts = part_bytes(shown, outline_of(shown))
     spent["total"] = time.perf_counter() - start
     compared = compared_of(photographs)
     view.draw(compared[0].camera)  # compiles what is not compiled yet

@@ -28,7 +28,7 @@ Row = dict[str, float]
 def figures_of(evaluation: Mapping[str, Any]) -> Row:
     """Of a document of `eval --json`: bytes of all and of each part, bits of it an anchor, anchors, means of FIGURES.
 
-    headers: bytes of all sections that are none of the PARTS.
+    headers: bytes of all that is none of the PARTS.
     """
     sections, anchors = evaluation["parts"], evaluation["anchors"]
     return {

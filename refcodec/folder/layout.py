@@ -5,7 +5,7 @@ point_cloud.ply         the reconstruction, in the layout of Scaffold-GS checkpo
 networks.safetensors    fp32 weights and biases
 planes.safetensors      the planes' symbols
 coded.safetensors       fp16 positions, masks, attribute symbols and step indices
-extension_XX.bin        the ancillary section of type XX
+ancillary_N_TYPE.bin    the ancillary section number N, counted from 0, with its type
 
 With coded.safetensors a folder is encoded exactly. Without it, `encode` quantises point_cloud.ply anew, with the
 networks, planes, frame and grid of the folder.
@@ -28,7 +28,7 @@ PLY_FILE = "point_cloud.ply"
 NETWORKS_FILE = "networks.safetensors"
 PLANES_FILE = "planes.safetensors"
 CODED_FILE = "coded.safetensors"
-EXTENSION_FILE = re.compile(r"extension_[0-9a-f]{2}\.bin")
+ANCILLARY_FILE = re.compile(r"ancillary_[0-9]+_[A-Za-z]{4}\.bin")
 # What a training says of itself, beside the scene.
 REPORT_FILE = "training.json"
 # The file that only the folder of an uncompressed scene has.
@@ -83,9 +83,9 @@ def scene_files(path: Path) -> list[Path]:
     """Returns the files that writing a scene to a folder makes, replaces or removes. Some may not be there."""
     fixed = (SCENE_FILE, PLY_FILE, NETWORKS_FILE, PLANES_FILE, CODED_FILE, RENDER_FILE)
     found = sorted(os.listdir(path)) if path.is_dir() else []
-    return [path / name for name in (*fixed, *(name for name in found if EXTENSION_FILE.fullmatch(name)))]
+    return [path / name for name in (*fixed, *(name for name in found if ANCILLARY_FILE.fullmatch(name)))]
 
 
-def extension_name(kind: int) -> str:
-    """Returns the name of the file of an ancillary section. kind: its type."""
-    return f"extension_{kind:02x}.bin"
+def ancillary_name(number: int, kind: bytes) -> str:
+    """Returns the name of the file of an ancillary section. number: its place among them. kind: its type."""
+    return f"ancillary_{number}_{kind.decode('ascii')}.bin"

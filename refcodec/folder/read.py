@@ -5,10 +5,10 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,9 +20,9 @@ from ..bitstream.header import (
     BASE_STEP_MAX,
     BASE_STEP_MIN,
     LANES_LOG2_MAX,
+    MAJOR,
     ORIGIN_BOUND,
     SCALE_EXPONENT_MAX,
-    VERSION,
     Lanes,
     PositionGrid,
     RenderInfo,
@@ -32,7 +32,7 @@ from ..bitstream.networks import Layer
 from ..bitstream.planes import PLANE_SYMBOL_MAX, PLANES
 from ..bitstream.positions import CELL_INDEX, HALVES, POSITION_MODELS, PositionModel
 from ..bitstream.reconstruction import digest, reconstruct
-from ..bitstream.scene import Scene
+from ..bitstream.scene import Ancillary, Scene
 from ..bitstream.tables import STEP_LENGTH, TOTAL
 from ..bitstream.weights import CARM_SHIFT_MAX, PLANE_SHIFT_MAX
 from .arrays import read_arrays
@@ -44,7 +44,7 @@ from .layout import (
     PLY_FILE,
     SCENE_FILE,
     SceneFolderError,
-    extension_name,
+    ancillary_name,
     there,
 )
 from .ply import Columns, ply_values, read_cloud
@@ -69,7 +69,7 @@ def read_folder(path: str | Path) -> Scene:
         if not there(path / name, advice):
             raise SceneFolderError(path / name, "the file is missing", advice)
     document = Document(path / SCENE_FILE)
-    document.integer("version", VERSION, VERSION)
+    document.integer("version", MAJOR, MAJOR)
     d, profile = _read_dimensions(document)
     bare = _read_document(document, d, profile, path)
     if not there(path / CODED_FILE, f"restore it, or remove it so that encode quantises {PLY_FILE} anew"):
@@ -121,16 +121,7 @@ def _read_document(doc: Document, d: Dimensions, profile: int, path: Path) -> Sc
         doc.integer("grid.scale_exponent", -SCALE_EXPONENT_MAX, SCALE_EXPONENT_MAX),
     )
     lanes = Lanes(*(doc.integer(f"lanes.{name}", 0, LANES_LOG2_MAX) for name in ("plane", "mask", "attribute")))
-    frame = Frame(
-        np.array(
-            [doc.integers(f"frame.matrix[{i}]", 3, 1 - MATRIX_BOUND, MATRIX_BOUND - 1) for i in range(3)],
-            dtype=np.int64,
-        ),
-        np.array(doc.integers("frame.translation", 3, 1 - TRANSLATION_BOUND, TRANSLATION_BOUND - 1), dtype=np.int64),
-        np.array(doc.integers("frame.shift", 3, 0, FRAME_SHIFT_MAX), dtype=np.int64),
-        np.array(doc.integers("frame.low", 3, -FRAME_RANGE_BOUND, FRAME_RANGE_BOUND - 1), dtype=np.int64),
-        np.array(doc.integers("frame.high", 3, -FRAME_RANGE_BOUND, FRAME_RANGE_BOUND), dtype=np.int64),
-    )
+    frame = _read_frame(doc) if d.has_frame else None
     planes = _tensors(
         path / PLANES_FILE, {"planes": ((PLANES, d.plane_channels, d.plane_size, d.plane_size), np.int16)}
     )["planes"]
@@ -155,9 +146,26 @@ def _read_document(doc: Document, d: Dimensions, profile: int, path: Path) -> Sc
         np.zeros((0, 3), np.float16),
         np.zeros((0, d.offset_count), bool),
         zero_attributes(d, 0),
-        _read_extensions(doc, path),
+        _read_ancillary(doc, path),
         _read_position_model(doc),
         _read_weight_scales(doc, d),
+        weight_forms=_read_weight_forms(doc, d),
+        minor=doc.integer("minor", 0, 65535) if "minor" in doc.root else 0,
+        later=bytes(doc.integers("later", None, 0, 255)) if "later" in doc.root else b"",
+    )
+
+
+def _read_frame(doc: Document) -> Frame:
+    """Returns the frame (SPEC 5.7)."""
+    return Frame(
+        np.array(
+            [doc.integers(f"frame.matrix[{i}]", 3, 1 - MATRIX_BOUND, MATRIX_BOUND - 1) for i in range(3)],
+            dtype=np.int64,
+        ),
+        np.array(doc.integers("frame.translation", 3, 1 - TRANSLATION_BOUND, TRANSLATION_BOUND - 1), dtype=np.int64),
+        np.array(doc.integers("frame.shift", 3, 0, FRAME_SHIFT_MAX), dtype=np.int64),
+        np.array(doc.integers("frame.low", 3, -FRAME_RANGE_BOUND, FRAME_RANGE_BOUND - 1), dtype=np.int64),
+        np.array(doc.integers("frame.high", 3, -FRAME_RANGE_BOUND, FRAME_RANGE_BOUND), dtype=np.int64),
     )
 
 
@@ -167,6 +175,28 @@ def _read_weight_scales(doc: Document, d: Dimensions) -> NDArray[np.uint8] | Non
         return None
     rows = [doc.integers(f"weight_scales[{i}]", 3, 0, 255) for i in range(len(layers_of(d)))]
     return np.array(rows, dtype=np.uint8)
+
+
+def _read_weight_forms(doc: Document, d: Dimensions) -> NDArray[np.uint8] | None:
+    """Returns the forms of packed weights (SPEC 5.9), uint8 [layers], or None if the encoder chooses them."""
+    if "weight_forms" not in doc.root or "weight_scales" not in doc.root:
+        return None
+    return np.array(doc.integers("weight_forms", len(layers_of(d)), 0, 1), dtype=np.uint8)
+
+
+def _read_chunks(doc: Document, n: int) -> tuple[tuple[int, ...] | None, tuple[int, ...] | None]:
+    """Returns the anchors of each chunk and the forms of their positions, or None for what the encoder chooses.
+
+    n: N.
+    """
+    anchors = forms = None
+    if "chunk_anchors" in doc.root:
+        anchors = tuple(doc.integers("chunk_anchors", None, 1, max(n, 1)))
+        if sum(anchors) != n:
+            raise doc.fault("chunk_anchors", f"adds up to {sum(anchors)}, anchor_count is {n}")
+        if "position_forms" in doc.root:
+            forms = tuple(doc.integers("position_forms", len(anchors), 0, 1))
+    return anchors, forms
 
 
 def _read_position_model(doc: Document) -> PositionModel | None:
@@ -184,9 +214,6 @@ def _read_position_model(doc: Document) -> PositionModel | None:
 def read_render(doc: Document) -> RenderInfo:
     """SPEC [R6.5-1]: returns the render information of a document, under "render". Raises SceneFolderError."""
 
-    def vector(name: str, count: int) -> Any:
-        return tuple(doc.floats(f"render.{name}", count))
-
     def scalar(name: str, right: Callable[[float], bool], allowed: str) -> float:
         value = doc.float(f"render.{name}")
         if not right(value):
@@ -194,11 +221,6 @@ def read_render(doc: Document) -> RenderInfo:
         return value
 
     background = doc.integers("render.background", 3, 0, 255)
-    focal, rotation = vector("camera_focal", 2), vector("camera_rotation", 4)
-    if min(focal) <= 0:
-        raise doc.fault("render.camera_focal", f"is {focal}, numbers above 0 are required")
-    if not any(rotation):
-        raise doc.fault("render.camera_rotation", "is a quaternion of zeros")
     return RenderInfo(
         (background[0], background[1], background[2]),
         doc.integer("render.up_axis", 0, 5),
@@ -206,29 +228,29 @@ def read_render(doc: Document) -> RenderInfo:
         scalar("distance_unit", lambda x: x > 0, "a number above 0"),
         scalar("alpha_max", lambda x: 0 < x <= 1, "a number above 0 and at most 1"),
         scalar("low_pass", lambda x: x >= 0, "a number of at least 0"),
-        doc.integer("render.camera_width", 1, 65535),
-        doc.integer("render.camera_height", 1, 65535),
-        focal,
-        rotation,
-        vector("camera_translation", 3),
     )
 
 
-def _read_extensions(doc: Document, path: Path) -> tuple[tuple[int, int, bytes], ...]:
-    entries = doc.value("extensions")
+def _read_ancillary(doc: Document, path: Path) -> tuple[Ancillary, ...]:
+    entries = doc.value("ancillary")
     if not isinstance(entries, list) or not all(isinstance(e, dict) for e in entries):
-        raise doc.fault("extensions", "is not a list of objects")
-    found: list[tuple[int, int, bytes]] = []
+        raise doc.fault("ancillary", "is not a list of objects")
+    found: list[Ancillary] = []
     for i in range(len(entries)):
-        at = f"extensions[{i}]"
-        kind = doc.integer(f"{at}.type", found[-1][0] + 1 if found else 1, 127)
+        at = f"ancillary[{i}]"
+        text = doc.value(f"{at}.type")
+        if not isinstance(text, str) or not re.fullmatch("[a-z][A-Za-z]{3}", text):
+            raise doc.fault(f"{at}.type", f"is {text!r}, four letters are required, the first one small")
+        kind = text.encode()
         # The name has to be the expected one, so that scene.json cannot point outside the folder.
-        if doc.value(f"{at}.file") != extension_name(kind):
-            raise doc.fault(f"{at}.file", f"is {doc.value(f'{at}.file')!r}, {extension_name(kind)!r} is required")
-        advice = f'restore it, or delete its entry in "extensions" of {SCENE_FILE}'
-        if not there(path / extension_name(kind), advice):
-            raise SceneFolderError(path / extension_name(kind), "the file is missing", advice)
-        found.append((kind, doc.integer(f"{at}.mode", 0, 255), (path / extension_name(kind)).read_bytes()))
+        name = ancillary_name(i, kind)
+        if doc.value(f"{at}.file") != name:
+            raise doc.fault(f"{at}.file", f"is {doc.value(f'{at}.file')!r}, {name!r} is required")
+        advice = f'restore it, or delete its entry in "ancillary" of {SCENE_FILE}'
+        if not there(path / name, advice):
+            raise SceneFolderError(path / name, "the file is missing", advice)
+        mode, after = doc.integer(f"{at}.mode", 0, 255), doc.integer(f"{at}.after", 0, 5)
+        found.append(Ancillary(kind, mode, (path / name).read_bytes(), after))
     return tuple(found)
 
 
@@ -299,7 +321,15 @@ def _read_coded(bare: Scene, doc: Document, path: Path) -> Scene:
     if arrays["offsets"][~masks].any():
         raise SceneFolderError(file, "an offset that its mask drops is not 0", advice)
     attributes = Attributes(arrays["features"], arrays["scalings"], arrays["offsets"], arrays["steps"])
-    return replace(bare, positions=bits.view(np.float16), masks=masks, attributes=attributes)
+    anchors, forms = _read_chunks(doc, n)
+    return replace(
+        bare,
+        positions=bits.view(np.float16),
+        masks=masks,
+        attributes=attributes,
+        chunk_anchors=anchors,
+        position_forms=forms,
+    )
 
 
 def _compare_ply(scene: Scene, path: Path) -> None:
@@ -384,4 +414,4 @@ def _requantise(bare: Scene, path: Path) -> Scene:
             f"it cannot be quantised ({error})",
             f"correct the values, or the grid and steps in {SCENE_FILE}",
         ) from None
-    return replace(scene, extensions=bare.extensions)
+    return replace(scene, ancillary=bare.ancillary)

@@ -2,7 +2,7 @@
 
 point_cloud.ply         anchors, in the layout of Scaffold-GS checkpoints, world units
 networks.safetensors    fp32 weights and biases of the three rendering networks, as SPEC.md 5.8 shapes them
-render.json             the render information of SPEC.md 5.5
+render.json             the render information of SPEC.md 5.5, and the camera of the default view as in 5.17
 """
 
 # safetensors is imported where it is used, so that the other commands start fast.
@@ -11,12 +11,14 @@ render.json             the render information of SPEC.md 5.5
 from __future__ import annotations
 
 import json
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from ..bitstream.cameras import NamedCamera
 from ..bitstream.dimensions import RENDERING
 from ..bitstream.header import RenderInfo
 from ..bitstream.networks import Layer
@@ -36,12 +38,14 @@ class Uncompressed:
     """A trained Scaffold-GS.
 
     values: the float32 attributes. masks: bool [N, K]. networks: the three rendering networks of SPEC 14.3, by name.
+    camera: the default view.
     """
 
     values: Reconstruction
     masks: NDArray[np.bool_]
     networks: dict[str, list[Layer]]
     render: RenderInfo
+    camera: NamedCamera = field(default_factory=NamedCamera)
 
     @property
     def anchor_count(self) -> int:
@@ -105,8 +109,33 @@ def _write_files(scene: Uncompressed, path: Path) -> None:
     }
     with new_file(path / NETWORKS_FILE) as file:
         file.write(save(networks))
+    document = {"format": UNCOMPRESSED, "render": vars(scene.render), "camera": vars(scene.camera)}
     with new_file(path / RENDER_FILE) as file:
-        file.write((json.dumps({"format": UNCOMPRESSED, "render": vars(scene.render)}, indent=2) + "\n").encode())
+        file.write((json.dumps(document, indent=2) + "\n").encode())
+
+
+def _read_camera(doc: Document) -> NamedCamera:
+    """Returns the camera of the default view. Raises SceneFolderError."""
+
+    def vector(name: str, count: int) -> Any:
+        return tuple(doc.floats(f"camera.{name}", count))
+
+    name = doc.value("camera.name")
+    if not isinstance(name, str):
+        raise doc.fault("camera.name", "is no text")
+    camera = NamedCamera(
+        name,
+        doc.integer("camera.width", 1, (1 << 32) - 1),
+        doc.integer("camera.height", 1, (1 << 32) - 1),
+        vector("focal", 2),
+        vector("principal_point", 2),
+        vector("rotation", 4),
+        vector("translation", 3),
+    )
+    fault = camera.fault()
+    if fault:
+        raise doc.fault("camera", f"is not allowed: {fault}")
+    return camera
 
 
 def read_uncompressed(path: Path) -> Uncompressed:
@@ -115,7 +144,7 @@ def read_uncompressed(path: Path) -> Uncompressed:
 
     cloud = read_cloud(path / PLY_FILE)
     document = Document(path / RENDER_FILE, UNCOMPRESSED, AGAIN)
-    render = read_render(document)
+    render, camera = read_render(document), _read_camera(document)
     networks = _read_networks(path / NETWORKS_FILE, cloud.masks.shape[1], cloud.features.shape[1])
     return Uncompressed(
         Reconstruction(
@@ -127,4 +156,5 @@ def read_uncompressed(path: Path) -> Uncompressed:
         cloud.masks,
         networks,
         render,
+        camera,
     )

@@ -16,13 +16,13 @@ from numpy.typing import NDArray
 
 from ..bitstream.attributes import KINDS
 from ..bitstream.errors import BitstreamError
-from ..bitstream.header import VERSION
+from ..bitstream.header import MAJOR
 from ..bitstream.limits import PROFILES
 from ..bitstream.positions import PositionModel
 from ..bitstream.reconstruction import digest, reconstruct
 from ..bitstream.scene import Scene
 from ..files.stage import new_file
-from .layout import CODED_FILE, FORMAT, NETWORKS_FILE, PLANES_FILE, PLY_FILE, SCENE_FILE, extension_name
+from .layout import CODED_FILE, FORMAT, NETWORKS_FILE, PLANES_FILE, PLY_FILE, SCENE_FILE, ancillary_name
 from .ply import write_cloud
 from .replace import replace_scene
 
@@ -56,8 +56,8 @@ def _write_files(scene: Scene, path: Path, damage: dict[int, BitstreamError]) ->
     }
     coded |= {kind: getattr(a, kind) for kind in KINDS}
     _put(path / CODED_FILE, save({name: np.ascontiguousarray(value) for name, value in coded.items()}))
-    for kind, _, content in scene.extensions:
-        _put(path / extension_name(kind), content)
+    for number, section in enumerate(scene.ancillary):
+        _put(path / ancillary_name(number, section.type), section.content)
     _put(path / SCENE_FILE, _json_text(_scene_document(scene, damage)).encode())
 
 
@@ -80,7 +80,7 @@ def _scene_document(scene: Scene, damage: dict[int, BitstreamError]) -> dict[str
     whole, parts = digest(scene)
     document = {
         "format": FORMAT,
-        "version": VERSION,
+        "version": MAJOR,
         "profile": PROFILES[scene.profile].name,
         "anchor_count": scene.anchor_count,
         "dimensions": vars(scene.dimensions),
@@ -89,14 +89,16 @@ def _scene_document(scene: Scene, damage: dict[int, BitstreamError]) -> dict[str
         "base_step": _short(scene.base_step),
         "grid": vars(scene.grid),
         "render": {name: _short(value) for name, value in vars(scene.render).items()},
-        "frame": {f.name: getattr(scene.frame, f.name).tolist() for f in fields(scene.frame)},
+        "frame": scene.frame and {f.name: getattr(scene.frame, f.name).tolist() for f in fields(scene.frame)},
         "plane_shift": scene.plane_shift,
         "carm_shift": scene.carm_shift.tolist(),
         "mask_model": scene.mask_model.tolist(),
         **_position_document(scene.position_model),
         **({} if scene.weight_scales is None else {"weight_scales": scene.weight_scales.tolist()}),
-        "extensions": [
-            {"type": kind, "mode": mode, "file": extension_name(kind)} for kind, mode, _ in scene.extensions
+        **_coding_document(scene),
+        "ancillary": [
+            {"type": a.type.decode("ascii"), "mode": a.mode, "after": a.after, "file": ancillary_name(number, a.type)}
+            for number, a in enumerate(scene.ancillary)
         ],
         "digest": {"whole": whole, **parts},
     }
@@ -114,6 +116,20 @@ def _position_document(model: PositionModel | None) -> dict[str, Any]:
         if model is None
         else {"position_model": {"cell_shift": model.cell_shift, "frequency": model.frequency.tolist()}}
     )
+
+
+def _coding_document(scene: Scene) -> dict[str, Any]:
+    """Returns the coding parameters that an encoder chooses by itself if they are not there."""
+    found: dict[str, Any] = {}
+    if scene.chunk_anchors is not None:
+        found["chunk_anchors"] = list(scene.chunk_anchors)
+    if scene.position_forms is not None:
+        found["position_forms"] = list(scene.position_forms)
+    if scene.weight_forms is not None:
+        found["weight_forms"] = scene.weight_forms.tolist()
+    if scene.minor or scene.later:
+        found |= {"minor": scene.minor, "later": list(scene.later)}
+    return found
 
 
 def _json_text(document: dict[str, Any]) -> str:

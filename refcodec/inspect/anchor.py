@@ -29,21 +29,25 @@ def anchor_rows(scene: Scene, number: int) -> Iterator[tuple[str, str, str]]:
 
     d, at = scene.dimensions, slice(number, number + 1)
     p = position_integers(scene.positions[at])
-    v = frame_coordinates(scene.frame, p)
-    w = contract(v)
-    u = rescale(scene.frame, w)
-    for what, clause, values in (("P of x, y, z", "7.4", p), ("v", "7.5.1", v), ("w", "7.5.2", w), ("u", "7.5.3", u)):
-        yield row(what, clause, values[0])
-    planes = assemble_planes(scene.planes)
-    for r, plane in enumerate(planes, 1):
-        yield row(f"samples of the plane of r = {r}", "7.5.4", query(plane, u[:, :2], scene.plane_shift)[0])
-    yield row("positional encoding", "7.5.5", positional_encoding(u[:, 2], d.frequency_count)[0])
+    yield row("P of x, y, z", "7.4", p[0])
+    if scene.frame is not None:
+        v = frame_coordinates(scene.frame, p)
+        w = contract(v)
+        u = rescale(scene.frame, w)
+        for what, clause, values in (("v", "7.5.1", v), ("w", "7.5.2", w), ("u", "7.5.3", u)):
+            yield row(what, clause, values[0])
+        for r, plane in enumerate(assemble_planes(scene.planes) if d.plane_channels else (), 1):
+            yield row(f"samples of the plane of r = {r}", "7.5.4", query(plane, u[:, :2], scene.plane_shift)[0])
+        yield row("positional encoding", "7.5.5", positional_encoding(u[:, 2], d.frequency_count)[0])
     coding, width = Coding(scene), d.attribute_width
     hyper = coding.model.hyper(coding.contexts(at)).astype(np.int64)[0]
     mean, scale = hyper[:width], hyper[width : 2 * width]
     yield row("means that F_h gives", "7.7", mean)
     yield row("scale indices that F_h gives", "7.7", scale)
     yield row("outputs for the step indices", "7.8", hyper[2 * width :])
+    yield row("scalings: symbols", "7.10", scene.attributes.scalings[number])
+    kept = zip(scene.masks[number], scene.attributes.offsets[number].tolist(), strict=True)
+    yield row("offsets: symbols", "7.10", (tuple(offset) if mask else "masked" for mask, offset in kept))
     features, done = scene.attributes.features[at].astype(np.int64), 0
     for i, columns in enumerate(d.slices):
         part = slice(done, done + columns)
@@ -55,7 +59,4 @@ def anchor_rows(scene: Scene, number: int) -> Iterator[tuple[str, str, str]]:
         yield row(f"slice {i}: mean and scale index of each channel", "7.9", pairs)
         yield row(f"slice {i}: symbols", "7.10", features[0, part])
         done += columns
-    yield row("scalings: symbols", "7.10", scene.attributes.scalings[number])
-    kept = zip(scene.masks[number], scene.attributes.offsets[number].tolist(), strict=True)
-    yield row("offsets: symbols", "7.10", (tuple(offset) if mask else "masked" for mask, offset in kept))
     yield row("step indices of features, scalings, offsets", "7.8", scene.attributes.steps[number])

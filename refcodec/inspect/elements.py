@@ -16,12 +16,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..bitstream import syntax
-from ..bitstream.chunks import CHUNK_ENTRY_BYTES, PARTS, entries_start
+from ..bitstream.cameras import CAMERAS
+from ..bitstream.chunks import PARTS
 from ..bitstream.dimensions import Dimensions, layers_of, mask_contexts
-from ..bitstream.directory import SECTIONS
-from ..bitstream.header import PROLOGUE_BYTES, VERSION, dimensions_of
+from ..bitstream.directory import DATA, FRAME, INDEX, PLANES_SECTION, WEIGHTS, section_name
+from ..bitstream.header import MAJOR, PROLOGUE_BYTES, dimensions_of
+from ..bitstream.index import ENTRY, ENTRY_BYTES, entries_start
+from ..bitstream.metadata import METADATA
 from ..bitstream.planes import PLANE_NAMES
 from ..bitstream.positions import PACKED
+from ..bitstream.source import pad4
 
 # No struct of SYNTAX is longer than the largest header.
 _STRUCT_BYTES_MAX = 1 << 16
@@ -42,33 +46,49 @@ class Row:
 
 
 @dataclass(frozen=True)
+class Place:
+    """Where a section is, cut to the file.
+
+    name: that in paths. end: without the padding. stop: where the next section starts.
+    """
+
+    type: bytes
+    mode: int
+    name: str
+    start: int
+    end: int
+    stop: int
+
+
+@dataclass(frozen=True)
 class Outline:
     """What the header says of a file, as far as it parses. Nothing is checked.
 
     header: the fields, or None if the header is not whole.
     header_end: where the header ends, or where the file does.
     dimensions: None if they cannot be read.
-    sections: (type, start, end) in file order, cut to the file.
+    sections: in file order.
     """
 
     header: Any
     header_end: int
     dimensions: Dimensions | None
-    sections: list[tuple[int, int, int]]
+    sections: list[Place]
 
-    def mode(self, name: str) -> int:
-        """Returns the mode of a section by its name, or 0 if the file does not have the section."""
-        return max((entry.mode for entry in self.header.directory if SECTIONS.get(entry.type) == name), default=0)
+    def place(self, kind: bytes) -> Place | None:
+        """Returns the first section of a type, or None."""
+        return next((place for place in self.sections if place.type == kind), None)
 
     @property
-    def position_mode(self) -> int:
-        """The mode of the positions."""
-        return self.mode("positions")
+    def index_mode(self) -> int:
+        """The mode of the index, or 0 if the file has none."""
+        place = self.place(INDEX)
+        return place.mode if place else 0
 
     @property
     def entries_start(self) -> int:
-        """The bytes of the chunk table before its entries (SPEC 5.10)."""
-        return entries_start(self.header.dimensions.offset_count, self.position_mode)
+        """The bytes of the index before its entries (SPEC 5.11)."""
+        return entries_start(self.header.dimensions.offset_count, self.index_mode)
 
 
 def parse_elements(name: str, data: bytes, start: int, end: int, path: str) -> tuple[list[Row], Any]:
@@ -83,18 +103,19 @@ def parse_elements(name: str, data: bytes, start: int, end: int, path: str) -> t
 
 
 def outline_of(data: bytes) -> Outline:
-    """Returns the outline of a file. Without a whole header of this version it has no sections."""
+    """Returns the outline of a file. Without a whole header of this major version it has no sections."""
     _, prologue = parse_elements("Prologue", data, 0, PROLOGUE_BYTES, "prologue")
-    if prologue is None or prologue.version != VERSION:
+    if prologue is None or prologue.major != MAJOR:
         return Outline(None, min(len(data), PROLOGUE_BYTES), None, [])
     end = min(len(data), PROLOGUE_BYTES + prologue.header_length)
     _, header = parse_elements("Header", data, PROLOGUE_BYTES, end, "header")
     if header is None:
         return Outline(None, end, None, [])
     sections, at = [], end
-    for entry in header.directory:
-        stop = min(len(data), at + entry.length)
-        sections.append((entry.type, at, stop))
+    for number, entry in enumerate(header.directory):
+        name = section_name(entry.type, number)
+        last, stop = at + entry.length, at + pad4(entry.length)
+        sections.append(Place(entry.type, entry.mode, name, *(min(len(data), place) for place in (at, last, stop))))
         at = stop
     dimensions = dimensions_of(header.dimensions) if header.dimensions.slice_width else None
     return Outline(header, end, dimensions, sections)
@@ -119,13 +140,14 @@ def rows_of(data: bytes, outline: Outline) -> Iterator[Row]:
         yield from header
         used = header[-1].end if header else PROLOGUE_BYTES
         yield from _payload(used, outline.header_end, outline.header_end, "header, bytes that no field uses", "bytes")
-    for kind, start, end in outline.sections:
-        used = start
-        for row in section_rows(data, outline, kind, start, end):
+    for place in outline.sections:
+        used = place.start
+        for row in section_rows(data, outline, place):
             yield row
             used = row.end
-        name = SECTIONS.get(kind, f"extension_{kind:02x}")
-        yield from _payload(used, end, end, name if used == start else f"{name}, bytes that no element uses", "bytes")
+        unused = place.name if used == place.start else f"{place.name}, bytes that no element uses"
+        yield from _payload(used, place.end, place.end, unused, "bytes")
+        yield from _payload(place.end, place.stop, place.stop, f"{place.name}, padding", "padding")
 
 
 def _payload(start: int, stop: int, end: int, path: str, kind: str) -> Iterator[Row]:
@@ -135,44 +157,62 @@ def _payload(start: int, stop: int, end: int, path: str, kind: str) -> Iterator[
         yield Row(start, stop, path, kind)
 
 
-def section_rows(data: bytes, outline: Outline, kind: int, start: int, end: int) -> Iterator[Row]:
-    """Yields the elements of a section in data[start:end]. kind: its type."""
-    h = outline.header
-    name = SECTIONS.get(kind)
-    if name == "frame":
+def section_rows(data: bytes, outline: Outline, place: Place) -> Iterator[Row]:
+    """Yields the elements of a section, without the padding behind it."""
+    h, start, end = outline.header, place.start, place.end
+    if place.type == FRAME:
         yield from parse_elements("Frame", data, start, end, "frame")[0]
-    elif name == "weights":
-        yield from _weight_rows(data, outline, start, end)
-    elif name == "planes":
+    elif place.type == WEIGHTS:
+        yield from _weight_rows(data, outline, place)
+    elif place.type == PLANES_SECTION:
         found, table = parse_elements("PlaneTable", data, start, end, "planes")
         yield from found
         at = found[-1].end if found else start
         for plane, length in zip(PLANE_NAMES, table.length if table else [], strict=False):
-            yield from _substream_rows(data, at, min(end, at + length), 1 << h.plane_lanes_log2, f"planes.{plane}")
-            at = min(end, at + length)
-    elif name == "chunk_table":
+            path = f"planes.{plane}"
+            yield from _substream_rows(data, at, min(end, at + length), 1 << h.plane_lanes_log2, path)
+            yield from _payload(min(end, at + length), at + pad4(length), end, f"{path}, padding", "padding")
+            at = min(end, at + pad4(length))
+    elif place.type == INDEX:
         contexts = mask_contexts(h.dimensions.offset_count)
         for i in range(min(contexts, (end - start) // 2)):
             at = start + 2 * i
-            yield Row(at, at + 2, f"chunk_table.mask_model[{i}]", "u16", int.from_bytes(data[at : at + 2], "little"))
-        if outline.position_mode:
-            yield from parse_elements("PositionModel", data, start + 2 * contexts, end, "chunk_table.position_model")[0]
-        for number, at in enumerate(
-            range(start + outline.entries_start, end - CHUNK_ENTRY_BYTES + 1, CHUNK_ENTRY_BYTES)
-        ):
-            yield from parse_elements("ChunkEntry", data, at, at + CHUNK_ENTRY_BYTES, f"chunk_table.entry[{number}]")[0]
-    elif name in ("positions", "masks", "attributes"):
-        yield from _chunk_rows(data, outline, name, start, end)
+            value = int.from_bytes(data[at : at + 2], "little")
+            yield Row(at, at + 2, f"index.mask_model.frequency[{i}]", "u16", value)
+        first = start + pad4(2 * contexts)
+        yield from _payload(min(end, start + 2 * contexts), first, end, "index.mask_model.padding", "padding")
+        if outline.index_mode:
+            yield from parse_elements("PositionModel", data, min(first, end), end, "index.position_model")[0]
+        for number, at in enumerate(range(start + outline.entries_start, end - ENTRY_BYTES + 1, ENTRY_BYTES)):
+            yield from parse_elements("ChunkEntry", data, at, at + ENTRY_BYTES, f"index.entry[{number}]")[0]
+    elif place.type == DATA:
+        yield from _chunk_rows(data, outline, place)
+    elif place.type in (METADATA, CAMERAS) and not place.mode:
+        yield from _list_rows(data, place)
     else:
-        yield from _payload(start, end, end, f"extension_{kind:02x}", "bytes")
+        yield from _payload(start, end, end, place.name, "bytes")
 
 
-def _weight_rows(data: bytes, outline: Outline, start: int, end: int) -> Iterator[Row]:
-    found, scales = parse_elements("WeightScales", data, start, end, "weights")
+def _list_rows(data: bytes, place: Place) -> Iterator[Row]:
+    """Yields the elements of a section of metadata or cameras."""
+    head, item, name = ("Metadata", "Entry", "entry") if place.type == METADATA else ("Cameras", "Camera", "camera")
+    found, fields = parse_elements(head, data, place.start, place.end, place.name)
+    yield from found
+    at = found[-1].end if found else place.start
+    for number in range(fields.count if fields else 0):
+        found, whole = parse_elements(item, data, at, place.end, f"{place.name}.{name}[{number}]")
+        if whole is None:
+            return
+        yield from found
+        at = found[-1].end
+
+
+def _weight_rows(data: bytes, outline: Outline, place: Place) -> Iterator[Row]:
+    found, scales = parse_elements("WeightScales", data, place.start, place.end, "weights")
     yield from found
     if scales is None or outline.dimensions is None:
         return
-    at, mode = found[-1].end, outline.mode("weights")
+    at, mode, end = found[-1].end, place.mode, place.end
     for name, out, fan_in in layers_of(outline.dimensions):
         if mode:
             found, model = parse_elements("LayerModel", data, at, end, f"weights.{name}")
@@ -188,8 +228,8 @@ def _weight_rows(data: bytes, outline: Outline, start: int, end: int) -> Iterato
 
 
 def _substream_rows(data: bytes, start: int, end: int, lanes: int, path: str) -> Iterator[Row]:
-    """Yields the elements of a substream (SPEC 5.14). What is cut off is left out."""
-    found, head = parse_elements("SubstreamHead", data, start, end, path)
+    """Yields the elements of a substream (SPEC 5.15). What is cut off is left out."""
+    found, head = parse_elements("Substream", data, start, end, path)
     yield from found
     if head is None:
         at = found[-1].end if found else start
@@ -203,39 +243,37 @@ def _substream_rows(data: bytes, start: int, end: int, lanes: int, path: str) ->
     yield from _payload(raw_at, end, end, f"{path}.raw", f"u8[{end - raw_at}]")
 
 
-def read_chunk_table(data: bytes, outline: Outline) -> NDArray[np.uint32]:
-    """Returns the entries of the chunk table that are there, uint32 [chunks, 6], with the fields of SPEC 5.10.
+def read_index(data: bytes, outline: Outline) -> NDArray[np.void]:
+    """Returns the entries of the index that are there, with the fields of SPEC 5.13.
 
     The array is a view of the file: a file may claim many chunks.
     """
-    for kind, start, end in outline.sections:
-        if SECTIONS.get(kind) == "chunk_table":
-            at = start + outline.entries_start
-            count = max(0, (end - at) // CHUNK_ENTRY_BYTES)
-            return np.frombuffer(data, "<u4", 6 * count, min(at, end)).reshape(-1, 6)
-    return np.zeros((0, 6), np.uint32)
+    place = outline.place(INDEX)
+    if place is None:
+        return np.zeros(0, ENTRY)
+    at = place.start + outline.entries_start
+    count = max(0, (place.end - at) // ENTRY_BYTES)
+    return np.frombuffer(data, ENTRY, count, min(at, place.end))
 
 
-def chunk_anchors(header: Any, number: int) -> int:
-    """Returns how many anchors a chunk has. header: the parsed struct. number: that of the chunk."""
-    return int(min(header.chunk_size, max(0, header.anchor_count - number * header.chunk_size)))
-
-
-def _chunk_rows(data: bytes, outline: Outline, name: str, start: int, end: int) -> Iterator[Row]:
-    h = outline.header
-    column = PARTS.index(name)
-    at = start
-    for number, length in enumerate(read_chunk_table(data, outline)[:, 2 * column]):
-        if at == end:
+def _chunk_rows(data: bytes, outline: Outline, place: Place) -> Iterator[Row]:
+    h, at = outline.header, place.start
+    for number, entry in enumerate(read_index(data, outline)):
+        if at == place.end:
             return
-        stop, path = min(end, at + int(length)), f"{name}[chunk {number}]"
-        if name == "positions" and outline.position_mode and at < stop:
-            yield Row(at, at + 1, f"{path}.form", "u8", data[at])
-            at += 1
-        if name == "positions" and not (outline.position_mode and data[at - 1] == PACKED):
-            kind = f"f16[{chunk_anchors(h, number)},3]"
-            yield from _payload(at, stop, end, path, kind)
-        else:
-            lanes = 1 << (h.attribute_lanes_log2 if name == "attributes" else h.mask_lanes_log2)
-            yield from _substream_rows(data, at, stop, lanes, path)
-        at = stop
+        end = min(place.end, at + int(entry["length"]))
+        found, head = parse_elements("Chunk", data, at, end, f"chunk[{number}]")
+        yield from found
+        used = found[-1].end if found else at
+        for part in PARTS if head else ():
+            path, length = f"{part}[chunk {number}]", head[f"{part.removesuffix('s')}_length"]
+            stop = min(end, used + length)
+            if part == "positions" and head.position_form != PACKED:
+                yield from _payload(used, stop, end, path, f"f16[{entry['anchor_count']},3]")
+            else:
+                lanes = 1 << (h.attribute_lanes_log2 if part == "attributes" else h.mask_lanes_log2)
+                yield from _substream_rows(data, used, stop, lanes, path)
+            yield from _payload(stop, used + pad4(length), end, f"{path}, padding", "padding")
+            used = min(end, used + pad4(length))
+        yield from _payload(used, end, end, f"chunk[{number}], bytes that no element uses", "bytes")
+        at = end

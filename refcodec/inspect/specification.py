@@ -9,7 +9,7 @@ from functools import cache
 from ..resources import find
 
 # The number of a clause, such as 6.10, 7.5.4 or B.2. The annexes have letters.
-CLAUSE = r"(?:\d+|[A-D])(?:\.\d+)*"
+CLAUSE = r"(?:\d+|[A-G])(?:\.\d+)*"
 
 
 @dataclass(frozen=True)
@@ -61,7 +61,7 @@ def fields(spec: str) -> dict[str, tuple[str, str]]:
     found = {}
     for clause in clauses(spec).values():
         if clause.number.startswith("5."):
-            for field, kind, words in re.findall(r"^\| (\w+) \| (\S+) \| (.*) \|$", clause.text, re.MULTILINE):
+            for field, kind, words in re.findall(r"^\| (\w+) \| ([^|]+) \| ([^|]*) \|$", clause.text, re.MULTILINE):
                 found[f"{clause.title}.{field}"] = kind, words
     return found
 

@@ -11,18 +11,25 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from ..bitstream.cameras import cameras
+from ..bitstream.chunks import PARTS as CHUNK_PARTS
 from ..bitstream.codec import Parsed
 from ..bitstream.dimensions import mask_contexts
-from ..bitstream.directory import SECTIONS
+from ..bitstream.directory import DATA, FRAME, INDEX, PLANES_SECTION, WEIGHTS, is_critical
 from ..bitstream.errors import BitstreamError
 from ..bitstream.header import PROLOGUE_BYTES
 from ..bitstream.limits import PROFILES
+from ..bitstream.metadata import metadata
 from ..bitstream.planes import PLANE_NAMES
 from ..bitstream.reconstruction import digest
-from .elements import Outline, chunk_anchors, outline_of, parse_elements, read_chunk_table
+from ..bitstream.scene import Ancillary
+from ..bitstream.source import pad4
+from ..files.text import printable
+from .elements import Outline, outline_of, parse_elements, read_index
+from .parts import part_bytes
 
-# SPEC 5.10: the parts of a chunk, as the fields of the chunk table name them.
-_PARTS = ("position", "mask", "attribute")
+# SPEC 5.13: what is shown of the entries of the index, as the fields and in words.
+_SHOWN = {"length": "bytes", "anchor_count": "anchors", "kept_count": "kept offsets"}
 # Chunks that are made at once.
 _BLOCK = 4096
 # Columns of the bar of a section that is the whole file.
@@ -43,15 +50,14 @@ def _plain(value: Any) -> Any:
 
 
 def _section_table(data: bytes, outline: Outline) -> list[dict[str, Any]]:
-    """Returns the name, place, size and share of the prologue, the header and each section."""
+    """Returns the name, place, size with its padding, and share of the prologue, the header and each section."""
     h = outline.header
-    spans: list[tuple[str, int | None, int | None, int, int]] = [
+    spans: list[tuple[str, str | None, int | None, int, int]] = [
         ("prologue", None, None, 0, min(len(data), PROLOGUE_BYTES))
     ]
     if outline.header_end > PROLOGUE_BYTES:
         spans.append(("header", None, None, PROLOGUE_BYTES, outline.header_end))
-    for entry, (kind, start, end) in zip(h.directory if h else [], outline.sections, strict=True):
-        spans.append((SECTIONS.get(kind, f"extension_{kind:02x}"), kind, entry.mode, start, end))
+    spans += [(p.name, p.type.decode("latin-1"), p.mode, p.start, p.stop) for p in outline.sections]
     anchors = h.anchor_count if h else 0
     return [
         {
@@ -71,24 +77,19 @@ def _section_table(data: bytes, outline: Outline) -> list[dict[str, Any]]:
 class ChunkSizes:
     """The chunks that a file claims to have. A damaged file may claim a million, so each is made when it is asked for.
 
-    header: the parsed struct. table: uint32 [chunks, 3], the bytes of the parts of each, in the order of PARTS.
+    table: the entries of the index.
     """
 
-    header: Any
-    table: NDArray[np.uint32]
+    table: NDArray[np.void]
 
     def __len__(self) -> int:
         return len(self.table)
 
-    def __iter__(self) -> Iterator[dict[str, int]]:
-        names = [f"{part}_bytes" for part in _PARTS]
+    def __iter__(self) -> Iterator[dict[str, Any]]:
         for first in range(0, len(self.table), _BLOCK):
-            for number, row in enumerate(self.table[first : first + _BLOCK].tolist(), start=first):
-                yield {"anchors": self.anchors(number), **dict(zip(names, row, strict=True))}
-
-    def anchors(self, number: int) -> int:
-        """Returns how many anchors a chunk has."""
-        return chunk_anchors(self.header, number)
+            for row in self.table[first : first + _BLOCK]:
+                bounds = {name: [_plain(float(v)) for v in row[name]] for name in ("low", "high")}
+                yield {**{name: int(row[name]) for name in _SHOWN}, **bounds}
 
 
 def document(data: bytes, verdict: Parsed | BitstreamError) -> dict[str, Any]:
@@ -104,23 +105,28 @@ def document(data: bytes, verdict: Parsed | BitstreamError) -> dict[str, Any]:
         "header": _plain(h),
         "profile": PROFILES[h.profile].name if h and h.profile in PROFILES else None,
         "sections": _section_table(data, outline),
+        "parts": part_bytes(data, outline),
     }
-    for kind, start, end in outline.sections:
-        if SECTIONS.get(kind) == "frame":
+    for place in outline.sections:
+        start, end = place.start, place.end
+        if place.type == FRAME:
             found["frame"] = _plain(parse_elements("Frame", data, start, end, "frame")[1])
-        elif SECTIONS.get(kind) == "weights" and d:
+        elif place.type == WEIGHTS and d:
             scales = parse_elements("WeightScales", data, start, end, "weights")[1]
             found["weights"] = {"scales": _plain(scales), "networks": _plain(d.network_shapes())}
-        elif SECTIONS.get(kind) == "planes":
+        elif place.type == PLANES_SECTION:
             table = parse_elements("PlaneTable", data, start, end, "planes")[1]
             found["planes"] = dict(zip(PLANE_NAMES, table.length, strict=True)) if table else None
-        elif SECTIONS.get(kind) == "chunk_table":
+        elif place.type == INDEX:
             count = min(mask_contexts(h.dimensions.offset_count), (end - start) // 2)
             found["mask_model"] = np.frombuffer(data, "<u2", count, start).tolist()
-            if outline.position_mode:
-                model = parse_elements("PositionModel", data, start + 2 * count, end, "chunk_table.position_model")[1]
+            if place.mode:
+                model = parse_elements("PositionModel", data, min(start + pad4(2 * count), end), end, "")[1]
                 found["position_model"] = _plain(model)
-            found["chunks"] = ChunkSizes(h, read_chunk_table(data, outline)[:, ::2])
+            found["chunks"] = ChunkSizes(read_index(data, outline))
+    sections = [Ancillary(p.type, p.mode, data[p.start : p.end]) for p in outline.sections if not is_critical(p.type)]
+    found["metadata"] = metadata(sections)
+    found["cameras"] = [_plain(vars(camera)) for camera in cameras(sections)]
     if isinstance(verdict, BitstreamError):
         found["accepted"], found["error"] = False, {**json.loads(verdict.to_json()), "text": str(verdict)}
     else:
@@ -140,15 +146,15 @@ def json_lines(facts: dict[str, Any]) -> Iterator[str]:
             continue
         yield mark
         for number, chunk in enumerate(chunks, start=1):
-            fields = ",\n".join(f'   "{name}": {value}' for name, value in chunk.items())
-            yield f"  {{\n{fields}\n  }}{',' if number < len(chunks) else ''}"
+            lines = json.dumps(chunk, indent=1).replace("\n", "\n  ")
+            yield f"  {lines}{',' if number < len(chunks) else ''}"
         yield f" {line.removeprefix(mark)}"
 
 
 def summary(facts: dict[str, Any], name: str) -> Iterator[str]:
     """Yields the facts of `document` as lines of text. name: that of the file."""
     p, h = facts["prologue"], facts["header"]
-    version = f"version {p['version']}" if p else "version unknown"
+    version = f"version {p['major']}.{p['minor']}" if p else "version unknown"
     yield f"{name}: {facts['bytes']} bytes, C3GS {version}"
     if h:
         yield from _header_lines(facts, h)
@@ -158,13 +164,15 @@ def summary(facts: dict[str, Any], name: str) -> Iterator[str]:
         f"{'bits/anchor':>12}"
     )
     for s in facts["sections"]:
-        kind, mode = ("" if s["type"] is None else f"{s['type']:02x}"), ("" if s["mode"] is None else s["mode"])
+        kind, mode = ("" if s["type"] is None else printable(s["type"])), ("" if s["mode"] is None else s["mode"])
         bits = "-" if s["bits_per_anchor"] is None else f"{s['bits_per_anchor']:.2f}"
         bar = "#" * round(_BAR * s["share"])
         yield (
             f"{s['name']:<14} {kind:>4} {mode:>4} {s['offset']:>10} {s['bytes']:>10} {s['share']:>7.1%}  {bar:<{_BAR}} "
             f"{bits:>12}"
         )
+        if kind == DATA.decode():
+            yield from _data_lines(facts, h["anchor_count"])
     whole_bits = f"{8 * facts['bytes'] / h['anchor_count']:.2f}" if h and h["anchor_count"] else "-"
     yield f"{'whole':<14} {'':>4} {'':>4} {'':>10} {facts['bytes']:>10} {1:>7.1%}  {'':<{_BAR}} {whole_bits:>12}"
     yield ""
@@ -202,14 +210,29 @@ def _header_lines(facts: dict[str, Any], h: dict[str, Any]) -> Iterator[str]:
     )
     yield f"base steps   {steps}"
 
+    for key, value in facts["metadata"].items():
+        yield f"{printable(key, 12):<12} {printable(value, 200)}"
+    for camera in facts["cameras"][:1]:
+        more = f", and {len(facts['cameras']) - 1} more" if len(facts["cameras"]) > 1 else ""
+        yield f"default view {printable(camera['name'], 60)}, {camera['width']} x {camera['height']} pixels{more}"
+
+
+def _data_lines(facts: dict[str, Any], anchors: int) -> Iterator[str]:
+    """Yields what the parts of all chunks take."""
+    for name in (*CHUNK_PARTS, "heads"):
+        size = facts["parts"][name]
+        share = size / max(1, facts["bytes"])
+        bits = f"{8 * size / anchors:.2f}" if anchors else "-"
+        yield f"  {name:<12} {'':>4} {'':>4} {'':>10} {size:>10} {share:>7.1%}  {'':<{_BAR}} {bits:>12}"
+
 
 def _chunk_lines(facts: dict[str, Any]) -> Iterator[str]:
     chunks = facts.get("chunks")
     if not chunks:
         return
-    last = chunks.anchors(len(chunks) - 1)
-    yield f"{len(chunks)} chunks of {facts['header']['chunk_size']} anchors, the last one of {last}"
-    yield f"{'bytes of a chunk':<18} {'smallest':>10} {'mean':>12} {'largest':>10}"
-    for part, sizes in zip(_PARTS, chunks.table.T, strict=True):
+    yield f"{len(chunks)} chunks of at most {facts['header']['chunk_size']} anchors"
+    yield f"{'of a chunk':<18} {'smallest':>10} {'mean':>12} {'largest':>10}"
+    for field, words in _SHOWN.items():
+        sizes = chunks.table[field]
         mean = int(sizes.sum(dtype=np.uint64)) / len(sizes)
-        yield f"  {part + 's':<16} {sizes.min():>10} {mean:>12.1f} {sizes.max():>10}"
+        yield f"  {words:<16} {sizes.min():>10} {mean:>12.1f} {sizes.max():>10}"

@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 import io
-from collections import deque
+import itertools
 from collections.abc import Callable, Iterator
 from dataclasses import replace
 
 import numpy as np
 
 from ..bitstream.codec import Parsed, parse
-from ..bitstream.directory import SECTIONS
 from ..bitstream.entropy import TraceRow
 from ..bitstream.errors import BitstreamError
 from ..bitstream.positions import POSITION_BYTES
@@ -25,33 +24,30 @@ def trace(data: bytes, write: Callable[[str], object]) -> Parsed:
     Raises the BitstreamError of a file that is refused, after the lines of what was read before it.
     """
     write("path\tkind\tmean\tscale\tvalue\n")
-    waiting = deque(_trace_parts(data))
-    stage = ""
+    waiting = _trace_parts(data)
+    held: list[Row] = []
 
-    def show(part: int, end: int) -> None:
-        """Writes the elements up to those of a part, but none that starts after the byte `end`."""
-        while waiting and waiting[0][0] <= part:
-            for row in waiting.popleft()[1]:
-                if row.start > end:
-                    return
-                write(f"{row.path}\t{row.kind}\t-\t-\t{value_text(row) or row.value.hex()}\n")
+    def show(end: int) -> None:
+        """Writes the elements that start before the byte `end`."""
+        for row in itertools.chain(held[:], waiting):
+            held.clear()
+            if row.start >= end:
+                held.append(row)
+                return
+            write(f"{row.path}\t{row.kind}\t-\t-\t{value_text(row) or row.value.hex()}\n")
 
     def symbol(row: TraceRow) -> None:
-        nonlocal stage
-        # Elements come before the first symbol that is decoded after them.
-        now = row.path[:5]
-        if now != stage:
-            stage = now
-            show(_ORDER[now], len(data))
+        # The head of a substream comes before its symbols.
+        show(row.substream + 1)
         write(f"{row.path}\t{row.family}\t{row.mean}\t{row.scale}\t{row.value}\n")
 
     try:
         parsed = parse(data, trace=symbol)
     except BitstreamError as error:
         # The last element is the one that the error points at.
-        show(_LAST, error.offset)
+        show(error.offset + 1)
         raise
-    show(_LAST, len(data))
+    show(len(data))
     return parsed
 
 
@@ -74,27 +70,23 @@ def symbol_trace(data: bytes, write: Callable[[str], object]) -> Parsed:
             write(text.getvalue())
 
 
-# For the beginning of a symbol's path, the last part of _trace_parts that comes before the symbol.
-_ORDER = {"weigh": 0, "plane": 0, "posit": 1, "masks": 1, "attri": 2}
-_LAST = 2
-
-
-def _trace_parts(data: bytes) -> Iterator[tuple[int, Iterator[Row]]]:
-    """Yields the elements that are no symbols, in file order, with the part of the decoding that they belong to."""
+def _trace_parts(data: bytes) -> Iterator[Row]:
+    """Yields the elements that are no symbols, in file order. Raw positions are values, one by one."""
     outline = outline_of(data)
+    yield from rows_of(data, replace(outline, sections=[]))
+    anchor = 0
+    for place in outline.sections:
+        for row in section_rows(data, outline, place):
+            if row.kind.startswith("f16["):
+                yield from _position_rows(data, row, anchor)
+                anchor += (row.end - row.start) // POSITION_BYTES
+            else:
+                yield row
 
-    yield 0, rows_of(data, replace(outline, sections=[]))
-    parts = {"chunk_table": 1, "positions": 1, "masks": 1, "attributes": _LAST}
-    for kind, start, end in outline.sections:
-        name = SECTIONS.get(kind, "")
-        if name == "positions" and not outline.position_mode:
-            yield 1, _position_rows(data, start, end)
-        else:
-            yield parts.get(name, 0 if name else _LAST), section_rows(data, outline, kind, start, end)
 
-
-def _position_rows(data: bytes, start: int, end: int) -> Iterator[Row]:
-    """Yields raw positions, value by value."""
-    values = np.frombuffer(data, "<f2", max(0, end - start) // POSITION_BYTES * 3, start)
+def _position_rows(data: bytes, part: Row, anchor: int) -> Iterator[Row]:
+    """Yields raw positions of a chunk, value by value. anchor: its first one."""
+    values = np.frombuffer(data, "<f2", (part.end - part.start) // 2, part.start)
     for i, value in enumerate(values):
-        yield Row(start + 2 * i, start + 2 * i + 2, f"positions[{i // 3},{i % 3}]", "f16", value)
+        at = part.start + 2 * i
+        yield Row(at, at + 2, f"positions[{anchor + i // 3},{i % 3}]", "f16", value)

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ..bitstream.header import RenderInfo
+from ..bitstream.cameras import NamedCamera
 from ..files.documents import parse_json
 
 F64 = NDArray[np.float64]
@@ -68,20 +68,19 @@ def rotation_matrix(quaternion: F64) -> F64:
     return np.moveaxis(np.array(rows), (0, 1), (-2, -1))
 
 
-def default_camera(info: RenderInfo) -> Camera:
-    """SPEC 5.5 and 14.2: returns the camera that a file states."""
-    quaternion = np.array(info.camera_rotation, np.float64)
+def default_camera(stated: NamedCamera) -> Camera:
+    """SPEC 5.17 and 14.2: returns a camera that a file states."""
+    quaternion = np.array(stated.rotation, np.float64)
     # The quaternion is scaled first. Every finite one but zero is allowed, and squares of large numbers are infinite.
     quaternion /= np.abs(quaternion).max()
     return Camera(
         OWN,
-        info.camera_width,
-        info.camera_height,
-        *info.camera_focal,
-        info.camera_width / 2,
-        info.camera_height / 2,
+        stated.width,
+        stated.height,
+        *stated.focal,
+        *stated.principal_point,
         rotation_matrix(quaternion / np.linalg.norm(quaternion)),
-        np.array(info.camera_translation, np.float64),
+        np.array(stated.translation, np.float64),
     )
 
 

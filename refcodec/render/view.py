@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 from PIL import Image
 from PIL.PngImagePlugin import PngInfo
 
+from ..bitstream.cameras import NamedCamera, cameras
 from ..bitstream.dimensions import RENDERING
-from ..bitstream.header import RenderInfo
 from ..bitstream.reconstruction import reconstruct
 from ..bitstream.scene import Scene
 from ..folder.uncompressed import Uncompressed
@@ -38,11 +38,12 @@ MARK = "refcodec"
 class View:
     """A scene that cameras look at.
 
-    info: its render information. values: its float32 values. masks: bool [N, K]. networks: the rendering networks.
+    info: its render information. camera: its default view. values: its float32 values. masks: bool [N, K].
+    networks: the rendering networks.
     """
 
     def __init__(self, scene: Scene | Uncompressed) -> None:
-        self.info, self.masks = scene.render, scene.masks
+        self.info, self.masks, self.camera = scene.render, scene.masks, default_view(scene)
         self.values = reconstruct(scene) if isinstance(scene, Scene) else scene.values
         self.networks = {name: scene.networks[name] for name in RENDERING}
 
@@ -64,7 +65,7 @@ class View:
         up[self.info.up_axis // 2] = -1.0 if self.info.up_axis % 2 else 1.0
         side = np.roll(up, 1)
         front = np.cross(up, side)
-        default = own_camera(self.info)
+        default = own_camera(self.camera)
         cameras = []
         for number in range(frames):
             turn, height = 2 * np.pi * number / frames, np.radians(ELEVATION)
@@ -87,14 +88,21 @@ class View:
         return cameras
 
 
+def default_view(scene: Scene | Uncompressed) -> NamedCamera:
+    """Returns the default view of a scene. A scene without cameras has one at the world's origin."""
+    if isinstance(scene, Scene):
+        return next(iter(cameras(scene.ancillary)), NamedCamera())
+    return scene.camera
+
+
 def orbit_name(number: int) -> str:
     """Returns the name of a camera of View.orbit."""
     return f"orbit-{number:04d}"
 
 
-def own_camera(info: RenderInfo) -> Camera:
+def own_camera(stated: NamedCamera) -> Camera:
     """Returns the camera that a file states, with fewer pixels if a side of its image is longer than SIDE_MAX."""
-    camera = default_camera(info)
+    camera = default_camera(stated)
     longer = max(camera.width, camera.height)
     if longer <= SIDE_MAX:
         return camera

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import json
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -11,6 +12,7 @@ import numba
 import numpy as np
 import torch
 
+from ..bitstream.metadata import with_metadata
 from ..bitstream.scene import Scene
 from ..files.stage import write_file
 from ..files.terminal import note
@@ -52,12 +54,13 @@ def train(
     progress: bool,
     keep_state: bool = False,
     log: Log | None = None,
+    metadata: Mapping[str, str] | None = None,
 ) -> Trained:
     """Trains, and writes the scene folder and training.json. What it begins with is said on stderr.
 
     threads: of the rasteriser; all else uses one, so that no result depends on it. resume: from the saved state.
     progress: whether lines tell of it where there is no terminal. keep_state: whether the saved state stays after the
-    end, so that more steps can follow. log: gets the history.
+    end, so that more steps can follow. log: gets the history. metadata: entries of SPEC 6.14, for a coded scene.
 
     A state that cannot be saved does not end the training. A scene that cannot be written to `output` is written among
     the temporary files, and the error says where.
@@ -78,6 +81,8 @@ def train(
     if whole and keep_state:
         keep()
     result = trainer.result()
+    if metadata and isinstance(result, Scene):
+        result = replace(result, ancillary=with_metadata(result.ancillary, metadata))
     told = report(trainer, result)
     said = json.dumps(told, indent=1) + "\n"
 

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from ..bitstream.attributes import KINDS, SCALINGS, Attributes
+from ..bitstream.cameras import CAMERAS, NamedCamera, emit_cameras
 from ..bitstream.chunks import chunk_ranges
 from ..bitstream.codec import derive_steps
 from ..bitstream.dimensions import Dimensions
@@ -18,7 +20,8 @@ from ..bitstream.networks import Layer
 from ..bitstream.planes import PLANE_SYMBOL_MAX
 from ..bitstream.positions import encode_positions
 from ..bitstream.reconstruction import Reconstruction
-from ..bitstream.scene import Scene
+from ..bitstream.scene import Ancillary, Scene
+from ..bitstream.source import pad4
 from ..bitstream.weights import emit_weights
 from ..encoder.masks import mask_model
 from ..encoder.positions import morton_order, position_model
@@ -27,8 +30,7 @@ from ..encoder.sizes import CHUNK_SIZE, choose_lanes
 from ..encoder.weights import exact_networks, weight_scales
 from ..folder.uncompressed import Uncompressed
 from ..render.camera import Camera
-from .entropy.hyperprior import VectorMatrix
-from .entropy.model import OFFSETS, SLICES
+from .entropy.model import OFFSETS, RateModel
 from .entropy.units import PLANE_SHIFT
 from .parts.rate import Rate
 from .rendering_networks import RENDER_WIDTH
@@ -37,27 +39,35 @@ from .start import lattice_positions
 
 
 def render_info(scaffold: Scaffold, cameras: list[Camera], background: tuple[int, int, int]) -> RenderInfo:
-    """SPEC 6.5 of a scene: the first camera of the world is its own, and up is the axis that is nearest to theirs."""
+    """SPEC 6.5 of a scene: up is the axis that is nearest to that of the cameras."""
     ups = -np.mean([c.rotation[1] for c in cameras], axis=0)
     axis = int(np.abs(ups).argmax())
-    first = cameras[0]
-    w, x, y, z = Rotation.from_matrix(first.rotation).as_quat(scalar_first=True).astype(np.float32).tolist()
-    focal = np.array([first.fx, first.fy], np.float32).tolist()
-    at = first.translation.astype(np.float32).tolist()
     return RenderInfo(
         background=background,
         up_axis=2 * axis + int(ups[axis] < 0),
         near_plane=float(np.float32(scaffold.near * scaffold.units.length)),
         distance_unit=scaffold.units.length,
-        camera_width=first.width,
-        camera_height=first.height,
-        camera_focal=(focal[0], focal[1]),
-        camera_rotation=(w, x, y, z),
-        camera_translation=(at[0], at[1], at[2]),
     )
 
 
-def uncompressed(scaffold: Scaffold, render: RenderInfo) -> Uncompressed:
+def default_view(camera: Camera) -> NamedCamera:
+    """SPEC 5.17: returns a camera as a file states it. Its numbers are rounded to float32."""
+
+    def rounded(values: Any) -> Any:
+        return tuple(np.asarray(values).astype(np.float32).tolist())
+
+    return NamedCamera(
+        "default",
+        camera.width,
+        camera.height,
+        rounded([camera.fx, camera.fy]),
+        rounded([camera.cx, camera.cy]),
+        rounded(Rotation.from_matrix(camera.rotation).as_quat(scalar_first=True)),
+        rounded(camera.translation),
+    )
+
+
+def uncompressed(scaffold: Scaffold, render: RenderInfo, camera: NamedCamera) -> Uncompressed:
     """The scene as it is, in world units."""
     n = scaffold.count
     positions = scaffold.units.origin + scaffold.lattice * (scaffold.units.cell * scaffold.units.length)
@@ -65,43 +75,43 @@ def uncompressed(scaffold: Scaffold, render: RenderInfo) -> Uncompressed:
     values = Reconstruction(
         positions.astype(np.float32), tables["features"], tables["scalings"], tables["offsets"].reshape(n, OFFSETS, 3)
     )
-    return Uncompressed(values, np.ones((n, OFFSETS), bool), scaffold.networks.layers(), render)
+    return Uncompressed(values, np.ones((n, OFFSETS), bool), scaffold.networks.layers(), render, camera)
 
 
-def _dimensions(coding: dict[str, list[Layer]], channels: int, plane_size: int) -> Dimensions:
-    """SPEC 5.3, from F_h, SARM and CARM and the planes' sizes."""
-    hyper, sarm, carm = (tuple(len(b) for _, b in coding[name][:-1]) for name in ("hyper", "sarm", "carm.1"))
-    frequencies = VectorMatrix.frequencies
-    return Dimensions(OFFSETS, SLICES, channels, frequencies, plane_size, hyper, sarm, carm, RENDER_WIDTH)
-
-
-def weight_bytes(
-    coding: dict[str, list[Layer]], rendering: dict[str, list[Layer]], channels: int, plane_size: int, lanes: Lanes
-) -> int:
-    """Bytes of the section of weights in mode 1 (SPEC 5.8).
-
-    coding: F_h, SARM and CARM. channels, plane_size: ch and B. Raises networks.BoundError.
-    """
-    d = _dimensions(coding, channels, plane_size)
-    networks = exact_networks({name: {**coding, **rendering}[name] for name in d.network_shapes()})
-    return len(
-        emit_weights(
-            PLANE_SHIFT, np.zeros(d.carm_inputs, np.uint8), networks, weight_scales(networks), d, 1 << lanes.attribute
-        )
+def _dimensions(model: RateModel, coding: dict[str, list[Layer]]) -> Dimensions:
+    """SPEC 5.3, of a model. coding: its networks."""
+    hyper, sarm, carm = (
+        tuple(len(bias) for _, bias in coding.get(name, [])[:-1]) for name in ("hyper", "sarm", "carm.1")
     )
+    _, channels, plane_size, _ = model.latents.shape
+    frequencies = coding["hyper"][0][0].shape[1] // 2 - channels
+    columns = model.columns
+    return Dimensions(
+        columns.offsets, columns.slices, channels, frequencies, plane_size, hyper, sarm, carm, RENDER_WIDTH
+    )
+
+
+def weight_bytes(model: RateModel, rendering: dict[str, list[Layer]], lanes: Lanes) -> int:
+    """Bytes of the section of weights in mode 1 (SPEC 5.8), with its padding. Raises networks.BoundError."""
+    coding = model.networks()
+    d = _dimensions(model, coding)
+    networks = exact_networks({name: {**coding, **rendering}[name] for name in d.network_shapes()})
+    content = emit_weights(
+        PLANE_SHIFT, np.zeros(d.carm_inputs, np.uint8), networks, weight_scales(networks), d, 1 << lanes.attribute
+    )
+    return pad4(len(content))
 
 
 def position_bytes(lattice: NDArray[np.int64], lanes: Lanes) -> int:
-    """Bytes of the section of positions in mode 1 (SPEC 5.11), of distinct cells int64 [N, 3]."""
+    """Bytes of packed positions (SPEC 5.14), of distinct cells int64 [N, 3]."""
     half = lattice_positions(lattice)
     half = half[morton_order(half)]
-    parts = encode_positions(
-        position_model(half, CHUNK_SIZE), half, chunk_ranges(len(half), CHUNK_SIZE), 1 << lanes.mask
-    )
-    return sum(len(part) for part in parts)
+    counts = [len(chunk) for chunk in chunk_ranges(len(half), CHUNK_SIZE)]
+    parts = encode_positions(position_model(half, CHUNK_SIZE), half, counts, 1 << lanes.mask)
+    return sum(len(content) for _, content in parts)
 
 
-def coded_scene(scaffold: Scaffold, rate: Rate, render: RenderInfo) -> Scene:
+def coded_scene(scaffold: Scaffold, rate: Rate, render: RenderInfo, camera: NamedCamera) -> Scene:
     """The scene of integers: steps follow from the networks, symbols from the steps.
 
     Anchors without a kept offset are left out. The rest is sorted along a Morton curve (B.1). Raises ValueError for
@@ -117,7 +127,7 @@ def coded_scene(scaffold: Scaffold, rate: Rate, render: RenderInfo) -> Scene:
     rows, half = rows[order], half[order]
     count, masks = len(rows), kept[rows]
     networks = {**model.networks(), **scaffold.networks.layers()}
-    d = _dimensions(networks, planes.shape[1], planes.shape[2])
+    d = _dimensions(model, networks)
     empty = Attributes(
         np.zeros((count, d.features), np.int32),
         np.zeros((count, SCALINGS), np.int32),
@@ -133,7 +143,7 @@ def coded_scene(scaffold: Scaffold, rate: Rate, render: RenderInfo) -> Scene:
         grid=scaffold.units.grid,
         render=render,
         frame=rate.frame,
-        plane_shift=PLANE_SHIFT,
+        plane_shift=PLANE_SHIFT if d.plane_channels else 0,
         carm_shift=np.zeros(d.carm_inputs, np.uint8),
         networks={name: networks[name] for name in d.network_shapes()},
         planes=np.clip(planes, -PLANE_SYMBOL_MAX, PLANE_SYMBOL_MAX).astype(np.int16),
@@ -141,6 +151,7 @@ def coded_scene(scaffold: Scaffold, rate: Rate, render: RenderInfo) -> Scene:
         positions=half,
         masks=masks,
         attributes=empty,
+        ancillary=(Ancillary(CAMERAS, 0, emit_cameras([camera])),),
     )
     steps = derive_steps(scene)
     values = {name: scaffold.tables[name].cpu().numpy()[rows] for name in KINDS}

@@ -20,8 +20,8 @@ from torch import Tensor
 from ..bitstream.attributes import KINDS
 from ..bitstream.batches import Progress
 from ..bitstream.codec import derive_steps
-from ..bitstream.dimensions import Dimensions
-from ..bitstream.limits import MAIN
+from ..bitstream.dimensions import RENDERING, Dimensions
+from ..bitstream.limits import MAIN, PROFILES, dimension_fault
 from ..bitstream.networks import Layer
 from ..bitstream.planes import PLANE_SYMBOL_MAX, PLANES
 from ..bitstream.scene import Scene
@@ -30,14 +30,15 @@ from ..encoder.frame import choose_frame
 from ..encoder.positions import choose_grid
 from ..encoder.quantise import carm_shifts, order_anchors, quantise
 from ..encoder.quantise import symbols as to_symbols
-from ..encoder.sizes import choose_plane_size, choose_width
-from .entropy.hyperprior import VectorMatrix
-from .entropy.model import FEATURES, OFFSETS, SARM_WIDTH, SLICES, RateModel
+from ..encoder.sizes import choose_plane_size, choose_slices, choose_width
+from .entropy.columns import Columns
+from .entropy.hyperprior import VectorMatrix, contexts_of
+from .entropy.model import SARM_WIDTH, RateModel
 from .entropy.units import PLANE_SHIFT, STEP_ONE
 from .fit_input import Given
 from .optimisers import moments, restore_moments
 from .rendering_networks import RENDER_WIDTH
-from .settings import FitSettings, QuantisationSettings
+from .settings import EntropySettings, FitSettings, QuantisationSettings
 from .settings_file import document
 from .state import Keeper, Saved, is_saved, restore
 from .voxelise import display_networks
@@ -58,7 +59,7 @@ def fit(
     progress: Progress | None = None,
     state: str | Path | None = None,
 ) -> FitResult:
-    """Fits the coding networks and planes of Main to anchors (50 features, 10 offsets), and quantises them.
+    """Fits the coding networks and planes of Main to anchors, and quantises them.
 
     settings: None for the defaults. state: a file where training saves itself, and from which it goes on if it exists.
     An interrupt (Ctrl-C) ends training early and leaves a whole scene. Equal arguments and threads give equal results.
@@ -95,26 +96,48 @@ def base_steps(cloud: AnchorCloud, steps: QuantisationSettings) -> tuple[float, 
     return features, scalings, offsets
 
 
-def fit_dimensions(cloud: AnchorCloud) -> Dimensions:
-    """Main's dimensions (SPEC 11.1, B.3). Raises ValueError if the anchors do not have 50 features and 10 offsets."""
-    features, offsets = cloud.features.shape[1], cloud.masks.shape[1]
-    if (features, offsets) != (FEATURES, OFFSETS):
-        raise ValueError(f"{features} features and {offsets} offsets; Main has {FEATURES} and {OFFSETS}")
-    width, plane_size = choose_width(len(cloud.positions)), choose_plane_size(len(cloud.positions))
-    channels, frequencies = VectorMatrix.channels, VectorMatrix.frequencies
-    return Dimensions(OFFSETS, SLICES, channels, frequencies, plane_size, (width,), SARM_WIDTH, (width,), RENDER_WIDTH)
+def fit_dimensions(cloud: AnchorCloud, settings: EntropySettings, render_width: int = RENDER_WIDTH) -> Dimensions:
+    """The dimensions of a scene of some anchors (SPEC B.3).
+
+    render_width: of the rendering networks. Raises ValueError for a scene that Main does not hold (SPEC 11.1).
+    """
+    count, features = cloud.features.shape
+    slices = choose_slices(features, settings.slices) if features else ()
+    planes, inputs = settings.channels > 0, settings.channels + settings.frequencies > 0
+    hidden = (choose_width(count),) * settings.layers
+    d = Dimensions(
+        offset_count=cloud.masks.shape[1],
+        slices=slices,
+        plane_channels=settings.channels,
+        frequency_count=settings.frequencies,
+        plane_size=choose_plane_size(count) if planes else 0,
+        hyper_width=hidden if inputs else (),
+        sarm_width=SARM_WIDTH if planes else (),
+        carm_width=hidden if len(slices) > 1 else (),
+        render_width=render_width,
+    )
+    fault = dimension_fault(PROFILES[MAIN], d)
+    if fault:
+        field, found, allowed = fault
+        raise ValueError(f"{field} would be {found}, {allowed} is allowed (SPEC.md 11.1)")
+    return d
 
 
 def _rendering(given: Given, d: Dimensions) -> dict[str, list[Layer]]:
-    """The rendering networks. Raises ValueError for networks that are not of Main's shapes."""
+    """The rendering networks. Raises ValueError for networks that do not fit the anchors."""
     if given.networks is None:
         return display_networks(d)
     shapes = d.network_shapes()
-    for name, layers in given.networks.items():
-        found = [weight.shape for weight, _ in layers]
+    for name in RENDERING:
+        found = [weight.shape for weight, _ in given.networks[name]]
         if found != list(shapes[name]):
-            raise ValueError(f"the rendering network {name} has layers {found}; Main has {list(shapes[name])}")
+            raise ValueError(f"the rendering network {name} has layers {found}; {list(shapes[name])} is required")
     return given.networks
+
+
+def _render_width(given: Given) -> int:
+    """The width of the rendering networks' hidden layer."""
+    return len(given.networks[RENDERING[0]][0][1]) if given.networks else RENDER_WIDTH
 
 
 def _start(given: Given, settings: FitSettings) -> Scene:
@@ -127,7 +150,7 @@ def _start(given: Given, settings: FitSettings) -> Scene:
         # Some anchors lie farther from the middle than fp16 reaches on the lattice.
         grid = choose_grid(cloud.positions)
         ordered, half = order_anchors(cloud, grid)
-    d = fit_dimensions(ordered)
+    d = fit_dimensions(ordered, settings.entropy, _render_width(given))
     base_step = base_steps(cloud, settings.scene if given.networks else settings.quantisation)
     networks: dict[str, list[Layer]] = {
         name: [(np.zeros(shape, np.float32), np.zeros(shape[0], np.float32)) for shape in shapes]
@@ -140,21 +163,22 @@ def _start(given: Given, settings: FitSettings) -> Scene:
         cloud,
         dimensions=d,
         networks=networks,
-        frame=choose_frame(half),
+        frame=choose_frame(half) if d.has_frame else None,
         grid=grid,
         planes=np.zeros((PLANES, d.plane_channels, d.plane_size, d.plane_size), np.int16),
-        plane_shift=PLANE_SHIFT,
+        plane_shift=PLANE_SHIFT if d.plane_channels else 0,
         carm_shift=carm_shifts(to_symbols(ordered.features, steps, base_step[0]), d.carm_inputs),
         base_step=base_step,
         render=given.render,
         profile=MAIN,
+        camera=given.camera,
     )
 
 
 def _columns(scene: Scene) -> NDArray[np.float32]:
     """The symbols of all attributes, float32 [N, D]."""
     a = scene.attributes
-    offsets = a.offsets.reshape(scene.anchor_count, 3 * OFFSETS)
+    offsets = a.offsets.reshape(scene.anchor_count, 3 * scene.dimensions.offset_count)
     return np.concatenate([a.features, a.scalings, offsets], axis=1).astype(np.float32)
 
 
@@ -186,10 +210,18 @@ class _Fitting:
         self.kept = torch.from_numpy(scene.masks.astype(np.float32))
         self.count = scene.anchor_count
         self.symbol_count = (d.features + a.scalings.shape[1]) * self.count + 3 * float(self.kept.sum())
-        hyperprior, start = VectorMatrix(), torch.Generator().manual_seed(settings.seed)
-        self.contexts = hyperprior.contexts(scene.frame, scene.positions, d.plane_size)
+        hyperprior = VectorMatrix(d.plane_channels, d.frequency_count)
+        start = torch.Generator().manual_seed(settings.seed)
+        self.contexts = contexts_of(hyperprior, scene.frame, scene.positions, d.plane_size)
         self.model = RateModel(
-            hyperprior, d.plane_size, d.hyper_width[0], *_statistics(scene), start, settings.entropy, scene.carm_shift
+            hyperprior,
+            d.plane_size,
+            choose_width(self.count),
+            *_statistics(scene),
+            start,
+            settings.entropy,
+            scene.carm_shift,
+            Columns(d.slices, d.offset_count),
         )
         groups = [{"params": [self.model.latents]}, {"params": self.model.coding_parameters()}]
         self.optimiser = torch.optim.Adam(groups)

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
+from ..bitstream.cameras import NamedCamera, cameras
 from ..bitstream.dimensions import RENDERING
 from ..bitstream.header import PositionGrid, RenderInfo
 from ..bitstream.networks import Layer
@@ -26,7 +27,7 @@ class Given:
 
     voxel: edge of the lattice of their positions, world units; None if it is not known. grid: that of the coded scene
     that they come from. networks: the rendering networks of SPEC 14.3; None where features 0 to 2 are logits of colour,
-    as voxelise makes them. render: SPEC 6.5.
+    as voxelise makes them. render: SPEC 6.5. camera: the default view, or None if what is given has none.
     """
 
     cloud: AnchorCloud
@@ -34,6 +35,7 @@ class Given:
     grid: PositionGrid | None = None
     networks: dict[str, list[Layer]] | None = None
     render: RenderInfo = field(default_factory=RenderInfo)
+    camera: NamedCamera | None = None
 
 
 def read_given(path: str | Path, voxel: float | None = None) -> Given:
@@ -69,13 +71,14 @@ def _folder_of(cloud: Path) -> Path:
 def _read_scene(folder: Path, voxel: float | None) -> Given:
     if is_uncompressed(folder):
         plain = read_uncompressed(folder)
-        return Given(_cloud(plain.values, plain.masks), voxel, None, plain.networks, plain.render)
+        return Given(_cloud(plain.values, plain.masks), voxel, None, plain.networks, plain.render, plain.camera)
     if not there(folder / SCENE_FILE, _ADVICE):
         raise ValueError(f"{folder} has neither {SCENE_FILE} nor {RENDER_FILE}: it is no scene folder")
     scene = read_folder(folder)
     networks = {name: scene.networks[name] for name in RENDERING}
     grid = None if voxel else scene.grid
-    return Given(_cloud(reconstruct(scene), scene.masks), voxel, grid, networks, scene.render)
+    camera = next(iter(cameras(scene.ancillary)), None)
+    return Given(_cloud(reconstruct(scene), scene.masks), voxel, grid, networks, scene.render, camera)
 
 
 def _cloud(values: Reconstruction, masks: np.ndarray) -> AnchorCloud:

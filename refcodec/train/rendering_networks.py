@@ -11,23 +11,25 @@ from torch.nn import functional
 from ..bitstream.dimensions import RENDERING
 from ..bitstream.networks import Layer
 from ..encoder.weights import rendering_exponent
-from .entropy.model import FEATURES, OFFSETS
+from .entropy.columns import Columns
 from .entropy.units import grid_through
 
 # SPEC 11.1: units of the hidden layer in Main.
 RENDER_WIDTH = 50
-# An anchor's feature, the direction and the distance from the camera.
-INPUTS = FEATURES + 4
-OUTPUTS = dict(zip(RENDERING, (OFFSETS, 7 * OFFSETS, 3 * OFFSETS), strict=True))
+# Beside an anchor's features: the direction and the distance from the camera.
+VIEW_INPUTS = 4
 
 
 class RenderNetworks(nn.Module):
     """SPEC 14.3's networks, with one hidden layer each, as torch starts linear layers."""
 
-    def __init__(self, generator: torch.Generator) -> None:
+    def __init__(self, columns: Columns, generator: torch.Generator) -> None:
+        """columns: of the attributes."""
         super().__init__()
-        for name, width in OUTPUTS.items():
-            for layer, (fan_in, out) in enumerate(((INPUTS, RENDER_WIDTH), (RENDER_WIDTH, width))):
+        inputs = columns.features + VIEW_INPUTS
+        for name, outputs in zip(RENDERING, (1, 7, 3), strict=True):
+            shapes = ((inputs, RENDER_WIDTH), (RENDER_WIDTH, outputs * columns.offsets))
+            for layer, (fan_in, out) in enumerate(shapes):
                 bound = 1 / math.sqrt(fan_in)
                 weight, bias = (
                     nn.Parameter((torch.rand(shape, generator=generator) * 2 - 1) * bound)
@@ -63,7 +65,7 @@ class RenderNetworks(nn.Module):
     def forward(self, inputs: Tensor) -> tuple[Tensor, Tensor, Tensor]:
         """Opacities before masks [n, K], covariance [n, 7 K], colour before its logistic function [n, 3 K].
 
-        inputs: float32 [n, 54].
+        inputs: float32 [n, F + 4].
         """
         p = self._values()
         weight, bias = (torch.cat([p[f"{name}_0_{kind}"] for name in RENDERING]) for kind in ("weight", "bias"))

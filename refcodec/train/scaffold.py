@@ -12,7 +12,8 @@ from torch import Tensor
 
 from ..photographs.photographs import PhotographSet
 from ..render.camera import Camera
-from .entropy.model import OFFSETS, WIDTHS
+from .entropy.columns import Columns
+from .entropy.model import OFFSETS
 from .rendering_networks import RenderNetworks
 from .settings import TrainSettings
 from .spawn import spawn
@@ -22,8 +23,8 @@ from .visible import visible
 
 I64 = NDArray[np.int64]
 
-# Columns of each table of the anchors.
-COLUMNS = {"features": WIDTHS["features"], "offsets": 3 * OFFSETS, "scalings": WIDTHS["scalings"], "masks": OFFSETS}
+# The tables of the anchors.
+TABLES = ("features", "offsets", "scalings", "masks")
 
 # Mean, quaternion, lengths, opacity and colour of some Gaussians.
 Gaussians = tuple[Tensor, Tensor, Tensor, Tensor, Tensor]
@@ -32,9 +33,9 @@ Gaussians = tuple[Tensor, Tensor, Tensor, Tensor, Tensor]
 class Scaffold:
     """The anchors of a scene in training, and its rendering networks.
 
-    tables: float32 [N, columns] each. These are features, offsets (in units of exp(scalings[:3])), scalings (natural
-    logarithms of world lengths) and masks (logits). first, second: their moments (adam_rows). lattice: int64 [N, 3],
-    cells from the grid's origin. position: float32 [N, 3], training units.
+    columns: of the attributes. tables: float32 [N, columns] each. These are features, offsets (in units of
+    exp(scalings[:3])), scalings (natural logarithms of world lengths) and masks (logits). first, second: their moments
+    (adam_rows). lattice: int64 [N, 3], cells from the grid's origin. position: float32 [N, 3], training units.
 
     The lattice is NumPy's. All else is on the training's device.
     """
@@ -51,18 +52,23 @@ class Scaffold:
         found = first_anchors(photographs, settings.start, settings.seed)
         self.units, self.lattice, self.near = found.units, found.lattice, settings.start.near
         n = len(self.lattice)
-        self.tables = {name: torch.zeros(n, columns, device=self.device) for name, columns in COLUMNS.items()}
+        self.columns = Columns(settings.entropy.slices, OFFSETS)
+        self.tables = {name: torch.zeros(n, self._width(name), device=self.device) for name in TABLES}
         self.first, self.second = ({name: torch.zeros_like(t) for name, t in self.tables.items()} for _ in range(2))
         self.tables["features"][:, :3] = torch.from_numpy(found.colours).float()
         self.tables["scalings"][:] = torch.from_numpy(np.log(found.sizes)).float()[:, None]
         self.tables["masks"].fill_(settings.masks.start)
-        self.networks = RenderNetworks(generator).to(self.device)
+        self.networks = RenderNetworks(self.columns, generator).to(self.device)
         self.place()
 
     @property
     def count(self) -> int:
         """N."""
         return len(self.lattice)
+
+    def _width(self, table: str) -> int:
+        """How many columns a table has."""
+        return {**self.columns.widths, "masks": self.columns.offsets}[table]
 
     def place(self) -> None:
         """Sets the positions; to be called when the lattice has changed."""
@@ -135,9 +141,9 @@ class Scaffold:
         """Sets what `state` gave. Raises ValueError."""
         self.lattice = state.tensor("lattice", (None, 3), torch.int64, -LATTICE_MAX, LATTICE_MAX).numpy()
         for kind, tables in (("tables", self.tables), ("first", self.first), ("second", self.second)):
-            for name, columns in COLUMNS.items():
+            for name in TABLES:
                 # The second moments are means of squares.
-                low = 0 if kind == "second" else -math.inf
-                tables[name] = state.tensor(f"{kind}.{name}", (self.count, columns), low=low).to(self.device)
+                low, shape = 0 if kind == "second" else -math.inf, (self.count, self._width(name))
+                tables[name] = state.tensor(f"{kind}.{name}", shape, low=low).to(self.device)
         state.module("networks.", self.networks)
         self.place()

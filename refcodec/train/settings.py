@@ -42,6 +42,11 @@ def setting(
     return field(default=default, metadata=notes)
 
 
+# SPEC 11.1: the most features and slices of features in Main. The first features begin as a colour.
+FEATURES_MAX, COLOURS = 128, 3
+SLICES_MAX = 16
+
+
 # --- learning rates ---------------------------------------------------------------------------------------------------
 
 
@@ -233,6 +238,31 @@ class SamplingSettings:
 class EntropySettings:
     """The entropy model in training: planes, F_h, SARM and CARM."""
 
+    channels: int = setting(
+        8, "channels of the planes; 0 for none, which saves bytes where anchors are few", PRO, low=0, high=16
+    )
+    frequencies: int = setting(
+        10,
+        "frequencies of the positional encoding; with none and without planes F_h is a row of constants",
+        PRO,
+        low=0,
+        high=16,
+    )
+    layers: int = setting(
+        1,
+        "hidden layers of F_h and CARM; 0 saves bytes where anchors are few; F_h of constants has none",
+        PRO,
+        low=0,
+        high=2,
+    )
+    slices: tuple[int, ...] = setting(
+        (5, 10, 15, 20),
+        "features of each slice, 16 slices at most: a training's anchors have as many features as these add up to; "
+        "a fit takes the features that there are, in slices of these proportions",
+        PRO,
+        low=1,
+        high=64,
+    )
     planes: float = setting(0.03, "deviation of the planes at first", unit="latents, of 16 plane symbols each", low=0)
     gain: float = setting(0.1, "spread of a last layer's first weights, times the root of its inputs", low=0)
     bias: float = setting(0.2, "largest first bias of a hidden unit; none is negative", low=0)
@@ -245,6 +275,11 @@ class EntropySettings:
         low=1e-12,
         high=0.01,
     )
+
+    def __post_init__(self) -> None:
+        """Raises ValueError for more slices than Main holds (SPEC 11.1)."""
+        if not 1 <= len(self.slices) <= SLICES_MAX:
+            raise ValueError(f"entropy.slices has {len(self.slices)} slices, 1 to {SLICES_MAX} are allowed")
 
 
 @dataclass(frozen=True)
@@ -354,7 +389,8 @@ class TrainSettings:
     masks: MaskSettings = MaskSettings()
     rate: RateSettings = RateSettings()
     sampling: SamplingSettings = SamplingSettings()
-    entropy: EntropySettings = EntropySettings()
+    # Twelve features, where the paper has 50: SPEC.md's Annex C has what each makes in a training of minutes.
+    entropy: EntropySettings = EntropySettings(slices=(2, 2, 4, 4))
     quantisation: QuantisationSettings = QuantisationSettings()
     weights: WeightSettings = WeightSettings()
     learning: LearningSettings = LearningSettings()
@@ -378,6 +414,12 @@ class TrainSettings:
             growth, rate = phase.modes.get("growth", growth), phase.modes.get("rate", rate)
             if rate != "off" and growth != "off":
                 raise ValueError(f"phases.{phase.name} has growth = {growth!r}: anchors cannot change under a rate")
+        features = sum(self.entropy.slices)
+        if not COLOURS <= features <= FEATURES_MAX:
+            raise ValueError(
+                f"entropy.slices has {features} features: {COLOURS}, which begin as an anchor's colour, "
+                f"to {FEATURES_MAX} are allowed"
+            )
         for name in ("rendering_bits", "coarser"):
             least, most = getattr(self.weights, name)
             if least > most:
@@ -415,10 +457,14 @@ class FitSettings:
 
 
 # fast: minutes on two cores.
-# paper: the paper's steps, Scaffold-GS's first voxels, photographs as large as 3DGS takes them.
+# paper: the paper's steps and features, Scaffold-GS's first voxels, photographs as large as 3DGS takes them.
 PRESETS = {
     "fast": TrainSettings(),
     "paper": TrainSettings(
-        steps=40000, size="1600", start=StartSettings(anchors=0), growth=GrowthSettings(most=1 << 20)
+        steps=40000,
+        size="1600",
+        start=StartSettings(anchors=0),
+        growth=GrowthSettings(most=1 << 20),
+        entropy=EntropySettings(),
     ),
 }

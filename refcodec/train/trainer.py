@@ -21,7 +21,7 @@ from ..folder.uncompressed import Uncompressed
 from ..photographs.photographs import PhotographSet
 from .entropy.hyperprior import Hyperprior, VectorMatrix
 from .estimate import coded_bytes, likely_bytes, uncompressed_bytes
-from .export import coded_scene, render_info, uncompressed
+from .export import coded_scene, default_view, render_info, uncompressed
 from .looks import Looks
 from .losses import photometric
 from .pace import Pace
@@ -86,7 +86,8 @@ class Trainer:
         pace = Pace(self.clock, bool(settings.rate.weight))
         self.looks = Looks(settings.looks, self.views, self.estimate, self.clock, pace)
         self.rate: Rate | None = None
-        self.parts += self._compose(hyperprior or VectorMatrix())
+        entropy = settings.entropy
+        self.parts += self._compose(hyperprior or VectorMatrix(entropy.channels, entropy.frequencies))
         self.order: list[int] = []
 
     def _compose(self, hyperprior: Hyperprior) -> list[Part]:
@@ -204,12 +205,12 @@ class Trainer:
         cameras = [p.camera for p in self.photographs.train]
         render = render_info(self.scaffold, cameras, self.photographs.background)
         if self.rate is None:
-            return uncompressed(self.scaffold, render)
+            return uncompressed(self.scaffold, render, default_view(cameras[0]))
         for part in self.parts:
             part.finish()
         if not self.rate.hyperprior.coded:
             raise ValueError("the format does not have this hyperprior")
-        return coded_scene(self.scaffold, self.rate, render)
+        return coded_scene(self.scaffold, self.rate, render, default_view(cameras[0]))
 
     # --- the saved state ----------------------------------------------------------------------------------------------
 

@@ -17,14 +17,15 @@ from benchmarks.peers.mixture import Mixture, mixed_bits
 from refcodec.bitstream.attributes import KINDS
 from refcodec.photographs.photographs import PhotographSet
 from refcodec.train.entropy.hyperprior import VectorMatrix
-from refcodec.train.entropy.model import OFFSETS, WIDTH, RateModel
+from refcodec.train.entropy.model import OFFSETS, PAPER, RateModel
 from refcodec.train.settings import EntropySettings, TrainSettings
 from refcodec.train.settings_file import assigned, varied
 
 
 def model(kind: type[RateModel], hyperprior: Any) -> RateModel:
     random = torch.Generator().manual_seed(0)
-    return kind(hyperprior, 8, 32, np.zeros(WIDTH), np.ones(WIDTH), random, EntropySettings(planes=1.0))
+    likely = np.zeros(PAPER.width), np.ones(PAPER.width)
+    return kind(hyperprior, 8, 32, *likely, random, EntropySettings(planes=1.0), columns=PAPER)
 
 
 # --- tables of signs --------------------------------------------------------------------------------------------------
@@ -88,7 +89,7 @@ def test_a_mixture_begins_as_its_parts_are() -> None:
     """CARM's last layers begin with zeros, so that both distributions are the hyperprior's."""
     random = torch.Generator().manual_seed(5)
     hidden, kept = torch.rand(20, 32, generator=random), torch.ones(20, OFFSETS)
-    symbols = torch.round(3 * torch.randn(20, WIDTH, generator=random))
+    symbols = torch.round(3 * torch.randn(20, PAPER.width, generator=random))
     one, two = model(RateModel, VectorMatrix()), model(Mixture, VectorMatrix())
     torch.testing.assert_close(one.attribute_bits(hidden, symbols, kept), two.attribute_bits(hidden, symbols, kept))
     with torch.no_grad():
@@ -144,7 +145,7 @@ def test_a_context_is_what_the_decoder_has() -> None:
         started=_Halves,
         base_step=torch.tensor([0.2, 0.4, 1.0]),
         quantisation=SimpleNamespace(symbols=lambda values, steps: torch.floor(values[0] / steps + 0.5)),
-        scaffold=SimpleNamespace(tables=tables),
+        scaffold=SimpleNamespace(tables=tables, columns=PAPER),
     )
     hyperprior = Levels()
     hyperprior.rate = cast(Any, rate)
@@ -170,7 +171,7 @@ def test_a_context_is_what_the_decoder_has() -> None:
 def test_a_training_with_each(name: str, photographs: PhotographSet) -> None:
     """It comes to its end, and its bits fall."""
     entry = MODELS[name]
-    small = {"steps": 40, "size": "60", "start.anchors": 250, "growth.most": 300, "looks.count": 1}
+    small = {"steps": 80, "size": "60", "start.anchors": 250, "growth.most": 300, "looks.count": 1}
     trainer = entry.trainer(photographs, assigned(varied(TrainSettings(), small), entry.changes))
     lengths = []
 

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
+from spec_numbers import f32_bits
 
 from conformance.cases.scenes import MAIN_DIMENSIONS, TINY_DIMENSIONS, random_networks
 from refcodec.bitstream import networks
@@ -71,7 +72,7 @@ def test_derived_rows(spec: Spec, rows: list[Row]) -> None:
     """Those of exact arithmetic; no input and no order of summation takes one past 2^24."""
     weight = np.array([w for w, _ in rows], dtype=np.float32)
     bias = np.array([b for _, b in rows], dtype=np.float32)
-    wanted = [spec["DERIVE_ROW"](w, b) for w, b in zip(weight.tolist(), bias.tolist(), strict=True)]
+    wanted = [spec["DERIVE_ROW"](w, b) for w, b in zip(f32_bits(weight), f32_bits(bias), strict=True)]
     if None in wanted:
         with pytest.raises(BoundError) as caught:
             derive_layer(weight, bias)
@@ -147,11 +148,11 @@ def at_the_bound(spec: Spec) -> list[IntLayer]:
             w = rng.normal(0, 1, fan_in) if kind % 3 else rng.choice([-1.0, 1.0], fan_in)
             w *= [1.0, 1e-3, 30.0, 1e-6][kind % 4]
             row = (w * largest_scale(w)).astype(np.float32)
-            integers, _, e = spec["DERIVE_ROW"](row.tolist(), 0.0)
+            integers, _, e = spec["DERIVE_ROW"](f32_bits(row), 0)
             left = ACCUMULATOR_BOUND - 1 - 1023 * sum(map(abs, integers)) - (1 << e) // 2
             bias = float(np.float32(min(left, (1 << 24) - 1) >> e)) * (-1) ** kind
             rows.append(row)
-            biases.append(bias if spec["DERIVE_ROW"](row.tolist(), bias) else 0.0)
+            biases.append(bias if spec["DERIVE_ROW"](f32_bits(row), f32_bits(bias)) else 0.0)
         found.append(derive_layer(np.array(rows, np.float32), np.array(biases, np.float32)))
     return found
 
@@ -203,7 +204,7 @@ def test_networks_at_the_bound(spec: Spec, at_the_bound: list[IntLayer], exact_f
 def test_networks_are_those_of_the_text(spec: Spec, name: str, exact_float: bool, gain: float) -> None:
     layers = random_networks(MAIN_DIMENSIONS, np.random.default_rng(4), gain)[name]
     stated = [
-        [spec["DERIVE_ROW"](w, b) for w, b in zip(weight.tolist(), bias.tolist(), strict=True)]
+        [spec["DERIVE_ROW"](w, b) for w, b in zip(f32_bits(weight), f32_bits(bias), strict=True)]
         for weight, bias in layers
     ]
     inputs = np.random.default_rng(1).integers(-1023, 1024, (9, layers[0][0].shape[1]))

@@ -10,10 +10,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from conformance.cases.scenes import MAIN_DIMENSIONS, random_scene, with_steps
+from conformance.cases.target import Target
 from conformance.fuzz.strategies import position_models, positions, some_positions
-from refcodec.bitstream import codec, directory
+from refcodec.bitstream import codec
 from refcodec.bitstream.chunks import chunk_ranges
-from refcodec.bitstream.codec import parse_container
 from refcodec.bitstream.entropy import TraceRow
 from refcodec.bitstream.errors import BitstreamError
 from refcodec.bitstream.positions import (
@@ -51,8 +51,9 @@ def test_cells(spec: dict, shift: int) -> None:
     """Every fp16 and every cell by the text, and back."""
     bits = np.resize(EVERY, (len(EVERY) // 3 + 1, 3))
     found = cells(bits.view(np.float16), shift)
-    text = [spec["CELL_OF"](int(b), shift) for b in bits.reshape(-1)]
-    assert found.reshape(-1).tolist() == [-1 if c is None else c for c in text]
+    numbers = [spec["CELL_NUMBER"](c, shift) for c in range(1 << 16)]
+    cell_of = {number: c for c, number in enumerate(numbers) if number is not None}
+    assert found.reshape(-1).tolist() == [cell_of.get(b, -1) for b in bits.reshape(-1).tolist()]
     right = (found >= 0).all(axis=1)
     back, fits = cell_positions(found[right], shift)
     assert fits.all()
@@ -60,10 +61,19 @@ def test_cells(spec: dict, shift: int) -> None:
     some = np.random.default_rng(shift).integers(0, 1 << 16, (3000, 3))
     values, fits = cell_positions(some, shift)
     for cell, value, fit in zip(some.tolist(), values.view(np.uint16).tolist(), fits.tolist(), strict=True):
-        numbers = [spec["CELL_NUMBER"](c, shift) for c in cell]
-        assert fit == (None not in numbers)
-        assert not fit or value == numbers
-    assert morton(some).tolist() == [spec["MORTON"](c) for c in some.tolist()]
+        text = [numbers[c] for c in cell]
+        assert fit == (None not in text)
+        assert not fit or value == text
+
+
+def test_morton() -> None:
+    """The number of a cell has the bits of x, y and z in turn, x the lowest, as children are numbered."""
+    some = np.random.default_rng(1).integers(0, 1 << 16, (300, 3))
+    wanted = [
+        sum((c >> bit & 1) << (3 * bit + axis) for bit in range(16) for axis, c in enumerate(cell))
+        for cell in some.tolist()
+    ]
+    assert morton(some).tolist() == wanted
 
 
 @given(st.data())
@@ -74,14 +84,14 @@ def test_round_trip(spec: dict, data: st.DataObject) -> None:
     chunk_size = data.draw(st.integers(1, 40))
     model = data.draw(position_models(where, chunk_size)) or position_model(where, chunk_size)
     chunks = chunk_ranges(count, chunk_size)
-    parts = encode_positions(model, where, chunks, 2)
+    parts = encode_positions(model, where, [len(chunk) for chunk in chunks], 2)
     frequency = [f.tolist() for f in model.frequency]
-    for part, chunk in zip(parts, chunks, strict=True):
-        found, verdict = spec["DECODE_POSITIONS"](part, model.cell_shift, frequency, len(chunk), 2)
+    for (form, part), chunk in zip(parts, chunks, strict=True):
+        found, verdict = spec["DECODE_POSITIONS"](part, form, model.cell_shift, frequency, len(chunk), 2)
         assert verdict is None
         mine = where[chunk.start : chunk.stop]
         assert found == mine.view(np.uint16).tolist()
-        assert (part[0] == PACKED) == (chunk_codes(mine, model.cell_shift) is not None)
+        assert (form == PACKED) == (chunk_codes(mine, model.cell_shift) is not None)
 
 
 @given(st.integers(0, 20).flatmap(positions))
@@ -100,30 +110,28 @@ def test_a_surface_is_small() -> None:
     scene = lattice_scene(3, 3000, chunk_size=1024)
     small = packed(scene, None, "raw")
     data, raw = codec.emit(small), codec.emit(packed(small, "raw", "raw"))
-    sections = parse_container(data).sections
-    assert [s.mode for s in sections.values()] == [0, 0, 0, 0, 1, 0, 0]
-    assert 8 * (sections[directory.POSITIONS].end - sections[directory.POSITIONS].start) < 6 * 3000
+    target = Target(data)
+    assert [s.mode for s in target.header.sections] == [0, 0, 0, 1, 0]
+    spans = [target.part("positions", chunk) for chunk in range(3)]
+    assert 8 * sum(end - start for start, end in spans) < 6 * 3000
     assert len(data) < len(raw) - 5 * 3000
     parsed = codec.parse(data)
     assert codec.emit(parsed.scene) == data
     assert np.array_equal(parsed.scene.positions, scene.positions[morton_order(scene.positions)])
     assert packed(parsed.scene, None, "raw").positions is parsed.scene.positions
+    # The form is a coding parameter: what could be packed may be raw.
+    mixed = replace(parsed.scene, position_forms=(1, 0, 1))
+    assert codec.parse(codec.emit(mixed)).scene.position_forms == (1, 0, 1)
     assert packed(replace(scene, profile=0), None, "raw").position_model is None
-
-
-def test_a_full_cube_takes_mode_0() -> None:
-    where = np.stack(np.meshgrid(*[np.arange(16)] * 3), axis=-1).reshape(-1, 3).astype(np.float16)
-    assert pack_positions(with_steps(replace(random_scene(4, 4096), positions=where))).position_model is None
 
 
 def test_damage_takes_one_chunk() -> None:
     scene = pack_positions(lattice_scene(5, 900, chunk_size=256))
     data = bytearray(codec.emit(scene))
-    section = parse_container(bytes(data)).sections[directory.POSITIONS]
-    data[section.start + 40] ^= 1
+    data[Target(bytes(data)).part("positions", 0)[0] + 40] ^= 1
     with pytest.raises(BitstreamError) as error:
         codec.parse(bytes(data))
-    assert error.value.kind.name == "section.crc"
+    assert error.value.kind.name == "chunk.crc"
     parsed = codec.parse(bytes(data), keep_going=True)
     assert list(parsed.damage) == [0]
     assert np.array_equal(parsed.scene.positions, scene.positions[256:])
@@ -138,7 +146,7 @@ def test_models_that_cannot_be_written() -> None:
         replace(model, frequency=model.frequency.astype(np.int64)),
         replace(model, frequency=np.zeros_like(model.frequency)),
     ):
-        with pytest.raises(ValueError, match=r"position_model|cell_shift|434|model of positions"):
+        with pytest.raises(ValueError, match=r"position_model|cell_shift|model of positions"):
             codec.emit(replace(scene, position_model=bad))
 
 
@@ -146,8 +154,8 @@ def test_inspection_and_trace() -> None:
     scene = pack_positions(lattice_scene(7, 300, chunk_size=256))
     data = codec.emit(scene)
     names = [row.path for row in elements.rows(data)]
-    assert "chunk_table.position_model.cell_shift" in names
-    assert {"positions[chunk 1].form", "positions[chunk 1].word"} <= set(names)
+    assert "index.position_model.cell_shift" in names
+    assert {"chunk[1].position_form", "positions[chunk 1].word"} <= set(names)
     facts = summary.document(data, codec.parse(data))
     assert facts["position_model"]["cell_shift"] == 24
     seen: list[TraceRow] = []

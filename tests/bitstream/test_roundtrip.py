@@ -8,12 +8,23 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 
-from conformance.cases.scenes import MAIN_DIMENSIONS, TINY_DIMENSIONS, random_scene, with_steps
+from conformance.cases.scenes import (
+    CONSTANT,
+    MAIN_DIMENSIONS,
+    PLANELESS,
+    TINY_DIMENSIONS,
+    UNENCODED,
+    random_scene,
+    with_steps,
+)
 from conformance.fuzz.strategies import scenes
 from refcodec.bitstream import batches, codec, reconstruction
 from refcodec.bitstream.attributes import ATTRIBUTE_SYMBOL_MAX
+from refcodec.bitstream.dimensions import Dimensions
 from refcodec.bitstream.header import Lanes
-from refcodec.bitstream.scene import Scene
+from refcodec.bitstream.limits import MAIN
+from refcodec.bitstream.scene import Ancillary, Scene
+from refcodec.encoder.quantise import packed
 
 
 def assert_round_trip(scene: Scene) -> None:
@@ -34,10 +45,17 @@ def assert_round_trip(scene: Scene) -> None:
         "grid",
         "render",
         "plane_shift",
-        "extensions",
+        "minor",
+        "later",
+        "chunks",
+        "frame" if scene.frame is None else "profile",
     ):
         assert getattr(found, name) == getattr(scene, name), name
-    for name in ("matrix", "translation", "shift", "low", "high"):
+    # Places behind the last critical section are one place.
+    assert [(a.type, a.mode, a.content) for a in found.ancillary] == [
+        (a.type, a.mode, a.content) for a in scene.ancillary
+    ]
+    for name in ("matrix", "translation", "shift", "low", "high") if scene.frame is not None else ():
         assert np.array_equal(getattr(found.frame, name), getattr(scene.frame, name)), name
     for name, layers in scene.networks.items():
         for ours, theirs in zip(layers, found.networks[name], strict=True):
@@ -63,6 +81,18 @@ def test_more_anchors(scene: Scene) -> None:
 @pytest.mark.parametrize("chunk_size", [1, 4, 8, 65536])
 def test_anchor_counts_and_chunks(anchors: int, chunk_size: int) -> None:
     assert_round_trip(random_scene(anchors, anchors, chunk_size=chunk_size))
+
+
+@pytest.mark.parametrize("d", [PLANELESS, UNENCODED, CONSTANT])
+@pytest.mark.parametrize("form", ["raw", "packed"])
+def test_without_planes_or_frequencies(d: Dimensions, form: str) -> None:
+    assert_round_trip(packed(random_scene(5, 9, d, chunk_size=4), form, form))
+
+
+def test_the_default_dimensions_of_scaffold_gs() -> None:
+    """32 features in one slice, 10 offsets, width 32: a scene of Main without a hyperprior."""
+    d = Dimensions(10, (32,), 0, 0, 0, (), (), (), 32)
+    assert_round_trip(packed(random_scene(6, 300, d, profile=MAIN, chunk_size=256), None, None))
 
 
 @pytest.mark.parametrize("size", range(2, 33))
@@ -163,8 +193,11 @@ def test_main_largest_planes() -> None:
 
 
 @pytest.mark.requirement("D12.1-1")
-def test_extensions_come_back() -> None:
-    assert_round_trip(replace(random_scene(7, 3), extensions=((1, 0, b""), (2, 255, b"abc"), (127, 9, bytes(300)))))
+def test_ancillary_sections_come_back() -> None:
+    """Repeated ones, empty ones, private ones, before each critical section and behind the last."""
+    sections = [Ancillary(b"noTE", after, bytes(after), after) for after in range(6)]
+    sections[3:3] = [Ancillary(b"noTE", 255, b"abc", 3), Ancillary(b"prIv", 9, b"\x0borg.example" + bytes(300), 3)]
+    assert_round_trip(replace(random_scene(7, 3), ancillary=tuple(sections)))
 
 
 @pytest.mark.parametrize(
@@ -172,7 +205,11 @@ def test_extensions_come_back() -> None:
     [
         ({"chunk_size": 0}, "chunk_size"),
         ({"base_step": (0.0, 1.0, 1.0)}, "base_step"),
-        ({"extensions": ((2, 0, b""), (1, 0, b""))}, "directory"),
+        ({"ancillary": (Ancillary(b"no1E", 0, b""),)}, "four letters"),
+        ({"ancillary": (Ancillary(b"NOTE", 0, b""),)}, "critical"),
+        ({"chunk_anchors": (1, 1)}, "chunks"),
+        ({"position_forms": (1,)}, "packed"),
+        ({"later": b"\1"}, "header_length"),
         ({"plane_shift": 11}, "plane_shift"),
         ({"positions": np.full((3, 3), np.nan, np.float16)}, "NaN"),
         ({"positions": np.full((3, 3), -0.0, np.float16)}, "-0"),

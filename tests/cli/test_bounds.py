@@ -4,14 +4,21 @@ from __future__ import annotations
 
 import subprocess
 import sys
+import tracemalloc
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
+from conformance.cases.scenes import MAIN_DIMENSIONS, random_scene
 from refcodec.bitstream import codec
 from refcodec.bitstream.attributes import Attributes
+from refcodec.bitstream.bounds import BoundPassedError, Bounds, memory_needed
+from refcodec.bitstream.errors import BitstreamError
+from refcodec.bitstream.reader import Reader, decode_chunk
+from refcodec.bitstream.source import Arriving, WholeFile
 from refcodec.cli.bounds import estimated_memory
 from refcodec.cli.main import main
 
@@ -52,8 +59,8 @@ def test_more_is_refused_before_any_work(
 ) -> None:
     if command[0] in ("render", "eval"):
         pytest.importorskip("numba")
-    # Other modules have codec.parse by their own names; what it calls is here alone.
-    monkeypatch.setattr(codec, "_parse", pytest.fail)
+    # What decodes calls it first of all.
+    monkeypatch.setattr(Reader, "open", pytest.fail)
     for bound in (["--max-anchors", "4"], ["--max-memory", "64K"], ["--max-memory", "64M"]):
         assert main([*words(command, EXAMPLE, tmp_path / "out"), *bound]) == 64
         said = capsys.readouterr()
@@ -97,6 +104,8 @@ def test_the_estimate_is_one_to_two_times_what_is_measured(tmp_path: Path) -> No
         masks=scene.masks[rows],
         attributes=Attributes(a.features[rows], a.scalings[rows], a.offsets[rows], a.steps[rows]),
         position_model=None,
+        chunk_anchors=None,
+        position_forms=None,
     )
     file = tmp_path / "many.c3gs"
     file.write_bytes(codec.emit(many))
@@ -112,3 +121,62 @@ def test_the_estimate_is_one_to_two_times_what_is_measured(tmp_path: Path) -> No
         estimate = estimated_memory(command[0], file.stat().st_size, count, d.attribute_width + d.offset_count)
         assert status == 0
         assert measured < estimate < 2 * measured, command
+
+
+# --- from Python ------------------------------------------------------------------------------------------------------
+
+
+def readers(data: bytes, bounds: Bounds | None) -> list[Callable[[], object]]:
+    """The three ways of reading, of which each takes the bounds of its caller."""
+    return [
+        lambda: codec.parse(data, bounds=bounds),
+        lambda: Reader(Arriving(iter([data])), bounds=bounds),
+        lambda: decode_chunk(WholeFile(data), 1, bounds=bounds),
+    ]
+
+
+@pytest.mark.parametrize("way", range(3))
+def test_the_bound_that_stopped_it_is_said(way: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    data = EXAMPLE.read_bytes()
+    for allowed in (None, Bounds(), Bounds(5, 1 << 20)):
+        readers(data, allowed)[way]()
+    monkeypatch.setattr(Reader, "open", pytest.fail)
+    for bounds, which, needed in ((Bounds(4, 1), "anchors", 5), (Bounds(5, 999), "memory", None)):
+        with pytest.raises(BoundPassedError, match=f"{which}.*no verdict") as raised:
+            readers(data, bounds)[way]()
+        assert raised.value.bound == which
+        assert raised.value.allowed == getattr(bounds, which)
+        assert raised.value.needed == (needed or raised.value.needed)
+        assert raised.value.needed > raised.value.allowed
+
+
+@pytest.mark.parametrize("way", range(3))
+def test_errors_of_the_header_come_before_bounds(way: int) -> None:
+    with pytest.raises(BitstreamError):
+        readers(EXAMPLE.read_bytes()[:100], Bounds(0, 1))[way]()
+
+
+@pytest.mark.parametrize("plane_size", [2, 60])
+def test_memory_is_at_most_what_is_estimated(plane_size: int) -> None:
+    """Of what Python and numpy allocate for a file, beside the tables: read chunk by chunk, and as a whole."""
+    scene = random_scene(3, 700, replace(MAIN_DIMENSIONS, plane_size=plane_size), chunk_size=256)
+    data = codec.emit(scene)
+    codec.parse(data)
+    header = Reader(WholeFile(data)).header
+
+    def streamed() -> None:
+        reader = Reader(Arriving(data[at : at + 1000] for at in range(0, len(data), 1000)))
+        reader.open()
+        for _ in reader.chunks():
+            pass
+        reader.close()
+
+    for run, needed in (
+        (streamed, memory_needed(header, 256)),
+        (lambda: codec.parse(data), memory_needed(header, 700, 700, len(data))),
+    ):
+        tracemalloc.start()
+        run()
+        most = tracemalloc.get_traced_memory()[1]
+        tracemalloc.stop()
+        assert most < needed < 4 * most + (1 << 20)

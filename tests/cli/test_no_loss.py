@@ -18,7 +18,7 @@ from conformance.cases.scenes import random_scene
 from conformance.cli import main as suite_main
 from conformance.independent.__main__ import main as second_main
 from conformance.manifest import VECTORS
-from refcodec.bitstream.codec import emit
+from refcodec.bitstream.codec import emit, parse
 from refcodec.cli.main import main
 from refcodec.folder.write import write_folder
 
@@ -32,7 +32,7 @@ def place(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     scene.networks["opacity"][-1][1][:] = 5
     (tmp_path / "scene.c3gs").write_bytes(emit(scene))
     (tmp_path / "bad.c3gs").write_bytes(emit(scene)[:-1])
-    write_folder(scene, tmp_path / "scene")
+    write_folder(parse(emit(scene)).scene, tmp_path / "scene")
     (tmp_path / "letter.txt").write_text("precious\n")
     monkeypatch.chdir(tmp_path)
     return tmp_path
@@ -91,8 +91,8 @@ def test_a_link_to_the_input(place: Path, refused: Callable[..., str]) -> None:
 
 
 def test_a_scene_folder_that_is_read(place: Path, refused: Callable[..., str]) -> None:
-    shutil.move("scene.c3gs", "scene/extension_07.bin")
-    assert "is read" in refused("decode", "scene/extension_07.bin", "-o", "scene")
+    shutil.move("scene.c3gs", "scene/ancillary_0_noTE.bin")
+    assert "is read" in refused("decode", "scene/ancillary_0_noTE.bin", "-o", "scene")
     pytest.importorskip("torch")
     assert "read" in refused("fit", "scene", "-o", "scene")
     assert "read" in refused("fit", "scene/point_cloud.ply", "-o", "scene")

@@ -24,6 +24,7 @@ from conformance.cli import main as suite_cli
 from conformance.manifest import VECTORS
 from refcodec import statuses
 from refcodec.bitstream.codec import emit
+from refcodec.bitstream.scene import Ancillary
 from refcodec.cli.main import main
 from refcodec.folder.write import write_folder
 
@@ -106,7 +107,7 @@ def photographs(folder: Path) -> None:
 def inputs(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """What the commands read."""
     folder = tmp_path_factory.mktemp("inputs")
-    scene = replace(random_scene(21, 6, chunk_size=4), extensions=((3, 0, b"kept"),))
+    scene = replace(random_scene(21, 6, chunk_size=4), ancillary=(Ancillary(b"noTE", 0, b"kept", 5),))
     scene.networks["opacity"][-1][1][:] = 5
     (folder / "scene.c3gs").write_bytes(emit(scene))
     (folder / "other.c3gs").write_bytes(emit(random_scene(22, 5, chunk_size=4)))

@@ -43,7 +43,7 @@ def main(mode, answers, name, target, *rest):
         case "nothing":
             return 0
         case "accepts":
-            output.write_bytes(b"C3GSREC0")
+            output.write_bytes(b"C3GSREC1")
             return 0
         case "rejects":
             return refuse(1, 103, 16)
@@ -93,7 +93,7 @@ def main(mode, answers, name, target, *rest):
             print("and much on stdout " * 100_000)
             return right(known, output, trace)
         case "no-ancillary" if good and known["extended"]:
-            return refuse(1, 302, 263)
+            return refuse(2, 302, 216)
         case "unregistered" if not good:
             return refuse(known["exit"], 999, known["offset"])
         case "code-as-text" if not good:
@@ -120,9 +120,9 @@ def main(mode, answers, name, target, *rest):
             return refuse(known["exit"], same[known["class"]], known["offset"])
         case "always-exit-1" if not good:
             return refuse(1, known["code"], known["offset"])
-        case "last-bit" | "first-bit" | "short" | "long" if good:
+        case "last-bit" | "first-bit" | "digest-bit" | "short" | "long" if good:
             data = bytearray(Path(known["output"]).read_bytes())
-            data[{"last-bit": -1, "first-bit": 0}.get(mode, 0)] ^= mode in ("last-bit", "first-bit")
+            data[{"last-bit": -1, "digest-bit": 251}.get(mode, 0)] ^= mode.endswith("bit")
             output.write_bytes({"short": data[:-1], "long": data + b"\0"}.get(mode, data))
             return 0
         case "wrong-trace" if good and trace:

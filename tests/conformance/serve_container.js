@@ -1,7 +1,7 @@
 // Runs the plug-in of the guide for many files in one process: starting Node takes longer than most files.
 //
-// node serve_container.js: answers each line {"input", "output"} as `conformance run --serve` demands. The plug-in is read anew for each
-// file, as the command is, so that nothing is left from the file before.
+// node serve_container.js: answers each line {"input", "output"} as `conformance run --serve` demands. The plug-in is
+// read anew for each file, as the command is, so that nothing is left from the file before.
 "use strict";
 const path = require("node:path");
 const readline = require("node:readline");

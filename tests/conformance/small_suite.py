@@ -16,7 +16,8 @@ from conformance.cases.target import Target
 from conformance.manifest import MANIFEST, SCHEMA, VECTORS
 from refcodec.bitstream import codec
 from refcodec.bitstream.errors import BitstreamError
-from refcodec.bitstream.reconstruction import canonical_head, canonical_parts, digest
+from refcodec.bitstream.reconstruction import canonical_head, canonical_parts, digest, digested
+from refcodec.bitstream.scene import Ancillary
 from refcodec.inspect.trace import symbol_trace
 
 FAKE = Path(__file__).with_name("fake_decoder.py")
@@ -44,9 +45,9 @@ class Suite:
 
 
 def _files() -> dict[str, bytes]:
-    plain = (VECTORS / "tiny-example.c3gs").read_bytes()
+    scene = codec.parse((VECTORS / "tiny-example.c3gs").read_bytes()).scene
+    plain, extended = (codec.emit(replace(scene, ancillary=more)) for more in ((), (Ancillary(b"noTE", 0, b"more"),)))
     target = Target(plain)
-    extended = codec.emit(replace(codec.parse(plain).scene, extensions=((1, 0, b"more"),)))
     return {
         "valid-plain": plain,
         "valid-extended": extended,
@@ -78,7 +79,7 @@ def _expectation(data: bytes, place: Path) -> tuple[dict[str, Any], dict[str, An
             "class": kind.klass,
         }
     output, trace = place.with_suffix(".out"), place.with_suffix(".trace")
-    output.write_bytes(canonical_head(scene) + b"".join(part for _, part in canonical_parts(scene)))
+    output.write_bytes(digested(scene) + b"".join(part for _, part in canonical_parts(scene)))
     trace.write_text("".join(lines))
     whole, parts = digest(scene)
     parts = {"head": hashlib.sha256(canonical_head(scene)).hexdigest(), **parts}
@@ -88,7 +89,7 @@ def _expectation(data: bytes, place: Path) -> tuple[dict[str, Any], dict[str, An
         "parts": parts,
         "trace": hashlib.sha256(trace.read_bytes()).hexdigest(),
     }
-    return said, {"exit": 0, "output": str(output), "trace": str(trace), "extended": bool(scene.extensions)}
+    return said, {"exit": 0, "output": str(output), "trace": str(trace), "extended": bool(scene.ancillary)}
 
 
 def build(folder: Path, answers: Path) -> Suite:

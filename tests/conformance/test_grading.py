@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import struct
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -14,8 +15,12 @@ from conformance.runner import grading
 from conformance.runner.grading import Found, Judgement
 from conformance.runner.process import Ended
 
-OUTPUT = b"the canonical reconstruction"
-DIGEST = hashlib.sha256(OUTPUT).hexdigest()
+# SPEC 9.3: of two anchors with K = 1, F = 3, ch = 1 and B = 2, and of one weight.
+PARTS = [bytes([number]) * size for number, size in enumerate((24, 2, 40, 24, 48, 24, 4))]
+HEAD = b"C3GSREC1" + struct.pack("<5I", 2, 1, 3, 1, 2)
+LISTED = HEAD + b"".join(hashlib.sha256(part).digest() for part in PARTS)
+OUTPUT = LISTED + b"".join(PARTS)
+DIGEST = hashlib.sha256(LISTED).hexdigest()
 REFUSED = b'a line of talk\n{"code": 412, "name": "weights.not_finite", "offset": 300}\n'
 NEW_VERSION = b'{"code": 104, "offset": 8}\n'
 INVALID = Rejected(412, "weights.not_finite", 300, "6.8")
@@ -47,6 +52,12 @@ def _ended(status: int | None, stderr: bytes = b"", signal: int | None = None, o
 CASES = [
     Case("right output", VALID, _ended(0), OUTPUT, False, 3),
     Case("wrong output", VALID, _ended(0), OUTPUT + b"!", False, 0),
+    Case("wrong part", VALID, _ended(0), OUTPUT[:-1] + b"!", False, 0),
+    Case("wrong first part", VALID, _ended(0), LISTED + b"!" * 24 + OUTPUT[276:], False, 0),
+    Case("wrong digest of a part", VALID, _ended(0), OUTPUT[:40] + b"!" + OUTPUT[41:], False, 0),
+    Case("wrong head", VALID, _ended(0), OUTPUT[:8] + b"\3" + OUTPUT[9:], False, 0),
+    Case("head and digests alone", VALID, _ended(0), LISTED, False, 0),
+    Case("an output that is cut in its digests", VALID, _ended(0), LISTED[:-1], False, 0),
     Case("empty output", VALID, _ended(0), b"", False, 0),
     Case("no output", VALID, _ended(0), None, True, 0),
     Case("a valid file refused", VALID, _ended(1, REFUSED), None, False, 0),
@@ -61,7 +72,7 @@ CASES = [
     Case("wrong offset", INVALID, _ended(1, REFUSED.replace(b"300", b"301")), None, False, 2),
     Case("offset as text", INVALID, _ended(1, REFUSED.replace(b"300", b'"300"')), None, False, 2),
     Case("offset as a fraction", INVALID, _ended(1, REFUSED.replace(b"300", b"300.0")), None, False, 2),
-    Case("wrong code of the class", INVALID, _ended(1, REFUSED.replace(b"412", b"413")), None, False, 2),
+    Case("wrong code of the class", INVALID, _ended(1, REFUSED.replace(b"412", b"413")), None, False, 1),
     Case("code of another class", INVALID, _ended(1, REFUSED.replace(b"412", b"103")), None, False, 1),
     Case("exit 2 for what is invalid", INVALID, _ended(2, REFUSED), None, False, 1),
     Case("exit 1 for what is unsupported", VERSION, _ended(1, NEW_VERSION), None, False, 1),

@@ -91,6 +91,7 @@ WRONG = [
     ("offset-1", ("passed", 3), ("failed", 2)),
     ("last-bit", ("failed", 0), ("passed", 3)),
     ("first-bit", ("failed", 0), ("passed", 3)),
+    ("digest-bit", ("failed", 0), ("passed", 3)),
     ("short", ("failed", 0), ("passed", 3)),
     ("long", ("failed", 0), ("passed", 3)),
 ]
@@ -109,7 +110,7 @@ def test_a_wrong_decoder(suite: Suite, tmp_path: Path, mode: str, good: tuple[st
 
 
 def test_one_code_for_everything(suite: Suite, tmp_path: Path) -> None:
-    """Its only right answer is the file of that code; others are refused, which is grade 1 or 2."""
+    """Its only right answer is the file of that code; others are refused, which is grade 1."""
     status, record = suite.report("rejects", tmp_path)
     assert status == statuses.REJECTED
     grades = dict.fromkeys(GOOD, 0) | dict.fromkeys(BAD, 1) | {"malformed-crc": 3}
@@ -123,11 +124,17 @@ def test_ancillary_sections(suite: Suite, tmp_path: Path) -> None:
     (failed,) = [v for v in record["vectors"] if v["status"] == "failed"]
     assert "302" in failed["text"]
     # The bytes at which the decoder says the fault is.
-    assert [line.startswith("> 00000107 ") for line in failed["hex"] if line.startswith(">")] == [True]
+    assert [line.startswith("> 000000d8 ") for line in failed["hex"] if line.startswith(">")] == [True]
 
 
 @pytest.mark.parametrize(
-    ("mode", "grades"), [("other-code", {1: 0, 2: 0, 3: 1}), ("always-exit-1", {1: 0, 2: 1, 3: 1})]
+    ("mode", "grades"),
+    [
+        ("other-code", {1: 0, 2: 1, 3: 1}),
+        ("always-exit-1", {1: 0, 2: 1, 3: 1}),
+        ("offset-1", {1: 0, 2: 0, 3: 1}),
+        ("no-offset", {1: 0, 2: 0, 3: 1}),
+    ],
 )
 def test_grades(suite: Suite, mode: str, grades: dict[int, int]) -> None:
     for grade, status in grades.items():
@@ -190,9 +197,10 @@ def test_what_diverges(suite: Suite, tmp_path: Path) -> None:
     assert "1 of" in vector["divergence"][0]
     lines = {
         mode: suite.report(mode, tmp_path)[1]["vectors"][0]["divergence"]
-        for mode in ("first-bit", "short", "long", "accepts")
+        for mode in ("first-bit", "digest-bit", "short", "long", "accepts")
     }
     assert lines["first-bit"][0].startswith("head: the eight bytes is 42 33")
+    assert lines["digest-bit"][0].startswith("digests: that of the weights is ")
     assert "weights: the part is" in lines["short"][0]
     assert lines["long"][0].startswith("end: the output is")
     assert lines["accepts"][0].startswith("head: the part is 8 bytes, 28 bytes expected")

@@ -23,6 +23,7 @@ from refcodec.bitstream.header import PositionGrid
 from refcodec.bitstream.limits import TINY
 from refcodec.bitstream.positions import position_integers
 from refcodec.bitstream.reconstruction import reconstruct, world_positions
+from refcodec.bitstream.source import Piece
 from refcodec.encoder import quantise
 from refcodec.encoder.cloud import AnchorCloud
 from refcodec.encoder.frame import choose_frame
@@ -110,7 +111,7 @@ def assert_valid(frame: Frame):
     assert (frame.low >= -FRAME_RANGE_BOUND).all()
     assert (frame.high <= FRAME_RANGE_BOUND).all()
     data = emit_frame(frame)
-    assert np.array_equal(parse_frame(data, 0).matrix, frame.matrix)
+    assert np.array_equal(parse_frame(Piece(data, 0)).matrix, frame.matrix)
 
 
 DEGENERATE = {

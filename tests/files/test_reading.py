@@ -142,24 +142,43 @@ def test_an_uncompressed_scene_is_read(plain: Path) -> None:
         {"distance_unit": -1},
         {"alpha_max": 1.5},
         {"low_pass": 1e300},
-        {"camera_width": 10**30},
-        {"camera_height": 0},
-        {"camera_focal": [0, 1]},
-        {"camera_focal": 5},
-        {"camera_rotation": [0, 0, 0, 0]},
-        {"camera_translation": [[0], [0], [0]]},
-        {"camera_translation": None},
     ],
 )
-def test_render_json_is_checked(change: dict[str, Any], plain: Path, tmp_path: Path, capsys: Captured) -> None:
+def test_render_information_is_checked(change: dict[str, Any], plain: Path, tmp_path: Path, capsys: Captured) -> None:
+    said = refused_with(capsys, plain, tmp_path, "render", change)
+    assert f"render.{next(iter(change))}" in said
+    assert "train it again" in said
+
+
+@pytest.mark.parametrize(
+    ("change", "field"),
+    [
+        ({"width": 1 << 32}, "camera.width"),
+        ({"height": 0}, "camera.height"),
+        ({"name": 7}, "camera.name"),
+        ({"focal": 5}, "camera.focal"),
+        ({"translation": [[0], [0], [0]]}, "camera.translation"),
+        ({"translation": None}, "camera.translation"),
+        ({"focal": [0, 1]}, "camera"),
+        ({"rotation": [0, 0, 0, 0]}, "camera"),
+    ],
+)
+def test_the_default_view_is_checked(
+    change: dict[str, Any], field: str, plain: Path, tmp_path: Path, capsys: Captured
+) -> None:
+    said = refused_with(capsys, plain, tmp_path, "camera", change)
+    assert f'"{field}' in said
+    assert "train it again" in said
+
+
+def refused_with(capsys: Captured, plain: Path, tmp_path: Path, part: str, change: dict[str, Any]) -> str:
+    """What is said of a scene whose render.json has a change in one of its parts."""
     pytest.importorskip("numba")
     folder = tmp_path / "scene"
     shutil.copytree(plain, folder)
     document = json.loads((folder / "render.json").read_text())
-    (folder / "render.json").write_text(json.dumps({**document, "render": {**document["render"], **change}}))
-    said = refused(capsys, "render", folder, "-o", tmp_path / "images")
-    assert f"render.{next(iter(change))}" in said
-    assert "train it again" in said
+    (folder / "render.json").write_text(json.dumps({**document, part: {**document[part], **change}}))
+    return refused(capsys, "render", folder, "-o", tmp_path / "images")
 
 
 @pytest.mark.parametrize("text", ["", "[]", "{}", "[" * 100_000, '{"format": "Scaffold-GS, uncompressed"}', "\xff"])

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import struct
 import subprocess
 import sys
 from dataclasses import replace
@@ -11,8 +10,12 @@ from pathlib import Path
 
 import pytest
 
-from refcodec.bitstream.codec import emit, parse, parse_container
-from refcodec.bitstream.directory import CHUNK_TABLE
+from conformance.cases.checksums import resized
+from conformance.cases.scenes import random_scene
+from conformance.cases.target import Target
+from refcodec.bitstream.codec import emit, parse
+from refcodec.bitstream.directory import INDEX
+from refcodec.bitstream.scene import Ancillary
 from refcodec.inspect.summary import document, json_lines
 
 EXAMPLE = Path(__file__).resolve().parents[2] / "vectors" / "tiny-example.c3gs"
@@ -31,14 +34,11 @@ LINUX = pytest.mark.skipif(not Path("/proc/self/status").exists(), reason="memor
 
 
 def claiming(chunks: int) -> bytes:
-    """A file whose chunk table claims many more chunks than it has. It is rejected for the length of the table."""
-    data = EXAMPLE.read_bytes()
-    section = parse_container(data).sections[CHUNK_TABLE]
-    length = section.end - section.start
-    at = data.index(struct.pack("<II", section.start, length)) + 4
-    more = 24 * chunks
-    table = data[section.start : section.end] + bytes(range(24)) * chunks
-    return data[:at] + struct.pack("<I", length + more) + data[at + 4 : section.start] + table + data[section.end :]
+    """A file whose index has many more entries than chunk_count says. It is rejected for the length of the index."""
+    target = Target(emit(random_scene(3, 12, chunk_size=5)))
+    section = target.sections[INDEX]
+    content = target.content(INDEX) + bytes(range(28)) * chunks
+    return resized(target.data, section.type, content)
 
 
 def memory(*words: str) -> tuple[int, int]:
@@ -71,7 +71,9 @@ def test_a_rejected_file_takes_memory_as_it_is_long(options: list[str], tmp_path
 @pytest.mark.slow
 def test_an_ancillary_section_takes_memory_as_it_is_long(tmp_path: Path) -> None:
     file = tmp_path / "ancillary.c3gs"
-    file.write_bytes(emit(replace(parse(EXAMPLE.read_bytes()).scene, extensions=((1, 0, bytes(40_000_000)),))))
+    file.write_bytes(
+        emit(replace(parse(EXAMPLE.read_bytes()).scene, ancillary=(Ancillary(b"noTE", 0, bytes(40_000_000)),)))
+    )
     least = memory("inspect", str(EXAMPLE))[1]
     for options in ([], ["--json"], ["--hex"]):
         status, most = memory("inspect", str(file), *options)

@@ -12,7 +12,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from conformance.cases.scenes import random_scene
-from conformance.fuzz.strategies import render_infos
+from refcodec.bitstream.cameras import NamedCamera
 from refcodec.bitstream.header import RenderInfo
 from refcodec.bitstream.reconstruction import Reconstruction, reconstruct
 from refcodec.bitstream.scene import Scene
@@ -113,12 +113,28 @@ def test_an_anchor_in_the_camera_and_a_quaternion_of_nothing(spec: dict) -> None
     compared(found, by_the_text(spec, replace(scene, masks=masks), values, camera), 1e-9)
 
 
-@given(render_infos())
-def test_the_default_camera_of_any_file(info: RenderInfo) -> None:
-    camera = default_camera(info)
+SIDES = st.integers(1, (1 << 32) - 1)
+NUMBERS = st.floats(width=32, allow_nan=False, allow_infinity=False)
+ABOVE_0 = st.floats(min_value=0, exclude_min=True, width=32, allow_infinity=False)
+
+
+@given(
+    st.builds(
+        NamedCamera,
+        width=SIDES,
+        height=SIDES,
+        focal=st.tuples(ABOVE_0, ABOVE_0),
+        principal_point=st.tuples(NUMBERS, NUMBERS),
+        rotation=st.tuples(NUMBERS, NUMBERS, NUMBERS, NUMBERS).filter(any),
+        translation=st.tuples(NUMBERS, NUMBERS, NUMBERS),
+    )
+)
+def test_the_default_camera_of_any_file(stated: NamedCamera) -> None:
+    assert stated.fault() is None
+    camera = default_camera(stated)
     assert np.allclose(camera.rotation @ camera.rotation.T, np.eye(3), atol=1e-9)
     assert np.linalg.det(camera.rotation) == pytest.approx(1)
-    assert (camera.cx, camera.cy) == (camera.width / 2, camera.height / 2)
+    assert (camera.cx, camera.cy) == stated.principal_point
 
 
 @given(st.integers(0, 2**32 - 1))
@@ -314,10 +330,8 @@ def test_hostile_numbers_give_an_image() -> None:
         found = cloud(13, 300)
         magnitude = np.exp2(rng.uniform(-140, 120, (2, 300, 3))).astype(np.float32)
         found = replace(found, mean=found.mean * magnitude[0], lengths=found.lengths * magnitude[1])
-        info = RenderInfo(
-            near_plane=near_plane, low_pass=low_pass, camera_focal=(focal, focal), camera_width=40, camera_height=30
-        )
-        made = rasterise.image(found, default_camera(info), info)
+        stated = NamedCamera("least", 40, 30, (focal, focal), (20.0, 15.0))
+        made = rasterise.image(found, default_camera(stated), RenderInfo(near_plane=near_plane, low_pass=low_pass))
         assert np.isfinite(made).all()
 
 

@@ -12,7 +12,7 @@ from refcodec.bitstream.scene import Scene
 from refcodec.photographs.photographs import PhotographSet
 from refcodec.render.camera import Camera
 from refcodec.train.parts.growth import Growth
-from refcodec.train.scaffold import COLUMNS, Scaffold
+from refcodec.train.scaffold import Scaffold
 from refcodec.train.schedule import Clock
 from refcodec.train.settings import TrainSettings
 from refcodec.train.settings_file import varied
@@ -124,7 +124,7 @@ def test_growth(photographs: PhotographSet) -> None:
     assert (scaffold.tables["offsets"][born:] == 0).all()
     assert (scaffold.tables["masks"][born:] == TrainSettings().masks.start).all()
     for name, table in scaffold.tables.items():
-        shape = (scaffold.count, COLUMNS[name])
+        shape = (scaffold.count, {"features": 12, "offsets": 30, "scalings": 6, "masks": 10}[name])
         assert table.shape == scaffold.first[name].shape == scaffold.second[name].shape == shape
 
 

@@ -15,11 +15,12 @@ pytest.importorskip("scipy")
 
 from benchmarks import ideal  # noqa: E402
 from refcodec.bitstream import codec, planes  # noqa: E402
-from refcodec.bitstream.codec import parse_container  # noqa: E402
 from refcodec.bitstream.dimensions import Dimensions  # noqa: E402
-from refcodec.bitstream.directory import ATTRIBUTES, PLANES_SECTION  # noqa: E402
 from refcodec.bitstream.entropy import select  # noqa: E402
+from refcodec.bitstream.header import RenderInfo  # noqa: E402
+from refcodec.bitstream.limits import MAIN  # noqa: E402
 from refcodec.bitstream.networks import IntNetwork, derive_layer  # noqa: E402
+from refcodec.bitstream.reconstruction import Reconstruction, reconstruct  # noqa: E402
 from refcodec.bitstream.scene import Scene  # noqa: E402
 from refcodec.bitstream.tables import tables  # noqa: E402
 from refcodec.cli.main import main  # noqa: E402
@@ -27,6 +28,8 @@ from refcodec.encoder.cloud import AnchorCloud  # noqa: E402
 from refcodec.encoder.quantise import packed  # noqa: E402
 from refcodec.folder.uncompressed import Uncompressed, read_uncompressed, write_uncompressed  # noqa: E402
 from refcodec.folder.write import write_folder  # noqa: E402
+from refcodec.inspect.elements import outline_of  # noqa: E402
+from refcodec.inspect.parts import part_bytes  # noqa: E402
 from refcodec.photographs.photographs import PhotographSet  # noqa: E402
 from refcodec.render.view import View  # noqa: E402
 from refcodec.train import fit, voxelise  # noqa: E402
@@ -34,7 +37,7 @@ from refcodec.train.entropy.bits import gauss_bits, laplace_bits  # noqa: E402
 from refcodec.train.entropy.folded import FoldedMlp  # noqa: E402
 from refcodec.train.entropy.hyperprior import VectorMatrix  # noqa: E402
 from refcodec.train.fit_input import Given, read_given  # noqa: E402
-from refcodec.train.settings import FitSettings, TrainSettings  # noqa: E402
+from refcodec.train.settings import EntropySettings, FitSettings, TrainSettings  # noqa: E402
 from refcodec.train.settings_file import varied  # noqa: E402
 from refcodec.train.trainer import Trainer  # noqa: E402
 
@@ -138,7 +141,8 @@ def test_an_empty_cloud_and_a_bad_voxel_are_refused():
 
 
 def test_display_networks_show_the_colours():
-    d = fit.fit_dimensions(voxelise.voxelise(np.zeros((1, 3), np.float32), np.zeros((1, 3), np.uint8)))
+    cloud = voxelise.voxelise(np.zeros((1, 3), np.float32), np.zeros((1, 3), np.uint8))
+    d = fit.fit_dimensions(cloud, EntropySettings())
     networks = voxelise.display_networks(d)
     x = np.zeros((1, 54), np.float32)
     x[0, :3] = [1.5, -2.0, 0.25]
@@ -232,11 +236,10 @@ def test_training_pays_and_the_coded_size_is_close_to_the_ideal(cloud, result):
     untrained = fitted(cloud, 0)
     assert len(codec.emit(result.scene)) < len(codec.emit(untrained.scene))
     data = codec.emit(result.scene)
-    sections = parse_container(data).sections
+    parts = part_bytes(data, outline_of(data))
     attributes, planes = ideal.attribute_code_length(result.scene), ideal.plane_code_length(result.scene)
-    for kind, length in ((ATTRIBUTES, attributes), (PLANES_SECTION, planes)):
-        coded = 8 * (sections[kind].end - sections[kind].start)
-        assert length.table <= coded
+    for kind, length in (("attributes", attributes), ("planes", planes)):
+        assert length.table <= 8 * parts[kind]
     assert attributes.symbols == 56 * result.scene.anchor_count + 3 * int(result.scene.masks.sum())
     assert abs(attributes.table / attributes.capped - 1) < 0.005
     assert abs(attributes.integer / attributes.capped - 1) < 0.002
@@ -273,6 +276,86 @@ def test_large_symbols_are_shifted_for_carm(cloud: AnchorCloud) -> None:
     scene = fitted(replace(cloud, features=features), 5).scene
     assert scene.carm_shift[7] > 0
     assert codec.emit(codec.parse(codec.emit(scene)).scene) == codec.emit(scene)
+
+
+ENTROPY = {
+    "no planes": {"channels": 0},
+    "no frequencies": {"frequencies": 0},
+    "no hyperprior": {"channels": 0, "frequencies": 0},
+    "no hidden layers": {"layers": 0},
+    "as few as there can be": {"channels": 0, "frequencies": 0, "layers": 0, "slices": (50,)},
+    "two hidden layers": {"layers": 2},
+    "ten slices": {"slices": (5,) * 10},
+}
+
+
+@pytest.mark.parametrize("changes", ENTROPY.values(), ids=ENTROPY)
+def test_dimensions_of_other_entropy_models(changes: dict, cloud: AnchorCloud) -> None:
+    """The file has them, the codec's steps are those of the training, and what is trained pays."""
+    entropy = replace(EntropySettings(), **changes)
+    result = fit.fit(Given(cloud, VOXEL), FitSettings(steps=STEPS, entropy=entropy))
+    data = codec.emit(result.scene)
+    d = codec.parse(data).scene.dimensions
+    assert (d.plane_channels, d.frequency_count, d.slices) == (entropy.channels, entropy.frequencies, entropy.slices)
+    assert (d.plane_size == 0) == (d.sarm_width == ()) == (entropy.channels == 0)
+    inputs = entropy.channels + entropy.frequencies > 0
+    assert d.hyper_width == (16,) * (entropy.layers if inputs else 0)
+    assert d.carm_width == (16,) * (entropy.layers if len(d.slices) > 1 else 0)
+    untrained = fit.fit(Given(cloud, VOXEL), FitSettings(steps=0, entropy=entropy))
+    assert len(data) < len(codec.emit(untrained.scene))
+    length = ideal.attribute_code_length(result.scene)
+    assert 8 * part_bytes(data, outline_of(data))["attributes"] == pytest.approx(length.table, rel=0.02)
+
+
+def test_a_fit_without_a_hyperprior_goes_on(cloud: AnchorCloud, tmp_path: Path) -> None:
+    entropy = EntropySettings(channels=0, frequencies=0)
+    given, settings = Given(cloud, VOXEL), FitSettings(steps=12, entropy=entropy)
+
+    def stop(stage: str, done: int, total: int) -> None:
+        if done == 5:
+            raise KeyboardInterrupt
+
+    state = tmp_path / "state"
+    assert fit.fit(given, settings, progress=stop, state=state).report["steps"] == 5
+    resumed = fit.fit(given, settings, state=state)
+    assert codec.emit(resumed.scene) == codec.emit(fit.fit(given, settings).scene)
+
+
+def test_the_default_dimensions_of_scaffold_gs(cloud: AnchorCloud, tmp_path: Path) -> None:
+    """32 features, 10 offsets and networks of 32 hidden units: fitted, encoded and decoded by the commands."""
+    rng = np.random.default_rng(8)
+
+    def layer(out: int, fan_in: int) -> tuple[np.ndarray, np.ndarray]:
+        bound = fan_in**-0.5
+        return tuple(rng.uniform(-bound, bound, shape).astype(np.float32) for shape in ((out, fan_in), (out,)))
+
+    networks = {
+        name: [layer(32, 36), layer(outputs, 32)]
+        for name, outputs in (("opacity", 10), ("covariance", 70), ("colour", 30))
+    }
+    values = Reconstruction(cloud.positions, cloud.features[:, :32], cloud.scalings, cloud.offsets)
+    model = Uncompressed(values, cloud.masks, networks, RenderInfo())
+    write_uncompressed(model, tmp_path / "scaffold")
+    paths = {name: str(tmp_path / name) for name in ("scaffold", "fitted", "scene.c3gs", "decoded")}
+    assert main(["fit", paths["scaffold"], "-o", paths["fitted"], "--steps", "30"]) == 0
+    assert main(["encode", paths["fitted"], "-o", paths["scene.c3gs"]]) == 0
+    assert main(["decode", paths["scene.c3gs"], "-o", paths["decoded"]]) == 0
+    scene = codec.parse((tmp_path / "scene.c3gs").read_bytes()).scene
+    d = scene.dimensions
+    assert (d.features, d.offset_count, d.render_width, d.slices) == (32, 10, 32, (3, 7, 9, 13))
+    assert scene.profile == MAIN
+    for name, layers in networks.items():
+        for (weight, bias), (kept, kept_bias) in zip(layers, scene.networks[name], strict=True):
+            assert (weight == kept).all()
+            assert (bias == kept_bias).all()
+    # Each anchor is there, and each of its values is at most half a step from what it was.
+    found = reconstruct(scene)
+    order, wanted = np.lexsort(found.positions.T), np.lexsort(cloud.positions.T)
+    assert len(order) == int(cloud.masks.any(axis=1).sum()) == len(wanted)
+    np.testing.assert_allclose(found.positions[order], cloud.positions[wanted], atol=1e-3)
+    for name, step in (("features", scene.base_step[0]), ("scalings", scene.base_step[1])):
+        away = getattr(found, name)[order] - getattr(values, name)[wanted]
+        assert np.abs(away).max() <= 0.501 * step
 
 
 # --- a trained scene --------------------------------------------------------------------------------------------------

@@ -2,23 +2,28 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 import torch
 
 from benchmarks.hyperpriors import HYPERPRIORS, rounded_scene
 from benchmarks.ideal import attribute_code_length, plane_code_length
-from refcodec.bitstream.codec import emit, parse, parse_container
+from refcodec.bitstream.codec import emit, parse
 from refcodec.bitstream.reconstruction import world_positions
 from refcodec.bitstream.scene import Scene
 from refcodec.bitstream.weights import to_grid
 from refcodec.encoder.quantise import packed
+from refcodec.inspect.elements import outline_of
+from refcodec.inspect.parts import part_bytes
 from refcodec.photographs.photographs import PhotographSet
 from refcodec.render.view import View
 from refcodec.train.entropy.hyperprior import Hyperprior, VectorMatrix
-from refcodec.train.entropy.model import OFFSETS, WIDTH
+from refcodec.train.entropy.model import OFFSETS
 from refcodec.train.settings import TrainSettings
 from refcodec.train.settings_file import varied
+from refcodec.train.state import restore, save
 from refcodec.train.trainer import Trainer
 
 
@@ -37,7 +42,7 @@ def test_hyperpriors(hyperprior: Hyperprior, photographs: PhotographSet, small: 
     hidden = model.activations(contexts.inputs(model.symbols(trainer.random), rows, False))
     kept = torch.ones(50, OFFSETS)
     kept[7] = 0
-    bits = model.attribute_bits(hidden, torch.zeros(50, WIDTH), kept)
+    bits = model.attribute_bits(hidden, torch.zeros(50, model.columns.width), kept)
     assert bits.shape == (50, 3)
     assert (bits[7] == 0).all()
     assert float(bits[8].detach().sum()) > 0
@@ -45,9 +50,9 @@ def test_hyperpriors(hyperprior: Hyperprior, photographs: PhotographSet, small: 
     assert model.latents.grad is not None
     assert torch.isfinite(model.latents.grad).all()
     assert (model.latents.grad.abs().sum(dim=(1, 2, 3)) > 0).all()
-    assert (weights.grad[2 * WIDTH + 1] != 0).any()
+    assert (weights.grad[2 * model.columns.width + 1] != 0).any()
     model.hold_scalings()
-    assert (weights.grad[2 * WIDTH + 1] == 0).all()
+    assert (weights.grad[2 * model.columns.width + 1] == 0).all()
     assert float(model.steps(hidden)[:, 1].std()) == 0
 
 
@@ -72,11 +77,45 @@ def test_bytes_are_what_was_estimated(trained: Trainer) -> None:
     estimate = trained.estimate()
     found = attribute_code_length(scene)
     assert estimate["attributes"] * 8 == pytest.approx(found.table, rel=0.01)
-    assert estimate["planes"] * 8 == pytest.approx(plane_code_length(scene).table, rel=0.01)
-    packing = {s.name: s.end - s.start for s in parse_container(emit(packed(scene, None, None))).sections.values()}
+    # Planes of so few anchors take 400 bytes: 1 % of them is less than the models' rounding makes.
+    assert estimate["planes"] * 8 == pytest.approx(plane_code_length(scene).table, abs=64)
+    file = emit(packed(scene, None, None))
+    packing = part_bytes(file, outline_of(file))
     assert estimate["positions"] == packing["positions"]
     assert estimate["weights"] == packing["weights"]
     assert estimate["attributes"] == pytest.approx(sum(estimate[kind] for kind in ("features", "scalings", "offsets")))
+
+
+FEW = {"entropy.channels": 0, "entropy.frequencies": 0, "entropy.layers": 0, "entropy.slices": [10] * 5}
+
+
+def test_a_training_without_a_hyperprior(photographs: PhotographSet, small: TrainSettings, tmp_path: Path) -> None:
+    """It has no frame and no planes, one step for each kind of attributes, and can stop and go on."""
+    settings = varied(small, {"steps": 60, **FEW})
+    trainer = Trainer(photographs, settings)
+    for _ in range(50):
+        trainer.step()
+    save(trainer, tmp_path / "state")
+    other = Trainer(photographs, settings)
+    restore(other, tmp_path / "state")
+    scenes = []
+    for one in (trainer, other):
+        one.run(lambda _: None)
+        scenes.append(one.result())
+    scene = scenes[0]
+    assert isinstance(scene, Scene)
+    assert isinstance(scenes[1], Scene)
+    data = emit(packed(scene, None, None))
+    assert data == emit(packed(scenes[1], None, None))
+    d = parse(data).scene.dimensions
+    assert (d.plane_channels, d.frequency_count, d.plane_size) == (0, 0, 0)
+    assert (d.hyper_width, d.sarm_width, d.carm_width, d.slices) == ((), (), (), (10,) * 5)
+    assert scene.frame is None
+    assert (scene.attributes.steps == scene.attributes.steps[:1]).all()
+    estimate, sizes = trainer.estimate(), part_bytes(data, outline_of(data))
+    assert estimate["planes"] == 0
+    assert estimate["attributes"] == pytest.approx(sizes["attributes"], rel=0.02)
+    assert estimate["weights"] == pytest.approx(sizes["weights"], abs=3)
 
 
 def test_weights_end_on_grids(trained: Trainer) -> None:

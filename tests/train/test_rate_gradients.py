@@ -13,7 +13,7 @@ from refcodec.bitstream.tables import SCALE_MIN
 from refcodec.train.entropy.bits import bits_anywhere, gauss_bits, laplace_bits
 from refcodec.train.entropy.folded import FoldedMlp
 from refcodec.train.entropy.hyperprior import PlaneSamples, VectorMatrix, plane_neighbours
-from refcodec.train.entropy.model import FEATURES, OFFSETS, SLICES, WIDTH, RateModel
+from refcodec.train.entropy.model import OFFSETS, PAPER, RateModel
 from refcodec.train.residues import Shown, Symbols
 from refcodec.train.settings import EntropySettings
 
@@ -127,25 +127,25 @@ def test_bits_of_attributes(rounding: bool) -> None:
     """Of F_h's last layer, CARM and the likelihoods: against the same model in float64, which has torch's formulas."""
     draw = torch.Generator().manual_seed(6)
     # Some symbols are past the bounds of CARM's inputs.
-    spread = np.full(WIDTH, 400.0)
-    model = RateModel(VectorMatrix(), 9, 12, np.zeros(WIDTH), spread, draw, EntropySettings())
+    spread = np.full(PAPER.width, 400.0)
+    model = RateModel(VectorMatrix(), 9, 12, np.zeros(PAPER.width), spread, draw, EntropySettings())
     with torch.no_grad():
         for parameter in model.coding_parameters():
             parameter.add_(0.05 * torch.randn(parameter.shape, generator=draw))
         # Some scales are past the smallest one, where likely symbols would have them smaller still.
-        model.hyper.weights[1][WIDTH - 10 : WIDTH] = 0
-        model.hyper.biases[1][2 * WIDTH - 10 : 2 * WIDTH] -= 13.65
-    symbols, inputs = 450 * torch.randn(60, WIDTH, generator=draw), 300 * torch.randn(60, 36, generator=draw)
+        model.hyper.weights[1][PAPER.width - 10 : PAPER.width] = 0
+        model.hyper.biases[1][2 * PAPER.width - 10 : 2 * PAPER.width] -= 13.65
+    symbols, inputs = 450 * torch.randn(60, PAPER.width, generator=draw), 300 * torch.randn(60, 36, generator=draw)
     symbols[:, -10:] /= 1000
-    model.calibrate(inputs, symbols[:, : FEATURES - SLICES[-1]], model.symbols(None).detach())
+    model.calibrate(inputs, symbols[:, : PAPER.carm_inputs], model.symbols(None).detach())
     model.set_grid(2)
     model.set_integers(rounding)
     model.set_gridded(rounding)
-    assert (symbols[:, : FEATURES - SLICES[-1]].abs() > 1023).any()
+    assert (symbols[:, : PAPER.carm_inputs].abs() > 1023).any()
     kept = (torch.rand(60, OFFSETS, generator=draw) < 0.3).float()
     kept[:5] = 0
     hidden = model.activations(inputs).detach()
-    small = model.hyper.outputs(hidden, slice(2 * WIDTH - 10, 2 * WIDTH)) <= SCALE_MIN
+    small = model.hyper.outputs(hidden, slice(2 * PAPER.width - 10, 2 * PAPER.width)) <= SCALE_MIN
     assert 0.1 < float(small.float().mean()) < 0.9
     weights, found = torch.rand(60, 3, generator=draw), []
     for kind, network in ((torch.float32, model), (torch.float64, copy.deepcopy(model).double())):
@@ -162,7 +162,7 @@ def test_bits_of_attributes(rounding: bool) -> None:
 def test_bits_of_planes(rounding: bool, size: int) -> None:
     """Of SARM and the likelihoods: against the same model in float64, which has torch's formulas."""
     draw = torch.Generator().manual_seed(7)
-    model = RateModel(VectorMatrix(), size, 8, np.zeros(WIDTH), np.ones(WIDTH), draw, EntropySettings())
+    model = RateModel(VectorMatrix(), size, 8, np.zeros(PAPER.width), np.ones(PAPER.width), draw, EntropySettings())
     with torch.no_grad():
         # Scales past the smallest one, and on both sides of it.
         model.sarm.biases[-1][1] -= 5
@@ -170,7 +170,7 @@ def test_bits_of_planes(rounding: bool, size: int) -> None:
     # Some contexts are past their bounds.
     symbols[:, 0, 1] *= 60
     symbols[:, 1] = 0
-    model.calibrate(torch.randn(9, 36, generator=draw), torch.randn(9, FEATURES - SLICES[-1], generator=draw), symbols)
+    model.calibrate(torch.randn(9, 36, generator=draw), torch.randn(9, PAPER.carm_inputs, generator=draw), symbols)
     model.set_grid(2)
     model.set_integers(rounding)
     model.set_gridded(rounding)

@@ -34,7 +34,7 @@ def test_the_text_has_these_constants() -> None:
     section = text.split("### B.8 Training")[1].split("\n## ")[0]
     rows = re.findall(r"^\| (`.+?`(?:, `.+?`)*) \| (.+?) \|", section, re.MULTILINE)
     names = [name for cell, _ in rows for name in re.findall(r"`([\w.]+)`", cell)]
-    assert len(names) == len(set(names)) == 19
+    assert len(names) == len(set(names)) == 20
     assert [f"phases.{phase.name}.begin" in names for phase in TrainSettings().phases] == [False] + 7 * [True]
     for cell, value in rows:
         found = tuple(setting(name) for name in re.findall(r"`([\w.]+)`", cell))
@@ -132,6 +132,7 @@ def test_changes(assignment: str, difference: str) -> None:
         ("growth.edges=[4, x]", "growth.edges is '[4, x]': a list of one or more is required"),
         ("growth.edges=[4, 0]", "growth.edges[1] is 0: 1 to 1024 is required"),
         ("weights.coarser=[1]", "weights.coarser is [1]: a list of 2 is required"),
+        ("entropy.slices=[1, 1]", "entropy.slices has 2 features: 3, which begin as an anchor's colour, to 128 are"),
         ("weights.coarser=[3, 1]", "weights.coarser is 3 to 1: nothing is left to try"),
         ("phases=1", "phases is 1: a list of phases is required"),
         ("phases=[{name = 'a', begin = 0}]", "phases[0] is {'name': 'a', 'begin': 0}: name, begin, modes are what"),

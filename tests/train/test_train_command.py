@@ -13,6 +13,7 @@ import torch
 from PIL import Image
 
 from refcodec.bitstream.codec import parse
+from refcodec.bitstream.metadata import metadata
 from refcodec.cli.main import main
 from refcodec.folder.uncompressed import read_uncompressed
 from refcodec.train.command import state_path
@@ -22,13 +23,14 @@ from refcodec.train.telling import LINE_SECONDS
 @pytest.mark.slow
 def test_command(examples: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     source, scene, file = str(examples / "caliterra"), tmp_path / "scene", tmp_path / "scene.c3gs"
-    words = ["--steps", "30", "--size", "64", "--set", "growth.most=6000", "--progress"]
+    words = ["--steps", "30", "--size", "64", "--set", "growth.most=6000", "--progress", "--meta", "title=Site"]
     assert main(["train", source, "-o", str(scene), *words]) == 0
     said = capsys.readouterr()
     assert "30 steps" in said.out
     assert "step 30 of 30" in said.err
     assert not state_path(scene).exists()
     assert main(["encode", str(scene), "-o", str(file)]) == 0
+    assert metadata(parse(file.read_bytes()).scene.ancillary) == {"title": "Site"}
     assert main(["eval", str(file), source, "--size", "64", "--json"]) == 0
     measured = json.loads(capsys.readouterr().out)
     facts = json.loads((scene / "training.json").read_text())
@@ -49,10 +51,12 @@ def test_command_without_rate(examples: Path, tmp_path: Path, capsys: pytest.Cap
     scene = read_uncompressed(folder)
     assert main(["eval", str(folder), source, "--size", "64", "--json"]) == 0
     found = json.loads(capsys.readouterr().out.split("\n", 6)[6])
+    # Six scalings and ten offsets, and networks with one hidden layer of 50 units.
+    features = scene.values.features.shape[1]
     assert found["parts"] == {
         "positions": 12 * scene.anchor_count,
-        "attributes": 4 * 86 * scene.anchor_count,
-        "weights": 4 * 13860,
+        "attributes": 4 * (features + 36) * scene.anchor_count,
+        "weights": 4 * (3 * 50 * (features + 5) + 51 * 110),
     }
     assert main(["render", str(folder), "-o", str(tmp_path / "images")]) == 0
     assert (tmp_path / "images" / "default.png").is_file()
@@ -65,6 +69,8 @@ def test_command_without_rate(examples: Path, tmp_path: Path, capsys: pytest.Cap
     ("options", "message"),
     [
         (["--rate", "2"], "0 to 1"),
+        (["--rate", "0", "--meta", "title=x"], "no metadata"),
+        (["--meta", "Title=x"], "key"),
         (["--steps", "0"], "at least 1"),
         (["--size", "0x5"], "size"),
         (["--device", "cuda"], "CUDA"),

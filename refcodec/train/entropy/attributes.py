@@ -144,7 +144,8 @@ class AttributeBits(torch.autograd.Function):
                 traces.append(trace)
             ctx.carm.append(traces)
             changes.append(x)
-        change, masks = torch.cat(changes, dim=1), array(kept)
+        # Without a second slice there is no CARM.
+        change, masks = torch.cat([out.new_zeros(len(out), 0), *changes], dim=1), array(kept)
         mean, scale = _gather(array(out), array(change), counting.columns, symbols.shape[1])
         bits, by_mean, by_scale = likelihood(mean, scale, array(symbols), True, counting.floor)
         found, parts = _sums(bits, masks, counting.features)

@@ -50,7 +50,7 @@ class FoldedMlp(nn.Module):
         self.weights, self.biases = nn.ParameterList(), nn.ParameterList()
         for i, (fan_in, out) in enumerate(pairwise(widths)):
             last = i == len(widths) - 2
-            spread = (gain if last else math.sqrt(2)) / math.sqrt(fan_in)
+            spread = (gain if last else math.sqrt(2)) / math.sqrt(max(fan_in, 1))
             self.weights.append(nn.Parameter(torch.randn(out, fan_in, generator=generator) * spread))
             self.biases.append(nn.Parameter(torch.zeros(out) if last else torch.rand(out, generator=generator) * bias))
         self.register_buffer("input_unit", input_unit)

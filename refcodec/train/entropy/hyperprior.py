@@ -5,7 +5,8 @@ A training takes any object with the calls of `Hyperprior`. The format has one o
 
 from __future__ import annotations
 
-from typing import Protocol
+from dataclasses import dataclass
+from typing import ClassVar, Protocol
 
 import numpy as np
 import torch
@@ -26,6 +27,7 @@ from ...bitstream.frame import Frame
 from ...bitstream.networks import ACTIVATION_MAX
 from ...bitstream.planes import PLANES
 from ...bitstream.positions import position_integers
+from ..settings import EntropySettings
 from .passes import is_compiled
 from .units import GAMMA_UNIT, LATENT_UNIT, PLANE_SHIFT, round_through
 
@@ -107,12 +109,17 @@ class PlaneSamples:
         return (round_through(units) if rounding else units).clamp(-ACTIVATION_MAX, ACTIVATION_MAX)
 
 
+@dataclass(frozen=True)
 class VectorMatrix:
-    """SPEC 7.5: planes over the first two principal axes at two scales, and gamma, the vector of the third axis."""
+    """SPEC 7.5: planes over the first two principal axes at two scales, and gamma, the vector of the third axis.
 
-    coded = True
-    # SPEC 11.1: Main's dimensions.
-    channels, frequencies = 8, 10
+    channels: ch, 0 for no planes. frequencies: L, 0 for no gamma. With neither of them F_h has no inputs, so that it
+    gives every anchor the same distributions.
+    """
+
+    channels: int = EntropySettings.channels
+    frequencies: int = EntropySettings.frequencies
+    coded: ClassVar[bool] = True
 
     def input_units(self) -> Tensor:
         """As Hyperprior."""
@@ -121,13 +128,32 @@ class VectorMatrix:
 
     def latent_shape(self, plane_size: int) -> tuple[int, int, int, int]:
         """As Hyperprior."""
-        return PLANES, self.channels, plane_size, plane_size
+        return (PLANES, self.channels, plane_size, plane_size) if self.channels else (PLANES, 0, 0, 0)
 
     def contexts(self, frame: Frame, positions: NDArray[np.float16], plane_size: int) -> Contexts:
         """As Hyperprior."""
         u = scene_coordinates(frame, positions)
-        gamma = positional_encoding(u[:, 2], self.frequencies)
-        return _VectorMatrixContexts(PlaneSamples(u[:, :2], plane_size), torch.as_tensor(gamma.astype(np.float32)))
+        gamma = torch.as_tensor(positional_encoding(u[:, 2], self.frequencies).astype(np.float32))
+        return _VectorMatrixContexts(PlaneSamples(u[:, :2], plane_size), gamma) if plane_size else _GivenContexts(gamma)
+
+
+def contexts_of(
+    hyperprior: Hyperprior, frame: Frame | None, positions: NDArray[np.float16], plane_size: int
+) -> Contexts:
+    """Hyperprior.contexts. frame: None if F_h has no inputs (SPEC 6.6)."""
+    if frame is None:
+        return _GivenContexts(torch.zeros(len(positions), 0))
+    return hyperprior.contexts(frame, positions, plane_size)
+
+
+class _GivenContexts:
+    """Contexts that do not depend on planes. values: float32 [N, inputs]."""
+
+    def __init__(self, values: Tensor) -> None:
+        self.values = values
+
+    def inputs(self, symbols: Tensor, rows: Tensor, rounding: bool) -> Tensor:
+        return self.values[rows]
 
 
 class _VectorMatrixContexts:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from itertools import accumulate
 from typing import cast
 
@@ -12,55 +13,41 @@ from torch import Tensor, nn
 from torch.nn import functional
 
 from ...bitstream.attributes import KINDS, SCALINGS
-from ...bitstream.limits import MAIN_SLICES
 from ...bitstream.networks import ACTIVATION_MAX, Layer
 from ...bitstream.tables import STEP_LENGTH
+from ...encoder.sizes import SLICES
 from ..settings import EntropySettings
 from .bits import bits_anywhere, laplace_bits
+from .columns import Columns
 from .folded import FoldedMlp
 from .hyperprior import Hyperprior, plane_neighbours
 from .passes import is_compiled
 from .units import LATENT_UNIT, MEAN_UNIT, SCALE_UNIT, STEP_ONE, round_through
 
-# SPEC 11.1: Main's dimensions.
-FEATURES, OFFSETS, SLICES, SARM_WIDTH = sum(MAIN_SLICES), 10, MAIN_SLICES, (16, 16)
-# Columns of the three kinds of attributes in file order, and D.
-WIDTHS = dict(zip(KINDS, (FEATURES, SCALINGS, 3 * OFFSETS), strict=True))
-WIDTH = sum(WIDTHS.values())
+# The offsets that a training gives its anchors, and the widths of SARM's hidden layers, both as in the paper.
+OFFSETS, SARM_WIDTH = 10, (16, 16)
+PAPER = Columns(SLICES, OFFSETS)
 
 
-def _changes() -> Tensor:
-    """Columns of CARM's outputs, slice by slice, that the means and scales of attributes add: int64 [2, D], or -1."""
-    found, done, at = torch.full((2, WIDTH), -1), SLICES[0], 0
-    for columns in SLICES[1:]:
-        for row in found:
-            row[done : done + columns] = torch.arange(at, at + columns)
-            at += columns
-        done += columns
-    return found
-
-
-CHANGES = _changes()
-
-
-def count_anywhere(out: Tensor, change: Tensor, symbols: Tensor, kept: Tensor, floor: float) -> Tensor:
+def count_anywhere(out: Tensor, change: Tensor, symbols: Tensor, kept: Tensor, floor: float, of: Columns) -> Tensor:
     """RateModel.attribute_bits of F_h's outputs [n, 2 D] and CARM's [n, .], with torch on the tensors' device."""
-    mean, scale = out[:, :WIDTH], out[:, WIDTH:]
-    changed = slice(SLICES[0], FEATURES)
-    by_mean, by_scale = (change[:, columns[changed].to(change.device)] for columns in CHANGES)
-    rest = (SLICES[0], WIDTH - FEATURES)
+    mean, scale = out[:, : of.width], out[:, of.width :]
+    changed = slice(of.slices[0], of.features)
+    by_mean, by_scale = (change[:, columns[changed].to(change.device)] for columns in of.changes())
+    rest = (of.slices[0], of.width - of.features)
     mean, scale = mean + functional.pad(by_mean, rest), scale + functional.pad(by_scale, rest)
     bits = bits_anywhere(mean, scale, symbols, True, floor)
     some = 1 - torch.prod(1 - kept, dim=1)
-    offsets = (bits[:, FEATURES + SCALINGS :].reshape(len(bits), OFFSETS, 3).sum(dim=2) * kept).sum(dim=1)
-    features, scalings = bits[:, :FEATURES], bits[:, FEATURES : FEATURES + SCALINGS]
-    return torch.stack([features.sum(dim=1) * some, scalings.sum(dim=1) * some, offsets], dim=1)
+    place = slice(of.features, of.features + SCALINGS)
+    offsets = (bits[:, place.stop :].reshape(len(bits), of.offsets, 3).sum(dim=2) * kept).sum(dim=1)
+    return torch.stack([bits[:, : of.features].sum(dim=1) * some, bits[:, place].sum(dim=1) * some, offsets], dim=1)
 
 
 class RateModel(nn.Module):
     """Planes, F_h with its steps, SARM and CARM of one scene of Main.
 
-    What is trained is `latents`, the planes in units of LATENT_UNIT symbols, and the networks' parameters.
+    What is trained is `latents`, the planes in units of LATENT_UNIT symbols, and the networks' parameters. sarm: None
+    without planes. columns: of the attributes.
     """
 
     def __init__(
@@ -73,14 +60,16 @@ class RateModel(nn.Module):
         generator: torch.Generator,
         settings: EntropySettings,
         carm_shift: NDArray[np.uint8] | None = None,
+        columns: Columns = PAPER,
     ) -> None:
-        """plane_size: B. width: of the hidden layers of F_h and CARM.
+        """plane_size: B, 0 without planes. width: of the hidden layers of F_h and CARM.
 
         mean, deviation: [D], of each channel's symbols at the beginning, when every step is the base step. carm_shift:
         SPEC 7.9, of CARM's inputs; None for zeros.
         """
         super().__init__()
-        self.floor = settings.floor
+        self.floor, self.columns = settings.floor, columns
+        slices, total = columns.slices, columns.width
         self.carm_unit: Tensor | None = None
         if carm_shift is not None and carm_shift.any():
             self.carm_unit = torch.from_numpy(np.exp2(carm_shift.astype(np.float32)))
@@ -91,27 +80,31 @@ class RateModel(nn.Module):
             return FoldedMlp(widths, inputs, outputs, generator, gain, settings.bias)
 
         inputs = hyperprior.input_units()
-        outputs = torch.cat([unit * MEAN_UNIT, torch.full((WIDTH + len(KINDS),), SCALE_UNIT)])
-        self.hyper = network([len(inputs), width, 2 * WIDTH + len(KINDS)], inputs, outputs)
+        outputs = torch.cat([unit * MEAN_UNIT, torch.full((total + len(KINDS),), SCALE_UNIT)])
+        # SPEC 11.1: F_h without inputs is a row of constants.
+        hidden = [width] * settings.layers
+        self.hyper = network([len(inputs), *(hidden if len(inputs) else []), 2 * total + len(KINDS)], inputs, outputs)
         with torch.no_grad():
             start = np.concatenate([mean / unit.numpy(), octave, np.full(len(KINDS), STEP_ONE / SCALE_UNIT)])
             self.hyper.biases[-1].copy_(torch.tensor(start, dtype=torch.float32))
-            self.hyper.weights[-1][2 * WIDTH :] = 0
-        outputs = torch.tensor([LATENT_UNIT * MEAN_UNIT, SCALE_UNIT])
-        self.sarm = network([4, *SARM_WIDTH, 2], torch.full((4,), LATENT_UNIT), outputs)
-        inputs = unit[: sum(SLICES[:-1])] / (1 if self.carm_unit is None else self.carm_unit)
-        carm, done = [], SLICES[0]
-        for columns in SLICES[1:]:
-            outputs = torch.cat([unit[done : done + columns] * MEAN_UNIT, torch.full((columns,), SCALE_UNIT)])
-            carm.append(network([done, width, 2 * columns], inputs[:done], outputs, 0.0))
-            done += columns
-        self.carm = nn.ModuleList(carm)
+            self.hyper.weights[-1][2 * total :] = 0
         shape = hyperprior.latent_shape(plane_size)
+        self.sarm: FoldedMlp | None = None
+        if math.prod(shape):
+            outputs = torch.tensor([LATENT_UNIT * MEAN_UNIT, SCALE_UNIT])
+            self.sarm = network([4, *SARM_WIDTH, 2], torch.full((4,), LATENT_UNIT), outputs)
+        inputs = unit[: columns.carm_inputs] / (1 if self.carm_unit is None else self.carm_unit)
+        carm, done = [], slices[0]
+        for own in slices[1:]:
+            outputs = torch.cat([unit[done : done + own] * MEAN_UNIT, torch.full((own,), SCALE_UNIT)])
+            carm.append(network([done, *hidden, 2 * own], inputs[:done], outputs, 0.0))
+            done += own
+        self.carm = nn.ModuleList(carm)
         self.latents = nn.Parameter(torch.randn(shape, generator=generator) * settings.planes)
 
     def _networks(self) -> list[FoldedMlp]:
         """F_h, SARM, and CARM of slices 1, 2 and so on."""
-        return [self.hyper, self.sarm, *self._carm()]
+        return [self.hyper, *([] if self.sarm is None else [self.sarm]), *self._carm()]
 
     def _carm(self) -> list[FoldedMlp]:
         return cast(list[FoldedMlp], list(self.carm))
@@ -133,6 +126,8 @@ class RateModel(nn.Module):
 
     def plane_bits(self, symbols: Tensor) -> Tensor:
         """Bits of all plane symbols, which are part of a loss."""
+        if self.sarm is None:
+            return symbols.new_zeros(())
         if is_compiled(symbols):
             from .plane_bits import PlaneBits  # noqa: PLC0415 (needs numba)
 
@@ -151,7 +146,7 @@ class RateModel(nn.Module):
 
         Columns are those of features, scalings and offsets.
         """
-        index = self.hyper.outputs(hidden, slice(2 * WIDTH, None)).clamp(0, STEP_LENGTH - 1)
+        index = self.hyper.outputs(hidden, slice(2 * self.columns.width, None)).clamp(0, STEP_LENGTH - 1)
         if self.integers:
             index = round_through(index)
         return torch.exp2((index - STEP_ONE) / SCALE_UNIT)
@@ -163,7 +158,7 @@ class RateModel(nn.Module):
         """
         gradient = self.hyper.weights[-1].grad
         if gradient is not None:
-            gradient[2 * WIDTH + KINDS.index("scalings")] = 0
+            gradient[2 * self.columns.width + KINDS.index("scalings")] = 0
 
     def attribute_bits(self, hidden: Tensor, symbols: Tensor, kept: Tensor) -> Tensor:
         """Bits of features, scalings and offsets of each anchor, [n, 3].
@@ -173,28 +168,30 @@ class RateModel(nn.Module):
         # The pass of our own takes CARM's inputs for the symbols themselves, or the bounds of SPEC 7.9.
         if is_compiled(hidden) and not (self.carm_unit is not None and symbols.requires_grad):
             return self._attribute_bits_on_cpu(hidden, symbols, kept)
-        out = self.hyper.outputs(hidden, slice(0, 2 * WIDTH))
-        earlier = self.carm_inputs(symbols[:, : FEATURES - SLICES[-1]])
-        widths = accumulate(SLICES)
-        change = torch.cat([network(earlier[:, :w]) for network, w in zip(self._carm(), widths, strict=False)], dim=1)
-        return count_anywhere(out, change, symbols, kept, self.floor)
+        out = self.hyper.outputs(hidden, slice(0, 2 * self.columns.width))
+        earlier = self.carm_inputs(symbols[:, : self.columns.carm_inputs])
+        widths = accumulate(self.columns.slices)
+        changes = [network(earlier[:, :w]) for network, w in zip(self._carm(), widths, strict=False)]
+        change = torch.cat([out.new_zeros(len(out), 0), *changes], dim=1)
+        return count_anywhere(out, change, symbols, kept, self.floor, self.columns)
 
     def _attribute_bits_on_cpu(self, hidden: Tensor, symbols: Tensor, kept: Tensor) -> Tensor:
         from .attributes import AttributeBits, Counting  # noqa: PLC0415 (needs numba)
 
-        rows, last, carm = slice(0, 2 * WIDTH), self.hyper.hidden, self._carm()
+        of, last, carm = self.columns, self.hyper.hidden, self._carm()
+        rows = slice(0, 2 * of.width)
         plans = [[network.plan(i) for i in range(network.hidden + 1)] for network in carm]
-        counting = Counting(rows, self.hyper.plan(last, rows), plans, CHANGES.numpy(), FEATURES, self.floor)
+        counting = Counting(rows, self.hyper.plan(last, rows), plans, of.changes().numpy(), of.features, self.floor)
         parameters = self.hyper.pairs()[-2:]
         for network in carm:
             parameters += network.pairs()
         with torch.no_grad():
-            earlier = self.carm_inputs(symbols[:, : FEATURES - SLICES[-1]])
+            earlier = self.carm_inputs(symbols[:, : of.carm_inputs])
         bits: Tensor = AttributeBits.apply(counting, hidden, symbols, earlier, kept, *parameters)
         return bits
 
     def carm_inputs(self, features: Tensor) -> Tensor:
-        """SPEC 7.9: CARM's inputs for symbols of features [n, 40], shifted where they are large, and cut."""
+        """SPEC 7.9: CARM's inputs for symbols of features [n, .], shifted where they are large, and cut."""
         if self.carm_unit is not None:
             features = torch.floor(features / self.carm_unit + 0.5)
         return features.clamp(-ACTIVATION_MAX, ACTIVATION_MAX)
@@ -213,10 +210,11 @@ class RateModel(nn.Module):
 
     @torch.no_grad()
     def calibrate(self, inputs: Tensor, earlier: Tensor, symbols: Tensor) -> None:
-        """set_integers, with units that fit these inputs of F_h [n, .] and of CARM [n, 40], and these plane symbols."""
+        """set_integers, with units that fit these inputs of F_h [n, .] and of CARM [n, .], and these plane symbols."""
         self.hyper.calibrate(inputs)
-        self.sarm.calibrate(plane_neighbours(symbols))
-        for network, done in zip(self._carm(), accumulate(SLICES), strict=False):
+        if self.sarm is not None:
+            self.sarm.calibrate(plane_neighbours(symbols))
+        for network, done in zip(self._carm(), accumulate(self.columns.slices), strict=False):
             network.calibrate(earlier[:, :done])
         self.set_integers(True)
 
@@ -233,4 +231,5 @@ class RateModel(nn.Module):
     def networks(self) -> dict[str, list[Layer]]:
         """F_h, SARM and CARM as SPEC 5.8 stores them."""
         carm = {f"carm.{i}": network.layers() for i, network in enumerate(self._carm(), start=1)}
-        return {"hyper": self.hyper.layers(), "sarm": self.sarm.layers(), **carm}
+        sarm = {} if self.sarm is None else {"sarm": self.sarm.layers()}
+        return {"hyper": self.hyper.layers(), **sarm, **carm}

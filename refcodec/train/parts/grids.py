@@ -11,7 +11,6 @@ from typing import Any
 import numpy as np
 import torch
 
-from ..entropy.model import WIDTH
 from ..losses import photometric
 from ..part import Part
 from ..scaffold import Scaffold
@@ -72,7 +71,7 @@ class Grids(Part):
         shown = sum(float(photometric(views.draw(p.camera), views.pixels(p), settings.loss.ssim)) for p in judges)
         parts = self.estimate()
         bits = 8 * (parts["attributes"] + parts["weights"] + settings.rate.planes * parts["planes"])
-        return shown / len(judges) + settings.rate.weight * bits / (self.rate.masks.total * WIDTH)
+        return shown / len(judges) + settings.rate.weight * bits / (self.rate.masks.total * self.scaffold.columns.width)
 
     def state(self) -> dict[str, Any]:
         """Whether there are grids; their steps are the networks' own."""

@@ -12,7 +12,7 @@ from ...bitstream.dimensions import RENDERING
 from ..adam import ADAM_EPSILON, F32, I64, adam_anywhere, adam_rows, added, joined, share_rows
 from ..optimisers import learning_rate, moments, restore_moments
 from ..part import Part, Step
-from ..scaffold import COLUMNS, Scaffold
+from ..scaffold import TABLES, Scaffold
 from ..schedule import Clock
 from ..settings import LearningSettings
 from ..state import Saved
@@ -45,7 +45,7 @@ class Learning(Part):
             group["lr"] = learning_rate(group["decay"], self.clock.share)
         self.optimiser.step()
         self.optimiser.zero_grad(set_to_none=True)
-        rates = {name: learning_rate(getattr(self.settings, name), self.clock.share) for name in COLUMNS}
+        rates = {name: learning_rate(getattr(self.settings, name), self.clock.share) for name in TABLES}
         if self._compiled:
             self._descend_on_cpu(step, rates)
             return

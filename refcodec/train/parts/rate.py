@@ -5,6 +5,7 @@ It starts once, when its phase begins: then the frame, the size of the planes an
 
 from __future__ import annotations
 
+import math
 from typing import Any
 
 import numpy as np
@@ -16,8 +17,8 @@ from ...bitstream.frame import FRAME_RANGE_BOUND, FRAME_SHIFT_MAX, MATRIX_BOUND,
 from ...encoder.frame import choose_frame
 from ...encoder.sizes import choose_plane_size, choose_width
 from ..adam import ADAM_EPSILON
-from ..entropy.hyperprior import Hyperprior
-from ..entropy.model import WIDTH, RateModel
+from ..entropy.hyperprior import Hyperprior, contexts_of
+from ..entropy.model import RateModel
 from ..optimisers import learning_rate, moments, restore_moments
 from ..part import Part, Sight, Step
 from ..scaffold import Scaffold
@@ -47,8 +48,8 @@ BLOCK = 8192
 class Rate(Part):
     """L_rate, and the entropy model that it trains.
 
-    Once it has started there are the model, the frame (SPEC 7.5.1), base_step (float32 [3]), the contexts of all
-    anchors, and the optimiser.
+    Once it has started there are the model, the frame (SPEC 7.5.1) or None if F_h has no inputs, base_step
+    (float32 [3]), the contexts of all anchors, and the optimiser.
     """
 
     name = "rate"
@@ -82,17 +83,29 @@ class Rate(Part):
     def start(self) -> None:
         """Fixes the frame and the planes' size, and starts the entropy model from the attributes' statistics."""
         self.masks.anchors_changed()
-        frame = choose_frame(lattice_positions(self.scaffold.lattice))
         count = self.scaffold.count
-        self._make(frame, self.quantisation.base_steps(), choose_plane_size(count), choose_width(count))
+        frame = choose_frame(lattice_positions(self.scaffold.lattice)) if self._has_inputs else None
+        plane_size = choose_plane_size(count) if self._has_planes else 0
+        self._make(frame, self.quantisation.base_steps(), plane_size, choose_width(count))
 
-    def _make(self, frame: Frame, base_step: Tensor, plane_size: int, width: int) -> RateModel:
+    @property
+    def _has_inputs(self) -> bool:
+        """Whether F_h reads anything of an anchor's place."""
+        return len(self.hyperprior.input_units()) > 0
+
+    @property
+    def _has_planes(self) -> bool:
+        return math.prod(self.hyperprior.latent_shape(1)) > 0
+
+    def _make(self, frame: Frame | None, base_step: Tensor, plane_size: int, width: int) -> RateModel:
         """An entropy model for the anchors as they are. plane_size: B. width: of the hidden layers of F_h and CARM."""
         scaffold, learning = self.scaffold, self.settings.learning
         symbols = torch.cat([scaffold.tables[kind] / base_step[i] for i, kind in enumerate(KINDS)], dim=1).double()
         mean, deviation = symbols.mean(dim=0).cpu().numpy(), symbols.std(dim=0).cpu().numpy()
         entropy = self.settings.entropy
-        model = self.model_type(self.hyperprior, plane_size, width, mean, deviation, self.random, entropy)
+        model = self.model_type(
+            self.hyperprior, plane_size, width, mean, deviation, self.random, entropy, columns=scaffold.columns
+        )
         model.to(scaffold.device)
         self.model, self.frame, self.base_step = model, frame, base_step
         self._place()
@@ -111,7 +124,7 @@ class Rate(Part):
     def _place(self) -> None:
         cells, plane_size = lattice_positions(self.scaffold.lattice), self.started().latents.shape[-1]
         with self.scaffold.device:
-            self.contexts = self.hyperprior.contexts(self.frame, cells, plane_size)
+            self.contexts = contexts_of(self.hyperprior, self.frame, cells, plane_size)
 
     def round_activations(self) -> None:
         """Switches to the decoder's activations, with units from all anchors."""
@@ -170,10 +183,11 @@ class Rate(Part):
         kept = self.masks.kept(leaves["masks"], rows)
         bits = self.model.attribute_bits(hidden, symbols, kept).mean(dim=0)
         # N counts the anchors that were dropped, too, so that the weight of the others' bits stays what it was.
-        loss = bits.sum() * self.scaffold.count / (self.masks.total * WIDTH)
+        symbols_of_all = self.masks.total * self.scaffold.columns.width
+        loss = bits.sum() * self.scaffold.count / symbols_of_all
         if self.clock.done % settings.plane_period == 0:
             # A-RDO: the term is not scaled up for the steps that lack it.
-            loss = loss + settings.planes * self.model.plane_bits(planes) / (self.masks.total * WIDTH)
+            loss = loss + settings.planes * self.model.plane_bits(planes) / symbols_of_all
         return settings.weight * loss
 
     def descend(self, step: Step) -> None:
@@ -225,7 +239,9 @@ class Rate(Part):
         """The frame, the base steps, the model with its moments, and whether it is rounded."""
         if self.model is None:
             return {}
-        frame = {f"frame.{name}": torch.from_numpy(np.asarray(getattr(self.frame, name))) for name in _FRAME}
+        frame = {}
+        if self.frame is not None:
+            frame = {f"frame.{name}": torch.from_numpy(np.asarray(getattr(self.frame, name))) for name in _FRAME}
         model = {f"model.{name}": value for name, value in self.model.state_dict().items()}
         more = {"base_step": self.base_step, "integers": self.model.integers}
         return {**frame, **model, **moments(self.optimiser), **more}
@@ -234,24 +250,34 @@ class Rate(Part):
         """As Part."""
         if not state.names():
             return
-        arrays = []
-        for name, (shape, low, high) in _FRAME.items():
-            arrays.append(state.tensor(f"frame.{name}", shape, torch.int64, low, high).numpy())
-        frame = Frame(*arrays)
-        if (frame.high <= frame.low).any():
-            raise state.fault("frame.high", "is not above frame.low")
+        frame = self._restored_frame(state) if self._has_inputs else None
         base_step = state.tensor("base_step", (len(KINDS),), low=BASE_STEP_MIN).to(self.scaffold.device)
         # The planes' size and the width are those for the anchors when the rate began. They may be others by now.
         latents = state.tensor("model.latents", (None,) * len(self.hyperprior.latent_shape(1)))
-        width = state.tensor("model.hyper.biases.0", (None,)).shape[0]
-        plane_size = latents.shape[-1]
-        for name, found, choose in (
-            ("model.latents", plane_size, choose_plane_size),
-            ("model.hyper.biases.0", width, choose_width),
-        ):
+        plane_size, width = latents.shape[-1], choose_width(0)
+        sizes = [("model.latents", plane_size, choose_plane_size)] if self._has_planes else []
+        # A network with a hidden layer of that width, if there is one.
+        wide = "hyper" if self._has_inputs else "carm.0" if len(self.settings.entropy.slices) > 1 else None
+        if self.settings.entropy.layers and wide:
+            name = f"model.{wide}.biases.0"
+            width = state.tensor(name, (None,)).shape[0]
+            sizes.append((name, width, choose_width))
+        for name, found, choose in sizes:
             if not choose(0) <= found <= choose(ANCHORS_MAX):
                 raise state.fault(name, f"has a size of {found}, {choose(0)} to {choose(ANCHORS_MAX)} are possible")
-        model = self._make(frame, base_step, plane_size, width)
+        model = self._make(frame, base_step, plane_size if self._has_planes else 0, width)
         state.module("model.", model)
         model.set_integers(state.flag("integers"))
         restore_moments(self.optimiser, state)
+
+    @staticmethod
+    def _restored_frame(state: Saved) -> Frame:
+        """The frame of a saved state. Raises ValueError."""
+        arrays = [
+            state.tensor(f"frame.{name}", shape, torch.int64, low, high).numpy()
+            for name, (shape, low, high) in _FRAME.items()
+        ]
+        frame = Frame(*arrays)
+        if (frame.high <= frame.low).any():
+            raise state.fault("frame.high", "is not above frame.low")
+        return frame

@@ -1,0 +1,62 @@
+"""Fetches one chunk of a C3GS file by ranges of bytes, and decodes it.
+
+python examples/reading/one_chunk.py FILE_OR_URL NUMBER
+
+A viewer does this for the part of a scene that it looks at. First come the header, the networks, the planes and the
+index, which serve every chunk. The index says where each chunk lies, how many Gaussians it has at most, and between
+which positions. A URL needs a server that answers ranges.
+"""
+
+from __future__ import annotations
+
+import sys
+import urllib.request
+from collections.abc import Callable
+from pathlib import Path
+
+from refcodec.bitstream.reader import decode_chunk
+from refcodec.bitstream.reconstruction import chunk_digest, reconstruct
+from refcodec.bitstream.source import Ranges
+
+
+def fetcher(place: str) -> tuple[Callable[[int, int], bytes], int]:
+    """Returns a function that fetches some bytes, by the first one and their number, and the length of the file."""
+    if "://" not in place:
+        data = Path(place)
+
+        def read(start: int, size: int) -> bytes:
+            with data.open("rb") as file:
+                file.seek(start)
+                return file.read(size)
+
+        return read, data.stat().st_size
+
+    def fetch(start: int, size: int) -> bytes:
+        wanted = urllib.request.Request(place, headers={"Range": f"bytes={start}-{start + size - 1}"})
+        with urllib.request.urlopen(wanted, timeout=30) as answer:
+            if answer.status != 206:
+                raise OSError("the server does not answer ranges")
+            return answer.read()
+
+    with urllib.request.urlopen(urllib.request.Request(place, method="HEAD"), timeout=30) as answer:
+        return fetch, int(answer.headers["Content-Length"])
+
+
+def main() -> None:
+    """Command line."""
+    place, number = sys.argv[1], int(sys.argv[2])
+    fetch, length = fetcher(place)
+
+    def told(start: int, size: int) -> bytes:
+        print(f"fetch {size} bytes from {start}")
+        return fetch(start, size)
+
+    scene = decode_chunk(Ranges(told, length), number)
+    values = reconstruct(scene)
+    low, high = values.positions.min(axis=0), values.positions.max(axis=0)
+    print(f"chunk {number}: {scene.anchor_count} anchors from {low.tolist()} to {high.tolist()}")
+    print(f"digest {chunk_digest(scene)}")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,119 @@
+"""Clauses 5.17 and 6.15: named cameras, an ancillary section.
+
+A fault of such a section is a warning. It never refuses a file.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable
+from dataclasses import dataclass
+from typing import Any
+
+import construct as cs
+
+from . import syntax
+from .scene import Ancillary
+
+# SPEC 6.15
+CAMERAS = b"cAMS"
+
+
+@dataclass(frozen=True)
+class NamedCamera:
+    """SPEC 5.17 and 14.2: a camera.
+
+    width, height, focal, principal_point: pixels.
+    rotation: a quaternion w, x, y, z, from the world to the camera.
+    translation: from the world to the camera, world units.
+    """
+
+    name: str = "default"
+    width: int = 800
+    height: int = 600
+    focal: tuple[float, float] = (700.0, 700.0)
+    principal_point: tuple[float, float] = (400.0, 300.0)
+    rotation: tuple[float, float, float, float] = (1.0, 0.0, 0.0, 0.0)
+    translation: tuple[float, float, float] = (0.0, 0.0, 0.0)
+
+    def fault(self) -> str | None:
+        """SPEC 6.15: returns what is wrong with the camera, or None."""
+        numbers = (*self.focal, *self.principal_point, *self.rotation, *self.translation)
+        if not all(map(math.isfinite, numbers)):
+            return "a number is NaN or infinite"
+        if min(self.width, self.height, *self.focal) <= 0:
+            return "its width, height or focal length is not above 0"
+        if not any(self.rotation):
+            return "its rotation is a quaternion of zeros"
+        return None
+
+
+def parse_cameras(content: bytes) -> tuple[list[NamedCamera], list[str]]:
+    """SPEC 5.17 and 6.15: returns the good cameras of a section, and what is wrong with it, as text."""
+    found: list[NamedCamera] = []
+    problems: list[str] = []
+    names: set[bytes] = set()
+    number = 0
+    try:
+        head, at = syntax.parse("Cameras", content)
+        if head.reserved:
+            problems.append("its reserved field is not 0")
+        for number in range(head.count):
+            fields, size = syntax.parse("Camera", content, at)
+            at += size
+            camera, fault = _camera(fields)
+            if fields.name in names:
+                fault = fault or "its name is that of an earlier one"
+            if any(fields.padding):
+                problems.append(f"the padding of camera {number} is not zero")
+            names.add(fields.name)
+            if camera is None or fault:
+                problems.append(f"camera {number}: {fault}")
+            else:
+                found.append(camera)
+    except cs.ConstructError:
+        problems.append(f"it ends within camera {number}")
+    else:
+        if at != len(content):
+            problems.append(f"{len(content) - at} bytes follow the last camera")
+    return found, problems
+
+
+def _camera(fields: Any) -> tuple[NamedCamera | None, str | None]:
+    """Returns a camera, or None if its name is no text, and what is wrong with it."""
+    try:
+        name = fields.name.decode()
+    except UnicodeDecodeError:
+        return None, "its name is not text"
+    numbers = (tuple(fields[key]) for key in ("focal", "principal_point", "rotation", "translation"))
+    camera = NamedCamera(name, fields.width, fields.height, *numbers)
+    return camera, camera.fault()
+
+
+def emit_cameras(cameras: list[NamedCamera]) -> bytes:
+    """SPEC 5.17: returns the bytes of a section. Raises ValueError for cameras that SPEC 6.15 does not allow."""
+    parts = [syntax.build("Cameras", {"count": len(cameras), "reserved": 0})]
+    for camera in cameras:
+        name = camera.name.encode()
+        parts.append(syntax.build("Camera", {**vars(camera), "name": name, "name_length": len(name)}))
+    content = b"".join(parts)
+    problems = parse_cameras(content)[1]
+    if problems:
+        raise ValueError(f"the cameras cannot be written: {problems[0]} (SPEC.md 6.15)")
+    return content
+
+
+def cameras(sections: Iterable[Ancillary]) -> list[NamedCamera]:
+    """Returns the good cameras of all sections. The first one is the default view."""
+    chosen = (section for section in sections if section.type == CAMERAS and not section.mode)
+    return [camera for section in chosen for camera in parse_cameras(section.content)[0]]
+
+
+def warnings(sections: Iterable[Ancillary]) -> list[str]:
+    """SPEC 6.15: returns what is wrong with the sections of cameras, as text."""
+    return [
+        f"cameras: {problem}"
+        for section in sections
+        if section.type == CAMERAS
+        for problem in (["its mode is not known"] if section.mode else parse_cameras(section.content)[1])
+    ]

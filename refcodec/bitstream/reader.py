@@ -1,0 +1,324 @@
+"""Clauses 10.1 and 10.2: a file that is read in its order, as a whole, as bytes arrive, or one chunk of it.
+
+A Reader reads the header when it is made. `open` reads what comes before the chunks, `chunks` reads the chunks, and
+`close` reads what comes behind them. Each check is here once, for all three ways of reading.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from threadpoolctl import threadpool_limits
+
+from .attributes import Attributes, EntropyModel, code_attributes, zero_attributes
+from .batches import GROUP_ANCHORS, GROUP_CHUNKS, PartDecoder, Progress, no_progress
+from .bounds import Bounds
+from .chunks import CodedChunk, read_chunk
+from .context import context
+from .conventions import Int64
+from .directory import DATA, FRAME, INDEX, PLANES_SECTION, WEIGHTS, check_end, is_critical, pass_section, read_section
+from .entropy import Trace
+from .errors import BitstreamError
+from .frame import Frame, parse_frame
+from .header import Header, read_header
+from .index import ChunkEntry, Index, parse_index
+from .masks import code_masks, mask_models
+from .networks import BoundError, derive_networks
+from .planes import assemble_planes, no_planes, parse_planes
+from .positions import parse_positions
+from .scene import Ancillary, Scene
+from .source import Source
+from .tables import ModelSet
+from .weights import ParsedWeights, bound_error, parse_weights
+
+
+@dataclass(frozen=True, eq=False)
+class Opened:
+    """What all chunks are decoded with.
+
+    frame: None without planes and frequencies. planes: int16 [5, ch, B, B]. joined: as assemble_planes gives them.
+    """
+
+    frame: Frame | None
+    weights: ParsedWeights
+    planes: NDArray[np.int16]
+    joined: tuple[Int64, Int64]
+    index: Index
+    masks: ModelSet
+    model: EntropyModel
+
+
+@dataclass(frozen=True, eq=False)
+class Chunk:
+    """A decoded chunk.
+
+    positions: float16 [n, 3]. masks: bool [n, K]. form: that of its positions.
+    """
+
+    entry: ChunkEntry
+    form: int
+    positions: NDArray[np.float16]
+    masks: NDArray[np.bool_]
+    attributes: Attributes
+
+
+class Reader:
+    """Reads a file from a Source.
+
+    header: with its sections.
+    ancillary: the ancillary sections that were kept.
+    opened: what `open` read, or None before.
+    """
+
+    def __init__(
+        self,
+        source: Source,
+        *,
+        keep_ancillary: bool = True,
+        trace: Trace | None = None,
+        bounds: Bounds | None = None,
+    ) -> None:
+        """SPEC 10.1, steps 1 to 3. Raises BitstreamError 101 to 305, and BoundPassedError after them.
+
+        keep_ancillary: whether ancillary sections are kept. Otherwise they are only checked. trace: told of each
+        symbol. Symbols come chunk by chunk then. bounds: of a reader of one chunk after the other.
+        """
+        self.source, self.trace, self._keep = source, trace, keep_ancillary
+        self.header: Header = read_header(source)
+        if bounds:
+            bounds.check(self.header, min(self.header.anchor_count, self.header.chunk_size))
+        self.ancillary: list[Ancillary] = []
+        self.opened: Opened | None = None
+        self._before = 0
+
+    def open(self, *, critical_only: bool = False, progress: Progress = no_progress) -> Opened:
+        """SPEC 10.1, step 4: reads and checks the sections before DATA.
+
+        critical_only: whether ancillary sections are left unread, as a decoder of one chunk may. Raises BitstreamError
+        311 to 313 and 401 to 436, or that of a substream.
+        """
+        with threadpool_limits(1, "blas"):
+            return self._open(critical_only, progress)
+
+    def _open(self, critical_only: bool, progress: Progress) -> Opened:
+        h, d = self.header, self.header.dimensions
+        frame: Frame | None = None
+        weights: ParsedWeights | None = None
+        planes, index = no_planes(), None
+        for section in h.sections:
+            if section.type == DATA:
+                break
+            if not is_critical(section.type):
+                if not critical_only:
+                    self._read_ancillary(section.number)
+                continue
+            piece = read_section(self.source, section)
+            self._before += 1
+            if section.type == FRAME:
+                frame = parse_frame(piece)
+            elif section.type == WEIGHTS:
+                weights = parse_weights(piece, section.mode, d, 1 << h.lanes.attribute, self.trace)
+                try:
+                    networks = derive_networks(weights.networks)
+                except BoundError as error:
+                    raise bound_error(weights, d, error) from None
+            elif section.type == PLANES_SECTION:
+                progress("planes", 0, 1)
+                planes = parse_planes(piece, d, 1 << h.lanes.plane, networks["sarm"], self.trace)
+                progress("planes", 1, 1)
+            elif section.type == INDEX:
+                data = h.section(DATA)
+                assert data is not None
+                index = parse_index(piece, section.mode, d, h.anchor_count, h.chunk_size, data.start, data.length)
+        assert weights is not None
+        assert index is not None
+        model = EntropyModel.of(networks, weights.carm_shift, d.slices)
+        joined = assemble_planes(planes)
+        self.opened = Opened(frame, weights, planes, joined, index, mask_models(index.mask_model), model)
+        return self.opened
+
+    def _read_ancillary(self, number: int) -> None:
+        section = self.header.sections[number]
+        if self._keep:
+            content = read_section(self.source, section).data
+            self.ancillary.append(Ancillary(section.type, section.mode, content, self._before))
+        else:
+            pass_section(self.source, section)
+
+    def chunks(self, *, side_by_side: bool = False) -> Iterator[Chunk | BitstreamError]:
+        """SPEC 10.1, step 5: yields each chunk in order, or its first error.
+
+        side_by_side: whether many chunks are read and decoded at once, which is faster. Otherwise a chunk is yielded
+        before the next one is read. What is yielded does not depend on it.
+        """
+        opened = self.opened
+        assert opened is not None
+        entries: list[ChunkEntry] = []
+        for number in range(len(opened.index)):
+            entry = opened.index[number]
+            full = len(entries) == GROUP_CHUNKS or (
+                entries and entry.anchors.stop - entries[0].anchors.start > GROUP_ANCHORS
+            )
+            if entries and (full or self.trace or not side_by_side):
+                yield from self.decode(entries)
+                entries = []
+            entries.append(entry)
+        if entries:
+            yield from self.decode(entries)
+
+    def decode(self, entries: list[ChunkEntry]) -> list[Chunk | BitstreamError]:
+        """SPEC 10.1, step 5: reads and decodes some chunks side by side. Returns each of them, or its first error."""
+        with threadpool_limits(1, "blas"):
+            return self._decode(entries)
+
+    def _decode(self, entries: list[ChunkEntry]) -> list[Chunk | BitstreamError]:
+        opened, h = self.opened, self.header
+        assert opened is not None
+        section = h.section(INDEX)
+        assert section is not None
+        found: dict[int, Chunk | BitstreamError] = {}
+        live: list[CodedChunk] = []
+        for entry in entries:
+            try:
+                live.append(read_chunk(self.source, entry, section.mode))
+            except BitstreamError as error:
+                found[entry.number] = error
+
+        def settle(errors: list[BitstreamError | None]) -> NDArray[np.bool_]:
+            """Drops the chunks that have an error. Returns which rows of anchors stay, bool [anchors]."""
+            nonlocal live
+            found.update({c.entry.number: e for c, e in zip(live, errors, strict=True) if e is not None})
+            rows = np.repeat([e is None for e in errors], [len(c.entry.anchors) for c in live])
+            live = [c for c, e in zip(live, errors, strict=True) if e is None]
+            return rows
+
+        # The positions, and [R6.11-10].
+        parsed = parse_positions(
+            [chunk.coded_positions for chunk in live], opened.index.position_model, 1 << h.lanes.mask, self.trace
+        )
+        good = [p for p in parsed if not isinstance(p, BitstreamError)]
+        settle([p if isinstance(p, BitstreamError) else None for p in parsed])
+        bounds = [_bounds_error(chunk, p) for chunk, p in zip(live, good, strict=True)]
+        settle(bounds)
+        good = [p for p, error in zip(good, bounds, strict=True) if error is None]
+        if not live:
+            return [found[entry.number] for entry in entries]
+        positions = np.concatenate(good)
+        # The masks, and [R6.11-11].
+        part = PartDecoder([(c.masks, f"masks[chunk {c.entry.number}]") for c in live], 1 << h.lanes.mask, self.trace)
+        ranges = [chunk.entry.anchors for chunk in live]
+        masks = code_masks(part.decoder, opened.masks, h.dimensions.offset_count, ranges)
+        counts = np.cumsum([0, *map(len, ranges)])
+        rows = settle(
+            [
+                wrong or _kept_error(chunk, masks[first:end])
+                for chunk, wrong, first, end in zip(live, part.verdicts(), counts[:-1], counts[1:], strict=True)
+            ]
+        )
+        positions, masks = positions[rows], masks[rows]
+        if not live:
+            return [found[entry.number] for entry in entries]
+        # The attributes.
+        ranges = [chunk.entry.anchors for chunk in live]
+        contexts = context(
+            opened.frame, opened.joined, opened.weights.plane_shift, h.dimensions.frequency_count, positions
+        )
+        part = PartDecoder(
+            [(c.attributes, f"attributes[chunk {c.entry.number}]") for c in live], 1 << h.lanes.attribute, self.trace
+        )
+        a = code_attributes(part.decoder, opened.model, contexts, masks, ranges)
+        at = 0
+        for chunk, verdict in zip(live, part.verdicts(), strict=True):
+            own = slice(at, at + len(chunk.entry.anchors))
+            at = own.stop
+            attributes = Attributes(a.features[own], a.scalings[own], a.offsets[own], a.steps[own])
+            found[chunk.entry.number] = verdict or Chunk(
+                chunk.entry, chunk.form, positions[own], masks[own], attributes
+            )
+        return [found[entry.number] for entry in entries]
+
+    def close(self) -> None:
+        """SPEC 10.1, the end of step 5 and step 6: reads and checks what comes behind the chunks.
+
+        Raises BitstreamError 311 to 321.
+        """
+        behind = False
+        for section in self.header.sections:
+            if section.type == DATA:
+                behind = True
+                self._before += 1
+                # SPEC [R6.6-7]
+                if section.crc:
+                    found = f"0x{section.crc:08x}"
+                    raise BitstreamError("section.crc", section.start, section.name, found, "0x00000000")
+            elif behind:
+                self._read_ancillary(section.number)
+        check_end(self.source, self.header.sections)
+
+    def scene(self, chunks: list[Chunk]) -> Scene:
+        """Returns the scene with the anchors of some of its chunks. The ancillary sections are those read so far."""
+        h, o = self.header, self.opened
+        assert o is not None
+        d = h.dimensions
+        every = [zero_attributes(d, 0), *(chunk.attributes for chunk in chunks)]
+        return Scene(
+            h.profile,
+            d,
+            h.chunk_size,
+            h.lanes,
+            h.base_step,
+            h.grid,
+            h.render,
+            o.frame,
+            o.weights.plane_shift,
+            o.weights.carm_shift,
+            o.weights.networks,
+            o.planes,
+            o.index.mask_model,
+            np.concatenate([np.zeros((0, 3), np.float16), *(chunk.positions for chunk in chunks)]),
+            np.concatenate([np.zeros((0, d.offset_count), bool), *(chunk.masks for chunk in chunks)]),
+            Attributes(*(np.concatenate([getattr(part, name) for part in every]) for name in vars(every[0]))),
+            tuple(self.ancillary),
+            o.index.position_model,
+            o.weights.scales,
+            tuple(len(chunk.entry.anchors) for chunk in chunks),
+            tuple(chunk.form for chunk in chunks),
+            o.weights.forms,
+            h.minor,
+            h.later,
+        )
+
+
+def _bounds_error(chunk: CodedChunk, positions: NDArray[np.float16]) -> BitstreamError | None:
+    """SPEC [R6.11-10]: returns the error of a chunk whose positions do not have the bounds of its entry."""
+    e = chunk.entry
+    low, high = positions.min(axis=0), positions.max(axis=0)
+    if np.array_equal(low, e.low) and np.array_equal(high, e.high):
+        return None
+    found = f"positions from {low.tolist()} to {high.tolist()}"
+    return BitstreamError("chunk.bounds", e.start, e.path, found, f"{e.low.tolist()} to {e.high.tolist()}")
+
+
+def _kept_error(chunk: CodedChunk, masks: NDArray[np.bool_]) -> BitstreamError | None:
+    """SPEC [R6.11-11]: returns the error of a chunk that does not keep as many offsets as its entry says."""
+    e, kept = chunk.entry, int(masks.sum())
+    return None if kept == e.kept else BitstreamError("chunk.kept", e.start, e.path, f"{kept} kept offsets", e.kept)
+
+
+def decode_chunk(source: Source, number: int, *, bounds: Bounds | None = None) -> Scene:
+    """SPEC 10.2: decodes one chunk with the fewest bytes: header, FRAM, WGTS, PLNS, INDX, and the chunk's one range.
+
+    Returns the scene with the anchors of that chunk. Raises BitstreamError for the first error of what a decoder of one
+    chunk checks, BoundPassedError, and IndexError if the file has no such chunk.
+    """
+    reader = Reader(source, keep_ancillary=False, bounds=bounds)
+    index = reader.open(critical_only=True).index
+    if not 0 <= number < len(index):
+        raise IndexError(f"there is no chunk {number}: the file has {len(index)}")
+    found = reader.decode([index[number]])[0]
+    if isinstance(found, BitstreamError):
+        raise found
+    return reader.scene([found])

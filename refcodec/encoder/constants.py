@@ -1,0 +1,167 @@
+"""A small scene in fewer bytes: without a hyperprior, which makes F_h a row of constants, and with raw positions.
+
+Planes, F_h and the frame take bytes however few the anchors are, and so does the model of packed positions (SPEC.md
+11.1, B.3). No value changes.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..bitstream.codec import Coding, derive_steps, emit
+from ..bitstream.conventions import Int64, rshift_round
+from ..bitstream.dimensions import SCALINGS
+from ..bitstream.entropy import select
+from ..bitstream.limits import PROFILES
+from ..bitstream.networks import activation
+from ..bitstream.planes import no_planes
+from ..bitstream.scene import Scene
+from ..bitstream.tables import PRECISION, SCALE_END, SCALE_MIN, tables
+from .weights import pack_weights
+
+# Anchors whose symbols choose the constants. With more of them a constant hardly moves.
+MOST = 8192
+# The model of packed positions has 580 bytes, raw positions have 6 an anchor. With more anchors they cannot be smaller.
+FEW = 1024
+# How far a mean (in 1/16 step) and a scale index (in 1/8 octave) are moved at once, one after the other.
+MOVES = (32, 16, 8, 4, 2, 1)
+# The largest scale index that is tried: sixteen octaves above the table.
+SCALE_MOST = SCALE_END + 8 * 16
+
+
+def code_length(mean: Int64, scale: Int64, symbols: Int64) -> float:
+    """SPEC 8.5 and 8.6: returns the bits of attribute symbols, int64 [n], under the shipped models.
+
+    mean: in 1/16 of a step. scale: scale indices. Both are int64 [n]. Each symbol takes what its model's frequency
+    says, its raw bits, and the bits of its escape if it has one.
+    """
+    models = tables().gauss
+    model, centre, raw = select(mean, scale)
+    away = (symbols >> raw) - centre
+    radius = models.radius.take(model)
+    escaped = np.abs(away) > radius
+    at = models.offset.take(model) + np.where(escaped, 2 * radius + 1, away + radius)
+    frequency = models.upper.take(at).astype(np.float64) - models.lower.take(at)
+    excess = np.abs(away[escaped]) - radius[escaped]
+    escapes = float((2 + 2 * np.floor(np.log2(excess))).sum())
+    return float((PRECISION - np.log2(frequency)).sum()) + float(raw.sum()) + escapes
+
+
+def choose_constants(symbols: Int64, mean: Int64, scale: Int64) -> tuple[int, int]:
+    """Returns the mean and the scale index that code some symbols of one channel with the fewest bits, nearly.
+
+    symbols: int64 [n]. mean, scale: int64 [n], what CARM adds for each of them. The search begins at the symbols' mean
+    and deviation, and moves one of the two as long as that saves bits. Then it tries each mean within half a step and
+    each scale within half an octave, since the tables are no smooth function of them.
+    """
+    if not len(symbols):
+        return 0, 0
+    rest = symbols - mean / 16
+    spread = np.log2(max(float(rest.std()), 2.0**-5)) - float(scale.mean()) / 8
+    found = (round(16 * float(rest.mean())), round(8 * spread))
+    best = code_length(mean + found[0], scale + found[1], symbols)
+
+    def better(moves: Iterable[tuple[int, int]]) -> bool:
+        """Takes the best of some moves from where the search is. Returns whether it moved."""
+        nonlocal found, best
+        first = found
+        for by_mean, by_scale in moves:
+            tried = first[0] + by_mean, first[1] + by_scale
+            if SCALE_MIN - SCALE_MOST <= tried[1] <= SCALE_MOST:
+                bits = code_length(mean + tried[0], scale + tried[1], symbols)
+                if bits < best:
+                    found, best = tried, bits
+        return found != first
+
+    for move in MOVES:
+        while better(((move, 0), (-move, 0), (0, move), (0, -move))):
+            pass
+    better((by, 0) for by in range(-8, 9))
+    better((0, by) for by in range(-4, 5))
+    return found
+
+
+def with_constants(scene: Scene, slices: tuple[int, ...]) -> Scene | None:
+    """Returns the scene without planes, frequencies and hidden layers of F_h, or None if that would change a value.
+
+    Every symbol stays. So do the steps if they are the same for all anchors, which they have to be. slices: those of
+    the scene, which then keeps its CARM, or a single one, and then there is no CARM. Raises ValueError for others.
+    """
+    d, a, count = scene.dimensions, scene.attributes, scene.anchor_count
+    if slices not in (d.slices, (d.features,)):
+        raise ValueError(f"slices {slices} are neither the scene's nor a single one")
+    if not d.has_frame or not count or (a.steps != a.steps[0]).any():
+        return None
+    alone = len(slices) == 1
+    dimensions = replace(
+        d,
+        slices=slices,
+        plane_channels=0,
+        frequency_count=0,
+        plane_size=0,
+        hyper_width=(),
+        sarm_width=(),
+        carm_width=() if alone else d.carm_width,
+    )
+    rows = np.unique(np.linspace(0, count - 1, min(count, MOST)).astype(np.int64))
+    means, scales = _constants(scene, rows, alone)
+    bias = np.concatenate([means, scales, a.steps[0]]).astype(np.float32)
+    networks = {**scene.networks, "hyper": [(np.zeros((len(bias), 0), np.float32), bias)]}
+    found = replace(
+        scene,
+        dimensions=dimensions,
+        frame=None,
+        plane_shift=0,
+        carm_shift=np.zeros(0, np.uint8) if alone else scene.carm_shift,
+        networks={name: networks[name] for name in dimensions.network_shapes()},
+        planes=no_planes(),
+        weight_forms=None,
+        position_forms=None,
+    )
+    if scene.weight_scales is not None:
+        found = pack_weights(replace(found, weight_scales=None))
+    assert np.array_equal(derive_steps(found), a.steps)
+    return found
+
+
+def _constants(scene: Scene, rows: Int64, alone: bool) -> tuple[list[int], list[int]]:
+    """Returns the means and the scale indices of all channels. alone: whether there is no CARM."""
+    d, a = scene.dimensions, scene.attributes
+    features, masks = a.features[rows].astype(np.int64), scene.masks[rows]
+    change = np.zeros((2, len(rows), d.features), np.int64)
+    if not alone:
+        model, done = Coding(scene).model, d.slices[0]
+        for network, columns in zip(model.carm, d.slices[1:], strict=True):
+            earlier = activation(rshift_round(features[:, :done], model.carm_shift[:done]))
+            change[:, :, done : done + columns] = np.stack(np.split(network(earlier).astype(np.int64), 2, axis=1))
+            done += columns
+    nothing = np.zeros(len(rows), np.int64)
+    columns_of: list[tuple[NDArray[np.int64], Int64, Int64]] = [
+        *((features[:, i], change[0, :, i], change[1, :, i]) for i in range(d.features)),
+        *((a.scalings[rows, i].astype(np.int64), nothing, nothing) for i in range(SCALINGS)),
+    ]
+    for k in range(d.offset_count):
+        kept = a.offsets[rows][masks[:, k], k].astype(np.int64)
+        columns_of += [(kept[:, axis], nothing[: len(kept)], nothing[: len(kept)]) for axis in range(3)]
+    found = [choose_constants(*column) for column in columns_of]
+    return [mean for mean, _ in found], [scale for _, scale in found]
+
+
+def smallest(scene: Scene, positions: str | None = None) -> Scene:
+    """Returns the scene as it is, without a hyperprior, or also with raw positions: what has the smallest file.
+
+    Positions, masks and attributes are the same, and the rendering networks too. So the scene looks the same. A scene
+    whose steps depend on the anchor keeps its hyperprior. positions: "packed" if they have to stay packed.
+    """
+    d = scene.dimensions
+    choices = [d.slices]
+    if len(d.slices) > 1 and d.features <= PROFILES[scene.profile].slice_width[1]:
+        choices.append((d.features,))
+    found = [scene, *(made for made in (with_constants(scene, slices) for slices in choices) if made is not None)]
+    if positions is None and scene.anchor_count <= FEW:
+        found += [replace(one, position_model=None, position_forms=None) for one in found if one.position_model]
+    return found[0] if len(found) == 1 else min(found, key=lambda one: len(emit(one)))

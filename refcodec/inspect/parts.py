@@ -1,0 +1,61 @@
+"""How many bytes each part of a file takes."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from ..bitstream.chunks import PARTS
+from ..bitstream.directory import DATA, is_critical
+from ..bitstream.header import PROLOGUE_BYTES
+from ..bitstream.index import CHUNK_HEAD_BYTES
+from .elements import Outline, read_index
+
+# Chunks whose heads are read at once.
+_BLOCK = 65536
+
+
+def part_bytes(data: bytes, outline: Outline) -> dict[str, int]:
+    """Returns the bytes of each part of a file. Their sum is the length of the file, whatever the bytes are.
+
+    The parts are prologue, header, the critical sections but DATA by their names, the parts of all chunks (positions,
+    masks and attributes), heads (of the chunks, with the padding of their parts), ancillary (all such sections), and
+    rest (bytes behind the last section). A section has its padding.
+    """
+    prologue = min(len(data), PROLOGUE_BYTES)
+    found = {"prologue": prologue, "header": outline.header_end - prologue}
+    ancillary = 0
+    for place in outline.sections:
+        size = place.stop - place.start
+        if not is_critical(place.type):
+            ancillary += size
+        elif place.type == DATA and "heads" not in found:
+            parts = _chunk_bytes(data, outline, place.start, place.end)
+            found |= {**parts, "heads": size - sum(parts.values())}
+        else:
+            found[place.name] = found.get(place.name, 0) + size
+    end = outline.sections[-1].stop if outline.sections else outline.header_end
+    return {**found, "ancillary": ancillary, "rest": len(data) - end}
+
+
+def _chunk_bytes(data: bytes, outline: Outline, start: int, end: int) -> dict[str, int]:
+    """SPEC 5.14: returns the bytes of positions, masks and attributes of all chunks in data[start:end].
+
+    They are those that the heads state, as far as the file has them.
+    """
+    every = np.frombuffer(data, np.uint8)
+    index, at = read_index(data, outline), start
+    total = np.zeros(len(PARTS), np.int64)
+    for first in range(0, len(index), _BLOCK):
+        lengths = index["length"][first : first + _BLOCK].astype(np.int64)
+        starts = at + np.cumsum(lengths) - lengths
+        at += int(lengths.sum())
+        stops = np.minimum(starts + lengths, end)
+        whole = starts + CHUNK_HEAD_BYTES <= stops
+        starts, stops = starts[whole], stops[whole]
+        heads = every[starts[:, None] + np.arange(4 * len(PARTS))].copy().view("<u4").astype(np.int64)
+        used = starts + CHUNK_HEAD_BYTES
+        for i, length in enumerate(heads.T):
+            size = np.minimum(length, stops - used)
+            total[i] += size.sum()
+            used = np.minimum(used + (length + 3 & -4), stops)
+    return dict(zip(PARTS, total.tolist(), strict=True))
