@@ -56,14 +56,15 @@ def types(t: Target, kinds: dict[int, bytes], wrong: int) -> Edit:
 def _(draw: Draw, t: Target) -> Drawn:
     entries = [(entry, e.type) for entry, e in enumerate(t.fields.directory) if e.type in SECTIONS]
     first = draw.integer(0, len(entries) - 2)
+    last = t.fields.section_count - 1
     (one, kind), (other, other_kind) = entries[first], entries[first + 1]
     kinds, wrong = draw.choice(
         [
-            # Swapped, repeated, missing, and one more behind the last.
+            # Swapped, repeated, missing, and one more behind DATA, if there is a place.
             ({one: other_kind, other: kind}, one),
             ({other: kind}, other),
             ({one: b"noTE"}, other),
-            *([({t.fields.section_count - 1: DATA}, t.fields.section_count - 1)] if len(t.header.sections) > 5 else []),
+            *([({last: DATA}, last)] if last > t.sections[DATA].number else []),
         ]
     )
     return t, kinds, wrong

@@ -94,7 +94,10 @@ def list_length(t: Target, counter: str, widths: list[int]) -> Whole:
 def _(draw: Draw, t: Target) -> Drawn:
     counter = draw.choice(list(LISTS))
     d, (low, high) = t.header.dimensions, getattr(PROFILES[t.header.profile], counter)
-    counts = [high + 1] + ([low - 1] if low else [])
+    counts = [high + 1]
+    # A scene without planes has no layers of SARM.
+    if low and (counter != "sarm_layers" or d.plane_channels):
+        counts.append(low - 1)
     if counter == "carm_layers" and len(d.slices) == 1:
         counts += [1, 2]
     if counter == "hyper_layers" and not d.has_frame:
