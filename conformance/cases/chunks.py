@@ -23,7 +23,7 @@ from refcodec.bitstream.scene import Scene
 from .book import Book
 from .cells import any_model, cuboid, of_cells, placed
 from .checksums import Depth, repair, resized
-from .fault import Draw, Drawn, Edit, Refused, Whole, fault
+from .fault import Draw, Drawn, Edit, Refused, Whole, fault, one_field
 from .numbers import Numbers
 from .scenes import MAIN_SMALLEST, lattice, packed_weights, scene, settled, silent
 from .target import Target
@@ -108,8 +108,7 @@ def _(draw: Draw, t: Target) -> Drawn:
 @fault("chunk.form")
 def form(t: Target, chunk: int, value: int) -> Edit:
     """A form that is not known, or the packed one without a model of positions."""
-    path = f"chunk[{chunk}].position_form"
-    return Edit(t.pack({path: value}), t.at(path))
+    return one_field(t, f"chunk[{chunk}].position_form", value)
 
 
 @form.drawn

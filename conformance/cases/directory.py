@@ -12,7 +12,7 @@ from refcodec.bitstream.directory import DATA, FRAME, INDEX, PLANES_SECTION, SEC
 
 from .book import Book
 from .checksums import Depth, resized
-from .fault import Draw, Drawn, Edit, Refused, Whole, fault
+from .fault import Draw, Drawn, Edit, Refused, Whole, fault, one_field
 from .target import Target
 from .targets import packed, plain, planeless, strewn, unencoded, unpredicted
 
@@ -88,8 +88,7 @@ def _(draw: Draw, t: Target) -> Drawn:
 @fault("directory.mode")
 def mode(t: Target, entry: int, value: int) -> Edit:
     """A mode that the section does not have."""
-    path = f"directory[{entry}].mode"
-    return Edit(t.pack({path: value}), t.at(path))
+    return one_field(t, f"directory[{entry}].mode", value)
 
 
 @mode.drawn
@@ -125,8 +124,7 @@ def _(draw: Draw, t: Target) -> Drawn:
 @fault("directory.length")
 def stated_length(t: Target, entry: int, value: int) -> Edit:
     """A length that is not the implied one, or that no section may have."""
-    path = f"directory[{entry}].length"
-    return Edit(t.pack({path: value}), t.at(path))
+    return one_field(t, f"directory[{entry}].length", value)
 
 
 @stated_length.drawn

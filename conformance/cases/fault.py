@@ -162,6 +162,11 @@ def wrong_value(
     return made
 
 
+def one_field(t: Target, path: str, value: float) -> Edit:
+    """An element with another value, which is the one that is told."""
+    return Edit(t.pack({path: value}), t.at(path))
+
+
 # A fault of a file, as one of several.
 Part = Callable[[Target], Edit]
 

@@ -22,7 +22,7 @@ from refcodec.encoder.positions import position_model
 from .book import Book
 from .cells import cheap, cuboid, sharp_model
 from .checksums import resized
-from .fault import Draw, Drawn, Edit, Whole, fault
+from .fault import Draw, Drawn, Edit, Whole, fault, one_field
 from .samplers import drawn
 from .scenes import SMALLEST, f16, packed_weights, scene
 from .target import Target
@@ -60,8 +60,7 @@ def _(draw: Draw, t: Target) -> Drawn:
 @fault("index.position_model")
 def cell_shift(t: Target, value: int) -> Edit:
     """A cell_shift above the largest."""
-    path = "index.position_model.cell_shift"
-    return Edit(t.pack({path: value}), t.at(path))
+    return one_field(t, "index.position_model.cell_shift", value)
 
 
 @cell_shift.drawn
@@ -125,8 +124,7 @@ def _(draw: Draw, t: Target) -> Drawn:
 @fault("index.chunk")
 def anchor_count(t: Target, chunk: int, value: int) -> Edit:
     """A chunk without anchors, or with more of them than chunk_size."""
-    path = _path(chunk, "anchor_count")
-    return Edit(t.pack({path: value}), t.at(path))
+    return one_field(t, _path(chunk, "anchor_count"), value)
 
 
 @anchor_count.drawn
@@ -138,8 +136,7 @@ def _(draw: Draw, t: Target) -> Drawn:
 @fault("index.chunk")
 def length(t: Target, chunk: int, value: int) -> Edit:
     """A length that is no multiple of four, or too small for the anchors."""
-    path = _path(chunk, "length")
-    return Edit(t.pack({path: value}), t.at(path))
+    return one_field(t, _path(chunk, "length"), value)
 
 
 @length.drawn

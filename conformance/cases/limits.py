@@ -19,7 +19,7 @@ from refcodec.encoder.positions import position_model
 
 from .book import Book
 from .checksums import ENTRY_BYTES, Depth, layout, repair
-from .fault import Draw, Drawn, Edit, Whole, fault, wrong_value
+from .fault import Draw, Drawn, Edit, Whole, fault, one_field, wrong_value
 from .header import label_of
 from .numbers import Numbers
 from .samplers import Sampler, drawn, sampled
@@ -65,8 +65,7 @@ def _(draw: Draw, t: Target) -> Drawn:
 @fault("header.dimension")
 def dimension(t: Target, name: str, value: int) -> Edit:
     """A dimension outside the limits of the profile, of the level, or of what the others allow."""
-    path = f"dimensions.{name}"
-    return Edit(t.pack({path: value}), t.at(path))
+    return one_field(t, f"dimensions.{name}", value)
 
 
 @dimension.drawn

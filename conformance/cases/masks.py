@@ -13,7 +13,7 @@ import numpy as np
 from refcodec.bitstream.dimensions import mask_contexts
 
 from .book import Book
-from .fault import Draw, Drawn, Edit, fault
+from .fault import Draw, Drawn, Edit, fault, one_field
 from .numbers import Numbers
 from .samplers import drawn
 from .scenes import TINY_DIMENSIONS
@@ -24,8 +24,7 @@ from .targets import five_cells, packed, plain
 @fault("index.mask_model")
 def mask_model(t: Target, number: int, value: int) -> Edit:
     """A frequency of the mask model that is outside its limits."""
-    path = f"index.mask_model.frequency[{number}]"
-    return Edit(t.pack({path: value}), t.at(path))
+    return one_field(t, f"index.mask_model.frequency[{number}]", value)
 
 
 @mask_model.drawn

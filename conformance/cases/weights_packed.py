@@ -19,7 +19,7 @@ from refcodec.encoder.weights import pack_weights
 
 from .book import Book
 from .checksums import resized
-from .fault import Draw, Drawn, Edit, Whole, fault
+from .fault import Draw, Drawn, Edit, Whole, fault, one_field
 from .numbers import Int64, Numbers
 from .samplers import Sampler, drawn, sampled
 from .scenes import (
@@ -59,8 +59,7 @@ def _(draw: Draw, t: Target) -> Drawn:
 @fault("weights.layer")
 def model_field(t: Target, layer: str, field: str, value: int) -> Edit:
     """A field of a layer's model is outside its limits, or not 0 in a raw layer."""
-    path = f"weights.{layer}.{field}"
-    return Edit(t.pack({path: value}), t.at(path))
+    return one_field(t, f"weights.{layer}.{field}", value)
 
 
 @model_field.drawn

@@ -12,7 +12,7 @@ from refcodec.bitstream.scene import Scene
 from refcodec.bitstream.weights import CARM_SHIFT_MAX, PLANE_SHIFT_MAX
 
 from .book import Book
-from .fault import Draw, Drawn, Edit, fault
+from .fault import Draw, Drawn, Edit, fault, one_field
 from .header import INFINITY, LARGEST_F32, NAN, SMALLEST_F32, label_of
 from .numbers import Numbers
 from .samplers import Sampler, drawn, sampled
@@ -32,8 +32,7 @@ MINUS = struct.pack("<f", -INFINITY)
 @fault("weights.scale")
 def scale(t: Target, field: str, value: int) -> Edit:
     """A field of the table at the section's start is outside its limits."""
-    path = f"weights.{field}"
-    return Edit(t.pack({path: value}), t.at(path))
+    return one_field(t, f"weights.{field}", value)
 
 
 @scale.drawn

@@ -56,6 +56,14 @@ class EntropyModel:
         carm = [networks[f"carm.{i}"] for i in range(1, len(slices))]
         return cls(networks["hyper"], carm, carm_shift.astype(np.int64), slices)
 
+    def change(self, index: int, features: Int64) -> Int64:
+        """SPEC 7.9: returns what CARM adds to a slice, means and then scale indices, int64 [n, 2 * its channels].
+
+        index: of the slice, from 1 on. features: the symbols of the slices before it, int64 [n, their channels].
+        """
+        earlier = activation(rshift_round(features, self.carm_shift[: features.shape[1]]))
+        return self.carm[index - 1](earlier).astype(np.int64)
+
 
 def step_indices(hyper: Int64) -> NDArray[np.uint8]:
     """SPEC 7.8: returns the step indices, uint8 [n, 3]. hyper: int64 [n, 2 D + 3], the outputs of F_h."""
@@ -123,9 +131,8 @@ def code_attributes(
         part = slice(done, done + columns)
         m, s = mean[:, part], scale[:, part]
         if index:
-            # SPEC 7.9: the outputs of CARM, means and then scale indices, are added to those of F_h.
-            earlier = activation(rshift_round(features[:, :done], model.carm_shift[:done]))
-            change = model.carm[index - 1](earlier).astype(np.int64)
+            # SPEC 7.9: the outputs of CARM are added to those of F_h.
+            change = model.change(index, features[:, :done])
             m, s = m + change[:, :columns], s + change[:, columns:]
         features[:, part] = stage("features", done, columns, m, s, None if given is None else given.features[:, part])
         done += columns

@@ -13,7 +13,7 @@ from typing import Any
 import construct as cs
 
 from . import syntax
-from .scene import Ancillary
+from .scene import Ancillary, section_warnings
 
 # SPEC 6.15
 CAMERAS = b"cAMS"
@@ -111,9 +111,4 @@ def cameras(sections: Iterable[Ancillary]) -> list[NamedCamera]:
 
 def warnings(sections: Iterable[Ancillary]) -> list[str]:
     """SPEC 6.15: returns what is wrong with the sections of cameras, as text."""
-    return [
-        f"cameras: {problem}"
-        for section in sections
-        if section.type == CAMERAS
-        for problem in (["its mode is not known"] if section.mode else parse_cameras(section.content)[1])
-    ]
+    return section_warnings(sections, CAMERAS, "cameras", lambda content: parse_cameras(content)[1])

@@ -9,7 +9,7 @@ from . import syntax
 from .directory import truncated
 from .index import CHUNK_HEAD_BYTES, ChunkEntry
 from .positions import PACKED, POSITION_BYTES, RAW, CodedPositions
-from .source import Piece, Source, pad4
+from .source import Piece, Source, pad4, padded
 
 # SPEC 5.14: the parts of a chunk, in file order.
 PARTS = ("positions", "masks", "attributes")
@@ -82,4 +82,4 @@ def emit_chunk(form: int, parts: tuple[bytes, bytes, bytes]) -> bytes:
     names = ("position_length", "mask_length", "attribute_length")
     lengths = dict(zip(names, map(len, parts), strict=True))
     head = syntax.build("Chunk", {**lengths, "position_form": form, "reserved": [0, 0, 0]})
-    return head + b"".join(part + bytes(pad4(len(part)) - len(part)) for part in parts)
+    return head + b"".join(map(padded, parts))

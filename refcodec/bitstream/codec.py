@@ -31,7 +31,7 @@ from .planes import assemble_planes, emit_planes
 from .positions import RAW, emit_position_model, encode_positions, first_bad, raw_positions
 from .reader import Chunk, Reader
 from .scene import Ancillary, Scene, check_shapes
-from .source import Piece, WholeFile, pad4
+from .source import Piece, WholeFile, padded
 from .weights import emit_weights, parse_weights
 
 
@@ -168,8 +168,7 @@ def _emit(scene: Scene, progress: Progress) -> bytes:
         progress("planes", 0, 1)
         contents[PLANES_SECTION] = emit_planes(scene.planes, coding.sarm, 1 << lanes.plane)
         progress("planes", 1, 1)
-    mask_model = scene.mask_model.astype("<u2").tobytes()
-    models = mask_model + bytes(pad4(len(mask_model)) - len(mask_model))
+    models = padded(scene.mask_model.astype("<u2").tobytes())
     if scene.position_model is not None:
         models += emit_position_model(scene.position_model)
     chunks = scene.chunks

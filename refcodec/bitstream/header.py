@@ -14,7 +14,7 @@ from .dimensions import Dimensions, dimension_fields, dimensions_of, work
 from .directory import DATA, Section, parse_directory
 from .errors import BitstreamError
 from .limits import MAIN, PROFILES, TINY, dimension_fault, minimal_level
-from .source import Piece, Source, pad4
+from .source import Piece, Source, padded
 
 # SPEC 6.1
 SIGNATURE = b"\x89C3GS\r\n\x1a"
@@ -334,6 +334,4 @@ def emit_file(header: Header, sections: list[tuple[bytes, int, bytes]]) -> bytes
         },
     )[:-CRC_BYTES]
     parts = [part for whole in (prologue, bare) for part in (whole, zlib.crc32(whole).to_bytes(CRC_BYTES, "little"))]
-    for _, _, content in sections:
-        parts += [content, bytes(pad4(len(content)) - len(content))]
-    return b"".join(parts)
+    return b"".join([*parts, *(padded(content) for _, _, content in sections)])

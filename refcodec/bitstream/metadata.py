@@ -11,7 +11,7 @@ from collections.abc import Iterable, Mapping
 import construct as cs
 
 from . import syntax
-from .scene import Ancillary
+from .scene import Ancillary, section_warnings
 
 # SPEC 6.14
 METADATA = b"mETA"
@@ -123,9 +123,4 @@ def with_metadata(sections: tuple[Ancillary, ...], changes: Mapping[str, str]) -
 
 def warnings(sections: Iterable[Ancillary]) -> list[str]:
     """SPEC 6.14: returns what is wrong with the sections of metadata, as text."""
-    return [
-        f"metadata: {problem}"
-        for section in sections
-        if section.type == METADATA
-        for problem in (["its mode is not known"] if section.mode else parse_metadata(section.content)[1])
-    ]
+    return section_warnings(sections, METADATA, "metadata", lambda content: parse_metadata(content)[1])

@@ -11,7 +11,7 @@ from .conventions import Int64
 from .dimensions import Dimensions
 from .entropy import Coder, Decoder, Encoder, Trace, open_substream
 from .networks import IntNetwork, activation
-from .source import Piece, pad4
+from .source import Piece, pad4, padded
 from .tables import tables
 
 # SPEC 7.3: the number of sub-planes: the plane of r = 1, and four quadrants of the plane of r = 2.
@@ -97,8 +97,7 @@ def emit_planes(planes: NDArray[np.int16], sarm: IntNetwork, lanes: int) -> byte
     encoder = Encoder(PLANES, lanes)
     code_planes(encoder, sarm, planes.shape[1], planes.shape[2], planes)
     streams = encoder.finish()
-    padded = [stream + bytes(pad4(len(stream)) - len(stream)) for stream in streams]
-    return syntax.build("PlaneTable", {"length": [len(s) for s in streams]}) + b"".join(padded)
+    return syntax.build("PlaneTable", {"length": [len(s) for s in streams]}) + b"".join(map(padded, streams))
 
 
 def no_planes() -> NDArray[np.int16]:

@@ -14,6 +14,11 @@ def pad4(length: int) -> int:
     return -(-length // 4) * 4
 
 
+def padded(content: bytes) -> bytes:
+    """SPEC 5: returns some bytes with the padding behind them."""
+    return content + bytes(pad4(len(content)) - len(content))
+
+
 @dataclass(frozen=True)
 class Piece:
     """Some bytes of a file. start: the offset of the first one in the file."""

@@ -13,11 +13,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..bitstream.codec import Coding, derive_steps, emit
-from ..bitstream.conventions import Int64, rshift_round
+from ..bitstream.conventions import Int64
 from ..bitstream.dimensions import SCALINGS
 from ..bitstream.entropy import select
 from ..bitstream.limits import PROFILES
-from ..bitstream.networks import activation
 from ..bitstream.planes import no_planes
 from ..bitstream.scene import Scene
 from ..bitstream.tables import PRECISION, SCALE_END, SCALE_MIN, tables
@@ -135,9 +134,9 @@ def _constants(scene: Scene, rows: Int64, alone: bool) -> tuple[list[int], list[
     change = np.zeros((2, len(rows), d.features), np.int64)
     if not alone:
         model, done = Coding(scene).model, d.slices[0]
-        for network, columns in zip(model.carm, d.slices[1:], strict=True):
-            earlier = activation(rshift_round(features[:, :done], model.carm_shift[:done]))
-            change[:, :, done : done + columns] = np.stack(np.split(network(earlier).astype(np.int64), 2, axis=1))
+        for index, columns in enumerate(d.slices[1:], start=1):
+            found = np.split(model.change(index, features[:, :done]), 2, axis=1)
+            change[:, :, done : done + columns] = np.stack(found)
             done += columns
     nothing = np.zeros(len(rows), np.int64)
     columns_of: list[tuple[NDArray[np.int64], Int64, Int64]] = [
@@ -147,8 +146,8 @@ def _constants(scene: Scene, rows: Int64, alone: bool) -> tuple[list[int], list[
     for k in range(d.offset_count):
         kept = a.offsets[rows][masks[:, k], k].astype(np.int64)
         columns_of += [(kept[:, axis], nothing[: len(kept)], nothing[: len(kept)]) for axis in range(3)]
-    found = [choose_constants(*column) for column in columns_of]
-    return [mean for mean, _ in found], [scale for _, scale in found]
+    chosen = [choose_constants(*column) for column in columns_of]
+    return [mean for mean, _ in chosen], [scale for _, scale in chosen]
 
 
 def smallest(scene: Scene, positions: str | None = None) -> Scene:

@@ -8,8 +8,6 @@ import numpy as np
 
 from ..bitstream.codec import Coding
 from ..bitstream.context import contract, frame_coordinates, positional_encoding, query, rescale
-from ..bitstream.conventions import rshift_round
-from ..bitstream.networks import activation
 from ..bitstream.planes import assemble_planes
 from ..bitstream.positions import position_integers
 from ..bitstream.scene import Scene
@@ -53,8 +51,7 @@ def anchor_rows(scene: Scene, number: int) -> Iterator[tuple[str, str, str]]:
         part = slice(done, done + columns)
         change = np.zeros(2 * columns, np.int64)
         if i:
-            earlier = activation(rshift_round(features[:, :done], coding.model.carm_shift[:done]))
-            change = coding.model.carm[i - 1](earlier).astype(np.int64)[0]
+            change = coding.model.change(i, features[:, :done])[0]
         pairs = zip((mean[part] + change[:columns]).tolist(), (scale[part] + change[columns:]).tolist(), strict=True)
         yield row(f"slice {i}: mean and scale index of each channel", "7.9", pairs)
         yield row(f"slice {i}: symbols", "7.10", features[0, part])
