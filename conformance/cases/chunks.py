@@ -172,8 +172,6 @@ def padding(t: Target, chunk: int, part: str, at: int, value: int) -> Edit:
 def _(draw: Draw, t: Target) -> Drawn:
     places = [(n, part) for n in range(t.header.chunk_count) for part in PARTS]
     padded = [(n, part) for n, part in places if range(*_padding(t, part, n))]
-    if not padded:
-        return None
     chunk, part = draw.choice(padded)
     return t, chunk, part, draw.integer(0, len(range(*_padding(t, part, chunk))) - 1), draw.integer(1, 255)
 
@@ -195,7 +193,7 @@ def _(draw: Draw, t: Target) -> Drawn:
     ]
     places = [(n, part, *t.part(part, n)) for n, part in substreams]
     right = [(n, part) for n, part, start, end in places if (end - start) % 4 != 1 and t.data[end - 1]]
-    return (t, *draw.choice(right)) if right else None
+    return t, *draw.choice(right)
 
 
 # --- faults of entries that a chunk tells -----------------------------------------------------------------------------

@@ -161,8 +161,6 @@ def long_section(t: Target, entry: int, length: int) -> Edit:
 def _(draw: Draw, t: Target) -> Drawn:
     # SPEC [R6.10-6]: another length of DATA would be told by the index.
     free = [s for s in t.header.sections if s.type not in _implied(t) and s.type != DATA]
-    if not free:
-        return None
     section = draw.choice(free)
     return t, section.number, draw.integer(len(t.data) - section.start + 1, SECTION_LENGTH_MAX)
 
@@ -207,8 +205,6 @@ def padding_byte(t: Target, entry: int, place: int, value: int) -> Edit:
 @padding_byte.drawn
 def _(draw: Draw, t: Target) -> Drawn:
     padded = [s for s in t.header.sections if s.length % 4]
-    if not padded:
-        return None
     section = draw.choice(padded)
     return t, section.number, draw.integer(0, -section.length % 4 - 1), draw.integer(1, 255)
 

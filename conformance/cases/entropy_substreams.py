@@ -100,7 +100,7 @@ def word_less(t: Target, path: str) -> Whole:
 @word_less.drawn
 def _(draw: Draw, t: Target) -> Drawn:
     paths = [path for path, s in t.substreams.items() if s.words]
-    return (t, draw.choice(paths)) if paths else None
+    return t, draw.choice(paths)
 
 
 @fault("substream.final_state")
@@ -117,7 +117,7 @@ def _(draw: Draw, t: Target) -> Drawn:
     counts = [t.value(f"index.entry[{n}].anchor_count") for n in range(t.header.chunk_count)]
     anchors = {f"masks[chunk {n}]": count for n, count in enumerate(counts)}
     idle = [path for path, count in anchors.items() if t.substreams[path].lanes > count]
-    return (t, draw.choice(idle), draw.integer(STATE_MIN + 1, 0xFFFFFFFF)) if idle else None
+    return t, draw.choice(idle), draw.integer(STATE_MIN + 1, 0xFFFFFFFF)
 
 
 @fault("substream.final_state")

@@ -77,7 +77,7 @@ class Draw(Protocol):
         """Yes or no."""
 
     def choice(self, items: Sequence[T]) -> T:
-        """One of the items."""
+        """One of the items. Without items the file has no place for the fault, and nothing is drawn."""
 
     def content(self, low: int, high: int) -> bytes:
         """Any bytes, low to high of them."""

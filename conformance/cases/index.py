@@ -232,7 +232,7 @@ def _(draw: Draw, t: Target) -> Drawn:
     held = ANCHORS_OF_A_BYTE * (t.value(_path(chunk, "length")) - CHUNK_HEAD_BYTES)
     most, old = min(t.fields.chunk_size, held), t.value(_path(chunk, "anchor_count"))
     others = [n for n in (1, old - 1, old + 1, most) if n != old and 1 <= n <= most]
-    return (t, chunk, draw.choice(others)) if others else None
+    return t, chunk, draw.choice(others)
 
 
 @fault("index.length")

@@ -80,8 +80,6 @@ def padding(t: Target, plane: int, at: int, value: int) -> Edit:
 @padding.drawn
 def _(draw: Draw, t: Target) -> Drawn:
     padded = [n for n in range(PLANES) if _padding(n) in t.elements]
-    if not padded:
-        return None
     plane = draw.choice(padded)
     row = t.element(_padding(plane))
     return t, plane, draw.integer(0, row.end - row.start - 1), draw.integer(1, 255)

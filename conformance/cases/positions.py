@@ -40,11 +40,9 @@ def _coordinate(t: Target, chunk: int, number: int, bits: int) -> Edit:
     return Edit({at: bits.to_bytes(2, "little")}, at)
 
 
-def _draw_coordinate(draw: Draw, t: Target) -> tuple[int, int] | None:
+def _draw_coordinate(draw: Draw, t: Target) -> tuple[int, int]:
     """A raw chunk, and one of its numbers."""
     raw = [n for n in range(t.header.chunk_count) if t.value(f"chunk[{n}].position_form") == RAW]
-    if not raw:
-        return None
     chunk = draw.choice(raw)
     return chunk, draw.integer(0, 3 * t.value(f"index.entry[{chunk}].anchor_count") - 1)
 
@@ -57,8 +55,7 @@ def not_finite(t: Target, chunk: int, number: int, bits: int) -> Edit:
 
 @not_finite.drawn
 def _(draw: Draw, t: Target) -> Drawn:
-    place = _draw_coordinate(draw, t)
-    return place and (t, *place, draw.integer(0x7C00, 0x7FFF) | draw.choice([0, 0x8000]))
+    return t, *_draw_coordinate(draw, t), draw.integer(0x7C00, 0x7FFF) | draw.choice([0, 0x8000])
 
 
 @fault("positions.negative_zero")
@@ -69,8 +66,7 @@ def negative_zero(t: Target, chunk: int, number: int) -> Edit:
 
 @negative_zero.drawn
 def _(draw: Draw, t: Target) -> Drawn:
-    place = _draw_coordinate(draw, t)
-    return place and (t, *place)
+    return t, *_draw_coordinate(draw, t)
 
 
 # --- faults of trees --------------------------------------------------------------------------------------------------

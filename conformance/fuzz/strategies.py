@@ -270,6 +270,10 @@ def scenes(draw: st.DrawFn, max_anchors: int = 12) -> Scene:
     return with_steps(scene)
 
 
+class NoPlaceError(Exception):
+    """A choice among nothing: the file has no place for the fault that is drawn."""
+
+
 class Drawer(Draw):
     """What draws the parameters of faults: hypothesis's own strategies."""
 
@@ -283,6 +287,8 @@ class Drawer(Draw):
         return self._draw(st.booleans())
 
     def choice(self, items: Sequence[T]) -> T:
+        if not items:
+            raise NoPlaceError
         return self._draw(st.sampled_from(items))
 
     def content(self, low: int, high: int) -> bytes:
@@ -298,7 +304,10 @@ def draw_fault(draw: st.DrawFn, target: Target, name: str) -> Refused | None:
     """A file with the named fault, made from a valid file of profile Tiny; None if that file has no place for it."""
     fault = faults()[name]
     assert fault.draw is not None
-    arguments = fault.draw(Drawer(draw), target)
+    try:
+        arguments = fault.draw(Drawer(draw), target)
+    except NoPlaceError:
+        return None
     return None if arguments is None else fault(*arguments)
 
 

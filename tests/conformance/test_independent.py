@@ -66,6 +66,17 @@ def test_every_code_has_a_fault() -> None:
     assert {fault.error for fault in drawable().values()} == set(REGISTRY)
 
 
+@pytest.mark.parametrize("name", sorted(drawable()))
+@given(data=st.data())
+@settings(max_examples=3, deadline=None)
+def test_any_file_may_lack_the_place_of_a_fault(name: str, data: st.DataObject) -> None:
+    """A file without anchors, planes, packed weights and so without substreams has few places."""
+    empty = Target(codec.emit(random_scene(38, 0, CONSTANT)))
+    assert not empty.substreams
+    found = draw_fault(data.draw, empty, name)
+    assert found is None or found.data != empty.data
+
+
 @st.composite
 def faulty(draw: st.DrawFn, error: str) -> Refused:
     """A file with any fault that has this error."""
