@@ -159,8 +159,8 @@ def plane_steps(data: bytes, spec: str, count: int) -> str:
     parameters, chosen, values = ([x for g in groups for x in g[name]] for name in ("parameters", "chosen", "values"))
     symbols = [s for s in watch.symbols if s["stream"] == streams[0]]
     lines = [
-        "| t | (k, i, j) | mean, scale index | row, column, centre, k | state | slot | j: slots | symbol "
-        "| word | next state |",
+        "| t | channel, row, column | mean, scale index | model: row, column, centre, raw bits | state | slot "
+        "| model index: slots | symbol | word | next state |",
         "|---|---|---|---|---|---|---|---|---|---|",
     ]
     for (t, point), mean_scale, pick, symbol, value in list(

@@ -49,7 +49,9 @@ def difference(expected: bytes | str, found: bytes | str, tolerance: float) -> s
         for kind in KINDS:
             right, value = wanted[place][kind], made[place][kind]
             allowed = tolerance * math.hypot(*right)
+            # A quaternion and its negative are one rotation.
+            signs = (1, -1) if kind == "quaternion" else (1,)
             # A value that is not a number is not within anything.
-            if not all(abs(a - b) <= allowed for a, b in zip(right, value, strict=True)):
+            if not any(all(abs(a - s * b) <= allowed for a, b in zip(right, value, strict=True)) for s in signs):
                 return f"{where}: {kind} is {value}, {right} expected"
     return None

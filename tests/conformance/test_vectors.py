@@ -387,6 +387,7 @@ def test_gaussians_that_differ() -> None:
     assert difference(listed(g), listed(g), 1e-4) is None
     assert difference(listed(g), listed(faint, g), 1e-4) is None
     assert difference(listed(g, faint), listed(g), 1e-4) is None
+    assert difference(listed(g), listed({**g, "quaternion": [-1.0, 0.0, 0.0, 0.0]}), 1e-4) is None
     for found, what in (
         ([], "missing"),
         ([g, {**g, "anchor": 9}], "anchor 9, offset 1: there is none"),
@@ -396,7 +397,8 @@ def test_gaussians_that_differ() -> None:
         ([{**g, "colour": [0.1, 0.2]}], "another length"),
         ([g, g], "twice"),
         ([{**g, "opacity": 0.51}], "opacity"),
-        ([{**g, "quaternion": [-1.0, 0.0, 0.0, 0.0]}], "quaternion"),
+        ([{**g, "quaternion": [0.0, 1.0, 0.0, 0.0]}], "quaternion"),
+        ([{**g, "mean": [-1.0, -2.0, -3.0]}], "mean"),
         ([{"anchor": 1}], "no list"),
     ):
         assert what in str(difference(listed(g), listed(*found), 1e-4)), what

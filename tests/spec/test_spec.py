@@ -14,6 +14,7 @@ from collections import Counter
 from dataclasses import replace
 from fractions import Fraction
 from functools import cache
+from itertools import product
 from pathlib import Path
 from typing import Any
 
@@ -39,7 +40,7 @@ from conformance.manifest import load
 from refcodec import bitstream
 from refcodec.bitstream import codec, context, directory, errors, reconstruction, syntax, tables
 from refcodec.bitstream.chunks import chunk_ranges
-from refcodec.bitstream.dimensions import Dimensions, weight_count, work
+from refcodec.bitstream.dimensions import RENDERING, Dimensions, weight_count, work
 from refcodec.bitstream.errors import BitstreamError
 from refcodec.bitstream.frame import MATRIX_BOUND, TRANSLATION_BOUND
 from refcodec.bitstream.header import SIGNATURE, Lanes
@@ -67,7 +68,7 @@ def section(number: str) -> str:
 def rows(text: str) -> list[list[str]]:
     """The body rows of the Markdown tables in a text."""
     lines = [line for line in text.splitlines() if line.startswith("|")]
-    cells = [[c.strip() for c in line.strip("|").split("|")] for line in lines]
+    cells = [[c.strip() for c in re.split(r"(?<!\\)\|", line.removeprefix("|").removesuffix("|"))] for line in lines]
     return [
         c
         for i, c in enumerate(cells)
@@ -195,6 +196,11 @@ def test_widths() -> None:
         assert smaller is None or most > LARGEST[smaller], quantity
         assert clause in HEADINGS
     assert max(tables.tables().step) <= 60097
+    # The most rows and the most inputs of a layer.
+    networks = largest_main().network_shapes().items()
+    shapes = [shape for name, layers in networks if name not in RENDERING for shape in layers]
+    assert max(rows for rows, _ in shapes) == 367
+    assert max(inputs for _, inputs in shapes) == 128
 
 
 def largest_main() -> Dimensions:
@@ -391,22 +397,22 @@ def test_the_formulas_of_the_prose(spec: dict) -> None:
             "translation": [integer(1 << 61) for _ in range(3)],
             "shift": rng.integers(0, 61, 3).tolist(),
         }
-        for r, v in enumerate(called("FRAME_COORDINATES", frame, p)):
-            names = {f"A_r{c}": matrix[3 * r + c] for c in range(3)} | dict(zip(("Px", "Py", "Pz"), p, strict=True))
-            assert v == value(frame_sum, T_r=frame["translation"][r], s_r=frame["shift"][r], **names)
+        for c, v in enumerate(called("FRAME_COORDINATES", frame, p)):
+            names = {f"A_c{i}": matrix[3 * c + i] for i in range(3)} | dict(zip(("Px", "Py", "Pz"), p, strict=True))
+            assert v == value(frame_sum, T_c=frame["translation"][c], s_c=frame["shift"][c], **names)
         v = [integer(1 << int(rng.integers(2, 31))) for _ in range(3)]
-        names = {f"v_{r}": x for r, x in enumerate(v)}
+        names = {f"v_{c}": x for c, x in enumerate(v)}
         q = value(square, **names)
         if value(inside, q=q):
             w = v
         else:
             f = value(factor, n=spec["ISQRT"](q))
-            w = [value(contracted, v_r=x, f=f, n=spec["ISQRT"](q)) for x in v]
+            w = [value(contracted, v_c=x, f=f, n=spec["ISQRT"](q)) for x in v]
         assert w == called("CONTRACT", v)
         low = [integer(1 << 18) for _ in range(3)]
         high = [a + 1 + int(rng.integers(0, 1 << 18)) for a in low]
         u = called("RESCALE", {"low": low, "high": high}, w)
-        assert u == [value(rescaled, w_r=x, low_r=a, high_r=b) for x, a, b in zip(w, low, high, strict=True)]
+        assert u == [value(rescaled, w_c=x, low_c=a, high_c=b) for x, a, b in zip(w, low, high, strict=True)]
         s = int(rng.integers(2, 40))
         g = value(grid, u=u[0], s=s)
         c = value(cell, g=g, s=s)
@@ -462,7 +468,7 @@ def test_the_formulas_of_the_prose(spec: dict) -> None:
     for dimensions in (TINY_DIMENSIONS, MAIN_DIMENSIONS):
         assert value(formulas("6.3")[0], F=dimensions.features, K=dimensions.offset_count) == dimensions.attribute_width
     assert value(masked, f=5) == (1 << 14) - 5
-    assert value(formulas("8.5")[0], centre=7, j=3, R=5, k=4, raw=9) == 89
+    assert value(formulas("8.5")[0], centre=7, d=-2, k=4, raw=9) == 89
     escaped, rest = formulas("8.7")
     assert value(escaped, d=-11, R=5) == 6
     assert value(rest, n=11, z=3) == 3
@@ -578,7 +584,7 @@ def test_networks_table() -> None:
     assert [r[0].replace(".i", ".1") for r in printed] == list(shapes)
     for name, inputs, hidden, outputs, _ in printed:
         if name.startswith("carm"):
-            assert (inputs, outputs) == ("widths of slices 0 to i - 1", "2 slice_width[i]")
+            assert (inputs, outputs) == ("sum of the widths of slices 0 to i - 1", "2 slice_width[i]")
             fan_in, out = d.slices[0], 2 * d.slices[1]
         else:
             fan_in, out = (eval(re.sub(r"(\d) (?=[A-Za-z])", r"\1*", text), space) for text in (inputs, outputs))
@@ -692,7 +698,9 @@ NOTATION = (
     ast.Module, ast.FunctionDef, ast.arguments, ast.arg, ast.Return, ast.Assign, ast.AugAssign, ast.For, ast.While,
     ast.If, ast.Expr, ast.Call, ast.Name, ast.Load, ast.Store, ast.Constant, ast.BinOp, ast.UnaryOp, ast.BoolOp,
     ast.Compare, ast.IfExp, ast.List, ast.Tuple, ast.Dict, ast.Subscript, ast.Slice, ast.ListComp, ast.comprehension,
-    ast.operator, ast.unaryop, ast.boolop, ast.cmpop,
+    ast.Add, ast.Sub, ast.Mult, ast.FloorDiv, ast.Mod, ast.LShift, ast.RShift, ast.BitAnd, ast.BitOr, ast.BitXor,
+    ast.USub, ast.Not, ast.And, ast.Or, ast.Eq, ast.NotEq, ast.Lt, ast.LtE, ast.Gt, ast.GtE, ast.Is, ast.IsNot, ast.In,
+    ast.NotIn,
 )  # fmt: skip
 FUNCTIONS = {"abs", "all", "any", "enumerate", "len", "max", "min", "range", "sum", "zip"}
 
@@ -724,8 +732,37 @@ def test_the_notation_of_the_blocks() -> None:
                 assert called.id not in dir(builtins) or called.id in FUNCTIONS
             if isinstance(node, ast.Constant):
                 assert isinstance(node.value, int | str | None), ast.unparse(node)
-            if isinstance(node, ast.BinOp):
-                assert not isinstance(node.op, ast.Div | ast.Pow | ast.MatMult), ast.unparse(node)
+            if isinstance(node, ast.AugAssign):
+                assert isinstance(node.op, ast.Add | ast.Sub | ast.BitOr), ast.unparse(node)
+            if isinstance(node, ast.Slice):
+                assert node.step is None, ast.unparse(node)
+                # A slice that ends before the last item is the only one that counts from the end.
+                ends = [end for end in (node.lower, node.upper) if isinstance(end, ast.UnaryOp)]
+                assert all(ast.unparse(end) == "-1" and end is node.upper for end in ends), ast.unparse(node)
+
+
+def test_the_order_of_operators() -> None:
+    """The table of 2.4 is the order of Python, in which the blocks are executed."""
+    order = [re.findall(r"`([^`]+)`", row[0].replace(r"\|", "|")) for row in rows(section("2.4"))]
+    assert order[0] == ["f(x)", "x[i]"]
+    assert (order[1], order[-1]) == (["-"], ["a if c else b"])
+    ranks = [[o for o in row if o != "not"] for row in order[2:-1]]
+    assert sum(map(len, ranks)) == 22
+    tight: list[str] = []
+    for rank in ranks:
+        for loose in rank:
+            # The looser operator is the outer one, wherever it stands.
+            for inner in tight:
+                for text in (f"a {inner} b {loose} c", f"c {loose} a {inner} b"):
+                    bound = text.replace(f"a {inner} b", f"(a {inner} b)")
+                    assert ast.dump(ast.parse(text)) == ast.dump(ast.parse(bound)), text
+        # and and or give the same from either side.
+        if not set(rank) & {"==", "and", "or"}:
+            for one, two in product(rank, rank):
+                assert ast.dump(ast.parse(f"a {one} b {two} c")) == ast.dump(ast.parse(f"(a {one} b) {two} c")), rank
+        tight += rank
+    assert ast.dump(ast.parse("not a == b and c")) == ast.dump(ast.parse("(not (a == b)) and c"))
+    assert ast.dump(ast.parse("-a * b")) == ast.dump(ast.parse("(-a) * b"))
 
 
 def test_lines_are_not_long() -> None:
