@@ -13,6 +13,7 @@ from __future__ import annotations
 
 import json
 import os
+import resource
 import subprocess
 import sys
 import time
@@ -135,8 +136,8 @@ KINDS: dict[str, Callable[[Path, Path, str], Ready]] = {
 
 def _processor() -> float:
     """Processor seconds of this process, its threads, and the processes that it waited for."""
-    t = os.times()
-    return time.process_time() + t.children_user + t.children_system
+    waited = resource.getrusage(resource.RUSAGE_CHILDREN)
+    return time.process_time() + waited.ru_utime + waited.ru_stime
 
 
 def main(kind: str, path: Path, kept: Path, option: str = "") -> None:

@@ -40,7 +40,7 @@ def scene(kept: Path) -> Scene:
     return parse(large(TRAINED, ANCHORS, kept).path.read_bytes()).scene
 
 
-@pytest.fixture(scope="module", params=[DECODE, ENCODE])
+@pytest.fixture(scope="module", params=[pytest.param(task, marks=pytest.mark.slow) for task in (DECODE, ENCODE)])
 def figures(request: pytest.FixtureRequest, kept: Path) -> dict[str, Any]:
     """Of two rounds."""
     return coding(request.param, TRAINED, ANCHORS, 2, kept)
@@ -133,7 +133,7 @@ def test_paths_are_asked_for(monkeypatch: pytest.MonkeyPatch) -> None:
     """A path takes part if refcodec says its name. Others are named with what refcodec says."""
 
     def run(command: list[str], env: dict[str, str], **_: Any) -> SimpleNamespace:
-        said = {"native": (0, "refcodec 1 (native: avx2)", ""), "avx2": (0, "refcodec 1 (avx2)", "")}
+        said = {"native": (0, "refcodec 1, native kernel avx2", ""), "avx2": (0, "refcodec 1, native kernel avx2", "")}
         status, out, error = said.get(env["REFCODEC_PATH"], (64, "", "no such path here"))
         return SimpleNamespace(returncode=status, stdout=out, stderr=error)
 
