@@ -26,7 +26,7 @@ from .large import KEPT, ROOT
 DECODE, ENCODE = "decode", "encode"
 # The path that is always there, and those of a native kernel. `native` is the one that refcodec chooses itself.
 NUMPY, NATIVE = "numpy", "native"
-NATIVE_PATHS = (NATIVE, "avx512", "avx2", "neon", "plain")
+NATIVE_PATHS = (NATIVE, "avx512vnni", "avx512", "avx2", "neon", "plain")
 # One thread, whatever a library finds.
 ONE_THREAD = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "REFCODEC_THREADS"), "1")
 
@@ -82,10 +82,10 @@ def contenders(task: str) -> tuple[list[Contender], list[Missing]]:
     for path in paths:
         forced = {"REFCODEC_PATH": path}
         found.append(Contender(f"refcodec, {path}", task, environment=forced))
-        if task == DECODE:
+        if task == DECODE and path in (NUMPY, NATIVE):
             # What `refcodec digest` does, and the C decoder in any case.
             found.append(Contender(f"refcodec, {path}, with the digest", "digest", environment=forced))
-        else:
+        elif task == ENCODE:
             found.append(Contender(f"refcodec, {path}, decoding", DECODE, environment=forced))
         cores = os.cpu_count() or 1
         if path == NATIVE and cores > 1:

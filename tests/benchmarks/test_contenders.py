@@ -140,7 +140,9 @@ def test_paths_are_asked_for(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(subprocess, "run", run)
     paths, missing = offered()
     assert paths == ["numpy", "native", "avx2"]
-    assert [each.name for each in missing] == ["refcodec, avx512", "refcodec, neon", "refcodec, plain"]
+    assert [each.name for each in missing] == [
+        f"refcodec, {path}" for path in ("avx512vnni", "avx512", "neon", "plain")
+    ]
     assert "no such path here" in missing[0].why
     monkeypatch.setattr("os.cpu_count", lambda: 2)
     monkeypatch.setattr("shutil.which", lambda name: None)
