@@ -1,1 +1,4 @@
-"""Measurements of speed, size and quality. `python -m benchmarks.NAME` runs one; RESULTS.md has what they printed."""
+"""Measurements of speed, size and quality; RESULTS.md has what they printed.
+
+`python -m benchmarks decode|encode|scale|train` measures speed and scale. `python -m benchmarks.NAME` runs another one.
+"""

@@ -1,0 +1,61 @@
+"""`python -m benchmarks decode` and `encode`: refcodec by each of its paths, beside other codecs and the floor."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+from .compiled import compiler_version
+from .contenders import DECODE, compared
+from .large import KEPT, PAPER_ANCHORS, large
+from .results import facts, facts_line, table
+
+# Versions that the figures depend on.
+PACKAGES = ("torch", "torchac", "constriction")
+# SPEC.md's method, on a GPU: seconds for a scene of PAPER_ANCHORS anchors.
+PAPER_SECONDS = 13.1
+
+
+def coding(task: str, trained: Path, anchors: int, rounds: int, kept: Path = KEPT) -> dict[str, Any]:
+    """Returns the figures of a task, DECODE or ENCODE. Raises DisagreementError.
+
+    trained: the scene whose symbols are coded. rounds: how often each contender runs. kept: where the scene is kept.
+    """
+    machine = {**facts(*PACKAGES), "compiler": compiler_version()}
+    scene = large(trained, anchors, kept)
+    found = compared(task, scene.path, rounds, kept)
+    return {"task": task, "machine": machine, "scene": scene.figures(), **found}
+
+
+def coding_lines(figures: dict[str, Any]) -> list[str]:
+    """Figures as the lines of a section."""
+    scene, rows = figures["scene"], []
+    for row in figures["contenders"]:
+        times = [f"{row['times'][clock]:.2f}" for clock in ("seconds", "processor")]
+        rows.append([row["name"], f"{row['seconds']:.3f}", f"{row['processor']:.3f}", *times])
+    planes = "5 x {1} x {2}^2".format(*scene["planes"])
+    bits = scene["attribute_bits"]
+    lines = [
+        facts_line(figures["machine"]) + f" {figures['machine']['compiler'] or 'No compiler'}.",
+        f"{scene['anchors']:,} anchors, {scene['bytes']:,} bytes, with the symbols of `{scene['trained']}`:",
+        f"its anchors are repeated, and each copy has chunks of its own. Planes are {planes}.",
+        f"An anchor's attributes take {bits['large']:.2f} bits, and {bits['trained']:.2f} in the trained file.",
+        "",
+        *table(["contender", "seconds", "processor seconds", "times of seconds", "times of processor seconds"], rows),
+        "",
+        f"Medians of {figures['rounds']} rounds, in each of which all contenders ran once, in this order. Times: the",
+        f"median of the ratios to `{figures['base']}` in the same round. One thread each unless the name says more.",
+        f"All decoders and encoders gave the scene with the digest {figures['digest'][:16]}.",
+        "",
+    ]
+    lines += [f"- {row['name']}: {row['says']}{_parts(row)}." for row in figures["contenders"]]
+    lines += [f"- {each['name']} is left out: {each['why']}." for each in figures["missing"]]
+    if figures["task"] == DECODE and scene["anchors"] == PAPER_ANCHORS:
+        lines += ["", f"The paper's own decoder takes {PAPER_SECONDS} s for a scene of so many anchors, on a GPU."]
+    return lines
+
+
+def _parts(row: dict[str, Any]) -> str:
+    """The parts of a contender's processor seconds, as the end of a sentence."""
+    parts = [f"{name} {seconds:.3f}" for name, seconds in row.get("parts", {}).items()]
+    return f"; {', '.join(parts)} processor seconds" if parts else ""

@@ -1,0 +1,211 @@
+"""Who takes part in `decode` and `encode`, and the processes that they run in.
+
+Each contender is a process of its own, which prepares itself and then waits (worker.py). So paths of refcodec that the
+environment selects stand side by side, and no contender has the memory of another. They take turns: each runs once in
+a round. A contender that cannot take part is named, with the reason.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+from collections.abc import Iterator, Sequence
+from contextlib import ExitStack, contextmanager
+from dataclasses import dataclass, field
+from pathlib import Path
+from statistics import median
+from typing import Any
+
+from tqdm import tqdm
+
+from . import floor
+from .large import KEPT, ROOT
+
+DECODE, ENCODE = "decode", "encode"
+# The path that is always there, and those of a native kernel. `native` is the one that refcodec chooses itself.
+NUMPY, NATIVE = "numpy", "native"
+NATIVE_PATHS = (NATIVE, "avx512vnni", "avx512", "avx2", "neon", "plain")
+# One thread, whatever a library finds.
+ONE_THREAD = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "REFCODEC_THREADS"), "1")
+
+
+@dataclass(frozen=True)
+class Contender:
+    """Who takes part. kind: a key of worker.KINDS. option: for its maker. environment: what its process has besides."""
+
+    name: str
+    kind: str
+    option: str = ""
+    environment: dict[str, str] = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
+class Missing:
+    """Who does not take part, and why."""
+
+    name: str
+    why: str
+
+
+class DisagreementError(Exception):
+    """Contenders gave different results, or one failed. Its text says which."""
+
+
+def offered() -> tuple[list[str], list[Missing]]:
+    """Asks refcodec for its paths. Returns those that it offers here, numpy first, and those that it does not.
+
+    A path is offered if `refcodec --version`, with the path forced, names it.
+    """
+    found, missing = [NUMPY], []
+    for path in NATIVE_PATHS:
+        done = subprocess.run(
+            [sys.executable, "-m", "refcodec", "--version"],
+            env=os.environ | {"REFCODEC_PATH": path},
+            capture_output=True,
+            text=True,
+            check=False,
+        )
+        if done.returncode == 0 and path in done.stdout:
+            found.append(path)
+        else:
+            said = next(reversed((done.stderr or done.stdout).splitlines()), "nothing")
+            missing.append(Missing(f"refcodec, {path}", f"asked for this path, `refcodec --version` says: {said}"))
+    return found, missing
+
+
+def contenders(task: str) -> tuple[list[Contender], list[Missing]]:
+    """Returns who takes part in a task, DECODE or ENCODE, as far as it is known before they prepare."""
+    paths, missing = offered()
+    found: list[Contender] = []
+    for path in paths:
+        forced = {"REFCODEC_PATH": path}
+        found.append(Contender(f"refcodec, {path}", task, environment=forced))
+        if task == DECODE and path in (NUMPY, NATIVE):
+            # What `refcodec digest` does, and the C decoder in any case.
+            found.append(Contender(f"refcodec, {path}, with the digest", "digest", environment=forced))
+        elif task == ENCODE:
+            found.append(Contender(f"refcodec, {path}, decoding", DECODE, environment=forced))
+        cores = os.cpu_count() or 1
+        if path == NATIVE and cores > 1:
+            threads = {**forced, "REFCODEC_THREADS": str(cores)}
+            found.append(Contender(f"refcodec, {path}, {cores} threads", task, environment=threads))
+    if task == DECODE:
+        found.append(Contender("C decoder, with the digest", "c"))
+    else:
+        missing.append(Missing("C decoder", "it has no encoder"))
+    found += [Contender(f"float32 networks and {name}", f"family-{task}", name) for name in ("torchac", "constriction")]
+    if task == DECODE:
+        found += [Contender(f"floor, {build}", "floor", build) for build in floor.builds()]
+    else:
+        missing.append(Missing("floor", "floor.c is of decoding"))
+    return found, missing
+
+
+class Worker:
+    """The process of a contender. hello: what it said when it was ready, as worker.py prints it."""
+
+    def __init__(self, contender: Contender, path: Path, kept: Path) -> None:
+        """path: of the scene's file. kept: the folder of what is compiled."""
+        self.contender = contender
+        command = [sys.executable, "-m", "benchmarks.worker", contender.kind, str(path), str(kept), contender.option]
+        search = os.pathsep.join(filter(None, [str(ROOT), os.environ.get("PYTHONPATH")]))
+        self._process = subprocess.Popen(
+            command,
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            text=True,
+            env=os.environ | ONE_THREAD | {"PYTHONPATH": search} | contender.environment,
+        )
+        self.hello = self._answer()
+
+    def _answer(self) -> dict[str, Any]:
+        assert self._process.stdout is not None
+        line = self._process.stdout.readline()
+        if not line:
+            raise DisagreementError(f"{self.contender.name} ended with status {self._process.wait()}")
+        found: dict[str, Any] = json.loads(line)
+        return found
+
+    def run(self) -> dict[str, Any]:
+        """Runs it once. Returns its seconds and processor seconds, and those of its parts if it has any."""
+        assert self._process.stdin is not None
+        self._process.stdin.write("\n")
+        self._process.stdin.flush()
+        return self._answer()
+
+    def stop(self) -> None:
+        """Ends the process."""
+        assert self._process.stdin is not None
+        self._process.stdin.close()
+        self._process.wait()
+
+
+@contextmanager
+def workers(wanted: Sequence[Contender], path: Path, kept: Path) -> Iterator[tuple[list[Worker], list[Missing]]]:
+    """Starts the processes one after the other, so that none prepares beside another. Stops them at the end."""
+    ready, missing = [], []
+    with ExitStack() as stack:
+        for contender in tqdm(wanted, "preparing", leave=False):
+            worker = Worker(contender, path, kept)
+            stack.callback(worker.stop)
+            if "missing" in worker.hello:
+                missing.append(Missing(contender.name, worker.hello["missing"]))
+            else:
+                ready.append(worker)
+        yield ready, missing
+
+
+def compared(task: str, path: Path, rounds: int, kept: Path = KEPT) -> dict[str, Any]:
+    """Returns the figures of a task on a file: who took part, in which order they ran, and all their times.
+
+    Raises DisagreementError if a contender's result is not that of the first one, which is refcodec's numpy path.
+    """
+    wanted, missing = contenders(task)
+    order: list[str] = []
+    with workers(wanted, path, kept) as (ready, left_out):
+        reference = ready[0].hello["digest"]
+        for worker in ready:
+            found = worker.hello["digest"]
+            if found is not None and found != reference:
+                raise DisagreementError(f"{worker.contender.name} gave {found}, {ready[0].contender.name} {reference}")
+        times: dict[str, list[dict[str, Any]]] = {worker.contender.name: [] for worker in ready}
+        for _ in tqdm(range(rounds), "rounds", leave=False):
+            for worker in ready:
+                order.append(worker.contender.name)
+                times[worker.contender.name].append(worker.run())
+        rows = [_row(worker, times[worker.contender.name]) for worker in ready]
+    base = base_of(rows)
+    for row in rows:
+        for clock in ("seconds", "processor"):
+            pairs = zip(row["runs"], base["runs"], strict=True)
+            row["times"][clock] = median(own[clock] / other[clock] for own, other in pairs)
+    return {
+        "rounds": rounds,
+        "order": order,
+        "digest": reference,
+        "base": base["name"],
+        "contenders": rows,
+        "missing": [vars(each) for each in (*missing, *left_out)],
+    }
+
+
+def _row(worker: Worker, runs: list[dict[str, Any]]) -> dict[str, Any]:
+    medians = {clock: median(run[clock] for run in runs) for clock in ("seconds", "processor")}
+    parts = {name: median(run["parts"][name] for run in runs) for name in runs[0].get("parts", {})}
+    return {
+        "name": worker.contender.name,
+        "digest": worker.hello["digest"],
+        "says": worker.hello["says"],
+        **medians,
+        **({"parts": parts} if parts else {}),
+        "times": {},
+        "runs": runs,
+    }
+
+
+def base_of(rows: Sequence[dict[str, Any]]) -> dict[str, Any]:
+    """Returns the row that others are compared with: refcodec's own choice with one thread, or its numpy path."""
+    own = {row["name"]: row for row in rows}
+    return own.get(f"refcodec, {NATIVE}") or own[f"refcodec, {NUMPY}"]

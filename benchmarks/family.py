@@ -1,0 +1,215 @@
+"""The way that other codecs of this family code a scene: float32 networks of torch, then torchac or constriction.
+
+The networks have the weights of the file, and the same stages (SPEC 7.10). A batch of anchors is computed, then each
+stage of it is coded:
+
+- torchac takes a row of the cumulative distribution for each symbol, from the least symbol of the batch to the largest.
+- constriction takes a mean and a standard deviation for each symbol.
+
+Only the attributes are coded. Contexts, masks, positions and planes are given, and no value is multiplied by its step.
+So this does less than a decoder. Its symbols are real: those of the scene are encoded, and decoded again.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any, Protocol
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+
+from refcodec.bitstream.attributes import Attributes
+from refcodec.bitstream.codec import Coding
+from refcodec.bitstream.dimensions import SCALINGS
+from refcodec.bitstream.networks import ACTIVATION_MAX, Layer
+from refcodec.bitstream.scene import Scene
+
+from .compiled import MissingError
+
+# Anchors of a batch: as many as a chunk has.
+BATCH = 4096
+
+
+@dataclass(frozen=True)
+class Coded:
+    """The symbols of a stage of a batch. low, high: the least and the largest of them. count: how many they are."""
+
+    content: Any
+    low: int
+    high: int
+    count: int
+
+
+class SymbolCoder(Protocol):
+    """Codes Gaussian symbols. All tensors are [symbols]. mean: in steps. deviation: the standard one, in steps."""
+
+    def encode(self, symbols: torch.Tensor, mean: torch.Tensor, deviation: torch.Tensor) -> Coded:
+        """Returns the bytes of int32 symbols."""
+        ...
+
+    def decode(self, coded: Coded, mean: torch.Tensor, deviation: torch.Tensor) -> torch.Tensor:
+        """Returns the int32 symbols of bytes."""
+        ...
+
+
+class Torchac:
+    """torchac: a row of a cumulative distribution for each symbol."""
+
+    def __init__(self) -> None:
+        """Raises MissingError."""
+        try:
+            # It compiles itself when it is imported.
+            import torchac  # noqa: PLC0415
+        except (ImportError, OSError, RuntimeError) as error:
+            raise MissingError(f"torchac: {str(error).splitlines()[0]}") from None
+        self._torchac = torchac
+
+    @staticmethod
+    def _rows(low: int, high: int, mean: torch.Tensor, deviation: torch.Tensor) -> torch.Tensor:
+        edges = torch.arange(low, high + 2, dtype=torch.float32) - 0.5
+        rows: torch.Tensor = torch.distributions.Normal(mean[:, None], deviation[:, None], False).cdf(edges)
+        rows[:, 0], rows[:, -1] = 0, 1
+        return rows
+
+    def encode(self, symbols: torch.Tensor, mean: torch.Tensor, deviation: torch.Tensor) -> Coded:
+        low, high = int(symbols.min()), int(symbols.max())
+        rows = self._rows(low, high, mean, deviation)
+        content = self._torchac.encode_float_cdf(rows, (symbols - low).to(torch.int16), check_input_bounds=False)
+        return Coded(content, low, high, len(symbols))
+
+    def decode(self, coded: Coded, mean: torch.Tensor, deviation: torch.Tensor) -> torch.Tensor:
+        rows = self._rows(coded.low, coded.high, mean, deviation)
+        found: torch.Tensor = self._torchac.decode_float_cdf(rows, coded.content)
+        return found.to(torch.int32) + coded.low
+
+
+class Constriction:
+    """constriction: rANS with a quantised Gaussian for each symbol."""
+
+    def __init__(self) -> None:
+        """Raises MissingError."""
+        try:
+            import constriction  # noqa: PLC0415
+        except ImportError as error:
+            raise MissingError(f"constriction: {error}") from None
+        self._coder = constriction.stream.stack.AnsCoder
+        self._family = constriction.stream.model.QuantizedGaussian
+
+    @staticmethod
+    def _parameters(mean: torch.Tensor, deviation: torch.Tensor) -> tuple[NDArray, NDArray]:
+        return mean.numpy().astype(np.float64), deviation.numpy().astype(np.float64)
+
+    def encode(self, symbols: torch.Tensor, mean: torch.Tensor, deviation: torch.Tensor) -> Coded:
+        # A distribution over one symbol alone is not allowed.
+        low, high = int(symbols.min()), int(symbols.max()) + 1
+        coder = self._coder()
+        coder.encode_reverse(symbols.numpy(), self._family(low, high), *self._parameters(mean, deviation))
+        return Coded(coder.get_compressed(), low, high, len(symbols))
+
+    def decode(self, coded: Coded, mean: torch.Tensor, deviation: torch.Tensor) -> torch.Tensor:
+        coder = self._coder(coded.content)
+        return torch.from_numpy(coder.decode(self._family(coded.low, coded.high), *self._parameters(mean, deviation)))
+
+
+CODERS: dict[str, Callable[[], SymbolCoder]] = {"torchac": Torchac, "constriction": Constriction}
+
+
+def module(layers: list[Layer]) -> torch.nn.Sequential:
+    """Returns the float32 network of some layers, with ReLU between them."""
+    parts: list[torch.nn.Module] = []
+    for weight, bias in layers:
+        linear = torch.nn.Linear(weight.shape[1], weight.shape[0])
+        linear.weight.data, linear.bias.data = torch.from_numpy(weight.copy()), torch.from_numpy(bias.copy())
+        parts += [linear, torch.nn.ReLU()]
+    return torch.nn.Sequential(*parts[:-1])
+
+
+class Family:
+    """The attributes of a scene, encoded and decoded the family's way."""
+
+    def __init__(self, scene: Scene, coder: SymbolCoder) -> None:
+        d, a, coding = scene.dimensions, scene.attributes, Coding(scene)
+        self._scene, self._coder = scene, coder
+        self._hyper = module(scene.networks["hyper"])
+        self._carm = [module(scene.networks[f"carm.{i}"]) for i in range(1, len(d.slices))]
+        self._unit = torch.from_numpy(np.ldexp(np.float32(1), -scene.carm_shift.astype(int)).astype(np.float32))
+        batches = [slice(at, at + BATCH) for at in range(0, scene.anchor_count, BATCH)]
+        contexts = [coding.contexts(slice(rows.start, min(rows.stop, scene.anchor_count))) for rows in batches]
+        self._contexts = [torch.from_numpy(each.astype(np.float32)) for each in contexts]
+        self._kept = [torch.from_numpy(np.repeat(scene.masks[rows], 3, axis=1)) for rows in batches]
+        self._given = [
+            tuple(
+                torch.from_numpy(np.ascontiguousarray(part[rows].reshape(len(scene.masks[rows]), -1)))
+                for part in (a.features, a.scalings, a.offsets)
+            )
+            for rows in batches
+        ]
+        self.coded: list[list[Coded]] = []
+
+    def encode(self) -> None:
+        """Fills `coded`: a list for each batch, with an element for each stage."""
+        self.coded = []
+        with torch.no_grad():
+            for number in range(len(self._contexts)):
+                stages: list[Coded] = []
+
+                def code(mean: torch.Tensor, level: torch.Tensor, known: torch.Tensor, to: list[Coded] = stages) -> Any:
+                    if len(known):
+                        to.append(self._coder.encode(known, mean / 16, torch.exp2(level / 8)))
+                    return known
+
+                self._batch(number, code, self._given[number])
+                self.coded.append(stages)
+
+    def decode(self) -> Attributes:
+        """Returns the symbols of `coded`, with the steps of the scene."""
+        found = []
+        with torch.no_grad():
+            for number, coded in enumerate(self.coded):
+                stages = iter(coded)
+
+                def code(mean: torch.Tensor, level: torch.Tensor, _: None, of: Any = stages) -> torch.Tensor:
+                    if not len(mean):
+                        return torch.zeros(0, dtype=torch.int32)
+                    return self._coder.decode(next(of), mean / 16, torch.exp2(level / 8))
+
+                found.append(self._batch(number, code, None))
+        features, scalings, offsets = (torch.cat([part[i] for part in found]).numpy() for i in range(3))
+        return Attributes(features, scalings, offsets.reshape(len(offsets), -1, 3).copy(), self._scene.attributes.steps)
+
+    def size(self) -> int:
+        """Returns the bytes of `coded`."""
+        parts = (stage.content for batch in self.coded for stage in batch)
+        return sum(part.nbytes if isinstance(part, np.ndarray) else len(part) for part in parts)
+
+    def _batch(
+        self, number: int, code: Callable[..., torch.Tensor], given: tuple[torch.Tensor, ...] | None
+    ) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
+        """Codes a batch of anchors in either direction. Returns its features, scalings and offsets."""
+        d, hyper, kept = self._scene.dimensions, self._hyper(self._contexts[number]), self._kept[number]
+        rows, width, total = len(hyper), d.features, d.attribute_width
+        mean, level = hyper[:, :total], hyper[:, total : 2 * total]
+
+        def stage(columns: slice, m: torch.Tensor, s: torch.Tensor, known: torch.Tensor | None) -> torch.Tensor:
+            flat = None if known is None else known[:, columns].reshape(-1)
+            return code(m.reshape(-1), s.reshape(-1), flat).reshape(rows, -1)
+
+        part = slice(width, width + SCALINGS)
+        scalings = stage(slice(None), mean[:, part], level[:, part], given[1] if given else None)
+        part = slice(width + SCALINGS, None)
+        offsets = torch.zeros(kept.shape, dtype=torch.int32)
+        offsets[kept] = code(mean[:, part][kept], level[:, part][kept], given[2][kept] if given else None)
+        features = torch.zeros((rows, width), dtype=torch.int32)
+        done = 0
+        for index, columns in enumerate(d.slices):
+            part = slice(done, done + columns)
+            m, s = mean[:, part], level[:, part]
+            if index:
+                inputs = (features[:, :done] * self._unit[:done]).clamp(-ACTIVATION_MAX, ACTIVATION_MAX)
+                change = self._carm[index - 1](inputs)
+                m, s = m + change[:, :columns], s + change[:, columns:]
+            features[:, part] = stage(part, m, s, given[0] if given else None)
+            done += columns
+        return features, scalings, offsets

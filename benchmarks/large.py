@@ -1,0 +1,192 @@
+"""Scenes of any number of anchors with the symbols of a trained one, as files that are kept under out/.
+
+A large scene repeats the anchors of a trained one. Each copy has chunks of its own, so each chunk has different cells
+and its positions are packed. All symbols, and the contexts of all copies, are those of the training. Two things grow to
+the sizes of a large scene, so that decoding has the work of one:
+
+- F_h and CARM get the hidden units that the encoder chooses for 421,600 anchors. The new units are copies of the
+  trained ones, and the next layer has zeros for them. So all outputs are those of the trained networks.
+- The planes get the size that the encoder chooses for the number of anchors, by interpolation. Rounding changes the
+  contexts a little, and so the bytes. `Large.attribute_bits` tells by how much.
+"""
+
+from __future__ import annotations
+
+import hashlib
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from refcodec.bitstream.attributes import Attributes
+from refcodec.bitstream.chunks import chunk_ranges, read_chunk
+from refcodec.bitstream.codec import derive_steps, emit, parse
+from refcodec.bitstream.directory import DATA, INDEX
+from refcodec.bitstream.header import emit_file, read_header
+from refcodec.bitstream.index import ENTRY_BYTES
+from refcodec.bitstream.limits import MAIN, PROFILES, minimal_level
+from refcodec.bitstream.networks import Layer
+from refcodec.bitstream.planes import PLANES, assemble_planes
+from refcodec.bitstream.reader import Reader
+from refcodec.bitstream.scene import Scene, take_anchors
+from refcodec.bitstream.source import WholeFile
+from refcodec.encoder.positions import morton_order, position_model
+from refcodec.encoder.sizes import CHUNK_SIZE, choose_lanes, choose_plane_size, choose_width
+
+ROOT = Path(__file__).resolve().parent.parent
+# What is made once and kept. Git ignores it.
+KEPT = ROOT / "out" / "benchmarks"
+# The trained scene, and the number of anchors of the paper's largest one.
+TRAINED = ROOT / "vectors" / "valid" / "trained-snowmiku.c3gs"
+PAPER_ANCHORS = 421_600
+
+
+@dataclass(frozen=True)
+class Large:
+    """A large scene. attribute_bits: bits of an anchor's attributes in the trained file, and in this one."""
+
+    path: Path
+    trained: Path
+    anchors: int
+    attribute_bits: tuple[float, float]
+
+    def figures(self) -> dict[str, object]:
+        """What tables and JSON say of the scene."""
+        data = self.path.read_bytes()
+        d, before = read_header(WholeFile(data)).dimensions, self.attribute_bits
+        return {
+            "anchors": self.anchors,
+            "bytes": len(data),
+            "sha256": hashlib.sha256(data).hexdigest(),
+            "trained": self.trained.name,
+            "hidden": [list(d.hyper_width), list(d.sarm_width), list(d.carm_width)],
+            "planes": [PLANES, d.plane_channels, d.plane_size],
+            "attribute_bits": {"trained": before[0], "large": before[1]},
+        }
+
+
+def large(trained: Path, anchors: int, kept: Path = KEPT) -> Large:
+    """Returns the scene of some anchors. Its file is made once, and kept by what it is made from and by this module.
+
+    trained: a file of Main with planes. anchors: how many, at least 1.
+    """
+    source = trained.read_bytes()
+    made_of = source + str(anchors).encode() + Path(__file__).read_bytes()
+    path = kept / f"{trained.stem}-{anchors}-{hashlib.sha256(made_of).hexdigest()[:16]}.c3gs"
+    if not path.exists():
+        kept.mkdir(parents=True, exist_ok=True)
+        temporary = path.with_suffix(".part")
+        temporary.write_bytes(large_file(parse(source).scene, anchors))
+        temporary.replace(path)
+    return Large(path, trained, anchors, (attribute_bits(source), attribute_bits(path.read_bytes())))
+
+
+def large_file(trained: Scene, anchors: int) -> bytes:
+    """Returns the file of a scene with some anchors, whose symbols are those of a trained scene.
+
+    Only one copy is encoded. The chunks of the others are its chunks, byte for byte.
+    """
+    copy = _grown(take_anchors(trained, morton_order(trained.positions)), anchors)
+    copies, rest = divmod(anchors, copy.anchor_count)
+    if copies == 0:
+        copy, copies, rest = take_anchors(copy, np.arange(anchors)), 1, 0
+    each = [len(chunk) for chunk in chunk_ranges(copy.anchor_count, CHUNK_SIZE)]
+    last = [len(chunk) for chunk in chunk_ranges(rest, CHUNK_SIZE)]
+    scene = replace(
+        take_anchors(copy, np.concatenate([np.arange(copy.anchor_count), np.arange(rest)])),
+        chunk_anchors=(*each, *last),
+        position_model=position_model(copy.positions, CHUNK_SIZE),
+    )
+    return _repeated(emit(scene), len(each), copies)
+
+
+def _grown(scene: Scene, anchors: int) -> Scene:
+    """Returns a scene with the widths, the planes and the lanes of a large one, raw weights, and the same symbols."""
+    d, width = scene.dimensions, choose_width(PAPER_ANCHORS)
+    networks, widths = dict(scene.networks), {}
+    if not d.plane_channels:
+        raise ValueError("the trained scene has no planes")
+    for name in ("hyper", "carm"):
+        widths[name] = tuple(max(hidden, width) for hidden in getattr(d, f"{name}_width"))
+        named = {network: layers for network, layers in networks.items() if network.partition(".")[0] == name}
+        networks |= {network: widened(layers, widths[name]) for network, layers in named.items()}
+    size = max(choose_plane_size(anchors), d.plane_size)
+    planes = scene.planes if size == d.plane_size else resized_planes(scene.planes, size)
+    dimensions = replace(d, hyper_width=widths["hyper"], carm_width=widths["carm"], plane_size=size)
+    grown = replace(
+        scene,
+        profile=MAIN,
+        chunk_size=CHUNK_SIZE,
+        dimensions=dimensions,
+        lanes=choose_lanes(anchors, 2.0 * d.attribute_width),
+        networks=networks,
+        planes=planes,
+        weight_scales=None,
+        weight_forms=None,
+        ancillary=(),
+    )
+    a = grown.attributes
+    return replace(grown, attributes=Attributes(a.features, a.scalings, a.offsets, derive_steps(grown)))
+
+
+def widened(layers: list[Layer], widths: tuple[int, ...]) -> list[Layer]:
+    """Returns the layers of a network with the same outputs and more hidden units.
+
+    widths: those of its hidden layers, none less than before.
+    """
+    found, inputs = [], layers[0][0].shape[1]
+    for (weight, bias), units in zip(layers, (*widths, len(layers[-1][1])), strict=True):
+        rows = np.arange(units) % len(bias)
+        # The units that the layer before it gained have no weight. So the exponent of each row is as before.
+        more = np.zeros((units, inputs - weight.shape[1]), np.float32)
+        found.append((np.concatenate([weight[rows], more], axis=1), bias[rows]))
+        inputs = units
+    return found
+
+
+def resized_planes(planes: NDArray[np.int16], size: int) -> NDArray[np.int16]:
+    """Returns sub-planes of another size, int16 [5, ch, size, size], by bilinear interpolation of the joined planes."""
+    first, second = assemble_planes(planes)
+    one, two = _resized(first, size), _resized(second, 2 * size)
+    halves = slice(0, size), slice(size, 2 * size)
+    return np.stack([one, *(two[:, rows, columns] for rows in halves for columns in halves)])
+
+
+def _resized(plane: NDArray[np.int64], size: int) -> NDArray[np.int16]:
+    """Returns a plane [ch, s, s] as [ch, size, size] with the same corners."""
+    at = np.linspace(0, plane.shape[-1] - 1, size)
+    low = np.minimum(at.astype(int), plane.shape[-1] - 2)
+    share = at - low
+    rows = plane[:, low] * (1 - share[:, None]) + plane[:, low + 1] * share[:, None]
+    return np.rint(rows[:, :, low] * (1 - share) + rows[:, :, low + 1] * share).astype(np.int16)
+
+
+def _repeated(data: bytes, chunks: int, copies: int) -> bytes:
+    """Returns a file with its first chunks more often. chunks: how many they are. copies: how often they come."""
+    header = read_header(WholeFile(data))
+    contents = {s.type: data[s.start : s.start + s.length] for s in header.sections}
+    index, content = contents[INDEX], contents[DATA]
+    models = len(index) - ENTRY_BYTES * header.chunk_count
+    opened = Reader(WholeFile(data)).open().index
+    # Where the first chunks and the entries of the index for them end.
+    entries, end = models + ENTRY_BYTES * chunks, int(opened.starts[chunks] - opened.starts[0])
+    contents[INDEX] = index[:models] + index[models:entries] * copies + index[entries:]
+    contents[DATA] = content[:end] * copies + content[end:]
+    count = header.anchor_count + (copies - 1) * int(opened.anchors[chunks])
+    level = minimal_level(PROFILES[header.profile], count, header.dimensions)
+    if level is None:
+        raise ValueError(f"no level holds {count} anchors")
+    more = header.chunk_count + (copies - 1) * chunks
+    made = replace(header, anchor_count=count, chunk_count=more, level=level)
+    return emit_file(made, [(s.type, s.mode, contents[s.type]) for s in header.sections])
+
+
+def attribute_bits(data: bytes) -> float:
+    """Returns the bits of an anchor's attributes in a file."""
+    source = WholeFile(data)
+    reader = Reader(source)
+    index, section = reader.open().index, reader.header.section(INDEX)
+    assert section is not None
+    parts = (read_chunk(source, index[number], section.mode).attributes for number in range(len(index)))
+    return 8 * sum(map(len, parts)) / reader.header.anchor_count

@@ -1,0 +1,147 @@
+"""One way of reading a file, in a process of its own: python -m benchmarks.reading FILE WAY [traced]
+
+WAY is `whole`, `arriving` (the file's bytes come in blocks, and each chunk is decoded and let go), or the number of a
+chunk, which is read by ranges. The process prints a Reading as JSON.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+import time
+import tracemalloc
+from collections.abc import Iterator
+from dataclasses import asdict, dataclass
+from pathlib import Path
+
+from refcodec.bitstream.codec import parse
+from refcodec.bitstream.errors import BitstreamError
+from refcodec.bitstream.reader import Reader, decode_chunk
+from refcodec.bitstream.reconstruction import StreamDigest, chunk_digest, digest, reconstruct
+from refcodec.bitstream.source import Arriving, Ranges
+from refcodec.bitstream.tables import tables
+
+WHOLE, ARRIVING, TRACED = "whole", "arriving", "traced"
+# Bytes of a block of a file that arrives.
+BLOCK = 1000
+
+
+@dataclass(frozen=True)
+class Reading:
+    """What reading a file took.
+
+    peak: the most bytes, of what Python and numpy allocated if it is traced, else of what the process had in memory.
+    seconds, processor: of decoding and of making float32 values, without the digest. read, reads: bytes, and in how
+    many pieces. first: the bytes before the first anchors. digest: of the scene, or of the chunk.
+    """
+
+    peak: int
+    seconds: float
+    processor: float
+    read: int
+    reads: int
+    first: int
+    digest: str
+
+
+class ReadingError(Exception):
+    """A process that read a file failed. Its text is the last line that it printed, or its status."""
+
+
+def reading(path: Path, way: str, traced: bool = False) -> Reading:
+    """Reads a file in a process of its own. Raises ReadingError."""
+    command = [sys.executable, "-m", "benchmarks.reading", str(path), way, *([TRACED] if traced else [])]
+    root = str(Path(__file__).resolve().parent.parent)
+    search = os.pathsep.join(filter(None, [root, os.environ.get("PYTHONPATH")]))
+    done = subprocess.run(command, capture_output=True, text=True, check=False, env=os.environ | {"PYTHONPATH": search})
+    if done.returncode:
+        raise ReadingError(next(reversed(done.stderr.splitlines()), f"status {done.returncode}"))
+    return Reading(**json.loads(done.stdout))
+
+
+class _Clock:
+    """Seconds and processor seconds while it runs."""
+
+    def __init__(self) -> None:
+        self.seconds = self.processor = 0.0
+        self.start()
+
+    def start(self) -> None:
+        self._seconds, self._processor = time.perf_counter(), time.process_time()
+
+    def stop(self) -> None:
+        self.seconds += time.perf_counter() - self._seconds
+        self.processor += time.process_time() - self._processor
+
+
+class _File:
+    """A file that counts what is read of it."""
+
+    def __init__(self, path: Path) -> None:
+        self._file, self.size = path.open("rb"), path.stat().st_size
+        self.read = self.reads = 0
+
+    def fetch(self, start: int, size: int) -> bytes:
+        self._file.seek(start)
+        data = self._file.read(size)
+        self.read, self.reads = self.read + size, self.reads + 1
+        return data
+
+    def blocks(self) -> Iterator[bytes]:
+        for start in range(0, self.size, BLOCK):
+            yield self.fetch(start, min(BLOCK, self.size - start))
+
+
+def _resident() -> int:
+    """The most bytes that this process had in memory."""
+    fields = dict(line.split(":", 1) for line in Path("/proc/self/status").read_text().splitlines())
+    return int(fields["VmHWM"].split()[0]) << 10
+
+
+def _read(path: Path, way: str, traced: bool) -> Reading:
+    file = _File(path)
+    tables()
+    if traced:
+        tracemalloc.start()
+
+    def peak() -> int:
+        return tracemalloc.get_traced_memory()[1] if traced else _resident()
+
+    first, clock = 0, _Clock()
+    if way == WHOLE:
+        first = file.size
+        scene = parse(file.fetch(0, file.size)).scene
+        values = reconstruct(scene)
+        clock.stop()
+        most = peak()
+        del values
+        found = digest(scene)[0]
+    elif way == ARRIVING:
+        reader, stream = Reader(Arriving(file.blocks())), StreamDigest()
+        reader.open()
+        for chunk in reader.chunks():
+            if isinstance(chunk, BitstreamError):
+                raise chunk
+            scene = reader.scene([chunk])
+            reconstruct(scene)
+            first = first or file.read
+            clock.stop()
+            stream.add(scene)
+            clock.start()
+        reader.close()
+        clock.stop()
+        most = peak()
+        found = stream.finish(reader.scene([]))
+    else:
+        scene = decode_chunk(Ranges(file.fetch, file.size), int(way))
+        reconstruct(scene)
+        clock.stop()
+        most, first = peak(), file.read
+        found = chunk_digest(scene)
+    return Reading(most, clock.seconds, clock.processor, file.read, file.reads, first, found)
+
+
+if __name__ == "__main__":
+    print(json.dumps(asdict(_read(Path(sys.argv[1]), sys.argv[2], sys.argv[3:] == [TRACED]))))
