@@ -11,17 +11,17 @@ from __future__ import annotations
 
 import ctypes
 import os
-import sys
 from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cache
-from importlib.machinery import EXTENSION_SUFFIXES
 from pathlib import Path
 
 from ..statuses import UsageError
 
 PATH_VARIABLE, THREADS_VARIABLE = "REFCODEC_PATH", "REFCODEC_THREADS"
 NUMPY, NATIVE = "numpy", "native"
+# Where setup.py puts it.
+LIBRARY = Path(__file__).with_name("kernel.so")
 THREADS_MAX = 256
 # kernel.h: the version of its interface, its statuses that are no error codes, and its arrays' lengths.
 VERSION = 1
@@ -121,29 +121,17 @@ class Kernel:
     threads: int
 
 
-def files() -> list[Path]:
-    """Returns where the library can be: beside this module, with the suffix of an extension module."""
-    return [Path(__file__).with_name(f"kernel{suffix}") for suffix in EXTENSION_SUFFIXES]
-
-
 @cache
-def load() -> ctypes.CDLL | None:
+def load(path: Path = LIBRARY) -> ctypes.CDLL | None:
     """Returns the library, or None if there is none that can be loaded or it is of another version."""
-    if sys.byteorder != "little":
+    try:
+        library = ctypes.CDLL(str(path))
+        for name, (result, parameters) in _FUNCTIONS.items():
+            function = getattr(library, name)
+            function.restype, function.argtypes = result, parameters
+    except (OSError, AttributeError):
         return None
-    for path in files():
-        if not path.is_file():
-            continue
-        try:
-            library = ctypes.CDLL(str(path))
-            for name, (result, parameters) in _FUNCTIONS.items():
-                function = getattr(library, name)
-                function.restype, function.argtypes = result, parameters
-        except (OSError, AttributeError):
-            continue
-        if library.kernel_version() == VERSION:
-            return library
-    return None
+    return library if library.kernel_version() == VERSION else None
 
 
 def variants(library: ctypes.CDLL) -> Iterator[tuple[int, str]]:
