@@ -421,6 +421,35 @@ static int NAMED(encode_values)(const kernel_tables *t, encoder *e, const models
     return 1;
 }
 
+#if defined(HAS_AVX512) || defined(HAS_VNNI)
+/* SPEC B.4: one step of 16 lanes, of those in the mask. Returns where the words begin now, which go before `next`. */
+INLINE uint16_t *NAMED(encode_lanes)(uint32_t *state, const uint32_t *symbol, __mmask16 mask, uint16_t *next)
+{
+    __m512i x = _mm512_maskz_loadu_epi32(mask, state), entry = _mm512_maskz_loadu_epi32(mask, symbol);
+    __m512i low = _mm512_and_si512(entry, _mm512_set1_epi32(0xffff)), frequency = _mm512_srli_epi32(entry, 16);
+    __mmask16 full = _mm512_mask_cmpge_epu32_mask(mask, _mm512_srli_epi32(x, 32 - PRECISION), frequency);
+    /* The low halves of the lanes that are full, in their order. */
+    int count = __builtin_popcount(full);
+    __m256i words = _mm512_cvtepi32_epi16(_mm512_maskz_compress_epi32(full, x));
+    next -= count;
+    _mm256_mask_storeu_epi16(next, (__mmask16)((1u << count) - 1), words);
+    x = _mm512_mask_srli_epi32(x, full, x, 16);
+    /* A double holds both numbers and their quotient is below 2^32, so it is cut to the right integer. */
+    __m256i halves[2];
+    for (int half = 0; half < 2; half++) {
+        __m256i upper = half ? _mm512_extracti64x4_epi64(x, 1) : _mm512_castsi512_si256(x);
+        __m256i under = half ? _mm512_extracti64x4_epi64(frequency, 1) : _mm512_castsi512_si256(frequency);
+        halves[half] = _mm512_cvttpd_epu32(_mm512_div_pd(
+            _mm512_cvtepu32_pd(upper), _mm512_cvtepu32_pd(_mm256_max_epu32(under, _mm256_set1_epi32(1)))));
+    }
+    __m512i quotient = _mm512_inserti64x4(_mm512_castsi256_si512(halves[0]), halves[1], 1);
+    __m512i rest = _mm512_sub_epi32(x, _mm512_mullo_epi32(quotient, frequency));
+    x = _mm512_add_epi32(_mm512_add_epi32(_mm512_slli_epi32(quotient, PRECISION), rest), low);
+    _mm512_mask_storeu_epi32(state, mask, x);
+    return next;
+}
+#endif
+
 /* SPEC B.4 and 5.15: makes the substream of an encoder. rANS runs backwards, from the final states to the first ones.
  *
  * words: room for a word of each symbol. Returns KERNEL_DONE or KERNEL_NO_MEMORY.
@@ -435,8 +464,20 @@ static int32_t NAMED(finish_encoder)(encoder *e, int32_t lanes, uint16_t *words,
         for (uint64_t step = (count + (uint64_t)lanes - 1) / (uint64_t)lanes; step-- > 0;) {
             const uint32_t *symbol = e->symbol + first + step * (uint64_t)lanes;
             uint64_t left = count - step * (uint64_t)lanes;
+            int32_t live = left < (uint64_t)lanes ? (int32_t)left : lanes;
             /* SPEC 8.3: lanes of one step take words in their order, so they give them in the reverse order. */
-            for (int32_t lane = left < (uint64_t)lanes ? (int32_t)left : lanes; lane-- > 0;) {
+#if defined(HAS_AVX512) || defined(HAS_VNNI)
+            if (lanes >= 8) {
+                const int32_t wide = lanes < 16 ? lanes : 16;
+                for (int32_t lane = (live - 1) / wide * wide; lane >= 0; lane -= wide) {
+                    int32_t own = live - lane < wide ? live - lane : wide;
+                    __mmask16 mask = (__mmask16)((1u << own) - 1);
+                    next = NAMED(encode_lanes)(state + lane, symbol + lane, mask, next);
+                }
+                continue;
+            }
+#endif
+            for (int32_t lane = live; lane-- > 0;) {
                 uint32_t x = state[lane], low = symbol[lane] & 0xffff, frequency = symbol[lane] >> 16;
                 uint32_t full = x >> (32 - PRECISION) >= frequency;
                 next[-1] = (uint16_t)x;
