@@ -16,6 +16,7 @@ PAGE = ROOT / "ARCHITECTURE.md"
 ROOMS = (
     "refcodec",
     "refcodec.files",
+    "refcodec.native",
     "refcodec.bitstream",
     "refcodec.encoder",
     "refcodec.folder",

@@ -10,8 +10,9 @@ import pytest
 from spec.house import ROOMS, docstring, imports, modules, room
 
 BITSTREAM, INDEPENDENT = "refcodec.bitstream", "conformance.independent"
-# The reference decodes chunks side by side, and takes the bounds of its callers.
-ONLY_REFERENCE = {"batches", "bounds"}
+NATIVE = "refcodec.native"
+# The reference decodes chunks side by side, takes the bounds of its callers, and has a native kernel.
+ONLY_REFERENCE = {"batches", "bounds", "kernel"}
 # The second decoder's own command and trace. Those of the reference are in refcodec.cli and refcodec.inspect.
 ONLY_INDEPENDENT = {"__main__", "trace"}
 # What decoding must not need. plyfile and safetensors belong to the scene folder.
@@ -39,10 +40,11 @@ def test_no_circle() -> None:
 
 
 def test_the_bitstream_side_stands_alone() -> None:
-    """It uses no other room than the one that knows where the project's files lie, and no heavy package."""
+    """It uses no other room than the native kernel and the one of statuses and files, and no heavy package."""
     for module in modules():
-        if module.startswith(BITSTREAM):
-            assert {room(name) for name in imports(module)} <= {BITSTREAM, "refcodec"}, module
+        if module.startswith((BITSTREAM, NATIVE)):
+            below = {NATIVE, "refcodec"} | ({BITSTREAM} if module.startswith(BITSTREAM) else set())
+            assert {room(name) for name in imports(module)} <= below, module
             text = modules()[module].read_text(encoding="utf-8")
             assert not set(re.findall(r"^\s*(?:from|import) (\w+)", text, re.MULTILINE)) & HEAVY, module
 

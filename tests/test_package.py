@@ -17,7 +17,7 @@ pytestmark = pytest.mark.slow
 ROOT = Path(__file__).resolve().parents[1]
 # What a working tree holds and a clone does not.
 UNTRACKED = shutil.ignore_patterns(
-    ".git", "out", "build", "dist", ".venv", "__pycache__", ".*_cache", ".hypothesis", "*.egg-info"
+    ".git", "*.so", "out", "build", "dist", ".venv", "__pycache__", ".*_cache", ".hypothesis", "*.egg-info"
 )
 EXAMPLE = "vectors/tiny-example.c3gs"
 

@@ -24,6 +24,7 @@ from .errors import BitstreamError
 from .frame import emit_frame, parse_frame
 from .header import Header, emit_file, read_header
 from .index import chunk_floor, emit_entry, entries_start, parse_index
+from .kernel import REFUSED, Anchors, NativeScene, disagreement, kernel, native_scene
 from .limits import PROFILES, minimal_level
 from .masks import code_masks, mask_models
 from .networks import derive_networks
@@ -112,11 +113,12 @@ def parse(
 
 
 class Coding:
-    """What the symbols of a scene are coded with: SARM, the model of attributes, and the contexts of anchors."""
+    """What the symbols of a scene are coded with: networks, the model of attributes, and the contexts of anchors."""
 
     def __init__(self, scene: Scene, exact_float: bool | None = None, block_rows: int | None = None) -> None:
         """exact_float, block_rows: as in IntNetwork. Raises BoundError."""
         networks = derive_networks(scene.networks, exact_float, block_rows)
+        self.networks = networks
         self.sarm = networks.get("sarm")
         self.model = EntropyModel.of(networks, scene.carm_shift, scene.dimensions.slices)
         self._scene, self._planes = scene, assemble_planes(scene.planes)
@@ -164,16 +166,31 @@ def _emit(scene: Scene, progress: Progress) -> bytes:
         path, found = f"positions[{first // 3},{first % 3}]", scene.positions.reshape(-1)[first]
         raise BitstreamError(name, 0, path, found, "finite numbers but -0")
     coding = Coding(scene)
+    used = kernel()
     if coding.sarm is not None:
         progress("planes", 0, 1)
-        contents[PLANES_SECTION] = emit_planes(scene.planes, coding.sarm, 1 << lanes.plane)
+        native = native_scene(used, d, lanes, coding.networks, scene.plane_shift, scene.carm_shift)
+        contents[PLANES_SECTION] = emit_planes(scene.planes, coding.sarm, 1 << lanes.plane, native)
         progress("planes", 1, 1)
     models = padded(scene.mask_model.astype("<u2").tobytes())
     if scene.position_model is not None:
         models += emit_position_model(scene.position_model)
     chunks = scene.chunks
     _check_models(scene, models)
-    coded = _emit_chunks(scene, coding, chunks, progress)
+    # The models are allowed now, so the kernel takes them.
+    native = native_scene(
+        used,
+        d,
+        lanes,
+        coding.networks,
+        scene.plane_shift,
+        scene.carm_shift,
+        frame=scene.frame,
+        planes=scene.planes,
+        mask_model=scene.mask_model,
+        position_model=scene.position_model,
+    )
+    coded = _emit_chunks(scene, coding, chunks, progress, native)
     entries = (
         emit_entry(
             content, zlib.crc32(content), scene.positions[c.start : c.stop], int(scene.masks[c.start : c.stop].sum())
@@ -221,27 +238,30 @@ def _check_models(scene: Scene, models: bytes) -> None:
     parse_index(Piece(models, 0), mode, scene.dimensions, 0, scene.chunk_size, 0, 0)
 
 
-def _emit_chunks(scene: Scene, coding: Coding, chunks: list[range], progress: Progress) -> list[bytes]:
+# Of a chunk: the form of its positions, and its three parts.
+ChunkParts = tuple[int, tuple[bytes, bytes, bytes]]
+
+
+def _emit_chunks(
+    scene: Scene, coding: Coding, chunks: list[range], progress: Progress, native: NativeScene | None
+) -> list[bytes]:
     """SPEC 5.14: returns the bytes of each chunk."""
-    d, a, lanes = scene.dimensions, scene.attributes, scene.lanes
-    models = mask_models(scene.mask_model)
-    forms = scene.position_forms
+    a, forms = scene.attributes, scene.position_forms
     coded: list[bytes] = []
     progress("chunks", 0, len(chunks))
     for group, rows in groups(chunks):
         ranges = [chunks[number] for number in group]
         wanted = None if forms is None else [forms[number] for number in group]
-        counts = [len(c) for c in ranges]
-        positions = encode_positions(scene.position_model, scene.positions[rows], counts, 1 << lanes.mask, wanted)
-        masks = Encoder(len(group), 1 << lanes.mask)
-        code_masks(masks, models, d.offset_count, ranges, scene.masks[rows])
         given = Attributes(a.features[rows], a.scalings[rows], a.offsets[rows], a.steps[rows])
-        attributes = Encoder(len(group), 1 << lanes.attribute)
-        own = code_attributes(attributes, coding.model, coding.contexts(rows), scene.masks[rows], ranges, given)
-        if not np.array_equal(own.steps, given.steps):
-            raise ValueError("the scene's step indices are not those that its networks give (SPEC.md 7.8)")
-        streams = zip(ranges, positions, masks.finish(), attributes.finish(), strict=True)
-        for chunk, (form, where), bits, symbols in streams:
+        parts = None
+        if native is not None:
+            anchors = Anchors(scene.positions[rows], scene.masks[rows], *vars(given).values())
+            parts = native.encode_chunks(anchors, [len(c) for c in ranges], wanted)
+        if parts is None:
+            parts = _encode_group(scene, coding, ranges, rows, wanted, given)
+            if native is not None:
+                disagreement(f"chunks {group.start} to {group.stop - 1}", REFUSED, 0)
+        for chunk, (form, (where, bits, symbols)) in zip(ranges, parts, strict=True):
             content = emit_chunk(form, (where, bits, symbols))
             # SPEC [R6.10-5]: raw positions take six bytes an anchor, which is above the floor by themselves.
             if forms is None and len(content) < chunk_floor(len(chunk)):
@@ -250,6 +270,27 @@ def _emit_chunks(scene: Scene, coding: Coding, chunks: list[range], progress: Pr
             coded.append(content)
         progress("chunks", len(coded), len(chunks))
     return coded
+
+
+def _encode_group(
+    scene: Scene, coding: Coding, ranges: list[range], rows: slice, wanted: list[int] | None, given: Attributes
+) -> list[ChunkParts]:
+    """SPEC 7.6, 7.10 and 7.12: encodes some chunks side by side with NumPy.
+
+    ranges: the anchors of each chunk. rows: all of them. wanted: the forms of their positions, or None. given: their
+    attributes. Raises ValueError for a symbol, a step index or a form that is not allowed.
+    """
+    lanes = scene.lanes
+    counts = [len(c) for c in ranges]
+    positions = encode_positions(scene.position_model, scene.positions[rows], counts, 1 << lanes.mask, wanted)
+    masks = Encoder(len(ranges), 1 << lanes.mask)
+    code_masks(masks, mask_models(scene.mask_model), scene.dimensions.offset_count, ranges, scene.masks[rows])
+    attributes = Encoder(len(ranges), 1 << lanes.attribute)
+    own = code_attributes(attributes, coding.model, coding.contexts(rows), scene.masks[rows], ranges, given)
+    if not np.array_equal(own.steps, given.steps):
+        raise ValueError("the scene's step indices are not those that its networks give (SPEC.md 7.8)")
+    streams = zip(positions, masks.finish(), attributes.finish(), strict=True)
+    return [(form, (where, bits, symbols)) for (form, where), bits, symbols in streams]
 
 
 def derive_steps(scene: Scene) -> NDArray[np.uint8]:

@@ -10,6 +10,8 @@ from . import syntax
 from .conventions import Int64
 from .dimensions import Dimensions
 from .entropy import Coder, Decoder, Encoder, Trace, open_substream
+from .errors import BitstreamError
+from .kernel import REFUSED, NativeScene, agreed, disagreement
 from .networks import IntNetwork, activation
 from .source import Piece, pad4, padded
 from .tables import tables
@@ -58,11 +60,18 @@ def code_planes(
     return padded[:, :, 1:, 1:-1].astype(np.int16)
 
 
-def parse_planes(section: Piece, d: Dimensions, lanes: int, sarm: IntNetwork, trace: Trace | None) -> NDArray[np.int16]:
+def parse_planes(
+    section: Piece,
+    d: Dimensions,
+    lanes: int,
+    sarm: IntNetwork,
+    trace: Trace | None,
+    native: NativeScene | None = None,
+) -> NDArray[np.int16]:
     """SPEC 5.10, 6.9 and 7.3: returns the sub-planes of the section, int16 [5, ch, B, B].
 
-    lanes: the lanes of each substream. Raises BitstreamError planes.length, planes.padding, or the error of the first
-    substream that has one.
+    lanes: the lanes of each substream. native: decodes them instead of NumPy, without a trace. Raises BitstreamError
+    planes.length, planes.padding, or the error of the first substream that has one.
     """
     # SPEC [R6.9-1]
     try:
@@ -78,10 +87,23 @@ def parse_planes(section: Piece, d: Dimensions, lanes: int, sarm: IntNetwork, tr
     spans = [(int(start), int(start) + length) for start, length in zip(starts, table.length, strict=False)]
     for name, (start, end) in zip(PLANE_NAMES, spans, strict=True):
         section.require_zero("planes.padding", end, start + pad4(end - start), f"planes.{name}")
-    opened = [
-        open_substream(section.cut(*span), lanes, f"planes.{name}")
-        for name, span in zip(PLANE_NAMES, spans, strict=True)
-    ]
+    pieces = [section.cut(*span) for span in spans]
+    if native is None:
+        return _decode(pieces, d, lanes, sarm, trace)
+    planes, statuses = native.decode_planes([piece.data for piece in pieces])
+    status = next(filter(None, statuses), 0)
+    if not status:
+        return planes
+    try:
+        _decode(pieces, d, lanes, sarm, trace)
+    except BitstreamError as error:
+        raise agreed(status, error, "planes") from None
+    disagreement("planes", status, 0)
+
+
+def _decode(pieces: list[Piece], d: Dimensions, lanes: int, sarm: IntNetwork, trace: Trace | None) -> NDArray[np.int16]:
+    """SPEC 7.3: decodes the substreams with NumPy. Raises BitstreamError."""
+    opened = [open_substream(piece, lanes, f"planes.{name}") for name, piece in zip(PLANE_NAMES, pieces, strict=True)]
     decoder = Decoder([stream for stream, _ in opened], trace)
     planes = code_planes(decoder, sarm, d.plane_channels, d.plane_size)
     # SPEC 10.1, step 4: all errors of a substream come before those of the next one.
@@ -92,11 +114,18 @@ def parse_planes(section: Piece, d: Dimensions, lanes: int, sarm: IntNetwork, tr
     return planes
 
 
-def emit_planes(planes: NDArray[np.int16], sarm: IntNetwork, lanes: int) -> bytes:
-    """SPEC 5.10: returns the bytes of the section. planes: int16 [5, ch, B, B]. lanes: the lanes of each substream."""
-    encoder = Encoder(PLANES, lanes)
-    code_planes(encoder, sarm, planes.shape[1], planes.shape[2], planes)
-    streams = encoder.finish()
+def emit_planes(planes: NDArray[np.int16], sarm: IntNetwork, lanes: int, native: NativeScene | None = None) -> bytes:
+    """SPEC 5.10: returns the bytes of the section. planes: int16 [5, ch, B, B]. lanes: the lanes of each substream.
+
+    native: encodes them instead of NumPy.
+    """
+    streams = None if native is None else native.encode_planes(planes)
+    if streams is None:
+        encoder = Encoder(PLANES, lanes)
+        code_planes(encoder, sarm, planes.shape[1], planes.shape[2], planes)
+        streams = encoder.finish()
+        if native is not None:
+            disagreement("planes", REFUSED, 0)
     return syntax.build("PlaneTable", {"length": [len(s) for s in streams]}) + b"".join(map(padded, streams))
 
 

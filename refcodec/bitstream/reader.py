@@ -25,6 +25,7 @@ from .errors import BitstreamError
 from .frame import Frame, parse_frame
 from .header import Header, read_header
 from .index import ChunkEntry, Index, parse_index
+from .kernel import NativeScene, agreed, chunk_bytes, kernel, native_scene
 from .masks import code_masks, mask_models
 from .networks import BoundError, derive_networks
 from .planes import assemble_planes, no_planes, parse_planes
@@ -40,6 +41,7 @@ class Opened:
     """What all chunks are decoded with.
 
     frame: None without planes and frequencies. planes: int16 [5, ch, B, B]. joined: as assemble_planes gives them.
+    native: for the native kernel, or None if NumPy decodes.
     """
 
     frame: Frame | None
@@ -49,6 +51,7 @@ class Opened:
     index: Index
     masks: ModelSet
     model: EntropyModel
+    native: NativeScene | None
 
 
 @dataclass(frozen=True, eq=False)
@@ -81,12 +84,14 @@ class Reader:
         trace: Trace | None = None,
         bounds: Bounds | None = None,
     ) -> None:
-        """SPEC 10.1, steps 1 to 3. Raises BitstreamError 101 to 305, and BoundPassedError after them.
+        """SPEC 10.1, steps 1 to 3. Raises BitstreamError 101 to 305, BoundPassedError after them, and UsageError.
 
         keep_ancillary: whether ancillary sections are kept. Otherwise they are only checked. trace: told of each
         symbol. Symbols come chunk by chunk then. bounds: of a reader of one chunk after the other.
         """
         self.source, self.trace, self._keep = source, trace, keep_ancillary
+        # A trace is told of each symbol, which the kernel does not do.
+        self._kernel = None if trace else kernel()
         self.header: Header = read_header(source)
         if bounds:
             bounds.check(self.header, min(self.header.anchor_count, self.header.chunk_size))
@@ -126,8 +131,10 @@ class Reader:
                 except BoundError as error:
                     raise bound_error(weights, d, error) from None
             elif section.type == PLANES_SECTION:
+                assert weights is not None
                 progress("planes", 0, 1)
-                planes = parse_planes(piece, d, 1 << h.lanes.plane, networks["sarm"], self.trace)
+                native = native_scene(self._kernel, d, h.lanes, networks, weights.plane_shift, weights.carm_shift)
+                planes = parse_planes(piece, d, 1 << h.lanes.plane, networks["sarm"], self.trace, native)
                 progress("planes", 1, 1)
             elif section.type == INDEX:
                 data = h.section(DATA)
@@ -137,7 +144,19 @@ class Reader:
         assert index is not None
         model = EntropyModel.of(networks, weights.carm_shift, d.slices)
         joined = assemble_planes(planes)
-        self.opened = Opened(frame, weights, planes, joined, index, mask_models(index.mask_model), model)
+        native = native_scene(
+            self._kernel,
+            d,
+            h.lanes,
+            networks,
+            weights.plane_shift,
+            weights.carm_shift,
+            frame=frame,
+            planes=planes,
+            mask_model=index.mask_model,
+            position_model=index.position_model,
+        )
+        self.opened = Opened(frame, weights, planes, joined, index, mask_models(index.mask_model), model, native)
         return self.opened
 
     def _read_ancillary(self, number: int) -> None:
@@ -171,13 +190,7 @@ class Reader:
 
     def decode(self, entries: list[ChunkEntry]) -> list[Chunk | BitstreamError]:
         """SPEC 10.1, step 5: reads and decodes some chunks side by side. Returns each of them, or its first error."""
-        with threadpool_limits(1, "blas"):
-            return self._decode(entries)
-
-    def _decode(self, entries: list[ChunkEntry]) -> list[Chunk | BitstreamError]:
-        opened, h = self.opened, self.header
-        assert opened is not None
-        section = h.section(INDEX)
+        section = self.header.section(INDEX)
         assert section is not None
         found: dict[int, Chunk | BitstreamError] = {}
         live: list[CodedChunk] = []
@@ -186,6 +199,40 @@ class Reader:
                 live.append(read_chunk(self.source, entry, section.mode))
             except BitstreamError as error:
                 found[entry.number] = error
+        decode = self._decode_alone if self.opened is None or self.opened.native is None else self._decode_native
+        found.update(decode(live))
+        return [found[entry.number] for entry in entries]
+
+    def _decode_native(self, chunks: list[CodedChunk]) -> dict[int, Chunk | BitstreamError]:
+        """Decodes some chunks with the native kernel, and those that have an error with NumPy again."""
+        opened = self.opened
+        assert opened is not None
+        assert opened.native is not None
+        a, statuses = opened.native.decode_chunks([chunk_bytes(chunk) for chunk in chunks])
+        found: dict[int, Chunk | BitstreamError] = {}
+        end = 0
+        for chunk, status in zip(chunks, statuses, strict=True):
+            own = slice(end, end + len(chunk.entry.anchors))
+            end = own.stop
+            number = chunk.entry.number
+            if status:
+                again = self._decode_alone([chunk])[number]
+                found[number] = agreed(status, again if isinstance(again, BitstreamError) else None, chunk.entry.path)
+                continue
+            attributes = Attributes(a.features[own], a.scalings[own], a.offsets[own], a.steps[own])
+            found[number] = Chunk(chunk.entry, chunk.form, a.positions[own], a.masks[own], attributes)
+        return found
+
+    def _decode_alone(self, chunks: list[CodedChunk]) -> dict[int, Chunk | BitstreamError]:
+        """Decodes some chunks with NumPy, which may use one thread."""
+        with threadpool_limits(1, "blas"):
+            return self._decode(chunks)
+
+    def _decode(self, chunks: list[CodedChunk]) -> dict[int, Chunk | BitstreamError]:
+        opened, h = self.opened, self.header
+        assert opened is not None
+        found: dict[int, Chunk | BitstreamError] = {}
+        live = list(chunks)
 
         def settle(errors: list[BitstreamError | None]) -> NDArray[np.bool_]:
             """Drops the chunks that have an error. Returns which rows of anchors stay, bool [anchors]."""
@@ -205,7 +252,7 @@ class Reader:
         settle(bounds)
         good = [p for p, error in zip(good, bounds, strict=True) if error is None]
         if not live:
-            return [found[entry.number] for entry in entries]
+            return found
         positions = np.concatenate(good)
         # The masks, and [R6.11-11].
         part = PartDecoder([(c.masks, f"masks[chunk {c.entry.number}]") for c in live], 1 << h.lanes.mask, self.trace)
@@ -220,7 +267,7 @@ class Reader:
         )
         positions, masks = positions[rows], masks[rows]
         if not live:
-            return [found[entry.number] for entry in entries]
+            return found
         # The attributes.
         ranges = [chunk.entry.anchors for chunk in live]
         contexts = context(
@@ -238,7 +285,7 @@ class Reader:
             found[chunk.entry.number] = verdict or Chunk(
                 chunk.entry, chunk.form, positions[own], masks[own], attributes
             )
-        return [found[entry.number] for entry in entries]
+        return found
 
     def close(self) -> None:
         """SPEC 10.1, the end of step 5 and step 6: reads and checks what comes behind the chunks.

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from .attributes import KINDS
 from .conventions import F32, f32_parts, round_to_f32
+from .kernel import Kernel, kernel, values
 from .positions import position_integers
 from .scene import Scene
 from .tables import STEP_SHIFT, tables
@@ -55,21 +56,27 @@ def step_values(base_step: float) -> F32:
     return round_to_f32(tables().step * mantissa, exponent - STEP_SHIFT)
 
 
-def dequantise(symbols: NDArray[np.int32], steps: NDArray[np.uint8], base_step: float) -> F32:
+def dequantise(
+    symbols: NDArray[np.int32], steps: NDArray[np.uint8], base_step: float, used: Kernel | None = None
+) -> F32:
     """SPEC 9.2, VALUE: returns symbol * step, one float32 product each, float32 [n, ...].
 
-    symbols: int32 [n, ...]. steps: uint8 [n], the step index of each anchor. base_step: a float32 value.
+    symbols: int32 [n, ...]. steps: uint8 [n], the step index of each anchor. base_step: a float32 value. used: the
+    kernel that computes them, or None for NumPy.
     """
-    step = step_values(base_step)[steps].reshape(-1, *[1] * (symbols.ndim - 1))
+    table = step_values(base_step)
+    if used is not None:
+        return values(used, symbols, steps, table)
+    step = table[steps].reshape(-1, *[1] * (symbols.ndim - 1))
     # A float32 holds each symbol exactly.
     return symbols.astype(np.float32) * step
 
 
 def reconstruct(scene: Scene) -> Reconstruction:
-    """SPEC 9.1 and 9.2: returns the float32 values of a scene."""
-    a = scene.attributes
-    values = [dequantise(getattr(a, kind), a.steps[:, i], scene.base_step[i]) for i, kind in enumerate(KINDS)]
-    return Reconstruction(world_positions(scene), *values)
+    """SPEC 9.1 and 9.2: returns the float32 values of a scene. Raises UsageError as refcodec.native.library says."""
+    a, used = scene.attributes, kernel()
+    found = [dequantise(getattr(a, kind), a.steps[:, i], scene.base_step[i], used) for i, kind in enumerate(KINDS)]
+    return Reconstruction(world_positions(scene), *found)
 
 
 def _little(values: NDArray[Any], kind: str) -> bytes:

@@ -93,14 +93,20 @@ def tables_file() -> Traversable:
     return resources.files("refcodec").joinpath("data", TABLES_FILE)
 
 
-@cache
-def tables() -> Tables:
-    """Returns the tables of the shipped file (SPEC A). Raises RuntimeError if it is not the file that SPEC.md names."""
+def tables_bytes() -> bytes:
+    """Returns the shipped file (SPEC A). Raises RuntimeError if it is not the file that SPEC.md names."""
     data = tables_file().read_bytes()
     if hashlib.sha256(data).hexdigest() != TABLES_SHA256:
         raise RuntimeError(
             f"{TABLES_FILE} is damaged: its SHA-256 is not the one of SPEC.md Annex A; reinstall refcodec"
         )
+    return data
+
+
+@cache
+def tables() -> Tables:
+    """Returns the tables of the shipped file (SPEC A). Raises RuntimeError as tables_bytes does."""
+    data = tables_bytes()
     sine = np.frombuffer(data, "<i2", SINE_LENGTH).astype(np.int64)
     step = np.frombuffer(data, "<u2", STEP_LENGTH, offset=2 * SINE_LENGTH).astype(np.int64)
     at = 2 * SINE_LENGTH + 2 * STEP_LENGTH

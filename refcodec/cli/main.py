@@ -10,6 +10,7 @@ from typing import NoReturn
 from .. import __version__, statuses
 from ..bitstream.errors import BitstreamError
 from ..files.terminal import note, open_streams, silence_stdout
+from ..native.library import describe
 from . import coding, drawing, experiments, learning, looking
 from .shared import EXITS, UsageError, reject
 
@@ -30,7 +31,7 @@ def _parser() -> argparse.ArgumentParser:
         epilog=f"examples:\n  refcodec validate scene.c3gs\n  refcodec decode scene.c3gs -o scene\n\n{EXITS}",
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
-    parser.add_argument("--version", action="version", version=f"refcodec {__version__}")
+    parser.add_argument("--version", action="version", version=f"refcodec {__version__}, {describe()}")
     commands = parser.add_subparsers(metavar="COMMAND", required=True)
     for group in (coding, looking, drawing, learning, experiments):
         group.add(commands)

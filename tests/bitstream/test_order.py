@@ -152,6 +152,8 @@ def test_nothing_is_decoded_after_the_group_of_an_error(
     monkeypatch: pytest.MonkeyPatch, kind: str, decoder: str, chunk: int
 ) -> None:
     """A file of many chunks is refused for its first one as soon as that is decoded, and no later step begins."""
+    # The steps of the native kernel cannot be counted.
+    monkeypatch.setenv("REFCODEC_PATH", "numpy")
     monkeypatch.setattr(reader, "GROUP_CHUNKS", 1)
     calls = dict.fromkeys(DECODERS, 0)
 

@@ -1,0 +1,181 @@
+"""The library of the native kernel, loaded by ctypes, and the choice between it and NumPy.
+
+Two variables of the environment are read whenever a file is opened or made:
+
+- REFCODEC_PATH: `numpy`, `native`, or a variant of the kernel such as `avx2`. Without it the kernel is used if it is
+  there, with the best variant that the machine can run.
+- REFCODEC_THREADS: how many threads the kernel uses. Without it, as many as there are cores for this process.
+"""
+
+from __future__ import annotations
+
+import ctypes
+import os
+from collections.abc import Iterator
+from dataclasses import dataclass
+from functools import cache
+from pathlib import Path
+
+from ..statuses import UsageError
+
+PATH_VARIABLE, THREADS_VARIABLE = "REFCODEC_PATH", "REFCODEC_THREADS"
+NUMPY, NATIVE = "numpy", "native"
+# Where setup.py puts it.
+LIBRARY = Path(__file__).with_name("kernel.so")
+THREADS_MAX = 256
+# kernel.h: the version of its interface, its statuses that are no error codes, and its arrays' lengths.
+VERSION = 1
+DONE, NO_MEMORY, REFUSED = 0, -1, -2
+SLICES_MAX, PARTS, PLANES = 16, 3, 5
+
+Pointer = ctypes.c_void_p
+
+
+class Description(ctypes.Structure):
+    """kernel.h: kernel_description."""
+
+    _fields_ = (
+        *(
+            (name, ctypes.c_int32)
+            for name in (
+                "offset_count",
+                "plane_channels",
+                "plane_size",
+                "frequency_count",
+                "plane_shift",
+                "slice_count",
+            )
+        ),
+        ("slice_width", ctypes.c_int32 * SLICES_MAX),
+        *(
+            (name, ctypes.c_int32)
+            for name in (
+                "hyper_layers",
+                "sarm_layers",
+                "carm_layers",
+                "plane_lanes",
+                "mask_lanes",
+                "attribute_lanes",
+                "cell_shift",
+            )
+        ),
+        *(
+            (name, Pointer)
+            for name in (
+                "shape",
+                "weight",
+                "bias",
+                "exponent",
+                "carm_shift",
+                "frame",
+                "planes",
+                "mask_model",
+                "position_model",
+            )
+        ),
+    )
+
+
+class Chunk(ctypes.Structure):
+    """kernel.h: kernel_chunk."""
+
+    _fields_ = (
+        ("part", Pointer * PARTS),
+        ("length", ctypes.c_uint64 * PARTS),
+        *((name, Pointer) for name in ("positions", "masks", "features", "scalings", "offsets", "steps")),
+        ("anchors", ctypes.c_uint32),
+        ("kept", ctypes.c_uint32),
+        ("low", ctypes.c_uint16 * 3),
+        ("high", ctypes.c_uint16 * 3),
+        ("form", ctypes.c_int32),
+        ("status", ctypes.c_int32),
+    )
+
+
+_INT32, _INT64, _UINT64 = ctypes.c_int32, ctypes.c_int64, ctypes.c_uint64
+# kernel.h: the result and the parameters of each function.
+_FUNCTIONS = {
+    "kernel_version": (_INT32, []),
+    "kernel_variant_name": (ctypes.c_char_p, [_INT32]),
+    "kernel_variant_runs": (_INT32, [_INT32]),
+    "kernel_tables_new": (Pointer, [ctypes.c_char_p, _UINT64]),
+    "kernel_tables_free": (None, [Pointer]),
+    "kernel_scene_new": (Pointer, [ctypes.POINTER(Description), Pointer, _INT32]),
+    "kernel_scene_free": (None, [Pointer]),
+    "kernel_decode_planes": (None, [Pointer, Pointer, Pointer, Pointer, Pointer, _INT32]),
+    "kernel_encode_planes": (None, [Pointer, Pointer, Pointer, Pointer, Pointer, _INT32]),
+    "kernel_decode_chunks": (None, [Pointer, Pointer, _INT64, _INT32]),
+    "kernel_encode_chunks": (None, [Pointer, Pointer, _INT64, _INT32]),
+    "kernel_free": (None, [Pointer]),
+    "kernel_values": (None, [_INT32, Pointer, Pointer, _INT64, Pointer, _INT64, _INT64, Pointer]),
+}
+
+
+@dataclass(frozen=True)
+class Kernel:
+    """The kernel as it is used. library: with typed functions. name, variant: of the variant. threads: at least 1."""
+
+    library: ctypes.CDLL
+    name: str
+    variant: int
+    threads: int
+
+
+@cache
+def load(path: Path = LIBRARY) -> ctypes.CDLL | None:
+    """Returns the library, or None if there is none that can be loaded or it is of another version."""
+    try:
+        library = ctypes.CDLL(str(path))
+        for name, (result, parameters) in _FUNCTIONS.items():
+            function = getattr(library, name)
+            function.restype, function.argtypes = result, parameters
+    except (OSError, AttributeError):
+        return None
+    return library if library.kernel_version() == VERSION else None
+
+
+def variants(library: ctypes.CDLL) -> Iterator[tuple[int, str]]:
+    """Yields the variants that this machine can run, as number and name, the best one last."""
+    number = 0
+    while name := library.kernel_variant_name(number):
+        if library.kernel_variant_runs(number):
+            yield number, name.decode()
+        number += 1
+
+
+def paths() -> list[str]:
+    """Returns the names that REFCODEC_PATH can have here."""
+    library = load()
+    return [NUMPY] if library is None else [NUMPY, NATIVE, *(name for _, name in variants(library))]
+
+
+def threads() -> int:
+    """Returns how many threads the kernel uses. Raises UsageError for a number that is not allowed."""
+    said = os.environ.get(THREADS_VARIABLE)
+    if not said:
+        cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+        return min(cores, THREADS_MAX)
+    if not (said.isascii() and said.isdigit() and 1 <= int(said[:4]) <= THREADS_MAX and len(said) <= 4):
+        raise UsageError(f"{THREADS_VARIABLE} is {said!a}; it may be 1 to {THREADS_MAX}")
+    return int(said)
+
+
+def kernel() -> Kernel | None:
+    """Returns the kernel that is used, or None if NumPy is. Raises UsageError for a path that is not there."""
+    wanted, library, count = os.environ.get(PATH_VARIABLE), load(), threads()
+    if wanted and wanted not in paths():
+        there = ", ".join(paths())
+        raise UsageError(f"{PATH_VARIABLE} is {wanted!a}; here it may be one of: {there}")
+    if library is None or wanted == NUMPY:
+        return None
+    found = list(variants(library))
+    number, name = found[-1] if not wanted or wanted == NATIVE else next(v for v in found if v[1] == wanted)
+    return Kernel(library, name, number, count)
+
+
+def describe() -> str:
+    """Returns the path that is used, in words. Raises UsageError."""
+    used = kernel()
+    if used is None:
+        return "NumPy" if load() else "NumPy; the native kernel is not there"
+    return f"native kernel {used.name}, {used.threads} thread{'s' if used.threads > 1 else ''}"

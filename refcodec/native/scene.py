@@ -1,0 +1,211 @@
+"""Scenes and chunks for the native kernel: arrays and bytes on this side, the structures of kernel.h on the other."""
+
+from __future__ import annotations
+
+import ctypes
+import weakref
+from dataclasses import dataclass
+from functools import cache
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .library import NO_MEMORY, PLANES, Chunk, Description, Kernel
+
+Layers = list[tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.int64]]]
+
+
+@dataclass(frozen=True)
+class ChunkBytes:
+    """SPEC 5.13 and 5.14: a chunk that is decoded.
+
+    form: that of its positions. parts: positions, masks, attributes. anchors: how many it has. kept, low, high: what
+    its entry says. low, high: float16 [3].
+    """
+
+    form: int
+    parts: tuple[bytes, bytes, bytes]
+    anchors: int
+    kept: int
+    low: NDArray[np.float16]
+    high: NDArray[np.float16]
+
+
+@dataclass(frozen=True)
+class Anchors:
+    """The numbers of some anchors, in C order.
+
+    positions: float16 [n, 3]. masks: bool [n, K]. features, scalings, offsets: int32 [n, F], [n, 6], [n, K, 3].
+    steps: uint8 [n, 3].
+    """
+
+    positions: NDArray[np.float16]
+    masks: NDArray[np.bool_]
+    features: NDArray[np.int32]
+    scalings: NDArray[np.int32]
+    offsets: NDArray[np.int32]
+    steps: NDArray[np.uint8]
+
+
+def _address(array: NDArray[Any] | None) -> int | None:
+    return None if array is None else array.ctypes.data
+
+
+def _flat(arrays: list[NDArray[np.int64]], kind: type) -> NDArray[Any]:
+    return np.concatenate([np.zeros(0, np.int64), *(array.reshape(-1) for array in arrays)]).astype(kind)
+
+
+@cache
+def _tables(kernel: Kernel, file: bytes) -> int:
+    """Returns the tables of the shipped file, which stay as long as the process."""
+    found = kernel.library.kernel_tables_new(file, len(file))
+    if not found:
+        raise MemoryError("no memory for the tables of the native kernel")
+    return int(found)
+
+
+class NativeScene:
+    """What the kernel codes a scene's symbols with. It is freed with its object."""
+
+    def __init__(
+        self, kernel: Kernel, tables: bytes, numbers: dict[str, Any], layers: Layers, arrays: dict[str, NDArray[Any]]
+    ) -> None:
+        """numbers: the fields of Description that are no pointers. slice_width is a tuple.
+
+        tables: the shipped file. layers: for each layer of F_h, SARM and CARM, weights, biases and exponents, int64.
+        arrays: the other pointers of Description, with the dtypes of kernel.h. What is missing is NULL. Raises
+        MemoryError, and RuntimeError for numbers that the kernel does not take.
+        """
+        self.kernel = kernel
+        self._channels, self._size = numbers["plane_channels"], numbers["plane_size"]
+        self._shape = numbers["offset_count"], sum(numbers["slice_width"])
+        held = {
+            "shape": np.array([weight.shape for weight, _, _ in layers], np.int32).reshape(-1),
+            "weight": _flat([weight for weight, _, _ in layers], np.int16),
+            "bias": _flat([bias for _, bias, _ in layers], np.int32),
+            "exponent": _flat([exponent for _, _, exponent in layers], np.uint8),
+            **{name: np.ascontiguousarray(array) for name, array in arrays.items()},
+        }
+        fields = {name: value for name, value in numbers.items() if name != "slice_width"}
+        description = Description(**fields, **{name: _address(array) for name, array in held.items()})
+        for i, width in enumerate(numbers["slice_width"]):
+            description.slice_width[i] = width
+        found = kernel.library.kernel_scene_new(ctypes.byref(description), _tables(kernel, tables), kernel.variant)
+        if not found:
+            raise RuntimeError("the native kernel does not take a scene that SPEC.md allows")
+        self._scene = found
+        weakref.finalize(self, kernel.library.kernel_scene_free, found)
+
+    def decode_planes(self, parts: list[bytes]) -> tuple[NDArray[np.int16], list[int]]:
+        """SPEC 7.3: returns the sub-planes, int16 [5, ch, B, B], and the status of each."""
+        planes = np.empty((PLANES, self._channels, self._size, self._size), np.int16)
+        held = [np.frombuffer(part, np.uint8) for part in parts]
+        pointers = (ctypes.c_void_p * PLANES)(*(array.ctypes.data for array in held))
+        lengths = (ctypes.c_uint64 * PLANES)(*map(len, parts))
+        statuses = (ctypes.c_int32 * PLANES)()
+        self.kernel.library.kernel_decode_planes(
+            self._scene, pointers, lengths, planes.ctypes.data, statuses, self.kernel.threads
+        )
+        return planes, _checked(list(statuses))
+
+    def encode_planes(self, planes: NDArray[np.int16]) -> list[bytes] | None:
+        """SPEC 7.3: returns the substreams of sub-planes, int16 [5, ch, B, B], or None if a symbol is not allowed."""
+        given = np.ascontiguousarray(planes)
+        pointers, lengths = (ctypes.c_void_p * PLANES)(), (ctypes.c_uint64 * PLANES)()
+        statuses = (ctypes.c_int32 * PLANES)()
+        self.kernel.library.kernel_encode_planes(
+            self._scene, given.ctypes.data, pointers, lengths, statuses, self.kernel.threads
+        )
+        parts = self._taken(pointers, lengths)
+        return parts if not any(_checked(list(statuses))) else None
+
+    def decode_chunks(self, chunks: list[ChunkBytes]) -> tuple[Anchors, list[int]]:
+        """SPEC 10.1, step 5: returns the anchors of some chunks, one chunk after the other, and the status of each."""
+        n, (offsets, features) = sum(chunk.anchors for chunk in chunks), self._shape
+        anchors = Anchors(
+            np.empty((n, 3), np.float16),
+            np.empty((n, offsets), np.bool_),
+            np.empty((n, features), np.int32),
+            np.empty((n, 6), np.int32),
+            np.empty((n, offsets, 3), np.int32),
+            np.empty((n, 3), np.uint8),
+        )
+        jobs, first, held = (Chunk * len(chunks))(), 0, []
+        for job, chunk in zip(jobs, chunks, strict=True):
+            own = [np.frombuffer(part, np.uint8) for part in chunk.parts]
+            held.append(own)
+            for i, part in enumerate(own):
+                job.part[i], job.length[i] = part.ctypes.data, len(part)
+            job.kept, job.form = chunk.kept, chunk.form
+            for axis in range(3):
+                job.low[axis] = int(chunk.low[axis].view(np.uint16))
+                job.high[axis] = int(chunk.high[axis].view(np.uint16))
+            self._place(job, anchors, first, chunk.anchors)
+            first += chunk.anchors
+        self.kernel.library.kernel_decode_chunks(self._scene, jobs, len(chunks), self.kernel.threads)
+        return anchors, _checked([job.status for job in jobs])
+
+    def encode_chunks(
+        self, anchors: Anchors, counts: list[int], forms: list[int] | None
+    ) -> list[tuple[int, tuple[bytes, bytes, bytes]]] | None:
+        """SPEC 5.14: returns for each chunk the form of its positions and its parts, or None if any is not allowed.
+
+        counts: the anchors of each chunk. forms: None packs the positions of each chunk that can be packed.
+        """
+        held = Anchors(*(np.ascontiguousarray(array) for array in vars(anchors).values()))
+        jobs, first = (Chunk * len(counts))(), 0
+        for i, (job, count) in enumerate(zip(jobs, counts, strict=True)):
+            job.form = -1 if forms is None else forms[i]
+            self._place(job, held, first, count)
+            first += count
+        self.kernel.library.kernel_encode_chunks(self._scene, jobs, len(counts), self.kernel.threads)
+        parts = [self._taken(job.part, job.length) for job in jobs]
+        if any(_checked([job.status for job in jobs])):
+            return None
+        return [(job.form, (own[0], own[1], own[2])) for job, own in zip(jobs, parts, strict=True)]
+
+    @staticmethod
+    def _place(job: Chunk, anchors: Anchors, first: int, count: int) -> None:
+        """Points a chunk's arrays at its rows of `anchors`."""
+        job.anchors = count
+        for name, array in vars(anchors).items():
+            setattr(job, name, array.ctypes.data + first * array.strides[0])
+
+    def _taken(self, pointers: Any, lengths: Any) -> list[bytes]:
+        """Returns the bytes that the kernel made, and frees them."""
+        found = []
+        for pointer, length in zip(pointers, lengths, strict=True):
+            found.append(ctypes.string_at(pointer, length) if pointer else b"")
+            self.kernel.library.kernel_free(pointer)
+        return found
+
+
+def _checked(statuses: list[int]) -> list[int]:
+    """Returns them. Raises MemoryError if one says so."""
+    if NO_MEMORY in statuses:
+        raise MemoryError("no memory for a chunk in the native kernel")
+    return statuses
+
+
+def values(
+    kernel: Kernel, symbols: NDArray[np.int32], steps: NDArray[np.uint8], table: NDArray[np.float32]
+) -> NDArray[np.float32]:
+    """SPEC 9.2: returns symbol * table[step], float32 of the shape of symbols, [n, ...].
+
+    steps: uint8 [n], with any stride. table: float32 [64].
+    """
+    given, step = np.ascontiguousarray(symbols), np.ascontiguousarray(table)
+    found = np.empty(given.shape, np.float32)
+    rows = len(given)
+    kernel.library.kernel_values(
+        kernel.variant,
+        given.ctypes.data,
+        steps.ctypes.data,
+        steps.strides[0],
+        step.ctypes.data,
+        rows,
+        given.size // rows if rows else 0,
+        found.ctypes.data,
+    )
+    return found

@@ -1,0 +1,58 @@
+"""The native kernel as the tests use it: compiled from this tree, whatever is installed."""
+
+from __future__ import annotations
+
+import os
+import shutil
+import subprocess
+import sys
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+from refcodec.native import library
+
+ROOT = Path(__file__).resolve().parents[2]
+COMPILER = shutil.which("cc") or shutil.which("gcc") or shutil.which("clang")
+
+
+@pytest.fixture(scope="session")
+def built(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The library, as setup.py builds it."""
+    if COMPILER is None:
+        pytest.skip("there is no C compiler")
+    folder = tmp_path_factory.mktemp("kernel")
+    command = [sys.executable, "setup.py", "-q", "build_ext", "--build-lib", folder, "--build-temp", folder / "temp"]
+    done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=False)
+    path = folder / "refcodec" / "native" / library.LIBRARY.name
+    assert path.is_file(), done.stdout + done.stderr
+    return path
+
+
+Use = Callable[..., None]
+
+
+@pytest.fixture
+def use(built: Path, monkeypatch: pytest.MonkeyPatch) -> Use:
+    """Chooses a path by its name, and the number of threads. A variant that this machine cannot run is skipped."""
+    found = library.load(built)
+    assert found is not None
+    monkeypatch.setattr(library, "load", lambda: found)
+
+    def choose(path: str, threads: int = 1) -> None:
+        if path not in library.paths():
+            pytest.skip(f"this machine cannot run {path}")
+        monkeypatch.setenv(library.PATH_VARIABLE, path)
+        monkeypatch.setenv(library.THREADS_VARIABLE, str(threads))
+
+    return choose
+
+
+def sanitizer() -> str | None:
+    """The sanitizer's library, which has to be loaded before Python, or None."""
+    if COMPILER is None:
+        return None
+    asked = [COMPILER, "-print-file-name=libasan.so"]
+    path = subprocess.run(asked, capture_output=True, text=True, check=False).stdout.strip()
+    return path if os.path.isabs(path) and Path(path).exists() else None

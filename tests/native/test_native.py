@@ -1,0 +1,387 @@
+"""The native kernel against NumPy: the same scenes, files and errors, bit by bit, by every variant."""
+
+from __future__ import annotations
+
+import ctypes
+import os
+import subprocess
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from conftest import COMPILER, ROOT, Use, sanitizer
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+
+from conformance.cases.checksums import repair
+from conformance.cases.scenes import CONSTANT, MAIN_DIMENSIONS, PLANELESS, UNENCODED, packed_weights, random_scene
+from conformance.cases.target import Target
+from conformance.fuzz.strategies import draw_mutation, draw_splice, scenes
+from conformance.manifest import Accepted, Rejected, Vector, load
+from refcodec import statuses
+from refcodec.bitstream import codec, directory, kernel, reader, reconstruction
+from refcodec.bitstream.chunks import PARTS
+from refcodec.bitstream.errors import BitstreamError
+from refcodec.bitstream.header import Lanes
+from refcodec.bitstream.scene import Scene
+from refcodec.bitstream.tables import tables_bytes
+from refcodec.cli.main import main
+from refcodec.encoder.positions import position_model
+from refcodec.native import library
+from refcodec.native.scene import NativeScene
+
+VARIANTS = ["plain", "avx2", "avx512", "avx512vnni", "neon"]
+SUITE = load()
+DECODED = [v for v in SUITE.vectors if v.operation == "decode"]
+# The fixture chooses a path once for all examples of a test, which is what is meant.
+ONE_PATH = settings(suppress_health_check=[*HealthCheck], max_examples=15)
+
+
+def verdict(data: bytes) -> tuple[Any, ...]:
+    """What is made of a file: digest, error, or fault."""
+    try:
+        return (reconstruction.digest(codec.parse(data).scene)[0],)
+    except BitstreamError as error:
+        return error.kind.code, error.offset, str(error)
+
+
+@contextmanager
+def by_numpy() -> Iterator[None]:
+    """NumPy decodes and encodes, whatever else is chosen."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv(library.PATH_VARIABLE, library.NUMPY)
+        yield
+
+
+def expected(vector: Vector) -> tuple[Any, ...]:
+    e = vector.expectation
+    if isinstance(e, Rejected):
+        return e.code, e.offset
+    assert isinstance(e, Accepted)
+    return (e.digest,)
+
+
+# --- the same results -------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.slow
+@pytest.mark.requirement("D9.3-1", "D10.2-1")
+@pytest.mark.parametrize("path", ["numpy", *VARIANTS])
+def test_the_vectors(use: Use, path: str) -> None:
+    """Each is decoded to its digest, or refused with its error. The encoder makes each accepted file again."""
+    use(path)
+    for vector in DECODED:
+        data = SUITE.path(vector).read_bytes()
+        assert verdict(data)[:2] == expected(vector), vector.id
+        if isinstance(vector.expectation, Accepted) and path != "numpy":
+            assert codec.emit(codec.parse(data).scene) == data, vector.id
+
+
+@pytest.mark.no_cover
+@pytest.mark.parametrize("path", VARIANTS)
+@ONE_PATH
+@given(scenes())
+def test_any_scene(use: Use, path: str, scene: Scene) -> None:
+    use(path)
+    with by_numpy():
+        data = codec.emit(scene)
+        digest = verdict(data)
+    assert codec.emit(scene) == data
+    assert verdict(data) == digest
+
+
+def large_scenes() -> dict[str, Scene]:
+    """More anchors than a block, several chunks, and lanes to both sides of a vector's."""
+    mixed = random_scene(41, 700, chunk_size=300, lanes=Lanes(2, 3, 4))
+    return {
+        "one lane": random_scene(42, 333, lanes=Lanes(0, 0, 0)),
+        "eight lanes": packed_weights(replace(mixed, position_model=position_model(mixed.positions, 300))),
+        "256 lanes": random_scene(43, 900, MAIN_DIMENSIONS, chunk_size=400, lanes=Lanes(8, 8, 8)),
+        "no planes": random_scene(44, 150, PLANELESS, lanes=Lanes(1, 4, 5)),
+        "no inputs": random_scene(45, 150, UNENCODED, lanes=Lanes(1, 5, 6)),
+        "no slice but one": random_scene(46, 150, CONSTANT, lanes=Lanes(1, 6, 7)),
+    }
+
+
+LARGE = large_scenes()
+with by_numpy():
+    FILES = {name: codec.emit(scene) for name, scene in LARGE.items()}
+
+
+@pytest.mark.no_cover
+@pytest.mark.parametrize("name", LARGE)
+@pytest.mark.parametrize("path", VARIANTS)
+def test_large_scenes(use: Use, path: str, name: str) -> None:
+    use(path)
+    assert codec.emit(LARGE[name]) == FILES[name]
+    assert verdict(FILES[name]) == (reconstruction.digest(LARGE[name])[0],)
+
+
+@pytest.mark.no_cover
+@pytest.mark.parametrize("name", LARGE)
+@pytest.mark.parametrize("path", ["plain", "native"])
+@ONE_PATH
+@given(st.data())
+def test_changed_files(use: Use, path: str, name: str, data: st.DataObject) -> None:
+    """The same error at the same place with the same text, or the same scene. Checksums are right."""
+    use(path)
+    for changed in (draw_mutation(data.draw, FILES[name]), draw_splice(data.draw, FILES[name])):
+        with by_numpy():
+            wanted = verdict(changed)
+        assert verdict(changed) == wanted
+
+
+def test_threads_change_nothing(use: Use) -> None:
+    use("native", 1)
+    scene = random_scene(47, 640, chunk_size=40)
+    one = codec.emit(scene)
+    use("native", 4)
+    assert codec.emit(scene) == one
+    assert verdict(one) == (reconstruction.digest(scene)[0],)
+
+
+def test_a_trace_is_numpys(use: Use) -> None:
+    """The kernel tells of no symbols."""
+    use("native")
+    rows: list[object] = []
+    codec.parse(FILES["one lane"], trace=rows.append)
+    with by_numpy():
+        again: list[object] = []
+        codec.parse(FILES["one lane"], trace=again.append)
+    assert rows == again
+    assert rows
+
+
+# --- what cannot be encoded -------------------------------------------------------------------------------------------
+
+
+def with_a_large_feature(scene: Scene) -> Scene:
+    features = scene.attributes.features.copy()
+    features[-1, -1] = 1 << 23
+    return replace(scene, attributes=replace(scene.attributes, features=features))
+
+
+def with_another_step(scene: Scene) -> Scene:
+    return replace(scene, attributes=replace(scene.attributes, steps=scene.attributes.steps ^ 1))
+
+
+def with_another_form(scene: Scene) -> Scene:
+    return replace(scene, position_forms=(1,) * len(scene.chunks))
+
+
+@pytest.mark.parametrize("change", [with_a_large_feature, with_another_step, with_another_form])
+def test_what_numpy_does_not_encode(use: Use, change: Any) -> None:
+    """The error is that of NumPy."""
+    use("native")
+    scene = change(LARGE["256 lanes"])
+    with by_numpy(), pytest.raises(ValueError, match=r"SPEC\.md") as wanted:
+        codec.emit(scene)
+    with pytest.raises(ValueError, match=r"SPEC\.md") as caught:
+        codec.emit(scene)
+    assert str(caught.value) == str(wanted.value)
+
+
+# --- faults of ours ---------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("status", [501, 509, library.REFUSED])
+def test_disagreement_is_a_fault_of_ours(use: Use, monkeypatch: pytest.MonkeyPatch, status: int) -> None:
+    """Were the kernel to refuse what NumPy accepts, there would be no verdict."""
+    use("native")
+    original = NativeScene.decode_chunks
+    monkeypatch.setattr(
+        NativeScene, "decode_chunks", lambda s, chunks: (original(s, chunks)[0], [status] * len(chunks))
+    )
+    with pytest.raises(RuntimeError, match=f"native kernel says {status}, and NumPy says 0"):
+        codec.parse(FILES["one lane"])
+
+
+def test_disagreement_about_planes_and_encoding(use: Use, monkeypatch: pytest.MonkeyPatch) -> None:
+    use("native")
+    with monkeypatch.context() as patch:
+        planes = NativeScene.decode_planes
+        patch.setattr(NativeScene, "decode_planes", lambda s, parts: (planes(s, parts)[0], [0, 503, 0, 0, 0]))
+        with pytest.raises(RuntimeError, match="planes: the native kernel says 503, and NumPy says 0"):
+            codec.parse(FILES["one lane"])
+    for name in ("encode_planes", "encode_chunks"):
+        with monkeypatch.context() as patch:
+            patch.setattr(NativeScene, name, lambda *arguments: None)
+            with pytest.raises(RuntimeError, match="NumPy says 0"):
+                codec.emit(LARGE["one lane"])
+
+
+def test_no_memory_is_no_verdict(use: Use, monkeypatch: pytest.MonkeyPatch) -> None:
+    use("native")
+    used = kernel.kernel()
+    assert used is not None
+
+    class Poor:
+        """The library, which finds no memory for chunks."""
+
+        def __getattr__(self, name: str) -> Any:
+            return getattr(used.library, name)
+
+        @staticmethod
+        def kernel_decode_chunks(scene: int, jobs: Any, count: int, threads: int) -> None:
+            jobs[count - 1].status = library.NO_MEMORY
+
+    monkeypatch.setattr(reader, "kernel", lambda: replace(used, library=Poor()))
+    with pytest.raises(MemoryError):
+        codec.parse(FILES["one lane"])
+
+
+def test_descriptions_that_are_not_allowed(use: Use) -> None:
+    """The kernel takes no scene whose sizes it does not know to be small."""
+    use("native")
+    used = kernel.kernel()
+    assert used is not None
+    tables = used.library.kernel_tables_new(tables_bytes(), len(tables_bytes()))
+    for field, value in (("offset_count", 17), ("plane_size", 257), ("slice_count", 17), ("mask_lanes", 3)):
+        description = library.Description(offset_count=1, slice_count=1, hyper_layers=1, carm_layers=1, cell_shift=-1)
+        description.slice_width[0] = 1
+        description.plane_lanes = description.mask_lanes = description.attribute_lanes = 1
+        setattr(description, field, value)
+        assert not used.library.kernel_scene_new(ctypes.byref(description), tables, used.variant)
+    used.library.kernel_tables_free(tables)
+    for wrong in (b"", tables_bytes()[:-1], tables_bytes() + b"\0", bytes(len(tables_bytes()))):
+        assert not used.library.kernel_tables_new(wrong, len(wrong))
+
+
+# --- the choice -------------------------------------------------------------------------------------------------------
+
+
+def test_without_the_library(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+    monkeypatch.setattr(library, "load", lambda: None)
+    monkeypatch.delenv(library.PATH_VARIABLE, raising=False)
+    assert kernel.kernel() is None
+    assert verdict(FILES["one lane"]) == (reconstruction.digest(LARGE["one lane"])[0],)
+    assert codec.emit(LARGE["one lane"]) == FILES["one lane"]
+    assert main(["--version"]) == statuses.DONE
+    assert "NumPy; the native kernel is not there" in capsys.readouterr().out
+    monkeypatch.setenv(library.PATH_VARIABLE, library.NATIVE)
+    with pytest.raises(statuses.UsageError, match=r"here it may be one of: numpy$"):
+        codec.parse(FILES["one lane"])
+
+
+def test_files_that_are_not_the_library(tmp_path: Path) -> None:
+    file = tmp_path / "kernel.so"
+    assert library.load(file) is None
+    file.write_bytes(b"no library")
+    assert library.load(file) is None
+
+
+@pytest.mark.parametrize(
+    ("name", "value", "what"),
+    [
+        (library.PATH_VARIABLE, "fast\n", "REFCODEC_PATH is 'fast\\n'; here it may be one of: numpy, "),
+        (library.THREADS_VARIABLE, "0", "REFCODEC_THREADS is '0'; it may be 1 to 256"),
+        (library.THREADS_VARIABLE, "9" * 5000, "it may be 1 to 256"),
+        (library.THREADS_VARIABLE, "two", "it may be 1 to 256"),
+    ],
+)
+def test_wrong_choices(
+    use: Use,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+    tmp_path: Path,
+    name: str,
+    value: str,
+    what: str,
+) -> None:
+    """One line, and the status of wrong usage."""
+    use("native")
+    monkeypatch.setenv(name, value)
+    file = tmp_path / "scene.c3gs"
+    file.write_bytes(FILES["one lane"])
+    for command in (["validate", str(file)], ["--version"]):
+        assert main(command) == statuses.USAGE
+        said = capsys.readouterr()
+        assert what in said.err
+        assert said.err.count("\n") == 1
+        assert said.out == ""
+
+
+def test_what_is_used_is_told(use: Use, capsys: pytest.CaptureFixture[str]) -> None:
+    for path, threads, told in (("plain", 1, "plain, 1 thread\n"), ("plain", 3, "plain, 3 threads\n")):
+        use(path, threads)
+        assert main(["--version"]) == statuses.DONE
+        assert capsys.readouterr().out.endswith(f"native kernel {told}")
+    use(library.NUMPY)
+    assert library.describe() == "NumPy"
+
+
+# --- sanitizers -------------------------------------------------------------------------------------------------------
+
+# Decodes and encodes files with a library, by each of its variants. Any fault ends the process.
+SANITIZED = """
+import os, sys
+from pathlib import Path
+from refcodec.bitstream import codec, reconstruction
+from refcodec.bitstream.errors import BitstreamError
+from refcodec.native import library
+found = library.load(Path(sys.argv[1]))
+assert found is not None
+library.load = lambda: found
+os.environ[library.THREADS_VARIABLE] = "2"
+for number, name in library.variants(found):
+    os.environ[library.PATH_VARIABLE] = name
+    for path in sorted(Path(sys.argv[2]).iterdir()):
+        data = path.read_bytes()
+        try:
+            scene = codec.parse(data).scene
+            reconstruction.reconstruct(scene)
+            assert codec.emit(scene) == data
+        except BitstreamError:
+            pass
+print("done")
+"""
+
+
+def planted(data: bytes, rng: np.random.Generator) -> Iterator[bytes]:
+    """The file with faults in the parts of its chunks and in its planes, checksums right."""
+    target = Target(data)
+    for chunk in range(target.header.chunk_count):
+        for kind in PARTS:
+            first, end = target.part(kind, chunk)
+            # The head of a substream, and any byte behind it: words, states and raw bits.
+            for at in (first + 4, *rng.integers(first, end, 4).tolist()):
+                yield repair(target.put(int(at), rng.bytes(min(4, end - int(at)))))
+            yield repair(target.put(first, bytes(end - first)))
+            yield repair(target.put(first, b"\xff" * (end - first)))
+    if directory.PLANES_SECTION in target.sections:
+        section = target.sections[directory.PLANES_SECTION]
+        for at in rng.integers(section.start + 20, section.end, 8).tolist():
+            yield repair(target.put(int(at), b"\xff"))
+
+
+@pytest.mark.slow
+@pytest.mark.no_cover
+@pytest.mark.requirement("D13.1-1")
+@pytest.mark.skipif(sanitizer() is None, reason="there is no address sanitizer")
+def test_sanitizers_are_silent(tmp_path: Path) -> None:
+    """Over all vectors and the large files. Every part of each chunk of one is also cut and changed."""
+    flags = ["-std=gnu11", "-O1", "-g", "-Wall", "-Wextra", "-Werror", "-fPIC", "-shared", "-fvisibility=hidden"]
+    flags += ["-fsanitize=address,undefined", "-fno-sanitize-recover=all", "-pthread"]
+    assert COMPILER is not None
+    built, folder = tmp_path / "kernel.so", tmp_path / "files"
+    subprocess.run([COMPILER, *flags, ROOT / "refcodec/native/kernel.c", "-o", built], check=True)
+    folder.mkdir()
+    contents = [SUITE.path(v).read_bytes() for v in DECODED] + list(FILES.values())
+    rng = np.random.default_rng(0)
+    contents += [changed for data in FILES.values() for changed in planted(data, rng)]
+    for i, data in enumerate(contents):
+        (folder / f"{i:05}").write_bytes(data)
+    environment = {
+        **os.environ,
+        "LD_PRELOAD": str(sanitizer()),
+        # Python itself leaks.
+        "ASAN_OPTIONS": "detect_leaks=0",
+    }
+    command = [sys.executable, "-c", SANITIZED, str(built), str(folder)]
+    done = subprocess.run(command, env=environment, capture_output=True, text=True, check=False)
+    assert (done.returncode, done.stdout) == (0, "done\n"), done.stderr[-3000:]
