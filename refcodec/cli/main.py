@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import importlib
 import os
 import sys
 from typing import NoReturn
@@ -10,8 +11,18 @@ from typing import NoReturn
 from .. import __version__, statuses
 from ..bitstream.errors import BitstreamError
 from ..files.terminal import note, open_streams, silence_stdout
-from . import coding, drawing, experiments, learning, looking
 from .shared import EXITS, UsageError, reject
+
+# The modules of this room that add commands, with these. A command imports its own module alone.
+GROUPS = {
+    "coding": ("encode", "decode", "digest", "reconstruct", "validate"),
+    "looking": ("explain", "inspect"),
+    "drawing": ("gaussians", "render", "eval"),
+    "learning": ("train", "fit"),
+    "experiments": ("demo", "rd", "experiment"),
+}
+# Of these groups, no command gains from threads of NumPy's BLAS. To start them costs more than a small file.
+_ONE_THREAD = ("coding", "looking")
 
 
 class _Parser(argparse.ArgumentParser):
@@ -23,7 +34,8 @@ class _Parser(argparse.ArgumentParser):
         self.exit(statuses.USAGE)
 
 
-def _parser() -> argparse.ArgumentParser:
+def _parser(groups: list[str]) -> argparse.ArgumentParser:
+    """Returns the parser with the commands of some groups."""
     parser = _Parser(
         prog="refcodec",
         description="Reference encoder and decoder of C3GS, a bitstream for learned 3D Gaussian scenes.",
@@ -32,9 +44,15 @@ def _parser() -> argparse.ArgumentParser:
     )
     parser.add_argument("--version", action="version", version=f"refcodec {__version__}")
     commands = parser.add_subparsers(metavar="COMMAND", required=True)
-    for group in (coding, looking, drawing, learning, experiments):
-        group.add(commands)
+    for group in groups:
+        importlib.import_module(f".{group}", __package__).add(commands)
     return parser
+
+
+def _groups(argv: list[str]) -> list[str]:
+    """Returns the group of the command that the arguments ask for, or all groups if they ask for none."""
+    command = next((word for word in argv if not word.startswith("-")), None)
+    return [group for group, names in GROUPS.items() if command in names] or list(GROUPS)
 
 
 def main(argv: list[str] | None = None) -> int:
@@ -62,7 +80,11 @@ def _run(argv: list[str] | None) -> int:
     """Runs one command and returns its exit status. What it raises is no verdict."""
     arguments = None
     try:
-        arguments = _parser().parse_args(argv)
+        argv = sys.argv[1:] if argv is None else argv
+        groups = _groups(argv)
+        if "numpy" not in sys.modules and set(groups) <= set(_ONE_THREAD):
+            os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+        arguments = _parser(groups).parse_args(argv)
         return int(arguments.run(arguments))
     except SystemExit as end:
         # argparse ends this way after --help, --version and wrong usage.
