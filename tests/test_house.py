@@ -10,8 +10,8 @@ import pytest
 from spec.house import ROOMS, docstring, imports, modules, room
 
 BITSTREAM, INDEPENDENT = "refcodec.bitstream", "conformance.independent"
-# The reference decodes chunks side by side, and takes the bounds of its callers.
-ONLY_REFERENCE = {"batches", "bounds"}
+# The reference decodes chunks side by side, some at a time, and takes the bounds of its callers.
+ONLY_REFERENCE = {"batches", "bounds", "streaming"}
 # The second decoder's own command and trace. Those of the reference are in refcodec.cli and refcodec.inspect.
 ONLY_INDEPENDENT = {"__main__", "trace"}
 # What decoding must not need. plyfile and safetensors belong to the scene folder.
