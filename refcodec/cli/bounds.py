@@ -15,6 +15,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from ..bitstream.errors import BitstreamError
+from ..files.remote import is_url
 from .shared import UsageError, open_source, read_file
 
 if TYPE_CHECKING:
@@ -131,7 +132,7 @@ def read_bounded(arguments: argparse.Namespace) -> bytes:
     from ..bitstream.source import WholeFile
 
     path = arguments.file
-    if arguments.max_memory is not None:
+    if arguments.max_memory is not None and not is_url(path):
         try:
             status = os.stat(path)
         except OSError as error:

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any
 
 from .. import statuses
 from ..bitstream.errors import BitstreamError
+from ..files.remote import is_url
 from ..files.text import printable
 from .bounds import add_bounds, open_bounded, read_bounded
 from .shared import UsageError, add_command, decoded, parse_file, reject
@@ -63,7 +64,8 @@ def _inspect(arguments: argparse.Namespace) -> int:
                 read_header(source)
         except BitstreamError as rejected:
             error = rejected
-        facts = summary.document(FileBytes(source), error or found)
+        # Behind a URL, each head of a chunk would be a request of its own.
+        facts = summary.document(FileBytes(source), error or found, heads=not is_url(arguments.file))
     for line in summary.json_lines(facts) if arguments.json else summary.summary(facts, printable(arguments.file)):
         print(line)
     return reject(arguments.file, error) if error else 0

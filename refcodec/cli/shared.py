@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING, Any, BinaryIO
 
 from ..bitstream.errors import BitstreamError
 from ..files.outputs import HELP, Kind, check_apart, check_file
+from ..files.remote import RemoteFile, is_url
 from ..files.terminal import ProgressStream, note
 from ..files.text import shell_word
 from ..statuses import UsageError
@@ -52,9 +53,18 @@ def read_file(path: str, check: Callable[[int], None] | None = None) -> bytes:
     """Returns the bytes of a file.
 
     A file of 4 GiB or more, or an endless one, is read only to one byte past the end that its header states. So the
-    verdict on it is that on the whole file. check: told of that end before what lies behind the header is read. Raises
-    UsageError if the file cannot be read, and BitstreamError if the header of such a file is wrong.
+    verdict on it is that on the whole file. The same holds for a URL. check: told of that end before what lies behind
+    the header is read. Raises UsageError if the file cannot be read, and BitstreamError if the header of such a file is
+    wrong.
     """
+    if is_url(path):
+        from ..bitstream.header import read_header
+
+        with RemoteFile(path) as remote:
+            end = read_header(remote).sections[-1].end
+            if check:
+                check(end)
+            return remote.read(0, end + 1)
     try:
         with open(path, "rb") as file:
             status = os.fstat(file.fileno())
@@ -80,12 +90,15 @@ def _stated(file: BinaryIO, check: Callable[[int], None] | None = None) -> bytes
 def open_source(path: str) -> Iterator[Source]:
     """Yields the bytes of a file, which are read as they are asked for, from any place.
 
-    What is no regular file, such as a pipe, is read as read_file. Raises UsageError if the file cannot be read, also
-    within the block, and BitstreamError as read_file.
+    The path may be a URL. What is no regular file, such as a pipe, is read as read_file. Raises UsageError if the file
+    cannot be read, also within the block, and BitstreamError as read_file.
     """
     from ..bitstream.source import StoredFile, WholeFile
 
     with contextlib.ExitStack() as opened:
+        if is_url(path):
+            yield opened.enter_context(RemoteFile(path))
+            return
         try:
             file = opened.enter_context(open(path, "rb"))
             regular = stat.S_ISREG(os.fstat(file.fileno()).st_mode)
