@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import struct
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from typing import Any
 
@@ -111,9 +111,13 @@ def canonical_head(scene: Scene) -> bytes:
     return DIGEST_MAGIC + struct.pack("<5I", *counts)
 
 
-def digested(scene: Scene) -> bytes:
-    """SPEC 9.3: returns the 252 bytes that the digest of a scene is the SHA-256 of: counts, and the parts' digests."""
-    return canonical_head(scene) + b"".join(hashlib.sha256(data).digest() for _, data in canonical_parts(scene))
+def digested(scene: Scene, parts: Iterable[tuple[str, bytes]] | None = None) -> bytes:
+    """SPEC 9.3: returns the 252 bytes that the digest of a scene is the SHA-256 of: counts, and the parts' digests.
+
+    parts: those of canonical_parts, if they are known.
+    """
+    every = canonical_parts(scene) if parts is None else parts
+    return canonical_head(scene) + b"".join(hashlib.sha256(data).digest() for _, data in every)
 
 
 def digest(scene: Scene) -> tuple[str, dict[str, str]]:

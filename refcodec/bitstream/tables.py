@@ -68,8 +68,9 @@ def build_models(family: str, frequencies: Sequence[NDArray[np.integer]], radius
     every = np.concatenate([*frequencies, np.array([TOTAL])])
     first_slot = np.arange(len(lengths)) << PRECISION
     upper = np.cumsum(every)
-    starts = first_slot[:, None] + (np.arange(256) << (PRECISION - 8))
-    first = np.searchsorted(upper, starts, side="right") - offset[:, None]
+    # How many symbols end at or below each multiple of 2^(PRECISION - 8).
+    ends = np.bincount((upper - 1 >> PRECISION - 8) + 1, minlength=256 * len(lengths))[: 256 * len(lengths)]
+    first = np.cumsum(ends).reshape(-1, 256) - offset[:, None]
     upper -= np.repeat(first_slot, lengths)
     return ModelSet(
         family,

@@ -138,7 +138,9 @@ def _reconstruct(arguments: argparse.Namespace) -> int:
         else:
             scene = parse_file(arguments, data).scene
         whole = stage.open(output)
-        for part in (digested(scene), *(part for _, part in canonical_parts(scene))):
+        parts = list(canonical_parts(scene))
+        whole.write(digested(scene, parts))
+        for _, part in parts:
             whole.write(part)
     return 0
 
