@@ -11,8 +11,8 @@ from spec.house import ROOMS, docstring, imports, modules, room
 
 BITSTREAM, INDEPENDENT = "refcodec.bitstream", "conformance.independent"
 NATIVE = "refcodec.native"
-# The reference decodes chunks side by side, takes the bounds of its callers, and has a native kernel.
-ONLY_REFERENCE = {"batches", "bounds", "kernel"}
+# The reference decodes chunks side by side, some at a time, takes the bounds of its callers, and has a native kernel.
+ONLY_REFERENCE = {"batches", "bounds", "kernel", "streaming"}
 # The second decoder's own command and trace. Those of the reference are in refcodec.cli and refcodec.inspect.
 ONLY_INDEPENDENT = {"__main__", "trace"}
 # What decoding must not need. plyfile and safetensors belong to the scene folder.

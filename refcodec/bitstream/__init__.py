@@ -1,7 +1,7 @@
 """The bitstream: one module for each chapter of SPEC.md or group of its clauses.
 
 The first line of a module names its clauses. `conformance/independent` has a module of the same name with the same
-clauses. Only `batches`, chunks that are decoded side by side, has no module there.
+clauses. Only the three modules without a clause that are about memory have no module there.
 
     conventions     2           operators
     source          5, 10.2     the bytes of a file: in memory, as they arrive, or by ranges
@@ -29,10 +29,12 @@ clauses. Only `batches`, chunks that are decoded side by side, has no module the
     reader          10.1, 10.2  the order of checks, for a whole file, bytes that arrive, and one chunk
     codec           7.1         whole files, decoded and made
 
-Two modules have no clause of their own:
+These modules have no clause of their own:
 
     scene           what a file says, as arrays
     batches         chunks that are decoded or encoded side by side
+    streaming       a file that is decoded some chunks at a time
+    bounds          what a caller does not want to decode
 
 No module here imports another part of the package, torch or a renderer.
 """

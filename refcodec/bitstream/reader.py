@@ -6,7 +6,7 @@ A Reader reads the header when it is made. `open` reads what comes before the ch
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -31,9 +31,12 @@ from .networks import BoundError, derive_networks
 from .planes import assemble_planes, no_planes, parse_planes
 from .positions import parse_positions
 from .scene import Ancillary, Scene
-from .source import Source
+from .source import Held, Source
 from .tables import ModelSet
 from .weights import ParsedWeights, bound_error, parse_weights
+
+# The most bytes of chunks that are read at once.
+AHEAD_BYTES = 1 << 24
 
 
 @dataclass(frozen=True, eq=False)
@@ -173,20 +176,28 @@ class Reader:
         side_by_side: whether many chunks are read and decoded at once, which is faster. Otherwise a chunk is yielded
         before the next one is read. What is yielded does not depend on it.
         """
-        opened = self.opened
-        assert opened is not None
-        entries: list[ChunkEntry] = []
-        for number in range(len(opened.index)):
-            entry = opened.index[number]
-            full = len(entries) == GROUP_CHUNKS or (
-                entries and entry.anchors.stop - entries[0].anchors.start > GROUP_ANCHORS
-            )
-            if entries and (full or self.trace or not side_by_side):
-                yield from self.decode(entries)
-                entries = []
-            entries.append(entry)
-        if entries:
+        for entries in self.groups(side_by_side=side_by_side):
             yield from self.decode(entries)
+
+    def groups(self, numbers: Iterable[int] | None = None, *, side_by_side: bool = True) -> Iterator[list[ChunkEntry]]:
+        """Yields the entries of chunks that are decoded at once, in bounded memory.
+
+        numbers: those of the wanted chunks, rising, or None for all. side_by_side: as for `chunks`.
+        """
+        assert self.opened is not None
+        index = self.opened.index
+        entries: list[ChunkEntry] = []
+        anchors = 0
+        for number in range(len(index)) if numbers is None else numbers:
+            entry = index[number]
+            full = len(entries) == GROUP_CHUNKS or anchors + len(entry.anchors) > GROUP_ANCHORS
+            if entries and (full or self.trace or not side_by_side):
+                yield entries
+                entries, anchors = [], 0
+            entries.append(entry)
+            anchors += len(entry.anchors)
+        if entries:
+            yield entries
 
     def decode(self, entries: list[ChunkEntry]) -> list[Chunk | BitstreamError]:
         """SPEC 10.1, step 5: reads and decodes some chunks side by side. Returns each of them, or its first error."""
@@ -194,9 +205,10 @@ class Reader:
         assert section is not None
         found: dict[int, Chunk | BitstreamError] = {}
         live: list[CodedChunk] = []
+        source = _ahead(self.source, entries)
         for entry in entries:
             try:
-                live.append(read_chunk(self.source, entry, section.mode))
+                live.append(read_chunk(source, entry, section.mode))
             except BitstreamError as error:
                 found[entry.number] = error
         decode = self._decode_alone if self.opened is None or self.opened.native is None else self._decode_native
@@ -337,6 +349,14 @@ class Reader:
             h.minor,
             h.later,
         )
+
+
+def _ahead(source: Source, entries: list[ChunkEntry]) -> Source:
+    """Returns the source with the bytes of some chunks read at once, if they lie together and are not too many."""
+    start, end = entries[0].start, entries[-1].start + entries[-1].length
+    if len(entries) > 1 and sum(entry.length for entry in entries) == end - start <= AHEAD_BYTES:
+        return Held(source, start, end - start)
+    return source
 
 
 def _bounds_error(chunk: CodedChunk, positions: NDArray[np.float16]) -> BitstreamError | None:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import struct
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from typing import Any
 
@@ -118,9 +118,13 @@ def canonical_head(scene: Scene) -> bytes:
     return DIGEST_MAGIC + struct.pack("<5I", *counts)
 
 
-def digested(scene: Scene) -> bytes:
-    """SPEC 9.3: returns the 252 bytes that the digest of a scene is the SHA-256 of: counts, and the parts' digests."""
-    return canonical_head(scene) + b"".join(hashlib.sha256(data).digest() for _, data in canonical_parts(scene))
+def digested(scene: Scene, parts: Iterable[tuple[str, bytes]] | None = None) -> bytes:
+    """SPEC 9.3: returns the 252 bytes that the digest of a scene is the SHA-256 of: counts, and the parts' digests.
+
+    parts: those of canonical_parts, if they are known.
+    """
+    every = canonical_parts(scene) if parts is None else parts
+    return canonical_head(scene) + b"".join(hashlib.sha256(data).digest() for _, data in every)
 
 
 def digest(scene: Scene) -> tuple[str, dict[str, str]]:
@@ -131,11 +135,11 @@ def digest(scene: Scene) -> tuple[str, dict[str, str]]:
     return hashlib.sha256(data).hexdigest(), parts
 
 
-def chunk_digest(scene: Scene) -> str:
-    """SPEC 9.3: returns the digest of a chunk, in hexadecimal. scene: with the anchors of the chunk alone."""
+def chunk_digest(scene: Scene, values: Reconstruction | None = None) -> str:
+    """SPEC 9.3: returns the digest of a chunk, in hexadecimal. scene, values: as for StreamDigest.add."""
     d = scene.dimensions
     whole = hashlib.sha256(CHUNK_MAGIC + struct.pack("<3I", scene.anchor_count, d.offset_count, d.features))
-    for part in anchor_parts(reconstruct(scene), scene.masks).values():
+    for part in anchor_parts(values or reconstruct(scene), scene.masks).values():
         whole.update(part)
     return whole.hexdigest()
 
@@ -147,17 +151,22 @@ class StreamDigest:
         self._count = 0
         self._parts = {name: hashlib.sha256() for name in PARTS}
 
-    def add(self, scene: Scene) -> None:
-        """Adds a chunk. scene: with the anchors of the chunk alone."""
+    def add(self, scene: Scene, values: Reconstruction | None = None) -> None:
+        """Adds a chunk. scene: with the anchors of the chunk alone. values: those of the chunk, if they are known."""
         self._count += scene.anchor_count
-        for name, data in anchor_parts(reconstruct(scene), scene.masks).items():
+        for name, data in anchor_parts(values or reconstruct(scene), scene.masks).items():
             self._parts[name].update(data)
 
     def finish(self, scene: Scene) -> str:
         """Returns the digest, in hexadecimal. scene: with the planes and weights, of which no anchor is read."""
+        return self.finish_parts(scene)[0]
+
+    def finish_parts(self, scene: Scene) -> tuple[str, dict[str, str]]:
+        """Returns the digest and that of each part, as `digest`. scene: as for `finish`."""
         self._parts["planes"].update(_little(scene.planes, "<i2"))
         self._parts["weights"].update(weight_part(scene))
         d = scene.dimensions
         counts = self._count, d.offset_count, d.features, d.plane_channels, d.plane_size
         head = DIGEST_MAGIC + struct.pack("<5I", *counts)
-        return hashlib.sha256(head + b"".join(part.digest() for part in self._parts.values())).hexdigest()
+        whole = hashlib.sha256(head + b"".join(part.digest() for part in self._parts.values())).hexdigest()
+        return whole, {name: part.hexdigest() for name, part in self._parts.items()}

@@ -112,10 +112,10 @@ class Scene:
         return [range(end - count, end) for end, count in zip(ends, self.chunk_anchors, strict=True)]
 
 
-def take_anchors(scene: Scene, keep: NDArray) -> Scene:
+def take_anchors(scene: Scene, keep: NDArray | slice) -> Scene:
     """Returns the scene with some of its anchors, in the fewest chunks.
 
-    keep: their indices in the wanted order, or a boolean array [N].
+    keep: their indices in the wanted order, or a boolean array [N], or a slice.
     """
     a = scene.attributes
     chosen = Attributes(a.features[keep], a.scalings[keep], a.offsets[keep], a.steps[keep])

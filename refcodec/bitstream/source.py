@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
-from typing import Protocol
+from typing import BinaryIO, Protocol
 
 from .errors import BitstreamError
 
@@ -51,7 +51,7 @@ class Source(Protocol):
         ...
 
     def length(self) -> int:
-        """Returns the length of the file. It is asked for only after `read` returned too few bytes."""
+        """Returns the length of the file. A decoder asks for it only after `read` returned too few bytes."""
         ...
 
 
@@ -68,6 +68,28 @@ class WholeFile:
     def length(self) -> int:
         """As Source.length."""
         return len(self._data)
+
+
+class StoredFile:
+    """A file on a disk, of which only what is asked for is read."""
+
+    def __init__(self, file: BinaryIO) -> None:
+        """file: opened to read bytes. It can be read from any place."""
+        self._file = file
+        self._length = file.seek(0, 2)
+
+    def read(self, start: int, size: int) -> bytes:
+        """As Source.read. Raises OSError."""
+        # Memory for all bytes of a read is taken before the first one is read. A size may be a lie of the file.
+        size = min(size, self._length - start)
+        if size <= 0:
+            return b""
+        self._file.seek(start)
+        return self._file.read(size)
+
+    def length(self) -> int:
+        """As Source.length. It is that when the file was opened."""
+        return self._length
 
 
 class Arriving:
@@ -126,3 +148,39 @@ class Ranges:
     def length(self) -> int:
         """As Source.length."""
         return self._length
+
+
+class Held:
+    """A source of which some bytes in a row are read at once, and held."""
+
+    def __init__(self, source: Source, start: int, size: int) -> None:
+        """start, size: where the bytes are."""
+        self._source, self._start, self._end = source, start, start + size
+        self._held = source.read(start, size)
+
+    def read(self, start: int, size: int) -> bytes:
+        """As Source.read."""
+        if self._start <= start and start + size <= self._end:
+            return self._held[start - self._start : start - self._start + size]
+        return self._source.read(start, size)
+
+    def length(self) -> int:
+        """As Source.length."""
+        return self._source.length()
+
+
+class FileBytes:
+    """A file as a sequence of bytes, whose slices are read when they are asked for."""
+
+    def __init__(self, source: Source) -> None:
+        """source: it can be read from any place."""
+        self._source, self._length = source, source.length()
+
+    def __len__(self) -> int:
+        return self._length
+
+    def __getitem__(self, part: slice) -> bytes:
+        start, stop, _ = part.indices(self._length)
+        size = max(0, stop - start)
+        # A file that is cut off meanwhile has zeros there, so that every slice has its length.
+        return self._source.read(start, size).ljust(size, b"\0")

@@ -11,6 +11,7 @@ import math
 import re
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cache
 from typing import Any
 
 import construct as cs
@@ -284,7 +285,10 @@ def _struct(name: str) -> cs.Struct:
     return cs.Struct(*(field / Recorded(_subcon(kind), field, kind) for field, kind in _fields(name)))
 
 
-SCHEMAS: dict[str, cs.Struct] = {name: _struct(name) for name in SYNTAX}
+@cache
+def schema(name: str) -> cs.Struct:
+    """Returns the schema of a struct of SYNTAX. It is built at its first use, so that a program starts fast."""
+    return _struct(name)
 
 
 def parse(name: str, data: bytes, start: int = 0) -> tuple[cs.Container, int]:
@@ -294,7 +298,7 @@ def parse(name: str, data: bytes, start: int = 0) -> tuple[cs.Container, int]:
     """
     stream = io.BytesIO(data)
     stream.seek(start)
-    value = SCHEMAS[name].parse_stream(stream, at=None, elements=None)
+    value = schema(name).parse_stream(stream, at=None, elements=None)
     return value, stream.tell() - start
 
 
@@ -307,18 +311,18 @@ def parse_elements(name: str, data: bytes, start: int = 0, path: str = "") -> li
     stream = io.BytesIO(data)
     stream.seek(start)
     elements: list[Element] = []
-    SCHEMAS[name].parse_stream(stream, at=[path] if path else [""], elements=elements)
+    schema(name).parse_stream(stream, at=[path] if path else [""], elements=elements)
     return elements
 
 
 def build(name: str, value: dict[str, Any]) -> bytes:
     """Returns the bytes of one struct of SYNTAX. Raises construct.ConstructError for a value outside its type."""
-    return SCHEMAS[name].build(value, at=None, elements=None)
+    return schema(name).build(value, at=None, elements=None)
 
 
 def size_of(name: str) -> int:
     """Returns the size in bytes of a struct of SYNTAX. Raises construct.SizeofError if it depends on a field."""
-    return int(SCHEMAS[name].sizeof(at=None, elements=None))
+    return int(schema(name).sizeof(at=None, elements=None))
 
 
 class Struct:

@@ -7,6 +7,7 @@ spec/tables.py follows them with 50 digits.
 from __future__ import annotations
 
 import hashlib
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cache
 from importlib import resources
@@ -56,22 +57,28 @@ class ModelSet:
         return len(self.offset) - 1
 
 
-def build_models(family: str, frequencies: list[NDArray[np.int64]], radius: list[int]) -> ModelSet:
+def build_models(family: str, frequencies: Sequence[NDArray[np.integer]], radius: list[int]) -> ModelSet:
     """Returns the ModelSet of some models, with the null model after them.
 
-    frequencies: for each model int64 [symbols], with the sum 2^14. radius: for each model R, or 0.
+    frequencies: for each model integers [symbols], with the sum 2^14. radius: for each model R, or 0.
     """
-    every = [*frequencies, np.array([TOTAL])]
-    upper = [np.cumsum(f) for f in every]
-    lengths = np.array([len(f) for f in every])
-    starts = np.arange(256) << (PRECISION - 8)
+    lengths = np.array([*map(len, frequencies), 1])
+    offset = np.cumsum(lengths) - lengths
+    # All models at once: as each has the sum 2^14, the slots of model m stand from m 2^14 on.
+    every = np.concatenate([*frequencies, np.array([TOTAL])])
+    first_slot = np.arange(len(lengths)) << PRECISION
+    upper = np.cumsum(every)
+    # How many symbols end at or below each multiple of 2^(PRECISION - 8).
+    ends = np.bincount((upper - 1 >> PRECISION - 8) + 1, minlength=256 * len(lengths))[: 256 * len(lengths)]
+    first = np.cumsum(ends).reshape(-1, 256) - offset[:, None]
+    upper -= np.repeat(first_slot, lengths)
     return ModelSet(
         family,
-        np.cumsum(lengths) - lengths,
-        np.concatenate([u - f for u, f in zip(upper, every, strict=True)]).astype(np.uint32),
-        np.concatenate(upper).astype(np.uint32),
+        offset,
+        (upper - every).astype(np.uint32),
+        upper.astype(np.uint32),
         np.array([*radius, 0], dtype=np.int64),
-        np.concatenate([np.searchsorted(u, starts, side="right") for u in upper]),
+        first.reshape(-1),
     )
 
 
@@ -115,7 +122,7 @@ def tables() -> Tables:
         frequencies, radius = [], []
         for _ in range(MODELS):
             r = data[at]
-            frequencies.append(np.frombuffer(data, "<u2", 2 * r + 2, offset=at + 1).astype(np.int64))
+            frequencies.append(np.frombuffer(data, "<u2", 2 * r + 2, offset=at + 1))
             radius.append(r)
             at += 1 + 2 * (2 * r + 2)
         families.append(build_models(family, frequencies, radius))

@@ -6,21 +6,29 @@
 from __future__ import annotations
 
 import argparse
+import contextlib
 import os
 import re
 import stat
+from collections.abc import Iterator
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from ..bitstream.errors import BitstreamError
-from .shared import UsageError, read_file
+from ..files.remote import is_url
+from .shared import UsageError, open_source, read_file
 
-# What is estimated, in bytes, beside bitstream.bounds. The program with its packages; and a value of the scene, as a
-# command holds it: in one copy, or in several.
+if TYPE_CHECKING:
+    from ..bitstream.header import Header
+    from ..bitstream.source import Source
+
+# What is estimated beside bitstream.bounds, in bytes: the program with its packages.
 PROGRAM, PROGRAM_DRAWING = 64 << 20, 192 << 20
-HOLDING = {"validate": 8}
-HOLDING_MOST = 20
-# Bytes of symbols that stand for one value in the traces of inspect and reconstruct.
-TRACE = 64
+# Commands that decode some chunks at a time, and hold neither the file nor the scene. These options hold both.
+STREAMING = ("validate", "digest", "decode", "inspect")
+HOLDING_OPTIONS = ("trace", "hex", "near", "anchor")
+# In how many copies the other commands hold a scene, and how many more the symbols take as text.
+COPIES, TRACE_COPIES = 3, 8
 
 _UNITS = {"": 1, "K": 1 << 10, "M": 1 << 20, "G": 1 << 30}
 
@@ -53,73 +61,95 @@ def add_bounds(parser: argparse.ArgumentParser) -> None:
     )
 
 
-def estimated_memory(command: str, length: int, count: int, values: int, trace: bool = False, fixed: int = 0) -> int:
-    """Returns how many bytes of memory a command may take, from one to two times what is measured.
-
-    The measured peak is the largest resident memory of the process. Images of a renderer come on top.
-
-    Args:
-        command: its name.
-        length: of the file, in bytes.
-        count: N, the number of anchors.
-        values: D + K, the attributes and the masks of an anchor.
-        trace: whether every symbol is written.
-        fixed: what networks and planes take.
-    """
-    from ..bitstream.batches import GROUP_ANCHORS
-    from ..bitstream.bounds import DECODING
-
-    held = HOLDING.get(command, HOLDING_MOST) + (TRACE if trace else 0)
-    program = PROGRAM_DRAWING if command in ("render", "eval") else PROGRAM
-    return program + fixed + 2 * length + values * (min(count, GROUP_ANCHORS) * DECODING + count * held)
+def held_copies(arguments: argparse.Namespace) -> int:
+    """Returns in how many copies a command holds a scene. Of those that hold none, it is 0."""
+    options = vars(arguments)
+    asked = [name for name in HOLDING_OPTIONS if options.get(name) not in (None, False)]
+    if _command(arguments) in STREAMING and not asked:
+        return 0
+    return COPIES + (TRACE_COPIES if "trace" in asked else 0)
 
 
-def check_bounds(
-    arguments: argparse.Namespace, path: str, length: int, count: int = 0, values: int = 0, fixed: int = 0
-) -> None:
+def _command(arguments: argparse.Namespace) -> str:
+    return str(arguments.run.__name__.removeprefix("_"))
+
+
+def check_bounds(arguments: argparse.Namespace, path: str, count: int, needed: int) -> None:
     """Raises UsageError if the caller does not want the work.
 
-    count, values, fixed: as for estimated_memory, 0 if unknown.
+    count: N, or 0 if it is not known. needed: bytes of memory beside the program, of which the images of a renderer are
+    no part.
     """
     if arguments.max_anchors is not None and count > arguments.max_anchors:
         raise UsageError(f"{path} has {count} anchors, --max-anchors is {arguments.max_anchors}; this is no verdict")
     if arguments.max_memory is None:
         return
-    command = arguments.run.__name__.removeprefix("_")
-    needed = estimated_memory(command, length, count, values, bool(getattr(arguments, "trace", False)), fixed)
+    needed += PROGRAM_DRAWING if _command(arguments) in ("render", "eval") else PROGRAM
     if needed > arguments.max_memory:
         raise UsageError(
             f"{path} may take {needed} bytes of memory, --max-memory is {arguments.max_memory}; this is no verdict"
         )
 
 
+def needed_memory(header: Header, copies: int) -> int:
+    """Returns about how many bytes of memory a file takes beside the program, from one to two times what is measured.
+
+    copies: those of the scene that are held (held_copies).
+    """
+    from ..bitstream.batches import GROUP_ANCHORS
+    from ..bitstream.bounds import memory_needed
+    from ..bitstream.directory import is_critical
+
+    # Who holds the scene holds the file, too.
+    more = 2 * header.sections[-1].end
+    if not copies:
+        more = sum(section.length for section in header.sections if not is_critical(section.type))
+    count = header.anchor_count
+    return memory_needed(header, min(count, GROUP_ANCHORS), copies * count, more)
+
+
+def _check_source(arguments: argparse.Namespace, path: str, source: Source) -> None:
+    """Raises UsageError if the header of a file breaks the caller's bounds.
+
+    A header that is not allowed is left to the decoder.
+    """
+    from ..bitstream.header import read_header
+
+    if arguments.max_anchors is None and arguments.max_memory is None:
+        return
+    try:
+        header = read_header(source)
+    except BitstreamError:
+        return
+    check_bounds(arguments, path, header.anchor_count, needed_memory(header, held_copies(arguments)))
+
+
 def read_bounded(arguments: argparse.Namespace) -> bytes:
     """Returns the bytes of the command's file, unless its length or its header breaks the caller's bounds.
 
-    Raises UsageError, and BitstreamError as read_file. A header that is not allowed is left to the decoder.
+    Raises UsageError, and BitstreamError as read_file.
     """
-    from ..bitstream.bounds import memory_needed
-    from ..bitstream.codec import parse_container
+    from ..bitstream.source import WholeFile
 
     path = arguments.file
-    if arguments.max_memory is not None:
+    if arguments.max_memory is not None and not is_url(path):
         try:
             status = os.stat(path)
         except OSError as error:
             raise UsageError(f"cannot read {path}: {error.strerror or error}") from None
         if stat.S_ISREG(status.st_mode):
-            check_bounds(arguments, path, status.st_size)
-    data = read_file(path, lambda length: check_bounds(arguments, path, length))
-    if arguments.max_anchors is None and arguments.max_memory is None:
-        return data
-    try:
-        header = parse_container(data)
-    except BitstreamError:
-        return data
-    d = header.dimensions
-    values = d.attribute_width + d.offset_count
-    check_bounds(arguments, path, len(data), header.anchor_count, values, memory_needed(header, 0))
+            check_bounds(arguments, path, 0, status.st_size)
+    data = read_file(path, lambda length: check_bounds(arguments, path, 0, length))
+    _check_source(arguments, path, WholeFile(data))
     return data
+
+
+@contextlib.contextmanager
+def open_bounded(arguments: argparse.Namespace) -> Iterator[Source]:
+    """Yields the command's file as open_source, unless its header breaks the caller's bounds. Raises UsageError."""
+    with open_source(arguments.file) as source:
+        _check_source(arguments, arguments.file, source)
+        yield source
 
 
 def check_folder(arguments: argparse.Namespace, folder: Path) -> None:
@@ -129,6 +159,8 @@ def check_folder(arguments: argparse.Namespace, folder: Path) -> None:
     """
     if arguments.max_anchors is None and arguments.max_memory is None:
         return
+    from ..bitstream.batches import GROUP_ANCHORS
+    from ..bitstream.bounds import DECODING, HOLDING
     from ..files.ply_header import PlyHeaderError, check_ply_header
     from ..folder.layout import PLY_FILE
 
@@ -137,4 +169,5 @@ def check_folder(arguments: argparse.Namespace, folder: Path) -> None:
         count, properties = check_ply_header(file)
     except (PlyHeaderError, OSError):
         return
-    check_bounds(arguments, str(file), file.stat().st_size, count, properties)
+    each = min(count, GROUP_ANCHORS) * DECODING + COPIES * count * HOLDING
+    check_bounds(arguments, str(file), count, properties * each + 2 * file.stat().st_size)

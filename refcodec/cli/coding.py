@@ -14,19 +14,21 @@ from ..files.outputs import Kind, check_apart, check_file
 from ..files.stage import Stage, write_file
 from ..files.terminal import note, say
 from ..files.text import printable, shell_word
-from .bounds import add_bounds, check_folder, read_bounded
+from .bounds import add_bounds, check_folder, open_bounded, read_bounded
 from .meta import add_meta, metadata_of, with_entries
 from .shared import (
     UsageError,
     add_command,
     check_scene_output,
+    decoded,
     encoded,
     parse_file,
+    progress_bar,
     reject,
 )
 
 if TYPE_CHECKING:
-    from ..bitstream.codec import Parsed
+    from ..folder.write import Written
 
 # The lines of a symbol trace (vectors/README.md).
 TRACE = Kind("a symbol trace", re.compile(rb"(planes|positions|masks|attributes|weights)\S* -?\d+\n"))
@@ -56,46 +58,59 @@ def _encode(arguments: argparse.Namespace) -> int:
 
 
 def _decode(arguments: argparse.Namespace) -> int:
-    from ..folder.write import write_folder
+    from ..bitstream.reader import Reader
+    from ..bitstream.streaming import check_numbers
+    from ..folder.write import decode_folder
 
     check_scene_output(Path(arguments.output), [arguments.file])
-    data = read_bounded(arguments)
-    parsed = parse_file(arguments, data, arguments.keep_going)
-    write_folder(parsed.scene, arguments.output, parsed.damage)
-    return _report_damage(arguments.file, data, parsed) if arguments.keep_going else 0
+    numbers = arguments.chunks
+    if numbers and arguments.keep_going:
+        raise UsageError("--chunks and --keep-going are not for one run: leave out the chunks that are damaged")
+    with open_bounded(arguments) as source, progress_bar(arguments.progress) as progress:
+        reader = Reader(source, keep_ancillary=numbers is None)
+        index = reader.open(critical_only=numbers is not None, progress=progress).index
+        try:
+            check_numbers(numbers, len(index))
+        except IndexError as error:
+            raise UsageError(f"{arguments.file}: {error}") from None
+        written = decode_folder(reader, arguments.output, numbers, keep_going=arguments.keep_going, progress=progress)
+    for number, digest in zip(numbers or (), written.digests, strict=True):
+        print(f"chunk {number} {digest}")
+    return _report_damage(arguments.file, len(index), written) if arguments.keep_going else 0
 
 
-def _report_damage(path: str, data: bytes, parsed: Parsed) -> int:
+def _report_damage(path: str, chunks: int, written: Written) -> int:
     """Reports each dropped chunk on stderr, and then the verdict on the file. It is the same that validate gives."""
-    from ..bitstream.codec import parse_container
-
-    if parsed.damage:
-        header = parse_container(data)
-        for number, error in sorted(parsed.damage.items()):
-            note(f"chunk {number} is dropped, {parsed.lost[number]} anchors: {error}")
-        left = parsed.scene.anchor_count
-        lost = sum(parsed.lost.values())
-        note(f"{len(parsed.damage)} of {header.chunk_count} chunks and {lost} anchors are lost, {left} are written")
-    elif parsed.error:
+    if written.damage:
+        for number, error in sorted(written.damage.items()):
+            note(f"chunk {number} is dropped, {written.lost[number]} anchors: {error}")
+        lost = sum(written.lost.values())
+        note(f"{len(written.damage)} of {chunks} chunks and {lost} anchors are lost, {written.anchors} are written")
+    elif written.error:
         note("every chunk is whole, but the file is damaged elsewhere")
-    return reject(path, parsed.error) if parsed.error else 0
+    return reject(path, written.error) if written.error else 0
 
 
 def _validate(arguments: argparse.Namespace) -> int:
     from ..bitstream import cameras, metadata
     from ..bitstream.limits import PROFILES
 
-    scene = parse_file(arguments, read_bounded(arguments)).scene
-    for warning in (*metadata.warnings(scene.ancillary), *cameras.warnings(scene.ancillary)):
+    with open_bounded(arguments) as source:
+        reader = decoded(arguments, source)
+    for warning in (*metadata.warnings(reader.ancillary), *cameras.warnings(reader.ancillary)):
         note(f"warning: {printable(warning)}")
-    say(f"{arguments.file} is accepted: profile {PROFILES[scene.profile].name}, {scene.anchor_count} anchors")
+    h = reader.header
+    say(f"{arguments.file} is accepted: profile {PROFILES[h.profile].name}, {h.anchor_count} anchors")
     return 0
 
 
 def _digest(arguments: argparse.Namespace) -> int:
-    from ..bitstream.reconstruction import digest
+    from ..bitstream.reconstruction import StreamDigest
 
-    whole, parts = digest(parse_file(arguments, read_bounded(arguments)).scene)
+    digest = StreamDigest()
+    with open_bounded(arguments) as source:
+        reader = decoded(arguments, source, digest.add)
+    whole, parts = digest.finish_parts(reader.scene([]))
     if arguments.parts:
         for name, value in {**parts, "whole": whole}.items():
             print(f"{name:<10} {value}")
@@ -123,9 +138,19 @@ def _reconstruct(arguments: argparse.Namespace) -> int:
         else:
             scene = parse_file(arguments, data).scene
         whole = stage.open(output)
-        for part in (digested(scene), *(part for _, part in canonical_parts(scene))):
+        parts = list(canonical_parts(scene))
+        whole.write(digested(scene, parts))
+        for _, part in parts:
             whole.write(part)
     return 0
+
+
+def _chunks(text: str) -> range:
+    """Returns the numbers of chunks."""
+    found = re.fullmatch(r"([0-9]{1,9}):([0-9]{1,9})", text)
+    if found is None or int(found[1]) >= int(found[2]):
+        raise argparse.ArgumentTypeError(f"{text} found, numbers A:B with A below B are required")
+    return range(int(found[1]), int(found[2]))
 
 
 def add(commands: Any) -> None:
@@ -172,7 +197,11 @@ def add(commands: Any) -> None:
         "decode",
         _decode,
         "decode a file into a scene folder",
-        ["decode scene.c3gs -o scene", "decode damaged.c3gs -o scene --keep-going"],
+        [
+            "decode scene.c3gs -o scene",
+            "decode scene.c3gs -o part --chunks 2:5",
+            "decode damaged.c3gs -o scene --keep-going",
+        ],
         "SCENE_DIR is made. An existing one is written to only if it is empty or a scene folder. Its scene is\n"
         "replaced as a whole, and other files in it stay.",
         writes=True,
@@ -180,6 +209,12 @@ def add(commands: Any) -> None:
     decode.add_argument("file", metavar="FILE")
     add_bounds(decode)
     decode.add_argument("-o", "--output", metavar="SCENE_DIR", required=True)
+    decode.add_argument(
+        "--chunks",
+        type=_chunks,
+        metavar="A:B",
+        help="read and write the chunks from A to before B alone, counted from 0, and print their digests",
+    )
     decode.add_argument(
         "--keep-going",
         action="store_true",

@@ -12,12 +12,12 @@ from typing import TYPE_CHECKING, Any
 
 from .. import statuses
 from ..bitstream.errors import BitstreamError
+from ..files.remote import is_url
 from ..files.text import printable
-from .bounds import add_bounds, read_bounded
-from .shared import UsageError, add_command, parse_file, reject
+from .bounds import add_bounds, open_bounded, read_bounded
+from .shared import UsageError, add_command, decoded, parse_file, reject
 
 if TYPE_CHECKING:
-    from ..bitstream.codec import Parsed
     from ..bitstream.scene import Scene
 
 
@@ -46,7 +46,34 @@ def _show_anchor(scene: Scene, number: int) -> int:
 
 
 def _inspect(arguments: argparse.Namespace) -> int:
-    from ..inspect import dump, summary, trace
+    if arguments.trace or arguments.hex or arguments.near is not None or arguments.anchor is not None:
+        return _inspect_bytes(arguments)
+    from ..bitstream.header import read_header
+    from ..bitstream.reconstruction import StreamDigest
+    from ..bitstream.source import FileBytes
+    from ..inspect import summary
+
+    error: BitstreamError | None = None
+    found: summary.Verdict | None = None
+    with open_bounded(arguments) as source:
+        try:
+            if arguments.decode:
+                digest = StreamDigest()
+                found = digest.finish_parts(decoded(arguments, source, digest.add).scene([]))
+            else:
+                read_header(source)
+        except BitstreamError as rejected:
+            error = rejected
+        # Behind a URL, each head of a chunk would be a request of its own.
+        facts = summary.document(FileBytes(source), error or found, heads=not is_url(arguments.file))
+    for line in summary.json_lines(facts) if arguments.json else summary.summary(facts, printable(arguments.file)):
+        print(line)
+    return reject(arguments.file, error) if error else 0
+
+
+def _inspect_bytes(arguments: argparse.Namespace) -> int:
+    """Shows elements or symbols, of which any may be anywhere in the file: it is read and decoded as a whole."""
+    from ..inspect import dump, trace
 
     data = read_bounded(arguments)
     if arguments.trace:
@@ -56,16 +83,10 @@ def _inspect(arguments: argparse.Namespace) -> int:
         return _show_anchor(parse_file(arguments, data).scene, arguments.anchor)
     error: BitstreamError | None = None
     try:
-        verdict: Parsed | BitstreamError = parse_file(arguments, data)
+        parse_file(arguments, data)
     except BitstreamError as found:
-        verdict = error = found
-    if arguments.hex or arguments.near is not None:
-        lines = dump.hex_lines(data, _spots(data, error) if error else [], arguments.near)
-    elif arguments.json:
-        lines = summary.json_lines(summary.document(data, verdict))
-    else:
-        lines = summary.summary(summary.document(data, verdict), printable(arguments.file))
-    for line in lines:
+        error = found
+    for line in dump.hex_lines(data, _spots(data, error) if error else [], arguments.near):
         print(line)
     if arguments.near is not None:
         print(*dump.about_lines(data, arguments.near), sep="\n")
@@ -102,15 +123,19 @@ def add(commands: Any) -> None:
         "show what a file is made of",
         [
             "inspect scene.c3gs",
+            "inspect scene.c3gs --decode",
             "inspect scene.c3gs --hex | less",
             "inspect scene.c3gs --near 1106",
             "inspect scene.c3gs --trace | head -100",
             "inspect scene.c3gs --anchor 7",
         ],
-        "Damaged files are shown as far as they parse, and then rejected as by validate.",
+        "Without options nothing is decoded: the header, the tables of sections and the heads of chunks are read, and\n"
+        "only a fault of the header is told. Damaged files are shown as far as they parse. With --decode, --hex,\n"
+        "--near and --trace they are then rejected as by validate.",
     )
     inspect.add_argument("file", metavar="FILE")
     add_bounds(inspect)
+    inspect.add_argument("--decode", action="store_true", help="also decode the file, for its verdict and its digest")
     form = inspect.add_mutually_exclusive_group()
     form.add_argument(
         "--hex", action="store_true", help="every byte with its syntax element, and each payload folded to a line"

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import importlib
 import os
 import sys
 from typing import NoReturn
@@ -10,9 +11,18 @@ from typing import NoReturn
 from .. import __version__, statuses
 from ..bitstream.errors import BitstreamError
 from ..files.terminal import note, open_streams, silence_stdout
-from ..native.library import describe
-from . import coding, drawing, experiments, learning, looking
 from .shared import EXITS, UsageError, reject
+
+# The modules of this room that add commands, with these. A command imports its own module alone.
+GROUPS = {
+    "coding": ("encode", "decode", "digest", "reconstruct", "validate"),
+    "looking": ("explain", "inspect"),
+    "drawing": ("gaussians", "render", "eval"),
+    "learning": ("train", "fit"),
+    "experiments": ("demo", "rd", "experiment"),
+}
+# Of these groups, no command gains from threads of NumPy's BLAS. To start them costs more than a small file.
+_ONE_THREAD = ("coding", "looking")
 
 
 class _Parser(argparse.ArgumentParser):
@@ -24,18 +34,35 @@ class _Parser(argparse.ArgumentParser):
         self.exit(statuses.USAGE)
 
 
-def _parser() -> argparse.ArgumentParser:
+class _Version(argparse.Action):
+    """Says the version, and the path of the native kernel, which is asked for here alone."""
+
+    def __call__(self, parser: argparse.ArgumentParser, *_: object) -> NoReturn:
+        from ..native.library import describe  # noqa: PLC0415
+
+        print(f"refcodec {__version__}, {describe()}")
+        parser.exit()
+
+
+def _parser(groups: list[str]) -> argparse.ArgumentParser:
+    """Returns the parser with the commands of some groups."""
     parser = _Parser(
         prog="refcodec",
         description="Reference encoder and decoder of C3GS, a bitstream for learned 3D Gaussian scenes.",
         epilog=f"examples:\n  refcodec validate scene.c3gs\n  refcodec decode scene.c3gs -o scene\n\n{EXITS}",
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
-    parser.add_argument("--version", action="version", version=f"refcodec {__version__}, {describe()}")
+    parser.add_argument("--version", action=_Version, nargs=0, help="show version and path, and exit")
     commands = parser.add_subparsers(metavar="COMMAND", required=True)
-    for group in (coding, looking, drawing, learning, experiments):
-        group.add(commands)
+    for group in groups:
+        importlib.import_module(f".{group}", __package__).add(commands)
     return parser
+
+
+def _groups(argv: list[str]) -> list[str]:
+    """Returns the group of the command that the arguments ask for, or all groups if they ask for none."""
+    command = next((word for word in argv if not word.startswith("-")), None)
+    return [group for group, names in GROUPS.items() if command in names] or list(GROUPS)
 
 
 def main(argv: list[str] | None = None) -> int:
@@ -63,7 +90,11 @@ def _run(argv: list[str] | None) -> int:
     """Runs one command and returns its exit status. What it raises is no verdict."""
     arguments = None
     try:
-        arguments = _parser().parse_args(argv)
+        argv = sys.argv[1:] if argv is None else argv
+        groups = _groups(argv)
+        if "numpy" not in sys.modules and set(groups) <= set(_ONE_THREAD):
+            os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+        arguments = _parser(groups).parse_args(argv)
         return int(arguments.run(arguments))
     except SystemExit as end:
         # argparse ends this way after --help, --version and wrong usage.

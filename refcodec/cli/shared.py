@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING, Any, BinaryIO
 
 from ..bitstream.errors import BitstreamError
 from ..files.outputs import HELP, Kind, check_apart, check_file
+from ..files.remote import RemoteFile, is_url
 from ..files.terminal import ProgressStream, note
 from ..files.text import shell_word
 from ..statuses import UsageError
@@ -23,7 +24,9 @@ from ..statuses import UsageError
 if TYPE_CHECKING:
     from ..bitstream.batches import Progress
     from ..bitstream.codec import Parsed
+    from ..bitstream.reader import Reader
     from ..bitstream.scene import Scene
+    from ..bitstream.source import Source
     from ..folder.uncompressed import Uncompressed
     from ..photographs.photographs import PhotographSet
 
@@ -50,23 +53,81 @@ def read_file(path: str, check: Callable[[int], None] | None = None) -> bytes:
     """Returns the bytes of a file.
 
     A file of 4 GiB or more, or an endless one, is read only to one byte past the end that its header states. So the
-    verdict on it is that on the whole file. check: told of that end before what lies behind the header is read. Raises
-    UsageError if the file cannot be read, and BitstreamError if the header of such a file is wrong.
+    verdict on it is that on the whole file. The same holds for a URL. check: told of that end before what lies behind
+    the header is read. Raises UsageError if the file cannot be read, and BitstreamError if the header of such a file is
+    wrong.
     """
-    from ..bitstream.header import read_header
+    if is_url(path):
+        from ..bitstream.header import read_header
 
+        with RemoteFile(path) as remote:
+            end = read_header(remote).sections[-1].end
+            if check:
+                check(end)
+            return remote.read(0, end + 1)
     try:
         with open(path, "rb") as file:
             status = os.fstat(file.fileno())
             if stat.S_ISREG(status.st_mode) and status.st_size <= _WHOLE_FILE_MAX:
                 return file.read()
-            beginning = _Beginning(file)
-            end = read_header(beginning).sections[-1].end
-            if check:
-                check(end)
-            return beginning.held + file.read(end + 1 - len(beginning.held))
+            return _stated(file, check)
     except OSError as error:
-        raise UsageError(f"cannot read {path}: {error.strerror or error}") from None
+        raise _unreadable(path, error) from None
+
+
+def _stated(file: BinaryIO, check: Callable[[int], None] | None = None) -> bytes:
+    """Returns the bytes of a file up to one past the end that its header states. check: as for read_file."""
+    from ..bitstream.header import read_header
+
+    beginning = _Beginning(file)
+    end = read_header(beginning).sections[-1].end
+    if check:
+        check(end)
+    return beginning.held + file.read(end + 1 - len(beginning.held))
+
+
+@contextlib.contextmanager
+def open_source(path: str) -> Iterator[Source]:
+    """Yields the bytes of a file, which are read as they are asked for, from any place.
+
+    The path may be a URL. What is no regular file, such as a pipe, is read as read_file. Raises UsageError if the file
+    cannot be read, also within the block, and BitstreamError as read_file.
+    """
+    from ..bitstream.source import StoredFile, WholeFile
+
+    with contextlib.ExitStack() as opened:
+        if is_url(path):
+            yield opened.enter_context(RemoteFile(path))
+            return
+        try:
+            file = opened.enter_context(open(path, "rb"))
+            regular = stat.S_ISREG(os.fstat(file.fileno()).st_mode)
+            source: Source = StoredFile(file) if regular else WholeFile(_stated(file))
+        except OSError as error:
+            raise _unreadable(path, error) from None
+        yield _Checked(source, path)
+
+
+class _Checked:
+    """A source whose errors say that the file cannot be read. Those of outputs are told apart from them."""
+
+    def __init__(self, source: Source, path: str) -> None:
+        self._source, self._path = source, path
+
+    def read(self, start: int, size: int) -> bytes:
+        """As Source.read."""
+        try:
+            return self._source.read(start, size)
+        except OSError as error:
+            raise _unreadable(self._path, error) from None
+
+    def length(self) -> int:
+        """As Source.length."""
+        return self._source.length()
+
+
+def _unreadable(path: str, error: OSError) -> UsageError:
+    return UsageError(f"cannot read {path}: {error.strerror or error}")
 
 
 class _Beginning:
@@ -208,6 +269,24 @@ def parse_file(arguments: argparse.Namespace, data: bytes, keep_going: bool = Fa
 
     with progress_bar(arguments.progress) as progress:
         return parse(data, keep_going=keep_going, progress=progress)
+
+
+def decoded(arguments: argparse.Namespace, source: Source, told: Callable[[Scene], None] | None = None) -> Reader:
+    """Decodes and checks a whole file in bounded memory, and shows progress. Returns its reader.
+
+    told: gets the anchors in order, each time some of them as a scene. Raises BitstreamError.
+    """
+    from ..bitstream.reader import Reader
+    from ..bitstream.streaming import pieces
+
+    reader = Reader(source)
+    with progress_bar(arguments.progress) as progress:
+        reader.open(progress=progress)
+        for piece in pieces(reader, progress=progress):
+            if told:
+                told(piece)
+    reader.close()
+    return reader
 
 
 def needs(command: str, extra: str, error: ModuleNotFoundError, packages: tuple[str, ...]) -> UsageError:

@@ -30,6 +30,12 @@ class _Descriptor(io.RawIOBase):
     def writable(self) -> bool:
         return True
 
+    def seekable(self) -> bool:
+        return True
+
+    def seek(self, offset: int, whence: int = 0, /) -> int:
+        return os.lseek(self._descriptor, offset, whence)
+
     def write(self, data: object) -> int:
         return os.write(self._descriptor, data)  # type: ignore[arg-type]
 

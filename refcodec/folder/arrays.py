@@ -1,12 +1,17 @@
-"""Arrays of a safetensors file, read within bounds."""
+"""Arrays of a safetensors file: read within bounds, and written some rows at a time."""
 
 # safetensors is imported where it is used. A decode that fails should not wait for it.
 # ruff: noqa: PLC0415
 
 from __future__ import annotations
 
+import json
+import math
+from collections.abc import Mapping
 from pathlib import Path
+from typing import Any, BinaryIO
 
+import numpy as np
 from numpy.typing import NDArray
 
 from .layout import SceneFolderError
@@ -34,3 +39,43 @@ def read_arrays(file: Path, advice: str) -> dict[str, NDArray]:
     # The safetensors package raises KeyError or TypeError for a dtype that NumPy does not have.
     except (SafetensorError, ValueError, KeyError, TypeError, OSError) as error:
         raise SceneFolderError(file, f"it cannot be read ({error})", advice) from None
+
+
+# The names of dtypes in the header of a file.
+_DTYPES = {"uint8": "U8", "uint16": "U16", "int32": "I32"}
+
+
+class RowsFile:
+    """A safetensors file whose arrays get their rows one block after the other.
+
+    The package writes only arrays that are in memory as a whole. The file is the one that it writes of the same arrays.
+    """
+
+    def __init__(self, file: BinaryIO, arrays: Mapping[str, tuple[Any, tuple[int, ...]]], rows: int) -> None:
+        """Writes the header.
+
+        file: a new one, which can be written to at any place.
+        arrays: the dtype and the shape of a row of each array, by name.
+        rows: how many each array will have.
+        """
+        # The package puts the arrays with the largest items first.
+        order = sorted(arrays, key=lambda name: (-np.dtype(arrays[name][0]).itemsize, name))
+        header: dict[str, Any] = {}
+        starts, at = {}, 0
+        for name in order:
+            dtype, row = np.dtype(arrays[name][0]), arrays[name][1]
+            starts[name], at = at, at + rows * math.prod(row) * dtype.itemsize
+            header[name] = {"dtype": _DTYPES[dtype.name], "shape": [rows, *row], "data_offsets": [starts[name], at]}
+        text = json.dumps(header, separators=(",", ":")).encode()
+        text += b" " * (-len(text) % 8)
+        file.write(len(text).to_bytes(8, "little") + text)
+        self._file = file
+        self._places = {name: 8 + len(text) + start for name, start in starts.items()}
+
+    def add(self, blocks: Mapping[str, NDArray]) -> None:
+        """Writes the next rows of every array. Raises OSError."""
+        for name, block in blocks.items():
+            data = block.astype(block.dtype.newbyteorder("<"), copy=False).tobytes()
+            self._file.seek(self._places[name])
+            self._file.write(data)
+            self._places[name] += len(data)

@@ -8,7 +8,7 @@ from __future__ import annotations
 import re
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, BinaryIO
 
 import numpy as np
 from numpy.typing import NDArray
@@ -51,24 +51,38 @@ def ply_values(r: Reconstruction, masks: NDArray[np.bool_]) -> dict[str, NDArray
     }
 
 
+class CloudFile:
+    """A Scaffold-GS point cloud, in binary little-endian float32, that gets its anchors one block after the other."""
+
+    def __init__(self, file: BinaryIO, count: int, offset_count: int, features: int) -> None:
+        """Writes the header. count: N, how many anchors there will be. features: F. Raises OSError."""
+        from plyfile import PlyData, PlyElement
+
+        row = np.zeros(1, [(name, "<f4") for name in ply_properties(offset_count, features)])
+        # The header is that of N anchors, of which this array takes the memory of one.
+        anchors = PlyElement.describe(np.broadcast_to(row, count), "vertex")
+        file.write(PlyData([anchors], byte_order="<").header.encode("ascii") + b"\n")
+        self._file = file
+
+    def add(self, r: Reconstruction, masks: NDArray[np.bool_]) -> None:
+        """Writes the next anchors. masks: bool [n, K]. Raises OSError."""
+        n, values = len(masks), ply_values(r, masks)
+        rotation = np.broadcast_to(np.array([1, 0, 0, 0], np.float32), (n, 4))
+        zeros = np.zeros((n, 3), np.float32)
+        columns = [
+            *(values["xyz"], zeros, values["f_offset_"], values["f_mask_"], values["f_anchor_feat_"]),
+            *(zeros[:, :1], values["scale_"], rotation),
+        ]
+        self._file.write(np.concatenate(columns, axis=1).astype("<f4", copy=False).tobytes())
+
+
 def write_cloud(r: Reconstruction, masks: NDArray[np.bool_], path: str | Path) -> None:
-    """Writes anchors as a Scaffold-GS point cloud, in binary little-endian float32, to a new file.
+    """Writes anchors as a Scaffold-GS point cloud to a new file.
 
     masks: bool [N, K]. Raises OSError, also if something is there.
     """
-    from plyfile import PlyData, PlyElement
-
-    n, values = len(masks), ply_values(r, masks)
-    names = ply_properties(masks.shape[1], r.features.shape[1])
-    rotation = np.broadcast_to(np.array([1, 0, 0, 0], np.float32), (n, 4))
-    zeros = np.zeros((n, 3), np.float32)
-    columns = [
-        *(values["xyz"], zeros, values["f_offset_"], values["f_mask_"], values["f_anchor_feat_"]),
-        *(zeros[:, :1], values["scale_"], rotation),
-    ]
-    table = np.concatenate(columns, axis=1).astype("<f4").view([(name, "<f4") for name in names]).reshape(n)
     with new_file(Path(path)) as file:
-        PlyData([PlyElement.describe(table, "vertex")], byte_order="<").write(file)
+        CloudFile(file, len(masks), masks.shape[1], r.features.shape[1]).add(r, masks)
 
 
 class Columns:

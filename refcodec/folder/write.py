@@ -1,4 +1,4 @@
-"""Writes a scene folder."""
+"""Writes a scene folder, of a scene or of a file that is decoded some chunks at a time."""
 
 # safetensors is imported where it is used. A decode that fails should not wait for it.
 # ruff: noqa: PLC0415
@@ -7,7 +7,8 @@ from __future__ import annotations
 
 import json
 import re
-from dataclasses import fields
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from dataclasses import dataclass, fields, replace
 from pathlib import Path
 from typing import Any
 
@@ -15,32 +16,160 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..bitstream.attributes import KINDS
+from ..bitstream.batches import Progress, no_progress
 from ..bitstream.errors import BitstreamError
 from ..bitstream.header import MAJOR
 from ..bitstream.limits import PROFILES
 from ..bitstream.positions import PositionModel
-from ..bitstream.reconstruction import digest, reconstruct
-from ..bitstream.scene import Scene
+from ..bitstream.reader import Reader
+from ..bitstream.reconstruction import StreamDigest, chunk_digest, reconstruct
+from ..bitstream.scene import Scene, take_anchors
+from ..bitstream.streaming import pieces
 from ..files.stage import new_file
+from .arrays import RowsFile
 from .layout import CODED_FILE, FORMAT, NETWORKS_FILE, PLANES_FILE, PLY_FILE, SCENE_FILE, ancillary_name
-from .ply import write_cloud
+from .ply import CloudFile
 from .replace import replace_scene
 
+# How many anchors are reconstructed and written at once.
+_ROWS = 8192
 
-def write_folder(scene: Scene, path: str | Path, damage: dict[int, BitstreamError] | None = None) -> None:
-    """Writes a scene folder. damage: the damage of a Parsed, which is noted in scene.json.
+
+@dataclass(frozen=True, eq=False)
+class Written:
+    """What of a file is in a folder.
+
+    anchors: how many are written.
+    damage: the first error of each chunk that was dropped, by number. lost: how many anchors each of them has.
+    error: the first error of the file, or None if there is none in what was read.
+    digests: those of the chunks, if certain chunks were wanted.
+    """
+
+    anchors: int
+    damage: dict[int, BitstreamError]
+    lost: dict[int, int]
+    error: BitstreamError | None
+    digests: list[str]
+
+
+def write_folder(scene: Scene, path: str | Path) -> None:
+    """Writes a scene folder.
 
     The folder has the whole scene then, or is as it was (replace_scene). Raises SceneFolderError if `path` is a file,
     or a directory with something else in it.
     """
-    replace_scene(Path(path), lambda folder: _write_files(scene, folder, damage or {}))
+
+    def write(folder: Path) -> None:
+        _write_files(folder, scene.anchor_count, scene, _blocks(scene), lambda: scene)
+
+    replace_scene(Path(path), write)
 
 
-def _write_files(scene: Scene, path: Path, damage: dict[int, BitstreamError]) -> None:
+def decode_folder(
+    reader: Reader,
+    path: str | Path,
+    numbers: range | None = None,
+    *,
+    keep_going: bool = False,
+    progress: Progress = no_progress,
+) -> Written:
+    """Decodes a file into a scene folder, in memory that does not grow with the number of anchors.
+
+    Args:
+        reader: it was opened.
+        path: of the folder. It has the whole scene then, or is as it was (replace_scene).
+        numbers: those of the wanted chunks, rising. None stands for the whole file, of which everything is checked.
+        keep_going: a chunk with an error is dropped and noted in scene.json, and what is wrong behind the chunks is
+            told. The good chunks of a damaged file are read twice, because the files begin with the number of anchors.
+        progress: told of the work.
+
+    Raises:
+        BitstreamError: the first error of the file, without keep_going.
+        SceneFolderError: as for write_folder.
+    """
+    assert reader.opened is not None
+    index = reader.opened.index
+    wanted: Sequence[int] = range(len(index)) if numbers is None else numbers
+    damage: dict[int, BitstreamError] = {}
+    behind: list[BitstreamError] = []
+    digests: list[str] = []
+
+    def close() -> None:
+        try:
+            reader.close()
+        except BitstreamError as error:
+            if not keep_going:
+                raise
+            behind.append(error)
+
+    def write_chunks(folder: Path, chosen: Sequence[int], noted: dict[int, BitstreamError] | None, again: bool) -> None:
+        sizes: list[int] = []
+        forms: list[int] = []
+
+        def found() -> Iterator[Scene]:
+            for piece in pieces(reader, chosen, damage=noted, progress=progress):
+                sizes.extend(piece.chunk_anchors or ())
+                forms.extend(piece.position_forms or ())
+                if numbers is None:
+                    yield from _blocks(piece)
+                else:
+                    yield from (take_anchors(piece, slice(chunk.start, chunk.stop)) for chunk in piece.chunks)
+
+        def whole() -> Scene:
+            if numbers is None and not again:
+                close()
+            return replace(reader.scene([]), chunk_anchors=tuple(sizes), position_forms=tuple(forms))
+
+        count = sum(len(index[number].anchors) for number in chosen)
+        digests[:] = _write_files(folder, count, reader.scene([]), found(), whole, damage, numbers)
+
+    def write(folder: Path) -> None:
+        write_chunks(folder, wanted, damage if keep_going else None, False)
+        if damage:
+            for file in folder.iterdir():
+                file.unlink()
+            write_chunks(folder, [number for number in wanted if number not in damage], None, True)
+
+    replace_scene(Path(path), write)
+    lost = {number: len(index[number].anchors) for number in damage}
+    anchors = sum(len(index[number].anchors) for number in wanted) - sum(lost.values())
+    return Written(anchors, damage, lost, next(iter([*damage.values(), *behind]), None), digests)
+
+
+def _write_files(
+    path: Path,
+    count: int,
+    head: Scene,
+    blocks: Iterable[Scene],
+    whole: Callable[[], Scene],
+    damage: dict[int, BitstreamError] | None = None,
+    numbers: range | None = None,
+) -> list[str]:
+    """Writes the files of a scene folder. Returns the digests of the blocks if there are numbers of chunks.
+
+    Args:
+        path: of the folder.
+        count: N, how many anchors there are.
+        head: has the dimensions.
+        blocks: the anchors in order, each time some of them as a scene.
+        whole: called when all anchors are written. It returns the scene, of which no anchor is read.
+        damage, numbers: as for decode_folder. They are noted in scene.json.
+    """
     from safetensors.numpy import save
 
-    a = scene.attributes
-    write_cloud(reconstruct(scene), scene.masks, path / PLY_FILE)
+    d, digest = head.dimensions, StreamDigest()
+    chunks: list[str] = []
+    with new_file(path / PLY_FILE) as ply, new_file(path / CODED_FILE) as arrays:
+        cloud = CloudFile(ply, count, d.offset_count, d.features)
+        coded = RowsFile(arrays, {name: (a.dtype, a.shape[1:]) for name, a in _coded(head).items()}, count)
+        for block in blocks:
+            values = reconstruct(block)
+            digest.add(block, values)
+            cloud.add(values, block.masks)
+            coded.add(_coded(block))
+            if numbers is not None:
+                chunks.append(chunk_digest(block, values))
+    scene = whole()
     networks = {
         f"{name}.{index}.{part}": np.ascontiguousarray(value)
         for name, layers in scene.networks.items()
@@ -49,16 +178,34 @@ def _write_files(scene: Scene, path: Path, damage: dict[int, BitstreamError]) ->
     }
     _put(path / NETWORKS_FILE, save(networks))
     _put(path / PLANES_FILE, save({"planes": np.ascontiguousarray(scene.planes)}))
-    coded: dict[str, NDArray] = {
+    for number, section in enumerate(scene.ancillary):
+        _put(path / ancillary_name(number, section.type), section.content)
+    document = _scene_document(scene, count, digest.finish_parts(scene))
+    if numbers is not None:
+        document["chunks"] = [numbers.start, numbers.stop]
+    if damage:
+        document["dropped_chunks"] = [
+            {"chunk": number, **json.loads(error.to_json())} for number, error in sorted(damage.items())
+        ]
+    _put(path / SCENE_FILE, _json_text(document).encode())
+    return chunks
+
+
+def _blocks(scene: Scene) -> Iterator[Scene]:
+    """Yields the anchors of a scene in order, each time some of them."""
+    for first in range(0, scene.anchor_count, _ROWS):
+        yield take_anchors(scene, slice(first, first + _ROWS))
+
+
+def _coded(scene: Scene) -> dict[str, NDArray]:
+    """Returns the arrays of coded.safetensors."""
+    a = scene.attributes
+    return {
         "positions": scene.positions.view(np.uint16),
         "masks": scene.masks.astype(np.uint8),
         "steps": a.steps,
+        **{kind: getattr(a, kind) for kind in KINDS},
     }
-    coded |= {kind: getattr(a, kind) for kind in KINDS}
-    _put(path / CODED_FILE, save({name: np.ascontiguousarray(value) for name, value in coded.items()}))
-    for number, section in enumerate(scene.ancillary):
-        _put(path / ancillary_name(number, section.type), section.content)
-    _put(path / SCENE_FILE, _json_text(_scene_document(scene, damage)).encode())
 
 
 def _put(path: Path, content: bytes) -> None:
@@ -76,13 +223,13 @@ def _short(value: Any) -> Any:
     return float(str(np.float32(value))) if isinstance(value, float) else value
 
 
-def _scene_document(scene: Scene, damage: dict[int, BitstreamError]) -> dict[str, Any]:
-    whole, parts = digest(scene)
-    document = {
+def _scene_document(scene: Scene, count: int, digest: tuple[str, dict[str, str]]) -> dict[str, Any]:
+    """Returns the values of scene.json. count: N. digest: of the whole and of its parts."""
+    return {
         "format": FORMAT,
         "version": MAJOR,
         "profile": PROFILES[scene.profile].name,
-        "anchor_count": scene.anchor_count,
+        "anchor_count": count,
         "dimensions": vars(scene.dimensions),
         "chunk_size": scene.chunk_size,
         "lanes": vars(scene.lanes),
@@ -100,13 +247,8 @@ def _scene_document(scene: Scene, damage: dict[int, BitstreamError]) -> dict[str
             {"type": a.type.decode("ascii"), "mode": a.mode, "after": a.after, "file": ancillary_name(number, a.type)}
             for number, a in enumerate(scene.ancillary)
         ],
-        "digest": {"whole": whole, **parts},
+        "digest": {"whole": digest[0], **digest[1]},
     }
-    if damage:
-        document["dropped_chunks"] = [
-            {"chunk": number, **json.loads(error.to_json())} for number, error in sorted(damage.items())
-        ]
-    return document
 
 
 def _position_document(model: PositionModel | None) -> dict[str, Any]:

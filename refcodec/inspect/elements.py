@@ -25,8 +25,10 @@ from ..bitstream.index import ENTRY, ENTRY_BYTES, entries_start
 from ..bitstream.metadata import METADATA
 from ..bitstream.planes import PLANE_NAMES
 from ..bitstream.positions import PACKED
-from ..bitstream.source import pad4
+from ..bitstream.source import FileBytes, pad4
 
+# A file: its bytes, or what reads of them what is asked for.
+Bytes = bytes | FileBytes
 # No struct of SYNTAX is longer than the largest header.
 _STRUCT_BYTES_MAX = 1 << 16
 
@@ -68,12 +70,14 @@ class Outline:
     header_end: where the header ends, or where the file does.
     dimensions: None if they cannot be read.
     sections: in file order.
+    stated_end: where the last section ends by the directory, or the header's end without one.
     """
 
     header: Any
     header_end: int
     dimensions: Dimensions | None
     sections: list[Place]
+    stated_end: int
 
     def place(self, kind: bytes) -> Place | None:
         """Returns the first section of a type, or None."""
@@ -91,26 +95,26 @@ class Outline:
         return entries_start(self.header.dimensions.offset_count, self.index_mode)
 
 
-def parse_elements(name: str, data: bytes, start: int, end: int, path: str) -> tuple[list[Row], Any]:
+def parse_elements(name: str, data: Bytes, start: int, end: int, path: str) -> tuple[list[Row], Any]:
     """Returns the elements of one struct in data[start:end], as far as the bytes go, and the struct if it is whole."""
     stream = io.BytesIO(data[start : min(end, start + _STRUCT_BYTES_MAX)])
     found: list[syntax.Element] = []
     try:
-        value = syntax.SCHEMAS[name].parse_stream(stream, at=[path], elements=found)
+        value = syntax.schema(name).parse_stream(stream, at=[path], elements=found)
     except cs.ConstructError:
         value = None
     return [Row(start + e.start, start + e.end, e.path, e.kind, e.value) for e in found], value
 
 
-def outline_of(data: bytes) -> Outline:
+def outline_of(data: Bytes) -> Outline:
     """Returns the outline of a file. Without a whole header of this major version it has no sections."""
     _, prologue = parse_elements("Prologue", data, 0, PROLOGUE_BYTES, "prologue")
     if prologue is None or prologue.major != MAJOR:
-        return Outline(None, min(len(data), PROLOGUE_BYTES), None, [])
+        return Outline(None, min(len(data), PROLOGUE_BYTES), None, [], PROLOGUE_BYTES)
     end = min(len(data), PROLOGUE_BYTES + prologue.header_length)
     _, header = parse_elements("Header", data, PROLOGUE_BYTES, end, "header")
     if header is None:
-        return Outline(None, end, None, [])
+        return Outline(None, end, None, [], end)
     sections, at = [], end
     for number, entry in enumerate(header.directory):
         name = section_name(entry.type, number)
@@ -118,10 +122,10 @@ def outline_of(data: bytes) -> Outline:
         sections.append(Place(entry.type, entry.mode, name, *(min(len(data), place) for place in (at, last, stop))))
         at = stop
     dimensions = dimensions_of(header.dimensions) if header.dimensions.slice_width else None
-    return Outline(header, end, dimensions, sections)
+    return Outline(header, end, dimensions, sections, at)
 
 
-def rows(data: bytes) -> Iterator[Row]:
+def rows(data: Bytes) -> Iterator[Row]:
     """Yields the elements of a file in file order. They cover every byte, whatever the bytes are."""
     outline = outline_of(data)
     at = 0
@@ -132,7 +136,7 @@ def rows(data: bytes) -> Iterator[Row]:
         yield Row(at, len(data), "bytes that no element uses", "bytes")
 
 
-def rows_of(data: bytes, outline: Outline) -> Iterator[Row]:
+def rows_of(data: Bytes, outline: Outline) -> Iterator[Row]:
     """Yields the elements of the prologue, the header and the sections of an outline."""
     yield from parse_elements("Prologue", data, 0, PROLOGUE_BYTES, "prologue")[0]
     if outline.header_end > PROLOGUE_BYTES:
@@ -157,7 +161,7 @@ def _payload(start: int, stop: int, end: int, path: str, kind: str) -> Iterator[
         yield Row(start, stop, path, kind)
 
 
-def section_rows(data: bytes, outline: Outline, place: Place) -> Iterator[Row]:
+def section_rows(data: Bytes, outline: Outline, place: Place) -> Iterator[Row]:
     """Yields the elements of a section, without the padding behind it."""
     h, start, end = outline.header, place.start, place.end
     if place.type == FRAME:
@@ -193,7 +197,7 @@ def section_rows(data: bytes, outline: Outline, place: Place) -> Iterator[Row]:
         yield from _payload(start, end, end, place.name, "bytes")
 
 
-def _list_rows(data: bytes, place: Place) -> Iterator[Row]:
+def _list_rows(data: Bytes, place: Place) -> Iterator[Row]:
     """Yields the elements of a section of metadata or cameras."""
     head, item, name = ("Metadata", "Entry", "entry") if place.type == METADATA else ("Cameras", "Camera", "camera")
     found, fields = parse_elements(head, data, place.start, place.end, place.name)
@@ -207,7 +211,7 @@ def _list_rows(data: bytes, place: Place) -> Iterator[Row]:
         at = found[-1].end
 
 
-def _weight_rows(data: bytes, outline: Outline, place: Place) -> Iterator[Row]:
+def _weight_rows(data: Bytes, outline: Outline, place: Place) -> Iterator[Row]:
     found, scales = parse_elements("WeightScales", data, place.start, place.end, "weights")
     yield from found
     if scales is None or outline.dimensions is None:
@@ -227,7 +231,7 @@ def _weight_rows(data: bytes, outline: Outline, place: Place) -> Iterator[Row]:
         yield from _substream_rows(data, at, end, 1 << outline.header.attribute_lanes_log2, "weights")
 
 
-def _substream_rows(data: bytes, start: int, end: int, lanes: int, path: str) -> Iterator[Row]:
+def _substream_rows(data: Bytes, start: int, end: int, lanes: int, path: str) -> Iterator[Row]:
     """Yields the elements of a substream (SPEC 5.15). What is cut off is left out."""
     found, head = parse_elements("Substream", data, start, end, path)
     yield from found
@@ -243,20 +247,17 @@ def _substream_rows(data: bytes, start: int, end: int, lanes: int, path: str) ->
     yield from _payload(raw_at, end, end, f"{path}.raw", f"u8[{end - raw_at}]")
 
 
-def read_index(data: bytes, outline: Outline) -> NDArray[np.void]:
-    """Returns the entries of the index that are there, with the fields of SPEC 5.13.
-
-    The array is a view of the file: a file may claim many chunks.
-    """
+def read_index(data: Bytes, outline: Outline) -> NDArray[np.void]:
+    """Returns the entries of the index that are there, with the fields of SPEC 5.13."""
     place = outline.place(INDEX)
     if place is None:
         return np.zeros(0, ENTRY)
     at = place.start + outline.entries_start
     count = max(0, (place.end - at) // ENTRY_BYTES)
-    return np.frombuffer(data, ENTRY, count, min(at, place.end))
+    return np.frombuffer(data[at : at + count * ENTRY_BYTES], ENTRY)
 
 
-def _chunk_rows(data: bytes, outline: Outline, place: Place) -> Iterator[Row]:
+def _chunk_rows(data: Bytes, outline: Outline, place: Place) -> Iterator[Row]:
     h, at = outline.header, place.start
     for number, entry in enumerate(read_index(data, outline)):
         if at == place.end:

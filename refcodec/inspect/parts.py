@@ -3,23 +3,27 @@
 from __future__ import annotations
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ..bitstream.chunks import PARTS
 from ..bitstream.directory import DATA, is_critical
 from ..bitstream.header import PROLOGUE_BYTES
 from ..bitstream.index import CHUNK_HEAD_BYTES
-from .elements import Outline, read_index
+from .elements import Bytes, Outline, read_index
 
-# Chunks whose heads are read at once.
-_BLOCK = 65536
+# Chunks whose heads are looked at at once, and the most bytes in which they lie that are read at once.
+_BLOCK = 4096
+_SPAN_BYTES = 1 << 24
 
 
-def part_bytes(data: bytes, outline: Outline) -> dict[str, int]:
+def part_bytes(data: Bytes, outline: Outline, heads: bool = True) -> dict[str, int]:
     """Returns the bytes of each part of a file. Their sum is the length of the file, whatever the bytes are.
 
     The parts are prologue, header, the critical sections but DATA by their names, the parts of all chunks (positions,
     masks and attributes), heads (of the chunks, with the padding of their parts), ancillary (all such sections), and
     rest (bytes behind the last section). A section has its padding.
+
+    heads: whether the heads of the chunks are read. Otherwise data stands for the parts of all chunks and the heads.
     """
     prologue = min(len(data), PROLOGUE_BYTES)
     found = {"prologue": prologue, "header": outline.header_end - prologue}
@@ -28,7 +32,7 @@ def part_bytes(data: bytes, outline: Outline) -> dict[str, int]:
         size = place.stop - place.start
         if not is_critical(place.type):
             ancillary += size
-        elif place.type == DATA and "heads" not in found:
+        elif heads and place.type == DATA and "heads" not in found:
             parts = _chunk_bytes(data, outline, place.start, place.end)
             found |= {**parts, "heads": size - sum(parts.values())}
         else:
@@ -37,12 +41,11 @@ def part_bytes(data: bytes, outline: Outline) -> dict[str, int]:
     return {**found, "ancillary": ancillary, "rest": len(data) - end}
 
 
-def _chunk_bytes(data: bytes, outline: Outline, start: int, end: int) -> dict[str, int]:
+def _chunk_bytes(data: Bytes, outline: Outline, start: int, end: int) -> dict[str, int]:
     """SPEC 5.14: returns the bytes of positions, masks and attributes of all chunks in data[start:end].
 
     They are those that the heads state, as far as the file has them.
     """
-    every = np.frombuffer(data, np.uint8)
     index, at = read_index(data, outline), start
     total = np.zeros(len(PARTS), np.int64)
     for first in range(0, len(index), _BLOCK):
@@ -52,10 +55,21 @@ def _chunk_bytes(data: bytes, outline: Outline, start: int, end: int) -> dict[st
         stops = np.minimum(starts + lengths, end)
         whole = starts + CHUNK_HEAD_BYTES <= stops
         starts, stops = starts[whole], stops[whole]
-        heads = every[starts[:, None] + np.arange(4 * len(PARTS))].copy().view("<u4").astype(np.int64)
+        heads = _heads(data, starts)
         used = starts + CHUNK_HEAD_BYTES
         for i, length in enumerate(heads.T):
             size = np.minimum(length, stops - used)
             total[i] += size.sum()
             used = np.minimum(used + (length + 3 & -4), stops)
     return dict(zip(PARTS, total.tolist(), strict=True))
+
+
+def _heads(data: Bytes, starts: NDArray[np.int64]) -> NDArray[np.int64]:
+    """Returns the lengths that the heads of some chunks state, int64 [chunks, 3]. starts: of the chunks, rising."""
+    size = 4 * len(PARTS)
+    if len(starts) and starts[-1] + size - starts[0] <= _SPAN_BYTES:
+        span = np.frombuffer(data[int(starts[0]) : int(starts[-1]) + size], np.uint8)
+        found = span[(starts - starts[0])[:, None] + np.arange(size)].tobytes()
+    else:
+        found = b"".join(data[start : start + size] for start in starts.tolist())
+    return np.frombuffer(found, "<u4").reshape(-1, len(PARTS)).astype(np.int64)

@@ -11,27 +11,29 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ..bitstream.cameras import cameras
+from ..bitstream.cameras import CAMERAS, cameras
 from ..bitstream.chunks import PARTS as CHUNK_PARTS
-from ..bitstream.codec import Parsed
 from ..bitstream.dimensions import mask_contexts
-from ..bitstream.directory import DATA, FRAME, INDEX, PLANES_SECTION, WEIGHTS, is_critical
+from ..bitstream.directory import DATA, FRAME, INDEX, PLANES_SECTION, WEIGHTS
 from ..bitstream.errors import BitstreamError
 from ..bitstream.header import PROLOGUE_BYTES
 from ..bitstream.limits import PROFILES
-from ..bitstream.metadata import metadata
+from ..bitstream.metadata import METADATA, metadata
 from ..bitstream.planes import PLANE_NAMES
-from ..bitstream.reconstruction import digest
 from ..bitstream.scene import Ancillary
 from ..bitstream.source import pad4
 from ..files.text import printable
-from .elements import Outline, outline_of, parse_elements, read_index
+from .elements import Bytes, Outline, outline_of, parse_elements, read_index
 from .parts import part_bytes
 
 # SPEC 5.13: what is shown of the entries of the index, as the fields and in words.
 _SHOWN = {"length": "bytes", "anchor_count": "anchors", "kept_count": "kept offsets"}
 # Chunks that are made at once.
 _BLOCK = 4096
+# The most bytes of an ancillary section that are looked at.
+_ANCILLARY_BYTES = 1 << 24
+# SPEC 9.3: the digest of a scene, and that of each part by name.
+Verdict = tuple[str, dict[str, str]]
 # Columns of the bar of a section that is the whole file.
 _BAR = 20
 
@@ -49,7 +51,7 @@ def _plain(value: Any) -> Any:
     return value
 
 
-def _section_table(data: bytes, outline: Outline) -> list[dict[str, Any]]:
+def _section_table(data: Bytes, outline: Outline) -> list[dict[str, Any]]:
     """Returns the name, place, size with its padding, and share of the prologue, the header and each section."""
     h = outline.header
     spans: list[tuple[str, str | None, int | None, int, int]] = [
@@ -92,10 +94,14 @@ class ChunkSizes:
                 yield {**{name: int(row[name]) for name in _SHOWN}, **bounds}
 
 
-def document(data: bytes, verdict: Parsed | BitstreamError) -> dict[str, Any]:
+def document(data: Bytes, verdict: Verdict | BitstreamError | None, heads: bool = True) -> dict[str, Any]:
     """Returns the facts about a file as JSON values, and its chunks as ChunkSizes.
 
-    verdict: what codec.parse returned or raised.
+    Nothing is decoded. What is read are the header, the tables at the beginning of sections, and the ancillary sections
+    that are shown.
+
+    verdict: the digest of an accepted file, or its first error, or None if the file was not decoded. heads: whether the
+    heads of the chunks are read, which says how long their parts are.
     """
     outline = outline_of(data)
     h, d = outline.header, outline.dimensions
@@ -105,7 +111,7 @@ def document(data: bytes, verdict: Parsed | BitstreamError) -> dict[str, Any]:
         "header": _plain(h),
         "profile": PROFILES[h.profile].name if h and h.profile in PROFILES else None,
         "sections": _section_table(data, outline),
-        "parts": part_bytes(data, outline),
+        "parts": part_bytes(data, outline, heads),
     }
     for place in outline.sections:
         start, end = place.start, place.end
@@ -119,19 +125,26 @@ def document(data: bytes, verdict: Parsed | BitstreamError) -> dict[str, Any]:
             found["planes"] = dict(zip(PLANE_NAMES, table.length, strict=True)) if table else None
         elif place.type == INDEX:
             count = min(mask_contexts(h.dimensions.offset_count), (end - start) // 2)
-            found["mask_model"] = np.frombuffer(data, "<u2", count, start).tolist()
+            found["mask_model"] = np.frombuffer(data[start : start + 2 * count], "<u2").tolist()
             if place.mode:
                 model = parse_elements("PositionModel", data, min(start + pad4(2 * count), end), end, "")[1]
                 found["position_model"] = _plain(model)
             found["chunks"] = ChunkSizes(read_index(data, outline))
-    sections = [Ancillary(p.type, p.mode, data[p.start : p.end]) for p in outline.sections if not is_critical(p.type)]
+            found["kept_offsets"] = int(found["chunks"].table["kept_count"].sum(dtype=np.uint64))
+    sections = [
+        Ancillary(p.type, p.mode, data[p.start : min(p.end, p.start + _ANCILLARY_BYTES)])
+        for p in outline.sections
+        if p.type in (METADATA, CAMERAS)
+    ]
     found["metadata"] = metadata(sections)
     found["cameras"] = [_plain(vars(camera)) for camera in cameras(sections)]
+    found["accepted"] = None
     if isinstance(verdict, BitstreamError):
-        found["accepted"], found["error"] = False, {**json.loads(verdict.to_json()), "text": str(verdict)}
-    else:
-        whole, parts = digest(verdict.scene)
-        found |= {"accepted": True, "kept_offsets": int(verdict.scene.masks.sum()), "digest": {"whole": whole, **parts}}
+        found |= {"accepted": False, "error": {**json.loads(verdict.to_json()), "text": str(verdict)}}
+    elif verdict is not None:
+        found |= {"accepted": True, "digest": {"whole": verdict[0], **verdict[1]}}
+    elif outline.stated_end != len(data):
+        found["stated_bytes"] = outline.stated_end
     return found
 
 
@@ -179,8 +192,17 @@ def summary(facts: dict[str, Any], name: str) -> Iterator[str]:
     yield from _chunk_lines(facts)
     if facts["accepted"]:
         yield f"accepted; digest {facts['digest']['whole']}"
+    elif facts["accepted"] is None:
+        yield from _undecided_lines(facts)
     else:
         yield f"NOT ACCEPTED: {facts['error']['code']} {facts['error']['name']}: {facts['error']['text']}"
+
+
+def _undecided_lines(facts: dict[str, Any]) -> Iterator[str]:
+    """Yields what is said of a file that was not decoded."""
+    if "stated_bytes" in facts:
+        yield f"NOT WHOLE: the file has {facts['bytes']} bytes, its header states {facts['stated_bytes']}"
+    yield "not decoded; refcodec validate says whether the file is accepted, inspect --decode also gives the digest"
 
 
 def _header_lines(facts: dict[str, Any], h: dict[str, Any]) -> Iterator[str]:
@@ -192,7 +214,7 @@ def _header_lines(facts: dict[str, Any], h: dict[str, Any]) -> Iterator[str]:
     yield f"profile      {facts['profile'] or 'unknown'} ({h['profile']}), level {h['level']}"
     kept = (
         f", {facts['kept_offsets']} of {h['anchor_count'] * d['offset_count']} offsets kept"
-        if facts["accepted"]
+        if "kept_offsets" in facts
         else ""
     )
     yield f"anchors      {h['anchor_count']}, {d['offset_count']} offsets each{kept}"
@@ -219,7 +241,7 @@ def _header_lines(facts: dict[str, Any], h: dict[str, Any]) -> Iterator[str]:
 
 def _data_lines(facts: dict[str, Any], anchors: int) -> Iterator[str]:
     """Yields what the parts of all chunks take."""
-    for name in (*CHUNK_PARTS, "heads"):
+    for name in (*CHUNK_PARTS, "heads") if "heads" in facts["parts"] else ():
         size = facts["parts"][name]
         share = size / max(1, facts["bytes"])
         bits = f"{8 * size / anchors:.2f}" if anchors else "-"

@@ -19,7 +19,7 @@ from refcodec.bitstream.bounds import BoundPassedError, Bounds, memory_needed
 from refcodec.bitstream.errors import BitstreamError
 from refcodec.bitstream.reader import Reader, decode_chunk
 from refcodec.bitstream.source import Arriving, WholeFile
-from refcodec.cli.bounds import estimated_memory
+from refcodec.cli.bounds import PROGRAM, needed_memory
 from refcodec.cli.main import main
 
 VECTORS = Path(__file__).resolve().parents[2] / "vectors"
@@ -97,7 +97,7 @@ def test_bounds_that_are_none(value: str) -> None:
 @pytest.mark.slow
 def test_the_estimate_is_one_to_two_times_what_is_measured(tmp_path: Path) -> None:
     scene = codec.parse((VECTORS / "valid" / "trained-snowmiku.c3gs").read_bytes()).scene
-    rows, a, count = np.resize(np.arange(scene.anchor_count), 40_000), scene.attributes, 40_000
+    rows, a = np.resize(np.arange(scene.anchor_count), 40_000), scene.attributes
     many = replace(
         scene,
         positions=scene.positions[rows],
@@ -109,8 +109,8 @@ def test_the_estimate_is_one_to_two_times_what_is_measured(tmp_path: Path) -> No
     )
     file = tmp_path / "many.c3gs"
     file.write_bytes(codec.emit(many))
-    d = scene.dimensions
-    for command in (["validate"], ["digest"], ["decode", "-o", "OUT"], ["inspect"]):
+    header = codec.parse_container(file.read_bytes())
+    for command in (["validate"], ["digest"], ["decode", "-o", "OUT"], ["inspect", "--decode"]):
         run = subprocess.run(
             [sys.executable, "-c", MEASURED, *words(command, file, tmp_path / "out")],
             capture_output=True,
@@ -118,7 +118,7 @@ def test_the_estimate_is_one_to_two_times_what_is_measured(tmp_path: Path) -> No
             check=True,
         )
         status, measured = map(int, run.stderr.splitlines()[-1].split())
-        estimate = estimated_memory(command[0], file.stat().st_size, count, d.attribute_width + d.offset_count)
+        estimate = PROGRAM + needed_memory(header, 0)
         assert status == 0
         assert measured < estimate < 2 * measured, command
 

@@ -27,6 +27,7 @@ from refcodec.bitstream.directory import DATA
 from refcodec.bitstream.errors import BitstreamError
 from refcodec.bitstream.header import PROLOGUE_BYTES, RenderInfo
 from refcodec.bitstream.metadata import metadata
+from refcodec.bitstream.reader import Reader
 from refcodec.bitstream.reconstruction import Reconstruction, digest
 from refcodec.bitstream.scene import Ancillary
 from refcodec.cli.main import main
@@ -200,9 +201,9 @@ COMMANDS = {
     "validate": ["validate"],
     "digest": ["digest"],
     "decode": ["decode", "-o", "out"],
-    "inspect": ["inspect"],
+    "inspect": ["inspect", "--decode"],
     "hex": ["inspect", "--hex"],
-    "json": ["inspect", "--json"],
+    "json": ["inspect", "--json", "--decode"],
     "trace": ["inspect", "--trace"],
 }
 
@@ -266,8 +267,8 @@ def test_too_long_files_are_not_read(data, tmp_path, call):
     """Five GiB of nothing, and a scene followed by it: no more is read than the header states, and one byte."""
     status, _, err = call("validate", sparse(tmp_path / "zeros", b"", 5 << 30))
     assert (status, verdict(err)["name"]) == (1, "prologue.signature")
-    for command in ("validate", "inspect", "digest"):
-        status, _, err = call(command, sparse(tmp_path / "long", data, 5 << 30))
+    for command in (["validate"], ["inspect", "--decode"], ["digest"]):
+        status, _, err = call(*command, sparse(tmp_path / "long", data, 5 << 30))
         found = verdict(err)
         assert (status, found["name"], found["offset"]) == (1, "file.trailing", len(data))
 
@@ -462,7 +463,7 @@ def test_fault_of_our_own(file, monkeypatch, capsys):
     def broken(*_, **__):
         raise ZeroDivisionError("a bug\nin two lines")
 
-    monkeypatch.setattr(codec, "parse", broken)
+    monkeypatch.setattr(Reader, "open", broken)
     monkeypatch.delenv("REFCODEC_DEBUG", raising=False)
     assert main(["validate", str(file)]) == 70
     err = capsys.readouterr().err

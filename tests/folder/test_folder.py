@@ -14,7 +14,7 @@ import pytest
 from plyfile import PlyData, PlyElement
 from safetensors.numpy import load_file, save_file
 
-from conformance.cases.scenes import MAIN_DIMENSIONS, random_scene, with_steps, without_chunks
+from conformance.cases.scenes import MAIN_DIMENSIONS, random_scene, with_steps
 from refcodec.bitstream import codec
 from refcodec.bitstream.dimensions import Dimensions
 from refcodec.bitstream.header import RenderInfo
@@ -203,14 +203,6 @@ def test_interrupted_while_moving(made, monkeypatch, count):
         write_folder(random_scene(12, 4), made)
     assert len(moves) > count
     assert {p.name: p.read_bytes() for p in made.iterdir()} == before
-
-
-def test_damage_is_noted(scene, tmp_path):
-    error = codec.BitstreamError("chunk.crc", 7, "chunk[1]", "x", "y")
-    write_folder(without_chunks(scene, [1]), tmp_path / "scene", {1: error})
-    document = json.loads((tmp_path / "scene" / "scene.json").read_text())
-    assert document["dropped_chunks"] == [{"chunk": 1, **json.loads(error.to_json())}]
-    assert read_folder(tmp_path / "scene").anchor_count == 18
 
 
 # --- reading ----------------------------------------------------------------------------------------------------------

@@ -100,7 +100,7 @@ def test_nothing_raises_on_damaged_files():
         error = found if isinstance(found, BitstreamError) else None
         text = list(dump.hex_lines(damaged, [error] if error else []))
         assert sum("^^ error" in line for line in text) == (error is not None)
-        facts = summary.document(damaged, found)
+        facts = summary.document(damaged, error or digest(found.scene))
         json.loads("\n".join(summary.json_lines(facts)), parse_constant=pytest.fail)
         assert list(summary.summary(facts, "x"))
         assert sum(facts["parts"].values()) == len(damaged)
@@ -120,7 +120,8 @@ def test_header_without_limits_is_not_believed(data):
     changed[24:32] = b"\xff\xff\xff\xff\x01\x00\x00\x00"
     changed[32:35] = b"\xff\xff\xff"
     assert_tiled(bytes(changed))
-    list(summary.summary(summary.document(bytes(changed), verdict(bytes(changed))), "x"))
+    for found in (verdict(bytes(changed)), None):
+        list(summary.summary(summary.document(bytes(changed), found), "x"))
 
 
 def test_error_stands_at_its_byte(data):
@@ -148,7 +149,7 @@ def test_payloads_fold(data):
 
 
 def test_document(scene, data):
-    facts = summary.document(data, codec.parse(data))
+    facts = summary.document(data, digest(scene))
     assert facts["accepted"] is True
     assert facts["digest"]["whole"] == digest(scene)[0]
     assert facts["kept_offsets"] == scene.masks.sum()
@@ -171,7 +172,7 @@ def test_document(scene, data):
 
 def test_document_of_an_empty_scene():
     data = codec.emit(random_scene(0, 0))
-    facts = summary.document(data, codec.parse(data))
+    facts = summary.document(data, digest(random_scene(0, 0)))
     assert list(facts["chunks"]) == []
     assert facts["sections"][0]["bits_per_anchor"] is None
     assert "accepted; digest" in "\n".join(summary.summary(facts, "empty.c3gs"))

@@ -15,6 +15,7 @@ from conformance.cases.scenes import random_scene
 from conformance.cases.target import Target
 from refcodec.bitstream.codec import emit, parse
 from refcodec.bitstream.directory import INDEX
+from refcodec.bitstream.reconstruction import digest
 from refcodec.bitstream.scene import Ancillary
 from refcodec.inspect.summary import document, json_lines
 
@@ -56,7 +57,7 @@ def memory(*words: str) -> tuple[int, int]:
 
 @LINUX
 @pytest.mark.slow
-@pytest.mark.parametrize("options", [[], ["--json"], ["--near", "3000"]])
+@pytest.mark.parametrize("options", [["--decode"], ["--json", "--decode"], ["--near", "3000"]])
 def test_a_rejected_file_takes_memory_as_it_is_long(options: list[str], tmp_path: Path) -> None:
     file = tmp_path / "claimed.c3gs"
     file.write_bytes(claiming(600_000))
@@ -86,7 +87,7 @@ def test_lines_of_json_are_the_document(data: bytes) -> None:
     from refcodec.bitstream.errors import BitstreamError  # noqa: PLC0415
 
     try:
-        verdict = parse(data)
+        verdict = digest(parse(data).scene)
     except BitstreamError as error:
         verdict = error
     facts = document(data, verdict)

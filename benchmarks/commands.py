@@ -1,0 +1,119 @@
+"""What a command costs that is started anew: processor time, wall time and memory of inspect, validate and decode.
+
+python -m benchmarks.commands [--anchors 421600] [--rounds 9]
+
+It writes a section of RESULTS.md. The large scene is a trained one, whose anchors are drawn until there are enough. So
+its symbols are those of a trained scene.
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+import resource
+import subprocess
+import sys
+import tempfile
+import time
+from dataclasses import replace
+from pathlib import Path
+from statistics import median
+
+import numpy as np
+
+from refcodec.bitstream.codec import emit, parse
+from refcodec.bitstream.scene import take_anchors
+
+from .results import machine, table, write_section
+
+ROOT = Path(__file__).resolve().parent.parent
+TINY, TRAINED = ROOT / "vectors" / "tiny-example.c3gs", ROOT / "vectors" / "valid" / "trained-snowmiku.c3gs"
+COMMANDS = {"inspect": [], "validate": [], "decode": ["-o", "OUT"], "decode --chunks 5:6": ["-o", "OUT"]}
+# Bytecode is there after the first run, as of an installed program.
+ENVIRONMENT = {k: v for k, v in os.environ.items() if k != "PYTHONDONTWRITEBYTECODE"}
+# Runs a command, and prints the largest resident memory of its process. What the system says of a process that another
+# one started would be that of the other one, if that was larger.
+MEASURED = """
+import sys
+from pathlib import Path
+from refcodec.cli.main import main
+status = main(sys.argv[1:])
+fields = dict(line.split(":", 1) for line in Path("/proc/self/status").read_text().splitlines())
+print(int(fields["VmHWM"].split()[0]) << 10, file=sys.stderr)
+sys.exit(status)
+"""
+
+
+def large(path: Path, anchors: int) -> int:
+    """Writes a file of so many anchors of a trained scene. Returns its length in bytes."""
+    scene = parse(TRAINED.read_bytes()).scene
+    rows = np.random.default_rng(1).integers(0, scene.anchor_count, anchors)
+    path.write_bytes(emit(replace(take_anchors(scene, rows), position_model=None)))
+    return path.stat().st_size
+
+
+def words(command: str, file: Path, folder: Path) -> list[str]:
+    """The arguments of a command."""
+    name, *options = command.split()
+    options += [str(folder / "out") if word == "OUT" else word for word in COMMANDS[command]]
+    return [name, str(file), *options]
+
+
+def cost(arguments: list[str]) -> tuple[float, float]:
+    """Processor seconds and wall seconds of a process."""
+    before, start = resource.getrusage(resource.RUSAGE_CHILDREN), time.perf_counter()
+    command = [sys.executable, "-m", "refcodec", *arguments]
+    subprocess.run(command, cwd=ROOT, env=ENVIRONMENT, stdout=subprocess.DEVNULL, check=True)
+    wall, after = time.perf_counter() - start, resource.getrusage(resource.RUSAGE_CHILDREN)
+    return after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime, wall
+
+
+def memory(arguments: list[str]) -> int:
+    """The largest resident memory of a process, in bytes."""
+    command = [sys.executable, "-c", MEASURED, *arguments]
+    done = subprocess.run(command, cwd=ROOT, env=ENVIRONMENT, capture_output=True, text=True, check=True)
+    return int(done.stderr.splitlines()[-1])
+
+
+def section(anchors: int, rounds: int) -> list[str]:
+    """The section's text."""
+    with tempfile.TemporaryDirectory() as name:
+        folder = Path(name)
+        length = large(folder / "large.c3gs", anchors)
+        files = {"Tiny": (TINY, rounds), f"{anchors:,} anchors": (folder / "large.c3gs", max(1, rounds // 3))}
+        runs = [(c, f) for f in files for c in COMMANDS if f != "Tiny" or "--chunks" not in c]
+        found: dict[tuple[str, str], list[tuple[float, float]]] = {run: [] for run in runs}
+        for command, file in runs:
+            cost(words(command, files[file][0], folder))
+        # All of them take turns, so that each has a busy machine's good and bad moments.
+        for turn in range(rounds):
+            for command, file in runs:
+                if turn < files[file][1]:
+                    found[command, file].append(cost(words(command, files[file][0], folder)))
+        rows = []
+        for (command, file), times in found.items():
+            most = memory(words(command, files[file][0], folder)) / (1 << 20)
+            processor, wall = (median(values) for values in zip(*times, strict=True))
+            rows.append([f"`{command}`", file, f"{processor:.2f}", f"{wall:.2f}", f"{most:.0f}"])
+    head = ["command", "file", "processor s", "wall s", "resident MiB"]
+    return [
+        f"`python -m benchmarks.commands --anchors {anchors} --rounds {rounds}`",
+        "",
+        machine(),
+        f"Medians of {rounds} processes, of {max(1, rounds // 3)} with the large file, which has {length:,} bytes.",
+        "",
+        *table(head, rows),
+    ]
+
+
+def main() -> None:
+    """Command line."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--anchors", type=int, default=421_600)
+    parser.add_argument("--rounds", type=int, default=9)
+    options = parser.parse_args()
+    write_section("commands", "Commands that are started anew", section(options.anchors, options.rounds))
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,109 @@
+"""A file that is decoded some chunks at a time, in bounded memory (SPEC.md 10.2 and 13.1).
+
+`decoded_chunks` is for programs that want chunks, as symbols and as values. `pieces` is for what goes over a whole
+file: it gives as many chunks at once as are decoded side by side.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+
+from .batches import GROUP_ANCHORS, Progress, no_progress
+from .bounds import Bounds
+from .errors import BitstreamError
+from .reader import Chunk, Reader
+from .reconstruction import Reconstruction, reconstruct
+from .scene import Scene
+from .source import Source
+
+
+@dataclass(frozen=True, eq=False)
+class DecodedChunk:
+    """A decoded chunk.
+
+    number: its place among the chunks. first: the number of its first anchor in the file.
+    scene: with the anchors of the chunk alone, as symbols. values: the same anchors as float32.
+    """
+
+    number: int
+    first: int
+    scene: Scene
+    values: Reconstruction
+
+
+def decoded_chunks(
+    source: Source, numbers: range | None = None, *, side_by_side: bool = True, bounds: Bounds | None = None
+) -> Iterator[DecodedChunk]:
+    """SPEC 10.2: yields the chunks of a file in order, decoded.
+
+    Without `numbers` the whole file is read and checked: the iterator ends only if the file is accepted. With them, the
+    sections that decoding needs and the bytes of these chunks are read, and nothing else.
+
+    Args:
+        source: a file on a disk, one that is fetched by ranges, or one that arrives.
+        numbers: those of the wanted chunks, rising.
+        side_by_side: whether many chunks are read and decoded at once, which is faster. Otherwise a chunk is yielded
+            before the next one is read.
+        bounds: what the caller allows.
+
+    Raises:
+        BitstreamError: what was yielded before is right.
+        BoundPassedError: before any work.
+        IndexError: the file has not all of these chunks.
+    """
+    reader = Reader(source, keep_ancillary=False)
+    if bounds:
+        h = reader.header
+        bounds.check(h, min(h.anchor_count, GROUP_ANCHORS if side_by_side else h.chunk_size))
+    index = reader.open(critical_only=numbers is not None).index
+    check_numbers(numbers, len(index))
+    for entries in reader.groups(numbers, side_by_side=side_by_side):
+        for entry, found in zip(entries, reader.decode(entries), strict=True):
+            if isinstance(found, BitstreamError):
+                raise found
+            scene = reader.scene([found])
+            yield DecodedChunk(entry.number, entry.anchors.start, scene, reconstruct(scene))
+    if numbers is None:
+        reader.close()
+
+
+def check_numbers(numbers: range | None, count: int) -> None:
+    """Raises IndexError if a file with `count` chunks has not all chunks of these numbers. None stands for all."""
+    for number in (numbers[0], numbers[-1]) if numbers else ():
+        if not 0 <= number < count:
+            raise IndexError(f"there is no chunk {number}: the file has {count}")
+
+
+def pieces(
+    reader: Reader,
+    numbers: Sequence[int] | None = None,
+    *,
+    damage: dict[int, BitstreamError] | None = None,
+    progress: Progress = no_progress,
+) -> Iterator[Scene]:
+    """SPEC 10.1, step 5: yields the anchors of chunks that are decoded side by side, in order, each time as a scene.
+
+    Args:
+        reader: it was opened.
+        numbers: those of the wanted chunks, rising, or None for all.
+        damage: gets the first error of each chunk that has one, by number. The chunk is left out then. Without it, such
+            an error is raised.
+        progress: told of the work.
+    """
+    assert reader.opened is not None
+    total = len(reader.opened.index) if numbers is None else len(numbers)
+    done = 0
+    progress("chunks", 0, total)
+    for entries in reader.groups(numbers):
+        good: list[Chunk] = []
+        for entry, found in zip(entries, reader.decode(entries), strict=True):
+            if isinstance(found, Chunk):
+                good.append(found)
+            elif damage is None:
+                raise found
+            else:
+                damage[entry.number] = found
+        done += len(entries)
+        yield reader.scene(good)
+        progress("chunks", done, total)

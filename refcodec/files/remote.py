@@ -1,0 +1,164 @@
+"""Files behind a URL, of which ranges of bytes are fetched (fsspec, the extra `http`).
+
+A server is believed in nothing: what it answers is refused in one line unless it is the range that was asked for.
+"""
+
+# fsspec is imported where it is used. Files on a disk do not need it.
+# ruff: noqa: PLC0415
+
+from __future__ import annotations
+
+import contextlib
+import os
+import re
+from collections.abc import Iterator
+from types import TracebackType
+from typing import Any
+
+from ..statuses import UsageError
+from .text import printable
+
+# What is fetched first, and held: the header with its directory, and of most files the sections behind it.
+HEAD_BYTES = 1 << 16
+# Seconds after which a server is given up: without a byte, and without the whole answer.
+TIMEOUT, TOTAL_TIMEOUT = 30.0, 300.0
+_RANGE = "Content-Range"
+_CONTENT_RANGE = re.compile(r"bytes (\d{1,18})-\d{1,18}/(\d{1,18})", re.ASCII)
+
+
+def is_url(path: str) -> bool:
+    """Whether a path is a URL, and no file has it as its name."""
+    return "://" in path and not os.path.lexists(path)
+
+
+class RemoteFile:
+    """A file behind a URL. Each read of bytes behind the first HEAD_BYTES is one fetch. It is a context manager."""
+
+    def __init__(self, url: str) -> None:
+        """Fetches the head. Raises UsageError if that is not possible, or a package is missing."""
+        self._url = url
+        with self._told():
+            try:
+                from fsspec.core import url_to_fs
+
+                system, path = url_to_fs(url)
+            except ImportError as error:
+                text = f"a URL needs another package ({error}): pip install 'refcodec[http]'"
+                raise UsageError(printable(text, 300)) from None
+            web = "http" in (system.protocol if isinstance(system.protocol, tuple) else (system.protocol,))
+            self._ranges: _Web | _Stored = _Web(system, path) if web else _Stored(system, path)
+            self._head, self._length = self._ranges.head()
+
+    def __enter__(self) -> RemoteFile:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self._ranges.close()
+
+    def read(self, start: int, size: int) -> bytes:
+        """Returns `size` bytes from `start` on, or fewer where the file ends before. Raises UsageError."""
+        size = min(size, self._length - start)
+        if size <= 0:
+            return b""
+        if start + size <= len(self._head):
+            return self._head[start : start + size]
+        with self._told():
+            return self._ranges.fetch(start, size)
+
+    def length(self) -> int:
+        """Returns the length of the file."""
+        return self._length
+
+    @contextlib.contextmanager
+    def _told(self) -> Iterator[None]:
+        try:
+            yield
+        except UsageError:
+            raise
+        # Each of the many packages behind fsspec has errors of its own. Whatever it is, the file cannot be read.
+        except Exception as error:
+            text = " ".join(str(error).split()) or type(error).__name__
+            raise UsageError(f"cannot read {self._shown()}: {printable(text, 200)}") from None
+
+    def _shown(self) -> str:
+        return printable(self._url, 200)
+
+
+class _Stored:
+    """A file of a system other than the web, such as a store of objects, that opens files to be read from any place."""
+
+    def __init__(self, system: Any, path: str) -> None:
+        self._file = system.open(path, "rb", cache_type="none")
+
+    def head(self) -> tuple[bytes, int]:
+        """Returns the first bytes, and the length of the file."""
+        length = self._file.seek(0, 2)
+        return self.fetch(0, min(HEAD_BYTES, length)), length
+
+    def fetch(self, start: int, size: int) -> bytes:
+        """Returns a range of bytes. Raises ValueError if others come."""
+        self._file.seek(start)
+        found: bytes = self._file.read(size)
+        return _whole(found, size)
+
+    def close(self) -> None:
+        """Closes the file."""
+        self._file.close()
+
+
+class _Web:
+    """A file of a web server that knows requests of ranges (RFC 9110, chapter 14)."""
+
+    def __init__(self, system: Any, path: str) -> None:
+        self._system, self._path, self._length = system, path, -1
+
+    def head(self) -> tuple[bytes, int]:
+        """Returns the first bytes, and the length of the file, which the server tells with them."""
+        found, length = self._asked(0, HEAD_BYTES)
+        self._length = length
+        return _whole(found, min(HEAD_BYTES, length)), length
+
+    def fetch(self, start: int, size: int) -> bytes:
+        """Returns a range of bytes. Raises ValueError if others come."""
+        found, length = self._asked(start, size)
+        if length != self._length:
+            raise ValueError(f"its length was {self._length} bytes, and is {length} now")
+        return _whole(found, size)
+
+    def close(self) -> None:
+        """Does nothing: fsspec closes the connections."""
+
+    def _asked(self, start: int, size: int) -> tuple[bytes, int]:
+        """Returns what the server answers, cut after one byte too many, and the length that it states."""
+        import aiohttp
+
+        headers = {"Range": f"bytes={start}-{start + size - 1}", "Accept-Encoding": "identity"}
+        timeout = aiohttp.ClientTimeout(total=TOTAL_TIMEOUT, sock_connect=TIMEOUT, sock_read=TIMEOUT)
+        # With a block size of 0 it is a stream, of which no more is read than is asked for.
+        try:
+            stream = self._system.open(self._path, "rb", block_size=0, size=size, headers=headers, timeout=timeout)
+        except aiohttp.ClientResponseError as error:
+            # An empty file has no range.
+            if error.status == 416 and start == 0 and error.headers and error.headers.get(_RANGE) == "bytes */0":
+                return b"", 0
+            raise ValueError(f"the server answers {error.status} {error.message}") from None
+        with stream:
+            if stream.r.status != 206:
+                raise ValueError("the server does not send ranges of bytes: download the file, and give its name")
+            text = stream.r.headers.get(_RANGE, "")
+            stated = _CONTENT_RANGE.fullmatch(text)
+            if stated is None or int(stated[1]) != start:
+                raise ValueError(f"the server sends another range than the one from {start} on ({text})")
+            found = bytearray()
+            while len(found) <= size and (block := stream.read(size + 1 - len(found))):
+                found += block
+            return bytes(found), int(stated[2])
+
+
+def _whole(found: bytes, size: int) -> bytes:
+    if len(found) != size:
+        more = "more" if len(found) > size else f"{len(found)}"
+        raise ValueError(f"the server sends {more} bytes where it should send {size}")
+    return found

@@ -1,0 +1,215 @@
+"""Files behind a URL: the ranges that are needed are fetched, and a server is believed in nothing."""
+
+from __future__ import annotations
+
+import re
+import sys
+import threading
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
+from pathlib import Path
+
+import pytest
+
+from conformance.cases.scenes import random_scene
+from refcodec.bitstream import codec
+from refcodec.bitstream.directory import DATA
+from refcodec.bitstream.reader import Reader, decode_chunk
+from refcodec.bitstream.reconstruction import chunk_digest, digest
+from refcodec.bitstream.source import WholeFile
+from refcodec.cli.main import main
+from refcodec.files import remote
+from refcodec.files.remote import RemoteFile, is_url
+from refcodec.statuses import UsageError
+
+pytest.importorskip("fsspec")
+pytest.importorskip("aiohttp")
+
+HEAD = 1 << 13
+SCENE = codec.emit(random_scene(51, 3000, chunk_size=100))
+Captured = pytest.CaptureFixture[str]
+
+
+@dataclass
+class Server:
+    """A web server with one file. way: how it answers. asked: the ranges that were asked for, as first byte and end."""
+
+    url: str
+    data: bytes
+    way: str = "right"
+    asked: list[tuple[int, int]] = field(default_factory=list)
+
+
+@pytest.fixture
+def server(monkeypatch: pytest.MonkeyPatch) -> Iterator[Server]:
+    monkeypatch.setattr(remote, "HEAD_BYTES", HEAD)
+
+    class Handler(BaseHTTPRequestHandler):
+        protocol_version = "HTTP/1.1"
+
+        def log_message(self, *_: object) -> None:
+            pass
+
+        def do_GET(self) -> None:
+            asked = re.fullmatch(r"bytes=(\d+)-(\d+)", self.headers.get("Range", ""))
+            assert asked
+            size, way = len(found.data), found.way
+            first, end = int(asked[1]), min(int(asked[2]) + 1, size)
+            found.asked.append((first, end))
+            if way == "missing":
+                self.send_error(404)
+                return
+            if way == "ignores":
+                self.send(200, found.data, {})
+                return
+            if first >= size:
+                self.send(416, b"", {"Content-Range": f"bytes */{size}"})
+                return
+            body, stated = found.data[first:end], f"bytes {first}-{end - 1}/{size}"
+            later = len(found.asked) > 1
+            if way == "shorter" and later:
+                body = body[:-1]
+            elif way == "longer" and later:
+                body += b"x"
+            elif way == "endless" and later:
+                self.send(206, b"", {"Content-Range": stated, "Content-Length": str(1 << 40)})
+                while True:
+                    self.wfile.write(bytes(1 << 16))
+            elif way == "other range" and later:
+                stated = f"bytes {first + 1}-{end}/{size}"
+            elif way == "other length" and later:
+                stated = f"bytes {first}-{end - 1}/{size + 1}"
+            elif way == "no range":
+                stated = "all of it\x1b[2J"
+            elif way == "cut" and later:
+                self.send(206, body[:10], {"Content-Range": stated, "Content-Length": str(len(body))})
+                self.close_connection = True
+                return
+            self.send(206, body, {"Content-Range": stated})
+
+        def send(self, status: int, body: bytes, headers: dict[str, str]) -> None:
+            self.send_response(status)
+            for name, value in {"Content-Length": str(len(body)), **headers}.items():
+                self.send_header(name, value)
+            self.end_headers()
+            self.wfile.write(body)
+
+    class Quiet(ThreadingHTTPServer):
+        daemon_threads = True
+
+        def handle_error(self, *_: object) -> None:
+            """A client that hangs up is what some tests are about."""
+
+    with Quiet(("127.0.0.1", 0), Handler) as web:
+        found = Server(f"http://127.0.0.1:{web.server_address[1]}/scene.c3gs", SCENE)
+        thread = threading.Thread(target=web.serve_forever, daemon=True)
+        thread.start()
+        yield found
+        web.shutdown()
+        thread.join()
+
+
+def files(folder: Path) -> dict[str, bytes]:
+    return {path.name: path.read_bytes() for path in folder.iterdir()}
+
+
+def test_commands_take_urls(server: Server, tmp_path: Path, capsys: Captured) -> None:
+    local = tmp_path / "scene.c3gs"
+    local.write_bytes(SCENE)
+    assert len(SCENE) > 8 * HEAD
+    wanted = digest(codec.parse(SCENE).scene)[0]
+    assert main(["digest", server.url]) == 0
+    assert capsys.readouterr().out == wanted + "\n"
+    assert main(["validate", server.url]) == 0
+    assert "is accepted" in capsys.readouterr().out
+    for name, folder in ((server.url, "remote"), (str(local), "local")):
+        assert main(["decode", name, "-o", str(tmp_path / folder)]) == 0
+    assert files(tmp_path / "remote") == files(tmp_path / "local")
+    capsys.readouterr()
+    for options in (["--decode"], ["--near", "3000"]):
+        shown = []
+        for name in (server.url, str(local)):
+            assert main(["inspect", name, *options]) == 0
+            shown.append(capsys.readouterr().out.splitlines()[-1])
+        assert shown[0] == shown[1]
+
+
+def test_few_ranges_are_fetched(server: Server, tmp_path: Path, capsys: Captured) -> None:
+    section = codec.parse_container(SCENE).section(DATA)
+    assert section is not None
+    assert section.start < HEAD
+    assert main(["inspect", server.url]) == 0
+    assert "30 chunks of at most 100 anchors" in capsys.readouterr().out
+    assert server.asked == [(0, HEAD)]
+    server.asked.clear()
+    index = Reader(WholeFile(SCENE)).open().index
+    assert main(["decode", server.url, "-o", str(tmp_path / "part"), "--chunks", "25:28"]) == 0
+    assert server.asked == [(0, HEAD), (index[25].start, index[28].start)]
+    lines = [f"chunk {n} {chunk_digest(decode_chunk(WholeFile(SCENE), n))}" for n in range(25, 28)]
+    assert capsys.readouterr().out.splitlines() == lines
+    server.asked.clear()
+    assert main(["validate", server.url]) == 0
+    assert len(server.asked) == 2
+
+
+@pytest.mark.parametrize(
+    "way", ["missing", "ignores", "shorter", "longer", "endless", "other range", "other length", "no range", "cut"]
+)
+def test_servers_that_lie(server: Server, way: str, tmp_path: Path, capsys: Captured) -> None:
+    """One line, status 64, and no folder."""
+    server.way = way
+    assert main(["decode", server.url, "-o", str(tmp_path / "scene")]) == 64
+    out, err = capsys.readouterr()
+    assert out == ""
+    assert len(err.splitlines()) == 1, err
+    assert f"cannot read {server.url}: " in err
+    assert "\x1b" not in err
+    assert not (tmp_path / "scene").exists()
+
+
+def test_no_server(capsys: Captured) -> None:
+    for url in ("http://127.0.0.1:1/scene.c3gs", "nothing://x", "http://"):
+        assert main(["validate", url]) == 64
+        said = capsys.readouterr().err
+        assert len(said.splitlines()) == 1, said
+
+
+@pytest.mark.parametrize("size", [0, 1, 100, 70_000])
+def test_verdicts_are_those_of_the_file(server: Server, size: int, tmp_path: Path, capsys: Captured) -> None:
+    """Also where the file ends before or behind what is held, and is empty."""
+    server.data = SCENE[:size]
+    (tmp_path / "cut").write_bytes(SCENE[:size])
+    said = []
+    for name in (server.url, str(tmp_path / "cut")):
+        assert main(["validate", name]) == 1
+        said.append(capsys.readouterr().err.splitlines()[-1])
+    assert said[0] == said[1]
+
+
+def test_any_url_of_fsspec(tmp_path: Path, capsys: Captured) -> None:
+    (tmp_path / "scene.c3gs").write_bytes(SCENE)
+    with RemoteFile(f"file://{tmp_path}/scene.c3gs") as file:
+        assert file.length() == len(SCENE)
+        assert file.read(100_000, 1000) == SCENE[100_000:101_000]
+        assert file.read(5, 10) == SCENE[5:15]
+        assert file.read(len(SCENE) - 5, 10) == SCENE[-5:]
+        assert file.read(len(SCENE), 10) == b""
+    assert main(["validate", f"file://{tmp_path}/scene.c3gs"]) == 0
+    assert main(["validate", f"file://{tmp_path}/nothing.c3gs"]) == 64
+    assert len(capsys.readouterr().err.splitlines()) == 1
+
+
+def test_what_is_a_url(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    assert is_url("https://a/b.c3gs")
+    assert not is_url("a/b.c3gs")
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "s3:").mkdir()
+    (tmp_path / "s3:" / "a").write_bytes(b"")
+    assert not is_url("s3://a")
+
+
+def test_without_the_package(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "fsspec.core", None)
+    with pytest.raises(UsageError, match=r"pip install 'refcodec\[http\]'"):
+        RemoteFile("https://a/b.c3gs")
