@@ -2,19 +2,14 @@
 
 from __future__ import annotations
 
-import os
-import shutil
 import subprocess
 import sys
-from collections.abc import Callable
 from pathlib import Path
 
 import pytest
+from c_compiler import COMPILER, ROOT, Use
 
 from refcodec.native import library
-
-ROOT = Path(__file__).resolve().parents[2]
-COMPILER = shutil.which("cc") or shutil.which("gcc") or shutil.which("clang")
 
 
 @pytest.fixture(scope="session")
@@ -28,9 +23,6 @@ def built(tmp_path_factory: pytest.TempPathFactory) -> Path:
     path = folder / "refcodec" / "native" / library.LIBRARY.name
     assert path.is_file(), done.stdout + done.stderr
     return path
-
-
-Use = Callable[..., None]
 
 
 @pytest.fixture
@@ -47,12 +39,3 @@ def use(built: Path, monkeypatch: pytest.MonkeyPatch) -> Use:
         monkeypatch.setenv(library.THREADS_VARIABLE, str(threads))
 
     return choose
-
-
-def sanitizer() -> str | None:
-    """The sanitizer's library, which has to be loaded before Python, or None."""
-    if COMPILER is None:
-        return None
-    asked = [COMPILER, "-print-file-name=libasan.so"]
-    path = subprocess.run(asked, capture_output=True, text=True, check=False).stdout.strip()
-    return path if os.path.isabs(path) and Path(path).exists() else None

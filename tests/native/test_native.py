@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from conftest import COMPILER, ROOT, Use, sanitizer
+from c_compiler import COMPILER, ROOT, Use, sanitizer
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 

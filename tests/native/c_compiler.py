@@ -1,0 +1,23 @@
+"""The compiler of the native kernel's tests, and its sanitizers."""
+
+from __future__ import annotations
+
+import os
+import shutil
+import subprocess
+from collections.abc import Callable
+from pathlib import Path
+
+ROOT = Path(__file__).resolve().parents[2]
+COMPILER = shutil.which("cc") or shutil.which("gcc") or shutil.which("clang")
+# The fixture `use`: it takes the name of a path, and the number of threads.
+Use = Callable[..., None]
+
+
+def sanitizer() -> str | None:
+    """The sanitizer's library, which has to be loaded before Python, or None."""
+    if COMPILER is None:
+        return None
+    asked = [COMPILER, "-print-file-name=libasan.so"]
+    path = subprocess.run(asked, capture_output=True, text=True, check=False).stdout.strip()
+    return path if os.path.isabs(path) and Path(path).exists() else None
