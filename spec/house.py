@@ -21,6 +21,7 @@ ROOMS = (
     "refcodec.folder",
     "refcodec.inspect",
     "refcodec.render",
+    "refcodec.export",
     "refcodec.photographs",
     "refcodec.evaluate",
     "refcodec.train",

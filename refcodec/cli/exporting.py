@@ -1,0 +1,140 @@
+"""The command that writes a scene for other programs: export."""
+
+# Modules that need NumPy are imported where they are used, so that help is instant.
+# ruff: noqa: PLC0415
+
+from __future__ import annotations
+
+import argparse
+import os
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from ..files.outputs import check_apart, check_file
+from ..files.stage import write_file
+from ..files.terminal import note, say
+from .bounds import add_bounds
+from .shared import RENDER_PACKAGES, UsageError, add_command, needs, note_compiling, parse_file, progress_bar, whole
+from .shown import camera_of, photographs_as_trained, read_shown, render_info
+
+if TYPE_CHECKING:
+    from ..bitstream.scene import Scene
+    from ..export.views import Views
+    from ..folder.uncompressed import Uncompressed
+    from ..render.view import View
+
+NOTES = """\
+FILE is a file or a scene folder. The ending of OUTPUT says the format:
+
+  .ply  Gaussians as 3DGS's own code writes them. Every program for splats reads them.
+  .spz  the format of Niantic: fixed point, packed with gzip
+  .sog  the format of PlayCanvas: images in an archive
+  .glb  glTF 2.0 with KHR_gaussian_splatting. The scene stands upright.
+
+The scene has other Gaussians for each camera. An ordinary splat has one set of them, with spherical harmonics for the
+colours. They are fitted to what cameras see:
+
+  - with PHOTOGRAPHS, a folder that COLMAP or a NeRF dataset made, the cameras that training had
+  - else the cameras of FILE, if there are 8 or more
+  - else 64 cameras around the scene
+
+The cameras of photographs are best: the networks of a scene are right where they were trained.
+The command says how near the splat comes to the scene: the PSNR in dB, of views that the fit did not have.
+Gaussians go that add less than a tenth of a pixel to every view.
+Needs: pip install 'refcodec[render]'."""
+
+
+def _views(
+    arguments: argparse.Namespace, shown: bytes | Scene | Uncompressed, view: View, ancillary: Any
+) -> tuple[Views, list[str | Path]]:
+    """Returns the views of the fit, and what was read for them. Raises UsageError."""
+    from ..bitstream.cameras import cameras
+    from ..export.views import Views, sized, views_of
+
+    if arguments.cameras is None:
+        views = views_of(view, cameras(ancillary))
+        if len(views.fit) and "around" in views.source:
+            note(f"refcodec: the views are {views.source}; --cameras PHOTOGRAPHS fits to those of photographs")
+        return views, []
+    found, said = photographs_as_trained(arguments, arguments.cameras, render_info(shown), camera_of(shown))
+    for line in said:
+        note(f"refcodec: {line}")
+    fit, test = ([sized(p.camera) for p in photographs] for photographs in (found.train, found.test))
+    return Views(fit or test, test or fit, f"{len(fit)} cameras of photographs"), [*found.places()]
+
+
+def _export(arguments: argparse.Namespace) -> int:
+    try:
+        from ..export.fit import agreement, fit
+        from ..export.formats import FORMATS, splat_file
+        from ..render.view import View
+    except ModuleNotFoundError as error:
+        raise needs("export", "render", error, RENDER_PACKAGES) from None
+    output = Path(arguments.output)
+    suffix = output.suffix.lower()
+    if suffix not in FORMATS:
+        raise UsageError(f"{arguments.output} ends with none of {', '.join(FORMATS)}")
+    check_file(output, FORMATS[suffix])
+    check_apart([output], [arguments.file])
+    note_compiling()
+    shown = read_shown(arguments)
+    scene = parse_file(arguments, shown).scene if isinstance(shown, bytes) else shown
+    view = View(scene)
+    views, read = _views(arguments, shown, view, getattr(scene, "ancillary", ()))
+    check_apart([output], read)
+    try:
+        with progress_bar(arguments.progress) as progress:
+            fitted = fit(view, views.fit, arguments.degree, arguments.iterations, progress)
+            packed = splat_file(fitted.splats, suffix, view.info.up_axis)
+            near = agreement(view, packed.splats, views.test, progress)
+    except ValueError as error:
+        raise UsageError(f"{arguments.file} cannot be exported: {error}") from None
+    write_file(output, packed.data)
+    source = "" if os.path.isdir(arguments.file) else f", {arguments.file} has {os.path.getsize(arguments.file):,}"
+    say(
+        f"{output}: {len(fitted.splats.mean):,} of {fitted.of:,} Gaussians, degree {arguments.degree}, "
+        f"{len(packed.data):,} bytes{source}\n"
+        f"PSNR to the scene: {near:.2f} dB over {len(views.test)} views, fitted to {views.source}",
+        lines=True,
+    )
+    return 0
+
+
+def add(commands: Any) -> None:
+    """Adds the command of this module."""
+    export = add_command(
+        commands,
+        "export",
+        _export,
+        "write a scene as a splat file for other programs",
+        [
+            "export scene.c3gs -o scene.ply",
+            "export scene.c3gs -o scene.spz --cameras photographs",
+            "export scene.c3gs -o scene.sog --degree 1",
+        ],
+        NOTES,
+        writes=True,
+    )
+    export.add_argument("file", metavar="FILE")
+    add_bounds(export)
+    export.add_argument("-o", "--output", metavar="OUTPUT", required=True)
+    export.add_argument(
+        "--degree",
+        type=int,
+        choices=range(4),
+        default=3,
+        help="of the spherical harmonics: how much a colour changes with the direction (default: %(default)s)",
+    )
+    export.add_argument("--cameras", metavar="PHOTOGRAPHS", help="fit to the cameras of a folder of photographs")
+    export.add_argument(
+        "--size",
+        metavar="WxH",
+        help="with --cameras, the size of the photographs, their longest side, or full (default: that of the training)",
+    )
+    export.add_argument(
+        "--iterations",
+        type=whole,
+        metavar="N",
+        default=10,
+        help="steps of least squares on the images, after each Gaussian by itself (default: %(default)s)",
+    )
