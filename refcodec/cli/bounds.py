@@ -17,7 +17,7 @@ from .shared import UsageError, read_file
 # What is estimated, in bytes, beside bitstream.bounds. The program with its packages; and a value of the scene, as a
 # command holds it: in one copy, or in several.
 PROGRAM, PROGRAM_DRAWING = 64 << 20, 192 << 20
-HOLDING = {"validate": 8}
+HOLDING = {"validate": 8, "export": 600}
 HOLDING_MOST = 20
 # Bytes of symbols that stand for one value in the traces of inspect and reconstruct.
 TRACE = 64
@@ -70,7 +70,7 @@ def estimated_memory(command: str, length: int, count: int, values: int, trace: 
     from ..bitstream.bounds import DECODING
 
     held = HOLDING.get(command, HOLDING_MOST) + (TRACE if trace else 0)
-    program = PROGRAM_DRAWING if command in ("render", "eval") else PROGRAM
+    program = PROGRAM_DRAWING if command in ("render", "eval", "export") else PROGRAM
     return program + fixed + 2 * length + values * (min(count, GROUP_ANCHORS) * DECODING + count * held)
 
 

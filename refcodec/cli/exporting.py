@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from ..files.outputs import check_apart, check_file
-from ..files.stage import write_file
+from ..files.stage import Stage, write_file
 from ..files.terminal import note, say
 from .bounds import add_bounds
 from .shared import RENDER_PACKAGES, UsageError, add_command, needs, note_compiling, parse_file, progress_bar, whole
@@ -41,7 +41,10 @@ colours. They are fitted to what cameras see:
 The cameras of photographs are best: the networks of a scene are right where they were trained.
 The command says how near the splat comes to the scene: the PSNR in dB, of views that the fit did not have.
 Gaussians go that add less than a tenth of a pixel to every view.
-Needs: pip install 'refcodec[render]'."""
+Needs: pip install 'refcodec[render]'.
+
+With --scaffold, OUTPUT is a folder of Scaffold-GS as its authors' code loads it. It draws what FILE draws.
+Needs: pip install 'refcodec[fit]'."""
 
 
 def _views(
@@ -63,7 +66,44 @@ def _views(
     return Views(fit or test, test or fit, f"{len(fit)} cameras of photographs"), [*found.places()]
 
 
+def _scaffold(arguments: argparse.Namespace) -> int:
+    """Writes the folder of Scaffold-GS."""
+    try:
+        # The networks are written with torch, which is missed here and not after the work.
+        import torch  # noqa: F401
+
+        from ..export.scaffold import CFG, CFG_ARGS, FILES, scaffold_files
+    except ModuleNotFoundError as error:
+        raise needs("export --scaffold", "fit", error, ("torch",)) from None
+    from ..bitstream.cameras import cameras
+    from ..bitstream.reconstruction import reconstruct
+    from ..bitstream.scene import Scene
+
+    folder = Path(arguments.output)
+    if os.path.lexists(folder):
+        if not folder.is_dir():
+            raise UsageError(f"{folder} is a file: give the name of a folder")
+        if any(folder.iterdir()) and not (folder / CFG_ARGS).is_file():
+            raise UsageError(f"{folder} exists and has other files: choose another one, or empty it")
+        check_file(folder / CFG_ARGS, CFG, made=True)
+    check_apart([folder / file for file in FILES], [arguments.file])
+    shown = read_shown(arguments)
+    scene = parse_file(arguments, shown).scene if isinstance(shown, bytes) else shown
+    stated = cameras(scene.ancillary) if isinstance(scene, Scene) else [scene.camera]
+    values = reconstruct(scene) if isinstance(scene, Scene) else scene.values
+    files = scaffold_files(values, scene.masks, scene.networks, scene.render, stated)
+    if scene.render.background not in ((0, 0, 0), (255, 255, 255)):
+        note("refcodec: Scaffold-GS has black and white backgrounds alone; the folder says black")
+    with Stage() as stage:
+        for name, data in files.items():
+            stage.write(folder / name, data)
+    say(f"{folder}: {scene.anchor_count:,} anchors, {sum(map(len, files.values())):,} bytes")
+    return 0
+
+
 def _export(arguments: argparse.Namespace) -> int:
+    if arguments.scaffold:
+        return _scaffold(arguments)
     try:
         from ..export.fit import agreement, fit
         from ..export.formats import FORMATS, splat_file
@@ -106,11 +146,12 @@ def add(commands: Any) -> None:
         commands,
         "export",
         _export,
-        "write a scene as a splat file for other programs",
+        "write a scene for other programs",
         [
             "export scene.c3gs -o scene.ply",
             "export scene.c3gs -o scene.spz --cameras photographs",
             "export scene.c3gs -o scene.sog --degree 1",
+            "export scene.c3gs -o model --scaffold",
         ],
         NOTES,
         writes=True,
@@ -118,6 +159,7 @@ def add(commands: Any) -> None:
     export.add_argument("file", metavar="FILE")
     add_bounds(export)
     export.add_argument("-o", "--output", metavar="OUTPUT", required=True)
+    export.add_argument("--scaffold", action="store_true", help="write a folder of Scaffold-GS")
     export.add_argument(
         "--degree",
         type=int,
