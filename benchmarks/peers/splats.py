@@ -7,18 +7,20 @@ from pathlib import Path
 
 import numpy as np
 import torch
-from numpy.typing import NDArray
-from plyfile import PlyData, PlyElement
+from plyfile import PlyData
 from torch import Tensor
 from torch.nn.functional import normalize
 
 from refcodec.evaluate.quality import measures
+from refcodec.export.harmonics import degree_of
+from refcodec.export.ply import columns, ply_bytes
+from refcodec.export.splats import Splats as Exported
 from refcodec.photographs.photographs import Photograph
 from refcodec.render.camera import Camera
 from refcodec.render.rasterise import Settings
 from refcodec.train.splat import draw
 
-from .harmonics import colours, degree_of
+from .harmonics import colours
 
 # float32 tensors of N Gaussians, by name, as 3DGS's files have them:
 #   mean [N, 3], world units.
@@ -28,40 +30,11 @@ from .harmonics import colours, degree_of
 #   quaternion [N, 4], w, x, y, z, of any length but 0.
 Splats = Mapping[str, Tensor]
 
-_NORMALS = ("nx", "ny", "nz")
-
-
-def _columns(rest: int) -> dict[str, tuple[str, ...]]:
-    """The properties of each tensor in a file with `rest` harmonics beside the first, in the order of the file."""
-    return {
-        "mean": ("x", "y", "z"),
-        "base": tuple(f"f_dc_{i}" for i in range(3)),
-        "rest": tuple(f"f_rest_{i}" for i in range(3 * rest)),
-        "opacity": ("opacity",),
-        "scale": tuple(f"scale_{i}" for i in range(3)),
-        "quaternion": tuple(f"rot_{i}" for i in range(4)),
-    }
-
 
 def write_ply(splats: Splats, path: Path) -> None:
-    """Writes the file that 3DGS's own code writes: binary, little endian, float32, with normals of 0.
-
-    The coefficients f_rest have one channel after the other.
-    """
-    count, rest = len(splats["mean"]), splats["rest"].shape[1]
-    columns: dict[str, NDArray[np.float32]] = {}
-    for name, properties in _columns(rest).items():
-        values = splats[name].detach()
-        if name == "rest":
-            values = values.transpose(1, 2)
-        columns |= zip(properties, values.reshape(count, len(properties)).numpy().T, strict=True)
-        if name == "mean":
-            columns |= {normal: np.zeros(count, np.float32) for normal in _NORMALS}
-    table = np.empty(count, [(name, "<f4") for name in columns])
-    for name, column in columns.items():
-        table[name] = column
+    """Writes the file that 3DGS's own code writes (refcodec.export.ply)."""
     path.parent.mkdir(parents=True, exist_ok=True)
-    PlyData([PlyElement.describe(table, "vertex")], byte_order="<").write(str(path))
+    path.write_bytes(ply_bytes(Exported(**{name: values.detach().numpy() for name, values in splats.items()})))
 
 
 def read_ply(path: Path) -> dict[str, Tensor]:
@@ -79,7 +52,7 @@ def read_ply(path: Path) -> dict[str, Tensor]:
         raise ValueError(f"{path}: {extra} coefficients f_rest, which are not three channels")
     degree_of(extra // 3)
     found = {}
-    for name, properties in _columns(extra // 3).items():
+    for name, properties in columns(extra // 3).items():
         missing = [p for p in properties if p not in names]
         if missing:
             raise ValueError(f"{path}: there is no property {missing[0]}, as files of 3DGS have")

@@ -14,6 +14,7 @@ import torch
 from scipy.spatial import cKDTree
 from torch import Tensor
 
+from refcodec.export.harmonics import REST, ZERO
 from refcodec.photographs.photographs import PhotographSet
 from refcodec.render.rasterise import Settings
 from refcodec.train.adam import ADAM_EPSILON
@@ -25,7 +26,6 @@ from refcodec.train.state import Saved
 from refcodec.train.views import pixels
 
 from .density import Density
-from .harmonics import REST, ZERO
 from .settings import SplatSettings
 from .splats import drawn
 

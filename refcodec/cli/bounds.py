@@ -29,6 +29,8 @@ STREAMING = ("validate", "digest", "decode", "inspect")
 HOLDING_OPTIONS = ("trace", "hex", "near", "anchor")
 # In how many copies the other commands hold a scene, and how many more the symbols take as text.
 COPIES, TRACE_COPIES = 3, 8
+# What export holds beside them, for each value of the scene: Gaussians of many views, and their harmonics.
+EXPORT_COPIES = 75
 
 _UNITS = {"": 1, "K": 1 << 10, "M": 1 << 20, "G": 1 << 30}
 
@@ -67,6 +69,8 @@ def held_copies(arguments: argparse.Namespace) -> int:
     asked = [name for name in HOLDING_OPTIONS if options.get(name) not in (None, False)]
     if _command(arguments) in STREAMING and not asked:
         return 0
+    if _command(arguments) == "export":
+        return EXPORT_COPIES
     return COPIES + (TRACE_COPIES if "trace" in asked else 0)
 
 
@@ -84,7 +88,7 @@ def check_bounds(arguments: argparse.Namespace, path: str, count: int, needed: i
         raise UsageError(f"{path} has {count} anchors, --max-anchors is {arguments.max_anchors}; this is no verdict")
     if arguments.max_memory is None:
         return
-    needed += PROGRAM_DRAWING if _command(arguments) in ("render", "eval") else PROGRAM
+    needed += PROGRAM_DRAWING if _command(arguments) in ("render", "eval", "export") else PROGRAM
     if needed > arguments.max_memory:
         raise UsageError(
             f"{path} may take {needed} bytes of memory, --max-memory is {arguments.max_memory}; this is no verdict"

@@ -18,6 +18,7 @@ GROUPS = {
     "coding": ("encode", "decode", "digest", "reconstruct", "validate"),
     "looking": ("explain", "inspect"),
     "drawing": ("gaussians", "render", "eval"),
+    "exporting": ("export",),
     "learning": ("train", "fit"),
     "experiments": ("demo", "rd", "experiment"),
 }

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import io
 from collections.abc import Iterable
+from dataclasses import replace
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -53,39 +55,41 @@ class View:
             gaussians(self.values, self.masks, self.networks, camera, self.info.distance_unit), camera, self.info
         )
 
-    def orbit(self, frames: int) -> list[Camera]:
-        """Returns cameras on a circle around the scene that look at its middle, with the lens of own_camera."""
+    @cached_property
+    def extent(self) -> tuple[F64, float]:
+        """The middle of the scene, float64 [3], and its radius, both in world units.
+
+        The median and the quantile leave out the few anchors that are far out in the background.
+        """
         positions = self.values.positions.astype(np.float64)
         if not len(positions):
             positions = np.zeros((1, 3))
         middle = np.median(positions, axis=0)
-        # The median and the quantile leave out the few anchors that are far out in the background.
-        radius = max(float(np.quantile(np.linalg.norm(positions - middle, axis=1), 0.9)), 1e-6)
+        return middle, max(float(np.quantile(np.linalg.norm(positions - middle, axis=1), 0.9)), 1e-6)
+
+    def around(self, name: str, height: float, turn: float, distance: float) -> Camera:
+        """Returns a camera that looks at the scene's middle, with the lens of own_camera.
+
+        height: its elevation above the scene in radians. turn: its angle around the scene's upward axis, in radians.
+        distance: from the middle, world units.
+        """
+        middle, _ = self.extent
         up = np.zeros(3)
         up[self.info.up_axis // 2] = -1.0 if self.info.up_axis % 2 else 1.0
         side = np.roll(up, 1)
         front = np.cross(up, side)
-        default = own_camera(self.camera)
-        cameras = []
-        for number in range(frames):
-            turn, height = 2 * np.pi * number / frames, np.radians(ELEVATION)
-            away = np.cos(height) * (np.cos(turn) * side + np.sin(turn) * front) + np.sin(height) * up
-            rotation = looking(-away, up)
-            place = middle + DISTANCE * radius * away
-            cameras.append(
-                Camera(
-                    orbit_name(number),
-                    default.width,
-                    default.height,
-                    default.fx,
-                    default.fy,
-                    default.cx,
-                    default.cy,
-                    rotation,
-                    -rotation @ place,
-                )
-            )
-        return cameras
+        away = np.cos(height) * (np.cos(turn) * side + np.sin(turn) * front) + np.sin(height) * up
+        rotation = looking(-away, up)
+        lens = own_camera(self.camera)
+        return replace(lens, name=name, rotation=rotation, translation=-rotation @ (middle + distance * away))
+
+    def orbit(self, frames: int) -> list[Camera]:
+        """Returns cameras on a circle around the scene that look at its middle, with the lens of own_camera."""
+        _, radius = self.extent
+        return [
+            self.around(orbit_name(number), np.radians(ELEVATION), 2 * np.pi * number / frames, DISTANCE * radius)
+            for number in range(frames)
+        ]
 
 
 def default_view(scene: Scene | Uncompressed) -> NamedCamera:

@@ -15,7 +15,7 @@ pytest.importorskip("matplotlib")
 
 import torch
 
-from benchmarks.peers.harmonics import REST
+from refcodec.export.harmonics import REST
 from refcodec.photographs.photographs import PhotographSet, read_photographs
 
 CALITERRA = Path(__file__).resolve().parents[2] / "examples" / "photographs" / "caliterra"

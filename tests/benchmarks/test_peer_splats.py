@@ -13,10 +13,11 @@ from plyfile import PlyData, PlyElement
 from torch import Tensor
 
 from benchmarks.peers.density import Density
-from benchmarks.peers.harmonics import ZERO, basis, colours, degree_of
+from benchmarks.peers.harmonics import basis, colours
 from benchmarks.peers.settings import DensitySettings, SplatSettings
 from benchmarks.peers.splats import quality, read_ply, write_ply
 from benchmarks.peers.trainer import NAMES, SplatTrainer
+from refcodec.export.harmonics import ZERO, degree_of
 from refcodec.photographs.photographs import PhotographSet
 from refcodec.train.settings_file import varied
 from refcodec.train.state import restore, save

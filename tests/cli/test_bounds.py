@@ -32,6 +32,7 @@ COMMANDS = [
     ["inspect"],
     ["inspect", "--trace"],
     ["render", "-o", "OUT"],
+    ["export", "--scaffold", "-o", "OUT"],
     ["eval", str(VECTORS.parent / "examples" / "photographs" / "caliterra"), "--size", "48"],
 ]
 # Runs the program, and prints its status and its largest resident memory in bytes. What getrusage says of it would be

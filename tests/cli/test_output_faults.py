@@ -284,10 +284,11 @@ def test_commands_that_write_nothing(words: list[str], inputs: Path, monkeypatch
         ["gaussians", "bad.c3gs", "camera.json", "new.json"],
         ["render", "bad.c3gs", "-o", "new"],
         ["eval", "bad.c3gs", "photos", "--images", "new"],
+        ["export", "bad.c3gs", "-o", "new.ply"],
     ],
 )
 def test_a_refused_file_makes_no_output(words: list[str], inputs: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    if words[0] in ("render", "eval"):
+    if words[0] in ("render", "eval", "export"):
         pytest.importorskip("numba")
     monkeypatch.chdir(inputs)
     before = contents(inputs)

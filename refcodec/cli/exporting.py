@@ -1,0 +1,182 @@
+"""The command that writes a scene for other programs: export."""
+
+# Modules that need NumPy are imported where they are used, so that help is instant.
+# ruff: noqa: PLC0415
+
+from __future__ import annotations
+
+import argparse
+import os
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from ..files.outputs import check_apart, check_file
+from ..files.stage import Stage, write_file
+from ..files.terminal import note, say
+from .bounds import add_bounds
+from .shared import RENDER_PACKAGES, UsageError, add_command, needs, note_compiling, parse_file, progress_bar, whole
+from .shown import camera_of, photographs_as_trained, read_shown, render_info
+
+if TYPE_CHECKING:
+    from ..bitstream.scene import Scene
+    from ..export.views import Views
+    from ..folder.uncompressed import Uncompressed
+    from ..render.view import View
+
+NOTES = """\
+FILE is a file or a scene folder. The ending of OUTPUT says the format:
+
+  .ply  Gaussians as 3DGS's own code writes them. Every program for splats reads them.
+  .spz  the format of Niantic: fixed point, packed with gzip
+  .sog  the format of PlayCanvas: images in an archive
+  .glb  glTF 2.0 with KHR_gaussian_splatting. The scene stands upright.
+
+The scene has other Gaussians for each camera. An ordinary splat has one set of them, with spherical harmonics for the
+colours. They are fitted to what cameras see:
+
+  - with PHOTOGRAPHS, a folder that COLMAP or a NeRF dataset made, the cameras that training had
+  - else the cameras of FILE, if there are 8 or more
+  - else 64 cameras around the scene
+
+The cameras of photographs are best: the networks of a scene are right where they were trained.
+The command says how near the splat comes to the scene: the PSNR in dB, of views that the fit did not have.
+Gaussians go that add less than a tenth of a pixel to every view.
+Needs: pip install 'refcodec[render]'.
+
+With --scaffold, OUTPUT is a folder of Scaffold-GS as its authors' code loads it. It draws what FILE draws.
+Needs: pip install 'refcodec[fit]'."""
+
+
+def _views(
+    arguments: argparse.Namespace, shown: bytes | Scene | Uncompressed, view: View, ancillary: Any
+) -> tuple[Views, list[str | Path]]:
+    """Returns the views of the fit, and what was read for them. Raises UsageError."""
+    from ..bitstream.cameras import cameras
+    from ..export.views import Views, sized, views_of
+
+    if arguments.cameras is None:
+        views = views_of(view, cameras(ancillary))
+        if len(views.fit) and "around" in views.source:
+            note(f"refcodec: the views are {views.source}; --cameras PHOTOGRAPHS fits to those of photographs")
+        return views, []
+    found, said = photographs_as_trained(arguments, arguments.cameras, render_info(shown), camera_of(shown))
+    for line in said:
+        note(f"refcodec: {line}")
+    fit, test = ([sized(p.camera) for p in photographs] for photographs in (found.train, found.test))
+    return Views(fit or test, test or fit, f"{len(fit)} cameras of photographs"), [*found.places()]
+
+
+def _scaffold(arguments: argparse.Namespace) -> int:
+    """Writes the folder of Scaffold-GS."""
+    try:
+        # The networks are written with torch, which is missed here and not after the work.
+        import torch  # noqa: F401
+
+        from ..export.scaffold import CFG, CFG_ARGS, FILES, scaffold_files
+    except ModuleNotFoundError as error:
+        raise needs("export --scaffold", "fit", error, ("torch",)) from None
+    from ..bitstream.cameras import cameras
+    from ..bitstream.reconstruction import reconstruct
+    from ..bitstream.scene import Scene
+
+    folder = Path(arguments.output)
+    if os.path.lexists(folder):
+        if not folder.is_dir():
+            raise UsageError(f"{folder} is a file: give the name of a folder")
+        if any(folder.iterdir()) and not (folder / CFG_ARGS).is_file():
+            raise UsageError(f"{folder} exists and has other files: choose another one, or empty it")
+        check_file(folder / CFG_ARGS, CFG, made=True)
+    check_apart([folder / file for file in FILES], [arguments.file])
+    shown = read_shown(arguments)
+    scene = parse_file(arguments, shown).scene if isinstance(shown, bytes) else shown
+    stated = cameras(scene.ancillary) if isinstance(scene, Scene) else [scene.camera]
+    values = reconstruct(scene) if isinstance(scene, Scene) else scene.values
+    files = scaffold_files(values, scene.masks, scene.networks, scene.render, stated)
+    if scene.render.background not in ((0, 0, 0), (255, 255, 255)):
+        note("refcodec: Scaffold-GS has black and white backgrounds alone; the folder says black")
+    with Stage() as stage:
+        for name, data in files.items():
+            stage.write(folder / name, data)
+    say(f"{folder}: {scene.anchor_count:,} anchors, {sum(map(len, files.values())):,} bytes")
+    return 0
+
+
+def _export(arguments: argparse.Namespace) -> int:
+    if arguments.scaffold:
+        return _scaffold(arguments)
+    try:
+        from ..export.fit import agreement, fit
+        from ..export.formats import FORMATS, splat_file
+        from ..render.view import View
+    except ModuleNotFoundError as error:
+        raise needs("export", "render", error, RENDER_PACKAGES) from None
+    output = Path(arguments.output)
+    suffix = output.suffix.lower()
+    if suffix not in FORMATS:
+        raise UsageError(f"{arguments.output} ends with none of {', '.join(FORMATS)}")
+    check_file(output, FORMATS[suffix])
+    check_apart([output], [arguments.file])
+    note_compiling()
+    shown = read_shown(arguments)
+    scene = parse_file(arguments, shown).scene if isinstance(shown, bytes) else shown
+    view = View(scene)
+    views, read = _views(arguments, shown, view, getattr(scene, "ancillary", ()))
+    check_apart([output], read)
+    try:
+        with progress_bar(arguments.progress) as progress:
+            fitted = fit(view, views.fit, arguments.degree, arguments.iterations, progress)
+            packed = splat_file(fitted.splats, suffix, view.info.up_axis)
+            near = agreement(view, packed.splats, views.test, progress)
+    except ValueError as error:
+        raise UsageError(f"{arguments.file} cannot be exported: {error}") from None
+    write_file(output, packed.data)
+    source = "" if os.path.isdir(arguments.file) else f", {arguments.file} has {os.path.getsize(arguments.file):,}"
+    say(
+        f"{output}: {len(fitted.splats.mean):,} of {fitted.of:,} Gaussians, degree {arguments.degree}, "
+        f"{len(packed.data):,} bytes{source}\n"
+        f"PSNR to the scene: {near:.2f} dB over {len(views.test)} views, fitted to {views.source}",
+        lines=True,
+    )
+    return 0
+
+
+def add(commands: Any) -> None:
+    """Adds the command of this module."""
+    export = add_command(
+        commands,
+        "export",
+        _export,
+        "write a scene for other programs",
+        [
+            "export scene.c3gs -o scene.ply",
+            "export scene.c3gs -o scene.spz --cameras photographs",
+            "export scene.c3gs -o scene.sog --degree 1",
+            "export scene.c3gs -o model --scaffold",
+        ],
+        NOTES,
+        writes=True,
+    )
+    export.add_argument("file", metavar="FILE")
+    add_bounds(export)
+    export.add_argument("-o", "--output", metavar="OUTPUT", required=True)
+    export.add_argument("--scaffold", action="store_true", help="write a folder of Scaffold-GS")
+    export.add_argument(
+        "--degree",
+        type=int,
+        choices=range(4),
+        default=3,
+        help="of the spherical harmonics: how much a colour changes with the direction (default: %(default)s)",
+    )
+    export.add_argument("--cameras", metavar="PHOTOGRAPHS", help="fit to the cameras of a folder of photographs")
+    export.add_argument(
+        "--size",
+        metavar="WxH",
+        help="with --cameras, the size of the photographs, their longest side, or full (default: that of the training)",
+    )
+    export.add_argument(
+        "--iterations",
+        type=whole,
+        metavar="N",
+        default=10,
+        help="steps of least squares on the images, after each Gaussian by itself (default: %(default)s)",
+    )

@@ -1,0 +1,248 @@
+"""From the Gaussians that a scene has for each camera to one set of Gaussians for all of them.
+
+The networks of a scene give opacity, lengths, rotation and colour anew for each view. An ordinary Gaussian has one of
+each, and harmonics for its colour. They are found in three steps:
+
+1. Each view is drawn. The derivative of the image's sum with respect to a Gaussian's colour is its blending weight: the
+   sum over all pixels of its alpha times what the Gaussians before it let through. It says how much of the view depends
+   on the Gaussian.
+2. Opacity and covariance are means over the views. The mean of covariances is that of their logarithms, which keeps
+   volumes. The harmonics are a regression of the colours, weighted by the blending weights. A small ridge decides what
+   the views leave open.
+3. The images are linear in the coefficients of the harmonics. So all coefficients together are improved by least
+   squares on the images, with conjugate gradients. This corrects in colour what one opacity and one covariance for all
+   views get wrong.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..bitstream.batches import Progress
+from ..bitstream.reconstruction import Reconstruction
+from ..render.camera import Camera, rotation_matrix
+from ..render.gaussians import Gaussians, gaussians
+from ..render.rasterise import Settings, rasterise, rasterise_backward
+from ..render.view import View
+from .splats import OPACITY_LEAST, Splats, draw, harmonics, logits, opacities
+
+F32 = NDArray[np.float32]
+F64 = NDArray[np.float64]
+I64 = NDArray[np.int64]
+
+# A Gaussian goes if its blending weight is below this, in pixels, in every view.
+SEEN = 0.1
+# The ridge of the regression, relative to the sum of the weights.
+_RIDGE = 1e-4
+# The anchors of which equations are solved together. Degree 3 takes 2.5 KB for each of their Gaussians.
+_GROUP = 4096
+# The shortest length, whose logarithm is finite.
+_LENGTH_LEAST = 1e-20
+
+
+@dataclass(frozen=True)
+class Fitted:
+    """What a fit gives. splats: the Gaussians. of: how many the masks of the scene keep."""
+
+    splats: Splats
+    of: int
+
+
+def render_settings(view: View) -> Settings:
+    """Returns what SPEC 6.5 leaves to the scene, for the rasteriser."""
+    info = view.info
+    red, green, blue = (value / 255 for value in info.background)
+    return Settings(info.low_pass, info.near_plane, info.alpha_max, (red, green, blue))
+
+
+def fit(view: View, cameras: Sequence[Camera], degree: int, iterations: int, progress: Progress) -> Fitted:
+    """Returns Gaussians that look like a scene from some cameras.
+
+    degree: of the harmonics, 0 to 3. iterations: of the least squares on the images. Raises ValueError if no camera
+    sees a Gaussian, and as rasterise.
+    """
+    weights = _blending_weights(view, cameras, progress)
+    seen = np.maximum.reduce(weights) >= SEEN
+    if not seen.any():
+        raise ValueError("no view sees a Gaussian of it")
+    splats = _regression(view, cameras, weights, seen, degree, progress)
+    splats = _least_squares(view, splats, cameras, iterations, progress)
+    return Fitted(splats, int(view.masks.sum()))
+
+
+def agreement(view: View, splats: Splats, cameras: Sequence[Camera], progress: Progress) -> float:
+    """Returns how near the drawn Gaussians are to the drawn scene: the mean over cameras of the PSNR in dB.
+
+    It is infinite if all images are the same. Raises ValueError as rasterise.
+    """
+    settings, found = render_settings(view), []
+    for number, camera in enumerate(cameras):
+        progress("measure", number, len(cameras))
+        right, made = view.draw(camera), draw(splats, camera, settings).image
+        error = np.mean((np.clip(right, 0, 1).astype(np.float64) - np.clip(made, 0, 1)) ** 2)
+        found.append(-10 * math.log10(error) if error else math.inf)
+    progress("measure", len(cameras), len(cameras))
+    return sum(found) / len(found)
+
+
+def _seen_by(view: View, values: Reconstruction, masks: NDArray[np.bool_], camera: Camera) -> Gaussians:
+    return gaussians(values, masks, view.networks, camera, view.info.distance_unit)
+
+
+def _blending_weights(view: View, cameras: Sequence[Camera], progress: Progress) -> list[F32]:
+    """Returns the blending weights of all offsets of all anchors in each view, float32 [N * K] each, in pixels."""
+    settings, count = render_settings(view), view.masks.shape[1]
+    found = []
+    for number, camera in enumerate(cameras):
+        progress("views", number, len(cameras))
+        g = _seen_by(view, view.values, view.masks, camera)
+        drawn = rasterise(g.mean, g.quaternion, g.lengths, g.opacity, g.colour, camera, settings)
+        weights = np.zeros(view.masks.size, np.float32)
+        # All three channels have the same derivative.
+        weights[g.anchor * count + g.offset] = rasterise_backward(drawn, np.ones_like(drawn.image)).colour[:, 0]
+        found.append(weights)
+    progress("views", len(cameras), len(cameras))
+    return found
+
+
+def _regression(
+    view: View,
+    cameras: Sequence[Camera],
+    weights: list[F32],
+    seen: NDArray[np.bool_],
+    degree: int,
+    progress: Progress,
+) -> Splats:
+    """Returns the Gaussians that are seen, each fitted by itself. seen: bool [N * K]."""
+    count, anchors = view.masks.shape[1], len(view.masks)
+    parts = []
+    for begin in range(0, anchors, _GROUP):
+        progress("regression", begin, anchors)
+        group = slice(begin, begin + _GROUP)
+        v = view.values
+        values = Reconstruction(v.positions[group], v.features[group], v.scalings[group], v.offsets[group])
+        place = slice(begin * count, (begin + _GROUP) * count)
+        sums = _Sums(np.flatnonzero(seen[place]), degree)
+        for camera, weight in zip(cameras, weights, strict=True):
+            found = _seen_by(view, values, view.masks[group], camera)
+            sums.add(found, found.anchor * count + found.offset, weight[place], camera)
+        parts.append(sums.splats())
+    progress("regression", anchors, anchors)
+    return Splats(*(np.concatenate([getattr(p, name) for p in parts]) for name in Splats.__dataclass_fields__))
+
+
+class _Sums:
+    """Weighted sums over views of what n Gaussians are, and their normal equations."""
+
+    def __init__(self, members: I64, degree: int) -> None:
+        """members: which offsets of a group they are, rising."""
+        n, size = len(members), (degree + 1) ** 2
+        self._members, self._degree = members, degree
+        self._weight, self._area, self._opacity = np.zeros(n), np.zeros(n), np.zeros(n)
+        self._covariance = np.zeros((n, 3, 3))
+        self._mean = np.zeros((n, 3), np.float32)
+        self._left, self._right = np.zeros((n, size, size)), np.zeros((n, size, 3))
+
+    def add(self, found: Gaussians, offset: I64, weights: F32, camera: Camera) -> None:
+        """Adds a view. offset: int64, that of each found Gaussian within the group. weights: of all offsets of it."""
+        chosen = np.isin(offset, self._members) & (weights[offset] > 0)
+        at = np.searchsorted(self._members, offset[chosen])
+        weight = weights[offset[chosen]].astype(np.float64)
+        opacity, mean = found.opacity[chosen].astype(np.float64), found.mean[chosen]
+        # The weight over the opacity does not favour views in which the Gaussian is more opaque.
+        area = weight / np.maximum(opacity, OPACITY_LEAST)
+        axes = rotation_matrix(found.quaternion[chosen].astype(np.float64))
+        lengths = 2 * np.log(np.maximum(found.lengths[chosen].astype(np.float64), _LENGTH_LEAST))
+        basis = harmonics(mean, camera, self._degree)
+        self._mean[at] = mean
+        self._weight[at] += weight
+        self._area[at] += area
+        self._opacity[at] += area * opacity
+        self._covariance[at] += weight[:, None, None] * (axes * lengths[:, None, :]) @ axes.transpose(0, 2, 1)
+        weighted = weight[:, None] * basis
+        self._left[at] += weighted[:, :, None] * basis[:, None, :]
+        self._right[at] += weighted[:, :, None] * (found.colour[chosen].astype(np.float64) - 0.5)[:, None, :]
+
+    def splats(self) -> Splats:
+        """Returns the means and the solutions."""
+        weight = self._weight[:, None, None]
+        ridge = _RIDGE * np.eye(self._left.shape[1])
+        # The mean colour is not drawn to grey.
+        ridge[0, 0] = 0
+        solved = np.linalg.solve(self._left / weight + ridge, self._right / weight)
+        values, axes = np.linalg.eigh(self._covariance / weight)
+        axes[np.linalg.det(axes) < 0, :, 0] *= -1
+        return Splats(
+            self._mean,
+            solved[:, 0].astype(np.float32),
+            solved[:, 1:].astype(np.float32),
+            logits(self._opacity / self._area).astype(np.float32),
+            (values / 2).astype(np.float32),
+            _quaternions(axes).astype(np.float32),
+        )
+
+
+def _quaternions(rotation: F64) -> F64:
+    """Returns the unit quaternions w, x, y, z of rotations, [n, 4]. rotation: [n, 3, 3]."""
+    r = rotation
+    # Four times the products of each component with all. Of the rows the one with the largest square is the quaternion.
+    diagonal = [r[:, 0, 0], r[:, 1, 1], r[:, 2, 2]]
+    squares = [
+        1 + diagonal[0] + diagonal[1] + diagonal[2],
+        1 + diagonal[0] - diagonal[1] - diagonal[2],
+        1 - diagonal[0] + diagonal[1] - diagonal[2],
+        1 - diagonal[0] - diagonal[1] + diagonal[2],
+    ]
+    wx, wy, wz = r[:, 2, 1] - r[:, 1, 2], r[:, 0, 2] - r[:, 2, 0], r[:, 1, 0] - r[:, 0, 1]
+    xy, xz, yz = r[:, 0, 1] + r[:, 1, 0], r[:, 0, 2] + r[:, 2, 0], r[:, 1, 2] + r[:, 2, 1]
+    w, x, y, z = squares
+    products = np.moveaxis(np.array([[w, wx, wy, wz], [wx, x, xy, xz], [wy, xy, y, yz], [wz, xz, yz, z]]), -1, 0)
+    row = products[np.arange(len(r)), np.argmax(np.array(squares), axis=0)]
+    return row / np.linalg.norm(row, axis=1, keepdims=True)
+
+
+def _least_squares(
+    view: View, splats: Splats, cameras: Sequence[Camera], iterations: int, progress: Progress
+) -> Splats:
+    """Returns the Gaussians with coefficients that fit the images of the scene better.
+
+    It takes steps of conjugate gradients for the normal equations, from the coefficients that the Gaussians have.
+    """
+    settings, degree = render_settings(view), splats.degree
+    geometry = splats.mean, splats.quaternion, np.exp(splats.scale), opacities(splats)
+    black = replace(settings, background=(0.0, 0.0, 0.0))
+    found = splats.coefficients.astype(np.float64)
+    stages = iterations + 1
+
+    def through(coefficients: F64, target: Callable[[Camera], F32] | None, stage: int) -> F64:
+        """Returns the images of coefficients, or what they lack to a target, carried back to coefficients."""
+        out = np.zeros_like(coefficients)
+        for number, camera in enumerate(cameras):
+            progress("images", stage * len(cameras) + number, stages * len(cameras))
+            basis = harmonics(splats.mean, camera, degree)
+            colour = np.einsum("nk,nkc->nc", basis, coefficients) + (0.5 if target else 0)
+            drawn = rasterise(*geometry, colour, camera, settings if target else black)
+            image = target(camera) - drawn.image if target else drawn.image
+            out += basis[:, :, None] * rasterise_backward(drawn, image).colour[:, None, :]
+        return out
+
+    if iterations:
+        residual = through(found, view.draw, 0)
+        step, square = residual.copy(), float((residual**2).sum())
+        for number in range(iterations):
+            carried = through(step, None, number + 1)
+            curvature = float((step * carried).sum())
+            if curvature <= 0:
+                # Nothing is left to fit.
+                break
+            found += square / curvature * step
+            residual -= square / curvature * carried
+            last, square = square, float((residual**2).sum())
+            step = residual + square / last * step
+        progress("images", stages * len(cameras), stages * len(cameras))
+    return replace(splats, base=found[:, 0].astype(np.float32), rest=found[:, 1:].astype(np.float32))

@@ -1,0 +1,24 @@
+"""The splat files that are written, by the endings of their names."""
+
+from __future__ import annotations
+
+from ..files.outputs import Kind
+from .glb import GLB, glb_bytes
+from .ply import PLY, ply_bytes
+from .sog import SOG, sog_file
+from .splats import Packed, Splats
+from .spz import SPZ, spz_file
+
+FORMATS: dict[str, Kind] = {".ply": PLY, ".spz": SPZ, ".sog": SOG, ".glb": GLB}
+
+
+def splat_file(splats: Splats, suffix: str, up_axis: int) -> Packed:
+    """Returns a file of Gaussians. suffix: a key of FORMATS. up_axis: of the scene, as SPEC 6.5 has it.
+
+    Raises ValueError if the format cannot hold them.
+    """
+    if suffix == ".spz":
+        return spz_file(splats)
+    if suffix == ".sog":
+        return sog_file(splats)
+    return Packed(ply_bytes(splats) if suffix == ".ply" else glb_bytes(splats, up_axis), splats)

@@ -1,0 +1,112 @@
+"""GLB files: glTF 2.0 with the extension KHR_gaussian_splatting of Khronos, in one binary file.
+
+Numbers are float32, and quaternions are x, y, z, w. The points stay where they are in the scene. A node turns the
+scene's upward axis to +y, which is up in glTF.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+import re
+import struct
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .. import __version__
+from ..files.outputs import Kind
+from .harmonics import ZERO
+from .splats import Splats, nearest_bytes, opacities
+
+_EXTENSION = "KHR_gaussian_splatting"
+_FLOAT, _BYTE, _POINTS, _VERTICES = 5126, 5121, 0, 34962
+_HEAD, _CHUNK = struct.Struct("<4sII"), struct.Struct("<I4s")
+_START = '{"asset":{"version":"2.0","generator":"refcodec'
+GLB = Kind(
+    "a GLB file that refcodec wrote", re.compile(rb"glTF\x02\x00\x00\x00.{8}JSON" + re.escape(_START.encode()), re.S)
+)
+# Quaternions x, y, z, w that turn each axis of SPEC 6.5 (+x, -x, +y, -y, +z, -z) to +y.
+_HALF = math.sqrt(0.5)
+_UP = (
+    (0.0, 0.0, _HALF, _HALF),
+    (0.0, 0.0, -_HALF, _HALF),
+    (0.0, 0.0, 0.0, 1.0),
+    (0.0, 0.0, 1.0, 0.0),
+    (-_HALF, 0.0, 0.0, _HALF),
+    (_HALF, 0.0, 0.0, _HALF),
+)
+
+
+def _attributes(splats: Splats) -> dict[str, NDArray]:
+    """Returns the vertex attributes by name, [n] or [n, parts] each."""
+    opacity = opacities(splats)
+    # Programs without the extension show points of this colour.
+    points = np.concatenate([ZERO * splats.base + 0.5, opacity[:, None]], axis=1)
+    found: dict[str, NDArray] = {
+        "POSITION": splats.mean,
+        "COLOR_0": nearest_bytes(points * 255),
+        f"{_EXTENSION}:ROTATION": splats.unit_quaternions()[:, [1, 2, 3, 0]],
+        f"{_EXTENSION}:SCALE": np.exp(splats.scale),
+        f"{_EXTENSION}:OPACITY": opacity,
+        f"{_EXTENSION}:SH_DEGREE_0_COEF_0": splats.base,
+    }
+    for degree in range(1, splats.degree + 1):
+        for number in range(2 * degree + 1):
+            found[f"{_EXTENSION}:SH_DEGREE_{degree}_COEF_{number}"] = splats.rest[:, degree * degree - 1 + number]
+    return {name: v if v.dtype == np.uint8 else v.astype("<f4") for name, v in found.items()}
+
+
+def glb_bytes(splats: Splats, up_axis: int) -> bytes:
+    """Returns the file. up_axis: as SPEC 6.5 has it. Raises ValueError for a file of 4 GiB or more."""
+    data: list[bytes] = []
+    views: list[dict[str, Any]] = []
+    accessors: list[dict[str, Any]] = []
+    names = {"": "SCALAR", "3": "VEC3", "4": "VEC4"}
+    attributes = _attributes(splats)
+    at = 0
+    for values in attributes.values():
+        kind = _BYTE if values.dtype == np.uint8 else _FLOAT
+        views.append({"buffer": 0, "byteOffset": at, "byteLength": values.nbytes, "target": _VERTICES})
+        accessor = {
+            "bufferView": len(accessors),
+            "componentType": kind,
+            "count": len(values),
+            "type": names["".join(map(str, values.shape[1:]))],
+        }
+        accessors.append(accessor | ({"normalized": True} if kind == _BYTE else {}))
+        data.append(np.ascontiguousarray(values).tobytes())
+        at += values.nbytes
+    accessors[0] |= {"min": splats.mean.min(axis=0).tolist(), "max": splats.mean.max(axis=0).tolist()}
+    primitive = {
+        "mode": _POINTS,
+        "attributes": {name: number for number, name in enumerate(attributes)},
+        "extensions": {
+            _EXTENSION: {
+                "kernel": "ellipse",
+                "colorSpace": "srgb_rec709_display",
+                "sortingMethod": "cameraDistance",
+                "projection": "perspective",
+            }
+        },
+    }
+    document = {
+        "asset": {"version": "2.0", "generator": f"refcodec {__version__}"},
+        "extensionsUsed": [_EXTENSION],
+        "scene": 0,
+        "scenes": [{"nodes": [0]}],
+        "nodes": [{"mesh": 0, "rotation": _UP[up_axis]}],
+        "meshes": [{"primitives": [primitive]}],
+        "accessors": accessors,
+        "bufferViews": views,
+        "buffers": [{"byteLength": at}],
+    }
+    text = json.dumps(document, separators=(",", ":")).encode()
+    # Every attribute has a multiple of four bytes for each Gaussian, so that only the text needs padding.
+    text += b" " * (-len(text) % 4)
+    length = _HEAD.size + 2 * _CHUNK.size + len(text) + at
+    if length >= 1 << 32:
+        raise ValueError(f"it would take {length} bytes, and GLB holds less than 4 GiB")
+    head = _HEAD.pack(b"glTF", 2, length) + _CHUNK.pack(len(text), b"JSON") + text + _CHUNK.pack(at, b"BIN\0")
+    return head + b"".join(data)

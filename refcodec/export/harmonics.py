@@ -1,0 +1,64 @@
+"""Real spherical harmonics of degree 0 to 3, with the signs and the order that files of 3DGS have.
+
+The basis is orthonormal on the sphere. Its constants are made from the definition: N(l, m) is the square root of
+(2 l + 1) (l - m)! / (4 pi (l + m)!), times the square root of 2 where m is not 0, times (-1)^m (Condon and Shortley).
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable
+from typing import Any
+
+DEGREE_MAX = 3
+# Harmonics beside that of degree 0, by degree.
+REST = tuple((degree + 1) ** 2 - 1 for degree in range(DEGREE_MAX + 1))
+
+
+def _constant(degree: int, order: int) -> float:
+    """Returns N(l, m) of the module's text."""
+    share = math.factorial(degree - order) / math.factorial(degree + order)
+    plain = math.sqrt((2 * degree + 1) / (4 * math.pi) * share)
+    return (-1) ** order * plain * (math.sqrt(2) if order else 1)
+
+
+ZERO = _constant(0, 0)
+# Each polynomial below is the harmonic over its constant. Legendre's factors (3, 15, 1/2, 3/2) stand in the constant.
+_ONE = (_constant(1, 1), _constant(1, 0), _constant(1, 1))
+_TWO = (2 * 3 * _constant(2, 2), 3 * _constant(2, 1), _constant(2, 0) / 2, 3 * _constant(2, 1), 3 * _constant(2, 2))
+_THREE = (
+    15 * _constant(3, 3),
+    15 * 2 * _constant(3, 2),
+    1.5 * _constant(3, 1),
+    _constant(3, 0) / 2,
+    1.5 * _constant(3, 1),
+    15 * _constant(3, 2),
+    15 * _constant(3, 3),
+)
+
+
+def degree_of(rest: int) -> int:
+    """Returns the degree that has `rest` harmonics beside the first. Raises ValueError if none has."""
+    if rest not in REST:
+        raise ValueError(f"{rest} harmonics beside the first; {', '.join(map(str, REST))} are wanted")
+    return REST.index(rest)
+
+
+def rest_harmonics(direction: Iterable[Any], degree: int) -> list[Any]:
+    """Returns the harmonics of degree 1 to `degree` in the order of the files: (degree + 1)^2 - 1 values.
+
+    direction: x, y and z of unit vectors, as arrays of NumPy or tensors of torch, of one shape. The values are of that
+    shape.
+    """
+    x, y, z = direction
+    found: list[Any] = []
+    if degree > 0:
+        found += [c * p for c, p in zip(_ONE, (y, z, x), strict=True)]
+    if degree > 1:
+        xx, yy, zz = x * x, y * y, z * z
+        found += [c * p for c, p in zip(_TWO, (x * y, y * z, 2 * zz - xx - yy, x * z, xx - yy), strict=True)]
+    if degree > 2:
+        ring = 4 * zz - xx - yy
+        inner = (y * (3 * xx - yy), x * y * z, y * ring, z * (2 * zz - 3 * xx - 3 * yy), x * ring, z * (xx - yy))
+        found += [c * p for c, p in zip(_THREE, (*inner, x * (xx - 3 * yy)), strict=True)]
+    return found

@@ -1,0 +1,61 @@
+"""PLY files of ordinary 3D Gaussians, as 3DGS's own code writes them."""
+
+# plyfile is imported where it is used, so that other commands start fast.
+# ruff: noqa: PLC0415
+
+from __future__ import annotations
+
+import io
+import re
+
+import numpy as np
+
+from ..files.outputs import Kind
+from .splats import Splats
+
+# Viewers of 3DGS's authors take the count from the third line of the file, so the mark stands after that line.
+MARK = "refcodec"
+PLY = Kind(
+    "a PLY file of Gaussians that refcodec wrote",
+    re.compile(rb"ply\nformat binary_little_endian 1\.0\nelement vertex [0-9]+\ncomment " + MARK.encode() + rb"\n"),
+)
+
+
+def columns(rest: int) -> dict[str, tuple[str, ...]]:
+    """Returns the properties of each array of Splats in a file, in the order of the file.
+
+    rest: how many harmonics there are beside the first.
+    """
+    return {
+        "mean": ("x", "y", "z"),
+        "base": tuple(f"f_dc_{i}" for i in range(3)),
+        "rest": tuple(f"f_rest_{i}" for i in range(3 * rest)),
+        "opacity": ("opacity",),
+        "scale": tuple(f"scale_{i}" for i in range(3)),
+        "quaternion": tuple(f"rot_{i}" for i in range(4)),
+    }
+
+
+def ply_bytes(splats: Splats) -> bytes:
+    """Returns the file: binary, little endian, float32, with normals of 0 after the means.
+
+    The coefficients f_rest have one channel after the other.
+    """
+    from plyfile import PlyData, PlyElement
+
+    count = len(splats.mean)
+    names: list[str] = []
+    parts = []
+    for name, properties in columns(splats.rest.shape[1]).items():
+        values = getattr(splats, name)
+        if name == "rest":
+            values = values.transpose(0, 2, 1)
+        names += properties
+        parts.append(values.reshape(count, len(properties)))
+        if name == "mean":
+            names += ("nx", "ny", "nz")
+            parts.append(np.zeros((count, 3), np.float32))
+    table = np.concatenate(parts, axis=1).astype("<f4").view([(name, "<f4") for name in names]).reshape(count)
+    file = io.BytesIO()
+    PlyData([PlyElement.describe(table, "vertex", comments=[MARK])], byte_order="<").write(file)
+    return file.getvalue()

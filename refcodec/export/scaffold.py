@@ -1,0 +1,236 @@
+"""The folder of a trained Scaffold-GS, as the code of its authors loads it.
+
+cfg_args                                     what the networks are, as the text of a Namespace
+cameras.json                                 the cameras of the scene
+point_cloud/iteration_30000/point_cloud.ply  anchors
+point_cloud/iteration_30000/*_mlp.pt         the three networks in TorchScript
+point_cloud/iteration_30000/checkpoints.pth  the same as state dicts
+
+Three things differ between that code and SPEC 14.3. Numbers in the folder make up for them, so that it draws the same:
+
+- Distances are in world units. The weights of the distance are divided by distance_unit.
+- Networks are as wide as there are features. The narrower of the two is filled up with zeros.
+- There are no masks. Each offset gets a feature that is 1 for the anchors that drop it. A unit of the opacity network
+  passes it on, with a weight that makes the opacity negative. The code draws no Gaussian of negative opacity.
+"""
+
+# torch and plyfile are imported where they are used, so that other commands start fast.
+# ruff: noqa: PLC0415
+
+from __future__ import annotations
+
+import io
+import json
+import re
+import warnings
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .. import __version__
+from ..bitstream.cameras import NamedCamera
+from ..bitstream.dimensions import RENDERING
+from ..bitstream.header import RenderInfo
+from ..bitstream.networks import Layer
+from ..bitstream.reconstruction import Reconstruction
+from ..files.outputs import Kind
+from ..folder.ply import ply_values
+from ..render.camera import default_camera
+
+if TYPE_CHECKING:
+    from torch import nn
+
+F32 = NDArray[np.float32]
+
+CFG_ARGS, CAMERAS_JSON = Path("cfg_args"), Path("cameras.json")
+_MODEL = Path("point_cloud", "iteration_30000")
+# How the networks are called in the folder, and the function at the end of each.
+_NAMES = {"opacity": "opacity_mlp", "covariance": "cov_mlp", "colour": "color_mlp"}
+FILES = (
+    CFG_ARGS,
+    CAMERAS_JSON,
+    _MODEL / "point_cloud.ply",
+    *(_MODEL / f"{name}.pt" for name in _NAMES.values()),
+    _MODEL / "checkpoints.pth",
+)
+_MARK = "Namespace(generator='refcodec"
+# The file by which a folder is one that refcodec wrote.
+CFG = Kind("the cfg_args of a folder that refcodec wrote", re.compile(re.escape(_MARK.encode())))
+# More than any opacity of a learned network before its hyperbolic tangent.
+_DROP = 2.0**64
+# The inputs of SPEC 14.3 beside the features: a direction and a distance.
+_VIEW = 4
+
+
+@dataclass(frozen=True, eq=False)
+class _Model:
+    """A scene as Scaffold-GS has it. features: float32 [N, width]. networks: of `width` features and hidden units."""
+
+    features: F32
+    networks: dict[str, list[Layer]]
+    width: int
+
+
+def scaffold_files(
+    values: Reconstruction,
+    masks: NDArray[np.bool_],
+    networks: dict[str, list[Layer]],
+    render: RenderInfo,
+    cameras: Sequence[NamedCamera],
+) -> dict[Path, bytes]:
+    """Returns the files of the folder by their names, which are FILES. It needs torch.
+
+    values: the float32 values of the scene. masks: bool [N, K]. networks: the rendering networks, by name.
+    """
+    model = _model(values, masks, networks, render.distance_unit)
+    modules = {name: _module(name, model.networks[name]) for name in RENDERING}
+    files = {
+        CFG_ARGS: _cfg_args(model.width, masks.shape[1], render).encode(),
+        CAMERAS_JSON: json.dumps([_camera(number, camera) for number, camera in enumerate(cameras)]).encode(),
+        _MODEL / "point_cloud.ply": _cloud(values, masks, model.features),
+    }
+    for name, module in modules.items():
+        files[_MODEL / f"{_NAMES[name]}.pt"] = _torch_script(module, model.width + _VIEW)
+    files[_MODEL / "checkpoints.pth"] = _state_dicts(modules)
+    return files
+
+
+def _model(
+    values: Reconstruction, masks: NDArray[np.bool_], networks: dict[str, list[Layer]], distance_unit: float
+) -> _Model:
+    count, own = values.features.shape
+    dropped = ~masks if not masks.all() else np.zeros((count, 0), bool)
+    extra = dropped.shape[1]
+    hidden = max(len(networks[name][0][1]) for name in RENDERING)
+    width = extra + max(own, hidden)
+    features = np.zeros((count, width), np.float32)
+    features[:, :own] = values.features
+    features[:, width - extra :] = dropped
+    made = {}
+    for name in RENDERING:
+        (weight, bias), (last_weight, last_bias) = networks[name]
+        first, first_bias = np.zeros((width, width + _VIEW), np.float32), np.zeros(width, np.float32)
+        second = np.zeros((len(last_bias), width), np.float32)
+        units = len(bias)
+        first[:units, :own], first[:units, width:], first_bias[:units] = weight[:, :own], weight[:, own:], bias
+        first[:units, -1] = weight[:, -1] / np.float32(distance_unit)
+        second[:, :units] = last_weight
+        if name == "opacity":
+            unit = np.arange(width - extra, width)
+            first[unit, unit], second[np.arange(extra), unit] = 1, -_DROP
+        made[name] = [(first, first_bias), (second, last_bias)]
+    return _Model(features, made, width)
+
+
+def _module(name: str, layers: list[Layer]) -> nn.Sequential:
+    """Returns a network as Scaffold-GS builds it."""
+    import torch
+    from torch import nn
+
+    linear = []
+    for weight, bias in layers:
+        layer = nn.Linear(weight.shape[1], weight.shape[0])
+        with torch.no_grad():
+            layer.weight.copy_(torch.tensor(weight))
+            layer.bias.copy_(torch.tensor(bias))
+        linear.append(layer)
+    end: dict[str, list[nn.Module]] = {"opacity": [nn.Tanh()], "covariance": [], "colour": [nn.Sigmoid()]}
+    return nn.Sequential(linear[0], nn.ReLU(), linear[1], *end[name])
+
+
+def _torch_script(module: nn.Sequential, inputs: int) -> bytes:
+    """Returns a network as torch.jit.load reads it. inputs: their number."""
+    import torch
+
+    file = io.BytesIO()
+    with warnings.catch_warnings():
+        # PyTorch advises against TorchScript, which is what Scaffold-GS loads.
+        warnings.simplefilter("ignore", DeprecationWarning)
+        torch.jit.save(torch.jit.trace(module.eval(), torch.zeros(1, inputs)), file)
+    return file.getvalue()
+
+
+def _state_dicts(modules: dict[str, nn.Sequential]) -> bytes:
+    """Returns the tensors of the networks as torch.load reads them with weights_only."""
+    import torch
+
+    file = io.BytesIO()
+    torch.save({_NAMES[name]: module.state_dict() for name, module in modules.items()}, file)
+    return file.getvalue()
+
+
+def _cloud(values: Reconstruction, masks: NDArray[np.bool_], features: F32) -> bytes:
+    """Returns point_cloud.ply, without masks. The opacity and the rotation of anchors are not used."""
+    from plyfile import PlyData, PlyElement
+
+    count, found = len(masks), ply_values(values, masks)
+    rotation = np.broadcast_to(np.array([1, 0, 0, 0], np.float32), (count, 4))
+    columns = {
+        ("x", "y", "z"): found["xyz"],
+        ("nx", "ny", "nz"): np.zeros((count, 3), np.float32),
+        "f_offset_": found["f_offset_"],
+        "f_anchor_feat_": features,
+        ("opacity",): np.zeros((count, 1), np.float32),
+        "scale_": found["scale_"],
+        "rot_": rotation,
+    }
+    names = [
+        name
+        for stem, part in columns.items()
+        for name in ([f"{stem}{i}" for i in range(part.shape[1])] if isinstance(stem, str) else stem)
+    ]
+    table = np.concatenate(list(columns.values()), axis=1).astype("<f4").view([(name, "<f4") for name in names])
+    file = io.BytesIO()
+    PlyData([PlyElement.describe(table.reshape(count), "vertex")], byte_order="<").write(file)
+    return file.getvalue()
+
+
+def _cfg_args(width: int, offsets: int, render: RenderInfo) -> str:
+    """Returns the arguments that the code of Scaffold-GS evaluates. What a scene does not say has its defaults."""
+    arguments: dict[str, Any] = {
+        "generator": f"refcodec {__version__}",
+        "sh_degree": 3,
+        "feat_dim": width,
+        "n_offsets": offsets,
+        "voxel_size": 0.001,
+        "update_depth": 3,
+        "update_init_factor": 16,
+        "update_hierachy_factor": 4,
+        "use_feat_bank": False,
+        "source_path": "",
+        "model_path": "",
+        "images": "images",
+        "resolution": -1,
+        "white_background": render.background == (255, 255, 255),
+        "data_device": "cuda",
+        "eval": False,
+        "lod": 0,
+        "appearance_dim": 0,
+        "lowpoly": False,
+        "ds": 1,
+        "ratio": 1,
+        "undistorted": False,
+        "add_opacity_dist": True,
+        "add_cov_dist": True,
+        "add_color_dist": True,
+    }
+    return f"Namespace({', '.join(f'{name}={value!r}' for name, value in arguments.items())})"
+
+
+def _camera(number: int, stated: NamedCamera) -> dict[str, Any]:
+    """Returns a camera as 3DGS's code and viewers have it. The rotation is from the camera to the world, by rows."""
+    camera = default_camera(stated)
+    return {
+        "id": number,
+        "img_name": stated.name,
+        "width": camera.width,
+        "height": camera.height,
+        "position": camera.centre.tolist(),
+        "rotation": camera.rotation.T.tolist(),
+        "fy": camera.fy,
+        "fx": camera.fx,
+    }

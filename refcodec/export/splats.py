@@ -1,0 +1,112 @@
+"""Ordinary 3D Gaussians with spherical harmonics, as files of 3DGS have them, and what a camera sees of them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..render.camera import Camera
+from ..render.rasterise import Rendering, Settings, rasterise
+from .harmonics import ZERO, degree_of, rest_harmonics
+
+F32 = NDArray[np.float32]
+F64 = NDArray[np.float64]
+# Opacities from here to 1 minus this have finite logits that programs with float32 take.
+OPACITY_LEAST = 1e-6
+
+
+@dataclass(frozen=True, eq=False)
+class Splats:
+    """n Gaussians, float32.
+
+    mean: [n, 3], world units.
+    base: [n, 3], red, green and blue of the harmonic of degree 0.
+    rest: [n, K, 3], those of the other harmonics, in the order of harmonics.rest_harmonics.
+    opacity: [n], logits.
+    scale: [n, 3], natural logarithms of the lengths in world units.
+    quaternion: [n, 4], w, x, y, z, of any length but 0.
+    """
+
+    mean: F32
+    base: F32
+    rest: F32
+    opacity: F32
+    scale: F32
+    quaternion: F32
+
+    @property
+    def degree(self) -> int:
+        """The degree of the harmonics. Raises ValueError for a number of them that no degree has."""
+        return degree_of(self.rest.shape[1])
+
+    @property
+    def coefficients(self) -> F32:
+        """The coefficients of all harmonics, [n, 1 + K, 3]."""
+        return np.concatenate([self.base[:, None], self.rest], axis=1)
+
+    def unit_quaternions(self) -> F64:
+        """Returns the quaternions with length 1, [n, 4]."""
+        quaternion = self.quaternion.astype(np.float64)
+        return quaternion / np.linalg.norm(quaternion, axis=1, keepdims=True)
+
+
+@dataclass(frozen=True, eq=False)
+class Packed:
+    """A file of Gaussians. data: its bytes. splats: what programs read from it, float32."""
+
+    data: bytes
+    splats: Splats
+
+
+def opacities(splats: Splats) -> F64:
+    """Returns the opacities, from 0 to 1, [n]."""
+    return 1 / (1 + np.exp(-splats.opacity.astype(np.float64)))
+
+
+def logits(opacity: F64) -> F64:
+    """Returns the logits of opacities, all finite."""
+    within = np.clip(opacity, OPACITY_LEAST, 1 - OPACITY_LEAST)
+    return np.log(within / (1 - within))
+
+
+def nearest_bytes(values: NDArray) -> NDArray[np.uint8]:
+    """Returns the nearest integers from 0 to 255."""
+    return np.clip(np.floor(values + 0.5), 0, 255).astype(np.uint8)
+
+
+def smaller_components(unit: F64) -> tuple[NDArray[np.int64], F64]:
+    """Returns the index of the largest component of unit quaternions, and the other three, [n, 3], in their order.
+
+    The sign is that of the same rotation with a largest component that is positive.
+    """
+    largest = np.argmax(np.abs(unit), axis=1)
+    turned = unit * np.where(np.take_along_axis(unit, largest[:, None], axis=1) < 0, -1, 1)
+    return largest, turned[np.arange(4) != largest[:, None]].reshape(-1, 3)
+
+
+def with_largest(largest: NDArray[np.int64], others: F64) -> F64:
+    """Returns the unit quaternions of which smaller_components gave the parts, [n, 4]."""
+    out = np.empty((len(others), 4))
+    out[np.arange(4) != largest[:, None]] = others.reshape(-1)
+    out[np.arange(len(out)), largest] = np.sqrt(np.maximum(1 - (others**2).sum(axis=1), 0))
+    return out
+
+
+def harmonics(mean: F32, camera: Camera, degree: int) -> F64:
+    """Returns all harmonics in the directions from a camera to Gaussians, [n, (degree + 1)^2]. mean: [n, 3]."""
+    away = mean.astype(np.float64) - camera.centre
+    away /= np.maximum(np.linalg.norm(away, axis=1, keepdims=True), 1e-12)
+    return np.stack([np.full(len(away), ZERO), *rest_harmonics(away.T, degree)], axis=1)
+
+
+def draw(splats: Splats, camera: Camera, settings: Settings) -> Rendering:
+    """Draws Gaussians as programs for 3DGS do: colours are 0.5 plus the sum of the harmonics, and at least 0.
+
+    Raises ValueError as rasterise.
+    """
+    values = np.einsum("nk,nkc->nc", harmonics(splats.mean, camera, splats.degree), splats.coefficients)
+    lengths = np.exp(splats.scale)
+    colours = np.maximum(values + 0.5, 0)
+    return rasterise(splats.mean, splats.quaternion, lengths, opacities(splats), colours, camera, settings)

@@ -1,0 +1,92 @@
+"""SPZ files: Gaussians in fixed point, one kind of numbers after the other, packed with gzip.
+
+The format is that of Niantic's library (https://github.com/nianticlabs/spz), version 3. Its axes point right, up and
+back. Those of PLY files point right, down and forward, so y and z change their signs.
+"""
+
+from __future__ import annotations
+
+import gzip
+import re
+import struct
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..files.outputs import Kind
+from .splats import Packed, Splats, logits, nearest_bytes, opacities, smaller_components, with_largest
+
+_MAGIC, _VERSION = b"NGSP", 3
+# The time of the file within gzip says that refcodec wrote it. Nobody uses it, and the same scene gives the same bytes.
+_STAMP = b"C3GS"
+SPZ = Kind("an SPZ file that refcodec wrote", re.compile(rb"\x1f\x8b\x08\x00" + _STAMP))
+
+# Positions have 24 bits. Finer steps than 2^-20 are those of float32 itself.
+_POSITION_MOST, _FRACTION_MOST = (1 << 23) - 1, 20
+# Opacities o are stored as 255 o, coefficients c of degree 0 as 255 (0.15 c + 0.5), scales s as 16 (s + 10).
+_COLOUR, _SCALE, _SCALE_LEAST = 0.15, 16, -10
+# Other coefficients c are stored as 128 c + 128. They are from -1 to 1. Niantic's library drops three and four of the
+# eight bits, so that gzip packs more. Those of learned scenes are small, and would be lost.
+_HARMONIC = 128
+# Components of quaternions have a sign and nine bits. All but the largest are at most the square root of 1/2.
+_COMPONENT = 511 * np.sqrt(2)
+# The signs of x, y and z, and with them of the harmonics beside the first, where y and z are turned around.
+_AXES = np.array([1, -1, -1])
+_HARMONICS = np.array([-1, -1, 1, -1, 1, 1, -1, 1, -1, 1, -1, -1, 1, -1, 1])
+
+
+def spz_file(splats: Splats) -> Packed:
+    """Returns the file. Raises ValueError for positions of 2^23 or more, which the format does not hold."""
+    fraction = _fraction(splats.mean)
+    fixed = np.rint(splats.mean.astype(np.float64) * _AXES * 2.0**fraction)
+    fixed = np.clip(fixed, -_POSITION_MOST, _POSITION_MOST).astype("<i4")
+    alpha = nearest_bytes(opacities(splats) * 255)
+    base = nearest_bytes((_COLOUR * splats.base + 0.5) * 255)
+    scale = nearest_bytes((splats.scale - _SCALE_LEAST) * _SCALE)
+    # The library counts components as x, y, z, w.
+    largest, others = smaller_components(splats.unit_quaternions()[:, [1, 2, 3, 0]] * np.append(_AXES, 1))
+    magnitude = np.minimum(np.floor(_COMPONENT * np.abs(others) + 0.5), 511).astype("<u4")
+    turns = _HARMONICS[: splats.rest.shape[1], None]
+    rest = nearest_bytes(_HARMONIC * splats.rest * turns + _HARMONIC)
+    parts = (
+        # The lowest three bytes of each position, the lowest first.
+        fixed.view(np.uint8).reshape(-1, 3, 4)[:, :, :3],
+        *(alpha, base, scale),
+        _packed(largest, others < 0, magnitude),
+        rest,
+    )
+    head = _MAGIC + struct.pack("<IIBBBB", _VERSION, len(fixed), splats.degree, fraction, 0, 0)
+    data = gzip.compress(head + b"".join(map(_raw, parts)), mtime=int.from_bytes(_STAMP, "little"))
+    read = with_largest(largest, np.where(others < 0, -1, 1) * magnitude / _COMPONENT)
+    held = (
+        fixed * _AXES / 2.0**fraction,
+        (base / 255 - 0.5) / _COLOUR,
+        (rest.astype(np.float64) - _HARMONIC) / _HARMONIC * turns,
+        logits(alpha / 255),
+        scale / _SCALE + _SCALE_LEAST,
+        (read * np.append(_AXES, 1))[:, [3, 0, 1, 2]],
+    )
+    return Packed(data, Splats(*(values.astype(np.float32) for values in held)))
+
+
+def _raw(values: NDArray) -> bytes:
+    return values.tobytes()
+
+
+def _fraction(mean: NDArray[np.float32]) -> int:
+    """Returns how many bits of a position are below the point: as many as the largest one leaves."""
+    largest = float(np.abs(mean).max(initial=0))
+    if largest > _POSITION_MOST:
+        raise ValueError(f"a position is at {largest:.6g}, and SPZ holds positions below 2^23")
+    return min(_FRACTION_MOST, 22 - int(np.floor(np.log2(max(largest, 1.0)))))
+
+
+def _packed(largest: NDArray[np.int64], negative: NDArray[np.bool_], magnitude: NDArray[np.uint32]) -> NDArray:
+    """Returns 32 bits for each quaternion: the index of the largest component, then the others, the first one highest.
+
+    negative, magnitude: [n, 3], of the others.
+    """
+    packed = largest.astype("<u4")
+    for sign, value in zip(negative.T, magnitude.T, strict=True):
+        packed = (packed << np.uint32(10)) | (sign.astype("<u4") << np.uint32(9)) | value
+    return packed.astype("<u4")

@@ -1,0 +1,118 @@
+"""The command export: its outputs, what it says, and what it refuses."""
+
+from __future__ import annotations
+
+import json
+import re
+import shutil
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+for package in ("numba", "PIL", "scipy"):
+    pytest.importorskip(package, reason="exporting needs the packages of the extra render")
+
+from plyfile import PlyData  # noqa: E402
+
+from refcodec.cli.main import main  # noqa: E402
+from refcodec.export import views  # noqa: E402
+
+ROOT = Path(__file__).resolve().parents[2]
+TRAINED = ROOT / "vectors" / "valid" / "trained-caliterra.c3gs"
+PHOTOGRAPHS = ROOT / "examples" / "photographs" / "caliterra"
+
+
+@pytest.fixture
+def place(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """A folder at hand with a scene, and few small views."""
+    shutil.copy(TRAINED, tmp_path / "scene.c3gs")
+    monkeypatch.setattr(views, "AROUND", 18)
+    monkeypatch.setattr(views, "SIDE", 48)
+    monkeypatch.chdir(tmp_path)
+    return tmp_path
+
+
+QUICK = ("--iterations", "0", "--degree", "1")
+
+
+@pytest.mark.parametrize("suffix", ["ply", "spz", "sog", "glb"])
+def test_export(suffix: str, place: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    output = place / f"scene.{suffix}"
+    words = ["export", "scene.c3gs", "-o", output.name, *QUICK]
+    assert main(words) == 0
+    said = capsys.readouterr()
+    found = re.fullmatch(
+        r"scene\.\w+: (\S+) of 6,120 Gaussians, degree 1, (\S+) bytes, scene\.c3gs has 53,036\n"
+        r"PSNR to the scene: (\S+) dB over 2 views, fitted to 16 cameras around the scene\n",
+        said.out,
+    )
+    assert found is not None, said.out
+    assert int(found[2].replace(",", "")) == output.stat().st_size
+    assert float(found[3]) > 25
+    assert "--cameras PHOTOGRAPHS" in said.err
+    if suffix == "ply":
+        table = PlyData.read(str(output))["vertex"].data
+        assert len(table) == int(found[1].replace(",", ""))
+        assert all(np.isfinite(table[name]).all() for name in table.dtype.names)
+    # It replaces what it wrote, with the same bytes, and nothing else.
+    before = output.read_bytes()
+    assert main(words) == 0
+    assert output.read_bytes() == before
+    output.write_bytes(b"ply\nformat binary_little_endian 1.0\nelement vertex 0\nend_header\n")
+    assert main(words) == 64
+    assert "refcodec wrote" in capsys.readouterr().err
+
+
+@pytest.mark.slow
+def test_photographs_are_nearer(place: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Where the scene was trained, it depends less on the view than elsewhere."""
+    assert main(["export", "scene.c3gs", "-o", "a.ply", *QUICK]) == 0
+    around = capsys.readouterr().out
+    assert main(["export", "scene.c3gs", "-o", "b.ply", *QUICK, "--cameras", str(PHOTOGRAPHS), "--size", "48"]) == 0
+    trained = capsys.readouterr().out
+    assert "cameras of photographs" in trained
+    near = [float(re.search(r"(\S+) dB", text)[1]) for text in (around, trained)]  # type: ignore[index]
+    assert near[1] > near[0] + 2
+
+
+def test_a_scene_folder(place: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["decode", "scene.c3gs", "-o", "scene"]) == 0
+    assert main(["export", "scene", "-o", "a.ply", *QUICK]) == 0
+    assert main(["export", "scene.c3gs", "-o", "b.ply", *QUICK]) == 0
+    assert (place / "a.ply").read_bytes() == (place / "b.ply").read_bytes()
+    capsys.readouterr()
+    assert main(["export", "scene", "-o", "scene/new.ply", *QUICK]) == 64
+    assert "files are read" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        (["scene.c3gs", "-o", "scene.obj"], "ends with none of .ply, .spz, .sog, .glb"),
+        (["scene.c3gs", "-o", "scene.c3gs"], "ends with none of"),
+        (["scene.c3gs", "-o", "nowhere/scene.ply"], "there is no directory"),
+        (["nothing.c3gs", "-o", "scene.ply"], "cannot read nothing.c3gs"),
+        (["scene.c3gs", "-o", "scene.ply", "--degree", "4"], "invalid choice"),
+        (["scene.c3gs", "-o", "scene.ply", "--max-anchors", "100"], "--max-anchors"),
+        (["scene.c3gs", "-o", "scene.ply", "--cameras", "nothing"], "nothing"),
+        (["empty.c3gs", "-o", "scene.ply"], "no view sees a Gaussian"),
+    ],
+)
+def test_wrong_usage(words: list[str], said: str, place: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    shutil.copy(ROOT / "vectors" / "valid" / "empty.c3gs", place / "empty.c3gs")
+    before = sorted(place.iterdir())
+    assert main(["export", *words]) == 64
+    assert said in capsys.readouterr().err
+    assert sorted(place.iterdir()) == before
+
+
+def test_a_bad_file(place: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """The verdict is that of every command, and nothing is written."""
+    data = bytearray(TRAINED.read_bytes())
+    data[len(data) // 2] ^= 1
+    (place / "bad.c3gs").write_bytes(data)
+    assert main(["export", "bad.c3gs", "-o", "scene.ply"]) == 1
+    verdict = json.loads(capsys.readouterr().err.splitlines()[-1])
+    assert {"code", "offset", "clause"} <= verdict.keys()
+    assert not (place / "scene.ply").exists()
