@@ -1,7 +1,9 @@
 // Decodes C3GS files, format version 0 (SPEC.md), in browsers and in Node. c3gs.d.ts says what there is.
 import { checkBounds, checkBytes } from "./bounds.js";
 import { chunkError, entries, parseIndex, readChunk } from "./chunks.js";
-import { checkData, checkEnd, features, isAncillary, parseFrame, passSection, readHeader, readSection } from "./container.js";
+import {
+  checkData, checkEnd, features, isAncillary, parseFrame, passSection, readHeader, readSection,
+} from "./container.js";
 import { Digests } from "./digests.js";
 import { loadKernel } from "./kernel.js";
 import { parsePlanes } from "./planes.js";
@@ -12,6 +14,9 @@ export { BoundPassedError, C3gsError } from "./errors.js";
 
 const SCALINGS = 6;
 const STEP_SHIFT = 12;
+const ANCHOR_ARRAYS = {
+  positions: Float32Array, masks: Uint8Array, features: Float32Array, scalings: Float32Array, offsets: Float32Array,
+};
 
 // What comes before the chunks, and the means to decode any of them.
 class Scene {
@@ -29,7 +34,8 @@ class Scene {
     this.features = features(header);
     this.planes = new Int16Array(0);
     // 9.2, STEP_VALUE: an entry times a base step is exact in binary64. It is rounded once.
-    this.#tables = header.base_step.map((base) => Float32Array.from(kernel.steps, (step) => (step * base) / 2 ** STEP_SHIFT));
+    const table = (base) => Float32Array.from(kernel.steps, (step) => (step * base) / (1 << STEP_SHIFT));
+    this.#tables = header.base_step.map(table);
   }
 
   // 10.1, step 5. all: whether ancillary sections are checked, too.
@@ -87,7 +93,9 @@ class Scene {
     const { status, part, own } = kernel.decodeChunk(h, chunk);
     if (status !== 0) throw chunkError(status, part, chunk, h);
     const n = entry.anchors;
-    const values = (name, kind, width) => kernel.values(own[name], own.steps, kind, this.#tables[kind], n, width).slice();
+    const values = (name, kind, width) => {
+      return kernel.values(own[name], own.steps, kind, this.#tables[kind], n, width).slice();
+    };
     return {
       scene: this,
       number: entry.number,
@@ -148,4 +156,32 @@ export async function* decode(input, options = {}) {
 
 export async function decodeChunk(input, number, options = {}) {
   return (await open(input, options)).chunk(number);
+}
+
+// Joins the arrays of all chunks, kind by kind.
+function joined(chunks, name, type) {
+  const whole = new type(chunks.reduce((sum, chunk) => sum + chunk[name].length, 0));
+  let at = 0;
+  for (const chunk of chunks) {
+    whole.set(chunk[name], at);
+    at += chunk[name].length;
+    // Of what is joined, one copy is enough.
+    chunk[name] = undefined;
+  }
+  return whole;
+}
+
+export async function decodeAll(input, options = {}) {
+  const chunks = [];
+  const run = decode(input, options);
+  for (;;) {
+    const { value, done } = await run.next();
+    if (!done) {
+      chunks.push(value);
+      continue;
+    }
+    const anchors = { count: value.scene.header.anchor_count };
+    for (const [name, type] of Object.entries(ANCHOR_ARRAYS)) anchors[name] = joined(chunks, name, type);
+    return { ...value, anchors };
+  }
 }

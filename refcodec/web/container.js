@@ -1,6 +1,7 @@
 // The container of a C3GS file, format version 0, read and checked: prologue, header, directory, sections and frame.
 // Written from SPEC.md. The numbers in comments are its clauses. It is where a decoder in another language begins.
 import { need } from "./errors.js";
+import { power } from "./numbers.js";
 
 // 2.5
 const [MAJOR, MINOR] = [0, 0];
@@ -10,8 +11,8 @@ const HEADER_LENGTH_MIN = 4;
 const HEADER_LENGTH_MAX = 65532;
 const SECTION_LENGTH_MAX = 2n ** 48n;
 const LANES_LOG2_MAX = 8;
-const BASE_STEP_MIN = 2 ** -60;
-const BASE_STEP_MAX = 2 ** 60;
+const BASE_STEP_MIN = power(-60);
+const BASE_STEP_MAX = power(60);
 const ORIGIN_BOUND = 2n ** 62n;
 const SCALE_EXPONENT_MAX = 60;
 const MATRIX_BOUND = 2 ** 20;

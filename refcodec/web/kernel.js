@@ -1,5 +1,7 @@
 // The native kernel in WebAssembly: memory, calls, and what its statuses mean.
 
+import { power } from "./numbers.js";
+
 const NO_MEMORY = -1;
 // More bytes no address reaches.
 const MEMORY_MAX = 2 ** 32 - 1;
@@ -11,6 +13,8 @@ const PARTS = 3;
 const DIGEST_LENGTH = 32;
 const SLICES_MAX = 16;
 const SCALINGS = 6;
+// SPEC.md 7.4: a position counts 2^-24.
+const GRID_BITS = 24;
 // What no mask and no step index is.
 const UNTOUCHED = 255;
 
@@ -27,7 +31,8 @@ function compile() {
 
 async function read(url) {
   if (url.protocol === "file:") {
-    const { readFile } = await import("node:fs/promises");
+    // Only Node comes here. Bundlers for browsers are told so.
+    const { readFile } = await import(/* webpackIgnore: true */ /* @vite-ignore */ "node:fs/promises");
     return WebAssembly.compile(await readFile(url));
   }
   const response = await fetch(url);
@@ -176,7 +181,7 @@ class Kernel {
   worldPositions(at, n, { origin, scale_mantissa, scale_exponent }) {
     const from = this.keepCopy("origin", BigInt64Array.from(origin));
     const to = this.keep("values", 12 * n);
-    this.run.worldPositions(at, n, from, scale_mantissa, 2 ** (scale_exponent - 24), to);
+    this.run.worldPositions(at, n, from, scale_mantissa, power(scale_exponent - GRID_BITS), to);
     return this.view(Float32Array, to, 3 * n);
   }
 

@@ -95,8 +95,8 @@ class Ranges {
   async close() {}
 }
 
+// Node's Buffer is a Uint8Array whose slice is no copy, so it becomes a plain one.
 function bytesOf(block) {
-  if (block instanceof Uint8Array) return block;
   if (block instanceof ArrayBuffer) return new Uint8Array(block);
   if (ArrayBuffer.isView(block)) return new Uint8Array(block.buffer, block.byteOffset, block.byteLength);
   throw new TypeError("bytes are a Uint8Array, an ArrayBuffer or a view of one");

@@ -1,6 +1,7 @@
 // The weights of all networks, and the integers of those that code symbols (SPEC.md 5.8, 5.9, 6.8, 7.2 and 7.13).
 import { Cursor, carmInputs, isZero, layers, pad4, RENDERING } from "./container.js";
 import { errorOfCode, need } from "./errors.js";
+import { power } from "./numbers.js";
 
 // 2.5
 const PLANE_SHIFT_MAX = 10;
@@ -13,13 +14,6 @@ const ACCUMULATOR_BOUND = 2 ** 24;
 const EXPONENT_MAX = 20;
 
 const MODEL_LENGTH = 8;
-
-// Powers of two, exactly. Math.pow need not be exact.
-const POWERS = new Map([[0, 1]]);
-for (let e = 1; e <= WEIGHT_EXPONENT_MAX; e++) {
-  POWERS.set(e, 2 * POWERS.get(e - 1));
-  POWERS.set(-e, POWERS.get(1 - e) / 2);
-}
 
 // [R6.8-1] to [R6.8-8] in the order of 10.1. data: the section. start: its offset. kernel: decodes packed weights.
 //
@@ -137,7 +131,7 @@ function packedLayer({ outputs, inputs, exponent }, differences, weights, biases
     if (!within || (all !== 0 && (all & 1) === 0) || (differences[r] !== 0 && (all === 0 || first))) return undefined;
     first = first && all === 0;
     // Exact: a multiple of 2^-149 with at most 24 bits.
-    const unit = POWERS.get(-e);
+    const unit = power(-e);
     for (let i = 0; i < inputs; i++) values[r * inputs + i] = weights[r * inputs + i] * unit;
     values[outputs * inputs + r] = biases[r] * unit;
   }
@@ -162,29 +156,29 @@ function derive(list, mode) {
   return { coding, shapes: Int32Array.from(coded.flatMap(({ outputs, inputs }) => [outputs, inputs])) };
 }
 
-// ROUND_SCALED: floor(x * 2^e + 1/2). Exact in binary64, where x * 2^e has 24 bits, but for magnitudes at which the sum
+// ROUND_SCALED: floor(x * unit + 1/2). Exact in binary64, where x * unit has 24 bits, but for magnitudes at which the sum
 // rounds to a number with the same floor.
-function roundScaled(x, power) {
-  return Math.floor(x * power + 0.5);
+function roundScaled(x, unit) {
+  return Math.floor(x * unit + 0.5);
 }
 
 // DERIVE_ROW: writes a row's integers, and returns whether it has an exponent
 function deriveRow(weights, bias, coding, row, at) {
   const largest = weights.reduce((most, w) => Math.max(most, Math.abs(w)), 0);
   for (let e = EXPONENT_MAX; e >= 0; e--) {
-    const power = POWERS.get(e);
+    const unit = power(e);
     // The magnitude of a rounded number is never less than this.
-    if (Math.ceil(largest * power - 0.5) > WEIGHT_MAX) continue;
+    if (Math.ceil(largest * unit - 0.5) > WEIGHT_MAX) continue;
     let most = 0;
     let sum = 0;
     for (let i = 0; i < weights.length; i++) {
-      const w = roundScaled(weights[i], power);
+      const w = roundScaled(weights[i], unit);
       coding.weight[at + i] = w;
       most = Math.max(most, Math.abs(w));
       sum += Math.abs(w);
     }
-    const b = roundScaled(bias, power);
-    const worst = sum * ACTIVATION_MAX + Math.abs(b) + Math.floor(power / 2);
+    const b = roundScaled(bias, unit);
+    const worst = sum * ACTIVATION_MAX + Math.abs(b) + Math.floor(unit / 2);
     if (most <= WEIGHT_MAX && worst < ACCUMULATOR_BOUND) {
       coding.bias[row] = b;
       coding.exponent[row] = e;
