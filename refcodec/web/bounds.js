@@ -2,8 +2,8 @@
 import { attributeChannels, weightCount } from "./container.js";
 import { BoundPassedError } from "./errors.js";
 
-// Estimates in bytes: a weight as f32, as an integer and with its copies; a point of a plane while it is decoded; a value
-// of an anchor that is being decoded.
+// Estimates in bytes: a weight as f32, as an integer and with its copies; a point of a plane while it is decoded; a
+// value of an anchor that is being decoded.
 const WEIGHT = 32;
 const PLANE_POINT = 32;
 const DECODING = 56;

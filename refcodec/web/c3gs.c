@@ -1,4 +1,4 @@
-/* The native kernel for WebAssembly: kernel.c with the tables, packed weights and world positions. sha256.c is beside it.
+/* The native kernel for WebAssembly: kernel.c with the tables, packed weights and world positions.
  *
  * The functions take plain numbers and pointers, so that kernel.js knows no layout of kernel.h. JavaScript has parsed
  * and checked what comes before a substream. package.json has the command that builds it.
@@ -62,7 +62,7 @@ static int decode_group(decoder *d, const models *m, const uint8_t *scale, uint3
     return 1;
 }
 
-/* SPEC 7.13, DECODE_WEIGHTS: decodes `few` and then `many` symbols. scale: as above. Returns an error code or a status. */
+/* SPEC 7.13, DECODE_WEIGHTS: decodes `few` and then `many` symbols. scale: as above. Returns a code or a status. */
 EXPORT("decodeWeights")
 int32_t web_decode_weights(const uint8_t *part, uint32_t length, int32_t lanes, const uint8_t *scale, uint32_t few,
                            uint32_t many, int32_t *to)
@@ -130,7 +130,7 @@ int32_t web_decode_chunk(const kernel_scene *scene, const uint8_t *bytes, const 
     return c.status;
 }
 
-/* ----------------------------------------------------------------------------------------- SPEC 9: reconstruction -- */
+/* ---------------------------------------------------------------------------------------- SPEC 9: reconstruction -- */
 
 /* SPEC 9.1, WORLD. positions: [n, 3]. unit: 2^(scale_exponent - 24). Results are 0 or normal, so scaling is exact. */
 EXPORT("worldPositions")
@@ -143,7 +143,8 @@ void web_world_positions(const uint16_t *positions, uint32_t n, const int64_t *o
 
 /* SPEC 9.2, VALUE. steps: of the kind, each KINDS bytes behind the one before. step: [STEP_LENGTH]. */
 EXPORT("attributeValues")
-void web_values(const int32_t *symbols, const uint8_t *steps, const float *step, uint32_t rows, uint32_t width, float *to)
+void web_values(const int32_t *symbols, const uint8_t *steps, const float *step, uint32_t rows, uint32_t width,
+                float *to)
 {
     kernel_values(VARIANT_USED, symbols, steps, KINDS, step, rows, width, to);
 }

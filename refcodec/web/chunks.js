@@ -94,7 +94,9 @@ function checkEntry({ at, length, anchors, kept, low, high }, header) {
   low.forEach((bits, i) => need(order(bits) <= order(high[i]), "index.chunk", at + 16 + 2 * i));
 }
 
-// [R6.6-6] and [R6.11-1] to [R6.11-5]: returns what decoding the chunk of an entry needs. places, lengths: of its parts.
+// [R6.6-6] and [R6.11-1] to [R6.11-5]: returns what decoding the chunk of an entry needs.
+//
+// places, lengths: of its parts.
 export async function readChunk(source, entry, index) {
   const { start, length, anchors } = entry;
   const bytes = await source.read(start, length);
@@ -144,5 +146,6 @@ function headIsRight({ bytes, places, lengths }, part, header) {
   if (lengths[part] < least) return false;
   const view = new DataView(bytes.buffer, bytes.byteOffset + places[part], lengths[part]);
   if (lengths[part] < least + 2 * view.getUint32(4, true)) return false;
-  return Array.from({ length: lanes }, (_, i) => view.getUint32(SUBSTREAM_HEAD + 4 * i, true)).every((x) => x >= STATE_MIN);
+  const states = Array.from({ length: lanes }, (_, i) => view.getUint32(SUBSTREAM_HEAD + 4 * i, true));
+  return states.every((state) => state >= STATE_MIN);
 }

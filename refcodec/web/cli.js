@@ -4,9 +4,9 @@
 //   conformance run -- node refcodec/web/cli.js decode {input} {output}
 //   conformance run --serve -- node refcodec/web/cli.js serve
 //
-// It ends with 0 for a file that is accepted, 1 for one that is malformed or invalid, and 2 for one that is not supported.
-// The last line on stderr then has the error (SPEC.md 10.2). 64: wrong usage, or a file that cannot be read or written.
-// 70: a fault of the program.
+// It ends with 0 for a file that is accepted, 1 for one that is malformed or invalid, and 2 for one that is not
+// supported. The last line on stderr then has the error (SPEC.md 10.2). 64: wrong usage, or a file that cannot be read
+// or written. 70: a fault of the program, or no memory.
 import * as fs from "node:fs";
 import * as readline from "node:readline";
 import { C3gsError, decode } from "./c3gs.js";

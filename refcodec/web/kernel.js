@@ -9,7 +9,6 @@ const MEMORY_MAX = 2 ** 32 - 1;
 const SINE_LENGTH = 1024;
 const STEP_LENGTH = 64;
 const PLANES = 5;
-const PARTS = 3;
 const DIGEST_LENGTH = 32;
 const SLICES_MAX = 16;
 const SCALINGS = 6;
@@ -98,8 +97,8 @@ class Kernel {
     return new type(this.run.memory.buffer, at, length);
   }
 
-  // SPEC 7.13: decodes the symbols of the two groups of packed weights. scales: of each symbol; the first `few` are those
-  // of the first group. Returns an error code or 0, and the symbols.
+  // SPEC 7.13: decodes the symbols of the two groups of packed weights. scales: of each symbol. The first `few` symbols
+  // are those of the first group. Returns an error code or 0, and the symbols.
   decodeWeights(bytes, lanes, scales, few) {
     const part = this.put(bytes);
     const scale = this.put(scales);
@@ -201,8 +200,7 @@ class Kernel {
 
   addToHash(hash, array) {
     const bytes = new Uint8Array(array.buffer, array.byteOffset, array.byteLength);
-    const inside = array.buffer === this.run.memory.buffer;
-    this.run.addToHash(hash, inside ? array.byteOffset : this.keepCopy("hashed", bytes), bytes.length);
+    this.run.addToHash(hash, this.keepCopy("hashed", bytes), bytes.length);
   }
 
   endHash(hash) {

@@ -42,9 +42,10 @@ static void add_block(uint32_t state[8], const uint8_t *block)
     memcpy(v, state, sizeof v);
     for (int i = 0; i < ROUNDS; i++) {
         uint32_t a = v[0], e = v[4];
-        uint32_t one = v[7] + (turn(e, 6) ^ turn(e, 11) ^ turn(e, 25)) + ((e & v[5]) ^ (~e & v[6])) + constant[i] + w[i];
+        uint32_t one = v[7] + (turn(e, 6) ^ turn(e, 11) ^ turn(e, 25)) + ((e & v[5]) ^ (~e & v[6]));
         uint32_t two = (turn(a, 2) ^ turn(a, 13) ^ turn(a, 22)) + ((a & v[1]) ^ (a & v[2]) ^ (v[1] & v[2]));
         memmove(v + 1, v, 7 * sizeof *v);
+        one += constant[i] + w[i];
         v[4] += one;
         v[0] = one + two;
     }

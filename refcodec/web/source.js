@@ -1,7 +1,7 @@
 // Where the bytes of a file come from: from memory, as they arrive, or by ranges (SPEC.md 10.2).
 //
-// A source has read(start, size), which gives `size` bytes or fewer where the file ends, and length(), that of the file.
-// length() is asked for only after read() gave too few bytes. close() says that nothing more is read.
+// A source has read(start, size), which gives `size` bytes, or fewer where the file ends. length(), that of the file,
+// is asked for only after read() gave too few. close() says that nothing more is read.
 
 class Whole {
   constructor(bytes) {

@@ -156,8 +156,8 @@ function derive(list, mode) {
   return { coding, shapes: Int32Array.from(coded.flatMap(({ outputs, inputs }) => [outputs, inputs])) };
 }
 
-// ROUND_SCALED: floor(x * unit + 1/2). Exact in binary64, where x * unit has 24 bits, but for magnitudes at which the sum
-// rounds to a number with the same floor.
+// ROUND_SCALED: floor(x * unit + 1/2). x * unit has 24 bits, so it is exact in binary64. So is the sum, but for small
+// numbers and large ones, where it is rounded to a number with the same floor.
 function roundScaled(x, unit) {
   return Math.floor(x * unit + 0.5);
 }

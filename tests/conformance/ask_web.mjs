@@ -41,7 +41,8 @@ async function answer({ file, way, number, options, ...rest }, chunks) {
   }
   if (way === "entries") {
     const scene = await open(bytes, options);
-    return { entries: Array.from(scene.entries(), ({ low, high, ...own }) => ({ ...own, low: [...low], high: [...high] })) };
+    const plain = ({ low, high, ...own }) => ({ ...own, low: [...low], high: [...high] });
+    return { entries: Array.from(scene.entries(), plain) };
   }
   if (way === "all") {
     const { anchors, digests } = await decodeAll(bytes, { ...options, digests: true });
@@ -55,7 +56,8 @@ async function answer({ file, way, number, options, ...rest }, chunks) {
       continue;
     }
     const { scene, parts } = value.digests;
-    return { scene: hex(scene), parts: Object.fromEntries(Object.entries(parts).map(([name, own]) => [name, hex(own)])) };
+    const named = Object.entries(parts).map(([name, own]) => [name, hex(own)]);
+    return { scene: hex(scene), parts: Object.fromEntries(named) };
   }
 }
 
