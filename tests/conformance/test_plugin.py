@@ -25,7 +25,7 @@ from refcodec.bitstream.errors import REGISTRY
 
 ROOT = Path(__file__).resolve().parents[2]
 PLUGIN = ROOT / "examples" / "plugin-js"
-SERVER = Path(__file__).with_name("serve_container.js")
+SERVER = Path(__file__).with_name("serve_container.mjs")
 GUIDE = (ROOT / "conformance" / "README.md").read_text(encoding="utf-8")
 # What the plug-in checks, as the guide selects it.
 SELECTED = "code:1*,2*,3*,40*"

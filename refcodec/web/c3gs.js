@@ -1,0 +1,187 @@
+// Decodes C3GS files, format version 0 (SPEC.md), in browsers and in Node. c3gs.d.ts says what there is.
+import { checkBounds, checkBytes } from "./bounds.js";
+import { chunkError, entries, parseIndex, readChunk } from "./chunks.js";
+import {
+  checkData, checkEnd, features, isAncillary, parseFrame, passSection, readHeader, readSection,
+} from "./container.js";
+import { Digests } from "./digests.js";
+import { loadKernel } from "./kernel.js";
+import { parsePlanes } from "./planes.js";
+import { sourceOf } from "./source.js";
+import { parseWeights } from "./weights.js";
+
+export { BoundPassedError, C3gsError } from "./errors.js";
+
+const SCALINGS = 6;
+const STEP_SHIFT = 12;
+const ANCHOR_ARRAYS = {
+  positions: Float32Array, masks: Uint8Array, features: Float32Array, scalings: Float32Array, offsets: Float32Array,
+};
+
+// What comes before the chunks, and the means to decode any of them.
+class Scene {
+  #source;
+  #kernel;
+  #options;
+  #index;
+  #tables;
+
+  constructor(source, kernel, options, header) {
+    this.#source = source;
+    this.#kernel = kernel;
+    this.#options = options;
+    this.header = header;
+    this.features = features(header);
+    this.planes = new Int16Array(0);
+    // 9.2, STEP_VALUE: an entry times a base step is exact in binary64. It is rounded once.
+    const table = (base) => Float32Array.from(kernel.steps, (step) => (step * base) / (1 << STEP_SHIFT));
+    this.#tables = header.base_step.map(table);
+  }
+
+  // 10.1, step 5. all: whether ancillary sections are checked, too.
+  async open(all) {
+    const body = this.header.sections.find(({ type }) => type === "DATA");
+    let frame, weights;
+    for (const section of this.header.sections) {
+      const { type, mode, start } = section;
+      if (section === body) break;
+      if (isAncillary(section)) {
+        if (all) await passSection(this.#source, section);
+        continue;
+      }
+      checkBytes(this.#options, section.length);
+      const data = await readSection(this.#source, section);
+      if (type === "FRAM") frame = parseFrame(data, start);
+      else if (type === "WGTS") weights = parseWeights(data, start, mode, this.header, this.#kernel);
+      else if (type === "PLNS") this.planes = parsePlanes(data, start, this.header, weights, this.#kernel);
+      else this.#index = parseIndex(data, start, mode, this.header, body);
+    }
+    this.layers = weights.layers.map(({ network, outputs, inputs, values }) => ({ network, outputs, inputs, values }));
+    this.#kernel.makeScene(this.header, weights, { ...this.#index, frame, planes: this.planes });
+    return this;
+  }
+
+  *entries() {
+    for (const { number, first, start, length, anchors, kept, low, high } of entries(this.#index)) {
+      const world = (bits) => this.#world(Uint16Array.from(bits));
+      yield { number, first, start, length, count: anchors, kept, low: world(low), high: world(high) };
+    }
+  }
+
+  // 9.1: the world position of one position, as f16 bits
+  #world(bits) {
+    const at = this.#kernel.keepCopy("position", bits);
+    return this.#kernel.worldPositions(at, 1, this.header).slice();
+  }
+
+  async chunk(number) {
+    for (const entry of entries(this.#index)) {
+      if (entry.number === number) return this.#decode(entry);
+    }
+    throw new RangeError(`there is no chunk ${number}: the file has ${this.header.chunk_count}`);
+  }
+
+  async *chunks() {
+    for (const entry of entries(this.#index)) yield this.#decode(entry);
+  }
+
+  // 10.1, step 6 for one chunk, and 9.1 and 9.2
+  async #decode(entry) {
+    checkBytes(this.#options, entry.length);
+    const chunk = await readChunk(this.#source, entry, this.#index);
+    const [h, kernel] = [this.header, this.#kernel];
+    const { status, part, own } = kernel.decodeChunk(h, chunk);
+    if (status !== 0) throw chunkError(status, part, chunk, h);
+    const n = entry.anchors;
+    const values = (name, kind, width) => {
+      return kernel.values(own[name], own.steps, kind, this.#tables[kind], n, width).slice();
+    };
+    return {
+      scene: this,
+      number: entry.number,
+      first: entry.first,
+      count: n,
+      positions: kernel.worldPositions(own.positions, n, h).slice(),
+      masks: kernel.view(Uint8Array, own.masks, n * h.offset_count).slice(),
+      features: values("features", 0, this.features),
+      scalings: values("scalings", 1, SCALINGS),
+      offsets: values("offsets", 2, 3 * h.offset_count),
+    };
+  }
+
+  // The end of 10.1, step 6, and step 7
+  async close() {
+    let behind = false;
+    for (const section of this.header.sections) {
+      if (section.type === "DATA") {
+        checkData(section);
+        behind = true;
+      } else if (behind) {
+        await passSection(this.#source, section);
+      }
+    }
+    await checkEnd(this.#source, this.header);
+  }
+
+  digests() {
+    return new Digests(this.#kernel, this);
+  }
+}
+
+async function begin(source, options, all) {
+  const header = await readHeader(source);
+  checkBounds(options, header);
+  return new Scene(source, await loadKernel(options.wasm), options, header).open(all);
+}
+
+export async function open(input, options = {}) {
+  return begin(sourceOf(input), options, false);
+}
+
+export async function* decode(input, options = {}) {
+  const source = sourceOf(input);
+  try {
+    const scene = await begin(source, options, true);
+    const digests = options.digests ? scene.digests() : undefined;
+    for await (const chunk of scene.chunks()) {
+      if (digests !== undefined) chunk.digest = digests.add(chunk);
+      yield chunk;
+    }
+    await scene.close();
+    return { scene, digests: digests?.end() };
+  } finally {
+    await source.close();
+  }
+}
+
+export async function decodeChunk(input, number, options = {}) {
+  return (await open(input, options)).chunk(number);
+}
+
+// Joins the arrays of all chunks, kind by kind.
+function joined(chunks, name, type) {
+  const whole = new type(chunks.reduce((sum, chunk) => sum + chunk[name].length, 0));
+  let at = 0;
+  for (const chunk of chunks) {
+    whole.set(chunk[name], at);
+    at += chunk[name].length;
+    // Of what is joined, one copy is enough.
+    chunk[name] = undefined;
+  }
+  return whole;
+}
+
+export async function decodeAll(input, options = {}) {
+  const chunks = [];
+  const run = decode(input, options);
+  for (;;) {
+    const { value, done } = await run.next();
+    if (!done) {
+      chunks.push(value);
+      continue;
+    }
+    const anchors = { count: value.scene.header.anchor_count };
+    for (const [name, type] of Object.entries(ANCHOR_ARRAYS)) anchors[name] = joined(chunks, name, type);
+    return { ...value, anchors };
+  }
+}

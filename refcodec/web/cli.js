@@ -1,0 +1,119 @@
+#!/usr/bin/env node
+// The decoder as a program, as the conformance suite runs it:
+//
+//   conformance run -- node refcodec/web/cli.js decode {input} {output}
+//   conformance run --serve -- node refcodec/web/cli.js serve
+//
+// It ends with 0 for a file that is accepted, 1 for one that is malformed or invalid, and 2 for one that is not
+// supported. The last line on stderr then has the error (SPEC.md 10.2). 64: wrong usage, or a file that cannot be read
+// or written. 70: a fault of the program, or no memory.
+import * as fs from "node:fs";
+import * as readline from "node:readline";
+import { C3gsError, decode } from "./c3gs.js";
+import { PARTS, sceneHead } from "./digests.js";
+
+const EXIT = { done: 0, refused: 1, unsupported: 2, usage: 64, fault: 70 };
+
+// A file by ranges, so that one chunk of it is held.
+function fileSource(file) {
+  const read = (start, size) => {
+    const bytes = new Uint8Array(size);
+    let got = 0;
+    for (let n = -1; got < size && n !== 0; got += n) n = fs.readSync(file, bytes, got, size - got, start + got);
+    return bytes.subarray(0, got);
+  };
+  return { read, length: fs.fstatSync(file).size };
+}
+
+function write(file, data, at) {
+  const bytes = new Uint8Array(data.buffer, data.byteOffset, data.byteLength);
+  for (let done = 0; done < bytes.length; ) done += fs.writeSync(file, bytes, done, bytes.length - done, at + done);
+}
+
+// Where each part of the reconstruction starts in the output (vectors/README.md), behind its head and its digests.
+function partPlaces({ header, features, planes }, start) {
+  const [n, k] = [header.anchor_count, header.offset_count];
+  const sizes = {
+    positions: 12 * n, masks: k * n, planes: planes.byteLength, features: 4 * features * n, scalings: 24 * n,
+    offsets: 12 * k * n,
+  };
+  const places = {};
+  let at = start;
+  for (const name of PARTS) {
+    places[name] = at;
+    at += sizes[name] ?? 0;
+  }
+  return places;
+}
+
+// Writes the canonical reconstruction, chunk after chunk.
+async function reconstruct(input, output) {
+  const chunks = decode(fileSource(input), { digests: true });
+  let places;
+  const place = (scene) => {
+    places ??= partPlaces(scene, sceneHead(scene.header, scene.features).length + 32 * PARTS.length);
+    return places;
+  };
+  for (;;) {
+    const { value, done } = await chunks.next();
+    const at = place(value.scene);
+    if (!done) {
+      for (const name of ["positions", "masks", "features", "scalings", "offsets"]) {
+        write(output, value[name], at[name]);
+        at[name] += value[name].byteLength;
+      }
+      continue;
+    }
+    const { scene, digests } = value;
+    const head = sceneHead(scene.header, scene.features);
+    write(output, head, 0);
+    PARTS.forEach((name, i) => write(output, digests.parts[name], head.length + 32 * i));
+    write(output, scene.planes, at.planes);
+    for (const { values } of scene.layers) {
+      write(output, values, at.weights);
+      at.weights += values.byteLength;
+    }
+    return;
+  }
+}
+
+// Decodes one file. Returns the exit status and the last line of stderr.
+async function run(input, output) {
+  const opened = [];
+  try {
+    for (const [path, flags] of [[input, "r"], [output, "w"]]) opened.push(fs.openSync(path, flags));
+    await reconstruct(...opened);
+    return { status: EXIT.done, stderr: "" };
+  } catch (error) {
+    if (error instanceof C3gsError) {
+      const status = error.class === "unsupported" ? EXIT.unsupported : EXIT.refused;
+      return { status, stderr: JSON.stringify(error) };
+    }
+    if (error.syscall !== undefined) return { status: EXIT.usage, stderr: `c3gs: ${error.message}` };
+    return { status: EXIT.fault, stderr: `c3gs: a fault of the program\n${error.stack}` };
+  } finally {
+    opened.forEach((file) => fs.closeSync(file));
+  }
+}
+
+// Answers each line {"id", "input", "output"} as `conformance run --serve` demands.
+async function serve() {
+  for await (const line of readline.createInterface({ input: process.stdin })) {
+    const { id, input, output } = JSON.parse(line);
+    process.stdout.write(`${JSON.stringify({ id, ...(await run(input, output)) })}\n`);
+  }
+  return EXIT.done;
+}
+
+async function main([command, ...paths]) {
+  if (command === "serve" && paths.length === 0) return serve();
+  if (command !== "decode" || paths.length !== 2) {
+    console.error("usage: c3gs decode INPUT OUTPUT, or c3gs serve");
+    return EXIT.usage;
+  }
+  const { status, stderr } = await run(...paths);
+  if (stderr !== "") console.error(stderr);
+  return status;
+}
+
+process.exitCode = await main(process.argv.slice(2));

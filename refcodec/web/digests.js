@@ -1,0 +1,54 @@
+// The digests of the canonical reconstruction (SPEC.md 9.3), chunk after chunk.
+
+export const PARTS = ["positions", "masks", "planes", "features", "scalings", "offsets", "weights"];
+// The parts that anchors have.
+const OF_ANCHORS = ["positions", "masks", "features", "scalings", "offsets"];
+
+const ascii = (text) => Uint8Array.from(text, (letter) => letter.charCodeAt(0));
+// 2.3
+const u32 = (...values) => {
+  const view = new DataView(new ArrayBuffer(4 * values.length));
+  values.forEach((value, i) => view.setUint32(4 * i, value, true));
+  return new Uint8Array(view.buffer);
+};
+
+// What the digest of a scene begins with.
+export function sceneHead(header, features) {
+  const h = header;
+  const numbers = u32(h.anchor_count, h.offset_count, features, h.plane_channels, h.plane_size);
+  return Uint8Array.of(...ascii("C3GSREC1"), ...numbers);
+}
+
+// What the digest of a chunk begins with.
+function chunkHead(count, header, features) {
+  return Uint8Array.of(...ascii("C3GSCHK1"), ...u32(count, header.offset_count, features));
+}
+
+export class Digests {
+  constructor(kernel, scene) {
+    Object.assign(this, { kernel, scene, hashes: new Map(PARTS.map((name) => [name, kernel.makeHash()])) });
+    kernel.addToHash(this.hashes.get("planes"), scene.planes);
+    for (const { values } of scene.layers) kernel.addToHash(this.hashes.get("weights"), values);
+  }
+
+  // Takes the next chunk, and returns its digest.
+  add(chunk) {
+    const { header, features } = this.scene;
+    const own = this.kernel.makeHash();
+    this.kernel.addToHash(own, chunkHead(chunk.count, header, features));
+    for (const name of OF_ANCHORS) {
+      this.kernel.addToHash(own, chunk[name]);
+      this.kernel.addToHash(this.hashes.get(name), chunk[name]);
+    }
+    return this.kernel.endHash(own);
+  }
+
+  // Returns the digest of the scene, and of each part by its name, 32 bytes each.
+  end() {
+    const parts = Object.fromEntries(PARTS.map((name) => [name, this.kernel.endHash(this.hashes.get(name))]));
+    const whole = this.kernel.makeHash();
+    this.kernel.addToHash(whole, sceneHead(this.scene.header, this.scene.features));
+    for (const name of PARTS) this.kernel.addToHash(whole, parts[name]);
+    return { scene: this.kernel.endHash(whole), parts };
+  }
+}

@@ -1,0 +1,222 @@
+// The native kernel in WebAssembly: memory, calls, and what its statuses mean.
+
+import { power } from "./numbers.js";
+
+const NO_MEMORY = -1;
+// More bytes no address reaches.
+const MEMORY_MAX = 2 ** 32 - 1;
+// The step table lies behind the sine table (SPEC.md Annex A).
+const SINE_LENGTH = 1024;
+const STEP_LENGTH = 64;
+const PLANES = 5;
+const DIGEST_LENGTH = 32;
+const SLICES_MAX = 16;
+const SCALINGS = 6;
+// SPEC.md 7.4: a position counts 2^-24.
+const GRID_BITS = 24;
+// What no mask and no step index is.
+const UNTOUCHED = 255;
+
+let compiled;
+
+// Returns the module of c3gs.wasm, which is compiled once.
+function compile() {
+  compiled ??= read(new URL("./c3gs.wasm", import.meta.url)).catch((error) => {
+    compiled = undefined;
+    throw error;
+  });
+  return compiled;
+}
+
+async function read(url) {
+  if (url.protocol === "file:") {
+    // Only Node comes here. Bundlers for browsers are told so.
+    const { readFile } = await import(/* webpackIgnore: true */ /* @vite-ignore */ "node:fs/promises");
+    return WebAssembly.compile(await readFile(url));
+  }
+  const response = await fetch(url);
+  if (!response.ok) throw new Error(`${url} has status ${response.status}`);
+  return WebAssembly.compile(await response.arrayBuffer());
+}
+
+// wasm: a WebAssembly.Module of c3gs.wasm or its bytes, where it does not lie beside this file.
+export async function loadKernel(wasm) {
+  const given = wasm === undefined || wasm instanceof WebAssembly.Module ? wasm : await WebAssembly.compile(wasm);
+  return new Kernel(await WebAssembly.instantiate(given ?? (await compile())));
+}
+
+// One decoder's memory, with at most one scene. It goes with its object.
+class Kernel {
+  constructor({ exports }) {
+    this.run = exports;
+    this.scene = 0;
+    this.buffers = new Map();
+    exports._initialize();
+    const tables = exports.start() >>> 0;
+    if (tables === 0) throw noMemory();
+    // 2.3: a file is little-endian, as WebAssembly is.
+    this.steps = new Uint16Array(exports.memory.buffer, tables + 2 * SINE_LENGTH, STEP_LENGTH).slice();
+  }
+
+  allocate(size) {
+    // An address is an unsigned number, which JavaScript is given as a signed one.
+    const at = size <= MEMORY_MAX ? this.run.allocate(size) >>> 0 : 0;
+    if (at === 0) throw noMemory();
+    return at;
+  }
+
+  // Copies an array to new memory.
+  put(array) {
+    const at = this.allocate(array.byteLength);
+    const bytes = new Uint8Array(array.buffer, array.byteOffset, array.byteLength);
+    new Uint8Array(this.run.memory.buffer).set(bytes, at);
+    return at;
+  }
+
+  // Returns memory that is kept for the next call under the same name. It grows if it has to.
+  keep(name, size) {
+    const kept = this.buffers.get(name);
+    if (kept !== undefined && kept.size >= size) return kept.at;
+    if (kept !== undefined) this.run.release(kept.at);
+    this.buffers.delete(name);
+    const at = this.allocate(size);
+    this.buffers.set(name, { at, size });
+    return at;
+  }
+
+  // The same, with a copy of an array in it.
+  keepCopy(name, array) {
+    const at = this.keep(name, array.byteLength);
+    const bytes = new Uint8Array(array.buffer, array.byteOffset, array.byteLength);
+    new Uint8Array(this.run.memory.buffer).set(bytes, at);
+    return at;
+  }
+
+  // A view of memory, which holds until the next call.
+  view(type, at, length) {
+    return new type(this.run.memory.buffer, at, length);
+  }
+
+  // SPEC 7.13: decodes the symbols of the two groups of packed weights. scales: of each symbol. The first `few` symbols
+  // are those of the first group. Returns an error code or 0, and the symbols.
+  decodeWeights(bytes, lanes, scales, few) {
+    const part = this.put(bytes);
+    const scale = this.put(scales);
+    const to = this.allocate(4 * scales.length);
+    const many = scales.length - few;
+    const status = known(this.run.decodeWeights(part, bytes.length, lanes, scale, few, many, to));
+    const symbols = this.view(Int32Array, to, scales.length).slice();
+    for (const at of [part, scale, to]) this.run.release(at);
+    return { status, symbols };
+  }
+
+  // SPEC 7.2 and 7.3: takes what symbols are coded with, instead of what it took before.
+  //
+  // header: the fields of the header. weights: as parseWeights gives them. chunks: frame, planes, maskModel, cellShift
+  // and positionModel, or undefined if only planes are decoded.
+  makeScene(header, weights, chunks) {
+    const h = header;
+    const { coding, shapes } = weights;
+    const sarm = h.plane_channels > 0 ? h.sarm_layers + 1 : 0;
+    const slices = Array.from({ length: SLICES_MAX }, (_, i) => h.slice_width[i] ?? 0);
+    const numbers = Int32Array.of(
+      h.offset_count, h.plane_channels, h.plane_size, h.frequency_count, weights.planeShift, h.slice_count, ...slices,
+      h.hyper_layers + 1, sarm, h.carm_layers + 1, 1 << h.plane_lanes_log2, 1 << h.mask_lanes_log2,
+      1 << h.attribute_lanes_log2, chunks?.cellShift ?? -1,
+    );
+    const given = [
+      numbers, shapes, coding.weight, coding.bias, coding.exponent, weights.carmShift, chunks?.frame, chunks?.planes,
+      chunks?.maskModel, chunks?.positionModel,
+    ].map((array) => (array === undefined ? 0 : this.put(array)));
+    this.run.freeScene(this.scene);
+    this.scene = this.run.makeScene(...given);
+    for (const at of given) this.run.release(at);
+    if (this.scene === 0) throw noMemory();
+  }
+
+  // SPEC 7.3: decodes the five substreams of planes. places, lengths: of each in bytes. points: of a sub-plane.
+  decodePlanes(bytes, places, lengths, points) {
+    const at = this.put(bytes);
+    const place = this.put(Uint32Array.of(...places, ...lengths));
+    const to = this.allocate(2 * PLANES * points);
+    const status = this.allocate(4 * PLANES);
+    this.run.decodePlanes(this.scene, at, place, to, status);
+    const statuses = Array.from(this.view(Int32Array, status, PLANES), known);
+    const planes = this.view(Int16Array, to, PLANES * points).slice();
+    for (const own of [at, place, to, status]) this.run.release(own);
+    return { statuses, planes };
+  }
+
+  // SPEC 10.1, step 6, from the positions on. chunk: as parseChunk gives it. Returns an error code or 0, and the number
+  // of the part in which decoding ended. The integers stay in memory, for `values`.
+  decodeChunk(header, chunk) {
+    const h = header;
+    const n = chunk.anchors;
+    const features = h.slice_width.reduce((sum, width) => sum + width, 0);
+    const bytes = this.keepCopy("bytes", chunk.bytes);
+    const place = this.keepCopy("place", Uint32Array.of(...chunk.places, ...chunk.lengths));
+    const bounds = this.keepCopy("bounds", Uint16Array.of(...chunk.low, ...chunk.high));
+    const own = {
+      positions: this.keep("positions", 6 * n),
+      masks: this.keep("masks", h.offset_count * n),
+      features: this.keep("features", 4 * features * n),
+      scalings: this.keep("scalings", 4 * SCALINGS * n),
+      offsets: this.keep("offsets", 12 * h.offset_count * n),
+      steps: this.keep("steps", 3 * n),
+    };
+    const memory = new Uint8Array(this.run.memory.buffer);
+    memory[own.masks] = memory[own.steps] = UNTOUCHED;
+    const status = known(this.run.decodeChunk(
+      this.scene, bytes, place, chunk.form, n, chunk.kept, bounds, own.positions, own.masks, own.features,
+      own.scalings, own.offsets, own.steps,
+    ));
+    // The kernel writes masks and step indices when it decodes them: what it did not touch, it did not come to.
+    const [mask] = this.view(Uint8Array, own.masks, 1);
+    const [step] = this.view(Uint8Array, own.steps, 1);
+    return { status, part: mask === UNTOUCHED ? 0 : step === UNTOUCHED ? 1 : 2, own };
+  }
+
+  // SPEC 9.1: the world positions of the positions (f16 bits) at a place of memory.
+  worldPositions(at, n, { origin, scale_mantissa, scale_exponent }) {
+    const from = this.keepCopy("origin", BigInt64Array.from(origin));
+    const to = this.keep("values", 12 * n);
+    this.run.worldPositions(at, n, from, scale_mantissa, power(scale_exponent - GRID_BITS), to);
+    return this.view(Float32Array, to, 3 * n);
+  }
+
+  // SPEC 9.2: the values of symbols [n, width] of a kind of attribute.
+  values(symbols, steps, kind, table, n, width) {
+    const step = this.keepCopy("table", table);
+    const to = this.keep("values", 4 * n * width);
+    this.run.attributeValues(symbols, steps + kind, step, n, width, to);
+    return this.view(Float32Array, to, n * width);
+  }
+
+  makeHash() {
+    const at = this.run.makeHash() >>> 0;
+    if (at === 0) throw noMemory();
+    return at;
+  }
+
+  addToHash(hash, array) {
+    const bytes = new Uint8Array(array.buffer, array.byteOffset, array.byteLength);
+    this.run.addToHash(hash, this.keepCopy("hashed", bytes), bytes.length);
+  }
+
+  endHash(hash) {
+    const to = this.keep("digest", DIGEST_LENGTH);
+    this.run.endHash(hash, to);
+    this.run.release(hash);
+    return this.view(Uint8Array, to, DIGEST_LENGTH).slice();
+  }
+}
+
+function known(status) {
+  if (status === NO_MEMORY) throw noMemory();
+  if (status < 0) throw new Error(`the kernel refuses what was checked before, with status ${status}`);
+  return status;
+}
+
+function noMemory() {
+  return new RangeError("there is no memory for the scene");
+}

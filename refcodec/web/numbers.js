@@ -1,0 +1,8 @@
+// Powers of two. Math.pow need not be exact.
+
+// 2^e, for -1022 <= e <= 1023
+export function power(e) {
+  const view = new DataView(new ArrayBuffer(8));
+  view.setUint32(0, (e + 1023) << 20);
+  return view.getFloat64(0);
+}

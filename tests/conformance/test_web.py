@@ -1,0 +1,289 @@
+"""The decoder in WebAssembly and JavaScript: refcodec's verdicts and digests, in all ways of reading a file."""
+
+from __future__ import annotations
+
+import importlib.metadata
+import importlib.util
+import json
+import re
+import shlex
+import shutil
+import subprocess
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from test_c_hostile import FILES, GREEDY, SCENES
+from test_independent import faulty
+
+from conformance import cli
+from conformance.cases.checksums import repair
+from conformance.cases.target import Target
+from conformance.fuzz.compare import first_verdict
+from conformance.fuzz.strategies import draw_mutation, draw_splice
+from conformance.manifest import VECTORS
+from refcodec import statuses
+from refcodec.bitstream import bounds, codec, reader, reconstruction, source, tables
+from refcodec.bitstream.errors import REGISTRY
+from refcodec.bitstream.header import read_header
+
+ROOT = Path(__file__).resolve().parents[2]
+WEB = ROOT / "refcodec" / "web"
+PROGRAM = WEB / "cli.js"
+SERVER = Path(__file__).with_name("ask_web.mjs")
+PACKAGE = json.loads((WEB / "package.json").read_text(encoding="utf-8"))
+NODE = shutil.which("node")
+# The ways in which a file can be given to `decode`.
+WAYS = ["bytes", "blob", "response", "iterable", "stream"]
+
+pytestmark = [
+    pytest.mark.no_cover,
+    pytest.mark.skipif(NODE is None, reason="there is no node here, so the decoder in WebAssembly is not tested"),
+]
+
+
+class Decoder:
+    """c3gs.js in a process that decodes one file after the other."""
+
+    def __init__(self, process: subprocess.Popen[str], folder: Path) -> None:
+        self._process, self._file = process, folder / "file.c3gs"
+
+    def ask(self, data: bytes, way: str = "bytes", **more: Any) -> dict[str, Any]:
+        """Returns what ask_web.mjs says of a file. A fault is none of its answers."""
+        self._file.write_bytes(data)
+        assert self._process.stdin is not None
+        assert self._process.stdout is not None
+        print(json.dumps({"file": str(self._file), "way": way, **more}), file=self._process.stdin, flush=True)
+        said: dict[str, Any] = json.loads(self._process.stdout.readline())
+        assert "fault" not in said, said["fault"]
+        return said
+
+    def verdict(self, data: bytes, way: str = "bytes", **more: Any) -> tuple[str, int]:
+        """As compare.first_verdict."""
+        said = self.ask(data, way, **more)
+        if "error" not in said:
+            return said["scene"], -1
+        error = said["error"]
+        kind = REGISTRY[error["name"]]
+        assert (error["code"], error["class"], error["clause"]) == (kind.code, kind.klass, kind.clause)
+        return error["name"], error["offset"]
+
+
+@pytest.fixture(scope="module")
+def decoder(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Decoder]:
+    command = [str(NODE), str(SERVER)]
+    with subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True) as process:
+        yield Decoder(process, tmp_path_factory.mktemp("web"))
+        assert process.stdin is not None
+        process.stdin.close()
+
+
+# ------------------------------------------------------------------------------------------------------- verdicts ---
+
+
+@pytest.mark.slow
+@pytest.mark.requirement("D2.1-1", "D9.3-1", "D10.2-3", "D10.4-1")
+def test_it_passes_the_suite(tmp_path: Path) -> None:
+    options = ["--vectors", str(VECTORS), "--jobs", "2", "--slow", "20", "--report", str(tmp_path)]
+    assert cli.main(["run", *options, "--serve", "--", str(NODE), str(PROGRAM), "serve"]) == statuses.DONE
+    record = json.loads((tmp_path / "report.json").read_text())
+    assert {v["status"] for v in record["vectors"]} == {"passed", "skipped"}
+
+
+@pytest.mark.parametrize("name", REGISTRY)
+@settings(max_examples=3)
+@given(st.data())
+def test_it_finds_each_fault(decoder: Decoder, name: str, data: st.DataObject) -> None:
+    fault = data.draw(faulty(name))
+    assert decoder.verdict(fault.data) == (name, fault.offset)
+
+
+@pytest.mark.parametrize("name", FILES)
+@settings(max_examples=15)
+@given(st.data())
+def test_changed_bytes(decoder: Decoder, name: str, data: st.DataObject) -> None:
+    file = FILES[name]
+    at = data.draw(st.integers(0, len(file) - 1))
+    flipped = file[:at] + bytes([file[at] ^ 1 << data.draw(st.integers(0, 7))]) + file[at + 1 :]
+    for changed in (flipped, draw_mutation(data.draw, file), draw_splice(data.draw, file)):
+        assert decoder.verdict(changed) == first_verdict(changed)
+
+
+@pytest.mark.parametrize("name", ["packed", "planeless"])
+def test_cut_files(decoder: Decoder, name: str) -> None:
+    """Cut at the borders of the elements that tell how much follows, and at many other places."""
+    target = Target(FILES[name])
+    borders = [0, 19, 20, target.header_end, *(section.start for section in target.header.sections)]
+    borders += [target.chunk_at(chunk) + more for chunk in range(target.header.chunk_count) for more in (0, 1, 16)]
+    for length in {*borders, *range(3, len(target.data), 61)}:
+        cut = target.data[:length]
+        for way in ("bytes", "stream"):
+            assert decoder.verdict(cut, way, size=100) == first_verdict(cut)
+        for whole in (cut + b"\0", repair(cut) if length >= 20 else cut):
+            assert decoder.verdict(whole) == first_verdict(whole)
+
+
+@pytest.mark.requirement("D13.1-1")
+@pytest.mark.parametrize("name", GREEDY)
+def test_asking_for_much_is_refused(decoder: Decoder, name: str) -> None:
+    data = GREEDY[name](Target(FILES["packed"]))
+    for way in ("bytes", "stream"):
+        assert decoder.verdict(data, way, size=1000) == first_verdict(data)
+
+
+# ------------------------------------------------------------------------------------------------ ways of reading ---
+
+
+@pytest.mark.requirement("D9.3-1")
+@pytest.mark.parametrize("way", WAYS)
+@pytest.mark.parametrize("name", FILES)
+def test_every_way_gives_the_same(decoder: Decoder, name: str, way: str) -> None:
+    scene, file = SCENES[name], FILES[name]
+    whole, parts = reconstruction.digest(scene)
+    chunks = [
+        reconstruction.chunk_digest(reader.decode_chunk(source.WholeFile(file), number))
+        for number in range(Target(file).header.chunk_count)
+    ]
+    for size in (1, 64, 4096) if way in ("iterable", "stream") else (0,):
+        assert decoder.ask(file, way, size=size) == {"scene": whole, "parts": parts, "chunks": chunks}
+
+
+@pytest.mark.requirement("D10.2-1")
+def test_chunks_before_a_fault_are_delivered(decoder: Decoder) -> None:
+    target = Target(FILES["raw"])
+    whole = decoder.ask(target.data)["chunks"]
+    for chunk in range(target.header.chunk_count):
+        at = target.chunk_at(chunk) + 20
+        damaged = target.data[:at] + bytes([target.data[at] ^ 1]) + target.data[at + 1 :]
+        said = decoder.ask(damaged, "stream", size=50)
+        assert (said["error"]["name"], said["error"]["offset"]) == ("chunk.crc", target.chunk_at(chunk))
+        assert said["chunks"] == whole[:chunk]
+
+
+def test_a_whole_scene_at_once(decoder: Decoder) -> None:
+    for name, scene in SCENES.items():
+        said = decoder.ask(FILES[name], "all")
+        assert said["scene"] == reconstruction.digest(scene)[0]
+        assert said["offsets"] == reconstruction.reconstruct(scene).offsets.astype("<f4").tobytes().hex()
+        assert said["arrays"] == ["count", "positions", "masks", "features", "scalings", "offsets"]
+
+
+def test_one_chunk_by_ranges(decoder: Decoder) -> None:
+    for name, file in FILES.items():
+        target = Target(file)
+        for number in range(target.header.chunk_count):
+            said = decoder.ask(file, "chunk", number=number)
+            expected = reconstruction.reconstruct(reader.decode_chunk(source.WholeFile(file), number))
+            assert said["features"] == expected.features.astype("<f4").tobytes().hex(), name
+            assert said["positions"] == expected.positions.astype("<f4").tobytes().hex(), name
+            # Neither another chunk nor an ancillary section is read.
+            asked = said["asked"]
+            assert asked[0] == [0, 20]
+            assert asked[-1][0] == target.chunk_at(number)
+            critical = [s.start for s in target.header.sections if s.type.isupper() and s.type != b"DATA"]
+            assert [start for start, _ in asked[2:-1]] == critical
+
+
+def test_entries_say_where_chunks_lie(decoder: Decoder) -> None:
+    scene, target = SCENES["raw"], Target(FILES["raw"])
+    positions, first = reconstruction.world_positions(scene), 0
+    for number, entry in enumerate(decoder.ask(target.data, "entries")["entries"]):
+        own = positions[first : first + entry["count"]]
+        assert (entry["number"], entry["first"], entry["start"]) == (number, first, target.chunk_at(number))
+        assert np.array_equal(np.array(entry["low"], np.float32), own.min(axis=0))
+        assert np.array_equal(np.array(entry["high"], np.float32), own.max(axis=0))
+        first += entry["count"]
+    assert first == len(positions)
+
+
+# --------------------------------------------------------------------------------------------------------- bounds ---
+
+
+def test_bounds_are_those_of_refcodec(decoder: Decoder) -> None:
+    """The estimates of one chunk after the other are the same numbers."""
+    for file in FILES.values():
+        header = read_header(source.WholeFile(file))
+        needed = bounds.memory_needed(header, min(header.anchor_count, header.chunk_size))
+        said = decoder.ask(file, options={"maxMemory": needed - 1})
+        assert (said["bound"], said["needed"]) == ("memory", needed)
+        assert "scene" in decoder.ask(file, options={"maxMemory": max(needed, len(file))})
+        if header.anchor_count:
+            said = decoder.ask(file, options={"maxAnchors": header.anchor_count - 1})
+            assert (said["bound"], said["needed"]) == ("anchors", header.anchor_count)
+
+
+# ----------------------------------------------------------------------------------------------------- the program ---
+
+
+@pytest.mark.requirement("D10.2-3")
+def test_the_program(tmp_path: Path) -> None:
+    def run(*words: object) -> tuple[int, str]:
+        done = subprocess.run([str(NODE), PROGRAM, *map(str, words)], capture_output=True, text=True, check=False)
+        assert done.stdout == ""
+        return done.returncode, done.stderr
+
+    output = tmp_path / "output"
+    assert run("decode", VECTORS / "tiny-example.c3gs", output) == (statuses.DONE, "")
+    scene = codec.parse((VECTORS / "tiny-example.c3gs").read_bytes()).scene
+    expected = reconstruction.digested(scene) + b"".join(part for _, part in reconstruction.canonical_parts(scene))
+    assert output.read_bytes() == expected
+    for folder, code, status in (("malformed", 101, statuses.REJECTED), ("unsupported", 104, statuses.UNSUPPORTED)):
+        vectors = json.loads((VECTORS / "manifest.json").read_text())["vectors"]
+        path = next(v["input"]["path"] for v in vectors if v["expectation"].get("code") == code)
+        assert path.startswith(folder)
+        found, stderr = run("decode", VECTORS / path, output)
+        assert (found, json.loads(stderr)["code"]) == (status, code)
+    for words in ((), ("decode",), ("encode", "a", "b"), ("decode", tmp_path / "none", output)):
+        assert run(*words)[0] == statuses.USAGE
+    assert run("decode", VECTORS / "tiny-example.c3gs", "/dev/full")[0] == statuses.USAGE
+
+
+# ----------------------------------------------------------------------------------------------------- the package ---
+
+
+def test_the_types_are_those_of_the_module() -> None:
+    """c3gs.d.ts declares what c3gs.js exports, and the fields that a scene and a chunk have."""
+    types = (WEB / "c3gs.d.ts").read_text(encoding="utf-8")
+    declared = set(re.findall(r"^export (?:function|class) (\w+)", types, re.MULTILINE))
+    code = "import(process.argv[1]).then((module) => console.log(JSON.stringify(Object.keys(module))))"
+    said = subprocess.run(
+        [str(NODE), "-e", code, WEB / "c3gs.js"], stdout=subprocess.PIPE, check=True, text=True
+    ).stdout
+    assert set(json.loads(said)) == declared
+
+
+def test_browsers_can_load_the_module() -> None:
+    """Of what c3gs.js imports, nothing is Node's. The one import of Node's files is for Node alone."""
+    todo, seen = ["c3gs.js"], set()
+    while todo:
+        name = todo.pop()
+        seen.add(name)
+        text = (WEB / name).read_text(encoding="utf-8")
+        found = re.findall(r'^(?:import|export)\b[^;]*? from "([^"]+)";', text, re.MULTILINE)
+        assert all(path.startswith("./") for path in found), name
+        todo += [path[2:] for path in found if path[2:] not in seen]
+    assert {"kernel.js", "container.js"} <= seen
+    assert "cli.js" not in seen
+
+
+def test_the_tables_lie_in_the_module() -> None:
+    assert tables.tables_bytes() in (WEB / "c3gs.wasm").read_bytes()
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(importlib.util.find_spec("ziglang") is None, reason="ziglang, which builds c3gs.wasm, is not here")
+def test_the_build_gives_the_same_bytes(tmp_path: Path) -> None:
+    """The documented command, in another folder."""
+    if importlib.metadata.version("ziglang") != PACKAGE["config"]["ziglang"]:
+        pytest.skip(f"c3gs.wasm is built by ziglang {PACKAGE['config']['ziglang']}")
+    for folder in ("web", "native", "data"):
+        shutil.copytree(WEB.parent / folder, tmp_path / folder)
+    (tmp_path / "web" / "c3gs.wasm").unlink()
+    command = [sys.executable, *shlex.split(PACKAGE["scripts"]["build"])[1:]]
+    subprocess.run(command, cwd=tmp_path / "web", check=True)
+    assert (tmp_path / "web" / "c3gs.wasm").read_bytes() == (WEB / "c3gs.wasm").read_bytes()
