@@ -23,6 +23,7 @@ from .shared import (
     UsageError,
     add_command,
     check_scene_output,
+    fit_rate,
     length,
     needs,
     note_compiling,
@@ -177,7 +178,7 @@ def _fit_settings(arguments: argparse.Namespace) -> FitSettings:
     from ..train.settings_file import SettingsError, assigned
 
     try:
-        return assigned(FitSettings(steps=arguments.steps, seed=arguments.seed), arguments.set)
+        return assigned(FitSettings(steps=arguments.steps, seed=arguments.seed, rate=arguments.rate), arguments.set)
     except SettingsError as error:
         raise UsageError(str(error)) from None
 
@@ -332,6 +333,13 @@ def add(commands: Any) -> None:
     fit.add_argument("points", metavar="POINTS")
     fit.add_argument("-o", "--output", metavar="SCENE_DIR", required=True)
     fit.add_argument("--steps", type=positive, metavar="N", default=4000, help="training steps (default: %(default)s)")
+    fit.add_argument(
+        "--rate",
+        type=fit_rate,
+        metavar="L",
+        default=0.004,
+        help="lambda_r: the steps of all attributes grow with its root (default: %(default)s)",
+    )
     fit.add_argument(
         "--voxel",
         type=length,

@@ -10,7 +10,7 @@ from typing import NoReturn
 from .. import __version__, statuses
 from ..bitstream.errors import BitstreamError
 from ..files.terminal import note, open_streams, silence_stdout
-from . import coding, drawing, experiments, learning, looking
+from . import coding, converting, drawing, experiments, learning, looking
 from .shared import EXITS, UsageError, reject
 
 
@@ -32,7 +32,7 @@ def _parser() -> argparse.ArgumentParser:
     )
     parser.add_argument("--version", action="version", version=f"refcodec {__version__}")
     commands = parser.add_subparsers(metavar="COMMAND", required=True)
-    for group in (coding, looking, drawing, learning, experiments):
+    for group in (coding, looking, drawing, learning, converting, experiments):
         group.add(commands)
     return parser
 

@@ -3,11 +3,9 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial.transform import Rotation
 
 from ..bitstream.attributes import KINDS, SCALINGS, Attributes
 from ..bitstream.cameras import CAMERAS, NamedCamera, emit_cameras
@@ -29,7 +27,7 @@ from ..encoder.quantise import symbols
 from ..encoder.sizes import CHUNK_SIZE, choose_lanes
 from ..encoder.weights import exact_networks, weight_scales
 from ..folder.uncompressed import Uncompressed
-from ..render.camera import Camera
+from ..render.camera import Camera, up_axis
 from .entropy.model import OFFSETS, RateModel
 from .entropy.units import PLANE_SHIFT
 from .parts.rate import Rate
@@ -40,30 +38,11 @@ from .start import lattice_positions
 
 def render_info(scaffold: Scaffold, cameras: list[Camera], background: tuple[int, int, int]) -> RenderInfo:
     """SPEC 6.5 of a scene: up is the axis that is nearest to that of the cameras."""
-    ups = -np.mean([c.rotation[1] for c in cameras], axis=0)
-    axis = int(np.abs(ups).argmax())
     return RenderInfo(
         background=background,
-        up_axis=2 * axis + int(ups[axis] < 0),
+        up_axis=up_axis(cameras),
         near_plane=float(np.float32(scaffold.near * scaffold.units.length)),
         distance_unit=scaffold.units.length,
-    )
-
-
-def default_view(camera: Camera) -> NamedCamera:
-    """SPEC 5.17: returns a camera as a file states it. Its numbers are rounded to float32."""
-
-    def rounded(values: Any) -> Any:
-        return tuple(np.asarray(values).astype(np.float32).tolist())
-
-    return NamedCamera(
-        "default",
-        camera.width,
-        camera.height,
-        rounded([camera.fx, camera.fy]),
-        rounded([camera.cx, camera.cy]),
-        rounded(Rotation.from_matrix(camera.rotation).as_quat(scalar_first=True)),
-        rounded(camera.translation),
     )
 
 

@@ -19,9 +19,10 @@ from torch import Tensor
 from ..bitstream.scene import Scene
 from ..folder.uncompressed import Uncompressed
 from ..photographs.photographs import PhotographSet
+from ..render.camera import named_camera
 from .entropy.hyperprior import Hyperprior, VectorMatrix
 from .estimate import coded_bytes, likely_bytes, uncompressed_bytes
-from .export import coded_scene, default_view, render_info, uncompressed
+from .export import coded_scene, render_info, uncompressed
 from .looks import Looks
 from .losses import photometric
 from .pace import Pace
@@ -205,12 +206,12 @@ class Trainer:
         cameras = [p.camera for p in self.photographs.train]
         render = render_info(self.scaffold, cameras, self.photographs.background)
         if self.rate is None:
-            return uncompressed(self.scaffold, render, default_view(cameras[0]))
+            return uncompressed(self.scaffold, render, named_camera(cameras[0]))
         for part in self.parts:
             part.finish()
         if not self.rate.hyperprior.coded:
             raise ValueError("the format does not have this hyperprior")
-        return coded_scene(self.scaffold, self.rate, render, default_view(cameras[0]))
+        return coded_scene(self.scaffold, self.rate, render, named_camera(cameras[0]))
 
     # --- the saved state ----------------------------------------------------------------------------------------------
 
