@@ -17,9 +17,9 @@ from refcodec.bitstream.frame import Frame
 from refcodec.bitstream.planes import PLANES
 from refcodec.bitstream.reconstruction import Reconstruction
 from refcodec.folder.uncompressed import Uncompressed
+from refcodec.render.camera import named_camera
 from refcodec.train.entropy.hyperprior import Contexts, PlaneSamples, scene_coordinates
 from refcodec.train.entropy.units import LATENT_UNIT, PLANE_SHIFT
-from refcodec.render.camera import named_camera
 from refcodec.train.export import render_info, uncompressed
 from refcodec.train.trainer import Trainer
 

@@ -14,6 +14,8 @@ import torch
 from scipy.spatial import cKDTree
 from torch import Tensor
 
+from refcodec.convert.splat_arrays import RESTS, ZERO
+from refcodec.convert.splats import drawn
 from refcodec.photographs.photographs import PhotographSet
 from refcodec.render.rasterise import Settings
 from refcodec.train.adam import ADAM_EPSILON
@@ -25,9 +27,7 @@ from refcodec.train.state import Saved
 from refcodec.train.views import pixels
 
 from .density import Density
-from .harmonics import REST, ZERO
 from .settings import SplatSettings
-from .splats import drawn
 
 # The tensors of the Gaussians, in the order of the optimiser.
 NAMES = ("mean", "base", "rest", "opacity", "scale", "quaternion")
@@ -83,7 +83,7 @@ class SplatTrainer:
         return {
             "mean": torch.from_numpy(points.astype(np.float32)),
             "base": torch.from_numpy(base),
-            "rest": torch.zeros(n, REST[self.settings.degree], 3),
+            "rest": torch.zeros(n, RESTS[self.settings.degree], 3),
             "opacity": torch.full((n,), _logit(begin.opacity)),
             "scale": torch.from_numpy(scale)[:, None].repeat(1, 3),
             "quaternion": torch.tensor([1.0, 0, 0, 0]).repeat(n, 1),

@@ -18,7 +18,8 @@ from ..render.camera import ROTATION_TOLERANCE, SIDE_MAX, Camera
 SETTINGS_FILE, CAMERAS_FILE = "cfg_args", "cameras.json"
 # A line of some kilobytes.
 SETTINGS_MAX = 64 << 10
-CAMERAS_MAX = 65536
+# A camera takes some 500 bytes.
+CAMERAS_MAX, CAMERAS_BYTES = 16384, 8 << 20
 
 _CAMERAS = "restore the file, or remove it"
 
@@ -78,7 +79,7 @@ def read_cameras(file: Path) -> list[Camera]:
     if not there(file, _CAMERAS):
         return []
     try:
-        listed = read_json(file)
+        listed = read_json(file, CAMERAS_BYTES)
     except DocumentError as error:
         raise SceneFolderError(file, f"it is not JSON ({error})", _CAMERAS) from None
     if not isinstance(listed, list) or len(listed) > CAMERAS_MAX:

@@ -15,7 +15,7 @@ pytest.importorskip("matplotlib")
 
 import torch
 
-from benchmarks.peers.harmonics import REST
+from refcodec.convert.splat_arrays import RESTS
 from refcodec.photographs.photographs import PhotographSet, read_photographs
 
 CALITERRA = Path(__file__).resolve().parents[2] / "examples" / "photographs" / "caliterra"
@@ -47,7 +47,7 @@ def make_splats() -> MakeSplats:
         return {
             "mean": normal(count, 3),
             "base": normal(count, 3),
-            "rest": 0.3 * normal(count, REST[degree], 3),
+            "rest": 0.3 * normal(count, RESTS[degree], 3),
             "opacity": normal(count),
             "scale": -2 + 0.3 * normal(count, 3),
             "quaternion": normal(count, 4),

@@ -11,9 +11,7 @@ import math
 import torch
 from torch import Tensor
 
-DEGREE_MAX = 3
-# Harmonics beside that of degree 0, by degree.
-REST = tuple((degree + 1) ** 2 - 1 for degree in range(DEGREE_MAX + 1))
+from .splat_arrays import RESTS, ZERO
 
 
 def _constant(degree: int, order: int) -> float:
@@ -23,7 +21,6 @@ def _constant(degree: int, order: int) -> float:
     return (-1) ** order * plain * (math.sqrt(2) if order else 1)
 
 
-ZERO = _constant(0, 0)
 # Each polynomial below is the harmonic over its constant; Legendre's factors (3, 15, 1/2, 3/2) stand in the constant.
 _ONE = (_constant(1, 1), _constant(1, 0), _constant(1, 1))
 _TWO = (2 * 3 * _constant(2, 2), 3 * _constant(2, 1), _constant(2, 0) / 2, 3 * _constant(2, 1), 3 * _constant(2, 2))
@@ -40,9 +37,9 @@ _THREE = (
 
 def degree_of(rest: int) -> int:
     """The degree that has `rest` harmonics beside the first. Raises ValueError if none has."""
-    if rest not in REST:
-        raise ValueError(f"{rest} harmonics beside the first; {', '.join(map(str, REST))} are wanted")
-    return REST.index(rest)
+    if rest not in RESTS:
+        raise ValueError(f"{rest} harmonics beside the first; {', '.join(map(str, RESTS))} are wanted")
+    return RESTS.index(rest)
 
 
 def basis(direction: Tensor, degree: int) -> Tensor:
