@@ -17,9 +17,10 @@ from refcodec.bitstream.frame import Frame
 from refcodec.bitstream.planes import PLANES
 from refcodec.bitstream.reconstruction import Reconstruction
 from refcodec.folder.uncompressed import Uncompressed
+from refcodec.render.camera import named_camera
 from refcodec.train.entropy.hyperprior import Contexts, PlaneSamples, scene_coordinates
 from refcodec.train.entropy.units import LATENT_UNIT, PLANE_SHIFT
-from refcodec.train.export import default_view, render_info, uncompressed
+from refcodec.train.export import render_info, uncompressed
 from refcodec.train.trainer import Trainer
 
 
@@ -68,7 +69,7 @@ def rounded_scene(trainer: Trainer) -> Uncompressed:
         part.finish()
     cameras = [p.camera for p in trainer.photographs.train]
     info = render_info(scaffold, cameras, trainer.photographs.background)
-    whole = uncompressed(scaffold, info, default_view(cameras[0]))
+    whole = uncompressed(scaffold, info, named_camera(cameras[0]))
     steps, masks = rate.steps(torch.arange(scaffold.count)).numpy(), rate.masks.decided().numpy()
     values = {}
     for i, kind in enumerate(KINDS):

@@ -26,6 +26,7 @@ ROOMS = (
     "refcodec.photographs",
     "refcodec.evaluate",
     "refcodec.train",
+    "refcodec.convert",
     "refcodec.experiments",
     "refcodec.cli",
     "conformance.independent",

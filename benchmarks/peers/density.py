@@ -13,10 +13,10 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from refcodec.convert.splats import Splats
 from refcodec.render.camera import rotation_matrix
 
 from .settings import DensitySettings
-from .splats import Splats
 
 
 @dataclass(frozen=True, eq=False)

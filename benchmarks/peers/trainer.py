@@ -14,6 +14,7 @@ import torch
 from scipy.spatial import cKDTree
 from torch import Tensor
 
+from refcodec.convert.splats import drawn
 from refcodec.export.harmonics import REST, ZERO
 from refcodec.photographs.photographs import PhotographSet
 from refcodec.render.rasterise import Settings
@@ -27,7 +28,6 @@ from refcodec.train.views import pixels
 
 from .density import Density
 from .settings import SplatSettings
-from .splats import drawn
 
 # The tensors of the Gaussians, in the order of the optimiser.
 NAMES = ("mean", "base", "rest", "opacity", "scale", "quaternion")

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 from ..files.outputs import Kind, check_apart, check_file
 from ..files.stage import Stage, write_file
 from ..files.terminal import note, say
-from ..files.text import printable, shell_word
+from ..files.text import printable
 from .bounds import add_bounds, check_folder, open_bounded, read_bounded
 from .meta import add_meta, metadata_of, with_entries
 from .shared import (
@@ -22,7 +22,9 @@ from .shared import (
     check_scene_output,
     decoded,
     encoded,
+    fit_rate,
     parse_file,
+    positive,
     progress_bar,
     reject,
 )
@@ -43,18 +45,22 @@ def _encode(arguments: argparse.Namespace) -> int:
     check_file(output, Kind.signed("a C3GS file", SIGNATURE))
     check_apart([output], [arguments.scene])
     check_folder(arguments, Path(arguments.scene))
-    if is_uncompressed(Path(arguments.scene)):
-        fitted = shell_word(f"{arguments.scene.rstrip('/')}-fitted")
-        raise UsageError(
-            f"{arguments.scene} is an uncompressed scene, which has no entropy model: train it with a rate, or fit a "
-            f"model to it with refcodec fit {shell_word(arguments.scene)} -o {fitted}"
-        )
     entries = metadata_of(arguments)
-    scene = with_entries(read_folder(arguments.scene), entries)
+    status = 0
+    if is_uncompressed(Path(arguments.scene)):
+        # It needs the training's rooms.
+        from .converting import fitted
+
+        scene, status = fitted(arguments)
+    elif arguments.rate or arguments.steps:
+        raise UsageError(f"{arguments.scene} is coded already: --rate and --steps are for uncompressed scenes")
+    else:
+        scene = read_folder(arguments.scene)
+    scene = with_entries(scene, entries)
     write_file(
         output, encoded(arguments, arguments.scene, scene, arguments.positions, arguments.weights, arguments.smallest)
     )
-    return 0
+    return status
 
 
 def _decode(arguments: argparse.Namespace) -> int:
@@ -165,10 +171,12 @@ def add(commands: Any) -> None:
             "encode scene -o scene.c3gs --meta title=Kitchen --meta licence=CC-BY-4.0",
             "encode scene -o scene.c3gs --meta about.toml",
             "encode scene -o scene.c3gs --smallest",
+            "encode converted -o scene.c3gs --rate 0.01",
         ],
         "A folder that decode wrote gives the same bytes again. For a file of Main, add --positions raw if its\n"
         "positions are raw, and --weights raw if its weights are raw. If coded.safetensors is deleted,\n"
-        "point_cloud.ply is quantised anew.",
+        "point_cloud.ply is quantised anew. An uncompressed scene, of convert or of train --rate 0, is quantised and\n"
+        "gets an entropy model, as by fit. That takes minutes, and needs: pip install 'refcodec[fit]'.",
         writes=True,
     )
     encode.add_argument("scene", metavar="SCENE_DIR")
@@ -191,6 +199,15 @@ def add(commands: Any) -> None:
         action="store_true",
         help="also try the scene without a hyperprior and with raw positions, and write the smallest file; no "
         "position, mask or attribute changes; for scenes of few anchors, such as fit makes",
+    )
+    encode.add_argument(
+        "--rate",
+        type=fit_rate,
+        metavar="L",
+        help="lambda_r for an uncompressed scene: its steps grow with the root (default: 0.004)",
+    )
+    encode.add_argument(
+        "--steps", type=positive, metavar="N", help="training steps of an uncompressed scene's model (default: 4000)"
     )
     decode = add_command(
         commands,

@@ -23,6 +23,7 @@ from .shared import (
     UsageError,
     add_command,
     check_scene_output,
+    fit_rate,
     length,
     needs,
     note_compiling,
@@ -34,6 +35,7 @@ from .shared import (
 )
 
 if TYPE_CHECKING:
+    from ..train.fit_input import Given
     from ..train.settings import FitSettings, TrainSettings
 
 
@@ -110,6 +112,20 @@ def _check_writable(output: Path) -> None:
         raise UsageError(f"{output} cannot be written: {there} is read-only")
 
 
+def _given(folder: str | None) -> Given | None:
+    """Returns the scene to go on from, or None. Raises UsageError for what is no scene folder."""
+    from ..train.fit_input import read_given
+
+    if folder is None:
+        return None
+    if not Path(folder).is_dir():
+        raise UsageError(f"{folder} is no scene folder to go on from")
+    try:
+        return read_given(folder)
+    except ValueError as error:
+        raise UsageError(f"{folder} cannot be gone on from: {error}") from None
+
+
 def _train(arguments: argparse.Namespace) -> int:
     settings = _settings(arguments)
     if arguments.print_settings:
@@ -137,12 +153,13 @@ def _train(arguments: argparse.Namespace) -> int:
     others = [(state, STATE), (output / REPORT_FILE, REPORT)]
     log = Path(arguments.log) if arguments.log else None
     logged = [] if log is None else [check_log(log)]
-    check_scene_output(output, [arguments.settings], uncompressed=True, others=others)
+    check_scene_output(output, [arguments.settings, arguments.start], uncompressed=True, others=others)
     _check_state(state, arguments.resume, "; a training that came to its end keeps it only with --keep-state")
     _check_writable(output)
     photographs = read_photographs_of(arguments.photographs, settings.size, settings.background, settings.holdout)
     check_scene_output(output, photographs.places(), uncompressed=True)
     check_apart([*scene_files(output), state, output / REPORT_FILE, *logged], photographs.places())
+    given = _given(arguments.start)
     note_compiling()
     try:
         rows = None if log is None else open_log(log)
@@ -161,6 +178,7 @@ def _train(arguments: argparse.Namespace) -> int:
                 keep_state=arguments.keep_state,
                 log=rows,
                 metadata=entries,
+                given=given,
             )
     except StateError as error:
         raise UsageError(str(error)) from None
@@ -177,7 +195,7 @@ def _fit_settings(arguments: argparse.Namespace) -> FitSettings:
     from ..train.settings_file import SettingsError, assigned
 
     try:
-        return assigned(FitSettings(steps=arguments.steps, seed=arguments.seed), arguments.set)
+        return assigned(FitSettings(steps=arguments.steps, seed=arguments.seed, rate=arguments.rate), arguments.set)
     except SettingsError as error:
         raise UsageError(str(error)) from None
 
@@ -237,6 +255,7 @@ def add(commands: Any) -> None:
             "train photographs -o scene",
             "train photographs -o scene --rate 0.01 --steps 8000",
             "train photographs -o scene --resume",
+            "train photographs -o better --from converted --rate 0.002",
             "train photographs -o scene --anchors 20000 --background white --holdout 0",
             "train photographs -o scene --resume --steps 12000",
             "train photographs -o scene --log scene.csv",
@@ -274,6 +293,12 @@ def add(commands: Any) -> None:
     )
     train.add_argument(
         "--print-settings", action="store_true", help="print all settings, with what they mean, and do nothing else"
+    )
+    train.add_argument(
+        "--from",
+        dest="start",
+        metavar="SCENE_DIR",
+        help="go on from a scene, such as convert makes, with its anchors, networks and number of features; none grow",
     )
     train.add_argument(
         "--rate",
@@ -332,6 +357,13 @@ def add(commands: Any) -> None:
     fit.add_argument("points", metavar="POINTS")
     fit.add_argument("-o", "--output", metavar="SCENE_DIR", required=True)
     fit.add_argument("--steps", type=positive, metavar="N", default=4000, help="training steps (default: %(default)s)")
+    fit.add_argument(
+        "--rate",
+        type=fit_rate,
+        metavar="L",
+        default=0.004,
+        help="lambda_r: the steps of all attributes grow with its root (default: %(default)s)",
+    )
     fit.add_argument(
         "--voxel",
         type=length,

@@ -20,6 +20,7 @@ GROUPS = {
     "drawing": ("gaussians", "render", "eval"),
     "exporting": ("export",),
     "learning": ("train", "fit"),
+    "converting": ("convert",),
     "experiments": ("demo", "rd", "experiment"),
 }
 # Of these groups, no command gains from threads of NumPy's BLAS. To start them costs more than a small file.

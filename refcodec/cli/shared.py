@@ -361,6 +361,14 @@ def rate(text: str) -> float:
     return value
 
 
+def fit_rate(text: str) -> float:
+    """Returns a lambda_r of a fit, from 10^-6 to 1."""
+    value = float(text)
+    if not 1e-6 <= value <= 1:
+        raise argparse.ArgumentTypeError(f"{text} found, 0.000001 to 1 allowed")
+    return value
+
+
 def add_command(
     commands: Any,
     name: str,

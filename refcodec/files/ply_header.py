@@ -64,6 +64,13 @@ def check_ply_header(path: Path) -> tuple[int, int]:
     return most, properties
 
 
+def property_names(path: Path) -> list[str]:
+    """Returns the names of the properties of all elements, in file order. Raises PlyHeaderError, and OSError."""
+    with path.open("rb") as file:
+        lines = [line.split() for line in _header_lines(file)]
+    return [words[-1] for words in lines if len(words) > 1 and words[0] == "property"]
+
+
 def _header_lines(file: BinaryIO) -> list[str]:
     """Returns the lines up to end_header, and leaves the file at the first byte after it."""
     lines: list[str] = []

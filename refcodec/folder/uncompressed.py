@@ -2,7 +2,8 @@
 
 point_cloud.ply         anchors, in the layout of Scaffold-GS checkpoints, world units
 networks.safetensors    fp32 weights and biases of the three rendering networks, as SPEC.md 5.8 shapes them
-render.json             the render information of SPEC.md 5.5, and the camera of the default view as in 5.17
+render.json             the render information of SPEC.md 5.5, the camera of the default view as in 5.17, and the edge
+                        of the voxels whose corners the anchors are, if it is known
 """
 
 # safetensors is imported where it is used, so that the other commands start fast.
@@ -38,7 +39,7 @@ class Uncompressed:
     """A trained Scaffold-GS.
 
     values: the float32 attributes. masks: bool [N, K]. networks: the three rendering networks of SPEC 14.3, by name.
-    camera: the default view.
+    camera: the default view. voxel: edge of the lattice of the positions, world units, or None if it is not known.
     """
 
     values: Reconstruction
@@ -46,6 +47,7 @@ class Uncompressed:
     networks: dict[str, list[Layer]]
     render: RenderInfo
     camera: NamedCamera = field(default_factory=NamedCamera)
+    voxel: float | None = None
 
     @property
     def anchor_count(self) -> int:
@@ -109,7 +111,9 @@ def _write_files(scene: Uncompressed, path: Path) -> None:
     }
     with new_file(path / NETWORKS_FILE) as file:
         file.write(save(networks))
-    document = {"format": UNCOMPRESSED, "render": vars(scene.render), "camera": vars(scene.camera)}
+    document: dict[str, Any] = {"format": UNCOMPRESSED, "render": vars(scene.render), "camera": vars(scene.camera)}
+    if scene.voxel is not None:
+        document["voxel"] = scene.voxel
     with new_file(path / RENDER_FILE) as file:
         file.write((json.dumps(document, indent=2) + "\n").encode())
 
@@ -145,6 +149,9 @@ def read_uncompressed(path: Path) -> Uncompressed:
     cloud = read_cloud(path / PLY_FILE)
     document = Document(path / RENDER_FILE, UNCOMPRESSED, AGAIN)
     render, camera = read_render(document), _read_camera(document)
+    voxel = document.float("voxel") if "voxel" in document.root else None
+    if voxel is not None and voxel <= 0:
+        raise document.fault("voxel", f"is {voxel}, a number above 0 is required")
     networks = _read_networks(path / NETWORKS_FILE, cloud.masks.shape[1], cloud.features.shape[1])
     return Uncompressed(
         Reconstruction(
@@ -157,4 +164,5 @@ def read_uncompressed(path: Path) -> Uncompressed:
         networks,
         render,
         camera,
+        voxel,
     )

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -82,6 +83,32 @@ def default_camera(stated: NamedCamera) -> Camera:
         rotation_matrix(quaternion / np.linalg.norm(quaternion)),
         np.array(stated.translation, np.float64),
     )
+
+
+def named_camera(camera: Camera) -> NamedCamera:
+    """SPEC 5.17: returns a camera as a file states it, as the default view. Its numbers are rounded to float32."""
+    # Decoding draws nothing, and should not wait for SciPy.
+    from scipy.spatial.transform import Rotation  # noqa: PLC0415
+
+    def rounded(values: Any) -> Any:
+        return tuple(np.asarray(values).astype(np.float32).tolist())
+
+    return NamedCamera(
+        OWN,
+        camera.width,
+        camera.height,
+        rounded([camera.fx, camera.fy]),
+        rounded([camera.cx, camera.cy]),
+        rounded(Rotation.from_matrix(camera.rotation).as_quat(scalar_first=True)),
+        rounded(camera.translation),
+    )
+
+
+def up_axis(cameras: Sequence[Camera]) -> int:
+    """SPEC 6.5: returns the number of the world's axis that is nearest to what is up in the cameras' images."""
+    ups = -np.mean([c.rotation[1] for c in cameras], axis=0)
+    axis = int(np.abs(ups).argmax())
+    return 2 * axis + int(ups[axis] < 0)
 
 
 def read_camera(data: bytes | str) -> Camera:

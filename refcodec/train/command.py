@@ -20,6 +20,8 @@ from ..folder.layout import REPORT_FILE
 from ..folder.uncompressed import Uncompressed, write_uncompressed
 from ..folder.write import write_folder
 from ..photographs.photographs import PhotographSet
+from .continued import continued_settings
+from .fit_input import Given
 from .log import Log, Logging
 from .looks import psnr
 from .settings import TrainSettings
@@ -55,12 +57,14 @@ def train(
     keep_state: bool = False,
     log: Log | None = None,
     metadata: Mapping[str, str] | None = None,
+    given: Given | None = None,
 ) -> Trained:
     """Trains, and writes the scene folder and training.json. What it begins with is said on stderr.
 
     threads: of the rasteriser; all else uses one, so that no result depends on it. resume: from the saved state.
     progress: whether lines tell of it where there is no terminal. keep_state: whether the saved state stays after the
     end, so that more steps can follow. log: gets the history. metadata: entries of SPEC 6.14, for a coded scene.
+    given: a scene to go on from, None to begin with points.
 
     A state that cannot be saved does not end the training. A scene that cannot be written to `output` is written among
     the temporary files, and the error says where.
@@ -70,7 +74,9 @@ def train(
     """
     torch.set_num_threads(1)
     numba.set_num_threads(min(threads, numba.get_num_threads()))
-    trainer = Trainer(photographs, settings, device)
+    if given is not None:
+        settings = continued_settings(given, settings)
+    trainer = Trainer(photographs, settings, device, given=given)
     keep = Keeper(trainer, state_path(output))
     if resume:
         restore(trainer, keep.path)

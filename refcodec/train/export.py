@@ -3,17 +3,15 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial.transform import Rotation
 
 from ..bitstream.attributes import KINDS, SCALINGS, Attributes
 from ..bitstream.cameras import CAMERAS, NamedCamera, emit_cameras
 from ..bitstream.chunks import chunk_ranges
 from ..bitstream.codec import derive_steps
-from ..bitstream.dimensions import Dimensions
+from ..bitstream.dimensions import RENDERING, Dimensions
 from ..bitstream.header import Lanes, RenderInfo
 from ..bitstream.limits import MAIN
 from ..bitstream.networks import Layer
@@ -29,57 +27,37 @@ from ..encoder.quantise import symbols
 from ..encoder.sizes import CHUNK_SIZE, choose_lanes
 from ..encoder.weights import exact_networks, weight_scales
 from ..folder.uncompressed import Uncompressed
-from ..render.camera import Camera
-from .entropy.model import OFFSETS, RateModel
+from ..render.camera import Camera, up_axis
+from .entropy.model import RateModel
 from .entropy.units import PLANE_SHIFT
 from .parts.rate import Rate
-from .rendering_networks import RENDER_WIDTH
 from .scaffold import Scaffold
 from .start import lattice_positions
 
 
 def render_info(scaffold: Scaffold, cameras: list[Camera], background: tuple[int, int, int]) -> RenderInfo:
     """SPEC 6.5 of a scene: up is the axis that is nearest to that of the cameras."""
-    ups = -np.mean([c.rotation[1] for c in cameras], axis=0)
-    axis = int(np.abs(ups).argmax())
     return RenderInfo(
         background=background,
-        up_axis=2 * axis + int(ups[axis] < 0),
+        up_axis=up_axis(cameras),
         near_plane=float(np.float32(scaffold.near * scaffold.units.length)),
         distance_unit=scaffold.units.length,
     )
 
 
-def default_view(camera: Camera) -> NamedCamera:
-    """SPEC 5.17: returns a camera as a file states it. Its numbers are rounded to float32."""
-
-    def rounded(values: Any) -> Any:
-        return tuple(np.asarray(values).astype(np.float32).tolist())
-
-    return NamedCamera(
-        "default",
-        camera.width,
-        camera.height,
-        rounded([camera.fx, camera.fy]),
-        rounded([camera.cx, camera.cy]),
-        rounded(Rotation.from_matrix(camera.rotation).as_quat(scalar_first=True)),
-        rounded(camera.translation),
-    )
-
-
 def uncompressed(scaffold: Scaffold, render: RenderInfo, camera: NamedCamera) -> Uncompressed:
     """The scene as it is, in world units."""
-    n = scaffold.count
+    n, k = scaffold.count, scaffold.columns.offsets
     positions = scaffold.units.origin + scaffold.lattice * (scaffold.units.cell * scaffold.units.length)
     tables = {name: table.cpu().numpy().copy() for name, table in scaffold.tables.items()}
     values = Reconstruction(
-        positions.astype(np.float32), tables["features"], tables["scalings"], tables["offsets"].reshape(n, OFFSETS, 3)
+        positions.astype(np.float32), tables["features"], tables["scalings"], tables["offsets"].reshape(n, k, 3)
     )
-    return Uncompressed(values, np.ones((n, OFFSETS), bool), scaffold.networks.layers(), render, camera)
+    return Uncompressed(values, np.ones((n, k), bool), scaffold.networks.layers(), render, camera)
 
 
-def _dimensions(model: RateModel, coding: dict[str, list[Layer]]) -> Dimensions:
-    """SPEC 5.3, of a model. coding: its networks."""
+def _dimensions(model: RateModel, coding: dict[str, list[Layer]], render_width: int) -> Dimensions:
+    """SPEC 5.3, of a model. coding: its networks. render_width: of the rendering networks."""
     hyper, sarm, carm = (
         tuple(len(bias) for _, bias in coding.get(name, [])[:-1]) for name in ("hyper", "sarm", "carm.1")
     )
@@ -87,14 +65,14 @@ def _dimensions(model: RateModel, coding: dict[str, list[Layer]]) -> Dimensions:
     frequencies = coding["hyper"][0][0].shape[1] // 2 - channels
     columns = model.columns
     return Dimensions(
-        columns.offsets, columns.slices, channels, frequencies, plane_size, hyper, sarm, carm, RENDER_WIDTH
+        columns.offsets, columns.slices, channels, frequencies, plane_size, hyper, sarm, carm, render_width
     )
 
 
 def weight_bytes(model: RateModel, rendering: dict[str, list[Layer]], lanes: Lanes) -> int:
     """Bytes of the section of weights in mode 1 (SPEC 5.8), with its padding. Raises networks.BoundError."""
     coding = model.networks()
-    d = _dimensions(model, coding)
+    d = _dimensions(model, coding, len(rendering[RENDERING[0]][0][1]))
     networks = exact_networks({name: {**coding, **rendering}[name] for name in d.network_shapes()})
     content = emit_weights(
         PLANE_SHIFT, np.zeros(d.carm_inputs, np.uint8), networks, weight_scales(networks), d, 1 << lanes.attribute
@@ -127,11 +105,11 @@ def coded_scene(scaffold: Scaffold, rate: Rate, render: RenderInfo, camera: Name
     rows, half = rows[order], half[order]
     count, masks = len(rows), kept[rows]
     networks = {**model.networks(), **scaffold.networks.layers()}
-    d = _dimensions(model, networks)
+    d = _dimensions(model, networks, scaffold.networks.width)
     empty = Attributes(
         np.zeros((count, d.features), np.int32),
         np.zeros((count, SCALINGS), np.int32),
-        np.zeros((count, OFFSETS, 3), np.int32),
+        np.zeros((count, d.offset_count, 3), np.int32),
         np.zeros((count, len(KINDS)), np.uint8),
     )
     scene = Scene(
@@ -155,6 +133,6 @@ def coded_scene(scaffold: Scaffold, rate: Rate, render: RenderInfo, camera: Name
     )
     steps = derive_steps(scene)
     values = {name: scaffold.tables[name].cpu().numpy()[rows] for name in KINDS}
-    values["offsets"] = np.where(masks[:, :, None], values["offsets"].reshape(count, OFFSETS, 3), np.float32(0))
+    values["offsets"] = np.where(masks[:, :, None], values["offsets"].reshape(count, d.offset_count, 3), np.float32(0))
     features, scalings, offsets = (symbols(values[kind], steps[:, i], base_step[i]) for i, kind in enumerate(KINDS))
     return replace(scene, attributes=Attributes(features, scalings, offsets, steps))

@@ -7,6 +7,7 @@ planes (A-RDO).
 
 from __future__ import annotations
 
+import math
 import time
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -38,7 +39,7 @@ from .entropy.units import PLANE_SHIFT, STEP_ONE
 from .fit_input import Given
 from .optimisers import moments, restore_moments
 from .rendering_networks import RENDER_WIDTH
-from .settings import EntropySettings, FitSettings, QuantisationSettings
+from .settings import BASE_RATE, EntropySettings, FitSettings, QuantisationSettings
 from .settings_file import document
 from .state import Keeper, Saved, is_saved, restore
 from .voxelise import display_networks
@@ -87,11 +88,16 @@ def fit(
 # --- the scene before training ----------------------------------------------------------------------------------------
 
 
-def base_steps(cloud: AnchorCloud, steps: QuantisationSettings) -> tuple[float, float, float]:
-    """Base steps of features, scalings and offsets, each a float32 value."""
+def base_steps(cloud: AnchorCloud, steps: QuantisationSettings, rate: float = BASE_RATE) -> tuple[float, float, float]:
+    """Base steps of features, scalings and offsets, each a float32 value.
+
+    rate: lambda_r. Of D + lambda_r R, the squared error D of a small step grows with its square, and the rate R falls
+    with its logarithm. So the best step grows with the root of lambda_r.
+    """
     spread = float(np.median(cloud.features.std(axis=0))) if len(cloud.features) else 0.0
+    coarser = math.sqrt(rate / BASE_RATE)
     features, scalings, offsets = (
-        float(np.float32(step)) for step in (spread * steps.features or 1.0, steps.scalings, steps.offsets)
+        float(np.float32(coarser * step)) for step in (spread * steps.features or 1.0, steps.scalings, steps.offsets)
     )
     return features, scalings, offsets
 
@@ -151,7 +157,7 @@ def _start(given: Given, settings: FitSettings) -> Scene:
         grid = choose_grid(cloud.positions)
         ordered, half = order_anchors(cloud, grid)
     d = fit_dimensions(ordered, settings.entropy, _render_width(given))
-    base_step = base_steps(cloud, settings.scene if given.networks else settings.quantisation)
+    base_step = base_steps(cloud, settings.scene if given.networks else settings.quantisation, settings.rate)
     networks: dict[str, list[Layer]] = {
         name: [(np.zeros(shape, np.float32), np.zeros(shape[0], np.float32)) for shape in shapes]
         for name, shapes in d.network_shapes().items()

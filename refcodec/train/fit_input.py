@@ -71,7 +71,14 @@ def _folder_of(cloud: Path) -> Path:
 def _read_scene(folder: Path, voxel: float | None) -> Given:
     if is_uncompressed(folder):
         plain = read_uncompressed(folder)
-        return Given(_cloud(plain.values, plain.masks), voxel, None, plain.networks, plain.render, plain.camera)
+        return Given(
+            _cloud(plain.values, plain.masks),
+            voxel or _lattice(plain.voxel),
+            None,
+            plain.networks,
+            plain.render,
+            plain.camera,
+        )
     if not there(folder / SCENE_FILE, _ADVICE):
         raise ValueError(f"{folder} has neither {SCENE_FILE} nor {RENDER_FILE}: it is no scene folder")
     scene = read_folder(folder)
@@ -79,6 +86,11 @@ def _read_scene(folder: Path, voxel: float | None) -> Given:
     grid = None if voxel else scene.grid
     camera = next(iter(cameras(scene.ancillary)), None)
     return Given(_cloud(reconstruct(scene), scene.masks), voxel, grid, networks, scene.render, camera)
+
+
+def _lattice(voxel: float | None) -> float | None:
+    """An edge that a scene states, if it has a mantissa with which a lattice is exact."""
+    return voxel and short_mantissa(voxel)
 
 
 def _cloud(values: Reconstruction, masks: np.ndarray) -> AnchorCloud:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 
 import torch
 from torch import Tensor, nn
@@ -23,12 +24,13 @@ VIEW_INPUTS = 4
 class RenderNetworks(nn.Module):
     """SPEC 14.3's networks, with one hidden layer each, as torch starts linear layers."""
 
-    def __init__(self, columns: Columns, generator: torch.Generator) -> None:
-        """columns: of the attributes."""
+    def __init__(self, columns: Columns, generator: torch.Generator, width: int = RENDER_WIDTH) -> None:
+        """columns: of the attributes. width: of the hidden layers."""
         super().__init__()
+        self.width = width
         inputs = columns.features + VIEW_INPUTS
         for name, outputs in zip(RENDERING, (1, 7, 3), strict=True):
-            shapes = ((inputs, RENDER_WIDTH), (RENDER_WIDTH, outputs * columns.offsets))
+            shapes = ((inputs, width), (width, outputs * columns.offsets))
             for layer, (fan_in, out) in enumerate(shapes):
                 bound = 1 / math.sqrt(fan_in)
                 weight, bias = (
@@ -69,12 +71,22 @@ class RenderNetworks(nn.Module):
         """
         p = self._values()
         weight, bias = (torch.cat([p[f"{name}_0_{kind}"] for name in RENDERING]) for kind in ("weight", "bias"))
-        hidden = functional.relu(functional.linear(inputs, weight, bias)).split(RENDER_WIDTH, dim=1)
+        hidden = functional.relu(functional.linear(inputs, weight, bias)).split(self.width, dim=1)
         opacity, covariance, colour = (
             functional.linear(h, p[f"{name}_1_weight"], p[f"{name}_1_bias"])
             for h, name in zip(hidden, RENDERING, strict=True)
         )
         return torch.tanh(opacity), covariance, colour
+
+    @torch.no_grad()
+    def take(self, networks: Mapping[str, list[Layer]], unit: float) -> None:
+        """Takes the weights of a scene. unit: what the distance is multiplied with beforehand."""
+        p = dict(self.named_parameters())
+        for name in RENDERING:
+            for i, (weight, bias) in enumerate(networks[name]):
+                p[f"{name}_{i}_weight"].copy_(torch.from_numpy(weight))
+                p[f"{name}_{i}_bias"].copy_(torch.from_numpy(bias))
+            p[f"{name}_0_weight"][:, -1] *= unit
 
     def layers(self) -> dict[str, list[Layer]]:
         """The weights that SPEC 5.8 stores."""

@@ -10,10 +10,13 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
+from ..bitstream.dimensions import RENDERING
 from ..photographs.photographs import PhotographSet
 from ..render.camera import Camera
+from .continued import Beginning, beginning
 from .entropy.columns import Columns
 from .entropy.model import OFFSETS
+from .fit_input import Given
 from .rendering_networks import RenderNetworks
 from .settings import TrainSettings
 from .spawn import spawn
@@ -46,9 +49,16 @@ class Scaffold:
         settings: TrainSettings,
         generator: torch.Generator,
         device: torch.device | str = "cpu",
+        given: Given | None = None,
     ) -> None:
-        """generator: of the networks' first weights, on the CPU. Raises ValueError without points."""
+        """generator: of the networks' first weights, on the CPU. given: a scene to go on from, or None.
+
+        Raises ValueError without points, and for a scene that cannot be trained.
+        """
         self.device = torch.device(device)
+        if given is not None:
+            self._go_on(beginning(given, photographs, settings), settings, generator)
+            return
         found = first_anchors(photographs, settings.start, settings.seed)
         self.units, self.lattice, self.near = found.units, found.lattice, settings.start.near
         n = len(self.lattice)
@@ -59,6 +69,19 @@ class Scaffold:
         self.tables["scalings"][:] = torch.from_numpy(np.log(found.sizes)).float()[:, None]
         self.tables["masks"].fill_(settings.masks.start)
         self.networks = RenderNetworks(self.columns, generator).to(self.device)
+        self.place()
+
+    def _go_on(self, found: Beginning, settings: TrainSettings, generator: torch.Generator) -> None:
+        """Takes the anchors and networks of a scene."""
+        given, self.near = found.given, settings.start.near
+        self.units, self.lattice = found.units, found.lattice
+        self.columns = Columns(settings.entropy.slices, given.cloud.masks.shape[1])
+        self.tables = {name: self._moved(found.tables[name]) for name in TABLES}
+        self.first, self.second = ({name: torch.zeros_like(t) for name, t in self.tables.items()} for _ in range(2))
+        assert given.networks is not None
+        self.networks = RenderNetworks(self.columns, generator, len(given.networks[RENDERING[0]][0][1]))
+        self.networks.take(given.networks, self.units.length / given.render.distance_unit)
+        self.networks.to(self.device)
         self.place()
 
     @property
@@ -110,7 +133,7 @@ class Scaffold:
         chosen = torch.nonzero(flat.detach() > 0)[:, 0]
         scalings = values["scalings"] - math.log(self.units.length)
         mean, quaternion, lengths, rgb = spawn(
-            chosen, OFFSETS, position, values["offsets"], scalings, covariance, colour
+            chosen, self.columns.offsets, position, values["offsets"], scalings, covariance, colour
         )
         return chosen, (mean, quaternion, lengths, flat[chosen], rgb), opacity
 

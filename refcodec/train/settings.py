@@ -45,6 +45,8 @@ def setting(
 # SPEC 11.1: the most features and slices of features in Main. The first features begin as a colour.
 FEATURES_MAX, COLOURS = 128, 3
 SLICES_MAX = 16
+# lambda_r of a training, and of a fit that keeps its base steps.
+BASE_RATE = 0.004
 
 
 # --- learning rates ---------------------------------------------------------------------------------------------------
@@ -201,7 +203,7 @@ class RateSettings:
     """L_rate, the bits of a parameter (the paper's equation 5), and its weight in the loss (its equation 4)."""
 
     weight: float = setting(
-        0.004,
+        BASE_RATE,
         "weight in the loss, lambda_r; 0 trains an uncompressed Scaffold-GS",
         f"{PRO}: 0.002 to 0.04",
         low=0,
@@ -432,6 +434,13 @@ class FitSettings:
 
     steps: int = setting(4000, "steps of training, a batch of anchors each", unit="steps", low=0)
     seed: int = setting(0, "of all random numbers", low=0, high=2**63 - 1)
+    rate: float = setting(
+        BASE_RATE,
+        f"weight of the rate, lambda_r: all base steps are those below times the root of it over {BASE_RATE}, as the "
+        "squared error of a step grows with its square",
+        low=1e-6,
+        high=1,
+    )
     batch: int = setting(4096, "anchors of a step, drawn from all (USRO)", unit="anchors", low=1)
     plane_period: int = setting(
         4,

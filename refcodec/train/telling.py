@@ -32,7 +32,8 @@ def opening(trainer: Trainer) -> str:
         words.append(f"{photographs.skipped} without pose are left out")
     points = "points drawn at random" if photographs.random else "points"
     words += [f"{len(photographs.points)} {points}", f"background {red},{green},{blue}"]
-    words += [f"{trainer.scaffold.count} anchors", f"{settings.steps} steps"]
+    given = " of the scene to go on from" if trainer.given else ""
+    words += [f"{trainer.scaffold.count} anchors{given}", f"{settings.steps} steps"]
     words.append(f"rate {settings.rate.weight:g}" if settings.rate.weight else "no rate: an uncompressed scene")
     if trainer.clock.done:
         words.append(f"from step {trainer.clock.done} on")

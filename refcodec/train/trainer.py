@@ -19,9 +19,11 @@ from torch import Tensor
 from ..bitstream.scene import Scene
 from ..folder.uncompressed import Uncompressed
 from ..photographs.photographs import PhotographSet
+from ..render.camera import named_camera
 from .entropy.hyperprior import Hyperprior, VectorMatrix
 from .estimate import coded_bytes, likely_bytes, uncompressed_bytes
-from .export import coded_scene, default_view, render_info, uncompressed
+from .export import coded_scene, render_info, uncompressed
+from .fit_input import Given
 from .looks import Looks
 from .losses import photometric
 from .pace import Pace
@@ -68,19 +70,21 @@ class Trainer:
         settings: TrainSettings,
         device: str = "cpu",
         hyperprior: Hyperprior | None = None,
+        given: Given | None = None,
     ) -> None:
-        """hyperprior: None for that of the format.
+        """hyperprior: None for that of the format. given: a scene to go on from, None to begin with points.
 
         Raises ValueError for photographs that cannot be learnt from, and for a device that is not there.
         """
         if device == "cuda" and not torch.cuda.is_available():
             raise ValueError("there is no CUDA device")
         self.settings, self.photographs, self.device = settings, photographs, torch.device(device)
+        self.given = given
         self.random = torch.Generator().manual_seed(settings.seed)
         on_cpu = self.device.type == "cpu"
         self.noise = self.random if on_cpu else generator_on(self.device).manual_seed(settings.seed)
         self.clock = Clock(settings.phases, settings.steps)
-        self.scaffold = Scaffold(photographs, settings, self.random, self.device)
+        self.scaffold = Scaffold(photographs, settings, self.random, self.device, given)
         self.parts: list[Part] = []
         self.views = Views(photographs, self.scaffold, self.parts)
         pace = Pace(self.clock, bool(settings.rate.weight))
@@ -205,12 +209,12 @@ class Trainer:
         cameras = [p.camera for p in self.photographs.train]
         render = render_info(self.scaffold, cameras, self.photographs.background)
         if self.rate is None:
-            return uncompressed(self.scaffold, render, default_view(cameras[0]))
+            return uncompressed(self.scaffold, render, named_camera(cameras[0]))
         for part in self.parts:
             part.finish()
         if not self.rate.hyperprior.coded:
             raise ValueError("the format does not have this hyperprior")
-        return coded_scene(self.scaffold, self.rate, render, default_view(cameras[0]))
+        return coded_scene(self.scaffold, self.rate, render, named_camera(cameras[0]))
 
     # --- the saved state ----------------------------------------------------------------------------------------------
 
@@ -218,7 +222,8 @@ class Trainer:
         """What must be the same for a training to go on: settings but for the steps, photographs and their sizes."""
         photographs = [[p.camera.name, p.camera.width, p.camera.height] for p in self.photographs.train]
         settings = {name: value for name, value in document(self.settings).items() if name != "steps"}
-        return {"settings": settings, "photographs": photographs}
+        found = {"settings": settings, "photographs": photographs}
+        return found if self.given is None else {**found, "from": len(self.given.cloud.positions)}
 
     def state(self) -> dict[str, Any]:
         """All that going on exactly where it stopped needs: tensors, and values of JSON, by names with slashes."""

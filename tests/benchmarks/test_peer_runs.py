@@ -19,9 +19,10 @@ from benchmarks.peers.convert import there_and_back, tool
 from benchmarks.peers.figures import Point, bd_rate, bytes_at, figure, scenes
 from benchmarks.peers.runs import Run, perform, records
 from benchmarks.peers.scene import main as make_scene
-from benchmarks.peers.splats import drawn, quality, read_ply, write_ply
+from benchmarks.peers.splats import quality, read_ply, write_ply
 from benchmarks.peers.table import TableError, commands, report, with_seeds
 from benchmarks.peers.trainer import SplatTrainer
+from refcodec.convert.splats import drawn
 from refcodec.photographs.photographs import PhotographSet, read_photographs
 from refcodec.render.rasterise import Settings
 

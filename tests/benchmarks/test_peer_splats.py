@@ -13,10 +13,10 @@ from plyfile import PlyData, PlyElement
 from torch import Tensor
 
 from benchmarks.peers.density import Density
-from benchmarks.peers.harmonics import basis, colours
 from benchmarks.peers.settings import DensitySettings, SplatSettings
 from benchmarks.peers.splats import quality, read_ply, write_ply
 from benchmarks.peers.trainer import NAMES, SplatTrainer
+from refcodec.convert.harmonics import basis, colours
 from refcodec.export.harmonics import ZERO, degree_of
 from refcodec.photographs.photographs import PhotographSet
 from refcodec.train.settings_file import varied
@@ -126,7 +126,11 @@ def test_properties_may_stand_in_any_order(splats: Splats, tmp_path: Path) -> No
 
 @pytest.mark.parametrize(
     ("names", "words"),
-    [("x y z", "no property f_dc_0"), ("x f_rest_0", "not three channels"), ("f_rest_0 f_rest_1 f_rest_2", "1 harmon")],
+    [
+        ("x y z", "no property f_dc_0"),
+        ("x f_rest_0", "has 1 coefficients"),
+        ("f_rest_0 f_rest_1 f_rest_2", "has 3 coefficients"),
+    ],
 )
 def test_other_files_are_refused(names: str, words: str, tmp_path: Path) -> None:
     table = np.zeros(2, [(name, "<f4") for name in names.split()])

@@ -14,7 +14,6 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from ..entropy.model import OFFSETS
 from ..part import Part, Step
 from ..scaffold import Scaffold
 from ..schedule import Clock
@@ -58,7 +57,7 @@ class Growth(Part):
     def anchors_changed(self) -> None:
         """Starts the statistics anew."""
         n, device = self.scaffold.count, self.scaffold.device
-        self.gradient, self.drawn = (torch.zeros((n, OFFSETS), device=device) for _ in range(2))
+        self.gradient, self.drawn = (torch.zeros((n, self.scaffold.columns.offsets), device=device) for _ in range(2))
         self.opacity, self.seen = (torch.zeros(n, device=device) for _ in range(2))
 
     def descend(self, step: Step) -> None:
@@ -70,7 +69,8 @@ class Growth(Part):
         assert step.screen is not None
         screen = step.screen.detach() if step.screen.grad is None else step.screen.grad
         rows, chosen = step.rows, step.chosen
-        anchor, offset = rows[chosen // OFFSETS], chosen % OFFSETS
+        offsets = self.scaffold.columns.offsets
+        anchor, offset = rows[chosen // offsets], chosen % offsets
         drawn = screen > 0
         self.gradient[anchor, offset] += torch.where(drawn, screen, 0)
         self.drawn[anchor, offset] += drawn.float()
@@ -117,7 +117,7 @@ class Growth(Part):
         units = scaffold.units
         scalings, offsets = (scaffold.tables[name].cpu().numpy() for name in ("scalings", "offsets"))
         spread = np.exp(scalings[:, None, :3] - math.log(units.length)) / units.cell
-        centre = scaffold.lattice[:, None] + offsets.reshape(-1, OFFSETS, 3) * spread
+        centre = scaffold.lattice[:, None] + offsets.reshape(scaffold.count, -1, 3) * spread
         centre, gradient = centre.reshape(-1, 3), mean.reshape(-1)
         found, owners, edges = [scaffold.lattice], [np.zeros(0, np.int64)], [np.zeros(0)]
         for level, edge in enumerate(settings.edges):
@@ -130,7 +130,7 @@ class Growth(Part):
             taken = {tuple(c) for c in np.round(np.concatenate(found) / edge).astype(np.int64).tolist()}
             free = np.array([tuple(c) not in taken for c in cells.tolist()], bool)
             found.append(cells[free] * edge)
-            owners.append(np.flatnonzero(grows)[first[free]] // OFFSETS)
+            owners.append(np.flatnonzero(grows)[first[free]] // scaffold.columns.offsets)
             edges.append(np.full(int(free.sum()), edge))
         cells = lattice_positions(np.concatenate([np.zeros((0, 3), np.int64), *found[1:]])).astype(np.int64)
         return cells, np.concatenate(owners), np.concatenate(edges)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
-from refcodec.export.harmonics import ZERO, rest_harmonics
+from ..export.harmonics import ZERO, rest_harmonics
 
 
 def basis(direction: Tensor, degree: int) -> Tensor:

@@ -1,0 +1,274 @@
+"""The command that takes what other programs made: convert. What encode does with a scene that is not compressed."""
+
+# Modules that need NumPy are imported where they are used, so that help is instant.
+# ruff: noqa: PLC0415
+
+from __future__ import annotations
+
+import argparse
+import os
+import shutil
+import tempfile
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from .. import statuses
+from ..files.lock import hold_file
+from ..files.terminal import note, say
+from ..files.text import shell_word
+from . import train_options
+from .shared import (
+    UsageError,
+    add_command,
+    check_scene_output,
+    needs,
+    note_compiling,
+    positive,
+    progress_bar,
+    read_photographs_of,
+    seed,
+    weight,
+    whole,
+)
+
+if TYPE_CHECKING:
+    from ..bitstream.scene import Scene
+    from ..render.camera import Camera
+    from ..train.settings import TrainSettings
+
+# What convert imports beyond the decoder.
+_PACKAGES = ("torch", "numba", "scipy", "PIL", "skimage")
+# Files of splats (refcodec.convert.splat_files); all else is a model's folder.
+_SPLATS = (".ply", ".spz", ".sog")
+_AXES = ("+x", "-x", "+y", "-y", "+z", "-z")
+_VIEWS = 200
+
+
+def _convert(arguments: argparse.Namespace) -> int:
+    source = Path(arguments.source)
+    splats = source.suffix.lower() in _SPLATS and not source.is_dir()
+    if splats and arguments.appearance is not None:
+        raise UsageError("--appearance is for the folder of a model")
+    drawn = {name: getattr(arguments, name) for name in ("views", "up", "cameras", "pictures", "steps", "rate", "size")}
+    given = next((name for name, value in drawn.items() if value is not None), None)
+    if not splats and given:
+        raise UsageError(f"--{given} is for a file of splats, which {source} is not")
+    try:
+        return _train_from_splats(arguments) if splats else _convert_model(arguments)
+    except ModuleNotFoundError as error:
+        raise needs("convert", "convert", error, _PACKAGES) from None
+
+
+# --- a model of the family --------------------------------------------------------------------------------------------
+
+
+def _convert_model(arguments: argparse.Namespace) -> int:
+    """Converts the folder of a trained model to an uncompressed scene."""
+    from ..convert.checkpoint import read_checkpoint
+    from ..folder.uncompressed import write_uncompressed
+
+    source, output = Path(arguments.source), Path(arguments.output)
+    check_scene_output(output, [source], uncompressed=True)
+    found = read_checkpoint(source, arguments.appearance)
+    scene = found.scene
+    write_uncompressed(scene, output)
+    if found.appearances and arguments.appearance is None:
+        note(
+            f"refcodec: the model has an appearance for each of {found.appearances} cameras; the scene has their mean, "
+            "and --appearance N takes that of one camera"
+        )
+    count, offsets = scene.masks.shape
+    say(f"{output}: {count} anchors, {scene.values.features.shape[1]} features, {offsets} offsets")
+    say(f"next: refcodec encode {shell_word(str(output))} -o {shell_word(f'{output}.c3gs')} --rate 0.004")
+    return statuses.DONE
+
+
+def fitted(arguments: argparse.Namespace) -> tuple[Scene, int]:
+    """Returns the coded scene of an uncompressed one, for `encode`, and the exit status.
+
+    Raises UsageError for a scene that cannot be fitted.
+    """
+    try:
+        from ..train.fit import fit
+        from ..train.fit_input import read_given
+        from ..train.settings import FitSettings
+    except ModuleNotFoundError as error:
+        raise needs("encode of an uncompressed scene", "fit", error, ("torch", "scipy")) from None
+    plain = FitSettings()
+    settings = FitSettings(steps=arguments.steps or plain.steps, rate=arguments.rate or plain.rate)
+    try:
+        given = read_given(arguments.scene)
+        with progress_bar(arguments.progress) as progress:
+            result = fit(given, settings, progress=progress)
+    except ValueError as error:
+        raise UsageError(f"{arguments.scene} cannot be fitted: {error}") from None
+    done = result.report["steps"]
+    # Ctrl-C ends the training, not the program.
+    if done < settings.steps and result.scene.anchor_count:
+        note(f"refcodec: stopped at step {done} of {settings.steps}; the file is written, larger than it could be")
+        return result.scene, statuses.INTERRUPTED
+    return result.scene, statuses.DONE
+
+
+# --- a file of splats -------------------------------------------------------------------------------------------------
+
+
+def _train_from_splats(arguments: argparse.Namespace) -> int:
+    """Draws a file of splats from cameras, and trains a scene from these pictures."""
+    from ..folder.layout import SceneFolderError
+    from ..train.command import state_path, train
+    from ..train.state import StateError
+    from ..train.telling import closing
+
+    source, output = Path(arguments.source), Path(arguments.output)
+    pictures = Path(arguments.pictures) if arguments.pictures else None
+    settings, state = _train_settings(arguments), state_path(output)
+    check_scene_output(output, [source], uncompressed=True)
+    if arguments.resume != os.path.lexists(state):
+        lacks = "there is nothing to resume" if arguments.resume else "go on with it by --resume, or remove it"
+        raise UsageError(f"{state} is {'not there' if arguments.resume else 'a saved training'}: {lacks}")
+    if pictures is not None and os.path.lexists(pictures):
+        raise UsageError(f"{pictures} is there already: choose another place for the pictures")
+    cameras = _cameras_of(source, arguments.cameras)
+    note_compiling()
+    place = (pictures or output).absolute().parent
+    place.mkdir(parents=True, exist_ok=True)
+    folder = Path(tempfile.mkdtemp(prefix=".c3gs-pictures-", dir=place))
+    try:
+        _draw(arguments, source, cameras, folder, settings)
+        if pictures is not None:
+            folder = folder.replace(pictures)
+        # The pictures have a split of their own.
+        photographs = read_photographs_of(str(folder), settings.size, settings.background, settings.holdout)
+        with hold_file(state.with_name(state.name + ".lock")):
+            found = train(
+                photographs,
+                settings,
+                output,
+                threads=os.cpu_count() or 1,
+                device="cpu",
+                resume=arguments.resume,
+                progress=arguments.progress,
+            )
+    except SceneFolderError:
+        raise
+    except StateError as error:
+        raise UsageError(str(error)) from None
+    except ValueError as error:
+        raise UsageError(f"{source} cannot be trained from: {error}") from None
+    finally:
+        if pictures is None or folder != pictures:
+            shutil.rmtree(folder, ignore_errors=True)
+    for line in closing(found.trainer, found.report, output, str(pictures or "PHOTOGRAPHS")):
+        say(line)
+    if not found.whole:
+        note(f"refcodec: stopped at step {found.trainer.clock.done}; the scene is written, and --resume goes on")
+        return statuses.INTERRUPTED
+    return statuses.DONE
+
+
+def _train_settings(arguments: argparse.Namespace) -> TrainSettings:
+    """Returns the settings of the training: black where the splats are transparent, as in 3DGS."""
+    from ..train.settings import PRESETS
+
+    if arguments.background is None:
+        arguments.background = "black"
+    own = {
+        "rate.weight": arguments.rate,
+        "steps": arguments.steps,
+        "size": arguments.size,
+        "seed": arguments.seed,
+    }
+    return train_options.settings(arguments, PRESETS[arguments.preset], own)
+
+
+def _cameras_of(source: Path, stated: str | None) -> list[Camera]:
+    """Returns the cameras of a cameras.json: the one that is stated, or that of the splats' model; else none.
+
+    3DGS writes it beside its folder point_cloud. Raises SceneFolderError.
+    """
+    from ..convert.notes import CAMERAS_FILE, read_cameras
+
+    if stated:
+        found = read_cameras(Path(stated))
+        if not found:
+            raise UsageError(f"{stated} has no cameras")
+        return found
+    beside = [source.parent / CAMERAS_FILE]
+    if source.parent.parent.name == "point_cloud":
+        beside.append(source.parent.parent.parent / CAMERAS_FILE)
+    return next((cameras for cameras in map(read_cameras, beside) if cameras), [])
+
+
+def _draw(
+    arguments: argparse.Namespace, source: Path, cameras: list[Camera], folder: Path, settings: TrainSettings
+) -> None:
+    """Writes the pictures of a file of splats to a folder. Raises UsageError and SceneFolderError."""
+    from ..convert import views
+    from ..convert.splat_files import read_splats
+    from ..convert.splats import tensors
+    from ..photographs.images import parse_background, parse_size
+
+    if cameras and arguments.up:
+        raise UsageError("--up is for cameras around the splats, and there are others: --cameras has them")
+    try:
+        size, background = parse_size(settings.size), parse_background(settings.background)
+    except ValueError as error:
+        raise UsageError(str(error)) from None
+    side = max(size) if isinstance(size, tuple) else size
+    splats = tensors(read_splats(source))
+    count = arguments.views or _VIEWS
+    if cameras:
+        chosen = views.given(cameras, count, side)
+    else:
+        up = views.AXES[arguments.up or "-y"]
+        chosen = views.orbit(splats, up, side or views.SIDE, count, max(count // views.TEST_EVERY, 1))
+    with progress_bar(arguments.progress) as progress:
+        views.write_photographs(splats, chosen, folder, progress, background)
+
+
+def add(commands: Any) -> None:
+    """Adds the command of this module."""
+    convert = add_command(
+        commands,
+        "convert",
+        _convert,
+        "turn a trained model or a file of splats of other programs into a scene folder",
+        [
+            "convert output/model -o scene",
+            "convert output/model -o scene --appearance 0",
+            "convert scene.ply -o scene --views 200",
+            "convert scene.spz -o scene --up=+y --size 800 --rate 0.002 --steps 8000",
+        ],
+        "SOURCE is the folder of a model that Scaffold-GS, HAC, HAC++ or CAT-3DGS trained, or one of its folders\n"
+        "iteration_N. The scene looks as the model does. It is not compressed yet: encode compresses it.\n"
+        "Or SOURCE is a file of 3D Gaussians: .ply (of 3DGS, or compressed by PlayCanvas), .spz or .sog. It is drawn\n"
+        "from cameras: those of its cameras.json, or else around it. A scene is trained from these pictures, as by\n"
+        "train, and the options below that convert and train both have are those of train.\n"
+        "No code of a model runs: pickles are looked at first, and TorchScript is read without running it.\n"
+        "Needs: pip install 'refcodec[convert]'.",
+        writes=True,
+        parents=[train_options.parser()],
+    )
+    convert.add_argument("source", metavar="SOURCE")
+    convert.add_argument("-o", "--output", metavar="SCENE_DIR", required=True)
+    convert.add_argument(
+        "--appearance",
+        type=whole,
+        metavar="N",
+        help="model: number of the training camera whose appearance the scene gets (default: the mean of all)",
+    )
+    convert.add_argument(
+        "--views", type=positive, metavar="N", help=f"splats: pictures to draw, beside those for tests ({_VIEWS})"
+    )
+    convert.add_argument("--up", choices=_AXES, help="splats: axis that is up, such as --up=+z (default: -y)")
+    convert.add_argument("--cameras", metavar="FILE", help="splats: a cameras.json as 3DGS writes it")
+    convert.add_argument("--pictures", metavar="DIR", help="splats: keep the pictures, as photographs for eval")
+    convert.add_argument(
+        "--preset", choices=("fast", "paper"), default="fast", help="splats: of the training (default: %(default)s)"
+    )
+    convert.add_argument("--rate", type=weight, metavar="L", help="splats: lambda_r of the training (default: 0.004)")
+    convert.add_argument("--steps", type=positive, metavar="N", help="splats: training steps (default: the preset's)")
+    convert.add_argument("--size", metavar="WxH", help="splats: longest side of the pictures (default: the preset's)")
+    convert.add_argument("--seed", type=seed, metavar="S", help="splats: of the random numbers (default: 0)")
+    convert.add_argument("--resume", action="store_true", help="splats: go on with an interrupted training")

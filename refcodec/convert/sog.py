@@ -1,0 +1,152 @@
+"""SOG files (PlayCanvas), version 2: 3D Gaussians as pixels of WebP images without loss, in a zip archive."""
+
+from __future__ import annotations
+
+import io
+import zipfile
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from PIL import Image
+
+from ..export.harmonics import REST
+from ..files.documents import DocumentError, parse_json
+from ..files.text import printable
+from ..folder.layout import SceneFolderError
+from .splat_arrays import ADVICE, Arrays, check_count, logits, smallest_three
+
+META = "meta.json"
+VERSION = 2
+# Of a compressed image, and of meta.json.
+ENTRY_MAX, META_MAX = 1 << 28, 1 << 20
+# Images have whole rows, so that some of their pixels are of no Gaussian.
+SPARE = 1 << 20
+BYTE = 256
+# Palettes lie in rows of so many entries.
+ROW = 64
+PALETTE_MAX = 1 << 16
+
+
+class _Archive:
+    """The entries of a file."""
+
+    def __init__(self, file: Path) -> None:
+        self.file = file
+        try:
+            self.zip = zipfile.ZipFile(file)
+        except (zipfile.BadZipFile, ValueError, NotImplementedError, OSError) as error:
+            raise SceneFolderError(file, f"it is no zip archive ({printable(str(error), 80)})", ADVICE) from None
+        try:
+            self.root = parse_json(self._read(META, META_MAX), META_MAX)
+        except DocumentError as error:
+            raise SceneFolderError(file, f"its {META} is not JSON ({error})", ADVICE) from None
+
+    def _read(self, name: str, most: int) -> bytes:
+        try:
+            with self.zip.open(name) as entry:
+                data = entry.read(most + 1)
+        except KeyError:
+            raise SceneFolderError(self.file, f"it has no entry {printable(name, 60)}", ADVICE) from None
+        # zipfile and zlib answer bad bytes with several types.
+        except Exception as error:
+            problem = f"its entry {printable(name, 60)} is damaged ({printable(str(error), 80)})"
+            raise SceneFolderError(self.file, problem, ADVICE) from None
+        if len(data) > most:
+            raise SceneFolderError(self.file, f"its entry {printable(name, 60)} has more than {most} bytes", ADVICE)
+        return data
+
+    def value(self, name: str) -> Any:
+        """Returns a value of meta.json by its path, such as means.files; None if it is not there."""
+        found = self.root
+        for key in name.split("."):
+            found = found.get(key) if isinstance(found, dict) else None
+        return found
+
+    def fault(self, name: str, wanted: str) -> SceneFolderError:
+        return SceneFolderError(self.file, f"{name} in its {META} is not {wanted}", ADVICE)
+
+    def integer(self, name: str, high: int) -> int:
+        value = self.value(name)
+        if type(value) is not int or not 0 <= value <= high:
+            raise self.fault(name, f"an integer from 0 to {high}")
+        return value
+
+    def numbers(self, name: str, count: int) -> NDArray[np.float64]:
+        value = self.value(name)
+        right = isinstance(value, list) and len(value) == count
+        if not right or not all(isinstance(v, int | float) and not isinstance(v, bool) for v in value):
+            raise self.fault(name, f"a list of {count} numbers")
+        return np.array(value, np.float64)
+
+    def pixels(self, name: str, number: int, least: int) -> NDArray[np.uint8]:
+        """Returns an image as uint8 [height, width, 4]. name: of the list of files. least: pixels that it has."""
+        files = self.value(name)
+        if not isinstance(files, list) or number >= len(files) or not isinstance(files[number], str):
+            raise self.fault(name, f"a list with {number + 1} names")
+        shown = printable(files[number], 60)
+        data = self._read(files[number], ENTRY_MAX)
+        try:
+            with Image.open(io.BytesIO(data), formats=["WEBP", "PNG"]) as image:
+                width, height = image.size
+                if not least <= width * height <= 2 * least + SPARE:
+                    problem = f"its image {shown} has {width} x {height} pixels for {least}"
+                    raise SceneFolderError(self.file, problem, ADVICE)
+                return np.asarray(image.convert("RGBA"))
+        except SceneFolderError:
+            raise
+        # Pillow answers bad bytes with many types.
+        except Exception as error:
+            problem = f"its image {shown} cannot be read ({printable(str(error), 80)})"
+            raise SceneFolderError(self.file, problem, ADVICE) from None
+
+
+def read_sog(file: Path) -> Arrays:
+    """Returns the Gaussians of a file. Raises SceneFolderError."""
+    archive = _Archive(file)
+    if archive.value("version") != VERSION:
+        stated = printable(repr(archive.value("version")), 20)
+        raise SceneFolderError(file, f"it is SOG of version {stated}, version {VERSION} is read", ADVICE)
+    count = archive.integer("count", (1 << 32) - 1)
+    check_count(file, count)
+
+    def rows(name: str, number: int = 0) -> NDArray[np.uint8]:
+        return archive.pixels(name, number, count).reshape(-1, 4)[:count]
+
+    low, high = (rows("means.files", number)[:, :3].astype(np.int64) for number in (0, 1))
+    least, most = (archive.numbers(f"means.{end}", 3) for end in ("mins", "maxs"))
+    with np.errstate(over="ignore", invalid="ignore"):
+        folded = least + (high << 8 | low) / 65535 * (most - least)
+        # Positions are stored by the logarithm of one more than their magnitude.
+        mean = np.sign(folded) * np.expm1(np.abs(folded))
+    rotation, colour = rows("quats.files"), rows("sh0.files")
+    largest = rotation[:, 3].astype(np.int64) - 252
+    if largest.min(initial=0) < 0:
+        raise SceneFolderError(file, "a rotation does not say which component is the largest", ADVICE)
+    found = {
+        "mean": mean,
+        "base": archive.numbers("sh0.codebook", BYTE)[colour[:, :3]],
+        "rest": _rest(archive, count),
+        "scale": archive.numbers("scales.codebook", BYTE)[rows("scales.files")[:, :3]],
+        "quaternion": smallest_three((rotation[:, :3] / 255 - 0.5) * np.sqrt(2), largest),
+    }
+    with np.errstate(over="ignore"):
+        return {name: v.astype(np.float32) for name, v in found.items()} | {"opacity": logits(colour[:, 3] / 255)}
+
+
+def _rest(archive: _Archive, count: int) -> NDArray[np.float64]:
+    """Returns the harmonics beside the first, [N, K, 3]: each Gaussian has those of an entry of a palette."""
+    if archive.value("shN") is None:
+        return np.zeros((count, 0, 3))
+    rest, entries = REST[archive.integer("shN.bands", len(REST) - 1)], archive.integer("shN.count", PALETTE_MAX)
+    book = archive.numbers("shN.codebook", BYTE)
+    # A palette's rows have ROW entries of `rest` pixels each.
+    palette = archive.pixels("shN.files", 0, max(entries * rest, 1))
+    if palette.shape[1] != ROW * rest or palette.shape[0] * ROW < entries:
+        raise archive.fault("shN", f"of a palette whose rows have {ROW} entries")
+    labels = archive.pixels("shN.files", 1, count).reshape(-1, 4)[:count].astype(np.int64)
+    chosen = labels[:, 0] | labels[:, 1] << 8
+    if chosen.max(initial=0) >= max(entries, 1):
+        raise SceneFolderError(archive.file, f"a Gaussian has harmonics beyond the {entries} of the palette", ADVICE)
+    return book[palette.reshape(-1, rest, 4)[:, :, :3]][chosen]

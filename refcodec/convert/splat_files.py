@@ -1,0 +1,33 @@
+"""Files of plain 3D Gaussians, whichever format they have."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+
+from ..folder.layout import SceneFolderError, there
+from .sog import read_sog
+from .splat_arrays import ADVICE, Arrays
+from .splat_ply import read_splat_ply
+from .spz import read_spz
+
+READERS = {".ply": read_splat_ply, ".spz": read_spz, ".sog": read_sog}
+# Logits and logarithms beyond these change nothing that float32 can tell.
+LOGIT_MAX, LOGARITHM_MAX = 20.0, 40.0
+
+
+def read_splats(file: Path) -> Arrays:
+    """Returns the Gaussians of a file, one at least, all of finite numbers. Raises SceneFolderError."""
+    if not there(file, ADVICE):
+        raise SceneFolderError(file, "there is no such file", "give a .ply, .spz or .sog file of 3D Gaussians")
+    found = READERS[file.suffix.lower()](file)
+    with np.errstate(invalid="ignore"):
+        found["opacity"] = found["opacity"].clip(-LOGIT_MAX, LOGIT_MAX)
+        found["scale"] = found["scale"].clip(-LOGARITHM_MAX, LOGARITHM_MAX)
+    if not len(found["mean"]):
+        raise SceneFolderError(file, "it has no Gaussians", ADVICE)
+    for name, values in found.items():
+        if not np.isfinite(values).all():
+            raise SceneFolderError(file, f"a {name} is NaN or infinite", ADVICE)
+    return found

@@ -1,0 +1,135 @@
+"""PLY files of plain 3D Gaussians: those of 3DGS's own code, and PlayCanvas's compressed ones."""
+
+# plyfile is imported where it is used, so that other commands start fast.
+# ruff: noqa: PLC0415
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..export.harmonics import REST, ZERO
+from ..export.ply import columns
+from ..files.ply_header import PlyHeaderError, check_ply_header
+from ..files.text import printable
+from ..folder.layout import SceneFolderError
+from .splat_arrays import ADVICE, Arrays, check_count, logits, smallest_three
+
+# Gaussians of a chunk of a compressed file, which share the ranges of their numbers.
+CHUNK = 256
+PACKED = ("packed_position", "packed_rotation", "packed_scale", "packed_color")
+
+
+def read_splat_ply(file: Path) -> Arrays:
+    """Returns the Gaussians of a file, its properties in any order. Raises SceneFolderError."""
+    from plyfile import PlyData
+
+    try:
+        most, _ = check_ply_header(file)
+        check_count(file, most)
+        data = PlyData.read(str(file))
+        elements = {element.name: element.data for element in data.elements}
+    except PlyHeaderError as error:
+        raise SceneFolderError(file, f"it is not a readable PLY file ({error})", ADVICE) from None
+    except SceneFolderError:
+        raise
+    # plyfile answers bad bytes with many types.
+    except Exception as error:
+        problem = f"it is not a readable PLY file ({printable(str(error), 120)})"
+        raise SceneFolderError(file, problem, ADVICE) from None
+    vertex = elements.get("vertex")
+    if vertex is None:
+        raise SceneFolderError(file, "it has no element vertex", ADVICE)
+    if PACKED[0] in vertex.dtype.names:
+        return _packed(file, elements)
+    return _plain(file, vertex)
+
+
+def _plain(file: Path, table: Any) -> Arrays:
+    """Returns the Gaussians of a table as 3DGS writes it."""
+    rest = _rest(file, table)
+    found = {name: _array(file, table, names) for name, names in columns(rest).items()}
+    found["opacity"] = found["opacity"][:, 0]
+    found["rest"] = np.ascontiguousarray(found["rest"].reshape(len(table), 3, -1).transpose(0, 2, 1))
+    return found
+
+
+def _rest(file: Path, table: Any) -> int:
+    """Returns the number of harmonics beside the first. Raises SceneFolderError for one that no degree has."""
+    extra = sum(name.startswith("f_rest_") for name in table.dtype.names)
+    if extra % 3 or extra // 3 not in REST:
+        wanted = ", ".join(str(3 * rest) for rest in REST)
+        raise SceneFolderError(file, f"it has {extra} coefficients f_rest, {wanted} are wanted", ADVICE)
+    return extra // 3
+
+
+def _array(file: Path, table: Any, names: tuple[str, ...], kinds: str = "fiu") -> NDArray[np.float32]:
+    """Returns some properties as float32 [N, columns]. Raises SceneFolderError for one that is missing or a list."""
+    found = np.empty((len(table), len(names)), np.float32)
+    for column, name in enumerate(names):
+        found[:, column] = _column(file, table, name, kinds)
+    return found
+
+
+def _column(file: Path, table: Any, name: str, kinds: str) -> NDArray[Any]:
+    if name not in table.dtype.names or table.dtype[name].kind not in kinds:
+        raise SceneFolderError(file, f"there is no property {name} of numbers, as files of splats have", ADVICE)
+    return np.asarray(table[name])
+
+
+# --- compressed -------------------------------------------------------------------------------------------------------
+
+
+def _packed(file: Path, elements: dict[str, Any]) -> Arrays:
+    """Returns the Gaussians of a compressed file: integers between the least and the largest numbers of their chunk."""
+    vertex, chunks = elements["vertex"], elements.get("chunk")
+    count = len(vertex)
+    if chunks is None or len(chunks) != -(-count // CHUNK):
+        raise SceneFolderError(file, f"it has no element chunk for each {CHUNK} Gaussians", ADVICE)
+    words = {name: _column(file, vertex, name, "u").astype(np.uint32).astype(np.int64) for name in PACKED}
+    chunk = np.arange(count) // CHUNK
+
+    def between(names: str, axes: str, share: NDArray[np.float64]) -> NDArray[np.float64]:
+        low, high = (_array(file, chunks, tuple(f"{end}_{names}{axis}" for axis in axes)) for end in ("min", "max"))
+        return low[chunk] + share * (high - low)[chunk].astype(np.float64)
+
+    mean = between("", "xyz", _bits(words["packed_position"], 11, 10, 11))
+    scale = between("scale_", "xyz", _bits(words["packed_scale"], 11, 10, 11))
+    colour = _bits(words["packed_color"], 8, 8, 8, 8)
+    # Files of the first version have no ranges of colours.
+    ranged = "min_r" in chunks.dtype.names
+    shade = between("", "rgb", colour[:, :3]) if ranged else colour[:, :3]
+    rotation = (_bits(words["packed_rotation"], 2, 10, 10, 10)[:, 1:] - 0.5) * np.sqrt(2)
+    quaternion = smallest_three(rotation, words["packed_rotation"] >> 30)
+    found = {
+        "mean": mean,
+        "base": (shade - 0.5) / ZERO,
+        "rest": _packed_rest(file, elements.get("sh"), count),
+        "scale": scale,
+        "quaternion": quaternion,
+    }
+    return {name: values.astype(np.float32) for name, values in found.items()} | {"opacity": logits(colour[:, 3])}
+
+
+def _bits(words: NDArray[np.int64], *widths: int) -> NDArray[np.float64]:
+    """Returns the fields of words, the highest bits first, as shares of their largest value: float64 [N, fields]."""
+    found, shift = [], sum(widths)
+    for width in widths:
+        shift -= width
+        found.append((words >> shift & ((1 << width) - 1)) / ((1 << width) - 1))
+    return np.stack(found, axis=1)
+
+
+def _packed_rest(file: Path, table: Any, count: int) -> NDArray[np.float64]:
+    """Returns the harmonics beside the first, [N, K, 3], of bytes: the middles of 256 steps from -4 to 4."""
+    if table is None:
+        return np.zeros((count, 0, 3))
+    rest = _rest(file, table)
+    if len(table) != count:
+        raise SceneFolderError(file, f"its element sh has {len(table)} rows, {count} are required", ADVICE)
+    values = _array(file, table, tuple(f"f_rest_{i}" for i in range(3 * rest)), "u").astype(np.float64)
+    share = np.where(values == 0, 0, np.where(values == 255, 1, (values + 0.5) / 256))
+    return ((share - 0.5) * 8).reshape(count, 3, rest).transpose(0, 2, 1)

@@ -1,0 +1,143 @@
+"""SPZ files (Niantic): 3D Gaussians as fixed-point numbers, packed by gzip (versions 1 to 3) or Zstandard (4).
+
+The axes of a file are those of OpenGL: y points up and z backwards. Those of 3DGS's files are COLMAP's. So y and z
+change their signs, and with them the quaternions and the harmonics that are odd in one of them.
+"""
+
+from __future__ import annotations
+
+import struct
+import zlib
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..export.harmonics import REST
+from ..folder.layout import SceneFolderError
+from .splat_arrays import ADVICE, Arrays, check_count, logits, smallest_three
+
+MAGIC, GZIP = b"NGSP", b"\x1f\x8b"
+# magic, version, number of Gaussians, degree of harmonics, bits behind the point of a position, flags, and a byte that
+# is reserved, in version 4 the number of streams.
+HEADER = struct.Struct("<4sIIBBBB")
+# Version 4: where the table of streams begins, behind the header. Each has its size as packed, and as it is.
+TABLE, STREAM = struct.Struct("<I"), struct.Struct("<QQ")
+# Colours are stored as harmonics of degree 0 times this, around the middle of a byte.
+COLOUR_SCALE = 0.15
+# Which harmonics change their signs with those of y and z: the odd ones in y or in z alone.
+FLIPS = np.array([-1, -1, 1, -1, 1, 1, -1, 1, -1, 1, -1, -1, 1, -1, 1], np.float32)
+FILE_MAX = 1 << 31
+
+
+def read_spz(file: Path) -> Arrays:
+    """Returns the Gaussians of a file. Raises SceneFolderError."""
+    if file.stat().st_size > FILE_MAX:
+        raise SceneFolderError(file, f"it has more than {FILE_MAX} bytes", ADVICE)
+    data = file.read_bytes()
+    packed = data[:2] == GZIP
+    first = _gunzipped(file, data, HEADER.size) if packed else data[: HEADER.size]
+    if len(first) < HEADER.size or first[:4] != MAGIC:
+        raise SceneFolderError(file, "it is no SPZ file", ADVICE)
+    _, version, count, degree, fraction, _, streams = HEADER.unpack(first)
+    if not ((packed and 1 <= version <= 3) or (not packed and version == 4)):
+        raise SceneFolderError(file, f"it is SPZ of version {version}, versions 1 to 4 are read", ADVICE)
+    if degree >= len(REST) or fraction > 23:
+        problem = f"it states harmonics of degree {degree} and {fraction} fractional bits; 3 and 23 are the most"
+        raise SceneFolderError(file, problem, ADVICE)
+    check_count(file, count)
+    sizes = _sizes(version, REST[degree])
+    if packed:
+        parts = _gunzipped(file, data, HEADER.size + count * sum(sizes))[HEADER.size :]
+    else:
+        parts = _unpacked(file, data, streams, [count * size for size in sizes if size])
+    if len(parts) < count * sum(sizes):
+        raise SceneFolderError(file, f"it has fewer bytes than its {count} Gaussians need", ADVICE)
+    ends = np.cumsum([0, *sizes]) * count
+    arrays = [
+        np.frombuffer(parts, np.uint8, count * size, int(end)).reshape(count, size) if count and size else _none(count)
+        for size, end in zip(sizes, ends, strict=False)
+    ]
+    return _gaussians(version, fraction, REST[degree], *arrays)
+
+
+def _none(count: int) -> NDArray[np.uint8]:
+    return np.zeros((count, 0), np.uint8)
+
+
+def _sizes(version: int, rest: int) -> tuple[int, ...]:
+    """Bytes of a Gaussian: position, opacity, colour, lengths, rotation, harmonics."""
+    return (6 if version == 1 else 9, 1, 3, 3, 4 if version >= 3 else 3, 3 * rest)
+
+
+def _gunzipped(file: Path, data: bytes, most: int) -> bytes:
+    """Returns the first bytes of what gzip packed, and no more. Raises SceneFolderError."""
+    try:
+        return zlib.decompressobj(wbits=31).decompress(data, most)
+    except zlib.error as error:
+        raise SceneFolderError(file, f"its gzip stream is damaged ({error})", ADVICE) from None
+
+
+def _unpacked(file: Path, data: bytes, count: int, sizes: list[int]) -> bytes:
+    """Returns the streams of version 4, one behind the other. Raises SceneFolderError."""
+    try:
+        import zstandard  # noqa: PLC0415 (an extra)
+    except ModuleNotFoundError:
+        problem = "it is SPZ of version 4, which is read with zstandard"
+        raise SceneFolderError(file, problem, "pip install 'refcodec[convert]', or convert it to PLY") from None
+    start = TABLE.unpack_from(data, HEADER.size)[0] if len(data) >= HEADER.size + TABLE.size else len(data)
+    if count != len(sizes) or start + count * STREAM.size > len(data):
+        raise SceneFolderError(file, f"it has {count} streams, {len(sizes)} whole ones are required", ADVICE)
+    place, found = start + count * STREAM.size, []
+    for number, wanted in enumerate(sizes):
+        size, plain = STREAM.unpack_from(data, start + number * STREAM.size)
+        if plain != wanted or place + size > len(data):
+            raise SceneFolderError(file, f"its stream {number} has no {wanted} bytes", ADVICE)
+        try:
+            with zstandard.ZstdDecompressor(max_window_size=1 << 27).stream_reader(
+                data[place : place + size]
+            ) as reader:
+                found.append(reader.read(wanted))
+        except zstandard.ZstdError as error:
+            raise SceneFolderError(file, f"its stream {number} is damaged ({error})", ADVICE) from None
+        if len(found[-1]) != wanted:
+            raise SceneFolderError(file, f"its stream {number} has no {wanted} bytes", ADVICE)
+        place += size
+    return b"".join(found)
+
+
+def _gaussians(version: int, fraction: int, rest: int, *parts: NDArray[np.uint8]) -> Arrays:
+    """Returns Gaussians of their bytes, uint8 [N, bytes] of each part."""
+    position, opacity, colour, lengths, rotation, harmonics = parts
+    count = len(position)
+    if version == 1:
+        mean = position.copy().view("<f2").astype(np.float64)
+    else:
+        wide = np.zeros((count, 3, 4), np.uint8)
+        wide[:, :, 1:] = position.reshape(count, 3, 3)
+        # In the upper bytes of 32 bits, so that the sign is in its place.
+        mean = (wide.reshape(count, 12).view("<i4") >> 8) / 2.0**fraction
+    if version >= 3:
+        quaternion = _smallest_three(rotation)
+    else:
+        vector = rotation / 127.5 - 1
+        scalar = np.sqrt(np.maximum(1 - (vector**2).sum(axis=1), 0))
+        quaternion = np.concatenate([scalar[:, None], vector], axis=1)
+    found = {
+        "mean": mean * (1, -1, -1),
+        "base": (colour / 255 - 0.5) / COLOUR_SCALE,
+        "rest": (harmonics.reshape(count, rest, 3) - 128.0) / 128 * FLIPS[:rest, None],
+        "scale": lengths / 16 - 10,
+        "quaternion": quaternion * (1, 1, -1, -1),
+    }
+    return {name: values.astype(np.float32) for name, values in found.items()} | {
+        "opacity": logits(opacity[:, 0] / 255)
+    }
+
+
+def _smallest_three(rotation: NDArray[np.uint8]) -> NDArray[np.float64]:
+    """Returns quaternions w, x, y, z of words: the place of the largest of x, y, z, w, and a sign and 9 bits each."""
+    word = rotation.copy().view("<u4")[:, 0].astype(np.int64)
+    fields = np.stack([word >> shift & 1023 for shift in (20, 10, 0)], axis=1)
+    values = (fields & 511) / 511 * np.sqrt(0.5) * np.where(fields & 512, -1, 1)
+    return np.roll(smallest_three(values, word >> 30), 1, axis=1)

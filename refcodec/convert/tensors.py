@@ -1,0 +1,343 @@
+"""Tensors of PyTorch's files: state dicts, and TorchScript archives whose code is never run.
+
+Both are zip archives with a pickle that names tensors, whose bytes lie in the archive. A pickle can call anything. Here
+none does:
+
+- Every opcode is looked at first. A pickle that names another function than those that make tensors is refused.
+- A state dict is then loaded by torch.load(weights_only=True).
+- The pickle of a TorchScript archive is read opcode by opcode, and gives names and places of tensors, no objects.
+"""
+
+# torch is imported where it is used. TorchScript archives are read without it.
+# ruff: noqa: PLC0415
+
+from __future__ import annotations
+
+import math
+import pickle
+import pickletools
+import zipfile
+from collections.abc import Collection, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..files.text import printable
+from ..folder.layout import SceneFolderError, there
+
+AGAIN = "save it again with the program that made it"
+
+# A checkpoint of HAC has a hash grid of some ten megabytes beside its networks.
+FILE_MAX = 1 << 31
+# The networks of a scene have some ten tensors, whose names are a kilobyte.
+PICKLE_MAX = 1 << 20
+ENTRIES_MAX = 4096
+# A network has less than a megabyte, an embedding of cameras some kilobytes.
+TENSOR_MAX = 1 << 24
+TENSORS_MAX = 8
+# Objects within objects: a network has layers, which have tensors.
+DEPTH_MAX = 8
+
+_TYPES = {"HalfStorage": "<f2", "FloatStorage": "<f4", "DoubleStorage": "<f8"}
+_REBUILD, _PARAMETER, _DICT = (
+    "torch._utils _rebuild_tensor_v2",
+    "torch._utils _rebuild_parameter",
+    "collections OrderedDict",
+)
+_STORAGES = (
+    *_TYPES,
+    *("BFloat16Storage", "BoolStorage", "ByteStorage", "CharStorage", "ShortStorage", "IntStorage", "LongStorage"),
+)
+# What a state dict names: functions that make tensors, and nothing that a size could be given to.
+_STATE_DICT = {_REBUILD, _PARAMETER, _DICT, *(f"torch {storage}" for storage in _STORAGES)}
+# The opcodes of torch's picklers, all of protocol 2.
+_CONSTANTS: dict[str, Any] = {"NONE": None, "NEWTRUE": True, "NEWFALSE": False}
+_VALUES = {"BINUNICODE", "BININT", "BININT1", "BININT2", "LONG1", "BINFLOAT"}
+_STACKED = {
+    *("PROTO", "STOP", "GLOBAL", "BINPUT", "LONG_BINPUT", "BINGET", "LONG_BINGET", "MARK", "EMPTY_TUPLE", "TUPLE"),
+    *("TUPLE1", "TUPLE2", "TUPLE3", "EMPTY_DICT", "EMPTY_LIST", "APPEND", "APPENDS", "SETITEM", "SETITEMS"),
+    *("NEWOBJ", "REDUCE", "BUILD", "BINPERSID"),
+}
+
+
+def read_state_dicts(file: Path, networks: Collection[str]) -> dict[str, dict[str, NDArray[np.float32]]]:
+    """Returns those of some state dicts that a file of torch.save has: tensors of floats by name, by network.
+
+    networks: the wanted names. Raises SceneFolderError.
+    """
+    import torch
+
+    with _opened(file) as archive:
+        for entry in archive.infolist():
+            if entry.compress_type != zipfile.ZIP_STORED:
+                raise SceneFolderError(file, f"its entry {printable(entry.filename)} is compressed", AGAIN)
+        for operation, argument in _operations(file, _pickle(file, archive)):
+            if operation == "GLOBAL" and argument not in _STATE_DICT:
+                raise _names(file, argument)
+    try:
+        # Mapped, because the networks are a small part of a checkpoint of HAC.
+        loaded = torch.load(str(file), map_location="cpu", weights_only=True, mmap=True)
+    # torch answers bad bytes with many types.
+    except Exception as error:
+        raise SceneFolderError(file, f"it cannot be read ({_line(error)})", AGAIN) from None
+    if not isinstance(loaded, dict):
+        raise SceneFolderError(file, "it holds no state dicts by name", AGAIN)
+    return {
+        name: _floats(file, name, values)
+        for name, values in loaded.items()
+        if isinstance(name, str) and name in networks
+    }
+
+
+def _floats(file: Path, network: str, values: Any) -> dict[str, NDArray[np.float32]]:
+    """Returns the tensors of a state dict. Raises SceneFolderError for one that no network or embedding has."""
+    import torch
+
+    if not isinstance(values, dict) or len(values) > TENSORS_MAX:
+        raise SceneFolderError(file, f"{network} is no state dict of at most {TENSORS_MAX} tensors", AGAIN)
+    for name, value in values.items():
+        dense = isinstance(value, torch.Tensor) and value.layout == torch.strided and value.is_contiguous()
+        if not dense or not value.is_floating_point() or 4 * value.numel() > TENSOR_MAX:
+            problem = f"{network}.{printable(str(name), 60)} is no array of floats of at most {TENSOR_MAX} bytes"
+            raise SceneFolderError(file, problem, AGAIN)
+    return {str(name): value.detach().to(torch.float32).numpy() for name, value in values.items()}
+
+
+def read_torchscript(file: Path) -> dict[str, NDArray[np.float32]]:
+    """Returns the parameters of a TorchScript archive by name, such as 0.weight. None of its code is run.
+
+    Raises SceneFolderError.
+    """
+    with _opened(file) as archive:
+        module = _Machine(file).run(_operations(file, _pickle(file, archive)))
+        stored = dict(_parameters(file, module))
+        if len(stored) > TENSORS_MAX:
+            raise SceneFolderError(file, f"it has {len(stored)} parameters, at most {TENSORS_MAX} are allowed", AGAIN)
+        return {name: _tensor(file, archive, name, tensor) for name, tensor in stored.items()}
+
+
+# --- the archive ------------------------------------------------------------------------------------------------------
+
+
+def _opened(file: Path) -> zipfile.ZipFile:
+    """Returns the archive of a file. Raises SceneFolderError."""
+    if not there(file, AGAIN):
+        raise SceneFolderError(file, "there is no such file", AGAIN)
+    if file.stat().st_size > FILE_MAX:
+        raise SceneFolderError(file, f"it has more than {FILE_MAX} bytes", "give a checkpoint of a scene")
+    try:
+        archive = zipfile.ZipFile(file)
+    # zipfile answers bad bytes with several types.
+    except (zipfile.BadZipFile, ValueError, NotImplementedError, OSError) as error:
+        problem = f"it is no zip archive, as torch writes since 1.6 ({_line(error)})"
+        raise SceneFolderError(file, problem, AGAIN) from None
+    if len(archive.infolist()) > ENTRIES_MAX:
+        raise SceneFolderError(file, f"it has more than {ENTRIES_MAX} entries", "give a checkpoint of a scene")
+    return archive
+
+
+def _record(file: Path, archive: zipfile.ZipFile, name: str, most: int) -> bytes:
+    """Returns an entry of an archive, which is stored as it is and has at most so many bytes.
+
+    name: without the archive's own folder. Raises SceneFolderError.
+    """
+    entries = [entry for entry in archive.infolist() if entry.filename.partition("/")[2] == name]
+    if len(entries) != 1:
+        raise SceneFolderError(file, f"it has {len(entries)} entries {printable(name)}, 1 is required", AGAIN)
+    if entries[0].compress_type != zipfile.ZIP_STORED or entries[0].file_size > most:
+        raise SceneFolderError(file, f"its entry {printable(name)} is compressed, or has more than {most} bytes", AGAIN)
+    try:
+        with archive.open(entries[0]) as opened:
+            return opened.read(most + 1)
+    # zipfile answers bad bytes with several types.
+    except (zipfile.BadZipFile, ValueError, NotImplementedError, EOFError, RuntimeError, OSError) as error:
+        raise SceneFolderError(file, f"its entry {printable(name)} is damaged ({_line(error)})", AGAIN) from None
+
+
+def _pickle(file: Path, archive: zipfile.ZipFile) -> bytes:
+    if any(entry.filename.partition("/")[2] == "byteorder" for entry in archive.infolist()):
+        order = _record(file, archive, "byteorder", 16)
+        if order != b"little":
+            raise SceneFolderError(file, "its tensors are not little-endian", AGAIN)
+    return _record(file, archive, "data.pkl", PICKLE_MAX)
+
+
+def _line(error: Exception) -> str:
+    return printable(str(error).partition("\n")[0], 120)
+
+
+# --- the pickle -------------------------------------------------------------------------------------------------------
+
+
+def _names(file: Path, what: object) -> SceneFolderError:
+    problem = f"its pickle names {printable(str(what), 80)}, which is no tensor: nothing of it was run"
+    return SceneFolderError(file, problem, "give a checkpoint that torch.save wrote of state dicts")
+
+
+def _operations(file: Path, data: bytes) -> Iterator[tuple[str, Any]]:
+    """Returns the opcodes of a pickle and their arguments, of those that torch writes. Raises SceneFolderError."""
+    try:
+        for operation, argument, _ in pickletools.genops(data):
+            name = operation.name
+            if name not in _STACKED and name not in _VALUES and name not in _CONSTANTS:
+                raise SceneFolderError(file, f"its pickle has the opcode {name}, which torch does not write", AGAIN)
+            yield name, argument
+    except SceneFolderError:
+        raise
+    # pickletools answers bad bytes with several types.
+    except (ValueError, pickle.UnpicklingError, IndexError, OverflowError) as error:
+        raise SceneFolderError(file, f"its pickle is damaged ({_line(error)})", AGAIN) from None
+
+
+@dataclass(frozen=True)
+class _Stored:
+    """A tensor as a pickle names it. storage: its type. key: of the entry with its bytes."""
+
+    storage: str
+    key: str
+    offset: int
+    shape: tuple[int, ...]
+    stride: tuple[int, ...]
+
+
+@dataclass(frozen=True)
+class _Name:
+    """A class or function that a pickle names. It is never looked up."""
+
+    name: str
+
+
+class _Machine:
+    """The pickle of a TorchScript archive, as dictionaries of fields, and places of tensors."""
+
+    def __init__(self, file: Path) -> None:
+        self.file = file
+        self.stack: list[Any] = []
+        self.marks: list[int] = []
+        self.memo: dict[int, Any] = {}
+
+    def run(self, operations: Iterator[tuple[str, Any]]) -> Any:
+        """Returns the object that the pickle describes. Raises SceneFolderError."""
+        try:
+            for name, argument in operations:
+                if name in _CONSTANTS:
+                    self.stack.append(_CONSTANTS[name])
+                elif name in _VALUES:
+                    self.stack.append(argument)
+                elif name not in ("PROTO", "STOP"):
+                    self._step(name, argument)
+            return self.stack.pop()
+        # An opcode without its operands, or with others than torch writes.
+        except (IndexError, KeyError, TypeError, ValueError, AttributeError) as error:
+            if isinstance(error, SceneFolderError):
+                raise
+            raise SceneFolderError(self.file, "its pickle is damaged", AGAIN) from None
+
+    def _marked(self) -> list[Any]:
+        mark = self.marks.pop()
+        found, self.stack = self.stack[mark:], self.stack[:mark]
+        return found
+
+    def _step(self, name: str, argument: Any) -> None:
+        stack = self.stack
+        if name == "GLOBAL":
+            stack.append(_Name(argument))
+        elif name in ("BINPUT", "LONG_BINPUT"):
+            self.memo[argument] = stack[-1]
+        elif name in ("BINGET", "LONG_BINGET"):
+            stack.append(self.memo[argument])
+        elif name == "MARK":
+            self.marks.append(len(stack))
+        elif name in ("EMPTY_DICT", "EMPTY_LIST", "EMPTY_TUPLE"):
+            stack.append({"EMPTY_DICT": {}, "EMPTY_LIST": [], "EMPTY_TUPLE": ()}[name])
+        elif name in ("TUPLE1", "TUPLE2", "TUPLE3"):
+            count = int(name[-1])
+            stack[-count:] = [tuple(stack[-count:])]
+        elif name == "BINPERSID":
+            stack.append(self._storage(stack.pop()))
+        elif name in ("NEWOBJ", "REDUCE"):
+            arguments, made = stack.pop(), stack.pop()
+            stack.append({} if name == "NEWOBJ" else self._called(made, arguments))
+        elif name == "BUILD":
+            state = stack.pop()
+            stack[-1].update(state)
+        elif name in ("SETITEM", "APPEND"):
+            values = [stack.pop() for _ in range(2 if name == "SETITEM" else 1)][::-1]
+            self._put(stack[-1], values)
+        else:
+            values = self._marked()
+            if name == "TUPLE":
+                self.stack.append(tuple(values))
+            else:
+                self._put(self.stack[-1], values)
+
+    @staticmethod
+    def _put(into: Any, values: list[Any]) -> None:
+        if isinstance(into, list):
+            into.extend(values)
+        else:
+            into.update(zip(values[::2], values[1::2], strict=True))
+
+    def _storage(self, named: Any) -> tuple[str, str]:
+        kind, storage, key, _, _ = named
+        if kind != "storage" or not isinstance(storage, _Name) or not isinstance(key, str):
+            raise ValueError
+        return storage.name.removeprefix("torch "), key
+
+    def _called(self, function: Any, arguments: Any) -> Any:
+        if not isinstance(function, _Name) or function.name not in _STATE_DICT:
+            raise _names(self.file, getattr(function, "name", function))
+        if function.name == _DICT:
+            return {}
+        if function.name == _PARAMETER:
+            return arguments[0]
+        if function.name != _REBUILD:
+            raise _names(self.file, function.name)
+        (storage, key), offset, shape, stride = arguments[:4]
+        least = (0, *(1 for _ in shape), *(0 for _ in stride))
+        sizes = (offset, *shape, *stride)
+        if len(shape) != len(stride) or not all(
+            type(v) is int and v >= low for v, low in zip(sizes, least, strict=True)
+        ):
+            raise ValueError
+        return _Stored(storage, key, offset, tuple(shape), tuple(stride))
+
+
+def _parameters(file: Path, module: Any) -> Iterator[tuple[str, _Stored]]:
+    """Returns the tensors of a module by name, those of its parts behind a dot. Raises SceneFolderError."""
+    left: list[tuple[str, Any, int]] = [("", module, 0)]
+    looked = 0
+    while left:
+        prefix, fields, depth = left.pop()
+        if not isinstance(fields, dict):
+            continue
+        for name, value in fields.items():
+            looked += 1
+            if looked > ENTRIES_MAX:
+                raise SceneFolderError(file, f"its module has more than {ENTRIES_MAX} fields", AGAIN)
+            if isinstance(value, _Stored):
+                yield f"{prefix}{name}", value
+            elif depth < DEPTH_MAX:
+                left.append((f"{prefix}{name}.", value, depth + 1))
+
+
+def _tensor(file: Path, archive: zipfile.ZipFile, name: str, stored: _Stored) -> NDArray[np.float32]:
+    """Returns a tensor, whose numbers lie one behind the other. Raises SceneFolderError."""
+    kind = _TYPES.get(stored.storage)
+    packed, stride = 1, []
+    for side in reversed(stored.shape):
+        stride.append(packed)
+        packed *= side
+    in_order = all(side == 1 or s == t for side, s, t in zip(stored.shape, stored.stride, stride[::-1], strict=True))
+    count = math.prod(stored.shape)
+    if kind is None or not in_order or 4 * count > TENSOR_MAX:
+        problem = f"its parameter {printable(name, 60)} is no array of floats in order, of {TENSOR_MAX} bytes at most"
+        raise SceneFolderError(file, problem, AGAIN)
+    data = _record(file, archive, f"data/{stored.key}", TENSOR_MAX)
+    size = np.dtype(kind).itemsize
+    if len(data) < (stored.offset + count) * size:
+        raise SceneFolderError(file, f"its parameter {printable(name, 60)} has fewer bytes than its shape needs", AGAIN)
+    return np.frombuffer(data, kind, count, stored.offset * size).astype(np.float32).reshape(stored.shape)

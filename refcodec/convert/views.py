@@ -1,0 +1,192 @@
+"""Pictures of splats, from cameras of their own or from given ones, as a folder of photographs in NeRF's format.
+
+The cameras of their own look at the splats' middle from a sphere around it, as those of NeRF's synthetic scenes do.
+Those to learn from are spread evenly over it. Those for tests go around it in a spiral. The images are what refcodec's
+renderer draws, so the splats are the truth of their scene.
+"""
+
+from __future__ import annotations
+
+import io
+import json
+import math
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from PIL import Image
+from plyfile import PlyData, PlyElement
+
+from ..export.harmonics import ZERO
+from ..files.stage import new_file
+from ..render.camera import Camera
+from ..render.rasterise import Settings
+from ..render.view import eight_bits, looking
+from .splats import Splats, drawn
+
+F64 = NDArray[np.float64]
+
+TRAIN, TEST = "train", "test"
+POINTS_FILE = "points3d.ply"
+# As the cameras of NeRF's synthetic scenes.
+ANGLE = 0.6911
+# Sides of an image in pixels, where none are asked for.
+SIDE = 800
+# The sines of the lowest and the highest elevation.
+LOWEST, HIGHEST = -0.3, 0.95
+# The turns of the spiral of test cameras.
+TURNS = 3
+# The share of the Gaussians within the splats' radius, and how much more than that the cameras see.
+SHARE, MARGIN = 0.99, 1.1
+# The near plane in radii, at most that of 3DGS in world units.
+NEAR, NEAR_MAX = 0.01, 0.2
+# Every N-th picture is for tests.
+TEST_EVERY = 8
+# Points that a training begins with, drawn from Gaussians that are not nearly transparent.
+POINTS, OPAQUE = 200_000, 0.1
+AXES = {f"{sign}{axis}": (1 if sign == "+" else -1) * np.eye(3)[i] for sign in "+-" for i, axis in enumerate("xyz")}
+
+Views = Mapping[str, Sequence[Camera]]
+
+
+def middle_and_radius(splats: Splats) -> tuple[F64, float]:
+    """Returns the median of the means, float64 [3], and the distance from there that SHARE of them do not exceed."""
+    mean = splats["mean"].double().numpy()
+    middle = np.median(mean, axis=0)
+    return middle, float(np.quantile(np.linalg.norm(mean - middle, axis=1), SHARE)) or 1.0
+
+
+def train_directions(count: int) -> F64:
+    """Returns unit vectors [count, 3] spread evenly over the part of the sphere between the elevations; z is up.
+
+    They follow the spiral of the golden angle.
+    """
+    number = np.arange(count, dtype=np.float64)
+    return _directions(LOWEST + (HIGHEST - LOWEST) * (number + 0.5) / count, number * math.pi * (3 - math.sqrt(5)))
+
+
+def test_directions(count: int) -> F64:
+    """Returns unit vectors [count, 3] on a spiral from the lowest to the highest elevation; z is up."""
+    share = (np.arange(count, dtype=np.float64) + 0.5) / count
+    return _directions(LOWEST + (HIGHEST - LOWEST) * share, 2 * math.pi * TURNS * share)
+
+
+def _directions(height: F64, turn: F64) -> F64:
+    flat = np.sqrt(1 - height**2)
+    return np.stack([flat * np.cos(turn), flat * np.sin(turn), height], axis=1)
+
+
+def orbit(splats: Splats, up: F64, size: int, train: int, test: int) -> dict[str, list[Camera]]:
+    """Returns cameras around the splats, by what they are for.
+
+    up: the world's axis that is up, float64 [3]. size: sides of the images in pixels. train, test: how many.
+    """
+    directions = {TRAIN: train_directions(train), TEST: test_directions(test)}
+    return {name: _cameras(splats, found, up, size, name) for name, found in directions.items()}
+
+
+def _cameras(splats: Splats, directions: F64, up: F64, size: int, name: str) -> list[Camera]:
+    middle, radius = middle_and_radius(splats)
+    side = np.roll(up, 1)
+    base = np.stack([side, np.cross(up, side), up])
+    focal = size / 2 / math.tan(ANGLE / 2)
+    found = []
+    for number, direction in enumerate(directions @ base):
+        rotation = looking(-direction, up)
+        place = middle + direction * MARGIN * radius / math.sin(ANGLE / 2)
+        found.append(
+            Camera(f"{name}/r_{number}", size, size, focal, focal, size / 2, size / 2, rotation, -rotation @ place)
+        )
+    return found
+
+
+def given(cameras: Sequence[Camera], most: int, size: int | None) -> dict[str, list[Camera]]:
+    """Returns some of given cameras, spread evenly over them, by what they are for. Every TEST_EVERY-th is for tests.
+
+    most: how many. size: the longest side in pixels of an image, None for their own.
+    """
+    chosen = [cameras[i] for i in np.unique(np.linspace(0, len(cameras) - 1, most).round().astype(int))]
+    found: dict[str, list[Camera]] = {TRAIN: [], TEST: []}
+    for number, camera in enumerate(chosen):
+        share = min(1.0, (size or math.inf) / max(camera.width, camera.height))
+        smaller = camera.resized(max(round(camera.width * share), 1), max(round(camera.height * share), 1))
+        # The first one is to learn from, however few there are.
+        name = TEST if number % TEST_EVERY == TEST_EVERY - 1 else TRAIN
+        found[name].append(replace(smaller, name=f"{name}/r_{number}"))
+    return found
+
+
+def transforms(cameras: Sequence[Camera]) -> dict[str, object]:
+    """Returns NeRF's document for cameras: y and z of a camera are those of Blender."""
+    frames = []
+    for camera in cameras:
+        matrix = np.eye(4)
+        matrix[:3, :3], matrix[:3, 3] = camera.rotation.T * (1, -1, -1), camera.centre
+        lens = {"fl_x": camera.fx, "fl_y": camera.fy, "cx": camera.cx, "cy": camera.cy}
+        size = {"w": camera.width, "h": camera.height}
+        frames.append({"file_path": camera.name, "transform_matrix": matrix.tolist(), **lens, **size})
+    return {"frames": frames}
+
+
+def _picture(splats: Splats, camera: Camera, settings: Settings, transparent: bool) -> Image.Image:
+    """Returns what a camera sees: RGB, or RGBA without a background, whose colours are not multiplied by alpha."""
+    image, transmittance, _ = drawn(splats, camera, settings)
+    if not transparent:
+        return Image.fromarray(eight_bits(image.numpy()), "RGB")
+    alpha = np.rint((1 - transmittance.numpy()[:, :, None]) * 255)
+    # Where the splat hides less than half a grade of eight bits, the pixel is empty.
+    colour = np.where(alpha > 0, image.numpy() * 255 / np.maximum(alpha, 1), 0)
+    return Image.fromarray(np.concatenate([eight_bits(colour), alpha.astype(np.uint8)], axis=2), "RGBA")
+
+
+def write_photographs(
+    splats: Splats,
+    views: Views,
+    folder: Path,
+    progress: Callable[[str, int, int], None],
+    background: tuple[int, int, int] | None = None,
+    points: bool = True,
+) -> None:
+    """Writes images, the files of cameras and, if they are wanted, points to begin with. The folder may be there.
+
+    background: 0 to 255 each; None for images that are transparent where the splats are. These cannot show colours
+    above 1 of Gaussians that are half transparent. Raises OSError, also for a file that is there.
+    """
+    _, radius = middle_and_radius(splats)
+    red, green, blue = (value / 255 for value in background or (0, 0, 0))
+    settings = Settings(near_plane=min(NEAR * radius, NEAR_MAX), background=(red, green, blue))
+    done, total = 0, sum(len(cameras) for cameras in views.values())
+    for name, cameras in views.items():
+        (folder / name).mkdir(parents=True, exist_ok=True)
+        for camera in cameras:
+            data = io.BytesIO()
+            _picture(splats, camera, settings, background is None).save(data, "PNG")
+            _put(folder / f"{camera.name}.png", data.getvalue())
+            done += 1
+            progress("draw", done, total)
+        _put(folder / f"transforms_{name}.json", (json.dumps(transforms(cameras), indent=1) + "\n").encode())
+    if points:
+        _write_points(splats, folder / POINTS_FILE)
+
+
+def _put(path: Path, content: bytes) -> None:
+    with new_file(path) as file:
+        file.write(content)
+
+
+def _write_points(splats: Splats, path: Path) -> None:
+    """Writes the means of the Gaussians that are seen, with their mean colours, as a PLY file of points."""
+    seen = torch.nonzero(torch.sigmoid(splats["opacity"]) >= OPAQUE)[:, 0]
+    rows = seen if len(seen) else torch.arange(len(splats["mean"]))
+    if len(rows) > POINTS:
+        rows = rows[torch.randperm(len(rows), generator=torch.Generator().manual_seed(0))[:POINTS]]
+    mean, colour = splats["mean"][rows].numpy(), eight_bits((ZERO * splats["base"][rows] + 0.5).numpy())
+    table = np.empty(len(rows), [*((axis, "<f4") for axis in "xyz"), *((c, "u1") for c in ("red", "green", "blue"))])
+    for values, names in ((mean, ("x", "y", "z")), (colour, ("red", "green", "blue"))):
+        for column, name in enumerate(names):
+            table[name] = values[:, column]
+    with new_file(path) as file:
+        PlyData([PlyElement.describe(table, "vertex")], byte_order="<").write(file)

@@ -1,0 +1,97 @@
+"""Trainings that go on from a scene that is there, instead of beginning with points."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..encoder.positions import choose_grid
+from ..encoder.sizes import choose_slices
+from ..photographs.photographs import PhotographSet
+from .fit_input import Given
+from .settings import PHASES, Phase, TrainSettings
+from .settings_file import varied
+from .start import LATTICE_MAX, Units, lattice_positions, scene_length
+from .voxelise import default_voxel, short_mantissa
+
+# The anchors of a trained scene are where they should be. The rate counts nearly from the beginning.
+CONTINUED = (
+    Phase("start", 0.0, {"masks": "on"}),
+    Phase("rate", 0.02, {"rate": "on", "quantisation": "noise"}),
+    Phase("rounding", 0.4, {"quantisation": "round"}),
+    Phase("integers", 0.7, {"rate": "integers"}),
+    Phase("weights", 0.8, {"weights": "grid"}),
+    Phase("averaging", 0.9, {"averaging": "on"}),
+)
+# The logit of a masked offset: a share that is below any epsilon, whatever views see its anchor.
+MASKED = -16.0
+# A lattice of anchors that have none is so much finer than the distance of neighbours.
+FINER = 32
+# An anchor is on the lattice if it is this near to a corner, in cells.
+NEAR = 0.01
+
+
+@dataclass(frozen=True, eq=False)
+class Beginning:
+    """What a training goes on from.
+
+    lattice: int64 [N, 3]. tables: float32 [N, columns], as those of Scaffold; masks are logits. given: the scene.
+    """
+
+    units: Units
+    lattice: NDArray[np.int64]
+    tables: Mapping[str, NDArray[np.float32]]
+    given: Given
+
+
+def continued_settings(given: Given, settings: TrainSettings) -> TrainSettings:
+    """Returns the settings of a training from a scene: slices of its features, and no growth.
+
+    Phases that somebody has set stay as they are. Raises ValueError for what cannot be trained.
+    """
+    slices = choose_slices(given.cloud.features.shape[1], settings.entropy.slices)
+    found = varied(settings, {"entropy.slices": slices})
+    return replace(found, phases=CONTINUED) if settings.phases == PHASES else found
+
+
+def beginning(given: Given, photographs: PhotographSet, settings: TrainSettings) -> Beginning:
+    """Returns the anchors of a scene on a lattice, in the units of a training.
+
+    Of anchors in one cell the first is taken. Raises ValueError for a scene that cannot be trained.
+    """
+    cloud = given.cloud
+    if given.networks is None or not len(cloud.positions):
+        raise ValueError("the scene to go on from has no anchors, or no rendering networks")
+    if not settings.rate.weight and not cloud.masks.all():
+        raise ValueError("the scene to go on from has masks, which a training without a rate does not have")
+    points = cloud.positions.astype(np.float64)
+    length = scene_length(replace(photographs, points=points))
+    grid = choose_grid(cloud.positions, _cell(given))
+    cell = grid.scale_mantissa * 2.0**grid.scale_exponent
+    origin = np.array(grid.origin, np.float64) * 2.0 ** (grid.scale_exponent - 24)
+    cells = lattice_positions(np.round((points - origin) / cell).astype(np.int64)).astype(np.int64)
+    lattice, rows = np.unique(cells, axis=0, return_index=True)
+    tables = {
+        "features": cloud.features[rows],
+        "offsets": cloud.offsets[rows].reshape(len(rows), -1),
+        "scalings": cloud.scalings[rows],
+        "masks": np.where(cloud.masks[rows], settings.masks.start, MASKED).astype(np.float32),
+    }
+    return Beginning(Units(grid, origin, length, cell / length), lattice, tables, given)
+
+
+def _cell(given: Given) -> float:
+    """Returns the edge of the lattice's cells, in world units."""
+    positions = given.cloud.positions
+    extent = float(np.ptp(positions.astype(np.float64), axis=0).max())
+    voxel = given.voxel
+    if given.grid is not None:
+        unit = given.grid.scale_mantissa * 2.0**given.grid.scale_exponent
+        away = (positions - np.array(given.grid.origin) * 2.0 ** (given.grid.scale_exponent - 24)) / unit
+        voxel = unit if np.abs(away - np.rint(away)).max() < NEAR else None
+    least = short_mantissa(math.nextafter(extent / LATTICE_MAX, math.inf)) if extent else 0.0
+    return max(voxel or short_mantissa(default_voxel(positions) / FINER), least)

@@ -1,0 +1,148 @@
+"""Models of the Scaffold-GS family: they convert, draw what their own networks say, fit, encode and decode."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+torch = pytest.importorskip("torch")
+pytest.importorskip("scipy")
+
+from family import LAYOUTS, VOXEL, Layout, Model  # noqa: E402
+
+from refcodec.bitstream.codec import parse  # noqa: E402
+from refcodec.bitstream.reconstruction import reconstruct  # noqa: E402
+from refcodec.cli.main import main  # noqa: E402
+from refcodec.convert.checkpoint import read_checkpoint  # noqa: E402
+from refcodec.folder.uncompressed import Uncompressed, read_uncompressed  # noqa: E402
+from refcodec.render.camera import Camera  # noqa: E402
+from refcodec.render.gaussians import gaussians  # noqa: E402
+
+torch.set_num_threads(1)
+CENTRES = ((0.3, -12.0, 1.0), (4.0, 3.0, -2.5))
+
+
+def camera_at(centre: tuple[float, ...]) -> Camera:
+    rotation = np.eye(3)
+    return Camera("here", 64, 48, 60, 60, 32, 24, rotation, -rotation @ np.array(centre))
+
+
+def assert_draws(scene: Uncompressed, model: Model, code: np.ndarray | None) -> None:
+    """The scene's Gaussians are those of the model's program, in float64."""
+    for centre in CENTRES:
+        found = gaussians(
+            scene.values, scene.masks, scene.networks, camera_at(centre), scene.render.distance_unit, float
+        )
+        wanted = model.gaussians(np.array(centre), code)
+        assert len(wanted["mean"]) > 50
+        for name, values in wanted.items():
+            # Folded biases are rounded to float32.
+            np.testing.assert_allclose(getattr(found, name), values, rtol=2e-5, atol=2e-6, err_msg=name)
+
+
+@pytest.mark.parametrize("name", LAYOUTS)
+def test_a_model_draws_what_its_networks_say(name: str, tmp_path: Path) -> None:
+    model = Model(LAYOUTS[name])
+    model.write(tmp_path / "model")
+    assert main(["convert", str(tmp_path / "model"), "-o", str(tmp_path / "scene")]) == 0
+    scene = read_uncompressed(tmp_path / "scene")
+    assert_draws(scene, model, model.code(None))
+    assert scene.render.background == (255, 255, 255)
+    assert scene.render.distance_unit == 1.0
+    assert scene.voxel == VOXEL
+    # The camera of cameras.json looks along +y, and +z is upwards in its image.
+    assert scene.render.up_axis == 4
+    assert (scene.camera.width, scene.camera.height, scene.camera.focal) == (64, 48, (60.0, 61.0))
+
+
+def test_the_appearance_of_a_camera(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    for number, name in enumerate(("scaffold, split", "scaffold, united")):
+        model, folder = Model(LAYOUTS[name]), tmp_path / str(number)
+        model.write(folder)
+        words = ["convert", str(folder), "-o", str(tmp_path / f"scene{number}")]
+        assert main(words) == 0
+        said = capsys.readouterr()
+        assert "an appearance for each of 3 cameras" in said.err
+        assert "next: refcodec encode" in said.out
+        assert main([*words, "--appearance", "1"]) == 0
+        assert capsys.readouterr().err == ""
+        assert_draws(read_uncompressed(tmp_path / f"scene{number}"), model, model.code(1))
+        assert main([*words, "--appearance", "3"]) == 64
+        assert "there is no camera 3" in capsys.readouterr().err
+
+
+def test_networks_of_other_widths_get_one(tmp_path: Path) -> None:
+    """The format has one width for all three. Units that are added are 0."""
+    model = Model(LAYOUTS["hac"])
+    wider = torch.nn.Sequential(torch.nn.Linear(54, 60), torch.nn.ReLU(), torch.nn.Linear(60, 30), torch.nn.Sigmoid())
+    model.networks["color_mlp"] = wider
+    model.write(tmp_path)
+    found = read_checkpoint(tmp_path)
+    assert {len(layers[0][1]) for layers in found.scene.networks.values()} == {60}
+    assert_draws(found.scene, model, None)
+
+
+def test_the_last_iteration_or_the_one_that_is_named(tmp_path: Path) -> None:
+    models = [Model(LAYOUTS["hac"], seed=seed) for seed in (0, 1)]
+    first = models[0].write(tmp_path / "a", 7000)
+    models[1].write(tmp_path / "b", 30000).rename(first.parent / "iteration_30000")
+    assert_draws(read_checkpoint(tmp_path / "a").scene, models[1], None)
+    assert_draws(read_checkpoint(first).scene, models[0], None)
+
+
+def test_a_model_without_notes(tmp_path: Path) -> None:
+    model = Model(LAYOUTS["hac"])
+    place = model.write(tmp_path)
+    (tmp_path / "cfg_args").unlink()
+    (tmp_path / "cameras.json").unlink()
+    scene = read_checkpoint(place).scene
+    assert scene.voxel is None
+    assert scene.render.background == (0, 0, 0)
+    assert_draws(scene, model, None)
+
+
+def test_anchors_off_the_lattice_have_none(tmp_path: Path) -> None:
+    model = Model(LAYOUTS["hac"])
+    model.anchor = model.anchor + np.float32(0.1)
+    model.write(tmp_path)
+    assert read_checkpoint(tmp_path).scene.voxel is None
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", LAYOUTS)
+def test_a_model_becomes_a_file(name: str, tmp_path: Path) -> None:
+    """One command from the converted folder to the file. What it decodes to is the model, rounded to its steps."""
+    model = Model(LAYOUTS[name], 300)
+    model.write(tmp_path / "model")
+    scene, file, coarse = tmp_path / "scene", tmp_path / "scene.c3gs", tmp_path / "coarse.c3gs"
+    assert main(["convert", str(tmp_path / "model"), "-o", str(scene)]) == 0
+    assert main(["encode", str(scene), "-o", str(file), "--steps", "30"]) == 0
+    assert main(["decode", str(file), "-o", str(tmp_path / "decoded")]) == 0
+    coded = parse(file.read_bytes()).scene
+    plain = read_uncompressed(scene)
+    kept = plain.masks.any(axis=1)
+    found = reconstruct(coded)
+    # On the lattice positions are exact, and so they name the anchors.
+    order = np.lexsort(found.positions.T), np.lexsort(plain.values.positions[kept].T)
+    assert np.array_equal(found.positions[order[0]], plain.values.positions[kept][order[1]])
+    for kind, step in zip(("features", "scalings", "offsets"), coded.base_step, strict=True):
+        before, after = getattr(plain.values, kind)[kept][order[1]], getattr(found, kind)[order[0]]
+        assert np.abs(before - after).max() <= step * 0.501
+    assert main(["encode", str(scene), "-o", str(coarse), "--steps", "30", "--rate", "0.064"]) == 0
+    steps = parse(coarse.read_bytes()).scene.base_step
+    np.testing.assert_allclose(steps, 4 * np.array(coded.base_step), rtol=1e-6)
+    assert coarse.stat().st_size < file.stat().st_size
+
+
+def test_scenes_of_more_than_the_format_holds(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    wide = replace(LAYOUTS["hac"], features=130)
+    for number, (layout, said) in enumerate([(wide, "130 features"), (Layout("split", offsets=17), "17 offsets")]):
+        Model(layout).write(tmp_path / str(number))
+        assert main(["convert", str(tmp_path / str(number)), "-o", str(tmp_path / "scene")]) == 64
+        err = capsys.readouterr().err
+        assert err.count("\n") == 1
+        assert said in err
+        assert "SPEC.md 11.1" in err

@@ -1,0 +1,354 @@
+"""Folders of models that are damaged or meant to harm: one line each, nothing is run, and memory is bounded."""
+
+from __future__ import annotations
+
+import io
+import json
+import os
+import pickle
+import random
+import tracemalloc
+import zipfile
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+torch = pytest.importorskip("torch")
+pytest.importorskip("scipy")
+
+from family import LAYOUTS, Model  # noqa: E402
+
+from refcodec.cli.main import main  # noqa: E402
+from refcodec.convert.tensors import read_state_dicts, read_torchscript  # noqa: E402
+from refcodec.folder.layout import SceneFolderError  # noqa: E402
+
+Captured = pytest.CaptureFixture[str]
+PLACE = "model/point_cloud/iteration_30000"
+UNITED, SPLIT = LAYOUTS["hac"], LAYOUTS["scaffold, split"]
+
+
+def refused(tmp_path: Path, capsys: Captured, *said: str) -> None:
+    """convert of the folder `model` ends with one line, which says so, and writes nothing."""
+    capsys.readouterr()
+    assert main(["convert", str(tmp_path / "model"), "-o", str(tmp_path / "scene")]) == 64
+    err = capsys.readouterr().err
+    assert err.count("\n") == 1, err
+    for words in said:
+        assert words in err
+    assert not (tmp_path / "scene").exists()
+    assert not (tmp_path / "run").exists()
+
+
+class Harm:
+    """A pickle of it makes the folder `run` when it is loaded."""
+
+    def __init__(self, place: Path) -> None:
+        self.place = place
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return os.mkdir, (str(self.place),)
+
+
+class Large:
+    """A pickle of it takes a terabyte when it is loaded."""
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return bytearray, (1 << 40,)
+
+
+def repacked(file: Path, changes: dict[str, bytes], form: int = zipfile.ZIP_STORED) -> None:
+    """Changes entries of an archive. form: of the changed ones."""
+    with zipfile.ZipFile(file) as archive:
+        entries = {entry.filename: (archive.read(entry), entry.compress_type) for entry in archive.infolist()}
+    with zipfile.ZipFile(file, "w") as archive:
+        for name, (data, kind) in entries.items():
+            inner = name.partition("/")[2]
+            archive.writestr(name, changes.get(inner, data), form if inner in changes else kind)
+
+
+# --- code -------------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(("layout", "name"), [(UNITED, "checkpoint.pth"), (SPLIT, "cov_mlp.pt")])
+@pytest.mark.parametrize("protocol", [0, 2, 4])
+def test_a_pickle_with_code_is_not_run(layout: Any, name: str, protocol: int, tmp_path: Path, capsys: Captured) -> None:
+    Model(layout).write(tmp_path / "model")
+    file, harm = tmp_path / PLACE / name, pickle.dumps(Harm(tmp_path / "run"), protocol)
+    repacked(file, {"data.pkl": harm})
+    refused(tmp_path, capsys, name, "its pickle")
+    if protocol == 2:
+        refused(tmp_path, capsys, "posix mkdir", "nothing of it was run")
+    # A plain pickle, as torch wrote before 1.6.
+    file.write_bytes(harm)
+    refused(tmp_path, capsys, "no zip archive")
+    # As torch.save writes such an object.
+    torch.save({"opacity_mlp": Harm(tmp_path / "run")}, file)
+    refused(tmp_path, capsys, "its pickle names posix mkdir")
+
+
+def test_code_of_a_script_is_not_run(tmp_path: Path) -> None:
+    """What an archive's code says does not matter, nor what it is compressed with."""
+    model = Model(SPLIT)
+    place = model.write(tmp_path / "model")
+    before = read_torchscript(place / "opacity_mlp.pt")
+    repacked(place / "opacity_mlp.pt", {"code/__torch__/torch/nn/modules/linear.py": b"import os; os.mkdir('run')"})
+    after = read_torchscript(place / "opacity_mlp.pt")
+    assert set(before) == {"0.weight", "0.bias", "2.weight", "2.bias"}
+    for name, values in model.networks["opacity_mlp"].float().state_dict().items():
+        assert np.array_equal(before[name], values.numpy())
+        assert np.array_equal(after[name], values.numpy())
+
+
+@pytest.mark.parametrize("large", [Large(), {"opacity_mlp": Large()}])
+def test_a_pickle_takes_no_memory(large: Any, tmp_path: Path, capsys: Captured) -> None:
+    Model(UNITED).write(tmp_path / "model")
+    torch.save(large, tmp_path / PLACE / "checkpoint.pth")
+    refused(tmp_path, capsys, "names")
+
+
+# --- sizes ------------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(("layout", "name"), [(UNITED, "checkpoint.pth"), (SPLIT, "color_mlp.pt")])
+@pytest.mark.parametrize("entry", ["data.pkl", "data/0"])
+def test_a_zip_bomb_is_not_unpacked(layout: Any, name: str, entry: str, tmp_path: Path, capsys: Captured) -> None:
+    Model(layout).write(tmp_path / "model")
+    repacked(tmp_path / PLACE / name, {entry: bytes(200 << 20)}, zipfile.ZIP_DEFLATED)
+    # The first run imports what it needs.
+    refused(tmp_path, capsys, "is compressed")
+    tracemalloc.start()
+    try:
+        refused(tmp_path, capsys, "is compressed")
+        assert tracemalloc.get_traced_memory()[1] < 20 << 20
+    finally:
+        tracemalloc.stop()
+
+
+@pytest.mark.parametrize("stride", [(0, 0), (1, 1)])
+def test_a_tensor_larger_than_its_bytes(stride: tuple[int, int], tmp_path: Path, capsys: Captured) -> None:
+    """One number stands for 2^40 of them."""
+    model = Model(UNITED)
+    model.write(tmp_path / "model")
+    found: dict[str, Any] = model.state_dicts()
+    one = torch.zeros(1 << 10).as_strided((1 << 5, 1 << 5), stride).expand(1 << 5, 1 << 5)
+    found["opacity_mlp"]["0.weight"] = one if stride[0] else torch.zeros(1).expand(1 << 20, 1 << 20)
+    torch.save(found, tmp_path / PLACE / "checkpoint.pth")
+    refused(tmp_path, capsys, "opacity_mlp.0.weight is no array of floats")
+
+
+def test_a_module_that_holds_itself(tmp_path: Path) -> None:
+    """Fields can be each other's. They are looked at a bounded number of times."""
+    data = (
+        b"\x80\x02ctorch Module\nq\x00)\x81q\x01}(".replace(b"torch Module", b"__torch__\nModule")
+        + b"".join(b"X\x01\x00\x00\x00" + bytes([97 + i]) + b"h\x01" for i in range(20))
+        + b"ub."
+    )
+    with zipfile.ZipFile(tmp_path / "a.pt", "w") as archive:
+        archive.writestr("a/data.pkl", data)
+    with pytest.raises(SceneFolderError, match="more than 4096 fields"):
+        read_torchscript(tmp_path / "a.pt")
+
+
+def ply(*lines: str) -> bytes:
+    return "\n".join(["ply", "format binary_little_endian 1.0", *lines, "end_header", ""]).encode()
+
+
+@pytest.mark.parametrize(
+    ("data", "said"),
+    [
+        (ply(f"element vertex {1 << 40}", "property float x"), "count"),
+        (ply(f"element vertex {1 << 31}", "property float x"), "fewer bytes"),
+        (ply("element vertex 0", "property float x"), "1 properties xyz"),
+        (b"", "no end"),
+        (b"\x80\x02.", "PLY"),
+    ],
+)
+def test_point_clouds(data: bytes, said: str, tmp_path: Path, capsys: Captured) -> None:
+    Model(UNITED).write(tmp_path / "model")
+    (tmp_path / PLACE / "point_cloud.ply").write_bytes(data)
+    refused(tmp_path, capsys, "point_cloud.ply", said)
+
+
+# --- what is wrong with a model ---------------------------------------------------------------------------------------
+
+
+def _nan_anchor(model: Model) -> None:
+    model.anchor[3, 1] = np.nan
+
+
+def _infinite_scale(model: Model) -> None:
+    model.scaling[0, 5] = np.inf
+
+
+def _nan_weight(model: Model) -> None:
+    model.networks["cov_mlp"][0].weight.data[0, 0] = torch.nan
+
+
+def _more_layers(model: Model) -> None:
+    model.networks["cov_mlp"] = torch.nn.Sequential(
+        *model.networks["cov_mlp"], torch.nn.ReLU(), torch.nn.Linear(70, 70)
+    )
+
+
+def _fewer_inputs(model: Model) -> None:
+    model.networks["opacity_mlp"][0] = torch.nn.Linear(30, 50)
+
+
+def _fewer_outputs(model: Model) -> None:
+    model.networks["color_mlp"][2] = torch.nn.Linear(50, 29)
+
+
+def _wide(model: Model) -> None:
+    model.networks["opacity_mlp"][0], model.networks["opacity_mlp"][2] = (
+        torch.nn.Linear(54, 200),
+        torch.nn.Linear(200, 10),
+    )
+
+
+@pytest.mark.parametrize(
+    ("change", "said"),
+    [
+        (_nan_anchor, "a value of xyz is NaN"),
+        (_infinite_scale, "a value of scale_ is NaN or infinite"),
+        (_nan_weight, "cov_mlp.0 has a number that is NaN"),
+        (_more_layers, "cov_mlp is not a network of two linear layers"),
+        (_fewer_inputs, "opacity_mlp has 30 inputs; 53"),
+        (_fewer_outputs, "color_mlp.2 has the shapes (29, 50)"),
+        (_wide, "200 hidden units, at most 128"),
+    ],
+)
+def test_wrong_numbers_and_shapes(change: Callable[[Model], None], said: str, tmp_path: Path, capsys: Captured) -> None:
+    model = Model(UNITED)
+    change(model)
+    model.write(tmp_path / "model")
+    refused(tmp_path, capsys, said)
+
+
+@pytest.mark.parametrize("name", ["opacity_mlp", "cov_mlp", "color_mlp"])
+def test_a_network_is_missing(name: str, tmp_path: Path, capsys: Captured) -> None:
+    for layout in (UNITED, SPLIT):
+        folder = tmp_path / layout.form
+        model = Model(layout)
+        place = model.write(folder / "model")
+        if layout is SPLIT:
+            (place / f"{name}.pt").unlink()
+        else:
+            found = model.state_dicts()
+            del found[name]
+            torch.save(found, place / layout.form)
+        refused(folder, capsys, f"no network {name}")
+
+
+def test_what_the_format_cannot_express(tmp_path: Path, capsys: Captured) -> None:
+    """A feature bank and levels of detail are named."""
+    model = Model(UNITED)
+    place = model.write(tmp_path / "model")
+    torch.save(model.state_dicts() | {"mlp_feature_bank": {}}, place / "checkpoint.pth")
+    refused(tmp_path, capsys, "feature bank", "cannot express it")
+    torch.save(model.state_dicts(), place / "checkpoint.pth")
+    notes = (tmp_path / "model" / "cfg_args").read_text()
+    (tmp_path / "model" / "cfg_args").write_text(notes.replace("use_feat_bank=False", "use_feat_bank=True"))
+    refused(tmp_path, capsys, "feature bank")
+    (tmp_path / "model" / "cfg_args").write_text(notes)
+    (place / "point_cloud.ply").write_bytes(ply("element vertex 0", "property float x", "property float level"))
+    refused(tmp_path, capsys, "levels of detail")
+
+
+def test_anchors_without_features(tmp_path: Path, capsys: Captured) -> None:
+    Model(UNITED).write(tmp_path / "model")
+    file = tmp_path / PLACE / "point_cloud.ply"
+    file.write_bytes(file.read_bytes().replace(b"f_anchor_feat_", b"f_other_value_"))
+    refused(tmp_path, capsys, "no properties f_anchor_feat_")
+
+
+@pytest.mark.parametrize(
+    "text",
+    ["", "__import__('os').mkdir('run')", "Namespace(" + "(" * 100_000, "Namespace(feat_dim=49, x=1)", "\xff" * 99],
+)
+def test_settings_are_text(text: str, tmp_path: Path, capsys: Captured) -> None:
+    Model(UNITED).write(tmp_path / "model")
+    (tmp_path / "model" / "cfg_args").write_text(text)
+    refused(tmp_path, capsys, "cfg_args")
+
+
+@pytest.mark.parametrize(
+    "change",
+    [{"width": 0}, {"fx": "x"}, {"rotation": [[1, 0, 0]] * 3}, {"position": [1, 2]}, {"height": 1e30}, {"fy": -1}],
+)
+def test_cameras_are_checked(change: dict[str, Any], tmp_path: Path, capsys: Captured) -> None:
+    Model(UNITED).write(tmp_path / "model")
+    file = tmp_path / "model" / "cameras.json"
+    (camera,) = json.loads(file.read_text())
+    file.write_text(json.dumps([camera, camera | change]))
+    refused(tmp_path, capsys, "cameras.json", "[1]")
+    file.write_text("[" * 1000)
+    refused(tmp_path, capsys, "cameras.json")
+
+
+def test_folders_without_a_model(tmp_path: Path, capsys: Captured) -> None:
+    refused(tmp_path, capsys, "neither point_cloud.ply nor point_cloud/iteration_N")
+    (tmp_path / "model").mkdir()
+    refused(tmp_path, capsys, "neither point_cloud.ply nor point_cloud/iteration_N")
+    (tmp_path / PLACE).mkdir(parents=True)
+    refused(tmp_path, capsys, "there is no such file")
+    Model(UNITED).write(tmp_path / "other")
+    (tmp_path / "other" / "point_cloud" / "iteration_30000" / "point_cloud.ply").rename(
+        tmp_path / PLACE / "point_cloud.ply"
+    )
+    refused(tmp_path, capsys, "neither checkpoint.pth nor")
+
+
+# --- damage -----------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("form", ["united", "split"])
+def test_cut_and_changed_files_are_read_or_refused(form: str, tmp_path: Path) -> None:
+    """Whatever the bytes are, the outcome is tensors or one SceneFolderError."""
+    model = Model(UNITED if form == "united" else SPLIT)
+    place = model.write(tmp_path / "model")
+    file = place / (model.layout.form if form == "united" else "opacity_mlp.pt")
+
+    def read() -> None:
+        if form == "united":
+            read_state_dicts(file, ("opacity_mlp", "cov_mlp"))
+        else:
+            read_torchscript(file)
+
+    whole, rng = file.read_bytes(), random.Random(5)
+    with zipfile.ZipFile(io.BytesIO(whole)) as archive:
+        (entry,) = (e for e in archive.infolist() if e.filename.endswith("/data.pkl"))
+    start = entry.header_offset
+    cuts = [whole[: rng.randrange(len(whole))] for _ in range(20)]
+    changed = []
+    for _ in range(80):
+        data = bytearray(whole)
+        for _ in range(rng.randrange(1, 4)):
+            # Most damage is in the pickle and the directory, since tensors may hold anything.
+            place_of = rng.choice([start + rng.randrange(entry.file_size + 60), len(data) - 1 - rng.randrange(600)])
+            data[place_of] = rng.randrange(256)
+        changed.append(bytes(data))
+    outcomes = set()
+    for data in [*cuts, *changed]:
+        file.write_bytes(data)
+        try:
+            read()
+            outcomes.add("read")
+        except SceneFolderError:
+            outcomes.add("refused")
+    assert "refused" in outcomes
+    # A pickle that is changed, with the sum of the entry set right.
+    with zipfile.ZipFile(io.BytesIO(whole)) as archive:
+        pickled = archive.read(entry)
+    for _ in range(150):
+        data = bytearray(pickled)
+        for _ in range(rng.randrange(1, 4)):
+            data[rng.randrange(len(data))] = rng.randrange(256)
+        file.write_bytes(whole)
+        repacked(file, {"data.pkl": bytes(data)})
+        try:
+            read()
+        except SceneFolderError:
+            continue

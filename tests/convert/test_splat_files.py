@@ -1,0 +1,311 @@
+"""Files of splats: each format gives what was written, up to its own rounding, or one line about what is wrong."""
+
+from __future__ import annotations
+
+import gzip
+import random
+import struct
+import tracemalloc
+import zipfile
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+pytest.importorskip("PIL")
+
+from writers import (
+    RESTS,
+    Arrays,
+    columns,
+    made,
+    sigmoid,
+    sog_entries,
+    table,
+    write_packed,
+    write_plain,
+    write_sog,
+    write_spz,
+    write_tables,
+)
+
+from refcodec.convert.splat_files import read_splats
+from refcodec.folder.layout import SceneFolderError
+
+# Half a step of each kind: of positions, colours, harmonics, opacities, logarithms of lengths and rotations.
+KINDS = ("mean", "base", "rest", "opacity", "scale", "quaternion")
+
+
+def assert_read(file: Path, splats: Arrays, *steps: float) -> None:
+    """The file has these Gaussians, to half of these steps."""
+    found = read_splats(file)
+    for name, step in zip(KINDS, steps, strict=True):
+        wanted, values = splats[name], found[name].astype(np.float64)
+        assert values.shape == wanted.shape, name
+        if name == "opacity":
+            wanted, values = sigmoid(wanted), sigmoid(values)
+        if name == "quaternion":
+            values = values / np.linalg.norm(values, axis=1, keepdims=True)
+            values *= np.sign((values * wanted).sum(axis=1, keepdims=True))
+        assert np.abs(values - wanted).max(initial=0) <= step * 0.501 + 1e-6, name
+
+
+@pytest.mark.parametrize("degree", range(4))
+def test_plain_ply(degree: int, tmp_path: Path) -> None:
+    splats = made(degree=degree)
+    write_plain(splats, tmp_path / "a.ply")
+    assert_read(tmp_path / "a.ply", splats, 0, 0, 0, 0, 0, 0)
+
+
+@pytest.mark.parametrize("degree", range(4))
+def test_compressed_ply(degree: int, tmp_path: Path) -> None:
+    splats = made(600, degree)
+    write_packed(splats, tmp_path / "a.ply")
+    span = {kind: np.ptp(splats[kind], axis=0).max() for kind in ("mean", "base", "scale")}
+    # Three components of 10 bits make the largest.
+    steps = (span["mean"] / 1023, span["base"] / 255, 8 / 256, 1 / 255, span["scale"] / 1023, 6 * np.sqrt(2) / 1023)
+    assert_read(tmp_path / "a.ply", splats, *steps)
+
+
+@pytest.mark.parametrize("degree", range(4))
+@pytest.mark.parametrize("version", [1, 2, 3, 4])
+def test_spz(version: int, degree: int, tmp_path: Path) -> None:
+    if version == 4:
+        pytest.importorskip("zstandard")
+    splats = made(degree=degree)
+    write_spz(splats, tmp_path / "a.spz", version)
+    place = 2**-10 if version == 1 else 2**-12
+    # Where w is left out, its error is that of the others over it.
+    rotation = 0.3 if version < 3 else 6 * np.sqrt(0.5) / 511
+    assert_read(tmp_path / "a.spz", splats, place, 1 / 255 / 0.15, 1 / 128, 1 / 255, 1 / 16, rotation)
+
+
+def test_harmonics_of_spz_are_turned(tmp_path: Path) -> None:
+    """A file's axes are others. What is seen from a direction is what its harmonics say of the turned direction."""
+    torch = pytest.importorskip("torch")
+    from refcodec.convert.harmonics import basis  # noqa: PLC0415 (torch)
+
+    splats = made(degree=3)
+    turned = np.array([1, -1, -1])
+    write_spz({**splats, "rest": splats["rest"]}, tmp_path / "a.spz", 3)
+    found = read_splats(tmp_path / "a.spz")["rest"]
+    data = gzip.decompress((tmp_path / "a.spz").read_bytes())
+    own = (np.frombuffer(data[-300 * 45 :], np.uint8).reshape(300, 15, 3) - 128.0) / 128
+    direction = np.random.default_rng(1).normal(size=(300, 3))
+    direction /= np.linalg.norm(direction, axis=1, keepdims=True)
+    seen, stated = (basis(torch.from_numpy(d), 3).numpy() for d in (direction, direction * turned))
+    np.testing.assert_allclose(
+        (seen[:, :, None] * found).sum(axis=1), (stated[:, :, None] * own).sum(axis=1), atol=1e-6
+    )
+
+
+@pytest.mark.parametrize("degree", range(4))
+def test_sog(degree: int, tmp_path: Path) -> None:
+    splats = made(degree=degree)
+    splats["rest"] = splats["rest"][np.arange(300) % 50]
+    write_sog(sog_entries(splats), tmp_path / "a.sog")
+    folded = np.log1p(np.abs(splats["mean"]))
+    place = 2 * folded.max() / 65535 * (1 + np.abs(splats["mean"]).max())
+    span = {kind: np.ptp(splats[kind]) for kind in ("base", "scale")}
+    steps = (place, span["base"] / 255, 2 / 255, 1 / 255, span["scale"] / 255, 6 * np.sqrt(2) / 255)
+    assert_read(tmp_path / "a.sog", splats, *steps)
+
+
+# --- what is refused --------------------------------------------------------------------------------------------------
+
+
+def refused(file: Path, *said: str) -> None:
+    with pytest.raises(SceneFolderError) as error:
+        read_splats(file)
+    for words in said:
+        assert words in str(error.value)
+    assert "\n" not in str(error.value)
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_numbers_are_finite(kind: str, tmp_path: Path) -> None:
+    splats = made()
+    splats[kind].reshape(-1)[7] = np.nan
+    write_plain(splats, tmp_path / "a.ply")
+    refused(tmp_path / "a.ply", f"a {kind} is NaN")
+
+
+def test_opacities_of_programs_that_write_infinity(tmp_path: Path) -> None:
+    splats = made()
+    splats["opacity"][:2] = np.inf, -np.inf
+    write_plain(splats, tmp_path / "a.ply")
+    found = sigmoid(read_splats(tmp_path / "a.ply")["opacity"][:2].astype(float))
+    assert found.tolist() == pytest.approx([1, 0], abs=1e-8)
+
+
+def test_ply_without_what_is_needed(tmp_path: Path) -> None:
+    file, whole = tmp_path / "a.ply", columns(made())
+    for name in ("x", "f_dc_2", "opacity", "scale_0", "rot_3"):
+        write_tables(file, table({n: c for n, c in whole.items() if n != name}))
+        refused(file, f"no property {name}")
+    write_tables(file, table({n: c for n, c in whole.items() if n != "f_rest_3"}))
+    refused(file, "23 coefficients f_rest")
+    write_tables(file, table(whole, "face"))
+    refused(file, "no element vertex")
+    write_tables(file, table({n: c[:0] for n, c in whole.items()}))
+    refused(file, "no Gaussians")
+    file.write_bytes(
+        f"ply\nformat binary_little_endian 1.0\nelement vertex {1 << 40}\nproperty float x\nend_header\n".encode()
+    )
+    refused(file, "a count of at most")
+    file.write_bytes(b"ply\nformat binary_little_endian 1.0\nelement vertex 4000000000\nend_header\n")
+    refused(file, "4000000000 Gaussians, at most")
+    refused(tmp_path / "none.ply", "there is no such file")
+
+
+def test_compressed_ply_without_its_parts(tmp_path: Path) -> None:
+    splats, file = made(600, 1), tmp_path / "a.ply"
+    write_packed(splats, file)
+    whole = file.read_bytes()
+    for old, new, said in (
+        (b"element chunk 3", b"element chunc 3", "no element chunk"),
+        (b"packed_scale", b"packed_scalf", "no property packed_scale"),
+        (b"uint packed_color", b"float packed_color", "no property packed_color"),
+        (b"property float max_scale_y", b"property float max_scale_v", "no property max_scale_y"),
+    ):
+        assert old in whole
+        file.write_bytes(whole.replace(old, new))
+        refused(file, said)
+
+
+def spz(version: int = 2, count: int = 10, degree: int = 0, fraction: int = 12, more: bytes = b"") -> bytes:
+    return struct.pack("<4sIIBBBB", b"NGSP", version, count, degree, fraction, 0, 0) + more
+
+
+@pytest.mark.parametrize(
+    ("data", "said"),
+    [
+        (b"", "no SPZ"),
+        (b"NGS", "no SPZ"),
+        (gzip.compress(b"NGSP"), "no SPZ"),
+        (gzip.compress(b"PSGN" + spz()[4:]), "no SPZ"),
+        (gzip.compress(spz(5)), "version 5"),
+        (gzip.compress(spz(4)), "version 4"),
+        (spz(3), "version 3"),
+        (gzip.compress(spz(degree=4)), "degree 4"),
+        (gzip.compress(spz(fraction=24)), "24 fractional"),
+        (gzip.compress(spz(count=(1 << 32) - 1)), "at most 16777216"),
+        (gzip.compress(spz(count=10, more=bytes(189))), "fewer bytes"),
+        (gzip.compress(spz(count=0)), "no Gaussians"),
+        (gzip.compress(spz(more=bytes(range(190))))[:-40], "fewer bytes"),
+        (b"\x1f\x8b" + bytes(50), "gzip stream is damaged"),
+    ],
+)
+def test_spz_headers(data: bytes, said: str, tmp_path: Path) -> None:
+    (tmp_path / "a.spz").write_bytes(data)
+    refused(tmp_path / "a.spz", said)
+
+
+@pytest.mark.parametrize("change", ["streams", "size", "table", "cut", "bytes"])
+def test_streams_of_spz(change: str, tmp_path: Path) -> None:
+    pytest.importorskip("zstandard")
+    file = tmp_path / "a.spz"
+    write_spz(made(), file, 4)
+    data = bytearray(file.read_bytes())
+    if change == "streams":
+        data[15] = 200
+    if change == "size":
+        data[40:48] = (1 << 40).to_bytes(8, "little")
+    if change == "table":
+        data[16:20] = b"\xff\xff\xff\xff"
+    if change == "bytes":
+        data[140:160] = bytes(20)
+    file.write_bytes(data[:-20] if change == "cut" else data)
+    refused(file, "stream")
+
+
+def test_a_gzip_bomb_is_unpacked_no_further_than_it_states(tmp_path: Path) -> None:
+    """A hundred Gaussians, and behind them 300 megabytes."""
+    (tmp_path / "a.spz").write_bytes(gzip.compress(spz(2, 100, more=bytes(300 << 20)), 9))
+    tracemalloc.start()
+    try:
+        assert len(read_splats(tmp_path / "a.spz")["mean"]) == 100
+        assert tracemalloc.get_traced_memory()[1] < 5 << 20
+    finally:
+        tracemalloc.stop()
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "said"),
+    [
+        ('"version": 2', '"version": 3', "version 3"),
+        ('"count": 300', '"count": 17000000', "17000000 Gaussians"),
+        ('"count": 300', '"count": 9000000', "pixels for 9000000"),
+        ('"count": 300', '"count": "a"', "count in its meta.json"),
+        ('"count": 300', '"count": -1', "count in its meta.json"),
+        ('"means_l.webp"', '"other.webp"', "no entry other.webp"),
+        ('"means_l.webp"', "7", "means.files"),
+        ('"bands": 2', '"bands": 4', "shN.bands"),
+        ('"bands": 2', '"bands": 3', "pixels"),
+        ('"count": 50', '"count": 20', "beyond the 20 of the palette"),
+        ('"quats"', '"quads"', "quats.files"),
+        ('"mins": [', '"mins": [0, ', "means.mins"),
+        ('{"version"', '{"a" "version"', "not JSON"),
+    ],
+)
+def test_sog_of_other_values(old: str, new: str, said: str, tmp_path: Path) -> None:
+    entries = sog_entries(made())
+    text = entries["meta.json"].decode()
+    assert old in text
+    write_sog(entries | {"meta.json": text.replace(old, new, 1).encode()}, tmp_path / "a.sog")
+    refused(tmp_path / "a.sog", said)
+
+
+def test_images_of_sog_are_bounded(tmp_path: Path) -> None:
+    """An image of many more pixels than there are Gaussians is not read, nor an entry that unpacks to very much."""
+    from writers import rgba, webp  # noqa: PLC0415
+
+    entries = sog_entries(made())
+    large = webp(rgba(np.zeros((4000 * 4000, 3), np.uint8)), 4000)
+    write_sog(entries | {"scales.webp": large}, tmp_path / "a.sog")
+    refused(tmp_path / "a.sog", "4000 x 4000 pixels for 300")
+    with zipfile.ZipFile(tmp_path / "b.sog", "w", zipfile.ZIP_DEFLATED) as archive:
+        archive.writestr("meta.json", b" " * (64 << 20))
+    tracemalloc.start()
+    try:
+        refused(tmp_path / "b.sog", "meta.json has more than")
+        assert tracemalloc.get_traced_memory()[1] < 8 << 20
+    finally:
+        tracemalloc.stop()
+    (tmp_path / "c.sog").write_bytes(b"PK\x03\x04 and nothing")
+    refused(tmp_path / "c.sog", "no zip archive")
+
+
+def _sog(splats: Arrays, path: Path) -> None:
+    write_sog(sog_entries(splats), path)
+
+
+def _spz(splats: Arrays, path: Path) -> None:
+    write_spz(splats, path, 2)
+
+
+@pytest.mark.parametrize(
+    ("suffix", "write"), [(".ply", write_plain), (".ply", write_packed), (".spz", _spz), (".sog", _sog)]
+)
+def test_cut_and_changed_files(suffix: str, write: Callable[[Arrays, Path], None], tmp_path: Path) -> None:
+    """Whatever the bytes are, the outcome is finite Gaussians or one SceneFolderError."""
+    file = tmp_path / f"a{suffix}"
+    write(made(60, 1), file)
+    whole, rng, outcomes = file.read_bytes(), random.Random(3), set()
+    for number in range(120):
+        data = bytearray(whole)
+        for _ in range(rng.randrange(1, 5)):
+            # Headers and directories are at the ends.
+            place = rng.choice([rng.randrange(len(data)), rng.randrange(min(len(data), 900)), -1 - rng.randrange(300)])
+            data[place] = rng.randrange(256)
+        file.write_bytes(data[: rng.randrange(len(data))] if number % 4 == 0 else data)
+        try:
+            found = read_splats(file)
+        except SceneFolderError:
+            outcomes.add("refused")
+        else:
+            assert all(np.isfinite(values).all() for values in found.values())
+            assert found["rest"].shape[1] in RESTS
+            outcomes.add("read")
+    assert "refused" in outcomes

@@ -1,0 +1,131 @@
+"""A file of splats to a scene: pictures from cameras, and a training from them."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+for package in ("torch", "numba", "PIL", "skimage", "scipy"):
+    pytest.importorskip(package)
+
+from writers import made, sog_entries, write_plain, write_sog  # noqa: E402
+
+from refcodec.cli.main import main  # noqa: E402
+from refcodec.convert.splat_files import read_splats  # noqa: E402
+from refcodec.convert.splats import drawn, tensors  # noqa: E402
+from refcodec.convert.views import AXES, given, orbit, write_photographs  # noqa: E402
+from refcodec.photographs.photographs import read_photographs  # noqa: E402
+from refcodec.render.camera import Camera  # noqa: E402
+from refcodec.render.rasterise import Settings  # noqa: E402
+
+Captured = pytest.CaptureFixture[str]
+SMALL = ("--size", "48", "--steps", "30")
+
+
+def silent(stage: str, done: int, total: int) -> None:
+    """Progress that nobody sees."""
+
+
+def test_pictures_show_the_splats(tmp_path: Path) -> None:
+    """Cameras and points come back from the folder, and what they see is what was drawn."""
+    write_plain(made(), tmp_path / "a.ply")
+    splats = tensors(read_splats(tmp_path / "a.ply"))
+    views = orbit(splats, AXES["-y"], 40, 6, 2)
+    write_photographs(splats, views, tmp_path / "pictures", silent, (9, 99, 0))
+    found = read_photographs(tmp_path / "pictures")
+    assert (len(found.train), len(found.test)) == (6, 2)
+    assert not found.random
+    seen = splats["mean"][splats["opacity"].sigmoid() >= 0.1]
+    assert np.array_equal(np.sort(found.points, axis=0), np.sort(seen.double().numpy(), axis=0))
+    for photograph in (*found.train, *found.test):
+        image, _, _ = drawn(splats, photograph.camera, Settings(near_plane=0.01, background=(9 / 255, 99 / 255, 0)))
+        assert np.abs(image.clamp(0, 1).numpy() * 255 - photograph.image).max() < 0.51
+        assert photograph.image[:, :, 2].max() > 50
+    # Up in the images is -y in the world.
+    assert np.mean([p.camera.rotation[1] for p in found.train], axis=0).argmax() == 1
+
+
+def test_given_cameras_are_spread(tmp_path: Path) -> None:
+    turn = np.eye(3)
+    cameras = [Camera(f"c{i}", 400, 200, 300, 310, 200, 100, turn, np.array([0, 0, i + 3.0])) for i in range(100)]
+    found = given(cameras, 16, 100)
+    assert [len(found[name]) for name in ("train", "test")] == [14, 2]
+    assert found["train"][0].translation[2] == 3
+    assert found["test"][-1].translation[2] == 102
+    assert {(c.width, c.height, c.fx, c.cy) for c in found["train"]} == {(100, 50, 75, 25)}
+    # One camera is to learn from.
+    assert [len(found) for found in given(cameras[:1], 16, None).values()] == [1, 0]
+
+
+@pytest.mark.slow
+def test_a_file_of_splats_becomes_a_file(tmp_path: Path, capsys: Captured) -> None:
+    """Around the splats, with pictures that are kept: eval compares the file with them."""
+    splats = made(200, 1)
+    splats["rest"] = splats["rest"][np.arange(200) % 50]
+    write_sog(sog_entries(splats), tmp_path / "a.sog")
+    scene, pictures, file = tmp_path / "scene", tmp_path / "pictures", tmp_path / "a.c3gs"
+    words = ["convert", str(tmp_path / "a.sog"), "-o", str(scene), "--views", "16", "--up=+z", *SMALL]
+    assert main([*words, "--pictures", str(pictures), "--rate", "0.01"]) == 0
+    report = json.loads((scene / "training.json").read_text())
+    assert report["settings"]["rate"]["weight"] == 0.01
+    assert len(report["quantised"]) == 2
+    assert main(["encode", str(scene), "-o", str(file)]) == 0
+    capsys.readouterr()
+    assert main(["eval", str(file), str(pictures), "--json"]) == 0
+    assert len(json.loads(capsys.readouterr().out)["images"]) == 2
+    # Nothing is left beside what was asked for.
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["a.c3gs", "a.sog", "pictures", "scene"]
+    assert main([*words, "--pictures", str(pictures)]) == 64
+    assert "is there already" in capsys.readouterr().err
+
+
+@pytest.mark.slow
+def test_the_cameras_of_a_model(tmp_path: Path, capsys: Captured) -> None:
+    """3DGS writes cameras.json beside its folder point_cloud."""
+    place = tmp_path / "model" / "point_cloud" / "iteration_30000"
+    place.mkdir(parents=True)
+    write_plain(made(200, 0), place / "point_cloud.ply")
+    own = {"width": 90, "height": 60, "fx": 80.0, "fy": 80.0, "rotation": np.eye(3).tolist()}
+    cameras = [own | {"id": i, "img_name": str(i), "position": [0.1 * i, 0.0, -4.0]} for i in range(9)]
+    (tmp_path / "model" / "cameras.json").write_text(json.dumps(cameras))
+    words = ["convert", str(place / "point_cloud.ply"), "-o", str(tmp_path / "scene"), *SMALL]
+    assert main([*words, "--up=+z"]) == 64
+    assert "--up is for cameras around" in capsys.readouterr().err
+    assert main(words) == 0
+    assert json.loads((tmp_path / "scene" / "training.json").read_text())["size"] == [48, 32]
+    (tmp_path / "model" / "cameras.json").write_text("[{}]")
+    assert main([*words[:3], str(tmp_path / "other"), *SMALL]) == 64
+    assert "cameras.json" in capsys.readouterr().err
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["model", "scene"]
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        (("a.ply", "--appearance", "1"), "--appearance is for the folder of a model"),
+        (("model", "--views", "5"), "--views is for a file of splats"),
+        (("model", "--rate", "0.1"), "--rate is for a file of splats"),
+        (("a.ply", "--resume"), "nothing to resume"),
+        (("a.ply", "--size", "0"), "size"),
+        (("a.ply", "--set", "steps=x"), "steps"),
+        (("a.ply", "--cameras", "none.json"), "none.json"),
+        (("a.spz",), "no SPZ"),
+        (("b.ply",), "there is no such file"),
+    ],
+)
+def test_wrong_use(
+    words: tuple[str, ...], said: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: Captured
+) -> None:
+    write_plain(made(50, 0), tmp_path / "a.ply")
+    (tmp_path / "a.spz").write_bytes(b"no splats")
+    (tmp_path / "model").mkdir()
+    before = sorted(tmp_path.rglob("*"))
+    monkeypatch.chdir(tmp_path)
+    assert main(["convert", *words, "-o", "scene"]) == 64
+    err = capsys.readouterr().err
+    assert err.count("\n") == 1, err
+    assert said in err
+    assert sorted(tmp_path.rglob("*")) == before

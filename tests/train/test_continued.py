@@ -1,0 +1,136 @@
+"""Trainings that go on from a scene: they begin with what it shows, and keep its dimensions."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from PIL import Image
+
+torch = pytest.importorskip("torch")
+pytest.importorskip("numba")
+
+from refcodec.bitstream.codec import parse  # noqa: E402
+from refcodec.bitstream.header import RenderInfo  # noqa: E402
+from refcodec.bitstream.reconstruction import Reconstruction  # noqa: E402
+from refcodec.cli.main import main  # noqa: E402
+from refcodec.encoder.cloud import AnchorCloud  # noqa: E402
+from refcodec.folder.uncompressed import Uncompressed, write_uncompressed  # noqa: E402
+from refcodec.photographs.photographs import read_photographs  # noqa: E402
+from refcodec.render.view import View, eight_bits  # noqa: E402
+from refcodec.train.continued import CONTINUED, MASKED, beginning, continued_settings  # noqa: E402
+from refcodec.train.fit_input import read_given  # noqa: E402
+from refcodec.train.settings import PRESETS, Phase  # noqa: E402
+from refcodec.train.settings_file import varied  # noqa: E402
+from refcodec.train.trainer import Trainer  # noqa: E402
+
+FEATURES, OFFSETS, WIDTH, VOXEL = 20, 5, 24, 0.25
+
+
+def model(voxel: float | None = VOXEL) -> Uncompressed:
+    """A scene of other dimensions than those of a training from points, in units of its own."""
+    rng = np.random.default_rng(2)
+    cells = np.unique(rng.integers(-6, 6, (150, 3)), axis=0)
+    n = len(cells)
+
+    def normal(*shape: int, size: float = 1.0) -> np.ndarray:
+        return rng.normal(0, size, shape).astype(np.float32)
+
+    networks = {
+        name: [
+            (normal(WIDTH, FEATURES + 4, size=0.2), normal(WIDTH, size=0.2)),
+            (normal(out * OFFSETS, WIDTH, size=0.3), normal(out * OFFSETS, size=0.3)),
+        ]
+        for name, out in (("opacity", 1), ("covariance", 7), ("colour", 3))
+    }
+    values = Reconstruction(
+        (cells * VOXEL).astype(np.float32), normal(n, FEATURES), normal(n, 6, size=0.2) - 1.5, normal(n, OFFSETS, 3)
+    )
+    masks = rng.random((n, OFFSETS)) < 0.7
+    masks[0] = True
+    values = replace(values, offsets=np.where(masks[:, :, None], values.offsets, np.float32(0)))
+    render = RenderInfo(background=(255, 255, 255), distance_unit=2.5, near_plane=0.01, up_axis=4)
+    return Uncompressed(values, masks, networks, render, voxel=voxel)
+
+
+def photographed(scene: Uncompressed, folder: Path, count: int = 8) -> Path:
+    """Photographs of a scene, in NeRF's format."""
+    view, frames = View(scene), []
+    folder.mkdir()
+    for number, camera in enumerate(own.resized(48, 48) for own in view.orbit(count)):
+        Image.fromarray(eight_bits(view.draw(camera))).save(folder / f"{number}.png")
+        matrix = np.eye(4)
+        matrix[:3, :3], matrix[:3, 3] = camera.rotation.T * (1, -1, -1), camera.centre
+        lens = {"fl_x": camera.fx, "fl_y": camera.fy, "cx": camera.cx, "cy": camera.cy}
+        frames.append({"file_path": f"{number}.png", "transform_matrix": matrix.tolist(), **lens})
+    (folder / "transforms.json").write_text(json.dumps({"frames": frames}))
+    return folder
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("voxel", [VOXEL, None])
+def test_it_begins_with_what_the_scene_shows(voxel: float | None, tmp_path: Path) -> None:
+    """With a lattice of the scene positions are exact, and without one nearly so."""
+    scene = model(voxel)
+    write_uncompressed(scene, tmp_path / "scene")
+    photographs = read_photographs(photographed(scene, tmp_path / "photographs"), 48)
+    given = read_given(tmp_path / "scene")
+    settings = continued_settings(given, varied(PRESETS["fast"], {"steps": 4}))
+    assert sum(settings.entropy.slices) == FEATURES
+    trainer = Trainer(photographs, settings, given=given)
+    assert trainer.scaffold.count == len(scene.masks)
+    for photograph in photographs.train:
+        drawn = trainer.views.draw(photograph.camera).detach().numpy()
+        error = float(np.mean((drawn.clip(0, 1) - photograph.image / 255) ** 2))
+        assert photograph.image.std() > 20
+        assert -10 * np.log10(error) > (50 if voxel else 40)
+
+
+@pytest.mark.slow
+def test_it_ends_with_a_file_of_the_same_dimensions(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    scene = model()
+    write_uncompressed(scene, tmp_path / "scene")
+    source = str(photographed(scene, tmp_path / "photographs"))
+    words = ["train", source, "-o", str(tmp_path / "better"), "--size", "48", "--steps", "25"]
+    assert main([*words, "--from", str(tmp_path / "scene"), "--keep-state"]) == 0
+    assert "anchors of the scene to go on from" in capsys.readouterr().err
+    assert main(["encode", str(tmp_path / "better"), "-o", str(tmp_path / "a.c3gs")]) == 0
+    d = parse((tmp_path / "a.c3gs").read_bytes()).scene.dimensions
+    assert (d.features, d.offset_count, d.render_width) == (FEATURES, OFFSETS, WIDTH)
+    # A saved training goes on from the same scene alone.
+    more = [*words[:-1], "30", "--resume"]
+    assert main(more) == 64
+    assert main([*more, "--from", str(tmp_path / "scene")]) == 0
+    # A coded scene is one to go on from, too.
+    assert main([*words[:3], str(tmp_path / "third"), *words[4:], "--from", str(tmp_path / "better")]) == 0
+
+
+def test_masks_and_phases(tmp_path: Path) -> None:
+    scene = model()
+    write_uncompressed(scene, tmp_path / "scene")
+    photographs = read_photographs(photographed(scene, tmp_path / "photographs"), 48)
+    given = read_given(tmp_path / "scene")
+    settings = continued_settings(given, PRESETS["fast"])
+    assert settings.phases == CONTINUED
+    own = (Phase("all", 0.0, {"rate": "on"}),)
+    assert continued_settings(given, replace(PRESETS["fast"], phases=own)).phases == own
+    found = beginning(given, photographs, settings)
+    assert np.array_equal(found.tables["masks"] > MASKED, scene.masks[np.lexsort(scene.values.positions.T[::-1])])
+    plain = varied(settings, {"rate.weight": 0.0})
+    with pytest.raises(ValueError, match="has masks"):
+        beginning(given, photographs, plain)
+    empty = AnchorCloud(*(values[:0] for values in vars(given.cloud).values()))
+    with pytest.raises(ValueError, match="no anchors"):
+        beginning(replace(given, cloud=empty), photographs, settings)
+
+
+def test_what_is_no_scene_to_go_on_from(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    source = str(photographed(model(), tmp_path / "photographs"))
+    for name, said in (("none", "is no scene folder"), ("photographs", "cannot be gone on from")):
+        assert main(["train", source, "-o", str(tmp_path / "out"), "--from", str(tmp_path / name)]) == 64
+        err = capsys.readouterr().err
+        assert err.count("\n") == 1
+        assert said in err
