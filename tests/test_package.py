@@ -74,7 +74,9 @@ def test_both_distributions_are_the_same(built: Path) -> None:
             contents.append({n: wheel.read(n) for n in wheel.namelist()})
     direct, again = contents
     assert direct == again
-    for name, place in (("SPEC.md", "refcodec/data/SPEC.md"), (EXAMPLE, f"conformance/data/{EXAMPLE}")):
+    places = {"SPEC.md": "refcodec/data/SPEC.md", EXAMPLE: f"conformance/data/{EXAMPLE}"}
+    places |= {name: name for name in ("refcodec/web/c3gs.js", "refcodec/web/c3gs.wasm", "refcodec/web/package.json")}
+    for name, place in places.items():
         assert direct[place] == (ROOT / name).read_bytes()
 
 
