@@ -34,6 +34,7 @@ from refcodec.cli.main import main
 from refcodec.folder.read import read_folder
 from refcodec.folder.uncompressed import Uncompressed, write_uncompressed
 from refcodec.folder.write import write_folder
+from refcodec.native.library import describe
 
 ROOT = Path(refcodec.__file__).parent
 # More than any command here needs beside what Python and its libraries have taken.
@@ -513,7 +514,7 @@ def test_reader_goes_away(file, form):
 
 def test_help_and_version(call):
     done = run("--version")
-    assert (done.returncode, done.stdout) == (0, f"refcodec {refcodec.__version__}\n")
+    assert (done.returncode, done.stdout) == (0, f"refcodec {refcodec.__version__}, {describe()}\n")
     for command in ([], ["encode"], ["decode"], ["digest"], ["validate"], ["inspect"], ["fit"]):
         status, out, _ = call(*command, "--help")
         assert status == 0
@@ -553,7 +554,7 @@ def test_the_rooms_of_the_codec_import_nothing_heavy():
     heavy = {"torch", "scipy", "numba", "PIL", "skimage"}
     assert not {m.split(".")[0] for m in modules} & heavy
     loaded = {m.split(".")[1] for m in modules if m.startswith("refcodec.")}
-    assert not loaded - {*rooms, "files", "resources", "statuses"}
+    assert not loaded - {*rooms, "files", "native", "resources", "statuses"}
     assert {m for m in modules if m.startswith("refcodec.render.")} <= {"refcodec.render.camera"}
 
 

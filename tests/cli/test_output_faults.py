@@ -308,10 +308,10 @@ def test_train(inputs: Path, tmp_path: Path, monkeypatch: Any, capsys: Any) -> N
     trained: dict[bool, Any] = {}
     real = command.Trainer
 
-    def once(photographs: Any, settings: Any, device: str) -> Any:
+    def once(photographs: Any, settings: Any, device: str, given: None) -> Any:
         coded = settings.rate.weight > 0
         if coded not in trained:
-            trained[coded] = real(photographs, settings, device)
+            trained[coded] = real(photographs, settings, device, given=given)
             trained[coded].run(lambda _: None)
             result = trained[coded].result()
             trained[coded].result = lambda: result

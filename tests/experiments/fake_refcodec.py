@@ -19,6 +19,7 @@ from PIL import Image
 
 from conformance.cases.scenes import random_scene
 from refcodec.bitstream.codec import emit, parse
+from refcodec.bitstream.reconstruction import digest
 from refcodec.cli import main as cli
 from refcodec.folder.write import write_folder
 from refcodec.inspect.summary import document
@@ -98,7 +99,7 @@ def evaluate(argv: list[str]) -> int:
     parser.add_argument("--json", action="store_true")
     arguments = parser.parse_args(argv)
     file = arguments.scene if arguments.scene.is_file() else arguments.scene / "hidden.c3gs"
-    facts = document(file.read_bytes(), parse(file.read_bytes()))
+    facts = document(file.read_bytes(), digest(parse(file.read_bytes()).scene))
     mean = {"psnr": 20 + facts["bytes"] / 1000, "ssim": 0.9, "psnr_3dgs": 20.5, "ssim_3dgs": 0.91}
     rows = []
     size = parse_size(arguments.size)
