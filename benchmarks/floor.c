@@ -99,7 +99,8 @@ int products(const int64_t *shapes, int64_t layers, int pairs)
     int failed = 0;
     for (int64_t l = 0; l < layers && !failed; l++) {
         int64_t rows = shapes[3 * l];
-        int inputs = (int)shapes[3 * l + 1], outputs = (int)shapes[3 * l + 2], steps = pairs ? (inputs + 1) / 2 : inputs;
+        int inputs = (int)shapes[3 * l + 1], outputs = (int)shapes[3 * l + 2];
+        int steps = pairs ? (inputs + 1) / 2 : inputs;
         size_t x_bytes = (size_t)(steps + 1) * VECTORS * BYTES, y_bytes = (size_t)outputs * VECTORS * BYTES;
         size_t w_bytes = (size_t)(outputs * steps + BYTES) / BYTES * BYTES * 4;
         void *x = aligned_alloc(BYTES, x_bytes), *y = aligned_alloc(BYTES, y_bytes), *w = aligned_alloc(BYTES, w_bytes);
@@ -130,7 +131,8 @@ int products(const int64_t *shapes, int64_t layers, int pairs)
 
 /* The models of a stream, one after the other.
  * offset: where the symbols of each model start. entry: of each symbol its low slot, and its frequency above 16 bits.
- * first: of each model and the top bits of a slot, the first symbol that the slot can mean; 3 bytes more are readable. */
+ * first: of each model and the top bits of a slot, the first symbol that the slot can mean.
+ *   3 bytes more are readable. */
 struct models {
     const uint32_t *offset, *entry;
     const uint8_t *first;
@@ -158,7 +160,8 @@ int64_t encode(const struct models *m, const uint16_t *model, const uint8_t *sym
 static inline uint8_t decode_one(const struct models *m, uint32_t model, uint32_t *state, const uint16_t **word)
 {
     uint32_t x = *state, slot = x & (TOTAL - 1), offset = m->offset[model];
-    uint32_t symbol = m->first[model << FIRST_BITS | slot >> (PRECISION - FIRST_BITS)], entry = m->entry[offset + symbol];
+    uint32_t symbol = m->first[model << FIRST_BITS | slot >> (PRECISION - FIRST_BITS)];
+    uint32_t entry = m->entry[offset + symbol];
     while ((entry & 0xFFFF) + (entry >> 16) <= slot)
         entry = m->entry[offset + ++symbol];
     x = (entry >> 16) * (x >> PRECISION) + slot - (entry & 0xFFFF);
@@ -216,7 +219,8 @@ static inline unsigned decode_vector(const struct models *m, const uint16_t *mod
                                      const uint16_t *word)
 {
     const __m256i low16 = _mm256_set1_epi32(0xFFFF);
-    __m256i x = _mm256_loadu_si256((const void *)state), id = _mm256_cvtepu16_epi32(_mm_loadu_si128((const void *)model));
+    __m256i x = _mm256_loadu_si256((const void *)state);
+    __m256i id = _mm256_cvtepu16_epi32(_mm_loadu_si128((const void *)model));
     __m256i slot = _mm256_and_si256(x, _mm256_set1_epi32(TOTAL - 1));
     __m256i key = _mm256_or_si256(_mm256_slli_epi32(id, FIRST_BITS), _mm256_srli_epi32(slot, PRECISION - FIRST_BITS));
     __m256i j = _mm256_and_si256(_mm256_i32gather_epi32((const int *)m->first, key, 1), _mm256_set1_epi32(255));

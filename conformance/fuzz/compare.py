@@ -271,8 +271,7 @@ def run(count: int, first_seed: int, jobs: int, state: Path, keep: Path, command
 
 def _run(count: int, first_seed: int, jobs: int, state: Path, keep: Path, command: Sequence[str]) -> int:
     done, seen, wrong = _load(state, first_seed, command)
-    # Some scenes have no place for a fault that is drawn, and give fewer files. Batches beyond the wanted number of files
-    # are not begun.
+    # Some scenes have no place for a fault that is drawn, and give fewer files. What is not needed is not begun.
     least = BATCH_SCENES * FILES_OF_A_SCENE * 3 // 4
     batches = [first_seed + i for i in range(-(-count // least)) if first_seed + i not in done]
     began = time.monotonic()
