@@ -16,7 +16,7 @@ from refcodec.bitstream.chunks import chunk_ranges
 from refcodec.bitstream.codec import Coding
 from refcodec.bitstream.conventions import Int64
 from refcodec.bitstream.dimensions import RENDERING, SCALINGS
-from refcodec.bitstream.entropy import SymbolName, select
+from refcodec.bitstream.entropy import SymbolName, placed
 from refcodec.bitstream.masks import code_masks, mask_models
 from refcodec.bitstream.planes import PLANES, code_planes
 from refcodec.bitstream.positions import chunk_codes, code_cells
@@ -72,10 +72,8 @@ class Recorder:
     ) -> Int64:
         """Keeps a group, as Coder.values."""
         assert given is not None
-        model, centre, raw = select(mean, scale)
-        radius = models.radius.take(model)
-        away = (given >> raw) - centre
-        self._add(models, model, np.where(np.abs(away) > radius, 2 * radius + 1, away + radius))
+        model, index, _, _ = placed(models, mean, scale, given)
+        self._add(models, model, index)
         return given
 
     def plain(self, models: ModelSet, index: Int64, counts: list[int], name: SymbolName, given: Int64 | None) -> Int64:

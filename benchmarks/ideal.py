@@ -19,7 +19,7 @@ from refcodec.bitstream.chunks import chunk_ranges
 from refcodec.bitstream.codec import Coding
 from refcodec.bitstream.context import UNIT
 from refcodec.bitstream.conventions import Int64, rshift_round
-from refcodec.bitstream.entropy import SymbolName, select
+from refcodec.bitstream.entropy import SymbolName, placed
 from refcodec.bitstream.frame import Frame
 from refcodec.bitstream.networks import ACTIVATION_MAX, Layer, activation
 from refcodec.bitstream.planes import PLANES, assemble_planes, code_planes
@@ -125,11 +125,10 @@ class BitCounter:
     ) -> Int64:
         """As Encoder.values."""
         assert given is not None
-        model, centre, raw = select(mean, scale)
-        away = (given >> raw) - centre
+        model, index, away, raw = placed(models, mean, scale, given)
         radius = models.radius.take(model)
-        escaped = np.abs(away) > radius
-        at = models.offset.take(model) + np.where(escaped, 2 * radius + 1, away + radius)
+        escaped = index > 2 * radius
+        at = models.offset.take(model) + index
         frequency = models.upper.take(at).astype(np.float64) - models.lower.take(at)
         excess = np.abs(away[escaped]) - radius[escaped]
         escape = float((2 + 2 * np.floor(np.log2(excess))).sum())

@@ -154,6 +154,17 @@ def select(mean: Int64, scale: Int64) -> tuple[Int64, Int64, Int64]:
     return (row - SCALE_MIN) * FRACTIONS + (shifted & 15), shifted >> 4, raw
 
 
+def placed(models: ModelSet, mean: Int64, scale: Int64, value: Int64) -> tuple[Int64, Int64, Int64, Int64]:
+    """SPEC 8.4 and 8.5: returns of values (model, model index, distance from the centre, number of raw bits).
+
+    All arrays are int64 of one shape. mean, scale: as for select. The model index 2 R + 1 is an escape.
+    """
+    model, centre, raw = select(mean, scale)
+    away = (value >> raw) - centre
+    radius = models.radius.take(model)
+    return model, np.where(np.abs(away) > radius, 2 * radius + 1, away + radius), away, raw
+
+
 class _Layout:
     """SPEC 8.3: where the symbols of a group stand. Lane i mod lanes codes symbol i of a substream, in step i // lanes.
 
@@ -424,11 +435,10 @@ class Encoder:
         if np.abs(given).max(initial=0) > limit:
             raise ValueError(f"a symbol is {int(np.abs(given).max())}, at most {limit} fits its type (SPEC.md 8.5)")
         layout = _Layout(counts, self.lanes)
-        model, centre, raw = select(mean, scale)
-        away = (given >> raw) - centre
+        model, index, away, raw = placed(models, mean, scale, given)
+        self._group(models, model, index, layout)
         radius = models.radius.take(model)
-        escaped = np.abs(away) > radius
-        self._group(models, model, np.where(escaped, 2 * radius + 1, away + radius), layout)
+        escaped = index > 2 * radius
         low = given & ((np.int64(1) << raw) - 1)
         for stream, (start, count) in enumerate(zip(layout.starts, layout.counts, strict=True)):
             part = slice(start, start + count)

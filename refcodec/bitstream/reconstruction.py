@@ -111,10 +111,13 @@ def weight_part(scene: Scene) -> bytes:
     return b"".join(_little(value, "<f4") for value in values)
 
 
-def canonical_head(scene: Scene) -> bytes:
-    """SPEC 9.3: returns what comes before the digests of the parts in the bytes that the scene's digest is of."""
-    d = scene.dimensions
-    counts = scene.anchor_count, d.offset_count, d.features, d.plane_channels, d.plane_size
+def canonical_head(scene: Scene, anchors: int | None = None) -> bytes:
+    """SPEC 9.3: returns what comes before the digests of the parts in the bytes that the scene's digest is of.
+
+    anchors: N, or None if the scene has all anchors of the file.
+    """
+    d, count = scene.dimensions, scene.anchor_count if anchors is None else anchors
+    counts = count, d.offset_count, d.features, d.plane_channels, d.plane_size
     return DIGEST_MAGIC + struct.pack("<5I", *counts)
 
 
@@ -165,8 +168,6 @@ class StreamDigest:
         """Returns the digest and that of each part, as `digest`. scene: as for `finish`."""
         self._parts["planes"].update(_little(scene.planes, "<i2"))
         self._parts["weights"].update(weight_part(scene))
-        d = scene.dimensions
-        counts = self._count, d.offset_count, d.features, d.plane_channels, d.plane_size
-        head = DIGEST_MAGIC + struct.pack("<5I", *counts)
+        head = canonical_head(scene, self._count)
         whole = hashlib.sha256(head + b"".join(part.digest() for part in self._parts.values())).hexdigest()
         return whole, {name: part.hexdigest() for name, part in self._parts.items()}

@@ -100,6 +100,7 @@ def tables_file() -> Traversable:
     return resources.files("refcodec").joinpath("data", TABLES_FILE)
 
 
+@cache
 def tables_bytes() -> bytes:
     """Returns the shipped file (SPEC A). Raises RuntimeError if it is not the file that SPEC.md names."""
     data = tables_file().read_bytes()

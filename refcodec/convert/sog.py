@@ -12,21 +12,19 @@ from numpy.typing import NDArray
 from PIL import Image
 
 from ..export.harmonics import REST
+from ..export.sog import META, PALETTE_MOST, ROW
+from ..export.splats import with_largest
 from ..files.documents import DocumentError, parse_json
 from ..files.text import printable
 from ..folder.layout import SceneFolderError
-from .splat_arrays import ADVICE, Arrays, check_count, logits, smallest_three
+from .splat_arrays import ADVICE, Arrays, check_count, logits
 
-META = "meta.json"
 VERSION = 2
 # Of a compressed image, and of meta.json.
 ENTRY_MAX, META_MAX = 1 << 28, 1 << 20
 # Images have whole rows, so that some of their pixels are of no Gaussian.
 SPARE = 1 << 20
 BYTE = 256
-# Palettes lie in rows of so many entries.
-ROW = 64
-PALETTE_MAX = 1 << 16
 
 
 class _Archive:
@@ -129,7 +127,7 @@ def read_sog(file: Path) -> Arrays:
         "base": archive.numbers("sh0.codebook", BYTE)[colour[:, :3]],
         "rest": _rest(archive, count),
         "scale": archive.numbers("scales.codebook", BYTE)[rows("scales.files")[:, :3]],
-        "quaternion": smallest_three((rotation[:, :3] / 255 - 0.5) * np.sqrt(2), largest),
+        "quaternion": with_largest(largest, (rotation[:, :3] / 255 - 0.5) * np.sqrt(2)),
     }
     with np.errstate(over="ignore"):
         return {name: v.astype(np.float32) for name, v in found.items()} | {"opacity": logits(colour[:, 3] / 255)}
@@ -139,7 +137,7 @@ def _rest(archive: _Archive, count: int) -> NDArray[np.float64]:
     """Returns the harmonics beside the first, [N, K, 3]: each Gaussian has those of an entry of a palette."""
     if archive.value("shN") is None:
         return np.zeros((count, 0, 3))
-    rest, entries = REST[archive.integer("shN.bands", len(REST) - 1)], archive.integer("shN.count", PALETTE_MAX)
+    rest, entries = REST[archive.integer("shN.bands", len(REST) - 1)], archive.integer("shN.count", PALETTE_MOST)
     book = archive.numbers("shN.codebook", BYTE)
     # A palette's rows have ROW entries of `rest` pixels each.
     palette = archive.pixels("shN.files", 0, max(entries * rest, 1))

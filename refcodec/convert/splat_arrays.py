@@ -29,16 +29,3 @@ def logits(share: NDArray[np.float64]) -> NDArray[np.float32]:
     """Returns the logits of opacities of eight bits, 0 to 1. Those of 0 and 1 are beyond the next by half a step."""
     inner = share.clip(0.25 / 255, 1 - 0.25 / 255)
     return np.log(inner / (1 - inner)).astype(np.float32)
-
-
-def smallest_three(rest: NDArray[np.float64], largest: NDArray[np.int64]) -> NDArray[np.float64]:
-    """Returns quaternions [N, 4] of which the largest component is left out, and positive.
-
-    rest: the other three in their order, float64 [N, 3]. largest: the place of the largest, [N].
-    """
-    count = len(rest)
-    found = np.zeros((count, 4))
-    places = np.arange(4) != largest[:, None]
-    found[places] = rest.reshape(-1)
-    found[np.arange(count), largest] = np.sqrt(np.maximum(1 - (rest**2).sum(axis=1), 0))
-    return found

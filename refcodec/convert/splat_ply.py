@@ -13,10 +13,11 @@ from numpy.typing import NDArray
 
 from ..export.harmonics import REST, ZERO
 from ..export.ply import columns
+from ..export.splats import with_largest
 from ..files.ply_header import PlyHeaderError, check_ply_header
 from ..files.text import printable
 from ..folder.layout import SceneFolderError
-from .splat_arrays import ADVICE, Arrays, check_count, logits, smallest_three
+from .splat_arrays import ADVICE, Arrays, check_count, logits
 
 # Gaussians of a chunk of a compressed file, which share the ranges of their numbers.
 CHUNK = 256
@@ -103,7 +104,7 @@ def _packed(file: Path, elements: dict[str, Any]) -> Arrays:
     ranged = "min_r" in chunks.dtype.names
     shade = between("", "rgb", colour[:, :3]) if ranged else colour[:, :3]
     rotation = (_bits(words["packed_rotation"], 2, 10, 10, 10)[:, 1:] - 0.5) * np.sqrt(2)
-    quaternion = smallest_three(rotation, words["packed_rotation"] >> 30)
+    quaternion = with_largest(words["packed_rotation"] >> 30, rotation)
     found = {
         "mean": mean,
         "base": (shade - 0.5) / ZERO,

@@ -14,19 +14,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..export.harmonics import REST
+from ..export.splats import with_largest
+from ..export.spz import COLOUR, HARMONIC_SIGNS, MAGIC, SCALE, SCALE_LEAST
 from ..folder.layout import SceneFolderError
-from .splat_arrays import ADVICE, Arrays, check_count, logits, smallest_three
+from .splat_arrays import ADVICE, Arrays, check_count, logits
 
-MAGIC, GZIP = b"NGSP", b"\x1f\x8b"
+GZIP = b"\x1f\x8b"
 # magic, version, number of Gaussians, degree of harmonics, bits behind the point of a position, flags, and a byte that
 # is reserved, in version 4 the number of streams.
 HEADER = struct.Struct("<4sIIBBBB")
 # Version 4: where the table of streams begins, behind the header. Each has its size as packed, and as it is.
 TABLE, STREAM = struct.Struct("<I"), struct.Struct("<QQ")
-# Colours are stored as harmonics of degree 0 times this, around the middle of a byte.
-COLOUR_SCALE = 0.15
-# Which harmonics change their signs with those of y and z: the odd ones in y or in z alone.
-FLIPS = np.array([-1, -1, 1, -1, 1, 1, -1, 1, -1, 1, -1, -1, 1, -1, 1], np.float32)
 FILE_MAX = 1 << 31
 
 
@@ -125,9 +123,9 @@ def _gaussians(version: int, fraction: int, rest: int, *parts: NDArray[np.uint8]
         quaternion = np.concatenate([scalar[:, None], vector], axis=1)
     found = {
         "mean": mean * (1, -1, -1),
-        "base": (colour / 255 - 0.5) / COLOUR_SCALE,
-        "rest": (harmonics.reshape(count, rest, 3) - 128.0) / 128 * FLIPS[:rest, None],
-        "scale": lengths / 16 - 10,
+        "base": (colour / 255 - 0.5) / COLOUR,
+        "rest": (harmonics.reshape(count, rest, 3) - 128.0) / 128 * HARMONIC_SIGNS[:rest, None],
+        "scale": lengths / SCALE + SCALE_LEAST,
         "quaternion": quaternion * (1, 1, -1, -1),
     }
     return {name: values.astype(np.float32) for name, values in found.items()} | {
@@ -140,4 +138,4 @@ def _smallest_three(rotation: NDArray[np.uint8]) -> NDArray[np.float64]:
     word = rotation.copy().view("<u4")[:, 0].astype(np.int64)
     fields = np.stack([word >> shift & 1023 for shift in (20, 10, 0)], axis=1)
     values = (fields & 511) / 511 * np.sqrt(0.5) * np.where(fields & 512, -1, 1)
-    return np.roll(smallest_three(values, word >> 30), 1, axis=1)
+    return np.roll(with_largest(word >> 30, values), 1, axis=1)

@@ -24,7 +24,7 @@ from ..export.harmonics import ZERO
 from ..files.stage import new_file
 from ..render.camera import Camera
 from ..render.rasterise import Settings
-from ..render.view import eight_bits, looking
+from ..render.view import eight_bits, looking, spiral
 from .splats import Splats, drawn
 
 F64 = NDArray[np.float64]
@@ -60,12 +60,8 @@ def middle_and_radius(splats: Splats) -> tuple[F64, float]:
 
 
 def train_directions(count: int) -> F64:
-    """Returns unit vectors [count, 3] spread evenly over the part of the sphere between the elevations; z is up.
-
-    They follow the spiral of the golden angle.
-    """
-    number = np.arange(count, dtype=np.float64)
-    return _directions(LOWEST + (HIGHEST - LOWEST) * (number + 0.5) / count, number * math.pi * (3 - math.sqrt(5)))
+    """Returns unit vectors [count, 3] spread evenly over the part of the sphere between the elevations; z is up."""
+    return _directions(*spiral(count, LOWEST, HIGHEST))
 
 
 def test_directions(count: int) -> F64:

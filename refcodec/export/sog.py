@@ -25,11 +25,11 @@ from .splats import Packed, Splats, logits, nearest_bytes, opacities, smaller_co
 _U8 = NDArray[np.uint8]
 _F64 = NDArray[np.float64]
 
-_META, _START = "meta.json", '{"version":2,"asset":{"generator":"refcodec'
+META, _START = "meta.json", '{"version":2,"asset":{"generator":"refcodec'
 # The local header of a ZIP entry has 30 bytes.
 SOG = Kind(
     "a SOG file that refcodec wrote",
-    re.compile(rb"PK\x03\x04.{26}" + re.escape((_META + _START).encode()), re.DOTALL),
+    re.compile(rb"PK\x03\x04.{26}" + re.escape((META + _START).encode()), re.DOTALL),
 )
 # The time of files in the archive, which is the earliest that ZIP knows. The same scene gives the same bytes.
 _TIME = (1980, 1, 1, 0, 0, 0)
@@ -39,7 +39,7 @@ _BINS = 128
 # Steps of k-means for a table and for a palette.
 _STEPS = 10
 # The entries of a row in the image of the palette, and the most entries.
-_ROW, _PALETTE_MOST = 64, 1 << 16
+ROW, PALETTE_MOST = 64, 1 << 16
 # A palette is found in two steps: this many Gaussians share a first cluster, and each of them is divided.
 _CLUSTER = 4096
 
@@ -85,16 +85,16 @@ def sog_file(splats: Splats) -> Packed:
         numbers, table = _table(entries.reshape(len(entries), -1, 3))
         rest = table[numbers][labels]
         number = numbers.shape[1]
-        pixels = np.full((-(-len(entries) // _ROW) * _ROW, number, 4), 255, np.uint8)
+        pixels = np.full((-(-len(entries) // ROW) * ROW, number, 4), 255, np.uint8)
         pixels[: len(entries), :, :3] = numbers
-        files["shN_centroids.webp"] = _webp(pixels.reshape(-1, _ROW * number, 4))
+        files["shN_centroids.webp"] = _webp(pixels.reshape(-1, ROW * number, 4))
         files["shN_labels.webp"] = image(np.stack([labels & 255, labels >> 8, 0 * labels], axis=1))
         names = ["shN_centroids.webp", "shN_labels.webp"]
         shared = {"count": len(entries), "bands": splats.degree, "codebook": table.tolist(), "files": names}
         meta["shN"] = shared
     archive = io.BytesIO()
     with zipfile.ZipFile(archive, "w") as out:
-        for name, data in {_META: json.dumps(meta, separators=(",", ":")).encode(), **files}.items():
+        for name, data in {META: json.dumps(meta, separators=(",", ":")).encode(), **files}.items():
             out.writestr(zipfile.ZipInfo(name, _TIME), data)
     low, high = np.array(means["mins"]), np.array(means["maxs"])
     scaled = low + (high - low) * mean / 65535
@@ -157,7 +157,7 @@ def _table(values: NDArray) -> tuple[_U8, _F64]:
 
 
 def _palette(rows: _F64) -> tuple[NDArray[np.int64], _F64]:
-    """Returns the number of an entry for each row, and the entries, at most _PALETTE_MOST of them.
+    """Returns the number of an entry for each row, and the entries, at most PALETTE_MOST of them.
 
     rows: float64 [n, k]. There are as many entries as PlayCanvas's program makes: from 1,024 rows on about one for one
     to two rows.
@@ -165,7 +165,7 @@ def _palette(rows: _F64) -> tuple[NDArray[np.int64], _F64]:
     count = len(rows)
     if count <= 1024:
         return np.arange(count), rows
-    size = min(1024 << int(np.log2(count / 1024)), _PALETTE_MOST)
+    size = min(1024 << int(np.log2(count / 1024)), PALETTE_MOST)
     labels = np.zeros(count, np.int64)
     parts: list[_F64] = []
     number = -(-count // _CLUSTER)

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from ..files.outputs import Kind
 from .splats import Packed, Splats, logits, nearest_bytes, opacities, smaller_components, with_largest
 
-_MAGIC, _VERSION = b"NGSP", 3
+MAGIC, _VERSION = b"NGSP", 3
 # The time of the file within gzip says that refcodec wrote it. Nobody uses it, and the same scene gives the same bytes.
 _STAMP = b"C3GS"
 SPZ = Kind("an SPZ file that refcodec wrote", re.compile(rb"\x1f\x8b\x08\x00" + _STAMP))
@@ -24,7 +24,7 @@ SPZ = Kind("an SPZ file that refcodec wrote", re.compile(rb"\x1f\x8b\x08\x00" + 
 # Positions have 24 bits. Finer steps than 2^-20 are those of float32 itself.
 _POSITION_MOST, _FRACTION_MOST = (1 << 23) - 1, 20
 # Opacities o are stored as 255 o, coefficients c of degree 0 as 255 (0.15 c + 0.5), scales s as 16 (s + 10).
-_COLOUR, _SCALE, _SCALE_LEAST = 0.15, 16, -10
+COLOUR, SCALE, SCALE_LEAST = 0.15, 16, -10
 # Other coefficients c are stored as 128 c + 128. They are from -1 to 1. Niantic's library drops three and four of the
 # eight bits, so that gzip packs more. Those of learned scenes are small, and would be lost.
 _HARMONIC = 128
@@ -32,7 +32,7 @@ _HARMONIC = 128
 _COMPONENT = 511 * np.sqrt(2)
 # The signs of x, y and z, and with them of the harmonics beside the first, where y and z are turned around.
 _AXES = np.array([1, -1, -1])
-_HARMONICS = np.array([-1, -1, 1, -1, 1, 1, -1, 1, -1, 1, -1, -1, 1, -1, 1])
+HARMONIC_SIGNS = np.array([-1, -1, 1, -1, 1, 1, -1, 1, -1, 1, -1, -1, 1, -1, 1])
 
 
 def spz_file(splats: Splats) -> Packed:
@@ -41,12 +41,12 @@ def spz_file(splats: Splats) -> Packed:
     fixed = np.rint(splats.mean.astype(np.float64) * _AXES * 2.0**fraction)
     fixed = np.clip(fixed, -_POSITION_MOST, _POSITION_MOST).astype("<i4")
     alpha = nearest_bytes(opacities(splats) * 255)
-    base = nearest_bytes((_COLOUR * splats.base + 0.5) * 255)
-    scale = nearest_bytes((splats.scale - _SCALE_LEAST) * _SCALE)
+    base = nearest_bytes((COLOUR * splats.base + 0.5) * 255)
+    scale = nearest_bytes((splats.scale - SCALE_LEAST) * SCALE)
     # The library counts components as x, y, z, w.
     largest, others = smaller_components(splats.unit_quaternions()[:, [1, 2, 3, 0]] * np.append(_AXES, 1))
     magnitude = np.minimum(np.floor(_COMPONENT * np.abs(others) + 0.5), 511).astype("<u4")
-    turns = _HARMONICS[: splats.rest.shape[1], None]
+    turns = HARMONIC_SIGNS[: splats.rest.shape[1], None]
     rest = nearest_bytes(_HARMONIC * splats.rest * turns + _HARMONIC)
     parts = (
         # The lowest three bytes of each position, the lowest first.
@@ -55,15 +55,15 @@ def spz_file(splats: Splats) -> Packed:
         _packed(largest, others < 0, magnitude),
         rest,
     )
-    head = _MAGIC + struct.pack("<IIBBBB", _VERSION, len(fixed), splats.degree, fraction, 0, 0)
+    head = MAGIC + struct.pack("<IIBBBB", _VERSION, len(fixed), splats.degree, fraction, 0, 0)
     data = gzip.compress(head + b"".join(map(_raw, parts)), mtime=int.from_bytes(_STAMP, "little"))
     read = with_largest(largest, np.where(others < 0, -1, 1) * magnitude / _COMPONENT)
     held = (
         fixed * _AXES / 2.0**fraction,
-        (base / 255 - 0.5) / _COLOUR,
+        (base / 255 - 0.5) / COLOUR,
         (rest.astype(np.float64) - _HARMONIC) / _HARMONIC * turns,
         logits(alpha / 255),
-        scale / _SCALE + _SCALE_LEAST,
+        scale / SCALE + SCALE_LEAST,
         (read * np.append(_AXES, 1))[:, [3, 0, 1, 2]],
     )
     return Packed(data, Splats(*(values.astype(np.float32) for values in held)))

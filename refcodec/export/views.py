@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 from ..bitstream.cameras import NamedCamera
 from ..render.camera import Camera
-from ..render.view import DISTANCE, View, own_camera
+from ..render.view import DISTANCE, View, own_camera, spiral
 
 # The longest side in pixels of a view. Blending weights need no more, and the work grows with the pixels.
 SIDE = 400
@@ -23,7 +23,6 @@ AROUND, AROUND_TEST_EVERY = 72, 9
 LOWEST, HIGHEST = -0.1, 0.95
 # Their distance from the middle is that of the file's own camera, within these multiples of the scene's radius.
 NEAREST, FARTHEST = 1.2, 3.0
-_GOLDEN = math.pi * (3 - math.sqrt(5))
 
 
 @dataclass(frozen=True)
@@ -68,8 +67,7 @@ def views_of(view: View, stated: Sequence[NamedCamera]) -> Views:
 
 def _around(view: View, distance: float) -> list[Camera]:
     """Returns cameras on a spiral that is spread evenly over a part of a sphere. distance: its radius, world units."""
-    heights = [LOWEST + (HIGHEST - LOWEST) * (number + 0.5) / AROUND for number in range(AROUND)]
     return [
-        sized(view.around(f"around-{number:04d}", math.asin(height), number * _GOLDEN, distance))
-        for number, height in enumerate(heights)
+        sized(view.around(f"around-{number:04d}", math.asin(height), turn, distance))
+        for number, (height, turn) in enumerate(zip(*spiral(AROUND, LOWEST, HIGHEST), strict=True))
     ]

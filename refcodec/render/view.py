@@ -37,6 +37,15 @@ FRAME_RATE = 15
 MARK = "refcodec"
 
 
+def spiral(count: int, lowest: float, highest: float) -> tuple[F64, F64]:
+    """Returns points that are spread evenly over a part of a sphere: sines of their elevations, and turns in radians.
+
+    Both are float64 [count]. They follow the spiral of the golden angle. lowest, highest: sines of the elevations.
+    """
+    number = np.arange(count, dtype=np.float64)
+    return lowest + (highest - lowest) * (number + 0.5) / count, number * np.pi * (3 - np.sqrt(5))
+
+
 class View:
     """A scene that cameras look at.
 

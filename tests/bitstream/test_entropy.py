@@ -270,4 +270,4 @@ def test_models(family: str) -> None:
 def test_a_damaged_table_file_is_not_used(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(tables, "TABLES_SHA256", "0" * 64)
     with pytest.raises(RuntimeError, match="damaged"):
-        tables.tables.__wrapped__()
+        tables.tables_bytes.__wrapped__()

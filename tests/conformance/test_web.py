@@ -16,16 +16,14 @@ from typing import Any
 
 import numpy as np
 import pytest
+from hostile_files import FILES, GREEDY, SCENES, changes, cuts
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from test_c_hostile import FILES, GREEDY, SCENES
 from test_independent import faulty
 
 from conformance import cli
-from conformance.cases.checksums import repair
 from conformance.cases.target import Target
 from conformance.fuzz.compare import first_verdict
-from conformance.fuzz.strategies import draw_mutation, draw_splice
 from conformance.manifest import VECTORS
 from refcodec import statuses
 from refcodec.bitstream import bounds, codec, reader, reconstruction, source, tables
@@ -107,24 +105,16 @@ def test_it_finds_each_fault(decoder: Decoder, name: str, data: st.DataObject) -
 @settings(max_examples=15)
 @given(st.data())
 def test_changed_bytes(decoder: Decoder, name: str, data: st.DataObject) -> None:
-    file = FILES[name]
-    at = data.draw(st.integers(0, len(file) - 1))
-    flipped = file[:at] + bytes([file[at] ^ 1 << data.draw(st.integers(0, 7))]) + file[at + 1 :]
-    for changed in (flipped, draw_mutation(data.draw, file), draw_splice(data.draw, file)):
+    for changed in changes(data.draw, FILES[name]):
         assert decoder.verdict(changed) == first_verdict(changed)
 
 
 @pytest.mark.parametrize("name", ["packed", "planeless"])
 def test_cut_files(decoder: Decoder, name: str) -> None:
-    """Cut at the borders of the elements that tell how much follows, and at many other places."""
-    target = Target(FILES[name])
-    borders = [0, 19, 20, target.header_end, *(section.start for section in target.header.sections)]
-    borders += [target.chunk_at(chunk) + more for chunk in range(target.header.chunk_count) for more in (0, 1, 16)]
-    for length in {*borders, *range(3, len(target.data), 61)}:
-        cut = target.data[:length]
+    for cut, others in cuts(FILES[name]):
         for way in ("bytes", "stream"):
             assert decoder.verdict(cut, way, size=100) == first_verdict(cut)
-        for whole in (cut + b"\0", repair(cut) if length >= 20 else cut):
+        for whole in others:
             assert decoder.verdict(whole) == first_verdict(whole)
 
 
