@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import json
 import os
+import shutil
 import subprocess
 import sys
 from collections.abc import Iterator, Sequence
@@ -24,6 +25,8 @@ from . import floor
 from .large import KEPT, ROOT
 
 DECODE, ENCODE = "decode", "encode"
+# The kind of the contender that is no process of Python.
+JAVASCRIPT = "javascript"
 # The path that is always there, and those of a native kernel. `native` is the one that refcodec chooses itself.
 NUMPY, NATIVE = "numpy", "native"
 NATIVE_PATHS = (NATIVE, "avx512vnni", "avx512", "avx2", "neon", "plain")
@@ -33,7 +36,10 @@ ONE_THREAD = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_
 
 @dataclass(frozen=True)
 class Contender:
-    """Who takes part. kind: a key of worker.KINDS. option: for its maker. environment: what its process has besides."""
+    """Who takes part. environment: what its process has besides.
+
+    kind: a key of worker.KINDS, or JAVASCRIPT. option: for its maker.
+    """
 
     name: str
     kind: str
@@ -93,6 +99,10 @@ def contenders(task: str) -> tuple[list[Contender], list[Missing]]:
             found.append(Contender(f"refcodec, {path}, {cores} threads", task, environment=threads))
     if task == DECODE:
         found.append(Contender("C decoder, with the digest", "c"))
+        if shutil.which("node"):
+            found.append(Contender("JavaScript and WebAssembly", JAVASCRIPT))
+        else:
+            missing.append(Missing("JavaScript and WebAssembly", "there is no node"))
     else:
         missing.append(Missing("C decoder", "it has no encoder"))
     found += [Contender(f"float32 networks and {name}", f"family-{task}", name) for name in ("torchac", "constriction")]
@@ -109,7 +119,11 @@ class Worker:
     def __init__(self, contender: Contender, path: Path, kept: Path) -> None:
         """path: of the scene's file. kept: the folder of what is compiled."""
         self.contender = contender
-        command = [sys.executable, "-m", "benchmarks.worker", contender.kind, str(path), str(kept), contender.option]
+        if contender.kind == JAVASCRIPT:
+            command = ["node", str(ROOT / "benchmarks" / "worker.mjs"), str(path)]
+        else:
+            own = [sys.executable, "-m", "benchmarks.worker"]
+            command = [*own, contender.kind, str(path), str(kept), contender.option]
         search = os.pathsep.join(filter(None, [str(ROOT), os.environ.get("PYTHONPATH")]))
         self._process = subprocess.Popen(
             command,

@@ -2,7 +2,8 @@
 
 The files are of valid scenes of profile Tiny, and made from them: changed, cut or faulty. The decoders must agree on
 each: on the digest, or on the code and its offset. Where the verdict is known, theirs must be the known one. An
-accepted file must be the one that the encoder writes for its scene (SPEC 4.3).
+accepted file must be the one that the encoder writes for its scene (SPEC 4.3). refcodec decodes and encodes by each
+path that the machine runs: NumPy, and the variants of the native kernel.
 """
 
 from __future__ import annotations
@@ -10,6 +11,7 @@ from __future__ import annotations
 import hashlib
 import json
 import multiprocessing
+import os
 import resource
 import signal
 import sys
@@ -33,6 +35,7 @@ from refcodec.files.documents import DocumentError, read_json
 from refcodec.files.lock import hold_file
 from refcodec.files.present import NotAFileError, is_there
 from refcodec.files.stage import write_file
+from refcodec.native import library
 
 from .. import independent
 from ..cases.target import Target
@@ -58,6 +61,37 @@ def first_verdict(data: bytes) -> Verdict:
         return reconstruction.digest(codec.parse(data).scene)[0], -1
     except BitstreamError as error:
         return error.kind.name, error.offset
+
+
+@contextmanager
+def _path(name: str) -> Iterator[None]:
+    """refcodec decodes and encodes by the path of this name, in this process."""
+    before = os.environ.get(library.PATH_VARIABLE)
+    os.environ[library.PATH_VARIABLE] = name
+    try:
+        yield
+    finally:
+        if before is None:
+            del os.environ[library.PATH_VARIABLE]
+        else:
+            os.environ[library.PATH_VARIABLE] = before
+
+
+def _paths() -> list[str]:
+    """refcodec's paths on this machine, NumPy first. `native` is one of the variants that follow it."""
+    return [name for name in library.paths() if name != library.NATIVE]
+
+
+def _faulty_path(data: bytes, first: Verdict) -> str | None:
+    """What is wrong with a path of refcodec, or None. first: the verdict of NumPy."""
+    for name in _paths():
+        with _path(name), _limited(FILE_SECONDS):
+            verdict = first_verdict(data)
+            if verdict != first:
+                return f"refcodec says {first} by NumPy, and {verdict} by {name}"
+            if first[1] < 0 and codec.emit(codec.parse(data).scene) != data:
+                return f"accepted, but not what the encoder writes for its scene by {name}"
+    return None
 
 
 def second_verdict(data: bytes) -> Verdict:
@@ -142,7 +176,7 @@ def compare(data: bytes, expected: Verdict | None = None, command: Sequence[str]
     verdicts = []
     for decoder in (first_verdict, second_verdict):
         try:
-            with _limited(FILE_SECONDS):
+            with _path(library.NUMPY), _limited(FILE_SECONDS):
                 verdicts.append(decoder(data))
         except Exception as error:  # whatever it is, it is a finding
             return ("crash", 0), f"{decoder.__name__}: {type(error).__name__}: {error}"
@@ -151,8 +185,12 @@ def compare(data: bytes, expected: Verdict | None = None, command: Sequence[str]
         return first, f"refcodec says {first}, the second decoder {second}"
     if expected is not None and first != expected:
         return first, f"both say {first}, expected was {expected}"
-    if first[1] < 0 and codec.emit(codec.parse(data).scene) != data:
-        return first, "accepted, but not what the encoder writes for its scene"
+    try:
+        wrong = _faulty_path(data, first)
+    except Exception as error:  # as above
+        wrong = f"a path of refcodec: {type(error).__name__}: {error}"
+    if wrong:
+        return first, wrong
     if command:
         try:
             third = command_verdict(command, data)
@@ -197,9 +235,12 @@ class Findings:
     wrong: list[tuple[str, bytes]] = field(default_factory=list)
 
 
-def run_batch(number: int, command: Sequence[str] = ()) -> Findings:
-    """One batch; the same number gives the same files. command: another decoder's."""
-    found = Findings()
+def batch(number: int) -> list[tuple[bytes, Verdict | None]]:
+    """Returns the files of a batch, each with what must be said of it if that is known.
+
+    The same number gives the same files.
+    """
+    files: list[tuple[bytes, Verdict | None]] = []
 
     @seed(number)
     @settings(
@@ -210,14 +251,21 @@ def run_batch(number: int, command: Sequence[str] = ()) -> Findings:
         phases=[Phase.generate],
     )
     @given(families())
-    def look(made: list[tuple[bytes, Verdict | None]]) -> None:
-        for data, expected in made:
-            verdict, wrong = compare(data, expected, command)
-            found.seen[verdict[0] if verdict[1] >= 0 else "accepted"] += 1
-            if wrong:
-                found.wrong.append((wrong, data))
+    def collect(made: list[tuple[bytes, Verdict | None]]) -> None:
+        files.extend(made)
 
-    look()
+    collect()
+    return files
+
+
+def run_batch(number: int, command: Sequence[str] = ()) -> Findings:
+    """Compares the decoders on the files of a batch. command: another decoder's."""
+    found = Findings()
+    for data, expected in batch(number):
+        verdict, wrong = compare(data, expected, command)
+        found.seen[verdict[0] if verdict[1] >= 0 else "accepted"] += 1
+        if wrong:
+            found.wrong.append((wrong, data))
     return found
 
 

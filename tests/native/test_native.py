@@ -21,6 +21,7 @@ from hypothesis import strategies as st
 from conformance.cases.checksums import repair
 from conformance.cases.scenes import CONSTANT, MAIN_DIMENSIONS, PLANELESS, UNENCODED, packed_weights, random_scene
 from conformance.cases.target import Target
+from conformance.fuzz import compare
 from conformance.fuzz.strategies import draw_mutation, draw_splice, scenes
 from conformance.manifest import Accepted, Rejected, Vector, load
 from refcodec import statuses
@@ -38,6 +39,8 @@ from refcodec.native.scene import NativeScene
 VARIANTS = ["plain", "avx2", "avx512", "avx512vnni", "neon"]
 SUITE = load()
 DECODED = [v for v in SUITE.vectors if v.operation == "decode"]
+# Of about 500 files each, for the sanitizers.
+FUZZED_BATCHES = 4
 # The fixture chooses a path once for all examples of a test, which is what is meant.
 ONE_PATH = settings(suppress_health_check=[*HealthCheck], max_examples=15)
 
@@ -364,7 +367,7 @@ def planted(data: bytes, rng: np.random.Generator) -> Iterator[bytes]:
 @pytest.mark.requirement("D13.1-1")
 @pytest.mark.skipif(sanitizer() is None, reason="there is no address sanitizer")
 def test_sanitizers_are_silent(tmp_path: Path) -> None:
-    """Over all vectors and the large files. Every part of each chunk of one is also cut and changed."""
+    """Over all vectors, the large files and files of the fuzzer. Every part of each chunk is also cut and changed."""
     flags = ["-std=gnu11", "-O1", "-g", "-Wall", "-Wextra", "-Werror", "-fPIC", "-shared", "-fvisibility=hidden"]
     flags += ["-fsanitize=address,undefined", "-fno-sanitize-recover=all", "-pthread"]
     assert COMPILER is not None
@@ -374,6 +377,7 @@ def test_sanitizers_are_silent(tmp_path: Path) -> None:
     contents = [SUITE.path(v).read_bytes() for v in DECODED] + list(FILES.values())
     rng = np.random.default_rng(0)
     contents += [changed for data in FILES.values() for changed in planted(data, rng)]
+    contents += [data for number in range(FUZZED_BATCHES) for data, _ in compare.batch(number)]
     for i, data in enumerate(contents):
         (folder / f"{i:05}").write_bytes(data)
     environment = {
