@@ -1,7 +1,8 @@
 """One way of reading a file, in a process of its own: python -m benchmarks.reading FILE WAY [traced]
 
 WAY is `whole`, `arriving` (the file's bytes come in blocks, and each chunk is decoded and let go), or the number of a
-chunk, which is read by ranges. The process prints a Reading as JSON.
+chunk, which is read by ranges. With `warm` before the number the file is open, and chunks were decoded before. The
+process prints a Reading as JSON.
 """
 
 from __future__ import annotations
@@ -23,7 +24,7 @@ from refcodec.bitstream.reconstruction import StreamDigest, chunk_digest, digest
 from refcodec.bitstream.source import Arriving, Ranges
 from refcodec.bitstream.tables import tables
 
-WHOLE, ARRIVING, TRACED = "whole", "arriving", "traced"
+WHOLE, ARRIVING, WARM, TRACED = "whole", "arriving", "warm", "traced"
 # Bytes of a block of a file that arrives.
 BLOCK = 1000
 
@@ -134,6 +135,21 @@ def _read(path: Path, way: str, traced: bool) -> Reading:
         clock.stop()
         most = peak()
         found = stream.finish(reader.scene([]))
+    elif way.startswith(WARM):
+        number = int(way.removeprefix(WARM))
+        reader = Reader(Ranges(file.fetch, file.size), keep_ancillary=False)
+        index = reader.open(critical_only=True).index
+        reader.decode([index[number - 1]])
+        file.read = file.reads = 0
+        clock = _Clock()
+        (chunk,) = reader.decode([index[number]])
+        if isinstance(chunk, BitstreamError):
+            raise chunk
+        scene = reader.scene([chunk])
+        reconstruct(scene)
+        clock.stop()
+        most, first = peak(), file.read
+        found = chunk_digest(scene)
     else:
         scene = decode_chunk(Ranges(file.fetch, file.size), int(way))
         reconstruct(scene)

@@ -23,7 +23,7 @@ import torch
 from refcodec.statuses import DONE, FAULT, REJECTED
 
 from ..results import machine, table, write_section
-from .compare import LateError, Size, holds, steps_agree, trained, trainings_agree
+from .compare import LateError, Size, holds, networks_agree, steps_agree, trained, trainings_agree
 
 # A service that is not available (EX_UNAVAILABLE of sysexits.h).
 UNAVAILABLE = 69
@@ -57,7 +57,7 @@ def section(size: Size, deadline: float) -> tuple[list[str], bool]:
     """The lines of the report, and whether CPU and GPU agree. Raises LateError."""
     with tempfile.TemporaryDirectory() as name:
         work = Path(name)
-        rows = steps_agree("cuda", work, size)
+        rows = [networks_agree("cuda"), *steps_agree("cuda", work, size)]
         rows += trainings_agree(*(trained(device, work, size, deadline) for device in ("cpu", "cuda")))
     lines = [
         "`python -m benchmarks.gpu --results`",

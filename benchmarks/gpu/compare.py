@@ -8,19 +8,24 @@ import sys
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 
 import numpy as np
 from torch import Tensor
 
+from refcodec.bitstream.codec import parse
+from refcodec.bitstream.reconstruction import digest
 from refcodec.photographs.photographs import PhotographSet, read_photographs
 from refcodec.train.adam import BETA_1
+from refcodec.train.exact_networks import device_networks
 from refcodec.train.scaffold import TABLES
 from refcodec.train.settings import TrainSettings
 from refcodec.train.settings_file import varied
 from refcodec.train.state import restore, save
 from refcodec.train.trainer import Trainer
 
+from ..large import ROOT
 from ..runs import ENVIRONMENT, EXAMPLES
 
 # What may differ. Images and gradients differ where an alpha of 1/255 falls on the other side (splat.draw), on the mean
@@ -125,6 +130,14 @@ def _image_far(what: str, one: Tensor, other: Tensor) -> Row:
     """The mean difference of two images' values."""
     away = float((one.double() - other.double()).abs().mean())
     return Row(what, f"{float(one.mean()):.4g}", f"{float(other.mean()):.4g}", away, IMAGE)
+
+
+def networks_agree(device: str) -> Row:
+    """The digest of a trained file whose networks a device computes, beside the one of the CPU."""
+    data = (ROOT / "vectors" / "valid" / "trained-caliterra.c3gs").read_bytes()
+    wanted = digest(parse(data).scene)[0]
+    found = digest(parse(data, derive=partial(device_networks, device=device)).scene)[0]
+    return Row("digest of a file, its networks on each", wanted[:8], found[:8], float(found != wanted), 0.0)
 
 
 # --- whole trainings --------------------------------------------------------------------------------------------------

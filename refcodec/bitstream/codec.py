@@ -27,7 +27,7 @@ from .index import chunk_floor, emit_entry, entries_start, parse_index
 from .kernel import REFUSED, Anchors, NativeScene, disagreement, kernel, native_scene
 from .limits import PROFILES, minimal_level
 from .masks import code_masks, mask_models
-from .networks import derive_networks
+from .networks import Derive, derive_networks
 from .planes import assemble_planes, emit_planes
 from .positions import RAW, emit_position_model, encode_positions, first_bad, raw_positions
 from .reader import Chunk, Reader
@@ -78,14 +78,15 @@ def parse(
     progress: Progress = no_progress,
     trace: Trace | None = None,
     bounds: Bounds | None = None,
+    derive: Derive = derive_networks,
 ) -> Parsed:
     """SPEC 2.1, 7.1, 10.1 and 10.4: decodes a file. Raises BitstreamError and nothing else, whatever the bytes are.
 
     keep_going: a chunk with an error is dropped and listed in damage, and so is what is wrong behind the chunks.
     progress: told of the work. trace: told of each symbol. bounds: what the caller allows. BoundPassedError is raised
-    after the header's errors and before any work if the file needs more.
+    after the header's errors and before any work if the file needs more. derive: what makes the networks, as in Reader.
     """
-    reader = Reader(WholeFile(bytes(data)), trace=trace)
+    reader = Reader(WholeFile(bytes(data)), trace=trace, derive=derive)
     if bounds:
         count = reader.header.anchor_count
         bounds.check(reader.header, min(count, GROUP_ANCHORS), count, len(data))

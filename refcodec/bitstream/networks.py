@@ -6,9 +6,10 @@ fused or not, gives the same exact result. If a broken BLAS does not, the self-t
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import cache
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -80,15 +81,20 @@ class IntNetwork:
         self.layers = layers
         self.exact_float = float32_is_exact() if exact_float is None else exact_float
         self.block_rows = block_rows or BLOCK_ROWS
-        half = [(np.int64(1) << layer.exponent) >> 1 for layer in layers]
-        self._float = [
-            (
-                np.ascontiguousarray(layer.weight.T.astype(np.float32)),
-                (layer.bias + h).astype(np.float32),
-                np.ldexp(np.float32(1), -layer.exponent).astype(np.float32),
-            )
-            for layer, h in zip(layers, half, strict=True)
-        ]
+        self._float = self.float_layers()
+
+    def float_layers(self) -> list[tuple[F32, F32, F32]]:
+        """Returns for each layer what float32 products take.
+
+        They are weights [in, out], biases with what rounds half up [out], and the units of outputs [out].
+        """
+        found = []
+        for layer in self.layers:
+            half = (np.int64(1) << layer.exponent) >> 1
+            weight = np.ascontiguousarray(layer.weight.T.astype(np.float32))
+            unit = np.ldexp(np.float32(1), -layer.exponent).astype(np.float32)
+            found.append((weight, (layer.bias + half).astype(np.float32), unit))
+        return found
 
     def __call__(self, inputs: NDArray[np.signedinteger]) -> NDArray[np.int32]:
         """Returns the outputs, int32 [rows, out]. inputs: integers [rows, in], each in [-1023, 1023]."""
@@ -142,6 +148,10 @@ def derive_networks(
     return found
 
 
+# What makes integer networks of those of a file: derive_networks, or what stands for it on another device.
+Derive = Callable[[Mapping[str, list[Layer]]], dict[str, IntNetwork]]
+
+
 def activation(a: Int64) -> Int64:
     """SPEC 7.2, ACTIVATION: returns a clamped to [-1023, 1023], the range of a network's inputs."""
     return clamp(a, -ACTIVATION_MAX, ACTIVATION_MAX)
@@ -156,17 +166,22 @@ def mixed(rows: int, columns: int, bound: int) -> Int64:
     return (found.astype(np.int64) % (2 * bound + 1) - bound).reshape(rows, columns)
 
 
-@cache
-def float32_is_exact() -> bool:
-    """Whether float32 products are exact on this machine: the self-test of SPEC 13.3, at the first use.
+def is_exact(product: Callable[[F32, F32], NDArray[Any]]) -> bool:
+    """SPEC 13.3: whether products of float32 matrices are exact integers, over shapes that the decoder uses.
 
-    It compares products near the bound with int64, over shapes that the decoder uses. It finds a faulty BLAS and a mode
-    of reduced precision.
+    product: of two matrices, [n, m] and [m, k]. Sums near the bound are compared with int64. This finds a faulty BLAS
+    and a mode of reduced precision.
     """
     for rows, fan_in, width in ((1, 4, 16), (7, 36, 100), (65, 100, 175), (33, 128, 128), (257, 30, 100)):
         largest = min(WEIGHT_MAX, (ACCUMULATOR_BOUND - 1) // (ACTIVATION_MAX * fan_in))
         w, a = mixed(fan_in, width, largest), mixed(rows, fan_in, ACTIVATION_MAX)
         w[:, 0], a[0] = largest, ACTIVATION_MAX
-        if not np.array_equal((a.astype(np.float32) @ w.astype(np.float32)).astype(np.int64), a @ w):
+        if not np.array_equal(product(a.astype(np.float32), w.astype(np.float32)).astype(np.int64), a @ w):
             return False
     return True
+
+
+@cache
+def float32_is_exact() -> bool:
+    """Whether NumPy's float32 products are exact on this machine: the self-test of SPEC 13.3, at the first use."""
+    return is_exact(np.matmul)

@@ -27,7 +27,7 @@ from .header import Header, read_header
 from .index import ChunkEntry, Index, parse_index
 from .kernel import NativeScene, agreed, chunk_bytes, kernel, native_scene
 from .masks import code_masks, mask_models
-from .networks import BoundError, derive_networks
+from .networks import BoundError, Derive, derive_networks
 from .planes import assemble_planes, no_planes, parse_planes
 from .positions import parse_positions
 from .scene import Ancillary, Scene
@@ -86,15 +86,18 @@ class Reader:
         keep_ancillary: bool = True,
         trace: Trace | None = None,
         bounds: Bounds | None = None,
+        derive: Derive = derive_networks,
     ) -> None:
         """SPEC 10.1, steps 1 to 3. Raises BitstreamError 101 to 305, BoundPassedError after them, and UsageError.
 
         keep_ancillary: whether ancillary sections are kept. Otherwise they are only checked. trace: told of each
-        symbol. Symbols come chunk by chunk then. bounds: of a reader of one chunk after the other.
+        symbol. Symbols come chunk by chunk then. bounds: of a reader of one chunk after the other. derive: what makes
+        the networks, such as those of refcodec.train.exact_networks. Then the native kernel is not used.
         """
         self.source, self.trace, self._keep = source, trace, keep_ancillary
         # A trace is told of each symbol, which the kernel does not do.
-        self._kernel = None if trace else kernel()
+        self._kernel = kernel() if trace is None and derive is derive_networks else None
+        self._derive = derive
         self.header: Header = read_header(source)
         if bounds:
             bounds.check(self.header, min(self.header.anchor_count, self.header.chunk_size))
@@ -130,7 +133,7 @@ class Reader:
             elif section.type == WEIGHTS:
                 weights = parse_weights(piece, section.mode, d, 1 << h.lanes.attribute, self.trace)
                 try:
-                    networks = derive_networks(weights.networks)
+                    networks = self._derive(weights.networks)
                 except BoundError as error:
                     raise bound_error(weights, d, error) from None
             elif section.type == PLANES_SECTION:

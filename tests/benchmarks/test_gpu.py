@@ -10,7 +10,17 @@ import pytest
 import torch
 
 from benchmarks.gpu.__main__ import UNAVAILABLE, main
-from benchmarks.gpu.compare import LateError, Outcome, Row, Size, holds, steps_agree, trained, trainings_agree
+from benchmarks.gpu.compare import (
+    LateError,
+    Outcome,
+    Row,
+    Size,
+    holds,
+    networks_agree,
+    steps_agree,
+    trained,
+    trainings_agree,
+)
 
 SMALL = Size((60, 60), (12, 12), 300)
 
@@ -36,6 +46,10 @@ def test_two_outcomes() -> None:
     assert holds(trainings_agree(one, replace(one, psnr=24.8, size=1020, digest="b", again="b")))
     for other in (replace(one, psnr=24.5), replace(one, size=1100), replace(one, again="b")):
         assert not holds(trainings_agree(one, other))
+
+
+def test_networks() -> None:
+    assert networks_agree("cpu").holds
 
 
 @pytest.mark.slow
