@@ -251,8 +251,8 @@ export interface View {
 
 /** A chunk that was added to Gaussians. */
 export interface Added {
-  /** The number of the chunk in the file. */
-  readonly number: number;
+  /** The number of the chunk in the file, or undefined for the anchors of `decodeAll`. */
+  readonly number: number | undefined;
   /** Its anchors in the order of adding: from `start` to before `end`. */
   readonly start: number;
   readonly end: number;
@@ -294,11 +294,13 @@ export class Gaussians {
    * and RangeError without memory.
    */
   add(chunk: Anchors & { readonly number?: number; readonly first?: number }): number;
+  /** Forgets all chunks, and gives their memory back. */
+  clear(): void;
   /**
    * The Gaussians of a chunk by its index in `chunks`.
    *
    * out: takes the Gaussians, and is returned with a new `count`. Without it, new arrays are made. Throws RangeError if
-   * there is no such chunk, or if `out` has no room for `kept` Gaussians, and TypeError for a place of no finite numbers.
+   * there is no such chunk, or if `out` has no room for `kept` Gaussians, and TypeError as `centreOf`.
    */
   chunk(index: number, from: Viewpoint, out?: View): View;
   /** The same for the anchors from `start` to before `end`, in the order of adding. */
