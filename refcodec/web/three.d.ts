@@ -4,6 +4,8 @@ import { Gaussians, Input, Options, Scene, View, Viewpoint } from "./c3gs.js";
 
 /** What takes Gaussians one by one, such as `PackedSplats` of `@sparkjsdev/spark`. */
 export interface SplatTarget {
+  /** Set once they are there. */
+  needsUpdate?: boolean;
   setSplat(
     index: number,
     center: Vector3,

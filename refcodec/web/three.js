@@ -58,6 +58,8 @@ export class C3gsModel {
       target.setSplat(i, centre, lengths, rotation, 0, colour);
     }
     this.#shown.set(target, count);
+    // As textures of three.js have it, which are sent to the processor of graphics again.
+    target.needsUpdate = true;
     return count;
   }
 }

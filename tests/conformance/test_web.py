@@ -203,10 +203,14 @@ def test_the_program(tmp_path: Path) -> None:
 # ----------------------------------------------------------------------------------------------------- the package ---
 
 
+def declared_by(name: str) -> set[str]:
+    """The functions and classes that a file of types declares."""
+    return set(re.findall(r"^export (?:function|class) (\w+)", (WEB / name).read_text(encoding="utf-8"), re.MULTILINE))
+
+
 def test_the_types_are_those_of_the_module() -> None:
     """c3gs.d.ts declares what c3gs.js exports, and the fields that a scene and a chunk have."""
-    types = (WEB / "c3gs.d.ts").read_text(encoding="utf-8")
-    declared = set(re.findall(r"^export (?:function|class) (\w+)", types, re.MULTILINE))
+    declared = declared_by("c3gs.d.ts")
     code = "import(process.argv[1]).then((module) => console.log(JSON.stringify(Object.keys(module))))"
     said = subprocess.run(
         [str(NODE), "-e", code, WEB / "c3gs.js"], stdout=subprocess.PIPE, check=True, text=True
@@ -215,13 +219,16 @@ def test_the_types_are_those_of_the_module() -> None:
 
 
 def test_browsers_can_load_the_module() -> None:
-    """Of what c3gs.js imports, nothing is Node's. The one import of Node's files is for Node alone."""
-    todo, seen = ["c3gs.js"], set()
+    """Of what c3gs.js and three.js import, nothing is Node's. The one import of Node's files is for Node alone."""
+    todo, seen = ["c3gs.js", "three.js"], set()
     while todo:
         name = todo.pop()
         seen.add(name)
         text = (WEB / name).read_text(encoding="utf-8")
         found = re.findall(r'^(?:import|export)\b[^;]*? from "([^"]+)";', text, re.MULTILINE)
+        if name == "three.js":
+            found.remove("three")
+            assert set(re.findall(r"^export class (\w+)", text, re.MULTILINE)) == declared_by("three.d.ts")
         assert all(path.startswith("./") for path in found), name
         todo += [path[2:] for path in found if path[2:] not in seen]
     assert {"kernel.js", "container.js"} <= seen
