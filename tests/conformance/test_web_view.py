@@ -164,6 +164,18 @@ def test_wrong_calls_are_refused() -> None:
     assert {name: kind for name, kind in said.items() if kind not in ("TypeError", "RangeError")} == {"right": "right"}
 
 
+def test_the_examples_of_the_manual_run(tmp_path: Path) -> None:
+    """Those of README.md of the package, without three.js."""
+    path = tmp_path / "scene.c3gs"
+    path.write_bytes(codec.emit(random_scene(54, 12, chunk_size=1, keep=1.0)))
+    program = Path(__file__).with_name("readme_web.mjs")
+    done = subprocess.run([str(NODE), program, path], capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+    said = json.loads(done.stdout)
+    assert said["ran"] == 6
+    assert said["drawn"] > 0
+
+
 # ------------------------------------------------------------------------------------------ cameras and metadata ---
 
 
