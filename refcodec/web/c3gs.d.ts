@@ -272,8 +272,8 @@ export interface Added {
  * The Gaussians of a scene, from any place (14.3). The networks run in WebAssembly, where the scene was decoded.
  *
  * What does not depend on the place is computed once, when a chunk is added. For each anchor this takes 12 bytes times
- * header.render_width, and 12 bytes for each kept offset. maxMemory does not count these bytes, and maxAnchors bounds them. They go with the
- * scene.
+ * header.render_width, and 12 bytes for each kept offset. maxMemory does not count these bytes, and maxAnchors bounds
+ * them. They go with the scene.
  *
  *     const gaussians = new Gaussians(scene);
  *     const index = gaussians.add(chunk);
