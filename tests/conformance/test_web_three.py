@@ -1,0 +1,142 @@
+"""The loader for three.js, with three itself where it is installed.
+
+It is looked for in the folders of NODE_PATH, and in node_modules of the checkout. To have all of these tests, run
+`npm install three @types/three @sparkjsdev/spark typescript` in any folder, and set NODE_PATH to its node_modules.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import shutil
+import subprocess
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from web_program import MISSING, NODE, ROOT, WEB
+
+from conformance.cases.scenes import MAIN_DIMENSIONS, random_scene
+from refcodec.bitstream import cameras, codec
+from refcodec.bitstream.cameras import NamedCamera
+from refcodec.bitstream.reconstruction import reconstruct
+from refcodec.bitstream.scene import Ancillary
+
+FOLDERS = [*map(Path, filter(None, os.environ.get("NODE_PATH", "").split(os.pathsep))), ROOT / "node_modules"]
+THREE = next((folder for folder in FOLDERS if (folder / "three" / "package.json").exists()), None)
+
+pytestmark = [
+    pytest.mark.no_cover,
+    pytest.mark.skipif(NODE is None, reason=MISSING),
+    pytest.mark.skipif(THREE is None, reason="three is in no folder of NODE_PATH, so its loader is not tested"),
+]
+
+# One with a shifted principal point and pixels that are not square, and one without.
+CAMERAS = [
+    NamedCamera("first", 640, 480, (500.0, 350.0), (300.0, 250.0), (0.5, -0.5, 0.25, 1.0), (1.0, 2.0, 3.0)),
+    NamedCamera("second", 100, 50, (80.0, 80.0), (50.0, 25.0)),
+]
+SCENE = random_scene(53, 300, MAIN_DIMENSIONS, chunk_size=256)
+
+
+def installed(folder: Path) -> None:
+    """Installs the package in a folder as npm would, beside three and what lies there."""
+    assert THREE is not None
+    modules = folder / "node_modules"
+    shutil.copytree(WEB, modules / "c3gs")
+    for path in THREE.iterdir():
+        if not path.name.startswith(".") and path.name != "c3gs":
+            (modules / path.name).symlink_to(path)
+
+
+@pytest.fixture(scope="module")
+def said(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Any]:
+    """What three_web.mjs says."""
+    folder = tmp_path_factory.mktemp("three")
+    installed(folder)
+    shutil.copy(Path(__file__).with_name("three_web.mjs"), folder)
+    section = Ancillary(b"cAMS", 0, cameras.emit_cameras(CAMERAS), 9)
+    data = codec.emit(replace(SCENE, ancillary=(section,)))
+    (folder / "scene.c3gs").write_bytes(data)
+    (folder / "damaged.c3gs").write_bytes(data[:-1] + bytes([data[-1] ^ 1]))
+    words = [str(NODE), "three_web.mjs", "scene.c3gs", "damaged.c3gs"]
+    done = subprocess.run(words, cwd=folder, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+    found: dict[str, Any] = json.loads(done.stdout)
+    return found
+
+
+def test_it_loads_as_loaders_of_three_do(said: dict[str, Any]) -> None:
+    scene = SCENE
+    assert said["anchors"] == said["called"] == scene.anchor_count
+    assert said["progress"] == sorted(said["progress"])
+    assert said["progress"][-1] > 0
+    positions = reconstruct(scene).positions
+    assert np.array_equal(np.array(said["bounds"], np.float32), [positions.min(axis=0), positions.max(axis=0)])
+    assert np.allclose(said["background"], np.array(scene.render.background) / 255)
+    up = np.zeros(4)
+    up[scene.render.up_axis // 2] = -1 if scene.render.up_axis % 2 else 1
+    assert np.allclose(np.array(said["upright"]).reshape(4, 4).T @ up, [0, 1, 0, 0])
+
+
+def test_errors_reach_the_page_and_the_manager(said: dict[str, Any]) -> None:
+    damaged, missing = said["failures"]["damaged"], said["failures"]["missing"]
+    assert (damaged["kind"], damaged["code"]) == ("C3gsError", 312)
+    assert missing["kind"] == "Error"
+    assert "status 404" in missing["message"]
+    assert said["bound"] == "BoundPassedError"
+    names = ("scene", "damaged", "missing")
+    failed = [f"failed {name}.c3gs" for name in names[1:]]
+    assert [event for event in said["events"] if event.startswith("failed")] == failed
+    assert [event for event in said["events"] if event.startswith("loaded")] == [f"loaded {n}.c3gs" for n in names]
+
+
+def test_cameras_are_those_of_the_file(said: dict[str, Any]) -> None:
+    """Their matrices are those of cameraMatrix and projectionMatrix."""
+    for camera, stated in zip(said["cameras"], CAMERAS, strict=True):
+        assert (camera["name"], camera["width"], camera["height"]) == (stated.name, stated.width, stated.height)
+        assert camera["matrix"] < 1e-9
+        assert camera["projection"] < 1e-9
+
+
+def test_an_object_carries_its_scene(said: dict[str, Any]) -> None:
+    assert said["movedCount"] == len(said["view"]["opacities"]) > 0
+    assert said["moved"] < 1e-5
+
+
+def test_splats_are_the_gaussians_of_the_view(said: dict[str, Any]) -> None:
+    view = said["view"]
+    centres, scales, quaternions, opacities, colours = zip(*said["splats"], strict=True)
+    assert list(centres) == view["positions"]
+    assert list(scales) == view["scales"]
+    assert list(opacities) == view["opacities"]
+    assert list(colours) == view["colours"]
+    assert np.array_equal(np.array(quaternions)[:, [3, 0, 1, 2]], np.array(view["rotations"]))
+    # What this camera does not see any more is not drawn.
+    assert len(said["faded"]) == max(len(said["splats"]) - said["fewer"], 0)
+    assert not any(said["faded"])
+
+
+@pytest.mark.slow
+def test_the_types_are_right(tmp_path: Path) -> None:
+    """The compiler of TypeScript accepts a use of all that the package declares."""
+    assert THREE is not None
+    if not all((THREE / name).exists() for name in ("typescript", "@types/three", "@sparkjsdev/spark")):
+        pytest.skip("typescript, @types/three and @sparkjsdev/spark are not all in the folder that has three")
+    installed(tmp_path)
+    shutil.copy(Path(__file__).with_name("usage_web.mts"), tmp_path)
+    options = "--noEmit --strict --skipLibCheck --target es2022 --module node16 --lib es2022,dom,dom.iterable"
+    words = [str(NODE), "node_modules/typescript/bin/tsc", *options.split(), "usage_web.mts"]
+    done = subprocess.run(words, cwd=tmp_path, capture_output=True, text=True, check=False)
+    assert (done.returncode, done.stdout) == (0, "")
+
+
+def test_spark_takes_them(said: dict[str, Any]) -> None:
+    if said.get("packed") is None:
+        pytest.skip("@sparkjsdev/spark is in no folder of NODE_PATH")
+    centres, opacities = zip(*said["packed"], strict=True)
+    # Its numbers have 11 bits, and 8 for the opacity.
+    assert np.allclose(centres, said["view"]["positions"], rtol=2**-10, atol=1e-6)
+    assert np.allclose(opacities, said["view"]["opacities"], atol=1 / 255)

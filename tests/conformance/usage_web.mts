@@ -1,0 +1,60 @@
+// A use of all that c3gs.d.ts and three.d.ts declare. test_web_three.py has its types checked; it never runs.
+import {
+  BoundPassedError, C3gsError, cameraMatrix, centreOf, decode, decodeAll, decodeChunk, Gaussians, open,
+  projectionMatrix, uprightMatrix, type Scene, type View,
+} from "c3gs";
+import { C3gsLoader, C3gsModel } from "c3gs/three";
+import { PackedSplats, ExtSplats, SplatMesh } from "@sparkjsdev/spark";
+import { Object3D, PerspectiveCamera, Scene as World } from "three";
+
+async function stream(response: Response, place: PerspectiveCamera, object: Object3D): Promise<void> {
+  let gaussians: Gaussians | undefined;
+  let out: View | undefined;
+  try {
+    for await (const chunk of decode(response, { maxAnchors: 1e6, maxMemory: 1 << 29 })) {
+      gaussians ??= new Gaussians(chunk.scene);
+      const index: number = gaussians.add(chunk);
+      out = gaussians.chunk(index, centreOf(place, object));
+      const sum: number = chunk.lengths.positions + chunk.lengths.masks + chunk.lengths.attributes;
+      console.log(sum, gaussians.chunks[index].slot, gaussians.changes(place), gaussians.all([0, 0, 0], out).count);
+    }
+  } catch (error) {
+    if (error instanceof C3gsError) console.log(error.code, error.clause, error.offset);
+    else if (error instanceof BoundPassedError) console.log(error.bound);
+  }
+}
+
+async function whole(bytes: Uint8Array): Promise<Scene> {
+  const { scene, anchors } = await decodeAll(bytes);
+  const gaussians = new Gaussians(scene);
+  gaussians.add(anchors);
+  const view: View = gaussians.range(0, 10, { x: 1, y: 2, z: 3 }, gaussians.room(100));
+  for (const camera of scene.cameras) {
+    gaussians.all(camera, view);
+    console.log(cameraMatrix(camera), projectionMatrix(camera, 0.1, 100), scene.metadata.get("title"));
+  }
+  console.log(uprightMatrix(scene.header), gaussians.slotOf(3));
+  const other = await open(new Blob([new Uint8Array(3)]));
+  await other.readAncillary();
+  await decodeChunk({ read: async () => new Uint8Array(1), length: 1 }, 0);
+  gaussians.clear();
+  // @ts-expect-error A place has numbers.
+  gaussians.all("abc".length);
+  // @ts-expect-error Cameras are read.
+  scene.cameras = [];
+  return scene;
+}
+
+async function three(world: World, camera: PerspectiveCamera): Promise<void> {
+  const loader = new C3gsLoader().setOptions({ maxAnchors: 10 }).setPath("/files/");
+  const model: C3gsModel = await loader.loadAsync("scene.c3gs", (event) => console.log(event.loaded));
+  const packedSplats = new PackedSplats({ maxSplats: model.gaussians.slotCount });
+  const mesh = new SplatMesh({ packedSplats });
+  mesh.quaternion.copy(model.upright);
+  world.add(mesh);
+  world.background = model.background;
+  model.fill(packedSplats, camera, mesh);
+  model.fill(new ExtSplats({}), camera, mesh);
+  loader.load("a.c3gs", (own) => console.log(own.bounds), undefined, (error) => console.log(error));
+}
+void [stream, whole, three];
