@@ -37,11 +37,10 @@ def section(measures: Measures, facts: Mapping[str, Any], cameras: list[NamedCam
     counts = measures.anchor_bits
     low, high = (_quantile(counts, part) for part in (_BEYOND, 1 - _BEYOND))
     high = max(high, low + 1)
-    info = measures.scene.render if measures.scene else None
-    assert info is not None
-    views = side_views(positions, info.up_axis)
+    assert measures.scene is not None
+    views = side_views(positions, measures.scene.frame)
     if cameras:
-        views.append(camera_view(positions, cameras[0], info.near_plane))
+        views.append(camera_view(positions, cameras[0], measures.scene.render.near_plane))
     step = measures.sample.step
     sampled = f"Every {step}th anchor is drawn, {len(bits):,} of them. " if step > 1 else ""
     pictures = tag("div", *(_picture(view, bits, low, high) for view in views), class_="pictures")
@@ -53,8 +52,8 @@ def section(measures: Measures, facts: Mapping[str, Any], cameras: list[NamedCam
             "p",
             "What the attributes of each anchor take (features, scalings and kept offsets), by the frequencies that "
             "they are decoded with (SPEC 8.4). The paper's figure 3 shows the same of its scene. "
-            f"{sampled}A pixel has the mean of the anchors on it. The three sides are in one scale. {OUTSIDE:.0%} of "
-            "the anchors at either end of an axis may lie outside.",
+            f"{sampled}A pixel has the mean of the anchors on it. The views along axes are in one scale. "
+            f"{100 * OUTSIDE} % of the anchors at either end of an axis may lie outside.",
         ),
         pictures,
         scale,

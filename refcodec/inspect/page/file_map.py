@@ -20,6 +20,8 @@ from .markup import share, size, tag, text
 # The most chunks that are drawn part by part, and the most pieces that chunks are drawn as.
 _WHOLE_CHUNKS = 16
 _PIECES = 64
+# The least width of a piece in pixels, with the gap beside it (inspect.css).
+_LEAST = 5
 
 # SPEC: the clauses of each part of a file.
 _CLAUSES = {
@@ -138,7 +140,7 @@ def _button(piece: Piece, whole: int, **attributes: object) -> str:
     kind = re.sub(r"\W", "-", piece.kind)
     known = f"piece k-{kind}" if piece.kind in _CLAUSES else "piece k-other"
     length = piece.end - piece.start
-    return tag("button", text(piece.name), class_=known, title=words, data_bytes=length, **attributes)
+    return tag("button", tag("span", text(piece.name)), class_=known, title=words, data_bytes=length, **attributes)
 
 
 def section(data: Bytes, outline: Outline) -> str:
@@ -148,13 +150,12 @@ def section(data: Bytes, outline: Outline) -> str:
         length = piece.end - piece.start
         if not length:
             continue
-        inner = "".join(
-            _button(part, whole, style=f"flex-grow:{part.end - part.start}")
-            for part in piece.inner
-            if part.end > part.start
-        )
+        parts = [part for part in piece.inner if part.end > part.start]
+        inner = "".join(_button(part, whole, style=f"flex-grow:{part.end - part.start}") for part in parts)
         row = tag("div", inner, class_="row") if inner else ""
-        drawn.append(tag("div", _button(piece, whole), row, class_="block", style=f"flex-grow:{length}"))
+        # The parts have room below their section, however narrow it is.
+        style = f"flex-grow:{length};min-width:{_LEAST * max(1, len(parts))}px"
+        drawn.append(tag("div", _button(piece, whole), row, class_="block", style=style))
     some = f"Chunks are drawn some at a time: there are {outline.header.chunk_count:,}. "
     return tag(
         "section",
@@ -171,7 +172,7 @@ def section(data: Bytes, outline: Outline) -> str:
             "p",
             '<button class="go" data-go="-1" aria-label="the piece before">&larr;</button>'
             '<button class="go" data-go="1" aria-label="the next piece">&rarr;</button>',
-            tag("output", "prologue, header and sections in file order", class_="readout"),
+            tag("output", f"{size(whole)}, {len(drawn)} sections with prologue and header", class_="readout"),
             class_="read",
         ),
         id="map",

@@ -35,8 +35,8 @@ def section(measures: Measures, cameras: list[NamedCamera]) -> str:
         heading,
         tag(
             "p",
-            f"{kept:,} of {total:,} offsets are kept ({share(kept, total)}). {none:,} anchors keep none "
-            f"({share(none, int(measures.kept.sum()))}), and give no Gaussians. The mask bits take "
+            f"{kept:,} of {total:,} offsets are kept ({share(kept, total)}). {none:,} of "
+            f"{int(measures.kept.sum()):,} anchors keep none, and give no Gaussians. The mask bits take "
             f"{measures.bits['masks'] / total:.3f} bits each.",
         ),
         tag("div", _by_place(measures), _by_anchor(measures), _bits(measures), _picture(measures), class_="plots"),
@@ -115,8 +115,8 @@ def _picture(measures: Measures) -> str:
     assert measures.scene is not None
     scene = measures.scene
     positions, _, kept = measures.sample.joined()
-    most = scene.dimensions.offset_count
-    view = side_views(positions, scene.render.up_axis)[0]
+    most = max(1, int(np.flatnonzero(measures.kept).max()))
+    view = side_views(positions, scene.frame)[0]
     words = f"Kept offsets of the anchors {view.name}, as in the pictures above."
     return tag(
         "figure",
@@ -130,10 +130,10 @@ def _by_cameras(measures: Measures, cameras: list[NamedCamera]) -> str:
     """The share of kept offsets and the bits of anchors, by how many cameras of the file see the anchor."""
     assert measures.scene is not None
     if len(cameras) < 2:
-        has = "one camera" if cameras else "no cameras"
+        has = "one camera" if cameras else "no camera"
         return tag(
             "p",
-            f"The file has {has} (SPEC 6.15), so that it cannot be counted either how many cameras see an anchor.",
+            f"The file has {has} (SPEC 6.15). So it cannot be counted how many cameras see an anchor.",
             class_="soft",
         )
     every = -(-len(cameras) // CAMERAS_MAX)

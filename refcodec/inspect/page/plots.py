@@ -1,4 +1,4 @@
-"""Plots as SVG. Their colours are those of the page, which style.css gives to the classes of their parts."""
+"""Plots as SVG. Their colours are those of the page, which inspect.css gives to the classes of their parts."""
 
 from __future__ import annotations
 
@@ -109,13 +109,11 @@ def histogram(words: str, counts: NDArray[np.int64], curve: F64, x_label: str, y
     words: what the plot shows. counts: int64 [2 n + 1], of the values -n to n. curve: float64 of the same shape.
     """
     limit = len(counts) // 2
-    seen = np.flatnonzero((counts > 0) | (curve >= 0.5))
-    reach = max(1, int(np.abs(seen - limit).max(initial=0)))
-    join = -(-(2 * reach + 1) // _BARS)
-    # Bars of `join` values each, with the value 0 in the middle of the bar in the middle, or at its start.
-    side = -(-(reach - (join - 1) // 2) // join)
-    first = -(side * join) - (join - 1) // 2
-    edges = first + join * np.arange(2 * side + 2)
+    seen = np.flatnonzero((counts > 0) | (curve >= 0.5)) - limit
+    # At least three values, so that a bar is no wall.
+    first, last = int(min(seen.min(initial=limit), -1)), int(max(seen.max(initial=-limit), 1))
+    join = -(-(last + 1 - first) // _BARS)
+    edges = first + join * np.arange(-(-(last + 1 - first) // join) + 1)
     met, expected = (_joined(each, edges + limit) / join for each in (counts.astype(np.float64), curve))
     highest = max(float(met.max()), float(expected.max()), 10.0)
     decades = math.ceil(math.log10(highest) - 1e-9)
@@ -135,8 +133,8 @@ def histogram(words: str, counts: NDArray[np.int64], curve: F64, x_label: str, y
             )
         line.append(f"{_number(_x((i + 0.5) * wide))} {_number(_y(up(wanted)))}")
     parts = [f'<path class="bar" d="{"".join(filled)}"/>', f'<path class="curve" d="M{"L".join(line)}"/>']
-    step = max(1, round(_step(2 * reach, 9)))
-    for value in range(-(reach // step) * step, reach + 1, step):
+    step = max(1, round(_step(last - first, 9)))
+    for value in range(-(-first // step) * step, last + 1, step):
         at = (value - first + 0.5) / join * wide
         parts.append(_label(_x(at), _y(0) + 15, f"{value:,}", text_anchor="middle"))
     more = f"; a bar is the mean of {join}" if join > 1 else ""

@@ -33,7 +33,7 @@ def section(measures: Measures) -> str:
             "p",
             "The bars say how often each symbol is met, the line how often its models expected it: the sum of the "
             "probabilities that the decoder gave it, with escapes and raw bits. Where a line is above its bars the "
-            "models spend on what does not come; where it is below, what comes is dear. Both axes upwards are "
+            "models spend on what does not come; where it is below, what comes is dear. The axes upwards are "
             "logarithmic. A symbol counts quantisation steps.",
         ),
         figures,
@@ -56,7 +56,8 @@ def _figure(name: str, tally: Tally) -> str:
     plot = histogram(f"histogram of {name}", tally.histogram, tally.curve, "symbol, in quantisation steps", "how often")
     excess = _percent(tally.bits, tally.entropy)
     words = (
-        f"{name}: {tally.symbols:,} symbols, {tally.bits / tally.symbols:.3f} bits each, {excess} against the entropy"
+        f"{name}: {tally.symbols:,} symbols, {tally.bits / tally.symbols:.3f} bits each, {excess} against the entropy "
+        "of their channels"
     )
     if tally.beyond:
         words += f"; {tally.beyond:,} past {LIMIT} are not drawn"

@@ -1,4 +1,4 @@
-"""Anchors as points of a picture: from three sides, and as a camera sees them."""
+"""Anchors as points of a picture: along three axes, and as a camera sees them."""
 
 from __future__ import annotations
 
@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...bitstream.cameras import NamedCamera
+from ...bitstream.frame import Frame
 from .pictures import Bytes2, coloured
 
 F64 = NDArray[np.float64]
@@ -15,7 +16,9 @@ F64 = NDArray[np.float64]
 # Columns and rows of a picture, and the share of anchors that a side view leaves out at either end of an axis, so that
 # a few far away do not make all others small.
 SIDE = 440
-OUTSIDE = 0.01
+OUTSIDE = 0.005
+# Empty rows that a picture has above and below.
+_MARGIN = 12
 
 
 @dataclass(frozen=True)
@@ -27,29 +30,32 @@ class View:
     seen: NDArray[np.bool_]
 
 
-def _upright(up_axis: int) -> F64:
-    """SPEC 5.5: returns the rotation to x right, y to the back and z up, float64 [3, 3]. up_axis: that of the file."""
-    up = np.zeros(3)
-    up[up_axis // 2] = 1 - 2 * (up_axis % 2)
-    # The axis after the one that points up is to the right.
-    right = np.zeros(3)
-    right[(up_axis // 2 + 1) % 3] = 1
-    return np.stack([right, np.cross(up, right), up])
+def _axes(frame: Frame | None) -> F64:
+    """SPEC 7.5.1: returns the principal axes of the file, or those of the world without a frame, float64 [3, 3]."""
+    if frame is None:
+        return np.eye(3)
+    # A row of zeros is allowed. It stays one.
+    rows = frame.matrix.astype(np.float64)
+    return np.asarray(rows / np.maximum(np.linalg.norm(rows, axis=1, keepdims=True), 1.0))
 
 
-def side_views(positions: F64, up_axis: int) -> list[View]:
-    """Returns the anchors from above, from the front and from the side, all three in one scale.
+def side_views(positions: F64, frame: Frame | None) -> list[View]:
+    """Returns the anchors along each of the principal axes, all three in one scale.
 
-    positions: float64 [n, 3], world units, at least one.
+    The first one lies as the planes do: columns along the first axis, rows along the second.
+
+    positions: float64 [n, 3], world units, at least one. frame: that of the file.
     """
-    place = positions @ _upright(up_axis).T
+    place = positions @ _axes(frame).T
     low, high = np.quantile(place, [OUTSIDE, 1 - OUTSIDE], axis=0)
     middle, reach = (low + high) / 2, max(float((high - low).max()) * 0.52, 1e-9)
     unit = (place - middle) / (2 * reach)
+    kind = "axis of the world" if frame is None else "principal axis"
     found = []
-    for name, across, down in (("from above", 0, 1), ("from the front", 0, 2), ("from the side", 1, 2)):
-        points = np.stack([0.5 + unit[:, across], 0.5 - unit[:, down]], axis=1) * SIDE
-        found.append(View(name, points, np.asarray(((points >= 0) & (points < SIDE)).all(axis=1))))
+    for name, across, down in (("third", 0, 1), ("second", 0, 2), ("first", 1, 2)):
+        points = np.stack([0.5 + unit[:, across], 0.5 + unit[:, down]], axis=1) * SIDE
+        seen = np.asarray(((points >= 0) & (points < SIDE)).all(axis=1))
+        found.append(View(f"along the {name} {kind}", points, seen))
     return found
 
 
@@ -86,7 +92,7 @@ def camera_view(positions: F64, camera: NamedCamera, near: float) -> View:
 
 
 def drawn(view: View, values: F64, low: float, high: float) -> Bytes2:
-    """Returns a picture of a view, as indices of colours, uint8 [SIDE, SIDE].
+    """Returns a picture of a view, as indices of colours, uint8 [rows, SIDE]. Empty rows above and below are cut off.
 
     A pixel has the colour of the mean of the anchors on it. values: float64 [n]. low, high: the ends of the scale.
     """
@@ -103,4 +109,7 @@ def drawn(view: View, values: F64, low: float, high: float) -> Bytes2:
             total += np.bincount(at, each[fits], SIDE * SIDE)
             count += np.bincount(at, minlength=SIDE * SIDE)
     mean = total / np.maximum(count, 1)
-    return np.where(count > 0, coloured(mean, low, high), 0).astype(np.uint8).reshape(SIDE, SIDE)
+    pixels = np.where(count > 0, coloured(mean, low, high), 0).astype(np.uint8).reshape(SIDE, SIDE)
+    used = np.flatnonzero(pixels.any(axis=1))
+    first, last = (int(used[0]), int(used[-1])) if len(used) else (0, 0)
+    return pixels[max(0, first - _MARGIN) : last + _MARGIN + 1]
