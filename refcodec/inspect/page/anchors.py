@@ -40,7 +40,8 @@ def section(measures: Measures, facts: Mapping[str, Any], cameras: list[NamedCam
     assert measures.scene is not None
     views = side_views(positions, measures.scene.frame)
     if cameras:
-        views.append(camera_view(positions, cameras[0], measures.scene.render.near_plane))
+        seen = camera_view(positions, cameras[0], measures.scene.render.near_plane)
+        views += [seen] if seen.seen.any() else []
     step = measures.sample.step
     sampled = f"Every {step}th anchor is drawn, {len(bits):,} of them. " if step > 1 else ""
     pictures = tag("div", *(_picture(view, bits, low, high) for view in views), class_="pictures")

@@ -156,7 +156,10 @@ def section(data: Bytes, outline: Outline) -> str:
         # The parts have room below their section, however narrow it is.
         style = f"flex-grow:{length};min-width:{_LEAST * max(1, len(parts))}px"
         drawn.append(tag("div", _button(piece, whole), row, class_="block", style=style))
-    some = f"Chunks are drawn some at a time: there are {outline.header.chunk_count:,}. "
+    chunks, some = outline.header.chunk_count, ""
+    if chunks > _WHOLE_CHUNKS:
+        each = -(-chunks // _PIECES)
+        some = f"The {chunks:,} chunks are drawn without their parts{f', {each:,} to a piece' if each > 1 else ''}. "
     return tag(
         "section",
         tag("h2", "The file, to scale"),
@@ -164,8 +167,7 @@ def section(data: Bytes, outline: Outline) -> str:
             "p",
             "The upper row has the sections, the lower one their parts. The width of a piece is its share of the "
             f"{size(whole)}. What would be too narrow to see is drawn a few pixels wide. "
-            + (some if outline.header.chunk_count > _WHOLE_CHUNKS else "")
-            + "Point at a piece, tap it, or go on with the arrows.",
+            f"{some}Point at a piece, tap it, or go on with the arrows.",
         ),
         tag("div", "\n".join(drawn), class_="map"),
         tag(

@@ -142,12 +142,13 @@ def _by_cameras(measures: Measures, cameras: list[NamedCamera]) -> str:
     seen = np.zeros(len(positions), dtype=np.int64)
     for camera in chosen:
         seen += projected(positions, camera, measures.scene.render.near_plane)[1]
-    wide = -(-(len(chosen) + 1) // _BARS)
+    most = int(seen.max())
+    wide = -(-(most + 1) // _BARS)
     group = seen // wide
-    groups = len(chosen) // wide + 1
+    groups = most // wide + 1
     anchors = np.bincount(group, minlength=groups)
     labels = [
-        str(first) if wide == 1 else f"{first}-{min(first + wide - 1, len(chosen))}"
+        str(first) if wide == 1 or first == most else f"{first}-{min(first + wide - 1, most)}"
         for first in range(0, groups * wide, wide)
     ]
     offsets = measures.scene.dimensions.offset_count

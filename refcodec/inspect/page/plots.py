@@ -84,7 +84,8 @@ def bars(
     digits = max(0, -math.floor(math.log10(step)))
     marks = [(i * step / top, f"{i * step:,.{digits}f}") for i in range(round(top / step) + 1)]
     each = 1 / max(1, len(values))
-    every = max(1, math.ceil(max([len(label) for label in labels], default=0) * 7 * len(labels) / _ACROSS))
+    room = 7.5 * (1 + max([len(label) for label in labels], default=0))
+    every = max(1, math.ceil(room * len(labels) / _ACROSS))
     parts = []
     for i, (value, label) in enumerate(zip(values, labels, strict=True)):
         left, wide = _x((i + 0.1) * each), 0.8 * each * _ACROSS

@@ -54,11 +54,9 @@ def section(measures: Measures) -> str:
 
 def _figure(name: str, tally: Tally) -> str:
     plot = histogram(f"histogram of {name}", tally.histogram, tally.curve, "symbol, in quantisation steps", "how often")
-    excess = _percent(tally.bits, tally.entropy)
-    words = (
-        f"{name}: {tally.symbols:,} symbols, {tally.bits / tally.symbols:.3f} bits each, {excess} against the entropy "
-        "of their channels"
-    )
+    words = f"{name}: {tally.symbols:,} symbols, {tally.bits / tally.symbols:.3f} bits each"
+    if tally.entropy:
+        words += f", {_percent(tally.bits, tally.entropy)} against the entropy of their channels"
     if tally.beyond:
         words += f"; {tally.beyond:,} past {LIMIT} are not drawn"
     return tag("figure", plot, tag("figcaption", text(words)))
