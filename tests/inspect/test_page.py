@@ -136,7 +136,8 @@ def test_nothing_is_fetched(data: bytes, tmp_path: Path) -> None:
 
 
 def test_the_bytes_are_those_of_the_json(data: bytes, tmp_path: Path) -> None:
-    for each in (data, EXAMPLE.read_bytes()):
+    trained = EXAMPLE.parent / "valid" / "trained-caliterra.c3gs"
+    for each in (data, EXAMPLE.read_bytes(), trained.read_bytes()):
         page = Read(made(each, tmp_path))
         facts = document(each, None)
         assert page.values["parts"] == [number for number in facts["parts"].values() if number]

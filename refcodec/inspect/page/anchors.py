@@ -45,7 +45,8 @@ def section(measures: Measures, facts: Mapping[str, Any], cameras: list[NamedCam
     step = measures.sample.step
     sampled = f"Every {step}th anchor is drawn, {len(bits):,} of them. " if step > 1 else ""
     pictures = tag("div", *(_picture(view, bits, low, high) for view in views), class_="pictures")
-    scale = colour_bar(f"{low:,} bits", f"{high:,} bits and more", "2 % of the anchors are below, 2 % above", palette())
+    beyond = f"{100 * _BEYOND:.0f} % of the anchors are below, {100 * _BEYOND:.0f} % above"
+    scale = colour_bar(f"{low:,} bits", f"{high:,} bits and more", beyond, palette())
     return tag(
         "section",
         heading,

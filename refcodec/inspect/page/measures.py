@@ -33,7 +33,7 @@ BITS_MAX = 1 << 13
 
 
 class Sample:
-    """Every so manieth anchor of a scene, in file order.
+    """Anchors of a scene at equal distances in file order.
 
     step: how many anchors one stands for. positions: float64 [n, 3], world units. bits: float64 [n], those of its
     attributes. kept: int64 [n], how many offsets it keeps.

@@ -7,6 +7,22 @@ from .markup import NUMBER, TEXT, count, table, tag, text
 from .measures import Measures
 from .plots import histogram
 
+_INTRODUCTION = (
+    "The bars say how often each symbol is met. The line says how often its models expected it: it is the sum of the "
+    "probabilities that the decoder gave it, with escapes and raw bits. Where the line is above the bars, the models "
+    "keep room for symbols that do not come. Where it is below, symbols cost more than they need to. The axes upwards "
+    "are logarithmic. A symbol counts quantisation steps."
+)
+# What the columns of the table mean.
+_COLUMNS = (
+    "More than expected: the code length against the mean that the models promise. Above 0 the models are too sure, "
+    "below 0 too cautious.",
+    "Entropy of the channels: the empirical entropy of each channel by itself, which an ideal coder without any context "
+    "would reach. A good model is below it.",
+    "Misfit of the curve: the divergence of the bars from the line. Models of the right shape would save at least so "
+    "much.",
+)
+
 
 def section(measures: Measures) -> str:
     """Returns the section of the page."""
@@ -31,25 +47,14 @@ def section(measures: Measures) -> str:
         heading,
         tag(
             "p",
-            "The bars say how often each symbol is met, the line how often its models expected it: the sum of the "
-            "probabilities that the decoder gave it, with escapes and raw bits. Where a line is above its bars the "
-            "models spend on what does not come; where it is below, what comes is dear. The axes upwards are "
-            "logarithmic. A symbol counts quantisation steps.",
+            _INTRODUCTION,
         ),
         figures,
         tag("h3", "What the models cost"),
         table(columns, (_row(name, tally) for name, tally in some.items()), id="costs"),
-        tag(
-            "ul",
-            tag("li", "More than expected: the code length against the mean that the models promise. Above 0 they are "
-                "too sure of themselves, below 0 too cautious."),
-            tag("li", "Entropy of the channels: the empirical entropy of each channel by itself, which an ideal coder "
-                "without any context would reach. A good model is far below it."),
-            tag("li", "Misfit of the curve: the divergence of the bars from the line. No better knowledge of single "
-                "symbols is needed to save it."),
-        ),
+        tag("ul", *(tag("li", words) for words in _COLUMNS)),
         id="symbols",
-    )  # fmt: skip
+    )
 
 
 def _figure(name: str, tally: Tally) -> str:
