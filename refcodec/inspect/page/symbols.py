@@ -17,8 +17,8 @@ _INTRODUCTION = (
 _COLUMNS = (
     "More than expected: the code length against the mean that the models promise. Above 0 the models are too sure, "
     "below 0 too cautious.",
-    "Entropy of the channels: the empirical entropy of each channel by itself, which an ideal coder without any context "
-    "would reach. A good model is below it.",
+    "Entropy of the channels: the empirical entropy of each channel by itself, which an ideal coder without any "
+    "context would reach. A good model is below it.",
     "Misfit of the curve: the divergence of the bars from the line. Models of the right shape would save at least so "
     "much.",
 )
