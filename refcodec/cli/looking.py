@@ -8,11 +8,13 @@ from __future__ import annotations
 import argparse
 import contextlib
 import sys
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from .. import statuses
 from ..bitstream.errors import BitstreamError
 from ..files.remote import is_url
+from ..files.terminal import say
 from ..files.text import printable
 from .bounds import add_bounds, open_bounded, read_bounded
 from .shared import UsageError, add_command, decoded, parse_file, reject
@@ -46,6 +48,8 @@ def _show_anchor(scene: Scene, number: int) -> int:
 
 
 def _inspect(arguments: argparse.Namespace) -> int:
+    if arguments.html is not None:
+        return _inspect_page(arguments)
     if arguments.trace or arguments.hex or arguments.near is not None or arguments.anchor is not None:
         return _inspect_bytes(arguments)
     from ..bitstream.header import read_header
@@ -69,6 +73,40 @@ def _inspect(arguments: argparse.Namespace) -> int:
     for line in summary.json_lines(facts) if arguments.json else summary.summary(facts, printable(arguments.file)):
         print(line)
     return reject(arguments.file, error) if error else 0
+
+
+def _inspect_page(arguments: argparse.Namespace) -> int:
+    """Writes the page of a file that is accepted. The file is decoded some chunks at a time."""
+    from ..bitstream.header import read_header
+    from ..bitstream.reconstruction import StreamDigest
+    from ..bitstream.source import FileBytes, WholeFile
+    from ..files.outputs import check_apart, check_file
+    from ..files.stage import write_file
+    from ..inspect import summary
+    from ..inspect.page.document import PAGE, page
+    from ..inspect.page.measures import Measures
+
+    path = Path(arguments.html)
+    check_file(path, PAGE)
+    check_apart([path], [arguments.file])
+    # The page looks at the bytes in many places. What is behind a URL is fetched once.
+    remote = is_url(arguments.file)
+    with contextlib.nullcontext(WholeFile(read_bounded(arguments))) if remote else open_bounded(arguments) as source:
+        header = read_header(source)
+        digest, measures = StreamDigest(), Measures(header.dimensions, header.anchor_count)
+
+        def add(scene: Scene) -> None:
+            digest.add(scene)
+            measures.add(scene)
+
+        scene = decoded(arguments, source, add).scene([])
+        measures.finish(scene)
+        data = FileBytes(source)
+        facts = summary.document(data, digest.finish_parts(scene))
+        found = page(data, Path(arguments.file).name, facts, measures)
+    write_file(path, found)
+    say(f"{path}: {len(found):,} bytes")
+    return statuses.DONE
 
 
 def _inspect_bytes(arguments: argparse.Namespace) -> int:
@@ -128,10 +166,15 @@ def add(commands: Any) -> None:
             "inspect scene.c3gs --near 1106",
             "inspect scene.c3gs --trace | head -100",
             "inspect scene.c3gs --anchor 7",
+            "inspect scene.c3gs --html page.html",
         ],
         "Without options nothing is decoded: the header, the tables of sections and the heads of chunks are read, and\n"
         "only a fault of the header is told. Damaged files are shown as far as they parse. With --decode, --hex,\n"
-        "--near and --trace they are then rejected as by validate.",
+        "--near and --trace they are then rejected as by validate.\n\n"
+        "With --html the file is decoded, and a page is written of an accepted one. It opens from a disk and needs no\n"
+        "network. It has the file to scale, sizes by part beside the paper's, the bits of each anchor over the scene,\n"
+        "symbols against what their models expected, the planes, the masks, and annotated bytes.",
+        writes=True,
     )
     inspect.add_argument("file", metavar="FILE")
     add_bounds(inspect)
@@ -156,3 +199,4 @@ def add(commands: Any) -> None:
         metavar="N",
         help="all numbers from the position of an anchor to its symbols, as in Annex D.4",
     )
+    form.add_argument("--html", metavar="PAGE", help="write a page that shows the file to people, with pictures")

@@ -9,7 +9,7 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 
 from ..bitstream.errors import BitstreamError
-from .elements import Row, rows
+from .elements import Bytes, Row, rows
 from .explain import element_lines, requirement_lines
 from .meaning import meaning
 
@@ -33,7 +33,8 @@ def value_text(row: Row) -> str:
     return str(row.value)
 
 
-def _hex(data: bytes, row: Row) -> str:
+def hex_text(data: Bytes, row: Row) -> str:
+    """Returns the bytes of an element, folded to the first ones if there are many."""
     folded = row.end - row.start > _HEX_BYTES
     shown = data[row.start : row.start + _FOLDED_BYTES if folded else row.end].hex(" ")
     return shown + " ..." if folded else shown
@@ -84,7 +85,7 @@ def hex_lines(data: bytes, errors: Sequence[BitstreamError] = (), near: int | No
         if near is not None:
             while waiting and waiting[0].offset < row.start:
                 waiting.popleft()
-        line = f"{row.start:08x}  {_hex(data, row):<47}  {row.path:<44}  {row.kind:<12}  {value_text(row)}"
+        line = f"{row.start:08x}  {hex_text(data, row):<47}  {row.path:<44}  {row.kind:<12}  {value_text(row)}"
         yield line.rstrip()
         while waiting and waiting[0].offset < row.end:
             yield _error_line(waiting.popleft())

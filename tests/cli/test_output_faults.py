@@ -219,6 +219,10 @@ CODING = {
         [["reconstruct", "other.c3gs", "out.bin", "--trace", "trace.txt"]],
     ),
     "gaussians": Case(["gaussians", "scene.c3gs", "camera.json", "out.json"], 5),
+    "inspect": Case(["inspect", "scene.c3gs", "--html", "page.html"], 5),
+    "inspect over an old page": Case(
+        ["inspect", "scene.c3gs", "--html", "page.html"], 5, [["inspect", "other.c3gs", "--html", "page.html"]]
+    ),
 }
 DRAWING = {
     "render": Case(["render", "scene.c3gs", "--cameras", "photos", "--size", "full", "-o", "images"], 20),
@@ -282,6 +286,7 @@ def test_commands_that_write_nothing(words: list[str], inputs: Path, monkeypatch
         ["decode", "bad.c3gs", "-o", "scene"],
         ["reconstruct", "bad.c3gs", "new.bin", "--trace", "new.txt"],
         ["gaussians", "bad.c3gs", "camera.json", "new.json"],
+        ["inspect", "bad.c3gs", "--html", "new.html"],
         ["render", "bad.c3gs", "-o", "new"],
         ["eval", "bad.c3gs", "photos", "--images", "new"],
         ["export", "bad.c3gs", "-o", "new.ply"],

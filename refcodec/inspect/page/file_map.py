@@ -1,0 +1,181 @@
+"""The file drawn to scale: its sections, and in each of them its substreams and other parts."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator
+from dataclasses import dataclass
+from itertools import groupby
+
+import numpy as np
+
+from ...bitstream.chunks import PARTS
+from ...bitstream.directory import DATA, INDEX, PLANES_SECTION, WEIGHTS
+from ...bitstream.header import PROLOGUE_BYTES
+from ...bitstream.index import CHUNK_HEAD_BYTES
+from ...bitstream.source import pad4
+from ..elements import Bytes, Outline, Place, parse_elements, read_index, section_rows
+from .markup import share, size, tag, text
+
+# The most chunks that are drawn part by part, and the most pieces that chunks are drawn as.
+_WHOLE_CHUNKS = 16
+_PIECES = 64
+# The least width of a piece in pixels, with the gap beside it (inspect.css).
+_LEAST = 5
+
+# SPEC: the clauses of each part of a file.
+_CLAUSES = {
+    "prologue": "5.1, 6.1",
+    "header": "5.2, 6.2",
+    "FRAM": "5.7, 6.7",
+    "WGTS": "5.8, 6.8",
+    "PLNS": "5.10, 6.9",
+    "INDX": "5.11, 6.10",
+    "DATA": "5.14, 6.11",
+    "mETA": "5.16, 6.14",
+    "cAMS": "5.17, 6.15",
+    "head": "5.14",
+    "positions": "5.14, 7.12",
+    "masks": "5.14, 7.6",
+    "attributes": "5.14, 7.10",
+    "weights": "5.8, 7.13",
+    "planes": "5.15, 7.3",
+    "mask model": "5.11, 7.6",
+    "position model": "5.12, 7.12",
+    "entries of chunks": "5.13, 6.10",
+}
+_OTHER = "12.1"
+
+
+@dataclass(frozen=True)
+class Piece:
+    """A part of the file, with the padding behind it. kind: a key of _CLAUSES. inner: its parts, or none."""
+
+    name: str
+    kind: str
+    start: int
+    end: int
+    inner: tuple[Piece, ...] = ()
+
+
+def pieces(data: Bytes, outline: Outline) -> Iterator[Piece]:
+    """Yields the prologue, the header and the sections of a file in its order, with their parts. They cover it."""
+    yield Piece("prologue", "prologue", 0, PROLOGUE_BYTES)
+    yield Piece("header", "header", PROLOGUE_BYTES, outline.header_end)
+    inner = {WEIGHTS: _weights, PLANES_SECTION: _planes, INDEX: _index, DATA: _chunks}
+    for place in outline.sections:
+        make = inner.get(place.type)
+        parts = make(data, outline, place) if make else ()
+        yield Piece(place.name, place.type.decode("latin-1"), place.start, place.stop, tuple(parts))
+
+
+def _grouped(data: Bytes, outline: Outline, place: Place, pattern: str, kind: str) -> Iterator[Piece]:
+    """Yields the elements of a section in groups: those in a row whose paths begin with the same text.
+
+    pattern: what it is, and of it the first group is the name of the piece.
+    """
+
+    def name(path: str) -> str:
+        found = re.match(pattern, path)
+        return found[1] if found else "head"
+
+    for key, rows in groupby(section_rows(data, outline, place), lambda row: name(row.path)):
+        some = list(rows)
+        yield Piece(key, kind if key != "head" else place.type.decode(), some[0].start, some[-1].end)
+
+
+def _weights(data: Bytes, outline: Outline, place: Place) -> Iterator[Piece]:
+    pattern = r"(?:weights\.)?((?:hyper|sarm|carm\.\d+|opacity|covariance|colour)(?=\.)|symbol_crc|word|state|raw)"
+    found = [*_grouped(data, outline, place, pattern, "WGTS")]
+    stream = [piece for piece in found if piece.name in ("symbol_crc", "word", "state", "raw")]
+    yield from (piece for piece in found if piece not in stream)
+    if stream:
+        yield Piece("packed weights", "weights", stream[0].start, stream[-1].end)
+
+
+def _planes(data: Bytes, outline: Outline, place: Place) -> Iterator[Piece]:
+    yield from _grouped(data, outline, place, r"(planes\.r(?:1|2\.\w+_\w+))", "planes")
+
+
+def _index(data: Bytes, outline: Outline, place: Place) -> Iterator[Piece]:
+    k = outline.header.dimensions.offset_count
+    model, entries = place.start + pad4(k * (k + 1)), place.start + outline.entries_start
+    yield Piece("mask model", "mask model", place.start, model)
+    if outline.index_mode:
+        yield Piece("position model", "position model", model, entries)
+    yield Piece("entries of chunks", "entries of chunks", entries, place.end)
+
+
+def _chunks(data: Bytes, outline: Outline, place: Place) -> Iterator[Piece]:
+    lengths = read_index(data, outline)["length"].astype(np.int64)
+    ends = (place.start + np.cumsum(lengths)).tolist()
+    starts = [place.start, *ends][: len(ends)]
+    if len(ends) > _WHOLE_CHUNKS:
+        each = -(-len(ends) // _PIECES)
+        for first in range(0, len(ends), each):
+            last = min(first + each, len(ends)) - 1
+            name = f"chunk[{first}]" if first == last else f"chunk[{first}] to chunk[{last}]"
+            yield Piece(name, "DATA", starts[first], ends[last])
+        return
+    for number, (start, end) in enumerate(zip(starts, ends, strict=True)):
+        _, head = parse_elements("Chunk", data, start, end, f"chunk[{number}]")
+        at = start + CHUNK_HEAD_BYTES
+        yield Piece(f"chunk[{number}], head", "head", start, at)
+        for part in PARTS:
+            stop = at + pad4(head[f"{part.removesuffix('s')}_length"])
+            yield Piece(f"{part}[chunk {number}]", part, at, stop)
+            at = stop
+
+
+def _described(piece: Piece, whole: int) -> str:
+    length = piece.end - piece.start
+    clause = _CLAUSES.get(piece.kind, _OTHER)
+    return (
+        f"{piece.name}: {size(length)}, {share(length, whole)} of the file, from byte {piece.start:,} (SPEC {clause})"
+    )
+
+
+def _button(piece: Piece, whole: int, **attributes: object) -> str:
+    words = _described(piece, whole)
+    kind = re.sub(r"\W", "-", piece.kind)
+    known = f"piece k-{kind}" if piece.kind in _CLAUSES else "piece k-other"
+    length = piece.end - piece.start
+    return tag("button", tag("span", text(piece.name)), class_=known, title=words, data_bytes=length, **attributes)
+
+
+def section(data: Bytes, outline: Outline) -> str:
+    """Returns the section of the page."""
+    whole, drawn = len(data), []
+    for piece in pieces(data, outline):
+        length = piece.end - piece.start
+        if not length:
+            continue
+        parts = [part for part in piece.inner if part.end > part.start]
+        inner = "".join(_button(part, whole, style=f"flex-grow:{part.end - part.start}") for part in parts)
+        row = tag("div", inner, class_="row") if inner else ""
+        # The parts have room below their section, however narrow it is.
+        style = f"flex-grow:{length};min-width:{_LEAST * max(1, len(parts))}px"
+        drawn.append(tag("div", _button(piece, whole), row, class_="block", style=style))
+    chunks, some = outline.header.chunk_count, ""
+    if chunks > _WHOLE_CHUNKS:
+        each = -(-chunks // _PIECES)
+        some = f"The {chunks:,} chunks are drawn without their parts{f', {each:,} to a piece' if each > 1 else ''}. "
+    return tag(
+        "section",
+        tag("h2", "The file, to scale"),
+        tag(
+            "p",
+            "The upper row has the sections, the lower one their parts. The width of a piece is its share of the "
+            f"{size(whole)}. What would be too narrow to see is drawn a few pixels wide. "
+            f"{some}Point at a piece, tap it, or go on with the arrows.",
+        ),
+        tag("div", "\n".join(drawn), class_="map"),
+        tag(
+            "p",
+            '<button class="go" data-go="-1" aria-label="the piece before">&larr;</button>'
+            '<button class="go" data-go="1" aria-label="the next piece">&rarr;</button>',
+            tag("output", f"{size(whole)}, {len(drawn)} sections with prologue and header", class_="readout"),
+            class_="read",
+        ),
+        id="map",
+    )
