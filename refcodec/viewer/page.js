@@ -13,6 +13,8 @@ const QUICK = 25;
 const SHARE_MIN = 0.35;
 // How long the camera stands still until it is drawn with all pixels again.
 const STILL = 150;
+// Radians between two frames of a turn.
+const STEP = Math.PI / 60;
 // More than this many pixels for one of CSS are not seen.
 const RATIO_MAX = 2;
 const KEYS = { KeyW: [2, 1], KeyS: [2, -1], KeyD: [0, 1], KeyA: [0, -1], KeyE: [1, -1], KeyQ: [1, 1] };
@@ -242,23 +244,25 @@ class Viewer {
     return image.toDataURL("image/png");
   }
 
-  // Turns once around the point before the camera, and returns the seconds, and how many frames the worker sent.
-  async turn(frames) {
+  // Turns around the point before the camera for some seconds, and returns the frames, also those of the worker.
+  async turn(seconds) {
     await this.settle();
     this.turning = true;
     const [start, before] = [performance.now(), this.frames];
-    for (let i = 0; i < frames; i++) {
-      this.pose = orbit(this.pose, this.up, [(2 * Math.PI) / frames, 0]);
+    const passed = () => (performance.now() - start) / 1000;
+    let frames = 0;
+    for (; passed() < seconds; frames++) {
+      this.pose = orbit(this.pose, this.up, [STEP, 0]);
       this.#send();
       this.draw(1);
       this.drawing.finish();
       // The frames of the worker come in between.
       await new Promise((resolve) => setTimeout(resolve));
     }
-    const seconds = (performance.now() - start) / 1000;
+    const found = { seconds: passed(), frames, updates: this.frames - before };
     this.turning = false;
     this.changed();
-    return { seconds, frames, updates: this.frames - before };
+    return found;
   }
 
   #save() {
