@@ -135,8 +135,24 @@ export interface Chunk extends Anchors {
   readonly scene: Scene;
   readonly number: number;
   readonly first: number;
+  /** The bytes of its parts in the file, without padding (5.14). */
+  readonly lengths: { readonly positions: number; readonly masks: number; readonly attributes: number };
   /** SHA-256 (9.3), 32 bytes, if `decode` was told to compute digests. */
   readonly digest?: Uint8Array;
+}
+
+/** A camera of the file (5.17). What is wrong by 6.15 is passed over. */
+export interface StatedCamera {
+  readonly name: string;
+  /** Of its image in pixels, as are the focal lengths and the principal point. */
+  readonly width: number;
+  readonly height: number;
+  readonly focal: readonly [number, number];
+  readonly principal_point: readonly [number, number];
+  /** A quaternion w, x, y, z, from the world to the camera. Its length need not be 1. */
+  readonly rotation: readonly [number, number, number, number];
+  /** From the world to the camera. */
+  readonly translation: readonly [number, number, number];
 }
 
 /** What comes before the chunks. */
@@ -147,6 +163,18 @@ export interface Scene {
   readonly layers: readonly Layer[];
   /** The symbols of the sub-planes, 5 by plane_channels by plane_size by plane_size. */
   readonly planes: Int16Array;
+  /**
+   * The cameras of the file. The first one is the default view.
+   *
+   * These are the ones of the sections that were read. Sections may stand before the chunks and behind them. `decode`
+   * has read those before the chunks when it yields the first one, and all when it ends. `open` reads none: call
+   * `readAncillary`. A section of more than 16 MiB, or than maxMemory, is passed over.
+   */
+  readonly cameras: readonly StatedCamera[];
+  /** The metadata of the file by their keys (5.16 and 6.14), of the sections that were read, as for `cameras`. */
+  readonly metadata: ReadonlyMap<string, string>;
+  /** Reads all ancillary sections, so that `cameras` and `metadata` are whole. Only of what `open` returned. */
+  readAncillary(): Promise<void>;
   /** The chunks of the file in its order. */
   entries(): IterableIterator<Entry>;
   /** Decodes one chunk. Throws RangeError if there is none of this number. */
@@ -184,3 +212,129 @@ export function open(input: Seekable, options?: Options): Promise<Scene>;
 
 /** Decodes one chunk with the fewest bytes. Throws as `open` and `Scene.chunk` do. */
 export function decodeChunk(input: Seekable, number: number, options?: Options): Promise<Chunk>;
+
+/** What has a place in the world of a page, as an object or a camera of three.js. Its matrix must be up to date. */
+export interface Placed {
+  /** 16 numbers, column by column. */
+  readonly matrixWorld: { readonly elements: ArrayLike<number> };
+}
+
+/**
+ * From where a scene is seen. The Gaussians depend on this place alone, not on where the camera looks.
+ *
+ * It is a point of the scene's world, as three numbers or as {x, y, z}, a camera of the file, or a camera of three.js
+ * whose world is that of the scene.
+ */
+export type Viewpoint =
+  | ArrayLike<number>
+  | { readonly x: number; readonly y: number; readonly z: number }
+  | StatedCamera
+  | Placed;
+
+/** Gaussians of a view (14.3), in the order of anchors and offsets. Only the first `count` rows of an array count. */
+export interface View {
+  count: number;
+  /** Means in the scene's world, count by 3. */
+  readonly positions: Float32Array;
+  /** Lengths of the axes, count by 3. They are no logarithms. */
+  readonly scales: Float32Array;
+  /** Quaternions w, x, y, z of length 1, count by 4. */
+  readonly rotations: Float32Array;
+  /** Red, green and blue from 0 to 1, count by 3. The key `transfer` of the metadata says how they are encoded. */
+  readonly colours: Float32Array;
+  /** Above 0 and 1 at most. */
+  readonly opacities: Float32Array;
+  /** The number in the file of the anchor of each, and the number of its offset. */
+  readonly anchors: Uint32Array;
+  readonly offsets: Uint8Array;
+}
+
+/** A chunk that was added to Gaussians. */
+export interface Added {
+  /** The number of the chunk in the file, or undefined for the anchors of `decodeAll`. */
+  readonly number: number | undefined;
+  /** Its anchors in the order of adding: from `start` to before `end`. */
+  readonly start: number;
+  readonly end: number;
+  /** Its Gaussians are no more than this, from any place: the offsets that are kept. */
+  readonly kept: number;
+  /**
+   * How many offsets the chunks before it keep. A page that has an array of Gaussians may give each chunk the rows from
+   * `slot` to `slot + kept` for good, and give no opacity to those rows that a view does not fill.
+   */
+  readonly slot: number;
+  /** Bounds of the positions of its anchors. */
+  readonly low: Float32Array;
+  readonly high: Float32Array;
+}
+
+/**
+ * The Gaussians of a scene, from any place (14.3). The networks run in WebAssembly, where the scene was decoded.
+ *
+ * What does not depend on the place is computed once, when a chunk is added. For each anchor this takes 12 bytes times
+ * header.render_width, and 12 bytes for each kept offset. The memory goes with the scene.
+ *
+ *     const gaussians = new Gaussians(scene);
+ *     const index = gaussians.add(chunk);
+ *     const { count, positions, scales, rotations, colours, opacities } = gaussians.chunk(index, [0, 0, -3]);
+ */
+export class Gaussians {
+  /** The scene of `decode`, `decodeAll`, `open` or a chunk. */
+  constructor(scene: Scene);
+  readonly scene: Scene;
+  /** The chunks that were added, in the order of adding. */
+  readonly chunks: readonly Added[];
+  /** Anchors so far, and kept offsets so far. */
+  readonly anchorCount: number;
+  readonly slotCount: number;
+  /**
+   * Takes a chunk of the scene, or all anchors of `decodeAll`, and returns its index in `chunks`.
+   *
+   * The arrays may come from another thread. They are copied. Throws TypeError for arrays of wrong types or lengths,
+   * and RangeError without memory.
+   */
+  add(chunk: Anchors & { readonly number?: number; readonly first?: number }): number;
+  /** Forgets all chunks, and gives their memory back. */
+  clear(): void;
+  /**
+   * The Gaussians of a chunk by its index in `chunks`.
+   *
+   * out: takes the Gaussians, and is returned with a new `count`. Without it, new arrays are made. Throws RangeError if
+   * there is no such chunk, or if `out` has no room for `kept` Gaussians, and TypeError as `centreOf`.
+   */
+  chunk(index: number, from: Viewpoint, out?: View): View;
+  /** The same for the anchors from `start` to before `end`, in the order of adding. */
+  range(start: number, end: number, from: Viewpoint, out?: View): View;
+  /** The same for all anchors that were added. */
+  all(from: Viewpoint, out?: View): View;
+  /** How many offsets the anchors before this one keep, in the order of adding. Its argument may be anchorCount. */
+  slotOf(anchor: number): number;
+  /** New arrays for so many Gaussians, with count 0. */
+  room(size: number): View;
+  /**
+   * How much the view of each chunk has changed since `chunk` or `all` last gave it: the way from the place of then
+   * to this one over the distance to the bounds of the chunk. It is about the largest angle, in radians, by which the
+   * direction to an anchor has turned. Infinity: never given, or seen from within.
+   */
+  changes(from: Viewpoint): Float64Array;
+}
+
+/**
+ * The place of a camera in the scene's world, 3 numbers.
+ *
+ * object: of three.js, which draws the scene. The camera's place is then carried into its own coordinates. Throws
+ * TypeError for what has no place of finite numbers.
+ */
+export function centreOf(camera: Viewpoint, object?: Placed): Float64Array;
+
+/**
+ * The matrix from the frame of a camera of OpenGL or three.js, whose y points up and whose z points backwards, to the
+ * scene's world: 16 numbers, column by column.
+ */
+export function cameraMatrix(camera: StatedCamera): Float64Array;
+
+/** The matrix of OpenGL from that frame to clip coordinates, with its principal point: 16 numbers, column by column. */
+export function projectionMatrix(camera: StatedCamera, near: number, far: number): Float64Array;
+
+/** A rotation that turns what is up in the scene (header.up_axis) to +y: 16 numbers, column by column. */
+export function uprightMatrix(header: Header): Float64Array;

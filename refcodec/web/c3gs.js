@@ -1,19 +1,24 @@
 // Decodes C3GS files, format version 0 (SPEC.md), in browsers and in Node. c3gs.d.ts says what there is.
+import { ancillaryReader } from "./ancillary.js";
 import { checkBounds, checkBytes } from "./bounds.js";
 import { chunkError, entries, parseIndex, readChunk } from "./chunks.js";
 import {
   checkData, checkEnd, features, isAncillary, parseFrame, passSection, readHeader, readSection,
 } from "./container.js";
 import { Digests } from "./digests.js";
-import { loadKernel } from "./kernel.js";
+import { loadKernel, shareKernel } from "./kernel.js";
 import { parsePlanes } from "./planes.js";
 import { sourceOf } from "./source.js";
 import { parseWeights } from "./weights.js";
 
+export { cameraMatrix, centreOf, projectionMatrix, uprightMatrix } from "./camera.js";
 export { BoundPassedError, C3gsError } from "./errors.js";
+export { Gaussians } from "./gaussians.js";
 
 const SCALINGS = 6;
 const STEP_SHIFT = 12;
+// 5.14
+const CHUNK_PARTS = ["positions", "masks", "attributes"];
 const ANCHOR_ARRAYS = {
   positions: Float32Array, masks: Uint8Array, features: Float32Array, scalings: Float32Array, offsets: Float32Array,
 };
@@ -33,6 +38,9 @@ class Scene {
     this.header = header;
     this.features = features(header);
     this.planes = new Int16Array(0);
+    this.cameras = [];
+    this.metadata = new Map();
+    shareKernel(this, kernel);
     // 9.2, STEP_VALUE: an entry times a base step is exact in binary64. It is rounded once.
     const table = (base) => Float32Array.from(kernel.steps, (step) => (step * base) / (1 << STEP_SHIFT));
     this.#tables = header.base_step.map(table);
@@ -46,7 +54,7 @@ class Scene {
       const { type, mode, start } = section;
       if (section === body) break;
       if (isAncillary(section)) {
-        if (all) await passSection(this.#source, section);
+        if (all) await this.#passAncillary(section);
         continue;
       }
       checkBytes(this.#options, section.length);
@@ -59,6 +67,21 @@ class Scene {
     this.layers = weights.layers.map(({ network, outputs, inputs, values }) => ({ network, outputs, inputs, values }));
     this.#kernel.makeScene(this.header, weights, { ...this.#index, frame, planes: this.planes });
     return this;
+  }
+
+  // 10.1, an ancillary section, of which metadata and cameras are kept
+  async #passAncillary(section) {
+    const read = ancillaryReader(section, this.#options);
+    if (read === undefined) await passSection(this.#source, section);
+    else read(await readSection(this.#source, section), this);
+  }
+
+  async readAncillary() {
+    this.cameras = [];
+    this.metadata = new Map();
+    for (const section of this.header.sections) {
+      if (isAncillary(section)) await this.#passAncillary(section);
+    }
   }
 
   *entries() {
@@ -101,6 +124,7 @@ class Scene {
       number: entry.number,
       first: entry.first,
       count: n,
+      lengths: Object.fromEntries(CHUNK_PARTS.map((name, i) => [name, chunk.lengths[i]])),
       positions: kernel.worldPositions(own.positions, n, h).slice(),
       masks: kernel.view(Uint8Array, own.masks, n * h.offset_count).slice(),
       features: values("features", 0, this.features),
@@ -117,7 +141,7 @@ class Scene {
         checkData(section);
         behind = true;
       } else if (behind) {
-        await passSection(this.#source, section);
+        await this.#passAncillary(section);
       }
     }
     await checkEnd(this.#source, this.header);

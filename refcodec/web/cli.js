@@ -3,16 +3,22 @@
 //
 //   conformance run -- node refcodec/web/cli.js decode {input} {output}
 //   conformance run --serve -- node refcodec/web/cli.js serve
+//   conformance run --gaussians 'node refcodec/web/cli.js gaussians {input} {camera} {output}' -- ...
 //
 // It ends with 0 for a file that is accepted, 1 for one that is malformed or invalid, and 2 for one that is not
 // supported. The last line on stderr then has the error (SPEC.md 10.2). 64: wrong usage, or a file that cannot be read
 // or written. 70: a fault of the program, or no memory.
 import * as fs from "node:fs";
 import * as readline from "node:readline";
-import { C3gsError, decode } from "./c3gs.js";
+import { C3gsError, decode, Gaussians } from "./c3gs.js";
 import { PARTS, sceneHead } from "./digests.js";
 
 const EXIT = { done: 0, refused: 1, unsupported: 2, usage: 64, fault: 70 };
+
+// How many paths a command has.
+const PATHS = { decode: 2, gaussians: 3 };
+
+class UsageError extends Error {}
 
 // A file by ranges, so that one chunk of it is held.
 function fileSource(file) {
@@ -77,19 +83,73 @@ async function reconstruct(input, output) {
   }
 }
 
-// Decodes one file. Returns the exit status and the last line of stderr.
-async function run(input, output) {
+// Where the camera of a document is (vectors/README.md, SPEC 14.2).
+function readCentre(path) {
+  const { rotation, translation } = cameraOf(fs.readFileSync(path, "utf8"));
+  const three = (list, right) => Array.isArray(list) && list.length === 3 && list.every(right);
+  const numbers = (list) => three(list, Number.isFinite);
+  if (!three(rotation, numbers) || !numbers(translation)) throw new UsageError(`${path} is no camera`);
+  return [0, 1, 2].map((axis) => -rotation.reduce((sum, row, i) => sum + row[axis] * translation[i], 0));
+}
+
+function cameraOf(text) {
+  try {
+    return JSON.parse(text) ?? {};
+  } catch {
+    return {};
+  }
+}
+
+// The Gaussians of a view as JSON (vectors/README.md).
+function documents(view) {
+  return Array.from({ length: view.count }, (_, i) => {
+    const row = (array, width) => Array.from(array.subarray(width * i, width * (i + 1)));
+    return JSON.stringify({
+      anchor: view.anchors[i], offset: view.offsets[i], mean: row(view.positions, 3), lengths: row(view.scales, 3),
+      quaternion: row(view.rotations, 4), opacity: view.opacities[i], colour: row(view.colours, 3),
+    });
+  });
+}
+
+// Writes the Gaussians that a place sees, chunk after chunk.
+async function see(input, centre, output) {
+  let [gaussians, at, separator] = [undefined, 0, ""];
+  const add = (text) => {
+    const bytes = new TextEncoder().encode(text);
+    write(output, bytes, at);
+    at += bytes.length;
+  };
+  add('{"gaussians":[');
+  for await (const chunk of decode(fileSource(input))) {
+    gaussians ??= new Gaussians(chunk.scene);
+    const found = documents(gaussians.chunk(gaussians.add(chunk), centre));
+    gaussians.clear();
+    if (found.length === 0) continue;
+    add(separator + found.join(","));
+    separator = ",";
+  }
+  add("]}");
+}
+
+// Decodes one file. camera: the path of a camera, if its Gaussians are wanted.
+//
+// Returns the exit status and the last line of stderr.
+async function run(input, output, camera) {
   const opened = [];
   try {
+    const centre = camera === undefined ? undefined : readCentre(camera);
     for (const [path, flags] of [[input, "r"], [output, "w"]]) opened.push(fs.openSync(path, flags));
-    await reconstruct(...opened);
+    if (centre === undefined) await reconstruct(...opened);
+    else await see(opened[0], centre, opened[1]);
     return { status: EXIT.done, stderr: "" };
   } catch (error) {
     if (error instanceof C3gsError) {
       const status = error.class === "unsupported" ? EXIT.unsupported : EXIT.refused;
       return { status, stderr: JSON.stringify(error) };
     }
-    if (error.syscall !== undefined) return { status: EXIT.usage, stderr: `c3gs: ${error.message}` };
+    if (error.syscall !== undefined || error instanceof UsageError) {
+      return { status: EXIT.usage, stderr: `c3gs: ${error.message}` };
+    }
     return { status: EXIT.fault, stderr: `c3gs: a fault of the program\n${error.stack}` };
   } finally {
     opened.forEach((file) => fs.closeSync(file));
@@ -107,11 +167,12 @@ async function serve() {
 
 async function main([command, ...paths]) {
   if (command === "serve" && paths.length === 0) return serve();
-  if (command !== "decode" || paths.length !== 2) {
-    console.error("usage: c3gs decode INPUT OUTPUT, or c3gs serve");
+  if (!(command in PATHS) || paths.length !== PATHS[command]) {
+    console.error("usage: c3gs decode INPUT OUTPUT, or c3gs gaussians INPUT CAMERA OUTPUT, or c3gs serve");
     return EXIT.usage;
   }
-  const { status, stderr } = await run(...paths);
+  const [camera] = paths.slice(1, -1);
+  const { status, stderr } = await run(paths[0], paths[paths.length - 1], camera);
   if (stderr !== "") console.error(stderr);
   return status;
 }

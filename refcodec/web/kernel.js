@@ -1,5 +1,6 @@
 // The native kernel in WebAssembly: memory, calls, and what its statuses mean.
 
+import { RENDERING } from "./container.js";
 import { power } from "./numbers.js";
 
 const NO_MEMORY = -1;
@@ -14,10 +15,17 @@ const SLICES_MAX = 16;
 const SCALINGS = 6;
 // SPEC.md 7.4: a position counts 2^-24.
 const GRID_BITS = 24;
+// The arrays of a view (SPEC.md 14.3), in the order in which draw.c takes them: their types and widths.
+export const VIEW = {
+  positions: [Float32Array, 3], scales: [Float32Array, 3], rotations: [Float32Array, 4], colours: [Float32Array, 3],
+  opacities: [Float32Array, 1], anchors: [Uint32Array, 1], offsets: [Uint8Array, 1],
+};
 // What no mask and no step index is.
 const UNTOUCHED = 255;
 
 let compiled;
+// The kernels of scenes. What a caller has of a scene does not show it.
+const kernels = new WeakMap();
 
 // Returns the module of c3gs.wasm, which is compiled once.
 function compile() {
@@ -37,6 +45,17 @@ async function read(url) {
   const response = await fetch(url);
   if (!response.ok) throw new Error(`${url} has status ${response.status}`);
   return WebAssembly.compile(await response.arrayBuffer());
+}
+
+export function shareKernel(scene, kernel) {
+  kernels.set(scene, kernel);
+}
+
+// Returns the kernel with which a scene was opened.
+export function kernelOf(scene) {
+  const kernel = kernels.get(scene);
+  if (kernel === undefined) throw new TypeError("that is no scene of open or decode");
+  return kernel;
 }
 
 // wasm: a WebAssembly.Module of c3gs.wasm or its bytes, where it does not lie beside this file.
@@ -63,6 +82,10 @@ class Kernel {
     const at = size <= MEMORY_MAX ? this.run.allocate(size) >>> 0 : 0;
     if (at === 0) throw noMemory();
     return at;
+  }
+
+  release(at) {
+    this.run.release(at);
   }
 
   // Copies an array to new memory.
@@ -190,6 +213,49 @@ class Kernel {
     const to = this.keep("values", 4 * n * width);
     this.run.attributeValues(symbols, steps + kind, step, n, width, to);
     return this.view(Float32Array, to, n * width);
+  }
+
+  // SPEC 14.3: returns the rendering networks. layers: of the scene.
+  makeRenderer({ header, features, layers }) {
+    const own = layers.filter(({ network }) => RENDERING.some(([name]) => name === network));
+    const count = own.reduce((sum, { values }) => sum + values.length, 0);
+    const whole = new Float32Array(count);
+    let next = 0;
+    for (const { values } of own) {
+      whole.set(values, next);
+      next += values.length;
+    }
+    const given = this.put(whole);
+    const { render_width: width, offset_count: offsets, distance_unit: unit } = header;
+    const at = this.run.makeRenderer(features, width, offsets, unit, given, count) >>> 0;
+    this.run.release(given);
+    if (at === 0) throw noMemory();
+    return at;
+  }
+
+  // Returns room for anchors and their kept offsets, for `addAnchors`.
+  makeAnchors(renderer, count, kept) {
+    const at = this.run.makeAnchors(renderer, count, kept) >>> 0;
+    if (at === 0) throw noMemory();
+    return at;
+  }
+
+  // Appends anchors. arrays: positions, masks, features, scalings and offsets.
+  addAnchors(renderer, anchors, count, arrays) {
+    const places = arrays.map((array, i) => this.keepCopy(`anchors ${i}`, array));
+    known(this.run.addAnchors(renderer, anchors, count, ...places));
+  }
+
+  // SPEC 14.3: returns the Gaussians of some of the anchors. They are views that hold until the next call.
+  //
+  // place: 3 numbers. number: of the first of all these anchors. room: for so many Gaussians.
+  draw(renderer, anchors, start, end, place, number, room) {
+    const from = this.keepCopy("centre", place);
+    const kinds = Object.entries(VIEW);
+    const to = kinds.map(([name, [type, width]]) => this.keep(`view ${name}`, type.BYTES_PER_ELEMENT * width * room));
+    const count = known(this.run.draw(renderer, anchors, start, end, from, number, room, ...to));
+    const own = kinds.map(([name, [type, width]], i) => [name, this.view(type, to[i], width * count)]);
+    return { count, ...Object.fromEntries(own) };
   }
 
   makeHash() {

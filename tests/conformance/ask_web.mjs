@@ -4,7 +4,10 @@
 // the chunks that were delivered, or with the error.
 import fs from "node:fs";
 import readline from "node:readline";
-import { BoundPassedError, C3gsError, decode, decodeAll, decodeChunk, open } from "../../refcodec/web/c3gs.js";
+import {
+  BoundPassedError, C3gsError, cameraMatrix, centreOf, decode, decodeAll, decodeChunk, Gaussians, open,
+  projectionMatrix, uprightMatrix,
+} from "../../refcodec/web/c3gs.js";
 
 const hex = (bytes) => Buffer.from(bytes).toString("hex");
 const blocks = function* (bytes, size) {
@@ -28,6 +31,48 @@ function input(bytes, { way, size }) {
   return bytes;
 }
 
+const WIDTHS = { positions: 3, scales: 3, rotations: 4, colours: 3, opacities: 1, anchors: 1, offsets: 1 };
+const seen = (view) => {
+  const rows = (name, width) => hex(view[name].slice(0, width * view.count).buffer);
+  const own = Object.entries(WIDTHS).map(([name, width]) => [name, rows(name, width)]);
+  return { arrays: Object.keys(view), ...Object.fromEntries(own) };
+};
+
+// What a place sees of a file, in all ways in which it can be asked for, one list of views for each.
+async function views(bytes, place) {
+  const [few, whole] = [[], await decodeAll(bytes)];
+  const all = new Gaussians(whole.scene);
+  all.add(whole.anchors);
+  const { scene } = whole;
+  const gaussians = new Gaussians(scene);
+  const single = [];
+  for await (const chunk of decode(bytes)) {
+    const index = gaussians.add(chunk);
+    single.push(seen(gaussians.chunk(index, place)));
+  }
+  const out = gaussians.room(gaussians.slotCount);
+  const n = gaussians.anchorCount;
+  for (let at = 0; at < n; at += 2) few.push(seen(gaussians.range(at, Math.min(at + 2, n), place, out)));
+  return {
+    single, few, all: [seen(all.all(place))], out: [seen(gaussians.all(place, out))],
+    added: gaussians.chunks.map(({ low, high, ...own }) => ({ ...own, low: [...low], high: [...high] })),
+    slots: Array.from({ length: n + 1 }, (_, anchor) => gaussians.slotOf(anchor)),
+    changes: Array.from(gaussians.changes(place)),
+  };
+}
+
+// How much the view of each chunk changes on the way between two places. The last chunk is not seen before.
+async function changes(bytes, { first, second }) {
+  const { scene } = await decodeAll(bytes);
+  const gaussians = new Gaussians(scene);
+  for await (const chunk of decode(bytes)) gaussians.add(chunk);
+  for (let i = 0; i + 1 < gaussians.chunks.length; i++) gaussians.chunk(i, first);
+  const added = gaussians.chunks.map(({ low, high }) => ({ low: [...low], high: [...high] }));
+  return { added, changes: [...gaussians.changes(second)] };
+}
+
+const listed = ({ cameras, metadata }) => ({ cameras, metadata: Object.fromEntries(metadata) });
+
 async function answer({ file, way, number, options, ...rest }, chunks) {
   const bytes = fs.readFileSync(file);
   if (way === "chunk") {
@@ -38,6 +83,22 @@ async function answer({ file, way, number, options, ...rest }, chunks) {
     };
     const chunk = await decodeChunk({ read, length: bytes.length }, number, options);
     return { asked, features: hex(chunk.features.buffer), positions: hex(chunk.positions.buffer) };
+  }
+  if (way === "camera") {
+    const { camera, near, far } = rest;
+    const matrices = { matrix: cameraMatrix(camera), projection: projectionMatrix(camera, near, far) };
+    const own = Object.entries(matrices).map(([name, matrix]) => [name, [...matrix]]);
+    return { centre: [...centreOf(camera)], ...Object.fromEntries(own) };
+  }
+  if (way === "centre") return { centre: [...centreOf(rest.camera, rest.object)] };
+  if (way === "upright") return { matrix: [...uprightMatrix({ up_axis: rest.axis })] };
+  if (way === "changes") return changes(bytes, rest);
+  if (way === "views") return views(bytes, rest.place);
+  if (way === "ancillary") {
+    const scene = await open(bytes, options);
+    const before = listed(scene);
+    await scene.readAncillary();
+    return { before, read: listed(scene), decoded: listed((await decodeAll(bytes, options)).scene) };
   }
   if (way === "entries") {
     const scene = await open(bytes, options);

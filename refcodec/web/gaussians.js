@@ -1,0 +1,175 @@
+// The Gaussians that a place sees (SPEC.md 14.3).
+import { centreOf } from "./camera.js";
+import { kernelOf, VIEW } from "./kernel.js";
+
+// Anchors that go to the kernel together. A scene may have more than fit twice in its memory.
+const PIECE = 4096;
+// The types of the arrays of anchors, and how many numbers an anchor has, for K offsets and F features.
+const ARRAYS = {
+  positions: [Float32Array, () => 3],
+  masks: [Uint8Array, (k) => k],
+  features: [Float32Array, (k, f) => f],
+  scalings: [Float32Array, () => 6],
+  offsets: [Float32Array, (k) => 3 * k],
+};
+
+// Returns the sums of the kept offsets before each anchor, and of all.
+function slotsOf(masks, count, offsets) {
+  const slots = new Uint32Array(count + 1);
+  for (let i = 0, at = 0; i < count; i++) {
+    let kept = 0;
+    for (const end = at + offsets; at < end; at++) kept += masks[at] !== 0 ? 1 : 0;
+    slots[i + 1] = slots[i] + kept;
+  }
+  return slots;
+}
+
+function boundsOf(positions) {
+  const low = new Float32Array(3).fill(Infinity);
+  const high = new Float32Array(3).fill(-Infinity);
+  positions.forEach((x, i) => {
+    if (x < low[i % 3]) low[i % 3] = x;
+    if (x > high[i % 3]) high[i % 3] = x;
+  });
+  return { low, high };
+}
+
+// How much the view of what lies within bounds changes on the way between two places.
+function change({ low, high }, before, now) {
+  const way = Math.hypot(...now.map((x, i) => x - before[i]));
+  if (way === 0) return 0;
+  // Among anchors, the distance to the nearest one is rarely less than this.
+  const among = Math.hypot(...high.map((x, i) => x - low[i])) / 4;
+  const away = Math.hypot(...now.map((x, i) => Math.max(low[i] - x, x - high[i], 0)));
+  return way / Math.max(away, among);
+}
+
+export class Gaussians {
+  #kernel;
+  #renderer;
+  // Of each chunk: its place in the kernel's memory, its slots, and from where it was last seen.
+  #own = [];
+
+  constructor(scene) {
+    this.#kernel = kernelOf(scene);
+    this.#renderer = this.#kernel.makeRenderer(scene);
+    this.scene = scene;
+    this.chunks = [];
+    this.anchorCount = 0;
+    this.slotCount = 0;
+  }
+
+  add(chunk) {
+    const { count } = chunk;
+    const [k, f] = [this.scene.header.offset_count, this.scene.features];
+    if (!Number.isSafeInteger(count) || count < 0) throw new TypeError("the count of a chunk is no number of anchors");
+    const arrays = Object.entries(ARRAYS).map(([name, [type, width]]) => {
+      const array = chunk[name];
+      if (!(array instanceof type) || array.length !== count * width(k, f)) {
+        throw new TypeError(`${name} is no ${type.name} of ${count} x ${width(k, f)} numbers`);
+      }
+      return [array, width(k, f)];
+    });
+    const slots = slotsOf(chunk.masks, count, k);
+    const kept = slots[count];
+    const at = this.#kernel.makeAnchors(this.#renderer, count, kept);
+    try {
+      for (let start = 0; start < count; start += PIECE) {
+        const end = Math.min(start + PIECE, count);
+        const piece = arrays.map(([array, width]) => array.subarray(start * width, end * width));
+        this.#kernel.addAnchors(this.#renderer, at, end - start, piece);
+      }
+    } catch (error) {
+      this.#kernel.release(at);
+      throw error;
+    }
+    const [start, slot] = [this.anchorCount, this.slotCount];
+    const { number, first = 0 } = chunk;
+    this.chunks.push({ number, start, end: start + count, kept, slot, ...boundsOf(chunk.positions) });
+    this.#own.push({ at, slots, first, seen: undefined });
+    this.anchorCount += count;
+    this.slotCount += kept;
+    return this.chunks.length - 1;
+  }
+
+  clear() {
+    for (const { at } of this.#own) this.#kernel.release(at);
+    this.#own = [];
+    this.chunks = [];
+    this.anchorCount = 0;
+    this.slotCount = 0;
+  }
+
+  chunk(index, from, out) {
+    const chunk = this.chunks[index];
+    if (chunk === undefined) throw new RangeError(`there is no chunk ${index}: ${this.chunks.length} were added`);
+    const place = centreOf(from);
+    const view = this.range(chunk.start, chunk.end, place, out);
+    this.#own[index].seen = place;
+    return view;
+  }
+
+  all(from, out) {
+    const place = centreOf(from);
+    const view = this.range(0, this.anchorCount, place, out);
+    for (const own of this.#own) own.seen = place;
+    return view;
+  }
+
+  range(start, end, from, out) {
+    const place = centreOf(from);
+    const most = this.slotOf(end) - this.slotOf(start);
+    if (start > end) throw new RangeError(`there are no anchors from ${start} to ${end}`);
+    const view = out ?? this.room(most);
+    if (!hasRoom(view, most)) throw new RangeError(`the view has no room for ${most} Gaussians`);
+    view.count = 0;
+    for (const [i, chunk] of this.chunks.entries()) {
+      const last = Math.min(end, chunk.end);
+      for (let at = Math.max(start, chunk.start); at < last; at += PIECE) {
+        this.#draw(i, at - chunk.start, Math.min(at + PIECE, last) - chunk.start, place, view);
+      }
+    }
+    return out ?? trimmed(view);
+  }
+
+  // Appends the Gaussians of some anchors of a chunk to a view.
+  #draw(index, start, end, place, view) {
+    const { at, slots, first } = this.#own[index];
+    const room = slots[end] - slots[start];
+    const found = this.#kernel.draw(this.#renderer, at, start, end, place, first, room);
+    for (const [name, [, width]] of Object.entries(VIEW)) view[name].set(found[name], width * view.count);
+    view.count += found.count;
+  }
+
+  slotOf(anchor) {
+    const right = Number.isSafeInteger(anchor) && anchor >= 0 && anchor <= this.anchorCount;
+    if (!right) throw new RangeError(`there is no anchor ${anchor}: ${this.anchorCount} were added`);
+    if (anchor === this.anchorCount) return this.slotCount;
+    const index = this.chunks.findIndex(({ end }) => anchor < end);
+    const { start, slot } = this.chunks[index];
+    return slot + this.#own[index].slots[anchor - start];
+  }
+
+  room(size) {
+    const arrays = Object.entries(VIEW).map(([name, [type, width]]) => [name, new type(width * size)]);
+    return { count: 0, ...Object.fromEntries(arrays) };
+  }
+
+  changes(from) {
+    const place = centreOf(from);
+    const of = ({ seen }, i) => (seen === undefined ? Infinity : change(this.chunks[i], seen, place));
+    return Float64Array.from(this.#own, of);
+  }
+}
+
+function hasRoom(view, count) {
+  return Object.entries(VIEW).every(([name, [type, width]]) => {
+    return view[name] instanceof type && view[name].length >= width * count;
+  });
+}
+
+// The same Gaussians in arrays that hold no more.
+function trimmed(view) {
+  const arrays = Object.entries(VIEW).map(([name, [, width]]) => [name, view[name].slice(0, width * view.count)]);
+  return { count: view.count, ...Object.fromEntries(arrays) };
+}

@@ -1,0 +1,298 @@
+"""What a viewer takes of the decoder in WebAssembly: Gaussians, cameras and metadata, as refcodec has them."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+from collections.abc import Iterator
+from dataclasses import asdict, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from hostile_files import FILES, SCENES
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from web_program import MISSING, NODE, PROGRAM, Decoder, running
+
+from conformance.cases.scenes import MAIN_DIMENSIONS, random_scene
+from conformance.manifest import VECTORS, GaussiansOf, load
+from conformance.runner.gaussians import difference
+from refcodec import statuses
+from refcodec.bitstream import cameras, codec, metadata
+from refcodec.bitstream.cameras import NamedCamera
+from refcodec.bitstream.reconstruction import reconstruct
+from refcodec.bitstream.scene import Ancillary, Scene
+from refcodec.render.camera import Camera, default_camera
+from refcodec.render.gaussians import Gaussians, gaussians, gaussians_document
+
+pytestmark = [pytest.mark.no_cover, pytest.mark.skipif(NODE is None, reason=MISSING)]
+
+# SPEC [G14.3-1]
+TOLERANCE = 1e-4
+TYPES = {
+    "positions": ("<f4", 3),
+    "scales": ("<f4", 3),
+    "rotations": ("<f4", 4),
+    "colours": ("<f4", 3),
+    "opacities": ("<f4", 1),
+    "anchors": ("<u4", 1),
+    "offsets": ("u1", 1),
+}
+MANIFEST = load(VECTORS / "manifest.json")
+VALID = [v for v in MANIFEST.vectors if v.operation == "decode" and v.klass == "valid"]
+
+
+@pytest.fixture(scope="module")
+def decoder(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Decoder]:
+    with running(tmp_path_factory.mktemp("web")) as process:
+        yield process
+
+
+# ----------------------------------------------------------------------------------------------------- Gaussians ---
+
+
+def at_place(place: list[float]) -> Camera:
+    return Camera("", 1, 1, 1.0, 1.0, 0.0, 0.0, np.eye(3), -np.array(place, np.float64))
+
+
+def document(scene: Scene, place: list[float]) -> str:
+    """What the reference in binary64 sees."""
+    values, unit = reconstruct(scene), scene.render.distance_unit
+    found = gaussians(values, scene.masks, scene.networks, at_place(place), unit, np.float64)
+    return json.dumps(gaussians_document(found))
+
+
+def seen(views: list[dict[str, Any]]) -> Gaussians:
+    """The Gaussians of views, one behind the other."""
+    arrays = {
+        name: np.concatenate([np.frombuffer(bytes.fromhex(view[name]), kind).reshape(-1, width) for view in views])
+        for name, (kind, width) in TYPES.items()
+    }
+    assert all(view["arrays"] == ["count", *TYPES] for view in views)
+    return Gaussians(
+        arrays["positions"],
+        arrays["scales"],
+        arrays["rotations"],
+        arrays["opacities"][:, 0],
+        arrays["colours"],
+        arrays["anchors"][:, 0].astype(np.int64),
+        arrays["offsets"][:, 0].astype(np.int64),
+    )
+
+
+LARGER = {
+    "main": random_scene(51, 300, MAIN_DIMENSIONS, chunk_size=256),
+    "narrow": random_scene(52, 40, replace(SCENES["raw"].dimensions, render_width=3)),
+}
+
+
+@pytest.mark.requirement("G14.3-1")
+@pytest.mark.parametrize("name", [*SCENES, *LARGER])
+def test_gaussians_are_those_of_the_reference(decoder: Decoder, name: str) -> None:
+    """One chunk after the other, two anchors after the other, and all at once: the same arrays, near the reference."""
+    scene = {**SCENES, **LARGER}[name]
+    file = FILES.get(name) or codec.emit(scene)
+    positions = reconstruct(scene).positions.astype(np.float64)
+    within = positions[len(positions) // 2].tolist() if len(positions) else [0.0, 0.0, 0.0]
+    for place in ([0.5, -0.25, 6.0], within, [12.0, -7.0, 9.0]):
+        said = decoder.ask(file, "views", place=place)
+        found = seen(said["all"])
+        assert difference(document(scene, place), json.dumps(gaussians_document(found)), TOLERANCE) is None
+        for way in ("few", "single", "out"):
+            if said[way]:
+                assert all(np.array_equal(a, b) for a, b in zip(*map(_columns, (found, seen(said[way]))), strict=True))
+
+
+def _columns(found: Gaussians) -> list[Any]:
+    return list(vars(found).values())
+
+
+def test_slots_count_kept_offsets(decoder: Decoder) -> None:
+    for name, scene in SCENES.items():
+        said = decoder.ask(FILES[name], "views", place=[1.0, 2.0, 3.0])
+        sums = [0, *np.cumsum(scene.masks.sum(axis=1)).tolist()]
+        assert said["slots"] == sums
+        positions = reconstruct(scene).positions
+        for number, (chunk, rows) in enumerate(zip(said["added"], scene.chunks, strict=True)):
+            start, end = rows.start, rows.stop
+            own = positions[start:end]
+            assert {key: chunk[key] for key in ("number", "start", "end", "slot", "kept")} == {
+                "number": number,
+                "start": start,
+                "end": end,
+                "slot": sums[start],
+                "kept": sums[end] - sums[start],
+            }
+            assert np.array_equal(np.array([chunk["low"], chunk["high"]]), [own.min(axis=0), own.max(axis=0)])
+        # All were seen from there last.
+        assert not any(said["changes"])
+
+
+@pytest.mark.requirement("G14.3-1")
+@pytest.mark.parametrize("vector", [v for v in MANIFEST.vectors if v.operation == "gaussians"], ids=lambda v: v.id)
+def test_the_program_passes_the_vectors_of_renderers(vector: Any, tmp_path: Path) -> None:
+    expected = vector.expectation
+    assert isinstance(expected, GaussiansOf)
+    camera, output = tmp_path / "camera.json", tmp_path / "output"
+    camera.write_text(json.dumps(expected.camera))
+    words = ["gaussians", MANIFEST.path(vector), camera, output]
+    done = subprocess.run([str(NODE), PROGRAM, *words], capture_output=True, text=True, check=False)
+    assert (done.returncode, done.stderr) == (statuses.DONE, "")
+    assert difference((VECTORS / expected.path).read_bytes(), output.read_bytes(), expected.tolerance) is None
+
+
+@pytest.mark.parametrize("text", ["", "[]", "null", '{"rotation": [[1, 0, 0]], "translation": [0, 0, 0]}'])
+def test_the_program_refuses_what_is_no_camera(text: str, tmp_path: Path) -> None:
+    camera = tmp_path / "camera.json"
+    camera.write_text(text)
+    words = ["gaussians", VECTORS / "tiny-example.c3gs", camera, tmp_path / "output"]
+    done = subprocess.run([str(NODE), PROGRAM, *words], capture_output=True, text=True, check=False)
+    assert done.returncode == statuses.USAGE
+    assert done.stderr == f"c3gs: {camera} is no camera\n"
+
+
+def test_wrong_calls_are_refused() -> None:
+    """Wrong arrays, indices and places get an error of their own. A right call works after them."""
+    program = Path(__file__).with_name("refuse_web.mjs")
+    done = subprocess.run(
+        [str(NODE), program, VECTORS / "valid" / "cameras.c3gs"], capture_output=True, text=True, check=True
+    )
+    said = json.loads(done.stdout)
+    assert {name: kind for name, kind in said.items() if kind not in ("TypeError", "RangeError")} == {"right": "right"}
+
+
+# ------------------------------------------------------------------------------------------ cameras and metadata ---
+
+
+def listed(sections: tuple[Ancillary, ...] | list[Ancillary]) -> dict[str, Any]:
+    """The cameras and the metadata of sections, as JSON has them."""
+    found = [asdict(camera) for camera in cameras.cameras(sections)]
+    return json.loads(json.dumps({"cameras": found, "metadata": metadata.metadata(sections)}))  # type: ignore[no-any-return]
+
+
+def assert_ancillary(decoder: Decoder, data: bytes) -> dict[str, Any]:
+    said, expected = decoder.ask(data, "ancillary"), listed(codec.parse_ancillary(data))
+    assert said["before"] == {"cameras": [], "metadata": {}}
+    for found in (said["read"], said["decoded"]):
+        # JavaScript writes large numbers as integers, with other digits.
+        for camera in found["cameras"]:
+            camera.update({key: list(map(float, value)) for key, value in camera.items() if isinstance(value, list)})
+        assert found == expected
+    return expected
+
+
+def test_cameras_and_metadata_of_the_vectors(decoder: Decoder) -> None:
+    found = [
+        assert_ancillary(decoder, MANIFEST.path(vector).read_bytes())
+        for vector in VALID
+        if any(section.type in (cameras.CAMERAS, metadata.METADATA) for section in sections_of(vector))
+    ]
+    assert any(one["cameras"] for one in found)
+    assert any(one["metadata"] for one in found)
+
+
+def sections_of(vector: Any) -> list[Ancillary]:
+    return codec.parse_ancillary(MANIFEST.path(vector).read_bytes())
+
+
+GOOD = {
+    b"mETA": metadata.emit_metadata({"title": "a title", "com.example": "\ufeffé", "__proto__": "x"}),
+    b"cAMS": cameras.emit_cameras(
+        [
+            NamedCamera(),
+            NamedCamera("\ufeffzwei", 7, 5, (1.5, 2.5), (3.0, 2.0), (0.0, -2.0, 1e20, 3.0), (1.0, 2.0, 3.0)),
+        ]
+    ),
+}
+
+
+@st.composite
+def sections(draw: st.DrawFn) -> tuple[Ancillary, ...]:
+    """Sections of metadata and of cameras, most of them with faults, at any places."""
+    found = []
+    for _ in range(draw(st.integers(1, 4))):
+        kind = draw(st.sampled_from(list(GOOD)))
+        content = bytearray(draw(st.sampled_from([GOOD[kind], bytes(4)])))
+        for _ in range(draw(st.integers(0, 3))):
+            content[draw(st.integers(0, len(content) - 1))] = draw(st.integers(0, 255))
+        end = draw(st.integers(0, len(content)) | st.just(len(content)))
+        rest = draw(st.sampled_from([b"", b"\0", b"more"]))
+        mode = draw(st.sampled_from([0, 0, 0, 1]))
+        found.append(Ancillary(kind, mode, bytes(content[:end]) + rest, draw(st.integers(0, 5))))
+    return tuple(sorted(found, key=lambda section: section.after))
+
+
+@settings(max_examples=60)
+@given(sections())
+def test_what_is_wrong_is_passed_over(decoder: Decoder, drawn: tuple[Ancillary, ...]) -> None:
+    assert_ancillary(decoder, codec.emit(replace(SCENES["smallest"], ancillary=drawn)))
+
+
+def test_long_sections_are_passed_over(decoder: Decoder) -> None:
+    """SPEC 6.14 limits metadata. What is more than a caller allows is not held."""
+    for length in (1 << 16, (1 << 16) + 1):
+        content = GOOD[b"mETA"].ljust(length, b"\0")
+        data = codec.emit(replace(SCENES["smallest"], ancillary=(Ancillary(b"mETA", 0, content, 0),)))
+        assert bool(assert_ancillary(decoder, data)["metadata"]) == (length == 1 << 16)
+    content = GOOD[b"cAMS"] + bytes(1 << 20)
+    data = codec.emit(replace(SCENES["smallest"], ancillary=(Ancillary(b"cAMS", 0, content, 0),)))
+    assert len(assert_ancillary(decoder, data)["cameras"]) == 2
+    assert decoder.ask(data, "ancillary", options={"maxMemory": 1 << 20})["read"]["cameras"] == []
+
+
+# -------------------------------------------------------------------------------------------------------- places ---
+
+
+@settings(max_examples=30)
+@given(st.data())
+def test_places_and_matrices_of_cameras(decoder: Decoder, data: st.DataObject) -> None:
+    """The centre and the two matrices put a point where SPEC 14.2 and 14.4 put it in the image."""
+    numbers = st.floats(-8, 8, width=32)
+    rotation = data.draw(st.tuples(numbers, numbers, numbers, numbers).filter(any))
+    stated = NamedCamera("c", 640, 480, (500.0, 350.0), (300.0, 250.0), rotation, data.draw(st.tuples(*[numbers] * 3)))
+    camera = default_camera(stated)
+    said = decoder.ask(b"", "camera", camera=asdict(stated), near=0.5, far=100.0)
+    assert np.allclose(said["centre"], camera.centre, atol=1e-5)
+    to_world, projection = (np.array(said[name]).reshape(4, 4).T for name in ("matrix", "projection"))
+    own = np.array([0.25, -0.5, 3.0])
+    point = camera.rotation.T @ (own - camera.translation)
+    clip = projection @ np.linalg.inv(to_world) @ np.append(point, 1)
+    u, v = (clip[:2] / clip[3] * [1, -1] + 1) / 2 * [stated.width, stated.height]
+    assert np.allclose([u, v], [500 * 0.25 / 3 + 300, 350 * -0.5 / 3 + 250], atol=1e-3)
+    depth = projection @ [0, 0, -0.5, 1], projection @ [0, 0, -100, 1]
+    assert np.allclose([clip[2] / clip[3] for clip in depth], [-1, 1])
+
+
+def test_places_within_objects(decoder: Decoder) -> None:
+    """A camera's place is carried into the frame of the object that draws the scene."""
+    matrix = np.array([[0, -2, 0, 5], [2, 0, 0, -1], [0, 0, 3, 2], [0, 0, 0, 1]], np.float64)
+    inside = np.array([0.5, -1.5, 2.5, 1])
+    place = np.eye(4)
+    place[:, 3] = matrix @ inside
+    camera = {"matrixWorld": {"elements": place.T.ravel().tolist()}}
+    placed = {"matrixWorld": {"elements": matrix.T.ravel().tolist()}}
+    for own in (camera, (matrix @ inside)[:3].tolist(), dict(zip("xyz", (matrix @ inside)[:3].tolist(), strict=True))):
+        assert np.allclose(decoder.ask(b"", "centre", camera=own, object=placed)["centre"], inside[:3])
+
+
+@pytest.mark.parametrize("axis", range(6))
+def test_what_is_up_turns_to_y(decoder: Decoder, axis: int) -> None:
+    matrix = np.array(decoder.ask(b"", "upright", axis=axis)["matrix"]).reshape(4, 4).T
+    up = np.zeros(4)
+    up[axis // 2] = -1 if axis % 2 else 1
+    assert (matrix @ up).tolist() == [0, 1, 0, 0]
+    assert np.array_equal(matrix @ matrix.T, np.eye(4))
+    assert np.linalg.det(matrix) == pytest.approx(1)
+
+
+def test_changes_are_ways_over_distances(decoder: Decoder) -> None:
+    """A chunk that was never seen comes first. Near chunks come before far ones."""
+    said = decoder.ask(FILES["raw"], "changes", first=[0.0, 0.0, 50.0], second=[1.0, 0.0, 50.0])
+    *seen_before, last = said["changes"]
+    assert last is None
+    for change, chunk in zip(seen_before, said["added"], strict=False):
+        low, high = np.array(chunk["low"]), np.array(chunk["high"])
+        away = np.linalg.norm(np.maximum(np.maximum(low - [1, 0, 50], [1, 0, 50] - high), 0))
+        assert change == pytest.approx(1 / max(away, np.linalg.norm(high - low) / 4))
