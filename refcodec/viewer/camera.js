@@ -14,6 +14,8 @@ const row = (rotation, i) => rotation.slice(3 * i, 3 * i + 3);
 const LENS = { width: 800, height: 600, focal: [700, 700], principal_point: [400, 300] };
 const ELEVATION = (25 * Math.PI) / 180;
 const DISTANCE = 2.2;
+// How much the shapes of two images may differ until one is shown in part.
+const SHAPES = 1.8;
 // How near to the axis that points up the view may get, in radians.
 const STEEPEST = 0.02;
 
@@ -61,9 +63,12 @@ export function around({ middle, radius }, up) {
   return { lens: LENS, pose: { rotation: [...x, ...cross(z, x), ...z], centre: add(middle, away, pivot), pivot } };
 }
 
-// The lens that shows the whole image of another one in the middle of a larger image, and where: left, top and scale.
+// The lens that shows the image of another one in the middle of a larger image, and where: left, top and scale.
+//
+// The whole image is shown, unless the larger one has quite another shape, such as that of a phone.
 export function fitted({ width, height, focal, principal_point }, [wide, high]) {
-  const scale = Math.min(wide / width, high / height);
+  const [across, down] = [wide / width, high / height];
+  const scale = Math.max(Math.min(across, down), Math.max(across, down) / SHAPES);
   const [left, top] = [(wide - width * scale) / 2, (high - height * scale) / 2];
   const lens = {
     width: wide,

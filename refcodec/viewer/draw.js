@@ -139,6 +139,7 @@ export class Drawing {
         gl.deleteFramebuffer(this.target.frame);
       }
       this.target = { width, height, image: texture(gl), frame: gl.createFramebuffer() };
+      for (const name of ["TEXTURE_MIN_FILTER", "TEXTURE_MAG_FILTER"]) gl.texParameteri(gl.TEXTURE_2D, gl[name], gl.LINEAR);
       gl.texStorage2D(gl.TEXTURE_2D, 1, this.format, width, height);
       gl.bindFramebuffer(gl.FRAMEBUFFER, this.target.frame);
       gl.framebufferTexture2D(gl.FRAMEBUFFER, gl.COLOR_ATTACHMENT0, gl.TEXTURE_2D, this.target.image, 0);

@@ -7,10 +7,11 @@ import { Panel } from "./panel.js";
 const TURN = 0.006;
 const WHEEL = 0.0012;
 const FLY = 0.4;
-// While the camera moves, an image gets fewer pixels if frames take longer than this, in milliseconds.
-const SLOW = 60;
-const QUICK = 25;
-const SHARE_MIN = 0.35;
+// An image gets fewer pixels if frames take longer than this, in milliseconds: while the camera moves, and while the
+// networks do not have all Gaussians yet. It gets more if they take less than a share of that.
+const SLOW = { moving: 60, coming: 200 };
+const QUICK = 0.4;
+const SHARE_MIN = 0.25;
 // How long the camera stands still until it is drawn with all pixels again.
 const STILL = 150;
 // Radians between two frames of a turn.
@@ -153,18 +154,21 @@ class Viewer {
     if (this.pose !== undefined) this.#fly(Math.min(passed, 200) / 1000);
     if (this.stale && this.header !== undefined) this.#send();
     const moving = time - this.movedAt < STILL;
+    const state = moving ? "moving" : this.settled === this.view ? "still" : "coming";
     // Frames that follow each other say how long one takes.
-    if (moving && passed < 1000) {
-      if (passed > SLOW) this.share = Math.max(SHARE_MIN, 0.8 * this.share);
-      else if (passed < QUICK) this.share = Math.min(1, 1.1 * this.share);
-    }
-    this.draw(moving ? this.share : 1);
+    if (state !== "still" && passed > 0) this.#adapt(passed, SLOW[state]);
+    this.draw(state === "still" ? 1 : this.share);
     if (moving && this.share < 1) {
       clearTimeout(this.timer);
       this.timer = setTimeout(() => this.ask(), STILL);
     }
-    if (!moving) this.last = undefined;
+    if (state === "still") this.last = undefined;
     if (this.pressed.size > 0) this.ask();
+  }
+
+  #adapt(passed, slow) {
+    if (passed > slow) this.share = Math.max(SHARE_MIN, 0.8 * this.share);
+    else if (passed < QUICK * slow) this.share = Math.min(1, 1.1 * this.share);
   }
 
   #fly(seconds) {
@@ -244,22 +248,30 @@ class Viewer {
     return image.toDataURL("image/png");
   }
 
-  // Turns around the point before the camera for some seconds, and returns the frames, also those of the worker.
+  // Turns around the point before the camera for some seconds. Returns them, the frames, those that the worker sent, the
+  // share of a side's pixels that the frames had at last, and the seconds of one more frame, which has all pixels.
   async turn(seconds) {
     await this.settle();
     this.turning = true;
     const [start, before] = [performance.now(), this.frames];
-    const passed = () => (performance.now() - start) / 1000;
-    let frames = 0;
-    for (; passed() < seconds; frames++) {
+    let last = start;
+    const found = { frames: 0 };
+    for (let passed = 0; passed < seconds; passed = (last - start) / 1000) {
       this.pose = orbit(this.pose, this.up, [STEP, 0]);
       this.#send();
-      this.draw(1);
+      this.draw(this.share);
       this.drawing.finish();
       // The frames of the worker come in between.
       await new Promise((resolve) => setTimeout(resolve));
+      const now = performance.now();
+      this.#adapt(now - last, SLOW.moving);
+      last = now;
+      found.frames++;
     }
-    const found = { seconds: passed(), frames, updates: this.frames - before };
+    Object.assign(found, { seconds: (last - start) / 1000, updates: this.frames - before, share: this.share });
+    this.draw(1);
+    this.drawing.finish();
+    found.whole = (performance.now() - last) / 1000;
     this.turning = false;
     this.changed();
     return found;

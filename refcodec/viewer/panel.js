@@ -4,7 +4,7 @@ const byId = (id) => document.getElementById(id);
 const find = (selector) => document.querySelector(selector);
 
 const PARTS = {
-  header: "header, directory, frame, index",
+  header: "header and index",
   weights: "weights of the networks",
   planes: "planes",
   positions: "positions",
