@@ -104,7 +104,7 @@ def _served(arguments: argparse.Namespace) -> tuple[Callable[[], BinaryIO], list
     # The page tells what is wrong with a file. It gets the file as it is when the page is loaded.
     data = read_bounded(arguments)
     if os.path.isfile(path):
-        return partial(open, path, "rb"), []
+        return lambda: open(path, "rb"), []
     return partial(io.BytesIO, data), []
 
 
