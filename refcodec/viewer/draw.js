@@ -105,7 +105,7 @@ export class Drawing {
     this.texture = texture(gl);
   }
 
-  // header: background, alpha_max, low_pass. height: rows of Gaussians. Raises RangeError where the device has too few.
+  // header: background, alpha_max, low_pass. height: rows of Gaussians. Throws RangeError if the device has no room.
   begin(header, height) {
     const { gl } = this;
     const most = gl.getParameter(gl.MAX_TEXTURE_SIZE);
@@ -114,6 +114,7 @@ export class Drawing {
     gl.deleteTexture(this.texture);
     this.texture = texture(gl);
     gl.texStorage2D(gl.TEXTURE_2D, 1, gl.RGBA32UI, TEXELS * WIDTH, Math.max(height, 1));
+    if (gl.getError() === gl.OUT_OF_MEMORY) throw new RangeError("the device has no memory for the scene");
   }
 
   // rows: their numbers. data: one row after the other. order: what is drawn, the first one first.

@@ -52,10 +52,15 @@ class Viewer {
     Object.assign(this, { times: {}, header: undefined, cameras: [], extent: undefined, name, touched: false });
     Object.assign(this, { view: 0, settled: undefined, frames: 0, owes: false, waiting: [], refused: undefined });
     this.panel.begin(name);
-    this.wasm ??= await unpacked("wasm");
-    // A page on a disk may have no worker in a file of its own.
-    this.code ??= URL.createObjectURL(new Blob([await unpacked("worker")], { type: "text/javascript" }));
-    this.worker = new Worker(this.code);
+    try {
+      this.wasm ??= await unpacked("wasm");
+      // A page on a disk may have no worker in a file of its own.
+      this.code ??= URL.createObjectURL(new Blob([await unpacked("worker")], { type: "text/javascript" }));
+      this.worker = new Worker(this.code);
+    } catch (error) {
+      this.on_refused({ kind: "fault", text: `this browser cannot begin: ${error.message}` });
+      return;
+    }
     this.worker.onmessage = ({ data }) => this[`on_${data.type}`](data);
     this.worker.onerror = (event) => this.on_refused({ kind: "fault", text: event.message });
     this.worker.postMessage({ type: "open", wasm: this.wasm, input, url });
@@ -104,7 +109,7 @@ class Viewer {
 
   // After a fault, the chunks before it are no whole scene.
   on_refused({ error, kind, text }) {
-    this.worker.terminate();
+    this.worker?.terminate();
     this.refused = error ?? { kind, text };
     this.drawing.count = 0;
     this.panel.refuse(this.name, error, kind, text);
