@@ -130,6 +130,36 @@ def test_a_file_is_chosen(browser: Chromium, trained: Path, viewed: tuple[str, P
     assert browser.run("document.getElementById('title').innerText") == "empty.c3gs"
 
 
+def test_what_view_serves(
+    trained: Path,
+    photographs: Path,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    """It opens the browser. The page has the photographs, and the file of a scene folder is that of its encoding."""
+    pytest.importorskip("PIL", reason="photographs need the packages of the extra render")
+    opened: list[str] = []
+    served: list[Server] = []
+
+    def serve(server: Server) -> None:
+        served.append(server)
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(Server, "serve_forever", serve)
+    monkeypatch.setattr("webbrowser.open", opened.append)
+    folder = tmp_path / "scene"
+    assert main(["decode", str(trained), "-o", str(folder)]) == 0
+    for words in ([str(trained)], [str(folder)], [str(trained), "--photographs", str(photographs), "--size", "40"]):
+        assert main(["view", *words]) == 0
+        with served[-1].file() as file:
+            assert file.read() == trained.read_bytes()
+    assert opened == [server.url for server in served]
+    pages = [server.page.decode() for server in served]
+    assert [text.count("data:image/jpeg") for text in pages] == [0, 0, 8]
+    assert "Ctrl-C" in capsys.readouterr().out
+
+
 def test_export(trained: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """The page says its size, and replaces what refcodec wrote and nothing else. A folder has the page of its file."""
     output = tmp_path / "scene.html"
