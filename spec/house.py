@@ -24,6 +24,7 @@ ROOMS = (
     "refcodec.render",
     "refcodec.export",
     "refcodec.photographs",
+    "refcodec.viewer",
     "refcodec.evaluate",
     "refcodec.train",
     "refcodec.convert",

@@ -16,6 +16,7 @@ from ..files.terminal import note, say
 from .bounds import add_bounds
 from .shared import RENDER_PACKAGES, UsageError, add_command, needs, note_compiling, parse_file, progress_bar, whole
 from .shown import camera_of, photographs_as_trained, read_shown, render_info
+from .viewing import PAGE_SUFFIX, add_photographs, export_page
 
 if TYPE_CHECKING:
     from ..bitstream.scene import Scene
@@ -30,6 +31,9 @@ FILE is a file or a scene folder. The ending of OUTPUT says the format:
   .spz  the format of Niantic: fixed point, packed with gzip
   .sog  the format of PlayCanvas: images in an archive
   .glb  glTF 2.0 with KHR_gaussian_splatting. The scene stands upright.
+  .html a page that draws FILE itself in any browser. FILE is in it, and nothing is fetched.
+
+The page shows FILE as it is, and all else here is of splats. With --photographs it has photographs to compare with.
 
 The scene has other Gaussians for each camera. An ordinary splat has one set of them, with spherical harmonics for the
 colours. They are fitted to what cameras see:
@@ -104,6 +108,10 @@ def _scaffold(arguments: argparse.Namespace) -> int:
 def _export(arguments: argparse.Namespace) -> int:
     if arguments.scaffold:
         return _scaffold(arguments)
+    if arguments.output.lower().endswith(PAGE_SUFFIX):
+        return export_page(arguments)
+    if arguments.photographs is not None:
+        raise UsageError(f"--photographs is for pages, whose names end with {PAGE_SUFFIX}; --cameras is for splats")
     try:
         from ..export.fit import agreement, fit
         from ..export.formats import FORMATS, splat_file
@@ -113,7 +121,7 @@ def _export(arguments: argparse.Namespace) -> int:
     output = Path(arguments.output)
     suffix = output.suffix.lower()
     if suffix not in FORMATS:
-        raise UsageError(f"{arguments.output} ends with none of {', '.join(FORMATS)}")
+        raise UsageError(f"{arguments.output} ends with none of {', '.join([*FORMATS, PAGE_SUFFIX])}")
     check_file(output, FORMATS[suffix])
     check_apart([output], [arguments.file])
     note_compiling()
@@ -152,6 +160,7 @@ def add(commands: Any) -> None:
             "export scene.c3gs -o scene.spz --cameras photographs",
             "export scene.c3gs -o scene.sog --degree 1",
             "export scene.c3gs -o model --scaffold",
+            "export scene.c3gs -o scene.html --photographs photographs",
         ],
         NOTES,
         writes=True,
@@ -171,8 +180,10 @@ def add(commands: Any) -> None:
     export.add_argument(
         "--size",
         metavar="WxH",
-        help="with --cameras, the size of the photographs, their longest side, or full (default: that of the training)",
+        help="with --cameras or --photographs, the size of the photographs, their longest side, or full (default: that "
+        "of the training)",
     )
+    add_photographs(export)
     export.add_argument(
         "--iterations",
         type=whole,

@@ -19,6 +19,7 @@ GROUPS = {
     "looking": ("explain", "inspect"),
     "drawing": ("gaussians", "render", "eval"),
     "exporting": ("export",),
+    "viewing": ("view",),
     "learning": ("train", "fit"),
     "converting": ("convert",),
     "experiments": ("demo", "rd", "experiment"),

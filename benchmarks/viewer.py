@@ -1,0 +1,119 @@
+"""The page of the viewer in Chromium: time to the first picture, and frames a second, by the number of anchors.
+
+python -m benchmarks.viewer [--anchors 10000 100000] [--rounds 3] [--write]
+
+Each round opens an exported page from the disk, waits until the whole scene is drawn, and turns around the scene for 10
+seconds while the networks follow. A large scene repeats the anchors of a trained one at their places. So each of its
+pixels has many times as many Gaussians as a pixel of a real scene of that size: it is the worst case of drawing.
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+import tempfile
+from pathlib import Path
+from statistics import median
+from typing import Any
+
+from refcodec.statuses import DONE, USAGE
+from refcodec.viewer.page import page
+
+from .chromium import Chromium, find
+from .large import TRAINED, large
+from .results import facts, facts_line, kb, table, write_section
+
+SIZES = (10_000, 100_000)
+WIDTH, HEIGHT = 960, 720
+# How long a page turns around its scene.
+SECONDS = 10
+
+
+def _round(program: str, file: Path) -> dict[str, Any]:
+    """Returns the figures of one page, in seconds and frames."""
+    with Chromium(program, WIDTH, HEIGHT) as browser:
+        browser.open(file.as_uri())
+        browser.run("c3gs.settle()")
+        times = browser.run("c3gs.times")
+        turned = browser.run(f"c3gs.turn({SECONDS})")
+        found: dict[str, Any] = {name: value / 1000 for name, value in times.items()}
+        found["frames_a_second"] = turned["frames"] / turned["seconds"]
+        found["updates_a_second"] = turned["updates"] / turned["seconds"]
+        found |= {"share": turned["share"], "frame": turned["whole"]}
+        found["gaussians"] = browser.run("c3gs.drawing.count")
+        found["device"] = browser.run("c3gs.device")
+    return found
+
+
+def viewer(program: str, sizes: list[int], rounds: int) -> dict[str, Any]:
+    """Returns the figures of the machine and of each size: medians over rounds, in which the sizes take turns."""
+    machine = facts()
+    found: dict[int, list[dict[str, Any]]] = {size: [] for size in sizes}
+    lengths = {}
+    with tempfile.TemporaryDirectory() as folder:
+        for size in sizes:
+            file, data = Path(folder, f"{size}.html"), large(TRAINED, size).path.read_bytes()
+            lengths[size] = len(data), file.write_bytes(page(f"{size}.c3gs", data))
+        for number in range(rounds * len(sizes)):
+            size = sizes[number % len(sizes)]
+            found[size].append(_round(program, Path(folder, f"{size}.html")))
+    rows = []
+    for size, runs in found.items():
+        row: dict[str, Any] = {"anchors": size, "file": lengths[size][0], "page": lengths[size][1]}
+        for name in ("head", "first", "whole", "frames_a_second", "share", "updates_a_second", "frame"):
+            row[name] = median(run[name] for run in runs)
+        rows.append(row | {"gaussians": runs[0]["gaussians"]})
+    return {"machine": machine, "device": next(iter(found.values()))[0]["device"], "rounds": rounds, "rows": rows}
+
+
+def viewer_lines(figures: dict[str, Any]) -> list[str]:
+    """The lines of the section."""
+    head = ["anchors", "Gaussians", "file kB", "page kB", "header s", "first picture s", "whole s"]
+    head += ["frames/s", "of the sides", "networks' frames/s", "a whole frame s"]
+    rows = [
+        [
+            f"{row['anchors']:,}",
+            f"{row['gaussians']:,}",
+            kb(row["file"]),
+            kb(row["page"]),
+            *(f"{row[name]:.2f}" for name in ("head", "first", "whole")),
+            f"{row['frames_a_second']:.1f}",
+            f"{row['share']:.0%}",
+            f"{row['updates_a_second']:.1f}",
+            f"{row['frame']:.2f}",
+        ]
+        for row in figures["rows"]
+    ]
+    return [
+        facts_line(figures["machine"]),
+        f"Drawn by {figures['device']}.",
+        f"At {WIDTH} x {HEIGHT} pixels. Medians of {figures['rounds']} pages, which are opened from the disk.",
+        "Times are from the beginning of the page. Frames are those of a turn around the scene, while the worker runs",
+        "the networks and sorts. As always while a camera moves, they have as many pixels as the device draws in time:",
+        "the share of the sides is said. The last column is one frame with all pixels.",
+        "",
+        *table(head, rows),
+    ]
+
+
+def main() -> int:
+    """Command line. Returns the exit status."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--anchors", type=int, nargs="+", default=list(SIZES))
+    parser.add_argument("--rounds", type=int, default=3)
+    parser.add_argument("--write", action="store_true", help="write the section of benchmarks/RESULTS.md")
+    options = parser.parse_args()
+    program = find()
+    if program is None:
+        print("there is no Chromium here", file=sys.stderr)
+        return USAGE
+    lines = viewer_lines(viewer(program, options.anchors, options.rounds))
+    print("\n".join(lines))
+    if options.write:
+        command = " ".join(["python -m benchmarks.viewer", *(word for word in sys.argv[1:] if word != "--write")])
+        write_section("viewer", "The viewer in a browser", [f"`{command}`", "", *lines])
+    return DONE
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,129 @@
+// Cameras of the page: a pose, which people move, and a lens (SPEC.md 14.2).
+//
+// A pose has `rotation`, nine numbers row by row from the world to the camera, `centre`, its place in the world, and
+// `pivot`, the distance at which it turns around. x points right, y down and z into the scene. A lens has the size of
+// its image, and focal and principal_point in pixels.
+
+const add = (a, b, times = 1) => a.map((x, i) => x + times * b[i]);
+const dot = (a, b) => a[0] * b[0] + a[1] * b[1] + a[2] * b[2];
+const cross = (a, b) => [a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]];
+const unit = (a) => a.map((x) => x / Math.hypot(...a));
+const row = (rotation, i) => rotation.slice(3 * i, 3 * i + 3);
+
+// Where the camera stands of a scene that states none, and its lens: those of `refcodec render --cameras orbit`.
+const LENS = { width: 800, height: 600, focal: [700, 700], principal_point: [400, 300] };
+const ELEVATION = (25 * Math.PI) / 180;
+const DISTANCE = 2.2;
+// How much the shapes of two images may differ until one is shown in part.
+const SHAPES = 1.8;
+// How near to the axis that points up the view may get, in radians.
+const STEEPEST = 0.02;
+
+// The lens of a camera, of the file or of a photograph.
+export function lensOf({ width, height, focal, principal_point }) {
+  return { width, height, focal: [...focal], principal_point: [...principal_point] };
+}
+
+// The pose of a camera. Its rotation is a quaternion w, x, y, z or a matrix. middle: of the scene. radius: the same.
+export function poseOf({ rotation, translation }, { middle, radius }) {
+  const matrix = rotation.length === 9 ? [...rotation] : matrixOf(rotation);
+  const columns = [0, 1, 2].map((i) => [matrix[i], matrix[3 + i], matrix[6 + i]]);
+  const centre = columns.map((column) => -dot(column, translation));
+  // It turns around the point before it that is as far away as the middle of the scene.
+  const depth = dot(row(matrix, 2), add(middle, centre, -1));
+  return { rotation: matrix, centre, pivot: depth > 0.05 * radius ? depth : radius };
+}
+
+// 14.4, ROTATION
+function matrixOf(quaternion) {
+  const largest = Math.max(...quaternion.map(Math.abs));
+  const scaled = quaternion.map((x) => x / largest);
+  const [w, x, y, z] = scaled.map((value) => value / Math.hypot(...scaled));
+  return [
+    1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y),
+    2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x),
+    2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y),
+  ];
+}
+
+// 6.5: the axis that points up.
+export function upOf({ up_axis }) {
+  const up = [0, 0, 0];
+  up[up_axis >> 1] = up_axis % 2 ? -1 : 1;
+  return up;
+}
+
+// A camera that looks at the middle of a scene from above.
+export function around({ middle, radius }, up) {
+  const side = [up[2], up[0], up[1]];
+  const away = side.map((x, i) => Math.cos(ELEVATION) * x + Math.sin(ELEVATION) * up[i]);
+  const z = away.map((x) => -x);
+  const x = unit(cross(z, up));
+  const pivot = DISTANCE * radius;
+  return { lens: LENS, pose: { rotation: [...x, ...cross(z, x), ...z], centre: add(middle, away, pivot), pivot } };
+}
+
+// The lens that shows the image of another one in the middle of a larger image, and where: left, top and scale.
+//
+// The whole image is shown, unless the larger one has quite another shape, such as that of a phone.
+export function fitted({ width, height, focal, principal_point }, [wide, high]) {
+  const [across, down] = [wide / width, high / height];
+  const scale = Math.max(Math.min(across, down), Math.max(across, down) / SHAPES);
+  const [left, top] = [(wide - width * scale) / 2, (high - height * scale) / 2];
+  const lens = {
+    width: wide,
+    height: high,
+    focal: focal.map((x) => x * scale),
+    principal_point: [principal_point[0] * scale + left, principal_point[1] * scale + top],
+  };
+  return { lens, left, top, scale };
+}
+
+// The matrix of a turn around a unit axis.
+function turning([x, y, z], angle) {
+  const [c, s] = [Math.cos(angle), Math.sin(angle)];
+  const t = 1 - c;
+  return [
+    [t * x * x + c, t * x * y - s * z, t * x * z + s * y],
+    [t * x * y + s * z, t * y * y + c, t * y * z - s * x],
+    [t * x * z - s * y, t * y * z + s * x, t * z * z + c],
+  ];
+}
+
+function turned({ rotation, centre, pivot }, axis, angle) {
+  const matrix = turning(axis, angle);
+  const rows = [0, 1, 2].map((i) => matrix.map((own) => dot(own, row(rotation, i))));
+  // Rounding would add up over many turns.
+  const z = unit(rows[2]);
+  const x = unit(cross(rows[1], z));
+  return { rotation: [...x, ...cross(z, x), ...z], centre, pivot };
+}
+
+// Turns the head: around what is up by the first angle, and up or down by the second one.
+export function look(pose, up, [aside, above]) {
+  const level = turned(pose, up, aside);
+  const rise = Math.asin(Math.max(-1, Math.min(1, dot(row(level.rotation, 2), up))));
+  const most = Math.PI / 2 - STEEPEST;
+  // A camera of a file may look straight down, and stays so until it is turned up.
+  const [low, high] = [Math.min(-most - rise, 0), Math.max(most - rise, 0)];
+  return turned(level, row(level.rotation, 0), Math.max(low, Math.min(high, above)));
+}
+
+// The same around the point before the camera.
+export function orbit(pose, up, angles) {
+  const point = add(pose.centre, row(pose.rotation, 2), pose.pivot);
+  const found = look(pose, up, angles);
+  return { ...found, centre: add(point, row(found.rotation, 2), -pose.pivot) };
+}
+
+// Moves by lengths to the right, down and forwards.
+export function moved(pose, lengths) {
+  const way = lengths.reduce((sum, length, i) => add(sum, row(pose.rotation, i), length), [0, 0, 0]);
+  return { ...pose, centre: add(pose.centre, way) };
+}
+
+// Comes nearer to the point that it turns around, or goes away from it.
+export function nearer(pose, factor) {
+  const pivot = Math.max(pose.pivot * factor, 1e-6);
+  return { ...moved(pose, [0, 0, pose.pivot - pivot]), pivot };
+}

@@ -1,0 +1,398 @@
+// The page: it opens a file in the worker, draws what the worker sends, and lets people move.
+import { around, fitted, lensOf, look, moved, nearer, orbit, poseOf, upOf } from "./camera.js";
+import { Drawing } from "./draw.js";
+import { Panel } from "./panel.js";
+
+// Radians of a pixel, the factor of distance of a step of the wheel, and radii of the scene in a second.
+const TURN = 0.006;
+const WHEEL = 0.0012;
+const FLY = 0.4;
+// An image gets fewer pixels if frames take longer than this, in milliseconds: while the camera moves, and while the
+// networks do not have all Gaussians yet. It gets more if they take less than a share of that.
+const SLOW = { moving: 60, coming: 200 };
+const QUICK = 0.4;
+const SHARE_MIN = 0.25;
+// How long the camera stands still until it is drawn with all pixels again.
+const STILL = 150;
+// Radians between two frames of a turn.
+const STEP = Math.PI / 60;
+// More than this many pixels for one of CSS are not seen.
+const RATIO_MAX = 2;
+const KEYS = { KeyW: [2, 1], KeyS: [2, -1], KeyD: [0, 1], KeyA: [0, -1], KeyE: [1, -1], KeyQ: [1, 1] };
+
+const byId = (id) => document.getElementById(id);
+
+function decoded(text) {
+  return Uint8Array.from(atob(text.trim()), (letter) => letter.charCodeAt(0));
+}
+
+// The bytes that an element of the page has in packed form.
+async function unpacked(id) {
+  const stream = new Blob([decoded(byId(id).textContent)]).stream().pipeThrough(new DecompressionStream("gzip"));
+  return new Uint8Array(await new Response(stream).arrayBuffer());
+}
+
+class Viewer {
+  constructor(settings) {
+    this.settings = settings;
+    this.canvas = byId("canvas");
+    this.panel = new Panel({ choose: (number) => this.choose(number), slide: () => this.ask() });
+    this.drawing = new Drawing(this.canvas);
+    this.device = this.drawing.device;
+    this.pressed = new Set();
+    this.pointers = new Map();
+    this.share = 1;
+    this.#listen();
+  }
+
+  // Opens a file, instead of the one before. input: bytes or a Blob. url: where it is, without an input.
+  async open({ input, url, name }) {
+    this.worker?.terminate();
+    // Milliseconds since the page began: the header, the first picture, and the picture of the whole scene.
+    Object.assign(this, { times: {}, header: undefined, cameras: [], extent: undefined, name, touched: false });
+    Object.assign(this, { view: 0, settled: undefined, frames: 0, owes: false, waiting: [], refused: undefined });
+    this.panel.begin(name);
+    try {
+      this.wasm ??= await unpacked("wasm");
+      // A page on a disk may have no worker in a file of its own.
+      this.code ??= URL.createObjectURL(new Blob([await unpacked("worker")], { type: "text/javascript" }));
+      this.worker = new Worker(this.code);
+    } catch (error) {
+      this.on_refused({ kind: "fault", text: `this browser cannot begin: ${error.message}` });
+      return;
+    }
+    this.worker.onmessage = ({ data }) => this[`on_${data.type}`](data);
+    this.worker.onerror = (event) => this.on_refused({ kind: "fault", text: event.message });
+    this.worker.postMessage({ type: "open", wasm: this.wasm, input, url });
+  }
+
+  on_head({ header, height, ...about }) {
+    try {
+      this.drawing.begin(header, height);
+    } catch (error) {
+      this.on_refused({ kind: "bound", text: error.message });
+      return;
+    }
+    this.header = header;
+    this.up = upOf(header);
+    this.times.head = performance.now();
+    this.#about(about);
+  }
+
+  #about({ cameras, metadata, length, parts }) {
+    this.drawing.linear = metadata.transfer === "linear";
+    const photographs = this.settings.photographs.map((photograph) => ({ ...photograph, isPhotograph: true }));
+    this.cameras = [...cameras, ...photographs];
+    this.panel.about(this.name, metadata, this.header, length, parts, this.cameras);
+  }
+
+  on_chunk({ anchors, middle, radius }) {
+    this.extent = { middle, radius };
+    this.panel.progress(anchors / this.header.anchor_count);
+    if (!this.touched) this.#start();
+  }
+
+  on_end(about) {
+    this.#about(about);
+    this.panel.progress(1);
+    this.extent ??= { middle: [0, 0, 0], radius: 1 };
+    if (!this.touched) this.#start();
+  }
+
+  on_frame(frame) {
+    this.frames++;
+    this.owes = true;
+    this.drawing.take(frame);
+    if (frame.id === this.view && frame.settled) this.settled = frame.id;
+    this.ask();
+  }
+
+  // After a fault, the chunks before it are no whole scene.
+  on_refused({ error, kind, text }) {
+    this.worker?.terminate();
+    this.refused = error ?? { kind, text };
+    this.drawing.count = 0;
+    this.panel.refuse(this.name, error, kind, text);
+    if (this.header !== undefined) this.ask();
+    this.#tell();
+  }
+
+  // The first camera, or one that looks at the scene from above. More of the scene may be known later.
+  #start() {
+    if (this.cameras.length > 0) this.choose(0, true);
+    else this.#stand(around(this.extent, this.up));
+  }
+
+  #stand({ lens, pose }, camera) {
+    Object.assign(this, { lens, pose, camera });
+    this.changed();
+  }
+
+  // Goes to a camera of the list, by its number.
+  choose(number, untouched = false) {
+    if (this.extent === undefined || this.cameras.length === 0) return;
+    const camera = this.cameras.at(number % this.cameras.length);
+    this.touched ||= !untouched;
+    this.number = this.cameras.indexOf(camera);
+    this.#stand({ lens: lensOf(camera), pose: poseOf(camera, this.extent) }, camera);
+    this.panel.chosen(this.number);
+  }
+
+  // Takes a new pose, or with nothing says that the camera has changed.
+  changed(pose) {
+    if (pose !== undefined) {
+      Object.assign(this, { pose, camera: undefined, touched: true });
+    }
+    this.stale = true;
+    this.movedAt = performance.now();
+    this.ask();
+  }
+
+  ask() {
+    if (!this.turning) this.asked ??= requestAnimationFrame((time) => this.#tick(time));
+  }
+
+  #tick(time) {
+    this.asked = undefined;
+    const passed = time - (this.last ?? time);
+    this.last = time;
+    if (this.pose !== undefined) this.#fly(Math.min(passed, 200) / 1000);
+    if (this.stale && this.header !== undefined) this.#send();
+    const moving = time - this.movedAt < STILL;
+    const state = moving ? "moving" : this.settled === this.view ? "still" : "coming";
+    // Frames that follow each other say how long one takes.
+    if (state !== "still" && passed > 0) this.#adapt(passed, SLOW[state]);
+    this.draw(state === "still" ? 1 : this.share);
+    if (moving && this.share < 1) {
+      clearTimeout(this.timer);
+      this.timer = setTimeout(() => this.ask(), STILL);
+    }
+    if (state === "still") this.last = undefined;
+    if (this.pressed.size > 0) this.ask();
+  }
+
+  #adapt(passed, slow) {
+    if (passed > slow) this.share = Math.max(SHARE_MIN, 0.8 * this.share);
+    else if (passed < QUICK * slow) this.share = Math.min(1, 1.1 * this.share);
+  }
+
+  #fly(seconds) {
+    if (this.pressed.size === 0) return;
+    const way = [0, 0, 0];
+    for (const code of this.pressed) way[KEYS[code][0]] += KEYS[code][1];
+    const length = FLY * this.extent.radius * seconds * (this.fast ? 4 : 1);
+    this.changed(moved(this.pose, way.map((x) => x * length)));
+  }
+
+  #send() {
+    this.stale = false;
+    this.view++;
+    const { rotation, centre } = this.pose;
+    this.worker.postMessage({ type: "view", id: this.view, rotation, centre });
+  }
+
+  draw(share) {
+    if (this.header === undefined || this.pose === undefined || this.refused !== undefined) return;
+    const { canvas } = this;
+    const ratio = Math.min(devicePixelRatio, RATIO_MAX);
+    const [wide, high] = [innerWidth, innerHeight].map((side) => Math.max(1, Math.round(side * ratio)));
+    if (canvas.width !== wide || canvas.height !== high) Object.assign(canvas, { width: wide, height: high });
+    const { lens, left, top, scale } = fitted(this.lens, [wide, high]);
+    this.drawing.draw(this.pose, lens, share);
+    if (this.owes) this.worker.postMessage({ type: "drawn" });
+    this.owes = false;
+    const box = [left, top, this.lens.width * scale, this.lens.height * scale].map((side) => side / ratio);
+    this.panel.photograph(this.camera?.isPhotograph ? this.camera : undefined, box);
+    this.#time();
+  }
+
+  // Notes the times of the first pictures. What is asked of the device is drawn only later, so they wait for it.
+  #time() {
+    const { times } = this;
+    const whole = this.settled !== undefined && this.settled === this.view;
+    if ((times.first === undefined && this.drawing.count > 0) || (times.whole === undefined && whole)) {
+      this.drawing.finish();
+      if (this.drawing.count > 0) times.first ??= performance.now();
+      if (whole) times.whole ??= performance.now();
+      if (whole) this.panel.done();
+    }
+    this.#tell();
+  }
+
+  // Resolves once the whole file is drawn for the camera at hand. Rejects if it is refused.
+  settle() {
+    return new Promise((resolve, reject) => {
+      this.waiting.push({ resolve, reject });
+      this.#tell();
+      this.ask();
+    });
+  }
+
+  #tell() {
+    const done = this.refused !== undefined || (!this.stale && this.settled !== undefined && this.settled === this.view);
+    if (!done) return;
+    for (const { resolve, reject } of this.waiting.splice(0)) {
+      if (this.refused !== undefined) reject(new Error(JSON.stringify(this.refused)));
+      else resolve();
+    }
+  }
+
+  // The image of a camera in its own size, as the address of a PNG file. camera: as StatedCamera of the decoder has it.
+  async picture(camera) {
+    const pose = poseOf(camera, this.extent);
+    this.#stand({ lens: lensOf(camera), pose });
+    this.touched = true;
+    await this.settle();
+    return this.#png(camera.width, camera.height, pose, this.lens);
+  }
+
+  #png(width, height, pose, lens) {
+    const image = Object.assign(document.createElement("canvas"), { width, height });
+    const pixels = this.drawing.pixels(width, height, pose, lens);
+    image.getContext("2d").putImageData(new ImageData(pixels, width, height), 0, 0);
+    return image.toDataURL("image/png");
+  }
+
+  // Turns around the point before the camera for some seconds. Returns them, the frames, those that the worker sent, the
+  // share of a side's pixels that the frames had at last, and the seconds of one more frame, which has all pixels.
+  async turn(seconds) {
+    await this.settle();
+    this.turning = true;
+    const [start, before] = [performance.now(), this.frames];
+    let last = start;
+    const found = { frames: 0 };
+    for (let passed = 0; passed < seconds; passed = (last - start) / 1000) {
+      this.pose = orbit(this.pose, this.up, [STEP, 0]);
+      this.#send();
+      this.draw(this.share);
+      this.drawing.finish();
+      // The frames of the worker come in between.
+      await new Promise((resolve) => setTimeout(resolve));
+      const now = performance.now();
+      this.#adapt(now - last, SLOW.moving);
+      last = now;
+      found.frames++;
+    }
+    Object.assign(found, { seconds: (last - start) / 1000, updates: this.frames - before, share: this.share });
+    this.draw(1);
+    this.drawing.finish();
+    found.whole = (performance.now() - last) / 1000;
+    this.turning = false;
+    this.changed();
+    return found;
+  }
+
+  #save() {
+    const { width, height } = this.canvas;
+    const { lens } = fitted(this.lens, [width, height]);
+    const name = `${(this.name ?? "scene").replace(/\.c3gs$/, "")}.png`;
+    Object.assign(document.createElement("a"), { download: name, href: this.#png(width, height, this.pose, lens) }).click();
+  }
+
+  #listen() {
+    const { canvas } = this;
+    canvas.addEventListener("pointerdown", (event) => {
+      canvas.setPointerCapture(event.pointerId);
+      this.pointers.set(event.pointerId, event);
+    });
+    canvas.addEventListener("pointermove", (event) => this.#drag(event));
+    for (const name of ["pointerup", "pointercancel"]) {
+      canvas.addEventListener(name, (event) => this.pointers.delete(event.pointerId));
+    }
+    canvas.addEventListener("contextmenu", (event) => event.preventDefault());
+    canvas.addEventListener("webglcontextlost", () => {
+      this.on_refused({ kind: "fault", text: "the graphics device was lost: load the page again" });
+    });
+    const wheel = (event) => {
+      event.preventDefault();
+      if (this.pose === undefined) return;
+      const lines = event.deltaMode === WheelEvent.DOM_DELTA_LINE ? 30 : 1;
+      this.changed(nearer(this.pose, Math.exp(WHEEL * lines * event.deltaY)));
+    };
+    canvas.addEventListener("wheel", wheel, { passive: false });
+    addEventListener("resize", () => this.ask());
+    addEventListener("keydown", (event) => this.#key(event));
+    addEventListener("keyup", (event) => {
+      this.fast = event.shiftKey;
+      this.pressed.delete(event.code);
+    });
+    addEventListener("blur", () => this.pressed.clear());
+    this.#listenToFiles();
+  }
+
+  #drag(event) {
+    const before = this.pointers.get(event.pointerId);
+    if (before === undefined || this.pose === undefined) return;
+    this.pointers.set(event.pointerId, event);
+    const [x, y] = [event.clientX - before.clientX, event.clientY - before.clientY];
+    const scale = fitted(this.lens, [innerWidth, innerHeight]).scale;
+    const [across, down] = this.lens.focal.map((focal) => this.pose.pivot / (focal * scale));
+    if (this.pointers.size === 2) {
+      const [other] = [...this.pointers.values()].filter(({ pointerId }) => pointerId !== event.pointerId);
+      const distance = ({ clientX, clientY }) => Math.hypot(clientX - other.clientX, clientY - other.clientY);
+      // Each of two fingers moves half of what both hold.
+      const pose = moved(this.pose, [(-x * across) / 2, (-y * down) / 2, 0]);
+      this.changed(nearer(pose, Math.max(distance(before), 1) / Math.max(distance(event), 1)));
+    } else if (event.buttons & 2 || event.shiftKey) {
+      this.changed(moved(this.pose, [-x * across, -y * down, 0]));
+    } else {
+      const turn = this.pressed.size > 0 ? look : orbit;
+      this.changed(turn(this.pose, this.up, [-TURN * x, -TURN * y]));
+    }
+  }
+
+  #key(event) {
+    if (event.ctrlKey || event.metaKey || event.altKey || this.pose === undefined) return;
+    if (event.target instanceof HTMLInputElement || event.target instanceof HTMLSelectElement) return;
+    this.fast = event.shiftKey;
+    const { code } = event;
+    if (code in KEYS) {
+      this.pressed.add(code);
+      this.ask();
+    } else if (code === "ArrowRight") this.choose((this.number ?? -1) + 1);
+    else if (code === "ArrowLeft") this.choose((this.number ?? 0) - 1);
+    else if (code === "KeyP") this.#save();
+    else if (code === "KeyR") {
+      if (this.cameras.length > 0) this.choose(this.number ?? 0);
+      else this.#stand(around(this.extent, this.up));
+    } else return;
+    event.preventDefault();
+  }
+
+  #listenToFiles() {
+    const take = (file) => {
+      if (file !== undefined) this.open({ input: file, name: file.name });
+    };
+    this.panel.onFile(take);
+    const over = (event) => {
+      event.preventDefault();
+      document.body.classList.toggle("over", event.type === "dragover");
+    };
+    for (const name of ["dragover", "dragleave"]) addEventListener(name, over);
+    addEventListener("drop", (event) => {
+      over(event);
+      take(event.dataTransfer.files[0]);
+    });
+  }
+}
+
+function start() {
+  const settings = JSON.parse(byId("settings").textContent);
+  let viewer;
+  try {
+    viewer = new Viewer(settings);
+  } catch (error) {
+    new Panel({}).refuse(settings.name, undefined, "fault", error.message);
+    return;
+  }
+  globalThis.c3gs = viewer;
+  const scene = byId("scene").textContent.trim();
+  const asked = new URLSearchParams(location.search).get("file") ?? settings.url;
+  if (scene !== "") viewer.open({ input: decoded(scene), name: settings.name });
+  else if (asked !== null) {
+    const url = new URL(asked, location.href);
+    viewer.open({ url: url.href, name: settings.url === asked ? settings.name : url.pathname.split("/").pop() });
+  } else viewer.panel.wait();
+}
+
+start();

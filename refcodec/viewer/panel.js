@@ -1,0 +1,173 @@
+// What the page says beside the scene: title, progress, cameras, bytes by part, photographs, and why a file is refused.
+
+const byId = (id) => document.getElementById(id);
+const find = (selector) => document.querySelector(selector);
+
+const PARTS = {
+  header: "header and index",
+  weights: "weights of the networks",
+  planes: "planes",
+  positions: "positions",
+  masks: "masks",
+  attributes: "attributes",
+  chunks: "chunks",
+  ancillary: "cameras, metadata",
+};
+const HEADINGS = {
+  malformed: "This file is damaged",
+  invalid: "This file is damaged",
+  unsupported: "This page does not know the file's version or profile",
+  bound: "This file is larger than the page takes",
+  memory: "There is no memory for this file",
+  fault: "This file cannot be shown",
+};
+
+const whole = (number) => number.toLocaleString("en");
+
+// Three digits: 512 B, 51.2 kB, 5.12 MB, 1 MB being 10^6 bytes.
+function readable(bytes) {
+  for (const [unit, scale] of [["MB", 1e6], ["kB", 1e3]]) {
+    if (bytes >= 0.9995 * scale) return `${(bytes / scale).toPrecision(bytes >= 999.5 * scale ? 4 : 3)} ${unit}`;
+  }
+  return `${bytes} B`;
+}
+
+function made(name, text, properties = {}) {
+  const element = document.createElement(name);
+  element.textContent = text;
+  return Object.assign(element, properties);
+}
+
+export class Panel {
+  // choose: is told of the number of a chosen camera. slide: is told that the slider has moved.
+  constructor({ choose, slide }) {
+    this.select = find("#cameras select");
+    this.slider = find("#slider input");
+    this.slider.addEventListener("input", () => slide());
+    this.select.addEventListener("change", () => choose(this.select.selectedIndex));
+    byId("before").addEventListener("click", () => choose(this.select.selectedIndex - 1));
+    byId("after").addEventListener("click", () => choose(this.select.selectedIndex + 1));
+    byId("sizes").addEventListener("click", () => this.#toggle());
+  }
+
+  #toggle(open = byId("details").hidden) {
+    byId("details").hidden = !open;
+    byId("sizes").setAttribute("aria-expanded", String(open));
+  }
+
+  onFile(take) {
+    find("#drop input").addEventListener("change", (event) => take(event.target.files[0]));
+  }
+
+  // There is no file yet.
+  wait() {
+    byId("status").hidden = true;
+    byId("head").hidden = true;
+    byId("drop").hidden = false;
+  }
+
+  begin(name) {
+    for (const id of ["drop", "error", "cameras", "sizes", "slider", "photograph"]) byId(id).hidden = true;
+    this.#toggle(false);
+    byId("head").hidden = false;
+    byId("title").textContent = name;
+    byId("credit").textContent = "";
+    byId("status").hidden = false;
+    byId("status").className = "";
+    this.#status("reading", 0);
+  }
+
+  #status(text, share) {
+    find("#status span").textContent = text;
+    find("#status progress").value = share;
+  }
+
+  progress(share) {
+    byId("status").classList.add("small");
+    this.#status(share < 1 ? `decoding: ${Math.floor(100 * share)} %` : "drawing", share);
+  }
+
+  // The whole scene is drawn.
+  done() {
+    byId("status").classList.add("done");
+  }
+
+  about(name, metadata, header, length, parts, cameras) {
+    const title = metadata.title || name;
+    byId("title").textContent = title;
+    document.title = `${title}, C3GS`;
+    const licence = metadata.licence && `licence ${metadata.licence}`;
+    byId("credit").textContent = [metadata.author, licence, metadata.source].filter(Boolean).join(" · ");
+    this.#bytes(header, length, parts);
+    this.#cameras(cameras);
+  }
+
+  #bytes(header, length, parts) {
+    const names = Object.keys(PARTS).filter((part) => parts[part] > 0);
+    const colour = (part) => Object.assign(made("i", ""), { style: `background: var(--${part})` });
+    const bar = names.map((part) => {
+      const piece = colour(part);
+      piece.style.flexGrow = parts[part];
+      piece.title = `${PARTS[part]}: ${whole(parts[part])} bytes`;
+      return piece;
+    });
+    find("#sizes .bar").replaceChildren(...bar);
+    const more = made("span", ` · ${whole(header.anchor_count)} anchors`, { className: "more" });
+    find("#sizes .text").replaceChildren(readable(length), more);
+    const rows = names.map((part) => {
+      const cell = made("td", PARTS[part]);
+      cell.prepend(colour(part));
+      const share = ((100 * parts[part]) / length).toFixed(1);
+      return [cell, made("td", whole(parts[part])), made("td", `${share} %`)];
+    });
+    rows.push([made("td", "file"), made("td", whole(length)), made("td", "")]);
+    const table = rows.map((cells) => {
+      const row = made("tr", "");
+      row.append(...cells);
+      return row;
+    });
+    find("#details tbody").replaceChildren(...table);
+    byId("sizes").hidden = false;
+  }
+
+  #cameras(cameras) {
+    const options = cameras.map(({ name, isPhotograph }) => made("option", isPhotograph ? `photograph ${name}` : name));
+    const chosen = this.select.selectedIndex;
+    this.select.replaceChildren(...options);
+    this.chosen(Math.max(chosen, 0));
+    byId("cameras").hidden = cameras.length === 0;
+  }
+
+  chosen(number) {
+    this.select.selectedIndex = number;
+  }
+
+  // Lays a photograph over a part of the image, or none. box: its left, top, width and height, in pixels of CSS.
+  photograph(photograph, [left, top, width, height]) {
+    const shown = byId("photograph");
+    shown.hidden = byId("slider").hidden = photograph === undefined;
+    if (photograph === undefined) return;
+    const image = shown.firstElementChild;
+    if (image.src !== photograph.image) image.src = photograph.image;
+    const from = Number(this.slider.value);
+    image.style.clipPath = `inset(0 0 0 ${100 * from}%)`;
+    shown.style.setProperty("--from", from);
+    Object.assign(shown.style, { left: `${left}px`, top: `${top}px`, width: `${width}px`, height: `${height}px` });
+  }
+
+  // error: of the registry (10.3). Without one, kind and text say what it is.
+  refuse(name, error, kind, text) {
+    for (const id of ["status", "cameras", "sizes", "slider", "photograph", "details", "drop"]) byId(id).hidden = true;
+    byId("title").textContent = name ?? "";
+    find("#error h2").textContent = HEADINGS[error?.class ?? kind];
+    const [line, said] = [find("#error p"), find("#error pre")];
+    said.hidden = error === undefined;
+    if (error === undefined) line.textContent = `${text}.`;
+    else {
+      const { code, offset, clause } = error;
+      line.textContent = `It is ${error.class}: error ${code} at byte ${whole(offset)}. SPEC.md ${clause} has the rule.`;
+      said.textContent = `${code} ${error.name}\nSPEC.md ${clause}\nbyte ${offset}\n\nrefcodec inspect FILE --near ${offset}`;
+    }
+    byId("error").hidden = false;
+  }
+}

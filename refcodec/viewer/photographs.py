@@ -1,0 +1,44 @@
+"""Photographs within the page: some of those that training held out, with their cameras."""
+
+from __future__ import annotations
+
+import base64
+import io
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+from PIL import Image
+
+from ..photographs.photographs import Photograph, PhotographSet
+
+# How many there are at most, and the quality of their JPEG.
+MOST = 8
+_QUALITY = 88
+
+
+def embedded(found: PhotographSet) -> list[dict[str, Any]]:
+    """Returns photographs as the page takes them, those for tests if there are any. Raises PhotographError."""
+    return [_document(photograph) for photograph in _spread(found.test or found.train)]
+
+
+def _spread(photographs: Sequence[Photograph]) -> list[Photograph]:
+    """Returns MOST photographs at most, evenly chosen."""
+    chosen = np.linspace(0, len(photographs) - 1, min(len(photographs), MOST)).round().astype(int)
+    return [photographs[number] for number in chosen]
+
+
+def _document(photograph: Photograph) -> dict[str, Any]:
+    camera = photograph.camera
+    data = io.BytesIO()
+    Image.fromarray(photograph.image).save(data, "JPEG", quality=_QUALITY)
+    return {
+        "name": camera.name,
+        "width": camera.width,
+        "height": camera.height,
+        "focal": [camera.fx, camera.fy],
+        "principal_point": [camera.cx, camera.cy],
+        "rotation": camera.rotation.ravel().tolist(),
+        "translation": camera.translation.tolist(),
+        "image": f"data:image/jpeg;base64,{base64.b64encode(data.getvalue()).decode()}",
+    }

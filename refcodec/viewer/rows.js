@@ -1,0 +1,128 @@
+// The Gaussians of a scene as rows of a texture. The anchors of a block fill one row, whatever the view.
+//
+// A Gaussian has three texels of four 32-bit words:
+//
+//   mean x, y, z, opacity            f32
+//   covariance xx, xy, xz, yy        f32
+//   covariance yz, zz                f32, then red and green, blue and 0, as 16-bit fractions of 1
+
+// Gaussians of a row.
+export const WIDTH = 1024;
+export const TEXELS = 3;
+const WORDS = 4 * TEXELS;
+export const ROW_WORDS = WORDS * WIDTH;
+// 14.5: an alpha below this counts as 0.
+const ALPHA_MIN = 1 / 255;
+
+export class Rows {
+  // gaussians: of the decoder. entries: those of the chunk index.
+  constructor(gaussians, entries) {
+    this.gaussians = gaussians;
+    // Of each row: the anchors from start to before end, their bounds, and the place that they were seen from.
+    this.blocks = [];
+    this.view = gaussians.room(WIDTH);
+    // A row may lack up to one anchor's offsets.
+    const least = WIDTH - gaussians.scene.header.offset_count + 1;
+    this.height = 0;
+    for (const { kept } of entries) this.height += Math.floor(kept / least) + 1;
+    // What is sorted, and what is drawn. They grow with the rows.
+    this.means = [];
+    this.words = [];
+    this.counts = [];
+  }
+
+  // added: as Gaussians has it. chunk: its anchors.
+  add({ start }, { count, masks, positions }) {
+    const offsets = this.gaussians.scene.header.offset_count;
+    for (let first = 0; first < count; ) {
+      let [last, kept] = [first, 0];
+      for (; last < count; last++) {
+        const more = masks.subarray(offsets * last, offsets * (last + 1)).reduce((sum, mask) => sum + mask, 0);
+        if (kept + more > WIDTH) break;
+        kept += more;
+      }
+      this.blocks.push({ start: start + first, end: start + last, ...bounds(positions, first, last), from: undefined });
+      this.means.push(new Float32Array(3 * kept));
+      this.words.push(undefined);
+      this.counts.push(0);
+      first = last;
+    }
+  }
+
+  // Runs the networks for a row. 14.4: a Gaussian's covariance is that of its axes, turned by its quaternion.
+  update(row, centre) {
+    const block = this.blocks[row];
+    block.from = [...centre];
+    const { count, positions, scales, rotations, colours, opacities } = this.gaussians.range(
+      block.start, block.end, centre, this.view,
+    );
+    const words = new Uint32Array(WORDS * Math.max(count, 1));
+    const floats = new Float32Array(words.buffer);
+    const means = this.means[row];
+    let n = 0;
+    for (let i = 0; i < count; i++) {
+      if (!(opacities[i] >= ALPHA_MIN)) continue;
+      const at = WORDS * n;
+      for (let axis = 0; axis < 3; axis++) floats[at + axis] = means[3 * n + axis] = positions[3 * i + axis];
+      floats[at + 3] = opacities[i];
+      covariance(scales, 3 * i, rotations, 4 * i, floats, at + 4);
+      const [red, green, blue] = [0, 1, 2].map((k) => Math.round(65535 * colours[3 * i + k]));
+      words[at + 10] = red | (green << 16);
+      words[at + 11] = blue;
+      // A number that is not finite would spread over the image.
+      if (finite(floats, at, at + 10)) n++;
+    }
+    this.counts[row] = n;
+    this.words[row] = words.subarray(0, WORDS * n);
+  }
+
+  // The words of some rows, one row after the other. They are given away.
+  packed(rows) {
+    const data = new Uint32Array(ROW_WORDS * rows.length);
+    rows.forEach((row, i) => {
+      data.set(this.words[row], ROW_WORDS * i);
+      this.words[row] = undefined;
+    });
+    return data;
+  }
+}
+
+// Bounds of the positions from one anchor to before another one.
+function bounds(positions, first, last) {
+  const low = positions.slice(3 * first, 3 * first + 3);
+  const high = low.slice();
+  for (let i = 3 * first; i < 3 * last; i++) {
+    low[i % 3] = Math.min(low[i % 3], positions[i]);
+    high[i % 3] = Math.max(high[i % 3], positions[i]);
+  }
+  return { low, high };
+}
+
+function finite(values, from, to) {
+  for (let i = from; i < to; i++) if (!Number.isFinite(values[i])) return false;
+  return true;
+}
+
+// Writes xx, xy, xz, yy, yz, zz of R S S R^T, with the rotation R of a unit quaternion and the lengths S.
+function covariance(scales, s, rotations, r, out, at) {
+  const [w, x, y, z] = [rotations[r], rotations[r + 1], rotations[r + 2], rotations[r + 3]];
+  const [a, b, c] = [scales[s], scales[s + 1], scales[s + 2]];
+  const m00 = a * (1 - 2 * (y * y + z * z)), m01 = b * 2 * (x * y - w * z), m02 = c * 2 * (x * z + w * y);
+  const m10 = a * 2 * (x * y + w * z), m11 = b * (1 - 2 * (x * x + z * z)), m12 = c * 2 * (y * z - w * x);
+  const m20 = a * 2 * (x * z - w * y), m21 = b * 2 * (y * z + w * x), m22 = c * (1 - 2 * (x * x + y * y));
+  out[at] = m00 * m00 + m01 * m01 + m02 * m02;
+  out[at + 1] = m00 * m10 + m01 * m11 + m02 * m12;
+  out[at + 2] = m00 * m20 + m01 * m21 + m02 * m22;
+  out[at + 3] = m10 * m10 + m11 * m11 + m12 * m12;
+  out[at + 4] = m10 * m20 + m11 * m21 + m12 * m22;
+  out[at + 5] = m20 * m20 + m21 * m21 + m22 * m22;
+}
+
+// How much the view of a row has changed: the way from where it was seen, over the distance to its anchors.
+export function change({ low, high, from }, centre) {
+  if (from === undefined) return Infinity;
+  const way = Math.hypot(...centre.map((x, axis) => x - from[axis]));
+  if (way === 0) return 0;
+  const distance = Math.hypot(...centre.map((x, axis) => Math.max(low[axis] - x, 0, x - high[axis])));
+  return way / distance;
+}

@@ -1,0 +1,176 @@
+// The worker of the page: it decodes a file, runs the rendering networks for the camera, and sorts by depth.
+//
+// The page sends one "open", a "view" whenever the camera changes, and "drawn" for each "frame". The worker sends "head",
+// "chunk", "frame", "end" and "refused". The arrays of a frame go to the page and are not kept here.
+import { BoundPassedError, C3gsError, decode, Gaussians } from "../web/c3gs.js";
+import { change, Rows } from "./rows.js";
+import { Sorter } from "./sort.js";
+
+// What a page takes of a file of unknown origin.
+const BOUNDS = { maxAnchors: 4_000_000, maxMemory: 2 ** 30 };
+// Milliseconds of the networks between two frames. Sorting and drawing come on top.
+const SLICE = 24;
+// The anchors of which the extent of the scene is found.
+const SAMPLE = 4096;
+
+let scene, gaussians, rows, sorter, sample;
+const inChunks = { positions: 0, masks: 0, attributes: 0 };
+let view;
+// The view that was sorted last, rows that the page does not have yet, and whether it has not drawn the last frame.
+let sorted;
+const waiting = new Set();
+let owed = false;
+let working = false;
+let ended = false;
+
+self.onmessage = ({ data }) => {
+  if (data.type === "open") {
+    open(data).catch(refuse);
+    return;
+  }
+  if (data.type === "view") view = data;
+  else owed = false;
+  work();
+};
+
+function refuse(error) {
+  if (error instanceof C3gsError) return postMessage({ type: "refused", error: error.toJSON() });
+  const kind = error instanceof BoundPassedError ? "bound" : error instanceof RangeError ? "memory" : "fault";
+  postMessage({ type: "refused", kind, text: error.message });
+}
+
+// wasm: bytes of c3gs.wasm. input: bytes or a Blob. url: where the file is, without an input.
+async function open({ wasm, input, url }) {
+  const chunks = decode(input ?? (await fetched(url)), { wasm, ...BOUNDS });
+  for (;;) {
+    const { value, done } = await chunks.next();
+    if (scene === undefined) begin(value.scene);
+    if (done) break;
+    add(value);
+    // Views, and frames for them, come between two chunks.
+    await pause();
+  }
+  ended = true;
+  postMessage({ type: "end", ...about() });
+  work();
+}
+
+async function fetched(url) {
+  let response;
+  try {
+    response = await fetch(url);
+  } catch {
+    throw new Error(`${url} cannot be fetched`);
+  }
+  if (!response.ok) throw new Error(`${url} cannot be fetched: the server answers ${response.status}`);
+  return response;
+}
+
+function begin(opened) {
+  scene = opened;
+  gaussians = new Gaussians(scene);
+  rows = new Rows(gaussians, scene.entries());
+  sorter = new Sorter();
+  sample = [];
+  const h = scene.header;
+  const { anchor_count, chunk_count, background, up_axis, near_plane, alpha_max, low_pass } = h;
+  const header = { anchor_count, chunk_count, background: [...background], up_axis, near_plane, alpha_max, low_pass };
+  postMessage({ type: "head", header, height: rows.height, ...about() });
+}
+
+// What a scene says of itself. Sections behind the chunks are read at the end.
+function about() {
+  const cameras = scene.cameras.map((camera) => ({ ...camera }));
+  return { cameras, metadata: Object.fromEntries(scene.metadata), ...parts() };
+}
+
+// The bytes of each part of the file. Those within the chunks are known once all are decoded.
+function parts() {
+  const own = { ancillary: 0, weights: 0, planes: 0, ...(ended ? inChunks : { chunks: 0 }) };
+  const of = { WGTS: "weights", PLNS: "planes", DATA: ended ? undefined : "chunks" };
+  let end = 0;
+  for (const { type, start, length } of scene.header.sections) {
+    end = start + length + (-length & 3);
+    // 6.6: a small letter marks an ancillary section.
+    const part = type[0] >= "a" ? "ancillary" : of[type];
+    if (part !== undefined) own[part] += length;
+  }
+  own.header = end - Object.values(own).reduce((sum, length) => sum + length, 0);
+  return { length: end, parts: own };
+}
+
+function add(chunk) {
+  const added = gaussians.chunks[gaussians.add(chunk)];
+  rows.add(added, chunk);
+  for (const [part, length] of Object.entries(chunk.lengths)) inChunks[part] += length;
+  const every = Math.max(1, Math.ceil(scene.header.anchor_count / SAMPLE));
+  for (let i = -added.start % every; i < chunk.count; i += every) {
+    if (i >= 0) sample.push(Array.from(chunk.positions.subarray(3 * i, 3 * i + 3)));
+  }
+  postMessage({ type: "chunk", anchors: gaussians.anchorCount, ...extent() });
+  work();
+}
+
+// The middle of the scene, and its radius. The median and the quantile leave out the few anchors that are far away.
+function extent() {
+  const median = (axis) => sample.map((point) => point[axis]).sort((a, b) => a - b)[sample.length >> 1];
+  const middle = [0, 1, 2].map(median);
+  const away = sample.map((point) => Math.hypot(...point.map((x, axis) => x - middle[axis]))).sort((a, b) => a - b);
+  return { middle, radius: Math.max(away[Math.floor(0.9 * (away.length - 1))], 1e-6) };
+}
+
+// Brings the Gaussians up to the view, those first whose view has changed most. The page gets a frame after each slice,
+// unless it still draws the last one.
+async function work() {
+  if (working || view === undefined || rows === undefined) return;
+  working = true;
+  try {
+    // No message may come in after the last slice, while this still counts as working.
+    while (slice()) await pause();
+  } catch (error) {
+    refuse(error);
+  }
+  working = false;
+}
+
+// Returns whether there is more to do.
+function slice() {
+  const until = performance.now() + SLICE;
+  const { id, centre, rotation } = view;
+  const stale = [];
+  rows.blocks.forEach((block, i) => {
+    const changed = change(block, centre);
+    if (changed > 0) stale.push([changed, i]);
+  });
+  stale.sort((a, b) => b[0] - a[0]);
+  let done = 0;
+  while (done < stale.length && (done === 0 || performance.now() < until)) {
+    const row = stale[done++][1];
+    rows.update(row, centre);
+    waiting.add(row);
+  }
+  const whole = done === stale.length;
+  const state = `${id} ${rows.blocks.length} ${whole} ${ended}`;
+  if (owed || (waiting.size === 0 && sorted === state)) return !whole;
+  const chosen = [...waiting];
+  waiting.clear();
+  sorted = state;
+  owed = true;
+  const data = rows.packed(chosen);
+  const order = sorter.order(rows, centre, rotation, scene.header.near_plane);
+  const settled = whole && ended;
+  postMessage({ type: "frame", id, rows: chosen, data, order, settled }, [data.buffer, order.buffer]);
+  return !whole;
+}
+
+// Lets messages come in. A timer would be held back to some milliseconds.
+function pause() {
+  return new Promise((resolve) => {
+    const { port1, port2 } = new MessageChannel();
+    port1.onmessage = () => {
+      port1.close();
+      resolve();
+    };
+    port2.postMessage(null);
+  });
+}

@@ -1,0 +1,170 @@
+"""The page in a browser: from the disk and without network, its pictures, its words, and what it refuses."""
+
+from __future__ import annotations
+
+import base64
+import io
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from benchmarks.chromium import BrowserError, Chromium
+from refcodec.bitstream.codec import emit, parse
+from refcodec.bitstream.errors import BitstreamError
+from refcodec.bitstream.metadata import with_metadata
+from refcodec.cli.main import main
+from refcodec.viewer.page import page
+
+ROOT = Path(__file__).resolve().parents[2]
+VALID = ROOT / "vectors" / "valid"
+
+
+def _open(browser: Chromium, path: Path) -> None:
+    browser.asked.clear()
+    browser.said.clear()
+    browser.open(path.as_uri())
+
+
+def _text(browser: Chromium, selector: str) -> str:
+    return str(browser.run(f"document.querySelector({json.dumps(selector)}).innerText"))
+
+
+def _write(folder: Path, data: bytes, name: str = "scene.c3gs") -> Path:
+    path = folder / "scene.html"
+    path.write_bytes(page(name, data))
+    return path
+
+
+@pytest.fixture(scope="module")
+def exported(
+    trained: Path, photographs: Path, tmp_path_factory: pytest.TempPathFactory
+) -> tuple[Path, dict[str, Path]]:
+    """A page with photographs, and what `refcodec render` draws for their cameras, by their names."""
+    for package in ("numba", "PIL", "scipy"):
+        pytest.importorskip(package, reason="the pictures are compared with those of the extra render")
+    folder = tmp_path_factory.mktemp("exported")
+    output, images = folder / "scene.html", folder / "images"
+    assert main(["export", str(trained), "-o", str(output), "--photographs", str(photographs)]) == 0
+    assert main(["render", str(trained), "--cameras", str(photographs), "-o", str(images)]) == 0
+    return output, {path.stem: path for path in images.rglob("*.png")}
+
+
+@pytest.mark.slow
+def test_the_page_draws_what_render_draws(browser: Chromium, exported: tuple[Path, dict[str, Path]]) -> None:
+    """It is opened from the disk, asks for nothing, and its pictures from three cameras agree to 35 dB."""
+    from PIL import Image  # noqa: PLC0415
+
+    output, images = exported
+    _open(browser, output)
+    browser.run("c3gs.settle()")
+    assert browser.run("c3gs.header.anchor_count") == 2182
+    cameras = browser.run("c3gs.cameras.filter(({ isPhotograph }) => isPhotograph).map(({ name }) => name)")
+    assert len(cameras) >= 2
+    own = browser.run("c3gs.cameras.filter(({ isPhotograph }) => !isPhotograph).length")
+    assert own == 1
+    compared = 0
+    for name in cameras[:3]:
+        at = f"c3gs.cameras.find(({{ name }}) => name === {json.dumps(name)})"
+        found = browser.run(f"c3gs.picture({at})")
+        made = np.asarray(Image.open(io.BytesIO(base64.b64decode(found.partition(",")[2]))).convert("RGB"), np.float64)
+        right = np.asarray(Image.open(images[Path(name).stem]), np.float64)
+        assert made.shape == right.shape
+        assert right.std() > 10
+        psnr = 10 * np.log10(255**2 / np.mean((made - right) ** 2))
+        assert psnr > 35, f"{name}: {psnr:.1f} dB"
+        compared += 1
+    assert compared == 3
+    assert browser.said == []
+    outside = [url for url in browser.asked if not url.startswith(("file:", "blob:", "data:"))]
+    assert outside == []
+    assert output.as_uri() in browser.asked
+
+
+@pytest.mark.slow
+def test_photographs_lie_over_the_scene(browser: Chromium, exported: tuple[Path, dict[str, Path]]) -> None:
+    _open(browser, exported[0])
+    browser.run("c3gs.settle()")
+    assert browser.run("document.getElementById('slider').hidden")
+    browser.run("document.querySelector('#after').click()")
+    browser.run("c3gs.settle()")
+    assert not browser.run("document.getElementById('slider').hidden")
+    assert browser.run("document.querySelector('#photograph img').decode().then(() => true)")
+    browser.run(
+        "const s = document.querySelector('#slider input'); s.value = 0.25; s.dispatchEvent(new Event('input'))"
+    )
+    browser.until("document.querySelector('#photograph img').style.clipPath.includes('25%')")
+    # The camera moves, so that the photograph is no more that of the view.
+    for kind, x in (("mousePressed", 300), ("mouseMoved", 330), ("mouseReleased", 330)):
+        browser.ask("Input.dispatchMouseEvent", {"type": kind, "x": x, "y": 100, "button": "left", "buttons": 1})
+    browser.until("document.getElementById('slider').hidden")
+
+
+def test_what_the_page_says(browser: Chromium, trained: Path, tmp_path: Path) -> None:
+    """Title, author, licence and the bytes of each part. Text of the file is never more than text."""
+    scene = parse(trained.read_bytes()).scene
+    title = "</script><img src=x onerror=alert(1)>"
+    entries = {"title": title, "author": "A. Author", "licence": "CC-BY-4.0"}
+    data = emit(replace(scene, ancillary=with_metadata(scene.ancillary, entries)))
+    _open(browser, _write(tmp_path, data, name="</script><b>x"))
+    browser.run("c3gs.settle()")
+    assert _text(browser, "#title") == title
+    assert _text(browser, "#credit") == "A. Author · licence CC-BY-4.0"
+    browser.run("document.getElementById('sizes').click()")
+    rows = [line.split("\t") for line in _text(browser, "#details table").splitlines()]
+    sizes = {row[0]: int(row[1].replace(",", "")) for row in rows}
+    assert sizes.pop("file") == len(data) == sum(sizes.values())
+    assert sizes["weights of the networks"] == 22281
+    assert browser.said == []
+
+
+def test_a_damaged_file(browser: Chromium, trained: Path, tmp_path: Path) -> None:
+    """The page says what refcodec says: code, clause and offset. Nothing of the scene stays."""
+    data = bytearray(trained.read_bytes())
+    data[len(data) - 1000] ^= 1
+    with pytest.raises(BitstreamError) as refused:
+        parse(bytes(data))
+    verdict = json.loads(refused.value.to_json())
+    _open(browser, _write(tmp_path, bytes(data)))
+    with pytest.raises(BrowserError, match=str(verdict["code"])):
+        browser.run("c3gs.settle()")
+    said = _text(browser, "#error")
+    assert "damaged" in said
+    for part in (str(verdict["code"]), verdict["name"], f"SPEC.md {verdict['clause']}", f"byte {verdict['offset']}"):
+        assert part in said
+    assert browser.run("c3gs.drawing.count") == 0
+    assert browser.said == []
+
+
+@pytest.mark.parametrize("name", ["empty", "tiny-example"])
+def test_small_files(name: str, browser: Chromium, tmp_path: Path) -> None:
+    """A scene without anchors is an image of the background."""
+    path = ROOT / "vectors" / "tiny-example.c3gs" if name == "tiny-example" else VALID / f"{name}.c3gs"
+    _open(browser, _write(tmp_path, path.read_bytes()))
+    browser.run("c3gs.settle()")
+    assert browser.run("c3gs.header.anchor_count") == len(parse(path.read_bytes()).scene.positions)
+    assert browser.said == []
+
+
+def test_it_moves(browser: Chromium, trained: Path, tmp_path: Path) -> None:
+    """Dragging turns around the scene, keys fly, and R comes back."""
+    _open(browser, _write(tmp_path, trained.read_bytes()))
+    browser.run("c3gs.settle()")
+    start = browser.run("c3gs.pose")
+    for kind, x in (("mousePressed", 300), ("mouseMoved", 360), ("mouseReleased", 360)):
+        browser.ask("Input.dispatchMouseEvent", {"type": kind, "x": x, "y": 200, "button": "left", "buttons": 1})
+    browser.run("c3gs.settle()")
+    turned = browser.run("c3gs.pose")
+    way = [np.subtract(turned["centre"], start["centre"]), np.array(turned["rotation"]).reshape(3, 3)]
+    assert np.linalg.norm(way[0]) > 0.01
+    assert np.allclose(way[1] @ way[1].T, np.eye(3), atol=1e-9)
+    points = [np.add(p["centre"], p["pivot"] * np.array(p["rotation"][6:])) for p in (start, turned)]
+    assert np.allclose(*points, atol=1e-6)
+    browser.ask("Input.dispatchKeyEvent", {"type": "keyDown", "code": "KeyW", "key": "w"})
+    browser.until(f"c3gs.pose.centre[2] !== {turned['centre'][2]}")
+    browser.ask("Input.dispatchKeyEvent", {"type": "keyUp", "code": "KeyW", "key": "w"})
+    browser.ask("Input.dispatchKeyEvent", {"type": "keyDown", "code": "KeyR", "key": "r"})
+    browser.run("c3gs.settle()")
+    assert browser.run("c3gs.pose") == start

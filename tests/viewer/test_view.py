@@ -1,0 +1,219 @@
+"""`refcodec view` and its server, and `refcodec export -o scene.html`."""
+
+from __future__ import annotations
+
+import io
+import json
+import re
+import shutil
+import signal
+import subprocess
+import sys
+import threading
+from collections.abc import Iterator
+from http.client import HTTPConnection, HTTPResponse
+from pathlib import Path
+
+import pytest
+
+from benchmarks.chromium import Chromium
+from refcodec.cli.main import main
+from refcodec.viewer.bundle import bundle
+from refcodec.viewer.server import Server
+
+CONTENT = bytes(range(256))
+
+
+@pytest.fixture(scope="module")
+def server() -> Iterator[Server]:
+    """A server of a page and of 256 bytes."""
+    with Server(b"<!doctype html>", lambda: io.BytesIO(CONTENT)) as made:
+        thread = threading.Thread(target=made.serve_forever)
+        thread.start()
+        yield made
+        made.shutdown()
+        thread.join()
+
+
+def _ask(server: Server, path: str, method: str = "GET", **headers: str) -> tuple[HTTPResponse, bytes]:
+    connection = HTTPConnection("127.0.0.1", server.server_port, timeout=20)
+    try:
+        connection.request(method, path, headers=headers)
+        response = connection.getresponse()
+        return response, response.read()
+    finally:
+        connection.close()
+
+
+@pytest.mark.parametrize(
+    ("asked", "status", "content"),
+    [
+        ("", 200, CONTENT),
+        ("bytes=0-0", 206, CONTENT[:1]),
+        ("bytes=10-19", 206, CONTENT[10:20]),
+        ("bytes=250-", 206, CONTENT[250:]),
+        ("bytes=250-999", 206, CONTENT[250:]),
+        ("bytes=-6", 206, CONTENT[250:]),
+        ("bytes=-999", 206, CONTENT),
+        ("bytes=256-", 416, b""),
+        ("bytes=-0", 416, b""),
+        ("bytes=9-3", 200, CONTENT),
+        ("bytes=-", 200, CONTENT),
+        ("bytes=1-2,5-6", 200, CONTENT),
+        ("lines=1-2", 200, CONTENT),
+    ],
+)
+def test_ranges(asked: str, status: int, content: bytes, server: Server) -> None:
+    response, found = _ask(server, "/scene.c3gs", **({"Range": asked} if asked else {}))
+    assert (response.status, found) == (status, content)
+    if status == 206:
+        start = CONTENT.index(content)
+        assert response.getheader("Content-Range") == f"bytes {start}-{start + len(content) - 1}/256"
+    head, nothing = _ask(server, "/scene.c3gs", "HEAD", **({"Range": asked} if asked else {}))
+    assert (head.status, head.getheader("Content-Length"), nothing) == (status, str(len(content)), b"")
+
+
+def test_nothing_else_is_served(server: Server) -> None:
+    assert _ask(server, "/")[1] == b"<!doctype html>"
+    assert _ask(server, "/?file=scene.c3gs")[0].status == 200
+    for path in ("/scene", "/../scene.c3gs", "/etc/passwd", "/%2e%2e/"):
+        assert _ask(server, path)[0].status == 404
+    # The name of another site may lead here.
+    assert _ask(server, "/", Host="example.org")[0].status == 403
+    assert _ask(server, "/", "POST")[0].status == 501
+    assert server.server_address[0] == "127.0.0.1"
+
+
+@pytest.fixture
+def viewed(trained: Path, tmp_path: Path) -> Iterator[tuple[str, Path, subprocess.Popen[str]]]:
+    """The address that `refcodec view` says, the file, and its process."""
+    file = tmp_path / "scene.c3gs"
+    shutil.copy(trained, file)
+    command = [sys.executable, "-m", "refcodec", "view", str(file), "--no-browser"]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as process:
+        assert process.stdout is not None
+        found = re.match(r"(http://127\.0\.0\.1:\d+/) shows ", process.stdout.readline())
+        assert found is not None
+        yield found[1], file, process
+        process.kill()
+
+
+def test_view(browser: Chromium, viewed: tuple[str, Path, subprocess.Popen[str]]) -> None:
+    """The page shows the file as it is when it is loaded, and Ctrl-C ends the command."""
+    url, file, process = viewed
+    browser.asked.clear()
+    browser.open(url)
+    browser.run("c3gs.settle()")
+    assert browser.run("c3gs.header.anchor_count") == 2182
+    assert {address for address in browser.asked if address.startswith("http")} == {url, f"{url}scene.c3gs"}
+    file.write_bytes(file.read_bytes()[:30000])
+    browser.open(f"{url}?file=/scene.c3gs")
+    browser.until("!document.getElementById('error').hidden")
+    assert "error 311" in browser.run("document.getElementById('error').innerText")
+    browser.open(f"{url}?file=/nothing.c3gs")
+    browser.until("!document.getElementById('error').hidden")
+    assert "answers 404" in browser.run("document.getElementById('error').innerText")
+    process.send_signal(signal.SIGINT)
+    assert process.wait(20) == 0
+
+
+def test_a_file_is_chosen(browser: Chromium, trained: Path, viewed: tuple[str, Path, subprocess.Popen[str]]) -> None:
+    """Another file takes the place of the first one."""
+    browser.open(viewed[0])
+    browser.run("c3gs.settle()")
+    found = browser.ask("Runtime.evaluate", {"expression": "document.querySelector('#drop input')"})
+    other = trained.with_name("empty.c3gs")
+    given = {"files": [str(other)], "objectId": found["result"]["objectId"]}
+    browser.ask("DOM.setFileInputFiles", given)
+    browser.until("c3gs.header?.anchor_count === 0")
+    browser.run("c3gs.settle()")
+    assert browser.run("document.getElementById('title').innerText") == "empty.c3gs"
+
+
+def test_what_view_serves(
+    trained: Path,
+    photographs: Path,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    """It opens the browser. The page has the photographs, and the file of a scene folder is that of its encoding."""
+    pytest.importorskip("PIL", reason="photographs need the packages of the extra render")
+    opened: list[str] = []
+    served: list[Server] = []
+
+    def serve(server: Server) -> None:
+        served.append(server)
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(Server, "serve_forever", serve)
+    monkeypatch.setattr("webbrowser.open", opened.append)
+    folder = tmp_path / "scene"
+    assert main(["decode", str(trained), "-o", str(folder)]) == 0
+    for words in ([str(trained)], [str(folder)], [str(trained), "--photographs", str(photographs), "--size", "40"]):
+        assert main(["view", *words]) == 0
+        with served[-1].file() as file:
+            assert file.read() == trained.read_bytes()
+    assert opened == [server.url for server in served]
+    pages = [server.page.decode() for server in served]
+    assert [text.count("data:image/jpeg") for text in pages] == [0, 0, 8]
+    assert "Ctrl-C" in capsys.readouterr().out
+
+
+def test_export(trained: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """The page says its size, and replaces what refcodec wrote and nothing else. A folder has the page of its file."""
+    output = tmp_path / "scene.html"
+    assert main(["export", str(trained), "-o", str(output)]) == 0
+    length = output.stat().st_size
+    assert capsys.readouterr().out == f"{output}: {length:,} bytes, with the file of 53,036\n"
+    before = output.read_bytes()
+    assert main(["export", str(trained), "-o", str(output)]) == 0
+    assert output.read_bytes() == before
+    folder = tmp_path / "trained-caliterra.c3gs"
+    assert main(["decode", str(trained), "-o", str(folder)]) == 0
+    other = tmp_path / "other.html"
+    assert main(["export", str(folder), "-o", str(other)]) == 0
+    assert other.read_bytes() == before
+    output.write_bytes(b"<!doctype html>\n<title>mine</title>")
+    capsys.readouterr()
+    assert main(["export", str(trained), "-o", str(output)]) == 64
+    assert "a page that refcodec wrote" in capsys.readouterr().err
+
+
+def test_export_of_a_bad_file(trained: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    data = bytearray(trained.read_bytes())
+    data[len(data) - 1000] ^= 1
+    (tmp_path / "bad.c3gs").write_bytes(data)
+    assert main(["export", str(tmp_path / "bad.c3gs"), "-o", str(tmp_path / "scene.html")]) == 1
+    assert {"code", "offset", "clause"} <= json.loads(capsys.readouterr().err.splitlines()[-1]).keys()
+    assert not (tmp_path / "scene.html").exists()
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        (["view", "nothing.c3gs"], "cannot read nothing.c3gs"),
+        (["view", "FILE", "--port", "70000"], "0 to 65535 allowed"),
+        (["view", "FILE", "--photographs", "nothing"], "nothing"),
+        (["view", "FILE", "--max-anchors", "100"], "--max-anchors"),
+    ],
+)
+def test_wrong_usage(words: list[str], said: str, trained: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main([str(trained) if word == "FILE" else word for word in words]) == 64
+    assert said in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ('import * as a from "./a.js";\n', "import"),
+        ("export default 1;\n", "export"),
+        ('export { a as b } from "./other.js";\n', "another name"),
+        ('import { a } from "./module.js";\n', "itself"),
+    ],
+)
+def test_forms_that_no_bundle_has(text: str, said: str, tmp_path: Path) -> None:
+    (tmp_path / "module.js").write_text(text)
+    (tmp_path / "other.js").write_text("export const a = 1;\n")
+    with pytest.raises(ValueError, match=said):
+        bundle(tmp_path / "module.js")
