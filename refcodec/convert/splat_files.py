@@ -12,13 +12,16 @@ from .splat_arrays import ADVICE, Arrays
 from .splat_ply import read_splat_ply
 from .spz import read_spz
 
-READERS = {".ply": read_splat_ply, ".spz": read_spz, ".sog": read_sog}
+READERS = {".ply": read_splat_ply, ".spz": read_spz, ".sog": read_sog, ".json": read_sog}
 # Logits and logarithms beyond these change nothing that float32 can tell.
 LOGIT_MAX, LOGARITHM_MAX = 20.0, 40.0
 
 
 def read_splats(file: Path) -> Arrays:
-    """Returns the Gaussians of a file, one at least, all of finite numbers. Raises SceneFolderError."""
+    """Returns the Gaussians of a file, one at least, all of finite numbers.
+
+    file: a .ply, .spz or .sog file, or the meta.json of a folder of SOG. Raises SceneFolderError, and OSError.
+    """
     if not there(file, ADVICE):
         raise SceneFolderError(file, "there is no such file", "give a .ply, .spz or .sog file of 3D Gaussians")
     found = READERS[file.suffix.lower()](file)
