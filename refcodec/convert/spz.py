@@ -9,6 +9,7 @@ from __future__ import annotations
 import struct
 import zlib
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -121,7 +122,7 @@ def _gaussians(version: int, fraction: int, rest: int, *parts: NDArray[np.uint8]
         vector = rotation / 127.5 - 1
         scalar = np.sqrt(np.maximum(1 - (vector**2).sum(axis=1), 0))
         quaternion = np.concatenate([scalar[:, None], vector], axis=1)
-    found = {
+    found: dict[str, NDArray[Any]] = {
         "mean": mean * (1, -1, -1),
         "base": (colour / 255 - 0.5) / COLOUR,
         "rest": _rest(harmonics.reshape(count, rest, 3)),

@@ -193,9 +193,12 @@ def try_all(
                 filled = any(n.startswith(f"{name}/") for n in new)
                 left_over = filled and left[name] is None and not any(n.startswith(f"{name}/") for n in left)
                 assert not left_over, f"{name} is left: {where}"
-            # A scene is the old one or the new one, not something between.
-            for folder in {Path(name).parent for name in changed if Path(name).name == "scene.json"}:
-                names = {n for n in old.keys() | new.keys() if Path(n).parent == folder and Path(n).name in SCENE_FILES}
+            # A scene is the old one or the new one, not something between. So is a model.
+            for folder in {
+                Path(name).parent for name in changed if Path(name).name in ("scene.json", "checkpoints.pth")
+            }:
+                files = SCENE_FILES | {"checkpoints.pth"}
+                names = {n for n in old.keys() | new.keys() if Path(n).parent == folder and Path(n).name in files}
                 scene = {name: left[name] for name in names if name in left}
                 sides = [{name: side[name] for name in names if name in side} for side in (old, new)]
                 assert scene in sides, f"{folder} is a mixture: {where}"
@@ -368,12 +371,15 @@ EXPORTING = {
         ["export", "scene.c3gs", "-o", "out.glb", *_QUICK, "--cameras", "photos", "--size", "16"], 4
     ),
 }
+# TorchScript counts what it makes.
+_SCRIPTS = ("opacity_mlp.pt", "cov_mlp.pt", "color_mlp.pt")
 SCAFFOLD = {
-    "a new folder": Case(["export", "scene.c3gs", "-o", "deep/model", "--scaffold"], 30),
+    "a new folder": Case(["export", "scene.c3gs", "-o", "deep/model", "--scaffold"], 30, changing=_SCRIPTS),
     "over an old folder": Case(
         ["export", "scene.c3gs", "-o", "model", "--scaffold"],
         30,
         [["export", "other.c3gs", "-o", "model", "--scaffold"]],
+        _SCRIPTS,
     ),
 }
 

@@ -157,6 +157,14 @@ def test_numbers_are_finite(kind: str, tmp_path: Path) -> None:
     refused(tmp_path / "a.ply", f"a {kind} is NaN")
 
 
+@pytest.mark.parametrize("kind", KINDS[:3])
+def test_numbers_whose_squares_are_finite(kind: str, tmp_path: Path) -> None:
+    splats = made()
+    splats[kind].reshape(-1)[7] = -1e30
+    write_plain(splats, tmp_path / "a.ply")
+    refused(tmp_path / "a.ply", f"a {kind} is beyond 1e+09")
+
+
 def test_opacities_of_programs_that_write_infinity(tmp_path: Path) -> None:
     splats = made()
     splats["opacity"][:2] = np.inf, -np.inf
