@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Any
 
 from .. import statuses
 from ..files.lock import hold_file
+from ..files.stage import make_folder, remove_folders
 from ..files.terminal import note, say
 from ..files.text import shell_word
 from . import train_options
@@ -38,15 +39,15 @@ if TYPE_CHECKING:
 
 # What convert imports beyond the decoder.
 _PACKAGES = ("torch", "numba", "scipy", "PIL", "skimage")
-# Files of splats (refcodec.convert.splat_files); all else is a model's folder.
-_SPLATS = (".ply", ".spz", ".sog")
+# Files of splats (refcodec.convert.splat_files), and the file of a folder of SOG. All else is a model's folder.
+_SPLATS, _SOG = (".ply", ".spz", ".sog"), "meta.json"
 _AXES = ("+x", "-x", "+y", "-y", "+z", "-z")
 _VIEWS = 200
 
 
 def _convert(arguments: argparse.Namespace) -> int:
     source = Path(arguments.source)
-    splats = source.suffix.lower() in _SPLATS and not source.is_dir()
+    splats = _splats_of(source)
     if splats and arguments.appearance is not None:
         raise UsageError("--appearance is for the folder of a model")
     drawn = {name: getattr(arguments, name) for name in ("views", "up", "cameras", "pictures", "steps", "rate", "size")}
@@ -54,9 +55,16 @@ def _convert(arguments: argparse.Namespace) -> int:
     if not splats and given:
         raise UsageError(f"--{given} is for a file of splats, which {source} is not")
     try:
-        return _train_from_splats(arguments) if splats else _convert_model(arguments)
+        return _train_from_splats(arguments, splats) if splats else _convert_model(arguments)
     except ModuleNotFoundError as error:
         raise needs("convert", "convert", error, _PACKAGES) from None
+
+
+def _splats_of(source: Path) -> Path | None:
+    """Returns the file of splats that is converted, None for a model's folder."""
+    if source.is_dir():
+        return source / _SOG if (source / _SOG).is_file() else None
+    return source if source.suffix.lower() in _SPLATS or source.name == _SOG else None
 
 
 # --- a model of the family --------------------------------------------------------------------------------------------
@@ -89,6 +97,7 @@ def fitted(arguments: argparse.Namespace) -> tuple[Scene, int]:
     Raises UsageError for a scene that cannot be fitted.
     """
     try:
+        from ..convert.networks import on_grids
         from ..train.fit import fit
         from ..train.fit_input import read_given
         from ..train.settings import FitSettings
@@ -100,46 +109,49 @@ def fitted(arguments: argparse.Namespace) -> tuple[Scene, int]:
         given = read_given(arguments.scene)
         with progress_bar(arguments.progress) as progress:
             result = fit(given, settings, progress=progress)
+        scene = on_grids(result.scene, given.cloud)
     except ValueError as error:
         raise UsageError(f"{arguments.scene} cannot be fitted: {error}") from None
     done = result.report["steps"]
     # Ctrl-C ends the training, not the program.
-    if done < settings.steps and result.scene.anchor_count:
+    if done < settings.steps and scene.anchor_count:
         note(f"refcodec: stopped at step {done} of {settings.steps}; the file is written, larger than it could be")
-        return result.scene, statuses.INTERRUPTED
-    return result.scene, statuses.DONE
+        return scene, statuses.INTERRUPTED
+    return scene, statuses.DONE
 
 
 # --- a file of splats -------------------------------------------------------------------------------------------------
 
 
-def _train_from_splats(arguments: argparse.Namespace) -> int:
+def _train_from_splats(arguments: argparse.Namespace, source: Path) -> int:
     """Draws a file of splats from cameras, and trains a scene from these pictures."""
     from ..folder.layout import SceneFolderError
     from ..train.command import state_path, train
     from ..train.state import StateError
     from ..train.telling import closing
 
-    source, output = Path(arguments.source), Path(arguments.output)
+    output = Path(arguments.output)
     pictures = Path(arguments.pictures) if arguments.pictures else None
     settings, state = _train_settings(arguments), state_path(output)
     check_scene_output(output, [source], uncompressed=True)
     if arguments.resume != os.path.lexists(state):
         lacks = "there is nothing to resume" if arguments.resume else "go on with it by --resume, or remove it"
         raise UsageError(f"{state} is {'not there' if arguments.resume else 'a saved training'}: {lacks}")
-    if pictures is not None and os.path.lexists(pictures):
-        raise UsageError(f"{pictures} is there already: choose another place for the pictures")
+    # A training that goes on has the pictures that the interrupted one left.
+    kept = pictures if arguments.resume and pictures and pictures.is_dir() else None
+    if pictures is not None and kept is None:
+        _check_pictures(pictures, output)
     cameras = _cameras_of(source, arguments.cameras)
     note_compiling()
-    place = (pictures or output).absolute().parent
-    place.mkdir(parents=True, exist_ok=True)
-    folder = Path(tempfile.mkdtemp(prefix=".c3gs-pictures-", dir=place))
+    made: list[Path] = []
+    place, drawn = (pictures or output).absolute().parent, None
     try:
-        _draw(arguments, source, cameras, folder, settings)
-        if pictures is not None:
-            folder = folder.replace(pictures)
+        if kept is None:
+            make_folder(place, made)
+            drawn = Path(tempfile.mkdtemp(prefix=".c3gs-pictures-", dir=place))
+            _draw(arguments, source, cameras, drawn, settings)
         # The pictures have a split of their own.
-        photographs = read_photographs_of(str(folder), settings.size, settings.background, settings.holdout)
+        photographs = read_photographs_of(str(kept or drawn), settings.size, settings.background, settings.holdout)
         with hold_file(state.with_name(state.name + ".lock")):
             found = train(
                 photographs,
@@ -150,6 +162,8 @@ def _train_from_splats(arguments: argparse.Namespace) -> int:
                 resume=arguments.resume,
                 progress=arguments.progress,
             )
+        if drawn and pictures:
+            drawn.replace(pictures)
     except SceneFolderError:
         raise
     except StateError as error:
@@ -157,14 +171,24 @@ def _train_from_splats(arguments: argparse.Namespace) -> int:
     except ValueError as error:
         raise UsageError(f"{source} cannot be trained from: {error}") from None
     finally:
-        if pictures is None or folder != pictures:
-            shutil.rmtree(folder, ignore_errors=True)
+        if drawn:
+            shutil.rmtree(drawn, ignore_errors=True)
+        remove_folders(made)
     for line in closing(found.trainer, found.report, output, str(pictures or "PHOTOGRAPHS")):
         say(line)
     if not found.whole:
         note(f"refcodec: stopped at step {found.trainer.clock.done}; the scene is written, and --resume goes on")
         return statuses.INTERRUPTED
     return statuses.DONE
+
+
+def _check_pictures(pictures: Path, output: Path) -> None:
+    """Raises UsageError unless pictures can be kept in a new folder outside the scene."""
+    if os.path.lexists(pictures):
+        raise UsageError(f"{pictures} is there already: choose another place for the pictures")
+    place, scene = Path(os.path.realpath(pictures)), Path(os.path.realpath(output))
+    if place.is_relative_to(scene) or scene.is_relative_to(place):
+        raise UsageError(f"{pictures} and {output} are one folder, or one is in the other: choose another place")
 
 
 def _train_settings(arguments: argparse.Namespace) -> TrainSettings:
@@ -242,9 +266,9 @@ def add(commands: Any) -> None:
         ],
         "SOURCE is the folder of a model that Scaffold-GS, HAC, HAC++ or CAT-3DGS trained, or one of its folders\n"
         "iteration_N. The scene looks as the model does. It is not compressed yet: encode compresses it.\n"
-        "Or SOURCE is a file of 3D Gaussians: .ply (of 3DGS, or compressed by PlayCanvas), .spz or .sog. It is drawn\n"
-        "from cameras: those of its cameras.json, or else around it. A scene is trained from these pictures, as by\n"
-        "train, and the options below that convert and train both have are those of train.\n"
+        "Or SOURCE is a file of 3D Gaussians: .ply (of 3DGS, or compressed by PlayCanvas), .spz or .sog, or a folder\n"
+        "of SOG with meta.json. It is drawn from cameras: those of its cameras.json, or else around it. A scene is\n"
+        "trained from these pictures, as by train. The options below that both commands have are those of train.\n"
         "No code of a model runs: pickles are looked at first, and TorchScript is read without running it.\n"
         "Needs: pip install 'refcodec[convert]'.",
         writes=True,

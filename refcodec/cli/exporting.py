@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from ..files.outputs import check_apart, check_file
-from ..files.stage import Stage, write_file
+from ..files.stage import write_file
 from ..files.terminal import note, say
 from .bounds import add_bounds
 from .shared import RENDER_PACKAGES, UsageError, add_command, needs, note_compiling, parse_file, progress_bar, whole
@@ -76,7 +76,7 @@ def _scaffold(arguments: argparse.Namespace) -> int:
         # The networks are written with torch, which is missed here and not after the work.
         import torch  # noqa: F401
 
-        from ..export.scaffold import CFG, CFG_ARGS, FILES, scaffold_files
+        from ..export.scaffold import FILES, check_folder, scaffold_files, write_folder
     except ModuleNotFoundError as error:
         raise needs("export --scaffold", "fit", error, ("torch",)) from None
     from ..bitstream.cameras import cameras
@@ -84,12 +84,7 @@ def _scaffold(arguments: argparse.Namespace) -> int:
     from ..bitstream.scene import Scene
 
     folder = Path(arguments.output)
-    if os.path.lexists(folder):
-        if not folder.is_dir():
-            raise UsageError(f"{folder} is a file: give the name of a folder")
-        if any(folder.iterdir()) and not (folder / CFG_ARGS).is_file():
-            raise UsageError(f"{folder} exists and has other files: choose another one, or empty it")
-        check_file(folder / CFG_ARGS, CFG, made=True)
+    check_folder(folder)
     check_apart([folder / file for file in FILES], [arguments.file])
     shown = read_shown(arguments)
     scene = parse_file(arguments, shown).scene if isinstance(shown, bytes) else shown
@@ -98,9 +93,7 @@ def _scaffold(arguments: argparse.Namespace) -> int:
     files = scaffold_files(values, scene.masks, scene.networks, scene.render, stated)
     if scene.render.background not in ((0, 0, 0), (255, 255, 255)):
         note("refcodec: Scaffold-GS has black and white backgrounds alone; the folder says black")
-    with Stage() as stage:
-        for name, data in files.items():
-            stage.write(folder / name, data)
+    write_folder(files, folder)
     say(f"{folder}: {scene.anchor_count:,} anchors, {sum(map(len, files.values())):,} bytes")
     return 0
 

@@ -22,7 +22,7 @@ from ..bitstream.limits import FEATURES_MAX, MAIN, PROFILES
 from ..bitstream.networks import Layer
 from ..bitstream.reconstruction import Reconstruction
 from ..encoder.cloud import AnchorCloud
-from ..files.ply_header import PlyHeaderError, property_names
+from ..files.ply_header import PlyHeaderError, check_ply_header, property_names
 from ..folder.layout import PLY_FILE, SceneFolderError, there
 from ..folder.ply import read_cloud
 from ..folder.uncompressed import Uncompressed
@@ -39,8 +39,9 @@ APPEARANCE, APPEARANCE_FILE = "appearance", "embedding_appearance.pt"
 BANKS = ("feature_bank_mlp", "mlp_feature_bank")
 # Properties of an anchor that models with levels of detail have (Octree-GS).
 LEVELS = ("level", "extra_level", "info")
-# Direction and distance.
+# The direction. The distance comes after it.
 VIEW = 3
+ANCHORS_MAX = max(level.anchors for level in PROFILES[MAIN].levels.values())
 # An anchor lies on the lattice if it is this near to a corner, in voxels: float32 has about 7 digits.
 NEAR = 0.01
 _ADVICE = "give the folder of a trained model of Scaffold-GS, HAC, HAC++ or CAT-3DGS"
@@ -68,7 +69,7 @@ def read_checkpoint(folder: Path, appearance: int | None = None) -> Converted:
     settings, cameras = read_settings(root / SETTINGS_FILE), read_cameras(root / CAMERAS_FILE)
     if settings.bank:
         raise _bank(root / SETTINGS_FILE)
-    _refuse_levels(ply)
+    _check_header(ply)
     cloud = read_cloud(ply)
     _check_sizes(ply, cloud, settings)
     networks, embeddings = _networks(ply.parent, cloud, appearance)
@@ -105,12 +106,16 @@ def _cloud_file(folder: Path) -> Path:
     return chosen
 
 
-def _refuse_levels(ply: Path) -> None:
-    """Raises SceneFolderError for a point cloud whose anchors have levels of detail."""
+def _check_header(ply: Path) -> None:
+    """Raises SceneFolderError for more anchors than Main holds, and for anchors with levels of detail."""
     try:
+        count, _ = check_ply_header(ply)
         names = property_names(ply)
     except PlyHeaderError as error:
         raise SceneFolderError(ply, f"it is not a readable PLY file ({error})", _ADVICE) from None
+    if count > ANCHORS_MAX:
+        problem = f"it has {count} anchors, at most {ANCHORS_MAX} are allowed (SPEC.md 11.2)"
+        raise SceneFolderError(ply, problem, "train the model with fewer")
     level = next((name for name in LEVELS if name in names), None)
     if level:
         problem = f"its anchors have levels of detail (the property {level}), which the format does not have"

@@ -87,6 +87,14 @@ def read_cameras(file: Path) -> list[Camera]:
     return [_camera(file, number, fields) for number, fields in enumerate(listed)]
 
 
+def _is_numbers(value: Any, shape: tuple[int, ...]) -> bool:
+    """Whether a value of JSON is nested lists of numbers, of a shape."""
+    if not shape:
+        return isinstance(value, int | float) and not isinstance(value, bool)
+    first, *others = shape
+    return isinstance(value, list) and len(value) == first and all(_is_numbers(v, tuple(others)) for v in value)
+
+
 def _camera(file: Path, number: int, fields: Any) -> Camera:
     def fault(problem: str) -> SceneFolderError:
         return SceneFolderError(file, f"[{number}] {problem}", _CAMERAS)
@@ -95,15 +103,9 @@ def _camera(file: Path, number: int, fields: Any) -> Camera:
         raise fault("is no object")
 
     def numbers(name: str, shape: tuple[int, ...]) -> NDArray[np.float64]:
-        try:
-            found = np.array(fields.get(name), np.float64)
-        except (TypeError, ValueError, OverflowError):
-            found = np.zeros(0)
-        if (
-            found.shape != shape
-            or not np.isfinite(found).all()
-            or np.abs(found).max(initial=0) > np.finfo(np.float32).max
-        ):
+        value = fields.get(name)
+        found = np.array(value, np.float64) if _is_numbers(value, shape) else np.full(shape, np.inf)
+        if np.abs(found).max() > np.finfo(np.float32).max:
             raise fault(f"has no {name} of {' x '.join(map(str, shape)) or 1} numbers")
         return found
 

@@ -1,9 +1,14 @@
-"""SOG files (PlayCanvas), version 2: 3D Gaussians as pixels of WebP images without loss, in a zip archive."""
+"""SOG files (PlayCanvas), version 2: 3D Gaussians as pixels of WebP images without loss.
+
+The images and meta.json, which names them, are in a zip archive, or in a folder.
+"""
 
 from __future__ import annotations
 
 import io
 import zipfile
+from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -16,7 +21,8 @@ from ..export.sog import META, PALETTE_MOST, ROW
 from ..export.splats import with_largest
 from ..files.documents import DocumentError, parse_json
 from ..files.text import printable
-from ..folder.layout import SceneFolderError
+from ..folder.layout import SceneFolderError, there
+from .archives import opened_zip
 from .splat_arrays import ADVICE, Arrays, check_count, logits
 
 VERSION = 2
@@ -27,33 +33,49 @@ SPARE = 1 << 20
 BYTE = 256
 
 
-class _Archive:
-    """The entries of a file."""
+Read = Callable[[str, int], bytes]
 
-    def __init__(self, file: Path) -> None:
-        self.file = file
+
+def _entry(file: Path, archive: zipfile.ZipFile, name: str, most: int) -> bytes:
+    """Returns an entry of an archive, of at most so many bytes. Raises SceneFolderError."""
+    try:
+        # The others take a dictionary in memory that is as large as the entry says.
+        if archive.getinfo(name).compress_type not in (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED):
+            raise ValueError("it is neither stored nor deflated")
+        with archive.open(name) as entry:
+            data = entry.read(most + 1)
+    except KeyError:
+        raise SceneFolderError(file, f"it has no entry {printable(name, 60)}", ADVICE) from None
+    # zipfile and zlib answer bad bytes with several types.
+    except Exception as error:
+        problem = f"its entry {printable(name, 60)} is damaged ({printable(str(error), 80)})"
+        raise SceneFolderError(file, problem, ADVICE) from None
+    if len(data) > most:
+        raise SceneFolderError(file, f"its entry {printable(name, 60)} has more than {most} bytes", ADVICE)
+    return data
+
+
+def _beside(file: Path, name: str, most: int) -> bytes:
+    """Returns a file beside another one, of at most so many bytes. Raises SceneFolderError, and OSError."""
+    # A name of its own leads to no other folder.
+    if not name or Path(name).name != name or not there(file.parent / name, ADVICE):
+        raise SceneFolderError(file, f"there is no file {printable(name, 60)} beside it", ADVICE)
+    with (file.parent / name).open("rb") as opened:
+        data = opened.read(most + 1)
+    if len(data) > most:
+        raise SceneFolderError(file.parent / name, f"it has more than {most} bytes", ADVICE)
+    return data
+
+
+class _Scene:
+    """What meta.json states, and the images that it names. read: returns a file by its name, of at most some bytes."""
+
+    def __init__(self, file: Path, read: Read) -> None:
+        self.file, self._read = file, read
         try:
-            self.zip = zipfile.ZipFile(file)
-        except (zipfile.BadZipFile, ValueError, NotImplementedError, OSError) as error:
-            raise SceneFolderError(file, f"it is no zip archive ({printable(str(error), 80)})", ADVICE) from None
-        try:
-            self.root = parse_json(self._read(META, META_MAX), META_MAX)
+            self.root = parse_json(read(META, META_MAX), META_MAX)
         except DocumentError as error:
             raise SceneFolderError(file, f"its {META} is not JSON ({error})", ADVICE) from None
-
-    def _read(self, name: str, most: int) -> bytes:
-        try:
-            with self.zip.open(name) as entry:
-                data = entry.read(most + 1)
-        except KeyError:
-            raise SceneFolderError(self.file, f"it has no entry {printable(name, 60)}", ADVICE) from None
-        # zipfile and zlib answer bad bytes with several types.
-        except Exception as error:
-            problem = f"its entry {printable(name, 60)} is damaged ({printable(str(error), 80)})"
-            raise SceneFolderError(self.file, problem, ADVICE) from None
-        if len(data) > most:
-            raise SceneFolderError(self.file, f"its entry {printable(name, 60)} has more than {most} bytes", ADVICE)
-        return data
 
     def value(self, name: str) -> Any:
         """Returns a value of meta.json by its path, such as means.files; None if it is not there."""
@@ -101,13 +123,25 @@ class _Archive:
 
 
 def read_sog(file: Path) -> Arrays:
-    """Returns the Gaussians of a file. Raises SceneFolderError."""
-    archive = _Archive(file)
+    """Returns the Gaussians of a file: an archive, or the meta.json of a folder, with the images beside it.
+
+    Raises SceneFolderError, and OSError.
+    """
+    if file.name == META:
+        size = sum(image.stat().st_size for image in file.parent.glob("*.webp"))
+        return _gaussians(_Scene(file, partial(_beside, file)), size)
+    with opened_zip(file, "zip archive", ADVICE) as archive:
+        return _gaussians(_Scene(file, partial(_entry, file, archive)), file.stat().st_size)
+
+
+def _gaussians(archive: _Scene, size: int) -> Arrays:
+    """Returns the Gaussians of a scene. size: of its files, bytes. Raises SceneFolderError."""
+    file = archive.file
     if archive.value("version") != VERSION:
         stated = printable(repr(archive.value("version")), 20)
         raise SceneFolderError(file, f"it is SOG of version {stated}, version {VERSION} is read", ADVICE)
     count = archive.integer("count", (1 << 32) - 1)
-    check_count(file, count)
+    check_count(file, count, size)
 
     def rows(name: str, number: int = 0) -> NDArray[np.uint8]:
         return archive.pixels(name, number, count).reshape(-1, 4)[:count]
@@ -130,13 +164,15 @@ def read_sog(file: Path) -> Arrays:
         "quaternion": with_largest(largest, (rotation[:, :3] / 255 - 0.5) * np.sqrt(2)),
     }
     with np.errstate(over="ignore"):
-        return {name: v.astype(np.float32) for name, v in found.items()} | {"opacity": logits(colour[:, 3] / 255)}
+        return {name: v.astype(np.float32, copy=False) for name, v in found.items()} | {
+            "opacity": logits(colour[:, 3] / 255)
+        }
 
 
-def _rest(archive: _Archive, count: int) -> NDArray[np.float64]:
+def _rest(archive: _Scene, count: int) -> NDArray[np.float32]:
     """Returns the harmonics beside the first, [N, K, 3]: each Gaussian has those of an entry of a palette."""
     if archive.value("shN") is None:
-        return np.zeros((count, 0, 3))
+        return np.zeros((count, 0, 3), np.float32)
     rest, entries = REST[archive.integer("shN.bands", len(REST) - 1)], archive.integer("shN.count", PALETTE_MOST)
     book = archive.numbers("shN.codebook", BYTE)
     # A palette's rows have ROW entries of `rest` pixels each.
@@ -147,4 +183,6 @@ def _rest(archive: _Archive, count: int) -> NDArray[np.float64]:
     chosen = labels[:, 0] | labels[:, 1] << 8
     if chosen.max(initial=0) >= max(entries, 1):
         raise SceneFolderError(archive.file, f"a Gaussian has harmonics beyond the {entries} of the palette", ADVICE)
-    return book[palette.reshape(-1, rest, 4)[:, :, :3]][chosen]
+    with np.errstate(over="ignore"):
+        own = book.astype(np.float32)
+    return own[palette.reshape(-1, rest, 4)[:, :, :3]][chosen]

@@ -12,13 +12,18 @@ from .splat_arrays import ADVICE, Arrays
 from .splat_ply import read_splat_ply
 from .spz import read_spz
 
-READERS = {".ply": read_splat_ply, ".spz": read_spz, ".sog": read_sog}
+READERS = {".ply": read_splat_ply, ".spz": read_spz, ".sog": read_sog, ".json": read_sog}
 # Logits and logarithms beyond these change nothing that float32 can tell.
 LOGIT_MAX, LOGARITHM_MAX = 20.0, 40.0
+# The largest coordinate and the largest coefficient. Squares of larger ones are beyond float32, or nearly so.
+COORDINATE_MAX, COEFFICIENT_MAX = 1e9, 1e9
 
 
 def read_splats(file: Path) -> Arrays:
-    """Returns the Gaussians of a file, one at least, all of finite numbers. Raises SceneFolderError."""
+    """Returns the Gaussians of a file, one at least, all of finite numbers.
+
+    file: a .ply, .spz or .sog file, or the meta.json of a folder of SOG. Raises SceneFolderError, and OSError.
+    """
     if not there(file, ADVICE):
         raise SceneFolderError(file, "there is no such file", "give a .ply, .spz or .sog file of 3D Gaussians")
     found = READERS[file.suffix.lower()](file)
@@ -30,4 +35,7 @@ def read_splats(file: Path) -> Arrays:
     for name, values in found.items():
         if not np.isfinite(values).all():
             raise SceneFolderError(file, f"a {name} is NaN or infinite", ADVICE)
+    for name, most in (("mean", COORDINATE_MAX), ("base", COEFFICIENT_MAX), ("rest", COEFFICIENT_MAX)):
+        if np.abs(found[name]).max(initial=0) > most:
+            raise SceneFolderError(file, f"a {name} is beyond {most:g}", ADVICE)
     return found

@@ -30,7 +30,7 @@ def read_splat_ply(file: Path) -> Arrays:
 
     try:
         most, _ = check_ply_header(file)
-        check_count(file, most)
+        check_count(file, most, file.stat().st_size)
         data = PlyData.read(str(file))
         elements = {element.name: element.data for element in data.elements}
     except PlyHeaderError as error:

@@ -9,6 +9,7 @@ from __future__ import annotations
 import struct
 import zlib
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -43,7 +44,7 @@ def read_spz(file: Path) -> Arrays:
     if degree >= len(REST) or fraction > 23:
         problem = f"it states harmonics of degree {degree} and {fraction} fractional bits; 3 and 23 are the most"
         raise SceneFolderError(file, problem, ADVICE)
-    check_count(file, count)
+    check_count(file, count, len(data))
     sizes = _sizes(version, REST[degree])
     if packed:
         parts = _gunzipped(file, data, HEADER.size + count * sum(sizes))[HEADER.size :]
@@ -121,16 +122,24 @@ def _gaussians(version: int, fraction: int, rest: int, *parts: NDArray[np.uint8]
         vector = rotation / 127.5 - 1
         scalar = np.sqrt(np.maximum(1 - (vector**2).sum(axis=1), 0))
         quaternion = np.concatenate([scalar[:, None], vector], axis=1)
-    found = {
+    found: dict[str, NDArray[Any]] = {
         "mean": mean * (1, -1, -1),
         "base": (colour / 255 - 0.5) / COLOUR,
-        "rest": (harmonics.reshape(count, rest, 3) - 128.0) / 128 * HARMONIC_SIGNS[:rest, None],
+        "rest": _rest(harmonics.reshape(count, rest, 3)),
         "scale": lengths / SCALE + SCALE_LEAST,
         "quaternion": quaternion * (1, 1, -1, -1),
     }
-    return {name: values.astype(np.float32) for name, values in found.items()} | {
+    return {name: values.astype(np.float32, copy=False) for name, values in found.items()} | {
         "opacity": logits(opacity[:, 0] / 255)
     }
+
+
+def _rest(harmonics: NDArray[np.uint8]) -> NDArray[np.float32]:
+    """Returns coefficients of bytes, [N, K, 3]. They are most of a file, and exact as float32."""
+    found = harmonics.astype(np.float32)
+    found -= 128
+    found *= HARMONIC_SIGNS[: found.shape[1], None].astype(np.float32) / 128
+    return found
 
 
 def _smallest_three(rotation: NDArray[np.uint8]) -> NDArray[np.float64]:

@@ -3,9 +3,10 @@
 Both are zip archives with a pickle that names tensors, whose bytes lie in the archive. A pickle can call anything. Here
 none does:
 
-- Every opcode is looked at first. A pickle that names another function than those that make tensors is refused.
+- Every pickle is read opcode by opcode, and gives names and places of tensors, no objects. One that names another
+  function than those that make tensors is refused.
 - A state dict is then loaded by torch.load(weights_only=True).
-- The pickle of a TorchScript archive is read opcode by opcode, and gives names and places of tensors, no objects.
+- A TorchScript archive is not loaded. Its tensors are taken from where its pickle says.
 """
 
 # torch is imported where it is used. TorchScript archives are read without it.
@@ -13,6 +14,7 @@ none does:
 
 from __future__ import annotations
 
+import contextlib
 import math
 import pickle
 import pickletools
@@ -27,6 +29,7 @@ from numpy.typing import NDArray
 
 from ..files.text import printable
 from ..folder.layout import SceneFolderError, there
+from .archives import opened_zip
 
 AGAIN = "save it again with the program that made it"
 
@@ -34,7 +37,8 @@ AGAIN = "save it again with the program that made it"
 FILE_MAX = 1 << 31
 # The networks of a scene have some ten tensors, whose names are a kilobyte.
 PICKLE_MAX = 1 << 20
-ENTRIES_MAX = 4096
+# Fields of a module, and the longest name of one.
+FIELDS_MAX, NAME_MAX = 4096, 256
 # A network has less than a megabyte, an embedding of cameras some kilobytes.
 TENSOR_MAX = 1 << 24
 TENSORS_MAX = 8
@@ -74,9 +78,7 @@ def read_state_dicts(file: Path, networks: Collection[str]) -> dict[str, dict[st
         for entry in archive.infolist():
             if entry.compress_type != zipfile.ZIP_STORED:
                 raise SceneFolderError(file, f"its entry {printable(entry.filename)} is compressed", AGAIN)
-        for operation, argument in _operations(file, _pickle(file, archive)):
-            if operation == "GLOBAL" and argument not in _STATE_DICT:
-                raise _names(file, argument)
+        _Machine(file, classes=False).run(_operations(file, _pickle(file, archive)))
     try:
         # Mapped, because the networks are a small part of a checkpoint of HAC.
         loaded = torch.load(str(file), map_location="cpu", weights_only=True, mmap=True)
@@ -112,7 +114,7 @@ def read_torchscript(file: Path) -> dict[str, NDArray[np.float32]]:
     Raises SceneFolderError.
     """
     with _opened(file) as archive:
-        module = _Machine(file).run(_operations(file, _pickle(file, archive)))
+        module = _Machine(file, classes=True).run(_operations(file, _pickle(file, archive)))
         stored = dict(_parameters(file, module))
         if len(stored) > TENSORS_MAX:
             raise SceneFolderError(file, f"it has {len(stored)} parameters, at most {TENSORS_MAX} are allowed", AGAIN)
@@ -122,21 +124,19 @@ def read_torchscript(file: Path) -> dict[str, NDArray[np.float32]]:
 # --- the archive ------------------------------------------------------------------------------------------------------
 
 
-def _opened(file: Path) -> zipfile.ZipFile:
-    """Returns the archive of a file. Raises SceneFolderError."""
+@contextlib.contextmanager
+def _opened(file: Path) -> Iterator[zipfile.ZipFile]:
+    """Yields the archive of a file. Raises SceneFolderError."""
     if not there(file, AGAIN):
         raise SceneFolderError(file, "there is no such file", AGAIN)
     if file.stat().st_size > FILE_MAX:
         raise SceneFolderError(file, f"it has more than {FILE_MAX} bytes", "give a checkpoint of a scene")
-    try:
-        archive = zipfile.ZipFile(file)
-    # zipfile answers bad bytes with several types.
-    except (zipfile.BadZipFile, ValueError, NotImplementedError, OSError) as error:
-        problem = f"it is no zip archive, as torch writes since 1.6 ({_line(error)})"
-        raise SceneFolderError(file, problem, AGAIN) from None
-    if len(archive.infolist()) > ENTRIES_MAX:
-        raise SceneFolderError(file, f"it has more than {ENTRIES_MAX} entries", "give a checkpoint of a scene")
-    return archive
+    with opened_zip(file, "zip archive, as torch writes since 1.6", AGAIN) as archive:
+        names = [entry.filename for entry in archive.infolist()]
+        if len(set(names)) != len(names):
+            # Readers differ in which of them they take.
+            raise SceneFolderError(file, "two of its entries have one name", AGAIN)
+        yield archive
 
 
 def _record(file: Path, archive: zipfile.ZipFile, name: str, most: int) -> bytes:
@@ -172,8 +172,8 @@ def _line(error: Exception) -> str:
 # --- the pickle -------------------------------------------------------------------------------------------------------
 
 
-def _names(file: Path, what: object) -> SceneFolderError:
-    problem = f"its pickle names {printable(str(what), 80)}, which is no tensor: nothing of it was run"
+def _names(file: Path, what: str) -> SceneFolderError:
+    problem = f"its pickle names {printable(what, 80)}, which is no tensor: nothing of it was run"
     return SceneFolderError(file, problem, "give a checkpoint that torch.save wrote of state dicts")
 
 
@@ -211,10 +211,13 @@ class _Name:
 
 
 class _Machine:
-    """The pickle of a TorchScript archive, as dictionaries of fields, and places of tensors."""
+    """A pickle of torch, as dictionaries of fields, and places of tensors.
 
-    def __init__(self, file: Path) -> None:
-        self.file = file
+    classes: whether it may name classes of any name. They become dictionaries of their fields.
+    """
+
+    def __init__(self, file: Path, classes: bool) -> None:
+        self.file, self.classes = file, classes
         self.stack: list[Any] = []
         self.marks: list[int] = []
         self.memo: dict[int, Any] = {}
@@ -244,6 +247,8 @@ class _Machine:
     def _step(self, name: str, argument: Any) -> None:
         stack = self.stack
         if name == "GLOBAL":
+            if not self.classes and argument not in _STATE_DICT:
+                raise _names(self.file, argument)
             stack.append(_Name(argument))
         elif name in ("BINPUT", "LONG_BINPUT"):
             self.memo[argument] = stack[-1]
@@ -263,7 +268,7 @@ class _Machine:
             stack.append({} if name == "NEWOBJ" else self._called(made, arguments))
         elif name == "BUILD":
             state = stack.pop()
-            stack[-1].update(state)
+            self._put(stack[-1], [part for pair in state.items() for part in pair])
         elif name in ("SETITEM", "APPEND"):
             values = [stack.pop() for _ in range(2 if name == "SETITEM" else 1)][::-1]
             self._put(stack[-1], values)
@@ -278,8 +283,11 @@ class _Machine:
     def _put(into: Any, values: list[Any]) -> None:
         if isinstance(into, list):
             into.extend(values)
-        else:
-            into.update(zip(values[::2], values[1::2], strict=True))
+            return
+        # A tuple of tuples can be hashed forever.
+        if not all(isinstance(key, str | int) for key in values[::2]):
+            raise TypeError
+        into.update(zip(values[::2], values[1::2], strict=True))
 
     def _storage(self, named: Any) -> tuple[str, str]:
         kind, storage, key, _, _ = named
@@ -289,7 +297,7 @@ class _Machine:
 
     def _called(self, function: Any, arguments: Any) -> Any:
         if not isinstance(function, _Name) or function.name not in _STATE_DICT:
-            raise _names(self.file, getattr(function, "name", function))
+            raise _names(self.file, function.name if isinstance(function, _Name) else "no function")
         if function.name == _DICT:
             return {}
         if function.name == _PARAMETER:
@@ -297,11 +305,7 @@ class _Machine:
         if function.name != _REBUILD:
             raise _names(self.file, function.name)
         (storage, key), offset, shape, stride = arguments[:4]
-        least = (0, *(1 for _ in shape), *(0 for _ in stride))
-        sizes = (offset, *shape, *stride)
-        if len(shape) != len(stride) or not all(
-            type(v) is int and v >= low for v, low in zip(sizes, least, strict=True)
-        ):
+        if len(shape) != len(stride) or not all(type(v) is int and v >= 0 for v in (offset, *shape, *stride)):
             raise ValueError
         return _Stored(storage, key, offset, tuple(shape), tuple(stride))
 
@@ -316,8 +320,9 @@ def _parameters(file: Path, module: Any) -> Iterator[tuple[str, _Stored]]:
             continue
         for name, value in fields.items():
             looked += 1
-            if looked > ENTRIES_MAX:
-                raise SceneFolderError(file, f"its module has more than {ENTRIES_MAX} fields", AGAIN)
+            if looked > FIELDS_MAX or (isinstance(name, str) and len(name) > NAME_MAX):
+                problem = f"its module has more than {FIELDS_MAX} fields, or a name of more than {NAME_MAX} characters"
+                raise SceneFolderError(file, problem, AGAIN)
             if isinstance(value, _Stored):
                 yield f"{prefix}{name}", value
             elif depth < DEPTH_MAX:
@@ -333,7 +338,7 @@ def _tensor(file: Path, archive: zipfile.ZipFile, name: str, stored: _Stored) ->
         packed *= side
     in_order = all(side == 1 or s == t for side, s, t in zip(stored.shape, stored.stride, stride[::-1], strict=True))
     count = math.prod(stored.shape)
-    if kind is None or not in_order or 4 * count > TENSOR_MAX:
+    if kind is None or not in_order or not 0 < 4 * count <= TENSOR_MAX:
         problem = f"its parameter {printable(name, 60)} is no array of floats in order, of {TENSOR_MAX} bytes at most"
         raise SceneFolderError(file, problem, AGAIN)
     data = _record(file, archive, f"data/{stored.key}", TENSOR_MAX)

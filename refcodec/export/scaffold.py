@@ -21,9 +21,10 @@ from __future__ import annotations
 
 import io
 import json
+import os
 import re
 import warnings
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -37,9 +38,12 @@ from ..bitstream.dimensions import RENDERING
 from ..bitstream.header import RenderInfo
 from ..bitstream.networks import Layer
 from ..bitstream.reconstruction import Reconstruction
-from ..files.outputs import Kind
+from ..files.exchange import INCOMING, exchange
+from ..files.outputs import Kind, check_file
+from ..files.stage import make_folder, new_file
 from ..folder.ply import ply_values
 from ..render.camera import default_camera
+from ..statuses import UsageError
 
 if TYPE_CHECKING:
     from torch import nn
@@ -97,6 +101,37 @@ def scaffold_files(
         files[_MODEL / f"{_NAMES[name]}.pt"] = _torch_script(module, model.width + _VIEW)
     files[_MODEL / "checkpoints.pth"] = _state_dicts(modules)
     return files
+
+
+def check_folder(folder: Path) -> None:
+    """Raises UsageError unless nothing is in a folder but what write_folder wrote before."""
+    if not os.path.lexists(folder):
+        return
+    if not folder.is_dir():
+        raise UsageError(f"{folder} is a file: give the name of a folder")
+    found = {path.relative_to(folder) for path in folder.rglob("*") if INCOMING not in path.parts and not path.is_dir()}
+    if found and (CFG_ARGS not in found or not found <= set(FILES)):
+        raise UsageError(f"{folder} exists and has other files: choose another one, or empty it")
+    check_file(folder / CFG_ARGS, CFG, made=True)
+
+
+def write_folder(files: Mapping[Path, bytes], folder: Path) -> None:
+    """Writes the files of scaffold_files in place of those before: all of them, or none (files.exchange).
+
+    Raises UsageError as check_folder, and OSError.
+    """
+
+    def write(new: Path) -> None:
+        for name, data in files.items():
+            make_folder((new / name).parent, [])
+            with new_file(new / name) as file:
+                file.write(data)
+
+    def replaced() -> list[Path]:
+        check_folder(folder)
+        return [folder / name for name in sorted({file.parts[0] for file in FILES})]
+
+    exchange(folder, write, replaced, str(CFG_ARGS))
 
 
 def _model(

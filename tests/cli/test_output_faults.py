@@ -28,7 +28,7 @@ from refcodec.bitstream.scene import Ancillary
 from refcodec.cli.main import main
 from refcodec.folder.write import write_folder
 
-sys.path.append(str(Path(__file__).resolve().parents[1] / "files"))
+sys.path.extend(str(Path(__file__).resolve().parents[1] / name) for name in ("files", "convert"))
 from faults import Faults
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -193,9 +193,12 @@ def try_all(
                 filled = any(n.startswith(f"{name}/") for n in new)
                 left_over = filled and left[name] is None and not any(n.startswith(f"{name}/") for n in left)
                 assert not left_over, f"{name} is left: {where}"
-            # A scene is the old one or the new one, not something between.
-            for folder in {Path(name).parent for name in changed if Path(name).name == "scene.json"}:
-                names = {n for n in old.keys() | new.keys() if Path(n).parent == folder and Path(n).name in SCENE_FILES}
+            # A scene is the old one or the new one, not something between. So is a model.
+            for folder in {
+                Path(name).parent for name in changed if Path(name).name in ("scene.json", "checkpoints.pth")
+            }:
+                files = SCENE_FILES | {"checkpoints.pth"}
+                names = {n for n in old.keys() | new.keys() if Path(n).parent == folder and Path(n).name in files}
                 scene = {name: left[name] for name in names if name in left}
                 sides = [{name: side[name] for name in names if name in side} for side in (old, new)]
                 assert scene in sides, f"{folder} is a mixture: {where}"
@@ -355,6 +358,112 @@ def test_fit(inputs: Path, tmp_path: Path, monkeypatch: Any, capsys: Any) -> Non
     monkeypatch.setattr(fit, "fit", once)
     case = Case(["fit", "points3D.txt", "-o", "deep/out", "--steps", "2"], 28)
     try_all(case, inputs, tmp_path, monkeypatch, capsys)
+
+
+# --- for other programs, and from them --------------------------------------------------------------------------------
+
+_QUICK = ("--iterations", "0", "--degree", "1")
+EXPORTING = {
+    suffix: Case(["export", "scene.c3gs", "-o", f"out{suffix}", *_QUICK], 4)
+    for suffix in (".ply", ".spz", ".sog", ".glb")
+} | {
+    "over an old file": Case(
+        ["export", "scene.c3gs", "-o", "out.ply", *_QUICK],
+        4,
+        [["export", "scene.c3gs", "-o", "out.ply", "--iterations", "0", "--degree", "0"]],
+    ),
+    "to photographs": Case(
+        ["export", "scene.c3gs", "-o", "out.glb", *_QUICK, "--cameras", "photos", "--size", "16"], 4
+    ),
+}
+# TorchScript counts what it makes.
+_SCRIPTS = ("opacity_mlp.pt", "cov_mlp.pt", "color_mlp.pt")
+SCAFFOLD = {
+    "a new folder": Case(["export", "scene.c3gs", "-o", "deep/model", "--scaffold"], 30, changing=_SCRIPTS),
+    "over an old folder": Case(
+        ["export", "scene.c3gs", "-o", "model", "--scaffold"],
+        30,
+        [["export", "other.c3gs", "-o", "model", "--scaffold"]],
+        _SCRIPTS,
+    ),
+}
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", EXPORTING)
+def test_export_of_splats(name: str, inputs: Path, tmp_path: Path, monkeypatch: Any, capsys: Any) -> None:
+    for package in ("numba", "PIL", "scipy", "skimage"):
+        pytest.importorskip(package)
+    from refcodec.export import views  # noqa: PLC0415
+
+    monkeypatch.setattr(views, "AROUND", 9)
+    monkeypatch.setattr(views, "SIDE", 16)
+    case = EXPORTING[name]
+    try_all(replace(case, run=partial(_without_hints, capsys=capsys)), inputs, tmp_path, monkeypatch, capsys)
+
+
+def _without_hints(words: list[str], capsys: Any) -> int:
+    """The command without the line that says what the views are."""
+    status = main(words)
+    lines = [line for line in capsys.readouterr().err.splitlines() if "photographs are taken at size" not in line]
+    lines = [line for line in lines if "refcodec: the views are" not in line]
+    print(*lines, sep="\n", end="\n" if lines else "", file=sys.stderr)
+    return status
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", SCAFFOLD)
+def test_export_of_a_scaffold(name: str, inputs: Path, tmp_path: Path, monkeypatch: Any, capsys: Any) -> None:
+    pytest.importorskip("torch")
+    case = replace(SCAFFOLD[name], run=partial(_without_hints, capsys=capsys))
+    try_all(case, inputs, tmp_path, monkeypatch, capsys)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("old", [False, True])
+def test_convert_a_model(old: bool, inputs: Path, tmp_path: Path, monkeypatch: Any, capsys: Any) -> None:
+    pytest.importorskip("torch")
+    pytest.importorskip("scipy")
+    from family import LAYOUTS, Model  # noqa: PLC0415
+
+    start = tmp_path / "start"
+    for number, layout in enumerate(("hac", "scaffold, plain")):
+        Model(LAYOUTS[layout]).write(start / f"model{number}")
+    output = "out" if old else "deep/out"
+    case = Case(["convert", "model0", "-o", output], 12, [["convert", "model1", "-o", output]] if old else [])
+    try_all(case, start, tmp_path, monkeypatch, capsys)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("pictures", [False, True])
+def test_convert_splats(pictures: bool, tmp_path: Path, monkeypatch: Any, capsys: Any) -> None:
+    """With the pictures of the splats as a second output. One training serves all runs."""
+    for package in ("torch", "numba", "PIL", "scipy", "skimage"):
+        pytest.importorskip(package)
+    from writers import made, write_plain  # noqa: PLC0415
+
+    from refcodec.train import command  # noqa: PLC0415
+
+    start = tmp_path / "start"
+    start.mkdir()
+    write_plain(made(200, 1), start / "a.ply")
+    trained: list[Any] = []
+    real, report = command.Trainer, command.report
+
+    def once(*arguments: Any, **options: Any) -> Any:
+        if not trained:
+            trained.append(real(*arguments, **options))
+            trained[0].run(lambda _: None)
+            result = trained[0].result()
+            trained[0].result = lambda: result
+            told = report(trained[0], result)
+            monkeypatch.setattr(command, "report", lambda trainer, result: told)
+        return trained[0]
+
+    monkeypatch.setattr(command, "Trainer", once)
+    words = ["convert", "a.ply", "-o", "deep/out", "--views", "8", "--size", "24", "--steps", "2"]
+    words += ["--set", "start.anchors=100", *(["--pictures", "other/pictures"] if pictures else [])]
+    try_all(Case(words, 50), start, tmp_path, monkeypatch, capsys)
 
 
 # --- demo and rd ------------------------------------------------------------------------------------------------------

@@ -25,7 +25,7 @@ class Layout:
     """A program's folder. distance: whether opacity, covariance and colour take it. appearance: width, or 0.
 
     form: how the networks are stored: one file of state dicts by this name, or TorchScript for "split". masks: whether
-    the anchors have logits of masks.
+    the anchors have logits of masks. more: the names of other networks in the file of state dicts.
     """
 
     form: str
@@ -34,14 +34,18 @@ class Layout:
     distance: tuple[bool, bool, bool] = (False, False, False)
     appearance: int = 0
     masks: bool = False
+    more: tuple[str, ...] = ()
 
 
+# The networks of the programs with hyperpriors, which all take the distance.
+FAR, CODING = (True, True, True), ("encoding_xyz", "grid_mlp", "deform_mlp")
+# HAC, HAC++ and CAT-3DGS write one layout.
 LAYOUTS = {
     "scaffold, split": Layout("split", appearance=32),
     "scaffold, united": Layout("checkpoints.pth", appearance=16, distance=(True, False, True)),
     "scaffold, plain": Layout("split", features=20, offsets=5, distance=(False, True, False)),
-    "hac": Layout("checkpoint.pth", features=50, distance=(True, True, True), masks=True),
-    "cat-3dgs": Layout("checkpoint.pth", features=50, distance=(True, True, True), masks=True),
+    "hac": Layout("checkpoint.pth", features=50, distance=FAR, masks=True, more=CODING),
+    "hac, small": Layout("checkpoint.pth", features=13, offsets=3, distance=FAR, masks=True, more=CODING),
 }
 
 
@@ -181,11 +185,8 @@ class Model:
         found: dict[str, object] = {name: network.float().state_dict() for name, network in self.networks.items()}
         if self.embedding is not None:
             found["appearance"] = self.embedding.state_dict()
-        if self.layout.masks:
-            found["encoding_xyz"] = {"params": torch.zeros(1000)}
-            found["grid_mlp"] = nn.Sequential(nn.Linear(9, 4), nn.ReLU(), nn.Linear(4, 2)).state_dict()
-            found["deform_mlp"] = nn.Linear(3, 3).state_dict()
-        return found
+        coding = nn.Sequential(nn.Linear(9, 4), nn.ReLU(), nn.Linear(4, 2)).state_dict()
+        return found | {name: {"params": torch.zeros(1000)} if "xyz" in name else coding for name in self.layout.more}
 
     def _write_scripts(self, place: Path) -> None:
         with warnings.catch_warnings():

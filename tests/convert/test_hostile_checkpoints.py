@@ -139,6 +139,89 @@ def test_a_tensor_larger_than_its_bytes(stride: tuple[int, int], tmp_path: Path,
     refused(tmp_path, capsys, "opacity_mlp.0.weight is no array of floats")
 
 
+def doubled(times: int) -> bytes:
+    """Opcodes that leave a tuple of tuples of tuples, each twice the one before. To hash or show it takes forever."""
+    return b")" + b"q\x00h\x00\x86" * times
+
+
+@pytest.mark.parametrize(("layout", "name"), [(UNITED, "checkpoint.pth"), (SPLIT, "cov_mlp.pt")])
+@pytest.mark.parametrize(
+    "opcodes",
+    [
+        # As a key, as a key of a built object, as a function, as a tensor's shape.
+        b"}" + doubled(80) + b"K\x01s.",
+        b"}}" + doubled(80) + b"K\x01sb.",
+        doubled(80) + b")R.",
+        b"ctorch._utils\n_rebuild_tensor_v2\n(" + doubled(80) + b"h\x00h\x00h\x00tR.",
+        # Deeper than Python's stack.
+        b"}" + b")" + b"\x85" * 100_000 + b"K\x01s.",
+        b")" + b"\x85" * 100_000 + b")R.",
+    ],
+    ids=["key", "built", "function", "shape", "deep key", "deep function"],
+)
+def test_a_pickle_of_tuples_of_tuples(layout: Any, name: str, opcodes: bytes, tmp_path: Path, capsys: Captured) -> None:
+    Model(layout).write(tmp_path / "model")
+    repacked(tmp_path / PLACE / name, {"data.pkl": b"\x80\x02" + opcodes})
+    refused(tmp_path, capsys, "its pickle")
+
+
+@pytest.mark.parametrize(("layout", "name"), [(UNITED, "checkpoint.pth"), (SPLIT, "cov_mlp.pt")])
+def test_two_entries_of_one_name(layout: Any, name: str, tmp_path: Path, capsys: Captured) -> None:
+    """Which one is read depends on the reader, so that one could be looked at, and the other loaded."""
+    Model(layout).write(tmp_path / "model")
+    with zipfile.ZipFile(tmp_path / PLACE / name, "a") as archive:
+        pickled = next(entry.filename for entry in archive.infolist() if entry.filename.endswith("/data.pkl"))
+        with pytest.warns(UserWarning, match="Duplicate"):
+            archive.writestr(pickled, pickle.dumps(Harm(tmp_path / "run"), 2))
+    refused(tmp_path, capsys, "two of its entries have one name")
+
+
+@pytest.mark.parametrize(("layout", "name"), [(UNITED, "checkpoint.pth"), (SPLIT, "cov_mlp.pt")])
+def test_an_archive_of_many_entries(layout: Any, name: str, tmp_path: Path, capsys: Captured) -> None:
+    """The directory alone would take some fifty megabytes."""
+    Model(layout).write(tmp_path / "model")
+    file = tmp_path / PLACE / name
+    with zipfile.ZipFile(file, "w") as archive:
+        archive.writestr("a", b"")
+    data = file.read_bytes()
+    start, count = data.index(b"PK\x01\x02"), 60_000
+    entry, end = data[start : data.index(b"PK\x05\x06")], bytearray(data[data.index(b"PK\x05\x06") :])
+    end[8:12] = count.to_bytes(2, "little") * 2
+    end[12:16] = (count * len(entry)).to_bytes(4, "little")
+    file.write_bytes(data[:start] + count * entry + end)
+    # The first run imports what it needs.
+    refused(tmp_path, capsys, "directory has more than")
+    tracemalloc.start()
+    try:
+        refused(tmp_path, capsys, "directory has more than")
+        assert tracemalloc.get_traced_memory()[1] < 16 << 20
+    finally:
+        tracemalloc.stop()
+
+
+def test_a_module_of_long_names(tmp_path: Path) -> None:
+    """Names of parts are joined. A long one would be joined with each of thousands."""
+    field = b"X" + (1 << 19).to_bytes(4, "little") + b"a" * (1 << 19)
+    data = b"\x80\x02c__torch__\nModule\n)\x81}(" + field + b"}(X\x01\x00\x00\x00b}uub."
+    with zipfile.ZipFile(tmp_path / "a.pt", "w") as archive:
+        archive.writestr("a/data.pkl", data)
+    with pytest.raises(SceneFolderError, match="a name of more than 256 characters"):
+        read_torchscript(tmp_path / "a.pt")
+
+
+def test_a_point_cloud_with_holes(tmp_path: Path, capsys: Captured) -> None:
+    """A file system can say that a file has terabytes, of which none are on the disk."""
+    Model(UNITED).write(tmp_path / "model")
+    file = tmp_path / PLACE / "point_cloud.ply"
+    names = [line.split()[-1].decode() for line in file.read_bytes().split(b"end_header")[0].splitlines()[3:]]
+    file.write_bytes(ply(f"element vertex {1 << 30}", *(f"property float {name}" for name in names)))
+    try:
+        os.truncate(file, 1 << 39)
+    except OSError:
+        pytest.skip("the file system has no files with holes")
+    refused(tmp_path, capsys, "1073741824 anchors, at most 16777216")
+
+
 def test_a_module_that_holds_itself(tmp_path: Path) -> None:
     """Fields can be each other's. They are looked at a bounded number of times."""
     data = (
@@ -276,7 +359,18 @@ def test_settings_are_text(text: str, tmp_path: Path, capsys: Captured) -> None:
 
 @pytest.mark.parametrize(
     "change",
-    [{"width": 0}, {"fx": "x"}, {"rotation": [[1, 0, 0]] * 3}, {"position": [1, 2]}, {"height": 1e30}, {"fy": -1}],
+    [
+        *({"width": 0}, {"width": True}, {"width": "64"}, {"width": None}, {"width": [64]}, {"height": 1e30}),
+        *({"fx": "x"}, {"fx": {}}, {"fy": -1}, {"fy": 1e-400}, {"fx": 10**39}),
+        *(
+            {"rotation": [[1, 0, 0]] * 3},
+            {"rotation": "identity"},
+            {"rotation": [1, 0, 0]},
+            {"rotation": [["1"] * 3] * 3},
+        ),
+        *({"position": [1, 2]}, {"position": [1, 2, [3]]}, {"position": [1, 2, "3"]}, {"position": {"x": 1}}),
+    ],
+    ids=str,
 )
 def test_cameras_are_checked(change: dict[str, Any], tmp_path: Path, capsys: Captured) -> None:
     Model(UNITED).write(tmp_path / "model")
@@ -284,8 +378,33 @@ def test_cameras_are_checked(change: dict[str, Any], tmp_path: Path, capsys: Cap
     (camera,) = json.loads(file.read_text())
     file.write_text(json.dumps([camera, camera | change]))
     refused(tmp_path, capsys, "cameras.json", "[1]")
-    file.write_text("[" * 1000)
+
+
+@pytest.mark.parametrize(
+    "text", ["[" * 1000, "{}", "null", "7", '"a"', "[null]", "[[]]", "[NaN]", "[{}", "\xff", '[{"id": 1, "id": 2}]', ""]
+)
+def test_cameras_are_a_list(text: str, tmp_path: Path, capsys: Captured) -> None:
+    Model(UNITED).write(tmp_path / "model")
+    (tmp_path / "model" / "cameras.json").write_text(text, encoding="latin-1")
     refused(tmp_path, capsys, "cameras.json")
+
+
+@pytest.mark.parametrize(
+    "name", ["cfg_args", "cameras.json", f"{PLACE[6:]}/point_cloud.ply", f"{PLACE[6:]}/checkpoint.pth"]
+)
+def test_something_else_in_the_place_of_a_file(name: str, tmp_path: Path, capsys: Captured) -> None:
+    """A folder, a link that leads nowhere, and a pipe, which would be waited for."""
+    Model(UNITED).write(tmp_path / "model")
+    path = tmp_path / "model" / name
+    path.unlink()
+    path.mkdir()
+    refused(tmp_path, capsys, "a directory")
+    path.rmdir()
+    path.symlink_to("nowhere")
+    refused(tmp_path, capsys, "leads nowhere")
+    path.unlink()
+    os.mkfifo(path)
+    refused(tmp_path, capsys, "a pipe")
 
 
 def test_folders_without_a_model(tmp_path: Path, capsys: Captured) -> None:

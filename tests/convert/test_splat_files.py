@@ -112,6 +112,32 @@ def test_sog(degree: int, tmp_path: Path) -> None:
     assert_read(tmp_path / "a.sog", splats, *steps)
 
 
+def test_a_folder_of_sog(tmp_path: Path) -> None:
+    """The entries of the archive as files, as PlayCanvas's program writes them, too."""
+    entries = sog_entries(made())
+    for name, data in entries.items():
+        (tmp_path / name).write_bytes(data)
+    write_sog(entries, tmp_path / "a.sog")
+    whole, parts = read_splats(tmp_path / "a.sog"), read_splats(tmp_path / "meta.json")
+    for name, values in whole.items():
+        assert np.array_equal(values, parts[name])
+    for old, new, said in (
+        (b'"means_l.webp"', b'"../means_l.webp"', "no file ../means_l.webp beside it"),
+        (b'"means_l.webp"', b'".."', "a directory"),
+        (b'"means_l.webp"', b'"/etc/passwd"', "no file /etc/passwd beside it"),
+        (b'"means_l.webp"', b'""', "no file  beside it"),
+        (b'"means_l.webp"', b'"other.webp"', "no file other.webp beside it"),
+        (b'"count": 300', b'"count": 2000000', "2000000 Gaussians and has"),
+    ):
+        assert old in entries["meta.json"]
+        (tmp_path / "meta.json").write_bytes(entries["meta.json"].replace(old, new, 1))
+        refused(tmp_path / "meta.json", said)
+    (tmp_path / "meta.json").write_bytes(entries["meta.json"])
+    (tmp_path / "means_l.webp").unlink()
+    (tmp_path / "means_l.webp").symlink_to(tmp_path)
+    refused(tmp_path / "meta.json", "a directory")
+
+
 # --- what is refused --------------------------------------------------------------------------------------------------
 
 
@@ -129,6 +155,14 @@ def test_numbers_are_finite(kind: str, tmp_path: Path) -> None:
     splats[kind].reshape(-1)[7] = np.nan
     write_plain(splats, tmp_path / "a.ply")
     refused(tmp_path / "a.ply", f"a {kind} is NaN")
+
+
+@pytest.mark.parametrize("kind", KINDS[:3])
+def test_numbers_whose_squares_are_finite(kind: str, tmp_path: Path) -> None:
+    splats = made()
+    splats[kind].reshape(-1)[7] = -1e30
+    write_plain(splats, tmp_path / "a.ply")
+    refused(tmp_path / "a.ply", f"a {kind} is beyond 1e+09")
 
 
 def test_opacities_of_programs_that_write_infinity(tmp_path: Path) -> None:
@@ -191,6 +225,8 @@ def spz(version: int = 2, count: int = 10, degree: int = 0, fraction: int = 12, 
         (gzip.compress(spz(degree=4)), "degree 4"),
         (gzip.compress(spz(fraction=24)), "24 fractional"),
         (gzip.compress(spz(count=(1 << 32) - 1)), "at most 16777216"),
+        (gzip.compress(spz(count=1 << 24)), "16777216 Gaussians and has"),
+        (gzip.compress(spz(count=1 << 20)), "fewer bytes"),
         (gzip.compress(spz(count=10, more=bytes(189))), "fewer bytes"),
         (gzip.compress(spz(count=0)), "no Gaussians"),
         (gzip.compress(spz(more=bytes(range(190))))[:-40], "fewer bytes"),
@@ -236,7 +272,8 @@ def test_a_gzip_bomb_is_unpacked_no_further_than_it_states(tmp_path: Path) -> No
     [
         ('"version": 2', '"version": 3', "version 3"),
         ('"count": 300', '"count": 17000000', "17000000 Gaussians"),
-        ('"count": 300', '"count": 9000000', "pixels for 9000000"),
+        ('"count": 300', '"count": 9000000', "9000000 Gaussians and has"),
+        ('"count": 300', '"count": 900000', "pixels for 900000"),
         ('"count": 300', '"count": "a"', "count in its meta.json"),
         ('"count": 300', '"count": -1', "count in its meta.json"),
         ('"means_l.webp"', '"other.webp"', "no entry other.webp"),
@@ -273,6 +310,13 @@ def test_images_of_sog_are_bounded(tmp_path: Path) -> None:
         assert tracemalloc.get_traced_memory()[1] < 8 << 20
     finally:
         tracemalloc.stop()
+    with zipfile.ZipFile(tmp_path / "d.sog", "w") as archive:
+        for number in range(3000):
+            archive.writestr(f"{number:0100}", b"")
+    refused(tmp_path / "d.sog", "directory has more than")
+    with zipfile.ZipFile(tmp_path / "e.sog", "w", zipfile.ZIP_LZMA) as archive:
+        archive.writestr("meta.json", entries["meta.json"])
+    refused(tmp_path / "e.sog", "neither stored nor deflated")
     (tmp_path / "c.sog").write_bytes(b"PK\x03\x04 and nothing")
     refused(tmp_path / "c.sog", "no zip archive")
 

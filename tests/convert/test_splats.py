@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import json
+import signal
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -83,6 +85,45 @@ def test_a_file_of_splats_becomes_a_file(tmp_path: Path, capsys: Captured) -> No
 
 
 @pytest.mark.slow
+def test_a_training_goes_on_with_its_pictures(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: Captured
+) -> None:
+    """Ctrl-C leaves a scene, the saved training and the pictures. They are not drawn again."""
+    from refcodec.convert import views  # noqa: PLC0415
+    from refcodec.train.trainer import Trainer  # noqa: PLC0415
+
+    write_plain(made(200, 1), tmp_path / "a.ply")
+    words = [
+        "convert",
+        str(tmp_path / "a.ply"),
+        "-o",
+        str(tmp_path / "scene"),
+        "--pictures",
+        str(tmp_path / "pictures"),
+    ]
+    words += ["--views", "8", *SMALL]
+    real = Trainer.run
+
+    def interrupted(self: Trainer, watch: Callable[[Trainer], None], keep: Callable[[], None]) -> bool:
+        def stop(trainer: Trainer) -> None:
+            watch(trainer)
+            if trainer.clock.done == 10:
+                signal.raise_signal(signal.SIGINT)
+
+        return real(self, stop, keep)
+
+    with monkeypatch.context() as patch:
+        patch.setattr(Trainer, "run", interrupted)
+        assert main(words) == 130
+    assert "stopped at step 10" in capsys.readouterr().err
+    pictures = {path: path.stat().st_mtime_ns for path in (tmp_path / "pictures").rglob("*")}
+    monkeypatch.setattr(views, "write_photographs", None)
+    assert main([*words, "--resume"]) == 0
+    assert {path: path.stat().st_mtime_ns for path in (tmp_path / "pictures").rglob("*")} == pictures
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["a.ply", "pictures", "scene"]
+
+
+@pytest.mark.slow
 def test_the_cameras_of_a_model(tmp_path: Path, capsys: Captured) -> None:
     """3DGS writes cameras.json beside its folder point_cloud."""
     place = tmp_path / "model" / "point_cloud" / "iteration_30000"
@@ -112,6 +153,11 @@ def test_the_cameras_of_a_model(tmp_path: Path, capsys: Captured) -> None:
         (("a.ply", "--size", "0"), "size"),
         (("a.ply", "--set", "steps=x"), "steps"),
         (("a.ply", "--cameras", "none.json"), "none.json"),
+        (("a.ply", "--pictures", "scene"), "one folder, or one is in the other"),
+        (("a.ply", "--pictures", "scene/pictures"), "one folder, or one is in the other"),
+        (("a.ply", "--pictures", "a.ply"), "is there already"),
+        (("meta.json",), "not JSON"),
+        (("sog",), "not JSON"),
         (("a.spz",), "no SPZ"),
         (("b.ply",), "there is no such file"),
     ],
@@ -122,6 +168,9 @@ def test_wrong_use(
     write_plain(made(50, 0), tmp_path / "a.ply")
     (tmp_path / "a.spz").write_bytes(b"no splats")
     (tmp_path / "model").mkdir()
+    (tmp_path / "sog").mkdir()
+    for folder in (tmp_path, tmp_path / "sog"):
+        (folder / "meta.json").write_text("{")
     before = sorted(tmp_path.rglob("*"))
     monkeypatch.chdir(tmp_path)
     assert main(["convert", *words, "-o", "scene"]) == 64

@@ -35,8 +35,9 @@ class Quantisation(Part):
 
     def base_steps(self) -> Tensor:
         """The base steps of features, scalings and offsets for the anchors as they are, float32 [3]."""
-        settings = self.settings
-        spread = float(self.scaffold.tables["features"].std(dim=0).median()) or 1.0
+        settings, features = self.settings, self.scaffold.tables["features"]
+        # One anchor has no spread.
+        spread = (float(features.std(dim=0).median()) if len(features) > 1 else 0.0) or 1.0
         steps = [spread * settings.features, settings.scalings, settings.offsets]
         return torch.tensor(steps, device=self.scaffold.device)
 

@@ -1,0 +1,221 @@
+"""Files of splats as C3GS, from the file alone, beside SPZ and SOG of the same file.
+
+python -m benchmarks.converted FOLDER SPLATS ... --up=-y [--steps 4000] [--rates 0.001 0.004 0.015] [--write]
+
+Each file of SPLATS is drawn from cameras around it, a scene is trained from these pictures (refcodec convert), and
+encoded. SPZ and SOG are written by refcodec and by splat-transform. All of them are drawn from cameras that no training
+had, and compared with the drawing of SPLATS itself. FOLDER keeps files and figures. What is there is not made again,
+and an interrupted training goes on. --write writes a section of RESULTS.md.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import sys
+from collections.abc import Callable, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+import numba
+import numpy as np
+import torch
+from numpy.typing import NDArray
+
+from refcodec.bitstream.codec import parse
+from refcodec.convert.splat_files import read_splats
+from refcodec.convert.splats import drawn, tensors
+from refcodec.convert.views import AXES, NEAR, NEAR_MAX, TEST, TEST_EVERY, middle_and_radius, orbit
+from refcodec.evaluate.quality import measures
+from refcodec.export.formats import splat_file
+from refcodec.export.splats import Splats
+from refcodec.files.text import printable
+from refcodec.render.camera import Camera
+from refcodec.render.rasterise import Settings
+from refcodec.render.view import View, eight_bits
+from refcodec.statuses import DONE, USAGE
+
+from .exports.making import Record, kept
+from .peers.convert import INSTALL, VERSION, ToolError, convert, tool
+from .results import machine, table, write_section
+from .runs import JOBS, refcodec
+
+OWN, TOOL = "refcodec", f"splat-transform {VERSION}"
+FORMATS = (".spz", ".sog")
+# lambda_r of the trainings.
+RATES = (0.001, 0.004, 0.015)
+
+
+@dataclass(frozen=True)
+class Source:
+    """A file of splats. up: its upward axis, of AXES. views: pictures to learn from. size: their sides in pixels."""
+
+    file: Path
+    up: str
+    views: int
+    size: int
+
+    @property
+    def name(self) -> str:
+        """For files and tables."""
+        return self.file.name.removesuffix(self.file.suffix).removesuffix(".compressed")
+
+    @cached_property
+    def arrays(self) -> dict[str, NDArray[np.float32]]:
+        """The Gaussians."""
+        return read_splats(self.file)
+
+    @cached_property
+    def cameras(self) -> list[Camera]:
+        """Those that refcodec convert keeps for tests."""
+        tests = max(self.views // TEST_EVERY, 1)
+        return orbit(tensors(self.arrays), AXES[self.up], self.size, self.views, tests)[TEST]
+
+    @cached_property
+    def settings(self) -> Settings:
+        """Those of the pictures."""
+        _, radius = middle_and_radius(tensors(self.arrays))
+        return Settings(near_plane=min(NEAR * radius, NEAR_MAX))
+
+    @cached_property
+    def truth(self) -> list[NDArray[np.uint8]]:
+        """What the cameras see of the file."""
+        return [eight_bits(self.image(self.arrays, camera)) for camera in self.cameras]
+
+    def image(self, arrays: dict[str, NDArray[np.float32]], camera: Camera) -> NDArray[np.float32]:
+        """What a camera sees of Gaussians."""
+        found: NDArray[np.float32] = drawn(tensors(arrays), camera, self.settings)[0].numpy()
+        return found
+
+    def compared(self, image: Callable[[Camera], NDArray[np.float32]]) -> dict[str, float]:
+        """The mean of measures over the cameras."""
+        rows = [measures(image(camera), right) for camera, right in zip(self.cameras, self.truth, strict=True)]
+        return {name: float(np.mean([row[name] for row in rows])) for name in ("psnr", "ssim")}
+
+
+def packed_record(source: Source, suffix: str, maker: str, folder: Path) -> Record:
+    """Bytes and measures of SPZ or SOG, which its maker wrote and read. Raises ToolError."""
+
+    by = maker.partition(" ")[0]
+    file = folder / f"{source.name}-{by}{suffix}"
+
+    def made() -> Record:
+        if maker == OWN:
+            data = splat_file(Splats(**source.arrays), suffix, 0).data
+            file.write_bytes(data)
+            arrays = read_splats(file)
+        else:
+            again = file.with_name(f"{file.name}.ply")
+            convert(source.file, file)
+            convert(file, again)
+            arrays = read_splats(again)
+            again.unlink()
+        return {"bytes": file.stat().st_size, **source.compared(lambda camera: source.image(arrays, camera))}
+
+    return kept(folder / f"{source.name}-{by}{suffix}-{source.views}-{source.size}px.json", made)
+
+
+def coded_record(source: Source, rate: float, steps: int, folder: Path) -> Record:
+    """Bytes and measures of the file that convert and encode make, and what its training says.
+
+    Raises SystemExit with the words of a command that fails.
+    """
+    name = f"{source.name}-{source.views}-{source.size}px-{steps}-{rate:g}"
+
+    def made() -> Record:
+        scene, file = folder / name, folder / f"{name}.c3gs"
+        resume = ["--resume"] if scene.with_name(f"{name}.train-state").exists() else []
+        words = ["--views", str(source.views), f"--up={source.up}", "--size", str(source.size)]
+        words += ["--steps", str(steps), "--rate", f"{rate:g}"]
+        if not scene.exists() or resume:
+            refcodec("convert", str(source.file), "-o", str(scene), *words, *resume)
+        refcodec("encode", str(scene), "-o", str(file))
+        data = file.read_bytes()
+        view = View(parse(data).scene)
+        report = json.loads((scene / "training.json").read_text())
+        own: dict[str, Any] = {"bytes": len(data), "anchors": len(view.masks), "seconds": report["seconds"]}
+        return {**own, **source.compared(view.draw)}
+
+    return kept(folder / f"{name}.json", made)
+
+
+# --- the section ------------------------------------------------------------------------------------------------------
+
+NOTE = (
+    "Every file is drawn from cameras that no training had, and compared with the drawing of the splat file, in eight",
+    "bits, by scikit-image. SPZ and SOG are read by the program that wrote them, and drawn as plain 3DGS.",
+    f"Two trainings at a time, one thread each. {TOOL} is the one of others.",
+)
+
+
+def _rows(source: Source, packed: dict[tuple[str, str], Record], coded: dict[float, Record]) -> list[list[str]]:
+    own = source.file.stat().st_size
+    rows = [[source.file.name, "", f"{own:,}", "1", "", "", f"{len(source.arrays['mean']):,} Gaussians", ""]]
+
+    def row(label: str, by: str, found: Record, what: str = "", seconds: str = "") -> list[str]:
+        share = f"{found['bytes'] / own:.3f}"
+        return [label, by, f"{found['bytes']:,}", share, f"{found['psnr']:.2f}", f"{found['ssim']:.4f}", what, seconds]
+
+    rows += [row(suffix, maker, found) for (suffix, maker), found in packed.items()]
+    for rate, found in coded.items():
+        rows.append(
+            row(".c3gs", f"lambda_r {rate:g}", found, f"{found['anchors']:,} anchors", f"{found['seconds']:.0f}")
+        )
+    return rows
+
+
+def section(sources: Sequence[Source], rates: Sequence[float], steps: int, folder: Path) -> list[str]:
+    """The section's text. Raises ToolError, ValueError, OSError, and SystemExit as coded_record."""
+    torch.set_num_threads(1)
+    numba.set_num_threads(1)
+    if tool() is None:
+        raise ToolError(f"splat-transform is missing: run `{INSTALL}` in the repository's folder")
+    folder.mkdir(parents=True, exist_ok=True)
+    lines = []
+    head = ["file", "by", "bytes", "of the splat file", "PSNR, dB", "SSIM", "of", "training, s"]
+    for source in sources:
+        makers = [(suffix, maker) for suffix in FORMATS for maker in (OWN, TOOL)]
+        packed = {(suffix, maker): packed_record(source, suffix, maker, folder) for suffix, maker in makers}
+        source.truth  # noqa: B018 (drawn once, before threads ask for it)
+        with ThreadPoolExecutor(JOBS) as pool:
+            found = pool.map(lambda rate, of=source: coded_record(of, rate, steps, folder), rates)
+            coded = dict(zip(rates, found, strict=True))
+        lines += [f"### {source.name}", "", *table(head, _rows(source, packed, coded)), ""]
+    return lines
+
+
+def main(words: list[str] | None = None) -> int:
+    """Command line. Returns the exit status."""
+    parser = argparse.ArgumentParser(
+        prog="python -m benchmarks.converted", description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("folder", type=Path)
+    parser.add_argument("splats", type=Path, nargs="+")
+    parser.add_argument("--up", choices=AXES, default="-y", help="axis that is up (-y); write --up=-y")
+    parser.add_argument("--views", type=int, default=200, help="pictures to learn from (200)")
+    parser.add_argument("--size", type=int, default=400, help="their sides in pixels (400)")
+    parser.add_argument("--steps", type=int, default=4000, help="of each training (4000)")
+    parser.add_argument("--rates", type=float, nargs="+", default=list(RATES), metavar="L", help="lambda_r")
+    parser.add_argument("--write", action="store_true", help="write the section of benchmarks/RESULTS.md")
+    options = parser.parse_args(words)
+    sources = [Source(file, options.up, options.views, options.size) for file in options.splats]
+    try:
+        lines = section(sources, options.rates, options.steps, options.folder)
+    except (ToolError, ValueError, OSError) as error:
+        print(printable(str(error)), file=sys.stderr)
+        return USAGE
+    print("\n".join(lines))
+    if options.write:
+        shown = ["python -m benchmarks.converted FOLDER", *(s.file.name for s in sources), f"--up={options.up}"]
+        shown += [f"--views {options.views} --size {options.size} --steps {options.steps}"]
+        shown += ["--rates", *(f"{rate:g}" for rate in options.rates), "--write"]
+        made = ["```", INSTALL, " ".join(shown), "```", "", machine("torch"), *NOTE, ""]
+        write_section("converted", "Files of splats, converted", [*made, *lines])
+    return DONE
+
+
+if __name__ == "__main__":
+    sys.exit(main())

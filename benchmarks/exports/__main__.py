@@ -1,0 +1,188 @@
+"""What other programs make of exported scenes: a section of RESULTS.md.
+
+python -m benchmarks.exports FOLDER --scene NAME FILE.c3gs PHOTOGRAPHS --scene ... [--clients] [--write]
+
+Each scene is exported to every format with harmonics of each degree, fitted to the cameras of its training. FOLDER
+keeps files, figures and pictures. What is there is not made again. --clients also gives the files to programs that
+others wrote: splat-transform, Khronos's validator of glTF, three.js and Spark in Chromium. It says how to install what
+is missing. --write writes the section.
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from pathlib import Path
+
+import numpy as np
+from PIL import Image
+
+from refcodec.evaluate.quality import measures
+from refcodec.export.fit import render_settings
+from refcodec.export.formats import FORMATS
+from refcodec.export.splats import draw
+from refcodec.files.text import printable
+from refcodec.render.view import eight_bits
+from refcodec.statuses import DONE, USAGE
+
+from ..peers.convert import VERSION, ToolError
+from ..results import machine, table, write_section
+from .browser import drawn
+from .clients import INSTALL, SPARK, THREE, VALIDATOR, difference, issues
+from .making import Record, Source, file_of, held, kept, scene_record, splat_record
+
+DEGREES = range(4)
+# Splat-transform reads these.
+READ = (".ply", ".spz", ".sog")
+# The cameras of which viewers make pictures: these held-out photographs, as far as there are so many.
+PICTURES = 3
+
+
+def client_record(source: Source, degree: int, folder: Path) -> Record:
+    """What programs of others make of the files of a degree. Raises ToolError.
+
+    Of each format: the largest difference of a number that splat-transform reads; what the validator says; the
+    PSNR of a viewer's pictures to our drawing of the same Gaussians, and to our drawing of the scene. The pictures are
+    kept beside each other: the scene, the same Gaussians by us, and by the viewer.
+    """
+
+    def made() -> Record:
+        view, cameras = source.view, source.tests[:PICTURES]
+        settings, found = render_settings(view), {}
+        scene = [view.draw(camera) for camera in cameras]
+        for suffix in FORMATS:
+            file, splats = file_of(source, degree, suffix, folder), held(source, degree, suffix, folder)
+            own = [draw(splats, camera, settings).image for camera in cameras]
+            shown = drawn(file, cameras, settings)
+            beside = [
+                np.concatenate([eight_bits(a), eight_bits(b), c], axis=1)
+                for a, b, c in zip(scene, own, shown, strict=True)
+            ]
+            Image.fromarray(np.concatenate(beside)).save(folder / f"{file.name}.png")
+            found[suffix] = {
+                "same": _psnr(own, shown),
+                "near": _psnr(scene, shown),
+                **({"difference": difference(file, splats)} if suffix in READ else {}),
+                **({"issues": issues(file)} if suffix == ".glb" else {}),
+            }
+        return found
+
+    return kept(folder / f"{source.stem}-{degree}.clients.json", made)
+
+
+def _psnr(wanted: list, shown: list) -> float:
+    return float(np.mean([measures(a, b)["psnr"] for a, b in zip(wanted, shown, strict=True)]))
+
+
+# --- the section ------------------------------------------------------------------------------------------------------
+
+
+def _quality(source: Source, scene: Record, splats: dict[int, Record]) -> list[str]:
+    head = ["file", "degree", "Gaussians", "bytes", "times .c3gs", "PSNR to the scene, dB", "PSNR, dB", "SSIM"]
+    whole = scene["bytes"]
+    rows = [
+        [".c3gs", "", f"{scene['gaussians']:,}", f"{whole:,}", "1", "", f"{scene['psnr']:.2f}", f"{scene['ssim']:.4f}"]
+    ]
+    for suffix in FORMATS:
+        for degree, record in splats.items():
+            f = record["files"][suffix]
+            rows.append(
+                [
+                    suffix,
+                    str(degree),
+                    f"{record['gaussians']:,}",
+                    f"{f['bytes']:,}",
+                    f"{f['bytes'] / whole:.1f}",
+                    f"{f['near']:.2f}",
+                    f"{f['psnr']:.2f}",
+                    f"{f['ssim']:.4f}",
+                ]
+            )
+    said = (
+        f"{scene['anchors']:,} anchors, {scene['cameras']} cameras of the fit, {scene['tests']} photographs held out."
+    )
+    return [f"### {source.name}", "", said, "", *table(head, rows), ""]
+
+
+def _clients(sources: list[Source], found: dict[str, dict[int, Record]]) -> list[str]:
+    head = [
+        "scene",
+        "degree",
+        *(f"{suffix}: {what}" for suffix in READ for what in ("difference", "picture, dB")),
+        ".glb: messages",
+        ".glb: picture, dB",
+    ]
+    rows = []
+    for source in sources:
+        for degree, record in found[source.name].items():
+            cells = [
+                cell
+                for suffix in READ
+                for cell in (f"{record[suffix]['difference']:.1e}", f"{record[suffix]['same']:.2f}")
+            ]
+            issues = record[".glb"]["issues"]
+            rows.append(
+                [
+                    source.name,
+                    str(degree),
+                    *cells,
+                    ", ".join(f"{code} {count}" for code, count in issues.items()) or "none",
+                    f"{record['.glb']['same']:.2f}",
+                ]
+            )
+    return ["### Clients that others wrote", "", *CLIENTS_NOTE, "", *table(head, rows), ""]
+
+
+NOTE = (
+    "One thread. PSNR to the scene: that of the drawn splat against the drawn scene, both as floats, from the cameras",
+    "of the photographs that were held out. PSNR and SSIM: against these photographs, by scikit-image, of eight bits.",
+    "SPZ and SOG are drawn as they are read, with what their bits leave. GLB has the Gaussians of PLY.",
+)
+CLIENTS_NOTE = (
+    f"difference: the largest one of any number that splat-transform {VERSION} reads from the file, to that which the",
+    "file is said to hold, in units of the number where that is above 1. picture: the PSNR of a viewer's picture to",
+    f"ours of the same Gaussians, over {PICTURES} cameras. The viewer of .ply, .spz and .sog is {SPARK}",
+    f"in {THREE}, that of .glb is {THREE}'s own, which keeps colours and harmonics in eight bits, and ends a",
+    "Gaussian at two deviations. Both blend in eight bits, in Chromium, by software.",
+    f"messages: of {VALIDATOR}, but for those that say that it does not know the extension and its names.",
+)
+
+
+def main(words: list[str] | None = None) -> int:
+    """Command line. Returns the exit status."""
+    parser = argparse.ArgumentParser(
+        prog="python -m benchmarks.exports", description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("folder", type=Path)
+    parser.add_argument("--scene", nargs=3, action="append", required=True, metavar=("NAME", "FILE", "PHOTOGRAPHS"))
+    parser.add_argument("--size", type=int, default=200, help="longest side of the photographs in pixels (200)")
+    parser.add_argument("--degrees", type=int, choices=DEGREES, nargs="+", default=list(DEGREES), metavar="D")
+    parser.add_argument("--clients", action="store_true", help="give the files to programs that others wrote")
+    parser.add_argument("--write", action="store_true", help="write the section of benchmarks/RESULTS.md")
+    options = parser.parse_args(words)
+    sources = [Source(name, Path(file), Path(photographs), options.size) for name, file, photographs in options.scene]
+    lines, clients = [], {}
+    try:
+        options.folder.mkdir(parents=True, exist_ok=True)
+        for source in sources:
+            scene = scene_record(source, options.folder)
+            splats = {degree: splat_record(source, degree, options.folder) for degree in options.degrees}
+            lines += _quality(source, scene, splats)
+            if options.clients:
+                clients[source.name] = {d: client_record(source, d, options.folder) for d in options.degrees}
+    except (ToolError, ValueError, OSError) as error:
+        print(printable(str(error)), file=sys.stderr)
+        return USAGE
+    if clients:
+        lines += _clients(sources, clients)
+    print("\n".join(lines))
+    if options.write:
+        shown = ["python -m benchmarks.exports FOLDER", *(f"--scene {s.name} FILE.c3gs PHOTOGRAPHS" for s in sources)]
+        command = [" \\\n  ".join([*shown, f"--size {options.size} --clients --write"])]
+        tools = [INSTALL] if clients else []
+        write_section("exports", "Exported scenes", ["```", *tools, *command, "```", "", machine(), *NOTE, "", *lines])
+    return DONE
+
+
+if __name__ == "__main__":
+    sys.exit(main())

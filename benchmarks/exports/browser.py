@@ -1,0 +1,154 @@
+"""Pictures of splat files by viewers that others wrote, in a browser without a screen.
+
+`spark.html` has three.js with Spark, which draws PLY, SPZ and SOG. `gltf.html` has three.js alone: its own loader and
+drawing of KHR_gaussian_splatting. A page fetches the cameras, draws, and sends its pictures back. Chromium draws by
+software.
+"""
+
+from __future__ import annotations
+
+import json
+import shutil
+import subprocess
+import tempfile
+import threading
+from collections.abc import Sequence
+from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from refcodec.render.camera import Camera
+from refcodec.render.rasterise import Settings
+
+from ..peers.convert import ToolError
+from .clients import modules
+
+U8 = NDArray[np.uint8]
+
+PAGES = Path(__file__).resolve().parent / "pages"
+PAGE = {".ply": "spark.html", ".spz": "spark.html", ".sog": "spark.html", ".glb": "gltf.html"}
+BROWSERS = ("chromium", "chromium-browser", "google-chrome")
+# Without a graphics card.
+_OPTIONS = (
+    *("--headless=new", "--no-sandbox", "--no-first-run"),
+    *("--use-angle=swiftshader", "--enable-unsafe-swiftshader"),
+)
+_TYPES = {".html": "text/html", ".js": "text/javascript", ".wasm": "application/wasm"}
+# Seconds for all pictures of a file.
+PATIENCE = 240
+
+
+def browser() -> str:
+    """The browser's program. Raises ToolError."""
+    found = next((path for name in BROWSERS if (path := shutil.which(name))), None)
+    if found is None:
+        raise ToolError("no Chromium is there: apt-get install chromium")
+    return found
+
+
+def drawn(file: Path, cameras: Sequence[Camera], settings: Settings) -> list[U8]:
+    """What a viewer shows of a splat file, uint8 [height, width, 3] for each camera.
+
+    The cameras see the world that the file was exported from, whatever the axes of its format are. settings: of 3DGS's
+    own drawing, which Spark is told of. Raises ToolError.
+    """
+    stated = {
+        "file": f"/splats{file.suffix}",
+        "suffix": file.suffix,
+        "background": settings.background,
+        "near": settings.near_plane,
+        "low_pass": settings.low_pass,
+        "cameras": [_stated(camera) for camera in cameras],
+    }
+    served = _Server(file, json.dumps(stated).encode())
+    threading.Thread(target=served.serve_forever, daemon=True).start()
+    try:
+        with tempfile.TemporaryDirectory(ignore_cleanup_errors=True) as profile:
+            address = f"http://127.0.0.1:{served.server_address[1]}/pages/{PAGE[file.suffix]}"
+            command = [browser(), *_OPTIONS, f"--user-data-dir={profile}", address]
+            program = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
+            try:
+                served.over.wait(PATIENCE)
+            finally:
+                program.terminate()
+                program.wait()
+    finally:
+        served.shutdown()
+        served.server_close()
+    if served.fault or len(served.pictures) != len(cameras):
+        raise ToolError(f"the viewer of {file.name} failed: {served.fault or 'it is not done in time'}")
+    found = []
+    for number, camera in enumerate(cameras):
+        pixels = np.frombuffer(served.pictures[number], np.uint8)
+        found.append(pixels.reshape(camera.height, camera.width, 4)[:, :, :3])
+    return found
+
+
+def _stated(camera: Camera) -> dict[str, Any]:
+    """A camera for the pages. pose: by rows, from the camera's axes in three.js (right, up, back) to the world."""
+    pose = np.eye(4)
+    pose[:3, :3], pose[:3, 3] = camera.rotation.T * (1, -1, -1), camera.centre
+    lens = {name: getattr(camera, name) for name in ("width", "height", "fx", "fy", "cx", "cy")}
+    return {**lens, "pose": pose.reshape(-1).tolist()}
+
+
+class _Server(ThreadingHTTPServer):
+    """Serves the pages, the packages, a splat file and the cameras, and takes pictures.
+
+    pictures: RGBA by the number of their camera. fault: what a page says of its failure. over: set at the end.
+    """
+
+    daemon_threads = True
+
+    def __init__(self, file: Path, stated: bytes) -> None:
+        super().__init__(("127.0.0.1", 0), _Handler)
+        self.file, self.stated = file, stated
+        self.folders = {"pages": PAGES, "modules": modules()}
+        self.pictures: dict[int, bytes] = {}
+        self.fault = ""
+        self.over = threading.Event()
+
+    def content(self, path: str) -> tuple[bytes, str] | None:
+        """What is at a path, and its type."""
+        _, first, *rest = path.split("/")
+        if first == "cameras.json":
+            return self.stated, "application/json"
+        if first.startswith("splats."):
+            return self.file.read_bytes(), "application/octet-stream"
+        place = self.folders.get(first)
+        wanted = place and place.joinpath(*rest).resolve()
+        if not place or not wanted or not wanted.is_relative_to(place.resolve()) or not wanted.is_file():
+            return None
+        return wanted.read_bytes(), _TYPES.get(wanted.suffix, "application/octet-stream")
+
+
+class _Handler(BaseHTTPRequestHandler):
+    server: _Server
+
+    def do_GET(self) -> None:
+        found = self.server.content(self.path.partition("?")[0])
+        self._answer(404 if found is None else 200, *(found or (b"", "text/plain")))
+
+    def do_POST(self) -> None:
+        data = self.rfile.read(int(self.headers["Content-Length"]))
+        _, kind, *rest = self.path.split("/")
+        if kind == "picture":
+            self.server.pictures[int(rest[0])] = data
+        elif kind == "error":
+            self.server.fault = data.decode("utf-8", "replace")[:500]
+        self._answer(200, b"", "text/plain")
+        if kind in ("done", "error"):
+            self.server.over.set()
+
+    def _answer(self, status: int, data: bytes, kind: str) -> None:
+        self.send_response(status)
+        self.send_header("Content-Type", kind)
+        self.send_header("Content-Length", str(len(data)))
+        self.end_headers()
+        self.wfile.write(data)
+
+    def log_message(self, *words: Any) -> None:
+        """Says nothing of requests."""

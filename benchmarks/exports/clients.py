@@ -1,0 +1,76 @@
+"""Programs of others that read exported files: PlayCanvas's splat-transform, and Khronos's validator of glTF.
+
+INSTALL installs those of npm. Nothing here downloads.
+"""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import tempfile
+from collections import Counter
+from pathlib import Path
+
+import numpy as np
+
+from refcodec.convert.splat_files import read_splats
+from refcodec.export.splats import Splats, opacities
+from refcodec.render.camera import rotation_matrix
+
+from ..peers.convert import ROOT, ToolError, convert
+
+# Below a folder that git ignores.
+FOLDER = "build/export-clients"
+THREE, SPARK, VALIDATOR = "three@0.187.0", "@sparkjsdev/spark@2.2.0", "gltf-validator@2.0.0-dev.3.10"
+EXTENSION = "KHR_gaussian_splatting"
+INSTALL = f"npm install --ignore-scripts --no-audit --prefix {FOLDER} {THREE} {SPARK} {VALIDATOR}"
+_VALIDATE = """
+const validator = require("gltf-validator"), fs = require("fs");
+validator.validateBytes(new Uint8Array(fs.readFileSync(process.argv[1])))
+  .then((report) => console.log(JSON.stringify(report.issues)));
+"""
+
+
+def modules() -> Path:
+    """Where the packages of INSTALL are. Raises ToolError if they are missing."""
+    found = ROOT / FOLDER / "node_modules"
+    if not all((found / package.rpartition("@")[0]).is_dir() for package in (THREE, SPARK, VALIDATOR)):
+        raise ToolError(f"packages of npm are missing: run `{INSTALL}` in the repository's folder")
+    return found
+
+
+def difference(file: Path, wanted: Splats) -> float:
+    """How far the Gaussians that splat-transform reads are from those that a file is said to hold.
+
+    It is the largest difference of any number, in units of the number where that is above 1. Opacities are from 0 to 1,
+    and rotations are matrices. Raises ToolError.
+    """
+    with tempfile.TemporaryDirectory() as folder:
+        again = Path(folder) / "again.ply"
+        convert(file, again)
+        found = Splats(**read_splats(again))
+    if found.rest.shape != wanted.rest.shape:
+        raise ToolError(f"splat-transform reads {found.rest.shape} harmonics of {file}, not {wanted.rest.shape}")
+    pairs = [(getattr(found, name), getattr(wanted, name)) for name in ("mean", "base", "rest", "scale")]
+    pairs.append((opacities(found), opacities(wanted)))
+    pairs.append((rotation_matrix(found.unit_quaternions()), rotation_matrix(wanted.unit_quaternions())))
+    return max(float((np.abs(a - b) / np.maximum(np.abs(b), 1)).max(initial=0)) for a, b in pairs)
+
+
+def issues(file: Path) -> dict[str, int]:
+    """What Khronos's validator says of a GLB file: the number of its messages by their codes. Raises ToolError.
+
+    It does not know the extension. That it says so, and that it takes the extension's attributes for unknown ones, is
+    left out.
+    """
+    command = ["node", "-e", _VALIDATE, str(file.absolute())]
+    done = subprocess.run(command, cwd=modules(), capture_output=True, text=True, check=False)
+    if done.returncode:
+        raise ToolError(f"the validator failed: {done.stderr.strip()[-500:]}")
+    codes = [
+        message["code"]
+        for message in json.loads(done.stdout)["messages"]
+        if message["code"] != "UNSUPPORTED_EXTENSION"
+        and not (message["code"] == "MESH_PRIMITIVE_INVALID_ATTRIBUTE" and EXTENSION in message["pointer"])
+    ]
+    return dict(Counter(codes))

@@ -1,0 +1,136 @@
+"""A scene in all formats of `refcodec export`, for one degree of the harmonics: files, and what they show."""
+
+from __future__ import annotations
+
+import json
+import time
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from refcodec.bitstream.batches import no_progress
+from refcodec.bitstream.codec import parse
+from refcodec.convert.splat_files import read_splats
+from refcodec.evaluate.quality import measures
+from refcodec.export.fit import agreement, fit, render_settings
+from refcodec.export.formats import FORMATS, splat_file
+from refcodec.export.splats import Splats, draw
+from refcodec.export.views import sized
+from refcodec.files.documents import read_json
+from refcodec.photographs.photographs import PhotographSet, read_photographs
+from refcodec.render.camera import Camera
+from refcodec.render.view import View
+
+# As refcodec export has it.
+ITERATIONS = 10
+Record = dict[str, Any]
+
+
+@dataclass(frozen=True)
+class Source:
+    """A scene. name: for files and tables. file: a .c3gs file. photographs: their folder. size: longest side, pixels.
+
+    Its photographs are those of its training: every eighth one, or the data set's own tests, were held out.
+    """
+
+    name: str
+    file: Path
+    photographs: Path
+    size: int
+
+    @property
+    def stem(self) -> str:
+        """How its files are called."""
+        return f"{self.name}-{self.size}px"
+
+    @cached_property
+    def view(self) -> View:
+        """The decoded scene."""
+        return View(parse(self.file.read_bytes()).scene)
+
+    @cached_property
+    def set(self) -> PhotographSet:
+        """The photographs."""
+        return read_photographs(self.photographs, self.size, self.view.info.background)
+
+    @property
+    def fitted(self) -> list[Camera]:
+        """The cameras that a splat is fitted to."""
+        return [sized(photograph.camera) for photograph in self.set.train]
+
+    @property
+    def tests(self) -> list[Camera]:
+        """The cameras that measure it."""
+        return [sized(photograph.camera) for photograph in self.set.test]
+
+
+def scene_record(source: Source, folder: Path) -> Record:
+    """What the file itself shows: anchors, offsets that are kept, bytes, and the measures of held-out photographs."""
+
+    def made() -> Record:
+        shown = [measures(source.view.draw(p.camera), p.image) for p in source.set.test]
+        view = source.view
+        own = {"anchors": len(view.masks), "gaussians": int(view.masks.sum()), "bytes": source.file.stat().st_size}
+        return {**own, **_means(shown), "cameras": len(source.fitted), "tests": len(shown)}
+
+    return kept(folder / f"{source.stem}.json", made)
+
+
+def splat_record(source: Source, degree: int, folder: Path) -> Record:
+    """What the splats of a degree show: of each format the bytes, the PSNR to the scene and to the photographs.
+
+    Their files are in the folder (file_of).
+    """
+
+    def made() -> Record:
+        began = time.process_time()
+        fitted = fit(source.view, source.fitted, degree, ITERATIONS, no_progress)
+        seconds = time.process_time() - began
+        settings, files = render_settings(source.view), {}
+        for suffix in FORMATS:
+            packed = splat_file(fitted.splats, suffix, source.view.info.up_axis)
+            file_of(source, degree, suffix, folder).write_bytes(packed.data)
+            shown = [measures(draw(packed.splats, p.camera, settings).image, p.image) for p in source.set.test]
+            near = agreement(source.view, packed.splats, source.tests, no_progress)
+            files[suffix] = {"bytes": len(packed.data), "near": near, **_means(shown)}
+        return {"gaussians": len(fitted.splats.mean), "seconds": seconds, "files": files}
+
+    return kept(folder / f"{source.stem}-{degree}.json", made)
+
+
+def file_of(source: Source, degree: int, suffix: str, folder: Path) -> Path:
+    """Where the file of a format is."""
+    return folder / f"{source.stem}-{degree}{suffix}"
+
+
+def held(source: Source, degree: int, suffix: str, folder: Path) -> Splats:
+    """The Gaussians that a file is said to hold. They are made again of the PLY file, which has all bits of each.
+
+    Raises ValueError if the file is another one.
+    """
+    arrays = read_splats(file_of(source, degree, ".ply", folder))
+    packed = splat_file(Splats(**arrays), suffix, source.view.info.up_axis)
+    file = file_of(source, degree, suffix, folder)
+    if file.read_bytes() != packed.data:
+        raise ValueError(f"{file} is not of {source.stem}-{degree}.ply: remove the folder")
+    return packed.splats
+
+
+def kept(file: Path, made: Any) -> Record:
+    """What a file of JSON says. If it is not there, it is made and written."""
+    if file.exists():
+        found: Record = read_json(file)
+        return found
+    record: Record = made()
+    beside = file.with_suffix(".new")
+    beside.write_text(json.dumps(record, indent=1) + "\n", encoding="utf-8")
+    beside.replace(file)
+    print(f"{file.name}: {json.dumps(record)}", flush=True)
+    return record
+
+
+def _means(rows: list[dict[str, float]]) -> dict[str, float]:
+    return {name: float(np.mean([row[name] for row in rows])) for name in ("psnr", "ssim")}

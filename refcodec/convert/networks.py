@@ -1,0 +1,123 @@
+"""The rendering networks of a converted scene on grids, on which a file packs them (SPEC.md B.5).
+
+A training chooses its grids by rate and distortion of photographs (SPEC.md B.8). Here there are none. What a grid
+changes of the Gaussians is compared with what the rounded features change of them, which the rate of the fit decides.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..bitstream.cameras import cameras
+from ..bitstream.dimensions import RENDERING
+from ..bitstream.networks import Layer
+from ..bitstream.reconstruction import Reconstruction, reconstruct
+from ..bitstream.scene import Scene
+from ..bitstream.weights import to_grid
+from ..encoder.cloud import AnchorCloud
+from ..encoder.quantise import order_anchors
+from ..encoder.weights import quantise_rendering
+from ..render.camera import Camera, default_camera
+from ..render.gaussians import gaussians
+
+F64 = NDArray[np.float64]
+Networks = Mapping[str, list[Layer]]
+
+# Bits of the largest weight of a layer, the fewest first.
+BITS = range(4, 17)
+# What a grid may add to the squared error that the rounded features make.
+SHARE = 0.1
+# The anchors and the cameras that judge. Distances of the cameras from the scene's middle, in its radii.
+ANCHORS, CAMERAS = 2048, 6
+NEAREST, FARTHEST = 0.5, 3.0
+
+
+def on_grids(scene: Scene, cloud: AnchorCloud) -> Scene:
+    """Returns a fitted scene with each rendering network on the coarsest grid that its Gaussians hardly show.
+
+    cloud: the anchors before they were rounded. A network that is on a grid already stays, and so does one for which
+    no grid will do.
+    """
+    judge = _judge(scene, cloud)
+    if judge is None:
+        return scene
+    found = dict(scene.networks)
+    shown = judge.shown(judge.coded, scene.networks)
+    most = {name: SHARE * error for name, error in _errors(judge.shown(judge.given, scene.networks), shown).items()}
+    left = [name for name in RENDERING if any(to_grid(layer) is None for layer in scene.networks[name])]
+    for bits in BITS:
+        coarser = quantise_rendering(scene.networks, bits)
+        errors = _errors(shown, judge.shown(judge.coded, coarser)) if left else {}
+        for name in [name for name in left if errors[name] <= most[name]]:
+            found[name] = coarser[name]
+            left.remove(name)
+    return replace(scene, networks=found)
+
+
+@dataclass(frozen=True, eq=False)
+class _Judge:
+    """Some anchors, with the given features and with the coded ones, and the cameras that see them."""
+
+    given: Reconstruction
+    coded: Reconstruction
+    masks: NDArray[np.bool_]
+    cameras: list[Camera]
+    distance_unit: float
+
+    def shown(self, values: Reconstruction, networks: Networks) -> dict[str, F64]:
+        """Returns what the cameras see of all offsets of the anchors, by name; opacity 0 where there is none."""
+        shape = (len(self.cameras), *self.masks.shape)
+        sizes = {"opacity": 1, "lengths": 3, "quaternion": 4, "colour": 3}
+        found = {name: np.zeros((*shape, size)) for name, size in sizes.items()}
+        for number, camera in enumerate(self.cameras):
+            g = gaussians(values, self.masks, dict(networks), camera, self.distance_unit)
+            for name, array in found.items():
+                array[number, g.anchor, g.offset] = getattr(g, name).reshape(len(g.anchor), -1)
+        return found
+
+
+def _judge(scene: Scene, cloud: AnchorCloud) -> _Judge | None:
+    """Returns it for a scene, None for one without anchors."""
+    coded, count = reconstruct(scene), scene.anchor_count
+    if not count:
+        return None
+    rows = np.unique(np.linspace(0, count - 1, ANCHORS).astype(np.int64))
+    ordered, _ = order_anchors(cloud, scene.grid)
+    parts = coded.positions[rows], coded.scalings[rows], coded.offsets[rows]
+    given, rounded = (
+        Reconstruction(parts[0], features[rows], *parts[1:]) for features in (ordered.features, coded.features)
+    )
+    return _Judge(given, rounded, scene.masks[rows], _cameras(scene, coded.positions), scene.render.distance_unit)
+
+
+def _cameras(scene: Scene, positions: NDArray[np.float32]) -> list[Camera]:
+    """Returns the cameras that a scene states, as far as there are CAMERAS, and others around it."""
+    wide = positions.astype(np.float64)
+    middle = np.median(wide, axis=0)
+    radius = max(float(np.quantile(np.linalg.norm(wide - middle, axis=1), 0.9)), 1e-6)
+    random = np.random.default_rng(0)
+    direction = random.normal(size=(CAMERAS, 3))
+    direction /= np.linalg.norm(direction, axis=1, keepdims=True)
+    away = radius * random.uniform(NEAREST, FARTHEST, (CAMERAS, 1))
+    # Of a camera its place matters alone.
+    around = [Camera("", 1, 1, 1, 1, 0, 0, np.eye(3), -centre) for centre in middle + away * direction]
+    return ([default_camera(camera) for camera in cameras(scene.ancillary)] + around)[:CAMERAS]
+
+
+def _errors(wanted: dict[str, F64], found: dict[str, F64]) -> dict[str, float]:
+    """Returns squared errors of what each network gives, those of shape and colour weighted by opacity."""
+    weight = np.minimum(wanted["opacity"], found["opacity"])
+    tiny = np.finfo(np.float32).tiny
+    lengths = np.log(np.maximum(wanted["lengths"], tiny)) - np.log(np.maximum(found["lengths"], tiny))
+    # Eight times what the cosine of half an angle lacks to 1 is the square of a small angle.
+    angle = 8 * (1 - np.abs((wanted["quaternion"] * found["quaternion"]).sum(axis=-1, keepdims=True)))
+    errors = (
+        (wanted["opacity"] - found["opacity"]) ** 2,
+        weight * (lengths**2 + angle),
+        weight * (wanted["colour"] - found["colour"]) ** 2,
+    )
+    return {name: float(error.sum()) for name, error in zip(RENDERING, errors, strict=True)}

@@ -1,0 +1,129 @@
+"""The rendering networks of a converted scene: on grids that are as coarse as the rounded features allow."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+torch = pytest.importorskip("torch")
+pytest.importorskip("scipy")
+
+from family import LAYOUTS, Model  # noqa: E402
+
+from refcodec.bitstream.codec import emit  # noqa: E402
+from refcodec.bitstream.dimensions import RENDERING  # noqa: E402
+from refcodec.bitstream.reconstruction import reconstruct  # noqa: E402
+from refcodec.bitstream.scene import Scene  # noqa: E402
+from refcodec.bitstream.weights import to_grid  # noqa: E402
+from refcodec.convert.checkpoint import read_checkpoint  # noqa: E402
+from refcodec.convert.networks import on_grids  # noqa: E402
+from refcodec.encoder.cloud import AnchorCloud  # noqa: E402
+from refcodec.encoder.quantise import packed  # noqa: E402
+from refcodec.encoder.weights import quantise_rendering  # noqa: E402
+from refcodec.render.camera import Camera  # noqa: E402
+from refcodec.render.gaussians import gaussians  # noqa: E402
+from refcodec.train.fit import fit  # noqa: E402
+from refcodec.train.fit_input import Given, read_given  # noqa: E402
+from refcodec.train.settings import FitSettings  # noqa: E402
+
+torch.set_num_threads(1)
+
+
+def given(layout: str, folder: Path, count: int = 500) -> Given:
+    """A converted model."""
+    Model(LAYOUTS[layout], count).write(folder)
+    plain = read_checkpoint(folder).scene
+    v = plain.values
+    cloud = AnchorCloud(v.positions, v.features, v.scalings, v.offsets, plain.masks)
+    return Given(cloud, plain.voxel, None, plain.networks, plain.render, plain.camera)
+
+
+def fitted(found: Given, rate: float) -> Scene:
+    return fit(found, FitSettings(steps=0, rate=rate)).scene
+
+
+def bits(scene: Scene, name: str) -> int:
+    """Of the largest integer of a network."""
+    grids = [to_grid(layer) for layer in scene.networks[name]]
+    return max(int(np.abs(grid.weight).max()).bit_length() + 1 for grid in grids if grid)
+
+
+@pytest.mark.parametrize("layout", ["hac", "scaffold, plain"])
+def test_coarser_features_allow_coarser_grids(layout: str, tmp_path: Path) -> None:
+    found = given(layout, tmp_path)
+    sizes, before = [], None
+    for rate in (0.0001, 0.004, 0.1):
+        scene = fitted(found, rate)
+        coarse = on_grids(scene, found.cloud)
+        assert all(to_grid(layer) for name in RENDERING for layer in coarse.networks[name])
+        lengths = [len(emit(packed(each, None, None))) for each in (scene, coarse)]
+        weights = sum(4 * (w.size + b.size) for name in RENDERING for w, b in scene.networks[name])
+        # Of 32 bits each network keeps less than half.
+        assert lengths[0] - lengths[1] > weights / 2
+        sizes.append(sum(bits(coarse, name) for name in RENDERING))
+        before = coarse
+    assert sizes[0] > sizes[1] > sizes[2]
+    # What is on a grid stays.
+    assert before is not None
+    again = on_grids(before, found.cloud)
+    assert all(again.networks[name] is before.networks[name] for name in RENDERING)
+
+
+def test_grids_change_less_than_rounded_features(tmp_path: Path) -> None:
+    """From a camera that did not judge."""
+    found = given("hac", tmp_path)
+    scene = fitted(found, 0.004)
+    coarse = on_grids(scene, found.cloud)
+    values, camera = reconstruct(scene), Camera("", 8, 8, 8, 8, 4, 4, np.eye(3), np.array([3.0, -1.0, 14.0]))
+
+    def opacities(features: np.ndarray, networks: dict) -> np.ndarray:
+        g = gaussians(replace(values, features=features), scene.masks, networks, camera, scene.render.distance_unit)
+        dense = np.zeros(scene.masks.shape)
+        dense[g.anchor, g.offset] = g.opacity
+        return dense
+
+    # The model's anchors have places of their own, by which they are found.
+    rows = np.lexsort(found.cloud.positions[found.cloud.masks.any(axis=1)].T)
+    own = np.empty_like(values.features)
+    own[np.lexsort(values.positions.T)] = found.cloud.features[found.cloud.masks.any(axis=1)][rows]
+    true, rounded, both = (
+        opacities(own, scene.networks),
+        opacities(values.features, scene.networks),
+        opacities(values.features, coarse.networks),
+    )
+    assert 0 < np.square(both - rounded).sum() < 0.2 * np.square(rounded - true).sum()
+
+
+def test_exact_features_keep_exact_networks(tmp_path: Path) -> None:
+    """Where rounding changes nothing, a grid may change nothing."""
+    found = given("hac", tmp_path)
+    scene = fitted(found, 0.004)
+    cloud = replace(found.cloud, features=np.zeros_like(found.cloud.features))
+    zeros = replace(scene.attributes, features=np.zeros_like(scene.attributes.features))
+    exact = replace(scene, attributes=zeros)
+    same = on_grids(exact, cloud)
+    assert all(same.networks[name] is exact.networks[name] for name in RENDERING)
+
+
+def test_what_is_on_a_grid_and_what_is_empty(tmp_path: Path) -> None:
+    found = given("hac", tmp_path)
+    scene = fitted(found, 0.004)
+    gridded = replace(scene, networks=quantise_rendering(scene.networks, 12))
+    assert on_grids(gridded, found.cloud).networks["colour"] is gridded.networks["colour"]
+    none = replace(found, cloud=replace(found.cloud, masks=np.zeros_like(found.cloud.masks)))
+    empty = fit(none, FitSettings(steps=0)).scene
+    assert on_grids(empty, none.cloud) is empty
+
+
+def test_a_folder_that_is_read(tmp_path: Path) -> None:
+    """What encode reads of a converted folder is what is judged."""
+    from refcodec.folder.uncompressed import write_uncompressed  # noqa: PLC0415
+
+    Model(LAYOUTS["hac"], 200).write(tmp_path / "model")
+    write_uncompressed(read_checkpoint(tmp_path / "model").scene, tmp_path / "scene")
+    found = read_given(tmp_path / "scene")
+    coarse = on_grids(fitted(found, 0.004), found.cloud)
+    assert all(to_grid(layer) for name in RENDERING for layer in coarse.networks[name])
