@@ -37,6 +37,7 @@ ROOMS = (
     "conformance.fuzz",
     "conformance.mutants",
     "conformance.cli",
+    "conformance.unseen",
     "spec",
     "benchmarks",
 )
