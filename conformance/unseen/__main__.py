@@ -17,7 +17,7 @@ from ..cli.errors import note, status_of
 from ..cli.shared import add_vectors, positive, suite
 from . import drawing, judging
 from .bugs import BugError, Wrong, bugs, decoders
-from .records import InterruptedRunError, Kept, collect, failing
+from .records import Kept, collect, failing
 
 SEED = 18
 
@@ -94,7 +94,7 @@ def _parser() -> argparse.ArgumentParser:
         return found
 
     found = command("run", "run the wrong decoders on the quick vectors, and keep the record of each that has none")
-    found.add_argument("--jobs", type=positive, default=1, metavar="N", help="processes (default 1)")
+    found.add_argument("--jobs", type=positive, default=1, metavar="N", help="decoders at a time (default 1)")
     found.add_argument("bugs", nargs="*", metavar="BUG", help="these alone")
     found.set_defaults(run=_run)
     found = command("draw", "draw the pairs anew, from the records of the single bugs")
@@ -120,7 +120,7 @@ def main(argv: list[str] | None = None) -> int:
     except SystemExit as end:
         # argparse has a status of its own for wrong usage.
         return statuses.USAGE if end.code else statuses.DONE
-    except (KeyboardInterrupt, InterruptedRunError):
+    except KeyboardInterrupt:
         note("interrupted")
         return statuses.INTERRUPTED
     except Exception as error:

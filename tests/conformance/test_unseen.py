@@ -129,6 +129,24 @@ def test_a_record_is_of_its_suite_and_its_bug(tmp_path: Path) -> None:
     assert kept.read(wrong) is None
 
 
+@pytest.mark.parametrize(
+    ("new", "text"),
+    [
+        ("raise ValueError", "exit status 70"),
+        ("bytearray(1 << 40)", "exit status 70"),
+        ("import os; os.kill(os.getpid(), 9)", "ended by SIGKILL"),
+        ("while True: pass", "took too long"),
+    ],
+)
+def test_a_crash_is_recorded_and_the_next_file_is_read(new: str, text: str, tmp_path: Path) -> None:
+    wrong = Wrong((Bug("crash", "independent", "codec.py", "decoder.run()", new, "", ("7.1",), ()),))
+    manifest = some("valid-worked-example", "invalid-chunk-size-0")
+    short = tuple(replace(v, budget=replace(v.budget, seconds=1)) for v in manifest.vectors)
+    first, second = Kept(tmp_path, replace(manifest, vectors=short)).make(wrong)["vectors"]
+    assert (first["status"], second["status"]) == ("crashed", "passed")
+    assert text in first["text"]
+
+
 # --- judging ----------------------------------------------------------------------------------------------------------
 
 
