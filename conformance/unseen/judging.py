@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
+from fractions import Fraction
 from typing import Any
 
 from .bugs import Wrong
@@ -58,6 +59,20 @@ def frequent(record: dict[str, Any]) -> Named:
     ranked = counts.most_common()
     ahead = len(ranked) == 1 or (len(ranked) > 1 and ranked[0][1] > ranked[1][1])
     return [(clause, ahead and n == 0) for n, (clause, _) in enumerate(ranked)]
+
+
+def spectrum(record: dict[str, Any]) -> Named:
+    """The clauses ranked by the Ochiai measure of spectrum-based fault localisation.
+
+    It is the number of failing vectors that name a clause, over the geometric mean of all failing vectors and all that
+    name it (Abreu, Zoeteweij, van Gemund: On the accuracy of spectrum-based fault localization, TAIC PART 2007). It
+    stands by a clause whose vectors are exactly those that fail, which have the measure 1.
+    """
+    bad = [v for v in record["vectors"] if v["status"] in FAILED]
+    wrong = Counter(clause for v in bad for clause in v["clauses"])
+    every = Counter(clause for v in record["vectors"] for clause in v["clauses"])
+    squares = {clause: Fraction(count * count, len(bad) * every[clause]) for clause, count in wrong.items()}
+    return [(clause, squares[clause] == 1) for clause in sorted(squares, key=lambda clause: -squares[clause])]
 
 
 def judged(found: Iterable[tuple[Wrong, dict[str, Any]]], diagnosis: Diagnosis) -> list[Row]:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import ast
 import json
 import re
+import subprocess
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -45,6 +46,17 @@ def test_it_can_be_planted(wrong: Wrong) -> None:
         assert text != (SOURCES[wrong.decoder] / name).read_text(encoding="utf-8")
         if name.endswith(".py"):
             compile(text, name, "exec")
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(COMPILER is None, reason="there is no C compiler here")
+def test_the_compiler_takes_them() -> None:
+    assert COMPILER is not None
+    for bug in IN_C:
+        text = Wrong((bug,)).texts()["decoder.c"].encode()
+        command = [COMPILER, "-std=c11", "-fsyntax-only", "-x", "c", "-"]
+        ended = subprocess.run(command, input=text, capture_output=True, check=False)
+        assert ended.returncode == 0, (bug.id, ended.stderr)
 
 
 def test_a_text_that_is_gone_is_noticed() -> None:
@@ -164,6 +176,14 @@ def test_the_baseline_names_what_is_most_frequent() -> None:
     assert judging.frequent(fails([["7.5"], ["2.1"]])) == [("7.5", False), ("2.1", False)]
     assert judging.frequent(fails([["7.5"]])) == [("7.5", True)]
     assert judging.frequent(fails([])) == []
+
+
+def test_the_spectrum_weighs_what_passes() -> None:
+    """7.5 is in all failing vectors and 9.3 in one of two, but 9.3 is in no other one."""
+    record = fails([["2.1", "7.5", "9.3"], ["2.1", "7.5"]], passing=0)
+    record["vectors"] += [{"id": f"p{n}", "status": "passed", "clauses": ["2.1"], "found": None} for n in range(6)]
+    assert judging.spectrum(record) == [("7.5", True), ("9.3", False), ("2.1", False)]
+    assert judging.spectrum(fails([])) == []
 
 
 def bug(*clauses: str, decoder: str = "independent") -> Bug:
