@@ -38,6 +38,7 @@ ROOMS = (
     "conformance.fuzz",
     "conformance.mutants",
     "conformance.cli",
+    "conformance.unseen",
     "spec",
     "benchmarks",
 )
