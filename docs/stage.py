@@ -50,7 +50,7 @@ _LINK = re.compile(r"(!?\[(?:\\.|[^\[\]\\])*\])\(([^)\s]+)\)", re.DOTALL)
 
 def stage(folder: Path) -> None:
     """Fills an empty folder with the pages of the site, and what they show and lead to."""
-    shutil.copytree(MANUAL / "pictures", folder / "pictures", ignore=shutil.ignore_patterns("*.py", "__pycache__"))
+    shutil.copytree(MANUAL / "pictures", folder / "pictures", ignore=shutil.ignore_patterns("README.md"))
     for path in sorted(MANUAL.glob("*.md")):
         text = path.read_text(encoding="utf-8")
         _write(folder, path.stem, text + _contents() if path.stem == "index" else text, path)

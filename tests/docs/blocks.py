@@ -16,9 +16,10 @@ from __future__ import annotations
 
 import os
 import re
+import shutil
 import subprocess
 import sys
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -82,6 +83,16 @@ def blocks(page: Path) -> list[Block]:
     ]
 
 
+def runnable(page: Path) -> list[Block]:
+    """Returns the blocks of a page that are run, in order. Those of Python are one program, which is run at the end."""
+    wanted = [block for block in blocks(page) if block.runs and not (block.needs and shutil.which(block.needs) is None)]
+    programs = [block for block in wanted if block.language == "python"]
+    found = [block for block in wanted if block.language != "python"]
+    if programs:
+        found.append(replace(programs[0], text="\n".join(block.text for block in programs)))
+    return found
+
+
 class Desk:
     """A folder with the project's files, in which the blocks of a page are run."""
 
@@ -100,7 +111,6 @@ class Desk:
         cases = "".join(f'{command}) set -- "$@" {options} ;;\n' for command, options in _TINY.items())
         self._program(programs / "refcodec", f'case "$1" in\n{cases}esac\nexec "{sys.executable}" -m refcodec "$@"')
         self._environment = {**os.environ, "PATH": f"{programs}{os.pathsep}{os.environ['PATH']}"}
-        self._python = ""
 
     @staticmethod
     def _program(path: Path, text: str) -> None:
@@ -112,9 +122,7 @@ class Desk:
         if block.language == "sh":
             command = ["bash", "-euo", "pipefail", "-c", block.text]
         else:
-            # The blocks of Python of a page are one program. What ran before is run again, without a word.
-            command = [sys.executable, "-c", f"{self._python}\n{block.text}"]
-            self._python += f"\n{block.text}"
+            command = [sys.executable, "-c", block.text]
         done = subprocess.run(
             command,
             cwd=self._folder,

@@ -4,11 +4,10 @@ from __future__ import annotations
 
 import re
 import shlex
-import shutil
 from pathlib import Path
 
 import pytest
-from blocks import PAGES, ROOT, Block, Desk, blocks
+from blocks import PAGES, ROOT, Block, Desk, blocks, runnable
 
 from conformance.cli.main import main as conformance
 from refcodec.cli.main import main as refcodec
@@ -35,9 +34,8 @@ def test_every_block_says_whether_it_is_run(page: Path) -> None:
 @pytest.mark.parametrize("page", [_marked(page) for page in PAGES if any(block.runs for block in blocks(page))])
 def test_blocks_run(page: Path, tmp_path: Path) -> None:
     desk = Desk(tmp_path)
-    for block in blocks(page):
-        if block.runs and not (block.needs and shutil.which(block.needs) is None):
-            desk.run(block)
+    for block in runnable(page):
+        desk.run(block)
 
 
 def test_a_block_that_fails_is_seen(tmp_path: Path) -> None:
