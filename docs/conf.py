@@ -10,6 +10,8 @@ extensions = ["myst_parser", "sphinx.ext.autodoc", "sphinx.ext.napoleon"]
 html_theme = "furo"
 html_title = "C3GS"
 html_copy_source = False
+# Options begin with two hyphens, which are no dash.
+smartquotes = False
 html_show_sphinx = False
 # Links lead to headings by the anchors that code hosts give them.
 myst_heading_anchors = 4
