@@ -22,6 +22,7 @@ ROOMS = (
     "refcodec.folder",
     "refcodec.inspect",
     "refcodec.render",
+    "refcodec.api",
     "refcodec.export",
     "refcodec.photographs",
     "refcodec.viewer",

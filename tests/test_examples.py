@@ -1,4 +1,4 @@
-"""The programs of examples/ do what they say, on a file that arrives, and on one that is fetched by ranges."""
+"""The programs of examples/ do what they say: on a file, on one that arrives, and on one that is fetched by ranges."""
 
 from __future__ import annotations
 
@@ -10,8 +10,10 @@ from collections.abc import Iterator
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
 
+import numpy as np
 import pytest
 
+import refcodec
 from conformance.cases.scenes import random_scene
 from refcodec.bitstream.codec import emit
 from refcodec.bitstream.directory import DATA
@@ -21,7 +23,10 @@ from refcodec.bitstream.reconstruction import chunk_digest, digest
 from refcodec.bitstream.scene import Scene, take_anchors
 from refcodec.bitstream.source import WholeFile
 
-EXAMPLES = Path(__file__).resolve().parents[1] / "examples" / "reading"
+ROOT = Path(__file__).resolve().parents[1]
+EXAMPLES = ROOT / "examples" / "reading"
+PYTHON = ROOT / "examples" / "python"
+TRAINED = ROOT / "vectors" / "valid" / "trained-caliterra.c3gs"
 CHUNKS, ANCHORS = 40, 50
 
 
@@ -104,3 +109,47 @@ def test_a_damaged_file_that_arrives(data: bytes) -> None:
     assert done.returncode == 1
     assert b"R6.11-1" in done.stderr
     assert len(done.stdout.splitlines()) == CHUNKS - 1
+
+
+def python(program: str, *words: str | Path) -> list[str]:
+    command = [sys.executable, str(PYTHON / program), *map(str, words)]
+    done = subprocess.run(command, capture_output=True, text=True, check=True, cwd=ROOT)
+    assert done.stderr == ""
+    return done.stdout.splitlines()
+
+
+def test_the_notebook_runs() -> None:
+    """All its cells, on its own file, which comes back byte for byte."""
+    pytest.importorskip("numba")
+    lines = python("notebook.py")
+    scene = refcodec.decode(TRAINED)
+    assert repr(scene) in lines
+    assert f"encoded again: {TRAINED.stat().st_size:,} bytes, the same file: True" in lines
+    assert lines[-1].startswith("error 441, SPEC.md 6.11, byte ")
+
+
+def test_the_notebook_stores_no_place() -> None:
+    """It runs wherever the project is, and on other files."""
+    text = (PYTHON / "notebook.py").read_text(encoding="utf-8")
+    assert not re.findall(r"[\"'](?:/|~|[A-Z]:)", text)
+    assert text.count("# %%") > 10
+
+
+def test_a_crop_keeps_anchors_as_they_are(tmp_path: Path) -> None:
+    target = tmp_path / "middle.c3gs"
+    lines = python("crop.py", TRAINED, target, "0.5")
+    whole, middle = refcodec.decode(TRAINED), refcodec.decode(target)
+    assert lines[1] == f"{middle.anchor_count} anchors, {target.stat().st_size} bytes"
+    assert whole.anchor_count / 2 <= middle.anchor_count < whole.anchor_count * 0.6
+    # Each anchor of the middle is one of the whole scene, with the same features.
+    rows = {row.tobytes() for row in np.hstack([whole.positions, whole.features])}
+    assert {row.tobytes() for row in np.hstack([middle.positions, middle.features])} < rows
+
+
+def test_a_contact_sheet_has_all_views(tmp_path: Path) -> None:
+    pytest.importorskip("numba")
+    from PIL import Image  # noqa: PLC0415
+
+    assert python("contact_sheet.py", TRAINED, tmp_path / "sheet.png")[0].startswith("8 views of ")
+    with Image.open(tmp_path / "sheet.png") as sheet:
+        assert sheet.size == (4 * 160, 2 * 120)

@@ -79,6 +79,9 @@ def test_both_distributions_are_the_same(built: Path) -> None:
     places |= {f"refcodec/viewer/{name}": f"refcodec/viewer/{name}" for name in ("page.html", "style.css", "worker.js")}
     for name, place in places.items():
         assert direct[place] == (ROOT / name).read_bytes()
+    # What type checkers read.
+    for name in ("refcodec/__init__.pyi", "refcodec/py.typed"):
+        assert direct[name] == (ROOT / name).read_bytes()
 
 
 def test_the_source_distribution_is_whole(built: Path) -> None:

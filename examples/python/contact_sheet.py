@@ -1,0 +1,31 @@
+"""Draws a scene from cameras around it, and writes one picture of all views. It needs the extra `render`.
+
+python examples/python/contact_sheet.py scene.c3gs sheet.png
+"""
+
+from __future__ import annotations
+
+import sys
+
+import numpy as np
+from PIL import Image
+
+import refcodec
+
+COLUMNS, ROWS = 4, 2
+WIDTH = 160
+
+
+def main() -> None:
+    """Command line."""
+    scene = refcodec.decode(sys.argv[1])
+    cameras = scene.orbit(COLUMNS * ROWS)
+    height = WIDTH * cameras[0].height // cameras[0].width
+    views = [refcodec.render(scene, camera.resized(WIDTH, height)) for camera in cameras]
+    rows = [np.hstack(views[first : first + COLUMNS]) for first in range(0, len(views), COLUMNS)]
+    Image.fromarray(np.vstack(rows)).save(sys.argv[2])
+    print(f"{len(views)} views of {scene.anchor_count} anchors")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,32 @@
+"""Keeps the anchors of a scene that are near its middle, and writes them as a file of their own.
+
+python examples/python/crop.py scene.c3gs middle.c3gs 0.5
+
+The number is the share of the anchors that stays. Anchors that stay look as before: networks and planes do not change.
+"""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+
+import numpy as np
+
+import refcodec
+from refcodec.bitstream.scene import take_anchors
+
+
+def main() -> None:
+    """Command line."""
+    source, target, share = sys.argv[1], sys.argv[2], float(sys.argv[3])
+    scene = refcodec.decode(source)
+    away = np.linalg.norm(scene.positions - np.median(scene.positions, axis=0), axis=1)
+    middle = refcodec.Scene(take_anchors(scene.coded, away <= np.quantile(away, share)))
+    data = refcodec.encode(middle)
+    Path(target).write_bytes(data)
+    print(f"{scene.anchor_count} anchors, {sum(scene.sizes.values())} bytes")
+    print(f"{middle.anchor_count} anchors, {len(data)} bytes")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,191 @@
+"""A file that is opened: what its header says at once, and its chunks when they are asked for."""
+
+from __future__ import annotations
+
+import builtins
+import contextlib
+import os
+from collections.abc import Iterator
+from functools import cached_property
+from types import TracebackType
+from typing import Any
+
+from ..bitstream.batches import GROUP_ANCHORS
+from ..bitstream.bounds import Bounds
+from ..bitstream.cameras import CAMERAS, cameras
+from ..bitstream.codec import parse
+from ..bitstream.directory import read_section
+from ..bitstream.errors import BitstreamError
+from ..bitstream.header import Header
+from ..bitstream.metadata import METADATA, metadata
+from ..bitstream.reader import Reader
+from ..bitstream.scene import Ancillary
+from ..bitstream.source import FileBytes, Source, StoredFile, WholeFile
+from ..bitstream.streaming import DecodedChunk, decoded_chunks
+from ..files.remote import RemoteFile, is_url
+from ..inspect.elements import outline_of
+from ..inspect.parts import part_bytes
+from ..render.camera import Camera
+from . import page
+from .scenes import Scene, named_cameras
+
+# Where a file is: a path, a URL, or the bytes themselves.
+Place = str | os.PathLike[str] | bytes | bytearray | memoryview
+
+# The most bytes of a section with metadata or cameras that are looked at.
+_SECTION_BYTES = 1 << 24
+
+
+class File:
+    """A C3GS file that is open for reading. It is a context manager, and shows itself in a notebook.
+
+    Of a file on a disk or behind a URL, only what is asked for is read. Iterating over it yields its chunks.
+
+    header: what the header says (refcodec.bitstream.header.Header).
+    byte_count: the length of the file.
+    """
+
+    def __init__(self, source: Source, bounds: Bounds) -> None:
+        """Reads the header. `open` makes one. Raises BitstreamError 101 to 305."""
+        self._source, self._bounds, self._close = source, bounds, contextlib.ExitStack()
+        self.header: Header = Reader(source).header
+        self.byte_count = source.length()
+
+    def __enter__(self) -> File:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()
+
+    def close(self) -> None:
+        """Closes the file. What was read stays."""
+        self._close.close()
+
+    @property
+    def anchor_count(self) -> int:
+        """N, the number of anchors."""
+        return self.header.anchor_count
+
+    @property
+    def offset_count(self) -> int:
+        """K, the offsets of each anchor."""
+        return self.header.dimensions.offset_count
+
+    @property
+    def chunk_count(self) -> int:
+        """The number of chunks."""
+        return self.header.chunk_count
+
+    @cached_property
+    def sizes(self) -> dict[str, int]:
+        """Bytes of each part of the file, with nothing decoded. Their sum is byte_count."""
+        data = FileBytes(self._source)
+        return part_bytes(data, outline_of(data))
+
+    @property
+    def metadata(self) -> dict[str, str]:
+        """SPEC 6.14: what the file says of itself, such as title, author and licence."""
+        return metadata(self._ancillary)
+
+    @property
+    def cameras(self) -> list[Camera]:
+        """SPEC 6.15: the cameras that the file names. The first one is the default view."""
+        return named_cameras(cameras(self._ancillary))
+
+    @cached_property
+    def _ancillary(self) -> list[Ancillary]:
+        found = []
+        for section in self.header.sections:
+            if section.type in (METADATA, CAMERAS) and section.length <= _SECTION_BYTES:
+                # Decoding says what is wrong with a damaged section. Here it tells nothing.
+                with contextlib.suppress(BitstreamError):
+                    found.append(Ancillary(section.type, section.mode, read_section(self._source, section).data))
+        return found
+
+    def chunks(self, numbers: range | None = None) -> Iterator[DecodedChunk]:
+        """SPEC 10.2: yields the chunks in order, decoded, in memory that does not grow with the file.
+
+        Without `numbers` the whole file is read and checked: the iterator ends only if the file is accepted. With them,
+        only the bytes that these chunks need are read.
+
+        Args:
+            numbers: those of the wanted chunks, rising, such as range(3, 5).
+
+        Raises:
+            BitstreamError: the file is refused. What was yielded before is right.
+            BoundPassedError: the file needs more than `open` was told to allow.
+            IndexError: the file has not all of these chunks.
+        """
+        return decoded_chunks(self._source, numbers, bounds=self._bounds)
+
+    def __iter__(self) -> Iterator[DecodedChunk]:
+        return self.chunks()
+
+    def decode(self) -> Scene:
+        """Returns the scene of the whole file. Raises BitstreamError and BoundPassedError."""
+        count = self.anchor_count
+        # A byte behind the end that the header states is enough for the verdict on all of them.
+        size = min(self.header.sections[-1].end + 1, self.byte_count)
+        self._bounds.check(self.header, min(count, GROUP_ANCHORS), count, size)
+        scene = parse(self._source.read(0, size)).scene
+        return Scene(scene, self.sizes)
+
+    def __repr__(self) -> str:
+        chunks = f"{self.chunk_count:,} chunk{'s' if self.chunk_count != 1 else ''}"
+        return f"<refcodec.File: {self.byte_count:,} bytes, {self.anchor_count:,} anchors in {chunks}>"
+
+    def _repr_html_(self) -> str:
+        """What a notebook shows: a table of anchors, chunks and bytes by part. Nothing is decoded for it."""
+        facts = [
+            ("anchors", f"{self.anchor_count:,}, {self.offset_count} offsets each"),
+            ("chunks", f"{self.chunk_count:,}"),
+            *self.metadata.items(),
+        ]
+        return page.table("C3GS file", facts, self.sizes)
+
+
+def open(place: Place, *, max_anchors: int | None = None, max_memory: int | None = None) -> File:
+    """Opens a file, of which the header is read and checked at once.
+
+    Args:
+        place: a path, a URL (which needs the extra `http` and a server that answers ranges), or the bytes of a file.
+        max_anchors: how many anchors the caller allows, or None. Files of unknown origin should have bounds.
+        max_memory: bytes of memory that decoding may take beside the program, or None.
+
+    Raises:
+        BitstreamError: the header is refused.
+        OSError: the file cannot be read.
+        refcodec.statuses.UsageError: what is behind the URL cannot be read.
+    """
+    bounds = Bounds(max_anchors, max_memory)
+    with contextlib.ExitStack() as opened:
+        source: Any
+        if isinstance(place, bytes | bytearray | memoryview):
+            source = WholeFile(bytes(place))
+        elif is_url(os.fspath(place)):
+            source = opened.enter_context(RemoteFile(os.fspath(place)))
+        else:
+            source = StoredFile(opened.enter_context(builtins.open(place, "rb")))
+        file = File(source, bounds)
+        file._close = opened.pop_all()
+    return file
+
+
+def decode(place: Place, *, max_anchors: int | None = None, max_memory: int | None = None) -> Scene:
+    """Returns the scene of a file.
+
+    Args:
+        place: a path, a URL, or the bytes of a file, as for `open`.
+        max_anchors: how many anchors the caller allows, or None.
+        max_memory: bytes of memory that decoding may take beside the program, or None.
+
+    Raises:
+        BitstreamError: the file is refused. Its kind (code, clause, requirement) and its offset say why (SPEC.md 10.3).
+        BoundPassedError: the file needs more than the caller allows. It is no verdict on the file.
+        OSError: the file cannot be read.
+        refcodec.statuses.UsageError: what is behind the URL cannot be read.
+    """
+    with open(place, max_anchors=max_anchors, max_memory=max_memory) as file:
+        return file.decode()

@@ -1,0 +1,257 @@
+"""A scene as programs and notebooks handle it: its values, its bytes, its images."""
+
+# Modules that need the extra `render`, or that read and write folders, are imported where they are used.
+# ruff: noqa: PLC0415
+
+from __future__ import annotations
+
+import contextlib
+import os
+from collections.abc import Mapping
+from dataclasses import replace
+from functools import cached_property
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..bitstream.cameras import NamedCamera, cameras
+from ..bitstream.codec import emit
+from ..bitstream.dimensions import RENDERING
+from ..bitstream.metadata import metadata
+from ..bitstream.reconstruction import Reconstruction, digest, reconstruct
+from ..bitstream.scene import Scene as CodedScene
+from ..bitstream.scene import take_anchors
+from ..inspect.elements import outline_of
+from ..inspect.parts import part_bytes
+from ..render.camera import Camera, default_camera
+from ..render.gaussians import Gaussians, gaussians
+from . import page
+
+if TYPE_CHECKING:
+    from ..render.view import View
+
+F32 = NDArray[np.float32]
+
+# The most anchors of a scene whose picture in a notebook is an image. Of larger ones it shows some points.
+DRAWN_ANCHORS = 50_000
+
+
+class Scene:
+    """A scene of N anchors with K offsets each. It shows itself in a notebook.
+
+    A scene never changes. To change one, make another: `Scene(dataclasses.replace(scene.coded, ...))`.
+
+    coded: every number of the file, as integers (refcodec.bitstream.scene.Scene).
+    """
+
+    def __init__(self, coded: CodedScene, sizes: Mapping[str, int] | None = None) -> None:
+        """coded: the integers. sizes: bytes of each part of the file that they come from, or None."""
+        self.coded = coded
+        self._sizes = None if sizes is None else dict(sizes)
+
+    @classmethod
+    def read(cls, folder: str | os.PathLike[str]) -> Scene:
+        """Returns the scene of a folder that `refcodec decode`, `train` or `fit` wrote.
+
+        Raises refcodec.folder.layout.SceneFolderError for whatever is wrong in it. The folder of an uncompressed scene
+        has to be encoded first (`refcodec encode`).
+        """
+        from ..folder.read import read_folder
+
+        return cls(read_folder(os.fspath(folder)))
+
+    def write(self, folder: str | os.PathLike[str]) -> None:
+        """Writes the scene as a folder of files that other programs read, such as point_cloud.ply.
+
+        The folder has the whole scene then, or is as it was. Raises refcodec.folder.layout.SceneFolderError if
+        something else is there, and OSError.
+        """
+        from ..folder.write import write_folder
+
+        write_folder(self.coded, os.fspath(folder))
+
+    @property
+    def anchor_count(self) -> int:
+        """N."""
+        return self.coded.anchor_count
+
+    @property
+    def offset_count(self) -> int:
+        """K, the offsets of each anchor. A Gaussian stands at each offset that `masks` keeps."""
+        return self.coded.dimensions.offset_count
+
+    @cached_property
+    def values(self) -> Reconstruction:
+        """SPEC 9: the float32 values of all anchors, the same bits on every machine."""
+        return reconstruct(self.coded)
+
+    @property
+    def positions(self) -> F32:
+        """Positions of the anchors, float32 [N, 3], world units."""
+        return self.values.positions
+
+    @property
+    def features(self) -> F32:
+        """Features of the anchors, float32 [N, F]. The rendering networks take them."""
+        return self.values.features
+
+    @property
+    def scalings(self) -> F32:
+        """Scalings of the anchors, float32 [N, 6], natural logarithms of world units.
+
+        The first three are the unit of the offsets, the others that of the Gaussians' axes.
+        """
+        return self.values.scalings
+
+    @property
+    def offsets(self) -> F32:
+        """Offsets of the anchors, float32 [N, K, 3], in units of exp(scalings[:, :3]). Those not kept are 0."""
+        return self.values.offsets
+
+    @property
+    def masks(self) -> NDArray[np.bool_]:
+        """Which offsets are kept, bool [N, K]."""
+        return self.coded.masks
+
+    @property
+    def metadata(self) -> dict[str, str]:
+        """SPEC 6.14: what the file says of itself, such as title, author and licence."""
+        return metadata(self.coded.ancillary)
+
+    @property
+    def cameras(self) -> list[Camera]:
+        """SPEC 6.15: the cameras that the file names. The first one is the default view."""
+        return named_cameras(cameras(self.coded.ancillary))
+
+    @property
+    def camera(self) -> Camera:
+        """The default view: the first camera of the file, or one at the world's origin if it names none."""
+        return next(iter(self.cameras), default_camera(NamedCamera()))
+
+    @property
+    def sizes(self) -> dict[str, int]:
+        """Bytes of each part of the file. Their sum is the length of the file.
+
+        A scene that comes from no file is encoded for that, once.
+        """
+        if self._sizes is None:
+            self._sizes = part_sizes(encode(self))
+        return dict(self._sizes)
+
+    def digest(self) -> str:
+        """SPEC 9.3: returns the SHA-256 of the canonical reconstruction, in hexadecimal.
+
+        It is the same for every decoder and every machine.
+        """
+        return digest(self.coded)[0]
+
+    def gaussians(self, camera: Camera | None = None) -> Gaussians:
+        """SPEC 14.3: returns the Gaussians that a camera sees.
+
+        camera: None for the default view. The mean, the lengths of the axes, the quaternion, the opacity and the colour
+        of a Gaussian are float32 [n, ...], and anchor and offset say where it comes from.
+        """
+        networks = {name: self.coded.networks[name] for name in RENDERING}
+        unit = self.coded.render.distance_unit
+        return gaussians(self.values, self.masks, networks, camera or self.camera, unit)
+
+    def render(self, camera: Camera | None = None) -> NDArray[np.uint8]:
+        """SPEC chapter 14: returns what a camera sees of the scene, uint8 [height, width, 3]: red, green and blue.
+
+        It needs the extra `render`. The first image of a process takes some seconds more, for compiling.
+
+        Args:
+            camera: None for the default view. `camera.resized(width, height)` gives one with fewer or more pixels.
+
+        Raises:
+            ValueError: the image is too large, or the camera is none.
+            ModuleNotFoundError: a package of the extra is missing.
+        """
+        view = self._view
+        from ..render.view import eight_bits, own_camera
+
+        return eight_bits(view.draw(camera or own_camera(view.camera)))
+
+    def orbit(self, frames: int) -> list[Camera]:
+        """Returns cameras on a circle around the scene that look at its middle. It needs the extra `render`."""
+        return self._view.orbit(frames)
+
+    @cached_property
+    def _view(self) -> View:
+        try:
+            from ..render.view import View
+        except ModuleNotFoundError as error:
+            raise _with_extra(error) from None
+        return View(self.coded)
+
+    def __repr__(self) -> str:
+        kept = int(self.masks.sum())
+        return f"<refcodec.Scene: {self.anchor_count:,} anchors, {kept:,} of {self.masks.size:,} offsets kept>"
+
+    def _repr_html_(self) -> str:
+        """What a notebook shows: a table of anchors, offsets and bytes by part, and a small picture."""
+        facts = [
+            ("anchors", f"{self.anchor_count:,}"),
+            ("offsets kept", f"{int(self.masks.sum()):,} of {self.masks.size:,}"),
+            ("features", f"{self.coded.dimensions.features}"),
+            *self.metadata.items(),
+        ]
+        return page.table("C3GS scene", facts, self._sizes, self._picture())
+
+    def _picture(self) -> str:
+        """Returns an image of the scene as HTML, or of some of its points where none can be drawn."""
+        if self.anchor_count <= DRAWN_ANCHORS:
+            # The extra `render` is missing, or the scene cannot be drawn.
+            with contextlib.suppress(ModuleNotFoundError, ValueError):
+                from ..render.view import png
+
+                camera = next(iter(self.cameras or self.orbit(1)))
+                return page.image(png(self.render(_small(camera))))
+        found = self._some_gaussians()
+        return page.points(found.mean, found.colour, self.coded.render.up_axis)
+
+    def _some_gaussians(self) -> Gaussians:
+        """Returns at most page.POINTS Gaussians, of anchors from all over the scene."""
+        step = max(1, -(-self.anchor_count // page.POINTS))
+        found = Scene(take_anchors(self.coded, slice(None, None, step))).gaussians(self.camera)
+        some = slice(None, None, max(1, -(-len(found.mean) // page.POINTS)))
+        return Gaussians(**{name: values[some] for name, values in vars(found).items()})
+
+
+def named_cameras(stated: list[NamedCamera]) -> list[Camera]:
+    """Returns cameras of a file, with their names."""
+    return [replace(default_camera(camera), name=camera.name) for camera in stated]
+
+
+def part_sizes(data: bytes) -> dict[str, int]:
+    """Returns the bytes of each part of a file. Their sum is its length."""
+    return part_bytes(data, outline_of(data))
+
+
+def encode(scene: Scene) -> bytes:
+    """SPEC 4.3: returns the bytes of a scene's file.
+
+    A scene has one file: of what `decode` returned, these are the bytes that it read. Raises ValueError if the scene
+    breaks a rule of SPEC.md, with the error that a decoder would report.
+    """
+    return emit(scene.coded)
+
+
+def render(scene: Scene, camera: Camera | None = None) -> NDArray[np.uint8]:
+    """SPEC chapter 14: returns what a camera sees of a scene, uint8 [height, width, 3].
+
+    As `Scene.render`, which says more.
+    """
+    return scene.render(camera)
+
+
+def _small(camera: Camera) -> Camera:
+    """Returns the camera of the same view, with an image whose longest side is page.SIDE."""
+    longer = max(camera.width, camera.height)
+    return camera.resized(max(camera.width * page.SIDE // longer, 1), max(camera.height * page.SIDE // longer, 1))
+
+
+def _with_extra(error: ModuleNotFoundError) -> ModuleNotFoundError:
+    """Returns an error about a missing package that says what to install."""
+    return ModuleNotFoundError(f"{error}: pip install 'refcodec[render]'", name=error.name)

@@ -1,0 +1,326 @@
+"""The front door: its names, what it loads, and what it does with files, scenes and notebooks."""
+
+from __future__ import annotations
+
+import ast
+import re
+import subprocess
+import sys
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+
+import refcodec
+from refcodec.api import page
+from refcodec.bitstream.cameras import CAMERAS
+from refcodec.bitstream.codec import parse
+from refcodec.bitstream.directory import DATA
+from refcodec.bitstream.metadata import with_metadata
+from refcodec.bitstream.reconstruction import digest, reconstruct
+from refcodec.bitstream.scene import take_anchors
+from refcodec.files.remote import RemoteFile
+from refcodec.folder.layout import SceneFolderError
+from refcodec.statuses import UsageError
+
+ROOT = Path(__file__).resolve().parents[2]
+TRAINED = ROOT / "vectors" / "valid" / "trained-caliterra.c3gs"
+TINY = ROOT / "vectors" / "tiny-example.c3gs"
+
+
+@pytest.fixture(scope="module")
+def scene() -> refcodec.Scene:
+    return refcodec.decode(TRAINED)
+
+
+def test_importing_it_loads_nothing_else() -> None:
+    program = """
+import sys, refcodec
+dir(refcodec)
+print(sorted({'numpy', 'torch', 'numba', 'refcodec.api'} & set(sys.modules)))
+"""
+    done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True)
+    assert done.stdout == "[]\n"
+
+
+def test_decoding_loads_no_heavy_package() -> None:
+    program = f"""
+import sys, refcodec
+scene = refcodec.decode({str(TRAINED)!r})
+refcodec.encode(scene), scene.positions, scene.sizes, scene.camera
+print(sorted({{'torch', 'numba', 'PIL', 'scipy', 'safetensors', 'fsspec'}} & set(sys.modules)))
+"""
+    done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True)
+    assert done.stdout == "[]\n"
+
+
+def test_type_checkers_read_the_same_names() -> None:
+    """The stub, the list in the module, and the room have one set of names."""
+    stub = ast.parse((ROOT / "refcodec" / "__init__.pyi").read_text(encoding="utf-8"))
+    stated = {alias.asname for node in stub.body if isinstance(node, ast.ImportFrom) for alias in node.names}
+    assert stated == set(refcodec.__all__) - {"__version__"} == set(refcodec.api.__all__)  # type: ignore[attr-defined]
+    assert set(refcodec.__all__) <= set(dir(refcodec))
+    with pytest.raises(AttributeError, match="no attribute 'encoder_of_dreams'"):
+        refcodec.encoder_of_dreams  # type: ignore[attr-defined] # noqa: B018
+
+
+def test_every_name_says_what_it_is() -> None:
+    """Public classes, their members and functions have docstrings."""
+    for name in refcodec.api.__all__:  # type: ignore[attr-defined]
+        thing = getattr(refcodec, name)
+        members = {
+            k: v for k, v in vars(thing).items() if not k.startswith("_") and (callable(v) or hasattr(v, "fget"))
+        }
+        assert thing.__doc__, name
+        for member, value in (members if isinstance(thing, type) else {}).items():
+            assert value.__doc__, f"{name}.{member}"
+
+
+def test_a_file_comes_back_as_it_was(scene: refcodec.Scene) -> None:
+    data = TRAINED.read_bytes()
+    for place in (TRAINED, str(TRAINED), data, bytearray(data), memoryview(data)):
+        found = refcodec.decode(place)
+        assert refcodec.encode(found) == data
+        assert found.digest() == digest(parse(data).scene)[0]
+    assert sum(scene.sizes.values()) == len(data)
+    # A scene without a file is encoded for its sizes.
+    assert refcodec.Scene(scene.coded).sizes == scene.sizes
+
+
+def test_values_have_the_stated_shapes(scene: refcodec.Scene) -> None:
+    n, k = scene.anchor_count, scene.offset_count
+    values = reconstruct(scene.coded)
+    shapes = {
+        "positions": (n, 3),
+        "features": (n, scene.coded.dimensions.features),
+        "scalings": (n, 6),
+        "offsets": (n, k, 3),
+    }
+    for name, shape in shapes.items():
+        array = getattr(scene, name)
+        assert (array.shape, array.dtype) == (shape, np.float32)
+        assert np.array_equal(array, getattr(values, name))
+    assert (scene.masks.shape, scene.masks.dtype) == ((n, k), np.bool_)
+    found = scene.gaussians()
+    assert found.mean.shape == (len(found.opacity), 3)
+    assert scene.masks[found.anchor, found.offset].all()
+    assert repr(scene) == f"<refcodec.Scene: {n:,} anchors, {scene.masks.sum():,} of {n * k:,} offsets kept>"
+
+
+def test_a_folder_comes_back_as_it_was(scene: refcodec.Scene, tmp_path: Path) -> None:
+    scene.write(tmp_path / "scene")
+    assert refcodec.encode(refcodec.Scene.read(tmp_path / "scene")) == TRAINED.read_bytes()
+    with pytest.raises(SceneFolderError):
+        refcodec.Scene.read(tmp_path)
+
+
+class _Counting:
+    """A file on a disk that notes how many bytes are read of it."""
+
+    def __init__(self, path: Path) -> None:
+        self._file, self.read_bytes = open(path, "rb"), 0  # noqa: SIM115
+
+    def read(self, size: int = -1) -> bytes:
+        found = self._file.read(size)
+        self.read_bytes += len(found)
+        return found
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._file, name)
+
+    def __enter__(self) -> _Counting:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._file.close()
+
+
+def test_an_open_file_reads_what_is_asked_for(monkeypatch: pytest.MonkeyPatch, scene: refcodec.Scene) -> None:
+    """The header at once, a chunk with what comes before all chunks, and never the whole file."""
+    opened = []
+
+    def counting(path: Path, mode: str) -> _Counting:
+        assert mode == "rb"
+        opened.append(_Counting(path))
+        return opened[-1]
+
+    many = ROOT / "vectors" / "valid" / "chunks-uneven.c3gs"
+    monkeypatch.setattr("refcodec.api.opening.builtins", SimpleNamespace(open=counting))
+    with refcodec.open(many) as file:
+        (counted,) = opened
+        section = file.header.section(DATA)
+        assert section is not None
+        assert counted.read_bytes < section.start
+        whole = refcodec.Scene(parse(many.read_bytes()).scene)
+        number = file.chunk_count - 1
+        (chunk,) = file.chunks(range(number, number + 1))
+        assert counted.read_bytes < file.byte_count
+        assert chunk.number == number
+        assert np.array_equal(chunk.values.positions, whole.positions[chunk.first :])
+        assert sum(found.scene.anchor_count for found in file) == file.anchor_count == whole.anchor_count
+        assert refcodec.encode(file.decode()) == many.read_bytes()
+        with pytest.raises(IndexError, match="there is no chunk"):
+            list(file.chunks(range(file.chunk_count, file.chunk_count + 1)))
+    assert counted.closed
+
+
+def test_a_file_says_what_a_scene_says(scene: refcodec.Scene) -> None:
+    """Without decoding."""
+    with refcodec.open(TRAINED) as file:
+        assert (file.anchor_count, file.offset_count) == (scene.anchor_count, scene.offset_count)
+        assert file.sizes == scene.sizes
+        assert file.metadata == scene.metadata
+        assert [vars(c).keys() for c in file.cameras] == [vars(c).keys() for c in scene.cameras]
+        assert [c.name for c in file.cameras] == [c.name for c in scene.cameras]
+        assert repr(file).startswith(f"<refcodec.File: {TRAINED.stat().st_size:,} bytes")
+
+
+def test_a_refused_file_says_why(tmp_path: Path) -> None:
+    data = bytearray(TINY.read_bytes())
+    data[0] ^= 1
+    with pytest.raises(refcodec.BitstreamError) as caught:
+        refcodec.open(data)
+    assert caught.value.kind.code == 102
+    damaged = tmp_path / "damaged.c3gs"
+    damaged.write_bytes(TINY.read_bytes()[:-4])
+    with refcodec.open(damaged) as file, pytest.raises(refcodec.BitstreamError):
+        list(file)
+    # What is behind the end is no part of it, and is not read.
+    damaged.write_bytes(TINY.read_bytes() + bytes(1 << 16))
+    with pytest.raises(refcodec.BitstreamError) as caught:
+        refcodec.decode(damaged)
+    assert caught.value.kind.code == 321
+
+
+def test_bounds_hold_before_any_work() -> None:
+    with pytest.raises(refcodec.BoundPassedError, match="the caller's bound is 1"):
+        refcodec.decode(TRAINED, max_anchors=1)
+    with refcodec.open(TRAINED, max_memory=1000) as file, pytest.raises(refcodec.BoundPassedError):
+        next(iter(file))
+
+
+def test_places_that_hold_no_file(tmp_path: Path) -> None:
+    for place in (tmp_path, tmp_path / "none.c3gs"):
+        with pytest.raises(OSError, match=str(tmp_path)):
+            refcodec.open(place)
+    with pytest.raises(UsageError):
+        refcodec.open("nothing://there")
+
+
+def test_a_url_is_read_by_ranges(monkeypatch: pytest.MonkeyPatch) -> None:
+    class Stored(RemoteFile):
+        """A file behind a URL, with no network."""
+
+        def __init__(self, url: str) -> None:
+            assert url == "https://example.org/scene.c3gs"
+            self.data = TINY.read_bytes()
+
+        def __exit__(self, *_: object) -> None:
+            self.data = b""
+
+        def read(self, start: int, size: int) -> bytes:
+            return self.data[start : start + size]
+
+        def length(self) -> int:
+            return len(self.data)
+
+    monkeypatch.setattr("refcodec.api.opening.RemoteFile", Stored)
+    assert refcodec.encode(refcodec.decode("https://example.org/scene.c3gs")) == TINY.read_bytes()
+
+
+def test_a_scene_draws_itself(scene: refcodec.Scene) -> None:
+    pytest.importorskip("numba")
+    from refcodec.render.view import View, eight_bits, own_camera  # noqa: PLC0415
+
+    made = refcodec.render(scene)
+    view = View(scene.coded)
+    assert np.array_equal(made, eight_bits(view.draw(own_camera(view.camera))))
+    assert (made.dtype, made.shape[2]) == (np.uint8, 3)
+    small = scene.camera.resized(40, 30)
+    assert refcodec.render(scene, small).shape == (30, 40, 3)
+    assert len(scene.orbit(3)) == 3
+
+
+@pytest.mark.parametrize("first", ["refcodec.render.camera", "refcodec.api", "refcodec.cli.main"])
+def test_the_name_of_a_room_and_a_function(first: str) -> None:
+    """`refcodec.render` is called, and has modules, whichever of both was used first."""
+    program = f"""
+import {first}
+import refcodec, refcodec.render.gaussians as module
+class Scene:
+    def render(self, camera):
+        return camera
+print(refcodec.render(Scene(), 7), refcodec.render(Scene()), module.__name__, refcodec.render.camera.OWN)
+"""
+    done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True)
+    assert done.stdout == "7 None refcodec.render.gaussians default\n"
+
+
+def test_a_missing_extra_is_named(scene: refcodec.Scene, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "refcodec.render.view", None)
+    with pytest.raises(ModuleNotFoundError, match=re.escape("pip install 'refcodec[render]'")):
+        refcodec.render(refcodec.Scene(scene.coded))
+
+
+def _no_render(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "refcodec.render.view", None)
+
+
+def _too_large(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("refcodec.api.scenes.DRAWN_ANCHORS", 10)
+
+
+@pytest.mark.parametrize(("without", "shown"), [(None, "<img"), (_no_render, "<svg"), (_too_large, "<svg")])
+def test_a_notebook_shows_a_scene(
+    without: Callable[[pytest.MonkeyPatch], None] | None,
+    shown: str,
+    scene: refcodec.Scene,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """Its figures, its bytes by part, and an image of it, or else some of its points."""
+    if without:
+        without(monkeypatch)
+    text = refcodec.Scene(scene.coded, scene.sizes)._repr_html_()
+    assert f"{scene.anchor_count:,}" in text
+    for name, size in scene.sizes.items():
+        assert (f">{name}</th>" in text) == (size > 0)
+    assert f"{TRAINED.stat().st_size:,} bytes" in text
+    assert shown in text
+    assert text.count("<circle") <= page.POINTS
+    assert text.count("<circle") > 50 or shown == "<img"
+
+
+def test_a_scene_without_anchors_shows_itself(scene: refcodec.Scene, monkeypatch: pytest.MonkeyPatch) -> None:
+    _no_render(monkeypatch)
+    empty = refcodec.Scene(take_anchors(scene.coded, slice(0, 0)))
+    assert "<svg" not in empty._repr_html_()
+    assert "bytes" not in empty._repr_html_()
+
+
+def test_a_notebook_runs_nothing_of_a_file(scene: refcodec.Scene) -> None:
+    """Metadata is text of others."""
+    hostile = "<script>alert(1)</script>\u202e" + "x" * 300
+    coded = replace(scene.coded, ancillary=with_metadata(scene.coded.ancillary, {"title": hostile}))
+    data = refcodec.encode(refcodec.Scene(coded))
+    for text in (refcodec.decode(data)._repr_html_(), refcodec.open(data)._repr_html_()):
+        assert "<script" not in text
+        assert "&lt;script&gt;" in text
+        assert "\u202e" not in text
+        assert "x" * 200 not in text
+
+
+def test_a_damaged_section_of_cameras_tells_nothing(scene: refcodec.Scene) -> None:
+    """Decoding refuses the file. An open one has no cameras then."""
+    data = bytearray(TRAINED.read_bytes())
+    with refcodec.open(data) as file:
+        section = next(s for s in file.header.sections if s.type == CAMERAS)
+        assert file.cameras
+    data[section.start] ^= 1
+    with refcodec.open(data) as file:
+        assert file.cameras == []
+        with pytest.raises(refcodec.BitstreamError):
+            file.decode()

@@ -1,0 +1,77 @@
+"""Every link of every Markdown file leads to a file that is there, and to a heading that it has."""
+
+from __future__ import annotations
+
+import os
+import re
+from collections import Counter
+from functools import cache
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).resolve().parents[2]
+# What is made, installed or kept beside the project's own files.
+_NOT_OURS = {"build", "dist", "out", "node_modules"}
+_FENCE = re.compile(r"^ *(`{3,}).*?^ *\1 *$", re.DOTALL | re.MULTILINE)
+_LINK = re.compile(r"\]\(([^)\s]+)(?: \"[^\"]*\")?\)|<(?:img|a|source)\b[^>]*?\b(?:src|href|srcset)=\"([^\"]+)\"")
+
+
+def markdown_files() -> list[Path]:
+    found = []
+    for folder, folders, files in os.walk(ROOT):
+        folders[:] = [name for name in folders if not name.startswith(".") and name not in _NOT_OURS]
+        found += [Path(folder, name) for name in files if name.endswith(".md")]
+    return sorted(found)
+
+
+def links(text: str) -> list[str]:
+    """The targets of a text's links. Those in code are none."""
+    bare = re.sub(r"`[^`\n]*`", "code", _FENCE.sub("", text))
+    return [link or source for link, source in _LINK.findall(bare)]
+
+
+def anchors(text: str) -> set[str]:
+    """The anchors that code hosts give the headings of a text."""
+    found: Counter[str] = Counter()
+    anchors = set()
+    for heading in re.findall(r"^#{1,6} +(.*?) *#*$", _FENCE.sub("", text), re.MULTILINE):
+        words = re.sub(r"\[([^\]]*)\]\([^)]*\)", r"\1", heading)
+        name = re.sub(r"[^\w\- ]", "", words.lower()).replace(" ", "-")
+        anchors.add(f"{name}-{found[name]}" if found[name] else name)
+        found[name] += 1
+    return anchors
+
+
+@cache
+def _anchors_of(path: Path) -> set[str]:
+    return anchors(path.read_text(encoding="utf-8"))
+
+
+def wrong(path: Path, text: str) -> list[str]:
+    """The links of a file that lead nowhere."""
+    found = []
+    for link in links(text):
+        place, _, anchor = link.partition("#")
+        if re.match(r"[a-z]+:", place):
+            continue
+        target = (path.parent / place).resolve() if place else path
+        inside = target.is_relative_to(ROOT) and target.exists()
+        if not inside or (anchor and target.suffix == ".md" and anchor not in _anchors_of(target)):
+            found.append(link)
+    return found
+
+
+@pytest.mark.parametrize("path", markdown_files(), ids=lambda path: path.relative_to(ROOT).as_posix())
+def test_links_lead_somewhere(path: Path) -> None:
+    assert wrong(path, path.read_text(encoding="utf-8")) == []
+
+
+def test_a_wrong_link_is_seen() -> None:
+    right = (
+        "[a](../README.md) [b](../SPEC.md#67-frame) `[no](link)` [`c`](index.md) ![d](pictures/)\n```\n[x](y)\n```\n"
+    )
+    bad = ["none.md", "../SPEC.md#68-frame", "../../elsewhere.md", "#none", "picture.png"]
+    text = right + " ".join(f"[w]({link})" for link in bad[:4]) + f'<img alt="p" src="{bad[4]}">'
+    assert wrong(ROOT / "docs" / "index.md", text) == bad
+    assert anchors("# `a_b` c: d\n## x\n## x\n```\n# no\n```\n") == {"a_b-c-d", "x", "x-1"}

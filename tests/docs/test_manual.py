@@ -1,0 +1,89 @@
+"""The manual's code blocks do what their page says, and every command in them is one that exists."""
+
+from __future__ import annotations
+
+import re
+import shlex
+from pathlib import Path
+
+import pytest
+from blocks import PAGES, ROOT, Block, Desk, blocks, runnable
+
+from conformance.cli.main import main as conformance
+from refcodec.cli.main import main as refcodec
+
+# What is written here is complete: another mark is a slip.
+MARKS = re.compile(r"run(: (trains|it exits with \d+|needs \S+))?|not run: .+")
+PROGRAMS = {"refcodec": refcodec, "conformance": conformance}
+
+
+def _trains(page: Path) -> bool:
+    return any(block.mark == "run: trains" for block in blocks(page))
+
+
+def _marked(page: Path) -> object:
+    return pytest.param(page, id=page.stem, marks=[pytest.mark.slow] if _trains(page) else [])
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.stem)
+def test_every_block_says_whether_it_is_run(page: Path) -> None:
+    for block in blocks(page):
+        assert MARKS.fullmatch(block.mark), f"{block.page}, line {block.line}: {block.mark!r}"
+
+
+@pytest.mark.parametrize("page", [_marked(page) for page in PAGES if any(block.runs for block in blocks(page))])
+def test_blocks_run(page: Path, tmp_path: Path) -> None:
+    desk = Desk(tmp_path)
+    for block in runnable(page):
+        desk.run(block)
+
+
+def test_a_block_that_fails_is_seen(tmp_path: Path) -> None:
+    """The test above would notice a wrong command, a wrong status and a wrong program."""
+    desk = Desk(tmp_path)
+    wrong = [
+        ("sh", "run", "refcodec validate vectors/none.c3gs"),
+        ("sh", "run", "false\ntrue"),
+        ("sh", "run: it exits with 1", "true"),
+        ("python", "run", "import refcodec\nrefcodec.decode(b'')"),
+    ]
+    for language, mark, text in wrong:
+        with pytest.raises(AssertionError, match=r"page\.md, line 7"):
+            desk.run(Block("page.md", 7, language, mark, text))
+
+
+def _commands(block: Block) -> list[list[str]]:
+    """The commands of the project in a block, as words."""
+    lines = [line for line in block.text.splitlines() if line.split(" ", 1)[0] in PROGRAMS]
+    return [shlex.split(line, comments=True) for line in lines]
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.stem)
+def test_every_command_is_understood(page: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Commands and options of blocks that are not run exist, too. With --help behind them, nothing is done."""
+    for block in blocks(page):
+        if block.language != "sh":
+            continue
+        for program, *words in _commands(block):
+            cut = words.index("--") if "--" in words else len(words)
+            known = _options(program, words[0], capsys)
+            for word in words[1:cut]:
+                if word.startswith("-") and not word.lstrip("-").isdigit():
+                    assert word.partition("=")[0] in known, f"{block.page}, line {block.line}: {word}"
+
+
+def _options(program: str, command: str, capsys: pytest.CaptureFixture[str]) -> set[str]:
+    """The options of a command, by its help."""
+    if command.startswith("-"):
+        assert PROGRAMS[program](["--help"]) == 0
+    else:
+        assert PROGRAMS[program]([command, "--help"]) == 0, command
+    return set(re.findall(r"(?<![\w-])--?[a-z][\w-]*", capsys.readouterr().out))
+
+
+def test_no_page_is_forgotten() -> None:
+    """The manual's first page leads to each of its pages."""
+    index = (ROOT / "docs" / "index.md").read_text(encoding="utf-8")
+    python = (ROOT / "docs" / "python.md").read_text(encoding="utf-8")
+    for page in PAGES[1:]:
+        assert f"({page.name})" in index + python or page.stem == "index", page.name
