@@ -134,11 +134,13 @@ def _clients(sources: list[Source], found: dict[str, dict[int, Record]]) -> list
 
 
 NOTE = (
+    "The scenes are those of the experiment `quality` with lambda_r 0.004 and seed 0.",
     "One thread. PSNR to the scene: that of the drawn splat against the drawn scene, both as floats, from the cameras",
     "of the photographs that were held out. PSNR and SSIM: against these photographs, by scikit-image, of eight bits.",
     "SPZ and SOG are drawn as they are read, with what their bits leave. GLB has the Gaussians of PLY.",
 )
 CLIENTS_NOTE = (
+    "The scenes are those of the experiment `quality` with lambda_r 0.004 and seed 0.",
     f"difference: the largest one of any number that splat-transform {VERSION} reads from the file, to that which the",
     "file is said to hold, in units of the number where that is above 1. picture: the PSNR of a viewer's picture to",
     f"ours of the same Gaussians, over {PICTURES} cameras. The viewer of .ply, .spz and .sog is {SPARK}",
