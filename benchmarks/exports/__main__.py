@@ -134,6 +134,7 @@ def _clients(sources: list[Source], found: dict[str, dict[int, Record]]) -> list
 
 
 NOTE = (
+    "The scenes are those of the experiment `quality` with lambda_r 0.004 and seed 0.",
     "One thread. PSNR to the scene: that of the drawn splat against the drawn scene, both as floats, from the cameras",
     "of the photographs that were held out. PSNR and SSIM: against these photographs, by scikit-image, of eight bits.",
     "SPZ and SOG are drawn as they are read, with what their bits leave. GLB has the Gaussians of PLY.",
@@ -143,7 +144,8 @@ CLIENTS_NOTE = (
     "file is said to hold, in units of the number where that is above 1. picture: the PSNR of a viewer's picture to",
     f"ours of the same Gaussians, over {PICTURES} cameras. The viewer of .ply, .spz and .sog is {SPARK}",
     f"in {THREE}, that of .glb is {THREE}'s own, which keeps colours and harmonics in eight bits, and ends a",
-    "Gaussian at two deviations. Both blend in eight bits, in Chromium, by software.",
+    "Gaussian at two deviations. Both blend in eight bits, in Chromium, by software. Both leave out a Gaussian whose",
+    "middle is far outside the image; brighton_aerial has large ones there.",
     f"messages: of {VALIDATOR}, but for those that say that it does not know the extension and its names.",
 )
 

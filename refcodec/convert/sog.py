@@ -6,6 +6,7 @@ The images and meta.json, which names them, are in a zip archive, or in a folder
 from __future__ import annotations
 
 import io
+import warnings
 import zipfile
 from collections.abc import Callable
 from functools import partial
@@ -14,7 +15,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from PIL import Image
+from PIL import Image, UnidentifiedImageError
 
 from ..export.harmonics import REST
 from ..export.sog import META, PALETTE_MOST, ROW
@@ -108,7 +109,11 @@ class _Scene:
         shown = printable(files[number], 60)
         data = self._read(files[number], ENTRY_MAX)
         try:
-            with Image.open(io.BytesIO(data), formats=["WEBP", "PNG"]) as image:
+            with warnings.catch_warnings():
+                # Pillow warns of many pixels. Here they are counted.
+                warnings.simplefilter("ignore", Image.DecompressionBombWarning)
+                image = Image.open(io.BytesIO(data), formats=["WEBP", "PNG"])
+            with image:
                 width, height = image.size
                 if not least <= width * height <= 2 * least + SPARE:
                     problem = f"its image {shown} has {width} x {height} pixels for {least}"
@@ -116,6 +121,8 @@ class _Scene:
                 return np.asarray(image.convert("RGBA"))
         except SceneFolderError:
             raise
+        except UnidentifiedImageError:
+            raise SceneFolderError(self.file, f"its image {shown} is neither WebP nor PNG", ADVICE) from None
         # Pillow answers bad bytes with many types.
         except Exception as error:
             problem = f"its image {shown} cannot be read ({printable(str(error), 80)})"

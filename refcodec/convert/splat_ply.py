@@ -94,8 +94,11 @@ def _packed(file: Path, elements: dict[str, Any]) -> Arrays:
     chunk = np.arange(count) // CHUNK
 
     def between(names: str, axes: str, share: NDArray[np.float64]) -> NDArray[np.float64]:
-        low, high = (_array(file, chunks, tuple(f"{end}_{names}{axis}" for axis in axes)) for end in ("min", "max"))
-        return low[chunk] + share * (high - low)[chunk].astype(np.float64)
+        low, high = (
+            _array(file, chunks, tuple(f"{end}_{names}{axis}" for axis in axes)).astype(np.float64)
+            for end in ("min", "max")
+        )
+        return low[chunk] + share * (high - low)[chunk]
 
     mean = between("", "xyz", _bits(words["packed_position"], 11, 10, 11))
     scale = between("scale_", "xyz", _bits(words["packed_scale"], 11, 10, 11))
@@ -112,7 +115,9 @@ def _packed(file: Path, elements: dict[str, Any]) -> Arrays:
         "scale": scale,
         "quaternion": quaternion,
     }
-    return {name: values.astype(np.float32) for name, values in found.items()} | {"opacity": logits(colour[:, 3])}
+    with np.errstate(over="ignore"):
+        narrow = {name: values.astype(np.float32) for name, values in found.items()}
+    return narrow | {"opacity": logits(colour[:, 3])}
 
 
 def _bits(words: NDArray[np.int64], *widths: int) -> NDArray[np.float64]:

@@ -208,6 +208,19 @@ def test_compressed_ply_without_its_parts(tmp_path: Path) -> None:
         refused(file, said)
 
 
+@pytest.mark.filterwarnings("error")
+@pytest.mark.parametrize(
+    ("low", "high", "said"), [(np.nan, 1, "NaN"), (-3e38, 3e38, "beyond 1e+09"), (3e38, 3e38, "beyond")]
+)
+def test_ranges_of_chunks(low: float, high: float, said: str, tmp_path: Path) -> None:
+    """Ranges of any numbers are refused in a line, without a warning."""
+    file = tmp_path / "a.ply"
+    write_packed(made(600, 1), file)
+    head, body = file.read_bytes().split(b"end_header\n", 1)
+    file.write_bytes(head + b"end_header\n" + struct.pack("<6f", *[low] * 3, *[high] * 3) + body[24:])
+    refused(file, "a mean is", said)
+
+
 def spz(version: int = 2, count: int = 10, degree: int = 0, fraction: int = 12, more: bytes = b"") -> bytes:
     return struct.pack("<4sIIBBBB", b"NGSP", version, count, degree, fraction, 0, 0) + more
 
@@ -299,6 +312,8 @@ def test_images_of_sog_are_bounded(tmp_path: Path) -> None:
     from writers import rgba, webp  # noqa: PLC0415
 
     entries = sog_entries(made())
+    write_sog(entries | {"scales.webp": b"GIF89a" + bytes(99)}, tmp_path / "f.sog")
+    refused(tmp_path / "f.sog", "scales.webp is neither WebP nor PNG")
     large = webp(rgba(np.zeros((4000 * 4000, 3), np.uint8)), 4000)
     write_sog(entries | {"scales.webp": large}, tmp_path / "a.sog")
     refused(tmp_path / "a.sog", "4000 x 4000 pixels for 300")

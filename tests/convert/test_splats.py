@@ -85,6 +85,17 @@ def test_a_file_of_splats_becomes_a_file(tmp_path: Path, capsys: Captured) -> No
 
 
 @pytest.mark.slow
+def test_gaussians_in_one_place(tmp_path: Path, capsys: Captured) -> None:
+    """They become one anchor, which has no spread of features."""
+    splats = made(50, 0)
+    splats["mean"][:] = 3
+    write_plain(splats, tmp_path / "a.ply")
+    words = ["--views", "4", "--size", "24", "--steps", "3"]
+    assert main(["convert", str(tmp_path / "a.ply"), "-o", str(tmp_path / "scene"), *words]) == 0
+    assert "Warning" not in capsys.readouterr().err
+
+
+@pytest.mark.slow
 def test_a_training_goes_on_with_its_pictures(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: Captured
 ) -> None:

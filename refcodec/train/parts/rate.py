@@ -101,7 +101,9 @@ class Rate(Part):
         """An entropy model for the anchors as they are. plane_size: B. width: of the hidden layers of F_h and CARM."""
         scaffold, learning = self.scaffold, self.settings.learning
         symbols = torch.cat([scaffold.tables[kind] / base_step[i] for i, kind in enumerate(KINDS)], dim=1).double()
-        mean, deviation = symbols.mean(dim=0).cpu().numpy(), symbols.std(dim=0).cpu().numpy()
+        # One anchor has no deviation.
+        spread = symbols.std(dim=0) if len(symbols) > 1 else torch.ones_like(symbols[0])
+        mean, deviation = symbols.mean(dim=0).cpu().numpy(), spread.cpu().numpy()
         entropy = self.settings.entropy
         model = self.model_type(
             self.hyperprior, plane_size, width, mean, deviation, self.random, entropy, columns=scaffold.columns
