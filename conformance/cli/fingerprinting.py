@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import os
+import re
 import time
 from pathlib import Path
 from typing import Any
@@ -15,7 +16,7 @@ from refcodec.files.outputs import Kind, check_apart, check_file
 from .shared import add_vectors, positive, suite
 
 TABLE = Kind.signed("a table of this command", b"\xfd7zXZ\x00")
-JOURNAL = Kind.signed("a journal of this command", b'{"bug":')
+JOURNAL = Kind("a journal of this command", re.compile(rb'\{"(bug|vector)":'))
 
 
 def _make(arguments: argparse.Namespace) -> int:

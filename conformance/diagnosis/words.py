@@ -15,6 +15,11 @@ from .seen import of_entry
 from .spectrum import Suspect
 from .table import Table, read, vector_key
 
+# A requirement is told if Ochiai's coefficient is so much higher than that of the next one.
+SEPARATES = 0.05
+# Of fewer vectors the diagnosis says that they are few.
+ENOUGH = 300
+
 
 @cache
 def _clauses() -> dict[str, specification.Clause]:
@@ -79,9 +84,12 @@ def sentences(d: Diagnosis) -> list[str]:
         for clause in d.clauses:
             like = f": as if {clause.bug.bug.what}; {_like(clause.bug, d)}" if clause.bug and clause.bug.failing else ""
             lines.append(f"  {_title(clause.number)}{like}")
-    for s in d.suspects[:1]:
+    ahead = d.suspects[0].score - d.suspects[1].score if len(d.suspects) > 1 else 1.0
+    for s in d.suspects[:1] if ahead >= SEPARATES else ():
         sense = "were made for it" if s.made else "run code for it"
         lines.append(f"  {s.requirement} separates best: {s.failing} failing vectors {sense}, {s.passing} passing ones")
+    if d.failing + d.passing < ENOUGH:
+        lines.append(f"  only {d.failing + d.passing} vectors could be compared: run the whole suite for more")
     return lines
 
 
