@@ -56,7 +56,7 @@ def _judge(arguments: argparse.Namespace) -> int:
     manifest, found = suite(arguments.vectors), tables.read(arguments.output)
     for line in calibration.cost(arguments.output or tables.path(), manifest):
         print(line)
-    for line in calibration.alone(found, manifest):
+    for line in calibration.alone(found, manifest, arguments.sample, arguments.seed):
         print(line)
     if arguments.pairs:
         made = fingerprints.pairs(manifest, found, arguments.jobs, arguments.pairs, arguments.seed)
@@ -95,5 +95,6 @@ def add(commands: Any) -> None:
     check.add_argument("--sample", type=positive, default=400, metavar="N", help="cells (default: %(default)s)")
     check.add_argument("--seed", type=int, default=0, help="of the sample (default: %(default)s)")
     judge = action("judge", "diagnose each planted bug without it and its siblings, and count what is right", _judge)
+    judge.add_argument("--sample", type=int, default=0, metavar="N", help="so many bugs (default: all)")
     judge.add_argument("--pairs", type=int, default=0, metavar="N", help="so many pairs of bugs too (default: none)")
-    judge.add_argument("--seed", type=int, default=0, help="of the pairs (default: %(default)s)")
+    judge.add_argument("--seed", type=int, default=0, help="of the samples (default: %(default)s)")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import random
 import statistics
 import time
 from collections import Counter
@@ -71,12 +72,14 @@ def cost(place: Path, manifest: Manifest) -> Iterator[str]:
     )
 
 
-def alone(table: Table, manifest: Manifest) -> Iterator[str]:
-    """Lines on the bugs of a table, each held out with the bugs of its line."""
+def alone(table: Table, manifest: Manifest, count: int, seed: int) -> Iterator[str]:
+    """Lines on bugs of a table, each held out with the bugs of its line. count: of a sample, 0 for all of them."""
     purposes = _purposes(manifest)
     shown = [b for b in range(len(table.bugs)) if (table.cells[:, b] >= 0).any()]
     yield f"{len(table.bugs)} planted bugs, {len(table.vectors)} vectors; {len(shown)} bugs change something on one"
     yield f"a clause is clear from a score of {HIGH}, {AHEAD} ahead; bugs are several from {TOGETHER} more together"
+    if 0 < count < len(shown):
+        shown = sorted(random.Random(seed).sample(shown, count))
     told = {b: _outcome(held_out(table, purposes, b), set(table.bugs[b].clauses)) for b in shown}
     yield _figures(list(told.values()), "bugs, each without it and its siblings of one line")
     chapters = Counter(table.bugs[b].clause.split(".")[0] for b in shown)
