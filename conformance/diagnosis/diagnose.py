@@ -16,13 +16,13 @@ from .table import Bug
 
 # A clause is named if its score is so high, and so far ahead of the next clause's. `conformance fingerprints judge`
 # says what that makes of the planted bugs.
-HIGH, AHEAD = 0.3, 0.25
+HIGH, AHEAD = 0.5, 0.3
 # What a clause has of a bug that breaks it beside another one, of which it is the first.
 BESIDE = 0.7
 # What a requirement that separates well adds to its clause's score.
 SPECTRUM = 0.25
 # Two bugs are named for one if together they are so much more like what was seen.
-TOGETHER = 0.15
+TOGETHER = 0.3
 # Failures are alike if verdict and code are, or verdict and parts.
 ALIKE = 3
 # So many clauses, requirements and bugs at once are told, and so many bugs are tried together.
