@@ -35,6 +35,7 @@ ROOMS = (
     "conformance",
     "conformance.cases",
     "conformance.runner",
+    "conformance.diagnosis",
     "conformance.report",
     "conformance.fuzz",
     "conformance.mutants",

@@ -25,7 +25,7 @@ class _Package(MetaPathFinder, Loader):
     """Finds and loads the modules below NAME."""
 
     def __init__(self, mutant: Mutant | None) -> None:
-        self._mutant = mutant
+        self._changed = {m.module: m for m in (mutant, *mutant.also)} if mutant else {}
 
     def find_spec(
         self, fullname: str, path: Sequence[str] | None, target: ModuleType | None = None
@@ -40,12 +40,8 @@ class _Package(MetaPathFinder, Loader):
 
     def exec_module(self, module: ModuleType) -> None:
         name = module.__name__.partition(".")[2] or "__init__"
-        changed = self._mutant is not None and self._mutant.module == name
-        code = (
-            compile(self._mutant.source, f"<{self._mutant.id}>", "exec", dont_inherit=True)
-            if changed and self._mutant
-            else _code(name)
-        )
+        wrong = self._changed.get(name)
+        code = compile(wrong.source, f"<{wrong.id}>", "exec", dont_inherit=True) if wrong else _code(name)
         exec(code, module.__dict__)
 
 

@@ -18,7 +18,8 @@ class Mutant:
     """One wrong decoder: the second decoder with one module's text changed.
 
     id is permanent as long as the changed code is; line is where the change begins; old and new are the text there;
-    requirements are those of SPEC.md that it breaks, as far as anybody chose them.
+    requirements are those of SPEC.md that it breaks, as far as anybody chose them. also: bugs of other modules that the
+    same decoder has.
     """
 
     id: str
@@ -29,6 +30,7 @@ class Mutant:
     what: str
     source: str
     requirements: tuple[str, ...] = ()
+    also: tuple[Mutant, ...] = ()
 
 
 @cache

@@ -53,6 +53,8 @@ class Outcome:
 
 HANG = Outcome("hang")
 Grade = Callable[[Case, Outcome], str | None]
+# Makes a decoder of a bug, or of none.
+Make = Callable[[Mutant | None], Callable[[Case], Outcome]]
 
 
 def grade(case: Case, outcome: Outcome) -> str | None:
@@ -78,23 +80,29 @@ def decode(package: ModuleType, data: bytes) -> Outcome:
         return Outcome("rejected", code=int(error.code), offset=int(error.offset))
 
 
-def _child(write: int, mutant: Mutant | None, cases: Sequence[Case], stop: Grade | None) -> None:
+def loaded(mutant: Mutant | None) -> Callable[[Case], Outcome]:
+    """The wrong decoder as a package of its own."""
+    package = loading.load(mutant)
+    return lambda case: decode(package, case.data)
+
+
+def _child(write: int, mutant: Mutant | None, cases: Sequence[Case], stop: Grade | None, make: Make) -> None:
     """Writes a line of JSON for each case. The timer counts processor time, and ends a call of C too."""
     signal.signal(signal.SIGPROF, signal.SIG_DFL)
     with os.fdopen(write, "w", encoding="utf-8") as out:
-        package, broken = None, Outcome("crash")
+        decoder, broken = None, Outcome("crash")
         signal.setitimer(signal.ITIMER_PROF, cases[0].seconds)
         try:
-            package = loading.load(mutant)
+            decoder = make(mutant)
         except (Exception, SystemExit) as error:
             broken = Outcome("crash", text=type(error).__name__)
         for case in cases:
             outcome = broken
             signal.setitimer(signal.ITIMER_PROF, case.seconds)
             resource.setrlimit(resource.RLIMIT_AS, (case.bytes + INTERPRETER_BYTES, resource.RLIM_INFINITY))
-            if package is not None:
+            if decoder is not None:
                 try:
-                    outcome = decode(package, case.data)
+                    outcome = decoder(case)
                 except (Exception, SystemExit) as error:  # whatever it is, it is the decoder's fault
                     outcome = Outcome("crash", text=type(error).__name__)
             print(json.dumps(vars(outcome)), file=out, flush=True)
@@ -102,14 +110,14 @@ def _child(write: int, mutant: Mutant | None, cases: Sequence[Case], stop: Grade
                 return
 
 
-def _fork(mutant: Mutant | None, cases: Sequence[Case], stop: Grade | None) -> list[Outcome]:
+def _fork(mutant: Mutant | None, cases: Sequence[Case], stop: Grade | None, make: Make) -> list[Outcome]:
     """The outcomes up to the case that ends the child, if one does."""
     read, write = os.pipe()
     pid = os.fork()
     if not pid:
         try:
             os.close(read)
-            _child(write, mutant, cases, stop)
+            _child(write, mutant, cases, stop, make)
         finally:
             # Nothing of the parent is run, whatever has been raised.
             os._exit(0)
@@ -123,14 +131,16 @@ def _fork(mutant: Mutant | None, cases: Sequence[Case], stop: Grade | None) -> l
     return [*found, HANG if hang else Outcome("crash", text=f"status {status}")]
 
 
-def outcomes(mutant: Mutant | None, cases: Sequence[Case], stop: Grade | None = None) -> list[Outcome]:
+def outcomes(
+    mutant: Mutant | None, cases: Sequence[Case], stop: Grade | None = None, make: Make = loaded
+) -> list[Outcome]:
     """The outcome of each case, in order; with `stop` only up to the first that it finds wrong.
 
-    To be called in a process of one thread, which is forked.
+    make: makes the decoder. To be called in a process of one thread, which is forked.
     """
     found: list[Outcome] = []
     while len(found) < len(cases) and not (found and stop and stop(cases[len(found) - 1], found[-1])):
-        found += _fork(mutant, cases[len(found) :], stop)
+        found += _fork(mutant, cases[len(found) :], stop, make)
     return found
 
 

@@ -20,6 +20,8 @@ def _template() -> jinja2.Template:
     environment = jinja2.Environment(
         autoescape=True, undefined=jinja2.StrictUndefined, trim_blocks=True, lstrip_blocks=True
     )
+    # Only the first letter: a sentence may begin with a name.
+    environment.filters["capitalised"] = lambda text: text[:1].upper() + text[1:]
     return environment.from_string(_TEMPLATE.read_text(encoding="utf-8"))
 
 

@@ -20,13 +20,14 @@ from refcodec import __version__
 from refcodec.files.documents import DocumentError, read_json
 from refcodec.files.text import printable
 
+from ..diagnosis import words
 from ..manifest import MANIFEST, Accepted, Manifest, Rejected, Vector
-from ..runner.grading import GRADE_EXACT
+from ..runner.grading import GRADE_EXACT, Found, differing
 from ..runner.run import Options, Result, Run
 
 SCHEMA = Path(__file__).with_name("report.schema.json")
 STATUSES = ("failed", "crashed", "unexpected", "known", "passed", "skipped")
-REPORT_VERSION = 1
+REPORT_VERSION = 2
 # The version of a decoder that says nothing of itself.
 NOT_STATED = "not stated"
 # The longest texts of a decoder's description, and of what is wrong with a document, in characters.
@@ -106,6 +107,13 @@ def _expected(vector: Vector) -> dict[str, Any]:
     )
 
 
+def _found(vector: Vector, found: Found) -> dict[str, Any]:
+    """What a decoder said. Of a wrong output the parts are told that differ, not the digests of all."""
+    said = {name: value for name, value in asdict(found).items() if name != "parts"}
+    e = vector.expectation
+    return said | {"differing": differing(e, found) if isinstance(e, Accepted) and found.result == "accepted" else []}
+
+
 def _entry(result: Result) -> dict[str, Any]:
     v = result.vector
     return {
@@ -124,7 +132,7 @@ def _entry(result: Result) -> dict[str, Any]:
         "clauses": _clauses(v),
         "input": v.input.path,
         "expected": _expected(v),
-        "found": asdict(result.found) if result.found else None,
+        "found": _found(v, result.found) if result.found else None,
         "divergence": list(result.divergence),
         "hex": list(result.hex),
         "stderr": result.stderr,
@@ -162,6 +170,7 @@ def build(manifest: Manifest, options: Options, about: About, run: Run) -> dict[
         },
     }
     record |= conclusions(record["suite"]["vectors"], entries, manifest)  # type: ignore[index]
+    record["diagnosis"] = words.of_record(manifest, entries, options.grade)
     # Names, commands and descriptions are from outside, and every report and the terminal show them.
     shown: dict[str, Any] = _printable(record | {"vectors": entries})
     return shown

@@ -60,6 +60,9 @@ def lines(record: dict[str, Any], suite: Path) -> Iterator[str]:
         yield f"... and {len(bad) - _SHOWN} more, which --report shows"
     if bad:
         yield ""
+    if record["diagnosis"]:
+        yield from record["diagnosis"]["text"]
+        yield ""
     decoder, runner, verdict = record["decoder"]["description"], record["runner"], record["verdict"]
     counts = ", ".join(f"{verdict['counts'][s]} {_WORDS.get(s, s)}" for s in STATUSES if verdict["counts"][s])
     name = decoder["name"] if decoder["version"] == NOT_STATED else f"{decoder['name']} {decoder['version']}"

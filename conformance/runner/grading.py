@@ -61,7 +61,7 @@ class Found:
     """What a decoder said.
 
     result: "accepted", "rejected" or "crashed". status, signal: how the process ended. code, offset: of a rejection;
-    the offset is None if none was said. digest: of the accepted output (output_digest). text: why it is a crash.
+    the offset is None if none was said. digest, parts: of the accepted output (read_output). text: why it is a crash.
     """
 
     result: str
@@ -71,6 +71,7 @@ class Found:
     offset: int | None = None
     digest: str | None = None
     text: str = ""
+    parts: dict[str, str] | None = None
 
 
 @dataclass(frozen=True)
@@ -108,20 +109,30 @@ def _refusal(line: str) -> tuple[int, int | None] | str:
     return said["code"], offset if type(offset) is int else None
 
 
-def output_digest(file: BinaryIO) -> str:
-    """SPEC 9.3: returns the digest of the scene that an output holds.
+@dataclass(frozen=True)
+class Output:
+    """What an output holds. digest: of the scene. parts: the digests that the parts have, by name, the head too."""
+
+    digest: str
+    parts: dict[str, str]
+
+
+def read_output(file: BinaryIO) -> Output:
+    """SPEC 9.3: returns the digest of the scene that an output holds, and those of its parts.
 
     The output is what the digest is of, which lists the digests of the parts, and then the parts. If the parts have
-    other digests, or are not there, the result is the SHA-256 of a zero and the output, which is no scene's digest.
+    other digests, or are not there, the digest is the SHA-256 of a zero and the output, which is no scene's digest.
     """
     listed = file.read(DIGESTED_BYTES)
+    head = listed[: DIGESTED_BYTES - 32 * len(PARTS)]
     whole = hashlib.sha256(b"\0" + listed)
+    parts = {"head": hashlib.sha256(head).hexdigest()}
     if len(listed) < DIGESTED_BYTES:
-        return whole.hexdigest()
+        return Output(whole.hexdigest(), parts)
     n, k, f, ch, b = struct.unpack_from("<5I", listed, len(DIGEST_MAGIC))
     sizes = [12 * n, n * k, 2 * 5 * ch * b * b, 4 * n * f, 24 * n, 12 * n * k]
-    found = listed[: -32 * len(PARTS)]
-    for number in range(len(PARTS)):
+    found = head
+    for number, name in enumerate(PARTS):
         # The weights are the last part. They take what is left.
         left = sizes[number] if number < len(sizes) else None
         digest = hashlib.sha256()
@@ -130,7 +141,16 @@ def output_digest(file: BinaryIO) -> str:
             whole.update(block)
             left = None if left is None else left - len(block)
         found += digest.digest()
-    return hashlib.sha256(listed).hexdigest() if found == listed else whole.hexdigest()
+        parts[name] = digest.hexdigest()
+    return Output(hashlib.sha256(listed).hexdigest() if found == listed else whole.hexdigest(), parts)
+
+
+def differing(expected: Accepted, found: Found) -> list[str]:
+    """The parts of an accepted output that are wrong, in their order; "digests" if only their list is."""
+    if found.digest == expected.digest:
+        return []
+    parts = found.parts or {}
+    return [name for name, digest in expected.parts.items() if parts.get(name) != digest] or ["digests"]
 
 
 def read(ended: Ended, output: Path) -> Found:
@@ -146,7 +166,8 @@ def read(ended: Ended, output: Path) -> Found:
     if ended.status == statuses.DONE:
         try:
             with open_file(output) as file:
-                return Found("accepted", ended.status, None, digest=output_digest(file))
+                found = read_output(file)
+            return Found("accepted", ended.status, None, digest=found.digest, parts=found.parts)
         except FileNotFoundError:
             return crash("exit status 0 without an output file")
         except FileError as error:

@@ -44,7 +44,7 @@ from conformance.manifest import (
 from conformance.mutants import loading
 from conformance.mutants.mutant import MODULES, PACKAGE
 from conformance.runner.gaussians import difference
-from conformance.runner.grading import output_digest
+from conformance.runner.grading import read_output
 from refcodec.bitstream import codec
 from refcodec.bitstream.entropy import select
 from refcodec.bitstream.errors import REGISTRY
@@ -409,7 +409,7 @@ def test_gaussians_that_differ() -> None:
 def written_digest(output: Path) -> str:
     """The digest of the output of a decoder."""
     with output.open("rb") as file:
-        return output_digest(file)
+        return read_output(file).digest
 
 
 def test_the_reconstruct_command(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

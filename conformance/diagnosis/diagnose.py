@@ -1,0 +1,177 @@
+"""Which rule a decoder breaks: the planted bugs most like what was seen, or the requirements that separate best."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+from itertools import combinations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .likeness import Compared, Likeness
+from .seen import RIGHT, Seen
+from .spectrum import Suspect, suspects
+from .table import Bug
+
+# A clause is named if its score is so high, and so far ahead of the next clause's. `conformance fingerprints judge`
+# says what that makes of the planted bugs.
+HIGH, AHEAD = 0.5, 0.3
+# What a clause has of a bug that breaks it beside another one, of which it is the first.
+BESIDE = 0.7
+# What a requirement that separates well adds to its clause's score.
+SPECTRUM = 0.25
+# Two bugs are named for one if together they are so much more like what was seen.
+TOGETHER = 0.3
+# Failures are alike if verdict and code are, or verdict and parts.
+ALIKE = 3
+# So many clauses, requirements and bugs at once are told, and so many bugs are tried together.
+_LIKELY, _SUSPECTS, _MOST, _TRIED = 3, 5, 3, 40
+
+
+@dataclass(frozen=True)
+class Likely:
+    """A planted bug that is like what was seen.
+
+    likeness: 0 to 1. failing: of the vectors that the decoder fails, how many this bug fails with the same verdict and
+    code, or the same parts. passing: of those that it passes, how many this bug passes.
+    """
+
+    bug: Bug
+    likeness: float
+    failing: int
+    passing: int
+
+
+@dataclass(frozen=True)
+class Clause:
+    """A clause of SPEC.md that may be broken. bug: the planted bug of it that is most alike, None if none is."""
+
+    number: str
+    score: float
+    bug: Likely | None
+
+
+@dataclass(frozen=True)
+class Diagnosis:
+    """What the failures of a run say.
+
+    failing, passing: how many vectors were compared. clear: whether the first clause is clearly ahead. clauses: the
+    best ones, best first. together: several bugs that explain the failures better than one, that which comes first in
+    decoding first; nothing if one does. suspects: requirements, best first.
+    """
+
+    failing: int
+    passing: int
+    clear: bool
+    clauses: tuple[Clause, ...]
+    together: tuple[Likely, ...]
+    suspects: tuple[Suspect, ...]
+
+
+def _first(ranked: Iterable[Suspect]) -> list[Suspect]:
+    """Each requirement once, in the sense in which it separates better."""
+    best: dict[str, Suspect] = {}
+    for suspect in ranked:
+        best.setdefault(suspect.requirement, suspect)
+    return list(best.values())
+
+
+class Diagnostician:
+    """Reads failures by a table."""
+
+    def __init__(self, likeness: Likeness, purposes: Mapping[str, Iterable[str]]) -> None:
+        """purposes: for each vector the requirements that it was made for."""
+        self._likeness = likeness
+        self._purposes = purposes
+        self._bugs = [likeness.table.bugs[b] for b in likeness.columns]
+
+    def diagnose(self, seen: Mapping[str, Seen]) -> Diagnosis | None:
+        """Reads what was seen, right or not, on vectors of the table and others; None if none of the table failed."""
+        found = self._likeness.compare(seen)
+        count = int(found.failing.sum())
+        if not count:
+            return None
+        table = self._likeness.table
+        failing = {name: what != RIGHT for name, what in seen.items()}
+        ranked = suspects(table, self._purposes, failing)
+        clauses = self.clauses(found, ranked)
+        cover = self._cover(found)
+        together = [self._likely(found, b) for b in cover] if len(cover) > 1 else []
+        if together:
+            # What the pair explains leads; the rest follows.
+            named = list(dict.fromkeys(one.bug.clause for one in together))
+            clauses = sorted(clauses, key=lambda c: named.index(c.number) if c.number in named else len(named))
+        first, second = clauses[0].score, clauses[1].score if len(clauses) > 1 else 0.0
+        return Diagnosis(
+            count,
+            int(found.run.sum()) - count,
+            bool(first >= HIGH and first - second >= AHEAD) or bool(together),
+            tuple(clauses[:_LIKELY]),
+            tuple(sorted(together, key=lambda one: one.bug.stage)),
+            tuple(_first(ranked)[:_SUSPECTS]),
+        )
+
+    def clauses(self, found: Compared, ranked: Iterable[Suspect]) -> list[Clause]:
+        """The clauses by score: the likeness of their most alike bug, and how well their requirements separate."""
+        best: dict[str, tuple[float, int]] = {}
+        for b in np.argsort(-found.likeness, kind="stable"):
+            for share, number in zip(
+                (1.0, *[BESIDE] * len(self._bugs[b].clauses)), self._bugs[b].clauses, strict=False
+            ):
+                best[number] = max(best.get(number, (0.0, 0)), (share * float(found.likeness[b]), -int(b)))
+        separates: dict[str, float] = {}
+        for suspect in (s for s in ranked if s.made):
+            separates.setdefault(suspect.clause, suspect.score)
+        made = []
+        for number in {**best, **separates}:
+            like, b = best.get(number, (0.0, 0))
+            score = like + SPECTRUM * separates.get(number, 0.0)
+            made.append(Clause(number, score, self._likely(found, -b) if like else None))
+        return sorted(made, key=lambda c: (-c.score, c.number))
+
+    def _likely(self, found: Compared, b: int) -> Likely:
+        alike = found.level[:, b] >= ALIKE
+        fails = self._likeness.cells[:, b] >= 0
+        passing = ~found.failing & found.run
+        return Likely(
+            self._bugs[b], float(found.likeness[b]), int((alike & found.failing).sum()), int((passing & ~fails).sum())
+        )
+
+    def _cover(self, found: Compared) -> list[int]:
+        """The bugs that explain the failures, one or several.
+
+        Where two bugs fail a vector, the decoder shows one of them. So of several bugs each vector has that which is
+        most alike.
+        """
+        total = found.had.sum()
+
+        def alike(chosen: NDArray[np.intp]) -> float:
+            common, expected = found.common[:, chosen], found.expected[:, chosen]
+            pick = np.argmax(common - 1e-6 * expected, axis=1)[:, None]
+            # Of bugs that explain nothing of a vector the most is held against them.
+            both = np.take_along_axis(common, pick, 1)[:, 0]
+            either = np.where(both > 0, np.take_along_axis(expected, pick, 1)[:, 0], expected.max(1))
+            return float(both.sum() / (total + either.sum() - both.sum()))
+
+        # Those that are like the whole, and those all of which is seen.
+        seen_of = found.common.sum(0) / np.maximum(found.expected.sum(0), 1e-9)
+        some = np.unique(
+            np.concatenate(
+                [np.argsort(-found.likeness)[:_TRIED], np.argsort(-seen_of * (found.common.sum(0) > 0))[:_TRIED]]
+            )
+        )
+        best = [int(np.argmax(found.likeness))]
+        score = alike(np.array(best))
+        pairs = {pair: alike(np.array(pair)) for pair in combinations(some.tolist(), 2)}
+        two = max(pairs, key=lambda pair: pairs[pair], default=None)
+        if two is None or pairs[two] < score + TOGETHER:
+            return best
+        chosen, score = list(two), pairs[two]
+        while len(chosen) < _MOST:
+            more = {b: alike(np.array([*chosen, b])) for b in some.tolist() if b not in chosen}
+            other = max(more, key=lambda b: more[b], default=None)
+            if other is None or more[other] < score + TOGETHER:
+                break
+            chosen, score = [*chosen, other], more[other]
+        return chosen
