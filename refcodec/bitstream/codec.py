@@ -35,6 +35,10 @@ from .scene import Ancillary, Scene, check_shapes
 from .source import Piece, WholeFile, padded
 from .weights import emit_weights, parse_weights
 
+# The most bytes of anchors that a byte of a file gets before any chunk is decoded. A file says how many anchors it has
+# with much fewer bytes, so that a small one would get much memory.
+ROOM_OF_A_BYTE = 64
+
 
 @dataclass(frozen=True, eq=False)
 class Parsed:
@@ -91,6 +95,7 @@ def parse(
         count = reader.header.anchor_count
         bounds.check(reader.header, min(count, GROUP_ANCHORS), count, len(data))
     index = reader.open(progress=progress).index
+    reader.hold_whole(ROOM_OF_A_BYTE * len(data))
     chunks: list[Chunk] = []
     damage: dict[int, BitstreamError] = {}
     progress("chunks", 0, len(index))

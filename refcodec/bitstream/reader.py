@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
+from itertools import accumulate
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,7 +26,7 @@ from .errors import BitstreamError
 from .frame import Frame, parse_frame
 from .header import Header, read_header
 from .index import ChunkEntry, Index, parse_index
-from .kernel import NativeScene, agreed, chunk_bytes, kernel, native_scene
+from .kernel import Anchors, NativeScene, agreed, chunk_bytes, kernel, native_scene
 from .masks import code_masks, mask_models
 from .networks import BoundError, Derive, derive_networks
 from .planes import assemble_planes, no_planes, parse_planes
@@ -103,6 +104,7 @@ class Reader:
             bounds.check(self.header, min(self.header.anchor_count, self.header.chunk_size))
         self.ancillary: list[Ancillary] = []
         self.opened: Opened | None = None
+        self._whole: Anchors | None = None
         self._before = 0
 
     def open(self, *, critical_only: bool = False, progress: Progress = no_progress) -> Opened:
@@ -173,6 +175,17 @@ class Reader:
         else:
             pass_section(self.source, section)
 
+    def hold_whole(self, most: int) -> None:
+        """Makes room for the anchors of all chunks, if it takes no more than `most` bytes.
+
+        They are then decoded to where `scene` has them. Otherwise it joins them. NumPy joins them in any case. Call it
+        after `open`, and keep no chunk that is decoded twice.
+        """
+        assert self.opened is not None
+        native, count = self.opened.native, self.header.anchor_count
+        if native is not None and count * native.anchor_bytes() <= most:
+            self._whole = native.room(count)
+
     def chunks(self, *, side_by_side: bool = False) -> Iterator[Chunk | BitstreamError]:
         """SPEC 10.1, step 5: yields each chunk in order, or its first error.
 
@@ -223,12 +236,14 @@ class Reader:
         opened = self.opened
         assert opened is not None
         assert opened.native is not None
-        a, statuses = opened.native.decode_chunks([chunk_bytes(chunk) for chunk in chunks])
+        a, rows = self._whole, [chunk.entry.anchors.start for chunk in chunks]
+        if a is None:
+            *rows, count = accumulate((len(chunk.entry.anchors) for chunk in chunks), initial=0)
+            a = opened.native.room(count)
+        statuses = opened.native.decode_chunks([chunk_bytes(chunk) for chunk in chunks], a, rows)
         found: dict[int, Chunk | BitstreamError] = {}
-        end = 0
-        for chunk, status in zip(chunks, statuses, strict=True):
-            own = slice(end, end + len(chunk.entry.anchors))
-            end = own.stop
+        for chunk, first, status in zip(chunks, rows, statuses, strict=True):
+            own = slice(first, first + len(chunk.entry.anchors))
             number = chunk.entry.number
             if status:
                 again = self._decode_alone([chunk])[number]
@@ -325,7 +340,7 @@ class Reader:
         h, o = self.header, self.opened
         assert o is not None
         d = h.dimensions
-        every = [zero_attributes(d, 0), *(chunk.attributes for chunk in chunks)]
+        positions, masks, attributes = self._anchors(chunks)
         return Scene(
             h.profile,
             d,
@@ -340,9 +355,9 @@ class Reader:
             o.weights.networks,
             o.planes,
             o.index.mask_model,
-            np.concatenate([np.zeros((0, 3), np.float16), *(chunk.positions for chunk in chunks)]),
-            np.concatenate([np.zeros((0, d.offset_count), bool), *(chunk.masks for chunk in chunks)]),
-            Attributes(*(np.concatenate([getattr(part, name) for part in every]) for name in vars(every[0]))),
+            positions,
+            masks,
+            attributes,
             tuple(self.ancillary),
             o.index.position_model,
             o.weights.scales,
@@ -351,6 +366,19 @@ class Reader:
             o.weights.forms,
             h.minor,
             h.later,
+        )
+
+    def _anchors(self, chunks: list[Chunk]) -> tuple[NDArray[np.float16], NDArray[np.bool_], Attributes]:
+        """Returns the positions, masks and attributes of some chunks together."""
+        a, d = self._whole, self.header.dimensions
+        assert self.opened is not None
+        if a is not None and [chunk.entry.number for chunk in chunks] == list(range(len(self.opened.index))):
+            return a.positions, a.masks, Attributes(a.features, a.scalings, a.offsets, a.steps)
+        every = [zero_attributes(d, 0), *(chunk.attributes for chunk in chunks)]
+        return (
+            np.concatenate([np.zeros((0, 3), np.float16), *(chunk.positions for chunk in chunks)]),
+            np.concatenate([np.zeros((0, d.offset_count), bool), *(chunk.masks for chunk in chunks)]),
+            Attributes(*(np.concatenate([getattr(part, name) for part in every]) for name in vars(every[0]))),
         )
 
 

@@ -12,11 +12,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .attributes import KINDS
+from .batches import GROUP_ANCHORS
 from .conventions import F32, f32_parts, round_to_f32
 from .kernel import Kernel, kernel, values
 from .positions import position_integers
 from .scene import Scene
-from .tables import STEP_SHIFT, tables
+from .tables import STEP_SHIFT, step_table
 
 # SPEC 9.3: the first bytes of what the digests of a scene and of a chunk are of, and the parts of the reconstruction.
 DIGEST_MAGIC = b"C3GSREC1"
@@ -42,9 +43,14 @@ class Reconstruction:
 
 def world_positions(scene: Scene) -> F32:
     """SPEC 9.1, WORLD: returns the world positions of the anchors, float32 [N, 3]."""
-    grid = scene.grid
-    integers = np.array(grid.origin, dtype=np.int64) + grid.scale_mantissa * position_integers(scene.positions)
-    return round_to_f32(integers, grid.scale_exponent - 24)
+    grid, origin = scene.grid, np.array(scene.grid.origin, dtype=np.int64)
+    found = np.empty(scene.positions.shape, np.float32)
+    # Integers of few anchors at once take no new memory.
+    for first in range(0, len(found), GROUP_ANCHORS):
+        rows = slice(first, first + GROUP_ANCHORS)
+        integers = origin + grid.scale_mantissa * position_integers(scene.positions[rows])
+        found[rows] = round_to_f32(integers, grid.scale_exponent - 24)
+    return found
 
 
 def step_values(base_step: float) -> F32:
@@ -53,7 +59,7 @@ def step_values(base_step: float) -> F32:
     base_step: a float32 value.
     """
     mantissa, exponent = f32_parts(base_step)
-    return round_to_f32(tables().step * mantissa, exponent - STEP_SHIFT)
+    return round_to_f32(step_table() * mantissa, exponent - STEP_SHIFT)
 
 
 def dequantise(

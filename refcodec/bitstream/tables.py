@@ -10,8 +10,7 @@ import hashlib
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cache
-from importlib import resources
-from importlib.resources.abc import Traversable
+from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
@@ -95,9 +94,9 @@ class Tables:
     laplace: ModelSet
 
 
-def tables_file() -> Traversable:
+def tables_file() -> Path:
     """SPEC A: returns the place of the shipped file."""
-    return resources.files("refcodec").joinpath("data", TABLES_FILE)
+    return Path(__file__).parents[1] / "data" / TABLES_FILE
 
 
 @cache
@@ -112,11 +111,16 @@ def tables_bytes() -> bytes:
 
 
 @cache
+def step_table() -> NDArray[np.int64]:
+    """SPEC A.2: returns the step table, int64 [64]. Decoding with the native kernel needs no other one of `tables`."""
+    return np.frombuffer(tables_bytes(), "<u2", STEP_LENGTH, offset=2 * SINE_LENGTH).astype(np.int64)
+
+
+@cache
 def tables() -> Tables:
     """Returns the tables of the shipped file (SPEC A). Raises RuntimeError as tables_bytes does."""
     data = tables_bytes()
     sine = np.frombuffer(data, "<i2", SINE_LENGTH).astype(np.int64)
-    step = np.frombuffer(data, "<u2", STEP_LENGTH, offset=2 * SINE_LENGTH).astype(np.int64)
     at = 2 * SINE_LENGTH + 2 * STEP_LENGTH
     families = []
     for family in ("gauss", "laplace"):
@@ -127,4 +131,4 @@ def tables() -> Tables:
             radius.append(r)
             at += 1 + 2 * (2 * r + 2)
         families.append(build_models(family, frequencies, radius))
-    return Tables(sine, step, *families)
+    return Tables(sine, step_table(), *families)

@@ -6,7 +6,6 @@ import contextlib
 import errno
 import io
 import os
-import secrets
 import stat
 from collections.abc import Iterator
 from pathlib import Path
@@ -149,7 +148,7 @@ class Stage:
             return stream
         place = Path(os.path.realpath(path))
         make_folder(place.parent, self._made)
-        beside = place.parent / f"{BESIDE}{secrets.token_hex(8)}"
+        beside = place.parent / f"{BESIDE}{os.urandom(8).hex()}"
         self._begun.append(beside)
         file = _opened(beside, os.O_CREAT | os.O_EXCL)
         self._parts.append((file, beside, place))

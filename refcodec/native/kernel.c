@@ -26,6 +26,14 @@
 #endif
 
 #define INLINE static inline __attribute__((always_inline))
+/* A loop that has the registers for itself. */
+#define ALONE static __attribute__((noinline))
+/* A loop of few rounds, whose number the compiler knows, without the loop. So arrays of vectors stay in registers. */
+#if defined(__clang__)
+#define UNROLL _Pragma("unroll")
+#else
+#define UNROLL _Pragma("GCC unroll 8")
+#endif
 
 /* The names are those of SPEC.md. */
 enum {
@@ -56,6 +64,9 @@ enum {
     SINE_LENGTH = 1024,
     STEP_LENGTH = 64,
     UNIT = 1 << 16,
+    MATRIX_BOUND = 1 << 20,
+    FRAME_SHIFT_MAX = 60,
+    FRAME_RANGE_BOUND = 1 << 18,
     FRAME_CLAMP = (1 << 30) - 1,
     ATTRIBUTE_SYMBOL_MAX = (1 << 23) - 1,
     PLANE_SYMBOL_MAX = (1 << 15) - 1,
@@ -67,6 +78,8 @@ enum {
     SUBSTREAM_HEAD = 8,
     RAW_POSITION = 6,
 };
+
+static const int64_t TRANSLATION_BOUND = INT64_C(1) << 61;
 
 /* The error codes of SPEC 10.3 that a chunk or a substream can have. */
 enum {
@@ -90,7 +103,7 @@ enum {
 /* Rows of anchors that go through the networks together, so that their numbers stay in the first-level cache. */
 enum { BLOCK = 64 };
 /* Outputs of a layer are padded to a multiple of this, and rows to a multiple of the next. */
-enum { OUTPUTS = 16, ROWS = 4 };
+enum { OUTPUTS = 16, ROWS = 8 };
 
 static int64_t round_up(int64_t a, int64_t unit) { return (a + unit - 1) / unit * unit; }
 
@@ -194,50 +207,54 @@ static uint32_t crc_bytes(const uint32_t table[8][256], uint32_t c, const uint8_
 
 /* ------------------------------------------------------------------------------------------------------- models -- */
 
-/* SPEC 8.2 and 8.4: models. The symbols of all of them stand one after the other.
+/* SPEC 8.2 and 8.4: models. Each has room for PLACES symbols. Symbol s of a model stands at the place MIDDLE - R + s,
+ * so that the place of a value says how far it is from the centre. R is 0 for models that are not of values.
  *
- * first: for each model and the top 8 bits of a slot, the first symbol that the slot can mean.
- * base: for each model, where its symbols start, and above 16 bits its R.
- * entry: for each symbol, its lowest slot, and above 16 bits its frequency.
+ * first: for each model and the top 8 bits of a slot, the place of the first symbol that the slot can mean.
+ * radius: R of each model.
+ * entry: for each model and place, the symbol's lowest slot, and above 16 bits its frequency. ESCAPE: it is no value.
  */
 typedef struct {
-    uint8_t *first;
-    uint32_t *base, *entry;
+    uint8_t *first, *radius;
+    uint32_t *entry;
 } models;
 
-enum { SLOT_TOP = 256, SLOT_SHIFT = PRECISION - 8 };
+enum { SLOT_TOP = 256, SLOT_SHIFT = PRECISION - 8, PLACES = 256, MIDDLE = 128, RADIUS_MAX = 126, ESCAPE = 1 << 15 };
 
-/* Adds model number `index`, whose symbols start at `at`. Returns where the next one's start, or 0 if it is none. */
-static uint32_t add_model(models *m, uint32_t index, uint32_t at, const uint16_t *frequency, uint32_t count,
-                          uint32_t radius)
+/* Adds model number `index`. escape: whether its last symbol is the escape. Returns whether it is a model. */
+static int add_model(models *m, uint32_t index, const uint16_t *frequency, uint32_t count, uint32_t radius, int escape)
 {
-    uint32_t low = 0;
-    m->base[index] = at | radius << 16;
+    uint32_t low = 0, *entry = m->entry + index * PLACES + MIDDLE - radius;
+    m->radius[index] = (uint8_t)radius;
     for (uint32_t symbol = 0; symbol < count; symbol++) {
-        m->entry[at + symbol] = low | (uint32_t)frequency[symbol] << 16;
+        entry[symbol] = low | (uint32_t)frequency[symbol] << 16;
         low += frequency[symbol];
     }
     if (low != TOTAL) return 0;
     for (uint32_t top = 0, symbol = 0; top < SLOT_TOP; top++) {
         uint32_t slot = top << SLOT_SHIFT;
-        while ((m->entry[at + symbol] & 0xffff) + (m->entry[at + symbol] >> 16) <= slot) symbol++;
-        m->first[index * SLOT_TOP + top] = (uint8_t)symbol;
+        while ((entry[symbol] & 0xffff) + (entry[symbol] >> 16) <= slot) symbol++;
+        m->first[index * SLOT_TOP + top] = (uint8_t)(MIDDLE - radius + symbol);
     }
-    return at + count;
+    if (escape) entry[count - 1] |= ESCAPE;
+    return 1;
 }
 
-/* Lays out `count` models with so many symbols together. */
-static void take_models(arena *a, models *m, uint64_t count, uint64_t symbols)
+/* Lays out `count` models. */
+static void take_models(arena *a, models *m, uint64_t count)
 {
     m->first = take(a, count * SLOT_TOP, 1);
-    m->base = take(a, count, 4);
-    m->entry = take(a, symbols, 4);
+    m->radius = take(a, count, 1);
+    m->entry = take(a, count * PLACES, 4);
 }
 
 struct kernel_tables {
     uint32_t crc[8][256];
-    int16_t sine[SINE_LENGTH];
+    /* SPEC A.1: for each part of a turn its sine, and above 16 bits its cosine. */
+    uint32_t turn[SINE_LENGTH];
     models gauss, laplace;
+    /* For each set of eight lanes, how many lanes of the set come before each lane. */
+    uint8_t before[256][8];
     void *block;
 };
 
@@ -245,24 +262,21 @@ struct kernel_tables {
 KERNEL_API kernel_tables *kernel_tables_new(const uint8_t *file, uint64_t length)
 {
     const uint64_t start = 2 * SINE_LENGTH + 2 * STEP_LENGTH;
-    uint64_t at = start, symbols[2] = {0, 0};
-    for (int family = 0; family < 2; family++)
-        for (int i = 0; i < MODELS; i++) {
-            if (at >= length) return NULL;
-            uint64_t count = 2 * (uint64_t)file[at] + 2;
-            if (length - at - 1 < 2 * count || file[at] > 126) return NULL;
-            at += 1 + 2 * count;
-            symbols[family] += count;
-        }
-    /* A symbol's place has 16 bits. */
-    if (at != length || symbols[0] > 65535 || symbols[1] > 65535) return NULL;
+    uint64_t at = start;
+    for (int i = 0; i < 2 * MODELS; i++) {
+        if (at >= length || file[at] > RADIUS_MAX) return NULL;
+        uint64_t size = 2 * (2 * (uint64_t)file[at] + 2);
+        if (length - at - 1 < size) return NULL;
+        at += 1 + size;
+    }
+    if (at != length) return NULL;
     kernel_tables *t = NULL;
     arena a = {NULL, 0};
     for (int pass = 0; pass < 2; pass++) {
         models gauss, laplace;
         kernel_tables *own = take(&a, 1, sizeof *t);
-        take_models(&a, &gauss, MODELS, symbols[0]);
-        take_models(&a, &laplace, MODELS, symbols[1]);
+        take_models(&a, &gauss, MODELS);
+        take_models(&a, &laplace, MODELS);
         if (pass) {
             t = own;
             t->gauss = gauss;
@@ -277,20 +291,23 @@ KERNEL_API kernel_tables *kernel_tables_new(const uint8_t *file, uint64_t length
         ((kernel_tables *)a.base)->block = block;
     }
     make_crc_table(t->crc);
-    memcpy(t->sine, file, 2 * SINE_LENGTH);
+    uint16_t sine[SINE_LENGTH];
+    memcpy(sine, file, sizeof sine);
+    for (uint32_t i = 0; i < SINE_LENGTH; i++)
+        t->turn[i] = sine[i] | (uint32_t)sine[(i + SINE_LENGTH / 4) % SINE_LENGTH] << 16;
+    for (int set = 0; set < 256; set++)
+        for (int lane = 1; lane < 8; lane++)
+            t->before[set][lane] = (uint8_t)(t->before[set][lane - 1] + (set >> (lane - 1) & 1));
     at = start;
-    for (int family = 0; family < 2; family++) {
-        models *m = family ? &t->laplace : &t->gauss;
-        uint32_t place = 0;
+    for (int family = 0; family < 2; family++)
         for (uint32_t i = 0; i < MODELS; i++) {
             uint32_t radius = file[at], count = 2 * radius + 2;
-            uint16_t frequency[2 * 126 + 2];
+            uint16_t frequency[2 * RADIUS_MAX + 2];
             memcpy(frequency, file + at + 1, 2 * (size_t)count);
-            place = add_model(m, i, place, frequency, count, radius);
-            if (!place) return kernel_tables_free(t), NULL;
+            if (!add_model(family ? &t->laplace : &t->gauss, i, frequency, count, radius, 1))
+                return kernel_tables_free(t), NULL;
             at += 1 + 2 * (uint64_t)count;
         }
-    }
     return t;
 }
 
@@ -379,10 +396,13 @@ struct kernel_scene {
     stage stages[2 + KERNEL_SLICES_MAX];
     uint8_t carm_shift[WIDTH_MAX];
     int has_frame, has_planes;
-    int64_t matrix[9], translation[3], shift[3], low[3], high[3];
+    int64_t matrix[9], translation[3], shift[3];
+    int32_t low[3], high[3];
     /* SPEC 7.3: the planes of r = 1 and r = 2, [size, size, channels]. */
     int16_t *joined[2];
-    models masks, cells;
+    /* SPEC 5.11: of each context of a mask, the frequency of "kept". */
+    uint16_t *kept;
+    models cells;
     void *block;
 };
 
@@ -445,6 +465,13 @@ static int32_t close_decoder(const decoder *d)
     if (d->raw_at % 8 && d->raw[d->raw_length - 1] >> d->raw_at % 8) return SUBSTREAM_RAW_PADDING;
     if (d->crc != d->expected) return SUBSTREAM_CRC;
     return 0;
+}
+
+/* SPEC 8.3: a state with a word behind it if it needs one. No branch guesses whether it does. */
+INLINE uint32_t fed(uint32_t x, uint32_t word)
+{
+    uint32_t hungry = x < STATE_MIN;
+    return x << (hungry << 4) | (word & (0u - hungry));
 }
 
 /* SPEC 8.6: the next raw bits, at least 57 of them. Bits past the end are 0. */
@@ -544,23 +571,16 @@ static void put_escape(encoder *e, int32_t away, int32_t radius)
 /* SPEC 7.4, POSITION_INTEGER. */
 INLINE int64_t position_integer(uint32_t bits)
 {
-    int64_t e = bits >> 10 & 31, m = bits & 1023, p = e ? (m + 1024) << (e - 1) : m;
+    uint32_t e = bits >> 10 & 31, normal = e > 0;
+    int64_t p = (int64_t)((bits & 1023) + (normal << 10)) << (e - normal);
     return bits >> 15 ? -p : p;
 }
 
-/* SPEC 2.4, ISQRT. The square root of libm is only a first guess. 0 <= a < 2^62. */
-INLINE int64_t isqrt(int64_t a)
+/* The largest integer that is not above x, for |x| < 2^31. */
+INLINE double floor32(double x)
 {
-    int64_t r = (int64_t)__builtin_sqrt((double)a);
-    r -= r * r > a;
-    return r + ((r + 1) * (r + 1) <= a);
-}
-
-/* The largest integer that is not above a / b, for b > 0 and |a| < 2^53. The quotient of doubles is a first guess. */
-INLINE int64_t floor_div(int64_t a, int64_t b)
-{
-    int64_t q = (int64_t)((double)a / (double)b), r = a - q * b;
-    return q - (r < 0) + (r >= b);
+    double cut = (double)(int32_t)x;
+    return cut > x ? cut - 1 : cut;
 }
 
 INLINE int64_t clamp64(int64_t a, int64_t low, int64_t high) { return a < low ? low : a > high ? high : a; }
@@ -651,6 +671,7 @@ BEGIN("avx2,bmi,bmi2,fma,popcnt,lzcnt,pclmul")
 #define VARIANT avx2
 #define HAS_AVX2 1
 #include "variant.h"
+#undef HAS_AVX2
 #undef VARIANT
 END
 
@@ -798,6 +819,19 @@ static void join_planes(kernel_scene *s, const int16_t *planes)
             }
 }
 
+/* SPEC 6.7: whether the numbers of a frame are allowed, so that those of contexts do not overflow. */
+static int frame_allowed(const int64_t *frame)
+{
+    const int64_t *translation = frame + 9, *shift = frame + 12, *low = frame + 15, *high = frame + 18;
+    int right = 1;
+    for (int i = 0; i < 9; i++) right &= frame[i] > -MATRIX_BOUND && frame[i] < MATRIX_BOUND;
+    for (int i = 0; i < 3; i++)
+        right &= translation[i] > -TRANSLATION_BOUND && translation[i] < TRANSLATION_BOUND && shift[i] >= 0 &&
+                 shift[i] <= FRAME_SHIFT_MAX && low[i] >= -FRAME_RANGE_BOUND && low[i] < high[i] &&
+                 high[i] <= FRAME_RANGE_BOUND;
+    return right;
+}
+
 /* Lays the scene out, and fills it if the arena has a base. Returns whether the description is allowed. */
 static int lay_out_scene(arena *a, kernel_description d, kernel_scene *s)
 {
@@ -848,28 +882,31 @@ static int lay_out_scene(arena *a, kernel_description d, kernel_scene *s)
     s->joined[1] = take(a, d.planes ? 4 * points : 0, 2);
     /* SPEC 7.6 and 7.12: the models of masks and of positions. */
     uint32_t contexts = (uint32_t)(d.offset_count * (d.offset_count + 1) / 2);
-    take_models(a, &s->masks, contexts, 2 * contexts);
-    take_models(a, &s->cells, POSITION_MODELS, POSITION_MODELS * HALVES);
+    s->kept = take(a, contexts, 2);
+    take_models(a, &s->cells, POSITION_MODELS);
     if (!a->base) return 1;
     memcpy(s->carm_shift, d.carm_shift, (size_t)(s->features - width[d.slice_count - 1]));
     for (int32_t i = 0; i < s->features - width[d.slice_count - 1]; i++)
         if (s->carm_shift[i] > CARM_SHIFT_MAX) return 0;
     if (d.frame) {
+        if (!frame_allowed(d.frame)) return 0;
         memcpy(s->matrix, d.frame, sizeof s->matrix);
         memcpy(s->translation, d.frame + 9, sizeof s->translation);
         memcpy(s->shift, d.frame + 12, sizeof s->shift);
-        memcpy(s->low, d.frame + 15, sizeof s->low);
-        memcpy(s->high, d.frame + 18, sizeof s->high);
+        for (int axis = 0; axis < 3; axis++) {
+            s->low[axis] = (int32_t)d.frame[15 + axis];
+            s->high[axis] = (int32_t)d.frame[18 + axis];
+        }
     }
     if (d.planes) join_planes(s, d.planes);
     if (d.mask_model)
         for (uint32_t i = 0; i < contexts; i++) {
-            uint16_t frequency[2] = {(uint16_t)(TOTAL - d.mask_model[i]), d.mask_model[i]};
-            if (!add_model(&s->masks, i, 2 * i, frequency, 2, 0)) return 0;
+            s->kept[i] = d.mask_model[i];
+            if (s->kept[i] < 1 || s->kept[i] >= TOTAL) return 0;
         }
     if (d.position_model)
         for (uint32_t i = 0; i < POSITION_MODELS; i++)
-            if (!add_model(&s->cells, i, HALVES * i, d.position_model + HALVES * i, HALVES, 0)) return 0;
+            if (!add_model(&s->cells, i, d.position_model + HALVES * i, HALVES, 0, 0)) return 0;
     return 1;
 }
 

@@ -120,10 +120,15 @@ class NativeScene:
         parts = self._taken(pointers, lengths)
         return parts if not any(_checked(list(statuses))) else None
 
-    def decode_chunks(self, chunks: list[ChunkBytes]) -> tuple[Anchors, list[int]]:
-        """SPEC 10.1, step 5: returns the anchors of some chunks, one chunk after the other, and the status of each."""
-        n, (offsets, features) = sum(chunk.anchors for chunk in chunks), self._shape
-        anchors = Anchors(
+    def anchor_bytes(self) -> int:
+        """Returns how many bytes an anchor takes in arrays of `room`."""
+        offsets, features = self._shape
+        return 2 * 3 + offsets + 4 * (features + 6 + 3 * offsets) + 3
+
+    def room(self, n: int) -> Anchors:
+        """Returns arrays for n anchors, which nothing is written to."""
+        offsets, features = self._shape
+        return Anchors(
             np.empty((n, 3), np.float16),
             np.empty((n, offsets), np.bool_),
             np.empty((n, features), np.int32),
@@ -131,8 +136,16 @@ class NativeScene:
             np.empty((n, offsets, 3), np.int32),
             np.empty((n, 3), np.uint8),
         )
-        jobs, first, held = (Chunk * len(chunks))(), 0, []
-        for job, chunk in zip(jobs, chunks, strict=True):
+
+    def decode_chunks(self, chunks: list[ChunkBytes], to: Anchors, rows: list[int]) -> list[int]:
+        """SPEC 10.1, step 5: decodes some chunks, and returns the status of each.
+
+        to: arrays of `room`. rows: the row of each chunk's first anchor in them. The chunks do not overlap.
+        """
+        jobs, held = (Chunk * len(chunks))(), []
+        for job, chunk, first in zip(jobs, chunks, rows, strict=True):
+            if not 0 <= first <= len(to.positions) - chunk.anchors:
+                raise ValueError(f"{chunk.anchors} anchors from row {first} on do not fit {len(to.positions)} rows")
             own = [np.frombuffer(part, np.uint8) for part in chunk.parts]
             held.append(own)
             for i, part in enumerate(own):
@@ -141,10 +154,9 @@ class NativeScene:
             for axis in range(3):
                 job.low[axis] = int(chunk.low[axis].view(np.uint16))
                 job.high[axis] = int(chunk.high[axis].view(np.uint16))
-            self._place(job, anchors, first, chunk.anchors)
-            first += chunk.anchors
+            self._place(job, to, first, chunk.anchors)
         self.kernel.library.kernel_decode_chunks(self._scene, jobs, len(chunks), self.kernel.threads)
-        return anchors, _checked([job.status for job in jobs])
+        return _checked([job.status for job in jobs])
 
     def encode_chunks(
         self, anchors: Anchors, counts: list[int], forms: list[int] | None

@@ -17,6 +17,8 @@
 #undef SHIFT
 #undef STORE_CLAMPED
 #undef TILE_MOST
+#undef TILE_ROWS
+#undef ADD
 
 #if defined(HAS_VNNI) || defined(HAS_AVX512)
 #define VECTOR __m512i
@@ -25,8 +27,9 @@
 #define LOAD_PAIRS(p) _mm512_loadu_si512(p)
 #define LOAD(p) _mm512_loadu_si512(p)
 #define STORE(p, v) _mm512_storeu_si512(p, v)
+#define ADD(a, b) _mm512_add_epi32(a, b)
 #if defined(HAS_VNNI)
-#define DOT(acc, pair, w) _mm512_dpwssd_epi32(acc, _mm512_set1_epi32(pair), w)
+#define DOT(acc, pair, w) NAMED(dot)(acc, _mm512_set1_epi32(pair), w)
 #else
 #define DOT(acc, pair, w) _mm512_add_epi32(acc, _mm512_madd_epi16(_mm512_set1_epi32(pair), w))
 #endif
@@ -41,6 +44,7 @@
 #define LOAD_PAIRS(p) _mm256_loadu_si256((const void *)(p))
 #define LOAD(p) _mm256_loadu_si256((const void *)(p))
 #define STORE(p, v) _mm256_storeu_si256((void *)(p), v)
+#define ADD(a, b) _mm256_add_epi32(a, b)
 #define DOT(acc, pair, w) _mm256_add_epi32(acc, _mm256_madd_epi16(_mm256_set1_epi32(pair), w))
 #define SHIFT(v, p) _mm256_srav_epi32(v, LOAD(p))
 /* Saturation to int16 keeps the order, so the clamp to [0, 1023] may follow it. */
@@ -56,6 +60,7 @@
 #define LOAD_PAIRS(p) vld2_s16(p)
 #define LOAD(p) vld1q_s32(p)
 #define STORE(p, v) vst1q_s32(p, v)
+#define ADD(a, b) vaddq_s32(a, b)
 #define DOT(acc, pair, w)                                                                                            \
     vmlal_s16(vmlal_s16(acc, (w).val[0], vdup_n_s16((int16_t)(pair))), (w).val[1], vdup_n_s16((int16_t)((pair) >> 16)))
 #define SHIFT(v, p) vshlq_s32(v, vnegq_s32(LOAD(p)))
@@ -68,6 +73,7 @@
 #define LOAD_PAIRS(p) wasm_v128_load(p)
 #define LOAD(p) wasm_v128_load(p)
 #define STORE(p, v) wasm_v128_store(p, v)
+#define ADD(a, b) wasm_i32x4_add(a, b)
 #define DOT(acc, pair, w) wasm_i32x4_add(acc, wasm_i32x4_dot_i16x8(wasm_i32x4_splat(pair), w))
 /* There is no shift of each number by its own count. */
 #define SHIFT(v, p)                                                                                                  \
@@ -81,44 +87,68 @@
     } while (0)
 #endif
 
-#if defined(LANES)
-/* As many vectors of sums as there are registers for. */
-#define TILE_MOST (LANES == 16 ? 5 : LANES == 8 ? 3 : 4)
+#if defined(HAS_VNNI)
+/* The instruction adds to its own register. GCC 12 copies the sums of _mm512_dpwssd_epi32 to other ones in each step. */
+INLINE __m512i NAMED(dot)(__m512i acc, __m512i pair, __m512i w)
+{
+    __asm__("vpdpwssd %2, %1, %0" : "+v"(acc) : "v"(pair), "v"(w));
+    return acc;
+}
+#endif
 
-/* Computes `vectors` vectors of outputs from output `o` on, for ROWS rows. The compiler knows how many vectors. */
-INLINE void NAMED(tile)(const layer *l, const int16_t *a, int32_t stride, int32_t o, int vectors, int16_t *hidden,
-                        int32_t *last, int32_t to)
+#if defined(LANES)
+/* As many vectors of sums as there are registers for: of a tile with so many vectors of outputs, the rows. Sums of one
+ * vector wait for each other, so that few vectors need many rows. A browser on x86-64 has 16 registers.
+ */
+#if defined(HAS_SIMD128)
+#define TILE_MOST 2
+#define TILE_ROWS(vectors) (ROWS / 2)
+#else
+#define TILE_MOST (LANES == 16 ? 5 : LANES == 8 ? 3 : 4)
+#define TILE_ROWS(vectors) ((vectors) <= (LANES == 16 ? 3 : 1) ? ROWS : ROWS / 2)
+#endif
+
+/* Computes `vectors` vectors of outputs from output `o` on, for `rows` rows. The compiler knows both numbers.
+ *
+ * add: whether they are added to what `last` has.
+ */
+INLINE void NAMED(tile)(const layer *l, const int16_t *a, int32_t stride, int32_t o, const int rows, const int vectors,
+                        int16_t *hidden, int32_t *last, int32_t to, const int add)
 {
     VECTOR acc[ROWS][5];
-    for (int r = 0; r < ROWS; r++)
-        for (int z = 0; z < vectors; z++) acc[r][z] = LOAD(l->bias + o + LANES * z);
+    UNROLL for (int r = 0; r < rows; r++)
+        UNROLL for (int z = 0; z < vectors; z++) acc[r][z] = LOAD(l->bias + o + LANES * z);
     const int16_t *w = l->weight + 2 * (int64_t)o;
     for (int32_t i = 0; i < l->in; i += 2, w += 2 * (int64_t)l->out) {
         PAIRS weights[5];
-        for (int z = 0; z < vectors; z++) weights[z] = LOAD_PAIRS(w + 2 * LANES * z);
-        for (int r = 0; r < ROWS; r++) {
+        UNROLL for (int z = 0; z < vectors; z++) weights[z] = LOAD_PAIRS(w + 2 * LANES * z);
+        UNROLL for (int r = 0; r < rows; r++) {
             int32_t pair = (int32_t)load32(a + (int64_t)r * stride + i);
-            for (int z = 0; z < vectors; z++) acc[r][z] = DOT(acc[r][z], pair, weights[z]);
+            UNROLL for (int z = 0; z < vectors; z++) acc[r][z] = DOT(acc[r][z], pair, weights[z]);
         }
     }
-    for (int z = 0; z < vectors; z++)
-        for (int r = 0; r < ROWS; r++) {
+    UNROLL for (int z = 0; z < vectors; z++)
+        UNROLL for (int r = 0; r < rows; r++) {
             VECTOR y = SHIFT(acc[r][z], l->shift + o + LANES * z);
-            if (hidden)
+            if (hidden) {
                 STORE_CLAMPED(hidden + (int64_t)r * to + o + LANES * z, y);
-            else
-                STORE(last + (int64_t)r * to + o + LANES * z, y);
+            } else {
+                int32_t *own = last + (int64_t)r * to + o + LANES * z;
+                if (add) y = ADD(y, LOAD(own));
+                STORE(own, y);
+            }
         }
 }
 #else
 #define LANES OUTPUTS
 #define TILE_MOST 1
+#define TILE_ROWS(vectors) ROWS
 
-INLINE void NAMED(tile)(const layer *l, const int16_t *a, int32_t stride, int32_t o, int vectors, int16_t *hidden,
-                        int32_t *last, int32_t to)
+INLINE void NAMED(tile)(const layer *l, const int16_t *a, int32_t stride, int32_t o, const int rows, const int vectors,
+                        int16_t *hidden, int32_t *last, int32_t to, const int add)
 {
     (void)vectors;
-    for (int r = 0; r < ROWS; r++) {
+    for (int r = 0; r < rows; r++) {
         int32_t acc[OUTPUTS];
         const int16_t *w = l->weight + 2 * (int64_t)o;
         memcpy(acc, l->bias + o, sizeof acc);
@@ -131,18 +161,31 @@ INLINE void NAMED(tile)(const layer *l, const int16_t *a, int32_t stride, int32_
             if (hidden)
                 hidden[(int64_t)r * to + o + z] = (int16_t)clamp32(y, 0, ACTIVATION_MAX);
             else
-                last[(int64_t)r * to + o + z] = y;
+                last[(int64_t)r * to + o + z] = y + (add ? last[(int64_t)r * to + o + z] : 0);
         }
     }
 }
 #endif
 
+/* The tiles of ROWS rows. */
+INLINE void NAMED(tiles)(const layer *l, const int16_t *a, int32_t stride, int32_t o, const int vectors,
+                         int16_t *hidden, int32_t *last, int32_t to, const int add)
+{
+    const int rows = TILE_ROWS(vectors);
+    for (int32_t r = 0; r < ROWS; r += rows) {
+        int16_t *h = hidden ? hidden + (int64_t)r * to : NULL;
+        int32_t *y = last ? last + (int64_t)r * to : NULL;
+        NAMED(tile)(l, a + (int64_t)r * stride, stride, o, rows, vectors, h, y, to, add);
+    }
+}
+
 /* SPEC 7.2, NETWORK: one layer for some rows. ROWS rows more than a multiple may be read and written.
  *
- * a: the inputs, in rows of `stride`. The outputs go to `hidden`, clamped, or to `last`, in rows of `to`.
+ * a: the inputs, in rows of `stride`. The outputs go to `hidden`, clamped, or to `last`, in rows of `to`. add: whether
+ * they are added to what `last` has.
  */
 INLINE void NAMED(layer_rows)(const layer *l, const int16_t *a, int32_t stride, int32_t rows, int16_t *hidden,
-                              int32_t *last, int32_t to)
+                              int32_t *last, int32_t to, const int add)
 {
     int32_t vectors = l->out / LANES;
     /* As few tiles as there can be, of about the same size. */
@@ -154,11 +197,11 @@ INLINE void NAMED(layer_rows)(const layer *l, const int16_t *a, int32_t stride, 
         for (int32_t t = 0, o = 0; t < tiles; t++) {
             int32_t z = (vectors * (t + 1) / tiles) - (vectors * t / tiles);
             switch (z) {
-            case 1: NAMED(tile)(l, x, stride, o, 1, h, y, to); break;
-            case 2: NAMED(tile)(l, x, stride, o, 2, h, y, to); break;
-            case 3: NAMED(tile)(l, x, stride, o, 3, h, y, to); break;
-            case 4: NAMED(tile)(l, x, stride, o, 4, h, y, to); break;
-            default: NAMED(tile)(l, x, stride, o, 5, h, y, to); break;
+            case 1: NAMED(tiles)(l, x, stride, o, 1, h, y, to, add); break;
+            case 2: NAMED(tiles)(l, x, stride, o, 2, h, y, to, add); break;
+            case 3: NAMED(tiles)(l, x, stride, o, 3, h, y, to, add); break;
+            case 4: NAMED(tiles)(l, x, stride, o, 4, h, y, to, add); break;
+            default: NAMED(tiles)(l, x, stride, o, 5, h, y, to, add); break;
             }
             o += z * LANES;
         }
@@ -167,24 +210,35 @@ INLINE void NAMED(layer_rows)(const layer *l, const int16_t *a, int32_t stride, 
 
 static void NAMED(hidden_layer)(const layer *l, const int16_t *a, int32_t stride, int32_t rows, int16_t *to)
 {
-    NAMED(layer_rows)(l, a, stride, rows, to, NULL, l->out);
+    NAMED(layer_rows)(l, a, stride, rows, to, NULL, l->out, 0);
 }
 
 static void NAMED(last_layer)(const layer *l, const int16_t *a, int32_t stride, int32_t rows, int32_t *to)
 {
-    NAMED(layer_rows)(l, a, stride, rows, NULL, to, l->out);
+    NAMED(layer_rows)(l, a, stride, rows, NULL, to, l->out, 0);
 }
 
-/* Runs a network on at most BLOCK rows. between: for its hidden layers, two arrays [BLOCK, WIDTH_MAX]. */
+static void NAMED(add_last_layer)(const layer *l, const int16_t *a, int32_t stride, int32_t rows, int32_t *to)
+{
+    NAMED(layer_rows)(l, a, stride, rows, NULL, to, l->out, 1);
+}
+
+/* Runs a network on at most BLOCK rows. between: for its hidden layers, two arrays [BLOCK, WIDTH_MAX].
+ *
+ * add: whether the outputs are added to what `to` has.
+ */
 static void NAMED(run_network)(const network *n, const int16_t *a, int32_t stride, int32_t rows, int16_t *between[2],
-                               int32_t *to)
+                               int32_t *to, int add)
 {
     for (int32_t i = 0; i + 1 < n->count; i++) {
         NAMED(hidden_layer)(&n->layers[i], a, stride, rows, between[i % 2]);
         a = between[i % 2];
         stride = n->layers[i].out;
     }
-    NAMED(last_layer)(&n->layers[n->count - 1], a, stride, rows, to);
+    if (add)
+        NAMED(add_last_layer)(&n->layers[n->count - 1], a, stride, rows, to);
+    else
+        NAMED(last_layer)(&n->layers[n->count - 1], a, stride, rows, to);
 }
 
 /* --------------------------------------------------------------------------------------------------- SPEC 2.4: CRC -- */
@@ -244,84 +298,161 @@ static int NAMED(select)(group *g, int64_t at, const int32_t *restrict mean, con
     return any;
 }
 
+#if defined(HAS_AVX512) || defined(HAS_VNNI)
+enum { NAMED(WIDE) = 16 };
+
+/* SPEC 8.2 and 8.3: decodes a symbol of each of WIDE lanes that are live, from symbol s on. x: their states.
+ *
+ * Returns the next states. escapes: how many were noted.
+ */
+INLINE __m512i NAMED(decode_lanes)(decoder *d, const models *m, group *g, int64_t s, __mmask16 live, __m512i x,
+                                   const int values, int64_t *escapes)
+{
+    const __m512i slots = _mm512_set1_epi32(TOTAL - 1), bytes = _mm512_set1_epi32(255), one = _mm512_set1_epi32(1);
+    __m512i id = _mm512_slli_epi32(_mm512_cvtepu16_epi32(_mm256_maskz_loadu_epi16(live, g->model + s)), 8);
+    __m512i slot = _mm512_and_si512(x, slots), top = _mm512_or_si512(id, _mm512_srli_epi32(slot, SLOT_SHIFT));
+    __m512i place = _mm512_and_si512(_mm512_i32gather_epi32(top, m->first, 1), bytes);
+    __m512i entry = _mm512_i32gather_epi32(_mm512_or_si512(id, place), m->entry, 4);
+    __m512i low = _mm512_and_si512(entry, slots), frequency = _mm512_srli_epi32(entry, 16);
+    /* Few slots mean a later symbol than their top bits name. */
+    __mmask16 late = _mm512_mask_cmple_epu32_mask(live, _mm512_add_epi32(low, frequency), slot);
+    while (late) {
+        place = _mm512_mask_add_epi32(place, late, place, one);
+        entry = _mm512_mask_i32gather_epi32(entry, late, _mm512_or_si512(id, place), m->entry, 4);
+        low = _mm512_and_si512(entry, slots);
+        frequency = _mm512_srli_epi32(entry, 16);
+        late = _mm512_mask_cmple_epu32_mask(late, _mm512_add_epi32(low, frequency), slot);
+    }
+    __m512i next = _mm512_add_epi32(_mm512_mullo_epi32(frequency, _mm512_srli_epi32(x, PRECISION)),
+                                    _mm512_sub_epi32(slot, low));
+    __mmask16 hungry = _mm512_mask_cmplt_epu32_mask(live, next, _mm512_set1_epi32(STATE_MIN));
+    const uint16_t *words = d->words + (d->at < d->count ? d->at : d->count);
+    __m512i word = _mm512_maskz_expand_epi32(hungry, _mm512_cvtepu16_epi32(_mm256_loadu_si256((const void *)words)));
+    d->at += (uint64_t)__builtin_popcount(hungry);
+    next = _mm512_mask_or_epi32(next, hungry, _mm512_slli_epi32(next, 16), word);
+    __m512i found = _mm512_sub_epi32(place, _mm512_set1_epi32(MIDDLE));
+    if (values) {
+        found = _mm512_add_epi32(found, _mm512_maskz_loadu_epi32(live, g->centre + s));
+        uint32_t rest = _mm512_mask_test_epi32_mask(live, entry, _mm512_set1_epi32(ESCAPE));
+        for (; rest; rest &= rest - 1) g->escape[(*escapes)++] = (int32_t)(s + __builtin_ctz(rest));
+    }
+    _mm512_mask_storeu_epi32(g->value + s, live, found);
+    return _mm512_mask_mov_epi32(x, live, next);
+}
+
+/* decode_symbols for WIDE * vectors lanes. */
+INLINE int64_t NAMED(decode_wide)(decoder *from, const models *m, group *g, int64_t count, const int values,
+                                  const int vectors)
+{
+    decoder d = *from;
+    __m512i x[4];
+    int64_t s = 0, escapes = 0;
+    for (int i = 0; i < vectors; i++) x[i] = _mm512_loadu_si512(d.state + NAMED(WIDE) * i);
+    for (; s + vectors * NAMED(WIDE) <= count; s += vectors * NAMED(WIDE))
+        for (int i = 0; i < vectors; i++)
+            x[i] = NAMED(decode_lanes)(&d, m, g, s + NAMED(WIDE) * i, 0xffff, x[i], values, &escapes);
+    for (int i = 0; i < vectors && s < count; i++, s += NAMED(WIDE)) {
+        int32_t left = count - s < NAMED(WIDE) ? (int32_t)(count - s) : NAMED(WIDE);
+        x[i] = NAMED(decode_lanes)(&d, m, g, s, (__mmask16)((1u << left) - 1), x[i], values, &escapes);
+    }
+    for (int i = 0; i < vectors; i++) _mm512_storeu_si512(from->state + NAMED(WIDE) * i, x[i]);
+    from->at = d.at;
+    return escapes;
+}
+#elif defined(HAS_AVX2)
+enum { NAMED(WIDE) = 8 };
+
+/* SPEC 8.2 and 8.3: decodes a symbol of each of WIDE lanes, from symbol s on. escapes: how many were noted. */
+INLINE void NAMED(decode_lanes)(const kernel_tables *t, decoder *d, const models *m, group *g, int64_t s,
+                                const int values, int64_t *escapes)
+{
+    const __m256i slots = _mm256_set1_epi32(TOTAL - 1), bytes = _mm256_set1_epi32(255);
+    uint32_t *state = d->state + (s & (d->lanes - 1));
+    const int *entries = (const int *)m->entry, *first = (const int *)(const void *)m->first;
+    __m256i x = LOAD(state), id = _mm256_cvtepu16_epi32(_mm_loadu_si128((const void *)(g->model + s)));
+    __m256i slot = _mm256_and_si256(x, slots);
+    id = _mm256_slli_epi32(id, 8);
+    __m256i top = _mm256_or_si256(id, _mm256_srli_epi32(slot, SLOT_SHIFT));
+    __m256i place = _mm256_and_si256(_mm256_i32gather_epi32(first, top, 1), bytes);
+    __m256i entry = _mm256_i32gather_epi32(entries, _mm256_or_si256(id, place), 4), low, frequency;
+    /* Few slots mean a later symbol than their top bits name. */
+    for (;;) {
+        low = _mm256_and_si256(entry, slots);
+        frequency = _mm256_srli_epi32(entry, 16);
+        __m256i right = _mm256_cmpgt_epi32(_mm256_add_epi32(low, frequency), slot);
+        if (_mm256_movemask_epi8(right) == -1) break;
+        place = _mm256_add_epi32(place, _mm256_andnot_si256(right, _mm256_set1_epi32(1)));
+        entry = _mm256_i32gather_epi32(entries, _mm256_or_si256(id, place), 4);
+    }
+    x = _mm256_add_epi32(_mm256_mullo_epi32(frequency, _mm256_srli_epi32(x, PRECISION)), _mm256_sub_epi32(slot, low));
+    __m256i hungry = _mm256_cmpeq_epi32(_mm256_srli_epi32(x, 16), _mm256_setzero_si256());
+    uint32_t set = (uint32_t)_mm256_movemask_ps(_mm256_castsi256_ps(hungry));
+    const uint16_t *words = d->words + (d->at < d->count ? d->at : d->count);
+    __m256i word = _mm256_permutevar8x32_epi32(
+        _mm256_cvtepu16_epi32(_mm_loadu_si128((const void *)words)),
+        _mm256_cvtepu8_epi32(_mm_loadl_epi64((const void *)t->before[set])));
+    d->at += (uint64_t)__builtin_popcount(set);
+    STORE(state, _mm256_blendv_epi8(x, _mm256_or_si256(_mm256_slli_epi32(x, 16), word), hungry));
+    __m256i found = _mm256_sub_epi32(place, _mm256_set1_epi32(MIDDLE));
+    if (values) {
+        found = _mm256_add_epi32(found, LOAD(g->centre + s));
+        uint32_t rest = (uint32_t)_mm256_movemask_ps(_mm256_castsi256_ps(_mm256_slli_epi32(entry, 16)));
+        for (; rest; rest &= rest - 1) g->escape[(*escapes)++] = (int32_t)(s + __builtin_ctz(rest));
+    }
+    STORE(g->value + s, found);
+}
+#endif
+
 /* SPEC 8.2 and 8.3: decodes a group of symbols. Lane i mod lanes codes symbol i.
  *
  * values: whether they are values. Then the value is centre + symbol - R, and escapes are noted. Returns their number.
  */
-INLINE int64_t NAMED(decode_symbols)(decoder *d, const models *m, group *g, int64_t count, const int values)
+INLINE int64_t NAMED(decode_symbols)(const kernel_tables *t, decoder *d, const models *m, group *g, int64_t count,
+                                     const int values)
 {
+    (void)t;
     const int32_t lanes = d->lanes;
-    const uint16_t *words = d->words;
-    uint64_t at = d->at;
     int64_t escapes = 0;
 #if defined(HAS_AVX512) || defined(HAS_VNNI)
-    if (lanes >= 8) {
-        const __m512i slots = _mm512_set1_epi32(TOTAL - 1), low16 = _mm512_set1_epi32(0xffff);
-        const int32_t wide = lanes < 16 ? lanes : 16;
-        for (int64_t i = 0; i < count; i += lanes)
-            for (int32_t lane = 0; lane < lanes && i + lane < count; lane += wide) {
-                int64_t s = i + lane, left = count - s < wide ? count - s : wide;
-                __mmask16 live = (__mmask16)((1u << left) - 1);
-                __m512i x = _mm512_maskz_loadu_epi32(live, d->state + lane);
-                __m512i id = _mm512_cvtepu16_epi32(_mm256_maskz_loadu_epi16(live, g->model + s));
-                __m512i base = _mm512_i32gather_epi32(id, m->base, 4);
-                __m512i slot = _mm512_and_si512(x, slots);
-                __m512i top = _mm512_or_si512(_mm512_slli_epi32(id, 8), _mm512_srli_epi32(slot, SLOT_SHIFT));
-                __m512i symbol = _mm512_and_si512(_mm512_i32gather_epi32(top, m->first, 1), _mm512_set1_epi32(255));
-                __m512i place = _mm512_add_epi32(_mm512_and_si512(base, low16), symbol);
-                __m512i entry = _mm512_i32gather_epi32(place, m->entry, 4);
-                __m512i low = _mm512_and_si512(entry, low16), frequency = _mm512_srli_epi32(entry, 16);
-                /* Few slots mean a later symbol than their top bits name. */
-                __mmask16 late = _mm512_mask_cmple_epu32_mask(live, _mm512_add_epi32(low, frequency), slot);
-                while (late) {
-                    place = _mm512_mask_add_epi32(place, late, place, _mm512_set1_epi32(1));
-                    entry = _mm512_mask_i32gather_epi32(entry, late, place, m->entry, 4);
-                    low = _mm512_and_si512(entry, low16);
-                    frequency = _mm512_srli_epi32(entry, 16);
-                    late = _mm512_mask_cmple_epu32_mask(late, _mm512_add_epi32(low, frequency), slot);
-                }
-                x = _mm512_add_epi32(_mm512_mullo_epi32(frequency, _mm512_srli_epi32(x, PRECISION)),
-                                     _mm512_sub_epi32(slot, low));
-                __mmask16 hungry = _mm512_mask_cmplt_epu32_mask(live, x, _mm512_set1_epi32(STATE_MIN));
-                const uint16_t *next = words + (at < d->count ? at : d->count);
-                __m512i word = _mm512_maskz_expand_epi32(
-                    hungry, _mm512_cvtepu16_epi32(_mm256_loadu_si256((const void *)next)));
-                at += (uint64_t)__builtin_popcount(hungry);
-                x = _mm512_mask_or_epi32(x, hungry, _mm512_slli_epi32(x, 16), word);
-                _mm512_mask_storeu_epi32(d->state + lane, live, x);
-                symbol = _mm512_sub_epi32(place, _mm512_and_si512(base, low16));
-                if (values) {
-                    __m512i radius = _mm512_srli_epi32(base, 16);
-                    __m512i away = _mm512_sub_epi32(symbol, radius);
-                    __mmask16 escaped = _mm512_mask_cmpgt_epi32_mask(live, away, radius);
-                    symbol = _mm512_add_epi32(away, _mm512_maskz_loadu_epi32(live, g->centre + s));
-                    for (uint32_t rest = escaped; rest; rest &= rest - 1)
-                        g->escape[escapes++] = (int32_t)(s + __builtin_ctz(rest));
-                }
-                _mm512_mask_storeu_epi32(g->value + s, live, symbol);
-            }
-        d->at = at;
+    if (lanes >= NAMED(WIDE)) {
+        /* The states of so many lanes stay in registers. */
+        if (lanes == 2 * NAMED(WIDE)) return NAMED(decode_wide)(d, m, g, count, values, 2);
+        for (int64_t s = 0; s < count; s += NAMED(WIDE)) {
+            int32_t lane = (int32_t)(s & (lanes - 1)), left = count - s < NAMED(WIDE) ? (int32_t)(count - s) : NAMED(WIDE);
+            __m512i x = _mm512_loadu_si512(d->state + lane);
+            x = NAMED(decode_lanes)(d, m, g, s, (__mmask16)((1u << left) - 1), x, values, &escapes);
+            _mm512_storeu_si512(d->state + lane, x);
+        }
         return escapes;
     }
 #endif
-    for (int64_t i = 0; i < count; i += lanes) {
-        int32_t live = count - i < lanes ? (int32_t)(count - i) : lanes;
+    int64_t done = 0;
+#if defined(HAS_AVX2)
+    if (lanes >= NAMED(WIDE))
+        for (; done + NAMED(WIDE) <= count; done += NAMED(WIDE))
+            NAMED(decode_lanes)(t, d, m, g, done, values, &escapes);
+#endif
+    const uint16_t *model = g->model, *words = d->words;
+    const uint8_t *first = m->first;
+    const uint32_t *entries = m->entry;
+    uint64_t at = d->at, held = d->count;
+    for (; done < count; done += lanes) {
+        /* A vector may have ended between the first lane and the last. */
+        uint32_t *state = d->state + (done & (lanes - 1));
+        int32_t live = count - done < lanes ? (int32_t)(count - done) : lanes;
         for (int32_t lane = 0; lane < live; lane++) {
-            uint32_t x = d->state[lane], slot = x & (TOTAL - 1), id = g->model[i + lane], base = m->base[id];
-            uint32_t symbol = m->first[id * SLOT_TOP + (slot >> SLOT_SHIFT)], place = (base & 0xffff) + symbol;
-            uint32_t entry = m->entry[place];
-            while ((entry & 0xffff) + (entry >> 16) <= slot) entry = m->entry[++place];
-            x = (entry >> 16) * (x >> PRECISION) + slot - (entry & 0xffff);
-            uint32_t hungry = x < STATE_MIN, word = words[at < d->count ? at : d->count];
-            d->state[lane] = hungry ? x << 16 | word : x;
-            at += hungry;
-            int32_t found = (int32_t)(place - (base & 0xffff));
+            uint32_t x = state[lane], slot = x & (TOTAL - 1), id = model[done + lane];
+            uint32_t place = id * PLACES + first[id * SLOT_TOP + (slot >> SLOT_SHIFT)], entry = entries[place];
+            while ((entry & (TOTAL - 1)) + (entry >> 16) <= slot) entry = entries[++place];
+            x = (entry >> 16) * (x >> PRECISION) + slot - (entry & (TOTAL - 1));
+            state[lane] = fed(x, words[at < held ? at : held]);
+            at += x < STATE_MIN;
+            int32_t found = (int32_t)(place % PLACES) - MIDDLE;
             if (values) {
-                int32_t radius = (int32_t)(base >> 16);
-                if (found > 2 * radius) g->escape[escapes++] = (int32_t)(i + lane);
-                found += g->centre[i + lane] - radius;
+                if (entry & ESCAPE) g->escape[escapes++] = (int32_t)(done + lane);
+                found += g->centre[done + lane];
             }
-            g->value[i + lane] = found;
+            g->value[done + lane] = found;
         }
     }
     d->at = at;
@@ -329,9 +460,9 @@ INLINE int64_t NAMED(decode_symbols)(decoder *d, const models *m, group *g, int6
 }
 
 /* SPEC 8.2: decodes a group of symbols that are no values. */
-static void NAMED(decode_plain)(const kernel_tables *t, decoder *d, const models *m, group *g, int64_t count)
+ALONE void NAMED(decode_plain)(const kernel_tables *t, decoder *d, const models *m, group *g, int64_t count)
 {
-    NAMED(decode_symbols)(d, m, g, count, 0);
+    NAMED(decode_symbols)(t, d, m, g, count, 0);
     d->crc = NAMED(crc)(t, d->crc, g->value, 4 * (uint64_t)count);
 }
 
@@ -339,10 +470,10 @@ static void NAMED(decode_plain)(const kernel_tables *t, decoder *d, const models
  *
  * A value past the limit becomes 0, and decoding goes on (SPEC 8.8).
  */
-static void NAMED(decode_values)(const kernel_tables *t, decoder *d, const models *m, group *g, int64_t count, int raw,
+ALONE void NAMED(decode_values)(const kernel_tables *t, decoder *d, const models *m, group *g, int64_t count, int raw,
                                  int32_t limit)
 {
-    int64_t escapes = NAMED(decode_symbols)(d, m, g, count, 1);
+    int64_t escapes = NAMED(decode_symbols)(t, d, m, g, count, 1);
     int32_t *value = g->value;
     if (raw) {
         /* The raw bits of all values come before the escapes. Those of an escaped value wait in its place. */
@@ -360,7 +491,7 @@ static void NAMED(decode_values)(const kernel_tables *t, decoder *d, const model
     }
     for (int64_t e = 0; e < escapes; e++) {
         int32_t i = g->escape[e];
-        int64_t high = (int64_t)g->centre[i] + read_escape(d, (int32_t)(m->base[g->model[i]] >> 16));
+        int64_t high = (int64_t)g->centre[i] + read_escape(d, m->radius[g->model[i]]);
         int64_t found = raw ? high * (INT64_C(1) << g->width[i]) + value[i] : high;
         if (found > limit || found < -limit) {
             d->bad_range = 1;
@@ -378,14 +509,20 @@ static void NAMED(decode_values)(const kernel_tables *t, decoder *d, const model
     d->crc = NAMED(crc)(t, d->crc, value, 4 * (uint64_t)count);
 }
 
+/* SPEC B.4: ends a group whose symbols were put to the encoder's. */
+static void NAMED(end_group)(const kernel_tables *t, encoder *e, const group *g, int64_t count)
+{
+    e->count += (uint64_t)count;
+    e->ends[e->groups++] = e->count;
+    e->crc = NAMED(crc)(t, e->crc, g->value, 4 * (uint64_t)count);
+}
+
 /* SPEC B.4: takes a group of symbols that are no values. */
 static void NAMED(encode_plain)(const kernel_tables *t, encoder *e, const models *m, const group *g, int64_t count)
 {
     for (int64_t i = 0; i < count; i++)
-        e->symbol[e->count + (uint64_t)i] = m->entry[(m->base[g->model[i]] & 0xffff) + (uint32_t)g->value[i]];
-    e->count += (uint64_t)count;
-    e->ends[e->groups++] = e->count;
-    e->crc = NAMED(crc)(t, e->crc, g->value, 4 * (uint64_t)count);
+        e->symbol[e->count + (uint64_t)i] = m->entry[g->model[i] * PLACES + MIDDLE + g->value[i]];
+    NAMED(end_group)(t, e, g, count);
 }
 
 /* SPEC B.4 and 8.5 to 8.7: takes a group of values. Returns whether all are within the limit. */
@@ -402,22 +539,18 @@ static int NAMED(encode_values)(const kernel_tables *t, encoder *e, const models
         for (int64_t i = 0; i < count; i++)
             if (g->width[i]) put_bits(e, (uint32_t)value[i] & ((1u << g->width[i]) - 1), g->width[i]);
     for (int64_t i = 0; i < count; i++) {
-        uint32_t base = m->base[g->model[i]], radius = base >> 16;
-        uint32_t found = (uint32_t)((value[i] >> g->width[i]) - g->centre[i]) + radius;
-        /* What is below 0 is a large number here. */
-        if (found > 2 * radius) {
+        int32_t radius = m->radius[g->model[i]], away = (value[i] >> g->width[i]) - g->centre[i];
+        if (away < -radius || away > radius) {
             g->escape[escapes++] = (int32_t)i;
-            found = 2 * radius + 1;
+            away = radius + 1;
         }
-        symbol[i] = m->entry[(base & 0xffff) + found];
+        symbol[i] = m->entry[g->model[i] * PLACES + MIDDLE + away] & ~(uint32_t)ESCAPE;
     }
     for (int64_t k = 0; k < escapes; k++) {
         int32_t i = g->escape[k];
-        put_escape(e, (value[i] >> g->width[i]) - g->centre[i], (int32_t)(m->base[g->model[i]] >> 16));
+        put_escape(e, (value[i] >> g->width[i]) - g->centre[i], m->radius[g->model[i]]);
     }
-    e->count += (uint64_t)count;
-    e->ends[e->groups++] = e->count;
-    e->crc = NAMED(crc)(t, e->crc, value, 4 * (uint64_t)count);
+    NAMED(end_group)(t, e, g, count);
     return 1;
 }
 
@@ -562,7 +695,7 @@ static int NAMED(code_plane)(const kernel_scene *s, NAMED(plane_work) *p, decode
             }
         for (int32_t b = 0; b < count; b += BLOCK) {
             int32_t rows = count - b < BLOCK ? count - b : BLOCK;
-            NAMED(run_network)(&s->sarm, p->near + 4 * b, 4, rows, p->between, p->y);
+            NAMED(run_network)(&s->sarm, p->near + 4 * b, 4, rows, p->between, p->y, 0);
             for (int32_t r = 0; r < rows; r++) {
                 p->mean[b + r] = p->y[OUTPUTS * r];
                 p->scale[b + r] = p->y[OUTPUTS * r + 1];
@@ -620,54 +753,114 @@ static int32_t NAMED(encode_plane)(const kernel_scene *s, const int16_t *plane, 
 
 /* -------------------------------------------------------------------------------------------- SPEC 7.5: contexts -- */
 
-/* SPEC 7.5: the context of an anchor, from its fp16 bits. to: [inputs of F_h]. */
-static void NAMED(context)(const kernel_scene *s, const uint16_t *bits, int16_t *to)
+/* SPEC 7.5.1 to 7.5.3: rescaled coordinates of BLOCK anchors. bits: their fp16 bits, an array for each axis.
+ *
+ * All loops have BLOCK rounds without a branch, so that the compiler makes vectors of them.
+ */
+static void NAMED(rescale)(const kernel_scene *s, uint16_t bits[3][BLOCK], int32_t u[3][BLOCK])
 {
-    int64_t p[3], v[3];
-    int32_t u[3];
-    for (int axis = 0; axis < 3; axis++) p[axis] = position_integer(bits[axis]);
-    /* SPEC 7.5.1: frame coordinates. */
-    for (int axis = 0; axis < 3; axis++) {
-        const int64_t *row = s->matrix + 3 * axis;
-        int64_t sum = row[0] * p[0] + row[1] * p[1] + row[2] * p[2] + s->translation[axis];
-        sum = (sum + (INT64_C(1) << s->shift[axis] >> 1)) >> s->shift[axis];
-        v[axis] = clamp64(sum, -FRAME_CLAMP, FRAME_CLAMP);
-    }
-    /* SPEC 7.5.2: contraction. */
-    int64_t square = v[0] * v[0] + v[1] * v[1] + v[2] * v[2];
-    if (square > (int64_t)UNIT * UNIT) {
-        int64_t n = isqrt(square), factor = floor_div((2 * n - UNIT) * UNIT, n);
-        for (int axis = 0; axis < 3; axis++) v[axis] = floor_div(v[axis] * factor, n);
-    }
-    /* SPEC 7.5.3: rescaling. */
+    int64_t p[3][BLOCK];
+    double v[3][BLOCK], length[BLOCK], factor[BLOCK];
     for (int axis = 0; axis < 3; axis++)
-        u[axis] = (int32_t)clamp64(floor_div((v[axis] - s->low[axis]) * UNIT, s->high[axis] - s->low[axis]), 0, UNIT);
-    /* SPEC 7.5.4: bilinear samples of both planes. */
+        for (int r = 0; r < BLOCK; r++) p[axis][r] = position_integer(bits[axis][r]);
+    /* SPEC 7.5.1: |P| < 2^40, |A| < 2^20 and |T| < 2^61, so that |sum| < 2^62. With 2^63 added it is an unsigned number,
+     * which every kind of vectors can shift.
+     */
+    for (int axis = 0; axis < 3; axis++) {
+        const int64_t *row = s->matrix + 3 * axis, shift = s->shift[axis];
+        const uint64_t middle = UINT64_C(1) << 63;
+        const uint64_t more = middle + (uint64_t)s->translation[axis] + (UINT64_C(1) << shift >> 1);
+        for (int r = 0; r < BLOCK; r++) {
+            uint64_t sum = (uint64_t)(row[0] * p[0][r] + row[1] * p[1][r] + row[2] * p[2][r]) + more;
+            int64_t found = (int64_t)((sum >> shift) - (middle >> shift));
+            v[axis][r] = (double)(int32_t)clamp64(found, -FRAME_CLAMP, FRAME_CLAMP);
+        }
+    }
+    /* From here on, numbers of doubles are integers below 2^53. FLOOR(a / b) of such a and b > 0 is the floor of their
+     * quotient as a double: that is a / b with an error of at most |a / b| 2^-53 < 1 / b, and a quotient that is no
+     * integer is at least 1 / b away from every integer. So rounding does not reach the next one.
+     *
+     * SPEC 7.5.2: n = ISQRT(q), with q < 2^62. The square root of doubles is less than 1 away, so n is one more or less.
+     * With n = U where q <= U^2, the factor is U and the quotient v, as the clause has it. Otherwise U <= n < 2^31,
+     * factor < 2 U = 2^17 and |v factor| < 2^47.
+     */
+    for (int r = 0; r < BLOCK; r++) {
+        double x = v[0][r], y = v[1][r], z = v[2][r];
+        int32_t i = (int32_t)x, j = (int32_t)y, k = (int32_t)z, n = (int32_t)__builtin_sqrt(x * x + y * y + z * z);
+        int64_t rest = (int64_t)i * i + (int64_t)j * j + (int64_t)k * k - (int64_t)n * n;
+        double exact = (double)n - (rest < 0) + (rest > 2 * (int64_t)n);
+        length[r] = exact < UNIT ? UNIT : exact;
+    }
+    for (int r = 0; r < BLOCK; r++) factor[r] = floor32((2 * length[r] - UNIT) * UNIT / length[r]);
+    /* SPEC 7.5.3: |w| <= 2^17 and |low| <= 2^18, so that the dividend is below 2^35. Both bounds are integers, so that
+     * the clamp may come before the floor.
+     */
+    for (int axis = 0; axis < 3; axis++) {
+        const double low = s->low[axis], range = (double)s->high[axis] - low;
+        for (int r = 0; r < BLOCK; r++) {
+            double w = floor32(v[axis][r] * factor[r] / length[r]), quotient = (w - low) * UNIT / range;
+            quotient = quotient < 0 ? 0 : quotient;
+            u[axis][r] = (int32_t)(quotient > UNIT ? UNIT : quotient);
+        }
+    }
+}
+
+/* SPEC 7.5.4: the samples of some channels. corners: the weights of upper and of lower points. */
+INLINE void NAMED(sample)(const int16_t *restrict upper, const int16_t *restrict lower, int32_t channels, int32_t count,
+                          const int32_t corners[4], int32_t shift, int16_t *restrict to)
+{
+    /* The weights sum to 2^16 and symbols are below 2^15, so the sums fit. */
+    for (int32_t c = 0; c < count; c++) {
+        int32_t sum = upper[c] * corners[0] + upper[c + channels] * corners[1] + lower[c] * corners[2] +
+                      lower[c + channels] * corners[3];
+        to[c] = (int16_t)clamp32((sum + (1 << shift >> 1)) >> shift, -ACTIVATION_MAX, ACTIVATION_MAX);
+    }
+}
+
+/* SPEC 7.5: the contexts of at most BLOCK anchors, from their fp16 bits [rows, 3]. to: [rows, stride]. */
+static void NAMED(contexts)(const kernel_scene *s, const uint16_t *bits, int32_t rows, int32_t stride, int16_t *to)
+{
+    enum { TOGETHER = 8 };
     const int32_t channels = s->channels, shift = 16 - s->plane_shift;
+    uint16_t own[3][BLOCK];
+    int32_t u[3][BLOCK], at[BLOCK], f[2][BLOCK];
+    memset(own, 0, sizeof own);
+    for (int32_t r = 0; r < rows; r++)
+        for (int axis = 0; axis < 3; axis++) own[axis][r] = bits[3 * r + axis];
+    NAMED(rescale)(s, own, u);
+    /* SPEC 7.5.4: bilinear samples of both planes. */
     for (int plane = 0; plane < 2 && channels; plane++) {
-        int32_t size = s->plane_size << plane, cell[2], f[2];
-        for (int axis = 0; axis < 2; axis++) {
-            int32_t grid = u[axis] * (size - 1);
-            cell[axis] = grid >> 16 < size - 2 ? grid >> 16 : size - 2;
-            f[axis] = (grid - (cell[axis] << 16) + 128) >> 8;
+        const int32_t size = s->plane_size << plane, line = size * channels;
+        for (int r = 0; r < BLOCK; r++) {
+            int32_t place = 0;
+            for (int axis = 1; axis >= 0; axis--) {
+                int32_t grid = u[axis][r] * (size - 1), cell = grid >> 16 < size - 2 ? grid >> 16 : size - 2;
+                f[axis][r] = (grid - (cell << 16) + 128) >> 8;
+                place = place * size + cell;
+            }
+            at[r] = place * channels;
         }
-        const int16_t *upper = s->joined[plane] + ((int64_t)cell[1] * size + cell[0]) * channels;
-        const int16_t *lower = upper + (int64_t)size * channels;
-        int32_t w00 = (256 - f[0]) * (256 - f[1]), w10 = f[0] * (256 - f[1]);
-        int32_t w01 = (256 - f[0]) * f[1], w11 = f[0] * f[1];
-        /* The weights sum to 2^16 and symbols are below 2^15, so the sums fit. */
-        for (int32_t c = 0; c < channels; c++) {
-            int32_t sum = upper[c] * w00 + upper[c + channels] * w10 + lower[c] * w01 + lower[c + channels] * w11;
-            to[c] = (int16_t)clamp32((sum + (1 << shift >> 1)) >> shift, -ACTIVATION_MAX, ACTIVATION_MAX);
+        for (int32_t r = 0; r < rows; r++) {
+            __builtin_prefetch(s->joined[plane] + at[r]);
+            __builtin_prefetch(s->joined[plane] + at[r] + line);
         }
-        to += channels;
+        for (int32_t r = 0; r < rows; r++) {
+            const int16_t *upper = s->joined[plane] + at[r], *lower = upper + line;
+            int16_t *samples = to + (int64_t)r * stride + plane * channels;
+            const int32_t x = f[0][r], y = f[1][r];
+            const int32_t corners[4] = {(256 - x) * (256 - y), x * (256 - y), (256 - x) * y, x * y};
+            int32_t c = 0;
+            for (; c + TOGETHER <= channels; c += TOGETHER)
+                NAMED(sample)(upper + c, lower + c, channels, TOGETHER, corners, shift, samples + c);
+            NAMED(sample)(upper + c, lower + c, channels, channels - c, corners, shift, samples + c);
+        }
     }
     /* SPEC 7.5.5: the sine and the cosine of each frequency. */
-    const int16_t *sine = s->tables->sine;
-    for (int32_t k = 0; k < s->frequencies; k++, to += 2) {
-        uint32_t phase = ((uint32_t)u[2] - UNIT / 2) << k & (UNIT - 1), turn = (phase + 32) >> 6;
-        to[0] = sine[turn % SINE_LENGTH];
-        to[1] = sine[(turn + SINE_LENGTH / 4) % SINE_LENGTH];
+    for (int32_t r = 0; r < rows; r++) {
+        const uint32_t angle = (uint32_t)u[2][r] - UNIT / 2;
+        int16_t *pair = to + (int64_t)r * stride + 2 * channels;
+        for (int32_t k = 0; k < s->frequencies; k++, pair += 2)
+            store32(pair, s->tables->turn[((angle << k & (UNIT - 1)) + 32) / (UNIT / SINE_LENGTH) % SINE_LENGTH]);
     }
 }
 
@@ -677,14 +870,14 @@ static void NAMED(context)(const kernel_scene *s, const uint16_t *bits, int16_t 
  *
  * context: the inputs of F_h, [BLOCK, inputs]. deep: the inputs of its output layer, [n, deep_stride].
  * seen: of the features that are known, the inputs of CARM, [n, seen_stride].
- * y, change: outputs of F_h and of CARM, of a block. mean, scale: of the values of a block.
+ * y: the outputs of F_h and CARM together, of a block. mean, scale: of the values of a block.
  * codes, nodes: of a tree of cells. low, known: of each node, the symbol of its lower half, and all its children.
  * kept: of each anchor, how many offsets it keeps so far. steps: [n, 3], for a comparison.
  */
 typedef struct {
     int16_t *context, *deep, *seen, *between[2];
     int32_t context_stride, deep_stride, seen_stride;
-    int32_t *y, *change, *mean, *scale;
+    int32_t *y, *mean, *scale;
     uint64_t *codes, *nodes;
     uint8_t *low, *known, *kept, *steps;
     group g;
@@ -726,7 +919,6 @@ static void NAMED(lay_out_chunk)(arena *a, const kernel_scene *s, uint64_t n, in
         c->seen = take(a, rows * (uint64_t)c->seen_stride, 2);
         for (int i = 0; i < 2; i++) c->between[i] = take(a, (BLOCK + ROWS) * WIDTH_MAX, 2);
         c->y = take(a, (BLOCK + ROWS) * 2 * WIDTH_MAX, 4);
-        c->change = take(a, (BLOCK + ROWS) * 2 * WIDTH_MAX, 4);
         c->mean = take(a, BLOCK * WIDTH_MAX, 4);
         c->scale = take(a, BLOCK * WIDTH_MAX, 4);
         c->steps = take(a, KINDS * n, 1);
@@ -899,27 +1091,58 @@ static int32_t NAMED(encode_positions)(const kernel_scene *s, kernel_chunk *chun
 
 /* ----------------------------------------------------------------------------------------------- SPEC 7.6: masks -- */
 
+/* SPEC 8.2: decodes symbols of two, 0 and 1. frequency: that of 1, of each context. context: that of each symbol.
+ *
+ * No table is read, since few lanes wait for each other's numbers.
+ */
+ALONE void NAMED(decode_bits)(decoder *d, const uint16_t *frequency, const uint8_t *context, int32_t *value,
+                               int64_t count)
+{
+    const int32_t lanes = d->lanes;
+    const uint16_t *words = d->words;
+    uint64_t at = d->at, held = d->count;
+    uint32_t state[LANES_MAX];
+    memcpy(state, d->state, 4 * (size_t)lanes);
+    for (int64_t i = 0; i < count; i += lanes) {
+        int32_t live = count - i < lanes ? (int32_t)(count - i) : lanes;
+        for (int32_t lane = 0; lane < live; lane++) {
+            uint32_t x = state[lane], slot = x & (TOTAL - 1), high = frequency[context[i + lane]], low = TOTAL - high;
+            uint32_t bit = slot >= low, size = bit ? high : low, start = bit ? low : 0;
+            x = size * (x >> PRECISION) + slot - start;
+            state[lane] = fed(x, words[at < held ? at : held]);
+            at += x < STATE_MIN;
+            value[i + lane] = (int32_t)bit;
+        }
+    }
+    memcpy(d->state, state, 4 * (size_t)lanes);
+    d->at = at;
+}
+
 /* Codes the masks of a chunk with one of the two. Returns how many offsets are kept. */
 static uint64_t NAMED(code_masks)(const kernel_scene *s, NAMED(chunk_work) *c, decoder *d, encoder *e, uint8_t *masks,
                                   int64_t n)
 {
     const int32_t offsets = s->offset_count;
+    int32_t *value = c->g.value;
     uint64_t total = 0;
     memset(c->kept, 0, (size_t)n);
     for (int32_t k = 0; k < offsets; k++) {
         /* SPEC 7.6: the context is the index of the offset, and how many the anchor keeps before it. */
-        uint32_t first = (uint32_t)(k * (k + 1) / 2);
-        for (int64_t i = 0; i < n; i++) {
-            c->g.model[i] = (uint16_t)(first + c->kept[i]);
-            if (e) c->g.value[i] = masks[i * offsets + k] != 0;
+        const uint16_t *frequency = s->kept + k * (k + 1) / 2;
+        if (d) {
+            NAMED(decode_bits)(d, frequency, c->kept, value, n);
+            d->crc = NAMED(crc)(s->tables, d->crc, value, 4 * (uint64_t)n);
+        } else {
+            for (int64_t i = 0; i < n; i++) {
+                uint32_t high = frequency[c->kept[i]], low = TOTAL - high;
+                value[i] = masks[i * offsets + k] != 0;
+                e->symbol[e->count + (uint64_t)i] = value[i] ? low | high << 16 : low << 16;
+            }
+            NAMED(end_group)(s->tables, e, &c->g, n);
         }
-        if (d)
-            NAMED(decode_plain)(s->tables, d, &s->masks, &c->g, n);
-        else
-            NAMED(encode_plain)(s->tables, e, &s->masks, &c->g, n);
         for (int64_t i = 0; i < n; i++) {
-            c->kept[i] = (uint8_t)(c->kept[i] + c->g.value[i]);
-            if (d) masks[i * offsets + k] = (uint8_t)c->g.value[i];
+            c->kept[i] = (uint8_t)(c->kept[i] + value[i]);
+            if (d) masks[i * offsets + k] = (uint8_t)value[i];
         }
     }
     for (int64_t i = 0; i < n; i++) total += c->kept[i];
@@ -936,8 +1159,7 @@ static void NAMED(deepen)(const kernel_scene *s, NAMED(chunk_work) *c, const uin
         int32_t rows = n - b < BLOCK ? (int32_t)(n - b) : BLOCK;
         int16_t *deep = c->deep + b * c->deep_stride, *to = hidden ? c->context : deep;
         if (s->has_frame)
-            for (int32_t r = 0; r < rows; r++)
-                NAMED(context)(s, positions + 3 * (b + r), to + (int64_t)r * c->context_stride);
+            NAMED(contexts)(s, positions + 3 * b, rows, c->context_stride, to);
         const int16_t *from = to;
         int32_t stride = c->context_stride;
         for (int32_t i = 0; i < hidden; i++) {
@@ -955,6 +1177,24 @@ INLINE void NAMED(steps_of)(const int32_t *y, uint8_t *steps)
     for (int kind = 0; kind < KINDS; kind++) steps[kind] = (uint8_t)clamp32(y[kind], 0, STEP_LENGTH - 1);
 }
 
+/* Copies a few numbers. What is past their end, up to 16 numbers, may be overwritten. */
+INLINE void NAMED(copy)(int32_t *restrict to, const int32_t *restrict from, int32_t count)
+{
+    for (int32_t i = 0; i < count; i += 16) memcpy(to + i, from + i, 4 * 16);
+}
+
+#if defined(HAS_AVX512) || defined(HAS_VNNI)
+/* The mask of the first `count` lanes, or of all. */
+INLINE __mmask16 NAMED(first_of)(int32_t count) { return (__mmask16)_bzhi_u32(0xffff, (uint32_t)count); }
+
+/* SPEC 7.10: the numbers of an anchor's offsets that have symbols, three bits for each offset. */
+INLINE uint64_t NAMED(kept_numbers)(const uint8_t *mask, int32_t offsets)
+{
+    __m128i own = _mm_maskz_loadu_epi8((__mmask16)((1u << offsets) - 1), mask);
+    return _pdep_u64(_mm_test_epi8_mask(own, own), UINT64_C(0x1249249249249)) * 7;
+}
+#endif
+
 /* SPEC 7.7, 7.9 and 8.5: the models of a stage, for all anchors of a chunk. steps: [n, 3], set in the first stage.
  *
  * Returns whether any value has raw bits. count: how many values there are.
@@ -968,11 +1208,24 @@ static int NAMED(prepare)(const kernel_scene *s, NAMED(chunk_work) *c, const sta
     for (int64_t b = 0; b < n; b += BLOCK) {
         int32_t rows = n - b < BLOCK ? (int32_t)(n - b) : BLOCK, found = 0;
         NAMED(last_layer)(&g->hyper, c->deep + b * c->deep_stride, c->deep_stride, rows, c->y);
+        /* SPEC 7.9: the outputs of CARM, which has as many for a slice, are added to those of F_h. */
+        if (g->carm.count)
+            NAMED(run_network)(&g->carm, c->seen + b * c->seen_stride, c->seen_stride, rows, c->between, c->y, 1);
         if (g->kind == OFFSET_STAGE) {
             /* SPEC 7.10: only the offsets that the masks keep have symbols. */
             for (int32_t r = 0; r < rows; r++) {
                 const uint8_t *mask = masks + (b + r) * offsets;
                 const int32_t *y = c->y + (int64_t)r * out;
+#if defined(HAS_AVX512) || defined(HAS_VNNI)
+                uint64_t kept = NAMED(kept_numbers)(mask, offsets);
+                for (int32_t i = 0; i < width; i += 16, kept >>= 16) {
+                    __mmask16 own = (__mmask16)kept;
+                    _mm512_storeu_si512(c->mean + found, _mm512_maskz_compress_epi32(own, LOAD(y + i)));
+                    _mm512_storeu_si512(c->scale + found, _mm512_maskz_compress_epi32(own, LOAD(y + width + i)));
+                    found += __builtin_popcount(own);
+                }
+                continue;
+#endif
                 for (int32_t k = 0; k < offsets; k++) {
                     /* What is not kept is overwritten by the next. */
                     for (int32_t axis = 0; axis < 3; axis++) {
@@ -982,22 +1235,11 @@ static int NAMED(prepare)(const kernel_scene *s, NAMED(chunk_work) *c, const sta
                     found += 3 * (mask[k] != 0);
                 }
             }
-        } else if (g->carm.count) {
-            /* SPEC 7.9: the outputs of CARM are added to those of F_h. */
-            const int32_t more = g->carm.layers[g->carm.count - 1].out;
-            NAMED(run_network)(&g->carm, c->seen + b * c->seen_stride, c->seen_stride, rows, c->between, c->change);
-            for (int32_t r = 0; r < rows; r++, found += width) {
-                const int32_t *y = c->y + (int64_t)r * out, *change = c->change + (int64_t)r * more;
-                for (int32_t i = 0; i < width; i++) {
-                    c->mean[found + i] = y[i] + change[i];
-                    c->scale[found + i] = y[width + i] + change[width + i];
-                }
-            }
         } else {
             for (int32_t r = 0; r < rows; r++, found += width) {
                 const int32_t *y = c->y + (int64_t)r * out;
-                memcpy(c->mean + found, y, 4 * (size_t)width);
-                memcpy(c->scale + found, y + width, 4 * (size_t)width);
+                NAMED(copy)(c->mean + found, y, width);
+                NAMED(copy)(c->scale + found, y + width, width);
                 if (g->kind == SCALING_STAGE) NAMED(steps_of)(y + 2 * width, steps + KINDS * (b + r));
             }
         }
@@ -1011,7 +1253,9 @@ static int NAMED(prepare)(const kernel_scene *s, NAMED(chunk_work) *c, const sta
 static void NAMED(see)(const kernel_scene *s, NAMED(chunk_work) *c, const stage *g, int64_t n)
 {
     const int32_t width = g->width;
-    int32_t shift[WIDTH_MAX], half[WIDTH_MAX];
+    int32_t shift[WIDTH_MAX + 16], half[WIDTH_MAX + 16];
+    memset(shift, 0, sizeof shift);
+    memset(half, 0, sizeof half);
     for (int32_t i = 0; i < width; i++) {
         shift[i] = s->carm_shift[g->first + i];
         half[i] = 1 << shift[i] >> 1;
@@ -1019,8 +1263,17 @@ static void NAMED(see)(const kernel_scene *s, NAMED(chunk_work) *c, const stage 
     for (int64_t r = 0; r < n; r++) {
         int16_t *to = c->seen + r * c->seen_stride + g->first;
         const int32_t *value = c->g.value + r * width;
+#if defined(HAS_AVX512) || defined(HAS_VNNI)
+        for (int32_t i = 0; i < width; i += 16) {
+            __m512i own = _mm512_srav_epi32(_mm512_add_epi32(LOAD(value + i), LOAD(half + i)), LOAD(shift + i));
+            own = _mm512_max_epi32(_mm512_min_epi32(own, _mm512_set1_epi32(ACTIVATION_MAX)),
+                                   _mm512_set1_epi32(-ACTIVATION_MAX));
+            _mm256_mask_storeu_epi16(to + i, NAMED(first_of)(width - i), _mm512_cvtepi32_epi16(own));
+        }
+#else
         for (int32_t i = 0; i < width; i++)
             to[i] = (int16_t)clamp32((value[i] + half[i]) >> shift[i], -ACTIVATION_MAX, ACTIVATION_MAX);
+#endif
     }
 }
 
@@ -1036,6 +1289,17 @@ static void NAMED(move)(const kernel_scene *s, NAMED(chunk_work) *c, const stage
         else
             memcpy(chunk->scalings, value, 4 * SCALINGS * (size_t)n);
     } else if (g->kind == OFFSET_STAGE) {
+#if defined(HAS_AVX512) || defined(HAS_VNNI)
+        for (int64_t r = 0; r < n && !encode; r++) {
+            uint64_t kept = NAMED(kept_numbers)(chunk->masks + r * offsets, offsets);
+            for (int32_t i = 0; i < width; i += 16, kept >>= 16) {
+                __m512i own = _mm512_maskz_expand_epi32((__mmask16)kept, LOAD(value));
+                _mm512_mask_storeu_epi32(chunk->offsets + r * width + i, NAMED(first_of)(width - i), own);
+                value += __builtin_popcount((__mmask16)kept);
+            }
+        }
+        if (!encode) return;
+#endif
         for (int64_t i = 0; i < n * offsets; i++) {
             int32_t *own = chunk->offsets + 3 * i, kept = chunk->masks[i] != 0;
             if (encode)
@@ -1047,10 +1311,9 @@ static void NAMED(move)(const kernel_scene *s, NAMED(chunk_work) *c, const stage
     } else {
         for (int64_t r = 0; r < n; r++) {
             int32_t *own = chunk->features + r * s->features + g->first;
-            if (encode)
-                memcpy(value + r * width, own, 4 * (size_t)width);
-            else
-                memcpy(own, value + r * width, 4 * (size_t)width);
+            int32_t *to = encode ? value + r * width : own;
+            const int32_t *from = encode ? own : value + r * width;
+            for (int32_t i = 0; i < width; i++) to[i] = from[i];
         }
     }
 }

@@ -19,6 +19,9 @@ const SCALINGS = 6;
 const STEP_SHIFT = 12;
 // 5.14
 const CHUNK_PARTS = ["positions", "masks", "attributes"];
+// The most bytes of anchors that a byte of a file gets before any chunk is decoded. A file says how many anchors it has
+// with much fewer bytes, so that a small one would get much memory.
+const ROOM_OF_A_BYTE = 64;
 const ANCHOR_ARRAYS = {
   positions: Float32Array, masks: Uint8Array, features: Float32Array, scalings: Float32Array, offsets: Float32Array,
 };
@@ -30,6 +33,7 @@ class Scene {
   #options;
   #index;
   #tables;
+  #whole;
 
   constructor(source, kernel, options, header) {
     this.#source = source;
@@ -84,6 +88,18 @@ class Scene {
     }
   }
 
+  // Makes arrays for all anchors, if the source has bytes for them. Chunks are then decoded to them, and have views of
+  // them. Returns the arrays, or undefined.
+  holdWhole() {
+    const { anchor_count: count, offset_count: offsets } = this.header;
+    const widths = { positions: 3, masks: offsets, features: this.features, scalings: SCALINGS, offsets: 3 * offsets };
+    const types = Object.entries(ANCHOR_ARRAYS);
+    const needed = types.reduce((sum, [name, type]) => sum + count * widths[name] * type.BYTES_PER_ELEMENT, 0);
+    if (!(needed <= ROOM_OF_A_BYTE * this.#source.size)) return undefined;
+    this.#whole = Object.fromEntries(types.map(([name, type]) => [name, new type(count * widths[name])]));
+    return this.#whole;
+  }
+
   *entries() {
     for (const { number, first, start, length, anchors, kept, low, high } of entries(this.#index)) {
       const world = (bits) => this.#world(Uint16Array.from(bits));
@@ -116,8 +132,15 @@ class Scene {
     const { status, part, own } = kernel.decodeChunk(h, chunk);
     if (status !== 0) throw chunkError(status, part, chunk, h);
     const n = entry.anchors;
+    // Copies what the kernel's memory has.
+    const copied = (name, view) => {
+      if (this.#whole === undefined) return view.slice();
+      const at = entry.first * (view.length / n);
+      this.#whole[name].set(view, at);
+      return this.#whole[name].subarray(at, at + view.length);
+    };
     const values = (name, kind, width) => {
-      return kernel.values(own[name], own.steps, kind, this.#tables[kind], n, width).slice();
+      return copied(name, kernel.values(own[name], own.steps, kind, this.#tables[kind], n, width));
     };
     return {
       scene: this,
@@ -125,8 +148,8 @@ class Scene {
       first: entry.first,
       count: n,
       lengths: Object.fromEntries(CHUNK_PARTS.map((name, i) => [name, chunk.lengths[i]])),
-      positions: kernel.worldPositions(own.positions, n, h).slice(),
-      masks: kernel.view(Uint8Array, own.masks, n * h.offset_count).slice(),
+      positions: copied("positions", kernel.worldPositions(own.positions, n, h)),
+      masks: copied("masks", kernel.view(Uint8Array, own.masks, n * h.offset_count)),
       features: values("features", 0, this.features),
       scalings: values("scalings", 1, SCALINGS),
       offsets: values("offsets", 2, 3 * h.offset_count),
@@ -162,10 +185,16 @@ export async function open(input, options = {}) {
   return begin(sourceOf(input), options, false);
 }
 
-export async function* decode(input, options = {}) {
+export function decode(input, options = {}) {
+  return run(input, options);
+}
+
+// begun: is given the scene before its chunks are decoded.
+async function* run(input, options, begun = () => {}) {
   const source = sourceOf(input);
   try {
     const scene = await begin(source, options, true);
+    begun(scene);
     const digests = options.digests ? scene.digests() : undefined;
     for await (const chunk of scene.chunks()) {
       if (digests !== undefined) chunk.digest = digests.add(chunk);
@@ -196,16 +225,21 @@ function joined(chunks, name, type) {
 }
 
 export async function decodeAll(input, options = {}) {
+  let whole;
   const chunks = [];
-  const run = decode(input, options);
+  const decoding = run(input, options, (scene) => {
+    whole = scene.holdWhole();
+  });
   for (;;) {
-    const { value, done } = await run.next();
+    const { value, done } = await decoding.next();
     if (!done) {
-      chunks.push(value);
+      if (whole === undefined) chunks.push(value);
       continue;
     }
-    const anchors = { count: value.scene.header.anchor_count };
-    for (const [name, type] of Object.entries(ANCHOR_ARRAYS)) anchors[name] = joined(chunks, name, type);
+    const anchors = { count: value.scene.header.anchor_count, ...whole };
+    if (whole === undefined) {
+      for (const [name, type] of Object.entries(ANCHOR_ARRAYS)) anchors[name] = joined(chunks, name, type);
+    }
     return { ...value, anchors };
   }
 }

@@ -1,11 +1,13 @@
 // Where the bytes of a file come from: from memory, as they arrive, or by ranges (SPEC.md 10.2).
 //
 // A source has read(start, size), which gives `size` bytes, or fewer where the file ends. length(), that of the file,
-// is asked for only after read() gave too few. close() says that nothing more is read.
+// is asked for only after read() gave too few. close() says that nothing more is read. size: the bytes that are there
+// from the start, of a source in memory.
 
 class Whole {
   constructor(bytes) {
     this.bytes = bytes;
+    this.size = bytes.length;
   }
 
   async read(start, size) {

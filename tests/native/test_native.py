@@ -25,7 +25,7 @@ from conformance.fuzz import compare
 from conformance.fuzz.strategies import draw_mutation, draw_splice, scenes
 from conformance.manifest import Accepted, Rejected, Vector, load
 from refcodec import statuses
-from refcodec.bitstream import codec, directory, kernel, reader, reconstruction
+from refcodec.bitstream import codec, directory, kernel, reader, reconstruction, source
 from refcodec.bitstream.chunks import PARTS
 from refcodec.bitstream.errors import BitstreamError
 from refcodec.bitstream.header import Lanes
@@ -160,6 +160,37 @@ def test_a_trace_is_numpys(use: Use) -> None:
     assert rows
 
 
+@pytest.mark.parametrize("most", [0, 1 << 40])
+def test_anchors_are_decoded_to_their_place_or_joined(use: Use, monkeypatch: pytest.MonkeyPatch, most: int) -> None:
+    """The scene is the same. A damaged chunk is left out."""
+    use("native")
+    data, scene = FILES["eight lanes"], LARGE["eight lanes"]
+    monkeypatch.setattr(codec, "ROOM_OF_A_BYTE", most)
+    assert verdict(data) == (reconstruction.digest(scene)[0],)
+    target = Target(data)
+    broken = target.put(target.part("masks", 1)[0], b"\xff\xff")
+    found = codec.parse(broken, keep_going=True)
+    with by_numpy():
+        wanted = codec.parse(broken, keep_going=True)
+    assert list(found.damage) == list(wanted.damage) == [1]
+    assert reconstruction.digest(found.scene) == reconstruction.digest(wanted.scene)
+
+
+def test_many_anchors_of_few_bytes_get_no_room(use: Use) -> None:
+    """Room for all anchors is made only where the file has bytes for them."""
+    use("native")
+    opened = reader.Reader(source.WholeFile(FILES["256 lanes"]))
+    native = opened.open().native
+    assert native is not None
+    needed = opened.header.anchor_count * native.anchor_bytes()
+    room = native.room(opened.header.anchor_count)
+    assert needed == sum(array.nbytes for array in vars(room).values())
+    opened.hold_whole(needed - 1)
+    assert opened._whole is None
+    opened.hold_whole(needed)
+    assert opened._whole is not None
+
+
 # --- what cannot be encoded -------------------------------------------------------------------------------------------
 
 
@@ -197,9 +228,7 @@ def test_disagreement_is_a_fault_of_ours(use: Use, monkeypatch: pytest.MonkeyPat
     """Were the kernel to refuse what NumPy accepts, there would be no verdict."""
     use("native")
     original = NativeScene.decode_chunks
-    monkeypatch.setattr(
-        NativeScene, "decode_chunks", lambda s, chunks: (original(s, chunks)[0], [status] * len(chunks))
-    )
+    monkeypatch.setattr(NativeScene, "decode_chunks", lambda *given: [status for _ in original(*given)])
     with pytest.raises(RuntimeError, match=f"native kernel says {status}, and NumPy says 0"):
         codec.parse(FILES["one lane"])
 
