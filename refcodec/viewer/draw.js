@@ -1,4 +1,5 @@
-// Draws Gaussians with WebGL 2, as SPEC.md 14.4 and 14.5 say. Each is a rectangle around its ellipse, the farthest first.
+// Draws Gaussians with WebGL 2, as SPEC.md 14.4 and 14.5 say. Each is a rectangle around its ellipse. The farthest one
+// comes first.
 //
 // The image is blended in 16-bit floats, where the device can. With 8 bits, faint Gaussians would be lost.
 import { ROW_WORDS, TEXELS, WIDTH } from "./rows.js";
@@ -139,8 +140,7 @@ export class Drawing {
         gl.deleteTexture(this.target.image);
         gl.deleteFramebuffer(this.target.frame);
       }
-      this.target = { width, height, image: texture(gl), frame: gl.createFramebuffer() };
-      for (const name of ["TEXTURE_MIN_FILTER", "TEXTURE_MAG_FILTER"]) gl.texParameteri(gl.TEXTURE_2D, gl[name], gl.LINEAR);
+      this.target = { width, height, image: texture(gl, gl.LINEAR), frame: gl.createFramebuffer() };
       gl.texStorage2D(gl.TEXTURE_2D, 1, this.format, width, height);
       gl.bindFramebuffer(gl.FRAMEBUFFER, this.target.frame);
       gl.framebufferTexture2D(gl.FRAMEBUFFER, gl.COLOR_ATTACHMENT0, gl.TEXTURE_2D, this.target.image, 0);
@@ -219,11 +219,13 @@ export class Drawing {
   }
 }
 
-function texture(gl) {
+function texture(gl, filter = gl.NEAREST) {
   const made = gl.createTexture();
   gl.bindTexture(gl.TEXTURE_2D, made);
-  for (const name of ["TEXTURE_MIN_FILTER", "TEXTURE_MAG_FILTER"]) gl.texParameteri(gl.TEXTURE_2D, gl[name], gl.NEAREST);
-  for (const name of ["TEXTURE_WRAP_S", "TEXTURE_WRAP_T"]) gl.texParameteri(gl.TEXTURE_2D, gl[name], gl.CLAMP_TO_EDGE);
+  gl.texParameteri(gl.TEXTURE_2D, gl.TEXTURE_MIN_FILTER, filter);
+  gl.texParameteri(gl.TEXTURE_2D, gl.TEXTURE_MAG_FILTER, filter);
+  gl.texParameteri(gl.TEXTURE_2D, gl.TEXTURE_WRAP_S, gl.CLAMP_TO_EDGE);
+  gl.texParameteri(gl.TEXTURE_2D, gl.TEXTURE_WRAP_T, gl.CLAMP_TO_EDGE);
   return made;
 }
 

@@ -229,8 +229,8 @@ class Viewer {
   }
 
   #tell() {
-    const done = this.refused !== undefined || (!this.stale && this.settled !== undefined && this.settled === this.view);
-    if (!done) return;
+    const whole = !this.stale && this.settled !== undefined && this.settled === this.view;
+    if (this.refused === undefined && !whole) return;
     for (const { resolve, reject } of this.waiting.splice(0)) {
       if (this.refused !== undefined) reject(new Error(JSON.stringify(this.refused)));
       else resolve();
@@ -253,8 +253,8 @@ class Viewer {
     return image.toDataURL("image/png");
   }
 
-  // Turns around the point before the camera for some seconds. Returns them, the frames, those that the worker sent, the
-  // share of a side's pixels that the frames had at last, and the seconds of one more frame, which has all pixels.
+  // Turns around the point before the camera for some seconds. Returns them, the frames, those that the worker sent,
+  // the share of a side's pixels that the frames had at last, and the seconds of one more frame, which has all pixels.
   async turn(seconds) {
     await this.settle();
     this.turning = true;
@@ -286,7 +286,8 @@ class Viewer {
     const { width, height } = this.canvas;
     const { lens } = fitted(this.lens, [width, height]);
     const name = `${(this.name ?? "scene").replace(/\.c3gs$/, "")}.png`;
-    Object.assign(document.createElement("a"), { download: name, href: this.#png(width, height, this.pose, lens) }).click();
+    const href = this.#png(width, height, this.pose, lens);
+    Object.assign(document.createElement("a"), { download: name, href }).click();
   }
 
   #listen() {

@@ -165,8 +165,10 @@ export class Panel {
     if (error === undefined) line.textContent = `${text}.`;
     else {
       const { code, offset, clause } = error;
-      line.textContent = `It is ${error.class}: error ${code} at byte ${whole(offset)}. SPEC.md ${clause} has the rule.`;
-      said.textContent = `${code} ${error.name}\nSPEC.md ${clause}\nbyte ${offset}\n\nrefcodec inspect FILE --near ${offset}`;
+      const where = `error ${code} at byte ${whole(offset)}`;
+      line.textContent = `It is ${error.class}: ${where}. SPEC.md ${clause} has the rule.`;
+      const facts = [`${code} ${error.name}`, `SPEC.md ${clause}`, `byte ${offset}`];
+      said.textContent = [...facts, "", `refcodec inspect FILE --near ${offset}`].join("\n");
     }
     byId("error").hidden = false;
   }

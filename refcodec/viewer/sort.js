@@ -1,4 +1,5 @@
-// The order of drawing: Gaussians by decreasing depth. Of those of equal depth the first one of the file is nearest (14.5).
+// The order of drawing: Gaussians by decreasing depth. Of those of equal depth, the first one of the file is nearest
+// (SPEC.md 14.5).
 import { WIDTH } from "./rows.js";
 
 const RADIX = 1 << 16;

@@ -1,7 +1,7 @@
 // The worker of the page: it decodes a file, runs the rendering networks for the camera, and sorts by depth.
 //
-// The page sends one "open", a "view" whenever the camera changes, and "drawn" for each "frame". The worker sends "head",
-// "chunk", "frame", "end" and "refused". The arrays of a frame go to the page and are not kept here.
+// The page sends one "open", a "view" whenever the camera changes, and "drawn" for each "frame". The worker sends
+// "head", "chunk", "frame", "end" and "refused". The arrays of a frame go to the page and are not kept here.
 import { BoundPassedError, C3gsError, decode, Gaussians } from "../web/c3gs.js";
 import { change, Rows } from "./rows.js";
 import { Sorter } from "./sort.js";
