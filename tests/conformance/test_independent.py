@@ -115,7 +115,7 @@ def test_fault(name: str, data: st.DataObject) -> None:
 @pytest.mark.slow
 @pytest.mark.requirement("D2.1-1", "D7.7-1", "D7.8-1", "D7.9-1", "D7.10-1", "D10.2-3")
 @given(compare.families())
-@settings(max_examples=40)
+@settings(max_examples=16)
 def test_decoders_agree(made: list[tuple[bytes, compare.Verdict | None]]) -> None:
     for data, expected in made:
         _, wrong = compare.compare(data, expected)

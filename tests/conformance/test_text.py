@@ -122,9 +122,9 @@ def test_changed_bytes(spec: Spec, data: st.DataObject) -> None:
 @pytest.mark.requirement("D10.4-1")
 @pytest.mark.no_cover
 @pytest.mark.slow
-@pytest.mark.parametrize("name", ["raw", "packed", "later"])
-def test_every_byte(spec: Spec, name: str) -> None:
-    """Each byte changed, with checksums repaired."""
+@pytest.mark.parametrize(("name", "first"), [("raw", 0), ("packed", 1), ("later", 2)])
+def test_every_third_byte(spec: Spec, name: str, first: int) -> None:
+    """Each third byte changed, with checksums repaired. What the files have alike is changed at each of its bytes."""
     data = FILES[name]
-    for at in range(len(data)):
+    for at in range(first, len(data), 3):
         agreed(spec, repair(data[:at] + bytes([data[at] ^ (1 << at * 5 % 8)]) + data[at + 1 :]))

@@ -315,10 +315,10 @@ def test_a_folder_stays_as_it_was(way: str, tmp_path: Path, monkeypatch: pytest.
 
 @pytest.mark.slow
 def test_memory_is_that_of_the_chunks_at_hand(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """At most what is estimated for one group and the buffers of files, though the scene has 16 groups."""
+    """At most what is estimated for one group and the buffers of files, though the scene has 40 groups."""
     monkeypatch.setattr(reader, "GROUP_ANCHORS", 1024)
     trained = codec.parse((VECTORS / "valid" / "trained-snowmiku.c3gs").read_bytes()).scene
-    rows = np.resize(np.arange(trained.anchor_count), 16 * 1024)
+    rows = np.resize(np.arange(trained.anchor_count), 40 * 1024)
     data = codec.emit(replace(take_anchors(trained, rows), chunk_size=256, position_model=None))
     (tmp_path / "file").write_bytes(data)
     bound = memory_needed(codec.parse_container(data), 1024) + BUFFERS
