@@ -84,12 +84,21 @@ def test_nothing_else_is_served(server: Server) -> None:
     assert server.server_address[0] == "127.0.0.1"
 
 
+# A process that was started in the background ignores Ctrl-C, and so do those that it starts.
+COMMAND = """
+import signal, sys
+signal.signal(signal.SIGINT, signal.default_int_handler)
+from refcodec.cli.main import main
+sys.exit(main(sys.argv[1:]))
+"""
+
+
 @pytest.fixture
 def viewed(trained: Path, tmp_path: Path) -> Iterator[tuple[str, Path, subprocess.Popen[str]]]:
     """The address that `refcodec view` says, the file, and its process."""
     file = tmp_path / "scene.c3gs"
     shutil.copy(trained, file)
-    command = [sys.executable, "-m", "refcodec", "view", str(file), "--no-browser"]
+    command = [sys.executable, "-c", COMMAND, "view", str(file), "--no-browser"]
     with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as process:
         assert process.stdout is not None
         found = re.match(r"(http://127\.0\.0\.1:\d+/) shows ", process.stdout.readline())
