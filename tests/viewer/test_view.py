@@ -113,6 +113,9 @@ def test_view(browser: Chromium, viewed: tuple[str, Path, subprocess.Popen[str]]
     browser.open(f"{url}?file=/nothing.c3gs")
     browser.until("!document.getElementById('error').hidden")
     assert "answers 404" in browser.run("document.getElementById('error').innerText")
+    browser.open(f"{url}?file=http://[")
+    browser.until("!document.getElementById('error').hidden")
+    assert "no address" in browser.run("document.getElementById('error').innerText")
     process.send_signal(signal.SIGINT)
     assert process.wait(20) == 0
 
