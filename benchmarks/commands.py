@@ -24,6 +24,7 @@ import numpy as np
 from refcodec.bitstream.codec import emit, parse
 from refcodec.bitstream.scene import take_anchors
 
+from .resident import measured
 from .results import machine, table, write_section
 
 ROOT = Path(__file__).resolve().parent.parent
@@ -31,17 +32,6 @@ TINY, TRAINED = ROOT / "vectors" / "tiny-example.c3gs", ROOT / "vectors" / "vali
 COMMANDS = {"inspect": [], "validate": [], "decode": ["-o", "OUT"], "decode --chunks 5:6": ["-o", "OUT"]}
 # Bytecode is there after the first run, as of an installed program.
 ENVIRONMENT = {k: v for k, v in os.environ.items() if k != "PYTHONDONTWRITEBYTECODE"}
-# Runs a command, and prints the largest resident memory of its process. What the system says of a process that another
-# one started would be that of the other one, if that was larger.
-MEASURED = """
-import sys
-from pathlib import Path
-from refcodec.cli.main import main
-status = main(sys.argv[1:])
-fields = dict(line.split(":", 1) for line in Path("/proc/self/status").read_text().splitlines())
-print(int(fields["VmHWM"].split()[0]) << 10, file=sys.stderr)
-sys.exit(status)
-"""
 
 
 def large(path: Path, anchors: int) -> int:
@@ -69,10 +59,11 @@ def cost(arguments: list[str]) -> tuple[float, float]:
 
 
 def memory(arguments: list[str]) -> int:
-    """The largest resident memory of a process, in bytes."""
-    command = [sys.executable, "-c", MEASURED, *arguments]
-    done = subprocess.run(command, cwd=ROOT, env=ENVIRONMENT, capture_output=True, text=True, check=True)
-    return int(done.stderr.splitlines()[-1])
+    """The largest resident memory of a process, in bytes. Raises ValueError for a command that fails."""
+    status, most = measured(arguments, ENVIRONMENT)
+    if status:
+        raise ValueError(f"{' '.join(arguments)} ends with {status}")
+    return most
 
 
 def section(anchors: int, rounds: int) -> list[str]:

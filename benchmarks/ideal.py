@@ -26,6 +26,7 @@ from refcodec.bitstream.planes import PLANES, assemble_planes, code_planes
 from refcodec.bitstream.positions import position_integers
 from refcodec.bitstream.scene import Scene
 from refcodec.bitstream.tables import PRECISION, SCALE_MIN, ModelSet
+from refcodec.inspect.page.lengths import escape_bits, plain_bits
 
 F64 = NDArray[np.float64]
 
@@ -128,13 +129,10 @@ class BitCounter:
         model, index, away, raw = placed(models, mean, scale, given)
         radius = models.radius.take(model)
         escaped = index > 2 * radius
-        at = models.offset.take(model) + index
-        frequency = models.upper.take(at).astype(np.float64) - models.lower.take(at)
-        excess = np.abs(away[escaped]) - radius[escaped]
-        escape = float((2 + 2 * np.floor(np.log2(excess))).sum())
+        escape = float(escape_bits(away[escaped], radius[escaped]).sum())
         exact = bin_bits(models.family, mean / MEAN_UNIT, scale / SCALE_UNIT, given.astype(np.float64))
         self.integer += float(np.minimum(exact, CAP).sum())
-        self.table += float((PRECISION - np.log2(frequency)).sum()) + float(raw.sum()) + escape
+        self.table += float(plain_bits(models, model, index).sum()) + float(raw.sum()) + escape
         self.raw += float(raw.sum())
         self.escape += escape
         self.symbols += len(given)
@@ -144,10 +142,7 @@ class BitCounter:
     def plain(self, models: ModelSet, index: Int64, counts: list[int], name: SymbolName, given: Int64 | None) -> Int64:
         """As Encoder.plain."""
         assert given is not None
-        at = models.offset.take(index) + given
-        self.table += float(
-            (PRECISION - np.log2(models.upper.take(at).astype(np.float64) - models.lower.take(at))).sum()
-        )
+        self.table += float(plain_bits(models, index, given).sum())
         self.symbols += len(given)
         return given
 

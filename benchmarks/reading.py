@@ -24,6 +24,8 @@ from refcodec.bitstream.reconstruction import StreamDigest, chunk_digest, digest
 from refcodec.bitstream.source import Arriving, Ranges
 from refcodec.bitstream.tables import tables
 
+from .resident import resident
+
 WHOLE, ARRIVING, WARM, TRACED = "whole", "arriving", "warm", "traced"
 # Bytes of a block of a file that arrives.
 BLOCK = 1000
@@ -95,12 +97,6 @@ class _File:
             yield self.fetch(start, min(BLOCK, self.size - start))
 
 
-def _resident() -> int:
-    """The most bytes that this process had in memory."""
-    fields = dict(line.split(":", 1) for line in Path("/proc/self/status").read_text().splitlines())
-    return int(fields["VmHWM"].split()[0]) << 10
-
-
 def _read(path: Path, way: str, traced: bool) -> Reading:
     file = _File(path)
     tables()
@@ -108,7 +104,7 @@ def _read(path: Path, way: str, traced: bool) -> Reading:
         tracemalloc.start()
 
     def peak() -> int:
-        return tracemalloc.get_traced_memory()[1] if traced else _resident()
+        return tracemalloc.get_traced_memory()[1] if traced else resident()
 
     first, clock = 0, _Clock()
     if way == WHOLE:

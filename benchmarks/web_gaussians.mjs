@@ -1,6 +1,7 @@
 // Says what the Gaussians of places cost. node web_gaussians.mjs FILE: a place for each line, 3 numbers.
 //
-// The first answer has the processor seconds of adding all chunks. The others have the seconds of a place and its count.
+// The first answer has the processor seconds of adding all chunks. The others have the seconds of a place and how many
+// Gaussians it sees.
 import fs from "node:fs";
 import readline from "node:readline";
 import { decode, Gaussians } from "../refcodec/web/c3gs.js";

@@ -19,6 +19,7 @@ MANUAL = ROOT / "docs"
 PAGES = {
     "conformance/README.md": "more/conformance",
     "vectors/README.md": "more/vectors",
+    "refcodec/viewer/README.md": "more/viewer",
     "refcodec/web/README.md": "more/web",
     "benchmarks/RESULTS.md": "more/results",
     "ARCHITECTURE.md": "more/architecture",

@@ -8,7 +8,6 @@ software.
 from __future__ import annotations
 
 import json
-import shutil
 import subprocess
 import tempfile
 import threading
@@ -23,6 +22,7 @@ from numpy.typing import NDArray
 from refcodec.render.camera import Camera
 from refcodec.render.rasterise import Settings
 
+from ..chromium import find
 from ..peers.convert import ToolError
 from .clients import modules
 
@@ -30,7 +30,6 @@ U8 = NDArray[np.uint8]
 
 PAGES = Path(__file__).resolve().parent / "pages"
 PAGE = {".ply": "spark.html", ".spz": "spark.html", ".sog": "spark.html", ".glb": "gltf.html"}
-BROWSERS = ("chromium", "chromium-browser", "google-chrome")
 # Without a graphics card.
 _OPTIONS = (
     *("--headless=new", "--no-sandbox", "--no-first-run"),
@@ -43,7 +42,7 @@ PATIENCE = 240
 
 def browser() -> str:
     """The browser's program. Raises ToolError."""
-    found = next((path for name in BROWSERS if (path := shutil.which(name))), None)
+    found = find()
     if found is None:
         raise ToolError("no Chromium is there: apt-get install chromium")
     return found

@@ -9,6 +9,7 @@ import argparse
 import io
 import os
 import sys
+import threading
 from collections.abc import Callable
 from functools import partial
 from pathlib import Path
@@ -124,7 +125,8 @@ def _view(arguments: argparse.Namespace) -> int:
         say(f"{server.url} shows {arguments.file}. Ctrl-C ends it.")
         sys.stdout.flush()
         if not arguments.no_browser:
-            webbrowser.open(server.url)
+            # A browser in the terminal asks for the page before it lets go of the call.
+            threading.Thread(target=webbrowser.open, args=(server.url,), daemon=True).start()
         try:
             server.serve_forever()
         except KeyboardInterrupt:

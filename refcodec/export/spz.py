@@ -25,8 +25,10 @@ SPZ = Kind("an SPZ file that refcodec wrote", re.compile(rb"\x1f\x8b\x08\x00" + 
 _POSITION_MOST, _FRACTION_MOST = (1 << 23) - 1, 20
 # Opacities o are stored as 255 o, coefficients c of degree 0 as 255 (0.15 c + 0.5), scales s as 16 (s + 10).
 COLOUR, SCALE, SCALE_LEAST = 0.15, 16, -10
-# Other coefficients c are stored as 128 c + 128. They are from -1 to 1. Niantic's library drops three and four of the
-# eight bits, so that gzip packs more. Those of learned scenes are small, and would be lost.
+# Other coefficients c are stored as 128 c + 128. They are from -1 to 1. Niantic's library drops three of the eight bits
+# in degree 1 and four in the others, and has 12 fractional bits of positions. gzip packs that to two thirds. But of
+# playbot (31,000 Gaussians, degree 2) it leaves 47.4 dB where these bits leave 55.5. The best fits of RESULTS.md reach
+# 46 dB, which would then drop.
 _HARMONIC = 128
 # Components of quaternions have a sign and nine bits. All but the largest are at most the square root of 1/2.
 _COMPONENT = 511 * np.sqrt(2)

@@ -118,6 +118,15 @@ export class Drawing {
     if (gl.getError() === gl.OUT_OF_MEMORY) throw new RangeError("the device has no memory for the scene");
   }
 
+  // Nothing of a scene stays on the canvas.
+  clear() {
+    const { gl } = this;
+    this.count = 0;
+    gl.bindFramebuffer(gl.FRAMEBUFFER, null);
+    gl.clearColor(0, 0, 0, 1);
+    gl.clear(gl.COLOR_BUFFER_BIT);
+  }
+
   // rows: their numbers. data: one row after the other. order: what is drawn, the first one first.
   take({ rows, data, order }) {
     const { gl } = this;

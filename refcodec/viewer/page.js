@@ -18,6 +18,7 @@ const STILL = 150;
 const STEP = Math.PI / 60;
 // More than this many pixels for one of CSS are not seen.
 const RATIO_MAX = 2;
+const LOST = "the graphics device was lost: load the page again";
 const KEYS = { KeyW: [2, 1], KeyS: [2, -1], KeyD: [0, 1], KeyA: [0, -1], KeyE: [1, -1], KeyQ: [1, 1] };
 
 const byId = (id) => document.getElementById(id);
@@ -41,29 +42,53 @@ class Viewer {
     this.device = this.drawing.device;
     this.pressed = new Set();
     this.pointers = new Map();
+    this.waiting = [];
     this.share = 1;
     this.#listen();
   }
 
   // Opens a file, instead of the one before. input: bytes or a Blob. url: where it is, without an input.
   async open({ input, url, name }) {
-    this.worker?.terminate();
+    this.#stop();
+    // Whoever waits for the file before this one waits for this one.
+    const opening = (this.opening = {});
     // Milliseconds since the page began: the header, the first picture, and the picture of the whole scene.
     Object.assign(this, { times: {}, header: undefined, cameras: [], extent: undefined, name, touched: false });
-    Object.assign(this, { view: 0, settled: undefined, frames: 0, owes: false, waiting: [], refused: undefined });
+    Object.assign(this, { view: 0, settled: undefined, frames: 0, owes: false, refused: undefined });
+    // The camera of the file before says nothing of this one.
+    Object.assign(this, { pose: undefined, lens: undefined, camera: undefined, number: undefined });
     this.panel.begin(name);
+    this.drawing.clear();
+    if (this.drawing.gl.isContextLost()) {
+      this.on_refused({ kind: "fault", text: LOST });
+      return;
+    }
     try {
       this.wasm ??= await unpacked("wasm");
       // A page on a disk may have no worker in a file of its own.
       this.code ??= URL.createObjectURL(new Blob([await unpacked("worker")], { type: "text/javascript" }));
+      // Another file may have been chosen meanwhile, or the device lost.
+      if (this.opening !== opening || this.refused !== undefined) return;
       this.worker = new Worker(this.code);
     } catch (error) {
-      this.on_refused({ kind: "fault", text: `this browser cannot begin: ${error.message}` });
+      if (this.opening === opening) {
+        this.on_refused({ kind: "fault", text: `this browser cannot begin: ${error.message}` });
+      }
       return;
     }
-    this.worker.onmessage = ({ data }) => this[`on_${data.type}`](data);
-    this.worker.onerror = (event) => this.on_refused({ kind: "fault", text: event.message });
-    this.worker.postMessage({ type: "open", wasm: this.wasm, input, url });
+    const { worker } = this;
+    // What a worker said before its end may come in later.
+    const heard = (take) => (event) => {
+      if (this.worker === worker) take(event);
+    };
+    worker.onmessage = heard(({ data }) => this[`on_${data.type}`](data));
+    worker.onerror = heard((event) => this.on_refused({ kind: "fault", text: event.message }));
+    worker.postMessage({ type: "open", wasm: this.wasm, input, url });
+  }
+
+  #stop() {
+    this.worker?.terminate();
+    this.worker = undefined;
   }
 
   on_head({ header, height, ...about }) {
@@ -109,11 +134,10 @@ class Viewer {
 
   // After a fault, the chunks before it are no whole scene.
   on_refused({ error, kind, text }) {
-    this.worker?.terminate();
+    this.#stop();
     this.refused = error ?? { kind, text };
-    this.drawing.count = 0;
+    this.drawing.clear();
     this.panel.refuse(this.name, error, kind, text);
-    if (this.header !== undefined) this.ask();
     this.#tell();
   }
 
@@ -157,7 +181,7 @@ class Viewer {
     const passed = time - (this.last ?? time);
     this.last = time;
     if (this.pose !== undefined) this.#fly(Math.min(passed, 200) / 1000);
-    if (this.stale && this.header !== undefined) this.#send();
+    if (this.stale && this.header !== undefined && this.pose !== undefined) this.#send();
     const moving = time - this.movedAt < STILL;
     const state = moving ? "moving" : this.settled === this.view ? "still" : "coming";
     // Frames that follow each other say how long one takes.
@@ -188,7 +212,7 @@ class Viewer {
     this.stale = false;
     this.view++;
     const { rotation, centre } = this.pose;
-    this.worker.postMessage({ type: "view", id: this.view, rotation, centre });
+    this.worker?.postMessage({ type: "view", id: this.view, rotation, centre });
   }
 
   draw(share) {
@@ -199,7 +223,7 @@ class Viewer {
     if (canvas.width !== wide || canvas.height !== high) Object.assign(canvas, { width: wide, height: high });
     const { lens, left, top, scale } = fitted(this.lens, [wide, high]);
     this.drawing.draw(this.pose, lens, share);
-    if (this.owes) this.worker.postMessage({ type: "drawn" });
+    if (this.owes) this.worker?.postMessage({ type: "drawn" });
     this.owes = false;
     const box = [left, top, this.lens.width * scale, this.lens.height * scale].map((side) => side / ratio);
     this.panel.photograph(this.camera?.isPhotograph ? this.camera : undefined, box);
@@ -302,7 +326,7 @@ class Viewer {
     }
     canvas.addEventListener("contextmenu", (event) => event.preventDefault());
     canvas.addEventListener("webglcontextlost", () => {
-      this.on_refused({ kind: "fault", text: "the graphics device was lost: load the page again" });
+      this.on_refused({ kind: "fault", text: LOST });
     });
     const wheel = (event) => {
       event.preventDefault();
@@ -390,10 +414,19 @@ function start() {
   const scene = byId("scene").textContent.trim();
   const asked = new URLSearchParams(location.search).get("file") ?? settings.url;
   if (scene !== "") viewer.open({ input: decoded(scene), name: settings.name });
-  else if (asked !== null) {
-    const url = new URL(asked, location.href);
-    viewer.open({ url: url.href, name: settings.url === asked ? settings.name : url.pathname.split("/").pop() });
-  } else viewer.panel.wait();
+  else if (asked !== null) openAt(viewer, asked, settings);
+  else viewer.panel.wait();
+}
+
+function openAt(viewer, asked, settings) {
+  let url;
+  try {
+    url = new URL(asked, location.href);
+  } catch {
+    viewer.on_refused({ kind: "fault", text: `${asked} is no address of a file` });
+    return;
+  }
+  viewer.open({ url: url.href, name: settings.url === asked ? settings.name : url.pathname.split("/").pop() });
 }
 
 start();

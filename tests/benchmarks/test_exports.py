@@ -60,7 +60,7 @@ def test_the_command(
     lines = capsys.readouterr().out.splitlines()
     assert "### a" in lines
     assert [line.split(" | ")[0][2:] for line in lines if line.startswith("| .")] == [".c3gs", *FORMATS]
-    monkeypatch.setattr(browser, "BROWSERS", ())
+    monkeypatch.setattr(browser, "find", lambda: None)
     assert main([*words, "--clients"]) == 64
     assert "missing" in (said := capsys.readouterr().err) or "Chromium" in said
 

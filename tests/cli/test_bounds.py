@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import os
-import subprocess
-import sys
 import tracemalloc
 from collections.abc import Callable
 from dataclasses import replace
@@ -13,6 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from benchmarks.resident import measured
 from conformance.cases.scenes import MAIN_DIMENSIONS, random_scene
 from refcodec.bitstream import codec
 from refcodec.bitstream.attributes import Attributes
@@ -36,17 +35,6 @@ COMMANDS = [
     ["export", "--scaffold", "-o", "OUT"],
     ["eval", str(VECTORS.parent / "examples" / "photographs" / "caliterra"), "--size", "48"],
 ]
-# Runs the program, and prints its status and its largest resident memory in bytes. What getrusage says of it would be
-# that of the process that started it, if that was larger.
-MEASURED = """
-import sys
-from pathlib import Path
-from refcodec.cli.main import main
-status = main(sys.argv[1:])
-fields = dict(line.split(":", 1) for line in Path("/proc/self/status").read_text().splitlines())
-print(status, int(fields["VmHWM"].split()[0]) << 10, file=sys.stderr)
-"""
-
 LINUX = pytest.mark.skipif(not Path("/proc/self/status").exists(), reason="memory is read from /proc")
 
 
@@ -113,18 +101,11 @@ def test_the_estimate_is_one_to_two_times_what_is_measured(tmp_path: Path) -> No
     file.write_bytes(codec.emit(many))
     header = codec.parse_container(file.read_bytes())
     for command in (["validate"], ["digest"], ["decode", "-o", "OUT"], ["inspect", "--decode"]):
-        run = subprocess.run(
-            [sys.executable, "-c", MEASURED, *words(command, file, tmp_path / "out")],
-            capture_output=True,
-            text=True,
-            check=True,
-            # The native kernel takes less.
-            env={**os.environ, "REFCODEC_PATH": "numpy"},
-        )
-        status, measured = map(int, run.stderr.splitlines()[-1].split())
+        # The native kernel takes less.
+        status, most = measured(words(command, file, tmp_path / "out"), {**os.environ, "REFCODEC_PATH": "numpy"})
         estimate = PROGRAM + needed_memory(header, 0)
         assert status == 0
-        assert measured < estimate < 2 * measured, command
+        assert most < estimate < 2 * most, command
 
 
 # --- from Python ------------------------------------------------------------------------------------------------------

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import argparse
+import importlib
 import json
 import os
 import resource
@@ -30,7 +32,7 @@ from refcodec.bitstream.metadata import metadata
 from refcodec.bitstream.reader import Reader
 from refcodec.bitstream.reconstruction import Reconstruction, digest
 from refcodec.bitstream.scene import Ancillary
-from refcodec.cli.main import main
+from refcodec.cli.main import GROUPS, main
 from refcodec.folder.read import read_folder
 from refcodec.folder.uncompressed import Uncompressed, write_uncompressed
 from refcodec.folder.write import write_folder
@@ -45,6 +47,17 @@ def run(*arguments: object, **options) -> subprocess.CompletedProcess[str]:
     """The command in a process of its own, where that is the point."""
     command = [sys.executable, "-m", "refcodec", *map(str, arguments)]
     return subprocess.run(command, capture_output=True, text=True, check=False, timeout=120, **options)
+
+
+def test_groups_name_every_command() -> None:
+    """A command imports the module of its group alone, so a command that GROUPS lacks could not be called."""
+    modules = {path.stem for path in (ROOT / "cli").glob("*.py")} - {"__init__", "__main__", "main"}
+    adding = {name for name in modules if hasattr(importlib.import_module(f"refcodec.cli.{name}"), "add")}
+    assert adding == set(GROUPS)
+    for group, names in GROUPS.items():
+        commands = argparse.ArgumentParser().add_subparsers()
+        importlib.import_module(f"refcodec.cli.{group}").add(commands)
+        assert tuple(commands.choices) == names
 
 
 @pytest.fixture

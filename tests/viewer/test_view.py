@@ -4,12 +4,15 @@ from __future__ import annotations
 
 import io
 import json
+import os
+import queue
 import re
 import shutil
 import signal
 import subprocess
 import sys
 import threading
+import time
 from collections.abc import Iterator
 from http.client import HTTPConnection, HTTPResponse
 from pathlib import Path
@@ -122,6 +125,9 @@ def test_view(browser: Chromium, viewed: tuple[str, Path, subprocess.Popen[str]]
     browser.open(f"{url}?file=/nothing.c3gs")
     browser.until("!document.getElementById('error').hidden")
     assert "answers 404" in browser.run("document.getElementById('error').innerText")
+    browser.open(f"{url}?file=http://[")
+    browser.until("!document.getElementById('error').hidden")
+    assert "no address" in browser.run("document.getElementById('error').innerText")
     process.send_signal(signal.SIGINT)
     assert process.wait(20) == 0
 
@@ -148,7 +154,7 @@ def test_what_view_serves(
 ) -> None:
     """It opens the browser. The page has the photographs, and the file of a scene folder is that of its encoding."""
     pytest.importorskip("PIL", reason="photographs need the packages of the extra render")
-    opened: list[str] = []
+    opened: queue.Queue[str] = queue.Queue()
     served: list[Server] = []
 
     def serve(server: Server) -> None:
@@ -156,17 +162,39 @@ def test_what_view_serves(
         raise KeyboardInterrupt
 
     monkeypatch.setattr(Server, "serve_forever", serve)
-    monkeypatch.setattr("webbrowser.open", opened.append)
+    monkeypatch.setattr("webbrowser.open", opened.put)
     folder = tmp_path / "scene"
     assert main(["decode", str(trained), "-o", str(folder)]) == 0
     for words in ([str(trained)], [str(folder)], [str(trained), "--photographs", str(photographs), "--size", "40"]):
         assert main(["view", *words]) == 0
         with served[-1].file() as file:
             assert file.read() == trained.read_bytes()
-    assert opened == [server.url for server in served]
+    assert {opened.get(timeout=60) for _ in served} == {server.url for server in served}
     pages = [server.page.decode() for server in served]
     assert [text.count("data:image/jpeg") for text in pages] == [0, 0, 8]
     assert "Ctrl-C" in capsys.readouterr().out
+
+
+def test_a_browser_that_waits_for_the_page(trained: Path, tmp_path: Path) -> None:
+    """Browsers of the terminal let go of the command only when they end."""
+    program, found = tmp_path / "browser.py", tmp_path / "page.html"
+    program.write_text(
+        "import sys, urllib.request\n"
+        "page = urllib.request.urlopen(sys.argv[1], timeout=60).read()\n"
+        f"open({str(found)!r}, 'wb').write(page)\n"
+    )
+    environment = os.environ | {"BROWSER": f"{sys.executable} {program} %s"}
+    command = [sys.executable, "-m", "refcodec", "view", str(trained)]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, env=environment, text=True) as process:
+        try:
+            end = time.monotonic() + 60
+            while not (found.exists() and found.stat().st_size) and time.monotonic() < end:
+                time.sleep(0.05)
+            process.send_signal(signal.SIGINT)
+            assert process.wait(20) == 0
+        finally:
+            process.kill()
+    assert found.read_bytes().startswith(b"<!doctype html>")
 
 
 def test_export(trained: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

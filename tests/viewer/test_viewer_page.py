@@ -168,3 +168,56 @@ def test_it_moves(browser: Chromium, trained: Path, tmp_path: Path) -> None:
     browser.ask("Input.dispatchKeyEvent", {"type": "keyDown", "code": "KeyR", "key": "r"})
     browser.run("c3gs.settle()")
     assert browser.run("c3gs.pose") == start
+
+
+def _input(data: bytes) -> str:
+    """A script for the bytes of a file."""
+    text = json.dumps(base64.b64encode(data).decode())
+    return f"Uint8Array.from(atob({text}), (letter) => letter.charCodeAt(0))"
+
+
+def _edge(browser: Chromium) -> np.ndarray:
+    """The left edge of a screenshot, below the title and above the buttons: the page says nothing there."""
+    image_module = pytest.importorskip("PIL.Image", reason="screenshots need the packages of the extra render")
+    shown = np.asarray(image_module.open(io.BytesIO(browser.screenshot())).convert("RGB"))
+    return shown[120:400, :20]
+
+
+def test_a_file_after_another(browser: Chromium, trained: Path, tmp_path: Path) -> None:
+    """Of two files that are chosen at once, the last one is shown. A refused one leaves nothing of those before it."""
+    good = trained.read_bytes()
+    empty = (VALID / "empty.c3gs").read_bytes()
+    _open(browser, _write(tmp_path, good))
+    browser.run("c3gs.settle()")
+    assert _edge(browser).std() > 1
+    # A key is held meanwhile. Both begin before either has a worker.
+    browser.ask("Input.dispatchKeyEvent", {"type": "keyDown", "code": "KeyW", "key": "w"})
+    first, last = (f"c3gs.open({{ input: {_input(data)}, name: '{len(data)}' }})" for data in (good, empty))
+    browser.run(f"c3gs.code = undefined; c3gs.wasm = undefined; {first}; {last}")
+    browser.until("c3gs.header !== undefined")
+    browser.ask("Input.dispatchKeyEvent", {"type": "keyUp", "code": "KeyW", "key": "w"})
+    browser.run("c3gs.settle()")
+    assert browser.run("[c3gs.name, c3gs.header.anchor_count]") == [str(len(empty)), 0]
+    browser.run(f"c3gs.open({{ input: {_input(good)}, name: 'good' }})")
+    browser.run("c3gs.settle()")
+    assert _edge(browser).std() > 1
+    bad = bytearray(good)
+    bad[len(bad) - 1000] ^= 1
+    browser.run(f"c3gs.open({{ input: {_input(bytes(bad))}, name: 'bad' }})")
+    with pytest.raises(BrowserError, match="clause"):
+        browser.run("c3gs.settle()")
+    assert not _edge(browser).any()
+    assert browser.said == []
+
+
+def test_the_device_is_lost(browser: Chromium, trained: Path, tmp_path: Path) -> None:
+    """The page says so, also for a file that is chosen later."""
+    _open(browser, _write(tmp_path, trained.read_bytes()))
+    browser.run("c3gs.settle()")
+    browser.run("c3gs.drawing.gl.getExtension('WEBGL_lose_context').loseContext()")
+    browser.until("!document.getElementById('error').hidden")
+    assert "device was lost" in _text(browser, "#error")
+    browser.run(f"c3gs.open({{ input: {_input((VALID / 'empty.c3gs').read_bytes())}, name: 'next' }})")
+    with pytest.raises(BrowserError, match="device was lost"):
+        browser.run("c3gs.settle()")
+    assert _text(browser, "#title") == "next"
