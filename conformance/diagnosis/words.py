@@ -154,10 +154,9 @@ def _with_probes(said: dict[str, Any] | None, probed: list[dict[str, Any]]) -> d
     total = sum(of["vectors"] for of in probed)
     lines = []
     for of in probed[:_CLAUSES]:
-        lines.append(f"{of['vector']}: {of['text']}; read {_title(of['clause'])}")
-        lines.append(
-            f"  a number of this clause is the first that differs in {of['vectors']} of {total} vectors with one"
-        )
+        lines.append(of["text"])
+        share = f"{of['vectors']} of {total} vectors with a wrong number"
+        lines.append(f"  read {_title(of['clause'])}; so it is in {share}, such as {of['vector']}")
     # What the table says is told where it says the same clause, in other words.
     agrees = any(clause["clause"] == probed[0]["clause"] for clause in said["clauses"][:1])
     return said | {"clear": True, "text": lines + (said["text"] if agrees else []), "probes": probed}
@@ -168,8 +167,8 @@ def of_record(
 ) -> dict[str, Any] | None:
     """What the entries of a record say. grade: that was demanded.
 
-    None if no vector failed that the table knows, and none has a wrong probe. A vector whose file
-    or expectation is another one is not known.
+    None if no vector failed that the table knows, and none has a wrong probe. A vector whose file or
+    expectation is another one is not known.
     """
     if all(entry["status"] in ("passed", "skipped", "unexpected") for entry in entries):
         return None
