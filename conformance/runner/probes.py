@@ -107,8 +107,12 @@ def _kind(name: str) -> str:
     return head if head in ("samples", "slice") else name
 
 
-def _clauses(scene: Scene, name: str, written: set[str], symbols: bool) -> tuple[str, ...]:
-    """The clauses to read for a wrong number. written: the kinds of right numbers of its anchor."""
+def _clauses(scene: Scene, name: str, doubtful: set[str], symbols: bool) -> tuple[str, ...]:
+    """The clauses to read for a wrong number.
+
+    doubtful: the kinds of numbers that the file has and that were not written for its anchor. symbols: whether there
+    are symbols before it, which tell that planes are right.
+    """
     found: list[str] = []
     waiting = [_kind(name)]
     while waiting:
@@ -118,7 +122,7 @@ def _clauses(scene: Scene, name: str, written: set[str], symbols: bool) -> tuple
             found.append("7.12")
         if kind == "samples" and not symbols:
             found.append("7.3")
-        waiting += [source for source in _FROM[kind] if source not in written]
+        waiting += [source for source in _FROM[kind] if source in doubtful]
     return tuple(dict.fromkeys(found))
 
 
@@ -148,7 +152,8 @@ def compare(scene: Scene, trace: bytes, wrong_symbol: int | None) -> Compared:
         differs = next((i for i, (a, b) in enumerate(zip(found, wanted, strict=True)) if a != b), None)
         kinds = written.setdefault(anchor, set())
         if differs is not None:
-            clauses = _clauses(scene, name, kinds, symbols > 0)
+            doubtful = {_kind(known) for known in right(anchor)[0]} - kinds
+            clauses = _clauses(scene, name, doubtful, symbols > 0)
             compared.first = Probe(name, anchor, differs, found[differs], wanted[differs], clauses)
             break
         kinds.add(_kind(name))
