@@ -10,7 +10,8 @@ from dataclasses import dataclass
 _MARK = b"probe "
 # So many bytes of a line are read.
 LINE_BYTES = 1 << 16
-_LINES = re.compile(rb"(?:^probe [^\n]*(?:\n|\Z))+", re.MULTILINE)
+# Nothing is tried again, so that a match of millions of lines takes no memory.
+_LINES = re.compile(rb"(?:^probe [^\n]*+(?:\n|\Z))++", re.MULTILINE)
 
 
 @dataclass(frozen=True)
