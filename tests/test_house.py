@@ -13,8 +13,8 @@ BITSTREAM, INDEPENDENT = "refcodec.bitstream", "conformance.independent"
 NATIVE = "refcodec.native"
 # The reference decodes chunks side by side, some at a time, takes the bounds of its callers, and has a native kernel.
 ONLY_REFERENCE = {"batches", "bounds", "kernel", "streaming"}
-# The second decoder's own command and trace. Those of the reference are in refcodec.cli and refcodec.inspect.
-ONLY_INDEPENDENT = {"__main__", "trace"}
+# The second decoder's own command, trace and probes. Those of the reference are in refcodec.cli and refcodec.inspect.
+ONLY_INDEPENDENT = {"__main__", "trace", "probes"}
 # What decoding must not need. plyfile and safetensors belong to the scene folder.
 HEAVY = {"torch", "numba", "scipy", "plyfile", "safetensors", "tqdm", "PIL", "skimage"}
 # The second decoder reads whole files alone. It passes over metadata and cameras, on which no verdict depends.

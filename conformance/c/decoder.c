@@ -1,7 +1,8 @@
 /* A decoder for C3GS, format version 0, written from SPEC.md alone.
  *
  *   decoder digest FILE           prints the digests of the canonical reconstruction (9.3)
- *   decoder decode FILE OUTPUT    writes the bytes that the scene's digest is the SHA-256 of, and then the seven parts
+ *   decoder decode FILE OUTPUT [PROBES]
+ *                                 writes the bytes that the scene's digest is the SHA-256 of, and then the seven parts
  *
  * It reads FILE from the first byte to the last, and holds one section or one chunk at a time. To be digested, FILE may
  * be a pipe. OUTPUT is written in a second pass, so a refused file leaves it alone.
@@ -12,6 +13,9 @@
  *   1   the file is malformed or invalid
  *   2   the file is not supported
  *   64  wrong usage, or a failure of input, output or memory
+ *
+ * PROBES is a trace of probes alone: the numbers of each anchor by name (conformance/README.md). Those before an error
+ * are written too. There are 16 MiB at most.
  *
  * With status 1 or 2 the last line on stderr is {"code": 202, "name": "header.crc", "offset": 300}. The tables of Annex
  * A are read from the file that the environment variable C3GS_TABLES names, or else from tables-0.bin in the folder of
@@ -1221,6 +1225,56 @@ static void EMIT(struct part *p, const uint8_t *data, uint64_t n)
     p->at += n;
 }
 
+/* ---------------------------------------------------------------- probes, not of the specification */
+
+static FILE *probes; /* or a null pointer */
+static uint64_t probed; /* bytes, no less than were written */
+
+enum { PROBES_MAX = 16 << 20, PROBE_NUMBER = 21, PROBE_HEAD = 64 };
+
+/* Whether a probe of so many numbers is written, and its name. `slice` is that of NAME, or negative. */
+static int PROBE_BEGIN(const char *name, int slice, const char *kind, uint64_t anchor, uint64_t count)
+{
+    if (!probes || count > PROBES_MAX / PROBE_NUMBER)
+        return 0;
+    probed += PROBE_HEAD + PROBE_NUMBER * count;
+    if (probed > PROBES_MAX) {
+        probed = PROBES_MAX; /* no later one is written */
+        return 0;
+    }
+    if (slice < 0)
+        fprintf(probes, "probe %s[%llu]", name, (unsigned long long)anchor);
+    else
+        fprintf(probes, "probe %s.%d.%s[%llu]", name, slice, kind, (unsigned long long)anchor);
+    return 1;
+}
+
+static void PROBE(const char *name, uint64_t anchor, const int32_t *numbers, uint64_t count)
+{
+    if (!PROBE_BEGIN(name, -1, "", anchor, count))
+        return;
+    for (uint64_t i = 0; i < count; i++)
+        fprintf(probes, " %ld", (long)numbers[i]);
+    putc('\n', probes);
+}
+
+static void PROBE_POINT(const char *name, uint64_t anchor, const int64_t numbers[3])
+{
+    if (PROBE_BEGIN(name, -1, "", anchor, 3))
+        fprintf(probes, " %lld %lld %lld\n", (long long)numbers[0], (long long)numbers[1], (long long)numbers[2]);
+}
+
+/* the sums of the numbers of F_h and of CARM */
+static void PROBE_SLICE(int slice, const char *kind, uint64_t anchor, const int32_t *own, const int32_t *change,
+                        uint64_t count)
+{
+    if (!PROBE_BEGIN("slice", slice, kind, anchor, count))
+        return;
+    for (uint64_t i = 0; i < count; i++)
+        fprintf(probes, " %lld", (long long)own[i] + change[i]);
+    putc('\n', probes);
+}
+
 /* ---------------------------------------------------------------- the scene */
 
 struct frame { /* 5.7 */
@@ -1246,6 +1300,7 @@ struct scene {
     struct part part[PARTS];
 
     /* of the chunk that is decoded */
+    uint64_t first_anchor; /* for probes */
     uint16_t *position_bits; /* three f16 of each anchor */
     uint16_t (*nodes)[3], (*next_nodes)[3];
     uint8_t *halves; /* of the nodes, the first symbols */
@@ -1253,6 +1308,7 @@ struct scene {
     int32_t *parameters, *change, *symbols; /* outputs of F_h, outputs of CARM, D symbols, of each anchor */
     struct value *group;
     uint8_t *values; /* of one part */
+    uint8_t *step_index; /* three of each anchor, for probes */
     uint32_t step[3][STEP_LENGTH]; /* 9.2: the f32 of each kind and index */
 };
 
@@ -1821,18 +1877,26 @@ static void CONTEXT(const struct scene *s, const uint16_t *p, int32_t *out)
 {
     int32_t channels = s->h.plane_channels, size = (int32_t)s->h.plane_size;
     int64_t position[3], u[3];
-    if (!channels && !s->h.frequency_count) /* there is no frame */
-        return;
+    uint64_t anchor = s->first_anchor + (uint64_t)(p - s->position_bits) / 3;
     for (int a = 0; a < 3; a++)
         position[a] = POSITION_INTEGER(p[a]);
+    PROBE_POINT("P", anchor, position);
+    if (!channels && !s->h.frequency_count) /* there is no frame */
+        return;
     FRAME_COORDINATES(&s->frame, position, u);
+    PROBE_POINT("v", anchor, u);
     CONTRACT(u);
+    PROBE_POINT("w", anchor, u);
     RESCALE(&s->frame, u);
+    PROBE_POINT("u", anchor, u);
     if (channels) {
         QUERY(s->plane[0], channels, size, u, s->plane_shift, out);
         QUERY(s->plane_2, channels, 2 * size, u, s->plane_shift, out + channels);
+        PROBE("samples.r1", anchor, out, (uint64_t)channels);
+        PROBE("samples.r2", anchor, out + channels, (uint64_t)channels);
     }
     GAMMA(u[2], s->h.frequency_count, out + 2 * channels);
+    PROBE("gamma", anchor, out + 2 * channels, 2 * (uint64_t)s->h.frequency_count);
 }
 
 /* ---------------------------------------------------------------- 7.6 masks */
@@ -1896,6 +1960,13 @@ static void CHANNEL_CONTEXT(struct scene *s, uint32_t i, uint32_t first, uint64_
             inputs[k] = ACTIVATION(RSHIFT_ROUND(s->symbols[n * s->h.channels + k], s->carm_shift[k]));
         NETWORK(&s->networks[CARM_1 + i - 1], inputs, s->change + n * 2 * s->h.slice_width.item[i]);
     }
+    for (uint64_t n = 0; n < anchors; n++) {
+        const int32_t *own = s->parameters + n * (2 * s->h.channels + 3);
+        const int32_t *change = s->change + n * 2 * s->h.slice_width.item[i];
+        uint32_t width = s->h.slice_width.item[i];
+        PROBE_SLICE((int)i, "means", s->first_anchor + n, own + first, change, width);
+        PROBE_SLICE((int)i, "scales", s->first_anchor + n, own + s->h.channels + first, change + width, width);
+    }
 }
 
 /* 5.14, 7.7, 7.10: symbols of masked offsets stay 0 */
@@ -1909,6 +1980,9 @@ static void DECODE_ATTRIBUTES(struct scene *s, struct piece p, uint64_t anchors)
         int32_t context[WIDTH_MAX];
         CONTEXT(s, s->position_bits + 3 * n, context);
         NETWORK(&s->networks[HYPER], context, s->parameters + n * (2 * d + 3));
+        PROBE("means", s->first_anchor + n, s->parameters + n * (2 * d + 3), d);
+        PROBE("scales", s->first_anchor + n, s->parameters + n * (2 * d + 3) + d, d);
+        PROBE("step_outputs", s->first_anchor + n, s->parameters + n * (2 * d + 3) + 2 * d, 3);
     }
     memset(s->symbols, 0, (size_t)(anchors * d * sizeof *s->symbols));
     DECODE_STAGE(s, &stream, anchors, h->features, 6, NULL);
@@ -1945,10 +2019,16 @@ static void RECONSTRUCT(struct scene *s, uint64_t anchors, int a, uint32_t first
 {
     uint64_t d = s->h.channels;
     uint8_t *value = s->values;
+    int32_t steps[3];
     for (uint64_t n = 0; n < anchors; n++) {
         int64_t index = CLAMP(s->parameters[n * (2 * d + 3) + 2 * d + (uint64_t)a], 0, STEP_LENGTH - 1);
         for (uint32_t i = 0; i < width; i++, value += 4)
             PUT_U32(value, VALUE(s->symbols[n * d + first + i], s->step[a][index]));
+        s->step_index[3 * n + (uint64_t)a] = (uint8_t)index;
+        for (int kind = 0; kind < 3; kind++)
+            steps[kind] = s->step_index[3 * n + (uint64_t)kind];
+        if (a == 2)
+            PROBE("steps", s->first_anchor + n, steps, 3);
     }
     EMIT(&s->part[FEATURES + a], s->values, 4 * anchors * width);
 }
@@ -2022,6 +2102,7 @@ static void CHUNKS(struct scene *s, const struct entry *e)
     s->symbols = ALLOCATE(n, h->channels * sizeof *s->symbols);
     s->group = ALLOCATE(n, widest * sizeof *s->group);
     s->values = ALLOCATE(n, 4 * wide);
+    s->step_index = ALLOCATE(n, 3);
     for (int a = 0; a < 3; a++)
         for (int q = 0; q < STEP_LENGTH; q++)
             s->step[a][q] = STEP_VALUE(q, h->base_step[a]);
@@ -2032,6 +2113,7 @@ static void CHUNKS(struct scene *s, const struct entry *e)
         if (p.length < c.length)
             REFUSE(SECTION_TRUNCATED, input_at);
         DECODE_CHUNK(s, &c, p);
+        s->first_anchor += c.anchors;
     }
     if (e->crc)
         REFUSE(SECTION_CRC, start);
@@ -2148,15 +2230,22 @@ static void LOAD_TABLES(const char *program, struct buffer *b)
 int main(int argc, char **argv)
 {
     static struct scene s;
-    int decode = argc == 4 && !strcmp(argv[1], "decode");
+    int decode = (argc == 4 || argc == 5) && !strcmp(argv[1], "decode");
     if (!decode && (argc != 3 || strcmp(argv[1], "digest")))
-        FAIL("usage: decoder digest FILE | decoder decode FILE OUTPUT");
+        FAIL("usage: decoder digest FILE | decoder decode FILE OUTPUT [PROBES]");
     MAKE_CRC_TABLE();
     LOAD_TABLES(argv[0], &s.section);
     input = fopen(argv[2], "rb");
     if (!input)
         FAIL("cannot open the file");
+    if (argc == 5 && !(probes = fopen(argv[4], "wb")))
+        FAIL("cannot open the probes");
     DECODE_FILE(&s, !decode);
+    if (probes) {
+        if (ferror(probes) | fclose(probes))
+            FAIL("cannot write");
+        probes = NULL;
+    }
     if (decode) { /* the file is right, and is decoded again */
         RELEASE_BLOCKS();
         memset(&s, 0, sizeof s);

@@ -9,6 +9,7 @@ from typing import Any
 from refcodec.inspect import specification
 
 from ..manifest import Manifest
+from ..runner.traces import Probe
 from .diagnose import Diagnosis, Diagnostician, Likely
 from .likeness import Likeness
 from .seen import of_entry
@@ -19,6 +20,19 @@ from .table import Table, read, vector_key
 SEPARATES = 0.05
 # Of fewer vectors the diagnosis says that they are few.
 ENOUGH = 300
+# So many clauses of wrong probes are told.
+_CLAUSES = 3
+# Where the table knows no vector that failed.
+_NOTHING: dict[str, Any] = {
+    "failing": 0,
+    "passing": 0,
+    "clear": False,
+    "text": [],
+    "probes": [],
+    "clauses": [],
+    "together": [],
+    "requirements": [],
+}
 
 
 @cache
@@ -100,6 +114,7 @@ def as_json(d: Diagnosis) -> dict[str, Any]:
         "passing": d.passing,
         "clear": d.clear,
         "text": sentences(d),
+        "probes": [],
         "clauses": [
             {
                 "clause": c.number,
@@ -114,15 +129,56 @@ def as_json(d: Diagnosis) -> dict[str, Any]:
     }
 
 
+def _of_probes(entries: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
+    """The clauses of the first wrong numbers, that of most vectors first. Of each the plainest vector is told."""
+    found: dict[str, list[dict[str, Any]]] = {}
+    for entry in sorted((e for e in entries if e["probe"]), key=lambda e: len(e["requirements"])):
+        found.setdefault(entry["probe"]["clauses"][0], []).append(entry)
+    return [
+        {
+            "clause": clause,
+            "title": _clauses()[clause].title if clause in _clauses() else "",
+            "vectors": len(of),
+            "vector": of[0]["id"],
+            "text": Probe(**{**of[0]["probe"], "clauses": tuple(of[0]["probe"]["clauses"])}).text(),
+        }
+        for clause, of in sorted(found.items(), key=lambda item: -len(item[1]))
+    ]
+
+
+def _with_probes(said: dict[str, Any] | None, probed: list[dict[str, Any]]) -> dict[str, Any] | None:
+    """What the table says, behind what probes say. They decide: a wrong number is wrong by its own clause."""
+    if not probed:
+        return said
+    said = said or _NOTHING
+    total = sum(of["vectors"] for of in probed)
+    lines = []
+    for of in probed[:_CLAUSES]:
+        lines.append(of["text"])
+        share = f"{of['vectors']} of {total} vectors with a wrong number"
+        lines.append(f"  read {_title(of['clause'])}; so it is in {share}, such as {of['vector']}")
+    # What the table says is told where it says the same clause, in other words.
+    agrees = any(clause["clause"] == probed[0]["clause"] for clause in said["clauses"][:1])
+    return said | {"clear": True, "text": lines + (said["text"] if agrees else []), "probes": probed}
+
+
 def of_record(
     manifest: Manifest, entries: Sequence[dict[str, Any]], grade: int, table: Table | None = None
 ) -> dict[str, Any] | None:
     """What the entries of a record say. grade: that was demanded.
 
-    None if no vector failed that the table knows. A vector whose file or expectation is another one is not known.
+    None if no vector failed that the table knows, and none has a wrong probe. A vector whose file or
+    expectation is another one is not known.
     """
     if all(entry["status"] in ("passed", "skipped", "unexpected") for entry in entries):
         return None
+    return _with_probes(_of_table(manifest, entries, grade, table), _of_probes(entries))
+
+
+def _of_table(
+    manifest: Manifest, entries: Sequence[dict[str, Any]], grade: int, table: Table | None
+) -> dict[str, Any] | None:
+    """What the fingerprints say of the entries of a record."""
     found = table or read()
     vectors = {v.id: v for v in manifest.vectors}
     # A vector of another suite may have the name of one that the table knows.

@@ -3,16 +3,18 @@
 import json
 import os
 import sys
+from contextlib import nullcontext
 from pathlib import Path
 
 from .codec import decode
 from .errors import C3GSError
+from .probes import probes
 from .reconstruction import canonical_parts, digested, digests
 from .trace import Trace
 
 USAGE = (
     "usage: python -m conformance.independent "
-    "validate FILE | digest FILE [--parts] | decode FILE OUTPUT [--trace TRACE]"
+    "validate FILE | digest FILE [--parts] | decode FILE OUTPUT [--trace TRACE [--probes]]"
 )
 REJECTED, UNSUPPORTED, USAGE_ERROR = 1, 2, 64
 
@@ -21,6 +23,7 @@ REJECTED, UNSUPPORTED, USAGE_ERROR = 1, 2, 64
 def main(arguments: list[str]) -> int:
     """Run a command and return its exit status."""
     output = trace = ""
+    probed = False
     match arguments:
         case ["validate" | "digest" as command, path]:
             parts = False
@@ -30,6 +33,8 @@ def main(arguments: list[str]) -> int:
             parts = False
         case ["decode" as command, path, output, "--trace", trace]:
             parts = False
+        case ["decode" as command, path, output, "--trace", trace, "--probes"]:
+            parts, probed = False, True
         case _:
             print(USAGE, file=sys.stderr)
             return USAGE_ERROR
@@ -40,7 +45,7 @@ def main(arguments: list[str]) -> int:
     try:
         data = Path(path).read_bytes()
         if trace:
-            with open(trace, "w", encoding="utf-8", newline="\n") as file:
+            with open(trace, "w", encoding="utf-8", newline="\n") as file, probes(file) if probed else nullcontext():
                 scene = decode(data, Trace(file))
         else:
             scene = decode(data)

@@ -7,9 +7,9 @@ from functools import cache
 from pathlib import Path
 
 PACKAGE = Path(__file__).resolve().parent.parent / "independent"
-# What decodes; the command line around it is judged by the runner, and the trace is no part of a verdict.
+# What decodes. The command line around it is judged by the runner, and trace and probes are no part of a verdict.
 MODULES = tuple(
-    sorted(path.stem for path in PACKAGE.glob("*.py") if path.stem not in ("__init__", "__main__", "trace"))
+    sorted(path.stem for path in PACKAGE.glob("*.py") if path.stem not in ("__init__", "__main__", "trace", "probes"))
 )
 
 

@@ -27,7 +27,7 @@ from ..runner.run import Options, Result, Run
 
 SCHEMA = Path(__file__).with_name("report.schema.json")
 STATUSES = ("failed", "crashed", "unexpected", "known", "passed", "skipped")
-REPORT_VERSION = 2
+REPORT_VERSION = 3
 # The version of a decoder that says nothing of itself.
 NOT_STATED = "not stated"
 # The longest texts of a decoder's description, and of what is wrong with a document, in characters.
@@ -133,6 +133,7 @@ def _entry(result: Result) -> dict[str, Any]:
         "input": v.input.path,
         "expected": _expected(v),
         "found": _found(v, result.found) if result.found else None,
+        "probe": asdict(result.probe) | {"clauses": list(result.probe.clauses)} if result.probe else None,
         "divergence": list(result.divergence),
         "hex": list(result.hex),
         "stderr": result.stderr,

@@ -52,8 +52,9 @@ def lines(record: dict[str, Any], suite: Path) -> Iterator[str]:
         yield from (f"    {line}" for line in v["divergence"])
         if v["status"] == "crashed":
             yield from (f"    stderr: {line[:_WIDTH]}" for line in v["stderr"].splitlines()[-_STDERR_LINES:])
-        anchor = _ANCHOR.search("\n".join(v["divergence"]))
-        form = f"--anchor {anchor.group(1)}" if anchor else "--hex"
+        symbol = _ANCHOR.search("\n".join(v["divergence"]))
+        anchor = v["probe"]["anchor"] if v["probe"] else symbol.group(1) if symbol else None
+        form = "--hex" if anchor is None else f"--anchor {anchor}"
         look = shlex.join(["refcodec", "inspect", _from_here(suite / v["input"])])
         yield f"    {v['title']}; read {', '.join(v['clauses'])}; {look} {form}"
     if len(bad) > _SHOWN:

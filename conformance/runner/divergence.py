@@ -18,6 +18,9 @@ from refcodec.bitstream.scene import Scene
 from refcodec.files.text import printable
 from refcodec.inspect import dump
 
+from . import probes
+from .traces import has_any, lines_of
+
 HEAD_FIELDS = ("N", "K", "F", "ch", "B")
 # What says how a part's values, and the symbols of a trace and their models, come about.
 PART_CLAUSES = {
@@ -171,33 +174,42 @@ def of_output(data: bytes, found: bytes) -> Divergence | None:
     return None
 
 
-def of_trace(data: bytes, trace: bytes) -> Divergence | None:
-    """The first symbol on which a decoder's trace of a valid file differs from the right one, or None."""
-    rows = _symbols(data)
+def of_trace(data: bytes, trace: bytes) -> tuple[Divergence | None, probes.Compared]:
+    """The first symbol on which a decoder's trace of a valid file differs from the right one, and what its probes say.
+
+    A trace of probes alone has no wrong symbol.
+    """
+    rows, scene = _symbols(data)
+    wrong, symbol = None, None
     # No more lines are told apart than there are symbols, and one behind.
-    lines = trace.decode("utf-8", "replace").split("\n", len(rows) + 1)
-    if lines[-1] == "":
-        lines.pop()
+    lines = itertools.islice((line for probe, line, _ in lines_of(trace) if not probe), len(rows) + 1)
     for number, (row, line) in enumerate(itertools.zip_longest(rows, lines)):
-        if row is not None and line == f"{row.path} {row.value}":
-            continue
-        count = f"symbol {number} of {len(rows)}"
-        if row is None:
-            return Divergence(
-                "trace", "the line after the last symbol", "nothing", printable(str(line), _SHOWN), len(data), count
-            )
-        # Of the same symbol the values are enough.
-        same, value = line is not None and line.startswith(f"{row.path} "), str(row.value)
-        found = "nothing" if line is None else printable(line.removeprefix(f"{row.path} "), _SHOWN)
-        count += f"; rightly of the model {row.family}, mean {row.mean}, scale {row.scale}"
-        clauses = SYMBOL_CLAUSES[row.path.partition("[")[0].split(".")[0]]
-        clauses = (
-            f"{clauses}, and for slices behind the first 7.9" if row.path.startswith("attributes.features") else clauses
-        )
+        if number == 0 and line is None and has_any(trace):
+            break
+        text = None if line is None else line.decode("utf-8", "replace")
+        if row is None or text != f"{row.path} {row.value}":
+            wrong, symbol = number, _wrong_symbol(rows, number, text, len(data))
+            break
+    return symbol, probes.compare(scene, trace, wrong)
+
+
+def _wrong_symbol(rows: list[TraceRow], number: int, line: str | None, end: int) -> Divergence:
+    """A line of a trace that is not that of a symbol. end: of the file."""
+    count = f"symbol {number} of {len(rows)}"
+    if number == len(rows):
         return Divergence(
-            "trace", row.path, value if same else f"{row.path} {value}", found, row.substream, count, clauses
+            "trace", "the line after the last symbol", "nothing", printable(str(line), _SHOWN), end, count
         )
-    return None
+    row = rows[number]
+    # Of the same symbol the values are enough.
+    same, value = line is not None and line.startswith(f"{row.path} "), str(row.value)
+    found = "nothing" if line is None else printable(line.removeprefix(f"{row.path} "), _SHOWN)
+    count += f"; rightly of the model {row.family}, mean {row.mean}, scale {row.scale}"
+    clauses = SYMBOL_CLAUSES[row.path.partition("[")[0].split(".")[0]]
+    clauses = (
+        f"{clauses}, and for slices behind the first 7.9" if row.path.startswith("attributes.features") else clauses
+    )
+    return Divergence("trace", row.path, value if same else f"{row.path} {value}", found, row.substream, count, clauses)
 
 
 def annotated(data: bytes, offset: int) -> list[str]:
@@ -207,8 +219,8 @@ def annotated(data: bytes, offset: int) -> list[str]:
     return [f"  {head}", *(f"{'> ' if i == spot else '  '}{line}" for i, line in enumerate(lines))]
 
 
-def _symbols(data: bytes) -> list[TraceRow]:
-    """The symbols in the order of the trace (vectors/README.md)."""
+def _symbols(data: bytes) -> tuple[list[TraceRow], Scene]:
+    """The symbols in the order of the trace (vectors/README.md), and the scene."""
     rows: list[TraceRow] = []
-    codec.parse(data, trace=rows.append)
-    return sorted(rows, key=lambda row: row.substream)
+    scene = codec.parse(data, trace=rows.append).scene
+    return sorted(rows, key=lambda row: row.substream), scene

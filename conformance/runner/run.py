@@ -22,6 +22,7 @@ from . import process
 from .folder import FileError, Folder, open_file
 from .grading import GRADE_EXACT, Found, Judgement, judge, read
 from .process import Ended, StoppedError, Watcher
+from .traces import Probe, symbols_digest
 
 # What is shown of a process's error output, in characters.
 STDERR_CHARACTERS = 4000
@@ -51,7 +52,7 @@ class Result:
 
     status: "passed", "failed", "crashed" or "skipped"; of a known failure "known", or "unexpected" if it passes.
     grade: 0 to 3. text: what is wrong. found: what the decoder said, None if it was not run. lines: how an output or
-    trace diverges, and the bytes of the file, annotated. stderr: its
+    trace diverges, and the bytes of the file, annotated. probe: the first wrong number of a trace. stderr: its
     beginning and its end, printable. seconds, peak: of the process (Ended).
     """
 
@@ -65,6 +66,7 @@ class Result:
     stderr: str = ""
     seconds: float = 0.0
     peak: int | None = None
+    probe: Probe | None = None
 
     @property
     def good(self) -> bool:
@@ -219,7 +221,7 @@ class _Desk:
             return judgement
         try:
             with open_file(folder.trace) as file:
-                right = hashlib.file_digest(file, "sha256").hexdigest() == vector.expectation.trace
+                right = symbols_digest(file.read()) == vector.expectation.trace
         except FileNotFoundError:
             return Judgement(0, "the output is right; no trace was written")
         except FileError as error:
@@ -244,7 +246,7 @@ class _Desk:
         from . import divergence  # noqa: PLC0415
 
         data = self._data(vector)
-        lines, spot = [], None
+        lines, spot, probe = list[str](), None, None
         if isinstance(vector.expectation, Rejected):
             spot = vector.expectation.offset
         else:
@@ -253,12 +255,18 @@ class _Desk:
             if differs:
                 lines.append(differs.text())
             trace = _content(folder.trace)
-            symbol = None if trace is None else divergence.of_trace(data, trace)
+            symbol = None
+            if trace is not None:
+                symbol, compared = divergence.of_trace(data, trace)
+                probe = compared.first
+                # What decides comes first.
+                told = list(compared.lines(symbol is not None))
+                lines = [*told, *lines] if probe else [*lines, *told]
             if symbol:
                 lines.append(symbol.text())
             spot = symbol.offset if symbol else found.offset
         near = [] if spot is None else divergence.annotated(data, spot)
-        return replace(result, divergence=tuple(lines), hex=tuple(near))
+        return replace(result, divergence=tuple(lines), hex=tuple(near), probe=probe)
 
 
 def _content(path: Path) -> bytes | None:

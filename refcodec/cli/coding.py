@@ -33,7 +33,7 @@ if TYPE_CHECKING:
     from ..folder.write import Written
 
 # The lines of a symbol trace (vectors/README.md).
-TRACE = Kind("a symbol trace", re.compile(rb"(planes|positions|masks|attributes|weights)\S* -?\d+\n"))
+TRACE = Kind("a symbol trace", re.compile(rb"(probe |planes|positions|masks|attributes|weights)\S*( -?\d+)+\n"))
 
 
 def _encode(arguments: argparse.Namespace) -> int:
@@ -130,6 +130,8 @@ def _reconstruct(arguments: argparse.Namespace) -> int:
 
     output = Path(arguments.output)
     trace = Path(arguments.trace) if arguments.trace else None
+    if arguments.probes and trace is None:
+        raise UsageError("--probes is for --trace")
     check_file(output, Kind.signed("a reconstruction", DIGEST_MAGIC))
     if trace:
         check_file(trace, TRACE)
@@ -140,7 +142,7 @@ def _reconstruct(arguments: argparse.Namespace) -> int:
             from ..inspect.trace import symbol_trace
 
             lines = stage.open(trace)
-            scene = symbol_trace(data, lambda text: lines.write(text.encode())).scene
+            scene = symbol_trace(data, lambda text: lines.write(text.encode()), probes=arguments.probes).scene
         else:
             scene = parse_file(arguments, data).scene
         whole = stage.open(output)
@@ -255,7 +257,7 @@ def add(commands: Any) -> None:
         "reconstruct",
         _reconstruct,
         "write a file's canonical reconstruction (SPEC.md 9.3), behind the 252 bytes that the digest is of",
-        ["reconstruct scene.c3gs scene.bin", "reconstruct scene.c3gs scene.bin --trace symbols.txt"],
+        ["reconstruct scene.c3gs scene.bin", "reconstruct scene.c3gs scene.bin --trace symbols.txt --probes"],
         writes=True,
     )
     reconstruct.add_argument("file", metavar="FILE")
@@ -263,6 +265,11 @@ def add(commands: Any) -> None:
     reconstruct.add_argument("output", metavar="OUTPUT")
     reconstruct.add_argument(
         "--trace", metavar="TRACE", help="write every symbol to this file, a line with its path and its value each"
+    )
+    reconstruct.add_argument(
+        "--probes",
+        action="store_true",
+        help="with --trace: write the numbers of each anchor too, by the names of conformance/README.md",
     )
     validate = add_command(
         commands, "validate", _validate, "check whether a file is a conforming bitstream", ["validate scene.c3gs"]

@@ -4,13 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
 
-import numpy as np
-
 from ..bitstream.codec import Coding
-from ..bitstream.context import contract, frame_coordinates, positional_encoding, query, rescale
-from ..bitstream.planes import assemble_planes
-from ..bitstream.positions import position_integers
 from ..bitstream.scene import Scene
+from .probes import geometry, predictions, slices
 
 
 def anchor_rows(scene: Scene, number: int) -> Iterator[tuple[str, str, str]]:
@@ -25,35 +21,20 @@ def anchor_rows(scene: Scene, number: int) -> Iterator[tuple[str, str, str]]:
     def row(what: str, clause: str, values: Iterable[object]) -> tuple[str, str, str]:
         return what, clause, ", ".join(str(value) for value in values)
 
-    d, at = scene.dimensions, slice(number, number + 1)
-    p = position_integers(scene.positions[at])
-    yield row("P of x, y, z", "7.4", p[0])
-    if scene.frame is not None:
-        v = frame_coordinates(scene.frame, p)
-        w = contract(v)
-        u = rescale(scene.frame, w)
-        for what, clause, values in (("v", "7.5.1", v), ("w", "7.5.2", w), ("u", "7.5.3", u)):
-            yield row(what, clause, values[0])
-        for r, plane in enumerate(assemble_planes(scene.planes) if d.plane_channels else (), 1):
-            yield row(f"samples of the plane of r = {r}", "7.5.4", query(plane, u[:, :2], scene.plane_shift)[0])
-        yield row("positional encoding", "7.5.5", positional_encoding(u[:, 2], d.frequency_count)[0])
-    coding, width = Coding(scene), d.attribute_width
-    hyper = coding.model.hyper(coding.contexts(at)).astype(np.int64)[0]
-    mean, scale = hyper[:width], hyper[width : 2 * width]
-    yield row("means that F_h gives", "7.7", mean)
-    yield row("scale indices that F_h gives", "7.7", scale)
-    yield row("outputs for the step indices", "7.8", hyper[2 * width :])
+    at = slice(number, number + 1)
+    for q in geometry(scene, at):
+        yield row(q.what, q.clause, q.values[0])
+    coding = Coding(scene)
+    given = predictions(scene, coding, at)
+    for q in given:
+        yield row(q.what, q.clause, q.values[0])
     yield row("scalings: symbols", "7.10", scene.attributes.scalings[number])
     kept = zip(scene.masks[number], scene.attributes.offsets[number].tolist(), strict=True)
     yield row("offsets: symbols", "7.10", (tuple(offset) if mask else "masked" for mask, offset in kept))
-    features, done = scene.attributes.features[at].astype(np.int64), 0
-    for i, columns in enumerate(d.slices):
-        part = slice(done, done + columns)
-        change = np.zeros(2 * columns, np.int64)
-        if i:
-            change = coding.model.change(i, features[:, :done])[0]
-        pairs = zip((mean[part] + change[:columns]).tolist(), (scale[part] + change[columns:]).tolist(), strict=True)
-        yield row(f"slice {i}: mean and scale index of each channel", "7.9", pairs)
-        yield row(f"slice {i}: symbols", "7.10", features[0, part])
+    features, done = scene.attributes.features[number], 0
+    for i, (mean, scale) in enumerate(slices(scene, coding, at, given[0].values, given[1].values)):
+        columns = mean.values.shape[1]
+        yield row(mean.what, mean.clause, zip(mean.values[0].tolist(), scale.values[0].tolist(), strict=True))
+        yield row(f"slice {i}: symbols", "7.10", features[done : done + columns])
         done += columns
     yield row("step indices of features, scalings, offsets", "7.8", scene.attributes.steps[number])

@@ -9,12 +9,16 @@ from dataclasses import replace
 
 import numpy as np
 
-from ..bitstream.codec import Parsed, parse
+from ..bitstream.codec import Coding, Parsed, parse, parse_container
 from ..bitstream.entropy import TraceRow
 from ..bitstream.errors import BitstreamError
 from ..bitstream.positions import POSITION_BYTES
+from ..bitstream.scene import Scene
+from . import probes as probe
 from .dump import value_text
 from .elements import Row, outline_of, rows_of, section_rows
+
+_FEATURES = "attributes.features["
 
 
 def trace(data: bytes, write: Callable[[str], object]) -> Parsed:
@@ -51,23 +55,71 @@ def trace(data: bytes, write: Callable[[str], object]) -> Parsed:
     return parsed
 
 
-def symbol_trace(data: bytes, write: Callable[[str], object]) -> Parsed:
+def symbol_trace(data: bytes, write: Callable[[str], object], *, probes: bool = False) -> Parsed:
     """Decodes a file and writes its symbol trace (vectors/README.md), a line `path value` for each symbol.
 
-    The substreams are in file order. The symbols of a substream are in the order of its CRC-32 (SPEC 8.8). Raises the
-    BitstreamError of a file that is refused, after the lines of what was decoded.
+    The substreams are in file order. The symbols of a substream are in the order of its CRC-32 (SPEC 8.8). probes: with
+    the probes of each chunk, each before the symbols that are decoded with its numbers. Raises the BitstreamError of a
+    file that is refused, after the lines of what was decoded. It has no probes then.
     """
     # The symbols of substreams that are decoded side by side are kept as text. Rows would take many times the memory.
-    found: dict[int, io.StringIO] = {}
+    found: dict[int, _Text] = {}
+    ends = np.cumsum(parse_container(data).dimensions.slices) if probes else np.zeros(0, np.int64)
 
     def add(row: TraceRow) -> None:
-        found.setdefault(row.substream, io.StringIO()).write(f"{row.path} {row.value}\n")
+        text = found.setdefault(row.substream, _Text())
+        if probes and row.path.startswith(_FEATURES):
+            channel = int(row.path[:-1].rpartition(",")[2])
+            text.enter(int(np.searchsorted(ends, channel, "right")))
+        text.write(f"{row.path} {row.value}\n", row.path.startswith("attributes."))
 
+    parsed = None
     try:
-        return parse(data, trace=add)
+        parsed = parse(data, trace=add)
+        return parsed
     finally:
+        scene = parsed.scene if parsed and probes else None
+        coding = Coding(scene) if scene else None
+        chunks = iter(scene.chunks) if scene else iter(())
         for _, text in sorted(found.items()):
-            write(text.getvalue())
+            if scene and coding and text.attributes:
+                text.write_with_probes(scene, coding, next(chunks), write)
+            else:
+                write(text.whole())
+
+
+class _Text:
+    """The lines of a substream. attributes: whether they are symbols of attributes."""
+
+    def __init__(self) -> None:
+        self._text = io.StringIO()
+        self._places: dict[int, int] = {}
+        self.attributes = False
+
+    def enter(self, index: int) -> None:
+        """Tells that the next symbol is of a slice."""
+        if index not in self._places:
+            self._places[index] = self._text.tell()
+
+    def write(self, line: str, attributes: bool) -> None:
+        self._text.write(line)
+        self.attributes = attributes
+
+    def whole(self) -> str:
+        """All lines."""
+        return self._text.getvalue()
+
+    def write_with_probes(self, scene: Scene, coding: Coding, chunk: range, write: Callable[[str], object]) -> None:
+        """Writes the lines of a chunk's attributes, and its probes between them."""
+        text, at, done = self.whole(), slice(chunk.start, chunk.stop), 0
+        known = probe.before_symbols(scene, coding, at)
+        write("".join(probe.lines(known, chunk.start)))
+        for i, models in enumerate(probe.of_slices(scene, coding, at, known), 1):
+            write(text[done : self._places[i]])
+            write("".join(probe.lines(models, chunk.start)))
+            done = self._places[i]
+        write(text[done:])
+        write("".join(probe.lines([probe.step_numbers(known)], chunk.start)))
 
 
 def _trace_parts(data: bytes) -> Iterator[Row]:
