@@ -347,7 +347,7 @@ def test_what_is_used_is_told(use: Use, capsys: pytest.CaptureFixture[str]) -> N
 
 # --- sanitizers -------------------------------------------------------------------------------------------------------
 
-# Decodes and encodes files with a library, by each of its variants. Any fault ends the process.
+# Decodes and encodes files with a library: each file by half of its variants, in turn. Any fault ends the process.
 SANITIZED = """
 import os, sys
 from pathlib import Path
@@ -360,7 +360,7 @@ library.load = lambda: found
 os.environ[library.THREADS_VARIABLE] = "2"
 for number, name in library.variants(found):
     os.environ[library.PATH_VARIABLE] = name
-    for path in sorted(Path(sys.argv[2]).iterdir()):
+    for path in sorted(Path(sys.argv[2]).iterdir())[number % 2 :: 2]:
         data = path.read_bytes()
         try:
             scene = codec.parse(data).scene

@@ -184,7 +184,7 @@ def test_a_browser_that_waits_for_the_page(trained: Path, tmp_path: Path) -> Non
         f"open({str(found)!r}, 'wb').write(page)\n"
     )
     environment = os.environ | {"BROWSER": f"{sys.executable} {program} %s"}
-    command = [sys.executable, "-m", "refcodec", "view", str(trained)]
+    command = [sys.executable, "-c", COMMAND, "view", str(trained)]
     with subprocess.Popen(command, stdout=subprocess.PIPE, env=environment, text=True) as process:
         try:
             end = time.monotonic() + 60
