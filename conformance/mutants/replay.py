@@ -160,13 +160,15 @@ class Replay:
             return line if frame.f_code.co_filename in modules else None
 
         gc.disable()
+        before = sys.gettrace()
         sys.settrace(call)
         try:
             decode(self.package, data)
         except SameError:
             return None
         finally:
-            sys.settrace(None)
+            # A test's coverage has a trace function, too.
+            sys.settrace(before)
             gc.enable()
             self._recording = False
         kept.finish()

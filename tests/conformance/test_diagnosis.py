@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from conformance.cli.main import main
 from conformance.diagnosis import calibration, spectrum, table, words
 from conformance.diagnosis.diagnose import Diagnostician
 from conformance.diagnosis.likeness import Likeness
@@ -274,3 +275,14 @@ def test_nothing_is_clear_of_failures_without_a_pattern() -> None:
     assert found is not None
     assert not found.clear
     assert "no rule is clearly" in words.sentences(found)[0]
+
+
+@pytest.mark.slow
+def test_the_command(capsys: pytest.CaptureFixture[str]) -> None:
+    """It compares a sample of the table, and counts what the diagnosis makes of bugs that are held out."""
+    assert main(["fingerprints", "check", "--sample", "4"]) == 0
+    assert "4 cells of the table made anew, 0 differences" in capsys.readouterr().out
+    assert main(["fingerprints", "judge", "--sample", "3", "--pairs", "1"]) == 0
+    told = capsys.readouterr().out
+    assert "right" in told
+    assert "pair" in told
