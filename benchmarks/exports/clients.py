@@ -13,9 +13,9 @@ from pathlib import Path
 
 import numpy as np
 
+from refcodec.bitstream.cameras import rotation_matrix
 from refcodec.convert.splat_files import read_splats
 from refcodec.export.splats import Splats, opacities
-from refcodec.render.camera import rotation_matrix
 
 from ..peers.convert import ROOT, ToolError, convert
 

@@ -13,8 +13,8 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from refcodec.bitstream.cameras import rotation_matrix
 from refcodec.convert.splats import Splats
-from refcodec.render.camera import rotation_matrix
 
 from .settings import DensitySettings
 

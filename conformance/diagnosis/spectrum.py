@@ -16,6 +16,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from refcodec.inspect.specification import clause_of
+
 from .table import Table
 
 Bits = NDArray[np.bool_]
@@ -37,7 +39,7 @@ class Suspect:
     @property
     def clause(self) -> str:
         """Where it stands in SPEC.md."""
-        return self.requirement[1:].rpartition("-")[0]
+        return clause_of(self.requirement)
 
 
 def ochiai(exercised: Bits, failing: Bits, run: Bits) -> tuple[NDArray[np.float64], NDArray, NDArray]:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from functools import cache
 from typing import Any
 
 from refcodec.inspect import specification
@@ -35,19 +34,9 @@ _NOTHING: dict[str, Any] = {
 }
 
 
-@cache
-def _clauses() -> dict[str, specification.Clause]:
-    return specification.clauses(specification.text())
-
-
-@cache
-def _requirements() -> dict[str, specification.Requirement]:
-    return specification.requirements(specification.text())
-
-
 def _title(clause: str) -> str:
     """Such as `7.5.5 (Positional encoding)`."""
-    found = _clauses().get(clause)
+    found = specification.own_clauses().get(clause)
     return f"{clause} ({found.title})" if found else clause
 
 
@@ -66,7 +55,7 @@ def _bug(one: Likely) -> dict[str, Any]:
 
 
 def _suspect(suspect: Suspect) -> dict[str, Any]:
-    known = _requirements().get(suspect.requirement)
+    known = specification.own_requirements().get(suspect.requirement)
     return {
         "requirement": suspect.requirement,
         "text": known.text if known else "",
@@ -118,7 +107,7 @@ def as_json(d: Diagnosis) -> dict[str, Any]:
         "clauses": [
             {
                 "clause": c.number,
-                "title": _clauses()[c.number].title if c.number in _clauses() else "",
+                "title": specification.own_clauses()[c.number].title if c.number in specification.own_clauses() else "",
                 "score": round(c.score, 3),
                 "bug": _bug(c.bug) if c.bug else None,
             }
@@ -137,7 +126,7 @@ def _of_probes(entries: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
     return [
         {
             "clause": clause,
-            "title": _clauses()[clause].title if clause in _clauses() else "",
+            "title": specification.own_clauses()[clause].title if clause in specification.own_clauses() else "",
             "vectors": len(of),
             "vector": of[0]["id"],
             "text": Probe(**{**of[0]["probe"], "clauses": tuple(of[0]["probe"]["clauses"])}).text(),

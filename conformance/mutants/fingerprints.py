@@ -11,6 +11,7 @@ import io
 import json
 import multiprocessing
 import random
+import resource
 import signal
 import sys
 import time
@@ -432,12 +433,6 @@ def pairs(manifest: Manifest, table: Table, jobs: int, count: int, seed: int) ->
 
 def took(began: float) -> str:
     """Time since a beginning, on the clock and of processors, ours and of processes that have ended."""
-    used = time.process_time() + sum(_children())
+    children = resource.getrusage(resource.RUSAGE_CHILDREN)
+    used = time.process_time() + children.ru_utime + children.ru_stime
     return f"{time.monotonic() - began:.0f} s, {used:.0f} s of processors"
-
-
-def _children() -> tuple[float, float]:
-    import resource  # noqa: PLC0415
-
-    usage = resource.getrusage(resource.RUSAGE_CHILDREN)
-    return usage.ru_utime, usage.ru_stime

@@ -8,7 +8,7 @@ from collections.abc import Iterable, Iterator
 from functools import cache
 
 from refcodec.bitstream.errors import REGISTRY
-from refcodec.inspect.specification import requirements, text
+from refcodec.inspect.specification import clause_of, own_requirements
 
 from .mutant import MODULES, Mutant, text_of
 
@@ -40,17 +40,12 @@ def _known() -> tuple[dict[str, str], dict[str, list[str]], dict[str, list[str]]
     clause: dict[str, str] = {}
     of_clause: dict[str, list[str]] = {}
     of_error: dict[str, list[str]] = {}
-    for name, r in requirements(text()).items():
+    for name, r in own_requirements().items():
         clause[name] = r.clause
         of_clause.setdefault(r.clause, []).append(name)
         if r.error:
             of_error.setdefault(r.error, []).append(name)
     return clause, of_clause, of_error
-
-
-def clause_of(requirement: str) -> str:
-    """The clause of a requirement, such as 7.5.5 of D7.5.5-1."""
-    return requirement[1:].rpartition("-")[0]
 
 
 def _cited(comment: str) -> tuple[list[str], list[str]]:

@@ -19,6 +19,7 @@ from jsonschema.exceptions import ValidationError, best_match
 from refcodec import __version__
 from refcodec.files.documents import DocumentError, read_json
 from refcodec.files.text import printable
+from refcodec.inspect.specification import clause_of
 
 from ..diagnosis import words
 from ..manifest import MANIFEST, Accepted, Manifest, Rejected, Vector
@@ -93,7 +94,7 @@ def _validator(part: str = "") -> Draft202012Validator:
 def _clauses(vector: Vector) -> list[str]:
     """Clauses to read: that of the expected error first, then those of the requirements."""
     first = [vector.expectation.clause] if isinstance(vector.expectation, Rejected) else []
-    return list(dict.fromkeys(first + [name[1:].rpartition("-")[0] for name in vector.requirements]))
+    return list(dict.fromkeys(first + [clause_of(name) for name in vector.requirements]))
 
 
 def _expected(vector: Vector) -> dict[str, Any]:

@@ -11,12 +11,27 @@ from dataclasses import dataclass
 from typing import Any
 
 import construct as cs
+import numpy as np
+from numpy.typing import NDArray
 
 from . import syntax
 from .scene import Ancillary, section_warnings
 
+F64 = NDArray[np.float64]
+
 # SPEC 6.15
 CAMERAS = b"cAMS"
+
+
+def rotation_matrix(quaternion: F64) -> F64:
+    """SPEC 14.4, ROTATION: returns the matrices, float64 [..., 3, 3], of unit quaternions w, x, y, z, [..., 4]."""
+    w, x, y, z = np.moveaxis(np.asarray(quaternion, np.float64), -1, 0)
+    rows = [
+        [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
+        [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
+        [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
+    ]
+    return np.moveaxis(np.array(rows), (0, 1), (-2, -1))
 
 
 @dataclass(frozen=True)
@@ -35,6 +50,13 @@ class NamedCamera:
     principal_point: tuple[float, float] = (400.0, 300.0)
     rotation: tuple[float, float, float, float] = (1.0, 0.0, 0.0, 0.0)
     translation: tuple[float, float, float] = (0.0, 0.0, 0.0)
+
+    def matrix(self) -> F64:
+        """SPEC 14.2: returns the rotation from the world to the camera, float64 [3, 3]."""
+        quaternion = np.array(self.rotation, np.float64)
+        # It is scaled first. Every finite one but zero is allowed, and squares of large numbers are infinite.
+        quaternion /= np.abs(quaternion).max()
+        return rotation_matrix(quaternion / np.linalg.norm(quaternion))
 
     def fault(self) -> str | None:
         """SPEC 6.15: returns what is wrong with the camera, or None."""

@@ -24,8 +24,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..bitstream.batches import Progress
+from ..bitstream.cameras import rotation_matrix
 from ..bitstream.reconstruction import Reconstruction
-from ..render.camera import Camera, rotation_matrix
+from ..render.camera import Camera
 from ..render.gaussians import Gaussians, gaussians
 from ..render.rasterise import Settings, rasterise, rasterise_backward
 from ..render.view import View

@@ -30,16 +30,6 @@ class UnknownKeyError(KeyError):
 
 
 @cache
-def _clauses() -> dict[str, specification.Clause]:
-    return specification.clauses(specification.text())
-
-
-@cache
-def _requirements() -> dict[str, specification.Requirement]:
-    return specification.requirements(specification.text())
-
-
-@cache
 def _trail() -> dict[str, Any]:
     data: dict[str, Any] = json.loads(find("data/trail.json").read_text(encoding="utf-8"))
     return data
@@ -59,7 +49,7 @@ def _sentence(text: str) -> str:
 
 
 def _clause_name(number: str) -> str:
-    return f"{number} {_clauses()[number].title}"
+    return f"{number} {specification.own_clauses()[number].title}"
 
 
 # --- one kind of key each ---------------------------------------------------------------------------------------------
@@ -67,7 +57,7 @@ def _clause_name(number: str) -> str:
 
 def _requirement_lines(name: str) -> Iterator[str]:
     """A requirement, its error, code, tests and vectors."""
-    r, trail = _requirements()[name], _trail()[name]
+    r, trail = specification.own_requirements()[name], _trail()[name]
     whose = {"R": "files", "D": "decoders", "G": "renderers"}[name[0]]
     yield f"{name}, a requirement on {whose}, clause {_clause_name(r.clause)}"
     yield from _wrapped(f"It is required that {r.text}.")
@@ -102,11 +92,11 @@ def _error_lines(kind: ErrorKind) -> Iterator[str]:
 
 def _clause_lines(number: str) -> Iterator[str]:
     """A clause: its text, and its requirements."""
-    clause = _clauses()[number]
+    clause = specification.own_clauses()[number]
     yield f"{number} {clause.title}, SPEC.md#{clause.anchor}"
     yield ""
     yield from clause.text.splitlines()
-    for name, r in _requirements().items():
+    for name, r in specification.own_requirements().items():
         if r.clause == number:
             yield ""
             yield from _requirement_lines(name)
@@ -132,7 +122,9 @@ def element_lines(path: str) -> Iterator[str]:
 def requirement_lines(found: Meaning) -> Iterator[str]:
     """Yields lines with the requirements on an element, in words."""
     for i, name in enumerate(found.requirements):
-        text = textwrap.wrap(f"{name}: {_requirements()[name].text}", WIDTH - 15, break_on_hyphens=False)
+        text = textwrap.wrap(
+            f"{name}: {specification.own_requirements()[name].text}", WIDTH - 15, break_on_hyphens=False
+        )
         yield f"  {'requirements' if i == 0 else '':<12} {text[0]}"
         yield from (f"  {'':<12} {line}" for line in text[1:])
 
@@ -155,9 +147,9 @@ def _parts(key: str) -> Iterator[Iterator[str]]:
     clause = name.removeprefix("Annex ").removeprefix("clause ")
     if key in codes or key in REGISTRY:
         yield _error_lines(codes.get(key) or REGISTRY[key])
-    if name in _requirements():
+    if name in specification.own_requirements():
         yield _requirement_lines(name)
-    if clause in _clauses():
+    if clause in specification.own_clauses():
         yield _clause_lines(clause)
     table, _, field = key.partition(".")
     if key in FIELDS:
@@ -186,7 +178,13 @@ def _table_field_lines(table: str, field: str) -> Iterator[str]:
 
 
 def _unknown(key: str) -> str:
-    known = [*map(str, (k.code for k in REGISTRY.values())), *REGISTRY, *_requirements(), *_clauses(), *FIELDS]
+    known = [
+        *map(str, (k.code for k in REGISTRY.values())),
+        *REGISTRY,
+        *specification.own_requirements(),
+        *specification.own_clauses(),
+        *FIELDS,
+    ]
     near = difflib.get_close_matches(key, known, 3)
     hint = f"; did you mean {', '.join(near)}" if near else ""
     return (

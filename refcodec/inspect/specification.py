@@ -82,3 +82,20 @@ def requirements(spec: str) -> dict[str, Requirement]:
         words = sentence[: error.start()] if error else sentence.rstrip(".")
         found[name] = Requirement(name, clause, words, error[1] if error and name.startswith("R") else "")
     return found
+
+
+@cache
+def own_clauses() -> dict[str, Clause]:
+    """Returns the clauses of the SPEC.md that came with the program, by number."""
+    return clauses(text())
+
+
+@cache
+def own_requirements() -> dict[str, Requirement]:
+    """Returns the requirements of the SPEC.md that came with the program, by identifier."""
+    return requirements(text())
+
+
+def clause_of(requirement: str) -> str:
+    """Returns the clause of a requirement, such as 7.5.5 of D7.5.5-1."""
+    return requirement[1:].rpartition("-")[0]

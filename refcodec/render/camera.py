@@ -58,29 +58,15 @@ class Camera:
         return replace(self, width=width, height=height, fx=self.fx * x, fy=self.fy * y, cx=self.cx * x, cy=self.cy * y)
 
 
-def rotation_matrix(quaternion: F64) -> F64:
-    """SPEC 14.4, ROTATION: returns the matrices, float64 [..., 3, 3], of unit quaternions w, x, y, z, [..., 4]."""
-    w, x, y, z = np.moveaxis(np.asarray(quaternion, np.float64), -1, 0)
-    rows = [
-        [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
-        [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
-        [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
-    ]
-    return np.moveaxis(np.array(rows), (0, 1), (-2, -1))
-
-
 def default_camera(stated: NamedCamera) -> Camera:
     """SPEC 5.17 and 14.2: returns a camera that a file states."""
-    quaternion = np.array(stated.rotation, np.float64)
-    # The quaternion is scaled first. Every finite one but zero is allowed, and squares of large numbers are infinite.
-    quaternion /= np.abs(quaternion).max()
     return Camera(
         OWN,
         stated.width,
         stated.height,
         *stated.focal,
         *stated.principal_point,
-        rotation_matrix(quaternion / np.linalg.norm(quaternion)),
+        stated.matrix(),
         np.array(stated.translation, np.float64),
     )
 

@@ -3,6 +3,7 @@
 // A pose has `rotation`, nine numbers row by row from the world to the camera, `centre`, its place in the world, and
 // `pivot`, the distance at which it turns around. x points right, y down and z into the scene. A lens has the size of
 // its image, and focal and principal_point in pixels.
+import { rotationOf } from "../web/camera.js";
 
 const add = (a, b, times = 1) => a.map((x, i) => x + times * b[i]);
 const dot = (a, b) => a[0] * b[0] + a[1] * b[1] + a[2] * b[2];
@@ -26,24 +27,12 @@ export function lensOf({ width, height, focal, principal_point }) {
 
 // The pose of a camera. Its rotation is a quaternion w, x, y, z or a matrix. middle: of the scene. radius: the same.
 export function poseOf({ rotation, translation }, { middle, radius }) {
-  const matrix = rotation.length === 9 ? [...rotation] : matrixOf(rotation);
+  const matrix = rotation.length === 9 ? [...rotation] : rotationOf({ rotation }).flat();
   const columns = [0, 1, 2].map((i) => [matrix[i], matrix[3 + i], matrix[6 + i]]);
   const centre = columns.map((column) => -dot(column, translation));
   // It turns around the point before it that is as far away as the middle of the scene.
   const depth = dot(row(matrix, 2), add(middle, centre, -1));
   return { rotation: matrix, centre, pivot: depth > 0.05 * radius ? depth : radius };
-}
-
-// 14.4, ROTATION
-function matrixOf(quaternion) {
-  const largest = Math.max(...quaternion.map(Math.abs));
-  const scaled = quaternion.map((x) => x / largest);
-  const [w, x, y, z] = scaled.map((value) => value / Math.hypot(...scaled));
-  return [
-    1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y),
-    2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x),
-    2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y),
-  ];
 }
 
 // 6.5: the axis that points up.

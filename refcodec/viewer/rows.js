@@ -5,6 +5,7 @@
 //   mean x, y, z, opacity            f32
 //   covariance xx, xy, xz, yy        f32
 //   covariance yz, zz                f32, then red and green, blue and 0, as 16-bit fractions of 1
+import { boundsOf } from "../web/gaussians.js";
 
 // Gaussians of a row.
 export const WIDTH = 1024;
@@ -41,7 +42,8 @@ export class Rows {
         if (kept + more > WIDTH) break;
         kept += more;
       }
-      this.blocks.push({ start: start + first, end: start + last, ...bounds(positions, first, last), from: undefined });
+      const own = boundsOf(positions.subarray(3 * first, 3 * last));
+      this.blocks.push({ start: start + first, end: start + last, ...own, from: undefined });
       this.means.push(new Float32Array(3 * kept));
       this.words.push(undefined);
       this.counts.push(0);
@@ -85,17 +87,6 @@ export class Rows {
     });
     return data;
   }
-}
-
-// Bounds of the positions from one anchor to before another one.
-function bounds(positions, first, last) {
-  const low = positions.slice(3 * first, 3 * first + 3);
-  const high = low.slice();
-  for (let i = 3 * first; i < 3 * last; i++) {
-    low[i % 3] = Math.min(low[i % 3], positions[i]);
-    high[i % 3] = Math.max(high[i % 3], positions[i]);
-  }
-  return { low, high };
 }
 
 function finite(values, from, to) {

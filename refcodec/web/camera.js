@@ -14,7 +14,7 @@ const UPRIGHT = [
 ];
 
 // 14.2 and 14.4, ROTATION: by rows, from the world to the camera
-function rotationOf({ rotation }) {
+export function rotationOf({ rotation }) {
   // The quaternion is scaled first, because squares of large numbers are infinite.
   const most = Math.max(...rotation.map(Math.abs));
   const scaled = rotation.map((part) => part / most);

@@ -24,7 +24,7 @@ function slotsOf(masks, count, offsets) {
   return slots;
 }
 
-function boundsOf(positions) {
+export function boundsOf(positions) {
   const low = new Float32Array(3).fill(Infinity);
   const high = new Float32Array(3).fill(-Infinity);
   positions.forEach((x, i) => {

@@ -17,8 +17,9 @@ from benchmarks.exports.__main__ import main
 from benchmarks.exports.browser import drawn
 from benchmarks.exports.making import Source, file_of, held, scene_record, splat_record
 from benchmarks.peers.convert import ToolError
+from refcodec.bitstream.cameras import rotation_matrix
 from refcodec.export.formats import FORMATS
-from refcodec.render.camera import Camera, rotation_matrix
+from refcodec.render.camera import Camera
 from refcodec.render.rasterise import Settings
 
 ROOT = Path(__file__).resolve().parents[2]

@@ -13,13 +13,17 @@ for package in ("numba", "PIL", "scipy"):
     pytest.importorskip(package, reason="exporting needs the packages of the extra render")
 
 from conformance.cases.scenes import random_scene  # noqa: E402
-from refcodec.bitstream.cameras import NamedCamera, cameras  # noqa: E402
+from refcodec.bitstream.cameras import (  # noqa: E402
+    NamedCamera,
+    cameras,
+    rotation_matrix,
+)
 from refcodec.bitstream.codec import parse  # noqa: E402
 from refcodec.bitstream.dimensions import RENDERING  # noqa: E402
 from refcodec.export.fit import agreement, fit, render_settings  # noqa: E402
 from refcodec.export.splats import draw, opacities  # noqa: E402
 from refcodec.export.views import FEW, SIDE, views_of  # noqa: E402
-from refcodec.render.camera import Camera, rotation_matrix  # noqa: E402
+from refcodec.render.camera import Camera  # noqa: E402
 from refcodec.render.gaussians import gaussians  # noqa: E402
 from refcodec.render.rasterise import rasterise  # noqa: E402
 from refcodec.render.view import View, own_camera  # noqa: E402

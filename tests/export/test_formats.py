@@ -21,10 +21,10 @@ from PIL import Image  # noqa: E402
 from plyfile import PlyData  # noqa: E402
 
 from benchmarks.peers.convert import convert, tool  # noqa: E402
+from refcodec.bitstream.cameras import rotation_matrix  # noqa: E402
 from refcodec.export.formats import FORMATS, splat_file  # noqa: E402
 from refcodec.export.harmonics import REST, rest_harmonics  # noqa: E402
 from refcodec.export.splats import Splats, opacities  # noqa: E402
-from refcodec.render.camera import rotation_matrix  # noqa: E402
 
 ARRAYS = ("mean", "base", "rest", "opacity", "scale", "quaternion")
 Read = Callable[[bytes], Splats]

@@ -12,11 +12,11 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from conformance.cases.scenes import random_scene
-from refcodec.bitstream.cameras import NamedCamera
+from refcodec.bitstream.cameras import NamedCamera, rotation_matrix
 from refcodec.bitstream.header import RenderInfo
 from refcodec.bitstream.reconstruction import Reconstruction, reconstruct
 from refcodec.bitstream.scene import Scene
-from refcodec.render.camera import Camera, default_camera, rotation_matrix
+from refcodec.render.camera import Camera, default_camera
 from refcodec.render.gaussians import Gaussians, gaussians
 
 ROOT = Path(__file__).resolve().parents[2]

@@ -85,8 +85,7 @@ class Tally:
         models, mean, scale, value: as for bitstream.entropy.placed. channel: int64 [n], the channel of each.
         """
         model, index, away, raw = placed(models, mean, scale, value)
-        at = models.offset.take(model) + index
-        bits = _frequency_bits()[models.upper.take(at) - models.lower.take(at)] + raw
+        bits = plain_bits(models, model, index) + raw
         radius = models.radius.take(model)
         escaped = np.flatnonzero(index > 2 * radius)
         bits[escaped] += escape_bits(away[escaped], radius[escaped])

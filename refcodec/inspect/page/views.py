@@ -64,19 +64,8 @@ def projected(positions: F64, camera: NamedCamera, near: float) -> tuple[F64, ND
 
     positions: float64 [n, 3], world units. near: depth in world units below which nothing is seen.
     """
-    quaternion = np.array(camera.rotation)
-    # It is scaled first, since squares of large numbers are infinite.
-    quaternion /= np.abs(quaternion).max()
-    w, x, y, z = quaternion / np.linalg.norm(quaternion)
-    rotation = np.array(
-        [
-            [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
-            [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
-            [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
-        ]
-    )
     with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
-        at = positions @ rotation.T + np.array(camera.translation)
+        at = positions @ camera.matrix().T + np.array(camera.translation)
         points = np.array(camera.focal) * at[:, :2] / at[:, 2:] + np.array(camera.principal_point)
         inside = (at[:, 2] > near) & (points >= 0).all(axis=1)
         inside &= (points[:, 0] < camera.width) & (points[:, 1] < camera.height)
