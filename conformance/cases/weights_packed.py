@@ -337,6 +337,13 @@ def _valid(book: Book) -> None:
         flags="grid-exponent symbol-limit limit-off-by-one",
     )
     add(
+        "grids-subnormal",
+        "a layer of subnormal numbers, each integer of another length",
+        partial(regular, "grids-subnormal", _subnormals),
+        requirements="D7.13-1",
+        flags="subnormals",
+    )
+    add(
         "grids-zeros",
         "rows of zeros at the beginning, between and at the end of a layer, and layers of zeros",
         partial(regular, "grids-zeros", _zeros),
@@ -400,6 +407,15 @@ def _limits(n: Networks) -> None:
     w[2], b[2] = float(np.float32(2.0**104 * ((1 << 24) - 1))), 2.0**104
     w, b = n["colour"][0]
     w[0], b[0] = 2.0**104, 0
+
+
+def _subnormals(n: Networks) -> None:
+    # Odd multiples of 2^-149 from 1 bit to 24, of which only those of 24 bits are normal numbers.
+    w, b = n["colour"][0]
+    lengths = np.arange(w.size).reshape(w.shape) % 24
+    sign = np.where(lengths % 3 == 1, -1.0, 1.0)
+    w[:] = sign * np.ldexp(np.ldexp(1.0, lengths) + (lengths > 0), -149)
+    b[:] = np.ldexp(np.ldexp(1.0, 1 + np.arange(len(b)) % 23) - 1, -149)
 
 
 def _zeros(n: Networks) -> None:
