@@ -14,17 +14,22 @@ from .seen import RIGHT, Seen
 from .spectrum import Suspect, suspects
 from .table import Bug
 
-# A clause is named if its score is so high, and so far ahead of the next clause's. `conformance fingerprints judge`
-# says what that makes of the planted bugs.
+# A clause is named if its score is so high, and so far ahead of the next one that its most alike bug does not break as
+# well. `conformance fingerprints judge` says what that makes of the planted bugs.
 HIGH, AHEAD = 0.5, 0.3
+# A clause has of its bugs that are most alike their mean likeness, each with so much of the one's weight before it. A
+# wrong decoder is somewhat like many bugs of its clause, and may be like any single bug of another one by chance.
+ALSO, MANY = 0.5, 8
 # What a clause has of a bug that breaks it beside another one, of which it is the first.
 BESIDE = 0.7
 # What a requirement that separates well adds to its clause's score.
-SPECTRUM = 0.25
+SPECTRUM = 0.1
 # Two bugs are named for one if together they are so much more like what was seen.
 TOGETHER = 0.3
 # Failures are alike if verdict and code are, or verdict and parts.
 ALIKE = 3
+_PARTS = ALSO ** np.arange(MANY)
+_PARTS /= _PARTS.sum()
 # So many clauses, requirements and bugs at once are told, and so many bugs are tried together.
 _LIKELY, _SUSPECTS, _MOST, _TRIED = 3, 5, 3, 40
 
@@ -85,6 +90,7 @@ class Diagnostician:
         self._likeness = likeness
         self._purposes = purposes
         self._bugs = [likeness.table.bugs[b] for b in likeness.columns]
+        self._clause = np.array([bug.clause for bug in self._bugs])
 
     def diagnose(self, seen: Mapping[str, Seen]) -> Diagnosis | None:
         """Reads what was seen, right or not, on vectors of the table and others; None if none of the table failed."""
@@ -102,32 +108,35 @@ class Diagnostician:
             # What the pair explains leads; the rest follows.
             named = list(dict.fromkeys(one.bug.clause for one in together))
             clauses = sorted(clauses, key=lambda c: named.index(c.number) if c.number in named else len(named))
-        first, second = clauses[0].score, clauses[1].score if len(clauses) > 1 else 0.0
+        best = clauses[0]
+        same = best.bug.bug.clauses if best.bug else ()
+        second = next((c.score for c in clauses[1:] if c.number not in same), 0.0)
         return Diagnosis(
             count,
             int(found.run.sum()) - count,
-            bool(first >= HIGH and first - second >= AHEAD) or bool(together),
+            bool(best.score >= HIGH and best.score - second >= AHEAD) or bool(together),
             tuple(clauses[:_LIKELY]),
             tuple(sorted(together, key=lambda one: one.bug.stage)),
             tuple(_first(ranked)[:_SUSPECTS]),
         )
 
     def clauses(self, found: Compared, ranked: Iterable[Suspect]) -> list[Clause]:
-        """The clauses by score: the likeness of their most alike bug, and how well their requirements separate."""
-        best: dict[str, tuple[float, int]] = {}
+        """The clauses by score: the likeness of their most alike bugs, and how well their requirements separate."""
+        best: dict[str, list[tuple[float, int]]] = {}
         for b in np.argsort(-found.likeness, kind="stable"):
             for share, number in zip(
                 (1.0, *[BESIDE] * len(self._bugs[b].clauses)), self._bugs[b].clauses, strict=False
             ):
-                best[number] = max(best.get(number, (0.0, 0)), (share * float(found.likeness[b]), -int(b)))
+                best.setdefault(number, []).append((share * float(found.likeness[b]), -int(b)))
         separates: dict[str, float] = {}
         for suspect in (s for s in ranked if s.made):
             separates.setdefault(suspect.clause, suspect.score)
         made = []
         for number in {**best, **separates}:
-            like, b = best.get(number, (0.0, 0))
-            score = like + SPECTRUM * separates.get(number, 0.0)
-            made.append(Clause(number, score, self._likely(found, -b) if like else None))
+            most = sorted(best.get(number, [(0.0, 0)]), reverse=True)[:MANY]
+            mean = float(np.dot([like for like, _ in most], _PARTS[: len(most)]))
+            score = mean + SPECTRUM * separates.get(number, 0.0)
+            made.append(Clause(number, score, self._likely(found, -most[0][1]) if most[0][0] else None))
         return sorted(made, key=lambda c: (-c.score, c.number))
 
     def _likely(self, found: Compared, b: int) -> Likely:
@@ -137,6 +146,12 @@ class Diagnostician:
         return Likely(
             self._bugs[b], float(found.likeness[b]), int((alike & found.failing).sum()), int((passing & ~fails).sum())
         )
+
+    def _best(self, of: NDArray[np.float64]) -> NDArray[np.intp]:
+        """The bug of each clause for which something is largest, the largest ones."""
+        ranked = np.argsort(-of, kind="stable")
+        _, first = np.unique(self._clause[ranked], return_index=True)
+        return ranked[np.sort(first)[:_TRIED]]
 
     def _cover(self, found: Compared) -> list[int]:
         """The bugs that explain the failures, one or several.
@@ -154,13 +169,9 @@ class Diagnostician:
             either = np.where(both > 0, np.take_along_axis(expected, pick, 1)[:, 0], expected.max(1))
             return float(both.sum() / (total + either.sum() - both.sum()))
 
-        # Those that are like the whole, and those all of which is seen.
-        seen_of = found.common.sum(0) / np.maximum(found.expected.sum(0), 1e-9)
-        some = np.unique(
-            np.concatenate(
-                [np.argsort(-found.likeness)[:_TRIED], np.argsort(-seen_of * (found.common.sum(0) > 0))[:_TRIED]]
-            )
-        )
+        # Those that are like the whole, and those all of which is seen, the best of each clause.
+        seen_of = found.common.sum(0) / np.maximum(found.expected.sum(0), 1e-9) * (found.common.sum(0) > 0)
+        some = np.unique(np.concatenate([self._best(found.likeness), self._best(seen_of)]))
         best = [int(np.argmax(found.likeness))]
         score = alike(np.array(best))
         pairs = {pair: alike(np.array(pair)) for pair in combinations(some.tolist(), 2)}

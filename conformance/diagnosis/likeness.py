@@ -25,11 +25,6 @@ Floats = NDArray[np.float64]
 LEVELS = 4
 
 
-def _levels(what: Seen) -> tuple[tuple[int, ...], ...]:
-    """The four nested facts of what was seen."""
-    return (0,), (what.verdict,), (what.verdict, what.detail), tuple(what)
-
-
 @dataclass(frozen=True)
 class Compared:
     """What was seen compared with each bug.
@@ -56,26 +51,21 @@ class Likeness:
         self.table = table
         self.columns = np.arange(len(table.bugs)) if columns is None else columns
         self.cells = table.cells[:, self.columns]
-        count = len(self.columns)
-        # Of each outcome, and of each level of it, the content.
-        owner = np.array([vector for vector, _ in table.outcomes], np.intp)
-        bins = np.bincount(self.cells[self.cells >= 0].ravel(), minlength=len(owner))
-        facts: dict[tuple[int, tuple[int, ...]], int] = {}
-        keys = [[(vector, level) for level in _levels(what)] for vector, what in table.outcomes]
-        for number, nested in enumerate(keys):
-            for key in nested:
-                facts[key] = facts.get(key, 0) + int(bins[number])
-        self._facts = facts
-        self._count = count
+        # Of each outcome, and of each level of it, the content. They are sorted: those of one fact are neighbours.
+        bins = np.bincount(self.cells[self.cells >= 0], minlength=len(table.outcomes))
         self.weight = self._weights(damping)
-        shape = (len(owner), LEVELS)
-        raw = np.array([[self._content(key) for key in nested] for nested in keys], float).reshape(shape)
-        self.content = raw * self.weight[owner][:, None]
+        self._owner = table.outcomes[:, 0]
+        self.content = np.empty((len(table.outcomes), LEVELS))
+        for level in range(LEVELS):
+            begins = (np.diff(table.outcomes[:, : level + 1], axis=0, prepend=-1) != 0).any(axis=1)
+            fact = np.cumsum(begins) - 1
+            shown = np.bincount(fact, bins)[fact]
+            self.content[:, level] = self._content(shown) * self.weight[self._owner]
         self.expected = self._take(self.content[:, -1])
 
-    def _content(self, key: tuple[int, tuple[int, ...]]) -> float:
-        """In bits. A fact that no bug shows is as rare as one of one more bug."""
-        return float(-np.log2((self._facts.get(key, 0) + 1) / (self._count + 1)))
+    def _content(self, shown: Floats | int) -> Floats:
+        """In bits, of facts that so many bugs show. A fact that none shows is as rare as one of one more bug."""
+        return -np.log2((np.asarray(shown) + 1.0) / (len(self.columns) + 1))
 
     def _weights(self, damping: float) -> Floats:
         """[vectors]: 1 / n^damping for each vector of a group of n, which the same bugs fail."""
@@ -94,21 +84,15 @@ class Likeness:
         run = np.array([name in seen for name in names])
         told = [seen.get(name, RIGHT) for name in names]
         failing = np.array([what != RIGHT for what in told]) & run
-        agreed = np.zeros(len(self.table.outcomes))
-        depth = np.zeros(len(self.table.outcomes), np.int8)
-        nested = [_levels(what) for what in told]
-        for number, (vector, what) in enumerate(self.table.outcomes):
-            if failing[vector]:
-                for level, mine in zip(range(LEVELS), _levels(what), strict=True):
-                    if mine != nested[vector][level]:
-                        break
-                    agreed[number] = self.content[number, level]
-                    depth[number] = level + 1
+        mine = np.array(told, np.int64).reshape(-1, LEVELS - 1)[self._owner]
+        same = np.logical_and.accumulate(self.table.outcomes[:, 1:] == mine, axis=1)
+        depth = np.where(failing[self._owner], 1 + same.sum(1), 0)
+        agreed = np.where(depth > 0, np.take_along_axis(self.content, np.maximum(depth - 1, 0)[:, None], 1)[:, 0], 0.0)
         common = self._take(agreed)
         expected = self.expected * run[:, None]
-        had = np.array(
-            [self._content((v, nested[v][-1])) * self.weight[v] if failing[v] else 0.0 for v in range(len(names))]
-        )
+        had = np.where(failing, self._content(0) * self.weight, 0.0)
+        whole = depth == LEVELS
+        had[self._owner[whole]] = agreed[whole]
         both = common.sum(0)
         either = had.sum() + expected.sum(0) - both
         likeness = np.divide(both, either, out=np.zeros_like(both), where=either > 0)

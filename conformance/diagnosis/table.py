@@ -79,16 +79,17 @@ class Place:
 class Table:
     """The table.
 
-    vectors: (id, hash of file and expectation), in the order of the suite. outcomes: what bugs do to vectors, each
-    with the number of its vector. cells: [vectors, bugs] the number of the outcome; right ones are -1. runs: [vectors,
-    places] whether the unchanged decoder runs a place. lines: how many lines it runs for each vector. slow: hashes of
-    the vectors that are not there, because it runs too many. decoder: a hash of it.
+    vectors: (id, hash of file and expectation), in the order of the suite. outcomes: int64 [outcomes, 4] what bugs do
+    to vectors, the number of the vector and the three of Seen, in the order of these numbers. cells: [vectors, bugs]
+    the number of the outcome; right ones are -1. runs: [vectors, places] whether the unchanged decoder runs a place.
+    lines: how many lines it runs for each vector. slow: hashes of the vectors that are not there, because it runs too
+    many. decoder: a hash of it and of how many it may run.
     """
 
     bugs: tuple[Bug, ...]
     vectors: tuple[tuple[str, str], ...]
     places: tuple[Place, ...]
-    outcomes: tuple[tuple[int, Seen], ...]
+    outcomes: NDArray[np.int64]
     cells: NDArray[np.int32]
     runs: NDArray[np.bool_]
     lines: tuple[int, ...]
@@ -103,7 +104,7 @@ class Table:
     def seen(self, vector: int, bug: int) -> Seen:
         """What a bug does to a vector."""
         cell = int(self.cells[vector, bug])
-        return RIGHT if cell < 0 else self.outcomes[cell][1]
+        return RIGHT if cell < 0 else Seen(*self.outcomes[cell, 1:].tolist())
 
 
 def vector_key(vector: Vector) -> str:
@@ -125,8 +126,9 @@ def build(
     """The table. seen: for each bug what it does to vectors; a vector that is not there is right."""
     numbers = {name: number for number, (name, _) in enumerate(vectors)}
     found = {(numbers[name], what) for row in seen for name, what in row.items() if what != RIGHT}
-    outcomes = tuple(sorted(found))
-    index = {outcome: number for number, outcome in enumerate(outcomes)}
+    ordered = sorted(found)
+    outcomes = np.array([(vector, *what) for vector, what in ordered], np.int64).reshape(-1, 4)
+    index = {outcome: number for number, outcome in enumerate(ordered)}
     cells = np.full((len(vectors), len(bugs)), -1, np.int32)
     for column, row in enumerate(seen):
         for name, what in row.items():
@@ -151,15 +153,14 @@ def to_bytes(table: Table) -> bytes:
         separators=(",", ":"),
     ).encode()
     # Within a vector the outcomes count from 1, so that numbers are small and alike from vector to vector.
-    owner = np.array([vector for vector, _ in table.outcomes], np.int64)
+    owner, verdict, detail, exact = table.outcomes.T
     first = np.searchsorted(owner, np.arange(len(table.vectors)))
     local = np.where(table.cells < 0, 0, table.cells - first[:, None] + 1)
-    columns = np.array([what for _, what in table.outcomes], np.int64).reshape(-1, 3)
     arrays = [
         owner.astype("<u2"),
-        columns[:, 0].astype("u1"),
-        columns[:, 1].astype("<u2"),
-        columns[:, 2].astype("<u4"),
+        verdict.astype("u1"),
+        detail.astype("<u2"),
+        exact.astype("<u4"),
         local.T.astype("<u2"),
         np.packbits(table.runs, axis=0).T,
     ]
@@ -219,8 +220,9 @@ def _read(content: bytes) -> Table:
     cells = np.where(cells == 0, -1, cells - 1 + first[:, None]).astype(np.int32)
     if cells.max(initial=-1) >= outcomes or owner.max(initial=0) >= max(1, len(vectors)):
         raise ValueError(outcomes)
-    rows = zip(owner.tolist(), verdict.tolist(), detail.tolist(), exact.tolist(), strict=True)
-    told = tuple((vector, Seen(Verdict(v), d, e)) for vector, v, d, e in rows)
+    told = np.stack([owner, verdict, detail, exact], axis=1).astype(np.int64)
+    if verdict.max(initial=0) > max(Verdict) or (np.lexsort(told.T[::-1]) != np.arange(outcomes)).any():
+        raise ValueError(outcomes)
     runs = np.unpackbits(packed.reshape(len(spots), row).T, axis=0, count=len(vectors)).astype(bool)
     return Table(
         bugs, vectors, spots, told, cells, runs, tuple(head["lines"]), tuple(head["slow"]), str(head["decoder"])

@@ -9,7 +9,7 @@ from refcodec.inspect import specification
 
 from ..manifest import Manifest
 from ..runner.traces import Probe
-from .diagnose import Diagnosis, Diagnostician, Likely
+from .diagnose import Clause, Diagnosis, Diagnostician, Likely
 from .likeness import Likeness
 from .seen import of_entry
 from .spectrum import Suspect
@@ -19,6 +19,8 @@ from .table import Table, read, vector_key
 SEPARATES = 0.05
 # Of fewer vectors the diagnosis says that they are few.
 ENOUGH = 300
+# A clause of so much less than the first one's score is not told.
+FAINT = 0.3
 # So many clauses of wrong probes are told.
 _CLAUSES = 3
 # Where the table knows no vector that failed.
@@ -66,33 +68,49 @@ def _suspect(suspect: Suspect) -> dict[str, Any]:
     }
 
 
-def _like(one: Likely, d: Diagnosis) -> str:
-    return f"{one.failing} of {d.failing} fail alike, {one.passing} of {d.passing} pass alike"
+def _lines(one: Likely | None, d: Diagnosis) -> list[str]:
+    """How a known bug is like what was seen."""
+    if one is None or not one.failing:
+        return ["    no known bug of it does the same"]
+    more = d.passing - one.passing
+    exact = one.failing == d.failing and not more
+    return [
+        f"    {'the same as' if exact else 'most like'} a known bug of another decoder: {one.bug.what}",
+        f"    it fails {one.failing} of your {d.failing} in the same way, and {more or 'none'} that you pass",
+    ]
+
+
+def _groups(d: Diagnosis) -> list[list[Clause]]:
+    """The clauses that are worth a line, those of one bug together."""
+    groups: dict[str, list[Clause]] = {}
+    for clause in d.clauses:
+        if clause.score >= FAINT * d.clauses[0].score:
+            groups.setdefault(clause.bug.bug.id if clause.bug else clause.number, []).append(clause)
+    return list(groups.values())
 
 
 def sentences(d: Diagnosis) -> list[str]:
     """What a person is told first, line by line."""
-    first = d.clauses[0] if d.clauses else None
+    of = f"of {d.failing + d.passing} vectors that were compared you fail {d.failing}"
     if d.together:
-        lines = ["your failures are those of a decoder with several bugs; mend them in this order:"]
-        lines += [f"  {_title(one.bug.clause)}: as if {one.bug.what}; {_like(one, d)}" for one in d.together]
+        lines = [f"look for several bugs, in this order; {of}"]
+        for one in d.together:
+            lines += [f"  {_title(one.bug.clause)}", *_lines(one, d)]
         return lines
-    if d.clear and first is not None and first.bug is not None and first.bug.failing:
-        what = f"your failures are those of a decoder with this bug in {_title(first.number)}: {first.bug.bug.what}"
-        return [what, f"  {_like(first.bug, d)}"]
-    if d.clear and first is not None:
-        lines = [f"your failures point to {_title(first.number)}; no planted bug of it does the same"]
+    groups = _groups(d)
+    if d.clear and groups:
+        lines, groups = [f"look first at {_title(groups[0][0].number)}; {of}"], groups[:1]
+        lines += _lines(groups[0][0].bug, d)
     else:
-        lines = ["no rule is clearly the one that is broken; read these first:"]
-        for clause in d.clauses:
-            like = f": as if {clause.bug.bug.what}; {_like(clause.bug, d)}" if clause.bug and clause.bug.failing else ""
-            lines.append(f"  {_title(clause.number)}{like}")
+        lines = [f"no clause is certain, the likeliest comes first; {of}"]
+        for group in groups:
+            lines += [f"  {', '.join(_title(clause.number) for clause in group)}", *_lines(group[0].bug, d)]
     ahead = d.suspects[0].score - d.suspects[1].score if len(d.suspects) > 1 else 1.0
     for s in d.suspects[:1] if ahead >= SEPARATES else ():
         sense = "were made for it" if s.made else "run code for it"
         lines.append(f"  {s.requirement} separates best: {s.failing} failing vectors {sense}, {s.passing} passing ones")
     if d.failing + d.passing < ENOUGH:
-        lines.append(f"  only {d.failing + d.passing} vectors could be compared: run the whole suite for more")
+        lines.append("  run the whole suite: so few vectors say little")
     return lines
 
 

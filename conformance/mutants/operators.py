@@ -228,6 +228,12 @@ def points(module: str) -> dict[str, list[Mutant]]:
     return found
 
 
+@cache
+def changes() -> tuple[Mutant, ...]:
+    """All changes of the second decoder, module by module."""
+    return tuple(mutant for module in MODULES for mutants in points(module).values() for mutant in mutants)
+
+
 def _rank(mutants: list[Mutant]) -> list[Mutant]:
     """A function's changes by hash, one of each operator before the second one of any."""
     times: dict[str, int] = defaultdict(int)

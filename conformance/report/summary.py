@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import re
 import shlex
+from collections import Counter
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
@@ -20,6 +21,8 @@ _SHOWN = 10
 _STDERR_LINES, _WIDTH = 3, 200
 # So many requirements or features that are not right are named.
 _NAMED = 4
+# A clause of a larger share of the vectors is a general one.
+_GENERAL = 0.3
 # An attribute's anchor in a divergence: what leads to its distributions can be shown.
 _ANCHOR = re.compile(r"^trace: attributes\.\w+\[(\d+),", re.MULTILINE)
 _WORDS = {"unexpected": "known failures that pass", "known": "known failures"}
@@ -39,6 +42,17 @@ def _from_here(path: Path) -> str:
         return printable(str(path))
 
 
+def _general(vectors: Sequence[dict[str, Any]]) -> set[str]:
+    """The clauses of so many vectors that they lead nowhere."""
+    counts = Counter(clause for v in vectors for clause in v["clauses"])
+    return {clause for clause, count in counts.items() if count > _GENERAL * len(vectors)}
+
+
+def _own(vector: dict[str, Any], general: set[str]) -> list[str]:
+    """The clauses to read for a vector: not the general ones, if it has others."""
+    return [clause for clause in vector["clauses"] if clause not in general] or vector["clauses"]
+
+
 def lines(record: dict[str, Any], suite: Path) -> Iterator[str]:
     """What a person wants to know first: what failed, where, and the verdict.
 
@@ -46,7 +60,7 @@ def lines(record: dict[str, Any], suite: Path) -> Iterator[str]:
         record: what `record.build` made.
         suite: the folder of the vectors, for the commands that are printed.
     """
-    bad = most_telling(record["vectors"])
+    bad, general = most_telling(record["vectors"]), _general(record["vectors"])
     for v in bad[:_SHOWN]:
         yield f"{v['status'].upper()} {v['id']}: {v['text']}"
         yield from (f"    {line}" for line in v["divergence"])
@@ -56,7 +70,7 @@ def lines(record: dict[str, Any], suite: Path) -> Iterator[str]:
         anchor = v["probe"]["anchor"] if v["probe"] else symbol.group(1) if symbol else None
         form = "--hex" if anchor is None else f"--anchor {anchor}"
         look = shlex.join(["refcodec", "inspect", _from_here(suite / v["input"])])
-        yield f"    {v['title']}; read {', '.join(v['clauses'])}; {look} {form}"
+        yield f"    {v['title']}; read {', '.join(_own(v, general))}; {look} {form}"
     if len(bad) > _SHOWN:
         yield f"... and {len(bad) - _SHOWN} more, which --report shows"
     if bad:

@@ -103,9 +103,9 @@ def _parser() -> argparse.ArgumentParser:
     found = command("judge", "ask a diagnosis about each record, and print how often it is right")
     found.add_argument(
         "--diagnosis",
-        default="conformance.unseen.judging:frequent",
+        default="conformance.unseen.judging:told",
         metavar="MODULE:FUNCTION",
-        help="takes a record, returns clauses with whether it stands by each (default: the baseline)",
+        help="takes a record, returns clauses with whether it stands by each (default: what the record tells)",
     )
     found.add_argument("bugs", nargs="*", metavar="BUG", help="these alone")
     found.set_defaults(run=_judge)

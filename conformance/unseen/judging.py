@@ -6,8 +6,11 @@ from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from fractions import Fraction
+from functools import cache
 from typing import Any
 
+from ..diagnosis import words
+from ..manifest import Manifest, load
 from .bugs import Wrong
 from .records import FAILED
 
@@ -73,6 +76,25 @@ def spectrum(record: dict[str, Any]) -> Named:
     every = Counter(clause for v in record["vectors"] for clause in v["clauses"])
     squares = {clause: Fraction(count * count, len(bad) * every[clause]) for clause, count in wrong.items()}
     return [(clause, squares[clause] == 1) for clause in sorted(squares, key=lambda clause: -squares[clause])]
+
+
+@cache
+def _manifest() -> Manifest:
+    return load()
+
+
+def told(record: dict[str, Any]) -> Named:
+    """What the runner tells of a record today: clauses of wrong numbers, of bugs together, and of all bugs, in turn.
+
+    It stands by those that it says the failures are of. A record's own diagnosis may be by another table.
+    """
+    said = words.of_record(_manifest(), record["vectors"], record["runner"]["grade"])
+    if said is None:
+        return []
+    probed, ranked = ([one["clause"] for one in said[of]] for of in ("probes", "clauses"))
+    together = [bug["clauses"][0] for bug in said["together"]]
+    sure = (probed[:1] or together or ranked[:1]) if said["clear"] else []
+    return [(clause, clause in sure) for clause in dict.fromkeys([*probed, *together, *ranked])]
 
 
 def judged(found: Iterable[tuple[Wrong, dict[str, Any]]], diagnosis: Diagnosis) -> list[Row]:

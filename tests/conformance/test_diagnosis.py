@@ -101,9 +101,8 @@ def small_table() -> table.Table:
 def test_a_table_comes_back() -> None:
     made = small_table()
     back = table.from_bytes(table.to_bytes(made))
-    assert (back.bugs, back.vectors, back.places, back.outcomes) == (
-        made.bugs, made.vectors, made.places, made.outcomes,
-    )  # fmt: skip
+    assert (back.bugs, back.vectors, back.places) == (made.bugs, made.vectors, made.places)
+    assert np.array_equal(back.outcomes, made.outcomes)
     assert np.array_equal(back.cells, made.cells)
     assert np.array_equal(back.runs, made.runs)
     assert back.seen(0, 0) == Seen(Verdict.REFUSED, 509, 100)
@@ -137,7 +136,7 @@ def test_what_has_changed_is_told() -> None:
     assert wrong == [
         f"the bug {TABLE.bugs[0].id} is not in the table",
         f"the vector {TABLE.names[0]} has changed or is gone",
-        "the second decoder has changed",
+        "the second decoder or the choice of vectors has changed",
     ]
 
 
@@ -274,7 +273,7 @@ def test_nothing_is_clear_of_failures_without_a_pattern() -> None:
     found = Diagnostician(Likeness(TABLE), PURPOSES).diagnose(seen)
     assert found is not None
     assert not found.clear
-    assert "no rule is clearly" in words.sentences(found)[0]
+    assert "no clause is certain" in words.sentences(found)[0]
 
 
 @pytest.mark.slow

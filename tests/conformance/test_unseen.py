@@ -15,7 +15,7 @@ import pytest
 from c_program import COMPILER
 
 from conformance.manifest import VECTORS, Manifest, load
-from conformance.mutants import selftest
+from conformance.mutants import fingerprints, selftest
 from conformance.report import record as records
 from conformance.unseen import __main__ as command
 from conformance.unseen import drawing, judging
@@ -71,7 +71,7 @@ def test_a_text_that_is_gone_is_noticed() -> None:
 
 def test_none_is_a_planted_bug() -> None:
     """No two make one decoder, and none makes that of a planted bug."""
-    planted = {selftest.decoder(mutant) for mutant in selftest.mutants()}
+    planted = {selftest.decoder(mutant) for mutant in fingerprints.planted()}
     made = []
     for bug in SECOND:
         ((name, text),) = Wrong((bug,)).texts().items()
