@@ -93,16 +93,19 @@ class Diagnostician:
         self._clause = np.array([bug.clause for bug in self._bugs])
 
     def diagnose(self, seen: Mapping[str, Seen]) -> Diagnosis | None:
-        """Reads what was seen, right or not, on vectors of the table and others; None if none of the table failed."""
+        """Reads what was seen, right or not, on vectors of the table and others; None if none failed.
+
+        If none of the table failed, no bug is like it, and the requirements that separate best are all there is.
+        """
+        failing = {name: what != RIGHT for name, what in seen.items()}
+        if not any(failing.values()):
+            return None
         found = self._likeness.compare(seen)
         count = int(found.failing.sum())
-        if not count:
-            return None
         table = self._likeness.table
-        failing = {name: what != RIGHT for name, what in seen.items()}
         ranked = suspects(table, self._purposes, failing)
         clauses = self.clauses(found, ranked)
-        cover = self._cover(found)
+        cover = self._cover(found) if count else []
         together = [self._likely(found, b) for b in cover] if len(cover) > 1 else []
         if together:
             # What the pair explains leads; the rest follows.

@@ -174,8 +174,7 @@ def of_record(
 ) -> dict[str, Any] | None:
     """What the entries of a record say. grade: that was demanded.
 
-    None if no vector failed that the table knows, and none has a wrong probe. A vector whose file or
-    expectation is another one is not known.
+    None if no vector failed. A vector whose file or expectation is another one than the table's does not count.
     """
     if all(entry["status"] in ("passed", "skipped", "unexpected") for entry in entries):
         return None

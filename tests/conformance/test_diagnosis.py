@@ -266,6 +266,19 @@ def test_a_decoder_that_passes_has_no_diagnosis() -> None:
     assert Diagnostician(Likeness(TABLE), PURPOSES).diagnose(dict.fromkeys(TABLE.names, RIGHT)) is None
 
 
+def test_requirements_tell_of_vectors_that_the_table_has_not() -> None:
+    """Those made for one requirement fail. The table does not have them."""
+    of = [v.id for v in SUITE.vectors if "R6.10-5" in v.requirements]
+    chosen = table.read()
+    small = replace(chosen, vectors=tuple((name + "?" if name in of else name, key) for name, key in chosen.vectors))
+    seen = {v.id: CRASH if v.id in of else RIGHT for v in SUITE.vectors}
+    found = Diagnostician(Likeness(small), PURPOSES).diagnose(seen)
+    assert found is not None
+    assert (found.failing, found.clear, found.together) == (0, False, ())
+    assert found.clauses[0].number == "6.10"
+    assert "no known bug of it does the same" in "".join(words.sentences(found))
+
+
 def test_nothing_is_clear_of_failures_without_a_pattern() -> None:
     """A tenth of the vectors crash, whatever they are for."""
     chosen = np.random.default_rng(1).random(len(TABLE.names)) < 0.1
