@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import re
+from collections import Counter
 from collections.abc import Sequence
 from typing import Any
 
@@ -23,6 +25,8 @@ ENOUGH = 300
 FAINT = 0.3
 # So many clauses of wrong probes are told.
 _CLAUSES = 3
+# Of the annotated bytes of a file the place where a decoder stopped, up to its part.
+_SPOT = re.compile(r"> [0-9a-f]+ +(?:[0-9a-f]{2} )+ +([a-z_]+)")
 # Where the table knows no vector that failed.
 _NOTHING: dict[str, Any] = {
     "failing": 0,
@@ -36,10 +40,16 @@ _NOTHING: dict[str, Any] = {
 }
 
 
+def _name(clause: str) -> str:
+    """A clause's title, empty if it is no clause of SPEC.md."""
+    found = specification.own_clauses().get(clause)
+    return found.title if found else ""
+
+
 def _title(clause: str) -> str:
     """Such as `7.5.5 (Positional encoding)`."""
-    found = specification.own_clauses().get(clause)
-    return f"{clause} ({found.title})" if found else clause
+    name = _name(clause)
+    return f"{clause} ({name})" if name else clause
 
 
 def _bug(one: Likely) -> dict[str, Any]:
@@ -125,7 +135,7 @@ def as_json(d: Diagnosis) -> dict[str, Any]:
         "clauses": [
             {
                 "clause": c.number,
-                "title": specification.own_clauses()[c.number].title if c.number in specification.own_clauses() else "",
+                "title": _name(c.number),
                 "score": round(c.score, 3),
                 "bug": _bug(c.bug) if c.bug else None,
             }
@@ -144,7 +154,7 @@ def _of_probes(entries: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
     return [
         {
             "clause": clause,
-            "title": specification.own_clauses()[clause].title if clause in specification.own_clauses() else "",
+            "title": _name(clause),
             "vectors": len(of),
             "vector": of[0]["id"],
             "text": Probe(**{**of[0]["probe"], "clauses": tuple(of[0]["probe"]["clauses"])}).text(),
@@ -178,7 +188,20 @@ def of_record(
     """
     if all(entry["status"] in ("passed", "skipped", "unexpected") for entry in entries):
         return None
-    return _with_probes(_of_table(manifest, entries, grade, table), _of_probes(entries))
+    said = _with_probes(_of_table(manifest, entries, grade, table), _of_probes(entries))
+    return said and said | {"text": said["text"] + _refused(entries)}
+
+
+def _refused(entries: Sequence[dict[str, Any]]) -> list[str]:
+    """A line that says in which parts of valid files the decoder stops: where it goes wrong, or soon behind it."""
+    refused = [
+        e
+        for e in entries
+        if e["found"] and e["found"]["result"] == "rejected" and e["expected"]["result"] == "accepted"
+    ]
+    counts = Counter(spot[1] for e in refused for line in e["hex"] if (spot := _SPOT.match(line)))
+    parts = ", ".join(f"{part} ({count})" for part, count in counts.most_common())
+    return [f"  you refuse {len(refused)} valid files, in their {parts}"] if parts else []
 
 
 def _of_table(

@@ -279,6 +279,28 @@ def test_requirements_tell_of_vectors_that_the_table_has_not() -> None:
     assert "no known bug of it does the same" in "".join(words.sentences(found))
 
 
+def test_parts_of_valid_files_that_are_refused_are_counted() -> None:
+    """By the mark in the annotated bytes. A refusal that is asked for, and one without a mark, do not count."""
+
+    def refused(name: str, result: str, *lines: str) -> dict[str, Any]:
+        expected = {"result": result, "code": 412, "offset": 8}
+        said = entry(expected, {"result": "rejected", "code": 503, "offset": 4})
+        return said | {"id": name, "status": "failed", "hex": list(lines), "probe": None, "requirements": []}
+
+    spot = "> 00000c1c  41 37 1f de              masks[chunk 0].symbol_crc     u32    0xde1f3741"
+    other = "> 00000c0c  41 37                    weights.lanes    u8    1"
+    names = [v.id for v in SUITE.vectors if v.klass == "valid"][:4]
+    entries = [
+        refused(names[0], "accepted", "  00000c18  01 02    masks[chunk 0].words    u16    2", spot),
+        refused(names[1], "accepted", spot),
+        refused(names[2], "accepted", other),
+        refused(names[3], "rejected", spot),
+    ]
+    said = words.of_record(SUITE, entries, 3)
+    assert said is not None
+    assert said["text"][-1] == "  you refuse 3 valid files, in their masks (2), weights (1)"
+
+
 def test_nothing_is_clear_of_failures_without_a_pattern() -> None:
     """A tenth of the vectors crash, whatever they are for."""
     chosen = np.random.default_rng(1).random(len(TABLE.names)) < 0.1
