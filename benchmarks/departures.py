@@ -25,11 +25,13 @@ F64 = NDArray[np.float64]
 Curve = list[tuple[float, float]]
 # The method that the others are compared with.
 BASE = "pro"
+# Fewer seeds have no verdict.
+SEEDS = 3
 NOTE = (
     "Each departure is undone alone, and compared with the method as it is by the same seed: means of the differences,",
     "± their sample standard deviation. At equal bytes: against the method's own PSNR at that size, which a line",
     "through its rates tells, PSNR by the logarithm of bytes; beyond them its last piece goes on.",
-    "A verdict needs a mean of twice its deviation and of 0.05 dB, of three seeds.",
+    "A verdict needs three seeds, and a mean of twice its deviation and of 0.05 dB.",
 )
 
 
@@ -44,7 +46,12 @@ def read(folder: Path) -> dict[str, dict[int, Curve]]:
 
 
 def at_bytes(curve: Curve, size: float) -> float:
-    """A curve's PSNR at a file's size, on lines through its points by the logarithm of bytes."""
+    """A curve's PSNR at a file's size, on lines through its points by the logarithm of bytes.
+
+    Raises ValueError for a curve of fewer than two points.
+    """
+    if len(curve) < 2:
+        raise ValueError("one rate makes no curve")
     x, y = np.log2([cell[0] for cell in curve]), np.array([cell[1] for cell in curve])
     k = int(np.clip(np.searchsorted(x, np.log2(size)) - 1, 0, len(x) - 2))
     return float(y[k] + (y[k + 1] - y[k]) * (np.log2(size) - x[k]) / (x[k + 1] - x[k]))
@@ -52,6 +59,8 @@ def at_bytes(curve: Curve, size: float) -> float:
 
 def verdict(differences: F64) -> str:
     """What undoing a departure does, by the differences at equal bytes."""
+    if len(differences) < SEEDS:
+        return "cannot be told"
     mean, spread = differences.mean(), differences.std(ddof=1)
     if abs(mean) < max(2 * spread, 0.05):
         return "cannot be told"
@@ -59,16 +68,13 @@ def verdict(differences: F64) -> str:
 
 
 def told(values: F64, form: str) -> str:
-    """The mean of differences, ± their sample standard deviation."""
-    return f"{values.mean():+{form}} ± {values.std(ddof=1):{form}}"
+    """The mean of differences, ± their sample standard deviation. One alone has none."""
+    spread = f" ± {values.std(ddof=1):{form}}" if len(values) > 1 else ""
+    return f"{values.mean():+{form}}{spread}"
 
 
-def lines(
-    found: Mapping[str, Mapping[int, Curve]],
-    curves: Mapping[int, Curve],
-) -> list[str]:
+def lines(found: Mapping[str, Mapping[int, Curve]], curves: Mapping[int, Curve]) -> list[str]:
     """A row for each method. found: those of departures.toml. curves: by seed the method as it is, at several rates."""
-
     rows = []
     for method, seeds in found.items():
         if method == BASE:

@@ -14,11 +14,11 @@ from .seen import RIGHT, Seen
 from .spectrum import Suspect, suspects
 from .table import Bug
 
-# A clause is named if its score is so high, and so far ahead of the next one that its most alike bug does not break as
-# well. `conformance fingerprints judge` says what that makes of the planted bugs.
+# A clause is named if its score is at least HIGH, and AHEAD of the next one. Clauses of its most alike bug are passed
+# over there. `conformance fingerprints judge` says what that makes of the planted bugs.
 HIGH, AHEAD = 0.5, 0.3
-# A clause has of its bugs that are most alike their mean likeness, each with so much of the one's weight before it. A
-# wrong decoder is somewhat like many bugs of its clause, and may be like any single bug of another one by chance.
+# The likeness of a clause is a weighted mean over its MANY most alike bugs. Each has ALSO times the weight of the one
+# before it. A wrong decoder is somewhat like many bugs of its clause. By chance it may be like one bug of another.
 ALSO, MANY = 0.5, 8
 # What a clause has of a bug that breaks it beside another one, of which it is the first.
 BESIDE = 0.7
@@ -126,11 +126,10 @@ class Diagnostician:
     def clauses(self, found: Compared, ranked: Iterable[Suspect]) -> list[Clause]:
         """The clauses by score: the likeness of their most alike bugs, and how well their requirements separate."""
         best: dict[str, list[tuple[float, int]]] = {}
-        for b in np.argsort(-found.likeness, kind="stable"):
-            for share, number in zip(
-                (1.0, *[BESIDE] * len(self._bugs[b].clauses)), self._bugs[b].clauses, strict=False
-            ):
-                best.setdefault(number, []).append((share * float(found.likeness[b]), -int(b)))
+        for b, bug in enumerate(self._bugs):
+            like = float(found.likeness[b])
+            for place, number in enumerate(bug.clauses):
+                best.setdefault(number, []).append(((BESIDE if place else 1.0) * like, -b))
         separates: dict[str, float] = {}
         for suspect in (s for s in ranked if s.made):
             separates.setdefault(suspect.clause, suspect.score)

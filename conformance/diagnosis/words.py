@@ -26,7 +26,7 @@ FAINT = 0.3
 # So many clauses of wrong probes are told.
 _CLAUSES = 3
 # Of the annotated bytes of a file the place where a decoder stopped, up to its part.
-_SPOT = re.compile(r"> [0-9a-f]+ +(?:[0-9a-f]{2} )+ +([a-z_]+)")
+SPOT = re.compile(r"> [0-9a-f]+ +(?:[0-9a-f]{2} )+(?:\.\.\. )? +([a-z_]+)")
 # Where the table knows no vector that failed.
 _NOTHING: dict[str, Any] = {
     "failing": 0,
@@ -199,7 +199,7 @@ def _refused(entries: Sequence[dict[str, Any]]) -> list[str]:
         for e in entries
         if e["found"] and e["found"]["result"] == "rejected" and e["expected"]["result"] == "accepted"
     ]
-    counts = Counter(spot[1] for e in refused for line in e["hex"] if (spot := _SPOT.match(line)))
+    counts = Counter(spot[1] for e in refused for line in e["hex"] if (spot := SPOT.match(line)))
     parts = ", ".join(f"{part} ({count})" for part, count in counts.most_common())
     return [f"  you refuse {len(refused)} valid files, in their {parts}"] if parts else []
 

@@ -33,6 +33,7 @@ def test_verdicts() -> None:
     assert departures.verdict(np.array([0.3, 0.2, 0.25])) == "the departure is worse"
     assert departures.verdict(np.array([-0.3, 0.2, 0.25])) == "cannot be told"
     assert departures.verdict(np.array([-0.04, -0.04, -0.04])) == "cannot be told"
+    assert departures.verdict(np.array([-0.5])) == departures.verdict(np.array([-0.5, -0.5])) == "cannot be told"
 
 
 def test_section(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -45,6 +46,21 @@ def test_section(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     assert departures.main([str(one), str(two)]) == 0
     text = results.RESULTS.read_text()
     assert "| other | 3 | +0.50 ± 0.00 | +100.0 ± 0.0 % | -0.50 ± 0.00 | the departure is better |" in text
+
+
+def test_one_rate_makes_no_curve(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    rows = {(method, 0.002, 0): (1000, 30.0) for method in ("pro", "other")}
+    one, two = csv(tmp_path / "one", rows), csv(tmp_path / "two", rows)
+    assert departures.main([str(one), str(two)]) == 64
+    assert "one rate makes no curve" in capsys.readouterr().err
+
+
+def test_one_seed_has_no_spread(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(results, "RESULTS", tmp_path / "RESULTS.md")
+    base = {("pro", 0.002, 0): (1000, 30.0), ("pro", 0.001, 0): (2000, 31.0)}
+    one = csv(tmp_path / "one", {("pro", 0.002, 0): (1000, 30.0), ("other", 0.002, 0): (2000, 30.5)})
+    assert departures.main([str(one), str(csv(tmp_path / "two", base))]) == 0
+    assert "| other | 1 | +0.50 | +100.0 % | -0.50 | cannot be told |" in results.RESULTS.read_text()
 
 
 def test_no_results(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -60,10 +76,13 @@ def test_hyperpriors_are_compared_by_seed(tmp_path: Path, monkeypatch: pytest.Mo
     for method, planes, loss in (("c3gs", 100, 0.0), ("triplane", 1100, 0.0), ("plane", 100, 0.5)):
         for seed in range(3):
             lengths = {"attributes": 900 + 1000 * seed, "planes": planes}
-            files = {"C3GS": {"psnr": 0.0}, f"{method}, code lengths": {"psnr": 30 + seed - loss}}
+            size = lengths["attributes"] + planes
+            files = {"C3GS": {"psnr": 0.0}, f"{method}, code lengths": {"psnr": 30 + seed - loss, "bytes": size}}
             result = {"method": method, "seed": seed, "lengths": lengths, "files": files}
             (tmp_path / f"{method}-{seed}.json").write_text(json.dumps(result))
-    assert statements.main([str(tmp_path)]) == 0
+    # A doubling of bytes is worth 0.8 dB.
+    rates = {("pro", rate, seed): (1000 * 8**rate, 30 + 2.4 * rate) for rate in (0, 1) for seed in range(3)}
+    assert statements.main([str(tmp_path), str(csv(tmp_path / "rates", rates))]) == 0
     text = results.RESULTS.read_text()
     told = "+1,000 ± 0 | +0 ± 0 | +61.1 ± 34.7 % | +0.00 ± 0.00 | -0.53 ± 0.24 | the VM hyperprior is better"
     assert f"| 3 | {told} |" in text
@@ -71,5 +90,6 @@ def test_hyperpriors_are_compared_by_seed(tmp_path: Path, monkeypatch: pytest.Mo
 
 
 def test_a_hyperprior_is_missing(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert statements.main([str(tmp_path)]) == 64
+    rates = csv(tmp_path / "rates", {("pro", 0, 0): (1000, 30)})
+    assert statements.main([str(tmp_path), str(rates)]) == 64
     assert "triplane" in capsys.readouterr().err

@@ -29,6 +29,7 @@ from conformance.diagnosis.table import Bug, Place, TableError
 from conformance.manifest import VECTORS, load
 from conformance.mutants import fingerprints, handwritten, places
 from conformance.mutants.replay import OUTSIDE, Replay, SameError
+from conformance.runner import divergence
 
 SUITE = load(VECTORS / "manifest.json")
 PURPOSES = {v.id: v.requirements for v in SUITE.vectors}
@@ -269,8 +270,7 @@ def test_a_decoder_that_passes_has_no_diagnosis() -> None:
 def test_requirements_tell_of_vectors_that_the_table_has_not() -> None:
     """Those made for one requirement fail. The table does not have them."""
     of = [v.id for v in SUITE.vectors if "R6.10-5" in v.requirements]
-    chosen = table.read()
-    small = replace(chosen, vectors=tuple((name + "?" if name in of else name, key) for name, key in chosen.vectors))
+    small = replace(TABLE, vectors=tuple((name + "?" if name in of else name, key) for name, key in TABLE.vectors))
     seen = {v.id: CRASH if v.id in of else RIGHT for v in SUITE.vectors}
     found = Diagnostician(Likeness(small), PURPOSES).diagnose(seen)
     assert found is not None
@@ -299,6 +299,18 @@ def test_parts_of_valid_files_that_are_refused_are_counted() -> None:
     said = words.of_record(SUITE, entries, 3)
     assert said is not None
     assert said["text"][-1] == "  you refuse 3 valid files, in their masks (2), weights (1)"
+
+
+def test_the_mark_of_any_byte_names_its_part() -> None:
+    """As the runner annotates a file, which is what the counts of parts are read from."""
+    (vector,) = (v for v in SUITE.vectors if v.id == "valid-worked-example")
+    data, parts = SUITE.path(vector).read_bytes(), set()
+    for offset in range(0, len(data), 7):
+        (mark,) = (line for line in divergence.annotated(data, offset) if line.startswith(">"))
+        found = words.SPOT.match(mark)
+        assert found, mark
+        parts.add(found[1])
+    assert {"prologue", "header", "weights", "masks", "attributes"} <= parts
 
 
 def test_nothing_is_clear_of_failures_without_a_pattern() -> None:
