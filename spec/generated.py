@@ -1,4 +1,7 @@
-"""Makes the generated parts of SPEC.md: the registry of errors, the profiles and levels, and the worked example."""
+"""Makes the generated parts of SPEC.md.
+
+These are the registry of errors, profiles and levels, the worked example, and tables of measured results.
+"""
 
 from __future__ import annotations
 
@@ -13,7 +16,7 @@ from refcodec.bitstream.limits import PROFILES, Profile
 from refcodec.bitstream.reconstruction import chunk_digest, digest
 from refcodec.bitstream.scene import take_anchors
 
-from . import walk
+from . import measured, walk
 from .made import ROOT, Made
 
 SPEC = ROOT / "SPEC.md"
@@ -89,6 +92,8 @@ def rewritten(text: str) -> str:
         "anchor": lambda: walk.first_anchor(data, text),
         "raw": lambda: walk.raw_fields(data, text),
         "digests": digests,
+        "departures": measured.departures,
+        "speed": measured.speed,
     }
     for name, make in parts.items():
         pattern = re.compile(rf"(<!-- generated:{name} -->\n).*?(<!-- /generated -->)", re.DOTALL)
