@@ -33,11 +33,13 @@ from refcodec.train.fit_input import read_given
 from refcodec.train.settings import FitSettings
 
 from . import ideal
+from .resident import ROOT
 from .results import machine, table, write_section
 
 # Times a parse in a process of its own, whose peak memory is the decoder's.
 DECODE = """
 import sys, time
+from benchmarks.resident import resident
 from refcodec.bitstream import codec
 from refcodec.bitstream.tables import tables
 stages = {}
@@ -50,8 +52,7 @@ tables()
 start = time.perf_counter()
 codec.parse(data, progress=note)
 total = time.perf_counter() - start
-peak = next(line for line in open("/proc/self/status") if line.startswith("VmHWM")).split()[1]
-print(total, stages["planes"], stages["chunks"], peak)
+print(total, stages["planes"], stages["chunks"], resident() / 2**20)
 """
 
 
@@ -77,10 +78,10 @@ def decode_times(data: bytes, repeats: int) -> tuple[list[float], float]:
         path.write_bytes(data)
         for _ in range(repeats):
             command = [sys.executable, "-c", DECODE, str(path)]
-            done = subprocess.run(command, check=True, capture_output=True, text=True)
+            done = subprocess.run(command, cwd=ROOT, check=True, capture_output=True, text=True)
             runs.append([float(x) for x in done.stdout.split()])
     best = min(runs)
-    return best[:3], best[3] / 1024
+    return best[:3], best[3]
 
 
 def tiled(scene: Scene, count: int, seed: int) -> Scene:

@@ -16,7 +16,6 @@ import subprocess
 import sys
 import time
 from collections.abc import Callable
-from pathlib import Path
 from typing import Any
 
 import numba
@@ -28,6 +27,7 @@ from refcodec.render import constants, projection, rasterise
 from refcodec.render.camera import Camera
 from refcodec.train import splat
 
+from .resident import resident
 from .results import machine, table, write_section
 
 # Gaussians, width, height; the first one loads and compiles what the others use.
@@ -160,12 +160,6 @@ def draw_with_rasteriser(*inputs: torch.Tensor, camera: Camera) -> torch.Tensor:
 DRAWERS: dict[str, Draw] = {"rasteriser": draw_with_rasteriser, "plain torch": draw_with_torch}
 
 
-def memory(field: str) -> float:
-    """MiB of this process: VmRSS now, VmHWM at most."""
-    line = next(line for line in Path("/proc/self/status").read_text().splitlines() if line.startswith(field))
-    return int(line.split()[1]) / 1024
-
-
 def iterate(draw: Draw, scene: str, iterations: int, seconds: float) -> tuple[list[float], float]:
     """Seconds of each iteration, and the loss."""
     inputs, camera = made_up(scene)
@@ -201,13 +195,13 @@ def measure(name: str, scene: str) -> dict[str, Any]:
         for function in functions:
             setattr(rasterise, function, timed(stage, getattr(rasterise, function)))
     iterate(draw, "tiny", 1, 0)
-    before = memory("VmRSS")
+    before = resident("VmRSS") / 2**20
     # The first iteration finds caches and memory cold.
     iterate(draw, scene, 1, 0)
     spent.update(dict.fromkeys(STAGES, 0.0))
     times, loss = iterate(draw, scene, ITERATIONS, SECONDS)
     stages = {stage: 1000 * value / len(times) for stage, value in spent.items()}
-    return {"times": times, "loss": loss, "peak": memory("VmHWM"), "before": before, "stages": stages}
+    return {"times": times, "loss": loss, "peak": resident() / 2**20, "before": before, "stages": stages}
 
 
 def ask(name: str, scene: str, threads: int) -> dict[str, Any]:

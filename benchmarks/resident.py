@@ -18,10 +18,13 @@ print(main(sys.argv[1:]), resident(), file=sys.stderr)
 """
 
 
-def resident() -> int:
-    """Returns the most bytes that this process had in memory. It is read from /proc, which Linux has."""
+def resident(field: str = "VmHWM") -> int:
+    """Returns the most bytes that this process had in memory. It is read from /proc, which Linux has.
+
+    field: of /proc/self/status. VmRSS is what the process has now.
+    """
     fields = dict(line.split(":", 1) for line in Path("/proc/self/status").read_text().splitlines())
-    return int(fields["VmHWM"].split()[0]) << 10
+    return int(fields[field].split()[0]) << 10
 
 
 def measured(arguments: list[str], environment: Mapping[str, str] | None = None) -> tuple[int, int]:
