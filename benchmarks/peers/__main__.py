@@ -84,9 +84,13 @@ def _table(arguments: argparse.Namespace) -> int:
     found = scenes([*every, *cells])
     lines = report(found, arguments.baseline)
     if arguments.results:
-        certain = report(with_seeds(found, SEEDS), arguments.baseline)
-        made = ["```", *commands(every, SEEDS), "python -m benchmarks.peers table FOLDER --results", "```"]
-        write_section("peers", "Peers in one harness", [*made, "", machine("torch"), *RESULTS_NOTE, *certain])
+        least = arguments.seeds
+        certain = report(with_seeds(found, least), arguments.baseline)
+        few = least < SEEDS
+        table_command = f"python -m benchmarks.peers table FOLDER --results{f' --seeds {least}' if few else ''}"
+        made = ["```", *commands(every, least), table_command, "```"]
+        name, title = ("peers-few", "Peers in one harness, few seeds") if few else ("peers", "Peers in one harness")
+        write_section(name, title, [*made, "", machine("torch"), *RESULTS_NOTE, *certain])
     (arguments.folder / TABLE_FILE).write_text("\n".join(lines) + "\n", encoding="utf-8")
     plot(found, arguments.folder / PLOT_FILE)
     print("\n".join(lines))
@@ -133,8 +137,9 @@ def _parser() -> argparse.ArgumentParser:
         help="adds the cells of an experiment, as `refcodec experiment -o` made them",
     )
     table.add_argument("--baseline", default=BASELINE, help=f"what others are compared with ({BASELINE})")
+    table.add_argument("--results", action="store_true", help="writes a section of benchmarks/RESULTS.md, too")
     table.add_argument(
-        "--results", action="store_true", help=f"writes what has {SEEDS} seeds or more into benchmarks/RESULTS.md, too"
+        "--seeds", type=int, default=SEEDS, help=f"fewest seeds there ({SEEDS}); of fewer it is a section of its own"
     )
     return parser
 

@@ -98,6 +98,16 @@ def bytes_at(curve: Sequence[Point], psnr: float) -> float | None:
     return next((point.bytes.mean for point in curve if point.psnr.mean == psnr), None)
 
 
+def psnr_at(curve: Sequence[Point], size: float) -> float | None:
+    """A method's PSNR in dB at so many bytes: interpolated linearly by their logarithm. None beyond its points."""
+    for one, two in pairwise(curve):
+        low, high = one.bytes.mean, two.bytes.mean
+        if low <= size <= high and low < high:
+            share = math.log(size / low) / math.log(high / low)
+            return (1 - share) * one.psnr.mean + share * two.psnr.mean
+    return None
+
+
 def bd_rate(baseline: Sequence[Point], test: Sequence[Point]) -> float | str:
     """The Bjontegaard delta of the test's bytes from the baseline's, in %, or why there is none.
 

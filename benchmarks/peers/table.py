@@ -9,9 +9,12 @@ from typing import Any
 from matplotlib.figure import Figure as Drawing
 
 from ..results import kb, table
-from .figures import Point, Record, Scene, bd_rate, bytes_at
+from .cells import CODED, PLAIN
+from .figures import Point, Record, Scene, bd_rate, bytes_at, psnr_at
 
 TABLE_FILE, PLOT_FILE = "peers.md", "peers.svg"
+# What a file may lose is asked at these shares of the bytes of the uncompressed scene.
+SHARES = (15, 30, 60)
 
 
 class TableError(Exception):
@@ -59,6 +62,7 @@ def _scene(scene: Scene, baseline: str) -> Iterator[str]:
     head = ["method", "cap or lambda_r", "seeds", "bytes", "PSNR, dB", "SSIM", "processor, s"]
     yield from table(head, [_row(label, point) for label, curve in scene.curves.items() for point in curve])
     yield ""
+    yield from _lost(scene)
     if baseline not in scene.curves:
         return
     against = scene.curves[baseline]
@@ -71,6 +75,22 @@ def _scene(scene: Scene, baseline: str) -> Iterator[str]:
     yield ""
     yield from table(["PSNR, dB", baseline, *others], rows)
     yield ""
+
+
+def _lost(scene: Scene) -> Iterator[str]:
+    """What C3GS has less than the uncompressed scene of as many steps, at shares of its bytes."""
+    for label, (*_, plain) in scene.curves.items():
+        coded = scene.curves.get(label.replace(PLAIN, CODED))
+        if not label.startswith(PLAIN) or not coded:
+            continue
+        rows = []
+        for share in SHARES:
+            size = plain.bytes.mean / share
+            psnr = psnr_at(coded, size)
+            told = ["beyond its points", ""] if psnr is None else [f"{psnr:.2f}", f"{plain.psnr.mean - psnr:.2f}"]
+            rows.append([f"a {share}th, {kb(size)} KB", *told])
+        yield from table([f"bytes of {label}", f"PSNR of {label.replace(PLAIN, CODED)}, dB", "lost, dB"], rows)
+        yield ""
 
 
 def _row(label: str, point: Point) -> list[str]:
