@@ -39,7 +39,7 @@ def run(work: Path, question: str, paths: list[Path], seeds: list[int], counts: 
                     if (only and name not in only) or (scene.name, repr(variant), seed) in known:
                         continue
                     start = time.process_time()
-                    lengths = fit(scene, variant, seed)
+                    lengths = fit(scene, variant.fitted(scene.slices), seed)
                     entry = {
                         "scene": scene.name,
                         "anchors": scene.count,

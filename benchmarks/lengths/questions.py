@@ -5,12 +5,11 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
-from .variants import OFFSETS, SCALINGS, Group, Variant, slices
+from .variants import ALONE, OFFSETS, SCALINGS, Group, Variant, slices
 
 BASE = Variant(steps=600)
 # No planes and no gamma: F_h is constants.
 NONE = replace(BASE, channels=0, frequencies=0)
-ALONE = (*slices(50), SCALINGS, OFFSETS)
 
 
 @dataclass(frozen=True)

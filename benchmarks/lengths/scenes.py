@@ -33,7 +33,8 @@ class Coded:
 
     symbols: float32 [N, D], features, scalings and offsets. kept: float32 [N, K]. places: int64 [N, 3], in [0, 2^16]
     along the principal axes. cells: int64 [N, 3], of the lattice. Anchors are in the order of the file, which is
-    Morton's. counts: features, scalings, components of offsets. sizes: bytes of each section; whole: of the file.
+    Morton's. counts: features, scalings, components of offsets. slices: features of each. sizes: bytes of each section;
+    whole: of the file.
     """
 
     name: str
@@ -42,6 +43,7 @@ class Coded:
     places: Int64
     cells: Int64
     counts: tuple[int, int, int]
+    slices: tuple[int, ...]
     sizes: dict[str, int] = field(default_factory=dict)
     whole: int = 0
 
@@ -96,6 +98,7 @@ def read(path: Path) -> Coded:
         places=scene_coordinates(scene.frame, scene.positions)[some],
         cells=scene.positions[some].astype(np.int64),
         counts=(columns[0].shape[1], columns[1].shape[1], columns[2].shape[1]),
+        slices=scene.dimensions.slices,
         sizes=part_bytes(data, outline_of(data)),
         whole=len(data),
     )
@@ -133,4 +136,5 @@ def _of_training(path: Path) -> Coded:
         places=scene_coordinates(frame, positions)[rows.numpy()],
         cells=positions[rows.numpy()].astype(np.int64),
         counts=(parts[0].shape[1], parts[1].shape[1], parts[2].shape[1]),
+        slices=columns.slices,
     )

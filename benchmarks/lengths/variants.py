@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 
 @dataclass(frozen=True)
@@ -30,6 +30,8 @@ def slices(*widths: int, reads: str = "f") -> tuple[Group, ...]:
 
 SCALINGS, OFFSETS = Group("s", 0, -1), Group("o", 0, -1)
 FORMAT = (*slices(5, 10, 15, 20), SCALINGS, OFFSETS)
+# All features at once, without CARM.
+ALONE = (*slices(50), SCALINGS, OFFSETS)
 
 
 @dataclass(frozen=True)
@@ -66,3 +68,11 @@ class Variant:
     laplace: bool = False
     steps: int = 1000
     batch: int = 1024
+
+    def fitted(self, widths: tuple[int, ...]) -> Variant:
+        """The same for a scene of other slices: the groups of the format are its slices, or all features at once."""
+        if self.groups == FORMAT:
+            return replace(self, groups=(*slices(*widths), SCALINGS, OFFSETS))
+        if self.groups == ALONE:
+            return replace(self, groups=(*slices(sum(widths)), SCALINGS, OFFSETS))
+        return self

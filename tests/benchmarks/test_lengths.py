@@ -18,7 +18,7 @@ from benchmarks.lengths.neighbours import nearest_before, nearest_coarser, neare
 from benchmarks.lengths.networks import Network, value_bits
 from benchmarks.lengths.questions import QUESTIONS
 from benchmarks.lengths.scenes import Coded
-from benchmarks.lengths.variants import OFFSETS, SCALINGS, Group, Variant, slices
+from benchmarks.lengths.variants import ALONE, OFFSETS, SCALINGS, Group, Variant, slices
 from refcodec.train.entropy.units import MEAN_UNIT, SCALE_UNIT
 
 COUNTS = (6, 2, 6)
@@ -44,6 +44,7 @@ def scene(count: int = 400) -> Coded:
         cells * 1000,
         cells,
         COUNTS,
+        (2, 4),
     )
 
 
@@ -81,6 +82,14 @@ def test_dropped_offsets_cost_nothing_and_are_not_read() -> None:
         torch.cat([torch.ones(made.count, 8), made.kept.repeat_interleave(3, dim=1)], dim=1) > 0, made.symbols, 99.0
     )
     assert torch.equal(bits_of_columns(made, SMALL), bits_of_columns(replace(made, symbols=other), SMALL))
+
+
+def test_the_format_has_the_slices_of_the_scene() -> None:
+    own = Variant().fitted((2, 4))
+    assert own.groups == (*slices(2, 4), SCALINGS, OFFSETS)
+    assert replace(Variant(), groups=ALONE).fitted((2, 4)).groups == (*slices(6), SCALINGS, OFFSETS)
+    assert SMALL.fitted((1, 5)) == SMALL
+    Model(scene(), own, torch.Generator())
 
 
 def test_groups_hold_each_column_once() -> None:
