@@ -85,6 +85,8 @@ def contained(request: pytest.FixtureRequest) -> Iterator[Run]:
         "PYTHONPATH": str(site),
         "HOME": str(site / "home"),
         "NUMBA_NUM_THREADS": "2",
+        # Each command compiles anew, and this is a third of that time.
+        "NUMBA_OPT": "0",
         "LC_ALL": "C",
     }
 
