@@ -45,6 +45,7 @@ def run(work: Path, question: str, paths: list[Path], seeds: list[int], counts: 
                         "anchors": scene.count,
                         "file": scene.whole,
                         "sections": scene.sizes,
+                        "question": question,
                         "variant": repr(variant),
                         "seed": seed,
                         "seconds": time.process_time() - start,

@@ -33,7 +33,14 @@ I64 = NDArray[np.int64]
 BOUNDS_FILE = "bounds.jsonl"
 # Of the least squares: so that channels that are constant do no harm.
 RIDGE = 1e-3
-SLICES = (5, 10, 15, 20)
+# Slices that are tried, of the paper's features.
+OTHER_SLICES = {
+    "slices 10 40": (10, 40),
+    "slices 25 25": (25, 25),
+    "slices 5 x 10": (10,) * 5,
+    "slices 10 x 5": (5,) * 10,
+    "slices 50 x 1": (1,) * 50,
+}
 # Into so many parts anchors are dealt: each is predicted from the rest.
 FOLDS = 5
 
@@ -98,7 +105,7 @@ def measure(
     found = {}
 
     def add(name: str, context: F64) -> None:
-        found[name] = [features(own, SLICES, context), kilobytes(left_over(scalings, context))]
+        found[name] = [features(own, scene.slices, context), kilobytes(left_over(scalings, context))]
         note(found)
 
     found["nothing"] = [features(own, (count_f,), nothing), kilobytes(left_over(scalings, nothing))]
@@ -109,20 +116,15 @@ def measure(
         chain += kilobytes(left_over(scalings[:, i : i + 1], done))
         done = np.hstack([done, scalings[:, i : i + 1]])
     found["scalings one by one after features"] = [found["slices (S)"][0], chain]
-    found["features after scalings"] = [features(own, SLICES, scalings), found["nothing"][1]]
-    for name, slices in {
-        "slices 10 40": (10, 40),
-        "slices 25 25": (25, 25),
-        "slices 5 x 10": (10,) * 5,
-        "slices 10 x 5": (5,) * 10,
-        "slices 50 x 1": (1,) * 50,
-    }.items():
-        found[name] = [features(own, slices, nothing), found["nothing"][1]]
+    found["features after scalings"] = [features(own, scene.slices, scalings), found["nothing"][1]]
+    for name, slices in OTHER_SLICES.items():
+        if sum(slices) == count_f:
+            found[name] = [features(own, slices, nothing), found["nothing"][1]]
     for name, order in (
         ("features of most bits first", np.argsort(-own.var(axis=0))),
         ("features of fewest bits first", np.argsort(own.var(axis=0))),
     ):
-        found[name] = [features(own[:, order], SLICES, nothing), found["nothing"][1]]
+        found[name] = [features(own[:, order], scene.slices, nothing), found["nothing"][1]]
     note(found)
     add("S, gamma", gamma)
     add("S, others of a cell of B x B", cell_means(both, scene.places, base))

@@ -73,18 +73,21 @@ def sections(work: Path) -> list[str]:
     """The tables of all questions."""
     entries = _lines(work / FILE)
     lines: list[str] = []
-    for question in QUESTIONS.values():
+    for key, question in QUESTIONS.items():
         names = {name: repr(variant) for name, variant in question.variants.items()}
         found: dict[str, dict[str, dict[int, dict[str, Any]]]] = defaultdict(lambda: defaultdict(dict))
         facts: dict[str, dict[str, Any]] = {}
+        # A model may be of several questions. Its row is in the table of a question that was asked of the scene.
+        asked: dict[str, bool] = defaultdict(bool)
         for entry in entries:
             if entry["variant"] in names.values():
+                asked[entry["scene"]] |= entry.get("question", key) == key
                 found[entry["scene"]][entry["variant"]][entry["seed"]] = entry
                 facts[entry["scene"]] = entry
         shown: list[str] = []
         for scene, of_scene in sorted(found.items(), key=lambda item: facts[item[0]]["anchors"]):
             body = rows(of_scene, names)
-            if len(body) < 2:
+            if len(body) < 2 or not asked[scene]:
                 continue
             fact = facts[scene]
             shown += ["", f"**{scene}**, {fact['anchors']:,} anchors:", "", *table(HEAD, body)]

@@ -194,6 +194,10 @@ def test_measurements_become_tables(tmp_path: Path) -> None:
     text = "\n".join(report.sections(tmp_path))
     assert "made" in text
     assert "+10.00 %" in text
+    # The same models are of another question, which was asked of the scene.
+    asked = [report.json.dumps({**report.json.loads(line), "question": "planes"}) for line in lines]
+    (tmp_path / report.FILE).write_text("\n".join(asked))
+    assert not report.sections(tmp_path)
 
 
 def test_linear_prediction_finds_what_a_context_tells() -> None:
