@@ -78,18 +78,22 @@ def _scene(scene: Scene, baseline: str) -> Iterator[str]:
 
 
 def _lost(scene: Scene) -> Iterator[str]:
-    """What C3GS has less than the uncompressed scene of as many steps, at shares of its bytes."""
-    for label, (*_, plain) in scene.curves.items():
-        coded = scene.curves.get(label.replace(PLAIN, CODED))
-        if not label.startswith(PLAIN) or not coded:
+    """What each coded method has less than the uncompressed scene of as many steps, at shares of its bytes."""
+    for label, curve in scene.curves.items():
+        kind, *_, steps = label.split(", ")
+        plain = scene.curves.get(f"{PLAIN}, {steps}")
+        if kind != CODED or not plain:
             continue
-        rows = []
+        whole, largest, rows = plain[-1], curve[-1], []
         for share in SHARES:
-            size = plain.bytes.mean / share
-            psnr = psnr_at(coded, size)
-            told = ["beyond its points", ""] if psnr is None else [f"{psnr:.2f}", f"{plain.psnr.mean - psnr:.2f}"]
+            size = whole.bytes.mean / share
+            psnr = psnr_at(curve, size)
+            told = ["beyond its points", ""] if psnr is None else [f"{psnr:.2f}", f"{whole.psnr.mean - psnr:.2f}"]
             rows.append([f"a {share}th, {kb(size)} KB", *told])
-        yield from table([f"bytes of {label}", f"PSNR of {label.replace(PLAIN, CODED)}, dB", "lost, dB"], rows)
+        own = [f"{largest.psnr.mean:.2f}", f"{whole.psnr.mean - largest.psnr.mean:.2f}"]
+        smaller = whole.bytes.mean / largest.bytes.mean
+        rows.append([f"its largest, 1 / {smaller:.1f}, {kb(largest.bytes.mean)} KB", *own])
+        yield from table([f"bytes of {PLAIN}, {steps}", f"PSNR of {label}, dB", "lost, dB"], rows)
         yield ""
 
 

@@ -107,6 +107,7 @@ def test_what_a_coded_scene_loses() -> None:
     ]
     place = lines.index(expected[0])
     assert lines[place : place + 3] == expected
+    assert lines[place + 3] == "| its largest, 1 / 15.0, 1.6 KB | 32.00 | 1.00 |"
     lines = report(scenes([*coded, record("Scaffold-GS", 0, 0, 15, 33)]), "C3GS, 10 steps")
     assert "| a 15th, 0.0 KB | beyond its points |  |" in lines
     alone = report(scenes([record("Scaffold-GS", 0, 0, 15, 33)]), "Scaffold-GS, 10 steps")
