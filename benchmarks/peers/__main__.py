@@ -25,7 +25,7 @@ from refcodec.statuses import DONE, INTERRUPTED, USAGE
 from refcodec.train.settings_file import SettingsError
 
 from ..results import machine, write_section
-from .cells import experiment_records
+from .cells import experiment_records, name
 from .convert import ToolError
 from .figures import scenes
 from .runs import PLAIN, Run, methods, perform, records, splat_settings, train_splats
@@ -87,10 +87,11 @@ def _table(arguments: argparse.Namespace) -> int:
         least = arguments.seeds
         certain = report(with_seeds(found, least), arguments.baseline)
         few = least < SEEDS
-        table_command = f"python -m benchmarks.peers table FOLDER --results{f' --seeds {least}' if few else ''}"
-        made = ["```", *commands(every, least), table_command, "```"]
-        name, title = ("peers-few", "Peers in one harness, few seeds") if few else ("peers", "Peers in one harness")
-        write_section(name, title, [*made, "", machine("torch"), *RESULTS_NOTE, *certain])
+        words = ["python -m benchmarks.peers table FOLDER", *(f"--experiment {name(f)}" for f in arguments.experiment)]
+        words += ["--results", *([f"--seeds {least}"] if few else [])]
+        made = ["```", *commands(every, least), " ".join(words), "```"]
+        place, title = ("peers-few", "Peers in one harness, few seeds") if few else ("peers", "Peers in one harness")
+        write_section(place, title, [*made, "", machine("torch"), *RESULTS_NOTE, *certain])
     (arguments.folder / TABLE_FILE).write_text("\n".join(lines) + "\n", encoding="utf-8")
     plot(found, arguments.folder / PLOT_FILE)
     print("\n".join(lines))

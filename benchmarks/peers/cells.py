@@ -6,13 +6,20 @@ from collections.abc import Iterator
 from pathlib import Path
 
 from refcodec.experiments.cells import read_result
+from refcodec.experiments.tables import MARKDOWN
 
+from ..experiment import section
 from .figures import Record
 
 # How the table calls a coded scene and an uncompressed one.
 CODED, PLAIN = "C3GS", "Scaffold-GS"
 # The methods whose names say no more than that.
 USUAL = ("pro", "uncompressed")
+
+
+def name(folder: Path) -> str:
+    """The experiment of a folder that `refcodec experiment -o` made. Raises OSError."""
+    return section((folder / MARKDOWN).read_text(encoding="utf-8").splitlines())[0]
 
 
 def experiment_records(folder: Path) -> Iterator[Record]:

@@ -250,10 +250,12 @@ def test_commands(folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch)
     monkeypatch.setattr(results, "RESULTS", tmp_path / "RESULTS.md")
     # Two seeds are few.
     assert main(["table", str(tmp_path), "--baseline", "3DGS, PLY, 3 steps", "--results"]) == 64
-    assert main(["table", str(tmp_path), "--baseline", "3DGS, PLY, 3 steps", "--results", "--seeds", "2"]) == 0
+    (tmp_path / "tables.md").write_text("# small\n")
+    own = ["--experiment", str(tmp_path), "--results", "--seeds", "2"]
+    assert main(["table", str(tmp_path), "--baseline", "3DGS, PLY, 3 steps", *own]) == 0
     text = results.RESULTS.read_text()
     assert "<!-- peers-few: begin -->" in text
-    assert "table FOLDER --results --seeds 2\n" in text
+    assert "table FOLDER --experiment small --results --seeds 2\n" in text
     assert "| 3DGS, PLY, 3 steps | 200 | 2 |" in text
 
 
