@@ -16,6 +16,8 @@ README = Path(__file__).resolve().parents[1] / "README.md"
 _BEGIN, _END = "<!-- generated:sizes -->", "<!-- /generated -->"
 # How the section calls the methods. Sizes are those at the PSNR of SPZ.
 BASELINE, OWN, OTHER, PLAIN = "3DGS, SPZ", "C3GS", "3DGS, SOG", "Scaffold-GS"
+# README.md's table is of photographs of this size, at which each method has several rates.
+SIZE = 200
 _HEAD = ("photographs, at equal PSNR", "C3GS", "SPZ", "SOG", "Scaffold-GS as trained")
 
 
@@ -39,7 +41,7 @@ def rows(results: str) -> list[Row]:
     """Returns a row for each scene of the section: at the highest PSNR that all methods reach. Raises FrontError."""
     section = re.search(r"<!-- peers: begin -->(.*?)<!-- peers: end -->", results, re.DOTALL)
     scenes = re.findall(
-        r"^### (\w+), \d+ pixels\n(.*?)(?=^### |\Z)", section[1] if section else "", re.DOTALL | re.MULTILINE
+        rf"^### (\w+), {SIZE} pixels\n(.*?)(?=^### |\Z)", section[1] if section else "", re.DOTALL | re.MULTILINE
     )
     found = [row for scene, text in scenes if (row := _row(scene, text))]
     if not found:
