@@ -19,14 +19,12 @@ from numpy.typing import NDArray
 from refcodec.files.text import printable
 from refcodec.statuses import DONE, USAGE
 
-from .results import machine, table, write_section
+from .curves import Curve, at_bytes
+from .results import SEEDS, machine, table, write_section
 
 F64 = NDArray[np.float64]
-Curve = list[tuple[float, float]]
 # The method that the others are compared with.
 BASE = "pro"
-# Fewer seeds have no verdict.
-SEEDS = 3
 NOTE = (
     "Each departure is undone alone, and compared with the method as it is by the same seed: means of the differences,",
     "± their sample standard deviation. At equal bytes: against the method's own PSNR at that size, which a line",
@@ -35,26 +33,14 @@ NOTE = (
 )
 
 
-def read(folder: Path) -> dict[str, dict[int, Curve]]:
+def read(folder: Path) -> Mapping[str, Mapping[int, Curve]]:
     """For each method and seed: bytes and PSNR of each rate, the smallest file first."""
-    found: dict[str, dict[int, Curve]] = {}
+    found: dict[str, dict[int, list[tuple[float, float]]]] = {}
     with (folder / "results.csv").open(encoding="utf-8", newline="") as file:
         for row in csv.DictReader(file):
             cell = float(row["bytes"]), float(row["psnr"])
             found.setdefault(row["method"], {}).setdefault(int(row["seed"]), []).append(cell)
     return {method: {seed: sorted(cells) for seed, cells in seeds.items()} for method, seeds in found.items()}
-
-
-def at_bytes(curve: Curve, size: float) -> float:
-    """A curve's PSNR at a file's size, on lines through its points by the logarithm of bytes.
-
-    Raises ValueError for a curve of fewer than two points.
-    """
-    if len(curve) < 2:
-        raise ValueError("one rate makes no curve")
-    x, y = np.log2([cell[0] for cell in curve]), np.array([cell[1] for cell in curve])
-    k = int(np.clip(np.searchsorted(x, np.log2(size)) - 1, 0, len(x) - 2))
-    return float(y[k] + (y[k + 1] - y[k]) * (np.log2(size) - x[k]) / (x[k + 1] - x[k]))
 
 
 def verdict(differences: F64) -> str:

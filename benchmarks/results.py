@@ -12,6 +12,8 @@ from typing import Any
 import numpy as np
 
 RESULTS = Path(__file__).resolve().parent / "RESULTS.md"
+# Fewer seeds are no result.
+SEEDS = 3
 HEADING = "# Measured results\n\nEach section holds the output of the command that it names; the command rewrites it.\n"
 # Extensions of processors that decide which code is fast, as Linux names them.
 EXTENSIONS = "avx2 fma bmi2 avx_vnni avx512f avx512bw avx512vbmi2 avx512_vnni vpclmulqdq sha_ni asimd asimddp sve sha2"

@@ -16,13 +16,15 @@ from typing import Any
 
 import numpy as np
 
-from refcodec.files.documents import DocumentError, read_json
+from refcodec.files.documents import DocumentError
 from refcodec.files.text import printable
 from refcodec.statuses import DONE, USAGE
 
+from .curves import Curve, at_bytes
 from .departures import BASE as METHOD
-from .departures import Curve, at_bytes, told, verdict
 from .departures import read as read_curves
+from .departures import told, verdict
+from .peers.runs import records
 from .results import machine, table, write_section
 
 # The methods of benchmarks.peers: what takes the place of what, and the paper's P and A in MB for both (Amsterdam).
@@ -47,8 +49,7 @@ NOTE = (
 def read(folder: Path) -> dict[str, dict[int, dict[str, Any]]]:
     """The results of benchmarks.peers by method and seed. Raises OSError, DocumentError."""
     found: dict[str, dict[int, dict[str, Any]]] = {}
-    for path in sorted(folder.glob("*.json")):
-        result = read_json(path)
+    for result in records(folder):
         found.setdefault(result["method"], {})[result["seed"]] = result
     return found
 

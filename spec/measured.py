@@ -53,6 +53,8 @@ def speed() -> str:
     """Returns the table of times of the reference decoder (E.6), with two significant digits."""
     section = _section("decode")
     seconds = {cells[0]: cells[1] for cells in _rows(section)}
+    if missing := (DECODERS.keys() | FLOORS.keys()) - seconds.keys():
+        raise SystemExit(f"RESULTS.md, 'decode' lacks what E.6 tells: {', '.join(sorted(missing))}")
     rows = ["| what | seconds |", "|---|---|"]
     rows += [f"| {called} | {_two(seconds[name])} |" for name, called in DECODERS.items()]
     for name, called in FLOORS.items():

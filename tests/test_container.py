@@ -85,7 +85,7 @@ def contained(request: pytest.FixtureRequest) -> Iterator[Run]:
         "PYTHONPATH": str(site),
         "HOME": str(site / "home"),
         "NUMBA_NUM_THREADS": "2",
-        # Each command compiles anew, and this is a third of that time.
+        # Each command compiles anew. Without optimisation that takes a third less.
         "NUMBA_OPT": "0",
         "LC_ALL": "C",
     }

@@ -38,8 +38,12 @@ def run(work: Path, question: str, paths: list[Path], seeds: list[int], counts: 
                 for name, variant in QUESTIONS[question].variants.items():
                     if (only and name not in only) or (scene.name, repr(variant), seed) in known:
                         continue
+                    fitted = variant.fitted(scene.slices)
+                    if fitted is None:
+                        print(f"{scene.name}, {name}: left out, its slices are of other features", flush=True)
+                        continue
                     start = time.process_time()
-                    lengths = fit(scene, variant.fitted(scene.slices), seed)
+                    lengths = fit(scene, fitted, seed)
                     entry = {
                         "scene": scene.name,
                         "anchors": scene.count,

@@ -78,6 +78,7 @@ def sections(work: Path) -> list[str]:
         found: dict[str, dict[str, dict[int, dict[str, Any]]]] = defaultdict(lambda: defaultdict(dict))
         facts: dict[str, dict[str, Any]] = {}
         # A model may be of several questions. Its row is in the table of a question that was asked of the scene.
+        # Measurements that do not say their question are older.
         asked: dict[str, bool] = defaultdict(bool)
         for entry in entries:
             if entry["variant"] in names.values():

@@ -69,10 +69,13 @@ class Variant:
     steps: int = 1000
     batch: int = 1024
 
-    def fitted(self, widths: tuple[int, ...]) -> Variant:
-        """The same for a scene of other slices: the groups of the format are its slices, or all features at once."""
-        if self.groups == FORMAT:
-            return replace(self, groups=(*slices(*widths), SCALINGS, OFFSETS))
-        if self.groups == ALONE:
-            return replace(self, groups=(*slices(sum(widths)), SCALINGS, OFFSETS))
-        return self
+    def fitted(self, widths: tuple[int, ...]) -> Variant | None:
+        """The same for a scene of these slices, or None if the groups have other features than the paper and the scene.
+
+        The paper's slices stand for those of the scene, and its 50 features for all of them.
+        """
+        features = tuple(group for group in self.groups if group.kind == "f")
+        for paper, own in ((slices(5, 10, 15, 20), slices(*widths)), (slices(50), slices(sum(widths)))):
+            if self.groups[: len(features)] == paper:
+                return replace(self, groups=(*own, *self.groups[len(paper) :]))
+        return self if max(group.stop for group in features) == sum(widths) else None

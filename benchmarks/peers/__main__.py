@@ -24,8 +24,8 @@ from refcodec.photographs.photographs import PhotographError, read_photographs
 from refcodec.statuses import DONE, INTERRUPTED, USAGE
 from refcodec.train.settings_file import SettingsError
 
-from ..results import machine, write_section
-from .cells import experiment_records, name
+from ..results import SEEDS, machine, write_section
+from .cells import experiment_name, experiment_records
 from .convert import ToolError
 from .figures import scenes
 from .runs import PLAIN, Run, methods, perform, records, splat_settings, train_splats
@@ -33,8 +33,6 @@ from .table import PLOT_FILE, TABLE_FILE, TableError, commands, plot, report, wi
 
 # A method as the table calls it.
 BASELINE = "3DGS, SPZ, 4000 steps"
-# Fewer seeds are no result.
-SEEDS = 3
 RESULTS_NOTE = (
     "One thread each. Every eighth image is held out, of playbot the 25 of its own split.",
     "PSNR and SSIM are by scikit-image, of eight-bit images.",
@@ -43,6 +41,7 @@ RESULTS_NOTE = (
     "Scaffold-GS has 50 features at 200 pixels, and 12 at 400 and 800.",
     "playbot is drawn from a splat of 31,000 Gaussians, PLAYBOT by Stephane Agullo (https://sa3d.fr), CC-BY-4.0, by",
     "`python -m benchmarks.peers.scene playbot_lod3.ply -o playbot --views 100 --tests 25 --size 400 --up=-y`.",
+    "Its photographs of 800 pixels are drawn with `--size 800`.",
     "",
 )
 
@@ -88,7 +87,10 @@ def _table(arguments: argparse.Namespace) -> int:
         least = arguments.seeds
         certain = report(with_seeds(found, least), arguments.baseline)
         few = least < SEEDS
-        words = ["python -m benchmarks.peers table FOLDER", *(f"--experiment {name(f)}" for f in arguments.experiment)]
+        words = [
+            "python -m benchmarks.peers table FOLDER",
+            *(f"--experiment {experiment_name(f)}" for f in arguments.experiment),
+        ]
         words += ["--results", *([f"--seeds {least}"] if few else [])]
         made = ["```", *commands(every, least), " ".join(words), "```"]
         place, title = ("peers-few", "Peers in one harness, few seeds") if few else ("peers", "Peers in one harness")
@@ -141,7 +143,7 @@ def _parser() -> argparse.ArgumentParser:
     table.add_argument("--baseline", default=BASELINE, help=f"what others are compared with ({BASELINE})")
     table.add_argument("--results", action="store_true", help="writes a section of benchmarks/RESULTS.md, too")
     table.add_argument(
-        "--seeds", type=int, default=SEEDS, help=f"fewest seeds there ({SEEDS}); of fewer it is a section of its own"
+        "--seeds", type=int, default=SEEDS, help=f"fewest seeds of a row there ({SEEDS}); below, it is another section"
     )
     return parser
 

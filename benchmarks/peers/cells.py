@@ -17,7 +17,7 @@ CODED, PLAIN = "C3GS", "Scaffold-GS"
 USUAL = ("pro", "uncompressed")
 
 
-def name(folder: Path) -> str:
+def experiment_name(folder: Path) -> str:
     """The experiment of a folder that `refcodec experiment -o` made. Raises OSError."""
     return section((folder / MARKDOWN).read_text(encoding="utf-8").splitlines())[0]
 

@@ -14,6 +14,8 @@ from typing import Any
 # bjontegaard imports pyplot, which looks for no screen until it draws.
 import bjontegaard
 
+from ..curves import at_bytes
+
 Record = dict[str, Any]
 
 
@@ -100,12 +102,8 @@ def bytes_at(curve: Sequence[Point], psnr: float) -> float | None:
 
 def psnr_at(curve: Sequence[Point], size: float) -> float | None:
     """A method's PSNR in dB at so many bytes: interpolated linearly by their logarithm. None beyond its points."""
-    for one, two in pairwise(curve):
-        low, high = one.bytes.mean, two.bytes.mean
-        if low <= size <= high and low < high:
-            share = math.log(size / low) / math.log(high / low)
-            return (1 - share) * one.psnr.mean + share * two.psnr.mean
-    return None
+    points = [(point.bytes.mean, point.psnr.mean) for point in curve]
+    return at_bytes(points, size) if len(points) > 1 and points[0][0] <= size <= points[-1][0] else None
 
 
 def bd_rate(baseline: Sequence[Point], test: Sequence[Point]) -> float | str:

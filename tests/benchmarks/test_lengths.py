@@ -89,7 +89,18 @@ def test_the_format_has_the_slices_of_the_scene() -> None:
     assert own.groups == (*slices(2, 4), SCALINGS, OFFSETS)
     assert replace(Variant(), groups=ALONE).fitted((2, 4)).groups == (*slices(6), SCALINGS, OFFSETS)
     assert SMALL.fitted((1, 5)) == SMALL
+    assert SMALL.fitted((1, 6)) is None
+    assert own is not None
     Model(scene(), own, torch.Generator())
+
+
+@pytest.mark.parametrize("name", QUESTIONS)
+def test_questions_are_for_any_scene(name: str) -> None:
+    """What has other features than the scene is left out. The rest has each feature once."""
+    fitted = [variant.fitted((2, 4)) for variant in QUESTIONS[name].variants.values()]
+    assert fitted[0] is not None
+    for variant in filter(None, fitted):
+        assert [k for g in variant.groups if g.kind == "f" for k in range(g.start, g.stop)] == list(range(6))
 
 
 def test_groups_hold_each_column_once() -> None:

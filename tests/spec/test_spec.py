@@ -49,7 +49,7 @@ from refcodec.bitstream.limits import FEATURES_MAX, PROFILES
 from refcodec.bitstream.scene import Ancillary, Scene, take_anchors
 from refcodec.encoder.positions import position_model
 from refcodec.inspect import specification
-from spec import matrix
+from spec import matrix, measured
 from spec.trail import trails
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -827,3 +827,18 @@ def test_the_walk_is_the_file() -> None:
     # The first state stands behind the head of sub-plane 0.
     at = next(int(start, 16) for start, _, _, element, _, _ in rows(section("D.2")) if element == "planes.r1.state")
     assert int(states[0][4], 16) == int.from_bytes(data[at : at + 4], "little")
+
+
+# --- measured results -------------------------------------------------------------------------------------------------
+
+
+def test_what_was_not_measured_is_told(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Neither a traceback nor a shorter table, where RESULTS.md lacks a section or a row."""
+    text = measured.RESULTS.read_text(encoding="utf-8")
+    monkeypatch.setattr(measured, "RESULTS", tmp_path / "RESULTS.md")
+    measured.RESULTS.write_text(text.replace("| refcodec, avx2 |", "| refcodec, neon |"), encoding="utf-8")
+    with pytest.raises(SystemExit, match=r"'decode' lacks what E\.6 tells: refcodec, avx2$"):
+        measured.speed()
+    measured.RESULTS.write_text("", encoding="utf-8")
+    with pytest.raises(SystemExit, match="has no section 'departures'"):
+        measured.departures()
