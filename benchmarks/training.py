@@ -142,7 +142,7 @@ def _small(paper: bool, rate: float, changes: tuple[str, ...] = ()) -> Run:
     if not paper:
         return Run("caliterra", 200, rate, SMALL_STEPS, changes)
     preset = _preset(paper)
-    more = (f"start.anchors={preset.start.anchors}", f"growth.most={preset.growth.most}")
+    more = (f"start.least={preset.start.least}", f"growth.most={preset.growth.most}")
     return Run("caliterra", int(preset.size), rate, preset.steps, (*more, *changes))
 
 

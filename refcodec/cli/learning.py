@@ -285,8 +285,9 @@ def add(commands: Any) -> None:
         "--preset",
         choices=("fast", "paper"),
         default="fast",
-        help="fast: 4,000 steps on photographs of 400 pixels, about 5,000 anchors at first; paper: 40,000 on 1,600, "
-        "a voxel is the median distance of neighbouring points (default: %(default)s)",
+        help="fast: 4,000 steps on photographs of 400 pixels, about 5,000 anchors at first, or more where points are "
+        "drawn at random; paper: 40,000 on 1,600, a voxel is the median distance of neighbouring points (default: "
+        "%(default)s)",
     )
     train.add_argument(
         "--settings", metavar="FILE", help="settings that replace the preset's, as --print-settings prints them"

@@ -81,6 +81,11 @@ class PhotographSet:
     background: Colour
     random: bool = False
 
+    @property
+    def pixels(self) -> int:
+        """Pixels of all photographs to learn from."""
+        return sum(p.camera.width * p.camera.height for p in self.train)
+
     def places(self) -> list[Path]:
         """Returns the image files, and the folders that they are in."""
         files = [photograph.path for photograph in (*self.train, *self.test)]

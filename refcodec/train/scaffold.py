@@ -59,7 +59,7 @@ class Scaffold:
         if given is not None:
             self._go_on(beginning(given, photographs, settings), settings, generator)
             return
-        found = first_anchors(photographs, settings.start, settings.seed)
+        found = first_anchors(photographs, settings)
         self.units, self.lattice, self.near = found.units, found.lattice, settings.start.near
         n = len(self.lattice)
         self.columns = Columns(settings.entropy.slices, OFFSETS)

@@ -90,11 +90,19 @@ class LearningSettings:
 class StartSettings:
     """The anchors of the beginning."""
 
-    anchors: int = setting(
+    anchors: int = setting(0, "about how many there are; 0: as `least` and `pixels` say", low=0)
+    least: int = setting(
         5000,
-        "about how many there are; 0: a voxel is the median distance of neighbouring points",
+        "how many there are where points are given, and least number where they are drawn at random; "
+        "0: a voxel is the median distance of neighbouring points",
         f"{OWN}; {SCAFFOLD}: 0",
         low=0,
+    )
+    pixels: int = setting(
+        800,
+        "pixels of all photographs for each of them, where points are drawn at random, up to `growth.most`",
+        unit="pixels",
+        low=1,
     )
     voxel: float = setting(
         0.0,
@@ -110,7 +118,10 @@ class StartSettings:
         low=1,
         high=64,
     )
-    drawn: int = setting(20000, "random points to begin with where photographs are transparent", unit="points", low=1)
+    drawn: int = setting(
+        20000, "least number of random points to begin with where photographs are transparent", unit="points", low=1
+    )
+    drawn_each: int = setting(4, "those points for each anchor that is asked for", unit="points", low=1)
     near: float = setting(0.02, "nearest depth that is drawn", unit="training units", low=1e-6)
     neighbours: int = setting(3, "anchors around one whose distances give its size", GS, low=1, high=64)
     colours: int = setting(4, "points around an anchor whose mean colour it begins with", low=1, high=64)
@@ -472,7 +483,7 @@ PRESETS = {
     "paper": TrainSettings(
         steps=40000,
         size="1600",
-        start=StartSettings(anchors=0),
+        start=StartSettings(least=0),
         growth=GrowthSettings(most=1 << 20),
         entropy=EntropySettings(),
     ),

@@ -18,7 +18,7 @@ from ..encoder.positions import choose_grid
 from ..photographs.photographs import PhotographSet
 from ..render.camera import Camera
 from .hull import carved
-from .settings import StartSettings
+from .settings import TrainSettings
 from .voxelise import default_voxel, short_mantissa
 
 F64 = NDArray[np.float64]
@@ -84,27 +84,38 @@ def choose_voxel(points: F64, anchors: int) -> float:
     return high
 
 
+def asked_for(photographs: PhotographSet, settings: TrainSettings) -> int:
+    """About how many anchors a training is to begin with; 0: as many as there are voxels.
+
+    Photographs of more pixels show more of a scene, and random points can be as many as are wanted. Points that are
+    given are few: if most of them became anchors, the lattice would be too fine for the file.
+    """
+    start = settings.start
+    if start.anchors or not start.least or not photographs.random:
+        return start.anchors or start.least
+    return max(min(photographs.pixels // start.pixels, settings.growth.most), start.least)
+
+
 def lattice_positions(lattice: I64) -> NDArray[np.float16]:
     """SPEC 6.4: cells as fp16, which is exact up to 2048 and coarser beyond."""
     return np.clip(lattice, -LATTICE_MAX, LATTICE_MAX).astype(np.float16)
 
 
-def first_anchors(photographs: PhotographSet, settings: StartSettings, seed: int) -> FirstAnchors:
+def first_anchors(photographs: PhotographSet, settings: TrainSettings) -> FirstAnchors:
     """Scaffold-GS: an anchor in each voxel that has points. Raises ValueError without points.
 
     An anchor's colour is that of the points around it, its size the distance of its neighbours. Points that were drawn
-    at random are drawn anew where something can be (hull.carved), with `seed`.
+    at random are drawn anew where something can be (hull.carved).
     """
     if not len(photographs.points):
         raise ValueError("there are no points to begin with")
-    points, seen, cells = photographs.points, photographs.colours, settings.cells
+    start, anchors = settings.start, asked_for(photographs, settings)
+    points, seen, cells = photographs.points, photographs.colours, start.cells
     if photographs.random:
-        points, seen = carved(photographs, settings.drawn, seed)
-        cells = settings.random_cells
+        points, seen = carved(photographs, max(start.drawn, start.drawn_each * anchors), settings.seed)
+        cells = start.random_cells
     length = scene_length(photographs)
-    voxel = settings.voxel or (
-        choose_voxel(points, settings.anchors) if settings.anchors else default_voxel(points.astype(np.float32))
-    )
+    voxel = start.voxel or (choose_voxel(points, anchors) if anchors else default_voxel(points.astype(np.float32)))
     grid = choose_grid(points.astype(np.float32), short_mantissa(voxel / cells))
     origin = np.array(grid.origin, np.float64) * 2.0 ** (grid.scale_exponent - 24)
     units = Units(grid, origin, length, grid.scale_mantissa * 2.0**grid.scale_exponent / length)
@@ -112,10 +123,10 @@ def first_anchors(photographs: PhotographSet, settings: StartSettings, seed: int
     lattice = np.unique(np.round(away / cells).astype(np.int64), axis=0) * cells
     lattice = np.unique(lattice_positions(lattice).astype(np.int64), axis=0)
     n = len(lattice)
-    distance = cKDTree(lattice).query(lattice, min(settings.neighbours + 1, n))[0].reshape(n, -1)[:, 1:]
+    distance = cKDTree(lattice).query(lattice, min(start.neighbours + 1, n))[0].reshape(n, -1)[:, 1:]
     spread = np.sqrt((distance**2).mean(axis=1)) if distance.shape[1] else np.ones(n)
-    spread = np.clip(spread, np.median(spread) * settings.smallest, np.quantile(spread, settings.largest))
-    near = cKDTree(away).query(lattice, min(settings.colours, len(points)))[1].reshape(n, -1)
+    spread = np.clip(spread, np.median(spread) * start.smallest, np.quantile(spread, start.largest))
+    near = cKDTree(away).query(lattice, min(start.colours, len(points)))[1].reshape(n, -1)
     colours = seen[near].mean(axis=1) / 255 * 2 - 1
-    sizes = np.maximum(spread, settings.least_cells) * units.cell * length
+    sizes = np.maximum(spread, start.least_cells) * units.cell * length
     return FirstAnchors(units, lattice, colours, sizes)

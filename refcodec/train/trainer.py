@@ -98,8 +98,7 @@ class Trainer:
         """The parts of the method that the settings ask for."""
         settings, scaffold, clock, random = self.settings, self.scaffold, self.clock, self.random
         start = settings.masks.start
-        pixels = sum(p.camera.width * p.camera.height for p in self.photographs.train)
-        growth = Growth(settings.growth, start, scaffold, clock, random, self._anchors_changed, pixels)
+        growth = Growth(settings.growth, start, scaffold, clock, random, self._anchors_changed, self.photographs.pixels)
         always = [growth, Learning(settings.learning, scaffold, clock)]
         if not settings.rate.weight:
             return [*always, Averaging(scaffold, None, clock), self.looks]

@@ -127,16 +127,14 @@ def test_a_folder_where_a_file_belongs(
 
 def test_first_anchors(photographs: PhotographSet) -> None:
     few, many, coarse, fine = (
-        len(first_anchors(photographs, varied(TrainSettings(), changes).start, 0).lattice)
+        len(first_anchors(photographs, varied(TrainSettings(), changes)).lattice)
         for changes in ({"start.anchors": 300}, {"start.anchors": 2000}, {"start.voxel": 3.0}, {"start.voxel": 1.5})
     )
     assert 200 < few < 400
     assert 1500 < many < 2500
     assert coarse < fine
     # World units: twice the edge of one is that of the other.
-    edges = [
-        first_anchors(photographs, varied(TrainSettings(), {"start.voxel": edge}).start, 0).units for edge in (3.0, 1.5)
-    ]
+    edges = [first_anchors(photographs, varied(TrainSettings(), {"start.voxel": edge})).units for edge in (3.0, 1.5)]
     assert edges[0].cell * edges[0].length * 2 == pytest.approx(3, rel=1e-3)
     assert edges[0].cell == pytest.approx(2 * edges[1].cell, rel=1e-3)
 

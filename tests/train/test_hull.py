@@ -4,17 +4,22 @@ from __future__ import annotations
 
 import json
 import math
+from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 from PIL import Image
 
 from refcodec.photographs.photographs import PhotographSet, read_photographs
 from refcodec.render.view import looking
+from refcodec.train import start
 from refcodec.train.hull import carved
 from refcodec.train.settings import TrainSettings
-from refcodec.train.start import choose_voxel, first_anchors
+from refcodec.train.settings_file import varied
+from refcodec.train.start import asked_for, choose_voxel, first_anchors
 
 SIZE, AWAY, RADIUS, VIEWS = 48, 4.0, 0.5, 24
 FOCAL = SIZE / 2 / math.tan(0.35)
@@ -72,16 +77,49 @@ def test_photographs_that_are_not_transparent_show_nothing_empty(tmp_path: Path)
 
 def test_first_anchors_of_random_points(tmp_path: Path) -> None:
     """A cube of random points had anchors all over it, of which five in a hundred were on the ball."""
-    settings = TrainSettings().start
+    settings = TrainSettings()
     for mode, least in (("RGBA", 0.95), ("RGB", 0.0)):
         photographs = write_ball(tmp_path / mode, mode)
-        found = first_anchors(photographs, settings, 0)
+        found = first_anchors(photographs, settings)
         places = found.units.origin + found.lattice * (found.units.cell * found.units.length)
         inside = (np.linalg.norm(places - [0.2, 0, 0], axis=1) < 1.3 * RADIUS).mean()
         assert inside >= least
-        assert 0.5 * settings.anchors < len(found.lattice) < 1.5 * settings.anchors
+        assert 0.5 * settings.start.least < len(found.lattice) < 1.5 * settings.start.least
         edges = np.diff(np.unique(found.lattice[:, 0]))
-        assert (edges % settings.random_cells == 0).all()
+        assert (edges % settings.start.random_cells == 0).all()
+
+
+@pytest.mark.parametrize(
+    ("changes", "asked", "points"),
+    [
+        ({}, 5000, 20000),
+        # 21 photographs of 48 x 48 pixels, and seven pixels for an anchor.
+        ({"start.pixels": 7}, 6912, 27648),
+        ({"start.pixels": 7, "growth.most": 6000}, 6000, 24000),
+        ({"start.pixels": 7, "start.drawn_each": 2}, 6912, 20000),
+        ({"start.pixels": 7, "start.anchors": 700}, 700, 20000),
+        ({"start.least": 0}, 0, 20000),
+    ],
+)
+def test_more_pixels_ask_for_more_random_points(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, changes: dict[str, int], asked: int, points: int
+) -> None:
+    """5,000 anchors were too few for photographs of 400 pixels: 37.5 dB, where 20,000 made 38.8."""
+    photographs, settings = write_ball(tmp_path / "ball", "RGBA"), varied(TrainSettings(), changes)
+    wanted: list[int] = []
+
+    def noted(photographs: PhotographSet, count: int, seed: int) -> tuple[NDArray[Any], NDArray[Any]]:
+        wanted.append(count)
+        return carved(photographs, count, seed)
+
+    monkeypatch.setattr(start, "carved", noted)
+    assert asked_for(photographs, settings) == asked
+    found = first_anchors(photographs, settings)
+    assert wanted == [points]
+    assert 0.5 * (asked or points) < len(found.lattice) < 1.5 * (asked or points)
+    # Points that are given cannot be as many as are wanted.
+    given = asked_for(replace(photographs, random=False), settings)
+    assert given == (settings.start.anchors or settings.start.least)
 
 
 @pytest.mark.parametrize("count", [2, 40, 3000])
