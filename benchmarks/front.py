@@ -16,7 +16,7 @@ README = Path(__file__).resolve().parents[1] / "README.md"
 _BEGIN, _END = "<!-- generated:sizes -->", "<!-- /generated -->"
 # How the section calls the methods. Sizes are those at the PSNR of SPZ.
 BASELINE, OWN, OTHER, PLAIN = "3DGS, SPZ", "C3GS", "3DGS, SOG", "Scaffold-GS"
-# README.md's table is of photographs of this size, at which each method has several rates.
+# README.md's table is of photographs of this size, at which each method has several rates. It has a section of its own.
 SIZE = 200
 _HEAD = ("photographs, at equal PSNR", "C3GS", "SPZ", "SOG", "Scaffold-GS as trained")
 
@@ -39,10 +39,8 @@ class Row:
 
 def rows(results: str) -> list[Row]:
     """Returns a row for each scene of the section: at the highest PSNR that all methods reach. Raises FrontError."""
-    section = re.search(r"<!-- peers: begin -->(.*?)<!-- peers: end -->", results, re.DOTALL)
-    scenes = re.findall(
-        rf"^### (\w+), {SIZE} pixels\n(.*?)(?=^### |\Z)", section[1] if section else "", re.DOTALL | re.MULTILINE
-    )
+    section = re.search(rf"<!-- peers-{SIZE}: begin -->(.*?)<!-- peers-{SIZE}: end -->", results, re.DOTALL)
+    scenes = re.findall(r"^### (\w+), .*?\n(.*?)(?=^### |\Z)", section[1] if section else "", re.DOTALL | re.MULTILINE)
     found = [row for scene, text in scenes if (row := _row(scene, text))]
     if not found:
         raise FrontError("there is no such scene in the section of peers")

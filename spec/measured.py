@@ -50,12 +50,18 @@ def departures() -> str:
 
 
 def speed() -> str:
-    """Returns the table of times of the reference decoder (E.6), with two significant digits."""
+    """Returns the times of the reference decoder (E.6): of what and where, and a table with two significant digits."""
     section = _section("decode")
+    of_what = re.search(r"^([\d,]+) anchors, ([\d,]+) bytes, with the symbols of", section, re.MULTILINE)
+    where = re.search(r"^Linux \S+, (.*?) \(.*avx512_vnni", section, re.MULTILINE)
+    if not of_what or not where:
+        raise SystemExit("RESULTS.md, 'decode' does not say how many anchors and bytes there are, or on what processor")
+    size = int(of_what[2].replace(",", "")) / 1e6
+    said = f"The reference decoder, for {of_what[1]} anchors in {size:.1f} MB, on an {where[1]} with AVX-512 VNNI:"
     seconds = {cells[0]: cells[1] for cells in _rows(section)}
     if missing := (DECODERS.keys() | FLOORS.keys()) - seconds.keys():
         raise SystemExit(f"RESULTS.md, 'decode' lacks what E.6 tells: {', '.join(sorted(missing))}")
-    rows = ["| what | seconds |", "|---|---|"]
+    rows = [said, "", "| what | seconds |", "|---|---|"]
     rows += [f"| {called} | {_two(seconds[name])} |" for name, called in DECODERS.items()]
     for name, called in FLOORS.items():
         (told,) = re.findall(rf"^- {re.escape(name)}: .*; (products .*) processor seconds\.$", section, re.MULTILINE)

@@ -27,7 +27,7 @@ from refcodec.train.settings_file import SettingsError
 from ..results import SEEDS, machine, write_section
 from .cells import experiment_name, experiment_records
 from .convert import ToolError
-from .figures import scenes
+from .figures import Scene, scenes
 from .runs import PLAIN, Run, methods, perform, records, splat_settings, train_splats
 from .table import PLOT_FILE, TABLE_FILE, TableError, commands, plot, report, with_seeds
 
@@ -78,6 +78,17 @@ def _run(arguments: argparse.Namespace) -> int:
     return DONE
 
 
+def _sections(found: list[Scene], few: bool) -> list[tuple[str, str, list[Scene]]]:
+    """The sections of RESULTS.md: name, title and scenes. Each size has one, so that it can be made again alone."""
+    title = "Peers in one harness"
+    if few:
+        return [("peers-few", f"{title}, few seeds", found)]
+    sizes = sorted({scene.size for scene in found})
+    return [
+        (f"peers-{size}", f"{title}, {size} pixels", [scene for scene in found if scene.size == size]) for size in sizes
+    ]
+
+
 def _table(arguments: argparse.Namespace) -> int:
     every = records(arguments.folder)
     cells = [cell for folder in arguments.experiment for cell in experiment_records(folder)]
@@ -85,16 +96,20 @@ def _table(arguments: argparse.Namespace) -> int:
     lines = report(found, arguments.baseline)
     if arguments.results:
         least = arguments.seeds
-        certain = report(with_seeds(found, least), arguments.baseline)
-        few = least < SEEDS
         words = [
             "python -m benchmarks.peers table FOLDER",
             *(f"--experiment {experiment_name(f)}" for f in arguments.experiment),
         ]
-        words += ["--results", *([f"--seeds {least}"] if few else [])]
-        made = ["```", *commands(every, least), " ".join(words), "```"]
-        place, title = ("peers-few", "Peers in one harness, few seeds") if few else ("peers", "Peers in one harness")
-        write_section(place, title, [*made, "", machine("torch"), *RESULTS_NOTE, *certain])
+        words += ["--results", *([f"--seeds {least}"] if least < SEEDS else [])]
+        certain = with_seeds(found, least)
+        if not certain:
+            raise TableError(f"no method has {least} seeds")
+        for place, title, shown in _sections(certain, least < SEEDS):
+            sizes = {scene.size for scene in shown}
+            runs = [record for record in every if record["size"] in sizes]
+            made = ["```", *commands(runs, least), " ".join(words), "```"]
+            lines = report(shown, arguments.baseline)
+            write_section(place, title, [*made, "", machine("torch"), *RESULTS_NOTE, *lines])
     (arguments.folder / TABLE_FILE).write_text("\n".join(lines) + "\n", encoding="utf-8")
     plot(found, arguments.folder / PLOT_FILE)
     print("\n".join(lines))

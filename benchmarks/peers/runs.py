@@ -17,7 +17,7 @@ from refcodec.bitstream.batches import no_progress
 from refcodec.bitstream.codec import emit
 from refcodec.encoder.quantise import packed
 from refcodec.evaluate.evaluation import evaluate
-from refcodec.files.documents import read_json
+from refcodec.files.documents import DocumentError, read_json
 from refcodec.folder.uncompressed import Uncompressed
 from refcodec.photographs.photographs import PhotographSet, read_photographs
 from refcodec.train.settings import TrainSettings
@@ -89,7 +89,7 @@ def perform(run: Run, folder: Path) -> Record | None:
     folder.mkdir(parents=True, exist_ok=True)
     file = folder / f"{run.name}.json"
     if file.exists():
-        record: Record = read_json(file)
+        record = _read(file)
         _check(record, file, splat_settings(run) if run.method == PLAIN else anchor_settings(run))
         if run.method != PLAIN or len(record["files"]) > len(FORMATS) or tool() is None:
             return record
@@ -105,9 +105,24 @@ def _check(record: Record, file: Path, settings: Any) -> None:
         raise ValueError(f"{file} is of other settings, remove it: {'; '.join(changes)}")
 
 
+# What a record says, for tables and for a run that goes on.
+_KEYS = {"scene", "method", "strength", "seed", "size", "steps", "changes", "seconds", "files", "settings"}
+
+
+def _read(file: Path) -> Record:
+    """A record as it was written. Raises ValueError for another document, and OSError."""
+    try:
+        found = read_json(file)
+    except DocumentError as error:
+        raise ValueError(f"{file}: {error}") from None
+    if not isinstance(found, dict) or not found.keys() >= _KEYS:
+        raise ValueError(f"{file} is no record of a run, remove it")
+    return found
+
+
 def records(folder: Path) -> list[Record]:
-    """All runs of a folder. Raises DocumentError and OSError."""
-    return [read_json(path) for path in sorted(folder.glob("*.json"))]
+    """All runs of a folder. Raises ValueError and OSError."""
+    return [_read(path) for path in sorted(folder.glob("*.json"))]
 
 
 def _written(file: Path, record: Record) -> Record:

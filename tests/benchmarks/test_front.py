@@ -9,7 +9,7 @@ import pytest
 from benchmarks import front
 from benchmarks.results import RESULTS
 
-SECTION = """<!-- peers: begin -->
+SECTION = """<!-- peers-200: begin -->
 ## Peers
 
 ### one, 200 pixels
@@ -25,7 +25,7 @@ SECTION = """<!-- peers: begin -->
 | 30.00 | 80.0 | 95.4, 0.84 | 26.4, 3.03 | beyond its 33.29 dB |
 | 31.00 | 160.0 | 173.1, 0.92 | 40.0, 4.00 | beyond its 33.29 dB |
 | 32.00 | 320.0 | beyond its 29.54 to 31.78 dB | 80.0, 4.00 | beyond its 33.29 dB |
-<!-- peers: end -->
+<!-- peers-200: end -->
 """
 
 

@@ -14,6 +14,7 @@ import pytest
 import torch
 
 from benchmarks import results
+from benchmarks.peers import __main__ as peers
 from benchmarks.peers import convert, runs
 from benchmarks.peers.__main__ import main
 from benchmarks.peers.convert import there_and_back, tool
@@ -257,6 +258,33 @@ def test_commands(folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch)
     assert "<!-- peers-few: begin -->" in text
     assert "table FOLDER --experiment small --results --seeds 2\n" in text
     assert "| 3DGS, PLY, 3 steps | 200 | 2 |" in text
+
+
+@pytest.mark.parametrize("text", ["[1]", "3", "{}", '{"scene": "a"}', "{", ""])
+def test_a_file_that_is_no_record(tmp_path: Path, text: str, capsys: pytest.CaptureFixture[str]) -> None:
+    (tmp_path / "other.json").write_text(text)
+    assert main(["table", str(tmp_path)]) == 64
+    assert "other.json" in capsys.readouterr().err
+
+
+def test_each_size_has_a_section(folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(runs, "tool", lambda: None)
+    monkeypatch.setattr(results, "RESULTS", tmp_path / "RESULTS.md")
+    monkeypatch.setattr(peers, "SEEDS", 1)
+    words = ["run", str(folder), str(tmp_path), "--method", "3dgs", "--strengths", "200", "--seeds", "0"]
+    for size, steps in (("40", "3"), ("20", "3"), ("20", "4")):
+        assert main([*words, "--size", size, "--steps", steps]) == 0
+    table = ["table", str(tmp_path), "--baseline", "3DGS, PLY, 3 steps", "--results", "--seeds", "1"]
+    assert main(table) == 0
+    small, large = results.RESULTS.read_text().split("<!-- peers-40: begin -->")
+    assert "## Peers in one harness, 20 pixels" in small
+    assert small.count("benchmarks.peers run") == small.count("--size 20 ") == 2
+    assert large.count("benchmarks.peers run") == large.count("--size 40 ") == 1
+    assert "| 3DGS, PLY, 4 steps | 200 | 1 |" in small
+    assert "| 3DGS, PLY, 4 steps | 200 | 1 |" not in large
+    # Made again, a section stands where it was.
+    assert main(table) == 0
+    assert results.RESULTS.read_text().count("## Peers") == 2
 
 
 def test_a_ply_file_by_a_command(folder: Path, tmp_path: Path) -> None:

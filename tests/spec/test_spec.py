@@ -839,6 +839,9 @@ def test_what_was_not_measured_is_told(tmp_path: Path, monkeypatch: pytest.Monke
     measured.RESULTS.write_text(text.replace("| refcodec, avx2 |", "| refcodec, neon |"), encoding="utf-8")
     with pytest.raises(SystemExit, match=r"'decode' lacks what E\.6 tells: refcodec, avx2$"):
         measured.speed()
+    measured.RESULTS.write_text(text.replace("avx512_vnni", "avx512_fp16"), encoding="utf-8")
+    with pytest.raises(SystemExit, match="or on what processor"):
+        measured.speed()
     measured.RESULTS.write_text("", encoding="utf-8")
     with pytest.raises(SystemExit, match="has no section 'departures'"):
         measured.departures()
