@@ -27,7 +27,7 @@ from refcodec.train.settings_file import SettingsError
 from ..results import SEEDS, machine, write_section
 from .cells import experiment_name, experiment_records
 from .convert import ToolError
-from .figures import Scene, scenes
+from .figures import Record, Scene, scenes
 from .runs import PLAIN, Run, methods, perform, records, splat_settings, train_splats
 from .table import PLOT_FILE, TABLE_FILE, TableError, commands, plot, report, with_seeds
 
@@ -78,15 +78,34 @@ def _run(arguments: argparse.Namespace) -> int:
     return DONE
 
 
-def _sections(found: list[Scene], few: bool) -> list[tuple[str, str, list[Scene]]]:
-    """The sections of RESULTS.md: name, title and scenes. Each size has one, so that it can be made again alone."""
-    title = "Peers in one harness"
-    if few:
-        return [("peers-few", f"{title}, few seeds", found)]
-    sizes = sorted({scene.size for scene in found})
-    return [
-        (f"peers-{size}", f"{title}, {size} pixels", [scene for scene in found if scene.size == size]) for size in sizes
+def _sections(
+    arguments: argparse.Namespace, every: list[Record], found: list[Scene]
+) -> list[tuple[str, str, list[str]]]:
+    """The sections of RESULTS.md: name, title and lines. Each size has one, so that it can be made again alone.
+
+    Raises TableError.
+    """
+    least, few = arguments.seeds, arguments.seeds < SEEDS
+    certain = with_seeds(found, least)
+    if not certain:
+        raise TableError(f"no method has {least} seeds")
+    words = [
+        "python -m benchmarks.peers table FOLDER",
+        *(f"--experiment {experiment_name(f)}" for f in arguments.experiment),
+        "--results",
+        *([f"--seeds {least}"] if few else []),
     ]
+    title, every_size = "Peers in one harness", sorted({scene.size for scene in certain})
+    groups = [(f"peers-{size}", f"{title}, {size} pixels", [size]) for size in every_size]
+    if few:
+        groups = [("peers-few", f"{title}, few seeds", every_size)]
+    made = []
+    for place, name, sizes in groups:
+        runs = [record for record in every if record["size"] in sizes]
+        head = ["```", *commands(runs, least), " ".join(words), "```", "", machine("torch"), *RESULTS_NOTE]
+        shown = [scene for scene in certain if scene.size in sizes]
+        made.append((place, name, [*head, *report(shown, arguments.baseline)]))
+    return made
 
 
 def _table(arguments: argparse.Namespace) -> int:
@@ -95,21 +114,8 @@ def _table(arguments: argparse.Namespace) -> int:
     found = scenes([*every, *cells])
     lines = report(found, arguments.baseline)
     if arguments.results:
-        least = arguments.seeds
-        words = [
-            "python -m benchmarks.peers table FOLDER",
-            *(f"--experiment {experiment_name(f)}" for f in arguments.experiment),
-        ]
-        words += ["--results", *([f"--seeds {least}"] if least < SEEDS else [])]
-        certain = with_seeds(found, least)
-        if not certain:
-            raise TableError(f"no method has {least} seeds")
-        for place, title, shown in _sections(certain, least < SEEDS):
-            sizes = {scene.size for scene in shown}
-            runs = [record for record in every if record["size"] in sizes]
-            made = ["```", *commands(runs, least), " ".join(words), "```"]
-            lines = report(shown, arguments.baseline)
-            write_section(place, title, [*made, "", machine("torch"), *RESULTS_NOTE, *lines])
+        for place, title, section in _sections(arguments, every, found):
+            write_section(place, title, section)
     (arguments.folder / TABLE_FILE).write_text("\n".join(lines) + "\n", encoding="utf-8")
     plot(found, arguments.folder / PLOT_FILE)
     print("\n".join(lines))

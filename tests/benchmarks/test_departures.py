@@ -9,6 +9,8 @@ import numpy as np
 import pytest
 
 from benchmarks import departures, results, statements
+from benchmarks.peers.runs import Run
+from refcodec.train.settings import TrainSettings
 
 HEAD = "scene,method,rate,seed,bytes,psnr\n"
 
@@ -79,9 +81,8 @@ def test_models_are_compared_by_seed(tmp_path: Path, monkeypatch: pytest.MonkeyP
             lengths = {"attributes": 900 + 1000 * seed, "planes": planes}
             size = lengths["attributes"] + planes
             files = {"C3GS": {"psnr": 0.0}, f"{method}, code lengths": {"psnr": 30 + seed - loss, "bytes": size}}
-            result = {"method": method, "seed": seed, "lengths": lengths, "files": files}
-            result |= {"scene": "s", "strength": 0, "size": 200, "steps": 1, "seconds": 1}
-            result |= {"changes": {}, "settings": {}}
+            run = Run(tmp_path, method, 0, seed, 200, 1)
+            result = run.record(1, TrainSettings(), files, lengths=lengths)
             (tmp_path / f"{method}-{seed}.json").write_text(json.dumps(result))
     # A doubling of bytes is worth 0.8 dB.
     rates = {("pro", rate, seed): (1000 * 8**rate, 30 + 2.4 * rate) for rate in (0, 1) for seed in range(3)}

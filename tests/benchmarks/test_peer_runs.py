@@ -282,6 +282,9 @@ def test_each_size_has_a_section(folder: Path, tmp_path: Path, monkeypatch: pyte
     assert large.count("benchmarks.peers run") == large.count("--size 40 ") == 1
     assert "| 3DGS, PLY, 4 steps | 200 | 1 |" in small
     assert "| 3DGS, PLY, 4 steps | 200 | 1 |" not in large
+    # The table of the folder has them all.
+    whole = (tmp_path / "peers.md").read_text()
+    assert [whole.count(f"### {folder.name}, {size} pixels") for size in (20, 40)] == [1, 1]
     # Made again, a section stands where it was.
     assert main(table) == 0
     assert results.RESULTS.read_text().count("## Peers") == 2
