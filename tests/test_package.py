@@ -15,9 +15,9 @@ import pytest
 
 pytestmark = pytest.mark.slow
 ROOT = Path(__file__).resolve().parents[1]
-# What a working tree holds and a clone does not.
+# What a working tree holds and a clone does not, beside virtual environments.
 UNTRACKED = shutil.ignore_patterns(
-    ".git", "*.so", "out", "build", "dist", ".venv", "__pycache__", ".*_cache", ".hypothesis", "*.egg-info"
+    ".git", "*.so", "out", "build", "dist", "__pycache__", ".*_cache", ".hypothesis", ".coverage*", "*.egg-info"
 )
 EXAMPLE = "vectors/tiny-example.c3gs"
 
@@ -30,11 +30,16 @@ def _build(source: Path, target: Path, *what: str) -> None:
     assert done.returncode == 0, done.stdout + done.stderr
 
 
+def _untracked(folder: str, names: list[str]) -> set[str]:
+    """The names in a folder that are not copied. An environment may have any name."""
+    return UNTRACKED(folder, names) | {name for name in names if Path(folder, name, "pyvenv.cfg").exists()}
+
+
 @pytest.fixture(scope="module")
 def built(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A folder with `direct`, the wheel of the tree, and `sdist`, a source distribution with the wheel made of it."""
     folder = tmp_path_factory.mktemp("built")
-    shutil.copytree(ROOT, folder / "tree", ignore=UNTRACKED)
+    shutil.copytree(ROOT, folder / "tree", ignore=_untracked)
     _build(folder / "tree", folder / "direct", "--wheel")
     shutil.rmtree(folder / "tree" / "build")
     _build(folder / "tree", folder / "sdist")
