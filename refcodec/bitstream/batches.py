@@ -5,7 +5,12 @@ The error that is reported does not depend on what is decoded side by side (SPEC
 
 from __future__ import annotations
 
+import contextlib
+import os
+import threading
 from collections.abc import Callable, Iterator
+
+from threadpoolctl import threadpool_limits
 
 from .entropy import Decoder, Trace, open_substream
 from .errors import BitstreamError
@@ -21,6 +26,43 @@ Progress = Callable[[str, int, int], None]
 
 def no_progress(stage: str, done: int, total: int) -> None:
     """Does nothing. It is the Progress that tells nobody."""
+
+
+class _OneThread:
+    """Lets NumPy's BLAS use one thread, for one thread at a time: the number of its threads is that of the process.
+
+    The thread that limits it restores it. A thread that comes meanwhile changes nothing: it would note the limit of
+    the other one as the number to restore.
+    """
+
+    def __init__(self) -> None:
+        self._owner: int | None = None
+        self._limits: threadpool_limits | None = None
+        self._lock = threading.Lock()
+        if hasattr(os, "register_at_fork"):
+            os.register_at_fork(after_in_child=self._forked)
+
+    @contextlib.contextmanager
+    def __call__(self) -> Iterator[None]:
+        if not self._lock.acquire(blocking=False):
+            yield
+            return
+        try:
+            self._owner = threading.get_ident()
+            with threadpool_limits(1, "blas") as self._limits:
+                yield
+        finally:
+            self._limits = None
+            self._lock.release()
+
+    def _forked(self) -> None:
+        """Restores it in a child process, which does not have the thread that would do so."""
+        if self._limits is not None and self._owner != threading.get_ident():
+            self._limits.restore_original_limits()
+            self._limits, self._lock = None, threading.Lock()
+
+
+one_thread = _OneThread()
 
 
 def groups(chunks: list[range]) -> Iterator[tuple[range, slice]]:

@@ -11,10 +11,9 @@ from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
-from threadpoolctl import threadpool_limits
 
 from .attributes import Attributes, EntropyModel, code_attributes, step_indices
-from .batches import GROUP_ANCHORS, Progress, groups, no_progress
+from .batches import GROUP_ANCHORS, Progress, groups, no_progress, one_thread
 from .bounds import Bounds
 from .chunks import chunk_ranges, emit_chunk
 from .context import context
@@ -142,7 +141,7 @@ def emit(scene: Scene, *, progress: Progress = no_progress) -> bytes:
     """
     check_shapes(scene)
     try:
-        with threadpool_limits(1, "blas"):
+        with one_thread():
             return _emit(scene, progress)
     except BitstreamError as error:
         raise ValueError(f"the scene cannot be written: {error}") from None

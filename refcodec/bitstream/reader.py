@@ -12,10 +12,9 @@ from itertools import accumulate
 
 import numpy as np
 from numpy.typing import NDArray
-from threadpoolctl import threadpool_limits
 
 from .attributes import Attributes, EntropyModel, code_attributes, zero_attributes
-from .batches import GROUP_ANCHORS, GROUP_CHUNKS, PartDecoder, Progress, no_progress
+from .batches import GROUP_ANCHORS, GROUP_CHUNKS, PartDecoder, Progress, no_progress, one_thread
 from .bounds import Bounds
 from .chunks import CodedChunk, read_chunk
 from .context import context
@@ -113,7 +112,7 @@ class Reader:
         critical_only: whether ancillary sections are left unread, as a decoder of one chunk may. Raises BitstreamError
         311 to 313 and 401 to 436, or that of a substream.
         """
-        with threadpool_limits(1, "blas"):
+        with one_thread():
             return self._open(critical_only, progress)
 
     def _open(self, critical_only: bool, progress: Progress) -> Opened:
@@ -255,7 +254,7 @@ class Reader:
 
     def _decode_alone(self, chunks: list[CodedChunk]) -> dict[int, Chunk | BitstreamError]:
         """Decodes some chunks with NumPy, which may use one thread."""
-        with threadpool_limits(1, "blas"):
+        with one_thread():
             return self._decode(chunks)
 
     def _decode(self, chunks: list[CodedChunk]) -> dict[int, Chunk | BitstreamError]:

@@ -6,11 +6,14 @@ import hashlib
 import os
 import subprocess
 import sys
+import threading
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from types import ModuleType
 
 import numpy as np
 import pytest
+from threadpoolctl import threadpool_info, threadpool_limits
 
 from conformance.cases.scenes import MAIN_DIMENSIONS, random_scene, with_steps
 from refcodec.bitstream import batches, codec, networks, reader, reconstruction
@@ -20,6 +23,7 @@ from refcodec.bitstream.entropy import TraceRow
 from refcodec.bitstream.frame import Frame
 from refcodec.bitstream.header import Lanes, PositionGrid, RenderInfo
 from refcodec.bitstream.scene import Ancillary, Scene
+from refcodec.bitstream.source import WholeFile
 
 # --- the same digest, whatever computes it ----------------------------------------------------------------------------
 
@@ -32,7 +36,7 @@ from pathlib import Path
 from threadpoolctl import threadpool_info
 from refcodec.bitstream import codec, reader, reconstruction
 for module in (codec, reader):
-    module.threadpool_limits = lambda *a: contextlib.nullcontext()
+    module.one_thread = contextlib.nullcontext
 blas = [pool["num_threads"] for pool in threadpool_info() if pool["user_api"] == "blas"]
 assert set(blas) <= {min(2, len(os.sched_getaffinity(0)))}, blas
 print(reconstruction.digest(codec.parse(Path(sys.argv[1]).read_bytes()).scene)[0])
@@ -84,6 +88,83 @@ def test_one_digest_with_two_blas_threads(main_file: tuple[Path, str]) -> None:
     command = [sys.executable, "-c", TWO_THREADS, str(main_file[0])]
     done = subprocess.run(command, env={**os.environ, **threads}, capture_output=True, text=True, check=False)
     assert (done.returncode, done.stdout.strip()) == (0, main_file[1]), done.stderr
+
+
+def blas_threads() -> list[int]:
+    return [pool["num_threads"] for pool in threadpool_info() if pool["user_api"] == "blas"]
+
+
+def opened(data: bytes, progress: batches.Progress) -> None:
+    reader.Reader(WholeFile(data)).open(progress=progress)
+
+
+def emitted(data: bytes, progress: batches.Progress) -> None:
+    codec.emit(codec.parse(data).scene, progress=progress)
+
+
+def set_blas_threads(number: int) -> None:
+    """Sets them in a thread that ends, so that other threads may set them, too: threadpoolctl demands it."""
+    thread = threading.Thread(target=threadpool_limits, args=(number, "blas"))
+    thread.start()
+    thread.join()
+
+
+@pytest.fixture
+def two_blas_threads() -> Iterator[None]:
+    was = max([1, *blas_threads()])
+    set_blas_threads(2)
+    yield
+    set_blas_threads(was)
+
+
+@pytest.mark.parametrize("first", [opened, emitted])
+@pytest.mark.parametrize("second", [opened, emitted])
+def test_threads_that_overlap_leave_blas_as_it_was(
+    main_file: tuple[Path, str], first: Callable, second: Callable, two_blas_threads: None
+) -> None:
+    """The first thread enters first and leaves first, while the second one is at work."""
+    data, before = main_file[0].read_bytes(), blas_threads()
+    begun, entered = threading.Event(), threading.Event()
+
+    def in_first(*told: object) -> None:
+        begun.set()
+        assert entered.wait(60)
+
+    thread = threading.Thread(target=first, args=(data, in_first))
+
+    def in_second(*told: object) -> None:
+        entered.set()
+        thread.join(60)
+
+    thread.start()
+    assert begun.wait(60)
+    second(data, in_second)
+    assert not thread.is_alive()
+    assert blas_threads() == before
+
+
+@pytest.mark.skipif(not hasattr(os, "fork"), reason="this system has no fork")
+def test_a_process_that_is_forked_while_another_thread_decodes_has_all_threads(
+    main_file: tuple[Path, str], two_blas_threads: None
+) -> None:
+    data, before = main_file[0].read_bytes(), blas_threads()
+    begun, forked = threading.Event(), threading.Event()
+
+    def progress(*told: object) -> None:
+        begun.set()
+        assert forked.wait(60)
+
+    thread = threading.Thread(target=opened, args=(data, progress))
+    thread.start()
+    assert begun.wait(60)
+    child = os.fork()
+    if not child:
+        with batches.one_thread():
+            limited = blas_threads()
+        os._exit(0 if (limited, blas_threads()) == ([1] * len(before), before) else 3)
+    forked.set()
+    thread.join(60)
+    assert os.waitpid(child, 0)[1] == 0
 
 
 def test_encoding_is_the_same_in_small_groups(monkeypatch: pytest.MonkeyPatch) -> None:

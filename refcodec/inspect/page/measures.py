@@ -10,9 +10,9 @@ from itertools import repeat
 
 import numpy as np
 from numpy.typing import NDArray
-from threadpoolctl import threadpool_limits
 
 from ...bitstream.attributes import Attributes, EntropyModel, code_attributes
+from ...bitstream.batches import one_thread
 from ...bitstream.context import context
 from ...bitstream.conventions import Int64
 from ...bitstream.dimensions import SCALINGS, Dimensions, layers_of
@@ -87,7 +87,7 @@ class Measures:
 
     def add(self, scene: Scene) -> None:
         """Adds anchors. scene: with them alone, in their chunks."""
-        with threadpool_limits(1, "blas"):
+        with one_thread():
             if self._model is None:
                 networks = derive_networks(scene.networks)
                 self._model = EntropyModel.of(networks, scene.carm_shift, scene.dimensions.slices)
