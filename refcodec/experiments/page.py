@@ -12,8 +12,10 @@ from pathlib import Path
 
 import jinja2
 import numpy as np
+from markupsafe import Markup
 from PIL import Image
 
+from ..files.text import printable
 from . import chart
 from .result import U8, Result
 
@@ -45,6 +47,11 @@ def clock(seconds: float) -> str:
     return f"{seconds:.1f} s" if seconds < 60 else f"{int(seconds + 0.5) // 60} min {int(seconds + 0.5) % 60:02d} s"
 
 
+def _shown(value: object) -> object:
+    """What a page shows of a value: texts of names and documents as they may be shown."""
+    return printable(value, lines=True) if type(value) is str else value
+
+
 def jpeg(pixels: U8) -> str:
     """An image [h, w, 3] as the address of its own data."""
     data = io.BytesIO()
@@ -61,12 +68,15 @@ def page(result: Result) -> str:
     """The page: HTML that refers to nothing outside itself but the files in its own folder."""
     environment = jinja2.Environment(
         autoescape=True,
+        finalize=_shown,
         undefined=jinja2.StrictUndefined,
         trim_blocks=True,
         lstrip_blocks=True,
         keep_trailing_newline=True,
     )
-    environment.filters |= {"readable": readable, "times": times, "clock": clock, "jpeg": jpeg}
+    # A space that does not break is not printable, and these are no texts of others.
+    environment.filters |= {"readable": lambda size: Markup(readable(size))}
+    environment.filters |= {"times": times, "clock": clock, "jpeg": jpeg}
     before, after = (sum(getattr(part, side) for part in result.parts) for side in ("before", "after"))
     trained = zip(("uncompressed", "coded"), result.trained, strict=True)
     return environment.from_string(_TEMPLATE.read_text(encoding="utf-8")).render(

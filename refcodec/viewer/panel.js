@@ -1,4 +1,5 @@
 // What the page says beside the scene: title, progress, cameras, bytes by part, photographs, and why a file is refused.
+import { printable } from "./text.js";
 
 const byId = (id) => document.getElementById(id);
 const find = (selector) => document.querySelector(selector);
@@ -22,6 +23,12 @@ const HEADINGS = {
   fault: "This file cannot be shown",
 };
 
+// The most characters that are shown of a text.
+const TITLE_MAX = 120;
+const CREDIT_MAX = 240;
+const NAME_MAX = 80;
+const TEXT_MAX = 400;
+
 const whole = (number) => number.toLocaleString("en");
 
 // Three digits: 512 B, 51.2 kB, 5.12 MB, 1 MB being 10^6 bytes.
@@ -32,10 +39,15 @@ function readable(bytes) {
   return `${bytes} B`;
 }
 
+// All words of the page come in here, those of files among them.
+function put(element, text, most = TEXT_MAX) {
+  element.textContent = printable(text, most);
+}
+
 function made(name, text, properties = {}) {
-  const element = document.createElement(name);
-  element.textContent = text;
-  return Object.assign(element, properties);
+  const element = Object.assign(document.createElement(name), properties);
+  put(element, text, NAME_MAX);
+  return element;
 }
 
 export class Panel {
@@ -70,15 +82,20 @@ export class Panel {
     for (const id of ["drop", "error", "cameras", "sizes", "slider", "photograph"]) byId(id).hidden = true;
     this.#toggle(false);
     byId("head").hidden = false;
-    byId("title").textContent = name;
-    byId("credit").textContent = "";
+    this.#title(name, "");
     byId("status").hidden = false;
     byId("status").className = "";
     this.#status("reading", 0);
   }
 
+  #title(title, credit) {
+    put(byId("title"), title, TITLE_MAX);
+    put(byId("credit"), credit, CREDIT_MAX);
+    document.title = [byId("title").textContent, "C3GS"].filter(Boolean).join(", ");
+  }
+
   #status(text, share) {
-    find("#status span").textContent = text;
+    put(find("#status span"), text);
     find("#status progress").value = share;
   }
 
@@ -93,11 +110,8 @@ export class Panel {
   }
 
   about(name, metadata, header, length, parts, cameras) {
-    const title = metadata.title || name;
-    byId("title").textContent = title;
-    document.title = `${title}, C3GS`;
     const licence = metadata.licence && `licence ${metadata.licence}`;
-    byId("credit").textContent = [metadata.author, licence, metadata.source].filter(Boolean).join(" · ");
+    this.#title(metadata.title || name, [metadata.author, licence, metadata.source].filter(Boolean).join(" · "));
     this.#bytes(header, length, parts);
     this.#cameras(cameras);
   }
@@ -158,15 +172,15 @@ export class Panel {
   // error: of the registry (10.3). Without one, kind and text say what it is.
   refuse(name, error, kind, text) {
     for (const id of ["status", "cameras", "sizes", "slider", "photograph", "details", "drop"]) byId(id).hidden = true;
-    byId("title").textContent = name ?? "";
-    find("#error h2").textContent = HEADINGS[error?.class ?? kind];
+    this.#title(name ?? "", "");
+    put(find("#error h2"), HEADINGS[error?.class ?? kind]);
     const [line, said] = [find("#error p"), find("#error pre")];
     said.hidden = error === undefined;
-    if (error === undefined) line.textContent = `${text}.`;
+    if (error === undefined) put(line, `${text}.`);
     else {
       const { code, offset, clause } = error;
       const where = `error ${code} at byte ${whole(offset)}`;
-      line.textContent = `It is ${error.class}: ${where}. SPEC.md ${clause} has the rule.`;
+      put(line, `It is ${error.class}: ${where}. SPEC.md ${clause} has the rule.`);
       const facts = [`${code} ${error.name}`, `SPEC.md ${clause}`, `byte ${offset}`];
       said.textContent = [...facts, "", `refcodec inspect FILE --near ${offset}`].join("\n");
     }

@@ -157,6 +157,15 @@ def test_the_page_needs_nothing_else() -> None:
             assert not attributes
 
 
+def test_texts_that_cannot_be_shown() -> None:
+    """Names of folders and photographs and the words of their authors steer neither the page nor its window."""
+    steering, result = "a\u202eb\x1b[31m", small_result()
+    views = tuple(replace(view, name=steering) for view in result.views)
+    text = page(replace(result, title=steering, views=views, credits=f"{steering}\n{steering}"))
+    assert not re.search(r"[\x00-\x09\x0b-\x1f\u202a-\u202e]", text)
+    assert text.count(r"a\u202eb\x1b[31m") >= 5
+
+
 def test_the_page_says_what_was_not_done() -> None:
     result = replace(small_result(), trained=(50, 1234), steps_wanted=2000, held_out=False, charts=())
     found = Reader(page(result)).text

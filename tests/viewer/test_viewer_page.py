@@ -5,6 +5,7 @@ from __future__ import annotations
 import base64
 import io
 import json
+import unicodedata
 from dataclasses import replace
 from pathlib import Path
 
@@ -12,10 +13,14 @@ import numpy as np
 import pytest
 
 from benchmarks.chromium import BrowserError, Chromium
+from refcodec.bitstream.cameras import CAMERAS, cameras, emit_cameras
 from refcodec.bitstream.codec import emit, parse
 from refcodec.bitstream.errors import BitstreamError
 from refcodec.bitstream.metadata import with_metadata
+from refcodec.bitstream.scene import Ancillary
 from refcodec.cli.main import main
+from refcodec.files.text import printable
+from refcodec.viewer.bundle import bundle
 from refcodec.viewer.page import page
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -118,6 +123,45 @@ def test_what_the_page_says(browser: Chromium, trained: Path, tmp_path: Path) ->
     assert sizes.pop("file") == len(data) == sum(sizes.values())
     assert sizes["weights of the networks"] == 22281
     assert browser.said == []
+
+
+def test_texts_that_cannot_be_shown(browser: Chromium, trained: Path, tmp_path: Path) -> None:
+    """The page and its window show escapes for what is not printable, and a bounded part of what is long."""
+    steering = "a\u202eb\x1b[31m\x07\u2066\n"
+    scene = parse(trained.read_bytes()).scene
+    entries = dict.fromkeys(("title", "author", "licence", "source"), steering + "T" * 9000)
+    named = [replace(camera, name=steering + camera.name) for camera in cameras(scene.ancillary)]
+    assert named
+    ancillary = (*with_metadata((), entries), Ancillary(CAMERAS, 0, emit_cameras(named)))
+    _open(browser, _write(tmp_path, emit(replace(scene, ancillary=ancillary)), name=steering))
+    browser.run("c3gs.settle()")
+    shown = [browser.run("document.title")]
+    shown += [browser.run(f"document.querySelector('{at}').textContent") for at in ("#title", "#credit", "option")]
+    assert all(text.isprintable() and printable(steering) in text and len(text) < 300 for text in shown)
+    assert browser.run("document.getElementById('head').offsetHeight") < 200
+    # The name of a file is shown with the reason why it is refused.
+    browser.run(f"c3gs.open({{ input: new Uint8Array(9), name: {json.dumps(steering * 2000)} }}).then(() => {{}})")
+    browser.until("!document.getElementById('error').hidden")
+    shown = [browser.run("document.title"), browser.run("document.getElementById('title').textContent")]
+    assert all(text.isprintable() and printable(steering) in text and len(text) < 300 for text in shown)
+
+
+def test_the_rule_for_texts(browser: Chromium) -> None:
+    """It is that of refcodec.files.text, for the characters that both know: those of Unicode 3.2, and surrogates."""
+    script = bundle(ROOT / "refcodec" / "viewer" / "text.js")
+    browser.open("about:blank")
+    ranges = "Array.from({ length: 0x110000 }, (_, code) => String.fromCodePoint(code))"
+    found = browser.run(
+        f"(() => {{ {script}; return JSON.stringify({ranges}.map((c) => module_viewer_text.printable(c, 99))); }})()"
+    )
+    differing = [
+        code
+        for code, text in enumerate(json.loads(found))
+        if unicodedata.ucd_3_2_0.category(chr(code)) != "Cn" and text != printable(chr(code))
+    ]
+    assert differing == []
+    cut = browser.run(f"(() => {{ {script}; return module_viewer_text.printable('\U0001f600\x1b'.repeat(99), 7); }})()")
+    assert cut == "\U0001f600\\x1b\U0001f600\\\N{HORIZONTAL ELLIPSIS}"
 
 
 def test_a_damaged_file(browser: Chromium, trained: Path, tmp_path: Path) -> None:
