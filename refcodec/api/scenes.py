@@ -24,7 +24,7 @@ from ..bitstream.scene import Scene as CodedScene
 from ..bitstream.scene import take_anchors
 from ..inspect.elements import outline_of
 from ..inspect.parts import part_bytes
-from ..render.camera import Camera, default_camera
+from ..render.camera import Camera, check_camera, default_camera
 from ..render.gaussians import Gaussians, gaussians
 from . import page
 
@@ -150,11 +150,14 @@ class Scene:
         """SPEC 14.3: returns the Gaussians that a camera sees.
 
         camera: None for the default view. The mean, the lengths of the axes, the quaternion, the opacity and the colour
-        of a Gaussian are float32 [n, ...], and anchor and offset say where it comes from.
+        of a Gaussian are float32 [n, ...], and anchor and offset say where it comes from. Raises ValueError if the
+        camera is none.
         """
+        camera = camera or self.camera
+        check_camera(camera)
         networks = {name: self.coded.networks[name] for name in RENDERING}
         unit = self.coded.render.distance_unit
-        return gaussians(self.values, self.masks, networks, camera or self.camera, unit)
+        return gaussians(self.values, self.masks, networks, camera, unit)
 
     def render(self, camera: Camera | None = None) -> NDArray[np.uint8]:
         """SPEC chapter 14: returns what a camera sees of the scene, uint8 [height, width, 3]: red, green and blue.
@@ -165,7 +168,8 @@ class Scene:
             camera: None for the default view. `camera.resized(width, height)` gives one with fewer or more pixels.
 
         Raises:
-            ValueError: the image is too large, or the camera is none.
+            ValueError: the image has more than 100,000,000 pixels (refcodec.render.camera.PIXELS_MAX), or the camera is
+                none.
             ModuleNotFoundError: a package of the extra is missing.
         """
         view = self._view

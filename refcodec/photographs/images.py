@@ -12,13 +12,12 @@ import numpy as np
 from PIL import Image
 from scipy import sparse
 
+from ..render.camera import PIXELS_MAX
 from .cameras import SIDE_MAX, U8, PhotographError
 from .png import has_all_rows
 
 # What photographs come in. Others stay closed: some of Pillow's readers start programs (EPS).
 FORMATS = ("JPEG", "PNG", "WEBP", "TIFF", "BMP")
-# The most pixels of an image. Reading one with transparency takes 20 bytes a pixel for a moment.
-PIXELS_MAX = 100_000_000
 # 16-bit and float images have no agreed range.
 EIGHT_BITS = ("1", "L", "LA", "P", "PA", "RGB", "RGBA", "RGBX", "CMYK", "YCbCr")
 

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from numbers import Integral, Real
 from typing import Any
 
 import numpy as np
@@ -20,6 +22,8 @@ OWN = "default"
 CAMERA_MAX = 1 << 16
 # SPEC 6.5 has 16 bits for each side of an image.
 SIDE_MAX = 65535
+# The most pixels of an image. Drawing takes about 40 bytes for each of them.
+PIXELS_MAX = 100_000_000
 # How far rotation @ rotation.T of a stated camera may be from the identity. The camera's centre follows from the
 # rotation's transpose, so a matrix that is none would show another place.
 ROTATION_TOLERANCE = 1e-3
@@ -56,6 +60,33 @@ class Camera:
         """Returns the camera of the same view, with an image of another number of pixels."""
         x, y = width / self.width, height / self.height
         return replace(self, width=width, height=height, fx=self.fx * x, fy=self.fy * y, cx=self.cx * x, cy=self.cy * y)
+
+
+def check_camera(camera: Camera) -> None:
+    """Raises ValueError for what is no camera.
+
+    Its rotation and translation are finite arrays of their shapes. Its focal lengths are above 0, and its other numbers
+    are finite. Its image has sides of whole numbers above 0, and at most PIXELS_MAX pixels.
+    """
+    if not isinstance(camera, Camera):
+        raise ValueError(f"a camera is wanted, not {type(camera).__name__}")
+    for name, shape in (("rotation", (3, 3)), ("translation", (3,))):
+        value = getattr(camera, name)
+        if not isinstance(value, np.ndarray) or value.dtype.kind not in "fiu" or value.shape != shape:
+            raise ValueError(f"{name}: numbers of shape {shape} are wanted")
+        if not np.isfinite(value).all():
+            raise ValueError(f"{name}: finite values are wanted")
+    numbers = (camera.fx, camera.fy, camera.cx, camera.cy)
+    if not all(isinstance(n, Real) and math.isfinite(n) for n in numbers) or min(camera.fx, camera.fy) <= 0:
+        raise ValueError(
+            f"focal lengths {camera.fx}, {camera.fy} and centre {camera.cx}, {camera.cy}: "
+            "finite and lengths above 0 are wanted"
+        )
+    sides = (camera.width, camera.height)
+    if not all(isinstance(side, Integral) and not isinstance(side, bool) and side >= 1 for side in sides):
+        raise ValueError(f"image of {camera.width} x {camera.height}: whole numbers above 0 are wanted")
+    if int(camera.width) * int(camera.height) > PIXELS_MAX:
+        raise ValueError(f"image of {camera.width} x {camera.height}: {PIXELS_MAX} pixels are allowed")
 
 
 def default_camera(stated: NamedCamera) -> Camera:

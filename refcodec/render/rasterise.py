@@ -21,7 +21,7 @@ from numpy.typing import ArrayLike
 
 from ..bitstream.header import RenderInfo
 from .blending import blend_tiles, unblend_tiles
-from .camera import Camera
+from .camera import Camera, check_camera
 from .constants import F32, I32, I64, TILE_HEIGHT, TILE_WIDTH
 from .gaussians import Gaussians
 from .projection import lens_of, project_gaussians, unproject_gaussians, view_of
@@ -117,24 +117,6 @@ class Gradients:
     screen: F32
 
 
-def check_camera(camera: Camera) -> None:
-    """Raises ValueError for a wrong shape, a value that is not finite, and a size or focal length of 0 or less."""
-    for name, shape in (("rotation", (3, 3)), ("translation", (3,))):
-        value = getattr(camera, name)
-        if value.shape != shape or not np.isfinite(value).all():
-            raise ValueError(f"{name}: shape {value.shape}; finite values of shape {shape} are wanted")
-    if (
-        not all(math.isfinite(v) for v in (camera.fx, camera.fy, camera.cx, camera.cy))
-        or min(camera.fx, camera.fy) <= 0
-    ):
-        raise ValueError(
-            f"focal lengths {camera.fx}, {camera.fy} and centre {camera.cx}, {camera.cy}: "
-            "finite and lengths above 0 are wanted"
-        )
-    if min(camera.width, camera.height) < 1:
-        raise ValueError(f"image of {camera.width} x {camera.height}")
-
-
 # A number that float32 cannot hold becomes infinite, and its Gaussian is not drawn.
 @np.errstate(over="ignore")
 def _inputs(*values: ArrayLike) -> tuple[F32, F32, F32, F32, F32]:
@@ -179,7 +161,7 @@ def rasterise(
     check_camera(camera)
     settings = settings or Settings()
     inputs = _inputs(mean, quaternion, scale, opacity, colour)
-    width, height = camera.width, camera.height
+    width, height = int(camera.width), int(camera.height)
     record, room, depth, radius = project_gaussians(
         *inputs, view_of(camera), lens_of(camera), width, height, float(settings.low_pass), float(settings.near_plane)
     )

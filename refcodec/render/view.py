@@ -17,7 +17,7 @@ from ..bitstream.dimensions import RENDERING
 from ..bitstream.reconstruction import reconstruct
 from ..bitstream.scene import Scene
 from ..folder.uncompressed import Uncompressed
-from .camera import Camera, default_camera
+from .camera import Camera, check_camera, default_camera
 from .gaussians import gaussians
 from .rasterise import image
 
@@ -60,6 +60,7 @@ class View:
 
     def draw(self, camera: Camera) -> F32:
         """Returns what a camera sees, float32 [height, width, 3], 1 for white. Raises ValueError as rasterise."""
+        check_camera(camera)
         return image(
             gaussians(self.values, self.masks, self.networks, camera, self.info.distance_unit), camera, self.info
         )

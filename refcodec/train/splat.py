@@ -6,8 +6,8 @@ from typing import Any
 
 import torch
 
-from ..render.camera import Camera
-from ..render.rasterise import Settings, check_camera, rasterise, rasterise_backward
+from ..render.camera import Camera, check_camera
+from ..render.rasterise import Settings, rasterise, rasterise_backward
 
 Drawn = tuple[torch.Tensor, torch.Tensor, torch.Tensor]
 

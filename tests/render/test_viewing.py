@@ -4,11 +4,14 @@ from __future__ import annotations
 
 import io
 import json
+import math
 import os
 import subprocess
 import sys
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -18,6 +21,7 @@ for package in ("numba", "PIL", "skimage", "scipy"):
 
 from PIL import Image  # noqa: E402
 
+import refcodec  # noqa: E402
 from conformance.cases.scenes import random_scene  # noqa: E402
 from refcodec.bitstream import codec  # noqa: E402
 from refcodec.bitstream.cameras import CAMERAS, NamedCamera, emit_cameras  # noqa: E402
@@ -70,6 +74,44 @@ def test_huge_cameras_are_drawn_smaller(tmp_path: Path) -> None:
     assert own_camera(NamedCamera()).width == NamedCamera().width
     scene = replace(random_scene(73, 3), ancillary=(Ancillary(CAMERAS, 0, emit_cameras([stated])),))
     assert View(scene).orbit(1)[0].width == 4096
+
+
+@pytest.mark.parametrize(
+    "wrong",
+    [
+        *({"width": w, "height": h} for w, h in ((10**9, 1), (65535, 65535), (10_000, 10_001), (0, 5), (-1, -1))),
+        *(
+            {side: value}
+            for side in ("width", "height")
+            for value in (1.5, 1e300, math.nan, True, None, "8", np.ones(3))
+        ),
+        *({name: value} for name in ("fx", "fy", "cx", "cy") for value in (math.nan, math.inf, None, "x", np.ones(3))),
+        *({name: value} for name in ("fx", "fy") for value in (0, -1.0)),
+        *(
+            {"rotation": value}
+            for value in (None, 0.0, [0, 0, 0], np.zeros(3), np.full((3, 3), math.nan), np.eye(3) * 1j)
+        ),
+        *({"translation": value} for value in (None, 0.0, [0, 0, 0], np.zeros((3, 3)), np.full(3, math.inf))),
+    ],
+    ids=str,
+)
+def test_what_is_no_camera_draws_nothing(wrong: dict[str, Any], monkeypatch: pytest.MonkeyPatch) -> None:
+    """A ValueError by each method that takes a camera, before any Gaussian is computed."""
+    scene = refcodec.decode(EXAMPLE)
+    camera = replace(scene.camera, **wrong)
+    monkeypatch.setattr("refcodec.render.view.gaussians", pytest.fail)
+    monkeypatch.setattr("refcodec.api.scenes.gaussians", pytest.fail)
+    for use in (scene.render, scene.gaussians, partial(refcodec.render, scene)):
+        with pytest.raises(ValueError, match=r"image|focal|rotation|translation"):
+            use(camera)
+        with pytest.raises(ValueError, match="a camera is wanted"):
+            use("x")
+
+
+def test_sides_of_numpy_are_sides() -> None:
+    scene = refcodec.decode(EXAMPLE)
+    camera = scene.camera.resized(np.int64(8), np.uint16(6))  # type: ignore[arg-type]
+    assert scene.render(camera).shape == (6, 8, 3)
 
 
 def test_what_does_not_fit_in_memory_is_refused(tmp_path: Path, monkeypatch, capsys) -> None:
