@@ -44,6 +44,10 @@ TENSOR_MAX = 1 << 24
 TENSORS_MAX = 8
 # Objects within objects: a network has layers, which have tensors.
 DEPTH_MAX = 8
+# A weight has two sides. No tensor of a checkpoint has more than a convolution of three axes.
+SIDES_MAX = 5
+# Sides, strides and places are int64 in torch. Longer integers would cost more with each operation.
+INTEGER_BITS = 63
 
 _TYPES = {"HalfStorage": "<f2", "FloatStorage": "<f4", "DoubleStorage": "<f8"}
 _REBUILD, _PARAMETER, _DICT = (
@@ -55,8 +59,9 @@ _STORAGES = (
     *_TYPES,
     *("BFloat16Storage", "BoolStorage", "ByteStorage", "CharStorage", "ShortStorage", "IntStorage", "LongStorage"),
 )
+_STORAGE_NAMES = {f"torch {storage}": storage for storage in _STORAGES}
 # What a state dict names: functions that make tensors, and nothing that a size could be given to.
-_STATE_DICT = {_REBUILD, _PARAMETER, _DICT, *(f"torch {storage}" for storage in _STORAGES)}
+_STATE_DICT = {_REBUILD, _PARAMETER, _DICT, *_STORAGE_NAMES}
 # The opcodes of torch's picklers, all of protocol 2.
 _CONSTANTS: dict[str, Any] = {"NONE": None, "NEWTRUE": True, "NEWFALSE": False}
 _VALUES = {"BINUNICODE", "BININT", "BININT1", "BININT2", "LONG1", "BINFLOAT"}
@@ -221,6 +226,7 @@ class _Machine:
         self.stack: list[Any] = []
         self.marks: list[int] = []
         self.memo: dict[int, Any] = {}
+        self.moved = 0
 
     def run(self, operations: Iterator[tuple[str, Any]]) -> Any:
         """Returns the object that the pickle describes. Raises SceneFolderError."""
@@ -229,6 +235,8 @@ class _Machine:
                 if name in _CONSTANTS:
                     self.stack.append(_CONSTANTS[name])
                 elif name in _VALUES:
+                    if type(argument) is int and argument.bit_length() > INTEGER_BITS:
+                        raise ValueError
                     self.stack.append(argument)
                 elif name not in ("PROTO", "STOP"):
                     self._step(name, argument)
@@ -241,7 +249,9 @@ class _Machine:
 
     def _marked(self) -> list[Any]:
         mark = self.marks.pop()
-        found, self.stack = self.stack[mark:], self.stack[:mark]
+        found = self.stack[mark:]
+        # In place: a copy of what is below would cost as much as the whole stack for each mark.
+        del self.stack[mark:]
         return found
 
     def _step(self, name: str, argument: Any) -> None:
@@ -268,6 +278,7 @@ class _Machine:
             stack.append({} if name == "NEWOBJ" else self._called(made, arguments))
         elif name == "BUILD":
             state = stack.pop()
+            self._move(2 * len(state))
             self._put(stack[-1], [part for pair in state.items() for part in pair])
         elif name in ("SETITEM", "APPEND"):
             values = [stack.pop() for _ in range(2 if name == "SETITEM" else 1)][::-1]
@@ -278,6 +289,12 @@ class _Machine:
                 self.stack.append(tuple(values))
             else:
                 self._put(self.stack[-1], values)
+
+    def _move(self, count: int) -> None:
+        """Counts what BUILD puts into objects. A state can be built in again and again, which torch does not do."""
+        self.moved += count
+        if self.moved > PICKLE_MAX:
+            raise ValueError
 
     @staticmethod
     def _put(into: Any, values: list[Any]) -> None:
@@ -293,7 +310,8 @@ class _Machine:
         kind, storage, key, _, _ = named
         if kind != "storage" or not isinstance(storage, _Name) or not isinstance(key, str):
             raise ValueError
-        return storage.name.removeprefix("torch "), key
+        # One of few strings, since the name may be as long as the pickle. Of others, no tensor is taken.
+        return _STORAGE_NAMES.get(storage.name, ""), key
 
     def _called(self, function: Any, arguments: Any) -> Any:
         if not isinstance(function, _Name) or function.name not in _STATE_DICT:
@@ -305,6 +323,9 @@ class _Machine:
         if function.name != _REBUILD:
             raise _names(self.file, function.name)
         (storage, key), offset, shape, stride = arguments[:4]
+        if len(shape) > SIDES_MAX:
+            problem = f"its pickle has a tensor of {len(shape)} sides, at most {SIDES_MAX} are allowed"
+            raise SceneFolderError(self.file, problem, AGAIN)
         if len(shape) != len(stride) or not all(type(v) is int and v >= 0 for v in (offset, *shape, *stride)):
             raise ValueError
         return _Stored(storage, key, offset, tuple(shape), tuple(stride))

@@ -31,6 +31,8 @@ class PlyHeaderError(ValueError):
 def check_ply_header(path: Path) -> tuple[int, int]:
     """Checks that a file begins with a header of PLY that is short, and that it can hold the rows that it states.
 
+    Lists are refused. No file of anchors, splats or points has them, and each row of one becomes a Python object.
+
     Returns the largest number of rows of an element, and the number of properties of all elements. Raises
     PlyHeaderError, and OSError.
     """
@@ -54,6 +56,8 @@ def check_ply_header(path: Path) -> tuple[int, int]:
             row += 2 if text else _least_size(words)
             if not words or len(words[-1]) > NAME_MAX:
                 raise PlyHeaderError(f"a property has no name of at most {NAME_MAX} characters")
+            if words[0] == "list":
+                raise PlyHeaderError("it has a property of lists, as meshes have: numbers alone are wanted")
     if elements > ELEMENTS_MAX or properties > PROPERTIES_MAX:
         raise PlyHeaderError(
             f"{elements} elements with {properties} properties, {ELEMENTS_MAX} with {PROPERTIES_MAX} are allowed"
@@ -91,6 +95,5 @@ def _header_lines(file: BinaryIO) -> list[str]:
 
 def _least_size(words: list[str]) -> int:
     """Returns the least bytes of a property in binary. words: those after `property`."""
-    kind = words[1] if len(words) > 1 and words[0] == "list" else words[0] if words else ""
     # An unknown type is left to plyfile's message.
-    return _SIZES.get(kind, 0)
+    return _SIZES.get(words[0], 0) if words else 0

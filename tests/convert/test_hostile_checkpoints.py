@@ -235,6 +235,79 @@ def test_a_module_that_holds_itself(tmp_path: Path) -> None:
         read_torchscript(tmp_path / "a.pt")
 
 
+INT, FLOATS = b"K\x01", b"(X\x07\x00\x00\x00storagectorch\nFloatStorage\nX\x01\x00\x00\x000X\x03\x00\x00\x00cpuK\x01tQ"
+REBUILD = b"ctorch._utils\n_rebuild_tensor_v2\n"
+STATE = b"}q\x01(" + b"".join(b"J" + i.to_bytes(4, "little") + b"N" for i in range(9000)) + b"u"
+LARGE = b"\x8a\xfe" + b"\xff" * 253 + b"\x00"
+
+
+def rebuilt(shape: bytes, offset: bytes = INT) -> bytes:
+    """A pickle of one tensor, whose strides are its sides."""
+    return REBUILD + b"(" + FLOATS + offset + shape + b"q\x01h\x01tR"
+
+
+@pytest.mark.parametrize(
+    ("pickled", "said"),
+    [
+        # One number of 2,032 bits stands for many sides, whose product grows with each.
+        (rebuilt(b"(" + LARGE + b"q\x02" + b"h\x02" * 4000 + b"t"), "damaged"),
+        (rebuilt(b"(" + LARGE + b"t"), "damaged"),
+        (rebuilt(b"(K\x01t", offset=LARGE), "damaged"),
+        (rebuilt(b"(" + INT * 70 + b"t"), "70 sides, at most 5"),
+        # One shape of many sides stands for those of many tensors.
+        (b"(" + INT * 20_000 + b"tq\x07" + (REBUILD + b"(" + FLOATS + INT + b"h\x07h\x07tR") * 4000, "20000 sides"),
+        # One state is put into one list again and again.
+        (
+            b"}q\x01("
+            + b"".join(b"J" + i.to_bytes(4, "little") + b"N" for i in range(9000))
+            + b"u]"
+            + b"h\x01b" * 9000,
+            "damaged",
+        ),
+    ],
+    ids=["sides", "side", "offset", "dimensions", "shapes", "states"],
+)
+def test_numbers_of_a_pickle_are_bounded(pickled: bytes, said: str, tmp_path: Path) -> None:
+    with zipfile.ZipFile(tmp_path / "a.pt", "w") as archive:
+        archive.writestr("a/data.pkl", b"\x80\x02" + pickled + b".")
+    # The module may be imported here.
+    for read in (read_torchscript, lambda file: read_state_dicts(file, ())):
+        with pytest.raises(SceneFolderError, match=said):
+            read(tmp_path / "a.pt")
+        tracemalloc.start()
+        try:
+            with pytest.raises(SceneFolderError, match=said):
+                read(tmp_path / "a.pt")
+            assert tracemalloc.get_traced_memory()[1] < 24 << 20
+        finally:
+            tracemalloc.stop()
+
+
+@pytest.mark.parametrize(
+    "pickled",
+    [
+        # Each mark takes nothing of what is below it.
+        b"N" * 100_000 + b"(t" * 100_000 + b"}",
+        # The name of a storage is as long as the pickle allows.
+        b"(X\x07\x00\x00\x00storagectorch\n"
+        + b"x" * 100_000
+        + b"\nX\x01\x00\x00\x000X\x03\x00\x00\x00cpuK\x01tq\x05"
+        + b"h\x05Q" * 100_000
+        + b"}",
+    ],
+    ids=["marks", "names"],
+)
+def test_opcodes_cost_no_more_than_their_bytes(pickled: bytes, tmp_path: Path) -> None:
+    with zipfile.ZipFile(tmp_path / "a.pt", "w") as archive:
+        archive.writestr("a/data.pkl", b"\x80\x02" + pickled + b".")
+    tracemalloc.start()
+    try:
+        assert read_torchscript(tmp_path / "a.pt") == {}
+        assert tracemalloc.get_traced_memory()[1] < 32 << 20
+    finally:
+        tracemalloc.stop()
+
+
 def ply(*lines: str) -> bytes:
     return "\n".join(["ply", "format binary_little_endian 1.0", *lines, "end_header", ""]).encode()
 
