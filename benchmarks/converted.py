@@ -32,11 +32,12 @@ from refcodec.convert.views import AXES, NEAR, NEAR_MAX, TEST, TEST_EVERY, middl
 from refcodec.evaluate.quality import measures
 from refcodec.export.formats import splat_file
 from refcodec.export.splats import Splats
+from refcodec.files.outputs import check_apart
 from refcodec.files.text import printable
 from refcodec.render.camera import Camera
 from refcodec.render.rasterise import Settings
 from refcodec.render.view import View, eight_bits
-from refcodec.statuses import DONE, USAGE
+from refcodec.statuses import DONE, USAGE, UsageError
 
 from .exports.making import Record, kept
 from .peers.convert import INSTALL, VERSION, ToolError, convert, tool
@@ -168,7 +169,7 @@ def _rows(source: Source, packed: dict[tuple[str, str], Record], coded: dict[flo
 
 
 def section(sources: Sequence[Source], rates: Sequence[float], steps: int, folder: Path) -> list[str]:
-    """The section's text. Raises ToolError, ValueError, OSError, and SystemExit as coded_record."""
+    """The section's text. Raises ToolError, UsageError, ValueError, OSError, and SystemExit as coded_record."""
     torch.set_num_threads(1)
     numba.set_num_threads(1)
     if tool() is None:
@@ -178,6 +179,8 @@ def section(sources: Sequence[Source], rates: Sequence[float], steps: int, folde
     head = ["file", "by", "bytes", "of the splat file", "PSNR, dB", "SSIM", "of", "training, s"]
     for source in sources:
         makers = [(suffix, maker) for suffix in FORMATS for maker in (OWN, TOOL)]
+        places = [folder / f"{source.name}-{maker.partition(' ')[0]}{suffix}" for suffix, maker in makers]
+        check_apart([*places, *(folder / f"{place.name}.ply" for place in places)], [s.file for s in sources])
         packed = {(suffix, maker): packed_record(source, suffix, maker, folder) for suffix, maker in makers}
         source.truth  # noqa: B018 (drawn once, before threads ask for it)
         with ThreadPoolExecutor(JOBS) as pool:
@@ -204,7 +207,7 @@ def main(words: list[str] | None = None) -> int:
     sources = [Source(file, options.up, options.views, options.size) for file in options.splats]
     try:
         lines = section(sources, options.rates, options.steps, options.folder)
-    except (ToolError, ValueError, OSError) as error:
+    except (ToolError, UsageError, ValueError, OSError) as error:
         print(printable(str(error)), file=sys.stderr)
         return USAGE
     print("\n".join(lines))

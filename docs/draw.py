@@ -9,6 +9,7 @@ both trainings held out. The bars below the images have one scale. It needs the 
 from __future__ import annotations
 
 import argparse
+import io
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -17,6 +18,8 @@ from numpy.typing import NDArray
 from PIL import Image, ImageDraw, ImageFont
 
 import refcodec
+from refcodec.files.outputs import check_apart
+from refcodec.files.stage import write_file
 from refcodec.folder.uncompressed import read_uncompressed
 from refcodec.photographs.photographs import read_photographs
 from refcodec.render.view import View, eight_bits
@@ -116,8 +119,13 @@ def main() -> None:
     parser.add_argument("image", metavar="IMAGE")
     parser.add_argument("-o", "--output", metavar="JPEG", type=Path, required=True)
     arguments = parser.parse_args()
+    folders = [path for path in arguments.photographs.rglob("*") if path.is_dir()]
+    read = [arguments.file, arguments.uncompressed, arguments.photographs, *folders]
+    check_apart([arguments.output], read)
     made = picture(panels(arguments.file, arguments.uncompressed, arguments.photographs, arguments.image))
-    made.save(arguments.output, quality=QUALITY, optimize=True)
+    data = io.BytesIO()
+    made.save(data, "JPEG", quality=QUALITY, optimize=True)
+    write_file(arguments.output, data.getvalue())
 
 
 if __name__ == "__main__":

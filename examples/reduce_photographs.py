@@ -59,6 +59,8 @@ def main() -> int:
     parser.add_argument("--quality", type=int, default=90, help="of the JPEG files, 1 to 95")
     parser.add_argument("--points", type=int, default=25000, help="at most this many are kept")
     args = parser.parse_args()
+    if args.target.exists():
+        parser.error(f"{args.target} exists: choose another folder, or remove it")
     try:
         photographs = read_photographs(args.source, parse_size(args.size))
         for photograph in tqdm((*photographs.train, *photographs.test), unit="image"):

@@ -139,6 +139,9 @@ def test_a_crop_keeps_anchors_as_they_are(tmp_path: Path) -> None:
     target = tmp_path / "middle.c3gs"
     lines = python("crop.py", TRAINED, target, "0.5")
     whole, middle = refcodec.decode(TRAINED), refcodec.decode(target)
+    with pytest.raises(subprocess.CalledProcessError):
+        python("crop.py", target, target, "0.5")
+    assert refcodec.decode(target).digest() == middle.digest()
     assert lines[1] == f"{middle.anchor_count} anchors, {target.stat().st_size} bytes"
     assert whole.anchor_count / 2 <= middle.anchor_count < whole.anchor_count * 0.6
     # Each anchor of the middle is one of the whole scene, with the same features.

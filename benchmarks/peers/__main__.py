@@ -19,9 +19,10 @@ import numba
 import torch
 
 from refcodec.files.documents import DocumentError
+from refcodec.files.outputs import check_apart
 from refcodec.files.text import printable
 from refcodec.photographs.photographs import PhotographError, read_photographs
-from refcodec.statuses import DONE, INTERRUPTED, USAGE
+from refcodec.statuses import DONE, INTERRUPTED, USAGE, UsageError
 from refcodec.train.settings_file import SettingsError
 
 from ..results import SEEDS, machine, write_section
@@ -52,6 +53,7 @@ def _train(arguments: argparse.Namespace) -> int:
     own = (arguments.photographs, PLAIN, arguments.most, arguments.seed, arguments.size, arguments.steps)
     settings = splat_settings(Run(*own, tuple(arguments.set)))
     photographs = read_photographs(arguments.photographs, arguments.size, seed=arguments.seed)
+    check_apart([arguments.output], [arguments.photographs, *photographs.places()])
     trainer = train_splats(photographs, settings, arguments.output, arguments.resume)
     if trainer is None:
         print("interrupted; the same command with --resume goes on", file=sys.stderr)
@@ -174,7 +176,16 @@ def main(words: list[str] | None = None) -> int:
     arguments = _parser().parse_args(words)
     try:
         return int(arguments.work(arguments))
-    except (PhotographError, SettingsError, DocumentError, ToolError, TableError, ValueError, OSError) as error:
+    except (
+        PhotographError,
+        SettingsError,
+        DocumentError,
+        ToolError,
+        TableError,
+        UsageError,
+        ValueError,
+        OSError,
+    ) as error:
         print(printable(str(error), lines=True), file=sys.stderr)
         return USAGE
     except KeyboardInterrupt:

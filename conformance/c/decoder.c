@@ -5,7 +5,8 @@
  *                                 writes the bytes that the scene's digest is the SHA-256 of, and then the seven parts
  *
  * It reads FILE from the first byte to the last, and holds one section or one chunk at a time. To be digested, FILE may
- * be a pipe. OUTPUT is written in a second pass, so a refused file leaves it alone.
+ * be a pipe. OUTPUT is written in a second pass, beside its place, and moved there when it is whole. So a run that fails
+ * leaves it alone. No output is FILE or another output. POSIX says which names are one file: the rest is ISO C.
  *
  * The exit status is:
  *
@@ -23,12 +24,14 @@
  *
  * The comment above a function begins with its clauses of SPEC.md. Names are those of SPEC.md where it has one.
  */
+#define _XOPEN_SOURCE 700
 #include <ctype.h>
 #include <limits.h>
 #include <stdint.h>
 #include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
+#include <sys/stat.h>
 
 /* ---------------------------------------------------------------- 2.5 constants */
 
@@ -147,6 +150,7 @@ struct block {
 static struct block blocks = {&blocks, &blocks};
 
 static FILE *input, *output; /* null pointers if they are not open */
+static char *place, *beside; /* where the output will be, and where it is until it is whole; or null pointers */
 static uint64_t input_at;     /* the bytes that were read of the file */
 
 /* not of the specification */
@@ -160,15 +164,20 @@ static void RELEASE_BLOCKS(void)
     blocks.before = &blocks;
 }
 
-/* not of the specification: releases all that the program holds. The result is 0 if the output could not be written. */
-static int RELEASE(void)
+/* not of the specification: releases all that the program holds, and removes an output that is not whole */
+static void RELEASE(void)
 {
-    int right = !output || !fclose(output);
     RELEASE_BLOCKS();
     if (input)
         fclose(input);
+    if (output)
+        fclose(output);
+    if (beside)
+        remove(beside);
+    free(place);
+    free(beside);
     input = output = NULL;
-    return right;
+    place = beside = NULL;
 }
 
 /* not of the specification: ends the program for wrong usage, or for a failure of input, output or memory */
@@ -2226,6 +2235,80 @@ static void LOAD_TABLES(const char *program, struct buffer *b)
     input_at = 0;
 }
 
+/* not of the specification: the name of a file without links and `.` or `..`, whether it is there or not */
+static char *PLACE(const char *path)
+{
+    char *whole = realpath(path, NULL), *folder = NULL;
+    const char *slash = strrchr(path, '/'), *name = slash ? slash + 1 : path;
+    size_t length = (size_t)(name - path);
+    if (whole)
+        return whole;
+    if (length && (folder = malloc(length + 1))) {
+        memcpy(folder, path, length);
+        folder[length] = 0;
+    }
+    if (folder || !length)
+        whole = realpath(length ? folder : ".", NULL);
+    free(folder);
+    folder = whole;
+    if (!folder || !(whole = malloc(strlen(folder) + strlen(name) + 2)))
+        FAIL("cannot open the output");
+    sprintf(whole, "%s/%s", folder, name);
+    free(folder);
+    return whole;
+}
+
+/* not of the specification: fails if two names are one file, which would be lost. Pipes and devices keep nothing. */
+static void APART(const char *a, const char *b)
+{
+    struct stat x, y;
+    char *first, *second;
+    int there = !stat(a, &x), same = there && !stat(b, &y) && x.st_dev == y.st_dev && x.st_ino == y.st_ino;
+    if (there && !S_ISREG(x.st_mode))
+        return;
+    first = PLACE(a);
+    second = PLACE(b);
+    same |= !strcmp(first, second);
+    free(first);
+    free(second);
+    if (same)
+        FAIL("an output is the input, or another output");
+}
+
+/* not of the specification: opens a file beside the output's place, or what is there if it is no ordinary file */
+static void OPEN_OUTPUT(const char *path)
+{
+    struct stat found;
+    if (!stat(path, &found) && !S_ISREG(found.st_mode)) {
+        output = fopen(path, "wb");
+    } else {
+        place = PLACE(path);
+        if ((beside = malloc(strlen(place) + 16)))
+            for (int i = 0; i < 10000 && !output; i++) {
+                strcpy(beside, place);
+                sprintf(strrchr(beside, '/') + 1, ".decoder-%d", i);
+                output = fopen(beside, "wbx");
+            }
+        if (!output) { /* what is there is another's */
+            free(beside);
+            beside = NULL;
+        }
+    }
+    if (!output)
+        FAIL("cannot open the output");
+}
+
+/* not of the specification: the output is whole */
+static void CLOSE_OUTPUT(void)
+{
+    int wrong = ferror(output) | fclose(output);
+    output = NULL;
+    if (wrong || (beside && rename(beside, place)))
+        FAIL("cannot write");
+    free(beside);
+    beside = NULL;
+}
+
 /* not of the specification */
 int main(int argc, char **argv)
 {
@@ -2238,6 +2321,9 @@ int main(int argc, char **argv)
     input = fopen(argv[2], "rb");
     if (!input)
         FAIL("cannot open the file");
+    for (int i = 3; i < argc; i++)
+        for (int j = 2; j < i; j++)
+            APART(argv[i], argv[j]);
     if (argc == 5 && !(probes = fopen(argv[4], "wb")))
         FAIL("cannot open the probes");
     DECODE_FILE(&s, !decode);
@@ -2252,12 +2338,12 @@ int main(int argc, char **argv)
         input_at = 0;
         if (fseek(input, 0, SEEK_SET))
             FAIL("cannot read the file again");
-        output = fopen(argv[3], "wb");
-        if (!output)
-            FAIL("cannot open the output");
+        OPEN_OUTPUT(argv[3]);
         DECODE_FILE(&s, 0);
+        CLOSE_OUTPUT();
     }
-    if (!RELEASE() || fflush(stdout) || ferror(stdout))
+    RELEASE();
+    if (fflush(stdout) || ferror(stdout))
         FAIL("cannot write");
     return 0;
 }

@@ -39,11 +39,11 @@ def main(arguments: list[str]) -> int:
             print(USAGE, file=sys.stderr)
             return USAGE_ERROR
     places = [os.path.realpath(place) for place in (path, output, trace) if place]
-    if len(set(places)) < len(places) or any(os.path.isfile(p) and os.path.samefile(path, p) for p in places[1:]):
-        print("an output is the input, or another output", file=sys.stderr)
-        return USAGE_ERROR
     try:
         data = Path(path).read_bytes()
+        if len(set(places)) < len(places) or any(os.path.isfile(p) and os.path.samefile(path, p) for p in places[1:]):
+            print("an output is the input, or another output", file=sys.stderr)
+            return USAGE_ERROR
         if trace:
             with open(trace, "w", encoding="utf-8", newline="\n") as file, probes(file) if probed else nullcontext():
                 scene = decode(data, Trace(file))

@@ -65,9 +65,15 @@ def main(arguments: list[str]) -> int:
         return statuses.USAGE
     decode = DECODERS[arguments[0]]()
     for line in sys.stdin:
-        request = json.loads(line)
-        words = [request["input"], request["output"]] + (["--trace", request["trace"]] if "trace" in request else [])
-        print(json.dumps({"id": request["id"], **_in_fork(decode, words)}), flush=True)
+        try:
+            request = json.loads(line)
+            words = [request["input"], request["output"]]
+            words += ["--trace", request["trace"]] if "trace" in request else []
+            answer = {"id": request["id"]}
+        except (ValueError, LookupError, TypeError):
+            print('it reads lines {"id", "input", "output"}, and perhaps "trace", which are JSON', file=sys.stderr)
+            return statuses.USAGE
+        print(json.dumps({**answer, **_in_fork(decode, words)}), flush=True)
     return 0
 
 

@@ -44,7 +44,11 @@ export async function main([input, output]) {
   try {
     await check(fs.readFileSync(input));
   } catch (error) {
-    if (!(error instanceof C3gsError)) throw error;
+    if (!(error instanceof C3gsError)) {
+      // Node's own status for an error, 1, is a verdict.
+      console.error(error.message);
+      return EXIT.usage;
+    }
     console.error(JSON.stringify(error));
     return error.class === "unsupported" ? EXIT.unsupported : EXIT.refused;
   }

@@ -23,7 +23,9 @@ def main() -> None:
     height = WIDTH * cameras[0].height // cameras[0].width
     views = [refcodec.render(scene, camera.resized(WIDTH, height)) for camera in cameras]
     rows = [np.hstack(views[first : first + COLUMNS]) for first in range(0, len(views), COLUMNS)]
-    Image.fromarray(np.vstack(rows)).save(sys.argv[2])
+    # Mode x: nothing that is there is replaced, such as the scene itself.
+    with open(sys.argv[2], "xb") as file:
+        Image.fromarray(np.vstack(rows)).save(file)
     print(f"{len(views)} views of {scene.anchor_count} anchors")
 
 

@@ -8,7 +8,6 @@ The number is the share of the anchors that stays. Anchors that stay look as bef
 from __future__ import annotations
 
 import sys
-from pathlib import Path
 
 import numpy as np
 
@@ -23,7 +22,9 @@ def main() -> None:
     away = np.linalg.norm(scene.positions - np.median(scene.positions, axis=0), axis=1)
     middle = refcodec.Scene(take_anchors(scene.coded, away <= np.quantile(away, share)))
     data = refcodec.encode(middle)
-    Path(target).write_bytes(data)
+    # Mode x: nothing that is there is replaced, such as the scene itself.
+    with open(target, "xb") as file:
+        file.write(data)
     print(f"{scene.anchor_count} anchors, {sum(scene.sizes.values())} bytes")
     print(f"{middle.anchor_count} anchors, {len(data)} bytes")
 

@@ -8,7 +8,11 @@
 // It ends with 0 for a file that is accepted, 1 for one that is malformed or invalid, and 2 for one that is not
 // supported. The last line on stderr then has the error (SPEC.md 10.2). 64: wrong usage, or a file that cannot be read
 // or written. 70: a fault of the program, or no memory.
+//
+// An output is written beside its place, and moved there when it is whole: a run that fails changes nothing.
+import { randomUUID } from "node:crypto";
 import * as fs from "node:fs";
+import * as path from "node:path";
 import * as readline from "node:readline";
 import { C3gsError, decode, Gaussians } from "./c3gs.js";
 import { PARTS, sceneHead } from "./digests.js";
@@ -131,16 +135,48 @@ async function see(input, centre, output) {
   add("]}");
 }
 
+// Calls `make` with a file to write to, which is then at `output`. Links stay. A device is written to as it is.
+async function staged(output, inputs, make) {
+  const status = (name) => fs.statSync(name, { bigint: true, throwIfNoEntry: false });
+  const there = status(output);
+  if (there !== undefined && !there.isFile()) return written(output, "w", make);
+  for (const name of inputs) {
+    const read = status(name);
+    if (there !== undefined && read?.dev === there.dev && read.ino === there.ino) {
+      throw new UsageError(`${output} is ${name}, which is read: choose another output`);
+    }
+  }
+  const place = there === undefined ? output : fs.realpathSync(output);
+  const beside = path.join(path.dirname(place), `.c3gs-${randomUUID()}`);
+  try {
+    await written(beside, "wx", make);
+    fs.renameSync(beside, place);
+  } catch (error) {
+    fs.rmSync(beside, { force: true });
+    throw error;
+  }
+}
+
+async function written(name, flags, make) {
+  const file = fs.openSync(name, flags);
+  try {
+    await make(file);
+  } finally {
+    fs.closeSync(file);
+  }
+}
+
 // Decodes one file. camera: the path of a camera, if its Gaussians are wanted.
 //
 // Returns the exit status and the last line of stderr.
 async function run(input, output, camera) {
-  const opened = [];
+  let file;
   try {
     const centre = camera === undefined ? undefined : readCentre(camera);
-    for (const [path, flags] of [[input, "r"], [output, "w"]]) opened.push(fs.openSync(path, flags));
-    if (centre === undefined) await reconstruct(...opened);
-    else await see(opened[0], centre, opened[1]);
+    file = fs.openSync(input, "r");
+    await staged(output, camera === undefined ? [input] : [input, camera], (out) =>
+      centre === undefined ? reconstruct(file, out) : see(file, centre, out),
+    );
     return { status: EXIT.done, stderr: "" };
   } catch (error) {
     if (error instanceof C3gsError) {
@@ -152,14 +188,28 @@ async function run(input, output, camera) {
     }
     return { status: EXIT.fault, stderr: `c3gs: a fault of the program\n${error.stack}` };
   } finally {
-    opened.forEach((file) => fs.closeSync(file));
+    if (file !== undefined) fs.closeSync(file);
   }
+}
+
+// What a line of `serve` asks for.
+function request(line) {
+  let asked;
+  try {
+    asked = JSON.parse(line);
+  } catch {
+    asked = undefined;
+  }
+  if (typeof asked?.input !== "string" || typeof asked.output !== "string") {
+    throw new UsageError(`serve reads lines {"id", "input", "output"}, which are JSON`);
+  }
+  return asked;
 }
 
 // Answers each line {"id", "input", "output"} as `conformance run --serve` demands.
 async function serve() {
   for await (const line of readline.createInterface({ input: process.stdin })) {
-    const { id, input, output } = JSON.parse(line);
+    const { id, input, output } = request(line);
     process.stdout.write(`${JSON.stringify({ id, ...(await run(input, output)) })}\n`);
   }
   return EXIT.done;
@@ -177,4 +227,12 @@ async function main([command, ...paths]) {
   return status;
 }
 
+// Node's own status for an error, 1, is a verdict.
+function fail(error) {
+  const usage = error instanceof UsageError || error.syscall !== undefined;
+  console.error(usage ? `c3gs: ${error.message}` : `c3gs: a fault of the program\n${error.stack}`);
+  process.exit(usage ? EXIT.usage : EXIT.fault);
+}
+
+process.on("uncaughtException", fail);
 process.exitCode = await main(process.argv.slice(2));

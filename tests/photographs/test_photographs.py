@@ -1033,6 +1033,12 @@ def test_reducing_tool(text, tmp_path):
         np.testing.assert_allclose(b.camera.translation, a.camera.translation, atol=1e-11)
         np.testing.assert_allclose((b.camera.fx, b.camera.cy), (a.camera.fx, a.camera.cy), rtol=1e-8)
         assert b.image.shape == a.image.shape
+    held = {path: path.read_bytes() for path in text.rglob("*") if path.is_file()}
+    again = subprocess.run(
+        [*command, str(text), str(text), "--size", "20"], check=False, capture_output=True, text=True
+    )
+    assert "exists" in again.stderr
+    assert held == {path: path.read_bytes() for path in text.rglob("*") if path.is_file()}
     gone = subprocess.run(
         [*command, str(tmp_path / "none"), str(tmp_path / "x"), "--size", "20"],
         check=False,
