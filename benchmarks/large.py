@@ -153,7 +153,7 @@ def resized_planes(planes: NDArray[np.int16], size: int) -> NDArray[np.int16]:
     return np.stack([one, *(two[:, rows, columns] for rows in halves for columns in halves)])
 
 
-def _resized(plane: NDArray[np.int64], size: int) -> NDArray[np.int16]:
+def _resized(plane: NDArray[np.int16], size: int) -> NDArray[np.int16]:
     """Returns a plane [ch, s, s] as [ch, size, size] with the same corners."""
     at = np.linspace(0, plane.shape[-1] - 1, size)
     low = np.minimum(at.astype(int), plane.shape[-1] - 2)

@@ -12,23 +12,23 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from .attributes import Attributes, EntropyModel, code_attributes, step_indices
+from .attributes import ATTRIBUTE_SYMBOL_MAX, Attributes, EntropyModel, code_attributes, step_indices
 from .batches import GROUP_ANCHORS, Progress, groups, no_progress, one_thread
 from .bounds import Bounds
 from .chunks import chunk_ranges, emit_chunk
 from .context import context
 from .directory import DATA, FRAME, INDEX, PLANES_SECTION, WEIGHTS, critical_sections, is_critical, read_section
-from .entropy import Encoder, Trace
+from .entropy import Encoder, Trace, require_limit
 from .errors import BitstreamError
 from .frame import emit_frame, parse_frame
 from .header import Header, emit_file, read_header
 from .index import chunk_floor, emit_entry, entries_start, parse_index
-from .kernel import REFUSED, Anchors, NativeScene, disagreement, kernel, native_scene
+from .kernel import REFUSED_FORM, REFUSED_STEPS, Anchors, NativeScene, kernel, native_scene
 from .limits import PROFILES, minimal_level
 from .masks import code_masks, mask_models
 from .networks import Derive, derive_networks
 from .planes import assemble_planes, emit_planes
-from .positions import RAW, emit_position_model, encode_positions, first_bad, raw_positions
+from .positions import RAW, emit_position_model, encode_positions, first_bad, form_error, raw_positions
 from .reader import Chunk, Reader
 from .scene import Ancillary, Scene, check_shapes
 from .source import Piece, WholeFile, padded
@@ -164,14 +164,14 @@ def _emit(scene: Scene, progress: Progress) -> bytes:
         1 << lanes.attribute,
         scene.weight_forms,
     )
-    parse_weights(Piece(contents[WEIGHTS], 0), modes[WEIGHTS], d, 1 << lanes.attribute)
+    used = kernel()
+    parse_weights(Piece(contents[WEIGHTS], 0), modes[WEIGHTS], d, 1 << lanes.attribute, used=used)
     bad = first_bad(scene.positions.view(np.uint16).reshape(-1))
     if bad is not None:
         name, first = bad
         path, found = f"positions[{first // 3},{first % 3}]", scene.positions.reshape(-1)[first]
         raise BitstreamError(name, 0, path, found, "finite numbers but -0")
     coding = Coding(scene)
-    used = kernel()
     if coding.sarm is not None:
         progress("planes", 0, 1)
         native = native_scene(used, d, lanes, coding.networks, scene.plane_shift, scene.carm_shift)
@@ -258,14 +258,17 @@ def _emit_chunks(
         ranges = [chunks[number] for number in group]
         wanted = None if forms is None else [forms[number] for number in group]
         given = Attributes(a.features[rows], a.scalings[rows], a.offsets[rows], a.steps[rows])
-        parts = None
-        if native is not None:
-            anchors = Anchors(scene.positions[rows], scene.masks[rows], *vars(given).values())
-            parts = native.encode_chunks(anchors, [len(c) for c in ranges], wanted)
-        if parts is None:
+        for values in (given.scalings, given.offsets[scene.masks[rows]], given.features):
+            require_limit(values, ATTRIBUTE_SYMBOL_MAX)
+        if native is None:
             parts = _encode_group(scene, coding, ranges, rows, wanted, given)
-            if native is not None:
-                disagreement(f"chunks {group.start} to {group.stop - 1}", REFUSED, 0)
+        else:
+            anchors = Anchors(scene.positions[rows], scene.masks[rows], *vars(given).values())
+            parts, statuses = native.encode_chunks(anchors, [len(c) for c in ranges], wanted)
+            if REFUSED_FORM in statuses:
+                raise form_error(statuses.index(REFUSED_FORM))
+            if REFUSED_STEPS in statuses:
+                raise _steps_error()
         for chunk, (form, (where, bits, symbols)) in zip(ranges, parts, strict=True):
             content = emit_chunk(form, (where, bits, symbols))
             # SPEC [R6.10-5]: raw positions take six bytes an anchor, which is above the floor by themselves.
@@ -293,9 +296,13 @@ def _encode_group(
     attributes = Encoder(len(ranges), 1 << lanes.attribute)
     own = code_attributes(attributes, coding.model, coding.contexts(rows), scene.masks[rows], ranges, given)
     if not np.array_equal(own.steps, given.steps):
-        raise ValueError("the scene's step indices are not those that its networks give (SPEC.md 7.8)")
+        raise _steps_error()
     streams = zip(positions, masks.finish(), attributes.finish(), strict=True)
     return [(form, (where, bits, symbols)) for (form, where), bits, symbols in streams]
+
+
+def _steps_error() -> ValueError:
+    return ValueError("the scene's step indices are not those that its networks give (SPEC.md 7.8)")
 
 
 def derive_steps(scene: Scene) -> NDArray[np.uint8]:

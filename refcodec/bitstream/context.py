@@ -17,6 +17,8 @@ UNIT = 1 << UNIT_BITS
 FRAME_CLAMP = (1 << 30) - 1
 # SPEC 7.5.4: the fraction bits of an interpolation weight.
 LERP_BITS = 8
+# SPEC 7.3: the planes of r = 1 and r = 2, int16 [ch, B, B] and [ch, 2 B, 2 B].
+JoinedPlanes = tuple[NDArray[np.int16], NDArray[np.int16]]
 
 
 def frame_coordinates(frame: Frame, p: Int64) -> Int64:
@@ -43,10 +45,10 @@ def rescale(frame: Frame, w: Int64) -> Int64:
     return clamp(((w - frame.low) << UNIT_BITS) // (frame.high - frame.low), 0, UNIT)
 
 
-def query(plane: Int64, u: Int64, plane_shift: int) -> Int64:
+def query(plane: NDArray[np.int16], u: Int64, plane_shift: int) -> Int64:
     """SPEC 7.5.4: returns bilinear samples of a plane, int64 [n, channels].
 
-    plane: int64 [channels, s, s]. u: int64 [n, 2], 0 to 2^16. u[:, 0] counts columns, u[:, 1] rows.
+    plane: int16 [channels, s, s]. u: int64 [n, 2], 0 to 2^16. u[:, 0] counts columns, u[:, 1] rows.
     """
     size = plane.shape[-1]
     grid = u * (size - 1)
@@ -80,7 +82,7 @@ def positional_encoding(u: Int64, frequencies: int) -> Int64:
 
 
 def context(
-    frame: Frame | None, planes: tuple[Int64, Int64], plane_shift: int, frequencies: int, positions: NDArray[np.float16]
+    frame: Frame | None, planes: JoinedPlanes, plane_shift: int, frequencies: int, positions: NDArray[np.float16]
 ) -> NDArray[np.int16]:
     """SPEC 7.5: returns the inputs of F_h, int16 [n, 2 ch + 2 L], each in [-1023, 1023].
 

@@ -30,6 +30,8 @@ RAW_MAX = 16
 ESCAPE_PREFIX_MAX = 23
 # SPEC 5.15: the bytes before the states.
 HEAD_BYTES = syntax.size_of("Substream")
+# Up to so many lanes, the steps of NumPy's arrays take longer than symbols that are decoded one by one.
+FEW_LANES = 32
 # The name of a symbol of a group in a trace: (substream of the batch, index in its part of the group) -> path.
 SymbolName = Callable[[int, int], str]
 
@@ -225,7 +227,39 @@ class Decoder:
         self.bad_range: dict[int, tuple[int, int]] = {}
 
     def _group(self, models: ModelSet, index: Int64, layout: _Layout) -> Int64:
-        """SPEC 8.2 and 8.3: decodes one symbol for each model index, with the lanes of all substreams at once."""
+        """SPEC 8.2 and 8.3: decodes one symbol for each model index."""
+        if len(layout.counts) * self.lanes <= FEW_LANES:
+            return self._one_by_one(models, index, layout)
+        return self._side_by_side(models, index, layout)
+
+    def _one_by_one(self, models: ModelSet, index: Int64, layout: _Layout) -> Int64:
+        """Decodes the symbols of a group one after the other."""
+        out = np.empty_like(index)
+        # Items of a view are plain integers, which Python computes with faster than with those of NumPy.
+        offset, first, lower, upper = models.offset.data, models.first.data, models.lower.data, models.upper.data
+        words, model, found = self.words.data, index.data, out.data
+        for stream, (start, count) in enumerate(zip(layout.starts.tolist(), layout.counts.tolist(), strict=True)):
+            state, at, end = self.state[stream].tolist(), int(self.word_at[stream]), int(self.word_end[stream])
+            for i in range(start, start + count):
+                lane, m = (i - start) & (self.lanes - 1), model[i]
+                x = state[lane]
+                slot, base = x & (TOTAL - 1), offset[m]
+                position = base + first[m << 8 | slot >> (PRECISION - 8)]
+                # The top bits of a slot name the first symbol that it can mean. Few slots mean a later one.
+                while upper[position] <= slot:
+                    position += 1
+                low = lower[position]
+                x = (upper[position] - low) * (x >> PRECISION) + slot - low
+                if x < STATE_MIN:
+                    x = x << 16 | words[min(at, end)]
+                    at += 1
+                state[lane] = x
+                found[i] = position - base
+            self.state[stream], self.word_at[stream] = state, at
+        return out
+
+    def _side_by_side(self, models: ModelSet, index: Int64, layout: _Layout) -> Int64:
+        """Decodes the symbols of a group with the lanes of all substreams at once."""
         grid = layout.spread(index, models.null).reshape(layout.steps, len(layout.counts) * self.lanes)
         base = models.offset.take(grid)
         grid = grid << 8
@@ -374,34 +408,61 @@ class Decoder:
         return [self._verdict(i, s) for i, s in enumerate(self.streams)]
 
     def _verdict(self, i: int, s: Substream) -> BitstreamError | None:
-        def fault(name: str, found: object, allowed: object) -> BitstreamError:
-            return BitstreamError(name, s.offset, s.path, found, allowed)
-
         used = int(self.word_at[i] - self.word_end[i]) + len(s.words)
         if used != len(s.words):
-            return fault("substream.words", f"word_count {len(s.words)}", f"the {used} that the symbols take")
+            return end_error("substream.words", s, used)
         if (self.state[i] != STATE_MIN).any():
             lane = int(np.argmax(self.state[i] != STATE_MIN))
-            return fault("substream.final_state", f"final state {self.state[i, lane]} of lane {lane}", STATE_MIN)
+            return end_error("substream.final_state", s, lane, int(self.state[i, lane]))
         if self.bad_escape[i]:
-            return fault(
-                "substream.escape",
-                f"more than {ESCAPE_PREFIX_MAX} zero bits in a prefix",
-                f"at most {ESCAPE_PREFIX_MAX}",
-            )
+            return end_error("substream.escape", s)
         if i in self.bad_range:
-            value, limit = self.bad_range[i]
-            return fault("substream.symbol_range", value, f"{-limit} to {limit}")
+            return end_error("substream.symbol_range", s, *self.bad_range[i])
         bits = int(self.raw_at[i])
         if len(s.raw) != (bits + 7) // 8:
-            return fault(
-                "substream.raw_length", f"{len(s.raw)} raw bytes", f"the {(bits + 7) // 8} that hold {bits} raw bits"
-            )
+            return end_error("substream.raw_length", s, bits)
         if bits % 8 and s.raw[-1] >> (bits % 8):
-            return fault("substream.raw_padding", f"0x{s.raw[-1] >> (bits % 8):02x} in the padding", 0)
+            return end_error("substream.raw_padding", s, bits)
         if self.crc[i] != s.symbol_crc:
-            return fault("substream.symbol_crc", f"0x{s.symbol_crc:08x}", f"0x{self.crc[i]:08x}, that of the symbols")
+            return end_error("substream.symbol_crc", s, self.crc[i])
         return None
+
+
+def end_error(name: str, s: Substream, first: int = 0, second: int = 0) -> BitstreamError:
+    """SPEC 8.5, 8.7 and 8.8: returns the error of a check at the end of a substream.
+
+    first, second: of words, how many the symbols take. Of final_state, a lane and its state. Of symbol_range, a symbol
+    and its limit. Of raw_length and raw_padding, the raw bits that the symbols take. Of symbol_crc, the CRC-32 of the
+    symbols.
+    """
+    found: object
+    allowed: object
+    match name.removeprefix("substream."):
+        case "words":
+            found, allowed = f"word_count {len(s.words)}", f"the {first} that the symbols take"
+        case "final_state":
+            found, allowed = f"final state {second} of lane {first}", STATE_MIN
+        case "escape":
+            found, allowed = f"more than {ESCAPE_PREFIX_MAX} zero bits in a prefix", f"at most {ESCAPE_PREFIX_MAX}"
+        case "symbol_range":
+            found, allowed = first, f"{-second} to {second}"
+        case "raw_length":
+            size = (first + 7) // 8
+            found, allowed = f"{len(s.raw)} raw bytes", f"the {size} that hold {first} raw bits"
+        case "raw_padding":
+            found, allowed = f"0x{s.raw[-1] >> (first % 8):02x} in the padding", 0
+        case "symbol_crc":
+            found, allowed = f"0x{s.symbol_crc:08x}", f"0x{first:08x}, that of the symbols"
+        case _:
+            raise RuntimeError(f"{s.path}: {name} is no error of a substream's end")
+    return BitstreamError(name, s.offset, s.path, found, allowed)
+
+
+def require_limit(values: NDArray[np.integer], limit: int) -> None:
+    """Raises ValueError for values that are to be encoded and pass their limit."""
+    most = max(int(values.max(initial=0)), -int(values.min(initial=0)))
+    if most > limit:
+        raise ValueError(f"a symbol is {most}, at most {limit} fits its type (SPEC.md 8.5)")
 
 
 class Encoder:
@@ -432,8 +493,7 @@ class Encoder:
     ) -> Int64:
         """Encodes a group, as Coder.values. Raises ValueError for a value past the limit."""
         assert given is not None
-        if np.abs(given).max(initial=0) > limit:
-            raise ValueError(f"a symbol is {int(np.abs(given).max())}, at most {limit} fits its type (SPEC.md 8.5)")
+        require_limit(given, limit)
         layout = _Layout(counts, self.lanes)
         model, index, away, raw = placed(models, mean, scale, given)
         self._group(models, model, index, layout)

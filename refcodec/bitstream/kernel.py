@@ -1,26 +1,28 @@
-"""Clauses 7 and 8 by the native kernel: scenes and chunks for refcodec.native, and what its statuses mean.
+"""Clauses 7 and 8 by the native kernel: scenes and chunks for refcodec.native, and what its verdicts mean.
 
-The kernel says only which error a substream has. The NumPy path then decodes it again and makes the error, so that its
-texts are written once.
+The kernel says which error a substream has, with the numbers that the error's text names. The functions that make the
+texts are those of the NumPy path, so that nothing is decoded twice.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any, NoReturn
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from ..native.library import REFUSED, Kernel, kernel
-from ..native.scene import Anchors, ChunkBytes, NativeScene, values
+from ..native.library import REFUSED_FORM, REFUSED_STEPS, Kernel, Verdict, kernel
+from ..native.scene import Anchors, ChunkBytes, NativeScene, values, weight_symbols
 from .chunks import CodedChunk
 from .dimensions import RENDERING, Dimensions
-from .errors import BitstreamError
+from .entropy import end_error, open_substream
+from .errors import REGISTRY, BitstreamError
 from .frame import Frame
 from .header import Lanes
 from .networks import IntNetwork
 from .positions import PositionModel
+from .source import Piece
 from .tables import tables_bytes
 
 
@@ -85,27 +87,32 @@ def chunk_bytes(chunk: CodedChunk) -> ChunkBytes:
     return ChunkBytes(chunk.form, parts, len(e.anchors), e.kept, e.low, e.high)
 
 
-def agreed(status: int, error: BitstreamError | None, path: str) -> BitstreamError:
-    """Returns the error of the NumPy path. Raises RuntimeError if it is not the one of the kernel's status."""
-    if error is None or error.kind.code != status:
-        disagreement(path, status, error.kind.code if error else 0)
-    return error
+_NAMES = {kind.code: kind.name for kind in REGISTRY.values()}
 
 
-def disagreement(path: str, status: int, code: int) -> NoReturn:
-    """Raises RuntimeError: the two paths disagree about a part of a file, or of a scene."""
-    raise RuntimeError(f"{path}: the native kernel says {status}, and NumPy says {code}")
+def error_name(verdict: Verdict) -> str | None:
+    """Returns the name of the error that the kernel found, or None if there is none."""
+    return _NAMES[verdict.status] if verdict.status else None
+
+
+def substream_error(verdict: Verdict, piece: Piece, lanes: int, path: str) -> BitstreamError:
+    """SPEC 8.1 and 8.8: returns the error of a substream that the kernel refused. piece, path: its bytes and name."""
+    stream, before = open_substream(piece, lanes, path)
+    return before or end_error(_NAMES[verdict.status], stream, *verdict.number)
 
 
 __all__ = [
-    "REFUSED",
+    "REFUSED_FORM",
+    "REFUSED_STEPS",
     "Anchors",
     "Kernel",
     "NativeScene",
-    "agreed",
+    "Verdict",
     "chunk_bytes",
-    "disagreement",
+    "error_name",
     "kernel",
     "native_scene",
+    "substream_error",
     "values",
+    "weight_symbols",
 ]

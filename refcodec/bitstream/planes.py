@@ -7,11 +7,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from . import syntax
-from .conventions import Int64
+from .context import JoinedPlanes
 from .dimensions import Dimensions
-from .entropy import Coder, Decoder, Encoder, Trace, open_substream
-from .errors import BitstreamError
-from .kernel import REFUSED, NativeScene, agreed, disagreement
+from .entropy import Coder, Decoder, Encoder, Trace, open_substream, require_limit
+from .kernel import NativeScene, substream_error
 from .networks import IntNetwork, activation
 from .source import Piece, pad4, padded
 from .tables import tables
@@ -37,7 +36,7 @@ def code_planes(
     channels: ch. size: B. given: the sub-planes if they are encoded.
     """
     # The border of zeros above, left and right stands for the symbols outside the sub-plane.
-    padded = np.zeros((PLANES, channels, size + 1, size + 2), dtype=np.int64)
+    padded = np.zeros((PLANES, channels, size + 1, size + 2), dtype=np.int16)
     flat = padded.reshape(-1)
     width = size + 2
     block = np.arange(PLANES * channels)[:, None] * ((size + 1) * width)
@@ -46,7 +45,7 @@ def code_planes(
         at = (block + ((i + 1) * width + j + 1)).reshape(-1)
         # SPEC 7.3: the context of (i, j) is (i-1, j-1), (i-1, j), (i-1, j+1) and (i, j-1).
         near = np.stack([flat[at - width - 1], flat[at - width], flat[at - width + 1], flat[at - 1]], axis=1)
-        parameters = sarm(activation(near)).astype(np.int64)
+        parameters = sarm(activation(near.astype(np.int64))).astype(np.int64)
         known = None if given is None else given[:, :, i, j].reshape(-1).astype(np.int64)
 
         def name(plane: int, index: int, i: list[int] = i.tolist(), j: list[int] = j.tolist()) -> str:  # noqa: B008
@@ -57,7 +56,7 @@ def code_planes(
         flat[at] = coder.values(
             tables().laplace, parameters[:, 0], parameters[:, 1], counts, PLANE_SYMBOL_MAX, name, known
         )
-    return padded[:, :, 1:, 1:-1].astype(np.int16)
+    return padded[:, :, 1:, 1:-1].copy()
 
 
 def parse_planes(
@@ -90,15 +89,11 @@ def parse_planes(
     pieces = [section.cut(*span) for span in spans]
     if native is None:
         return _decode(pieces, d, lanes, sarm, trace)
-    planes, statuses = native.decode_planes([piece.data for piece in pieces])
-    status = next(filter(None, statuses), 0)
-    if not status:
-        return planes
-    try:
-        _decode(pieces, d, lanes, sarm, trace)
-    except BitstreamError as error:
-        raise agreed(status, error, "planes") from None
-    disagreement("planes", status, 0)
+    planes, verdicts = native.decode_planes([piece.data for piece in pieces])
+    for name, piece, verdict in zip(PLANE_NAMES, pieces, verdicts, strict=True):
+        if verdict.status:
+            raise substream_error(verdict, piece, lanes, f"planes.{name}")
+    return planes
 
 
 def _decode(pieces: list[Piece], d: Dimensions, lanes: int, sarm: IntNetwork, trace: Trace | None) -> NDArray[np.int16]:
@@ -117,15 +112,15 @@ def _decode(pieces: list[Piece], d: Dimensions, lanes: int, sarm: IntNetwork, tr
 def emit_planes(planes: NDArray[np.int16], sarm: IntNetwork, lanes: int, native: NativeScene | None = None) -> bytes:
     """SPEC 5.10: returns the bytes of the section. planes: int16 [5, ch, B, B]. lanes: the lanes of each substream.
 
-    native: encodes them instead of NumPy.
+    native: encodes them instead of NumPy. Raises ValueError for a symbol past its limit.
     """
-    streams = None if native is None else native.encode_planes(planes)
-    if streams is None:
+    require_limit(planes, PLANE_SYMBOL_MAX)
+    if native is None:
         encoder = Encoder(PLANES, lanes)
         code_planes(encoder, sarm, planes.shape[1], planes.shape[2], planes)
         streams = encoder.finish()
-        if native is not None:
-            disagreement("planes", REFUSED, 0)
+    else:
+        streams = native.encode_planes(planes)
     return syntax.build("PlaneTable", {"length": [len(s) for s in streams]}) + b"".join(map(padded, streams))
 
 
@@ -134,11 +129,11 @@ def no_planes() -> NDArray[np.int16]:
     return np.zeros((PLANES, 0, 0, 0), dtype=np.int16)
 
 
-def assemble_planes(planes: NDArray[np.int16]) -> tuple[Int64, Int64]:
-    """SPEC 7.3, JOIN_QUADRANTS: returns the plane of r = 1, int64 [ch, B, B], and that of r = 2, int64 [ch, 2 B, 2 B].
+def assemble_planes(planes: NDArray[np.int16]) -> JoinedPlanes:
+    """SPEC 7.3, JOIN_QUADRANTS: returns the plane of r = 1, int16 [ch, B, B], and that of r = 2, int16 [ch, 2 B, 2 B].
 
     planes: the sub-planes, int16 [5, ch, B, B].
     """
-    first, *quadrants = planes.astype(np.int64)
+    first, *quadrants = planes
     top, bottom = (np.concatenate(quadrants[i : i + 2], axis=2) for i in (0, 2))
     return first, np.concatenate([top, bottom], axis=1)

@@ -240,10 +240,24 @@ def parse_positions(
     """
     packed = [chunk for chunk in chunks if chunk.form == PACKED]
     trees = iter(_packed(packed, model, lanes, trace) if packed and model is not None else ())
-    return [next(trees) if chunk.form == PACKED else _raw(chunk) for chunk in chunks]
+    return [next(trees) if chunk.form == PACKED else raw_numbers(chunk) for chunk in chunks]
 
 
-def _raw(chunk: CodedPositions) -> F16 | BitstreamError:
+def position_error(chunk: CodedPositions, name: str, number: int) -> BitstreamError:
+    """SPEC [R6.11-8] and [R6.11-9]: returns the error of a tree whose substream has none.
+
+    number: of positions.count, how many cells the tree has, or more than anchors if some level has more nodes. Of
+    positions.cell, the first anchor of the chunk whose cell stands for no fp16.
+    """
+    if name == "positions.count":
+        count = len(chunk.anchors)
+        found, allowed = f"{number} cells" if number < count else "more cells", f"{count}, one for each anchor"
+    else:
+        found, allowed = f"a cell of anchor {chunk.anchors.start + number} that no fp16 holds", "cells that fp16 holds"
+    return chunk.piece.error(name, 0, chunk.path, found, allowed)
+
+
+def raw_numbers(chunk: CodedPositions) -> F16 | BitstreamError:
     """SPEC [R6.11-6] and [R6.11-7]: returns a chunk's fp16 numbers, or the error of the first that is not allowed."""
     bits = np.frombuffer(chunk.piece.data, "<u2").astype(np.uint16)
     bad = first_bad(bits)
@@ -269,13 +283,11 @@ def _packed(
         error = before or after
         # SPEC [R6.11-8]
         if error is None and held[i] != counts[i]:
-            cells = f"{held[i]} cells" if held[i] < counts[i] else "more cells"
-            error = chunk.piece.error("positions.count", 0, chunk.path, cells, f"{counts[i]}, one for each anchor")
+            error = position_error(chunk, "positions.count", int(held[i]))
         # SPEC [R6.11-9]
         positions, fits = decode_cells(code[firsts[i] : firsts[i] + rows[i]], model.cell_shift)
         if error is None and not fits.all():
-            cell = f"a cell of anchor {chunk.anchors.start + int(np.argmin(fits))} that no fp16 holds"
-            error = chunk.piece.error("positions.cell", 0, chunk.path, cell, "cells that fp16 holds")
+            error = position_error(chunk, "positions.cell", int(np.argmin(fits)))
         found.append(error or positions)
     return found
 
@@ -294,6 +306,11 @@ def raw_positions(positions: F16) -> bytes:
     return positions.astype("<f2").tobytes()
 
 
+def form_error(number: int) -> ValueError:
+    """Returns the error of a chunk, by its number, that cannot have the form of positions that a scene says."""
+    return ValueError(f"the positions of chunk {number} cannot be packed (SPEC.md 7.12)")
+
+
 def encode_positions(
     model: PositionModel | None, positions: F16, counts: list[int], lanes: int, forms: list[int] | None = None
 ) -> list[tuple[int, bytes]]:
@@ -307,7 +324,7 @@ def encode_positions(
     codes = [None if model is None else chunk_codes(p, model.cell_shift) for p in each]
     for number, (form, code) in enumerate(zip(forms or [RAW] * len(each), codes, strict=True)):
         if form == PACKED and code is None:
-            raise ValueError(f"the positions of chunk {number} cannot be packed (SPEC.md 7.12)")
+            raise form_error(number)
         if form == RAW and forms is not None:
             codes[number] = None
     packed = [code for code in codes if code is not None]

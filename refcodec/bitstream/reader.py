@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
+from functools import cached_property
 from itertools import accumulate
 
 import numpy as np
@@ -16,20 +17,19 @@ from numpy.typing import NDArray
 from .attributes import Attributes, EntropyModel, code_attributes, zero_attributes
 from .batches import GROUP_ANCHORS, GROUP_CHUNKS, PartDecoder, Progress, no_progress, one_thread
 from .bounds import Bounds
-from .chunks import CodedChunk, read_chunk
-from .context import context
-from .conventions import Int64
+from .chunks import PARTS, CodedChunk, read_chunk
+from .context import JoinedPlanes, context
 from .directory import DATA, FRAME, INDEX, PLANES_SECTION, WEIGHTS, check_end, is_critical, pass_section, read_section
 from .entropy import Trace
 from .errors import BitstreamError
 from .frame import Frame, parse_frame
 from .header import Header, read_header
 from .index import ChunkEntry, Index, parse_index
-from .kernel import Anchors, NativeScene, agreed, chunk_bytes, kernel, native_scene
+from .kernel import Anchors, NativeScene, Verdict, chunk_bytes, error_name, kernel, native_scene, substream_error
 from .masks import code_masks, mask_models
 from .networks import BoundError, Derive, derive_networks
 from .planes import assemble_planes, no_planes, parse_planes
-from .positions import parse_positions
+from .positions import parse_positions, position_error, raw_numbers
 from .scene import Ancillary, Scene
 from .source import Held, Source
 from .tables import ModelSet
@@ -43,18 +43,22 @@ AHEAD_BYTES = 1 << 24
 class Opened:
     """What all chunks are decoded with.
 
-    frame: None without planes and frequencies. planes: int16 [5, ch, B, B]. joined: as assemble_planes gives them.
-    native: for the native kernel, or None if NumPy decodes.
+    frame: None without planes and frequencies. planes: int16 [5, ch, B, B]. native: for the native
+    kernel, or None if NumPy decodes.
     """
 
     frame: Frame | None
     weights: ParsedWeights
     planes: NDArray[np.int16]
-    joined: tuple[Int64, Int64]
     index: Index
     masks: ModelSet
     model: EntropyModel
     native: NativeScene | None
+
+    @cached_property
+    def joined(self) -> JoinedPlanes:
+        """The planes as assemble_planes gives them. NumPy alone needs them."""
+        return assemble_planes(self.planes)
 
 
 @dataclass(frozen=True, eq=False)
@@ -132,7 +136,7 @@ class Reader:
             if section.type == FRAME:
                 frame = parse_frame(piece)
             elif section.type == WEIGHTS:
-                weights = parse_weights(piece, section.mode, d, 1 << h.lanes.attribute, self.trace)
+                weights = parse_weights(piece, section.mode, d, 1 << h.lanes.attribute, self.trace, self._kernel)
                 try:
                     networks = self._derive(weights.networks)
                 except BoundError as error:
@@ -150,7 +154,6 @@ class Reader:
         assert weights is not None
         assert index is not None
         model = EntropyModel.of(networks, weights.carm_shift, d.slices)
-        joined = assemble_planes(planes)
         native = native_scene(
             self._kernel,
             d,
@@ -163,7 +166,7 @@ class Reader:
             mask_model=index.mask_model,
             position_model=index.position_model,
         )
-        self.opened = Opened(frame, weights, planes, joined, index, mask_models(index.mask_model), model, native)
+        self.opened = Opened(frame, weights, planes, index, mask_models(index.mask_model), model, native)
         return self.opened
 
     def _read_ancillary(self, number: int) -> None:
@@ -231,7 +234,7 @@ class Reader:
         return [found[entry.number] for entry in entries]
 
     def _decode_native(self, chunks: list[CodedChunk]) -> dict[int, Chunk | BitstreamError]:
-        """Decodes some chunks with the native kernel, and those that have an error with NumPy again."""
+        """Decodes some chunks with the native kernel."""
         opened = self.opened
         assert opened is not None
         assert opened.native is not None
@@ -239,18 +242,38 @@ class Reader:
         if a is None:
             *rows, count = accumulate((len(chunk.entry.anchors) for chunk in chunks), initial=0)
             a = opened.native.room(count)
-        statuses = opened.native.decode_chunks([chunk_bytes(chunk) for chunk in chunks], a, rows)
+        verdicts = opened.native.decode_chunks([chunk_bytes(chunk) for chunk in chunks], a, rows)
         found: dict[int, Chunk | BitstreamError] = {}
-        for chunk, first, status in zip(chunks, rows, statuses, strict=True):
+        for chunk, first, verdict in zip(chunks, rows, verdicts, strict=True):
             own = slice(first, first + len(chunk.entry.anchors))
-            number = chunk.entry.number
-            if status:
-                again = self._decode_alone([chunk])[number]
-                found[number] = agreed(status, again if isinstance(again, BitstreamError) else None, chunk.entry.path)
-                continue
             attributes = Attributes(a.features[own], a.scalings[own], a.offsets[own], a.steps[own])
-            found[number] = Chunk(chunk.entry, chunk.form, a.positions[own], a.masks[own], attributes)
+            found[chunk.entry.number] = self._native_error(chunk, verdict, a.positions[own]) or Chunk(
+                chunk.entry, chunk.form, a.positions[own], a.masks[own], attributes
+            )
         return found
+
+    def _native_error(
+        self, chunk: CodedChunk, verdict: Verdict, positions: NDArray[np.float16]
+    ) -> BitstreamError | None:
+        """Returns the error of a chunk that the kernel refused, or None. positions: float16 [n, 3], as decoded."""
+        name, lanes = error_name(verdict), self.header.lanes
+        if name is None:
+            return None
+        error: object
+        if name.startswith("substream."):
+            part, log2 = getattr(chunk, PARTS[verdict.part]), (lanes.mask, lanes.mask, lanes.attribute)[verdict.part]
+            error = substream_error(verdict, part, 1 << log2, f"{PARTS[verdict.part]}[chunk {chunk.entry.number}]")
+        elif name == "chunk.bounds":
+            error = _bounds_error(chunk, positions)
+        elif name == "chunk.kept":
+            error = _kept_error(chunk, verdict.number[0])
+        elif name in ("positions.count", "positions.cell"):
+            error = position_error(chunk.coded_positions, name, verdict.number[0])
+        else:
+            error = raw_numbers(chunk.coded_positions)
+        if not isinstance(error, BitstreamError):
+            raise RuntimeError(f"{chunk.entry.path}: the native kernel says {name}, and Python finds no such error")
+        return error
 
     def _decode_alone(self, chunks: list[CodedChunk]) -> dict[int, Chunk | BitstreamError]:
         """Decodes some chunks with NumPy, which may use one thread."""
@@ -290,7 +313,7 @@ class Reader:
         counts = np.cumsum([0, *map(len, ranges)])
         rows = settle(
             [
-                wrong or _kept_error(chunk, masks[first:end])
+                wrong or _kept_error(chunk, int(masks[first:end].sum()))
                 for chunk, wrong, first, end in zip(live, part.verdicts(), counts[:-1], counts[1:], strict=True)
             ]
         )
@@ -399,9 +422,9 @@ def _bounds_error(chunk: CodedChunk, positions: NDArray[np.float16]) -> Bitstrea
     return BitstreamError("chunk.bounds", e.start, e.path, found, f"{e.low.tolist()} to {e.high.tolist()}")
 
 
-def _kept_error(chunk: CodedChunk, masks: NDArray[np.bool_]) -> BitstreamError | None:
+def _kept_error(chunk: CodedChunk, kept: int) -> BitstreamError | None:
     """SPEC [R6.11-11]: returns the error of a chunk that does not keep as many offsets as its entry says."""
-    e, kept = chunk.entry, int(masks.sum())
+    e = chunk.entry
     return None if kept == e.kept else BitstreamError("chunk.kept", e.start, e.path, f"{kept} kept offsets", e.kept)
 
 

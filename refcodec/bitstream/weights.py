@@ -13,9 +13,10 @@ from .conventions import Int64
 from .dimensions import Dimensions, layers_of
 from .entropy import Coder, Decoder, Encoder, Trace, parse_substream
 from .errors import BitstreamError
+from .kernel import Kernel, substream_error, weight_symbols
 from .networks import F32, BoundError, Layer
 from .source import Piece, pad4
-from .tables import SCALE_MIN, tables
+from .tables import SCALE_MIN, tables, tables_bytes
 
 # SPEC 6.8
 PLANE_SHIFT_MAX = 10
@@ -131,10 +132,6 @@ def code_grids(
     Returns for each of them (differences, biases), int64 [out], and for each of them its weights, int64 [out, in].
     shapes: (name, outputs, inputs) of each. scales: uint8 [layers, 3]. given: the layers if they are encoded.
     """
-    few_counts = [out for _, out, _ in shapes for _ in range(2)]
-    many_counts = [out * fan_in for _, out, fan_in in shapes]
-    few_names = [f"weights.{name}.{part}" for name, _, _ in shapes for part in ("exponent", "bias")]
-    many_names = [f"weights.{name}.weight" for name, _, _ in shapes]
     known: list[Int64 | None] = [None, None]
     if given is not None:
         known = [np.concatenate([np.zeros(0, np.int64), *parts]) for parts in (
@@ -142,21 +139,62 @@ def code_grids(
             [g.weight.reshape(-1) for g in given],
         )]  # fmt: skip
     found = []
-    for models, scale, counts, names, values in (
-        (tables().laplace, scales[:, [0, 2]].reshape(-1), few_counts, few_names, known[0]),
-        (tables().gauss, scales[:, 1], many_counts, many_names, known[1]),
-    ):
-        ends = np.cumsum([0, *counts])
+    families = (tables().laplace, tables().gauss)
+    for models, parts, scale, values in zip(families, _parts(shapes), _scales(shapes, scales), known, strict=True):
+        ends = np.cumsum([0, *(count for _, count in parts)])
 
-        def name(_: int, index: int, ends: Int64 = ends, names: list[str] = names) -> str:
+        def name(_: int, index: int, ends: Int64 = ends, parts: list[tuple[str, int]] = parts) -> str:
             part = int(np.searchsorted(ends, index, side="right")) - 1
-            return f"{names[part]}[{index - ends[part]}]"
+            return f"{parts[part][0]}[{index - ends[part]}]"
 
-        each = np.repeat(scale.astype(np.int64) + SCALE_MIN, counts)
-        coded = coder.values(models, np.zeros(len(each), np.int64), each, [len(each)], WEIGHT_SYMBOL_MAX, name, values)
-        found.append(np.split(coded, ends[1:-1]) if counts else [])
-    few, many = found
+        each = scale.astype(np.int64) + SCALE_MIN
+        found.append(
+            coder.values(models, np.zeros(len(each), np.int64), each, [len(each)], WEIGHT_SYMBOL_MAX, name, values)
+        )
+    return _by_layer(shapes, found)
+
+
+def _parts(shapes: list[tuple[str, int, int]]) -> tuple[list[tuple[str, int]], list[tuple[str, int]]]:
+    """SPEC 7.13: returns the parts of both groups, each as its name and the number of its symbols."""
+    few = [(f"weights.{name}.{part}", out) for name, out, _ in shapes for part in ("exponent", "bias")]
+    return few, [(f"weights.{name}.weight", out * fan_in) for name, out, fan_in in shapes]
+
+
+def _scales(shapes: list[tuple[str, int, int]], scales: NDArray[np.uint8]) -> list[NDArray[np.uint8]]:
+    """SPEC 7.13: returns of both groups the scale of each symbol, less SCALE_MIN, uint8 [symbols]."""
+    own = (scales[:, [0, 2]].reshape(-1), scales[:, 1])
+    return [np.repeat(s, [count for _, count in parts]) for s, parts in zip(own, _parts(shapes), strict=True)]
+
+
+def _by_layer(shapes: list[tuple[str, int, int]], groups: list[Int64]) -> tuple[list[tuple[Int64, Int64]], list[Int64]]:
+    """Returns what code_grids does from the symbols of both groups."""
+    ends = [np.cumsum([count for _, count in parts]) for parts in _parts(shapes)]
+    few, many = (np.split(group, end[:-1]) if shapes else [] for group, end in zip(groups, ends, strict=True))
     return list(zip(few[0::2], few[1::2], strict=True)), [w.reshape(s[1:]) for w, s in zip(many, shapes, strict=True)]
+
+
+def _decode(
+    piece: Piece,
+    lanes: int,
+    shapes: list[tuple[str, int, int]],
+    scales: NDArray[np.uint8],
+    trace: Trace | None,
+    used: Kernel | None,
+) -> tuple[list[tuple[Int64, Int64]], list[Int64]]:
+    """SPEC 7.13: returns what code_grids does. piece: the substream. Raises its BitstreamError."""
+    if used is None:
+        decoder = Decoder([parse_substream(piece, lanes, "weights")], trace)
+        found = code_grids(decoder, shapes, scales)
+        error = decoder.finish()[0]
+        if error:
+            raise error
+        return found
+    few, many = _scales(shapes, scales)
+    symbols, verdict = weight_symbols(used, tables_bytes(), piece.data, lanes, np.concatenate([few, many]), len(few))
+    if verdict.status:
+        raise substream_error(verdict, piece, lanes, "weights")
+    each = symbols.astype(np.int64)
+    return _by_layer(shapes, [each[: len(few)], each[len(few) :]])
 
 
 def _finite(values: F32, start: int, path: str) -> None:
@@ -177,10 +215,13 @@ def _as_layer(values: F32, out: int, fan_in: int) -> Layer:
     return values[: out * fan_in].reshape(out, fan_in), values[out * fan_in :]
 
 
-def parse_weights(section: Piece, mode: int, d: Dimensions, lanes: int, trace: Trace | None = None) -> ParsedWeights:
+def parse_weights(
+    section: Piece, mode: int, d: Dimensions, lanes: int, trace: Trace | None = None, used: Kernel | None = None
+) -> ParsedWeights:
     """SPEC 5.8, 5.9 and 6.8: returns the weights of the section, whose length in mode 0 is known to be right.
 
-    lanes: the lanes of the substream in mode 1. Raises BitstreamError 411, 412, 414 to 418, or that of the substream.
+    lanes: the lanes of the substream in mode 1. used: decodes it instead of NumPy, without a trace. Raises
+    BitstreamError 411, 412, 414 to 418, or that of the substream.
     """
 
     def bad(at: int, field: str, value: int, low: int, high: int) -> BitstreamError:
@@ -203,7 +244,7 @@ def parse_weights(section: Piece, mode: int, d: Dimensions, lanes: int, trace: T
     # SPEC [R6.8-2]
     section.require_zero("weights.padding", 2 + count, size, "weights.carm_shift")
     if mode:
-        return _parse_packed(section, size, d, lanes, trace, plane_shift, carm_shift)
+        return _parse_packed(section, size, d, lanes, trace, used, plane_shift, carm_shift)
     layers, starts, at = [], {}, size
     for name, out, fan_in in layers_of(d):
         values = _raw_layer(section, at, out, fan_in)
@@ -238,6 +279,7 @@ def _parse_packed(
     d: Dimensions,
     lanes: int,
     trace: Trace | None,
+    used: Kernel | None,
     plane_shift: int,
     carm_shift: NDArray[np.uint8],
 ) -> ParsedWeights:
@@ -263,11 +305,8 @@ def _parse_packed(
             at += size
     scales = np.array([[m.exponent_scale, m.weight_scale, m.bias_scale] for m in models], dtype=np.uint8)
     packed = [i for i, (name, _, _) in enumerate(shapes) if name not in raw]
-    decoder = Decoder([parse_substream(section.cut(at, len(section)), lanes, "weights")], trace)
-    few, many = code_grids(decoder, [shapes[i] for i in packed], scales[packed])
-    error = decoder.finish()[0]
-    if error:
-        raise error
+    piece = section.cut(at, len(section))
+    few, many = _decode(piece, lanes, [shapes[i] for i in packed], scales[packed], trace, used)
     grids = dict(zip(packed, zip(few, many, strict=True), strict=True))
     layers = []
     for i, (name, out, fan_in) in enumerate(shapes):

@@ -69,6 +69,7 @@ enum {
     FRAME_RANGE_BOUND = 1 << 18,
     FRAME_CLAMP = (1 << 30) - 1,
     ATTRIBUTE_SYMBOL_MAX = (1 << 23) - 1,
+    WEIGHT_SYMBOL_MAX = (1 << 24) - 1,
     PLANE_SYMBOL_MAX = (1 << 15) - 1,
     CELL_LEVELS = 16,
     CELL_INDEX = 40,
@@ -412,6 +413,7 @@ struct kernel_scene {
  *
  * words: a copy with zeros behind it. at: how many words were taken, which may be more than there are.
  * raw_at: how many raw bits were read, which may be more than there are.
+ * past, limit: if bad_range, the first symbol past its limit, and that limit.
  */
 typedef struct {
     uint32_t state[LANES_MAX];
@@ -422,6 +424,8 @@ typedef struct {
     uint64_t raw_length, raw_at;
     uint32_t expected, crc;
     int bad_escape, bad_range;
+    int64_t past;
+    int32_t limit;
 } decoder;
 
 /* How many zero words stand behind the words: as many as one vector reads. */
@@ -450,20 +454,30 @@ static int32_t open_decoder(decoder *d, const uint8_t *part, uint64_t length, in
     d->at = d->raw_at = 0;
     d->crc = 0;
     d->bad_escape = d->bad_range = 0;
+    d->past = d->limit = 0;
     return 0;
 }
 
-/* SPEC 8.8: the checks at the end of a substream, in their order. Returns the first error code, or 0. */
-static int32_t close_decoder(const decoder *d)
+/* Sets the numbers of an error. Returns its code. */
+static int32_t fault(kernel_verdict *v, int32_t code, int64_t first, int64_t second)
 {
-    if (d->at != d->count) return SUBSTREAM_WORDS;
+    v->number[0] = first;
+    v->number[1] = second;
+    return code;
+}
+
+/* SPEC 8.8: the checks at the end of a substream, in their order. Returns the first error code, or 0. */
+static int32_t close_decoder(const decoder *d, kernel_verdict *v)
+{
+    const int64_t raw = (int64_t)d->raw_at;
+    if (d->at != d->count) return fault(v, SUBSTREAM_WORDS, (int64_t)d->at, 0);
     for (int32_t lane = 0; lane < d->lanes; lane++)
-        if (d->state[lane] != STATE_MIN) return SUBSTREAM_FINAL_STATE;
+        if (d->state[lane] != STATE_MIN) return fault(v, SUBSTREAM_FINAL_STATE, lane, d->state[lane]);
     if (d->bad_escape) return SUBSTREAM_ESCAPE;
-    if (d->bad_range) return SUBSTREAM_RANGE;
-    if (d->raw_length != (d->raw_at + 7) / 8) return SUBSTREAM_RAW_LENGTH;
-    if (d->raw_at % 8 && d->raw[d->raw_length - 1] >> d->raw_at % 8) return SUBSTREAM_RAW_PADDING;
-    if (d->crc != d->expected) return SUBSTREAM_CRC;
+    if (d->bad_range) return fault(v, SUBSTREAM_RANGE, d->past, d->limit);
+    if (d->raw_length != (d->raw_at + 7) / 8) return fault(v, SUBSTREAM_RAW_LENGTH, raw, 0);
+    if (d->raw_at % 8 && d->raw[d->raw_length - 1] >> d->raw_at % 8) return fault(v, SUBSTREAM_RAW_PADDING, raw, 0);
+    if (d->crc != d->expected) return fault(v, SUBSTREAM_CRC, d->crc, 0);
     return 0;
 }
 
@@ -639,7 +653,8 @@ INLINE int32_t fp16_order(uint32_t bits) { return bits >> 15 ? -(int32_t)(bits &
 /* What variant.h gives for one kind of vectors. */
 struct variant {
     const char *name;
-    int32_t (*decode_plane)(const kernel_scene *, const uint8_t *, uint64_t, int16_t *, workspace *);
+    int32_t (*decode_weights)(const kernel_tables *, decoder *, const uint8_t *, const uint64_t[2], int32_t *);
+    int32_t (*decode_plane)(const kernel_scene *, const uint8_t *, uint64_t, int16_t *, workspace *, kernel_verdict *);
     int32_t (*encode_plane)(const kernel_scene *, const int16_t *, uint8_t **, uint64_t *, workspace *);
     int32_t (*decode_chunk)(const kernel_scene *, kernel_chunk *, workspace *);
     int32_t (*encode_chunk)(const kernel_scene *, kernel_chunk *, workspace *);
@@ -953,7 +968,7 @@ typedef struct job {
     uint64_t *to_length;
     int16_t *planes;
     const int16_t *given;
-    int32_t *status;
+    kernel_verdict *verdict;
 } job;
 
 static void *work(void *argument)
@@ -990,14 +1005,15 @@ static void run_decode_plane(const job *j, int64_t i, workspace *w)
 {
     const kernel_scene *s = j->scene;
     int64_t points = (int64_t)s->channels * s->plane_size * s->plane_size;
-    j->status[i] = s->variant->decode_plane(s, j->from[i], j->from_length[i], j->planes + i * points, w);
+    kernel_verdict *v = &j->verdict[i];
+    v->status = s->variant->decode_plane(s, j->from[i], j->from_length[i], j->planes + i * points, w, v);
 }
 
 KERNEL_API void kernel_decode_planes(const kernel_scene *scene, const uint8_t *const *part, const uint64_t *length,
-                                     int16_t *planes, int32_t *status, int32_t threads)
+                                     int16_t *planes, kernel_verdict *verdict, int32_t threads)
 {
     job j = {.count = PLANES, .run = run_decode_plane, .scene = scene, .from = part, .from_length = length,
-             .planes = planes, .status = status};
+             .planes = planes, .verdict = verdict};
     run_job(&j, threads);
 }
 
@@ -1005,14 +1021,14 @@ static void run_encode_plane(const job *j, int64_t i, workspace *w)
 {
     const kernel_scene *s = j->scene;
     int64_t points = (int64_t)s->channels * s->plane_size * s->plane_size;
-    j->status[i] = s->variant->encode_plane(s, j->given + i * points, &j->to[i], &j->to_length[i], w);
+    j->verdict[i].status = s->variant->encode_plane(s, j->given + i * points, &j->to[i], &j->to_length[i], w);
 }
 
 KERNEL_API void kernel_encode_planes(const kernel_scene *scene, const int16_t *planes, uint8_t **part,
-                                     uint64_t *length, int32_t *status, int32_t threads)
+                                     uint64_t *length, kernel_verdict *verdict, int32_t threads)
 {
     job j = {.count = PLANES, .run = run_encode_plane, .scene = scene, .given = planes, .to = part,
-             .to_length = length, .status = status};
+             .to_length = length, .verdict = verdict};
     for (int i = 0; i < PLANES; i++) part[i] = NULL;
     run_job(&j, threads);
 }
@@ -1020,7 +1036,7 @@ KERNEL_API void kernel_encode_planes(const kernel_scene *scene, const int16_t *p
 static void run_decode_chunk(const job *j, int64_t i, workspace *w)
 {
     kernel_chunk *c = &j->chunks[i];
-    c->status = j->scene->variant->decode_chunk(j->scene, c, w);
+    c->verdict.status = j->scene->variant->decode_chunk(j->scene, c, w);
 }
 
 KERNEL_API void kernel_decode_chunks(const kernel_scene *scene, kernel_chunk *chunks, int64_t count, int32_t threads)
@@ -1032,7 +1048,7 @@ KERNEL_API void kernel_decode_chunks(const kernel_scene *scene, kernel_chunk *ch
 static void run_encode_chunk(const job *j, int64_t i, workspace *w)
 {
     kernel_chunk *c = &j->chunks[i];
-    c->status = j->scene->variant->encode_chunk(j->scene, c, w);
+    c->verdict.status = j->scene->variant->encode_chunk(j->scene, c, w);
 }
 
 KERNEL_API void kernel_encode_chunks(const kernel_scene *scene, kernel_chunk *chunks, int64_t count, int32_t threads)
@@ -1041,6 +1057,24 @@ KERNEL_API void kernel_encode_chunks(const kernel_scene *scene, kernel_chunk *ch
     for (int64_t i = 0; i < count; i++)
         for (int part = 0; part < KERNEL_PARTS; part++) chunks[i].part[part] = NULL;
     run_job(&j, threads);
+}
+
+KERNEL_API void kernel_decode_weights(const kernel_tables *tables, int32_t variant, const uint8_t *part,
+                                      uint64_t length, int32_t lanes, const uint8_t *scale, uint64_t few,
+                                      uint64_t many, int32_t *symbols, kernel_verdict *verdict)
+{
+    const uint64_t counts[2] = {few, many};
+    decoder d;
+    verdict->status = KERNEL_REFUSED;
+    if (!kernel_variant_runs(variant) || lanes < 1 || lanes > LANES_MAX || (lanes & (lanes - 1))) return;
+    verdict->status = KERNEL_NO_MEMORY;
+    if (length > SIZE_MAX - 2 * WORDS_PAST) return;
+    uint16_t *words = malloc((size_t)length + 2 * WORDS_PAST);
+    if (!words) return;
+    verdict->status = open_decoder(&d, part, length, lanes, words);
+    if (!verdict->status) verdict->status = variants[variant]->decode_weights(tables, &d, scale, counts, symbols);
+    if (!verdict->status) verdict->status = close_decoder(&d, verdict);
+    free(words);
 }
 
 KERNEL_API void kernel_values(int32_t variant, const int32_t *symbols, const uint8_t *index, int64_t stride,

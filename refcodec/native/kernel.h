@@ -19,17 +19,35 @@
 #endif
 
 /* The version of this interface. The binding refuses a library with another one. */
-enum { KERNEL_VERSION = 1 };
+enum { KERNEL_VERSION = 2 };
 
 /* Statuses that are no error codes of SPEC 10.3. */
 enum {
     KERNEL_DONE = 0,
     KERNEL_NO_MEMORY = -1,
-    /* What is to be encoded is not allowed: a symbol past its limit, a step index, or positions of another form. */
+    /* The caller did not check what it has to: lengths, or symbols that are to be encoded. */
     KERNEL_REFUSED = -2,
+    /* What is to be encoded is not allowed: positions that do not have their form, or other step indices. */
+    KERNEL_REFUSED_FORM = -3,
+    KERNEL_REFUSED_STEPS = -4,
 };
 
-enum { KERNEL_SLICES_MAX = 16, KERNEL_PARTS = 3 };
+enum { KERNEL_SLICES_MAX = 16, KERNEL_PARTS = 3, KERNEL_NUMBERS = 2 };
+
+/* What is made of a substream, or of a chunk. */
+typedef struct {
+    /* An error code of SPEC 10.3, or a status of this file. */
+    int32_t status;
+    /* Of a chunk, the part that has the error. */
+    int32_t part;
+    /* What the text of an error names, by its code:
+     *
+     * 446: the offsets that are kept. 453: the cells. 454: the first anchor whose cell stands for no fp16.
+     * 503: the words that the symbols take. 504: a lane, and its final state. 506: the symbol, and its limit.
+     * 507, 508: the raw bits that the symbols take. 509: the CRC-32 of the symbols.
+     */
+    int64_t number[KERNEL_NUMBERS];
+} kernel_verdict;
 
 /* SPEC 5.3 and 5.8: what a scene's symbols are coded with. Weights are those of SPEC 7.2, in file order. */
 typedef struct {
@@ -71,8 +89,7 @@ typedef struct {
     uint16_t low[3], high[3];
     /* SPEC 5.14: 0 raw or 1 packed. Encoding may be given -1, which packs if it can, and tells the form. */
     int32_t form;
-    /* An error code of SPEC 10.3, or a status of this file. */
-    int32_t status;
+    kernel_verdict verdict;
 } kernel_chunk;
 
 typedef struct kernel_tables kernel_tables;
@@ -91,12 +108,19 @@ KERNEL_API kernel_scene *kernel_scene_new(const kernel_description *description,
                                           int32_t variant);
 KERNEL_API void kernel_scene_free(kernel_scene *scene);
 
-/* SPEC 7.3: decodes the five substreams of planes to int16 [5, channels, size, size]. status: int32 [5]. */
+/* SPEC 7.13, DECODE_WEIGHTS: decodes `few` symbols of the Laplacian family, then `many` of the Gaussian one.
+ *
+ * scale: uint8 [few + many], each less SCALE_MIN and at most 255. symbols: [few + many].
+ */
+KERNEL_API void kernel_decode_weights(const kernel_tables *tables, int32_t variant, const uint8_t *part,
+                                      uint64_t length, int32_t lanes, const uint8_t *scale, uint64_t few,
+                                      uint64_t many, int32_t *symbols, kernel_verdict *verdict);
+/* SPEC 7.3: decodes the five substreams of planes to int16 [5, channels, size, size]. verdict: [5]. */
 KERNEL_API void kernel_decode_planes(const kernel_scene *scene, const uint8_t *const *part, const uint64_t *length,
-                                     int16_t *planes, int32_t *status, int32_t threads);
+                                     int16_t *planes, kernel_verdict *verdict, int32_t threads);
 /* The reverse. The parts are to be freed with kernel_free. */
 KERNEL_API void kernel_encode_planes(const kernel_scene *scene, const int16_t *planes, uint8_t **part,
-                                     uint64_t *length, int32_t *status, int32_t threads);
+                                     uint64_t *length, kernel_verdict *verdict, int32_t threads);
 KERNEL_API void kernel_decode_chunks(const kernel_scene *scene, kernel_chunk *chunks, int64_t count, int32_t threads);
 KERNEL_API void kernel_encode_chunks(const kernel_scene *scene, kernel_chunk *chunks, int64_t count, int32_t threads);
 KERNEL_API void kernel_free(void *memory);

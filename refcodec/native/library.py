@@ -24,9 +24,9 @@ NUMPY, NATIVE = "numpy", "native"
 LIBRARY = Path(__file__).with_name("kernel.so")
 THREADS_MAX = 256
 # kernel.h: the version of its interface, its statuses that are no error codes, and its arrays' lengths.
-VERSION = 1
-DONE, NO_MEMORY, REFUSED = 0, -1, -2
-SLICES_MAX, PARTS, PLANES = 16, 3, 5
+VERSION = 2
+DONE, NO_MEMORY, REFUSED, REFUSED_FORM, REFUSED_STEPS = 0, -1, -2, -3, -4
+SLICES_MAX, PARTS, PLANES, NUMBERS = 16, 3, 5, 2
 
 Pointer = ctypes.c_void_p
 
@@ -76,6 +76,12 @@ class Description(ctypes.Structure):
     )
 
 
+class Verdict(ctypes.Structure):
+    """kernel.h: kernel_verdict."""
+
+    _fields_ = (("status", ctypes.c_int32), ("part", ctypes.c_int32), ("number", ctypes.c_int64 * NUMBERS))
+
+
 class Chunk(ctypes.Structure):
     """kernel.h: kernel_chunk."""
 
@@ -88,7 +94,7 @@ class Chunk(ctypes.Structure):
         ("low", ctypes.c_uint16 * 3),
         ("high", ctypes.c_uint16 * 3),
         ("form", ctypes.c_int32),
-        ("status", ctypes.c_int32),
+        ("verdict", Verdict),
     )
 
 
@@ -102,6 +108,10 @@ _FUNCTIONS = {
     "kernel_tables_free": (None, [Pointer]),
     "kernel_scene_new": (Pointer, [ctypes.POINTER(Description), Pointer, _INT32]),
     "kernel_scene_free": (None, [Pointer]),
+    "kernel_decode_weights": (
+        None,
+        [Pointer, _INT32, Pointer, _UINT64, _INT32, Pointer, _UINT64, _UINT64, Pointer, Pointer],
+    ),
     "kernel_decode_planes": (None, [Pointer, Pointer, Pointer, Pointer, Pointer, _INT32]),
     "kernel_encode_planes": (None, [Pointer, Pointer, Pointer, Pointer, Pointer, _INT32]),
     "kernel_decode_chunks": (None, [Pointer, Pointer, _INT64, _INT32]),

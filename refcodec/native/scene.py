@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from .library import NO_MEMORY, PLANES, Chunk, Description, Kernel
+from .library import NO_MEMORY, PLANES, REFUSED, Chunk, Description, Kernel, Verdict
 
 Layers = list[tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.int64]]]
 
@@ -97,28 +97,29 @@ class NativeScene:
         self._scene = found
         weakref.finalize(self, kernel.library.kernel_scene_free, found)
 
-    def decode_planes(self, parts: list[bytes]) -> tuple[NDArray[np.int16], list[int]]:
-        """SPEC 7.3: returns the sub-planes, int16 [5, ch, B, B], and the status of each."""
+    def decode_planes(self, parts: list[bytes]) -> tuple[NDArray[np.int16], list[Verdict]]:
+        """SPEC 7.3: returns the sub-planes, int16 [5, ch, B, B], and what is made of each."""
         planes = np.empty((PLANES, self._channels, self._size, self._size), np.int16)
         held = [np.frombuffer(part, np.uint8) for part in parts]
         pointers = (ctypes.c_void_p * PLANES)(*(array.ctypes.data for array in held))
         lengths = (ctypes.c_uint64 * PLANES)(*map(len, parts))
-        statuses = (ctypes.c_int32 * PLANES)()
+        verdicts = (Verdict * PLANES)()
         self.kernel.library.kernel_decode_planes(
-            self._scene, pointers, lengths, planes.ctypes.data, statuses, self.kernel.threads
+            self._scene, pointers, lengths, planes.ctypes.data, verdicts, self.kernel.threads
         )
-        return planes, _checked(list(statuses))
+        return planes, _checked(list(verdicts))
 
-    def encode_planes(self, planes: NDArray[np.int16]) -> list[bytes] | None:
-        """SPEC 7.3: returns the substreams of sub-planes, int16 [5, ch, B, B], or None if a symbol is not allowed."""
+    def encode_planes(self, planes: NDArray[np.int16]) -> list[bytes]:
+        """SPEC 7.3: returns the substreams of sub-planes, int16 [5, ch, B, B], whose symbols are allowed."""
         given = np.ascontiguousarray(planes)
         pointers, lengths = (ctypes.c_void_p * PLANES)(), (ctypes.c_uint64 * PLANES)()
-        statuses = (ctypes.c_int32 * PLANES)()
+        verdicts = (Verdict * PLANES)()
         self.kernel.library.kernel_encode_planes(
-            self._scene, given.ctypes.data, pointers, lengths, statuses, self.kernel.threads
+            self._scene, given.ctypes.data, pointers, lengths, verdicts, self.kernel.threads
         )
         parts = self._taken(pointers, lengths)
-        return parts if not any(_checked(list(statuses))) else None
+        _checked(list(verdicts))
+        return parts
 
     def anchor_bytes(self) -> int:
         """Returns how many bytes an anchor takes in arrays of `room`."""
@@ -137,8 +138,8 @@ class NativeScene:
             np.empty((n, 3), np.uint8),
         )
 
-    def decode_chunks(self, chunks: list[ChunkBytes], to: Anchors, rows: list[int]) -> list[int]:
-        """SPEC 10.1, step 5: decodes some chunks, and returns the status of each.
+    def decode_chunks(self, chunks: list[ChunkBytes], to: Anchors, rows: list[int]) -> list[Verdict]:
+        """SPEC 10.1, step 5: decodes some chunks, and returns what is made of each.
 
         to: arrays of `room`. rows: the row of each chunk's first anchor in them. The chunks do not overlap.
         """
@@ -156,14 +157,15 @@ class NativeScene:
                 job.high[axis] = int(chunk.high[axis].view(np.uint16))
             self._place(job, to, first, chunk.anchors)
         self.kernel.library.kernel_decode_chunks(self._scene, jobs, len(chunks), self.kernel.threads)
-        return _checked([job.status for job in jobs])
+        return _checked([job.verdict for job in jobs])
 
     def encode_chunks(
         self, anchors: Anchors, counts: list[int], forms: list[int] | None
-    ) -> list[tuple[int, tuple[bytes, bytes, bytes]]] | None:
-        """SPEC 5.14: returns for each chunk the form of its positions and its parts, or None if any is not allowed.
+    ) -> tuple[list[tuple[int, tuple[bytes, bytes, bytes]]], list[int]]:
+        """SPEC 5.14: returns for each chunk the form of its positions and its parts, and its status.
 
-        counts: the anchors of each chunk. forms: None packs the positions of each chunk that can be packed.
+        The status is DONE, REFUSED_FORM or REFUSED_STEPS. anchors: their symbols are allowed. counts: the anchors of
+        each chunk. forms: None packs the positions of each chunk that can be packed.
         """
         held = Anchors(*(np.ascontiguousarray(array) for array in vars(anchors).values()))
         jobs, first = (Chunk * len(counts))(), 0
@@ -173,9 +175,8 @@ class NativeScene:
             first += count
         self.kernel.library.kernel_encode_chunks(self._scene, jobs, len(counts), self.kernel.threads)
         parts = [self._taken(job.part, job.length) for job in jobs]
-        if any(_checked([job.status for job in jobs])):
-            return None
-        return [(job.form, (own[0], own[1], own[2])) for job, own in zip(jobs, parts, strict=True)]
+        statuses = [verdict.status for verdict in _checked([job.verdict for job in jobs])]
+        return [(job.form, (own[0], own[1], own[2])) for job, own in zip(jobs, parts, strict=True)], statuses
 
     @staticmethod
     def _place(job: Chunk, anchors: Anchors, first: int, count: int) -> None:
@@ -193,11 +194,39 @@ class NativeScene:
         return found
 
 
-def _checked(statuses: list[int]) -> list[int]:
-    """Returns them. Raises MemoryError if one says so."""
+def _checked(verdicts: list[Verdict]) -> list[Verdict]:
+    """Returns them. Raises MemoryError if one says so, and RuntimeError for what was to be checked before."""
+    statuses = [verdict.status for verdict in verdicts]
     if NO_MEMORY in statuses:
         raise MemoryError("no memory for a chunk in the native kernel")
-    return statuses
+    if REFUSED in statuses:
+        raise RuntimeError("the native kernel refuses what was checked before")
+    return verdicts
+
+
+def weight_symbols(
+    kernel: Kernel, tables: bytes, part: bytes, lanes: int, scale: NDArray[np.uint8], few: int
+) -> tuple[NDArray[np.int32], Verdict]:
+    """SPEC 7.13, DECODE_WEIGHTS: returns the symbols of packed weights, int32 [symbols], and what is made of them.
+
+    tables: the shipped file. part: the substream. scale: uint8 [symbols], of each symbol. few: how many symbols the
+    first group has.
+    """
+    given, bytes_ = np.ascontiguousarray(scale), np.frombuffer(part, np.uint8)
+    symbols, verdict = np.empty(len(given), np.int32), Verdict()
+    kernel.library.kernel_decode_weights(
+        _tables(kernel, tables),
+        kernel.variant,
+        bytes_.ctypes.data,
+        len(bytes_),
+        lanes,
+        given.ctypes.data,
+        few,
+        len(given) - few,
+        symbols.ctypes.data,
+        ctypes.byref(verdict),
+    )
+    return symbols, _checked([verdict])[0]
 
 
 def values(

@@ -473,7 +473,7 @@ ALONE void NAMED(decode_plain)(const kernel_tables *t, decoder *d, const models 
 ALONE void NAMED(decode_values)(const kernel_tables *t, decoder *d, const models *m, group *g, int64_t count, int raw,
                                  int32_t limit)
 {
-    int64_t escapes = NAMED(decode_symbols)(t, d, m, g, count, 1);
+    int64_t escapes = NAMED(decode_symbols)(t, d, m, g, count, 1), first = count, past = 0;
     int32_t *value = g->value;
     if (raw) {
         /* The raw bits of all values come before the escapes. Those of an escaped value wait in its place. */
@@ -494,17 +494,28 @@ ALONE void NAMED(decode_values)(const kernel_tables *t, decoder *d, const models
         int64_t high = (int64_t)g->centre[i] + read_escape(d, m->radius[g->model[i]]);
         int64_t found = raw ? high * (INT64_C(1) << g->width[i]) + value[i] : high;
         if (found > limit || found < -limit) {
-            d->bad_range = 1;
+            if (first == count) {
+                first = i;
+                past = found;
+            }
             found = 0;
         }
         value[i] = (int32_t)found;
     }
     int32_t outside = 0;
     for (int64_t i = 0; i < count; i++) outside |= value[i] > limit || value[i] < -limit;
-    if (outside) {
+    for (int64_t i = 0; outside && i < count; i++)
+        if (value[i] > limit || value[i] < -limit) {
+            if (i < first) {
+                first = i;
+                past = value[i];
+            }
+            value[i] = 0;
+        }
+    if (first < count && !d->bad_range) {
         d->bad_range = 1;
-        for (int64_t i = 0; i < count; i++)
-            if (value[i] > limit || value[i] < -limit) value[i] = 0;
+        d->past = past;
+        d->limit = limit;
     }
     d->crc = NAMED(crc)(t, d->crc, value, 4 * (uint64_t)count);
 }
@@ -645,6 +656,36 @@ static void NAMED(take_encoder)(arena *a, encoder *e, uint16_t **words, uint64_t
     if (a->base) ++*words;
 }
 
+/* -------------------------------------------------------------------------------------- SPEC 7.13: packed weights -- */
+
+/* SPEC 7.13, DECODE_WEIGHTS: decodes the two groups, whose means are 0. counts: of both. Returns DONE or NO_MEMORY. */
+static int32_t NAMED(decode_weights)(const kernel_tables *t, decoder *d, const uint8_t *scale, const uint64_t counts[2],
+                                     int32_t *to)
+{
+    workspace w = {NULL, NULL, 0};
+    for (int k = 0; k < 2; scale += counts[k], to += counts[k], k++) {
+        const uint64_t count = counts[k];
+        int32_t *mean = NULL, *index = NULL;
+        group g;
+        for (int pass = 0; pass < 2; pass++) {
+            arena a = {pass ? w.base : NULL, 0};
+            take_group(&a, &g, count);
+            mean = take(&a, count, 4);
+            index = take(&a, count, 4);
+            if (!pass && !reserve(&w, a.used)) return KERNEL_NO_MEMORY;
+        }
+        for (uint64_t i = 0; i < count; i++) {
+            mean[i] = 0;
+            index[i] = SCALE_MIN + scale[i];
+        }
+        int raw = NAMED(select)(&g, 0, mean, index, (int32_t)count);
+        NAMED(decode_values)(t, d, k ? &t->gauss : &t->laplace, &g, (int64_t)count, raw, WEIGHT_SYMBOL_MAX);
+        memcpy(to, g.value, 4 * (size_t)count);
+    }
+    free(w.block);
+    return KERNEL_DONE;
+}
+
 /* ---------------------------------------------------------------------------------------------- SPEC 7.3: planes -- */
 
 /* What the coding of a sub-plane works with. at: of each point of a wavefront, its place among the symbols. */
@@ -715,7 +756,7 @@ static int NAMED(code_plane)(const kernel_scene *s, NAMED(plane_work) *p, decode
 INLINE uint64_t NAMED(words_of)(uint64_t length) { return length / 2; }
 
 static int32_t NAMED(decode_plane)(const kernel_scene *s, const uint8_t *part, uint64_t length, int16_t *plane,
-                                   workspace *w)
+                                   workspace *w, kernel_verdict *v)
 {
     NAMED(plane_work) p;
     decoder d;
@@ -732,7 +773,7 @@ static int32_t NAMED(decode_plane)(const kernel_scene *s, const uint8_t *part, u
         for (int32_t i = 0; i < size; i++)
             memcpy(plane + ((int64_t)c * size + i) * size,
                    p.symbols + ((int64_t)c * (size + 1) + i + 1) * (size + 2) + 1, 2 * (size_t)size);
-    return close_decoder(&d);
+    return close_decoder(&d, v);
 }
 
 static int32_t NAMED(encode_plane)(const kernel_scene *s, const int16_t *plane, uint8_t **part, uint64_t *length,
@@ -1009,6 +1050,8 @@ static int32_t NAMED(decode_positions)(const kernel_scene *s, kernel_chunk *chun
 {
     int64_t n = chunk->anchors;
     uint16_t *bits = chunk->positions;
+    kernel_verdict *v = &chunk->verdict;
+    v->part = 0;
     if (chunk->form == 0) {
         if (chunk->length[0] != RAW_POSITION * (uint64_t)n) return KERNEL_REFUSED;
         memcpy(bits, chunk->part[0], RAW_POSITION * (size_t)n);
@@ -1028,15 +1071,15 @@ static int32_t NAMED(decode_positions)(const kernel_scene *s, kernel_chunk *chun
         int32_t error = open_decoder(&d, chunk->part[0], chunk->length[0], s->mask_lanes, c.words);
         if (error) return error;
         int64_t count = NAMED(code_cells)(s, &c, &d, NULL, n);
-        error = close_decoder(&d);
+        error = close_decoder(&d, v);
         if (error) return error;
         /* SPEC [R6.11-8] */
-        if (count != n) return CELL_COUNT;
+        if (count != n) return fault(v, CELL_COUNT, count, 0);
         /* SPEC [R6.11-9] */
         for (int64_t i = 0; i < n; i++)
             for (int axis = 0; axis < 3; axis++) {
                 int32_t number = cell_number(every_third(c.codes[i] >> axis), s->cell_shift);
-                if (number < 0) return CELL_NUMBER;
+                if (number < 0) return fault(v, CELL_NUMBER, i, 0);
                 bits[3 * i + axis] = (uint16_t)number;
             }
     }
@@ -1080,7 +1123,7 @@ static int32_t NAMED(encode_positions)(const kernel_scene *s, kernel_chunk *chun
             return status;
         }
     }
-    if (chunk->form > 0) return KERNEL_REFUSED;
+    if (chunk->form > 0) return KERNEL_REFUSED_FORM;
     chunk->form = 0;
     chunk->length[0] = RAW_POSITION * (uint64_t)n;
     chunk->part[0] = malloc((size_t)chunk->length[0] + 1);
@@ -1330,16 +1373,18 @@ static int32_t NAMED(decode_chunk)(const kernel_scene *s, kernel_chunk *chunk, w
     int32_t error = NAMED(decode_positions)(s, chunk, w);
     if (error) return error;
     /* The masks. */
+    chunk->verdict.part = 1;
     if (!NAMED(make_room)(s, (uint64_t)n, NAMED(FOR_MASKS), NAMED(words_of)(chunk->length[1]), 0, w, &c))
         return KERNEL_NO_MEMORY;
     error = open_decoder(&d, chunk->part[1], chunk->length[1], s->mask_lanes, c.words);
     if (error) return error;
     uint64_t kept = NAMED(code_masks)(s, &c, &d, NULL, chunk->masks, n);
-    error = close_decoder(&d);
+    error = close_decoder(&d, &chunk->verdict);
     if (error) return error;
     /* SPEC [R6.11-11] */
-    if (kept != chunk->kept) return CHUNK_KEPT;
+    if (kept != chunk->kept) return fault(&chunk->verdict, CHUNK_KEPT, (int64_t)kept, 0);
     /* SPEC 7.10: the attributes. */
+    chunk->verdict.part = 2;
     if (!NAMED(make_room)(s, (uint64_t)n, NAMED(FOR_ATTRIBUTES), NAMED(words_of)(chunk->length[2]), 0, w, &c))
         return KERNEL_NO_MEMORY;
     error = open_decoder(&d, chunk->part[2], chunk->length[2], s->attribute_lanes, c.words);
@@ -1352,7 +1397,7 @@ static int32_t NAMED(decode_chunk)(const kernel_scene *s, kernel_chunk *chunk, w
         NAMED(move)(s, &c, g, chunk, n, 0);
         if (g->kind == FEATURE_STAGE && i + 1 < s->stage_count) NAMED(see)(s, &c, g, n);
     }
-    return close_decoder(&d);
+    return close_decoder(&d, &chunk->verdict);
 }
 
 /* SPEC B.4: makes the parts of a chunk. */
@@ -1381,7 +1426,7 @@ static int32_t NAMED(encode_chunk)(const kernel_scene *s, kernel_chunk *chunk, w
         if (g->kind == FEATURE_STAGE && i + 1 < s->stage_count) NAMED(see)(s, &c, g, n);
     }
     /* SPEC 7.8: the steps of the scene are those that the networks give. */
-    if (status == KERNEL_DONE && memcmp(c.steps, chunk->steps, KINDS * (size_t)n)) status = KERNEL_REFUSED;
+    if (status == KERNEL_DONE && memcmp(c.steps, chunk->steps, KINDS * (size_t)n)) status = KERNEL_REFUSED_STEPS;
     if (status == KERNEL_DONE)
         status = NAMED(finish_encoder)(&c.e, s->attribute_lanes, c.words, &chunk->part[2], &chunk->length[2]);
     free(c.e.raw.bytes);
@@ -1401,6 +1446,6 @@ static void NAMED(values)(const int32_t *symbols, const uint8_t *index, int64_t 
 }
 
 static const struct variant NAMED(variant) = {
-    TEXT(VARIANT),         NAMED(decode_plane), NAMED(encode_plane), NAMED(decode_chunk),
-    NAMED(encode_chunk), NAMED(values),
+    TEXT(VARIANT),       NAMED(decode_weights), NAMED(decode_plane), NAMED(encode_plane),
+    NAMED(decode_chunk), NAMED(encode_chunk),   NAMED(values),
 };

@@ -10,10 +10,7 @@
 
 #define EXPORT(name) __attribute__((export_name(name)))
 
-enum {
-    WEIGHT_SYMBOL_MAX = (1 << 24) - 1,
-    NUMBERS = 6 + KERNEL_SLICES_MAX + 7,
-};
+enum { NUMBERS = 6 + KERNEL_SLICES_MAX + 7 };
 
 /* Annex A. */
 static const uint8_t file[] = {
@@ -36,48 +33,14 @@ EXPORT("start") const uint8_t *web_start(void)
 
 /* ------------------------------------------------------------------------------------ SPEC 7.13: packed weights -- */
 
-/* Decodes one group, whose means are 0. scale: of each symbol, less SCALE_MIN. Returns whether there was memory. */
-static int decode_group(decoder *d, const models *m, const uint8_t *scale, uint32_t count, int32_t *to)
-{
-    arena a = {NULL, 0};
-    workspace w = {NULL, NULL, 0};
-    group g;
-    int32_t *mean = NULL, *index = NULL;
-    for (int pass = 0; pass < 2; pass++) {
-        take_group(&a, &g, count);
-        mean = take(&a, count, 4);
-        index = take(&a, count, 4);
-        if (pass) break;
-        if (!reserve(&w, a.used)) return 0;
-        a = (arena){w.base, 0};
-    }
-    for (uint32_t i = 0; i < count; i++) {
-        mean[i] = 0;
-        index[i] = SCALE_MIN + scale[i];
-    }
-    int raw = select_simd128(&g, 0, mean, index, (int32_t)count);
-    decode_values_simd128(tables, d, m, &g, count, raw, WEIGHT_SYMBOL_MAX);
-    memcpy(to, g.value, 4 * (size_t)count);
-    free(w.block);
-    return 1;
-}
-
 /* SPEC 7.13, DECODE_WEIGHTS: decodes `few` and then `many` symbols. scale: as above. Returns a code or a status. */
 EXPORT("decodeWeights")
 int32_t web_decode_weights(const uint8_t *part, uint32_t length, int32_t lanes, const uint8_t *scale, uint32_t few,
                            uint32_t many, int32_t *to)
 {
-    decoder d;
-    uint16_t *words = malloc((size_t)length / 2 * 2 + 2 * WORDS_PAST);
-    if (!words) return KERNEL_NO_MEMORY;
-    int32_t status = open_decoder(&d, part, length, lanes, words);
-    if (!status) {
-        int done = decode_group(&d, &tables->laplace, scale, few, to) &&
-                   decode_group(&d, &tables->gauss, scale + few, many, to + few);
-        status = done ? close_decoder(&d) : KERNEL_NO_MEMORY;
-    }
-    free(words);
-    return status;
+    kernel_verdict verdict;
+    kernel_decode_weights(tables, VARIANT_USED, part, length, lanes, scale, few, many, to, &verdict);
+    return verdict.status;
 }
 
 /* --------------------------------------------------------------------------------------------- planes and chunks -- */
@@ -105,18 +68,23 @@ void web_decode_planes(const kernel_scene *scene, const uint8_t *bytes, const ui
 {
     const uint8_t *part[PLANES];
     uint64_t length[PLANES];
+    kernel_verdict verdict[PLANES];
     for (int i = 0; i < PLANES; i++) {
         part[i] = bytes + place[i];
         length[i] = place[PLANES + i];
     }
-    kernel_decode_planes(scene, part, length, planes, status, 1);
+    kernel_decode_planes(scene, part, length, planes, verdict, 1);
+    for (int i = 0; i < PLANES; i++) status[i] = verdict[i].status;
 }
 
-/* SPEC 10.1, step 6. place: where each part starts in `bytes`, and then their lengths. bounds: low and high, [6]. */
+/* SPEC 10.1, step 6. place: where each part starts in `bytes`, and then their lengths. bounds: low and high, [6].
+ *
+ * failed: the part that has the error.
+ */
 EXPORT("decodeChunk")
 int32_t web_decode_chunk(const kernel_scene *scene, const uint8_t *bytes, const uint32_t *place, int32_t form,
                          uint32_t anchors, uint32_t kept, const uint16_t *bounds, uint16_t *positions, uint8_t *masks,
-                         int32_t *features, int32_t *scalings, int32_t *offsets, uint8_t *steps)
+                         int32_t *features, int32_t *scalings, int32_t *offsets, uint8_t *steps, int32_t *failed)
 {
     kernel_chunk c = {.positions = positions, .masks = masks, .features = features, .scalings = scalings,
                       .offsets = offsets, .steps = steps, .anchors = anchors, .kept = kept, .form = form};
@@ -127,7 +95,8 @@ int32_t web_decode_chunk(const kernel_scene *scene, const uint8_t *bytes, const 
     memcpy(c.low, bounds, sizeof c.low);
     memcpy(c.high, bounds + 3, sizeof c.high);
     kernel_decode_chunks(scene, &c, 1, 1);
-    return c.status;
+    *failed = c.verdict.part;
+    return c.verdict.status;
 }
 
 /* ---------------------------------------------------------------------------------------- SPEC 9: reconstruction -- */

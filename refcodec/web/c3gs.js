@@ -130,7 +130,7 @@ class Scene {
     const chunk = await readChunk(this.#source, entry, this.#index);
     const [h, kernel] = [this.header, this.#kernel];
     const { status, part, own } = kernel.decodeChunk(h, chunk);
-    if (status !== 0) throw chunkError(status, part, chunk, h);
+    if (status !== 0) throw chunkError(status, part, chunk);
     const n = entry.anchors;
     // Copies what the kernel's memory has.
     const copied = (name, view) => {

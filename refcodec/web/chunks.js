@@ -7,14 +7,12 @@ const PRECISION = 14;
 const CELL_INDEX = 40;
 const POSITION_MODELS = 18;
 const ANCHORS_OF_A_BYTE = 16;
-const STATE_MIN = 2 ** 16;
 
 const HALVES = 16;
 // The models whose first frequency is 0.
 const EMPTY_FIRST = [1, 7, 13];
 const ENTRY_LENGTH = 28;
 const HEAD_LENGTH = 16;
-const SUBSTREAM_HEAD = 8;
 const PARTS = 3;
 const RAW_POSITION = 6;
 
@@ -120,32 +118,14 @@ export async function readChunk(source, entry, index) {
   return { ...entry, bytes, form, places, lengths };
 }
 
-// Returns the error of a code that the kernel gave. part: the number of the part in which decoding ended.
-export function chunkError(code, part, chunk, header) {
-  const { bytes, start, places, form } = chunk;
+// Returns the error of a code that the kernel gave. part: the number of the part that has the error.
+export function chunkError(code, part, { bytes, start, places, anchors }) {
   const is = (...names) => names.some((name) => REGISTRY.get(name).code === code);
   if (is("chunk.kept", "chunk.bounds")) return errorOfCode(code, start);
-  if (is("positions.count", "positions.cell")) return errorOfCode(code, start + places[0]);
+  let at = 0;
   if (is("positions.not_finite", "positions.negative_zero")) {
-    const view = new DataView(bytes.buffer, bytes.byteOffset + places[0], RAW_POSITION * chunk.anchors);
-    let at = 0;
+    const view = new DataView(bytes.buffer, bytes.byteOffset + places[part], RAW_POSITION * anchors);
     while (!notFinite(view.getUint16(at, true)) && !negativeZero(view.getUint16(at, true))) at += 2;
-    return errorOfCode(code, start + places[0] + at);
   }
-  // The first part with a wrong head is the one whose head is refused.
-  const head = is("substream.length", "substream.state");
-  const first = form === 1 ? 0 : 1;
-  const wrong = [0, 1, 2].find((i) => i >= first && !headIsRight(chunk, i, header));
-  return errorOfCode(code, start + places[head ? wrong : part]);
-}
-
-// [R8.1-1] and [R8.1-2]
-function headIsRight({ bytes, places, lengths }, part, header) {
-  const lanes = 1 << (part < 2 ? header.mask_lanes_log2 : header.attribute_lanes_log2);
-  const least = SUBSTREAM_HEAD + 4 * lanes;
-  if (lengths[part] < least) return false;
-  const view = new DataView(bytes.buffer, bytes.byteOffset + places[part], lengths[part]);
-  if (lengths[part] < least + 2 * view.getUint32(4, true)) return false;
-  const states = Array.from({ length: lanes }, (_, i) => view.getUint32(SUBSTREAM_HEAD + 4 * i, true));
-  return states.every((state) => state >= STATE_MIN);
+  return errorOfCode(code, start + places[part] + at);
 }

@@ -20,8 +20,6 @@ export const VIEW = {
   positions: [Float32Array, 3], scales: [Float32Array, 3], rotations: [Float32Array, 4], colours: [Float32Array, 3],
   opacities: [Float32Array, 1], anchors: [Uint32Array, 1], offsets: [Uint8Array, 1],
 };
-// What no mask and no step index is.
-const UNTOUCHED = 255;
 
 let compiled;
 // The kernels of scenes. What a caller has of a scene does not show it.
@@ -171,7 +169,7 @@ class Kernel {
   }
 
   // SPEC 10.1, step 6, from the positions on. chunk: as parseChunk gives it. Returns an error code or 0, and the number
-  // of the part in which decoding ended. The integers stay in memory, for `values`.
+  // of the part that has the error. The integers stay in memory, for `values`.
   decodeChunk(header, chunk) {
     const h = header;
     const n = chunk.anchors;
@@ -187,16 +185,13 @@ class Kernel {
       offsets: this.keep("offsets", 12 * h.offset_count * n),
       steps: this.keep("steps", 3 * n),
     };
-    const memory = new Uint8Array(this.run.memory.buffer);
-    memory[own.masks] = memory[own.steps] = UNTOUCHED;
+    const failed = this.keep("failed", 4);
     const status = known(this.run.decodeChunk(
       this.scene, bytes, place, chunk.form, n, chunk.kept, bounds, own.positions, own.masks, own.features,
-      own.scalings, own.offsets, own.steps,
+      own.scalings, own.offsets, own.steps, failed,
     ));
-    // The kernel writes masks and step indices when it decodes them: what it did not touch, it did not come to.
-    const [mask] = this.view(Uint8Array, own.masks, 1);
-    const [step] = this.view(Uint8Array, own.steps, 1);
-    return { status, part: mask === UNTOUCHED ? 0 : step === UNTOUCHED ? 1 : 2, own };
+    const [part] = this.view(Int32Array, failed, 1);
+    return { status, part, own };
   }
 
   // SPEC 9.1: the world positions of the positions (f16 bits) at a place of memory.

@@ -25,7 +25,19 @@ from conformance.fuzz import compare
 from conformance.fuzz.strategies import draw_mutation, draw_splice, scenes
 from conformance.manifest import Accepted, Rejected, Vector, load
 from refcodec import statuses
-from refcodec.bitstream import codec, directory, kernel, reader, reconstruction, source
+from refcodec.bitstream import (
+    batches,
+    codec,
+    directory,
+    entropy,
+    kernel,
+    planes,
+    positions,
+    reader,
+    reconstruction,
+    source,
+    weights,
+)
 from refcodec.bitstream.chunks import PARTS
 from refcodec.bitstream.errors import BitstreamError
 from refcodec.bitstream.header import Lanes
@@ -34,7 +46,6 @@ from refcodec.bitstream.tables import tables_bytes
 from refcodec.cli.main import main
 from refcodec.encoder.positions import position_model
 from refcodec.native import library
-from refcodec.native.scene import NativeScene
 
 VARIANTS = ["plain", "avx2", "avx512", "avx512vnni", "neon"]
 SUITE = load()
@@ -81,6 +92,32 @@ def test_the_vectors(use: Use, path: str) -> None:
         assert verdict(data)[:2] == expected(vector), vector.id
         if isinstance(vector.expectation, Accepted) and path != "numpy":
             assert codec.emit(codec.parse(data).scene) == data, vector.id
+
+
+REJECTED = [v for v in DECODED if isinstance(v.expectation, Rejected)]
+
+
+@pytest.fixture(scope="module")
+def numpy_texts() -> dict[str, tuple[Any, ...]]:
+    """The verdicts of NumPy on the vectors that are refused."""
+    with by_numpy():
+        return {v.id: verdict(SUITE.path(v).read_bytes()) for v in REJECTED}
+
+
+@pytest.mark.requirement("D13.1-1")
+@pytest.mark.parametrize("path", ["plain", "native"])
+def test_nothing_is_decoded_twice(
+    use: Use, monkeypatch: pytest.MonkeyPatch, path: str, numpy_texts: dict[str, tuple[Any, ...]]
+) -> None:
+    """The texts of errors are those of NumPy, which decodes nothing for them."""
+    use(path)
+    monkeypatch.setattr(entropy, "Decoder", None)
+    for module in (batches, planes, positions, weights):
+        monkeypatch.setattr(module, "Decoder", None)
+    codes = {code for code, *_ in numpy_texts.values()}
+    assert codes >= {446, 447, 451, 452, 453, 454, 501, 502, 503, 504, 505, 506, 507, 508, 509}
+    for vector in REJECTED:
+        assert verdict(SUITE.path(vector).read_bytes()) == numpy_texts[vector.id], vector.id
 
 
 @pytest.mark.no_cover
@@ -207,12 +244,14 @@ def with_another_form(scene: Scene) -> Scene:
 
 
 @pytest.mark.parametrize("change", [with_a_large_feature, with_another_step, with_another_form])
-def test_what_numpy_does_not_encode(use: Use, change: Any) -> None:
-    """The error is that of NumPy."""
+def test_what_numpy_does_not_encode(use: Use, monkeypatch: pytest.MonkeyPatch, change: Any) -> None:
+    """The error is that of NumPy, which encodes nothing for it."""
     use("native")
     scene = change(LARGE["256 lanes"])
     with by_numpy(), pytest.raises(ValueError, match=r"SPEC\.md") as wanted:
         codec.emit(scene)
+    for module in (codec, planes, positions, weights):
+        monkeypatch.setattr(module, "Encoder", None)
     with pytest.raises(ValueError, match=r"SPEC\.md") as caught:
         codec.emit(scene)
     assert str(caught.value) == str(wanted.value)
@@ -221,28 +260,33 @@ def test_what_numpy_does_not_encode(use: Use, change: Any) -> None:
 # --- faults of ours ---------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("status", [501, 509, library.REFUSED])
+class Library:
+    """The library, of which a test changes a function."""
+
+    def __init__(self, library: Any) -> None:
+        self.library = library
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self.library, name)
+
+
+@pytest.mark.parametrize("status", [447, 451, 501, library.REFUSED])
 def test_disagreement_is_a_fault_of_ours(use: Use, monkeypatch: pytest.MonkeyPatch, status: int) -> None:
-    """Were the kernel to refuse what NumPy accepts, there would be no verdict."""
+    """Were the kernel to refuse what the checks in Python allow, there would be no verdict."""
     use("native")
-    original = NativeScene.decode_chunks
-    monkeypatch.setattr(NativeScene, "decode_chunks", lambda *given: [status for _ in original(*given)])
-    with pytest.raises(RuntimeError, match=f"native kernel says {status}, and NumPy says 0"):
+    used = kernel.kernel()
+    assert used is not None
+
+    class Wrong(Library):
+        """The library, which says that the last chunk has an error."""
+
+        def kernel_decode_chunks(self, scene: int, jobs: Any, count: int, threads: int) -> None:
+            used.library.kernel_decode_chunks(scene, jobs, count, threads)
+            jobs[count - 1].verdict.status = status
+
+    monkeypatch.setattr(reader, "kernel", lambda: replace(used, library=Wrong(used.library)))
+    with pytest.raises(RuntimeError, match=r"kernel|no error of a substream's end"):
         codec.parse(FILES["one lane"])
-
-
-def test_disagreement_about_planes_and_encoding(use: Use, monkeypatch: pytest.MonkeyPatch) -> None:
-    use("native")
-    with monkeypatch.context() as patch:
-        planes = NativeScene.decode_planes
-        patch.setattr(NativeScene, "decode_planes", lambda s, parts: (planes(s, parts)[0], [0, 503, 0, 0, 0]))
-        with pytest.raises(RuntimeError, match="planes: the native kernel says 503, and NumPy says 0"):
-            codec.parse(FILES["one lane"])
-    for name in ("encode_planes", "encode_chunks"):
-        with monkeypatch.context() as patch:
-            patch.setattr(NativeScene, name, lambda *arguments: None)
-            with pytest.raises(RuntimeError, match="NumPy says 0"):
-                codec.emit(LARGE["one lane"])
 
 
 def test_no_memory_is_no_verdict(use: Use, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -250,17 +294,13 @@ def test_no_memory_is_no_verdict(use: Use, monkeypatch: pytest.MonkeyPatch) -> N
     used = kernel.kernel()
     assert used is not None
 
-    class Poor:
+    class Poor(Library):
         """The library, which finds no memory for chunks."""
 
-        def __getattr__(self, name: str) -> Any:
-            return getattr(used.library, name)
+        def kernel_decode_chunks(self, scene: int, jobs: Any, count: int, threads: int) -> None:
+            jobs[count - 1].verdict.status = library.NO_MEMORY
 
-        @staticmethod
-        def kernel_decode_chunks(scene: int, jobs: Any, count: int, threads: int) -> None:
-            jobs[count - 1].status = library.NO_MEMORY
-
-    monkeypatch.setattr(reader, "kernel", lambda: replace(used, library=Poor()))
+    monkeypatch.setattr(reader, "kernel", lambda: replace(used, library=Poor(used.library)))
     with pytest.raises(MemoryError):
         codec.parse(FILES["one lane"])
 

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from ...bitstream.attributes import Attributes, EntropyModel, code_attributes
 from ...bitstream.batches import one_thread
-from ...bitstream.context import context
+from ...bitstream.context import JoinedPlanes, context
 from ...bitstream.conventions import Int64
 from ...bitstream.dimensions import SCALINGS, Dimensions, layers_of
 from ...bitstream.masks import code_masks, mask_models
@@ -83,7 +83,7 @@ class Measures:
         self.scene: Scene | None = None
         self._first = 0
         self._model: EntropyModel | None = None
-        self._planes: tuple[Int64, Int64] | None = None
+        self._planes: JoinedPlanes | None = None
 
     def add(self, scene: Scene) -> None:
         """Adds anchors. scene: with them alone, in their chunks."""

@@ -42,8 +42,8 @@ def section(measures: Measures) -> str:
     )
 
 
-def _plane(r: int, plane: NDArray[np.int64], bits: NDArray[np.float64]) -> str:
-    """One plane: int64 [ch, s, s]. bits: float64 [ch], what the symbols of each channel take."""
+def _plane(r: int, plane: NDArray[np.int16], bits: NDArray[np.float64]) -> str:
+    """One plane: int16 [ch, s, s]. bits: float64 [ch], what the symbols of each channel take."""
     magnitude = np.sort(np.abs(plane), axis=None)
     most = max(1, int(magnitude[int(_HELD * (len(magnitude) - 1))]))
     side = plane.shape[1]
@@ -72,7 +72,7 @@ def _plane(r: int, plane: NDArray[np.int64], bits: NDArray[np.float64]) -> str:
     )
 
 
-def _means(symbols: NDArray[np.int64], join: int) -> NDArray[np.float64]:
+def _means(symbols: NDArray[np.int16], join: int) -> NDArray[np.float64]:
     """Returns the means of blocks of join x join points. Those at the ends may be smaller."""
     edges = np.arange(0, len(symbols), join)
     total = np.add.reduceat(np.add.reduceat(symbols.astype(np.float64), edges, axis=0), edges, axis=1)
