@@ -2,8 +2,9 @@
 //
 // The page sends one "open", a "view" whenever the camera changes, and "drawn" for each "frame". The worker sends
 // "head", "chunk", "frame", "end" and "refused". The arrays of a frame go to the page and are not kept here.
+import { checkBounds, gaussiansBytes } from "../web/bounds.js";
 import { BoundPassedError, C3gsError, decode, Gaussians } from "../web/c3gs.js";
-import { change, Rows } from "./rows.js";
+import { change, Rows, WAITING_MAX } from "./rows.js";
 import { Sorter } from "./sort.js";
 
 // What a page takes of a file of unknown origin.
@@ -70,9 +71,10 @@ function begin(opened) {
   scene = opened;
   gaussians = new Gaussians(scene);
   rows = new Rows(gaussians, scene.entries());
+  const h = scene.header;
+  checkBounds(BOUNDS, h, 0, gaussiansBytes(h, h.anchor_count, rows.most) + rows.bytes);
   sorter = new Sorter();
   sample = [];
-  const h = scene.header;
   const { anchor_count, chunk_count, background, up_axis, near_plane, alpha_max, low_pass } = h;
   const header = { anchor_count, chunk_count, background: [...background], up_axis, near_plane, alpha_max, low_pass };
   postMessage({ type: "head", header, height: rows.height, ...about() });
@@ -144,14 +146,15 @@ function slice() {
   });
   stale.sort((a, b) => b[0] - a[0]);
   let done = 0;
-  while (done < stale.length && (done === 0 || performance.now() < until)) {
+  while (done < stale.length && waiting.size < WAITING_MAX && (done === 0 || performance.now() < until)) {
     const row = stale[done++][1];
     rows.update(row, centre);
     waiting.add(row);
   }
   const whole = done === stale.length;
   const state = `${id} ${rows.blocks.length} ${whole} ${ended}`;
-  if (owed || (waiting.size === 0 && sorted === state)) return !whole;
+  // Without room for more rows, the page has to take those before.
+  if (owed || (waiting.size === 0 && sorted === state)) return !whole && waiting.size < WAITING_MAX;
   const chosen = [...waiting];
   waiting.clear();
   sorted = state;

@@ -3,20 +3,32 @@ import { attributeChannels, weightCount } from "./container.js";
 import { BoundPassedError } from "./errors.js";
 
 // Estimates in bytes: a weight as f32, as an integer and with its copies; a point of a plane while it is decoded; a
-// value of an anchor that is being decoded.
+// value of an anchor that is being decoded; and a value that is held.
 const WEIGHT = 32;
 const PLANE_POINT = 32;
 const DECODING = 56;
+const HOLDING = 8;
+// What Gaussians hold, in draw.c and gaussians.js: bytes of an anchor, of it for each unit of a hidden layer of the three
+// networks, and of a kept offset.
+const ANCHOR = 32;
+const UNIT = 12;
+const KEPT = 13;
 
-// options: maxAnchors, maxMemory. header: as readHeader gives it.
-export function checkBounds({ maxAnchors = Infinity, maxMemory = Infinity }, header) {
+// options: maxAnchors, maxMemory. header: as readHeader gives it. held: anchors of a scene that is kept. more: further
+// bytes.
+export function checkBounds({ maxAnchors = Infinity, maxMemory = Infinity }, header, held = 0, more = 0) {
   const h = header;
   if (h.anchor_count > maxAnchors) throw new BoundPassedError("anchors", h.anchor_count, maxAnchors);
   const planes = 5 * h.plane_channels * h.plane_size ** 2;
   const anchor = attributeChannels(h) + h.offset_count;
   const atOnce = Math.min(h.anchor_count, h.chunk_size);
-  const needed = weightCount(h) * WEIGHT + planes * PLANE_POINT + anchor * atOnce * DECODING;
-  checkBytes({ maxMemory }, needed);
+  const own = weightCount(h) * WEIGHT + planes * PLANE_POINT + anchor * (atOnce * DECODING + held * HOLDING);
+  checkBytes({ maxMemory }, own + more);
+}
+
+// What Gaussians take for some anchors and their kept offsets.
+export function gaussiansBytes({ render_width: width }, count, kept) {
+  return count * (ANCHOR + UNIT * 4 * Math.ceil(width / 4)) + kept * KEPT;
 }
 
 // The same for bytes of the file that are held together.

@@ -24,7 +24,10 @@ export type Seekable = Bytes | Blob | Ranges;
 export interface Options {
   /** The most anchors that the file may have. */
   maxAnchors?: number;
-  /** The most bytes of memory that decoding may take, by an estimate from the header, and by lengths in the file. */
+  /**
+   * The most bytes of memory that decoding may take, by an estimate from the header, and by lengths in the file. For
+   * `decodeAll` the arrays of all anchors count, and for `Gaussians` what it holds.
+   */
   maxMemory?: number;
   /** Whether to compute the digests of 9.3. */
   digests?: boolean;
@@ -272,16 +275,15 @@ export interface Added {
  * The Gaussians of a scene, from any place (14.3). The networks run in WebAssembly, where the scene was decoded.
  *
  * What does not depend on the place is computed once, when a chunk is added. For each anchor this takes 12 bytes times
- * header.render_width, and 12 bytes for each kept offset. maxMemory does not count these bytes, and maxAnchors bounds
- * them. They go with the scene.
+ * header.render_width and 32 more, and 13 bytes for each kept offset. They go with the scene.
  *
  *     const gaussians = new Gaussians(scene);
  *     const index = gaussians.add(chunk);
  *     const { count, positions, scales, rotations, colours, opacities } = gaussians.chunk(index, [0, 0, -3]);
  */
 export class Gaussians {
-  /** The scene of `decode`, `decodeAll`, `open` or a chunk. */
-  constructor(scene: Scene);
+  /** scene: of `decode`, `decodeAll`, `open` or a chunk. maxMemory: for decoding and for what is added, together. */
+  constructor(scene: Scene, options?: Pick<Options, "maxAnchors" | "maxMemory">);
   readonly scene: Scene;
   /** The chunks that were added, in the order of adding. */
   readonly chunks: readonly Added[];
@@ -292,7 +294,7 @@ export class Gaussians {
    * Takes a chunk of the scene, or all anchors of `decodeAll`, and returns its index in `chunks`.
    *
    * The arrays may come from another thread. They are copied. Throws TypeError for arrays of wrong types or lengths,
-   * and RangeError without memory.
+   * BoundPassedError before more is held than the options allow, and RangeError without memory.
    */
   add(chunk: Anchors & { readonly number?: number; readonly first?: number }): number;
   /** Forgets all chunks, and gives their memory back. */

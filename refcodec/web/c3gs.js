@@ -175,9 +175,10 @@ class Scene {
   }
 }
 
-async function begin(source, options, all) {
+// holds: whether all anchors are held.
+async function begin(source, options, all, holds = false) {
   const header = await readHeader(source);
-  checkBounds(options, header);
+  checkBounds(options, header, holds ? header.anchor_count : 0);
   return new Scene(source, await loadKernel(options.wasm), options, header).open(all);
 }
 
@@ -189,12 +190,12 @@ export function decode(input, options = {}) {
   return run(input, options);
 }
 
-// begun: is given the scene before its chunks are decoded.
-async function* run(input, options, begun = () => {}) {
+// begun: is given the scene before its chunks are decoded, by a caller who holds them all.
+async function* run(input, options, begun) {
   const source = sourceOf(input);
   try {
-    const scene = await begin(source, options, true);
-    begun(scene);
+    const scene = await begin(source, options, true, begun !== undefined);
+    begun?.(scene);
     const digests = options.digests ? scene.digests() : undefined;
     for await (const chunk of scene.chunks()) {
       if (digests !== undefined) chunk.digest = digests.add(chunk);

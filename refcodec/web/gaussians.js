@@ -1,4 +1,5 @@
 // The Gaussians that a place sees (SPEC.md 14.3).
+import { checkBounds, gaussiansBytes } from "./bounds.js";
 import { centreOf } from "./camera.js";
 import { kernelOf, VIEW } from "./kernel.js";
 
@@ -49,8 +50,10 @@ export class Gaussians {
   #renderer;
   // Of each chunk: its place in the kernel's memory, its slots, and from where it was last seen.
   #own = [];
+  #options;
 
-  constructor(scene) {
+  constructor(scene, options = {}) {
+    this.#options = options;
     this.#kernel = kernelOf(scene);
     this.#renderer = this.#kernel.makeRenderer(scene);
     this.scene = scene;
@@ -72,18 +75,20 @@ export class Gaussians {
     });
     const slots = slotsOf(chunk.masks, count, k);
     const kept = slots[count];
+    const [start, slot] = [this.anchorCount, this.slotCount];
+    const { header } = this.scene;
+    checkBounds(this.#options, header, 0, gaussiansBytes(header, start + count, slot + kept));
     const at = this.#kernel.makeAnchors(this.#renderer, count, kept);
     try {
-      for (let start = 0; start < count; start += PIECE) {
-        const end = Math.min(start + PIECE, count);
-        const piece = arrays.map(([array, width]) => array.subarray(start * width, end * width));
-        this.#kernel.addAnchors(this.#renderer, at, end - start, piece);
+      for (let from = 0; from < count; from += PIECE) {
+        const to = Math.min(from + PIECE, count);
+        const piece = arrays.map(([array, width]) => array.subarray(from * width, to * width));
+        this.#kernel.addAnchors(this.#renderer, at, to - from, piece);
       }
     } catch (error) {
       this.#kernel.release(at);
       throw error;
     }
-    const [start, slot] = [this.anchorCount, this.slotCount];
     const { number, first = 0 } = chunk;
     this.chunks.push({ number, start, end: start + count, kept, slot, ...boundsOf(chunk.positions) });
     this.#own.push({ at, slots, first, seen: undefined });

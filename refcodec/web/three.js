@@ -119,7 +119,7 @@ export class C3gsLoader extends Loader {
     let gaussians;
     for (;;) {
       const { value, done } = await chunks.next();
-      gaussians ??= new Gaussians(value.scene);
+      gaussians ??= new Gaussians(value.scene, this.options);
       if (done) return new C3gsModel(value.scene, gaussians);
       gaussians.add(value);
     }

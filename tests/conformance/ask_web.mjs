@@ -71,6 +71,19 @@ async function changes(bytes, { first, second }) {
   return { added, changes: [...gaussians.changes(second)] };
 }
 
+// Adds all anchors again and again, until the bounds refuse them. The fourth time is one too many.
+async function held(bytes, options) {
+  const { scene, anchors } = await decodeAll(bytes);
+  const gaussians = new Gaussians(scene, options);
+  try {
+    for (let i = 0; i < 4; i++) gaussians.add(anchors);
+  } catch (error) {
+    if (!(error instanceof BoundPassedError)) throw error;
+    return { bound: error.bound, needed: error.needed, added: gaussians.anchorCount, chunks: gaussians.chunks.length };
+  }
+  return { added: gaussians.anchorCount };
+}
+
 const listed = ({ cameras, metadata }) => ({ cameras, metadata: Object.fromEntries(metadata) });
 
 async function answer({ file, way, number, options, ...rest }, chunks) {
@@ -93,6 +106,7 @@ async function answer({ file, way, number, options, ...rest }, chunks) {
   if (way === "centre") return { centre: [...centreOf(rest.camera, rest.object)] };
   if (way === "upright") return { matrix: [...uprightMatrix({ up_axis: rest.axis })] };
   if (way === "changes") return changes(bytes, rest);
+  if (way === "held") return held(bytes, options);
   if (way === "views") return views(bytes, rest.place);
   if (way === "ancillary") {
     const scene = await open(bytes, options);
@@ -132,5 +146,5 @@ for await (const line of readline.createInterface({ input: process.stdin })) {
     else if (error instanceof BoundPassedError) said = { bound: error.bound, needed: error.needed };
     else said = { fault: `${error?.name}: ${error?.stack ?? error}` };
   }
-  process.stdout.write(`${JSON.stringify({ ...said, chunks })}\n`);
+  process.stdout.write(`${JSON.stringify({ chunks, ...said })}\n`);
 }

@@ -162,16 +162,36 @@ def test_entries_say_where_chunks_lie(decoder: Decoder) -> None:
 
 
 def test_bounds_are_those_of_refcodec(decoder: Decoder) -> None:
-    """The estimates of one chunk after the other are the same numbers."""
+    """The estimates of one chunk after the other, and of all anchors, are the same numbers."""
     for file in FILES.values():
         header = read_header(source.WholeFile(file))
         needed = bounds.memory_needed(header, min(header.anchor_count, header.chunk_size))
         said = decoder.ask(file, options={"maxMemory": needed - 1})
         assert (said["bound"], said["needed"]) == ("memory", needed)
         assert "scene" in decoder.ask(file, options={"maxMemory": max(needed, len(file))})
+        whole = bounds.memory_needed(header, min(header.anchor_count, header.chunk_size), header.anchor_count)
+        said = decoder.ask(file, "all", options={"maxMemory": whole - 1})
+        assert (said["bound"], said["needed"]) == ("memory", whole)
+        assert "scene" in decoder.ask(file, "all", options={"maxMemory": max(whole, len(file))})
         if header.anchor_count:
             said = decoder.ask(file, options={"maxAnchors": header.anchor_count - 1})
             assert (said["bound"], said["needed"]) == ("anchors", header.anchor_count)
+
+
+def test_bounds_count_gaussians(decoder: Decoder) -> None:
+    """What has been added and what is added next are counted with decoding, before more memory is taken."""
+    for name, scene in SCENES.items():
+        count, kept, width = len(scene.positions), int(scene.masks.sum()), scene.dimensions.render_width
+        header = read_header(source.WholeFile(FILES[name]))
+        decoding = bounds.memory_needed(header, min(count, header.chunk_size))
+        # Three networks of floats, their width filled up to vectors of four, and positions, axes and sums of offsets.
+        once = count * (3 * 4 * -(-width // 4) * 4 + 3 * 4 + 3 * 4 + 2 * 4) + kept * (3 * 4 + 1)
+        said = decoder.ask(FILES[name], "held", options={"maxMemory": decoding + 3 * once})
+        if not count:
+            assert said["added"] == 0
+            continue
+        assert (said["bound"], said["needed"]) == ("memory", decoding + 4 * once)
+        assert (said["added"], said["chunks"]) == (3 * count, 3)
 
 
 # ----------------------------------------------------------------------------------------------------- the program ---

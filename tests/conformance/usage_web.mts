@@ -11,8 +11,9 @@ async function stream(response: Response, place: PerspectiveCamera, object: Obje
   let gaussians: Gaussians | undefined;
   let out: View | undefined;
   try {
-    for await (const chunk of decode(response, { maxAnchors: 1e6, maxMemory: 1 << 29 })) {
-      gaussians ??= new Gaussians(chunk.scene);
+    const bounds = { maxAnchors: 1e6, maxMemory: 1 << 29 };
+    for await (const chunk of decode(response, bounds)) {
+      gaussians ??= new Gaussians(chunk.scene, bounds);
       const index: number = gaussians.add(chunk);
       out = gaussians.chunk(index, centreOf(place, object));
       const sum: number = chunk.lengths.positions + chunk.lengths.masks + chunk.lengths.attributes;

@@ -13,9 +13,12 @@ import numpy as np
 import pytest
 
 from benchmarks.chromium import BrowserError, Chromium
+from conformance.cases.scenes import PLANELESS, random_scene
+from refcodec.bitstream.attributes import Attributes
 from refcodec.bitstream.cameras import CAMERAS, cameras, emit_cameras
 from refcodec.bitstream.codec import emit, parse
 from refcodec.bitstream.errors import BitstreamError
+from refcodec.bitstream.limits import MAIN
 from refcodec.bitstream.metadata import with_metadata
 from refcodec.bitstream.scene import Ancillary
 from refcodec.cli.main import main
@@ -179,6 +182,27 @@ def test_a_damaged_file(browser: Chromium, trained: Path, tmp_path: Path) -> Non
     for part in (str(verdict["code"]), verdict["name"], f"SPEC.md {verdict['clause']}", f"byte {verdict['offset']}"):
         assert part in said
     assert browser.run("c3gs.drawing.count") == 0
+    assert browser.said == []
+
+
+def test_a_file_that_needs_too_much_memory(browser: Chromium, tmp_path: Path) -> None:
+    """Memory of Gaussians counts before it is taken: this file has 5 MB and fewer anchors than the page allows."""
+    count, d = 340_000, replace(PLANELESS, offset_count=16, render_width=128)
+    scene = random_scene(1, 0, d, gain=0, profile=MAIN, chunk_size=1 << 14)
+    found = scene.attributes
+
+    def rows(array: np.ndarray, value: int = 0) -> np.ndarray:
+        return np.full((count, *array.shape[1:]), value, array.dtype)
+
+    attributes = Attributes(rows(found.features), rows(found.scalings), rows(found.offsets), rows(found.steps, 32))
+    mask_model = np.full_like(scene.mask_model, (1 << 14) - 1)
+    positions, masks = rows(scene.positions), rows(scene.masks, 1)
+    scene = replace(scene, positions=positions, masks=masks, mask_model=mask_model, attributes=attributes)
+    _open(browser, _write(tmp_path, emit(scene)))
+    with pytest.raises(BrowserError, match="bytes of memory"):
+        browser.run("c3gs.settle()")
+    assert "memory" in _text(browser, "#error")
+    assert browser.run("c3gs.header === undefined")
     assert browser.said == []
 
 
