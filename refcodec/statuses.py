@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import errno
+
 # Done; the file is accepted; the decoder under test is right.
 DONE = 0
 # A verdict: the file is rejected (SPEC.md 10.1); the decoder under test is wrong.
@@ -16,10 +18,22 @@ NOTHING = 4
 USAGE = 64
 # A fault of the program itself (EX_SOFTWARE).
 FAULT = 70
+# No verdict: there is less memory than the work needs (EX_OSERR).
+OUT_OF_MEMORY = 71
 # Ctrl-C.
 INTERRUPTED = 130
 # The reader of stdout went away.
 BROKEN_PIPE = 141
+
+
+def is_out_of_memory(error: BaseException) -> bool:
+    """Whether an error says that there is too little memory. torch and the system have other types for it."""
+    if isinstance(error, OSError):
+        return error.errno == errno.ENOMEM
+    return isinstance(error, MemoryError) or (
+        isinstance(error, RuntimeError)
+        and (type(error).__name__ == "OutOfMemoryError" or "can't allocate memory" in str(error))
+    )
 
 
 class UsageError(Exception):

@@ -51,6 +51,20 @@ def repair(data: bytes, depth: Depth = Depth.CHUNKS) -> bytes:
     return bytes(out)
 
 
+def lengthened(data: bytes, kind: bytes, length: int) -> tuple[bytes, int]:
+    """The bytes of a file before a section that now has another length, and the length that the file then has.
+
+    kind: the type of the section. What follows may be anything. The header's CRC-32 is right.
+    """
+    fields, end = layout(data)
+    number = [entry.type for entry in fields.directory].index(kind)
+    entry = end - 4 - ENTRY_BYTES * (fields.section_count - number)
+    out = bytearray(data[: end + sum(pad4(e.length) for e in fields.directory[:number])])
+    out[entry + 8 : entry + 16] = length.to_bytes(8, "little")
+    rest = sum(pad4(e.length) for e in fields.directory[number + 1 :])
+    return repair(bytes(out), Depth.HEADER), len(out) + pad4(length) + rest
+
+
 def _crc(data: bytearray) -> bytes:
     return zlib.crc32(data).to_bytes(4, "little")
 

@@ -41,6 +41,9 @@ def _report(error: Exception) -> int:
             "check-encoder, '.[test]' for the others"
         )
         return statuses.USAGE
+    if statuses.is_out_of_memory(error):
+        note("out of memory")
+        return statuses.OUT_OF_MEMORY
     status = status_of(error)
     if isinstance(error, OSError):
         note(f"{error.filename or 'output'}: {error.strerror or error}")

@@ -42,7 +42,7 @@ STATUSES = f"""exit status: {statuses.DONE} every selected vector as it must be;
 {statuses.DAMAGED_SUITE} the suite is damaged (manifest or a file's hash), so there is no verdict;
 {statuses.NOTHING} no vector was selected, or all were skipped;
 {statuses.USAGE} wrong usage, or a file or folder that cannot be read or written;
-{statuses.FAULT} a fault of this program; {statuses.INTERRUPTED} interrupted"""
+{statuses.FAULT} a fault of this program; {statuses.OUT_OF_MEMORY} out of memory; {statuses.INTERRUPTED} interrupted"""
 
 
 # The longest list of known failures, in bytes.

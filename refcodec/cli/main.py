@@ -104,6 +104,19 @@ def _run(argv: list[str] | None) -> int:
         return int(end.code or 0)
     except BitstreamError as error:
         return reject(arguments.file, error)  # type: ignore[union-attr]
+    except Exception as error:
+        if not statuses.is_out_of_memory(error):
+            raise
+        return _report_memory(arguments)
+
+
+def _report_memory(arguments: argparse.Namespace | None) -> int:
+    """Reports that memory ran out, and returns the exit status."""
+    options = vars(arguments) if arguments else {}
+    place = options.get("file") or options.get("scene") or "refcodec"
+    bound = "; --max-memory BYTES refuses such work before it begins" if "max_memory" in options else ""
+    note(f"{place}: out of memory{bound}; this is no verdict on a file")
+    return statuses.OUT_OF_MEMORY
 
 
 def _report(error: Exception) -> int:

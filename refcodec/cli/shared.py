@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import argparse
 import contextlib
+import io
 import os
 import stat
 import sys
@@ -32,6 +33,8 @@ if TYPE_CHECKING:
 
 # The most bytes of a file that is read whatever its header says.
 _WHOLE_FILE_MAX = (1 << 32) - 1
+# How many bytes are read at once of what does not tell its length.
+_BLOCK_BYTES = 1 << 20
 
 # The packages of the extra `render`.
 RENDER_PACKAGES = ("numba", "PIL", "skimage", "scipy")
@@ -43,6 +46,7 @@ exit status:
   2   the file is not supported } code, name, offset, path, clause, requirement
   64  wrong usage, or a file or folder that cannot be read or written
   70  a fault of this program
+  71  out of memory, which is no verdict on a file
 """
 
 
@@ -83,7 +87,12 @@ def _stated(file: BinaryIO, check: Callable[[int], None] | None = None) -> bytes
     end = read_header(beginning).sections[-1].end
     if check:
         check(end)
-    return beginning.held + file.read(end + 1 - len(beginning.held))
+    # What the header states may be more than there is, and more than there is memory.
+    found = io.BytesIO(beginning.held)
+    left = end + 1 - found.seek(0, io.SEEK_END)
+    while left > 0 and (block := file.read(min(left, _BLOCK_BYTES))):
+        left -= found.write(block)
+    return found.getvalue()
 
 
 @contextlib.contextmanager

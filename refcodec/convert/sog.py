@@ -47,6 +47,8 @@ def _entry(file: Path, archive: zipfile.ZipFile, name: str, most: int) -> bytes:
             data = entry.read(most + 1)
     except KeyError:
         raise SceneFolderError(file, f"it has no entry {printable(name, 60)}", ADVICE) from None
+    except MemoryError:
+        raise
     # zipfile and zlib answer bad bytes with several types.
     except Exception as error:
         problem = f"its entry {printable(name, 60)} is damaged ({printable(str(error), 80)})"
@@ -119,7 +121,7 @@ class _Scene:
                     problem = f"its image {shown} has {width} x {height} pixels for {least}"
                     raise SceneFolderError(self.file, problem, ADVICE)
                 return np.asarray(image.convert("RGBA"))
-        except SceneFolderError:
+        except (SceneFolderError, MemoryError):
             raise
         except UnidentifiedImageError:
             raise SceneFolderError(self.file, f"its image {shown} is neither WebP nor PNG", ADVICE) from None

@@ -35,7 +35,7 @@ def read_splat_ply(file: Path) -> Arrays:
         elements = {element.name: element.data for element in data.elements}
     except PlyHeaderError as error:
         raise SceneFolderError(file, f"it is not a readable PLY file ({error})", ADVICE) from None
-    except SceneFolderError:
+    except (SceneFolderError, MemoryError):
         raise
     # plyfile answers bad bytes with many types.
     except Exception as error:

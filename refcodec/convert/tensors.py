@@ -87,6 +87,8 @@ def read_state_dicts(file: Path, networks: Collection[str]) -> dict[str, dict[st
     try:
         # Mapped, because the networks are a small part of a checkpoint of HAC.
         loaded = torch.load(str(file), map_location="cpu", weights_only=True, mmap=True)
+    except MemoryError:
+        raise
     # torch answers bad bytes with many types.
     except Exception as error:
         raise SceneFolderError(file, f"it cannot be read ({_line(error)})", AGAIN) from None

@@ -75,7 +75,7 @@ class RemoteFile:
     def _told(self) -> Iterator[None]:
         try:
             yield
-        except UsageError:
+        except (UsageError, MemoryError):
             raise
         # Each of the many packages behind fsspec has errors of its own. Whatever it is, the file cannot be read.
         except Exception as error:

@@ -100,6 +100,8 @@ class Columns:
             raise SceneFolderError(
                 file, "it has no vertices", "give a point cloud in the layout of Scaffold-GS"
             ) from None
+        except MemoryError:
+            raise
         # plyfile raises errors of many types for bad bytes. Whatever the type is, the file cannot be read.
         except Exception as error:
             raise SceneFolderError(

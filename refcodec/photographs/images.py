@@ -114,7 +114,7 @@ def _opened(path: Path) -> Iterator[Image.Image]:
                     "export it again with fewer pixels",
                 )
             yield image
-    except PhotographError:
+    except (PhotographError, MemoryError):
         raise
     # Pillow's readers answer bad bytes with many types; whatever it is, the image cannot be read.
     except Exception as error:

@@ -230,7 +230,7 @@ def read_points(file: Path) -> tuple[F64, U8]:
             if any(column.dtype != np.uint8 for column in columns):
                 raise PhotographError(file, f"its colours are {columns[0].dtype}, uint8 is required", advice)
             colours = np.stack(columns, axis=1)
-    except PhotographError:
+    except (PhotographError, MemoryError):
         raise
     # plyfile answers bad bytes with many types; whatever it is, the file cannot be read.
     except Exception as error:

@@ -65,7 +65,7 @@ def _read_archive(path: Path) -> tuple[F32, NDArray[np.uint8]]:
             if not {"means3d", "colors"} <= set(archive.files):
                 raise ValueError(f"it has {archive.files}, means3d and colors are required")
             return archive["means3d"].astype(np.float32), archive["colors"].astype(np.uint8)
-    except OSError:
+    except (OSError, MemoryError):
         raise
     # NumPy, zipfile and zlib answer bad bytes with many types. Whatever the type is, the file cannot be read.
     except Exception as error:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import errno
 import importlib
 import json
 import os
@@ -11,6 +12,7 @@ import signal
 import stat
 import subprocess
 import sys
+import threading
 import time
 import zlib
 from collections.abc import Callable, Iterator
@@ -21,7 +23,7 @@ import numpy as np
 import pytest
 
 import refcodec
-from conformance.cases.checksums import repair
+from conformance.cases.checksums import lengthened, repair
 from conformance.cases.scenes import MAIN_DIMENSIONS, random_scene, with_steps, without_chunks
 from refcodec.bitstream import codec, directory
 from refcodec.bitstream.codec import parse_container
@@ -265,7 +267,7 @@ def sparse(path: Path, head: bytes, size: int) -> Path:
 
 @pytest.fixture
 def little_memory() -> Iterator[None]:
-    """Who reads a large file as a whole gets a MemoryError, and ends with status 70."""
+    """Who reads a large file as a whole gets a MemoryError, and ends with status 71."""
     taken_pages = Path("/proc/self/statm")
     if not taken_pages.exists():
         pytest.skip("this system does not tell how much memory is taken")
@@ -297,6 +299,61 @@ def test_endless_file_ends(call):
 def test_the_bound_of_memory_bounds():
     with pytest.raises(MemoryError):
         bytes(2 * MEMORY)
+
+
+@pytest.mark.usefixtures("little_memory")
+@pytest.mark.parametrize("command", [["validate"], ["digest"], ["inspect", "--decode"], ["inspect", "--trace"]])
+@pytest.mark.parametrize("length", [2 * MEMORY, 1 << 48])
+def test_a_pipe_whose_header_lies(data, tmp_path, call, command, length):
+    """It is read as far as it goes, and the verdict is that on the file by its name."""
+    head, _ = lengthened(data, b"noTE", length)
+    (tmp_path / "pipe").write_bytes(head)
+    wanted = call(command[0], tmp_path / "pipe", *command[1:])
+    assert wanted[0] == 1
+    assert verdict(wanted[2])["name"] == "section.truncated"
+    (tmp_path / "pipe").unlink()
+    os.mkfifo(tmp_path / "pipe")
+    writer = threading.Thread(target=(tmp_path / "pipe").write_bytes, args=(head,))
+    writer.start()
+    assert call(command[0], tmp_path / "pipe", *command[1:]) == wanted
+    writer.join()
+
+
+@pytest.mark.usefixtures("little_memory")
+@pytest.mark.parametrize("command", [["validate"], ["digest"], ["inspect", "--decode"], ["reconstruct", "out"]])
+def test_no_memory_is_no_verdict_and_no_fault(data, tmp_path, monkeypatch, call, command):
+    """A section that is there, and larger than what is left."""
+    monkeypatch.chdir(tmp_path)
+    name, *options = command
+    status, out, err = call(name, sparse(Path("large.c3gs"), *lengthened(data, b"PLNS", 2 * MEMORY)), *options)
+    assert (status, out) == (71, "")
+    bound = "--max-memory BYTES refuses such work before it begins"
+    assert err == f"large.c3gs: out of memory; {bound}; this is no verdict on a file\n"
+    assert not Path("out").exists()
+    with pytest.raises(MemoryError):
+        refcodec.open("large.c3gs").decode()
+    with pytest.raises(MemoryError):
+        next(refcodec.open("large.c3gs").chunks())
+
+
+@pytest.mark.parametrize(
+    "error",
+    [
+        MemoryError("Allocation failed (probably too large)."),
+        OSError(errno.ENOMEM, "Cannot allocate memory"),
+        RuntimeError("[enforce fail at alloc_cpu.cpp:127] . DefaultCPUAllocator: can't allocate memory"),
+        type("OutOfMemoryError", (RuntimeError,), {})("CUDA out of memory"),
+    ],
+    ids=["numba", "system", "torch", "cuda"],
+)
+def test_errors_that_mean_no_memory(file, monkeypatch, call, error):
+    def fails(*_, **__):
+        raise error
+
+    monkeypatch.setattr(Reader, "open", fails)
+    status, _, err = call("validate", file)
+    assert status == 71
+    assert f"{file}: out of memory" in err
 
 
 # --- keep going -------------------------------------------------------------------------------------------------------
