@@ -76,7 +76,7 @@ def _scaffold(arguments: argparse.Namespace) -> int:
         # The networks are written with torch, which is missed here and not after the work.
         import torch  # noqa: F401
 
-        from ..export.scaffold import FILES, check_folder, scaffold_files, write_folder
+        from ..export.scaffold import FILES, check_folder, lattice_edge, scaffold_files, write_folder
     except ModuleNotFoundError as error:
         raise needs("export --scaffold", "fit", error, ("torch",)) from None
     from ..bitstream.cameras import cameras
@@ -90,9 +90,10 @@ def _scaffold(arguments: argparse.Namespace) -> int:
     scene = parse_file(arguments, shown).scene if isinstance(shown, bytes) else shown
     stated = cameras(scene.ancillary) if isinstance(scene, Scene) else [scene.camera]
     values = reconstruct(scene) if isinstance(scene, Scene) else scene.values
-    files = scaffold_files(values, scene.masks, scene.networks, scene.render, stated)
+    voxel = lattice_edge(scene) if isinstance(scene, Scene) else scene.voxel
+    files = scaffold_files(values, scene.masks, scene.networks, scene.render, stated, voxel)
     if scene.render.background not in ((0, 0, 0), (255, 255, 255)):
-        note("refcodec: Scaffold-GS has black and white backgrounds alone; the folder says black")
+        note("refcodec: Scaffold-GS has black and white backgrounds alone; the folder says black to it")
     write_folder(files, folder)
     say(f"{folder}: {scene.anchor_count:,} anchors, {sum(map(len, files.values())):,} bytes")
     return 0

@@ -135,11 +135,13 @@ def _train(arguments: argparse.Namespace) -> int:
         return 0
     if arguments.photographs is None or arguments.output is None:
         raise UsageError("train needs PHOTOGRAPHS and -o SCENE_DIR")
+    from ..bitstream.networks import BoundError
     from ..folder.layout import scene_files
 
     try:
         from ..folder.layout import REPORT_FILE
         from ..train.command import state_path, train
+        from ..train.continued import BeginningError
         from ..train.log import check_log, open_log
         from ..train.state import StateError
         from ..train.telling import closing
@@ -182,6 +184,11 @@ def _train(arguments: argparse.Namespace) -> int:
             )
     except StateError as error:
         raise UsageError(str(error)) from None
+    except BeginningError as error:
+        raise UsageError(f"{arguments.start} cannot be gone on from: {error}") from None
+    except BoundError as error:
+        # The photographs have no part in what networks a file holds.
+        raise UsageError(f"{arguments.start or output} cannot be coded: {error}") from None
     except ValueError as error:
         raise UsageError(f"{arguments.photographs} cannot be trained: {error}") from None
     for line in closing(found.trainer, found.report, output, arguments.photographs):

@@ -23,10 +23,11 @@ from ..bitstream.networks import Layer
 from ..bitstream.reconstruction import Reconstruction
 from ..encoder.cloud import AnchorCloud
 from ..files.ply_header import PlyHeaderError, check_ply_header, property_names
-from ..folder.layout import PLY_FILE, SceneFolderError, there
+from ..folder.layout import PLY_FILE, RENDER_FILE, SceneFolderError, there
 from ..folder.ply import read_cloud
-from ..folder.uncompressed import Uncompressed
+from ..folder.uncompressed import Uncompressed, read_render_document
 from ..render.camera import named_camera, up_axis
+from .carried import with_distance_unit, without_carried
 from .notes import CAMERAS_FILE, SETTINGS_FILE, ModelSettings, read_cameras, read_settings
 from .tensors import read_state_dicts, read_torchscript
 
@@ -72,19 +73,27 @@ def read_checkpoint(folder: Path, appearance: int | None = None) -> Converted:
     _check_header(ply)
     cloud = read_cloud(ply)
     _check_sizes(ply, cloud, settings)
-    networks, embeddings = _networks(ply.parent, cloud, appearance)
-    render = RenderInfo(
-        background=(255, 255, 255) if settings.white else (0, 0, 0),
-        up_axis=up_axis(cameras) if cameras else RenderInfo().up_axis,
-    )
+    file, networks, embeddings = _networks(ply.parent, cloud, appearance)
+    cloud, networks = without_carried(cloud, networks)
+    voxel, stated = settings.voxel, ply.parent / RENDER_FILE
+    if there(stated, _ADVICE):
+        render, camera, voxel = read_render_document(stated)
+        networks = with_distance_unit(networks, render.distance_unit)
+        if not all(np.isfinite(networks[name][0][0]).all() for name in RENDERING):
+            raise SceneFolderError(stated, "a weight times its distance_unit is infinite", _ADVICE)
+    else:
+        render = RenderInfo(
+            background=(255, 255, 255) if settings.white else (0, 0, 0),
+            up_axis=up_axis(cameras) if cameras else RenderInfo().up_axis,
+        )
+        camera = named_camera(cameras[0]) if cameras else NamedCamera()
     values = Reconstruction(
         cloud.positions,
         cloud.features,
         cloud.scalings,
         np.where(cloud.masks[:, :, None], cloud.offsets, np.float32(0)),
     )
-    camera = named_camera(cameras[0]) if cameras else NamedCamera()
-    voxel = _lattice(cloud.positions, settings.voxel)
+    networks, voxel = _of_one_width(file, networks), _lattice(cloud.positions, voxel)
     return Converted(Uncompressed(values, cloud.masks, networks, render, camera, voxel), embeddings)
 
 
@@ -156,8 +165,11 @@ def _bank(file: Path) -> SceneFolderError:
     return SceneFolderError(file, problem, "train the model without use_feat_bank")
 
 
-def _networks(folder: Path, cloud: AnchorCloud, appearance: int | None) -> tuple[dict[str, list[Layer]], int]:
-    """Returns the rendering networks of SPEC 14.3, and the number of embeddings. Raises SceneFolderError."""
+def _networks(folder: Path, cloud: AnchorCloud, appearance: int | None) -> tuple[Path, dict[str, list[Layer]], int]:
+    """Returns the rendering networks of SPEC 14.3, the file or folder of them, and the number of embeddings.
+
+    They are as wide as they are stored. Raises SceneFolderError.
+    """
     file, stored = _stored(folder)
     offsets, features = cloud.masks.shape[1], cloud.features.shape[1]
     if any(bank in stored for bank in BANKS):
@@ -179,7 +191,7 @@ def _networks(folder: Path, cloud: AnchorCloud, appearance: int | None) -> tuple
             raise SceneFolderError(file, f"{own} with its appearance has a bias that is infinite", _ADVICE)
     if appearance is not None and embedding is None:
         raise SceneFolderError(file, "the model has no appearance embedding", "leave --appearance out")
-    return _of_one_width(file, networks), 0 if embedding is None else len(embedding)
+    return file, networks, 0 if embedding is None else len(embedding)
 
 
 def _stored(folder: Path) -> tuple[Path, dict[str, Parameters]]:

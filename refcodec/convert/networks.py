@@ -76,7 +76,7 @@ class _Judge:
         for number, camera in enumerate(self.cameras):
             g = gaussians(values, self.masks, dict(networks), camera, self.distance_unit)
             for name, array in found.items():
-                array[number, g.anchor, g.offset] = getattr(g, name).reshape(len(g.anchor), -1)
+                array[number, g.anchor, g.offset] = getattr(g, name).reshape(len(g.anchor), sizes[name])
         return found
 
 

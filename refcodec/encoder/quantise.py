@@ -25,6 +25,9 @@ from .positions import morton_order, pack_positions, to_fp16
 from .sizes import CHUNK_SIZE, choose_lanes
 from .weights import pack_weights
 
+# A feature is constant if its deviation is below this share of the largest one.
+VARYING = 1e-5
+
 
 def packed(scene: Scene, positions: str | None, weights: str | None) -> Scene:
     """Returns the scene with positions and weights in the wanted modes.
@@ -51,6 +54,14 @@ def carm_shifts(features: NDArray[np.int32], inputs: int) -> NDArray[np.uint8]:
     largest = np.abs(features[:, :inputs]).max(axis=0, initial=0)
     shift = [max(int(v) // (ACTIVATION_MAX + 1), 0).bit_length() for v in largest]
     return np.array(shift, dtype=np.uint8)
+
+
+def varying(deviations: NDArray[np.floating]) -> NDArray[np.floating]:
+    """Returns the deviations of features, [F], without those of constant features (SPEC B.5).
+
+    Where most features of a scene are constant, the median of all deviations would give a base step of nothing.
+    """
+    return deviations[deviations >= VARYING * deviations.max(initial=0)]
 
 
 def symbols(values: F32, steps: NDArray[np.uint8], base_step: float) -> NDArray[np.int32]:

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from ..bitstream.conventions import F32
 from ..bitstream.dimensions import RENDERING
-from ..bitstream.networks import Layer, derive_layer
+from ..bitstream.networks import Layer, derive_networks
 from ..bitstream.scene import Scene
 from ..bitstream.tables import SCALE_MIN
 from ..bitstream.weights import to_grid
@@ -24,16 +24,13 @@ def exact_networks(networks: Mapping[str, list[Layer]]) -> dict[str, list[Layer]
     networks stay as they are. Raises BoundError.
     """
     found = dict(networks)
-    for name, layers in networks.items():
-        if name in RENDERING:
-            continue
-        derived = [derive_layer(*layer) for layer in layers]
+    for name, network in derive_networks(networks).items():
         found[name] = [
             (
                 np.ldexp(layer.weight.astype(np.float32), -layer.exponent[:, None]).astype(np.float32),
                 np.ldexp(layer.bias.astype(np.float32), -layer.exponent).astype(np.float32),
             )
-            for layer in derived
+            for layer in network.layers
         ]
     return found
 

@@ -5,8 +5,10 @@ cameras.json                                 the cameras of the scene
 point_cloud/iteration_30000/point_cloud.ply  anchors
 point_cloud/iteration_30000/*_mlp.pt         the three networks in TorchScript
 point_cloud/iteration_30000/checkpoints.pth  the same as state dicts
+point_cloud/iteration_30000/render.json      what the others do not say of the scene, for refcodec convert
 
-Three things differ between that code and SPEC 14.3. Numbers in the folder make up for them, so that it draws the same:
+Three things differ between that code and SPEC 14.3. Numbers in the folder make up for them, so that it draws the same.
+convert.carried takes them out again:
 
 - Distances are in world units. The weights of the distance are divided by distance_unit.
 - Networks are as wide as there are features. The narrower of the two is filled up with zeros.
@@ -38,10 +40,13 @@ from ..bitstream.dimensions import RENDERING
 from ..bitstream.header import RenderInfo
 from ..bitstream.networks import Layer
 from ..bitstream.reconstruction import Reconstruction
+from ..bitstream.scene import Scene
 from ..files.exchange import INCOMING, exchange
 from ..files.outputs import Kind, check_file
 from ..files.stage import make_folder, new_file
+from ..folder.layout import RENDER_FILE
 from ..folder.ply import ply_values
+from ..folder.uncompressed import render_document
 from ..render.camera import default_camera
 from ..statuses import UsageError
 
@@ -60,12 +65,13 @@ FILES = (
     _MODEL / "point_cloud.ply",
     *(_MODEL / f"{name}.pt" for name in _NAMES.values()),
     _MODEL / "checkpoints.pth",
+    _MODEL / RENDER_FILE,
 )
 _MARK = "Namespace(generator='refcodec"
 # The file by which a folder is one that refcodec wrote.
 CFG = Kind("the cfg_args of a folder that refcodec wrote", re.compile(re.escape(_MARK.encode())))
 # More than any opacity of a learned network before its hyperbolic tangent.
-_DROP = 2.0**64
+DROP = 2.0**64
 # The inputs of SPEC 14.3 beside the features: a direction and a distance.
 _VIEW = 4
 
@@ -85,22 +91,31 @@ def scaffold_files(
     networks: dict[str, list[Layer]],
     render: RenderInfo,
     cameras: Sequence[NamedCamera],
+    voxel: float | None,
 ) -> dict[Path, bytes]:
     """Returns the files of the folder by their names, which are FILES. It needs torch.
 
     values: the float32 values of the scene. masks: bool [N, K]. networks: the rendering networks, by name.
+    cameras: the first is that of the default view. voxel: edge of the lattice of the positions, world units, or None.
     """
     model = _model(values, masks, networks, render.distance_unit)
     modules = {name: _module(name, model.networks[name]) for name in RENDERING}
     files = {
-        CFG_ARGS: _cfg_args(model.width, masks.shape[1], render).encode(),
+        CFG_ARGS: _cfg_args(model.width, masks.shape[1], render, voxel).encode(),
         CAMERAS_JSON: json.dumps([_camera(number, camera) for number, camera in enumerate(cameras)]).encode(),
         _MODEL / "point_cloud.ply": _cloud(values, masks, model.features),
     }
     for name, module in modules.items():
         files[_MODEL / f"{_NAMES[name]}.pt"] = _torch_script(module, model.width + _VIEW)
     files[_MODEL / "checkpoints.pth"] = _state_dicts(modules)
+    files[_MODEL / RENDER_FILE] = render_document(render, cameras[0] if cameras else NamedCamera(), voxel)
     return files
+
+
+def lattice_edge(scene: Scene) -> float | None:
+    """Returns the edge of the lattice that the anchors of a coded scene lie on, world units; None if they do not."""
+    whole = bool((scene.positions == np.rint(scene.positions)).all())
+    return scene.grid.scale_mantissa * 2.0**scene.grid.scale_exponent if whole else None
 
 
 def check_folder(folder: Path) -> None:
@@ -156,7 +171,7 @@ def _model(
         second[:, :units] = last_weight
         if name == "opacity":
             unit = np.arange(width - extra, width)
-            first[unit, unit], second[np.arange(extra), unit] = 1, -_DROP
+            first[unit, unit], second[np.arange(extra), unit] = 1, -DROP
         made[name] = [(first, first_bias), (second, last_bias)]
     return _Model(features, made, width)
 
@@ -224,14 +239,14 @@ def _cloud(values: Reconstruction, masks: NDArray[np.bool_], features: F32) -> b
     return file.getvalue()
 
 
-def _cfg_args(width: int, offsets: int, render: RenderInfo) -> str:
+def _cfg_args(width: int, offsets: int, render: RenderInfo, voxel: float | None) -> str:
     """Returns the arguments that the code of Scaffold-GS evaluates. What a scene does not say has its defaults."""
     arguments: dict[str, Any] = {
         "generator": f"refcodec {__version__}",
         "sh_degree": 3,
         "feat_dim": width,
         "n_offsets": offsets,
-        "voxel_size": 0.001,
+        "voxel_size": voxel or 0.001,
         "update_depth": 3,
         "update_init_factor": 16,
         "update_hierachy_factor": 4,

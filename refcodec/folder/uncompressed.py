@@ -111,11 +111,28 @@ def _write_files(scene: Uncompressed, path: Path) -> None:
     }
     with new_file(path / NETWORKS_FILE) as file:
         file.write(save(networks))
-    document: dict[str, Any] = {"format": UNCOMPRESSED, "render": vars(scene.render), "camera": vars(scene.camera)}
-    if scene.voxel is not None:
-        document["voxel"] = scene.voxel
     with new_file(path / RENDER_FILE) as file:
-        file.write((json.dumps(document, indent=2) + "\n").encode())
+        file.write(render_document(scene.render, scene.camera, scene.voxel))
+
+
+def render_document(render: RenderInfo, camera: NamedCamera, voxel: float | None) -> bytes:
+    """Returns render.json."""
+    document: dict[str, Any] = {"format": UNCOMPRESSED, "render": vars(render), "camera": vars(camera)}
+    if voxel is not None:
+        document["voxel"] = voxel
+    return (json.dumps(document, indent=2) + "\n").encode()
+
+
+def read_render_document(file: Path) -> tuple[RenderInfo, NamedCamera, float | None]:
+    """Returns the render information, the camera and the voxel of a render.json. Raises SceneFolderError."""
+    from .read import read_render
+
+    document = Document(file, UNCOMPRESSED, AGAIN)
+    render, camera = read_render(document), _read_camera(document)
+    voxel = document.float("voxel") if "voxel" in document.root else None
+    if voxel is not None and voxel <= 0:
+        raise document.fault("voxel", f"is {voxel}, a number above 0 is required")
+    return render, camera, voxel
 
 
 def _read_camera(doc: Document) -> NamedCamera:
@@ -144,14 +161,8 @@ def _read_camera(doc: Document) -> NamedCamera:
 
 def read_uncompressed(path: Path) -> Uncompressed:
     """Returns the scene of a folder. Raises SceneFolderError if one of its files is missing or cannot be read."""
-    from .read import read_render
-
     cloud = read_cloud(path / PLY_FILE)
-    document = Document(path / RENDER_FILE, UNCOMPRESSED, AGAIN)
-    render, camera = read_render(document), _read_camera(document)
-    voxel = document.float("voxel") if "voxel" in document.root else None
-    if voxel is not None and voxel <= 0:
-        raise document.fault("voxel", f"is {voxel}, a number above 0 is required")
+    render, camera, voxel = read_render_document(path / RENDER_FILE)
     networks = _read_networks(path / NETWORKS_FILE, cloud.masks.shape[1], cloud.features.shape[1])
     return Uncompressed(
         Reconstruction(

@@ -35,6 +35,10 @@ FINER = 32
 NEAR = 0.01
 
 
+class BeginningError(ValueError):
+    """A scene that no training can go on from, whatever the photographs are."""
+
+
 @dataclass(frozen=True, eq=False)
 class Beginning:
     """What a training goes on from.
@@ -61,13 +65,13 @@ def continued_settings(given: Given, settings: TrainSettings) -> TrainSettings:
 def beginning(given: Given, photographs: PhotographSet, settings: TrainSettings) -> Beginning:
     """Returns the anchors of a scene on a lattice, in the units of a training.
 
-    Of anchors in one cell the first is taken. Raises ValueError for a scene that cannot be trained.
+    Of anchors in one cell the first is taken. Raises BeginningError.
     """
     cloud = given.cloud
     if given.networks is None or not len(cloud.positions):
-        raise ValueError("the scene to go on from has no anchors, or no rendering networks")
+        raise BeginningError("it has no anchors, or no rendering networks")
     if not settings.rate.weight and not cloud.masks.all():
-        raise ValueError("the scene to go on from has masks, which a training without a rate does not have")
+        raise BeginningError("it has masks, which a training without a rate does not have")
     points = cloud.positions.astype(np.float64)
     length = scene_length(replace(photographs, points=points))
     grid = choose_grid(cloud.positions, _cell(given))

@@ -29,7 +29,7 @@ from ..bitstream.scene import Scene
 from ..encoder.cloud import AnchorCloud
 from ..encoder.frame import choose_frame
 from ..encoder.positions import choose_grid
-from ..encoder.quantise import carm_shifts, order_anchors, quantise
+from ..encoder.quantise import carm_shifts, order_anchors, quantise, varying
 from ..encoder.quantise import symbols as to_symbols
 from ..encoder.sizes import choose_plane_size, choose_slices, choose_width
 from .entropy.columns import Columns
@@ -94,7 +94,7 @@ def base_steps(cloud: AnchorCloud, steps: QuantisationSettings, rate: float = BA
     rate: lambda_r. Of D + lambda_r R, the squared error D of a small step grows with its square, and the rate R falls
     with its logarithm. So the best step grows with the root of lambda_r.
     """
-    spread = float(np.median(cloud.features.std(axis=0))) if len(cloud.features) else 0.0
+    spread = float(np.median(varying(cloud.features.std(axis=0)))) if len(cloud.features) else 0.0
     coarser = math.sqrt(rate / BASE_RATE)
     features, scalings, offsets = (
         float(np.float32(coarser * step)) for step in (spread * steps.features or 1.0, steps.scalings, steps.offsets)

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import numpy as np
 import torch
 from torch import Tensor
 
 from ...bitstream.attributes import KINDS
+from ...encoder.quantise import varying
 from ..part import Part, Sight, Step
 from ..residues import Shown, Symbols
 from ..scaffold import Scaffold
@@ -37,7 +39,8 @@ class Quantisation(Part):
         """The base steps of features, scalings and offsets for the anchors as they are, float32 [3]."""
         settings, features = self.settings, self.scaffold.tables["features"]
         # One anchor has no spread.
-        spread = (float(features.std(dim=0).median()) if len(features) > 1 else 0.0) or 1.0
+        deviations = features.std(dim=0).cpu().numpy() if len(features) > 1 else np.zeros(1, np.float32)
+        spread = float(torch.from_numpy(varying(deviations)).median()) or 1.0
         steps = [spread * settings.features, settings.scalings, settings.offsets]
         return torch.tensor(steps, device=self.scaffold.device)
 
