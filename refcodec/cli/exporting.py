@@ -70,7 +70,7 @@ def _views(
     return Views(fit or test, test or fit, f"{len(fit)} cameras of photographs"), [*found.places()]
 
 
-def _scaffold(arguments: argparse.Namespace) -> int:
+def _scaffold(arguments: argparse.Namespace, folder: Path) -> int:
     """Writes the folder of Scaffold-GS."""
     try:
         # The networks are written with torch, which is missed here and not after the work.
@@ -83,7 +83,6 @@ def _scaffold(arguments: argparse.Namespace) -> int:
     from ..bitstream.reconstruction import reconstruct
     from ..bitstream.scene import Scene
 
-    folder = Path(arguments.output)
     check_folder(folder)
     check_apart([folder / file for file in FILES], [arguments.file])
     shown = read_shown(arguments)
@@ -100,10 +99,14 @@ def _scaffold(arguments: argparse.Namespace) -> int:
 
 
 def _export(arguments: argparse.Namespace) -> int:
+    pages = [name for name in arguments.output if name.lower().endswith(PAGE_SUFFIX)]
+    alone = "a folder of Scaffold-GS" if arguments.scaffold else "a page" if pages else None
+    if alone and len(arguments.output) > 1:
+        raise UsageError(f"{alone} has a command of its own: several outputs are for splats")
     if arguments.scaffold:
-        return _scaffold(arguments)
-    if arguments.output.lower().endswith(PAGE_SUFFIX):
-        return export_page(arguments)
+        return _scaffold(arguments, Path(arguments.output[0]))
+    if pages:
+        return export_page(arguments, Path(pages[0]))
     if arguments.photographs is not None:
         raise UsageError(f"--photographs is for pages, whose names end with {PAGE_SUFFIX}; --cameras is for splats")
     try:
@@ -112,33 +115,34 @@ def _export(arguments: argparse.Namespace) -> int:
         from ..render.view import View
     except ModuleNotFoundError as error:
         raise needs("export", "render", error, RENDER_PACKAGES) from None
-    output = Path(arguments.output)
-    suffix = output.suffix.lower()
-    if suffix not in FORMATS:
-        raise UsageError(f"{arguments.output} ends with none of {', '.join([*FORMATS, PAGE_SUFFIX])}")
-    check_file(output, FORMATS[suffix])
-    check_apart([output], [arguments.file])
+    outputs = [Path(name) for name in arguments.output]
+    for output in outputs:
+        if output.suffix.lower() not in FORMATS:
+            raise UsageError(f"{output} ends with none of {', '.join([*FORMATS, PAGE_SUFFIX])}")
+        check_file(output, FORMATS[output.suffix.lower()])
+    check_apart(outputs, [arguments.file])
     note_compiling()
     shown = read_shown(arguments)
     scene = parse_file(arguments, shown).scene if isinstance(shown, bytes) else shown
     view = View(scene)
     views, read = _views(arguments, shown, view, getattr(scene, "ancillary", ()))
-    check_apart([output], read)
+    check_apart(outputs, read)
     try:
         with progress_bar(arguments.progress) as progress:
             fitted = fit(view, views.fit, arguments.degree, arguments.iterations, progress)
-            packed = splat_file(fitted.splats, suffix, view.info.up_axis)
-            near = agreement(view, packed.splats, views.test, progress)
+            packed = [splat_file(fitted.splats, output.suffix.lower(), view.info.up_axis) for output in outputs]
+            near = [agreement(view, each.splats, views.test, progress) for each in packed]
     except ValueError as error:
         raise UsageError(f"{arguments.file} cannot be exported: {error}") from None
-    write_file(output, packed.data)
     source = "" if os.path.isdir(arguments.file) else f", {arguments.file} has {os.path.getsize(arguments.file):,}"
-    say(
-        f"{output}: {len(fitted.splats.mean):,} of {fitted.of:,} Gaussians, degree {arguments.degree}, "
-        f"{len(packed.data):,} bytes{source}\n"
-        f"PSNR to the scene: {near:.2f} dB over {len(views.test)} views, fitted to {views.source}",
-        lines=True,
-    )
+    for output, each, decibels in zip(outputs, packed, near, strict=True):
+        write_file(output, each.data)
+        say(
+            f"{output}: {len(fitted.splats.mean):,} of {fitted.of:,} Gaussians, degree {arguments.degree}, "
+            f"{len(each.data):,} bytes{source}\n"
+            f"PSNR to the scene: {decibels:.2f} dB over {len(views.test)} views, fitted to {views.source}",
+            lines=True,
+        )
     return 0
 
 
@@ -152,7 +156,7 @@ def add(commands: Any) -> None:
         [
             "export scene.c3gs -o scene.ply",
             "export scene.c3gs -o scene.spz --cameras photographs",
-            "export scene.c3gs -o scene.sog --degree 1",
+            "export scene.c3gs -o scene.sog -o scene.glb --degree 1",
             "export scene.c3gs -o model --scaffold",
             "export scene.c3gs -o scene.html --photographs photographs",
         ],
@@ -161,7 +165,14 @@ def add(commands: Any) -> None:
     )
     export.add_argument("file", metavar="FILE")
     add_bounds(export)
-    export.add_argument("-o", "--output", metavar="OUTPUT", required=True)
+    export.add_argument(
+        "-o",
+        "--output",
+        metavar="OUTPUT",
+        action="append",
+        required=True,
+        help="what is written; can be given again, and all splats of a command are of one fit",
+    )
     export.add_argument("--scaffold", action="store_true", help="write a folder of Scaffold-GS")
     export.add_argument(
         "--degree",

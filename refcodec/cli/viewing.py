@@ -75,11 +75,10 @@ def _name(arguments: argparse.Namespace) -> str:
     return os.path.basename(arguments.file.partition("?")[0].rstrip("/")) or "scene"
 
 
-def export_page(arguments: argparse.Namespace) -> int:
+def export_page(arguments: argparse.Namespace, output: Path) -> int:
     """Writes a page that has the file in it. Returns the exit status. Raises UsageError and BitstreamError."""
     from ..viewer.page import PAGE, page
 
-    output = Path(arguments.output)
     check_file(output, PAGE)
     check_apart([output], [arguments.file, arguments.photographs])
     shown = read_shown(arguments)

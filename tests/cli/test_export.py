@@ -6,6 +6,7 @@ import json
 import re
 import shutil
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -16,7 +17,7 @@ for package in ("numba", "PIL", "scipy"):
 from plyfile import PlyData  # noqa: E402
 
 from refcodec.cli.main import main  # noqa: E402
-from refcodec.export import views  # noqa: E402
+from refcodec.export import fit, views  # noqa: E402
 
 ROOT = Path(__file__).resolve().parents[2]
 TRAINED = ROOT / "vectors" / "valid" / "trained-caliterra.c3gs"
@@ -36,32 +37,42 @@ def place(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 QUICK = ("--iterations", "0", "--degree", "1")
 
 
-@pytest.mark.parametrize("suffix", ["ply", "spz", "sog", "glb"])
-def test_export(suffix: str, place: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    output = place / f"scene.{suffix}"
-    words = ["export", "scene.c3gs", "-o", output.name, *QUICK]
+def test_export(place: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> None:
+    """All formats of one command are of one fit."""
+    fits, whole = [], fit.fit
+
+    def counted(*arguments: Any) -> fit.Fitted:
+        fits.append(whole(*arguments))
+        return fits[-1]
+
+    monkeypatch.setattr(fit, "fit", counted)
+    outputs = [place / f"scene.{suffix}" for suffix in ("ply", "spz", "sog", "glb")]
+    words = ["export", "scene.c3gs", *(word for output in outputs for word in ("-o", output.name)), *QUICK]
     assert main(words) == 0
+    assert len(fits) == 1
     said = capsys.readouterr()
-    found = re.fullmatch(
-        r"scene\.\w+: (\S+) of 6,120 Gaussians, degree 1, (\S+) bytes, scene\.c3gs has 53,036\n"
+    found = re.findall(
+        r"(scene\.\w+): (\S+) of 6,120 Gaussians, degree 1, (\S+) bytes, scene\.c3gs has 53,036\n"
         r"PSNR to the scene: (\S+) dB over 2 views, fitted to 16 cameras around the scene\n",
         said.out,
     )
-    assert found is not None, said.out
-    assert int(found[2].replace(",", "")) == output.stat().st_size
-    assert float(found[3]) > 25
+    assert [name for name, *_ in found] == [output.name for output in outputs], said.out
+    assert [int(size.replace(",", "")) for *_, size, _ in found] == [output.stat().st_size for output in outputs]
+    assert all(float(near) > 25 for *_, near in found)
     assert "--cameras PHOTOGRAPHS" in said.err
-    if suffix == "ply":
-        table = PlyData.read(str(output))["vertex"].data
-        assert len(table) == int(found[1].replace(",", ""))
-        assert all(np.isfinite(table[name]).all() for name in table.dtype.names)
+    table = PlyData.read(str(outputs[0]))["vertex"].data
+    assert len(table) == int(found[0][1].replace(",", ""))
+    assert all(np.isfinite(table[name]).all() for name in table.dtype.names)
     # It replaces what it wrote, with the same bytes, and nothing else.
-    before = output.read_bytes()
+    before = [output.read_bytes() for output in outputs]
     assert main(words) == 0
-    assert output.read_bytes() == before
-    output.write_bytes(b"ply\nformat binary_little_endian 1.0\nelement vertex 0\nend_header\n")
-    assert main(words) == 64
-    assert "refcodec wrote" in capsys.readouterr().err
+    assert [output.read_bytes() for output in outputs] == before
+    for output, data in zip(outputs, before, strict=True):
+        output.write_bytes(b"ply\nformat binary_little_endian 1.0\nelement vertex 0\nend_header\n")
+        assert main(words) == 64
+        assert "refcodec wrote" in capsys.readouterr().err
+        output.write_bytes(data)
+    assert [output.read_bytes() for output in outputs] == before
 
 
 @pytest.mark.slow
@@ -91,6 +102,10 @@ def test_a_scene_folder(place: Path, capsys: pytest.CaptureFixture[str]) -> None
     [
         (["scene.c3gs", "-o", "scene.obj"], "ends with none of .ply, .spz, .sog, .glb"),
         (["scene.c3gs", "-o", "scene.c3gs"], "ends with none of"),
+        (["scene.c3gs", "-o", "a.ply", "-o", "scene.obj"], "scene.obj ends with none of"),
+        (["scene.c3gs", "-o", "a.ply", "-o", "a.ply"], "a.ply"),
+        (["scene.c3gs", "-o", "a.ply", "-o", "a.html"], "a page has a command of its own"),
+        (["scene.c3gs", "-o", "a", "-o", "b", "--scaffold"], "a folder of Scaffold-GS has a command of its own"),
         (["scene.c3gs", "-o", "nowhere/scene.ply"], "there is no directory"),
         (["nothing.c3gs", "-o", "scene.ply"], "cannot read nothing.c3gs"),
         (["scene.c3gs", "-o", "scene.ply", "--degree", "4"], "invalid choice"),
