@@ -12,6 +12,7 @@ import contextlib
 import os
 import re
 from collections.abc import Iterator
+from time import monotonic
 from types import TracebackType
 from typing import Any
 
@@ -20,9 +21,12 @@ from .text import printable
 
 # What is fetched first, and held: the header with its directory, and of most files the sections behind it.
 HEAD_BYTES = 1 << 16
-# Seconds after which a server is given up: without a byte, and without the whole answer.
-TIMEOUT, TOTAL_TIMEOUT = 30.0, 300.0
+# Seconds after which a server is given up that sends nothing, and that it may take beside the time of its bytes: all
+# answers together. It has to send this many bytes a second at least.
+TIMEOUT, TOTAL_TIMEOUT, BYTES_A_SECOND = 30.0, 300.0, 1 << 14
 _RANGE = "Content-Range"
+# RFC 9110, 8.8: what is another one if the file is.
+_VALIDATORS = ("ETag", "Last-Modified")
 _CONTENT_RANGE = re.compile(r"bytes (\d{1,18})-\d{1,18}/(\d{1,18})", re.ASCII)
 
 
@@ -113,38 +117,70 @@ class _Web:
 
     def __init__(self, system: Any, path: str) -> None:
         self._system, self._path, self._length = system, path, -1
+        self._validators: dict[str, str] = {}
+        # Of all answers: the seconds that they took, and their bytes.
+        self._spent, self._got = 0.0, 0
 
     def head(self) -> tuple[bytes, int]:
         """Returns the first bytes, and the length of the file, which the server tells with them."""
-        found, length = self._asked(0, HEAD_BYTES)
-        self._length = length
-        return _whole(found, min(HEAD_BYTES, length)), length
+        found, self._length, self._validators = self._asked(0, HEAD_BYTES)
+        return _whole(found, min(HEAD_BYTES, self._length)), self._length
 
     def fetch(self, start: int, size: int) -> bytes:
-        """Returns a range of bytes. Raises ValueError if others come."""
-        found, length = self._asked(start, size)
+        """Returns a range of bytes. Raises ValueError if others come, or those of another file."""
+        found, length, validators = self._asked(start, size)
         if length != self._length:
-            raise ValueError(f"its length was {self._length} bytes, and is {length} now")
+            raise ValueError(f"it changed while it was read: its length was {self._length} bytes, and is {length} now")
+        for name, before in self._validators.items():
+            if name in validators and validators[name] != before:
+                now = validators[name]
+                raise ValueError(f"it changed while it was read: its {name} was {before}, and is {now} now")
         return _whole(found, size)
 
     def close(self) -> None:
         """Does nothing: fsspec closes the connections."""
 
-    def _asked(self, start: int, size: int) -> tuple[bytes, int]:
-        """Returns what the server answers, cut after one byte too many, and the length that it states."""
-        import aiohttp
+    def _asked(self, start: int, size: int) -> tuple[bytes, int, dict[str, str]]:
+        """Returns what the server answers, cut after one byte too many, and the length and the validators it states.
 
-        headers = {"Range": f"bytes={start}-{start + size - 1}", "Accept-Encoding": "identity"}
-        timeout = aiohttp.ClientTimeout(total=TOTAL_TIMEOUT, sock_connect=TIMEOUT, sock_read=TIMEOUT)
-        # With a block size of 0 it is a stream, of which no more is read than is asked for.
+        Raises ValueError for whatever is no answer.
+        """
+        import aiohttp
+        from fsspec.exceptions import FSTimeoutError
+
+        began = monotonic()
         try:
-            stream = self._system.open(self._path, "rb", block_size=0, size=size, headers=headers, timeout=timeout)
+            return self._answer(start, size)
+        except FileNotFoundError:
+            raise ValueError("the server answers 404 Not Found") from None
         except aiohttp.ClientResponseError as error:
             # An empty file has no range.
             if error.status == 416 and start == 0 and error.headers and error.headers.get(_RANGE) == "bytes */0":
-                return b"", 0
-            raise ValueError(f"the server answers {error.status} {error.message}") from None
-        with stream:
+                return b"", 0, {}
+            answer = f"answers {error.status} {error.message}" if error.status else "redirects too often"
+            raise ValueError(f"the server {answer}") from None
+        except FSTimeoutError as error:
+            if isinstance(error.__cause__, aiohttp.ServerTimeoutError):
+                raise ValueError(f"the server sends nothing for {TIMEOUT:.0f} s") from None
+            raise ValueError(f"the server sends fewer than {BYTES_A_SECOND} bytes a second") from None
+        except aiohttp.ClientConnectorError:
+            raise
+        except (aiohttp.ClientConnectionError, aiohttp.ClientPayloadError, ConnectionError) as error:
+            raise ValueError(f"the connection broke ({error})") from None
+        finally:
+            self._spent, self._got = self._spent + monotonic() - began, self._got + size
+
+    def _answer(self, start: int, size: int) -> tuple[bytes, int, dict[str, str]]:
+        import aiohttp
+        from fsspec.exceptions import FSTimeoutError
+
+        headers = {"Range": f"bytes={start}-{start + size - 1}", "Accept-Encoding": "identity"}
+        left = TOTAL_TIMEOUT + (self._got + size) / BYTES_A_SECOND - self._spent
+        if left <= 0:
+            raise FSTimeoutError
+        timeout = aiohttp.ClientTimeout(total=left, sock_connect=TIMEOUT, sock_read=TIMEOUT)
+        # With a block size of 0 it is a stream, of which no more is read than is asked for.
+        with self._system.open(self._path, "rb", block_size=0, size=size, headers=headers, timeout=timeout) as stream:
             if stream.r.status != 206:
                 raise ValueError("the server does not send ranges of bytes: download the file, and give its name")
             text = stream.r.headers.get(_RANGE, "")
@@ -154,7 +190,8 @@ class _Web:
             found = bytearray()
             while len(found) <= size and (block := stream.read(size + 1 - len(found))):
                 found += block
-            return bytes(found), int(stated[2])
+            validators = {name: value for name in _VALIDATORS if (value := stream.r.headers.get(name))}
+            return bytes(found), int(stated[2]), validators
 
 
 def _whole(found: bytes, size: int) -> bytes:

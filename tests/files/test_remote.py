@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import re
+import socket
+import struct
 import sys
 import threading
 from collections.abc import Iterator
@@ -57,8 +59,11 @@ def server(monkeypatch: pytest.MonkeyPatch) -> Iterator[Server]:
             size, way = len(found.data), found.way
             first, end = int(asked[1]), min(int(asked[2]) + 1, size)
             found.asked.append((first, end))
-            if way == "missing":
-                self.send_error(404)
+            if way in ("missing", "busy"):
+                self.send_error(404 if way == "missing" else 503)
+                return
+            if way == "redirects":
+                self.send(302, b"", {"Location": found.url})
                 return
             if way == "ignores":
                 self.send(200, found.data, {})
@@ -68,6 +73,19 @@ def server(monkeypatch: pytest.MonkeyPatch) -> Iterator[Server]:
                 return
             body, stated = found.data[first:end], f"bytes {first}-{end - 1}/{size}"
             later = len(found.asked) > 1
+            if way == "silent" and later:
+                over.wait()
+                return
+            if way in ("hangs up", "resets") and later:
+                if way == "resets":
+                    self.connection.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, struct.pack("ii", 1, 0))
+                self.close_connection = True
+                return
+            headers = {}
+            if way in ("ETag", "Last-Modified"):
+                headers[way] = f'"{later}"'
+            elif way == "no ETag" and not later:
+                headers["ETag"] = '"a"'
             if way == "shorter" and later:
                 body = body[:-1]
             elif way == "longer" and later:
@@ -86,7 +104,7 @@ def server(monkeypatch: pytest.MonkeyPatch) -> Iterator[Server]:
                 self.send(206, body[:10], {"Content-Range": stated, "Content-Length": str(len(body))})
                 self.close_connection = True
                 return
-            self.send(206, body, {"Content-Range": stated})
+            self.send(206, body, {"Content-Range": stated, **headers})
 
         def send(self, status: int, body: bytes, headers: dict[str, str]) -> None:
             self.send_response(status)
@@ -94,6 +112,8 @@ def server(monkeypatch: pytest.MonkeyPatch) -> Iterator[Server]:
                 self.send_header(name, value)
             self.end_headers()
             self.wfile.write(body)
+
+    over = threading.Event()
 
     class Quiet(ThreadingHTTPServer):
         daemon_threads = True
@@ -106,6 +126,7 @@ def server(monkeypatch: pytest.MonkeyPatch) -> Iterator[Server]:
         thread = threading.Thread(target=web.serve_forever, daemon=True)
         thread.start()
         yield found
+        over.set()
         web.shutdown()
         thread.join()
 
@@ -153,19 +174,60 @@ def test_few_ranges_are_fetched(server: Server, tmp_path: Path, capsys: Captured
     assert len(server.asked) == 2
 
 
-@pytest.mark.parametrize(
-    "way", ["missing", "ignores", "shorter", "longer", "endless", "other range", "other length", "no range", "cut"]
-)
-def test_servers_that_lie(server: Server, way: str, tmp_path: Path, capsys: Captured) -> None:
-    """One line, status 64, and no folder."""
+WAYS = {
+    "missing": "the server answers 404 Not Found",
+    "busy": "the server answers 503 Service Unavailable",
+    "redirects": "the server redirects too often",
+    "ignores": "the server does not send ranges",
+    "shorter": "the server sends",
+    "longer": "the server sends more",
+    "endless": "the server sends more",
+    "other range": "the server sends another range",
+    "other length": "it changed while it was read: its length was",
+    "ETag": 'it changed while it was read: its ETag was "False", and is "True" now',
+    "Last-Modified": "it changed while it was read: its Last-Modified was",
+    "no range": "the server sends another range",
+    "cut": "the connection broke",
+    "hangs up": "the connection broke",
+    "resets": "the connection broke",
+    "silent": "the server sends nothing for 0 s",
+}
+
+
+@pytest.mark.parametrize("way", WAYS)
+def test_servers_that_lie(
+    server: Server, way: str, tmp_path: Path, capsys: Captured, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """One line that says why, status 64, and no folder."""
+    if way == "silent":
+        monkeypatch.setattr(remote, "TIMEOUT", 0.2)
     server.way = way
     assert main(["decode", server.url, "-o", str(tmp_path / "scene")]) == 64
     out, err = capsys.readouterr()
     assert out == ""
     assert len(err.splitlines()) == 1, err
-    assert f"cannot read {server.url}: " in err
+    assert f"cannot read {server.url}: {WAYS[way]}" in err
     assert "\x1b" not in err
     assert not (tmp_path / "scene").exists()
+
+
+def test_a_server_that_stops_to_tell_its_validators_is_believed(server: Server) -> None:
+    """Not every server behind a name tells them."""
+    server.way = "no ETag"
+    assert main(["validate", server.url]) == 0
+    assert len(server.asked) > 1
+
+
+def test_a_slow_server_is_given_up(server: Server, monkeypatch: pytest.MonkeyPatch, capsys: Captured) -> None:
+    """The time of all answers together is bounded, by their bytes."""
+    clock = iter(range(0, 10**9, 200))
+    monkeypatch.setattr(remote, "monotonic", lambda: next(clock))
+    with RemoteFile(server.url) as file:
+        # The head took 200 s, and so does each range. 300 s are allowed, and a second for each 2^14 bytes.
+        assert file.read(HEAD, 10) == SCENE[HEAD : HEAD + 10]
+        with pytest.raises(UsageError, match="fewer than 16384 bytes a second"):
+            file.read(HEAD, 10)
+    assert len(server.asked) == 2
 
 
 def test_no_server(capsys: Captured) -> None:
