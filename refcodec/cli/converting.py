@@ -40,7 +40,7 @@ if TYPE_CHECKING:
 # What convert imports beyond the decoder.
 _PACKAGES = ("torch", "numba", "scipy", "PIL", "skimage")
 # Files of splats (refcodec.convert.splat_files), and the file of a folder of SOG. All else is a model's folder.
-_SPLATS, _SOG = (".ply", ".spz", ".sog"), "meta.json"
+_SPLATS, _SOG = (".ply", ".spz", ".sog", ".glb"), "meta.json"
 _AXES = ("+x", "-x", "+y", "-y", "+z", "-z")
 _VIEWS = 200
 
@@ -48,6 +48,10 @@ _VIEWS = 200
 def _convert(arguments: argparse.Namespace) -> int:
     source = Path(arguments.source)
     splats = _splats_of(source)
+    if not splats and not source.is_dir():
+        if not os.path.lexists(source):
+            raise UsageError(f"there is no {source}")
+        raise UsageError(f"{source} is neither the folder of a model nor a file of splats ({', '.join(_SPLATS)})")
     if splats and arguments.appearance is not None:
         raise UsageError("--appearance is for the folder of a model")
     drawn = {name: getattr(arguments, name) for name in ("views", "up", "cameras", "pictures", "steps", "rate", "size")}
@@ -229,7 +233,7 @@ def _draw(
 ) -> None:
     """Writes the pictures of a file of splats to a folder. Raises UsageError and SceneFolderError."""
     from ..convert import views
-    from ..convert.splat_files import read_splats
+    from ..convert.splat_files import read_splats, splats_up
     from ..convert.splats import tensors
     from ..photographs.images import parse_background, parse_size
 
@@ -245,7 +249,7 @@ def _draw(
     if cameras:
         chosen = views.given(cameras, count, side)
     else:
-        up = views.AXES[arguments.up or "-y"]
+        up = views.AXES[arguments.up] if arguments.up else splats_up(source)
         chosen = views.orbit(splats, up, side or views.SIDE, count, max(count // views.TEST_EVERY, 1))
     with progress_bar(arguments.progress) as progress:
         views.write_photographs(splats, chosen, folder, progress, background)
@@ -266,9 +270,9 @@ def add(commands: Any) -> None:
         ],
         "SOURCE is the folder of a model that Scaffold-GS, HAC, HAC++ or CAT-3DGS trained, or one of its folders\n"
         "iteration_N. The scene looks as the model does. It is not compressed yet: encode compresses it.\n"
-        "Or SOURCE is a file of 3D Gaussians: .ply (of 3DGS, or compressed by PlayCanvas), .spz or .sog, or a folder\n"
-        "of SOG with meta.json. It is drawn from cameras: those of its cameras.json, or else around it. A scene is\n"
-        "trained from these pictures, as by train. The options below that both commands have are those of train.\n"
+        "Or SOURCE is a file of 3D Gaussians: .ply (of 3DGS, or compressed by PlayCanvas), .spz, .sog or .glb, or a\n"
+        "folder of SOG with meta.json. It is drawn from cameras: those of its cameras.json, or else around it. A\n"
+        "scene is trained from these pictures, as by train. Options below that both commands have are those of train.\n"
         "No code of a model runs: pickles are looked at first, and TorchScript is read without running it.\n"
         "Needs: pip install 'refcodec[convert]'.",
         writes=True,
@@ -285,7 +289,9 @@ def add(commands: Any) -> None:
     convert.add_argument(
         "--views", type=positive, metavar="N", help=f"splats: pictures to draw, beside those for tests ({_VIEWS})"
     )
-    convert.add_argument("--up", choices=_AXES, help="splats: axis that is up, such as --up=+z (default: -y)")
+    convert.add_argument(
+        "--up", choices=_AXES, help="splats: axis that is up, such as --up=+z (default: what a .glb says, else -y)"
+    )
     convert.add_argument("--cameras", metavar="FILE", help="splats: a cameras.json as 3DGS writes it")
     convert.add_argument("--pictures", metavar="DIR", help="splats: keep the pictures, as photographs for eval")
     convert.add_argument(

@@ -5,14 +5,16 @@ from __future__ import annotations
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ..folder.layout import SceneFolderError, there
+from .glb import glb_up, read_glb
 from .sog import read_sog
 from .splat_arrays import ADVICE, Arrays
 from .splat_ply import read_splat_ply
 from .spz import read_spz
 
-READERS = {".ply": read_splat_ply, ".spz": read_spz, ".sog": read_sog, ".json": read_sog}
+READERS = {".ply": read_splat_ply, ".spz": read_spz, ".sog": read_sog, ".json": read_sog, ".glb": read_glb}
 # Logits and logarithms beyond these change nothing that float32 can tell.
 LOGIT_MAX, LOGARITHM_MAX = 20.0, 40.0
 # The largest coordinate and the largest coefficient. Squares of larger ones are beyond float32, or nearly so.
@@ -22,10 +24,10 @@ COORDINATE_MAX, COEFFICIENT_MAX = 1e9, 1e9
 def read_splats(file: Path) -> Arrays:
     """Returns the Gaussians of a file, one at least, all of finite numbers.
 
-    file: a .ply, .spz or .sog file, or the meta.json of a folder of SOG. Raises SceneFolderError, and OSError.
+    file: a .ply, .spz, .sog or .glb file, or the meta.json of a folder of SOG. Raises SceneFolderError, and OSError.
     """
     if not there(file, ADVICE):
-        raise SceneFolderError(file, "there is no such file", "give a .ply, .spz or .sog file of 3D Gaussians")
+        raise SceneFolderError(file, "there is no such file", "give a .ply, .spz, .sog or .glb file of 3D Gaussians")
     found = READERS[file.suffix.lower()](file)
     with np.errstate(invalid="ignore"):
         found["opacity"] = found["opacity"].clip(-LOGIT_MAX, LOGIT_MAX)
@@ -39,3 +41,11 @@ def read_splats(file: Path) -> Arrays:
         if np.abs(found[name]).max(initial=0) > most:
             raise SceneFolderError(file, f"a {name} is beyond {most:g}", ADVICE)
     return found
+
+
+def splats_up(file: Path) -> NDArray[np.float64]:
+    """Returns the axis that is up in a file of read_splats, float64 [3]: what it says, or -y as in 3DGS's files.
+
+    Raises SceneFolderError, and OSError.
+    """
+    return glb_up(file) if file.suffix.lower() == ".glb" else np.array([0.0, -1.0, 0.0])

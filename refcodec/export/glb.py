@@ -20,9 +20,11 @@ from ..files.outputs import Kind
 from .harmonics import ZERO
 from .splats import Splats, nearest_bytes, opacities
 
-_EXTENSION = "KHR_gaussian_splatting"
+EXTENSION = "KHR_gaussian_splatting"
+# What a Gaussian is, and what its colours are, as in 3DGS.
+SPACE = {"kernel": "ellipse", "colorSpace": "srgb_rec709_display"}
 _FLOAT, _BYTE, _POINTS, _VERTICES = 5126, 5121, 0, 34962
-_HEAD, _CHUNK = struct.Struct("<4sII"), struct.Struct("<I4s")
+HEAD, CHUNK = struct.Struct("<4sII"), struct.Struct("<I4s")
 _START = '{"asset":{"version":"2.0","generator":"refcodec'
 GLB = Kind(
     "a GLB file that refcodec wrote", re.compile(rb"glTF\x02\x00\x00\x00.{8}JSON" + re.escape(_START.encode()), re.S)
@@ -47,14 +49,14 @@ def _attributes(splats: Splats) -> dict[str, NDArray]:
     found: dict[str, NDArray] = {
         "POSITION": splats.mean,
         "COLOR_0": nearest_bytes(points * 255),
-        f"{_EXTENSION}:ROTATION": splats.unit_quaternions()[:, [1, 2, 3, 0]],
-        f"{_EXTENSION}:SCALE": np.exp(splats.scale),
-        f"{_EXTENSION}:OPACITY": opacity,
-        f"{_EXTENSION}:SH_DEGREE_0_COEF_0": splats.base,
+        f"{EXTENSION}:ROTATION": splats.unit_quaternions()[:, [1, 2, 3, 0]],
+        f"{EXTENSION}:SCALE": np.exp(splats.scale),
+        f"{EXTENSION}:OPACITY": opacity,
+        f"{EXTENSION}:SH_DEGREE_0_COEF_0": splats.base,
     }
     for degree in range(1, splats.degree + 1):
         for number in range(2 * degree + 1):
-            found[f"{_EXTENSION}:SH_DEGREE_{degree}_COEF_{number}"] = splats.rest[:, degree * degree - 1 + number]
+            found[f"{EXTENSION}:SH_DEGREE_{degree}_COEF_{number}"] = splats.rest[:, degree * degree - 1 + number]
     return {name: v if v.dtype == np.uint8 else v.astype("<f4") for name, v in found.items()}
 
 
@@ -82,18 +84,11 @@ def glb_bytes(splats: Splats, up_axis: int) -> bytes:
     primitive = {
         "mode": _POINTS,
         "attributes": {name: number for number, name in enumerate(attributes)},
-        "extensions": {
-            _EXTENSION: {
-                "kernel": "ellipse",
-                "colorSpace": "srgb_rec709_display",
-                "sortingMethod": "cameraDistance",
-                "projection": "perspective",
-            }
-        },
+        "extensions": {EXTENSION: {**SPACE, "sortingMethod": "cameraDistance", "projection": "perspective"}},
     }
     document = {
         "asset": {"version": "2.0", "generator": f"refcodec {__version__}"},
-        "extensionsUsed": [_EXTENSION],
+        "extensionsUsed": [EXTENSION],
         "scene": 0,
         "scenes": [{"nodes": [0]}],
         "nodes": [{"mesh": 0, "rotation": _UP[up_axis]}],
@@ -105,8 +100,8 @@ def glb_bytes(splats: Splats, up_axis: int) -> bytes:
     text = json.dumps(document, separators=(",", ":")).encode()
     # Every attribute has a multiple of four bytes for each Gaussian, so that only the text needs padding.
     text += b" " * (-len(text) % 4)
-    length = _HEAD.size + 2 * _CHUNK.size + len(text) + at
+    length = HEAD.size + 2 * CHUNK.size + len(text) + at
     if length >= 1 << 32:
         raise ValueError(f"it would take {length} bytes, and GLB holds less than 4 GiB")
-    head = _HEAD.pack(b"glTF", 2, length) + _CHUNK.pack(len(text), b"JSON") + text + _CHUNK.pack(at, b"BIN\0")
+    head = HEAD.pack(b"glTF", 2, length) + CHUNK.pack(len(text), b"JSON") + text + CHUNK.pack(at, b"BIN\0")
     return head + b"".join(data)

@@ -9,6 +9,7 @@ import tracemalloc
 import zipfile
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -18,11 +19,13 @@ pytest.importorskip("PIL")
 from writers import (
     RESTS,
     Arrays,
+    change_glb,
     columns,
     made,
     sigmoid,
     sog_entries,
     table,
+    write_glb,
     write_packed,
     write_plain,
     write_sog,
@@ -30,7 +33,7 @@ from writers import (
     write_tables,
 )
 
-from refcodec.convert.splat_files import read_splats
+from refcodec.convert.splat_files import read_splats, splats_up
 from refcodec.folder.layout import SceneFolderError
 
 # Half a step of each kind: of positions, colours, harmonics, opacities, logarithms of lengths and rotations.
@@ -136,6 +139,50 @@ def test_a_folder_of_sog(tmp_path: Path) -> None:
     (tmp_path / "means_l.webp").unlink()
     (tmp_path / "means_l.webp").symlink_to(tmp_path)
     refused(tmp_path / "meta.json", "a directory")
+
+
+@pytest.mark.parametrize("degree", range(4))
+def test_glb(degree: int, tmp_path: Path) -> None:
+    splats = made(degree=degree)
+    write_glb(splats, tmp_path / "a.glb")
+    assert_read(tmp_path / "a.glb", splats, 0, 0, 0, 0, 0, 0)
+
+
+def test_glb_of_other_programs(tmp_path: Path) -> None:
+    """Rows that are apart, rotations and opacities in normalized integers, and meshes beside it."""
+    splats, file = made(degree=0), tmp_path / "a.glb"
+    write_glb(splats, file)
+    data = file.read_bytes()
+    body = bytearray(data[28 + struct.unpack("<I", data[12:16])[0] :])
+    quaternion = np.rint(np.roll(splats["quaternion"], -1, axis=1) * 32767).astype("<i2")
+    opacity = np.rint(sigmoid(splats["opacity"]) * 65535).astype("<u2")
+    rows = np.concatenate([quaternion.view("u1").reshape(-1, 8), opacity.view("u1").reshape(-1, 2)], axis=1)
+    start = len(body)
+    body += np.pad(rows, ((0, 0), (0, 2))).tobytes()
+
+    def change(root: dict[str, Any]) -> None:
+        attributes = root["meshes"][0]["primitives"][0]["attributes"]
+        root["bufferViews"].append({"buffer": 0, "byteOffset": start, "byteLength": 300 * 12, "byteStride": 12})
+        common = {"bufferView": len(root["bufferViews"]) - 1, "count": 300, "normalized": True}
+        for name, kind, form, at in (("ROTATION", 5122, "VEC4", 0), ("OPACITY", 5123, "SCALAR", 8)):
+            attributes[f"KHR_gaussian_splatting:{name}"] = len(root["accessors"])
+            root["accessors"].append({**common, "componentType": kind, "type": form, "byteOffset": at})
+        root["meshes"].insert(0, {"primitives": [{"attributes": {"POSITION": 0}}]})
+        root["nodes"] = [{"mesh": 0, "rotation": [1, 0, 0, 0]}, {"mesh": 1}]
+
+    file.write_bytes(data[: len(data) - start - 8] + struct.pack("<I4s", len(body), b"BIN\0") + body)
+    change_glb(file, change)
+    # Bringing a rounded quaternion to length 1 moves it as much again.
+    assert_read(file, splats, 0, 0, 0, 1 / 65535, 0, 2 / 32767)
+    assert splats_up(file).tolist() == [0, 1, 0]
+
+
+def test_what_is_up(tmp_path: Path) -> None:
+    """A node turns the axis that is up to +y, which is up in glTF. The others say nothing."""
+    for number, axis in enumerate(np.concatenate([[v, -v] for v in np.eye(3)])):
+        write_glb(made(20, 0), tmp_path / "a.glb", number)
+        assert splats_up(tmp_path / "a.glb").tolist() == axis.tolist()
+    assert splats_up(tmp_path / "a.ply").tolist() == [0, -1, 0]
 
 
 # --- what is refused --------------------------------------------------------------------------------------------------
@@ -341,6 +388,75 @@ def test_images_of_sog_are_bounded(tmp_path: Path) -> None:
     refused(tmp_path / "c.sog", "no zip archive")
 
 
+@pytest.mark.parametrize(
+    ("data", "said"),
+    [
+        (b"", "no GLB"),
+        (b"glTF\x01" + bytes(30), "no GLB"),
+        (b"glTF\x02" + bytes(7), "chunk JSON is not there"),
+        (b"glTF\x02" + bytes(7) + struct.pack("<I4s", 5000, b"JSON") + bytes(99), "the bytes that it states"),
+        (b"glTF\x02" + bytes(7) + struct.pack("<I4s", 2 << 20, b"JSON") + bytes(2 << 20), "JSON has more than"),
+        (b"glTF\x02" + bytes(7) + struct.pack("<I4s2s", 2, b"JSON", b"[]"), "chunk BIN is not there"),
+        (b"glTF\x02" + bytes(7) + struct.pack("<I4s2sI4s", 2, b"JSON", b"[]", 0, b"BIN\0"), "meshes is no list"),
+        (b"glTF\x02" + bytes(7) + struct.pack("<I4s2sI4s", 2, b"JSON", b"{]", 0, b"BIN\0"), "is not JSON"),
+    ],
+    ids=range(8),
+)
+def test_glb_chunks(data: bytes, said: str, tmp_path: Path) -> None:
+    (tmp_path / "a.glb").write_bytes(data)
+    refused(tmp_path / "a.glb", said)
+
+
+@pytest.mark.parametrize(
+    ("path", "value", "said"),
+    [
+        ("meshes", [], "0 primitives with KHR_gaussian_splatting"),
+        ("meshes/0/primitives", 7, "0 primitives"),
+        ("meshes/0/primitives/0/extensions/KHR_gaussian_splatting/kernel", "cube", "its kernel is 'cube'"),
+        ("meshes/0/primitives/0/extensions/KHR_gaussian_splatting/extensions", {"spz": {}}, "another extension"),
+        ("meshes/0/primitives/0/attributes", None, "no attributes"),
+        ("meshes/0/primitives/0/attributes/KHR_gaussian_splatting:SCALE", 2, "SCALE has not 3 numbers"),
+        ("meshes/0/primitives/0/attributes/KHR_gaussian_splatting:SCALE", 99, "accessors with the number 99"),
+        ("meshes/0/primitives/0/attributes/POSITION", True, "accessors with the number True"),
+        ("meshes/0/primitives/0/attributes", {"POSITION": 0}, "no attribute KHR_gaussian_splatting:OPACITY"),
+        ("accessors/0/count", 1 << 40, "a count is 1099511627776"),
+        ("accessors/0/count", 900_000, "POSITION lies outside"),
+        ("accessors/0/count", 0, "no Gaussians"),
+        ("accessors/4/count", 9, "9 rows for 300"),
+        ("accessors/0/componentType", 5125, "POSITION has not 3 numbers"),
+        ("accessors/0/componentType", 5122, "not normalized"),
+        ("accessors/0/sparse", {}, "sparse"),
+        ("accessors/0/byteOffset", 8, "POSITION lies outside"),
+        ("bufferViews/0/buffer", 1, "a buffer is 1"),
+        ("bufferViews/0/byteOffset", -1, "a byteOffset is -1"),
+        ("bufferViews/0/byteLength", 1e9, "a byteLength is 1000000000.0"),
+        ("bufferViews/0/byteLength", 1 << 31, "lies outside"),
+        ("bufferViews/0/byteStride", 4, "a byteStride is 4"),
+        ("accessors", {}, "accessors is no list"),
+    ],
+)
+def test_glb_of_other_values(path: str, value: Any, said: str, tmp_path: Path) -> None:
+    file = tmp_path / "a.glb"
+    write_glb(made(degree=1), file)
+
+    def change(root: Any) -> None:
+        *above, last = path.split("/")
+        for key in above:
+            root = root[int(key) if isinstance(root, list) else key]
+        root[last] = value
+
+    change_glb(file, change)
+    refused(file, said)
+
+
+@pytest.mark.parametrize("rotation", [[0, 0, 0], [0, 0, 0, 0], [1e200, 0, 0, 0], "up", [True, 0, 0, 1]])
+def test_nodes_that_do_not_turn(rotation: Any, tmp_path: Path) -> None:
+    write_glb(made(20, 0), tmp_path / "a.glb")
+    change_glb(tmp_path / "a.glb", lambda root: root["nodes"][0].update(rotation=rotation))
+    with pytest.raises(SceneFolderError, match="rotation of a node"):
+        splats_up(tmp_path / "a.glb")
+
+
 def _sog(splats: Arrays, path: Path) -> None:
     write_sog(sog_entries(splats), path)
 
@@ -350,7 +466,8 @@ def _spz(splats: Arrays, path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("suffix", "write"), [(".ply", write_plain), (".ply", write_packed), (".spz", _spz), (".sog", _sog)]
+    ("suffix", "write"),
+    [(".ply", write_plain), (".ply", write_packed), (".spz", _spz), (".sog", _sog), (".glb", write_glb)],
 )
 def test_cut_and_changed_files(suffix: str, write: Callable[[Arrays, Path], None], tmp_path: Path) -> None:
     """Whatever the bytes are, the outcome is finite Gaussians or one SceneFolderError."""

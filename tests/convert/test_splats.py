@@ -171,13 +171,18 @@ def test_the_cameras_of_a_model(tmp_path: Path, capsys: Captured) -> None:
         (("sog",), "not JSON"),
         (("a.spz",), "no SPZ"),
         (("b.ply",), "there is no such file"),
+        (("a.glb",), "no GLB"),
+        (("a.glb", "--views", "6"), "no GLB"),
+        (("a.splat", "--views", "6"), "neither the folder of a model nor a file of splats (.ply, .spz, .sog, .glb)"),
+        (("none", "--views", "6"), "there is no none"),
     ],
 )
 def test_wrong_use(
     words: tuple[str, ...], said: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: Captured
 ) -> None:
     write_plain(made(50, 0), tmp_path / "a.ply")
-    (tmp_path / "a.spz").write_bytes(b"no splats")
+    for name in ("a.spz", "a.glb", "a.splat"):
+        (tmp_path / name).write_bytes(b"no splats")
     (tmp_path / "model").mkdir()
     (tmp_path / "sog").mkdir()
     for folder in (tmp_path, tmp_path / "sog"):

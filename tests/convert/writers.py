@@ -7,12 +7,16 @@ import io
 import json
 import struct
 import zipfile
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 from PIL import Image
+
+from refcodec.export.glb import glb_bytes
+from refcodec.export.splats import Splats
 
 F64 = NDArray[np.float64]
 Arrays = dict[str, F64]
@@ -225,3 +229,22 @@ def write_sog(entries: dict[str, bytes], path: Path) -> None:
     with zipfile.ZipFile(path, "w") as archive:
         for name, data in entries.items():
             archive.writestr(name, data)
+
+
+def write_glb(splats: Arrays, path: Path, up: int = 2) -> None:
+    """As refcodec writes it. up: of SPEC 6.5. What others wrote is in test_splat_files."""
+    own = {name: values.astype(np.float32) for name, values in splats.items()}
+    path.write_bytes(glb_bytes(Splats(**own), up))
+
+
+def change_glb(path: Path, change: Callable[[dict[str, Any]], Any]) -> None:
+    """Writes a file again whose JSON was changed."""
+    data = path.read_bytes()
+    length = struct.unpack("<I", data[12:16])[0]
+    document = json.loads(data[20 : 20 + length])
+    change(document)
+    text = json.dumps(document).encode()
+    text += b" " * (-len(text) % 4)
+    rest = data[20 + length :]
+    head = struct.pack("<4sII", b"glTF", 2, 20 + len(text) + len(rest))
+    path.write_bytes(head + struct.pack("<I4s", len(text), b"JSON") + text + rest)

@@ -1,0 +1,185 @@
+"""GLB files: glTF 2.0 with the extension KHR_gaussian_splatting of Khronos, in one binary file.
+
+Gaussians are read in the coordinates of their mesh, one mesh in a file. Of its node the rotation says which axis is up.
+"""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+from typing import Any, BinaryIO
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..bitstream.cameras import rotation_matrix
+from ..export.glb import CHUNK, EXTENSION, HEAD, SPACE
+from ..export.harmonics import REST
+from ..files.documents import DocumentError, parse_json
+from ..files.text import printable
+from ..folder.layout import SceneFolderError
+from .splat_arrays import ADVICE, Arrays, check_count
+
+# Of the JSON, and of the numbers.
+JSON_MAX, DATA_MAX = 1 << 20, 1 << 31
+# Numbers by their componentType. glTF brings integers to a span of 1.
+TYPES = {5120: "<i1", 5121: "<u1", 5122: "<i2", 5123: "<u2", 5126: "<f4"}
+# Rows of a buffer view are at most so many bytes apart.
+STRIDE_MAX = 252
+WIDTHS = {"SCALAR": 1, "VEC3": 3, "VEC4": 4}
+
+
+class _Gltf:
+    """The JSON of a file, and the bytes of its one buffer."""
+
+    def __init__(self, file: Path) -> None:
+        """Reads the file. Raises SceneFolderError, and OSError."""
+        self.file = file
+        with file.open("rb") as opened:
+            size = os.fstat(opened.fileno()).st_size
+            head = opened.read(HEAD.size)
+            if len(head) < HEAD.size or HEAD.unpack(head)[:2] != (b"glTF", 2):
+                raise self.fault("it is no GLB file of glTF 2.0")
+            text = self._chunk(opened, b"JSON", JSON_MAX, size)
+            self.data = self._chunk(opened, b"BIN\0", DATA_MAX, size)
+        try:
+            self.root = parse_json(text, JSON_MAX)
+        except DocumentError as error:
+            raise self.fault(f"its JSON is not JSON ({error})") from None
+
+    def fault(self, problem: str) -> SceneFolderError:
+        return SceneFolderError(self.file, problem, ADVICE)
+
+    def _chunk(self, opened: BinaryIO, kind: bytes, most: int, size: int) -> bytes:
+        """Returns the bytes of the next chunk. size: of the file."""
+        head = opened.read(CHUNK.size)
+        length, found = CHUNK.unpack(head) if len(head) == CHUNK.size else (0, b"")
+        name = kind.rstrip(b"\0").decode()
+        if found != kind or length > size - opened.tell():
+            raise self.fault(f"its chunk {name} is not there, or has not the bytes that it states")
+        if length > most:
+            raise self.fault(f"its chunk {name} has more than {most} bytes")
+        return opened.read(length)
+
+    def items(self, name: str) -> list[dict[str, Any]]:
+        """Returns the objects of a list of the root; none if it is not there."""
+        found = self.root.get(name, []) if isinstance(self.root, dict) else None
+        if not isinstance(found, list) or not all(isinstance(item, dict) for item in found):
+            raise self.fault(f"its {name} is no list of objects")
+        return found
+
+    def item(self, name: str, number: Any) -> dict[str, Any]:
+        """Returns an object of a list by its number."""
+        found = self.items(name)
+        if type(number) is not int or not 0 <= number < len(found):
+            raise self.fault(f"there is none of its {name} with the number {printable(repr(number), 20)}")
+        return found[number]
+
+    def integer(self, fields: dict[str, Any], name: str, default: int, low: int, high: int) -> int:
+        value = fields.get(name, default)
+        if type(value) is not int or not low <= value <= high:
+            raise self.fault(f"a {name} is {printable(repr(value), 20)}, an integer from {low} to {high} is required")
+        return value
+
+    def column(self, attributes: dict[str, Any], name: str, width: int, count: int | None) -> NDArray[np.float64]:
+        """Returns an attribute of the vertices, float64 [count, width]. count: None for what the file states."""
+        if name not in attributes:
+            raise self.fault(f"it has no attribute {name}")
+        accessor = self.item("accessors", attributes[name])
+        kind, form = accessor.get("componentType"), accessor.get("type")
+        if type(kind) is not int or kind not in TYPES or not isinstance(form, str) or WIDTHS.get(form) != width:
+            raise self.fault(f"its {name} has not {width} numbers that are floats, bytes or shorts")
+        dtype = np.dtype(TYPES[kind])
+        if (
+            "sparse" in accessor
+            or "bufferView" not in accessor
+            or (dtype.kind != "f" and not accessor.get("normalized"))
+        ):
+            raise self.fault(f"its {name} is sparse, or not normalized, which is not read")
+        view = self.item("bufferViews", accessor["bufferView"])
+        stated = self.integer(accessor, "count", 0, 0, DATA_MAX)
+        if count is None:
+            check_count(self.file, stated, len(self.data))
+        elif stated != count:
+            raise self.fault(f"its {name} has {stated} rows for {count} Gaussians")
+        self.integer(view, "buffer", 0, 0, 0)
+        start = self.integer(view, "byteOffset", 0, 0, DATA_MAX)
+        length = self.integer(view, "byteLength", 0, 0, DATA_MAX)
+        row = width * dtype.itemsize
+        stride = self.integer(view, "byteStride", row, row, STRIDE_MAX)
+        own = self.integer(accessor, "byteOffset", 0, 0, DATA_MAX)
+        if start + length > len(self.data) or own + (stated - 1) * stride + row > length:
+            raise self.fault(f"its {name} lies outside the bytes of its buffer")
+        rows = np.ndarray((stated, width), dtype, self.data, start + own, (stride, dtype.itemsize))
+        if dtype.kind == "f":
+            return rows.astype(np.float64)
+        return np.maximum(rows / float(np.iinfo(dtype).max), -1.0)
+
+
+def _primitive(gltf: _Gltf) -> tuple[int, dict[str, Any]]:
+    """Returns the one primitive with Gaussians, and the number of its mesh. Raises SceneFolderError."""
+    found: list[tuple[int, dict[str, Any]]] = []
+    for number, mesh in enumerate(gltf.items("meshes")):
+        primitives = mesh.get("primitives")
+        for primitive in primitives if isinstance(primitives, list) else ():
+            extensions = primitive.get("extensions") if isinstance(primitive, dict) else None
+            if isinstance(extensions, dict) and isinstance(extensions.get(EXTENSION), dict):
+                found.append((number, primitive))
+    if len(found) != 1:
+        raise gltf.fault(f"it has {len(found)} primitives with {EXTENSION}, 1 is required")
+    number, primitive = found[0]
+    extension = primitive["extensions"][EXTENSION]
+    for name, wanted in SPACE.items():
+        if extension.get(name, wanted) != wanted:
+            stated = printable(repr(extension[name]), 40)
+            raise gltf.fault(f"its {name} is {stated}, {wanted!r} is read")
+    if extension.get("extensions"):
+        raise gltf.fault("its Gaussians are packed by another extension, which is not read")
+    if not isinstance(primitive.get("attributes"), dict):
+        raise gltf.fault("its Gaussians have no attributes")
+    return number, primitive
+
+
+def read_glb(file: Path) -> Arrays:
+    """Returns the Gaussians of a file. Raises SceneFolderError, and OSError."""
+    gltf = _Gltf(file)
+    attributes = _primitive(gltf)[1]["attributes"]
+    mean = gltf.column(attributes, "POSITION", 3, None)
+
+    def column(name: str, width: int) -> NDArray[np.float64]:
+        return gltf.column(attributes, f"{EXTENSION}:{name}", width, len(mean))
+
+    degree = max((d for d in range(1, len(REST)) if f"{EXTENSION}:SH_DEGREE_{d}_COEF_0" in attributes), default=0)
+    rest = np.zeros((len(mean), REST[degree], 3), np.float32)
+    for band in range(1, degree + 1):
+        for number in range(2 * band + 1):
+            rest[:, band * band - 1 + number] = column(f"SH_DEGREE_{band}_COEF_{number}", 3)
+    opacity = column("OPACITY", 1)[:, 0]
+    with np.errstate(all="ignore"):
+        found = {
+            "mean": mean,
+            "base": column("SH_DEGREE_0_COEF_0", 3),
+            "opacity": np.log(opacity / (1 - opacity)),
+            "scale": np.log(column("SCALE", 3)),
+            "quaternion": column("ROTATION", 4)[:, [3, 0, 1, 2]],
+        }
+        return {name: values.astype(np.float32) for name, values in found.items()} | {"rest": rest}
+
+
+def glb_up(file: Path) -> NDArray[np.float64]:
+    """Returns the axis that is up in a file's Gaussians, float64 [3], of length 1.
+
+    It is the axis nearest to what the node of the mesh turns to +y, which is up in glTF. Raises SceneFolderError, and
+    OSError.
+    """
+    gltf = _Gltf(file)
+    mesh, _ = _primitive(gltf)
+    node = next((node for node in gltf.items("nodes") if node.get("mesh") == mesh), {})
+    stated = node.get("rotation", [0, 0, 0, 1])
+    right = isinstance(stated, list) and len(stated) == 4 and all(type(v) in (int, float) for v in stated)
+    turn = np.array(stated if right else [0, 0, 0, 1], np.float64)
+    if not right or np.abs(turn).max() > 2 or not 0.9 < np.linalg.norm(turn) < 1.1:
+        raise gltf.fault("the rotation of a node is no unit quaternion")
+    up = rotation_matrix(turn[[3, 0, 1, 2]])[1]
+    axis = int(np.abs(up).argmax())
+    return np.sign(up[axis]) * np.eye(3)[axis]
