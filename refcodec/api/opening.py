@@ -146,20 +146,23 @@ class File:
         return page.table("C3GS file", facts, self.sizes)
 
 
-def open(place: Place, *, max_anchors: int | None = None, max_memory: int | None = None) -> File:
+def open(
+    place: Place, *, max_anchors: int | None = None, max_memory: int | None = None, max_work: int | None = None
+) -> File:
     """Opens a file, of which the header is read and checked at once.
 
     Args:
         place: a path, a URL (which needs the extra `http` and a server that answers ranges), or the bytes of a file.
         max_anchors: how many anchors the caller allows, or None. Files of unknown origin should have bounds.
         max_memory: bytes of memory that decoding may take beside the program, or None.
+        max_work: units of work that decoding may take (SPEC.md 13.1), or None.
 
     Raises:
         BitstreamError: the header is refused.
         OSError: the file cannot be read.
         refcodec.statuses.UsageError: what is behind the URL cannot be read.
     """
-    bounds = Bounds(max_anchors, max_memory)
+    bounds = Bounds(max_anchors, max_memory, max_work)
     with contextlib.ExitStack() as opened:
         source: Any
         if isinstance(place, bytes | bytearray | memoryview):
@@ -173,13 +176,16 @@ def open(place: Place, *, max_anchors: int | None = None, max_memory: int | None
     return file
 
 
-def decode(place: Place, *, max_anchors: int | None = None, max_memory: int | None = None) -> Scene:
+def decode(
+    place: Place, *, max_anchors: int | None = None, max_memory: int | None = None, max_work: int | None = None
+) -> Scene:
     """Returns the scene of a file.
 
     Args:
         place: a path, a URL, or the bytes of a file, as for `open`.
         max_anchors: how many anchors the caller allows, or None.
         max_memory: bytes of memory that decoding may take beside the program, or None.
+        max_work: units of work that decoding may take (SPEC.md 13.1), or None.
 
     Raises:
         BitstreamError: the file is refused. Its kind (code, clause, requirement) and its offset say why (SPEC.md 10.3).
@@ -187,5 +193,5 @@ def decode(place: Place, *, max_anchors: int | None = None, max_memory: int | No
         OSError: the file cannot be read.
         refcodec.statuses.UsageError: what is behind the URL cannot be read.
     """
-    with open(place, max_anchors=max_anchors, max_memory=max_memory) as file:
+    with open(place, max_anchors=max_anchors, max_memory=max_memory, max_work=max_work) as file:
         return file.decode()

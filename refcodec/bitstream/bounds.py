@@ -1,49 +1,64 @@
-"""Clause 13.1: the bounds that a caller puts on anchors and memory. To pass one is no verdict on a file."""
+"""Clause 13.1: the bounds that a caller puts on anchors, work and memory. To pass one is no verdict on a file."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 
-from .dimensions import weight_count
+from .dimensions import weight_count, work
 from .header import Header
+from .positions import CELL_LEVELS
 
 # Estimates in bytes, from one to two times what is measured: a weight as float32 and as an integer, with its copies; a
 # point of a plane while it is decoded; a value of an anchor that is being decoded; and a value that is held.
-WEIGHT, PLANE_POINT, DECODING, HOLDING = 32, 32, 56, 8
+WEIGHT, PLANE_POINT, DECODING, HOLDING = 32, 8, 56, 8
 
 
 class BoundPassedError(Exception):
     """A file needs more than its caller allows. It says nothing about whether the file is a conforming bitstream.
 
-    bound: "anchors" or "memory". needed, allowed: anchors, or bytes.
+    bound: "anchors", "work" or "memory". needed, allowed: anchors, units of all_work, or bytes.
     """
 
     def __init__(self, bound: str, needed: int, allowed: int) -> None:
         self.bound, self.needed, self.allowed = bound, needed, allowed
-        what = "bytes of memory may be needed" if bound == "memory" else "anchors are in the file"
-        super().__init__(f"{needed} {what}, the caller's bound is {allowed}; this is no verdict on the file")
+        what = {
+            "anchors": "anchors are in the file",
+            "work": "units of work may be needed",
+            "memory": "bytes of memory may be needed",
+        }
+        super().__init__(f"{needed} {what[bound]}, the caller's bound is {allowed}; this is no verdict on the file")
 
 
 @dataclass(frozen=True)
 class Bounds:
     """What a caller allows. None allows everything.
 
-    anchors: N, the anchors of the file. memory: bytes that decoding takes beside the program itself.
+    anchors: N, the anchors of the file. memory: bytes that decoding takes beside the program itself. work: units of
+    all_work.
     """
 
     anchors: int | None = None
     memory: int | None = None
+    work: int | None = None
 
     def check(self, header: Header, at_once: int, held: int = 0, more: int = 0) -> None:
-        """Raises BoundPassedError for what passes a bound by the header alone, the anchors first.
+        """Raises BoundPassedError for what passes a bound by the header alone: anchors, work, memory.
 
         at_once, held, more: as for memory_needed.
         """
         if self.anchors is not None and header.anchor_count > self.anchors:
             raise BoundPassedError("anchors", header.anchor_count, self.anchors)
+        if self.work is not None and all_work(header) > self.work:
+            raise BoundPassedError("work", all_work(header), self.work)
         needed = memory_needed(header, at_once, held, more)
         if self.memory is not None and needed > self.memory:
             raise BoundPassedError("memory", needed, self.memory)
+
+
+def all_work(header: Header) -> int:
+    """SPEC 13.1: returns the units of work that decoding takes at most, those of weights, positions and masks too."""
+    d, n = header.dimensions, header.anchor_count
+    return work(d, n) + 32 * weight_count(d) + 16 * n * (2 * CELL_LEVELS + d.offset_count)
 
 
 def memory_needed(header: Header, at_once: int, held: int = 0, more: int = 0) -> int:

@@ -1,4 +1,4 @@
-"""The bounds that a caller puts on the work of a file: --max-anchors and --max-memory."""
+"""The bounds that a caller puts on a file: --max-anchors, --max-work and --max-memory."""
 
 # Modules that need NumPy are imported where they are used, so that help is instant.
 # ruff: noqa: PLC0415
@@ -43,18 +43,25 @@ def memory(text: str) -> int:
     return int(found[1]) * _UNITS[found[2]]
 
 
-def anchors(text: str) -> int:
-    """Returns a number of anchors, at least 0."""
+def number(text: str) -> int:
+    """Returns a number of anchors or of units, at least 0."""
     if not re.fullmatch(r"[0-9]{1,18}", text):
-        raise argparse.ArgumentTypeError(f"{text} found, a number of anchors is required")
+        raise argparse.ArgumentTypeError(f"{text} found, a whole number is required")
     return int(text)
 
 
-def add_bounds(parser: argparse.ArgumentParser) -> None:
-    """Adds the options to a command."""
+def add_bounds(parser: argparse.ArgumentParser, *, decodes: bool = True) -> None:
+    """Adds the options to a command. decodes: whether it decodes a file, which alone has work that a header tells."""
     parser.add_argument(
-        "--max-anchors", type=anchors, metavar="N", help="refuse more anchors, before any work (exit status 64)"
+        "--max-anchors", type=number, metavar="N", help="refuse more anchors, before any work (exit status 64)"
     )
+    if decodes:
+        parser.add_argument(
+            "--max-work",
+            type=number,
+            metavar="UNITS",
+            help="refuse what may take more units of work (SPEC.md 13.1) by the header (exit status 64)",
+        )
     parser.add_argument(
         "--max-memory",
         type=memory,
@@ -78,12 +85,15 @@ def _command(arguments: argparse.Namespace) -> str:
     return str(arguments.run.__name__.removeprefix("_"))
 
 
-def check_bounds(arguments: argparse.Namespace, path: str, count: int, needed: int) -> None:
+def check_bounds(arguments: argparse.Namespace, path: str, count: int, needed: int, work: int = 0) -> None:
     """Raises UsageError if the caller does not want the work.
 
     count: N, or 0 if it is not known. needed: bytes of memory beside the program, of which the images of a renderer are
-    no part.
+    no part. work: units of bitstream.bounds.all_work, or 0 if nothing is decoded.
     """
+    most = vars(arguments).get("max_work")
+    if most is not None and work > most:
+        raise UsageError(f"{path} may take {work} units of work, --max-work is {most}; this is no verdict")
     if arguments.max_anchors is not None and count > arguments.max_anchors:
         raise UsageError(f"{path} has {count} anchors, --max-anchors is {arguments.max_anchors}; this is no verdict")
     if arguments.max_memory is None:
@@ -117,15 +127,17 @@ def _check_source(arguments: argparse.Namespace, path: str, source: Source) -> N
 
     A header that is not allowed is left to the decoder.
     """
+    from ..bitstream.bounds import all_work
     from ..bitstream.header import read_header
 
-    if arguments.max_anchors is None and arguments.max_memory is None:
+    if all(vars(arguments).get(name) is None for name in ("max_anchors", "max_memory", "max_work")):
         return
     try:
         header = read_header(source)
     except BitstreamError:
         return
-    check_bounds(arguments, path, header.anchor_count, needed_memory(header, held_copies(arguments)))
+    needed = needed_memory(header, held_copies(arguments))
+    check_bounds(arguments, path, header.anchor_count, needed, all_work(header))
 
 
 def read_bounded(arguments: argparse.Namespace) -> bytes:

@@ -182,7 +182,7 @@ def add(commands: Any) -> None:
         writes=True,
     )
     encode.add_argument("scene", metavar="SCENE_DIR")
-    add_bounds(encode)
+    add_bounds(encode, decodes=False)
     encode.add_argument("-o", "--output", metavar="FILE", required=True)
     add_meta(encode)
     encode.add_argument(

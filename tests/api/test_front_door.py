@@ -199,6 +199,8 @@ def test_a_refused_file_says_why(tmp_path: Path) -> None:
 def test_bounds_hold_before_any_work() -> None:
     with pytest.raises(refcodec.BoundPassedError, match="the caller's bound is 1"):
         refcodec.decode(TRAINED, max_anchors=1)
+    with pytest.raises(refcodec.BoundPassedError, match="units of work"):
+        refcodec.decode(TRAINED, max_work=1000)
     with refcodec.open(TRAINED, max_memory=1000) as file, pytest.raises(refcodec.BoundPassedError):
         next(iter(file))
 
