@@ -105,6 +105,15 @@ export function orbit(pose, up, angles) {
   return { ...found, centre: add(point, row(found.rotation, 2), -pose.pivot) };
 }
 
+// Turns the head to a point, which the camera then turns around.
+export function facing(pose, point) {
+  const [ahead, way] = [row(pose.rotation, 2), add(point, pose.centre, -1)];
+  const axis = cross(ahead, unit(way));
+  const sine = Math.hypot(...axis);
+  const found = sine > 1e-9 ? turned(pose, unit(axis), Math.atan2(sine, dot(ahead, unit(way)))) : pose;
+  return { ...found, pivot: Math.hypot(...way) };
+}
+
 // Moves by lengths to the right, down and forwards.
 export function moved(pose, lengths) {
   const way = lengths.reduce((sum, length, i) => add(sum, row(pose.rotation, i), length), [0, 0, 0]);

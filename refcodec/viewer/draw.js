@@ -87,7 +87,7 @@ void main() {
 export class Drawing {
   constructor(canvas) {
     const gl = canvas.getContext("webgl2", { alpha: false, antialias: false, depth: false });
-    if (gl === null) throw new Error("this browser has no WebGL 2, which draws the scene");
+    if (gl === null) throw new Error("This browser has no WebGL 2, which draws the scene. Turn on graphics acceleration, or take another browser");
     Object.assign(this, { canvas, gl, count: 0, target: undefined });
     const floats = gl.getExtension("EXT_color_buffer_float") ?? gl.getExtension("EXT_color_buffer_half_float");
     this.format = floats ? gl.RGBA16F : gl.RGBA8;
@@ -110,12 +110,12 @@ export class Drawing {
   begin(header, height) {
     const { gl } = this;
     const most = gl.getParameter(gl.MAX_TEXTURE_SIZE);
-    if (height > most) throw new RangeError(`the scene has more Gaussians than this device draws, ${most * WIDTH}`);
+    if (height > most) throw new RangeError(`The scene has more Gaussians than this device draws, ${most * WIDTH}`);
     Object.assign(this, { header, count: 0, linear: false });
     gl.deleteTexture(this.texture);
     this.texture = texture(gl);
     gl.texStorage2D(gl.TEXTURE_2D, 1, gl.RGBA32UI, TEXELS * WIDTH, Math.max(height, 1));
-    if (gl.getError() === gl.OUT_OF_MEMORY) throw new RangeError("the device has no memory for the scene");
+    if (gl.getError() === gl.OUT_OF_MEMORY) throw new RangeError("The device has no memory for the scene");
   }
 
   // Nothing of a scene stays on the canvas.

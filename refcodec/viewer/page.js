@@ -1,5 +1,5 @@
 // The page: it opens a file in the worker, draws what the worker sends, and lets people move.
-import { around, fitted, lensOf, look, moved, nearer, orbit, poseOf, upOf } from "./camera.js";
+import { around, facing, fitted, lensOf, look, moved, nearer, orbit, poseOf, upOf } from "./camera.js";
 import { Drawing } from "./draw.js";
 import { Panel } from "./panel.js";
 
@@ -18,7 +18,7 @@ const STILL = 150;
 const STEP = Math.PI / 60;
 // More than this many pixels for one of CSS are not seen.
 const RATIO_MAX = 2;
-const LOST = "the graphics device was lost: load the page again";
+const LOST = "The graphics device was lost: load the page again";
 const KEYS = { KeyW: [2, 1], KeyS: [2, -1], KeyD: [0, 1], KeyA: [0, -1], KeyE: [1, -1], KeyQ: [1, 1] };
 
 const byId = (id) => document.getElementById(id);
@@ -37,7 +37,12 @@ class Viewer {
   constructor(settings) {
     this.settings = settings;
     this.canvas = byId("canvas");
-    this.panel = new Panel({ choose: (number) => this.choose(number), slide: () => this.ask() });
+    this.panel = new Panel({
+      choose: (number) => this.choose(number),
+      slide: () => this.ask(),
+      open: (file) => this.open({ input: file, name: file.name }),
+      tools: { KeyP: () => this.#save(), KeyR: () => this.#back() },
+    });
     this.drawing = new Drawing(this.canvas);
     this.device = this.drawing.device;
     this.pressed = new Set();
@@ -72,7 +77,7 @@ class Viewer {
       this.worker = new Worker(this.code);
     } catch (error) {
       if (this.opening === opening) {
-        this.on_refused({ kind: "fault", text: `this browser cannot begin: ${error.message}` });
+        this.on_refused({ kind: "fault", text: `This browser cannot begin: ${error.message}` });
       }
       return;
     }
@@ -133,11 +138,11 @@ class Viewer {
   }
 
   // After a fault, the chunks before it are no whole scene.
-  on_refused({ error, kind, text }) {
+  on_refused({ type, error, ...reason }) {
     this.#stop();
-    this.refused = error ?? { kind, text };
+    this.refused = error ?? reason;
     this.drawing.clear();
-    this.panel.refuse(this.name, error, kind, text);
+    this.panel.refuse(this.name, error, reason);
     this.#tell();
   }
 
@@ -307,6 +312,7 @@ class Viewer {
   }
 
   #save() {
+    if (this.pose === undefined) return;
     const { width, height } = this.canvas;
     const { lens } = fitted(this.lens, [width, height]);
     const name = `${(this.name ?? "scene").replace(/\.c3gs$/, "")}.png`;
@@ -335,6 +341,7 @@ class Viewer {
       this.changed(nearer(this.pose, Math.exp(WHEEL * lines * event.deltaY)));
     };
     canvas.addEventListener("wheel", wheel, { passive: false });
+    canvas.addEventListener("dblclick", (event) => this.#focus(event));
     addEventListener("resize", () => this.ask());
     addEventListener("keydown", (event) => this.#key(event));
     addEventListener("keyup", (event) => {
@@ -367,28 +374,44 @@ class Viewer {
   }
 
   #key(event) {
-    if (event.ctrlKey || event.metaKey || event.altKey || this.pose === undefined) return;
+    if (event.ctrlKey || event.metaKey || event.altKey || this.panel.isAsked) return;
     if (event.target instanceof HTMLInputElement || event.target instanceof HTMLSelectElement) return;
     this.fast = event.shiftKey;
     const { code } = event;
-    if (code in KEYS) {
+    if (code in this.panel.tools) {
+      if (!event.repeat) this.panel.tools[code]();
+    } else if (this.pose === undefined) return;
+    else if (code in KEYS) {
       this.pressed.add(code);
       this.ask();
     } else if (code === "ArrowRight") this.choose((this.number ?? -1) + 1);
     else if (code === "ArrowLeft") this.choose((this.number ?? 0) - 1);
-    else if (code === "KeyP") this.#save();
-    else if (code === "KeyR") {
-      if (this.cameras.length > 0) this.choose(this.number ?? 0);
-      else this.#stand(around(this.extent, this.up));
-    } else return;
+    else return;
     event.preventDefault();
   }
 
+  // Comes back to the camera, or where there is none, to where the scene is seen as a whole.
+  #back() {
+    if (this.pose === undefined) return;
+    if (this.cameras.length > 0) this.choose(this.number ?? 0);
+    else this.#stand(around(this.extent, this.up));
+  }
+
+  // Turns to what is at a place of the page, around which the camera then turns. Only the worker knows how far away it is.
+  #focus({ clientX, clientY }) {
+    if (this.pose === undefined) return;
+    const { focal, principal_point: middle } = fitted(this.lens, [innerWidth, innerHeight]).lens;
+    const way = [(clientX - middle[0]) / focal[0], (clientY - middle[1]) / focal[1], 1];
+    const { centre } = this.pose;
+    const { centre: direction } = moved({ ...this.pose, centre: [0, 0, 0] }, way);
+    this.worker?.postMessage({ type: "pick", centre, direction });
+  }
+
+  on_picked({ point }) {
+    this.changed(facing(this.pose, point));
+  }
+
   #listenToFiles() {
-    const take = (file) => {
-      if (file !== undefined) this.open({ input: file, name: file.name });
-    };
-    this.panel.onFile(take);
     const over = (event) => {
       event.preventDefault();
       document.body.classList.toggle("over", event.type === "dragover");
@@ -396,7 +419,7 @@ class Viewer {
     for (const name of ["dragover", "dragleave"]) addEventListener(name, over);
     addEventListener("drop", (event) => {
       over(event);
-      take(event.dataTransfer.files[0]);
+      this.panel.take(event.dataTransfer.files);
     });
   }
 }
@@ -407,7 +430,7 @@ function start() {
   try {
     viewer = new Viewer(settings);
   } catch (error) {
-    new Panel({}).refuse(settings.name, undefined, "fault", error.message);
+    new Panel({}).refuse(settings.name, undefined, { kind: "fault", text: error.message });
     return;
   }
   globalThis.c3gs = viewer;

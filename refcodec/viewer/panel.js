@@ -14,14 +14,27 @@ const PARTS = {
   chunks: "chunks",
   ancillary: "cameras, metadata",
 };
-const HEADINGS = {
-  malformed: "This file is damaged",
-  invalid: "This file is damaged",
-  unsupported: "This page does not know the file's version or profile",
-  bound: "This file is larger than the page takes",
-  memory: "There is no memory for this file",
-  fault: "This file cannot be shown",
+// Why a file is refused, and what to do next.
+const REASONS = {
+  foreign: ["This is not a C3GS file", ""],
+  cut: ["This file is not whole", "Its end is missing. Copy or download it again."],
+  malformed: [
+    "This file is damaged",
+    "Bytes of it have changed. Copy or download it again. If that does not help, ask whoever sent it.",
+  ],
+  invalid: [
+    "This file is damaged",
+    "It breaks a rule of the format. Copy or download it again. If that does not help, ask whoever sent it.",
+  ],
+  unsupported: [
+    "This page does not know the file's version or profile",
+    "A later version of refcodec may know it. Open the file with that one.",
+  ],
+  bound: ["This file is larger than the page takes", "The command refcodec render draws it without a page."],
+  memory: ["There is no memory for this file", "Close other pages and programs, and load this page again."],
+  fault: ["This file cannot be shown", ""],
 };
+const CONVERT = ["refcodec convert FILE -o scene", "refcodec encode scene -o scene.c3gs", ""];
 
 // The most characters that are shown of a text.
 const TITLE_MAX = 120;
@@ -33,7 +46,7 @@ const whole = (number) => number.toLocaleString("en");
 
 // Three digits: 512 B, 51.2 kB, 5.12 MB, 1 MB being 10^6 bytes.
 function readable(bytes) {
-  for (const [unit, scale] of [["MB", 1e6], ["kB", 1e3]]) {
+  for (const [unit, scale] of [["GB", 1e9], ["MB", 1e6], ["kB", 1e3]]) {
     if (bytes >= 0.9995 * scale) return `${(bytes / scale).toPrecision(bytes >= 999.5 * scale ? 4 : 3)} ${unit}`;
   }
   return `${bytes} B`;
@@ -51,8 +64,16 @@ function made(name, text, properties = {}) {
 }
 
 export class Panel {
-  // choose: is told of the number of a chosen camera. slide: is told that the slider has moved.
-  constructor({ choose, slide }) {
+  // choose: is told of the number of a chosen camera. slide: is told that the slider has moved. open: is given a file.
+  // tools: what keys and their buttons do, beside those of the page itself.
+  constructor({ choose, slide, open, tools }) {
+    this.open = open;
+    this.tools = { ...tools, KeyF: fill, KeyH: () => byId("help").showModal(), KeyO: () => byId("file").click() };
+    for (const button of document.querySelectorAll("[data-key]")) {
+      button.addEventListener("click", () => this.tools[button.dataset.key]());
+    }
+    find("#tools [data-key=KeyF]").hidden = !document.fullscreenEnabled;
+    byId("file").addEventListener("change", ({ target }) => this.take(target.files));
     this.select = find("#cameras select");
     this.slider = find("#slider input");
     this.slider.addEventListener("input", () => slide());
@@ -67,19 +88,29 @@ export class Panel {
     byId("sizes").setAttribute("aria-expanded", String(open));
   }
 
-  onFile(take) {
-    find("#drop input").addEventListener("change", (event) => take(event.target.files[0]));
+  // Whether the help is open.
+  get isAsked() {
+    return byId("help").open;
+  }
+
+  take([file]) {
+    if (file !== undefined) this.open(file);
+    // The same file may be chosen again.
+    byId("file").value = "";
+  }
+
+  #hide(...names) {
+    for (const name of names) byId(name).hidden = true;
   }
 
   // There is no file yet.
   wait() {
-    byId("status").hidden = true;
-    byId("head").hidden = true;
+    this.#hide("status", "head");
     byId("drop").hidden = false;
   }
 
   begin(name) {
-    for (const id of ["drop", "error", "cameras", "sizes", "slider", "photograph"]) byId(id).hidden = true;
+    this.#hide("drop", "error", "cameras", "sizes", "slider", "photograph");
     this.#toggle(false);
     byId("head").hidden = false;
     this.#title(name, "");
@@ -112,6 +143,7 @@ export class Panel {
   about(name, metadata, header, length, parts, cameras) {
     const licence = metadata.licence && `licence ${metadata.licence}`;
     this.#title(metadata.title || name, [metadata.author, licence, metadata.source].filter(Boolean).join(" · "));
+    find("#tools [data-key=KeyR]").hidden = false;
     this.#bytes(header, length, parts);
     this.#cameras(cameras);
   }
@@ -169,21 +201,40 @@ export class Panel {
     Object.assign(shown.style, { left: `${left}px`, top: `${top}px`, width: `${width}px`, height: `${height}px` });
   }
 
-  // error: of the registry (10.3). Without one, kind and text say what it is.
-  refuse(name, error, kind, text) {
-    for (const id of ["status", "cameras", "sizes", "slider", "photograph", "details", "drop"]) byId(id).hidden = true;
+  // error: of the registry (10.3). Without one, kind and text say what it is, and for a bound what is needed and allowed.
+  // looks: of a file of another kind.
+  refuse(name, error, reason) {
+    const { kind, looks } = reason;
+    this.#hide("status", "cameras", "sizes", "slider", "photograph", "details", "drop");
+    find("#tools [data-key=KeyR]").hidden = true;
     this.#title(name ?? "", "");
-    put(find("#error h2"), HEADINGS[error?.class ?? kind]);
-    const [line, said] = [find("#error p"), find("#error pre")];
+    const cut = error?.name.endsWith(".truncated") ? "cut" : error?.class;
+    const [heading, next] = REASONS[looks ? "foreign" : cut ?? kind];
+    put(find("#error h2"), heading);
+    put(find("#error p"), [why(reason), next].filter(Boolean).join(" "));
+    const said = find("#error pre");
     said.hidden = error === undefined;
-    if (error === undefined) put(line, `${text}.`);
-    else {
+    if (error !== undefined) {
       const { code, offset, clause } = error;
-      const where = `error ${code} at byte ${whole(offset)}`;
-      put(line, `It is ${error.class}: ${where}. SPEC.md ${clause} has the rule.`);
-      const facts = [`${code} ${error.name}`, `SPEC.md ${clause}`, `byte ${offset}`];
-      said.textContent = [...facts, "", `refcodec inspect FILE --near ${offset}`].join("\n");
+      const near = looks ? [] : ["", `refcodec inspect FILE --near ${offset}`];
+      const facts = [`error ${code} ${error.name}, ${error.class}`, `SPEC.md ${clause}, byte ${offset}`];
+      said.textContent = [...(looks?.isConverted ? CONVERT : []), ...facts, ...near].join("\n");
     }
     byId("error").hidden = false;
   }
+}
+
+// What is known beside the heading, as sentences.
+function why({ kind, text, bound, needed, allowed, looks }) {
+  if (looks?.isConverted) return `${looks.text} Two commands make a C3GS file of it:`;
+  if (looks !== undefined) return looks.text;
+  if (bound === "memory") return `It needs ${readable(needed)} of memory, and the page takes ${readable(allowed)}.`;
+  if (bound === "anchors") return `It has ${whole(needed)} anchors, and the page takes ${whole(allowed)}.`;
+  return kind === "memory" || text === undefined ? "" : `${text}.`;
+}
+
+function fill() {
+  // A browser may refuse.
+  const done = document.fullscreenElement ? document.exitFullscreen() : document.documentElement.requestFullscreen();
+  done.catch(() => {});
 }

@@ -14,6 +14,9 @@ const WORDS = 4 * TEXELS;
 export const ROW_WORDS = WORDS * WIDTH;
 // Rows that may wait for the page. Their words take 48 KiB a row, here and on their way.
 export const WAITING_MAX = 1024;
+// A click meets Gaussians within this angle of its ray, the nearest ones to it.
+const COS_NEAR = Math.cos(0.15);
+const MET = 16;
 // 14.5: an alpha below this counts as 0.
 const ALPHA_MIN = 1 / 255;
 
@@ -88,6 +91,23 @@ export class Rows {
     }
     this.counts[row] = n;
     this.words[row] = words.subarray(0, WORDS * n);
+  }
+
+  // Returns the mean of a Gaussian that a ray meets, or undefined. A quarter of those that it meets may be before it: few
+  // stray ones do not count.
+  hit(centre, direction) {
+    const ray = direction.map((x) => x / Math.hypot(...direction));
+    const near = [];
+    this.means.forEach((own, row) => {
+      for (let at = 0; at < 3 * this.counts[row]; at += 3) {
+        const way = centre.map((x, axis) => own[at + axis] - x);
+        const along = way[0] * ray[0] + way[1] * ray[1] + way[2] * ray[2];
+        const cosine = along / Math.hypot(...way);
+        if (cosine > COS_NEAR) near.push({ along, cosine, point: own.subarray(at, at + 3) });
+      }
+    });
+    const met = near.sort((a, b) => b.cosine - a.cosine).slice(0, MET).sort((a, b) => a.along - b.along);
+    return met[met.length >> 2]?.point;
   }
 
   // The words of some rows, one row after the other. They are given away.

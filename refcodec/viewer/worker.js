@@ -4,6 +4,7 @@
 // "head", "chunk", "frame", "end" and "refused". The arrays of a frame go to the page and are not kept here.
 import { checkBounds, gaussiansBytes } from "../web/bounds.js";
 import { BoundPassedError, C3gsError, decode, Gaussians } from "../web/c3gs.js";
+import { looks } from "./looks.js";
 import { change, Rows, WAITING_MAX } from "./rows.js";
 import { Sorter } from "./sort.js";
 
@@ -26,7 +27,12 @@ let ended = false;
 
 self.onmessage = ({ data }) => {
   if (data.type === "open") {
-    open(data).catch(refuse);
+    open(data).catch(async (error) => refuse(error, await lookedAt(error, data)));
+    return;
+  }
+  if (data.type === "pick") {
+    const point = rows?.hit(data.centre, data.direction);
+    if (point !== undefined) postMessage({ type: "picked", point: [...point] });
     return;
   }
   if (data.type === "view") view = data;
@@ -34,10 +40,17 @@ self.onmessage = ({ data }) => {
   work();
 };
 
-function refuse(error) {
-  if (error instanceof C3gsError) return postMessage({ type: "refused", error: error.toJSON() });
-  const kind = error instanceof BoundPassedError ? "bound" : error instanceof RangeError ? "memory" : "fault";
-  postMessage({ type: "refused", kind, text: error.message });
+// kind: what a file of another kind looks like.
+function refuse(error, kind) {
+  if (error instanceof C3gsError) return postMessage({ type: "refused", error: error.toJSON(), looks: kind });
+  const { message: text, bound, needed, allowed } = error;
+  if (error instanceof BoundPassedError) postMessage({ type: "refused", kind: "bound", text, bound, needed, allowed });
+  else postMessage({ type: "refused", kind: error instanceof RangeError ? "memory" : "fault", text });
+}
+
+// Only a file whose first bytes are refused may be of another kind.
+async function lookedAt({ name }, data) {
+  return name === "prologue.signature" || name === "prologue.truncated" ? looks(data) : undefined;
 }
 
 // wasm: bytes of c3gs.wasm. input: bytes or a Blob. url: where the file is, without an input.

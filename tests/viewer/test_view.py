@@ -136,7 +136,7 @@ def test_a_file_is_chosen(browser: Chromium, trained: Path, viewed: tuple[str, P
     """Another file takes the place of the first one."""
     browser.open(viewed[0])
     browser.run("c3gs.settle()")
-    found = browser.ask("Runtime.evaluate", {"expression": "document.querySelector('#drop input')"})
+    found = browser.ask("Runtime.evaluate", {"expression": "document.getElementById('file')"})
     other = trained.with_name("empty.c3gs")
     given = {"files": [str(other)], "objectId": found["result"]["objectId"]}
     browser.ask("DOM.setFileInputFiles", given)

@@ -206,6 +206,39 @@ def test_a_file_that_needs_too_much_memory(browser: Chromium, tmp_path: Path) ->
     assert browser.said == []
 
 
+@pytest.mark.parametrize(
+    ("data", "said"),
+    [
+        (b"ply\nformat ascii 1.0\n", ["not a C3GS file", "looks like a PLY file", "refcodec convert", "error 102"]),
+        (b"\x1f\x8b" + bytes(99), ["not a C3GS file", "looks like an SPZ file", "refcodec convert"]),
+        (b"PK\3\4" + bytes(99), ["not a C3GS file", "ZIP", "refcodec convert"]),
+        (b"<!DOCTYPE html>", ["not a C3GS file", "looks like a web page", "error 101"]),
+        (b"a text of somebody, neither this nor that", ["not a C3GS file", "another kind"]),
+        (b"", ["not a C3GS file", "It is empty", "error 101"]),
+        (b"\x89C3GS\r\n\x1a\0\0", ["not whole", "download it again", "error 101"]),
+    ],
+)
+def test_files_of_other_kinds(data: bytes, said: list[str], browser: Chromium, tmp_path: Path) -> None:
+    """A file that is none of C3GS is not called damaged, whether it is chosen or lies in the page."""
+    if data:
+        _open(browser, _write(tmp_path, data))
+    else:
+        (tmp_path / "none.html").write_bytes(page("none"))
+        _open(browser, tmp_path / "none.html")
+        browser.run("c3gs.open({ input: new Blob([]), name: 'none' }).then(() => {})")
+    browser.until("!document.getElementById('error').hidden")
+    text = _text(browser, "#error")
+    assert all(words in text for words in said)
+    assert "damaged" not in text
+    # The next file can be opened right there.
+    assert "Open another file" in text
+    # A browser shows its dialog to people only.
+    browser.run("document.getElementById('file').onclick = (event) => (event.preventDefault(), globalThis.asked = 1)")
+    browser.run("document.querySelector('#error button').click()")
+    assert browser.run("globalThis.asked") == 1
+    assert browser.said == []
+
+
 @pytest.mark.parametrize("name", ["empty", "tiny-example"])
 def test_small_files(name: str, browser: Chromium, tmp_path: Path) -> None:
     """A scene without anchors is an image of the background."""
@@ -236,6 +269,79 @@ def test_it_moves(browser: Chromium, trained: Path, tmp_path: Path) -> None:
     browser.ask("Input.dispatchKeyEvent", {"type": "keyDown", "code": "KeyR", "key": "r"})
     browser.run("c3gs.settle()")
     assert browser.run("c3gs.pose") == start
+
+
+def _press(browser: Chromium, code: str, key: str) -> None:
+    for kind in ("keyDown", "keyUp"):
+        browser.ask("Input.dispatchKeyEvent", {"type": kind, "code": code, "key": key})
+
+
+def test_a_double_click(browser: Chromium, trained: Path, tmp_path: Path) -> None:
+    """What it meets comes to the middle, and the camera turns around it from where it was."""
+    _open(browser, _write(tmp_path, trained.read_bytes()))
+    browser.run("c3gs.settle()")
+    start = browser.run("c3gs.pose")
+    for count in (1, 2):
+        for kind in ("mousePressed", "mouseReleased"):
+            at = {"type": kind, "x": 200, "y": 160, "button": "left", "clickCount": count}
+            browser.ask("Input.dispatchMouseEvent", at)
+    browser.until("c3gs.camera === undefined")
+    found = browser.run("c3gs.pose")
+    lens = browser.run("c3gs.lens")
+    assert found["centre"] == start["centre"]
+    before, after = (np.array(pose["rotation"]).reshape(3, 3) for pose in (start, found))
+    assert np.allclose(after @ after.T, np.eye(3), atol=1e-9)
+    # The direction of the click, in the frame of the camera of before.
+    scale = max(640 / lens["width"], 480 / lens["height"])
+    middle = before @ after[2]
+    assert 0.01 < found["pivot"] < 1000
+    assert middle[0] < 0
+    assert middle[1] < 0
+    assert abs(middle[0] / middle[2] * lens["focal"][0] * scale - (200 - 320)) < 40
+
+
+def test_the_tools(browser: Chromium, trained: Path, tmp_path: Path) -> None:
+    """Help, a button for each tool, and no frame around the page after a key. All of it is within a phone's page."""
+    _open(browser, _write(tmp_path, trained.read_bytes()))
+    browser.run("c3gs.settle()")
+    start = browser.run("c3gs.pose")
+    is_open = "document.getElementById('help').open"
+    # While the help is open, keys do nothing else.
+    _press(browser, "KeyH", "h")
+    assert browser.run(is_open)
+    assert "save a picture" in _text(browser, "#help")
+    _press(browser, "KeyW", "w")
+    assert browser.run("c3gs.pressed.size") == 0
+    browser.run("document.querySelector('#help button').click()")
+    assert not browser.run(is_open)
+    browser.run("document.querySelector('[data-key=KeyH]').click()")
+    assert browser.run(is_open)
+    browser.run("document.querySelector('#help button').click()")
+    browser.run("c3gs.changed({ ...c3gs.pose, centre: [1, 2, 3] })")
+    browser.run("document.querySelector('[data-key=KeyR]').click(), c3gs.settle()")
+    assert browser.run("c3gs.pose") == start
+    browser.run("c3gs.canvas.focus()")
+    _press(browser, "KeyR", "r")
+    assert browser.run("getComputedStyle(c3gs.canvas).outlineStyle") == "none"
+    seen = "[...document.querySelectorAll('button, select, input, canvas')].filter((e) => e.checkVisibility())"
+    named = f"{seen}.map((e) => e.ariaLabel ?? e.textContent.trim())"
+    assert all(browser.run(named))
+    browser.ask(
+        "Emulation.setDeviceMetricsOverride", {"width": 390, "height": 844, "deviceScaleFactor": 1, "mobile": True}
+    )
+    try:
+        boxes = browser.run(
+            "['head', 'tools', 'cameras', 'sizes'].map((id) => document.getElementById(id).getBoundingClientRect())"
+            ".map(({ left, top, right, bottom }) => [left, top, right, bottom])"
+        )
+        for i, (left, top, right, bottom) in enumerate(boxes):
+            assert 0 <= left < right <= 390
+            assert 0 <= top < bottom <= 844
+            assert all(right <= a or c <= left or bottom <= b or d <= top for a, b, c, d in boxes[i + 1 :])
+    finally:
+        screen = {"width": 640, "height": 480, "deviceScaleFactor": 1, "mobile": False}
+        browser.ask("Emulation.setDeviceMetricsOverride", screen)
+    assert browser.said == []
 
 
 def _input(data: bytes) -> str:
