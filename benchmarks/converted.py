@@ -34,7 +34,7 @@ from refcodec.export.formats import splat_file
 from refcodec.export.splats import Splats
 from refcodec.files.outputs import check_apart
 from refcodec.files.text import printable
-from refcodec.render.camera import Camera
+from refcodec.render.camera import Camera, axis_direction
 from refcodec.render.rasterise import Settings
 from refcodec.render.view import View, eight_bits
 from refcodec.statuses import DONE, USAGE, UsageError
@@ -105,7 +105,7 @@ def packed_record(source: Source, suffix: str, maker: str, folder: Path) -> Reco
 
     def made() -> Record:
         if maker == OWN:
-            data = splat_file(Splats(**source.arrays), suffix, 0).data
+            data = splat_file(Splats(**source.arrays), suffix, axis_direction(0)).data
             file.write_bytes(data)
             arrays = read_splats(file)
         else:

@@ -67,9 +67,8 @@ def rounded_scene(trainer: Trainer) -> Uncompressed:
     assert rate is not None
     for part in trainer.parts:
         part.finish()
-    cameras = [p.camera for p in trainer.photographs.train]
-    info = render_info(scaffold, cameras, trainer.photographs.background)
-    whole = uncompressed(scaffold, info, named_camera(cameras[0]))
+    info = render_info(scaffold, trainer.photographs)
+    whole = uncompressed(scaffold, info, [named_camera(trainer.photographs.train[0].camera)])
     steps, masks = rate.steps(torch.arange(scaffold.count)).numpy(), rate.masks.decided().numpy()
     values = {}
     for i, kind in enumerate(KINDS):

@@ -91,7 +91,7 @@ def splat_record(source: Source, degree: int, folder: Path) -> Record:
         seconds = time.process_time() - began
         settings, files = render_settings(source.view), {}
         for suffix in FORMATS:
-            packed = splat_file(fitted.splats, suffix, source.view.info.up_axis)
+            packed = splat_file(fitted.splats, suffix, source.view.up)
             file_of(source, degree, suffix, folder).write_bytes(packed.data)
             shown = [measures(draw(packed.splats, p.camera, settings).image, p.image) for p in source.set.test]
             near = agreement(source.view, packed.splats, source.tests, no_progress)
@@ -112,7 +112,7 @@ def held(source: Source, degree: int, suffix: str, folder: Path) -> Splats:
     Raises ValueError if the file is another one.
     """
     arrays = read_splats(file_of(source, degree, ".ply", folder))
-    packed = splat_file(Splats(**arrays), suffix, source.view.info.up_axis)
+    packed = splat_file(Splats(**arrays), suffix, source.view.up)
     file = file_of(source, degree, suffix, folder)
     if file.read_bytes() != packed.data:
         raise ValueError(f"{file} is not of {source.stem}-{degree}.ply: remove the folder")

@@ -6,7 +6,7 @@ A fault of such a section is a warning. It never refuses a file.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -123,6 +123,16 @@ def emit_cameras(cameras: list[NamedCamera]) -> bytes:
     if problems:
         raise ValueError(f"the cameras cannot be written: {problems[0]} (SPEC.md 6.15)")
     return content
+
+
+def camera_sections(stated: Sequence[NamedCamera]) -> tuple[Ancillary, ...]:
+    """Returns the section that states cameras, or none for none. Raises ValueError as emit_cameras."""
+    return (Ancillary(CAMERAS, 0, emit_cameras([*stated])),) if stated else ()
+
+
+def with_cameras(sections: Iterable[Ancillary], stated: Sequence[NamedCamera]) -> tuple[Ancillary, ...]:
+    """Returns ancillary sections with other cameras in place of theirs. Raises ValueError as emit_cameras."""
+    return (*(section for section in sections if section.type != CAMERAS), *camera_sections(stated))
 
 
 def cameras(sections: Iterable[Ancillary]) -> list[NamedCamera]:

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import argparse
 import re
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -14,6 +15,7 @@ from ..files.outputs import Kind, check_apart, check_file
 from ..files.stage import Stage, write_file
 from ..files.terminal import note, say
 from ..files.text import printable
+from . import train_options
 from .bounds import add_bounds, check_folder, open_bounded, read_bounded
 from .meta import add_meta, metadata_of, with_entries
 from .shared import (
@@ -27,6 +29,7 @@ from .shared import (
     positive,
     progress_bar,
     reject,
+    whole,
 )
 
 if TYPE_CHECKING:
@@ -37,6 +40,7 @@ TRACE = Kind("a symbol trace", re.compile(rb"(probe |planes|positions|masks|attr
 
 
 def _encode(arguments: argparse.Namespace) -> int:
+    from ..bitstream.cameras import cameras, with_cameras
     from ..bitstream.header import SIGNATURE
     from ..folder.read import read_folder
     from ..folder.uncompressed import is_uncompressed
@@ -57,6 +61,12 @@ def _encode(arguments: argparse.Namespace) -> int:
     else:
         scene = read_folder(arguments.scene)
     scene = with_entries(scene, entries)
+    up = train_options.up_axis(arguments)
+    if up is not None:
+        scene = replace(scene, render=replace(scene.render, up_axis=up))
+    if arguments.cameras is not None:
+        stated = cameras(scene.ancillary)[: arguments.cameras]
+        scene = replace(scene, ancillary=with_cameras(scene.ancillary, stated))
     write_file(
         output, encoded(arguments, arguments.scene, scene, arguments.positions, arguments.weights, arguments.smallest)
     )
@@ -210,6 +220,14 @@ def add(commands: Any) -> None:
     )
     encode.add_argument(
         "--steps", type=positive, metavar="N", help="training steps of an uncompressed scene's model (default: 4000)"
+    )
+    train_options.add_up(encode, "what the folder says")
+    encode.add_argument(
+        "--cameras",
+        type=whole,
+        metavar="N",
+        help="state the first N cameras of the folder alone, 0 for none; they tell where photographs were taken from, "
+        "and export needs them (default: all; train keeps 16)",
     )
     decode = add_command(
         commands,

@@ -9,6 +9,7 @@ import argparse
 import os
 import shutil
 import tempfile
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -41,7 +42,6 @@ if TYPE_CHECKING:
 _PACKAGES = ("torch", "numba", "scipy", "PIL", "skimage")
 # Files of splats (refcodec.convert.splat_files), and the file of a folder of SOG. All else is a model's folder.
 _SPLATS, _SOG = (".ply", ".spz", ".sog", ".glb"), "meta.json"
-_AXES = ("+x", "-x", "+y", "-y", "+z", "-z")
 _VIEWS = 200
 
 
@@ -54,7 +54,7 @@ def _convert(arguments: argparse.Namespace) -> int:
         raise UsageError(f"{source} is neither the folder of a model nor a file of splats ({', '.join(_SPLATS)})")
     if splats and arguments.appearance is not None:
         raise UsageError("--appearance is for the folder of a model")
-    drawn = {name: getattr(arguments, name) for name in ("views", "up", "cameras", "pictures", "steps", "rate", "size")}
+    drawn = {name: getattr(arguments, name) for name in ("views", "cameras", "pictures", "steps", "rate", "size")}
     given = next((name for name, value in drawn.items() if value is not None), None)
     if not splats and given:
         raise UsageError(f"--{given} is for a file of splats, which {source} is not")
@@ -82,7 +82,9 @@ def _convert_model(arguments: argparse.Namespace) -> int:
     source, output = Path(arguments.source), Path(arguments.output)
     check_scene_output(output, [source], uncompressed=True)
     found = read_checkpoint(source, arguments.appearance)
-    scene = found.scene
+    scene, up = found.scene, train_options.up_axis(arguments)
+    if up is not None:
+        scene = replace(scene, render=replace(scene.render, up_axis=up))
     write_uncompressed(scene, output)
     if found.appearances and arguments.appearance is None:
         note(
@@ -165,6 +167,7 @@ def _train_from_splats(arguments: argparse.Namespace, source: Path) -> int:
                 device="cpu",
                 resume=arguments.resume,
                 progress=arguments.progress,
+                up_axis=train_options.up_axis(arguments),
             )
         if drawn and pictures:
             drawn.replace(pictures)
@@ -237,8 +240,6 @@ def _draw(
     from ..convert.splats import tensors
     from ..photographs.images import parse_background, parse_size
 
-    if cameras and arguments.up:
-        raise UsageError("--up is for cameras around the splats, and there are others: --cameras has them")
     try:
         size, background = parse_size(settings.size), parse_background(settings.background)
     except ValueError as error:
@@ -271,8 +272,9 @@ def add(commands: Any) -> None:
         "SOURCE is the folder of a model that Scaffold-GS, HAC, HAC++ or CAT-3DGS trained, or one of its folders\n"
         "iteration_N. The scene looks as the model does. It is not compressed yet: encode compresses it.\n"
         "Or SOURCE is a file of 3D Gaussians: .ply (of 3DGS, or compressed by PlayCanvas), .spz, .sog or .glb, or a\n"
-        "folder of SOG with meta.json. It is drawn from cameras: those of its cameras.json, or else around it. A\n"
-        "scene is trained from these pictures, as by train. Options below that both commands have are those of train.\n"
+        "folder of SOG with meta.json. It is drawn from cameras: those of its cameras.json, or else around it. Up is\n"
+        "there what --up says, or what a .glb says, or else -y. A scene is trained from these pictures, as by train.\n"
+        "Options below that both commands have are those of train.\n"
         "No code of a model runs: pickles are looked at first, and TorchScript is read without running it.\n"
         "Needs: pip install 'refcodec[convert]'.",
         writes=True,
@@ -288,9 +290,6 @@ def add(commands: Any) -> None:
     )
     convert.add_argument(
         "--views", type=positive, metavar="N", help=f"splats: pictures to draw, beside those for tests ({_VIEWS})"
-    )
-    convert.add_argument(
-        "--up", choices=_AXES, help="splats: axis that is up, such as --up=+z (default: what a .glb says, else -y)"
     )
     convert.add_argument("--cameras", metavar="FILE", help="splats: a cameras.json as 3DGS writes it")
     convert.add_argument("--pictures", metavar="DIR", help="splats: keep the pictures, as photographs for eval")

@@ -19,6 +19,7 @@ from .shown import camera_of, photographs_as_trained, read_shown, render_info
 from .viewing import PAGE_SUFFIX, add_photographs, export_page
 
 if TYPE_CHECKING:
+    from ..bitstream.cameras import NamedCamera
     from ..bitstream.scene import Scene
     from ..export.views import Views
     from ..folder.uncompressed import Uncompressed
@@ -39,11 +40,12 @@ The scene has other Gaussians for each camera. An ordinary splat has one set of 
 colours. They are fitted to what cameras see:
 
   - with PHOTOGRAPHS, a folder that COLMAP or a NeRF dataset made, the cameras that training had
-  - else the cameras of FILE, if there are 8 or more
+  - else the cameras of FILE, if there are 8 or more; train keeps 16 of its own, spread as far as may be
   - else 64 cameras around the scene
 
-The cameras of photographs are best: the networks of a scene are right where they were trained.
-The command says how near the splat comes to the scene: the PSNR in dB, of views that the fit did not have.
+The networks of a scene are right where they were trained, and so the views around it are the last choice.
+The command says how near the splat comes to the scene: the PSNR in dB, of views that the fit did not have. With cameras
+of FILE these are between each one and its nearest.
 Gaussians go that add less than a tenth of a pixel to every view.
 Needs: pip install 'refcodec[render]'.
 
@@ -52,14 +54,13 @@ Needs: pip install 'refcodec[fit]'."""
 
 
 def _views(
-    arguments: argparse.Namespace, shown: bytes | Scene | Uncompressed, view: View, ancillary: Any
+    arguments: argparse.Namespace, shown: bytes | Scene | Uncompressed, view: View, stated: list[NamedCamera]
 ) -> tuple[Views, list[str | Path]]:
     """Returns the views of the fit, and what was read for them. Raises UsageError."""
-    from ..bitstream.cameras import cameras
     from ..export.views import Views, sized, views_of
 
     if arguments.cameras is None:
-        views = views_of(view, cameras(ancillary))
+        views = views_of(view, stated)
         if len(views.fit) and "around" in views.source:
             note(f"refcodec: the views are {views.source}; --cameras PHOTOGRAPHS fits to those of photographs")
         return views, []
@@ -79,18 +80,17 @@ def _scaffold(arguments: argparse.Namespace, folder: Path) -> int:
         from ..export.scaffold import FILES, check_folder, lattice_edge, scaffold_files, write_folder
     except ModuleNotFoundError as error:
         raise needs("export --scaffold", "fit", error, ("torch",)) from None
-    from ..bitstream.cameras import cameras
     from ..bitstream.reconstruction import reconstruct
     from ..bitstream.scene import Scene
+    from ..render.view import stated_cameras
 
     check_folder(folder)
     check_apart([folder / file for file in FILES], [arguments.file])
     shown = read_shown(arguments)
     scene = parse_file(arguments, shown).scene if isinstance(shown, bytes) else shown
-    stated = cameras(scene.ancillary) if isinstance(scene, Scene) else [scene.camera]
     values = reconstruct(scene) if isinstance(scene, Scene) else scene.values
     voxel = lattice_edge(scene) if isinstance(scene, Scene) else scene.voxel
-    files = scaffold_files(values, scene.masks, scene.networks, scene.render, stated, voxel)
+    files = scaffold_files(values, scene.masks, scene.networks, scene.render, stated_cameras(scene), voxel)
     if scene.render.background not in ((0, 0, 0), (255, 255, 255)):
         note("refcodec: Scaffold-GS has black and white backgrounds alone; the folder says black to it")
     write_folder(files, folder)
@@ -112,7 +112,7 @@ def _export(arguments: argparse.Namespace) -> int:
     try:
         from ..export.fit import agreement, fit
         from ..export.formats import FORMATS, splat_file
-        from ..render.view import View
+        from ..render.view import View, stated_cameras
     except ModuleNotFoundError as error:
         raise needs("export", "render", error, RENDER_PACKAGES) from None
     outputs = [Path(name) for name in arguments.output]
@@ -125,12 +125,12 @@ def _export(arguments: argparse.Namespace) -> int:
     shown = read_shown(arguments)
     scene = parse_file(arguments, shown).scene if isinstance(shown, bytes) else shown
     view = View(scene)
-    views, read = _views(arguments, shown, view, getattr(scene, "ancillary", ()))
+    views, read = _views(arguments, shown, view, stated_cameras(scene))
     check_apart(outputs, read)
     try:
         with progress_bar(arguments.progress) as progress:
             fitted = fit(view, views.fit, arguments.degree, arguments.iterations, progress)
-            packed = [splat_file(fitted.splats, output.suffix.lower(), view.info.up_axis) for output in outputs]
+            packed = [splat_file(fitted.splats, output.suffix.lower(), view.up) for output in outputs]
             near = [agreement(view, each.splats, views.test, progress) for each in packed]
     except ValueError as error:
         raise UsageError(f"{arguments.file} cannot be exported: {error}") from None

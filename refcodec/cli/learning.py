@@ -181,6 +181,7 @@ def _train(arguments: argparse.Namespace) -> int:
                 log=rows,
                 metadata=entries,
                 given=given,
+                up_axis=train_options.up_axis(arguments),
             )
     except StateError as error:
         raise UsageError(str(error)) from None

@@ -15,6 +15,8 @@ if TYPE_CHECKING:
     from ..train.settings import TrainSettings
 
 _RATE = "rate.weight"
+# Their places are the numbers of SPEC 6.5.
+AXES = ("+x", "-x", "+y", "-y", "+z", "-z")
 
 
 def parser() -> argparse.ArgumentParser:
@@ -42,7 +44,20 @@ def parser() -> argparse.ArgumentParser:
     options.add_argument(
         "--set", metavar="NAME=VALUE", action="append", default=[], help="change one setting; can be given again"
     )
+    add_up(options)
     return options
+
+
+def add_up(options: argparse.ArgumentParser, default: str = "what the cameras and the points say") -> None:
+    """Adds the option that says what is up in the scene."""
+    options.add_argument(
+        "--up", choices=AXES, help=f"axis of the world that is up, such as --up=+z (default: {default})"
+    )
+
+
+def up_axis(arguments: argparse.Namespace) -> int | None:
+    """SPEC 6.5: returns what --up says, None if it was not given."""
+    return None if arguments.up is None else AXES.index(arguments.up)
 
 
 def words(arguments: argparse.Namespace) -> tuple[str, ...]:
@@ -54,7 +69,9 @@ def words(arguments: argparse.Namespace) -> tuple[str, ...]:
         ("--voxel", arguments.voxel),
         *(("--set", change) for change in arguments.set),
     ]
-    return tuple(word for name, value in given if value is not None for word in (name, str(value)))
+    # In words of its own, -y would be an option.
+    up = () if arguments.up is None else (f"--up={arguments.up}",)
+    return (*(word for name, value in given if value is not None for word in (name, str(value))), *up)
 
 
 def settings(arguments: argparse.Namespace, base: TrainSettings, own: Mapping[str, Any]) -> TrainSettings:

@@ -15,7 +15,6 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from ..bitstream.cameras import NamedCamera
 from ..bitstream.dimensions import RENDERING
 from ..bitstream.header import RenderInfo
 from ..bitstream.limits import FEATURES_MAX, MAIN, PROFILES
@@ -26,7 +25,7 @@ from ..files.ply_header import PlyHeaderError, check_ply_header, property_names
 from ..folder.layout import PLY_FILE, RENDER_FILE, SceneFolderError, there
 from ..folder.ply import read_cloud
 from ..folder.uncompressed import Uncompressed, read_render_document
-from ..render.camera import named_camera, up_axis
+from ..render.camera import STATED, spread_cameras, up_axis
 from .carried import with_distance_unit, without_carried
 from .notes import CAMERAS_FILE, SETTINGS_FILE, ModelSettings, read_cameras, read_settings
 from .tensors import read_state_dicts, read_torchscript
@@ -75,18 +74,18 @@ def read_checkpoint(folder: Path, appearance: int | None = None) -> Converted:
     _check_sizes(ply, cloud, settings)
     file, networks, embeddings = _networks(ply.parent, cloud, appearance)
     cloud, networks = without_carried(cloud, networks)
-    voxel, stated = settings.voxel, ply.parent / RENDER_FILE
-    if there(stated, _ADVICE):
-        render, camera, voxel = read_render_document(stated)
+    voxel, document = settings.voxel, ply.parent / RENDER_FILE
+    if there(document, _ADVICE):
+        render, stated, voxel = read_render_document(document)
         networks = with_distance_unit(networks, render.distance_unit)
         if not all(np.isfinite(networks[name][0][0]).all() for name in RENDERING):
-            raise SceneFolderError(stated, "a weight times its distance_unit is infinite", _ADVICE)
+            raise SceneFolderError(document, "a weight times its distance_unit is infinite", _ADVICE)
     else:
         render = RenderInfo(
             background=(255, 255, 255) if settings.white else (0, 0, 0),
-            up_axis=up_axis(cameras) if cameras else RenderInfo().up_axis,
+            up_axis=up_axis(cameras, cloud.positions.astype(np.float64)) if cameras else RenderInfo.up_axis,
         )
-        camera = named_camera(cameras[0]) if cameras else NamedCamera()
+        stated = tuple(spread_cameras(cameras, STATED))
     values = Reconstruction(
         cloud.positions,
         cloud.features,
@@ -94,7 +93,7 @@ def read_checkpoint(folder: Path, appearance: int | None = None) -> Converted:
         np.where(cloud.masks[:, :, None], cloud.offsets, np.float32(0)),
     )
     networks, voxel = _of_one_width(file, networks), _lattice(cloud.positions, voxel)
-    return Converted(Uncompressed(values, cloud.masks, networks, render, camera, voxel), embeddings)
+    return Converted(Uncompressed(values, cloud.masks, networks, render, stated, voxel), embeddings)
 
 
 # --- the anchors ------------------------------------------------------------------------------------------------------

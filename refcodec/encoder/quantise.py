@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ..bitstream.attributes import ATTRIBUTE_SYMBOL_MAX, KINDS, Attributes, zero_attributes
-from ..bitstream.cameras import CAMERAS, NamedCamera, emit_cameras
+from ..bitstream.cameras import NamedCamera, camera_sections
 from ..bitstream.codec import derive_steps
 from ..bitstream.conventions import F32
 from ..bitstream.dimensions import Dimensions
@@ -17,7 +17,7 @@ from ..bitstream.frame import Frame
 from ..bitstream.header import Lanes, PositionGrid, RenderInfo
 from ..bitstream.limits import MAIN
 from ..bitstream.networks import ACTIVATION_MAX, Layer
-from ..bitstream.scene import Ancillary, Scene
+from ..bitstream.scene import Scene
 from ..bitstream.tables import STEP_SHIFT, tables
 from .cloud import AnchorCloud
 from .masks import mask_model
@@ -106,7 +106,7 @@ def quantise(
     carm_shift: NDArray[np.uint8],
     base_step: tuple[float, float, float],
     render: RenderInfo | None = None,
-    camera: NamedCamera | None = None,
+    cameras: Sequence[NamedCamera] = (),
     lanes: Lanes | None = None,
     profile: int = MAIN,
     chunk_size: int = CHUNK_SIZE,
@@ -117,7 +117,7 @@ def quantise(
     The others are sorted. Positions and weights are in mode 0.
 
     planes: int16 [5, ch, B, B]. carm_shift: uint8 [CARM inputs]. base_step: float32 values of features, scalings and
-    offsets. render, lanes: None for the defaults. camera: the default view, or None. Raises
+    offsets. render, lanes: None for the defaults. cameras: those that the scene states. Raises
     ValueError for a value that a file cannot hold.
     """
     ordered, positions = order_anchors(cloud, grid)
@@ -139,7 +139,7 @@ def quantise(
         positions=positions,
         masks=ordered.masks,
         attributes=zero_attributes(dimensions, count),
-        ancillary=(Ancillary(CAMERAS, 0, emit_cameras([camera])),) if camera else (),
+        ancillary=camera_sections(cameras),
     )
     steps = derive_steps(scene)
     features, scalings, offsets = (

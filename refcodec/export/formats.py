@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import numpy as np
+from numpy.typing import NDArray
+
 from ..files.outputs import Kind
 from .glb import GLB, glb_bytes
 from .ply import PLY, ply_bytes
@@ -9,11 +12,13 @@ from .sog import SOG, sog_file
 from .splats import Packed, Splats
 from .spz import SPZ, spz_file
 
+F64 = NDArray[np.float64]
+
 FORMATS: dict[str, Kind] = {".ply": PLY, ".spz": SPZ, ".sog": SOG, ".glb": GLB}
 
 
-def splat_file(splats: Splats, suffix: str, up_axis: int) -> Packed:
-    """Returns a file of Gaussians. suffix: a key of FORMATS. up_axis: of the scene, as SPEC 6.5 has it.
+def splat_file(splats: Splats, suffix: str, up: F64) -> Packed:
+    """Returns a file of Gaussians. suffix: a key of FORMATS. up: what is up in the scene, a unit vector, float64 [3].
 
     Raises ValueError if the format cannot hold them.
     """
@@ -21,4 +26,4 @@ def splat_file(splats: Splats, suffix: str, up_axis: int) -> Packed:
         return spz_file(splats)
     if suffix == ".sog":
         return sog_file(splats)
-    return Packed(ply_bytes(splats) if suffix == ".ply" else glb_bytes(splats, up_axis), splats)
+    return Packed(ply_bytes(splats) if suffix == ".ply" else glb_bytes(splats, up), splats)

@@ -7,7 +7,6 @@ scene's upward axis to +y, which is up in glTF.
 from __future__ import annotations
 
 import json
-import math
 import re
 import struct
 from typing import Any
@@ -20,6 +19,8 @@ from ..files.outputs import Kind
 from .harmonics import ZERO
 from .splats import Splats, nearest_bytes, opacities
 
+F64 = NDArray[np.float64]
+
 EXTENSION = "KHR_gaussian_splatting"
 # What a Gaussian is, and what its colours are, as in 3DGS.
 SPACE = {"kernel": "ellipse", "colorSpace": "srgb_rec709_display"}
@@ -28,16 +29,6 @@ HEAD, CHUNK = struct.Struct("<4sII"), struct.Struct("<I4s")
 _START = '{"asset":{"version":"2.0","generator":"refcodec'
 GLB = Kind(
     "a GLB file that refcodec wrote", re.compile(rb"glTF\x02\x00\x00\x00.{8}JSON" + re.escape(_START.encode()), re.S)
-)
-# Quaternions x, y, z, w that turn each axis of SPEC 6.5 (+x, -x, +y, -y, +z, -z) to +y.
-_HALF = math.sqrt(0.5)
-_UP = (
-    (0.0, 0.0, _HALF, _HALF),
-    (0.0, 0.0, -_HALF, _HALF),
-    (0.0, 0.0, 0.0, 1.0),
-    (0.0, 0.0, 1.0, 0.0),
-    (-_HALF, 0.0, 0.0, _HALF),
-    (_HALF, 0.0, 0.0, _HALF),
 )
 
 
@@ -60,8 +51,18 @@ def _attributes(splats: Splats) -> dict[str, NDArray]:
     return {name: v if v.dtype == np.uint8 else v.astype("<f4") for name, v in found.items()}
 
 
-def glb_bytes(splats: Splats, up_axis: int) -> bytes:
-    """Returns the file. up_axis: as SPEC 6.5 has it. Raises ValueError for a file of 4 GiB or more."""
+def _to_y(up: F64) -> list[float]:
+    """Returns the quaternion x, y, z, w of the shortest turn that takes a unit vector to +y. It turns -y about z."""
+    x, y, z = up.tolist()
+    found = np.array([-z, 0.0, x, 1 + y] if y > -1 else [0.0, 0.0, 1.0, 0.0])
+    return (found / np.linalg.norm(found)).tolist()
+
+
+def glb_bytes(splats: Splats, up: F64) -> bytes:
+    """Returns the file. up: what is up in the scene, a unit vector, float64 [3].
+
+    Raises ValueError for a file of 4 GiB or more.
+    """
     data: list[bytes] = []
     views: list[dict[str, Any]] = []
     accessors: list[dict[str, Any]] = []
@@ -91,7 +92,7 @@ def glb_bytes(splats: Splats, up_axis: int) -> bytes:
         "extensionsUsed": [EXTENSION],
         "scene": 0,
         "scenes": [{"nodes": [0]}],
-        "nodes": [{"mesh": 0, "rotation": _UP[up_axis]}],
+        "nodes": [{"mesh": 0, "rotation": _to_y(up)}],
         "meshes": [{"primitives": [primitive]}],
         "accessors": accessors,
         "bufferViews": views,

@@ -108,7 +108,7 @@ def scaffold_files(
     for name, module in modules.items():
         files[_MODEL / f"{_NAMES[name]}.pt"] = _torch_script(module, model.width + _VIEW)
     files[_MODEL / "checkpoints.pth"] = _state_dicts(modules)
-    files[_MODEL / RENDER_FILE] = render_document(render, cameras[0] if cameras else NamedCamera(), voxel)
+    files[_MODEL / RENDER_FILE] = render_document(render, cameras, voxel)
     return files
 
 

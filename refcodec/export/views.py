@@ -4,18 +4,18 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+
+import numpy as np
 
 from ..bitstream.cameras import NamedCamera
-from ..render.camera import Camera
+from ..render.camera import Camera, poses
 from ..render.view import DISTANCE, View, own_camera, spiral
 
 # The longest side in pixels of a view. Blending weights need no more, and the work grows with the pixels.
 SIDE = 400
 # A file with fewer cameras than these says too little of where people look from.
 FEW = 8
-# Of the cameras that a file states, every eighth one measures the fit, as in trainings.
-TEST_EVERY = 8
 # The views around the scene where there are too few cameras. Every ninth one measures the fit, from the middle one of
 # the first nine on. The outermost ones are for the fit.
 AROUND, AROUND_TEST_EVERY = 72, 9
@@ -45,14 +45,13 @@ def sized(camera: Camera) -> Camera:
 def views_of(view: View, stated: Sequence[NamedCamera]) -> Views:
     """Returns the views of a scene without photographs.
 
-    stated: the cameras of the file. They are the views if there are FEW or more. Otherwise views are spread over the
+    stated: the cameras of the file. They are the views of the fit if there are FEW or more: the networks of a scene are
+    right near the cameras that it was trained from. Views between them measure it. Otherwise views are spread over the
     upper part of a sphere around the scene, and the stated ones go with them.
     """
     own = [sized(own_camera(camera)) for camera in stated]
     if len(own) >= FEW:
-        test = own[::TEST_EVERY]
-        fit = [camera for number, camera in enumerate(own) if number % TEST_EVERY]
-        return Views(fit, test, f"{len(fit)} cameras of the file")
+        return Views(own, _between(own), f"{len(own)} cameras of the file")
     # Without a camera, the distance is that of the orbit.
     middle, radius = view.extent
     distance = DISTANCE * radius
@@ -63,6 +62,23 @@ def views_of(view: View, stated: Sequence[NamedCamera]) -> Views:
     test = spread[AROUND_TEST_EVERY // 2 :: AROUND_TEST_EVERY]
     fit = [camera for camera in spread if camera not in test]
     return Views(own + fit, test, f"{len(fit)} cameras around the scene")
+
+
+def _between(cameras: Sequence[Camera]) -> list[Camera]:
+    """Returns a camera half way between each camera and the one that is nearest to it, once for each pair."""
+    from scipy.spatial.transform import Rotation, Slerp  # noqa: PLC0415 (only here)
+
+    seen = poses(cameras)
+    apart = np.linalg.norm(seen[:, None] - seen, axis=2)
+    np.fill_diagonal(apart, np.inf)
+    found = []
+    for one, other in sorted({(min(i, j), max(i, j)) for i, j in enumerate(apart.argmin(axis=1).tolist())}):
+        ends = cameras[one], cameras[other]
+        turn = Slerp([0, 1], Rotation.from_matrix([camera.rotation for camera in ends]))
+        rotation, centre = turn(0.5).as_matrix(), (ends[0].centre + ends[1].centre) / 2
+        name = f"between-{one:04d}-{other:04d}"
+        found.append(replace(ends[0], name=name, rotation=rotation, translation=-rotation @ centre))
+    return found
 
 
 def _around(view: View, distance: float) -> list[Camera]:

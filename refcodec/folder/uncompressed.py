@@ -2,8 +2,8 @@
 
 point_cloud.ply         anchors, in the layout of Scaffold-GS checkpoints, world units
 networks.safetensors    fp32 weights and biases of the three rendering networks, as SPEC.md 5.8 shapes them
-render.json             the render information of SPEC.md 5.5, the camera of the default view as in 5.17, and the edge
-                        of the voxels whose corners the anchors are, if it is known
+render.json             the render information of SPEC.md 5.5, the cameras as in 5.17, of which the first one is the
+                        default view, and the edge of the voxels whose corners the anchors are, if it is known
 """
 
 # safetensors is imported where it is used, so that the other commands start fast.
@@ -12,7 +12,8 @@ render.json             the render information of SPEC.md 5.5, the camera of the
 from __future__ import annotations
 
 import json
-from dataclasses import dataclass, field
+from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -32,6 +33,8 @@ from .ply import read_cloud, write_cloud
 from .replace import replace_scene
 
 AGAIN = "train it again"
+# SPEC 5.17 counts cameras in 16 bits.
+CAMERAS_MAX = (1 << 16) - 1
 
 
 @dataclass(frozen=True, eq=False)
@@ -39,14 +42,15 @@ class Uncompressed:
     """A trained Scaffold-GS.
 
     values: the float32 attributes. masks: bool [N, K]. networks: the three rendering networks of SPEC 14.3, by name.
-    camera: the default view. voxel: edge of the lattice of the positions, world units, or None if it is not known.
+    cameras: those that it states; the first one is the default view. voxel: edge of the lattice of the positions, world
+    units, or None if it is not known.
     """
 
     values: Reconstruction
     masks: NDArray[np.bool_]
     networks: dict[str, list[Layer]]
     render: RenderInfo
-    camera: NamedCamera = field(default_factory=NamedCamera)
+    cameras: tuple[NamedCamera, ...] = ()
     voxel: float | None = None
 
     @property
@@ -112,42 +116,56 @@ def _write_files(scene: Uncompressed, path: Path) -> None:
     with new_file(path / NETWORKS_FILE) as file:
         file.write(save(networks))
     with new_file(path / RENDER_FILE) as file:
-        file.write(render_document(scene.render, scene.camera, scene.voxel))
+        file.write(render_document(scene.render, scene.cameras, scene.voxel))
 
 
-def render_document(render: RenderInfo, camera: NamedCamera, voxel: float | None) -> bytes:
+def render_document(render: RenderInfo, cameras: Sequence[NamedCamera], voxel: float | None) -> bytes:
     """Returns render.json."""
-    document: dict[str, Any] = {"format": UNCOMPRESSED, "render": vars(render), "camera": vars(camera)}
+    stated = [vars(camera) for camera in cameras]
+    document: dict[str, Any] = {"format": UNCOMPRESSED, "render": vars(render), "cameras": stated}
     if voxel is not None:
         document["voxel"] = voxel
     return (json.dumps(document, indent=2) + "\n").encode()
 
 
-def read_render_document(file: Path) -> tuple[RenderInfo, NamedCamera, float | None]:
-    """Returns the render information, the camera and the voxel of a render.json. Raises SceneFolderError."""
+def read_render_document(file: Path) -> tuple[RenderInfo, tuple[NamedCamera, ...], float | None]:
+    """Returns the render information, the cameras and the voxel of a render.json. Raises SceneFolderError."""
     from .read import read_render
 
     document = Document(file, UNCOMPRESSED, AGAIN)
-    render, camera = read_render(document), _read_camera(document)
+    render, cameras = read_render(document), _read_cameras(document)
     voxel = document.float("voxel") if "voxel" in document.root else None
     if voxel is not None and voxel <= 0:
         raise document.fault("voxel", f"is {voxel}, a number above 0 is required")
-    return render, camera, voxel
+    return render, cameras, voxel
 
 
-def _read_camera(doc: Document) -> NamedCamera:
-    """Returns the camera of the default view. Raises SceneFolderError."""
+def _read_cameras(doc: Document) -> tuple[NamedCamera, ...]:
+    """Returns the cameras. Earlier folders have one, as "camera". Raises SceneFolderError."""
+    if "camera" in doc.root:
+        return (_read_camera(doc, "camera"),)
+    listed = doc.value("cameras")
+    if not isinstance(listed, list) or len(listed) > CAMERAS_MAX:
+        raise doc.fault("cameras", f"is no list of at most {CAMERAS_MAX} cameras")
+    found = tuple(_read_camera(doc, f"cameras[{number}]") for number in range(len(listed)))
+    if len({camera.name for camera in found}) < len(found):
+        raise doc.fault("cameras", "has two cameras of one name")
+    return found
+
+
+def _read_camera(doc: Document, at: str) -> NamedCamera:
+    """Returns the camera of a field. Raises SceneFolderError."""
 
     def vector(name: str, count: int) -> Any:
-        return tuple(doc.floats(f"camera.{name}", count))
+        return tuple(doc.floats(f"{at}.{name}", count))
 
-    name = doc.value("camera.name")
+    name = doc.value(f"{at}.name")
     if not isinstance(name, str):
-        raise doc.fault("camera.name", "is no text")
+        raise doc.fault(f"{at}.name", "is no text")
     camera = NamedCamera(
         name,
-        doc.integer("camera.width", 1, (1 << 32) - 1),
-        doc.integer("camera.height", 1, (1 << 32) - 1),
+        doc.integer(f"{at}.width", 1, (1 << 32) - 1),
+        doc.integer(f"{at}.height", 1, (1 << 32) - 1),
         vector("focal", 2),
         vector("principal_point", 2),
         vector("rotation", 4),
@@ -155,14 +173,14 @@ def _read_camera(doc: Document) -> NamedCamera:
     )
     fault = camera.fault()
     if fault:
-        raise doc.fault("camera", f"is not allowed: {fault}")
+        raise doc.fault(at, f"is not allowed: {fault}")
     return camera
 
 
 def read_uncompressed(path: Path) -> Uncompressed:
     """Returns the scene of a folder. Raises SceneFolderError if one of its files is missing or cannot be read."""
     cloud = read_cloud(path / PLY_FILE)
-    render, camera, voxel = read_render_document(path / RENDER_FILE)
+    render, cameras, voxel = read_render_document(path / RENDER_FILE)
     networks = _read_networks(path / NETWORKS_FILE, cloud.masks.shape[1], cloud.features.shape[1])
     return Uncompressed(
         Reconstruction(
@@ -174,6 +192,6 @@ def read_uncompressed(path: Path) -> Uncompressed:
         cloud.masks,
         networks,
         render,
-        camera,
+        cameras,
         voxel,
     )

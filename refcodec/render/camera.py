@@ -12,12 +12,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..bitstream.cameras import NamedCamera
+from ..bitstream.header import RenderInfo
 from ..files.documents import parse_json
 
 F64 = NDArray[np.float64]
 # The name of the camera that a file states.
 OWN = "default"
 
+# How many cameras of a training a scene states. Each one takes 60 bytes of a file.
+STATED = 16
 # The most bytes of a stated camera, which has some hundred.
 CAMERA_MAX = 1 << 16
 # SPEC 6.5 has 16 bits for each side of an image.
@@ -27,6 +30,21 @@ PIXELS_MAX = 100_000_000
 # How far rotation @ rotation.T of a stated camera may be from the identity. The camera's centre follows from the
 # rotation's transpose, so a matrix that is none would show another place.
 ROTATION_TOLERANCE = 1e-3
+# Of what is up (up_direction). The rows of images say it if they are spread in a plane: if the mean of their squares
+# across the mean row is at least ROWS_SPREAD, a spread of 13 degrees, and that out of the plane at most ROWS_LEVEL of
+# it.
+ROWS_SPREAD, ROWS_LEVEL = 0.05, 0.25
+# Images whose mean top is within 12 degrees of the horizontal do not say which end of a line is up.
+UPRIGHT = 0.2
+# A mean of unit vectors that is shorter is one of vectors that point different ways.
+MIXED = 0.5
+# A mean that is shorter says nothing.
+SHORT = 1e-6
+# The fewest points that make a plane, and the thickness of a plane beside its breadth, both as standard deviations.
+POINTS_LEAST, FLAT = 16, 0.2
+# The ground is under the cameras if its normal is within so much of a right angle to the images' rows (as a cosine),
+# and if they moved upwards in their images by more than this share of their distance to it.
+LEAN, CLIMBED = 0.3, 0.25
 
 
 @dataclass(frozen=True, eq=False)
@@ -102,8 +120,8 @@ def default_camera(stated: NamedCamera) -> Camera:
     )
 
 
-def named_camera(camera: Camera) -> NamedCamera:
-    """SPEC 5.17: returns a camera as a file states it, as the default view. Its numbers are rounded to float32."""
+def named_camera(camera: Camera, name: str = OWN) -> NamedCamera:
+    """SPEC 5.17: returns a camera as a file states it, under a name. Its numbers are rounded to float32."""
     # Decoding draws nothing, and should not wait for SciPy.
     from scipy.spatial.transform import Rotation  # noqa: PLC0415
 
@@ -111,7 +129,7 @@ def named_camera(camera: Camera) -> NamedCamera:
         return tuple(np.asarray(values).astype(np.float32).tolist())
 
     return NamedCamera(
-        OWN,
+        name,
         camera.width,
         camera.height,
         rounded([camera.fx, camera.fy]),
@@ -121,11 +139,105 @@ def named_camera(camera: Camera) -> NamedCamera:
     )
 
 
-def up_axis(cameras: Sequence[Camera]) -> int:
-    """SPEC 6.5: returns the number of the world's axis that is nearest to what is up in the cameras' images."""
-    ups = -np.mean([c.rotation[1] for c in cameras], axis=0)
-    axis = int(np.abs(ups).argmax())
-    return 2 * axis + int(ups[axis] < 0)
+def poses(cameras: Sequence[Camera]) -> F64:
+    """Returns points whose distances say how far cameras are from each other, float64 [n, 6].
+
+    They are the centres, in units of their spread, and the directions.
+    """
+    centres, ahead = np.array([c.centre for c in cameras]), np.array([c.rotation[2] for c in cameras])
+    spread = np.sqrt(np.mean(np.sum((centres - centres.mean(axis=0)) ** 2, axis=1)))
+    return np.concatenate([centres / spread if spread > 0 else centres, ahead], axis=1)
+
+
+def spread_cameras(cameras: Sequence[Camera], count: int) -> list[NamedCamera]:
+    """SPEC 5.17: returns cameras as a file states them: the first one, the default view, and others far from it.
+
+    count: how many at most. Each one is the farthest from those before it, in place and in direction, so that the first
+    few are spread as well. They are named by numbers: the names of photographs would say more than a viewer needs.
+    """
+    if not cameras or not count:
+        return []
+    seen = poses(cameras)
+    chosen, distance = [0], np.sum((seen - seen[0]) ** 2, axis=1)
+    while len(chosen) < count and distance.max() > 0:
+        chosen.append(int(distance.argmax()))
+        distance = np.minimum(distance, np.sum((seen - seen[chosen[-1]]) ** 2, axis=1))
+    return [named_camera(cameras[i], str(number) if number else OWN) for number, i in enumerate(chosen)]
+
+
+def level_up(cameras: Sequence[Camera]) -> F64 | None:
+    """Returns the direction that the rows of the cameras' images are perpendicular to, float64 [3], or None.
+
+    Who holds a camera keeps the horizon level, and so do drones, whether they look ahead or down. None: the rows leave
+    more than one direction, since they are all parallel, or none, since the cameras are turned about their axes.
+    """
+    if not cameras:
+        return None
+    rows, down, ahead = np.moveaxis(np.array([c.rotation for c in cameras]), 1, 0)
+    values, vectors = np.linalg.eigh(rows.T @ rows / len(rows))
+    if values[1] < ROWS_SPREAD or values[0] > ROWS_LEVEL * values[1]:
+        return None
+    found = vectors[:, 0]
+    # Cameras that look straight down have what is up nowhere in their images. It is behind them.
+    above = -np.mean(down @ found)
+    return found * np.copysign(1.0, above if abs(above) > UPRIGHT else -np.mean(ahead @ found))
+
+
+def up_direction(cameras: Sequence[Camera], points: F64) -> F64:
+    """Returns what is up in a scene, a unit vector, float64 [3].
+
+    points: float64 [M, 3], of the scene, world units. The rows of the images decide if they can (level_up). If the
+    cameras look all one way over flat ground, as on a flight in parallel lines, up is the normal of the ground. In all
+    other cases it is the mean of what is up in the images. Cameras that all look straight at a wall are told from a
+    flight by their moves alone: few people climb.
+    """
+    level = level_up(cameras)
+    if level is not None:
+        return level
+    rows, down, ahead = (np.mean([c.rotation[i] for c in cameras], axis=0) for i in range(3))
+    found = -down
+    ground = _ground(points)
+    if np.linalg.norm(down) < MIXED < np.linalg.norm(ahead):
+        # Flights turn at the end of a line. Then the images' tops point both ways.
+        found = -ahead
+    elif ground is not None:
+        middle, normal = ground
+        centres = np.array([c.centre for c in cameras])
+        distance, climbed = np.mean((middle - centres) @ ahead), np.std(centres @ down)
+        if abs(normal @ rows) < LEAN and distance > 0 and climbed > CLIMBED * distance:
+            found = normal * np.copysign(1.0, np.mean((centres - middle) @ normal))
+    length = np.linalg.norm(found)
+    return found / length if length > SHORT else axis_direction(RenderInfo.up_axis)
+
+
+def _ground(points: F64) -> tuple[F64, F64] | None:
+    """Returns the middle and the normal of points that lie in a plane, each float64 [3], or None."""
+    if len(points) < POINTS_LEAST:
+        return None
+    middle = np.median(points, axis=0)
+    away = np.linalg.norm(points - middle, axis=1)
+    # A reconstruction has points far away that belong to nothing.
+    near = (points - middle)[away <= np.quantile(away, 0.9)]
+    values, vectors = np.linalg.eigh(near.T @ near / len(near))
+    return (middle, vectors[:, 0]) if values[0] < FLAT**2 * values[1] else None
+
+
+def axis_direction(up_axis: int) -> F64:
+    """Returns the unit vector of an up_axis of SPEC 6.5, float64 [3]."""
+    found = np.zeros(3)
+    found[up_axis // 2] = -1.0 if up_axis % 2 else 1.0
+    return found
+
+
+def nearest_axis(direction: F64) -> int:
+    """SPEC 6.5: returns the up_axis that is nearest to a direction, float64 [3]."""
+    axis = int(np.abs(direction).argmax())
+    return 2 * axis + int(direction[axis] < 0)
+
+
+def up_axis(cameras: Sequence[Camera], points: F64) -> int:
+    """SPEC 6.5: returns the number of the world's axis that is nearest to what is up (up_direction)."""
+    return nearest_axis(up_direction(cameras, points))
 
 
 def read_camera(data: bytes | str) -> Camera:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import io
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import replace
 from functools import cached_property
 
@@ -17,7 +17,7 @@ from ..bitstream.dimensions import RENDERING
 from ..bitstream.reconstruction import reconstruct
 from ..bitstream.scene import Scene
 from ..folder.uncompressed import Uncompressed
-from .camera import Camera, check_camera, default_camera
+from .camera import Camera, axis_direction, check_camera, default_camera, level_up, nearest_axis
 from .gaussians import gaussians
 from .rasterise import image
 
@@ -49,12 +49,13 @@ def spiral(count: int, lowest: float, highest: float) -> tuple[F64, F64]:
 class View:
     """A scene that cameras look at.
 
-    info: its render information. camera: its default view. values: its float32 values. masks: bool [N, K].
-    networks: the rendering networks.
+    info: its render information. camera: its default view. up: a unit vector, float64 [3] (scene_up). values: its
+    float32 values. masks: bool [N, K]. networks: the rendering networks.
     """
 
     def __init__(self, scene: Scene | Uncompressed) -> None:
         self.info, self.masks, self.camera = scene.render, scene.masks, default_view(scene)
+        self.up = scene_up(self.info.up_axis, stated_cameras(scene))
         self.values = reconstruct(scene) if isinstance(scene, Scene) else scene.values
         self.networks = {name: scene.networks[name] for name in RENDERING}
 
@@ -84,9 +85,9 @@ class View:
         distance: from the middle, world units.
         """
         middle, _ = self.extent
-        up = np.zeros(3)
-        up[self.info.up_axis // 2] = -1.0 if self.info.up_axis % 2 else 1.0
-        side = np.roll(up, 1)
+        up, side = self.up, np.roll(axis_direction(self.info.up_axis), 1)
+        side = side - (side @ up) * up
+        side /= np.linalg.norm(side)
         front = np.cross(up, side)
         away = np.cos(height) * (np.cos(turn) * side + np.sin(turn) * front) + np.sin(height) * up
         rotation = looking(-away, up)
@@ -102,11 +103,24 @@ class View:
         ]
 
 
+def stated_cameras(scene: Scene | Uncompressed) -> list[NamedCamera]:
+    """Returns the cameras that a scene states. The first one is the default view."""
+    return cameras(scene.ancillary) if isinstance(scene, Scene) else [*scene.cameras]
+
+
 def default_view(scene: Scene | Uncompressed) -> NamedCamera:
     """Returns the default view of a scene. A scene without cameras has one at the world's origin."""
-    if isinstance(scene, Scene):
-        return next(iter(cameras(scene.ancillary)), NamedCamera())
-    return scene.camera
+    return next(iter(stated_cameras(scene)), NamedCamera())
+
+
+def scene_up(up_axis: int, stated: Sequence[NamedCamera]) -> F64:
+    """Returns what is up in a scene, a unit vector, float64 [3].
+
+    up_axis says it to an axis of the world (SPEC 6.5). The cameras of a file say it finer, so that a horizon is level,
+    if they say it at all and do not contradict up_axis.
+    """
+    found = level_up([default_camera(camera) for camera in stated])
+    return axis_direction(up_axis) if found is None or nearest_axis(found) != up_axis else found
 
 
 def orbit_name(number: int) -> str:

@@ -58,13 +58,14 @@ def train(
     log: Log | None = None,
     metadata: Mapping[str, str] | None = None,
     given: Given | None = None,
+    up_axis: int | None = None,
 ) -> Trained:
     """Trains, and writes the scene folder and training.json. What it begins with is said on stderr.
 
     threads: of the rasteriser; all else uses one, so that no result depends on it. resume: from the saved state.
     progress: whether lines tell of it where there is no terminal. keep_state: whether the saved state stays after the
     end, so that more steps can follow. log: gets the history. metadata: entries of SPEC 6.14, for a coded scene.
-    given: a scene to go on from, None to begin with points.
+    given: a scene to go on from, None to begin with points. up_axis: SPEC 6.5, None for what the photographs say.
 
     A state that cannot be saved does not end the training. A scene that cannot be written to `output` is written among
     the temporary files, and the error says where.
@@ -87,6 +88,8 @@ def train(
     if whole and keep_state:
         keep()
     result = trainer.result()
+    if up_axis is not None:
+        result = replace(result, render=replace(result.render, up_axis=up_axis))
     if metadata and isinstance(result, Scene):
         result = replace(result, ancillary=with_metadata(result.ancillary, metadata))
     told = report(trainer, result)

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ..bitstream.attributes import KINDS, SCALINGS, Attributes
-from ..bitstream.cameras import CAMERAS, NamedCamera, emit_cameras
+from ..bitstream.cameras import NamedCamera, camera_sections
 from ..bitstream.chunks import chunk_ranges
 from ..bitstream.codec import derive_steps
 from ..bitstream.dimensions import RENDERING, Dimensions
@@ -18,7 +19,7 @@ from ..bitstream.networks import Layer
 from ..bitstream.planes import PLANE_SYMBOL_MAX
 from ..bitstream.positions import encode_positions
 from ..bitstream.reconstruction import Reconstruction
-from ..bitstream.scene import Ancillary, Scene
+from ..bitstream.scene import Scene
 from ..bitstream.source import pad4
 from ..bitstream.weights import emit_weights
 from ..encoder.masks import mask_model
@@ -27,7 +28,8 @@ from ..encoder.quantise import symbols
 from ..encoder.sizes import CHUNK_SIZE, choose_lanes
 from ..encoder.weights import exact_networks, weight_scales
 from ..folder.uncompressed import Uncompressed
-from ..render.camera import Camera, up_axis
+from ..photographs.photographs import PhotographSet
+from ..render.camera import up_axis
 from .entropy.model import RateModel
 from .entropy.units import PLANE_SHIFT
 from .parts.rate import Rate
@@ -35,17 +37,17 @@ from .scaffold import Scaffold
 from .start import lattice_positions
 
 
-def render_info(scaffold: Scaffold, cameras: list[Camera], background: tuple[int, int, int]) -> RenderInfo:
-    """SPEC 6.5 of a scene: up is the axis that is nearest to that of the cameras."""
+def render_info(scaffold: Scaffold, photographs: PhotographSet) -> RenderInfo:
+    """SPEC 6.5 of a scene."""
     return RenderInfo(
-        background=background,
-        up_axis=up_axis(cameras),
+        background=photographs.background,
+        up_axis=up_axis([p.camera for p in photographs.train], photographs.points),
         near_plane=float(np.float32(scaffold.near * scaffold.units.length)),
         distance_unit=scaffold.units.length,
     )
 
 
-def uncompressed(scaffold: Scaffold, render: RenderInfo, camera: NamedCamera) -> Uncompressed:
+def uncompressed(scaffold: Scaffold, render: RenderInfo, cameras: Sequence[NamedCamera]) -> Uncompressed:
     """The scene as it is, in world units."""
     n, k = scaffold.count, scaffold.columns.offsets
     positions = scaffold.units.origin + scaffold.lattice * (scaffold.units.cell * scaffold.units.length)
@@ -53,7 +55,7 @@ def uncompressed(scaffold: Scaffold, render: RenderInfo, camera: NamedCamera) ->
     values = Reconstruction(
         positions.astype(np.float32), tables["features"], tables["scalings"], tables["offsets"].reshape(n, k, 3)
     )
-    return Uncompressed(values, np.ones((n, k), bool), scaffold.networks.layers(), render, camera)
+    return Uncompressed(values, np.ones((n, k), bool), scaffold.networks.layers(), render, tuple(cameras))
 
 
 def _dimensions(model: RateModel, coding: dict[str, list[Layer]], render_width: int) -> Dimensions:
@@ -89,7 +91,7 @@ def position_bytes(lattice: NDArray[np.int64], lanes: Lanes) -> int:
     return sum(len(content) for _, content in parts)
 
 
-def coded_scene(scaffold: Scaffold, rate: Rate, render: RenderInfo, camera: NamedCamera) -> Scene:
+def coded_scene(scaffold: Scaffold, rate: Rate, render: RenderInfo, cameras: Sequence[NamedCamera]) -> Scene:
     """The scene of integers: steps follow from the networks, symbols from the steps.
 
     Anchors without a kept offset are left out. The rest is sorted along a Morton curve (B.1). Raises ValueError for
@@ -129,7 +131,7 @@ def coded_scene(scaffold: Scaffold, rate: Rate, render: RenderInfo, camera: Name
         positions=half,
         masks=masks,
         attributes=empty,
-        ancillary=(Ancillary(CAMERAS, 0, emit_cameras([camera])),),
+        ancillary=camera_sections(cameras),
     )
     steps = derive_steps(scene)
     values = {name: scaffold.tables[name].cpu().numpy()[rows] for name in KINDS}

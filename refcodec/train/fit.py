@@ -177,7 +177,7 @@ def _start(given: Given, settings: FitSettings) -> Scene:
         base_step=base_step,
         render=given.render,
         profile=MAIN,
-        camera=given.camera,
+        cameras=given.cameras,
     )
 
 

@@ -27,7 +27,7 @@ class Given:
 
     voxel: edge of the lattice of their positions, world units; None if it is not known. grid: that of the coded scene
     that they come from. networks: the rendering networks of SPEC 14.3; None where features 0 to 2 are logits of colour,
-    as voxelise makes them. render: SPEC 6.5. camera: the default view, or None if what is given has none.
+    as voxelise makes them. render: SPEC 6.5. cameras: those that it states.
     """
 
     cloud: AnchorCloud
@@ -35,7 +35,7 @@ class Given:
     grid: PositionGrid | None = None
     networks: dict[str, list[Layer]] | None = None
     render: RenderInfo = field(default_factory=RenderInfo)
-    camera: NamedCamera | None = None
+    cameras: tuple[NamedCamera, ...] = ()
 
 
 def read_given(path: str | Path, voxel: float | None = None) -> Given:
@@ -77,15 +77,15 @@ def _read_scene(folder: Path, voxel: float | None) -> Given:
             None,
             plain.networks,
             plain.render,
-            plain.camera,
+            plain.cameras,
         )
     if not there(folder / SCENE_FILE, _ADVICE):
         raise ValueError(f"{folder} has neither {SCENE_FILE} nor {RENDER_FILE}: it is no scene folder")
     scene = read_folder(folder)
     networks = {name: scene.networks[name] for name in RENDERING}
     grid = None if voxel else scene.grid
-    camera = next(iter(cameras(scene.ancillary)), None)
-    return Given(_cloud(reconstruct(scene), scene.masks), voxel, grid, networks, scene.render, camera)
+    stated = tuple(cameras(scene.ancillary))
+    return Given(_cloud(reconstruct(scene), scene.masks), voxel, grid, networks, scene.render, stated)
 
 
 def _lattice(voxel: float | None) -> float | None:

@@ -19,7 +19,7 @@ from torch import Tensor
 from ..bitstream.scene import Scene
 from ..folder.uncompressed import Uncompressed
 from ..photographs.photographs import PhotographSet
-from ..render.camera import named_camera
+from ..render.camera import STATED, spread_cameras
 from .entropy.hyperprior import Hyperprior, VectorMatrix
 from .estimate import coded_bytes, likely_bytes, uncompressed_bytes
 from .export import coded_scene, render_info, uncompressed
@@ -205,15 +205,15 @@ class Trainer:
 
         What a file needs and has not begun yet begins now. Raises ValueError for what cannot be written.
         """
-        cameras = [p.camera for p in self.photographs.train]
-        render = render_info(self.scaffold, cameras, self.photographs.background)
+        cameras = spread_cameras([p.camera for p in self.photographs.train], STATED)
+        render = render_info(self.scaffold, self.photographs)
         if self.rate is None:
-            return uncompressed(self.scaffold, render, named_camera(cameras[0]))
+            return uncompressed(self.scaffold, render, cameras)
         for part in self.parts:
             part.finish()
         if not self.rate.hyperprior.coded:
             raise ValueError("the format does not have this hyperprior")
-        return coded_scene(self.scaffold, self.rate, render, named_camera(cameras[0]))
+        return coded_scene(self.scaffold, self.rate, render, cameras)
 
     # --- the saved state ----------------------------------------------------------------------------------------------
 

@@ -67,7 +67,7 @@ def test_the_scene_comes_back(name: str, tmp_path: Path) -> None:
     for kind in ("positions", "features", "scalings", "offsets"):
         np.testing.assert_array_equal(getattr(found.values, kind), getattr(values, kind), err_msg=kind)
     assert found.render == scene.render
-    assert found.camera == next(iter(cameras(scene.ancillary)))
+    assert found.cameras == tuple(cameras(scene.ancillary))
     for network in RENDERING:
         for own, stored in zip(found.networks[network], scene.networks[network], strict=True):
             for a, b in zip(own, stored, strict=True):

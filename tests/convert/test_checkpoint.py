@@ -55,7 +55,8 @@ def test_a_model_draws_what_its_networks_say(name: str, tmp_path: Path) -> None:
     assert scene.voxel == VOXEL
     # The camera of cameras.json looks along +y, and +z is upwards in its image.
     assert scene.render.up_axis == 4
-    assert (scene.camera.width, scene.camera.height, scene.camera.focal) == (64, 48, (60.0, 61.0))
+    first = scene.cameras[0]
+    assert (first.width, first.height, first.focal) == (64, 48, (60.0, 61.0))
 
 
 @pytest.mark.parametrize(

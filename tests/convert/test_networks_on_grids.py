@@ -38,7 +38,7 @@ def given(layout: str, folder: Path, count: int = 500) -> Given:
     plain = read_checkpoint(folder).scene
     v = plain.values
     cloud = AnchorCloud(v.positions, v.features, v.scalings, v.offsets, plain.masks)
-    return Given(cloud, plain.voxel, None, plain.networks, plain.render, plain.camera)
+    return Given(cloud, plain.voxel, None, plain.networks, plain.render, plain.cameras)
 
 
 def fitted(found: Given, rate: float) -> Scene:

@@ -19,6 +19,7 @@ from refcodec.cli.main import main  # noqa: E402
 from refcodec.convert.splat_files import read_splats  # noqa: E402
 from refcodec.convert.splats import drawn, tensors  # noqa: E402
 from refcodec.convert.views import AXES, given, orbit, write_photographs  # noqa: E402
+from refcodec.folder.read import read_folder  # noqa: E402
 from refcodec.photographs.photographs import read_photographs  # noqa: E402
 from refcodec.render.camera import Camera  # noqa: E402
 from refcodec.render.rasterise import Settings  # noqa: E402
@@ -78,6 +79,7 @@ def test_a_file_of_splats_becomes_a_file(tmp_path: Path, capsys: Captured) -> No
     capsys.readouterr()
     assert main(["eval", str(file), str(pictures), "--json"]) == 0
     assert len(json.loads(capsys.readouterr().out)["images"]) == 2
+    assert read_folder(scene).render.up_axis == 4
     # Nothing is left beside what was asked for.
     assert sorted(path.name for path in tmp_path.iterdir()) == ["a.c3gs", "a.sog", "pictures", "scene"]
     assert main([*words, "--pictures", str(pictures)]) == 64
@@ -144,9 +146,8 @@ def test_the_cameras_of_a_model(tmp_path: Path, capsys: Captured) -> None:
     cameras = [own | {"id": i, "img_name": str(i), "position": [0.1 * i, 0.0, -4.0]} for i in range(9)]
     (tmp_path / "model" / "cameras.json").write_text(json.dumps(cameras))
     words = ["convert", str(place / "point_cloud.ply"), "-o", str(tmp_path / "scene"), *SMALL]
-    assert main([*words, "--up=+z"]) == 64
-    assert "--up is for cameras around" in capsys.readouterr().err
-    assert main(words) == 0
+    assert main([*words, "--up=+z"]) == 0
+    assert read_folder(tmp_path / "scene").render.up_axis == 4
     assert json.loads((tmp_path / "scene" / "training.json").read_text())["size"] == [48, 32]
     (tmp_path / "model" / "cameras.json").write_text("[{}]")
     assert main([*words[:3], str(tmp_path / "other"), *SMALL]) == 64

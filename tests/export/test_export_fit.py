@@ -23,10 +23,10 @@ from refcodec.bitstream.dimensions import RENDERING  # noqa: E402
 from refcodec.export.fit import agreement, fit, render_settings  # noqa: E402
 from refcodec.export.splats import draw, opacities  # noqa: E402
 from refcodec.export.views import FEW, SIDE, views_of  # noqa: E402
-from refcodec.render.camera import Camera  # noqa: E402
+from refcodec.render.camera import Camera, named_camera  # noqa: E402
 from refcodec.render.gaussians import gaussians  # noqa: E402
 from refcodec.render.rasterise import rasterise  # noqa: E402
-from refcodec.render.view import View, own_camera  # noqa: E402
+from refcodec.render.view import View, looking, own_camera  # noqa: E402
 
 ROOT = Path(__file__).resolve().parents[2]
 TRAINED = ROOT / "vectors" / "valid" / "trained-caliterra.c3gs"
@@ -198,7 +198,27 @@ def test_cameras_of_a_file() -> None:
     view = trained()
     stated = [NamedCamera(f"{i}", 4000 + i, 1000) for i in range(FEW)]
     views = views_of(view, stated)
-    assert (len(views.fit), len(views.test)) == (FEW - 1, 1)
+    assert len(views.fit) == FEW
     assert {(camera.width, camera.height) for camera in views.fit} <= {(SIDE, 99), (SIDE, 100)}
     assert len(views_of(view, stated[1:]).fit) == 64 + FEW - 1
     assert len(views_of(view, []).fit) == 64
+
+
+def test_views_between_cameras() -> None:
+    """Half way between neighbours, once each, with a level horizon if theirs is."""
+    ring = []
+    for degrees in (0, 10, 40, 52, 100, 115, 170, 190, 220):
+        turn = np.radians(degrees)
+        away = np.array([np.cos(turn), np.sin(turn), 0.5])
+        rotation = looking(-away, np.array([0.0, 0.0, 1.0]))
+        ring.append(Camera(f"{degrees}", 400, 300, 300.0, 300.0, 200.0, 150.0, rotation, -rotation @ (4 * away)))
+    views = views_of(trained(), [named_camera(camera, camera.name) for camera in ring])
+    assert len(views.fit) == 9
+    turns = sorted(np.degrees(np.arctan2(c.centre[1], c.centre[0])) % 360 for c in views.test)
+    np.testing.assert_allclose(turns, [5, 46, 107.5, 180, 205], atol=1e-3)
+    for camera in views.test:
+        assert np.linalg.det(camera.rotation) == pytest.approx(1)
+        assert abs(camera.rotation[0, 2]) < 1e-6
+        # The middle is in the middle of the image.
+        x, y, z = camera.translation
+        assert abs(x) + abs(y) < 0.03 * z

@@ -25,7 +25,9 @@ from refcodec.bitstream.cameras import rotation_matrix  # noqa: E402
 from refcodec.export.formats import FORMATS, splat_file  # noqa: E402
 from refcodec.export.harmonics import REST, rest_harmonics  # noqa: E402
 from refcodec.export.splats import Splats, opacities  # noqa: E402
+from refcodec.render.camera import axis_direction  # noqa: E402
 
+UP = axis_direction(3)
 ARRAYS = ("mean", "base", "rest", "opacity", "scale", "quaternion")
 Read = Callable[[bytes], Splats]
 
@@ -244,12 +246,12 @@ def assert_same(found: Splats, wanted: Splats, tolerance: float = 2e-6) -> None:
 @pytest.mark.parametrize("count", [1, 5, 3000])
 def test_a_file_holds_what_it_says(suffix: str, degree: int, count: int) -> None:
     splats = splats_of(count, degree)
-    packed = splat_file(splats, suffix, 3)
+    packed = splat_file(splats, suffix, UP)
     assert_same(READERS[suffix](packed.data), packed.splats)
     if suffix in (".ply", ".glb"):
         assert packed.splats is splats
     # The same Gaussians give the same bytes, and the file says who wrote it.
-    assert splat_file(splats, suffix, 3).data == packed.data
+    assert splat_file(splats, suffix, UP).data == packed.data
     assert FORMATS[suffix].begins.match(packed.data[:4096])
 
 
@@ -257,7 +259,7 @@ def test_a_file_holds_what_it_says(suffix: str, degree: int, count: int) -> None
 def test_spz_is_near(degree: int) -> None:
     """Each number is as near as its bits allow."""
     splats = splats_of(2000, degree)
-    held = splat_file(splats, ".spz", 3).splats
+    held = splat_file(splats, ".spz", UP).splats
     largest = float(np.abs(splats.mean).max())
     # The largest position takes the 23 bits beside the sign, all but one at least.
     assert np.abs(held.mean - splats.mean).max() <= largest * 2.0**-22
@@ -272,7 +274,7 @@ def test_spz_is_near(degree: int) -> None:
 def test_sog_is_near() -> None:
     """With as many entries as Gaussians the palette loses nothing but the table's steps."""
     splats = splats_of(1000, 3)
-    held = splat_file(splats, ".sog", 3).splats
+    held = splat_file(splats, ".sog", UP).splats
     order = [int(np.abs(splats.mean - mean).sum(axis=1).argmin()) for mean in held.mean]
     assert sorted(order) == list(range(1000))
     assert np.abs(np.log1p(np.abs(held.mean)) - np.log1p(np.abs(splats.mean[order]))).max() < 4 / 65535
@@ -289,7 +291,7 @@ def test_a_palette_is_shared() -> None:
     splats = splats_of(5000, 2)
     kinds = splats_of(20, 2).rest
     splats = Splats(*(kinds[np.arange(5000) % 20] if n == "rest" else getattr(splats, n) for n in ARRAYS))
-    packed = splat_file(splats, ".sog", 3)
+    packed = splat_file(splats, ".sog", UP)
     meta = json.loads(zipfile.ZipFile(io.BytesIO(packed.data)).read("meta.json"))
     assert meta["shN"]["count"] <= 4096
     errors = [np.abs(kinds - rest).max(axis=(1, 2)).min() for rest in packed.splats.rest]
@@ -306,7 +308,7 @@ def test_extreme_numbers(suffix: str) -> None:
     opacity = np.array([-13, 13, 0], np.float32)
     for means in (mean, 0 * mean + 7):
         wild = Splats(means, splats.base, splats.rest, opacity, scale, quaternion)
-        packed = splat_file(wild, suffix, 3)
+        packed = splat_file(wild, suffix, UP)
         assert_same(READERS[suffix](packed.data), packed.splats, 1e-5)
         found = packed.splats.mean[np.argsort(-np.abs(packed.splats.mean[:, 0]), kind="stable")]
         np.testing.assert_allclose(found, means, rtol=1e-4, atol=1e-4)
@@ -315,13 +317,13 @@ def test_extreme_numbers(suffix: str) -> None:
 def test_spz_does_not_hold_everything() -> None:
     splats = splats_of(3, 0, spread=1e8)
     with pytest.raises(ValueError, match="positions below 2\\^23"):
-        splat_file(splats, ".spz", 3)
+        splat_file(splats, ".spz", UP)
 
 
 def test_other_programs_read_the_ply(tmp_path: Path) -> None:
     """plyfile sees the properties of 3DGS in their order."""
     splats = splats_of(7, 3)
-    (tmp_path / "a.ply").write_bytes(splat_file(splats, ".ply", 3).data)
+    (tmp_path / "a.ply").write_bytes(splat_file(splats, ".ply", UP).data)
     vertex = PlyData.read(str(tmp_path / "a.ply"))["vertex"]
     wanted = ["x", "y", "z", "nx", "ny", "nz", "f_dc_0", "f_dc_1", "f_dc_2", *(f"f_rest_{i}" for i in range(45))]
     wanted += ["opacity", "scale_0", "scale_1", "scale_2", "rot_0", "rot_1", "rot_2", "rot_3"]
@@ -329,12 +331,10 @@ def test_other_programs_read_the_ply(tmp_path: Path) -> None:
     np.testing.assert_array_equal(vertex["f_rest_17"], splats.rest[:, 2, 1])
 
 
-@pytest.mark.parametrize("up_axis", range(6))
-def test_glb_stands_upright(up_axis: int) -> None:
-    document, _ = glb_parts(splat_file(splats_of(2, 0), ".glb", up_axis).data)
+@pytest.mark.parametrize("up", [*map(axis_direction, range(6)), np.array([-0.36, -0.8, 0.48])])
+def test_glb_stands_upright(up: np.ndarray) -> None:
+    document, _ = glb_parts(splat_file(splats_of(2, 0), ".glb", up).data)
     x, y, z, w = document["nodes"][0]["rotation"]
-    up = np.zeros(3)
-    up[up_axis // 2] = [1, -1][up_axis % 2]
     turned = rotation_matrix(np.array([w, x, y, z])) @ up
     np.testing.assert_allclose(turned, [0, 1, 0], atol=1e-12)
 
@@ -357,7 +357,7 @@ def test_splat_transform_reads_it(suffix: str, degree: int, tmp_path: Path) -> N
 
     It does not read GLB.
     """
-    packed = splat_file(splats_of(2500, degree), suffix, 3)
+    packed = splat_file(splats_of(2500, degree), suffix, UP)
     (tmp_path / f"a{suffix}").write_bytes(packed.data)
     convert(tmp_path / f"a{suffix}", tmp_path / "b.ply")
     table = PlyData.read(str(tmp_path / "b.ply"))["vertex"].data

@@ -105,6 +105,7 @@ def test_what_is_no_camera(text: str, tmp_path: Path, capsys: Captured) -> None:
 @pytest.fixture(scope="module")
 def plain(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """An uncompressed scene of some anchors."""
+    from refcodec.bitstream.cameras import NamedCamera  # noqa: PLC0415
     from refcodec.bitstream.header import RenderInfo  # noqa: PLC0415
     from refcodec.bitstream.reconstruction import Reconstruction  # noqa: PLC0415
 
@@ -119,7 +120,8 @@ def plain(tmp_path_factory: pytest.TempPathFactory) -> Path:
     }
     values = Reconstruction(some(4, 3), some(4, 5), some(4, 6), some(4, 2, 3))
     folder = tmp_path_factory.mktemp("plain") / "scene"
-    write_uncompressed(Uncompressed(values, np.ones((4, 2), bool), networks, RenderInfo()), folder)
+    stated = (NamedCamera(), NamedCamera("1", translation=(1.0, 0.0, 0.0)))
+    write_uncompressed(Uncompressed(values, np.ones((4, 2), bool), networks, RenderInfo(), stated), folder)
     return folder
 
 
@@ -127,6 +129,16 @@ def test_an_uncompressed_scene_is_read(plain: Path) -> None:
     scene = read_uncompressed(plain)
     assert scene.anchor_count == 4
     assert scene.networks["colour"][1][0].shape == (6, 6)
+    assert [camera.name for camera in scene.cameras] == ["default", "1"]
+
+
+def test_an_earlier_folder_has_one_camera(plain: Path, tmp_path: Path) -> None:
+    folder = tmp_path / "scene"
+    shutil.copytree(plain, folder)
+    document = json.loads((folder / "render.json").read_text())
+    document["camera"] = document.pop("cameras")[1]
+    (folder / "render.json").write_text(json.dumps(document))
+    assert read_uncompressed(folder).cameras == read_uncompressed(plain).cameras[1:]
 
 
 @pytest.mark.parametrize(
@@ -153,31 +165,32 @@ def test_render_information_is_checked(change: dict[str, Any], plain: Path, tmp_
 @pytest.mark.parametrize(
     ("change", "field"),
     [
-        ({"width": 1 << 32}, "camera.width"),
-        ({"height": 0}, "camera.height"),
-        ({"name": 7}, "camera.name"),
-        ({"focal": 5}, "camera.focal"),
-        ({"translation": [[0], [0], [0]]}, "camera.translation"),
-        ({"translation": None}, "camera.translation"),
-        ({"focal": [0, 1]}, "camera"),
-        ({"rotation": [0, 0, 0, 0]}, "camera"),
+        ({"width": 1 << 32}, "cameras[1].width"),
+        ({"height": 0}, "cameras[1].height"),
+        ({"name": 7}, "cameras[1].name"),
+        ({"name": "default"}, "cameras"),
+        ({"focal": 5}, "cameras[1].focal"),
+        ({"translation": [[0], [0], [0]]}, "cameras[1].translation"),
+        ({"translation": None}, "cameras[1].translation"),
+        ({"focal": [0, 1]}, "cameras[1]"),
+        ({"rotation": [0, 0, 0, 0]}, "cameras[1]"),
     ],
 )
-def test_the_default_view_is_checked(
-    change: dict[str, Any], field: str, plain: Path, tmp_path: Path, capsys: Captured
-) -> None:
-    said = refused_with(capsys, plain, tmp_path, "camera", change)
+def test_cameras_are_checked(change: dict[str, Any], field: str, plain: Path, tmp_path: Path, capsys: Captured) -> None:
+    said = refused_with(capsys, plain, tmp_path, "cameras", change)
     assert f'"{field}' in said
     assert "train it again" in said
 
 
 def refused_with(capsys: Captured, plain: Path, tmp_path: Path, part: str, change: dict[str, Any]) -> str:
-    """What is said of a scene whose render.json has a change in one of its parts."""
+    """What is said of a scene whose render.json has a change in one of its parts, or in the second of a list."""
     pytest.importorskip("numba")
     folder = tmp_path / "scene"
     shutil.copytree(plain, folder)
     document = json.loads((folder / "render.json").read_text())
-    (folder / "render.json").write_text(json.dumps({**document, part: {**document[part], **change}}))
+    found = document[part]
+    (found[1] if isinstance(found, list) else found).update(change)
+    (folder / "render.json").write_text(json.dumps(document))
     return refused(capsys, "render", folder, "-o", tmp_path / "images")
 
 

@@ -12,9 +12,11 @@ import pytest
 import torch
 from PIL import Image
 
+from refcodec.bitstream.cameras import cameras
 from refcodec.bitstream.codec import parse
 from refcodec.bitstream.metadata import metadata
 from refcodec.cli.main import main
+from refcodec.folder.read import read_folder
 from refcodec.folder.uncompressed import read_uncompressed
 from refcodec.train.command import state_path
 from refcodec.train.telling import LINE_SECONDS
@@ -30,7 +32,10 @@ def test_command(examples: Path, tmp_path: Path, capsys: pytest.CaptureFixture[s
     assert "step 30 of 30" in said.err
     assert not state_path(scene).exists()
     assert main(["encode", str(scene), "-o", str(file)]) == 0
-    assert metadata(parse(file.read_bytes()).scene.ancillary) == {"title": "Site"}
+    coded = parse(file.read_bytes()).scene
+    assert metadata(coded.ancillary) == {"title": "Site"}
+    # The photographs look straight down along +z.
+    assert (coded.render.up_axis, len(cameras(coded.ancillary))) == (5, 16)
     assert main(["eval", str(file), source, "--size", "64", "--json"]) == 0
     measured = json.loads(capsys.readouterr().out)
     facts = json.loads((scene / "training.json").read_text())
@@ -38,7 +43,8 @@ def test_command(examples: Path, tmp_path: Path, capsys: pytest.CaptureFixture[s
     assert facts["anchors"] == measured["anchors"]
     assert facts["bytes"]["weights"] == pytest.approx(measured["parts"]["weights"], abs=100)
     # Over an older result, and from there nothing to go on with.
-    assert main(["train", source, "-o", str(scene), "--steps", "5", "--size", "64"]) == 0
+    assert main(["train", source, "-o", str(scene), "--steps", "5", "--size", "64", "--up=-x"]) == 0
+    assert read_folder(scene).render.up_axis == 1
     assert main(["train", source, "-o", str(scene), "--resume"]) == 64
     assert "nothing to resume" in capsys.readouterr().err
 
@@ -52,6 +58,7 @@ def test_command_without_rate(examples: Path, tmp_path: Path, capsys: pytest.Cap
     assert main(["eval", str(folder), source, "--size", "64", "--json"]) == 0
     found = json.loads(capsys.readouterr().out.split("\n", 6)[6])
     # Six scalings and ten offsets, and networks with one hidden layer of 50 units.
+    assert (scene.render.up_axis, len(scene.cameras)) == (3, 16)
     features = scene.values.features.shape[1]
     assert found["parts"] == {
         "positions": 12 * scene.anchor_count,
