@@ -82,7 +82,7 @@ def test_a_fit_of_it_shows_the_same(tmp_path: Path) -> None:
     v = plain.values
     cloud = AnchorCloud(v.positions, v.features, v.scalings, v.offsets, plain.masks)
     fitted = fit(
-        Given(cloud, plain.voxel, None, plain.networks, plain.render, plain.camera), FitSettings(steps=0)
+        Given(cloud, plain.voxel, None, plain.networks, plain.render, plain.cameras), FitSettings(steps=0)
     ).scene
     coded = on_grids(fitted, cloud)
     for name in RENDERING:
