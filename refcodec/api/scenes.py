@@ -236,9 +236,15 @@ def part_sizes(data: bytes) -> dict[str, int]:
 def encode(scene: Scene) -> bytes:
     """SPEC 4.3: returns the bytes of a scene's file.
 
-    A scene has one file: of what `decode` returned, these are the bytes that it read. Raises ValueError if the scene
-    breaks a rule of SPEC.md, with the error that a decoder would report.
+    A scene has one file: of what `decode` returned, these are the bytes that it read.
+
+    Raises:
+        ValueError: the scene breaks a rule of SPEC.md. The text is the error that a decoder would report, or names the
+            field and its limits.
+        TypeError: it is no Scene, or a field of `scene.coded` has another type than its class says.
     """
+    if not isinstance(scene, Scene):
+        raise TypeError(f"encode takes a refcodec.Scene, {type(scene).__name__} found; Scene(coded) makes one")
     return emit(scene.coded)
 
 

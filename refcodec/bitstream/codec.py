@@ -21,16 +21,16 @@ from .directory import DATA, FRAME, INDEX, PLANES_SECTION, WEIGHTS, critical_sec
 from .entropy import Encoder, Trace, require_limit
 from .errors import BitstreamError
 from .frame import emit_frame, parse_frame
-from .header import Header, emit_file, read_header
+from .header import Header, emit_file, parse_header, parse_prologue, read_header
 from .index import chunk_floor, emit_entry, entries_start, parse_index
 from .kernel import REFUSED_FORM, REFUSED_STEPS, Anchors, NativeScene, kernel, native_scene
-from .limits import PROFILES, minimal_level
+from .limits import PROFILES, dimension_fault, minimal_level
 from .masks import code_masks, mask_models
 from .networks import Derive, derive_networks
 from .planes import assemble_planes, emit_planes
 from .positions import RAW, emit_position_model, encode_positions, first_bad, form_error, raw_positions
 from .reader import Chunk, Reader
-from .scene import Ancillary, Scene, check_shapes
+from .scene import Ancillary, Scene, check_shapes, check_types
 from .source import Piece, WholeFile, padded
 from .weights import emit_weights, parse_weights
 
@@ -137,10 +137,13 @@ class Coding:
 def emit(scene: Scene, *, progress: Progress = no_progress) -> bytes:
     """Returns the file of a scene. For each file b that is accepted, emit(parse(b).scene) == b (SPEC 4.3).
 
-    Raises ValueError if the scene breaks a rule of SPEC.md. Its text is the error that a decoder would report.
+    Raises ValueError if the scene breaks a rule of SPEC.md. Its text is the error that a decoder would report, or names
+    the field and its limits. Raises TypeError for a field of another type than Scene says.
     """
-    check_shapes(scene)
+    check_types(scene)
     try:
+        _check_header(scene)
+        check_shapes(scene)
         with one_thread():
             return _emit(scene, progress)
     except BitstreamError as error:
@@ -210,23 +213,8 @@ def _emit(scene: Scene, progress: Progress) -> bytes:
         sections += [(a.type, a.mode, a.content) for a in scene.ancillary if min(a.after, len(order)) == place]
         if place < len(order):
             sections.append((order[place], modes.get(order[place], 0), contents[order[place]]))
-    level = minimal_level(PROFILES[scene.profile], scene.anchor_count, d)
-    header = Header(
-        scene.minor,
-        scene.profile,
-        max(PROFILES[scene.profile].levels) if level is None else level,
-        scene.anchor_count,
-        len(chunks),
-        scene.chunk_size,
-        lanes,
-        scene.base_step,
-        scene.grid,
-        scene.render,
-        d,
-        scene.later,
-    )
-    data = emit_file(header, sections)
-    # The header and the index exist only now. The decoder's own checks say whether they are allowed.
+    data = emit_file(_header(scene), sections)
+    # The directory and the index exist only now. The decoder's own checks say whether they are allowed.
     made = parse_container(data)
     index, content = made.section(INDEX), made.section(DATA)
     assert index is not None
@@ -234,6 +222,33 @@ def _emit(scene: Scene, progress: Progress) -> bytes:
     piece = Piece(contents[INDEX], index.start)
     parse_index(piece, index.mode, d, made.anchor_count, made.chunk_size, content.start, content.length)
     return data
+
+
+def _header(scene: Scene) -> Header:
+    """Returns the header of a scene, whose fields may be wrong."""
+    d, n = scene.dimensions, scene.anchor_count
+    profile = PROFILES.get(scene.profile)
+    chunks = -(-n // max(scene.chunk_size, 1)) if scene.chunk_anchors is None else len(scene.chunk_anchors)
+    # What no level holds is refused at the highest one.
+    level = max(profile.levels) if profile else 0
+    if profile and dimension_fault(profile, d) is None:
+        lowest = minimal_level(profile, n, d)
+        level = level if lowest is None else lowest
+    return Header(
+        *(scene.minor, scene.profile, level, n, chunks, scene.chunk_size, scene.lanes, scene.base_step),
+        *(scene.grid, scene.render, d, scene.later),
+    )
+
+
+def _check_header(scene: Scene) -> None:
+    """Raises BitstreamError for fields of the header that are not allowed, and ValueError for those that do not fit.
+
+    Before that, nothing can be computed of them. The sections are empty here, but each has its entry.
+    """
+    sections = [(a.type, a.mode, b"") for a in scene.ancillary]
+    data = emit_file(_header(scene), sections)
+    minor, length = parse_prologue(data)
+    parse_header(data, minor, length)
 
 
 def _check_models(scene: Scene, models: bytes) -> None:

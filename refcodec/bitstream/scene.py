@@ -7,7 +7,10 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, replace
+from functools import cache
 from itertools import accumulate
+from types import NoneType, UnionType
+from typing import Any, get_args, get_origin, get_type_hints
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,7 +22,7 @@ from .frame import Frame
 from .header import Lanes, PositionGrid, RenderInfo
 from .networks import Layer
 from .planes import PLANE_SYMBOL_MAX, PLANES
-from .positions import CELL_INDEX, HALVES, POSITION_MODELS, PositionModel
+from .positions import CELL_INDEX, HALVES, PACKED, POSITION_MODELS, RAW, PositionModel
 
 
 @dataclass(frozen=True)
@@ -129,11 +132,63 @@ def take_anchors(scene: Scene, keep: NDArray | slice) -> Scene:
     )
 
 
+# --- checks -----------------------------------------------------------------------------------------------------------
+
+
+def check_types(value: object, kind: Any = Scene, path: str = "scene") -> None:
+    """Raises TypeError for a scene with a field of another type than Scene and the classes of its fields say.
+
+    An int may be any integer, a float any number, and a tuple a list. Of arrays, check_shapes compares the types.
+
+    Args:
+        value: the scene, or a part of it.
+        kind: the type that it should have, as an annotation.
+        path: its name.
+    """
+    origin: Any = get_origin(kind) or kind
+    inner = get_args(kind)
+    if origin is UnionType:
+        if value is None and NoneType in inner:
+            return
+        origin, inner = inner[0], get_args(inner[0])
+        origin = get_origin(origin) or origin
+    if not isinstance(value, _ACCEPTED.get(origin, origin)):
+        raise TypeError(f"{path} is {value!r:.60}, {getattr(origin, '__name__', origin)} is required")
+    if hasattr(origin, "__dataclass_fields__"):
+        for name, hint in _hints(origin).items():
+            check_types(getattr(value, name), hint, f"{path}.{name}")
+    elif isinstance(value, dict):
+        for key, item in value.items():
+            check_types(item, inner[1], f"{path}[{key!r:.60}]")
+    elif isinstance(value, tuple | list):
+        of_each = len(inner) < 2 or inner[1] is ...
+        if not of_each and len(value) != len(inner):
+            raise ValueError(f"{path} has {len(value)} values, {len(inner)} are required")
+        for i, item in enumerate(value):
+            check_types(item, inner[0] if of_each else inner[i], f"{path}[{i}]")
+
+
+# What stands for a type of an annotation.
+_ACCEPTED: dict[Any, Any] = {
+    int: int | np.integer,
+    float: int | float | np.integer | np.floating,
+    tuple: tuple | list,
+    list: tuple | list,
+}
+
+
+@cache
+def _hints(kind: Any) -> dict[str, Any]:
+    """Returns the annotations of a dataclass's fields, as types."""
+    return get_type_hints(kind)
+
+
 def check_shapes(scene: Scene) -> None:
     """Raises ValueError for a scene that is not what Scene says.
 
-    It checks the shapes and dtypes of all arrays, the names and layers of the networks, cell_shift and chunk_size. It
-    also refuses plane symbols of -32768, and masked offsets that are not 0.
+    It checks the shapes and dtypes of all arrays, the names and layers of the networks, cell_shift, chunk_size, and the
+    forms of positions. It also refuses plane symbols of -32768, and masked offsets that are not 0. The types and the
+    header are right already.
     """
     d, n, a = scene.dimensions, scene.anchor_count, scene.attributes
     wanted: dict[str, tuple[NDArray, tuple[int, ...], type]] = {
@@ -151,6 +206,9 @@ def check_shapes(scene: Scene) -> None:
         wanted["weight_scales"] = (scene.weight_scales, (len(layers_of(d)), 3), np.uint8)
         if scene.weight_forms is not None:
             wanted["weight_forms"] = (scene.weight_forms, (len(layers_of(d)),), np.uint8)
+    if scene.frame is not None:
+        for name, values in vars(scene.frame).items():
+            wanted[f"frame.{name}"] = (values, (3, 3) if name == "matrix" else (3,), np.int64)
     if scene.position_model is not None:
         wanted["position_model"] = (scene.position_model.frequency, (POSITION_MODELS, HALVES), np.uint16)
     if list(scene.networks) != list(d.network_shapes()):
@@ -178,6 +236,12 @@ def check_shapes(scene: Scene) -> None:
         raise ValueError("the chunks do not have all anchors, or one of them has none (SPEC.md 6.10)")
     if scene.position_forms is not None and len(scene.position_forms) != len(scene.chunks):
         raise ValueError("there is not a form of positions for each chunk (SPEC.md 5.14)")
+    # SPEC 5.12: without a model no positions are packed.
+    forms = (RAW,) if scene.position_model is None else (RAW, PACKED)
+    wrong = next((form for form in scene.position_forms or () if form not in forms), None)
+    if wrong is not None:
+        allowed = " or ".join(map(str, forms))
+        raise ValueError(f"a form of positions is {wrong}, {allowed} is required: 0 raw, 1 packed (SPEC.md 5.14)")
     if np.abs(scene.planes.astype(np.int32)).max(initial=0) > PLANE_SYMBOL_MAX:
         raise ValueError("a plane symbol is -32768 (SPEC.md 6.9)")
     if a.offsets[~scene.masks].any():

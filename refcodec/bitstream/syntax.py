@@ -199,6 +199,11 @@ _SCALARS = {
     "f16": cs.Float16l,
     "f32": cs.Float32l,
 }
+_INTEGERS = {
+    kind: (-(1 << int(kind[1:]) - 1), (1 << int(kind[1:]) - 1) - 1) if kind[0] == "i" else (0, (1 << int(kind[1:])) - 1)
+    for kind in _SCALARS
+    if kind[0] != "f"
+}
 
 
 @dataclass(frozen=True)
@@ -316,8 +321,18 @@ def parse_elements(name: str, data: bytes, start: int = 0, path: str = "") -> li
 
 
 def build(name: str, value: dict[str, Any]) -> bytes:
-    """Returns the bytes of one struct of SYNTAX. Raises construct.ConstructError for a value outside its type."""
-    return schema(name).build(value, at=None, elements=None)
+    """Returns the bytes of one struct of SYNTAX. Raises ValueError for a value outside its type, which it names."""
+    try:
+        return schema(name).build(value, at=None, elements=None)
+    except cs.ConstructError as error:
+        # construct says "(building) -> render_info -> up_axis".
+        steps = (error.path or "").split(" -> ")[1:]
+        kind = name
+        for step in steps:
+            kind = dict(SYNTAX[kind])[step].partition("[")[0]
+        allowed = f" from {_INTEGERS[kind][0]} to {_INTEGERS[kind][1]}" if kind in _INTEGERS else ""
+        path = ".".join([name.lower(), *steps])
+        raise ValueError(f"{path} is no {kind}{allowed} (SPEC.md chapter 5)") from None
 
 
 def size_of(name: str) -> int:

@@ -7,7 +7,7 @@ import re
 import subprocess
 import sys
 from collections.abc import Callable
-from dataclasses import replace
+from dataclasses import fields, is_dataclass, replace
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -20,11 +20,14 @@ from refcodec.api import page
 from refcodec.bitstream.cameras import CAMERAS
 from refcodec.bitstream.codec import parse
 from refcodec.bitstream.directory import DATA
+from refcodec.bitstream.header import Lanes
 from refcodec.bitstream.metadata import with_metadata
 from refcodec.bitstream.reconstruction import digest, reconstruct
-from refcodec.bitstream.scene import take_anchors
+from refcodec.bitstream.scene import Ancillary, take_anchors
+from refcodec.bitstream.scene import Scene as CodedScene
 from refcodec.files.remote import RemoteFile
 from refcodec.folder.layout import SceneFolderError
+from refcodec.native.library import paths
 from refcodec.statuses import UsageError
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -35,6 +38,63 @@ TINY = ROOT / "vectors" / "tiny-example.c3gs"
 @pytest.fixture(scope="module")
 def scene() -> refcodec.Scene:
     return refcodec.decode(TRAINED)
+
+
+def _variants(value: Any) -> list[Any]:
+    """A value or a dataclass with each field in turn, nested ones too, replaced by what does not belong there."""
+    strange = [None, -1, 9, 1 << 16, 1 << 40, 1 << 70, 1.5, float("nan"), 1e300, "x", b"x", (), [0], {}, np.zeros(3)]
+    found = list(strange)
+    if is_dataclass(value) and not isinstance(value, type):
+        found += [
+            replace(value, **{field.name: other})
+            for field in fields(value)
+            for other in _variants(getattr(value, field.name))
+        ]
+    return found
+
+
+@pytest.mark.parametrize("name", ["valid/main-packed.c3gs", "valid/worked-example.c3gs"])
+def test_encode_says_what_is_wrong_with_a_field(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Whatever a field holds, the outcome is a file, or one ValueError or TypeError, the same with and without C."""
+    coded = refcodec.decode(ROOT / "vectors" / name).coded
+    coded = replace(coded, ancillary=(Ancillary(b"aBcd", 0, b"x"),))
+    scenes = [scene for scene in _variants(coded) if isinstance(scene, CodedScene)]
+    scenes += [replace(coded, ancillary=(section,)) for section in _variants(coded.ancillary[0])]
+    scenes += [replace(coded, position_forms=(form,) * len(coded.chunks)) for form in (-1, 0, 9)]
+    outcomes = []
+    for path in paths()[:2]:
+        monkeypatch.setenv("REFCODEC_PATH", path)
+        said = []
+        for scene in scenes:
+            try:
+                said.append(refcodec.encode(refcodec.Scene(scene)).hex())
+            except (ValueError, TypeError) as error:
+                said.append(f"{type(error).__name__}: {error}")
+        outcomes.append(said)
+    assert all(said == outcomes[0] for said in outcomes)
+    assert len(set(outcomes[0])) > 100
+
+
+@pytest.mark.parametrize(
+    ("change", "error", "said"),
+    [
+        ({"profile": 2}, ValueError, r"found 2, allowed 0 \(Tiny\) or 1 \(Main\)"),
+        ({"lanes": Lanes(9, 0, 0)}, ValueError, "found 9, allowed 0 to 8"),
+        ({"plane_shift": 256}, ValueError, "plane_shift is no u8 from 0 to 255"),
+        ({"chunk_size": 1 << 32}, ValueError, "header.chunk_size is no u32"),
+        ({"base_step": (1.0, 1.0)}, ValueError, "scene.base_step has 2 values, 3 are required"),
+        ({"lanes": Lanes(0, 0, "8")}, TypeError, "scene.lanes.attribute is '8', int is required"),  # type: ignore[arg-type]
+        ({"positions": [[0, 0, 0]]}, TypeError, "scene.positions is .*, ndarray is required"),
+    ],
+    ids=str,
+)
+def test_encode_names_the_field_and_its_limits(
+    change: dict[str, Any], error: type[Exception], said: str, scene: refcodec.Scene
+) -> None:
+    with pytest.raises(error, match=said):
+        refcodec.encode(refcodec.Scene(replace(scene.coded, **change)))
+    with pytest.raises(TypeError, match=r"encode takes a refcodec\.Scene"):
+        refcodec.encode(scene.coded)  # type: ignore[arg-type]
 
 
 def test_importing_it_loads_nothing_else() -> None:
