@@ -119,8 +119,11 @@ def scene_up(up_axis: int, stated: Sequence[NamedCamera]) -> F64:
     up_axis says it to an axis of the world (SPEC 6.5). The cameras of a file say it finer, so that a horizon is level,
     if they say it at all and do not contradict up_axis.
     """
-    found = level_up([default_camera(camera) for camera in stated])
-    return axis_direction(up_axis) if found is None or nearest_axis(found) != up_axis else found
+    axis, found = axis_direction(up_axis), level_up([default_camera(camera) for camera in stated])
+    if found is None:
+        return axis
+    found *= np.copysign(1.0, found @ axis)
+    return found if nearest_axis(found) == up_axis else axis
 
 
 def orbit_name(number: int) -> str:

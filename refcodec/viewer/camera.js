@@ -19,6 +19,8 @@ const DISTANCE = 2.2;
 const SHAPES = 1.8;
 // How near to the axis that points up the view may get, in radians.
 const STEEPEST = 0.02;
+// When the rows of images say what is up, as in refcodec.render.camera, and the steps that find it.
+const [ROWS_SPREAD, ROWS_LEVEL, POWERS] = [0.05, 0.25, 1000];
 
 // The lens of a camera, of the file or of a photograph.
 export function lensOf({ width, height, focal, principal_point }) {
@@ -35,11 +37,25 @@ export function poseOf({ rotation, translation }, { middle, radius }) {
   return { rotation: matrix, centre, pivot: depth > 0.05 * radius ? depth : radius };
 }
 
-// 6.5: the axis that points up.
-export function upOf({ up_axis }) {
-  const up = [0, 0, 0];
-  up[up_axis >> 1] = up_axis % 2 ? -1 : 1;
-  return up;
+// What is up, as refcodec.render.view.scene_up finds it: the axis of 6.5, or finer what the rows of the cameras' images
+// are perpendicular to, so that the horizon is level.
+export function upOf({ up_axis }, cameras = []) {
+  const axis = [0, 0, 0];
+  axis[up_axis >> 1] = up_axis % 2 ? -1 : 1;
+  const rows = cameras.map(({ rotation }) => rotationOf({ rotation })[0]);
+  // The mean of their squares. Its least eigenvector is found by powers, from the axis on.
+  const squares = [0, 1, 2].map((i) => [0, 1, 2].map((j) => rows.reduce((sum, r) => sum + r[i] * r[j], 0) / rows.length));
+  let up = unit(axis.map((x, i) => x + 0.01 * (i + 1)));
+  for (let i = 0; i < POWERS; i++) up = unit(up.map((x, k) => x - dot(squares[k], up)));
+  const least = dot(up, squares.map((r) => dot(r, up)));
+  const minor = (i, j) => squares[i][i] * squares[j][j] - squares[i][j] ** 2;
+  // The trace is 1. Of the two other eigenvalues this is the sum, and the smaller one.
+  const sum = 1 - least;
+  const product = minor(0, 1) + minor(0, 2) + minor(1, 2) - least * sum;
+  const middle = (sum - Math.sqrt(Math.max(0, sum * sum - 4 * product))) / 2;
+  if (!(middle >= ROWS_SPREAD && least <= ROWS_LEVEL * middle)) return axis;
+  if (dot(up, axis) < 0) up = up.map((x) => -x);
+  return up.every((x) => Math.abs(x) <= dot(up, axis)) ? up : axis;
 }
 
 // A camera that looks at the middle of a scene from above.

@@ -104,7 +104,6 @@ class Viewer {
       return;
     }
     this.header = header;
-    this.up = upOf(header);
     this.times.head = performance.now();
     this.#about(about);
   }
@@ -113,6 +112,7 @@ class Viewer {
     this.drawing.linear = metadata.transfer === "linear";
     const photographs = this.settings.photographs.map((photograph) => ({ ...photograph, isPhotograph: true }));
     this.cameras = [...cameras, ...photographs];
+    this.up = upOf(this.header, cameras);
     this.panel.about(this.name, metadata, this.header, length, parts, this.cameras);
   }
 

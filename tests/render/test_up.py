@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import json
+import shutil
+import subprocess
 from collections.abc import Callable, Sequence
-from dataclasses import replace
+from dataclasses import asdict, replace
 from pathlib import Path
 
 import numpy as np
@@ -164,6 +167,33 @@ def test_the_horizon_is_level(capsys: pytest.CaptureFixture[str]) -> None:
     for made in view.orbit(5):
         assert abs(made.rotation[0] @ up) < 1e-5
         assert made.rotation[1] @ up < 0
+
+
+@pytest.mark.skipif(shutil.which("node") is None, reason="node is not there")
+def test_the_viewer_finds_the_same() -> None:
+    """For every rig, and for every axis that a file may say."""
+    askew = looking(np.array([0.2, 0.15, 1.0]), np.array([0.0, 1.0, 0.1]))
+    asked, wanted = [], []
+    for rig in RIGS.values():
+        stated = spread_cameras(turned(rig, askew)[0], 16)
+        for axis in range(6):
+            asked.append([{"up_axis": axis}, [asdict(camera) for camera in stated]])
+            wanted.append(scene_up(axis, stated))
+    asked.append([{"up_axis": 3}, []])
+    wanted.append(scene_up(3, []))
+    module = (Path(__file__).resolve().parents[2] / "refcodec" / "viewer" / "camera.js").as_uri()
+    program = f"""
+        import {{ upOf }} from {json.dumps(module)};
+        import {{ readFileSync }} from "node:fs";
+        const asked = JSON.parse(readFileSync(0, "utf8"));
+        console.log(JSON.stringify(asked.map(([header, cameras]) => upOf(header, cameras))));
+    """
+    command = ["node", "--input-type=module", "-e", program]
+    run = subprocess.run(command, input=json.dumps(asked), capture_output=True, text=True, check=True)
+    found = np.array(json.loads(run.stdout))
+    np.testing.assert_allclose(found, wanted, atol=1e-6)
+    # Some are finer than an axis.
+    assert (np.abs(found).max(axis=1) < 0.99).any()
 
 
 def test_encode_says_what_is_up_and_drops_cameras(tmp_path: Path) -> None:
