@@ -9,6 +9,8 @@ import queue
 import re
 import shutil
 import signal
+import socket
+import struct
 import subprocess
 import sys
 import threading
@@ -85,6 +87,25 @@ def test_nothing_else_is_served(server: Server) -> None:
     assert _ask(server, "/", Host="example.org")[0].status == 403
     assert _ask(server, "/", "POST")[0].status == 501
     assert server.server_address[0] == "127.0.0.1"
+
+
+@pytest.mark.parametrize("sent", [b"", b"GE", b"GET / HTTP/1.1\r\nHost: ", b"GET / HTTP/1.1\r\n\r\n"])
+def test_a_client_that_goes_away(sent: bytes, server: Server, capsys: pytest.CaptureFixture[str]) -> None:
+    """Nothing is said of a connection that is reset, wherever its request ends. A fault is told all the same."""
+    with socket.create_server(("127.0.0.1", 0)) as listening:
+        client = socket.create_connection(listening.getsockname())
+        # No time to linger: the connection is not closed but reset.
+        client.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, struct.pack("ii", 1, 0))
+        client.sendall(sent)
+        accepted, address = listening.accept()
+        client.close()
+    server.process_request_thread(accepted, address)
+    assert capsys.readouterr().err == ""
+    try:
+        raise ZeroDivisionError
+    except ZeroDivisionError:
+        server.handle_error(accepted, address)
+    assert "ZeroDivisionError" in capsys.readouterr().err
 
 
 # A process that was started in the background ignores Ctrl-C, and so do those that it starts.
