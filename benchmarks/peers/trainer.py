@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import signal
 import threading
 import time
 from collections.abc import Callable
@@ -16,6 +15,7 @@ from torch import Tensor
 
 from refcodec.convert.splats import drawn
 from refcodec.export.harmonics import REST, ZERO
+from refcodec.files.interrupts import on_interrupt
 from refcodec.photographs.photographs import PhotographSet
 from refcodec.render.rasterise import Settings
 from refcodec.train.adam import ADAM_EPSILON
@@ -167,19 +167,14 @@ class SplatTrainer:
         to the end.
         """
         stop = threading.Event()
-        main = threading.current_thread() is threading.main_thread()
-        before = signal.signal(signal.SIGINT, lambda *_: stop.set()) if main else None
         saved = time.monotonic()
-        try:
+        with on_interrupt(lambda *_: stop.set()):
             while self.done < self.settings.steps and not stop.is_set():
                 self.step()
                 watch(self)
                 if save and (stop.is_set() or time.monotonic() - saved > self.settings.save_seconds):
                     save()
                     saved = time.monotonic()
-        finally:
-            if main:
-                signal.signal(signal.SIGINT, before)
         return self.done == self.settings.steps
 
     def result(self) -> dict[str, Tensor]:

@@ -6,16 +6,15 @@
 from __future__ import annotations
 
 import argparse
+import contextlib
 import os
-import shutil
-import tempfile
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from .. import statuses
 from ..files.lock import hold_file
-from ..files.stage import make_folder, remove_folders
+from ..files.stage import errors_of, folder_beside, make_folder, remove_folders
 from ..files.terminal import note, say
 from ..files.text import shell_word
 from . import train_options
@@ -151,11 +150,14 @@ def _train_from_splats(arguments: argparse.Namespace, source: Path) -> int:
     note_compiling()
     made: list[Path] = []
     place, drawn = (pictures or output).absolute().parent, None
+    beside = contextlib.ExitStack()
     try:
         if kept is None:
             make_folder(place, made)
-            drawn = Path(tempfile.mkdtemp(prefix=".c3gs-pictures-", dir=place))
-            _draw(arguments, source, cameras, drawn, settings)
+            drawn = beside.enter_context(folder_beside(place)) / "pictures"
+            with errors_of(pictures or output, drawn):
+                drawn.mkdir()
+                _draw(arguments, source, cameras, drawn, settings)
         # The pictures have a split of their own.
         photographs = read_photographs_of(str(kept or drawn), settings.size, settings.background, settings.holdout)
         with hold_file(state.with_name(state.name + ".lock")):
@@ -170,7 +172,8 @@ def _train_from_splats(arguments: argparse.Namespace, source: Path) -> int:
                 up_axis=train_options.up_axis(arguments),
             )
         if drawn and pictures:
-            drawn.replace(pictures)
+            with errors_of(pictures, drawn):
+                drawn.replace(pictures)
     except SceneFolderError:
         raise
     except StateError as error:
@@ -178,8 +181,7 @@ def _train_from_splats(arguments: argparse.Namespace, source: Path) -> int:
     except ValueError as error:
         raise UsageError(f"{source} cannot be trained from: {error}") from None
     finally:
-        if drawn:
-            shutil.rmtree(drawn, ignore_errors=True)
+        beside.close()
         remove_folders(made)
     for line in closing(found.trainer, found.report, output, str(pictures or "PHOTOGRAPHS")):
         say(line)

@@ -10,6 +10,7 @@ from typing import NoReturn
 
 from .. import __version__, statuses
 from ..bitstream.errors import BitstreamError
+from ..files.interrupts import on_interrupt
 from ..files.terminal import note, open_streams, silence_stdout
 from .shared import EXITS, UsageError, reject
 
@@ -75,7 +76,8 @@ def main(argv: list[str] | None = None) -> int:
     os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")
     open_streams()
     try:
-        status = _run(argv)
+        with on_interrupt():
+            status = _run(argv)
         sys.stdout.flush()
         return status
     except BrokenPipeError:

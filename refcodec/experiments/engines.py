@@ -9,6 +9,7 @@ from dataclasses import dataclass
 from types import FrameType
 from typing import Protocol
 
+from ..files.interrupts import on_interrupt
 from .work import Outcome, Task
 
 
@@ -24,17 +25,13 @@ class Stop:
 
     @contextlib.contextmanager
     def on_signals(self) -> Iterator[None]:
-        """SIGINT and SIGTERM stop trainings, which keep what they have. A second one kills them."""
+        """The signals of files.interrupts stop trainings, which keep what they have. A second one kills them."""
 
         def handle(number: int, frame: FrameType | None) -> None:
             self.number = signal.SIGKILL if self.number else signal.SIGINT
 
-        before = {number: signal.signal(number, handle) for number in (signal.SIGINT, signal.SIGTERM)}
-        try:
+        with on_interrupt(handle):
             yield
-        finally:
-            for number, handler in before.items():
-                signal.signal(number, handler)
 
 
 class Engine(Protocol):

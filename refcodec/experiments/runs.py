@@ -18,6 +18,7 @@ from types import FrameType
 from typing import Any
 
 from ..files.documents import DocumentError, read_json
+from ..files.interrupts import on_interrupt
 from ..files.present import NotAFileError, is_there
 from ..files.stage import Stage, make_folder, write_file
 from ..files.terminal import ProgressStream, note
@@ -228,8 +229,8 @@ class Runner:
     """Runs chains of commands, `jobs` at a time.
 
     show: gets the subject of a command and each line that it writes to stderr. held: file descriptors that the
-    processes inherit. Under run(), SIGINT and SIGTERM are passed on to the processes as SIGINT, so that trainings keep
-    what they have; a second one kills them.
+    processes inherit. Under run(), the signals of files.interrupts are passed on to the processes as SIGINT, so that
+    trainings keep what they have; a second one kills them.
     """
 
     def __init__(self, notes: Notes, show: Show, jobs: int, held: tuple[int, ...] = ()) -> None:
@@ -255,12 +256,8 @@ class Runner:
         def pass_on(number: int, frame: FrameType | None) -> None:
             self.stop(signal.SIGKILL if self._stopped else signal.SIGINT)
 
-        before = {number: signal.signal(number, pass_on) for number in (signal.SIGINT, signal.SIGTERM)}
-        try:
+        with on_interrupt(pass_on):
             yield
-        finally:
-            for number, handler in before.items():
-                signal.signal(number, handler)
 
     def stop(self, number: int) -> None:
         """Sends a signal to the processes that run, and begins no other."""

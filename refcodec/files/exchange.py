@@ -9,7 +9,7 @@ from collections.abc import Callable, Iterable
 from pathlib import Path
 
 from .lock import hold_folder
-from .stage import settle_folder
+from .stage import errors_of, settle_folder
 
 # The folder inside the folder in which new files are written. They are moved out when all of them are whole.
 INCOMING = ".c3gs-incoming"
@@ -39,11 +39,14 @@ def exchange(path: Path, write: Callable[[Path], None], replaced: Callable[[], I
             # What is there is of a run that was killed. Others wait for the lock.
             shutil.rmtree(incoming, ignore_errors=True)
             for folder in (incoming, new, old):
-                os.mkdir(folder)
-            write(new)
+                with errors_of(path, folder):
+                    os.mkdir(folder)
+            with errors_of(path, new):
+                write(new)
             moves = [(place, old / place.name) for place in sorted(gone, key=lambda p: p.name != last)]
             moves += [(place, path / place.name) for place in sorted(new.iterdir(), key=lambda p: p.name == last)]
-            _move(moves)
+            with errors_of(path, new):
+                _move(moves)
             settle_folder(path)
             settle_folder(path.parent)
         finally:

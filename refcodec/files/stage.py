@@ -6,22 +6,43 @@ import contextlib
 import errno
 import io
 import os
+import re
+import shutil
 import stat
 from collections.abc import Iterator
 from pathlib import Path
 from types import TracebackType
 from typing import BinaryIO
 
-# How the names of files begin that are not whole yet.
+from .held import locked, taken
+
+# How the names of folders begin that hold what is not whole yet.
 BESIDE = ".refcodec-"
+_BESIDE = re.compile(re.escape(BESIDE) + "[0-9a-f]{16}")
 _BUFFER_BYTES = 1 << 20
 
 
-class _Descriptor(io.RawIOBase):
-    """A file descriptor to write to."""
+@contextlib.contextmanager
+def errors_of(shown: Path, beside: Path | None = None) -> Iterator[None]:
+    """Lets an OSError that names no file, or one that is not whole yet, name what people know.
 
-    def __init__(self, descriptor: int) -> None:
-        self._descriptor = descriptor
+    shown: the output. beside: where it, or what is in it, is until it is whole.
+    """
+    try:
+        yield
+    except OSError as error:
+        if error.filename is None:
+            error.filename = str(shown)
+        elif beside is not None and Path(os.fsdecode(error.filename)).is_relative_to(beside):
+            error.filename = str(shown / Path(os.fsdecode(error.filename)).relative_to(beside))
+        raise
+
+
+class _Descriptor(io.RawIOBase):
+    """A file descriptor to write to. shown: the name of the file in errors, which the system does not give."""
+
+    def __init__(self, descriptor: int, shown: Path) -> None:
+        self._descriptor, self.shown = descriptor, shown
 
     def fileno(self) -> int:
         return self._descriptor
@@ -36,7 +57,8 @@ class _Descriptor(io.RawIOBase):
         return os.lseek(self._descriptor, offset, whence)
 
     def write(self, data: object) -> int:
-        return os.write(self._descriptor, data)  # type: ignore[arg-type]
+        with errors_of(self.shown):
+            return os.write(self._descriptor, data)  # type: ignore[arg-type]
 
     def close(self) -> None:
         if not self.closed:
@@ -44,8 +66,8 @@ class _Descriptor(io.RawIOBase):
             os.close(self._descriptor)
 
 
-def _opened(path: Path, flags: int) -> BinaryIO:
-    return io.BufferedWriter(_Descriptor(os.open(path, os.O_WRONLY | flags, 0o666)), _BUFFER_BYTES)
+def _opened(path: Path, flags: int, shown: Path) -> BinaryIO:
+    return io.BufferedWriter(_Descriptor(os.open(path, os.O_WRONLY | flags, 0o666), shown), _BUFFER_BYTES)
 
 
 def _abandon(file: BinaryIO) -> None:
@@ -57,7 +79,7 @@ def _abandon(file: BinaryIO) -> None:
 @contextlib.contextmanager
 def new_file(path: Path) -> Iterator[BinaryIO]:
     """Yields a new file to write to, which is on the disk at the end. Raises OSError, also if something is there."""
-    file = _opened(path, os.O_CREAT | os.O_EXCL)
+    file = _opened(path, os.O_CREAT | os.O_EXCL, path)
     try:
         yield file
         _settle(file)
@@ -67,7 +89,8 @@ def new_file(path: Path) -> Iterator[BinaryIO]:
 
 def _settle(file: BinaryIO) -> None:
     file.flush()
-    os.fsync(file.fileno())
+    with errors_of(file.raw.shown):  # type: ignore[attr-defined]
+        os.fsync(file.fileno())
 
 
 def settle_folder(path: Path) -> None:
@@ -78,7 +101,8 @@ def settle_folder(path: Path) -> None:
         # A folder that may be written to and not read.
         return
     try:
-        os.fsync(descriptor)
+        with errors_of(path):
+            os.fsync(descriptor)
     except OSError as error:
         if error.errno not in (errno.EINVAL, errno.ENOTSUP, errno.EBADF):
             raise
@@ -112,6 +136,44 @@ def remove_folders(made: list[Path]) -> None:
             folder.rmdir()
 
 
+@contextlib.contextmanager
+def folder_beside(folder: Path) -> Iterator[Path]:
+    """Yields a new folder in a folder, for what is not whole yet. It is removed at the end, with all that is in it.
+
+    Those of processes that were killed are removed, too. A process holds the lock of its own ones as long as it lives.
+    Raises OSError.
+    """
+    _remove_dead(folder)
+    path = folder / f"{BESIDE}{os.urandom(8).hex()}"
+    descriptor = None
+    try:
+        with errors_of(folder, path):
+            while descriptor is None:
+                # Another process takes it for a dead one's before it is locked, and removes it.
+                with contextlib.suppress(FileExistsError):
+                    os.mkdir(path)
+                descriptor = locked(path, os.O_RDONLY, True)
+        yield path
+    finally:
+        shutil.rmtree(path, ignore_errors=True)
+        if descriptor is not None:
+            os.close(descriptor)
+
+
+def _remove_dead(folder: Path) -> None:
+    """Removes what killed processes left in a folder."""
+    try:
+        found = [entry.path for entry in os.scandir(folder) if _BESIDE.fullmatch(entry.name)]
+    except OSError:
+        # A folder that may be written to and not listed, or none.
+        return
+    for path in found:
+        descriptor = taken(path)
+        if descriptor is not None:
+            shutil.rmtree(path, ignore_errors=True)
+            os.close(descriptor)
+
+
 class Stage:
     """Outputs of a run, which get their places together at the end of a `with` block, or never if it fails.
 
@@ -122,7 +184,9 @@ class Stage:
         # Of each output the file that is written, its path, and its place.
         self._parts: list[tuple[BinaryIO, Path, Path]] = []
         self._streams: list[tuple[io.BytesIO, Path]] = []
-        self._begun: list[Path] = []
+        # Where the outputs of a folder are until they are whole.
+        self._beside: dict[Path, Path] = {}
+        self._folders = contextlib.ExitStack()
         self._made: list[Path] = []
         self._cancelled = False
 
@@ -148,9 +212,15 @@ class Stage:
             return stream
         place = Path(os.path.realpath(path))
         make_folder(place.parent, self._made)
-        beside = place.parent / f"{BESIDE}{os.urandom(8).hex()}"
-        self._begun.append(beside)
-        file = _opened(beside, os.O_CREAT | os.O_EXCL)
+        if place.parent not in self._beside:
+            try:
+                self._beside[place.parent] = self._folders.enter_context(folder_beside(place.parent))
+            except OSError as error:
+                error.filename = str(path)
+                raise
+        beside = self._beside[place.parent] / str(len(self._parts))
+        with errors_of(path, beside):
+            file = _opened(beside, os.O_CREAT | os.O_EXCL, path)
         self._parts.append((file, beside, place))
         return file
 
@@ -173,19 +243,19 @@ class Stage:
                 _settle(file)
                 file.close()
         for stream, path in self._streams:
-            with contextlib.closing(_opened(path, 0)) as out:
+            with contextlib.closing(_opened(path, 0, path)) as out:
                 out.write(stream.getbuffer())
-        for _, beside, place in self._parts:
-            os.replace(beside, place)
+        for file, beside, place in self._parts:
+            with errors_of(file.raw.shown, beside):  # type: ignore[attr-defined]
+                os.replace(beside, place)
         for folder in dict.fromkeys([place.parent for _, _, place in self._parts] + [m.parent for m in self._made]):
             settle_folder(folder)
 
     def _discard(self, whole: bool) -> None:
         for file, _, _ in self._parts:
             _abandon(file)
-        for beside in self._begun:
-            with contextlib.suppress(OSError):
-                beside.unlink()
+        self._folders.close()
+        self._beside.clear()
         if not whole:
             remove_folders(self._made)
 

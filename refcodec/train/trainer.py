@@ -7,7 +7,6 @@ knows nothing.
 
 from __future__ import annotations
 
-import signal
 import threading
 import time
 from collections.abc import Callable
@@ -17,6 +16,7 @@ import torch
 from torch import Tensor
 
 from ..bitstream.scene import Scene
+from ..files.interrupts import on_interrupt
 from ..folder.uncompressed import Uncompressed
 from ..photographs.photographs import PhotographSet
 from ..render.camera import STATED, spread_cameras
@@ -164,17 +164,14 @@ class Trainer:
     def run(self, watch: Watch, save: Callable[[], None] | None = None) -> bool:
         """Trains to the end, or until an interrupt, after which the step at hand is still finished.
 
-        An interrupt is Ctrl-C, or the SIGTERM by which containers are stopped.
+        An interrupt is one of the signals of files.interrupts, such as Ctrl-C.
 
         watch: is told of each step. save: is called now and then, and when training ends early. Returns whether it came
         to the end.
         """
         stop = threading.Event()
-        main = threading.current_thread() is threading.main_thread()
-        numbers = (signal.SIGINT, signal.SIGTERM) if main else ()
-        before = [(number, signal.signal(number, lambda *_: stop.set())) for number in numbers]
         saved = time.monotonic()
-        try:
+        with on_interrupt(lambda *_: stop.set()):
             while self.clock.done < self.clock.steps and not stop.is_set():
                 self.step()
                 self.looks.look()
@@ -182,9 +179,6 @@ class Trainer:
                 if save and (stop.is_set() or time.monotonic() - saved > self.settings.looks.save_seconds):
                     save()
                     saved = time.monotonic()
-        finally:
-            for number, handler in before:
-                signal.signal(number, handler)
         return self.clock.done == self.clock.steps
 
     # --- results ------------------------------------------------------------------------------------------------------

@@ -8,7 +8,10 @@ from __future__ import annotations
 
 import errno
 import json
+import os
+import re
 import shutil
+import signal
 import sys
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
@@ -26,6 +29,7 @@ from refcodec import statuses
 from refcodec.bitstream.codec import emit
 from refcodec.bitstream.scene import Ancillary
 from refcodec.cli.main import main
+from refcodec.files.interrupts import SIGNALS
 from refcodec.folder.write import write_folder
 
 sys.path.extend(str(Path(__file__).resolve().parents[1] / name) for name in ("files", "convert"))
@@ -43,11 +47,21 @@ SCENE_FILES = {
 
 
 def full() -> OSError:
-    return OSError(errno.ENOSPC, "No space left on device", "x")
+    return OSError(errno.ENOSPC, "No space left on device")
 
 
 def forbidden() -> OSError:
-    return OSError(errno.EACCES, "Permission denied", "x")
+    return OSError(errno.EACCES, "Permission denied")
+
+
+def signalled(number: int) -> Callable[[], BaseException]:
+    """Makes the signal of that number, which the command takes as an interrupt."""
+
+    def make() -> BaseException:
+        os.kill(os.getpid(), number)
+        return AssertionError("the signal did not interrupt it")
+
+    return make
 
 
 # What goes wrong at a point beside Ctrl-C: something is forbidden, or the disk is full.
@@ -175,11 +189,16 @@ def try_all(
     changed = {name for name in new if new[name] != old.get(name, b"none")}
     assert changed
     for number, point in enumerate(points):
-        for error in (ERRORS.get(point.split()[0], full), KeyboardInterrupt):
+        ends = SIGNALS[number % len(SIGNALS)] if case.run is main else signal.SIGINT
+        for error, expected in (
+            (ERRORS.get(point.split()[0], full), statuses.USAGE),
+            (signalled(ends), statuses.INTERRUPTED),
+        ):
             fresh()
             status, said = run(number, error)
-            where = f"{point} (point {number}), {error.__name__}: {said}"
-            assert status == (statuses.INTERRUPTED if error is KeyboardInterrupt else statuses.USAGE), where
+            where = f"{point} (point {number}), {expected}: {said}"
+            assert status == expected, where
+            assert not re.search(r" output:|\.refcodec-|\.c3gs-", said), where
             assert len([line for line in said.splitlines() if not line.startswith("train: ")]) == 1, where
             left = contents(work)
             for name in old.keys() | left.keys():

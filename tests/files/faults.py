@@ -40,7 +40,11 @@ class Faults:
         shown = self._descriptors[place] if isinstance(place, int) else os.fsdecode(place)
         self.points.append(f"{name} {Path(shown).name}")
         if len(self.points) - 1 == self._at:
-            raise self._error()
+            error = self._error()
+            if isinstance(error, OSError):
+                # As the system's: a descriptor has no name.
+                error.filename = None if isinstance(place, int) else shown
+            raise error
 
     @contextmanager
     def watching(self, at: int = -1, error: Callable[[], BaseException] = RuntimeError) -> Iterator[list[str]]:

@@ -13,8 +13,9 @@ from pathlib import Path
 
 import pytest
 
-from refcodec.files import lock, stage
+from refcodec.files import held, lock, stage
 from refcodec.files.exchange import INCOMING, exchange
+from refcodec.files.interrupts import SIGNALS, on_interrupt
 from refcodec.files.lock import hold_file, hold_folder
 from refcodec.files.outputs import Kind, check_apart, check_file
 from refcodec.files.present import NotAFileError, is_there
@@ -260,10 +261,10 @@ def test_systems_without_locks(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) 
     def unknown(*_: object) -> None:
         raise OSError(errno.ENOLCK, "No locks available")
 
-    monkeypatch.setattr(lock.fcntl, "flock", unknown)
+    monkeypatch.setattr(held.fcntl, "flock", unknown)
     with hold_folder(tmp_path / "a"), hold_folder(tmp_path / "a"):
         pass
-    monkeypatch.setattr(lock, "fcntl", None)
+    monkeypatch.setattr(held, "fcntl", None)
     with hold_folder(tmp_path / "a"):
         pass
 
@@ -297,3 +298,93 @@ for content in itertools.cycle((b"a" * 99999, b"b" * 99999)):
     found = path.read_bytes()
     assert len(found) == 99999
     assert len(set(found)) == 1
+
+
+STAGES = """
+import sys
+from pathlib import Path
+from refcodec.files.stage import Stage
+with Stage() as stage:
+    stage.write(Path(sys.argv[1]) / "theirs", b"x")
+    print("staged", flush=True)
+    sys.stdin.readline()
+"""
+
+
+def test_what_a_killed_run_leaves_is_removed_by_a_later_one(tmp_path: Path) -> None:
+    """What a live one has there stays."""
+    runs = [
+        subprocess.Popen([sys.executable, "-c", STAGES, tmp_path], stdin=subprocess.PIPE, stdout=subprocess.PIPE)
+        for _ in range(2)
+    ]
+    for run in runs:
+        assert run.stdout is not None
+        assert run.stdout.readline() == b"staged\n"
+    lived = set(os.listdir(tmp_path))
+    assert len(lived) == 2
+    other = {f"{stage.BESIDE}notes", f"{stage.BESIDE}0123456789abcdef.txt"}
+    for name in other:
+        (tmp_path / name).mkdir()
+    write_file(tmp_path / "ours", b"y")
+    assert set(os.listdir(tmp_path)) == {"ours", *other, *lived}
+    runs[0].kill()
+    runs[0].wait(timeout=20)
+    write_file(tmp_path / "ours", b"y")
+    left = set(os.listdir(tmp_path))
+    assert len(left & lived) == 1
+    assert left >= {"ours", *other}
+    runs[1].communicate(b"\n", timeout=20)
+    assert runs[1].returncode == 0
+    assert set(os.listdir(tmp_path)) == {"ours", "theirs", *other}
+    for run in runs:
+        for pipe in (run.stdin, run.stdout):
+            assert pipe is not None
+            pipe.close()
+
+
+def test_a_place_that_another_run_takes_for_a_dead_ones_is_made_again(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Between the making of the folder and its lock."""
+    real, taken = stage.locked, []
+
+    def late(path: Path, *words: object) -> int | None:
+        if not taken:
+            taken.append(path)
+            stage._remove_dead(tmp_path)
+            assert not path.exists()
+        return real(path, *words)
+
+    monkeypatch.setattr(stage, "locked", late)
+    write_file(tmp_path / "a", b"x")
+    assert os.listdir(tmp_path) == ["a"]
+    assert taken
+
+
+def test_where_no_locks_are_nothing_is_removed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def unknown(descriptor: int, operation: int) -> None:
+        raise OSError(errno.ENOLCK, "No locks available")
+
+    dead = tmp_path / f"{stage.BESIDE}{'0' * 16}"
+    dead.mkdir()
+    with monkeypatch.context() as patch:
+        patch.setattr(held.fcntl, "flock", unknown)
+        write_file(tmp_path / "a", b"x")
+        assert sorted(os.listdir(tmp_path)) == [dead.name, "a"]
+    write_file(tmp_path / "a", b"x")
+    assert os.listdir(tmp_path) == ["a"]
+
+
+@pytest.mark.parametrize("ignored", [False, True])
+def test_signals_that_interrupt(ignored: bool) -> None:
+    """Each of them once; one that nohup has ignored is none."""
+    caught: list[int] = []
+    before = signal.signal(signal.SIGHUP, signal.SIG_IGN if ignored else signal.SIG_DFL)
+    try:
+        with on_interrupt(lambda number, frame: caught.append(number)):
+            for number in SIGNALS:
+                os.kill(os.getpid(), number)
+        assert caught == [number for number in SIGNALS if not ignored or number != signal.SIGHUP]
+        assert signal.getsignal(signal.SIGHUP) == (signal.SIG_IGN if ignored else signal.SIG_DFL)
+    finally:
+        signal.signal(signal.SIGHUP, before)
