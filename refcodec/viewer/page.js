@@ -11,7 +11,7 @@ const FLY = 0.4;
 // networks do not have all Gaussians yet. It gets more if they take less than a share of that.
 const SLOW = { moving: 60, coming: 200 };
 const QUICK = 0.4;
-const SHARE_MIN = 0.25;
+const SHARE_MIN = 0.1;
 // How long the camera stands still until it is drawn with all pixels again.
 const STILL = 150;
 // Radians between two frames of a turn.
@@ -187,12 +187,14 @@ class Viewer {
     this.last = time;
     if (this.pose !== undefined) this.#fly(Math.min(passed, 200) / 1000);
     if (this.stale && this.header !== undefined && this.pose !== undefined) this.#send();
-    const moving = time - this.movedAt < STILL;
+    // Whoever holds the scene may go on.
+    const isHeld = this.pointers.size > 0;
+    const moving = isHeld || time - this.movedAt < STILL;
     const state = moving ? "moving" : this.settled === this.view ? "still" : "coming";
     // Frames that follow each other say how long one takes.
     if (state !== "still" && passed > 0) this.#adapt(passed, SLOW[state]);
     this.draw(state === "still" ? 1 : this.share);
-    if (moving && this.share < 1) {
+    if (moving && !isHeld && this.share < 1) {
       clearTimeout(this.timer);
       this.timer = setTimeout(() => this.ask(), STILL);
     }
@@ -201,7 +203,8 @@ class Viewer {
   }
 
   #adapt(passed, slow) {
-    if (passed > slow) this.share = Math.max(SHARE_MIN, 0.8 * this.share);
+    // The time goes with the pixels, at most. Where frames take seconds, small steps would take minutes.
+    if (passed > slow) this.share = Math.max(SHARE_MIN, Math.min(0.8, Math.sqrt(slow / passed)) * this.share);
     else if (passed < QUICK * slow) this.share = Math.min(1, 1.1 * this.share);
   }
 
@@ -327,8 +330,12 @@ class Viewer {
       this.pointers.set(event.pointerId, event);
     });
     canvas.addEventListener("pointermove", (event) => this.#drag(event));
-    for (const name of ["pointerup", "pointercancel"]) {
-      canvas.addEventListener(name, (event) => this.pointers.delete(event.pointerId));
+    for (const name of ["pointerup", "pointercancel", "lostpointercapture"]) {
+      canvas.addEventListener(name, (event) => {
+        this.pointers.delete(event.pointerId);
+        this.movedAt = performance.now();
+        this.ask();
+      });
     }
     canvas.addEventListener("contextmenu", (event) => event.preventDefault());
     canvas.addEventListener("webglcontextlost", () => {
