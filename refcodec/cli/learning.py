@@ -219,7 +219,7 @@ def _fit(arguments: argparse.Namespace) -> int:
         from ..train.fit_input import read_given
         from ..train.state import StateError, write_somewhere
     except ModuleNotFoundError as error:
-        raise needs("fit", "fit", error, ("torch", "scipy")) from None
+        raise needs("fit", "fit", error, ("torch", "scipy", "PIL")) from None
     output, points = _folder(arguments.output), Path(arguments.points)
     _check_writable(output)
     # Beside the folder, not in it: a scene folder is whole or it is not there.
@@ -357,13 +357,14 @@ def add(commands: Any) -> None:
             "fit points3D.txt -o scene --set entropy.channels=0 --set entropy.frequencies=0",
             "fit points3D.txt -o scene --resume",
         ],
-        "POINTS is a COLMAP points3D.txt, an .npz with means3d and colors, or a scene folder of train, fit or decode,\n"
+        "POINTS is a points3D.txt or points3D.bin of COLMAP, a .ply of points with uchar colours, an .npz with\n"
+        "means3d and colors (integers from 0 to 255, or floats from 0 to 1), a scene folder of train, fit or decode,\n"
         "or the point_cloud.ply in one. A scene keeps its rendering networks, points get simple ones.\n"
         "Ctrl-C ends the training early, writes the scene all the same, and keeps SCENE_DIR.fit-state for --resume.\n"
         "Needs: pip install 'refcodec[fit]'.",
         writes=True,
     )
-    fit.add_argument("points", metavar="POINTS")
+    fit.add_argument("points", metavar="POINTS", help="points, or a scene folder")
     fit.add_argument("-o", "--output", metavar="SCENE_DIR", required=True)
     fit.add_argument("--steps", type=positive, metavar="N", default=4000, help="training steps (default: %(default)s)")
     fit.add_argument(

@@ -150,6 +150,14 @@ def read_colmap(folder: Path, model: Path, size: Size) -> tuple[list[Shot], F64,
     return [replace(shot, path=images / shot.camera.name) for shot in shots], points, colours, skipped
 
 
+def read_points(file: Path) -> tuple[F64, U8]:
+    """The points of a points3D.txt or points3D.bin: positions float64 [M, 3] and colours uint8 [M, 3].
+
+    Raises PhotographError, and OSError.
+    """
+    return _text_points(file) if file.suffix == ".txt" else _binary_points(file)
+
+
 def _shot(cameras: Path, pose: _Pose, lenses: dict[int, _Lens]) -> Shot:
     lens = lenses.get(pose.camera)
     if lens is None:

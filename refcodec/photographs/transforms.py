@@ -75,7 +75,10 @@ def read_transforms(folder: Path, seed: int) -> tuple[list[Shot], list[Shot] | N
     if not everything:
         raise PhotographError(folder, "no image has a pose", "give the frames a transform_matrix")
     named = document.get("ply_file_path")
-    places = [folder / str(named)] if named is not None else [folder / name for name in POINT_FILES]
+    if named is not None:
+        places = [_inside(str(folder / name), folder, "ply_file_path", named)]
+    else:
+        places = [folder / name for name in POINT_FILES]
     place = next((p for p in places if there(p)), None)
     if place is None and named is not None:
         raise PhotographError(
@@ -106,6 +109,9 @@ def _frames(file: Path, document: dict[str, Any]) -> tuple[list[Shot], int]:
         if frame.get("transform_matrix") is None:
             skipped += 1
             continue
+        if frame.get("mask_path", document.get("mask_path")) is not None:
+            advice = "remove mask_path, and cut out what should not be seen as transparency of the images"
+            raise PhotographError(where, "it has a mask_path, and masks are not read", advice)
         shot = _shot(where, file.parent, document, frame)
         if shot.camera.name in names:
             raise PhotographError(where, f"two images are named {shot.camera.name!r}", "names must differ")
@@ -114,13 +120,29 @@ def _frames(file: Path, document: dict[str, Any]) -> tuple[list[Shot], int]:
     return sorted(shots, key=lambda s: s.camera.name), skipped
 
 
+def _inside(where: str, folder: Path, key: str, stated: object) -> Path:
+    """Returns the file that a document names. Raises PhotographError for one outside the folder.
+
+    A document of others could otherwise have any picture of this machine put into a scene or a page.
+    """
+    path = PurePosixPath(str(stated))
+    if not path.parts or ".." in path.parts or path.is_absolute():
+        raise PhotographError(
+            where,
+            f"the {key} {str(stated)!r:.200} is not that of a file in the folder",
+            "names are relative to the folder of the document: move it to the folder that has the images",
+        )
+    return folder / str(stated)
+
+
 def _shot(where: str, folder: Path, document: dict[str, Any], frame: dict[str, Any]) -> Shot:
     stated = frame["file_path"]
+    stem = _inside(where, folder, "file_path", stated)
     # A link that leads nowhere is the file that is meant, and it is missing.
     places = [folder / f"{stated}{suffix}" for suffix in SUFFIXES]
-    path = next((p for p in places if p.is_file() or (p.is_symlink() and not p.is_dir())), folder / stated)
-    # A name is also that of a file that is written for the image, so it may not lead out of a folder.
-    name = "/".join(part for part in PurePosixPath(stated).parts if part not in ("/", ".."))
+    path = next((p for p in places if p.is_file() or (p.is_symlink() and not p.is_dir())), stem)
+    # A name is also that of a file that is written for the image.
+    name = "/".join(PurePosixPath(stated).parts)
     # A frame's own numbers come before those of the whole file.
     keys = {**document, **frame}
     fields = {key: _number(where, keys, key) for key in (*INTRINSICS, *HIGHER)}

@@ -13,6 +13,7 @@ from ..bitstream.header import PositionGrid, RenderInfo
 from ..bitstream.networks import Layer
 from ..bitstream.reconstruction import Reconstruction, reconstruct
 from ..encoder.cloud import AnchorCloud
+from ..files.ply_header import PlyHeaderError, property_names
 from ..folder.layout import NETWORKS_FILE, PLY_FILE, RENDER_FILE, SCENE_FILE, there
 from ..folder.read import read_folder
 from ..folder.uncompressed import is_uncompressed, read_uncompressed
@@ -39,7 +40,7 @@ class Given:
 
 
 def read_given(path: str | Path, voxel: float | None = None) -> Given:
-    """A point cloud (COLMAP's points3D.txt, or an npz), a scene folder of refcodec, or the point_cloud.ply in one.
+    """Points (as voxelise.read_points), a scene folder of refcodec, or the point_cloud.ply in one.
 
     voxel: edge of the lattice, None for the points' median distance, or for what a scene says. Raises ValueError for
     anything else; SceneFolderError is one.
@@ -48,11 +49,19 @@ def read_given(path: str | Path, voxel: float | None = None) -> Given:
     voxel = voxel and short_mantissa(voxel)
     if path.is_dir():
         return _read_scene(path, voxel)
-    if path.suffix == ".ply":
+    if path.suffix == ".ply" and _is_scaffold(path):
         return _read_scene(_folder_of(path), voxel)
     points = read_points(path)
     voxel = voxel or default_voxel(points.points)
     return Given(voxelise(points.points, points.colours, voxel), voxel)
+
+
+def _is_scaffold(cloud: Path) -> bool:
+    """Whether a PLY file has anchors, and not only points."""
+    try:
+        return "f_anchor_feat_0" in property_names(cloud)
+    except PlyHeaderError as error:
+        raise ValueError(f"it is not a readable PLY file ({error})") from None
 
 
 def _folder_of(cloud: Path) -> Path:

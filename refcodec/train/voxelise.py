@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,6 +18,7 @@ from scipy.spatial import cKDTree
 from ..bitstream.dimensions import Dimensions
 from ..bitstream.networks import Layer
 from ..encoder.cloud import AnchorCloud
+from ..photographs import colmap, transforms
 
 F32 = NDArray[np.float32]
 F64 = NDArray[np.float64]
@@ -42,34 +44,45 @@ class PointCloud:
 
 
 def read_points(path: str | Path) -> PointCloud:
-    """COLMAP's points3D.txt, or an npz with `means3d` and `colors`, [M, 3] each. Raises ValueError for any other."""
+    """Points of COLMAP (points3D.txt or .bin), of a PLY file, or an npz with `means3d` and `colors`, [M, 3] each.
+
+    The colours of an npz are integers from 0 to 255 or floats from 0 to 1, those of a PLY file uchar. Raises ValueError
+    for any other.
+    """
     path = Path(path)
-    if path.suffix == ".npz":
-        points, colours = _read_archive(path)
-    elif path.suffix == ".txt":
-        # POINT3D_ID X Y Z R G B ERROR, then tracks of any length.
-        table = np.loadtxt(path, usecols=range(1, 7), ndmin=2, dtype=np.float64)
-        points, colours = table[:, :3].astype(np.float32), table[:, 3:].astype(np.uint8)
-    else:
-        raise ValueError(f"{path}: .txt (COLMAP points3D) or .npz expected")
-    if points.shape != colours.shape or points.ndim != 2 or points.shape[1] != 3:
-        raise ValueError(f"{path}: points {points.shape} and colours {colours.shape} are not both [M, 3]")
+    readers = {".txt": colmap.read_points, ".bin": colmap.read_points, ".ply": transforms.read_points}
+    if path.suffix not in (".npz", *readers):
+        raise ValueError(f"{path}: COLMAP's points3D.txt or points3D.bin, a .ply or an .npz expected")
+    stated, colours = (readers.get(path.suffix) or _read_archive)(path)
+    if stated.shape != colours.shape or stated.ndim != 2 or stated.shape[1] != 3:
+        raise ValueError(f"{path}: points {stated.shape} and colours {colours.shape} are not both [M, 3]")
+    with np.errstate(over="ignore"):
+        points: F32 = stated.astype(np.float32)
     if not np.isfinite(points).all():
         raise ValueError(f"{path}: a point is NaN or infinite")
     return PointCloud(points, colours)
 
 
-def _read_archive(path: Path) -> tuple[F32, NDArray[np.uint8]]:
+def _read_archive(path: Path) -> tuple[NDArray[Any], NDArray[np.uint8]]:
     try:
         with np.load(path) as archive:
             if not {"means3d", "colors"} <= set(archive.files):
                 raise ValueError(f"it has {archive.files}, means3d and colors are required")
-            return archive["means3d"].astype(np.float32), archive["colors"].astype(np.uint8)
+            return archive["means3d"].astype(np.float32), _eight_bits(archive["colors"])
     except (OSError, MemoryError):
         raise
     # NumPy, zipfile and zlib answer bad bytes with many types. Whatever the type is, the file cannot be read.
     except Exception as error:
         raise ValueError(f"{path} cannot be read ({error})") from None
+
+
+def _eight_bits(colours: NDArray[Any]) -> NDArray[np.uint8]:
+    """Returns colours as integers from 0 to 255. Raises ValueError for others than integers of these and 0.0 to 1.0."""
+    whole = colours.dtype.kind in "iu"
+    # Written so that NaN fails.
+    if colours.dtype.kind not in "fiu" or not ((colours >= 0) & (colours <= (255 if whole else 1))).all():
+        raise ValueError("its colors are neither integers from 0 to 255 nor floats from 0 to 1")
+    return (colours if whole else np.rint(colours.astype(np.float64) * 255)).astype(np.uint8)
 
 
 def default_voxel(points: F32) -> float:

@@ -840,12 +840,18 @@ def test_file_path_with_and_without_extension(tmp_path, suffix):
     assert read_photographs(tmp_path).train[0].camera.name == f"images/r_1{suffix}"
 
 
-def test_file_path_that_leads_out(nerf):
-    """instant-ngp writes ../images/x.png; a name must not lead anywhere."""
-    (nerf / "model").mkdir()
-    shutil.move(nerf / "transforms.json", nerf / "model")
-    change(nerf / "model", lambda d: [f.update(file_path="../" + f["file_path"]) for f in d["frames"]])
-    assert read_photographs(nerf / "model").train[0].camera.name == "images/r_1"
+@pytest.mark.parametrize("outside", ["../images/r_1", "images/../../r_1", "/images/r_1", ""])
+def test_files_outside_the_folder(outside, nerf):
+    """A document of others could have any picture of this machine put into a scene."""
+    change(nerf, lambda d: d.update(ply_file_path=outside))
+    refused(nerf, "ply_file_path", repr(outside), "not that of a file in the folder")
+    change(nerf, lambda d: (d.pop("ply_file_path"), d["frames"][0].update(file_path=outside)))
+    refused(nerf, "frame 0", "file_path", repr(outside), "not that of a file in the folder")
+
+
+def test_masks_are_not_read(nerf):
+    change(nerf, lambda d: d["frames"][1].update(mask_path="masks/r_1.png"))
+    refused(nerf, "frame 1", "mask_path", "masks are not read")
 
 
 def test_intrinsics_of_file_and_frame(nerf):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import struct
 import subprocess
 import sys
 from dataclasses import replace
@@ -9,6 +10,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from plyfile import PlyData, PlyElement
 
 torch = pytest.importorskip("torch")
 pytest.importorskip("scipy")
@@ -88,10 +90,41 @@ def test_readers(tmp_path):
     with pytest.raises(ValueError, match="colors"):
         voxelise.read_points(tmp_path / "b.npz")
     with pytest.raises(ValueError, match="expected"):
-        voxelise.read_points(tmp_path / "c.ply")
+        voxelise.read_points(tmp_path / "c.obj")
     np.savez(tmp_path / "d.npz", means3d=found.points * np.nan, colors=found.colours)
     with pytest.raises(ValueError, match="NaN"):
         voxelise.read_points(tmp_path / "d.npz")
+    rows = [struct.pack("<Q3d3BdQ", 7, *p, *c, 0.5, 0) for p, c in zip(found.points, found.colours, strict=True)]
+    (tmp_path / "points3D.bin").write_bytes(struct.pack("<Q", len(rows)) + b"".join(rows))
+    kinds = [(axis, "f4") for axis in "xyz"] + [(name, "u1") for name in ("red", "green", "blue")]
+    table = np.array([(*p, *c) for p, c in zip(found.points, found.colours, strict=True)], kinds)
+    PlyData([PlyElement.describe(table, "vertex")]).write(str(tmp_path / "points.ply"))
+    for name in ("points3D.bin", "points.ply"):
+        again = read_given(tmp_path / name).cloud
+        assert np.array_equal(again.features, read_given(tmp_path / "points3D.txt").cloud.features)
+        assert np.array_equal(again.positions, read_given(tmp_path / "points3D.txt").cloud.positions)
+
+
+@pytest.mark.parametrize(
+    ("colours", "found"),
+    [
+        (np.array([[0.0, 0.5, 1.0]]), [0, 128, 255]),
+        (np.array([[0, 1, 255]], np.int64), [0, 1, 255]),
+        (np.array([[0, 1, 256]], np.int64), None),
+        (np.array([[-1, 0, 0]], np.int8), None),
+        (np.array([[0.0, 0.0, 128.0]]), None),
+        (np.array([[0.0, 0.0, np.nan]]), None),
+        (np.array([[True, False, True]]), None),
+    ],
+)
+def test_colours_of_points(colours, found, tmp_path):
+    """Floats from 0 to 1 were cut to 0, and larger integers wrapped."""
+    np.savez(tmp_path / "a.npz", means3d=np.zeros((1, 3)), colors=colours)
+    if found is None:
+        with pytest.raises(ValueError, match="neither integers from 0 to 255 nor floats from 0 to 1"):
+            voxelise.read_points(tmp_path / "a.npz")
+    else:
+        assert voxelise.read_points(tmp_path / "a.npz").colours.tolist() == [found]
 
 
 def test_anchors_are_voxels_and_offsets_reach_points(cloud):
