@@ -8,9 +8,9 @@ from __future__ import annotations
 import contextlib
 import os
 from collections.abc import Mapping
-from dataclasses import replace
+from dataclasses import fields, is_dataclass, replace
 from functools import cached_property
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -40,14 +40,15 @@ DRAWN_ANCHORS = 50_000
 class Scene:
     """A scene of N anchors with K offsets each. It shows itself in a notebook.
 
-    A scene never changes. To change one, make another: `Scene(dataclasses.replace(scene.coded, ...))`.
+    A scene never changes, and its arrays are read-only. To change one, make another:
+    `Scene(dataclasses.replace(scene.coded, ...))`.
 
     coded: every number of the file, as integers (refcodec.bitstream.scene.Scene).
     """
 
     def __init__(self, coded: CodedScene, sizes: Mapping[str, int] | None = None) -> None:
         """coded: the integers. sizes: bytes of each part of the file that they come from, or None."""
-        self.coded = coded
+        self.coded: CodedScene = _read_only(coded)
         self._sizes = None if sizes is None else dict(sizes)
 
     @classmethod
@@ -84,7 +85,8 @@ class Scene:
     @cached_property
     def values(self) -> Reconstruction:
         """SPEC 9: the float32 values of all anchors, the same bits on every machine."""
-        return reconstruct(self.coded)
+        found: Reconstruction = _read_only(reconstruct(self.coded))
+        return found
 
     @property
     def positions(self) -> F32:
@@ -221,6 +223,21 @@ class Scene:
         found = Scene(take_anchors(self.coded, slice(None, None, step))).gaussians(self.camera)
         some = slice(None, None, max(1, -(-len(found.mean) // page.POINTS)))
         return Gaussians(**{name: values[some] for name, values in vars(found).items()})
+
+
+def _read_only(value: Any) -> Any:
+    """Returns a dataclass, dictionary, list or tuple with all its arrays as read-only views. Other values stay."""
+    if isinstance(value, np.ndarray):
+        view = value.view()
+        view.flags.writeable = False
+        return view
+    if is_dataclass(value) and not isinstance(value, type):
+        return replace(value, **{field.name: _read_only(getattr(value, field.name)) for field in fields(value)})
+    if isinstance(value, dict):
+        return {key: _read_only(item) for key, item in value.items()}
+    if type(value) in (list, tuple):
+        return type(value)(map(_read_only, value))
+    return value
 
 
 def named_cameras(stated: list[NamedCamera]) -> list[Camera]:

@@ -97,6 +97,30 @@ def test_encode_names_the_field_and_its_limits(
         refcodec.encode(scene.coded)  # type: ignore[arg-type]
 
 
+def _arrays(value: Any) -> list[np.ndarray]:
+    """All arrays in a value, which may be a dataclass, a dictionary, a list or a tuple."""
+    if is_dataclass(value):
+        value = list(vars(value).values())
+    if isinstance(value, dict):
+        value = list(value.values())
+    if isinstance(value, list | tuple):
+        return [array for item in value for array in _arrays(item)]
+    return [value] if isinstance(value, np.ndarray) else []
+
+
+def test_arrays_of_a_scene_are_read_only(scene: refcodec.Scene) -> None:
+    """A change of one was seen by gaussians, but neither by digest nor by encode."""
+    found = [*_arrays(scene.coded), *_arrays(scene.values)]
+    found += [scene.positions, scene.features, scene.scalings, scene.offsets, scene.masks]
+    assert len(found) > 30
+    assert not any(array.flags.writeable for array in found)
+    # The caller's own arrays stay as they were.
+    own = replace(scene.coded, positions=scene.coded.positions.copy())
+    assert not refcodec.Scene(own).coded.positions.flags.writeable
+    assert own.positions.flags.writeable
+    assert refcodec.Scene(own).digest() == scene.digest()
+
+
 def test_importing_it_loads_nothing_else() -> None:
     program = """
 import sys, refcodec
