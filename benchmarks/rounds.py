@@ -1,6 +1,6 @@
 """What a scene loses on the way out of refcodec and back: every format that is written and read.
 
-python -m benchmarks.rounds FOLDER --scene NAME FILE.c3gs PHOTOGRAPHS [--size 200] [--steps 500] [--again .ply] [--write]
+python -m benchmarks.rounds FOLDER --scene NAME FILE.c3gs PHOTOGRAPHS [--steps 500] [--again .ply] [--write]
 
 A scene is exported to a splat of each format, and to the folders that hold it as it is: Scaffold-GS, which convert
 turns into the folder of an uncompressed scene, and the scene folder. Each is read back, and converted and encoded again
@@ -157,9 +157,8 @@ def section(source: Source, steps: int, again: list[str], folder: Path) -> list[
         first = [f"{record['bytes']:,}", *(_number(record[key]) for key in ("near", "back", "shown"))]
         trained = trained_round(source, suffix, steps, folder) if suffix in again else None
         rows.append([suffix, *first, *_again(trained)])
-    for form in (SCAFFOLD, SCENE):
-        rows.append([form, "", "", "", "", *_again(folder_round(source, form, folder)["coded"])])
-    return table(head, rows)
+    folders = {form: folder_round(source, form, folder)["coded"] for form in (SCAFFOLD, SCENE)}
+    return table(head, [*rows, *([form, *[""] * 4, *_again(record)] for form, record in folders.items())])
 
 
 def main(words: list[str] | None = None) -> int:

@@ -1,6 +1,6 @@
 """GLB files: glTF 2.0 with the extension KHR_gaussian_splatting of Khronos, in one binary file.
 
-Gaussians are read in the coordinates of their mesh, one mesh in a file. Of its node the rotation says which axis is up.
+Gaussians are read in the coordinates of their mesh, one mesh in a file. Of its node the rotation says what is up.
 """
 
 from __future__ import annotations
@@ -167,10 +167,9 @@ def read_glb(file: Path) -> Arrays:
 
 
 def glb_up(file: Path) -> NDArray[np.float64]:
-    """Returns the axis that is up in a file's Gaussians, float64 [3], of length 1.
+    """Returns what is up in a file's Gaussians, a unit vector, float64 [3].
 
-    It is the axis nearest to what the node of the mesh turns to +y, which is up in glTF. Raises SceneFolderError, and
-    OSError.
+    The node of the mesh turns it to +y, which is up in glTF. Raises SceneFolderError, and OSError.
     """
     gltf = _Gltf(file)
     mesh, _ = _primitive(gltf)
@@ -180,6 +179,5 @@ def glb_up(file: Path) -> NDArray[np.float64]:
     turn = np.array(stated if right else [0, 0, 0, 1], np.float64)
     if not right or np.abs(turn).max() > 2 or not 0.9 < np.linalg.norm(turn) < 1.1:
         raise gltf.fault("the rotation of a node is no unit quaternion")
-    up = rotation_matrix(turn[[3, 0, 1, 2]])[1]
-    axis = int(np.abs(up).argmax())
-    return np.sign(up[axis]) * np.eye(3)[axis]
+    up: NDArray[np.float64] = rotation_matrix(turn[[3, 0, 1, 2]] / np.linalg.norm(turn))[1]
+    return up

@@ -44,7 +44,7 @@ def read_splats(file: Path) -> Arrays:
 
 
 def splats_up(file: Path) -> NDArray[np.float64]:
-    """Returns the axis that is up in a file of read_splats, float64 [3]: what it says, or -y as in 3DGS's files.
+    """Returns what is up in a file of read_splats, a unit vector, float64 [3]: what it says, or -y as in 3DGS's files.
 
     Raises SceneFolderError, and OSError.
     """

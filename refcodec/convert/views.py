@@ -78,7 +78,7 @@ def _directions(height: F64, turn: F64) -> F64:
 def orbit(splats: Splats, up: F64, size: int, train: int, test: int) -> dict[str, list[Camera]]:
     """Returns cameras around the splats, by what they are for.
 
-    up: the world's axis that is up, float64 [3]. size: sides of the images in pixels. train, test: how many.
+    up: what is up in the world, a unit vector, float64 [3]. size: sides of the images in pixels. train, test: how many.
     """
     directions = {TRAIN: train_directions(train), TEST: test_directions(test)}
     return {name: _cameras(splats, found, up, size, name) for name, found in directions.items()}
@@ -86,7 +86,11 @@ def orbit(splats: Splats, up: F64, size: int, train: int, test: int) -> dict[str
 
 def _cameras(splats: Splats, directions: F64, up: F64, size: int, name: str) -> list[Camera]:
     middle, radius = middle_and_radius(splats)
-    side = np.roll(up, 1)
+    # Another axis than the one that is nearest to up.
+    nearest = int(np.abs(up).argmax())
+    side = np.roll(np.sign(up[nearest]) * np.eye(3)[nearest], 1)
+    side = side - (side @ up) * up
+    side /= np.linalg.norm(side)
     base = np.stack([side, np.cross(up, side), up])
     focal = size / 2 / math.tan(ANGLE / 2)
     found = []

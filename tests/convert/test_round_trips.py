@@ -75,7 +75,7 @@ def assert_near(found: View, view: View, cameras: list[Camera], least: float) ->
 def test_splats(suffix: str, view: View, cameras: list[Camera], splats: Splats, tmp_path: Path) -> None:
     file = tmp_path / f"a{suffix}"
     if suffix in FORMATS:
-        packed = splat_file(splats, suffix, view.info.up_axis)
+        packed = splat_file(splats, suffix, view.up)
         file.write_bytes(packed.data)
         # What the file is said to hold is what the export measures.
         assert agreement(view, packed.splats, cameras, no_progress) > OUT
@@ -121,7 +121,7 @@ def test_folders(form: str, view: View, cameras: list[Camera], tmp_path: Path) -
 @pytest.mark.slow
 def test_a_splat_becomes_a_scene(view: View, cameras: list[Camera], splats: Splats, tmp_path: Path) -> None:
     """A training of some steps from pictures of a file that refcodec wrote: it stands where the scene stood."""
-    (tmp_path / "a.glb").write_bytes(splat_file(splats, ".glb", view.info.up_axis).data)
+    (tmp_path / "a.glb").write_bytes(splat_file(splats, ".glb", view.up).data)
     words = ["--views", "24", "--size", "64", "--steps", "200", "--anchors", "1500"]
     assert main(["convert", str(tmp_path / "a.glb"), "-o", str(tmp_path / "scene"), *words]) == 0
     assert main(["encode", str(tmp_path / "scene"), "-o", str(tmp_path / "a.c3gs")]) == 0

@@ -51,6 +51,20 @@ def test_pictures_show_the_splats(tmp_path: Path) -> None:
     assert np.mean([p.camera.rotation[1] for p in found.train], axis=0).argmax() == 1
 
 
+@pytest.mark.parametrize("up", [(0, 0, -1), (0.6, 0, 0.8), (1, 1, 1)])
+def test_up_is_any_direction(up: tuple[float, ...]) -> None:
+    """The images of all cameras have it upwards, and the cameras look at the middle from above and from below."""
+    direction = np.array(up) / np.linalg.norm(up)
+    splats = tensors({name: values.astype(np.float32) for name, values in made().items()})
+    cameras = orbit(splats, direction, 40, 12, 2)["train"]
+    heights = [float((camera.centre - splats["mean"].double().numpy().mean(axis=0)) @ direction) for camera in cameras]
+    assert min(heights) < 0 < max(heights)
+    for camera in cameras:
+        np.testing.assert_allclose(camera.rotation @ camera.rotation.T, np.eye(3), atol=1e-9)
+        assert camera.rotation[1] @ direction < 0
+        assert abs(camera.rotation[0] @ direction) < 1e-9
+
+
 def test_given_cameras_are_spread(tmp_path: Path) -> None:
     turn = np.eye(3)
     cameras = [Camera(f"c{i}", 400, 200, 300, 310, 200, 100, turn, np.array([0, 0, i + 3.0])) for i in range(100)]

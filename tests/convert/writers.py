@@ -231,10 +231,10 @@ def write_sog(entries: dict[str, bytes], path: Path) -> None:
             archive.writestr(name, data)
 
 
-def write_glb(splats: Arrays, path: Path, up: int = 2) -> None:
-    """As refcodec writes it. up: of SPEC 6.5. What others wrote is in test_splat_files."""
+def write_glb(splats: Arrays, path: Path, up: F64 | None = None) -> None:
+    """As refcodec writes it. up: a unit vector, or None for +y. What others wrote is in test_splat_files."""
     own = {name: values.astype(np.float32) for name, values in splats.items()}
-    path.write_bytes(glb_bytes(Splats(**own), up))
+    path.write_bytes(glb_bytes(Splats(**own), np.eye(3)[1] if up is None else up))
 
 
 def change_glb(path: Path, change: Callable[[dict[str, Any]], Any]) -> None:
