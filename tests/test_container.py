@@ -138,7 +138,7 @@ def test_drawing_and_learning(contained: Run) -> None:
 def test_a_user_without_a_home_gets_no_folder_of_that_name(tmp_path: Path) -> None:
     pytest.importorskip("numba")
     code = "import os\nos.path.expanduser = lambda path: path\nfrom refcodec.render import compiled, tiles\n"
-    code += "compiled.os.access = lambda *_: False\nprint(compiled._has_place())"
+    code += "print(compiled.is_kept())"
     environment = {k: v for k, v in os.environ.items() if k not in ("NUMBA_CACHE_DIR", "XDG_CACHE_HOME")}
     found = subprocess.run(
         [sys.executable, "-c", code], cwd=tmp_path, env=environment, capture_output=True, text=True, check=True

@@ -1,0 +1,115 @@
+"""Where compiled functions are kept: outside the package, in folders that their sources name, and not without end."""
+
+from __future__ import annotations
+
+import os
+import shutil
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+pytest.importorskip("numba")
+
+import refcodec
+from refcodec.render import blending, compiled, constants, simd, tiles
+
+PACKAGE = Path(refcodec.__file__).parent
+
+
+def fresh() -> None:
+    """Forgets what the process knows of sources and folders."""
+    compiled.stamp.cache_clear()
+    compiled._folder.cache_clear()
+
+
+@pytest.fixture
+def cache(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
+    monkeypatch.setenv("NUMBA_CACHE_DIR", str(tmp_path))
+    fresh()
+    yield tmp_path
+    fresh()
+
+
+def twice(x: int) -> int:
+    return 2 * x
+
+
+def test_a_function_is_kept_outside_the_package(cache: Path) -> None:
+    """What one process has compiled another one loads."""
+    made = [compiled.compiled()(twice) for _ in range(2)]
+    assert [function(21) for function in made] == [42, 42]
+    assert [sum(function._cache_hits.values()) for function in made] == [0, 1]
+    folder = compiled._folder(__name__)
+    assert folder is not None
+    assert folder.parent == cache / __name__
+    assert folder.name.startswith(f"{refcodec.__version__}-")
+    assert {path.suffix for path in folder.iterdir()} == {".nbi", ".nbc"}
+    kept = blending.blend_tiles._cache.kept
+    assert not Path(kept.cache_path).is_relative_to(PACKAGE)
+
+
+def changed(module: object, folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Gives a module another source."""
+    source = Path(module.__file__)  # type: ignore[attr-defined]
+    other = folder / source.name
+    other.write_bytes(source.read_bytes() + b"# changed\n")
+    monkeypatch.setattr(module, "__file__", str(other))
+
+
+@pytest.mark.parametrize("module", [blending, tiles, simd])
+def test_a_change_of_an_inlined_function_is_a_change(
+    module: object, cache: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    before = compiled.stamp(blending.__name__)
+    fresh()
+    assert compiled.stamp(blending.__name__) == before
+    fresh()
+    changed(module, cache, monkeypatch)
+    assert compiled.stamp(blending.__name__) != before
+
+
+def test_a_change_of_a_constant_of_another_module_is_a_change(cache: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    before = compiled.stamp(blending.__name__)
+    fresh()
+    monkeypatch.setattr(blending, "LEAST", constants.LEAST * 2)
+    assert compiled.stamp(blending.__name__) != before
+
+
+def test_a_change_elsewhere_is_none(cache: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    before = compiled.stamp(tiles.__name__)
+    fresh()
+    changed(blending, cache, monkeypatch)
+    assert compiled.stamp(tiles.__name__) == before
+
+
+def test_the_folders_that_were_used_last_stay(cache: Path) -> None:
+    first = compiled._folder(tiles.__name__)
+    assert first is not None
+    for age in range(8):
+        old = first.parent / f"0.0.{age}-0123456789abcdef"
+        old.mkdir()
+        os.utime(old, (1_000_000 - age, 1_000_000 - age))
+    other = cache / "other"
+    other.mkdir()
+    fresh()
+    assert compiled._folder(tiles.__name__) == first
+    ages = [f"0.0.{age}-0123456789abcdef" for age in range(compiled.KEPT - 1)]
+    assert sorted(path.name for path in first.parent.iterdir()) == [*ages, first.name]
+    assert other.is_dir()
+
+
+def test_a_folder_that_another_process_removes_is_made_again(cache: Path) -> None:
+    function = compiled.compiled()(twice)
+    folder = compiled._folder(__name__)
+    assert folder is not None
+    shutil.rmtree(folder)
+    assert function(1) == 2
+    assert any(folder.iterdir())
+
+
+def test_a_place_that_cannot_be_written_ends_nothing(cache: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    (cache / "file").touch()
+    monkeypatch.setenv("NUMBA_CACHE_DIR", str(cache / "file"))
+    assert not compiled.is_kept()
+    assert compiled.compiled()(twice)(3) == 6
