@@ -54,7 +54,8 @@ def repair(data: bytes, depth: Depth = Depth.CHUNKS) -> bytes:
 def lengthened(data: bytes, kind: bytes, length: int) -> tuple[bytes, int]:
     """The bytes of a file before a section that now has another length, and the length that the file then has.
 
-    kind: the type of the section. What follows may be anything. The header's CRC-32 is right.
+    kind: the type of the section. Of DATA the last chunk gets the length, by the index too. What follows may be
+    anything. The CRC-32s of the header and of what is returned are right.
     """
     fields, end = layout(data)
     number = [entry.type for entry in fields.directory].index(kind)
@@ -62,7 +63,11 @@ def lengthened(data: bytes, kind: bytes, length: int) -> tuple[bytes, int]:
     out = bytearray(data[: end + sum(pad4(e.length) for e in fields.directory[:number])])
     out[entry + 8 : entry + 16] = length.to_bytes(8, "little")
     rest = sum(pad4(e.length) for e in fields.directory[number + 1 :])
-    return repair(bytes(out), Depth.HEADER), len(out) + pad4(length) + rest
+    if kind == directory.DATA:
+        at = len(out) - INDEX_ENTRY_BYTES
+        last = int.from_bytes(out[at : at + 4], "little")
+        out[at : at + 4] = (last + length - fields.directory[number].length).to_bytes(4, "little")
+    return repair(bytes(out), Depth.SECTIONS), len(out) + pad4(length) + rest
 
 
 def _crc(data: bytearray) -> bytes:

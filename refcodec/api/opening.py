@@ -5,26 +5,28 @@ from __future__ import annotations
 import builtins
 import contextlib
 import os
+import stat
 from collections.abc import Iterator
+from dataclasses import replace
 from functools import cached_property
 from types import TracebackType
 from typing import Any
 
 from ..bitstream.batches import GROUP_ANCHORS
-from ..bitstream.bounds import Bounds
+from ..bitstream.bounds import CAMERA, CHUNK, READING, Bounds
 from ..bitstream.cameras import CAMERAS, cameras
 from ..bitstream.codec import parse
-from ..bitstream.directory import read_section
+from ..bitstream.directory import INDEX, read_section
 from ..bitstream.errors import BitstreamError
 from ..bitstream.header import Header
 from ..bitstream.metadata import METADATA, metadata
 from ..bitstream.reader import Reader
 from ..bitstream.scene import Ancillary
 from ..bitstream.source import FileBytes, Source, StoredFile, WholeFile
-from ..bitstream.streaming import DecodedChunk, decoded_chunks
-from ..files.remote import RemoteFile, is_url
+from ..bitstream.streaming import DecodedChunk, decoded_chunks, stated_bytes
+from ..files.remote import MEMORY_MAX, RemoteFile, is_url
 from ..inspect.elements import outline_of
-from ..inspect.parts import part_bytes
+from ..inspect.parts import SPAN_BYTES, part_bytes
 from ..render.camera import Camera
 from . import page
 from .scenes import Scene, named_cameras
@@ -81,6 +83,10 @@ class File:
     @cached_property
     def sizes(self) -> dict[str, int]:
         """Bytes of each part of the file, with nothing decoded. Their sum is byte_count."""
+        index = self.header.section(INDEX)
+        heads = min(self.byte_count, SPAN_BYTES)
+        # It is read, and taken apart.
+        self._bounds.check_bytes(3 * (index.length if index else 0) + CHUNK * self.chunk_count + 2 * heads)
         data = FileBytes(self._source)
         return part_bytes(data, outline_of(data))
 
@@ -97,11 +103,12 @@ class File:
     @cached_property
     def _ancillary(self) -> list[Ancillary]:
         found = []
-        for section in self.header.sections:
-            if section.type in (METADATA, CAMERAS) and section.length <= _SECTION_BYTES:
-                # Decoding says what is wrong with a damaged section. Here it tells nothing.
-                with contextlib.suppress(BitstreamError):
-                    found.append(Ancillary(section.type, section.mode, read_section(self._source, section).data))
+        shown = [s for s in self.header.sections if s.type in (METADATA, CAMERAS) and s.length <= _SECTION_BYTES]
+        self._bounds.check_bytes((2 + CAMERA) * sum(section.length for section in shown))
+        for section in shown:
+            # Decoding says what is wrong with a damaged section. Here it tells nothing.
+            with contextlib.suppress(BitstreamError):
+                found.append(Ancillary(section.type, section.mode, read_section(self._source, section).data))
         return found
 
     def chunks(self, numbers: range | None = None) -> Iterator[DecodedChunk]:
@@ -128,7 +135,7 @@ class File:
         count = self.anchor_count
         # A byte behind the end that the header states is enough for the verdict on all of them.
         size = min(self.header.sections[-1].end + 1, self.byte_count)
-        self._bounds.check(self.header, min(count, GROUP_ANCHORS), count, size)
+        self._bounds.check(self.header, min(count, GROUP_ANCHORS), count, (1 + READING) * size)
         scene = parse(self._source.read(0, size)).scene
         return Scene(scene, self.sizes)
 
@@ -154,11 +161,12 @@ def open(
     Args:
         place: a path, a URL (which needs the extra `http` and a server that answers ranges), or the bytes of a file.
         max_anchors: how many anchors the caller allows, or None. Files of unknown origin should have bounds.
-        max_memory: bytes of memory that decoding may take beside the program, or None.
+        max_memory: bytes of memory that decoding may take beside the program, or None, which is 4 GiB behind a URL.
         max_work: units of work that decoding may take (SPEC.md 13.1), or None.
 
     Raises:
         BitstreamError: the header is refused.
+        BoundPassedError: what is no regular file, such as a pipe, is read at once, and has more bytes than allowed.
         OSError: the file cannot be read.
         refcodec.statuses.UsageError: what is behind the URL cannot be read.
     """
@@ -168,9 +176,17 @@ def open(
         if isinstance(place, bytes | bytearray | memoryview):
             source = WholeFile(bytes(place))
         elif is_url(os.fspath(place)):
+            if max_memory is None:
+                bounds = replace(bounds, memory=MEMORY_MAX)
             source = opened.enter_context(RemoteFile(os.fspath(place)))
         else:
-            source = StoredFile(opened.enter_context(builtins.open(place, "rb")))
+            stored = opened.enter_context(builtins.open(place, "rb"))
+            if stat.S_ISREG(os.fstat(stored.fileno()).st_mode):
+                source = StoredFile(stored)
+            else:
+                held = stated_bytes(stored, lambda header: bounds.check_bytes(header.sections[-1].end))
+                bounds = bounds.beside(len(held))
+                source = WholeFile(held)
         file = File(source, bounds)
         file._close = opened.pop_all()
     return file
@@ -184,7 +200,7 @@ def decode(
     Args:
         place: a path, a URL, or the bytes of a file, as for `open`.
         max_anchors: how many anchors the caller allows, or None.
-        max_memory: bytes of memory that decoding may take beside the program, or None.
+        max_memory: bytes of memory that decoding may take beside the program, or None, which is 4 GiB behind a URL.
         max_work: units of work that decoding may take (SPEC.md 13.1), or None.
 
     Raises:

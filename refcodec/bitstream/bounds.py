@@ -2,15 +2,21 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
+from .cameras import CAMERAS
 from .dimensions import weight_count, work
+from .directory import DATA, is_critical
 from .header import Header
 from .positions import CELL_LEVELS
 
 # Estimates in bytes, from one to two times what is measured: a weight as float32 and as an integer, with its copies; a
 # point of a plane while it is decoded; a value of an anchor that is being decoded; and a value that is held.
 WEIGHT, PLANE_POINT, DECODING, HOLDING = 32, 8, 56, 8
+# Bytes for each chunk: what is made of its entry in the index, and its objects while all chunks are held.
+CHUNK, HELD_CHUNK = 192, 2048
+# In how many copies bytes of a section or of chunks are there while they are decoded, and what cameras are made of.
+READING, CAMERA = 5, 16
 
 
 class BoundPassedError(Exception):
@@ -50,7 +56,14 @@ class Bounds:
             raise BoundPassedError("anchors", header.anchor_count, self.anchors)
         if self.work is not None and all_work(header) > self.work:
             raise BoundPassedError("work", all_work(header), self.work)
-        needed = memory_needed(header, at_once, held, more)
+        self.check_bytes(memory_needed(header, at_once, held, more))
+
+    def beside(self, held: int) -> Bounds:
+        """Returns what is allowed beside bytes that are held."""
+        return self if self.memory is None else replace(self, memory=self.memory - held)
+
+    def check_bytes(self, needed: int) -> None:
+        """Raises BoundPassedError for more bytes of memory than are allowed."""
         if self.memory is not None and needed > self.memory:
             raise BoundPassedError("memory", needed, self.memory)
 
@@ -70,4 +83,18 @@ def memory_needed(header: Header, at_once: int, held: int = 0, more: int = 0) ->
     d = header.dimensions
     values = d.attribute_width + d.offset_count
     planes = 5 * d.plane_channels * d.plane_size**2
-    return weight_count(d) * WEIGHT + planes * PLANE_POINT + values * (at_once * DECODING + held * HOLDING) + more
+    chunks = header.chunk_count * (CHUNK + (HELD_CHUNK if held else 0))
+    anchors = values * (at_once * DECODING + held * HOLDING)
+    return weight_count(d) * WEIGHT + planes * PLANE_POINT + chunks + anchors + more
+
+
+def section_bytes(header: Header, keep_ancillary: bool) -> int:
+    """SPEC 13.1: returns how many bytes the sections but DATA take that are read one after the other.
+
+    keep_ancillary: whether the ancillary ones are kept. Otherwise they are passed in blocks.
+    """
+    kept = [section for section in header.sections if keep_ancillary and not is_critical(section.type)]
+    read = [section.length for section in header.sections if is_critical(section.type) and section.type != DATA]
+    all_kept = sum(section.length for section in kept)
+    cameras = sum(section.length for section in kept if section.type == CAMERAS)
+    return READING * max(read + [section.length for section in kept]) + all_kept + CAMERA * cameras

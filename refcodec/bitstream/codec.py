@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from .attributes import ATTRIBUTE_SYMBOL_MAX, Attributes, EntropyModel, code_attributes, step_indices
 from .batches import GROUP_ANCHORS, Progress, groups, no_progress, one_thread
-from .bounds import Bounds
+from .bounds import READING, Bounds
 from .chunks import chunk_ranges, emit_chunk
 from .context import context
 from .directory import DATA, FRAME, INDEX, PLANES_SECTION, WEIGHTS, critical_sections, is_critical, read_section
@@ -92,7 +92,8 @@ def parse(
     reader = Reader(WholeFile(bytes(data)), trace=trace, derive=derive)
     if bounds:
         count = reader.header.anchor_count
-        bounds.check(reader.header, min(count, GROUP_ANCHORS), count, len(data))
+        # Of the bytes that are here, any part may be decoded at once.
+        bounds.check(reader.header, min(count, GROUP_ANCHORS), count, (1 + READING) * len(data))
     index = reader.open(progress=progress).index
     reader.hold_whole(ROOM_OF_A_BYTE * len(data))
     chunks: list[Chunk] = []

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from .attributes import Attributes, EntropyModel, code_attributes, zero_attributes
 from .batches import GROUP_ANCHORS, GROUP_CHUNKS, PartDecoder, Progress, no_progress, one_thread
-from .bounds import Bounds
+from .bounds import READING, Bounds, section_bytes
 from .chunks import PARTS, CodedChunk, read_chunk
 from .context import JoinedPlanes, context
 from .directory import DATA, FRAME, INDEX, PLANES_SECTION, WEIGHTS, check_end, is_critical, pass_section, read_section
@@ -90,21 +90,26 @@ class Reader:
         keep_ancillary: bool = True,
         trace: Trace | None = None,
         bounds: Bounds | None = None,
+        at_once: int = 0,
         derive: Derive = derive_networks,
     ) -> None:
         """SPEC 10.1, steps 1 to 3. Raises BitstreamError 101 to 305, BoundPassedError after them, and UsageError.
 
         keep_ancillary: whether ancillary sections are kept. Otherwise they are only checked. trace: told of each
-        symbol. Symbols come chunk by chunk then. bounds: of a reader of one chunk after the other. derive: what makes
-        the networks, such as those of refcodec.train.exact_networks. Then the native kernel is not used.
+        symbol. Symbols come chunk by chunk then. bounds: what the caller allows a reader that holds some chunks at a
+        time; BoundPassedError is raised before the bytes are read. at_once: how many anchors are decoded side by side,
+        where it is more than a chunk. derive: what makes the networks, such as those of refcodec.train.exact_networks.
+        Then the native kernel is not used.
         """
         self.source, self.trace, self._keep = source, trace, keep_ancillary
         # A trace is told of each symbol, which the kernel does not do.
         self._kernel = kernel() if trace is None and derive is derive_networks else None
         self._derive = derive
         self.header: Header = read_header(source)
+        self._bounds = bounds
         if bounds:
-            bounds.check(self.header, min(self.header.anchor_count, self.header.chunk_size))
+            h = self.header
+            bounds.check(h, min(h.anchor_count, max(h.chunk_size, at_once)), more=section_bytes(h, keep_ancillary))
         self.ancillary: list[Ancillary] = []
         self.opened: Opened | None = None
         self._whole: Anchors | None = None
@@ -218,7 +223,11 @@ class Reader:
             yield entries
 
     def decode(self, entries: list[ChunkEntry]) -> list[Chunk | BitstreamError]:
-        """SPEC 10.1, step 5: reads and decodes some chunks side by side. Returns each of them, or its first error."""
+        """SPEC 10.1, step 5: reads and decodes some chunks side by side. Returns each of them, or its first error.
+
+        Raises BoundPassedError for chunks whose lengths by the index need more memory than the caller allows.
+        """
+        self._check_chunks(entries)
         section = self.header.section(INDEX)
         assert section is not None
         found: dict[int, Chunk | BitstreamError] = {}
@@ -232,6 +241,14 @@ class Reader:
         decode = self._decode_alone if self.opened is None or self.opened.native is None else self._decode_native
         found.update(decode(live))
         return [found[entry.number] for entry in entries]
+
+    def _check_chunks(self, entries: list[ChunkEntry]) -> None:
+        """Raises BoundPassedError before chunks are read that the caller does not allow."""
+        if self._bounds is None:
+            return
+        anchors, length = (sum(sizes) for sizes in zip(*((len(e.anchors), e.length) for e in entries), strict=True))
+        kept = sum(len(section.content) for section in self.ancillary)
+        self._bounds.check(self.header, anchors, more=kept + READING * length)
 
     def _decode_native(self, chunks: list[CodedChunk]) -> dict[int, Chunk | BitstreamError]:
         """Decodes some chunks with the native kernel."""

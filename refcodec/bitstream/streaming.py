@@ -6,16 +6,22 @@ file: it gives as many chunks at once as are decoded side by side.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+import io
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
+from typing import BinaryIO
 
 from .batches import GROUP_ANCHORS, Progress, no_progress
 from .bounds import Bounds
 from .errors import BitstreamError
+from .header import Header, read_header
 from .reader import Chunk, Reader
 from .reconstruction import Reconstruction, reconstruct
 from .scene import Scene
 from .source import Source
+
+# How many bytes are read at once of what does not tell its length.
+_BLOCK_BYTES = 1 << 20
 
 
 @dataclass(frozen=True, eq=False)
@@ -49,13 +55,10 @@ def decoded_chunks(
 
     Raises:
         BitstreamError: what was yielded before is right.
-        BoundPassedError: before any work.
+        BoundPassedError: before the bytes are read that it is about.
         IndexError: the file has not all of these chunks.
     """
-    reader = Reader(source, keep_ancillary=False)
-    if bounds:
-        h = reader.header
-        bounds.check(h, min(h.anchor_count, GROUP_ANCHORS if side_by_side else h.chunk_size))
+    reader = Reader(source, keep_ancillary=False, bounds=bounds, at_once=GROUP_ANCHORS if side_by_side else 0)
     index = reader.open(critical_only=numbers is not None).index
     check_numbers(numbers, len(index))
     for entries in reader.groups(numbers, side_by_side=side_by_side):
@@ -107,3 +110,35 @@ def pieces(
         done += len(entries)
         yield reader.scene(good)
         progress("chunks", done, total)
+
+
+class _Beginning:
+    """The first bytes of a file, as far as they were asked for (source.Source). held: these bytes."""
+
+    def __init__(self, file: BinaryIO) -> None:
+        self._file, self.held = file, b""
+
+    def read(self, start: int, size: int) -> bytes:
+        """As Source.read."""
+        self.held += self._file.read(max(0, start + size - len(self.held)))
+        return self.held[start : start + size]
+
+    def length(self) -> int:
+        """As Source.length: it is asked for only at the end of the file."""
+        return len(self.held)
+
+
+def stated_bytes(file: BinaryIO, check: Callable[[Header], None]) -> bytes:
+    """Returns the bytes of a pipe, or another file without a length, up to one past the end that its header states.
+
+    check: told of the header before what lies behind it is read. Raises BitstreamError for the header, and OSError.
+    """
+    beginning = _Beginning(file)
+    header = read_header(beginning)
+    check(header)
+    # What the header states may be more than there is, and more than there is memory.
+    found = io.BytesIO(beginning.held)
+    left = header.sections[-1].end + 1 - found.seek(0, io.SEEK_END)
+    while left > 0 and (block := file.read(min(left, _BLOCK_BYTES))):
+        left -= found.write(block)
+    return found.getvalue()

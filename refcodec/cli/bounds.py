@@ -15,10 +15,11 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from ..bitstream.errors import BitstreamError
-from ..files.remote import is_url
+from ..files.remote import MEMORY_MAX, is_url
 from .shared import UsageError, open_source, read_file
 
 if TYPE_CHECKING:
+    from ..bitstream.bounds import BoundPassedError, Bounds
     from ..bitstream.header import Header
     from ..bitstream.source import Source
 
@@ -66,7 +67,7 @@ def add_bounds(parser: argparse.ArgumentParser, *, decodes: bool = True) -> None
         "--max-memory",
         type=memory,
         metavar="BYTES",
-        help="refuse what may take more memory by the header, with K, M or G (exit status 64)",
+        help="refuse what may take more memory by its tables, with K, M or G (exit status 64; default: 4G for a URL)",
     )
 
 
@@ -96,48 +97,75 @@ def check_bounds(arguments: argparse.Namespace, path: str, count: int, needed: i
         raise UsageError(f"{path} may take {work} units of work, --max-work is {most}; this is no verdict")
     if arguments.max_anchors is not None and count > arguments.max_anchors:
         raise UsageError(f"{path} has {count} anchors, --max-anchors is {arguments.max_anchors}; this is no verdict")
-    if arguments.max_memory is None:
-        return
-    needed += PROGRAM_DRAWING if _command(arguments) in ("render", "eval", "export") else PROGRAM
-    if needed > arguments.max_memory:
-        raise UsageError(
-            f"{path} may take {needed} bytes of memory, --max-memory is {arguments.max_memory}; this is no verdict"
-        )
+    most = _most_memory(arguments)
+    needed += _program(arguments)
+    if most is not None and needed > most:
+        raise _too_much(arguments, path, needed)
 
 
-def needed_memory(header: Header, copies: int) -> int:
+def _program(arguments: argparse.Namespace) -> int:
+    return PROGRAM_DRAWING if _command(arguments) in ("render", "eval", "export") else PROGRAM
+
+
+def _most_memory(arguments: argparse.Namespace) -> int | None:
+    """Returns the bytes that the caller allows. What is behind a URL has a bound in any case."""
+    if arguments.max_memory is None and is_url(vars(arguments).get("file") or ""):
+        return MEMORY_MAX
+    most: int | None = arguments.max_memory
+    return most
+
+
+def _too_much(arguments: argparse.Namespace, path: str, needed: int) -> UsageError:
+    most = _most_memory(arguments)
+    default = " for a URL, unless you give it" if arguments.max_memory is None else ""
+    return UsageError(f"{path} may take {needed} bytes of memory, --max-memory is {most}{default}; this is no verdict")
+
+
+def reader_bounds(arguments: argparse.Namespace) -> Bounds | None:
+    """Returns what a reader of the command's file is allowed, or None: what only its index tells."""
+    from ..bitstream.bounds import Bounds
+
+    most = _most_memory(arguments)
+    return None if most is None else Bounds(memory=most - _program(arguments))
+
+
+def passed(arguments: argparse.Namespace, error: BoundPassedError) -> UsageError:
+    """Returns what is said of a bound of reader_bounds that is passed."""
+    return _too_much(arguments, arguments.file, error.needed + _program(arguments))
+
+
+def needed_memory(header: Header, copies: int, file: bool = False) -> int:
     """Returns about how many bytes of memory a file takes beside the program, from one to two times what is measured.
 
-    copies: those of the scene that are held (held_copies).
+    copies: those of the scene that are held (held_copies). file: whether the file is held. Who holds the scene does so.
     """
     from ..bitstream.batches import GROUP_ANCHORS
-    from ..bitstream.bounds import memory_needed
-    from ..bitstream.directory import is_critical
+    from ..bitstream.bounds import READING, memory_needed, section_bytes
 
-    # Who holds the scene holds the file, too.
-    more = 2 * header.sections[-1].end
-    if not copies:
-        more = sum(section.length for section in header.sections if not is_critical(section.type))
-    count = header.anchor_count
+    count, length = header.anchor_count, header.sections[-1].end
+    # Of what is held as a whole, any part may be decoded at once.
+    more = (1 + READING) * length if copies else section_bytes(header, True) + file * length
     return memory_needed(header, min(count, GROUP_ANCHORS), copies * count, more)
 
 
-def _check_source(arguments: argparse.Namespace, path: str, source: Source) -> None:
-    """Raises UsageError if the header of a file breaks the caller's bounds.
+def _check_header(arguments: argparse.Namespace, header: Header, file: bool) -> None:
+    from ..bitstream.bounds import all_work
+
+    needed = needed_memory(header, held_copies(arguments), file)
+    check_bounds(arguments, arguments.file, header.anchor_count, needed, all_work(header))
+
+
+def _check_source(arguments: argparse.Namespace, source: Source, file: bool) -> None:
+    """Raises UsageError if the header of a file breaks the caller's bounds. file: as for needed_memory.
 
     A header that is not allowed is left to the decoder.
     """
-    from ..bitstream.bounds import all_work
     from ..bitstream.header import read_header
 
-    if all(vars(arguments).get(name) is None for name in ("max_anchors", "max_memory", "max_work")):
+    if (arguments.max_anchors, arguments.max_work, _most_memory(arguments)) == (None, None, None):
         return
-    try:
-        header = read_header(source)
-    except BitstreamError:
-        return
-    needed = needed_memory(header, held_copies(arguments))
-    check_bounds(arguments, path, header.anchor_count, needed, all_work(header))
+    with contextlib.suppress(BitstreamError):
+        _check_header(arguments, read_header(source), file)
 
 
 def read_bounded(arguments: argparse.Namespace) -> bytes:
@@ -155,16 +183,16 @@ def read_bounded(arguments: argparse.Namespace) -> bytes:
             raise UsageError(f"cannot read {path}: {error.strerror or error}") from None
         if stat.S_ISREG(status.st_mode):
             check_bounds(arguments, path, 0, status.st_size)
-    data = read_file(path, lambda length: check_bounds(arguments, path, 0, length))
-    _check_source(arguments, path, WholeFile(data))
+    data = read_file(path, lambda header: _check_header(arguments, header, True))
+    _check_source(arguments, WholeFile(data), True)
     return data
 
 
 @contextlib.contextmanager
 def open_bounded(arguments: argparse.Namespace) -> Iterator[Source]:
     """Yields the command's file as open_source, unless its header breaks the caller's bounds. Raises UsageError."""
-    with open_source(arguments.file) as source:
-        _check_source(arguments, arguments.file, source)
+    with open_source(arguments.file, lambda header: _check_header(arguments, header, True)) as source:
+        _check_source(arguments, source, False)
         yield source
 
 

@@ -16,7 +16,7 @@ from ..files.stage import Stage, write_file
 from ..files.terminal import note, say
 from ..files.text import printable
 from . import train_options
-from .bounds import add_bounds, check_folder, open_bounded, read_bounded
+from .bounds import add_bounds, check_folder, open_bounded, read_bounded, reader_bounds
 from .meta import add_meta, metadata_of, with_entries
 from .shared import (
     UsageError,
@@ -83,7 +83,7 @@ def _decode(arguments: argparse.Namespace) -> int:
     if numbers and arguments.keep_going:
         raise UsageError("--chunks and --keep-going are not for one run: leave out the chunks that are damaged")
     with open_bounded(arguments) as source, progress_bar(arguments.progress) as progress:
-        reader = Reader(source, keep_ancillary=numbers is None)
+        reader = Reader(source, keep_ancillary=numbers is None, bounds=reader_bounds(arguments))
         index = reader.open(critical_only=numbers is not None, progress=progress).index
         try:
             check_numbers(numbers, len(index))
@@ -112,7 +112,7 @@ def _validate(arguments: argparse.Namespace) -> int:
     from ..bitstream.limits import PROFILES
 
     with open_bounded(arguments) as source:
-        reader = decoded(arguments, source)
+        reader = decoded(arguments, source, reader_bounds(arguments))
     for warning in (*metadata.warnings(reader.ancillary), *cameras.warnings(reader.ancillary)):
         note(f"warning: {printable(warning)}")
     h = reader.header
@@ -125,7 +125,7 @@ def _digest(arguments: argparse.Namespace) -> int:
 
     digest = StreamDigest()
     with open_bounded(arguments) as source:
-        reader = decoded(arguments, source, digest.add)
+        reader = decoded(arguments, source, reader_bounds(arguments), digest.add)
     whole, parts = digest.finish_parts(reader.scene([]))
     if arguments.parts:
         for name, value in {**parts, "whole": whole}.items():

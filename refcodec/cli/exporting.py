@@ -6,7 +6,6 @@
 from __future__ import annotations
 
 import argparse
-import os
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -134,7 +133,7 @@ def _export(arguments: argparse.Namespace) -> int:
             near = [agreement(view, each.splats, views.test, progress) for each in packed]
     except ValueError as error:
         raise UsageError(f"{arguments.file} cannot be exported: {error}") from None
-    source = "" if os.path.isdir(arguments.file) else f", {arguments.file} has {os.path.getsize(arguments.file):,}"
+    source = f", {arguments.file} has {len(shown):,}" if isinstance(shown, bytes) else ""
     for output, each, decibels in zip(outputs, packed, near, strict=True):
         write_file(output, each.data)
         say(

@@ -16,7 +16,7 @@ from ..bitstream.errors import BitstreamError
 from ..files.remote import is_url
 from ..files.terminal import say
 from ..files.text import printable
-from .bounds import add_bounds, open_bounded, read_bounded
+from .bounds import add_bounds, open_bounded, read_bounded, reader_bounds
 from .shared import UsageError, add_command, decoded, parse_file, reject
 
 if TYPE_CHECKING:
@@ -63,7 +63,7 @@ def _inspect(arguments: argparse.Namespace) -> int:
         try:
             if arguments.decode:
                 digest = StreamDigest()
-                found = digest.finish_parts(decoded(arguments, source, digest.add).scene([]))
+                found = digest.finish_parts(decoded(arguments, source, reader_bounds(arguments), digest.add).scene([]))
             else:
                 read_header(source)
         except BitstreamError as rejected:
@@ -99,7 +99,7 @@ def _inspect_page(arguments: argparse.Namespace) -> int:
             digest.add(scene)
             measures.add(scene)
 
-        scene = decoded(arguments, source, add).scene([])
+        scene = decoded(arguments, source, reader_bounds(arguments), add).scene([])
         measures.finish(scene)
         data = FileBytes(source)
         facts = summary.document(data, digest.finish_parts(scene))

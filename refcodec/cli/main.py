@@ -107,6 +107,12 @@ def _run(argv: list[str] | None) -> int:
     except BitstreamError as error:
         return reject(arguments.file, error)  # type: ignore[union-attr]
     except Exception as error:
+        bounds = sys.modules.get("refcodec.bitstream.bounds")
+        if bounds is not None and isinstance(error, bounds.BoundPassedError):
+            from .bounds import passed  # noqa: PLC0415
+
+            assert arguments is not None
+            raise passed(arguments, error) from None
         if not statuses.is_out_of_memory(error):
             raise
         return _report_memory(arguments)

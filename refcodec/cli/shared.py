@@ -7,13 +7,12 @@ from __future__ import annotations
 
 import argparse
 import contextlib
-import io
 import os
 import stat
 import sys
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, BinaryIO
+from typing import TYPE_CHECKING, Any
 
 from ..bitstream.errors import BitstreamError
 from ..files.outputs import HELP, Kind, check_apart, check_file
@@ -24,7 +23,9 @@ from ..statuses import UsageError
 
 if TYPE_CHECKING:
     from ..bitstream.batches import Progress
+    from ..bitstream.bounds import Bounds
     from ..bitstream.codec import Parsed
+    from ..bitstream.header import Header
     from ..bitstream.reader import Reader
     from ..bitstream.scene import Scene
     from ..bitstream.source import Source
@@ -33,8 +34,6 @@ if TYPE_CHECKING:
 
 # The most bytes of a file that is read whatever its header says.
 _WHOLE_FILE_MAX = (1 << 32) - 1
-# How many bytes are read at once of what does not tell its length.
-_BLOCK_BYTES = 1 << 20
 
 # The packages of the extra `render`.
 RENDER_PACKAGES = ("numba", "PIL", "skimage", "scipy")
@@ -53,56 +52,40 @@ exit status:
 # --- files ------------------------------------------------------------------------------------------------------------
 
 
-def read_file(path: str, check: Callable[[int], None] | None = None) -> bytes:
+def read_file(path: str, check: Callable[[Header], None]) -> bytes:
     """Returns the bytes of a file.
 
     A file of 4 GiB or more, or an endless one, is read only to one byte past the end that its header states. So the
-    verdict on it is that on the whole file. The same holds for a URL. check: told of that end before what lies behind
-    the header is read. Raises UsageError if the file cannot be read, and BitstreamError if the header of such a file is
-    wrong.
+    verdict on it is that on the whole file. The same holds for a URL. check: told of the header before what lies behind
+    it is read. Raises UsageError if the file cannot be read, and BitstreamError if the header of such a file is wrong.
     """
-    if is_url(path):
-        from ..bitstream.header import read_header
+    from ..bitstream.header import read_header
+    from ..bitstream.streaming import stated_bytes
 
+    if is_url(path):
         with RemoteFile(path) as remote:
-            end = read_header(remote).sections[-1].end
-            if check:
-                check(end)
-            return remote.read(0, end + 1)
+            header = read_header(remote)
+            check(header)
+            return remote.read(0, header.sections[-1].end + 1)
     try:
         with open(path, "rb") as file:
             status = os.fstat(file.fileno())
             if stat.S_ISREG(status.st_mode) and status.st_size <= _WHOLE_FILE_MAX:
                 return file.read()
-            return _stated(file, check)
+            return stated_bytes(file, check)
     except OSError as error:
         raise _unreadable(path, error) from None
 
 
-def _stated(file: BinaryIO, check: Callable[[int], None] | None = None) -> bytes:
-    """Returns the bytes of a file up to one past the end that its header states. check: as for read_file."""
-    from ..bitstream.header import read_header
-
-    beginning = _Beginning(file)
-    end = read_header(beginning).sections[-1].end
-    if check:
-        check(end)
-    # What the header states may be more than there is, and more than there is memory.
-    found = io.BytesIO(beginning.held)
-    left = end + 1 - found.seek(0, io.SEEK_END)
-    while left > 0 and (block := file.read(min(left, _BLOCK_BYTES))):
-        left -= found.write(block)
-    return found.getvalue()
-
-
 @contextlib.contextmanager
-def open_source(path: str) -> Iterator[Source]:
+def open_source(path: str, check: Callable[[Header], None]) -> Iterator[Source]:
     """Yields the bytes of a file, which are read as they are asked for, from any place.
 
-    The path may be a URL. What is no regular file, such as a pipe, is read as read_file. Raises UsageError if the file
-    cannot be read, also within the block, and BitstreamError as read_file.
+    The path may be a URL. What is no regular file, such as a pipe, is read as read_file, with check as there. Raises
+    UsageError if the file cannot be read, also within the block, and BitstreamError as read_file.
     """
     from ..bitstream.source import StoredFile, WholeFile
+    from ..bitstream.streaming import stated_bytes
 
     with contextlib.ExitStack() as opened:
         if is_url(path):
@@ -111,7 +94,7 @@ def open_source(path: str) -> Iterator[Source]:
         try:
             file = opened.enter_context(open(path, "rb"))
             regular = stat.S_ISREG(os.fstat(file.fileno()).st_mode)
-            source: Source = StoredFile(file) if regular else WholeFile(_stated(file))
+            source: Source = StoredFile(file) if regular else WholeFile(stated_bytes(file, check))
         except OSError as error:
             raise _unreadable(path, error) from None
         yield _Checked(source, path)
@@ -137,22 +120,6 @@ class _Checked:
 
 def _unreadable(path: str, error: OSError) -> UsageError:
     return UsageError(f"cannot read {path}: {error.strerror or error}")
-
-
-class _Beginning:
-    """The first bytes of a file, as far as they were asked for (source.Source). held: these bytes."""
-
-    def __init__(self, file: BinaryIO) -> None:
-        self._file, self.held = file, b""
-
-    def read(self, start: int, size: int) -> bytes:
-        """As Source.read."""
-        self.held += self._file.read(max(0, start + size - len(self.held)))
-        return self.held[start : start + size]
-
-    def length(self) -> int:
-        """As Source.length: it is asked for only at the end of the file."""
-        return len(self.held)
 
 
 def check_scene_output(
@@ -280,15 +247,21 @@ def parse_file(arguments: argparse.Namespace, data: bytes, keep_going: bool = Fa
         return parse(data, keep_going=keep_going, progress=progress)
 
 
-def decoded(arguments: argparse.Namespace, source: Source, told: Callable[[Scene], None] | None = None) -> Reader:
+def decoded(
+    arguments: argparse.Namespace,
+    source: Source,
+    bounds: Bounds | None,
+    told: Callable[[Scene], None] | None = None,
+) -> Reader:
     """Decodes and checks a whole file in bounded memory, and shows progress. Returns its reader.
 
-    told: gets the anchors in order, each time some of them as a scene. Raises BitstreamError.
+    bounds: what the caller allows. told: gets the anchors in order, each time some of them as a scene. Raises
+    BitstreamError and BoundPassedError.
     """
     from ..bitstream.reader import Reader
     from ..bitstream.streaming import pieces
 
-    reader = Reader(source)
+    reader = Reader(source, bounds=bounds)
     with progress_bar(arguments.progress) as progress:
         reader.open(progress=progress)
         for piece in pieces(reader, progress=progress):

@@ -24,6 +24,8 @@ HEAD_BYTES = 1 << 16
 # Seconds after which a server is given up that sends nothing, and that it may take beside the time of its bytes: all
 # answers together. It has to send this many bytes a second at least.
 TIMEOUT, TOTAL_TIMEOUT, BYTES_A_SECOND = 30.0, 300.0, 1 << 14
+# The bytes of memory that a file behind a URL may take, unless the caller says otherwise.
+MEMORY_MAX = 4 << 30
 _RANGE = "Content-Range"
 # RFC 9110, 8.8: what is another one if the file is.
 _VALIDATORS = ("ETag", "Last-Modified")

@@ -13,7 +13,7 @@ from .elements import Bytes, Outline, read_index
 
 # Chunks whose heads are looked at at once, and the most bytes in which they lie that are read at once.
 _BLOCK = 4096
-_SPAN_BYTES = 1 << 24
+SPAN_BYTES = 1 << 24
 
 
 def part_bytes(data: Bytes, outline: Outline, heads: bool = True) -> dict[str, int]:
@@ -67,7 +67,7 @@ def _chunk_bytes(data: Bytes, outline: Outline, start: int, end: int) -> dict[st
 def _heads(data: Bytes, starts: NDArray[np.int64]) -> NDArray[np.int64]:
     """Returns the lengths that the heads of some chunks state, int64 [chunks, 3]. starts: of the chunks, rising."""
     size = 4 * len(PARTS)
-    if len(starts) and starts[-1] + size - starts[0] <= _SPAN_BYTES:
+    if len(starts) and starts[-1] + size - starts[0] <= SPAN_BYTES:
         span = np.frombuffer(data[int(starts[0]) : int(starts[-1]) + size], np.uint8)
         found = span[(starts - starts[0])[:, None] + np.arange(size)].tobytes()
     else:

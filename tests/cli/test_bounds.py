@@ -3,24 +3,29 @@
 from __future__ import annotations
 
 import os
+import threading
 import tracemalloc
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 
+import refcodec
 from benchmarks.resident import measured
+from conformance.cases.checksums import lengthened
 from conformance.cases.scenes import MAIN_DIMENSIONS, random_scene
 from refcodec.bitstream import codec
 from refcodec.bitstream.attributes import Attributes
 from refcodec.bitstream.bounds import BoundPassedError, Bounds, memory_needed
 from refcodec.bitstream.errors import BitstreamError
 from refcodec.bitstream.reader import Reader, decode_chunk
-from refcodec.bitstream.source import Arriving, WholeFile
+from refcodec.bitstream.source import Arriving, StoredFile, WholeFile
 from refcodec.cli.bounds import PROGRAM, needed_memory
 from refcodec.cli.main import main
+from refcodec.files.remote import RemoteFile
 
 VECTORS = Path(__file__).resolve().parents[2] / "vectors"
 EXAMPLE = VECTORS / "tiny-example.c3gs"
@@ -59,6 +64,126 @@ def test_more_is_refused_before_any_work(
         assert bound[0] in said.err
         assert "no verdict" in said.err
     assert not (tmp_path / "out").exists()
+
+
+@pytest.fixture
+def no_large_read(monkeypatch: pytest.MonkeyPatch) -> None:
+    """No bytes are read that the bound does not allow."""
+    for kind in (StoredFile, RemoteFile):
+        read = kind.read
+
+        def checked(self: Any, start: int, size: int, read: Any = read) -> bytes:
+            assert size < BOUND
+            return bytes(read(self, start, size))
+
+        monkeypatch.setattr(kind, "read", checked)
+
+
+BOUND, CLAIM = 200 << 20, 1500 << 20
+
+
+@pytest.mark.usefixtures("no_large_read")
+@pytest.mark.parametrize("way", ["name", "pipe", "URL"])
+@pytest.mark.parametrize("kind", ["PLNS", "mETA", "DATA"])
+@pytest.mark.parametrize("command", COMMANDS, ids=lambda command: " ".join(command[:2]).split("/")[0])
+def test_long_parts_are_refused_before_they_are_read(
+    command: list[str], kind: str, way: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Sections, and chunks, which only the index tells."""
+    if command[0] in ("render", "eval", "export"):
+        pytest.importorskip("numba")
+        pytest.importorskip("torch")
+    head, size = lengthened(EXAMPLE.read_bytes(), kind.encode(), CLAIM)
+    file, name = tmp_path / "a.c3gs", str(tmp_path / "a.c3gs")
+    writer = None
+    if way == "pipe":
+        os.mkfifo(file)
+        writer = threading.Thread(target=file.write_bytes, args=(head,))
+        writer.start()
+    else:
+        file.write_bytes(head)
+        os.truncate(file, size)
+        if way == "URL":
+            pytest.importorskip("fsspec")
+            name = f"file://{name}"
+    arguments = words(command, Path("FILE"), tmp_path / "out")
+    status = main([*(name if word == "FILE" else word for word in arguments), "--max-memory", str(BOUND)])
+    if writer:
+        writer.join()
+    said = capsys.readouterr()
+    # Without --decode, inspect reads no chunk of a file that it reads by parts.
+    if command == ["inspect"] and kind == "DATA" and way != "pipe":
+        assert status == 0
+        return
+    assert status == 64
+    assert len(said.err.splitlines()) == 1
+    assert f"--max-memory is {BOUND}" in said.err
+    assert "no verdict" in said.err
+
+
+@pytest.mark.usefixtures("no_large_read")
+@pytest.mark.parametrize("way", ["name", "pipe", "URL"])
+@pytest.mark.parametrize("kind", ["PLNS", "DATA"])
+def test_long_parts_are_refused_in_python(kind: str, way: str, tmp_path: Path) -> None:
+    head, size = lengthened(EXAMPLE.read_bytes(), kind.encode(), CLAIM)
+    file = tmp_path / "a.c3gs"
+    place = str(file)
+    if way == "pipe":
+        os.mkfifo(file)
+        writer = threading.Thread(target=file.write_bytes, args=(head,))
+        writer.start()
+        with pytest.raises(BoundPassedError, match="memory"):
+            refcodec.open(place, max_memory=BOUND)
+        writer.join()
+        return
+    file.write_bytes(head)
+    os.truncate(file, size)
+    if way == "URL":
+        pytest.importorskip("fsspec")
+        place = f"file://{place}"
+    with refcodec.open(place, max_memory=BOUND) as opened:
+        for use in (lambda: list(opened), lambda: list(opened.chunks(range(2))), opened.decode):
+            with pytest.raises(BoundPassedError, match="memory"):
+                use()
+        assert sum(opened.sizes.values()) == size
+    with pytest.raises(BoundPassedError, match="memory"):
+        refcodec.decode(place, max_memory=BOUND)
+    with pytest.raises(BoundPassedError, match="memory"):
+        decode_chunk(StoredFile(file.open("rb")), 1, bounds=Bounds(memory=BOUND))
+
+
+def test_tables_of_a_file_are_within_the_bounds() -> None:
+    """What shows a file reads its metadata and its index."""
+    with refcodec.open(EXAMPLE, max_memory=100) as opened:
+        for show in (lambda: opened.sizes, lambda: opened.metadata, lambda: opened.cameras, opened._repr_html_):
+            with pytest.raises(BoundPassedError, match="memory"):
+                show()
+
+
+def test_a_url_has_a_bound_unless_the_caller_gives_one(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    pytest.importorskip("fsspec")
+    (tmp_path / "a.c3gs").write_bytes(EXAMPLE.read_bytes())
+    url = f"file://{tmp_path}/a.c3gs"
+    monkeypatch.setattr("refcodec.cli.bounds.MEMORY_MAX", 1 << 20)
+    monkeypatch.setattr("refcodec.api.opening.MEMORY_MAX", 1 << 10)
+    for command in COMMANDS[:6]:
+        name, _, *options = words(command, EXAMPLE, tmp_path / "out")
+        assert main([name, url, *options]) == 64
+        assert "--max-memory is 1048576 for a URL, unless you give it" in capsys.readouterr().err
+    assert main(["validate", url, "--max-memory", "100M"]) == 0
+    with pytest.raises(BoundPassedError):
+        refcodec.decode(url)
+    assert refcodec.decode(url, max_memory=100 << 20).anchor_count == 5
+
+
+def test_a_pipe_from_python(tmp_path: Path) -> None:
+    os.mkfifo(tmp_path / "pipe")
+    writer = threading.Thread(target=(tmp_path / "pipe").write_bytes, args=(EXAMPLE.read_bytes(),))
+    writer.start()
+    assert refcodec.decode(tmp_path / "pipe").anchor_count == 5
+    writer.join()
 
 
 def test_what_is_within_the_bounds_is_done(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
