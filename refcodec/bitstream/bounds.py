@@ -71,7 +71,7 @@ class Bounds:
 def all_work(header: Header) -> int:
     """SPEC 13.1: returns the units of work that decoding takes at most, those of weights, positions and masks too."""
     d, n = header.dimensions, header.anchor_count
-    return work(d, n) + 32 * weight_count(d) + 16 * n * (2 * CELL_LEVELS + d.offset_count)
+    return work(d, n) + 96 * weight_count(d) + 16 * n * (2 * CELL_LEVELS + d.offset_count)
 
 
 def memory_needed(header: Header, at_once: int, held: int = 0, more: int = 0) -> int:

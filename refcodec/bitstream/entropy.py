@@ -324,22 +324,26 @@ class Decoder:
             self.raw_at += total
         return low
 
-    def _escape(self, stream: int) -> tuple[int, int]:
-        """SPEC 8.7: reads one escape of a substream. Returns (sign bit, n - 1)."""
-        at = int(min(self.raw_at[stream], self.raw_end[stream]) + self.raw_base[stream])
-        window = int.from_bytes(self.raw[at >> 3 : (at >> 3) + 8], "little") >> (at & 7)
-        sign = window & 1
-        window >>= 1
-        prefix = 0
-        while prefix <= ESCAPE_PREFIX_MAX and not (window >> prefix) & 1:
-            prefix += 1
-        if prefix > ESCAPE_PREFIX_MAX:
-            self.bad_escape[stream] = True
-            self.raw_at[stream] += 1 + prefix
-            return sign, 0
-        low = (window >> (prefix + 1)) & ((1 << prefix) - 1)
-        self.raw_at[stream] += 2 + 2 * prefix
-        return sign, (1 << prefix) + low - 1
+    def _escapes(self, streams: list[int]) -> Int64:
+        """SPEC 8.7: reads escapes and returns n of each, negative if the sign bit is set. streams: that of each."""
+        raw, found = self.raw, []
+        at, end, base = self.raw_at.tolist(), self.raw_end.tolist(), self.raw_base.tolist()
+        for stream in streams:
+            bit = min(at[stream], end[stream]) + base[stream]
+            window = int.from_bytes(raw[bit >> 3 : (bit >> 3) + 8], "little") >> (bit & 7)
+            after = window >> 1 & ((2 << ESCAPE_PREFIX_MAX) - 1)
+            if after:
+                # The lowest bit that is set ends the prefix.
+                prefix = (after & -after).bit_length() - 1
+                n = (1 << prefix) + (window >> (prefix + 2) & ((1 << prefix) - 1))
+                at[stream] += 2 + 2 * prefix
+            else:
+                n = 1
+                self.bad_escape[stream] = True
+                at[stream] += 2 + ESCAPE_PREFIX_MAX
+            found.append(-n if window & 1 else n)
+        self.raw_at[:] = at
+        return np.array(found, dtype=np.int64)
 
     def values(
         self,
@@ -358,11 +362,11 @@ class Decoder:
         radius = models.radius.take(model)
         high = centre + j - radius
         low = self._raw(raw, layout)
-        for i in np.flatnonzero(j == 2 * radius + 1).tolist():
+        escaped = np.flatnonzero(j == 2 * radius + 1)
+        if escaped.size:
             # Several substreams can have the same start. All of them but the last are empty.
-            sign, excess = self._escape(int(np.searchsorted(layout.starts, i, side="right")) - 1)
-            away = int(radius[i]) + 1 + excess
-            high[i] = centre[i] + (-away if sign else away)
+            n = self._escapes((np.searchsorted(layout.starts, escaped, side="right") - 1).tolist())
+            high[escaped] = centre[escaped] + n + np.sign(n) * radius[escaped]
         value = (high << raw) + low
         outside = np.flatnonzero(np.abs(value) > limit)
         if outside.size:

@@ -1,0 +1,279 @@
+"""The worst files that are known for each step of decoding, by each decoder: seconds and memory beside SPEC.md 13.1."""
+
+from __future__ import annotations
+
+import argparse
+import os
+import shutil
+import subprocess
+import sys
+import tempfile
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+from conformance.cases.checksums import repair
+from conformance.cases.target import Target
+from refcodec.bitstream import codec
+from refcodec.bitstream.attributes import Attributes
+from refcodec.bitstream.batches import GROUP_ANCHORS
+from refcodec.bitstream.bounds import all_work
+from refcodec.bitstream.dimensions import Dimensions, mask_contexts, weight_count
+from refcodec.bitstream.frame import Frame
+from refcodec.bitstream.header import Header, Lanes, PositionGrid, RenderInfo
+from refcodec.bitstream.limits import MAIN
+from refcodec.bitstream.positions import EMPTY_MODELS, HALVES, POSITION_MODELS, PositionModel, cell_positions
+from refcodec.bitstream.scene import Scene
+from refcodec.bitstream.tables import STEP_LENGTH, TOTAL, tables_file
+from refcodec.encoder.weights import weight_scales
+from refcodec.native.library import PATH_VARIABLE, THREADS_VARIABLE
+
+from .compiled import compiled
+from .resident import ROOT
+from .results import machine, mib, table, write_section
+
+SMALL = ROOT / "vectors" / "tiny-example.c3gs"
+# Runs SPEC.md's blocks on a file.
+BLOCKS = """
+import sys
+from pathlib import Path
+from conformance import blocks
+blocks.decode(blocks.blocks(Path("SPEC.md").read_text()), Path(sys.argv[1]).read_bytes())
+"""
+# Runs a command, and prints its exit status, the seconds of a processor, and its memory in KiB. It is small, since what
+# getrusage says of a process is not less than what the one took that started it.
+LAUNCHER = """
+import os, sys
+null = [(os.POSIX_SPAWN_OPEN, number, os.devnull, os.O_WRONLY, 0) for number in (1, 2)]
+process = os.posix_spawnp(sys.argv[1], sys.argv[1:], os.environ, file_actions=null)
+_, status, usage = os.wait4(process, 0)
+print(os.waitstatus_to_exitcode(status), usage.ru_utime + usage.ru_stime, usage.ru_maxrss)
+"""
+# A run of so many seconds is measured once.
+LONG = 2.0
+FRAME = Frame(
+    np.eye(3, dtype=np.int64), np.zeros(3, np.int64), np.zeros(3, np.int64), np.full(3, -1 << 17), np.full(3, 1 << 17)
+)
+# SPEC 8.5: the scale index of the narrowest models, so that a symbol of 0 takes next to no bits.
+NARROW = -40
+
+
+def _positions(count: int) -> np.ndarray:
+    """Returns positions in the order of their cells, float16 [count, 3]."""
+    code = np.arange(count)
+    cell = np.zeros((count, 3), np.int64)
+    for bit in range(16):
+        for axis in range(3):
+            cell[:, axis] |= (code >> (3 * bit + axis) & 1) << bit
+    return cell_positions(cell + (1 << 15), 24)[0]
+
+
+def _position_model() -> PositionModel:
+    """Returns a model that codes full trees in next to no bits."""
+    frequency = np.ones((POSITION_MODELS, HALVES), np.uint16)
+    frequency[list(EMPTY_MODELS), 0] = 0
+    for model in range(POSITION_MODELS):
+        # A full node has the symbol 15 twice. In its first model no child is named, or the last one.
+        likely = {0: 15, 5: 15}.get(model % 6, 1)
+        frequency[model, likely] += TOTAL - int(frequency[model].sum())
+    return PositionModel(24, frequency)
+
+
+def scene(d: Dimensions, anchors: int, *, kept: bool = True, symbol: int = 0) -> Scene:
+    """Returns a scene with one lane, chunks of 16,384 anchors, and symbols that take next to no bits.
+
+    kept: whether offsets have symbols. symbol: of all attributes.
+    """
+    networks = {
+        name: [(np.zeros(shape, np.float32), np.zeros(shape[0], np.float32)) for shape in shapes]
+        for name, shapes in d.network_shapes().items()
+    }
+    width, size = d.attribute_width, d.plane_size
+    networks["hyper"][-1][1][width : 2 * width] = NARROW
+    networks["hyper"][-1][1][2 * width :] = STEP_LENGTH // 2
+    if d.plane_channels:
+        networks["sarm"][-1][1][1] = NARROW
+    masks = np.full((anchors, d.offset_count), kept)
+    model = np.full(mask_contexts(d.offset_count), TOTAL - 1 if kept else 1, np.uint16)
+    # SPEC [R6.10-5]: a chunk has a byte for each 16 of its anchors, so the first mask of each anchor takes half a bit.
+    model[0] = round(TOTAL * (0.7 if kept else 0.3))
+    offsets = np.where(masks[:, :, None], symbol, 0).repeat(3, axis=2).astype(np.int32)
+    return Scene(
+        MAIN,
+        d,
+        16384,
+        Lanes(0, 0, 0),
+        (1.0, 0.03125, 0.125),
+        PositionGrid(),
+        RenderInfo(),
+        FRAME if d.has_frame else None,
+        0,
+        np.zeros(d.carm_inputs, np.uint8),
+        networks,
+        np.zeros((5, d.plane_channels, size, size), np.int16),
+        model,
+        np.concatenate([np.zeros((0, 3), np.float16), *(_positions(len(c)) for c in _chunks(anchors))]),
+        masks,
+        Attributes(
+            np.full((anchors, d.features), symbol, np.int32),
+            np.full((anchors, 6), symbol, np.int32),
+            offsets,
+            np.full((anchors, 3), STEP_LENGTH // 2, np.uint8),
+        ),
+        position_model=_position_model(),
+        weight_scales=weight_scales(networks),
+    )
+
+
+def _chunks(anchors: int) -> list[range]:
+    return [range(first, min(first + 16384, anchors)) for first in range(0, anchors, 16384)]
+
+
+def _weights(d: Dimensions) -> Scene:
+    """Returns a scene of no anchors, whose weights take next to no bits."""
+    made = scene(d, 0)
+    networks = {n: [(np.zeros_like(w), np.zeros_like(b)) for w, b in layers] for n, layers in made.networks.items()}
+    return replace(made, networks=networks, weight_scales=np.zeros_like(made.weight_scales))
+
+
+WIDE = Dimensions(16, (64, 64), 0, 0, 0, (), (), (), 1)
+FEW = Dimensions(16, (1,), 0, 0, 0, (), (), (), 1)
+# Of each step: a substream whose CRC-32 is made wrong, and the scene, large and small.
+CASES: dict[str, tuple[str, Callable[[bool], Scene]]] = {
+    "planes, one lane": (
+        "planes.r1",
+        lambda large: scene(Dimensions(1, (1,), 16 if large else 2, 0, 256 if large else 128, (), (1,), (), 1), 0),
+    ),
+    "weights, one lane": (
+        "weights",
+        lambda large: _weights(
+            Dimensions(16, (8,) * 16, 16, 16, 2, (128, 128), (32, 32), (128, 128), 128)
+            if large
+            else Dimensions(8, (8,) * 4, 4, 4, 2, (64,), (16,), (64,), 64)
+        ),
+    ),
+    "positions and masks, one lane": ("masks[chunk 0]", lambda large: scene(FEW, 65536 if large else 4096, kept=False)),
+    "attributes, one lane": ("attributes[chunk 0]", lambda large: scene(WIDE, 65536 if large else 1024)),
+    "attributes, escapes": ("attributes[chunk 0]", lambda large: scene(WIDE, 2048 if large else 1024, symbol=5)),
+}
+
+
+def files(large: bool) -> dict[str, bytes]:
+    """Returns the worst file of each step that is accepted, and one that is refused for its last check."""
+    found = {}
+    for name, (path, make) in CASES.items():
+        data = codec.emit(make(large))
+        at = Target(data).substreams[path].start
+        found[f"{name}, valid"] = data
+        found[f"{name}, rejected"] = repair(data[:at] + bytes([data[at] ^ 1]) + data[at + 1 :])
+    return found
+
+
+def memory_bound(header: Header, size: int) -> int:
+    """[D13.1-1]: returns 4 m + 64 MiB of a decoder that has at most 65,536 anchors at once. size: of the file."""
+    d, n = header.dimensions, min(header.anchor_count, GROUP_ANCHORS)
+    width, inputs = d.attribute_width, 2 * d.plane_channels + 2 * d.frequency_count
+    stages = [
+        65552,
+        6 * weight_count(d),
+        10 * d.plane_channels * d.plane_size**2,
+        28 * header.chunk_count,
+        n * (4 * (2 * width + 3) + 4 * width + 2 * inputs + d.offset_count + 6),
+        n * (12 + d.offset_count + 4 * width),
+        size,
+    ]
+    return 4 * sum(stages) + (64 << 20)
+
+
+def paths() -> dict[str, tuple[list[str], dict[str, str]]]:
+    """Returns the command of each decoder, with what its environment has, for a file and an output."""
+    refcodec = [sys.executable, "-m", "refcodec", "validate", "FILE"]
+    decoder = compiled(ROOT / "conformance" / "c" / "decoder.c", ["-std=c11", "-O2"])
+    found = {
+        "kernel": (refcodec, {PATH_VARIABLE: "native", THREADS_VARIABLE: "1"}),
+        "NumPy": (refcodec, {PATH_VARIABLE: "numpy"}),
+        "C": ([str(decoder), "digest", "FILE"], {"C3GS_TABLES": str(tables_file())}),
+    }
+    if shutil.which("node"):
+        found["WebAssembly"] = (["node", str(ROOT / "refcodec" / "web" / "cli.js"), "decode", "FILE", "OUT"], {})
+    return found
+
+
+def run(command: list[str], environment: dict[str, str], file: Path) -> tuple[float, int]:
+    """Returns the seconds of a processor that a command takes for a file, and the most bytes of its memory."""
+    with tempfile.TemporaryDirectory() as folder:
+        words = [{"FILE": str(file), "OUT": str(Path(folder, "out"))}.get(word, word) for word in command]
+        done = subprocess.run(
+            [sys.executable, "-c", LAUNCHER, *words],
+            cwd=ROOT,
+            env={**os.environ, **environment},
+            capture_output=True,
+            text=True,
+            check=True,
+        )
+    status, seconds, peak = done.stdout.split()
+    if int(status) not in (0, 1):
+        raise RuntimeError(f"{' '.join(words)} ends with status {status}")
+    return float(seconds), int(peak) << 10
+
+
+def least(command: list[str], environment: dict[str, str], file: Path) -> tuple[float, int]:
+    """Returns the least of three runs, or the first if it takes long."""
+    first = run(command, environment, file)
+    if first[0] > LONG:
+        return first
+    return min(first, *(run(command, environment, file) for _ in range(2)))
+
+
+def section() -> list[str]:
+    """Returns the lines of the section."""
+    rows, worst = [], dict[str, float]()
+    decoders = {name: (True, *command) for name, command in paths().items()}
+    decoders["blocks of SPEC.md"] = (False, [sys.executable, "-c", BLOCKS, "FILE"], {})
+    with tempfile.TemporaryDirectory() as folder:
+        for large in (True, False):
+            made = files(large)
+            for path, (own, command, environment) in decoders.items():
+                if own != large:
+                    continue
+                started, small = least(command, environment, SMALL)
+                for name, data in made.items():
+                    file = Path(folder, "file.c3gs")
+                    file.write_bytes(data)
+                    header = codec.parse_container(data)
+                    seconds, peak = least(command, environment, file)
+                    units = all_work(header) / 1e9
+                    each = max(seconds - started, 0) / units
+                    worst[path] = max(worst.get(path, 0), each)
+                    bound = memory_bound(header, len(data))
+                    cells = [f"{units:.4f}", f"{seconds:.2f}", f"{each:.2f}", mib(max(peak - small, 0)), mib(bound)]
+                    rows.append([path, name, f"{len(data):,}", *cells])
+                    print(*rows[-1], sep=" | ", file=sys.stderr, flush=True)
+    return [
+        "`python -m benchmarks.worst`",
+        "",
+        machine(),
+        "",
+        *table(
+            ["decoder", "file", "bytes", "10^9 units", "seconds", "seconds for 10^9 units", "MiB", "allowed MiB"], rows
+        ),
+        "",
+        *table(["decoder", "most seconds for 10^9 units"], [[path, f"{each:.1f}"] for path, each in worst.items()]),
+        "",
+        "Seconds: of a processor, of the whole process with one thread, the least of three. Seconds for 10^9 units",
+        "(SPEC.md 13.1) and MiB: beside those of the same process with a file of 5 anchors. Allowed: 4 m + 64 MiB of",
+        "[D13.1-1]. A rejected file has a wrong CRC-32 of symbols in the step that is named. SPEC.md's blocks decode",
+        "smaller files.",
+    ]
+
+
+def main() -> None:
+    """Command line."""
+    argparse.ArgumentParser(description=__doc__).parse_args()
+    write_section("worst", "The worst files of each step", section())
+
+
+if __name__ == "__main__":
+    main()
