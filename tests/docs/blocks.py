@@ -4,7 +4,7 @@ A comment above each block of a shell, Python or JavaScript says what the tests 
 
     <!-- run -->                    it is run, and must succeed
     <!-- run: it exits with 1 -->   it is run, and its last command must exit with this status
-    <!-- run: needs cc -->          it is run if there is such a program
+    <!-- run: needs cc -->          it is run if there is such a program, or package of Python
     <!-- run: trains -->            it is run, with trainings of some steps; the test is a slow one
     <!-- not run: WHY -->           it is not run
 
@@ -19,6 +19,7 @@ import shutil
 import subprocess
 import sys
 from dataclasses import dataclass, replace
+from importlib.util import find_spec
 from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -61,7 +62,7 @@ class Block:
 
     @property
     def needs(self) -> str | None:
-        """The program that it needs."""
+        """The program or the package of Python that it needs."""
         stated = re.fullmatch(r"run: needs (\S+)", self.mark)
         return stated[1] if stated else None
 
@@ -82,9 +83,14 @@ def blocks(page: Path) -> list[Block]:
     ]
 
 
+def _is_there(name: str) -> bool:
+    """Whether there is a program or a package of Python with this name."""
+    return shutil.which(name) is not None or find_spec(name) is not None
+
+
 def runnable(page: Path) -> list[Block]:
     """Returns the blocks of a page that are run, in order. Those of Python are one program, which is run at the end."""
-    wanted = [block for block in blocks(page) if block.runs and not (block.needs and shutil.which(block.needs) is None)]
+    wanted = [block for block in blocks(page) if block.runs and (block.needs is None or _is_there(block.needs))]
     programs = [block for block in wanted if block.language == "python"]
     found = [block for block in wanted if block.language != "python"]
     if programs:

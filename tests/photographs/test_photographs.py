@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import contextlib
+import inspect
 import json
+import re
 import shutil
 import struct
 import subprocess
@@ -22,7 +24,7 @@ from PIL import Image
 from plyfile import PlyData, PlyElement
 from scipy.spatial.transform import Rotation
 
-from refcodec.photographs import images, lens, transforms
+from refcodec.photographs import colmap, images, lens, transforms
 from refcodec.photographs.cameras import Camera, PhotographError, quaternion_rotation
 from refcodec.photographs.photographs import parse_background, parse_size, read_photographs
 
@@ -1054,3 +1056,13 @@ def test_reducing_tool(text, tmp_path):
     assert gone.returncode == 1
     assert "there is no such folder" in gone.stderr
     assert "Traceback" not in gone.stderr
+
+
+def test_the_manual_lists_the_lenses_that_are_read() -> None:
+    """With their parameters, in their order; NeRF's format has the same ones."""
+    page = (ROOT / "docs" / "photographs.md").read_text(encoding="utf-8")
+    rows = re.findall(r"^\| `([A-Z_]+)` \| ([\w, ]+) \|$", page, re.MULTILINE)
+    read = {name: list(inspect.signature(make).parameters) for name, (_, make) in colmap.MODELS.items()}
+    assert {name: parameters.split(", ") for name, parameters in rows} == read
+    assert tuple(read) == transforms.MODELS
+    assert len(rows) == len(read)
