@@ -17,6 +17,7 @@ from pathlib import Path
 from types import FrameType
 from typing import Any
 
+from .. import statuses
 from ..files.documents import DocumentError, read_json
 from ..files.interrupts import on_interrupt
 from ..files.present import NotAFileError, is_there
@@ -320,9 +321,25 @@ class Runner:
             return True
         if self._stopped:
             return False
+        if resume and status == statuses.USAGE:
+            return self._anew(command)
         # One that fails ends the others, which keep what they have.
         self.stop(signal.SIGINT)
         raise RunError("\n".join([f"this command failed: {command}", *last]), status if status > 0 else os.EX_SOFTWARE)
+
+    def _anew(self, command: Command) -> bool:
+        """_one without the saved state, which the command may have refused. It is kept until it is of no use."""
+        assert command.state is not None
+        aside = command.state.with_name(f"{command.state.name}.refused")
+        command.state.replace(aside)
+        self.show(command.subject, f"{command.arguments[0]}: cannot go on, and begins anew")
+        try:
+            return self._one(command)
+        finally:
+            if has(command.state) or self.notes.is_done(command):
+                aside.unlink()
+            else:
+                aside.replace(command.state)
 
 
 def _send(process: subprocess.Popen[str], number: int) -> None:

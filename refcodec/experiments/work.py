@@ -120,14 +120,7 @@ def _run(task: Task, held: IO[str], wanted: Wanted) -> None:
         runner = Runner(notes, show, 1, (held.fileno(),))
         with _watched(runner, wanted):
             for command in task.commands:
-                resumed = notes.can_resume(command)
-                try:
-                    runner.chain([command])
-                except RunError as error:
-                    # A saved state that the training does not take would be refused again at every call.
-                    if resumed and error.status == statuses.USAGE and command.state:
-                        command.state.unlink(missing_ok=True)
-                    raise
+                runner.chain([command])
                 if not notes.is_done(command):
                     raise _InterruptedError
     result = {"format": FORMAT, "hash": hash_of(task.definition), **_result(task, notes)}

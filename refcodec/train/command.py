@@ -85,8 +85,7 @@ def train(
     logging = Logging(log, trainer.looks.history) if log else lambda rows: None
     with shown(trainer, progress, logging) as watch:
         whole = trainer.run(watch, keep)
-    if whole and keep_state:
-        keep()
+    # The result takes what has not begun yet as begun, so that no state of it could be gone on from.
     result = trainer.result()
     if up_axis is not None:
         result = replace(result, render=replace(result.render, up_axis=up_axis))
@@ -102,7 +101,7 @@ def train(
             write_folder(result, folder)
         write_file(folder / REPORT_FILE, said.encode())
 
-    write_somewhere(write, output, keep.path, keep)
+    write_somewhere(write, output, keep.path)
     if whole and not keep_state:
         keep.discard()
     return Trained(trainer, whole, told)

@@ -8,6 +8,7 @@ planes (A-RDO).
 from __future__ import annotations
 
 import math
+import threading
 import time
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -32,6 +33,7 @@ from ..encoder.positions import choose_grid
 from ..encoder.quantise import carm_shifts, order_anchors, quantise, varying
 from ..encoder.quantise import symbols as to_symbols
 from ..encoder.sizes import choose_plane_size, choose_slices, choose_width
+from ..files.interrupts import on_interrupt
 from .entropy.columns import Columns
 from .entropy.hyperprior import VectorMatrix, contexts_of
 from .entropy.model import SARM_WIDTH, RateModel
@@ -238,23 +240,21 @@ class _Fitting:
         self.history: list[tuple[int, float, float]] = []
 
     def run(self, progress: Progress | None, state: Path | None) -> None:
-        """Trains to the end, or until an interrupt."""
+        """Trains to the end, or until an interrupt, after which the step at hand is still finished."""
         if state is not None and is_saved(state):
             restore(self, state)
         saved, steps = time.monotonic(), self.settings.steps
         keep = Keeper(self, state) if state is not None else None
-        try:
-            while self.done < steps:
+        stop = threading.Event()
+        with on_interrupt(lambda *_: stop.set()):
+            while self.done < steps and not stop.is_set():
                 self._step()
                 if progress:
                     progress("fit", self.done, steps)
                 late = time.monotonic() - saved > self.settings.save_seconds
-                if keep is not None and (late or self.done == steps):
+                if keep is not None and (late or stop.is_set() or self.done == steps):
                     keep()
                     saved = time.monotonic()
-        except KeyboardInterrupt:
-            if keep is not None:
-                keep()
 
     def _step(self) -> None:
         settings, model = self.settings, self.model

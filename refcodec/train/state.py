@@ -27,7 +27,7 @@ from ..files.terminal import note
 from ..files.text import printable
 from .settings_file import differences
 
-FORMAT, VERSION = "C3GS training state", "2"
+FORMAT, VERSION = "C3GS training state", "3"
 # The most characters that a message repeats of a value.
 _SHOWN = 60
 
@@ -303,7 +303,8 @@ def _read(path: Path) -> tuple[dict[str, Any], Saved]:
     try:
         with safe_open(path, "pt") as file:
             notes = file.metadata() or {}
-            tensors = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118 (not a dictionary)
+            # A tensor of safetensors is a view of the file, whose bytes may be others after they were checked.
+            tensors = {name: file.get_tensor(name).clone() for name in file.keys()}  # noqa: SIM118 (not a dictionary)
     except (SafetensorError, OSError, KeyError, TypeError, ValueError) as error:
         raise _refused(path, f"it cannot be read ({_reason(error)})") from None
     if notes.get("format") != FORMAT or notes.get("version") != VERSION:
@@ -323,13 +324,11 @@ def _read(path: Path) -> tuple[dict[str, Any], Saved]:
 # --- results ----------------------------------------------------------------------------------------------------------
 
 
-def write_somewhere(
-    write: Callable[[Path], None], output: Path, state: Path, keep: Callable[[], None] | None = None
-) -> None:
+def write_somewhere(write: Callable[[Path], None], output: Path, state: Path) -> None:
     """Writes what a training has learnt, and in a second place if it cannot be written where it should be.
 
-    write: gets the folder to write to. state: the saved state. keep: saves it, or None if it is saved already. Raises
-    OSError with the reason and the place where the result is, or where the state is.
+    write: gets the folder to write to. state: where the training is saved. Raises OSError with the reason and the place
+    where the result is, or where the state is.
     """
     try:
         write(output)
@@ -339,8 +338,6 @@ def write_somewhere(
             second = Path(tempfile.mkdtemp(prefix="refcodec-")) / output.name
             write(second)
         except OSError as other:
-            if keep is not None:
-                keep()
             nor = f"{problem}, nor among the temporary files ({other.strerror or other})"
             left = _kept(state, f"the same command with --resume goes on from {state}", "no state could be saved")
             raise OSError(error.errno, f"{nor}; {left}", str(output)) from None

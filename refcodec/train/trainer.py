@@ -166,8 +166,8 @@ class Trainer:
 
         An interrupt is one of the signals of files.interrupts, such as Ctrl-C.
 
-        watch: is told of each step. save: is called now and then, and when training ends early. Returns whether it came
-        to the end.
+        watch: is told of each step. save: is called now and then, and after the last step. Returns whether it came to
+        the end.
         """
         stop = threading.Event()
         saved = time.monotonic()
@@ -176,7 +176,8 @@ class Trainer:
                 self.step()
                 self.looks.look()
                 watch(self)
-                if save and (stop.is_set() or time.monotonic() - saved > self.settings.looks.save_seconds):
+                late = time.monotonic() - saved > self.settings.looks.save_seconds
+                if save and (late or stop.is_set() or self.clock.done == self.clock.steps):
                     save()
                     saved = time.monotonic()
         return self.clock.done == self.clock.steps

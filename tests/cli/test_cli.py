@@ -679,7 +679,7 @@ def test_fit_is_interrupted_and_resumed(points, tmp_path, monkeypatch, capsys):
         def stop(stage, step, steps):
             progress(stage, step, steps)
             if step == 2:
-                raise KeyboardInterrupt
+                signal.raise_signal(signal.SIGINT)
 
         return real(*arguments, progress=stop, **options)
 

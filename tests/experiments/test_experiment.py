@@ -261,8 +261,8 @@ def test_killed(place: Path, call: Call, monkeypatch: pytest.MonkeyPatch) -> Non
     assert steps(place, NAMES[0])[-1] == 400
 
 
-def test_a_state_that_is_refused_is_removed(place: Path, call: Call, monkeypatch: pytest.MonkeyPatch) -> None:
-    """A training that does not take its saved state begins anew at the next call."""
+def test_a_state_that_is_refused(place: Path, call: Call, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A training that does not take its saved state begins anew at once. The state is kept if that fails, too."""
     only = ("--only", NAMES[0])
     monkeypatch.setenv("FAKE_FAIL", "0.01")
     assert call(*only)[0] == 70
@@ -272,14 +272,18 @@ def test_a_state_that_is_refused_is_removed(place: Path, call: Call, monkeypatch
     # The cell's own lines say whether it went on.
     assert call(*only)[0] == 0
     assert steps(place, NAMES[0]) == [2]
-    refuse = "import sys; sys.exit(64 if '--resume' in sys.argv else 70)"
+    real, refuse = runs.PROGRAM, "import sys; '--resume' in sys.argv and sys.exit(64); "
     change(place, "steps = 2", "steps = 3")
-    monkeypatch.setattr(runs, "PROGRAM", (sys.executable, "-c", refuse))
+    monkeypatch.setattr(runs, "PROGRAM", (sys.executable, "-c", f"{refuse}sys.exit(70)"))
     assert call(*only)[0] == 70
     state.write_text("1")
-    assert call(*only)[0] == 64
-    assert not state.exists()
     assert call(*only)[0] == 70
+    assert state.read_text() == "1"
+    others = f"import subprocess; sys.exit(subprocess.call([*{real!r}, *sys.argv[1:]]))"
+    monkeypatch.setattr(runs, "PROGRAM", (sys.executable, "-c", f"{refuse}{others}"))
+    assert call(*only)[0] == 0
+    assert steps(place, NAMES[0])[-3:] == [1, 2, 3]
+    assert [path.name for path in state.parent.iterdir() if "state" in path.name] == []
 
 
 # --- engines ----------------------------------------------------------------------------------------------------------

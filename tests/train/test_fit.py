@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import signal
 import struct
 import subprocess
 import sys
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -38,6 +40,7 @@ from refcodec.train import fit, voxelise  # noqa: E402
 from refcodec.train.entropy.bits import gauss_bits, laplace_bits  # noqa: E402
 from refcodec.train.entropy.folded import FoldedMlp  # noqa: E402
 from refcodec.train.entropy.hyperprior import VectorMatrix  # noqa: E402
+from refcodec.train.entropy.model import RateModel  # noqa: E402
 from refcodec.train.fit_input import Given, read_given  # noqa: E402
 from refcodec.train.settings import EntropySettings, FitSettings, TrainSettings  # noqa: E402
 from refcodec.train.settings_file import varied  # noqa: E402
@@ -287,7 +290,7 @@ def test_a_training_that_was_stopped_goes_on_to_the_same_result(cloud: AnchorClo
     def stop(stage: str, done: int, total: int) -> None:
         assert (stage, total) == ("fit", 12)
         if done == 5:
-            raise KeyboardInterrupt
+            signal.raise_signal(signal.SIGINT)
 
     state = tmp_path / "new" / "folder" / "state"
     stopped = fit.fit(given, settings, progress=stop, state=state)
@@ -300,6 +303,25 @@ def test_a_training_that_was_stopped_goes_on_to_the_same_result(cloud: AnchorClo
     state.write_bytes(b"\x80\x04N.")  # a pickle is not read
     with pytest.raises(ValueError, match="cannot be read"):
         fit.fit(given, settings, state=state)
+
+
+def test_an_interrupt_within_a_step_of_a_fit(
+    cloud: AnchorCloud, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The step is finished: half a step was saved as none, so that what went on made another file."""
+    given, settings = Given(cloud, VOXEL), FitSettings(steps=6)
+    bits, steps = RateModel.attribute_bits, iter(range(1, 20))
+
+    def signalled(*arguments: Any) -> Any:
+        if next(steps) == 3:
+            signal.raise_signal(signal.SIGINT)
+        return bits(*arguments)
+
+    with monkeypatch.context() as patch:
+        patch.setattr(RateModel, "attribute_bits", signalled)
+        assert fit.fit(given, settings, state=tmp_path / "state").report["steps"] == 3
+    resumed = fit.fit(given, settings, state=tmp_path / "state")
+    assert codec.emit(resumed.scene) == codec.emit(fit.fit(given, settings).scene)
 
 
 def test_large_symbols_are_shifted_for_carm(cloud: AnchorCloud) -> None:
@@ -346,7 +368,7 @@ def test_a_fit_without_a_hyperprior_goes_on(cloud: AnchorCloud, tmp_path: Path) 
 
     def stop(stage: str, done: int, total: int) -> None:
         if done == 5:
-            raise KeyboardInterrupt
+            signal.raise_signal(signal.SIGINT)
 
     state = tmp_path / "state"
     assert fit.fit(given, settings, progress=stop, state=state).report["steps"] == 5

@@ -22,7 +22,7 @@ from ..state import Saved
 class Masks(Part):
     """Which offsets are kept, and the loss that drops them.
 
-    weight: float32 [N]. all_anchors: how many anchors there were before any was dropped, once some can be.
+    weight: float32 [N]. dropped: how many anchors were dropped as lost.
     """
 
     name = "masks"
@@ -41,7 +41,7 @@ class Masks(Part):
         changed: is called when anchors have gone.
         """
         self.settings, self.scaffold, self.cameras, self.clock = settings, scaffold, cameras, clock
-        self.changed, self.all_anchors = changed, 0
+        self.changed, self.dropped = changed, 0
         self.lambda_m = max(settings.least, settings.share * lambda_r)
         self.weight = torch.ones(scaffold.count, device=scaffold.device)
         self._shares: Tensor | None = None
@@ -53,8 +53,9 @@ class Masks(Part):
 
     def anchors_changed(self) -> None:
         """Counts the views anew."""
-        if self.settings.used:
-            self.weight = self.scaffold.views(self.cameras)
+        scaffold = self.scaffold
+        used = self.settings.used
+        self.weight = scaffold.views(self.cameras) if used else torch.ones(scaffold.count, device=scaffold.device)
 
     def kept(self, logits: Tensor, rows: Tensor) -> Tensor:
         """Masks of 0 and 1, float32 [n, K], of some anchors, with the gradient of their shares."""
@@ -83,7 +84,7 @@ class Masks(Part):
     @property
     def total(self) -> int:
         """The number of anchors, counted with those that were dropped as lost."""
-        return self.all_anchors or self.scaffold.count
+        return self.scaffold.count + self.dropped
 
     def end(self) -> None:
         """Drops the anchors that are lost, once the rate counts.
@@ -94,11 +95,11 @@ class Masks(Part):
         late = self.clock.mode("rate") != "off" and self.clock.mode("averaging") == "off"
         if not (self.on and late) or self.clock.done % self.settings.drop_period:
             return
-        self.all_anchors = self.all_anchors or self.scaffold.count
         share = torch.sigmoid(self.scaffold.tables["masks"]) * self.weight[:, None]
         stay = (share > self.settings.lost * self.settings.epsilon).any(dim=1)
         if bool(stay.all()) or not bool(stay.any()):
             return
+        self.dropped += int((~stay).sum())
         self.scaffold.keep(torch.nonzero(stay)[:, 0].cpu().numpy())
         self.scaffold.place()
         self.changed()
@@ -116,12 +117,10 @@ class Masks(Part):
         )
 
     def state(self) -> dict[str, Any]:
-        """The weights, and how many anchors there were."""
-        return {"weight": self.weight, "all_anchors": self.all_anchors}
+        """The weights, and how many anchors were dropped."""
+        return {"weight": self.weight, "dropped": self.dropped}
 
     def restore(self, state: Saved) -> None:
         """As Part."""
         self.weight = state.tensor("weight", (self.scaffold.count,), low=0).to(self.scaffold.device)
-        self.all_anchors = state.integer("all_anchors", 0)
-        if 0 < self.all_anchors < self.scaffold.count:
-            raise state.fault("all_anchors", f"is {self.all_anchors}, there are {self.scaffold.count} anchors")
+        self.dropped = state.integer("dropped", 0)

@@ -1,0 +1,192 @@
+"""A training that is interrupted and goes on ends with the same bytes, wherever it was interrupted."""
+
+from __future__ import annotations
+
+import signal
+from pathlib import Path
+from typing import Any
+
+import pytest
+import torch
+from torch import Tensor
+
+from refcodec.folder.layout import REPORT_FILE
+from refcodec.photographs.photographs import PhotographSet, read_photographs
+from refcodec.train import command
+from refcodec.train.command import state_path, train
+from refcodec.train.schedule import Clock
+from refcodec.train.settings import TrainSettings
+from refcodec.train.settings_file import varied
+from refcodec.train.state import restore, save
+from refcodec.train.trainer import Trainer
+
+# Anchors grow and may go in the step in which the rate begins.
+TINY = varied(
+    TrainSettings(),
+    {
+        "steps": 20,
+        "start.anchors": 60,
+        "growth.most": 160,
+        "growth.pixels": 1,
+        "growth.period": 4,
+        "growth.offset_views": 1,
+        "growth.gradient": 1e-6,
+        "masks.drop_period": 2,
+        "looks.count": 4,
+    },
+)
+CLOCK = Clock(TINY.phases, TINY.steps)
+# The last step before each phase, and its first.
+STEPS = sorted({max(CLOCK.step_of(phase.begin) + more, 1) for phase in TINY.phases for more in (0, 1)} | {TINY.steps})
+METHODS: dict[str, dict[str, Any]] = {
+    "coded": {},
+    "uncompressed": {"rate.weight": 0.0},
+    "without planes": {"entropy.channels": 0},
+    "without a hyperprior": {"entropy.channels": 0, "entropy.frequencies": 0, "entropy.layers": 0},
+    "without masks": {"masks.used": False},
+    "rounding before the rate": {"phases.growth.modes": {"quantisation": "round"}},
+}
+
+
+@pytest.fixture(scope="module")
+def few(examples: Path) -> PhotographSet:
+    return read_photographs(examples / "caliterra", (48, 36))
+
+
+def same(one: dict[str, Any], two: dict[str, Any]) -> list[str]:
+    """The names of the values in which two states differ, without what depends on the time."""
+
+    def timeless(name: str, value: Any) -> Any:
+        if name == "looks/history":
+            return [{key: number for key, number in look.items() if key != "seconds"} for look in value]
+        return None if name.startswith("looks/pace/") or name == "looks/seconds" else value
+
+    def equal(name: str) -> bool:
+        if isinstance(one.get(name), Tensor) and isinstance(two.get(name), Tensor):
+            return torch.equal(one[name], two[name])
+        return bool(timeless(name, one.get(name)) == timeless(name, two.get(name)))
+
+    return [name for name in one.keys() | two.keys() if not equal(name)]
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("changes", METHODS.values(), ids=METHODS)
+def test_every_step_follows_from_the_saved_state(changes: dict[str, Any], few: PhotographSet, tmp_path: Path) -> None:
+    """A training that stops after any step and goes on has the next one as if it had not stopped."""
+    settings, path = varied(TINY, changes), tmp_path / "state"
+    whole = Trainer(few, settings)
+    grown: list[int] = []
+    while whole.clock.done < settings.steps:
+        save(whole, path)
+        again = Trainer(few, settings)
+        restore(again, path)
+        before = whole.scaffold.count
+        for trainer in (whole, again):
+            trainer.step()
+            trainer.looks.look()
+        assert (whole.clock.done, same(whole.state(), again.state())) == (whole.clock.done, [])
+        if whole.scaffold.count > before:
+            grown.append(whole.clock.done)
+    if settings.rate.weight:
+        assert CLOCK.step_of(CLOCK.begin("rate")) in grown
+
+
+def files(folder: Path) -> dict[str, bytes]:
+    """What a scene folder holds, without the report, which has times."""
+    return {path.name: path.read_bytes() for path in folder.iterdir() if path.name != REPORT_FILE}
+
+
+def run(photographs: PhotographSet, output: Path, resume: bool = False, **changes: Any) -> bool:
+    settings = varied(TINY, changes)
+    return train(photographs, settings, output, threads=1, device="cpu", resume=resume, progress=False).whole
+
+
+@pytest.fixture(scope="module")
+def uninterrupted(few: PhotographSet, tmp_path_factory: pytest.TempPathFactory) -> dict[str, bytes]:
+    output = tmp_path_factory.mktemp("uninterrupted") / "scene"
+    assert run(few, output)
+    assert not state_path(output).exists()
+    return files(output)
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
+def test_an_interrupt_within_a_step(
+    number: signal.Signals, few: PhotographSet, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The step is finished. The handlers of before are there again afterwards."""
+    before = [signal.getsignal(each) for each in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)]
+    with monkeypatch.context() as patch:
+        interrupt(patch, 2, number)
+        assert not run(few, tmp_path / "scene", steps=4)
+    assert [signal.getsignal(each) for each in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)] == before
+    assert run(few, tmp_path / "scene", True, steps=4)
+    assert run(few, tmp_path / "whole", steps=4)
+    assert files(tmp_path / "scene") == files(tmp_path / "whole")
+
+
+def interrupt(monkeypatch: pytest.MonkeyPatch, step: int, number: signal.Signals = signal.SIGINT) -> None:
+    """Lets a signal arrive in the middle of a step, counted from 1."""
+    looked_at = Trainer._looked_at
+
+    def signalled(self: Trainer, view: int) -> Any:
+        if self.clock.done + 1 == step:
+            signal.raise_signal(number)
+        return looked_at(self, view)
+
+    monkeypatch.setattr(Trainer, "_looked_at", signalled)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("step", STEPS)
+def test_interrupted_in_each_phase(
+    step: int,
+    few: PhotographSet,
+    uninterrupted: dict[str, bytes],
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """The scene that an interrupt leaves takes nothing from what goes on, whichever phase has not begun."""
+    output = tmp_path / "scene"
+    with monkeypatch.context() as patch:
+        interrupt(patch, step)
+        assert run(few, output) == (step == TINY.steps)
+    if step < TINY.steps:
+        assert run(few, output, True)
+    assert files(output) == uninterrupted
+
+
+@pytest.mark.parametrize("done", [2, 4])
+def test_a_scene_that_cannot_be_written_leaves_the_state_of_the_last_step(
+    done: int, few: PhotographSet, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A result begins what has not begun, such as the rate. This was saved, too, if the result could not be written."""
+    output = tmp_path / "scene"
+
+    def refused(*_: Any) -> None:
+        raise OSError(28, "No space left on device")
+
+    with monkeypatch.context() as patch:
+        interrupt(patch, done)
+        patch.setattr(command, "write_folder", refused)
+        with pytest.raises(OSError, match="--resume goes on"):
+            run(few, output, steps=4)
+    assert run(few, output, True, steps=4)
+    assert run(few, tmp_path / "whole", steps=4)
+    assert files(output) == files(tmp_path / "whole")
+
+
+def test_an_interrupt_of_the_result_keeps_the_training(
+    few: PhotographSet, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    output = tmp_path / "scene"
+
+    def interrupted(*_: Any) -> None:
+        signal.raise_signal(signal.SIGINT)
+
+    with monkeypatch.context() as patch:
+        patch.setattr(command, "write_folder", interrupted)
+        with pytest.raises(KeyboardInterrupt):
+            run(few, output, steps=4)
+    assert not output.exists()
+    assert run(few, output, True, steps=4)
+    assert (output / REPORT_FILE).is_file()
