@@ -44,12 +44,14 @@ def shown(source: Source, image: Callable[[Camera], Any]) -> float:
     return float(np.mean([measures(image(p.camera), p.image)["psnr"] for p in source.set.test]))
 
 
-def decibels(source: Source, first: Callable[[Camera], Any], second: Callable[[Camera], Any]) -> float:
-    """The mean PSNR between two drawings from the cameras of these photographs; infinity if they are equal."""
+def decibels(source: Source, first: Callable[[Camera], Any], second: Callable[[Camera], Any]) -> float | None:
+    """The mean PSNR between two drawings from the cameras of these photographs; None if an image is equal."""
     found = []
     for camera in source.tests:
         error = float(np.mean((np.clip(first(camera), 0, 1).astype(np.float64) - np.clip(second(camera), 0, 1)) ** 2))
-        found.append(-10 * math.log10(error) if error else math.inf)
+        if not error:
+            return None
+        found.append(-10 * math.log10(error))
     return float(np.mean(found))
 
 
@@ -139,8 +141,8 @@ NOTE = (
 )
 
 
-def _number(value: float) -> str:
-    return "equal" if math.isinf(value) else f"{value:.2f}"
+def _number(value: float | None) -> str:
+    return "equal" if value is None else f"{value:.2f}"
 
 
 def _again(record: Record | None) -> list[str]:
