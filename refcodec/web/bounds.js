@@ -5,7 +5,7 @@ import { BoundPassedError } from "./errors.js";
 // Estimates in bytes: a weight as f32, as an integer and with its copies; a point of a plane while it is decoded; a
 // value of an anchor that is being decoded; and a value that is held.
 const WEIGHT = 32;
-const PLANE_POINT = 32;
+const PLANE_POINT = 8;
 const DECODING = 56;
 const HOLDING = 8;
 // What Gaussians hold, in draw.c and gaussians.js: bytes of an anchor, of it for each unit of a hidden layer of the three
