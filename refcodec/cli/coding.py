@@ -19,9 +19,11 @@ from . import train_options
 from .bounds import add_bounds, check_folder, open_bounded, read_bounded, reader_bounds
 from .meta import add_meta, metadata_of, with_entries
 from .shared import (
+    FILE,
     UsageError,
     add_command,
     check_scene_output,
+    counted,
     decoded,
     encoded,
     fit_rate,
@@ -50,6 +52,8 @@ def _encode(arguments: argparse.Namespace) -> int:
     check_apart([output], [arguments.scene])
     check_folder(arguments, Path(arguments.scene))
     entries = metadata_of(arguments)
+    if Path(arguments.scene).is_file():
+        raise UsageError(f"{arguments.scene} is a file: give a scene folder, of decode, train, fit or convert")
     status = 0
     if is_uncompressed(Path(arguments.scene)):
         # It needs the training's rooms.
@@ -67,9 +71,9 @@ def _encode(arguments: argparse.Namespace) -> int:
     if arguments.cameras is not None:
         stated = cameras(scene.ancillary)[: arguments.cameras]
         scene = replace(scene, ancillary=with_cameras(scene.ancillary, stated))
-    write_file(
-        output, encoded(arguments, arguments.scene, scene, arguments.positions, arguments.weights, arguments.smallest)
-    )
+    data = encoded(arguments, arguments.scene, scene, arguments.positions, arguments.weights, arguments.smallest)
+    write_file(output, data)
+    note(f"{output}: {len(data):,} bytes, {counted(scene.anchor_count, 'anchor')}")
     return status
 
 
@@ -92,6 +96,8 @@ def _decode(arguments: argparse.Namespace) -> int:
         written = decode_folder(reader, arguments.output, numbers, keep_going=arguments.keep_going, progress=progress)
     for number, digest in zip(numbers or (), written.digests, strict=True):
         print(f"chunk {number} {digest}")
+    if not written.error:
+        note(f"{arguments.output}: {counted(written.anchors, 'anchor')} of {arguments.file}")
     return _report_damage(arguments.file, len(index), written) if arguments.keep_going else 0
 
 
@@ -191,9 +197,9 @@ def add(commands: Any) -> None:
         "gets an entropy model, as by fit. That takes minutes, and needs: pip install 'refcodec[fit]'.",
         writes=True,
     )
-    encode.add_argument("scene", metavar="SCENE_DIR")
+    encode.add_argument("scene", metavar="SCENE_DIR", help="the scene folder")
     add_bounds(encode, decodes=False)
-    encode.add_argument("-o", "--output", metavar="FILE", required=True)
+    encode.add_argument("-o", "--output", metavar="FILE", required=True, help="the C3GS file to write")
     add_meta(encode)
     encode.add_argument(
         "--positions",
@@ -243,9 +249,9 @@ def add(commands: Any) -> None:
         "replaced as a whole, and other files in it stay.",
         writes=True,
     )
-    decode.add_argument("file", metavar="FILE")
+    decode.add_argument("file", metavar="FILE", help=FILE)
     add_bounds(decode)
-    decode.add_argument("-o", "--output", metavar="SCENE_DIR", required=True)
+    decode.add_argument("-o", "--output", metavar="SCENE_DIR", required=True, help="the scene folder to write")
     decode.add_argument(
         "--chunks",
         type=_chunks,
@@ -265,7 +271,7 @@ def add(commands: Any) -> None:
         "print the SHA-256 of a file's reconstruction",
         ["digest scene.c3gs", "digest scene.c3gs --parts"],
     )
-    digest.add_argument("file", metavar="FILE")
+    digest.add_argument("file", metavar="FILE", help=FILE)
     add_bounds(digest)
     digest.add_argument(
         "--parts", action="store_true", help="one line for each part of the reconstruction, then the whole"
@@ -278,9 +284,9 @@ def add(commands: Any) -> None:
         ["reconstruct scene.c3gs scene.bin", "reconstruct scene.c3gs scene.bin --trace symbols.txt --probes"],
         writes=True,
     )
-    reconstruct.add_argument("file", metavar="FILE")
+    reconstruct.add_argument("file", metavar="FILE", help=FILE)
     add_bounds(reconstruct)
-    reconstruct.add_argument("output", metavar="OUTPUT")
+    reconstruct.add_argument("output", metavar="OUTPUT", help="the file to write")
     reconstruct.add_argument(
         "--trace", metavar="TRACE", help="write every symbol to this file, a line with its path and its value each"
     )
@@ -292,5 +298,5 @@ def add(commands: Any) -> None:
     validate = add_command(
         commands, "validate", _validate, "check whether a file is a conforming bitstream", ["validate scene.c3gs"]
     )
-    validate.add_argument("file", metavar="FILE")
+    validate.add_argument("file", metavar="FILE", help=FILE)
     add_bounds(validate)

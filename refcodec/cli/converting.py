@@ -282,8 +282,8 @@ def add(commands: Any) -> None:
         writes=True,
         parents=[train_options.parser()],
     )
-    convert.add_argument("source", metavar="SOURCE")
-    convert.add_argument("-o", "--output", metavar="SCENE_DIR", required=True)
+    convert.add_argument("source", metavar="SOURCE", help="a model's folder, or a file of splats")
+    convert.add_argument("-o", "--output", metavar="SCENE_DIR", required=True, help="the scene folder to write")
     convert.add_argument(
         "--appearance",
         type=whole,

@@ -17,9 +17,13 @@ from ..files.terminal import note, say
 from ..files.text import printable
 from .bounds import add_bounds, read_bounded
 from .shared import (
+    CODED_OR_PLAIN,
+    FILE,
+    PHOTOGRAPHS,
     RENDER_PACKAGES,
     UsageError,
     add_command,
+    counted,
     encoded,
     needs,
     note_compiling,
@@ -109,7 +113,7 @@ def _render(arguments: argparse.Namespace) -> int:
         if orbit:
             images.animate(frames)
         progress("images", len(cameras), len(cameras))
-    say(f"{folder}: {len(cameras)} images" + (f", {ORBIT}" if orbit else ""))
+    say(f"{folder}: {counted(len(cameras), 'image')}" + (f", {ORBIT}" if orbit else ""))
     return 0
 
 
@@ -171,10 +175,10 @@ def add(commands: Any) -> None:
         "CAMERA is a JSON object. vectors/README.md describes it.",
         writes=True,
     )
-    gaussians.add_argument("file", metavar="FILE")
+    gaussians.add_argument("file", metavar="FILE", help=FILE)
     add_bounds(gaussians)
-    gaussians.add_argument("camera", metavar="CAMERA")
-    gaussians.add_argument("output", metavar="OUTPUT")
+    gaussians.add_argument("camera", metavar="CAMERA", help="a JSON file with a camera")
+    gaussians.add_argument("output", metavar="OUTPUT", help="the file to write")
     render = add_command(
         commands,
         "render",
@@ -191,9 +195,9 @@ def add(commands: Any) -> None:
         + "Needs: pip install 'refcodec[render]'.",
         writes=True,
     )
-    render.add_argument("file", metavar="FILE")
+    render.add_argument("file", metavar="FILE", help=CODED_OR_PLAIN)
     add_bounds(render)
-    render.add_argument("-o", "--output", metavar="DIR", required=True)
+    render.add_argument("-o", "--output", metavar="DIR", required=True, help="folder of the images")
     render.add_argument(
         "--cameras",
         metavar="default|orbit|PHOTOGRAPHS",
@@ -226,9 +230,9 @@ def add(commands: Any) -> None:
         + "Needs: pip install 'refcodec[render]'.",
         writes=True,
     )
-    evaluate.add_argument("file", metavar="FILE")
+    evaluate.add_argument("file", metavar="FILE", help=CODED_OR_PLAIN)
     add_bounds(evaluate)
-    evaluate.add_argument("photographs", metavar="PHOTOGRAPHS")
+    evaluate.add_argument("photographs", metavar="PHOTOGRAPHS", help=PHOTOGRAPHS)
     evaluate.add_argument(
         "--size",
         metavar="WxH",

@@ -12,7 +12,7 @@ from typing import Any
 from .. import statuses
 from ..files.terminal import note, say
 from . import train_options
-from .shared import RENDER_PACKAGES, UsageError, add_command, needs, positive, rate, seed
+from .shared import PHOTOGRAPHS, RENDER_PACKAGES, UsageError, add_command, needs, positive, rate, seed
 
 
 def _demo(arguments: argparse.Namespace) -> int:
@@ -201,8 +201,8 @@ def _add_rd(commands: Any) -> None:
         "Needs: pip install 'refcodec[train,render,rd]'.",
         parents=[train_options.parser()],
     )
-    rd.add_argument("photographs", metavar="PHOTOGRAPHS")
-    rd.add_argument("-o", "--output", metavar="DIR", required=True)
+    rd.add_argument("photographs", metavar="PHOTOGRAPHS", help=PHOTOGRAPHS)
+    rd.add_argument("-o", "--output", metavar="DIR", required=True, help="folder of the results")
     rd.add_argument(
         "--rates",
         type=rate,
@@ -238,8 +238,8 @@ def _add_experiment(commands: Any) -> None:
         ],
         _EXPERIMENT_NOTES,
     )
-    experiment.add_argument("file", metavar="FILE")
-    experiment.add_argument("-o", "--output", metavar="DIR", required=True)
+    experiment.add_argument("file", metavar="FILE", help="a TOML file that describes the experiment")
+    experiment.add_argument("-o", "--output", metavar="DIR", required=True, help="folder of the results")
     experiment.add_argument(
         "--engine", choices=("local", "ray"), default="local", help="what runs the cells (default: %(default)s)"
     )

@@ -13,7 +13,17 @@ from ..files.outputs import check_apart, check_file
 from ..files.stage import write_file
 from ..files.terminal import note, say
 from .bounds import add_bounds
-from .shared import RENDER_PACKAGES, UsageError, add_command, needs, note_compiling, parse_file, progress_bar, whole
+from .shared import (
+    CODED_OR_PLAIN,
+    RENDER_PACKAGES,
+    UsageError,
+    add_command,
+    needs,
+    note_compiling,
+    parse_file,
+    progress_bar,
+    whole,
+)
 from .shown import camera_of, photographs_as_trained, read_shown, render_info
 from .viewing import PAGE_SUFFIX, add_photographs, export_page
 
@@ -162,7 +172,7 @@ def add(commands: Any) -> None:
         NOTES,
         writes=True,
     )
-    export.add_argument("file", metavar="FILE")
+    export.add_argument("file", metavar="FILE", help=CODED_OR_PLAIN)
     add_bounds(export)
     export.add_argument(
         "-o",

@@ -20,6 +20,7 @@ from ..files.terminal import note, say
 from . import train_options
 from .meta import add_meta, metadata_of, with_entries
 from .shared import (
+    PHOTOGRAPHS,
     UsageError,
     add_command,
     check_scene_output,
@@ -287,8 +288,8 @@ def add(commands: Any) -> None:
         writes=True,
         parents=[train_options.parser()],
     )
-    train.add_argument("photographs", metavar="PHOTOGRAPHS", nargs="?")
-    train.add_argument("-o", "--output", metavar="SCENE_DIR")
+    train.add_argument("photographs", metavar="PHOTOGRAPHS", nargs="?", help=PHOTOGRAPHS)
+    train.add_argument("-o", "--output", metavar="SCENE_DIR", help="the scene folder to write")
     train.add_argument(
         "--preset",
         choices=("fast", "paper"),
@@ -365,7 +366,7 @@ def add(commands: Any) -> None:
         writes=True,
     )
     fit.add_argument("points", metavar="POINTS", help="points, or a scene folder")
-    fit.add_argument("-o", "--output", metavar="SCENE_DIR", required=True)
+    fit.add_argument("-o", "--output", metavar="SCENE_DIR", required=True, help="the scene folder to write")
     fit.add_argument("--steps", type=positive, metavar="N", default=4000, help="training steps (default: %(default)s)")
     fit.add_argument(
         "--rate",

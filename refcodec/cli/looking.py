@@ -17,7 +17,7 @@ from ..files.remote import is_url
 from ..files.terminal import say
 from ..files.text import printable
 from .bounds import add_bounds, open_bounded, read_bounded, reader_bounds
-from .shared import UsageError, add_command, decoded, parse_file, reject
+from .shared import FILE, UsageError, add_command, decoded, parse_file, reject
 
 if TYPE_CHECKING:
     from ..bitstream.scene import Scene
@@ -153,7 +153,7 @@ def add(commands: Any) -> None:
         "KEY is the code or name of an error, a requirement or a clause of SPEC.md, or the path of an element as\n"
         "inspect prints it.",
     )
-    explain.add_argument("keys", nargs="+", metavar="KEY")
+    explain.add_argument("keys", nargs="+", metavar="KEY", help="what to explain, such as 432 or 7.5.4")
     inspect = add_command(
         commands,
         "inspect",
@@ -176,7 +176,7 @@ def add(commands: Any) -> None:
         "symbols against what their models expected, the planes, the masks, and annotated bytes.",
         writes=True,
     )
-    inspect.add_argument("file", metavar="FILE")
+    inspect.add_argument("file", metavar="FILE", help=FILE)
     add_bounds(inspect)
     inspect.add_argument("--decode", action="store_true", help="also decode the file, for its verdict and its digest")
     form = inspect.add_mutually_exclusive_group()

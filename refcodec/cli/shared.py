@@ -15,6 +15,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from ..bitstream.errors import BitstreamError
+from ..files.looks import looks_like
 from ..files.outputs import HELP, Kind, check_apart, check_file
 from ..files.remote import RemoteFile, is_url
 from ..files.terminal import ProgressStream, note
@@ -37,6 +38,11 @@ _WHOLE_FILE_MAX = (1 << 32) - 1
 
 # The packages of the extra `render`.
 RENDER_PACKAGES = ("numba", "PIL", "skimage", "scipy")
+
+# Help texts of several commands.
+FILE = "a C3GS file: a path, or a URL with the extra `http`"
+CODED_OR_PLAIN = "a C3GS file, or the folder of an uncompressed scene"
+PHOTOGRAPHS = "a folder of photographs with cameras, of COLMAP or NeRF"
 
 EXITS = """\
 exit status:
@@ -234,7 +240,10 @@ def reject(path: str, error: BitstreamError) -> int:
     """Reports a verdict on stderr, as a line for people and a line of JSON. Returns the exit status."""
     word = "is not supported" if error.kind.klass == "unsupported" else "is rejected"
     sys.stdout.flush()
-    note(f"{path} {word}: {error}. To see the spot: refcodec inspect {shell_word(path)} --near {error.offset}")
+    # SPEC 6.1: the error of the signature has the first eight bytes, as text.
+    kind = looks_like(bytes.fromhex(error.found[:23])) if error.kind.name == "prologue.signature" else None
+    spot = f"To see the spot: refcodec inspect {shell_word(path)} --near {error.offset}"
+    note(f"{path} {word}: {error}. {f'It looks like {kind}' if kind else spot}")
     note(error.to_json())
     return error.exit_status
 
@@ -290,6 +299,11 @@ def note_compiling() -> None:
             "refcodec: compiled code cannot be kept, so compiling takes some seconds now; "
             "name a folder that can be written with NUMBA_CACHE_DIR"
         )
+
+
+def counted(count: int, what: str) -> str:
+    """Returns a number with a noun, such as 1 anchor and 2 anchors."""
+    return f"{count:,} {what}{'' if count == 1 else 's'}"
 
 
 # --- arguments --------------------------------------------------------------------------------------------------------

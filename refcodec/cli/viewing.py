@@ -19,7 +19,7 @@ from ..files.outputs import check_apart, check_file
 from ..files.stage import write_file
 from ..files.terminal import note, say
 from .bounds import add_bounds, read_bounded
-from .shared import RENDER_PACKAGES, UsageError, add_command, encoded, needs, parse_file
+from .shared import FILE, RENDER_PACKAGES, UsageError, add_command, encoded, needs, parse_file
 from .shown import camera_of, photographs_as_trained, read_shown, render_info
 
 if TYPE_CHECKING:
@@ -154,7 +154,7 @@ def add(commands: Any) -> None:
         "`refcodec export FILE -o scene.html` writes a page with the file in it, which needs no server.\n"
         "--photographs needs: pip install 'refcodec[render]'.",
     )
-    view.add_argument("file", metavar="FILE")
+    view.add_argument("file", metavar="FILE", help=FILE)
     add_bounds(view)
     view.add_argument("--port", type=_port, metavar="N", default=0, help="of the server (default: one that is free)")
     view.add_argument("--no-browser", action="store_true", help="open no browser")

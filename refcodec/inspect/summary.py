@@ -167,8 +167,10 @@ def json_lines(facts: dict[str, Any]) -> Iterator[str]:
 def summary(facts: dict[str, Any], name: str) -> Iterator[str]:
     """Yields the facts of `document` as lines of text. name: that of the file."""
     p, h = facts["prologue"], facts["header"]
-    version = f"version {p['major']}.{p['minor']}" if p else "version unknown"
-    yield f"{name}: {facts['bytes']} bytes, C3GS {version}"
+    version = f"C3GS version {p['major']}.{p['minor']}" if p else "C3GS version unknown"
+    # SPEC 6.1: of another file, no field means anything.
+    signed = not p or b"C3GS".hex() in p["signature"]
+    yield f"{name}: {facts['bytes']} bytes, {version if signed else 'no C3GS file'}"
     if h:
         yield from _header_lines(facts, h)
     yield ""

@@ -34,7 +34,7 @@ from refcodec.bitstream.metadata import metadata
 from refcodec.bitstream.reader import Reader
 from refcodec.bitstream.reconstruction import Reconstruction, digest
 from refcodec.bitstream.scene import Ancillary
-from refcodec.cli.main import GROUPS, main
+from refcodec.cli.main import GROUPS, _parser, main
 from refcodec.folder.read import read_folder
 from refcodec.folder.uncompressed import Uncompressed, write_uncompressed
 from refcodec.folder.write import write_folder
@@ -93,7 +93,7 @@ def test_encode_packs(tmp_path, call):
 
     def modes(folder: str, *options: str) -> tuple[int, int]:
         target = tmp_path / "out.c3gs"
-        assert call("encode", tmp_path / folder, "-o", target, *options) == (0, "", "")
+        assert call("encode", tmp_path / folder, "-o", target, *options)[:2] == (0, "")
         modes = {section.type: section.mode for section in parse_container(target.read_bytes()).sections}
         return modes[directory.WEIGHTS], modes[directory.INDEX]
 
@@ -131,8 +131,8 @@ def verdict(err: str) -> dict:
     assert list(found) == ["code", "name", "offset", "path", "clause", "requirement", "found", "allowed"]
     assert found["found"]
     assert found["allowed"]
-    assert "refcodec inspect" in lines[-2]
-    assert "--near" in lines[-2]
+    # A file of another kind has no spot to see.
+    assert "It looks like" in lines[-2] or ("refcodec inspect" in lines[-2] and "--near" in lines[-2])
     assert "Traceback" not in err
     return found
 
@@ -147,8 +147,9 @@ def no_verdict(err: str) -> None:
 
 
 def test_decode_then_encode(file, data, tmp_path, call):
-    assert call("decode", file, "-o", tmp_path / "scene") == (0, "", "")
-    assert call("encode", tmp_path / "scene", "-o", tmp_path / "again.c3gs") == (0, "", "")
+    folder, again = tmp_path / "scene", tmp_path / "again.c3gs"
+    assert call("decode", file, "-o", folder) == (0, "", f"{folder}: 40 anchors of {file}\n")
+    assert call("encode", folder, "-o", again) == (0, "", f"{again}: {len(data):,} bytes, 40 anchors\n")
     assert (tmp_path / "again.c3gs").read_bytes() == data
     assert sorted(os.listdir(tmp_path)) == ["again.c3gs", "scene", "scene.c3gs"]
 
@@ -244,7 +245,8 @@ def test_every_command_rejects_alike(command, fault, data, tmp_path, monkeypatch
     out, err = capsys.readouterr()
     assert status == raised.value.exit_status == (2 if fault in ("version", "profile") else 1)
     assert verdict(err) == json.loads(raised.value.to_json())
-    assert "refcodec inspect 'my file.c3gs' --near" in err
+    spot = "It looks like text" if fault == "text" else "refcodec inspect 'my file.c3gs' --near"
+    assert spot in err
     assert not Path("out").exists()
     if command == "hex":
         assert f"^^ error {raised.value.kind.code}" in out
@@ -381,7 +383,7 @@ def test_keep_going(file, data, scene, tmp_path, call):
     assert verdict(err) == verdict(call("validate", file)[2])
     spots = [line for line in call("inspect", file, "--hex")[1].splitlines() if "^^ error" in line]
     assert [line.split()[3] for line in spots] == ["441", "441"]
-    assert call("encode", tmp_path / "scene", "-o", tmp_path / "out.c3gs") == (0, "", "")
+    assert call("encode", tmp_path / "scene", "-o", tmp_path / "out.c3gs")[:2] == (0, "")
     assert (tmp_path / "out.c3gs").read_bytes() == codec.emit(without_chunks(scene, [0, 2]))
 
 
@@ -398,7 +400,46 @@ def test_keep_going_where_only_a_symbol_is_wrong(file, data, tmp_path, capsys):
 
 def test_keep_going_without_need(file, tmp_path, capsys):
     assert main(["decode", str(file), "-o", str(tmp_path / "scene"), "--keep-going"]) == 0
-    assert capsys.readouterr().err == ""
+    assert capsys.readouterr().err.count("\n") == 1
+    assert main(["encode", str(file), "-o", str(tmp_path / "again.c3gs")]) == 64
+    assert "is a file: give a scene folder" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("data", "looks"),
+    [
+        (b"ply\nformat ascii 1.0\nend_header\n", "It looks like a PLY file: refcodec convert"),
+        (b"\x1f\x8b" + bytes(30), "It looks like an SPZ file: refcodec convert"),
+        (b"PK\3\4" + bytes(30), "It looks like a ZIP archive, such as a SOG file: refcodec convert"),
+        (b"glTF" + bytes(30), "It looks like a .glb file: refcodec convert"),
+        (b"# 3D point list with one line of data", "It looks like text: refcodec fit"),
+        (bytes(40), "To see the spot"),
+    ],
+)
+def test_a_file_of_another_kind(data, looks, tmp_path, capsys):
+    """inspect called a PLY file C3GS version 29793.25120. The verdict and its last line stay."""
+    (tmp_path / "a").write_bytes(data)
+    for command in ("validate", "inspect"):
+        assert main([command, str(tmp_path / "a")]) == 1
+        out, err = capsys.readouterr()
+        assert looks in err
+        assert json.loads(err.splitlines()[-1])["code"] == 102
+        assert ("no C3GS file" in out) == (command == "inspect")
+
+
+def test_each_argument_has_a_help_text():
+    def parsers(parser):
+        for action in parser._actions:
+            if isinstance(action, argparse._SubParsersAction):
+                yield from action.choices.items()
+
+    found = [
+        f"{name}: {action.dest}"
+        for name, parser in parsers(_parser(list(GROUPS)))
+        for action in parser._actions
+        if not action.help
+    ]
+    assert found == []
 
 
 def test_keep_going_loses_an_ancillary_section(file, data, tmp_path, capsys):
@@ -506,7 +547,7 @@ def test_output_that_is_no_plain_file(file, data, tmp_path, capsys):
         capture_output=True,
         check=False,
     )
-    assert (done.stdout, done.stderr) == (data, b"")
+    assert (done.stdout, done.stderr.count(b"\n")) == (data, 1)
     (tmp_path / "link").symlink_to(file)
     assert main(["encode", str(tmp_path / "scene"), "-o", str(tmp_path / "link")]) == 0
     assert (tmp_path / "link").is_symlink()
@@ -750,7 +791,7 @@ def test_metadata_is_written_shown_and_checked(file, tmp_path, call):
     assert call("decode", file, "-o", tmp_path / "scene")[0] == 0
     out = tmp_path / "meta.c3gs"
     entries = ["--meta", "title=K\u00fcche", "--meta", "unit=1.0", "--meta", "org.example.note=a\x1b[2Jb"]
-    assert call("encode", tmp_path / "scene", "-o", out, *entries) == (0, "", "")
+    assert call("encode", tmp_path / "scene", "-o", out, *entries)[:2] == (0, "")
     text = call("inspect", out)[1]
     assert "title        K\u00fcche" in text
     assert "\x1b" not in text

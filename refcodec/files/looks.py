@@ -1,0 +1,22 @@
+"""What a file of another kind looks like, by its first bytes, and which command takes it."""
+
+from __future__ import annotations
+
+import re
+
+_CONVERT = "refcodec convert takes splats of this kind"
+# The first eight bytes, and what the file looks like.
+_KINDS = [
+    (rb"ply[\r\n]", f"a PLY file: {_CONVERT}, refcodec fit takes points"),
+    (rb"\x1f\x8b|NGSP", f"an SPZ file: {_CONVERT}"),
+    (rb"PK\x03\x04", f"a ZIP archive, such as a SOG file: {_CONVERT}"),
+    (rb"glTF", f"a .glb file: {_CONVERT}"),
+    (rb"\s*<", "a web page"),
+    (rb"\x89PNG|\xff\xd8\xff", "an image"),
+    (rb"[\t\r\n -~]{8}", "text: refcodec fit takes a points3D.txt"),
+]
+
+
+def looks_like(beginning: bytes) -> str | None:
+    """Returns what a file looks like, as words for a message, or None. beginning: its first eight bytes."""
+    return next((words for pattern, words in _KINDS if re.match(pattern, beginning)), None)
