@@ -37,7 +37,7 @@ def _report(error: Exception) -> int:
     """Tells an error in a line; returns its exit status."""
     if isinstance(error, ModuleNotFoundError):
         note(
-            f"{error.name} is not installed: pip install '.[conformance]' for run, verify-report, export and "
+            f"{error.name} is not installed: pip install 'refcodec[conformance]' for run, verify-report, export and "
             "check-encoder, '.[test]' for the others"
         )
         return statuses.USAGE
