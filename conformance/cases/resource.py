@@ -22,7 +22,7 @@ from .book import Book
 from .cells import MIDDLE, of_cells, placed, sharp_model
 from .checksums import Depth, repair, resized
 from .directory import long_section
-from .entropy_substreams import word_count
+from .entropy_substreams import symbol_crc, word_count
 from .fault import Edit, Whole, fault
 from .numbers import Numbers
 from .positions import overgrown
@@ -153,6 +153,13 @@ def add(book: Book) -> None:
         features="many main",
         seconds=120,
     )
+    title = "one lane in each substream, and symbols that take next to no bytes"
+    accepted("resource-one-lane", title, lambda: _one_lane().data, features="many lanes", seconds=120)
+    for path in ("weights", "planes.r1", "positions[chunk 0]", "masks[chunk 0]", "attributes[chunk 0]"):
+        # The last check of a substream, behind all of its symbols.
+        part = path.partition("[")[0].replace(".", "-")
+        title, make = f"one lane, and a wrong symbol_crc of {path}", symbol_crc.of(_one_lane, path, 0, 1)
+        add(f"resource-one-lane-{part}", title, make, flags="symbol-crc", seconds=120)
     accepted(
         "resource-many-sections",
         "3,000 ancillary sections without bytes",
@@ -214,6 +221,17 @@ def _quiet(name: str, anchors: int, d: Dimensions, chunk_size: int, **changes: A
     return with_symbols(
         made, **{kind: np.zeros_like(getattr(made.attributes, kind)) for kind in ("features", "scalings", "offsets")}
     )
+
+
+@cache
+def _one_lane() -> Target:
+    d = Dimensions(10, (16, 16), 8, 1, 32, (16, 16), (16,), (16,), 16)
+    made = _quiet("resource-one-lane", 1024, d, 1024, lanes=Lanes(0, 0, 0))
+    features = np.zeros_like(made.attributes.features)
+    # Values that cost much, so that packed positions leave the chunk the bytes that it must have.
+    features[:4] = 1
+    made = replace(made, position_model=position_model(made.positions, 1024))
+    return Target(codec.emit(with_symbols(made, features=features)))
 
 
 def _largest() -> Scene:
