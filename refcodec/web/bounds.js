@@ -2,12 +2,15 @@
 import { attributeChannels, weightCount } from "./container.js";
 import { BoundPassedError } from "./errors.js";
 
-// Estimates in bytes: a weight as f32, as an integer and with its copies; a point of a plane while it is decoded; a
-// value of an anchor that is being decoded; and a value that is held.
+// Estimates in bytes, those of refcodec.bitstream.bounds: a weight as f32, as an integer and with its copies; a point of
+// a plane while it is decoded; a value of an anchor that is being decoded; a value that is held; and of each chunk, what is
+// made of its entry in the index, and its objects while all chunks are held.
 const WEIGHT = 32;
 const PLANE_POINT = 8;
 const DECODING = 56;
 const HOLDING = 8;
+const CHUNK = 192;
+const HELD_CHUNK = 2048;
 // What Gaussians hold, in draw.c and gaussians.js: bytes of an anchor, of it for each unit of a hidden layer of the three
 // networks, and of a kept offset.
 const ANCHOR = 32;
@@ -22,7 +25,8 @@ export function checkBounds({ maxAnchors = Infinity, maxMemory = Infinity }, hea
   const planes = 5 * h.plane_channels * h.plane_size ** 2;
   const anchor = attributeChannels(h) + h.offset_count;
   const atOnce = Math.min(h.anchor_count, h.chunk_size);
-  const own = weightCount(h) * WEIGHT + planes * PLANE_POINT + anchor * (atOnce * DECODING + held * HOLDING);
+  const chunks = h.chunk_count * (CHUNK + (held ? HELD_CHUNK : 0));
+  const own = weightCount(h) * WEIGHT + planes * PLANE_POINT + chunks + anchor * (atOnce * DECODING + held * HOLDING);
   checkBytes({ maxMemory }, own + more);
 }
 
