@@ -3,16 +3,16 @@ import { attributeChannels, weightCount } from "./container.js";
 import { BoundPassedError } from "./errors.js";
 
 // Estimates in bytes, those of refcodec.bitstream.bounds: a weight as f32, as an integer and with its copies; a point of
-// a plane while it is decoded; a value of an anchor that is being decoded; a value that is held; and of each chunk, what is
-// made of its entry in the index, and its objects while all chunks are held.
+// a plane while it is decoded; a value of an anchor that is being decoded; a value that is held; and of each chunk,
+// what is made of its entry in the index, and its objects while all chunks are held.
 const WEIGHT = 32;
 const PLANE_POINT = 8;
 const DECODING = 56;
 const HOLDING = 8;
 const CHUNK = 192;
 const HELD_CHUNK = 2048;
-// What Gaussians hold, in draw.c and gaussians.js: bytes of an anchor, of it for each unit of a hidden layer of the three
-// networks, and of a kept offset.
+// What Gaussians hold, in draw.c and gaussians.js: bytes of an anchor, of it for each unit of a hidden layer of the
+// three networks, and of a kept offset.
 const ANCHOR = 32;
 const UNIT = 12;
 const KEPT = 13;
