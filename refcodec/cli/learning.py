@@ -220,7 +220,7 @@ def _fit(arguments: argparse.Namespace) -> int:
         from ..train.fit_input import read_given
         from ..train.state import StateError, write_somewhere
     except ModuleNotFoundError as error:
-        raise needs("fit", "fit", error, ("torch", "scipy", "PIL")) from None
+        raise needs("fit", "fit", error, ("torch", "scipy")) from None
     output, points = _folder(arguments.output), Path(arguments.points)
     _check_writable(output)
     # Beside the folder, not in it: a scene folder is whole or it is not there.
@@ -244,6 +244,8 @@ def _fit(arguments: argparse.Namespace) -> int:
             if not stopped:
                 with contextlib.suppress(OSError):
                     state.unlink(missing_ok=True)
+    except ModuleNotFoundError as error:
+        raise needs("fit of points", "fit", error, ("PIL",)) from None
     except StateError as error:
         raise UsageError(str(error)) from None
     # Of the npz files that cannot be read some are no archives, and some are cut.

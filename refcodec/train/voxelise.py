@@ -18,7 +18,6 @@ from scipy.spatial import cKDTree
 from ..bitstream.dimensions import Dimensions
 from ..bitstream.networks import Layer
 from ..encoder.cloud import AnchorCloud
-from ..photographs import colmap, transforms
 
 F32 = NDArray[np.float32]
 F64 = NDArray[np.float64]
@@ -49,6 +48,9 @@ def read_points(path: str | Path) -> PointCloud:
     The colours of an npz are integers from 0 to 255 or floats from 0 to 1, those of a PLY file uchar. Raises ValueError
     for any other.
     """
+    # They need Pillow, which a fit of a scene does not.
+    from ..photographs import colmap, transforms  # noqa: PLC0415
+
     path = Path(path)
     readers = {".txt": colmap.read_points, ".bin": colmap.read_points, ".ply": transforms.read_points}
     if path.suffix not in (".npz", *readers):

@@ -550,5 +550,5 @@ def test_read_cloud_refuses_more(tmp_path):
         b"ply\nformat ascii 1.0\nelement vertex 1\n"
         b"property list uchar float x\nproperty float y\nproperty float z\nend_header\n1 2 3 4\n"
     )
-    with pytest.raises(SceneFolderError, match="f_offset"):
+    with pytest.raises(SceneFolderError, match="a property of lists"):
         ply.read_cloud(file)
