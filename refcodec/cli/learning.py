@@ -124,7 +124,7 @@ def _given(folder: str | None) -> Given | None:
     try:
         return read_given(folder)
     except ValueError as error:
-        raise UsageError(f"{folder} cannot be gone on from: {error}") from None
+        raise UsageError(f"{folder} cannot be continued: {error}") from None
 
 
 def _train(arguments: argparse.Namespace) -> int:
@@ -187,7 +187,7 @@ def _train(arguments: argparse.Namespace) -> int:
     except StateError as error:
         raise UsageError(str(error)) from None
     except BeginningError as error:
-        raise UsageError(f"{arguments.start} cannot be gone on from: {error}") from None
+        raise UsageError(f"{arguments.start} cannot be continued: {error}") from None
     except BoundError as error:
         # The photographs have no part in what networks a file holds.
         raise UsageError(f"{arguments.start or output} cannot be coded: {error}") from None

@@ -161,7 +161,7 @@ def _read_camera(doc: Document, at: str) -> NamedCamera:
 
     name = doc.value(f"{at}.name")
     if not isinstance(name, str):
-        raise doc.fault(f"{at}.name", "is no text")
+        raise doc.fault(f"{at}.name", "is not text")
     camera = NamedCamera(
         name,
         doc.integer(f"{at}.width", 1, (1 << 32) - 1),

@@ -85,7 +85,7 @@ def train(
     logging = Logging(log, trainer.looks.history) if log else lambda rows: None
     with shown(trainer, progress, logging) as watch:
         whole = trainer.run(watch, keep)
-    # The result takes what has not begun yet as begun, so that no state of it could be gone on from.
+    # The result takes what has not begun yet as begun, so a training could not continue from a state saved then.
     result = trainer.result()
     if up_axis is not None:
         result = replace(result, render=replace(result.render, up_axis=up_axis))
