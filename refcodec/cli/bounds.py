@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from ..bitstream.source import Source
 
 # What is estimated beside bitstream.bounds, in bytes: the program with its packages.
-PROGRAM, PROGRAM_DRAWING = 64 << 20, 192 << 20
+PROGRAM, PROGRAM_DRAWING, PROGRAM_TORCH = 64 << 20, 192 << 20, 320 << 20
 # Commands that decode some chunks at a time, and hold neither the file nor the scene. These options hold both.
 STREAMING = ("validate", "digest", "decode", "inspect")
 HOLDING_OPTIONS = ("trace", "hex", "near", "anchor")
@@ -104,6 +104,8 @@ def check_bounds(arguments: argparse.Namespace, path: str, count: int, needed: i
 
 
 def _program(arguments: argparse.Namespace) -> int:
+    if vars(arguments).get("scaffold"):
+        return PROGRAM_TORCH
     return PROGRAM_DRAWING if _command(arguments) in ("render", "eval", "export") else PROGRAM
 
 

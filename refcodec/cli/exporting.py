@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 from ..files.outputs import check_apart, check_file
 from ..files.stage import write_file
 from ..files.terminal import note, say
-from .bounds import add_bounds
+from .bounds import add_bounds, check_bounds
 from .shared import (
     CODED_OR_PLAIN,
     RENDER_PACKAGES,
@@ -82,6 +82,8 @@ def _views(
 
 def _scaffold(arguments: argparse.Namespace, folder: Path) -> int:
     """Writes the folder of Scaffold-GS."""
+    # torch alone may take more than the caller allows.
+    check_bounds(arguments, arguments.file, 0, 0)
     try:
         # The networks are written with torch, which is missed here and not after the work.
         import torch  # noqa: F401

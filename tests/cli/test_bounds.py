@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import sys
 import threading
 import tracemalloc
 from collections.abc import Callable
@@ -66,6 +67,18 @@ def test_more_is_refused_before_any_work(
     assert not (tmp_path / "out").exists()
 
 
+def test_torch_is_not_loaded_beyond_the_bound(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """It takes more than the caller allows, before the file is looked at."""
+    monkeypatch.setitem(sys.modules, "torch", None)
+    arguments = ["export", str(EXAMPLE), "--scaffold", "-o", str(tmp_path / "out"), "--max-memory"]
+    assert main([*arguments, "200M"]) == 64
+    assert "--max-memory" in capsys.readouterr().err
+    assert main([*arguments, "400M"]) == 64
+    assert "needs torch" in capsys.readouterr().err
+
+
 @pytest.fixture
 def no_large_read(monkeypatch: pytest.MonkeyPatch) -> None:
     """No bytes are read that the bound does not allow."""
@@ -79,7 +92,7 @@ def no_large_read(monkeypatch: pytest.MonkeyPatch) -> None:
         monkeypatch.setattr(kind, "read", checked)
 
 
-BOUND, CLAIM = 200 << 20, 1500 << 20
+BOUND, CLAIM = 400 << 20, 1500 << 20
 
 
 @pytest.mark.usefixtures("no_large_read")
