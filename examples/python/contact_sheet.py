@@ -18,6 +18,8 @@ WIDTH = 160
 
 def main() -> None:
     """Command line."""
+    if len(sys.argv) != 3:
+        raise SystemExit(__doc__)
     scene = refcodec.decode(sys.argv[1])
     cameras = scene.orbit(COLUMNS * ROWS)
     height = WIDTH * cameras[0].height // cameras[0].width

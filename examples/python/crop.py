@@ -17,6 +17,8 @@ from refcodec.bitstream.scene import take_anchors
 
 def main() -> None:
     """Command line."""
+    if len(sys.argv) != 4:
+        raise SystemExit(__doc__)
     source, target, share = sys.argv[1], sys.argv[2], float(sys.argv[3])
     scene = refcodec.decode(source)
     away = np.linalg.norm(scene.positions - np.median(scene.positions, axis=0), axis=1)

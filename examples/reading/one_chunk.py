@@ -44,6 +44,8 @@ def fetcher(place: str) -> tuple[Callable[[int, int], bytes], int]:
 
 def main() -> None:
     """Command line."""
+    if len(sys.argv) != 3:
+        raise SystemExit(__doc__)
     place, number = sys.argv[1], int(sys.argv[2])
     fetch, length = fetcher(place)
 
