@@ -1,4 +1,4 @@
-"""The rooms of the project and who uses whom, from the imports: ARCHITECTURE.md's table and drawing."""
+"""The packages of the project and their imports: ARCHITECTURE.md's table."""
 
 from __future__ import annotations
 
@@ -12,38 +12,44 @@ from pathlib import Path
 from .made import ROOT, Made
 
 PAGE = ROOT / "ARCHITECTURE.md"
-# Rooms from the ground up. Each may use those before it.
-ROOMS = (
-    "refcodec",
-    "refcodec.files",
-    "refcodec.native",
-    "refcodec.bitstream",
-    "refcodec.encoder",
-    "refcodec.folder",
-    "refcodec.inspect",
-    "refcodec.render",
-    "refcodec.api",
-    "refcodec.export",
-    "refcodec.photographs",
-    "refcodec.viewer",
-    "refcodec.evaluate",
-    "refcodec.train",
-    "refcodec.convert",
-    "refcodec.experiments",
-    "refcodec.cli",
-    "conformance.independent",
-    "conformance",
-    "conformance.cases",
-    "conformance.runner",
-    "conformance.diagnosis",
-    "conformance.report",
-    "conformance.fuzz",
-    "conformance.mutants",
-    "conformance.cli",
-    "conformance.unseen",
-    "spec",
-    "benchmarks",
-)
+# The rooms in import order, by the parts of ARCHITECTURE.md's table: each may import those before it.
+PARTS = {
+    "format": (
+        "refcodec",
+        "refcodec.files",
+        "refcodec.native",
+        "refcodec.bitstream",
+        "refcodec.encoder",
+        "refcodec.folder",
+        "refcodec.inspect",
+    ),
+    "scenes": (
+        "refcodec.render",
+        "refcodec.export",
+        "refcodec.photographs",
+        "refcodec.viewer",
+        "refcodec.evaluate",
+        "refcodec.train",
+        "refcodec.convert",
+        "refcodec.experiments",
+    ),
+    "front doors": ("refcodec.api", "refcodec.cli"),
+    "conformance": (
+        "conformance.independent",
+        "conformance",
+        "conformance.cases",
+        "conformance.runner",
+        "conformance.diagnosis",
+        "conformance.report",
+        "conformance.fuzz",
+        "conformance.mutants",
+        "conformance.cli",
+        "conformance.unseen",
+        "spec",
+        "benchmarks",
+    ),
+}
+ROOMS = tuple(room for rooms in PARTS.values() for room in rooms)
 PACKAGES = tuple(dict.fromkeys(room.partition(".")[0] for room in ROOMS))
 
 
@@ -102,42 +108,20 @@ def uses() -> dict[str, set[str]]:
     return found
 
 
-def drawing() -> str:
-    """The rooms as a graph. An arrow that follows from two others is left out."""
-    graph = uses()
-    # What a room reaches, from the ground up.
-    reached: dict[str, set[str]] = {}
-    for name in ROOMS:
-        below = graph[name] & set(reached)
-        reached[name] = below.union(*(reached[other] for other in below))
-    lines = ["```mermaid", "flowchart BT"]
-    for package in PACKAGES:
-        names = [name for name in ROOMS if name == package or name.startswith(f"{package}.")]
-        drawn = [name for name in names if name != "refcodec"]
-        lines.append(f"  subgraph {package}_ [{package}]")
-        lines += [f"    {name}[{name.rpartition('.')[2]}]" for name in drawn]
-        lines.append("  end")
-    for name in ROOMS:
-        far = {below for other in graph[name] for below in reached[other]}
-        lines += [f"  {name} --> {below}" for below in ROOMS if below in graph[name] - far]
-    return "\n".join([*lines, "```"])
-
-
 def table() -> str:
-    """A row for each room: what it is for, in the words of its own first line, and what it uses."""
+    """A row for each room: its part, the first sentence of its docstring, and the rooms that it imports."""
     graph = uses()
-    rows = ["| room | what it is for | uses |", "|---|---|---|"]
-    for name in ROOMS:
-        what = docstring(name).partition("\n\n")[0].replace("\n", " ")
-        below = ", ".join(f"`{other.removeprefix('refcodec.')}`" for other in ROOMS if other in graph[name])
-        rows.append(f"| [`{name}`]({name.replace('.', '/')}) | {what} | {below or '-'} |")
+    rows = ["| part | package | purpose | imports |", "|---|---|---|---|"]
+    for part, rooms in PARTS.items():
+        for name in rooms:
+            purpose = docstring(name).partition("\n\n")[0].replace("\n", " ")
+            below = ", ".join(f"`{other.removeprefix('refcodec.')}`" for other in ROOMS if other in graph[name])
+            rows.append(f"| {part} | [`{name}`]({name.replace('.', '/')}) | {purpose} | {below or '-'} |")
     return "\n".join(rows)
 
 
 def made() -> Iterator[Made]:
-    """ARCHITECTURE.md, with its generated parts renewed."""
+    """ARCHITECTURE.md, with its generated table renewed."""
     text = PAGE.read_text(encoding="utf-8")
-    for name, content in (("rooms", table()), ("drawing", drawing())):
-        pattern = re.compile(rf"(<!-- generated:{name} -->\n).*?(<!-- /generated -->)", re.DOTALL)
-        text = pattern.sub(lambda found, content=content: f"{found[1]}\n{content}\n\n{found[2]}", text)  # type: ignore[misc]
-    yield Made.text(PAGE, text)
+    pattern = re.compile(r"(<!-- generated:rooms -->\n).*?(<!-- /generated -->)", re.DOTALL)
+    yield Made.text(PAGE, pattern.sub(lambda match: f"{match[1]}\n{table()}\n\n{match[2]}", text))
