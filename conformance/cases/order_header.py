@@ -1,4 +1,4 @@
-"""Cases of clause 10.1, steps 1 to 3: two faults of the prologue, the header or the directory.
+"""Cases of clause 10.1, PROLOGUE to DIRECTORY: two faults of the prologue, the header or the directory.
 
 The first in the order of checks counts, wherever in the file it is.
 """

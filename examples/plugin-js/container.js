@@ -16,7 +16,7 @@ import { sourceOf } from "../../refcodec/web/source.js";
 
 const EXIT = { refused: 1, unsupported: 2, noMore: 3, usage: 64 };
 
-// SPEC 10.1, steps 1 to 3, and of steps 4 to 7 what the container has: the sections, and what FRAM holds
+// SPEC 10.1, PROLOGUE to DIRECTORY, of SECTIONS the sections themselves and what FRAM holds, and END
 async function check(data) {
   const source = sourceOf(data);
   const header = await readHeader(source);

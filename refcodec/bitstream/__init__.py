@@ -1,7 +1,4 @@
-"""The bitstream: one module for each chapter of SPEC.md or group of its clauses.
-
-The first line of a module names its clauses. `conformance/independent` has a module of the same name with the same
-clauses. Only the three modules without a clause that are about memory have no module there.
+"""The bitstream: one module for each chapter of SPEC.md or group of its clauses. The first line of a module names them.
 
     conventions     2           operators
     source          5, 10.2     the bytes of a file: in memory, as they arrive, or by ranges
@@ -31,10 +28,11 @@ clauses. Only the three modules without a clause that are about memory have no m
 
 These modules have no clause of their own:
 
-    scene           what a file says, as arrays
-    batches         chunks that are decoded or encoded side by side
+    scene           the content of a file, as arrays
+    kernel          the native kernel, where it is built
+    batches         chunks that are decoded or encoded in parallel
     streaming       a file that is decoded some chunks at a time
-    bounds          what a caller does not want to decode
+    bounds          limits of the caller on memory and work
 
-No module here imports another part of the package, torch or a renderer.
+The modules import numpy, construct and `refcodec.native`. They import neither torch nor a renderer.
 """

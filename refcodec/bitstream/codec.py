@@ -55,7 +55,7 @@ class Parsed:
 
 
 def parse_container(data: bytes) -> Header:
-    """SPEC 10.1, steps 1 to 3: checks the prologue, the header and the directory. Raises BitstreamError 101 to 305."""
+    """SPEC 10.1, PROLOGUE to DIRECTORY: returns the header with its sections. Raises BitstreamError 101 to 305."""
     return read_header(WholeFile(data))
 
 

@@ -78,8 +78,8 @@ def section_lengths(d: Dimensions, chunks: int, modes: Mapping[bytes, int]) -> d
 def parse_directory(header: syntax.Struct, d: Dimensions, start: int) -> tuple[Section, ...]:
     """SPEC 6.6: checks the directory and returns the sections in file order. Raises BitstreamError 301 to 305.
 
-    Each requirement is checked over all entries before the next requirement (SPEC 10.1, step 3). Lengths are checked
-    before anything of that length is read (SPEC 13.1). header: the parsed header. start: where the header ends.
+    Each requirement is checked over all entries before the next requirement (SPEC 10.1, DIRECTORY). Lengths are
+    checked before anything of that length is read (SPEC 13.1). header: the parsed header. start: where the header ends.
     """
     entries = list(enumerate(header.fields.directory))
     # SPEC [R6.6-1]

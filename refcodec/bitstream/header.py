@@ -137,7 +137,7 @@ def _signature_text(found: bytes) -> str:
 
 
 def read_header(source: Source) -> Header:
-    """SPEC 10.1, steps 1 to 3: reads and checks the prologue, the header and the directory.
+    """SPEC 10.1, PROLOGUE to DIRECTORY: reads and checks the prologue, the header and the directory.
 
     Raises BitstreamError 101 to 305.
     """
@@ -180,7 +180,7 @@ def parse_header(data: bytes, minor: int, header_length: int) -> tuple[Header, s
 
 
 def _checked(header: syntax.Struct, minor: int, later: bytes) -> Header:
-    """SPEC 10.1, step 2, from [R6.2-4] on: checks padding and reserved fields, then the others by the errors' codes."""
+    """SPEC 10.1: checks padding and reserved fields ([R6.2-4], [R6.2-5]), then the other fields (FIELDS)."""
     h = header.fields
     # SPEC [R6.2-4]
     if any(h.dimensions.padding):

@@ -101,7 +101,7 @@ def _decode(pieces: list[Piece], d: Dimensions, lanes: int, sarm: IntNetwork, tr
     opened = [open_substream(piece, lanes, f"planes.{name}") for name, piece in zip(PLANE_NAMES, pieces, strict=True)]
     decoder = Decoder([stream for stream, _ in opened], trace)
     planes = code_planes(decoder, sarm, d.plane_channels, d.plane_size)
-    # SPEC 10.1, step 4: all errors of a substream come before those of the next one.
+    # SPEC 10.1, SECTIONS: all errors of a substream come before those of the next one.
     for (_, before), after in zip(opened, decoder.finish(), strict=True):
         error = before or after
         if error is not None:

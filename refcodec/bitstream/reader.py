@@ -93,7 +93,9 @@ class Reader:
         at_once: int = 0,
         derive: Derive = derive_networks,
     ) -> None:
-        """SPEC 10.1, steps 1 to 3. Raises BitstreamError 101 to 305, BoundPassedError after them, and UsageError.
+        """SPEC 10.1, PROLOGUE to DIRECTORY.
+
+        Raises BitstreamError 101 to 305, BoundPassedError after them, and UsageError.
 
         keep_ancillary: whether ancillary sections are kept. Otherwise they are only checked. trace: told of each
         symbol. Symbols come chunk by chunk then. bounds: what the caller allows a reader that holds some chunks at a
@@ -116,7 +118,7 @@ class Reader:
         self._before = 0
 
     def open(self, *, critical_only: bool = False, progress: Progress = no_progress) -> Opened:
-        """SPEC 10.1, step 4: reads and checks the sections before DATA.
+        """SPEC 10.1, SECTIONS: reads and checks the sections before DATA.
 
         critical_only: whether ancillary sections are left unread, as a decoder of one chunk may. Raises BitstreamError
         311 to 313 and 401 to 436, or that of a substream.
@@ -194,7 +196,7 @@ class Reader:
             self._whole = native.room(count)
 
     def chunks(self, *, side_by_side: bool = False) -> Iterator[Chunk | BitstreamError]:
-        """SPEC 10.1, step 5: yields each chunk in order, or its first error.
+        """SPEC 10.1, CHUNKS: yields each chunk in order, or its first error.
 
         side_by_side: whether many chunks are read and decoded at once, which is faster. Otherwise a chunk is yielded
         before the next one is read. What is yielded does not depend on it.
@@ -223,7 +225,7 @@ class Reader:
             yield entries
 
     def decode(self, entries: list[ChunkEntry]) -> list[Chunk | BitstreamError]:
-        """SPEC 10.1, step 5: reads and decodes some chunks side by side. Returns each of them, or its first error.
+        """SPEC 10.1, CHUNKS: reads and decodes some chunks side by side. Returns each of them, or its first error.
 
         Raises BoundPassedError for chunks whose lengths by the index need more memory than the caller allows.
         """
@@ -357,7 +359,7 @@ class Reader:
         return found
 
     def close(self) -> None:
-        """SPEC 10.1, the end of step 5 and step 6: reads and checks what comes behind the chunks.
+        """SPEC 10.1, CHUNKS to END: checks DATA's crc, the sections behind it, and the end of the file.
 
         Raises BitstreamError 311 to 321.
         """

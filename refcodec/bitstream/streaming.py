@@ -85,7 +85,7 @@ def pieces(
     damage: dict[int, BitstreamError] | None = None,
     progress: Progress = no_progress,
 ) -> Iterator[Scene]:
-    """SPEC 10.1, step 5: yields the anchors of chunks that are decoded side by side, in order, each time as a scene.
+    """SPEC 10.1, CHUNKS: yields the anchors of chunks that are decoded side by side, in order, each time as a scene.
 
     Args:
         reader: it was opened.

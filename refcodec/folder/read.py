@@ -170,7 +170,7 @@ def _read_frame(doc: Document) -> Frame:
 
 
 def _read_weight_scales(doc: Document, d: Dimensions) -> NDArray[np.uint8] | None:
-    """Returns the scale indices of packed weights (SPEC 5.16), uint8 [layers, 3], or None if weights are not packed."""
+    """Returns the scale indices of packed weights (SPEC 5.9), uint8 [layers, 3], or None if weights are not packed."""
     if "weight_scales" not in doc.root:
         return None
     rows = [doc.integers(f"weight_scales[{i}]", 3, 0, 255) for i in range(len(layers_of(d)))]

@@ -139,7 +139,7 @@ class NativeScene:
         )
 
     def decode_chunks(self, chunks: list[ChunkBytes], to: Anchors, rows: list[int]) -> list[Verdict]:
-        """SPEC 10.1, step 5: decodes some chunks, and returns what is made of each.
+        """SPEC 10.1, CHUNKS: decodes some chunks, and returns what is made of each.
 
         to: arrays of `room`. rows: the row of each chunk's first anchor in them. The chunks do not overlap.
         """

@@ -1363,7 +1363,7 @@ static void NAMED(move)(const kernel_scene *s, NAMED(chunk_work) *c, const stage
 
 /* ------------------------------------------------------------------------------------------------- SPEC 5.14: chunks -- */
 
-/* SPEC 10.1, step 5: decodes a chunk. Returns its first error code, or 0. */
+/* SPEC 10.1, CHUNKS: decodes a chunk. Returns its first error code, or 0. */
 static int32_t NAMED(decode_chunk)(const kernel_scene *s, kernel_chunk *chunk, workspace *w)
 {
     int64_t n = chunk->anchors, count;

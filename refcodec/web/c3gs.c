@@ -77,7 +77,7 @@ void web_decode_planes(const kernel_scene *scene, const uint8_t *bytes, const ui
     for (int i = 0; i < PLANES; i++) status[i] = verdict[i].status;
 }
 
-/* SPEC 10.1, step 6. place: where each part starts in `bytes`, and then their lengths. bounds: low and high, [6].
+/* SPEC 10.1, CHUNKS. place: where each part starts in `bytes`, and then their lengths. bounds: low and high, [6].
  *
  * failed: the part that has the error.
  */

@@ -50,7 +50,7 @@ class Scene {
     this.#tables = header.base_step.map(table);
   }
 
-  // 10.1, step 5. all: whether ancillary sections are checked, too.
+  // 10.1, SECTIONS. all: whether ancillary sections are checked, too.
   async open(all) {
     const body = this.header.sections.find(({ type }) => type === "DATA");
     let frame, weights;
@@ -124,7 +124,7 @@ class Scene {
     for (const entry of entries(this.#index)) yield this.#decode(entry);
   }
 
-  // 10.1, step 6 for one chunk, and 9.1 and 9.2
+  // 10.1, CHUNKS for one chunk, and 9.1 and 9.2
   async #decode(entry) {
     checkBytes(this.#options, entry.length);
     const chunk = await readChunk(this.#source, entry, this.#index);
@@ -156,7 +156,7 @@ class Scene {
     };
   }
 
-  // The end of 10.1, step 6, and step 7
+  // 10.1, CHUNKS from the crc of DATA on, and END
   async close() {
     let behind = false;
     for (const section of this.header.sections) {

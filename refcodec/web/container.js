@@ -106,7 +106,7 @@ export class Cursor {
   }
 }
 
-// 10.1, steps 1 to 3: returns the header's fields by their names, `at` with their offsets, and its `sections`: of each
+// 10.1, PROLOGUE to DIRECTORY: returns the header's fields by their names, `at` with their offsets, and its `sections`: of each
 // type, mode, start, length and crc. Lengths of critical sections are numbers that a file can have.
 export async function readHeader(source) {
   const { minor, end } = readPrologue(await source.read(0, PROLOGUE_LENGTH));
@@ -180,7 +180,7 @@ function within(value, [low, high]) {
   return value >= low && value <= high;
 }
 
-// 10.1, step 2: [R6.2-4], [R6.2-5], then the order of the codes
+// 10.1, HEADER from [R6.2-4] on, then FIELDS
 function checkHeader(h) {
   const { at } = h;
   need(h.padding.every((byte) => byte === 0), "header.padding", at.padding);
@@ -302,7 +302,7 @@ export function isAncillary({ type }) {
   return (type.charCodeAt(0) & 32) !== 0;
 }
 
-// 10.1, step 3: [R6.6-1] to [R6.6-5], each over all entries
+// 10.1, DIRECTORY: [R6.6-1] to [R6.6-5], each over all entries
 function checkDirectory(h) {
   const { at, directory } = h;
   directory.forEach(({ type }, i) => need(/^[A-Za-z]{4}$/.test(type), "directory.type", at[`type ${i}`]));

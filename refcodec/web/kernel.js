@@ -168,7 +168,7 @@ class Kernel {
     return { statuses, planes };
   }
 
-  // SPEC 10.1, step 6, from the positions on. chunk: as parseChunk gives it. Returns an error code or 0, and the number
+  // SPEC 10.1, CHUNKS, from the positions on. chunk: as parseChunk gives it. Returns an error code or 0, and the number
   // of the part that has the error. The integers stay in memory, for `values`.
   decodeChunk(header, chunk) {
     const h = header;
