@@ -21,8 +21,8 @@ from scipy.spatial import cKDTree
 
 from refcodec.bitstream.context import positional_encoding
 from refcodec.encoder.sizes import choose_plane_size
-from refcodec.train.entropy.hyperprior import VectorMatrix
-from refcodec.train.entropy.units import GAMMA_UNIT
+from refcodec.train.rate_model.hyperprior import VectorMatrix
+from refcodec.train.rate_model.units import GAMMA_UNIT
 
 from ..results import table
 from .neighbours import nearest_before, nearest_coarser, nearest_of_all

@@ -9,9 +9,9 @@ from torch import Tensor, nn
 from refcodec.bitstream.context import positional_encoding
 from refcodec.bitstream.planes import PLANES
 from refcodec.encoder.sizes import choose_plane_size
-from refcodec.train.entropy.bits import gauss_bits, laplace_bits
-from refcodec.train.entropy.hyperprior import PlaneSamples, plane_neighbours
-from refcodec.train.entropy.units import GAMMA_UNIT, LATENT_UNIT, MEAN_UNIT, PLANE_SHIFT, SCALE_UNIT, round_through
+from refcodec.train.rate_model.bits import gauss_bits, laplace_bits
+from refcodec.train.rate_model.hyperprior import PlaneSamples, plane_neighbours
+from refcodec.train.rate_model.units import GAMMA_UNIT, LATENT_UNIT, MEAN_UNIT, PLANE_SHIFT, SCALE_UNIT, round_through
 
 from ..peers.mixture import mixed_bits
 from .neighbours import inputs as neighbour_inputs

@@ -24,7 +24,7 @@ from refcodec.bitstream.conventions import Int64
 from refcodec.bitstream.entropy import SymbolName
 from refcodec.bitstream.scene import Scene
 from refcodec.bitstream.tables import ModelSet
-from refcodec.train.entropy.units import MEAN_UNIT, SCALE_UNIT
+from refcodec.train.rate_model.units import MEAN_UNIT, SCALE_UNIT
 
 from ..ideal import BitCounter, bin_bits
 from ..results import table

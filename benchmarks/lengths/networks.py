@@ -15,8 +15,8 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional
 
-from refcodec.train.entropy.bits import gauss_bits, laplace_bits
-from refcodec.train.entropy.units import SCALE_UNIT, round_through
+from refcodec.train.rate_model.bits import gauss_bits, laplace_bits
+from refcodec.train.rate_model.units import SCALE_UNIT, round_through
 
 # Bits of a layer's model, and of a row's exponent: about what files of the trainer spend.
 MODEL_BITS, ROW_BITS = 48, 3

@@ -20,9 +20,9 @@ from refcodec.bitstream.frame import Frame
 from refcodec.encoder.positions import morton_order
 from refcodec.inspect.elements import outline_of
 from refcodec.inspect.parts import part_bytes
-from refcodec.train.entropy.columns import Columns
-from refcodec.train.entropy.hyperprior import VectorMatrix, scene_coordinates
-from refcodec.train.entropy.model import OFFSETS, RateModel
+from refcodec.train.rate_model.columns import Columns
+from refcodec.train.rate_model.hyperprior import VectorMatrix, scene_coordinates
+from refcodec.train.rate_model.model import OFFSETS, RateModel
 from refcodec.train.settings import EntropySettings
 from refcodec.train.start import lattice_positions
 

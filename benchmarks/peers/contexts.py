@@ -15,8 +15,8 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 from refcodec.photographs.photographs import PhotographSet
-from refcodec.train.entropy.hyperprior import Hyperprior, VectorMatrix
-from refcodec.train.entropy.model import RateModel
+from refcodec.train.rate_model.hyperprior import Hyperprior, VectorMatrix
+from refcodec.train.rate_model.model import RateModel
 from refcodec.train.settings import TrainSettings
 from refcodec.train.trainer import Trainer
 

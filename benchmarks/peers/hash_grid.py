@@ -23,9 +23,9 @@ from torch.nn import functional
 from refcodec.bitstream.context import UNIT_BITS
 from refcodec.bitstream.frame import Frame
 from refcodec.bitstream.networks import ACTIVATION_MAX
-from refcodec.train.entropy.hyperprior import Contexts, scene_coordinates
-from refcodec.train.entropy.model import RateModel
-from refcodec.train.entropy.units import round_through
+from refcodec.train.rate_model.hyperprior import Contexts, scene_coordinates
+from refcodec.train.rate_model.model import RateModel
+from refcodec.train.rate_model.units import round_through
 
 F64 = NDArray[np.float64]
 I64 = NDArray[np.int64]

@@ -23,9 +23,9 @@ from torch import Tensor
 from refcodec.bitstream.attributes import SCALINGS
 from refcodec.bitstream.frame import Frame
 from refcodec.bitstream.networks import ACTIVATION_MAX
-from refcodec.train.entropy.hyperprior import Contexts
-from refcodec.train.entropy.model import RateModel
-from refcodec.train.parts.rate import Rate
+from refcodec.train.rate_model.hyperprior import Contexts
+from refcodec.train.rate_model.model import RateModel
+from refcodec.train.stages.rate import Rate
 
 I64 = NDArray[np.int64]
 

@@ -16,12 +16,12 @@ import torch
 from torch import Tensor, nn
 
 from refcodec.bitstream.attributes import SCALINGS
-from refcodec.train.entropy.bits import gauss_bits
-from refcodec.train.entropy.columns import Columns
-from refcodec.train.entropy.folded import FoldedMlp
-from refcodec.train.entropy.hyperprior import Hyperprior
-from refcodec.train.entropy.model import RateModel
-from refcodec.train.entropy.units import MEAN_UNIT, SCALE_UNIT
+from refcodec.train.rate_model.bits import gauss_bits
+from refcodec.train.rate_model.columns import Columns
+from refcodec.train.rate_model.folded import FoldedMlp
+from refcodec.train.rate_model.hyperprior import Hyperprior
+from refcodec.train.rate_model.model import RateModel
+from refcodec.train.rate_model.units import MEAN_UNIT, SCALE_UNIT
 from refcodec.train.settings import EntropySettings
 
 

@@ -11,7 +11,7 @@ from ..bitstream.attributes import KINDS
 from ..encoder.sizes import choose_lanes
 from ..encoder.weights import quantise_rendering
 from .export import position_bytes, weight_bytes
-from .parts.rate import Rate
+from .stages.rate import Rate
 from .scaffold import Scaffold
 
 # Bits that attributes, masks and planes have in the end, for each number of each anchor that there is before the rate,

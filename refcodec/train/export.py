@@ -30,9 +30,9 @@ from ..encoder.weights import exact_networks, weight_scales
 from ..folder.uncompressed import Uncompressed
 from ..photographs.photographs import PhotographSet
 from ..render.camera import up_axis
-from .entropy.model import RateModel
-from .entropy.units import PLANE_SHIFT
-from .parts.rate import Rate
+from .rate_model.model import RateModel
+from .rate_model.units import PLANE_SHIFT
+from .stages.rate import Rate
 from .scaffold import Scaffold
 from .start import lattice_positions
 

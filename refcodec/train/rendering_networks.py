@@ -12,8 +12,8 @@ from torch.nn import functional
 from ..bitstream.dimensions import RENDERING
 from ..bitstream.networks import Layer
 from ..encoder.weights import rendering_exponent
-from .entropy.columns import Columns
-from .entropy.units import grid_through
+from .rate_model.columns import Columns
+from .rate_model.units import grid_through
 
 # SPEC 11.1: units of the hidden layer in Main.
 RENDER_WIDTH = 50

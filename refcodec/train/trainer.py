@@ -20,7 +20,7 @@ from ..files.interrupts import on_interrupt
 from ..folder.uncompressed import Uncompressed
 from ..photographs.photographs import PhotographSet
 from ..render.camera import STATED, spread_cameras
-from .entropy.hyperprior import Hyperprior, VectorMatrix
+from .rate_model.hyperprior import Hyperprior, VectorMatrix
 from .estimate import coded_bytes, likely_bytes, uncompressed_bytes
 from .export import coded_scene, render_info, uncompressed
 from .fit_input import Given
@@ -28,13 +28,13 @@ from .looks import Looks
 from .losses import photometric
 from .pace import Pace
 from .part import Part, Step
-from .parts.averaging import Averaging
-from .parts.grids import Grids
-from .parts.growth import Growth
-from .parts.learning import Learning
-from .parts.masks import Masks
-from .parts.quantisation import Quantisation
-from .parts.rate import Rate
+from .stages.averaging import Averaging
+from .stages.grids import Grids
+from .stages.growth import Growth
+from .stages.learning import Learning
+from .stages.masks import Masks
+from .stages.quantisation import Quantisation
+from .stages.rate import Rate
 from .scaffold import Scaffold
 from .schedule import Clock
 from .settings import TrainSettings

@@ -19,7 +19,7 @@ from benchmarks.lengths.networks import Network, value_bits
 from benchmarks.lengths.questions import QUESTIONS
 from benchmarks.lengths.scenes import Coded
 from benchmarks.lengths.variants import ALONE, OFFSETS, SCALINGS, Group, Variant, slices
-from refcodec.train.entropy.units import MEAN_UNIT, SCALE_UNIT
+from refcodec.train.rate_model.units import MEAN_UNIT, SCALE_UNIT
 
 COUNTS = (6, 2, 6)
 GROUPS = (*slices(2, 4), Group("s", 0, -1, "f"), Group("o", 0, -1, "fsm"))

@@ -16,8 +16,8 @@ from benchmarks.peers.levels import LEVELS, Levels, ladder
 from benchmarks.peers.mixture import Mixture, mixed_bits
 from refcodec.bitstream.attributes import KINDS
 from refcodec.photographs.photographs import PhotographSet
-from refcodec.train.entropy.hyperprior import VectorMatrix
-from refcodec.train.entropy.model import OFFSETS, PAPER, RateModel
+from refcodec.train.rate_model.hyperprior import VectorMatrix
+from refcodec.train.rate_model.model import OFFSETS, PAPER, RateModel
 from refcodec.train.settings import EntropySettings, TrainSettings
 from refcodec.train.settings_file import assigned, varied
 

@@ -11,7 +11,7 @@ import torch
 from refcodec.bitstream.scene import Scene
 from refcodec.photographs.photographs import PhotographSet
 from refcodec.render.camera import Camera
-from refcodec.train.parts.growth import Growth
+from refcodec.train.stages.growth import Growth
 from refcodec.train.scaffold import Scaffold
 from refcodec.train.schedule import Clock
 from refcodec.train.settings import TrainSettings

@@ -9,7 +9,7 @@ import torch
 from torch import Tensor
 
 from refcodec.photographs.photographs import PhotographSet
-from refcodec.train.parts.averaging import PERIOD, Averaging
+from refcodec.train.stages.averaging import PERIOD, Averaging
 from refcodec.train.settings import TrainSettings
 from refcodec.train.settings_file import varied
 from refcodec.train.state import restore, save

@@ -37,10 +37,10 @@ from refcodec.inspect.parts import part_bytes  # noqa: E402
 from refcodec.photographs.photographs import PhotographSet  # noqa: E402
 from refcodec.render.view import View  # noqa: E402
 from refcodec.train import fit, voxelise  # noqa: E402
-from refcodec.train.entropy.bits import gauss_bits, laplace_bits  # noqa: E402
-from refcodec.train.entropy.folded import FoldedMlp  # noqa: E402
-from refcodec.train.entropy.hyperprior import VectorMatrix  # noqa: E402
-from refcodec.train.entropy.model import RateModel  # noqa: E402
+from refcodec.train.rate_model.bits import gauss_bits, laplace_bits  # noqa: E402
+from refcodec.train.rate_model.folded import FoldedMlp  # noqa: E402
+from refcodec.train.rate_model.hyperprior import VectorMatrix  # noqa: E402
+from refcodec.train.rate_model.model import RateModel  # noqa: E402
 from refcodec.train.fit_input import Given, read_given  # noqa: E402
 from refcodec.train.settings import EntropySettings, FitSettings, TrainSettings  # noqa: E402
 from refcodec.train.settings_file import varied  # noqa: E402

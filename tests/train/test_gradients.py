@@ -9,7 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from refcodec.train.adam import adam_rows, share_rows
-from refcodec.train.entropy.model import OFFSETS
+from refcodec.train.rate_model.model import OFFSETS
 from refcodec.train.losses import Photometric
 from refcodec.train.spawn import Spawn
 

@@ -19,8 +19,8 @@ from refcodec.inspect.elements import outline_of
 from refcodec.inspect.parts import part_bytes
 from refcodec.photographs.photographs import PhotographSet
 from refcodec.render.view import View
-from refcodec.train.entropy.hyperprior import Hyperprior, VectorMatrix
-from refcodec.train.entropy.model import OFFSETS
+from refcodec.train.rate_model.hyperprior import Hyperprior, VectorMatrix
+from refcodec.train.rate_model.model import OFFSETS
 from refcodec.train.settings import TrainSettings
 from refcodec.train.settings_file import varied
 from refcodec.train.state import restore, save

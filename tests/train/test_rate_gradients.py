@@ -10,10 +10,10 @@ import torch
 from torch import Tensor
 
 from refcodec.bitstream.tables import SCALE_MIN
-from refcodec.train.entropy.bits import bits_anywhere, gauss_bits, laplace_bits
-from refcodec.train.entropy.folded import FoldedMlp
-from refcodec.train.entropy.hyperprior import PlaneSamples, VectorMatrix, plane_neighbours
-from refcodec.train.entropy.model import OFFSETS, PAPER, RateModel
+from refcodec.train.rate_model.bits import bits_anywhere, gauss_bits, laplace_bits
+from refcodec.train.rate_model.folded import FoldedMlp
+from refcodec.train.rate_model.hyperprior import PlaneSamples, VectorMatrix, plane_neighbours
+from refcodec.train.rate_model.model import OFFSETS, PAPER, RateModel
 from refcodec.train.residues import Shown, Symbols
 from refcodec.train.settings import EntropySettings
 

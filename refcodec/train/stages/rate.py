@@ -17,8 +17,8 @@ from ...bitstream.frame import FRAME_RANGE_BOUND, FRAME_SHIFT_MAX, MATRIX_BOUND,
 from ...encoder.frame import choose_frame
 from ...encoder.sizes import choose_plane_size, choose_width
 from ..adam import ADAM_EPSILON
-from ..entropy.hyperprior import Hyperprior, contexts_of
-from ..entropy.model import RateModel
+from ..rate_model.hyperprior import Hyperprior, contexts_of
+from ..rate_model.model import RateModel
 from ..optimisers import learning_rate, moments, restore_moments
 from ..part import Part, Sight, Step
 from ..scaffold import Scaffold

@@ -1,1 +1,0 @@
-"""The parts of the method (refcodec.train.part.Part), which a training calls in turn."""
