@@ -18,9 +18,9 @@ from refcodec.bitstream.planes import PLANES
 from refcodec.bitstream.reconstruction import Reconstruction
 from refcodec.folder.uncompressed import Uncompressed
 from refcodec.render.camera import named_camera
+from refcodec.train.export import render_info, uncompressed
 from refcodec.train.rate_model.hyperprior import Contexts, PlaneSamples, scene_coordinates
 from refcodec.train.rate_model.units import LATENT_UNIT, PLANE_SHIFT
-from refcodec.train.export import render_info, uncompressed
 from refcodec.train.trainer import Trainer
 
 

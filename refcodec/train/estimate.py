@@ -11,8 +11,8 @@ from ..bitstream.attributes import KINDS
 from ..encoder.sizes import choose_lanes
 from ..encoder.weights import quantise_rendering
 from .export import position_bytes, weight_bytes
-from .stages.rate import Rate
 from .scaffold import Scaffold
+from .stages.rate import Rate
 
 # Bits that attributes, masks and planes have in the end, for each number of each anchor that there is before the rate,
 # at some weights of the rate. They are means over caliterra, snowmiku and playbot at 200 pixels and 4,000 steps, one

@@ -32,8 +32,8 @@ from ..photographs.photographs import PhotographSet
 from ..render.camera import up_axis
 from .rate_model.model import RateModel
 from .rate_model.units import PLANE_SHIFT
-from .stages.rate import Rate
 from .scaffold import Scaffold
+from .stages.rate import Rate
 from .start import lattice_positions
 
 

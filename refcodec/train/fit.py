@@ -34,12 +34,12 @@ from ..encoder.quantise import carm_shifts, order_anchors, quantise, varying
 from ..encoder.quantise import symbols as to_symbols
 from ..encoder.sizes import choose_plane_size, choose_slices, choose_width
 from ..files.interrupts import on_interrupt
+from .fit_input import Given
+from .optimisers import moments, restore_moments
 from .rate_model.columns import Columns
 from .rate_model.hyperprior import VectorMatrix, contexts_of
 from .rate_model.model import SARM_WIDTH, RateModel
 from .rate_model.units import PLANE_SHIFT, STEP_ONE
-from .fit_input import Given
-from .optimisers import moments, restore_moments
 from .rendering_networks import RENDER_WIDTH
 from .settings import BASE_RATE, EntropySettings, FitSettings, QuantisationSettings
 from .settings_file import document

@@ -14,9 +14,9 @@ from ..bitstream.dimensions import RENDERING
 from ..photographs.photographs import PhotographSet
 from ..render.camera import Camera
 from .continued import Beginning, beginning
+from .fit_input import Given
 from .rate_model.columns import Columns
 from .rate_model.model import OFFSETS
-from .fit_input import Given
 from .rendering_networks import RenderNetworks
 from .settings import TrainSettings
 from .spawn import spawn

@@ -20,7 +20,6 @@ from ..files.interrupts import on_interrupt
 from ..folder.uncompressed import Uncompressed
 from ..photographs.photographs import PhotographSet
 from ..render.camera import STATED, spread_cameras
-from .rate_model.hyperprior import Hyperprior, VectorMatrix
 from .estimate import coded_bytes, likely_bytes, uncompressed_bytes
 from .export import coded_scene, render_info, uncompressed
 from .fit_input import Given
@@ -28,6 +27,11 @@ from .looks import Looks
 from .losses import photometric
 from .pace import Pace
 from .part import Part, Step
+from .rate_model.hyperprior import Hyperprior, VectorMatrix
+from .scaffold import Scaffold
+from .schedule import Clock
+from .settings import TrainSettings
+from .settings_file import document
 from .stages.averaging import Averaging
 from .stages.grids import Grids
 from .stages.growth import Growth
@@ -35,10 +39,6 @@ from .stages.learning import Learning
 from .stages.masks import Masks
 from .stages.quantisation import Quantisation
 from .stages.rate import Rate
-from .scaffold import Scaffold
-from .schedule import Clock
-from .settings import TrainSettings
-from .settings_file import document
 from .state import Saved
 from .views import Views
 

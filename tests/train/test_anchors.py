@@ -11,12 +11,12 @@ import torch
 from refcodec.bitstream.scene import Scene
 from refcodec.photographs.photographs import PhotographSet
 from refcodec.render.camera import Camera
-from refcodec.train.stages.growth import Growth
 from refcodec.train.scaffold import Scaffold
 from refcodec.train.schedule import Clock
 from refcodec.train.settings import TrainSettings
 from refcodec.train.settings_file import varied
 from refcodec.train.splat import draw
+from refcodec.train.stages.growth import Growth
 from refcodec.train.start import lattice_positions
 from refcodec.train.trainer import Trainer
 from refcodec.train.visible import visible, visible_anywhere

@@ -9,9 +9,9 @@ import torch
 from torch import Tensor
 
 from refcodec.photographs.photographs import PhotographSet
-from refcodec.train.stages.averaging import PERIOD, Averaging
 from refcodec.train.settings import TrainSettings
 from refcodec.train.settings_file import varied
+from refcodec.train.stages.averaging import PERIOD, Averaging
 from refcodec.train.state import restore, save
 from refcodec.train.trainer import Trainer
 

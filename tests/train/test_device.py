@@ -30,8 +30,8 @@ from refcodec.photographs.photographs import PhotographSet, read_photographs
 from refcodec.train import splat, trainer, views
 from refcodec.train.adam import adam_anywhere, adam_rows, added, joined
 from refcodec.train.command import report
-from refcodec.train.rate_model.model import OFFSETS
 from refcodec.train.losses import Photometric, photometric_anywhere
+from refcodec.train.rate_model.model import OFFSETS
 from refcodec.train.settings import TrainSettings
 from refcodec.train.settings_file import varied
 from refcodec.train.spawn import Spawn, spawn_anywhere

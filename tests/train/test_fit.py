@@ -37,11 +37,11 @@ from refcodec.inspect.parts import part_bytes  # noqa: E402
 from refcodec.photographs.photographs import PhotographSet  # noqa: E402
 from refcodec.render.view import View  # noqa: E402
 from refcodec.train import fit, voxelise  # noqa: E402
+from refcodec.train.fit_input import Given, read_given  # noqa: E402
 from refcodec.train.rate_model.bits import gauss_bits, laplace_bits  # noqa: E402
 from refcodec.train.rate_model.folded import FoldedMlp  # noqa: E402
 from refcodec.train.rate_model.hyperprior import VectorMatrix  # noqa: E402
 from refcodec.train.rate_model.model import RateModel  # noqa: E402
-from refcodec.train.fit_input import Given, read_given  # noqa: E402
 from refcodec.train.settings import EntropySettings, FitSettings, TrainSettings  # noqa: E402
 from refcodec.train.settings_file import varied  # noqa: E402
 from refcodec.train.trainer import Trainer  # noqa: E402

@@ -9,8 +9,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from refcodec.train.adam import adam_rows, share_rows
-from refcodec.train.rate_model.model import OFFSETS
 from refcodec.train.losses import Photometric
+from refcodec.train.rate_model.model import OFFSETS
 from refcodec.train.spawn import Spawn
 
 

@@ -17,10 +17,10 @@ from ...bitstream.frame import FRAME_RANGE_BOUND, FRAME_SHIFT_MAX, MATRIX_BOUND,
 from ...encoder.frame import choose_frame
 from ...encoder.sizes import choose_plane_size, choose_width
 from ..adam import ADAM_EPSILON
-from ..rate_model.hyperprior import Hyperprior, contexts_of
-from ..rate_model.model import RateModel
 from ..optimisers import learning_rate, moments, restore_moments
 from ..part import Part, Sight, Step
+from ..rate_model.hyperprior import Hyperprior, contexts_of
+from ..rate_model.model import RateModel
 from ..scaffold import Scaffold
 from ..schedule import Clock
 from ..settings import TrainSettings
