@@ -39,8 +39,8 @@ SMALL = ROOT / "vectors" / "tiny-example.c3gs"
 BLOCKS = """
 import sys
 from pathlib import Path
-from conformance import blocks
-blocks.decode(blocks.blocks(Path("SPEC.md").read_text()), Path(sys.argv[1]).read_bytes())
+from conformance import spec_decoder
+spec_decoder.verdict(spec_decoder.names(), Path(sys.argv[1]).read_bytes())
 """
 # Runs a command, and prints its exit status, the seconds of a processor, and its memory in KiB. It is small, since what
 # getrusage says of a process is not less than what the one took that started it.

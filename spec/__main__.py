@@ -9,12 +9,13 @@ from __future__ import annotations
 import sys
 from collections.abc import Callable, Iterator
 
-from . import example, figures, generated, house, matrix, tables
+from . import decoder, example, figures, generated, house, matrix, tables
 from .made import Made
 
-# The order counts. The worked example needs the tables, SPEC.md holds the example, and the matrix reads SPEC.md.
+# The order counts. The second decoder and the worked example need the tables, SPEC.md holds the example, and the
+# matrix reads SPEC.md.
 MAKERS: tuple[Callable[[], Iterator[Made]], ...] = (
-    tables.made, example.made, figures.made, generated.made, matrix.made, house.made,
+    tables.made, decoder.made, example.made, figures.made, generated.made, matrix.made, house.made,
 )  # fmt: skip
 
 

@@ -5,8 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator
 from typing import Any
 
-from conformance import blocks
-from refcodec.inspect import specification
+from conformance import spec_decoder
 
 from .made import ROOT, Made
 
@@ -228,6 +227,6 @@ MAKE: dict[str, Callable[[dict[str, Any]], str]] = {
 
 def made() -> Iterator[Made]:
     """Yields the pictures."""
-    space = blocks.blocks(specification.text())
+    space = spec_decoder.names()
     for name, make in MAKE.items():
         yield Made.text(PICTURES / f"{name}.svg", make(space))

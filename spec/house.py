@@ -35,6 +35,7 @@ PARTS = {
     ),
     "front doors": ("refcodec.api", "refcodec.cli"),
     "conformance": (
+        "conformance.spec_decoder",
         "conformance.independent",
         "conformance",
         "conformance.cases",

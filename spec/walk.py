@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from typing import Any
 
-from conformance import blocks
+from conformance import spec_decoder
 from refcodec.bitstream import codec
 from refcodec.inspect.dump import value_text
 from refcodec.inspect.elements import Row, rows
@@ -65,7 +65,7 @@ class Watch:
     """
 
     def __init__(self, spec: str) -> None:
-        self.space = blocks.blocks(spec)
+        self.space = spec_decoder.names()
         self.opened: list[dict[str, Any]] = []
         self.networks: list[tuple[list[int], list[int]]] = []
         self.symbols: list[dict[str, Any]] = []
@@ -143,7 +143,7 @@ def _watched(data: bytes, spec: str) -> tuple[Watch, list[int]]:
 
 def _decode(watch: Watch, data: bytes) -> None:
     """Decodes a file. Raises SystemExit if the blocks refuse it."""
-    _, error = blocks.decode(watch.space, data)
+    _, error = spec_decoder.verdict(watch.space, data)
     if error:
         raise SystemExit(f"SPEC.md's blocks refuse the worked example: {error}")
 

@@ -38,7 +38,6 @@ class _Names(dict[str, Any]):
 def spec() -> dict[str, Any]:
     """The names that SPEC.md's python blocks define: what a step of the decoding process gives is what they say."""
     # Not every test needs the codec.
-    from conformance.blocks import blocks  # noqa: PLC0415
-    from refcodec.inspect import specification  # noqa: PLC0415
+    from conformance import spec_decoder  # noqa: PLC0415
 
-    return _Names(blocks(specification.text()))
+    return _Names(spec_decoder.names())

@@ -12,11 +12,10 @@ import numpy as np
 from refcodec.bitstream import codec
 from refcodec.bitstream.header import PositionGrid
 from refcodec.bitstream.reconstruction import reconstruct
-from refcodec.inspect import specification
 from refcodec.render.camera import read_camera
 from refcodec.render.gaussians import RENDERING
 
-from ..blocks import blocks
+from .. import spec_decoder
 from .book import Book, Seen
 from .numbers import Numbers
 from .scenes import TINY_DIMENSIONS, dyadic, lattice, scene, with_symbols
@@ -29,7 +28,7 @@ DIGITS = 9
 
 @cache
 def _text() -> dict[str, Any]:
-    return blocks(specification.text())
+    return spec_decoder.names()
 
 
 def expected(data: bytes, camera: dict[str, Any]) -> bytes:

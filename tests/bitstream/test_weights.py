@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 from spec_numbers import f32_bits
 
-from conformance.blocks import decode
+from conformance import spec_decoder
 from conformance.cases.scenes import MAIN_DIMENSIONS, random_scene
 from refcodec.bitstream import codec, directory, reconstruction
 from refcodec.bitstream.codec import parse_container
@@ -167,7 +167,7 @@ def test_a_scene_of_grids() -> None:
 def test_the_text_decodes_it(spec: dict) -> None:
     scene = pack_weights(random_scene(4, 5))
     data = codec.emit(scene)
-    found, error = decode(spec, data)
+    found, error = spec_decoder.verdict(spec, data)
     assert error is None
     assert found is not None
     assert bytes(found["scene"]).hex() == reconstruction.digest(codec.parse(data).scene)[0]

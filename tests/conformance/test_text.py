@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from conformance import blocks
+from conformance import spec_decoder
 from conformance.cases.checksums import repair
 from conformance.cases.scenes import CONSTANT, TINY_DIMENSIONS, random_scene
 from conformance.cases.target import Target
@@ -46,7 +46,7 @@ def agreed(spec: Spec, data: bytes) -> tuple[str, int]:
     """The verdict of all three."""
     first = first_verdict(data)
     assert second_verdict(data) == first
-    found, error = blocks.decode(spec, data)
+    found, error = spec_decoder.verdict(spec, data)
     assert (error or (bytes(found["scene"]).hex(), -1)) == first
     return first
 
@@ -58,7 +58,7 @@ def test_digests(spec: Spec, name: str) -> None:
     scene = codec.parse(FILES[name]).scene
     whole, parts = digest(scene)
     chunks = [chunk_digest(take_anchors(scene, list(rows))) for rows in scene.chunks]
-    found, error = blocks.decode(spec, FILES[name])
+    found, error = spec_decoder.verdict(spec, FILES[name])
     assert error is None
     assert found is not None
     assert bytes(found["scene"]).hex() == whole

@@ -18,7 +18,7 @@ import jsonschema
 import numpy as np
 import pytest
 
-from conformance import blocks, cli, independent
+from conformance import cli, independent, spec_decoder
 from conformance.cases import masks, recipes
 from conformance.cases.book import Book, Recipe
 from conformance.cases.fault import Refused
@@ -298,7 +298,7 @@ def test_the_text_of_the_specification(spec: dict[str, Any]) -> None:
     """SPEC.md's blocks decode the small files to the same digests, or refuse them with the same errors."""
     assert len(SMALL) > 900
     for vector in SMALL:
-        found, error = blocks.decode(spec, data(vector))
+        found, error = spec_decoder.verdict(spec, data(vector))
         e = vector.expectation
         if isinstance(e, Rejected):
             assert error == (e.name, e.offset), vector.id

@@ -22,7 +22,7 @@ import mpmath
 import numpy as np
 import pytest
 
-from conformance.blocks import decode
+from conformance import spec_decoder
 from conformance.cases.checksums import repair
 from conformance.cases.numbers import Numbers
 from conformance.cases.scenes import (
@@ -606,7 +606,7 @@ CASES = [
 ]
 
 
-def verdict(data: bytes) -> Scene | BitstreamError:
+def outcome(data: bytes) -> Scene | BitstreamError:
     """What the code makes of a file."""
     try:
         return codec.parse(data).scene
@@ -619,8 +619,8 @@ def agree(spec: dict, data: bytes) -> str:
 
     Of an accepted file all digests are the same: the scene's, its parts' and its chunks'.
     """
-    digests, error = decode(spec, data)
-    found = verdict(data)
+    digests, error = spec_decoder.verdict(spec, data)
+    found = outcome(data)
     if isinstance(found, BitstreamError):
         assert error == (found.kind.name, found.offset)
         return found.kind.name
@@ -784,7 +784,7 @@ def test_worked_example(spec: dict) -> None:
     assert agree(spec, data) == ""
     assert codec.emit(codec.parse(data).scene) == data
     printed = {of: digest.strip("`") for of, digest in rows(section("D.6"))}
-    digests, _ = decode(spec, data)
+    digests, _ = spec_decoder.verdict(spec, data)
     assert printed["the scene"] == bytes(digests["scene"]).hex()
     assert [printed[f"chunk {n}"] for n in range(len(digests["chunks"]))] == [bytes(c).hex() for c in digests["chunks"]]
 
