@@ -56,7 +56,7 @@ def stamp(module: str) -> str:
     return digest.hexdigest()
 
 
-def _root() -> Path | None:
+def root() -> Path | None:
     """Returns where the folders of modules are, or None for a user without a home."""
     place = Path(os.environ.get("NUMBA_CACHE_DIR") or user_cache_dir(_PACKAGE, False))
     return place if place.is_absolute() or os.environ.get("NUMBA_CACHE_DIR") else None
@@ -65,12 +65,12 @@ def _root() -> Path | None:
 @functools.cache
 def _folder(module: str) -> Path | None:
     """Returns the folder of a module as it is, which is made, or None if there is no place for it."""
-    root = _root()
-    if root is None:
+    place = root()
+    if place is None:
         return None
     try:
         versions = f"{stamp(module)} {sys.implementation.cache_tag} {numba.__version__}"
-        folder = root / module / f"{__version__}-{hashlib.sha256(versions.encode()).hexdigest()[:16]}"
+        folder = place / module / f"{__version__}-{hashlib.sha256(versions.encode()).hexdigest()[:16]}"
         folder.mkdir(parents=True, exist_ok=True)
         tempfile.TemporaryFile(dir=folder).close()
         # Used now.
