@@ -18,7 +18,7 @@ ONLY_INDEPENDENT = {"__main__", "trace", "probes"}
 # What decoding must not need. plyfile and safetensors belong to the scene folder.
 HEAVY = {"torch", "numba", "scipy", "plyfile", "safetensors", "tqdm", "PIL", "skimage"}
 # The second decoder reads whole files alone. It passes over metadata and cameras, on which no verdict depends.
-LEFT_OUT = {"reader", "source", "metadata", "cameras"}
+LEFT_OUT = {"reader", "source", "ancillary", "metadata", "cameras"}
 
 
 def test_a_room_uses_those_below_it() -> None:

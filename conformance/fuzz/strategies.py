@@ -15,7 +15,8 @@ from conformance.cases.checksums import repair
 from conformance.cases.fault import Draw, Fault, Refused
 from conformance.cases.scenes import with_steps
 from conformance.cases.target import Target
-from refcodec.bitstream import frame, header, weights
+from refcodec.bitstream import frame, header, syntax, weights
+from refcodec.bitstream.ancillary import TYPES, AncillaryType
 from refcodec.bitstream.attributes import ATTRIBUTE_SYMBOL_MAX, Attributes
 from refcodec.bitstream.dimensions import Dimensions, mask_contexts
 from refcodec.bitstream.frame import Frame
@@ -178,13 +179,41 @@ def chunkings(draw: st.DrawFn, anchors: int, chunk_size: int) -> tuple[int, ...]
     return tuple(found)
 
 
+_FIELDS = {"u16": st.integers(0, 3), "u32": st.integers(0, 3), "f32": st.floats(width=32)}
+
+
+@st.composite
+def _struct(draw: st.DrawFn, table: str, **fields: int) -> bytes:
+    """A struct of SYNTAX with any values of its fields. fields: those that are given."""
+    values: dict[str, object] = {}
+    for name, kind in syntax.SYNTAX[table]:
+        base, _, count = kind.rstrip("]").partition("[")
+        if base == "bytes":
+            values[name] = draw(st.binary(max_size=5))
+            values[count] = len(values[name])  # type: ignore[arg-type]
+        elif base in _FIELDS:
+            one = _FIELDS[base]
+            values[name] = draw(st.tuples(*[one] * int(count)) if count else one)
+    return syntax.build(table, values | fields)
+
+
+@st.composite
+def _content(draw: st.DrawFn, kind: AncillaryType) -> bytes:
+    """The content of a section of a known type, by its tables."""
+    items = draw(st.lists(_struct(kind.items), max_size=2))
+    return draw(_struct(kind.head, count=len(items))) + b"".join(items)
+
+
 @st.composite
 def ancillary(draw: st.DrawFn) -> tuple[Ancillary, ...]:
     """Some ancillary sections of any type, which may occur several times, at any places."""
     letter = st.sampled_from("aZ")
     kind = st.builds("{}{}{}{}".format, st.sampled_from("bz"), letter, letter, letter).map(str.encode)
-    known = st.sampled_from([b"mETA", b"cAMS"])
-    one = st.builds(Ancillary, st.one_of(kind, known), st.integers(0, 255), st.binary(max_size=9), st.integers(0, 3))
+    known, modes, places = st.sampled_from([*TYPES]), st.integers(0, 255), st.integers(0, 3)
+    one = st.one_of(
+        st.builds(Ancillary, st.one_of(kind, known), modes, st.binary(max_size=9), places),
+        *(st.builds(Ancillary, st.just(t), st.just(0), _content(entry), places) for t, entry in TYPES.items()),
+    )
     return tuple(sorted(draw(st.lists(one, max_size=3)), key=lambda a: a.after))
 
 

@@ -12,14 +12,15 @@ from functools import cached_property
 from types import TracebackType
 from typing import Any
 
+from ..bitstream.ancillary import TYPES
 from ..bitstream.batches import GROUP_ANCHORS
 from ..bitstream.bounds import CAMERA, CHUNK, READING, Bounds
-from ..bitstream.cameras import CAMERAS, cameras
+from ..bitstream.cameras import cameras
 from ..bitstream.codec import parse
 from ..bitstream.directory import INDEX, read_section
 from ..bitstream.errors import BitstreamError
 from ..bitstream.header import Header
-from ..bitstream.metadata import METADATA, metadata
+from ..bitstream.metadata import metadata
 from ..bitstream.reader import Reader
 from ..bitstream.scene import Ancillary
 from ..bitstream.source import FileBytes, Source, StoredFile, WholeFile
@@ -34,7 +35,7 @@ from .scenes import Scene, named_cameras
 # Where a file is: a path, a URL, or the bytes themselves.
 Place = str | os.PathLike[str] | bytes | bytearray | memoryview
 
-# The most bytes of a section with metadata or cameras that are looked at.
+# The most bytes of an ancillary section of a known type that are read.
 _SECTION_BYTES = 1 << 24
 
 
@@ -103,7 +104,7 @@ class File:
     @cached_property
     def _ancillary(self) -> list[Ancillary]:
         found = []
-        shown = [s for s in self.header.sections if s.type in (METADATA, CAMERAS) and s.length <= _SECTION_BYTES]
+        shown = [s for s in self.header.sections if s.type in TYPES and s.length <= _SECTION_BYTES]
         self._bounds.check_bytes((2 + CAMERA) * sum(section.length for section in shown))
         for section in shown:
             # Decoding says what is wrong with a damaged section. Here it tells nothing.

@@ -23,6 +23,7 @@
     reconstruction  9
     metadata        5.16, 6.14
     cameras         5.17, 6.15
+    ancillary       12.1        the registry of ancillary section types
     reader          10.1, 10.2  the order of checks, for a whole file, bytes that arrive, and one chunk
     codec           7.1         whole files, decoded and made
 

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from . import syntax
-from .scene import Ancillary, section_warnings
+from .scene import Ancillary
 
 F64 = NDArray[np.float64]
 
@@ -139,8 +139,3 @@ def cameras(sections: Iterable[Ancillary]) -> list[NamedCamera]:
     """Returns the good cameras of all sections. The first one is the default view."""
     chosen = (section for section in sections if section.type == CAMERAS and not section.mode)
     return [camera for section in chosen for camera in parse_cameras(section.content)[0]]
-
-
-def warnings(sections: Iterable[Ancillary]) -> list[str]:
-    """SPEC 6.15: returns what is wrong with the sections of cameras, as text."""
-    return section_warnings(sections, CAMERAS, "cameras", lambda content: parse_cameras(content)[1])

@@ -11,26 +11,12 @@ from collections.abc import Iterable, Mapping
 import construct as cs
 
 from . import syntax
-from .scene import Ancillary, section_warnings
+from .scene import Ancillary
 
 # SPEC 6.14
 METADATA = b"mETA"
 SECTION_BYTES_MAX = 1 << 16
 KEY = re.compile(r"[a-z0-9._-]+")
-STANDARD_KEYS = (
-    "title",
-    "author",
-    "licence",
-    "source",
-    "comment",
-    "date",
-    "encoder",
-    "settings",
-    "unit",
-    "crs",
-    "georeference",
-    "transfer",
-)
 # What the texts of some standard keys have to be. The numbers are decimal.
 _NUMBER = r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?"
 _VALUES = {
@@ -119,8 +105,3 @@ def with_metadata(sections: tuple[Ancillary, ...], changes: Mapping[str, str]) -
     rest = [section for section in sections if section not in mine]
     first = sections.index(mine[0]) if mine else 0
     return (*rest[:first], made, *rest[first:]) if entries else tuple(rest)
-
-
-def warnings(sections: Iterable[Ancillary]) -> list[str]:
-    """SPEC 6.14: returns what is wrong with the sections of metadata, as text."""
-    return section_warnings(sections, METADATA, "metadata", lambda content: parse_metadata(content)[1])

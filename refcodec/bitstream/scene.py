@@ -5,7 +5,6 @@ Everything that decides a symbol is an integer here. `reconstruction` makes the 
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
 from dataclasses import dataclass, replace
 from functools import cache
 from itertools import accumulate
@@ -33,21 +32,6 @@ class Ancillary:
     mode: int
     content: bytes
     after: int = 0
-
-
-def section_warnings(
-    sections: Iterable[Ancillary], kind: bytes, what: str, problems: Callable[[bytes], list[str]]
-) -> list[str]:
-    """SPEC 6.14 and 6.15: returns what is wrong with the sections of a type, as text.
-
-    what: they hold. problems: returns what is wrong with the content of one in mode 0.
-    """
-    return [
-        f"{what}: {problem}"
-        for section in sections
-        if section.type == kind
-        for problem in (["its mode is not known"] if section.mode else problems(section.content))
-    ]
 
 
 @dataclass(frozen=True, eq=False)

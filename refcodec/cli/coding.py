@@ -85,7 +85,7 @@ def _decode(arguments: argparse.Namespace) -> int:
     check_scene_output(Path(arguments.output), [arguments.file])
     numbers = arguments.chunks
     if numbers and arguments.keep_going:
-        raise UsageError("--chunks and --keep-going are not for one run: leave out the chunks that are damaged")
+        raise UsageError("--chunks and --keep-going cannot be combined; list undamaged chunks only")
     with open_bounded(arguments) as source, progress_bar(arguments.progress) as progress:
         reader = Reader(source, keep_ancillary=numbers is None, bounds=reader_bounds(arguments))
         index = reader.open(critical_only=numbers is not None, progress=progress).index
@@ -114,12 +114,12 @@ def _report_damage(path: str, chunks: int, written: Written) -> int:
 
 
 def _validate(arguments: argparse.Namespace) -> int:
-    from ..bitstream import cameras, metadata
+    from ..bitstream import ancillary
     from ..bitstream.limits import PROFILES
 
     with open_bounded(arguments) as source:
         reader = decoded(arguments, source, reader_bounds(arguments))
-    for warning in (*metadata.warnings(reader.ancillary), *cameras.warnings(reader.ancillary)):
+    for warning in ancillary.warnings(reader.ancillary):
         note(f"warning: {printable(warning)}")
     h = reader.header
     say(f"{arguments.file} is accepted: profile {PROFILES[h.profile].name}, {h.anchor_count} anchors")

@@ -24,7 +24,7 @@ def _demo(arguments: argparse.Namespace) -> int:
         from ..train.settings import TrainSettings
     except ModuleNotFoundError as error:
         raise needs("demo", "demo", error, ("jinja2", *RENDER_PACKAGES)) from None
-    train_options.refuse_rate(arguments, "the demo itself")
+    train_options.refuse_rate(arguments, "the demo chooses its rates")
     chosen = train_options.settings(arguments, TrainSettings(steps=STEPS), {"steps": arguments.steps})
     try:
         folder = Path(arguments.photographs) if arguments.photographs else find_example(arguments.scene)
@@ -58,7 +58,7 @@ def _rd(arguments: argparse.Namespace) -> int:
     ]
     given = tuple(word for name, value in options if value is not None for word in (name, str(value)))
     given += train_options.words(arguments)
-    train_options.refuse_rate(arguments, "--rates")
+    train_options.refuse_rate(arguments, "use --rates")
     chosen = train_options.settings(arguments, PRESETS[arguments.preset], {"size": arguments.size})
     photographs = DataSet(Path(arguments.photographs), chosen.size, chosen.background, chosen.holdout, given)
     settings = Settings(Path(arguments.output), photographs, arguments.jobs)

@@ -66,7 +66,7 @@ def _flat(path: Path, prefix: str, table: Mapping[str, object]) -> list[tuple[st
         elif isinstance(value, str):
             found.append((prefix + name, value))
         else:
-            raise UsageError(f"--meta {path}: {prefix}{name} is no text; write it in quotes")
+            raise UsageError(f"--meta {path}: {prefix}{name} must be a string: put it in quotes")
     return found
 
 

@@ -97,10 +97,10 @@ def settings(arguments: argparse.Namespace, base: TrainSettings, own: Mapping[st
         raise UsageError(str(error)) from None
 
 
-def refuse_rate(arguments: argparse.Namespace, said: str) -> None:
+def refuse_rate(arguments: argparse.Namespace, advice: str) -> None:
     """Raises UsageError if --set has the weight of the rate, for a command that has rates of its own.
 
-    said: what says them.
+    advice: what to do instead.
     """
     if any(change.partition("=")[0].strip() == _RATE for change in arguments.set):
-        raise UsageError(f"--set has {_RATE}, which is said by {said}")
+        raise UsageError(f"--set cannot change {_RATE}: {advice}")

@@ -254,7 +254,7 @@ def _changes(table: _Table) -> tuple[str, ...]:
     for change in changes:
         name = change.partition("=")[0].strip()
         if name in _OWN_KEYS:
-            raise ExperimentError(f"{table.where}: set has {name}, which is said by {_OWN_KEYS[name]}")
+            raise ExperimentError(f"{table.where}: use {_OWN_KEYS[name]} instead of {name} in set")
     return changes
 
 

@@ -15,14 +15,12 @@ import construct as cs
 import numpy as np
 from numpy.typing import NDArray
 
-from ..bitstream import syntax
-from ..bitstream.cameras import CAMERAS
+from ..bitstream import ancillary, syntax
 from ..bitstream.chunks import PARTS
 from ..bitstream.dimensions import Dimensions, layers_of, mask_contexts
 from ..bitstream.directory import DATA, FRAME, INDEX, PLANES_SECTION, WEIGHTS, section_name
 from ..bitstream.header import MAJOR, PROLOGUE_BYTES, dimensions_of
 from ..bitstream.index import ENTRY, ENTRY_BYTES, entries_start
-from ..bitstream.metadata import METADATA
 from ..bitstream.planes import PLANE_NAMES
 from ..bitstream.positions import PACKED
 from ..bitstream.source import FileBytes, pad4
@@ -191,20 +189,20 @@ def section_rows(data: Bytes, outline: Outline, place: Place) -> Iterator[Row]:
             yield from parse_elements("ChunkEntry", data, at, at + ENTRY_BYTES, f"index.entry[{number}]")[0]
     elif place.type == DATA:
         yield from _chunk_rows(data, outline, place)
-    elif place.type in (METADATA, CAMERAS) and not place.mode:
+    elif place.type in ancillary.TYPES and not place.mode:
         yield from _list_rows(data, place)
     else:
         yield from _payload(start, end, end, place.name, "bytes")
 
 
 def _list_rows(data: Bytes, place: Place) -> Iterator[Row]:
-    """Yields the elements of a section of metadata or cameras."""
-    head, item, name = ("Metadata", "Entry", "entry") if place.type == METADATA else ("Cameras", "Camera", "camera")
-    found, fields = parse_elements(head, data, place.start, place.end, place.name)
+    """Yields the elements of an ancillary section of a known type."""
+    entry = ancillary.TYPES[place.type]
+    found, fields = parse_elements(entry.head, data, place.start, place.end, place.name)
     yield from found
     at = found[-1].end if found else place.start
     for number in range(fields.count if fields else 0):
-        found, whole = parse_elements(item, data, at, place.end, f"{place.name}.{name}[{number}]")
+        found, whole = parse_elements(entry.items, data, at, place.end, f"{place.name}.{entry.item}[{number}]")
         if whole is None:
             return
         yield from found

@@ -9,6 +9,7 @@ from __future__ import annotations
 import re
 from dataclasses import dataclass
 
+from ..bitstream.ancillary import TYPES
 from ..bitstream.syntax import SYNTAX
 
 # The clause of each syntax table, in the order of SPEC.md.
@@ -28,10 +29,7 @@ TABLE_CLAUSES = {
     "ChunkEntry": "5.13",
     "Chunk": "5.14",
     "Substream": "5.15",
-    "Metadata": "5.16",
-    "Entry": "5.16.1",
-    "Cameras": "5.17",
-    "Camera": "5.17.1",
+    **{table: clause for entry in TYPES.values() for table, clause in entry.tables.items()},
 }
 
 # The paths at which the fields of each table stand. FIELD is the name of the field. The first pattern that fits counts.
@@ -52,10 +50,11 @@ TABLES: list[tuple[str, str]] = [
     (rf"{_STREAM}\.FIELD", "Substream"),
     (r"weights\.(?:hyper|sarm|carm\.\d+|opacity|covariance|colour)\.\d+\.FIELD", "LayerModel"),
     (r"weights\.FIELD", "WeightScales"),
-    (r"mETA\[\d+\]\.entry\[\d+\]\.FIELD", "Entry"),
-    (r"mETA\[\d+\]\.FIELD", "Metadata"),
-    (r"cAMS\[\d+\]\.camera\[\d+\]\.FIELD", "Camera"),
-    (r"cAMS\[\d+\]\.FIELD", "Cameras"),
+    *(
+        (rf"{entry.type.decode()}\[\d+\]{at}\.FIELD", table)
+        for entry in TYPES.values()
+        for at, table in ((rf"\.{entry.item}\[\d+\]", entry.items), ("", entry.head))
+    ),
 ]
 
 # For each field the clauses that use it, without that of its table, and the requirements on it. The requirements that a
@@ -145,16 +144,12 @@ FIELDS: dict[str, str] = {
     "Substream.state": "8.1 8.3 R8.1-1 R8.1-2 R8.8-2 D8.3-1",
     "Substream.word": "8.2 8.3 R8.8-1 R8.8-2 R8.8-5 D8.2-1",
     "Substream.raw": "8.5 8.6 8.7 R8.8-3 R8.8-4 R8.7-1 R8.5-1 R8.8-5 D8.5-1 D8.6-1 D8.7-1",
-    **dict.fromkeys((f"Metadata.{name}" for name in ("count", "reserved")), "6.14 R6.6-7"),
-    **dict.fromkeys(
-        (f"Entry.{name}" for name in ("key_length", "value_length", "key", "value", "padding")), "6.14 R6.6-7"
-    ),
-    **dict.fromkeys((f"Cameras.{name}" for name in ("count", "reserved")), "6.15 R6.6-7"),
-    **dict.fromkeys(
-        (f"Camera.{name}" for name in ("width", "height", "focal", "principal_point", "rotation", "translation")),
-        "6.15 14.2 R6.6-7",
-    ),
-    **dict.fromkeys((f"Camera.{name}" for name in ("name_length", "name", "padding")), "6.15 R6.6-7"),
+    **{
+        f"{table}.{name}": " ".join((entry.clause, *entry.cited.get(name, "").split(), "R6.6-7"))
+        for entry in TYPES.values()
+        for table in entry.tables
+        for name, _ in SYNTAX[table]
+    },
 }
 
 # The elements outside tables: the pattern of their paths, what they hold, and their clauses and requirements.

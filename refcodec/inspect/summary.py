@@ -11,14 +11,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ..bitstream.cameras import CAMERAS, cameras
+from ..bitstream.ancillary import TYPES
 from ..bitstream.chunks import PARTS as CHUNK_PARTS
 from ..bitstream.dimensions import mask_contexts
 from ..bitstream.directory import DATA, FRAME, INDEX, PLANES_SECTION, WEIGHTS
 from ..bitstream.errors import BitstreamError
 from ..bitstream.header import PROLOGUE_BYTES
 from ..bitstream.limits import PROFILES
-from ..bitstream.metadata import METADATA, metadata
 from ..bitstream.planes import PLANE_NAMES
 from ..bitstream.scene import Ancillary
 from ..bitstream.source import pad4
@@ -134,10 +133,9 @@ def document(data: Bytes, verdict: Verdict | BitstreamError | None, heads: bool 
     sections = [
         Ancillary(p.type, p.mode, data[p.start : min(p.end, p.start + _ANCILLARY_BYTES)])
         for p in outline.sections
-        if p.type in (METADATA, CAMERAS)
+        if p.type in TYPES
     ]
-    found["metadata"] = metadata(sections)
-    found["cameras"] = [_plain(vars(camera)) for camera in cameras(sections)]
+    found |= {entry.name: entry.facts(sections) for entry in TYPES.values()}
     found["accepted"] = None
     if isinstance(verdict, BitstreamError):
         found |= {"accepted": False, "error": {**json.loads(verdict.to_json()), "text": str(verdict)}}
@@ -234,11 +232,9 @@ def _header_lines(facts: dict[str, Any], h: dict[str, Any]) -> Iterator[str]:
     )
     yield f"base steps   {steps}"
 
-    for key, value in facts["metadata"].items():
-        yield f"{printable(key, 12):<12} {printable(value, 200)}"
-    for camera in facts["cameras"][:1]:
-        more = f", and {len(facts['cameras']) - 1} more" if len(facts["cameras"]) > 1 else ""
-        yield f"default view {printable(camera['name'], 60)}, {camera['width']} x {camera['height']} pixels{more}"
+    for entry in TYPES.values():
+        for label, text in entry.lines(facts[entry.name], printable):
+            yield f"{label:<12} {text}"
 
 
 def _data_lines(facts: dict[str, Any], anchors: int) -> Iterator[str]:

@@ -9,6 +9,7 @@ from itertools import groupby
 
 import numpy as np
 
+from ...bitstream.ancillary import TYPES
 from ...bitstream.chunks import PARTS
 from ...bitstream.directory import DATA, INDEX, PLANES_SECTION, WEIGHTS
 from ...bitstream.header import PROLOGUE_BYTES
@@ -32,8 +33,6 @@ _CLAUSES = {
     "PLNS": "5.10, 6.9",
     "INDX": "5.11, 6.10",
     "DATA": "5.14, 6.11",
-    "mETA": "5.16, 6.14",
-    "cAMS": "5.17, 6.15",
     "head": "5.14",
     "positions": "5.14, 7.12",
     "masks": "5.14, 7.6",
@@ -44,6 +43,8 @@ _CLAUSES = {
     "position model": "5.12, 7.12",
     "entries of chunks": "5.13, 6.10",
 }
+# Those of the ancillary sections.
+_ANCILLARY = {kind.decode(): f"{entry.tables[entry.head]}, {entry.clause}" for kind, entry in TYPES.items()}
 _OTHER = "12.1"
 
 
@@ -129,7 +130,7 @@ def _chunks(data: Bytes, outline: Outline, place: Place) -> Iterator[Piece]:
 
 def _described(piece: Piece, whole: int) -> str:
     length = piece.end - piece.start
-    clause = _CLAUSES.get(piece.kind, _OTHER)
+    clause = (_CLAUSES | _ANCILLARY).get(piece.kind, _OTHER)
     return (
         f"{piece.name}: {size(length)}, {share(length, whole)} of the file, from byte {piece.start:,} (SPEC {clause})"
     )
