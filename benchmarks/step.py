@@ -26,7 +26,7 @@ PHASES = (("anchors alone", 0.0, 0.0), ("with the rate", 0.004, 0.5), ("in the l
 PARTS = {
     "rasteriser, forward": ("project_gaussians", "sort_by_depth", "list_tiles", "blend_tiles"),
     "rasteriser, backward": ("unblend_tiles", "unproject_gaussians"),
-    "SSIM": ("ssim.py",),
+    "SSIM": ("photometric.py",),
     "anchors to Gaussians": ("spawn.py",),
     "Adam": ("adam.py",),
     "torch, backward": ("run_backward",),

@@ -19,7 +19,7 @@ from refcodec.files.interrupts import on_interrupt
 from refcodec.photographs.photographs import PhotographSet
 from refcodec.render.rasterise import Settings
 from refcodec.train.adam import ADAM_EPSILON
-from refcodec.train.losses import Photometric
+from refcodec.train.losses import photometric
 from refcodec.train.optimisers import learning_rate, moments, restore_moments
 from refcodec.train.settings_file import document
 from refcodec.train.start import scene_length
@@ -110,7 +110,7 @@ class SplatTrainer:
         screen = torch.zeros(self.count, requires_grad=True)
         camera = self.photographs.train[number].camera
         image, _, radius = drawn(self.splats, camera, self.view, self._degree(share), screen)
-        loss = Photometric.apply(image, self._image(number), settings.ssim)
+        loss = photometric(image, self._image(number), settings.ssim)
         loss.backward()
         self.optimiser.step()
         self.optimiser.zero_grad(set_to_none=True)

@@ -23,8 +23,8 @@ from hypothesis import strategies as st  # noqa: E402
 from refcodec.render.camera import Camera  # noqa: E402
 from refcodec.render.rasterise import Settings, rasterise, rasterise_backward  # noqa: E402
 from refcodec.train import splat  # noqa: E402
+from refcodec.train.cpu.photometric import Photometric, similarity  # noqa: E402
 from refcodec.train.splat import Rasterise  # noqa: E402
-from refcodec.train.ssim import SSIM, similarity  # noqa: E402
 
 HERE = Path(__file__).resolve().parent
 NAMES = ("mean", "quaternion", "scale", "opacity", "colour")
@@ -386,7 +386,7 @@ def digest() -> str:
     )
     target = torch.from_numpy(rng.uniform(size=rendering.image.shape).astype(np.float32))
     image = torch.from_numpy(rendering.image).requires_grad_()
-    value = SSIM.apply(image, target)
+    value = 1 - Photometric.apply(image, target, 1.0)
     value.backward()
     found = [
         rendering.image,
@@ -605,7 +605,10 @@ def test_ssim(width: int, height: int, channels: int, seed: int, noise: float) -
     x = rng.uniform(size=(height, width, channels)).astype(np.float32)
     y = ((1 - noise) * x + noise * rng.uniform(size=x.shape)).astype(np.float32)
     image, exact = torch.from_numpy(x).requires_grad_(), torch.from_numpy(x).double().requires_grad_()
-    value, expected = SSIM.apply(image, torch.from_numpy(y)), dense_ssim(exact, torch.from_numpy(y).double())
+    value, expected = (
+        1 - Photometric.apply(image, torch.from_numpy(y), 1.0),
+        dense_ssim(exact, torch.from_numpy(y).double()),
+    )
     (3 * value).backward()
     (3 * expected).backward()
     assert float(value.detach()) == pytest.approx(float(expected.detach()), abs=2e-6)

@@ -19,7 +19,7 @@ from refcodec.train.splat import draw
 from refcodec.train.stages.growth import Growth
 from refcodec.train.start import lattice_positions
 from refcodec.train.trainer import Trainer
-from refcodec.train.visible import visible, visible_anywhere
+from refcodec.train.visible import visible, visible_torch
 
 
 def beginning(photographs: PhotographSet, anchors: int) -> Scaffold:
@@ -60,7 +60,7 @@ def test_visible_anchors_are_those_of_the_formula_in_torch() -> None:
     position = 6 * torch.randn(4000, 3, generator=draw)
     tables = {name: torch.randn(4000, columns, generator=draw) for name, columns in (("offsets", 30), ("scalings", 6))}
     tables["scalings"] -= 2
-    found, wanted = (f(position, tables, 1.5, camera, 0.1) for f in (visible, visible_anywhere))
+    found, wanted = (f(position, tables, 1.5, camera, 0.1) for f in (visible, visible_torch))
     assert 400 < len(found) < 3600
     assert found.dtype == wanted.dtype
     # An anchor at the very edge may be on either side of it.

@@ -28,13 +28,16 @@ from refcodec.bitstream.reconstruction import digest
 from refcodec.bitstream.scene import Scene
 from refcodec.photographs.photographs import PhotographSet, read_photographs
 from refcodec.train import splat, trainer, views
-from refcodec.train.adam import adam_anywhere, adam_rows, added, joined
+from refcodec.train.adam import adam_torch, added, joined
 from refcodec.train.command import report
-from refcodec.train.losses import Photometric, photometric_anywhere
+from refcodec.train.cpu.adam import adam_rows
+from refcodec.train.cpu.photometric import Photometric
+from refcodec.train.cpu.spawn import Spawn
+from refcodec.train.losses import photometric_torch
 from refcodec.train.rate_model.model import OFFSETS
 from refcodec.train.settings import TrainSettings
 from refcodec.train.settings_file import varied
-from refcodec.train.spawn import Spawn, spawn_anywhere
+from refcodec.train.spawn import spawn_torch
 from refcodec.train.state import restore, save
 from refcodec.train.trainer import Trainer
 
@@ -193,7 +196,7 @@ def test_gaussians_of_anchors(seed: int, anchors: int, share: float) -> None:
     chosen = torch.nonzero(torch.rand(anchors * OFFSETS, generator=draw) < share)[:, 0]
     weights = [torch.randn(len(chosen), width, generator=draw) for width in (3, 4, 3, 3)]
     found = []
-    for make in (Spawn.apply, spawn_anywhere):
+    for make in (Spawn.apply, spawn_torch):
         values = [v.clone().requires_grad_() for v in inputs]
         made = make(chosen, OFFSETS, position, *values)
         sum((v * w).sum() for v, w in zip(made, weights, strict=True)).backward()
@@ -207,7 +210,7 @@ def test_the_loss_of_an_image(seed: int, height: int, width: int, ssim: float) -
     draw = torch.Generator().manual_seed(seed)
     image, photograph = torch.rand(2, height, width, 3, generator=draw)
     found = []
-    for loss in (Photometric.apply, photometric_anywhere):
+    for loss in (Photometric.apply, photometric_torch):
         seen = image.clone().requires_grad_()
         value = loss(seen, photograph, ssim)
         value.backward()
@@ -231,7 +234,7 @@ def test_adam_on_rows(seed: int, steps: int) -> None:
     torch.testing.assert_close(total, expected[union], rtol=0, atol=0)
     compiled, torchs = ([v.clone() for v in (table, first, second)] for _ in range(2))
     adam_rows(*(v.numpy() for v in compiled), steps, union.numpy(), total.numpy(), rate)
-    adam_anywhere(torchs[0], torchs[1], torchs[2], steps, union, total, float(rate))
+    adam_torch(torchs[0], torchs[1], torchs[2], steps, union, total, float(rate))
     for a, b in zip(torchs, compiled, strict=True):
         torch.testing.assert_close(a, b, rtol=1e-5, atol=1e-6)
 

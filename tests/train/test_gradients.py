@@ -8,10 +8,10 @@ import torch
 from hypothesis import given
 from hypothesis import strategies as st
 
-from refcodec.train.adam import adam_rows, share_rows
-from refcodec.train.losses import Photometric
+from refcodec.train.cpu.adam import adam_rows, share_rows
+from refcodec.train.cpu.photometric import Photometric
+from refcodec.train.cpu.spawn import Spawn
 from refcodec.train.rate_model.model import OFFSETS
-from refcodec.train.spawn import Spawn
 
 
 @given(seed=st.integers(0, 1 << 20), anchors=st.integers(1, 20), share=st.floats(0, 1))

@@ -10,7 +10,7 @@ import torch
 from torch import Tensor
 
 from refcodec.bitstream.tables import SCALE_MIN
-from refcodec.train.rate_model.bits import bits_anywhere, gauss_bits, laplace_bits
+from refcodec.train.rate_model.bits import bits_torch, gauss_bits, laplace_bits
 from refcodec.train.rate_model.folded import FoldedMlp
 from refcodec.train.rate_model.hyperprior import PlaneSamples, VectorMatrix, plane_neighbours
 from refcodec.train.rate_model.model import OFFSETS, PAPER, RateModel
@@ -40,7 +40,7 @@ def test_the_planes_query(rounding: bool) -> None:
     symbols = (60 * torch.randn(5, 4, 9, 9, generator=draw)).requires_grad_()
     rows, more = torch.randint(0, 300, (200,), generator=draw), torch.randn(300, 3, generator=draw)
     ours = samples.query(symbols, rows, rounding, more)
-    wanted = torch.cat([samples.query_anywhere(symbols, rows, rounding), more[rows]], dim=1)
+    wanted = torch.cat([samples.query_torch(symbols, rows, rounding), more[rows]], dim=1)
     assert 0 < float((wanted.abs() == 1023).float().mean()) < 0.5
     weights = torch.randn(200, 11, generator=draw)
     agree([ours], [wanted])
@@ -91,10 +91,10 @@ def test_a_folded_network(rounding: bool, gridded: bool) -> None:
     network.rounding = rounding
     rows, weights = slice(1, 3), torch.randn(500, 2, generator=draw)
     ours = network.outputs(network.activations(x), rows)
-    hidden = network.run_anywhere(0, x, slice(None))
+    hidden = network.run_torch(0, x, slice(None))
     # Some activations are past 1023, and have no gradient.
     assert (0 < float((hidden >= 1023).float().mean()) < 0.5) or not rounding
-    wanted = network.run_anywhere(1, hidden, rows)
+    wanted = network.run_torch(1, hidden, rows)
     agree([ours], [wanted])
     inputs = [x, *network.parameters()]
     agree(gradients(ours, weights, inputs), gradients(wanted, weights, inputs))
@@ -116,7 +116,7 @@ def test_bits(gauss: bool, count: int) -> None:
     inputs = distributions(count, draw)
     ours = (gauss_bits if gauss else laplace_bits)(*inputs)
     exact = [v.detach().double().requires_grad_() for v in inputs]
-    wanted = bits_anywhere(*exact, gauss, 2.0**-20)
+    wanted = bits_torch(*exact, gauss, 2.0**-20)
     weights = torch.rand(count, generator=draw) - 0.2
     agree([ours], [wanted])
     agree(gradients(ours, weights, inputs), gradients(wanted, weights, exact), 1e-4)

@@ -9,8 +9,8 @@ import torch
 from torch import Tensor
 
 from ...bitstream.tables import SCALE_MIN
+from ..cpu.dispatch import has_kernel
 from ..settings import EntropySettings
-from .passes import is_compiled
 from .units import MEAN_UNIT, SCALE_MOST, SCALE_UNIT
 
 
@@ -72,15 +72,15 @@ def laplace_bits(mean: Tensor, scale: Tensor, symbol: Tensor, floor: float = Ent
 
 
 def _bits(mean: Tensor, scale: Tensor, symbol: Tensor, gauss: bool, floor: float) -> Tensor:
-    if not is_compiled(mean):
-        return bits_anywhere(mean, scale, symbol, gauss, floor)
-    from .likelihood import Bits  # noqa: PLC0415 (needs numba)
+    if not has_kernel(mean):
+        return bits_torch(mean, scale, symbol, gauss, floor)
+    from ..cpu.likelihood import Bits  # noqa: PLC0415 (needs numba)
 
     bits: Tensor = Bits.apply(mean, scale, symbol, gauss, floor)
     return bits
 
 
-def bits_anywhere(mean: Tensor, scale: Tensor, symbol: Tensor, gauss: bool, floor: float) -> Tensor:
+def bits_torch(mean: Tensor, scale: Tensor, symbol: Tensor, gauss: bool, floor: float) -> Tensor:
     """gauss_bits or laplace_bits, with torch on the device of the tensors."""
     bits: Tensor = _Bits.apply(mean, scale, symbol, gauss, floor)
     return bits

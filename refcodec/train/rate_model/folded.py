@@ -16,12 +16,12 @@ from torch import Tensor, nn
 from torch.nn import functional
 
 from ...bitstream.networks import ACCUMULATOR_BOUND, ACTIVATION_MAX, WEIGHT_MAX, Layer, derive_layer
+from ..cpu.dispatch import has_kernel
 from ..settings import EntropySettings
-from .passes import is_compiled
 from .units import grid_through, round_through
 
 if TYPE_CHECKING:
-    from .layers import Plan
+    from ..cpu.layers import Plan
 
 
 class FoldedMlp(nn.Module):
@@ -79,9 +79,9 @@ class FoldedMlp(nn.Module):
 
     def _run(self, layer: int, x: Tensor, rows: slice) -> Tensor:
         """What some rows of a layer make of its inputs."""
-        if not is_compiled(x):
-            return self.run_anywhere(layer, x, rows)
-        from .layers import FoldedLayer  # noqa: PLC0415 (needs numba)
+        if not has_kernel(x):
+            return self.run_torch(layer, x, rows)
+        from ..cpu.layers import FoldedLayer  # noqa: PLC0415 (needs numba)
 
         values = self.weights[layer], self.biases[layer]
         weight, bias = values if rows == slice(None) else (v[rows] for v in values)
@@ -94,14 +94,14 @@ class FoldedMlp(nn.Module):
 
     def plan(self, layer: int, rows: slice = slice(None)) -> Plan:
         """What some rows of a layer do beside their weights, for passes on CPUs."""
-        from .layers import Plan  # noqa: PLC0415 (needs numba)
+        from ..cpu.layers import Plan  # noqa: PLC0415 (needs numba)
 
         before, after = self._ends(layer)
         step = self.get_buffer(f"step_{layer}")
         arrays = before.numpy(), after[rows].numpy(), step[rows].numpy()
         return Plan(*arrays, self.gridded, layer < self.hidden, self.rounding)
 
-    def run_anywhere(self, layer: int, x: Tensor, rows: slice) -> Tensor:
+    def run_torch(self, layer: int, x: Tensor, rows: slice) -> Tensor:
         """What some rows of a layer make of its inputs, with torch on the device of the tensors."""
         x = functional.linear(x, *self._layer(layer, rows))
         if layer < self.hidden:

@@ -27,8 +27,8 @@ from ...bitstream.frame import Frame
 from ...bitstream.networks import ACTIVATION_MAX
 from ...bitstream.planes import PLANES
 from ...bitstream.positions import position_integers
+from ..cpu.dispatch import has_kernel
 from ..settings import EntropySettings
-from .passes import is_compiled
 from .units import GAMMA_UNIT, LATENT_UNIT, PLANE_SHIFT, round_through
 
 
@@ -88,14 +88,14 @@ class PlaneSamples:
         more: float32 [n, G], of which the anchors' rows follow: the result is [b, 2 ch + G].
         """
         more = self.nothing if more is None else more
-        if is_compiled(symbols):
-            from .query import Query  # noqa: PLC0415 (needs numba)
+        if has_kernel(symbols):
+            from ..cpu.query import Query  # noqa: PLC0415 (needs numba)
 
             found: Tensor = Query.apply(symbols, rows, self.corners, self.shares, more, rounding)
             return found
-        return torch.cat([self.query_anywhere(symbols, rows, rounding), more[rows]], dim=1)
+        return torch.cat([self.query_torch(symbols, rows, rounding), more[rows]], dim=1)
 
-    def query_anywhere(self, symbols: Tensor, rows: Tensor, rounding: bool) -> Tensor:
+    def query_torch(self, symbols: Tensor, rows: Tensor, rounding: bool) -> Tensor:
         """Context [b, 2 ch], with torch on the device of the tensors."""
         channels = symbols.shape[1]
         top, bottom = (torch.cat([symbols[i], symbols[i + 1]], dim=2) for i in (1, 3))

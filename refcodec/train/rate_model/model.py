@@ -16,12 +16,12 @@ from ...bitstream.attributes import KINDS, SCALINGS
 from ...bitstream.networks import ACTIVATION_MAX, Layer
 from ...bitstream.tables import STEP_LENGTH
 from ...encoder.sizes import SLICES
+from ..cpu.dispatch import has_kernel
 from ..settings import EntropySettings
-from .bits import bits_anywhere, laplace_bits
+from .bits import bits_torch, laplace_bits
 from .columns import Columns
 from .folded import FoldedMlp
 from .hyperprior import Hyperprior, plane_neighbours
-from .passes import is_compiled
 from .units import LATENT_UNIT, MEAN_UNIT, SCALE_UNIT, STEP_ONE, round_through
 
 # The offsets that a training gives its anchors, and the widths of SARM's hidden layers, both as in the paper.
@@ -29,14 +29,14 @@ OFFSETS, SARM_WIDTH = 10, (16, 16)
 PAPER = Columns(SLICES, OFFSETS)
 
 
-def count_anywhere(out: Tensor, change: Tensor, symbols: Tensor, kept: Tensor, floor: float, of: Columns) -> Tensor:
+def count_torch(out: Tensor, change: Tensor, symbols: Tensor, kept: Tensor, floor: float, of: Columns) -> Tensor:
     """RateModel.attribute_bits of F_h's outputs [n, 2 D] and CARM's [n, .], with torch on the tensors' device."""
     mean, scale = out[:, : of.width], out[:, of.width :]
     changed = slice(of.slices[0], of.features)
     by_mean, by_scale = (change[:, columns[changed].to(change.device)] for columns in of.changes())
     rest = (of.slices[0], of.width - of.features)
     mean, scale = mean + functional.pad(by_mean, rest), scale + functional.pad(by_scale, rest)
-    bits = bits_anywhere(mean, scale, symbols, True, floor)
+    bits = bits_torch(mean, scale, symbols, True, floor)
     some = 1 - torch.prod(1 - kept, dim=1)
     place = slice(of.features, of.features + SCALINGS)
     offsets = (bits[:, place.stop :].reshape(len(bits), of.offsets, 3).sum(dim=2) * kept).sum(dim=1)
@@ -128,8 +128,8 @@ class RateModel(nn.Module):
         """Bits of all plane symbols, which are part of a loss."""
         if self.sarm is None:
             return symbols.new_zeros(())
-        if is_compiled(symbols):
-            from .plane_bits import PlaneBits  # noqa: PLC0415 (needs numba)
+        if has_kernel(symbols):
+            from ..cpu.plane_bits import PlaneBits  # noqa: PLC0415 (needs numba)
 
             plans = [self.sarm.plan(i) for i in range(self.sarm.hidden + 1)]
             bits: Tensor = PlaneBits.apply(plans, symbols, self.floor, *self.sarm.pairs())
@@ -166,17 +166,17 @@ class RateModel(nn.Module):
         hidden [n, .]: of F_h. symbols [n, D]. kept: float32 [n, K]. An anchor without a kept offset costs nothing.
         """
         # The pass of our own takes CARM's inputs for the symbols themselves, or the bounds of SPEC 7.9.
-        if is_compiled(hidden) and not (self.carm_unit is not None and symbols.requires_grad):
+        if has_kernel(hidden) and not (self.carm_unit is not None and symbols.requires_grad):
             return self._attribute_bits_on_cpu(hidden, symbols, kept)
         out = self.hyper.outputs(hidden, slice(0, 2 * self.columns.width))
         earlier = self.carm_inputs(symbols[:, : self.columns.carm_inputs])
         widths = accumulate(self.columns.slices)
         changes = [network(earlier[:, :w]) for network, w in zip(self._carm(), widths, strict=False)]
         change = torch.cat([out.new_zeros(len(out), 0), *changes], dim=1)
-        return count_anywhere(out, change, symbols, kept, self.floor, self.columns)
+        return count_torch(out, change, symbols, kept, self.floor, self.columns)
 
     def _attribute_bits_on_cpu(self, hidden: Tensor, symbols: Tensor, kept: Tensor) -> Tensor:
-        from .attributes import AttributeBits, Counting  # noqa: PLC0415 (needs numba)
+        from ..cpu.attributes import AttributeBits, Counting  # noqa: PLC0415 (needs numba)
 
         of, last, carm = self.columns, self.hyper.hidden, self._carm()
         rows = slice(0, 2 * of.width)

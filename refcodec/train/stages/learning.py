@@ -9,7 +9,8 @@ import torch
 from torch import Tensor
 
 from ...bitstream.dimensions import RENDERING
-from ..adam import ADAM_EPSILON, F32, I64, adam_anywhere, adam_rows, added, joined, share_rows
+from ..adam import ADAM_EPSILON, adam_torch, added, joined
+from ..cpu.adam import F32, I64, adam_rows, share_rows
 from ..optimisers import learning_rate, moments, restore_moments
 from ..part import Part, Step
 from ..scaffold import TABLES, Scaffold
@@ -70,7 +71,7 @@ class Learning(Part):
         rows, place = joints[found]
         gradient = added(place, [g for i in found if (g := step.taken[i][1][name].grad) is not None], len(rows))
         moments = scaffold.first[name], scaffold.second[name]
-        adam_anywhere(scaffold.tables[name], *moments, self.clock.done + 1, rows, gradient, rate)
+        adam_torch(scaffold.tables[name], *moments, self.clock.done + 1, rows, gradient, rate)
 
     def _descend_on_cpu(self, step: Step, rates: dict[str, float]) -> None:
         """A step of Adam for the rows of each table that have a gradient.

@@ -12,9 +12,9 @@ from torch import Tensor
 
 from ...bitstream.tables import SCALE_MIN
 from ...render.compiled import compiled
+from ..rate_model.units import MEAN_UNIT
 from .layers import Plan, layer_backward, layer_forward
 from .likelihood import array, likelihood
-from .units import MEAN_UNIT
 
 F32 = NDArray[np.float32]
 I64 = NDArray[np.int64]

@@ -19,9 +19,9 @@ from ...bitstream.networks import ACTIVATION_MAX
 from ...bitstream.tables import SCALE_MIN
 from ...render.compiled import compiled
 from ...render.simd import WIDTH, fma, load, maximum, minimum, round_down, select, splat, store
+from ..rate_model.units import MEAN_UNIT
 from .layers import Plan, fold, unfold
 from .likelihood import array, one_likelihood
-from .units import MEAN_UNIT
 
 F32 = NDArray[np.float32]
 

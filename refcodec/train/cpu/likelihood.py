@@ -14,7 +14,7 @@ from torch import Tensor
 from ...bitstream.tables import SCALE_MIN
 from ...render.compiled import compiled
 from ...render.simd import WIDTH, exp2, fma, load, maximum, minimum, select, splat, store
-from .units import MEAN_UNIT, SCALE_MOST, SCALE_UNIT
+from ..rate_model.units import MEAN_UNIT, SCALE_MOST, SCALE_UNIT
 
 F32 = NDArray[np.float32]
 

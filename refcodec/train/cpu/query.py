@@ -18,7 +18,7 @@ from torch import Tensor
 from ...bitstream.networks import ACTIVATION_MAX
 from ...render.compiled import compiled
 from ...render.simd import WIDTH, fma, load, splat, store
-from .units import PLANE_SHIFT
+from ..rate_model.units import PLANE_SHIFT
 
 F32 = NDArray[np.float32]
 I64 = NDArray[np.int64]

@@ -1,0 +1,211 @@
+"""The image loss, (1 - s) L1 + s (1 - SSIM), with its gradient: the kernel of losses.photometric_torch.
+
+SSIM takes one pass each way over eight values at a time. Its bits do not depend on the number of threads.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import torch
+from numba import prange
+from numpy.typing import ArrayLike, NDArray
+from torch import Tensor
+
+from ...render.compiled import compiled
+from ...render.simd import WIDTH, fma, fnma, load, splat, store, total
+from ..ssim import C1 as _C1
+from ..ssim import C2 as _C2
+from ..ssim import RADIUS, TAPS, WINDOW
+
+F32 = NDArray[np.float32]
+F64 = NDArray[np.float64]
+
+C1, C2 = np.float32(_C1), np.float32(_C2)
+# Rows that a thread takes at once.
+BAND = 8
+
+
+@dataclass(frozen=True, eq=False)
+class Similarity:
+    """value: the mean SSIM. The rest is for similarity_backward.
+
+    x, y: both images. d_mean, d_square, d_product: derivatives of the sum of SSIM with respect to the window's means of
+    x, x^2 and xy. All are f32[H + 10, row], rows of W * C values between zeros.
+    """
+
+    value: float
+    shape: tuple[int, int, int]
+    x: F32
+    y: F32
+    d_mean: F32
+    d_square: F32
+    d_product: F32
+
+
+@compiled(inline="always")
+def _across(row: F32, begin: int, at: int, channels: int, window: F32) -> Any:
+    """The window's mean along the row of a buffer that begins at `begin`, for eight values from `at`."""
+    mean = splat(np.float32(0))
+    for k in range(TAPS):
+        mean = fma(splat(window[k]), load(row, begin + at + k * channels), mean)
+    return mean
+
+
+@compiled(parallel=True)
+def _forward(
+    x: F32, y: F32, window: F32, height: int, values: int, channels: int, d_mean: F32, d_square: F32, d_product: F32
+) -> F64:
+    """Sum of SSIM over each row, f64[height]; writes the derivatives."""
+    size = x.shape[1]
+    sums = np.empty(height, np.float64)
+    flat_x, flat_y = x.reshape(-1), y.reshape(-1)
+    flat_mean, flat_square, flat_product = d_mean.reshape(-1), d_square.reshape(-1), d_product.reshape(-1)
+    # A row's means down the columns, between zeros.
+    room = size + (TAPS - 1) * channels
+    for band in prange((height + BAND - 1) // BAND):
+        rows, similar = np.zeros(5 * room, np.float32), np.empty(size, np.float32)
+        one, two, c1, c2 = splat(np.float32(1)), splat(np.float32(2)), splat(C1), splat(C2)
+        zero = splat(np.float32(0))
+        for line in range(band * BAND, min(band * BAND + BAND, height)):
+            for at in range(0, size, WIDTH):
+                m_x, m_y, m_xx, m_yy, m_xy = zero, zero, zero, zero, zero
+                for k in range(TAPS):
+                    weight = splat(window[k])
+                    value_x, value_y = load(flat_x, (line + k) * size + at), load(flat_y, (line + k) * size + at)
+                    weighted_x, weighted_y = weight * value_x, weight * value_y
+                    m_x, m_y = m_x + weighted_x, m_y + weighted_y
+                    m_xx, m_yy, m_xy = (
+                        fma(weighted_x, value_x, m_xx),
+                        fma(weighted_y, value_y, m_yy),
+                        fma(weighted_x, value_y, m_xy),
+                    )
+                to = RADIUS * channels + at
+                store(rows, to, m_x)
+                store(rows, room + to, m_y)
+                store(rows, 2 * room + to, m_xx)
+                store(rows, 3 * room + to, m_yy)
+                store(rows, 4 * room + to, m_xy)
+            summed = zero
+            for at in range(0, size, WIDTH):
+                m_x, m_y = _across(rows, 0, at, channels, window), _across(rows, room, at, channels, window)
+                m_xx, m_yy = (
+                    _across(rows, 2 * room, at, channels, window),
+                    _across(rows, 3 * room, at, channels, window),
+                )
+                m_xy = _across(rows, 4 * room, at, channels, window)
+                # a b / (c d): luminance a / c, contrast and structure b / d.
+                a, b = fma(two * m_x, m_y, c1), fma(two, fnma(m_x, m_y, m_xy), c2)
+                c = fma(m_x, m_x, fma(m_y, m_y, c1))
+                d = fnma(m_x, m_x, m_xx) + fnma(m_y, m_y, m_yy) + c2
+                by_c, by_d = one / c, one / d
+                by_both = by_c * by_d
+                s = a * b * by_both
+                # The mean of x is also in the variance of x and the covariance.
+                to = (line + RADIUS) * size + at
+                store(flat_mean, to, two * fma(m_y * (b - a), by_both, m_x * s * (by_d - by_c)))
+                store(flat_square, to, zero - s * by_d)
+                store(flat_product, to, two * a * by_both)
+                store(similar, at, s)
+                if at + WIDTH <= values:
+                    summed = summed + s
+            # What lies beyond the row's end is neither a pixel nor may it reach one.
+            rest = np.float64(total(summed))
+            for at in range(values // WIDTH * WIDTH, values):
+                rest += similar[at]
+            sums[line] = rest
+            for at in range((line + RADIUS) * size + values, (line + RADIUS + 1) * size):
+                flat_mean[at], flat_square[at], flat_product[at] = 0, 0, 0
+    return sums
+
+
+@compiled(parallel=True)
+def _backward(
+    x: F32,
+    y: F32,
+    window: F32,
+    height: int,
+    channels: int,
+    d_mean: F32,
+    d_square: F32,
+    d_product: F32,
+    factor: np.float32,
+) -> F32:
+    """factor times the gradient of the sum of SSIM with respect to x: f32[height, row]."""
+    size = x.shape[1]
+    gradient = np.empty((height, size), np.float32)
+    flat_x, flat_y, flat = x.reshape(-1), y.reshape(-1), gradient.reshape(-1)
+    flat_mean, flat_square, flat_product = d_mean.reshape(-1), d_square.reshape(-1), d_product.reshape(-1)
+    room = size + (TAPS - 1) * channels
+    for band in prange((height + BAND - 1) // BAND):
+        rows = np.zeros(3 * room, np.float32)
+        zero, two, scale = splat(np.float32(0)), splat(np.float32(2)), splat(factor)
+        for line in range(band * BAND, min(band * BAND + BAND, height)):
+            for at in range(0, size, WIDTH):
+                mean, square, product = zero, zero, zero
+                for k in range(TAPS):
+                    weight, place = splat(window[k]), (line + k) * size + at
+                    mean = fma(weight, load(flat_mean, place), mean)
+                    square = fma(weight, load(flat_square, place), square)
+                    product = fma(weight, load(flat_product, place), product)
+                to = RADIUS * channels + at
+                store(rows, to, mean)
+                store(rows, room + to, square)
+                store(rows, 2 * room + to, product)
+            for at in range(0, size, WIDTH):
+                mean, square = _across(rows, 0, at, channels, window), _across(rows, room, at, channels, window)
+                product = _across(rows, 2 * room, at, channels, window)
+                place = (line + RADIUS) * size + at
+                along = fma(two * load(flat_x, place), square, fma(load(flat_y, place), product, mean))
+                store(flat, line * size + at, scale * along)
+    return gradient
+
+
+def similarity(x: ArrayLike, y: ArrayLike) -> Similarity:
+    """Mean SSIM of two images f32[H,W,C] with values in [0, 1].
+
+    Raises ValueError for shapes that differ, or without a pixel.
+    """
+    first, second = np.asarray(x, np.float32), np.asarray(y, np.float32)
+    if first.shape != second.shape or first.ndim != 3 or first.size == 0:
+        raise ValueError(f"images of shapes {first.shape} and {second.shape}: two of the same [H,W,C] are wanted")
+    height, width, channels = first.shape
+    values = width * channels
+    padded = np.zeros((5, height + 2 * RADIUS, -(-values // WIDTH) * WIDTH), np.float32)
+    padded[0, RADIUS:-RADIUS, :values], padded[1, RADIUS:-RADIUS, :values] = (
+        first.reshape(height, values),
+        second.reshape(height, values),
+    )
+    sums = _forward(padded[0], padded[1], WINDOW, height, values, channels, padded[2], padded[3], padded[4])
+    return Similarity(float(sums.sum() / first.size), (height, width, channels), *padded)
+
+
+def similarity_backward(s: Similarity, gradient: float = 1.0) -> F32:
+    """`gradient` times the gradient of the mean SSIM with respect to the first image, f32[H,W,C]."""
+    height, width, channels = s.shape
+    factor = np.float32(gradient / (height * width * channels))
+    d_x = _backward(s.x, s.y, WINDOW, height, channels, s.d_mean, s.d_square, s.d_product, factor)
+    return np.ascontiguousarray(d_x[:, : width * channels]).reshape(s.shape)
+
+
+class Photometric(torch.autograd.Function):
+    """Photometric.apply(image, photograph, ssim) -> loss, a scalar: (1 - ssim) L1 + ssim (1 - SSIM).
+
+    Both images are float32 [H, W, 3] on the CPU. Only the first has a gradient.
+    """
+
+    @staticmethod
+    def forward(ctx: Any, image: Tensor, photograph: Tensor, ssim: float) -> Tensor:
+        ctx.similarity, ctx.ssim = similarity(image.detach().numpy(), photograph.numpy()), ssim
+        away = image - photograph
+        ctx.save_for_backward(away)
+        return (1 - ssim) * away.abs().mean() + ssim * (1 - ctx.similarity.value)
+
+    @staticmethod
+    def backward(ctx: Any, *upstream: Tensor) -> tuple[Tensor, None, None]:
+        (away,) = ctx.saved_tensors
+        gradient = torch.sign(away).mul_((1 - ctx.ssim) / away.numel())
+        gradient -= torch.from_numpy(similarity_backward(ctx.similarity, ctx.ssim))
+        return gradient * upstream[0], None, None
