@@ -1,7 +1,9 @@
 """Makes the generated texts, tables and pictures of SPEC.md and of the repository.
 
 python -m spec            writes the files that are not current
-python -m spec --check    writes nothing, names the files that are not current, and exits with 1 if there are any
+python -m spec --check    writes nothing, names files that are not current and citations of SPEC.md that are wrong, and
+                          exits with 1 if there are any
+python -m spec --vectors  prints the vectors of each requirement, error code, feature and flag
 """
 
 from __future__ import annotations
@@ -9,7 +11,9 @@ from __future__ import annotations
 import sys
 from collections.abc import Callable, Iterator
 
-from . import decoder, example, figures, generated, house, matrix, tables
+from conformance.manifest import load
+
+from . import citations, decoder, example, figures, generated, house, matrix, tables
 from .made import Made
 
 # The order counts. The second decoder and the worked example need the tables, SPEC.md holds the example, and the
@@ -21,9 +25,12 @@ MAKERS: tuple[Callable[[], Iterator[Made]], ...] = (
 
 def main(arguments: list[str]) -> int:
     """Runs the command and returns its exit status. arguments: those after `python -m spec`."""
-    if arguments not in ([], ["--check"]):
+    if arguments not in ([], ["--check"], ["--vectors"]):
         print(__doc__, file=sys.stderr)
         return 64
+    if arguments == ["--vectors"]:
+        print("\n".join(matrix.vector_lists(load())))
+        return 0
     stale = False
     for make in MAKERS:
         for file in make():
@@ -35,6 +42,9 @@ def main(arguments: list[str]) -> int:
             else:
                 file.write()
                 print(f"{file.path.name} is written")
+    for fault in citations.check() if arguments else []:
+        stale = True
+        print(fault, file=sys.stderr)
     return 1 if stale and arguments else 0
 
 

@@ -38,10 +38,9 @@ FAULTS = ("tests/conformance/test_independent.py", "test_fault")
 
 @dataclass(frozen=True, order=True)
 class Place:
-    """A line of a file of the repository. name: the function or the class that it is in."""
+    """A function, a class or a test of a file of the repository."""
 
     path: str
-    line: int
     name: str
 
 
@@ -91,11 +90,11 @@ def _python(path: Path, found: Found) -> None:
             }
             for part in ast.walk(child):
                 if id(part) not in inner and isinstance(part, ast.Constant) and part.value in REGISTRY:
-                    found.raising[str(part.value)].append(Place(name, part.lineno, own))
+                    found.raising[str(part.value)].append(Place(name, own))
             text = "\n".join(lines[first : child.end_lineno])
             for line in re.findall(r"SPEC [^\n]*", text):
                 for clause in _cited(line):
-                    found.citing[clause].append(Place(name, child.lineno, own))
+                    found.citing[clause].append(Place(name, own))
             visit(child, own)
 
     visit(ast.parse(source), "")
@@ -108,28 +107,25 @@ def _c(path: Path, found: Found) -> None:
     """
     name, known = path.relative_to(ROOT).as_posix(), {e.replace(".", "_").upper(): e for e in REGISTRY}
     function, comment = "", ""
-    for number, line in enumerate(path.read_text(encoding="utf-8").splitlines(), start=1):
+    for line in path.read_text(encoding="utf-8").splitlines():
         if line.startswith("/*"):
             comment = line
         head = re.match(r"(?:\w+ )*[\w *]*?\b([A-Z][A-Z0-9_]*)\(", line) if line[:1].isalpha() else None
         if head:
             function = head[1]
             for clause in _cited(comment):
-                found.citing[clause].append(Place(name, number, function))
+                found.citing[clause].append(Place(name, function))
             comment = ""
         if function and line[:1].isspace():
             for word in re.findall(r"\b[A-Z]+_[A-Z_]+\b", line):
                 if word in known:
-                    found.raising[known[word]].append(Place(name, number, function))
+                    found.raising[known[word]].append(Place(name, function))
 
 
 def _innermost(places: Iterable[Place]) -> list[Place]:
-    """Returns each function once, by its first line. A function or class that holds another one of them is left out."""
-    first: dict[tuple[str, str], Place] = {}
-    for place in sorted(places):
-        first.setdefault((place.path, place.name), place)
-    names = list(first)
-    return [p for key, p in first.items() if not any(o[0] == key[0] and o[1].startswith(key[1] + ".") for o in names)]
+    """Returns each function once. A function or class that holds another one of them is left out."""
+    every = sorted(set(places))
+    return [p for p in every if not any(o.path == p.path and o.name.startswith(f"{p.name}.") for o in every)]
 
 
 def code() -> dict[str, Found]:
@@ -153,7 +149,7 @@ def proofs() -> tuple[dict[str, list[Place]], Place]:
         for node in ast.parse(path.read_text(encoding="utf-8")).body:
             if not isinstance(node, ast.FunctionDef):
                 continue
-            place = Place(name, node.lineno, node.name)
+            place = Place(name, node.name)
             if (name, node.name) == FAULTS:
                 fault = place
             for mark in node.decorator_list:
@@ -187,6 +183,6 @@ def trails(requirements: dict[str, Requirement], suite: Manifest) -> dict[str, T
         places = {d: _innermost(f.raising[r.error] if r.error else f.citing[r.clause]) for d, f in found.items()}
         if name.startswith("G"):
             places = {decoder: places[decoder] for decoder in RENDERS}
-        faults = [Place(fault.path, fault.line, f"{fault.name}[{r.error}]")] if r.error else []
+        faults = [Place(fault.path, f"{fault.name}[{r.error}]")] if r.error else []
         made[name] = Trail(r, places, faults + tests[name], tried[name])
     return made

@@ -2,7 +2,7 @@
 
 The weights and the biases of a layer are each multiples of one step, which is trained. They are coded as those of a
 file are (SPEC 7.13), weights under a Gaussian and biases under a Laplace distribution around 0, whose scale a layer
-states. The estimate adds what a layer and a row of a file have besides: SPEC 5.16's model, and a row's exponent.
+states. The estimate adds what a layer and a row of a file have besides: SPEC 5.9's model, and a row's exponent.
 """
 
 from __future__ import annotations

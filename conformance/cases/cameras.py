@@ -20,7 +20,7 @@ from .book import Book, Seen
 from .numbers import Numbers
 from .scenes import TINY_DIMENSIONS, dyadic, lattice, scene, with_symbols
 
-# SPEC [G14.3-1]
+# SPEC [G14.3-1]: of means, axis lengths, quaternions, opacities and colours.
 TOLERANCE = 1e-4
 # Enough digits for the tolerance; few enough that the last bit of a machine's exp does not show.
 DIGITS = 9

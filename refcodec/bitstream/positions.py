@@ -100,7 +100,7 @@ def emit_position_model(model: PositionModel) -> bytes:
 
 
 def cells(positions: F16, cell_shift: int) -> Int64:
-    """SPEC 7.12, CELL_OF: returns the cells of positions, int64 [n, 3], with -1 on an axis without a cell.
+    """SPEC 7.12: returns the cells of positions, int64 [n, 3], with -1 on an axis without a cell.
 
     positions: float16 [n, 3], finite.
     """
@@ -133,7 +133,7 @@ def cell_positions(cell: Int64, cell_shift: int) -> tuple[F16, NDArray[np.bool_]
 
 
 def morton(cell: Int64) -> Int64:
-    """SPEC 7.12, MORTON: returns the codes of cells, int64 [n]. cell: int64 [n, 3], each 0 to 2^16 - 1."""
+    """SPEC 7.12: returns the codes of cells, int64 [n]. cell: int64 [n, 3], each 0 to 2^16 - 1."""
     code = np.zeros(len(cell), dtype=np.int64)
     for bit in range(CELL_LEVELS):
         for axis in range(3):

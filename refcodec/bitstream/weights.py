@@ -78,7 +78,7 @@ def _regrouped(d: Dimensions, layers: list[Layer]) -> Networks:
 
 
 def least_exponents(values: F32) -> tuple[Int64, NDArray[np.bool_]]:
-    """SPEC 7.13, LEAST_EXPONENT: returns the least exponent of each row, and whether the row has one.
+    """SPEC 7.13: returns the least exponent of each row, and whether the row has one.
 
     values: float32 [rows, n], finite. The results are int64 [rows] and bool [rows]. A row of zeros has no exponent.
     """

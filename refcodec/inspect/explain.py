@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import difflib
 import json
+import re
 import textwrap
 import tomllib
 from collections.abc import Iterator
@@ -15,14 +16,12 @@ from functools import cache
 from typing import Any
 
 from ..bitstream.errors import REGISTRY, ErrorKind
-from ..resources import find
+from ..resources import PACKAGE, find
 from . import specification
 from .meaning import FIELDS, TABLE_CLAUSES, Meaning, is_path, meaning, of_field
 
 # Columns of the printed text.
 WIDTH = 112
-# How many vectors of a requirement are printed.
-SHOWN = 12
 
 
 class UnknownKeyError(KeyError):
@@ -38,6 +37,27 @@ def _trail() -> dict[str, Any]:
 @cache
 def _reasons() -> dict[str, dict[str, str]]:
     return tomllib.loads(find("data/explanations.toml").read_text(encoding="utf-8"))
+
+
+@cache
+def _source(path: str) -> list[str]:
+    file = PACKAGE.parent / path
+    return file.read_text(encoding="utf-8").splitlines() if file.is_file() else []
+
+
+def _place(path: str, function: str, error: str) -> str:
+    """Returns the path of a function, with its line if the source is here: that of the error if it raises the error."""
+    name = function.partition("[")[0].rpartition(".")[2]
+    begins = re.compile(rf"[A-Za-z].*\b{name}\((?!.*\);$)" if path.endswith(".c") else rf"\s*(def|class) {name}\b")
+    raises = re.compile(rf"\b{error.replace('.', '_').upper()}\b" if path.endswith(".c") else f'"{re.escape(error)}"')
+    starts = [number for number, line in enumerate(_source(path), start=1) if begins.match(line)]
+    for start in starts if error else []:
+        for number, line in enumerate(_source(path)[start:], start=start + 1):
+            if begins.match(line) or (line[:1].isalpha() and not line.startswith("static")):
+                break
+            if raises.search(line):
+                return f"{path}:{number}"
+    return f"{path}:{starts[0]}" if starts else path
 
 
 def _wrapped(text: str, indent: str = "  ") -> Iterator[str]:
@@ -65,13 +85,13 @@ def _requirement_lines(name: str) -> Iterator[str]:
         kind = REGISTRY[r.error]
         yield f"  a file that breaks it: error {kind.code} {kind.name}"
     for title, places in (*trail["code"].items(), ("tests", trail["tests"])):
-        for i, (path, line, function) in enumerate(places):
-            yield f"  {title if i == 0 else '':<15} {path}:{line} {function}"
-    vectors = trail["vectors"]
-    yield f"  {'vectors':<15} {len(vectors)}"
-    for vector in vectors[:SHOWN]:
+        for i, (path, function) in enumerate(places):
+            yield f"  {title if i == 0 else '':<15} {_place(path, function, r.error)} {function}"
+    vectors, count = trail["vectors"], trail["count"]
+    yield f"  {'vectors':<15} {count}"
+    for vector in vectors:
         yield f"  {'':<15} {vector}"
-    if len(vectors) > SHOWN:
+    if count > len(vectors):
         yield f"  {'':<15} ... all of them: conformance run --select requirement:{name} -- YOUR DECODER"
 
 

@@ -636,7 +636,7 @@ static int32_t cell_number(uint32_t cell, int32_t cell_shift)
     return (int32_t)(n < 0 ? bits | 0x8000 : bits);
 }
 
-/* SPEC 7.12, CELL_OF: the cell of an fp16, or -1 if it has none. */
+/* SPEC 7.12: the cell of an fp16, or -1 if it has none. */
 static int32_t cell_of(uint32_t bits, int32_t cell_shift)
 {
     if (cell_shift == CELL_INDEX)

@@ -1435,7 +1435,7 @@ static int32_t NAMED(encode_chunk)(const kernel_scene *s, kernel_chunk *chunk, w
 
 /* --------------------------------------------------------------------------------------------- SPEC 9.2: values -- */
 
-/* SPEC 9.2, VALUE: one float32 product for each symbol. */
+/* SPEC 9.2, VALUE: a symbol times its step, rounded once. */
 static void NAMED(values)(const int32_t *symbols, const uint8_t *index, int64_t stride, const float *step, int64_t rows,
                           int64_t width, float *values)
 {

@@ -156,7 +156,7 @@ class Scene {
     };
   }
 
-  // 10.1, CHUNKS from the crc of DATA on, and END
+  // 10.1, END, and before it the crc of DATA and the sections behind DATA
   async close() {
     let behind = false;
     for (const section of this.header.sections) {

@@ -49,7 +49,7 @@ from refcodec.bitstream.limits import FEATURES_MAX, PROFILES
 from refcodec.bitstream.scene import Ancillary, Scene, take_anchors
 from refcodec.encoder.positions import position_model
 from refcodec.inspect import specification
-from spec import matrix, measured
+from spec import citations, matrix, measured
 from spec.trail import trails
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -846,3 +846,30 @@ def test_what_was_not_measured_is_told(tmp_path: Path, monkeypatch: pytest.Monke
     measured.RESULTS.write_text("", encoding="utf-8")
     with pytest.raises(SystemExit, match="has no section 'departures'"):
         measured.departures()
+
+
+@pytest.mark.parametrize(
+    ("path", "right", "wrong", "fault"),
+    [
+        ("refcodec/folder/read.py", "(SPEC 5.9)", "(SPEC 5.16)", "5.16 is not about this code"),
+        (
+            "refcodec/bitstream/reader.py",
+            "10.1, CHUNKS: yields",
+            "10.1, SECTIONS: yields",
+            "SECTIONS is not about this",
+        ),
+        (
+            "refcodec/bitstream/planes.py",
+            "10.1, SECTIONS",
+            "10.1, step 5",
+            "10.1, step 5: the steps of 10.1 have names",
+        ),
+        ("refcodec/bitstream/frame.py", "[R6.7-2]", "[R6.7-9]", "R6.7-9 is not a requirement"),
+        ("refcodec/web/container.js", "// 6.1\n", "// 6.91\n", "6.91 is not a clause"),
+    ],
+)
+def test_a_wrong_citation_is_reported(path: str, right: str, wrong: str, fault: str) -> None:
+    source = (ROOT / path).read_text(encoding="utf-8")
+    assert right in source
+    assert not list(citations.faults(path, source))
+    assert fault in "\n".join(citations.faults(path, source.replace(right, wrong)))
