@@ -22,6 +22,7 @@ from .shared import (
     FILE,
     UsageError,
     add_command,
+    check_scene_folder,
     check_scene_output,
     counted,
     decoded,
@@ -63,6 +64,7 @@ def _encode(arguments: argparse.Namespace) -> int:
     elif arguments.rate or arguments.steps:
         raise UsageError(f"{arguments.scene} is coded already: --rate and --steps are for uncompressed scenes")
     else:
+        check_scene_folder(Path(arguments.scene))
         scene = read_folder(arguments.scene)
     scene = with_entries(scene, entries)
     up = train_options.up_axis(arguments)

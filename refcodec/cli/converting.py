@@ -140,7 +140,7 @@ def _train_from_splats(arguments: argparse.Namespace, source: Path) -> int:
     settings, state = _train_settings(arguments), state_path(output)
     check_scene_output(output, [source], uncompressed=True)
     if arguments.resume != os.path.lexists(state):
-        lacks = "there is nothing to resume" if arguments.resume else "go on with it by --resume, or remove it"
+        lacks = "there is nothing to resume" if arguments.resume else "continue it with --resume, or remove it"
         raise UsageError(f"{state} is {'not there' if arguments.resume else 'a saved training'}: {lacks}")
     # A training that goes on has the pictures that the interrupted one left.
     kept = pictures if arguments.resume and pictures and pictures.is_dir() else None
@@ -302,4 +302,4 @@ def add(commands: Any) -> None:
     convert.add_argument("--steps", type=positive, metavar="N", help="splats: training steps (default: the preset's)")
     convert.add_argument("--size", metavar="WxH", help="splats: longest side of the pictures (default: the preset's)")
     convert.add_argument("--seed", type=seed, metavar="S", help="splats: of the random numbers (default: 0)")
-    convert.add_argument("--resume", action="store_true", help="splats: go on with an interrupted training")
+    convert.add_argument("--resume", action="store_true", help="splats: continue an interrupted training")

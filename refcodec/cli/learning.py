@@ -85,15 +85,15 @@ def _settings(arguments: argparse.Namespace) -> TrainSettings:
 
 def _interrupted(done: int, steps: int, state: Path) -> int:
     kept = os.path.lexists(state)
-    goes_on = "--resume goes on from the saved state" if kept else "there is no saved state to go on from"
+    goes_on = "--resume continues from the saved state" if kept else "there is no saved state to continue from"
     note(f"refcodec: stopped at step {done} of {steps}; the scene is written, and {goes_on}")
     return statuses.INTERRUPTED
 
 
 def _check_state(state: Path, resume: bool, advice: str = "") -> None:
-    """Raises UsageError unless there is a saved state to go on from, or none that would be lost.
+    """Raises UsageError unless there is a saved state to continue from, or none that would be lost.
 
-    advice: what to say where there is nothing to go on from. Raises OSError if it cannot be found out.
+    advice: is added to the message if there is nothing to continue from. Raises OSError if it cannot be found out.
     """
     try:
         if resume and not is_there(state):
@@ -102,7 +102,7 @@ def _check_state(state: Path, resume: bool, advice: str = "") -> None:
         raise UsageError(f"there is nothing to resume: {state}: {error}") from None
     if not resume and os.path.lexists(state):
         raise UsageError(
-            f"{state} is the saved state of a training into the same folder: go on with it by --resume, or remove it"
+            f"{state} is the saved state of a training into the same folder: continue it with --resume, or remove it"
         )
 
 
@@ -114,17 +114,17 @@ def _check_writable(output: Path) -> None:
 
 
 def _given(folder: str | None) -> Given | None:
-    """Returns the scene to go on from, or None. Raises UsageError for what is no scene folder."""
+    """Returns the scene to continue from, or None. Raises UsageError for what is no scene folder."""
     from ..train.fit_input import read_given
 
     if folder is None:
         return None
     if not Path(folder).is_dir():
-        raise UsageError(f"{folder} is no scene folder to go on from")
+        raise UsageError(f"{folder} is not a scene folder: training can continue only from one")
     try:
         return read_given(folder)
     except ValueError as error:
-        raise UsageError(f"{folder} cannot be continued: {error}") from None
+        raise UsageError(f"cannot continue training from {folder}: {error}") from None
 
 
 def _train(arguments: argparse.Namespace) -> int:
@@ -284,7 +284,7 @@ def add(commands: Any) -> None:
         "Ctrl-C ends the training early, writes the scene all the same, and keeps SCENE_DIR.train-state for --resume.\n"
         "Without --resume a training does not begin where such a state is: it goes on, or the state is removed first.\n"
         "--resume --steps N with more steps than before extends a training. What is left of its schedule is stretched\n"
-        "over the steps that are left: phases that have passed stay passed, learning rates go on from where they are.\n"
+        "over the steps that are left: passed phases stay passed, learning rates continue from their values.\n"
         "One that came to its end goes on in its last phase. Its state is there if it was trained with --keep-state.\n"
         "Needs: pip install 'refcodec[train]'.",
         writes=True,
@@ -310,7 +310,7 @@ def add(commands: Any) -> None:
         "--from",
         dest="start",
         metavar="SCENE_DIR",
-        help="go on from a scene, such as convert makes, with its anchors, networks and number of features; none grow",
+        help="continue from a scene, such as one of convert, with its anchors, networks and features; no anchor is added",
     )
     train.add_argument(
         "--rate",
@@ -336,12 +336,12 @@ def add(commands: Any) -> None:
     train.add_argument(
         "--resume",
         action="store_true",
-        help="go on with a saved training of the same photographs and settings; --steps may be more than before",
+        help="continue a saved training of the same photographs and settings; --steps may be more than before",
     )
     train.add_argument(
         "--keep-state",
         action="store_true",
-        help="keep SCENE_DIR.train-state after the end, so that --resume --steps N can go on to more steps",
+        help="keep SCENE_DIR.train-state after the end, so that --resume --steps N can train more steps",
     )
     train.add_argument(
         "--log",
@@ -393,4 +393,4 @@ def add(commands: Any) -> None:
         "can be given again",
     )
     add_meta(fit)
-    fit.add_argument("--resume", action="store_true", help="go on with an interrupted fit of the same points")
+    fit.add_argument("--resume", action="store_true", help="continue an interrupted fit of the same points")

@@ -10,6 +10,7 @@ import contextlib
 import os
 import stat
 import sys
+import tomllib
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -20,6 +21,7 @@ from ..files.outputs import HELP, Kind, check_apart, check_file
 from ..files.remote import RemoteFile, is_url
 from ..files.terminal import ProgressStream, note
 from ..files.text import shell_word
+from ..resources import find
 from ..statuses import UsageError
 
 if TYPE_CHECKING:
@@ -125,7 +127,20 @@ class _Checked:
 
 
 def _unreadable(path: str, error: OSError) -> UsageError:
+    if isinstance(error, IsADirectoryError):
+        return UsageError(f"cannot read {path}: it is a folder, not a C3GS file; refcodec encode codes a scene folder")
     return UsageError(f"cannot read {path}: {error.strerror or error}")
+
+
+def check_scene_folder(path: Path) -> None:
+    """Raises UsageError for the folder of a Scaffold-GS model in place of a scene folder."""
+    from ..folder.layout import SCENE_FILE
+
+    if (path / "point_cloud").is_dir() and not (path / SCENE_FILE).exists():
+        raise UsageError(
+            f"{path} is the folder of a model of another program, not a scene folder: convert it first with "
+            f"refcodec convert {shell_word(str(path))} -o SCENE_DIR"
+        )
 
 
 def check_scene_output(
@@ -243,9 +258,16 @@ def reject(path: str, error: BitstreamError) -> int:
     # SPEC 6.1: the error of the signature has the first eight bytes, as text.
     kind = looks_like(bytes.fromhex(error.found[:23])) if error.kind.name == "prologue.signature" else None
     spot = f"To see the spot: refcodec inspect {shell_word(path)} --near {error.offset}"
-    note(f"{path} {word}: {error}. {f'It looks like {kind}' if kind else spot}")
+    advice = f"It looks like {kind}" if kind else f"{_likely_cause(error.kind.name)} {spot}"
+    note(f"{path} {word}: {error}. {advice}")
     note(error.to_json())
     return error.exit_status
+
+
+def _likely_cause(name: str) -> str:
+    """Returns the first sentence of what `explain` prints on how files come to have an error. name: the error's."""
+    reasons = tomllib.loads(find("data/explanations.toml").read_text(encoding="utf-8"))
+    return str(reasons[name]["how"].partition(". ")[0]).rstrip(".") + "."
 
 
 def parse_file(arguments: argparse.Namespace, data: bytes, keep_going: bool = False) -> Parsed:

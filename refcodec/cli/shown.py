@@ -13,7 +13,7 @@ from ..files.documents import DocumentError, read_json
 from ..files.present import NotAFileError, is_there
 from ..statuses import UsageError
 from .bounds import check_folder, read_bounded
-from .shared import read_photographs_of, uncompressed_of
+from .shared import check_scene_folder, read_photographs_of, uncompressed_of
 
 if TYPE_CHECKING:
     from ..bitstream.cameras import NamedCamera
@@ -34,6 +34,7 @@ def read_shown(arguments: argparse.Namespace) -> bytes | Scene | Uncompressed:
     path = Path(arguments.file)
     if path.is_dir():
         check_folder(arguments, path)
+        check_scene_folder(path)
         return uncompressed_of(arguments.file) or read_folder(path)
     data = read_bounded(arguments)
     parse_container(data)

@@ -168,7 +168,9 @@ def summary(facts: dict[str, Any], name: str) -> Iterator[str]:
     version = f"C3GS version {p['major']}.{p['minor']}" if p else "C3GS version unknown"
     # SPEC 6.1: of another file, no field means anything.
     signed = not p or b"C3GS".hex() in p["signature"]
-    yield f"{name}: {facts['bytes']} bytes, {version if signed else 'no C3GS file'}"
+    yield f"{name}: {facts['bytes']} bytes, {version if signed else 'not a C3GS file'}"
+    if not signed:
+        return
     if h:
         yield from _header_lines(facts, h)
     yield ""

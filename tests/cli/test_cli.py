@@ -424,7 +424,8 @@ def test_a_file_of_another_kind(data, looks, tmp_path, capsys):
         out, err = capsys.readouterr()
         assert looks in err
         assert json.loads(err.splitlines()[-1])["code"] == 102
-        assert ("no C3GS file" in out) == (command == "inspect")
+        assert ("not a C3GS file" in out) == (command == "inspect")
+        assert len(out.splitlines()) <= 1
 
 
 def test_each_argument_has_a_help_text():
@@ -834,3 +835,23 @@ def test_a_broken_ancillary_section_is_a_warning(scene, tmp_path, call):
         "warning: metadata: it ends within an entry",
         "warning: cameras: it ends within camera 0",
     ]
+
+
+def test_a_folder_in_place_of_a_file(tmp_path, capsys):
+    """The message names the command that takes such a folder."""
+    (tmp_path / "model" / "point_cloud").mkdir(parents=True)
+    for command, advice in (
+        ("validate", "refcodec encode"),
+        ("eval", "refcodec convert"),
+        ("encode", "refcodec convert"),
+    ):
+        arguments = {"eval": ["photographs"], "encode": ["-o", str(tmp_path / "a.c3gs")]}.get(command, [])
+        assert main([command, str(tmp_path / "model"), *arguments]) == 64
+        assert advice in capsys.readouterr().err
+
+
+def test_the_verdict_has_the_likely_cause(tmp_path, capsys):
+    """That is the first sentence of what explain prints on how files come to have the error."""
+    (tmp_path / "a").write_bytes(b"")
+    assert main(["validate", str(tmp_path / "a")]) == 1
+    assert "a download or a copy ended early. To see the spot" in capsys.readouterr().err

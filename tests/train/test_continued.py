@@ -129,7 +129,7 @@ def test_masks_and_phases(tmp_path: Path) -> None:
 
 def test_what_is_no_scene_to_go_on_from(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     source = str(photographed(model(), tmp_path / "photographs"))
-    for name, said in (("none", "is no scene folder"), ("photographs", "cannot be continued")):
+    for name, said in (("none", "is not a scene folder"), ("photographs", "cannot continue training")):
         assert main(["train", source, "-o", str(tmp_path / "out"), "--from", str(tmp_path / name)]) == 64
         err = capsys.readouterr().err
         assert err.count("\n") == 1
