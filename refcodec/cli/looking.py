@@ -148,8 +148,14 @@ def add(commands: Any) -> None:
         commands,
         "explain",
         _explain,
-        "explain an error, a requirement, a clause or an element, with its code, tests and vectors",
-        ["explain 432", "explain R6.10-2", "explain 7.5.4", "explain 'chunk_table.entry[0].mask_length'"],
+        "explain an error, requirement, clause, element, term or function of SPEC.md, with its code, tests and vectors",
+        [
+            "explain 432",
+            "explain R6.10-2",
+            "explain 7.5.4",
+            "explain CARM",
+            "explain 'chunk_table.entry[0].mask_length'",
+        ],
         "KEY is the code or name of an error, a requirement or a clause of SPEC.md, or the path of an element as\n"
         "inspect prints it.",
     )

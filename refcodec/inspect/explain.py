@@ -1,4 +1,4 @@
-"""Explains a key: the code or name of an error, a requirement, a clause, the path of an element, or a field.
+"""Explains a key: an error, a requirement, a clause, an element's path, a field, a term, or a function of SPEC.md.
 
 The text comes from SPEC.md and the registry of errors. The code of each decoder, the tests and the vectors come from
 the trail that `python -m spec` records.
@@ -122,6 +122,20 @@ def _clause_lines(number: str) -> Iterator[str]:
             yield from _requirement_lines(name)
 
 
+def _term_lines(term: str, definition: str) -> Iterator[str]:
+    """A term of 3.2: its definition, and the clauses of chapters 5 to 9 that use it, with their code."""
+    yield f"{term}, a term of clause {_clause_name('3.2')}"
+    yield from _wrapped(definition)
+    for number, clause in specification.own_clauses().items():
+        used = re.search(rf"\b{re.escape(term)}s?\b", f"{clause.title}\n{clause.text}", re.IGNORECASE)
+        if number[0] in "56789" and used:
+            yield f"  {_clause_name(number)}"
+            required = [name for name, r in specification.own_requirements().items() if r.clause == number]
+            places = [tuple(place) for name in required for place in _trail()[name]["code"].get("refcodec", [])]
+            for path, function in dict.fromkeys(places):
+                yield f"  {'':<15} {_place(path, function, '')} {function}"
+
+
 def _field_lines(table: str, field: str) -> Iterator[str]:
     """The row of a field in its syntax table."""
     kind, words = specification.fields(specification.text())[f"{table}.{field}"]
@@ -171,6 +185,11 @@ def _parts(key: str) -> Iterator[Iterator[str]]:
         yield _requirement_lines(name)
     if clause in specification.own_clauses():
         yield _clause_lines(clause)
+    terms, functions = specification.terms(specification.text()), specification.functions(specification.text())
+    if key.lower() in terms:
+        yield _term_lines(key, terms[key.lower()])
+    if key in functions:
+        yield _clause_lines(functions[key])
     table, _, field = key.partition(".")
     if key in FIELDS:
         yield _table_field_lines(table, field)
@@ -204,9 +223,12 @@ def _unknown(key: str) -> str:
         *specification.own_requirements(),
         *specification.own_clauses(),
         *FIELDS,
+        *specification.terms(specification.text()),
+        *specification.functions(specification.text()),
     ]
     near = difflib.get_close_matches(key, known, 3)
     hint = f"; did you mean {', '.join(near)}" if near else ""
     return (
-        f"{key} is no error, requirement, clause, or path of an element, such as 432, R6.10-2, 6.10, frame.low[1]{hint}"
+        f"{key} is not an error, requirement, clause, path of an element, term or function of SPEC.md, such as 432, "
+        f"R6.10-2, 6.10, frame.low[1], CARM or QUERY{hint}"
     )

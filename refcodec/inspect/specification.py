@@ -84,6 +84,21 @@ def requirements(spec: str) -> dict[str, Requirement]:
     return found
 
 
+def terms(spec: str) -> dict[str, str]:
+    """Returns the definitions of clause 3.2 by term, in small letters. A definition may have several terms."""
+    items = re.findall(r"^- (\*\*.*(?:\n  .*)*)", clauses(spec)["3.2"].text, re.MULTILINE)
+    return {
+        term.lower(): re.sub(r"\s+", " ", item.replace("**", ""))
+        for item in items
+        for term in re.findall(r"\*\*([^*]+)\*\*", item)
+    }
+
+
+def functions(spec: str) -> dict[str, str]:
+    """Returns the clause of each function of the blocks of SPEC.md, by name."""
+    return {name: c.number for c in clauses(spec).values() for name in re.findall(r"^def (\w+)", c.text, re.MULTILINE)}
+
+
 @cache
 def own_clauses() -> dict[str, Clause]:
     """Returns the clauses of the SPEC.md that came with the program, by number."""

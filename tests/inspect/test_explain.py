@@ -91,7 +91,7 @@ def test_what_is_not_known_is_said(key: str, capsys: pytest.CaptureFixture[str])
     assert main(["explain", key]) == 64
     found = capsys.readouterr().err
     assert found.count("\n") == 1
-    assert "is no error, requirement, clause, or path" in found
+    assert "is not an error, requirement, clause, path" in found
 
 
 def test_a_clause_is_printed_with_its_requirements(capsys: pytest.CaptureFixture[str]) -> None:
@@ -101,6 +101,20 @@ def test_a_clause_is_printed_with_its_requirements(capsys: pytest.CaptureFixture
     assert "refcodec/bitstream/context.py:" in found
     assert "A Tables" in found
     assert "D7.6-1, a requirement on decoders, clause 7.6 Masks" in found
+
+
+@pytest.mark.parametrize(
+    ("key", "clause", "code"),
+    [
+        ("CARM", "7.9 Channel-wise context", "attributes.py:"),
+        ("context", "7.5 Geometry to context", "context.py:"),
+        ("QUERY", "7.5.5 ", "context.py:"),
+    ],
+)
+def test_terms_and_functions_lead_to_clauses_and_code(key: str, clause: str, code: str) -> None:
+    found = "\n".join(explain.explain(key))
+    assert clause in found
+    assert f"refcodec/bitstream/{code}" in found
 
 
 def test_every_path_of_a_file_is_explained() -> None:
