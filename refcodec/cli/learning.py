@@ -310,7 +310,7 @@ def add(commands: Any) -> None:
         "--from",
         dest="start",
         metavar="SCENE_DIR",
-        help="continue from a scene, such as one of convert, with its anchors, networks and features; no anchor is added",
+        help="continue from a scene, such as convert makes, with its anchors, networks and features; none grow",
     )
     train.add_argument(
         "--rate",
