@@ -132,8 +132,8 @@ def _train_from_splats(arguments: argparse.Namespace, source: Path) -> int:
     """Draws a file of splats from cameras, and trains a scene from these pictures."""
     from ..folder.layout import SceneFolderError
     from ..train.command import state_path, train
+    from ..train.messages import closing
     from ..train.state import StateError
-    from ..train.telling import closing
 
     output = Path(arguments.output)
     pictures = Path(arguments.pictures) if arguments.pictures else None

@@ -144,8 +144,8 @@ def _train(arguments: argparse.Namespace) -> int:
         from ..train.command import state_path, train
         from ..train.continued import BeginningError
         from ..train.log import check_log, open_log
+        from ..train.messages import closing
         from ..train.state import StateError
-        from ..train.telling import closing
     except ModuleNotFoundError as error:
         raise needs("train", "train", error, ("torch", "numba", "scipy", "PIL", "skimage")) from None
     entries = metadata_of(arguments)

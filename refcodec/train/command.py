@@ -24,10 +24,10 @@ from .continued import continued_settings
 from .fit_input import Given
 from .log import Log, Logging
 from .looks import psnr
+from .messages import opening, shown
 from .settings import TrainSettings
 from .settings_file import document
 from .state import Keeper, restore, write_somewhere
-from .telling import opening, shown
 from .trainer import Trainer
 
 

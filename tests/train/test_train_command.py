@@ -19,7 +19,7 @@ from refcodec.cli.main import main
 from refcodec.folder.read import read_folder
 from refcodec.folder.uncompressed import read_uncompressed
 from refcodec.train.command import state_path
-from refcodec.train.telling import LINE_SECONDS
+from refcodec.train.messages import LINE_SECONDS
 
 
 @pytest.mark.slow

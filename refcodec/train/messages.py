@@ -1,4 +1,4 @@
-"""What a training says to people: before its first step, on the way, and at its end."""
+"""The messages of a training: before its first step, after steps, and at its end."""
 
 from __future__ import annotations
 
@@ -15,6 +15,7 @@ from numba.core import event
 from ..bitstream.attributes import KINDS
 from ..files.terminal import ProgressStream, note
 from ..files.text import shell_word
+from .estimate import UNCOUNTED
 from .trainer import Trainer, Watch
 
 # Seconds between two lines of progress where there is no terminal.
@@ -22,7 +23,7 @@ LINE_SECONDS = 5.0
 
 
 def opening(trainer: Trainer) -> str:
-    """What a training begins with, in a line."""
+    """The line before the first step: photographs, points, anchors, steps, rate."""
     photographs, settings = trainer.photographs, trainer.settings
     first = photographs.train[0].camera
     red, green, blue = photographs.background
@@ -41,38 +42,43 @@ def opening(trainer: Trainer) -> str:
 
 
 def line(trainer: Trainer) -> str:
-    """A training's progress in words. What is not measured yet is told with "about", or not at all."""
+    """The progress of a training. A value that is not measured yet has "about" before it, or is left out."""
     clock, looks, last = trainer.clock, trainer.looks, trainer.looks.history[-1:]
     size = last[0]["bytes"] if last else sum(v for k, v in trainer.estimate().items() if k not in KINDS)
     words = [f"step {clock.done} of {clock.steps}", f"{np.mean(looks.recent):.2f} dB"]
     words += [f"held-out {look['psnr']:.2f} dB" for look in last]
-    words += [f"{trainer.scaffold.count} anchors", kilobytes(trainer, size)]
+    words += [f"{trainer.scaffold.count} anchors", _about(trainer) + file_size(trainer, size)]
     return ", ".join([*words, *_left(trainer)])
 
 
 def _left(trainer: Trainer) -> list[str]:
-    """The time that is left, in words, if there is any and it is known."""
-    found = trainer.looks.pace.left()
-    if found is None or trainer.clock.done == trainer.clock.steps:
+    """The time left, if it is known and the training has not ended."""
+    left = trainer.looks.pace.left()
+    if left is None or trainer.clock.done == trainer.clock.steps:
         return []
-    seconds, sure = found
+    seconds, sure = left
     return [f"{'' if sure else 'about '}{max(seconds, 1):.0f} s left"]
 
 
-def kilobytes(trainer: Trainer, size: float) -> str:
-    """Bytes of a file in words."""
-    likely = trainer.rate is not None and trainer.rate.model is None
-    return f"{'about ' if likely else ''}{size / 1000:.0f} KB"
+def _about(trainer: Trainer) -> str:
+    """ "about " before there is an entropy model that counts the bytes."""
+    return "about " if trainer.rate is not None and trainer.rate.model is None else ""
+
+
+def file_size(trainer: Trainer, size: float) -> str:
+    """The size of a file in words. size: bytes of Trainer.estimate."""
+    uncounted = 0 if trainer.rate is None else UNCOUNTED
+    return f"{(size + uncounted) / 1000:.0f} KB"
 
 
 def closing(trainer: Trainer, report: dict[str, Any], output: Path, photographs: str) -> Iterator[str]:
-    """What a training ends with, in lines. report: training.json. photographs: their folder, as it was given."""
+    """The lines after the last step. report: training.json. photographs: their folder, as the user gave it."""
     scene, size = str(output), sum(value for name, value in report["bytes"].items() if name not in KINDS)
     yield f"{scene}: {report['anchors']} anchors, {report['steps']} steps, {report['seconds']:.0f} s"
     test = len(trainer.photographs.test)
     shown = f"held-out PSNR {report['psnr']:.2f} dB of {test} photographs" if test else "no photographs are held out"
     coded = trainer.rate is not None
-    yield f"{shown}; {'about ' if coded else ''}{size / 1000:.0f} KB {'in a file' if coded else 'uncompressed'}"
+    yield f"{shown}; {'about ' if coded else ''}{file_size(trainer, size)} {'in a file' if coded else 'uncompressed'}"
     if coded:
         yield f"next: refcodec encode {shell_word(scene)} -o {shell_word(f'{scene}.c3gs')}"
     else:
@@ -80,36 +86,36 @@ def closing(trainer: Trainer, report: dict[str, Any], output: Path, photographs:
 
 
 class _Compiling(event.Listener):
-    """Says on stderr, once, that numba compiles."""
+    """Reports once on stderr that numba compiles."""
 
-    said = False
+    reported = False
 
     def on_start(self, event: event.Event) -> None:
-        if not self.said:
+        if not self.reported:
             note("train: compiling, which takes up to a minute or two; what is compiled is kept if there is a place")
-            self.said = True
+            self.reported = True
 
     def on_end(self, event: event.Event) -> None:
-        """Says nothing."""
+        """Needs no message."""
 
 
 @contextlib.contextmanager
 def shown(trainer: Trainer, progress: bool, looked: Callable[[list[dict[str, Any]]], None]) -> Iterator[Watch]:
     """Progress on stderr: a bar on a terminal, else lines if they are wanted.
 
-    looked: is told the history after each step.
+    looked: called with the history after each step.
     """
-    with event.install_listener("numba:compile", _Compiling()), _told(trainer, progress) as tell:
+    with event.install_listener("numba:compile", _Compiling()), _progress(trainer, progress) as report:
 
         def watch(trainer: Trainer) -> None:
-            tell(trainer)
+            report(trainer)
             looked(trainer.looks.history)
 
         yield watch
 
 
 @contextlib.contextmanager
-def _told(trainer: Trainer, progress: bool) -> Iterator[Watch]:
+def _progress(trainer: Trainer, progress: bool) -> Iterator[Watch]:
     clock, looks = trainer.clock, trainer.looks
     if sys.stderr.isatty():
         from tqdm import tqdm  # noqa: PLC0415 (only here)
@@ -122,17 +128,18 @@ def _told(trainer: Trainer, progress: bool) -> Iterator[Watch]:
                 bar.update(clock.done - bar.n)
                 if clock.done % 20 == 0 and looks.history:
                     last = looks.history[-1]
-                    words = [f"{last['psnr']:.2f} dB, {last['anchors']} anchors", kilobytes(trainer, last["bytes"])]
+                    words = [f"{last['psnr']:.2f} dB", f"{last['anchors']} anchors"]
+                    words.append(_about(trainer) + file_size(trainer, last["bytes"]))
                     bar.set_postfix_str(", ".join([*words, *_left(trainer)]))
 
             yield show
         return
     last = time.monotonic()
 
-    def tell(_: Trainer) -> None:
+    def report(_: Trainer) -> None:
         nonlocal last
         if progress and (time.monotonic() - last > LINE_SECONDS or clock.done == clock.steps):
             note(line(trainer))
             last = time.monotonic()
 
-    yield tell
+    yield report

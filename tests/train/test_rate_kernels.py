@@ -1,4 +1,4 @@
-"""Gradients of the rate's own passes for CPUs against autograd's of the formulas."""
+"""Kernels of the rate model against the definitions in torch, mostly in float64: values and gradients."""
 
 from __future__ import annotations
 
