@@ -26,10 +26,10 @@ RUNS = {
     "refcodec, with --serve, and its Gaussians": (["--serve", *GAUSSIANS], [*SERVE, "refcodec"]),
     "refcodec, with --serve and --trace": (["--serve", "--trace"], [*SERVE, "refcodec"]),
     "refcodec, a process for each vector": ([], [PYTHON, "-m", "refcodec", "reconstruct", "{input}", "{output}"]),
-    "the second decoder, with --serve": (["--serve"], [*SERVE, "independent"]),
+    "the second decoder, with --serve": (["--serve"], [*SERVE, "spec_decoder"]),
     "the second decoder, a process for each vector": (
         [],
-        [PYTHON, "-m", "conformance.independent", "decode", "{input}", "{output}"],
+        [PYTHON, "-m", "conformance.spec_decoder", "decode", "{input}", "{output}"],
     ),
     "the decoder in C": ([], ["{c}", "decode", "{input}", "{output}"]),
 }

@@ -24,6 +24,11 @@ from .support import sha256 as SHA256
 from .support import table_bytes
 '''
 TAIL = "\nSINE, STEP, GAUSS, LAPLACE = READ_TABLES(table_bytes())\n"
+# The functions that implement clauses without a block, with these clauses.
+CLAUSES = {
+    "DECODE_SYMBOL": "8.2", "DECODE_VALUES": "8.6", "WORLD": "9.1", "DECODE_ATTRIBUTES": "7.7, 7.8, 7.9",
+    "DECODE_FILE": "2.1, 10.1", "CHECK_DIRECTORY": "12.1, 13.1",
+}  # fmt: skip
 LEVEL = ("level", "anchor_count", "plane_size", "work")
 
 
@@ -78,7 +83,13 @@ def module(text: str) -> str:
         if heading:
             clause = heading.lstrip("# ").partition(":")[0].removeprefix("Annex ").split()[0]
         else:
-            lines += ["", f"# SPEC {'Annex A' if clause == 'A' else clause}", block.rstrip("\n"), ""]
+            # Each function cites its clause, by which `refcodec explain` finds it.
+            own = "Annex A" if clause == "A" else clause
+
+            def cited(match: re.Match[str], own: str = own) -> str:
+                return f"# SPEC {own}{', ' if match[2] in CLAUSES else ''}{CLAUSES.get(match[2], '')}\n{match[0]}"
+
+            lines += ["", re.sub(r"^(def|class) (\w+)", cited, block.rstrip("\n"), flags=re.MULTILINE), ""]
     return "\n".join(lines).rstrip("\n") + "\n\n" + TAIL
 
 

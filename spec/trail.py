@@ -27,13 +27,13 @@ from .made import ROOT
 # The decoders, and the files that hold the code of each.
 DECODERS = {
     "refcodec": ("refcodec/bitstream/*.py", "refcodec/render/*.py"),
-    "second decoder": ("conformance/independent/*.py",),
+    "second decoder": ("conformance/spec_decoder/*.py",),
     "decoder in C": ("conformance/c/decoder.c",),
 }
 # The decoders that also render.
 RENDERS = ("refcodec",)
 # The test that has a case for each error.
-FAULTS = ("tests/conformance/test_independent.py", "test_fault")
+FAULTS = ("tests/conformance/test_spec_decoder.py", "test_fault")
 
 
 @dataclass(frozen=True, order=True)

@@ -37,7 +37,7 @@ from refcodec.files.present import NotAFileError, is_there
 from refcodec.files.stage import write_file
 from refcodec.native import library
 
-from .. import independent
+from .. import spec_decoder
 from ..cases.target import Target
 from ..runner import grading, process
 from ..runner.folder import Folder
@@ -97,8 +97,8 @@ def _faulty_path(data: bytes, first: Verdict) -> str | None:
 def second_verdict(data: bytes) -> Verdict:
     """The same of the second decoder."""
     try:
-        return independent.digest(independent.decode(data)), -1
-    except independent.C3GSError as error:
+        return spec_decoder.decode(data).digest, -1
+    except spec_decoder.C3GSError as error:
         return error.name, error.offset
 
 
@@ -334,7 +334,7 @@ def _run(count: int, first_seed: int, jobs: int, state: Path, keep: Path, comman
                 # The name is of the content, so that no other run's file is replaced.
                 path = keep / f"{number}-{hashlib.sha256(data).hexdigest()[:12]}.c3gs"
                 write_file(path, data)
-                see = f"refcodec inspect {path} --hex; python -m conformance.independent validate {path}"
+                see = f"refcodec inspect {path} --hex; python -m conformance.spec_decoder validate {path}"
                 print(f"{path}: {text}\n  to see it: {see}")
             saved = {
                 "seed": first_seed,

@@ -13,7 +13,7 @@ import sys
 
 import atheris
 
-with atheris.instrument_imports(include=["refcodec", "conformance.independent"]):
+with atheris.instrument_imports(include=["refcodec", "conformance.spec_decoder"]):
     from conformance.cases.checksums import repair
     from conformance.fuzz import compare
 

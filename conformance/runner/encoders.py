@@ -9,7 +9,7 @@ from refcodec.bitstream.errors import BitstreamError
 from refcodec.bitstream.reconstruction import digest
 from refcodec.inspect import dump
 
-from .. import independent
+from .. import spec_decoder
 
 
 @dataclass(frozen=True)
@@ -32,8 +32,8 @@ def examine(data: bytes) -> Verdict:
         error, first = found, (found.kind.code, found.offset)
     second: tuple[int, int] | str
     try:
-        second = independent.digest(independent.decode(data))
-    except independent.C3GSError as found:
+        second = spec_decoder.decode(data).digest
+    except spec_decoder.C3GSError as found:
         second = (found.code, found.offset)
     if first != second:
         return Verdict(

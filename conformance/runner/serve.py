@@ -1,6 +1,6 @@
 """Serves one of the project's decoders to `conformance run --serve`, so that its modules are read once.
 
-python -m conformance.runner.serve refcodec | independent
+python -m conformance.runner.serve refcodec | spec_decoder
 
 Reads lines of JSON, {"id", "input", "output"} and perhaps "trace". It answers each with {"id", "status", "signal",
 "stderr"}. Each file is decoded in a fork, whose end is all that the next one could know of it.
@@ -33,13 +33,13 @@ def _refcodec() -> Callable[[list[str]], int]:
     return lambda words: cli.main(["reconstruct", *words])
 
 
-def _independent() -> Callable[[list[str]], int]:
-    from ..independent.__main__ import main  # noqa: PLC0415
+def _spec_decoder() -> Callable[[list[str]], int]:
+    from ..spec_decoder.__main__ import main  # noqa: PLC0415
 
     return lambda words: main(["decode", *words])
 
 
-DECODERS = {"refcodec": _refcodec, "independent": _independent}
+DECODERS = {"refcodec": _refcodec, "spec_decoder": _spec_decoder}
 
 
 def _in_fork(decode: Callable[[list[str]], int], words: list[str]) -> dict[str, Any]:

@@ -5,19 +5,64 @@
 
 from __future__ import annotations
 
-import runpy
+import hashlib
+import importlib.util
+from dataclasses import dataclass
 from typing import Any
 
+from . import blocks, support
+from .errors import C3GSError
+
+__all__ = ["C3GSError", "Decoded", "decode", "names", "verdict"]
+
+# SPEC 9.3: the parts of the canonical reconstruction, in their order
+PARTS = ("positions", "masks", "planes", "features", "scalings", "offsets", "weights")
 Names = dict[str, Any]
 
 
+@dataclass(frozen=True)
+class Decoded:
+    """A decoded file.
+
+    digests: hexadecimal SHA-256 of the scene, as `whole`, and of each part, by name. reconstruction: the bytes that the
+    digest of the scene is of, and behind them the parts (9.3).
+    """
+
+    digests: dict[str, str]
+    reconstruction: bytes
+
+    @property
+    def digest(self) -> str:
+        """The digest of the scene."""
+        return self.digests["whole"]
+
+
+# SPEC 9.3, 10.4
+def decode(data: bytes) -> Decoded:
+    """Decodes a file. Raises C3GSError if it is refused."""
+    support.HASHED.clear()
+    try:
+        blocks.DECODE_FILE(list(data))
+    except blocks.Refused as refused:
+        raise C3GSError(*refused.args) from None
+    *parts, scene = support.HASHED
+    digests = {"whole": hashlib.sha256(scene).hexdigest()}
+    digests |= {name: hashlib.sha256(part).hexdigest() for name, part in zip(PARTS, parts, strict=True)}
+    return Decoded(digests, scene + b"".join(parts))
+
+
 def names() -> Names:
-    """Returns the names that `blocks` defines, in a new dictionary which its functions use: a caller may replace them.
+    """Returns the names of a new copy of `blocks`, in the dictionary that its functions use: callers may replace them.
 
     `blocks` has the Python blocks of SPEC.md, the constants of 2.5, the errors of 10.3, the tables of chapter 11 and
     those of Annex A.
     """
-    return runpy.run_module(f"{__name__}.blocks")
+    spec = importlib.util.find_spec(f"{__name__}.blocks")
+    assert spec is not None
+    assert spec.loader is not None
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return vars(module)
 
 
 def verdict(space: Names, data: bytes) -> tuple[Names | None, tuple[str, int] | None]:

@@ -180,10 +180,12 @@ def RSHIFT_ROUND(a, s):
     return (a + ((1 << s) >> 1)) >> s
 
 
+# SPEC 2.4
 def CLAMP(a, low, high):
     return min(max(a, low), high)
 
 
+# SPEC 2.4
 def BIT_LENGTH(a):
     """The least n with a < 2^n, for a >= 0."""
     n = 0
@@ -192,6 +194,7 @@ def BIT_LENGTH(a):
     return n
 
 
+# SPEC 2.4
 def ISQRT(a):
     """The largest integer r with r * r <= a."""
     r = 0
@@ -201,22 +204,26 @@ def ISQRT(a):
     return r
 
 
+# SPEC 2.4
 def U(data, at, size):
     """The unsigned integer of so many bytes at a place of data."""
     return sum([data[at + i] << 8 * i for i in range(size)])
 
 
+# SPEC 2.4
 def I(data, at, size):
     """The signed integer of so many bytes at a place of data."""
     value = U(data, at, size)
     return value - (1 << 8 * size) if value >> (8 * size - 1) else value
 
 
+# SPEC 2.4
 def IS_FINITE(bits):
     """Whether an f32 is neither infinite nor NaN."""
     return bits >> 23 & 255 != 255
 
 
+# SPEC 2.4
 def SIGNIFICAND(bits):
     """(m, e) of a finite f32, which is m * 2^e."""
     exponent, fraction = bits >> 23 & 255, bits & 0x7FFFFF
@@ -224,12 +231,14 @@ def SIGNIFICAND(bits):
     return (-m if bits >> 31 else m), e
 
 
+# SPEC 2.4
 def ROUND_SCALED(bits, e):
     """floor(x * 2^e + 1/2), for x a finite f32."""
     m, own = SIGNIFICAND(bits)
     return m << (own + e) if own + e >= 0 else RSHIFT_ROUND(m, -own - e)
 
 
+# SPEC 2.4
 def ROUND_F32(n, e):
     """The f32 nearest to n * 2^e, ties to the even significand. The limits of this document keep it finite; 0 is +0."""
     if n == 0:
@@ -261,10 +270,12 @@ def DERIVE_ROW(weights, bias):
     return None
 
 
+# SPEC 7.2
 def ACTIVATION(a):
     return CLAMP(a, -ACTIVATION_MAX, ACTIVATION_MAX)
 
 
+# SPEC 7.2
 def NETWORK(layers, inputs):
     """layers: for each layer its rows as DERIVE_ROW gives them; inputs: activations."""
     for number, rows in enumerate(layers):
@@ -286,6 +297,7 @@ def PLANE_GROUPS(channels, size):
     return groups
 
 
+# SPEC 7.3
 def DECODE_PLANE(stream, sarm, channels, size):
     """One sub-plane, as plane[channel][i][j]."""
     plane = [[[0] * size for _ in range(size)] for _ in range(channels)]
@@ -303,6 +315,7 @@ def DECODE_PLANE(stream, sarm, channels, size):
     return plane
 
 
+# SPEC 7.3
 def JOIN_QUADRANTS(quadrants):
     """The plane of r = 2 from its four sub-planes."""
     joined = []
@@ -328,6 +341,7 @@ def FRAME_COORDINATES(frame, p):
     return v
 
 
+# SPEC 7.5.5
 def CONTRACT(v):
     unit = 1 << UNIT_BITS
     q = sum([x * x for x in v])
@@ -338,12 +352,14 @@ def CONTRACT(v):
     return [(x * f) // n for x in v]
 
 
+# SPEC 7.5.5
 def RESCALE(frame, w):
     return [
         CLAMP(((x - a) << UNIT_BITS) // (b - a), 0, 1 << UNIT_BITS) for x, a, b in zip(w, frame["low"], frame["high"])
     ]
 
 
+# SPEC 7.5.5
 def QUERY(plane, u, plane_shift):
     """Samples of all channels of plane[channel][i][j] at u = (u_0, u_1)."""
     size = len(plane[0])
@@ -362,6 +378,7 @@ def QUERY(plane, u, plane_shift):
     return out
 
 
+# SPEC 7.5.5
 def GAMMA(u, frequencies):
     out = []
     for k in range(frequencies):
@@ -371,6 +388,7 @@ def GAMMA(u, frequencies):
     return out
 
 
+# SPEC 7.5.5
 def CONTEXT(frame, planes, plane_shift, frequencies, position_bits):
     """planes: the five sub-planes, or none; frame: None where there are no planes and no frequencies."""
     if frame is None:
@@ -398,7 +416,7 @@ def DECODE_MASKS(stream, mask_model, offset_count, anchors):
     return masks
 
 
-# SPEC 7.10
+# SPEC 7.10, 7.7, 7.8, 7.9
 def DECODE_ATTRIBUTES(stream, networks, carm_shift, slices, contexts, masks):
     """For each anchor its D symbols and three step indices. networks: by name; that of carm.i has the name i."""
     anchors = range(len(contexts))
@@ -451,6 +469,7 @@ def CELL_NUMBER(c, cell_shift):
     return bits | 0x8000 if n < 0 else bits
 
 
+# SPEC 7.12
 def DECODE_CELLS(stream, models, anchors):
     """The cells of a packed chunk, and whether they are as many as its anchors."""
     nodes, whole = [(0, 0, 0)], True
@@ -469,6 +488,7 @@ def DECODE_CELLS(stream, models, anchors):
     return nodes, whole and len(nodes) == anchors
 
 
+# SPEC 7.12
 def DECODE_POSITIONS(part, form, cell_shift, models, anchors, lanes):
     """The positions of a chunk, three f16 an anchor, and the name of the error of the first check that fails, or None.
 
@@ -504,6 +524,7 @@ def PACKED_LAYER(exponent, differences, rows, biases):
     return None if first and exponent else out
 
 
+# SPEC 7.13
 def DECODE_WEIGHTS(stream, shapes, layers, raw):
     """For each layer (rows, biases), or None for one with a wrong exponent.
 
@@ -548,6 +569,7 @@ def OPEN(data, lanes):
     }
 
 
+# SPEC 8.3, 8.2
 def DECODE_SYMBOL(stream, lane, frequencies):
     x = stream["state"][lane]
     slot = x & ((1 << PRECISION) - 1)
@@ -565,6 +587,7 @@ def DECODE_SYMBOL(stream, lane, frequencies):
     return symbol
 
 
+# SPEC 8.3
 def DECODE_GROUP(stream, models):
     lanes = len(stream["state"])
     return [DECODE_SYMBOL(stream, i % lanes, m) for i, m in enumerate(models)]
@@ -590,6 +613,7 @@ def READ_BITS(stream, k):
     return value
 
 
+# SPEC 8.7
 def READ_ESCAPE(stream, radius):
     """The distance from the centre."""
     negative = READ_BITS(stream, 1)
@@ -604,6 +628,7 @@ def READ_ESCAPE(stream, radius):
     return -(radius + n) if negative else radius + n
 
 
+# SPEC 8.7, 8.6
 def DECODE_VALUES(stream, family, parameters, limit):
     """The symbols of a group with means; parameters: (mean, scale index) of each."""
     chosen = [SELECT(m, s) for m, s in parameters]
@@ -632,6 +657,7 @@ def CRC32(data):
     return crc ^ 0xFFFFFFFF
 
 
+# SPEC 8.8
 def CRC_ENTRY(n):
     for _ in range(8):
         n = n >> 1 ^ 0xEDB88320 if n & 1 else n >> 1
@@ -641,15 +667,18 @@ def CRC_ENTRY(n):
 CRC_TABLE = [CRC_ENTRY(n) for n in range(256)]
 
 
+# SPEC 8.8
 def BYTES(value, size):
     """An integer as bytes of a file."""
     return [value >> 8 * i & 255 for i in range(size)]
 
 
+# SPEC 8.8
 def NOTE_SYMBOLS(stream, values):
     stream["symbols"] += values
 
 
+# SPEC 8.8
 def END(stream):
     """The name of the error of the first check that fails, or None."""
     if stream["word_at"] != len(stream["words"]):
@@ -669,16 +698,18 @@ def END(stream):
     return None
 
 
-# SPEC 9.2
+# SPEC 9.2, 9.1
 def WORLD(grid, axis, p):
     return ROUND_F32(grid["origin"][axis] + grid["scale_mantissa"] * p, grid["scale_exponent"] - 24)
 
 
+# SPEC 9.2
 def STEP_VALUE(step_index, base_step):
     m, e = SIGNIFICAND(base_step)
     return ROUND_F32(STEP[step_index] * m, e - STEP_SHIFT)
 
 
+# SPEC 9.2
 def VALUE(symbol, step):
     m, e = SIGNIFICAND(step)
     return ROUND_F32(symbol * m, e)
@@ -689,23 +720,26 @@ class Refused(Exception):
     pass
 
 
+# SPEC 10.4
 def REFUSE(name, offset):
     raise Refused(name, offset)
 
 
+# SPEC 10.4
 def REQUIRE(condition, name, offset):
     if not condition:
         REFUSE(name, offset)
 
 
-# SPEC 10.4
 SIGNATURE = [0x89, 0x43, 0x33, 0x47, 0x53, 0x0D, 0x0A, 0x1A]
 
 
+# SPEC 10.4
 def PAD4(n):
     return (n + 3) // 4 * 4
 
 
+# SPEC 10.4
 def PARSE_PROLOGUE(data):
     """header_length and minor."""
     REQUIRE(len(data) >= 20, "prologue.truncated", len(data))
@@ -718,6 +752,7 @@ def PARSE_PROLOGUE(data):
     return length, U(data, 10, 2)
 
 
+# SPEC 10.4
 def TAKE(reader, name, size, count, signed):
     """The next field of the header, or list of `count` items; its place is noted under the same name."""
     at = reader["at"]
@@ -728,6 +763,7 @@ def TAKE(reader, name, size, count, signed):
     reader["place"][name] = at
 
 
+# SPEC 10.4
 def PARSE_HEADER(data, length, minor):
     """The header's fields, each a list of items, and their places."""
     REQUIRE(len(data) >= 20 + length, "header.truncated", len(data))
@@ -815,12 +851,14 @@ def SHAPES(v):
 RENDERING = ("opacity", "covariance", "colour")
 
 
+# SPEC 10.4
 def WEIGHT_COUNT(v, names):
     """The weights and biases of the networks with these names."""
     layers = [shape for name, shapes in SHAPES(v) if name in names for shape in shapes]
     return sum([rows * (inputs + 1) for rows, inputs in layers])
 
 
+# SPEC 10.4
 def WORK(v):
     """11.2"""
     d = sum(v["slice_width"]) + 6 + 3 * v["offset_count"][0]
@@ -831,8 +869,9 @@ def WORK(v):
     return v["anchor_count"][0] * anchor + symbols * plane
 
 
+# SPEC 10.4
 def CHECK_HEADER(h):
-    """Step 3 of 10.1."""
+    """10.1, FIELDS"""
     v, at = h["value"], h["place"]
     profile, n = v["profile"][0], v["anchor_count"][0]
     REQUIRE(profile < len(BOUNDS), "header.profile", at["profile"])
@@ -882,11 +921,11 @@ def CHECK_HEADER(h):
     REQUIRE((n + most - 1) // most <= c <= n, "header.chunk_count", at["chunk_count"])
 
 
-# SPEC 10.4
 CRITICAL = [ASCII(name) for name in ("FRAM", "WGTS", "PLNS", "INDX", "DATA")]
 FRAM, WGTS, PLNS, INDX, DATA = CRITICAL
 
 
+# SPEC 10.4, 12.1, 13.1
 def CHECK_DIRECTORY(h):
     v, entries = h["value"], h["entries"]
     for e in entries:
@@ -917,6 +956,7 @@ def CHECK_DIRECTORY(h):
         REQUIRE(right, "directory.length", e["at"] + 8)
 
 
+# SPEC 10.4
 def CHECK_SUBSTREAM(data, at, length, lanes):
     """The bytes of a substream whose head and states are right."""
     REQUIRE(length >= 8 + 4 * lanes, "substream.length", at)
@@ -925,12 +965,14 @@ def CHECK_SUBSTREAM(data, at, length, lanes):
     return data[at : at + length]
 
 
+# SPEC 10.4
 def CHECK_END(stream, at):
     verdict = END(stream)
     if verdict is not None:
         REFUSE(verdict, at)
 
 
+# SPEC 10.4
 def PARSE_FRAME(data, at):
     matrix = [I(data, at + 4 * i, 4) for i in range(9)]
     translation = [I(data, at + 36 + 8 * i, 8) for i in range(3)]
@@ -949,6 +991,7 @@ def PARSE_FRAME(data, at):
     return {"matrix": matrix, "translation": translation, "shift": shift, "low": low, "high": high}
 
 
+# SPEC 10.4
 def PARSE_WEIGHTS(data, at, e, v):
     """plane_shift, carm_shift, the layers of all networks as (rows, biases) in f32, and their integer rows."""
     inputs, end = sum(v["slice_width"][:-1]), at + e["length"]
@@ -1038,11 +1081,13 @@ def PARSE_PLANES(data, at, e, v, sarm):
     return found
 
 
+# SPEC 10.4
 def F16_ORDER(bits):
     """An integer that orders f16 numbers as they are."""
     return -(bits & 0x7FFF) if bits >> 15 else bits
 
 
+# SPEC 10.4
 def PARSE_INDEX(data, at, e, v, data_length):
     k, n = v["offset_count"][0], v["anchor_count"][0]
     count = k * (k + 1) // 2
@@ -1087,6 +1132,7 @@ def PARSE_INDEX(data, at, e, v, data_length):
     return {"masks": masks, "cell_shift": cell_shift, "models": models, "entries": entries}
 
 
+# SPEC 10.4
 def DECODE_CHUNK(data, at, entry, v, s):
     """Positions, masks, symbols and step indices of a chunk. s: what the sections before DATA gave."""
     end, n = at + entry["length"], entry["anchors"]
@@ -1147,6 +1193,7 @@ def CHUNK_PARTS(v, positions, masks, symbols, steps):
     return parts
 
 
+# SPEC 10.4, 2.1, 10.1
 def DECODE_FILE(data):
     """The digests of a file: of its parts, of the scene, and of each chunk."""
     length, minor = PARSE_PROLOGUE(data)
@@ -1210,15 +1257,18 @@ def RENDER_NETWORK(layers, values):
     return values
 
 
+# SPEC 14.3
 def NORMALISED(vector, instead):
     length = math.sqrt(sum(x * x for x in vector))
     return [x / length for x in vector] if length > 0 else instead
 
 
+# SPEC 14.3
 def LOGISTIC(x):
     return 1 / (1 + math.exp(-x)) if x > -700 else 0.0
 
 
+# SPEC 14.3
 def GAUSSIANS(networks, position, feature, scaling, offsets, mask, centre, distance_unit):
     """Of one anchor, by increasing offset: (mean, axis lengths, quaternion, opacity, colour).
 
@@ -1250,10 +1300,12 @@ def ROTATION(quaternion):
     ]
 
 
+# SPEC 14.4
 def PRODUCT(a, b):
     return [[sum(x * y for x, y in zip(row, column)) for column in zip(*b)] for row in a]
 
 
+# SPEC 14.4
 def PROJECT(mean, lengths, quaternion, camera, near_plane, low_pass):
     """(u, v, depth, inverse covariance (a, b, c)) in the image, or None."""
     x, y, z = (sum(r * p for r, p in zip(row, mean)) + t for row, t in zip(camera["rotation"], camera["translation"]))

@@ -16,8 +16,8 @@ import pytest
 
 from conformance.cases.scenes import random_scene
 from conformance.cli import main as suite_main
-from conformance.independent.__main__ import main as second_main
 from conformance.manifest import VECTORS
+from conformance.spec_decoder.__main__ import main as second_main
 from refcodec.bitstream.codec import emit, parse
 from refcodec.cli.main import main
 from refcodec.folder.write import write_folder

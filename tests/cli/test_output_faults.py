@@ -573,7 +573,7 @@ def test_report(inputs: Path, tmp_path: Path, monkeypatch: Any, capsys: Any) -> 
 
     monkeypatch.setattr(running, "run", once)
     monkeypatch.setenv("PYTHONPATH", str(ROOT))
-    decoder = [sys.executable, "-m", "conformance.independent", "decode", "{input}", "{output}"]
+    decoder = [sys.executable, "-m", "conformance.spec_decoder", "decode", "{input}", "{output}"]
     words = ["run", "--vectors", "suite", "--jobs", "1", "--report", "report", "--", *decoder]
     # The decoder runs before faults are counted: what a runner does elsewhere is not of the report.
     other = [word.replace("report", "other") for word in words]

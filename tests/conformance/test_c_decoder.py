@@ -8,7 +8,7 @@ import pytest
 from c_program import Program
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from test_independent import faulty
+from test_spec_decoder import faulty
 
 from conformance.fuzz import compare
 from refcodec.bitstream import codec, reconstruction

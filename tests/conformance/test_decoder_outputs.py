@@ -10,7 +10,7 @@ import pytest
 from c_program import COMPILER, compiled
 from web_program import NODE, PROGRAM
 
-from conformance.independent import __main__ as independent
+from conformance.spec_decoder import __main__ as second
 from refcodec.cli import main as refcodec
 from refcodec.statuses import DONE, REJECTED, USAGE
 
@@ -40,7 +40,7 @@ def in_python(*_: Path) -> Decoder:
 
 
 def in_second_python(*_: Path) -> Decoder:
-    return lambda source, output, *trace: independent.main(
+    return lambda source, output, *trace: second.main(
         ["decode", str(source), str(output), *(word for name in trace for word in ("--trace", str(name)))]
     )
 

@@ -14,7 +14,7 @@ from typing import Any
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from test_independent import faulty
+from test_spec_decoder import faulty
 
 from conformance import cli
 from conformance.manifest import VECTORS, load

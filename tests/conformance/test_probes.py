@@ -17,9 +17,8 @@ import pytest
 from c_program import Program
 
 import conformance
-from conformance import cli, independent
+from conformance import cli, spec_decoder
 from conformance.manifest import VECTORS
-from conformance.mutants.mutant import PACKAGE
 from conformance.runner import divergence, probes, traces
 from conformance.runner.probes import Compared
 from refcodec import statuses
@@ -37,8 +36,7 @@ FILES = [
     "valid/main.c3gs",
 ]
 # What _second needs of a package beside its functions.
-for _name in ("probes", "trace"):
-    importlib.import_module(f"{independent.__name__}.{_name}")
+importlib.import_module(f"{spec_decoder.__name__}.watch")
 EXAMPLE = (VECTORS / FILES[0]).read_bytes()
 
 
@@ -48,11 +46,11 @@ def _refcodec(data: bytes) -> str:
     return "".join(lines)
 
 
-def _second(data: bytes, package: Any = independent) -> str:
+def _second(data: bytes, package: Any = spec_decoder) -> str:
     """What the second decoder, or a wrong one, writes until it ends."""
     file = io.StringIO()
-    with package.probes.probes(file), contextlib.suppress(package.C3GSError):
-        package.decode(data, package.trace.Trace(file))
+    with package.watch.watched(file, probed=True), contextlib.suppress(package.C3GSError):
+        package.decode(data)
     return file.getvalue()
 
 
@@ -82,11 +80,11 @@ def test_three_decoders_write_the_same_probes(name: str, c_decoder: Program, tmp
         assert (compared.first, compared.fault, compared.right) == (None, "", len(_probes(first)))
 
 
-def _wrong(folder: Path, module: str, old: str, new: str) -> Path:
+def _wrong(folder: Path, old: str, new: str) -> Path:
     """The second decoder with a bug, as the package wrong_probes of a folder."""
     place = folder / "packages" / "wrong_probes"
-    shutil.copytree(PACKAGE, place, ignore=shutil.ignore_patterns("__pycache__"))
-    path = place / f"{module}.py"
+    shutil.copytree(Path(spec_decoder.__file__).parent, place, ignore=shutil.ignore_patterns("__pycache__"))
+    path = place / "blocks.py"
     text = path.read_text(encoding="utf-8")
     assert text.count(old) == 1
     path.write_text(text.replace(old, new), encoding="utf-8")
@@ -96,16 +94,16 @@ def _wrong(folder: Path, module: str, old: str, new: str) -> Path:
     return place.parent
 
 
-# Of each bug module, old text, new text, the numbers that are wrong first, and their clauses.
+# Of each bug old text, new text, the numbers that are wrong first, and their clauses.
 BUGS = {
-    "gamma": ("context", "SINE_LENGTH // 4", "SINE_LENGTH // 8", "gamma", ("7.5.5",)),
-    "shift of the frame": ("context", "frame.shift[r])", "frame.shift[r] + 1)", "v", ("7.5.1",)),
-    "contraction": ("context", "(2 * norm - UNIT) * UNIT // norm", "UNIT * UNIT // norm", "w", ("7.5.2",)),
-    "clamp to the cube": ("context", "0, UNIT) for x, low", "0, UNIT - 30000) for x, low", "u", ("7.5.3",)),
-    "shift of samples": ("context", "LERP_BITS - plane_shift", "LERP_BITS - plane_shift + 1", "samples.r1", ("7.5.4",)),
-    "clamp of a layer": ("networks", "(value, 0, ACTIVATION_MAX)", "(value, 0, 3)", "means", ("7.2", "7.7")),
-    "CARM is not added": ("attributes", "+= change[n]", "-= change[n]", "slice.1.means", ("7.9",)),
-    "clamp of steps": ("attributes", "STEP_LENGTH - 1) for x", "STEP_LENGTH - 2) for x", "steps", ("7.8",)),
+    "gamma": ("SINE_LENGTH // 4", "SINE_LENGTH // 8", "gamma", ("7.5.5",)),
+    "shift of the frame": ('frame["shift"][r])', 'frame["shift"][r] + 1)', "v", ("7.5.1",)),
+    "contraction": ("((2 * n - unit) * unit) // n", "(unit * unit) // n", "w", ("7.5.2",)),
+    "clamp to the cube": ("1 << UNIT_BITS) for x, a", "(1 << UNIT_BITS) - 30000) for x, a", "u", ("7.5.3",)),
+    "shift of samples": ("LERP_BITS - plane_shift", "LERP_BITS - plane_shift + 1", "samples.r1", ("7.5.4",)),
+    "clamp of a layer": ("CLAMP(t, 0, ACTIVATION_MAX)", "CLAMP(t, 0, 3)", "means", ("7.2", "7.7")),
+    "CARM is not added": ("hyper[n][c] + dm", "hyper[n][c] - dm", "slice.1.means", ("7.9",)),
+    "clamp of steps": ("STEP_LENGTH - 1) for x", "STEP_LENGTH - 2) for x", "steps", ("7.8",)),
 }
 # SARM is a network too. Without planes F_h is the first one.
 FILE_OF = {"clamp of a layer": "valid/planeless.c3gs"}
@@ -113,12 +111,11 @@ FILE_OF = {"clamp of a layer": "valid/planeless.c3gs"}
 
 @pytest.mark.parametrize("bug", BUGS)
 def test_the_first_wrong_number_tells_the_clause(bug: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    module, old, new, name, clauses = BUGS[bug]
-    monkeypatch.syspath_prepend(_wrong(tmp_path, module, old, new))
+    old, new, name, clauses = BUGS[bug]
+    monkeypatch.syspath_prepend(_wrong(tmp_path, old, new))
     try:
         package = importlib.import_module("wrong_probes")
-        for part in ("probes", "trace"):
-            importlib.import_module(f"wrong_probes.{part}")
+        importlib.import_module("wrong_probes.watch")
         data = (VECTORS / FILE_OF.get(bug, FILES[0])).read_bytes()
         compared = _compared(_second(data, package), data)
     finally:
@@ -130,7 +127,7 @@ def test_the_first_wrong_number_tells_the_clause(bug: str, tmp_path: Path, monke
 
 def test_a_run_tells_the_first_wrong_number(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """It is in the summary, in the record and in both reports, and the diagnosis begins with it."""
-    place = _wrong(tmp_path, *BUGS["gamma"][:3])
+    place = _wrong(tmp_path, *BUGS["gamma"][:2])
     code = f"import sys; sys.path.insert(0, {str(place)!r}); from wrong_probes.__main__ import main; "
     code += "sys.exit(main(sys.argv[1:]))"
     command = [sys.executable, "-c", code, "decode", "{input}", "{output}", "--trace", "{trace}", "--probes"]

@@ -372,7 +372,7 @@ def test_a_decoder_that_serves(suite: Suite, tmp_path: Path, mode: str, text: st
     assert {v["id"]: v["text"] for v in record["vectors"]} == dict.fromkeys(GOOD, text) | dict.fromkeys(BAD, "")
 
 
-@pytest.mark.parametrize("name", ["refcodec", "independent"])
+@pytest.mark.parametrize("name", ["refcodec", "spec_decoder"])
 def test_the_decoders_serve(suite: Suite, name: str) -> None:
     options = ["--vectors", str(suite.folder), "--jobs", "1", "--slow", "20", "--serve"]
     assert (

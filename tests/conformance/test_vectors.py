@@ -18,7 +18,7 @@ import jsonschema
 import numpy as np
 import pytest
 
-from conformance import cli, independent, spec_decoder
+from conformance import cli, spec_decoder
 from conformance.cases import masks, recipes
 from conformance.cases.book import Book, Recipe
 from conformance.cases.fault import Refused
@@ -26,8 +26,6 @@ from conformance.cases.features import FEATURES
 from conformance.cases.flags import FLAGS
 from conformance.cases.numbers import Numbers
 from conformance.cases.suite import GeneratorError, vectors
-from conformance.independent.__main__ import main as second_main
-from conformance.independent.trace import Trace
 from conformance.manifest import (
     MANIFEST,
     SCHEMA,
@@ -45,6 +43,8 @@ from conformance.mutants import loading
 from conformance.mutants.mutant import MODULES, PACKAGE
 from conformance.runner.gaussians import difference
 from conformance.runner.grading import read_output
+from conformance.spec_decoder.__main__ import main as second_main
+from conformance.spec_decoder.watch import watched
 from refcodec.bitstream import codec
 from refcodec.bitstream.entropy import select
 from refcodec.bitstream.errors import REGISTRY
@@ -316,15 +316,16 @@ def test_traces() -> None:
     first: list[str] = []
     second = io.StringIO()
     symbol_trace(data(example), first.append)
-    independent.decode(data(example), Trace(second))
+    with watched(second):
+        spec_decoder.decode(data(example))
     assert "".join(first) == second.getvalue()
     names = [line.partition("[")[0].partition(".")[0] for line in first]
     assert list(dict.fromkeys(names)) == ["weights", "planes", "positions", "masks", "attributes"]
     assert len(set(first)) == len(first)
     bad = next(v for v in DECODED if v.id == "invalid-attributes-last-symbol-crc")
     second = io.StringIO()
-    with pytest.raises(independent.C3GSError):
-        independent.decode(data(bad), Trace(second))
+    with pytest.raises(spec_decoder.C3GSError), watched(second):
+        spec_decoder.decode(data(bad))
     assert second.getvalue().count("attributes.features") > 10
 
 

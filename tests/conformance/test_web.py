@@ -20,7 +20,7 @@ import pytest
 from hostile_files import FILES, GREEDY, SCENES, changes, cuts
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from test_independent import faulty
+from test_spec_decoder import faulty
 from web_program import MISSING, NODE, PACKAGE, PROGRAM, WEB, Decoder, running
 
 from conformance import cli

@@ -32,4 +32,4 @@ def test_refcodec_passes_the_suite() -> None:
 @pytest.mark.no_cover
 def test_the_second_decoder_passes_the_longest_vectors() -> None:
     assert len(LONG) > 3
-    assert run("independent", "--select", f"id:{','.join(LONG)}") == statuses.DONE
+    assert run("spec_decoder", "--select", f"id:{','.join(LONG)}") == statuses.DONE

@@ -1,45 +1,42 @@
-"""The second decoder (conformance/independent): it agrees with refcodec, and it is a work of its own."""
+"""The second decoder (conformance/spec_decoder): it agrees with refcodec, and needs nothing of it."""
 
 from __future__ import annotations
 
 import ast
 import io
 import json
-import re
 import subprocess
 import sys
-from dataclasses import astuple, replace
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
-from conformance import cli, independent
+from conformance import cli, spec_decoder
 from conformance.cases.checksums import repair, resized
 from conformance.cases.fault import Refused
 from conformance.cases.scenes import CONSTANT, MAIN_DIMENSIONS, random_scene
 from conformance.cases.target import Target
 from conformance.fuzz import compare
 from conformance.fuzz.strategies import draw_fault, drawable
-from conformance.independent import __main__ as second_main
-from conformance.independent import conventions, limits
-from conformance.independent import errors as second_errors
-from conformance.independent.trace import Trace
+from conformance.spec_decoder import __main__ as second_main
+from conformance.spec_decoder.watch import watched
 from refcodec import statuses
 from refcodec.bitstream import codec, directory, reconstruction
 from refcodec.bitstream.dimensions import Dimensions
 from refcodec.bitstream.errors import REGISTRY, BitstreamError
 from refcodec.bitstream.header import Lanes
-from refcodec.bitstream.limits import FEATURES_MAX, PROFILES, Profile
 from refcodec.bitstream.scene import Ancillary
 from refcodec.encoder.positions import position_model
 from refcodec.encoder.weights import pack_weights
 from refcodec.inspect.trace import symbol_trace
+from spec import decoder
 
 ROOT = Path(__file__).resolve().parents[2]
 start_worker = compare._start_worker
-SOURCES = sorted((ROOT / "conformance" / "independent").glob("*.py"))
+SOURCES = sorted((ROOT / "conformance" / "spec_decoder").glob("*.py"))
 EXAMPLE = ROOT / "vectors" / "tiny-example.c3gs"
 
 MIXED = random_scene(39, 9, chunk_size=4, lanes=Lanes(0, 1, 0))
@@ -133,17 +130,17 @@ def test_the_comparison_can_fail(monkeypatch: pytest.MonkeyPatch) -> None:
     assert compare.compare(data)[1] is None
     assert "expected was" in str(compare.compare(data, ("prologue.crc", 16))[1])
     with monkeypatch.context() as m:
-        m.setattr(independent, "digest", lambda scene: "0")
+        m.setattr(spec_decoder.Decoded, "digest", "0")
         assert "the second decoder" in str(compare.compare(data)[1])
     with monkeypatch.context() as m:
-        m.setattr(independent, "decode", lambda data: {}["x"])
+        m.setattr(spec_decoder, "decode", lambda data: {}["x"])
         assert "KeyError" in str(compare.compare(data)[1])
     with monkeypatch.context() as m:
         m.setattr(codec, "emit", lambda scene: b"")
         assert "accepted, but" in str(compare.compare(data)[1])
     with monkeypatch.context() as m:
         m.setattr(compare, "FILE_SECONDS", 1)
-        m.setattr(independent, "decode", lambda data: [None for _ in iter(int, 1)])
+        m.setattr(spec_decoder, "decode", lambda data: [None for _ in iter(int, 1)])
         assert "BudgetError" in str(compare.compare(data)[1])
 
 
@@ -165,7 +162,8 @@ def test_traces() -> None:
     first: list[str] = []
     second = io.StringIO()
     symbol_trace(data, first.append)
-    independent.decode(data, Trace(second))
+    with watched(second):
+        spec_decoder.decode(data)
     assert "".join(first) == second.getvalue()
     places = ["weights", "planes", "masks[0", "attributes.scalings[0", "attributes.offsets[0", "attributes.features[0"]
     starts = [second.getvalue().index("\n" + place) if n else 0 for n, place in enumerate(places)]
@@ -174,8 +172,8 @@ def test_traces() -> None:
     # Chunk after chunk: the masks of the second one come behind the attributes of the first one.
     assert second.getvalue().index("\nmasks[4,0]") > second.getvalue().rindex("\nattributes.features[3,")
     cut = io.StringIO()
-    with pytest.raises(independent.C3GSError):
-        independent.decode(data[:-1], Trace(cut))
+    with pytest.raises(spec_decoder.C3GSError), watched(cut):
+        spec_decoder.decode(data[:-1])
     assert second.getvalue().startswith(cut.getvalue())
     assert "attributes.features[3," in cut.getvalue()
 
@@ -200,7 +198,7 @@ def test_another_decoder_is_compared(command: list[str], what: str) -> None:
     wrong = compare.compare(EXAMPLE.read_bytes(), None, command)[1]
     assert wrong is not None
     assert what in wrong
-    right = [sys.executable, "-m", "conformance.independent", "decode", "{input}", "{output}"]
+    right = [sys.executable, "-m", "conformance.spec_decoder", "decode", "{input}", "{output}"]
     assert compare.compare(EXAMPLE.read_bytes(), None, right)[1] is None
     refused = EXAMPLE.read_bytes()[:9]
     assert compare.compare(refused, None, right) == (("prologue.truncated", 9), None)
@@ -283,7 +281,7 @@ def test_fuzz_of_another_decoder(
     assert "no state of this command" in capsys.readouterr().err
 
 
-# --- a work of its own ------------------------------------------------------------------------------------------------
+# --- what it is made of -----------------------------------------------------------------------------------------------
 
 
 def test_it_imports_the_standard_library_alone() -> None:
@@ -298,62 +296,9 @@ def test_it_imports_the_standard_library_alone() -> None:
                 assert name.partition(".")[0] in sys.stdlib_module_names, f"{path.name} imports {name}"
 
 
-def statements(folder: Path) -> set[str]:
-    """Every statement of a package, as its syntax tree says it.
-
-    Left out are imports, docstrings, SPEC.md's constants, and what is too short to be anyone's.
-    """
-    found = set()
-    for path in folder.rglob("*.py"):
-        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
-            if isinstance(node, ast.stmt) and not isinstance(
-                node, ast.Import | ast.ImportFrom | ast.FunctionDef | ast.ClassDef
-            ):
-                text = ast.unparse(node)
-                documentation = isinstance(node, ast.Expr) and isinstance(node.value, ast.Constant)
-                if len(text) > 45 and not documentation and not re.match(r"[A-Z_]+(, [A-Z_]+)* = ", text):
-                    found.add(text)
-    return found
-
-
-def test_it_shares_no_line_with_refcodec() -> None:
-    assert statements(ROOT / "conformance" / "independent") & statements(ROOT / "refcodec") == set()
-
-
-def test_each_function_stands_under_its_clause() -> None:
-    for path in SOURCES:
-        # Probes are of the suite, and no clause has them.
-        if path.name == "probes.py":
-            continue
-        lines = path.read_text(encoding="utf-8").splitlines()
-        for node in ast.walk(ast.parse("\n".join(lines))):
-            if not isinstance(node, ast.FunctionDef) or node.name == "__init__":
-                continue
-            first = min([node.lineno, *(d.lineno for d in node.decorator_list)])
-            # Accessors of a few lines need none.
-            if node.end_lineno - node.lineno > 3:
-                assert re.match(r"\s*# SPEC ", lines[first - 2]), f"{path.name}: {node.name}"
-
-
-def test_its_registry_and_limits_are_those_of_the_specification() -> None:
-    assert {name: (kind.code, kind.klass, kind.clause) for name, kind in REGISTRY.items()} == {
-        name: row[:3] for name, row in second_errors.REGISTRY.items()
-    }
-    fields = [f for f in Profile.__dataclass_fields__ if f not in ("name", "levels", "chunk_size")]
-    assert list(limits.PROFILE_BOUNDS) == fields
-    for number, profile in PROFILES.items():
-        assert [limits.PROFILE_BOUNDS[f][number] for f in fields] == [getattr(profile, f) for f in fields]
-        assert limits.CHUNK_SIZE_BOUNDS[number] == profile.chunk_size
-        assert limits.LEVELS[number] == {n: astuple(level) for n, level in profile.levels.items()}
-    assert conventions.FEATURES_MAX == FEATURES_MAX
-
-
-def test_its_constants_are_those_of_the_specification() -> None:
-    text = (ROOT / "SPEC.md").read_text(encoding="utf-8").partition("### 2.5 ")[2].partition("\n## ")[0]
-    printed = re.findall(r"^\| ([A-Z][A-Z0-9_]+) \| ([^|]+) \|", text, re.MULTILINE)
-    assert len(printed) > 30
-    for name, value in printed:
-        assert getattr(conventions, name) == eval(value.replace("^", "**")), name
+def test_it_is_what_the_specification_says() -> None:
+    """`python -m spec` would write the same file."""
+    assert [made.path.name for made in decoder.made() if made.is_current()] == ["blocks.py"]
 
 
 # --- its command ------------------------------------------------------------------------------------------------------
@@ -394,7 +339,7 @@ def test_its_statuses_are_those_of_the_project() -> None:
 
 
 def test_command_in_a_process_of_its_own() -> None:
-    words = [sys.executable, "-m", "conformance.independent", "digest", EXAMPLE]
+    words = [sys.executable, "-m", "conformance.spec_decoder", "digest", EXAMPLE]
     done = subprocess.run(words, capture_output=True, text=True, check=False, cwd=ROOT)
     assert (done.returncode, done.stderr) == (0, "")
     assert done.stdout == f"whole  {reconstruction.digest(codec.parse(EXAMPLE.read_bytes()).scene)[0]}\n"
