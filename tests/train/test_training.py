@@ -1,10 +1,9 @@
-"""Whole trainings of seconds: what they end with, and that they can stop and go on."""
+"""Whole trainings of seconds: their results, and the states that they refuse."""
 
 from __future__ import annotations
 
 import json
 import os
-import signal
 import subprocess
 import sys
 from collections.abc import Sequence
@@ -22,12 +21,6 @@ from refcodec.train.settings import TrainSettings
 from refcodec.train.settings_file import varied
 from refcodec.train.state import restore, save
 from refcodec.train.trainer import Trainer
-
-
-def coded(trainer: Trainer) -> bytes:
-    scene = trainer.result()
-    assert isinstance(scene, Scene)
-    return emit(scene)
 
 
 def times(photographs: PhotographSet, factor: float) -> PhotographSet:
@@ -54,21 +47,10 @@ def test_what_a_training_says(trained: Trainer, small: TrainSettings) -> None:
     assert said["history"][-1]["psnr"] > said["history"][0]["psnr"] + 1
 
 
-@pytest.mark.slow
-def test_going_on_is_not_seen(
+def test_states_that_are_refused(
     trained: Trainer, photographs: PhotographSet, small: TrainSettings, tmp_path: Path
 ) -> None:
-    """A training that stops and goes on, before and after each milestone, ends with the same file."""
-    expected = coded(trained)
-    for steps in (30, 125):
-        one = Trainer(photographs, small)
-        for _ in range(steps):
-            one.step()
-        save(one, tmp_path / "state")
-        two = Trainer(photographs, small)
-        restore(two, tmp_path / "state")
-        assert two.run(lambda _: None)
-        assert coded(two) == expected
+    save(trained, tmp_path / "state")
     with pytest.raises(ValueError, match=r"other settings; rate\.weight is 0\.004, not 0\.01$"):
         restore(Trainer(photographs, varied(small, {"rate.weight": 0.01})), tmp_path / "state")
     with pytest.raises(ValueError, match=r"other photographs$"):
@@ -76,26 +58,6 @@ def test_going_on_is_not_seen(
     (tmp_path / "state").write_bytes(b"no state")
     with pytest.raises(ValueError, match="cannot be read"):
         restore(Trainer(photographs, small), tmp_path / "state")
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("steps", [5, 100])
-def test_an_interrupt_leaves_a_scene_and_a_state(
-    steps: int, photographs: PhotographSet, small: TrainSettings, trained: Trainer, tmp_path: Path
-) -> None:
-    trainer = Trainer(photographs, small)
-
-    def interrupt(t: Trainer) -> None:
-        if t.clock.done == steps:
-            os.kill(os.getpid(), signal.SIGINT)
-
-    assert not trainer.run(interrupt, lambda: save(trainer, tmp_path / "state"))
-    assert steps <= trainer.clock.done <= steps + 1
-    assert parse(coded(trainer)).scene.anchor_count > 100
-    again = Trainer(photographs, small)
-    restore(again, tmp_path / "state")
-    again.run(lambda _: None)
-    assert coded(again) == coded(trained)
 
 
 DIGEST = """
