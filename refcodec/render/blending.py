@@ -118,11 +118,11 @@ def _blend_tile(
 @compiled()
 def _unfinished(state: F32) -> np.uint64:
     """Returns the blocks with a pixel that takes more Gaussians, as bits in the order of blocks_reached."""
-    found = np.uint64(0)
+    mask = np.uint64(0)
     for block in range(TILE_HEIGHT * TILE_WIDTH // WIDTH):
         some = bits(load(state, block * BLOCK + 2 * WIDTH) >= splat(_STOP)) != np.uint64(0)
-        found |= np.uint64(some) << np.uint64(block)
-    return found
+        mask |= np.uint64(some) << np.uint64(block)
+    return mask
 
 
 @compiled(parallel=True)

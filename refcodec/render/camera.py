@@ -177,10 +177,10 @@ def level_up(cameras: Sequence[Camera]) -> F64 | None:
     values, vectors = np.linalg.eigh(rows.T @ rows / len(rows))
     if values[1] < ROWS_SPREAD or values[0] > ROWS_LEVEL * values[1]:
         return None
-    found = vectors[:, 0]
+    axis = vectors[:, 0]
     # Cameras that look straight down have what is up nowhere in their images. It is behind them.
-    above = -np.mean(down @ found)
-    return found * np.copysign(1.0, above if abs(above) > UPRIGHT else -np.mean(ahead @ found))
+    above = -np.mean(down @ axis)
+    return axis * np.copysign(1.0, above if abs(above) > UPRIGHT else -np.mean(ahead @ axis))
 
 
 def up_direction(cameras: Sequence[Camera], points: F64) -> F64:
@@ -195,19 +195,19 @@ def up_direction(cameras: Sequence[Camera], points: F64) -> F64:
     if level is not None:
         return level
     rows, down, ahead = (np.mean([c.rotation[i] for c in cameras], axis=0) for i in range(3))
-    found = -down
+    direction = -down
     ground = _ground(points)
     if np.linalg.norm(down) < MIXED < np.linalg.norm(ahead):
         # Flights turn at the end of a line. Then the images' tops point both ways.
-        found = -ahead
+        direction = -ahead
     elif ground is not None:
         middle, normal = ground
         centres = np.array([c.centre for c in cameras])
         distance, climbed = np.mean((middle - centres) @ ahead), np.std(centres @ down)
         if abs(normal @ rows) < LEAN and distance > 0 and climbed > CLIMBED * distance:
-            found = normal * np.copysign(1.0, np.mean((centres - middle) @ normal))
-    length = np.linalg.norm(found)
-    return found / length if length > SHORT else axis_direction(RenderInfo.up_axis)
+            direction = normal * np.copysign(1.0, np.mean((centres - middle) @ normal))
+    length = np.linalg.norm(direction)
+    return direction / length if length > SHORT else axis_direction(RenderInfo.up_axis)
 
 
 def _ground(points: F64) -> tuple[F64, F64] | None:
@@ -224,9 +224,9 @@ def _ground(points: F64) -> tuple[F64, F64] | None:
 
 def axis_direction(up_axis: int) -> F64:
     """Returns the unit vector of an up_axis of SPEC 6.5, float64 [3]."""
-    found = np.zeros(3)
-    found[up_axis // 2] = -1.0 if up_axis % 2 else 1.0
-    return found
+    direction = np.zeros(3)
+    direction[up_axis // 2] = -1.0 if up_axis % 2 else 1.0
+    return direction
 
 
 def nearest_axis(direction: F64) -> int:

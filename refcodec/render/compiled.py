@@ -42,9 +42,9 @@ warnings.filterwarnings("ignore", r"\s*Could not obtain multiprocessing lock")
 @functools.cache
 def stamp(module: str) -> str:
     """Returns a digest of all that the functions of a module are compiled of. Raises OSError without its source."""
-    found = sys.modules[module]
-    digest = hashlib.sha256(Path(str(found.__file__)).read_bytes())
-    for name, value in sorted(vars(found).items()):
+    source = sys.modules[module]
+    digest = hashlib.sha256(Path(str(source.__file__)).read_bytes())
+    for name, value in sorted(vars(source).items()):
         if isinstance(value, (Dispatcher, _Intrinsic)):
             # Functions of another module, which may be inlined.
             if value.__module__ != module and value.__module__.startswith(f"{_PACKAGE}."):

@@ -94,8 +94,8 @@ def gaussians(
     )
 
 
-def gaussians_document(found: Gaussians) -> dict[str, Any]:
+def gaussians_document(gaussians: Gaussians) -> dict[str, Any]:
     """Returns Gaussians as JSON values (vectors/README.md)."""
     kinds = ("anchor", "offset", "mean", "lengths", "quaternion", "opacity", "colour")
-    columns = [getattr(found, kind).tolist() for kind in kinds]
+    columns = [getattr(gaussians, kind).tolist() for kind in kinds]
     return {"gaussians": [dict(zip(kinds, row, strict=True)) for row in zip(*columns, strict=True)]}

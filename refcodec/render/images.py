@@ -84,9 +84,9 @@ class ImageFolder:
         self._paths = [folder / name for name in image_names(cameras)]
         self._stage = Stage()
         self._number = 0
-        made = [(path, PNG) for path in self._paths] + ([(folder / ORBIT, GIF)] if animated else [])
-        check_apart([path for path, _ in made], inputs)
-        for path, kind in made:
+        outputs = [(path, PNG) for path in self._paths] + ([(folder / ORBIT, GIF)] if animated else [])
+        check_apart([path for path, _ in outputs], inputs)
+        for path, kind in outputs:
             check_file(path, kind, made=True)
 
     def __enter__(self) -> ImageFolder:
@@ -107,9 +107,9 @@ class ImageFolder:
             self._stage.__exit__(type(failed), failed, failed.__traceback__)
             raise
 
-    def add(self, made: NDArray[np.float32]) -> None:
+    def add(self, image: NDArray[np.float32]) -> None:
         """Writes the image of the next camera, float32 [height, width, 3]. Raises OSError."""
-        self._stage.write(self._paths[self._number], png(eight_bits(made)))
+        self._stage.write(self._paths[self._number], png(eight_bits(image)))
         self._number += 1
 
     def animate(self, frames: Iterable[NDArray[np.uint8]]) -> None:

@@ -119,11 +119,11 @@ def scene_up(up_axis: int, stated: Sequence[NamedCamera]) -> F64:
     up_axis says it to an axis of the world (SPEC 6.5). The cameras of a file say it finer, so that a horizon is level,
     if they say it at all and do not contradict up_axis.
     """
-    axis, found = axis_direction(up_axis), level_up([default_camera(camera) for camera in stated])
-    if found is None:
+    axis, level = axis_direction(up_axis), level_up([default_camera(camera) for camera in stated])
+    if level is None:
         return axis
-    found *= np.copysign(1.0, found @ axis)
-    return found if nearest_axis(found) == up_axis else axis
+    level *= np.copysign(1.0, level @ axis)
+    return level if nearest_axis(level) == up_axis else axis
 
 
 def orbit_name(number: int) -> str:
@@ -151,9 +151,9 @@ def looking(direction: F64, up: F64) -> F64:
     return np.stack([x, np.cross(z, x), z])
 
 
-def eight_bits(made: F32) -> U8:
+def eight_bits(image: F32) -> U8:
     """SPEC 14.5: returns an image as uint8, 255 for 1."""
-    return np.floor(np.clip(made, 0, 1) * 255 + 0.5).astype(np.uint8)
+    return np.floor(np.clip(image, 0, 1) * 255 + 0.5).astype(np.uint8)
 
 
 def png(pixels: U8) -> bytes:

@@ -91,20 +91,20 @@ def train(
         result = replace(result, render=replace(result.render, up_axis=up_axis))
     if metadata and isinstance(result, Scene):
         result = replace(result, ancillary=with_metadata(result.ancillary, metadata))
-    told = report(trainer, result)
-    said = json.dumps(told, indent=1) + "\n"
+    summary = report(trainer, result)
+    text = json.dumps(summary, indent=1) + "\n"
 
     def write(folder: Path) -> None:
         if isinstance(result, Uncompressed):
             write_uncompressed(result, folder)
         else:
             write_folder(result, folder)
-        write_file(folder / REPORT_FILE, said.encode())
+        write_file(folder / REPORT_FILE, text.encode())
 
     write_somewhere(write, output, keep.path)
     if whole and not keep_state:
         keep.discard()
-    return Trained(trainer, whole, told)
+    return Trained(trainer, whole, summary)
 
 
 def report(trainer: Trainer, result: Scene | Uncompressed) -> dict[str, Any]:
@@ -115,11 +115,11 @@ def report(trainer: Trainer, result: Scene | Uncompressed) -> dict[str, Any]:
     of these, or of those of the uncompressed scene, None if no photograph is held out. schedule: where a training was
     extended last, as schedule.Clock.
     """
-    found, views = {}, trainer.views
+    quantised, views = {}, trainer.views
     for photograph in trainer.photographs.test:
         camera = photograph.camera
-        made = (views.show(result, camera) if isinstance(result, Scene) else views.draw(camera)).double().cpu().numpy()
-        found[camera.name] = psnr(float(np.mean((made - photograph.image / 255) ** 2)))
+        image = (views.show(result, camera) if isinstance(result, Scene) else views.draw(camera)).double().cpu().numpy()
+        quantised[camera.name] = psnr(float(np.mean((image - photograph.image / 255) ** 2)))
     first = trainer.photographs.train[0].camera
     return {
         "settings": document(trainer.settings),
@@ -127,8 +127,8 @@ def report(trainer: Trainer, result: Scene | Uncompressed) -> dict[str, Any]:
         "steps": trainer.clock.done,
         "seconds": round(trainer.looks.seconds, 2),
         "anchors": result.anchor_count,
-        "quantised": found if isinstance(result, Scene) else {},
-        "psnr": float(np.mean(list(found.values()))) if found else None,
+        "quantised": quantised if isinstance(result, Scene) else {},
+        "psnr": float(np.mean(list(quantised.values()))) if quantised else None,
         "schedule": {"first": trainer.clock.first, "base": trainer.clock.base},
         "unit": trainer.scaffold.units.length,
         "bytes": {name: round(value) for name, value in trainer.estimate().items()},

@@ -58,8 +58,8 @@ def continued_settings(given: Given, settings: TrainSettings) -> TrainSettings:
     Phases that somebody has set stay as they are. Raises ValueError for what cannot be trained.
     """
     slices = choose_slices(given.cloud.features.shape[1], settings.entropy.slices)
-    found = varied(settings, {"entropy.slices": slices})
-    return replace(found, phases=CONTINUED) if settings.phases == PHASES else found
+    continued = varied(settings, {"entropy.slices": slices})
+    return replace(continued, phases=CONTINUED) if settings.phases == PHASES else continued
 
 
 def beginning(given: Given, photographs: PhotographSet, settings: TrainSettings) -> Beginning:

@@ -50,8 +50,8 @@ def products_are_exact(device: str) -> bool:
     """SPEC 13.3: whether float32 products of a device are exact."""
 
     def product(a: F32, w: F32) -> F32:
-        found: F32 = (torch.from_numpy(a).to(device) @ torch.from_numpy(w).to(device)).cpu().numpy()
-        return found
+        sums: F32 = (torch.from_numpy(a).to(device) @ torch.from_numpy(w).to(device)).cpu().numpy()
+        return sums
 
     return is_exact(product)
 

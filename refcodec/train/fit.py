@@ -126,8 +126,8 @@ def fit_dimensions(cloud: AnchorCloud, settings: EntropySettings, render_width: 
     )
     fault = dimension_fault(PROFILES[MAIN], d)
     if fault:
-        field, found, allowed = fault
-        raise ValueError(f"{field} would be {found}, {allowed} is allowed (SPEC.md 11.1)")
+        field, value, allowed = fault
+        raise ValueError(f"{field} would be {value}, {allowed} is allowed (SPEC.md 11.1)")
     return d
 
 
@@ -137,9 +137,9 @@ def _rendering(given: Given, d: Dimensions) -> dict[str, list[Layer]]:
         return display_networks(d)
     shapes = d.network_shapes()
     for name in RENDERING:
-        found = [weight.shape for weight, _ in given.networks[name]]
-        if found != list(shapes[name]):
-            raise ValueError(f"the rendering network {name} has layers {found}; {list(shapes[name])} is required")
+        present = [weight.shape for weight, _ in given.networks[name]]
+        if present != list(shapes[name]):
+            raise ValueError(f"the rendering network {name} has layers {present}; {list(shapes[name])} is required")
     return given.networks
 
 

@@ -43,8 +43,8 @@ def carved(photographs: PhotographSet, wanted: int, seed: int) -> tuple[F64, U8]
         colours.append((total[rows] / seen[rows, None]).astype(np.uint8))
         if sum(map(len, points)) >= wanted:
             break
-    found = np.concatenate(points)
-    return (found, np.concatenate(colours)) if len(found) else (photographs.points, photographs.colours)
+    chosen = np.concatenate(points)
+    return (chosen, np.concatenate(colours)) if len(chosen) else (photographs.points, photographs.colours)
 
 
 def _pixels(photograph: Photograph, points: F64) -> tuple[NDArray[np.int64], tuple[NDArray[np.int64], ...]]:

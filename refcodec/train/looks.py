@@ -63,8 +63,8 @@ class Looks(Part):
         some = test[:: max(len(test) // self.settings.images, 1)] or self.views.photographs.train[:1]
         errors = [float((self.views.draw(p.camera) - self.views.pixels(p)).square().mean()) for p in some]
         self.seconds += time.perf_counter() - began
-        found = self.estimate()
-        sizes = {name: found.get(name, 0) for name in PARTS}
+        estimated = self.estimate()
+        sizes = {name: estimated.get(name, 0) for name in PARTS}
         self.history.append(
             {
                 "step": done,

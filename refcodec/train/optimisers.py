@@ -19,8 +19,8 @@ def learning_rate(decay: Decay, share: float) -> float:
 
 def moments(optimiser: torch.optim.Optimizer) -> dict[str, Tensor]:
     """Adam's moments as a part's state."""
-    found = optimiser.state_dict()["state"]
-    return {f"adam.{i}.{key}": value for i, values in found.items() for key, value in values.items()}
+    state = optimiser.state_dict()["state"]
+    return {f"adam.{i}.{key}": value for i, values in state.items() for key, value in values.items()}
 
 
 def restore_moments(optimiser: torch.optim.Optimizer, state: Saved) -> None:
@@ -28,14 +28,14 @@ def restore_moments(optimiser: torch.optim.Optimizer, state: Saved) -> None:
 
     A parameter that never had a gradient has no moments.
     """
-    found: dict[int, dict[str, Tensor]] = {}
+    restored: dict[int, dict[str, Tensor]] = {}
     names = set(state.names())
     parameters = [value for group in optimiser.param_groups for value in group["params"]]
     for i, value in enumerate(parameters):
         if any(f"adam.{i}.{moment}" in names for moment in ("step", "exp_avg", "exp_avg_sq")):
-            found[i] = {
+            restored[i] = {
                 "step": state.tensor(f"adam.{i}.step", (), low=0),
                 "exp_avg": state.tensor(f"adam.{i}.exp_avg", value.shape),
                 "exp_avg_sq": state.tensor(f"adam.{i}.exp_avg_sq", value.shape, low=0),
             }
-    optimiser.load_state_dict({"state": found, "param_groups": optimiser.state_dict()["param_groups"]})
+    optimiser.load_state_dict({"state": restored, "param_groups": optimiser.state_dict()["param_groups"]})

@@ -62,10 +62,10 @@ class Pace:
         clock = self.clock
         begins = (clock.step_of(phase.begin) for phase in clock.phases)
         bounds = sorted({clock.done, clock.steps, *(step for step in begins if clock.done < step < clock.steps)})
-        found = [0, 0]
+        counts = [0, 0]
         for begin, end in pairwise(bounds):
-            found[self._stage(begin)] += end - begin
-        return found[OFF], found[ON]
+            counts[self._stage(begin)] += end - begin
+        return counts[OFF], counts[ON]
 
     def state(self) -> dict[str, Any]:
         """What a saved training needs of it."""
@@ -74,7 +74,7 @@ class Pace:
     def restore(self, state: Saved) -> None:
         """Sets what `state` gave. Raises ValueError."""
         for name in ("counts", "means"):
-            found = state.numbers(name)
-            if len(found) != len(self.counts) or not all(0 <= value < math.inf for value in found):
+            numbers = state.numbers(name)
+            if len(numbers) != len(self.counts) or not all(0 <= value < math.inf for value in numbers):
                 raise state.fault(name, "is not two numbers of at least 0")
         self.counts, self.means = state.numbers("counts"), state.numbers("means")

@@ -59,24 +59,24 @@ class Scaffold:
         if given is not None:
             self._go_on(beginning(given, photographs, settings), settings, generator)
             return
-        found = first_anchors(photographs, settings)
-        self.units, self.lattice, self.near = found.units, found.lattice, settings.start.near
+        start = first_anchors(photographs, settings)
+        self.units, self.lattice, self.near = start.units, start.lattice, settings.start.near
         n = len(self.lattice)
         self.columns = Columns(settings.entropy.slices, OFFSETS)
         self.tables = {name: torch.zeros(n, self._width(name), device=self.device) for name in TABLES}
         self.first, self.second = ({name: torch.zeros_like(t) for name, t in self.tables.items()} for _ in range(2))
-        self.tables["features"][:, :3] = torch.from_numpy(found.colours).float()
-        self.tables["scalings"][:] = torch.from_numpy(np.log(found.sizes)).float()[:, None]
+        self.tables["features"][:, :3] = torch.from_numpy(start.colours).float()
+        self.tables["scalings"][:] = torch.from_numpy(np.log(start.sizes)).float()[:, None]
         self.tables["masks"].fill_(settings.masks.start)
         self.networks = RenderNetworks(self.columns, generator).to(self.device)
         self.place()
 
-    def _go_on(self, found: Beginning, settings: TrainSettings, generator: torch.Generator) -> None:
+    def _go_on(self, first: Beginning, settings: TrainSettings, generator: torch.Generator) -> None:
         """Takes the anchors and networks of a scene."""
-        given, self.near = found.given, settings.start.near
-        self.units, self.lattice = found.units, found.lattice
+        given, self.near = first.given, settings.start.near
+        self.units, self.lattice = first.units, first.lattice
         self.columns = Columns(settings.entropy.slices, given.cloud.masks.shape[1])
-        self.tables = {name: self._moved(found.tables[name]) for name in TABLES}
+        self.tables = {name: self._moved(first.tables[name]) for name in TABLES}
         self.first, self.second = ({name: torch.zeros_like(t) for name, t in self.tables.items()} for _ in range(2))
         assert given.networks is not None
         self.networks = RenderNetworks(self.columns, generator, len(given.networks[RENDERING[0]][0][1]))
@@ -156,9 +156,9 @@ class Scaffold:
     def state(self) -> dict[str, Any]:
         """Tables, moments, the lattice and the networks with the steps of their grids, for a saved training."""
         tables = (("tables", self.tables), ("first", self.first), ("second", self.second))
-        found = {f"{kind}.{name}": value for kind, named in tables for name, value in named.items()}
+        tensors = {f"{kind}.{name}": value for kind, named in tables for name, value in named.items()}
         networks = {f"networks.{name}": value for name, value in self.networks.state_dict().items()}
-        return {**found, **networks, "lattice": torch.from_numpy(self.lattice)}
+        return {**tensors, **networks, "lattice": torch.from_numpy(self.lattice)}
 
     def restore(self, state: Saved) -> None:
         """Sets what `state` gave. Raises ValueError."""

@@ -45,11 +45,11 @@ class Clock:
         It is that of the last phase that names the part, or else the part's first in MODES.
         """
         share = self.share_at(self.done if done is None else done)
-        found = MODES[part][0]
+        mode = MODES[part][0]
         for phase in self.phases:
             if phase.begin <= share:
-                found = phase.modes.get(part, found)
-        return found
+                mode = phase.modes.get(part, mode)
+        return mode
 
     def since(self, part: str) -> float:
         """The share that is done of the steps from the first phase that names a part to the end; 0 before."""

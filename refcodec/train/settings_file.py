@@ -168,7 +168,7 @@ def merged(base: T, changes: Mapping[str, Any], prefix: str = "") -> T:
     Raises SettingsError.
     """
     known, hints = {entry.name: entry for entry in fields(base)}, get_type_hints(type(base))  # type: ignore[arg-type]
-    found: dict[str, Any] = {}
+    updates: dict[str, Any] = {}
     for key, value in changes.items():
         name = prefix + key
         if key not in known:
@@ -178,13 +178,13 @@ def merged(base: T, changes: Mapping[str, Any], prefix: str = "") -> T:
         if is_dataclass(now):
             if not isinstance(value, Mapping):
                 raise SettingsError(f"{name} is a group: set one of {', '.join(e.name for e in fields(now))}")
-            found[key] = merged(now, value, name + ".")
+            updates[key] = merged(now, value, name + ".")
         elif key == "phases":
-            found[key] = _phases(now, value)
+            updates[key] = _phases(now, value)
         else:
-            found[key] = _checked(name, value, hints[key], known[key].metadata)
+            updates[key] = _checked(name, value, hints[key], known[key].metadata)
     try:
-        return replace(base, **found)  # type: ignore[type-var]
+        return replace(base, **updates)  # type: ignore[type-var]
     except SettingsError:
         raise
     except ValueError as error:
@@ -231,10 +231,10 @@ def _phase(where: str, now: Phase | None, value: Any) -> Phase:
     given = dict(value) if isinstance(value, Mapping) else None
     if given is None or not set(given) <= set(keys) or (now is None and set(given) != set(keys)):
         raise SettingsError(f"{where} is {value!r}: {', '.join(keys)} are what a phase has")
-    found = {**vars(now), **given} if now else given
+    values = {**vars(now), **given} if now else given
     if now and isinstance(given.get("modes"), Mapping):
-        found["modes"] = {**now.modes, **given["modes"]}
-    name, begin, modes = (found[key] for key in keys)
+        values["modes"] = {**now.modes, **given["modes"]}
+    name, begin, modes = (values[key] for key in keys)
     if not isinstance(name, str):
         raise SettingsError(f"{where}.name is {name!r}: a text is required")
     if isinstance(begin, bool) or not isinstance(begin, int | float) or not math.isfinite(begin):

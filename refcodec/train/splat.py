@@ -118,7 +118,7 @@ def _draw_on_gpu(
     view, lens = torch.eye(4), torch.eye(3)
     view[:3, :3], view[:3, 3] = torch.from_numpy(camera.rotation), torch.from_numpy(camera.translation)
     lens[0, 0], lens[1, 1], lens[0, 2], lens[1, 2] = camera.fx, camera.fy, camera.cx, camera.cy
-    image, covered, found = gsplat.rasterization(
+    image, covered, info = gsplat.rasterization(
         mean.float(),
         quaternion.float(),
         scale.float(),
@@ -134,7 +134,7 @@ def _draw_on_gpu(
         backgrounds=torch.tensor([settings.background], device=mean.device),
         rasterize_mode="classic",
     )
-    place = found["means2d"]
+    place = info["means2d"]
     if screen is not None and screen.requires_grad and place.requires_grad:
         # As Gradients.screen: in an image that is 2 wide and 2 high.
         half = torch.tensor([camera.width / 2, camera.height / 2], device=mean.device)
@@ -144,4 +144,4 @@ def _draw_on_gpu(
             screen.grad = length if screen.grad is None else screen.grad + length
 
         place.register_hook(add)
-    return image[0], 1 - covered[0, ..., 0], found["radii"][0].amax(dim=-1).float()
+    return image[0], 1 - covered[0, ..., 0], info["radii"][0].amax(dim=-1).float()

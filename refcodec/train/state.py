@@ -88,58 +88,58 @@ class Saved:
         high: float = math.inf,
     ) -> Tensor:
         """Returns a tensor of finite numbers from low to high. shape: None stands for any length."""
-        found = self.value(name)
-        if not isinstance(found, Tensor):
+        tensor = self.value(name)
+        if not isinstance(tensor, Tensor):
             raise self.fault(name, "is no tensor")
-        right = found.dim() == len(shape) and all(n in (None, m) for n, m in zip(shape, found.shape, strict=True))
-        if not right or found.dtype != dtype:
+        right = tensor.dim() == len(shape) and all(n in (None, m) for n, m in zip(shape, tensor.shape, strict=True))
+        if not right or tensor.dtype != dtype:
             wanted = ", ".join("any" if n is None else str(n) for n in shape)
-            raise self.fault(name, f"is {found.dtype} {list(found.shape)}, {dtype} [{wanted}] is required")
-        if found.numel() and not (bool(found.isfinite().all()) and low <= found.min() and found.max() <= high):
+            raise self.fault(name, f"is {tensor.dtype} {list(tensor.shape)}, {dtype} [{wanted}] is required")
+        if tensor.numel() and not (bool(tensor.isfinite().all()) and low <= tensor.min() and tensor.max() <= high):
             raise self.fault(name, f"has a number that is not finite, or not from {low:g} to {high:g}")
-        return found
+        return tensor
 
     def integer(self, name: str, low: int, high: float = math.inf) -> int:
         """Returns an integer from low to high."""
-        found = self.value(name)
-        if not isinstance(found, int) or isinstance(found, bool) or not low <= found <= high:
-            raise self.fault(name, f"is {_shown(found)}, an integer from {low} to {high} is required")
-        return found
+        value = self.value(name)
+        if not isinstance(value, int) or isinstance(value, bool) or not low <= value <= high:
+            raise self.fault(name, f"is {_shown(value)}, an integer from {low} to {high} is required")
+        return value
 
     def real(self, name: str, low: float = -math.inf) -> float:
         """Returns a finite number of at least low."""
-        found = self.value(name)
-        if not _is_number(found) or found < low:
-            raise self.fault(name, f"is {_shown(found)}, a number of at least {low:g} is required")
-        return float(found)
+        value = self.value(name)
+        if not _is_number(value) or value < low:
+            raise self.fault(name, f"is {_shown(value)}, a number of at least {low:g} is required")
+        return float(value)
 
     def flag(self, name: str) -> bool:
         """Returns true or false."""
-        found = self.value(name)
-        if not isinstance(found, bool):
-            raise self.fault(name, f"is {_shown(found)}, true or false is required")
-        return found
+        value = self.value(name)
+        if not isinstance(value, bool):
+            raise self.fault(name, f"is {_shown(value)}, true or false is required")
+        return value
 
     def numbers(self, name: str) -> list[float]:
         """Returns a list of finite numbers."""
-        found = self.value(name)
-        if not isinstance(found, list) or not all(map(_is_number, found)):
+        value = self.value(name)
+        if not isinstance(value, list) or not all(map(_is_number, value)):
             raise self.fault(name, "is not a list of finite numbers")
-        return found
+        return value
 
     def records(self, name: str, keys: Sequence[str], texts: Sequence[str] = ()) -> list[dict[str, Any]]:
         """Returns a list of objects that have these keys, each with a finite number or, for `texts`, a text."""
-        found = self.value(name)
-        right = isinstance(found, list) and all(
+        value = self.value(name)
+        right = isinstance(value, list) and all(
             isinstance(entry, dict)
             and entry.keys() == {*keys, *texts}
             and all(_is_number(entry[key]) for key in keys)
             and all(isinstance(entry[key], str) for key in texts)
-            for entry in found
+            for entry in value
         )
         if not right:
             raise self.fault(name, f"is not a list of objects with the numbers {', '.join(keys)}")
-        return list(found)
+        return list(value)
 
     def module(self, prefix: str, module: nn.Module) -> None:
         """Sets the parameters and buffers of a module, whose names follow the prefix.
@@ -147,17 +147,17 @@ class Saved:
         Buffers are units and steps, which are above 0.
         """
         positive = {name for name, _ in module.named_buffers()}
-        found = {}
+        parameters = {}
         for name, value in module.state_dict().items():
             low = torch.finfo(value.dtype).tiny if name in positive else -math.inf
-            found[name] = self.tensor(prefix + name, value.shape, value.dtype, low)
-        module.load_state_dict(found)
+            parameters[name] = self.tensor(prefix + name, value.shape, value.dtype, low)
+        module.load_state_dict(parameters)
 
     def generator(self, name: str, generator: torch.Generator) -> None:
         """Sets a generator of random numbers."""
-        found = self.tensor(name, generator.get_state().shape, torch.uint8)
+        drawn = self.tensor(name, generator.get_state().shape, torch.uint8)
         try:
-            generator.set_state(found)
+            generator.set_state(drawn)
         # torch checks the bytes, and says so with this type.
         except RuntimeError:
             raise self.fault(name, "is no state of a generator") from None
@@ -178,13 +178,13 @@ def _is_number(value: Any) -> bool:
 
 def _checksum(notes: Mapping[str, str], tensors: Mapping[str, Tensor]) -> str:
     """Returns the SHA-256 of the notes and tensors: of each name, dtype, shape and content, in the names' order."""
-    found = hashlib.sha256()
+    digest = hashlib.sha256()
     for key in ("format", "version", "of", "values"):
-        found.update(json.dumps([key, notes[key]]).encode())
+        digest.update(json.dumps([key, notes[key]]).encode())
     for name, value in sorted(tensors.items()):
-        found.update(json.dumps([name, str(value.dtype), list(value.shape)]).encode())
-        found.update(value.reshape(-1).view(torch.uint8).numpy().data)
-    return found.hexdigest()
+        digest.update(json.dumps([name, str(value.dtype), list(value.shape)]).encode())
+        digest.update(value.reshape(-1).view(torch.uint8).numpy().data)
+    return digest.hexdigest()
 
 
 # --- out --------------------------------------------------------------------------------------------------------------
@@ -195,9 +195,9 @@ def save(training: Savable, path: Path) -> None:
 
     Raises OSError or SafetensorError if it cannot be written. The state that was there before is left as it was.
     """
-    found = training.state()
-    tensors = {name: value.detach().clone().contiguous() for name, value in found.items() if isinstance(value, Tensor)}
-    values = {name: value for name, value in found.items() if name not in tensors}
+    state = training.state()
+    tensors = {name: value.detach().clone().contiguous() for name, value in state.items() if isinstance(value, Tensor)}
+    values = {name: value for name, value in state.items() if name not in tensors}
     notes = {
         "format": FORMAT,
         "version": VERSION,

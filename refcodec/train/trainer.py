@@ -216,22 +216,22 @@ class Trainer:
         """What must be the same for a training to go on: settings but for the steps, photographs and their sizes."""
         photographs = [[p.camera.name, p.camera.width, p.camera.height] for p in self.photographs.train]
         settings = {name: value for name, value in document(self.settings).items() if name != "steps"}
-        found = {"settings": settings, "photographs": photographs}
-        return found if self.given is None else {**found, "from": len(self.given.cloud.positions)}
+        facts = {"settings": settings, "photographs": photographs}
+        return facts if self.given is None else {**facts, "from": len(self.given.cloud.positions)}
 
     def state(self) -> dict[str, Any]:
         """All that going on exactly where it stopped needs: tensors, and values of JSON, by names with slashes."""
-        found: dict[str, Any] = {
+        values: dict[str, Any] = {
             **{f"clock/{name}": value for name, value in self.clock.state().items()},
             "order": self.order,
             **{f"scaffold/{name}": value for name, value in self.scaffold.state().items()},
         }
         for part in self.parts:
-            found |= {f"{part.name}/{name}": value for name, value in part.state().items()}
-        found["random"] = self.random.get_state()
+            values |= {f"{part.name}/{name}": value for name, value in part.state().items()}
+        values["random"] = self.random.get_state()
         if self.noise is not self.random:
-            found[NOISE] = self.noise.get_state()
-        return {name: value.cpu() if isinstance(value, Tensor) else value for name, value in found.items()}
+            values[NOISE] = self.noise.get_state()
+        return {name: value.cpu() if isinstance(value, Tensor) else value for name, value in values.items()}
 
     def restore(self, state: Saved) -> None:
         """Makes a new training the one that gave the state. Raises ValueError for what cannot be a state of it."""

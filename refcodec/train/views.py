@@ -72,11 +72,11 @@ class Views:
         held, device = copy(self.scaffold), self.scaffold.device
         held.lattice = scene.positions.astype(np.int64)
         held.place()
-        found = reconstruct(scene)
+        decoded = reconstruct(scene)
         attributes = {
-            "features": found.features,
-            "scalings": found.scalings,
-            "offsets": found.offsets.reshape(scene.anchor_count, -1),
+            "features": decoded.features,
+            "scalings": decoded.scalings,
+            "offsets": decoded.offsets.reshape(scene.anchor_count, -1),
         }
         values = {name: torch.from_numpy(value).to(device) for name, value in attributes.items()}
         camera, rows = held.units.camera(camera), torch.arange(scene.anchor_count, device=device)

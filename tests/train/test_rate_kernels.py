@@ -10,11 +10,11 @@ import torch
 from torch import Tensor
 
 from refcodec.bitstream.tables import SCALE_MIN
+from refcodec.train.cpu.residues import Shown, Symbols
 from refcodec.train.rate_model.bits import bits_torch, gauss_bits, laplace_bits
 from refcodec.train.rate_model.folded import FoldedMlp
 from refcodec.train.rate_model.hyperprior import PlaneSamples, VectorMatrix, plane_neighbours
 from refcodec.train.rate_model.model import OFFSETS, PAPER, RateModel
-from refcodec.train.residues import Shown, Symbols
 from refcodec.train.settings import EntropySettings
 
 ROUNDED = pytest.mark.parametrize("rounding", [False, True], ids=["floats", "integers"])

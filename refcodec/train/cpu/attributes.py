@@ -50,17 +50,17 @@ def _sums(bits: F32, kept: F32, features: int) -> Any:
     """Bits of features, scalings and offsets [n, 3], and all of each part alone: [n, 2 + K]."""
     offsets = kept.shape[1]
     begin = bits.shape[1] - 3 * offsets
-    found = np.empty((bits.shape[0], 3), np.float32)
+    sums = np.empty((bits.shape[0], 3), np.float32)
     parts = np.zeros((bits.shape[0], 2 + offsets), np.float32)
     for r in prange(bits.shape[0]):
         for d in range(bits.shape[1]):
             part = 0 if d < features else (1 if d < begin else 2 + (d - begin) // 3)
             parts[r, part] += bits[r, d]
         some = _ONE - _dropped(kept, r, -1)
-        found[r, 0], found[r, 1], found[r, 2] = parts[r, 0] * some, parts[r, 1] * some, _ZERO
+        sums[r, 0], sums[r, 1], sums[r, 2] = parts[r, 0] * some, parts[r, 1] * some, _ZERO
         for k in range(offsets):
-            found[r, 2] += parts[r, 2 + k] * kept[r, k]
-    return found, parts
+            sums[r, 2] += parts[r, 2 + k] * kept[r, k]
+    return sums, parts
 
 
 @compiled(parallel=True)
@@ -148,18 +148,18 @@ class AttributeBits(torch.autograd.Function):
         change, masks = torch.cat([out.new_zeros(len(out), 0), *changes], dim=1), array(kept)
         mean, scale = _gather(array(out), array(change), counting.columns, symbols.shape[1])
         bits, by_mean, by_scale = likelihood(mean, scale, array(symbols), True, counting.floor)
-        found, parts = _sums(bits, masks, counting.features)
+        sums, parts = _sums(bits, masks, counting.features)
         ctx.given = parts, masks, counting.features, scale, by_mean, by_scale, counting.columns, change.shape[1]
         ctx.counting, ctx.inputs = counting, (symbols.detach(), earlier)
         ctx.shapes = weight.shape, bias.shape
-        return torch.from_numpy(found)
+        return torch.from_numpy(sums)
 
     @staticmethod
     def backward(ctx: Any, *upstream: Tensor) -> tuple[Tensor | None, ...]:
         out, change, by_symbols, by_kept = (torch.from_numpy(g) for g in _sums_backward(array(upstream[0]), *ctx.given))
         hidden, *some = layer_backward(ctx.hyper, out, ctx.needs_input_grad[1])
-        found = [torch.zeros(shape) for shape in ctx.shapes]
-        for whole, part in zip(found, some, strict=True):
+        gradients = [torch.zeros(shape) for shape in ctx.shapes]
+        for whole, part in zip(gradients, some, strict=True):
             whole[ctx.counting.rows] = part
         symbols, earlier = ctx.inputs
         same = (symbols[:, : earlier.shape[1]] == earlier).float() if ctx.needs_input_grad[2] else None
@@ -167,14 +167,14 @@ class AttributeBits(torch.autograd.Function):
         for traces in ctx.carm:
             outputs = len(traces[-1].plan.after)
             along = change[:, at : at + outputs]
-            gradients: list[Tensor] = []
+            by_carm: list[Tensor] = []
             for i in reversed(range(len(traces))):
                 inputs, *own = layer_backward(traces[i], along, i > 0 or same is not None)
-                gradients[:0] = own
+                by_carm[:0] = own
                 if inputs is not None:
                     along = inputs
             if same is not None:
                 by_symbols[:, : along.shape[1]].addcmul_(along, same[:, : along.shape[1]])
-            found += gradients
+            gradients += by_carm
             at += outputs
-        return None, hidden, by_symbols, None, by_kept, *found
+        return None, hidden, by_symbols, None, by_kept, *gradients

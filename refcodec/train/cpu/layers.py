@@ -60,11 +60,11 @@ def _rectify(values: F32, rounding: bool) -> Mask:
 
 @compiled(parallel=True)
 def _through(upstream: F32, inside: Mask) -> F32:
-    found = np.empty(upstream.shape, np.float32)
+    gradient = np.empty(upstream.shape, np.float32)
     for r in prange(upstream.shape[0]):
         for c in range(upstream.shape[1]):
-            found[r, c] = upstream[r, c] if inside[r, c] else np.float32(0)
-    return found
+            gradient[r, c] = upstream[r, c] if inside[r, c] else np.float32(0)
+    return gradient
 
 
 class Plan(NamedTuple):
@@ -96,9 +96,9 @@ def layer_forward(plan: Plan, x: Tensor, weight: Tensor, bias: Tensor) -> tuple[
     """What a layer makes of x, float32 [n, in], with weights [out, in] and biases [out] of order one: [n, out]."""
     folded = fold(weight.detach().numpy(), bias.detach().numpy(), *plan[:4])
     by_weight, by_bias = (torch.from_numpy(v) for v in folded)
-    found = torch.addmm(by_bias, x, by_weight.T)
-    inside = _rectify(found.numpy(), plan.rounding) if plan.rectifies else None
-    return found, Trace(x, by_weight, inside, plan)
+    values = torch.addmm(by_bias, x, by_weight.T)
+    inside = _rectify(values.numpy(), plan.rounding) if plan.rectifies else None
+    return values, Trace(x, by_weight, inside, plan)
 
 
 def layer_backward(trace: Trace, upstream: Tensor, reaches_inputs: bool) -> tuple[Tensor | None, Tensor, Tensor]:
@@ -116,8 +116,8 @@ class FoldedLayer(torch.autograd.Function):
 
     @staticmethod
     def forward(ctx: Any, plan: Plan, x: Tensor, weight: Tensor, bias: Tensor) -> Tensor:
-        found, ctx.trace = layer_forward(plan, x, weight, bias)
-        return found
+        values, ctx.trace = layer_forward(plan, x, weight, bias)
+        return values
 
     @staticmethod
     def backward(ctx: Any, *upstream: Tensor) -> tuple[Tensor | None, ...]:

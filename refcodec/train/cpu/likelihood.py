@@ -108,17 +108,17 @@ def likelihood(mean: F32, scale: F32, symbol: F32, gauss: bool, floor: float) ->
     inputs = [v.reshape(-1) for v in (mean, scale, symbol)]
     if room > size:
         inputs = [np.concatenate([v, np.zeros(room - size, np.float32)]) for v in inputs]
-    found = np.empty((3, room), np.float32)
-    _likelihood(*inputs, gauss, np.float32(floor), found)
-    torch.from_numpy(found[0]).log2_().neg_()
-    bits, by_mean, by_scale = (v[:size].reshape(mean.shape) for v in found)
+    results = np.empty((3, room), np.float32)
+    _likelihood(*inputs, gauss, np.float32(floor), results)
+    torch.from_numpy(results[0]).log2_().neg_()
+    bits, by_mean, by_scale = (v[:size].reshape(mean.shape) for v in results)
     return bits, by_mean, by_scale
 
 
 def array(value: Tensor) -> F32:
     """A tensor as a contiguous array."""
-    found: F32 = value.detach().contiguous().numpy()
-    return found
+    contiguous: F32 = value.detach().contiguous().numpy()
+    return contiguous
 
 
 class Bits(torch.autograd.Function):
@@ -126,8 +126,8 @@ class Bits(torch.autograd.Function):
 
     @staticmethod
     def forward(ctx: Any, mean: Tensor, scale: Tensor, symbol: Tensor, gauss: bool, floor: float) -> Tensor:
-        found = likelihood(array(mean), array(scale), array(symbol), gauss, floor)
-        bits, by_mean, by_scale = (torch.from_numpy(v) for v in found)
+        results = likelihood(array(mean), array(scale), array(symbol), gauss, floor)
+        bits, by_mean, by_scale = (torch.from_numpy(v) for v in results)
         ctx.save_for_backward(scale)
         ctx.by = by_mean, by_scale
         return bits

@@ -124,7 +124,7 @@ def _plane_bits(
     valid = np.zeros(count, np.float32)
     for i in range(size):
         valid[i * stride : i * stride + size] = _ONE
-    found = np.empty((planes, count), np.float32)
+    chances = np.empty((planes, count), np.float32)
     ways = (-stride - 1, -stride, -stride + 1, -1)
     for p in prange(planes):
         plane, by_plane = np.zeros(begin + count, np.float32), np.zeros(begin + count, np.float32)
@@ -156,7 +156,7 @@ def _plane_bits(
                 along, wider = along * exists, wider * exists
                 # Past the table's smallest scale a gradient may lead back inside, no further out.
                 wider = select((scale <= splat(_LOW)) & (zero < wider), zero, wider)
-                store(found, p * count + block + t, select(zero < exists, chance, one))
+                store(chances, p * count + block + t, select(zero < exists, chance, one))
                 store(by_out, t, along)
                 store(by_out, _BLOCK + t, wider)
                 store(by_plane, at, fma(along, splat(_PER_SYMBOL), load(by_plane, at)))
@@ -173,7 +173,7 @@ def _plane_bits(
         for i in range(size):
             at = begin + i * stride
             gradient[p, i] = by_plane[at : at + size]
-    return found
+    return chances
 
 
 class PlaneBits(torch.autograd.Function):

@@ -39,22 +39,22 @@ def _tables(symbols: F32) -> Any:
     """The planes of both scales [side^2, ch] of symbols [5, ch, B, B], one after the other."""
     channels, size = symbols.shape[1], symbols.shape[2]
     flat = symbols.reshape(symbols.shape[0], channels, size * size)
-    found = np.empty((5 * size * size, channels), np.float32)
+    tables = np.empty((5 * size * size, channels), np.float32)
     for scale in prange(2):
         side, begin = (scale + 1) * size, scale * size * size
         for i in range(side):
             for j in range(side):
                 plane, at = _plane(scale, i, j, size)
                 for c in range(channels):
-                    found[begin + i * side + j, c] = flat[plane, c, at]
-    return found
+                    tables[begin + i * side + j, c] = flat[plane, c, at]
+    return tables
 
 
 @compiled(parallel=True)
 def _forward(symbols: F32, rows: I64, corners: I64, shares: F32, gamma: F32, rounding: bool) -> Any:
     channels, size = symbols.shape[1], symbols.shape[2]
     tables = _tables(symbols)
-    found = np.empty((rows.shape[0], 2 * channels + gamma.shape[1]), np.float32)
+    inputs = np.empty((rows.shape[0], 2 * channels + gamma.shape[1]), np.float32)
     inside = np.empty((rows.shape[0], 2 * channels), np.bool_)
     for r in prange(rows.shape[0]):
         for scale in range(2):
@@ -68,10 +68,10 @@ def _forward(symbols: F32, rows: I64, corners: I64, shares: F32, gamma: F32, rou
                 if rounding:
                     value = math.floor(value + np.float32(0.5))
                 inside[r, scale * channels + c] = abs(value) <= _MOST
-                found[r, scale * channels + c] = min(max(value, -_MOST), _MOST)
+                inputs[r, scale * channels + c] = min(max(value, -_MOST), _MOST)
         for c in range(gamma.shape[1]):
-            found[r, 2 * channels + c] = gamma[rows[r], c]
-    return found, inside
+            inputs[r, 2 * channels + c] = gamma[rows[r], c]
+    return inputs, inside
 
 
 @compiled(parallel=True)
@@ -121,9 +121,9 @@ class Query(torch.autograd.Function):
         ctx: Any, symbols: Tensor, rows: Tensor, corners: Tensor, shares: Tensor, gamma: Tensor, rounding: bool
     ) -> Tensor:
         arrays = [v.numpy() for v in (symbols.detach().contiguous(), rows, corners, shares, gamma)]
-        found, inside = _forward(*arrays, rounding)
+        inputs, inside = _forward(*arrays, rounding)
         ctx.given = (inside, *arrays[1:4], symbols.shape)
-        return torch.from_numpy(found)
+        return torch.from_numpy(inputs)
 
     @staticmethod
     def backward(ctx: Any, *upstream: Tensor) -> tuple[Tensor | None, ...]:

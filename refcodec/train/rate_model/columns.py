@@ -42,10 +42,10 @@ class Columns:
 
     def changes(self) -> Tensor:
         """Columns of CARM's outputs, slice by slice, that means and scales of attributes add: int64 [2, D], or -1."""
-        found, done, at = torch.full((2, self.width), -1), self.slices[0], 0
+        places, done, at = torch.full((2, self.width), -1), self.slices[0], 0
         for columns in self.slices[1:]:
-            for row in found:
+            for row in places:
                 row[done : done + columns] = torch.arange(at, at + columns)
                 at += columns
             done += columns
-        return found
+        return places

@@ -85,8 +85,8 @@ class FoldedMlp(nn.Module):
 
         values = self.weights[layer], self.biases[layer]
         weight, bias = values if rows == slice(None) else (v[rows] for v in values)
-        found: Tensor = FoldedLayer.apply(self.plan(layer, rows), x, weight, bias)
-        return found
+        outputs: Tensor = FoldedLayer.apply(self.plan(layer, rows), x, weight, bias)
+        return outputs
 
     def pairs(self) -> list[Tensor]:
         """Weights and biases of each layer, which take turns."""
@@ -162,8 +162,8 @@ class FoldedMlp(nn.Module):
     @torch.no_grad()
     def layers(self) -> list[Layer]:
         """The weights that SPEC 5.8 stores: float32 (weight [out, in], bias [out]) of each layer."""
-        found = []
+        layers = []
         for i in range(self.hidden + 1):
             weight, bias = (value.cpu().numpy() for value in self._layer(i, slice(None)))
-            found.append((weight, bias))
-        return found
+            layers.append((weight, bias))
+        return layers

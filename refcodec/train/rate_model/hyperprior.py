@@ -91,8 +91,8 @@ class PlaneSamples:
         if has_kernel(symbols):
             from ..cpu.query import Query  # noqa: PLC0415 (needs numba)
 
-            found: Tensor = Query.apply(symbols, rows, self.corners, self.shares, more, rounding)
-            return found
+            inputs: Tensor = Query.apply(symbols, rows, self.corners, self.shares, more, rounding)
+            return inputs
         return torch.cat([self.query_torch(symbols, rows, rounding), more[rows]], dim=1)
 
     def query_torch(self, symbols: Tensor, rows: Tensor, rounding: bool) -> Tensor:

@@ -35,11 +35,11 @@ class Averaging(Part):
 
     def _values(self) -> dict[str, Tensor]:
         """What is averaged, by name: the tensors that a training changes."""
-        found = {f"tables.{name}": table for name, table in self.scaffold.tables.items()}
-        found |= {f"networks.{name}": value for name, value in self.scaffold.networks.named_parameters()}
+        values = {f"tables.{name}": table for name, table in self.scaffold.tables.items()}
+        values |= {f"networks.{name}": value for name, value in self.scaffold.networks.named_parameters()}
         if self.rate is not None and self.rate.model is not None:
-            found |= {f"model.{name}": value for name, value in self.rate.model.named_parameters()}
-        return found
+            values |= {f"model.{name}": value for name, value in self.rate.model.named_parameters()}
+        return values
 
     def anchors_changed(self) -> None:
         """Begins anew: means of other anchors are of no use."""

@@ -119,7 +119,7 @@ class Growth(Part):
         spread = np.exp(scalings[:, None, :3] - math.log(units.length)) / units.cell
         centre = scaffold.lattice[:, None] + offsets.reshape(scaffold.count, -1, 3) * spread
         centre, gradient = centre.reshape(-1, 3), mean.reshape(-1)
-        found, owners, edges = [scaffold.lattice], [np.zeros(0, np.int64)], [np.zeros(0)]
+        added, owners, edges = [scaffold.lattice], [np.zeros(0, np.int64)], [np.zeros(0)]
         for level, edge in enumerate(settings.edges):
             lucky = torch.rand(len(gradient), generator=self.random).numpy() > settings.chance ** (level + 1)
             asks = gradient > settings.gradient * settings.ratio**level
@@ -127,12 +127,12 @@ class Growth(Part):
             if not grows.any():
                 continue
             cells, first = np.unique(np.round(centre[grows] / edge).astype(np.int64), axis=0, return_index=True)
-            taken = {tuple(c) for c in np.round(np.concatenate(found) / edge).astype(np.int64).tolist()}
+            taken = {tuple(c) for c in np.round(np.concatenate(added) / edge).astype(np.int64).tolist()}
             free = np.array([tuple(c) not in taken for c in cells.tolist()], bool)
-            found.append(cells[free] * edge)
+            added.append(cells[free] * edge)
             owners.append(np.flatnonzero(grows)[first[free]] // scaffold.columns.offsets)
             edges.append(np.full(int(free.sum()), edge))
-        cells = lattice_positions(np.concatenate([np.zeros((0, 3), np.int64), *found[1:]])).astype(np.int64)
+        cells = lattice_positions(np.concatenate([np.zeros((0, 3), np.int64), *added[1:]])).astype(np.int64)
         return cells, np.concatenate(owners), np.concatenate(edges)
 
     def state(self) -> dict[str, Any]:

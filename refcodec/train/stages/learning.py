@@ -63,13 +63,13 @@ class Learning(Part):
         same sets, and each union makes the CPU wait for the device.
         """
         scaffold = self.scaffold
-        found = tuple(i for i, (_, leaves) in enumerate(step.taken) if leaves[name].grad is not None)
-        if not found:
+        sets = tuple(i for i, (_, leaves) in enumerate(step.taken) if leaves[name].grad is not None)
+        if not sets:
             return
-        if found not in joints:
-            joints[found] = joined([step.taken[i][0] for i in found])
-        rows, place = joints[found]
-        gradient = added(place, [g for i in found if (g := step.taken[i][1][name].grad) is not None], len(rows))
+        if sets not in joints:
+            joints[sets] = joined([step.taken[i][0] for i in sets])
+        rows, place = joints[sets]
+        gradient = added(place, [g for i in sets if (g := step.taken[i][1][name].grad) is not None], len(rows))
         moments = scaffold.first[name], scaffold.second[name]
         adam_torch(scaffold.tables[name], *moments, self.clock.done + 1, rows, gradient, rate)
 
@@ -84,16 +84,16 @@ class Learning(Part):
         if later:
             self._place[seen.numpy()] = np.arange(len(seen))
         for name, rate in rates.items():
-            found = [
+            gradients = [
                 (rows.numpy(), grad.contiguous().numpy())
                 for rows, leaves in step.taken
                 if (grad := leaves[name].grad) is not None
             ]
-            if len(found) == 2:
-                (_, first), (rows, second) = found
+            if len(gradients) == 2:
+                (_, first), (rows, second) = gradients
                 apart = share_rows(rows, second, self._place, first)
-                found[1] = rows[apart], second[apart]
-            for rows, gradient in found:
+                gradients[1] = rows[apart], second[apart]
+            for rows, gradient in gradients:
                 self._adam(name, rows, gradient, rate)
         if later:
             self._place[seen.numpy()] = -1

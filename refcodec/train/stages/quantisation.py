@@ -8,8 +8,8 @@ from torch import Tensor
 
 from ...bitstream.attributes import KINDS
 from ...encoder.quantise import varying
+from ..cpu.residues import Shown, Symbols
 from ..part import Part, Sight, Step
-from ..residues import Shown, Symbols
 from ..scaffold import Scaffold
 from ..schedule import Clock
 from ..settings import QuantisationSettings
@@ -55,8 +55,8 @@ class Quantisation(Part):
     def symbols(self, values: list[Tensor], steps: Tensor) -> Tensor:
         """The symbols of k kinds of values, [n, w] each, with steps [n, k], noisy or rounded: [n, sum of w]."""
         if steps.device.type == "cpu":
-            found: Tensor = Symbols.apply(steps, self._seed(), *values)
-            return found
+            rounded: Tensor = Symbols.apply(steps, self._seed(), *values)
+            return rounded
         each = [(v, steps[:, i : i + 1]) for i, v in enumerate(values)]
         return torch.cat([v / size + self.residue(v, size) for v, size in each], dim=1)
 

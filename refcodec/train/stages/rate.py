@@ -264,9 +264,9 @@ class Rate(Part):
             name = f"model.{wide}.biases.0"
             width = state.tensor(name, (None,)).shape[0]
             sizes.append((name, width, choose_width))
-        for name, found, choose in sizes:
-            if not choose(0) <= found <= choose(ANCHORS_MAX):
-                raise state.fault(name, f"has a size of {found}, {choose(0)} to {choose(ANCHORS_MAX)} are possible")
+        for name, size, choose in sizes:
+            if not choose(0) <= size <= choose(ANCHORS_MAX):
+                raise state.fault(name, f"has a size of {size}, {choose(0)} to {choose(ANCHORS_MAX)} are possible")
         model = self._make(frame, base_step, plane_size if self._has_planes else 0, width)
         state.module("model.", model)
         model.set_integers(state.flag("integers"))

@@ -15,7 +15,7 @@ from numba import prange
 from numpy.typing import NDArray
 from torch import Tensor
 
-from ..render.compiled import compiled
+from ...render.compiled import compiled
 
 F32 = NDArray[np.float32]
 
@@ -36,16 +36,16 @@ def _noise(seed: np.uint64, index: int) -> np.float32:
 
 @compiled(parallel=True)
 def _shown(values: F32, steps: F32, kind: int, seed: np.uint64, rounds: bool) -> F32:
-    found = np.empty(values.shape, np.float32)
+    shown = np.empty(values.shape, np.float32)
     for r in prange(values.shape[0]):
         step = steps[r, kind]
         if rounds:
             for c in range(values.shape[1]):
-                found[r, c] = math.floor(values[r, c] / step + _HALF) * step
+                shown[r, c] = math.floor(values[r, c] / step + _HALF) * step
         else:
             for c in range(values.shape[1]):
-                found[r, c] = values[r, c] + _noise(seed, r * values.shape[1] + c) * step
-    return found
+                shown[r, c] = values[r, c] + _noise(seed, r * values.shape[1] + c) * step
+    return shown
 
 
 # A sum along a row may be taken in eight parts, which is a third of the time.
@@ -77,15 +77,15 @@ def _symbols(values: F32, steps: F32, kind: int, seed: np.uint64, rounds: bool, 
 
 @compiled(parallel=True, fastmath={"reassoc", "nsz"})
 def _symbols_backward(values: F32, steps: F32, kind: int, upstream: F32, begin: int, to: F32) -> F32:
-    found = np.empty(values.shape, np.float32)
+    gradient = np.empty(values.shape, np.float32)
     for r in prange(values.shape[0]):
         total, per_step = np.float32(0), np.float32(1) / steps[r, kind]
         for c in range(values.shape[1]):
             along = upstream[r, begin + c] * per_step
-            found[r, c] = along
+            gradient[r, c] = along
             total -= along * values[r, c] * per_step
         to[r, kind] = total
-    return found
+    return gradient
 
 
 def _seeds(seed: int, count: int) -> list[np.uint64]:
@@ -112,8 +112,8 @@ class Shown(torch.autograd.Function):
         ctx.save_for_backward(steps, *values)
         ctx.seed = seed
         seeds, size = _seeds(seed or 0, len(values)), _array(steps)
-        found = [_shown(_array(v), size, i, seeds[i], seed is None) for i, v in enumerate(values)]
-        return tuple(torch.from_numpy(v) for v in found)
+        shown = [_shown(_array(v), size, i, seeds[i], seed is None) for i, v in enumerate(values)]
+        return tuple(torch.from_numpy(v) for v in shown)
 
     @staticmethod
     def backward(ctx: Any, *upstream: Tensor) -> tuple[Tensor | None, ...]:
@@ -135,18 +135,18 @@ class Symbols(torch.autograd.Function):
     def forward(ctx: Any, steps: Tensor, seed: int | None, *values: Tensor) -> Tensor:
         ctx.save_for_backward(steps, *values)
         seeds, size, begin = _seeds(seed or 0, len(values)), _array(steps), 0
-        found = np.empty((len(size), sum(v.shape[1] for v in values)), np.float32)
+        symbols = np.empty((len(size), sum(v.shape[1] for v in values)), np.float32)
         for i, v in enumerate(values):
-            _symbols(_array(v), size, i, seeds[i], seed is None, found, begin)
+            _symbols(_array(v), size, i, seeds[i], seed is None, symbols, begin)
             begin += v.shape[1]
-        return torch.from_numpy(found)
+        return torch.from_numpy(symbols)
 
     @staticmethod
     def backward(ctx: Any, *upstream: Tensor) -> tuple[Tensor | None, ...]:
         steps, *values = ctx.saved_tensors
         size, given, begin = _array(steps), _array(upstream[0]), 0
-        gradient, found = np.empty(size.shape, np.float32), []
+        gradient, gradients = np.empty(size.shape, np.float32), []
         for i, v in enumerate(values):
-            found.append(torch.from_numpy(_symbols_backward(_array(v), size, i, given, begin, gradient)))
+            gradients.append(torch.from_numpy(_symbols_backward(_array(v), size, i, given, begin, gradient)))
             begin += v.shape[1]
-        return torch.from_numpy(gradient), None, *found
+        return torch.from_numpy(gradient), None, *gradients
