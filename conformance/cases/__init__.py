@@ -1,7 +1,7 @@
 """The suite's cases, chapter by chapter, and the faults that files can have.
 
 A chapter of SPEC.md has a file here, with its valid files, its refused ones and its faults. The file has the name of
-the module of the same clauses in refcodec/bitstream and conformance/independent. What would be too long in one file is
+the module of the same clauses in refcodec/bitstream. What would be too long in one file is
 in several:
 
     header, dimensions, limits                                 the header
@@ -31,7 +31,6 @@ The other modules help:
     samplers, numbers   what makes symbols up, and integers that are the same everywhere
     suite               from cases to files and the manifest
     features, flags     what the manifest says of a vector
-    train_sources       where the trained scenes come from
 """
 
 from __future__ import annotations

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from dataclasses import replace
 from functools import partial
-from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
@@ -28,7 +27,6 @@ from .samplers import Sampler, drawn, sampled
 from .scenes import Networks, dyadic, lattice, positions, scene, with_symbols
 from .targets import BEHIND
 
-SOURCES = Path(__file__).resolve().parent / "sources"
 # How many there are.
 UNUSUAL = 16
 
@@ -80,8 +78,8 @@ def add(book: Book) -> None:
 
 
 def _trained(name: str) -> Scene:
-    """Encoded anew, so that a change of the format or of the encoder's order shows (train_sources.py)."""
-    return codec.parse((SOURCES / f"{name}.c3gs").read_bytes()).scene
+    """The scene of the vector itself, encoded anew: a change of the encoder shows (benchmarks/train_sources.py)."""
+    return codec.parse((VECTORS / "valid" / f"trained-{name}.c3gs").read_bytes()).scene
 
 
 # --- what no encoder writes -------------------------------------------------------------------------------------------

@@ -1,9 +1,10 @@
-"""Trains the scenes of the suite's trained vectors anew: conformance/cases/sources/*.c3gs.
+"""Trains the scenes of the suite's trained vectors anew: vectors/valid/trained-*.c3gs.
 
-python -m conformance.cases.train_sources [NAME]
+python -m benchmarks.train_sources [NAME]
 
-The suite is generated from the files that are there. A training gives the same file only on the same machine with the
-same libraries. The files there were trained before files had this layout. They were written anew with the same values.
+The generator decodes and encodes the vectors that are there. A training gives the same file only on the same machine
+with the same libraries. The vectors were trained before files had this layout. They were written anew with the same
+values. `conformance generate` then updates the manifest.
 """
 
 from __future__ import annotations
@@ -21,8 +22,8 @@ from refcodec.train.command import train
 from refcodec.train.settings import TrainSettings
 from refcodec.train.settings_file import varied
 
-ROOT = Path(__file__).resolve().parents[2]
-SOURCES = Path(__file__).with_name("sources")
+ROOT = Path(__file__).resolve().parents[1]
+VALID = ROOT / "vectors" / "valid"
 
 
 @dataclass(frozen=True)
@@ -55,8 +56,7 @@ def main() -> int:
             scene = Path(folder) / "scene"
             train(photographs, source.settings, scene, threads=1, device="cpu", resume=False, progress=True)
             data = codec.emit(packed(read_folder(scene), source.form, source.form))
-        SOURCES.mkdir(parents=True, exist_ok=True)
-        (SOURCES / f"{name}.c3gs").write_bytes(data)
+        (VALID / f"trained-{name}.c3gs").write_bytes(data)
         print(f"{name}: {len(data)} bytes")
     return 0
 
