@@ -163,8 +163,19 @@ def header_of(d: Dimensions, level: int, anchors: int, size: int = 16384) -> byt
     chunks = -(-anchors // size)
     lengths = section_lengths(d, chunks, {WEIGHTS: 0, INDEX: 0})
     sections = [(kind, 0, b"") for kind in critical_sections(d)]
-    grid, render = PositionGrid(), RenderInfo()
-    header = Header(0, MAIN, level, anchors, chunks, size, Lanes(), (1.0, 1.0, 1.0), grid, render, d)
+    header = Header(
+        minor=0,
+        profile=MAIN,
+        level=level,
+        anchor_count=anchors,
+        chunk_count=chunks,
+        chunk_size=size,
+        lanes=Lanes(),
+        base_step=(1.0, 1.0, 1.0),
+        grid=PositionGrid(),
+        render=RenderInfo(),
+        dimensions=d,
+    )
     out = bytearray(emit_file(header, sections))
     fields, end = layout(bytes(out))
     for entry, e in enumerate(fields.directory):

@@ -56,7 +56,7 @@ class EntropyModel:
         carm = [networks[f"carm.{i}"] for i in range(1, len(slices))]
         return cls(networks["hyper"], carm, carm_shift.astype(np.int64), slices)
 
-    def change(self, index: int, features: Int64) -> Int64:
+    def carm_correction(self, index: int, features: Int64) -> Int64:
         """SPEC 7.9: returns what CARM adds to a slice, means and then scale indices, int64 [n, 2 * its channels].
 
         index: of the slice, from 1 on. features: the symbols of the slices before it, int64 [n, their channels].
@@ -132,8 +132,8 @@ def code_attributes(
         m, s = mean[:, part], scale[:, part]
         if index:
             # SPEC 7.9: the outputs of CARM are added to those of F_h.
-            change = model.change(index, features[:, :done])
-            m, s = m + change[:, :columns], s + change[:, columns:]
+            correction = model.carm_correction(index, features[:, :done])
+            m, s = m + correction[:, :columns], s + correction[:, columns:]
         features[:, part] = stage("features", done, columns, m, s, None if given is None else given.features[:, part])
         done += columns
     return Attributes(

@@ -236,8 +236,18 @@ def _header(scene: Scene) -> Header:
         lowest = minimal_level(profile, n, d)
         level = level if lowest is None else lowest
     return Header(
-        *(scene.minor, scene.profile, level, n, chunks, scene.chunk_size, scene.lanes, scene.base_step),
-        *(scene.grid, scene.render, d, scene.later),
+        minor=scene.minor,
+        profile=scene.profile,
+        level=level,
+        anchor_count=n,
+        chunk_count=chunks,
+        chunk_size=scene.chunk_size,
+        lanes=scene.lanes,
+        base_step=scene.base_step,
+        grid=scene.grid,
+        render=scene.render,
+        dimensions=d,
+        later=scene.later,
     )
 
 
@@ -318,7 +328,7 @@ def _encode_group(
 
 
 def _steps_error() -> ValueError:
-    return ValueError("the scene's step indices are not those that its networks give (SPEC.md 7.8)")
+    return ValueError("the scene's step indices are not those that its networks give: take those of derive_steps")
 
 
 def derive_steps(scene: Scene) -> NDArray[np.uint8]:

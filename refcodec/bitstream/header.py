@@ -66,7 +66,7 @@ class RenderInfo:
     low_pass: float = float(np.float32(0.3))
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class Header:
     """SPEC 6.2: the values of a header.
 
@@ -209,18 +209,18 @@ def _checked(header: syntax.Struct, minor: int, later: bytes) -> Header:
     least = -(-h.anchor_count // h.chunk_size)
     header.require_within("header.chunk_count", "chunk_count", h.chunk_count, least, h.anchor_count)
     return Header(
-        minor,
-        h.profile,
-        h.level,
-        h.anchor_count,
-        h.chunk_count,
-        h.chunk_size,
-        Lanes(h.plane_lanes_log2, h.mask_lanes_log2, h.attribute_lanes_log2),
-        tuple(h.base_step),
-        grid,
-        render,
-        dimensions,
-        later,
+        minor=minor,
+        profile=h.profile,
+        level=h.level,
+        anchor_count=h.anchor_count,
+        chunk_count=h.chunk_count,
+        chunk_size=h.chunk_size,
+        lanes=Lanes(h.plane_lanes_log2, h.mask_lanes_log2, h.attribute_lanes_log2),
+        base_step=tuple(h.base_step),
+        grid=grid,
+        render=render,
+        dimensions=dimensions,
+        later=later,
     )
 
 

@@ -26,6 +26,13 @@ _VALUES = {
     "transfer": re.compile(r"srgb|linear"),
 }
 
+_ALLOWED = {
+    "date": "a date and time of RFC 3339",
+    "unit": "a decimal number",
+    "georeference": "16 decimal numbers",
+    "transfer": "srgb or linear",
+}
+
 
 def parse_metadata(content: bytes) -> tuple[dict[str, str], list[str]]:
     """SPEC 5.16 and 6.14: returns the entries of a section, and what is wrong with it, as text.
@@ -55,7 +62,7 @@ def parse_metadata(content: bytes) -> tuple[dict[str, str], list[str]]:
                 found[key] = value
                 form = _VALUES.get(key)
                 if form and not form.fullmatch(value):
-                    problems.append(f"the value of {key} is not what SPEC.md 6.14 says")
+                    problems.append(f"the value of {key} is {value!r:.60}, {_ALLOWED[key]} is required")
             last = entry.key
     except cs.ConstructError:
         problems.append("it ends within an entry")
@@ -73,7 +80,7 @@ def emit_metadata(entries: Mapping[str, str]) -> bytes:
     for key, value in sorted(entries.items()):
         texts = {"key": key.encode(), "value": value.encode()}
         if max(map(len, texts.values())) > 0xFFFF:
-            raise ValueError(f"the text of {key[:60]} is too long (SPEC.md 6.14)")
+            raise ValueError(f"the key or value of {key[:60]} is too long: at most 65535 bytes each are allowed")
         parts.append(
             syntax.build("Entry", {"key_length": len(texts["key"]), "value_length": len(texts["value"]), **texts})
         )

@@ -83,10 +83,12 @@ def parse_position_model(section: Piece, at: int) -> PositionModel:
     model = PositionModel(struct.fields.cell_shift, frequency)
     fault = model.fault()
     if fault is not None:
-        path, found = "cell_shift", str(model.cell_shift)
+        path, found, allowed = "cell_shift", str(model.cell_shift), f"0 to {CELL_INDEX}"
         if fault >= 0:
             path, found = f"frequency[{HALVES * fault}]", f"frequencies {model.frequency[fault].tolist()}"
-        raise struct.error("index.position_model", path, found, "what 6.10 says")
+            first = "the first one 0" if fault in EMPTY_MODELS else "the first one at least 1"
+            allowed = f"{HALVES} frequencies that add up to {TOTAL}, {first} and the others at least 1"
+        raise struct.error("index.position_model", path, found, allowed)
     return model
 
 

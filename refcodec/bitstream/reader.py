@@ -14,7 +14,7 @@ from itertools import accumulate
 import numpy as np
 from numpy.typing import NDArray
 
-from .attributes import Attributes, EntropyModel, code_attributes, zero_attributes
+from .attributes import Attributes, EntropyModel, code_attributes, join_attributes
 from .batches import GROUP_ANCHORS, GROUP_CHUNKS, PartDecoder, Progress, no_progress, one_thread
 from .bounds import READING, Bounds, section_bytes
 from .chunks import PARTS, CodedChunk, read_chunk
@@ -383,30 +383,30 @@ class Reader:
         d = h.dimensions
         positions, masks, attributes = self._anchors(chunks)
         return Scene(
-            h.profile,
-            d,
-            h.chunk_size,
-            h.lanes,
-            h.base_step,
-            h.grid,
-            h.render,
-            o.frame,
-            o.weights.plane_shift,
-            o.weights.carm_shift,
-            o.weights.networks,
-            o.planes,
-            o.index.mask_model,
-            positions,
-            masks,
-            attributes,
-            tuple(self.ancillary),
-            o.index.position_model,
-            o.weights.scales,
-            tuple(len(chunk.entry.anchors) for chunk in chunks),
-            tuple(chunk.form for chunk in chunks),
-            o.weights.forms,
-            h.minor,
-            h.later,
+            profile=h.profile,
+            dimensions=d,
+            chunk_size=h.chunk_size,
+            lanes=h.lanes,
+            base_step=h.base_step,
+            grid=h.grid,
+            render=h.render,
+            frame=o.frame,
+            plane_shift=o.weights.plane_shift,
+            carm_shift=o.weights.carm_shift,
+            networks=o.weights.networks,
+            planes=o.planes,
+            mask_model=o.index.mask_model,
+            positions=positions,
+            masks=masks,
+            attributes=attributes,
+            ancillary=tuple(self.ancillary),
+            position_model=o.index.position_model,
+            weight_scales=o.weights.scales,
+            chunk_anchors=tuple(len(chunk.entry.anchors) for chunk in chunks),
+            position_forms=tuple(chunk.form for chunk in chunks),
+            weight_forms=o.weights.forms,
+            minor=h.minor,
+            later=h.later,
         )
 
     def _anchors(self, chunks: list[Chunk]) -> tuple[NDArray[np.float16], NDArray[np.bool_], Attributes]:
@@ -415,11 +415,10 @@ class Reader:
         assert self.opened is not None
         if a is not None and [chunk.entry.number for chunk in chunks] == list(range(len(self.opened.index))):
             return a.positions, a.masks, Attributes(a.features, a.scalings, a.offsets, a.steps)
-        every = [zero_attributes(d, 0), *(chunk.attributes for chunk in chunks)]
         return (
             np.concatenate([np.zeros((0, 3), np.float16), *(chunk.positions for chunk in chunks)]),
             np.concatenate([np.zeros((0, d.offset_count), bool), *(chunk.masks for chunk in chunks)]),
-            Attributes(*(np.concatenate([getattr(part, name) for part in every]) for name in vars(every[0]))),
+            join_attributes((chunk.attributes for chunk in chunks), d),
         )
 
 

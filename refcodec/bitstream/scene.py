@@ -34,7 +34,7 @@ class Ancillary:
     after: int = 0
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, kw_only=True, eq=False)
 class Scene:
     """One scene of N anchors with K offsets each.
 

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from ..bitstream.codec import Coding, derive_steps, emit
 from ..bitstream.conventions import Int64
 from ..bitstream.dimensions import SCALINGS
-from ..bitstream.entropy import select
+from ..bitstream.entropy import placed
 from ..bitstream.limits import PROFILES
 from ..bitstream.planes import no_planes
 from ..bitstream.scene import Scene
@@ -39,11 +39,10 @@ def code_length(mean: Int64, scale: Int64, symbols: Int64) -> float:
     says, its raw bits, and the bits of its escape if it has one.
     """
     models = tables().gauss
-    model, centre, raw = select(mean, scale)
-    away = (symbols >> raw) - centre
+    model, index, away, raw = placed(models, mean, scale, symbols)
     radius = models.radius.take(model)
-    escaped = np.abs(away) > radius
-    at = models.offset.take(model) + np.where(escaped, 2 * radius + 1, away + radius)
+    escaped = index > 2 * radius
+    at = models.offset.take(model) + index
     frequency = models.upper.take(at).astype(np.float64) - models.lower.take(at)
     excess = np.abs(away[escaped]) - radius[escaped]
     escapes = float((2 + 2 * np.floor(np.log2(excess))).sum())
@@ -135,7 +134,7 @@ def _constants(scene: Scene, rows: Int64, alone: bool) -> tuple[list[int], list[
     if not alone:
         model, done = Coding(scene).model, d.slices[0]
         for index, columns in enumerate(d.slices[1:], start=1):
-            found = np.split(model.change(index, features[:, :done]), 2, axis=1)
+            found = np.split(model.carm_correction(index, features[:, :done]), 2, axis=1)
             change[:, :, done : done + columns] = np.stack(found)
             done += columns
     nothing = np.zeros(len(rows), np.int64)

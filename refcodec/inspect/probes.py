@@ -68,7 +68,11 @@ def slices(scene: Scene, coding: Coding, at: slice, mean: Int64, scale: Int64) -
     """Yields means and scale indices of each slice, with what CARM adds. mean, scale: what F_h gives."""
     features, done = scene.attributes.features[at].astype(np.int64), 0
     for i, columns in enumerate(scene.dimensions.slices):
-        change = coding.model.change(i, features[:, :done]) if i else np.zeros((len(features), 2 * columns), np.int64)
+        change = (
+            coding.model.carm_correction(i, features[:, :done])
+            if i
+            else np.zeros((len(features), 2 * columns), np.int64)
+        )
         part, what = slice(done, done + columns), f"slice {i}: mean and scale index of each channel"
         yield (
             Quantity(f"slice.{i}.means", what, "7.9", mean[:, part] + change[:, :columns]),
