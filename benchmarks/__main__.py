@@ -1,4 +1,4 @@
-"""The measurements of speed and scale: python -m benchmarks decode|encode|scale|train [--json] [--write]
+"""The measurements of speed and scale: python -m benchmarks decode|encode|scale [--json] [--write]
 
 Without an option it prints a table. --json prints all figures instead. --write also writes the section of RESULTS.md.
 """
@@ -25,10 +25,7 @@ TITLES = {
     DECODE: "Decoding a large scene",
     ENCODE: "Encoding a large scene",
     "scale": "Time and memory by the number of anchors",
-    "train": "Speed of training",
 }
-# The names of sections that are not those of their tasks.
-SECTIONS = {"train": "training-speed"}
 
 
 def _positive(word: str) -> int:
@@ -45,10 +42,9 @@ def _parser() -> argparse.ArgumentParser:
     tasks = parser.add_subparsers(dest="task", required=True)
     each = {}
     for task, text in (
-        (DECODE, "refcodec by each of its paths, the C decoder, torchac, constriction and the floor"),
+        (DECODE, "refcodec by each of its paths, the C decoder, constriction and the floor"),
         (ENCODE, "entropy coding of given symbols"),
         ("scale", "the whole decode and the streaming one, by the number of anchors"),
-        ("train", "a step of training without the rate and with it"),
     ):
         each[task] = tasks.add_parser(task, help=text, description=text)
         each[task].add_argument("--json", action="store_true", help="print all figures as JSON")
@@ -65,12 +61,6 @@ def _parser() -> argparse.ArgumentParser:
 
 def _figures(options: argparse.Namespace, kept: Path) -> tuple[dict[str, Any], list[str]]:
     """Returns the figures of a task, and the lines of its section."""
-    if options.task == "train":
-        # It needs torch and numba, which the others do without.
-        from .step import training, training_lines  # noqa: PLC0415
-
-        figures = training()
-        return figures, training_lines(figures)
     if options.task == "scale":
         figures = scale(options.trained, options.sizes, options.rounds, kept)
         return figures, scale_lines(figures)
@@ -96,7 +86,7 @@ def main(words: list[str] | None = None, kept: Path = KEPT) -> int:
             write_plot(figures)
         shown = " ".join(word for word in words if word not in ("--json", "--write"))
         write_section(
-            SECTIONS.get(options.task, options.task),
+            options.task,
             TITLES[options.task],
             [f"`python -m benchmarks {shown}`", "", *lines],
         )

@@ -11,7 +11,7 @@ from .large import KEPT, PAPER_ANCHORS, large
 from .results import facts, facts_line, table
 
 # Versions that the figures depend on.
-PACKAGES = ("torch", "torchac", "constriction")
+PACKAGES = ("torch", "constriction")
 # SPEC.md's method, on a GPU: seconds for a scene of PAPER_ANCHORS anchors.
 PAPER_SECONDS = 13.1
 

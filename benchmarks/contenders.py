@@ -105,7 +105,7 @@ def contenders(task: str) -> tuple[list[Contender], list[Missing]]:
             missing.append(Missing("JavaScript and WebAssembly", "there is no node"))
     else:
         missing.append(Missing("C decoder", "it has no encoder"))
-    found += [Contender(f"float32 networks and {name}", f"family-{task}", name) for name in ("torchac", "constriction")]
+    found.append(Contender("float32 networks and constriction", f"family-{task}", "constriction"))
     if task == DECODE:
         found += [Contender(f"floor, {build}", "floor", build) for build in floor.builds()]
     else:

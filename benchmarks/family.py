@@ -1,10 +1,7 @@
-"""The way that other codecs of this family code a scene: float32 networks of torch, then torchac or constriction.
+"""The way that other codecs of this family code a scene: float32 networks of torch, then constriction.
 
 The networks have the weights of the file, and the same stages (SPEC 7.10). A batch of anchors is computed, then each
-stage of it is coded:
-
-- torchac takes a row of the cumulative distribution for each symbol, from the least symbol of the batch to the largest.
-- constriction takes a mean and a standard deviation for each symbol.
+stage of it is coded: constriction takes a mean and a standard deviation for each symbol.
 
 Only the attributes are coded. Contexts, masks, positions and planes are given, and no value is multiplied by its step.
 So this does less than a decoder. Its symbols are real: those of the scene are encoded, and decoded again.
@@ -54,37 +51,6 @@ class SymbolCoder(Protocol):
         ...
 
 
-class Torchac:
-    """torchac: a row of a cumulative distribution for each symbol."""
-
-    def __init__(self) -> None:
-        """Raises MissingError."""
-        try:
-            # It compiles itself when it is imported.
-            import torchac  # noqa: PLC0415
-        except (ImportError, OSError, RuntimeError) as error:
-            raise MissingError(f"torchac: {str(error).splitlines()[0]}") from None
-        self._torchac = torchac
-
-    @staticmethod
-    def _rows(low: int, high: int, mean: torch.Tensor, deviation: torch.Tensor) -> torch.Tensor:
-        edges = torch.arange(low, high + 2, dtype=torch.float32) - 0.5
-        rows: torch.Tensor = torch.distributions.Normal(mean[:, None], deviation[:, None], False).cdf(edges)
-        rows[:, 0], rows[:, -1] = 0, 1
-        return rows
-
-    def encode(self, symbols: torch.Tensor, mean: torch.Tensor, deviation: torch.Tensor) -> Coded:
-        low, high = int(symbols.min()), int(symbols.max())
-        rows = self._rows(low, high, mean, deviation)
-        content = self._torchac.encode_float_cdf(rows, (symbols - low).to(torch.int16), check_input_bounds=False)
-        return Coded(content, low, high, len(symbols))
-
-    def decode(self, coded: Coded, mean: torch.Tensor, deviation: torch.Tensor) -> torch.Tensor:
-        rows = self._rows(coded.low, coded.high, mean, deviation)
-        found: torch.Tensor = self._torchac.decode_float_cdf(rows, coded.content)
-        return found.to(torch.int32) + coded.low
-
-
 class Constriction:
     """constriction: rANS with a quantised Gaussian for each symbol."""
 
@@ -113,7 +79,7 @@ class Constriction:
         return torch.from_numpy(coder.decode(self._family(coded.low, coded.high), *self._parameters(mean, deviation)))
 
 
-CODERS: dict[str, Callable[[], SymbolCoder]] = {"torchac": Torchac, "constriction": Constriction}
+CODERS: dict[str, Callable[[], SymbolCoder]] = {"constriction": Constriction}
 
 
 def module(layers: list[Layer]) -> torch.nn.Sequential:

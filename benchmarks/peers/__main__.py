@@ -29,7 +29,7 @@ from ..results import SEEDS, machine, write_section
 from .cells import experiment_name, experiment_records
 from .convert import ToolError
 from .figures import Record, Scene, scenes
-from .runs import PLAIN, Run, methods, perform, records, splat_settings, train_splats
+from .runs import METHODS, PLAIN, Run, perform, records, splat_settings, train_splats
 from .table import PLOT_FILE, TABLE_FILE, TableError, commands, plot, report, with_seeds
 
 # A method as the table calls it.
@@ -144,7 +144,7 @@ def _parser() -> argparse.ArgumentParser:
     run = command("run", _run, "runs a method on photographs, for each strength and seed")
     run.add_argument("photographs", type=Path)
     run.add_argument("folder", type=Path)
-    run.add_argument("--method", choices=methods(), required=True)
+    run.add_argument("--method", choices=METHODS, required=True)
     run.add_argument(
         "--strengths", type=float, nargs="+", required=True, help="3dgs: largest numbers of Gaussians; others: lambda_r"
     )

@@ -14,8 +14,6 @@ from typing import Any
 # bjontegaard imports pyplot, which looks for no screen until it draws.
 import bjontegaard
 
-from ..curves import at_bytes
-
 Record = dict[str, Any]
 
 
@@ -98,12 +96,6 @@ def bytes_at(curve: Sequence[Point], psnr: float) -> float | None:
             share = (psnr - low) / (high - low)
             return math.exp((1 - share) * math.log(one.bytes.mean) + share * math.log(two.bytes.mean))
     return next((point.bytes.mean for point in curve if point.psnr.mean == psnr), None)
-
-
-def psnr_at(curve: Sequence[Point], size: float) -> float | None:
-    """A method's PSNR in dB at so many bytes: interpolated linearly by their logarithm. None beyond its points."""
-    points = [(point.bytes.mean, point.psnr.mean) for point in curve]
-    return at_bytes(points, size) if len(points) > 1 and points[0][0] <= size <= points[-1][0] else None
 
 
 def bd_rate(baseline: Sequence[Point], test: Sequence[Point]) -> float | str:

@@ -25,29 +25,22 @@ from refcodec.train.settings_file import assigned, differences, document, varied
 from refcodec.train.state import restore, save
 from refcodec.train.trainer import Trainer
 
-from ..hyperpriors import rounded_scene
-from .contexts import MODELS
 from .convert import FORMATS, INSTALL, VERSION, there_and_back, tool
 from .figures import Record
 from .settings import SplatSettings
 from .splats import quality, read_ply, write_ply
 from .trainer import SplatTrainer, view_settings
 
-PLAIN, OWN = "3dgs", "c3gs"
+METHODS = PLAIN, OWN = "3dgs", "c3gs"
 # Seconds between two lines of progress.
 LINE_SECONDS = 5.0
-
-
-def methods() -> list[str]:
-    """The names of all methods."""
-    return [PLAIN, OWN, *MODELS]
 
 
 @dataclass(frozen=True)
 class Run:
     """One training.
 
-    photographs: their folder. method: of methods(). strength: the largest number of Gaussians of 3DGS, lambda_r of the
+    photographs: their folder. method: of METHODS. strength: the largest number of Gaussians of 3DGS, lambda_r of the
     others; with a lambda_r of 0, C3GS is an uncompressed Scaffold-GS. size: longest side, pixels. changes: NAME=VALUE
     of the method's settings.
     """
@@ -215,15 +208,13 @@ def anchor_settings(run: Run) -> TrainSettings:
     """The settings of a run with anchors. Raises SettingsError."""
     own = {"steps": run.steps, "seed": run.seed, "size": str(run.size), "rate.weight": run.strength}
     # Looks at held-out photographs on the way would count as time of training.
-    base = varied(TrainSettings(), {**own, "looks.count": 1})
-    return assigned(base, [*(MODELS[run.method].changes if run.method in MODELS else ()), *run.changes])
+    return assigned(varied(TrainSettings(), {**own, "looks.count": 1}), run.changes)
 
 
 def _anchored(run: Run, folder: Path) -> Record | None:
-    """C3GS as a file, or another hyperprior by its code lengths."""
+    """C3GS as a file, or an uncompressed Scaffold-GS."""
     photographs, settings = read_photographs(run.photographs, run.size, seed=run.seed), anchor_settings(run)
-    other = MODELS.get(run.method)
-    trainer = other.trainer(photographs, settings) if other else Trainer(photographs, settings)
+    trainer = Trainer(photographs, settings)
     state = folder / f"{run.name}.train-state"
     # Processor seconds of the training before it was interrupted.
     spent, before = folder / f"{run.name}.seconds", 0.0
@@ -250,23 +241,14 @@ def _anchored(run: Run, folder: Path) -> Record | None:
         return None
     took, files = seconds(), {}
     lengths = {name: round(value) for name, value in trainer.estimate().items()}
-    if other:
-        scene: Any = rounded_scene(trainer)
-        # Networks are left out: no file has them, and their widths differ by the hyperprior alone.
-        size = sum(lengths[part] for part in ("positions", "attributes", "masks", "planes"))
-        files[f"{run.method}, code lengths"] = _anchors_shown(scene, size, photographs)
+    scene = trainer.result()
+    if isinstance(scene, Uncompressed):
+        files["Scaffold-GS"] = _anchors_shown(scene, sum(scene.sizes().values()), photographs)
     else:
-        scene = trainer.result()
-        if isinstance(scene, Uncompressed):
-            files["Scaffold-GS"] = _anchors_shown(scene, sum(scene.sizes().values()), photographs)
-        else:
-            data = emit(packed(scene, None, None))
-            (folder / f"{run.name}.c3gs").write_bytes(data)
-            files["C3GS"] = _anchors_shown(data, len(data), photographs)
-            lengths = {name: round(value) for name, value in trainer.estimate().items()}
-            # Beside other hyperpriors: the same parts by the same estimate.
-            size = sum(lengths[part] for part in ("positions", "attributes", "masks", "planes"))
-            files["VM, code lengths"] = {**files["C3GS"], "bytes": size}
+        data = emit(packed(scene, None, None))
+        (folder / f"{run.name}.c3gs").write_bytes(data)
+        files["C3GS"] = _anchors_shown(data, len(data), photographs)
+        lengths = {name: round(value) for name, value in trainer.estimate().items()}
     for file in (state, spent):
         file.unlink(missing_ok=True)
     rate = trainer.rate

@@ -9,12 +9,9 @@ from typing import Any
 from matplotlib.figure import Figure as Drawing
 
 from ..results import kb, table
-from .cells import CODED, PLAIN
-from .figures import Point, Record, Scene, bd_rate, bytes_at, psnr_at
+from .figures import Point, Record, Scene, bd_rate, bytes_at
 
 TABLE_FILE, PLOT_FILE = "peers.md", "peers.svg"
-# What a file may lose is asked at these shares of the bytes of the uncompressed scene.
-SHARES = (15, 30, 60)
 
 
 class TableError(Exception):
@@ -62,7 +59,6 @@ def _scene(scene: Scene, baseline: str) -> Iterator[str]:
     head = ["method", "cap or lambda_r", "seeds", "bytes", "PSNR, dB", "SSIM", "processor, s"]
     yield from table(head, [_row(label, point) for label, curve in scene.curves.items() for point in curve])
     yield ""
-    yield from _lost(scene)
     if baseline not in scene.curves:
         return
     against = scene.curves[baseline]
@@ -75,26 +71,6 @@ def _scene(scene: Scene, baseline: str) -> Iterator[str]:
     yield ""
     yield from table(["PSNR, dB", baseline, *others], rows)
     yield ""
-
-
-def _lost(scene: Scene) -> Iterator[str]:
-    """What each coded method has less than the uncompressed scene of as many steps, at shares of its bytes."""
-    for label, curve in scene.curves.items():
-        kind, *_, steps = label.split(", ")
-        plain = scene.curves.get(f"{PLAIN}, {steps}")
-        if kind != CODED or not plain:
-            continue
-        whole, largest, rows = plain[-1], curve[-1], []
-        for share in SHARES:
-            size = whole.bytes.mean / share
-            psnr = psnr_at(curve, size)
-            told = ["beyond its points", ""] if psnr is None else [f"{psnr:.2f}", f"{whole.psnr.mean - psnr:.2f}"]
-            rows.append([f"a {share}th, {kb(size)} KB", *told])
-        own = [f"{largest.psnr.mean:.2f}", f"{whole.psnr.mean - largest.psnr.mean:.2f}"]
-        smaller = whole.bytes.mean / largest.bytes.mean
-        rows.append([f"its largest, 1 / {smaller:.1f}, {kb(largest.bytes.mean)} KB", *own])
-        yield from table([f"bytes of {PLAIN}, {steps}", f"PSNR of {label}, dB", "lost, dB"], rows)
-        yield ""
 
 
 def _row(label: str, point: Point) -> list[str]:

@@ -472,7 +472,7 @@ class FitSettings:
     # Of points.
     quantisation: QuantisationSettings = QuantisationSettings()
     # Of a scene with its rendering networks, which shows coarse steps that it was not trained with (own measurement, in
-    # benchmarks/RESULTS.md: Fitting a trained scene).
+    # benchmarks/RESULTS.md, closed studies).
     scene: QuantisationSettings = QuantisationSettings(offsets=0.025)
 
 

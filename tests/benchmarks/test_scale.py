@@ -1,4 +1,4 @@
-"""`python -m benchmarks scale` and `train`: figures, tables and a plot. No time is asserted."""
+"""`python -m benchmarks scale`: figures, tables and a plot. No time is asserted."""
 
 from __future__ import annotations
 
@@ -8,12 +8,10 @@ from typing import Any
 
 import pytest
 
-from benchmarks import __main__ as front
-from benchmarks import results, scale
+from benchmarks import scale
 from benchmarks.contenders import DisagreementError
 from benchmarks.large import TRAINED, large
 from benchmarks.reading import ARRIVING, BLOCK, WHOLE, Reading, ReadingError, reading
-from benchmarks.step import PARTS, Amount, training, training_lines
 from refcodec.bitstream.codec import parse
 from refcodec.bitstream.reconstruction import chunk_digest, digest
 from refcodec.bitstream.scene import take_anchors
@@ -102,24 +100,3 @@ def test_a_file_that_cannot_be_read(tmp_path: Path) -> None:
     for way in (WHOLE, ARRIVING):
         with pytest.raises(ReadingError, match="BitstreamError"):
             reading(tmp_path / "broken.c3gs", way)
-
-
-@pytest.mark.slow
-def test_training(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """A step's parts and the ratio of a step with the rate to one without."""
-    found = training(Amount(sides=(32,), warm=1, profiled=1, rounds=2, turn=1))
-    phases = ["anchors alone", "with the rate", "in the last phase"]
-    assert [row["phase"] for row in found["parts"]] == phases
-    for row in found["parts"]:
-        assert list(row["milliseconds"]) == ["step", *PARTS, "the rest"]
-    (compared,) = found["compared"]
-    assert compared["order"] == phases * 2
-    assert compared["ratios"]["anchors alone"] == 1
-    assert min(compared["ratios"].values()) > 0
-    lines = training_lines(found)
-    assert sum(line.startswith("| 32 x 24 |") for line in lines) == len(phases) + 1
-    place = tmp_path / "RESULTS.md"
-    monkeypatch.setattr(results, "RESULTS", place)
-    monkeypatch.setattr("benchmarks.step.training", lambda: found)
-    assert front.main(["train", "--write"]) == 0
-    assert "<!-- training-speed: begin -->\n## Speed of training\n\n`python -m benchmarks train`\n" in place.read_text()
