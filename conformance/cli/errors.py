@@ -15,13 +15,12 @@ _TEXT = 4000
 def status_of(error: Exception) -> int | None:
     """The exit status of an error that the caller can put right, None for any other one."""
     # They need the extra `conformance`, and its absence is an error to be told.
-    from ..diagnosis.table import TableError  # noqa: PLC0415
     from ..manifest import ManifestError  # noqa: PLC0415
     from ..report.record import RecordError  # noqa: PLC0415
     from ..runner.process import CommandError  # noqa: PLC0415
     from ..runner.selection import SelectionError  # noqa: PLC0415
 
-    if isinstance(error, ManifestError | TableError):
+    if isinstance(error, ManifestError):
         return statuses.DAMAGED_SUITE
     if isinstance(error, OSError | UsageError | SelectionError | CommandError | RecordError):
         return statuses.USAGE

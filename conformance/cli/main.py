@@ -24,11 +24,11 @@ class _Parser(argparse.ArgumentParser):
 
 def _parser() -> argparse.ArgumentParser:
     # The extra `conformance` is needed from here on.
-    from . import exchange, fingerprinting, keeping, running  # noqa: PLC0415
+    from . import exchange, keeping, running  # noqa: PLC0415
 
     parser = _Parser(prog="conformance", description="Tests of decoders and encoders of C3GS files.")
     commands = parser.add_subparsers(required=True, metavar="command")
-    for module in (running, exchange, keeping, fingerprinting):
+    for module in (running, exchange, keeping):
         module.add(commands)
     return parser
 

@@ -21,14 +21,14 @@ from refcodec.files.documents import DocumentError, read_json
 from refcodec.files.text import printable
 from refcodec.inspect.specification import clause_of
 
-from ..diagnosis import words
 from ..manifest import MANIFEST, Accepted, Manifest, Rejected, Vector
 from ..runner.grading import GRADE_EXACT, Found, differing
 from ..runner.run import Options, Result, Run
+from . import diagnosis
 
 SCHEMA = Path(__file__).with_name("report.schema.json")
 STATUSES = ("failed", "crashed", "unexpected", "known", "passed", "skipped")
-REPORT_VERSION = 3
+REPORT_VERSION = 4
 # The version of a decoder that says nothing of itself.
 NOT_STATED = "not stated"
 # The longest texts of a decoder's description, and of what is wrong with a document, in characters.
@@ -172,7 +172,7 @@ def build(manifest: Manifest, options: Options, about: About, run: Run) -> dict[
         },
     }
     record |= conclusions(record["suite"]["vectors"], entries, manifest)  # type: ignore[index]
-    record["diagnosis"] = words.of_record(manifest, entries, options.grade)
+    record["diagnosis"] = diagnosis.of_record(entries)
     # Names, commands and descriptions are from outside, and every report and the terminal show them.
     shown: dict[str, Any] = _printable(record | {"vectors": entries})
     return shown

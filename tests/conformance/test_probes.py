@@ -140,7 +140,6 @@ def test_a_run_tells_the_first_wrong_number(tmp_path: Path, capsys: pytest.Captu
     record = json.loads((tmp_path / "report" / "report.json").read_text())
     wanted = {"name": "gamma", "anchor": 0, "index": 1, "found": 0, "wanted": 723, "clauses": ["7.5.5"]}
     assert record["vectors"][0]["probe"] == wanted
-    assert record["diagnosis"]["clear"]
     assert record["diagnosis"]["text"][0] == line
     for name in ("report.html", "report.xml"):
         assert line in (tmp_path / "report" / name).read_text()

@@ -1,1 +1,0 @@
-"""Diagnosis: which rule a decoder breaks, from the vectors that it fails, and how it fails them."""
