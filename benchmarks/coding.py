@@ -9,6 +9,7 @@ from .compiled import compiler_version
 from .contenders import DECODE, compared
 from .large import KEPT, PAPER_ANCHORS, large
 from .results import facts, facts_line, table
+from .worker import WHOLE_OUTPUT
 
 # Versions that the figures depend on.
 PACKAGES = ("torch", "constriction")
@@ -46,9 +47,11 @@ def coding_lines(figures: dict[str, Any]) -> list[str]:
         f"Medians of {figures['rounds']} rounds, in each of which all contenders ran once, in this order. Times: the",
         f"median of the ratios to `{figures['base']}` in the same round. One thread each unless the name says more.",
         f"All decoders and encoders gave the scene with the digest {figures['digest'][:16]}.",
+        f"The output is {WHOLE_OUTPUT}, unless a line below says otherwise.",
         "",
     ]
-    lines += [f"- {row['name']}: {row['says']}{_parts(row)}." for row in figures["contenders"]]
+    others = (row for row in figures["contenders"] if row["says"] != WHOLE_OUTPUT)
+    lines += [f"- {row['name']}: {row['says']}{_parts(row)}." for row in others]
     lines += [f"- {each['name']} is left out: {each['why']}." for each in figures["missing"]]
     if figures["task"] == DECODE and scene["anchors"] == PAPER_ANCHORS:
         lines += ["", f"The paper's own decoder takes {PAPER_SECONDS} s for a scene of so many anchors, on a GPU."]

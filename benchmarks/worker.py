@@ -33,6 +33,9 @@ from .large import ROOT
 
 DECODER = ROOT / "conformance" / "c" / "decoder.c"
 
+# What most contenders compute.
+WHOLE_OUTPUT = "all symbols and float32 values"
+
 
 @dataclass(frozen=True)
 class Ready:
@@ -60,7 +63,7 @@ def _decode(path: Path, kept: Path, option: str) -> Ready:
         reconstruct(scene)
         return scene
 
-    return Ready(run, _whole, "all symbols and float32 values")
+    return Ready(run, _whole, WHOLE_OUTPUT)
 
 
 def _digest(path: Path, kept: Path, option: str) -> Ready:

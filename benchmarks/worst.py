@@ -266,8 +266,8 @@ def section() -> list[str]:
         "",
         "Seconds: of a processor, of the whole process with one thread, the least of three. Seconds for 10^9 units",
         "(SPEC.md 13.1) and MiB: beside those of the same process with a file of 5 anchors. Allowed: 4 m + 64 MiB of",
-        "[D13.1-1]. SPEC.md's blocks decode smaller files. The second table also counts rejected files, which have a wrong",
-        "CRC-32 of symbols in the named step.",
+        "[D13.1-1]. SPEC.md's blocks decode smaller files. The second table also counts rejected files, which have a",
+        "wrong CRC-32 of symbols in the named step.",
     ]
 
 
