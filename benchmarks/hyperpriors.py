@@ -65,8 +65,8 @@ def rounded_scene(trainer: Trainer) -> Uncompressed:
     """What a training with any hyperprior shows: its attributes rounded to multiples of their steps, in world units."""
     scaffold, rate = trainer.scaffold, trainer.rate
     assert rate is not None
-    for part in trainer.parts:
-        part.finish()
+    for stage in trainer.stages:
+        stage.finish()
     info = render_info(scaffold, trainer.photographs)
     whole = uncompressed(scaffold, info, [named_camera(trainer.photographs.train[0].camera)])
     steps, masks = rate.steps(torch.arange(scaffold.count)).numpy(), rate.masks.decided().numpy()

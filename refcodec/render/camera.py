@@ -38,7 +38,7 @@ ROWS_SPREAD, ROWS_LEVEL = 0.05, 0.25
 UPRIGHT = 0.2
 # A mean of unit vectors that is shorter is one of vectors that point different ways.
 MIXED = 0.5
-# A mean that is shorter says nothing.
+# A shorter mean has no meaningful direction.
 SHORT = 1e-6
 # The fewest points that make a plane, and the thickness of a plane beside its breadth, both as standard deviations.
 POINTS_LEAST, FLAT = 16, 0.2

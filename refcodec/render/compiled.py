@@ -1,4 +1,4 @@
-"""How functions are compiled with numba: kept in a cache where one can be written, and in memory alone elsewhere.
+"""How functions are compiled with numba: kept in a cache where one can be written, and only in memory elsewhere.
 
 The cache is a folder of the user, or NUMBA_CACHE_DIR. numba's own place is the package's, from which pip does not
 remove it: what stays of a package that is uninstalled hides another one. Each module has a folder there, and in it one
@@ -34,8 +34,8 @@ from .. import __version__
 KEPT = 4
 _PACKAGE = __name__.partition(".")[0]
 
-# numba says in several lines that processes could not compile one after the other where there is no shared memory. No
-# process of this program shares its functions with another.
+# Without shared memory, numba warns in several lines that processes cannot take turns to compile. No process of this
+# program shares its functions with another.
 warnings.filterwarnings("ignore", r"\s*Could not obtain multiprocessing lock")
 
 

@@ -1,4 +1,4 @@
-"""What `refcodec train` does: progress, the saved state, and what it leaves behind."""
+"""The work of `refcodec train`: progress, the saved state, the scene folder and training.json."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ from .trainer import Trainer
 
 @dataclass(frozen=True, eq=False)
 class Trained:
-    """A training that is over. whole: whether it came to its end. report: what training.json says."""
+    """A finished training. whole: whether it reached its last step. report: the document of training.json."""
 
     trainer: Trainer
     whole: bool
@@ -41,7 +41,7 @@ class Trained:
 
 
 def state_path(output: Path) -> Path:
-    """Where a training saves itself: beside the folder, which is whole or not there."""
+    """The path of the saved state: beside the scene folder, which is either complete or absent."""
     return output.with_name(output.name + ".train-state")
 
 
@@ -60,15 +60,16 @@ def train(
     given: Given | None = None,
     up_axis: int | None = None,
 ) -> Trained:
-    """Trains, and writes the scene folder and training.json. What it begins with is said on stderr.
+    """Trains, and writes the scene folder and training.json. Prints the opening line on stderr.
 
-    threads: of the rasteriser; all else uses one, so that no result depends on it. resume: from the saved state.
-    progress: whether lines tell of it where there is no terminal. keep_state: whether the saved state stays after the
-    end, so that more steps can follow. log: gets the history. metadata: entries of SPEC 6.14, for a coded scene.
-    given: a scene to go on from, None to begin with points. up_axis: SPEC 6.5, None for what the photographs say.
+    threads: those of the rasteriser; all else uses one, and no result depends on them. resume: from the saved state.
+    progress: whether progress is printed in lines where there is no terminal. keep_state: whether the saved state stays
+    after the end, for a training with more steps. log: receives the history. metadata: entries of SPEC 6.14, for a
+    coded scene. given: a scene to continue, None to begin with points. up_axis: SPEC 6.5, None for the axis of the
+    photographs.
 
-    A state that cannot be saved does not end the training. A scene that cannot be written to `output` is written among
-    the temporary files, and the error says where.
+    A state that cannot be saved does not end the training. A scene that cannot be written to `output` is written to
+    the folder of temporary files, and the error names the path.
 
     Raises ValueError for photographs that cannot be learnt from, and for what has been learnt but has no file.
     Raises StateError for a saved state that cannot be used, and OSError for a scene that cannot be written.
@@ -108,12 +109,12 @@ def train(
 
 
 def report(trainer: Trainer, result: Scene | Uncompressed) -> dict[str, Any]:
-    """What training.json says.
+    """The document of training.json.
 
-    bytes: of each part, as estimated (uncompressed: as they are); attributes are the sum of their kinds. quantised: of
-    what training draws of the scene of integers, PSNR for each held-out photograph in 3DGS's convention. psnr: the mean
-    of these, or of those of the uncompressed scene, None if no photograph is held out. schedule: where a training was
-    extended last, as schedule.Clock.
+    bytes: those of each part, as estimated (uncompressed: exact); attributes are the sum of their kinds. quantised: the
+    PSNR of each held-out photograph in 3DGS's convention, drawn by the training from the scene of integers. psnr: the
+    mean of these, or of those of the uncompressed scene, None if no photograph is held out. schedule: where a training
+    was extended last, as schedule.Clock.
     """
     quantised, views = {}, trainer.views
     for photograph in trainer.photographs.test:

@@ -1,4 +1,4 @@
-"""The fitter: planes, F_h, SARM and CARM for a scene that has none, by rate alone (SPEC.md Annex B.5).
+"""The fitter: planes, F_h, SARM and CARM for a scene that has none, by its rate only (SPEC.md Annex B.5).
 
 Steps are fixed before training (index 32 everywhere, multiplier one), so the symbols are too. Nothing but their code
 length is minimised: bits of attributes over uniformly drawn anchors (the paper's USRO) and, every few steps, bits of

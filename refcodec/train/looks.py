@@ -11,13 +11,13 @@ import numpy as np
 from torch import Tensor
 
 from .pace import Pace
-from .part import Part
 from .schedule import Clock
 from .settings import LookSettings
+from .stage import Stage
 from .state import Saved
 from .views import Views
 
-# Steps whose mean PSNR is told.
+# Steps whose mean PSNR is reported.
 LATELY = 50
 # What is noted of the file's parts, in bytes; and of a look, in numbers, with the name of the phase beside them.
 PARTS = ("positions", "attributes", "masks", "planes", "weights")
@@ -29,7 +29,7 @@ def psnr(error: float) -> float:
     return -10 * math.log10(error + 1e-12)
 
 
-class Looks(Part):
+class Looks(Stage):
     """A training's notes.
 
     history: COLUMNS of each look at held-out images, and the phase of its last step. recent: PSNR of the latest steps,
@@ -83,7 +83,7 @@ class Looks(Part):
         return {"history": self.history, "recent": self.recent, "seconds": self.seconds, **pace}
 
     def restore(self, state: Saved) -> None:
-        """As Part."""
+        """As Stage."""
         self.history = state.records("history", COLUMNS, (PHASE,))
         self.pace.restore(state.within("pace"))
         self.recent, self.seconds = state.numbers("recent"), state.real("seconds", 0)

@@ -41,7 +41,7 @@ class Pace:
         self.means[stage] += (seconds - self.means[stage]) / self.counts[stage]
 
     def left(self) -> tuple[float, bool] | None:
-        """Returns the seconds of the steps that are left, and whether they follow from measurements alone.
+        """Returns the seconds of the steps that are left, and whether they follow only from measurements.
 
         None before any step was measured.
         """

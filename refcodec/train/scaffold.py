@@ -36,11 +36,11 @@ Gaussians = tuple[Tensor, Tensor, Tensor, Tensor, Tensor]
 class Scaffold:
     """The anchors of a scene in training, and its rendering networks.
 
-    columns: of the attributes. tables: float32 [N, columns] each. These are features, offsets (in units of
+    columns: those of the attributes. tables: float32 [N, columns] each: features, offsets (in units of
     exp(scalings[:3])), scalings (natural logarithms of world lengths) and masks (logits). first, second: their moments
-    (adam_rows). lattice: int64 [N, 3], cells from the grid's origin. position: float32 [N, 3], training units.
+    (adam.adam_torch). lattice: int64 [N, 3], cells from the grid's origin. position: float32 [N, 3], training units.
 
-    The lattice is NumPy's. All else is on the training's device.
+    The lattice is an array. All else are tensors on the device of the training.
     """
 
     def __init__(
@@ -51,7 +51,7 @@ class Scaffold:
         device: torch.device | str = "cpu",
         given: Given | None = None,
     ) -> None:
-        """generator: of the networks' first weights, on the CPU. given: a scene to go on from, or None.
+        """generator: of the networks' first weights, on the CPU. given: a scene to continue, or None.
 
         Raises ValueError without points, and for a scene that cannot be trained.
         """
@@ -94,7 +94,7 @@ class Scaffold:
         return {**self.columns.widths, "masks": self.columns.offsets}[table]
 
     def place(self) -> None:
-        """Sets the positions; to be called when the lattice has changed."""
+        """Sets the positions; must be called after the lattice has changed."""
         self.position = self._moved(self.lattice * self.units.cell)
 
     def _moved(self, values: NDArray[Any]) -> Tensor:
@@ -119,7 +119,7 @@ class Scaffold:
     def gaussians(
         self, rows: Tensor, camera: Camera, values: dict[str, Tensor], masks: Tensor | None
     ) -> tuple[Tensor, Gaussians, Tensor]:
-        """SPEC 14.3 in training units: what a camera sees of the anchors `rows`, whose values and masks are given.
+        """SPEC 14.3 in training units: the Gaussians of the anchors `rows`, with these values and masks, for a camera.
 
         Returns the offsets that are drawn, int64 indices into [n, K]; their Gaussians; all opacities [n, K].
         """
@@ -138,7 +138,7 @@ class Scaffold:
         return chosen, (mean, quaternion, lengths, flat[chosen], rgb), opacity
 
     def keep(self, rows: I64) -> None:
-        """Leaves these anchors alone. `place` is to be called afterwards."""
+        """Removes all other anchors. `place` must be called afterwards."""
         index = torch.from_numpy(rows).to(self.device)
         for table in (self.tables, self.first, self.second):
             for name in table:
@@ -146,7 +146,7 @@ class Scaffold:
         self.lattice = self.lattice[rows]
 
     def add(self, lattice: I64, born: dict[str, Tensor]) -> None:
-        """Adds anchors at cells [n, 3] with values [n, columns]. `place` is to be called afterwards."""
+        """Adds anchors at cells [n, 3] with values [n, columns]. `place` must be called afterwards."""
         self.lattice = np.concatenate([self.lattice, lattice])
         for name, table in born.items():
             self.tables[name] = torch.cat([self.tables[name], table])

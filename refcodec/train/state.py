@@ -1,7 +1,7 @@
 """The state of a training as one safetensors file, without pickles: tensors, and other values as JSON beside them.
 
 The file's metadata has its format, its version and a SHA-256 of everything else. What is read is checked against what
-the training expects: each name, shape, dtype and range. So a state is loaded as it was saved, or it is refused.
+the training expects: each name, shape, dtype and range. A state is loaded as it was saved, or refused.
 """
 
 from __future__ import annotations
@@ -158,7 +158,7 @@ class Saved:
         drawn = self.tensor(name, generator.get_state().shape, torch.uint8)
         try:
             generator.set_state(drawn)
-        # torch checks the bytes, and says so with this type.
+        # torch checks the bytes, and raises this type.
         except RuntimeError:
             raise self.fault(name, "is no state of a generator") from None
 
@@ -224,21 +224,21 @@ class Keeper:
 
     def __init__(self, training: Savable, path: Path) -> None:
         self.training, self.path = training, path
-        self._said = False
+        self._reported = False
 
     def __call__(self) -> None:
-        """Saves the state. The first failure is said on stderr, in one line."""
+        """Saves the state. The first failure is reported on stderr, in one line."""
         try:
             save(self.training, self.path)
         # What safetensors cannot write is no OSError.
         except (OSError, SafetensorError) as error:
-            if not self._said:
+            if not self._reported:
                 kept = _kept(self.path, "the one before is kept", "there is none yet")
                 note(
                     f"refcodec: the training's state cannot be saved to {self.path} ({_reason(error)}); {kept}. "
                     "The training goes on, and tries it again"
                 )
-                self._said = True
+                self._reported = True
 
     def discard(self) -> None:
         """Removes the state, if it is there and can be removed."""
@@ -247,11 +247,11 @@ class Keeper:
 
 
 def _kept(path: Path, yes: str, no: str) -> str:
-    """What to say of a state in a message of another failure. Whatever fails here as well is told, and not raised."""
+    """A clause about a state for the message of another failure. A further failure here is reported, not raised."""
     try:
         return yes if is_there(path) else no
     except (OSError, NotAFileError) as error:
-        return f"it cannot be told whether {path} is there ({_reason(error)})"
+        return f"cannot check whether {path} exists ({_reason(error)})"
 
 
 def _reason(error: Exception) -> str:
@@ -262,13 +262,13 @@ def _reason(error: Exception) -> str:
 
 
 def is_saved(path: Path) -> bool:
-    """Whether there is a saved state. Raises StateError if something else is in its place, or if it cannot be told."""
+    """Whether there is a saved state. Raises StateError if its place has something else, or cannot be read."""
     try:
         return is_there(path)
     except NotAFileError as error:
         raise _refused(path, str(error)) from None
     except OSError as error:
-        raise StateError(f"it cannot be told whether there is a saved state {path} ({_reason(error)})") from None
+        raise StateError(f"cannot check whether there is a saved state {path} ({_reason(error)})") from None
 
 
 def restore(training: Savable, path: Path) -> None:

@@ -1,8 +1,7 @@
 """Training: photographs to a scene, by Scaffold-GS and CAT-3DGS Pro's rate-distortion optimisation.
 
-The loss of a step is L_Scaffold + lambda_r L_rate + lambda_m L_m (the paper's equation 4). What a training does is the
-work of its parts, which one loop calls in turn. When they do it is a matter of the settings' phases, of which the loop
-knows nothing.
+The loss of a step is L_Scaffold + lambda_r L_rate + lambda_m L_m (the paper's equation 4). One loop calls the stages of
+the method in turn. Each stage reads from the phases of the settings when it is active; the loop does not know them.
 """
 
 from __future__ import annotations
@@ -26,12 +25,12 @@ from .fit_input import Given
 from .looks import Looks
 from .losses import photometric
 from .pace import Pace
-from .part import Part, Step
 from .rate_model.hyperprior import Hyperprior, VectorMatrix
 from .scaffold import Scaffold
 from .schedule import Clock
 from .settings import TrainSettings
 from .settings_file import document
+from .stage import Stage, Step
 from .stages.averaging import Averaging
 from .stages.grids import Grids
 from .stages.growth import Growth
@@ -55,13 +54,12 @@ def generator_on(device: torch.device) -> torch.Generator:
 class Trainer:
     """A training in progress.
 
-    parts: of the method, in the order in which the loop calls them. rate: the part that counts bits; None for an
-    uncompressed Scaffold-GS, which has neither masks nor an entropy model.
+    stages: those of the method, in the order in which the loop calls them. rate: the stage that counts bits; None for
+    an uncompressed Scaffold-GS, which has neither masks nor an entropy model.
 
-    device: of all tensors of a step. What is compiled for CPUs is torch's on any other device. random: draws on the CPU
-    what a training begins with, its photographs' order and what grows, so that these are the same on every device.
-    noise: draws on the device what steps need, which is the noise and the anchors whose bits count. On the CPU the two
-    are one.
+    device: of all tensors of a step; kernels replace definitions in torch on the CPU. random: draws the first values,
+    the order of photographs and the growth, on the CPU, which makes these the same on every device. noise: draws on the
+    device the noise of steps and the anchors whose bits count. On the CPU both are the same generator.
     """
 
     def __init__(
@@ -72,7 +70,7 @@ class Trainer:
         hyperprior: Hyperprior | None = None,
         given: Given | None = None,
     ) -> None:
-        """hyperprior: None for that of the format. given: a scene to go on from, None to begin with points.
+        """hyperprior: None for that of the format. given: a scene to continue, None to begin with points.
 
         Raises ValueError for photographs that cannot be learnt from, and for a device that is not there.
         """
@@ -85,17 +83,17 @@ class Trainer:
         self.noise = self.random if on_cpu else generator_on(self.device).manual_seed(settings.seed)
         self.clock = Clock(settings.phases, settings.steps)
         self.scaffold = Scaffold(photographs, settings, self.random, self.device, given)
-        self.parts: list[Part] = []
-        self.views = Views(photographs, self.scaffold, self.parts)
+        self.stages: list[Stage] = []
+        self.views = Views(photographs, self.scaffold, self.stages)
         pace = Pace(self.clock, bool(settings.rate.weight))
         self.looks = Looks(settings.looks, self.views, self.estimate, self.clock, pace)
         self.rate: Rate | None = None
         entropy = settings.entropy
-        self.parts += self._compose(hyperprior or VectorMatrix(entropy.channels, entropy.frequencies))
+        self.stages += self._compose(hyperprior or VectorMatrix(entropy.channels, entropy.frequencies))
         self.order: list[int] = []
 
-    def _compose(self, hyperprior: Hyperprior) -> list[Part]:
-        """The parts of the method that the settings ask for."""
+    def _compose(self, hyperprior: Hyperprior) -> list[Stage]:
+        """The stages of the method that the settings select."""
         settings, scaffold, clock, random = self.settings, self.scaffold, self.clock, self.random
         start = settings.masks.start
         growth = Growth(settings.growth, start, scaffold, clock, random, self._anchors_changed, self.photographs.pixels)
@@ -105,40 +103,40 @@ class Trainer:
         masks = Masks(settings.masks, settings.rate.weight, scaffold, self.views.cameras, clock, self._anchors_changed)
         quantisation = Quantisation(settings.quantisation, scaffold, clock, self.noise)
         self.rate = Rate(settings, scaffold, masks, quantisation, hyperprior, clock, random)
-        coded: list[Part] = [masks, self.rate, quantisation]
+        coded: list[Stage] = [masks, self.rate, quantisation]
         if hyperprior.coded:
             coded.append(Grids(settings, scaffold, self.rate, self.views, self.estimate, clock))
         return [*coded, *always, Averaging(scaffold, self.rate, clock), self.looks]
 
     def _anchors_changed(self) -> None:
-        for part in self.parts:
-            part.anchors_changed()
+        for stage in self.stages:
+            stage.anchors_changed()
 
     # --- the loop -----------------------------------------------------------------------------------------------------
 
     def step(self) -> None:
         """One step of training."""
         began = time.perf_counter()
-        for part in self.parts:
-            part.begin()
+        for stage in self.stages:
+            stage.begin()
         number = self._next_view()
         step, photograph = self._looked_at(number), self.views.image(number)
-        for part in self.parts:
-            part.prepare(step)
+        for stage in self.stages:
+            stage.prepare(step)
         image, volume = self._drawn(step)
         loss = photometric(image, photograph, self.settings.loss.ssim)
         if volume is not None:
             loss = loss + self.settings.loss.volume * volume
-        for part in self.parts:
-            term = part.loss(step)
+        for stage in self.stages:
+            term = stage.loss(step)
             if term is not None:
                 loss = loss + term
         loss.backward()
-        for part in self.parts:
-            part.descend(step)
+        for stage in self.stages:
+            stage.descend(step)
         self.clock.done += 1
-        for part in self.parts:
-            part.end()
+        for stage in self.stages:
+            stage.end()
         self.looks.step_done(image, photograph, time.perf_counter() - began)
 
     def _next_view(self) -> int:
@@ -162,12 +160,12 @@ class Trainer:
         return image, gaussians[2].prod(dim=1).mean() if len(chosen) else None
 
     def run(self, watch: Watch, save: Callable[[], None] | None = None) -> bool:
-        """Trains to the end, or until an interrupt, after which the step at hand is still finished.
+        """Trains to the end, or until an interrupt; the current step is finished first.
 
         An interrupt is one of the signals of files.interrupts, such as Ctrl-C.
 
-        watch: is told of each step. save: is called now and then, and after the last step. Returns whether it came to
-        the end.
+        watch: called after each step. save: called from time to time, and after the last step. Returns whether the
+        training reached its end.
         """
         stop = threading.Event()
         saved = time.monotonic()
@@ -196,16 +194,16 @@ class Trainer:
         return coded_bytes(self.scaffold, self.rate, self.settings.weights.likely_bits)
 
     def result(self) -> Scene | Uncompressed:
-        """What has been learnt, as it can be written: integers, or floats without a rate.
+        """The trained scene, as a file or folder stores it: integers, or floats without a rate.
 
-        What a file needs and has not begun yet begins now. Raises ValueError for what cannot be written.
+        Stages that a file needs and that have not begun yet begin now. Raises ValueError for what cannot be written.
         """
         cameras = spread_cameras([p.camera for p in self.photographs.train], STATED)
         render = render_info(self.scaffold, self.photographs)
         if self.rate is None:
             return uncompressed(self.scaffold, render, cameras)
-        for part in self.parts:
-            part.finish()
+        for stage in self.stages:
+            stage.finish()
         if not self.rate.hyperprior.coded:
             raise ValueError("the format does not have this hyperprior")
         return coded_scene(self.scaffold, self.rate, render, cameras)
@@ -213,28 +211,28 @@ class Trainer:
     # --- the saved state ----------------------------------------------------------------------------------------------
 
     def fingerprint(self) -> dict[str, Any]:
-        """What must be the same for a training to go on: settings but for the steps, photographs and their sizes."""
+        """What must be equal to continue a training: settings except steps, and photographs with their sizes."""
         photographs = [[p.camera.name, p.camera.width, p.camera.height] for p in self.photographs.train]
         settings = {name: value for name, value in document(self.settings).items() if name != "steps"}
         facts = {"settings": settings, "photographs": photographs}
         return facts if self.given is None else {**facts, "from": len(self.given.cloud.positions)}
 
     def state(self) -> dict[str, Any]:
-        """All that going on exactly where it stopped needs: tensors, and values of JSON, by names with slashes."""
+        """Everything that an exact continuation needs: tensors, and values of JSON, by names with slashes."""
         values: dict[str, Any] = {
             **{f"clock/{name}": value for name, value in self.clock.state().items()},
             "order": self.order,
             **{f"scaffold/{name}": value for name, value in self.scaffold.state().items()},
         }
-        for part in self.parts:
-            values |= {f"{part.name}/{name}": value for name, value in part.state().items()}
+        for stage in self.stages:
+            values |= {f"{stage.name}/{name}": value for name, value in stage.state().items()}
         values["random"] = self.random.get_state()
         if self.noise is not self.random:
             values[NOISE] = self.noise.get_state()
         return {name: value.cpu() if isinstance(value, Tensor) else value for name, value in values.items()}
 
     def restore(self, state: Saved) -> None:
-        """Makes a new training the one that gave the state. Raises ValueError for what cannot be a state of it."""
+        """Sets a new training to a saved state. Raises ValueError for what cannot be a state of it."""
         self.clock.restore(state.within("clock"))
         order, views = state.value("order"), len(self.views.cameras)
         right = isinstance(order, list) and all(type(n) is int and 0 <= n < views for n in order)
@@ -243,8 +241,8 @@ class Trainer:
         self.order = order
         self.scaffold.restore(state.within("scaffold"))
         self._anchors_changed()
-        for part in self.parts:
-            part.restore(state.within(part.name))
+        for stage in self.stages:
+            stage.restore(state.within(stage.name))
         state.generator("random", self.random)
         if NOISE in state.names():
             self._restore_noise(state)

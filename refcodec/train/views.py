@@ -14,9 +14,9 @@ from ..bitstream.scene import Scene
 from ..photographs.photographs import Photograph, PhotographSet
 from ..render.camera import Camera
 from ..render.rasterise import Settings
-from .part import Part, Sight
 from .scaffold import Gaussians, Scaffold
 from .splat import draw
+from .stage import Sight, Stage
 
 
 def pixels(photograph: Photograph, device: torch.device | str = "cpu") -> Tensor:
@@ -27,9 +27,9 @@ def pixels(photograph: Photograph, device: torch.device | str = "cpu") -> Tensor
 class Views:
     """Draws for a training. cameras: of the photographs to learn from, in training units."""
 
-    def __init__(self, photographs: PhotographSet, scaffold: Scaffold, parts: Iterable[Part]) -> None:
-        """parts: what changes an image on the way; the training adds to them later."""
-        self.photographs, self.scaffold, self.parts = photographs, scaffold, parts
+    def __init__(self, photographs: PhotographSet, scaffold: Scaffold, stages: Iterable[Stage]) -> None:
+        """stages: those that change the values to draw; the training adds to them later."""
+        self.photographs, self.scaffold, self.stages = photographs, scaffold, stages
         self.cameras = [scaffold.units.camera(p.camera) for p in photographs.train]
         red, green, blue = photographs.background
         self.settings = Settings(near_plane=scaffold.near, background=(red / 255, green / 255, blue / 255))
@@ -58,8 +58,8 @@ class Views:
         camera = self.scaffold.units.camera(camera)
         rows = self.scaffold.visible(camera)
         sight = Sight(camera, rows, {name: table[rows] for name, table in self.scaffold.tables.items()})
-        for part in self.parts:
-            part.show(sight)
+        for stage in self.stages:
+            stage.show(sight)
         _, gaussians, _ = self.scaffold.gaussians(rows, camera, sight.values, sight.masks)
         return self.drawn(gaussians, camera, None).clamp(0, 1)
 

@@ -21,7 +21,7 @@ EARLY = {f"phases.{name}.begin": begin for name, begin in PHASES.items()}
 
 
 def values(trainer: Trainer) -> dict[str, Tensor]:
-    part = next(part for part in trainer.parts if isinstance(part, Averaging))
+    part = next(part for part in trainer.stages if isinstance(part, Averaging))
     return {name: value.detach().clone() for name, value in part._values().items()}
 
 

@@ -266,13 +266,13 @@ def test_a_state_that_cannot_be_looked_at(
 
     monkeypatch.setattr("tempfile.tempdir", str(tmp_path))
     monkeypatch.setattr(os, "stat", refuse)
-    with pytest.raises(StateError, match="cannot be told whether there is a saved state"):
+    with pytest.raises(StateError, match="cannot check whether there is a saved state"):
         restore(cast(Any, None), path)
     monkeypatch.setattr(state, "save", failing(lambda folder: True))
     capsys.readouterr()
     Keeper(cast(Any, None), path)()
-    assert f"it cannot be told whether {path} is there (Permission denied)" in capsys.readouterr().err
-    with pytest.raises(OSError, match=f"nor among the temporary files .*cannot be told whether {path} is there"):
+    assert f"cannot check whether {path} exists (Permission denied)" in capsys.readouterr().err
+    with pytest.raises(OSError, match=f"nor among the temporary files .*cannot check whether {path} exists"):
         state.write_somewhere(lambda folder: failing(lambda _: True)(None, folder), tmp_path / "scene", path)
 
 

@@ -44,8 +44,7 @@ def adam_rows(table: F32, first: F32, second: F32, steps: int, rows: I64, gradie
     first, second: its moments, shaped like the table. steps: of training, from 1, for the correction of the moments'
     bias. rows: int64 [n], each at most once. gradient [n, D].
 
-    As in 3DGS the correction knows of the training's steps alone. So anchors that are new, or were rarely seen, move
-    faster at first.
+    The definition is adam.adam_torch.
     """
     by_first = np.float32(1 / (1 - 0.9**steps))
     by_second = np.float32(1 / (1 - 0.999**steps))

@@ -1,4 +1,4 @@
-"""Bits of attributes (SPEC.md 7.7 to 7.9), of F_h's last layer and CARM to sums, in one step of autograd, on CPUs."""
+"""Bits of attributes (SPEC.md 7.7 to 7.9), from F_h's last layer and CARM: the kernel of RateModel.attribute_bits."""
 
 from __future__ import annotations
 
@@ -47,7 +47,7 @@ def _dropped(kept: F32, r: int, but: int) -> np.float32:
 
 @compiled(parallel=True)
 def _sums(bits: F32, kept: F32, features: int) -> Any:
-    """Bits of features, scalings and offsets [n, 3], and all of each part alone: [n, 2 + K]."""
+    """Bits of features, scalings and offsets [n, 3], and those of each part without its mask: [n, 2 + K]."""
     offsets = kept.shape[1]
     begin = bits.shape[1] - 3 * offsets
     sums = np.empty((bits.shape[0], 3), np.float32)

@@ -1,4 +1,4 @@
-"""A layer on integer activations (SPEC.md 7.2) with its gradient in few passes, for training on CPUs."""
+"""A layer on integer activations (SPEC.md 7.2) with its gradient in few passes: the kernel of FoldedMlp.run_torch."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Bits of symbols and their gradients in one pass, eight symbols at once, for training on CPUs."""
+"""Bits of symbols and their gradients in one pass, eight symbols at a time: the kernel of bits.bits_torch."""
 
 from __future__ import annotations
 

@@ -1,8 +1,8 @@
-"""Bits of all plane symbols (SPEC.md 7.3) with their gradients in one pass, for training on CPUs.
+"""Bits of all plane symbols (SPEC.md 7.3) with their gradients in one pass: the kernel of RateModel.plane_bits.
 
-A plane is a row of numbers with a border of zeros, so that the contexts of 32 symbols in a row are 32 numbers in a row,
-too. SARM and its gradient stay in the cache. Each plane sums gradients of its own, in one order, so that no result
-depends on the number of threads.
+A plane is a row of numbers with a border of zeros: the contexts of 32 consecutive symbols are consecutive, too. SARM
+and its gradient stay in the cache. Each plane sums its own gradients in one order, and no result depends on the number
+of threads.
 """
 
 from __future__ import annotations

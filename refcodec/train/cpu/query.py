@@ -1,7 +1,7 @@
-"""What F_h reads of the planes (SPEC.md 7.5.4), and its gradient, for training on CPUs.
+"""The inputs of F_h from the planes (SPEC.md 7.5.4), and their gradient: the kernel of PlaneSamples.query_torch.
 
-One pass over the anchors takes the place of four gathers, two weighted sums and their copies. One thread sums the
-gradients of the planes of one scale in one order, so that no result depends on the number of threads.
+One pass over the anchors replaces four gathers, two weighted sums and their copies. One thread sums the gradients of
+the planes of one scale in one order, and no result depends on the number of threads.
 """
 
 from __future__ import annotations
@@ -111,7 +111,7 @@ def _backward(upstream: F32, inside: NDArray[np.bool_], rows: I64, corners: I64,
 class Query(torch.autograd.Function):
     """Query.apply(symbols, rows, corners, shares, gamma, rounding) -> inputs of F_h, float32 [n, 2 ch + G].
 
-    symbols: float32 [5, ch, B, B], which alone have a gradient. rows: int64 [n]. corners: int64 [2, N, 4], of the
+    symbols: float32 [5, ch, B, B]; only these have a gradient. rows: int64 [n]. corners: int64 [2, N, 4], of the
     planes of both scales, and shares: float32 [2, N, 4], their weights. gamma: float32 [N, G]. rounding: whether the
     contexts are rounded, with the identity's gradient.
     """

@@ -1,7 +1,7 @@
-"""Attributes with noise in place of rounding, or rounded, and their gradients (SPEC.md 7.8), for training on CPUs.
+"""Attributes with noise in place of rounding, or rounded, and their gradients: the kernels of stages.quantisation.
 
-Noise is SplitMix64's (Steele et al. 2014), whose i-th number needs none of the numbers before it. So the passes forward
-and back find the same noise again, and no result depends on the number of threads.
+The noise is that of SplitMix64 (Steele et al. 2014), whose i-th number does not depend on the numbers before it. Both
+passes compute the same noise, and no result depends on the number of threads.
 """
 
 from __future__ import annotations

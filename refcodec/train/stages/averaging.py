@@ -1,6 +1,6 @@
 """Averaging: a training ends with the mean of what it had in its last steps.
 
-A step follows one photograph, so that values wander about what all photographs ask for. Their mean is nearer to that.
+Each step follows one photograph, and values vary around the optimum of all photographs. Their mean is closer to it.
 """
 
 from __future__ import annotations
@@ -10,9 +10,9 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from ..part import Part
 from ..scaffold import Scaffold
 from ..schedule import Clock
+from ..stage import Stage
 from ..state import Saved
 from .rate import Rate
 
@@ -20,7 +20,7 @@ from .rate import Rate
 PERIOD = 5
 
 
-class Averaging(Part):
+class Averaging(Stage):
     """Means of the anchors' tables, of the rendering networks, and of planes and coding networks if there are any.
 
     means: by name, like the values; empty before the first. count: how many values they are of.
@@ -70,7 +70,7 @@ class Averaging(Part):
         return {"count": self.count, **self.means}
 
     def restore(self, state: Saved) -> None:
-        """As Part. The anchors and the rate are restored before."""
+        """As Stage. The anchors and the rate are restored before."""
         self.count = state.integer("count", 0)
         values = self._values() if self.count else {}
         device = self.scaffold.device

@@ -12,16 +12,16 @@ import numpy as np
 import torch
 
 from ..losses import photometric
-from ..part import Part
 from ..scaffold import Scaffold
 from ..schedule import Clock
 from ..settings import TrainSettings
+from ..stage import Stage
 from ..state import Saved
 from ..views import Views
 from .rate import Rate
 
 
-class Grids(Part):
+class Grids(Stage):
     """Puts the weights on grids once, when its phase begins."""
 
     name = "weights"
@@ -40,7 +40,7 @@ class Grids(Part):
         self.views, self.estimate, self.clock = views, estimate, clock
 
     def begin(self) -> None:
-        """As Part."""
+        """As Stage."""
         if self.clock.mode(self.name) == "grid":
             self.finish()
 
@@ -78,7 +78,7 @@ class Grids(Part):
         return {"gridded": self.scaffold.networks.gridded}
 
     def restore(self, state: Saved) -> None:
-        """As Part. The rate is restored before."""
+        """As Stage. The rate is restored before."""
         gridded = state.flag("gridded")
         if gridded and self.rate.model is None:
             raise state.fault("gridded", "is true before there is an entropy model")

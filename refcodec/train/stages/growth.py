@@ -14,10 +14,10 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from ..part import Part, Step
 from ..scaffold import Scaffold
 from ..schedule import Clock
 from ..settings import GrowthSettings
+from ..stage import Stage, Step
 from ..start import LATTICE_MAX, lattice_positions
 from ..state import Saved
 
@@ -26,7 +26,7 @@ I64 = NDArray[np.int64]
 _STATISTICS = ("gradient", "drawn", "opacity", "seen")
 
 
-class Growth(Part):
+class Growth(Stage):
     """Observes what is drawn, and lets anchors grow.
 
     gradient, drawn: float32 [N, K], sums of gradients of the projected centres, and how often each offset was drawn.
@@ -86,7 +86,7 @@ class Growth(Part):
             self.changed()
 
     def grow(self) -> None:
-        """Adds and drops anchors. Scaffold.place, and anchors_changed of all parts, are to be called afterwards."""
+        """Adds and drops anchors. Scaffold.place, and anchors_changed of all stages, must be called afterwards."""
         scaffold = self.scaffold
         units = scaffold.units
         cells, owner, edge = self._asked_for()
@@ -140,7 +140,7 @@ class Growth(Part):
         return {name: getattr(self, name) for name in _STATISTICS}
 
     def restore(self, state: Saved) -> None:
-        """As Part."""
+        """As Stage."""
         for name in _STATISTICS:
             shape = getattr(self, name).shape
             setattr(self, name, state.tensor(name, shape, low=0).to(self.scaffold.device))

@@ -12,14 +12,14 @@ from ...bitstream.dimensions import RENDERING
 from ..adam import ADAM_EPSILON, adam_torch, added, joined
 from ..cpu.adam import F32, I64, adam_rows, share_rows
 from ..optimisers import learning_rate, moments, restore_moments
-from ..part import Part, Step
 from ..scaffold import TABLES, Scaffold
 from ..schedule import Clock
 from ..settings import LearningSettings
+from ..stage import Stage, Step
 from ..state import Saved
 
 
-class Learning(Part):
+class Learning(Stage):
     """Follows the gradients of the anchors' tables and of the rendering networks.
 
     Only the rows that a step has taken are changed.
@@ -108,5 +108,5 @@ class Learning(Part):
         return dict(moments(self.optimiser))
 
     def restore(self, state: Saved) -> None:
-        """As Part."""
+        """As Stage."""
         restore_moments(self.optimiser, state)

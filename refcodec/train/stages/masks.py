@@ -12,14 +12,14 @@ import torch
 from torch import Tensor
 
 from ...render.camera import Camera
-from ..part import Part, Sight, Step
 from ..scaffold import Scaffold
 from ..schedule import Clock
 from ..settings import MaskSettings
+from ..stage import Sight, Stage, Step
 from ..state import Saved
 
 
-class Masks(Part):
+class Masks(Stage):
     """Which offsets are kept, and the loss that drops them.
 
     weight: float32 [N]. dropped: how many anchors were dropped as lost.
@@ -36,9 +36,9 @@ class Masks(Part):
         clock: Clock,
         changed: Callable[[], None],
     ) -> None:
-        """lambda_r: the weight of the rate. cameras: of the training, in its units.
+        """lambda_r: the weight of the rate. cameras: those of the training, in its units.
 
-        changed: is called when anchors have gone.
+        changed: called after anchors were removed.
         """
         self.settings, self.scaffold, self.cameras, self.clock = settings, scaffold, cameras, clock
         self.changed, self.dropped = changed, 0
@@ -89,8 +89,8 @@ class Masks(Part):
     def end(self) -> None:
         """Drops the anchors that are lost, once the rate counts.
 
-        They have no kept offset, so they take part in no image and cost nothing, but time. The gradient of shares that
-        low hardly brings one back. While means are made of anchors, all stay.
+        A lost anchor has no kept offset. It is in no image and costs no bits, but time, and the gradient of shares that
+        low hardly ever brings one back. While averaging is on, all anchors stay.
         """
         late = self.clock.mode("rate") != "off" and self.clock.mode("averaging") == "off"
         if not (self.on and late) or self.clock.done % self.settings.drop_period:
@@ -105,7 +105,7 @@ class Masks(Part):
         self.changed()
 
     def show(self, sight: Sight) -> None:
-        """As Part."""
+        """As Stage."""
         if self.on:
             sight.masks = self.kept(sight.values["masks"], sight.rows)
 
@@ -121,6 +121,6 @@ class Masks(Part):
         return {"weight": self.weight, "dropped": self.dropped}
 
     def restore(self, state: Saved) -> None:
-        """As Part."""
+        """As Stage."""
         self.weight = state.tensor("weight", (self.scaffold.count,), low=0).to(self.scaffold.device)
         self.dropped = state.integer("dropped", 0)

@@ -1,4 +1,4 @@
-"""Quantisation: what stands for rounding in training, and the base steps of attributes (SPEC.md B.5)."""
+"""Quantisation: noise or rounding in training, and the base steps of attributes (SPEC.md B.5)."""
 
 from __future__ import annotations
 
@@ -9,13 +9,13 @@ from torch import Tensor
 from ...bitstream.attributes import KINDS
 from ...encoder.quantise import varying
 from ..cpu.residues import Shown, Symbols
-from ..part import Part, Sight, Step
 from ..scaffold import Scaffold
 from ..schedule import Clock
 from ..settings import QuantisationSettings
+from ..stage import Sight, Stage, Step
 
 
-class Quantisation(Part):
+class Quantisation(Stage):
     """Noise in place of rounding, or rounding, with the same gradients."""
 
     name = "quantisation"
@@ -45,7 +45,7 @@ class Quantisation(Part):
         return torch.tensor(steps, device=self.scaffold.device)
 
     def residue(self, values: Tensor, step: Tensor) -> Tensor:
-        """What is added to values [n, w], in steps [n, 1], in place of rounding: at most a half. It has no gradient."""
+        """The number added to values [n, w] in place of rounding, in steps [n, 1]: at most a half. No gradient."""
         with torch.no_grad():
             if self.rounds:
                 scaled = values / step
@@ -65,10 +65,10 @@ class Quantisation(Part):
         return None if self.rounds else int(torch.randint((1 << 63) - 1, (1,), generator=self.random))
 
     def prepare(self, step: Step) -> None:
-        """Shows the image with what the decoder will have.
+        """Draws the image with the attributes that the decoder will have.
 
-        values + residue * step has the distortion's gradient for the step too. Rounding with the identity's gradient
-        alone would hide it.
+        values + residue * step passes the gradient of the distortion to the step, too, which straight-through rounding
+        of the values would not.
         """
         if step.steps is None:
             return
@@ -81,7 +81,7 @@ class Quantisation(Part):
         step.values |= zip(KINDS, shown, strict=True)
 
     def show(self, sight: Sight) -> None:
-        """As Part."""
+        """As Stage."""
         if sight.steps is not None and self.rounds:
             for i, kind in enumerate(KINDS):
                 size = sight.steps[:, i : i + 1]

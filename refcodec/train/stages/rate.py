@@ -18,12 +18,12 @@ from ...encoder.frame import choose_frame
 from ...encoder.sizes import choose_plane_size, choose_width
 from ..adam import ADAM_EPSILON
 from ..optimisers import learning_rate, moments, restore_moments
-from ..part import Part, Sight, Step
 from ..rate_model.hyperprior import Hyperprior, contexts_of
 from ..rate_model.model import RateModel
 from ..scaffold import Scaffold
 from ..schedule import Clock
 from ..settings import TrainSettings
+from ..stage import Sight, Stage, Step
 from ..start import lattice_positions
 from ..state import Saved
 from .masks import Masks
@@ -45,7 +45,7 @@ ANCHORS_MAX = (1 << 32) - 1
 BLOCK = 8192
 
 
-class Rate(Part):
+class Rate(Stage):
     """L_rate, and the entropy model that it trains.
 
     Once it has started there are the model, the frame (SPEC 7.5.1) or None if F_h has no inputs, base_step
@@ -53,7 +53,7 @@ class Rate(Part):
     """
 
     name = "rate"
-    # A comparison with models that no file can hold sets another one before the rate starts.
+    # Comparisons with models that the format lacks replace it before the rate starts.
     model_type: type[RateModel] = RateModel
 
     def __init__(
@@ -119,7 +119,7 @@ class Rate(Part):
         return model
 
     def anchors_changed(self) -> None:
-        """Finds the contexts of the anchors that are left. The frame and the planes stay."""
+        """Computes the contexts of the remaining anchors. The frame and the planes stay."""
         if self.model is not None:
             self._place()
 
@@ -139,14 +139,14 @@ class Rate(Part):
         model.calibrate(inputs, features, symbols)
 
     def finish(self) -> None:
-        """As Part."""
+        """As Stage."""
         if self.model is None:
             self.start()
         if not self.started().integers:
             self.round_activations()
 
     def started(self) -> RateModel:
-        """The entropy model, which must be there."""
+        """The entropy model, which must exist."""
         assert self.model is not None
         return self.model
 
@@ -184,7 +184,7 @@ class Rate(Part):
         symbols = self.quantisation.symbols([leaves[kind] for kind in KINDS], steps)
         kept = self.masks.kept(leaves["masks"], rows)
         bits = self.model.attribute_bits(hidden, symbols, kept).mean(dim=0)
-        # N counts the anchors that were dropped, too, so that the weight of the others' bits stays what it was.
+        # N includes the dropped anchors: the weight of the others' bits does not change when some are dropped.
         symbols_of_all = self.masks.total * self.scaffold.columns.width
         loss = bits.sum() * self.scaffold.count / symbols_of_all
         if self.clock.done % settings.plane_period == 0:
@@ -206,7 +206,7 @@ class Rate(Part):
     # --- looking ------------------------------------------------------------------------------------------------------
 
     def show(self, sight: Sight) -> None:
-        """As Part."""
+        """As Stage."""
         if self.model is not None:
             sight.steps = self.steps(sight.rows)
 
@@ -249,12 +249,12 @@ class Rate(Part):
         return {**frame, **model, **moments(self.optimiser), **more}
 
     def restore(self, state: Saved) -> None:
-        """As Part."""
+        """As Stage."""
         if not state.names():
             return
         frame = self._restored_frame(state) if self._has_inputs else None
         base_step = state.tensor("base_step", (len(KINDS),), low=BASE_STEP_MIN).to(self.scaffold.device)
-        # The planes' size and the width are those for the anchors when the rate began. They may be others by now.
+        # The plane size and the width follow from the number of anchors when the rate began, which may have changed.
         latents = state.tensor("model.latents", (None,) * len(self.hyperprior.latent_shape(1)))
         plane_size, width = latents.shape[-1], choose_width(0)
         sizes = [("model.latents", plane_size, choose_plane_size)] if self._has_planes else []

@@ -1,4 +1,4 @@
-"""What the parts of the method have in common: the calls that a training makes of each of them."""
+"""The interface of a stage of the method: the calls that a training makes to each of them."""
 
 from __future__ import annotations
 
@@ -13,10 +13,10 @@ from .state import Saved
 
 @dataclass(eq=False)
 class Sight:
-    """What is shown to a camera.
+    """The anchors in front of a camera.
 
     camera: in training units. rows: the n anchors that it may see, int64 [n], ascending. values: their features [n, F],
-    offsets [n, 3 K], scalings [n, 6] and masks' logits [n, K], float32, which parts replace by what is to be drawn.
+    offsets [n, 3 K], scalings [n, 6] and masks' logits [n, K], float32, which stages replace by the values to draw.
     steps: of features, scalings and offsets [n, 3]; None before there is an entropy model. masks: float32 [n, K], which
     multiply the opacities; None for ones.
     """
@@ -45,10 +45,10 @@ class Step(Sight):
     screen: Tensor | None = None
 
 
-class Part:
-    """A part of the method: a training calls each of its parts in their order at each of these points.
+class Stage:
+    """A stage of the method. A training calls its stages in their order at each of these points.
 
-    What a part has no use for, it does not define. name: its own in the phases of the settings and in saved states.
+    A stage defines only the calls that it needs. name: its name in the phases of the settings and in saved states.
     """
 
     name = ""
@@ -56,37 +56,37 @@ class Part:
     # --- of a step, in this order -------------------------------------------------------------------------------------
 
     def begin(self) -> None:
-        """Before a step: makes what the phase asks for and is not there yet."""
+        """Before a step: creates what the phase requires and does not exist yet."""
 
     def prepare(self, step: Step) -> None:
-        """Before the image is drawn: changes what is shown."""
+        """Before the image is drawn: changes the values to draw."""
 
     def loss(self, step: Step) -> Tensor | None:
-        """What is added to the loss of the image."""
+        """The term that is added to the loss of the image, a scalar, or None."""
 
     def descend(self, step: Step) -> None:
-        """After the gradients: changes what has been learnt."""
+        """After the gradients: updates parameters."""
 
     def end(self) -> None:
-        """Between two steps, when the clock counts this one already."""
+        """Between two steps, after the clock has counted this one."""
 
     # --- at other times -----------------------------------------------------------------------------------------------
 
     def show(self, sight: Sight) -> None:
-        """Changes what is shown as the decoder would have it, without gradients or random numbers."""
+        """Replaces the values to draw by those of the decoder, without gradients or random numbers."""
 
     def anchors_changed(self) -> None:
-        """After anchors came or went."""
+        """After anchors were added or removed."""
 
     def finish(self) -> None:
-        """Before the result: makes what a file needs and is not there yet."""
+        """Before the result: creates what a file needs and does not exist yet."""
 
     def state(self) -> dict[str, Any]:
-        """What a saved training needs: tensors, and values of JSON."""
+        """The values that a saved training needs: tensors, and values of JSON."""
         return {}
 
     def restore(self, state: Saved) -> None:
-        """Sets what `state` gave. The anchors are restored before, the random numbers after all parts.
+        """Sets what `state` gave. The anchors are restored before, the random numbers after all stages.
 
-        Raises ValueError for what cannot be a state of this part.
+        Raises ValueError for what cannot be a state of this stage.
         """
