@@ -33,6 +33,10 @@ TINY = varied(
         "growth.gradient": 1e-6,
         "masks.drop_period": 2,
         "looks.count": 4,
+        # Few grids to choose from: each is judged by drawing photographs.
+        "weights.rendering_bits": (7, 8),
+        "weights.coarser": (1, 2),
+        "weights.judges": 1,
     },
 )
 CLOCK = Clock(TINY.phases, TINY.steps)
@@ -109,9 +113,21 @@ def uninterrupted(few: PhotographSet, tmp_path_factory: pytest.TempPathFactory) 
     return files(output)
 
 
+@pytest.fixture(scope="module")
+def short(few: PhotographSet, tmp_path_factory: pytest.TempPathFactory) -> dict[str, bytes]:
+    """The files of a training of four steps."""
+    output = tmp_path_factory.mktemp("short") / "scene"
+    assert run(few, output, steps=4)
+    return files(output)
+
+
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
 def test_an_interrupt_within_a_step(
-    number: signal.Signals, few: PhotographSet, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    number: signal.Signals,
+    few: PhotographSet,
+    short: dict[str, bytes],
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     """The step is finished. The handlers of before are there again afterwards."""
     before = [signal.getsignal(each) for each in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)]
@@ -120,8 +136,7 @@ def test_an_interrupt_within_a_step(
         assert not run(few, tmp_path / "scene", steps=4)
     assert [signal.getsignal(each) for each in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)] == before
     assert run(few, tmp_path / "scene", True, steps=4)
-    assert run(few, tmp_path / "whole", steps=4)
-    assert files(tmp_path / "scene") == files(tmp_path / "whole")
+    assert files(tmp_path / "scene") == short
 
 
 def interrupt(monkeypatch: pytest.MonkeyPatch, step: int, number: signal.Signals = signal.SIGINT) -> None:
@@ -157,7 +172,7 @@ def test_interrupted_in_each_phase(
 
 @pytest.mark.parametrize("done", [2, 4])
 def test_a_scene_that_cannot_be_written_leaves_the_state_of_the_last_step(
-    done: int, few: PhotographSet, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    done: int, few: PhotographSet, short: dict[str, bytes], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """A result begins what has not begun, such as the rate. This was saved, too, if the result could not be written."""
     output = tmp_path / "scene"
@@ -171,12 +186,11 @@ def test_a_scene_that_cannot_be_written_leaves_the_state_of_the_last_step(
         with pytest.raises(OSError, match="--resume goes on"):
             run(few, output, steps=4)
     assert run(few, output, True, steps=4)
-    assert run(few, tmp_path / "whole", steps=4)
-    assert files(output) == files(tmp_path / "whole")
+    assert files(output) == short
 
 
 def test_an_interrupt_of_the_result_keeps_the_training(
-    few: PhotographSet, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    few: PhotographSet, short: dict[str, bytes], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     output = tmp_path / "scene"
 
@@ -190,3 +204,4 @@ def test_an_interrupt_of_the_result_keeps_the_training(
     assert not output.exists()
     assert run(few, output, True, steps=4)
     assert (output / REPORT_FILE).is_file()
+    assert files(output) == short
