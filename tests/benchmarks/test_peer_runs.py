@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import json
 import math
-import signal
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -14,18 +12,14 @@ import pytest
 import torch
 
 from benchmarks import results
-from benchmarks.peers import __main__ as peers
-from benchmarks.peers import convert, runs
+from benchmarks.peers import runs
 from benchmarks.peers.__main__ import main
-from benchmarks.peers.convert import there_and_back, tool
 from benchmarks.peers.figures import Point, bd_rate, bytes_at, figure, scenes
 from benchmarks.peers.runs import Run, perform, records
 from benchmarks.peers.scene import main as make_scene
-from benchmarks.peers.splats import quality, read_ply, write_ply
+from benchmarks.peers.splats import quality, write_ply
 from benchmarks.peers.table import TableError, commands, report, with_seeds
-from benchmarks.peers.trainer import SplatTrainer
-from refcodec.convert.splats import drawn
-from refcodec.photographs.photographs import PhotographSet, read_photographs
+from refcodec.photographs.photographs import read_photographs
 from refcodec.render.rasterise import Settings
 
 MakeSplats = Callable[[int, int], dict[str, torch.Tensor]]
@@ -61,18 +55,6 @@ def test_runs_are_grouped_by_method_and_strength() -> None:
     assert [p.seeds for p in scene.curves["Y, 10 steps"]] == [1]
 
 
-def test_only_seeds_are_averaged() -> None:
-    """Other steps and other settings are other methods."""
-    one = record("X", 1, 0, 100, 30)
-    others = [{**one, "steps": 20}, {**one, "changes": ["degree=0"]}, {**one, "size": 400}]
-    found = scenes([one, *others])
-    assert [sorted(scene.curves) for scene in found] == [
-        ["X, 10 steps", "X, 10 steps, degree=0", "X, 20 steps"],
-        ["X, 10 steps"],
-    ]
-    assert {point.seeds for scene in found for curve in scene.curves.values() for point in curve} == {1}
-
-
 def test_bytes_between_two_points() -> None:
     """Half way between 100 and 400 bytes on a logarithmic axis lies 200."""
     found = curve((100, 30), (400, 32), (800, 33))
@@ -82,11 +64,6 @@ def test_bytes_between_two_points() -> None:
     assert bytes_at(found, 33) == pytest.approx(800)
     assert bytes_at(found, 29.9) is None
     assert bytes_at(found, 33.1) is None
-
-
-def test_bytes_of_one_point() -> None:
-    assert bytes_at(curve((100, 30)), 30) == 100
-    assert bytes_at(curve((100, 30)), 31) is None
 
 
 def test_bd_rate() -> None:
@@ -134,84 +111,6 @@ def test_the_commands_of_the_runs() -> None:
 # --- runs -------------------------------------------------------------------------------------------------------------
 
 
-def small(folder: Path) -> Run:
-    return Run(folder, "3dgs", 300, 0, 40, 12, ("density.period=5",))
-
-
-def test_a_whole_run_is_not_run_again(
-    folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    """Without splat-transform there is a PLY file, and a word of how to get the rest."""
-    monkeypatch.setattr(runs, "tool", lambda: None)
-    made = perform(small(folder), tmp_path)
-    assert made is not None
-    assert set(made["files"]) == {"3DGS, PLY"}
-    assert "npm install" in capsys.readouterr().err
-    ply = next(tmp_path.glob("*.ply"))
-    assert made["files"]["3DGS, PLY"]["bytes"] == ply.stat().st_size
-    assert made["gaussians"] == len(read_ply(ply)["mean"])
-    monkeypatch.setattr(runs, "read_photographs", lambda *_, **__: pytest.fail("it was run again"))
-    assert perform(small(folder), tmp_path) == made
-    assert records(tmp_path) == [made]
-
-
-def test_a_record_of_other_settings_is_refused(folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """A default may change after a run was made. Its points must not stand beside new ones."""
-    monkeypatch.setattr(runs, "tool", lambda: None)
-    made = perform(small(folder), tmp_path)
-    assert made is not None
-    made["settings"]["density"]["gradient"] = 0.5
-    next(tmp_path.glob("*.json")).write_text(json.dumps(made))
-    with pytest.raises(ValueError, match=r"density.gradient is 0.5, not 0.0002"):
-        perform(small(folder), tmp_path)
-
-
-def test_an_interrupted_run_goes_on(folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """The same run again ends as one that was not interrupted."""
-    monkeypatch.setattr(runs, "tool", lambda: None)
-    whole = perform(small(folder), tmp_path / "whole")
-    step = SplatTrainer.step
-
-    def interrupted(trainer: SplatTrainer) -> None:
-        step(trainer)
-        if trainer.done == 7:
-            signal.raise_signal(signal.SIGINT)
-
-    with monkeypatch.context() as patch:
-        patch.setattr(SplatTrainer, "step", interrupted)
-        assert perform(small(folder), tmp_path / "part") is None
-    assert not list((tmp_path / "part").glob("*.json"))
-    steps = []
-    monkeypatch.setattr(SplatTrainer, "step", lambda trainer: (steps.append(trainer.done), step(trainer)))
-    part = perform(small(folder), tmp_path / "part")
-    assert steps == [7, 8, 9, 10, 11]
-    assert whole is not None
-    assert part is not None
-    assert part["files"] == whole["files"]
-
-
-def test_a_run_gets_its_other_formats_later(folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """It is not trained again for that. Here a copy of the PLY file stands for both formats."""
-
-    def copied(ply: Path, suffix: str) -> tuple[Path, Path]:
-        coded, again = ply.with_suffix(f".{suffix}"), ply.with_name("again.ply")
-        coded.write_bytes(b"12345")
-        again.write_bytes(ply.read_bytes())
-        return coded, again
-
-    monkeypatch.setattr(runs, "tool", lambda: None)
-    first = perform(small(folder), tmp_path)
-    assert first is not None
-    monkeypatch.setattr(runs, "tool", lambda: Path("splat-transform"))
-    monkeypatch.setattr(runs, "there_and_back", copied)
-    monkeypatch.setattr(runs, "SplatTrainer", lambda *_: pytest.fail("it was trained again"))
-    second = perform(small(folder), tmp_path)
-    assert second is not None
-    assert set(second["files"]) == {"3DGS, PLY", "3DGS, SPZ", "3DGS, SOG"}
-    assert second["files"]["3DGS, SPZ"] == {**first["files"]["3DGS, PLY"], "bytes": 5}
-    assert perform(small(folder), tmp_path) == second
-
-
 def test_commands(folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(runs, "tool", lambda: None)
     words = ["run", str(folder), str(tmp_path), "--method", "3dgs", "--size", "40", "--steps", "3"]
@@ -234,45 +133,6 @@ def test_commands(folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch)
     assert "| 3DGS, PLY, 3 steps | 200 | 2 |" in text
 
 
-@pytest.mark.parametrize("text", ["[1]", "3", "{}", '{"scene": "a"}', "{", ""])
-def test_a_file_that_is_no_record(tmp_path: Path, text: str, capsys: pytest.CaptureFixture[str]) -> None:
-    (tmp_path / "other.json").write_text(text)
-    assert main(["table", str(tmp_path)]) == 64
-    assert "other.json" in capsys.readouterr().err
-
-
-def test_each_size_has_a_section(folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(runs, "tool", lambda: None)
-    monkeypatch.setattr(results, "RESULTS", tmp_path / "RESULTS.md")
-    monkeypatch.setattr(peers, "SEEDS", 1)
-    words = ["run", str(folder), str(tmp_path), "--method", "3dgs", "--strengths", "200", "--seeds", "0"]
-    for size, steps in (("40", "3"), ("20", "3"), ("20", "4")):
-        assert main([*words, "--size", size, "--steps", steps]) == 0
-    table = ["table", str(tmp_path), "--baseline", "3DGS, PLY, 3 steps", "--results", "--seeds", "1"]
-    assert main(table) == 0
-    small, large = results.RESULTS.read_text().split("<!-- peers-40: begin -->")
-    assert "## Peers in one harness, 20 pixels" in small
-    assert small.count("benchmarks.peers run") == small.count("--size 20 ") == 2
-    assert large.count("benchmarks.peers run") == large.count("--size 40 ") == 1
-    assert "| 3DGS, PLY, 4 steps | 200 | 1 |" in small
-    assert "| 3DGS, PLY, 4 steps | 200 | 1 |" not in large
-    # The table of the folder has them all.
-    whole = (tmp_path / "peers.md").read_text()
-    assert [whole.count(f"### {folder.name}, {size} pixels") for size in (20, 40)] == [1, 1]
-    # Made again, a section stands where it was.
-    assert main(table) == 0
-    assert results.RESULTS.read_text().count("## Peers") == 2
-
-
-def test_a_ply_file_by_a_command(folder: Path, tmp_path: Path) -> None:
-    output = tmp_path / "scene.ply"
-    words = ["train", str(folder), "-o", str(output), "--size", "40", "--steps", "5", "--most", "200"]
-    assert main([*words, "--set", "degree=0"]) == 0
-    assert read_ply(output)["rest"].shape[1] == 0
-    assert main([*words, "--set", "degrees=0"]) == 64
-    assert main(["train", str(tmp_path / "nothing"), "-o", str(output)]) == 64
-
-
 @pytest.mark.slow
 @pytest.mark.parametrize("strength", [0, 0.004])
 def test_a_run_of_the_format(folder: Path, tmp_path: Path, strength: float) -> None:
@@ -284,42 +144,6 @@ def test_a_run_of_the_format(folder: Path, tmp_path: Path, strength: float) -> N
     else:
         assert set(made["files"]) == {"Scaffold-GS"}
     assert not list(tmp_path.glob("*.train-state"))
-
-
-# --- conversions ------------------------------------------------------------------------------------------------------
-
-needs_tool = pytest.mark.skipif(tool() is None, reason=f"splat-transform is missing: {convert.INSTALL}")
-
-
-@needs_tool
-@pytest.mark.parametrize("suffix", convert.FORMATS)
-@pytest.mark.parametrize("degree", [0, 1, 3])
-def test_there_and_back(
-    suffix: str, degree: int, photographs: PhotographSet, make_splats: MakeSplats, tmp_path: Path
-) -> None:
-    """What comes back looks the same but for the formats' rounding, and is as many Gaussians."""
-    splats = make_splats(500, degree)
-    # SOG keeps clusters of harmonics, so there are only a few here, and 1 % of noise.
-    few = splats["rest"][torch.arange(500) % 8]
-    splats["rest"] = few + 0.01 * splats["rest"]
-    camera = photographs.train[0].camera
-    centre = camera.rotation.T @ np.array([0, 0, 8.0]) + camera.centre
-    splats["mean"] = splats["mean"] + splats["mean"].new_tensor(centre.tolist())
-    write_ply(splats, tmp_path / "a.ply")
-    coded, again = there_and_back(tmp_path / "a.ply", suffix)
-    assert coded.stat().st_size < (tmp_path / "a.ply").stat().st_size
-    found = read_ply(again)
-    assert found["rest"].shape == splats["rest"].shape
-    one, two = (drawn(s, camera, Settings())[0].numpy() for s in (splats, found))
-    error = float(np.mean((one - two) ** 2))
-    assert one.std() > 0.05
-    assert -10 * math.log10(error) > 30
-
-
-def test_without_the_program(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
-    monkeypatch.setattr(convert, "tool", lambda: None)
-    with pytest.raises(convert.ToolError, match="npm install"):
-        there_and_back(tmp_path / "a.ply", "spz")
 
 
 # --- scenes of splats -------------------------------------------------------------------------------------------------
@@ -343,7 +167,3 @@ def test_a_scene_of_a_splat(shade: int, make_splats: MakeSplats, tmp_path: Path)
         assert photograph.empty()[0, 0]
     # Up in the image is -y in the world, on average over the cameras.
     assert np.mean([p.camera.rotation[1] for p in found.train], axis=0).argmax() == 1
-
-
-def test_a_scene_of_nothing(tmp_path: Path) -> None:
-    assert make_scene([str(tmp_path / "a.ply"), "-o", str(tmp_path / "scene")]) == 64
