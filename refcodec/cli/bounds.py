@@ -38,10 +38,10 @@ _UNITS = {"": 1, "K": 1 << 10, "M": 1 << 20, "G": 1 << 30}
 
 def memory(text: str) -> int:
     """Returns a number of bytes, at least 1. It may end with K, M or G, which are 2^10, 2^20 and 2^30."""
-    found = re.fullmatch(r"([0-9]{1,18})([KMG]?)", text.upper())
-    if found is None or not int(found[1]):
+    match = re.fullmatch(r"([0-9]{1,18})([KMG]?)", text.upper())
+    if match is None or not int(match[1]):
         raise argparse.ArgumentTypeError(f"{text} found, a number of bytes is required, such as 800M")
-    return int(found[1]) * _UNITS[found[2]]
+    return int(match[1]) * _UNITS[match[2]]
 
 
 def number(text: str) -> int:

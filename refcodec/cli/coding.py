@@ -173,10 +173,10 @@ def _reconstruct(arguments: argparse.Namespace) -> int:
 
 def _chunks(text: str) -> range:
     """Returns the numbers of chunks."""
-    found = re.fullmatch(r"([0-9]{1,9}):([0-9]{1,9})", text)
-    if found is None or int(found[1]) >= int(found[2]):
+    match = re.fullmatch(r"([0-9]{1,9}):([0-9]{1,9})", text)
+    if match is None or int(match[1]) >= int(match[2]):
         raise argparse.ArgumentTypeError(f"{text} found, numbers A:B with A below B are required")
-    return range(int(found[1]), int(found[2]))
+    return range(int(match[1]), int(match[2]))
 
 
 def add(commands: Any) -> None:

@@ -80,14 +80,14 @@ def _convert_model(arguments: argparse.Namespace) -> int:
 
     source, output = Path(arguments.source), Path(arguments.output)
     check_scene_output(output, [source], uncompressed=True)
-    found = read_checkpoint(source, arguments.appearance)
-    scene, up = found.scene, train_options.up_axis(arguments)
+    model = read_checkpoint(source, arguments.appearance)
+    scene, up = model.scene, train_options.up_axis(arguments)
     if up is not None:
         scene = replace(scene, render=replace(scene.render, up_axis=up))
     write_uncompressed(scene, output)
-    if found.appearances and arguments.appearance is None:
+    if model.appearances and arguments.appearance is None:
         note(
-            f"refcodec: the model has an appearance for each of {found.appearances} cameras; the scene has their mean, "
+            f"refcodec: the model has an appearance for each of {model.appearances} cameras; the scene has their mean, "
             "and --appearance N takes that of one camera"
         )
     count, offsets = scene.masks.shape
@@ -148,12 +148,12 @@ def _train_from_splats(arguments: argparse.Namespace, source: Path) -> int:
         _check_pictures(pictures, output)
     cameras = _cameras_of(source, arguments.cameras)
     note_compiling()
-    made: list[Path] = []
+    folders: list[Path] = []
     place, drawn = (pictures or output).absolute().parent, None
     beside = contextlib.ExitStack()
     try:
         if kept is None:
-            make_folder(place, made)
+            make_folder(place, folders)
             drawn = beside.enter_context(folder_beside(place)) / "pictures"
             with errors_of(pictures or output, drawn):
                 drawn.mkdir()
@@ -161,7 +161,7 @@ def _train_from_splats(arguments: argparse.Namespace, source: Path) -> int:
         # The pictures have a split of their own.
         photographs = read_photographs_of(str(kept or drawn), settings.size, settings.background, settings.holdout)
         with hold_file(state.with_name(state.name + ".lock")):
-            found = train(
+            result = train(
                 photographs,
                 settings,
                 output,
@@ -182,11 +182,11 @@ def _train_from_splats(arguments: argparse.Namespace, source: Path) -> int:
         raise UsageError(f"{source} cannot be trained from: {error}") from None
     finally:
         beside.close()
-        remove_folders(made)
-    for line in closing(found.trainer, found.report, output, str(pictures or "PHOTOGRAPHS")):
+        remove_folders(folders)
+    for line in closing(result.trainer, result.report, output, str(pictures or "PHOTOGRAPHS")):
         say(line)
-    if not found.whole:
-        note(f"refcodec: stopped at step {found.trainer.clock.done}; the scene is written, and --resume goes on")
+    if not result.whole:
+        note(f"refcodec: stopped at step {result.trainer.clock.done}; the scene is written, and --resume goes on")
         return statuses.INTERRUPTED
     return statuses.DONE
 

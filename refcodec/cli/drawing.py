@@ -67,8 +67,8 @@ def _gaussians(arguments: argparse.Namespace) -> int:
     except ValueError as error:
         raise UsageError(f"{arguments.camera} is no camera: {error}") from None
     scene = parse_file(arguments, read_bounded(arguments)).scene
-    found = gaussians(reconstruct(scene), scene.masks, scene.networks, camera, scene.render.distance_unit)
-    write_file(output, json.dumps(gaussians_document(found), separators=(",", ":")).encode())
+    visible = gaussians(reconstruct(scene), scene.masks, scene.networks, camera, scene.render.distance_unit)
+    write_file(output, json.dumps(gaussians_document(visible), separators=(",", ":")).encode())
     return 0
 
 
@@ -82,7 +82,7 @@ def _render(arguments: argparse.Namespace) -> int:
     note_compiling()
     shown = read_shown(arguments)
     inputs: list[str | Path] = [arguments.file]
-    said: list[str] = []
+    notes: list[str] = []
     orbit = arguments.cameras == "orbit"
     cameras: list[Camera] = []
     if orbit:
@@ -90,13 +90,13 @@ def _render(arguments: argparse.Namespace) -> int:
     elif arguments.cameras == "default":
         names = [OWN]
     else:
-        found, said = photographs_as_trained(arguments, arguments.cameras, render_info(shown), camera_of(shown))
-        cameras = [p.camera for p in (*found.test, *found.train)]
+        photographs, notes = photographs_as_trained(arguments, arguments.cameras, render_info(shown), camera_of(shown))
+        cameras = [p.camera for p in (*photographs.test, *photographs.train)]
         names = [camera.name for camera in cameras]
-        inputs += found.places()
+        inputs += photographs.places()
     folder = Path(arguments.output)
     images = ImageFolder(folder, names, orbit, inputs)
-    _tell(said)
+    _tell(notes)
     view = View(parse_file(arguments, shown).scene if isinstance(shown, bytes) else shown)
     cameras = cameras or (view.orbit(arguments.frames) if orbit else [own_camera(view.camera)])
     frames = []
@@ -104,12 +104,12 @@ def _render(arguments: argparse.Namespace) -> int:
         for number, camera in enumerate(cameras):
             progress("images", number, len(cameras))
             try:
-                made = view.draw(camera)
+                image = view.draw(camera)
             except ValueError as error:
                 raise UsageError(f"{arguments.file} cannot be drawn: {error}") from None
-            images.add(made)
+            images.add(image)
             if orbit:
-                frames.append(eight_bits(made))
+                frames.append(eight_bits(image))
         if orbit:
             images.animate(frames)
         progress("images", len(cameras), len(cameras))
@@ -142,19 +142,19 @@ def _eval(arguments: argparse.Namespace) -> int:
         raise needs("eval", "render", error, RENDER_PACKAGES) from None
     note_compiling()
     shown = read_shown(arguments)
-    found, said = photographs_as_trained(arguments, arguments.photographs, render_info(shown), camera_of(shown))
+    photographs, notes = photographs_as_trained(arguments, arguments.photographs, render_info(shown), camera_of(shown))
     images = None
     if arguments.images:
-        inputs = [arguments.file, arguments.lpips, *found.places()]
-        names = [p.camera.name for p in compared_of(found)]
+        inputs = [arguments.file, arguments.lpips, *photographs.places()]
+        names = [p.camera.name for p in compared_of(photographs)]
         images = ImageFolder(Path(arguments.images), names, False, inputs)
-    _tell(said)
+    _tell(notes)
     lpips = _lpips(arguments.lpips) if arguments.lpips else None
     if isinstance(shown, Scene):
         shown = encoded(arguments, arguments.file, shown)
     try:
         with images or contextlib.nullcontext(), progress_bar(arguments.progress) as progress:
-            result = evaluate(shown, found, images.add if images else None, progress, lpips)
+            result = evaluate(shown, photographs, images.add if images else None, progress, lpips)
     except PhotographError as error:
         raise UsageError(str(error)) from None
     except ValueError as error:

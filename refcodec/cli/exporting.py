@@ -73,11 +73,11 @@ def _views(
         if len(views.fit) and "around" in views.source:
             note(f"refcodec: the views are {views.source}; --cameras PHOTOGRAPHS fits to those of photographs")
         return views, []
-    found, said = photographs_as_trained(arguments, arguments.cameras, render_info(shown), camera_of(shown))
-    for line in said:
+    pictured, notes = photographs_as_trained(arguments, arguments.cameras, render_info(shown), camera_of(shown))
+    for line in notes:
         note(f"refcodec: {line}")
-    fit, test = ([sized(p.camera) for p in photographs] for photographs in (found.train, found.test))
-    return Views(fit or test, test or fit, f"{len(fit)} cameras of photographs"), [*found.places()]
+    fit, test = ([sized(p.camera) for p in photographs] for photographs in (pictured.train, pictured.test))
+    return Views(fit or test, test or fit, f"{len(fit)} cameras of photographs"), [*pictured.places()]
 
 
 def _scaffold(arguments: argparse.Namespace, folder: Path) -> int:

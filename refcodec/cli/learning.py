@@ -170,7 +170,7 @@ def _train(arguments: argparse.Namespace) -> int:
         raise needs("train --log DIR", "tensorboard", error, ("tensorboard",)) from None
     try:
         with hold_file(_lock(state)):
-            found = train(
+            result = train(
                 photographs,
                 settings,
                 output,
@@ -193,9 +193,9 @@ def _train(arguments: argparse.Namespace) -> int:
         raise UsageError(f"{arguments.start or output} cannot be coded: {error}") from None
     except ValueError as error:
         raise UsageError(f"{arguments.photographs} cannot be trained: {error}") from None
-    for line in closing(found.trainer, found.report, output, arguments.photographs):
+    for line in closing(result.trainer, result.report, output, arguments.photographs):
         say(line)
-    return 0 if found.whole else _interrupted(found.trainer.clock.done, settings.steps, state)
+    return 0 if result.whole else _interrupted(result.trainer.clock.done, settings.steps, state)
 
 
 def _fit_settings(arguments: argparse.Namespace) -> FitSettings:

@@ -32,7 +32,7 @@ def _spots(data: bytes, error: BitstreamError) -> list[BitstreamError]:
 
     with contextlib.suppress(BitstreamError):
         chunks = parse(data, keep_going=True).damage
-        return [error, *(found for found in chunks.values() if found.to_json() != error.to_json())]
+        return [error, *(damage for damage in chunks.values() if damage.to_json() != error.to_json())]
     return [error]
 
 
@@ -58,18 +58,20 @@ def _inspect(arguments: argparse.Namespace) -> int:
     from ..inspect import summary
 
     error: BitstreamError | None = None
-    found: summary.Verdict | None = None
+    verdict: summary.Verdict | None = None
     with open_bounded(arguments) as source:
         try:
             if arguments.decode:
                 digest = StreamDigest()
-                found = digest.finish_parts(decoded(arguments, source, reader_bounds(arguments), digest.add).scene([]))
+                verdict = digest.finish_parts(
+                    decoded(arguments, source, reader_bounds(arguments), digest.add).scene([])
+                )
             else:
                 read_header(source)
         except BitstreamError as rejected:
             error = rejected
         # Behind a URL, each head of a chunk would be a request of its own.
-        facts = summary.document(FileBytes(source), error or found, heads=not is_url(arguments.file))
+        facts = summary.document(FileBytes(source), error or verdict, heads=not is_url(arguments.file))
     for line in summary.json_lines(facts) if arguments.json else summary.summary(facts, printable(arguments.file)):
         print(line)
     return reject(arguments.file, error) if error else 0
@@ -103,9 +105,9 @@ def _inspect_page(arguments: argparse.Namespace) -> int:
         measures.finish(scene)
         data = FileBytes(source)
         facts = summary.document(data, digest.finish_parts(scene))
-        found = page(data, Path(arguments.file).name, facts, measures)
-    write_file(path, found)
-    say(f"{path}: {len(found):,} bytes")
+        document = page(data, Path(arguments.file).name, facts, measures)
+    write_file(path, document)
+    say(f"{path}: {len(document):,} bytes")
     return statuses.DONE
 
 
@@ -135,10 +137,10 @@ def _explain(arguments: argparse.Namespace) -> int:
     from ..inspect.explain import UnknownKeyError, explain
 
     try:
-        found = [list(explain(key)) for key in arguments.keys]
+        texts = [list(explain(key)) for key in arguments.keys]
     except UnknownKeyError as error:
         raise UsageError(error.args[0]) from None
-    print("\n\n".join("\n".join(lines) for lines in found))
+    print("\n\n".join("\n".join(lines) for lines in texts))
     return statuses.DONE
 
 

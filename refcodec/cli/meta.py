@@ -33,15 +33,15 @@ def metadata_of(arguments: argparse.Namespace) -> dict[str, str]:
     """Returns the entries that were given, by key. Raises UsageError for what SPEC 6.14 does not allow."""
     from ..bitstream.metadata import emit_metadata
 
-    found: dict[str, str] = {}
+    entries: dict[str, str] = {}
     for given in arguments.meta:
         key, sign, value = given.partition("=")
-        found |= {key: value} if sign else _of_file(Path(given))
+        entries |= {key: value} if sign else _of_file(Path(given))
     try:
-        emit_metadata({key: value for key, value in found.items() if value})
+        emit_metadata({key: value for key, value in entries.items() if value})
     except ValueError as error:
         raise UsageError(str(error)) from None
-    return found
+    return entries
 
 
 def _of_file(path: Path) -> dict[str, str]:
@@ -59,15 +59,15 @@ def _of_file(path: Path) -> dict[str, str]:
 
 
 def _flat(path: Path, prefix: str, table: Mapping[str, object]) -> list[tuple[str, str]]:
-    found: list[tuple[str, str]] = []
+    entries: list[tuple[str, str]] = []
     for name, value in table.items():
         if isinstance(value, dict):
-            found += _flat(path, f"{prefix}{name}.", value)
+            entries += _flat(path, f"{prefix}{name}.", value)
         elif isinstance(value, str):
-            found.append((prefix + name, value))
+            entries.append((prefix + name, value))
         else:
             raise UsageError(f"--meta {path}: {prefix}{name} must be a string: put it in quotes")
-    return found
+    return entries
 
 
 def with_entries(scene: Scene, entries: Mapping[str, str]) -> Scene:

@@ -282,11 +282,11 @@ def decoded(
     arguments: argparse.Namespace,
     source: Source,
     bounds: Bounds | None,
-    told: Callable[[Scene], None] | None = None,
+    use: Callable[[Scene], None] | None = None,
 ) -> Reader:
     """Decodes and checks a whole file in bounded memory, and shows progress. Returns its reader.
 
-    bounds: what the caller allows. told: gets the anchors in order, each time some of them as a scene. Raises
+    bounds: what the caller allows. use: gets the anchors in order, each time some of them as a scene. Raises
     BitstreamError and BoundPassedError.
     """
     from ..bitstream.reader import Reader
@@ -296,8 +296,8 @@ def decoded(
     with progress_bar(arguments.progress) as progress:
         reader.open(progress=progress)
         for piece in pieces(reader, progress=progress):
-            if told:
-                told(piece)
+            if use:
+                use(piece)
     reader.close()
     return reader
 

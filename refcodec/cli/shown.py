@@ -73,20 +73,20 @@ def photographs_as_trained(
 
     path = Path(arguments.file) / REPORT_FILE
     trained = _trained(path)
-    size, said = arguments.size, []
+    size, notes = arguments.size, []
     if size is None:
         size = trained.get("size") or str(max(camera.width, camera.height))
         source = f"{path} says" if "size" in trained else "the scene's own camera has"
-        said.append(f"photographs are taken at size {size}, as {source}; --size full takes them as they are")
+        notes.append(f"photographs are taken at size {size}, as {source}; --size full takes them as they are")
     background = getattr(arguments, "background", None) or ",".join(map(str, render.background))
     holdout = getattr(arguments, "holdout", None)
     holdout = trained.get("holdout") if holdout is None else holdout
     if holdout is None and "holdout" in arguments:
-        said.append(
+        notes.append(
             f"every {TEST_EVERY}th photograph is compared, or the test set of the data set, because "
             f"{arguments.file} does not say which ones training held out; --holdout N takes every N-th one, 0 all"
         )
-    return read_photographs_of(folder, size, background, holdout), said
+    return read_photographs_of(folder, size, background, holdout), notes
 
 
 def _trained(path: Path) -> dict[str, Any]:
@@ -94,8 +94,8 @@ def _trained(path: Path) -> dict[str, Any]:
     try:
         if not is_there(path):
             return {}
-        found = read_json(path)
-        settings = {key: found["settings"][key] for key in ("size", "holdout") if key in found["settings"]}
+        report = read_json(path)
+        settings = {key: report["settings"][key] for key in ("size", "holdout") if key in report["settings"]}
         size, holdout = settings.get("size", ""), settings.get("holdout", 0)
         if isinstance(size, str) and isinstance(holdout, int) and not isinstance(holdout, bool) and holdout >= 0:
             return settings

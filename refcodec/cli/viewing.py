@@ -50,13 +50,13 @@ def _photographs(
     except ModuleNotFoundError as error:
         raise needs("--photographs", "render", error, RENDER_PACKAGES) from None
     try:
-        found, said = photographs_as_trained(arguments, arguments.photographs, render_info(shown), camera_of(shown))
-        photographs = embedded(found)
+        folder, notes = photographs_as_trained(arguments, arguments.photographs, render_info(shown), camera_of(shown))
+        photographs = embedded(folder)
     except PhotographError as error:
         raise UsageError(str(error)) from None
-    for line in said:
+    for line in notes:
         note(f"refcodec: {line}")
-    return photographs, found.places()
+    return photographs, folder.places()
 
 
 def _file_of(arguments: argparse.Namespace, shown: bytes | Scene | Uncompressed) -> bytes:

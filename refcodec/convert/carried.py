@@ -51,14 +51,14 @@ def _switches(features: NDArray[np.float32], networks: Networks) -> dict[int, in
     binary = ((features == 0) | (features == 1)).all(axis=0)
     for name in RENDERING[1:]:
         binary &= ~networks[name][0][0][:, :count].any(axis=0)
-    found: dict[int, int] = {}
+    switches: dict[int, int] = {}
     entered, left = weight != 0, last != 0
     for unit in np.flatnonzero((entered.sum(axis=1) == 1) & (left.sum(axis=0) == 1) & (bias == 0)).tolist():
         feature, offset = int(entered[unit].argmax()), int(left[:, unit].argmax())
         alone = feature < count and binary[feature] and entered[:, feature].sum() == 1
         if alone and weight[unit, feature] == 1 and last[offset, unit] == -DROP:
-            found[feature] = offset
-    return found
+            switches[feature] = offset
+    return switches
 
 
 def _narrowed(layers: list[Layer], taken: NDArray[np.bool_]) -> list[Layer]:
@@ -76,9 +76,9 @@ def with_distance_unit(networks: Networks, unit: float) -> Networks:
 
     def scaled(weight: NDArray[np.float32]) -> NDArray[np.float32]:
         fraction, exponent = np.frexp(weight[:, -1].astype(np.float64) * unit)
-        found = weight.copy()
+        rescaled = weight.copy()
         with np.errstate(over="ignore"):
-            found[:, -1] = np.ldexp(np.rint(fraction * (1 << BITS)), exponent - BITS)
-        return found
+            rescaled[:, -1] = np.ldexp(np.rint(fraction * (1 << BITS)), exponent - BITS)
+        return rescaled
 
     return {name: [(scaled(first), bias), last] for name, ((first, bias), last) in networks.items()}

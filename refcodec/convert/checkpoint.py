@@ -104,8 +104,8 @@ def _cloud_file(folder: Path) -> Path:
     if there(folder / PLY_FILE, _ADVICE):
         return folder / PLY_FILE
     clouds = folder / CLOUDS
-    found = [path for path in clouds.iterdir() if path.is_dir()] if clouds.is_dir() else []
-    numbers = {int(path.name[10:]): path for path in found if re.fullmatch(r"iteration_[0-9]{1,9}", path.name)}
+    folders = [path for path in clouds.iterdir() if path.is_dir()] if clouds.is_dir() else []
+    numbers = {int(path.name[10:]): path for path in folders if re.fullmatch(r"iteration_[0-9]{1,9}", path.name)}
     if not numbers:
         raise SceneFolderError(folder, f"it has neither {PLY_FILE} nor {CLOUDS}/iteration_N", _ADVICE)
     chosen = numbers[max(numbers)] / PLY_FILE
@@ -202,11 +202,11 @@ def _stored(folder: Path) -> tuple[Path, dict[str, Parameters]]:
         if there(folder / name, _ADVICE):
             return folder / name, dict(read_state_dicts(folder / name, (*NETWORKS, APPEARANCE, *BANKS)))
     names = {**{name: f"{name}.pt" for name in (*NETWORKS, *BANKS)}, APPEARANCE: APPEARANCE_FILE}
-    found = {name: folder / file for name, file in names.items() if there(folder / file, _ADVICE)}
-    if not found:
+    files = {name: folder / file for name, file in names.items() if there(folder / file, _ADVICE)}
+    if not files:
         problem = f"it has neither {' nor '.join(STATE_DICT_FILES)} nor {', '.join(names[n] for n in NETWORKS)}"
         raise SceneFolderError(folder, problem, _ADVICE)
-    return folder, {name: read_torchscript(file) for name, file in found.items()}
+    return folder, {name: read_torchscript(file) for name, file in files.items()}
 
 
 def _embedding(file: Path, stored: Parameters) -> NDArray[np.float32] | None:
@@ -271,11 +271,11 @@ def _of_one_width(file: Path, networks: dict[str, list[Layer]]) -> dict[str, lis
     if width > most:
         problem = f"a network has {width} hidden units, at most {most} are allowed (SPEC.md 11.1)"
         raise SceneFolderError(file, problem, "train the model with fewer features")
-    found: dict[str, list[Layer]] = {}
+    padded: dict[str, list[Layer]] = {}
     for name, ((weight, bias), (last, end)) in networks.items():
         more = width - len(bias)
-        found[name] = [
+        padded[name] = [
             (np.pad(weight, ((0, more), (0, 0))), np.pad(bias, (0, more))),
             (np.pad(last, ((0, 0), (0, more))), end),
         ]
-    return found
+    return padded

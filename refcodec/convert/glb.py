@@ -53,9 +53,9 @@ class _Gltf:
     def _chunk(self, opened: BinaryIO, kind: bytes, most: int, size: int) -> bytes:
         """Returns the bytes of the next chunk. size: of the file."""
         head = opened.read(CHUNK.size)
-        length, found = CHUNK.unpack(head) if len(head) == CHUNK.size else (0, b"")
+        length, chunk_kind = CHUNK.unpack(head) if len(head) == CHUNK.size else (0, b"")
         name = kind.rstrip(b"\0").decode()
-        if found != kind or length > size - opened.tell():
+        if chunk_kind != kind or length > size - opened.tell():
             raise self.fault(f"its chunk {name} is not there, or has not the bytes that it states")
         if length > most:
             raise self.fault(f"its chunk {name} has more than {most} bytes")
@@ -63,17 +63,17 @@ class _Gltf:
 
     def items(self, name: str) -> list[dict[str, Any]]:
         """Returns the objects of a list of the root; none if it is not there."""
-        found = self.root.get(name, []) if isinstance(self.root, dict) else None
-        if not isinstance(found, list) or not all(isinstance(item, dict) for item in found):
+        values = self.root.get(name, []) if isinstance(self.root, dict) else None
+        if not isinstance(values, list) or not all(isinstance(item, dict) for item in values):
             raise self.fault(f"its {name} is no list of objects")
-        return found
+        return values
 
     def item(self, name: str, number: Any) -> dict[str, Any]:
         """Returns an object of a list by its number."""
-        found = self.items(name)
-        if type(number) is not int or not 0 <= number < len(found):
+        entries = self.items(name)
+        if type(number) is not int or not 0 <= number < len(entries):
             raise self.fault(f"there is none of its {name} with the number {printable(repr(number), 20)}")
-        return found[number]
+        return entries[number]
 
     def integer(self, fields: dict[str, Any], name: str, default: int, low: int, high: int) -> int:
         value = fields.get(name, default)
@@ -156,14 +156,14 @@ def read_glb(file: Path) -> Arrays:
             rest[:, band * band - 1 + number] = column(f"SH_DEGREE_{band}_COEF_{number}", 3)
     opacity = column("OPACITY", 1)[:, 0]
     with np.errstate(all="ignore"):
-        found = {
+        arrays = {
             "mean": mean,
             "base": column("SH_DEGREE_0_COEF_0", 3),
             "opacity": np.log(opacity / (1 - opacity)),
             "scale": np.log(column("SCALE", 3)),
             "quaternion": column("ROTATION", 4)[:, [3, 0, 1, 2]],
         }
-        return {name: values.astype(np.float32) for name, values in found.items()} | {"rest": rest}
+        return {name: values.astype(np.float32) for name, values in arrays.items()} | {"rest": rest}
 
 
 def glb_up(file: Path) -> NDArray[np.float64]:

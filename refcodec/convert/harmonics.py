@@ -10,8 +10,8 @@ from ..export.harmonics import ZERO, rest_harmonics
 
 def basis(direction: Tensor, degree: int) -> Tensor:
     """The harmonics of degree 1 to `degree` in unit directions [N, 3]: [N, (degree + 1)^2 - 1]."""
-    found = rest_harmonics(direction.unbind(dim=1), degree)
-    return torch.stack(found, dim=1) if found else direction[:, :0]
+    functions = rest_harmonics(direction.unbind(dim=1), degree)
+    return torch.stack(functions, dim=1) if functions else direction[:, :0]
 
 
 def colours(base: Tensor, rest: Tensor, mean: Tensor, centre: Tensor, degree: int) -> Tensor:
@@ -20,9 +20,9 @@ def colours(base: Tensor, rest: Tensor, mean: Tensor, centre: Tensor, degree: in
     base: coefficients of degree 0, [N, 3]. rest: those of the other harmonics, [N, K, 3]. degree: the highest that is
     used, at most that of rest. The colour is 0.5 plus the sum of the harmonics.
     """
-    found = ZERO * base + 0.5
+    total = ZERO * base + 0.5
     if degree:
         away = mean - centre
         harmonics = basis(away / away.norm(dim=1, keepdim=True).clamp_min(1e-12), degree)
-        found = found + (harmonics[:, :, None] * rest[:, : harmonics.shape[1]]).sum(dim=1)
-    return found.clamp_min(0)
+        total = total + (harmonics[:, :, None] * rest[:, : harmonics.shape[1]]).sum(dim=1)
+    return total.clamp_min(0)

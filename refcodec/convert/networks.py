@@ -45,7 +45,7 @@ def on_grids(scene: Scene, cloud: AnchorCloud) -> Scene:
     judge = _judge(scene, cloud)
     if judge is None:
         return scene
-    found = dict(scene.networks)
+    networks = dict(scene.networks)
     shown = judge.shown(judge.coded, scene.networks)
     most = {name: SHARE * error for name, error in _errors(judge.shown(judge.given, scene.networks), shown).items()}
     left = [name for name in RENDERING if any(to_grid(layer) is None for layer in scene.networks[name])]
@@ -53,9 +53,9 @@ def on_grids(scene: Scene, cloud: AnchorCloud) -> Scene:
         coarser = quantise_rendering(scene.networks, bits)
         errors = _errors(shown, judge.shown(judge.coded, coarser)) if left else {}
         for name in [name for name in left if errors[name] <= most[name]]:
-            found[name] = coarser[name]
+            networks[name] = coarser[name]
             left.remove(name)
-    return replace(scene, networks=found)
+    return replace(scene, networks=networks)
 
 
 @dataclass(frozen=True, eq=False)
@@ -72,12 +72,12 @@ class _Judge:
         """Returns what the cameras see of all offsets of the anchors, by name; opacity 0 where there is none."""
         shape = (len(self.cameras), *self.masks.shape)
         sizes = {"opacity": 1, "lengths": 3, "quaternion": 4, "colour": 3}
-        found = {name: np.zeros((*shape, size)) for name, size in sizes.items()}
+        outputs = {name: np.zeros((*shape, size)) for name, size in sizes.items()}
         for number, camera in enumerate(self.cameras):
             g = gaussians(values, self.masks, dict(networks), camera, self.distance_unit)
-            for name, array in found.items():
+            for name, array in outputs.items():
                 array[number, g.anchor, g.offset] = getattr(g, name).reshape(len(g.anchor), sizes[name])
-        return found
+        return outputs
 
 
 def _judge(scene: Scene, cloud: AnchorCloud) -> _Judge | None:
@@ -108,16 +108,16 @@ def _cameras(scene: Scene, positions: NDArray[np.float32]) -> list[Camera]:
     return ([default_camera(camera) for camera in cameras(scene.ancillary)] + around)[:CAMERAS]
 
 
-def _errors(wanted: dict[str, F64], found: dict[str, F64]) -> dict[str, float]:
+def _errors(wanted: dict[str, F64], actual: dict[str, F64]) -> dict[str, float]:
     """Returns squared errors of what each network gives, those of shape and colour weighted by opacity."""
-    weight = np.minimum(wanted["opacity"], found["opacity"])
+    weight = np.minimum(wanted["opacity"], actual["opacity"])
     tiny = np.finfo(np.float32).tiny
-    lengths = np.log(np.maximum(wanted["lengths"], tiny)) - np.log(np.maximum(found["lengths"], tiny))
+    lengths = np.log(np.maximum(wanted["lengths"], tiny)) - np.log(np.maximum(actual["lengths"], tiny))
     # Eight times what the cosine of half an angle lacks to 1 is the square of a small angle.
-    angle = 8 * (1 - np.abs((wanted["quaternion"] * found["quaternion"]).sum(axis=-1, keepdims=True)))
+    angle = 8 * (1 - np.abs((wanted["quaternion"] * actual["quaternion"]).sum(axis=-1, keepdims=True)))
     errors = (
-        (wanted["opacity"] - found["opacity"]) ** 2,
+        (wanted["opacity"] - actual["opacity"]) ** 2,
         weight * (lengths**2 + angle),
-        weight * (wanted["colour"] - found["colour"]) ** 2,
+        weight * (wanted["colour"] - actual["colour"]) ** 2,
     )
     return {name: float(error.sum()) for name, error in zip(RENDERING, errors, strict=True)}

@@ -53,8 +53,8 @@ def read_settings(file: Path) -> ModelSettings:
     text = data.decode("utf-8", "replace")
 
     def stated(name: str) -> str | None:
-        found = re.search(rf"[(\s,]{name}=([A-Za-z0-9.+-]{{1,32}})[,)]", text)
-        return found and found[1]
+        match = re.search(rf"[(\s,]{name}=([A-Za-z0-9.+-]{{1,32}})[,)]", text)
+        return match and match[1]
 
     flags = {"True": True, "False": False}
     voxel, features = stated("voxel_size"), stated("feat_dim")
@@ -104,10 +104,10 @@ def _camera(file: Path, number: int, fields: Any) -> Camera:
 
     def numbers(name: str, shape: tuple[int, ...]) -> NDArray[np.float64]:
         value = fields.get(name)
-        found = np.array(value, np.float64) if _is_numbers(value, shape) else np.full(shape, np.inf)
-        if np.abs(found).max() > np.finfo(np.float32).max:
+        array = np.array(value, np.float64) if _is_numbers(value, shape) else np.full(shape, np.inf)
+        if np.abs(array).max() > np.finfo(np.float32).max:
             raise fault(f"has no {name} of {' x '.join(map(str, shape)) or 1} numbers")
-        return found
+        return array
 
     width, height = (int(numbers(name, ())) for name in ("width", "height"))
     fx, fy = (float(numbers(name, ())) for name in ("fx", "fy"))

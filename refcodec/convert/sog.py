@@ -82,10 +82,10 @@ class _Scene:
 
     def value(self, name: str) -> Any:
         """Returns a value of meta.json by its path, such as means.files; None if it is not there."""
-        found = self.root
+        node = self.root
         for key in name.split("."):
-            found = found.get(key) if isinstance(found, dict) else None
-        return found
+            node = node.get(key) if isinstance(node, dict) else None
+        return node
 
     def fault(self, name: str, wanted: str) -> SceneFolderError:
         return SceneFolderError(self.file, f"{name} in its {META} is not {wanted}", ADVICE)
@@ -165,7 +165,7 @@ def _gaussians(archive: _Scene, size: int) -> Arrays:
     largest = rotation[:, 3].astype(np.int64) - 252
     if largest.min(initial=0) < 0:
         raise SceneFolderError(file, "a rotation does not say which component is the largest", ADVICE)
-    found = {
+    arrays = {
         "mean": mean,
         "base": archive.numbers("sh0.codebook", BYTE)[colour[:, :3]],
         "rest": _rest(archive, count),
@@ -173,7 +173,7 @@ def _gaussians(archive: _Scene, size: int) -> Arrays:
         "quaternion": with_largest(largest, (rotation[:, :3] / 255 - 0.5) * np.sqrt(2)),
     }
     with np.errstate(over="ignore"):
-        return {name: v.astype(np.float32, copy=False) for name, v in found.items()} | {
+        return {name: v.astype(np.float32, copy=False) for name, v in arrays.items()} | {
             "opacity": logits(colour[:, 3] / 255)
         }
 

@@ -28,19 +28,19 @@ def read_splats(file: Path) -> Arrays:
     """
     if not there(file, ADVICE):
         raise SceneFolderError(file, "there is no such file", "give a .ply, .spz, .sog or .glb file of 3D Gaussians")
-    found = READERS[file.suffix.lower()](file)
+    arrays = READERS[file.suffix.lower()](file)
     with np.errstate(invalid="ignore"):
-        found["opacity"] = found["opacity"].clip(-LOGIT_MAX, LOGIT_MAX)
-        found["scale"] = found["scale"].clip(-LOGARITHM_MAX, LOGARITHM_MAX)
-    if not len(found["mean"]):
+        arrays["opacity"] = arrays["opacity"].clip(-LOGIT_MAX, LOGIT_MAX)
+        arrays["scale"] = arrays["scale"].clip(-LOGARITHM_MAX, LOGARITHM_MAX)
+    if not len(arrays["mean"]):
         raise SceneFolderError(file, "it has no Gaussians", ADVICE)
-    for name, values in found.items():
+    for name, values in arrays.items():
         if not np.isfinite(values).all():
             raise SceneFolderError(file, f"a {name} is NaN or infinite", ADVICE)
     for name, most in (("mean", COORDINATE_MAX), ("base", COEFFICIENT_MAX), ("rest", COEFFICIENT_MAX)):
-        if np.abs(found[name]).max(initial=0) > most:
+        if np.abs(arrays[name]).max(initial=0) > most:
             raise SceneFolderError(file, f"a {name} is beyond {most:g}", ADVICE)
-    return found
+    return arrays
 
 
 def splats_up(file: Path) -> NDArray[np.float64]:

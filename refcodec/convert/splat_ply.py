@@ -52,10 +52,10 @@ def read_splat_ply(file: Path) -> Arrays:
 def _plain(file: Path, table: Any) -> Arrays:
     """Returns the Gaussians of a table as 3DGS writes it."""
     rest = _rest(file, table)
-    found = {name: _array(file, table, names) for name, names in columns(rest).items()}
-    found["opacity"] = found["opacity"][:, 0]
-    found["rest"] = np.ascontiguousarray(found["rest"].reshape(len(table), 3, -1).transpose(0, 2, 1))
-    return found
+    arrays = {name: _array(file, table, names) for name, names in columns(rest).items()}
+    arrays["opacity"] = arrays["opacity"][:, 0]
+    arrays["rest"] = np.ascontiguousarray(arrays["rest"].reshape(len(table), 3, -1).transpose(0, 2, 1))
+    return arrays
 
 
 def _rest(file: Path, table: Any) -> int:
@@ -69,10 +69,10 @@ def _rest(file: Path, table: Any) -> int:
 
 def _array(file: Path, table: Any, names: tuple[str, ...], kinds: str = "fiu") -> NDArray[np.float32]:
     """Returns some properties as float32 [N, columns]. Raises SceneFolderError for one that is missing or a list."""
-    found = np.empty((len(table), len(names)), np.float32)
+    values = np.empty((len(table), len(names)), np.float32)
     for column, name in enumerate(names):
-        found[:, column] = _column(file, table, name, kinds)
-    return found
+        values[:, column] = _column(file, table, name, kinds)
+    return values
 
 
 def _column(file: Path, table: Any, name: str, kinds: str) -> NDArray[Any]:
@@ -108,7 +108,7 @@ def _packed(file: Path, elements: dict[str, Any]) -> Arrays:
     shade = between("", "rgb", colour[:, :3]) if ranged else colour[:, :3]
     rotation = (_bits(words["packed_rotation"], 2, 10, 10, 10)[:, 1:] - 0.5) * np.sqrt(2)
     quaternion = with_largest(words["packed_rotation"] >> 30, rotation)
-    found = {
+    arrays = {
         "mean": mean,
         "base": (shade - 0.5) / ZERO,
         "rest": _packed_rest(file, elements.get("sh"), count),
@@ -116,17 +116,17 @@ def _packed(file: Path, elements: dict[str, Any]) -> Arrays:
         "quaternion": quaternion,
     }
     with np.errstate(over="ignore"):
-        narrow = {name: values.astype(np.float32) for name, values in found.items()}
+        narrow = {name: values.astype(np.float32) for name, values in arrays.items()}
     return narrow | {"opacity": logits(colour[:, 3])}
 
 
 def _bits(words: NDArray[np.int64], *widths: int) -> NDArray[np.float64]:
     """Returns the fields of words, the highest bits first, as shares of their largest value: float64 [N, fields]."""
-    found, shift = [], sum(widths)
+    parts, shift = [], sum(widths)
     for width in widths:
         shift -= width
-        found.append((words >> shift & ((1 << width) - 1)) / ((1 << width) - 1))
-    return np.stack(found, axis=1)
+        parts.append((words >> shift & ((1 << width) - 1)) / ((1 << width) - 1))
+    return np.stack(parts, axis=1)
 
 
 def _packed_rest(file: Path, table: Any, count: int) -> NDArray[np.float64]:

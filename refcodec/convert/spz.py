@@ -87,7 +87,7 @@ def _unpacked(file: Path, data: bytes, count: int, sizes: list[int]) -> bytes:
     start = TABLE.unpack_from(data, HEADER.size)[0] if len(data) >= HEADER.size + TABLE.size else len(data)
     if count != len(sizes) or start + count * STREAM.size > len(data):
         raise SceneFolderError(file, f"it has {count} streams, {len(sizes)} whole ones are required", ADVICE)
-    place, found = start + count * STREAM.size, []
+    place, streams = start + count * STREAM.size, []
     for number, wanted in enumerate(sizes):
         size, plain = STREAM.unpack_from(data, start + number * STREAM.size)
         if plain != wanted or place + size > len(data):
@@ -96,13 +96,13 @@ def _unpacked(file: Path, data: bytes, count: int, sizes: list[int]) -> bytes:
             with zstandard.ZstdDecompressor(max_window_size=1 << 27).stream_reader(
                 data[place : place + size]
             ) as reader:
-                found.append(reader.read(wanted))
+                streams.append(reader.read(wanted))
         except zstandard.ZstdError as error:
             raise SceneFolderError(file, f"its stream {number} is damaged ({error})", ADVICE) from None
-        if len(found[-1]) != wanted:
+        if len(streams[-1]) != wanted:
             raise SceneFolderError(file, f"its stream {number} has no {wanted} bytes", ADVICE)
         place += size
-    return b"".join(found)
+    return b"".join(streams)
 
 
 def _gaussians(version: int, fraction: int, rest: int, *parts: NDArray[np.uint8]) -> Arrays:
@@ -122,24 +122,24 @@ def _gaussians(version: int, fraction: int, rest: int, *parts: NDArray[np.uint8]
         vector = rotation / 127.5 - 1
         scalar = np.sqrt(np.maximum(1 - (vector**2).sum(axis=1), 0))
         quaternion = np.concatenate([scalar[:, None], vector], axis=1)
-    found: dict[str, NDArray[Any]] = {
+    arrays: dict[str, NDArray[Any]] = {
         "mean": mean * (1, -1, -1),
         "base": (colour / 255 - 0.5) / COLOUR,
         "rest": _rest(harmonics.reshape(count, rest, 3)),
         "scale": lengths / SCALE + SCALE_LEAST,
         "quaternion": quaternion * (1, 1, -1, -1),
     }
-    return {name: values.astype(np.float32, copy=False) for name, values in found.items()} | {
+    return {name: values.astype(np.float32, copy=False) for name, values in arrays.items()} | {
         "opacity": logits(opacity[:, 0] / 255)
     }
 
 
 def _rest(harmonics: NDArray[np.uint8]) -> NDArray[np.float32]:
     """Returns coefficients of bytes, [N, K, 3]. They are most of a file, and exact as float32."""
-    found = harmonics.astype(np.float32)
-    found -= 128
-    found *= HARMONIC_SIGNS[: found.shape[1], None].astype(np.float32) / 128
-    return found
+    coefficients = harmonics.astype(np.float32)
+    coefficients -= 128
+    coefficients *= HARMONIC_SIGNS[: coefficients.shape[1], None].astype(np.float32) / 128
+    return coefficients
 
 
 def _smallest_three(rotation: NDArray[np.uint8]) -> NDArray[np.float64]:

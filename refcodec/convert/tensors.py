@@ -251,10 +251,10 @@ class _Machine:
 
     def _marked(self) -> list[Any]:
         mark = self.marks.pop()
-        found = self.stack[mark:]
+        values = self.stack[mark:]
         # In place: a copy of what is below would cost as much as the whole stack for each mark.
         del self.stack[mark:]
-        return found
+        return values
 
     def _step(self, name: str, argument: Any) -> None:
         stack = self.stack
@@ -276,8 +276,8 @@ class _Machine:
         elif name == "BINPERSID":
             stack.append(self._storage(stack.pop()))
         elif name in ("NEWOBJ", "REDUCE"):
-            arguments, made = stack.pop(), stack.pop()
-            stack.append({} if name == "NEWOBJ" else self._called(made, arguments))
+            arguments, function = stack.pop(), stack.pop()
+            stack.append({} if name == "NEWOBJ" else self._called(function, arguments))
         elif name == "BUILD":
             state = stack.pop()
             self._move(2 * len(state))

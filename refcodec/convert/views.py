@@ -81,7 +81,7 @@ def orbit(splats: Splats, up: F64, size: int, train: int, test: int) -> dict[str
     up: what is up in the world, a unit vector, float64 [3]. size: sides of the images in pixels. train, test: how many.
     """
     directions = {TRAIN: train_directions(train), TEST: test_directions(test)}
-    return {name: _cameras(splats, found, up, size, name) for name, found in directions.items()}
+    return {name: _cameras(splats, views, up, size, name) for name, views in directions.items()}
 
 
 def _cameras(splats: Splats, directions: F64, up: F64, size: int, name: str) -> list[Camera]:
@@ -93,14 +93,14 @@ def _cameras(splats: Splats, directions: F64, up: F64, size: int, name: str) -> 
     side /= np.linalg.norm(side)
     base = np.stack([side, np.cross(up, side), up])
     focal = size / 2 / math.tan(ANGLE / 2)
-    found = []
+    listed = []
     for number, direction in enumerate(directions @ base):
         rotation = looking(-direction, up)
         place = middle + direction * MARGIN * radius / math.sin(ANGLE / 2)
-        found.append(
+        listed.append(
             Camera(f"{name}/r_{number}", size, size, focal, focal, size / 2, size / 2, rotation, -rotation @ place)
         )
-    return found
+    return listed
 
 
 def given(cameras: Sequence[Camera], most: int, size: int | None) -> dict[str, list[Camera]]:
@@ -109,14 +109,14 @@ def given(cameras: Sequence[Camera], most: int, size: int | None) -> dict[str, l
     most: how many. size: the longest side in pixels of an image, None for their own.
     """
     chosen = [cameras[i] for i in np.unique(np.linspace(0, len(cameras) - 1, most).round().astype(int))]
-    found: dict[str, list[Camera]] = {TRAIN: [], TEST: []}
+    groups: dict[str, list[Camera]] = {TRAIN: [], TEST: []}
     for number, camera in enumerate(chosen):
         share = min(1.0, (size or math.inf) / max(camera.width, camera.height))
         smaller = camera.resized(max(round(camera.width * share), 1), max(round(camera.height * share), 1))
         # The first one is to learn from, however few there are.
         name = TEST if number % TEST_EVERY == TEST_EVERY - 1 else TRAIN
-        found[name].append(replace(smaller, name=f"{name}/r_{number}"))
-    return found
+        groups[name].append(replace(smaller, name=f"{name}/r_{number}"))
+    return groups
 
 
 def transforms(cameras: Sequence[Camera]) -> dict[str, object]:

@@ -81,14 +81,14 @@ def agreement(view: View, splats: Splats, cameras: Sequence[Camera], progress: P
 
     It is infinite if all images are the same. Raises ValueError as rasterise.
     """
-    settings, found = render_settings(view), []
+    settings, decibels = render_settings(view), []
     for number, camera in enumerate(cameras):
         progress("measure", number, len(cameras))
-        right, made = view.draw(camera), draw(splats, camera, settings).image
-        error = np.mean((np.clip(right, 0, 1).astype(np.float64) - np.clip(made, 0, 1)) ** 2)
-        found.append(-10 * math.log10(error) if error else math.inf)
+        right, image = view.draw(camera), draw(splats, camera, settings).image
+        error = np.mean((np.clip(right, 0, 1).astype(np.float64) - np.clip(image, 0, 1)) ** 2)
+        decibels.append(-10 * math.log10(error) if error else math.inf)
     progress("measure", len(cameras), len(cameras))
-    return sum(found) / len(found)
+    return sum(decibels) / len(decibels)
 
 
 def _seen_by(view: View, values: Reconstruction, masks: NDArray[np.bool_], camera: Camera) -> Gaussians:
@@ -98,7 +98,7 @@ def _seen_by(view: View, values: Reconstruction, masks: NDArray[np.bool_], camer
 def _blending_weights(view: View, cameras: Sequence[Camera], progress: Progress) -> list[F32]:
     """Returns the blending weights of all offsets of all anchors in each view, float32 [N * K] each, in pixels."""
     settings, count = render_settings(view), view.masks.shape[1]
-    found = []
+    listed = []
     for number, camera in enumerate(cameras):
         progress("views", number, len(cameras))
         g = _seen_by(view, view.values, view.masks, camera)
@@ -106,9 +106,9 @@ def _blending_weights(view: View, cameras: Sequence[Camera], progress: Progress)
         weights = np.zeros(view.masks.size, np.float32)
         # All three channels have the same derivative.
         weights[g.anchor * count + g.offset] = rasterise_backward(drawn, np.ones_like(drawn.image)).colour[:, 0]
-        found.append(weights)
+        listed.append(weights)
     progress("views", len(cameras), len(cameras))
-    return found
+    return listed
 
 
 def _regression(
@@ -130,8 +130,8 @@ def _regression(
         place = slice(begin * count, (begin + _GROUP) * count)
         sums = _Sums(np.flatnonzero(seen[place]), degree)
         for camera, weight in zip(cameras, weights, strict=True):
-            found = _seen_by(view, values, view.masks[group], camera)
-            sums.add(found, found.anchor * count + found.offset, weight[place], camera)
+            visible = _seen_by(view, values, view.masks[group], camera)
+            sums.add(visible, visible.anchor * count + visible.offset, weight[place], camera)
         parts.append(sums.splats())
     progress("regression", anchors, anchors)
     return Splats(*(np.concatenate([getattr(p, name) for p in parts]) for name in Splats.__dataclass_fields__))
@@ -149,16 +149,16 @@ class _Sums:
         self._mean = np.zeros((n, 3), np.float32)
         self._left, self._right = np.zeros((n, size, size)), np.zeros((n, size, 3))
 
-    def add(self, found: Gaussians, offset: I64, weights: F32, camera: Camera) -> None:
-        """Adds a view. offset: int64, that of each found Gaussian within the group. weights: of all offsets of it."""
+    def add(self, visible: Gaussians, offset: I64, weights: F32, camera: Camera) -> None:
+        """Adds a view. offset: int64, that of each visible Gaussian within the group. weights: of all offsets of it."""
         chosen = np.isin(offset, self._members) & (weights[offset] > 0)
         at = np.searchsorted(self._members, offset[chosen])
         weight = weights[offset[chosen]].astype(np.float64)
-        opacity, mean = found.opacity[chosen].astype(np.float64), found.mean[chosen]
+        opacity, mean = visible.opacity[chosen].astype(np.float64), visible.mean[chosen]
         # The weight over the opacity does not favour views in which the Gaussian is more opaque.
         area = weight / np.maximum(opacity, OPACITY_LEAST)
-        axes = rotation_matrix(found.quaternion[chosen].astype(np.float64))
-        lengths = 2 * np.log(np.maximum(found.lengths[chosen].astype(np.float64), _LENGTH_LEAST))
+        axes = rotation_matrix(visible.quaternion[chosen].astype(np.float64))
+        lengths = 2 * np.log(np.maximum(visible.lengths[chosen].astype(np.float64), _LENGTH_LEAST))
         basis = harmonics(mean, camera, self._degree)
         self._mean[at] = mean
         self._weight[at] += weight
@@ -167,7 +167,7 @@ class _Sums:
         self._covariance[at] += weight[:, None, None] * (axes * lengths[:, None, :]) @ axes.transpose(0, 2, 1)
         weighted = weight[:, None] * basis
         self._left[at] += weighted[:, :, None] * basis[:, None, :]
-        self._right[at] += weighted[:, :, None] * (found.colour[chosen].astype(np.float64) - 0.5)[:, None, :]
+        self._right[at] += weighted[:, :, None] * (visible.colour[chosen].astype(np.float64) - 0.5)[:, None, :]
 
     def splats(self) -> Splats:
         """Returns the means and the solutions."""

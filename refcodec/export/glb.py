@@ -37,7 +37,7 @@ def _attributes(splats: Splats) -> dict[str, NDArray]:
     opacity = opacities(splats)
     # Programs without the extension show points of this colour.
     points = np.concatenate([ZERO * splats.base + 0.5, opacity[:, None]], axis=1)
-    found: dict[str, NDArray] = {
+    attributes: dict[str, NDArray] = {
         "POSITION": splats.mean,
         "COLOR_0": nearest_bytes(points * 255),
         f"{EXTENSION}:ROTATION": splats.unit_quaternions()[:, [1, 2, 3, 0]],
@@ -47,15 +47,15 @@ def _attributes(splats: Splats) -> dict[str, NDArray]:
     }
     for degree in range(1, splats.degree + 1):
         for number in range(2 * degree + 1):
-            found[f"{EXTENSION}:SH_DEGREE_{degree}_COEF_{number}"] = splats.rest[:, degree * degree - 1 + number]
-    return {name: v if v.dtype == np.uint8 else v.astype("<f4") for name, v in found.items()}
+            attributes[f"{EXTENSION}:SH_DEGREE_{degree}_COEF_{number}"] = splats.rest[:, degree * degree - 1 + number]
+    return {name: v if v.dtype == np.uint8 else v.astype("<f4") for name, v in attributes.items()}
 
 
 def _to_y(up: F64) -> list[float]:
     """Returns the quaternion x, y, z, w of the shortest turn that takes a unit vector to +y. It turns -y about z."""
     x, y, z = up.tolist()
-    found = np.array([-z, 0.0, x, 1 + y] if y > -1 else [0.0, 0.0, 1.0, 0.0])
-    return (found / np.linalg.norm(found)).tolist()
+    quaternion = np.array([-z, 0.0, x, 1 + y] if y > -1 else [0.0, 0.0, 1.0, 0.0])
+    return (quaternion / np.linalg.norm(quaternion)).tolist()
 
 
 def glb_bytes(splats: Splats, up: F64) -> bytes:

@@ -51,14 +51,14 @@ def rest_harmonics(direction: Iterable[Any], degree: int) -> list[Any]:
     shape.
     """
     x, y, z = direction
-    found: list[Any] = []
+    values: list[Any] = []
     if degree > 0:
-        found += [c * p for c, p in zip(_ONE, (y, z, x), strict=True)]
+        values += [c * p for c, p in zip(_ONE, (y, z, x), strict=True)]
     if degree > 1:
         xx, yy, zz = x * x, y * y, z * z
-        found += [c * p for c, p in zip(_TWO, (x * y, y * z, 2 * zz - xx - yy, x * z, xx - yy), strict=True)]
+        values += [c * p for c, p in zip(_TWO, (x * y, y * z, 2 * zz - xx - yy, x * z, xx - yy), strict=True)]
     if degree > 2:
         ring = 4 * zz - xx - yy
         inner = (y * (3 * xx - yy), x * y * z, y * ring, z * (2 * zz - 3 * xx - 3 * yy), x * ring, z * (xx - yy))
-        found += [c * p for c, p in zip(_THREE, (*inner, x * (xx - 3 * yy)), strict=True)]
-    return found
+        values += [c * p for c, p in zip(_THREE, (*inner, x * (xx - 3 * yy)), strict=True)]
+    return values

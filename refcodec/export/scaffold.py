@@ -124,8 +124,8 @@ def check_folder(folder: Path) -> None:
         return
     if not folder.is_dir():
         raise UsageError(f"{folder} is a file: give the name of a folder")
-    found = {path.relative_to(folder) for path in folder.rglob("*") if INCOMING not in path.parts and not path.is_dir()}
-    if found and (CFG_ARGS not in found or not found <= set(FILES)):
+    files = {path.relative_to(folder) for path in folder.rglob("*") if INCOMING not in path.parts and not path.is_dir()}
+    if files and (CFG_ARGS not in files or not files <= set(FILES)):
         raise UsageError(f"{folder} exists and has other files: choose another one, or empty it")
     check_file(folder / CFG_ARGS, CFG, made=True)
 
@@ -160,7 +160,7 @@ def _model(
     features = np.zeros((count, width), np.float32)
     features[:, :own] = values.features
     features[:, width - extra :] = dropped
-    made = {}
+    layers = {}
     for name in RENDERING:
         (weight, bias), (last_weight, last_bias) = networks[name]
         first, first_bias = np.zeros((width, width + _VIEW), np.float32), np.zeros(width, np.float32)
@@ -172,8 +172,8 @@ def _model(
         if name == "opacity":
             unit = np.arange(width - extra, width)
             first[unit, unit], second[np.arange(extra), unit] = 1, -DROP
-        made[name] = [(first, first_bias), (second, last_bias)]
-    return _Model(features, made, width)
+        layers[name] = [(first, first_bias), (second, last_bias)]
+    return _Model(features, layers, width)
 
 
 def _module(name: str, layers: list[Layer]) -> nn.Sequential:

@@ -133,8 +133,8 @@ def _positions(mean: NDArray[np.float32]) -> tuple[NDArray[np.uint16], dict[str,
     wide = mean.astype(np.float64)
     scaled = np.sign(wide) * np.log1p(np.abs(wide))
     low, high = scaled.min(axis=0), scaled.max(axis=0)
-    found = np.rint((scaled - low) / np.where(high > low, high - low, 1) * 65535).astype(np.uint16)
-    return found, {"mins": low.tolist(), "maxs": high.tolist()}
+    levels = np.rint((scaled - low) / np.where(high > low, high - low, 1) * 65535).astype(np.uint16)
+    return levels, {"mins": low.tolist(), "maxs": high.tolist()}
 
 
 def _table(values: NDArray) -> tuple[_U8, _F64]:

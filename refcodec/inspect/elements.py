@@ -96,12 +96,12 @@ class Outline:
 def parse_elements(name: str, data: Bytes, start: int, end: int, path: str) -> tuple[list[Row], Any]:
     """Returns the elements of one struct in data[start:end], as far as the bytes go, and the struct if it is whole."""
     stream = io.BytesIO(data[start : min(end, start + _STRUCT_BYTES_MAX)])
-    found: list[syntax.Element] = []
+    elements: list[syntax.Element] = []
     try:
-        value = syntax.schema(name).parse_stream(stream, at=[path], elements=found)
+        value = syntax.schema(name).parse_stream(stream, at=[path], elements=elements)
     except cs.ConstructError:
         value = None
-    return [Row(start + e.start, start + e.end, e.path, e.kind, e.value) for e in found], value
+    return [Row(start + e.start, start + e.end, e.path, e.kind, e.value) for e in elements], value
 
 
 def outline_of(data: Bytes) -> Outline:
@@ -167,9 +167,9 @@ def section_rows(data: Bytes, outline: Outline, place: Place) -> Iterator[Row]:
     elif place.type == WEIGHTS:
         yield from _weight_rows(data, outline, place)
     elif place.type == PLANES_SECTION:
-        found, table = parse_elements("PlaneTable", data, start, end, "planes")
-        yield from found
-        at = found[-1].end if found else start
+        table_rows, table = parse_elements("PlaneTable", data, start, end, "planes")
+        yield from table_rows
+        at = table_rows[-1].end if table_rows else start
         for plane, length in zip(PLANE_NAMES, table.length if table else [], strict=False):
             path = f"planes.{plane}"
             yield from _substream_rows(data, at, min(end, at + length), 1 << h.plane_lanes_log2, path)
@@ -198,28 +198,28 @@ def section_rows(data: Bytes, outline: Outline, place: Place) -> Iterator[Row]:
 def _list_rows(data: Bytes, place: Place) -> Iterator[Row]:
     """Yields the elements of an ancillary section of a known type."""
     entry = ancillary.TYPES[place.type]
-    found, fields = parse_elements(entry.head, data, place.start, place.end, place.name)
-    yield from found
-    at = found[-1].end if found else place.start
+    item_rows, fields = parse_elements(entry.head, data, place.start, place.end, place.name)
+    yield from item_rows
+    at = item_rows[-1].end if item_rows else place.start
     for number in range(fields.count if fields else 0):
-        found, whole = parse_elements(entry.items, data, at, place.end, f"{place.name}.{entry.item}[{number}]")
+        item_rows, whole = parse_elements(entry.items, data, at, place.end, f"{place.name}.{entry.item}[{number}]")
         if whole is None:
             return
-        yield from found
-        at = found[-1].end
+        yield from item_rows
+        at = item_rows[-1].end
 
 
 def _weight_rows(data: Bytes, outline: Outline, place: Place) -> Iterator[Row]:
-    found, scales = parse_elements("WeightScales", data, place.start, place.end, "weights")
-    yield from found
+    field_rows, scales = parse_elements("WeightScales", data, place.start, place.end, "weights")
+    yield from field_rows
     if scales is None or outline.dimensions is None:
         return
-    at, mode, end = found[-1].end, place.mode, place.end
+    at, mode, end = field_rows[-1].end, place.mode, place.end
     for name, out, fan_in in layers_of(outline.dimensions):
         if mode:
-            found, model = parse_elements("LayerModel", data, at, end, f"weights.{name}")
-            yield from found
-            at = found[-1].end if found else at
+            field_rows, model = parse_elements("LayerModel", data, at, end, f"weights.{name}")
+            yield from field_rows
+            at = field_rows[-1].end if field_rows else at
             if model is None or model.form:
                 continue
         for part, count, shape in (("weight", out * fan_in, f"{out},{fan_in}"), ("bias", out, f"{out}")):
@@ -231,13 +231,13 @@ def _weight_rows(data: Bytes, outline: Outline, place: Place) -> Iterator[Row]:
 
 def _substream_rows(data: Bytes, start: int, end: int, lanes: int, path: str) -> Iterator[Row]:
     """Yields the elements of a substream (SPEC 5.15). What is cut off is left out."""
-    found, head = parse_elements("Substream", data, start, end, path)
-    yield from found
+    head_rows, head = parse_elements("Substream", data, start, end, path)
+    yield from head_rows
     if head is None:
-        at = found[-1].end if found else start
+        at = head_rows[-1].end if head_rows else start
         yield from _payload(at, end, end, path, "bytes")
         return
-    at = found[-1].end
+    at = head_rows[-1].end
     words_at = min(end, at + 4 * lanes)
     raw_at = min(end, words_at + 2 * head.word_count)
     yield from _payload(at, words_at, end, f"{path}.state", f"u32[{lanes}]")
@@ -261,9 +261,9 @@ def _chunk_rows(data: Bytes, outline: Outline, place: Place) -> Iterator[Row]:
         if at == place.end:
             return
         end = min(place.end, at + int(entry["length"]))
-        found, head = parse_elements("Chunk", data, at, end, f"chunk[{number}]")
-        yield from found
-        used = found[-1].end if found else at
+        head_rows, head = parse_elements("Chunk", data, at, end, f"chunk[{number}]")
+        yield from head_rows
+        used = head_rows[-1].end if head_rows else at
         for part in PARTS if head else ():
             path, length = f"{part}[chunk {number}]", head[f"{part.removesuffix('s')}_length"]
             stop = min(end, used + length)

@@ -225,10 +225,10 @@ def meaning(path: str) -> Meaning:
     stream = re.fullmatch(rf"{_STREAM}\.(?:symbol_crc|word_count|state|word|raw)", path)
     decoded = DECODED[re.split(r"\W", path)[0]].split() if stream else []
     for pattern, table in TABLES:
-        found = re.fullmatch(pattern.replace("FIELD", r"(\w+)") + r"(?:\[\d+\])?", path)
-        if found and any(found[1] == field for field, _ in SYNTAX[table]):
-            names = [TABLE_CLAUSES[table], *FIELDS[f"{table}.{found[1]}"].split(), *decoded]
-            return _meaning(table, found[1], "", names)
+        match = re.fullmatch(pattern.replace("FIELD", r"(\w+)") + r"(?:\[\d+\])?", path)
+        if match and any(match[1] == field for field, _ in SYNTAX[table]):
+            names = [TABLE_CLAUSES[table], *FIELDS[f"{table}.{match[1]}"].split(), *decoded]
+            return _meaning(table, match[1], "", names)
     for pattern, words, names_of in PAYLOADS:
         if re.fullmatch(pattern, path):
             return _meaning("", "", words, [*names_of.split(), *decoded])

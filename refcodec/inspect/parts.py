@@ -26,19 +26,19 @@ def part_bytes(data: Bytes, outline: Outline, heads: bool = True) -> dict[str, i
     heads: whether the heads of the chunks are read. Otherwise data stands for the parts of all chunks and the heads.
     """
     prologue = min(len(data), PROLOGUE_BYTES)
-    found = {"prologue": prologue, "header": outline.header_end - prologue}
+    sizes = {"prologue": prologue, "header": outline.header_end - prologue}
     ancillary = 0
     for place in outline.sections:
         size = place.stop - place.start
         if not is_critical(place.type):
             ancillary += size
-        elif heads and place.type == DATA and "heads" not in found:
+        elif heads and place.type == DATA and "heads" not in sizes:
             parts = _chunk_bytes(data, outline, place.start, place.end)
-            found |= {**parts, "heads": size - sum(parts.values())}
+            sizes |= {**parts, "heads": size - sum(parts.values())}
         else:
-            found[place.name] = found.get(place.name, 0) + size
+            sizes[place.name] = sizes.get(place.name, 0) + size
     end = outline.sections[-1].stop if outline.sections else outline.header_end
-    return {**found, "ancillary": ancillary, "rest": len(data) - end}
+    return {**sizes, "ancillary": ancillary, "rest": len(data) - end}
 
 
 def _chunk_bytes(data: Bytes, outline: Outline, start: int, end: int) -> dict[str, int]:
@@ -69,7 +69,7 @@ def _heads(data: Bytes, starts: NDArray[np.int64]) -> NDArray[np.int64]:
     size = 4 * len(PARTS)
     if len(starts) and starts[-1] + size - starts[0] <= SPAN_BYTES:
         span = np.frombuffer(data[int(starts[0]) : int(starts[-1]) + size], np.uint8)
-        found = span[(starts - starts[0])[:, None] + np.arange(size)].tobytes()
+        fields = span[(starts - starts[0])[:, None] + np.arange(size)].tobytes()
     else:
-        found = b"".join(data[start : start + size] for start in starts.tolist())
-    return np.frombuffer(found, "<u4").reshape(-1, len(PARTS)).astype(np.int64)
+        fields = b"".join(data[start : start + size] for start in starts.tolist())
+    return np.frombuffer(fields, "<u4").reshape(-1, len(PARTS)).astype(np.int64)

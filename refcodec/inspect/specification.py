@@ -48,22 +48,22 @@ def clauses(spec: str) -> dict[str, Clause]:
     # A line of a code block that begins with # is no heading, but a comment of Python.
     bare = re.sub(r"^```.*?^```", lambda block: re.sub(r"^#", " ", block[0], flags=re.M), spec, flags=re.S | re.M)
     heads = list(re.finditer(rf"^#{{2,4}} ((?:Annex )?({CLAUSE}):? (.*))$", bare, re.MULTILINE))
-    found = {}
+    listed = {}
     for head, after in zip(heads, [*heads[1:], None], strict=True):
         end = after.start() if after else len(spec)
         title = head[3].removesuffix(" (normative)").removesuffix(" (informative)")
-        found[head[2]] = Clause(head[2], title, spec[head.end() : end].strip(), anchor(head[1]))
-    return found
+        listed[head[2]] = Clause(head[2], title, spec[head.end() : end].strip(), anchor(head[1]))
+    return listed
 
 
 def fields(spec: str) -> dict[str, tuple[str, str]]:
     """Returns (type, meaning) of each field of the syntax tables of chapter 5, by table.field."""
-    found = {}
+    listed = {}
     for clause in clauses(spec).values():
         if clause.number.startswith("5."):
             for field, kind, words in re.findall(r"^\| (\w+) \| ([^|]+) \| ([^|]*) \|$", clause.text, re.MULTILINE):
-                found[f"{clause.title}.{field}"] = kind, words
-    return found
+                listed[f"{clause.title}.{field}"] = kind, words
+    return listed
 
 
 def unfolded(spec: str) -> str:
@@ -76,12 +76,12 @@ def requirements(spec: str) -> dict[str, Requirement]:
     pattern = (
         rf"^- \[([RDG]({CLAUSE})-\d+)\] It is a requirement of (?:bitstream|decoder|renderer) conformance that (.*)$"
     )
-    found = {}
+    listed = {}
     for name, clause, sentence in re.findall(pattern, unfolded(spec), re.MULTILINE):
         error = re.search(r" \(`([a-z_.]+)`\)", sentence)
         words = sentence[: error.start()] if error else sentence.rstrip(".")
-        found[name] = Requirement(name, clause, words, error[1] if error and name.startswith("R") else "")
-    return found
+        listed[name] = Requirement(name, clause, words, error[1] if error and name.startswith("R") else "")
+    return listed
 
 
 def terms(spec: str) -> dict[str, str]:

@@ -104,7 +104,7 @@ def document(data: Bytes, verdict: Verdict | BitstreamError | None, heads: bool 
     """
     outline = outline_of(data)
     h, d = outline.header, outline.dimensions
-    found: dict[str, Any] = {
+    facts: dict[str, Any] = {
         "bytes": len(data),
         "prologue": _plain(parse_elements("Prologue", data, 0, PROLOGUE_BYTES, "prologue")[1]),
         "header": _plain(h),
@@ -115,35 +115,35 @@ def document(data: Bytes, verdict: Verdict | BitstreamError | None, heads: bool 
     for place in outline.sections:
         start, end = place.start, place.end
         if place.type == FRAME:
-            found["frame"] = _plain(parse_elements("Frame", data, start, end, "frame")[1])
+            facts["frame"] = _plain(parse_elements("Frame", data, start, end, "frame")[1])
         elif place.type == WEIGHTS and d:
             scales = parse_elements("WeightScales", data, start, end, "weights")[1]
-            found["weights"] = {"scales": _plain(scales), "networks": _plain(d.network_shapes())}
+            facts["weights"] = {"scales": _plain(scales), "networks": _plain(d.network_shapes())}
         elif place.type == PLANES_SECTION:
             table = parse_elements("PlaneTable", data, start, end, "planes")[1]
-            found["planes"] = dict(zip(PLANE_NAMES, table.length, strict=True)) if table else None
+            facts["planes"] = dict(zip(PLANE_NAMES, table.length, strict=True)) if table else None
         elif place.type == INDEX:
             count = min(mask_contexts(h.dimensions.offset_count), (end - start) // 2)
-            found["mask_model"] = np.frombuffer(data[start : start + 2 * count], "<u2").tolist()
+            facts["mask_model"] = np.frombuffer(data[start : start + 2 * count], "<u2").tolist()
             if place.mode:
                 model = parse_elements("PositionModel", data, min(start + pad4(2 * count), end), end, "")[1]
-                found["position_model"] = _plain(model)
-            found["chunks"] = ChunkSizes(read_index(data, outline))
-            found["kept_offsets"] = int(found["chunks"].table["kept_count"].sum(dtype=np.uint64))
+                facts["position_model"] = _plain(model)
+            facts["chunks"] = ChunkSizes(read_index(data, outline))
+            facts["kept_offsets"] = int(facts["chunks"].table["kept_count"].sum(dtype=np.uint64))
     sections = [
         Ancillary(p.type, p.mode, data[p.start : min(p.end, p.start + _ANCILLARY_BYTES)])
         for p in outline.sections
         if p.type in TYPES
     ]
-    found |= {entry.name: entry.facts(sections) for entry in TYPES.values()}
-    found["accepted"] = None
+    facts |= {entry.name: entry.facts(sections) for entry in TYPES.values()}
+    facts["accepted"] = None
     if isinstance(verdict, BitstreamError):
-        found |= {"accepted": False, "error": {**json.loads(verdict.to_json()), "text": str(verdict)}}
+        facts |= {"accepted": False, "error": {**json.loads(verdict.to_json()), "text": str(verdict)}}
     elif verdict is not None:
-        found |= {"accepted": True, "digest": {"whole": verdict[0], **verdict[1]}}
+        facts |= {"accepted": True, "digest": {"whole": verdict[0], **verdict[1]}}
     elif outline.stated_end != len(data):
-        found["stated_bytes"] = outline.stated_end
-    return found
+        facts["stated_bytes"] = outline.stated_end
+    return facts
 
 
 def json_lines(facts: dict[str, Any]) -> Iterator[str]:

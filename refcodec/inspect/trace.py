@@ -63,11 +63,11 @@ def symbol_trace(data: bytes, write: Callable[[str], object], *, probes: bool = 
     file that is refused, after the lines of what was decoded. It has no probes then.
     """
     # The symbols of substreams that are decoded side by side are kept as text. Rows would take many times the memory.
-    found: dict[int, _Text] = {}
+    texts: dict[int, _Text] = {}
     ends = np.cumsum(parse_container(data).dimensions.slices) if probes else np.zeros(0, np.int64)
 
     def add(row: TraceRow) -> None:
-        text = found.setdefault(row.substream, _Text())
+        text = texts.setdefault(row.substream, _Text())
         if probes and row.path.startswith(_FEATURES):
             channel = int(row.path[:-1].rpartition(",")[2])
             text.enter(int(np.searchsorted(ends, channel, "right")))
@@ -81,7 +81,7 @@ def symbol_trace(data: bytes, write: Callable[[str], object], *, probes: bool = 
         scene = parsed.scene if parsed and probes else None
         coding = Coding(scene) if scene else None
         chunks = iter(scene.chunks) if scene else iter(())
-        for _, text in sorted(found.items()):
+        for _, text in sorted(texts.items()):
             if scene and coding and text.attributes:
                 text.write_with_probes(scene, coding, next(chunks), write)
             else:

@@ -145,8 +145,8 @@ def read_colmap(folder: Path, model: Path, size: Size) -> tuple[list[Shot], F64,
             f"the image is missing ({len(missing)} of {len(shots)} are that have a pose)",
             "restore it, or remove its pose from the model",
         )
-    found = (p for p in images.rglob("*") if p.suffix.lower() in IMAGE_SUFFIXES and p.is_file())
-    skipped = sum(p.relative_to(images).as_posix() not in names for p in found)
+    pictures = (p for p in images.rglob("*") if p.suffix.lower() in IMAGE_SUFFIXES and p.is_file())
+    skipped = sum(p.relative_to(images).as_posix() not in names for p in pictures)
     return [replace(shot, path=images / shot.camera.name) for shot in shots], points, colours, skipped
 
 
