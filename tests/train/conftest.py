@@ -15,7 +15,9 @@ from refcodec.train.settings_file import varied
 from refcodec.train.trainer import Trainer
 
 EXAMPLES = Path(__file__).resolve().parents[2] / "examples" / "photographs"
-SMALL = varied(TrainSettings(), {"steps": 160, "start.anchors": 800, "growth.most": 900})
+# Few grids to choose from: each is judged by drawing photographs, which takes most of a short training.
+FEW_GRIDS = {"weights.rendering_bits": (7, 8), "weights.coarser": (1, 2), "weights.judges": 1}
+SMALL = varied(TrainSettings(), {"steps": 160, "start.anchors": 800, "growth.most": 900, **FEW_GRIDS})
 
 
 @pytest.fixture(scope="session")

@@ -37,7 +37,14 @@ aten = torch.ops.aten
 # Operations that torch allows on tensors of two devices: copies, and a choice of elements by indices on the CPU.
 MIXED = {aten.copy_.default, aten._to_copy.default}
 INDEXED = {aten.index.Tensor, aten.index_put_.default, aten.index_put.default, aten._index_put_impl_.default}
-SHORT = {"steps": 60, "start.anchors": 400, "growth.most": 600, "growth.period": 10, "growth.offset_views": 1}
+SHORT = {
+    "steps": 60,
+    "start.anchors": 400,
+    "growth.most": 600,
+    "growth.period": 10,
+    "growth.offset_views": 1,
+    "weights.judges": 1,
+}
 
 
 class MixedDevicesError(Exception):

@@ -29,8 +29,8 @@ from refcodec.train.settings_file import varied
 from refcodec.train.state import Saved, StateError, restore, save
 from refcodec.train.trainer import Trainer
 
-FEW = {"start.anchors": 300, "growth.most": 400}
-TINY = ["--size", "60", "--set", "start.anchors=300", "--set", "growth.most=400"]
+FEW = {"start.anchors": 300, "growth.most": 400, "weights.judges": 1}
+TINY = ["--size", "60", *(word for name, value in FEW.items() for word in ("--set", f"{name}={value}"))]
 
 
 def until(trainer: Trainer, done: int) -> Trainer:

@@ -70,7 +70,7 @@ class Kept:
 @pytest.fixture(scope="module")
 def kept(photographs: PhotographSet, tmp_path_factory: pytest.TempPathFactory) -> Kept:
     """At the end of a training, when every part has a state."""
-    chosen = varied(TrainSettings(), {"steps": 40, "start.anchors": 100, "growth.most": 120})
+    chosen = varied(TrainSettings(), {"steps": 40, "start.anchors": 100, "growth.most": 120, "weights.judges": 1})
     return Kept(photographs, chosen, tmp_path_factory.mktemp("kept") / "scene.train-state")
 
 
