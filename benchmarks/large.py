@@ -187,6 +187,5 @@ def attribute_bits(data: bytes) -> float:
     source = WholeFile(data)
     reader = Reader(source)
     index, section = reader.open().index, reader.header.section(INDEX)
-    assert section is not None
     parts = (read_chunk(source, index[number], section.mode).attributes for number in range(len(index)))
     return 8 * sum(map(len, parts)) / reader.header.anchor_count

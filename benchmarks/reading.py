@@ -117,31 +117,32 @@ def _read(path: Path, way: str, traced: bool) -> Reading:
         found = digest(scene)[0]
     elif way == ARRIVING:
         reader, stream = Reader(Arriving(file.blocks())), StreamDigest()
-        reader.open()
-        for chunk in reader.chunks():
+        opened = reader.open()
+        for chunk in opened.chunks():
             if isinstance(chunk, BitstreamError):
                 raise chunk
-            scene = reader.scene([chunk])
+            scene = opened.scene([chunk])
             reconstruct(scene)
             first = first or file.read
             clock.stop()
             stream.add(scene)
             clock.start()
-        reader.close()
+        opened.close()
         clock.stop()
         most = peak()
-        found = stream.finish(reader.scene([]))
+        found = stream.finish(opened.scene([]))
     elif way.startswith(WARM):
         number = int(way.removeprefix(WARM))
         reader = Reader(Ranges(file.fetch, file.size), keep_ancillary=False)
-        index = reader.open(critical_only=True).index
-        reader.decode([index[number - 1]])
+        opened = reader.open(critical_only=True)
+        index = opened.index
+        opened.decode([index[number - 1]])
         file.read = file.reads = 0
         clock = _Clock()
-        (chunk,) = reader.decode([index[number]])
+        (chunk,) = opened.decode([index[number]])
         if isinstance(chunk, BitstreamError):
             raise chunk
-        scene = reader.scene([chunk])
+        scene = opened.scene([chunk])
         reconstruct(scene)
         clock.stop()
         most, first = peak(), file.read

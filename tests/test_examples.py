@@ -80,7 +80,6 @@ def test_one_chunk(number: int, far: bool, server: str, scene: Scene, data: byte
     fetched = [tuple(map(int, re.findall(r"\d+", line))) for line in lines if line.startswith("fetch")]
     reader = Reader(WholeFile(data))
     entry, section = reader.open().index[number], reader.header.section(DATA)
-    assert section is not None
     assert fetched[-1] == (entry.length, entry.start)
     assert sum(size for size, _ in fetched[:-1]) == section.start
     chunk = take_anchors(scene, slice(number * ANCHORS, (number + 1) * ANCHORS))
@@ -93,7 +92,6 @@ def test_a_file_that_arrives(scene: Scene, data: bytes) -> None:
     assert last == f"digest {digest(scene)[0]}"
     assert len(chunks) == CHUNKS
     section = Reader(WholeFile(data)).header.section(DATA)
-    assert section is not None
     first = int(re.findall(r"\d+", chunks[0])[0])
     assert first < section.start + section.length / 10
     assert f"{ANCHORS} anchors" in chunks[0]

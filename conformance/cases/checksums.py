@@ -114,7 +114,6 @@ def resized(data: bytes, kind: bytes, content: bytes, length_at: int | None = No
     """
     header = codec.parse_container(data)
     old = header.section(kind)
-    assert old is not None
     padded = content + bytes(pad4(len(content)) - len(content))
     out = bytearray(data[: old.start] + padded + data[old.end :])
     entry = layout(data)[1] - 4 - ENTRY_BYTES * (len(header.sections) - old.number)

@@ -30,19 +30,18 @@ def main() -> int:
             yield block
 
     try:
-        reader = Reader(Arriving(blocks()), keep_ancillary=False)
-        reader.open()
+        opened = Reader(Arriving(blocks()), keep_ancillary=False).open()
         digest = StreamDigest()
-        for chunk in reader.chunks():
+        for chunk in opened.chunks():
             if isinstance(chunk, BitstreamError):
                 raise chunk
-            digest.add(reader.scene([chunk]))
+            digest.add(opened.scene([chunk]))
             print(f"after {arrived} bytes: {len(chunk.positions)} anchors, {int(chunk.masks.sum())} offsets kept")
-        reader.close()
+        opened.close()
     except BitstreamError as error:
         print(error, file=sys.stderr)
         return error.exit_status
-    print(f"digest {digest.finish(reader.scene([]))}")
+    print(f"digest {digest.finish(opened.scene([]))}")
     return 0
 
 

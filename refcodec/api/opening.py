@@ -87,7 +87,7 @@ class File:
         index = self.header.section(INDEX)
         heads = min(self.byte_count, SPAN_BYTES)
         # It is read, and taken apart.
-        self._bounds.check_bytes(3 * (index.length if index else 0) + CHUNK * self.chunk_count + 2 * heads)
+        self._bounds.check_bytes(3 * index.length + CHUNK * self.chunk_count + 2 * heads)
         data = FileBytes(self._source)
         return part_bytes(data, outline_of(data))
 

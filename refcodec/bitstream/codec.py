@@ -94,12 +94,13 @@ def parse(
         count = reader.header.anchor_count
         # Of the bytes that are here, any part may be decoded at once.
         bounds.check(reader.header, min(count, GROUP_ANCHORS), count, (1 + READING) * len(data))
-    index = reader.open(progress=progress).index
-    reader.hold_whole(ROOM_OF_A_BYTE * len(data))
+    opened = reader.open(progress=progress)
+    index = opened.index
+    opened.hold_whole(ROOM_OF_A_BYTE * len(data))
     chunks: list[Chunk] = []
     damage: dict[int, BitstreamError] = {}
     progress("chunks", 0, len(index))
-    for number, found in enumerate(reader.chunks(side_by_side=True)):
+    for number, found in enumerate(opened.chunks(side_by_side=True)):
         if isinstance(found, Chunk):
             chunks.append(found)
         elif keep_going:
@@ -109,13 +110,13 @@ def parse(
         progress("chunks", number + 1, len(index))
     first = next(iter(damage.values()), None)
     try:
-        reader.close()
+        opened.close()
     except BitstreamError as error:
         if not keep_going:
             raise
         first = first or error
     lost = {number: len(index[number].anchors) for number in damage}
-    return Parsed(reader.scene(chunks), damage, first, lost)
+    return Parsed(opened.scene(chunks), damage, first, lost)
 
 
 class Coding:
@@ -218,8 +219,6 @@ def _emit(scene: Scene, progress: Progress) -> bytes:
     # The directory and the index exist only now. The decoder's own checks say whether they are allowed.
     made = parse_container(data)
     index, content = made.section(INDEX), made.section(DATA)
-    assert index is not None
-    assert content is not None
     piece = Piece(contents[INDEX], index.start)
     parse_index(piece, index.mode, d, made.anchor_count, made.chunk_size, content.start, content.length)
     return data
@@ -328,7 +327,7 @@ def _encode_group(
 
 
 def _steps_error() -> ValueError:
-    return ValueError("the scene's step indices are not those that its networks give: take those of derive_steps")
+    return ValueError("the step indices are not those that the networks give: take those of derive_steps (SPEC.md 7.8)")
 
 
 def derive_steps(scene: Scene) -> NDArray[np.uint8]:

@@ -90,9 +90,10 @@ class Header:
     later: bytes = b""
     sections: tuple[Section, ...] = ()
 
-    def section(self, kind: bytes) -> Section | None:
-        """Returns the critical section of a type, or None if the file has none."""
-        return next((section for section in self.sections if section.type == kind), None)
+    def section(self, kind: bytes) -> Section:
+        """Returns the critical section of a type. Raises KeyError if the file has none."""
+        found = {section.type: section for section in self.sections}
+        return found[kind]
 
 
 # --- prologue ---------------------------------------------------------------------------------------------------------

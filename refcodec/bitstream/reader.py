@@ -1,7 +1,7 @@
 """Clauses 10.1 and 10.2: a file that is read in its order, as a whole, as bytes arrive, or one chunk of it.
 
-A Reader reads the header when it is made. `open` reads what comes before the chunks, `chunks` reads the chunks, and
-`close` reads what comes behind them. Each check is here once, for all three ways of reading.
+A Reader reads the header when it is made. Its `open` reads the sections before the chunks and returns an Opened, whose
+`chunks` reads the chunks and whose `close` reads the rest. Each check is here once, for all three ways of reading.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from .batches import GROUP_ANCHORS, GROUP_CHUNKS, PartDecoder, Progress, no_prog
 from .bounds import READING, Bounds, section_bytes
 from .chunks import PARTS, CodedChunk, read_chunk
 from .context import JoinedPlanes, context
-from .directory import DATA, FRAME, INDEX, PLANES_SECTION, WEIGHTS, check_end, is_critical, pass_section, read_section
+from .directory import DATA, INDEX, Section, check_end, is_critical, pass_section, read_section
 from .entropy import Trace
 from .errors import BitstreamError
 from .frame import Frame, parse_frame
@@ -31,34 +31,12 @@ from .networks import BoundError, Derive, derive_networks
 from .planes import assemble_planes, no_planes, parse_planes
 from .positions import parse_positions, position_error, raw_numbers
 from .scene import Ancillary, Scene
-from .source import Held, Source
+from .source import Held, Piece, Source
 from .tables import ModelSet
 from .weights import ParsedWeights, bound_error, parse_weights
 
 # The most bytes of chunks that are read at once.
 AHEAD_BYTES = 1 << 24
-
-
-@dataclass(frozen=True, eq=False)
-class Opened:
-    """What all chunks are decoded with.
-
-    frame: None without planes and frequencies. planes: int16 [5, ch, B, B]. native: for the native
-    kernel, or None if NumPy decodes.
-    """
-
-    frame: Frame | None
-    weights: ParsedWeights
-    planes: NDArray[np.int16]
-    index: Index
-    masks: ModelSet
-    model: EntropyModel
-    native: NativeScene | None
-
-    @cached_property
-    def joined(self) -> JoinedPlanes:
-        """The planes as assemble_planes gives them. NumPy alone needs them."""
-        return assemble_planes(self.planes)
 
 
 @dataclass(frozen=True, eq=False)
@@ -80,7 +58,6 @@ class Reader:
 
     header: with its sections.
     ancillary: the ancillary sections that were kept.
-    opened: what `open` read, or None before.
     """
 
     def __init__(
@@ -113,8 +90,7 @@ class Reader:
             h = self.header
             bounds.check(h, min(h.anchor_count, max(h.chunk_size, at_once)), more=section_bytes(h, keep_ancillary))
         self.ancillary: list[Ancillary] = []
-        self.opened: Opened | None = None
-        self._whole: Anchors | None = None
+        # How many critical sections were read.
         self._before = 0
 
     def open(self, *, critical_only: bool = False, progress: Progress = no_progress) -> Opened:
@@ -128,39 +104,27 @@ class Reader:
 
     def _open(self, critical_only: bool, progress: Progress) -> Opened:
         h, d = self.header, self.header.dimensions
-        frame: Frame | None = None
-        weights: ParsedWeights | None = None
-        planes, index = no_planes(), None
-        for section in h.sections:
-            if section.type == DATA:
-                break
-            if not is_critical(section.type):
-                if not critical_only:
-                    self._read_ancillary(section.number)
-                continue
-            piece = read_section(self.source, section)
-            self._before += 1
-            if section.type == FRAME:
-                frame = parse_frame(piece)
-            elif section.type == WEIGHTS:
-                weights = parse_weights(piece, section.mode, d, 1 << h.lanes.attribute, self.trace, self._kernel)
-                try:
-                    networks = self._derive(weights.networks)
-                except BoundError as error:
-                    raise bound_error(weights, d, error) from None
-            elif section.type == PLANES_SECTION:
-                assert weights is not None
-                progress("planes", 0, 1)
-                native = native_scene(self._kernel, d, h.lanes, networks, weights.plane_shift, weights.carm_shift)
-                planes = parse_planes(piece, d, 1 << h.lanes.plane, networks["sarm"], self.trace, native)
-                progress("planes", 1, 1)
-            elif section.type == INDEX:
-                data = h.section(DATA)
-                assert data is not None
-                index = parse_index(piece, section.mode, d, h.anchor_count, h.chunk_size, data.start, data.length)
-        assert weights is not None
-        assert index is not None
-        model = EntropyModel.of(networks, weights.carm_shift, d.slices)
+        # parse_directory has checked which critical sections there are, and their order.
+        pieces = self._pieces(critical_only)
+        frame = parse_frame(next(pieces)[1]) if d.has_frame else None
+        section, piece = next(pieces)
+        weights = parse_weights(piece, section.mode, d, 1 << h.lanes.attribute, self.trace, self._kernel)
+        try:
+            networks = self._derive(weights.networks)
+        except BoundError as error:
+            raise bound_error(weights, d, error) from None
+        planes = no_planes()
+        if d.plane_channels:
+            section, piece = next(pieces)
+            progress("planes", 0, 1)
+            native = native_scene(self._kernel, d, h.lanes, networks, weights.plane_shift, weights.carm_shift)
+            planes = parse_planes(piece, d, 1 << h.lanes.plane, networks["sarm"], self.trace, native)
+            progress("planes", 1, 1)
+        section, piece = next(pieces)
+        data = h.section(DATA)
+        index = parse_index(piece, section.mode, d, h.anchor_count, h.chunk_size, data.start, data.length)
+        for _ in pieces:
+            raise AssertionError("a critical section follows INDX before DATA")
         native = native_scene(
             self._kernel,
             d,
@@ -173,8 +137,20 @@ class Reader:
             mask_model=index.mask_model,
             position_model=index.position_model,
         )
-        self.opened = Opened(frame, weights, planes, index, mask_models(index.mask_model), model, native)
-        return self.opened
+        model = EntropyModel.of(networks, weights.carm_shift, d.slices)
+        return Opened(self, frame, weights, planes, index, mask_models(index.mask_model), model, native)
+
+    def _pieces(self, critical_only: bool) -> Iterator[tuple[Section, Piece]]:
+        """Yields the critical sections before DATA, and reads the ancillary ones between them."""
+        for section in self.header.sections:
+            if section.type == DATA:
+                return
+            if is_critical(section.type):
+                piece = read_section(self.source, section)
+                self._before += 1
+                yield section, piece
+            elif not critical_only:
+                self._read_ancillary(section.number)
 
     def _read_ancillary(self, number: int) -> None:
         section = self.header.sections[number]
@@ -184,16 +160,79 @@ class Reader:
         else:
             pass_section(self.source, section)
 
+    def check_chunks(self, entries: list[ChunkEntry]) -> None:
+        """Raises BoundPassedError before chunks are read that the caller does not allow."""
+        if self._bounds is None:
+            return
+        anchors, length = (sum(sizes) for sizes in zip(*((len(e.anchors), e.length) for e in entries), strict=True))
+        kept = sum(len(section.content) for section in self.ancillary)
+        self._bounds.check(self.header, anchors, more=kept + READING * length)
+
+    def close(self) -> None:
+        """SPEC 10.1, CHUNKS to END: checks DATA's crc, the sections behind it, and the end of the file.
+
+        Raises BitstreamError 311 to 321.
+        """
+        behind = False
+        for section in self.header.sections:
+            if section.type == DATA:
+                behind = True
+                self._before += 1
+                # SPEC [R6.6-7]
+                if section.crc:
+                    found = f"0x{section.crc:08x}"
+                    raise BitstreamError("section.crc", section.start, section.name, found, "0x00000000")
+            elif behind:
+                self._read_ancillary(section.number)
+        check_end(self.source, self.header.sections)
+
+
+@dataclass(eq=False)
+class Opened:
+    """A file whose sections before DATA were read. It decodes the chunks.
+
+    frame: None without planes and frequencies. planes: int16 [5, ch, B, B]. native: for the native kernel, or None if
+    NumPy decodes.
+    """
+
+    reader: Reader
+    frame: Frame | None
+    weights: ParsedWeights
+    planes: NDArray[np.int16]
+    index: Index
+    masks: ModelSet
+    model: EntropyModel
+    native: NativeScene | None
+    _whole: Anchors | None = None
+
+    @property
+    def header(self) -> Header:
+        """The header of the file."""
+        return self.reader.header
+
+    @property
+    def ancillary(self) -> list[Ancillary]:
+        """The ancillary sections that were kept so far."""
+        return self.reader.ancillary
+
+    @cached_property
+    def joined(self) -> JoinedPlanes:
+        """The planes as assemble_planes gives them. Only NumPy needs them."""
+        return assemble_planes(self.planes)
+
     def hold_whole(self, most: int) -> None:
         """Makes room for the anchors of all chunks, if it takes no more than `most` bytes.
 
         They are then decoded to where `scene` has them. Otherwise it joins them. NumPy joins them in any case. Call it
-        after `open`, and keep no chunk that is decoded twice.
+        before any chunk is decoded, and keep no chunk that is decoded twice.
         """
-        assert self.opened is not None
-        native, count = self.opened.native, self.header.anchor_count
+        native, count = self.native, self.header.anchor_count
         if native is not None and count * native.anchor_bytes() <= most:
             self._whole = native.room(count)
+
+    def close(self) -> None:
+        """As Reader.close."""
+        self.reader.close()
 
     def chunks(self, *, side_by_side: bool = False) -> Iterator[Chunk | BitstreamError]:
         """SPEC 10.1, CHUNKS: yields each chunk in order, or its first error.
@@ -209,14 +248,13 @@ class Reader:
 
         numbers: those of the wanted chunks, rising, or None for all. side_by_side: as for `chunks`.
         """
-        assert self.opened is not None
-        index = self.opened.index
+        index = self.index
         entries: list[ChunkEntry] = []
         anchors = 0
         for number in range(len(index)) if numbers is None else numbers:
             entry = index[number]
             full = len(entries) == GROUP_CHUNKS or anchors + len(entry.anchors) > GROUP_ANCHORS
-            if entries and (full or self.trace or not side_by_side):
+            if entries and (full or self.reader.trace or not side_by_side):
                 yield entries
                 entries, anchors = [], 0
             entries.append(entry)
@@ -229,39 +267,30 @@ class Reader:
 
         Raises BoundPassedError for chunks whose lengths by the index need more memory than the caller allows.
         """
-        self._check_chunks(entries)
+        self.reader.check_chunks(entries)
         section = self.header.section(INDEX)
-        assert section is not None
         found: dict[int, Chunk | BitstreamError] = {}
         live: list[CodedChunk] = []
-        source = _ahead(self.source, entries)
+        source = _ahead(self.reader.source, entries)
         for entry in entries:
             try:
                 live.append(read_chunk(source, entry, section.mode))
             except BitstreamError as error:
                 found[entry.number] = error
-        decode = self._decode_alone if self.opened is None or self.opened.native is None else self._decode_native
-        found.update(decode(live))
+        if self.native is None:
+            with one_thread():
+                found.update(self._decode(live))
+        else:
+            found.update(self._decode_native(self.native, live))
         return [found[entry.number] for entry in entries]
 
-    def _check_chunks(self, entries: list[ChunkEntry]) -> None:
-        """Raises BoundPassedError before chunks are read that the caller does not allow."""
-        if self._bounds is None:
-            return
-        anchors, length = (sum(sizes) for sizes in zip(*((len(e.anchors), e.length) for e in entries), strict=True))
-        kept = sum(len(section.content) for section in self.ancillary)
-        self._bounds.check(self.header, anchors, more=kept + READING * length)
-
-    def _decode_native(self, chunks: list[CodedChunk]) -> dict[int, Chunk | BitstreamError]:
+    def _decode_native(self, native: NativeScene, chunks: list[CodedChunk]) -> dict[int, Chunk | BitstreamError]:
         """Decodes some chunks with the native kernel."""
-        opened = self.opened
-        assert opened is not None
-        assert opened.native is not None
         a, rows = self._whole, [chunk.entry.anchors.start for chunk in chunks]
         if a is None:
             *rows, count = accumulate((len(chunk.entry.anchors) for chunk in chunks), initial=0)
-            a = opened.native.room(count)
-        verdicts = opened.native.decode_chunks([chunk_bytes(chunk) for chunk in chunks], a, rows)
+            a = native.room(count)
+        verdicts = native.decode_chunks([chunk_bytes(chunk) for chunk in chunks], a, rows)
         found: dict[int, Chunk | BitstreamError] = {}
         for chunk, first, verdict in zip(chunks, rows, verdicts, strict=True):
             own = slice(first, first + len(chunk.entry.anchors))
@@ -294,14 +323,9 @@ class Reader:
             raise RuntimeError(f"{chunk.entry.path}: the native kernel says {name}, and Python finds no such error")
         return error
 
-    def _decode_alone(self, chunks: list[CodedChunk]) -> dict[int, Chunk | BitstreamError]:
-        """Decodes some chunks with NumPy, which may use one thread."""
-        with one_thread():
-            return self._decode(chunks)
-
     def _decode(self, chunks: list[CodedChunk]) -> dict[int, Chunk | BitstreamError]:
-        opened, h = self.opened, self.header
-        assert opened is not None
+        """Decodes some chunks with NumPy."""
+        h, trace = self.header, self.reader.trace
         found: dict[int, Chunk | BitstreamError] = {}
         live = list(chunks)
 
@@ -315,7 +339,7 @@ class Reader:
 
         # The positions, and [R6.11-10].
         parsed = parse_positions(
-            [chunk.coded_positions for chunk in live], opened.index.position_model, 1 << h.lanes.mask, self.trace
+            [chunk.coded_positions for chunk in live], self.index.position_model, 1 << h.lanes.mask, trace
         )
         good = [p for p in parsed if not isinstance(p, BitstreamError)]
         settle([p if isinstance(p, BitstreamError) else None for p in parsed])
@@ -326,9 +350,9 @@ class Reader:
             return found
         positions = np.concatenate(good)
         # The masks, and [R6.11-11].
-        part = PartDecoder([(c.masks, f"masks[chunk {c.entry.number}]") for c in live], 1 << h.lanes.mask, self.trace)
+        part = PartDecoder([(c.masks, f"masks[chunk {c.entry.number}]") for c in live], 1 << h.lanes.mask, trace)
         ranges = [chunk.entry.anchors for chunk in live]
-        masks = code_masks(part.decoder, opened.masks, h.dimensions.offset_count, ranges)
+        masks = code_masks(part.decoder, self.masks, h.dimensions.offset_count, ranges)
         counts = np.cumsum([0, *map(len, ranges)])
         rows = settle(
             [
@@ -341,13 +365,13 @@ class Reader:
             return found
         # The attributes.
         ranges = [chunk.entry.anchors for chunk in live]
-        contexts = context(
-            opened.frame, opened.joined, opened.weights.plane_shift, h.dimensions.frequency_count, positions
-        )
+        contexts = context(self.frame, self.joined, self.weights.plane_shift, h.dimensions.frequency_count, positions)
         part = PartDecoder(
-            [(c.attributes, f"attributes[chunk {c.entry.number}]") for c in live], 1 << h.lanes.attribute, self.trace
+            [(c.attributes, f"attributes[chunk {c.entry.number}]") for c in live],
+            1 << h.lanes.attribute,
+            trace,
         )
-        a = code_attributes(part.decoder, opened.model, contexts, masks, ranges)
+        a = code_attributes(part.decoder, self.model, contexts, masks, ranges)
         at = 0
         for chunk, verdict in zip(live, part.verdicts(), strict=True):
             own = slice(at, at + len(chunk.entry.anchors))
@@ -358,29 +382,9 @@ class Reader:
             )
         return found
 
-    def close(self) -> None:
-        """SPEC 10.1, CHUNKS to END: checks DATA's crc, the sections behind it, and the end of the file.
-
-        Raises BitstreamError 311 to 321.
-        """
-        behind = False
-        for section in self.header.sections:
-            if section.type == DATA:
-                behind = True
-                self._before += 1
-                # SPEC [R6.6-7]
-                if section.crc:
-                    found = f"0x{section.crc:08x}"
-                    raise BitstreamError("section.crc", section.start, section.name, found, "0x00000000")
-            elif behind:
-                self._read_ancillary(section.number)
-        check_end(self.source, self.header.sections)
-
     def scene(self, chunks: list[Chunk]) -> Scene:
         """Returns the scene with the anchors of some of its chunks. The ancillary sections are those read so far."""
-        h, o = self.header, self.opened
-        assert o is not None
-        d = h.dimensions
+        h, d = self.header, self.header.dimensions
         positions, masks, attributes = self._anchors(chunks)
         return Scene(
             profile=h.profile,
@@ -390,21 +394,21 @@ class Reader:
             base_step=h.base_step,
             grid=h.grid,
             render=h.render,
-            frame=o.frame,
-            plane_shift=o.weights.plane_shift,
-            carm_shift=o.weights.carm_shift,
-            networks=o.weights.networks,
-            planes=o.planes,
-            mask_model=o.index.mask_model,
+            frame=self.frame,
+            plane_shift=self.weights.plane_shift,
+            carm_shift=self.weights.carm_shift,
+            networks=self.weights.networks,
+            planes=self.planes,
+            mask_model=self.index.mask_model,
             positions=positions,
             masks=masks,
             attributes=attributes,
             ancillary=tuple(self.ancillary),
-            position_model=o.index.position_model,
-            weight_scales=o.weights.scales,
+            position_model=self.index.position_model,
+            weight_scales=self.weights.scales,
             chunk_anchors=tuple(len(chunk.entry.anchors) for chunk in chunks),
             position_forms=tuple(chunk.form for chunk in chunks),
-            weight_forms=o.weights.forms,
+            weight_forms=self.weights.forms,
             minor=h.minor,
             later=h.later,
         )
@@ -412,8 +416,7 @@ class Reader:
     def _anchors(self, chunks: list[Chunk]) -> tuple[NDArray[np.float16], NDArray[np.bool_], Attributes]:
         """Returns the positions, masks and attributes of some chunks together."""
         a, d = self._whole, self.header.dimensions
-        assert self.opened is not None
-        if a is not None and [chunk.entry.number for chunk in chunks] == list(range(len(self.opened.index))):
+        if a is not None and [chunk.entry.number for chunk in chunks] == list(range(len(self.index))):
             return a.positions, a.masks, Attributes(a.features, a.scalings, a.offsets, a.steps)
         return (
             np.concatenate([np.zeros((0, 3), np.float16), *(chunk.positions for chunk in chunks)]),
@@ -452,11 +455,11 @@ def decode_chunk(source: Source, number: int, *, bounds: Bounds | None = None) -
     Returns the scene with the anchors of that chunk. Raises BitstreamError for the first error of what a decoder of one
     chunk checks, BoundPassedError, and IndexError if the file has no such chunk.
     """
-    reader = Reader(source, keep_ancillary=False, bounds=bounds)
-    index = reader.open(critical_only=True).index
+    opened = Reader(source, keep_ancillary=False, bounds=bounds).open(critical_only=True)
+    index = opened.index
     if not 0 <= number < len(index):
         raise IndexError(f"there is no chunk {number}: the file has {len(index)}")
-    found = reader.decode([index[number]])[0]
+    found = opened.decode([index[number]])[0]
     if isinstance(found, BitstreamError):
         raise found
-    return reader.scene([found])
+    return opened.scene([found])

@@ -15,7 +15,7 @@ from .batches import GROUP_ANCHORS, Progress, no_progress
 from .bounds import Bounds
 from .errors import BitstreamError
 from .header import Header, read_header
-from .reader import Chunk, Reader
+from .reader import Chunk, Opened, Reader
 from .reconstruction import Reconstruction, reconstruct
 from .scene import Scene
 from .source import Source
@@ -59,16 +59,16 @@ def decoded_chunks(
         IndexError: the file has not all of these chunks.
     """
     reader = Reader(source, keep_ancillary=False, bounds=bounds, at_once=GROUP_ANCHORS if side_by_side else 0)
-    index = reader.open(critical_only=numbers is not None).index
-    check_numbers(numbers, len(index))
-    for entries in reader.groups(numbers, side_by_side=side_by_side):
-        for entry, found in zip(entries, reader.decode(entries), strict=True):
+    opened = reader.open(critical_only=numbers is not None)
+    check_numbers(numbers, len(opened.index))
+    for entries in opened.groups(numbers, side_by_side=side_by_side):
+        for entry, found in zip(entries, opened.decode(entries), strict=True):
             if isinstance(found, BitstreamError):
                 raise found
-            scene = reader.scene([found])
+            scene = opened.scene([found])
             yield DecodedChunk(entry.number, entry.anchors.start, scene, reconstruct(scene))
     if numbers is None:
-        reader.close()
+        opened.close()
 
 
 def check_numbers(numbers: range | None, count: int) -> None:
@@ -79,7 +79,7 @@ def check_numbers(numbers: range | None, count: int) -> None:
 
 
 def pieces(
-    reader: Reader,
+    opened: Opened,
     numbers: Sequence[int] | None = None,
     *,
     damage: dict[int, BitstreamError] | None = None,
@@ -88,19 +88,18 @@ def pieces(
     """SPEC 10.1, CHUNKS: yields the anchors of chunks that are decoded side by side, in order, each time as a scene.
 
     Args:
-        reader: it was opened.
+        opened: the file.
         numbers: those of the wanted chunks, rising, or None for all.
         damage: gets the first error of each chunk that has one, by number. The chunk is left out then. Without it, such
             an error is raised.
         progress: told of the work.
     """
-    assert reader.opened is not None
-    total = len(reader.opened.index) if numbers is None else len(numbers)
+    total = len(opened.index) if numbers is None else len(numbers)
     done = 0
     progress("chunks", 0, total)
-    for entries in reader.groups(numbers):
+    for entries in opened.groups(numbers):
         good: list[Chunk] = []
-        for entry, found in zip(entries, reader.decode(entries), strict=True):
+        for entry, found in zip(entries, opened.decode(entries), strict=True):
             if isinstance(found, Chunk):
                 good.append(found)
             elif damage is None:
@@ -108,7 +107,7 @@ def pieces(
             else:
                 damage[entry.number] = found
         done += len(entries)
-        yield reader.scene(good)
+        yield opened.scene(good)
         progress("chunks", done, total)
 
 

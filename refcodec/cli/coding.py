@@ -90,17 +90,17 @@ def _decode(arguments: argparse.Namespace) -> int:
         raise UsageError("--chunks and --keep-going cannot be combined; list undamaged chunks only")
     with open_bounded(arguments) as source, progress_bar(arguments.progress) as progress:
         reader = Reader(source, keep_ancillary=numbers is None, bounds=reader_bounds(arguments))
-        index = reader.open(critical_only=numbers is not None, progress=progress).index
+        opened = reader.open(critical_only=numbers is not None, progress=progress)
         try:
-            check_numbers(numbers, len(index))
+            check_numbers(numbers, len(opened.index))
         except IndexError as error:
             raise UsageError(f"{arguments.file}: {error}") from None
-        written = decode_folder(reader, arguments.output, numbers, keep_going=arguments.keep_going, progress=progress)
+        written = decode_folder(opened, arguments.output, numbers, keep_going=arguments.keep_going, progress=progress)
     for number, digest in zip(numbers or (), written.digests, strict=True):
         print(f"chunk {number} {digest}")
     if not written.error:
         note(f"{arguments.output}: {counted(written.anchors, 'anchor')} of {arguments.file}")
-    return _report_damage(arguments.file, len(index), written) if arguments.keep_going else 0
+    return _report_damage(arguments.file, len(opened.index), written) if arguments.keep_going else 0
 
 
 def _report_damage(path: str, chunks: int, written: Written) -> int:
@@ -120,10 +120,10 @@ def _validate(arguments: argparse.Namespace) -> int:
     from ..bitstream.limits import PROFILES
 
     with open_bounded(arguments) as source:
-        reader = decoded(arguments, source, reader_bounds(arguments))
-    for warning in ancillary.warnings(reader.ancillary):
+        opened = decoded(arguments, source, reader_bounds(arguments))
+    for warning in ancillary.warnings(opened.ancillary):
         note(f"warning: {printable(warning)}")
-    h = reader.header
+    h = opened.header
     say(f"{arguments.file} is accepted: profile {PROFILES[h.profile].name}, {h.anchor_count} anchors")
     return 0
 
@@ -133,8 +133,8 @@ def _digest(arguments: argparse.Namespace) -> int:
 
     digest = StreamDigest()
     with open_bounded(arguments) as source:
-        reader = decoded(arguments, source, reader_bounds(arguments), digest.add)
-    whole, parts = digest.finish_parts(reader.scene([]))
+        opened = decoded(arguments, source, reader_bounds(arguments), digest.add)
+    whole, parts = digest.finish_parts(opened.scene([]))
     if arguments.parts:
         for name, value in {**parts, "whole": whole}.items():
             print(f"{name:<10} {value}")

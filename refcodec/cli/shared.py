@@ -29,7 +29,7 @@ if TYPE_CHECKING:
     from ..bitstream.bounds import Bounds
     from ..bitstream.codec import Parsed
     from ..bitstream.header import Header
-    from ..bitstream.reader import Reader
+    from ..bitstream.reader import Opened
     from ..bitstream.scene import Scene
     from ..bitstream.source import Source
     from ..folder.uncompressed import Uncompressed
@@ -283,8 +283,8 @@ def decoded(
     source: Source,
     bounds: Bounds | None,
     use: Callable[[Scene], None] | None = None,
-) -> Reader:
-    """Decodes and checks a whole file in bounded memory, and shows progress. Returns its reader.
+) -> Opened:
+    """Decodes and checks a whole file in bounded memory, and shows progress.
 
     bounds: what the caller allows. use: gets the anchors in order, each time some of them as a scene. Raises
     BitstreamError and BoundPassedError.
@@ -294,12 +294,12 @@ def decoded(
 
     reader = Reader(source, bounds=bounds)
     with progress_bar(arguments.progress) as progress:
-        reader.open(progress=progress)
-        for piece in pieces(reader, progress=progress):
+        opened = reader.open(progress=progress)
+        for piece in pieces(opened, progress=progress):
             if use:
                 use(piece)
-    reader.close()
-    return reader
+    opened.close()
+    return opened
 
 
 def needs(command: str, extra: str, error: ModuleNotFoundError, packages: tuple[str, ...]) -> UsageError:

@@ -21,7 +21,7 @@ from ..bitstream.errors import BitstreamError
 from ..bitstream.header import MAJOR
 from ..bitstream.limits import PROFILES
 from ..bitstream.positions import PositionModel
-from ..bitstream.reader import Reader
+from ..bitstream.reader import Opened
 from ..bitstream.reconstruction import StreamDigest, chunk_digest, reconstruct
 from ..bitstream.scene import Scene, take_anchors
 from ..bitstream.streaming import pieces
@@ -66,7 +66,7 @@ def write_folder(scene: Scene, path: str | Path) -> None:
 
 
 def decode_folder(
-    reader: Reader,
+    opened: Opened,
     path: str | Path,
     numbers: range | None = None,
     *,
@@ -76,7 +76,7 @@ def decode_folder(
     """Decodes a file into a scene folder, in memory that does not grow with the number of anchors.
 
     Args:
-        reader: it was opened.
+        opened: the file.
         path: of the folder. It has the whole scene then, or is as it was (replace_scene).
         numbers: those of the wanted chunks, rising. None stands for the whole file, of which everything is checked.
         keep_going: a chunk with an error is dropped and noted in scene.json, and what is wrong behind the chunks is
@@ -87,8 +87,7 @@ def decode_folder(
         BitstreamError: the first error of the file, without keep_going.
         SceneFolderError: as for write_folder.
     """
-    assert reader.opened is not None
-    index = reader.opened.index
+    index = opened.index
     wanted: Sequence[int] = range(len(index)) if numbers is None else numbers
     damage: dict[int, BitstreamError] = {}
     behind: list[BitstreamError] = []
@@ -96,7 +95,7 @@ def decode_folder(
 
     def close() -> None:
         try:
-            reader.close()
+            opened.close()
         except BitstreamError as error:
             if not keep_going:
                 raise
@@ -107,7 +106,7 @@ def decode_folder(
         forms: list[int] = []
 
         def found() -> Iterator[Scene]:
-            for piece in pieces(reader, chosen, damage=noted, progress=progress):
+            for piece in pieces(opened, chosen, damage=noted, progress=progress):
                 sizes.extend(piece.chunk_anchors or ())
                 forms.extend(piece.position_forms or ())
                 if numbers is None:
@@ -118,10 +117,10 @@ def decode_folder(
         def whole() -> Scene:
             if numbers is None and not again:
                 close()
-            return replace(reader.scene([]), chunk_anchors=tuple(sizes), position_forms=tuple(forms))
+            return replace(opened.scene([]), chunk_anchors=tuple(sizes), position_forms=tuple(forms))
 
         count = sum(len(index[number].anchors) for number in chosen)
-        digests[:] = _write_files(folder, count, reader.scene([]), found(), whole, damage, numbers)
+        digests[:] = _write_files(folder, count, opened.scene([]), found(), whole, damage, numbers)
 
     def write(folder: Path) -> None:
         write_chunks(folder, wanted, damage if keep_going else None, False)

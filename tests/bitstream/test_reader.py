@@ -37,16 +37,15 @@ def streamed(source: Source) -> tuple[Scene | None, tuple[str, int] | None]:
     """What a reader of one chunk after the other gives: the scene, or the name and the offset of its first error."""
     chunks: list[Chunk] = []
     try:
-        reader = Reader(source)
-        reader.open()
-        for found in reader.chunks():
+        opened = Reader(source).open()
+        for found in opened.chunks():
             if isinstance(found, BitstreamError):
                 raise found
             chunks.append(found)
-        reader.close()
+        opened.close()
     except BitstreamError as error:
         return None, (error.kind.name, error.offset)
-    return reader.scene(chunks), None
+    return opened.scene(chunks), None
 
 
 @pytest.mark.requirement("D10.2-3")
@@ -91,10 +90,10 @@ def test_a_chunk_is_delivered_before_the_next_one_arrives() -> None:
             arrived += len(block)
             yield block
 
-    reader = Reader(Arriving(counted()))
-    index = reader.open().index
+    opened = Reader(Arriving(counted())).open()
+    index = opened.index
     assert arrived <= index[0].start + 16
-    for number, _ in enumerate(reader.chunks()):
+    for number, _ in enumerate(opened.chunks()):
         assert arrived <= index[number].start + index[number].length + 16
 
 
@@ -112,7 +111,6 @@ def test_one_range_gives_a_chunk(dimensions: object) -> None:
         return data[start : start + size]
 
     section = codec.parse_container(data).section(DATA)
-    assert section is not None
     for number, rows in enumerate(scene.chunks):
         fetched.clear()
         found = decode_chunk(Ranges(fetch, len(data)), number)
@@ -124,14 +122,13 @@ def test_one_range_gives_a_chunk(dimensions: object) -> None:
 
 @pytest.mark.requirement("D9.3-1")
 def test_the_digest_in_one_pass() -> None:
-    reader = Reader(Arriving(blocks(FILE, 500)), keep_ancillary=False)
-    reader.open()
+    opened = Reader(Arriving(blocks(FILE, 500)), keep_ancillary=False).open()
     summed = StreamDigest()
-    for chunk in reader.chunks():
+    for chunk in opened.chunks():
         assert isinstance(chunk, Chunk)
-        summed.add(reader.scene([chunk]))
-    reader.close()
-    assert summed.finish(reader.scene([])) == digest(codec.parse(FILE).scene)[0]
+        summed.add(opened.scene([chunk]))
+    opened.close()
+    assert summed.finish(opened.scene([])) == digest(codec.parse(FILE).scene)[0]
 
 
 def test_the_digest_does_not_depend_on_chunks() -> None:

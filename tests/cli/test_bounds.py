@@ -290,10 +290,10 @@ def test_memory_is_at_most_what_is_estimated(plane_size: int) -> None:
 
     def streamed() -> None:
         reader = Reader(Arriving(data[at : at + 1000] for at in range(0, len(data), 1000)))
-        reader.open()
-        for _ in reader.chunks():
+        opened = reader.open()
+        for _ in opened.chunks():
             pass
-        reader.close()
+        opened.close()
 
     for run, needed in (
         (streamed, memory_needed(header, 256)),

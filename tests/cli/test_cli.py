@@ -364,7 +364,6 @@ def test_errors_that_mean_no_memory(file, monkeypatch, call, error):
 def flipped(data: bytes, *chunks: int) -> bytes:
     """One bit flipped in the attributes of the first or the last chunk."""
     section = parse_container(data).section(DATA)
-    assert section is not None
     changed = bytearray(data)
     for chunk in chunks:
         changed[section.start + 40 if chunk == 0 else section.end - 40] ^= 1

@@ -158,7 +158,6 @@ def test_commands_take_urls(server: Server, tmp_path: Path, capsys: Captured) ->
 
 def test_few_ranges_are_fetched(server: Server, tmp_path: Path, capsys: Captured) -> None:
     section = codec.parse_container(SCENE).section(DATA)
-    assert section is not None
     assert section.start < HEAD
     assert main(["inspect", server.url]) == 0
     assert "30 chunks of at most 100 anchors" in capsys.readouterr().out

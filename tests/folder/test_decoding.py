@@ -54,8 +54,7 @@ def files(folder: Path) -> dict[str, bytes]:
 def decoded(data: bytes, folder: Path, numbers: range | None = None, keep_going: bool = False) -> Written:
     """The folder of a file that is decoded chunk after chunk."""
     read = Reader(WholeFile(data), keep_ancillary=numbers is None)
-    read.open(critical_only=numbers is not None)
-    return decode_folder(read, folder, numbers, keep_going=keep_going)
+    return decode_folder(read.open(critical_only=numbers is not None), folder, numbers, keep_going=keep_going)
 
 
 def flipped(data: bytes, *chunks: int) -> bytes:
@@ -207,7 +206,6 @@ def test_only_what_is_needed_is_fetched() -> None:
         (4, 64, 16),
     ]
     section = codec.parse_container(DATA_OF).section(DATA)
-    assert section is not None
     index = Reader(WholeFile(DATA_OF)).open().index
     assert [span for span in fetched if span[1] > section.start] == [(index[2].start, index[5].start)]
 
@@ -268,9 +266,7 @@ def test_every_way_refuses_alike(tmp_path: Path) -> None:
 
         def stored(path: Path = path) -> Any:
             with path.open("rb") as file:
-                read = Reader(StoredFile(file))
-                read.open()
-                return decode_folder(read, folder)
+                return decode_folder(Reader(StoredFile(file)).open(), folder)
 
         def arriving(data: bytes = data) -> Any:
             return list(decoded_chunks(Arriving([data]), side_by_side=False))
@@ -334,9 +330,7 @@ def test_memory_is_that_of_the_chunks_at_hand(tmp_path: Path, monkeypatch: pytes
     with (tmp_path / "file").open("rb") as file:
 
         def streamed() -> None:
-            read = Reader(StoredFile(file))
-            read.open()
-            decode_folder(read, tmp_path / "scene")
+            decode_folder(Reader(StoredFile(file)).open(), tmp_path / "scene")
 
         def chunks() -> None:
             for _ in decoded_chunks(StoredFile(file)):

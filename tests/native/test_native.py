@@ -214,8 +214,8 @@ def test_anchors_are_decoded_to_their_place_or_joined(use: Use, monkeypatch: pyt
 def test_many_anchors_of_few_bytes_get_no_room(use: Use) -> None:
     """Room for all anchors is made only where the file has bytes for them."""
     use("native")
-    opened = reader.Reader(source.WholeFile(FILES["256 lanes"]))
-    native = opened.open().native
+    opened = reader.Reader(source.WholeFile(FILES["256 lanes"])).open()
+    native = opened.native
     assert native is not None
     needed = opened.header.anchor_count * native.anchor_bytes()
     room = native.room(opened.header.anchor_count)
