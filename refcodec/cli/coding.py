@@ -193,7 +193,7 @@ def add(commands: Any) -> None:
             "encode scene -o scene.c3gs --smallest",
             "encode converted -o scene.c3gs --rate 0.01",
         ],
-        "A folder that decode wrote gives the same bytes again. For a file of Main, add --positions raw if its\n"
+        "A folder written by decode gives the same bytes again. For a file of Main, add --positions raw if its\n"
         "positions are raw, and --weights raw if its weights are raw. If coded.safetensors is deleted,\n"
         "point_cloud.ply is quantised anew. An uncompressed scene, of convert or of train --rate 0, is quantised and\n"
         "gets an entropy model, as by fit. That takes minutes, and needs: pip install 'refcodec[fit]'.",
@@ -207,12 +207,12 @@ def add(commands: Any) -> None:
         "--positions",
         choices=("raw", "packed"),
         help="48 bits an anchor, or about a tenth of that with the anchors sorted (default: packed in Main, and where "
-        "the folder says so)",
+        "the folder states it)",
     )
     encode.add_argument(
         "--weights",
         choices=("raw", "packed"),
-        help="32 bits each, or the integers that those of the coding networks act as (default: as for --positions)",
+        help="32 bits each, or integers for the coding networks (default: as for --positions)",
     )
     encode.add_argument(
         "--smallest",
@@ -229,12 +229,12 @@ def add(commands: Any) -> None:
     encode.add_argument(
         "--steps", type=positive, metavar="N", help="training steps of an uncompressed scene's model (default: 4000)"
     )
-    train_options.add_up(encode, "what the folder says")
+    train_options.add_up(encode, "that of the folder")
     encode.add_argument(
         "--cameras",
         type=whole,
         metavar="N",
-        help="state the first N cameras of the folder alone, 0 for none; they tell where photographs were taken from, "
+        help="state only the first N cameras of the folder, 0 for none; they show where photographs were taken, "
         "and export needs them (default: all; train keeps 16)",
     )
     decode = add_command(
@@ -247,8 +247,8 @@ def add(commands: Any) -> None:
             "decode scene.c3gs -o part --chunks 2:5",
             "decode damaged.c3gs -o scene --keep-going",
         ],
-        "SCENE_DIR is made. An existing one is written to only if it is empty or a scene folder. Its scene is\n"
-        "replaced as a whole, and other files in it stay.",
+        "SCENE_DIR is created. An existing folder must be empty or a scene folder. Its scene is replaced as a\n"
+        "whole, and its other files stay.",
         writes=True,
     )
     decode.add_argument("file", metavar="FILE", help=FILE)
@@ -258,7 +258,7 @@ def add(commands: Any) -> None:
         "--chunks",
         type=_chunks,
         metavar="A:B",
-        help="read and write the chunks from A to before B alone, counted from 0, and print their digests",
+        help="read and write only chunks A to B - 1, counted from 0, and print their digests",
     )
     decode.add_argument(
         "--keep-going",
@@ -282,7 +282,7 @@ def add(commands: Any) -> None:
         commands,
         "reconstruct",
         _reconstruct,
-        "write a file's canonical reconstruction (SPEC.md 9.3), behind the 252 bytes that the digest is of",
+        "write a file's canonical reconstruction (SPEC.md 9.3) after the 252 bytes from which the digest is computed",
         ["reconstruct scene.c3gs scene.bin", "reconstruct scene.c3gs scene.bin --trace symbols.txt --probes"],
         writes=True,
     )

@@ -49,7 +49,7 @@ def _convert(arguments: argparse.Namespace) -> int:
     splats = _splats_of(source)
     if not splats and not source.is_dir():
         if not os.path.lexists(source):
-            raise UsageError(f"there is no {source}")
+            raise UsageError(f"{source} does not exist")
         raise UsageError(f"{source} is neither the folder of a model nor a file of splats ({', '.join(_SPLATS)})")
     if splats and arguments.appearance is not None:
         raise UsageError("--appearance is for the folder of a model")
@@ -179,14 +179,14 @@ def _train_from_splats(arguments: argparse.Namespace, source: Path) -> int:
     except StateError as error:
         raise UsageError(str(error)) from None
     except ValueError as error:
-        raise UsageError(f"{source} cannot be trained from: {error}") from None
+        raise UsageError(f"{source} cannot be used for training: {error}") from None
     finally:
         beside.close()
         remove_folders(folders)
     for line in closing(result.trainer, result.report, output, str(pictures or "PHOTOGRAPHS")):
         say(line)
     if not result.whole:
-        note(f"refcodec: stopped at step {result.trainer.clock.done}; the scene is written, and --resume goes on")
+        note(f"refcodec: stopped at step {result.trainer.clock.done}; the scene is written, and --resume continues")
         return statuses.INTERRUPTED
     return statuses.DONE
 
@@ -274,10 +274,10 @@ def add(commands: Any) -> None:
         "SOURCE is the folder of a model that Scaffold-GS, HAC, HAC++ or CAT-3DGS trained, or one of its folders\n"
         "iteration_N. The scene looks as the model does. It is not compressed yet: encode compresses it.\n"
         "Or SOURCE is a file of 3D Gaussians: .ply (of 3DGS, or compressed by PlayCanvas), .spz, .sog or .glb, or a\n"
-        "folder of SOG with meta.json. It is drawn from cameras: those of its cameras.json, or else around it. Up is\n"
-        "there what --up says, or what a .glb says, or else -y. A scene is trained from these pictures, as by train.\n"
+        "folder of SOG with meta.json. It is rendered from the cameras in its cameras.json, or else from cameras\n"
+        "around it, whose up axis is that of --up, of a .glb file, or -y. A scene is trained from these pictures.\n"
         "Options below that both commands have are those of train.\n"
-        "No code of a model runs: pickles are looked at first, and TorchScript is read without running it.\n"
+        "No code of a model runs: pickles are checked first, and TorchScript is read but not executed.\n"
         "Needs: pip install 'refcodec[convert]'.",
         writes=True,
         parents=[train_options.parser()],

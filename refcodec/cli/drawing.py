@@ -65,7 +65,7 @@ def _gaussians(arguments: argparse.Namespace) -> int:
         with open(arguments.camera, "rb") as file:
             camera = read_camera(file.read(CAMERA_MAX + 1))
     except ValueError as error:
-        raise UsageError(f"{arguments.camera} is no camera: {error}") from None
+        raise UsageError(f"{arguments.camera} is not a camera: {error}") from None
     scene = parse_file(arguments, read_bounded(arguments)).scene
     visible = gaussians(reconstruct(scene), scene.masks, scene.networks, camera, scene.render.distance_unit)
     write_file(output, json.dumps(gaussians_document(visible), separators=(",", ":")).encode())
@@ -224,8 +224,8 @@ def add(commands: Any) -> None:
         ],
         "FILE is a file, or the scene folder of one, which is coded for it, or that of an uncompressed scene.\n"
         "The photographs are those that training holds out: every eighth one, or the test set of the dataset.\n"
-        "Their size is that of the training: training.json of a scene folder says it, or else the scene's camera.\n"
-        "training.json says which ones were held out, too. A file does not: eval says what it takes instead.\n"
+        "Their size is that of the training, from the scene folder's training.json or else from the scene's camera.\n"
+        "training.json also states which photographs were held out. For a file, eval prints its own choice.\n"
         + IMAGES
         + "Needs: pip install 'refcodec[render]'.",
         writes=True,
@@ -242,7 +242,7 @@ def add(commands: Any) -> None:
     evaluate.add_argument(
         "--background",
         metavar="C",
-        help="what transparent photographs are laid over: white, black or R,G,B (default: the scene's background)",
+        help="the colour behind transparent photographs: white, black or R,G,B (default: the scene's background)",
     )
     evaluate.add_argument(
         "--holdout",

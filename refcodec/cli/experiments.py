@@ -163,7 +163,7 @@ def _add_demo(commands: Any) -> None:
             "demo -o out --photographs my-photographs --background white --holdout 5",
         ],
         "DIR/index.html shows everything. It takes about six minutes on two cores. Ctrl-C ends the training early and\n"
-        "shows what there is. The same command goes on, and does nothing twice. Both trainings get the options that\n"
+        "shows what there is. The same command continues, and repeats nothing. Both trainings get the options that\n"
         "are train's.\n"
         "Needs: pip install 'refcodec[demo]'.",
         parents=[train_options.parser()],
@@ -229,7 +229,7 @@ def _add_experiment(commands: Any) -> None:
         commands,
         "experiment",
         _experiment,
-        "train scenes by methods, rates and seeds as a file says, and write tables and curves",
+        "train scenes by methods, rates and seeds as stated in a file, and write tables and curves",
         [
             "experiment benchmarks/experiments/small.toml -o small",
             "experiment benchmarks/experiments/small.toml -o small --only 'caliterra/*' --jobs 4",

@@ -103,7 +103,7 @@ def _scaffold(arguments: argparse.Namespace, folder: Path) -> int:
     voxel = lattice_edge(scene) if isinstance(scene, Scene) else scene.voxel
     files = scaffold_files(values, scene.masks, scene.networks, scene.render, stated_cameras(scene), voxel)
     if scene.render.background not in ((0, 0, 0), (255, 255, 255)):
-        note("refcodec: Scaffold-GS has black and white backgrounds alone; the folder says black to it")
+        note("refcodec: Scaffold-GS has only black and white backgrounds; the folder states black")
     write_folder(files, folder)
     say(f"{folder}: {scene.anchor_count:,} anchors, {sum(map(len, files.values())):,} bytes")
     return 0
@@ -129,7 +129,7 @@ def _export(arguments: argparse.Namespace) -> int:
     outputs = [Path(name) for name in arguments.output]
     for output in outputs:
         if output.suffix.lower() not in FORMATS:
-            raise UsageError(f"{output} ends with none of {', '.join([*FORMATS, PAGE_SUFFIX])}")
+            raise UsageError(f"{output} has an unknown suffix; allowed are {', '.join([*FORMATS, PAGE_SUFFIX])}")
         check_file(output, FORMATS[output.suffix.lower()])
     check_apart(outputs, [arguments.file])
     note_compiling()

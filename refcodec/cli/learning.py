@@ -275,17 +275,17 @@ def add(commands: Any) -> None:
             "train --preset paper --print-settings > settings.toml",
             "train photographs -o scene --settings settings.toml",
         ],
-        "PHOTOGRAPHS is a folder that COLMAP or a NeRF dataset made; every eighth image is held out. SCENE_DIR is\n"
+        "PHOTOGRAPHS is a folder of COLMAP or of a NeRF dataset; every eighth image is held out. SCENE_DIR is\n"
         "what refcodec encode and eval read. Its training.json has the settings of the training, and how it went.\n"
-        "A training begins with an anchor in each voxel that has points. --voxel or --anchors say how large one is.\n"
-        "A NeRF dataset may have no points. Then they are drawn at random: in the visual hull of transparent\n"
-        "photographs, which none of them sees through, and else in a cube. Anchors grow until the rate counts, at\n"
-        "40 % of the steps. The setting growth.most is the most that there are: 40,000 in the preset fast.\n"
-        "Ctrl-C ends the training early, writes the scene all the same, and keeps SCENE_DIR.train-state for --resume.\n"
-        "Without --resume a training does not begin where such a state is: it goes on, or the state is removed first.\n"
+        "A training begins with an anchor in each voxel that has points. --voxel or --anchors set its size.\n"
+        "For a NeRF dataset without points, points are drawn at random: in the visual hull of transparent\n"
+        "photographs, or else in a cube. Anchors grow until the rate counts, at\n"
+        "40 % of the steps. The setting growth.most is their maximum: 40,000 in the preset fast.\n"
+        "Ctrl-C ends the training early, still writes the scene, and keeps SCENE_DIR.train-state for --resume.\n"
+        "Without --resume a training does not start while such a state exists: use --resume, or remove the state.\n"
         "--resume --steps N with more steps than before extends a training. What is left of its schedule is stretched\n"
         "over the steps that are left: passed phases stay passed, learning rates continue from their values.\n"
-        "One that came to its end goes on in its last phase. Its state is there if it was trained with --keep-state.\n"
+        "A completed training continues in its last phase. Its state exists if it was trained with --keep-state.\n"
         "Needs: pip install 'refcodec[train]'.",
         writes=True,
         parents=[train_options.parser()],
@@ -363,7 +363,7 @@ def add(commands: Any) -> None:
         "POINTS is a points3D.txt or points3D.bin of COLMAP, a .ply of points with uchar colours, an .npz with\n"
         "means3d and colors (integers from 0 to 255, or floats from 0 to 1), a scene folder of train, fit or decode,\n"
         "or the point_cloud.ply in one. A scene keeps its rendering networks, points get simple ones.\n"
-        "Ctrl-C ends the training early, writes the scene all the same, and keeps SCENE_DIR.fit-state for --resume.\n"
+        "Ctrl-C ends the training early, still writes the scene, and keeps SCENE_DIR.fit-state for --resume.\n"
         "Needs: pip install 'refcodec[fit]'.",
         writes=True,
     )

@@ -166,7 +166,7 @@ def add(commands: Any) -> None:
         commands,
         "inspect",
         _inspect,
-        "show what a file is made of",
+        "show the contents of a file",
         [
             "inspect scene.c3gs",
             "inspect scene.c3gs --decode",
@@ -177,9 +177,9 @@ def add(commands: Any) -> None:
             "inspect scene.c3gs --html page.html",
         ],
         "Without options nothing is decoded: the header, the tables of sections and the heads of chunks are read, and\n"
-        "only a fault of the header is told. Damaged files are shown as far as they parse. With --decode, --hex,\n"
+        "only an error in the header is reported. Damaged files are shown as far as they parse. With --decode, --hex,\n"
         "--near and --trace they are then rejected as by validate.\n\n"
-        "With --html the file is decoded, and a page is written of an accepted one. It opens from a disk and needs no\n"
+        "With --html the file is decoded, and if it is accepted, a page is written. It opens from a disk and needs no\n"
         "network. It has the file to scale, sizes by part beside the paper's, the bits of each anchor over the scene,\n"
         "symbols against what their models expected, the planes, the masks, and annotated bytes.",
         writes=True,

@@ -14,7 +14,7 @@ from ..files.interrupts import on_interrupt
 from ..files.terminal import note, open_streams, silence_stdout
 from .shared import EXITS, UsageError, reject
 
-# The modules of this room that add commands, with these. A command imports its own module alone.
+# The modules of this room that add commands, with these. A command imports only its own module.
 GROUPS = {
     "coding": ("encode", "decode", "digest", "reconstruct", "validate"),
     "looking": ("explain", "inspect"),
@@ -39,7 +39,7 @@ class _Parser(argparse.ArgumentParser):
 
 
 class _Version(argparse.Action):
-    """Says the version, and the path of the native kernel, which is asked for here alone."""
+    """Prints the version and the path of the native kernel, which only this option needs."""
 
     def __call__(self, parser: argparse.ArgumentParser, *_: object) -> NoReturn:
         from ..native.library import describe  # noqa: PLC0415

@@ -313,13 +313,13 @@ def needs(command: str, extra: str, error: ModuleNotFoundError, packages: tuple[
 
 
 def note_compiling() -> None:
-    """Says on stderr if the rasteriser is compiled anew at each start. It needs the extra `render`."""
+    """Reports on stderr if the rasteriser is compiled anew at each start. It needs the extra `render`."""
     from ..render.compiled import is_kept
 
     if not is_kept():
         note(
-            "refcodec: compiled code cannot be kept, so compiling takes some seconds now; "
-            "name a folder that can be written with NUMBA_CACHE_DIR"
+            "refcodec: compiled code cannot be stored, thus compiling takes some seconds now; "
+            "set NUMBA_CACHE_DIR to a writable folder"
         )
 
 

@@ -149,8 +149,8 @@ def add(commands: Any) -> None:
         _view,
         "show a file in the browser",
         ["view scene.c3gs", "view scene.c3gs --photographs photographs", "view scene.c3gs --port 8000 --no-browser"],
-        "FILE is a file or a scene folder. The browser decodes and draws it. The server answers this machine alone.\n"
-        "It has nothing but the page and the file. Other files can be dropped on the page.\n"
+        "FILE is a file or a scene folder. The browser decodes and draws it. The server answers only this machine\n"
+        "and serves only the page and the file. Other files can be dropped on the page.\n"
         "`refcodec export FILE -o scene.html` writes a page with the file in it, which needs no server.\n"
         "--photographs needs: pip install 'refcodec[render]'.",
     )

@@ -100,9 +100,9 @@ def test_a_scene_folder(place: Path, capsys: pytest.CaptureFixture[str]) -> None
 @pytest.mark.parametrize(
     ("words", "said"),
     [
-        (["scene.c3gs", "-o", "scene.obj"], "ends with none of .ply, .spz, .sog, .glb"),
-        (["scene.c3gs", "-o", "scene.c3gs"], "ends with none of"),
-        (["scene.c3gs", "-o", "a.ply", "-o", "scene.obj"], "scene.obj ends with none of"),
+        (["scene.c3gs", "-o", "scene.obj"], "allowed are .ply, .spz, .sog, .glb"),
+        (["scene.c3gs", "-o", "scene.c3gs"], "unknown suffix"),
+        (["scene.c3gs", "-o", "a.ply", "-o", "scene.obj"], "scene.obj has an unknown suffix"),
         (["scene.c3gs", "-o", "a.ply", "-o", "a.ply"], "a.ply"),
         (["scene.c3gs", "-o", "a.ply", "-o", "a.html"], "a page has a command of its own"),
         (["scene.c3gs", "-o", "a", "-o", "b", "--scaffold"], "a folder of Scaffold-GS has a command of its own"),

@@ -189,7 +189,7 @@ def test_the_cameras_of_a_model(tmp_path: Path, capsys: Captured) -> None:
         (("a.glb",), "no GLB"),
         (("a.glb", "--views", "6"), "no GLB"),
         (("a.splat", "--views", "6"), "neither the folder of a model nor a file of splats (.ply, .spz, .sog, .glb)"),
-        (("none", "--views", "6"), "there is no none"),
+        (("none", "--views", "6"), "none does not exist"),
     ],
 )
 def test_wrong_use(

@@ -95,7 +95,7 @@ def test_a_camera_is_read() -> None:
 )
 def test_what_is_no_camera(text: str, tmp_path: Path, capsys: Captured) -> None:
     (tmp_path / "camera.json").write_text(text)
-    assert "is no camera" in refused(capsys, "gaussians", EXAMPLE, tmp_path / "camera.json", tmp_path / "out.json")
+    assert "is not a camera" in refused(capsys, "gaussians", EXAMPLE, tmp_path / "camera.json", tmp_path / "out.json")
     assert not (tmp_path / "out.json").exists()
 
 
