@@ -88,7 +88,7 @@ def _experiment(arguments: argparse.Namespace) -> int:
         from ..experiments.plan import ExperimentError
         from ..experiments.runs import RunError
     except ModuleNotFoundError as error:
-        packages = ("matplotlib", "bjontegaard", "torch", *RENDER_PACKAGES)
+        packages = ("matplotlib", "bjontegaard", "msgspec", "torch", *RENDER_PACKAGES)
         raise needs("experiment", "train,render,rd", error, packages) from None
     options = Options(
         file=Path(arguments.file),

@@ -5,26 +5,23 @@ from __future__ import annotations
 import math
 import os
 import re
+import reprlib
 import tomllib
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Annotated, Any, Literal
+
+import msgspec
+from msgspec import Meta, Struct, field
 
 from ..files.text import printable
 from ..photographs.photographs import PhotographError, parse_background, parse_size
 from ..train.settings import PRESETS, TrainSettings
 from ..train.settings_file import SettingsError, assigned, varied
 
-T = TypeVar("T")
-
-KINDS = ("train", "uncompressed")
-DEVICES = ("cpu", "cuda")
 # Bounds of what is read: bytes of the file, entries of a list, cells.
 SIZE_MAX, LIST_MAX, CELLS_MAX = 1 << 20, 1000, 100_000
 SEED_MAX = (1 << 63) - 1
-# A name is a component of a path on every file system.
-_NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9._+-]{0,63}")
 _VARIABLE = re.compile(r"\$\{([^}]*)\}")
 # Settings that have a key of their own, which is the one to use.
 _OWN_KEYS = {
@@ -36,48 +33,168 @@ _OWN_KEYS = {
     "holdout": "the scene's holdout",
 }
 
+_NAMES = "1 to 64 letters, digits and . _ + -, with a letter or digit first and no dot last,"
+_RATES = f"a list of 1 to {LIST_MAX} numbers above 0 and at most 1, each once and of six digits at most,"
+_CHANGES = f"a list of 1 to {LIST_MAX} texts NAME=VALUE"
+# What each key allows, for messages.
+_ALLOWED = {
+    "name": _NAMES,
+    "group": _NAMES,
+    "photographs": "a folder",
+    "size": "WIDTHxHEIGHT or the longest side",
+    "background": "white, black or R,G,B",
+    "holdout": "a whole number of 0 or more",
+    "voxel": "a number above 0",
+    "anchors": "a whole number of 1 or more",
+    "rates": _RATES,
+    "set": _CHANGES,
+    "kind": "train or uncompressed",
+    "preset": " or ".join(PRESETS),
+    "scenes": f"a list of 1 to {LIST_MAX} tables [[scenes]], or of their names in a method,",
+    "methods": f"a list of 1 to {LIST_MAX} tables [[methods]]",
+    "seeds": f"a list of 1 to {LIST_MAX} whole numbers from 0 to {SEED_MAX}, each once,",
+    "steps": "a whole number of 1 or more",
+    "device": "cpu or cuda",
+    "baseline": "the name of a method",
+}
+
+_LIST = Meta(min_length=1, max_length=LIST_MAX)
+# A component of a path on every file system.
+Name = Annotated[str, Meta(pattern=r"\A[A-Za-z0-9](?:[A-Za-z0-9._+-]{0,62}[A-Za-z0-9_+-])?\Z")]
+Text = Annotated[str, Meta(pattern=r"\A[^\0]+\Z")]
+Whole = Annotated[int, Meta(ge=0, le=SEED_MAX)]
+Positive = Annotated[int, Meta(ge=1, le=SEED_MAX)]
+Rates = Annotated[tuple[Annotated[float, Meta(gt=0, le=1)], ...], _LIST]
+Texts = Annotated[tuple[Text, ...], _LIST]
+
 
 class ExperimentError(ValueError):
     """An experiment that cannot be run as it is written. The text is one line."""
 
 
-@dataclass(frozen=True)
-class Scene:
-    """Photographs to learn from.
+def _distinct(key: str, values: tuple[Any, ...]) -> None:
+    for i, value in enumerate(values):
+        if value in values[:i]:
+            raise ValueError(f"{key} has {value!r} twice")
+
+
+def _exact(rates: tuple[float, ...]) -> None:
+    """Raises ValueError for a lambda_r that its name in commands and folders does not state exactly."""
+    _distinct("rates", rates)
+    for rate in rates:
+        if float(f"{rate:g}") != rate:
+            raise ValueError(f"rates has {rate!r}: six digits at most are allowed")
+
+
+def _settable(changes: tuple[str, ...]) -> None:
+    _distinct("set", changes)
+    for change in changes:
+        name = change.partition("=")[0].strip()
+        if name in _OWN_KEYS:
+            raise ValueError(f"use {_OWN_KEYS[name]} instead of {name} in set")
+
+
+class Scene(Struct, forbid_unknown_fields=True, kw_only=True):
+    """Photographs to learn from: a table [[scenes]].
 
     photographs: the folder as the file has it. A path that is not absolute begins at the file's folder, and ${NAME}
-    stands for a variable of the environment. size, background, holdout: of `train`, None for the preset's. rates:
-    lambda_r of this scene, empty for those of all. changes: NAME=VALUE for `train --set`. group: the data set that it
-    belongs to.
+    stands for a variable of the environment. size, background, holdout: of `train`, None for the preset's. voxel,
+    anchors: of the first anchors. rates: lambda_r of this scene, empty for those of all. assignments: NAME=VALUE for
+    `train --set`, the key `set`. group: the data set that it belongs to, its own name if the file has none.
     """
 
-    name: str
-    photographs: str
-    size: str | None
-    background: str | None
-    holdout: int | None
-    rates: tuple[float, ...]
-    changes: tuple[str, ...]
-    group: str
+    name: Name
+    photographs: Text
+    size: str | int | None = None
+    background: str | None = None
+    holdout: Whole | None = None
+    voxel: Annotated[float, Meta(gt=0)] | None = None
+    anchors: Positive | None = None
+    rates: Rates = ()
+    assignments: Texts = field(default=(), name="set")
+    group: Name = ""
+
+    def __post_init__(self) -> None:
+        """Raises ValueError."""
+        _exact(self.rates)
+        _settable(self.assignments)
+        if self.voxel == math.inf:
+            raise ValueError(f"voxel is inf: {_ALLOWED['voxel']} is required")
+        if self.voxel is not None and self.anchors is not None:
+            raise ValueError("it has voxel and anchors: one of them is enough")
+        self.group = self.group or self.name
+        self.size = None if self.size is None else str(self.size)
+        try:
+            parse_size(self.size or "1")
+        except PhotographError:
+            raise ValueError(f"size is {self.size!r}: WIDTHxHEIGHT or the longest side is required") from None
+        try:
+            parse_background("white" if self.background is None else self.background)
+        except PhotographError:
+            raise ValueError(f"background is {self.background!r}: white, black or R,G,B is required") from None
+
+    @property
+    def changes(self) -> tuple[str, ...]:
+        """NAME=VALUE of all its settings. Those of the first anchors come before those of `set`."""
+        first = {"start.voxel": self.voxel, "start.anchors": self.anchors}
+        return (*(f"{name}={value!r}" for name, value in first.items() if value is not None), *self.assignments)
 
 
-@dataclass(frozen=True)
-class Method:
-    """A way to train. kind: `train` at each rate, or `uncompressed`, once. changes: as a scene's, and applied after.
+class Method(Struct, forbid_unknown_fields=True, kw_only=True):
+    """A way to train: a table [[methods]].
 
-    scenes: names of the only ones that it is for, empty for all.
+    kind: `train` at each rate, or `uncompressed`, once. changes: as `set` of a scene, and applied after. scenes: names
+    of the only ones that it is for, empty for all.
     """
 
-    name: str
-    kind: str
-    preset: str
-    changes: tuple[str, ...]
-    scenes: tuple[str, ...]
+    name: Name
+    kind: Literal["train", "uncompressed"] = "train"
+    preset: str = "fast"
+    changes: Texts = field(default=(), name="set")
+    scenes: Texts = ()
+
+    def __post_init__(self) -> None:
+        """Raises ValueError."""
+        _settable(self.changes)
+        _distinct("scenes", self.scenes)
+        if self.preset not in PRESETS:
+            raise ValueError(f"preset is {self.preset!r}: {' or '.join(PRESETS)} is required")
+
+
+class _File(Struct, forbid_unknown_fields=True, kw_only=True):
+    """The whole file. steps: None for the preset's. baseline: a method, or None for no BD-rates."""
+
+    scenes: Annotated[tuple[Scene, ...], _LIST]
+    methods: Annotated[tuple[Method, ...], _LIST]
+    rates: Rates = ()
+    seeds: Annotated[tuple[Whole, ...], _LIST]
+    steps: Positive | None = None
+    device: Literal["cpu", "cuda"] = "cpu"
+    baseline: Text | None = None
+
+    def __post_init__(self) -> None:
+        """Raises ValueError."""
+        _exact(self.rates)
+        _distinct("seeds", self.seeds)
+        for key, named in (("scenes", self.scenes), ("methods", self.methods)):
+            # Some file systems do not distinguish capitals.
+            names = [one.name.lower() for one in named]
+            for i, name in enumerate(names):
+                if name in names[:i]:
+                    raise ValueError(f"two {key} are named {named[i].name}; capitals do not count")
+        known = [scene.name for scene in self.scenes]
+        for method in self.methods:
+            for name in method.scenes:
+                if name not in known:
+                    raise ValueError(f"method {method.name} is for scene {name}: scenes are {', '.join(known)}")
+        trained = [method.name for method in self.methods if method.kind == "train"]
+        if self.baseline is not None and self.baseline not in trained:
+            raise ValueError(f"baseline is {self.baseline}: methods of kind train are {', '.join(trained)}")
 
 
 @dataclass(frozen=True)
 class Experiment:
-    """What an experiment's file says. steps: None for the preset's. baseline: a method, or None for no BD-rates."""
+    """An experiment's file. steps: None for the preset's. baseline: a method, or None for no BD-rates."""
 
     path: Path
     scenes: tuple[Scene, ...]
@@ -145,189 +262,52 @@ def read_experiment(path: Path) -> Experiment:
         raise ExperimentError(printable(f"{path}: {error}", 400)) from None
 
 
-class _Table:
-    """A table of the file. Whatever is wrong with it is an ExperimentError that begins with `where`."""
-
-    def __init__(self, where: str, value: Any, keys: Sequence[str]) -> None:
-        if not isinstance(value, Mapping):
-            raise ExperimentError(f"{where} is not a table")
-        for key in value:
-            if key not in keys:
-                raise ExperimentError(f"{where} has {key}: its keys are {', '.join(keys)}")
-        self.where, self.value = where, value
-
-    def wrong(self, key: str, value: Any, wanted: str) -> ExperimentError:
-        return ExperimentError(f"{self.where}: {key} is {value!r}, {wanted} is required")
-
-    def get(self, key: str, wanted: str, read: Callable[[Any], T | None], default: T | None = None) -> T:
-        """A value that `read` makes of the one in the file, or the default. None is what no value may be."""
-        if key not in self.value:
-            if default is None:
-                raise ExperimentError(f"{self.where} has no {key}: {wanted} is required")
-            return default
-        found = read(self.value[key])
-        if found is None:
-            raise self.wrong(key, self.value[key], wanted)
-        return found
-
-    def several(
-        self, key: str, wanted: str, read: Callable[[Any], T | None], default: tuple[T, ...] | None = None
-    ) -> tuple[T, ...]:
-        """A list of such values, of which no two are equal."""
-        if key not in self.value and default is not None:
-            return default
-        found = self.get(key, f"a list of {wanted}", lambda value: value if isinstance(value, list) else None)
-        if not 1 <= len(found) <= LIST_MAX:
-            raise ExperimentError(f"{self.where}: {key} has {len(found)} entries, 1 to {LIST_MAX} are allowed")
-        values = []
-        for i, entry in enumerate(found):
-            value = read(entry)
-            if value is None:
-                raise self.wrong(f"{key}[{i}]", entry, wanted)
-            if value in values:
-                raise ExperimentError(f"{self.where}: {key} has {entry!r} twice")
-            values.append(value)
-        return tuple(values)
+_TABLES: dict[str, type[Struct]] = {"": _File, "scenes": Scene, "methods": Method}
 
 
-def _text(value: Any) -> str | None:
-    return value if isinstance(value, str) and value and "\0" not in value else None
-
-
-def _name(value: Any) -> str | None:
-    return value if isinstance(value, str) and _NAME.fullmatch(value) and not value.endswith(".") else None
-
-
-def _one_of(choices: Sequence[str]) -> Callable[[Any], str | None]:
-    return lambda value: value if isinstance(value, str) and value in choices else None
-
-
-def _integer(low: int, high: int) -> Callable[[Any], int | None]:
-    return lambda value: (
-        value if isinstance(value, int) and not isinstance(value, bool) and low <= value <= high else None
-    )
-
-
-def _rate(value: Any) -> float | None:
-    """A lambda_r that its name in commands and folders states exactly."""
-    right = isinstance(value, int | float) and not isinstance(value, bool) and math.isfinite(value) and 0 < value <= 1
-    return float(value) if right and float(f"{value:g}") == value else None
-
-
-def _size(value: Any) -> str | None:
-    """Of photographs: a text, or a number for the longest side."""
-    text = str(value) if isinstance(value, int) and not isinstance(value, bool) else value
+def _reason(error: msgspec.ValidationError, document: Any) -> str:
+    """Where a document is wrong, what it has there, and what is allowed."""
+    text, _, place = str(error).partition(" - at `$")
+    place = place.rstrip("`").lstrip(".")
+    where, table = place or "the file", _TABLES.get(place.partition("[")[0])
+    named = re.fullmatch(r"Object (contains unknown|missing required) field `(.*)`", text, re.DOTALL)
+    if named and named[1].startswith("missing"):
+        return f"{where} has no {named[2]}: {_ALLOWED[named[2]]} is required"
+    if named and table:
+        return f"{where} has {named[2]}: its keys are {', '.join(f.encode_name for f in msgspec.structs.fields(table))}"
+    value = document
     try:
-        parse_size(text if isinstance(text, str) else "")
-    except PhotographError:
-        return None
-    return text
-
-
-def _background(value: Any) -> str | None:
-    try:
-        parse_background(value if isinstance(value, str) else "")
-    except PhotographError:
-        return None
-    return str(value)
-
-
-def _length(value: Any) -> float | None:
-    right = isinstance(value, int | float) and not isinstance(value, bool) and math.isfinite(value) and value > 0
-    return float(value) if right else None
-
-
-def _first_anchors(table: _Table) -> tuple[str, ...]:
-    """The settings of a scene's first anchors, which those of `set` and of methods come after."""
-    changes = []
-    if "voxel" in table.value:
-        changes.append(f"start.voxel={table.get('voxel', 'a number above 0', _length)!r}")
-    if "anchors" in table.value:
-        changes.append(f"start.anchors={table.get('anchors', 'a whole number of 1 or more', _integer(1, SEED_MAX))}")
-    if len(changes) > 1:
-        raise ExperimentError(f"{table.where} has voxel and anchors: one of them is enough")
-    return tuple(changes)
-
-
-def _changes(table: _Table) -> tuple[str, ...]:
-    changes = table.several("set", "texts NAME=VALUE", _text, ())
-    for change in changes:
-        name = change.partition("=")[0].strip()
-        if name in _OWN_KEYS:
-            raise ExperimentError(f"{table.where}: use {_OWN_KEYS[name]} instead of {name} in set")
-    return changes
-
-
-_RATES = "a number above 0 and at most 1, of six digits at most,"
-_NAMES = "a name of 1 to 64 letters, digits and . _ + -, which begins with a letter or digit and ends with no dot,"
-
-
-def _scene(where: str, value: Any) -> Scene:
-    keys = ("name", "photographs", "size", "background", "holdout", "voxel", "anchors", "rates", "set", "group")
-    table = _Table(where, value, keys)
-    name = table.get("name", _NAMES, _name)
-    return Scene(
-        name=name,
-        photographs=table.get("photographs", "a folder", _text),
-        size=table.get("size", "WIDTHxHEIGHT or the longest side", _size) if "size" in table.value else None,
-        background=table.get("background", "white, black or R,G,B", _background)
-        if "background" in table.value
-        else None,
-        holdout=table.get("holdout", "a whole number of 0 or more", _integer(0, SEED_MAX))
-        if "holdout" in table.value
-        else None,
-        rates=table.several("rates", _RATES, _rate, ()),
-        changes=(*_first_anchors(table), *_changes(table)),
-        group=table.get("group", _NAMES, _name, name),
-    )
-
-
-def _method(where: str, value: Any) -> Method:
-    table = _Table(where, value, ("name", "kind", "preset", "set", "scenes"))
-    return Method(
-        name=table.get("name", _NAMES, _name),
-        kind=table.get("kind", " or ".join(KINDS), _one_of(KINDS), "train"),
-        preset=table.get("preset", " or ".join(PRESETS), _one_of(tuple(PRESETS)), "fast"),
-        changes=_changes(table),
-        scenes=table.several("scenes", "the name of a scene", _text, ()),
-    )
-
-
-def _tables(document: _Table, key: str, read: Callable[[str, Any], T], name: Callable[[T], str]) -> tuple[T, ...]:
-    values = document.several(key, f"tables [[{key}]]", lambda value: value if isinstance(value, dict) else None)
-    found = tuple(read(f"{key}[{i}]", value) for i, value in enumerate(values))
-    # Some file systems do not tell capitals.
-    names = [name(one).lower() for one in found]
-    for i, one in enumerate(names):
-        if one in names[:i]:
-            raise ExperimentError(f"two {key} are named {name(found[i])}; capitals do not count")
-    return found
+        for step in re.findall(r"\w+", place):
+            value = value[int(step) if isinstance(value, list) else step]
+    # A key of the file may contain what separates text and place.
+    except (KeyError, IndexError, TypeError, ValueError):
+        return f"{where}: {text}"
+    key = re.sub(r"\[\d+\]$", "", place).rpartition(".")[2]
+    if error.__cause__ is not None or key not in _ALLOWED:
+        return f"{where}: {text}"
+    shown = f"a list of {len(value)} entries" if isinstance(value, list) else reprlib.repr(value)
+    if place.endswith("]"):
+        return f"{where} is {shown}: {key} must be {_ALLOWED[key].rstrip(',')}"
+    return f"{where} is {shown}: {_ALLOWED[key]} is required"
 
 
 def _experiment(path: Path, document: Any) -> Experiment:
-    table = _Table("the file", document, ("scenes", "methods", "rates", "seeds", "steps", "device", "baseline"))
-    scenes = _tables(table, "scenes", _scene, lambda scene: scene.name)
-    methods = _tables(table, "methods", _method, lambda method: method.name)
-    names = [scene.name for scene in scenes]
-    for method in methods:
-        for name in method.scenes:
-            if name not in names:
-                raise ExperimentError(f"method {method.name} is for scene {name}: scenes are {', '.join(names)}")
+    try:
+        file = msgspec.convert(document, _File)
+    except msgspec.ValidationError as error:
+        raise ExperimentError(_reason(error, document)) from None
     experiment = Experiment(
         path=path,
-        scenes=scenes,
-        methods=methods,
-        rates=table.several("rates", _RATES, _rate, ()),
-        seeds=table.several("seeds", f"a whole number from 0 to {SEED_MAX}", _integer(0, SEED_MAX)),
-        steps=table.get("steps", "a whole number of 1 or more", _integer(1, SEED_MAX)) if "steps" in document else None,
-        device=table.get("device", " or ".join(DEVICES), _one_of(DEVICES), "cpu"),
-        baseline=table.get("baseline", "the name of a method", _text) if "baseline" in document else None,
+        scenes=file.scenes,
+        methods=file.methods,
+        rates=tuple(sorted(file.rates)),
+        seeds=file.seeds,
+        steps=file.steps,
+        device=file.device,
+        baseline=file.baseline,
     )
-    trained = [method.name for method in methods if method.kind == "train"]
-    if experiment.baseline is not None and experiment.baseline not in trained:
-        raise ExperimentError(f"baseline is {experiment.baseline}: methods of kind train are {', '.join(trained)}")
     count = 0
-    for scene in scenes:
+    for scene in experiment.scenes:
         for method in experiment.methods_of(scene):
             rates = experiment.rates_of(scene, method)
             if not rates:
@@ -335,5 +315,5 @@ def _experiment(path: Path, document: Any) -> Experiment:
             experiment.settings(scene, method, rates[0], experiment.seeds[0])
             count += len(rates) * len(experiment.seeds)
             if count > CELLS_MAX:
-                raise ExperimentError(f"it has more than {CELLS_MAX} cells")
-    return replace(experiment, rates=tuple(sorted(experiment.rates)))
+                raise ExperimentError(f"it has more than {CELLS_MAX} cells, the most that are allowed")
+    return experiment
