@@ -5,8 +5,8 @@ python -m benchmarks.peers run PHOTOGRAPHS FOLDER --method 3dgs    runs of a met
 python -m benchmarks.peers table FOLDER                            one table and one plot of all runs in a folder
 python -m benchmarks.peers.scene SPLAT.ply -o FOLDER               photographs in NeRF's format, of a splat
 
-What is whole is not run again. What was interrupted goes on where it was. SPZ and SOG are written by splat-transform,
-which `run` says how to install.
+A finished run is not repeated, and an interrupted one is resumed. splat-transform writes SPZ and SOG; `run` prints the
+command that installs it.
 """
 
 from __future__ import annotations
@@ -56,7 +56,7 @@ def _train(arguments: argparse.Namespace) -> int:
     check_apart([arguments.output], [arguments.photographs, *photographs.places()])
     trainer = train_splats(photographs, settings, arguments.output, arguments.resume)
     if trainer is None:
-        print("interrupted; the same command with --resume goes on", file=sys.stderr)
+        print("interrupted: repeat the command with --resume", file=sys.stderr)
         return INTERRUPTED
     print(f"{arguments.output}: {len(trainer.result()['mean'])} Gaussians, {trainer.seconds:.0f} s of the processor")
     return DONE
@@ -75,7 +75,7 @@ def _run(arguments: argparse.Namespace) -> int:
                 tuple(arguments.set),
             )
             if perform(run, arguments.folder) is None:
-                print("interrupted; the same command goes on", file=sys.stderr)
+                print("interrupted: repeat the command to resume", file=sys.stderr)
                 return INTERRUPTED
     return DONE
 

@@ -1,4 +1,4 @@
-"""Runs of methods on scenes, one JSON file each: what is whole is not run again, what was interrupted goes on."""
+"""Runs of methods on scenes, one JSON file each: a finished run is not repeated, an interrupted one is resumed."""
 
 from __future__ import annotations
 

@@ -261,6 +261,7 @@ def test_killed(place: Path, call: Call, monkeypatch: pytest.MonkeyPatch) -> Non
     assert steps(place, NAMES[0])[-1] == 400
 
 
+@pytest.mark.slow
 def test_a_state_that_is_refused(place: Path, call: Call, monkeypatch: pytest.MonkeyPatch) -> None:
     """A training that does not take its saved state begins anew at once. The state is kept if that fails, too."""
     only = ("--only", NAMES[0])
