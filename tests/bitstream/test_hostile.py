@@ -75,6 +75,7 @@ def salvaged(data: bytes) -> None:
 
 
 @pytest.mark.no_cover
+@pytest.mark.slow
 def test_every_truncation() -> None:
     for length in range(len(SMALL_FILE)):
         assert refused(SMALL_FILE[:length]) is not None, length
