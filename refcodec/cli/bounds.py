@@ -207,13 +207,13 @@ def check_folder(arguments: argparse.Namespace, folder: Path) -> None:
         return
     from ..bitstream.batches import GROUP_ANCHORS
     from ..bitstream.bounds import DECODING, HOLDING
-    from ..files.ply_header import PlyHeaderError, check_ply_header
+    from ..files.ply import PlyError, check_ply_header
     from ..folder.layout import PLY_FILE
 
     file = folder / PLY_FILE
     try:
         count, properties = check_ply_header(file)
-    except (PlyHeaderError, OSError):
+    except (PlyError, OSError):
         return
     each = min(count, GROUP_ANCHORS) * DECODING + COPIES * count * HOLDING
     check_bounds(arguments, str(file), count, properties * each + 2 * file.stat().st_size)

@@ -21,7 +21,7 @@ from ..bitstream.limits import FEATURES_MAX, MAIN, PROFILES
 from ..bitstream.networks import Layer
 from ..bitstream.reconstruction import Reconstruction
 from ..encoder.cloud import AnchorCloud
-from ..files.ply_header import PlyHeaderError, check_ply_header, property_names
+from ..files.ply import PlyError, check_ply_header, property_names
 from ..folder.layout import PLY_FILE, RENDER_FILE, SceneFolderError, there
 from ..folder.ply import read_cloud
 from ..folder.uncompressed import Uncompressed, read_render_document
@@ -119,7 +119,7 @@ def _check_header(ply: Path) -> None:
     try:
         count, _ = check_ply_header(ply)
         names = property_names(ply)
-    except PlyHeaderError as error:
+    except PlyError as error:
         raise SceneFolderError(ply, f"it is not a readable PLY file ({error})", _ADVICE) from None
     if count > ANCHORS_MAX:
         problem = f"it has {count} anchors, at most {ANCHORS_MAX} are allowed (SPEC.md 11.2)"

@@ -1,8 +1,5 @@
 """PLY files of plain 3D Gaussians: those of 3DGS's own code, and PlayCanvas's compressed ones."""
 
-# plyfile is imported where it is used, so that other commands start fast.
-# ruff: noqa: PLC0415
-
 from __future__ import annotations
 
 from pathlib import Path
@@ -14,7 +11,7 @@ from numpy.typing import NDArray
 from ..export.harmonics import REST, ZERO
 from ..export.ply import columns
 from ..export.splats import with_largest
-from ..files.ply_header import PlyHeaderError, check_ply_header
+from ..files.ply import PlyError, check_ply_header, names_of, read_ply
 from ..files.text import printable
 from ..folder.layout import SceneFolderError
 from .splat_arrays import ADVICE, Arrays, check_count, logits
@@ -26,25 +23,17 @@ PACKED = ("packed_position", "packed_rotation", "packed_scale", "packed_color")
 
 def read_splat_ply(file: Path) -> Arrays:
     """Returns the Gaussians of a file, its properties in any order. Raises SceneFolderError."""
-    from plyfile import PlyData
-
     try:
         most, _ = check_ply_header(file)
         check_count(file, most, file.stat().st_size)
-        data = PlyData.read(str(file))
-        elements = {element.name: element.data for element in data.elements}
-    except PlyHeaderError as error:
-        raise SceneFolderError(file, f"it is not a readable PLY file ({error})", ADVICE) from None
-    except (SceneFolderError, MemoryError):
-        raise
-    # plyfile answers bad bytes with many types.
-    except Exception as error:
+        elements = read_ply(file)
+    except (PlyError, OSError) as error:
         problem = f"it is not a readable PLY file ({printable(str(error), 120)})"
         raise SceneFolderError(file, problem, ADVICE) from None
     vertex = elements.get("vertex")
     if vertex is None:
         raise SceneFolderError(file, "it has no element vertex", ADVICE)
-    if PACKED[0] in vertex.dtype.names:
+    if PACKED[0] in names_of(vertex):
         return _packed(file, elements)
     return _plain(file, vertex)
 
@@ -60,7 +49,7 @@ def _plain(file: Path, table: Any) -> Arrays:
 
 def _rest(file: Path, table: Any) -> int:
     """Returns the number of harmonics beside the first. Raises SceneFolderError for one that no degree has."""
-    extra = sum(name.startswith("f_rest_") for name in table.dtype.names)
+    extra = sum(name.startswith("f_rest_") for name in names_of(table))
     if extra % 3 or extra // 3 not in REST:
         wanted = ", ".join(str(3 * rest) for rest in REST)
         raise SceneFolderError(file, f"it has {extra} coefficients f_rest, {wanted} are wanted", ADVICE)
@@ -76,7 +65,7 @@ def _array(file: Path, table: Any, names: tuple[str, ...], kinds: str = "fiu") -
 
 
 def _column(file: Path, table: Any, name: str, kinds: str) -> NDArray[Any]:
-    if name not in table.dtype.names or table.dtype[name].kind not in kinds:
+    if name not in names_of(table) or table.dtype[name].kind not in kinds:
         raise SceneFolderError(file, f"there is no property {name} of numbers, as files of splats have", ADVICE)
     return np.asarray(table[name])
 
@@ -104,7 +93,7 @@ def _packed(file: Path, elements: dict[str, Any]) -> Arrays:
     scale = between("scale_", "xyz", _bits(words["packed_scale"], 11, 10, 11))
     colour = _bits(words["packed_color"], 8, 8, 8, 8)
     # Files of the first version have no ranges of colours.
-    ranged = "min_r" in chunks.dtype.names
+    ranged = "min_r" in names_of(chunks)
     shade = between("", "rgb", colour[:, :3]) if ranged else colour[:, :3]
     rotation = (_bits(words["packed_rotation"], 2, 10, 10, 10)[:, 1:] - 0.5) * np.sqrt(2)
     quaternion = with_largest(words["packed_rotation"] >> 30, rotation)

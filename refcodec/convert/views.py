@@ -18,9 +18,9 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 from PIL import Image
-from plyfile import PlyData, PlyElement
 
 from ..export.harmonics import ZERO
+from ..files.ply import ply_bytes
 from ..files.stage import new_file
 from ..render.camera import Camera
 from ..render.rasterise import Settings
@@ -188,5 +188,4 @@ def _write_points(splats: Splats, path: Path) -> None:
     for values, names in ((mean, ("x", "y", "z")), (colour, ("red", "green", "blue"))):
         for column, name in enumerate(names):
             table[name] = values[:, column]
-    with new_file(path) as file:
-        PlyData([PlyElement.describe(table, "vertex")], byte_order="<").write(file)
+    _put(path, ply_bytes(table))

@@ -1,15 +1,12 @@
 """PLY files of ordinary 3D Gaussians, as 3DGS's own code writes them."""
 
-# plyfile is imported where it is used, so that other commands start fast.
-# ruff: noqa: PLC0415
-
 from __future__ import annotations
 
-import io
 import re
 
 import numpy as np
 
+from ..files import ply as files_ply
 from ..files.outputs import Kind
 from .splats import Splats
 
@@ -41,8 +38,6 @@ def ply_bytes(splats: Splats) -> bytes:
 
     The coefficients f_rest have one channel after the other.
     """
-    from plyfile import PlyData, PlyElement
-
     count = len(splats.mean)
     names: list[str] = []
     parts = []
@@ -56,6 +51,4 @@ def ply_bytes(splats: Splats) -> bytes:
             names += ("nx", "ny", "nz")
             parts.append(np.zeros((count, 3), np.float32))
     table = np.concatenate(parts, axis=1).astype("<f4").view([(name, "<f4") for name in names]).reshape(count)
-    file = io.BytesIO()
-    PlyData([PlyElement.describe(table, "vertex", comments=[MARK])], byte_order="<").write(file)
-    return file.getvalue()
+    return files_ply.ply_bytes(table, MARK)

@@ -16,7 +16,7 @@ convert.carried takes them out again:
   passes it on, with a weight that makes the opacity negative. The code draws no Gaussian of negative opacity.
 """
 
-# torch and plyfile are imported where they are used, so that other commands start fast.
+# torch is imported where it is used, so that other commands start fast.
 # ruff: noqa: PLC0415
 
 from __future__ import annotations
@@ -43,6 +43,7 @@ from ..bitstream.reconstruction import Reconstruction
 from ..bitstream.scene import Scene
 from ..files.exchange import INCOMING, exchange
 from ..files.outputs import Kind, check_file
+from ..files.ply import ply_bytes
 from ..files.stage import make_folder, new_file
 from ..folder.layout import RENDER_FILE
 from ..folder.ply import ply_values
@@ -215,8 +216,6 @@ def _state_dicts(modules: dict[str, nn.Sequential]) -> bytes:
 
 def _cloud(values: Reconstruction, masks: NDArray[np.bool_], features: F32) -> bytes:
     """Returns point_cloud.ply, without masks. The opacity and the rotation of anchors are not used."""
-    from plyfile import PlyData, PlyElement
-
     count, found = len(masks), ply_values(values, masks)
     rotation = np.broadcast_to(np.array([1, 0, 0, 0], np.float32), (count, 4))
     columns = {
@@ -234,9 +233,7 @@ def _cloud(values: Reconstruction, masks: NDArray[np.bool_], features: F32) -> b
         for name in ([f"{stem}{i}" for i in range(part.shape[1])] if isinstance(stem, str) else stem)
     ]
     table = np.concatenate(list(columns.values()), axis=1).astype("<f4").view([(name, "<f4") for name in names])
-    file = io.BytesIO()
-    PlyData([PlyElement.describe(table.reshape(count), "vertex")], byte_order="<").write(file)
-    return file.getvalue()
+    return ply_bytes(table.reshape(count))
 
 
 def _cfg_args(width: int, offsets: int, render: RenderInfo, voxel: float | None) -> str:

@@ -1,6 +1,6 @@
 """point_cloud.ply, in the layout of Scaffold-GS checkpoints."""
 
-# plyfile and the encoder are imported where they are used. A decode that fails should not wait for them.
+# The encoder is imported where it is used. A decode that fails should not wait for them.
 # ruff: noqa: PLC0415
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from ..bitstream.attributes import SCALINGS
 from ..bitstream.reconstruction import Reconstruction
-from ..files.ply_header import check_ply_header
+from ..files.ply import PlyError, names_of, ply_header, read_ply
 from ..files.stage import new_file
 from .layout import MASK_LOGIT_MIN, SceneFolderError, there
 
@@ -56,12 +56,8 @@ class CloudFile:
 
     def __init__(self, file: BinaryIO, count: int, offset_count: int, features: int) -> None:
         """Writes the header. count: N, how many anchors there will be. features: F. Raises OSError."""
-        from plyfile import PlyData, PlyElement
-
-        row = np.zeros(1, [(name, "<f4") for name in ply_properties(offset_count, features)])
-        # The header is that of N anchors, of which this array takes the memory of one.
-        anchors = PlyElement.describe(np.broadcast_to(row, count), "vertex")
-        file.write(PlyData([anchors], byte_order="<").header.encode("ascii") + b"\n")
+        row = np.dtype([(name, "<f4") for name in ply_properties(offset_count, features)])
+        file.write(ply_header(row, count))
         self._file = file
 
     def add(self, r: Reconstruction, masks: NDArray[np.bool_]) -> None:
@@ -90,20 +86,14 @@ class Columns:
 
     def __init__(self, file: Path) -> None:
         """Reads the file. Raises SceneFolderError."""
-        from plyfile import PlyData
-
         self.file = file
         try:
-            check_ply_header(file)
-            self.data = PlyData.read(str(file))["vertex"].data
+            self.data = read_ply(file)["vertex"]
         except KeyError:
             raise SceneFolderError(
                 file, "it has no vertices", "give a point cloud in the layout of Scaffold-GS"
             ) from None
-        except MemoryError:
-            raise
-        # plyfile raises errors of many types for bad bytes. Whatever the type is, the file cannot be read.
-        except Exception as error:
+        except (PlyError, OSError) as error:
             raise SceneFolderError(
                 file, f"it is not a readable PLY file ({error})", "export the point cloud again"
             ) from None
@@ -114,7 +104,7 @@ class Columns:
 
         The stem "xyz" stands for the properties x, y and z. Raises SceneFolderError if a number is missing.
         """
-        known = self.data.dtype.names
+        known = names_of(self.data)
         if stem == "xyz":
             return [name for name in ("x", "y", "z") if name in known]
         numbered = [name for name in known if re.fullmatch(re.escape(stem) + r"\d+", name)]
@@ -126,11 +116,9 @@ class Columns:
         return numbered
 
     def array(self, names: Sequence[str]) -> NDArray[np.float32]:
-        """Returns some properties as float32 [N, columns]. Raises SceneFolderError for a property that is a list."""
+        """Returns some properties as float32 [N, columns]."""
         out = np.empty((self.count, len(names)), np.float32)
         for i, name in enumerate(names):
-            if self.data.dtype[name].kind not in "fiu":
-                raise SceneFolderError(self.file, f"the property {name} is a list", "export the point cloud again")
             out[:, i] = self.data[name]
         return out
 

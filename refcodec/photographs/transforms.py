@@ -10,10 +10,9 @@ from pathlib import Path, PurePosixPath
 from typing import Any
 
 import numpy as np
-from plyfile import PlyData
 
 from ..files.documents import DocumentError, read_json
-from ..files.ply_header import check_ply_header
+from ..files.ply import names_of, read_ply
 from .cameras import (
     F64,
     U8,
@@ -243,19 +242,18 @@ def read_points(file: Path) -> tuple[F64, U8]:
     """
     advice = "give vertices with x, y, z and, as 8-bit integers, red, green, blue"
     try:
-        check_ply_header(file)
-        data = PlyData.read(str(file))["vertex"].data
+        data = read_ply(file)["vertex"]
         points = np.stack([data[axis].astype(np.float64) for axis in "xyz"], axis=1)
         colours = np.full(points.shape, GREY, np.uint8)
-        if "red" in data.dtype.names:
+        if "red" in names_of(data):
             columns = [data[name] for name in ("red", "green", "blue")]
             if any(column.dtype != np.uint8 for column in columns):
                 raise PhotographError(file, f"its colours are {columns[0].dtype}, uint8 is required", advice)
             colours = np.stack(columns, axis=1)
-    except (PhotographError, MemoryError):
+    except PhotographError:
         raise
-    # plyfile answers bad bytes with many types; whatever it is, the file cannot be read.
-    except Exception as error:
+    # A missing element or property is a KeyError or a ValueError.
+    except (KeyError, ValueError, OSError) as error:
         raise PhotographError(file, f"it is not a readable point cloud ({error})", advice) from None
     if not len(points):
         raise PhotographError(

@@ -13,7 +13,7 @@ from ..bitstream.header import PositionGrid, RenderInfo
 from ..bitstream.networks import Layer
 from ..bitstream.reconstruction import Reconstruction, reconstruct
 from ..encoder.cloud import AnchorCloud
-from ..files.ply_header import PlyHeaderError, property_names
+from ..files.ply import PlyError, property_names
 from ..folder.layout import NETWORKS_FILE, PLY_FILE, RENDER_FILE, SCENE_FILE, there
 from ..folder.read import read_folder
 from ..folder.uncompressed import is_uncompressed, read_uncompressed
@@ -60,7 +60,7 @@ def _is_scaffold(cloud: Path) -> bool:
     """Whether a PLY file has anchors, and not only points."""
     try:
         return "f_anchor_feat_0" in property_names(cloud)
-    except PlyHeaderError as error:
+    except PlyError as error:
         raise ValueError(f"it is not a readable PLY file ({error})") from None
 
 

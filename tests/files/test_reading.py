@@ -20,7 +20,7 @@ from safetensors.numpy import load_file, save
 
 from refcodec.cli.main import main
 from refcodec.files.documents import DocumentError, parse_toml
-from refcodec.files.ply_header import PlyHeaderError, check_ply_header
+from refcodec.files.ply import PlyError, check_ply_header
 from refcodec.folder.layout import SceneFolderError
 from refcodec.folder.ply import ply_properties, read_cloud
 from refcodec.folder.uncompressed import Uncompressed, read_uncompressed, write_uncompressed
@@ -261,7 +261,7 @@ def header(*lines: str) -> bytes:
 def test_headers_of_ply_are_bounded(data: bytes, message: str, tmp_path: Path) -> None:
     file = tmp_path / "point_cloud.ply"
     file.write_bytes(data)
-    with pytest.raises(PlyHeaderError, match=message):
+    with pytest.raises(PlyError, match=message):
         check_ply_header(file)
     with pytest.raises(SceneFolderError, match=message):
         read_cloud(file)
