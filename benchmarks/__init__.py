@@ -1,4 +1,4 @@
 """Measurements of speed, size and quality; RESULTS.md has what they printed.
 
-`python -m benchmarks decode|encode|scale|train` measures speed and scale. `python -m benchmarks.NAME` runs another one.
+`python -m benchmarks decode|encode|scale` measures speed and scale. `python -m benchmarks.NAME` runs another benchmark.
 """
