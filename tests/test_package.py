@@ -2,19 +2,42 @@
 
 from __future__ import annotations
 
+import importlib.metadata
 import os
+import re
 import shutil
 import subprocess
 import sys
 import tarfile
+import tomllib
 import zipfile
 from collections.abc import Callable
 from pathlib import Path
 
 import pytest
+from packaging.requirements import Requirement
+from packaging.utils import canonicalize_name
 
-pytestmark = pytest.mark.slow
 ROOT = Path(__file__).resolve().parents[1]
+# Licences of packages that are often not installed, or whose metadata is ambiguous.
+LICENCES = {
+    "atheris": "Apache-2.0",
+    "bjontegaard": "BSD-3-Clause",
+    "constriction": "MIT OR Apache-2.0 OR BSL-1.0",
+    # Its classifiers name the GPL too, which applies to an Emacs mode that the wheel does not contain.
+    "docutils": "LicenseRef-Public-Domain AND BSD-2-Clause",
+    "gsplat": "Apache-2.0",
+    "matplotlib": "PSF-2.0",
+    "msgspec": "BSD-3-Clause",
+    "numba": "BSD-2-Clause",
+    "ray": "Apache-2.0",
+    "tensorboard": "Apache-2.0",
+    "zstandard": "BSD-3-Clause",
+}
+# The MPL is a copyleft of single files: only changes to the files of these packages would be under it.
+MPL_ALLOWED = {"certifi", "tqdm"}
+COPYLEFT = re.compile(r"GPL|GNU .*GENERAL PUBLIC|EUPL|CDDL|EPL-|OSL-|-SA-|SSPL", re.IGNORECASE)
+MPL = re.compile(r"MPL|MOZILLA PUBLIC", re.IGNORECASE)
 # What a working tree holds and a clone does not, beside virtual environments.
 UNTRACKED = shutil.ignore_patterns(
     ".git", "*.so", "out", "build", "dist", "__pycache__", ".*_cache", ".hypothesis", ".coverage*", "*.egg-info"
@@ -70,6 +93,84 @@ def away(built: Path, tmp_path_factory: pytest.TempPathFactory) -> Run:
     return run
 
 
+def _licence(name: str) -> str | None:
+    """Returns the licence of a package, or None if neither the table nor its metadata states one."""
+    if name in LICENCES:
+        return LICENCES[name]
+    try:
+        metadata = importlib.metadata.metadata(name)
+    except importlib.metadata.PackageNotFoundError:
+        return None
+    if expression := metadata.get("License-Expression"):
+        return expression
+    classifiers = [text for text in metadata.get_all("Classifier") or [] if text.startswith("License ::")]
+    # Some packages give the text of the licence. Its first lines name it.
+    return " AND ".join(filter(None, [(metadata.get("License") or "")[:100], *classifiers])) or None
+
+
+def _objection(name: str, licence: str | None) -> str | None:
+    """Returns why a package cannot be a dependency, or None. licence: an SPDX expression, or what a package states."""
+    if licence is None:
+        return f"{name}: the licence is unknown; look it up, and add it to LICENCES"
+    # A choice is copyleft if every alternative is.
+    alternatives = [licence] if " AND " in licence else licence.split(" OR ")
+    if all(COPYLEFT.search(text) for text in alternatives):
+        return f"{name}: {licence} is copyleft, and allowed in the extra `test` only; use another package"
+    if all(MPL.search(text) for text in alternatives) and name not in MPL_ALLOWED:
+        return f"{name}: {licence} is copyleft for single files; if that is acceptable, add it to MPL_ALLOWED"
+    return None
+
+
+def _dependencies() -> set[str]:
+    """The packages that the project and its extras need, except the extra `test`, and what these need in turn."""
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
+    extras = project["optional-dependencies"]
+    own = [*project["dependencies"], *(text for extra in extras if extra != "test" for text in extras[extra])]
+    pending = [Requirement(text) for text in own]
+    seen: set[tuple[str, str]] = set()
+    while pending:
+        requirement = pending.pop()
+        name = canonicalize_name(requirement.name)
+        for extra in {"", *requirement.extras}:
+            # All extras of the project itself are in the list.
+            if name == "refcodec" or (name, extra) in seen:
+                continue
+            seen.add((name, extra))
+            try:
+                needed = [Requirement(text) for text in importlib.metadata.requires(name) or []]
+            except importlib.metadata.PackageNotFoundError:
+                continue
+            pending += [n for n in needed if n.marker is None or n.marker.evaluate({"extra": extra})]
+    return {name for name, _ in seen}
+
+
+def test_no_dependency_is_copyleft() -> None:
+    """The package is under Apache-2.0. Neither it nor an extra, except `test`, needs a package with copyleft."""
+    names = _dependencies()
+    assert {"numpy", "torch", "gsplat", "markupsafe"} <= names
+    assert [text for name in sorted(names) if (text := _objection(name, _licence(name)))] == []
+
+
+@pytest.mark.parametrize(
+    ("licence", "objection"),
+    [
+        (None, "unknown"),
+        ("GPL-3.0-or-later", "copyleft,"),
+        ("MIT AND LGPL-2.1-only", "copyleft,"),
+        ("AGPL-3.0-only OR GPL-2.0-only", "copyleft,"),
+        ("License :: OSI Approved :: GNU Lesser General Public License v3 or later", "copyleft,"),
+        ("GNU AFFERO GENERAL PUBLIC LICENSE\nVersion 3", "copyleft,"),
+        ("MPL-2.0", "single files"),
+        ("MIT OR GPL-3.0-or-later", None),
+        ("Apache-2.0 WITH LLVM-exception AND BSD-2-Clause", None),
+    ],
+)
+def test_copyleft_licences_are_refused(licence: str | None, objection: str | None) -> None:
+    reason = _objection("torchac", licence)
+    assert reason is None if objection is None else reason and objection in reason
+
+
+@pytest.mark.slow
 def test_both_distributions_are_the_same(built: Path) -> None:
     """The wheel of the source distribution is that of the tree, file by file."""
     contents = []
@@ -89,6 +190,7 @@ def test_both_distributions_are_the_same(built: Path) -> None:
         assert direct[name] == (ROOT / name).read_bytes()
 
 
+@pytest.mark.slow
 def test_the_source_distribution_is_whole(built: Path) -> None:
     """It holds what a clone does, so that its own tests run."""
     (path,) = (built / "sdist").glob("*.tar.gz")
@@ -100,6 +202,7 @@ def test_the_source_distribution_is_whole(built: Path) -> None:
     assert missing == {".gitignore"}
 
 
+@pytest.mark.slow
 def test_explain_works_away_from_the_checkout(away: Run) -> None:
     found = away("refcodec", "explain", "432", "6.10")
     assert found.returncode == 0, found.stderr
@@ -107,6 +210,7 @@ def test_explain_works_away_from_the_checkout(away: Run) -> None:
     assert "conformance/c/decoder.c:" in found.stdout
 
 
+@pytest.mark.slow
 def test_the_suite_runs_away_from_the_checkout(away: Run) -> None:
     """`conformance run` finds the vectors that came with it; refcodec there passes those of one clause."""
     decoder = ("refcodec", "reconstruct", "{input}", "{output}")
