@@ -6,6 +6,7 @@ Profiles: `ci` is derandomised; HYPOTHESIS_PROFILE=long looks longer and at rand
 from __future__ import annotations
 
 import os
+import signal
 from pathlib import Path
 from typing import Any
 
@@ -25,6 +26,9 @@ os.environ["PYTHONPATH"] = os.pathsep.join(filter(None, [_ROOT, os.environ.get("
 # Read when numba or torch is loaded: two threads, whatever the machine has. Those that wait do not spin, which on
 # busy cores makes training ten times as slow.
 os.environ.update(NUMBA_NUM_THREADS="2", OMP_NUM_THREADS="2", OMP_WAIT_POLICY="PASSIVE")
+
+# A shell ignores Ctrl-C in what it runs in the background. Python then does so, too, and tests would not interrupt it.
+signal.signal(signal.SIGINT, signal.default_int_handler)
 
 
 class _Names(dict[str, Any]):

@@ -481,7 +481,7 @@ def test_something_else_in_the_place_of_a_file(name: str, tmp_path: Path, capsys
 
 
 def test_folders_without_a_model(tmp_path: Path, capsys: Captured) -> None:
-    refused(tmp_path, capsys, "there is no")
+    refused(tmp_path, capsys, "does not exist")
     (tmp_path / "model").mkdir()
     refused(tmp_path, capsys, "neither point_cloud.ply nor point_cloud/iteration_N")
     (tmp_path / PLACE).mkdir(parents=True)
