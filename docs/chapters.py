@@ -114,7 +114,7 @@ def _linked(text: str) -> str:
 
 
 def _line(line: str) -> str:
-    stated = re.match(r"- \[([RDG]\S+)\] It is a requirement", line)
+    stated = re.match(r"- \[([RDG]\S+)\] ", line)
     if stated:
         return f"- ({place_of(stated[1])})=\n  **\\[{stated[1]}\\]**{_line(line[len(stated[1]) + 4 :])}"
     line = _REFERENCE.sub(_numbers, line)

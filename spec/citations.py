@@ -41,7 +41,7 @@ _COMMON = set(
         r"\w+",
         "the and that for with are not from all each other which this these its has have than only least most any one "
         "two three before after between whose none true false return def self int value number length size byte bit "
-        "first last order list item name field rule keep follow checked checks check file supported error code",
+        "first last order list item name field rule must satisfy checked checks check file supported error code",
     )
 )
 
@@ -110,7 +110,7 @@ def _units(path: str, source: str) -> list[str]:
 
 
 def _expanded(items: str) -> Iterator[str]:
-    """Yields the items of a citation, and those between the ends of a range such as `[R6.6-6] to [R6.6-8]`."""
+    """Yields the items of a citation and of its ranges, such as `[R6.6-6] to [R6.6-8]` for a section."""
     known = [*own_clauses()], [*own_requirements()], [*steps()]
     for range_ in re.split(r", | and |; ", items):
         first, *last = (item.strip("[]") for item in range_.split(" to "))

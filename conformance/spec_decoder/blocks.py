@@ -63,70 +63,70 @@ ERRORS = {
     "prologue.signature": (102, "malformed", "6.1", "the first eight bytes are not the signature"),
     "prologue.crc": (103, "malformed", "6.1", "the prologue's CRC-32 does not match"),
     "prologue.version": (104, "unsupported", "6.1", "the major version is not 0"),
-    "prologue.header_length": (105, "malformed", "6.1", "header_length is outside its limits, or no multiple of 4"),
+    "prologue.header_length": (105, "malformed", "6.1", "header_length is outside its limits or not a multiple of 4"),
     "header.truncated": (201, "malformed", "5.2", "the file ends inside the header"),
     "header.crc": (202, "malformed", "6.2", "the header's CRC-32 does not match"),
     "header.syntax": (203, "malformed", "5.2", "the header's fields do not fill header_length exactly"),
     "header.reserved": (204, "unsupported", "6.2", "a reserved field is not zero"),
     "header.profile": (205, "unsupported", "11.1", "the profile is not known"),
     "header.level": (206, "unsupported", "11.2", "the level is not known in this profile"),
-    "header.dimension": (207, "invalid", "11.1", "a dimension is outside what the profile allows"),
-    "header.anchor_count": (208, "invalid", "11.2", "anchor_count passes the level's limit"),
+    "header.dimension": (207, "invalid", "11.1", "a dimension is outside the bounds of the profile"),
+    "header.anchor_count": (208, "invalid", "11.2", "anchor_count exceeds the level's limit"),
     "header.level_not_minimal": (209, "invalid", "11.2", "a lower level would hold this scene"),
     "header.chunk_size": (210, "invalid", "11.1", "chunk_size is outside its limits"),
     "header.lanes": (211, "invalid", "6.2", "a lane count is outside its limits"),
     "header.base_step": (212, "invalid", "6.2", "a base step is outside its limits"),
     "header.position_grid": (213, "invalid", "6.4", "a field of the position grid is outside its limits"),
     "header.render_info": (214, "invalid", "6.5", "a field of the render information is outside its limits"),
-    "header.work": (215, "invalid", "11.2", "the work passes the level's limit"),
+    "header.work": (215, "invalid", "11.2", "the work exceeds the level's limit"),
     "header.padding": (216, "malformed", "6.2", "the padding of the dimensions is not zero"),
-    "header.chunk_count": (217, "invalid", "6.2", "chunk_count does not suit anchor_count and chunk_size"),
+    "header.chunk_count": (217, "invalid", "6.2", "chunk_count does not fit anchor_count and chunk_size"),
     "directory.type": (301, "malformed", "6.6", "a section's type is not four letters"),
-    "directory.unknown_critical": (302, "unsupported", "12.1", "a critical section of unknown type"),
+    "directory.unknown_critical": (302, "unsupported", "12.1", "a critical section has an unknown type"),
     "directory.order": (303, "malformed", "6.6", "a critical section is missing, repeated or out of order"),
     "directory.mode": (304, "unsupported", "6.6", "the coding mode of a section is not known"),
-    "directory.length": (305, "malformed", "6.6", "a section's length is not the one that the header implies, or too large"),
+    "directory.length": (305, "malformed", "6.6", "a section's length is too large or not the one that the header implies"),
     "section.truncated": (311, "malformed", "6.6", "the file ends inside a section"),
-    "section.crc": (312, "malformed", "6.6", "a section's CRC-32 does not match, or that of DATA is not 0"),
-    "section.padding": (313, "malformed", "6.6", "the padding behind a section is not zero"),
+    "section.crc": (312, "malformed", "6.6", "a section's CRC-32 does not match, or the crc of DATA is not 0"),
+    "section.padding": (313, "malformed", "6.6", "the padding after a section is not zero"),
     "file.trailing": (321, "malformed", "6.6", "bytes follow the last section"),
     "frame.range": (401, "invalid", "6.7", "a number of the PCA frame is outside its limits"),
     "frame.reserved": (402, "unsupported", "6.7", "a reserved field is not zero"),
-    "weights.scale": (411, "invalid", "6.8", "a signalled scale is outside its limits"),
+    "weights.scale": (411, "invalid", "6.8", "a field of WeightScales is outside its limits"),
     "weights.not_finite": (412, "invalid", "6.8", "a weight or bias is NaN or infinite"),
-    "weights.bound": (413, "invalid", "7.2", "a row's integers could pass the accumulator bound"),
-    "weights.length": (414, "malformed", "6.8", "the layers' models and raw values do not fit the section"),
-    "weights.layer": (415, "invalid", "6.8", "a field of a layer's model is outside its limits"),
-    "weights.exponent": (416, "invalid", "6.8", "a row's exponent is not the one that its values have"),
-    "weights.padding": (417, "malformed", "6.8", "the padding of the scales is not zero"),
+    "weights.bound": (413, "invalid", "7.2", "a row's integers could reach the accumulator bound"),
+    "weights.length": (414, "malformed", "6.8", "the LayerModels and raw values do not fit the section"),
+    "weights.layer": (415, "invalid", "6.8", "a field of a LayerModel is outside its limits"),
+    "weights.exponent": (416, "invalid", "6.8", "a row's grid exponent is not the one that its values imply"),
+    "weights.padding": (417, "malformed", "6.8", "the padding of WeightScales is not zero"),
     "weights.reserved": (418, "unsupported", "6.8", "a reserved field is not zero"),
     "planes.length": (421, "malformed", "6.9", "the substreams' lengths do not add up to the section"),
-    "planes.padding": (422, "malformed", "6.9", "the padding behind a substream is not zero"),
+    "planes.padding": (422, "malformed", "6.9", "the padding after a substream is not zero"),
     "index.mask_model": (431, "invalid", "6.10", "a frequency of the mask model is outside its limits"),
-    "index.position_model": (432, "invalid", "6.10", "a number of the model of positions is outside its limits"),
-    "index.chunk": (433, "invalid", "6.10", "a field of a chunk's entry is outside its limits"),
-    "index.length": (434, "malformed", "6.10", "the chunks' anchors or bytes do not add up"),
+    "index.position_model": (432, "invalid", "6.10", "a number of the PositionModel is outside its limits"),
+    "index.chunk": (433, "invalid", "6.10", "a field of a ChunkEntry is outside its limits"),
+    "index.length": (434, "malformed", "6.10", "the anchors or bytes of the chunks do not add up"),
     "index.padding": (435, "malformed", "6.10", "the padding of the mask model is not zero"),
     "index.reserved": (436, "unsupported", "6.10", "a reserved field is not zero"),
     "chunk.crc": (441, "malformed", "6.11", "a chunk's CRC-32 does not match"),
-    "chunk.length": (442, "malformed", "6.11", "a chunk's parts do not fill it"),
+    "chunk.length": (442, "malformed", "6.11", "the parts of a chunk do not fill it exactly"),
     "chunk.form": (443, "malformed", "6.11", "the form of a chunk's positions is not known"),
-    "chunk.padding": (444, "malformed", "6.11", "the padding behind a part of a chunk is not zero"),
+    "chunk.padding": (444, "malformed", "6.11", "the padding after a part of a chunk is not zero"),
     "chunk.reserved": (445, "unsupported", "6.11", "a reserved field is not zero"),
-    "chunk.kept": (446, "invalid", "6.11", "a chunk does not keep as many offsets as its entry says"),
-    "chunk.bounds": (447, "invalid", "6.11", "a chunk's positions do not have the bounds of its entry"),
+    "chunk.kept": (446, "invalid", "6.11", "kept_count is not the number of kept offsets"),
+    "chunk.bounds": (447, "invalid", "6.11", "low and high are not the bounds of the chunk's positions"),
     "positions.not_finite": (451, "invalid", "6.11", "a position is NaN or infinite"),
     "positions.negative_zero": (452, "invalid", "6.11", "a position is -0"),
-    "positions.count": (453, "invalid", "6.11", "a tree has not as many cells as the chunk has anchors"),
-    "positions.cell": (454, "invalid", "6.11", "a cell stands for no fp16"),
+    "positions.count": (453, "invalid", "6.11", "the tree does not have as many cells as the chunk has anchors"),
+    "positions.cell": (454, "invalid", "6.11", "a cell represents no finite f16"),
     "substream.length": (501, "malformed", "5.15", "the substream is shorter than its states and words"),
     "substream.state": (502, "invalid", "8.1", "an initial state is below 2^16"),
-    "substream.words": (503, "invalid", "8.8", "the symbols do not consume exactly the words sent"),
+    "substream.words": (503, "invalid", "8.8", "the symbols do not consume exactly word_count words"),
     "substream.final_state": (504, "invalid", "8.8", "a final state is not 2^16"),
     "substream.escape": (505, "invalid", "8.7", "an escape's prefix is too long"),
-    "substream.symbol_range": (506, "invalid", "8.5", "a symbol does not fit its type"),
+    "substream.symbol_range": (506, "invalid", "8.5", "a symbol exceeds the limit of its kind"),
     "substream.raw_length": (507, "invalid", "8.8", "the raw bits do not fill the substream's raw bytes exactly"),
-    "substream.raw_padding": (508, "invalid", "8.8", "a padding bit of the raw bytes is not zero"),
+    "substream.raw_padding": (508, "invalid", "8.8", "an unused bit of the last raw byte is not zero"),
     "substream.symbol_crc": (509, "invalid", "8.8", "the CRC-32 of the decoded symbols does not match"),
 }
 
@@ -259,7 +259,7 @@ def ROUND_F32(n, e):
 
 # SPEC 7.2
 def DERIVE_ROW(weights, bias):
-    """(integer weights, integer bias, exponent) of one row, or None where no exponent will do."""
+    """(integer weights, integer bias, exponent) of one row, or None if there is no exponent."""
     for e in range(EXPONENT_MAX, -1, -1):
         w = [ROUND_SCALED(x, e) for x in weights]
         b = ROUND_SCALED(bias, e)
@@ -277,7 +277,7 @@ def ACTIVATION(a):
 
 # SPEC 7.2
 def NETWORK(layers, inputs):
-    """layers: for each layer its rows as DERIVE_ROW gives them; inputs: activations."""
+    """The outputs of a network. layers: for each layer the rows from DERIVE_ROW; inputs: activations."""
     for number, rows in enumerate(layers):
         out = []
         for w, b, e in rows:
@@ -390,7 +390,7 @@ def GAMMA(u, frequencies):
 
 # SPEC 7.5.5
 def CONTEXT(frame, planes, plane_shift, frequencies, position_bits):
-    """planes: the five sub-planes, or none; frame: None where there are no planes and no frequencies."""
+    """planes: the five sub-planes, or none; frame: None if there are no planes and no frequencies."""
     if frame is None:
         return []
     u = RESCALE(frame, CONTRACT(FRAME_COORDINATES(frame, [POSITION_INTEGER(b) for b in position_bits])))
@@ -402,7 +402,7 @@ def CONTEXT(frame, planes, plane_shift, frequencies, position_bits):
 
 # SPEC 7.6
 def DECODE_MASKS(stream, mask_model, offset_count, anchors):
-    """For each anchor its K bits."""
+    """The K bits of each anchor."""
     masks = [[] for _ in range(anchors)]
     for k in range(offset_count):
         models = []
@@ -418,7 +418,7 @@ def DECODE_MASKS(stream, mask_model, offset_count, anchors):
 
 # SPEC 7.10, 7.7, 7.8, 7.9
 def DECODE_ATTRIBUTES(stream, networks, carm_shift, slices, contexts, masks):
-    """For each anchor its D symbols and three step indices. networks: by name; that of carm.i has the name i."""
+    """The D symbols and three step indices of each anchor. networks: by name; the name of carm.i is the number i."""
     anchors = range(len(contexts))
     features = sum(slices)
     total = features + 6 + 3 * len(masks[0])
@@ -455,7 +455,7 @@ def DECODE_ATTRIBUTES(stream, networks, carm_shift, slices, contexts, masks):
 
 # SPEC 7.12
 def CELL_NUMBER(c, cell_shift):
-    """The 16 bits of the f16 that a coordinate of a cell stands for, or None."""
+    """The 16 bits of the f16 that a cell coordinate represents, or None."""
     n = c - (1 << (CELL_LEVELS - 1))
     bits = abs(n)
     if cell_shift < CELL_INDEX:
@@ -471,7 +471,7 @@ def CELL_NUMBER(c, cell_shift):
 
 # SPEC 7.12
 def DECODE_CELLS(stream, models, anchors):
-    """The cells of a packed chunk, and whether they are as many as its anchors."""
+    """The cells of a packed chunk, and whether their number is that of its anchors."""
     nodes, whole = [(0, 0, 0)], True
     for level in range(CELL_LEVELS - 1, -1, -1):
         first = 6 * min(level, 2)
@@ -490,9 +490,9 @@ def DECODE_CELLS(stream, models, anchors):
 
 # SPEC 7.12
 def DECODE_POSITIONS(part, form, cell_shift, models, anchors, lanes):
-    """The positions of a chunk, three f16 an anchor, and the name of the error of the first check that fails, or None.
+    """The positions of a chunk, three f16 for each anchor, and the error name of the first failed check, or None.
 
-    part: the bytes of the positions, whose length or substream head is right.
+    part: the bytes of the positions, with a correct length or substream head.
     """
     if form == 0:
         u = [part[at] | part[at + 1] << 8 for at in range(0, len(part), 2)]
@@ -510,7 +510,7 @@ def DECODE_POSITIONS(part, form, cell_shift, models, anchors, lanes):
 
 # SPEC 7.13
 def PACKED_LAYER(exponent, differences, rows, biases):
-    """(rows, biases) as f32 from integers, or None where an exponent is wrong."""
+    """(rows, biases) as f32 from integers, or None if an exponent is wrong."""
     e, first, out = exponent, True, ([], [])
     for difference, row, bias in zip(differences, rows, biases):
         e += difference
@@ -526,9 +526,9 @@ def PACKED_LAYER(exponent, differences, rows, biases):
 
 # SPEC 7.13
 def DECODE_WEIGHTS(stream, shapes, layers, raw):
-    """For each layer (rows, biases), or None for one with a wrong exponent.
+    """(rows, biases) of each layer, or None for a layer with a wrong exponent.
 
-    shapes: (outputs, inputs) of each layer; layers: its LayerModel; raw: its (rows, biases) if it is raw.
+    shapes: (outputs, inputs) of each layer; layers: the LayerModels; raw: (rows, biases) of each raw layer.
     """
     parameters = []
     for (rows, _), m in zip(shapes, layers):
@@ -552,7 +552,7 @@ def DECODE_WEIGHTS(stream, shapes, layers, raw):
 
 # SPEC 8.3
 def OPEN(data, lanes):
-    """A substream as the functions of this chapter use it."""
+    """The record of a substream that the functions of this chapter use."""
     count = U(data, 4, 4)
     words_at = 8 + 4 * lanes
     raw_at = words_at + 2 * count
@@ -595,7 +595,7 @@ def DECODE_GROUP(stream, models):
 
 # SPEC 8.5
 def SELECT(mean, scale):
-    """(row, column, centre, raw bits)."""
+    """(row, column, centre, number of raw bits)."""
     k = CLAMP(((scale - SCALE_END) >> 3) + 1, 0, RAW_MAX)
     row = CLAMP(scale - 8 * k, SCALE_MIN, SCALE_END - 1)
     h = RSHIFT_ROUND(mean - 8 * ((1 << k) - 1), k) + 8
@@ -630,7 +630,7 @@ def READ_ESCAPE(stream, radius):
 
 # SPEC 8.7, 8.6
 def DECODE_VALUES(stream, family, parameters, limit):
-    """The symbols of a group with means; parameters: (mean, scale index) of each."""
+    """The symbols of a group with means. parameters: (mean, scale index) of each symbol."""
     chosen = [SELECT(m, s) for m, s in parameters]
     models = [family[row][column] for row, column, _, _ in chosen]
     symbols = DECODE_GROUP(stream, models)
@@ -669,7 +669,7 @@ CRC_TABLE = [CRC_ENTRY(n) for n in range(256)]
 
 # SPEC 8.8
 def BYTES(value, size):
-    """An integer as bytes of a file."""
+    """The bytes of an integer in a file."""
     return [value >> 8 * i & 255 for i in range(size)]
 
 
@@ -680,7 +680,7 @@ def NOTE_SYMBOLS(stream, values):
 
 # SPEC 8.8
 def END(stream):
-    """The name of the error of the first check that fails, or None."""
+    """The error name of the first failed check, or None."""
     if stream["word_at"] != len(stream["words"]):
         return "substream.words"
     if any([x != STATE_MIN for x in stream["state"]]):
@@ -754,7 +754,7 @@ def PARSE_PROLOGUE(data):
 
 # SPEC 10.4
 def TAKE(reader, name, size, count, signed):
-    """The next field of the header, or list of `count` items; its place is noted under the same name."""
+    """Reads the next header field, a list of `count` items, and notes its place under the same name."""
     at = reader["at"]
     REQUIRE(at + size * count <= reader["end"], "header.syntax", reader["end"] + 4)
     reader["at"] = at + size * count
@@ -765,7 +765,7 @@ def TAKE(reader, name, size, count, signed):
 
 # SPEC 10.4
 def PARSE_HEADER(data, length, minor):
-    """The header's fields, each a list of items, and their places."""
+    """The header fields, each as a list of items, and their places."""
     REQUIRE(len(data) >= 20 + length, "header.truncated", len(data))
     crc_at = 16 + length
     REQUIRE(U(data, crc_at, 4) == CRC32(data[20:crc_at]), "header.crc", crc_at)
@@ -834,7 +834,7 @@ LISTS = [
 
 # SPEC 10.4
 def SHAPES(v):
-    """For each network its name and, for each layer, (outputs, inputs). The name of carm.i is the number i."""
+    """The name of each network, and (outputs, inputs) of each layer. The name of carm.i is the number i."""
     k, ch, slices = v["offset_count"][0], v["plane_channels"][0], v["slice_width"]
     features = sum(slices)
     d = features + 6 + 3 * k
@@ -853,7 +853,7 @@ RENDERING = ("opacity", "covariance", "colour")
 
 # SPEC 10.4
 def WEIGHT_COUNT(v, names):
-    """The weights and biases of the networks with these names."""
+    """The number of weights and biases of the networks with these names."""
     layers = [shape for name, shapes in SHAPES(v) if name in names for shape in shapes]
     return sum([rows * (inputs + 1) for rows, inputs in layers])
 
@@ -958,7 +958,7 @@ def CHECK_DIRECTORY(h):
 
 # SPEC 10.4
 def CHECK_SUBSTREAM(data, at, length, lanes):
-    """The bytes of a substream whose head and states are right."""
+    """Checks the head and the states of a substream, and returns its bytes."""
     REQUIRE(length >= 8 + 4 * lanes, "substream.length", at)
     REQUIRE(length >= 8 + 4 * lanes + 2 * U(data, at + 4, 4), "substream.length", at)
     REQUIRE(all([U(data, at + 8 + 4 * n, 4) >= STATE_MIN for n in range(lanes)]), "substream.state", at)
@@ -1083,7 +1083,7 @@ def PARSE_PLANES(data, at, e, v, sarm):
 
 # SPEC 10.4
 def F16_ORDER(bits):
-    """An integer that orders f16 numbers as they are."""
+    """An integer that increases with the f16 number."""
     return -(bits & 0x7FFF) if bits >> 15 else bits
 
 
@@ -1134,7 +1134,7 @@ def PARSE_INDEX(data, at, e, v, data_length):
 
 # SPEC 10.4
 def DECODE_CHUNK(data, at, entry, v, s):
-    """Positions, masks, symbols and step indices of a chunk. s: what the sections before DATA gave."""
+    """Positions, masks, symbols and step indices of a chunk. s: the decoded sections before DATA."""
     end, n = at + entry["length"], entry["anchors"]
     REQUIRE(end <= len(data), "section.truncated", len(data))
     REQUIRE(CRC32(data[at:end]) == entry["crc"], "chunk.crc", at)

@@ -80,7 +80,7 @@ def _requirement_lines(name: str) -> Iterator[str]:
     r, trail = specification.own_requirements()[name], _trail()[name]
     whose = {"R": "files", "D": "decoders", "G": "renderers"}[name[0]]
     yield f"{name}, a requirement on {whose}, clause {_clause_name(r.clause)}"
-    yield from _wrapped(f"It is required that {r.text}.")
+    yield from _wrapped(f"{r.text}.")
     if r.error:
         kind = REGISTRY[r.error]
         yield f"  a file that breaks it: error {kind.code} {kind.name}"

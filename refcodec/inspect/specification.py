@@ -24,7 +24,7 @@ class Clause:
 
 @dataclass(frozen=True)
 class Requirement:
-    """A requirement. text: what has to be so. error: the name of its error, or empty if it has none."""
+    """A requirement. text: its sentence, without the error and the final period. error: its error name, or empty."""
 
     id: str
     clause: str
@@ -73,9 +73,7 @@ def unfolded(spec: str) -> str:
 
 def requirements(spec: str) -> dict[str, Requirement]:
     """Returns the requirements by identifier, in the order of SPEC.md."""
-    pattern = (
-        rf"^- \[([RDG]({CLAUSE})-\d+)\] It is a requirement of (?:bitstream|decoder|renderer) conformance that (.*)$"
-    )
+    pattern = rf"^- \[([RDG]({CLAUSE})-\d+)\] (.*)$"
     listed = {}
     for name, clause, sentence in re.findall(pattern, unfolded(spec), re.MULTILINE):
         error = re.search(r" \(`([a-z_.]+)`\)", sentence)
