@@ -853,4 +853,4 @@ def test_the_verdict_has_the_likely_cause(tmp_path, capsys):
     """That is the first sentence of what explain prints on how files come to have the error."""
     (tmp_path / "a").write_bytes(b"")
     assert main(["validate", str(tmp_path / "a")]) == 1
-    assert "a download or a copy ended early. To see the spot" in capsys.readouterr().err
+    assert "or a download or copy was cut short. To see the spot" in capsys.readouterr().err
