@@ -1,4 +1,4 @@
-"""The bitstream: one module for each chapter of SPEC.md or group of its clauses. The first line of a module names them.
+"""The bitstream: one module for each chapter or group of clauses of SPEC.md, named in the module's first line.
 
     conventions     2           operators
     source          5, 10.2     the bytes of a file: in memory, as they arrive, or by ranges
@@ -25,15 +25,15 @@
     cameras         5.17, 6.15
     ancillary       12.1        the registry of ancillary section types
     reader          10.1, 10.2  the order of checks, for a whole file, bytes that arrive, and one chunk
-    codec           7.1         whole files, decoded and made
+    codec           7.1         decoding and encoding of whole files
 
 These modules have no clause of their own:
 
     scene           the content of a file, as arrays
-    kernel          the native kernel, where it is built
-    batches         chunks that are decoded or encoded in parallel
-    streaming       a file that is decoded some chunks at a time
-    bounds          limits of the caller on memory and work
+    kernel          the optional native kernel
+    batches         chunks coded in parallel
+    streaming       decoding of a file some chunks at a time
+    bounds          the caller's limits on memory and work
 
 The modules import numpy, construct and `refcodec.native`. They import neither torch nor a renderer.
 """

@@ -1,6 +1,6 @@
 """Clause 12.1: the registry of the ancillary section types that this package understands.
 
-An entry holds all that differs from type to type: `inspect`, `validate`, `open`, the page and the fuzzer iterate over
+An entry holds everything specific to a type: `inspect`, `validate`, `open`, the page and the fuzzer iterate over
 TYPES. CONTRIBUTING.md describes how to add one.
 """
 
@@ -13,22 +13,22 @@ from typing import Any
 from . import cameras, metadata
 from .scene import Ancillary
 
-# Returns a text that is safe to print, of at most so many characters.
+# Returns printable text, of at most so many characters.
 Printable = Callable[[str, int], str]
 
 
 @dataclass(frozen=True)
 class AncillaryType:
-    """A type of ancillary sections in mode 0: a struct with a `count`, and then as many items.
+    """A type of ancillary section in mode 0: a struct with a `count`, then as many items.
 
     type: its four letters.
     name: what its sections hold, as a key of `inspect --json` and in warnings.
     clause: of SPEC.md chapter 6, which gives the meaning.
-    head, items: the names of their tables in `syntax`. item: what an item is called in paths.
-    tables: the clause of chapter 5 of each of the two.
+    head, items: the tables of struct and items in `syntax`. item: the name of an item in paths.
+    tables: the clauses of both tables in chapter 5.
     cited: clauses besides `clause` that use a field, by the field's name.
-    problems: returns what is wrong with the content of a section, as text.
-    facts: returns what all sections of the type state together, as a JSON value.
+    problems: returns the violations in the content of a section, as text.
+    facts: returns the combined content of all sections of the type, as a JSON value.
     lines: returns the facts as labels and texts, for a summary.
     """
 
@@ -89,7 +89,7 @@ TYPES: dict[bytes, AncillaryType] = {
 
 
 def warnings(sections: Iterable[Ancillary]) -> list[str]:
-    """SPEC 6.14 and 6.15: returns what is wrong with the sections of known types, as text."""
+    """SPEC 6.14 and 6.15: returns the violations in sections of known types, as text."""
     listed = list(sections)
     return [
         f"{entry.name}: {problem}"

@@ -38,7 +38,7 @@ class Attributes:
 
 @dataclass(frozen=True)
 class EntropyModel:
-    """What the distributions of attributes are computed with.
+    """The networks that predict the distributions of attributes.
 
     hyper: F_h. carm: the network of each slice from slice 1 on. carm_shift: int64 [CARM inputs]. slices: their widths.
     """
@@ -57,7 +57,7 @@ class EntropyModel:
         return cls(networks["hyper"], carm, carm_shift.astype(np.int64), slices)
 
     def carm_correction(self, index: int, features: Int64) -> Int64:
-        """SPEC 7.9: returns what CARM adds to a slice, means and then scale indices, int64 [n, 2 * its channels].
+        """SPEC 7.9: returns the outputs of CARM for a slice, means then scale indices, int64 [n, 2 * its channels].
 
         index: of the slice, from 1 on. features: the symbols of the slices before it, int64 [n, their channels].
         """
@@ -81,7 +81,7 @@ def code_attributes(
     """SPEC 7.10: codes the attributes of some chunks, in either direction, and returns them.
 
     contexts: int16 [n, inputs of F_h]. masks: bool [n, K]. chunks: the anchors of each chunk, which has one substream.
-    given: the attributes if they are encoded. The returned steps are always those that the networks give.
+    given: the attributes, for encoding. The returned steps are always those of the networks.
     """
     counts = [len(c) for c in chunks]
     n, offset_count = masks.shape
@@ -155,6 +155,6 @@ def zero_attributes(d: Dimensions, anchors: int) -> Attributes:
 
 
 def join_attributes(parts: Iterable[Attributes], d: Dimensions) -> Attributes:
-    """Returns the attributes of all parts, one after the other."""
+    """Returns the concatenated attributes of all parts."""
     every = [zero_attributes(d, 0), *parts]
     return Attributes(*(np.concatenate([getattr(part, name) for part in every]) for name in vars(every[0])))

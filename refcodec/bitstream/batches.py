@@ -1,6 +1,6 @@
-"""Chunks that are decoded or encoded side by side, in bounded memory (SPEC.md 13.1).
+"""Chunks coded in parallel, in bounded memory (SPEC.md 13.1).
 
-The error that is reported does not depend on what is decoded side by side (SPEC.md 10.1).
+The reported error is independent of the parallelism (SPEC.md 10.1).
 """
 
 from __future__ import annotations
@@ -20,19 +20,19 @@ from .source import Piece
 GROUP_ANCHORS = 65536
 GROUP_CHUNKS = 1024
 
-# A function that is told of the work: the name of the stage, how much of it is done, and how much there is.
+# A callback for progress: the name of the stage, the work done, and the total work.
 Progress = Callable[[str, int, int], None]
 
 
 def no_progress(stage: str, done: int, total: int) -> None:
-    """Does nothing. It is the Progress that tells nobody."""
+    """Does nothing: the Progress of a caller without one."""
 
 
 class _OneThread:
-    """Lets NumPy's BLAS use one thread, for one thread at a time: the number of its threads is that of the process.
+    """Limits NumPy's BLAS to one thread. The limit is that of the process, so one thread at a time sets it.
 
-    The thread that limits it restores it. A thread that comes meanwhile changes nothing: it would note the limit of
-    the other one as the number to restore.
+    The thread that sets the limit restores the old one. A concurrent thread changes nothing, because it would save the
+    limit of the first as the number to restore.
     """
 
     def __init__(self) -> None:
@@ -56,7 +56,7 @@ class _OneThread:
             self._lock.release()
 
     def _forked(self) -> None:
-        """Restores it in a child process, which does not have the thread that would do so."""
+        """Restores the old limit in a child process, which lacks the thread that set it."""
         if self._limits is not None and self._owner != threading.get_ident():
             self._limits.restore_original_limits()
             self._limits, self._lock = None, threading.Lock()
@@ -66,7 +66,7 @@ one_thread = _OneThread()
 
 
 def groups(chunks: list[range]) -> Iterator[tuple[range, slice]]:
-    """Yields the chunks that are coded side by side, as their numbers and the rows of their anchors.
+    """Yields groups of chunks to code in parallel, as chunk numbers and the rows of their anchors.
 
     chunks: the anchors of each chunk.
     """
@@ -80,7 +80,7 @@ def groups(chunks: list[range]) -> Iterator[tuple[range, slice]]:
 
 
 class PartDecoder:
-    """Decodes one part of each of some chunks side by side, and finds the first error of each."""
+    """Decodes the same part of several chunks in parallel, and finds the first error of each."""
 
     def __init__(self, parts: list[tuple[Piece, str]], lanes: int, trace: Trace | None) -> None:
         """parts: at least one, each with its path. lanes: the lanes of each substream."""

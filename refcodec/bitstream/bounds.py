@@ -1,4 +1,4 @@
-"""Clause 13.1: the bounds that a caller puts on anchors, work and memory. To pass one is no verdict on a file."""
+"""Clause 13.1: the caller's bounds on anchors, work and memory. Exceeding one is not a verdict on a file."""
 
 from __future__ import annotations
 
@@ -10,17 +10,17 @@ from .directory import DATA, is_critical
 from .header import Header
 from .positions import CELL_LEVELS
 
-# Estimates in bytes, from one to two times what is measured: a weight as float32 and as an integer, with its copies; a
+# Estimates in bytes, one to two times the measured values: a weight as float32 and as an integer, with its copies; a
 # point of a plane while it is decoded; a value of an anchor that is being decoded; and a value that is held.
 WEIGHT, PLANE_POINT, DECODING, HOLDING = 32, 8, 56, 8
-# Bytes for each chunk: what is made of its entry in the index, and its objects while all chunks are held.
+# Bytes for each chunk: its parsed index entry, and its objects while all chunks are held.
 CHUNK, HELD_CHUNK = 192, 2048
-# In how many copies bytes of a section or of chunks are there while they are decoded, and what cameras are made of.
+# The number of copies of section bytes, chunk bytes and camera bytes during decoding.
 READING, CAMERA = 5, 16
 
 
 class BoundPassedError(Exception):
-    """A file needs more than its caller allows. It says nothing about whether the file is a conforming bitstream.
+    """A file needs more than its caller allows. This is not a verdict on the conformance of the file.
 
     bound: "anchors", "work" or "memory". needed, allowed: anchors, units of all_work, or bytes.
     """
@@ -39,7 +39,7 @@ class BoundPassedError(Exception):
 class Bounds:
     """What a caller allows. None allows everything.
 
-    anchors: N, the anchors of the file. memory: bytes that decoding takes beside the program itself. work: units of
+    anchors: N, the anchors of the file. memory: bytes that decoding needs in addition to the program. work: units of
     all_work.
     """
 
@@ -48,7 +48,7 @@ class Bounds:
     work: int | None = None
 
     def check(self, header: Header, at_once: int, held: int = 0, more: int = 0) -> None:
-        """Raises BoundPassedError for what passes a bound by the header alone: anchors, work, memory.
+        """Raises BoundPassedError for anchors, work or memory that exceed a bound by the header.
 
         at_once, held, more: as for memory_needed.
         """
@@ -59,26 +59,26 @@ class Bounds:
         self.check_bytes(memory_needed(header, at_once, held, more))
 
     def beside(self, held: int) -> Bounds:
-        """Returns what is allowed beside bytes that are held."""
+        """Returns the bounds that remain while some bytes are held."""
         return self if self.memory is None else replace(self, memory=self.memory - held)
 
     def check_bytes(self, needed: int) -> None:
-        """Raises BoundPassedError for more bytes of memory than are allowed."""
+        """Raises BoundPassedError if more bytes of memory are needed than allowed."""
         if self.memory is not None and needed > self.memory:
             raise BoundPassedError("memory", needed, self.memory)
 
 
 def all_work(header: Header) -> int:
-    """SPEC 13.1: returns the units of work that decoding takes at most, those of weights, positions and masks too."""
+    """SPEC 13.1: returns the most units of work for decoding, including weights, positions and masks."""
     d, n = header.dimensions, header.anchor_count
     return work(d, n) + 96 * weight_count(d) + 16 * n * (2 * CELL_LEVELS + d.offset_count)
 
 
 def memory_needed(header: Header, at_once: int, held: int = 0, more: int = 0) -> int:
-    """SPEC 13.1: returns about how many bytes of memory decoding takes, beside the program itself.
+    """SPEC 13.1: returns an estimate of the bytes of memory that decoding needs in addition to the program.
 
-    at_once: the anchors that are decoded at the same time. held: the anchors of a scene that is kept. more: further
-    bytes, such as those of the file.
+    at_once: the anchors decoded at the same time. held: the anchors of a scene that is kept. more: further bytes, such
+    as those of the file.
     """
     d = header.dimensions
     values = d.attribute_width + d.offset_count
@@ -89,9 +89,9 @@ def memory_needed(header: Header, at_once: int, held: int = 0, more: int = 0) ->
 
 
 def section_bytes(header: Header, keep_ancillary: bool) -> int:
-    """SPEC 13.1: returns how many bytes the sections but DATA take that are read one after the other.
+    """SPEC 13.1: returns the bytes of memory for the sections other than DATA, which are read one by one.
 
-    keep_ancillary: whether the ancillary ones are kept. Otherwise they are passed in blocks.
+    keep_ancillary: whether ancillary sections are kept. Otherwise they are skipped in blocks.
     """
     kept = [section for section in header.sections if keep_ancillary and not is_critical(section.type)]
     read = [section.length for section in header.sections if is_critical(section.type) and section.type != DATA]

@@ -1,6 +1,6 @@
 """Clauses 5.17 and 6.15: named cameras, an ancillary section.
 
-A fault of such a section is a warning. It never refuses a file.
+A violation in such a section is a warning and never refuses a file.
 """
 
 from __future__ import annotations
@@ -54,12 +54,12 @@ class NamedCamera:
     def matrix(self) -> F64:
         """SPEC 14.2: returns the rotation from the world to the camera, float64 [3, 3]."""
         quaternion = np.array(self.rotation, np.float64)
-        # It is scaled first. Every finite one but zero is allowed, and squares of large numbers are infinite.
+        # Scaled first, because every finite nonzero quaternion is allowed and squares of large numbers overflow.
         quaternion /= np.abs(quaternion).max()
         return rotation_matrix(quaternion / np.linalg.norm(quaternion))
 
     def fault(self) -> str | None:
-        """SPEC 6.15: returns what is wrong with the camera, or None."""
+        """SPEC 6.15: returns the violation in the camera, or None."""
         numbers = (*self.focal, *self.principal_point, *self.rotation, *self.translation)
         if not all(map(math.isfinite, numbers)):
             return "a number is NaN or infinite"
@@ -71,7 +71,7 @@ class NamedCamera:
 
 
 def parse_cameras(content: bytes) -> tuple[list[NamedCamera], list[str]]:
-    """SPEC 5.17 and 6.15: returns the good cameras of a section, and what is wrong with it, as text."""
+    """SPEC 5.17 and 6.15: returns the valid cameras of a section, and its violations as text."""
     found: list[NamedCamera] = []
     problems: list[str] = []
     names: set[bytes] = set()
@@ -102,7 +102,7 @@ def parse_cameras(content: bytes) -> tuple[list[NamedCamera], list[str]]:
 
 
 def _camera(fields: Any) -> tuple[NamedCamera | None, str | None]:
-    """Returns a camera, or None if its name is no text, and what is wrong with it."""
+    """Returns a camera, or None if its name is not text, and its violation or None."""
     try:
         name = fields.name.decode()
     except UnicodeDecodeError:
@@ -126,16 +126,16 @@ def emit_cameras(cameras: list[NamedCamera]) -> bytes:
 
 
 def camera_sections(stated: Sequence[NamedCamera]) -> tuple[Ancillary, ...]:
-    """Returns the section that states cameras, or none for none. Raises ValueError as emit_cameras."""
+    """Returns a section with the cameras, or no section for no cameras. Raises ValueError as emit_cameras."""
     return (Ancillary(CAMERAS, 0, emit_cameras([*stated])),) if stated else ()
 
 
 def with_cameras(sections: Iterable[Ancillary], stated: Sequence[NamedCamera]) -> tuple[Ancillary, ...]:
-    """Returns ancillary sections with other cameras in place of theirs. Raises ValueError as emit_cameras."""
+    """Returns ancillary sections with their cameras replaced. Raises ValueError as emit_cameras."""
     return (*(section for section in sections if section.type != CAMERAS), *camera_sections(stated))
 
 
 def cameras(sections: Iterable[Ancillary]) -> list[NamedCamera]:
-    """Returns the good cameras of all sections. The first one is the default view."""
+    """Returns the valid cameras of all sections. The first one is the default view."""
     chosen = (section for section in sections if section.type == CAMERAS and not section.mode)
     return [camera for section in chosen for camera in parse_cameras(section.content)[0]]

@@ -17,7 +17,7 @@ PARTS = ("positions", "masks", "attributes")
 
 @dataclass(frozen=True)
 class CodedChunk:
-    """SPEC 5.14: a chunk as a file has it, with the pieces of its parts."""
+    """SPEC 5.14: an encoded chunk, with the pieces of its parts."""
 
     entry: ChunkEntry
     form: int
@@ -27,12 +27,12 @@ class CodedChunk:
 
     @property
     def coded_positions(self) -> CodedPositions:
-        """The positions with what their decoding needs."""
+        """The encoded positions, with the parameters of their decoding."""
         return CodedPositions(self.entry.number, self.positions, self.form, self.entry.anchors)
 
 
 def chunk_ranges(anchor_count: int, chunk_size: int) -> list[range]:
-    """Returns the anchors of the least number of chunks. All chunks but the last have chunk_size anchors."""
+    """Returns the anchors of the fewest chunks. Each chunk except the last has chunk_size anchors."""
     return [range(a, min(a + chunk_size, anchor_count)) for a in range(0, anchor_count, chunk_size)]
 
 

@@ -1,6 +1,6 @@
-"""Clauses 7.1, 10.1 and 10.4: a whole file, decoded and made.
+"""Clauses 7.1, 10.1 and 10.4: decoding and encoding of a whole file.
 
-`parse` decodes a file and `emit` makes one. The modules of the other clauses do the steps.
+`parse` decodes a file and `emit` encodes one. The modules of the other clauses implement the steps.
 """
 
 from __future__ import annotations
@@ -34,8 +34,8 @@ from .scene import Ancillary, Scene, check_shapes, check_types
 from .source import Piece, WholeFile, padded
 from .weights import emit_weights, parse_weights
 
-# The most bytes of anchors that a byte of a file gets before any chunk is decoded. A file says how many anchors it has
-# with much fewer bytes, so that a small one would get much memory.
+# Bytes allocated for anchors per byte of a file before any chunk is decoded. anchor_count is untrusted: without this
+# limit, a tiny file could reserve gigabytes.
 ROOM_OF_A_BYTE = 64
 
 
@@ -44,7 +44,7 @@ class Parsed:
     """A parsed file.
 
     damage: the first error of each dropped chunk, by number. Only keep_going drops chunks.
-    lost: how many anchors each dropped chunk has, by number.
+    lost: the number of anchors of each dropped chunk, by its number.
     error: the first error of the file, or None if it is accepted. Only keep_going returns a file with an error.
     """
 
@@ -60,7 +60,7 @@ def parse_container(data: bytes) -> Header:
 
 
 def parse_ancillary(data: bytes) -> list[Ancillary]:
-    """SPEC 12.1: returns the ancillary sections of a file that are whole, without a look at the others.
+    """SPEC 12.1: returns the intact ancillary sections of a file, without reading the other sections.
 
     Raises BitstreamError 101 to 305.
     """
@@ -85,14 +85,14 @@ def parse(
 ) -> Parsed:
     """SPEC 2.1, 7.1, 10.1 and 10.4: decodes a file. Raises BitstreamError and nothing else, whatever the bytes are.
 
-    keep_going: a chunk with an error is dropped and listed in damage, and so is what is wrong behind the chunks.
-    progress: told of the work. trace: told of each symbol. bounds: what the caller allows. BoundPassedError is raised
-    after the header's errors and before any work if the file needs more. derive: what makes the networks, as in Reader.
+    keep_going: drops each chunk with an error and lists it in damage, and continues after an error that follows the
+    chunks. progress: called as work is done. trace: called for each symbol. bounds: the caller's limits; if the file
+    needs more, BoundPassedError is raised after the header checks and before any work. derive: as in Reader.
     """
     reader = Reader(WholeFile(bytes(data)), trace=trace, derive=derive)
     if bounds:
         count = reader.header.anchor_count
-        # Of the bytes that are here, any part may be decoded at once.
+        # All bytes are in memory, so chunks can be decoded in parallel.
         bounds.check(reader.header, min(count, GROUP_ANCHORS), count, (1 + READING) * len(data))
     opened = reader.open(progress=progress)
     index = opened.index
@@ -120,7 +120,7 @@ def parse(
 
 
 class Coding:
-    """What the symbols of a scene are coded with: networks, the model of attributes, and the contexts of anchors."""
+    """The networks, the attribute model and the anchor contexts that the symbols of a scene are coded with."""
 
     def __init__(self, scene: Scene, exact_float: bool | None = None, block_rows: int | None = None) -> None:
         """exact_float, block_rows: as in IntNetwork. Raises BoundError."""
@@ -137,10 +137,10 @@ class Coding:
 
 
 def emit(scene: Scene, *, progress: Progress = no_progress) -> bytes:
-    """Returns the file of a scene. For each file b that is accepted, emit(parse(b).scene) == b (SPEC 4.3).
+    """Returns the file of a scene. For each accepted file b, emit(parse(b).scene) == b (SPEC 4.3).
 
-    Raises ValueError if the scene breaks a rule of SPEC.md. Its text is the error that a decoder would report, or names
-    the field and its limits. Raises TypeError for a field of another type than Scene says.
+    Raises ValueError if the scene violates a rule of SPEC.md. The text is the error that a decoder would report, or
+    names the field and its limits. Raises TypeError for a field whose type is not that of Scene.
     """
     check_types(scene)
     try:
@@ -156,7 +156,7 @@ def _emit(scene: Scene, progress: Progress) -> bytes:
     d, lanes = scene.dimensions, scene.lanes
     modes = {WEIGHTS: int(scene.weight_scales is not None), INDEX: int(scene.position_model is not None)}
     contents = {}
-    # A scene that cannot be written is refused before any symbol is coded, as far as the decoder's checks allow it.
+    # The decoder's checks refuse an invalid scene before any symbol is coded, as far as possible.
     if scene.frame is not None:
         contents[FRAME] = emit_frame(scene.frame)
         parse_frame(Piece(contents[FRAME], 0))
@@ -187,7 +187,7 @@ def _emit(scene: Scene, progress: Progress) -> bytes:
         models += emit_position_model(scene.position_model)
     chunks = scene.chunks
     _check_models(scene, models)
-    # The models are allowed now, so the kernel takes them.
+    # The models are valid now, as the kernel requires.
     native = native_scene(
         used,
         d,
@@ -216,7 +216,7 @@ def _emit(scene: Scene, progress: Progress) -> bytes:
         if place < len(order):
             sections.append((order[place], modes.get(order[place], 0), contents[order[place]]))
     data = emit_file(_header(scene), sections)
-    # The directory and the index exist only now. The decoder's own checks say whether they are allowed.
+    # The directory and the index exist only now, and are checked by the decoder's functions.
     made = parse_container(data)
     index, content = made.section(INDEX), made.section(DATA)
     piece = Piece(contents[INDEX], index.start)
@@ -225,11 +225,11 @@ def _emit(scene: Scene, progress: Progress) -> bytes:
 
 
 def _header(scene: Scene) -> Header:
-    """Returns the header of a scene, whose fields may be wrong."""
+    """Returns the header of a scene, with unchecked fields."""
     d, n = scene.dimensions, scene.anchor_count
     profile = PROFILES.get(scene.profile)
     chunks = -(-n // max(scene.chunk_size, 1)) if scene.chunk_anchors is None else len(scene.chunk_anchors)
-    # What no level holds is refused at the highest one.
+    # A scene that no level holds is refused at the highest level.
     level = max(profile.levels) if profile else 0
     if profile and dimension_fault(profile, d) is None:
         lowest = minimal_level(profile, n, d)
@@ -253,7 +253,7 @@ def _header(scene: Scene) -> Header:
 def _check_header(scene: Scene) -> None:
     """Raises BitstreamError for fields of the header that are not allowed, and ValueError for those that do not fit.
 
-    Before that, nothing can be computed of them. The sections are empty here, but each has its entry.
+    Nothing else may use the fields before this check. The sections are empty here, but each has its entry.
     """
     sections = [(a.type, a.mode, b"") for a in scene.ancillary]
     data = emit_file(_header(scene), sections)
@@ -262,7 +262,7 @@ def _check_header(scene: Scene) -> None:
 
 
 def _check_models(scene: Scene, models: bytes) -> None:
-    """Raises BitstreamError for a model of the index that is not allowed. models: what comes before the entries."""
+    """Raises BitstreamError for an invalid model of the index. models: the bytes before the entries."""
     mode = int(scene.position_model is not None)
     assert len(models) == entries_start(scene.dimensions.offset_count, mode)
     parse_index(Piece(models, 0), mode, scene.dimensions, 0, scene.chunk_size, 0, 0)
@@ -308,10 +308,10 @@ def _emit_chunks(
 def _encode_group(
     scene: Scene, coding: Coding, ranges: list[range], rows: slice, wanted: list[int] | None, given: Attributes
 ) -> list[ChunkParts]:
-    """SPEC 7.6, 7.10 and 7.12: encodes some chunks side by side with NumPy.
+    """SPEC 7.6, 7.10 and 7.12: encodes some chunks in parallel with NumPy.
 
     ranges: the anchors of each chunk. rows: all of them. wanted: the forms of their positions, or None. given: their
-    attributes. Raises ValueError for a symbol, a step index or a form that is not allowed.
+    attributes. Raises ValueError for an invalid symbol, step index or form.
     """
     lanes = scene.lanes
     counts = [len(c) for c in ranges]

@@ -11,7 +11,7 @@ from .networks import activation
 from .positions import position_integers
 from .tables import SINE_LENGTH, tables
 
-# SPEC 7.5: UNIT stands for 1 in every coordinate after the frame. SPEC 7.5.1: the largest magnitude of a coordinate.
+# SPEC 7.5: UNIT represents 1 in every coordinate after the frame. SPEC 7.5.1: the largest magnitude of a coordinate.
 UNIT_BITS = 16
 UNIT = 1 << UNIT_BITS
 FRAME_CLAMP = (1 << 30) - 1
@@ -30,7 +30,7 @@ def frame_coordinates(frame: Frame, p: Int64) -> Int64:
 def contract(v: Int64) -> Int64:
     """SPEC 7.5.2: returns w, the contracted coordinates. v and w are int64 [n, 3], in units of 2^-16.
 
-    Points in the unit ball stay. Other points become (2 - 1/|v|) v/|v|, with a floor square root and floor divisions.
+    Points in the unit ball are unchanged. Others become (2 - 1/|v|) v/|v|, with floor square root and floor division.
     """
     square = (v * v).sum(axis=1)
     n = isqrt(square)[:, None]
@@ -41,7 +41,7 @@ def contract(v: Int64) -> Int64:
 
 
 def rescale(frame: Frame, w: Int64) -> Int64:
-    """SPEC 7.5.3: returns u, with low to high as 0 to 2^16, both ends included. w and u are int64 [n, 3]."""
+    """SPEC 7.5.3: returns u, which maps low to high onto 0 to 2^16 inclusive. w and u are int64 [n, 3]."""
     return clamp(((w - frame.low) << UNIT_BITS) // (frame.high - frame.low), 0, UNIT)
 
 
@@ -71,7 +71,7 @@ def query(plane: NDArray[np.int16], u: Int64, plane_shift: int) -> Int64:
 def positional_encoding(u: Int64, frequencies: int) -> Int64:
     """SPEC 7.5.5: returns gamma of z', int64 [n, 2 * frequencies]: the sine, then the cosine of each frequency.
 
-    u: int64 [n], 0 to 2^16, which stands for z'.
+    u: int64 [n], 0 to 2^16, represents z'.
     """
     k = np.arange(frequencies)
     phase = ((u[:, None] - UNIT // 2) << k) & (UNIT - 1)
@@ -86,7 +86,7 @@ def context(
 ) -> NDArray[np.int16]:
     """SPEC 7.5: returns the inputs of F_h, int16 [n, 2 ch + 2 L], each in [-1023, 1023].
 
-    frame: None if there are no inputs. planes: those of r = 1 and r = 2, as assemble_planes gives them. frequencies: L.
+    frame: None if there are no inputs. planes: the result of assemble_planes. frequencies: L.
     positions: float16 [n, 3].
     """
     if frame is None:

@@ -1,6 +1,6 @@
-"""Clause 2: the integer operators that every exact step is made of.
+"""Clause 2: the integer operators of all exact steps.
 
-They act on int64 arrays, element by element. The callers keep to the widths of SPEC.md 7.11, so nothing overflows.
+They act on int64 arrays element by element. Callers observe the bounds of SPEC.md 7.11, so nothing overflows.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ def clamp(a: Int64, lo: int, hi: int) -> Int64:
 def isqrt(a: Int64) -> Int64:
     """SPEC 2.4, ISQRT: returns the largest integer r with r * r <= a, for 0 <= a < 2^62. int64, shape of a.
 
-    The floating-point square root is only a first guess. The corrections make the result exact on every machine.
+    The floating-point square root is only an estimate. The corrections make the result exact on every machine.
     """
     r = np.sqrt(a.astype(np.float64)).astype(np.int64)
     r -= r * r > a

@@ -52,7 +52,7 @@ class Dimensions:
 
     @property
     def carm_inputs(self) -> int:
-        """The number of feature channels that CARM reads. These are the channels of all slices but the last."""
+        """The number of feature channels that CARM reads: those of all slices except the last."""
         return self.features - self.slices[-1]
 
     def network_shapes(self) -> dict[str, list[tuple[int, int]]]:
@@ -73,7 +73,7 @@ class Dimensions:
 
 
 def dimensions_of(d: Any) -> Dimensions:
-    """SPEC 5.3: returns the dimensions that a parsed struct states. Nothing is checked."""
+    """SPEC 5.3: returns the dimensions of a parsed struct, unchecked."""
     return Dimensions(
         d.offset_count,
         tuple(d.slice_width),
@@ -112,7 +112,7 @@ def mask_contexts(offset_count: int) -> int:
 
 
 def layers_of(d: Dimensions) -> list[tuple[str, int, int]]:
-    """SPEC 5.8: returns (name, outputs, inputs) of every layer, in file order. Names are such as hyper.0."""
+    """SPEC 5.8: returns (name, outputs, inputs) of every layer, in file order. A name is, for example, hyper.0."""
     shapes = d.network_shapes()
     return [(f"{name}.{i}", out, fan_in) for name in shapes for i, (out, fan_in) in enumerate(shapes[name])]
 

@@ -18,7 +18,7 @@ SECTIONS = {FRAME: "frame", WEIGHTS: "weights", PLANES_SECTION: "planes", INDEX:
 # SPEC 6.6: the highest mode of each section that has another mode than 0.
 MODES = {WEIGHTS: 1, INDEX: 1}
 SECTION_LENGTH_MAX = 1 << 48
-# How many bytes of a section that is not kept are read at once.
+# The block size, in bytes, in which sections are checked that are not kept.
 _BLOCK_BYTES = 1 << 20
 
 
@@ -26,7 +26,7 @@ _BLOCK_BYTES = 1 << 20
 class Section:
     """SPEC 5.6: a section of a file.
 
-    number: that of its entry in the directory. start: the offset of its first byte. length: its bytes without padding.
+    number: the number of its directory entry. start: the offset of its first byte. length: in bytes, without padding.
     """
 
     type: bytes
@@ -38,7 +38,7 @@ class Section:
 
     @property
     def end(self) -> int:
-        """Where the next section starts: behind the padding."""
+        """The offset after the padding, where the next section starts."""
         return self.start + pad4(self.length)
 
     @property
@@ -48,13 +48,13 @@ class Section:
 
 
 def section_name(kind: bytes, number: int) -> str:
-    """Returns the name of a section in paths. kind: its type. number: that of its entry in the directory."""
+    """Returns the name of a section in paths. kind: its type. number: the number of its directory entry."""
     text = kind.decode("ascii") if kind.isalpha() else kind.hex()
     return SECTIONS.get(kind, f"{text}[{number}]")
 
 
 def is_critical(kind: bytes) -> bool:
-    """SPEC 12.1: whether a type is critical. Its first letter is a capital then."""
+    """SPEC 12.1: returns whether a type is critical: its first letter is a capital."""
     return not kind[0] & 0x20
 
 
@@ -67,7 +67,7 @@ def critical_sections(d: Dimensions) -> list[bytes]:
 def section_lengths(d: Dimensions, chunks: int, modes: Mapping[bytes, int]) -> dict[bytes, int]:
     """SPEC [R6.6-5]: returns the lengths in bytes that the header implies, by type.
 
-    Sections whose length is free are left out. chunks: C. modes: by type.
+    Sections of other lengths are omitted. chunks: C. modes: by type.
     """
     lengths = {FRAME: syntax.size_of("Frame"), INDEX: index_bytes(d.offset_count, modes[INDEX], chunks)}
     if not modes[WEIGHTS]:
@@ -78,8 +78,8 @@ def section_lengths(d: Dimensions, chunks: int, modes: Mapping[bytes, int]) -> d
 def parse_directory(header: syntax.Struct, d: Dimensions, start: int) -> tuple[Section, ...]:
     """SPEC 6.6: checks the directory and returns the sections in file order. Raises BitstreamError 301 to 305.
 
-    Each requirement is checked over all entries before the next requirement (SPEC 10.1, DIRECTORY). Lengths are
-    checked before anything of that length is read (SPEC 13.1). header: the parsed header. start: where the header ends.
+    Each requirement is checked over all entries before the next one (SPEC 10.1, DIRECTORY). Lengths are checked before
+    data of that length is read (SPEC 13.1). header: the parsed header. start: the offset after the header.
     """
     entries = list(enumerate(header.fields.directory))
     # SPEC [R6.6-1]
@@ -121,13 +121,13 @@ def parse_directory(header: syntax.Struct, d: Dimensions, start: int) -> tuple[S
 
 
 def truncated(source: Source, path: str, wanted: int) -> BitstreamError:
-    """SPEC [R6.6-6]: returns the error of a section that the file cuts off. wanted: where it would end."""
+    """SPEC [R6.6-6]: returns the error of a truncated section. wanted: the offset at which it would end."""
     length = source.length()
     return BitstreamError("section.truncated", length, path, f"a file of {length} bytes", f"at least {wanted}")
 
 
 def read_section(source: Source, section: Section) -> Piece:
-    """SPEC [R6.6-6] to [R6.6-8]: reads a section but DATA. Raises BitstreamError 311 to 313."""
+    """SPEC [R6.6-6] to [R6.6-8]: reads a section other than DATA. Raises BitstreamError 311 to 313."""
     data = source.read(section.start, section.end - section.start)
     if len(data) < section.end - section.start:
         raise truncated(source, section.name, section.end)

@@ -1,8 +1,8 @@
 """Clauses 5.15 and 8: the entropy coder, interleaved rANS over many substreams at once.
 
-A Decoder and an Encoder have the same two methods, `values` and `plain`. So each part of the decoding process is
-written once and runs in either direction. Symbols come in groups (SPEC 8.3). The arrays of a group hold the symbols of
-the first substream, then those of the second, and so on.
+Decoder and Encoder have the same two methods, `values` and `plain`, so each part of the decoding process is written
+once and runs in either direction. Symbols come in groups (SPEC 8.3). The arrays of a group hold the symbols of the
+first substream, then those of the second, and so on.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ RAW_MAX = 16
 ESCAPE_PREFIX_MAX = 23
 # SPEC 5.15: the bytes before the states.
 HEAD_BYTES = syntax.size_of("Substream")
-# Up to so many lanes, the steps of NumPy's arrays take longer than symbols that are decoded one by one.
+# Up to this number of lanes, decoding symbols one by one is faster than NumPy's array steps.
 FEW_LANES = 32
 # The name of a symbol of a group in a trace: (substream of the batch, index in its part of the group) -> path.
 SymbolName = Callable[[int, int], str]
@@ -41,9 +41,9 @@ class TraceRow:
     """One decoded symbol of a trace.
 
     path: its name.
-    family: the family of its model, or the name of a set of models that is no family.
-    mean: in 1/16 of a step. Of a symbol that is no value: the index of its model.
-    scale: the scale index. Of a symbol that is no value: 0.
+    family: the family of its model, or the name of a ModelSet that is not a family.
+    mean: in 1/16 of a step, or the index of the model for a symbol that is not a value.
+    scale: the scale index, or 0 for a symbol that is not a value.
     value: the symbol.
     substream: the offset of its substream in the file.
     """
@@ -63,7 +63,7 @@ Trace = Callable[[TraceRow], None]
 class Substream:
     """SPEC 5.15: a substream.
 
-    states: uint32 [lanes]. words: uint16 [word_count]. raw: the raw bytes. offset: its first byte in the file.
+    states: uint32 [lanes]. words: uint16 [word_count]. raw: the raw bytes. offset: of its first byte in the file.
     path: its name.
     """
 
@@ -76,7 +76,7 @@ class Substream:
 
 
 def parse_substream(piece: Piece, lanes: int, path: str) -> Substream:
-    """SPEC 5.15 and 8.1: returns the substream that a piece of the file is.
+    """SPEC 5.15 and 8.1: returns the substream in a piece of the file.
 
     Raises BitstreamError substream.length or substream.state.
     """
@@ -102,7 +102,7 @@ def parse_substream(piece: Piece, lanes: int, path: str) -> Substream:
 def open_substream(piece: Piece, lanes: int, path: str) -> tuple[Substream, BitstreamError | None]:
     """Returns a substream and None, or an empty substream and the error of parse_substream.
 
-    The empty one can be decoded in its place, side by side with substreams that have no error.
+    The empty one can be decoded in its place, in parallel with valid substreams.
     """
     try:
         return parse_substream(piece, lanes, path), None
@@ -112,19 +112,19 @@ def open_substream(piece: Piece, lanes: int, path: str) -> tuple[Substream, Bits
 
 
 class SymbolCoder(Protocol):
-    """What codes symbols that are no values, in either direction."""
+    """A coder of symbols that are not values, in either direction."""
 
     def plain(self, models: ModelSet, index: Int64, counts: list[int], name: SymbolName, given: Int64 | None) -> Int64:
         """Codes one group of symbols and returns them, int64 [symbols].
 
-        index: int64 [symbols], the model of each symbol. counts: how many symbols each substream has. name: for a
-        trace. given: int64 [symbols], the symbols if they are encoded, or None if they are decoded.
+        index: int64 [symbols], the model of each symbol. counts: the number of symbols of each substream. name: for a
+        trace. given: int64 [symbols], the symbols for encoding, or None for decoding.
         """
         ...
 
 
 class Coder(SymbolCoder, Protocol):
-    """What codes symbols and values, in either direction."""
+    """A coder of symbols and values, in either direction."""
 
     def values(
         self,
@@ -138,9 +138,9 @@ class Coder(SymbolCoder, Protocol):
     ) -> Int64:
         """Codes one group of values and returns them, int64 [values].
 
-        mean: int64 [values], in 1/16 of a step. scale: int64 [values], scale indices. counts: how many values each
-        substream has. limit: the largest magnitude of a value. name: for a trace. given: int64 [values], the values if
-        they are encoded, or None if they are decoded.
+        mean: int64 [values], in 1/16 of a step. scale: int64 [values], scale indices. counts: the number of values of
+        each substream. limit: the largest magnitude of a value. name: for a trace. given: int64 [values], the values
+        for encoding, or None for decoding.
         """
         ...
 
@@ -157,7 +157,7 @@ def select(mean: Int64, scale: Int64) -> tuple[Int64, Int64, Int64]:
 
 
 def placed(models: ModelSet, mean: Int64, scale: Int64, value: Int64) -> tuple[Int64, Int64, Int64, Int64]:
-    """SPEC 8.4 and 8.5: returns of values (model, model index, distance from the centre, number of raw bits).
+    """SPEC 8.4 and 8.5: returns (model, model index, distance from the centre, number of raw bits) of values.
 
     All arrays are int64 of one shape. mean, scale: as for select. The model index 2 R + 1 is an escape.
     """
@@ -168,9 +168,9 @@ def placed(models: ModelSet, mean: Int64, scale: Int64, value: Int64) -> tuple[I
 
 
 class _Layout:
-    """SPEC 8.3: where the symbols of a group stand. Lane i mod lanes codes symbol i of a substream, in step i // lanes.
+    """SPEC 8.3: the places of a group's symbols. Lane i mod lanes codes symbol i of a substream, in step i // lanes.
 
-    even: every substream fills all lanes of all steps, so that no symbol has to be moved.
+    even: every substream fills all lanes of all steps, so no symbol is moved.
     """
 
     def __init__(self, counts: list[int], lanes: int) -> None:
@@ -198,10 +198,10 @@ class _Layout:
 
 
 class Decoder:
-    """A coder that decodes a batch of substreams side by side.
+    """A coder that decodes a batch of substreams in parallel.
 
-    Decoding never stops within a substream (SPEC 8.8). Words and raw bits past the end read as zero. `finish` tells
-    what is wrong.
+    Decoding never stops within a substream (SPEC 8.8). Words and raw bits past the end read as zero. `finish` returns
+    the errors.
     """
 
     def __init__(self, streams: list[Substream], trace: Trace | None = None) -> None:
@@ -210,7 +210,7 @@ class Decoder:
         self.trace = trace
         self.lanes = len(streams[0].states)
         self.state = np.stack([s.states for s in streams])
-        # What is past the end of a substream is read from one zero word and eight zero bytes behind it.
+        # Reads past the end of a substream return one zero word and eight zero bytes after it.
         zero_word = np.zeros(1, np.uint16)
         self.words = np.concatenate([part for s in streams for part in (s.words, zero_word)]).astype(np.uint32)
         lengths = np.array([len(s.words) for s in streams], dtype=np.int64)
@@ -233,9 +233,9 @@ class Decoder:
         return self._side_by_side(models, index, layout)
 
     def _one_by_one(self, models: ModelSet, index: Int64, layout: _Layout) -> Int64:
-        """Decodes the symbols of a group one after the other."""
+        """Decodes the symbols of a group one by one."""
         out = np.empty_like(index)
-        # Items of a view are plain integers, which Python computes with faster than with those of NumPy.
+        # Items of a memoryview are Python integers, with which Python computes faster than with NumPy's.
         offset, first, lower, upper = models.offset.data, models.first.data, models.lower.data, models.upper.data
         words, model, found = self.words.data, index.data, out.data
         for stream, (start, count) in enumerate(zip(layout.starts.tolist(), layout.counts.tolist(), strict=True)):
@@ -293,7 +293,7 @@ class Decoder:
             hungry = state < low
             need = hungry.nonzero()[0]
             if need.size:
-                # Lanes of one substream take its words in the order of lanes.
+                # The lanes of a substream read its words in lane order.
                 stream = stream_of.take(need)
                 taken = hungry.reshape(count, self.lanes).sum(axis=1)
                 place = np.arange(need.size) + (at - np.cumsum(taken) + taken).take(stream)
@@ -305,7 +305,7 @@ class Decoder:
         return layout.gather(out.reshape(layout.steps, count, self.lanes))
 
     def _raw(self, width: Int64, layout: _Layout) -> Int64:
-        """SPEC 8.6: reads the raw low bits of each value of a group. width: int64 [values], how many bits."""
+        """SPEC 8.6: reads the raw low bits of each value of a group. width: int64 [values], numbers of bits."""
         low = np.zeros(len(width), dtype=np.int64)
         some = np.flatnonzero(width)
         if some.size:
@@ -325,7 +325,7 @@ class Decoder:
         return low
 
     def _escapes(self, streams: list[int]) -> Int64:
-        """SPEC 8.7: reads escapes and returns n of each, negative if the sign bit is set. streams: that of each."""
+        """SPEC 8.7: reads escapes and returns n of each, negative if the sign bit is set. streams: their substreams."""
         raw, found = self.raw, []
         at, end, base = self.raw_at.tolist(), self.raw_end.tolist(), self.raw_base.tolist()
         for stream in streams:
@@ -355,7 +355,7 @@ class Decoder:
         name: SymbolName,
         given: Int64 | None = None,
     ) -> Int64:
-        """SPEC 8.5: decodes a group, as Coder.values. Values past the limit become 0, and finish tells them."""
+        """SPEC 8.5: decodes a group, as Coder.values. Values past the limit become 0, and `finish` reports them."""
         layout = _Layout(counts, self.lanes)
         model, centre, raw = select(mean, scale)
         j = self._group(models, model, layout)
@@ -393,7 +393,7 @@ class Decoder:
     def _show(
         self, models: ModelSet, mean: Int64, scale: Int64, value: Int64, layout: _Layout, name: SymbolName
     ) -> None:
-        """Tells the trace the symbols of a group."""
+        """Reports the symbols of a group to the trace."""
         assert self.trace is not None
         rows = zip(mean.tolist(), scale.tolist(), value.tolist(), strict=True)
         for stream, count in enumerate(layout.counts.tolist()):
@@ -408,7 +408,7 @@ class Decoder:
             self.crc[stream] = zlib.crc32(data[start : start + count].tobytes(), self.crc[stream])
 
     def finish(self) -> list[BitstreamError | None]:
-        """SPEC 8.8: returns for each substream the error of the first check at its end that fails, or None."""
+        """SPEC 8.8: returns for each substream the error of the first failed check at its end, or None."""
         return [self._verdict(i, s) for i, s in enumerate(self.streams)]
 
     def _verdict(self, i: int, s: Substream) -> BitstreamError | None:
@@ -435,9 +435,9 @@ class Decoder:
 def end_error(name: str, s: Substream, first: int = 0, second: int = 0) -> BitstreamError:
     """SPEC 8.5, 8.7 and 8.8: returns the error of a check at the end of a substream.
 
-    first, second: of words, how many the symbols take. Of final_state, a lane and its state. Of symbol_range, a symbol
-    and its limit. Of raw_length and raw_padding, the raw bits that the symbols take. Of symbol_crc, the CRC-32 of the
-    symbols.
+    first, second: for words, the number that the symbols take; for final_state, a lane and its state; for
+    symbol_range, a symbol and its limit; for raw_length and raw_padding, the number of raw bits that the symbols take;
+    for symbol_crc, the CRC-32 of the symbols.
     """
     found: object
     allowed: object
@@ -458,19 +458,19 @@ def end_error(name: str, s: Substream, first: int = 0, second: int = 0) -> Bitst
         case "symbol_crc":
             found, allowed = f"0x{s.symbol_crc:08x}", f"0x{first:08x}, that of the symbols"
         case _:
-            raise RuntimeError(f"{s.path}: {name} is no error of a substream's end")
+            raise RuntimeError(f"{s.path}: {name} is not an error of a substream's end")
     return BitstreamError(name, s.offset, s.path, found, allowed)
 
 
 def require_limit(values: NDArray[np.integer], limit: int) -> None:
-    """Raises ValueError for values that are to be encoded and pass their limit."""
+    """Raises ValueError for values to encode that exceed their limit."""
     most = max(int(values.max(initial=0)), -int(values.min(initial=0)))
     if most > limit:
-        raise ValueError(f"a symbol is {most}, at most {limit} fits its type (SPEC.md 8.5)")
+        raise ValueError(f"a symbol is {most}, at most {limit} is allowed (SPEC.md 8.5)")
 
 
 class Encoder:
-    """A coder that encodes a batch of substreams (SPEC B.4). Its calls are the decoder's, with the symbols given."""
+    """A coder that encodes a batch of substreams (SPEC B.4). It has the decoder's methods, with the symbols given."""
 
     def __init__(self, count: int, lanes: int) -> None:
         """count: the number of substreams. lanes: the lanes of each."""

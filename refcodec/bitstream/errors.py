@@ -1,6 +1,6 @@
 """Clause 10.3: the registry of errors, and the exception that every refused file raises.
 
-The registry is the only place where codes are defined. A test compares it with SPEC.md.
+The registry is the only definition of the codes. `python -m spec` prints it in SPEC.md.
 """
 
 from __future__ import annotations
@@ -19,11 +19,11 @@ class ErrorKind:
 
     code: an integer that never changes.
     name: a dotted name that never changes.
-    klass: how the file is refused. A command exits with 1 for malformed and invalid, with 2 for unsupported.
+    klass: the class of the refusal. A command exits with 1 for malformed and invalid, and with 2 for unsupported.
     clause: the clause of SPEC.md to read.
-    requirement: the requirement that the file breaks.
+    requirement: the requirement that the file violates.
     text: the meaning.
-    where: the byte that the offset of the error points at.
+    where: the byte at the offset of the error.
     """
 
     code: int
@@ -145,12 +145,12 @@ REGISTRY: dict[str, ErrorKind] = {kind.name: kind for kind in _registry()}
 
 
 class BitstreamError(Exception):
-    """A file that is refused. Decoding raises no other error.
+    """A refused file. Decoding raises no other error.
 
     kind: the row of the registry.
-    offset: a byte of the file. SPEC 10.3 says which one.
+    offset: a byte of the file, as SPEC 10.3 defines it.
     path: the syntax element.
-    found, allowed: what the file has there, and what it may have, as text.
+    found, allowed: the content of the file there, and the allowed content, as text.
     """
 
     def __init__(self, name: str, offset: int, path: str, found: object, allowed: object) -> None:

@@ -31,7 +31,7 @@ class Frame:
 def parse_frame(section: Piece) -> Frame:
     """SPEC 5.7 and 6.7: returns the frame of the section. Raises BitstreamError frame.reserved or frame.range.
 
-    The section has its length. The fields are checked in the order of the requirement's sentence.
+    The section has the correct length. The fields are checked in the order of the requirement.
     """
     struct, name = syntax.Struct("Frame", section, 0, "frame"), "frame.range"
     f = struct.fields

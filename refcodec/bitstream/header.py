@@ -32,7 +32,7 @@ SCALE_EXPONENT_MAX = 60
 
 @dataclass(frozen=True)
 class Lanes:
-    """SPEC 6.2: the base-2 logarithms of the number of lanes of a substream of planes, of masks and of attributes."""
+    """SPEC 6.2: the base-2 logarithms of the numbers of lanes of plane, mask and attribute substreams."""
 
     plane: int = 3
     mask: int = 3
@@ -41,7 +41,7 @@ class Lanes:
 
 @dataclass(frozen=True)
 class PositionGrid:
-    """SPEC 6.4: P stands for the world position (origin + scale_mantissa * P) * 2^(scale_exponent - 24)."""
+    """SPEC 6.4: P represents the world position (origin + scale_mantissa * P) * 2^(scale_exponent - 24)."""
 
     origin: tuple[int, int, int] = (0, 0, 0)
     scale_mantissa: int = 1
@@ -50,7 +50,7 @@ class PositionGrid:
 
 @dataclass(frozen=True)
 class RenderInfo:
-    """SPEC 5.5 and 6.5: what a renderer needs to know of a scene.
+    """SPEC 5.5 and 6.5: the parameters of a scene for renderers.
 
     background: red, green and blue, 0 to 255.
     up_axis: 0 to 5 if +x, -x, +y, -y, +z or -z points up.
@@ -102,7 +102,7 @@ class Header:
 def parse_prologue(data: bytes) -> tuple[int, int]:
     """SPEC 5.1 and 6.1: checks the prologue and returns minor and header_length. Raises BitstreamError 101 to 105.
 
-    data: the first bytes of the file, 20 of them if it has so many.
+    data: the first 20 bytes of the file, or all bytes of a shorter file.
     """
     # SPEC [R6.1-1]
     if len(data) < PROLOGUE_BYTES:
@@ -152,9 +152,9 @@ def read_header(source: Source) -> Header:
 def parse_header(data: bytes, minor: int, header_length: int) -> tuple[Header, syntax.Struct]:
     """SPEC 5.2 to 5.5 and 6.2 to 6.5: checks the header, and returns its values and its struct.
 
-    data: the file up to the header's end, if it has so many bytes. minor, header_length: those of the prologue.
+    data: the file up to the end of the header, or a shorter file. minor, header_length: from the prologue.
 
-    The directory is left out of the values. The struct has its entries, of which only the reserved fields were checked.
+    The values omit the directory. The struct has its entries, of which only the reserved fields are checked.
     Raises BitstreamError 201 to 217, in the order of SPEC 10.1.
     """
     end = PROLOGUE_BYTES + header_length
@@ -172,7 +172,7 @@ def parse_header(data: bytes, minor: int, header_length: int) -> tuple[Header, s
     except cs.ConstructError:
         allowed = f"what {header_length} bytes hold"
         raise BitstreamError("header.syntax", end, "header", "more fields", allowed) from None
-    # The CRC-32 is the last field. The bytes that no field uses lie before it.
+    # The CRC-32 is the last field. Unused bytes lie before it.
     known = PROLOGUE_BYTES + header.size - CRC_BYTES
     if header.size != header_length and minor <= MINOR:
         allowed = f"the {header.size} that its fields take"
@@ -226,7 +226,7 @@ def _checked(header: syntax.Struct, minor: int, later: bytes) -> Header:
 
 
 def _checked_limits(header: syntax.Struct) -> Dimensions:
-    """SPEC 11.1 and 11.2: checks profile, level, dimensions and the counts that these allow."""
+    """SPEC 11.1 and 11.2: checks profile, level, dimensions and the counts that these limit."""
     h = header.fields
     # SPEC [R11.1-1]
     if h.profile not in PROFILES:
@@ -247,7 +247,7 @@ def _checked_limits(header: syntax.Struct) -> Dimensions:
         raise header.error("header.dimension", "dimensions.plane_size", dimensions.plane_size, allowed)
     # SPEC [R11.2-2]
     header.require_within("header.anchor_count", "anchor_count", h.anchor_count, 0, level.anchors)
-    # SPEC [R11.2-4]: a file whose work no level holds has the error of its work.
+    # SPEC [R11.2-4]: a file whose work exceeds all levels has the error of its work.
     lowest = minimal_level(profile, h.anchor_count, dimensions)
     if lowest is not None and lowest < h.level:
         raise header.error("header.level_not_minimal", "level", h.level, lowest)
@@ -268,7 +268,7 @@ def _checked_grid(header: syntax.Struct) -> PositionGrid:
 
 
 def _checked_render(header: syntax.Struct) -> RenderInfo:
-    """SPEC [R6.5-1]: checks the render information in the order of the requirement's sentence."""
+    """SPEC [R6.5-1]: checks the render information in the order of the requirement."""
     name, r = "header.render_info", header.fields.render_info
 
     def field(own: str) -> str:
@@ -293,7 +293,7 @@ def _checked_render(header: syntax.Struct) -> RenderInfo:
 def emit_file(header: Header, sections: list[tuple[bytes, int, bytes]]) -> bytes:
     """SPEC 5.1 to 5.6: returns the file of a header and of sections (type, mode, bytes) in file order.
 
-    The directory is made from the sections. header.sections is not read.
+    The directory is built from the sections. header.sections is ignored.
     """
     fields: dict[str, Any] = {
         "profile": header.profile,

@@ -19,7 +19,7 @@ from .source import Piece, pad4
 # One number of anchors, or an array of them.
 Count = TypeVar("Count", int, Int64)
 
-# SPEC 5.13: the bytes of a chunk's entry, and its fields as a dtype.
+# SPEC 5.13: the size of a ChunkEntry in bytes, and its fields as a dtype.
 ENTRY_BYTES = syntax.size_of("ChunkEntry")
 ENTRY = np.dtype(
     [
@@ -29,16 +29,16 @@ ENTRY = np.dtype(
     ]
 )
 CHUNK_HEAD_BYTES = syntax.size_of("Chunk")
-# SPEC 6.10: how many anchors a byte of a chunk stands for, at most.
+# SPEC 6.10: the most anchors for each byte of a chunk.
 ANCHORS_OF_A_BYTE = 16
 
 
 @dataclass(frozen=True)
 class ChunkEntry:
-    """SPEC 5.13: what the index says of a chunk.
+    """SPEC 5.13: the index entry of a chunk.
 
-    number: that of the chunk. start: the offset of its first byte. anchors: the numbers of its anchors in the file.
-    kept: how many offsets it keeps. low, high: float16 [3], the bounds of its positions.
+    number: of the chunk. start: the offset of its first byte. anchors: the numbers of its anchors in the file.
+    kept: the number of its kept offsets. low, high: float16 [3], the bounds of its positions.
     """
 
     number: int
@@ -58,10 +58,10 @@ class ChunkEntry:
 
 @dataclass(frozen=True, eq=False)
 class Index:
-    """SPEC 5.11 to 5.13: the index, with the entries in order. An entry is made when it is asked for.
+    """SPEC 5.11 to 5.13: the index, with the entries in order. Entry objects are created on access.
 
-    mask_model: uint16 [K (K + 1) / 2]. position_model: None in mode 0. The rest is by chunk, and of starts and anchors
-    there is one more: the end.
+    mask_model: uint16 [K (K + 1) / 2]. position_model: None in mode 0. The other arrays have an item for each chunk;
+    starts and anchors have one more, the end.
     """
 
     mask_model: NDArray[np.uint16]
@@ -89,7 +89,7 @@ class Index:
 
 
 def entries_start(offset_count: int, mode: int) -> int:
-    """SPEC 5.11: returns how many bytes of the index come before its entries."""
+    """SPEC 5.11: returns the number of bytes of the index before its entries."""
     return pad4(2 * mask_contexts(offset_count)) + (syntax.size_of("PositionModel") if mode else 0)
 
 
@@ -103,7 +103,7 @@ def parse_index(
 ) -> Index:
     """SPEC 5.11 to 5.13 and 6.10: returns the index. Raises BitstreamError 431 to 436.
 
-    The section has the length that the header implies. anchor_count: N. data_start, data_length: where DATA is.
+    The section has the length that the header implies. anchor_count: N. data_start, data_length: the place of DATA.
     """
     # SPEC [R6.10-1], [R6.10-2]
     mask_model, at = parse_mask_model(section, d.offset_count), 2 * mask_contexts(d.offset_count)
@@ -127,12 +127,12 @@ def parse_index(
 
 
 def chunk_floor(anchors: Count) -> Count:
-    """SPEC [R6.10-5]: returns the least length of a chunk, of its number of anchors or of an array of them."""
+    """SPEC [R6.10-5]: returns the least chunk length for a number of anchors, or for an array of such numbers."""
     return CHUNK_HEAD_BYTES + -(-anchors // ANCHORS_OF_A_BYTE)
 
 
 def _wrong_entries(table: NDArray[np.void], offset_count: int, chunk_size: int) -> NDArray[np.bool_]:
-    """SPEC [R6.10-5]: returns which entries have a field that is not allowed, bool [C]."""
+    """SPEC [R6.10-5]: returns which entries have an invalid field, bool [C]."""
     count, length = table["anchor_count"].astype(np.int64), table["length"].astype(np.int64)
     wrong = (count < 1) | (count > chunk_size) | (length % 4 != 0) | (length < chunk_floor(count))
     wrong |= table["kept_count"] > offset_count * count
@@ -147,7 +147,7 @@ def _wrong_entries(table: NDArray[np.void], offset_count: int, chunk_size: int) 
 def _entry_error(
     section: Piece, first: int, table: NDArray[np.void], number: int, offset_count: int, chunk_size: int
 ) -> BitstreamError:
-    """SPEC [R6.10-5]: returns the error of an entry that has one, in the order of the requirement's sentence."""
+    """SPEC [R6.10-5]: returns the first error of an invalid entry, in the order of the requirement."""
     entry = syntax.Struct("ChunkEntry", section, first + ENTRY_BYTES * number, f"index.entry[{number}]")
     name, e = "index.chunk", entry.fields
     if not 1 <= e.anchor_count <= chunk_size:
@@ -167,7 +167,7 @@ def _entry_error(
 
 
 def emit_entry(content: bytes, crc: int, positions: F16, kept: int) -> bytes:
-    """SPEC 5.13: returns the entry of a chunk. positions: float16 [n, 3]. kept: how many offsets it keeps."""
+    """SPEC 5.13: returns the entry of a chunk. positions: float16 [n, 3]. kept: the number of its kept offsets."""
     return syntax.build(
         "ChunkEntry",
         {

@@ -1,7 +1,7 @@
-"""Clauses 7 and 8 by the native kernel: scenes and chunks for refcodec.native, and what its verdicts mean.
+"""Clauses 7 and 8 by the native kernel: scenes and chunks for refcodec.native, and the meaning of its verdicts.
 
-The kernel says which error a substream has, with the numbers that the error's text names. The functions that make the
-texts are those of the NumPy path, so that nothing is decoded twice.
+The kernel reports the error of a substream with the numbers for the error's text. The functions of the NumPy path make
+the text from them, so nothing is decoded twice.
 """
 
 from __future__ import annotations
@@ -39,10 +39,10 @@ def native_scene(
     mask_model: NDArray[np.uint16] | None = None,
     position_model: PositionModel | None = None,
 ) -> NativeScene | None:
-    """Returns what the kernel codes a scene with, or None without a kernel.
+    """Returns the kernel's form of a scene, or None without a kernel.
 
-    networks: as derive_networks gives them. planes: int16 [5, ch, B, B], or None if only planes are coded. Then frame
-    and models are not needed.
+    networks: the result of derive_networks. planes: int16 [5, ch, B, B], or None if only planes are coded; frame and
+    models are not needed then.
     """
     if used is None:
         return None
@@ -81,7 +81,7 @@ def native_scene(
 
 
 def chunk_bytes(chunk: CodedChunk) -> ChunkBytes:
-    """Returns a chunk as the kernel takes it."""
+    """Returns the kernel's form of a chunk."""
     e = chunk.entry
     parts = (chunk.positions.data, chunk.masks.data, chunk.attributes.data)
     return ChunkBytes(chunk.form, parts, len(e.anchors), e.kept, e.low, e.high)
@@ -91,7 +91,7 @@ _NAMES = {kind.code: kind.name for kind in REGISTRY.values()}
 
 
 def error_name(verdict: Verdict) -> str | None:
-    """Returns the name of the error that the kernel found, or None if there is none."""
+    """Returns the name of the error that the kernel reported, or None."""
     return _NAMES[verdict.status] if verdict.status else None
 
 

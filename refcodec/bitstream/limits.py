@@ -19,7 +19,7 @@ class Level:
     work: int
 
     def holds(self, d: Dimensions, anchors: int) -> bool:
-        """Whether the level allows the plane size, so many anchors and their work."""
+        """Returns whether the level allows the plane size, the number of anchors and their work."""
         return anchors <= self.anchors and d.plane_size <= self.plane_size and work(d, anchors) <= self.work
 
 
@@ -27,8 +27,8 @@ class Level:
 class Profile:
     """SPEC 11.1: the bounds of each dimension, both ends included.
 
-    Bounds such as slice_count are those of the length of a list. Bounds such as slice_width are those of its items.
-    Those of plane_size and sarm_layers are for scenes with planes. Without planes both are 0.
+    Bounds such as slice_count apply to the length of a list, and bounds such as slice_width to its items. Those of
+    plane_size and sarm_layers apply to scenes with planes; without planes both are 0.
     levels: by number.
     """
 
@@ -100,9 +100,9 @@ FEATURES_MAX = 128
 def dimension_fault(profile: Profile, d: Dimensions) -> tuple[str, object, str] | None:
     """SPEC 11.1: returns the first dimension outside the profile, or None.
 
-    It is given as (field of the Dimensions table, found, allowed).
+    The result is (field of the Dimensions table, found, allowed).
     """
-    # SPEC 11.1: these two may be 0 too. Then there are no planes, which is checked below.
+    # SPEC 11.1: these two may also be 0, without planes, which is checked below.
     optional = ("plane_size", "sarm_layers")
     lists = {"slice": d.slices, "hyper": d.hyper_width, "sarm": d.sarm_width, "carm": d.carm_width}
     checks: list[tuple[str, int, str]] = [
@@ -127,7 +127,7 @@ def dimension_fault(profile: Profile, d: Dimensions) -> tuple[str, object, str] 
     for field, value in (("plane_size", d.plane_size), ("sarm_layers", len(d.sarm_width))):
         if (value > 0) != planes:
             return field, value, "0 exactly if plane_channels is 0"
-    # SPEC 11.1: F_h has no inputs then, and without a second slice there is no network of CARM.
+    # SPEC 11.1: F_h then has no inputs. With one slice there is no network of CARM.
     if d.hyper_width and not d.has_frame:
         return "hyper_layers", len(d.hyper_width), "0 if plane_channels and frequency_count are 0"
     if d.carm_width and len(d.slices) == 1:

@@ -1,6 +1,6 @@
 """Clauses 5.11, 6.12 and 7.6: the masks.
 
-The context of a mask bit is the index of its offset and the number of offsets of the anchor that are kept before it.
+The context of a mask bit is the index of its offset and the number of the anchor's kept offsets before it.
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ def mask_models(frequencies: NDArray[np.uint16]) -> ModelSet:
 def contexts(offset: int, kept: Int64) -> Int64:
     """SPEC 7.6: returns the contexts of the mask bits of one offset, int64 [n].
 
-    offset: its index. kept: int64 [n], how many offsets each anchor keeps before it.
+    offset: its index. kept: int64 [n], the number of kept offsets before it.
     """
     return offset * (offset + 1) // 2 + kept
 
@@ -47,7 +47,7 @@ def code_masks(
 ) -> NDArray[np.bool_]:
     """SPEC 7.6: codes the masks of some chunks, in either direction, and returns them, bool [anchors, K].
 
-    chunks: the anchors of each chunk, which has one substream. given: the masks if they are encoded.
+    chunks: the anchors of each chunk, which has one substream. given: the masks, for encoding.
     """
     counts = [len(c) for c in chunks]
     masks = np.zeros((sum(counts), offset_count), dtype=bool)

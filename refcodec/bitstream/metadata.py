@@ -1,6 +1,6 @@
 """Clauses 5.16 and 6.14: the metadata, an ancillary section of keys and texts.
 
-A fault of such a section is a warning. It never refuses a file.
+A violation in such a section is a warning and never refuses a file.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from .scene import Ancillary
 METADATA = b"mETA"
 SECTION_BYTES_MAX = 1 << 16
 KEY = re.compile(r"[a-z0-9._-]+")
-# What the texts of some standard keys have to be. The numbers are decimal.
+# The syntax of some standard values. Numbers are decimal.
 _NUMBER = r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?"
 _VALUES = {
     "date": re.compile(r"\d{4}-\d\d-\d\d[Tt]\d\d:\d\d:\d\d(\.\d+)?([Zz]|[+-]\d\d:\d\d)", re.ASCII),
@@ -35,10 +35,7 @@ _ALLOWED = {
 
 
 def parse_metadata(content: bytes) -> tuple[dict[str, str], list[str]]:
-    """SPEC 5.16 and 6.14: returns the entries of a section, and what is wrong with it, as text.
-
-    Entries before the first fault of the syntax are returned.
-    """
+    """SPEC 5.16 and 6.14: returns the entries before the first syntax error, and the violations as text."""
     found: dict[str, str] = {}
     if len(content) > SECTION_BYTES_MAX:
         return found, [f"it has {len(content)} bytes, at most {SECTION_BYTES_MAX} are allowed"]
@@ -75,7 +72,7 @@ def parse_metadata(content: bytes) -> tuple[dict[str, str], list[str]]:
 
 
 def emit_metadata(entries: Mapping[str, str]) -> bytes:
-    """SPEC 5.16: returns the bytes of a section. Raises ValueError for entries that SPEC 6.14 does not allow."""
+    """SPEC 5.16: returns the bytes of a section. Raises ValueError for entries that violate SPEC 6.14."""
     parts = [syntax.build("Metadata", {"count": len(entries), "reserved": 0})]
     for key, value in sorted(entries.items()):
         texts = {"key": key.encode(), "value": value.encode()}
@@ -92,7 +89,7 @@ def emit_metadata(entries: Mapping[str, str]) -> bytes:
 
 
 def metadata(sections: Iterable[Ancillary]) -> dict[str, str]:
-    """Returns the entries of all sections of metadata. If a key is in several sections, the first one counts."""
+    """Returns the entries of all metadata sections. If several have the same key, the first one counts."""
     found: dict[str, str] = {}
     for section in sections:
         if section.type == METADATA and not section.mode:
@@ -101,7 +98,7 @@ def metadata(sections: Iterable[Ancillary]) -> dict[str, str]:
 
 
 def with_metadata(sections: tuple[Ancillary, ...], changes: Mapping[str, str]) -> tuple[Ancillary, ...]:
-    """Returns the ancillary sections with changed entries, in one section of metadata.
+    """Returns the ancillary sections with changed entries, in one metadata section.
 
     An empty value removes an entry. The section takes the place of the first one, or comes before all others. Raises
     ValueError as emit_metadata.

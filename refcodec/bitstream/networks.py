@@ -1,7 +1,7 @@
 """Clause 7.2: integer networks, from fp32 weights to integers, and the forward pass.
 
-A float32 matrix product may compute the integers, because no partial sum reaches 2^24. So every order of summation,
-fused or not, gives the same exact result. If a broken BLAS does not, the self-test chooses int64 instead.
+A float32 matrix product may compute the integers: no partial sum reaches 2^24, so every order of summation, fused or
+not, gives the same exact result. If a faulty BLAS does not, the self-test chooses int64.
 """
 
 from __future__ import annotations
@@ -22,18 +22,18 @@ ACTIVATION_MAX = 1023
 WEIGHT_MAX = 1023
 ACCUMULATOR_BOUND = 1 << 24
 EXPONENT_MAX = 20
-# How many rows of a product are computed at once. Only speed depends on it.
+# The number of rows of a product that are computed at once. It affects only speed.
 BLOCK_ROWS = 8192
 Layer = tuple[F32, F32]
 
 
 class BoundError(ValueError):
-    """A row whose integers could pass the accumulator bound. `row` is its number in the layer with the name `layer`."""
+    """A row whose integers could reach the accumulator bound. `row` is its number in the layer named `layer`."""
 
     def __init__(self, row: int, layer: str = "layer") -> None:
         self.row, self.layer = row, layer
-        self.found = f"row {row}, which passes the accumulator bound at every exponent"
-        self.allowed = f"rows that keep it at an exponent from 0 to {EXPONENT_MAX}"
+        self.found = f"row {row}, which exceeds a bound at every exponent"
+        self.allowed = f"rows within the bounds at an exponent from 0 to {EXPONENT_MAX}"
         super().__init__(f"{layer}: found {self.found}, allowed {self.allowed} (SPEC.md 7.2)")
 
 
@@ -47,7 +47,7 @@ class IntLayer:
 
 
 def derive_layer(weight: F32, bias: F32) -> IntLayer:
-    """SPEC 7.2, DERIVE_ROW: returns a layer of integers. Each row has the largest exponent that keeps the bounds.
+    """SPEC 7.2, DERIVE_ROW: returns a layer of integers. Each row has the largest exponent within the bounds.
 
     weight: float32 [out, in]. bias: float32 [out]. Both are finite. Raises BoundError for a row without an exponent.
     """
@@ -56,7 +56,7 @@ def derive_layer(weight: F32, bias: F32) -> IntLayer:
     found = np.full(out, -1, dtype=np.int64)
     chosen_w = np.zeros(weight.shape, dtype=np.int64)
     chosen_b = np.zeros(out, dtype=np.int64)
-    # A value past the bound breaks it, however large it is. The cut keeps such values within int64.
+    # The cut keeps values beyond the bound, which violate it anyway, within int64.
     cut = 2.0 * ACCUMULATOR_BOUND
     for e in range(EXPONENT_MAX, -1, -1):
         # Exact in float64: a 24-bit significand times a power of two, plus 1/2.
@@ -76,7 +76,7 @@ class IntNetwork:
 
     def __init__(self, layers: list[IntLayer], exact_float: bool | None = None, block_rows: int | None = None) -> None:
         """exact_float: whether to compute in float32. None leaves it to the self-test.
-        block_rows: how many rows are computed at once. None means BLOCK_ROWS. No result depends on either.
+        block_rows: rows that are computed at once. None means BLOCK_ROWS. No result depends on either.
         """
         self.layers = layers
         self.exact_float = float32_is_exact() if exact_float is None else exact_float
@@ -84,9 +84,9 @@ class IntNetwork:
         self._float = self.float_layers()
 
     def float_layers(self) -> list[tuple[F32, F32, F32]]:
-        """Returns for each layer what float32 products take.
+        """Returns the float32 operands of each layer.
 
-        They are weights [in, out], biases with what rounds half up [out], and the units of outputs [out].
+        They are weights [in, out], biases plus the rounding term [out], and the units of outputs [out].
         """
         found = []
         for layer in self.layers:
@@ -130,7 +130,7 @@ class IntNetwork:
 def derive_networks(
     networks: Mapping[str, list[Layer]], exact_float: bool | None = None, block_rows: int | None = None
 ) -> dict[str, IntNetwork]:
-    """SPEC 7.2: returns the integer networks F_h, SARM and CARM, by name. The rendering networks are left out.
+    """SPEC 7.2: returns the integer networks F_h, SARM and CARM, by name. The rendering networks are omitted.
 
     exact_float, block_rows: as in IntNetwork. Raises BoundError, which names the layer.
     """
@@ -148,7 +148,7 @@ def derive_networks(
     return found
 
 
-# What makes integer networks of those of a file: derive_networks, or what stands for it on another device.
+# Converts the networks of a file to integers: derive_networks, or its counterpart on another device.
 Derive = Callable[[Mapping[str, list[Layer]]], dict[str, IntNetwork]]
 
 
@@ -158,9 +158,9 @@ def activation(a: Int64) -> Int64:
 
 
 def mixed(rows: int, columns: int, bound: int) -> Int64:
-    """Returns numbers from -bound to bound without an order, int64 [rows, columns].
+    """Returns pseudo-random numbers from -bound to bound, int64 [rows, columns].
 
-    They are multiples of an odd number modulo 2^64. NumPy's generators take longer to import than the self-test takes.
+    They are multiples of an odd number modulo 2^64. Importing NumPy's generators takes longer than the self-test.
     """
     found = np.arange(1, rows * columns + 1, dtype=np.uint64) * np.uint64(0x9E3779B97F4A7C15) >> np.uint64(32)
     return (found.astype(np.int64) % (2 * bound + 1) - bound).reshape(rows, columns)
@@ -169,7 +169,7 @@ def mixed(rows: int, columns: int, bound: int) -> Int64:
 def is_exact(product: Callable[[F32, F32], NDArray[Any]]) -> bool:
     """SPEC 13.3: whether products of float32 matrices are exact integers, over shapes that the decoder uses.
 
-    product: of two matrices, [n, m] and [m, k]. Sums near the bound are compared with int64. This finds a faulty BLAS
+    product: of two matrices, [n, m] and [m, k]. Sums near the bound are compared with int64. This detects a faulty BLAS
     and a mode of reduced precision.
     """
     for rows, fan_in, width in ((1, 4, 16), (7, 36, 100), (65, 100, 175), (33, 128, 128), (257, 30, 100)):

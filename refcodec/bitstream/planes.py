@@ -15,7 +15,7 @@ from .networks import IntNetwork, activation
 from .source import Piece, pad4, padded
 from .tables import tables
 
-# SPEC 7.3: the number of sub-planes: the plane of r = 1, and four quadrants of the plane of r = 2.
+# SPEC 7.3: the number of sub-planes: the plane with r = 1, and four quadrants of the plane with r = 2.
 PLANES = 5
 # SPEC 6.9: the largest magnitude of a plane symbol. Arrays hold it as int16, of which -32768 is not used.
 PLANE_SYMBOL_MAX = (1 << 15) - 1
@@ -33,9 +33,9 @@ def code_planes(
 ) -> NDArray[np.int16]:
     """SPEC 7.3: codes the five sub-planes, in either direction, and returns them, int16 [5, ch, B, B].
 
-    channels: ch. size: B. given: the sub-planes if they are encoded.
+    channels: ch. size: B. given: the sub-planes, for encoding.
     """
-    # The border of zeros above, left and right stands for the symbols outside the sub-plane.
+    # The border of zeros above, left and right represents the symbols outside the sub-plane.
     padded = np.zeros((PLANES, channels, size + 1, size + 2), dtype=np.int16)
     flat = padded.reshape(-1)
     width = size + 2
@@ -80,7 +80,7 @@ def parse_planes(
         raise section.error("planes.length", 0, "planes", found, allowed) from None
     starts = size + np.cumsum([0, *(pad4(length) for length in table.length)], dtype=np.int64)
     if starts[-1] != len(section):
-        found = f"a table that announces {starts[-1]} bytes"
+        found = f"a table that states {starts[-1]} bytes"
         raise section.error("planes.length", 0, "planes.length", found, len(section))
     # SPEC [R6.9-2]
     spans = [(int(start), int(start) + length) for start, length in zip(starts, table.length, strict=False)]
@@ -101,7 +101,7 @@ def _decode(pieces: list[Piece], d: Dimensions, lanes: int, sarm: IntNetwork, tr
     opened = [open_substream(piece, lanes, f"planes.{name}") for name, piece in zip(PLANE_NAMES, pieces, strict=True)]
     decoder = Decoder([stream for stream, _ in opened], trace)
     planes = code_planes(decoder, sarm, d.plane_channels, d.plane_size)
-    # SPEC 10.1, SECTIONS: all errors of a substream come before those of the next one.
+    # SPEC 10.1, SECTIONS: all errors of a substream precede those of the next one.
     for (_, before), after in zip(opened, decoder.finish(), strict=True):
         error = before or after
         if error is not None:
@@ -112,7 +112,7 @@ def _decode(pieces: list[Piece], d: Dimensions, lanes: int, sarm: IntNetwork, tr
 def emit_planes(planes: NDArray[np.int16], sarm: IntNetwork, lanes: int, native: NativeScene | None = None) -> bytes:
     """SPEC 5.10: returns the bytes of the section. planes: int16 [5, ch, B, B]. lanes: the lanes of each substream.
 
-    native: encodes them instead of NumPy. Raises ValueError for a symbol past its limit.
+    native: encodes them instead of NumPy. Raises ValueError for a symbol that exceeds its limit.
     """
     require_limit(planes, PLANE_SYMBOL_MAX)
     if native is None:
@@ -130,7 +130,7 @@ def no_planes() -> NDArray[np.int16]:
 
 
 def assemble_planes(planes: NDArray[np.int16]) -> JoinedPlanes:
-    """SPEC 7.3, JOIN_QUADRANTS: returns the plane of r = 1, int16 [ch, B, B], and that of r = 2, int16 [ch, 2 B, 2 B].
+    """SPEC 7.3, JOIN_QUADRANTS: returns the planes with r = 1, int16 [ch, B, B], and r = 2, int16 [ch, 2 B, 2 B].
 
     planes: the sub-planes, int16 [5, ch, B, B].
     """

@@ -1,7 +1,7 @@
-"""Clauses 5.12, 6.11, 7.4 and 7.12: the positions, as raw fp16 numbers or for each chunk as a tree of cells.
+"""Clauses 5.12, 6.11, 7.4 and 7.12: the positions, as raw fp16 numbers or as a tree of cells for each chunk.
 
-The code of a cell is its MORTON. A node of the tree is the code of its cells without their low bits. While the chunks
-of a batch are coded side by side, the number of the chunk stands above the bits of a code.
+The code of a cell is its place on the Morton curve. A node of the tree is the code of its cells without their low bits.
+While the chunks of a batch are coded in parallel, the number of the chunk lies above the bits of a code.
 """
 
 from __future__ import annotations
@@ -19,20 +19,20 @@ from .source import Piece
 from .tables import TOTAL, ModelSet, build_models
 
 F16 = NDArray[np.float16]
-# SPEC 7.12: the levels of the tree, the cell_shift of cells that count fp16 numbers, and the models of the tree.
+# SPEC 7.12: the levels of the tree, the cell_shift of cells that are ranks of fp16 numbers, and the number of models.
 CELL_LEVELS = 16
 CELL_INDEX = 40
 POSITION_MODELS = 18
-# SPEC 5.12: the symbols of a model. A symbol names which of four children there are.
+# SPEC 5.12: the symbols of a model. A symbol states which of four children exist.
 HALVES = 16
 # SPEC 6.10: the models whose symbol 0 cannot occur.
 EMPTY_MODELS = (1, 7, 13)
-# SPEC 5.14: the forms of a chunk's positions, and the bytes of an anchor's position in the raw one.
+# SPEC 5.14: the forms of a chunk's positions, and the bytes of a raw position.
 RAW, PACKED = 0, 1
 POSITION_BYTES = 6
 _MIDDLE = 1 << (CELL_LEVELS - 1)
 _CODE_BITS = 3 * CELL_LEVELS
-# The number of children that each symbol names.
+# The number of children of each symbol.
 _CHILDREN = np.array([half.bit_count() for half in range(HALVES)])
 
 
@@ -52,13 +52,13 @@ def position_integers(positions: F16) -> Int64:
 
 @dataclass(frozen=True, eq=False)
 class PositionModel:
-    """SPEC 5.12: what packed positions are coded with. cell_shift: 0 to 40. frequency: uint16 [18, 16]."""
+    """SPEC 5.12: the model of packed positions. cell_shift: 0 to 40. frequency: uint16 [18, 16]."""
 
     cell_shift: int
     frequency: NDArray[np.uint16]
 
     def fault(self) -> int | None:
-        """SPEC 6.10: returns -1 if cell_shift is wrong, else the number of the first wrong model, or None."""
+        """SPEC 6.10: returns -1 if cell_shift is invalid, else the number of the first invalid model, or None."""
         if not 0 <= self.cell_shift <= CELL_INDEX:
             return -1
         never = np.zeros(self.frequency.shape, dtype=bool)
@@ -117,7 +117,7 @@ def cells(positions: F16, cell_shift: int) -> Int64:
 def cell_positions(cell: Int64, cell_shift: int) -> tuple[F16, NDArray[np.bool_]]:
     """SPEC 7.12, CELL_NUMBER: returns positions, float16 [n, 3], and whether each anchor has one, bool [n].
 
-    cell: int64 [n, 3]. An anchor has no position if fp16 does not hold one of its coordinates. Its position is then 0.
+    cell: int64 [n, 3]. An anchor has no position if fp16 cannot represent one of its coordinates; the result is then 0.
     """
     n = cell - _MIDDLE
     bits = np.abs(n)
@@ -153,7 +153,7 @@ def _cells_of_codes(code: Int64) -> Int64:
 
 
 def chunk_codes(positions: F16, cell_shift: int) -> Int64 | None:
-    """SPEC 6.11: returns the codes of a chunk's cells, int64 [n], if mode 1 packs the chunk, or None if it is raw."""
+    """SPEC 6.11: returns the codes of a chunk's cells, int64 [n], or None if the chunk cannot be packed."""
     cell = cells(positions, cell_shift)
     if (cell < 0).any():
         return None
@@ -166,10 +166,10 @@ def code_cells(
 ) -> tuple[Int64, Int64]:
     """SPEC 7.12, DECODE_CELLS: codes the trees of some chunks, in either direction.
 
-    Returns the codes of all cells, int64 [cells], and how many cells each chunk has, int64 [chunks]. A chunk whose tree
-    had more nodes than anchors on some level counts one cell more than it has anchors.
+    Returns the codes of all cells, int64 [cells], and the number of cells of each chunk, int64 [chunks]. For a tree
+    with more nodes than anchors on some level, that number is one above the number of anchors.
 
-    numbers: those of the chunks, for a trace. counts: the anchors of each chunk. given: the codes if they are encoded.
+    numbers: the chunk numbers, for a trace. counts: the anchors of each chunk. given: the codes, for encoding.
     """
     chunk_bits = np.repeat(np.arange(len(counts), dtype=np.int64), counts) << _CODE_BITS
     full = None if given is None else given | chunk_bits
@@ -198,7 +198,7 @@ def code_cells(
         high = coder.plain(models, model, held.tolist(), high_name, None if known is None else known >> 4)
         parent, child = np.nonzero(((low | high << 4)[:, None] >> np.arange(8)) & 1)
         nodes = nodes[parent] << 3 | child
-        # SPEC 7.12: nodes past the number of the chunk's anchors are dropped, so that the time is bounded.
+        # SPEC 7.12: nodes beyond the number of the chunk's anchors are dropped, which bounds the time.
         chunk = nodes >> (_CODE_BITS - 3 * level)
         held = np.bincount(chunk, minlength=len(counts))
         past |= held > most
@@ -208,7 +208,7 @@ def code_cells(
 
 
 def decode_cells(code: Int64, cell_shift: int) -> tuple[F16, NDArray[np.bool_]]:
-    """Returns the positions of codes, int64 [n], as cell_positions does."""
+    """Returns the positions of codes, int64 [n]: the result of cell_positions."""
     return cell_positions(_cells_of_codes(code), cell_shift)
 
 
@@ -217,9 +217,9 @@ def decode_cells(code: Int64, cell_shift: int) -> tuple[F16, NDArray[np.bool_]]:
 
 @dataclass(frozen=True)
 class CodedPositions:
-    """SPEC 5.14: the positions of a chunk as a file has them.
+    """SPEC 5.14: the encoded positions of a chunk.
 
-    number: that of the chunk. piece: their bytes. form: RAW or PACKED. anchors: their numbers in the file.
+    number: of the chunk. piece: the bytes. form: RAW or PACKED. anchors: the anchor numbers in the file.
     """
 
     number: int
@@ -238,7 +238,7 @@ def parse_positions(
 ) -> list[F16 | BitstreamError]:
     """SPEC 5.14 and 6.11: returns the positions of each chunk, float16 [n, 3], or its first error.
 
-    model: None in mode 0. lanes: those of each substream.
+    model: None in mode 0. lanes: the lanes of each substream.
     """
     packed = [chunk for chunk in chunks if chunk.form == PACKED]
     trees = iter(_packed(packed, model, lanes, trace) if packed and model is not None else ())
@@ -246,21 +246,24 @@ def parse_positions(
 
 
 def position_error(chunk: CodedPositions, name: str, number: int) -> BitstreamError:
-    """SPEC [R6.11-8] and [R6.11-9]: returns the error of a tree whose substream has none.
+    """SPEC [R6.11-8] and [R6.11-9]: returns the error of a tree whose substream has no error.
 
-    number: of positions.count, how many cells the tree has, or more than anchors if some level has more nodes. Of
-    positions.cell, the first anchor of the chunk whose cell stands for no fp16.
+    number: for positions.count, the number of cells of the tree, or a number above that of the anchors if some level
+    has more nodes. For positions.cell, the first anchor of the chunk whose cell represents no finite fp16.
     """
     if name == "positions.count":
         count = len(chunk.anchors)
         found, allowed = f"{number} cells" if number < count else "more cells", f"{count}, one for each anchor"
     else:
-        found, allowed = f"a cell of anchor {chunk.anchors.start + number} that no fp16 holds", "cells that fp16 holds"
+        found, allowed = (
+            f"a cell of anchor {chunk.anchors.start + number} that is not a finite fp16",
+            "cells that are finite fp16",
+        )
     return chunk.piece.error(name, 0, chunk.path, found, allowed)
 
 
 def raw_numbers(chunk: CodedPositions) -> F16 | BitstreamError:
-    """SPEC [R6.11-6] and [R6.11-7]: returns a chunk's fp16 numbers, or the error of the first that is not allowed."""
+    """SPEC [R6.11-6] and [R6.11-7]: returns a chunk's fp16 numbers, or the error of the first invalid one."""
     bits = np.frombuffer(chunk.piece.data, "<u2").astype(np.uint16)
     bad = first_bad(bits)
     if bad is None:
@@ -295,7 +298,7 @@ def _packed(
 
 
 def first_bad(bits: NDArray[np.uint16]) -> tuple[str, int] | None:
-    """SPEC 6.11: returns the error's name and the index of the first fp16 number that is not allowed, or None."""
+    """SPEC 6.11: returns the error name and the index of the first invalid fp16 number, or None."""
     bad = np.flatnonzero(((bits & 0x7C00) == 0x7C00) | (bits == 0x8000))
     if not bad.size:
         return None
@@ -309,7 +312,7 @@ def raw_positions(positions: F16) -> bytes:
 
 
 def form_error(number: int) -> ValueError:
-    """Returns the error of a chunk, by its number, that cannot have the form of positions that a scene says."""
+    """Returns the error of a chunk, by its number, that cannot have the positions' form in the scene."""
     return ValueError(f"the positions of chunk {number} cannot be packed (SPEC.md 7.12)")
 
 
@@ -318,9 +321,9 @@ def encode_positions(
 ) -> list[tuple[int, bytes]]:
     """SPEC 5.14: returns the form and the bytes of the positions of each chunk.
 
-    model: None in mode 0. positions: float16 [n, 3], those of the chunks' anchors alone. counts: the anchors of each
-    chunk. lanes: the lanes of each substream. forms: RAW or PACKED for each chunk, or None, which packs what can be
-    packed. Raises ValueError for a chunk that cannot have its form.
+    model: None in mode 0. positions: float16 [n, 3], of the chunks' anchors. counts: the anchors of each chunk. lanes:
+    the lanes of each substream. forms: RAW or PACKED for each chunk, or None to pack every chunk that can be packed.
+    Raises ValueError for a chunk that cannot have its form.
     """
     each = np.split(positions, np.cumsum(counts)[:-1]) if counts else []
     codes = [None if model is None else chunk_codes(p, model.cell_shift) for p in each]

@@ -1,7 +1,7 @@
-"""Clauses 10.1 and 10.2: a file that is read in its order, as a whole, as bytes arrive, or one chunk of it.
+"""Clauses 10.1 and 10.2: reading in file order, of a whole file, of bytes as they arrive, or of one chunk.
 
-A Reader reads the header when it is made. Its `open` reads the sections before the chunks and returns an Opened, whose
-`chunks` reads the chunks and whose `close` reads the rest. Each check is here once, for all three ways of reading.
+A new Reader reads the header. Its `open` reads the sections before the chunks and returns an Opened, whose `chunks`
+reads the chunks and whose `close` reads the rest. Each check is here once, for all three ways of reading.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ from .source import Held, Piece, Source
 from .tables import ModelSet
 from .weights import ParsedWeights, bound_error, parse_weights
 
-# The most bytes of chunks that are read at once.
+# The most bytes of chunks in one read.
 AHEAD_BYTES = 1 << 24
 
 
@@ -43,7 +43,7 @@ AHEAD_BYTES = 1 << 24
 class Chunk:
     """A decoded chunk.
 
-    positions: float16 [n, 3]. masks: bool [n, K]. form: that of its positions.
+    positions: float16 [n, 3]. masks: bool [n, K]. form: of its positions.
     """
 
     entry: ChunkEntry
@@ -74,14 +74,14 @@ class Reader:
 
         Raises BitstreamError 101 to 305, BoundPassedError after them, and UsageError.
 
-        keep_ancillary: whether ancillary sections are kept. Otherwise they are only checked. trace: told of each
-        symbol. Symbols come chunk by chunk then. bounds: what the caller allows a reader that holds some chunks at a
-        time; BoundPassedError is raised before the bytes are read. at_once: how many anchors are decoded side by side,
-        where it is more than a chunk. derive: what makes the networks, such as those of refcodec.train.exact_networks.
-        Then the native kernel is not used.
+        keep_ancillary: whether ancillary sections are kept. Otherwise they are only checked. trace: called for each
+        symbol, chunk by chunk. bounds: the caller's limits for a reader that holds some chunks at a time;
+        BoundPassedError is raised before the bytes are read. at_once: the number of anchors decoded in parallel, if it
+        is more than a chunk. derive: converts the networks to integers, such as refcodec.train.exact_networks; the
+        native kernel is not used then.
         """
         self.source, self.trace, self._keep = source, trace, keep_ancillary
-        # A trace is told of each symbol, which the kernel does not do.
+        # The kernel does not report symbols to a trace.
         self._kernel = kernel() if trace is None and derive is derive_networks else None
         self._derive = derive
         self.header: Header = read_header(source)
@@ -90,7 +90,7 @@ class Reader:
             h = self.header
             bounds.check(h, min(h.anchor_count, max(h.chunk_size, at_once)), more=section_bytes(h, keep_ancillary))
         self.ancillary: list[Ancillary] = []
-        # How many critical sections were read.
+        # The number of critical sections read.
         self._before = 0
 
     def open(self, *, critical_only: bool = False, progress: Progress = no_progress) -> Opened:
@@ -141,7 +141,7 @@ class Reader:
         return Opened(self, frame, weights, planes, index, mask_models(index.mask_model), model, native)
 
     def _pieces(self, critical_only: bool) -> Iterator[tuple[Section, Piece]]:
-        """Yields the critical sections before DATA, and reads the ancillary ones between them."""
+        """Yields the critical sections before DATA, and reads the ancillary sections between them."""
         for section in self.header.sections:
             if section.type == DATA:
                 return
@@ -161,7 +161,7 @@ class Reader:
             pass_section(self.source, section)
 
     def check_chunks(self, entries: list[ChunkEntry]) -> None:
-        """Raises BoundPassedError before chunks are read that the caller does not allow."""
+        """Raises BoundPassedError, before any chunk is read, for chunks that exceed the caller's limits."""
         if self._bounds is None:
             return
         anchors, length = (sum(sizes) for sizes in zip(*((len(e.anchors), e.length) for e in entries), strict=True))
@@ -169,7 +169,7 @@ class Reader:
         self._bounds.check(self.header, anchors, more=kept + READING * length)
 
     def close(self) -> None:
-        """SPEC 10.1, CHUNKS to END: checks DATA's crc, the sections behind it, and the end of the file.
+        """SPEC 10.1, CHUNKS to END: checks DATA's crc, the sections after it, and the end of the file.
 
         Raises BitstreamError 311 to 321.
         """
@@ -191,7 +191,7 @@ class Reader:
 class Opened:
     """A file whose sections before DATA were read. It decodes the chunks.
 
-    frame: None without planes and frequencies. planes: int16 [5, ch, B, B]. native: for the native kernel, or None if
+    frame: None without planes and frequencies. planes: int16 [5, ch, B, B]. native: the kernel's scene, or None if
     NumPy decodes.
     """
 
@@ -217,14 +217,13 @@ class Opened:
 
     @cached_property
     def joined(self) -> JoinedPlanes:
-        """The planes as assemble_planes gives them. Only NumPy needs them."""
+        """The result of assemble_planes, which only NumPy needs."""
         return assemble_planes(self.planes)
 
     def hold_whole(self, most: int) -> None:
-        """Makes room for the anchors of all chunks, if it takes no more than `most` bytes.
+        """Preallocates the anchors of all chunks if they fit in `most` bytes, so `scene` need not concatenate chunks.
 
-        They are then decoded to where `scene` has them. Otherwise it joins them. NumPy joins them in any case. Call it
-        before any chunk is decoded, and keep no chunk that is decoded twice.
+        Only the kernel uses this. Call it before any chunk is decoded, and keep no chunk that is decoded twice.
         """
         native, count = self.native, self.header.anchor_count
         if native is not None and count * native.anchor_bytes() <= most:
@@ -238,15 +237,15 @@ class Opened:
         """SPEC 10.1, CHUNKS: yields each chunk in order, or its first error.
 
         side_by_side: whether many chunks are read and decoded at once, which is faster. Otherwise a chunk is yielded
-        before the next one is read. What is yielded does not depend on it.
+        before the next one is read. The results are the same.
         """
         for entries in self.groups(side_by_side=side_by_side):
             yield from self.decode(entries)
 
     def groups(self, numbers: Iterable[int] | None = None, *, side_by_side: bool = True) -> Iterator[list[ChunkEntry]]:
-        """Yields the entries of chunks that are decoded at once, in bounded memory.
+        """Yields groups of entries of chunks to decode at once, in bounded memory.
 
-        numbers: those of the wanted chunks, rising, or None for all. side_by_side: as for `chunks`.
+        numbers: of the wanted chunks, ascending, or None for all. side_by_side: as for `chunks`.
         """
         index = self.index
         entries: list[ChunkEntry] = []
@@ -263,9 +262,9 @@ class Opened:
             yield entries
 
     def decode(self, entries: list[ChunkEntry]) -> list[Chunk | BitstreamError]:
-        """SPEC 10.1, CHUNKS: reads and decodes some chunks side by side. Returns each of them, or its first error.
+        """SPEC 10.1, CHUNKS: reads and decodes some chunks in parallel. Returns each chunk, or its first error.
 
-        Raises BoundPassedError for chunks whose lengths by the index need more memory than the caller allows.
+        Raises BoundPassedError if the chunk lengths in the index need more memory than the caller allows.
         """
         self.reader.check_chunks(entries)
         section = self.header.section(INDEX)
@@ -320,7 +319,7 @@ class Opened:
         else:
             error = raw_numbers(chunk.coded_positions)
         if not isinstance(error, BitstreamError):
-            raise RuntimeError(f"{chunk.entry.path}: the native kernel says {name}, and Python finds no such error")
+            raise RuntimeError(f"{chunk.entry.path}: the native kernel reports {name}, but Python finds no such error")
         return error
 
     def _decode(self, chunks: list[CodedChunk]) -> dict[int, Chunk | BitstreamError]:
@@ -330,7 +329,7 @@ class Opened:
         live = list(chunks)
 
         def settle(errors: list[BitstreamError | None]) -> NDArray[np.bool_]:
-            """Drops the chunks that have an error. Returns which rows of anchors stay, bool [anchors]."""
+            """Drops the chunks with an error. Returns which rows of anchors remain, bool [anchors]."""
             nonlocal live
             found.update({c.entry.number: e for c, e in zip(live, errors, strict=True) if e is not None})
             rows = np.repeat([e is None for e in errors], [len(c.entry.anchors) for c in live])
@@ -383,7 +382,7 @@ class Opened:
         return found
 
     def scene(self, chunks: list[Chunk]) -> Scene:
-        """Returns the scene with the anchors of some of its chunks. The ancillary sections are those read so far."""
+        """Returns the scene with the anchors of some chunks, and with the ancillary sections read so far."""
         h, d = self.header, self.header.dimensions
         positions, masks, attributes = self._anchors(chunks)
         return Scene(
@@ -426,7 +425,7 @@ class Opened:
 
 
 def _ahead(source: Source, entries: list[ChunkEntry]) -> Source:
-    """Returns the source with the bytes of some chunks read at once, if they lie together and are not too many."""
+    """Returns the source, with the bytes of some chunks held if they are contiguous and not too many."""
     start, end = entries[0].start, entries[-1].start + entries[-1].length
     if len(entries) > 1 and sum(entry.length for entry in entries) == end - start <= AHEAD_BYTES:
         return Held(source, start, end - start)
@@ -434,7 +433,7 @@ def _ahead(source: Source, entries: list[ChunkEntry]) -> Source:
 
 
 def _bounds_error(chunk: CodedChunk, positions: NDArray[np.float16]) -> BitstreamError | None:
-    """SPEC [R6.11-10]: returns the error of a chunk whose positions do not have the bounds of its entry."""
+    """SPEC [R6.11-10]: returns the error of a chunk whose entry has wrong bounds, or None."""
     e = chunk.entry
     low, high = positions.min(axis=0), positions.max(axis=0)
     if np.array_equal(low, e.low) and np.array_equal(high, e.high):
@@ -444,16 +443,16 @@ def _bounds_error(chunk: CodedChunk, positions: NDArray[np.float16]) -> Bitstrea
 
 
 def _kept_error(chunk: CodedChunk, kept: int) -> BitstreamError | None:
-    """SPEC [R6.11-11]: returns the error of a chunk that does not keep as many offsets as its entry says."""
+    """SPEC [R6.11-11]: returns the error of a chunk with a wrong kept_count, or None."""
     e = chunk.entry
     return None if kept == e.kept else BitstreamError("chunk.kept", e.start, e.path, f"{kept} kept offsets", e.kept)
 
 
 def decode_chunk(source: Source, number: int, *, bounds: Bounds | None = None) -> Scene:
-    """SPEC 10.2: decodes one chunk with the fewest bytes: header, FRAM, WGTS, PLNS, INDX, and the chunk's one range.
+    """SPEC 10.2: decodes one chunk from the fewest bytes: header, FRAM, WGTS, PLNS, INDX and the range of the chunk.
 
-    Returns the scene with the anchors of that chunk. Raises BitstreamError for the first error of what a decoder of one
-    chunk checks, BoundPassedError, and IndexError if the file has no such chunk.
+    Returns the scene with the anchors of that chunk. Raises BitstreamError for the first error in the checks for one
+    chunk, BoundPassedError, and IndexError if the file has no such chunk.
     """
     opened = Reader(source, keep_ancillary=False, bounds=bounds).open(critical_only=True)
     index = opened.index

@@ -1,4 +1,4 @@
-"""Clause 9: reconstruction, from integers to float32 values that are rounded once, and the digest."""
+"""Clause 9: the reconstruction of float32 values from integers, each rounded once, and the digests."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from .positions import position_integers
 from .scene import Scene
 from .tables import STEP_SHIFT, step_table
 
-# SPEC 9.3: the first bytes of what the digests of a scene and of a chunk are of, and the parts of the reconstruction.
+# SPEC 9.3: the first hashed bytes of the digests of a scene and of a chunk, and the parts of the reconstruction.
 DIGEST_MAGIC = b"C3GSREC1"
 CHUNK_MAGIC = b"C3GSCHK1"
 PARTS = ("positions", "masks", "planes", "features", "scalings", "offsets", "weights")
@@ -45,7 +45,7 @@ def world_positions(scene: Scene) -> F32:
     """SPEC 9.1, WORLD: returns the world positions of the anchors, float32 [N, 3]."""
     grid, origin = scene.grid, np.array(scene.grid.origin, dtype=np.int64)
     found = np.empty(scene.positions.shape, np.float32)
-    # Integers of few anchors at once take no new memory.
+    # Blocks bound the memory for the integers.
     for first in range(0, len(found), GROUP_ANCHORS):
         rows = slice(first, first + GROUP_ANCHORS)
         integers = origin + grid.scale_mantissa * position_integers(scene.positions[rows])
@@ -68,7 +68,7 @@ def dequantise(
     """SPEC 9.2, VALUE: returns symbol * step, one float32 product each, float32 [n, ...].
 
     symbols: int32 [n, ...]. steps: uint8 [n], the step index of each anchor. base_step: a float32 value. used: the
-    kernel that computes them, or None for NumPy.
+    kernel, or None for NumPy.
     """
     table = step_values(base_step)
     if used is not None:
@@ -103,7 +103,7 @@ def canonical_parts(scene: Scene) -> Iterator[tuple[str, bytes]]:
 
 
 def anchor_parts(r: Reconstruction, masks: NDArray[np.bool_]) -> dict[str, bytes]:
-    """SPEC 9.3: returns what some anchors give of the parts that have anchors, by name. masks: bool [n, K]."""
+    """SPEC 9.3: returns the bytes of some anchors in each part that has anchors, by name. masks: bool [n, K]."""
     return {
         "positions": _little(r.positions, "<f4"),
         "masks": _little(masks, "u1"),
@@ -112,13 +112,13 @@ def anchor_parts(r: Reconstruction, masks: NDArray[np.bool_]) -> dict[str, bytes
 
 
 def weight_part(scene: Scene) -> bytes:
-    """SPEC 9.3: returns the part of the weights."""
+    """SPEC 9.3: returns the bytes of the part weights."""
     values = [value for layers in scene.networks.values() for layer in layers for value in layer]
     return b"".join(_little(value, "<f4") for value in values)
 
 
 def canonical_head(scene: Scene, anchors: int | None = None) -> bytes:
-    """SPEC 9.3: returns what comes before the digests of the parts in the bytes that the scene's digest is of.
+    """SPEC 9.3: returns the hashed bytes of the scene's digest before the digests of the parts.
 
     anchors: N, or None if the scene has all anchors of the file.
     """
@@ -128,16 +128,16 @@ def canonical_head(scene: Scene, anchors: int | None = None) -> bytes:
 
 
 def digested(scene: Scene, parts: Iterable[tuple[str, bytes]] | None = None) -> bytes:
-    """SPEC 9.3: returns the 252 bytes that the digest of a scene is the SHA-256 of: counts, and the parts' digests.
+    """SPEC 9.3: returns the 252 hashed bytes of a scene's digest: counts, and the parts' digests.
 
-    parts: those of canonical_parts, if they are known.
+    parts: the result of canonical_parts, if known.
     """
     every = canonical_parts(scene) if parts is None else parts
     return canonical_head(scene) + b"".join(hashlib.sha256(data).digest() for _, data in every)
 
 
 def digest(scene: Scene) -> tuple[str, dict[str, str]]:
-    """SPEC 9.3: returns the digest of a scene, and that of each part by name, in hexadecimal."""
+    """SPEC 9.3: returns the digest of a scene, and the digest of each part by name, in hexadecimal."""
     data = digested(scene)
     head = len(canonical_head(scene))
     parts = {name: data[head + 32 * i : head + 32 * i + 32].hex() for i, name in enumerate(PARTS)}
@@ -154,24 +154,24 @@ def chunk_digest(scene: Scene, values: Reconstruction | None = None) -> str:
 
 
 class StreamDigest:
-    """SPEC 9.3: the digest of a scene in one pass, chunk after chunk, in the memory of one chunk."""
+    """SPEC 9.3: computes the digest of a scene in one pass over its chunks, in the memory of one chunk."""
 
     def __init__(self) -> None:
         self._count = 0
         self._parts = {name: hashlib.sha256() for name in PARTS}
 
     def add(self, scene: Scene, values: Reconstruction | None = None) -> None:
-        """Adds a chunk. scene: with the anchors of the chunk alone. values: those of the chunk, if they are known."""
+        """Adds a chunk. scene: with only the chunk's anchors. values: the chunk's values, if known."""
         self._count += scene.anchor_count
         for name, data in anchor_parts(values or reconstruct(scene), scene.masks).items():
             self._parts[name].update(data)
 
     def finish(self, scene: Scene) -> str:
-        """Returns the digest, in hexadecimal. scene: with the planes and weights, of which no anchor is read."""
+        """Returns the digest, in hexadecimal. scene: with the planes and weights; its anchors are not read."""
         return self.finish_parts(scene)[0]
 
     def finish_parts(self, scene: Scene) -> tuple[str, dict[str, str]]:
-        """Returns the digest and that of each part, as `digest`. scene: as for `finish`."""
+        """Returns the digest and the digest of each part, as `digest` does. scene: as for `finish`."""
         self._parts["planes"].update(_little(scene.planes, "<i2"))
         self._parts["weights"].update(weight_part(scene))
         head = canonical_head(scene, self._count)

@@ -1,6 +1,6 @@
-"""The scene: what a file says, as one dataclass of numpy arrays.
+"""The scene: the content of a file, as one dataclass of NumPy arrays.
 
-Everything that decides a symbol is an integer here. `reconstruction` makes the float values.
+Everything that determines a symbol is an integer here. `reconstruction` computes the float values.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ from .positions import CELL_INDEX, HALVES, PACKED, POSITION_MODELS, RAW, Positio
 
 @dataclass(frozen=True)
 class Ancillary:
-    """SPEC 12.1: an ancillary section. after: how many critical sections come before it in the file."""
+    """SPEC 12.1: an ancillary section. after: the number of critical sections before it in the file."""
 
     type: bytes
     mode: int
@@ -51,13 +51,14 @@ class Scene:
     masks: bool [N, K], True where an offset is kept.
     attributes: the symbols and the step indices.
     ancillary: the ancillary sections in file order.
-    position_model: what positions are packed with (SPEC 5.12), or None if the index has mode 0.
+    position_model: the model of packed positions (SPEC 5.12), or None if the index has mode 0.
     weight_scales: uint8 [layers, 3], the scale indices in the order of SPEC 5.9, or None if the weights' mode is 0.
-    chunk_anchors: how many anchors each chunk has. None stands for the fewest chunks that chunk_size allows.
-    position_forms: the form of each chunk's positions (SPEC 5.14). None stands for packed wherever that is possible and
-        keeps the chunk above its floor (SPEC [R6.10-5]).
-    weight_forms: uint8 [layers], the form of each layer in mode 1. None stands for packed wherever that is possible.
-    minor, later: the file's minor version, and the bytes of header fields that it added (SPEC 12.3).
+    chunk_anchors: the number of anchors of each chunk. None means the fewest chunks that chunk_size allows.
+    position_forms: the form of each chunk's positions (SPEC 5.14). None packs each chunk that can be packed and does
+    not
+        become too short (SPEC [R6.10-5]).
+    weight_forms: uint8 [layers], the form of each layer in mode 1. None packs each layer that can be packed.
+    minor, later: the file's minor version, and the bytes of header fields added by it (SPEC 12.3).
     """
 
     profile: int
@@ -102,7 +103,7 @@ class Scene:
 def take_anchors(scene: Scene, keep: NDArray | slice) -> Scene:
     """Returns the scene with some of its anchors, in the fewest chunks.
 
-    keep: their indices in the wanted order, or a boolean array [N], or a slice.
+    keep: the indices in the wanted order, a boolean array [N], or a slice.
     """
     a = scene.attributes
     chosen = Attributes(a.features[keep], a.scalings[keep], a.offsets[keep], a.steps[keep])
@@ -120,13 +121,13 @@ def take_anchors(scene: Scene, keep: NDArray | slice) -> Scene:
 
 
 def check_types(value: object, kind: Any = Scene, path: str = "scene") -> None:
-    """Raises TypeError for a scene with a field of another type than Scene and the classes of its fields say.
+    """Raises TypeError for a field whose type is not that of Scene or of the classes of its fields.
 
-    An int may be any integer, a float any number, and a tuple a list. Of arrays, check_shapes compares the types.
+    An int may be any integer, a float any number, and a tuple a list. check_shapes compares the dtypes of arrays.
 
     Args:
         value: the scene, or a part of it.
-        kind: the type that it should have, as an annotation.
+        kind: the required type, as an annotation.
         path: its name.
     """
     origin: Any = get_origin(kind) or kind
@@ -152,7 +153,7 @@ def check_types(value: object, kind: Any = Scene, path: str = "scene") -> None:
             check_types(item, inner[0] if of_each else inner[i], f"{path}[{i}]")
 
 
-# What stands for a type of an annotation.
+# The accepted types for the type of an annotation.
 _ACCEPTED: dict[Any, Any] = {
     int: int | np.integer,
     float: int | float | np.integer | np.floating,
@@ -168,11 +169,11 @@ def _hints(kind: Any) -> dict[str, Any]:
 
 
 def check_shapes(scene: Scene) -> None:
-    """Raises ValueError for a scene that is not what Scene says.
+    """Raises ValueError for a scene that violates the description of Scene.
 
     It checks the shapes and dtypes of all arrays, the names and layers of the networks, cell_shift, chunk_size, and the
-    forms of positions. It also refuses plane symbols of -32768, and masked offsets that are not 0. The types and the
-    header are right already.
+    forms of positions. It refuses plane symbols of -32768, and masked offsets that are not 0. The types and the header
+    have been checked.
     """
     d, n, a = scene.dimensions, scene.anchor_count, scene.attributes
     wanted: dict[str, tuple[NDArray, tuple[int, ...], type]] = {
@@ -215,11 +216,11 @@ def check_shapes(scene: Scene) -> None:
     if scene.chunk_size < 1:
         raise ValueError(f"chunk_size is {scene.chunk_size}, at least 1 is required (SPEC.md 11.1)")
     if (scene.frame is not None) != d.has_frame:
-        raise ValueError("there is a frame exactly if there are planes or frequencies (SPEC.md 6.6)")
+        raise ValueError("a frame is required exactly if there are planes or frequencies (SPEC.md 6.6)")
     if scene.chunk_anchors is not None and (sum(scene.chunk_anchors) != n or min(scene.chunk_anchors, default=1) < 1):
-        raise ValueError("the chunks do not have all anchors, or one of them has none (SPEC.md 6.10)")
+        raise ValueError("the chunks do not hold all anchors, or one of them is empty (SPEC.md 6.10)")
     if scene.position_forms is not None and len(scene.position_forms) != len(scene.chunks):
-        raise ValueError("there is not a form of positions for each chunk (SPEC.md 5.14)")
+        raise ValueError("the number of position forms is not the number of chunks (SPEC.md 5.14)")
     # SPEC 5.12: without a model no positions are packed.
     forms = (RAW,) if scene.position_model is None else (RAW, PACKED)
     wrong = next((form for form in scene.position_forms or () if form not in forms), None)
@@ -229,4 +230,4 @@ def check_shapes(scene: Scene) -> None:
     if np.abs(scene.planes.astype(np.int32)).max(initial=0) > PLANE_SYMBOL_MAX:
         raise ValueError("a plane symbol is -32768 (SPEC.md 6.9)")
     if a.offsets[~scene.masks].any():
-        raise ValueError("an offset that its mask drops is not 0 (SPEC.md 6.13)")
+        raise ValueError("a masked offset is not 0 (SPEC.md 6.13)")

@@ -10,12 +10,12 @@ from .errors import BitstreamError
 
 
 def pad4(length: int) -> int:
-    """SPEC 5: returns the least multiple of four that is not below a length."""
+    """SPEC 5: returns a length rounded up to a multiple of four."""
     return -(-length // 4) * 4
 
 
 def padded(content: bytes) -> bytes:
-    """SPEC 5: returns some bytes with the padding behind them."""
+    """SPEC 5: returns some bytes followed by their padding."""
     return content + bytes(pad4(len(content)) - len(content))
 
 
@@ -30,24 +30,24 @@ class Piece:
         return len(self.data)
 
     def cut(self, first: int, end: int) -> Piece:
-        """Returns the bytes from `first` to before `end`, both counted from the start of the piece."""
+        """Returns the bytes `first` to `end` - 1, counted from the start of the piece."""
         return Piece(self.data[first:end], self.start + first)
 
     def error(self, name: str, at: int, path: str, found: object, allowed: object) -> BitstreamError:
-        """Returns the error `name` about byte `at` of the piece. The rest is as in BitstreamError."""
+        """Returns the error `name` at byte `at` of the piece. The other arguments are as in BitstreamError."""
         return BitstreamError(name, self.start + at, path, found, allowed)
 
     def require_zero(self, name: str, first: int, end: int, path: str) -> None:
-        """Raises the error `name` unless the padding from `first` to before `end` is zero. It points at `first`."""
+        """Raises the error `name` at byte `first` unless the padding, bytes `first` to `end` - 1, is zero."""
         if any(self.data[first:end]):
             raise self.error(name, first, f"{path}, padding", self.data[first:end].hex(" "), "zeros")
 
 
 class Source(Protocol):
-    """Where the bytes of a file come from."""
+    """The source of a file's bytes."""
 
     def read(self, start: int, size: int) -> bytes:
-        """Returns `size` bytes from `start` on, or fewer where the file ends before."""
+        """Returns `size` bytes from `start`, or fewer if the file ends before."""
         ...
 
     def length(self) -> int:
@@ -71,16 +71,16 @@ class WholeFile:
 
 
 class StoredFile:
-    """A file on a disk, of which only what is asked for is read."""
+    """A file on a disk, of which only the requested bytes are read."""
 
     def __init__(self, file: BinaryIO) -> None:
-        """file: opened to read bytes. It can be read from any place."""
+        """file: opened for reading in binary mode, and seekable."""
         self._file = file
         self._length = file.seek(0, 2)
 
     def read(self, start: int, size: int) -> bytes:
         """As Source.read. Raises OSError."""
-        # Memory for all bytes of a read is taken before the first one is read. A size may be a lie of the file.
+        # A read allocates memory for all its bytes first, and the size is untrusted.
         size = min(size, self._length - start)
         if size <= 0:
             return b""
@@ -88,14 +88,14 @@ class StoredFile:
         return self._file.read(size)
 
     def length(self) -> int:
-        """As Source.length. It is that when the file was opened."""
+        """As Source.length: the length when the file was opened."""
         return self._length
 
 
 class Arriving:
     """A file whose bytes arrive in blocks, such as those of a response. It is read from start to end.
 
-    Only the bytes that are asked for are held, and what of the last block lies behind them.
+    Only the requested bytes, and the rest of the last block after them, are held.
     """
 
     def __init__(self, blocks: Iterable[bytes]) -> None:
@@ -104,7 +104,7 @@ class Arriving:
         self._start = 0
 
     def read(self, start: int, size: int) -> bytes:
-        """As Source.read. Raises ValueError for bytes before those that were read last."""
+        """As Source.read. Raises ValueError for bytes before those of the last read."""
         if start < self._start:
             raise ValueError(f"byte {start} was passed; reading is at byte {self._start}")
         while self._start + len(self._held) < start + size:
@@ -134,10 +134,10 @@ class Arriving:
 
 
 class Ranges:
-    """A file that is fetched by ranges of bytes, such as over HTTP. Each read is one fetch."""
+    """A file that is fetched by byte ranges, for example over HTTP. Each read is one fetch."""
 
     def __init__(self, fetch: Callable[[int, int], bytes], length: int) -> None:
-        """fetch: takes the first byte and the number of bytes, and returns them. length: that of the file."""
+        """fetch: returns the bytes for an offset and a number of bytes. length: of the file."""
         self._fetch, self._length = fetch, length
 
     def read(self, start: int, size: int) -> bytes:
@@ -151,10 +151,10 @@ class Ranges:
 
 
 class Held:
-    """A source of which some bytes in a row are read at once, and held."""
+    """A source of which one range of bytes is read at once, and held."""
 
     def __init__(self, source: Source, start: int, size: int) -> None:
-        """start, size: where the bytes are."""
+        """start, size: the range."""
         self._source, self._start, self._end = source, start, start + size
         self._held = source.read(start, size)
 
@@ -170,10 +170,10 @@ class Held:
 
 
 class FileBytes:
-    """A file as a sequence of bytes, whose slices are read when they are asked for."""
+    """A file as a sequence of bytes, whose slices are read on access."""
 
     def __init__(self, source: Source) -> None:
-        """source: it can be read from any place."""
+        """source: it can be read at any offset."""
         self._source, self._length = source, source.length()
 
     def __len__(self) -> int:
@@ -182,5 +182,5 @@ class FileBytes:
     def __getitem__(self, part: slice) -> bytes:
         start, stop, _ = part.indices(self._length)
         size = max(0, stop - start)
-        # A file that is cut off meanwhile has zeros there, so that every slice has its length.
+        # If the file was truncated meanwhile, zeros keep the length of the slice.
         return self._source.read(start, size).ljust(size, b"\0")

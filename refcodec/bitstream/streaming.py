@@ -1,7 +1,7 @@
-"""A file that is decoded some chunks at a time, in bounded memory (SPEC.md 10.2 and 13.1).
+"""Decoding of a file some chunks at a time, in bounded memory (SPEC.md 10.2 and 13.1).
 
-`decoded_chunks` is for programs that want chunks, as symbols and as values. `pieces` is for what goes over a whole
-file: it gives as many chunks at once as are decoded side by side.
+`decoded_chunks` is for programs that need chunks, as symbols and as values. `pieces` is for one pass over a whole file:
+it yields as many chunks at once as are decoded in parallel.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from .reconstruction import Reconstruction, reconstruct
 from .scene import Scene
 from .source import Source
 
-# How many bytes are read at once of what does not tell its length.
+# The block size, in bytes, for a file without a known length.
 _BLOCK_BYTES = 1 << 20
 
 
@@ -28,8 +28,8 @@ _BLOCK_BYTES = 1 << 20
 class DecodedChunk:
     """A decoded chunk.
 
-    number: its place among the chunks. first: the number of its first anchor in the file.
-    scene: with the anchors of the chunk alone, as symbols. values: the same anchors as float32.
+    number: of the chunk. first: the number of its first anchor in the file.
+    scene: with only the chunk's anchors, as symbols. values: the same anchors as float32.
     """
 
     number: int
@@ -43,20 +43,20 @@ def decoded_chunks(
 ) -> Iterator[DecodedChunk]:
     """SPEC 10.2: yields the chunks of a file in order, decoded.
 
-    Without `numbers` the whole file is read and checked: the iterator ends only if the file is accepted. With them, the
-    sections that decoding needs and the bytes of these chunks are read, and nothing else.
+    Without `numbers` the whole file is read and checked: the iterator ends only if the file is accepted. With them,
+    only the sections that decoding needs and the bytes of these chunks are read.
 
     Args:
-        source: a file on a disk, one that is fetched by ranges, or one that arrives.
-        numbers: those of the wanted chunks, rising.
+        source: a file on a disk, fetched by ranges, or arriving.
+        numbers: of the wanted chunks, ascending.
         side_by_side: whether many chunks are read and decoded at once, which is faster. Otherwise a chunk is yielded
             before the next one is read.
-        bounds: what the caller allows.
+        bounds: the caller's limits.
 
     Raises:
-        BitstreamError: what was yielded before is right.
-        BoundPassedError: before the bytes are read that it is about.
-        IndexError: the file has not all of these chunks.
+        BitstreamError: the first error; the chunks yielded before it are valid.
+        BoundPassedError: before the bytes that exceed the limits are read.
+        IndexError: the file lacks one of these chunks.
     """
     reader = Reader(source, keep_ancillary=False, bounds=bounds, at_once=GROUP_ANCHORS if side_by_side else 0)
     opened = reader.open(critical_only=numbers is not None)
@@ -72,7 +72,7 @@ def decoded_chunks(
 
 
 def check_numbers(numbers: range | None, count: int) -> None:
-    """Raises IndexError if a file with `count` chunks has not all chunks of these numbers. None stands for all."""
+    """Raises IndexError if a file with `count` chunks lacks one of these numbers. None means all chunks."""
     for number in (numbers[0], numbers[-1]) if numbers else ():
         if not 0 <= number < count:
             raise IndexError(f"there is no chunk {number}: the file has {count}")
@@ -85,14 +85,14 @@ def pieces(
     damage: dict[int, BitstreamError] | None = None,
     progress: Progress = no_progress,
 ) -> Iterator[Scene]:
-    """SPEC 10.1, CHUNKS: yields the anchors of chunks that are decoded side by side, in order, each time as a scene.
+    """SPEC 10.1, CHUNKS: yields the anchors of chunks in order, each time as a scene of chunks decoded in parallel.
 
     Args:
         opened: the file.
-        numbers: those of the wanted chunks, rising, or None for all.
-        damage: gets the first error of each chunk that has one, by number. The chunk is left out then. Without it, such
-            an error is raised.
-        progress: told of the work.
+        numbers: of the wanted chunks, ascending, or None for all.
+        damage: receives the first error of each damaged chunk, by number, and the chunk is omitted. Without it, the
+            error is raised.
+        progress: called as work is done.
     """
     total = len(opened.index) if numbers is None else len(numbers)
     done = 0
@@ -112,7 +112,7 @@ def pieces(
 
 
 class _Beginning:
-    """The first bytes of a file, as far as they were asked for (source.Source). held: these bytes."""
+    """The first bytes of a file, as far as requested (source.Source). held: these bytes."""
 
     def __init__(self, file: BinaryIO) -> None:
         self._file, self.held = file, b""
@@ -123,19 +123,19 @@ class _Beginning:
         return self.held[start : start + size]
 
     def length(self) -> int:
-        """As Source.length: it is asked for only at the end of the file."""
+        """As Source.length, which is called only at the end of the file."""
         return len(self.held)
 
 
 def stated_bytes(file: BinaryIO, check: Callable[[Header], None]) -> bytes:
     """Returns the bytes of a pipe, or another file without a length, up to one past the end that its header states.
 
-    check: told of the header before what lies behind it is read. Raises BitstreamError for the header, and OSError.
+    check: called with the header before the bytes after it are read. Raises BitstreamError for the header, and OSError.
     """
     beginning = _Beginning(file)
     header = read_header(beginning)
     check(header)
-    # What the header states may be more than there is, and more than there is memory.
+    # The header is untrusted: its lengths may exceed the file and the memory.
     found = io.BytesIO(beginning.held)
     left = header.sections[-1].end + 1 - found.seek(0, io.SEEK_END)
     while left > 0 and (block := file.read(min(left, _BLOCK_BYTES))):

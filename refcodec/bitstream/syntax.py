@@ -1,7 +1,7 @@
 """Clause 5: one construct schema for each syntax table.
 
-SYNTAX holds the tables as SPEC.md prints them, and a test compares the two. The schemas are built from SYNTAX. Payloads
-such as weights and words are no part of a schema. The modules of their clauses read them as arrays.
+SYNTAX holds the tables of SPEC.md, and a test compares the two. The schemas are built from SYNTAX. They omit payloads
+such as weights and words, which the modules of their clauses read as arrays.
 """
 
 from __future__ import annotations
@@ -20,8 +20,8 @@ from .errors import BitstreamError
 from .source import Piece
 
 # SPEC 5: for each struct its rows (field, type). A type is a name of _SCALARS, the name of a struct, padding, bytes[n],
-# or T[n]. There n is a number or an earlier field of the same struct. A schema ends before a row with any other length:
-# that row and those behind it are read as arrays.
+# or T[n], where n is a number or an earlier field of the same struct. A schema ends before a row with any other length:
+# this row and the later rows are read as arrays.
 SYNTAX: dict[str, list[tuple[str, str]]] = {
     # SPEC 5.1
     "Prologue": [
@@ -208,12 +208,12 @@ _INTEGERS = {
 
 @dataclass(frozen=True)
 class Element:
-    """A syntax element that was parsed.
+    """A parsed syntax element.
 
     path: its name, such as header.base_step[0].
     kind: its type in SYNTAX.
-    start, end: its bytes, counted from the start of the parsed stream.
-    value: what construct parsed.
+    start, end: its byte range, from the start of the parsed stream.
+    value: the parsed value.
     """
 
     path: str
@@ -224,10 +224,10 @@ class Element:
 
 
 class Recorded(cs.Subconstruct):
-    """A construct that notes each element that it parses.
+    """A construct that records each parsed element.
 
-    It takes two parameters of parse_stream. `elements` is the list that receives the elements. `at` is the stack of the
-    paths around the current one. If `at` is None, nothing is noted.
+    It uses two parameters of parse_stream. `elements` is the list that receives the elements. `at` is the stack of the
+    paths around the current one. If `at` is None, nothing is recorded.
     """
 
     def __init__(self, subcon: cs.Construct, name: str, kind: str, indexed: bool = False) -> None:
@@ -250,7 +250,7 @@ class Recorded(cs.Subconstruct):
 
 
 class Padding(cs.Construct):
-    """SPEC 5: as few zero bytes as make the length of what was read or written so far a multiple of four."""
+    """SPEC 5: the fewest zero bytes that make the length read or written so far a multiple of four."""
 
     def _parse(self, stream: Any, context: Any, path: str) -> bytes:
         return bytes(cs.stream_read(stream, -stream.tell() % 4, path))
@@ -275,7 +275,7 @@ def _subcon(kind: str) -> cs.Construct:
 
 
 def _fields(name: str) -> list[tuple[str, str]]:
-    """Returns the rows of a struct that its schema has."""
+    """Returns the rows of a struct that are in its schema."""
     rows: list[tuple[str, str]] = []
     for field, kind in SYNTAX[name]:
         length = re.fullmatch(r"\w+\[(.+)\]", kind)
@@ -292,7 +292,7 @@ def _struct(name: str) -> cs.Struct:
 
 @cache
 def schema(name: str) -> cs.Struct:
-    """Returns the schema of a struct of SYNTAX. It is built at its first use, so that a program starts fast."""
+    """Returns the schema of a struct of SYNTAX. It is built at its first use, to start programs fast."""
     return _struct(name)
 
 
@@ -310,7 +310,7 @@ def parse(name: str, data: bytes, start: int = 0) -> tuple[cs.Container, int]:
 def parse_elements(name: str, data: bytes, start: int = 0, path: str = "") -> list[Element]:
     """Returns the elements of one struct of SYNTAX in file order. Their offsets count from the start of data.
 
-    path: the name of the struct, with which the elements' paths begin. Raises construct.ConstructError if the data end
+    path: the name of the struct, the prefix of the elements' paths. Raises construct.ConstructError if the data end
     too early.
     """
     stream = io.BytesIO(data)
@@ -321,7 +321,7 @@ def parse_elements(name: str, data: bytes, start: int = 0, path: str = "") -> li
 
 
 def build(name: str, value: dict[str, Any]) -> bytes:
-    """Returns the bytes of one struct of SYNTAX. Raises ValueError for a value outside its type, which it names."""
+    """Returns the bytes of one struct of SYNTAX. Raises ValueError, naming the field, for a value outside its type."""
     try:
         return schema(name).build(value, at=None, elements=None)
     except cs.ConstructError as error:
@@ -341,13 +341,13 @@ def size_of(name: str) -> int:
 
 
 class Struct:
-    """A parsed struct that knows where its elements stand, so that an error can name a byte of the file.
+    """A parsed struct with the places of its elements, for the offsets of errors.
 
-    fields: the values by name. size: the bytes that were read.
+    fields: the values by name. size: the number of bytes read.
     """
 
     def __init__(self, name: str, piece: Piece, at: int, path: str) -> None:
-        """Parses the struct from byte `at` of a piece on. Raises construct.ConstructError if the piece ends too early.
+        """Parses the struct from byte `at` of a piece. Raises construct.ConstructError if the piece ends too early.
 
         path: the name of the struct in paths.
         """
@@ -355,7 +355,7 @@ class Struct:
         self._piece, self._where = piece, (name, piece.data, at, path)
 
     def error(self, name: str, field: str, found: object, allowed: object) -> BitstreamError:
-        """Returns the error `name` about a field. It points at the first byte of the field (SPEC 10.3).
+        """Returns the error `name` of a field, with the offset of its first byte (SPEC 10.3).
 
         found, allowed: as in BitstreamError.
         """

@@ -1,7 +1,7 @@
 """Annex A and clause 8.4: the tables.
 
-They are read from the shipped file, whose SHA-256 is checked. Annex A states the rules that make the file, and
-spec/tables.py follows them with 50 digits.
+They are read from the shipped file, whose SHA-256 is checked. Annex A defines its content, and spec/tables.py computes
+it with 50 digits.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ STEP_SHIFT = 12
 
 @dataclass(frozen=True)
 class ModelSet:
-    """The models of one family, in arrays for lookup. The symbols of all models stand one after the other.
+    """The models of one family, in arrays for lookup. The symbols of all models are concatenated.
 
     family: its name in traces.
     offset: int64 [models], where the symbols of each model start.
@@ -63,11 +63,11 @@ def build_models(family: str, frequencies: Sequence[NDArray[np.integer]], radius
     """
     lengths = np.array([*map(len, frequencies), 1])
     offset = np.cumsum(lengths) - lengths
-    # All models at once: as each has the sum 2^14, the slots of model m stand from m 2^14 on.
+    # All models at once: each has the sum 2^14, so the slots of model m start at m 2^14.
     every = np.concatenate([*frequencies, np.array([TOTAL])])
     first_slot = np.arange(len(lengths)) << PRECISION
     upper = np.cumsum(every)
-    # How many symbols end at or below each multiple of 2^(PRECISION - 8).
+    # The number of symbols that end at or below each multiple of 2^(PRECISION - 8).
     ends = np.bincount((upper - 1 >> PRECISION - 8) + 1, minlength=256 * len(lengths))[: 256 * len(lengths)]
     first = np.cumsum(ends).reshape(-1, 256) - offset[:, None]
     upper -= np.repeat(first_slot, lengths)
@@ -95,13 +95,13 @@ class Tables:
 
 
 def tables_file() -> Path:
-    """SPEC A: returns the place of the shipped file."""
+    """SPEC A: returns the path of the shipped file."""
     return Path(__file__).parents[1] / "data" / TABLES_FILE
 
 
 @cache
 def tables_bytes() -> bytes:
-    """Returns the shipped file (SPEC A). Raises RuntimeError if it is not the file that SPEC.md names."""
+    """Returns the bytes of the shipped file (SPEC A). Raises RuntimeError if their SHA-256 is not that of SPEC.md."""
     data = tables_file().read_bytes()
     if hashlib.sha256(data).hexdigest() != TABLES_SHA256:
         raise RuntimeError(
@@ -112,7 +112,7 @@ def tables_bytes() -> bytes:
 
 @cache
 def step_table() -> NDArray[np.int64]:
-    """SPEC A.2: returns the step table, int64 [64]. Decoding with the native kernel needs no other one of `tables`."""
+    """SPEC A.2: returns the step table, int64 [64], the only one that decoding with the native kernel needs."""
     return np.frombuffer(tables_bytes(), "<u2", STEP_LENGTH, offset=2 * SINE_LENGTH).astype(np.int64)
 
 

@@ -34,7 +34,7 @@ class ParsedWeights:
     carm_shift: uint8 [CARM inputs].
     networks: the layers of each network, by name.
     scales, forms: uint8 [layers, 3] and uint8 [layers], as in Scene. None in mode 0.
-    starts: the offset of each layer, by the layer's name. In mode 0 it is that of the values, in mode 1 of the model.
+    starts: the offset of each layer, by the layer's name: of its values in mode 0, of its LayerModel in mode 1.
     """
 
     plane_shift: int
@@ -48,7 +48,7 @@ class ParsedWeights:
 def bound_error(weights: ParsedWeights, d: Dimensions, error: BoundError) -> BitstreamError:
     """SPEC [R6.8-4]: returns the error weights.bound of a row.
 
-    It points at the row's first weight, or at its bias if it has no weights, or in mode 1 at the layer's model.
+    Its offset is that of the row's first weight, or of its bias if it has no weights, or in mode 1 of the LayerModel.
     """
     at = weights.starts[error.layer]
     if weights.scales is None:
@@ -61,7 +61,7 @@ def bound_error(weights: ParsedWeights, d: Dimensions, error: BoundError) -> Bit
 class GridLayer:
     """SPEC 7.13: the integers of a packed layer.
 
-    exponent: that of the layer's model. difference: int64 [out], of each row's exponent to that of the row before.
+    exponent: of the LayerModel. difference: int64 [out], of each row's exponent from that of the previous row.
     weight: int64 [out, in]. bias: int64 [out].
     """
 
@@ -72,7 +72,7 @@ class GridLayer:
 
 
 def _regrouped(d: Dimensions, layers: list[Layer]) -> Networks:
-    """Returns the layers, given in file order, by network."""
+    """Returns layers, given in file order, by network."""
     rest = iter(layers)
     return {name: [next(rest) for _ in shapes] for name, shapes in d.network_shapes().items()}
 
@@ -83,7 +83,7 @@ def least_exponents(values: F32) -> tuple[Int64, NDArray[np.bool_]]:
     values: float32 [rows, n], finite. The results are int64 [rows] and bool [rows]. A row of zeros has no exponent.
     """
     significand, exponent = np.frexp(values.astype(np.float64))
-    # The lowest set bit of a significand is its least power of two. All of it is exact in float64.
+    # The lowest set bit of a significand is its least power of two. This is exact in float64.
     integer = np.abs(significand * 2.0**53).astype(np.int64)
     lowest = np.frexp((integer & -integer).astype(np.float64))[1] - 1 + exponent - 53
     some = values != 0
@@ -91,7 +91,7 @@ def least_exponents(values: F32) -> tuple[Int64, NDArray[np.bool_]]:
 
 
 def to_grid(layer: Layer) -> GridLayer | None:
-    """SPEC 7.13: returns a finite layer as integers, or None if it has to be raw."""
+    """SPEC 7.13: returns a finite layer as integers, or None if it must be raw."""
     values = np.concatenate([layer[0], layer[1][:, None]], axis=1)
     if (values.view(np.uint32) == 0x80000000).any():
         return None
@@ -102,7 +102,7 @@ def to_grid(layer: Layer) -> GridLayer | None:
     scaled = np.ldexp(values.astype(np.float64), least[:, None])
     if np.abs(scaled).max() > WEIGHT_SYMBOL_MAX:
         return None
-    # A row of zeros has the exponent of the row before. The first rows, if zero, have that of the first other row.
+    # A row of zeros has the exponent of the previous row. The first rows, if zero, have that of the first other row.
     row = np.maximum.accumulate(np.where(some, np.arange(len(some)), 0))
     row[: int(np.argmax(some))] = int(np.argmax(some))
     exponent = least[row]
@@ -129,8 +129,8 @@ def code_grids(
 ) -> tuple[list[tuple[Int64, Int64]], list[Int64]]:
     """SPEC 7.13, DECODE_WEIGHTS: codes the packed layers, in either direction.
 
-    Returns for each of them (differences, biases), int64 [out], and for each of them its weights, int64 [out, in].
-    shapes: (name, outputs, inputs) of each. scales: uint8 [layers, 3]. given: the layers if they are encoded.
+    Returns a list of (differences, biases), int64 [out], and a list of weights, int64 [out, in], both by layer. shapes:
+    (name, outputs, inputs) of each. scales: uint8 [layers, 3]. given: the layers, for encoding.
     """
     known: list[Int64 | None] = [None, None]
     if given is not None:
@@ -155,19 +155,19 @@ def code_grids(
 
 
 def _parts(shapes: list[tuple[str, int, int]]) -> tuple[list[tuple[str, int]], list[tuple[str, int]]]:
-    """SPEC 7.13: returns the parts of both groups, each as its name and the number of its symbols."""
+    """SPEC 7.13: returns the parts of both groups, each as a name and a number of symbols."""
     few = [(f"weights.{name}.{part}", out) for name, out, _ in shapes for part in ("exponent", "bias")]
     return few, [(f"weights.{name}.weight", out * fan_in) for name, out, fan_in in shapes]
 
 
 def _scales(shapes: list[tuple[str, int, int]], scales: NDArray[np.uint8]) -> list[NDArray[np.uint8]]:
-    """SPEC 7.13: returns of both groups the scale of each symbol, less SCALE_MIN, uint8 [symbols]."""
+    """SPEC 7.13: returns for both groups the scale index of each symbol, less SCALE_MIN, uint8 [symbols]."""
     own = (scales[:, [0, 2]].reshape(-1), scales[:, 1])
     return [np.repeat(s, [count for _, count in parts]) for s, parts in zip(own, _parts(shapes), strict=True)]
 
 
 def _by_layer(shapes: list[tuple[str, int, int]], groups: list[Int64]) -> tuple[list[tuple[Int64, Int64]], list[Int64]]:
-    """Returns what code_grids does from the symbols of both groups."""
+    """Returns the result of code_grids from the symbols of both groups."""
     ends = [np.cumsum([count for _, count in parts]) for parts in _parts(shapes)]
     few, many = (np.split(group, end[:-1]) if shapes else [] for group, end in zip(groups, ends, strict=True))
     return list(zip(few[0::2], few[1::2], strict=True)), [w.reshape(s[1:]) for w, s in zip(many, shapes, strict=True)]
@@ -181,7 +181,7 @@ def _decode(
     trace: Trace | None,
     used: Kernel | None,
 ) -> tuple[list[tuple[Int64, Int64]], list[Int64]]:
-    """SPEC 7.13: returns what code_grids does. piece: the substream. Raises its BitstreamError."""
+    """SPEC 7.13: returns the result of code_grids. piece: the substream. Raises its BitstreamError."""
     if used is None:
         decoder = Decoder([parse_substream(piece, lanes, "weights")], trace)
         found = code_grids(decoder, shapes, scales)
@@ -218,10 +218,10 @@ def _as_layer(values: F32, out: int, fan_in: int) -> Layer:
 def parse_weights(
     section: Piece, mode: int, d: Dimensions, lanes: int, trace: Trace | None = None, used: Kernel | None = None
 ) -> ParsedWeights:
-    """SPEC 5.8, 5.9 and 6.8: returns the weights of the section, whose length in mode 0 is known to be right.
+    """SPEC 5.8, 5.9 and 6.8: returns the weights of the section. In mode 0 its length has been checked.
 
     lanes: the lanes of the substream in mode 1. used: decodes it instead of NumPy, without a trace. Raises
-    BitstreamError 411, 412, 414 to 418, or that of the substream.
+    BitstreamError 411, 412, 414 to 418, or the error of the substream.
     """
 
     def bad(at: int, field: str, value: int, low: int, high: int) -> BitstreamError:
@@ -283,7 +283,7 @@ def _parse_packed(
     plane_shift: int,
     carm_shift: NDArray[np.uint8],
 ) -> ParsedWeights:
-    """SPEC 7.13: returns the weights of mode 1. at: the byte of the section at which the first LayerModel starts."""
+    """SPEC 7.13: returns the weights of mode 1. at: the byte of the section where the first LayerModel starts."""
 
     def short(what: str) -> BitstreamError:
         return section.error("weights.length", 0, "weights", f"a section that ends before {what}", "all layers")
@@ -293,7 +293,7 @@ def _parse_packed(
     for name, out, fan_in in shapes:
         # SPEC [R6.8-5]
         if at + model_bytes > len(section):
-            raise short("a layer's model")
+            raise short("a LayerModel")
         starts[name] = section.start + at
         models.append(_parse_model(section, at, name))
         at += model_bytes
@@ -328,7 +328,7 @@ def _parse_packed(
 
 
 def packable(networks: Networks) -> NDArray[np.uint8]:
-    """Returns the forms that pack every layer that can be packed, uint8 [layers]."""
+    """Returns the forms of layers, uint8 [layers], packed for every layer that can be packed."""
     layers = [layer for network in networks.values() for layer in network]
     return np.array([to_grid(layer) is not None for layer in layers], dtype=np.uint8)
 
@@ -346,7 +346,7 @@ def emit_weights(
 
     Raw values keep all their bits. carm_shift: uint8 [CARM inputs]. scales: as Scene.weight_scales. lanes: the lanes of
     the substream in mode 1. forms: as Scene.weight_forms, or None for those of `packable`. Raises ValueError for a
-    layer that cannot be packed but has to be.
+    layer of form 1 that cannot be packed.
     """
     shifts = carm_shift.tolist()
     table = {"plane_shift": plane_shift, "carm_input_count": len(shifts), "carm_shift": shifts}

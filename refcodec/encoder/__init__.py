@@ -1,4 +1,4 @@
 """The encoder's choices (SPEC.md Annex B), from float attributes to a scene of integers.
 
-Annex B is informative. An encoder may choose otherwise, and its files are as valid.
+Annex B is informative: files of encoders with other choices are equally valid.
 """

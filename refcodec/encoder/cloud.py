@@ -1,4 +1,4 @@
-"""A scene in floating point, before it is quantised."""
+"""A scene in floating point, before quantisation."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from ..bitstream.conventions import F32
 
 @dataclass(frozen=True, eq=False)
 class AnchorCloud:
-    """A scene of anchors before it is quantised.
+    """The anchors of a scene before quantisation.
 
     positions: float32 [N, 3], world units.
     features: float32 [N, F].

@@ -1,7 +1,7 @@
-"""A small scene in fewer bytes: without a hyperprior, which makes F_h a row of constants, and with raw positions.
+"""Saves bytes of small scenes: removes the hyperprior, so that F_h is a row of constants, and uses raw positions.
 
-Planes, F_h and the frame take bytes however few the anchors are, and so does the model of packed positions (SPEC.md
-11.1, B.3). No value changes.
+Planes, F_h, the frame and the model of packed positions have a size that is independent of the number of anchors
+(SPEC.md 11.1, B.3). No value changes.
 """
 
 from __future__ import annotations
@@ -22,21 +22,21 @@ from ..bitstream.scene import Scene
 from ..bitstream.tables import PRECISION, SCALE_END, SCALE_MIN, tables
 from .weights import pack_weights
 
-# Anchors whose symbols choose the constants. With more of them a constant hardly moves.
+# The number of anchors from which the constants are chosen. More of them hardly change a constant.
 MOST = 8192
-# The model of packed positions has 580 bytes, raw positions have 6 an anchor. With more anchors they cannot be smaller.
+# The model of packed positions has 580 bytes, raw positions have 6 per anchor. For more anchors raw is never smaller.
 FEW = 1024
-# How far a mean (in 1/16 step) and a scale index (in 1/8 octave) are moved at once, one after the other.
+# The moves of a mean (in 1/16 step) and of a scale index (in 1/8 octave), in the order of the search.
 MOVES = (32, 16, 8, 4, 2, 1)
-# The largest scale index that is tried: sixteen octaves above the table.
+# The largest scale index tried: sixteen octaves above the table.
 SCALE_MOST = SCALE_END + 8 * 16
 
 
 def code_length(mean: Int64, scale: Int64, symbols: Int64) -> float:
     """SPEC 8.5 and 8.6: returns the bits of attribute symbols, int64 [n], under the shipped models.
 
-    mean: in 1/16 of a step. scale: scale indices. Both are int64 [n]. Each symbol takes what its model's frequency
-    says, its raw bits, and the bits of its escape if it has one.
+    mean: in 1/16 of a step. scale: scale indices. Both are int64 [n]. The bits of a symbol are those of its model's
+    frequency, its raw bits, and the bits of its escape, if any.
     """
     models = tables().gauss
     model, index, away, raw = placed(models, mean, scale, symbols)
@@ -50,11 +50,11 @@ def code_length(mean: Int64, scale: Int64, symbols: Int64) -> float:
 
 
 def choose_constants(symbols: Int64, mean: Int64, scale: Int64) -> tuple[int, int]:
-    """Returns the mean and the scale index that code some symbols of one channel with the fewest bits, nearly.
+    """Returns the mean and the scale index that code some symbols of one channel with nearly the fewest bits.
 
-    symbols: int64 [n]. mean, scale: int64 [n], what CARM adds for each of them. The search begins at the symbols' mean
-    and deviation, and moves one of the two as long as that saves bits. Then it tries each mean within half a step and
-    each scale within half an octave, since the tables are no smooth function of them.
+    symbols: int64 [n]. mean, scale: int64 [n], the outputs of CARM. The search starts at the symbols' mean and
+    deviation, and moves one of the two while that saves bits. Then it tries each mean within half a step and each scale
+    within half an octave, because the tables are not a smooth function of them.
     """
     if not len(symbols):
         return 0, 0
@@ -64,7 +64,7 @@ def choose_constants(symbols: Int64, mean: Int64, scale: Int64) -> tuple[int, in
     best = code_length(mean + found[0], scale + found[1], symbols)
 
     def better(moves: Iterable[tuple[int, int]]) -> bool:
-        """Takes the best of some moves from where the search is. Returns whether it moved."""
+        """Makes the best of some moves. Returns whether one saved bits."""
         nonlocal found, best
         first = found
         for by_mean, by_scale in moves:
@@ -86,8 +86,8 @@ def choose_constants(symbols: Int64, mean: Int64, scale: Int64) -> tuple[int, in
 def with_constants(scene: Scene, slices: tuple[int, ...]) -> Scene | None:
     """Returns the scene without planes, frequencies and hidden layers of F_h, or None if that would change a value.
 
-    Every symbol stays. So do the steps if they are the same for all anchors, which they have to be. slices: those of
-    the scene, which then keeps its CARM, or a single one, and then there is no CARM. Raises ValueError for others.
+    All symbols are kept, and the steps too, which must be the same for all anchors. slices: those of the scene, which
+    keeps its CARM, or a single one without CARM. Raises ValueError for others.
     """
     d, a, count = scene.dimensions, scene.attributes, scene.anchor_count
     if slices not in (d.slices, (d.features,)):
@@ -127,7 +127,7 @@ def with_constants(scene: Scene, slices: tuple[int, ...]) -> Scene | None:
 
 
 def _constants(scene: Scene, rows: Int64, alone: bool) -> tuple[list[int], list[int]]:
-    """Returns the means and the scale indices of all channels. alone: whether there is no CARM."""
+    """Returns the means and the scale indices of all channels. alone: without CARM."""
     d, a = scene.dimensions, scene.attributes
     features, masks = a.features[rows].astype(np.int64), scene.masks[rows]
     change = np.zeros((2, len(rows), d.features), np.int64)
@@ -150,10 +150,10 @@ def _constants(scene: Scene, rows: Int64, alone: bool) -> tuple[list[int], list[
 
 
 def smallest(scene: Scene, positions: str | None = None) -> Scene:
-    """Returns the scene as it is, without a hyperprior, or also with raw positions: what has the smallest file.
+    """Returns the scene unchanged, without a hyperprior, or also with raw positions, whichever has the smallest file.
 
-    Positions, masks and attributes are the same, and the rendering networks too. So the scene looks the same. A scene
-    whose steps depend on the anchor keeps its hyperprior. positions: "packed" if they have to stay packed.
+    Positions, masks, attributes and rendering networks do not change, so the scene looks the same. A scene whose steps
+    depend on the anchor keeps its hyperprior. positions: "packed" to keep packed positions.
     """
     d = scene.dimensions
     choices = [d.slices]

@@ -11,7 +11,7 @@ from ..bitstream.context import UNIT, contract, frame_coordinates
 from ..bitstream.frame import FRAME_SHIFT_MAX, MATRIX_BOUND, TRANSLATION_BOUND, Frame
 from ..bitstream.positions import position_integers
 
-# SPEC B.2: the share of the anchors that shape the frame. They are those nearest to the median.
+# SPEC B.2: the share of the anchors, nearest to the median, that determine the frame.
 INLIERS = 0.95
 
 
@@ -20,7 +20,7 @@ def choose_frame(positions: NDArray[np.float16]) -> Frame:
 
     Its axes are the principal axes of the 95 % of anchors nearest to the median. Its unit along an axis is one standard
     deviation. A direction without extent gets the unit of the widest direction, or one unit of P if none has an extent.
-    So every set of positions has a frame, the empty set too.
+    Thus every set of positions has a frame, including the empty set.
     """
     p = position_integers(positions).astype(np.float64)
     if len(p) == 0:

@@ -27,7 +27,7 @@ from ..bitstream.positions import (
 from ..bitstream.scene import Scene, take_anchors
 from ..bitstream.tables import TOTAL, ModelSet, tables
 
-# The largest coordinate in fp16 of a scene without a lattice, about.
+# The approximate largest coordinate in fp16 of a scene without a lattice.
 FP16_EXTENT = 1024.0
 
 
@@ -43,7 +43,7 @@ def choose_grid(positions: F32, voxel: float | None = None) -> PositionGrid:
     p = positions.astype(np.float64)
     low, high = (p.min(axis=0), p.max(axis=0)) if len(p) else (np.zeros(3), np.zeros(3))
     middle = (low + high) / 2
-    # The bound of the grid's origin does not allow a smaller unit this far from the world's origin.
+    # The bound on the grid's origin allows no smaller unit at this distance from the world's origin.
     unit = voxel or max(float((high - low).max()) / 2 / FP16_EXTENT, float(np.abs(middle).max()) * 2.0**-21) or 1.0
     # A mantissa of 16 bits keeps scale_mantissa * P within 56 bits.
     fraction, exponent = math.frexp(unit)
@@ -95,7 +95,7 @@ def morton_order(positions: NDArray[np.float16]) -> Int64:
 
 
 class _Counter:
-    """A coder that only counts the symbols of trees of cells. counts: int64 [18, 16], by model and symbol."""
+    """A coder that counts the symbols of trees of cells. counts: int64 [18, 16], by model and symbol."""
 
     def __init__(self) -> None:
         self.counts = np.zeros((POSITION_MODELS, HALVES), dtype=np.int64)
@@ -109,8 +109,8 @@ class _Counter:
 def frequencies(counts: Int64, first: int) -> Int64:
     """Returns the frequencies of a model, int64 [symbols], with the sum 2^14.
 
-    counts: int64 [symbols], how often each symbol occurs. first: the first symbol that can occur. From there on no
-    frequency is 0. The most frequent symbol takes the difference that rounding leaves.
+    counts: int64 [symbols], occurrences of each symbol. first: the first possible symbol; from there on no frequency is
+    0. The most frequent symbol absorbs the rounding difference.
     """
     found = np.zeros(len(counts), dtype=np.int64)
     seen = counts[first:] if counts[first:].any() else np.ones(len(counts) - first, dtype=np.int64)
@@ -120,9 +120,9 @@ def frequencies(counts: Int64, first: int) -> Int64:
 
 
 def position_model(positions: NDArray[np.float16], chunk_size: int) -> PositionModel:
-    """SPEC B.1: returns cell_shift and the observed frequencies of the chunks that can be packed.
+    """SPEC B.1: returns cell_shift and the observed frequencies in the chunks that can be packed.
 
-    positions: float16 [N, 3], finite, in the order of the file.
+    positions: float16 [N, 3], finite, in file order.
     """
     cell_shift, counter = choose_cells(positions), _Counter()
     for chunk in chunk_ranges(len(positions), chunk_size):

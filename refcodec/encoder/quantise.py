@@ -1,4 +1,4 @@
-"""SPEC.md B.7: from float attributes and given networks to a scene of integers."""
+"""SPEC.md B.7: converts float attributes, with given networks, to a scene of integers."""
 
 from __future__ import annotations
 
@@ -32,8 +32,8 @@ VARYING = 1e-5
 def packed(scene: Scene, positions: str | None, weights: str | None) -> Scene:
     """Returns the scene with positions and weights in the wanted modes.
 
-    positions, weights: "raw" for mode 0, "packed" for mode 1. None packs them in Main, and leaves them as they are in
-    Tiny. What is packed already is not packed again.
+    positions, weights: "raw" for mode 0, "packed" for mode 1. None packs them in Main, and keeps their mode in Tiny.
+    Packed ones are not packed again.
     """
     if positions == "raw":
         scene = replace(scene, position_model=None, position_forms=None)
@@ -59,7 +59,7 @@ def carm_shifts(features: NDArray[np.int32], inputs: int) -> NDArray[np.uint8]:
 def varying(deviations: NDArray[np.floating]) -> NDArray[np.floating]:
     """Returns the deviations of features, [F], without those of constant features (SPEC B.5).
 
-    Where most features of a scene are constant, the median of all deviations would give a base step of nothing.
+    If most features of a scene are constant, the median of all deviations would give a base step of 0.
     """
     return deviations[deviations >= VARYING * deviations.max(initial=0)]
 
@@ -68,7 +68,7 @@ def symbols(values: F32, steps: NDArray[np.uint8], base_step: float) -> NDArray[
     """SPEC B.7: returns the symbols nearest to values, int32 [n, ...].
 
     values: float32 [n, ...]. steps: uint8 [n], the step index of each anchor. base_step: the step at index 32. Raises
-    ValueError for a value that is not finite, or whose symbol is too large.
+    ValueError for a value that is not finite or has too large a symbol.
     """
     unit = base_step * tables().step[steps].astype(np.float64) / (1 << STEP_SHIFT)
     scaled = np.rint(values.astype(np.float64) / unit.reshape(-1, *[1] * (values.ndim - 1)))
@@ -111,14 +111,14 @@ def quantise(
     profile: int = MAIN,
     chunk_size: int = CHUNK_SIZE,
 ) -> Scene:
-    """Returns a scene from float attributes, and from networks and planes that are given (SPEC B).
+    """Returns a scene from float attributes and given networks and planes (SPEC B).
 
-    The step indices follow from the networks, and the symbols from the steps. Anchors that keep no offset are dropped.
-    The others are sorted. Positions and weights are in mode 0.
+    The networks determine the step indices, and the steps the symbols. Anchors that keep no offset are dropped. The
+    others are sorted. Positions and weights are in mode 0.
 
     planes: int16 [5, ch, B, B]. carm_shift: uint8 [CARM inputs]. base_step: float32 values of features, scalings and
-    offsets. render, lanes: None for the defaults. cameras: those that the scene states. Raises
-    ValueError for a value that a file cannot hold.
+    offsets. render, lanes: None for the defaults. cameras: of the scene. Raises ValueError for a value that a file
+    cannot hold.
     """
     ordered, positions = order_anchors(cloud, grid)
     count = len(positions)

@@ -8,7 +8,7 @@ from itertools import accumulate
 from ..bitstream.header import Lanes
 from ..bitstream.planes import PLANES
 
-# SPEC B.3: the chunk size that measured best, and the base-2 logarithm of the most lanes.
+# SPEC B.3: the chunk size with the best measured result, and the base-2 logarithm of the most lanes.
 CHUNK_SIZE = 4096
 LANES_LOG2_MOST = 6
 # SPEC B.3: the slices of the features, in order, as in the paper.
@@ -18,8 +18,8 @@ SLICES = (5, 10, 15, 20)
 def choose_slices(features: int, shares: tuple[int, ...] = SLICES) -> tuple[int, ...]:
     """SPEC B.3: returns the slices of some features, in the proportions of `shares`, none of them empty.
 
-    With few features there are fewer slices than shares. features: F, from 1 to 128. With more than 64 a slice may be
-    too wide for Main.
+    Few features have fewer slices than shares. features: F, from 1 to 128. With more than 64, a slice may be too wide
+    for Main.
     """
     total, done, found = sum(shares), 0, []
     for end in accumulate(shares):
@@ -33,8 +33,8 @@ def choose_slices(features: int, shares: tuple[int, ...] = SLICES) -> tuple[int,
 def choose_plane_size(anchors: int) -> int:
     """SPEC B.3: returns B = sqrt(N) / 5, rounded, from 8 to 128.
 
-    For the 421,600 anchors of the paper's scene Amsterdam that is its 128. Between the bounds, the planes have a fifth
-    as many points as the scene has anchors.
+    For the 421,600 anchors of the paper's scene Amsterdam it is 128, as in the paper. Between the bounds, the planes
+    have a fifth as many points as the scene has anchors.
     """
     return int(min(max(round(math.sqrt(anchors) / 5), 8), 128))
 
@@ -42,15 +42,15 @@ def choose_plane_size(anchors: int) -> int:
 def choose_width(anchors: int) -> int:
     """SPEC B.3: returns the number of hidden units of F_h and of CARM. It is N / 800, rounded down, from 16 to 100.
 
-    Small scenes get narrow networks, because the weights take the same bytes however few anchors there are.
+    Small scenes get narrow networks, because the size of the weights is independent of the number of anchors.
     """
     return min(max(anchors // 800, 16), 100)
 
 
 def choose_lanes(anchors: int, attribute_bits: float) -> Lanes:
-    """SPEC B.3: returns the largest numbers of lanes whose cost, 4 bytes each, stays small.
+    """SPEC B.3: returns the largest numbers of lanes with a small cost, at 4 bytes each.
 
-    The cost is a share of the attributes' bytes, at most:
+    The cost is at most this share of the attributes' bytes:
 
     - 0.2 % for the attributes, with 64 lanes at most,
     - 0.01 % for the planes, with 64 lanes at most (about 0.5 % of the planes' own bytes),

@@ -20,8 +20,8 @@ from ..bitstream.weights import to_grid
 def exact_networks(networks: Mapping[str, list[Layer]]) -> dict[str, list[Layer]]:
     """SPEC B.5: returns the networks with F_h, SARM and CARM on the grids of their integers.
 
-    Their values become the integers of 7.2 over a power of two. No output of these networks changes. The rendering
-    networks stay as they are. Raises BoundError.
+    Their values become the integers of 7.2 divided by a power of two. The outputs of these networks do not change, nor
+    do the rendering networks. Raises BoundError.
     """
     found = dict(networks)
     for name, network in derive_networks(networks).items():
@@ -36,9 +36,9 @@ def exact_networks(networks: Mapping[str, list[Layer]]) -> dict[str, list[Layer]
 
 
 def rendering_exponent(weight: F32, bits: int) -> int:
-    """SPEC B.5: returns the largest e with which no weight, times 2^e and rounded, needs more than `bits` bits.
+    """SPEC B.5: returns the largest e for which no weight, times 2^e and rounded, needs more than `bits` bits.
 
-    The bits include the sign. For weights that are all 0 the result is 0.
+    The bits include the sign. If all weights are 0, the result is 0.
     """
     largest = float(np.abs(weight).max())
     return math.floor(math.log2(((1 << (bits - 1)) - 0.5) / largest)) if largest else 0
@@ -47,8 +47,8 @@ def rendering_exponent(weight: F32, bits: int) -> int:
 def quantise_rendering(networks: Mapping[str, list[Layer]], bits: int) -> dict[str, list[Layer]]:
     """SPEC B.5: returns the networks with each layer of the rendering networks on a grid.
 
-    The weights and biases of a layer become multiples of one power of two. It is the least one with which no weight
-    needs more than `bits` bits, sign included. bits: 2 to 24.
+    The weights and biases of a layer become multiples of the least power of two for which no weight needs more than
+    `bits` bits, including the sign. bits: 2 to 24.
     """
     found = dict(networks)
     for name in RENDERING:
@@ -63,7 +63,7 @@ def quantise_rendering(networks: Mapping[str, list[Layer]], bits: int) -> dict[s
 
 
 def weight_scales(networks: Mapping[str, list[Layer]]) -> NDArray[np.uint8]:
-    """SPEC B.5: returns the scale indices of each layer in mode 1, uint8 [layers, 3]. Those of a raw layer are 0."""
+    """SPEC B.5: returns the scale indices of each layer in mode 1, uint8 [layers, 3], 0 for a raw layer."""
 
     def index(scale: float) -> int:
         return min(max(round(8 * math.log2(scale)) - SCALE_MIN, 0), 255) if scale else 0

@@ -1,4 +1,4 @@
-"""The native kernel: the process that decides every symbol, in C, and its binding. It is optional.
+"""The optional native kernel: the coding of all symbols, in C, and its binding.
 
-kernel.h is its interface, kernel.c and variant.h are its source. `library` loads it and says which path is used.
+kernel.h is its interface, kernel.c and variant.h are its source. `library` loads it and selects the path.
 """

@@ -1,10 +1,10 @@
 """The library of the native kernel, loaded by ctypes, and the choice between it and NumPy.
 
-Two variables of the environment are read whenever a file is opened or made:
+Two environment variables are read whenever a file is opened or written:
 
-- REFCODEC_PATH: `numpy`, `native`, or a variant of the kernel such as `avx2`. Without it the kernel is used if it is
-  there, with the best variant that the machine can run.
-- REFCODEC_THREADS: how many threads the kernel uses. Without it, as many as there are cores for this process.
+- REFCODEC_PATH: `numpy`, `native`, or a variant of the kernel such as `avx2`. The default is the best variant that the
+  machine can run, or NumPy without a kernel.
+- REFCODEC_THREADS: the number of threads of the kernel. The default is the number of cores of this process.
 """
 
 from __future__ import annotations
@@ -20,10 +20,10 @@ from ..statuses import UsageError
 
 PATH_VARIABLE, THREADS_VARIABLE = "REFCODEC_PATH", "REFCODEC_THREADS"
 NUMPY, NATIVE = "numpy", "native"
-# Where setup.py puts it.
+# The output of setup.py.
 LIBRARY = Path(__file__).with_name("kernel.so")
 THREADS_MAX = 256
-# kernel.h: the version of its interface, its statuses that are no error codes, and its arrays' lengths.
+# kernel.h: the version of its interface, its statuses that are not error codes, and its array lengths.
 VERSION = 2
 DONE, NO_MEMORY, REFUSED, REFUSED_FORM, REFUSED_STEPS = 0, -1, -2, -3, -4
 SLICES_MAX, PARTS, PLANES, NUMBERS = 16, 3, 5, 2
@@ -123,7 +123,7 @@ _FUNCTIONS = {
 
 @dataclass(frozen=True)
 class Kernel:
-    """The kernel as it is used. library: with typed functions. name, variant: of the variant. threads: at least 1."""
+    """The selected kernel. library: with typed functions. name, variant: of the variant. threads: at least 1."""
 
     library: ctypes.CDLL
     name: str
@@ -133,7 +133,7 @@ class Kernel:
 
 @cache
 def load(path: Path = LIBRARY) -> ctypes.CDLL | None:
-    """Returns the library, or None if there is none that can be loaded or it is of another version."""
+    """Returns the library, or None if it cannot be loaded or has another version."""
     try:
         library = ctypes.CDLL(str(path))
         for name, (result, parameters) in _FUNCTIONS.items():
@@ -145,7 +145,7 @@ def load(path: Path = LIBRARY) -> ctypes.CDLL | None:
 
 
 def variants(library: ctypes.CDLL) -> Iterator[tuple[int, str]]:
-    """Yields the variants that this machine can run, as number and name, the best one last."""
+    """Yields number and name of each variant that this machine can run, the best one last."""
     number = 0
     while name := library.kernel_variant_name(number):
         if library.kernel_variant_runs(number):
@@ -154,13 +154,13 @@ def variants(library: ctypes.CDLL) -> Iterator[tuple[int, str]]:
 
 
 def paths() -> list[str]:
-    """Returns the names that REFCODEC_PATH can have here."""
+    """Returns the values of REFCODEC_PATH that are allowed here."""
     library = load()
     return [NUMPY] if library is None else [NUMPY, NATIVE, *(name for _, name in variants(library))]
 
 
 def threads() -> int:
-    """Returns how many threads the kernel uses. Raises UsageError for a number that is not allowed."""
+    """Returns the number of threads of the kernel. Raises UsageError for an invalid number."""
     said = os.environ.get(THREADS_VARIABLE)
     if not said:
         cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
@@ -171,7 +171,7 @@ def threads() -> int:
 
 
 def kernel() -> Kernel | None:
-    """Returns the kernel that is used, or None if NumPy is. Raises UsageError for a path that is not there."""
+    """Returns the selected kernel, or None for NumPy. Raises UsageError for an unavailable path."""
     wanted, library, count = os.environ.get(PATH_VARIABLE), load(), threads()
     if wanted and wanted not in paths():
         there = ", ".join(paths())
@@ -184,7 +184,7 @@ def kernel() -> Kernel | None:
 
 
 def describe() -> str:
-    """Returns the path that is used, in words. Raises UsageError."""
+    """Returns a description of the selected path. Raises UsageError."""
     used = kernel()
     if used is None:
         return "NumPy" if load() else "NumPy; the native kernel is not there"

@@ -1,4 +1,4 @@
-"""Scenes and chunks for the native kernel: arrays and bytes on this side, the structures of kernel.h on the other."""
+"""Scenes and chunks for the native kernel: converts arrays and bytes to the structures of kernel.h."""
 
 from __future__ import annotations
 
@@ -18,10 +18,10 @@ Layers = list[tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.int64]]]
 
 @dataclass(frozen=True)
 class ChunkBytes:
-    """SPEC 5.13 and 5.14: a chunk that is decoded.
+    """SPEC 5.13 and 5.14: a chunk to decode.
 
-    form: that of its positions. parts: positions, masks, attributes. anchors: how many it has. kept, low, high: what
-    its entry says. low, high: float16 [3].
+    form: of its positions. parts: positions, masks, attributes. anchors: their number. kept, low, high: from its entry.
+    low, high: float16 [3].
     """
 
     form: int
@@ -58,7 +58,7 @@ def _flat(arrays: list[NDArray[np.int64]], kind: type) -> NDArray[Any]:
 
 @cache
 def _tables(kernel: Kernel, file: bytes) -> int:
-    """Returns the tables of the shipped file, which stay as long as the process."""
+    """Returns the kernel's tables from the shipped file. They are kept until the process ends."""
     found = kernel.library.kernel_tables_new(file, len(file))
     if not found:
         raise MemoryError("no memory for the tables of the native kernel")
@@ -66,16 +66,16 @@ def _tables(kernel: Kernel, file: bytes) -> int:
 
 
 class NativeScene:
-    """What the kernel codes a scene's symbols with. It is freed with its object."""
+    """The kernel's form of a scene, which is freed with its object."""
 
     def __init__(
         self, kernel: Kernel, tables: bytes, numbers: dict[str, Any], layers: Layers, arrays: dict[str, NDArray[Any]]
     ) -> None:
-        """numbers: the fields of Description that are no pointers. slice_width is a tuple.
+        """numbers: the fields of Description that are not pointers. slice_width is a tuple.
 
         tables: the shipped file. layers: for each layer of F_h, SARM and CARM, weights, biases and exponents, int64.
-        arrays: the other pointers of Description, with the dtypes of kernel.h. What is missing is NULL. Raises
-        MemoryError, and RuntimeError for numbers that the kernel does not take.
+        arrays: the other pointers of Description, with the dtypes of kernel.h. Missing ones are NULL. Raises
+        MemoryError, and RuntimeError for numbers that the kernel does not accept.
         """
         self.kernel = kernel
         self._channels, self._size = numbers["plane_channels"], numbers["plane_size"]
@@ -93,12 +93,12 @@ class NativeScene:
             description.slice_width[i] = width
         found = kernel.library.kernel_scene_new(ctypes.byref(description), _tables(kernel, tables), kernel.variant)
         if not found:
-            raise RuntimeError("the native kernel does not take a scene that SPEC.md allows")
+            raise RuntimeError("the native kernel does not accept a scene that SPEC.md allows")
         self._scene = found
         weakref.finalize(self, kernel.library.kernel_scene_free, found)
 
     def decode_planes(self, parts: list[bytes]) -> tuple[NDArray[np.int16], list[Verdict]]:
-        """SPEC 7.3: returns the sub-planes, int16 [5, ch, B, B], and what is made of each."""
+        """SPEC 7.3: returns the sub-planes, int16 [5, ch, B, B], and the verdict on each."""
         planes = np.empty((PLANES, self._channels, self._size, self._size), np.int16)
         held = [np.frombuffer(part, np.uint8) for part in parts]
         pointers = (ctypes.c_void_p * PLANES)(*(array.ctypes.data for array in held))
@@ -110,7 +110,7 @@ class NativeScene:
         return planes, _checked(list(verdicts))
 
     def encode_planes(self, planes: NDArray[np.int16]) -> list[bytes]:
-        """SPEC 7.3: returns the substreams of sub-planes, int16 [5, ch, B, B], whose symbols are allowed."""
+        """SPEC 7.3: returns the substreams of sub-planes, int16 [5, ch, B, B], with valid symbols."""
         given = np.ascontiguousarray(planes)
         pointers, lengths = (ctypes.c_void_p * PLANES)(), (ctypes.c_uint64 * PLANES)()
         verdicts = (Verdict * PLANES)()
@@ -122,12 +122,12 @@ class NativeScene:
         return parts
 
     def anchor_bytes(self) -> int:
-        """Returns how many bytes an anchor takes in arrays of `room`."""
+        """Returns the number of bytes of an anchor in the arrays of `room`."""
         offsets, features = self._shape
         return 2 * 3 + offsets + 4 * (features + 6 + 3 * offsets) + 3
 
     def room(self, n: int) -> Anchors:
-        """Returns arrays for n anchors, which nothing is written to."""
+        """Returns uninitialised arrays for n anchors."""
         offsets, features = self._shape
         return Anchors(
             np.empty((n, 3), np.float16),
@@ -139,7 +139,7 @@ class NativeScene:
         )
 
     def decode_chunks(self, chunks: list[ChunkBytes], to: Anchors, rows: list[int]) -> list[Verdict]:
-        """SPEC 10.1, CHUNKS: decodes some chunks, and returns what is made of each.
+        """SPEC 10.1, CHUNKS: decodes some chunks, and returns the verdict on each.
 
         to: arrays of `room`. rows: the row of each chunk's first anchor in them. The chunks do not overlap.
         """
@@ -162,10 +162,10 @@ class NativeScene:
     def encode_chunks(
         self, anchors: Anchors, counts: list[int], forms: list[int] | None
     ) -> tuple[list[tuple[int, tuple[bytes, bytes, bytes]]], list[int]]:
-        """SPEC 5.14: returns for each chunk the form of its positions and its parts, and its status.
+        """SPEC 5.14: returns the form of positions and the parts of each chunk, and the status of each chunk.
 
-        The status is DONE, REFUSED_FORM or REFUSED_STEPS. anchors: their symbols are allowed. counts: the anchors of
-        each chunk. forms: None packs the positions of each chunk that can be packed.
+        The status is DONE, REFUSED_FORM or REFUSED_STEPS. anchors: with valid symbols. counts: the anchors of each
+        chunk. forms: None packs the positions of each chunk that can be packed.
         """
         held = Anchors(*(np.ascontiguousarray(array) for array in vars(anchors).values()))
         jobs, first = (Chunk * len(counts))(), 0
@@ -180,13 +180,13 @@ class NativeScene:
 
     @staticmethod
     def _place(job: Chunk, anchors: Anchors, first: int, count: int) -> None:
-        """Points a chunk's arrays at its rows of `anchors`."""
+        """Sets a chunk's array pointers to its rows of `anchors`."""
         job.anchors = count
         for name, array in vars(anchors).items():
             setattr(job, name, array.ctypes.data + first * array.strides[0])
 
     def _taken(self, pointers: Any, lengths: Any) -> list[bytes]:
-        """Returns the bytes that the kernel made, and frees them."""
+        """Returns the bytes that the kernel allocated, and frees them."""
         found = []
         for pointer, length in zip(pointers, lengths, strict=True):
             found.append(ctypes.string_at(pointer, length) if pointer else b"")
@@ -195,22 +195,22 @@ class NativeScene:
 
 
 def _checked(verdicts: list[Verdict]) -> list[Verdict]:
-    """Returns them. Raises MemoryError if one says so, and RuntimeError for what was to be checked before."""
+    """Returns the verdicts. Raises MemoryError without memory, and RuntimeError for unchecked input."""
     statuses = [verdict.status for verdict in verdicts]
     if NO_MEMORY in statuses:
         raise MemoryError("no memory for a chunk in the native kernel")
     if REFUSED in statuses:
-        raise RuntimeError("the native kernel refuses what was checked before")
+        raise RuntimeError("the native kernel refuses checked input")
     return verdicts
 
 
 def weight_symbols(
     kernel: Kernel, tables: bytes, part: bytes, lanes: int, scale: NDArray[np.uint8], few: int
 ) -> tuple[NDArray[np.int32], Verdict]:
-    """SPEC 7.13, DECODE_WEIGHTS: returns the symbols of packed weights, int32 [symbols], and what is made of them.
+    """SPEC 7.13, DECODE_WEIGHTS: returns the symbols of packed weights, int32 [symbols], and the verdict on them.
 
-    tables: the shipped file. part: the substream. scale: uint8 [symbols], of each symbol. few: how many symbols the
-    first group has.
+    tables: the shipped file. part: the substream. scale: uint8 [symbols]. few: the number of symbols of the first
+    group.
     """
     given, bytes_ = np.ascontiguousarray(scale), np.frombuffer(part, np.uint8)
     symbols, verdict = np.empty(len(given), np.int32), Verdict()
