@@ -83,7 +83,7 @@ def _requirement_lines(name: str) -> Iterator[str]:
     yield from _wrapped(f"{r.text}.")
     if r.error:
         kind = REGISTRY[r.error]
-        yield f"  a file that breaks it: error {kind.code} {kind.name}"
+        yield f"  a file that violates it: error {kind.code} {kind.name}"
     for title, places in (*trail["code"].items(), ("tests", trail["tests"])):
         for i, (path, function) in enumerate(places):
             yield f"  {title if i == 0 else '':<15} {_place(path, function, r.error)} {function}"
