@@ -28,7 +28,6 @@ _MARK = re.compile(r"(\[[RDG](?:\d+|[A-G])(?:\.\d+)*-\d+\])")
 # Generated from SPEC.md's own requirements, and files whose subject is a citation that is wrong.
 _LEFT_OUT = (
     "tests/",
-    "conformance/independent/",
     "conformance/spec_decoder/blocks.py",
     "conformance/REQUIREMENTS.md",
     "conformance/mutants/",

@@ -36,7 +36,6 @@ PARTS = {
     "front doors": ("refcodec.api", "refcodec.cli"),
     "conformance": (
         "conformance.spec_decoder",
-        "conformance.independent",
         "conformance",
         "conformance.cases",
         "conformance.runner",

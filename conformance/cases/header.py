@@ -368,6 +368,7 @@ def _render_info(book: Book) -> None:
     add = partial(book.add, features="render-info")
     for field, value, text in (
         ("up_axis", 6, "6"),
+        ("up_axis", 255, "255"),
         ("near_plane", NAN, "not-a-number"),
         ("near_plane", INFINITY, "infinite"),
         ("near_plane", 0.0, "zero"),

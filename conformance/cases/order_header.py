@@ -182,11 +182,23 @@ def _header(book: Book) -> None:
             "reserved, and the grid's reserved",
             (header.reserved.edit("reserved", 1), header.reserved.edit(f"{grid}.reserved", 1)),
         ),
+        ("invalid-two-lanes", "mask_lanes_log2 and attribute_lanes_log2", _lanes("mask", "attribute")),
+        ("invalid-lanes-of-planes-and-masks", "plane_lanes_log2 and mask_lanes_log2", _lanes("plane", "mask")),
+        (
+            "invalid-alpha-and-low-pass",
+            "alpha_max is 2, low_pass is negative",
+            (header.render_info.edit(f"{info}.alpha_max", 2.0), header.render_info.edit(f"{info}.low_pass", -1.0)),
+        ),
         ("invalid-lengths-infinite", "near_plane and distance_unit are infinite", _lengths(INFINITY)),
         ("invalid-lengths-zero", "near_plane and distance_unit are 0", _lengths(0.0)),
     ]
     for identifier, title, pair in among:
         book.ordered(identifier, title, several(plain, *pair), features="order header")
+
+
+def _lanes(*names: str) -> tuple[Part, ...]:
+    """Returns faults of the lane counts of some kinds."""
+    return tuple(header.lanes.edit(f"{name}_lanes_log2", 9) for name in names)
 
 
 def _lengths(value: float) -> tuple[Part, ...]:

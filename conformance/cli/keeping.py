@@ -8,7 +8,7 @@ import re
 from pathlib import Path
 from typing import Any
 
-from refcodec.files.outputs import Kind, check_apart, check_file
+from refcodec.files.outputs import Kind
 
 from ..manifest import MANIFEST, VECTORS
 from .errors import UsageError
@@ -48,18 +48,16 @@ def _add_generate(commands: Any) -> None:
 
 
 def _selftest(arguments: argparse.Namespace) -> int:
-    from ..mutants.selftest import run  # noqa: PLC0415
+    from ..mutants import record, selftest  # noqa: PLC0415
 
-    if arguments.matrix:
-        check_file(arguments.matrix, MATRIX)
-        check_apart([arguments.matrix], [arguments.manifest, arguments.manifest.parent])
-    return run(arguments.manifest, arguments.jobs, arguments.recorded, arguments.matrix, arguments.write)
+    if arguments.table:
+        print(record.table(selftest.mutants(), record.read()), end="")
+        return 0
+    return selftest.run(arguments.manifest, arguments.jobs, arguments.recorded, arguments.write)
 
 
 def _add_selftest(commands: Any) -> None:
-    selftest = commands.add_parser(
-        "selftest", help="plant bugs in the second decoder; the vectors must catch every one"
-    )
+    selftest = commands.add_parser("selftest", help="plant bugs in the blocks of SPEC.md; the vectors must catch each")
     selftest.add_argument(
         "--manifest",
         type=Path,
@@ -70,18 +68,9 @@ def _add_selftest(commands: Any) -> None:
         "--jobs", type=positive, default=os.cpu_count() or 1, help="processes (default: one for each core)"
     )
     how = selftest.add_mutually_exclusive_group()
-    how.add_argument(
-        "--recorded", action="store_true", help="each bug on the vector that is recorded as the first to catch it alone"
-    )
-    how.add_argument(
-        "--matrix",
-        type=Path,
-        metavar="FILE",
-        help="each bug on all vectors; write which catch it to this file, as JSON",
-    )
-    how.add_argument(
-        "--write", action="store_true", help="renew the record and its table, conformance/mutants/CAUGHT.md"
-    )
+    how.add_argument("--recorded", action="store_true", help="try each bug only on its recorded vector")
+    how.add_argument("--write", action="store_true", help="write the record of the first vector that catches each bug")
+    how.add_argument("--table", action="store_true", help="print the record as a table in Markdown; try nothing")
     selftest.set_defaults(run=_selftest)
 
 

@@ -7,7 +7,7 @@ import tomllib
 from functools import cache
 from pathlib import Path
 
-from .mutant import MODULES, Mutant, text_of
+from .mutant import Mutant, definitions, span, text
 
 LIST = Path(__file__).with_name("handwritten.toml")
 
@@ -16,26 +16,29 @@ class BugError(ValueError):
     """A bug of the list that cannot be planted."""
 
 
-def plant(name: str, module: str, old: str, new: str, what: str, requirements: list[str]) -> Mutant:
-    """The mutant in which `new` stands for `old`.
+def plant(name: str, place: str, old: str, new: str, what: str, requirements: list[str]) -> Mutant:
+    """Returns the mutant with `new` instead of `old` in a function or constant of the blocks.
 
-    Raises BugError if the text does not occur exactly once, or the name or the module is wrong.
+    Raises BugError if `old` does not occur exactly once there, or if the name or the place is not valid.
     """
-    if module not in MODULES or not re.fullmatch(r"[a-z0-9-]+", name):
-        raise BugError(f"{name}: {module} is no module, or the name is not one")
-    text = text_of(module)
-    if text.count(old) != 1:
-        raise BugError(f"{name}: its text occurs {text.count(old)} times in {module}.py")
-    line = text[: text.index(old)].count("\n") + 1
-    return Mutant(name, module, line, old, new, what, text.replace(old, new), tuple(requirements))
+    if place not in definitions() or not re.fullmatch(r"[a-z0-9-]+", name):
+        raise BugError(f"{name}: {place} is not a function or constant that decodes, or the name is not valid")
+    first, end = span(definitions()[place])
+    own = text()[first:end]
+    if own.count(old) != 1:
+        raise BugError(f"{name}: its text occurs {own.count(old)} times in {place}")
+    at = first + own.index(old)
+    line = text()[:at].count("\n") + 1
+    source = text()[:at] + new + text()[at + len(old) :]
+    return Mutant(name, place, line, old, new, what, source, tuple(requirements))
 
 
 @cache
 def bugs() -> tuple[Mutant, ...]:
-    """The list; BugError if one of it cannot be planted, or two have one name."""
-    found = {}
+    """Returns the mutants of the list. Raises BugError if one cannot be planted, or if two have the same name."""
+    mutants: dict[str, Mutant] = {}
     for bug in tomllib.loads(LIST.read_text(encoding="utf-8"))["bug"]:
-        if bug["id"] in found:
-            raise BugError(f"{bug['id']} is there twice")
-        found[bug["id"]] = plant(bug["id"], bug["module"], bug["old"], bug["new"], bug["what"], bug["requirements"])
-    return tuple(found.values())
+        if bug["id"] in mutants:
+            raise BugError(f"{bug['id']} occurs twice")
+        mutants[bug["id"]] = plant(bug["id"], bug["in"], bug["old"], bug["new"], bug["what"], bug["breaks"])
+    return tuple(mutants.values())

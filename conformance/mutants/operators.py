@@ -1,4 +1,4 @@
-"""Wrong decoders that nobody chose: a fixed sample of the small changes that the second decoder's code allows."""
+"""Wrong decoders that nobody chose: a fixed sample of the small changes that the blocks of SPEC.md allow."""
 
 from __future__ import annotations
 
@@ -8,12 +8,12 @@ import hashlib
 from collections import defaultdict
 from collections.abc import Callable, Iterator
 from functools import cache
-from itertools import accumulate, pairwise
+from itertools import pairwise
 
-from .mutant import MODULES, Mutant, text_of
+from .mutant import Mutant, definitions, span, text
 
-# How many of a function's changes are taken: one in SHARE, but at least LEAST of them.
-SHARE, LEAST = 10, 2
+# One in SHARE of the changes of a function or constant is taken, but at least LEAST.
+SHARE, LEAST = 10, 1
 SEED = "c3gs mutants 0"
 
 Change = tuple[str, ast.AST]
@@ -148,94 +148,39 @@ OPERATORS: tuple[Callable[[ast.AST], Iterator[Change]], ...] = (
 )  # fmt: skip
 
 
-def _decodes(node: ast.AST) -> bool:
-    """Whether a node has a part in a verdict, which is a digest, or a code and an offset.
-
-    Types, imports, messages, traces and the place of the tables' file have none.
-    """
-    if isinstance(node, ast.Assign):
-        return not ast.unparse(node.targets[0]).endswith("_PATH")
-    if isinstance(node, ast.Subscript):
-        return not (isinstance(node.value, ast.Name) and node.value.id in ("dict", "list", "tuple"))
-    if isinstance(node, ast.If):
-        return ast.unparse(node.test) not in ("trace", "self._trace")
-    if isinstance(node, ast.BoolOp):
-        return ast.unparse(node.values[0]) != "trace"
-    return not isinstance(node, ast.JoinedStr | ast.Import | ast.ImportFrom)
-
-
 def _inside(node: ast.AST, scope: str) -> Iterator[tuple[str, ast.AST]]:
-    """The nodes that a decoder runs, each with its function's name: no annotations, decorators or base classes."""
-    left_out: list[ast.AST | None] = []
-    if isinstance(node, ast.FunctionDef):
-        left_out = [node.returns, *node.decorator_list]
-    elif isinstance(node, ast.ClassDef):
-        left_out = [*node.bases, *node.decorator_list]
-    elif isinstance(node, ast.AnnAssign | ast.arg):
-        left_out = [node.annotation]
+    """Yields the nodes below a node that are executed, each with the qualified name of its function."""
     for child in ast.iter_child_nodes(node):
-        if any(child is part for part in left_out) or not _decodes(child):
-            continue
-        inner = f"{scope}.{child.name}" if isinstance(child, ast.FunctionDef | ast.ClassDef) else scope
+        inner = f"{scope}.{child.name}" if isinstance(child, ast.FunctionDef) else scope
         yield inner, child
         yield from _inside(child, inner)
 
 
-class _Text:
-    """A module's text, of which a node's part is read or replaced. Columns of the syntax tree count bytes of UTF-8."""
-
-    def __init__(self, text: str) -> None:
-        self._data = text.encode()
-        self._lines = [0, *accumulate(map(len, self._data.splitlines(keepends=True)))]
-
-    def _span(self, node: ast.expr | ast.stmt) -> tuple[int, int]:
-        assert node.end_lineno is not None
-        assert node.end_col_offset is not None
-        return self._lines[node.lineno - 1] + node.col_offset, self._lines[node.end_lineno - 1] + node.end_col_offset
-
-    def of(self, node: ast.expr | ast.stmt) -> str:
-        """The node's part."""
-        start, end = self._span(node)
-        return self._data[start:end].decode()
-
-    def replaced(self, node: ast.expr | ast.stmt, new: str) -> str:
-        """The whole text with other text in the place of the node's."""
-        start, end = self._span(node)
-        return (self._data[:start] + new.encode() + self._data[end:]).decode()
-
-
-def points(module: str) -> dict[str, list[Mutant]]:
-    """All changes of a module, by function."""
-    text = _Text(text_of(module))
-    found: dict[str, list[Mutant]] = defaultdict(list)
+def points(place: str) -> list[Mutant]:
+    """Returns all changes of a function or constant of the blocks."""
+    mutants: list[Mutant] = []
     times: dict[str, int] = defaultdict(int)
-    for scope, node in _inside(ast.parse(text_of(module)), module):
+    for scope, node in _inside(definitions()[place], place):
         for operator in OPERATORS:
-            if operator is arguments and module == "errors":
-                # Class, clause and meaning of an error are told, and not judged.
+            if operator is arguments and place == "ERRORS":
+                # The class, clause and meaning of an error are reported, but not judged.
                 continue
-            for what, changed in operator(node):
+            for what, change in operator(node):
                 assert isinstance(node, ast.expr | ast.stmt)
-                old, new = text.of(node), ast.unparse(ast.fix_missing_locations(changed))
-                # The same for the same place, whatever is changed elsewhere in the module, and wherever the function
-                # moves.
-                key = f"{scope.partition('.')[2]}\n{operator.__name__}\n{old}\n{new}"
+                first, end = span(node)
+                old, new = text()[first:end], ast.unparse(ast.fix_missing_locations(change))
+                # The identifier depends on the place of the change, and not on other changes of the blocks.
+                key = f"{scope}\n{operator.__name__}\n{old}\n{new}"
                 times[key] += 1
                 digest = hashlib.sha256(f"{SEED}\n{key}\n{times[key]}".encode()).hexdigest()
-                source = text.replaced(node, new if isinstance(node, ast.stmt) else f"({new})")
+                source = text()[:first] + (new if isinstance(node, ast.stmt) else f"({new})") + text()[end:]
                 name = f"{scope}-{operator.__name__}-{digest[:8]}"
-                found[scope].append(Mutant(name, module, node.lineno, old, new, what, source))
-    return found
-
-
-@cache
-def changes() -> tuple[Mutant, ...]:
-    """All changes of the second decoder, module by module."""
-    return tuple(mutant for module in MODULES for mutants in points(module).values() for mutant in mutants)
+                mutants.append(Mutant(name, place, node.lineno, old, new, what, source))
+    return mutants
 
 
 def _rank(mutants: list[Mutant]) -> list[Mutant]:
-    """A function's changes by hash, one of each operator before the second one of any."""
+    """Returns the changes of a place by hash, one of each operator before the second one of any."""
     times: dict[str, int] = defaultdict(int)
     keyed = []
     for mutant in sorted(mutants, key=lambda m: m.id.rpartition("-")[2]):
@@ -247,9 +192,9 @@ def _rank(mutants: list[Mutant]) -> list[Mutant]:
 
 @cache
 def sample() -> tuple[Mutant, ...]:
-    """The sample: some of each function, chosen by hash, so that an edit of one function changes no other one's."""
+    """Returns some changes of each place, chosen by hash: an edit of one place does not change the choice in others."""
     chosen: list[Mutant] = []
-    for module in MODULES:
-        for mutants in points(module).values():
-            chosen += _rank(mutants)[: max(LEAST, len(mutants) // SHARE)]
+    for place in definitions():
+        mutants = points(place)
+        chosen += _rank(mutants)[: max(LEAST, len(mutants) // SHARE)]
     return tuple(chosen)

@@ -1,104 +1,59 @@
-"""What is committed of the self-test: for each planted bug the first vector that catches it, as JSON and as a table."""
+"""The committed record of the self-test: the first vector that catches each planted bug, one bug on each line."""
 
 from __future__ import annotations
 
 import json
-from collections import Counter
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 from refcodec.files.documents import DocumentError, read_json
-from refcodec.files.stage import Stage
+from refcodec.files.stage import write_file
 
 from ..manifest import ManifestError
 from .equivalent import PROOFS
 from .mutant import Mutant
 
 JSON = Path(__file__).with_name("caught.json")
-TABLE = Path(__file__).with_name("CAUGHT.md")
 
 # Bug -> (vector, what was wrong with the decoder's outcome).
 Caught = dict[str, tuple[str, str]]
 
-_HEAD = """# Planted bugs
-
-Written by `conformance selftest --write`. Each line is a wrong decoder, made from the second decoder by the change
-shown, and the first vector that catches it: the cheapest of those for a requirement that it breaks, or else of all.
-Bugs planted by hand name the requirements. The others were made by operators over the syntax tree, and nobody chose
-them.
-
-A bug is planted by adding it to `handwritten.toml` and running `conformance selftest --write`. One that survives needs
-a vector, or a proof in `equivalent.py`. A vector is a case in the file of its chapter in `conformance/cases/`.
-"""
-
 
 def read(path: Path = JSON) -> Caught:
-    """The committed record. Raises OSError, and ManifestError for a file that is none."""
+    """Returns the committed record. Raises OSError, and ManifestError if the file is not a record."""
     try:
-        document = read_json(path)
-        return {name: (str(found["vector"]), str(found["wrong"])) for name, found in document.items()}
+        return {name: (str(vector), str(wrong)) for name, (vector, wrong) in read_json(path).items()}
     except DocumentError as error:
         raise ManifestError(f"{path}: {error}") from None
-    except (AttributeError, KeyError, TypeError):
-        raise ManifestError(f"{path}: no record of planted bugs") from None
+    except (AttributeError, TypeError, ValueError):
+        raise ManifestError(f"{path} is not a record of planted bugs") from None
+
+
+def write(mutants: Sequence[Mutant], caught: Mapping[str, tuple[str, str]]) -> None:
+    """Writes the record."""
+    lines = [f"{json.dumps(m.id)}: {json.dumps(caught[m.id])}" for m in mutants if m.id in caught]
+    write_file(JSON, ("{\n" + ",\n".join(lines) + "\n}\n").encode())
 
 
 def _cell(text: str) -> str:
-    """Text on one line of a table."""
+    """Returns text for a cell of a table in Markdown."""
     line = " ".join(text.split())
     return (line if len(line) <= 100 else line[:97] + "...").replace("|", "\\|")
 
 
-_TOLD = {
-    "another": "another digest",
-    "accepted,": "a bad file accepted",
-    "refused": "a good file refused",
-    "crash": "a crash",
-    "hang": "no end",
-}
-
-
-def _summary(mutants: Sequence[Mutant], caught: Mapping[str, tuple[str, str]]) -> str:
-    found = [caught[m.id] for m in mutants if m.id in caught]
-    right = sum(m.id in PROOFS for m in mutants)
-    kinds = Counter(wrong.split()[0] for _, wrong in found)
-    shares = [f"{text} {kinds.pop(word, 0)}" for word, text in _TOLD.items()]
-    vectors = len({vector for vector, _ in found})
-    return (
-        f"{len(found)} of {len(mutants) - right} bugs are caught, by {vectors} vectors; "
-        f"{right} more changes are proved to be no bugs. "
-        f"What gave them away: {', '.join(shares)}, another error {sum(kinds.values())}.\n"
-    )
-
-
 def table(mutants: Sequence[Mutant], caught: Mapping[str, tuple[str, str]]) -> str:
-    """The table as Markdown."""
-    bugs = [m for m in mutants if m.id not in PROOFS]
-    lines = [_HEAD, _summary(mutants, caught)]
-    lines += [
-        "## By hand\n",
-        "| bug | module | what | requirements | first vector | outcome |",
-        "|---|---|---|---|---|---|",
-    ]
-    for m in bugs:
-        vector, wrong = caught.get(m.id, ("**none**", ""))
-        if m.requirements:
-            lines.append(
-                f"| {m.id} | {m.module} | {_cell(m.what)} | {', '.join(m.requirements)} | {vector} | {_cell(wrong)} |"
-            )
-    lines += ["\n## By operators\n", "| bug | text | becomes | first vector | outcome |", "|---|---|---|---|---|"]
-    for m in bugs:
-        vector, wrong = caught.get(m.id, ("**none**", ""))
-        if not m.requirements:
-            lines.append(f"| {m.id} | `{_cell(m.old)}` | `{_cell(m.new)}` | {vector} | {_cell(wrong)} |")
-    lines += ["\n## No bugs\n", "| change | text | becomes | proof |", "|---|---|---|---|"]
-    lines += [f"| {m.id} | `{_cell(m.old)}` | `{_cell(m.new)}` | {PROOFS[m.id]} |" for m in mutants if m.id in PROOFS]
+    """Returns a table in Markdown of all bugs, with the change and the first vector that catches each."""
+    lines = ["| bug | requirements | mistake | text | becomes | first vector | outcome |", "|" + "---|" * 7]
+    for m in mutants:
+        vector, wrong = caught.get(m.id, ("**none**", PROOFS.get(m.id, "")))
+        cells = (
+            m.id,
+            ", ".join(m.requirements),
+            m.what,
+            f"`{_cell(m.old)}`",
+            f"`{_cell(m.new)}`",
+            vector,
+            _cell(wrong),
+        )
+        lines.append(f"| {' | '.join(cells)} |")
     return "\n".join(lines) + "\n"
-
-
-def write(mutants: Sequence[Mutant], caught: Mapping[str, tuple[str, str]]) -> None:
-    """Writes both files."""
-    document = {m.id: {"vector": caught[m.id][0], "wrong": caught[m.id][1]} for m in mutants if m.id in caught}
-    with Stage() as stage:
-        stage.write(JSON, (json.dumps(document, indent=1) + "\n").encode())
-        stage.write(TABLE, table(mutants, caught).encode())

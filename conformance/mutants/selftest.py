@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import ast
-import json
 import multiprocessing
 import signal
 import sys
@@ -18,7 +17,6 @@ from typing import TypeVar
 from tqdm import tqdm
 
 from conformance.manifest import Accepted, Manifest, ManifestError, Rejected, load
-from refcodec.files.stage import write_file
 
 from . import handwritten, operators, record
 from .equivalent import PROOFS
@@ -36,9 +34,9 @@ class SelfTestError(Exception):
 
 
 @cache
-def decoder(mutant: Mutant) -> tuple[str, str]:
-    """The module and its syntax tree as text: what makes two mutants one."""
-    return mutant.module, ast.dump(ast.parse(mutant.source))
+def decoder(mutant: Mutant) -> str:
+    """Returns the syntax tree of a mutant as text. Mutants with the same one are the same."""
+    return ast.dump(ast.parse(mutant.source))
 
 
 @cache
@@ -73,16 +71,9 @@ def cases(manifest: Manifest) -> list[Case]:
 
 # --- the grader tested ------------------------------------------------------------------------------------------------
 
-_PACKAGE = """from . import reconstruction, tables
-from .errors import C3GSError
-def decode(data):
-    {}
-reconstruction.digests = lambda scene: {{}}
-"""
-
 
 def fakes() -> list[Mutant]:
-    """Decoders that are none, and that no vector may let pass."""
+    """Returns programs that do not decode. Each vector must catch each of them."""
     bodies = {
         "raises": "raise ValueError",
         "exits": "raise SystemExit(1)",
@@ -90,12 +81,16 @@ def fakes() -> list[Mutant]:
         "kills-itself": "import os; os.kill(os.getpid(), 9)",
         "hangs": "while True: pass",
         "takes-all-memory": "return bytearray(1 << 40)",
-        "accepts-everything": "return data",
-        "refuses-everything": 'raise C3GSError("section.crc", 1)',
-        "refuses-without-code": 'raise C3GSError("no.such", 0)',
+        "accepts-everything": "return {'scene': b'', 'parts': [b''] * 7}",
+        "refuses-everything": "raise Refused('section.crc', 1)",
+        "refuses-without-code": "raise Refused('no.such', 0)",
         "does-not-load": "return (",
     }
-    return [Mutant(name, "__init__", 1, "", body, "no decoder", _PACKAGE.format(body)) for name, body in bodies.items()]
+    text = "ERRORS = {'section.crc': (312,)}\nclass Refused(Exception): pass\ndef DECODE_FILE(data):\n    {}\n"
+    return [
+        Mutant(name, "DECODE_FILE", 1, "", body, "no decoder", text.replace("{}", body))
+        for name, body in bodies.items()
+    ]
 
 
 def demanded(case: Case) -> Outcome:
@@ -284,7 +279,7 @@ def show(result: Score, made: Sequence[Mutant]) -> None:
     """Prints the score and what is wrong."""
     bugs = [m for m in made if m.id not in PROOFS]
     for m in result.survivors:
-        print(f"survivor: {m.id}, {m.module}.py:{m.line}: {m.what}\n  {m.old!r}\n  {m.new!r}")
+        print(f"survivor: {m.id}, {m.place}, line {m.line}: {m.what}\n  {m.old!r}\n  {m.new!r}")
     for name in result.refuted:
         print(f"no equivalent: {name} is caught by {result.caught[name][0]}: {result.caught[name][1]}")
     hand, caught = sum(bool(m.requirements) for m in bugs), len(bugs) - len(result.survivors)
@@ -292,38 +287,34 @@ def show(result: Score, made: Sequence[Mutant]) -> None:
     print(f"{len(bugs)} planted bugs, {hand} by hand, {len(bugs) - hand} by operators: {caught} caught, {share:.1f} %")
 
 
-def run(manifest: Path, jobs: int, recorded: bool, matrix: Path | None, write: bool) -> int:
+def run(manifest: Path, jobs: int, recorded: bool, write: bool) -> int:
     """Tries every planted bug on the vectors until one catches it, and prints the score.
 
-    recorded: only on the vector that is recorded as the first to catch it. matrix: on all vectors, and which catch it
-    is written to this file. write: renews the record. Returns 0 if all are caught, else 1. Raises ManifestError and
-    OSError for the manifest.
+    recorded: tries each bug only on the vector that is recorded as the first to catch it. write: renews the record.
+    Returns 0 if all are caught, else 1. Raises ManifestError and OSError for the manifest.
     """
     suite = load(manifest)
-    made: Sequence[Mutant] = mutants()
+    bugs: Sequence[Mutant] = mutants()
     known = record.read() if recorded else {}
     try:
         wanted = {vector for vector, _ in known.values()}
         all_cases = [c for c in cases(suite) if not recorded or c.id in wanted]
         missing = wanted - {c.id for c in all_cases}
         if missing:
-            raise ManifestError(f"{manifest}: it lacks vectors of the record: {', '.join(sorted(missing)[:3])}")
+            raise ManifestError(f"{manifest}: vectors of the record are missing: {', '.join(sorted(missing)[:3])}")
         with trials(all_cases, jobs) as test:
             if recorded:
-                made = [m for m in made if m.id in known]
-                order = {m.id: [known[m.id][0]] for m in made}
+                bugs = [m for m in bugs if m.id in known]
+                order = {m.id: [known[m.id][0]] for m in bugs}
             else:
-                order = test.order(made)
-            found = test.tries([(m, order[m.id]) for m in made], "planted bugs", first_only=matrix is None)
-            catchers = {m.id: wrong for m, wrong in zip(made, found, strict=True)}
+                order = test.order(bugs)
+            tries = test.tries([(m, order[m.id]) for m in bugs], "planted bugs", first_only=True)
+            catchers = {m.id: wrong for m, wrong in zip(bugs, tries, strict=True)}
     except SelfTestError as error:
         print(error, file=sys.stderr)
         return 1
-    result = score(made, catchers)
-    if matrix:
-        text = json.dumps({name: dict(wrong) for name, wrong in catchers.items()}, indent=1) + "\n"
-        write_file(matrix, text.encode())
+    result = score(bugs, catchers)
     if write:
-        record.write(made, result.caught)
-    show(result, made)
+        record.write(bugs, result.caught)
+    show(result, bugs)
     return 0 if result.right else 1

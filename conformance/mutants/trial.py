@@ -10,16 +10,16 @@ import signal
 import sys
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
-from pathlib import Path
-from types import CodeType, FrameType, ModuleType
+from types import CodeType, FrameType
 
+from ..spec_decoder import PARTS, Names, verdict
 from . import loading
-from .mutant import Mutant
+from .mutant import PATH, Mutant
 
 # What the interpreter has taken before a file is looked at, in bytes of address space.
 INTERPRETER_BYTES = 128 << 20
 # More than this a vector's cost is not told apart.
-MOST_CALLS = 1 << 20
+MOST_CALLS = 1 << 18
 
 
 @dataclass(frozen=True)
@@ -53,8 +53,6 @@ class Outcome:
 
 HANG = Outcome("hang")
 Grade = Callable[[Case, Outcome], str | None]
-# Makes a decoder of a bug, or of none.
-Make = Callable[[Mutant | None], Callable[[Case], Outcome]]
 
 
 def grade(case: Case, outcome: Outcome) -> str | None:
@@ -72,28 +70,24 @@ def grade(case: Case, outcome: Outcome) -> str | None:
     return None if outcome.offset == case.error[1] else f"{outcome.code} at {outcome.offset}, not {case.error[1]}"
 
 
-def decode(package: ModuleType, data: bytes) -> Outcome:
-    """What a loaded decoder does with a file, in this process."""
-    try:
-        return Outcome("accepted", digests=package.reconstruction.digests(package.decode(data)))
-    except package.C3GSError as error:
-        return Outcome("rejected", code=int(error.code), offset=int(error.offset))
+def decode(names: Names, data: bytes) -> Outcome:
+    """Returns what a loaded decoder does with a file. Raises what the decoder raises besides its own refusal."""
+    result, error = verdict(names, data)
+    if error:
+        return Outcome("rejected", code=int(names["ERRORS"][error[0]][0]), offset=int(error[1]))
+    assert result is not None
+    digests = dict(zip(("whole", *PARTS), (result["scene"], *result["parts"]), strict=True))
+    return Outcome("accepted", digests={name: bytes(digest).hex() for name, digest in digests.items()})
 
 
-def loaded(mutant: Mutant | None) -> Callable[[Case], Outcome]:
-    """The wrong decoder as a package of its own."""
-    package = loading.load(mutant)
-    return lambda case: decode(package, case.data)
-
-
-def _child(write: int, mutant: Mutant | None, cases: Sequence[Case], stop: Grade | None, make: Make) -> None:
+def _child(write: int, mutant: Mutant | None, cases: Sequence[Case], stop: Grade | None) -> None:
     """Writes a line of JSON for each case. The timer counts processor time, and ends a call of C too."""
     signal.signal(signal.SIGPROF, signal.SIG_DFL)
     with os.fdopen(write, "w", encoding="utf-8") as out:
         decoder, broken = None, Outcome("crash")
         signal.setitimer(signal.ITIMER_PROF, cases[0].seconds)
         try:
-            decoder = make(mutant)
+            decoder = loading.load(mutant)
         except (Exception, SystemExit) as error:
             broken = Outcome("crash", text=type(error).__name__)
         for case in cases:
@@ -102,7 +96,7 @@ def _child(write: int, mutant: Mutant | None, cases: Sequence[Case], stop: Grade
             resource.setrlimit(resource.RLIMIT_AS, (case.bytes + INTERPRETER_BYTES, resource.RLIM_INFINITY))
             if decoder is not None:
                 try:
-                    outcome = decoder(case)
+                    outcome = decode(decoder, case.data)
                 except (Exception, SystemExit) as error:  # whatever it is, it is the decoder's fault
                     outcome = Outcome("crash", text=type(error).__name__)
             print(json.dumps(vars(outcome)), file=out, flush=True)
@@ -110,14 +104,14 @@ def _child(write: int, mutant: Mutant | None, cases: Sequence[Case], stop: Grade
                 return
 
 
-def _fork(mutant: Mutant | None, cases: Sequence[Case], stop: Grade | None, make: Make) -> list[Outcome]:
+def _fork(mutant: Mutant | None, cases: Sequence[Case], stop: Grade | None) -> list[Outcome]:
     """The outcomes up to the case that ends the child, if one does."""
     read, write = os.pipe()
     pid = os.fork()
     if not pid:
         try:
             os.close(read)
-            _child(write, mutant, cases, stop, make)
+            _child(write, mutant, cases, stop)
         finally:
             # Nothing of the parent is run, whatever has been raised.
             os._exit(0)
@@ -131,16 +125,14 @@ def _fork(mutant: Mutant | None, cases: Sequence[Case], stop: Grade | None, make
     return [*found, HANG if hang else Outcome("crash", text=f"status {status}")]
 
 
-def outcomes(
-    mutant: Mutant | None, cases: Sequence[Case], stop: Grade | None = None, make: Make = loaded
-) -> list[Outcome]:
+def outcomes(mutant: Mutant | None, cases: Sequence[Case], stop: Grade | None = None) -> list[Outcome]:
     """The outcome of each case, in order; with `stop` only up to the first that it finds wrong.
 
-    make: makes the decoder. To be called in a process of one thread, which is forked.
+    To be called in a process of one thread, which is forked.
     """
     found: list[Outcome] = []
     while len(found) < len(cases) and not (found and stop and stop(cases[len(found) - 1], found[-1])):
-        found += _fork(mutant, cases[len(found) :], stop, make)
+        found += _fork(mutant, cases[len(found) :], stop)
     return found
 
 
@@ -153,7 +145,7 @@ def visit(data: bytes) -> tuple[int, frozenset[str] | None]:
 
     Beyond MOST_CALLS it is not counted further; None stands for all functions then.
     """
-    package, calls = loading.load(None), 0
+    decoder, calls = loading.load(None), 0
     codes: set[CodeType] = set()
 
     def count(frame: FrameType, event: str, _argument: object) -> None:
@@ -167,10 +159,10 @@ def visit(data: bytes) -> tuple[int, frozenset[str] | None]:
     gc.disable()
     sys.setprofile(count)
     try:
-        decode(package, data)
+        decode(decoder, data)
     except _EnoughError:
         return calls, None
     finally:
         sys.setprofile(None)
         gc.enable()
-    return calls, frozenset(f"{Path(code.co_filename).stem}.{code.co_qualname}" for code in codes)
+    return calls, frozenset(code.co_qualname for code in codes if code.co_filename == PATH)

@@ -588,31 +588,6 @@ def test_export(inputs: Path, tmp_path: Path, monkeypatch: Any, capsys: Any) -> 
     try_all(case, inputs, tmp_path, monkeypatch, capsys)
 
 
-@pytest.mark.slow
-def test_matrix(inputs: Path, tmp_path: Path, monkeypatch: Any, capsys: Any) -> None:
-    from contextlib import contextmanager  # noqa: PLC0415
-
-    from conformance.mutants import selftest  # noqa: PLC0415
-
-    class Trials:
-        def order(self, made: Any) -> Any:
-            return {m.id: [] for m in made}
-
-        def tries(self, wanted: Any, name: str, first_only: bool) -> Any:
-            return [[("a-vector", "another digest")] for _ in wanted]
-
-    @contextmanager
-    def trials(cases: Any, jobs: int) -> Any:
-        yield Trials()
-
-    planted = [m for m in selftest.mutants() if m.requirements][:2]
-    monkeypatch.setattr(selftest, "mutants", lambda: planted)
-    monkeypatch.setattr(selftest, "trials", trials)
-    monkeypatch.setattr(selftest, "cases", lambda manifest: [])
-    case = Case(["selftest", "--manifest", "suite/manifest.json", "--matrix", "matrix.json"], 5, run=suite_cli)
-    try_all(case, inputs, tmp_path, monkeypatch, capsys)
-
-
 def test_generate(inputs: Path, tmp_path: Path, monkeypatch: Any, capsys: Any) -> None:
     from conformance import cases  # noqa: PLC0415
     from conformance.cases import suite  # noqa: PLC0415

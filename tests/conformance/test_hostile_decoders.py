@@ -367,7 +367,7 @@ def test_the_record_of_planted_bugs(suite: Suite, tmp_path: Path, monkeypatch: p
     from conformance.mutants import record  # noqa: PLC0415
 
     path = tmp_path / "caught.json"
-    for data in (*DOCUMENTS.values(), b'{"bug": {"vector": "x"}}', b'{"bug": 1}'):
+    for data in (*DOCUMENTS.values(), b'{"bug": ["a-vector"]}', b'{"bug": 1}'):
         path.write_bytes(data)
         with pytest.raises(ManifestError):
             record.read(path)
