@@ -1,6 +1,6 @@
 """The measurements of speed and scale: python -m benchmarks decode|encode|scale [--json] [--write]
 
-Without an option it prints a table. --json prints all figures instead. --write also writes the section of RESULTS.md.
+By default it prints a table. --json prints all figures instead. --write also writes the section of RESULTS.md.
 """
 
 from __future__ import annotations
@@ -69,7 +69,7 @@ def _figures(options: argparse.Namespace, kept: Path) -> tuple[dict[str, Any], l
 
 
 def main(words: list[str] | None = None, kept: Path = KEPT) -> int:
-    """Measures and prints. kept: where scenes are kept. Returns the exit status."""
+    """Measures and prints. Returns the exit status. kept: the folder of large scenes."""
     words = sys.argv[1:] if words is None else words
     options = _parser().parse_args(words)
     try:

@@ -1,7 +1,7 @@
-"""The highest memory of each command and method that takes a file, under a bound: python -m benchmarks.bounds
+"""Peak memory of each command and method that takes a file, under a bound: python -m benchmarks.bounds
 
-It writes a section of RESULTS.md. The files are those that claim the most for the fewest bytes: sections and a chunk
-that are far above the bound, or as long as the bound allows. Each comes by its name, by a pipe, and from a web server.
+It writes a section of RESULTS.md. The files claim much memory with few bytes: the length of a section or a chunk is far
+above the bound, or just below it. Each file is given by name, by a pipe and by URL.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ from .results import machine, mib, table, write_section
 ROOT = Path(__file__).resolve().parent.parent
 EXAMPLE, TRAINED = ROOT / "vectors" / "tiny-example.c3gs", ROOT / "vectors" / "valid" / "trained-snowmiku.c3gs"
 BOUND = 200 << 20
-# Lengths of a section or a chunk: above the bound, and about as long as it allows.
+# Lengths of a section or a chunk: above the bound, and just below it.
 LENGTHS = (1500 << 20, 20 << 20)
 KINDS = ("PLNS", "mETA", "DATA")
 COMMANDS = (
@@ -47,7 +47,7 @@ COMMANDS = (
     "export FILE -o OUT.html",
     "export FILE --scaffold -o OUT",
 )
-# Of these a file that is drawn is left out: images are no part of the bound.
+# These commands draw valid files. They get no valid file, because the bound does not include images.
 DRAWING = ("render", "eval", "export")
 METHODS = (
     "refcodec.decode(place, max_memory=most)",
@@ -58,7 +58,7 @@ METHODS = (
     "refcodec.open(place, max_memory=most).metadata",
     "refcodec.open(place, max_memory=most)._repr_html_()",
 )
-# Does a task with one file after the other, and prints the exit statuses and the highest memory.
+# Runs a task on each file in turn, and prints the exit statuses and the peak memory.
 _COMMAND = """
 import gc, sys
 from benchmarks.resident import resident
@@ -88,7 +88,7 @@ print(*sorted(statuses), resident(), file=sys.stderr)
 
 @contextmanager
 def _served(folder: Path) -> Iterator[str]:
-    """Yields the address of a web server of a folder that answers ranges."""
+    """Serves a folder, with range requests, and yields the address."""
 
     class Handler(BaseHTTPRequestHandler):
         protocol_version = "HTTP/1.1"
@@ -115,7 +115,7 @@ def _served(folder: Path) -> Iterator[str]:
         daemon_threads = True
 
         def handle_error(self, *_: object) -> None:
-            """Clients hang up."""
+            """Ignores clients that disconnect."""
 
     with Quiet(("127.0.0.1", 0), Handler) as web:
         threading.Thread(target=web.serve_forever, daemon=True).start()
@@ -135,7 +135,7 @@ def _files(folder: Path) -> list[Path]:
 
 
 def _worst(task: str, files: list[Path], url: str, way: str) -> tuple[int, set[int]]:
-    """Returns the highest resident memory of a process that does a task with each of the files, and its statuses."""
+    """Returns the peak resident memory of a process that runs a task on each file, and its exit statuses."""
     chosen = [path for path in files if path.name != "valid" or task.split(maxsplit=1)[0] not in DRAWING]
     with tempfile.TemporaryDirectory() as out, contextlib.ExitStack() as writers:
         places = [str(path) for path in chosen]
@@ -164,7 +164,7 @@ def _worst(task: str, files: list[Path], url: str, way: str) -> tuple[int, set[i
 
 
 def section() -> list[str]:
-    """The section's text."""
+    """Returns the lines of the section."""
     rows = []
     with tempfile.TemporaryDirectory() as name:
         (Path(name) / "files").mkdir()
@@ -180,17 +180,17 @@ def section() -> list[str]:
         "`python -m benchmarks.bounds`",
         "",
         machine(),
-        f"{len(files)} files: a section or a chunk that claims {LENGTHS[0] >> 20} or {LENGTHS[1] >> 20} MiB, and",
-        "a valid one, which the commands that draw leave out. MiB: the highest resident memory of a process that takes",
-        "one after the other. From Python the bound is less by what a program is taken to have. Status 64: a bound is",
-        "passed. Status 1: a verdict.",
+        f"{len(files)} files: one is valid, others claim {LENGTHS[0] >> 20} or {LENGTHS[1] >> 20} MiB for a section",
+        "or a chunk. Commands that draw do not get the valid one. MiB: the peak resident memory of a process that",
+        "takes all files in turn. For the Python API, the bound excludes the memory assumed for the program itself.",
+        "Status 64: a bound is exceeded. Status 1: a verdict.",
         "",
         *table(["task", "by name", "by pipe", "by URL", "bound", "statuses"], rows),
     ]
 
 
 def main() -> None:
-    """Command line."""
+    """Runs the command line."""
     write_section("bounds", "Memory under a bound", section())
 
 

@@ -1,6 +1,6 @@
-"""Chromium without a window, driven through a pipe by its DevTools protocol. It draws with software.
+"""Headless Chromium with software rendering, driven through a pipe by the DevTools protocol.
 
-No name is resolved, so a page can reach this machine alone. What it asks for is kept.
+No name is resolved, so a page can only reach this machine. Its requests are recorded.
 """
 
 from __future__ import annotations
@@ -37,30 +37,29 @@ _OPTIONS = (
     "--hide-scrollbars",
     "--host-resolver-rules=MAP * ~NOTFOUND, EXCLUDE 127.0.0.1",
 )
-# Seconds until a command has to be answered.
+# Time limit for the answer to a command, in seconds.
 _TIMEOUT = 120.0
 
 
 class BrowserError(Exception):
-    """What the browser, or a script in its page, refuses."""
+    """An error of the browser, or of a script in its page."""
 
 
 def find() -> str | None:
-    """Returns the path of the program, or None if there is none."""
+    """Returns the path of the program, or None."""
     return next((path for name in NAMES if (path := shutil.which(name))), None)
 
 
 class Chromium:
     """A browser with one page. It is a context manager.
 
-    asked: the addresses that the page and its workers asked for. said: what they wrote to the console, and their
-    errors.
+    asked: the addresses that the page and its workers requested. said: their console output and errors.
     """
 
     def __init__(
         self, program: str, width: int = 960, height: int = 720, ratio: float = 1, touch: bool = False
     ) -> None:
-        """program: its path. width, height: of the page in pixels of CSS. ratio: pixels of one of these."""
+        """program: its path. width, height: of the page, in CSS pixels. ratio: device pixels per CSS pixel."""
         self._program = program
         self._screen = {"width": width, "height": height, "deviceScaleFactor": ratio, "mobile": touch}
         self._stack = contextlib.ExitStack()
@@ -75,7 +74,7 @@ class Chromium:
             (first, self._to), (self._from, second) = os.pipe(), os.pipe()
             stack.callback(os.close, self._to)
             stack.callback(os.close, self._from)
-            # The program reads what is 3 for it, and writes to 4. So here they are others.
+            # The program reads from descriptor 3 and writes to 4. Here the pipes use other numbers.
             its_in, its_out = (fcntl.fcntl(end, fcntl.F_DUPFD, 10) for end in (first, second))
             line = f'exec "$0" "$@" 3<&{its_in} 4>&{its_out}'
             options = (*_OPTIONS, f"--user-data-dir={folder}")
@@ -128,7 +127,7 @@ class Chromium:
         return self._number
 
     def ask(self, method: str, parameters: dict[str, Any] | None = None) -> dict[str, Any]:
-        """Returns the answer to a command, to the page once there is one. Raises BrowserError."""
+        """Returns the result of a command, which goes to the page if there is one. Raises BrowserError."""
         number = self._send(method, parameters or {}, self._session)
         end = time.monotonic() + _TIMEOUT
         while number not in self._answers:
@@ -140,10 +139,10 @@ class Chromium:
         return result
 
     def _listen(self, end: float) -> None:
-        """Takes what the browser says next."""
+        """Processes the next messages of the browser."""
         ready, _, _ = select.select([self._from], [], [], max(0.0, end - time.monotonic()))
         if not ready:
-            raise BrowserError(f"the browser says nothing; the page said {self.said}")
+            raise BrowserError(f"the browser does not answer; output of the page: {self.said}")
         block = os.read(self._from, 1 << 20)
         if not block:
             raise BrowserError("the browser has ended")
@@ -168,14 +167,14 @@ class Chromium:
             self.said.append(found["entry"]["text"])
 
     def open(self, url: str) -> None:
-        """Goes to a page, which may not be loaded yet when this returns. Raises BrowserError."""
+        """Opens a page and waits until it is loaded. Raises BrowserError."""
         answer = self.ask("Page.navigate", {"url": url})
         if "errorText" in answer:
             raise BrowserError(f"{url}: {answer['errorText']}")
         self.until("document.readyState === 'complete'")
 
     def run(self, script: str) -> Any:
-        """Returns the value of an expression in the page, also that of a promise. Raises BrowserError."""
+        """Returns the value of an expression in the page; promises are awaited. Raises BrowserError."""
         given = {"expression": script, "awaitPromise": True, "returnByValue": True}
         answer = self.ask("Runtime.evaluate", given)
         if "exceptionDetails" in answer:
@@ -184,11 +183,11 @@ class Chromium:
         return answer["result"].get("value")
 
     def until(self, script: str, seconds: float = 60) -> None:
-        """Waits until an expression is true. Raises BrowserError if it does not get true."""
+        """Waits until an expression is true. Raises BrowserError after `seconds`."""
         for _ in self._moments(seconds):
             if self.run(script):
                 return
-        raise BrowserError(f"not true after {seconds} s: {script}; the page said {self.said}")
+        raise BrowserError(f"not true after {seconds} s: {script}; output of the page: {self.said}")
 
     @staticmethod
     def _moments(seconds: float) -> Iterator[None]:
@@ -198,5 +197,5 @@ class Chromium:
             time.sleep(0.02)
 
     def screenshot(self) -> bytes:
-        """Returns what the page shows, as a PNG file."""
+        """Returns a screenshot of the page as a PNG file."""
         return base64.b64decode(self.ask("Page.captureScreenshot", {"format": "png"})["data"])

@@ -11,16 +11,16 @@ from .large import KEPT, PAPER_ANCHORS, large
 from .results import facts, facts_line, table
 from .worker import WHOLE_OUTPUT
 
-# Versions that the figures depend on.
+# Packages whose versions affect the figures.
 PACKAGES = ("torch", "constriction")
-# SPEC.md's method, on a GPU: seconds for a scene of PAPER_ANCHORS anchors.
+# The decoding time of the paper, on a GPU, for a scene of PAPER_ANCHORS anchors.
 PAPER_SECONDS = 13.1
 
 
 def coding(task: str, trained: Path, anchors: int, rounds: int, kept: Path = KEPT) -> dict[str, Any]:
     """Returns the figures of a task, DECODE or ENCODE. Raises DisagreementError.
 
-    trained: the scene whose symbols are coded. rounds: how often each contender runs. kept: where the scene is kept.
+    trained: the scene whose symbols are coded. rounds: runs of each contender. kept: the folder of the scene.
     """
     machine = {**facts(*PACKAGES), "compiler": compiler_version()}
     scene = large(trained, anchors, kept)
@@ -29,7 +29,7 @@ def coding(task: str, trained: Path, anchors: int, rounds: int, kept: Path = KEP
 
 
 def coding_lines(figures: dict[str, Any]) -> list[str]:
-    """Figures as the lines of a section."""
+    """Returns the figures as the lines of a section."""
     scene, rows = figures["scene"], []
     for row in figures["contenders"]:
         times = [f"{row['times'][clock]:.2f}" for clock in ("seconds", "processor")]
@@ -39,7 +39,7 @@ def coding_lines(figures: dict[str, Any]) -> list[str]:
     lines = [
         facts_line(figures["machine"]) + f" {figures['machine']['compiler'] or 'No compiler'}.",
         f"{scene['anchors']:,} anchors, {scene['bytes']:,} bytes, with the symbols of `{scene['trained']}`:",
-        f"its anchors are repeated, and each copy has chunks of its own. Planes are {planes}.",
+        f"its anchors are repeated, and each copy has its own chunks. Planes are {planes}.",
         f"An anchor's attributes take {bits['large']:.2f} bits, and {bits['trained']:.2f} in the trained file.",
         "",
         *table(["contender", "seconds", "processor seconds", "times of seconds", "times of processor seconds"], rows),
@@ -59,6 +59,6 @@ def coding_lines(figures: dict[str, Any]) -> list[str]:
 
 
 def _parts(row: dict[str, Any]) -> str:
-    """The parts of a contender's processor seconds, as the end of a sentence."""
+    """Returns the parts of a contender's processor seconds as the end of a sentence."""
     parts = [f"{name} {seconds:.3f}" for name, seconds in row.get("parts", {}).items()]
     return f"; {', '.join(parts)} processor seconds" if parts else ""

@@ -1,9 +1,8 @@
-"""What a command costs that is started anew: processor time, wall time and memory of inspect, validate and decode.
+"""Cold starts of commands: processor time, wall time and memory of inspect, validate and decode.
 
 python -m benchmarks.commands [--anchors 421600] [--rounds 9]
 
-It writes a section of RESULTS.md. The large scene is a trained one, whose anchors are drawn until there are enough. So
-its symbols are those of a trained scene.
+It writes a section of RESULTS.md. The anchors of the large scene are drawn at random from a trained scene.
 """
 
 from __future__ import annotations
@@ -30,12 +29,12 @@ from .results import machine, table, write_section
 ROOT = Path(__file__).resolve().parent.parent
 TINY, TRAINED = ROOT / "vectors" / "tiny-example.c3gs", ROOT / "vectors" / "valid" / "trained-snowmiku.c3gs"
 COMMANDS = {"inspect": [], "validate": [], "decode": ["-o", "OUT"], "decode --chunks 5:6": ["-o", "OUT"]}
-# Bytecode is there after the first run, as of an installed program.
+# The first run writes the bytecode, which an installed program has already.
 ENVIRONMENT = {k: v for k, v in os.environ.items() if k != "PYTHONDONTWRITEBYTECODE"}
 
 
 def large(path: Path, anchors: int) -> int:
-    """Writes a file of so many anchors of a trained scene. Returns its length in bytes."""
+    """Writes a file with a number of anchors of a trained scene. Returns its length in bytes."""
     scene = parse(TRAINED.read_bytes()).scene
     rows = np.random.default_rng(1).integers(0, scene.anchor_count, anchors)
     path.write_bytes(emit(replace(take_anchors(scene, rows), position_model=None)))
@@ -43,14 +42,14 @@ def large(path: Path, anchors: int) -> int:
 
 
 def words(command: str, file: Path, folder: Path) -> list[str]:
-    """The arguments of a command."""
+    """Returns the arguments of a command."""
     name, *options = command.split()
     options += [str(folder / "out") if word == "OUT" else word for word in COMMANDS[command]]
     return [name, str(file), *options]
 
 
 def cost(arguments: list[str]) -> tuple[float, float]:
-    """Processor seconds and wall seconds of a process."""
+    """Returns the processor seconds and wall seconds of a process."""
     before, start = resource.getrusage(resource.RUSAGE_CHILDREN), time.perf_counter()
     command = [sys.executable, "-m", "refcodec", *arguments]
     subprocess.run(command, cwd=ROOT, env=ENVIRONMENT, stdout=subprocess.DEVNULL, check=True)
@@ -59,7 +58,7 @@ def cost(arguments: list[str]) -> tuple[float, float]:
 
 
 def memory(arguments: list[str]) -> int:
-    """The largest resident memory of a process, in bytes. Raises ValueError for a command that fails."""
+    """Returns the peak resident memory of a process, in bytes. Raises ValueError if the command fails."""
     status, most = measured(arguments, ENVIRONMENT)
     if status:
         raise ValueError(f"{' '.join(arguments)} ends with {status}")
@@ -67,7 +66,7 @@ def memory(arguments: list[str]) -> int:
 
 
 def section(anchors: int, rounds: int) -> list[str]:
-    """The section's text."""
+    """Returns the lines of the section."""
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
         length = large(folder / "large.c3gs", anchors)
@@ -76,7 +75,7 @@ def section(anchors: int, rounds: int) -> list[str]:
         found: dict[tuple[str, str], list[tuple[float, float]]] = {run: [] for run in runs}
         for command, file in runs:
             cost(words(command, files[file][0], folder))
-        # All of them take turns, so that each has a busy machine's good and bad moments.
+        # The runs are interleaved, so that the machine's load affects all alike.
         for turn in range(rounds):
             for command, file in runs:
                 if turn < files[file][1]:
@@ -91,19 +90,19 @@ def section(anchors: int, rounds: int) -> list[str]:
         f"`python -m benchmarks.commands --anchors {anchors} --rounds {rounds}`",
         "",
         machine(),
-        f"Medians of {rounds} processes, of {max(1, rounds // 3)} with the large file, which has {length:,} bytes.",
+        f"Medians of {rounds} processes, or of {max(1, rounds // 3)} with the large file, which has {length:,} bytes.",
         "",
         *table(head, rows),
     ]
 
 
 def main() -> None:
-    """Command line."""
+    """Runs the command line."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--anchors", type=int, default=421_600)
     parser.add_argument("--rounds", type=int, default=9)
     options = parser.parse_args()
-    write_section("commands", "Commands that are started anew", section(options.anchors, options.rounds))
+    write_section("commands", "Cold starts of commands", section(options.anchors, options.rounds))
 
 
 if __name__ == "__main__":

@@ -1,4 +1,4 @@
-"""C sources that benchmarks measure, compiled by the system's compiler and kept under out/."""
+"""Compiles the C sources of the benchmarks with the system's compiler, and keeps the results under out/."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from .results import processor
 
 
 class MissingError(Exception):
-    """Something that a contender needs is not there. Its text says what."""
+    """Something that a contender needs is missing. The message names it."""
 
 
 def compiler() -> str:
@@ -26,7 +26,7 @@ def compiler() -> str:
 
 
 def compiler_version() -> str | None:
-    """Returns the first line of what the compiler says of itself, or None without a compiler."""
+    """Returns the first line of the compiler's version, or None without a compiler."""
     try:
         done = subprocess.run([compiler(), "--version"], capture_output=True, text=True, check=True)
     except (MissingError, OSError, subprocess.CalledProcessError):
@@ -37,7 +37,7 @@ def compiler_version() -> str | None:
 def compiled(source: Path, flags: Sequence[str], kept: Path = KEPT) -> Path:
     """Returns the program or library of a C source.
 
-    It is made once for each text, flags, compiler and processor. flags: of the compiler. Raises MissingError.
+    It is compiled once for each source text, flags, compiler and processor. Raises MissingError.
     """
     command = [compiler(), *flags]
     made_of = [source.read_text(), *command, str(compiler_version()), *map(str, processor().values())]

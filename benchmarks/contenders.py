@@ -1,8 +1,8 @@
 """Who takes part in `decode` and `encode`, and the processes that they run in.
 
-Each contender is a process of its own, which prepares itself and then waits (worker.py). So paths of refcodec that the
-environment selects stand side by side, and no contender has the memory of another. They take turns: each runs once in
-a round. A contender that cannot take part is named, with the reason.
+Each contender is a separate process, which prepares itself and then waits (worker.py). Thus the environment can select
+a path of refcodec for each, and none shares memory with another. Each contender runs once per round. A contender that
+cannot take part is listed with the reason.
 """
 
 from __future__ import annotations
@@ -27,18 +27,18 @@ from .large import KEPT, ROOT
 DECODE, ENCODE = "decode", "encode"
 # The kind of the contender that is no process of Python.
 JAVASCRIPT = "javascript"
-# The path that is always there, and those of a native kernel. `native` is the one that refcodec chooses itself.
+# The path that is always available, and the native paths. `native` is the one that refcodec chooses itself.
 NUMPY, NATIVE = "numpy", "native"
 NATIVE_PATHS = (NATIVE, "avx512vnni", "avx512", "avx2", "neon", "plain")
-# One thread, whatever a library finds.
+# Restricts all libraries to one thread.
 ONE_THREAD = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "REFCODEC_THREADS"), "1")
 
 
 @dataclass(frozen=True)
 class Contender:
-    """Who takes part. environment: what its process has besides.
+    """A contender. environment: additional variables of its process.
 
-    kind: a key of worker.KINDS, or JAVASCRIPT. option: for its maker.
+    kind: a key of worker.KINDS, or JAVASCRIPT. option: argument of the function for the kind.
     """
 
     name: str
@@ -49,18 +49,18 @@ class Contender:
 
 @dataclass(frozen=True)
 class Missing:
-    """Who does not take part, and why."""
+    """A contender that does not take part, and the reason."""
 
     name: str
     why: str
 
 
 class DisagreementError(Exception):
-    """Contenders gave different results, or one failed. Its text says which."""
+    """Contenders gave different results, or one failed. The message names them."""
 
 
 def offered() -> tuple[list[str], list[Missing]]:
-    """Asks refcodec for its paths. Returns those that it offers here, numpy first, and those that it does not.
+    """Returns the paths that refcodec offers on this machine, numpy first, and the missing ones.
 
     A path is offered if `refcodec --version`, with the path forced, names it.
     """
@@ -77,7 +77,7 @@ def offered() -> tuple[list[str], list[Missing]]:
             found.append(path)
         else:
             said = next(reversed((done.stderr or done.stdout).splitlines()), "nothing")
-            missing.append(Missing(f"refcodec, {path}", f"asked for this path, `refcodec --version` says: {said}"))
+            missing.append(Missing(f"refcodec, {path}", f"with this path, `refcodec --version` prints: {said}"))
     return found, missing
 
 
@@ -114,10 +114,10 @@ def contenders(task: str) -> tuple[list[Contender], list[Missing]]:
 
 
 class Worker:
-    """The process of a contender. hello: what it said when it was ready, as worker.py prints it."""
+    """The process of a contender. hello: its first answer, as worker.py prints it."""
 
     def __init__(self, contender: Contender, path: Path, kept: Path) -> None:
-        """path: of the scene's file. kept: the folder of what is compiled."""
+        """path: the scene's file. kept: the folder for compiled programs."""
         self.contender = contender
         if contender.kind == JAVASCRIPT:
             command = ["node", str(ROOT / "benchmarks" / "worker.mjs"), str(path)]
@@ -143,7 +143,7 @@ class Worker:
         return found
 
     def run(self) -> dict[str, Any]:
-        """Runs it once. Returns its seconds and processor seconds, and those of its parts if it has any."""
+        """Runs the contender once. Returns its seconds, its processor seconds, and those of its parts if any."""
         assert self._process.stdin is not None
         self._process.stdin.write("\n")
         self._process.stdin.flush()
@@ -158,7 +158,7 @@ class Worker:
 
 @contextmanager
 def workers(wanted: Sequence[Contender], path: Path, kept: Path) -> Iterator[tuple[list[Worker], list[Missing]]]:
-    """Starts the processes one after the other, so that none prepares beside another. Stops them at the end."""
+    """Starts the processes in sequence, so that their preparations do not overlap. Stops them at the end."""
     ready, missing = [], []
     with ExitStack() as stack:
         for contender in tqdm(wanted, "preparing", leave=False):
@@ -174,7 +174,7 @@ def workers(wanted: Sequence[Contender], path: Path, kept: Path) -> Iterator[tup
 def compared(task: str, path: Path, rounds: int, kept: Path = KEPT) -> dict[str, Any]:
     """Returns the figures of a task on a file: who took part, in which order they ran, and all their times.
 
-    Raises DisagreementError if a contender's result is not that of the first one, which is refcodec's numpy path.
+    Raises DisagreementError if a result differs from that of the first contender, refcodec's numpy path.
     """
     wanted, missing = contenders(task)
     order: list[str] = []
@@ -220,6 +220,6 @@ def _row(worker: Worker, runs: list[dict[str, Any]]) -> dict[str, Any]:
 
 
 def base_of(rows: Sequence[dict[str, Any]]) -> dict[str, Any]:
-    """Returns the row that others are compared with: refcodec's own choice with one thread, or its numpy path."""
+    """Returns the row to compare with: refcodec's own choice of path with one thread, or its numpy path."""
     own = {row["name"]: row for row in rows}
     return own.get(f"refcodec, {NATIVE}") or own[f"refcodec, {NUMPY}"]

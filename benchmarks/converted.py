@@ -1,11 +1,10 @@
-"""Files of splats as C3GS, from the file alone, beside SPZ and SOG of the same file.
+"""Splat files converted to C3GS, compared with SPZ and SOG of the same file.
 
 python -m benchmarks.converted FOLDER SPLATS ... --up=-y [--steps 4000] [--rates 0.001 0.004 0.015] [--write]
 
-Each file of SPLATS is drawn from cameras around it, a scene is trained from these pictures (refcodec convert), and
-encoded. SPZ and SOG are written by refcodec and by splat-transform. All of them are drawn from cameras that no training
-had, and compared with the drawing of SPLATS itself. FOLDER keeps files and figures. What is there is not made again,
-and an interrupted training goes on. --write writes a section of RESULTS.md.
+`refcodec convert` trains a scene from views of each file of SPLATS, and the scene is encoded. refcodec and
+splat-transform write SPZ and SOG. Test cameras compare renderings of all files with those of SPLATS. FOLDER keeps files
+and figures: existing ones are reused, and an interrupted training is resumed. --write writes a section of RESULTS.md.
 """
 
 from __future__ import annotations
@@ -52,7 +51,7 @@ RATES = (0.001, 0.004, 0.015)
 
 @dataclass(frozen=True)
 class Source:
-    """A file of splats. up: its upward axis, of AXES. views: pictures to learn from. size: their sides in pixels."""
+    """A splat file. up: its upward axis, of AXES. views: training pictures. size: their sides in pixels."""
 
     file: Path
     up: str
@@ -61,7 +60,7 @@ class Source:
 
     @property
     def name(self) -> str:
-        """For files and tables."""
+        """The name in files and tables."""
         return self.file.name.removesuffix(self.file.suffix).removesuffix(".compressed")
 
     @cached_property
@@ -71,34 +70,34 @@ class Source:
 
     @cached_property
     def cameras(self) -> list[Camera]:
-        """Those that refcodec convert keeps for tests."""
+        """The test cameras of refcodec convert."""
         tests = max(self.views // TEST_EVERY, 1)
         return orbit(tensors(self.arrays), AXES[self.up], self.size, self.views, tests)[TEST]
 
     @cached_property
     def settings(self) -> Settings:
-        """Those of the pictures."""
+        """The settings of the pictures."""
         _, radius = middle_and_radius(tensors(self.arrays))
         return Settings(near_plane=min(NEAR * radius, NEAR_MAX))
 
     @cached_property
     def truth(self) -> list[NDArray[np.uint8]]:
-        """What the cameras see of the file."""
+        """The test pictures of the file itself."""
         return [eight_bits(self.image(self.arrays, camera)) for camera in self.cameras]
 
     def image(self, arrays: dict[str, NDArray[np.float32]], camera: Camera) -> NDArray[np.float32]:
-        """What a camera sees of Gaussians."""
+        """Returns a picture of Gaussians by a camera."""
         found: NDArray[np.float32] = drawn(tensors(arrays), camera, self.settings)[0].numpy()
         return found
 
     def compared(self, image: Callable[[Camera], NDArray[np.float32]]) -> dict[str, float]:
-        """The mean of measures over the cameras."""
+        """Returns the means of the measures over the test cameras."""
         rows = [measures(image(camera), right) for camera, right in zip(self.cameras, self.truth, strict=True)]
         return {name: float(np.mean([row[name] for row in rows])) for name in ("psnr", "ssim")}
 
 
 def packed_record(source: Source, suffix: str, maker: str, folder: Path) -> Record:
-    """Bytes and measures of SPZ or SOG, which its maker wrote and read. Raises ToolError."""
+    """Returns bytes and measures of SPZ or SOG, written and read by its maker. Raises ToolError."""
 
     by = maker.partition(" ")[0]
     file = folder / f"{source.name}-{by}{suffix}"
@@ -120,9 +119,9 @@ def packed_record(source: Source, suffix: str, maker: str, folder: Path) -> Reco
 
 
 def coded_record(source: Source, rate: float, steps: int, folder: Path) -> Record:
-    """Bytes and measures of the file that convert and encode make, and what its training says.
+    """Returns bytes and measures of the file that convert and encode make, and its training time.
 
-    Raises SystemExit with the words of a command that fails.
+    Raises SystemExit with the message of a failing command.
     """
     name = f"{source.name}-{source.views}-{source.size}px-{steps}-{rate:g}"
 
@@ -146,9 +145,9 @@ def coded_record(source: Source, rate: float, steps: int, folder: Path) -> Recor
 # --- the section ------------------------------------------------------------------------------------------------------
 
 NOTE = (
-    "Every file is drawn from cameras that no training had, and compared with the drawing of the splat file, in eight",
-    "bits, by scikit-image. SPZ and SOG are read by the program that wrote them, and drawn as plain 3DGS.",
-    f"Two trainings at a time, one thread each. {TOOL} is the one of others.",
+    "Test cameras compare the eight-bit renderings of all files with those of the splat file, by scikit-image. SPZ and",
+    "SOG are read by the program that wrote them, and rendered as plain 3DGS.",
+    f"Two trainings in parallel, one thread each. {TOOL} is a third-party program.",
 )
 
 
@@ -169,7 +168,7 @@ def _rows(source: Source, packed: dict[tuple[str, str], Record], coded: dict[flo
 
 
 def section(sources: Sequence[Source], rates: Sequence[float], steps: int, folder: Path) -> list[str]:
-    """The section's text. Raises ToolError, UsageError, ValueError, OSError, and SystemExit as coded_record."""
+    """Returns the lines of the section. Raises ToolError, UsageError, ValueError, OSError and SystemExit."""
     torch.set_num_threads(1)
     numba.set_num_threads(1)
     if tool() is None:
@@ -191,14 +190,14 @@ def section(sources: Sequence[Source], rates: Sequence[float], steps: int, folde
 
 
 def main(words: list[str] | None = None) -> int:
-    """Command line. Returns the exit status."""
+    """Runs the command line. Returns the exit status."""
     parser = argparse.ArgumentParser(
         prog="python -m benchmarks.converted", description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
     parser.add_argument("folder", type=Path)
     parser.add_argument("splats", type=Path, nargs="+")
     parser.add_argument("--up", choices=AXES, default="-y", help="axis that is up (-y); write --up=-y")
-    parser.add_argument("--views", type=int, default=200, help="pictures to learn from (200)")
+    parser.add_argument("--views", type=int, default=200, help="training pictures (200)")
     parser.add_argument("--size", type=int, default=400, help="their sides in pixels (400)")
     parser.add_argument("--steps", type=int, default=4000, help="of each training (4000)")
     parser.add_argument("--rates", type=float, nargs="+", default=list(RATES), metavar="L", help="lambda_r")
@@ -216,7 +215,7 @@ def main(words: list[str] | None = None) -> int:
         shown += [f"--views {options.views} --size {options.size} --steps {options.steps}"]
         shown += ["--rates", *(f"{rate:g}" for rate in options.rates), "--write"]
         made = ["```", INSTALL, " ".join(shown), "```", "", machine("torch"), *NOTE, ""]
-        write_section("converted", "Files of splats, converted", [*made, *lines])
+        write_section("converted", "Converted splat files", [*made, *lines])
     return DONE
 
 

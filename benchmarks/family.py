@@ -1,10 +1,10 @@
-"""The way that other codecs of this family code a scene: float32 networks of torch, then constriction.
+"""The method of other codecs of this family: float32 networks in torch, and entropy coding by constriction.
 
-The networks have the weights of the file, and the same stages (SPEC 7.10). A batch of anchors is computed, then each
-stage of it is coded: constriction takes a mean and a standard deviation for each symbol.
+The networks have the weights of the file, and the same stages (SPEC 7.10). Each stage of a batch of anchors is computed
+and then coded: constriction takes a mean and a standard deviation for each symbol.
 
 Only the attributes are coded. Contexts, masks, positions and planes are given, and no value is multiplied by its step.
-So this does less than a decoder. Its symbols are real: those of the scene are encoded, and decoded again.
+Thus this does less than a decoder. The symbols are those of the scene, which are encoded and decoded again.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ from refcodec.bitstream.scene import Scene
 
 from .compiled import MissingError
 
-# Anchors of a batch: as many as a chunk has.
+# Anchors of a batch: those of a chunk.
 BATCH = 4096
 
 

@@ -1,9 +1,9 @@
-/* The floor of decoding: what no decoder of these networks and symbols can leave out, each by the fastest way that this
- * processor has. It is not a decoder.
+/* The floor of decoding: work that every decoder of these networks and symbols must do, in the fastest way of this
+ * processor. It is not a decoder.
  *
- * - products: the products of all layers, in float32 or in pairs of int16. No rounding, clamp or choice of a model.
+ * - products: the products of all layers, in float32 or in int16 pairs, without rounding, clamps or model selection.
  * - decode: one pass of interleaved rANS, with the model of each symbol given.
- * - output: one pass that writes as many bytes as the values take, to memory that is new.
+ * - output: one pass that writes the bytes of all values to new memory.
  *
  * encode makes the stream that decode reads. It is not measured.
  */
@@ -31,7 +31,7 @@ enum { WIDTH = BYTES / 4, BLOCK = VECTORS * WIDTH };
 typedef float floats __attribute__((vector_size(BYTES)));
 typedef int32_t ints __attribute__((vector_size(BYTES)));
 
-/* Pairs of int16: adds the two products of each pair to an int32. */
+/* Adds the two products of each int16 pair to an int32. */
 #if defined(__AVX512VNNI__) && defined(__AVX512F__)
 #define PAIRS 1
 static inline ints add_pairs(ints sum, ints x, ints w)
@@ -93,7 +93,7 @@ LAYER(layer_of_floats, floats, float, ADD_FLOATS)
 LAYER(layer_of_pairs, ints, int32_t, add_pairs)
 #endif
 
-/* shapes: rows, inputs and outputs of each layer. pairs: whether by pairs of int16. Returns 0, or 1 without memory. */
+/* shapes: rows, inputs and outputs of each layer. pairs: whether to use int16 pairs. Returns 0, or 1 without memory. */
 int products(const int64_t *shapes, int64_t layers, int pairs)
 {
     int failed = 0;
@@ -129,7 +129,7 @@ int products(const int64_t *shapes, int64_t layers, int pairs)
 
 /* ---------------------------------------------------------------- rANS */
 
-/* The models of a stream, one after the other.
+/* The models of a stream, in sequence.
  * offset: where the symbols of each model start. entry: of each symbol its low slot, and its frequency above 16 bits.
  * first: of each model and the top bits of a slot, the first symbol that the slot can mean.
  *   3 bytes more are readable. */
@@ -138,7 +138,7 @@ struct models {
     const uint8_t *first;
 };
 
-/* Returns the number of words, which stand at the end of `words`. It has room for as many words as symbols. */
+/* Returns the number of words, which are at the end of `words`. It has room for one word per symbol. */
 int64_t encode(const struct models *m, const uint16_t *model, const uint8_t *symbol, int64_t count, uint32_t *state,
                uint16_t *words)
 {
@@ -156,7 +156,7 @@ int64_t encode(const struct models *m, const uint16_t *model, const uint8_t *sym
     return count - at;
 }
 
-/* The step of one lane. */
+/* Steps one lane. */
 static inline uint8_t decode_one(const struct models *m, uint32_t model, uint32_t *state, const uint16_t **word)
 {
     uint32_t x = *state, slot = x & (TOTAL - 1), offset = m->offset[model];
@@ -172,7 +172,7 @@ static inline uint8_t decode_one(const struct models *m, uint32_t model, uint32_
 }
 
 #if defined(__AVX512F__) && defined(__AVX512BW__)
-/* 16 lanes. Returns the words that were taken. 16 more are readable. */
+/* Steps 16 lanes. Returns the number of words read. 16 more words are readable. */
 static inline unsigned decode_vector(const struct models *m, const uint16_t *model, uint8_t *symbol, uint32_t *state,
                                      const uint16_t *word)
 {
@@ -203,7 +203,7 @@ static inline unsigned decode_vector(const struct models *m, const uint16_t *mod
 }
 enum { LANES_AT_ONCE = 16 };
 #elif defined(__AVX2__)
-/* Where the words go: for each set of hungry lanes, which word each lane takes. */
+/* For each set of lanes that need a word, the number of the word of each lane. */
 static uint32_t spread[256][8];
 
 __attribute__((constructor)) static void fill_spread(void)
@@ -214,7 +214,7 @@ __attribute__((constructor)) static void fill_spread(void)
                 spread[set][lane] = (uint32_t)taken++;
 }
 
-/* 8 lanes. Returns the words that were taken. 8 more are readable. */
+/* Steps 8 lanes. Returns the number of words read. 8 more words are readable. */
 static inline unsigned decode_vector(const struct models *m, const uint16_t *model, uint8_t *symbol, uint32_t *state,
                                      const uint16_t *word)
 {
@@ -251,7 +251,7 @@ static inline unsigned decode_vector(const struct models *m, const uint16_t *mod
 enum { LANES_AT_ONCE = 8 };
 #endif
 
-/* words: 16 more than the stream has are readable. state: as encode left it. Returns how many words were taken. */
+/* words: 16 more than the stream are readable. state: from encode. Returns the number of words read. */
 int64_t decode(const struct models *m, const uint16_t *model, int64_t count, uint32_t *state, const uint16_t *words,
                uint8_t *symbol)
 {

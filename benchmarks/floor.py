@@ -36,7 +36,7 @@ GROUP = 65536
 
 
 def builds() -> dict[str, list[str]]:
-    """The flags of each build of the floor, by name: for this processor, and for AVX2 where it has more."""
+    """Returns the flags of each build of the floor by name: for this processor, and for AVX2 if it has AVX-512."""
     found = {"native": ["-march=native"]}
     if "avx512f" in processor()["flags"]:
         found["AVX2"] = ["-march=x86-64-v3"]
@@ -44,9 +44,9 @@ def builds() -> dict[str, list[str]]:
 
 
 class Recorder:
-    """A coder that keeps the model and the index of each symbol that it is given.
+    """A coder that records the model and the index of each given symbol.
 
-    The models of all families stand in one table. sets: where each family's models start, by the family's name.
+    One table holds the models of all families. sets: the start of each family's models, by the family's name.
     """
 
     def __init__(self) -> None:
@@ -70,21 +70,21 @@ class Recorder:
         name: SymbolName,
         given: Int64 | None,
     ) -> Int64:
-        """Keeps a group, as Coder.values."""
+        """Records a group, as Coder.values."""
         assert given is not None
         model, index, _, _ = placed(models, mean, scale, given)
         self._add(models, model, index)
         return given
 
     def plain(self, models: ModelSet, index: Int64, counts: list[int], name: SymbolName, given: Int64 | None) -> Int64:
-        """Keeps a group, as SymbolCoder.plain."""
+        """Records a group, as SymbolCoder.plain."""
         assert given is not None
         self._add(models, index, given)
         return given
 
 
 def record(scene: Scene) -> Recorder:
-    """Returns the symbols of a scene: of its planes, and of each chunk the cells, the masks and the attributes."""
+    """Returns the symbols of a scene: planes, and the cells, masks and attributes of each chunk."""
     recorder, coding, d, a = Recorder(), Coding(scene), scene.dimensions, scene.attributes
     if coding.sarm is not None:
         code_planes(recorder, coding.sarm, d.plane_channels, d.plane_size, scene.planes)
@@ -122,7 +122,7 @@ class _Models(ctypes.Structure):
 
 
 class Floor:
-    """The floor of a scene. pairs: whether its products are of pairs of int16, which is chosen by measuring both."""
+    """The floor of a scene. pairs: whether products are of int16 pairs; the faster way is chosen."""
 
     def __init__(self, scene: Scene, flags: list[str], kept: Path = KEPT) -> None:
         """flags: of the compiler. Raises MissingError without a compiler."""
@@ -144,7 +144,7 @@ class Floor:
                 room.ctypes.data,
             )
         )
-        # `encode` leaves the words at the end of the room, before the words that nothing fills.
+        # `encode` puts the words at the end of the room, before the unused AFTER words.
         self._words = room[len(self._model) - self.words :].copy()
         self.pairs = False
         if self._library.has_pairs():
@@ -163,12 +163,12 @@ class Floor:
 
     @staticmethod
     def _tables(recorder: Recorder) -> list[NDArray]:
-        """Returns the arrays of the models of all families, one family after the other, as floor.c has them."""
+        """Returns the arrays of the models of all families in sequence, as floor.c expects them."""
         offset, entry, first = [], [], []
         start = 0
         for _, models in recorder.sets.values():
             offset.append(models.offset + start)
-            # The null model's frequency, of all slots, is the only one that needs more than 14 bits.
+            # Only the null model's frequency, which is all slots, needs more than 14 bits.
             entry.append(models.lower | (models.upper - models.lower) << 16)
             first.append(models.first)
             start += len(models.lower)
@@ -189,7 +189,7 @@ class Floor:
             raise MemoryError
 
     def run(self) -> dict[str, float]:
-        """Does all three. Returns the processor seconds of each. `found` has the decoded symbols then."""
+        """Runs all three parts. Returns the processor seconds of each. Afterwards `found` has the decoded symbols."""
         spent = {"products": self._products_time(self.pairs)}
         before, state = time.process_time(), self._first_state.copy()
         taken = self._library.decode(

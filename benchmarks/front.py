@@ -1,6 +1,6 @@
-"""The table of sizes in README.md, from the section of RESULTS.md that compares formats in one harness.
+"""Makes the table of sizes in README.md from the section of RESULTS.md that compares formats in one harness.
 
-`python -m benchmarks.front` rewrites it. A test demands that it is current.
+`python -m benchmarks.front` rewrites it. A test checks that it is current.
 """
 
 from __future__ import annotations
@@ -14,15 +14,15 @@ from .results import RESULTS, table
 
 README = Path(__file__).resolve().parents[1] / "README.md"
 _BEGIN, _END = "<!-- generated:sizes -->", "<!-- /generated -->"
-# How the section calls the methods. Sizes are those at the PSNR of SPZ.
+# The names of the methods in the section. Sizes are those at the PSNR of SPZ.
 BASELINE, OWN, OTHER, PLAIN = "3DGS, SPZ", "C3GS", "3DGS, SOG", "Scaffold-GS"
-# README.md's table is of photographs of this size, at which each method has several rates. It has a section of its own.
+# The size of the photographs of README.md's table. At this size each method has several rates.
 SIZE = 200
 _HEAD = ("photographs, at equal PSNR", "C3GS", "SPZ", "SOG", "Scaffold-GS as trained")
 
 
 class FrontError(Exception):
-    """RESULTS.md has not what the table shows."""
+    """RESULTS.md lacks something that the table shows."""
 
 
 @dataclass(frozen=True)
@@ -38,17 +38,17 @@ class Row:
 
 
 def rows(results: str) -> list[Row]:
-    """Returns a row for each scene of the section: at the highest PSNR that all methods reach. Raises FrontError."""
+    """Returns a row for each scene of the section, at the highest PSNR that all methods reach. Raises FrontError."""
     section = re.search(rf"<!-- peers-{SIZE}: begin -->(.*?)<!-- peers-{SIZE}: end -->", results, re.DOTALL)
     scenes = re.findall(r"^### (\w+), .*?\n(.*?)(?=^### |\Z)", section[1] if section else "", re.DOTALL | re.MULTILINE)
     found = [row for scene, text in scenes if (row := _row(scene, text))]
     if not found:
-        raise FrontError("there is no such scene in the section of peers")
+        raise FrontError("the section of peers has no scene for the table")
     return found
 
 
 def _row(scene: str, text: str) -> Row | None:
-    """Returns None for a scene where more bytes of the baseline are not more PSNR: equal PSNR means nothing there."""
+    """Returns the row of a scene. Returns None if the PSNR of the baseline does not grow with its bytes."""
     plain: tuple[int, float] | None = None
     points: list[tuple[float, float, float, float]] = []
     rising: list[float] = []
@@ -65,13 +65,13 @@ def _row(scene: str, text: str) -> Row | None:
     if rising != sorted(rising):
         return None
     if plain is None or not points:
-        raise FrontError(f"{scene} has not all of {OWN}, {BASELINE}, {OTHER} and {PLAIN}")
+        raise FrontError(f"{scene} lacks one of {OWN}, {BASELINE}, {OTHER} and {PLAIN}")
     psnr, own, baseline, other = max(points)
     return Row(scene, psnr, own, baseline, other, plain)
 
 
 def _tables(text: str) -> Iterator[tuple[list[str], list[str]]]:
-    """Yields the head of its table and the cells of each row."""
+    """Yields the cells of each row of all tables, with the head of its table."""
     head: list[str] = []
     for line in text.splitlines():
         cells = [cell.strip() for cell in line.strip("|").split(" | ")] if line.startswith("|") else []
@@ -84,12 +84,12 @@ def _tables(text: str) -> Iterator[tuple[list[str], list[str]]]:
 
 
 def _method(name: str) -> str:
-    """A method without the number of its steps."""
+    """Returns a method's name without its number of steps."""
     return re.sub(r", \d+ steps$", "", name)
 
 
 def _first(cell: str) -> str:
-    """A figure without its spread."""
+    """Returns a figure without its spread."""
     return cell.split(" ", maxsplit=1)[0]
 
 
@@ -106,7 +106,7 @@ def lines(found: list[Row]) -> list[str]:
 
 
 def current(readme: str, results: str) -> str:
-    """Returns README.md with its table renewed."""
+    """Returns README.md with the current table."""
     before, _, rest = readme.partition(_BEGIN)
     _, _, after = rest.partition(_END)
     made = "\n".join(lines(rows(results)))
@@ -114,7 +114,7 @@ def current(readme: str, results: str) -> str:
 
 
 def main() -> None:
-    """Command line."""
+    """Runs the command line."""
     made = current(README.read_text(encoding="utf-8"), RESULTS.read_text(encoding="utf-8"))
     README.write_text(made, encoding="utf-8")
 

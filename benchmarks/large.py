@@ -1,13 +1,13 @@
-"""Scenes of any number of anchors with the symbols of a trained one, as files that are kept under out/.
+"""Large scenes with the symbols of a trained one, as files that are kept under out/.
 
-A large scene repeats the anchors of a trained one. Each copy has chunks of its own, so each chunk has different cells
-and its positions are packed. All symbols, and the contexts of all copies, are those of the training. Two things grow to
-the sizes of a large scene, so that decoding has the work of one:
+A large scene repeats the anchors of a trained one. Each copy has its own chunks, so the cells of a chunk differ and its
+positions are packed. All symbols and contexts are those of the trained scene. Two parts grow to the size of a large
+scene, so that decoding has the same work:
 
 - F_h and CARM get the hidden units that the encoder chooses for 421,600 anchors. The new units are copies of the
-  trained ones, and the next layer has zeros for them. So all outputs are those of the trained networks.
+  trained ones, with zero weights in the next layer. Thus all outputs are those of the trained networks.
 - The planes get the size that the encoder chooses for the number of anchors, by interpolation. Rounding changes the
-  contexts a little, and so the bytes. `Large.attribute_bits` tells by how much.
+  contexts and the bytes slightly, as `Large.attribute_bits` shows.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ from refcodec.encoder.positions import morton_order, position_model
 from refcodec.encoder.sizes import CHUNK_SIZE, choose_lanes, choose_plane_size, choose_width
 
 ROOT = Path(__file__).resolve().parent.parent
-# What is made once and kept. Git ignores it.
+# The folder of cached files, which Git ignores.
 KEPT = ROOT / "out" / "benchmarks"
 # The trained scene, and the number of anchors of the paper's largest one.
 TRAINED = ROOT / "vectors" / "valid" / "trained-snowmiku.c3gs"
@@ -52,7 +52,7 @@ class Large:
     attribute_bits: tuple[float, float]
 
     def figures(self) -> dict[str, object]:
-        """What tables and JSON say of the scene."""
+        """Returns the figures of the scene for tables and JSON."""
         data = self.path.read_bytes()
         d, before = read_header(WholeFile(data)).dimensions, self.attribute_bits
         return {
@@ -67,9 +67,9 @@ class Large:
 
 
 def large(trained: Path, anchors: int, kept: Path = KEPT) -> Large:
-    """Returns the scene of some anchors. Its file is made once, and kept by what it is made from and by this module.
+    """Returns the scene with a number of anchors. Its file is cached by its sources and the text of this module.
 
-    trained: a file of Main with planes. anchors: how many, at least 1.
+    trained: a file of Main with planes. anchors: at least 1.
     """
     source = trained.read_bytes()
     made_of = source + str(anchors).encode() + Path(__file__).read_bytes()
@@ -83,9 +83,9 @@ def large(trained: Path, anchors: int, kept: Path = KEPT) -> Large:
 
 
 def large_file(trained: Scene, anchors: int) -> bytes:
-    """Returns the file of a scene with some anchors, whose symbols are those of a trained scene.
+    """Returns the file of a scene with a number of anchors and the symbols of a trained scene.
 
-    Only one copy is encoded. The chunks of the others are its chunks, byte for byte.
+    Only one copy is encoded. The other copies repeat its chunks byte for byte.
     """
     copy = _grown(take_anchors(trained, morton_order(trained.positions)), anchors)
     copies, rest = divmod(anchors, copy.anchor_count)
@@ -102,7 +102,7 @@ def large_file(trained: Scene, anchors: int) -> bytes:
 
 
 def _grown(scene: Scene, anchors: int) -> Scene:
-    """Returns a scene with the widths, the planes and the lanes of a large one, raw weights, and the same symbols."""
+    """Returns a scene with the same symbols, raw weights, and the widths, planes and lanes of a large scene."""
     d, width = scene.dimensions, choose_width(PAPER_ANCHORS)
     networks, widths = dict(scene.networks), {}
     if not d.plane_channels:
@@ -133,12 +133,12 @@ def _grown(scene: Scene, anchors: int) -> Scene:
 def widened(layers: list[Layer], widths: tuple[int, ...]) -> list[Layer]:
     """Returns the layers of a network with the same outputs and more hidden units.
 
-    widths: those of its hidden layers, none less than before.
+    widths: of its hidden layers, none smaller than before.
     """
     found, inputs = [], layers[0][0].shape[1]
     for (weight, bias), units in zip(layers, (*widths, len(layers[-1][1])), strict=True):
         rows = np.arange(units) % len(bias)
-        # The units that the layer before it gained have no weight. So the exponent of each row is as before.
+        # Weights for the new units of the previous layer are 0, so the exponent of each row does not change.
         more = np.zeros((units, inputs - weight.shape[1]), np.float32)
         found.append((np.concatenate([weight[rows], more], axis=1), bias[rows]))
         inputs = units
@@ -163,13 +163,13 @@ def _resized(plane: NDArray[np.int16], size: int) -> NDArray[np.int16]:
 
 
 def _repeated(data: bytes, chunks: int, copies: int) -> bytes:
-    """Returns a file with its first chunks more often. chunks: how many they are. copies: how often they come."""
+    """Returns a file with its first chunks repeated. chunks: their number. copies: of each."""
     header = read_header(WholeFile(data))
     contents = {s.type: data[s.start : s.start + s.length] for s in header.sections}
     index, content = contents[INDEX], contents[DATA]
     models = len(index) - ENTRY_BYTES * header.chunk_count
     opened = Reader(WholeFile(data)).open().index
-    # Where the first chunks and the entries of the index for them end.
+    # The ends of the first chunks, and of their entries in the index.
     entries, end = models + ENTRY_BYTES * chunks, int(opened.starts[chunks] - opened.starts[0])
     contents[INDEX] = index[:models] + index[models:entries] * copies + index[entries:]
     contents[DATA] = content[:end] * copies + content[end:]
@@ -183,7 +183,7 @@ def _repeated(data: bytes, chunks: int, copies: int) -> bytes:
 
 
 def attribute_bits(data: bytes) -> float:
-    """Returns the bits of an anchor's attributes in a file."""
+    """Returns the mean bits of an anchor's attributes in a file."""
     source = WholeFile(data)
     reader = Reader(source)
     index, section = reader.open().index, reader.header.section(INDEX)

@@ -50,7 +50,7 @@ class Reading:
 
 
 class ReadingError(Exception):
-    """A process that read a file failed. Its text is the last line that it printed, or its status."""
+    """A process that reads a file failed. The message is the last line that it printed, or its status."""
 
 
 def reading(path: Path, way: str, traced: bool = False) -> Reading:
@@ -65,7 +65,7 @@ def reading(path: Path, way: str, traced: bool = False) -> Reading:
 
 
 class _Clock:
-    """Seconds and processor seconds while it runs."""
+    """Measures seconds and processor seconds while it runs."""
 
     def __init__(self) -> None:
         self.seconds = self.processor = 0.0

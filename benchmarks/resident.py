@@ -1,4 +1,4 @@
-"""The most memory that a process takes, and a command of refcodec."""
+"""Peak memory of a process, or of a command of refcodec."""
 
 from __future__ import annotations
 
@@ -8,8 +8,8 @@ from collections.abc import Mapping
 from pathlib import Path
 
 ROOT = Path(__file__).resolve().parent.parent
-# Runs a command, and prints its exit status and its memory. What getrusage says of a process that another one started
-# would be that of the other one, if that was larger.
+# Runs a command, and prints its exit status and its peak memory. The value of getrusage for a child process is at least
+# the memory of its parent, and thus may be too large.
 _PROGRAM = """
 import sys
 from benchmarks.resident import resident
@@ -19,18 +19,18 @@ print(main(sys.argv[1:]), resident(), file=sys.stderr)
 
 
 def resident(field: str = "VmHWM") -> int:
-    """Returns the most bytes that this process had in memory. It is read from /proc, which Linux has.
+    """Returns the peak resident bytes of this process, from /proc (Linux).
 
-    field: of /proc/self/status. VmRSS is what the process has now.
+    field: of /proc/self/status. VmRSS is the current value.
     """
     fields = dict(line.split(":", 1) for line in Path("/proc/self/status").read_text().splitlines())
     return int(fields[field].split()[0]) << 10
 
 
 def measured(arguments: list[str], environment: Mapping[str, str] | None = None) -> tuple[int, int]:
-    """Returns the exit status of a command, which runs in a process of its own, and its memory in bytes.
+    """Runs a command in a separate process. Returns its exit status and its peak memory in bytes.
 
-    arguments: of refcodec, with absolute paths. environment: of the process, or None for that of this one.
+    arguments: of refcodec, with absolute paths. environment: None for that of this process.
     """
     run = subprocess.run(
         [sys.executable, "-c", _PROGRAM, *arguments],

@@ -1,4 +1,4 @@
-"""`python -m benchmarks scale`: the time and the memory of the whole decode and of the streaming one, by anchors."""
+"""`python -m benchmarks scale`: time and memory of whole and streaming decoding, by the number of anchors."""
 
 from __future__ import annotations
 
@@ -20,9 +20,9 @@ PLOT = RESULTS.with_name("scale.png")
 
 
 def scale(trained: Path, sizes: Sequence[int], rounds: int, kept: Path = KEPT) -> dict[str, Any]:
-    """Returns the figures: for each size and way the medians over rounds, in which the ways take turns.
+    """Returns the figures: medians over rounds for each size and way. The ways are interleaved.
 
-    trained: the scene whose symbols are decoded. A way that fails at a size has its error instead. Raises
+    trained: the scene whose symbols are decoded. If a way fails at a size, its row has the error instead. Raises
     DisagreementError if the ways give different scenes.
     """
     machine = facts()
@@ -53,7 +53,7 @@ def scale(trained: Path, sizes: Sequence[int], rounds: int, kept: Path = KEPT) -
         rows.append(row)
     for size in sizes:
         if len({run.digest for way in WAYS for run in found[size, way]}) > 1:
-            raise DisagreementError(f"the ways of reading {size} anchors do not agree")
+            raise DisagreementError(f"the digests of {size} anchors differ between the ways of reading")
     return {
         "task": "scale",
         "machine": machine,
@@ -66,7 +66,7 @@ def scale(trained: Path, sizes: Sequence[int], rounds: int, kept: Path = KEPT) -
 
 
 def scale_lines(figures: dict[str, Any]) -> list[str]:
-    """Figures as the lines of a section."""
+    """Returns the figures as the lines of a section."""
     rows = []
     for row in figures["rows"]:
         head = [f"{row['anchors']:,}", f"{figures['bytes'][str(row['anchors'])]:,}", row["way"]]
@@ -83,15 +83,15 @@ def scale_lines(figures: dict[str, Any]) -> list[str]:
         "",
         f"![Seconds and memory by the number of anchors]({PLOT.name})",
         "",
-        f"The symbols are those of `{figures['trained']}`, as in `decode`. Each run is a process of its own.",
-        f"Sizes and ways take turns in {figures['rounds']} rounds. Seconds are of decoding and of making float32",
-        "values, medians of the rounds. Memory is the most that a process had. The whole decode holds the scene. The",
-        "streaming one reads the file in blocks, and lets each chunk go. Their digests are equal.",
+        f"The symbols are those of `{figures['trained']}`, as in `decode`. Each run is a separate process.",
+        f"Seconds, of decoding and of making float32 values, are medians of {figures['rounds']} interleaved rounds.",
+        "Memory is the peak of the process. Whole decoding holds the scene. Streaming decoding reads the file in",
+        "blocks, and releases each chunk. Their digests are equal.",
     ]
 
 
 def write_plot(figures: dict[str, Any], path: Path = PLOT) -> None:
-    """Seconds and MiB against anchors, all logarithmic, with a line for each way."""
+    """Plots seconds and MiB against anchors, all logarithmic, with a line for each way."""
     from matplotlib.figure import Figure  # noqa: PLC0415
 
     drawing = Figure(figsize=(9, 4), layout="constrained")

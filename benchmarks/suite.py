@@ -1,4 +1,4 @@
-"""The conformance suite on the project's three decoders, and the self-test: seconds and processor time of one run.
+"""Wall and processor time of the conformance suite with the project's three decoders, and of the self-test.
 
 python -m benchmarks.suite        needs a C compiler, `cc`
 """
@@ -36,7 +36,7 @@ RUNS = {
 
 
 def run(options: list[str], command: list[str], folder: Path) -> tuple[float, float, dict[str, int]]:
-    """Wall seconds, processor seconds, and how many vectors have which status."""
+    """Returns wall seconds, processor seconds, and the number of vectors by status."""
     before, start = resource.getrusage(resource.RUSAGE_CHILDREN), time.perf_counter()
     words = [PYTHON, "-m", "conformance", "run", "--report", str(folder), *options, "--", *command]
     subprocess.run(words, cwd=ROOT, capture_output=True, check=False)
@@ -68,7 +68,7 @@ def main() -> None:
     lines = [
         "`python -m benchmarks.suite`",
         "",
-        f"{machine()} As many processes as cores.",
+        f"{machine()} One process per core.",
         "",
         *table(["decoder", "vectors", "seconds", "processor seconds", "against the decoder in C"], rows),
         "",

@@ -1,10 +1,10 @@
-"""Trains the scenes of the suite's trained vectors anew: vectors/valid/trained-*.c3gs.
+"""Trains the scenes of the suite's trained vectors again: vectors/valid/trained-*.c3gs.
 
 python -m benchmarks.train_sources [NAME]
 
-The generator decodes and encodes the vectors that are there. A training gives the same file only on the same machine
-with the same libraries. The vectors were trained before files had this layout. They were written anew with the same
-values. `conformance generate` then updates the manifest.
+The generator decodes and encodes the existing vectors. A training gives the same file only on the same machine with the
+same libraries. The present vectors were trained for an earlier layout, and converted with the same values. After a
+training, `conformance generate` updates the manifest.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ VALID = ROOT / "vectors" / "valid"
 
 @dataclass(frozen=True)
 class Source:
-    """A training: photographs, size of images, settings; positions and weights as of `refcodec encode`."""
+    """A training: photographs, size of images, settings, and the form of positions and weights."""
 
     photographs: str
     size: tuple[int, int]
@@ -37,7 +37,7 @@ class Source:
 
 
 def _settings(rate: float, steps: int, anchors: int, most: int) -> TrainSettings:
-    """lambda_r, steps, anchors in the beginning, and at any time."""
+    """Returns settings. rate: lambda_r. anchors: initial number. most: largest number."""
     return varied(TrainSettings(), {"rate.weight": rate, "steps": steps, "start.anchors": anchors, "growth.most": most})
 
 
@@ -48,7 +48,7 @@ TRAININGS = {
 
 
 def main() -> int:
-    """Trains one source, or all."""
+    """Trains the named sources, or all."""
     for name in sys.argv[1:] or TRAININGS:
         source = TRAININGS[name]
         photographs = read_photographs(ROOT / "examples" / "photographs" / source.photographs, source.size)

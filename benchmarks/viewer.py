@@ -1,10 +1,10 @@
-"""The page of the viewer in Chromium: time to the first picture, and frames a second, by the number of anchors.
+"""The viewer page in Chromium: time to the first picture, and frames per second, by the number of anchors.
 
 python -m benchmarks.viewer [--anchors 10000 100000] [--rounds 3] [--write]
 
-Each round opens an exported page from the disk, waits until the whole scene is drawn, and turns around the scene for 10
-seconds while the networks follow. A large scene repeats the anchors of a trained one at their places. So each of its
-pixels has many times as many Gaussians as a pixel of a real scene of that size: it is the worst case of drawing.
+Each round opens an exported page from the disk, waits until the whole scene is drawn, and moves the camera around the
+scene for 10 seconds, while the networks update. A large scene repeats the anchors of a trained one at their places.
+Thus each pixel has many times more Gaussians than in a real scene of that size: the worst case of drawing.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ from .results import facts, facts_line, kb, table, write_section
 
 SIZES = (10_000, 100_000)
 WIDTH, HEIGHT = 960, 720
-# How long a page turns around its scene.
+# Seconds for which the camera moves around the scene.
 SECONDS = 10
 
 
@@ -46,7 +46,7 @@ def _round(program: str, file: Path) -> dict[str, Any]:
 
 
 def viewer(program: str, sizes: list[int], rounds: int) -> dict[str, Any]:
-    """Returns the figures of the machine and of each size: medians over rounds, in which the sizes take turns."""
+    """Returns the machine, and the figures of each size: medians over rounds. The sizes are interleaved."""
     machine = facts()
     found: dict[int, list[dict[str, Any]]] = {size: [] for size in sizes}
     lengths = {}
@@ -67,7 +67,7 @@ def viewer(program: str, sizes: list[int], rounds: int) -> dict[str, Any]:
 
 
 def viewer_lines(figures: dict[str, Any]) -> list[str]:
-    """The lines of the section."""
+    """Returns the lines of the section."""
     head = ["anchors", "Gaussians", "file kB", "page kB", "header s", "first picture s", "whole s"]
     head += ["frames/s", "of the sides", "networks' frames/s", "a whole frame s"]
     rows = [
@@ -87,17 +87,17 @@ def viewer_lines(figures: dict[str, Any]) -> list[str]:
     return [
         facts_line(figures["machine"]),
         f"Drawn by {figures['device']}.",
-        f"At {WIDTH} x {HEIGHT} pixels. Medians of {figures['rounds']} pages, which are opened from the disk.",
-        "Times are from the beginning of the page. Frames are those of a turn around the scene, while the worker runs",
-        "the networks and sorts. As always while a camera moves, they have as many pixels as the device draws in time:",
-        "the share of the sides is said. The last column is one frame with all pixels.",
+        f"At {WIDTH} x {HEIGHT} pixels. Medians of {figures['rounds']} pages, opened from the disk.",
+        "Times start with the page. Frames per second are those while the camera moves around the scene, and the",
+        "worker runs the networks and sorts. Meanwhile the viewer reduces the resolution to what the device draws in",
+        "time: the table has its share of each side. The last column is one frame with all pixels.",
         "",
         *table(head, rows),
     ]
 
 
 def main() -> int:
-    """Command line. Returns the exit status."""
+    """Runs the command line. Returns the exit status."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--anchors", type=int, nargs="+", default=list(SIZES))
     parser.add_argument("--rounds", type=int, default=3)
@@ -105,7 +105,7 @@ def main() -> int:
     options = parser.parse_args()
     program = find()
     if program is None:
-        print("there is no Chromium here", file=sys.stderr)
+        print("Chromium is not installed", file=sys.stderr)
         return USAGE
     lines = viewer_lines(viewer(program, options.anchors, options.rounds))
     print("\n".join(lines))

@@ -1,6 +1,6 @@
-// The decoder in JavaScript and WebAssembly as a contender in a process of its own: node worker.mjs FILE
+// The decoder in JavaScript and WebAssembly as a contender in a separate process: node worker.mjs FILE
 //
-// It answers as worker.py does: a line of JSON when it is ready, then one for each line that it reads.
+// It answers like worker.py: a line of JSON when it is ready, then one for each line of its input.
 import { readFile } from "node:fs/promises";
 import { createInterface } from "node:readline";
 import { decode, decodeAll } from "../refcodec/web/c3gs.js";

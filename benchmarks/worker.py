@@ -1,12 +1,12 @@
-"""One contender in a process of its own: python -m benchmarks.worker KIND FILE KEPT [OPTION]
+"""One contender in a separate process: python -m benchmarks.worker KIND FILE KEPT [OPTION]
 
-It prepares itself, runs once without a clock, and prints a line of JSON:
+It prepares itself, runs once without measurement, and prints a line of JSON:
 
-- `missing`: why it cannot take part; then it ends. Or
-- `digest`: that of its result, or null for a contender that is no decoder; `says`: what its times are of.
+- `missing`: the reason why it cannot take part; then it ends. Or
+- `digest`: that of its result, or null for a contender that is not a decoder; `says`: what the times include.
 
-Then it runs once for each line that it reads, and prints `seconds`, `processor` (seconds of all its threads and
-processes) and, if there are any, the processor seconds of its `parts`.
+Then it runs once for each line of its input, and prints `seconds`, `processor` (seconds of all its threads and
+processes) and, if it has any, the processor seconds of its `parts`.
 """
 
 from __future__ import annotations
@@ -33,15 +33,15 @@ from .large import ROOT
 
 DECODER = ROOT / "conformance" / "c" / "decoder.c"
 
-# What most contenders compute.
+# The output of most contenders.
 WHOLE_OUTPUT = "all symbols and float32 values"
 
 
 @dataclass(frozen=True)
 class Ready:
-    """A contender that is prepared.
+    """A prepared contender.
 
-    run: what is timed. It returns its result. digest: of a result, or None. says: what the times are of. parts:
+    run: the timed function, which returns a result. digest: of a result, or None. says: what the times include. parts:
     returns the processor seconds of the parts of a result.
     """
 
@@ -83,7 +83,7 @@ def _c(path: Path, kept: Path, option: str) -> Ready:
     def run() -> str:
         return subprocess.run([program, "digest", path], capture_output=True, text=True, check=True).stdout
 
-    says = "all symbols and float32 values, and their SHA-256; a process that reads the file"
+    says = "all symbols and float32 values, and their SHA-256; including the start of a process and reading the file"
     return Ready(run, lambda printed: str(printed).split()[1], says)
 
 
@@ -119,7 +119,7 @@ def _floor(path: Path, kept: Path, option: str) -> Ready:
 
     def check(_: dict[str, float]) -> None:
         if (least.found != least.symbols).any():
-            raise AssertionError("the rANS pass did not find the symbols")
+            raise AssertionError("the rANS pass gave wrong symbols")
 
     products = "int16 pairs" if least.pairs else "float32"
     says = f"bare products ({products}), one bare rANS pass ({len(least.symbols):,} symbols), one pass over the output"
@@ -138,14 +138,14 @@ KINDS: dict[str, Callable[[Path, Path, str], Ready]] = {
 
 
 def _processor() -> float:
-    """Processor seconds of this process, its threads, and the processes that it waited for."""
+    """Returns the processor seconds of this process, its threads, and its finished child processes."""
     waited = resource.getrusage(resource.RUSAGE_CHILDREN)
     return time.process_time() + waited.ru_utime + waited.ru_stime
 
 
 def main(kind: str, path: Path, kept: Path, option: str = "") -> None:
     """Answers until its input ends."""
-    # Compilers and libraries may print. Their words are no answers.
+    # Output of compilers and libraries goes to stderr, so that it does not mix with answers.
     answers = os.fdopen(os.dup(1), "w")
     os.dup2(2, 1)
 

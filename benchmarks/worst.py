@@ -1,4 +1,4 @@
-"""The worst files that are known for each step of decoding, by each decoder: seconds and memory beside SPEC.md 13.1."""
+"""Time and memory of each decoder for the worst known files of each decoding step, against SPEC.md 13.1."""
 
 from __future__ import annotations
 
@@ -42,8 +42,8 @@ from pathlib import Path
 from conformance import spec_decoder
 spec_decoder.verdict(spec_decoder.names(), Path(sys.argv[1]).read_bytes())
 """
-# Runs a command, and prints its exit status, the seconds of a processor, and its memory in KiB. It is small, since what
-# getrusage says of a process is not less than what the one took that started it.
+# Runs a command, and prints its exit status, its processor seconds, and its peak memory in KiB. It is a small program,
+# because the value of getrusage is at least the memory of the parent process.
 LAUNCHER = """
 import os, sys
 null = [(os.POSIX_SPAWN_OPEN, number, os.devnull, os.O_WRONLY, 0) for number in (1, 2)]
@@ -51,12 +51,12 @@ process = os.posix_spawnp(sys.argv[1], sys.argv[1:], os.environ, file_actions=nu
 _, status, usage = os.wait4(process, 0)
 print(os.waitstatus_to_exitcode(status), usage.ru_utime + usage.ru_stime, usage.ru_maxrss)
 """
-# A run of so many seconds is measured once.
+# A run of at least this many seconds is measured once.
 LONG = 2.0
 FRAME = Frame(
     np.eye(3, dtype=np.int64), np.zeros(3, np.int64), np.zeros(3, np.int64), np.full(3, -1 << 17), np.full(3, 1 << 17)
 )
-# SPEC 8.5: the scale index of the narrowest models, so that a symbol of 0 takes next to no bits.
+# SPEC 8.5: the scale index of the narrowest models, so that a symbol of 0 takes almost no bits.
 NARROW = -40
 
 
@@ -71,18 +71,18 @@ def _positions(count: int) -> np.ndarray:
 
 
 def _position_model() -> PositionModel:
-    """Returns a model that codes full trees in next to no bits."""
+    """Returns a model that codes full trees in almost no bits."""
     frequency = np.ones((POSITION_MODELS, HALVES), np.uint16)
     frequency[list(EMPTY_MODELS), 0] = 0
     for model in range(POSITION_MODELS):
-        # A full node has the symbol 15 twice. In its first model no child is named, or the last one.
+        # A full node has the symbol 15 twice.
         likely = {0: 15, 5: 15}.get(model % 6, 1)
         frequency[model, likely] += TOTAL - int(frequency[model].sum())
     return PositionModel(24, frequency)
 
 
 def scene(d: Dimensions, anchors: int, *, kept: bool = True, symbol: int = 0) -> Scene:
-    """Returns a scene with one lane, chunks of 16,384 anchors, and symbols that take next to no bits.
+    """Returns a scene with one lane, chunks of 16,384 anchors, and symbols that take almost no bits.
 
     kept: whether offsets have symbols. symbol: of all attributes.
     """
@@ -97,7 +97,7 @@ def scene(d: Dimensions, anchors: int, *, kept: bool = True, symbol: int = 0) ->
         networks["sarm"][-1][1][1] = NARROW
     masks = np.full((anchors, d.offset_count), kept)
     model = np.full(mask_contexts(d.offset_count), TOTAL - 1 if kept else 1, np.uint16)
-    # SPEC [R6.10-5]: a chunk has a byte for each 16 of its anchors, so the first mask of each anchor takes half a bit.
+    # SPEC [R6.10-5]: a chunk has at least a byte per 16 anchors, so the first mask of each anchor takes half a bit.
     model[0] = round(TOTAL * (0.7 if kept else 0.3))
     offsets = np.where(masks[:, :, None], symbol, 0).repeat(3, axis=2).astype(np.int32)
     return Scene(
@@ -132,7 +132,7 @@ def _chunks(anchors: int) -> list[range]:
 
 
 def _weights(d: Dimensions) -> Scene:
-    """Returns a scene of no anchors, whose weights take next to no bits."""
+    """Returns a scene without anchors, whose weights take almost no bits."""
     made = scene(d, 0)
     networks = {n: [(np.zeros_like(w), np.zeros_like(b)) for w, b in layers] for n, layers in made.networks.items()}
     return replace(made, networks=networks, weight_scales=np.zeros_like(made.weight_scales))
@@ -140,7 +140,7 @@ def _weights(d: Dimensions) -> Scene:
 
 WIDE = Dimensions(16, (64, 64), 0, 0, 0, (), (), (), 1)
 FEW = Dimensions(16, (1,), 0, 0, 0, (), (), (), 1)
-# Of each step: a substream whose CRC-32 is made wrong, and the scene, large and small.
+# For each step: the substream that gets a wrong CRC-32, and a function that makes the scene, large or small.
 CASES: dict[str, tuple[str, Callable[[bool], Scene]]] = {
     "planes, one lane": (
         "planes.r1",
@@ -161,7 +161,7 @@ CASES: dict[str, tuple[str, Callable[[bool], Scene]]] = {
 
 
 def files(large: bool) -> dict[str, bytes]:
-    """Returns the worst file of each step that is accepted, and one that is refused for its last check."""
+    """Returns for each step the worst accepted file, and one that its last check refuses."""
     found = {}
     for name, (path, make) in CASES.items():
         data = codec.emit(make(large))
@@ -172,7 +172,7 @@ def files(large: bool) -> dict[str, bytes]:
 
 
 def memory_bound(header: Header, size: int) -> int:
-    """[D13.1-1]: returns 4 m + 64 MiB of a decoder that has at most 65,536 anchors at once. size: of the file."""
+    """[D13.1-1]: returns 4 m + 64 MiB for a decoder that holds at most 65,536 anchors. size: of the file."""
     d, n = header.dimensions, min(header.anchor_count, GROUP_ANCHORS)
     width, inputs = d.attribute_width, 2 * d.plane_channels + 2 * d.frequency_count
     stages = [
@@ -188,7 +188,7 @@ def memory_bound(header: Header, size: int) -> int:
 
 
 def paths() -> dict[str, tuple[list[str], dict[str, str]]]:
-    """Returns the command of each decoder, with what its environment has, for a file and an output."""
+    """Returns the command of each decoder, with FILE and OUT, and additional environment variables."""
     refcodec = [sys.executable, "-m", "refcodec", "validate", "FILE"]
     decoder = compiled(ROOT / "conformance" / "c" / "decoder.c", ["-std=c11", "-O2"])
     found = {
@@ -202,7 +202,7 @@ def paths() -> dict[str, tuple[list[str], dict[str, str]]]:
 
 
 def run(command: list[str], environment: dict[str, str], file: Path) -> tuple[float, int]:
-    """Returns the seconds of a processor that a command takes for a file, and the most bytes of its memory."""
+    """Returns the processor seconds and the peak memory in bytes of a command for a file."""
     with tempfile.TemporaryDirectory() as folder:
         words = [{"FILE": str(file), "OUT": str(Path(folder, "out"))}.get(word, word) for word in command]
         done = subprocess.run(
@@ -220,7 +220,7 @@ def run(command: list[str], environment: dict[str, str], file: Path) -> tuple[fl
 
 
 def least(command: list[str], environment: dict[str, str], file: Path) -> tuple[float, int]:
-    """Returns the least of three runs, or the first if it takes long."""
+    """Returns the fastest of three runs, or the first if it takes long."""
     first = run(command, environment, file)
     if first[0] > LONG:
         return first
@@ -264,15 +264,15 @@ def section() -> list[str]:
         "",
         *table(["decoder", "most seconds for 10^9 units"], [[path, f"{each:.1f}"] for path, each in worst.items()]),
         "",
-        "Seconds: of a processor, of the whole process with one thread, the least of three. Seconds for 10^9 units",
-        "(SPEC.md 13.1) and MiB: beside those of the same process with a file of 5 anchors. Allowed: 4 m + 64 MiB of",
-        "[D13.1-1]. SPEC.md's blocks decode smaller files. The second table also counts rejected files, which have a",
+        "Seconds: processor time of the whole process with one thread, the least of three. Seconds for 10^9 units",
+        "(SPEC.md 13.1) and MiB: less those of the same process for a file of 5 anchors. Allowed: 4 m + 64 MiB of",
+        "[D13.1-1]. SPEC.md's blocks decode smaller files. The second table includes rejected files, which have a",
         "wrong CRC-32 of symbols in the named step.",
     ]
 
 
 def main() -> None:
-    """Command line."""
+    """Runs the command line."""
     argparse.ArgumentParser(description=__doc__).parse_args()
     write_section("worst", "The worst files of each step", section())
 

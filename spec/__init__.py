@@ -1,1 +1,1 @@
-"""The tools of SPEC.md: they make what SPEC.md and files beside it hold of the code, and check that it is current."""
+"""Tools of SPEC.md: they generate its parts and related files from the code, and check that they are current."""

@@ -1,8 +1,7 @@
 """Makes the generated texts, tables and pictures of SPEC.md and of the repository.
 
 python -m spec            writes the files that are not current
-python -m spec --check    writes nothing, names files that are not current and citations of SPEC.md that are wrong, and
-                          exits with 1 if there are any
+python -m spec --check    names stale files and wrong citations of SPEC.md, and exits with 1 if there are any
 python -m spec --vectors  prints the vectors of each requirement, error code, feature and flag
 """
 
@@ -16,7 +15,7 @@ from conformance.manifest import load
 from . import citations, decoder, example, figures, generated, house, matrix, tables
 from .made import Made
 
-# The order counts. The second decoder and the worked example need the tables, SPEC.md holds the example, and the
+# The order matters. The second decoder and the worked example need the tables, SPEC.md contains the example, and the
 # matrix reads SPEC.md.
 MAKERS: tuple[Callable[[], Iterator[Made]], ...] = (
     tables.made, decoder.made, example.made, figures.made, generated.made, matrix.made, house.made,
@@ -41,7 +40,7 @@ def main(arguments: list[str]) -> int:
                 print(f"{file.path.name} is not current: run python -m spec", file=sys.stderr)
             else:
                 file.write()
-                print(f"{file.path.name} is written")
+                print(f"{file.path.name} was written")
     for fault in citations.check() if arguments else []:
         stale = True
         print(fault, file=sys.stderr)

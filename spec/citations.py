@@ -1,9 +1,9 @@
 """Checks the citations of SPEC.md in code, tests and texts.
 
 A citation names clauses, requirements, steps of 10.1 and functions of the clause's block: `SPEC 7.5, [R6.7-2]`,
-`10.1, CHUNKS`, `SPEC 9.1, WORLD`. Each of them must exist. A citation in code must also share a word with what it
-cites: the function that it stands in has one of the words of the requirement, or of the names that the clause's title,
-tables, rules and block define. Clauses without such names are not compared.
+`10.1, CHUNKS`, `SPEC 9.1, WORLD`. Each of them must exist. Code must also share a word with what it cites: the function
+around the citation has a word of the requirement, or of the names in the clause's title, tables, rules and block.
+Clauses without such names are not compared.
 """
 
 from __future__ import annotations
@@ -25,16 +25,16 @@ _ITEMS = rf"{_ITEM}(?:(?:, | and | to |; ){_ITEM})*"
 # Python and texts name SPEC.md. A comment in C or JavaScript begins with the number.
 _CITATION = re.compile(rf"(?:SPEC(?:\.md)? (?:chapter |Annex )?|(?:^|\s)(?:/\*|//) (?=\d+\.|\[))({_ITEMS})")
 _MARK = re.compile(r"(\[[RDG](?:\d+|[A-G])(?:\.\d+)*-\d+\])")
-# Generated from SPEC.md's own requirements, and files whose subject is a citation that is wrong.
+# Files generated from SPEC.md's requirements, and files about wrong citations.
 _LEFT_OUT = (
     "tests/",
     "conformance/spec_decoder/blocks.py",
     "conformance/REQUIREMENTS.md",
     "conformance/mutants/",
 )
-# Chapters whose clauses are about parts of a file or of the decoding process. Others apply to much code.
+# Chapters with clauses on specific parts of a file or of the decoding process.
 _COMPARED = ("5.", "6.", "7.", "8.", "9.", "11.", "14.")
-# The words that say nothing about the subject.
+# Words without information on the subject.
 _COMMON = set(
     re.findall(
         r"\w+",
@@ -46,7 +46,7 @@ _COMMON = set(
 
 
 def words(prose: str) -> set[str]:
-    """Returns the words of a text and of the names in it, small and without a plural s. Common ones are left out."""
+    """Returns the words of a text and of the names in it, in lower case and without a plural s, except common ones."""
     parts = {part.lower() for part in re.findall(r"[A-Z]?[a-z]{2,}|[A-Z]{3,}", prose) if len(part) > 2}
     return {part.removesuffix("s") if len(part) > 3 else part for part in parts} - _COMMON
 
@@ -79,7 +79,7 @@ def steps() -> dict[str, set[str]]:
 
 
 def _python_unit(source: str) -> Iterator[tuple[int, int]]:
-    """Yields the first line and the line after the last one of each function and class, with the comments above it."""
+    """Yields the range of lines of each function and class, with the comments above it."""
     lines = source.splitlines()
     for node in ast.walk(ast.parse(source)):
         if isinstance(node, ast.FunctionDef | ast.ClassDef):
@@ -90,9 +90,9 @@ def _python_unit(source: str) -> Iterator[tuple[int, int]]:
 
 
 def _units(path: str, source: str) -> list[str]:
-    """Returns for each line the text that a citation in it is about.
+    """Returns for each line the text to compare with its citations.
 
-    It is the innermost function or class in Python, and otherwise the lines around it up to an empty one.
+    In Python it is the innermost function or class, otherwise the lines around it up to an empty one.
     """
     lines = source.splitlines()
     units = []
@@ -122,27 +122,27 @@ def _expanded(items: str) -> Iterator[str]:
 
 
 def _wrong(item: str, clause: str) -> str:
-    """Returns why an item of a citation does not exist, or nothing. clause: the one before it in the citation."""
+    """Returns why an item of a citation does not exist, or "". clause: the previous one in the citation."""
     if re.fullmatch(_CLAUSE, item):
         return "" if item in own_clauses() else "is not a clause of SPEC.md"
     if re.fullmatch(_REQUIREMENT, item):
         return "" if item in own_requirements() else "is not a requirement of SPEC.md"
     if clause == "10.1":
         return "" if item in steps() else "is not a step of 10.1"
-    # A name behind a clause is a function of its block. Other words in capitals are no citations.
+    # A name after a clause is a function of its block. Other words in capitals are not citations.
     known = clause not in own_clauses() or re.search(rf"\b{item}\b", own_clauses()[clause].text)
     return "" if known else f"is not a name of {clause}"
 
 
 def _wanted(item: str) -> set[str]:
-    """Returns the words of an item, of which code that cites it has one, or nothing if it is not compared."""
+    """Returns the words of an item, of which citing code must have one. The empty set: it is not compared."""
     if item in own_clauses():
         return _clause_words(item)
     return _requirement_words(item) if item in own_requirements() else steps().get(item, set())
 
 
 def faults(path: str, source: str, *, compare: bool = True) -> Iterator[str]:
-    """Yields what is wrong with the citations of a file. compare: also whether they are about the code."""
+    """Yields the faults of the citations of a file. compare: also whether they share words with the code."""
     lines = source.splitlines()
     units = _units(path, source) if compare else lines
     for number, line in enumerate(lines):
@@ -169,7 +169,7 @@ def faults(path: str, source: str, *, compare: bool = True) -> Iterator[str]:
 
 
 def check() -> list[str]:
-    """Returns what is wrong with the citations of all files that git tracks. Tests cite what does not exist, too."""
+    """Returns the faults of the citations in all files of the repository except tests, which also cite wrongly."""
     found: list[str] = []
     names = subprocess.run(["git", "ls-files"], cwd=ROOT, capture_output=True, text=True, check=True).stdout.split()
     for name in names:

@@ -24,7 +24,7 @@ from .support import sha256 as SHA256
 from .support import table_bytes
 '''
 TAIL = "\nSINE, STEP, GAUSS, LAPLACE = READ_TABLES(table_bytes())\n"
-# The functions that implement clauses without a block, with these clauses.
+# Functions for clauses without a block, and these clauses.
 CLAUSES = {
     "DECODE_SYMBOL": "8.2", "DECODE_VALUES": "8.6", "WORLD": "9.1", "DECODE_ATTRIBUTES": "7.7, 7.8, 7.9",
     "DECODE_FILE": "2.1, 10.1", "CHECK_DIRECTORY": "12.1, 13.1",
@@ -33,7 +33,7 @@ LEVEL = ("level", "anchor_count", "plane_size", "work")
 
 
 def _rows(text: str, heading: str) -> list[list[str]]:
-    """Returns the cells of the rows of the first table under a heading, without those of its head."""
+    """Returns the cells of the body rows of the first table under a heading."""
     lines = text.partition(f"\n{heading}")[2].splitlines()
     first = next(i for i, line in enumerate(lines) if line.startswith("|---"))
     last = next(i for i in range(first, len(lines)) if not lines[i].startswith("|"))
@@ -83,7 +83,7 @@ def module(text: str) -> str:
         if heading:
             clause = heading.lstrip("# ").partition(":")[0].removeprefix("Annex ").split()[0]
         else:
-            # Each function cites its clause, by which `refcodec explain` finds it.
+            # Each function cites its clause, so that `refcodec explain` finds it.
             own = "Annex A" if clause == "A" else clause
 
             def cited(match: re.Match[str], own: str = own) -> str:

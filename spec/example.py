@@ -1,4 +1,4 @@
-"""Makes vectors/tiny-example.c3gs, the file that SPEC.md Annex D explains. Small formulas give all its numbers."""
+"""Makes vectors/tiny-example.c3gs, the file that SPEC.md Annex D explains. Simple formulas give all its numbers."""
 
 from __future__ import annotations
 
@@ -33,8 +33,8 @@ def pattern(count: int, period: int) -> np.ndarray:
 def example() -> Scene:
     """Returns the scene. It has five anchors in two chunks.
 
-    One offset in three is masked. One feature is so large that it needs an escape. Metadata come before all other
-    sections, and a camera after them.
+    One third of the offsets is masked. One large feature needs an escape. The first section is metadata, and the last
+    one a camera.
     """
     networks = {}
     for number, (name, shapes) in enumerate(DIMENSIONS.network_shapes().items()):

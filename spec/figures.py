@@ -1,4 +1,4 @@
-"""Draws the pictures of SPEC.md. SPEC.md's own python blocks compute what they show."""
+"""Draws the pictures of SPEC.md, with values computed by the blocks of SPEC.md."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ class Drawing:
         self.parts.append(f'<rect x="{x:g}" y="{y:g}" width="{w:g}" height="{h:g}" fill="{fill}" stroke="{line}"/>')
 
     def words(self, x: float, y: float, value: str, size: int = 13, anchor: str = "middle", bold: bool = False) -> None:
-        """Writes a line of text at the baseline y. anchor: which part of it is at x, as in SVG."""
+        """Writes a line of text at the baseline y. anchor: text-anchor of SVG."""
         weight = ' font-weight="bold"' if bold else ""
         safe = value.replace("&", "&amp;").replace("<", "&lt;")
         self.parts.append(
@@ -57,7 +57,7 @@ class Drawing:
         )
 
     def labelled(self, x: float, y: float, w: float, h: float, lines: list[str], fill: str = FILL) -> None:
-        """Draws a box with lines of text in its middle, the first of them bold."""
+        """Draws a box with centred lines of text. The first one is bold."""
         self.box(x, y, w, h, fill)
         top = y + h / 2 - 8 * (len(lines) - 1) + 4
         for i, value in enumerate(lines):
@@ -111,7 +111,7 @@ def planes(space: dict[str, Any]) -> str:
 
 
 def stages(space: dict[str, Any]) -> str:
-    """Returns the picture of what the symbols of an anchor are decoded from."""
+    """Returns the picture of the inputs from which the symbols of an anchor are decoded."""
     del space
     d = Drawing(760, 330, "From position to symbols")
     d.labelled(20, 30, 110, 50, ["position", "7.4"], LIGHT)
@@ -151,7 +151,7 @@ def stages(space: dict[str, Any]) -> str:
 
 
 def substream(space: dict[str, Any]) -> str:
-    """Returns the picture of the bytes of a substream, and of which lane decodes which symbol of a group."""
+    """Returns the picture of the bytes of a substream, and of the lanes of the symbols of a group."""
     streams = {"state": [0, 0, 0, 0]}
     lanes_of: list[int] = []
     original = space["DECODE_SYMBOL"]

@@ -1,6 +1,6 @@
 """Makes the generated parts of SPEC.md.
 
-These are the registry of errors, profiles and levels, the worked example, and tables of measured results.
+These are the registry of errors, profiles and levels, and the worked example.
 """
 
 from __future__ import annotations
@@ -16,12 +16,12 @@ from refcodec.bitstream.limits import PROFILES, Profile
 from refcodec.bitstream.reconstruction import chunk_digest, digest
 from refcodec.bitstream.scene import take_anchors
 
-from . import measured, walk
+from . import walk
 from .made import ROOT, Made
 
 SPEC = ROOT / "SPEC.md"
 EXAMPLE = ROOT / "vectors" / "tiny-example.c3gs"
-# The dimensions that are 0 in a scene without planes, whatever their bounds are.
+# The dimensions that are 0 in a scene without planes.
 OPTIONAL = ("plane_size", "sarm_layers")
 
 
@@ -80,7 +80,7 @@ def _escape(made: str) -> str:
 
 
 def rewritten(text: str) -> str:
-    """Returns SPEC.md with each generated part made anew. Raises SystemExit if a part is missing, or there twice."""
+    """Returns SPEC.md with its generated parts replaced. Raises SystemExit for a missing or repeated part."""
     data = EXAMPLE.read_bytes()
     parts: dict[str, Callable[[], str]] = {
         "errors": errors,
@@ -92,8 +92,6 @@ def rewritten(text: str) -> str:
         "anchor": lambda: walk.first_anchor(data, text),
         "raw": lambda: walk.raw_fields(data, text),
         "digests": digests,
-        "departures": measured.departures,
-        "speed": measured.speed,
     }
     for name, make in parts.items():
         pattern = re.compile(rf"(<!-- generated:{name} -->\n).*?(<!-- /generated -->)", re.DOTALL)

@@ -1,4 +1,4 @@
-"""The packages of the project and their imports: ARCHITECTURE.md's table."""
+"""Makes ARCHITECTURE.md's table of packages and their imports."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from pathlib import Path
 from .made import ROOT, Made
 
 PAGE = ROOT / "ARCHITECTURE.md"
-# The rooms in import order, by the parts of ARCHITECTURE.md's table: each may import those before it.
+# The packages (rooms) by the parts of ARCHITECTURE.md's table. Each may import earlier ones.
 PARTS = {
     "format": (
         "refcodec",
@@ -53,7 +53,7 @@ PACKAGES = tuple(dict.fromkeys(room.partition(".")[0] for room in ROOMS))
 
 @cache
 def modules() -> dict[str, Path]:
-    """The modules of the project by their names."""
+    """Returns the modules of the project by name."""
     return {
         ".".join(path.relative_to(ROOT).with_suffix("").parts).removesuffix(".__init__"): path
         for package in PACKAGES
@@ -62,7 +62,7 @@ def modules() -> dict[str, Path]:
 
 
 def room(module: str) -> str:
-    """The room of a module. A package's __main__ is of its commands."""
+    """Returns the room of a module. A package's __main__ belongs to its commands."""
     module = (
         module.replace(".__main__", ".cli.__main__")
         if module in ("refcodec.__main__", "conformance.__main__")
@@ -72,13 +72,13 @@ def room(module: str) -> str:
 
 
 def docstring(module: str) -> str:
-    """A module's docstring, or nothing."""
+    """Returns a module's docstring, or an empty string."""
     return ast.get_docstring(ast.parse(modules()[module].read_text(encoding="utf-8"))) or ""
 
 
 @cache
 def imports(module: str) -> dict[str, set[str]]:
-    """The project's modules that a module imports, each with the names that it takes of it."""
+    """Returns the project's modules that a module imports, with the names imported from each."""
     found: dict[str, set[str]] = defaultdict(set)
     path = modules()[module]
     package = (module if path.name == "__init__.py" else module.rpartition(".")[0]).split(".")
@@ -99,7 +99,7 @@ def imports(module: str) -> dict[str, set[str]]:
 
 
 def uses() -> dict[str, set[str]]:
-    """Of each room the other rooms that it uses. The package's own room, which all may use, is left out."""
+    """Returns the other rooms that each room imports, except `refcodec` itself, which all may import."""
     found: dict[str, set[str]] = {name: set() for name in ROOMS}
     for module in modules():
         found[room(module)] |= {room(name) for name in imports(module)} - {room(module), "refcodec"}
@@ -107,7 +107,7 @@ def uses() -> dict[str, set[str]]:
 
 
 def table() -> str:
-    """A row for each room: its part, the first sentence of its docstring, and the rooms that it imports."""
+    """Returns the table: part, first sentence of the docstring, and imported rooms of each room."""
     graph = uses()
     rows = ["| part | package | purpose | imports |", "|---|---|---|---|"]
     for part, rooms in PARTS.items():
@@ -119,7 +119,7 @@ def table() -> str:
 
 
 def made() -> Iterator[Made]:
-    """ARCHITECTURE.md, with its generated table renewed."""
+    """Yields ARCHITECTURE.md with the current table."""
     text = PAGE.read_text(encoding="utf-8")
     pattern = re.compile(r"(<!-- generated:rooms -->\n).*?(<!-- /generated -->)", re.DOTALL)
     yield Made.text(PAGE, pattern.sub(lambda match: f"{match[1]}\n{table()}\n\n{match[2]}", text))

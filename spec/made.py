@@ -1,4 +1,4 @@
-"""Files that a program makes."""
+"""Generated files."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ ROOT = Path(__file__).resolve().parent.parent
 
 @dataclass(frozen=True)
 class Made:
-    """A file that a program makes. content: what it has to hold."""
+    """A generated file and its expected content."""
 
     path: Path
     content: bytes
@@ -21,10 +21,10 @@ class Made:
         return cls(path, content.encode("utf-8"))
 
     def is_current(self) -> bool:
-        """Whether the file is there and has this content."""
+        """Whether the file exists and has this content."""
         return self.path.is_file() and self.path.read_bytes() == self.content
 
     def write(self) -> None:
-        """Writes the file, and the folders above it that are missing."""
+        """Writes the file, and makes missing folders."""
         self.path.parent.mkdir(parents=True, exist_ok=True)
         self.path.write_bytes(self.content)

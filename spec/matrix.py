@@ -20,23 +20,22 @@ from .trail import DECODERS, Place, Trail, by_name, trails
 FOLDER = ROOT / "conformance"
 HEAD = f"""# Requirements
 
-Each requirement of [SPEC.md](../SPEC.md) with the code that meets it in each decoder, the tests that prove it, and the
-[vectors](../vectors/README.md) that try it. `python -m spec` writes this page. `refcodec explain R6.10-2` prints the
-same of one requirement, with its lines, and `python -m spec --vectors` all vectors of each requirement, code, feature
+The table lists each requirement of [SPEC.md](../SPEC.md), the code for it in each decoder, its tests, and the number
+of its [vectors](../vectors/README.md). `python -m spec` generates this page. `refcodec explain R6.10-2` prints the
+same for one requirement, with lines, and `python -m spec --vectors` all vectors of each requirement, code, feature
 and flag.
 
-`test_fault[...]` stands for generated files with that one fault. The decoders must refuse them with its code and
-offset.
+`test_fault[...]` tests generated files with that fault. The decoders must refuse them with its code and offset.
 
 | requirement | what | {" | ".join(DECODERS)} | tests | vectors |
 |{"---|" * (len(DECODERS) + 4)}
 """
-# How many vectors of a requirement trail.json names.
+# The number of vectors that trail.json lists for a requirement, at most.
 SHOWN = 12
-# The requirements that no file and its one result can show, and why.
+# Requirements that no single file and result can test, with the reason.
 NO_VECTOR = {
-    "D10.2-2": "none: a mode of decoding that a runner does not ask for",
-    "G14.5-1": "none: a runner does not compare images",
+    "D10.2-2": "none: a mode of decoding that runners do not use",
+    "G14.5-1": "none: runners do not compare images",
 }
 
 
@@ -47,9 +46,9 @@ def _link(place: Place) -> str:
 
 
 def holes(found: dict[str, Trail]) -> list[str]:
-    """Returns in words which requirement has no code in a decoder, no test, or no vector.
+    """Returns messages on requirements without code in a decoder, a test, or a vector.
 
-    A requirement of NO_VECTOR must have none.
+    A requirement of NO_VECTOR must have no vector.
     """
     missing = []
     for name, trail in found.items():
@@ -73,7 +72,7 @@ def document(spec: str, found: dict[str, Trail]) -> str:
         cells.append(NO_VECTOR.get(name, str(len(trail.vectors))))
         rows.append(f"| {' | '.join(cells)} |")
     share = f"{len(found) - len(NO_VECTOR)} of {len(found)} requirements have a vector."
-    return HEAD + "\n".join(rows) + f"\n\n{share} No file and its one result can show the other {len(NO_VECTOR)}.\n"
+    return HEAD + "\n".join(rows) + f"\n\n{share} No single file and result can test the other {len(NO_VECTOR)}.\n"
 
 
 def vector_lists(suite: Manifest) -> Iterator[str]:

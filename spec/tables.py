@@ -1,4 +1,4 @@
-"""Makes refcodec/data/tables-0.bin, the file of the tables, by the rules of SPEC.md Annex A, with 50 digits."""
+"""Makes refcodec/data/tables-0.bin, the file of the tables, from the formulas of SPEC.md Annex A, with 50 digits."""
 
 from __future__ import annotations
 
@@ -20,12 +20,12 @@ def half_up(x: mp.mpf) -> int:
 
 
 def upper_gauss(t: mp.mpf, scale: mp.mpf) -> mp.mpf:
-    """Returns the probability above t of the normal distribution with this standard deviation."""
+    """Returns the probability above t of the normal distribution with a standard deviation."""
     return mp.erfc(t / (scale * mp.sqrt(2))) / 2
 
 
 def upper_laplace(t: mp.mpf, scale: mp.mpf) -> mp.mpf:
-    """Returns the probability above t of the Laplace distribution with this scale."""
+    """Returns the probability above t of the Laplace distribution with a scale."""
     return mp.exp(-t / scale) / 2 if t >= 0 else 1 - mp.exp(t / scale) / 2
 
 
@@ -36,7 +36,7 @@ def radius(kind: str, scale: mp.mpf) -> int:
 
 
 def frequencies(kind: str, scale_index: int, fraction: int) -> tuple[int, list[int]]:
-    """Returns R and the 2 R + 2 frequencies of a model, with that of the escape last (A.3, A.4).
+    """Returns R and the 2 R + 2 frequencies of a model, the escape last (A.3, A.4).
 
     kind: "gauss" or "laplace". scale_index: the row. fraction: the column.
     """

@@ -24,7 +24,7 @@ from refcodec.inspect.specification import Requirement
 
 from .made import ROOT
 
-# The decoders, and the files that hold the code of each.
+# The decoders and their source files.
 DECODERS = {
     "refcodec": ("refcodec/bitstream/*.py", "refcodec/render/*.py"),
     "second decoder": ("conformance/spec_decoder/*.py",),
@@ -56,7 +56,7 @@ class Trail:
 
 @dataclass
 class Found:
-    """The places in the code of a decoder. raising: by name of an error. citing: by clause."""
+    """Places in the code of a decoder. raising: by name of the error. citing: by clause."""
 
     raising: dict[str, list[Place]]
     citing: dict[str, list[Place]]
@@ -65,12 +65,12 @@ class Found:
 def _cited(comment: str) -> Iterator[str]:
     """Yields the clauses that a line of a comment or docstring cites."""
     yield from re.findall(r"(?<![\w.])(?:\d+|[A-G]\.\d+)(?:\.\d+)*(?!\w)", comment)
-    # An annex as a whole is a letter that no word follows: "A value" is none.
+    # An annex is a letter without a following word: "A value" does not cite Annex A.
     yield from re.findall(r"(?:Annex |SPEC |, |and |/\* )([A-G])\b(?![ .]\w)", comment)
 
 
 def _python(path: Path, found: Found) -> None:
-    """Adds the places of a module in Python: where functions and classes raise errors, and where they cite clauses.
+    """Adds the functions and classes of a Python module that raise errors or cite clauses.
 
     The comments above a function and its decorators belong to it.
     """
@@ -101,7 +101,7 @@ def _python(path: Path, found: Found) -> None:
 
 
 def _c(path: Path, found: Found) -> None:
-    """Adds the places of the decoder in C: where functions refuse, and which cite clauses.
+    """Adds the functions of the decoder in C that refuse files or cite clauses.
 
     A function cites the clauses in the first line of the comment above it.
     """
@@ -123,7 +123,7 @@ def _c(path: Path, found: Found) -> None:
 
 
 def _innermost(places: Iterable[Place]) -> list[Place]:
-    """Returns each function once. A function or class that holds another one of them is left out."""
+    """Returns each function once, without functions and classes that contain another one."""
     every = sorted(set(places))
     return [p for p in every if not any(o.path == p.path and o.name.startswith(f"{p.name}.") for o in every)]
 
@@ -141,7 +141,7 @@ def code() -> dict[str, Found]:
 
 
 def proofs() -> tuple[dict[str, list[Place]], Place]:
-    """Returns the tests by requirement, and the test of faults."""
+    """Returns the tests by requirement, and the test of all faults."""
     found = defaultdict(list)
     fault = None
     for path in sorted((ROOT / "tests").rglob("test_*.py")):
@@ -156,12 +156,12 @@ def proofs() -> tuple[dict[str, list[Place]], Place]:
                 if isinstance(mark, ast.Call) and ast.unparse(mark.func) == "pytest.mark.requirement":
                     for argument in mark.args:
                         found[ast.literal_eval(argument)].append(place)
-    assert fault is not None, "the test of faults is gone"
+    assert fault is not None, "the test of faults is missing"
     return found, fault
 
 
 def by_name(suite: Manifest, names: Callable[[Vector], Iterable[str]]) -> dict[str, list[str]]:
-    """Returns the ids of the vectors by each name that they have. names: gives the names of a vector."""
+    """Returns the ids of the vectors by name. names: returns the names of a vector."""
     found = defaultdict(list)
     for vector in suite.vectors:
         for name in names(vector):

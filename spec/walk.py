@@ -1,7 +1,7 @@
 """Explains the worked example (SPEC.md Annex D) in Markdown: every byte, and the raw bits and coder steps of parts.
 
-refcodec.inspect gives the elements of the file, and SPEC.md's syntax tables give their meanings. SPEC.md's python
-blocks are watched while they decode, and give the steps of the coder.
+refcodec.inspect gives the elements of the file, and SPEC.md's syntax tables their meanings. The steps of the coder are
+recorded while SPEC.md's blocks decode.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from refcodec.inspect.elements import Row, rows
 from refcodec.inspect.meaning import meaning
 from refcodec.inspect.specification import fields
 
-# Elements of more bytes are folded to their first ones.
+# The number of bytes that are shown of an element, at most.
 SHOWN_BYTES = 8
 
 
@@ -59,9 +59,9 @@ def element_table(data: bytes, spec: str) -> str:
 
 
 class Watch:
-    """SPEC.md's decoder, which notes each symbol, raw field, value and network output. Streams are told by identity.
+    """SPEC.md's decoder, which records symbols, raw fields, values and network outputs, by the identity of streams.
 
-    space: the names of SPEC.md's blocks, of which some are replaced.
+    space: the names of SPEC.md's blocks, some of which are replaced.
     """
 
     def __init__(self, spec: str) -> None:
@@ -76,7 +76,7 @@ class Watch:
             self.space[name] = getattr(self, f"_{name.lower()}")(original)
 
     def hyper(self, context: list[int]) -> list[int]:
-        """Returns the outputs of F_h for a context that it was given."""
+        """Returns the outputs of F_h for one of its inputs."""
         return next(out for inputs, out in self.networks if inputs == context)
 
     def _network(self, original: Any) -> Any:
@@ -131,7 +131,7 @@ def _watched(data: bytes, spec: str) -> tuple[Watch, list[int]]:
     original = watch.space["OPEN"]
 
     def noted(part: bytes, lanes: int) -> dict:
-        # The streams are kept, because an identity could be used again otherwise.
+        # References to the streams keep their identities unique.
         opened.append(original(part, lanes))
         return opened[-1]
 
@@ -230,7 +230,7 @@ def first_anchor(data: bytes, spec: str) -> str:
 def raw_fields(data: bytes, spec: str) -> str:
     """Returns the table of all raw bits of the last attribute substream: start, length, contents and meaning.
 
-    A start is a byte and a bit. Contents have the last bit first. Raises SystemExit if bits are left out.
+    A start is a byte and a bit. Contents have the last bit first. Raises SystemExit if bits are missing.
     """
     watch, streams = _watched(data, spec)
     groups = [g for g in watch.values if g["stream"] == streams[-1]]
@@ -239,7 +239,7 @@ def raw_fields(data: bytes, spec: str) -> str:
     end = 0
     for start, bits, value, words in _fields(groups):
         if start != end:
-            raise SystemExit(f"raw bits {end} to {start} are not told")
+            raise SystemExit(f"raw bits {end} to {start} are missing")
         end = start + bits
         lines.append(f"| 0x{raw.start + start // 8:03x}+{start % 8} | {bits} | `{value:0{bits}b}` | {words} |")
     padding = 8 * (raw.end - raw.start) - end
@@ -249,7 +249,7 @@ def raw_fields(data: bytes, spec: str) -> str:
 
 
 def _fields(groups: list[dict[str, Any]]) -> Iterator[tuple[int, int, int, str]]:
-    """Yields (bit, length, value, meaning) of each raw field of some groups of values. Empty fields are left out."""
+    """Yields (bit, length, value, meaning) of each raw field of groups of values, except empty fields."""
     for number, group in enumerate(groups):
         fields = iter(group["fields"])
         for n, ((_, _, _, k), value) in enumerate(zip(group["chosen"], group["values"], strict=True)):

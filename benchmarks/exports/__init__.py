@@ -1,1 +1,1 @@
-"""What other programs make of an exported scene: quality and bytes of each format, and clients that others wrote."""
+"""Exported scenes: quality and bytes of each format, and third-party clients."""

@@ -1,11 +1,11 @@
-"""What other programs make of exported scenes: a section of RESULTS.md.
+"""Quality and size of exported scenes, and third-party clients: a section of RESULTS.md.
 
 python -m benchmarks.exports FOLDER --scene NAME FILE.c3gs PHOTOGRAPHS --scene ... [--clients] [--write]
 
 Each scene is exported to every format with harmonics of each degree, fitted to the cameras of its training. FOLDER
-keeps files, figures and pictures. What is there is not made again. --clients also gives the files to programs that
-others wrote: splat-transform, Khronos's validator of glTF, three.js and Spark in Chromium. It says how to install what
-is missing. --write writes the section.
+keeps files, figures and pictures for later runs. --clients also tests the files with third-party programs:
+splat-transform, Khronos's glTF validator, three.js and Spark in Chromium. If one is missing, it prints how to install
+it. --write writes the section.
 """
 
 from __future__ import annotations
@@ -32,18 +32,18 @@ from .clients import INSTALL, SPARK, THREE, VALIDATOR, difference, issues
 from .making import Record, Source, file_of, held, kept, scene_record, splat_record
 
 DEGREES = range(4)
-# Splat-transform reads these.
+# The formats that splat-transform reads.
 READ = (".ply", ".spz", ".sog")
-# The cameras of which viewers make pictures: these held-out photographs, as far as there are so many.
+# The number of held-out photographs whose cameras the viewers use, at most.
 PICTURES = 3
 
 
 def client_record(source: Source, degree: int, folder: Path) -> Record:
-    """What programs of others make of the files of a degree. Raises ToolError.
+    """Returns the results of third-party programs for the files of a degree. Raises ToolError.
 
-    Of each format: the largest difference of a number that splat-transform reads; what the validator says; the
-    PSNR of a viewer's pictures to our drawing of the same Gaussians, and to our drawing of the scene. The pictures are
-    kept beside each other: the scene, the same Gaussians by us, and by the viewer.
+    For each format: the largest difference of a number that splat-transform reads; the messages of the validator; the
+    PSNR of a viewer's pictures relative to our rendering of the same Gaussians, and of the scene. Each saved picture
+    has the scene, the Gaussians rendered by us, and by the viewer, from left to right.
     """
 
     def made() -> Record:
@@ -99,7 +99,7 @@ def _quality(source: Source, scene: Record, splats: dict[int, Record]) -> list[s
                 ]
             )
     said = (
-        f"{scene['anchors']:,} anchors, {scene['cameras']} cameras of the fit, {scene['tests']} photographs held out."
+        f"{scene['anchors']:,} anchors, {scene['cameras']} cameras for fitting, {scene['tests']} photographs held out."
     )
     return [f"### {source.name}", "", said, "", *table(head, rows), ""]
 
@@ -130,28 +130,28 @@ def _clients(sources: list[Source], found: dict[str, dict[int, Record]]) -> list
                     f"{record['.glb']['same']:.2f}",
                 ]
             )
-    return ["### Clients that others wrote", "", *CLIENTS_NOTE, "", *table(head, rows), ""]
+    return ["### Third-party clients", "", *CLIENTS_NOTE, "", *table(head, rows), ""]
 
 
 NOTE = (
     "The scenes are those of the experiment `quality` with lambda_r 0.004 and seed 0.",
-    "One thread. PSNR to the scene: that of the drawn splat against the drawn scene, both as floats, from the cameras",
-    "of the photographs that were held out. PSNR and SSIM: against these photographs, by scikit-image, of eight bits.",
-    "SPZ and SOG are drawn as they are read, with what their bits leave. GLB has the Gaussians of PLY.",
+    "One thread. PSNR to the scene: of float renderings of the splat and of the scene, from the cameras of held-out",
+    "photographs. PSNR and SSIM: of eight-bit renderings and these photographs, by scikit-image. SPZ and SOG are",
+    "decoded before rendering. GLB has the Gaussians of PLY.",
 )
 CLIENTS_NOTE = (
-    f"difference: the largest one of any number that splat-transform {VERSION} reads from the file, to that which the",
-    "file is said to hold, in units of the number where that is above 1. picture: the PSNR of a viewer's picture to",
-    f"ours of the same Gaussians, over {PICTURES} cameras. The viewer of .ply, .spz and .sog is {SPARK}",
-    f"in {THREE}, that of .glb is {THREE}'s own, which keeps colours and harmonics in eight bits, and ends a",
-    "Gaussian at two deviations. Both blend in eight bits, in Chromium, by software. Both leave out a Gaussian whose",
-    "middle is far outside the image; brighton_aerial has large ones there.",
-    f"messages: of {VALIDATOR}, but for those that say that it does not know the extension and its names.",
+    f"difference: the largest difference between a number that splat-transform {VERSION} reads from the file and the",
+    "expected one, relative to the number if that is above 1. picture: the PSNR of a viewer's picture relative to",
+    f"our rendering of the same Gaussians, over {PICTURES} cameras. The viewer of .ply, .spz and .sog is {SPARK}",
+    f"in {THREE}. That of .glb is {THREE}'s own, which keeps colours and harmonics in eight bits, and cuts a",
+    "Gaussian at two deviations. Both blend in eight bits, in Chromium, with software rendering. Both omit Gaussians",
+    "whose centre is far outside the image; brighton_aerial has large ones there.",
+    f"messages: of {VALIDATOR}, except those about the extension and its names, which are unknown to it.",
 )
 
 
 def main(words: list[str] | None = None) -> int:
-    """Command line. Returns the exit status."""
+    """Runs the command line. Returns the exit status."""
     parser = argparse.ArgumentParser(
         prog="python -m benchmarks.exports", description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
@@ -159,7 +159,7 @@ def main(words: list[str] | None = None) -> int:
     parser.add_argument("--scene", nargs=3, action="append", required=True, metavar=("NAME", "FILE", "PHOTOGRAPHS"))
     parser.add_argument("--size", type=int, default=200, help="longest side of the photographs in pixels (200)")
     parser.add_argument("--degrees", type=int, choices=DEGREES, nargs="+", default=list(DEGREES), metavar="D")
-    parser.add_argument("--clients", action="store_true", help="give the files to programs that others wrote")
+    parser.add_argument("--clients", action="store_true", help="test the files with third-party programs")
     parser.add_argument("--write", action="store_true", help="write the section of benchmarks/RESULTS.md")
     options = parser.parse_args(words)
     sources = [Source(name, Path(file), Path(photographs), options.size) for name, file, photographs in options.scene]

@@ -1,8 +1,8 @@
-"""Pictures of splat files by viewers that others wrote, in a browser without a screen.
+"""Pictures of splat files by third-party viewers, in a headless browser.
 
-`spark.html` has three.js with Spark, which draws PLY, SPZ and SOG. `gltf.html` has three.js alone: its own loader and
-drawing of KHR_gaussian_splatting. A page fetches the cameras, draws, and sends its pictures back. Chromium draws by
-software.
+`spark.html` has three.js with Spark, which renders PLY, SPZ and SOG. `gltf.html` has only three.js, with its own
+support of KHR_gaussian_splatting. A page fetches the cameras, renders, and sends its pictures back. Chromium uses
+software rendering.
 """
 
 from __future__ import annotations
@@ -41,18 +41,18 @@ PATIENCE = 240
 
 
 def browser() -> str:
-    """The browser's program. Raises ToolError."""
+    """Returns the path of the browser. Raises ToolError."""
     found = find()
     if found is None:
-        raise ToolError("no Chromium is there: apt-get install chromium")
+        raise ToolError("Chromium is missing: apt-get install chromium")
     return found
 
 
 def drawn(file: Path, cameras: Sequence[Camera], settings: Settings) -> list[U8]:
-    """What a viewer shows of a splat file, uint8 [height, width, 3] for each camera.
+    """Returns a viewer's pictures of a splat file, uint8 [height, width, 3] for each camera.
 
-    The cameras see the world that the file was exported from, whatever the axes of its format are. settings: of 3DGS's
-    own drawing, which Spark is told of. Raises ToolError.
+    The cameras are those of the exported scene, whatever the axes of the format are. settings: rendering settings of
+    3DGS, which Spark gets. Raises ToolError.
     """
     stated = {
         "file": f"/splats{file.suffix}",
@@ -78,7 +78,7 @@ def drawn(file: Path, cameras: Sequence[Camera], settings: Settings) -> list[U8]
         served.shutdown()
         served.server_close()
     if served.fault or len(served.pictures) != len(cameras):
-        raise ToolError(f"the viewer of {file.name} failed: {served.fault or 'it is not done in time'}")
+        raise ToolError(f"the viewer of {file.name} failed: {served.fault or 'it did not finish in time'}")
     found = []
     for number, camera in enumerate(cameras):
         pixels = np.frombuffer(served.pictures[number], np.uint8)
@@ -87,7 +87,7 @@ def drawn(file: Path, cameras: Sequence[Camera], settings: Settings) -> list[U8]
 
 
 def _stated(camera: Camera) -> dict[str, Any]:
-    """A camera for the pages. pose: by rows, from the camera's axes in three.js (right, up, back) to the world."""
+    """Returns a camera for the pages. pose: by rows, from three.js's camera axes (right, up, back) to the world."""
     pose = np.eye(4)
     pose[:3, :3], pose[:3, 3] = camera.rotation.T * (1, -1, -1), camera.centre
     lens = {name: getattr(camera, name) for name in ("width", "height", "fx", "fy", "cx", "cy")}
@@ -97,7 +97,7 @@ def _stated(camera: Camera) -> dict[str, Any]:
 class _Server(ThreadingHTTPServer):
     """Serves the pages, the packages, a splat file and the cameras, and takes pictures.
 
-    pictures: RGBA by the number of their camera. fault: what a page says of its failure. over: set at the end.
+    pictures: RGBA by the number of their camera. fault: the error that a page reports. over: set at the end.
     """
 
     daemon_threads = True
@@ -111,7 +111,7 @@ class _Server(ThreadingHTTPServer):
         self.over = threading.Event()
 
     def content(self, path: str) -> tuple[bytes, str] | None:
-        """What is at a path, and its type."""
+        """Returns the content at a path, and its type."""
         _, first, *rest = path.split("/")
         if first == "cameras.json":
             return self.stated, "application/json"
@@ -150,4 +150,4 @@ class _Handler(BaseHTTPRequestHandler):
         self.wfile.write(data)
 
     def log_message(self, *words: Any) -> None:
-        """Says nothing of requests."""
+        """Logs nothing."""

@@ -1,6 +1,6 @@
-"""Programs of others that read exported files: PlayCanvas's splat-transform, and Khronos's validator of glTF.
+"""Third-party readers of exported files: PlayCanvas's splat-transform, and Khronos's glTF validator.
 
-INSTALL installs those of npm. Nothing here downloads.
+INSTALL installs them from npm. Nothing here downloads.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from refcodec.export.splats import Splats, opacities
 
 from ..peers.convert import ROOT, ToolError, convert
 
-# Below a folder that git ignores.
+# In a folder that Git ignores.
 FOLDER = "build/export-clients"
 THREE, SPARK, VALIDATOR = "three@0.187.0", "@sparkjsdev/spark@2.2.0", "gltf-validator@2.0.0-dev.3.10"
 EXTENSION = "KHR_gaussian_splatting"
@@ -32,18 +32,18 @@ validator.validateBytes(new Uint8Array(fs.readFileSync(process.argv[1])))
 
 
 def modules() -> Path:
-    """Where the packages of INSTALL are. Raises ToolError if they are missing."""
+    """Returns the folder of the packages of INSTALL. Raises ToolError if they are missing."""
     found = ROOT / FOLDER / "node_modules"
     if not all((found / package.rpartition("@")[0]).is_dir() for package in (THREE, SPARK, VALIDATOR)):
-        raise ToolError(f"packages of npm are missing: run `{INSTALL}` in the repository's folder")
+        raise ToolError(f"npm packages are missing: run `{INSTALL}` in the repository's folder")
     return found
 
 
 def difference(file: Path, wanted: Splats) -> float:
-    """How far the Gaussians that splat-transform reads are from those that a file is said to hold.
+    """Returns the difference between the Gaussians that splat-transform reads and the expected ones.
 
-    It is the largest difference of any number, in units of the number where that is above 1. Opacities are from 0 to 1,
-    and rotations are matrices. Raises ToolError.
+    It is the largest difference of a number, relative to the number if that is above 1. Opacities are from 0 to 1, and
+    rotations are matrices. Raises ToolError.
     """
     with tempfile.TemporaryDirectory() as folder:
         again = Path(folder) / "again.ply"
@@ -58,10 +58,9 @@ def difference(file: Path, wanted: Splats) -> float:
 
 
 def issues(file: Path) -> dict[str, int]:
-    """What Khronos's validator says of a GLB file: the number of its messages by their codes. Raises ToolError.
+    """Returns the number of messages of Khronos's validator for a GLB file, by code. Raises ToolError.
 
-    It does not know the extension. That it says so, and that it takes the extension's attributes for unknown ones, is
-    left out.
+    The messages about the extension and its attributes, which the validator does not know, are omitted.
     """
     command = ["node", "-e", _VALIDATE, str(file.absolute())]
     done = subprocess.run(command, cwd=modules(), capture_output=True, text=True, check=False)

@@ -1,4 +1,4 @@
-"""A scene in all formats of `refcodec export`, for one degree of the harmonics: files, and what they show."""
+"""A scene in all formats of `refcodec export`, for one degree of the harmonics: files and their quality."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ from refcodec.photographs.photographs import PhotographSet, read_photographs
 from refcodec.render.camera import Camera
 from refcodec.render.view import View
 
-# As refcodec export has it.
+# As in refcodec export.
 ITERATIONS = 10
 Record = dict[str, Any]
 
@@ -33,7 +33,7 @@ Record = dict[str, Any]
 class Source:
     """A scene. name: for files and tables. file: a .c3gs file. photographs: their folder. size: longest side, pixels.
 
-    Its photographs are those of its training: every eighth one, or the data set's own tests, were held out.
+    The photographs are those of its training. Every eighth one, or the data set's own tests, are held out.
     """
 
     name: str
@@ -43,7 +43,7 @@ class Source:
 
     @property
     def stem(self) -> str:
-        """How its files are called."""
+        """The stem of its file names."""
         return f"{self.name}-{self.size}px"
 
     @cached_property
@@ -58,17 +58,17 @@ class Source:
 
     @property
     def fitted(self) -> list[Camera]:
-        """The cameras that a splat is fitted to."""
+        """The cameras for fitting splats."""
         return [sized(photograph.camera) for photograph in self.set.train]
 
     @property
     def tests(self) -> list[Camera]:
-        """The cameras that measure it."""
+        """The test cameras."""
         return [sized(photograph.camera) for photograph in self.set.test]
 
 
 def scene_record(source: Source, folder: Path) -> Record:
-    """What the file itself shows: anchors, offsets that are kept, bytes, and the measures of held-out photographs."""
+    """Returns anchors, kept offsets, bytes, and the quality of the file itself on held-out photographs."""
 
     def made() -> Record:
         shown = [measures(source.view.draw(p.camera), p.image) for p in source.set.test]
@@ -80,7 +80,7 @@ def scene_record(source: Source, folder: Path) -> Record:
 
 
 def splat_record(source: Source, degree: int, folder: Path) -> Record:
-    """What the splats of a degree show: of each format the bytes, the PSNR to the scene and to the photographs.
+    """Returns the figures of the splats of a degree: bytes, and PSNR to the scene and photographs, by format.
 
     Their files are in the folder (file_of).
     """
@@ -102,12 +102,12 @@ def splat_record(source: Source, degree: int, folder: Path) -> Record:
 
 
 def file_of(source: Source, degree: int, suffix: str, folder: Path) -> Path:
-    """Where the file of a format is."""
+    """Returns the path of the file of a format."""
     return folder / f"{source.stem}-{degree}{suffix}"
 
 
 def held(source: Source, degree: int, suffix: str, folder: Path) -> Splats:
-    """The Gaussians that a file is said to hold. They are made again of the PLY file, which has all bits of each.
+    """Returns the expected Gaussians of a file, from the PLY file, which has all bits.
 
     Raises ValueError if the file is another one.
     """
@@ -120,7 +120,7 @@ def held(source: Source, degree: int, suffix: str, folder: Path) -> Splats:
 
 
 def kept(file: Path, made: Any) -> Record:
-    """What a file of JSON says. If it is not there, it is made and written."""
+    """Returns the content of a JSON file, which is first made if it is missing."""
     if file.exists():
         found: Record = read_json(file)
         return found

@@ -3,7 +3,7 @@
 python -m benchmarks.peers train PHOTOGRAPHS -o SPLAT.ply          a plain 3DGS, as an ordinary PLY file
 python -m benchmarks.peers run PHOTOGRAPHS FOLDER --method 3dgs    runs of a method, one JSON file each
 python -m benchmarks.peers table FOLDER                            one table and one plot of all runs in a folder
-python -m benchmarks.peers.scene SPLAT.ply -o FOLDER               photographs in NeRF's format, of a splat
+python -m benchmarks.peers.scene SPLAT.ply -o FOLDER               renders photographs of a splat, in NeRF's format
 
 A finished run is not repeated, and an interrupted one is resumed. splat-transform writes SPZ and SOG; `run` prints the
 command that installs it.
@@ -32,17 +32,17 @@ from .figures import Record, Scene, scenes
 from .runs import METHODS, PLAIN, Run, perform, records, splat_settings, train_splats
 from .table import PLOT_FILE, TABLE_FILE, TableError, commands, plot, report, with_seeds
 
-# A method as the table calls it.
+# The name of a method in the table.
 BASELINE = "3DGS, SPZ, 4000 steps"
 RESULTS_NOTE = (
-    "One thread each. Every eighth image is held out, of playbot the 25 of its own split.",
-    "PSNR and SSIM are by scikit-image, of eight-bit images.",
-    "Bytes are those of the file. SPZ and SOG are drawn after decoding. Processor seconds are those of the training.",
+    "One thread each. Every eighth image is held out, or the 25 of playbot's own split.",
+    "PSNR and SSIM are those of eight-bit images, by scikit-image.",
+    "SPZ and SOG are decoded before rendering. Bytes are those of the file, processor seconds those of the training.",
     "A spread is the standard deviation of the seeds.",
     "Scaffold-GS has 50 features at 200 pixels, and 12 at 400 and 800.",
-    "playbot is drawn from a splat of 31,000 Gaussians, PLAYBOT by Stephane Agullo (https://sa3d.fr), CC-BY-4.0, by",
+    "playbot is rendered from a splat of 31,000 Gaussians, PLAYBOT by Stephane Agullo (https://sa3d.fr), CC-BY-4.0, by",
     "`python -m benchmarks.peers.scene playbot_lod3.ply -o playbot --views 100 --tests 25 --size 400 --up=-y`.",
-    "Its photographs of 800 pixels are drawn with `--size 800`.",
+    "Its photographs of 800 pixels are rendered with `--size 800`.",
     "",
 )
 
@@ -83,7 +83,7 @@ def _run(arguments: argparse.Namespace) -> int:
 def _sections(
     arguments: argparse.Namespace, every: list[Record], found: list[Scene]
 ) -> list[tuple[str, str, list[str]]]:
-    """The sections of RESULTS.md: name, title and lines. Each size has one, so that it can be made again alone.
+    """Yields the sections of RESULTS.md: name, title and lines, one for each size.
 
     Raises TableError.
     """
@@ -140,7 +140,7 @@ def _parser() -> argparse.ArgumentParser:
     train.add_argument("-o", "--output", type=Path, required=True)
     train.add_argument("--most", type=int, default=16000, help="largest number of Gaussians (16000)")
     train.add_argument("--seed", type=int, default=0)
-    train.add_argument("--resume", action="store_true", help="goes on from the saved state")
+    train.add_argument("--resume", action="store_true", help="continues from the saved state")
     run = command("run", _run, "runs a method on photographs, for each strength and seed")
     run.add_argument("photographs", type=Path)
     run.add_argument("folder", type=Path)
@@ -163,8 +163,8 @@ def _parser() -> argparse.ArgumentParser:
         metavar="FOLDER",
         help="adds the cells of an experiment, as `refcodec experiment -o` made them",
     )
-    table.add_argument("--baseline", default=BASELINE, help=f"what others are compared with ({BASELINE})")
-    table.add_argument("--results", action="store_true", help="writes a section of benchmarks/RESULTS.md, too")
+    table.add_argument("--baseline", default=BASELINE, help=f"the method to compare with ({BASELINE})")
+    table.add_argument("--results", action="store_true", help="also writes a section of benchmarks/RESULTS.md")
     table.add_argument(
         "--seeds", type=int, default=SEEDS, help=f"fewest seeds of a row there ({SEEDS}); below, it is another section"
     )

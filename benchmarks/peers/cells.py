@@ -11,9 +11,9 @@ from refcodec.experiments.tables import MARKDOWN
 from ..experiment import section
 from .figures import Record
 
-# How the table calls a coded scene and an uncompressed one.
+# The names of a coded and an uncompressed scene in the table.
 CODED, PLAIN = "C3GS", "Scaffold-GS"
-# The methods whose names say no more than that.
+# The methods whose names add nothing to it.
 USUAL = ("pro", "uncompressed")
 
 
@@ -23,9 +23,9 @@ def experiment_name(folder: Path) -> str:
 
 
 def experiment_records(folder: Path) -> Iterator[Record]:
-    """All whole cells of the folder that `refcodec experiment -o` made.
+    """Returns the complete cells of an output folder of `refcodec experiment`.
 
-    A cell that is not whole is left out. Seconds are those of the processor for the whole command `train`.
+    Seconds are the processor seconds of the whole command `train`.
     """
     for place in sorted(folder.glob("cells/*/*/rate-*/seed-*")):
         result = read_result(place)

@@ -1,7 +1,7 @@
-"""SPZ and SOG of a PLY file and back, by PlayCanvas's splat-transform, a program for Node.js (MIT licence).
+"""Converts PLY to SPZ and SOG and back with PlayCanvas's splat-transform, a program for Node.js (MIT licence).
 
-Both formats are more than a page: SPZ packs with zstd, and SOG clusters the harmonics and packs images with WebP. So
-the program that people use writes them. INSTALL installs it. Nothing here downloads.
+Both formats are complex: SPZ compresses with zstd, and SOG clusters the harmonics and packs images with WebP. Therefore
+a widely used program writes them. INSTALL installs it. Nothing here downloads.
 """
 
 from __future__ import annotations
@@ -11,19 +11,19 @@ import subprocess
 from pathlib import Path
 
 ROOT = Path(__file__).resolve().parent.parent.parent
-# Below a folder that git ignores. The version is fixed, because files differ in their bytes from one to the next.
+# In a folder that Git ignores. The version is fixed, because files differ between versions.
 FOLDER, VERSION = "build/splat-transform", "2.7.1"
-# Without scripts, which would install a driver for GPUs that is not used.
+# The scripts of its packages would install a GPU driver, which is not used.
 INSTALL = f"npm install --ignore-scripts --no-audit --prefix {FOLDER} @playcanvas/splat-transform@{VERSION}"
 FORMATS = ("spz", "sog")
 
 
 class ToolError(Exception):
-    """splat-transform is missing or failed. The text says what to do, or what it said."""
+    """splat-transform is missing or failed. The message has the remedy, or the output of the program."""
 
 
 def tool() -> Path | None:
-    """Where splat-transform is: below FOLDER, or else on the PATH; None if it is nowhere."""
+    """Returns the path of splat-transform, in FOLDER or on the PATH, or None."""
     own = ROOT / FOLDER / "node_modules" / ".bin" / "splat-transform"
     if own.exists():
         return own
@@ -32,7 +32,7 @@ def tool() -> Path | None:
 
 
 def convert(source: Path, target: Path) -> None:
-    """Converts between PLY, SPZ and SOG by the files' suffixes, on the processor. Raises ToolError."""
+    """Converts between PLY, SPZ and SOG by the files' suffixes, without a GPU. Raises ToolError."""
     program = tool()
     if program is None:
         raise ToolError(f"splat-transform is missing: run `{INSTALL}` in the repository's folder")
@@ -43,7 +43,7 @@ def convert(source: Path, target: Path) -> None:
 
 
 def there_and_back(ply: Path, suffix: str) -> tuple[Path, Path]:
-    """Writes a PLY file in another format, and that as PLY again. Returns both new files. Raises ToolError."""
+    """Converts a PLY file to another format, and back to PLY. Returns both new files. Raises ToolError."""
     coded = ply.with_suffix(f".{suffix}")
     again = ply.with_name(f"{ply.stem}.{suffix}.ply")
     convert(ply, coded)

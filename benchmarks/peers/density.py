@@ -1,7 +1,7 @@
 """3DGS's adaptive density control: Gaussians are cloned, split and pruned, and their opacities reset.
 
-Kerbl et al. 2023, section 5, with one thing added: a largest number of Gaussians. Where more would be cloned and split
-than there is room for, those of the largest gradients are.
+Kerbl et al. 2023, section 5, with an additional limit on the number of Gaussians. If more would be cloned and split
+than the limit allows, those with the largest gradients are.
 """
 
 from __future__ import annotations
@@ -21,11 +21,10 @@ from .settings import DensitySettings
 
 @dataclass(frozen=True, eq=False)
 class Change:
-    """What becomes of the Gaussians. The result is those that are kept, then clones, then children.
+    """A change of the Gaussians. The result is the kept ones, then clones, then children.
 
-    kept: indices of those that stay as they are. cloned: indices of those of which a copy is added. split: indices of
-    those whose children replace them, each once for each child. moved: [children, 3], how far a child's mean is from
-    its parent's, world units.
+    kept: indices of unchanged Gaussians. cloned: indices of those that are copied. split: indices of those that are
+    replaced, once for each child. moved: [children, 3], the offset of a child's mean from its parent's, in world units.
     """
 
     kept: Tensor
@@ -34,7 +33,7 @@ class Change:
     moved: Tensor
 
     def values(self, name: str, table: Tensor, shrink: float) -> Tensor:
-        """A tensor of the Gaussians after the change. shrink: a child's lengths are its parent's over this."""
+        """Returns a tensor of the Gaussians after the change. shrink: ratio of a parent's lengths to a child's."""
         children = table[self.split]
         if name == "mean":
             children = children + self.moved
@@ -43,38 +42,38 @@ class Change:
         return torch.cat([table[self.kept], table[self.cloned], children])
 
     def moments(self, table: Tensor) -> Tensor:
-        """A moment of Adam after the change: new Gaussians begin with zeros."""
+        """Returns a moment of Adam after the change, which is 0 for new Gaussians."""
         new = len(self.cloned) + len(self.split)
         return torch.cat([table[self.kept], table.new_zeros((new, *table.shape[1:]))])
 
 
 class Density:
-    """What is noted of the Gaussians between two changes, and the change that follows from it.
+    """Statistics of the Gaussians between two changes, and the resulting change.
 
-    gradient: float32 [N], sums of the lengths of the projected means' gradients. seen: float32 [N], times that each was
-    drawn.
+    gradient: float32 [N], sums of the lengths of the projected means' gradients. seen: float32 [N], the number of steps
+    that drew each.
     """
 
     def __init__(self, settings: DensitySettings, extent: float, count: int) -> None:
-        """extent: of the scene, world units. count: of the Gaussians."""
+        """extent: of the scene, in world units. count: of the Gaussians."""
         self.settings, self.extent = settings, extent
         self.begin(count)
 
     def begin(self, count: int) -> None:
-        """Notes nothing of `count` Gaussians."""
+        """Resets the statistics, for `count` Gaussians."""
         self.gradient, self.seen = torch.zeros(count), torch.zeros(count)
 
     def note(self, screen: Tensor, radius: Tensor) -> None:
-        """Notes a step. screen: float32 [N], the gradients' lengths. radius: float32 [N], 0 for what was not drawn."""
+        """Adds a step. screen: float32 [N], the gradients' lengths. radius: float32 [N], 0 if not drawn."""
         drawn = radius > 0
         self.gradient += torch.where(drawn, screen, 0)
         self.seen += drawn
 
     @torch.no_grad()
     def change(self, splats: Splats, large: bool, random: torch.Generator) -> Change:
-        """The change for the Gaussians as they are. large: whether large ones are pruned, too.
+        """Returns the change. large: whether large Gaussians are pruned, too.
 
-        If there are more than the largest number, which only a new setting can make, none is cloned or split.
+        If the number already exceeds the limit, after a change of settings, none is cloned or split.
         """
         settings = self.settings
         length = splats["scale"].exp().amax(dim=1)
@@ -90,8 +89,8 @@ class Density:
         return Change(kept, torch.nonzero(grows & ~splits)[:, 0], split, moved)
 
     def _within_the_cap(self, gradient: Tensor, grows: Tensor, count: int) -> Tensor:
-        """Those of `grows` with the largest gradients, as many as there is room for; `count` are alive."""
-        # A clone adds one, a split one less than it has children. The larger number keeps the cap in any case.
+        """Returns those of `grows` with the largest gradients, up to the limit; `count` are alive."""
+        # A clone adds one Gaussian, a split one less than its children. The larger number always keeps the limit.
         room = max(self.settings.most - count, 0) // (self.settings.children - 1)
         if int(grows.sum()) <= room:
             return grows
@@ -102,7 +101,7 @@ class Density:
 
     @staticmethod
     def _drawn_inside(splats: Splats, rows: Tensor, random: torch.Generator) -> Tensor:
-        """A sample of each Gaussian's own distribution, less its mean: [n, 3]."""
+        """Returns a sample of each Gaussian's distribution relative to its mean, [n, 3]."""
         lengths = splats["scale"][rows].exp()
         along = torch.randn(lengths.shape, generator=random) * lengths
         quaternion = torch.nn.functional.normalize(splats["quaternion"][rows]).double().numpy()

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from itertools import pairwise
 from typing import Any
 
-# bjontegaard imports pyplot, which looks for no screen until it draws.
+# bjontegaard imports pyplot, which needs no screen until it draws.
 import bjontegaard
 
 Record = dict[str, Any]
@@ -25,19 +25,19 @@ class Figure:
     spread: float | None
 
     def words(self, digits: int) -> str:
-        """For a table."""
+        """Returns the cell of a table."""
         own = f"{self.mean:,.{digits}f}"
         return own if self.spread is None else f"{own} ± {self.spread:,.{digits}f}"
 
 
 def figure(values: Sequence[float]) -> Figure:
-    """The figure of some seeds' values."""
+    """Returns the figure of the values of several seeds."""
     return Figure(statistics.fmean(values), statistics.stdev(values) if len(values) > 1 else None)
 
 
 @dataclass(frozen=True)
 class Point:
-    """What one setting of one method shows. strength: the cap of Gaussians, or lambda_r. seeds: how many there are."""
+    """The figures of a method with one setting. strength: the limit of Gaussians, or lambda_r. seeds: their number."""
 
     strength: float
     seeds: int
@@ -57,9 +57,9 @@ class Scene:
 
 
 def scenes(records: Iterable[Record]) -> list[Scene]:
-    """All runs, by scene and method. A run has a row for each kind of file that it made.
+    """Returns all runs by scene and method. A run has a row for each kind of file.
 
-    A method's name says its steps and the settings that were changed: only seeds are averaged.
+    A method's name includes its steps and changed settings, so that only seeds are averaged.
     """
     rows: dict[Any, dict[str, dict[float, list[Any]]]] = defaultdict(lambda: defaultdict(lambda: defaultdict(list)))
     for record in records:
@@ -83,10 +83,9 @@ def _point(strength: float, shown: list[Any]) -> Point:
 
 
 def bytes_at(curve: Sequence[Point], psnr: float) -> float | None:
-    """Bytes of a method at a PSNR in dB: the logarithm is interpolated linearly between the two points around it.
+    """Returns the bytes of a method at a PSNR in dB, by linear interpolation of their logarithm.
 
-    None beyond the method's points, where it would be extrapolated. Where the curve meets the PSNR more than once, it
-    is the smallest size.
+    Returns None outside of the method's points, and the smallest size if the curve meets the PSNR more than once.
     """
     for one, two in pairwise(curve):
         low, high = one.psnr.mean, two.psnr.mean
@@ -99,9 +98,9 @@ def bytes_at(curve: Sequence[Point], psnr: float) -> float | None:
 
 
 def bd_rate(baseline: Sequence[Point], test: Sequence[Point]) -> float | str:
-    """The Bjontegaard delta of the test's bytes from the baseline's, in %, or why there is none.
+    """Returns the Bjontegaard delta of the test's bytes from the baseline's, in %, or the reason why there is none.
 
-    It is interpolated after Akima. Points that are larger and no better than another of their method are left out,
+    The interpolation is that of Akima. Points that are larger but no better than another of their method are omitted,
     because a curve must rise.
     """
     curves = [_rising(curve) for curve in (baseline, test)]

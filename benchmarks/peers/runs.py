@@ -1,4 +1,4 @@
-"""Runs of methods on scenes, one JSON file each: a finished run is not repeated, an interrupted one is resumed."""
+"""Runs of methods on scenes, one JSON file each. Finished runs are not repeated, and interrupted ones are resumed."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ from .splats import quality, read_ply, write_ply
 from .trainer import SplatTrainer, view_settings
 
 METHODS = PLAIN, OWN = "3dgs", "c3gs"
-# Seconds between two lines of progress.
+# The least number of seconds between two lines of progress.
 LINE_SECONDS = 5.0
 
 
@@ -40,9 +40,8 @@ LINE_SECONDS = 5.0
 class Run:
     """One training.
 
-    photographs: their folder. method: of METHODS. strength: the largest number of Gaussians of 3DGS, lambda_r of the
-    others; with a lambda_r of 0, C3GS is an uncompressed Scaffold-GS. size: longest side, pixels. changes: NAME=VALUE
-    of the method's settings.
+    photographs: their folder. method: of METHODS. strength: for 3DGS the limit of Gaussians, else lambda_r; with 0,
+    C3GS is an uncompressed Scaffold-GS. size: longest side, in pixels. changes: NAME=VALUE of the method's settings.
     """
 
     photographs: Path
@@ -72,10 +71,10 @@ class Run:
 
 
 def perform(run: Run, folder: Path) -> Record | None:
-    """The record of a run: what its file says if that is whole, else it is run. None if it was interrupted.
+    """Returns the record of a run, from its file or by running it. Returns None after an interrupt.
 
-    A 3DGS without SPZ and SOG is whole where splat-transform is missing. It gets them once that is there. Raises
-    ValueError for a record of other settings, and for what cannot be learnt from.
+    If splat-transform is missing, a 3DGS run is complete without SPZ and SOG. It gets them later. Raises ValueError for
+    a record of other settings, and for unusable photographs.
     """
     torch.set_num_threads(1)
     numba.set_num_threads(1)
@@ -92,29 +91,29 @@ def perform(run: Run, folder: Path) -> Record | None:
 
 
 def _check(record: Record, file: Path, settings: Any) -> None:
-    """Raises ValueError if the settings of a method are others than when a record was made."""
+    """Raises ValueError if the settings of a method differ from those of a record."""
     changes = list(differences(record["settings"], document(settings)))
     if changes:
-        raise ValueError(f"{file} is of other settings, remove it: {'; '.join(changes)}")
+        raise ValueError(f"{file} has other settings, remove it: {'; '.join(changes)}")
 
 
-# What a record says, for tables and for a run that goes on.
+# The fields of a record, for tables and for resuming a run.
 _KEYS = {"scene", "method", "strength", "seed", "size", "steps", "changes", "seconds", "files", "settings"}
 
 
 def _read(file: Path) -> Record:
-    """A record as it was written. Raises ValueError for another document, and OSError."""
+    """Reads a record. Raises ValueError for another document, and OSError."""
     try:
         found = read_json(file)
     except DocumentError as error:
         raise ValueError(f"{file}: {error}") from None
     if not isinstance(found, dict) or not found.keys() >= _KEYS:
-        raise ValueError(f"{file} is no record of a run, remove it")
+        raise ValueError(f"{file} is not a record of a run, remove it")
     return found
 
 
 def records(folder: Path) -> list[Record]:
-    """All runs of a folder. Raises ValueError and OSError."""
+    """Returns all runs of a folder. Raises ValueError and OSError."""
     return [_read(path) for path in sorted(folder.glob("*.json"))]
 
 
@@ -131,7 +130,7 @@ def _written(file: Path, record: Record) -> Record:
 
 
 def splat_settings(run: Run) -> SplatSettings:
-    """The settings of a run of 3DGS. Raises SettingsError."""
+    """Returns the settings of a run of 3DGS. Raises SettingsError."""
     own = {"steps": run.steps, "seed": run.seed, "size": run.size, "density.most": int(run.strength)}
     return assigned(varied(SplatSettings(), own), run.changes)
 
@@ -139,10 +138,10 @@ def splat_settings(run: Run) -> SplatSettings:
 def train_splats(
     photographs: PhotographSet, settings: SplatSettings, output: Path, resume: bool
 ) -> SplatTrainer | None:
-    """Trains a plain 3DGS and writes its PLY file. Returns None if it was interrupted: its state is saved then.
+    """Trains a plain 3DGS and writes its PLY file. After an interrupt it saves its state and returns None.
 
-    resume: from the saved state, which lies beside the output. Raises ValueError for what cannot be learnt from, and
-    for a saved state that is damaged or of another training.
+    resume: from the saved state beside the output. Raises ValueError for unusable photographs, and for a saved state
+    that is damaged or of another training.
     """
     trainer, state = SplatTrainer(photographs, settings), output.with_suffix(".train-state")
     if resume:
@@ -158,7 +157,7 @@ def train_splats(
 
 
 def every_seconds(line: Callable[[], str]) -> Callable[[], None]:
-    """A function that prints the line to stderr, but not more often than every LINE_SECONDS."""
+    """Returns a function that prints a line to stderr, at most once per LINE_SECONDS."""
     last = time.monotonic()
 
     def watch() -> None:
@@ -185,7 +184,7 @@ def _plain(run: Run, folder: Path) -> Record | None:
 
 
 def _with_formats(run: Run, record: Record, folder: Path) -> Record:
-    """The record with SPZ and SOG, each as a person would see it: drawn after decoding."""
+    """Returns the record with SPZ and SOG, rendered after decoding."""
     photographs, ply = read_photographs(run.photographs, run.size, seed=run.seed), folder / f"{run.name}.ply"
     files = dict(record["files"])
     for suffix in FORMATS:
@@ -196,7 +195,7 @@ def _with_formats(run: Run, record: Record, folder: Path) -> Record:
 
 
 def _shown(coded: Path, ply: Path, photographs: PhotographSet, settings: SplatSettings) -> dict[str, float]:
-    """The bytes of a file, and what its Gaussians show of the held-out photographs."""
+    """Returns the bytes of a file, and the quality of its Gaussians on the held-out photographs."""
     found = quality(read_ply(ply), photographs.test, view_settings(photographs, settings.begin.near))
     return {"bytes": coded.stat().st_size, **found}
 
@@ -205,18 +204,18 @@ def _shown(coded: Path, ply: Path, photographs: PhotographSet, settings: SplatSe
 
 
 def anchor_settings(run: Run) -> TrainSettings:
-    """The settings of a run with anchors. Raises SettingsError."""
+    """Returns the settings of a run with anchors. Raises SettingsError."""
     own = {"steps": run.steps, "seed": run.seed, "size": str(run.size), "rate.weight": run.strength}
-    # Looks at held-out photographs on the way would count as time of training.
+    # Evaluations during the training would count as its time.
     return assigned(varied(TrainSettings(), {**own, "looks.count": 1}), run.changes)
 
 
 def _anchored(run: Run, folder: Path) -> Record | None:
-    """C3GS as a file, or an uncompressed Scaffold-GS."""
+    """Trains C3GS and writes its file, or an uncompressed Scaffold-GS."""
     photographs, settings = read_photographs(run.photographs, run.size, seed=run.seed), anchor_settings(run)
     trainer = Trainer(photographs, settings)
     state = folder / f"{run.name}.train-state"
-    # Processor seconds of the training before it was interrupted.
+    # Processor seconds of the training before the interrupt.
     spent, before = folder / f"{run.name}.seconds", 0.0
     if state.exists():
         restore(trainer, state)

@@ -1,11 +1,11 @@
 """Every constant of the plain 3DGS trainer, with a meaning, a unit, a default and a source.
 
 The source "3DGS" is Kerbl et al., "3D Gaussian Splatting for Real-Time Radiance Field Rendering" (2023), with the
-values of its published code. Its trainings have 30,000 steps. Shares of the steps stand here for its step numbers,
-so that a short training has the same order of events. What needs steps to heal is in steps as it is there.
+values of its published code. Its trainings have 30,000 steps. Its step numbers become shares of the steps here, so that
+a short training has the same order of events. Periods of recovery are in steps, as in 3DGS.
 """
 
-# setting() gives a field.
+# setting() returns a field.
 # ruff: noqa: RUF009
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from refcodec.train.settings import GS, OWN, Decay, setting
 
 @dataclass(frozen=True)
 class RateSettings:
-    """Adam's learning rates. Those that begin higher than 3DGS's end at 3DGS's: a training of minutes needs it."""
+    """Adam's learning rates. Some begin higher than in 3DGS, for short trainings, and end at the values of 3DGS."""
 
     mean: Decay = setting(Decay(6.4e-4, 1.6e-6), "of means, times the scene's extent", f"{OWN}; {GS}: 1.6e-4 to 1.6e-6")
     base: Decay = setting(Decay(0.01, 0.0025), "of the harmonics of degree 0", f"{OWN}; {GS}: 0.0025")
@@ -29,7 +29,7 @@ class RateSettings:
 
 @dataclass(frozen=True)
 class BeginSettings:
-    """The Gaussians of the beginning."""
+    """The initial Gaussians."""
 
     share: float = setting(0.5, "largest share of `most` to begin with, drawn from the points", low=0, high=1)
     opacity: float = setting(0.1, "opacity of a new Gaussian", GS, low=0, high=1)
@@ -41,9 +41,9 @@ class BeginSettings:
 class DensitySettings:
     """Adaptive density control: clone, split, prune, reset.
 
-    3DGS's code also has a largest radius in an image, of 20 pixels. It forgets the radii before it looks at them, and
-    its published results are made so. Its authors say that it has no effect (issue 643 of graphdeco-inria/
-    gaussian-splatting). It is left out here: with it, 10,000 steps lost 5 dB on a scene at 200 pixels.
+    The limit of 20 pixels for radii in an image, which 3DGS's code has, is omitted. According to its authors it has no
+    effect, because the code resets the radii first (issue 643 of graphdeco-inria/gaussian-splatting). With an effective
+    limit, 10,000 steps lost 5 dB on a scene at 200 pixels.
     """
 
     most: int = setting(16000, "largest number of Gaussians at any time", OWN, unit="Gaussians", low=1)

@@ -1,4 +1,4 @@
-"""Plain 3D Gaussians as files of 3DGS, and how well they show photographs."""
+"""Plain 3D Gaussians as files of 3DGS, and their quality on photographs."""
 
 from __future__ import annotations
 
@@ -17,18 +17,18 @@ from refcodec.render.rasterise import Settings
 
 
 def write_ply(splats: Splats, path: Path) -> None:
-    """Writes the file that 3DGS's own code writes (refcodec.export.ply)."""
+    """Writes a file in the format of 3DGS's own code (refcodec.export.ply)."""
     path.parent.mkdir(parents=True, exist_ok=True)
     path.write_bytes(ply_bytes(Exported(**{name: values.detach().numpy() for name, values in splats.items()})))
 
 
 def read_ply(path: Path) -> dict[str, Tensor]:
-    """The Gaussians of a file as write_ply writes it, its properties in any order. Raises ValueError and OSError."""
+    """Returns the Gaussians of a file of write_ply, with properties in any order. Raises ValueError and OSError."""
     return tensors(read_splats(path))
 
 
 @torch.no_grad()
 def quality(splats: Splats, photographs: tuple[Photograph, ...], settings: Settings) -> dict[str, float]:
-    """The mean of refcodec.evaluate.quality.measures over photographs."""
+    """Returns the mean of refcodec.evaluate.quality.measures over photographs."""
     rows = [measures(drawn(splats, p.camera, settings)[0].numpy(), p.image) for p in photographs]
     return {name: sum(row[name] for row in rows) / len(rows) for name in rows[0]}

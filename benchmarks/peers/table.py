@@ -15,11 +15,11 @@ TABLE_FILE, PLOT_FILE = "peers.md", "peers.svg"
 
 
 class TableError(Exception):
-    """What was asked for is not among the runs."""
+    """The runs lack a requested method or scene."""
 
 
 def with_seeds(scenes: Sequence[Scene], least: int) -> list[Scene]:
-    """The points that have at least so many seeds, and the methods and scenes that have such points."""
+    """Returns the points with at least a number of seeds, and their methods and scenes."""
     found = []
     for scene in scenes:
         curves = {label: [p for p in curve if p.seeds >= least] for label, curve in scene.curves.items()}
@@ -28,7 +28,7 @@ def with_seeds(scenes: Sequence[Scene], least: int) -> list[Scene]:
 
 
 def commands(records: Iterable[Record], least: int) -> list[str]:
-    """The commands that make the runs of a folder, those of methods with at least so many seeds."""
+    """Returns the commands of a folder's runs, for methods with at least a number of seeds."""
     groups: dict[Any, tuple[set[float], set[int]]] = {}
     for record in records:
         key = (record["scene"], record["method"], record["size"], record["steps"], tuple(record["changes"]))
@@ -46,7 +46,7 @@ def commands(records: Iterable[Record], least: int) -> list[str]:
 
 
 def report(scenes: Sequence[Scene], baseline: str) -> list[str]:
-    """The lines of the report. baseline: the method that others are compared with. Raises TableError without it."""
+    """Returns the lines of the report. baseline: the method to compare with. Raises TableError without it."""
     known = sorted({label for scene in scenes for label in scene.curves})
     if baseline not in known:
         raise TableError(f"no run has the method {baseline!r}; there are: {', '.join(known) or 'none'}")
@@ -94,13 +94,13 @@ def _equal(point: Point, curves: Sequence[Sequence[Point]]) -> list[str]:
 
 
 def _range(curve: Sequence[Point]) -> str:
-    """The PSNR of a method's points, in words."""
+    """Returns the PSNR range of a method's points as text."""
     low, high = (end([point.psnr.mean for point in curve]) for end in (min, max))
     return f"{low:.2f} dB" if low == high else f"{low:.2f} to {high:.2f} dB"
 
 
 def plot(scenes: Sequence[Scene], path: Path) -> None:
-    """PSNR against bytes on a logarithmic axis, a panel for each scene, spreads as bars."""
+    """Plots PSNR against bytes on a logarithmic axis, with a panel for each scene and spreads as bars."""
     drawing = Drawing(figsize=(6.4 * len(scenes), 4.8), layout="constrained")
     panels = drawing.subplots(1, len(scenes), squeeze=False)[0]
     for axes, scene in zip(panels, scenes, strict=True):

@@ -34,7 +34,7 @@ NAMES = ("mean", "base", "rest", "opacity", "scale", "quaternion")
 
 
 def view_settings(photographs: PhotographSet, near: float) -> Settings:
-    """How the Gaussians of a scene are drawn. near: in scene lengths (refcodec.train.start.scene_length)."""
+    """Returns the rendering settings of a scene. near: in scene lengths (refcodec.train.start.scene_length)."""
     red, green, blue = photographs.background
     return Settings(near_plane=near * scene_length(photographs), background=(red / 255, green / 255, blue / 255))
 
@@ -42,12 +42,12 @@ def view_settings(photographs: PhotographSet, near: float) -> Settings:
 class SplatTrainer:
     """A training in progress (a Savable of refcodec.train.state).
 
-    splats: its Gaussians. done: the steps that are done. seconds: of the processor, for all steps but the first, which
-    compiles. loss: of the last step.
+    splats: its Gaussians. done: finished steps. seconds: processor time of all steps except the first, which compiles.
+    loss: of the last step.
     """
 
     def __init__(self, photographs: PhotographSet, settings: SplatSettings) -> None:
-        """The Gaussians begin at the points of the photographs. Raises ValueError if there are none."""
+        """Initialises the Gaussians from the points of the photographs. Raises ValueError without points."""
         if not len(photographs.points):
             raise ValueError("there are no points to begin with")
         self.photographs, self.settings = photographs, settings
@@ -55,7 +55,7 @@ class SplatTrainer:
         self.view = view_settings(photographs, settings.begin.near)
         centres = np.stack([p.camera.centre for p in photographs.train])
         away = np.linalg.norm(centres - centres.mean(axis=0), axis=1).max()
-        # One camera alone has no extent of its own.
+        # A single camera has no extent.
         self.extent = settings.extent * float(away) or scene_length(photographs)
         self.images: dict[int, Tensor] = {}
         self.done, self.seconds, self.loss = 0, 0.0, math.nan
@@ -69,7 +69,7 @@ class SplatTrainer:
         return len(self.splats["mean"])
 
     def _first(self) -> dict[str, Tensor]:
-        """3DGS's first Gaussians: round, as large as their neighbours are far, in the colours of the points."""
+        """Returns 3DGS's first Gaussians: round, sized by the distance of neighbours, in the colours of the points."""
         begin = self.settings.begin
         most = max(int(begin.share * self.settings.density.most), 1)
         rows = torch.randperm(len(self.photographs.points), generator=self.random)[:most].sort().values.numpy()
@@ -90,7 +90,7 @@ class SplatTrainer:
         }
 
     def _take(self, splats: dict[str, Tensor]) -> None:
-        """From now on these are the Gaussians; the optimiser knows nothing of them yet."""
+        """Replaces the Gaussians, and resets the optimiser."""
         self.splats = {name: splats[name].clone().requires_grad_() for name in NAMES}
         groups = [{"params": [self.splats[name]], "lr": 0.0} for name in NAMES]
         self.optimiser = torch.optim.Adam(groups, eps=ADAM_EPSILON, fused=True)
@@ -98,7 +98,7 @@ class SplatTrainer:
     # --- a step -------------------------------------------------------------------------------------------------------
 
     def step(self) -> None:
-        """One step of training."""
+        """Runs one training step."""
         began = time.process_time()
         settings, share = self.settings, self.done / self.settings.steps
         for name, group in zip(NAMES, self.optimiser.param_groups, strict=True):
@@ -123,7 +123,7 @@ class SplatTrainer:
         self.seconds += time.process_time() - began if self.done > 1 else 0.0
 
     def _degree(self, share: float) -> int:
-        """The highest harmonics in use after a share of the steps."""
+        """Returns the highest degree of harmonics in use at a share of the steps."""
         every = self.settings.degree_share
         return self.settings.degree if not every else min(int(share / every), self.settings.degree)
 
@@ -133,7 +133,7 @@ class SplatTrainer:
         return self.images[number]
 
     def _densify(self) -> None:
-        """What density control does after this step, if anything."""
+        """Applies density control after this step, if it is due."""
         density = self.settings.density
         if self.done % density.period == 0 and self.done > density.begin * self.settings.steps:
             self._change(self.done > density.reset_period)
@@ -143,7 +143,7 @@ class SplatTrainer:
     def _change(self, large: bool) -> None:
         change = self.density.change(self.splats, large, self.random)
         shrink = self.settings.density.shrink
-        # Harmonics that are not in use yet have no moments.
+        # Unused harmonics have no moments.
         before = {
             name: self.optimiser.state[self.splats[name]] for name in NAMES if self.splats[name] in self.optimiser.state
         }
@@ -161,10 +161,10 @@ class SplatTrainer:
             self.optimiser.state[opacity][key].zero_()
 
     def run(self, watch: Callable[[SplatTrainer], None], save: Callable[[], None] | None = None) -> bool:
-        """Trains to the end, or until an interrupt (Ctrl-C), after which the step at hand is still finished.
+        """Trains to the end, or until an interrupt (Ctrl-C), after which it finishes the current step.
 
-        watch: is told of each step. save: is called now and then, and when training ends early. Returns whether it came
-        to the end.
+        watch: called after each step. save: called regularly, and when training ends early. Returns whether training is
+        complete.
         """
         stop = threading.Event()
         saved = time.monotonic()
@@ -178,7 +178,7 @@ class SplatTrainer:
         return self.done == self.settings.steps
 
     def result(self) -> dict[str, Tensor]:
-        """The Gaussians without those that density control would prune for their opacity."""
+        """Returns the Gaussians, except those that density control would prune for their opacity."""
         kept = torch.sigmoid(self.splats["opacity"].detach()) >= self.settings.density.opacity
         return {name: self.splats[name].detach()[kept] for name in NAMES}
 

@@ -1,36 +1,35 @@
-"""The suite's cases, chapter by chapter, and the faults that files can have.
+"""The suite's cases by chapter, and the faults of files.
 
-A chapter of SPEC.md has a file here, with its valid files, its refused ones and its faults. The file has the name of
-the module of the same clauses in refcodec/bitstream. What would be too long in one file is
-in several:
+Each chapter of SPEC.md has a module with its valid files, refused files and faults. It has the name of the module for
+the same clauses in refcodec/bitstream. Long chapters have several modules:
 
     header, dimensions, limits                                 the header
-    directory, ancillary                                       sections, and what a decoder passes over
+    directory, ancillary                                       sections, and those that a decoder skips
     weights_raw, weights_packed, weights_forms                 weights
     index, chunks, chunk_sizes                                 the index and the chunks
     entropy_values, entropy_escapes, entropy_substreams        the entropy coder
 
-These are of no group of clauses:
+Modules for other subjects:
 
     order_header, order_sections   two faults in one file (10.1)
-    order_weights                  the same of weights
-    resource                       small files that ask for much (13.1)
-    cameras                        what cameras see (14)
+    order_weights                  two faults of the weights
+    resource                       small files that require much memory or time (13.1)
+    cameras                        Gaussians for cameras (14)
     whole                          trained and unusual scenes
 
-A new case is an entry in the file of its chapter. A new fault is a function there, with what draws its parameters
-(fault.py).
+A new case is an entry in the module of its chapter. A new fault is a function there, with a function that draws its
+parameters (fault.py).
 
-The other modules help:
+Helper modules:
 
-    book, fault         what a case is, and what a fault is
-    target, checksums   a valid file and its elements, and files whose checksums are made right again
-    targets             the valid files that faults are put into
+    book, fault         definitions of a case and of a fault
+    target, checksums   elements of a valid file, and repair of checksums
+    targets             the valid files to which faults are applied
     scenes, cells       valid scenes and parts of them, and positions as cells
     chain               files with two faults
-    samplers, numbers   what makes symbols up, and integers that are the same everywhere
-    suite               from cases to files and the manifest
-    features, flags     what the manifest says of a vector
+    samplers, numbers   invented symbols, and integers that are the same on every machine
+    suite               writes files and the manifest from the cases
+    features, flags     attributes of a vector in the manifest
 """
 
 from __future__ import annotations
@@ -44,8 +43,8 @@ from .fault import FAULTS, Fault
 
 
 def chapters() -> tuple[ModuleType, ...]:
-    """The modules with cases."""
-    # What makes files needs the encoder; who asks for the package alone does not.
+    """Returns the modules with cases."""
+    # The modules need the encoder, but users of the package alone do not.
     from . import (  # noqa: PLC0415
         ancillary,
         attributes,
@@ -110,16 +109,16 @@ def chapters() -> tuple[ModuleType, ...]:
 
 
 def faults() -> dict[str, Fault[...]]:
-    """All faults by name."""
+    """Returns all faults by name."""
     chapters()
     return FAULTS
 
 
 def recipes() -> list[Recipe]:
-    """All vectors in the order of the manifest: those of the committed one as they stand there, then the new ones.
+    """Returns all vectors: those of the committed manifest in its order, then new ones.
 
-    Identifiers are permanent, and so is the place of a vector. A case may move from file to file here, and the
-    manifest stays as it is. Raises ValueError if the manifest has an identifier that no case has.
+    Identifiers and places of vectors are permanent, even if a case moves to another module. Raises ValueError if no
+    case has an identifier of the manifest.
     """
     book = Book()
     for chapter in chapters():

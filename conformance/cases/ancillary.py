@@ -1,7 +1,7 @@
-"""Cases of clauses 5.16, 5.17, 6.14, 6.15, 12.1 and 12.3: what a decoder passes over.
+"""Cases of clauses 5.16, 5.17, 6.14, 6.15, 12.1 and 12.3: bytes that a decoder skips.
 
-That is ancillary sections, whatever they hold, and the header fields of later minor versions. A fault of metadata or of
-cameras is no error of the file.
+These are ancillary sections with any content, and the header fields of later minor versions. A fault of metadata or
+cameras is not an error of the file.
 """
 
 from __future__ import annotations
@@ -56,7 +56,7 @@ def _add(book: Book, name: str, title: str, sections: Sections, requirements: st
 
 
 def _vendor(name: bytes, content: bytes = b"") -> bytes:
-    """SPEC 12.1: what a private section holds."""
+    """SPEC 12.1: returns the content of a private section."""
     return bytes([len(name)]) + name + content
 
 
@@ -184,7 +184,7 @@ NAN, INFINITY = math.nan, math.inf
 
 
 def _camera(**changes: object) -> bytes:
-    """A camera with other fields, which need not be allowed."""
+    """Returns a camera with changed fields, possibly invalid ones."""
     fields = {**vars(NamedCamera("first")), **changes}
     name = fields["name"]
     text = name if isinstance(name, bytes) else str(name).encode()
@@ -239,7 +239,7 @@ def _of_version(minor: int, content: bytes) -> Scene:
 
 
 def _longest() -> Scene:
-    """The longest header that there can be."""
+    """Returns the longest possible header."""
     taken = Target(codec.emit(_of_version(1, b""))).header_end - PROLOGUE_BYTES
     return _of_version(1, bytes(n % 251 for n in range(HEADER_LENGTH_MAX - taken)))
 

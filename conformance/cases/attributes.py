@@ -1,6 +1,6 @@
 """Cases of clauses 5.14, 6.13 and 7.7 to 7.10: hyperprior, steps, CARM and the stages of attributes.
 
-Their substreams' faults are in entropy_substreams.py.
+The faults of their substreams are in entropy_substreams.py.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from .numbers import Int64, Numbers
 from .samplers import Sampler, sampled
 from .scenes import constant, dyadic, networks, scene
 
-# Four slices, and offsets and networks that are small.
+# Four slices, with small offsets and networks.
 SLICES = Dimensions(2, (3, 4, 2, 3), 1, 1, 3, (8,), (3,), (12,), 2)
 
 
@@ -75,7 +75,7 @@ def add(book: Book) -> None:
 
 
 def _carm(name: str, shift: Int64, spread: int) -> Scene:
-    """A scene whose slices depend on each other.
+    """Returns a scene whose slices depend on each other.
 
     shift: carm_shift, int64 [inputs]. spread: the largest mean, in sixteenths of a symbol.
     """

@@ -1,4 +1,4 @@
-"""What the generator knows of a vector before it makes it."""
+"""Descriptions of vectors before they are generated."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from .fault import Refused
 
 @dataclass(frozen=True)
 class Seen:
-    """What a camera sees of the file of another vector. id, data: that vector's; camera: JSON (vectors/README.md)."""
+    """The view of another vector's file. id, data: of that vector. camera: JSON (vectors/README.md)."""
 
     id: str
     data: bytes
@@ -26,7 +26,7 @@ Make = Callable[[], bytes | Refused | Seen]
 
 @dataclass(frozen=True)
 class Recipe:
-    """A vector: id (its class first), title, how it is made, and what the manifest says of it beside that."""
+    """A vector: id (its class first), title, function that makes it, and other entries of the manifest."""
 
     id: str
     title: str
@@ -40,7 +40,7 @@ class Recipe:
 
     @property
     def klass(self) -> str:
-        """The class, the beginning of the id."""
+        """The class, which begins the id."""
         return self.id.partition("-")[0]
 
     @property
@@ -50,26 +50,26 @@ class Recipe:
 
 
 def path_of(identifier: str) -> str:
-    """Where the suite has the file of a vector: the class is its folder."""
+    """Returns the path of a vector's file in the suite. The class is its folder."""
     return f"{identifier.replace('-', '/', 1)}.c3gs"
 
 
 @dataclass
 class Book:
-    """The recipes, in the order in which the chapters add them."""
+    """The recipes in the order of their chapters."""
 
     recipes: list[Recipe] = field(default_factory=list)
 
     def add(
         self, id: str, title: str, make: Make, *, features: str, requirements: str = "", flags: str = "", **more: Any
     ) -> None:
-        """Adds a recipe. features, requirements, flags: names with blanks between them. more: fields of Recipe."""
+        """Adds a recipe. features, requirements, flags: names separated by spaces. more: fields of Recipe."""
         self.recipes.append(
             Recipe(id, title, make, tuple(features.split()), tuple(requirements.split()), tuple(flags.split()), **more)
         )
 
     def valid(self, name: str, title: str, make: Callable[[], Scene | bytes], **more: Any) -> None:
-        """Adds a valid file, given as a scene or as bytes."""
+        """Adds a valid file from a scene or bytes."""
 
         def data() -> bytes:
             made = make()
@@ -80,7 +80,7 @@ class Book:
     def ordered(
         self, id: str, title: str, make: Callable[[], Refused], requirements: str = "", features: str = "order"
     ) -> None:
-        """Adds a file with two faults, whose order is what it tests. id: without `order-of-` behind its class."""
+        """Adds a file with two faults that tests their order. id: without `order-of-` after its class."""
         klass, _, name = id.partition("-")
         proved = f"D10.2-3 {requirements}"
         self.add(

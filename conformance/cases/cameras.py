@@ -1,4 +1,4 @@
-"""Cases of clause 14: what cameras see. SPEC.md's blocks give the Gaussians (14.3), evaluated in binary64."""
+"""Cases of clause 14: Gaussians for cameras (14.3), by SPEC.md's blocks in binary64."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from .scenes import TINY_DIMENSIONS, dyadic, lattice, scene, with_symbols
 
 # SPEC [G14.3-1]: of means, axis lengths, quaternions, opacities and colours.
 TOLERANCE = 1e-4
-# Enough digits for the tolerance; few enough that the last bit of a machine's exp does not show.
+# Enough digits for the tolerance, but few enough to hide the last bit of a machine's exp.
 DIGITS = 9
 
 
@@ -32,7 +32,7 @@ def _text() -> dict[str, Any]:
 
 
 def expected(data: bytes, camera: dict[str, Any]) -> bytes:
-    """The list of Gaussians of a file for a camera, as JSON."""
+    """Returns the list of Gaussians of a file for a camera, as JSON."""
     scene = codec.parse(data).scene
     values, centre = reconstruct(scene), read_camera(json.dumps(camera)).centre.tolist()
     networks = {name: [(w.tolist(), b.tolist()) for w, b in scene.networks[name]] for name in RENDERING}
@@ -45,7 +45,7 @@ def expected(data: bytes, camera: dict[str, Any]) -> bytes:
         mask = scene.masks[n].tolist()
         position, feature, scaling, offsets = rows
         for k in np.flatnonzero(scene.masks[n]).tolist():
-            # One offset at a time, so that each Gaussian's is known.
+            # One offset at a time, so that the offset of each Gaussian is known.
             alone = [kept and i == k for i, kept in enumerate(mask)]
             for mean, lengths, quaternion, opacity, colour in _text()["GAUSSIANS"](
                 networks, position, feature, scaling, offsets, alone, centre, scene.render.distance_unit
@@ -63,7 +63,7 @@ def expected(data: bytes, camera: dict[str, Any]) -> bytes:
 
 
 def _rounded(value: Any) -> Any:
-    """Numbers with DIGITS significant digits."""
+    """Returns numbers with DIGITS significant digits."""
     return [_rounded(x) for x in value] if isinstance(value, list) else float(f"{value:.{DIGITS}g}")
 
 
@@ -85,7 +85,7 @@ def add(book: Book) -> None:
     """Adds the vectors."""
     title = "a scene that cameras look at"
     book.valid("cameras", title, _file, features="cameras", requirements="D9.1-1 D9.2-1")
-    # Anchor 4 is where the third camera is.
+    # Anchor 4 is at the position of the third camera.
     place = [float(x) for x in lattice(Numbers("cameras"), 12)[4]]
     translations = {
         "ahead": [0.5, -0.25, 6.0],
@@ -121,14 +121,14 @@ def _file() -> bytes:
     where, grid = lattice(numbers, 12), PositionGrid((0, 0, 0), 1, 0)
     made = scene("cameras", 12, d, positions=where, base_step=(0.0625, 0.0625, 0.25), grid=grid)
     made = replace(made, render=replace(made.render, distance_unit=2.5))
-    # The steps are the base steps, so that sizes are ordinary ones.
+    # The steps are the base steps, for ordinary sizes.
     w, b = made.networks["hyper"][-1]
     w[-3:], b[-3:] = 0, 32
     for name in ("opacity", "covariance", "colour"):
         for w, b in made.networks[name]:
             w[:] = dyadic(numbers.integers(-99, 99, *w.shape), 8)
             b[:] = dyadic(numbers.integers(-99, 99, len(b)), 7)
-    # Of one offset four numbers that are no quaternion.
+    # One offset has a quaternion of length 0.
     w, b = made.networks["covariance"][-1]
     w[3:7], b[3:7] = 0, 0
     shapes = {"features": (12, d.features), "scalings": (12, 6), "offsets": (12, d.offset_count, 3)}

@@ -1,4 +1,4 @@
-"""Positions as cells of a lattice (SPEC 7.12), models that no encoder would choose, and files with other cells."""
+"""Positions as cells of a lattice (SPEC 7.12), models that no encoder would choose, and files with changed cells."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ MIDDLE = 1 << 15
 
 
 def any_model(numbers: Numbers, largest: int = 5000) -> PositionModel:
-    """Frequencies that no one has observed."""
+    """Returns arbitrary frequencies."""
     counts = numbers.integers(1, largest, POSITION_MODELS, HALVES)
     for model, row in enumerate(counts):
         row[0] = 0 if model in EMPTY_MODELS else row[0]
@@ -45,7 +45,7 @@ def any_model(numbers: Numbers, largest: int = 5000) -> PositionModel:
 
 
 def sharp_model() -> PositionModel:
-    """Models in which the last symbol is as likely as can be."""
+    """Returns models with the largest frequency for the last symbol."""
     rows = np.ones((POSITION_MODELS, HALVES), np.int64)
     rows[list(EMPTY_MODELS), 0] = 0
     rows[:, -1] += TOTAL - rows.sum(axis=1)
@@ -53,7 +53,7 @@ def sharp_model() -> PositionModel:
 
 
 def of_cells(cells: Int64, cell_shift: int) -> NDArray[np.float16]:
-    """The positions of cells, in the order of the tree, each once."""
+    """Returns the positions of cells in the order of the tree, without duplicates."""
     ordered = cells[np.unique(morton(cells), return_index=True)[1]]
     found, fits = cell_positions(ordered, cell_shift)
     assert fits.all()
@@ -63,7 +63,7 @@ def of_cells(cells: Int64, cell_shift: int) -> NDArray[np.float16]:
 def placed(
     name: str, where: NDArray[np.float16], model: PositionModel | None = None, shift: int | None = None, **changes: Any
 ) -> Scene:
-    """A small scene at these positions, in mode 1. shift: the model's cell_shift. changes: as of scene."""
+    """Returns a small scene at these positions, in mode 1. shift: cell_shift. changes: as of scene."""
     chosen = model or position_model(where, 4096)
     if shift is not None:
         chosen = replace(chosen, cell_shift=shift)
@@ -72,12 +72,12 @@ def placed(
 
 
 def cuboid(*size: int) -> Int64:
-    """The cells of a cuboid from the middle on."""
+    """Returns the cells of a cuboid that begins in the middle."""
     return np.stack(np.meshgrid(*(np.arange(n) for n in size), indexing="ij"), axis=-1).reshape(-1, 3) + MIDDLE
 
 
 def cheap(name: str, where: Int64, **changes: Any) -> Scene:
-    """A scene of cells whose masks and attributes cost next to nothing. where: the cells, whose cell_shift is 20."""
+    """Returns a scene of cells whose masks and attributes take almost no bits. where: cells, with cell_shift 20."""
     zero, anchors = np.zeros(SMALLEST.attribute_width, np.int64), len(where)
     networks = constant(SMALLEST, Numbers(name), zero, zero - 40)
     masks, rare = np.zeros((anchors, 1), bool), np.array([1], np.uint16)
@@ -95,7 +95,7 @@ def cheap(name: str, where: Int64, **changes: Any) -> Scene:
 
 
 def codes_of(t: Target) -> Int64:
-    """The Morton codes of the cells of a file whose one chunk is packed: int64 [anchors]."""
+    """Returns the Morton codes of the cells of a file with one packed chunk, int64 [anchors]."""
     made = codec.parse(t.data).scene
     assert made.position_model is not None
     found = chunk_codes(made.positions, made.position_model.cell_shift)
@@ -104,7 +104,7 @@ def codes_of(t: Target) -> Int64:
 
 
 def with_cells(t: Target, code: Int64) -> bytes:
-    """The file with other cells in its first chunk, which is packed, coded rightly with its model and lanes."""
+    """Returns the file with other cells in its first, packed chunk, validly coded with its model and lanes."""
     made = codec.parse(t.data).scene
     assert made.position_model is not None
     encoder = Encoder(1, 1 << made.lanes.mask)

@@ -1,4 +1,4 @@
-"""Files with two faults, made from chains of faults that are in the order of checks (10.1)."""
+"""Files with two faults, from chains of faults in the order of checks (10.1)."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from .target import Target
 
 
 class Link:
-    """A fault in a chain. name: for identifiers. text: for titles. The rest is the fault and its arguments."""
+    """A fault in a chain. name: for identifiers. text: for titles. The other fields: the fault and its arguments."""
 
     def __init__(self, name: str, text: str, broken: Fault[...], *args: Any) -> None:
         self.name, self.text, self.broken, self.args = name, text, broken, args
@@ -33,7 +33,7 @@ class Link:
 
 
 def chain(book: Book, base: Callable[[], Target], where: str, links: list[Link], requirements: str = "") -> None:
-    """Adds a file for each fault and the one behind it. where: what they are in, for identifiers."""
+    """Adds a file for each fault and its successor. where: the faulty part, for identifiers."""
     for first, second in pairwise(links):
         book.ordered(
             f"{first.klass}-{where}-{first.name}-and-{second.name}",
@@ -44,7 +44,7 @@ def chain(book: Book, base: Callable[[], Target], where: str, links: list[Link],
 
 
 def also(first: Callable[[], Refused], second: Fault[...], *args: Any) -> Callable[[], Refused]:
-    """What makes a file with a fault, and with another one that must not be told."""
+    """Returns a function that makes a file with a fault, and with another one that must not be reported."""
 
     def made() -> Refused:
         refused = first()
@@ -54,5 +54,5 @@ def also(first: Callable[[], Refused], second: Fault[...], *args: Any) -> Callab
 
 
 def other_symbols(path: str, name: str = "", text: str = "") -> Link:
-    """Another symbol_crc of a substream."""
+    """Returns a changed symbol_crc of a substream."""
     return Link(name or "symbols", text or f"symbol_crc of {path}", entropy_substreams.symbol_crc, path, 0, 0x55)

@@ -1,4 +1,4 @@
-"""Files with other bytes, whose lengths and checksums are made right again wherever they can be found."""
+"""Repairs lengths and checksums of changed files, wherever they can be found."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ ENTRY_BYTES = syntax.size_of("DirectoryEntry")
 
 
 class Depth(IntEnum):
-    """How far in the checksums are made right: those of one depth, and all that lie further out."""
+    """The depth of repair: checksums of this depth and of all outer ones are repaired."""
 
     NOTHING = 0
     PROLOGUE = 1
@@ -28,7 +28,7 @@ class Depth(IntEnum):
 
 
 def layout(data: bytes) -> tuple[construct.Container, int]:
-    """The fields of a file's header, and where these end with its CRC-32. Checksums are not looked at.
+    """Returns the fields of a file's header, and its end with the CRC-32. Checksums are not compared.
 
     In a file of a later minor version the header can be longer (SPEC 12.3).
 
@@ -39,7 +39,7 @@ def layout(data: bytes) -> tuple[construct.Container, int]:
 
 
 def repair(data: bytes, depth: Depth = Depth.CHUNKS) -> bytes:
-    """The file with its CRC-32s made right down to a depth. Any bytes of at least a prologue will do."""
+    """Returns the file with repaired CRC-32s down to a depth. data: at least a prologue."""
     out = bytearray(data)
     end = PROLOGUE_BYTES + int.from_bytes(data[12:16], "little")
     if depth >= Depth.SECTIONS:
@@ -52,10 +52,10 @@ def repair(data: bytes, depth: Depth = Depth.CHUNKS) -> bytes:
 
 
 def lengthened(data: bytes, kind: bytes, length: int) -> tuple[bytes, int]:
-    """The bytes of a file before a section that now has another length, and the length that the file then has.
+    """Returns the bytes of a file before a section with a changed length, and the resulting length of the file.
 
-    kind: the type of the section. Of DATA the last chunk gets the length, by the index too. What follows may be
-    anything. The CRC-32s of the header and of what is returned are right.
+    kind: the type of the section. For DATA the last chunk changes, also in the index. Any bytes may follow. The
+    CRC-32s of the header and of the returned bytes are right.
     """
     fields, end = layout(data)
     number = [entry.type for entry in fields.directory].index(kind)
@@ -75,7 +75,7 @@ def _crc(data: bytearray) -> bytes:
 
 
 def _repair_sections(out: bytearray, end: int, depth: Depth) -> None:
-    """The CRC-32s of the sections, and before them those of the chunks."""
+    """Repairs the CRC-32s of the chunks, then those of the sections."""
     try:
         fields, found_end = layout(bytes(out[:end]))
     except construct.ConstructError:
@@ -94,7 +94,7 @@ def _repair_sections(out: bytearray, end: int, depth: Depth) -> None:
 
 
 def _repair_chunks(out: bytearray, fields: construct.Container, places: list[tuple[bytes, int, int, int]]) -> None:
-    """The CRC-32s of the chunks, if the index and the chunks are there."""
+    """Repairs the CRC-32s of the chunks, if the index and the chunks exist."""
     span = {kind: (mode, first, last) for kind, mode, first, last in places}
     if not {directory.INDEX, directory.DATA} <= span.keys():
         return
@@ -108,9 +108,9 @@ def _repair_chunks(out: bytearray, fields: construct.Container, places: list[tup
 
 
 def resized(data: bytes, kind: bytes, content: bytes, length_at: int | None = None) -> bytes:
-    """A valid file with other bytes in one critical section, as many as there are: directory and checksums are right.
+    """Returns a valid file with other content in one critical section, and a right directory and checksums.
 
-    kind: the section's type. length_at: where a u32 of the old file says a length that grows with the section's.
+    kind: the section's type. length_at: the offset of a u32 that changes with the section's length.
     """
     header = codec.parse_container(data)
     old = header.section(kind)

@@ -1,4 +1,4 @@
-"""Cases of clauses 6.10 and 6.11: valid files whose chunks have any size, and positions of either form."""
+"""Cases of clauses 6.10 and 6.11: valid files with chunks of any size, and positions of either form."""
 
 from __future__ import annotations
 
@@ -77,7 +77,7 @@ def _sizes(book: Book) -> None:
 
 
 def _same(**changes: Any) -> Scene:
-    """One scene in the chunks that are asked for. Its symbols do not depend on them."""
+    """Returns the same scene in given chunks. Its symbols do not depend on them."""
     return replace(drawn("chunks-same", 9), **changes)
 
 

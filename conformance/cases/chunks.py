@@ -1,7 +1,7 @@
-"""Cases of clauses 5.14 and 6.11: chunks, their heads, and what their entries say of them.
+"""Cases of clauses 5.14 and 6.11: chunks, their heads, and their entries.
 
-The positions of a chunk are in positions.py, its masks and attributes in the files of these names, and valid files of
-several chunks in chunk_sizes.py.
+The positions of a chunk are in positions.py, its masks and attributes in masks.py and attributes.py, and valid files
+with several chunks in chunk_sizes.py.
 """
 
 from __future__ import annotations
@@ -29,17 +29,17 @@ from .scenes import MAIN_SMALLEST, lattice, packed_weights, scene, settled, sile
 from .target import Target
 from .targets import far, five_cells, packed, plain
 
-# SPEC 5.14: what heads call the lengths of the parts.
+# SPEC 5.14: the names of the parts' lengths in heads.
 LENGTHS = {part: f"{part.removesuffix('s')}_length" for part in PARTS}
 
 
 def _chunk(draw: Draw, t: Target) -> int | None:
-    """One of the chunks, if there is any."""
+    """Draws one of the chunks, if there are any."""
     return draw.integer(0, t.header.chunk_count - 1) if t.header.chunk_count else None
 
 
 def _padding(t: Target, part: str, chunk: int) -> tuple[int, int]:
-    """Where the padding behind a part begins and ends."""
+    """Returns the range of the padding after a part."""
     _, end = t.part(part, chunk)
     return end, end + -end % 4
 
@@ -49,7 +49,7 @@ def _padding(t: Target, part: str, chunk: int) -> tuple[int, int]:
 
 @fault("section.truncated")
 def cut_in_chunk(t: Target, chunk: int, more: int) -> Whole:
-    """The file ends within a chunk. more: bytes of the chunk that are there; -1 is all but the last."""
+    """The file ends within a chunk. more: present bytes of the chunk; -1 is all but the last."""
     start = t.chunk_at(chunk)
     end = range(start, start + t.value(f"index.entry[{chunk}].length"))[more]
     return Whole(t.data[:end], end)
@@ -63,7 +63,7 @@ def _(draw: Draw, t: Target) -> Drawn:
 
 @fault("chunk.crc")
 def crc(t: Target, chunk: int, bits: int) -> Edit:
-    """Bits of a chunk's CRC-32 are turned."""
+    """Bits of a chunk's CRC-32 are flipped."""
     return Edit(t.flip(t.at(f"index.entry[{chunk}].crc"), bits), t.chunk_at(chunk), Depth.SECTIONS)
 
 
@@ -75,7 +75,7 @@ def _(draw: Draw, t: Target) -> Drawn:
 
 @fault("chunk.crc")
 def byte(t: Target, chunk: int, at: int, bits: int) -> Edit:
-    """Bits of a byte of a chunk are turned, and its CRC-32 is the old one. at: -1 is the last byte."""
+    """Bits of a byte of a chunk are flipped, without its CRC-32. at: -1 is the last byte."""
     start = t.chunk_at(chunk)
     place = range(start, start + t.value(f"index.entry[{chunk}].length"))[at]
     return Edit(t.flip(place, bits), start, Depth.SECTIONS)
@@ -94,7 +94,7 @@ def _(draw: Draw, t: Target) -> Drawn:
 
 @fault("chunk.reserved")
 def reserved(t: Target, chunk: int, item: int, value: int) -> Edit:
-    """A reserved byte of a chunk's head is not zero. The first of these bytes is told."""
+    """A reserved byte of a chunk's head is not zero. The first of these bytes is reported."""
     path = f"chunk[{chunk}].reserved"
     return Edit(t.pack({f"{path}[{item}]": value}), t.at(f"{path}[0]"))
 
@@ -107,7 +107,7 @@ def _(draw: Draw, t: Target) -> Drawn:
 
 @fault("chunk.form")
 def form(t: Target, chunk: int, value: int) -> Edit:
-    """A form that is not known, or the packed one without a model of positions."""
+    """An unknown form, or the packed form without a model of positions."""
     return one_field(t, f"chunk[{chunk}].position_form", value)
 
 
@@ -119,9 +119,9 @@ def _(draw: Draw, t: Target) -> Drawn:
 
 @fault("chunk.length")
 def lengths(t: Target, chunk: int, changes: dict[str, int]) -> Edit:
-    """Parts that do not fill the chunk, or raw positions that are not six bytes an anchor.
+    """Parts that do not fill the chunk, or raw positions with a length other than six bytes per anchor.
 
-    changes: what is added to the lengths of parts, modulo 2^32. With its padding a length counts in steps of four.
+    changes: added to the lengths of parts, modulo 2^32. With padding, lengths are multiples of four.
     """
     paths = {f"chunk[{chunk}].{LENGTHS[part]}": more for part, more in changes.items()}
     values = {path: (t.value(path) + more) % (1 << 32) for path, more in paths.items()}
@@ -140,7 +140,7 @@ def _(draw: Draw, t: Target) -> Drawn:
 
 @fault("chunk.length")
 def bytes_behind(t: Target, chunk: int, content: bytes) -> Whole:
-    """More bytes in a chunk than its parts have, behind them. content: a multiple of four bytes of them."""
+    """Additional bytes after the parts of a chunk. content: a multiple of four bytes."""
     start, old = t.chunk_at(chunk), t.value(f"index.entry[{chunk}].length")
     own = t.data[start : start + old]
     return Whole(with_chunk(t, chunk, own + content), start)
@@ -153,7 +153,7 @@ def _(draw: Draw, t: Target) -> Drawn:
 
 
 def with_chunk(t: Target, chunk: int, content: bytes) -> bytes:
-    """The file with other bytes as one chunk, a multiple of four. Lengths and checksums are right."""
+    """Returns the file with other bytes as one chunk, a multiple of four, and right lengths and checksums."""
     path = f"index.entry[{chunk}].length"
     start, base, old = t.chunk_at(chunk), t.start(DATA), t.value(path)
     out = t.with_values({path: len(content)}, Depth.NOTHING)
@@ -163,7 +163,7 @@ def with_chunk(t: Target, chunk: int, content: bytes) -> bytes:
 
 @fault("chunk.padding")
 def padding(t: Target, chunk: int, part: str, at: int, value: int) -> Edit:
-    """A byte of the padding behind a part is not zero."""
+    """A byte of the padding after a part is not zero."""
     start, _ = _padding(t, part, chunk)
     return Edit({start + at: bytes([value])}, start)
 
@@ -178,7 +178,7 @@ def _(draw: Draw, t: Target) -> Drawn:
 
 @fault("chunk.padding")
 def last_byte(t: Target, chunk: int, part: str) -> Edit:
-    """A length that leaves the last byte of a part, which is not zero, to the padding."""
+    """A length that makes the last byte of a part, which is not zero, a padding byte."""
     start, end = t.part(part, chunk)
     assert (end - start) % 4 != 1
     assert t.data[end - 1]
@@ -201,11 +201,11 @@ def _(draw: Draw, t: Target) -> Drawn:
 
 @fault("chunk.bounds")
 def bound(t: Target, chunk: int, field: str, up: bool) -> Edit:
-    """A bound that is the next number up or down of what the positions have. field: such as `low[0]`."""
+    """A bound is one number above or below the right one. field: such as `low[0]`."""
     path = f"index.entry[{chunk}].{field}"
     old = np.array([t.value(path)], np.float16)
     new = np.nextafter(old, np.float16(np.inf if up else -np.inf))
-    # The number beside a least one is -0 perhaps, which no bound is.
+    # The next number may be -0, which a bound cannot be.
     return Edit({t.at(path): (new + np.float16(0)).tobytes()}, t.chunk_at(chunk))
 
 
@@ -216,7 +216,7 @@ def _(draw: Draw, t: Target) -> Drawn:
         return None
     axis, name = draw.integer(0, 2), draw.choice(["low", "high"])
     low, high = (t.value(f"index.entry[{chunk}].{side}[{axis}]") for side in ("low", "high"))
-    # A bound that goes inwards needs room, one that goes outwards a number.
+    # A tighter bound needs room between low and high, a looser one a finite number.
     up = draw.flag() if low < high else name == "high"
     value, end = (low if name == "low" else high), float(np.finfo(np.float16).max)
     return None if value == (end if up else -end) else (t, chunk, f"{name}[{axis}]", up)
@@ -224,7 +224,7 @@ def _(draw: Draw, t: Target) -> Drawn:
 
 @fault("chunk.kept")
 def kept_count(t: Target, chunk: int, value: int) -> Edit:
-    """Another number of kept offsets than the chunk has."""
+    """A wrong number of kept offsets."""
     return Edit(t.pack({f"index.entry[{chunk}].kept_count": value}), t.chunk_at(chunk))
 
 
@@ -311,18 +311,18 @@ def _heads(book: Book) -> None:
 
 @cache
 def _odd_positions() -> Target:
-    """A file of one packed chunk, whose positions have padding behind them."""
+    """Returns a file of one packed chunk with padding after its positions."""
     return _padded("positions", lambda n: placed(f"refused-odd-positions-{n}", lattice(Numbers("odd"), 5 + n)))
 
 
 @cache
 def _odd_masks() -> Target:
-    """A file of one chunk, whose masks have padding behind them."""
+    """Returns a file of one chunk with padding after its masks."""
     return _padded("masks", lambda n: scene(f"refused-odd-masks-{n}", 8 + n, lanes=Lanes(0, 0, 0)))
 
 
 def _padded(part: str, make: Callable[[int], Scene]) -> Target:
-    """The first file of several whose first chunk has padding behind a part."""
+    """Returns the first of several files whose first chunk has padding after a part."""
     found = (Target(codec.emit(make(n))) for n in range(20))
     return next(t for t in found if range(*_padding(t, part, 0)))
 
@@ -428,7 +428,7 @@ def _entries(book: Book) -> None:
 
 @fault("chunk.bounds")
 def bounds_of_scene(t: Target, chunk: int) -> Edit:
-    """A chunk whose bounds are those of all chunks together."""
+    """A chunk has the bounds of all chunks."""
     fields = [f"{name}[{axis}]" for name in ("low", "high") for axis in range(3)]
     values = {}
     for field in fields:
@@ -439,7 +439,7 @@ def bounds_of_scene(t: Target, chunk: int) -> Edit:
 
 
 def bounds_of_many() -> Refused:
-    """A file of profile Main whose one chunk has 16384 anchors, packed. Nothing behind its positions is decoded."""
+    """A file of profile Main with one packed chunk of 16384 anchors. Nothing after its positions is decoded."""
     made = scene("refused-many", 1, MAIN_SMALLEST, chunk_size=16384)
     model = replace(any_model(Numbers("outside-crowd")), cell_shift=20)
     networks = {name: silent(layers) for name, layers in made.networks.items()}
@@ -451,7 +451,7 @@ def bounds_of_many() -> Refused:
     assert chosen == PACKED
     nothing = bytes(4)
     content = emit_chunk(PACKED, (part, nothing, nothing))
-    # Of the entry all is right but the least coordinate.
+    # Only the least coordinate of the entry is wrong.
     low, high = where.min(axis=0), where.max(axis=0)
     low[2] = np.nextafter(low[2], np.float16(-1))
     at = t.at("index.entry[0].length")

@@ -1,4 +1,4 @@
-"""Cases of clause 7.5: what leads from a position to its context: frame, contraction, samples of planes, encoding."""
+"""Cases of clause 7.5, from a position to its context: frame, contraction, samples of planes, encoding."""
 
 from __future__ import annotations
 
@@ -19,8 +19,8 @@ from .numbers import Int64, Numbers
 from .samplers import Sampler, sampled
 from .scenes import f16, frame_of, observing, packed_weights, scene
 
-# Of the scenes that show their context. Two plane channels and three frequencies make ten numbers of it, and sixteen
-# channels of attributes see all of them.
+# Dimensions of scenes that show their context. Two plane channels and three frequencies give ten numbers, and all of
+# them affect the sixteen channels of attributes.
 SEEN = Dimensions(1, (4, 3), 2, 3, 5, (20,), (4,), (3,), 1)
 ONES = np.eye(3, dtype=np.int64)
 # SPEC 6.7: the largest numbers of a frame.
@@ -31,7 +31,7 @@ def add(book: Book) -> None:
     """Adds the vectors."""
     numbers = Numbers("frames")
     _frames(book, numbers)
-    # The sequence of the frames goes on.
+    # These frames continue the sequence of numbers.
     _contractions(book, numbers)
     _exact_frames(book)
     _queries(book)
@@ -42,7 +42,7 @@ def add(book: Book) -> None:
 def shown(
     name: str, where: NDArray[np.float16], frame: Frame, d: Dimensions = SEEN, plane_shift: int = 8, **changes: Any
 ) -> Scene:
-    """A scene whose symbols depend on every bit of the context of each anchor."""
+    """Returns a scene whose symbols depend on every bit of the context of each anchor."""
     numbers = Numbers(name)
     planes = numbers.integers(-3, 3, 5, d.plane_channels, d.plane_size, d.plane_size).astype(np.int16)
     fields = {"planes": planes, "networks": observing(d, numbers), "plane_shift": plane_shift, **changes}
@@ -114,10 +114,10 @@ def _frames(book: Book, numbers: Numbers) -> None:
 
 
 def _exact_frames(book: Book) -> None:
-    """Anchors at 0, so that the translation alone is the frame's sum."""
-    # A length just below a whole number, where a square root in binary64 is that number.
+    """Adds anchors at 0, so that the frame's sum is the translation."""
+    # A length just below a whole number, to which binary64 rounds its square root.
     side = 44720
-    # A sum just below a tie, which binary64 takes for one, and one below the clamp, where the limits of 31 bits differ.
+    # A sum just below a tie, to which binary64 rounds it, and one below the clamp, where the limits of 31 bits differ.
     for name, title, first, shift, low, high, requirement, flags in (
         (
             "root",
@@ -227,7 +227,7 @@ def _contractions(book: Book, numbers: Numbers) -> None:
 
 
 def _within() -> tuple[NDArray[np.float16], Frame]:
-    """Positions from bound to bound in steps of one, so that u has every kind of fraction, and their frame."""
+    """Returns positions between bounds in steps of one, so that u has all fractions, and their frame."""
     inside = Numbers("queries").integers(-1000, 1000, 50, 3)
     where = f16(np.concatenate([inside, [[-1000, -1000, -1000], [1000, 1000, 1000], [1000, -1000, 0]]]))
     return where, frame_of(ONES, low=(-1000,) * 3, high=(1000,) * 3)
@@ -306,12 +306,12 @@ def _encodings(book: Book) -> None:
 
 
 def _packed(*args: Any, **fields: Any) -> Scene:
-    """What `shown` makes, with its weights in mode 1: nearly all of them are 0."""
+    """Returns the result of `shown`, with its weights in mode 1: nearly all of them are 0."""
     return packed_weights(shown(*args, **fields))
 
 
 def _parts_of_context(book: Book) -> None:
-    """Contexts that have planes alone, the encoding alone, or as many planes as there can be."""
+    """Adds contexts with planes only, with the encoding only, and with the most planes."""
     where, frame = _within()
     rows: list[tuple[str, str, dict[str, Any], dict[str, Any]]] = [
         (

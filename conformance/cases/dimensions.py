@@ -1,4 +1,4 @@
-"""Cases of clauses 5.3 and 6.3: each dimension at its limits. What a profile does not allow is in limits.py."""
+"""Cases of clauses 5.3 and 6.3: each dimension at its limits. Dimensions beyond a profile are in limits.py."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ from .scenes import (
     sparse,
 )
 
-# By dimension: values at its limits and between, the requirements that they test, and the bugs that they tell.
+# By dimension: values at its limits and between, the tested requirements, and the bugs that they reveal.
 Bounds = dict[str, tuple[list[Any], str, str]]
 OF_TINY: Bounds = {
     "offset_count": ([1, 10], "D7.6-1", "mask-context"),
@@ -84,7 +84,7 @@ def add(book: Book) -> None:
 
 
 def _whole(book: Book) -> None:
-    """Scenes in which all dimensions are unusual, and scenes without parts."""
+    """Adds scenes with unusual values of all dimensions, and scenes without parts."""
     book.valid(
         "smallest",
         "one anchor, and every dimension as small as it can be with planes",
@@ -163,12 +163,12 @@ def _largest() -> Scene:
 def _largest_of_main() -> Scene:
     made = _quiet("main-largest", LARGEST_OF_MAIN, one_in=128, lanes=Lanes(2, 1, 6), profile=MAIN)
     assert made.weight_scales is not None
-    # A weight of 0 costs next to nothing; the others are escaped.
+    # A weight of 0 takes almost no bits. The others are escaped.
     return replace(made, weight_scales=made.weight_scales * np.array([1, 0, 1], np.uint8))
 
 
 def _quiet(name: str, d: Dimensions, one_in: int = 16, **fields: Any) -> Scene:
-    """A scene of two anchors with large networks in few bytes, and planes of zeros. one_in: as of sparse."""
+    """Returns a scene of two anchors with large networks in few bytes, and zero planes. one_in: as of sparse."""
     made = sparse(scene(name, 2, d, **fields), one_in)
     networks = {**made.networks, "sarm": silent(made.networks["sarm"])}
     flat = replace(made, networks=networks, planes=np.zeros_like(made.planes))

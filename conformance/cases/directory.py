@@ -21,7 +21,7 @@ from .targets import packed, plain, planeless, strewn, unencoded, unpredicted
 
 @fault("directory.type")
 def type_byte(t: Target, entry: int, place: int, value: int) -> Edit:
-    """A byte of a type that is no letter."""
+    """A byte of a type is not a letter."""
     at = t.at(f"directory[{entry}].type")
     return Edit({at + place: bytes([value])}, at)
 
@@ -35,7 +35,7 @@ def _(draw: Draw, t: Target) -> Drawn:
 
 @fault("directory.unknown_critical")
 def unknown_section(t: Target, entry: int, kind: bytes) -> Edit:
-    """An entry of a critical type that is not known."""
+    """An entry has an unknown critical type."""
     path = f"directory[{entry}].type"
     return Edit(t.pack({path: kind}), t.at(path))
 
@@ -47,7 +47,7 @@ def _(draw: Draw, t: Target) -> Drawn:
 
 @fault("directory.order")
 def types(t: Target, kinds: dict[int, bytes], wrong: int) -> Edit:
-    """Entries of other types, which are known. kinds: types by entry. wrong: the first entry that is out of order."""
+    """Entries have other known types. kinds: types by entry. wrong: the first entry out of order."""
     values = {f"directory[{entry}].type": kind for entry, kind in kinds.items()}
     return Edit(t.pack(values), t.at(f"directory[{wrong}].type"))
 
@@ -60,7 +60,7 @@ def _(draw: Draw, t: Target) -> Drawn:
     (one, kind), (other, other_kind) = entries[first], entries[first + 1]
     kinds, wrong = draw.choice(
         [
-            # Swapped, repeated, missing, and one more behind DATA, if there is a place.
+            # Swapped, repeated, missing, and, if there is a place, an additional one after DATA.
             ({one: other_kind, other: kind}, one),
             ({other: kind}, other),
             ({one: b"noTE"}, other),
@@ -72,7 +72,7 @@ def _(draw: Draw, t: Target) -> Drawn:
 
 @fault("directory.order")
 def few_sections(t: Target, count: int) -> Whole:
-    """Fewer sections than the critical ones."""
+    """There are fewer sections than critical types."""
 
     def change(fields: Any) -> None:
         fields.section_count, fields.directory = count, fields.directory[:count]
@@ -87,7 +87,7 @@ def _(draw: Draw, t: Target) -> Drawn:
 
 @fault("directory.mode")
 def mode(t: Target, entry: int, value: int) -> Edit:
-    """A mode that the section does not have."""
+    """The mode is unknown for the section."""
     return one_field(t, f"directory[{entry}].mode", value)
 
 
@@ -98,7 +98,7 @@ def _(draw: Draw, t: Target) -> Drawn:
 
 
 def _implied(t: Target) -> dict[bytes, int]:
-    """By type the lengths that the header implies."""
+    """Returns the lengths that the header implies, by type."""
     modes = {kind: section.mode for kind, section in t.sections.items()}
     implied = directory.section_lengths(t.header.dimensions, t.header.chunk_count, modes)
     return {kind: length for kind, length in implied.items() if kind in t.sections}
@@ -106,9 +106,9 @@ def _implied(t: Target) -> dict[bytes, int]:
 
 @fault("directory.length")
 def section_length(t: Target, kind: bytes, change: int) -> Whole:
-    """A section that is longer or shorter than the header implies.
+    """A section is longer or shorter than the header implies.
 
-    change: how many bytes of 0 are added, or cut off if it is negative.
+    change: zero bytes that are added, or bytes that are removed if it is negative.
     """
     content = t.content(kind)
     made = content + bytes(change) if change > 0 else content[:change]
@@ -123,7 +123,7 @@ def _(draw: Draw, t: Target) -> Drawn:
 
 @fault("directory.length")
 def stated_length(t: Target, entry: int, value: int) -> Edit:
-    """A length that is not the implied one, or that no section may have."""
+    """The length is not the implied one, or is above the maximum of all sections."""
     return one_field(t, f"directory[{entry}].length", value)
 
 
@@ -142,7 +142,7 @@ def _(draw: Draw, t: Target) -> Drawn:
 
 @fault("section.truncated")
 def cut(t: Target, length: int) -> Whole:
-    """The file ends behind its header and before the end of its last section, or of the padding behind that."""
+    """The file ends between its header and the end of its last section with padding."""
     return Whole(t.data[:length], length)
 
 
@@ -153,13 +153,13 @@ def _(draw: Draw, t: Target) -> Drawn:
 
 @fault("section.truncated")
 def long_section(t: Target, entry: int, length: int) -> Edit:
-    """A section that the file does not hold, though it may have this length."""
+    """A section has an allowed length, but extends beyond the file."""
     return Edit(t.pack({f"directory[{entry}].length": length}), len(t.data))
 
 
 @long_section.drawn
 def _(draw: Draw, t: Target) -> Drawn:
-    # SPEC [R6.10-6]: another length of DATA would be told by the index.
+    # SPEC [R6.10-6]: another length of DATA would contradict the index.
     free = [s for s in t.header.sections if s.type not in _implied(t) and s.type != DATA]
     section = draw.choice(free)
     return t, section.number, draw.integer(len(t.data) - section.start + 1, SECTION_LENGTH_MAX)
@@ -167,9 +167,9 @@ def _(draw: Draw, t: Target) -> Drawn:
 
 @fault("section.crc")
 def section_byte(t: Target, kind: bytes, at: int, bits: int) -> Edit:
-    """Bits of a byte of a section are turned, and its CRC-32 is the old one.
+    """Bits of a byte of a section are flipped, without its CRC-32.
 
-    kind: not DATA, whose chunks have their own. at: the byte, from the section's start, or from its end if negative.
+    kind: not DATA, whose chunks have CRC-32s. at: the byte, from the section's start, or from its end if negative.
     """
     section = t.section(kind)
     place = range(section.start, section.start + section.length)[at]
@@ -184,7 +184,7 @@ def _(draw: Draw, t: Target) -> Drawn:
 
 @fault("section.crc")
 def section_crc(t: Target, entry: int, value: int) -> Edit:
-    """Another CRC-32 in a section's entry. That of DATA is 0."""
+    """A section's entry has a wrong CRC-32. That of DATA must be 0."""
     return Edit(t.pack({f"directory[{entry}].crc": value}), t.header.sections[entry].start, Depth.HEADER)
 
 
@@ -196,7 +196,7 @@ def _(draw: Draw, t: Target) -> Drawn:
 
 @fault("section.padding")
 def padding_byte(t: Target, entry: int, place: int, value: int) -> Edit:
-    """A byte of the padding behind a section that is not zero."""
+    """A byte of the padding after a section is not zero."""
     section = t.header.sections[entry]
     first = section.start + section.length
     return Edit({first + place: bytes([value])}, first)
@@ -211,7 +211,7 @@ def _(draw: Draw, t: Target) -> Drawn:
 
 @fault("file.trailing")
 def bytes_behind(t: Target, content: bytes) -> Whole:
-    """Bytes behind the last section and its padding."""
+    """There are bytes after the last section and its padding."""
     return Whole(t.data + content, len(t.data))
 
 
@@ -296,7 +296,7 @@ def _orders(add: Add) -> None:
 
 
 def _without_data() -> Refused:
-    """The last critical section is missing: section_count is told."""
+    """The last critical section is missing: the error names section_count."""
     t = plain()
     return Refused(t.with_values({"directory[4].type": b"dATA"}), "directory.order", t.at("section_count"))
 

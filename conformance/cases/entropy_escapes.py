@@ -30,12 +30,12 @@ from .targets import ATTRIBUTES_0, SEEDS, far, radius
 
 
 def escape_of(prefix: int, low: int, negative: bool = False) -> int:
-    """The bits of an escape (SPEC 8.7): 2 * prefix + 2 of them."""
+    """Returns the 2 * prefix + 2 bits of an escape (SPEC 8.7)."""
     return int(negative) | 1 << (1 + prefix) | low << (2 + prefix)
 
 
 def _with_raw(t: Target, value: int, bits: int) -> Whole:
-    """The file with other raw bytes in its attributes: so many bits, filled up to a byte."""
+    """Returns the file with other raw bits in its attributes, padded to a byte."""
     s = t.substreams[ATTRIBUTES_0]
     raw = value.to_bytes((bits + 7) // 8, "little")
     return Whole(t.with_substream(ATTRIBUTES_0, t.data[s.start : s.raw_at] + raw), s.start)
@@ -47,7 +47,7 @@ def _any_far(draw: Draw, symbol: int) -> Target:
 
 @fault("substream.escape")
 def long_prefix(t: Target, prefix: int) -> Whole:
-    """An escape with more zero bits than there can be, then a 1."""
+    """An escape has too many zero bits, then a 1."""
     return _with_raw(t, escape_of(prefix, 0), 2 + 2 * prefix)
 
 
@@ -58,9 +58,9 @@ def _(draw: Draw, t: Target) -> Drawn:
 
 @fault("substream.escape")
 def escape_of_zeros(t: Target, bits: int) -> Whole:
-    """An escape of zeros to the end of the substream, past which bits read as 0.
+    """An escape consists of zeros to the end of the substream, after which bits read as 0.
 
-    bits: of the raw bytes. A decoder reads no more than a prefix can have.
+    bits: of the raw bytes. A decoder reads at most the longest prefix.
     """
     return _with_raw(t, 0, bits)
 
@@ -72,7 +72,7 @@ def _(draw: Draw, t: Target) -> Drawn:
 
 @fault("substream.symbol_range")
 def far_escape(t: Target, prefix: int, low: int, negative: bool = False, bits: int | None = None) -> Whole:
-    """An escape that leads beyond the largest symbol. bits: of the raw bytes, if they are more than the escape's."""
+    """An escape gives a symbol above the limit. bits: of the raw bytes, if more than those of the escape."""
     return _with_raw(t, escape_of(prefix, low, negative), bits or 2 + 2 * prefix)
 
 
@@ -84,13 +84,13 @@ def _(draw: Draw, t: Target) -> Drawn:
 
 
 def low_beyond() -> int:
-    """The low bits of the first escape with 22 zero bits that is beyond the largest symbol: its mean is 0."""
+    """Returns the low bits of the first escape with 22 zero bits above the largest symbol, for the mean 0."""
     return ATTRIBUTE_SYMBOL_MAX + 1 - radius() - (1 << 22)
 
 
 @fault("substream.raw_padding")
 def padding_bit(t: Target, bit: int) -> Edit:
-    """A bit of the raw bytes that no symbol reads, but that its last byte has."""
+    """An unused bit of the last raw byte is 1."""
     s = t.substreams[ATTRIBUTES_0]
     return Edit(t.flip(s.raw_at + bit // 8, 1 << bit % 8), s.start)
 
@@ -105,14 +105,14 @@ def _(draw: Draw, t: Target) -> Drawn:
 
 @fault("substream.raw_length")
 def raw_byte_less(t: Target) -> Whole:
-    """The last raw byte is missing, and its bits read as 0."""
+    """The last raw byte is missing. Its bits read as 0."""
     s = t.substreams[ATTRIBUTES_0]
     return Whole(t.with_substream(ATTRIBUTES_0, t.data[s.start : s.end - 1]), s.start)
 
 
 @fault("substream.symbol_crc")
 def other_sign(t: Target) -> Edit:
-    """The sign of an escape is the other one."""
+    """The sign of an escape is inverted."""
     s = t.substreams[ATTRIBUTES_0]
     return Edit(t.flip(s.raw_at, 1), s.start)
 
@@ -127,12 +127,12 @@ def _(draw: Draw, t: Target) -> Drawn:
 
 @dataclass
 class Liar:
-    """A coder that draws symbols, but codes others in place of the first ones. A decoder takes those for known values.
+    """A coder that draws symbols, but codes others instead of the first ones. A decoder replaces those by fixed values.
 
-    beyond: the first feature is coded far beyond every limit, and is 0 for all that follows.
-    endless: the first feature that is not beyond is coded as an escape whose prefix is too long, and is one past the
-        radius for all that follows.
-    waiting: groups that come before it, scalings and offsets.
+    beyond: the first feature is coded far above every limit, and later counts as 0.
+    endless: the first other feature is coded as an escape with too long a prefix, and later counts as one beyond the
+        radius.
+    waiting: earlier groups, of scalings and offsets.
     """
 
     encoder: Encoder
@@ -151,7 +151,7 @@ class Liar:
         name: SymbolName,
         given: Int64 | None,
     ) -> Int64:
-        """A group of values."""
+        """Codes a group of values."""
         found = self.sampler.values(models, mean, scale, counts, limit, name, given)
         coded, first = found.copy(), self.waiting == 0
         if first:
@@ -164,19 +164,19 @@ class Liar:
                 found[at] = coded[at] = centre[at] + models.radius[model[at]] + 1
         self.encoder.values(models, mean, scale, counts, 1 << 40, name, coded)
         if first and self.endless:
-            # The escape's fields: a sign, and zeros where the prefix was.
+            # The escape's fields: a sign, and zeros instead of the prefix.
             self.encoder.raw[0][-1] = np.array([0, 0]), np.array([1, ESCAPE_PREFIX_MAX + 1])
         self.waiting -= 1
         return found
 
     def plain(self, models: ModelSet, index: Int64, counts: list[int], name: SymbolName, given: Int64 | None) -> Int64:
-        """No symbols of these kinds are coded."""
+        """Codes no symbols of these kinds."""
         raise NotImplementedError
 
 
 @cache
 def _lied(beyond: bool, endless: bool) -> Refused:
-    """A file of one anchor whose second slice depends on each bit of the first one, with the symbols of a Liar."""
+    """Returns a file of one anchor whose second slice depends on each bit of the first, with symbols of a Liar."""
     d = Dimensions(1, (2, 8), 1, 1, 2, (2,), (1,), (3,), 1)
     numbers = Numbers(f"planted-liar-{beyond:d}{endless:d}")
     found = networks(d, numbers)
@@ -308,7 +308,7 @@ def _valid(book: Book) -> None:
 
 
 def _about_powers(limit: int) -> Int64:
-    """Values of either sign about each power of two, up to the limit."""
+    """Returns values of either sign around each power of two, up to the limit."""
     found = {v + o for z in range(limit.bit_length()) for v in (1 << z, (2 << z) - 1) for o in (0, 1)}
     found |= {limit, limit - 1}
     return np.array(sorted({s * v for v in found if v <= limit for s in (1, -1)}), dtype=np.int64)

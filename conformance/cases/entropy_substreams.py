@@ -1,4 +1,4 @@
-"""Cases of clauses 5.15, 8.1 to 8.3 and 8.8: states, lanes, words, raw bytes, and how a substream ends."""
+"""Cases of clauses 5.15, 8.1 to 8.3 and 8.8: states, lanes, words, raw bytes, and the end of a substream."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ def _any_substream(draw: Draw, t: Target) -> str:
 
 @fault("substream.length")
 def cut(t: Target, path: str, left: int) -> Whole:
-    """A substream that ends within its head or its states. left: its bytes; -1 is all but the last of the states."""
+    """A substream ends within its head or its states. left: its bytes; -1 is all but the last byte of the states."""
     s = t.substreams[path]
     return Whole(t.with_substream(path, t.data[s.start : range(s.start, s.words_at)[left]]), s.start)
 
@@ -47,7 +47,7 @@ def _(draw: Draw, t: Target) -> Drawn:
 
 @fault("substream.length")
 def word_count(t: Target, path: str, value: int) -> Edit:
-    """More words than the substream has bytes for."""
+    """There are more words than bytes for them."""
     return Edit(t.pack({f"{path}.word_count": value}), t.substreams[path].start)
 
 
@@ -60,7 +60,7 @@ def _(draw: Draw, t: Target) -> Drawn:
 
 @fault("substream.state")
 def state(t: Target, path: str, lane: int, value: int) -> Edit:
-    """A lane's initial state below 2^16. lane: -1 is the last one."""
+    """The initial state of a lane is below 2^16. lane: -1 is the last one."""
     s = t.substreams[path]
     return Edit({s.state_at(lane): struct.pack("<I", value)}, s.start)
 
@@ -72,7 +72,7 @@ def _(draw: Draw, t: Target) -> Drawn:
 
 
 def with_words(t: Target, s: Substream, more: int) -> bytes:
-    """A substream with more words of 0 behind its own, or without its last ones."""
+    """Returns a substream with additional words of 0, or without its last words."""
     end = s.raw_at if more > 0 else s.raw_at + 2 * more
     words = t.data[s.start + 8 : end] + bytes(max(0, 2 * more))
     return t.data[s.start : s.start + 4] + struct.pack("<I", s.words + more) + words + t.data[s.raw_at : s.end]
@@ -80,7 +80,7 @@ def with_words(t: Target, s: Substream, more: int) -> bytes:
 
 @fault("substream.words")
 def more_words(t: Target, path: str, more: int) -> Whole:
-    """Words that no lane takes."""
+    """There are words that no lane reads."""
     s = t.substreams[path]
     return Whole(t.with_substream(path, with_words(t, s, more)), s.start)
 
@@ -105,7 +105,7 @@ def _(draw: Draw, t: Target) -> Drawn:
 
 @fault("substream.final_state")
 def idle_lane(t: Target, path: str, value: int) -> Edit:
-    """A last lane without symbols, whose state is not 2^16."""
+    """The state of a last lane without symbols is not 2^16."""
     s = t.substreams[path]
     assert t.data[s.state_at(-1) : s.state_at(-1) + 4] == struct.pack("<I", STATE_MIN)
     return Edit({s.state_at(-1): struct.pack("<I", value)}, s.start)
@@ -113,7 +113,7 @@ def idle_lane(t: Target, path: str, value: int) -> Edit:
 
 @idle_lane.drawn
 def _(draw: Draw, t: Target) -> Drawn:
-    # A lane with symbols can begin at 2^16 as well. The last one has none where masks have more lanes than anchors.
+    # A lane with symbols can also begin at 2^16. The last lane has none if masks have more lanes than anchors.
     counts = [t.value(f"index.entry[{n}].anchor_count") for n in range(t.header.chunk_count)]
     anchors = {f"masks[chunk {n}]": count for n, count in enumerate(counts)}
     idle = [path for path, count in anchors.items() if t.substreams[path].lanes > count]
@@ -122,7 +122,7 @@ def _(draw: Draw, t: Target) -> Drawn:
 
 @fault("substream.final_state")
 def used_lane(t: Target, path: str, more: int) -> Edit:
-    """A first lane whose state is more by a number, and takes no word for it."""
+    """The state of the first lane is increased, without an effect on the words that it reads."""
     s = t.substreams[path]
     assert s.words == 0
     (old,) = struct.unpack_from("<I", t.data, s.state_at(0))
@@ -131,7 +131,7 @@ def used_lane(t: Target, path: str, more: int) -> Edit:
 
 @fault("substream.raw_length")
 def raw_bytes(t: Target, path: str, content: bytes) -> Whole:
-    """Raw bytes that nothing reads."""
+    """There are unused raw bytes."""
     s = t.substreams[path]
     return Whole(t.with_substream(path, t.data[s.start : s.end] + content), s.start)
 
@@ -143,7 +143,7 @@ def _(draw: Draw, t: Target) -> Drawn:
 
 @fault("substream.symbol_crc")
 def symbol_crc(t: Target, path: str, at: int, bits: int) -> Edit:
-    """Bits of a byte of the CRC-32 of a substream's symbols are turned."""
+    """Bits of a byte of the CRC-32 of a substream's symbols are flipped."""
     s = t.substreams[path]
     return Edit(t.flip(s.start + at, bits), s.start)
 
@@ -165,7 +165,7 @@ def add(book: Book) -> None:
     _words(book)
 
 
-# By the kind of substream a file that has one, its path and its feature.
+# By kind of substream: a file with one, its path and its feature.
 BASES: dict[str, tuple[Callable[[], Target], str, str]] = {
     "planes": (plain, "planes.r1", "planes"),
     "masks": (plain, "masks[chunk 0]", "masks"),
@@ -177,7 +177,7 @@ LAST = {"planes": "planes.r2.bottom_right", "attributes": "attributes[chunk 2]"}
 
 
 def _refused(book: Book, kind: str) -> None:
-    """The faults that every kind of substream can have."""
+    """Adds the faults that every kind of substream can have."""
     base, path, feature = BASES[kind]
 
     def add(klass: str, name: str, text: str, make: Callable[[], Refused], flags: str) -> None:
@@ -209,7 +209,7 @@ def _refused(book: Book, kind: str) -> None:
 
 @cache
 def idle() -> Target:
-    """A file whose substreams all have lanes without symbols."""
+    """Returns a file in which all substreams have lanes without symbols."""
     return Target(codec.emit(drawn("refused-idle", 3, lanes=Lanes(6, 4, 8))))
 
 
@@ -220,7 +220,7 @@ def _refused_ends(book: Book) -> None:
     book.add("malformed-attributes-of-3-bytes", title, make, features="substream attributes", flags="truncation")
     title = "a word_count whose double is right modulo 2^32"
     book.add("malformed-words-wrap", title, _words_wrap, features="substream", flags="sum-wraps lengths-trusted")
-    # 16 bits of an escape fill two bytes; a third has nothing to hold.
+    # The 16 bits of an escape fill two bytes. A third byte is unused.
     title, proved = "a raw byte after the last bit fills the one before", "D8.8-1 D8.8-2 D8.7-1"
     make = raw_bytes.of(partial(far, radius() + (1 << 7) + 3), ATTRIBUTES_0, b"\0")
     book.add(
@@ -237,7 +237,7 @@ def _refused_ends(book: Book) -> None:
         title = f"a lane that no symbol uses is not at 2^16, in the {kind}"
         make = idle_lane.of(idle, path, STATE_MIN + 1)
         add(f"invalid-final-state-idle-{kind}", title, make, flags="final-state idle-lanes")
-    # A lane whose symbols leave it above 2^16 without a word: it ends at a state that is 2^14 more.
+    # A lane whose symbols leave it above 2^16 without a word. Its final state is 2^14 larger.
     title, make = "a lane that ends above 2^16", used_lane.of(partial(far, 0), ATTRIBUTES_0, 2)
     add("invalid-final-state-used", title, make, flags="final-state")
 

@@ -26,9 +26,9 @@ from .target import Target
 from .targets import ATTRIBUTES_0, SEEDS, far, grids
 from .weights_packed import with_integers
 
-# One slice of sixteen, scalings, and offsets that are all kept.
+# One slice of sixteen, scalings, and offsets, all of them kept.
 WIDE = Dimensions(10, (16,), 1, 4, 6, (20,), (4,), (), 1)
-# The numbers of its D = 52 channels.
+# The numbers of the D = 52 channels.
 CHANNEL = np.arange(WIDE.attribute_width)
 
 
@@ -37,7 +37,7 @@ CHANNEL = np.arange(WIDE.attribute_width)
 
 @dataclass
 class Unlimited:
-    """An encoder whose symbols have no limit."""
+    """An encoder without limits of symbols."""
 
     encoder: Encoder
 
@@ -51,21 +51,21 @@ class Unlimited:
         name: SymbolName,
         given: Int64 | None,
     ) -> Int64:
-        """A group of values."""
+        """Codes a group of values."""
         return self.encoder.values(models, mean, scale, counts, 1 << 40, name, given)
 
     def plain(self, models: ModelSet, index: Int64, counts: list[int], name: SymbolName, given: Int64 | None) -> Int64:
-        """A group of symbols."""
+        """Codes a group of symbols."""
         return self.encoder.plain(models, index, counts, name, given)
 
 
-# The sub-plane that has a symbol in the file of larger_plane_symbol.
+# The sub-plane with a symbol in the file of larger_plane_symbol.
 PLANE_2 = "planes.r2.top_right"
 
 
 @fault("substream.symbol_range")
 def larger_plane_symbol(t: Target) -> Edit:
-    """The largest plane symbol becomes one larger. The raw bytes are its escape, which has low bits to spare."""
+    """The largest plane symbol is increased by one. The raw bytes are its escape, which has unused low bits."""
     s = t.substreams[PLANE_2]
     bits = int.from_bytes(t.data[s.raw_at : s.end], "little") + (1 << 16)
     return Edit({s.raw_at: bits.to_bytes(s.end - s.raw_at, "little")}, s.start)
@@ -73,7 +73,7 @@ def larger_plane_symbol(t: Target) -> Edit:
 
 @fault("substream.symbol_range")
 def large_weight(t: Target, layer: str) -> Whole:
-    """A packed layer with the largest integer and one more than that, in the first two rows of its first column."""
+    """A packed layer has the largest integer, and one more, in the first two rows of its first column."""
 
     def change(g: GridLayer) -> GridLayer:
         weight = g.weight.copy()
@@ -92,14 +92,14 @@ def _(draw: Draw, t: Target) -> Drawn:
 
 @fault("substream.symbol_range")
 def other_raw_bits(t: Target, bits: int) -> Edit:
-    """Raw bits of a wide distribution that lead beyond the limit. bits: those that are turned."""
+    """Raw bits of a wide distribution give a symbol above the limit. bits: the flipped bits."""
     s = t.substreams[ATTRIBUTES_0]
     return Edit(t.flip(s.raw_at, bits), s.start)
 
 
 @fault("substream.symbol_range")
 def wrapping_symbol(t: Target, scale: int, value: int) -> Whole:
-    """A feature so large that in 32 bits it is a small one, which has the same symbol_crc. scale: that of its model."""
+    """A feature overflows 32 bits to a small one with the same symbol_crc. scale: of its model."""
     encoder, gauss, none = Encoder(1, 1), tables().gauss, np.zeros(6, np.int64)
     # SPEC 7.10: the scalings come first.
     encoder.values(gauss, none, none + SCALE_MIN, [6], 1 << 40, _numbered, none)
@@ -123,7 +123,7 @@ def add(book: Book) -> None:
 
 @cache
 def _largest_plane_symbol() -> Target:
-    """A file whose one plane symbol that is not 0 is the largest: an escape with 14 zero bits."""
+    """Returns a file whose only nonzero plane symbol is the largest: an escape with 14 zero bits."""
     made = scene("refused-plane", 0, SMALLEST, lanes=Lanes(0, 0, 0))
     made.networks["sarm"][:] = silent(made.networks["sarm"])
     made.networks["sarm"][-1][1][1] = -40
@@ -147,7 +147,7 @@ def _refused_symbols(book: Book) -> None:
             large_weight.of(grids, "colour.1"),
             "packed-weights escapes",
         ),
-        # 16 raw bits: the symbol of a model is in units of 2^16, and its low bits lead over the limit.
+        # 16 raw bits: the symbol of a model is in units of 2^16, and its low bits exceed the limit.
         (
             "symbol-raw-minus-2-23",
             "raw bits that lead to -2^23",
@@ -179,7 +179,7 @@ def spread(
     anchors: int = 12,
     lanes: Lanes | None = None,
 ) -> Scene:
-    """A scene of WIDE whose channels have these means and scale indices, the same for each anchor."""
+    """Returns a scene of WIDE with given means and scale indices of channels, the same for each anchor."""
     found, masks = constant(WIDE, Numbers(name), mean, scale), np.ones((anchors, WIDE.offset_count), bool)
     made = scene(name, anchors, WIDE, networks=found, masks=masks)
     return sampled(replace(made, lanes=lanes or made.lanes), coder, planes=False)
@@ -218,7 +218,7 @@ def _gauss() -> Scene:
     found = observing(d, numbers)
     total = d.attribute_width
     w, b = found["hyper"][-1]
-    # Each channel a row or two, by turns; the columns follow from the context.
+    # Each channel has one or two rows in turn. The columns follow from the context.
     b[total : 2 * total] = SCALE_MIN + np.arange(total) % 64
     w[total : total + 8, 0] = 2.0**-5
     return sampled(scene("models-gauss", 330, d, networks=found, masks=np.ones((330, 10), bool)), Sweep(numbers))
@@ -228,7 +228,7 @@ def _laplace() -> Scene:
     numbers = Numbers("models-laplace")
     d = Dimensions(1, (1,), 8, 1, 24, (1,), (2,), (), 1)
     found = networks(d, numbers)
-    # The left neighbour and one above give the scale index, the others the mean. Both are bounded for all symbols.
+    # The left neighbour and one above determine the scale index, the others the mean. Both are bounded.
     first = np.array([[16, 0, 0, 112], [0, 80, 16, 0]], np.float32)
     found["sarm"] = [
         (first, np.array([512, 512], np.float32)),
@@ -286,7 +286,7 @@ def _ranges(book: Book) -> None:
 
 
 def _widths() -> Scene:
-    # Row 23 without raw bits, then the first and the last row of each number of them, and more than there can be.
+    # Row 23 without raw bits, then the first and the last row for each number of raw bits, and beyond the last.
     ends = [s for k in range(1, 17) for s in (16 + 8 * k, 23 + 8 * k)]
     scale = np.array([23, *ends, 152, 160, 255, 1000, (1 << 24) - 1])
     mean, coder = Numbers("raw-widths").integers(-200, 200, len(CHANNEL)), Sampler(Numbers("raw-widths/symbols"), 12)

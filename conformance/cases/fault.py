@@ -1,7 +1,7 @@
 """Faults: each way to break a file, defined once.
 
-The file of a chapter defines a fault as a function of a valid file and of parameters. The function says which bytes
-change, and which offset the error must tell. What draws the parameters stands beside it:
+The module of a chapter defines a fault as a function of a valid file and of parameters. The function returns the
+changed bytes, and the offset of the error. A second function draws the parameters:
 
     @fault("planes.length")
     def sub_plane_length(t: Target, plane: int, change: int) -> Edit:
@@ -12,8 +12,8 @@ change, and which offset the error must tell. What draws the parameters stands b
         return t, draw.integer(0, 4), draw.choice([1, -1])
 
 The suite lists the fault with chosen parameters: `book.add(..., sub_plane_length.of(plain, 4, -1), ...)`. The fuzzer
-and the tests draw them, with the Draw of conformance/fuzz/strategies.py, which is made of hypothesis's strategies. So
-the suite itself does without hypothesis.
+and the tests draw them, with the Draw of conformance/fuzz/strategies.py, which uses hypothesis. Thus the suite does not
+need hypothesis.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ T = TypeVar("T")
 
 @dataclass(frozen=True)
 class Refused:
-    """A file that must be refused: name of the error and its offset (SPEC 10.2)."""
+    """The expected refusal of a file: name and offset of the error (SPEC 10.2)."""
 
     data: bytes
     name: str
@@ -47,10 +47,10 @@ class Refused:
 
 @dataclass(frozen=True)
 class Edit:
-    """A fault that leaves a file as long as it is.
+    """A fault that does not change the length of a file.
 
-    puts: bytes by their offset. offset: what the error must tell. right: how far in checksums are made right after it;
-    the others stay as they were. error: its name, which the Fault fills in.
+    puts: bytes by their offset. offset: of the error. right: the depth to which checksums are repaired afterwards.
+    error: its name, which the Fault fills in.
     """
 
     puts: Mapping[int, bytes]
@@ -61,35 +61,35 @@ class Edit:
 
 @dataclass(frozen=True)
 class Whole:
-    """A fault that makes a file of another length: its bytes, and the offset that the error must tell."""
+    """A fault that changes the length of a file: the resulting bytes, and the offset of the error."""
 
     data: bytes
     offset: int
 
 
 class Draw(Protocol):
-    """Where the parameters of a fault come from when they are drawn."""
+    """The source of drawn parameters of faults."""
 
     def integer(self, low: int, high: int) -> int:
-        """An integer, both ends included."""
+        """Draws an integer between bounds, both included."""
 
     def flag(self) -> bool:
-        """Yes or no."""
+        """Draws True or False."""
 
     def choice(self, items: Sequence[T]) -> T:
-        """One of the items. Without items the file has no place for the fault, and nothing is drawn."""
+        """Draws one of the items. Without items the file has no place for the fault."""
 
     def content(self, low: int, high: int) -> bytes:
-        """Any bytes, low to high of them."""
+        """Draws low to high bytes."""
 
 
-# What a fault is called with: a file, which may be another than the one that was given, and the parameters. None if
-# the file has no place for the fault.
+# The arguments of a fault: a file, possibly not the given one, and parameters. None if the file has no place for the
+# fault.
 Drawn = tuple[Any, ...] | None
 
 
 class Fault(Generic[P]):
-    """One way to break a file. error: the name of its error (SPEC 10.2). name: the error's and the fault's own."""
+    """A kind of fault. error: the name of its error (SPEC 10.2). name: those of the error and of the fault."""
 
     def __init__(self, error: str, name: str, broken: Callable[Concatenate[Target, P], Edit | Whole]) -> None:
         self.error, self.name = error, f"{error}/{name}"
@@ -100,22 +100,22 @@ class Fault(Generic[P]):
         FAULTS[self.name] = self
 
     def __call__(self, t: Target, *args: P.args, **kwargs: P.kwargs) -> Refused:
-        """The file with this fault."""
+        """Returns the file with this fault."""
         made = self._broken(t, *args, **kwargs)
         if isinstance(made, Whole):
             return Refused(made.data, self.error, made.offset)
         return together(t, replace(made, error=self.error))
 
     def of(self, base: Callable[[], Target], *args: P.args, **kwargs: P.kwargs) -> Callable[[], Refused]:
-        """What makes a file with this fault, when it is asked for."""
+        """Returns a function that makes a file with this fault."""
         return lambda: self(base(), *args, **kwargs)
 
     def target(self, base: Callable[[], Target], *args: P.args, **kwargs: P.kwargs) -> Callable[[], Target]:
-        """What makes a file with this fault, as one that another fault is put into. Its container must be valid."""
+        """Returns a function that makes a file with this fault, for another fault. Its container must be valid."""
         return lambda: Target(self(base(), *args, **kwargs).data)
 
     def edit(self, *args: P.args, **kwargs: P.kwargs) -> Callable[[Target], Edit]:
-        """The fault as one of several in a file (together). It must be one that leaves the file as long as it is."""
+        """Returns the fault as one of several in a file (together). It must not change the file's length."""
 
         def made(t: Target) -> Edit:
             found = self._broken(t, *args, **kwargs)
@@ -125,7 +125,7 @@ class Fault(Generic[P]):
         return made
 
     def drawn(self, draw: Callable[[Draw, Target], Drawn]) -> None:
-        """Decorates what draws the arguments."""
+        """Decorates the function that draws the arguments."""
         self.draw = draw
 
 
@@ -141,9 +141,9 @@ def fault(error: str) -> Callable[[Callable[Concatenate[Target, P], Edit | Whole
 def wrong_value(
     error: str, values: Mapping[str, Sequence[float]], told: Callable[[str], str] = str
 ) -> Fault[[str, float]]:
-    """The fault that one element has another value. Its parameters are the element's path and the value.
+    """Returns the fault that an element has a wrong value. Its parameters are the element's path and the value.
 
-    values: the wrong values to draw, by path. told: from the path of the wrong element to that of the one that is told.
+    values: the wrong values to draw, by path. told: maps the path of the wrong element to that of the reported one.
     """
 
     def value(t: Target, path: str, value: float) -> Edit:
@@ -163,7 +163,7 @@ def wrong_value(
 
 
 def one_field(t: Target, path: str, value: float) -> Edit:
-    """An element with another value, which is the one that is told."""
+    """An element has a wrong value, and is reported."""
     return Edit(t.pack({path: value}), t.at(path))
 
 
@@ -172,16 +172,16 @@ Part = Callable[[Target], Edit]
 
 
 def several(base: Callable[[], Target], *parts: Part) -> Callable[[], Refused]:
-    """What makes a file with several faults, the first of which must be told, when it is asked for."""
+    """Returns a function that makes a file with several faults, the first of which must be reported."""
     return lambda: together(base(), *(part(base()) for part in parts))
 
 
 def together(t: Target, first: Edit, *others: Edit) -> Refused:
-    """The file with one fault or several, the first of which must be told (SPEC 10.1)."""
+    """Returns the file with faults, the first of which must be reported (SPEC 10.1)."""
     data = t.data
     for depth in sorted(Depth, reverse=True):
         out = bytearray(data)
-        # The first fault's bytes stay whatever the others put there.
+        # The first fault's bytes have precedence.
         puts = [put for edit in (*others, first) if edit.right == depth for put in edit.puts.items()]
         for at, value in puts:
             out[at : at + len(value)] = value

@@ -1,4 +1,4 @@
-"""The features of files: what a decoder must be able to do, or to notice, for a vector."""
+"""The features of vectors: abilities of a decoder, or checks, that they need."""
 
 FEATURES = {
     "prologue": "the twenty bytes that all versions share (5.1)",

@@ -1,7 +1,7 @@
-"""The flags of vectors: each names a bug that these vectors catch, and its text says what the decoder does wrong."""
+"""The flags of vectors: each names a bug that they catch. Its text describes the decoder's fault."""
 
 FLAGS = {
-    # What is checked.
+    # Checks.
     "truncation": "reads past the end of a file, a section or a substream that is cut",
     "signature-partly": "compares a part of the signature, or without case or the high bit",
     "checksum-unchecked": "does not compare a CRC-32, or over other bytes",

@@ -1,4 +1,4 @@
-"""Cases of clauses 5.7 and 6.7: the frame's limits. What it does to positions is in context.py."""
+"""Cases of clauses 5.7 and 6.7: the frame's limits. Its effect on positions is in context.py."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ reserved = wrong_value("frame.reserved", {"frame.reserved": [1, 255]})
 
 @fault("frame.range")
 def empty_range(t: Target, axis: int) -> Edit:
-    """An axis whose high is its low."""
+    """The high of an axis is equal to its low."""
     path = f"frame.high[{axis}]"
     return Edit(t.pack({path: t.value(f"frame.low[{axis}]")}), t.at(path))
 

@@ -45,7 +45,7 @@ def _(draw: Draw, t: Target) -> Drawn:
 
 @fault("prologue.signature")
 def signature_byte(t: Target, at: int, value: int) -> Edit:
-    """A byte of the signature is another one."""
+    """A byte of the signature is wrong."""
     return Edit({at: bytes([value])}, 0)
 
 
@@ -57,7 +57,7 @@ def _(draw: Draw, t: Target) -> Drawn:
 
 @fault("prologue.crc")
 def prologue_byte(t: Target, at: int, bits: int) -> Edit:
-    """Bits of the prologue behind the signature are turned, and its CRC-32 is the old one."""
+    """Bits of the prologue after the signature are flipped, without its CRC-32."""
     return Edit(t.flip(at, bits), 16, Depth.NOTHING)
 
 
@@ -68,7 +68,7 @@ def _(draw: Draw, t: Target) -> Drawn:
 
 @fault("prologue.version")
 def version(t: Target, major: int, minor: int = 0) -> Edit:
-    """A major version that is not 0."""
+    """The major version is not 0."""
     return Edit(t.pack({"prologue.major": major, "prologue.minor": minor}), 8, Depth.PROLOGUE)
 
 
@@ -79,7 +79,7 @@ def _(draw: Draw, t: Target) -> Drawn:
 
 @fault("prologue.header_length")
 def header_length(t: Target, value: int) -> Edit:
-    """A header_length that no header can have: too small, too large, or no multiple of 4."""
+    """The header_length is too small, too large, or not a multiple of 4."""
     return Edit(t.pack({"prologue.header_length": value}), 12, Depth.PROLOGUE)
 
 
@@ -94,7 +94,7 @@ def _(draw: Draw, t: Target) -> Drawn:
 
 @fault("header.truncated")
 def cut_in_header(t: Target, left: int) -> Whole:
-    """The file ends within its header. left: bytes of the header that are there; -1 is all but the last."""
+    """The file ends within its header. left: present bytes of the header; -1 is all but the last."""
     length = range(PROLOGUE_BYTES, t.header_end)[left]
     return Whole(t.data[:length], length)
 
@@ -106,7 +106,7 @@ def _(draw: Draw, t: Target) -> Drawn:
 
 @fault("header.crc")
 def header_byte(t: Target, at: int, bits: int) -> Edit:
-    """Bits of a byte of the header are turned, and its CRC-32 is the old one.
+    """Bits of a byte of the header are flipped, without its CRC-32.
 
     at: the byte, from the header's start, or from its end if it is negative.
     """
@@ -120,9 +120,9 @@ def _(draw: Draw, t: Target) -> Drawn:
 
 @fault("header.syntax")
 def fields_cut_or_padded(t: Target, length: int, alone: bool = False, minor: int = 0) -> Whole:
-    """The header ends before its fields do, or in a file of minor version 0 there are zeros behind them.
+    """The header ends before its fields, or zeros follow the fields in a file of minor version 0.
 
-    length: the header's bytes before its CRC-32, a multiple of 4. alone: the file ends with the header.
+    length: bytes of the header before its CRC-32, a multiple of 4. alone: the file ends with the header.
     """
     fields = t.data[PROLOGUE_BYTES:][: fields_length(t)]
     head = fields[:length].ljust(length, b"\0")
@@ -141,7 +141,7 @@ def _(draw: Draw, t: Target) -> Drawn:
 
 @fault("header.syntax")
 def count_beyond_header(t: Target, path: str, count: int) -> Edit:
-    """A list that is longer than the header."""
+    """A list is longer than the header."""
     return Edit(t.pack({path: count}), t.header_end)
 
 
@@ -151,7 +151,7 @@ def _(draw: Draw, t: Target) -> Drawn:
 
 
 def fields_length(t: Target) -> int:
-    """Bytes of the header's fields that are known, but its CRC-32."""
+    """Returns the bytes of the header's known fields, without its CRC-32."""
     return layout(t.data)[1] - 4 - PROLOGUE_BYTES
 
 
@@ -170,7 +170,7 @@ reserved = wrong_value(
 
 @fault("header.padding")
 def padding_byte(t: Target, place: int, value: int) -> Edit:
-    """A byte of the padding of the dimensions that is not zero."""
+    """A byte of the padding of the dimensions is not zero."""
     first = t.at("dimensions.padding")
     return Edit({first + place: bytes([value])}, first)
 
@@ -208,7 +208,7 @@ render_info = wrong_value(
 
 @fault("header.chunk_count")
 def chunk_count(t: Target, value: int) -> Edit:
-    """Fewer chunks than the anchors need, or more than there are anchors."""
+    """There are fewer chunks than the anchors need, or more than anchors."""
     return Edit(t.pack({"chunk_count": value}), t.at("chunk_count"))
 
 
@@ -223,7 +223,7 @@ def _(draw: Draw, t: Target) -> Drawn:
 
 
 def label_of(path: str) -> str:
-    """The path of an element as a part of an identifier."""
+    """Returns the path of an element as part of an identifier."""
     return path.replace("_", "-").replace(".", "-").replace("[", "-").replace("]", "")
 
 

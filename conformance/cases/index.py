@@ -1,7 +1,6 @@
 """Cases of clauses 5.12, 5.13 and 6.10: the model of positions, and the entries of chunks.
 
-The mask model is in masks.py. What an entry says of its chunk is compared with the chunk where that is read: those
-faults are in chunks.py.
+The mask model is in masks.py. Faults of entries that contradict their chunk are in chunks.py.
 """
 
 from __future__ import annotations
@@ -28,17 +27,17 @@ from .scenes import SMALLEST, f16, packed_weights, scene
 from .target import Target
 from .targets import far, packed, plain
 
-# f16 numbers that no bound of a chunk is.
+# f16 numbers that a bound of a chunk cannot be.
 WRONG_F16 = {"infinite": 0x7C00, "minus-infinite": 0xFC00, "not-a-number": 0x7E01, "negative-zero": 0x8000}
 
 
 def _path(chunk: int, field: str) -> str:
-    """The path of a field of a chunk's entry."""
+    """Returns the path of a field of a chunk's entry."""
     return f"index.entry[{chunk}].{field}"
 
 
 def _chunk(draw: Draw, t: Target) -> int | None:
-    """One of the chunks, if there is any."""
+    """Draws one of the chunks, if there are any."""
     return draw.integer(0, t.header.chunk_count - 1) if t.header.chunk_count else None
 
 
@@ -47,7 +46,7 @@ def _chunk(draw: Draw, t: Target) -> int | None:
 
 @fault("index.reserved")
 def reserved(t: Target, item: int, value: int) -> Edit:
-    """A reserved byte of the model of positions is not zero. The first of these bytes is told."""
+    """A reserved byte of the model of positions is not zero. The first of these bytes is reported."""
     path = "index.position_model.reserved"
     return Edit(t.pack({f"{path}[{item}]": value}), t.at(f"{path}[0]"))
 
@@ -59,7 +58,7 @@ def _(draw: Draw, t: Target) -> Drawn:
 
 @fault("index.position_model")
 def cell_shift(t: Target, value: int) -> Edit:
-    """A cell_shift above the largest."""
+    """The cell_shift is too large."""
     return one_field(t, "index.position_model.cell_shift", value)
 
 
@@ -69,7 +68,7 @@ def _(draw: Draw, t: Target) -> Drawn:
 
 
 def _frequencies(t: Target, model: int) -> tuple[str, list[int]]:
-    """A model's path and its frequencies."""
+    """Returns a model's path and its frequencies."""
     path = "index.position_model.frequency"
     return path, [t.value(f"{path}[{HALVES * model + i}]") for i in range(HALVES)]
 
@@ -82,9 +81,9 @@ def _with_frequencies(t: Target, model: int, values: list[int]) -> Edit:
 
 @fault("index.position_model")
 def frequencies(t: Target, model: int, changes: dict[int | None, int]) -> Edit:
-    """Frequencies that do not add up to the total, or stand for what cannot be.
+    """Frequencies have a wrong sum, or an impossible symbol has a frequency.
 
-    changes: what is added, by symbol. None is the symbol with the largest frequency.
+    changes: numbers to add, by symbol. None is the symbol with the largest frequency.
     """
     _, values = _frequencies(t, model)
     largest = int(np.argmax(values))
@@ -102,7 +101,7 @@ def _(draw: Draw, t: Target) -> Drawn:
 
 @fault("index.position_model")
 def no_frequency(t: Target, model: int, symbol: int) -> Edit:
-    """A frequency of 0 for a symbol that can be; the largest of the others has what it had."""
+    """A possible symbol has the frequency 0. Its frequency is added to the largest of the others."""
     _, values = _frequencies(t, model)
     other = max((n for n in range(HALVES) if n != symbol), key=lambda n: (values[n], -n))
     values[symbol], values[other] = 0, values[other] + values[symbol]
@@ -114,7 +113,7 @@ def _(draw: Draw, t: Target) -> Drawn:
     if not t.sections[INDEX].mode:
         return None
     model, symbol = draw.integer(0, POSITION_MODELS - 1), draw.integer(0, HALVES - 1)
-    # Of an empty node symbol 0 cannot be, and has the frequency 0.
+    # Symbol 0 is impossible for an empty node, and has the frequency 0.
     return (t, model, symbol) if _frequencies(t, model)[1][symbol] else None
 
 
@@ -123,7 +122,7 @@ def _(draw: Draw, t: Target) -> Drawn:
 
 @fault("index.chunk")
 def anchor_count(t: Target, chunk: int, value: int) -> Edit:
-    """A chunk without anchors, or with more of them than chunk_size."""
+    """A chunk has no anchors, or more than chunk_size."""
     return one_field(t, _path(chunk, "anchor_count"), value)
 
 
@@ -135,7 +134,7 @@ def _(draw: Draw, t: Target) -> Drawn:
 
 @fault("index.chunk")
 def length(t: Target, chunk: int, value: int) -> Edit:
-    """A length that is no multiple of four, or too small for the anchors."""
+    """A length is not a multiple of four, or too small for the anchors."""
     return one_field(t, _path(chunk, "length"), value)
 
 
@@ -150,9 +149,9 @@ def _(draw: Draw, t: Target) -> Drawn:
 
 @fault("index.chunk")
 def crowd(t: Target, chunk: int, more: int) -> Edit:
-    """More anchors than the chunk's bytes can stand for. The length is told.
+    """There are too many anchors for the chunk's bytes. The length is reported.
 
-    more: how many more. A byte behind the head stands for 16 anchors at most.
+    more: the excess. Each byte after the head allows 16 anchors.
     """
     held = t.value(_path(chunk, "length")) - CHUNK_HEAD_BYTES
     count = ANCHORS_OF_A_BYTE * held + more
@@ -167,7 +166,7 @@ def _(draw: Draw, t: Target) -> Drawn:
 
 @fault("index.chunk")
 def kept_count(t: Target, chunk: int, more: int) -> Edit:
-    """More kept offsets than the chunk has, modulo 2^32."""
+    """There are more kept offsets than offsets in the chunk, modulo 2^32."""
     path = _path(chunk, "kept_count")
     most = t.header.dimensions.offset_count * t.value(_path(chunk, "anchor_count"))
     return Edit(t.pack({path: (most + more) % (1 << 32)}), t.at(path))
@@ -181,7 +180,7 @@ def _(draw: Draw, t: Target) -> Drawn:
 
 @fault("index.chunk")
 def bound(t: Target, chunk: int, field: str, bits: int) -> Edit:
-    """A bound of a chunk that is no finite number, or is -0. field: such as `low[0]`."""
+    """A bound of a chunk is not finite, or -0. field: such as `low[0]`."""
     at = t.at(_path(chunk, field))
     return Edit({at: struct.pack("<H", bits)}, at)
 
@@ -198,11 +197,11 @@ def _(draw: Draw, t: Target) -> Drawn:
 
 @fault("index.chunk")
 def low_above_high(t: Target, chunk: int, axis: int) -> Edit:
-    """A lower bound that is the next number above the upper one. The lower one is told."""
+    """A lower bound is the next number above the upper one. The lower one is reported."""
     low = _path(chunk, f"low[{axis}]")
     high = np.array([t.value(_path(chunk, f"high[{axis}]"))], np.float16)
     above = np.nextafter(high, np.float16(np.inf))
-    # Above a least negative number is -0, which is told for itself.
+    # The number above the smallest negative one is -0, which is a different fault.
     above[above == 0] = np.float16(2.0**-24)
     return Edit({t.at(low): above.tobytes()}, t.at(low))
 
@@ -220,7 +219,7 @@ def _(draw: Draw, t: Target) -> Drawn:
 
 @fault("index.length")
 def anchors_amiss(t: Target, chunk: int, value: int) -> Edit:
-    """Anchors of a chunk that could be as many, but that do not add up to N."""
+    """The anchors of a chunk are possible, but the sum is not N."""
     return Edit(t.pack({_path(chunk, "anchor_count"): value, _path(chunk, "kept_count"): 0}), t.start(INDEX))
 
 
@@ -237,7 +236,7 @@ def _(draw: Draw, t: Target) -> Drawn:
 
 @fault("index.length")
 def lengths_amiss(t: Target, changes: dict[int, int]) -> Edit:
-    """Lengths of chunks that do not add up to DATA. changes: what is added modulo 2^32, by chunk."""
+    """The sum of the chunks' lengths is not that of DATA. changes: numbers to add modulo 2^32, by chunk."""
     values = {path: t.value(path) + more for path, more in ((_path(c, "length"), m) for c, m in changes.items())}
     return Edit(t.pack({path: value % (1 << 32) for path, value in values.items()}), t.start(INDEX))
 
@@ -250,7 +249,7 @@ def _(draw: Draw, t: Target) -> Drawn:
 
 @fault("index.length")
 def data_amiss(t: Target, content: bytes) -> Whole:
-    """A section of chunks that is longer than these, or shorter. content: what it has instead."""
+    """DATA is longer or shorter than the chunks. content: its new content."""
     return Whole(resized(t.data, DATA, content), t.start(INDEX))
 
 
@@ -264,7 +263,7 @@ def _(draw: Draw, t: Target) -> Drawn:
 
 @cache
 def without_anchors() -> Target:
-    """A file without anchors, whose index has a model of positions."""
+    """Returns a file without anchors whose index has a model of positions."""
     return Target(codec.emit(scene("outside-empty", 0, SMALLEST, position_model=sharp_model())))
 
 
@@ -335,7 +334,7 @@ def _entries(book: Book) -> None:
 
 
 def _held(t: Target) -> int:
-    """How many anchors the bytes of the first chunk stand for at most."""
+    """Returns the most anchors that the bytes of the first chunk allow."""
     return int(ANCHORS_OF_A_BYTE * (t.value(_path(0, "length")) - CHUNK_HEAD_BYTES))
 
 
@@ -365,7 +364,7 @@ def _bounds(book: Book) -> None:
 
 @cache
 def _negative() -> Target:
-    """A file of two anchors whose coordinates are all negative."""
+    """Returns a file of two anchors with negative coordinates."""
     where = f16(np.array([[-5, -7, -9], [-6, -3, -1024]]))
     return Target(codec.emit(drawn("refused-negative", 2, SMALLEST, positions=where)))
 
@@ -404,7 +403,7 @@ def _sums(book: Book) -> None:
 
 @cache
 def _padded_end() -> Target:
-    """A file whose last part of a chunk has padding behind it."""
+    """Returns a file with padding after the last part of a chunk."""
     found = next(t for t in map(far, range(1000, 1600, 100)) if t.elements.get("attributes[chunk 0], padding"))
     assert found.element("attributes[chunk 0], padding").end == found.start(DATA) + found.sections[DATA].length
     return found
@@ -474,7 +473,7 @@ def _valid(book: Book) -> None:
 
 
 def _fullest() -> Scene:
-    # Cuboids of cells whose models know them. One of them has 16 anchors for each byte, the most there can be.
+    # Cuboids of cells with suitable models. One of them has 16 anchors per byte, the maximum.
     for size in ((8, 8, depth) for depth in range(9, 40)):
         made = cheap("index-fullest", cuboid(*size))
         t = Target(codec.emit(made))

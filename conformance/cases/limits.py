@@ -41,7 +41,7 @@ from .targets import main_file, plain, planeless, unpredicted
 # Of a file of Tiny.
 profile = wrong_value("header.profile", {"profile": [2, 3, 255]})
 chunk_size = wrong_value("header.chunk_size", {"chunk_size": [0, 65537, 0xFFFFFFFF]})
-# SPEC 5.3: the lists of the dimensions, by the field that counts them.
+# SPEC 5.3: the lists of the dimensions, by their count field.
 LISTS = {
     "slice_count": "slice_width",
     "hyper_layers": "hyper_width",
@@ -52,7 +52,7 @@ LISTS = {
 
 @fault("header.level")
 def level(t: Target, value: int) -> Edit:
-    """A level that the profile does not have."""
+    """The profile does not have the level."""
     return Edit(t.pack({"level": value}), t.at("level"))
 
 
@@ -64,7 +64,7 @@ def _(draw: Draw, t: Target) -> Drawn:
 
 @fault("header.dimension")
 def dimension(t: Target, name: str, value: int) -> Edit:
-    """A dimension outside the limits of the profile, of the level, or of what the others allow."""
+    """A dimension is outside the limits of the profile or level, or contradicts others."""
     return one_field(t, f"dimensions.{name}", value)
 
 
@@ -80,7 +80,7 @@ def _(draw: Draw, t: Target) -> Drawn:
 
 @fault("header.dimension")
 def list_length(t: Target, counter: str, widths: list[int]) -> Whole:
-    """A list of dimensions that is shorter or longer than it may be."""
+    """A list of dimensions is too short or too long."""
 
     def change(fields: Any) -> None:
         fields.dimensions[counter] = len(widths)
@@ -108,7 +108,7 @@ def _(draw: Draw, t: Target) -> Drawn:
 
 @fault("header.dimension")
 def many_features(t: Target, *widths: int) -> Edit:
-    """Slices that the profile allows, but whose sum is above FEATURES_MAX. widths: as many as the file has."""
+    """Slices are within the profile, but their sum exceeds FEATURES_MAX. widths: one for each slice of the file."""
     paths = [f"dimensions.slice_width[{i}]" for i in range(len(widths))]
     return Edit(t.pack(dict(zip(paths, widths, strict=True))), t.at(paths[0]))
 
@@ -121,7 +121,7 @@ def _(draw: Draw, t: Target) -> Drawn:
 
 @fault("header.anchor_count")
 def too_many_anchors(t: Target, value: int, level: int | None = None) -> Edit:
-    """More anchors than the level allows. level: another one."""
+    """There are more anchors than the level allows. level: another level."""
     values = {"anchor_count": value} | ({} if level is None else {"level": level})
     return Edit(t.pack(values), t.at("anchor_count"))
 
@@ -136,7 +136,7 @@ def _(draw: Draw, t: Target) -> Drawn:
 
 @fault("header.level_not_minimal")
 def level_too_high(t: Target, level: int, anchors: int, plane_size: int) -> Edit:
-    """A level of Main whose lower one would do."""
+    """A lower level of Main would suffice."""
     values = {"level": level, "anchor_count": anchors, "dimensions.plane_size": plane_size}
     return Edit(t.pack(values), t.at("level"))
 
@@ -148,17 +148,17 @@ def _(draw: Draw, t: Target) -> Drawn:
     return main_file(), level, draw.integer(0, lower.anchors), draw.integer(2, lower.plane_size)
 
 
-# SPEC 11.2: dimensions of Main whose work is 2^16 an anchor, which is what each level allows of its largest N.
+# SPEC 11.2: dimensions of Main with a work of 2^16 per anchor, which each level allows for its largest N.
 WORK_AT_BOUND = Dimensions(10, (64, 64), 0, 16, 0, (115, 120), (), (26,), 32)
 WORK_BEYOND = replace(WORK_AT_BOUND, hyper_width=(115, 121))
-# And such whose planes are a fifth of the work of level 1.
+# Dimensions whose planes are a fifth of the work of level 1.
 WORK_OF_PLANES = Dimensions(10, (64, 64), 16, 16, 128, (115, 120), (32, 32), (26,), 32)
 
 
 def header_of(d: Dimensions, level: int, anchors: int, size: int = 16384) -> bytes:
-    """The header of a file of Main, with the lengths that it implies, and nothing behind it.
+    """Returns the header of a file of Main with the lengths that it implies, without the rest.
 
-    size: chunk_size. There are as few chunks as it allows.
+    size: chunk_size. There are as few chunks as possible.
     """
     chunks = -(-anchors // size)
     lengths = section_lengths(d, chunks, {WEIGHTS: 0, INDEX: 0})
@@ -186,7 +186,7 @@ def header_of(d: Dimensions, level: int, anchors: int, size: int = 16384) -> byt
 
 @fault("section.truncated")
 def header_alone(t: Target, d: Dimensions, level: int, anchors: int, size: int = 16384) -> Whole:
-    """A header of Main that is allowed, and nothing behind it."""
+    """A valid header of Main without the rest."""
     data = header_of(d, level, anchors, size)
     return Whole(data, len(data))
 
@@ -200,7 +200,7 @@ def _(draw: Draw, t: Target) -> Drawn:
 
 @fault("header.work")
 def too_much_work(t: Target, d: Dimensions, level: int, anchors: int) -> Whole:
-    """More work than the level allows, of as many anchors and planes as it allows."""
+    """Anchors and planes are within the level, but their work exceeds it."""
     return Whole(header_of(d, level, anchors), t.at("anchor_count"))
 
 
@@ -212,7 +212,7 @@ def _(draw: Draw, t: Target) -> Drawn:
 
 @fault("header.work")
 def work_of_widths(t: Target, level: int = 1) -> Edit:
-    """Widths and anchors that the level allows, and whose work it does not. It is for a file of four slices."""
+    """Widths and anchors are within the level, but their work exceeds it. For a file of four slices."""
     values = {"level": level, "anchor_count": PROFILES[MAIN].levels[level].anchors}
     widths = {"slice_width[0]": 64, "slice_width[3]": 34, "hyper_width[0]": 128, "carm_width[0]": 128}
     return Edit(t.pack(values | {f"dimensions.{name}": w for name, w in widths.items()}), t.at("anchor_count"))
@@ -225,7 +225,7 @@ def _(draw: Draw, t: Target) -> Drawn:
 
 @fault("header.level_not_minimal")
 def level_of_less_work(t: Target, d: Dimensions, level: int, anchors: int) -> Whole:
-    """A level whose lower one allows the anchors, the planes and their work."""
+    """A lower level allows the anchors, the planes and their work."""
     return Whole(header_of(d, level, anchors), t.at("level"))
 
 
@@ -289,7 +289,7 @@ LISTS_OF_MAIN: list[tuple[str, list[list[int]]]] = [
 
 @cache
 def _one_slice() -> Target:
-    """A file whose features are one slice, so that there is no CARM."""
+    """Returns a file with one slice, and thus without CARM."""
     d = replace(TINY_DIMENSIONS, slices=(3,), carm_width=())
     return Target(codec.emit(drawn("refused-one-slice", 2, d)))
 
@@ -360,7 +360,7 @@ def _refused_levels(book: Book) -> None:
 
 
 def _work(book: Book) -> None:
-    """The work of the levels (11.2), in headers with nothing behind them."""
+    """Adds headers on the work of the levels (11.2), without the rest of the file."""
     add = partial(book.add, features="header main dimensions", requirements="R11.1-2 R11.2-2 R11.2-3 R11.2-4")
     for number, level in PROFILES[MAIN].levels.items():
         title = f"as many anchors, and as much work, as level {number} allows, and nothing behind the header"
@@ -453,7 +453,7 @@ def _packed() -> Scene:
 def _large_planes() -> Scene:
     made = sparse(scene("main-planes", 3, replace(MAIN_SMALLEST, plane_size=129), lanes=Lanes(6, 0, 6)))
     quiet = silent(made.networks["sarm"])
-    # A scale so small that a symbol of 0 costs next to nothing.
+    # With this small scale, a symbol of 0 takes almost no bits.
     quiet[-1][1][:] = [0, -40]
     flat = np.zeros_like(made.planes)
     numbers = Numbers("main-planes/symbols")

@@ -1,6 +1,6 @@
 """Cases of clauses 5.11, 6.12 and 7.6: the mask model and masks.
 
-Their substreams' faults are in entropy_substreams.py.
+The faults of their substreams are in entropy_substreams.py.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ from .targets import five_cells, packed, plain
 
 @fault("index.mask_model")
 def mask_model(t: Target, number: int, value: int) -> Edit:
-    """A frequency of the mask model that is outside its limits."""
+    """A frequency of the mask model is outside its limits."""
     return one_field(t, f"index.mask_model.frequency[{number}]", value)
 
 
@@ -35,7 +35,7 @@ def _(draw: Draw, t: Target) -> Drawn:
 
 @fault("index.padding")
 def padding(t: Target, at: int, value: int) -> Edit:
-    """A byte of the padding behind the mask model is not zero."""
+    """A byte of the padding after the mask model is not zero."""
     start = t.at("index.mask_model.padding")
     return Edit({start + at: bytes([value])}, start)
 

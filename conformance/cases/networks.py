@@ -1,4 +1,4 @@
-"""Cases of clause 7.2: integer networks, and weights that break their bound."""
+"""Cases of clause 7.2: integer networks, and weights that exceed their bound."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ def _told(t: Target, layer: str, row: int) -> int:
 
 @fault("weights.bound")
 def large_value(t: Target, layer: str, row: int, column: int | None, value: float) -> Edit:
-    """A weight that no exponent makes small enough, or such a bias if column is None. The layer is raw."""
+    """A weight, or a bias if column is None, is too large for every exponent. The layer is raw."""
     return Edit({t.weight_at(layer, row, column): struct.pack("<f", value)}, _told(t, layer, row))
 
 
@@ -64,7 +64,7 @@ def _(draw: Draw, t: Target) -> Drawn:
 
 @fault("weights.bound")
 def large_row(t: Target, layer: str, row: int, weights: Sequence[float], bias: float) -> Edit:
-    """A row whose weights and bias together are too large."""
+    """The weights and the bias of a row together are too large."""
     puts = {t.weight_at(layer, row, i): struct.pack("<f", value) for i, value in enumerate(weights)}
     return Edit(puts | {t.weight_at(layer, row, None): struct.pack("<f", bias)}, _told(t, layer, row))
 
@@ -77,7 +77,7 @@ def _(draw: Draw, t: Target) -> Drawn:
 
 @fault("weights.bound")
 def large_integer(t: Target, layer: str, value: int) -> Whole:
-    """A packed layer whose last row has a weight that is too large."""
+    """The last row of a packed layer has too large a weight."""
 
     def change(g: GridLayer) -> GridLayer:
         weight = g.weight.copy()
@@ -96,7 +96,7 @@ def _(draw: Draw, t: Target) -> Drawn:
 
 @fault("weights.bound")
 def large_bias(t: Target, row: int) -> Whole:
-    """A packed first layer of F_h with a bias that is too large: the largest integer, and the exponent -1."""
+    """The packed first layer of F_h has too large a bias: the largest integer, with the exponent -1."""
 
     def change(g: GridLayer) -> GridLayer:
         bias, difference, exponent = g.bias.copy(), g.difference.copy(), g.exponent + int(g.difference[: row + 1].sum())
@@ -116,7 +116,7 @@ def _(draw: Draw, t: Target) -> Drawn:
 
 @cache
 def rows_file() -> Target:
-    """A file of ROWS."""
+    """Returns a file of ROWS."""
     return Target(codec.emit(scene("refused-rows", 1, ROWS)))
 
 
@@ -175,7 +175,7 @@ def _refused(book: Book) -> None:
 
 
 def _with_hyper(name: str, change: Callable[[list[Layer]], None], anchors: int = 24) -> Scene:
-    """A scene whose F_h is changed. Its means depend on all of it."""
+    """Returns a scene with a changed F_h. The means depend on all of it."""
     numbers = Numbers(name)
     found = networks(ROWS, numbers)
     layers = [(w.copy(), b.copy()) for w, b in found["hyper"]]
@@ -225,7 +225,7 @@ def _valid(book: Book) -> None:
 
 
 def _ties(layers: list[Layer]) -> None:
-    # Exponents from 0 to 9: each sum is a tie as often as not.
+    # Exponents from 0 to 9: half of the sums are ties.
     numbers = Numbers("network-ties")
     w, b = layers[-1]
     for r in range(ROWS.attribute_width):
@@ -243,7 +243,7 @@ def _weight_limit(layers: list[Layer]) -> None:
 
 
 def _weight_ties(layers: list[Layer]) -> None:
-    # The largest weight sets the exponent; the others lie halfway between integers then.
+    # The largest weight determines the exponent. The others are then halfway between integers.
     w, b = layers[-1]
     for r in range(ROWS.attribute_width):
         e = r % 11
@@ -253,12 +253,12 @@ def _weight_ties(layers: list[Layer]) -> None:
 
 
 def _accumulator(layers: list[Layer]) -> None:
-    # 16 weights of 1023 times 1023, and a bias that leaves nothing, or takes half of it.
+    # 16 weights of 1023 times 1023, and a bias of the whole rest, or of half of it.
     w, b = layers[-1]
     w[:6] = 1023
     w[1] = -1023
     b[:6] = SPARE, -SPARE, SPARE - 1, 0, 1, -1
-    # At the exponent 1 the rounding term counts; one more than what it leaves makes it 0.
+    # At the exponent 1 the rounding term counts. One more than the rest makes the exponent 0.
     w[6:10] = 511.5
     b[6:10] = (SPARE - 1) / 2, SPARE / 2, (1 - SPARE) / 2, -SPARE / 2
     w[10], b[10] = 0, (1 << 24) - 1

@@ -1,4 +1,4 @@
-"""Integers that look random and are the same everywhere: the bytes of SHAKE-256 of a name."""
+"""Pseudorandom integers, the same on every machine: bytes of SHAKE-256 of a name."""
 
 from __future__ import annotations
 
@@ -11,14 +11,14 @@ Int64 = NDArray[np.int64]
 
 
 class Numbers:
-    """Draws of a named sequence; each draw has a number of its own, so that the order of draws is all that counts."""
+    """A named sequence of draws. Each draw has a number, so that results depend only on the order of draws."""
 
     def __init__(self, name: str, seed: int = 0) -> None:
         self._name = f"{name}/{seed}"
         self._draws = 0
 
     def integers(self, low: int, high: int, *shape: int) -> Int64:
-        """int64 of a shape, each low to high inclusive.
+        """Returns int64 integers of a shape, each from low to high inclusive.
 
         Each is 8 bytes of SHAKE-256("NAME/SEED/DRAW"), little-endian, modulo the span, plus low.
         """
@@ -28,17 +28,17 @@ class Numbers:
         return (np.frombuffer(stream, "<u8") % np.uint64(high - low + 1)).astype(np.int64).reshape(shape) + low
 
     def integer(self, low: int, high: int) -> int:
-        """One of them."""
+        """Returns one integer."""
         return int(self.integers(low, high, 1)[0])
 
     def chosen(self, values: list[int], *shape: int) -> Int64:
-        """Items of a list."""
+        """Returns items of a list."""
         return np.array(values, dtype=np.int64)[self.integers(0, len(values) - 1, *shape)]
 
     def centred(self, spread: int, *shape: int) -> Int64:
-        """Sums of three draws of -spread to spread: small numbers mostly."""
+        """Returns sums of three draws of -spread to spread, which are mostly small."""
         return sum((self.integers(-spread, spread, *shape) for _ in range(3)), np.zeros(shape, np.int64))
 
     def bytes(self, count: int) -> bytes:
-        """Bytes."""
+        """Returns bytes."""
         return self.integers(0, 255, count).astype(np.uint8).tobytes()

@@ -1,6 +1,6 @@
 """Cases of clause 10.1, PROLOGUE to DIRECTORY: two faults of the prologue, the header or the directory.
 
-The first in the order of checks counts, wherever in the file it is.
+The first in the order of checks must be reported, wherever it is in the file.
 """
 
 from __future__ import annotations
@@ -75,7 +75,7 @@ Check = tuple[str, str, Fault[...], tuple[Any, ...]]
 
 
 def _neighbours(book: Book) -> None:
-    """Each check of the header and the directory with the one after it."""
+    """Adds files with adjacent checks of the header and the directory."""
     reserved: Check = ("unsupported", "position_grid.reserved", header.reserved, ("position_grid.reserved", 1))
     render: Check = ("invalid", "render_info.low_pass", header.render_info, ("render_info.low_pass", -1.0))
     count: Check = ("invalid", "chunk_count", header.chunk_count, (50,))
@@ -208,7 +208,7 @@ def _lengths(value: float) -> tuple[Part, ...]:
 
 
 def _ends(book: Book) -> None:
-    """What ends a file early or late, and a fault before it: the file is not measured first."""
+    """Adds files with a wrong end and an earlier fault: the end is not checked first."""
     rows: list[tuple[str, str, Callable[[], Refused], int]] = [
         ("malformed-header-crc-and-end", "the header's CRC-32", header.header_byte.of(plain, 0, 1), 1),
         ("unsupported-profile-and-end", "the profile", limits.profile.of(plain, "profile", 9), 1),
@@ -232,7 +232,7 @@ def _ends(book: Book) -> None:
 
 
 def _ended(make: Callable[[], Refused], cut: int) -> Refused:
-    """The file without its last bytes, or with more if cut is negative; -1: with another last byte."""
+    """Returns the file without its last bytes, or with more if cut is negative; -1: with another last byte."""
     made = make()
     data = made.data[:-cut] if cut > 0 else made.data[:-1] + b"\1" if cut == -1 else made.data + bytes(-cut)
     return replace(made, data=data)
@@ -241,7 +241,7 @@ def _ended(make: Callable[[], Refused], cut: int) -> Refused:
 def _dimensions(book: Book) -> None:
     make = several(plain, limits.dimension.edit("offset_count", 0), limits.dimension.edit("plane_channels", 0))
     book.ordered("invalid-two-dimensions", "offset_count, and plane_channels", make)
-    # With so few anchors and planes as main_file has, level 1 would do.
+    # Level 1 would suffice for the anchors and planes of main_file.
     level = limits.level_too_high.edit(2, 0, 2)
     make = several(main_file, limits.too_many_anchors.edit((1 << 20) + 1), level)
     book.ordered("invalid-anchors-and-level", "too many anchors, and a level that is too high", make)

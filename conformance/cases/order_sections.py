@@ -1,7 +1,7 @@
-"""Cases of clause 10.1 behind the directory: two faults of sections, chunks or substreams.
+"""Cases of clause 10.1 after the directory: two faults of sections, chunks or substreams.
 
-The order of checks is the order of the file: the first fault counts, wherever the bytes of either are. Two faults of
-the weights are in order_weights.py.
+The order of checks is the order of the file: the first fault in this order must be reported. Two faults of the weights
+are in order_weights.py.
 """
 
 from __future__ import annotations
@@ -58,7 +58,7 @@ def add(book: Book) -> None:
 
 
 def _sections(book: Book) -> None:
-    """The CRC-32 of a section comes before its contents, and behind those of the sections before it."""
+    """The CRC-32 of a section is checked before its contents, and after those of earlier sections."""
     crc = directory.section_byte
     chain(
         book,
@@ -193,7 +193,7 @@ def _entries(book: Book) -> None:
 
 
 def _chunk(book: Book) -> None:
-    """The checks of one chunk, in their order: those of its entry's kept_count and bounds are among them."""
+    """The checks of one chunk in order, including those of its entry's kept_count and bounds."""
     reserved, form = chunks.reserved, chunks.form
     chain(
         book,
@@ -237,7 +237,7 @@ def _chunk(book: Book) -> None:
 
 
 def _chunks(book: Book) -> None:
-    """All checks of a chunk come before those of the next one, and these before what is behind the chunks."""
+    """All checks of a chunk come before those of the next one, and before those after the chunks."""
     data = plain().sections[b"DATA"].number
     chain(
         book,
@@ -292,7 +292,7 @@ def _chunks(book: Book) -> None:
 
 
 def _cut(book: Book) -> None:
-    """A file that ends within a chunk, and a fault before that. The file is not measured first."""
+    """A file ends within a chunk, after an earlier fault: the end is not checked first."""
     rows: list[tuple[str, Link, int]] = [
         ("index-and-cut", Link("", "the model of masks", masks.mask_model, 0, 0), 0),
         ("lengths-and-cut", Link("", "lengths that do not add up", index.lengths_amiss, {0: 4}), 1),
@@ -311,12 +311,12 @@ def _cut(book: Book) -> None:
 
 
 def _end(chunk: int) -> int:
-    """Where a file ends that is cut within a chunk."""
+    """Returns the end of a file that is cut within a chunk."""
     return plain().chunk_at(chunk) + 20
 
 
 def _ended(make: Callable[[], Refused], chunk: int) -> Refused:
-    """The file that ends within a chunk."""
+    """Returns the file cut within a chunk."""
     made = make()
     return replace(made, data=made.data[: _end(chunk)])
 
@@ -326,13 +326,13 @@ def _ended(make: Callable[[], Refused], chunk: int) -> Refused:
 
 @cache
 def _idle() -> Target:
-    """A file whose substream of attributes has a lane without symbols."""
+    """Returns a file whose substream of attributes has a lane without symbols."""
     return Target(codec.emit(scene("planted-idle", 3, lanes=Lanes(0, 0, 8))))
 
 
 @cache
 def _idle_cells() -> Target:
-    """A file of five anchors in one packed chunk of 16 lanes."""
+    """Returns a file of five anchors in one packed chunk with 16 lanes."""
     where = lattice(Numbers("outside-cells"), 5)
     return Target(codec.emit(placed("outside-cells", where, chunk_size=5, lanes=Lanes(0, 4, 0))))
 

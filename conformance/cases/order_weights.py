@@ -1,6 +1,6 @@
-"""Cases of clause 10.1: two faults of the weights, of which the first counts.
+"""Cases of clause 10.1: two faults of the weights, the first of which must be reported.
 
-What is found behind the substream of mode 1 comes layer after layer, and bounds come last.
+Faults after the substream of mode 1 are reported by layer, and bounds last.
 """
 
 from __future__ import annotations
@@ -120,7 +120,7 @@ def _packed_weights(book: Book) -> None:
 
 @cache
 def _two_raw() -> Target:
-    """A file in mode 1 whose layers hyper.0 and opacity.0 are raw."""
+    """Returns a file in mode 1 whose layers hyper.0 and opacity.0 are raw."""
     made = scene("outside-two-raw", 2, SMALLEST, lanes=Lanes(0, 0, 1))
     for name in ("hyper", "opacity"):
         made.networks[name][0][1][0] = -0.0
@@ -128,7 +128,7 @@ def _two_raw() -> Target:
 
 
 def _layers(book: Book) -> None:
-    """Faults that are found behind the substream: those of layers layer after layer, and bounds after them all."""
+    """Adds faults after the substream: those of layers in order, then bounds."""
     finite, large, even = weights_raw.not_finite, networks.large_value, weights_packed.even_integers
     proved = "R6.8-3 R6.8-4 R6.8-8"
     first = finite.edit("hyper.0", 0, 0, NONE)

@@ -1,4 +1,4 @@
-"""Cases of clauses 5.10, 6.9 and 7.3: sub-planes. Their substreams' faults are in entropy_substreams.py."""
+"""Cases of clauses 5.10, 6.9 and 7.3: sub-planes. The faults of their substreams are in entropy_substreams.py."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ from .targets import plain
 
 @fault("planes.length")
 def cut_in_table(t: Target, length: int) -> Whole:
-    """The section ends within its table, or with it."""
+    """The section ends within or after its table."""
     return Whole(resized(t.data, PLANES_SECTION, t.content(PLANES_SECTION)[:length]), t.start(PLANES_SECTION))
 
 
@@ -36,9 +36,9 @@ def _(draw: Draw, t: Target) -> Drawn:
 
 @fault("planes.length")
 def sub_plane_lengths(t: Target, changes: dict[int, int]) -> Edit:
-    """Lengths that do not add up to the section. changes: by the number of a sub-plane what is added, modulo 2^32.
+    """The sum of the lengths is not that of the section. changes: numbers to add modulo 2^32, by sub-plane.
 
-    With its padding a length counts in steps of four bytes.
+    With padding, lengths are multiples of four bytes.
     """
     values = {f"planes.length[{n}]": (t.value(f"planes.length[{n}]") + more) % (1 << 32) for n, more in changes.items()}
     return Edit(t.pack(values), t.start(PLANES_SECTION))
@@ -57,7 +57,7 @@ def _(draw: Draw, t: Target) -> Drawn:
 
 @fault("planes.length")
 def last_padding(t: Target, less: int) -> Whole:
-    """The section ends before the padding of its last substream does. less: by so many bytes."""
+    """The section ends within the padding of its last substream. less: missing bytes."""
     content = t.content(PLANES_SECTION)
     padding = t.element(_padding(PLANES - 1))
     assert 0 < less <= padding.end - padding.start
@@ -72,7 +72,7 @@ def _(draw: Draw, t: Target) -> Drawn:
 
 @fault("planes.padding")
 def padding(t: Target, plane: int, at: int, value: int) -> Edit:
-    """A byte of the padding behind a substream is not zero."""
+    """A byte of the padding after a substream is not zero."""
     start = t.at(_padding(plane))
     return Edit({start + at: bytes([value])}, start)
 
@@ -86,7 +86,7 @@ def _(draw: Draw, t: Target) -> Drawn:
 
 
 def _padding(plane: int) -> str:
-    """The path of the padding behind a substream."""
+    """Returns the path of the padding after a substream."""
     return f"planes.{PLANE_NAMES[plane]}, padding"
 
 
@@ -141,7 +141,7 @@ def add(book: Book) -> None:
 
 
 def _padded_to_wrap() -> Refused:
-    """A length of 2^32 - 1, which with its padding is 0 in 32 bits, and one that makes good for it."""
+    """Adds a length of 2^32 - 1, which is 0 in 32 bits with its padding, and one that compensates for it."""
     t = plain()
     first = t.value("planes.length[0]")
     return sub_plane_lengths(t, {0: -first - 1, 1: first})
@@ -151,7 +151,7 @@ def _neighbours(name: str, size: int, channels: int) -> Scene:
     d = replace(TINY_DIMENSIONS, plane_size=size, plane_channels=channels, sarm_width=(8,))
     numbers = Numbers(name)
     found = networks(d, numbers)
-    # Each neighbour has a weight of its own, of either sign.
+    # Each neighbour has a different weight, with both signs.
     first = np.concatenate([np.eye(4), -np.eye(4)]).astype(np.float32)
     last = np.array([[5, 7, -3, 4, -5, -7, 3, -4], [0.5, 0.25, -0.5, 0.75, 0.25, 0.5, 0.5, 0.25]], np.float32)
     found["sarm"] = [(first, np.zeros(8, np.float32)), (last, np.array([3, -9], np.float32))]

@@ -1,6 +1,6 @@
 """Cases of clauses 5.14, 6.11, 7.4 and 7.12: positions as f16, and as trees of cells.
 
-Either form is an encoder's choice for each chunk. The form's own faults are with the chunk's head in chunks.py.
+An encoder chooses the form of each chunk. Faults of the form itself are in chunks.py.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ from .scenes import f16, lattice, positions
 from .target import Target
 from .targets import SEEDS, five_cells, packed, plain
 
-# Morton codes of cells: the last one along all axes, and that of the position 0.
+# Morton codes: of the last cell along all axes, and of the position 0.
 LAST_CODE, MIDDLE_CODE = (1 << 48) - 1, 7 << 45
 
 
@@ -35,13 +35,13 @@ LAST_CODE, MIDDLE_CODE = (1 << 48) - 1, 7 << 45
 
 
 def _coordinate(t: Target, chunk: int, number: int, bits: int) -> Edit:
-    """Another number in a raw chunk."""
+    """Returns a raw chunk with another number."""
     at = t.part("positions", chunk)[0] + 2 * number
     return Edit({at: bits.to_bytes(2, "little")}, at)
 
 
 def _draw_coordinate(draw: Draw, t: Target) -> tuple[int, int]:
-    """A raw chunk, and one of its numbers."""
+    """Draws a raw chunk, and one of its numbers."""
     raw = [n for n in range(t.header.chunk_count) if t.value(f"chunk[{n}].position_form") == RAW]
     chunk = draw.choice(raw)
     return chunk, draw.integer(0, 3 * t.value(f"index.entry[{chunk}].anchor_count") - 1)
@@ -49,7 +49,7 @@ def _draw_coordinate(draw: Draw, t: Target) -> tuple[int, int]:
 
 @fault("positions.not_finite")
 def not_finite(t: Target, chunk: int, number: int, bits: int) -> Edit:
-    """A coordinate that is no finite number."""
+    """A coordinate is not finite."""
     return _coordinate(t, chunk, number, bits)
 
 
@@ -60,7 +60,7 @@ def _(draw: Draw, t: Target) -> Drawn:
 
 @fault("positions.negative_zero")
 def negative_zero(t: Target, chunk: int, number: int) -> Edit:
-    """A coordinate of -0."""
+    """A coordinate is -0."""
     return _coordinate(t, chunk, number, 0x8000)
 
 
@@ -78,7 +78,7 @@ def _any_cells(draw: Draw) -> Target:
 
 @fault("positions.count")
 def cell_less(t: Target) -> Whole:
-    """A tree with a cell less than there are anchors."""
+    """The tree has one cell fewer than anchors."""
     return Whole(with_cells(t, codes_of(t)[:-1]), t.part("positions", 0)[0])
 
 
@@ -89,7 +89,7 @@ def _(draw: Draw, t: Target) -> Drawn:
 
 @fault("positions.count")
 def cell_more(t: Target) -> Whole:
-    """A tree with a cell more, beside the last one. Its last level alone has more nodes than there are anchors."""
+    """The tree has an additional cell next to the last one. Only its last level has too many nodes."""
     code = codes_of(t)
     more = next(c for c in (int(code[-1]) ^ np.arange(1, 8)).tolist() if c not in code)
     return Whole(with_cells(t, np.unique(np.append(code, more))), t.part("positions", 0)[0])
@@ -102,9 +102,9 @@ def _(draw: Draw, t: Target) -> Drawn:
 
 @fault("positions.count")
 def overgrown(t: Target, levels: int) -> Whole:
-    """A tree with all children of each node on so many levels, and one child of each node below.
+    """The tree has all children of each node on several levels, and one child of each node below.
 
-    Nothing is sent of the nodes past the chunk's anchors.
+    Nodes beyond the number of anchors are not coded.
     """
     made = codec.parse(t.data).scene
     assert made.position_model is not None
@@ -131,7 +131,7 @@ def _unnamed(stream: int, index: int) -> str:
 
 @fault("positions.cell")
 def cell_of_no_number(t: Target, code: int) -> Whole:
-    """The last cell of the tree is another one, which stands for no f16. code: its Morton code."""
+    """The last cell of the tree does not represent an f16. code: its Morton code."""
     return Whole(with_cells(t, np.append(codes_of(t)[:-1], code)), t.part("positions", 0)[0])
 
 
@@ -153,20 +153,20 @@ def add(book: Book) -> None:
 
 @cache
 def _largest_index() -> Target:
-    """Three cells that count f16 numbers, the last of them the largest."""
+    """Returns three cells that are ranks of f16 numbers. The last one is the largest."""
     cells = MIDDLE + np.array([[0, 0, 0], [1, 2, 3], [0x7BFF, 0x7BFF, 0x7BFF]])
     return Target(codec.emit(placed("refused-index", of_cells(cells, 40), shift=40)))
 
 
 @cache
 def _coarsest() -> Target:
-    """Two cells of the largest cell_shift that does not count, 39. The second is one unit of 2^39 along x."""
+    """Returns two cells with the largest cell_shift of a lattice, 39. The second is at one unit of 2^39 along x."""
     cells = MIDDLE + np.array([[0, 0, 0], [1, 0, 0]])
     return Target(codec.emit(placed("refused-overflow", of_cells(cells, 39), shift=39)))
 
 
 def _along(axis: int, *values: float) -> NDArray[np.float16]:
-    """Positions along an axis."""
+    """Returns positions along an axis."""
     found = np.zeros((len(values), 3), np.float16)
     found[:, axis] = values
     return found
@@ -240,11 +240,11 @@ def _cells(book: Book) -> None:
         make = partial(placed, f"cells-{seed or name}", of_cells(cells, shift), shift=shift)
         add(name, title, make, *more)
 
-    # The sequence of the lattice goes on.
+    # These positions continue the sequence of numbers.
     numbers = Numbers("cells")
     lattice(numbers, 60)
     for shift in (0, 1, 23, 39):
-        # Eleven bits of each cell at most, at either end and about the middle.
+        # At most eleven bits of each cell, at both ends and around the middle.
         cells = MIDDLE + numbers.chosen([0, 1, -1, 5, 2047, -2047, 1000, -33], 20, 3)
         if shift == 39:
             cells = MIDDLE + numbers.chosen([0, 1, -1], 12, 3)
@@ -302,7 +302,7 @@ def _raw_chunks(book: Book) -> None:
     add("raw", "no chunk can be packed", make, "raw-chunk last-chunk", "R6.11-3 R6.11-4")
     make = partial(placed, "cells-single", _lattice()[:5], chunk_size=1)
     add("single-anchors", "packed chunks of one anchor", make, "raw-chunk", "R6.11-3")
-    # In the order of x, y, z and not of the tree: only MORTON tells.
+    # In the order of x, y, z instead of the tree, which only MORTON reveals.
     where = cell_positions(MIDDLE + np.array([[0, 0, 1], [0, 1, 0], [1, 0, 0]]), 22)[0]
     make = partial(placed, "cells-other-order", where, any_model(Numbers("cells-other-order")), 22)
     title = "positions in the order of x, which is not the tree's"
@@ -312,7 +312,7 @@ def _raw_chunks(book: Book) -> None:
     make = partial(placed, "planted-beyond", beyond, any_model(Numbers("planted-beyond")), 14)
     title = "a coordinate just above the highest cell of a lattice: the chunk is raw"
     add("beyond", title, make, "cell-ends raw-chunk", "R6.11-3")
-    # Of these cells each position is given in both forms.
+    # Each position of these cells is coded in both forms.
     steps = cell_positions(MIDDLE + np.array([[1, 0, 0], [0, 1, 0]]), 22)[0]
     one = of_cells(MIDDLE + np.array([[5, -3, 2]]), 22)
     for name, text, where, shift in (
@@ -330,7 +330,7 @@ def _raw_chunks(book: Book) -> None:
 
 def _mixed() -> Scene:
     where = _lattice().copy()
-    # Chunk 1 in another order, chunk 2 with a position twice, chunk 4 with one that has no cell.
+    # Chunk 1 in another order, chunk 2 with a repeated position, chunk 4 with a position without a cell.
     where[10:20] = where[10:20][::-1]
     where[25] = where[24]
     where[44, 1] = np.float16(2.0**-24)

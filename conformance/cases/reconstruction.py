@@ -87,7 +87,7 @@ def _values(name: str, base_step: tuple[float, float, float], steps: tuple[int, 
 
 
 def _table() -> Scene:
-    # 64 anchors, one for each step index, which the positional encoding cannot give: the planes do.
+    # 64 anchors, one for each step index. The planes select it, because the positional encoding cannot.
     d = Dimensions(1, (2,), 1, 1, 32, (2,), (1,), (), 1)
     numbers, zero = Numbers("values-table"), np.zeros(d.attribute_width, np.int64)
     found = constant(d, numbers, zero, zero)
@@ -114,7 +114,7 @@ def _table() -> Scene:
 
 
 def _with_step(name: str, index: int, base_step: tuple[float, ...], symbols: Int64) -> Scene:
-    """A scene of one anchor for each symbol, which all its attributes have. index: the step index of all kinds."""
+    """Returns a scene with an anchor for each symbol, in all attributes. index: step index of all kinds."""
     numbers, zero, anchors = Numbers(name), np.zeros(SMALLEST.attribute_width, np.int64), len(symbols)
     networks, masks = constant(SMALLEST, numbers, zero, zero + 160), np.ones((anchors, 1), bool)
     made = scene(name, anchors, SMALLEST, networks=networks, masks=masks, base_step=base_step)
@@ -129,7 +129,7 @@ def _rounded_steps() -> Scene:
     exact = int(tables().step[index]) * significand
     symbols = np.arange(8388607, 8380000, -1234)
     values = round_to_f32(np.array([exact]), 0) * symbols.astype(np.float32)
-    # Those symbols whose value is another one if the product of all three numbers is rounded once.
+    # Symbols whose value differs if the product of all three numbers is rounded once.
     other = symbols[values != round_to_f32(exact * symbols, 0)]
     assert len(other) >= 3
     return _with_step("values-of-rounded-steps", index, bases, np.concatenate([other, -other]))

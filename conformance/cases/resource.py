@@ -1,4 +1,4 @@
-"""Cases of clause 13.1: small files that ask for much, or say that they hold much. The budget is what they test."""
+"""Cases of clause 13.1: small files that require or claim much memory or time. They test the budgets."""
 
 from __future__ import annotations
 
@@ -31,21 +31,21 @@ from .scenes import SMALLEST, constant, f16, scene, silent, with_symbols
 from .target import Target
 from .targets import main_file, plain
 
-# SPEC [R6.10-5]: the least bytes of a chunk of 16,384 anchors.
+# SPEC [R6.10-5]: the smallest length of a chunk of 16,384 anchors.
 FLOOR = 16 + 16384 // 16
-# Of so many anchors of the chunk at the floor a feature is not 0, which costs bytes.
+# The number of anchors with a nonzero feature, which takes bytes, in the chunk of the smallest length.
 COSTLY = 242
 
 
 @fault("directory.length")
 def anchors_without_chunks(t: Target, values: dict[str, int]) -> Edit:
-    """A header with more chunks than the index has entries. values: fields, within the limits of the level."""
+    """The header has more chunks than the index has entries. values: fields, within the limits of the level."""
     return Edit(t.pack(values), t.at(f"directory[{t.sections[INDEX].number}].length"))
 
 
 @fault("section.truncated")
 def index_beyond(t: Target, level: int) -> Whole:
-    """As many anchors as a level of Main allows, each in a chunk of its own, and not one entry of the index."""
+    """There are as many anchors as a level of Main allows, each in its own chunk, and no entry of the index."""
     most = PROFILES[MAIN].levels[level].anchors
     length = index_bytes(t.header.dimensions.offset_count, t.sections[INDEX].mode, most)
     values = {
@@ -60,9 +60,9 @@ def index_beyond(t: Target, level: int) -> Whole:
 
 
 def announced(t: Target, level: int, chunks: int, length: int, content: bytes = b"") -> bytes:
-    """A file of Main with so many chunks of 16,384 anchors, of which there are the entries of the index.
+    """Returns a file of Main with many chunks of 16,384 anchors, all of which have entries in the index.
 
-    length: of each chunk. content: the bytes of DATA that are there.
+    length: of each chunk. content: the present bytes of DATA.
     """
     data = resized(t.data, INDEX, t.content(INDEX) + struct.pack("<4I12x", length, 0, 16384, 0) * chunks)
     out = bytearray(data + content)
@@ -80,21 +80,21 @@ def announced(t: Target, level: int, chunks: int, length: int, content: bytes = 
 
 @fault("section.truncated")
 def chunks_without_bytes(t: Target, level: int, chunks: int, length: int) -> Whole:
-    """Many chunks, each of which could have its length, and not one of them."""
+    """There are many entries with allowed lengths, but no chunks."""
     data = announced(t, level, chunks, length)
     return Whole(data, len(data))
 
 
 @fault("index.chunk")
 def crowded(t: Target, level: int, chunks: int, length: int) -> Whole:
-    """Chunks with fewer bytes than their anchors need."""
+    """The chunks have fewer bytes than their anchors need."""
     at = t.start(INDEX) + t.sections[INDEX].length
     return Whole(announced(t, level, chunks, length), at)
 
 
 @fault("chunk.length")
 def chunks_of_zeros(t: Target, level: int, chunks: int) -> Whole:
-    """Chunks that have as few bytes as there can be, all of them zero."""
+    """The chunks have the smallest length, and all bytes are zero."""
     data = announced(t, level, chunks, FLOOR, bytes(FLOOR * chunks))
     return Whole(data, len(data) - FLOOR * chunks)
 
@@ -125,7 +125,7 @@ def add(book: Book) -> None:
     book.add(
         "resource-tree-of-all-cells",
         "a tree all of whose nodes have all their children",
-        # 8^16 cells, were they not dropped.
+        # There would be 8^16 cells without a limit.
         overgrown.of(_one_tree, 16),
         features="many",
         requirements="D13.1-1",
@@ -156,7 +156,7 @@ def add(book: Book) -> None:
     title = "one lane in each substream, and symbols that take next to no bytes"
     accepted("resource-one-lane", title, lambda: _one_lane().data, features="many lanes", seconds=120)
     for path in ("weights", "planes.r1", "positions[chunk 0]", "masks[chunk 0]", "attributes[chunk 0]"):
-        # The last check of a substream, behind all of its symbols.
+        # The last check of a substream, after all of its symbols.
         part = path.partition("[")[0].replace(".", "-")
         title, make = f"one lane, and a wrong symbol_crc of {path}", symbol_crc.of(_one_lane, path, 0, 1)
         add(f"resource-one-lane-{part}", title, make, flags="symbol-crc", seconds=120)
@@ -172,7 +172,7 @@ def _at_floor() -> bytes:
     made = _quiet("resource-floor", 16384, SMALLEST, 16384, profile=MAIN, lanes=Lanes(0, 5, 7))
     made = replace(made, position_model=position_model(made.positions, 16384))
     features = np.zeros_like(made.attributes.features)
-    # Values that cost much, so that the chunk has the bytes that it must have.
+    # Large values, so that the chunk has the smallest allowed length.
     features[:COSTLY] = 1
     data = codec.emit(with_symbols(made, features=features))
     assert Target(data).value("index.entry[0].length") == FLOOR
@@ -191,7 +191,7 @@ def _one_tree() -> Target:
 
 
 def _quiet(name: str, anchors: int, d: Dimensions, chunk_size: int, **changes: Any) -> Scene:
-    """A scene whose symbols are all 0 and cost next to nothing, in positions that cost little.
+    """Returns a scene with positions of few bits, and symbols of 0, which take almost no bits.
 
     changes: as of scene.
     """
@@ -228,7 +228,7 @@ def _one_lane() -> Target:
     d = Dimensions(10, (16, 16), 8, 1, 32, (16, 16), (16,), (16,), 16)
     made = _quiet("resource-one-lane", 1024, d, 1024, lanes=Lanes(0, 0, 0))
     features = np.zeros_like(made.attributes.features)
-    # Values that cost much, so that packed positions leave the chunk the bytes that it must have.
+    # Large values, so that the chunk with packed positions has the smallest allowed length.
     features[:4] = 1
     made = replace(made, position_model=position_model(made.positions, 1024))
     return Target(codec.emit(with_symbols(made, features=features)))

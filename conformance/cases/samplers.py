@@ -1,4 +1,4 @@
-"""Coders that make symbols up. refcodec's decoding process runs with them, so the models are those of a decoder."""
+"""Coders that invent symbols. They run in refcodec's decoding process, so the models are those of a decoder."""
 
 from __future__ import annotations
 
@@ -19,19 +19,19 @@ from refcodec.bitstream.tables import ModelSet
 from .numbers import Int64, Numbers
 from .scenes import TINY_DIMENSIONS, scene, settled
 
-# One value in this many is escaped, of those that a scene's sampler draws.
+# A scene's sampler escapes one value in this many.
 ESCAPES = 40
 
 
 class Sampler:
-    """Takes each symbol of a model as often as another, any raw bits, and now and then an escape."""
+    """Draws symbols of a model uniformly, any raw bits, and sometimes an escape."""
 
     def __init__(self, numbers: Numbers, escapes: int = ESCAPES) -> None:
-        """escapes: one value in so many, 0 for none."""
+        """escapes: one value in this many is escaped, 0 for none."""
         self.numbers, self.escapes = numbers, escapes
 
     def distances(self, model: Int64, radius: Int64) -> Int64:
-        """How far from the centre each value is, in units of 2^raw; farther than the radius is an escape."""
+        """Returns the distances of values from the centre, in units of 2^raw. Beyond the radius they are escapes."""
         found = self.numbers.integers(0, 1 << 40, len(model)) % (2 * radius + 1) - radius
         if self.escapes:
             far = radius + (1 << self.numbers.integers(0, 12, len(model)))
@@ -49,19 +49,19 @@ class Sampler:
         name: SymbolName,
         given: Int64 | None,
     ) -> Int64:
-        """A group of values, within their limit."""
+        """Returns a group of values within their limit."""
         model, centre, raw = select(mean, scale)
         distance = self.distances(model, models.radius.take(model))
         low = self.numbers.integers(0, (1 << 16) - 1, len(model)) & ((np.int64(1) << raw) - 1)
         return np.clip(((centre + distance) << raw) + low, -limit, limit)
 
     def plain(self, models: ModelSet, index: Int64, counts: list[int], name: SymbolName, given: Int64 | None) -> Int64:
-        """No symbols of these kinds are drawn."""
+        """Draws no symbols of these kinds."""
         raise NotImplementedError
 
 
 class Sweep(Sampler):
-    """Takes the symbols of each model in turn: the escape first, then the ends, then the others."""
+    """Uses the symbols of each model in turn: the escape, then the ends, then the others."""
 
     def __init__(self, numbers: Numbers) -> None:
         super().__init__(numbers)
@@ -78,7 +78,7 @@ class Sweep(Sampler):
 
 
 class Rare(Sampler):
-    """Takes always the rarest symbol of a model that is no escape, at one end or the other."""
+    """Always uses the rarest symbol of a model except the escape, at either end."""
 
     def distances(self, model: Int64, radius: Int64) -> Int64:
         """As Sampler's."""
@@ -86,7 +86,7 @@ class Rare(Sampler):
 
 
 def sampled(made: Scene, coder: Sampler, planes: bool = True) -> Scene:
-    """The scene with attributes that the coder makes up, and with such planes if it has any and they are wanted."""
+    """Returns the scene with attributes from the coder, and with planes from it if wanted."""
     d = made.dimensions
     sarm = codec.Coding(made).sarm
     if planes and sarm is not None:
@@ -100,5 +100,5 @@ def sampled(made: Scene, coder: Sampler, planes: bool = True) -> Scene:
 
 
 def drawn(name: str, anchors: int, d: Dimensions = TINY_DIMENSIONS, **changes: Any) -> Scene:
-    """A scene whose symbols are drawn from its models. changes: as of scene."""
+    """Returns a scene whose symbols are drawn from its models. changes: as of scene."""
     return sampled(scene(name, anchors, d, **changes), Sampler(Numbers(f"{name}/symbols")))

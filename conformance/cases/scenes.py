@@ -1,9 +1,9 @@
 """Valid scenes and parts of them.
 
-- `scene` takes its numbers from SHAKE-256 of a name (numbers.py), and every float in it is an integer times a power of
-  two. So it is the same on every machine. The suite's files are made of such scenes: another name makes another file,
-  which is why names stay.
-- `random_scene` takes its numbers from numpy's generator, with spreads that the caller chooses. It is for tests.
+- `scene` takes its numbers from SHAKE-256 of a name (numbers.py), and every float is an integer times a power of two.
+  Thus it is the same on every machine. The suite consists of such scenes. Their names are permanent, because another
+  name gives another file.
+- `random_scene` takes its numbers from NumPy's generator, with given spreads. It is for tests.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ from .numbers import Int64, Numbers
 
 Networks = dict[str, list[Layer]]
 
-# Of either profile those that most scenes here have, and the least and the largest that there can be.
+# For both profiles, the usual dimensions, the smallest and the largest.
 TINY_DIMENSIONS = Dimensions(2, (2, 3), 2, 2, 4, (6,), (4, 4), (5,), 3)
 MAIN_DIMENSIONS = Dimensions(10, (5, 10, 15, 20), 8, 10, 16, (100,), (16, 16), (100,), 50)
 SMALLEST = Dimensions(1, (1,), 1, 1, 2, (1,), (1,), (), 1)
@@ -42,7 +42,7 @@ MAIN_SMALLEST = Dimensions(10, (5, 10, 15, 20), 8, 10, 2, (16,), (16, 16), (16,)
 
 
 def dyadic(integers: Int64, bits: int) -> NDArray[np.float32]:
-    """Integers over 2^bits, exact in f32."""
+    """Returns integers divided by 2^bits, exact in f32."""
     return np.ldexp(integers.astype(np.float32), -bits).astype(np.float32)
 
 
@@ -50,7 +50,7 @@ def dyadic(integers: Int64, bits: int) -> NDArray[np.float32]:
 
 
 def scene(name: str, anchors: int = 6, d: Dimensions = TINY_DIMENSIONS, seed: int = 0, **changes: Any) -> Scene:
-    """A valid scene of ordinary numbers. name, seed: of its Numbers. changes: fields of Scene that are given."""
+    """Returns a valid scene of ordinary numbers. name, seed: of its Numbers. changes: given fields of Scene."""
     numbers = Numbers(name, seed)
     masks = numbers.integers(0, 4, anchors, d.offset_count) > 1
     offsets = numbers.centred(3, anchors, d.offset_count, 3).astype(np.int32)
@@ -91,10 +91,10 @@ def random_scene(
     base_step: tuple[float, float, float] = (1.0, 0.03125, 0.2),
     **changes: Any,
 ) -> Scene:
-    """A valid scene of numpy's random numbers.
+    """Returns a valid scene of NumPy's random numbers.
 
-    gain: of the networks, whose outputs stay in useful ranges at 1. spread: standard deviation of the symbols.
-    keep: share of the offsets that are kept. base_step: rounded to f32. changes: fields of Scene that are given.
+    gain: of the networks, whose outputs are in useful ranges at 1. spread: standard deviation of the symbols.
+    keep: share of kept offsets. base_step: rounded to f32. changes: given fields of Scene.
     """
     rng = np.random.default_rng(seed)
     where = rng.normal(0, 1, (anchors, 3)).astype(np.float16)
@@ -133,7 +133,7 @@ _BOUNDS = (np.array([-131072, -100000, -70000]), np.array([131072, 90000, 70001]
 
 
 def _assembled(d: Dimensions, fields: dict[str, Any]) -> Scene:
-    """A scene of these fields, the others as usual, and what follows from them."""
+    """Returns a scene of these fields, usual other fields, and derived ones."""
     usual = {
         "profile": MAIN if d.features == 50 else TINY,
         "chunk_size": 4096,
@@ -146,25 +146,25 @@ def _assembled(d: Dimensions, fields: dict[str, Any]) -> Scene:
 
 
 def settled(made: Scene) -> Scene:
-    """The scene with masked offsets at 0, and with the step indices that its networks give."""
+    """Returns the scene with masked offsets at 0, and with the step indices of its networks."""
     a = made.attributes
     offsets = np.where(made.masks[:, :, None], a.offsets, 0).astype(np.int32)
     return with_steps(replace(made, attributes=replace(a, offsets=offsets)))
 
 
 def with_steps(made: Scene) -> Scene:
-    """The scene with the step indices that its networks give."""
+    """Returns the scene with the step indices of its networks."""
     return replace(made, attributes=replace(made.attributes, steps=codec.derive_steps(made)))
 
 
 def with_symbols(made: Scene, **symbols: NDArray[Any]) -> Scene:
-    """The scene with other symbols: features, scalings or offsets."""
+    """Returns the scene with other symbols: features, scalings or offsets."""
     changes: dict[str, Any] = {kind: value.astype(np.int32) for kind, value in symbols.items()}
     return settled(replace(made, attributes=replace(made.attributes, **changes)))
 
 
 def without_chunks(made: Scene, dropped: list[int]) -> Scene:
-    """The scene without the anchors of some chunks."""
+    """Returns the scene without the anchors of given chunks."""
     keep = np.ones(made.anchor_count, dtype=bool)
     for number in dropped:
         keep[number * made.chunk_size : (number + 1) * made.chunk_size] = False
@@ -177,7 +177,7 @@ def without_chunks(made: Scene, dropped: list[int]) -> Scene:
 def frame_of(
     matrix: Any, translation: Any = (0, 0, 0), shift: Any = (0, 0, 0), low: Any = None, high: Any = None
 ) -> Frame:
-    """A frame from lists. Without low or high its range is -2 to 2, which is 2^17 of its units (SPEC 7.5.1)."""
+    """Returns a frame from lists. By default its range is -2 to 2, which is 2^17 of its units (SPEC 7.5.1)."""
     bounds = [np.full(3, -1 << 17) if low is None else low, np.full(3, 1 << 17) if high is None else high]
     return Frame(
         *(np.array(part, dtype=np.int64) for part in (np.reshape(matrix, (3, 3)), translation, shift, *bounds))
@@ -185,14 +185,14 @@ def frame_of(
 
 
 def positions(numbers: Numbers, anchors: int) -> NDArray[np.float16]:
-    """Finite f16 of all magnitudes, no -0."""
+    """Returns finite f16 numbers of all magnitudes except -0."""
     bits = numbers.integers(0, 0x7BFF, anchors, 3) | numbers.chosen([0, 0x8000], anchors, 3)
     bits[bits == 0x8000] = 0
     return bits.astype(np.uint16).view(np.float16)
 
 
 def f16(integers: Int64) -> NDArray[np.float16]:
-    """The positions whose P (SPEC 7.4) are these integers, which f16 must hold."""
+    """Returns the positions whose P (SPEC 7.4) are these integers, which must be exact in f16."""
     found = np.ldexp(integers.astype(np.float64), -24).astype(np.float16)
     assert (np.ldexp(found.astype(np.float64), 24) == integers).all()
     found[found == 0] = 0
@@ -200,7 +200,7 @@ def f16(integers: Int64) -> NDArray[np.float16]:
 
 
 def lattice(numbers: Numbers, anchors: int, spread: int = 12) -> NDArray[np.float16]:
-    """Different points of a lattice of the unit 1/4, in the order of their cells."""
+    """Returns distinct points of a lattice with the unit 1/4, in the order of their cells."""
     codes: Int64 = np.zeros(0, np.int64)
     side = 2 * spread + 1
     while len(codes) < anchors:
@@ -215,7 +215,7 @@ def lattice(numbers: Numbers, anchors: int, spread: int = 12) -> NDArray[np.floa
 
 
 def networks(d: Dimensions, numbers: Numbers) -> Networks:
-    """Networks whose outputs stay in useful ranges."""
+    """Returns networks with outputs in useful ranges."""
     found: Networks = {}
     for name, shapes in d.network_shapes().items():
         found[name] = []
@@ -230,7 +230,7 @@ def networks(d: Dimensions, numbers: Numbers) -> Networks:
 
 
 def random_networks(d: Dimensions, rng: np.random.Generator, gain: float = 1.0) -> Networks:
-    """Networks of numpy's random numbers, whose outputs stay in useful ranges at gain 1."""
+    """Returns networks of NumPy's random numbers, with outputs in useful ranges at gain 1."""
     found: Networks = {}
     for name, shapes in d.network_shapes().items():
         found[name] = []
@@ -246,12 +246,12 @@ def random_networks(d: Dimensions, rng: np.random.Generator, gain: float = 1.0) 
 
 
 def silent(layers: list[Layer]) -> list[Layer]:
-    """Layers of zeros."""
+    """Returns layers of zeros."""
     return [(np.zeros_like(weight), np.zeros_like(bias)) for weight, bias in layers]
 
 
 def constant(d: Dimensions, numbers: Numbers, mean: Int64, scale: Int64) -> Networks:
-    """Networks whose F_h says the same of every anchor, while CARM adds nothing.
+    """Returns networks whose F_h gives the same for every anchor, and whose CARM gives zeros.
 
     mean: int64 [channels], in sixteenths of a symbol. scale: int64 [channels], scale indices.
     """
@@ -264,7 +264,7 @@ def constant(d: Dimensions, numbers: Numbers, mean: Int64, scale: Int64) -> Netw
 
 
 def observing(d: Dimensions, numbers: Numbers, scale: int = -8) -> Networks:
-    """Networks that pass the context on, so that a context that is wrong by one gives another model.
+    """Returns networks that output the context, so that a context that is wrong by one gives another model.
 
     The mean of channel c is the context's number c modulo their count, in sixteenths. The hidden layer of F_h has two
     units for each number, one for either sign. scale: the scale index of all channels.
@@ -289,7 +289,7 @@ def observing(d: Dimensions, numbers: Numbers, scale: int = -8) -> Networks:
 
 
 def scales(found: Networks) -> NDArray[np.uint8]:
-    """Scale indices of mode 1 that suit the weights, from bit lengths: uint8 [layers, 3], 0 for a raw layer."""
+    """Returns scale indices of mode 1 by the bit lengths of the weights, uint8 [layers, 3], 0 for a raw layer."""
     rows = []
     for grid in (to_grid(layer) for layers in found.values() for layer in layers):
         parts = [] if grid is None else [grid.difference, grid.weight, grid.bias]
@@ -300,12 +300,12 @@ def scales(found: Networks) -> NDArray[np.uint8]:
 
 
 def packed_weights(made: Scene) -> Scene:
-    """The scene with its weights in mode 1, as they are."""
+    """Returns the scene with its weights in mode 1, unchanged."""
     return replace(made, weight_scales=scales(made.networks))
 
 
 def sparse(made: Scene, one_in: int = 16) -> Scene:
-    """The scene with few weights that are not zero, in mode 1: large networks in few bytes."""
+    """Returns the scene with few nonzero weights, in mode 1: large networks in few bytes."""
     numbers = Numbers("sparse")
     kept = {
         name: [

@@ -1,4 +1,4 @@
-"""From recipes to vectors: files, what refcodec makes of each, and the manifest."""
+"""Makes vectors from recipes: files, their results by refcodec, and the manifest."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ CLASSES = ("valid", "malformed", "invalid", "unsupported", "resource")
 
 
 class GeneratorError(Exception):
-    """A recipe that does not give what it says."""
+    """The result of a recipe differs from its description."""
 
 
 def _sha256(data: bytes) -> str:
@@ -40,7 +40,7 @@ def _sha256(data: bytes) -> str:
 
 
 def _stated(data: bytes) -> tuple[str | None, int | None]:
-    """Profile and level as the header states them, None where it is damaged or they are not known."""
+    """Returns the profile and level of the header, or None if it is damaged or they are unknown."""
     end = header.PROLOGUE_BYTES + int.from_bytes(data[12:16], "little")
     if len(data) < header.PROLOGUE_BYTES + 2 or end > len(data) or data[: len(header.SIGNATURE)] != header.SIGNATURE:
         return None, None
@@ -86,7 +86,7 @@ def _rejected(recipe: Recipe, made: Refused) -> dict[str, Any]:
 
 
 def vectors(recipes: Iterable[Recipe]) -> Iterator[tuple[dict[str, Any], dict[str, bytes]]]:
-    """For each recipe the vector as the manifest has it, and its files by path. Raises GeneratorError."""
+    """Yields the vector of each recipe for the manifest, and its files by path. Raises GeneratorError."""
     for recipe in recipes:
         made, path = recipe.make(), path_of(recipe.id)
         files: dict[str, bytes] = {}
@@ -142,16 +142,16 @@ def _check(folder: Path) -> None:
 
 
 def _text(document: dict[str, Any]) -> str:
-    """The manifest as JSON, with a line for each vector."""
+    """Returns the manifest as JSON, with a line for each vector."""
     rest = json.dumps({**document, "vectors": []}, indent=1).removesuffix("[]\n}")
     vectors = ",\n".join(f"  {json.dumps(vector)}" for vector in document["vectors"])
     return f"{rest}[\n{vectors}\n ]\n}}\n"
 
 
 def generate(folder: Path, recipes: Iterable[Recipe]) -> tuple[int, int]:
-    """Writes the suite: (vectors, bytes of their files). It takes the place of the suite that the folder had.
+    """Writes the suite, and replaces that of the folder. Returns the number of vectors and bytes of files.
 
-    Raises UsageError, before the work, if the folder has something else in it, and OSError.
+    Raises UsageError, before the work, if the folder contains anything else, and OSError.
     """
     _check(folder)
     found, written = [], {}

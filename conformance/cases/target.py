@@ -1,4 +1,4 @@
-"""A valid file, where its elements and substreams are, and how bytes are put in their place."""
+"""A valid file with the places of its elements and substreams, which can be replaced."""
 
 from __future__ import annotations
 
@@ -41,7 +41,8 @@ class Substream:
     """A substream of a file (SPEC 5.15).
 
     path: as in errors: "planes.r1", "masks[chunk 0]", "weights". section: its type. data[start:end] are its bytes.
-    lanes, words: how many. length_at: where a u32 says its length, or of weights and positions a length that holds it.
+    lanes, words: their numbers. length_at: offset of a u32 with its length or, for weights and positions, of a length
+    that includes it.
     """
 
     path: str
@@ -54,21 +55,21 @@ class Substream:
 
     @property
     def words_at(self) -> int:
-        """Where its words begin: behind the head and the states."""
+        """The offset of its words, after the head and the states."""
         return self.start + syntax.size_of("Substream") + 4 * self.lanes
 
     @property
     def raw_at(self) -> int:
-        """Where its raw bytes begin."""
+        """The offset of its raw bytes."""
         return self.words_at + 2 * self.words
 
     def state_at(self, lane: int) -> int:
-        """Where a lane's initial state is; -1 is the last lane's."""
+        """Returns the offset of a lane's initial state; -1 is the last lane."""
         return range(self.start + syntax.size_of("Substream"), self.words_at, 4)[lane]
 
 
 class Target:
-    """A valid file, and where its elements are. Only its container need be valid."""
+    """A valid file and the places of its elements. Only its container must be valid."""
 
     def __init__(self, data: bytes) -> None:
         self.data = data
@@ -79,45 +80,45 @@ class Target:
 
     @cached_property
     def elements(self) -> dict[str, Row]:
-        """All elements by path, as `refcodec inspect --hex` prints them."""
+        """All elements by path, as in `refcodec inspect --hex`."""
         return {row.path: row for row in rows(self.data)}
 
     def has(self, path: str) -> bool:
-        """Whether there is an element of a path."""
+        """Whether there is an element with a path."""
         return path in self.elements or f"header.{path}" in self.elements
 
     def element(self, path: str) -> Row:
-        """An element by its path; `header.` may be left out. Raises KeyError."""
+        """Returns an element by its path; `header.` may be omitted. Raises KeyError."""
         return self.elements.get(path) or self.elements[f"header.{path}"]
 
     def at(self, path: str) -> int:
-        """Offset of an element."""
+        """Returns the offset of an element."""
         return self.element(path).start
 
     def value(self, path: str) -> Any:
-        """The value of an element."""
+        """Returns the value of an element."""
         return self.element(path).value
 
     def section(self, kind: bytes) -> Section:
-        """The first section of a type."""
+        """Returns the first section of a type."""
         return next(section for section in self.header.sections if section.type == kind)
 
     def start(self, kind: bytes) -> int:
-        """Offset of a critical section."""
+        """Returns the offset of a critical section."""
         return self.sections[kind].start
 
     def content(self, kind: bytes) -> bytes:
-        """Bytes of a critical section."""
+        """Returns the bytes of a critical section."""
         section = self.sections[kind]
         return self.data[section.start : section.start + section.length]
 
     def chunk_at(self, chunk: int) -> int:
-        """Where a chunk begins."""
+        """Returns the offset of a chunk."""
         lengths = (self.value(f"index.entry[{n}].length") for n in range(chunk))
         return self.start(directory.DATA) + sum(lengths)
 
     def part(self, name: str, chunk: int) -> tuple[int, int]:
-        """Where a part of a chunk begins and ends, without its padding. name: as in PARTS."""
+        """Returns the range of a part of a chunk, without its padding. name: as in PARTS."""
         at = self.chunk_at(chunk) + CHUNK_HEAD_BYTES
         for part in PARTS:
             length = self.value(f"chunk[{chunk}].{part.removesuffix('s')}_length")
@@ -132,12 +133,12 @@ class Target:
         return [name for name, _, _ in layers_of(self.header.dimensions)]
 
     def layer_at(self, layer: str) -> int:
-        """Where a layer begins: its model in mode 1, else its weights."""
+        """Returns the offset of a layer: its model in mode 1, else its weights."""
         path = f"weights.{layer}.form"
         return self.at(path if path in self.elements else f"weights.{layer}.weight")
 
     def weight_at(self, layer: str, row: int, column: int | None) -> int:
-        """Where a raw layer has a weight, or the bias of a row if column is None."""
+        """Returns the offset of a weight of a raw layer, or of the bias of a row if column is None."""
         if column is None:
             return self.at(f"weights.{layer}.bias") + 4 * row
         fan_in = next(fan_in for name, _, fan_in in layers_of(self.header.dimensions) if name == layer)
@@ -157,7 +158,7 @@ class Target:
         found = {}
         for path, kind, log2 in named:
             head = self.elements.get(f"{path}.symbol_crc")
-            # Raw weights and raw chunks are no substreams.
+            # Raw weights and raw chunks are not substreams.
             if head is not None:
                 length_at, end = self._length_of(path, kind, head.start)
                 words = self.value(f"{path}.word_count")
@@ -165,7 +166,7 @@ class Target:
         return found
 
     def _length_of(self, path: str, kind: bytes, start: int) -> tuple[int, int]:
-        """Where a substream's length is, and where the substream ends."""
+        """Returns the offset of a substream's length, and its end."""
         if kind == directory.WEIGHTS:
             section = self.sections[kind]
             return self.at(f"directory[{section.number}].length"), section.start + section.length
@@ -176,31 +177,31 @@ class Target:
         return self.at(f"chunk[{number}].{part.removesuffix('s')}_length"), self.part(part, int(number))[1]
 
     def pack(self, values: dict[str, Any]) -> dict[int, bytes]:
-        """Elements with other values, as bytes by their offset. A value is a number, or bytes."""
+        """Returns elements with other values, as bytes by offset. A value is a number or bytes."""
         return {self.at(path): self._packed(path, value) for path, value in values.items()}
 
     def _packed(self, path: str, value: Any) -> bytes:
         return value if isinstance(value, bytes) else struct.pack(FORMATS[self.element(path).kind], value)
 
     def with_values(self, values: dict[str, Any], depth: Depth = Depth.CHUNKS) -> bytes:
-        """The file with other values of elements, and its checksums right down to a depth."""
+        """Returns the file with other values of elements, and right checksums down to a depth."""
         out = bytearray(self.data)
         for at, value in self.pack(values).items():
             out[at : at + len(value)] = value
         return repair(bytes(out), depth)
 
     def put(self, at: int, value: bytes) -> bytes:
-        """The file with other bytes at an offset, checksums as they were."""
+        """Returns the file with other bytes at an offset, and unchanged checksums."""
         return self.data[:at] + value + self.data[at + len(value) :]
 
     def flip(self, at: int, bits: int) -> dict[int, bytes]:
-        """A byte with some bits turned, by its offset."""
+        """Returns a byte with flipped bits, by its offset."""
         return {at: bytes([self.data[at] ^ bits])}
 
     def with_header(self, change: Callable[[Any], None]) -> bytes:
-        """The file with changed fields in its header; header_length is right.
+        """Returns the file with changed fields in its header, and a right header_length.
 
-        Not for a file of a later minor version, whose header has more than these.
+        Not for a file of a later minor version, whose header has more fields.
         """
         fields = copy.deepcopy(self.fields)
         change(fields)
@@ -209,7 +210,7 @@ class Target:
         return repair(syntax.build("Prologue", head) + built + self.data[self.header_end :])
 
     def with_substream(self, path: str, content: bytes) -> bytes:
-        """The file with other bytes as one substream, lengths and checksums right."""
+        """Returns the file with other bytes as one substream, and right lengths and checksums."""
         s = self.substreams[path]
         if s.section == directory.DATA:
             part, _, number = path.removesuffix("]").partition("[chunk ")
@@ -225,7 +226,7 @@ class Target:
         return resized(self.data, s.section, bytes(whole))
 
     def with_part(self, name: str, chunk: int, content: bytes) -> bytes:
-        """The file with other bytes as one part of a chunk, lengths and checksums right. name: as in PARTS."""
+        """Returns the file with other bytes as a chunk part, and right lengths and checksums. name: as in PARTS."""
         section, (start, end) = self.sections[directory.DATA], self.part(name, chunk)
         padded = content + bytes(pad4(len(content)) - len(content))
         out = bytearray(self.data)

@@ -1,6 +1,6 @@
-"""The valid files that faults are put into.
+"""The valid files to which faults are applied.
 
-A file with a seed is one of several alike: the suite's has seed 0, and the fuzzer draws others.
+Files with different seeds are similar. The suite uses seed 0, and the fuzzer draws others.
 """
 
 from __future__ import annotations
@@ -37,11 +37,11 @@ from .scenes import (
 )
 from .target import Target
 
-# Where an ancillary section stands that comes behind all critical ones, however many these are.
+# The place of an ancillary section after all critical ones.
 BEHIND = len(SECTIONS)
 # Seeds that the fuzzer draws.
 SEEDS = 6
-# Of most files here: small networks, since hundreds of files of the suite are one of them with a fault.
+# Usual dimensions: small networks, because hundreds of files of the suite are one of these with a fault.
 _SMALL = replace(TINY_DIMENSIONS, hyper_width=(2,), carm_width=(2,), render_width=1)
 # The first substream of attributes, which is the only one of some files.
 ATTRIBUTES_0 = "attributes[chunk 0]"
@@ -49,7 +49,7 @@ ATTRIBUTES_0 = "attributes[chunk 0]"
 
 @cache
 def plain() -> Target:
-    """A file of three chunks in mode 0. Behind its critical sections are two ancillary ones, the last of them empty."""
+    """Returns a file of three chunks in mode 0. Two ancillary sections, the last one empty, end it."""
     made = drawn("refused", 11, _SMALL, chunk_size=4)
     behind = (Ancillary(b"noTE", 1, b"hello", BEHIND), Ancillary(b"moRE", 0, b"", BEHIND))
     return Target(codec.emit(replace(made, ancillary=behind)))
@@ -57,7 +57,7 @@ def plain() -> Target:
 
 @cache
 def strewn() -> Target:
-    """A file of two chunks in mode 0 whose ancillary sections stand before, among and behind the critical ones."""
+    """Returns a file of two chunks in mode 0 with ancillary sections before, among and after the critical ones."""
     made = drawn("refused-strewn", 5, _SMALL, chunk_size=3)
     texts = (b"a", b"bcd", b"efghi", b"jk", b"l")
     every = tuple(Ancillary(b"noTE", 0, text, after) for after, text in enumerate(texts, 1))
@@ -66,7 +66,7 @@ def strewn() -> Target:
 
 @cache
 def packed() -> Target:
-    """A file in mode 1: two packed chunks, a raw one and a packed one; the layer colour.0 is raw."""
+    """Returns a file in mode 1: two packed chunks, a raw and a packed one. The layer colour.0 is raw."""
     where = lattice(Numbers("refused-packed"), 11)
     where[6] = where[7]
     made = drawn("refused-packed", 11, _SMALL, chunk_size=3, positions=where, position_model=position_model(where, 3))
@@ -76,31 +76,31 @@ def packed() -> Target:
 
 @cache
 def planeless() -> Target:
-    """A file without planes."""
+    """Returns a file without planes."""
     return Target(codec.emit(drawn("refused-planeless", 2, PLANELESS)))
 
 
 @cache
 def unencoded() -> Target:
-    """A file without a positional encoding."""
+    """Returns a file without a positional encoding."""
     return Target(codec.emit(drawn("refused-unencoded", 2, UNENCODED)))
 
 
 @cache
 def unpredicted() -> Target:
-    """A file without planes and without a positional encoding."""
+    """Returns a file without planes and without a positional encoding."""
     return Target(codec.emit(drawn("refused-constant", 2, CONSTANT)))
 
 
 @cache
 def later() -> Target:
-    """A file of a later minor version, whose header has eight more bytes."""
+    """Returns a file of a later minor version, with eight more bytes in the header."""
     return Target(codec.emit(replace(drawn("refused-later", 2, SMALLEST), minor=3, later=b"\1\2\3\4\5\6\7\x08")))
 
 
 @cache
 def main_file() -> Target:
-    """A file of profile Main, level 1, in mode 1, without anchors and with weights of 0."""
+    """Returns a file of profile Main, level 1, in mode 1, without anchors and with zero weights."""
     made = scene("refused-main", 0, MAIN_SMALLEST)
     networks = {name: silent(layers) for name, layers in made.networks.items()}
     networks["sarm"][-1][1][1] = -40
@@ -110,7 +110,7 @@ def main_file() -> Target:
 
 @cache
 def grids(seed: int = 0) -> Target:
-    """A file in mode 1 whose first layer is raw because of a bias of -0, all others packed."""
+    """Returns a file in mode 1. The first layer is raw because of a bias of -0, the others are packed."""
     d = replace(SMALLEST, slices=(1, 1), carm_width=(2,)) if seed % 2 else SMALLEST
     made = scene("refused-grids", 2, d, seed, lanes=Lanes(0, 0, (1 + seed) % 3))
     made.networks["hyper"][0][1][0] = -0.0
@@ -119,16 +119,16 @@ def grids(seed: int = 0) -> Target:
 
 @cache
 def five_cells(seed: int = 0) -> Target:
-    """A file of five anchors in one packed chunk."""
+    """Returns a file of five anchors in one packed chunk."""
     where = lattice(Numbers("refused-cells", seed), 5)
     return Target(codec.emit(placed("refused-cells", where, chunk_size=5, seed=seed)))
 
 
 @lru_cache(maxsize=64)
 def far(symbol: int, scale: int = -40, seed: int = 0) -> Target:
-    """A file of one anchor. Its one feature is far from its mean, which is 0; all else there costs next to nothing.
+    """Returns a file of one anchor. Its feature is far from its mean of 0. All else takes almost no bits.
 
-    So the raw bytes of its attributes are those of one value. scale: the feature's scale index.
+    Thus the raw bytes of its attributes are those of one value. scale: the feature's scale index.
     """
     zero = np.zeros(SMALLEST.attribute_width, np.int64)
     networks = constant(SMALLEST, Numbers("refused-far", seed), zero, zero - 40)
@@ -140,5 +140,5 @@ def far(symbol: int, scale: int = -40, seed: int = 0) -> Target:
 
 @cache
 def radius() -> int:
-    """The radius of the models of far's feature, of the least scale: what is farther from the mean is escaped."""
+    """Returns the radius of the model of far's feature with the least scale. Values beyond it are escaped."""
     return int(tables().gauss.radius[8])

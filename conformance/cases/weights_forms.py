@@ -1,6 +1,6 @@
 """Cases of clauses 5.9 and 6.8: valid files in mode 1 of the weights, with layers of either form.
 
-Some layers are raw because no grid has their values, and others because an encoder chose so.
+Some layers are raw because no grid contains their values, others by the encoder's choice.
 """
 
 from __future__ import annotations
@@ -101,7 +101,7 @@ def add(book: Book) -> None:
 
 
 def _chosen(name: str, forms: Callable[[int], NDArray[Any]], d: Dimensions = TINY_DIMENSIONS) -> Scene:
-    """A scene in mode 1 whose layers all could be packed. forms: those of so many layers."""
+    """Returns a scene in mode 1 in which all layers can be packed. forms: of the first layers."""
     made = packed_weights(drawn(name, 3, d))
     found = forms(len(layers_of(d))).astype(np.uint8)
     assert packable(made.networks).all()
@@ -127,7 +127,7 @@ def _at_the_limit() -> Scene:
 
 
 def _some_raw(made: Scene, *names: str) -> Scene:
-    """The scene with some layers raw, and the others packed."""
+    """Returns the scene with some layers raw, and the others packed."""
     raw = np.array([name in names for name, _, _ in layers_of(made.dimensions)])
     assert made.weight_scales is not None
     scale = np.where(raw[:, None], 0, made.weight_scales).astype(np.uint8)
@@ -137,7 +137,7 @@ def _some_raw(made: Scene, *names: str) -> Scene:
 def _beyond(n: Networks) -> None:
     n["hyper"][0][0][0, 0] = -0.0
     n["covariance"][1][1][3] = -0.0
-    # An odd integer beyond the limit, exponents beyond theirs.
+    # An odd integer beyond the limit, and exponents beyond their limits.
     n["opacity"][0][0][0, :2] = 2.0**24, 1
     n["opacity"][1][0][0, 0] = 2.0**105
     n["opacity"][1][0][0, 1:] = 0

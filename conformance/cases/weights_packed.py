@@ -43,7 +43,7 @@ def _any_grids(draw: Draw) -> Target:
 
 @fault("weights.length")
 def cut(t: Target, layer: str | None, more: int) -> Whole:
-    """The section ends some bytes behind the beginning of a layer's model, or of the section if there is no layer."""
+    """The section ends some bytes after the start of a layer's model, or of the section without a layer."""
     start = t.start(WEIGHTS)
     end = (start if layer is None else t.layer_at(layer)) + more
     return Whole(resized(t.data, WEIGHTS, t.data[start:end]), start)
@@ -58,7 +58,7 @@ def _(draw: Draw, t: Target) -> Drawn:
 
 @fault("weights.layer")
 def model_field(t: Target, layer: str, field: str, value: int) -> Edit:
-    """A field of a layer's model is outside its limits, or not 0 in a raw layer."""
+    """A field of a layer's model is outside its limits, or not 0 for a raw layer."""
     return one_field(t, f"weights.{layer}.{field}", value)
 
 
@@ -75,7 +75,7 @@ def _(draw: Draw, t: Target) -> Drawn:
 
 @fault("weights.reserved")
 def reserved(t: Target, layer: str, item: int, value: int) -> Edit:
-    """A reserved byte of a layer's model is not zero. The first byte of them is told."""
+    """A reserved byte of a layer's model is not zero. The first of these bytes is reported."""
     path = f"weights.{layer}.reserved"
     return Edit(t.pack({f"{path}[{item}]": value}), t.at(f"{path}[0]"))
 
@@ -89,9 +89,9 @@ def _(draw: Draw, t: Target) -> Drawn:
 def with_integers(
     t: Target, layer: str, change: Callable[[GridLayer], GridLayer], coder: Callable[[Encoder], Coder] = lambda e: e
 ) -> Whole:
-    """The file with other integers in a packed layer, coded rightly. The offset is that of the layer's model.
+    """Returns the file with other integers in a packed layer, validly coded. The offset is that of the layer's model.
 
-    coder: what codes them with an encoder.
+    coder: codes them with an encoder.
     """
     made = codec.parse(t.data).scene
     assert made.weight_scales is not None
@@ -110,13 +110,13 @@ def with_integers(
 
 
 def _packed_layer(draw: Draw, t: Target) -> str:
-    """The name of a layer that is packed."""
+    """Draws the name of a packed layer."""
     return draw.choice(t.layers[1:])
 
 
 @fault("weights.exponent")
 def even_integers(t: Target, layer: str, rows: int | None = None) -> Whole:
-    """A layer whose first rows have even integers alone, so many of them or all."""
+    """The first rows of a layer, or all, have only even integers."""
 
     def change(g: GridLayer) -> GridLayer:
         weight, bias = g.weight.copy(), g.bias.copy()
@@ -134,7 +134,7 @@ def _(draw: Draw, t: Target) -> Drawn:
 
 @fault("weights.exponent")
 def first_difference(t: Target, layer: str, value: int) -> Whole:
-    """A first row whose exponent is not the model's."""
+    """The exponent of the first row is not the model's."""
     return with_integers(t, layer, lambda g: replace(g, difference=_with(g.difference, 0, value)))
 
 
@@ -146,7 +146,7 @@ def _(draw: Draw, t: Target) -> Drawn:
 
 @fault("weights.exponent")
 def last_difference(t: Target, layer: str, value: int) -> Whole:
-    """A last row whose exponent is outside the limits."""
+    """The exponent of the last row is outside the limits."""
     return with_integers(t, layer, lambda g: replace(g, difference=_with(g.difference, -1, value)))
 
 
@@ -158,7 +158,7 @@ def _(draw: Draw, t: Target) -> Drawn:
 
 @fault("weights.exponent")
 def last_row_of_zeros(t: Target, layer: str, difference: int) -> Whole:
-    """A last row of zeros with an exponent of its own."""
+    """A last row of zeros has a different exponent."""
 
     def change(g: GridLayer) -> GridLayer:
         weight = g.weight.copy()
@@ -176,7 +176,7 @@ def _(draw: Draw, t: Target) -> Drawn:
 
 @fault("weights.exponent")
 def first_row_of_zeros(t: Target, layer: str, difference: int) -> Whole:
-    """A first row of zeros with a difference, which the second row takes back."""
+    """A first row of zeros has a difference, which the second row cancels."""
 
     def change(g: GridLayer) -> GridLayer:
         differences, weight = np.zeros_like(g.difference), g.weight.copy()
@@ -195,7 +195,7 @@ def _(draw: Draw, t: Target) -> Drawn:
 
 @fault("weights.exponent")
 def layer_of_zeros(t: Target, layer: str, exponent: int) -> Whole:
-    """A layer of zeros with an exponent."""
+    """A layer of zeros has a nonzero exponent."""
 
     def change(g: GridLayer) -> GridLayer:
         return GridLayer(exponent, g.difference * 0, g.weight * 0, g.bias * 0)
@@ -210,7 +210,7 @@ def _(draw: Draw, t: Target) -> Drawn:
 
 
 def _with(values: Int64, at: int, value: int) -> Int64:
-    """The integers with another one at a place."""
+    """Returns the integers with a changed one."""
     found = values.copy()
     found[at] = value
     return found
@@ -228,7 +228,7 @@ def add(book: Book) -> None:
 
 @cache
 def _last_raw() -> Target:
-    """A file in mode 1 whose last layer is raw."""
+    """Returns a file in mode 1 with a raw last layer."""
     made = scene("planted-cut", 2, SMALLEST, lanes=Lanes(0, 0, 1))
     made.networks["colour"][1][1][0] = -0.0
     return Target(codec.emit(packed_weights(made)))
@@ -307,7 +307,7 @@ def _exponents(book: Book) -> None:
 
 
 def regular(name: str, change: Callable[[Networks], None]) -> Scene:
-    """A scene with changed networks, packed. The symbols are drawn after the change."""
+    """Returns a scene with changed, packed networks. The symbols are drawn after the change."""
     made = scene(name, 3)
     change(made.networks)
     return sampled(packed_weights(made), Sampler(Numbers(f"{name}/symbols")))
@@ -439,7 +439,7 @@ def _differences(n: Networks) -> None:
 
 
 def _biases(n: Networks) -> None:
-    # The bias alone is odd, or alone has the row's exponent.
+    # Only the bias is odd, or only it has the row's exponent.
     for layers in n.values():
         w, b = layers[0]
         w[:] = np.round(w) * 2

@@ -31,7 +31,7 @@ MINUS = struct.pack("<f", -INFINITY)
 
 @fault("weights.scale")
 def scale(t: Target, field: str, value: int) -> Edit:
-    """A field of the table at the section's start is outside its limits."""
+    """A field of the table at the start of the section is outside its limits."""
     return one_field(t, f"weights.{field}", value)
 
 
@@ -47,7 +47,7 @@ def _(draw: Draw, t: Target) -> Drawn:
 
 @fault("weights.padding")
 def padding(t: Target, at: int, value: int) -> Edit:
-    """A byte of the padding behind carm_shift is not zero."""
+    """A byte of the padding after carm_shift is not zero."""
     start = t.at("weights.padding")
     return Edit({start + at: bytes([value])}, start)
 
@@ -62,7 +62,7 @@ def _(draw: Draw, t: Target) -> Drawn:
 
 @fault("weights.not_finite")
 def not_finite(t: Target, layer: str, row: int, column: int | None, value: bytes) -> Edit:
-    """A weight of a raw layer is no finite number, or a bias if column is None."""
+    """A weight of a raw layer, or a bias if column is None, is not finite."""
     at = t.weight_at(layer, row, column)
     return Edit({at: value}, at)
 

@@ -1,4 +1,4 @@
-"""Cases of no clause alone: the worked example, an ordinary scene, trained scenes, and some that no encoder writes."""
+"""Cases of several clauses: the worked example, an ordinary scene, trained scenes, and unusual ones."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ from .samplers import Sampler, drawn, sampled
 from .scenes import Networks, dyadic, lattice, positions, scene, with_symbols
 from .targets import BEHIND
 
-# How many there are.
+# The number of unusual scenes.
 UNUSUAL = 16
 
 
@@ -78,7 +78,7 @@ def add(book: Book) -> None:
 
 
 def _trained(name: str) -> Scene:
-    """The scene of the vector itself, encoded anew: a change of the encoder shows (benchmarks/train_sources.py)."""
+    """Encodes the scene of the vector again, which reveals changes of the encoder (benchmarks/train_sources.py)."""
     return codec.parse((VECTORS / "valid" / f"trained-{name}.c3gs").read_bytes()).scene
 
 
@@ -90,7 +90,7 @@ def _widths(numbers: Numbers, count: tuple[int, int], most: int) -> tuple[int, .
 
 
 def _weights(numbers: Numbers, d: Dimensions) -> Networks:
-    """Networks of all kinds: ordinary, zero, subnormal, at the bounds, and with exponents of their own for each row."""
+    """Draws networks: ordinary, zero, subnormal, at the bounds, and with different exponents of rows."""
     found: Networks = {}
     for name, shapes in d.network_shapes().items():
         found[name] = []
@@ -122,7 +122,7 @@ def _weights(numbers: Numbers, d: Dimensions) -> Networks:
 
 
 def _symbols(numbers: Numbers, limit: int, *shape: int) -> Int64:
-    """Small numbers, and now and then one of any size."""
+    """Draws small numbers, and sometimes one of any size."""
     small = numbers.centred(3, *shape)
     large = (numbers.chosen([-1, 1], *shape) << numbers.integers(0, limit.bit_length() - 1, *shape)) + numbers.integers(
         -1, 1, *shape
@@ -146,7 +146,7 @@ def _render(numbers: Numbers) -> RenderInfo:
 
 
 def _ancillary(numbers: Numbers) -> tuple[Ancillary, ...]:
-    """Ancillary sections of any types, in any places."""
+    """Draws ancillary sections of any types at any places."""
     found = []
     for _ in range(numbers.integer(0, 4)):
         letters = numbers.integers(0, 25, 4) + numbers.chosen([0x41, 0x61], 4)
@@ -157,7 +157,7 @@ def _ancillary(numbers: Numbers) -> tuple[Ancillary, ...]:
 
 
 def _chunks(numbers: Numbers, anchors: int, chunk_size: int) -> tuple[int, ...]:
-    """The anchors of each chunk: any that there can be."""
+    """Draws the number of anchors of each chunk."""
     found: list[int] = []
     while sum(found) < anchors:
         found.append(numbers.integer(1, min(chunk_size, anchors - sum(found))))
@@ -165,7 +165,7 @@ def _chunks(numbers: Numbers, anchors: int, chunk_size: int) -> tuple[int, ...]:
 
 
 def _places(numbers: Numbers, anchors: int) -> NDArray[np.float16]:
-    """Positions in no order, or with some of a lattice out of place."""
+    """Draws positions without an order, or some outside of a lattice."""
     if numbers.integer(0, 1):
         return positions(numbers, anchors)
     found = lattice(numbers, anchors)
@@ -175,7 +175,7 @@ def _places(numbers: Numbers, anchors: int) -> NDArray[np.float16]:
 
 
 def _position_forms(numbers: Numbers, made: Scene) -> tuple[int, ...]:
-    """The form of each chunk: one that can be packed is raw now and then."""
+    """Draws the form of each chunk, which is sometimes raw although it could be packed."""
     forms = []
     for chunk, wanted in zip(made.chunks, numbers.integers(0, 3, len(made.chunks)).tolist(), strict=True):
         shift = None if made.position_model is None else made.position_model.cell_shift
@@ -185,7 +185,7 @@ def _position_forms(numbers: Numbers, made: Scene) -> tuple[int, ...]:
 
 
 def unusual(seed: int) -> Scene:
-    """A scene of which everything that the format leaves free is drawn."""
+    """Returns a scene in which everything that the format leaves open is drawn."""
     numbers = Numbers("unusual", seed)
     slices, layers = _widths(numbers, (1, 4), 5), (0, 2)
     channels, frequencies = (int(numbers.chosen([0, 1, 2, 3, most], 1)[0]) for most in (4, 10))
@@ -209,7 +209,7 @@ def unusual(seed: int) -> Scene:
     found = _weights(numbers, d)
     weight_scales = weight_forms = None
     if numbers.integer(0, 1):
-        # A layer that can be packed is raw now and then.
+        # A layer that can be packed is sometimes raw.
         weight_forms = np.where(numbers.integers(0, 4, len(layers_of(d))) == 0, 0, packable(found)).astype(np.uint8)
         drawn_scales = numbers.integers(0, 200, len(weight_forms), 3)
         weight_scales = np.where(weight_forms[:, None] == 0, 0, drawn_scales).astype(np.uint8)

@@ -1,1 +1,1 @@
-"""Decoders compared on many generated files."""
+"""Comparison of decoders on many generated files."""

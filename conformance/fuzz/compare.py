@@ -1,9 +1,9 @@
-"""Both decoders, and any other one, over many files.
+"""Compares both decoders, and optionally another one, on many files.
 
-The files are of valid scenes of profile Tiny, and made from them: changed, cut or faulty. The decoders must agree on
-each: on the digest, or on the code and its offset. Where the verdict is known, theirs must be the known one. An
-accepted file must be the one that the encoder writes for its scene (SPEC 4.3). refcodec decodes and encodes by each
-path that the machine runs: NumPy, and the variants of the native kernel.
+The files are valid scenes of profile Tiny, and changed, truncated or faulty versions of them. The decoders must agree
+on the digest, or on the error and its offset, and with the verdict if it is known. The encoder must write an accepted
+file again for its scene (SPEC 4.3). refcodec decodes and encodes by each path of the machine: NumPy, and the variants
+of the native kernel.
 """
 
 from __future__ import annotations
@@ -43,12 +43,12 @@ from ..runner import grading, process
 from ..runner.folder import Folder
 from .strategies import draw_fault, draw_mutation, draw_splice, drawable, scenes
 
-# Budgets: seconds for one decoder and one file, bytes of address space of a worker, of which libraries take most, and
+# Limits: seconds for one decoder and one file, bytes of address space of a worker, most of which libraries use, and
 # bytes of resident memory of another decoder's process.
 FILE_SECONDS = 20
 WORKER_BYTES = 3 << 30
 PROCESS_BYTES = 256 << 20
-# Files made from one scene, the scene's own file among them; scenes in a batch.
+# Files made from one scene, including its own; scenes in a batch.
 FILES_OF_A_SCENE = 20
 BATCH_SCENES = 25
 
@@ -56,7 +56,7 @@ Verdict = tuple[str, int]
 
 
 def first_verdict(data: bytes) -> Verdict:
-    """refcodec's: name and offset of its error, or for an accepted file its digest and -1."""
+    """Returns refcodec's verdict: name and offset of its error, or the digest and -1."""
     try:
         return reconstruction.digest(codec.parse(data).scene)[0], -1
     except BitstreamError as error:
@@ -65,7 +65,7 @@ def first_verdict(data: bytes) -> Verdict:
 
 @contextmanager
 def _path(name: str) -> Iterator[None]:
-    """refcodec decodes and encodes by the path of this name, in this process."""
+    """Selects a path of refcodec in this process."""
     before = os.environ.get(library.PATH_VARIABLE)
     os.environ[library.PATH_VARIABLE] = name
     try:
@@ -78,12 +78,12 @@ def _path(name: str) -> Iterator[None]:
 
 
 def _paths() -> list[str]:
-    """refcodec's paths on this machine, NumPy first. `native` is one of the variants that follow it."""
+    """Returns refcodec's paths on this machine, NumPy first. `native` is one of the following variants."""
     return [name for name in library.paths() if name != library.NATIVE]
 
 
 def _faulty_path(data: bytes, first: Verdict) -> str | None:
-    """What is wrong with a path of refcodec, or None. first: the verdict of NumPy."""
+    """Returns the fault of a path of refcodec, or None. first: the verdict of NumPy."""
     for name in _paths():
         with _path(name), _limited(FILE_SECONDS):
             verdict = first_verdict(data)
@@ -95,7 +95,7 @@ def _faulty_path(data: bytes, first: Verdict) -> str | None:
 
 
 def second_verdict(data: bytes) -> Verdict:
-    """The same of the second decoder."""
+    """Returns the verdict of the second decoder, as first_verdict."""
     try:
         return spec_decoder.decode(data).digest, -1
     except spec_decoder.C3GSError as error:
@@ -103,20 +103,20 @@ def second_verdict(data: bytes) -> Verdict:
 
 
 class BudgetError(Exception):
-    """A decoder took too long."""
+    """A decoder exceeded its time limit."""
 
 
 class StateError(Exception):
-    """A file that is no state of this command, or that of another run."""
+    """The file is not a state of this command, or belongs to another run."""
 
 
 class AnswerError(Exception):
-    """What a process said is neither an acceptance nor a refusal."""
+    """The output of a process is neither an acceptance nor a refusal."""
 
 
 @contextmanager
 def _unlimited() -> Iterator[None]:
-    """A process that is started has the address space that it wants: interpreters and sanitizers reserve much."""
+    """Removes the address space limit of a child process: interpreters and sanitizers reserve much."""
     soft, hard = resource.getrlimit(resource.RLIMIT_AS)
     resource.setrlimit(resource.RLIMIT_AS, (hard, hard))
     try:
@@ -127,12 +127,15 @@ def _unlimited() -> Iterator[None]:
 
 @cache
 def _watcher() -> process.Watcher:
-    """That of this process, with which it ends."""
+    """Returns the watcher of this process, which ends with it."""
     return process.Watcher()
 
 
 def command_verdict(command: Sequence[str], data: bytes) -> Verdict:
-    """The same of a decoder in a process of its own, which answers as `conformance run` demands. Raises AnswerError."""
+    """Returns the verdict of a decoder in a separate process, with the interface of `conformance run`.
+
+    Raises AnswerError.
+    """
     with closing(Folder()) as folder, _unlimited():
         folder.put(data)
         words = process.fill(command, {"input": folder.input, "output": folder.output})
@@ -168,17 +171,17 @@ def _limited(seconds: int) -> Iterator[None]:
 
 
 def compare(data: bytes, expected: Verdict | None = None, command: Sequence[str] = ()) -> tuple[Verdict, str | None]:
-    """refcodec's verdict, and what is wrong, or None.
+    """Returns refcodec's verdict, and a fault or None.
 
-    Wrong is that the decoders differ, that one fails otherwise, and that the verdict is not the expected one. command:
-    another decoder's, with {input} and {output}.
+    A fault is a difference between decoders, another failure of one, or an unexpected verdict. command: of another
+    decoder, with {input} and {output}.
     """
     verdicts = []
     for decoder in (first_verdict, second_verdict):
         try:
             with _path(library.NUMPY), _limited(FILE_SECONDS):
                 verdicts.append(decoder(data))
-        except Exception as error:  # whatever it is, it is a finding
+        except Exception as error:  # any failure is a finding
             return ("crash", 0), f"{decoder.__name__}: {type(error).__name__}: {error}"
     first, second = verdicts
     if first != second:
@@ -206,7 +209,7 @@ KINDS = ["fault", "fault", "fault", "mutation", "mutation", "splice", "splice", 
 
 @st.composite
 def families(draw: st.DrawFn) -> list[tuple[bytes, Verdict | None]]:
-    """A valid file and files made from it, each with what must be said of it if that is known."""
+    """Draws a valid file and files made from it, each with its verdict if that is known."""
     scene = draw(scenes(max_anchors=6))
     target = Target(codec.emit(scene))
     data = target.data
@@ -229,14 +232,14 @@ def families(draw: st.DrawFn) -> list[tuple[bytes, Verdict | None]]:
 
 @dataclass
 class Findings:
-    """What some batches found: number of files by verdict, and for each disagreement the text and the smallest file."""
+    """Results of batches: number of files by verdict, and the text and smallest file of each disagreement."""
 
     seen: Counter[str] = field(default_factory=Counter)
     wrong: list[tuple[str, bytes]] = field(default_factory=list)
 
 
 def batch(number: int) -> list[tuple[bytes, Verdict | None]]:
-    """Returns the files of a batch, each with what must be said of it if that is known.
+    """Returns the files of a batch, each with its verdict if that is known.
 
     The same number gives the same files.
     """
@@ -259,7 +262,7 @@ def batch(number: int) -> list[tuple[bytes, Verdict | None]]:
 
 
 def run_batch(number: int, command: Sequence[str] = ()) -> Findings:
-    """Compares the decoders on the files of a batch. command: another decoder's."""
+    """Compares the decoders on the files of a batch. command: of another decoder."""
     found = Findings()
     for data, expected in batch(number):
         verdict, wrong = compare(data, expected, command)
@@ -270,13 +273,13 @@ def run_batch(number: int, command: Sequence[str] = ()) -> Findings:
 
 
 def _start_worker() -> None:
-    # Ctrl-C is for the parent; a decoder that asks for much memory gets none.
+    # Only the parent handles Ctrl-C. The memory of the worker is limited.
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     resource.setrlimit(resource.RLIMIT_AS, (WORKER_BYTES, resource.getrlimit(resource.RLIMIT_AS)[1]))
 
 
 def _load(state: Path, first_seed: int, command: Sequence[str]) -> tuple[set[int], Counter[str], int]:
-    """Batches done, files by verdict, and disagreements of an earlier run. Raises OSError, StateError."""
+    """Returns finished batches, files by verdict, and disagreements of an earlier run. Raises OSError, StateError."""
     try:
         if not is_there(state):
             return set(), Counter(), 0
@@ -293,7 +296,7 @@ def _load(state: Path, first_seed: int, command: Sequence[str]) -> tuple[set[int
 
 
 def _is_state(saved: Any) -> bool:
-    """Whether a JSON value is what `run` writes."""
+    """Whether a JSON value has the form that `run` writes."""
 
     def are(kind: type, values: Iterable[Any]) -> bool:
         return all(type(value) is kind for value in values)
@@ -310,8 +313,8 @@ def _is_state(saved: Any) -> bool:
 def run(count: int, first_seed: int, jobs: int, state: Path, keep: Path, command: Sequence[str]) -> int:
     """Compares the decoders on at least `count` files, in `jobs` processes. Returns 1 if they disagree on any, else 0.
 
-    state: where batches are noted that are done: a run that is interrupted goes on from there. keep: the folder for
-    files on which they disagree. command: another decoder's, with {input} and {output}, or nothing.
+    state: the file with finished batches, from which an interrupted run continues. keep: the folder for files on which
+    the decoders disagree. command: of another decoder, with {input} and {output}, or empty.
     """
     with hold_file(state.with_name(state.name + ".lock")):
         return _run(count, first_seed, jobs, state, keep, command)
@@ -319,7 +322,7 @@ def run(count: int, first_seed: int, jobs: int, state: Path, keep: Path, command
 
 def _run(count: int, first_seed: int, jobs: int, state: Path, keep: Path, command: Sequence[str]) -> int:
     done, seen, wrong = _load(state, first_seed, command)
-    # Some scenes have no place for a fault that is drawn, and give fewer files. What is not needed is not begun.
+    # Scenes without a place for a drawn fault give fewer files. Batches start only as needed.
     least = BATCH_SCENES * FILES_OF_A_SCENE * 3 // 4
     batches = [first_seed + i for i in range(-(-count // least)) if first_seed + i not in done]
     began = time.monotonic()
@@ -331,7 +334,7 @@ def _run(count: int, first_seed: int, jobs: int, state: Path, keep: Path, comman
             bar.update(min(sum(found.seen.values()), bar.total - bar.n))
             for text, data in found.wrong:
                 wrong += 1
-                # The name is of the content, so that no other run's file is replaced.
+                # The name depends on the content, so that files of other runs are not replaced.
                 path = keep / f"{number}-{hashlib.sha256(data).hexdigest()[:12]}.c3gs"
                 write_file(path, data)
                 see = f"refcodec inspect {path} --hex; python -m conformance.spec_decoder validate {path}"

@@ -2,9 +2,9 @@
 
     python -m conformance.fuzz.guided out/corpus vectors -max_total_time=600
 
-The first folder collects what reaches new code. Arguments after the folders are libFuzzer's. Checksums are repaired
-before a file is decoded, unless the input's last byte is odd, so that changes reach what lies behind them. A
-disagreement ends the run, and libFuzzer keeps the file.
+The first folder collects inputs that reach new code. Arguments after the folders are those of libFuzzer. Checksums are
+repaired before decoding, unless the input's last byte is odd, so that changes reach later checks. A disagreement ends
+the run, and libFuzzer keeps the file.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ with atheris.instrument_imports(include=["refcodec", "conformance.spec_decoder"]
 
 
 def look(data: bytes) -> None:
-    """One file, all but the last byte of the input."""
+    """Compares the decoders on the input without its last byte."""
     file = data[:-1]
     repaired = len(file) > 20 and not data[-1] & 1
     _, wrong = compare.compare(repair(file) if repaired else file)

@@ -1,4 +1,4 @@
-"""Hypothesis strategies: structures of SPEC.md, whole scenes, faults, and changed files whose checksums are right."""
+"""Hypothesis strategies: structures of SPEC.md, whole scenes, faults, and changed files with right checksums."""
 
 from __future__ import annotations
 
@@ -33,14 +33,14 @@ T = TypeVar("T")
 
 
 def _within(bounds: tuple[int, int], most: int) -> st.SearchStrategy[int]:
-    """Small values mostly, the profile's limit sometimes."""
+    """Draws mostly small values, and sometimes the profile's limit."""
     low, high = bounds
     return st.one_of(st.integers(low, min(most, high)), st.sampled_from([low, high]))
 
 
 @st.composite
 def dimensions(draw: st.DrawFn) -> Dimensions:
-    """Any dimensions of profile Tiny; its limits included, but not all of them at once."""
+    """Draws dimensions of profile Tiny, including its limits, but not all at once."""
     p = PROFILES[TINY]
     slices = draw(st.lists(_within(p.slice_width, 4), min_size=1, max_size=4))
 
@@ -83,7 +83,7 @@ def render_infos() -> st.SearchStrategy[RenderInfo]:
 
 @st.composite
 def frames(draw: st.DrawFn) -> Frame:
-    """Frames to their limits."""
+    """Draws frames up to their limits."""
     matrix = draw(hnp.arrays(np.int64, (3, 3), elements=st.integers(1 - frame.MATRIX_BOUND, frame.MATRIX_BOUND - 1)))
     translation = draw(
         hnp.arrays(np.int64, 3, elements=st.integers(1 - frame.TRANSLATION_BOUND, frame.TRANSLATION_BOUND - 1))
@@ -96,7 +96,7 @@ def frames(draw: st.DrawFn) -> Frame:
 
 @st.composite
 def networks(draw: st.DrawFn, d: Dimensions) -> dict:
-    """Weights whose rows keep the accumulator bound: random, zero, subnormal, and as large as the bound allows."""
+    """Draws weights within the accumulator bound: random, zero, subnormal, and as large as possible."""
     rng = np.random.default_rng(draw(st.integers(0, 2**32 - 1)))
     out = {}
     for name, shapes in d.network_shapes().items():
@@ -120,7 +120,7 @@ def networks(draw: st.DrawFn, d: Dimensions) -> dict:
 
 
 def positions(count: int) -> st.SearchStrategy[np.ndarray]:
-    """Every finite fp16 but -0: subnormals, extremes and duplicates."""
+    """Draws finite fp16 numbers except -0: subnormals, extremes and duplicates."""
     bits = st.one_of(
         st.integers(0, 0x7BFF), st.integers(0x8001, 0xFBFF), st.sampled_from([0, 1, 0x03FF, 0x7BFF, 0x8001, 0xFBFF])
     )
@@ -129,7 +129,7 @@ def positions(count: int) -> st.SearchStrategy[np.ndarray]:
 
 @st.composite
 def position_models(draw: st.DrawFn, positions: np.ndarray, chunk_size: int) -> PositionModel | None:
-    """None, the encoder's choice, or any model."""
+    """Draws None, the encoder's choice, or any model."""
     kind = draw(st.sampled_from(["raw", "chosen", "any"]))
     if kind == "raw":
         return None
@@ -146,7 +146,7 @@ def position_models(draw: st.DrawFn, positions: np.ndarray, chunk_size: int) -> 
 
 @st.composite
 def weight_codings(draw: st.DrawFn, networks: dict) -> tuple[dict, np.ndarray | None, np.ndarray | None]:
-    """Networks in mode 0; or in mode 1, those of the encoder or as they are, with its scales or any, and any forms."""
+    """Draws networks in mode 0; or in mode 1, changed by the encoder or not, with its scales or any, in any forms."""
     kind = draw(st.sampled_from(["raw", "chosen", "any"]))
     if kind == "raw":
         return networks, None, None
@@ -163,14 +163,14 @@ def weight_codings(draw: st.DrawFn, networks: dict) -> tuple[dict, np.ndarray | 
         )
     if draw(st.booleans()):
         return networks, scales, None
-    # What can be packed may be raw, and has no scales then.
+    # A layer that can be packed may also be raw, without scales.
     forms = weights.packable(networks) * draw(hnp.arrays(np.uint8, len(scales), elements=st.integers(0, 1)))
     return networks, scales * forms[:, None], forms
 
 
 @st.composite
 def chunkings(draw: st.DrawFn, anchors: int, chunk_size: int) -> tuple[int, ...] | None:
-    """None for the fewest chunks, or any number of anchors for each chunk."""
+    """Draws None for the fewest chunks, or a number of anchors for each chunk."""
     if draw(st.booleans()):
         return None
     found: list[int] = []
@@ -184,7 +184,7 @@ _FIELDS = {"u16": st.integers(0, 3), "u32": st.integers(0, 3), "f32": st.floats(
 
 @st.composite
 def _struct(draw: st.DrawFn, table: str, **fields: int) -> bytes:
-    """A struct of SYNTAX with any values of its fields. fields: those that are given."""
+    """Draws a struct of SYNTAX with any field values. fields: given values."""
     values: dict[str, object] = {}
     for name, kind in syntax.SYNTAX[table]:
         base, _, count = kind.rstrip("]").partition("[")
@@ -199,14 +199,14 @@ def _struct(draw: st.DrawFn, table: str, **fields: int) -> bytes:
 
 @st.composite
 def _content(draw: st.DrawFn, kind: AncillaryType) -> bytes:
-    """The content of a section of a known type, by its tables."""
+    """Draws the content of a section of a known type, by its syntax tables."""
     items = draw(st.lists(_struct(kind.items), max_size=2))
     return draw(_struct(kind.head, count=len(items))) + b"".join(items)
 
 
 @st.composite
 def ancillary(draw: st.DrawFn) -> tuple[Ancillary, ...]:
-    """Some ancillary sections of any type, which may occur several times, at any places."""
+    """Draws ancillary sections of any type, possibly repeated, at any places."""
     letter = st.sampled_from("aZ")
     kind = st.builds("{}{}{}{}".format, st.sampled_from("bz"), letter, letter, letter).map(str.encode)
     known, modes, places = st.sampled_from([*TYPES]), st.integers(0, 255), st.integers(0, 3)
@@ -219,7 +219,7 @@ def ancillary(draw: st.DrawFn) -> tuple[Ancillary, ...]:
 
 @st.composite
 def some_positions(draw: st.DrawFn, count: int) -> np.ndarray:
-    """Any positions; on a lattice near 0 or anywhere; in any order or in that of their cells."""
+    """Draws positions on a lattice near 0 or anywhere, in any order or in that of their cells."""
     found = draw(positions(count))
     if draw(st.booleans()):
         spread = draw(st.sampled_from([3, 40, 2048]))
@@ -230,7 +230,7 @@ def some_positions(draw: st.DrawFn, count: int) -> np.ndarray:
 
 
 def spread_symbols(shape: tuple[int, ...], limit: int) -> st.SearchStrategy[np.ndarray]:
-    """Integers of all magnitudes up to a limit: small ones, one large one, or any."""
+    """Draws integers up to a limit: small ones, one large one, or any."""
     small = hnp.arrays(np.int32, shape, elements=st.integers(-3, 3))
     wide = hnp.arrays(np.int32, shape, elements=st.integers(-limit, limit), fill=st.just(0))
     powers = st.integers(0, limit.bit_length()).flatmap(
@@ -241,7 +241,7 @@ def spread_symbols(shape: tuple[int, ...], limit: int) -> st.SearchStrategy[np.n
 
 @st.composite
 def scenes(draw: st.DrawFn, max_anchors: int = 12) -> Scene:
-    """Any scene of profile Tiny with up to max_anchors anchors."""
+    """Draws a scene of profile Tiny with at most max_anchors anchors."""
     d = draw(dimensions())
     n = draw(st.integers(0, max_anchors))
     masks = draw(
@@ -300,11 +300,11 @@ def scenes(draw: st.DrawFn, max_anchors: int = 12) -> Scene:
 
 
 class NoPlaceError(Exception):
-    """A choice among nothing: the file has no place for the fault that is drawn."""
+    """There is nothing to choose: the file has no place for the drawn fault."""
 
 
 class Drawer(Draw):
-    """What draws the parameters of faults: hypothesis's own strategies."""
+    """Draws the parameters of faults by hypothesis's strategies."""
 
     def __init__(self, draw: st.DrawFn) -> None:
         self._draw = draw
@@ -325,12 +325,12 @@ class Drawer(Draw):
 
 
 def drawable() -> dict[str, Fault[...]]:
-    """The faults whose parameters can be drawn, by name; the others are of the suite alone."""
+    """Returns the faults whose parameters can be drawn, by name. Only the suite has the others."""
     return {name: fault for name, fault in faults().items() if fault.draw is not None}
 
 
 def draw_fault(draw: st.DrawFn, target: Target, name: str) -> Refused | None:
-    """A file with the named fault, made from a valid file of profile Tiny; None if that file has no place for it."""
+    """Returns a file with the named fault, from a valid file of Tiny, or None if it has no place for the fault."""
     fault = faults()[name]
     assert fault.draw is not None
     try:
@@ -341,7 +341,7 @@ def draw_fault(draw: st.DrawFn, target: Target, name: str) -> Refused | None:
 
 
 def draw_mutation(draw: st.DrawFn, data: bytes) -> bytes:
-    """A file with a few bytes changed behind the prologue, its checksums repaired if they can still be found."""
+    """Draws a file with a few changed bytes after the prologue, and repaired checksums if they can be found."""
     out = bytearray(data)
     for _ in range(draw(st.integers(1, 3))):
         at = draw(st.integers(header.PROLOGUE_BYTES, len(out) - 1))
@@ -353,9 +353,9 @@ mutations = st.composite(draw_mutation)
 
 
 def draw_splice(draw: st.DrawFn, data: bytes) -> bytes:
-    """A file with a few bytes of one substream taken out, put in or changed.
+    """Draws a file with a few bytes of one substream removed, inserted or changed.
 
-    Lengths and checksums are right. The word count may change too. A file without a substream is mutated instead.
+    Lengths and checksums are right. The word count may also change. A file without substreams is mutated instead.
     """
     target = Target(data)
     if not target.substreams:

@@ -40,7 +40,7 @@ def test_the_text_has_these_constants() -> None:
         found = tuple(setting(name) for name in re.findall(r"`([\w.]+)`", cell))
         assert (found if len(found) > 1 else found[0]) == eval(value, {})
     assert setting("rate.plane_period") == 4
-    assert "every fourth step" in section
+    assert "every fourth step" in " ".join(section.split())
     fitted = FitSettings()
     assert fitted.quantisation == TrainSettings().quantisation
     stated = f"an offset step of {fitted.scene.offsets} instead of {fitted.quantisation.offsets}"
