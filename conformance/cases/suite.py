@@ -13,8 +13,8 @@ from refcodec.bitstream import codec, header
 from refcodec.bitstream.errors import BitstreamError
 from refcodec.bitstream.limits import PROFILES
 from refcodec.bitstream.reconstruction import canonical_head, digest
-from refcodec.files.exchange import INCOMING, exchange
-from refcodec.files.stage import make_folder, new_file
+from refcodec.files.lock import is_empty
+from refcodec.files.stage import exchange, new_file
 from refcodec.inspect.trace import symbol_trace
 from refcodec.statuses import UsageError
 
@@ -134,7 +134,7 @@ def vectors(recipes: Iterable[Recipe]) -> Iterator[tuple[dict[str, Any], dict[st
 
 def _check(folder: Path) -> None:
     """Raises UsageError for a folder with something in it that is no suite."""
-    if not folder.is_dir() or not any(p.name != INCOMING for p in folder.iterdir()):
+    if not folder.is_dir() or is_empty(folder):
         return
     manifest = folder / MANIFEST
     if not manifest.is_file() or NAME not in manifest.read_bytes()[:100].decode(errors="replace"):
@@ -174,7 +174,7 @@ def generate(folder: Path, recipes: Iterable[Recipe]) -> tuple[int, int]:
         for klass in CLASSES:
             (new / klass).mkdir()
         for path, data in written.items():
-            make_folder((new / path).parent, [])
+            (new / path).parent.mkdir(parents=True, exist_ok=True)
             with new_file(new / path) as file:
                 file.write(data)
 

@@ -13,8 +13,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from .. import statuses
-from ..files.lock import hold_file
-from ..files.stage import errors_of, folder_beside, make_folder, remove_folders
+from ..files.lock import errors_of, hold_file
+from ..files.stage import folder_beside
 from ..files.terminal import note, say
 from ..files.text import shell_word
 from . import train_options
@@ -148,14 +148,12 @@ def _train_from_splats(arguments: argparse.Namespace, source: Path) -> int:
         _check_pictures(pictures, output)
     cameras = _cameras_of(source, arguments.cameras)
     note_compiling()
-    folders: list[Path] = []
-    place, drawn = (pictures or output).absolute().parent, None
+    drawn = None
     beside = contextlib.ExitStack()
     try:
         if kept is None:
-            make_folder(place, folders)
-            drawn = beside.enter_context(folder_beside(place)) / "pictures"
-            with errors_of(pictures or output, drawn):
+            drawn = beside.enter_context(folder_beside((pictures or output).absolute().parent)) / "pictures"
+            with errors_of(pictures or output):
                 drawn.mkdir()
                 _draw(arguments, source, cameras, drawn, settings)
         # The pictures have a split of their own.
@@ -172,7 +170,7 @@ def _train_from_splats(arguments: argparse.Namespace, source: Path) -> int:
                 up_axis=train_options.up_axis(arguments),
             )
         if drawn and pictures:
-            with errors_of(pictures, drawn):
+            with errors_of(pictures):
                 drawn.replace(pictures)
     except SceneFolderError:
         raise
@@ -182,7 +180,6 @@ def _train_from_splats(arguments: argparse.Namespace, source: Path) -> int:
         raise UsageError(f"{source} cannot be used for training: {error}") from None
     finally:
         beside.close()
-        remove_folders(folders)
     for line in closing(result.trainer, result.report, output, str(pictures or "PHOTOGRAPHS")):
         say(line)
     if not result.whole:

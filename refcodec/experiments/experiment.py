@@ -12,6 +12,7 @@ from typing import Any
 
 from .. import statuses
 from ..files.documents import DocumentError, read_json
+from ..files.lock import is_empty
 from ..files.present import NotAFileError, is_there
 from ..files.stage import write_file
 from ..files.terminal import note
@@ -39,7 +40,7 @@ class Folder:
         path.mkdir(parents=True, exist_ok=True)
         mark = path / MARK
         try:
-            if not is_there(mark) and not any(path.iterdir()):
+            if not is_there(mark) and is_empty(path):
                 write_file(mark, f"{json.dumps({'format': FORMAT})}\n".encode())
             if is_there(mark) and read_json(mark)["format"] == FORMAT:
                 return

@@ -20,8 +20,9 @@ from typing import Any
 from .. import statuses
 from ..files.documents import DocumentError, read_json
 from ..files.interrupts import on_interrupt
+from ..files.lock import is_empty
 from ..files.present import NotAFileError, is_there
-from ..files.stage import Stage, make_folder, write_file
+from ..files.stage import Stage, write_file
 from ..files.terminal import ProgressStream, note
 from ..files.text import printable, shell_word
 
@@ -158,12 +159,12 @@ class Notes:
         """
         path = folder / name
         try:
-            make_folder(folder, [])
+            folder.mkdir(parents=True, exist_ok=True)
             if is_there(path):
                 found = read_json(path)
                 if isinstance(found, dict) and found.get("format") == format and _are_notes(found.get("commands")):
                     return cls(path, format, found["commands"])
-            elif not any(folder.iterdir()):
+            elif is_empty(folder):
                 notes = cls(path, format)
                 notes._write()
                 return notes

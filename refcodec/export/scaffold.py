@@ -41,10 +41,10 @@ from ..bitstream.header import RenderInfo
 from ..bitstream.networks import Layer
 from ..bitstream.reconstruction import Reconstruction
 from ..bitstream.scene import Scene
-from ..files.exchange import INCOMING, exchange
+from ..files.lock import BESIDE
 from ..files.outputs import Kind, check_file
 from ..files.ply import ply_bytes
-from ..files.stage import make_folder, new_file
+from ..files.stage import exchange, new_file
 from ..folder.layout import RENDER_FILE
 from ..folder.ply import ply_values
 from ..folder.uncompressed import render_document
@@ -125,21 +125,22 @@ def check_folder(folder: Path) -> None:
         return
     if not folder.is_dir():
         raise UsageError(f"{folder} is a file: give the name of a folder")
-    files = {path.relative_to(folder) for path in folder.rglob("*") if INCOMING not in path.parts and not path.is_dir()}
+    files = {path.relative_to(folder) for path in folder.rglob("*") if not path.is_dir()}
+    files = {file for file in files if BESIDE not in str(file)}
     if files and (CFG_ARGS not in files or not files <= set(FILES)):
         raise UsageError(f"{folder} exists and has other files: choose another one, or empty it")
     check_file(folder / CFG_ARGS, CFG, made=True)
 
 
 def write_folder(files: Mapping[Path, bytes], folder: Path) -> None:
-    """Writes the files of scaffold_files in place of those before: all of them, or none (files.exchange).
+    """Writes the files of scaffold_files in place of those before: all of them, or none (files.stage.exchange).
 
     Raises UsageError as check_folder, and OSError.
     """
 
     def write(new: Path) -> None:
         for name, data in files.items():
-            make_folder((new / name).parent, [])
+            (new / name).parent.mkdir(parents=True, exist_ok=True)
             with new_file(new / name) as file:
                 file.write(data)
 

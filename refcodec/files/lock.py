@@ -1,58 +1,90 @@
-"""Locks between processes, of the places that they write to."""
+"""Locks between processes (filelock), and the folders that hold them."""
+
+# filelock is imported where it is used, so that help is instant.
+# ruff: noqa: PLC0415
 
 from __future__ import annotations
 
 import contextlib
-import os
+import errno
 from collections.abc import Iterator
 from pathlib import Path
 
-from .held import locked
-from .stage import make_folder, remove_folders
+from ..statuses import UsageError
+from .text import printable
+
+# The prefix of the names of temporary files and folders.
+BESIDE = ".refcodec-"
+
+
+def is_empty(folder: Path) -> bool:
+    """Whether a folder has no entries but temporary ones. Raises OSError."""
+    return all(entry.name.startswith(BESIDE) for entry in folder.iterdir())
 
 
 @contextlib.contextmanager
-def hold_folder(folder: Path, wait: bool = False) -> Iterator[None]:
-    """Holds the lock of a folder, which is made if it is not there, and removed if it was made and is empty at the end.
+def errors_of(shown: Path) -> Iterator[None]:
+    """Makes an OSError name an output if it names no file, or a temporary one. shown: the output."""
+    try:
+        yield
+    except OSError as error:
+        if error.filename is None or BESIDE in str(error.filename):
+            error.filename = str(shown)
+        raise
+
+
+@contextlib.contextmanager
+def made_folder(path: Path) -> Iterator[None]:
+    """Makes a folder and its missing parents. At the end it removes those of them that are empty. Raises OSError."""
+    missing = [folder for folder in (path, *path.parents) if not folder.exists()]
+    try:
+        path.mkdir(parents=True, exist_ok=True)
+        yield
+    finally:
+        for folder in missing:
+            with contextlib.suppress(OSError):
+                folder.rmdir()
+
+
+@contextlib.contextmanager
+def hold_file(path: Path, wait: bool = False, shown: Path | None = None) -> Iterator[None]:
+    """Holds a lock file, which exists only meanwhile, in a folder of made_folder.
+
+    The system releases the lock when the process ends. On file systems without locks, the lock holds nobody up.
 
     Args:
-        folder: the folder.
-        wait: whether to wait for a run that holds it.
+        path: the lock file.
+        wait: whether to wait for another holder.
+        shown: the name in messages; None stands for the path.
 
     Raises:
-        UsageError: another run holds it, and is not waited for.
-        OSError: the folder cannot be made.
+        UsageError: another process holds it, and `wait` is false.
+        OSError: the file or its folder cannot be made.
     """
-    made: list[Path] = []
-    descriptor = None
-    try:
-        while descriptor is None:
-            make_folder(folder, made)
-            descriptor = locked(folder, os.O_RDONLY, wait)
-        yield
-    finally:
-        # Under the lock, so that no run finds the folder and then loses it.
-        remove_folders(made)
-        if descriptor is not None:
-            os.close(descriptor)
+    from filelock import FileLock, Timeout
+
+    while True:
+        with made_folder(path.parent), contextlib.ExitStack() as held:
+            try:
+                with errors_of(shown or path):
+                    held.enter_context(FileLock(path).acquire(timeout=-1 if wait else 0))
+                    held.callback(path.unlink, missing_ok=True)
+            except Timeout:
+                name = printable(str(shown or path))
+                raise UsageError(f"another run writes to {name}: wait for it, or choose another place") from None
+            except FileNotFoundError:
+                # The holder before has removed the folder.
+                continue
+            except OSError as error:
+                if error.errno not in (errno.ENOLCK, errno.ENOTSUP):
+                    raise
+            yield
+            return
 
 
-@contextlib.contextmanager
-def hold_file(path: Path) -> Iterator[None]:
-    """Holds the lock of a file that is there only as long. Folders that it is in are made, and removed as hold_folder.
+def hold_folder(folder: Path, wait: bool = False) -> contextlib.AbstractContextManager[None]:
+    """Holds the lock of a folder, which is made if it is missing, and removed at the end if it was made and is empty.
 
-    Raises UsageError if another run holds it, and OSError if it cannot be made.
+    wait, errors: as in hold_file.
     """
-    made: list[Path] = []
-    descriptor = None
-    try:
-        make_folder(path.parent, made)
-        while descriptor is None:
-            descriptor = locked(path, os.O_RDWR | os.O_CREAT, False)
-        yield
-    finally:
-        if descriptor is not None:
-            with contextlib.suppress(OSError):
-                path.unlink()
-            os.close(descriptor)
-        remove_folders(made)
+    return hold_file(folder / f"{BESIDE}lock", wait, folder)

@@ -1,16 +1,15 @@
-"""What a command may write to: one rule for every output of every command.
+"""Rules for the outputs of every command.
 
-- An output is never a file that the same run reads, and never beside the files of a folder that it reads.
+- An output is never a file that the same run reads, and never in a folder whose files it reads.
 - It is never another output of the same run.
 - An existing file is replaced only if it is empty, or of the kind that the command makes.
 
-Files are compared as they are on the disk: links of both kinds, `./` and case do not hide that two names are one file.
-Pipes and devices are written to as they are, because nothing in them is lost.
+Files are compared by identity on the disk: two names of one file, by links of both kinds, `./` or case, count as one.
+Pipes and devices are exempt, because they hold nothing that could be lost.
 """
 
 from __future__ import annotations
 
-import contextlib
 import os
 import re
 import stat
@@ -22,18 +21,15 @@ from pathlib import Path
 from ..statuses import UsageError
 from .text import printable
 
-# What the help of a command says of its outputs.
+# The paragraph about outputs in the help of a command.
 HELP = """\
 outputs:
   All of them are written beside their places, and moved there when they are whole. A run that fails changes nothing.
-  An output is never a file that is read, nor beside the files of a folder that is read, nor another output.
+  An output is never a file that is read, nor in a folder whose files are read, nor another output.
   An existing file is replaced only if it is empty, or of the kind that this command makes."""
 
-# What is looked at of an existing file.
+# The bytes of an existing file that are compared with a kind.
 _HEAD_BYTES = 4096
-
-# Device and inode: what a file is, whatever it is called.
-_Identity = tuple[int, int]
 
 
 @dataclass(frozen=True)
@@ -45,100 +41,83 @@ class Kind:
 
     @classmethod
     def signed(cls, name: str, signature: bytes) -> Kind:
-        """The kind of the files that begin with a signature."""
+        """Returns the kind of the files that begin with a signature."""
         return cls(name, re.compile(re.escape(signature)))
 
 
 def check_file(path: Path, kind: Kind, made: bool = False) -> None:
-    """Raises UsageError unless a file can be made at a path: nothing is there, or a file of the kind, or an empty one.
+    """Raises UsageError unless a path is free for a file: nothing, a file of the kind, an empty file, or a pipe.
 
-    made: whether the run makes the folder of the file, if it is not there.
+    made: whether the run makes a missing folder of the file. Raises OSError.
     """
-    status = _status(path)
-    if status is None:
-        folder = Path(os.path.realpath(path)).parent
-        there = _status(folder)
-        if there is None and not made:
-            raise UsageError(f"there is no directory {_shown(folder)}")
-        if there is not None and not stat.S_ISDIR(there.st_mode):
+    mode, shown = _mode(path), _shown(path)
+    folder = Path(os.path.realpath(path)).parent
+    if mode == 0 and not folder.is_dir():
+        if folder.exists():
             raise UsageError(f"{_shown(folder)} is not a directory")
-    elif stat.S_ISDIR(status.st_mode):
-        raise UsageError(f"{_shown(path)} is a directory: give the name of a file")
-    elif stat.S_ISREG(status.st_mode) and status.st_size:
+        if not made:
+            raise UsageError(f"there is no directory {_shown(folder)}")
+    if stat.S_ISDIR(mode):
+        raise UsageError(f"{shown} is a directory: give the name of a file")
+    if stat.S_ISREG(mode):
         with path.open("rb") as file:
-            if not kind.begins.match(file.read(_HEAD_BYTES)):
-                raise UsageError(f"{_shown(path)} exists and is not {kind.name}: choose another name, or remove it")
+            head = file.read(_HEAD_BYTES)
+        if head and not kind.begins.match(head):
+            raise UsageError(f"{shown} exists and is not {kind.name}: choose another name, or remove it")
 
 
 def check_apart(outputs: Iterable[Path], inputs: Iterable[str | Path | None]) -> None:
-    """Raises UsageError if an output is an input, or beside the files of a folder that is read, or another output.
+    """Raises UsageError if an output is an input, or in an input folder, or another output. Raises OSError.
 
     Args:
-        outputs: files, which need not be there.
-        inputs: files, and folders whose files are read. Folders in them count only if they are given, too. None stands
-            for an input that is not given. What is not there is left to who reads it.
+        outputs: files, which may be missing.
+        inputs: files, and folders whose files are read. Their subfolders count only if they are listed, too. None
+            stands for an input that is not given. A missing input is ignored: its reader reports it.
     """
-    files, folders = _identities([Path(path) for path in inputs if path is not None])
-    taken: dict[tuple[str, str] | _Identity, Path] = {}
+    read: dict[tuple[int, int] | None, Path] = {}
+    for path in (Path(path) for path in inputs if path is not None):
+        # The files of a folder may have other names elsewhere, by links of both kinds.
+        for file in (path, *_files_in(path)):
+            read.setdefault(_identity(file), file)
+    read.pop(None, None)
+    taken: dict[object, Path] = {}
     for path in outputs:
-        status = _status(path)
-        if status is not None and not stat.S_ISREG(status.st_mode):
-            # Pipes and devices keep nothing that could be lost.
+        if (mode := _mode(path)) and not stat.S_ISREG(mode):
             continue
-        real = Path(os.path.realpath(path))
-        above = _status(real.parent)
-        name = files.get(_identity(status)) if status is not None else None
-        if name is not None:
+        real, own = Path(os.path.realpath(path)), _identity(path)
+        if name := read.get(own):
             raise UsageError(f"{_shown(path)} is {_shown(name)}, which is read: choose another output")
-        name = folders.get(_identity(above)) if above is not None else None
-        if name is not None:
+        if name := read.get(_identity(real.parent)):
             raise UsageError(f"{_shown(path)} is in {_shown(name)}, whose files are read: choose another output")
-        # Some systems take names that differ in case for one file.
+        # Some systems take names that differ in case, or in the form of an accent, for one file.
         key = (str(real.parent), unicodedata.normalize("NFC", real.name).casefold())
-        for mark in (key, *(() if status is None else (_identity(status),))):
-            if taken.setdefault(mark, path) is not path:
-                raise UsageError(f"{_shown(taken[mark])} and {_shown(path)} are one file: each output needs its own")
+        for mark in (key, own or key):
+            if (other := taken.setdefault(mark, path)) is not path:
+                raise UsageError(f"{_shown(other)} and {_shown(path)} are one file: each output needs its own")
 
 
-def _identities(paths: list[Path]) -> tuple[dict[_Identity, Path], dict[_Identity, Path]]:
-    """Returns the files and the folders that are read, by identity, with the name of each."""
-    files: dict[_Identity, Path] = {}
-    folders: dict[_Identity, Path] = {}
-    for path in paths:
-        status = _status(path)
-        if status is None:
-            continue
-        if not stat.S_ISDIR(status.st_mode):
-            files.setdefault(_identity(status), path)
-        elif folders.setdefault(_identity(status), path) is path:
-            # Links of both kinds give its files other names elsewhere.
-            for file in _listed(path):
-                # A link in a circle is told by who reads it.
-                with contextlib.suppress(OSError):
-                    there = _status(file)
-                    if there is not None and stat.S_ISREG(there.st_mode):
-                        files.setdefault(_identity(there), file)
-    return files, folders
-
-
-def _listed(folder: Path) -> list[Path]:
-    """Returns what is in a folder, or nothing if it may not be listed. Its files may be readable all the same."""
+def _files_in(folder: Path) -> list[Path]:
+    """Returns the files in a folder; none if it is not a folder, or cannot be listed."""
     try:
-        return sorted(folder.iterdir())
-    except PermissionError:
+        return sorted(path for path in folder.iterdir() if path.is_file())
+    except (FileNotFoundError, NotADirectoryError, PermissionError):
         return []
 
 
 def _status(path: Path) -> os.stat_result | None:
-    """Returns what is at a path, or None for nothing or a link that leads nowhere. Raises OSError, as for a circle."""
+    """Returns the status of a path, or None if it is missing or a link to nothing. Raises OSError, as for a circle."""
     try:
         return os.stat(path)
     except (FileNotFoundError, NotADirectoryError):
         return None
 
 
-def _identity(status: os.stat_result) -> _Identity:
-    return status.st_dev, status.st_ino
+def _mode(path: Path) -> int:
+    return 0 if (status := _status(path)) is None else status.st_mode
+
+
+def _identity(path: Path) -> tuple[int, int] | None:
+    return None if (status := _status(path)) is None else (status.st_dev, status.st_ino)
 
 
 def _shown(path: Path) -> str:

@@ -1,4 +1,7 @@
-"""Files that are whole or not there: written beside their places, flushed to the disk, and moved when all are whole."""
+"""Files that are whole or missing: written beside their places, flushed to the disk, and renamed when all are whole."""
+
+# filelock is imported where it is used, so that help is instant.
+# ruff: noqa: PLC0415
 
 from __future__ import annotations
 
@@ -8,186 +11,105 @@ import io
 import os
 import re
 import shutil
-import stat
-from collections.abc import Iterator
+from collections.abc import Callable, Iterable, Iterator
 from pathlib import Path
 from types import TracebackType
 from typing import BinaryIO
 
-from .held import locked, taken
+from .lock import BESIDE, errors_of, hold_file, hold_folder
 
-# How the names of folders begin that hold what is not whole yet.
-BESIDE = ".refcodec-"
-_BESIDE = re.compile(re.escape(BESIDE) + "[0-9a-f]{16}")
+# The folder inside a folder in which exchange() keeps new and old files.
+INCOMING = f"{BESIDE}incoming"
+_TEMPORARY = re.compile(rf"({re.escape(BESIDE)}[0-9a-f]{{16}})(\.lock)?")
 _BUFFER_BYTES = 1 << 20
 
 
-@contextlib.contextmanager
-def errors_of(shown: Path, beside: Path | None = None) -> Iterator[None]:
-    """Lets an OSError that names no file, or one that is not whole yet, name what people know.
+class _File(io.FileIO):
+    """A new file, whose errors name an output. shown: the output."""
 
-    shown: the output. beside: where it, or what is in it, is until it is whole.
-    """
-    try:
-        yield
-    except OSError as error:
-        if error.filename is None:
-            error.filename = str(shown)
-        elif beside is not None and Path(os.fsdecode(error.filename)).is_relative_to(beside):
-            error.filename = str(shown / Path(os.fsdecode(error.filename)).relative_to(beside))
-        raise
-
-
-class _Descriptor(io.RawIOBase):
-    """A file descriptor to write to. shown: the name of the file in errors, which the system does not give."""
-
-    def __init__(self, descriptor: int, shown: Path) -> None:
-        self._descriptor, self.shown = descriptor, shown
-
-    def fileno(self) -> int:
-        return self._descriptor
-
-    def writable(self) -> bool:
-        return True
-
-    def seekable(self) -> bool:
-        return True
-
-    def seek(self, offset: int, whence: int = 0, /) -> int:
-        return os.lseek(self._descriptor, offset, whence)
+    def __init__(self, path: Path, shown: Path) -> None:
+        self.shown = shown
+        with errors_of(shown):
+            super().__init__(path, "x", opener=lambda name, flags: os.open(name, flags, 0o666))
 
     def write(self, data: object) -> int:
         with errors_of(self.shown):
-            return os.write(self._descriptor, data)  # type: ignore[arg-type]
-
-    def close(self) -> None:
-        if not self.closed:
-            super().close()
-            os.close(self._descriptor)
-
-
-def _opened(path: Path, flags: int, shown: Path) -> BinaryIO:
-    return io.BufferedWriter(_Descriptor(os.open(path, os.O_WRONLY | flags, 0o666), shown), _BUFFER_BYTES)
-
-
-def _abandon(file: BinaryIO) -> None:
-    """Closes a file without what is not written yet, which would fail again."""
-    with contextlib.suppress(OSError, ValueError):
-        file.raw.close()  # type: ignore[attr-defined]
+            return os.write(self.fileno(), data)  # type: ignore[arg-type]
 
 
 @contextlib.contextmanager
-def new_file(path: Path) -> Iterator[BinaryIO]:
-    """Yields a new file to write to, which is on the disk at the end. Raises OSError, also if something is there."""
-    file = _opened(path, os.O_CREAT | os.O_EXCL, path)
+def new_file(path: Path, shown: Path | None = None) -> Iterator[BinaryIO]:
+    """Yields a new file to write to, which is on the disk at the end. Raises OSError, also if the path exists.
+
+    shown: the name in errors; None stands for the path.
+    """
+    raw = _File(path, shown or path)
+    file = io.BufferedWriter(raw, _BUFFER_BYTES)
     try:
         yield file
-        _settle(file)
+        file.flush()
+        with errors_of(raw.shown):
+            os.fsync(raw.fileno())
     finally:
-        _abandon(file)
-
-
-def _settle(file: BinaryIO) -> None:
-    file.flush()
-    with errors_of(file.raw.shown):  # type: ignore[attr-defined]
-        os.fsync(file.fileno())
-
-
-def settle_folder(path: Path) -> None:
-    """Makes names in a folder last. Systems that cannot open or flush folders keep them in their own way."""
-    try:
-        descriptor = os.open(path, os.O_RDONLY)
-    except PermissionError:
-        # A folder that may be written to and not read.
-        return
-    try:
-        with errors_of(path):
-            os.fsync(descriptor)
-    except OSError as error:
-        if error.errno not in (errno.EINVAL, errno.ENOTSUP, errno.EBADF):
-            raise
-    finally:
-        os.close(descriptor)
-
-
-def make_folder(path: Path, made: list[Path]) -> None:
-    """Makes a folder, and those that it is in. Raises OSError. made: gets each new one, also if a later one fails."""
-    missing = []
-    while not path.is_dir():
-        if os.path.lexists(path):
-            raise NotADirectoryError(errno.ENOTDIR, os.strerror(errno.ENOTDIR), str(path))
-        missing.append(path)
-        path = path.parent
-    for folder in reversed(missing):
-        made.append(folder)
-        try:
-            os.mkdir(folder)
-        except FileExistsError:
-            # Another run was faster. Whatever else is there is an error.
-            made.pop()
-            if not folder.is_dir():
-                raise
-
-
-def remove_folders(made: list[Path]) -> None:
-    """Removes the folders of make_folder that are empty."""
-    for folder in reversed(made):
+        # Closing the buffer would write again what could not be written.
         with contextlib.suppress(OSError):
-            folder.rmdir()
+            raw.close()
+
+
+def _settle_folder(path: Path) -> None:
+    """Flushes the names in a folder to the disk, if the run may open it and the system can. Raises OSError."""
+    with contextlib.suppress(PermissionError), errors_of(path), contextlib.ExitStack() as opened:
+        descriptor = os.open(path, os.O_RDONLY)
+        opened.callback(os.close, descriptor)
+        try:
+            os.fsync(descriptor)
+        except OSError as error:
+            if error.errno not in (errno.EINVAL, errno.ENOTSUP, errno.EBADF):
+                raise
 
 
 @contextlib.contextmanager
 def folder_beside(folder: Path) -> Iterator[Path]:
-    """Yields a new folder in a folder, for what is not whole yet. It is removed at the end, with all that is in it.
+    """Yields a new folder in a folder, for files that are not whole yet. At the end it is removed with its contents.
 
-    Those of processes that were killed are removed, too. A process holds the lock of its own ones as long as it lives.
-    Raises OSError.
+    A process holds a lock on each of its own. Those of killed processes are removed first. Raises OSError.
     """
     _remove_dead(folder)
     path = folder / f"{BESIDE}{os.urandom(8).hex()}"
-    descriptor = None
-    try:
-        with errors_of(folder, path):
-            while descriptor is None:
-                # Another process takes it for a dead one's before it is locked, and removes it.
-                with contextlib.suppress(FileExistsError):
-                    os.mkdir(path)
-                descriptor = locked(path, os.O_RDONLY, True)
+    with contextlib.ExitStack() as held:
+        held.enter_context(hold_file(Path(f"{path}.lock"), wait=True, shown=folder))
+        held.callback(shutil.rmtree, path, ignore_errors=True)
+        with errors_of(folder):
+            path.mkdir()
         yield path
-    finally:
-        shutil.rmtree(path, ignore_errors=True)
-        if descriptor is not None:
-            os.close(descriptor)
 
 
 def _remove_dead(folder: Path) -> None:
-    """Removes what killed processes left in a folder."""
-    try:
-        found = [entry.path for entry in os.scandir(folder) if _BESIDE.fullmatch(entry.name)]
-    except OSError:
-        # A folder that may be written to and not listed, or none.
-        return
-    for path in found:
-        descriptor = taken(path)
-        if descriptor is not None:
-            shutil.rmtree(path, ignore_errors=True)
-            os.close(descriptor)
+    """Removes the temporary folders of killed processes. A folder that cannot be listed is left alone."""
+    from filelock import FileLock
+
+    with contextlib.suppress(OSError):
+        for name in {found[1] for entry in os.scandir(folder) if (found := _TEMPORARY.fullmatch(entry.name))}:
+            with contextlib.suppress(OSError), FileLock(folder / f"{name}.lock", timeout=0):
+                shutil.rmtree(folder / name, ignore_errors=True)
+                (folder / f"{name}.lock").unlink()
 
 
 class Stage:
     """Outputs of a run, which get their places together at the end of a `with` block, or never if it fails.
 
-    A link stays, and what it leads to is replaced. A pipe or a device is written to, also at the end.
+    A link stays, and its target is replaced. A pipe or a device is written to, also at the end.
     """
 
-    def __init__(self) -> None:
-        # Of each output the file that is written, its path, and its place.
-        self._parts: list[tuple[BinaryIO, Path, Path]] = []
+    def __init__(self, turns: Path | None = None) -> None:
+        """turns: a folder, in which runs replace files in turn."""
+        self._turns = turns
+        # Of each output the temporary file, the place, and the path in messages.
+        self._moves: list[tuple[Path, Path, Path]] = []
         self._streams: list[tuple[io.BytesIO, Path]] = []
-        # Where the outputs of a folder are until they are whole.
+        # The temporary folder of each folder with outputs.
         self._beside: dict[Path, Path] = {}
-        self._folders = contextlib.ExitStack()
-        self._made: list[Path] = []
+        self._files, self._folders = contextlib.ExitStack(), contextlib.ExitStack()
         self._cancelled = False
 
     def __enter__(self) -> Stage:
@@ -196,79 +118,94 @@ class Stage:
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        whole = False
-        try:
+        with self._folders:
+            self._files.__exit__(kind, error, trace)
             if error is None and not self._cancelled:
-                self._commit()
-                whole = True
-        finally:
-            self._discard(whole)
+                with hold_folder(self._turns, wait=True) if self._turns else contextlib.nullcontext():
+                    self._commit()
 
     def open(self, path: Path) -> BinaryIO:
-        """Returns a file to write to, which will be at a path. Folders that it is in are made. Raises OSError."""
-        if _is_stream(path):
-            stream = io.BytesIO()
-            self._streams.append((stream, path))
-            return stream
-        place = Path(os.path.realpath(path))
-        make_folder(place.parent, self._made)
-        if place.parent not in self._beside:
-            try:
-                self._beside[place.parent] = self._folders.enter_context(folder_beside(place.parent))
-            except OSError as error:
-                error.filename = str(path)
-                raise
-        beside = self._beside[place.parent] / str(len(self._parts))
-        with errors_of(path, beside):
-            file = _opened(beside, os.O_CREAT | os.O_EXCL, path)
-        self._parts.append((file, beside, place))
-        return file
+        """Returns a file to write to, which will be at a path. Missing folders are made. Raises OSError."""
+        return self._files.enter_context(self._file(path))
 
     def write(self, path: Path, data: bytes) -> None:
-        """Gives a path its content, which is on the disk at once. Raises OSError."""
-        file = self.open(path)
-        file.write(data)
-        if not isinstance(file, io.BytesIO):
-            # A run may have more outputs than it may have open files.
-            _settle(file)
-            file.close()
+        """Writes the content of a path, and keeps no file open. Missing folders are made. Raises OSError."""
+        with self._file(path) as file:
+            file.write(data)
 
     def cancel(self) -> None:
-        """Lets the block end without outputs, though it does not fail."""
+        """Makes the block end without outputs, though it does not fail."""
         self._cancelled = True
 
+    @contextlib.contextmanager
+    def _file(self, path: Path) -> Iterator[BinaryIO]:
+        if os.path.exists(path) and not os.path.isfile(path) and not os.path.isdir(path):
+            self._streams.append((io.BytesIO(), path))
+            yield self._streams[-1][0]
+            return
+        place = Path(os.path.realpath(path))
+        if place.parent not in self._beside:
+            self._beside[place.parent] = self._folders.enter_context(folder_beside(place.parent))
+        temporary = self._beside[place.parent] / place.name
+        with new_file(temporary, path) as file:
+            yield file
+        self._moves.append((temporary, place, path))
+
     def _commit(self) -> None:
-        for file, _, _ in self._parts:
-            if not file.closed:
-                _settle(file)
-                file.close()
         for stream, path in self._streams:
-            with contextlib.closing(_opened(path, 0, path)) as out:
+            with errors_of(path), path.open("wb") as out:
                 out.write(stream.getbuffer())
-        for file, beside, place in self._parts:
-            with errors_of(file.raw.shown, beside):  # type: ignore[attr-defined]
-                os.replace(beside, place)
-        for folder in dict.fromkeys([place.parent for _, _, place in self._parts] + [m.parent for m in self._made]):
-            settle_folder(folder)
-
-    def _discard(self, whole: bool) -> None:
-        for file, _, _ in self._parts:
-            _abandon(file)
-        self._folders.close()
-        self._beside.clear()
-        if not whole:
-            remove_folders(self._made)
-
-
-def _is_stream(path: Path) -> bool:
-    try:
-        mode = os.stat(path).st_mode
-    except OSError:
-        return False
-    return not (stat.S_ISREG(mode) or stat.S_ISDIR(mode))
+        for temporary, place, path in self._moves:
+            with errors_of(path):
+                os.replace(temporary, place)
+        for folder in dict.fromkeys(above for _, place, _ in self._moves for above in list(place.parents)[:2]):
+            _settle_folder(folder)
 
 
 def write_file(path: Path, data: bytes) -> None:
-    """Writes a file, which gets its name only when it is whole. Raises OSError."""
+    """Writes a file, which gets its name when it is whole. Raises OSError."""
     with Stage() as stage:
         stage.write(path, data)
+
+
+def exchange(path: Path, write: Callable[[Path], None], replaced: Callable[[], Iterable[Path]], last: str) -> None:
+    """Replaces the files of one kind in a folder. A missing folder is made. Other entries stay.
+
+    Runs that write to one folder take turns. A run that fails or is interrupted leaves the folder as it was. A run that
+    is killed while it renames files leaves a folder without `last`, which the next run replaces.
+
+    Args:
+        path: the folder.
+        write: writes the new files into the folder that it is given.
+        replaced: returns the paths to remove, which may be missing. It is called when no other run writes to the
+            folder, and raises an exception if the folder must not be written to.
+        last: the name without which the folder does not count as whole. It is removed first and added last.
+
+    Raises:
+        OSError: a file cannot be written.
+    """
+    incoming = path / INCOMING
+    new, old = incoming / "new", incoming / "old"
+    with hold_folder(path, wait=True), errors_of(path), contextlib.ExitStack() as cleanup:
+        gone = [place for place in replaced() if os.path.lexists(place)]
+        # A killed run may have left it.
+        shutil.rmtree(incoming, ignore_errors=True)
+        cleanup.callback(shutil.rmtree, incoming, ignore_errors=True)
+        for folder in (incoming, new, old):
+            folder.mkdir()
+        write(new)
+        moves = [(place, old / place.name) for place in sorted(gone, key=lambda p: p.name != last)]
+        moves += [(place, path / place.name) for place in sorted(new.iterdir(), key=lambda p: p.name == last)]
+        with contextlib.ExitStack() as undo:
+            for source, target in moves:
+                undo.callback(_move_back, source, target)
+                os.rename(source, target)
+            undo.pop_all()
+        _settle_folder(path)
+        _settle_folder(path.parent)
+
+
+def _move_back(source: Path, target: Path) -> None:
+    """Undoes a renaming, which may not have happened."""
+    with contextlib.suppress(FileNotFoundError):
+        os.rename(target, source)

@@ -20,8 +20,9 @@ from pathlib import Path
 
 import numpy as np
 
-from ..files.exchange import INCOMING
+from ..files.lock import is_empty
 from ..files.present import NotAFileError, is_there
+from ..files.stage import INCOMING
 
 SCENE_FILE = "scene.json"
 PLY_FILE = "point_cloud.ply"
@@ -74,7 +75,7 @@ def is_free(path: Path, uncompressed: bool = False) -> bool:
                     return False
         if is_there(path / SCENE_FILE) or (plain and uncompressed):
             return True
-        return (path / INCOMING).is_dir() or not any(path.iterdir())
+        return (path / INCOMING).is_dir() or is_empty(path)
     except NotAFileError:
         return False
 

@@ -6,12 +6,12 @@ import os
 from collections.abc import Callable
 from pathlib import Path
 
-from ..files.exchange import exchange
+from ..files.stage import exchange
 from .layout import SCENE_FILE, SceneFolderError, is_free, scene_files
 
 
 def replace_scene(path: Path, write: Callable[[Path], None]) -> None:
-    """Replaces the scene of a folder as a whole (files.exchange). The folder is made if it is not there.
+    """Replaces the scene of a folder as a whole (files.stage.exchange). The folder is made if it is not there.
 
     Args:
         path: the folder.

@@ -12,7 +12,6 @@ from types import TracebackType
 import numpy as np
 from numpy.typing import NDArray
 
-from ..files.lock import hold_folder
 from ..files.outputs import Kind, check_apart, check_file
 from ..files.stage import Stage
 from .view import MARK, eight_bits, gif, png
@@ -82,7 +81,8 @@ class ImageFolder:
         """
         self.folder = folder
         self._paths = [folder / name for name in image_names(cameras)]
-        self._stage = Stage()
+        # The images of two runs do not get mixed.
+        self._stage = Stage(turns=folder)
         self._number = 0
         outputs = [(path, PNG) for path in self._paths] + ([(folder / ORBIT, GIF)] if animated else [])
         check_apart([path for path, _ in outputs], inputs)
@@ -96,16 +96,7 @@ class ImageFolder:
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        if error is not None:
-            self._stage.__exit__(kind, error, trace)
-            return
-        try:
-            # One run's images at a time: those of two do not get mixed.
-            with hold_folder(self.folder, wait=True):
-                self._stage.__exit__(None, None, None)
-        except BaseException as failed:
-            self._stage.__exit__(type(failed), failed, failed.__traceback__)
-            raise
+        self._stage.__exit__(kind, error, trace)
 
     def add(self, image: NDArray[np.float32]) -> None:
         """Writes the image of the next camera, float32 [height, width, 3]. Raises OSError."""

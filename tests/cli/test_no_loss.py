@@ -224,8 +224,8 @@ def test_a_killed_decode_is_no_hindrance(place: Path) -> None:
     """It left its folder behind, with files in it, and the scene in between."""
     new = place / "new"
     shutil.copytree("scene", new)
-    (new / ".c3gs-incoming" / "old").mkdir(parents=True)
-    (new / "scene.json").rename(new / ".c3gs-incoming" / "old" / "scene.json")
+    (new / ".refcodec-incoming" / "old").mkdir(parents=True)
+    (new / "scene.json").rename(new / ".refcodec-incoming" / "old" / "scene.json")
     assert main(["decode", "scene.c3gs", "-o", "new"]) == 0
     assert {p.name for p in new.iterdir()} == {p.name for p in (place / "scene").iterdir()}
 

@@ -62,7 +62,9 @@ class Faults:
 
     def _failing(self, name: str, real: Callable[..., Any]) -> Callable[..., Any]:
         def call(place: Any, *arguments: Any, **options: Any) -> Any:
-            self._point(name, place)
+            # A folder that exists is no fault.
+            if name != "mkdir" or not os.path.isdir(place):
+                self._point(name, place)
             return real(place, *arguments, **options)
 
         return call

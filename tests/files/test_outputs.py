@@ -1,178 +1,149 @@
-"""What a command may write to, and how it does: the rule of refcodec.files, and locks between processes."""
+"""The rules for outputs (files.outputs), files that are whole or missing (files.stage), locks and signals."""
 
 from __future__ import annotations
 
 import errno
+import fcntl
 import os
 import re
+import resource
 import signal
 import subprocess
 import sys
-import time
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import pytest
 
-from refcodec.files import held, lock, stage
-from refcodec.files.exchange import INCOMING, exchange
 from refcodec.files.interrupts import SIGNALS, on_interrupt
-from refcodec.files.lock import hold_file, hold_folder
+from refcodec.files.lock import BESIDE, hold_file, hold_folder
 from refcodec.files.outputs import Kind, check_apart, check_file
 from refcodec.files.present import NotAFileError, is_there
-from refcodec.files.stage import Stage, write_file
+from refcodec.files.stage import INCOMING, Stage, exchange, write_file
 from refcodec.statuses import UsageError
 
 POEM = Kind("a poem", re.compile(rb"roses"))
 
 
-# --- the rule ---------------------------------------------------------------------------------------------------------
+# --- the rules --------------------------------------------------------------------------------------------------------
 
 
 def test_an_existing_file_of_another_kind_stays(tmp_path: Path) -> None:
-    path = tmp_path / "a"
+    path, link, odd = tmp_path / "a", tmp_path / "link", tmp_path / "a\n\x1b[31mb"
+    link.symlink_to(path)
     for content in (None, b"", b"roses are red"):
         if content is not None:
             path.write_bytes(content)
         check_file(path, POEM)
+        check_file(link, POEM)
     path.write_bytes(b"violets")
-    with pytest.raises(UsageError, match="is not a poem"):
-        check_file(path, POEM)
-    with pytest.raises(UsageError, match="is a directory"):
-        check_file(tmp_path, POEM)
-    with pytest.raises(UsageError, match="there is no directory"):
-        check_file(tmp_path / "b" / "c", POEM)
+    odd.write_bytes(b"violets")
+    for wrong, made, words in (
+        *((file, False, "exists and is not a poem") for file in (path, link, odd)),
+        (tmp_path, False, "is a directory"),
+        (tmp_path / "b" / "c", False, "there is no directory"),
+        (path / "c", True, "is not a directory"),
+    ):
+        with pytest.raises(UsageError, match=words) as raised:
+            check_file(wrong, POEM, made)
+        assert str(raised.value).isprintable()
     check_file(tmp_path / "b" / "c", POEM, made=True)
-    with pytest.raises(UsageError, match="is not a directory"):
-        check_file(path / "c", POEM, made=True)
     check_file(Path("/dev/null"), POEM)
-    # A link is what it leads to.
-    (tmp_path / "link").symlink_to(path)
-    with pytest.raises(UsageError, match="is not a poem"):
-        check_file(tmp_path / "link", POEM)
 
 
-def test_messages_are_one_line(tmp_path: Path) -> None:
-    path = tmp_path / "a\n\x1b[31mb"
-    path.write_bytes(b"violets")
-    with pytest.raises(UsageError) as raised:
-        check_file(path, POEM)
-    assert str(raised.value).isprintable()
-
-
-def test_an_output_is_no_input(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Whatever either of them is called."""
+def test_outputs_are_apart(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """From inputs, and from each other, whatever their names are."""
     monkeypatch.chdir(tmp_path)
     source, folder = tmp_path / "in", tmp_path / "folder"
     source.write_bytes(b"x")
-    folder.mkdir()
+    (folder / "renders").mkdir(parents=True)
     (folder / "photo").write_bytes(b"y")
-    (tmp_path / "symbolic").symlink_to("in")
-    os.link(source, tmp_path / "hard")
-    (tmp_path / "elsewhere").symlink_to("folder")
-    (tmp_path / "photo").symlink_to("folder/photo")
-    os.link(folder / "photo", tmp_path / "print")
+    for link, target in {"symbolic": "in", "elsewhere": "folder", "photo": "folder/photo", "other": "new"}.items():
+        (tmp_path / link).symlink_to(target)
+    for link, target in {"hard": "in", "print": "folder/photo"}.items():
+        os.link(target, link)
     for name in ("in", "./in", "folder/../in", "symbolic", "hard", str(source)):
-        with pytest.raises(UsageError, match="is read"):
-            check_apart([Path(name)], [source])
-        with pytest.raises(UsageError, match="is read"):
-            check_apart([source], [name])
+        for output, read in ((Path(name), source), (source, name)):
+            with pytest.raises(UsageError, match="is read"):
+                check_apart([output], [read])
     for name in ("folder/photo", "folder/new", "elsewhere/photo", "elsewhere/new", "photo", "print"):
         with pytest.raises(UsageError, match="read: choose another output"):
             check_apart([Path(name)], [None, folder])
-    # What is not there is told by who reads it. Folders of their own do not get in the way.
-    check_apart([Path("new"), Path("folder/renders/new"), Path("/dev/null"), Path("/dev/null")], ["nowhere", folder])
-
-
-def test_two_outputs_are_two_files(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.chdir(tmp_path)
-    (tmp_path / "a").write_bytes(b"")
-    os.link(tmp_path / "a", tmp_path / "b")
-    (tmp_path / "c").symlink_to("new")
-    for pair in (("a", "./a"), ("a", "b"), ("new", "c"), ("new", "New"), ("caf\u00e9", "cafe\u0301")):
+    for pair in (("in", "./in"), ("in", "hard"), ("new", "other"), ("new", "New"), ("caf\u00e9", "cafe\u0301")):
         with pytest.raises(UsageError, match="are one file"):
             check_apart(map(Path, pair), [])
-    check_apart([Path("a"), Path("d"), Path("e")], [])
+    apart = ("in", "new", "folder/renders/new", "/dev/null", "/dev/null")
+    check_apart(map(Path, apart), ["nowhere", folder])
 
 
-def test_what_may_be_missing(tmp_path: Path) -> None:
+def test_a_file_is_there_or_not(tmp_path: Path) -> None:
     (tmp_path / "file").write_bytes(b"")
-    (tmp_path / "link").symlink_to("file")
-    assert is_there(tmp_path / "file")
-    assert is_there(tmp_path / "link")
-    assert not is_there(tmp_path / "none")
-    assert not is_there(tmp_path / "file" / "none")
-    (tmp_path / "dangling").symlink_to("none")
-    (tmp_path / "circle").symlink_to("circle")
     (tmp_path / "folder").mkdir()
     os.mkfifo(tmp_path / "pipe")
+    for link, target in {"link": "file", "dangling": "none", "circle": "circle"}.items():
+        (tmp_path / link).symlink_to(target)
+    assert [is_there(tmp_path / name) for name in ("file", "link", "none", "file/none")] == [True, True, False, False]
     words = {"dangling": "nowhere", "circle": "circle", "folder": "a directory", "pipe": "a pipe"}
     for name, word in words.items():
         with pytest.raises(NotAFileError, match=word):
             is_there(tmp_path / name)
 
 
-# --- whole or not there -----------------------------------------------------------------------------------------------
+# --- whole or missing -------------------------------------------------------------------------------------------------
 
 
-def test_outputs_come_together(tmp_path: Path) -> None:
-    first, second = tmp_path / "first", tmp_path / "deep" / "er" / "second"
+@pytest.mark.parametrize("end", ["whole", "fails", "cancelled"])
+def test_outputs_come_together(end: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """More than files may be open. A link stays, a pipe is written to, and a folder that cannot be flushed is fine."""
+    first, second, pipe, real = tmp_path / "first", tmp_path / "deep" / "er" / "second", tmp_path / "pipe", os.fsync
+    (tmp_path / "link").symlink_to("first")
     first.write_bytes(b"old")
+    os.mkfifo(pipe)
+    reader = subprocess.Popen(["cat", pipe], stdout=subprocess.PIPE)
+    before = sorted(os.listdir(tmp_path))
 
-    def fail() -> None:
+    def no_folders(descriptor: int) -> None:
+        if os.path.isdir(f"/proc/self/fd/{descriptor}"):
+            raise OSError(errno.EINVAL, "Invalid argument")
+        real(descriptor)
+
+    monkeypatch.setattr(os, "fsync", no_folders)
+    limits = resource.getrlimit(resource.RLIMIT_NOFILE)
+    resource.setrlimit(resource.RLIMIT_NOFILE, (len(os.listdir("/proc/self/fd")) + 20, limits[1]))
+    try:
         with Stage() as outputs:
-            outputs.write(first, b"new")
+            outputs.write(tmp_path / "link", b"new")
             outputs.open(second).write(b"new")
+            outputs.write(pipe, b"new")
+            for number in range(40):
+                outputs.write(tmp_path / "many" / str(number), b"new")
             assert first.read_bytes() == b"old"
-            raise ZeroDivisionError
-
-    with pytest.raises(ZeroDivisionError):
-        fail()
-    assert os.listdir(tmp_path) == ["first"]
-    with Stage() as outputs:
-        outputs.write(first, b"new")
-        outputs.cancel()
-    assert first.read_bytes() == b"old"
-    with Stage() as outputs:
-        outputs.write(first, b"new")
-        outputs.open(second).write(b"new")
-    assert first.read_bytes() == second.read_bytes() == b"new"
-    assert sorted(os.listdir(tmp_path)) == ["deep", "first"]
-
-
-def test_a_link_stays_and_a_pipe_gets_all_at_the_end(tmp_path: Path) -> None:
-    (tmp_path / "place").mkdir()
-    (tmp_path / "link").symlink_to("place/file")
-    write_file(tmp_path / "link", b"new")
+            if end == "fails":
+                raise ZeroDivisionError
+            if end == "cancelled":
+                outputs.cancel()
+    except ZeroDivisionError:
+        assert end == "fails"
+    finally:
+        resource.setrlimit(resource.RLIMIT_NOFILE, limits)
+    if end == "whole":
+        assert reader.communicate(timeout=20)[0] == first.read_bytes() == second.read_bytes() == b"new"
+        assert len(os.listdir(tmp_path / "many")) == 40
+        assert sorted(os.listdir(tmp_path)) == sorted([*before, "deep", "many"])
+    else:
+        assert sorted(os.listdir(tmp_path)) == before
+        assert first.read_bytes() == b"old"
+        pipe.write_bytes(b"")
+        assert reader.communicate(timeout=20)[0] == b""
     assert (tmp_path / "link").is_symlink()
-    assert (tmp_path / "place" / "file").read_bytes() == b"new"
-    os.mkfifo(tmp_path / "pipe")
-    reader = subprocess.Popen(["cat", tmp_path / "pipe"], stdout=subprocess.PIPE)
-    write_file(tmp_path / "pipe", b"through")
-    assert reader.communicate(timeout=20)[0] == b"through"
-
-
-def test_more_outputs_than_open_files(tmp_path: Path) -> None:
-    code = f"""
-import resource
-from pathlib import Path
-from refcodec.files.stage import Stage
-resource.setrlimit(resource.RLIMIT_NOFILE, (40, 40))
-with Stage() as stage:
-    for number in range(100):
-        stage.write(Path({str(tmp_path)!r}) / str(number), b"x")
-"""
-    subprocess.run([sys.executable, "-c", code], check=True, timeout=60)
-    assert len(os.listdir(tmp_path)) == 100
 
 
 def test_an_exchange_goes_back(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Folders move as files do, what else is there stays, and a leftover of a killed run is no hindrance."""
-    folder = tmp_path / "folder"
-    (folder / "part").mkdir(parents=True)
-    (folder / "part" / "a").write_bytes(b"old")
-    (folder / "whole").write_bytes(b"old")
-    (folder / "letter").write_bytes(b"precious")
-    (folder / INCOMING / "new").mkdir(parents=True)
+    """Folders move as files do, other entries stay, and what a killed run left is no hindrance."""
+    folder, real = tmp_path / "folder", os.rename
+    for name in ("part/a", "whole", "letter", f"{INCOMING}/new/x", f"{BESIDE}lock"):
+        (folder / name).parent.mkdir(parents=True, exist_ok=True)
+        (folder / name).write_bytes(b"old")
 
     def write(new: Path) -> None:
         (new / "part").mkdir()
@@ -181,203 +152,117 @@ def test_an_exchange_goes_back(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) 
     def replaced() -> list[Path]:
         return [folder / "part", folder / "whole", folder / "none"]
 
-    real = os.rename
-    for failing in range(4):
-        calls: list[Path] = []
+    def tried(failing: int) -> list[tuple[str, str]]:
+        calls: list[tuple[str, str]] = []
 
-        def rename(source: Path, target: Path, failing: int = failing, calls: list[Path] = calls) -> None:
-            calls.append(source)
+        def rename(source: Path, target: Path) -> None:
+            calls.append((source.name, target.parent.name))
             if len(calls) == failing + 1:
                 raise OSError(errno.EACCES, "Permission denied")
             real(source, target)
 
         monkeypatch.setattr(os, "rename", rename)
-        with pytest.raises(OSError, match="denied"):
+        try:
             exchange(folder, write, replaced, "whole")
-        monkeypatch.setattr(os, "rename", real)
-        assert sorted(os.listdir(folder)) == ["letter", "part", "whole"]
+        finally:
+            assert sorted(os.listdir(folder)) == ["letter", "part", "whole"]
+            assert (folder / "letter").read_bytes() == b"old"
+        return calls
+
+    for failing in range(4):
+        with pytest.raises(OSError, match="denied"):
+            tried(failing)
         assert (folder / "whole").read_bytes() == (folder / "part" / "a").read_bytes() == b"old"
-    exchange(folder, write, replaced, "whole")
+    # The name without which the folder is not whole goes first, and comes last.
+    assert tried(-1) == [("whole", "old"), ("part", "old"), ("part", "folder"), ("whole", "folder")]
     assert (folder / "whole").read_bytes() == b"new"
     assert os.listdir(folder / "part") == []
-    assert (folder / "letter").read_bytes() == b"precious"
-    assert sorted(os.listdir(folder)) == ["letter", "part", "whole"]
 
 
 # --- locks ------------------------------------------------------------------------------------------------------------
 
 HOLDER = """
-import sys, time
-from pathlib import Path
-from refcodec.files.lock import hold_file, hold_folder
-with {"file": hold_file, "folder": hold_folder}[sys.argv[1]](Path(sys.argv[2])):
-    print("held", flush=True)
-    time.sleep(600)
-"""
-
-
-@pytest.mark.parametrize("kind", ["file", "folder"])
-def test_a_lock_ends_with_its_holder(kind: str, tmp_path: Path) -> None:
-    path = tmp_path / "deep" / "lock"
-    hold = {"file": hold_file, "folder": hold_folder}[kind]
-    process = subprocess.Popen([sys.executable, "-c", HOLDER, kind, path], stdout=subprocess.PIPE, text=True)
-    assert process.stdout is not None
-    assert process.stdout.readline() == "held\n"
-    with pytest.raises(UsageError, match="another run"), hold(path):
-        pass
-    process.send_signal(signal.SIGKILL)
-    process.wait(timeout=20)
-    # What a killed run left is there, and no hindrance.
-    assert path.exists()
-    with hold(path):
-        pass
-    assert path.exists() == (kind == "folder")
-
-
-def test_a_lock_leaves_nothing(tmp_path: Path) -> None:
-    for hold in (hold_file, hold_folder):
-        with hold(tmp_path / "deep" / "lock"):
-            assert os.listdir(tmp_path) == ["deep"]
-        assert os.listdir(tmp_path) == []
-
-
-def test_a_folder_that_goes_away_is_made_again(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """The run before removes its empty folder between this one's two looks at it."""
-    folder, real, calls = tmp_path / "folder", os.fstat, []
-
-    def fstat(descriptor: int) -> os.stat_result:
-        if not calls:
-            folder.rmdir()
-        calls.append(descriptor)
-        return real(descriptor)
-
-    monkeypatch.setattr(lock.os, "fstat", fstat)
-    with hold_folder(folder):
-        assert folder.is_dir()
-    assert len(calls) == 2
-
-
-def test_systems_without_locks(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    def unknown(*_: object) -> None:
-        raise OSError(errno.ENOLCK, "No locks available")
-
-    monkeypatch.setattr(held.fcntl, "flock", unknown)
-    with hold_folder(tmp_path / "a"), hold_folder(tmp_path / "a"):
-        pass
-    monkeypatch.setattr(held, "fcntl", None)
-    with hold_folder(tmp_path / "a"):
-        pass
-
-
-def test_folders_that_cannot_be_flushed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    def refuse(*_: object) -> None:
-        raise OSError(errno.EINVAL, "Invalid argument")
-
-    monkeypatch.setattr(os, "fsync", refuse)
-    stage.settle_folder(tmp_path)
-    monkeypatch.setattr(os, "fsync", lambda _: (_ for _ in ()).throw(OSError(errno.EIO, "Input/output error")))
-    with pytest.raises(OSError, match="Input"):
-        stage.settle_folder(tmp_path)
-
-
-def test_a_run_that_is_killed_leaves_old_or_new(tmp_path: Path) -> None:
-    """Two contents take turns in one file, and the process is killed at some moment."""
-    path = tmp_path / "file"
-    code = """
-import itertools, sys
-from pathlib import Path
-from refcodec.files.stage import write_file
-for content in itertools.cycle((b"a" * 99999, b"b" * 99999)):
-    write_file(Path(sys.argv[1]), content)
-"""
-    write_file(path, b"a" * 99999)
-    process = subprocess.Popen([sys.executable, "-c", code, path])
-    time.sleep(0.5)
-    process.kill()
-    process.wait(timeout=20)
-    found = path.read_bytes()
-    assert len(found) == 99999
-    assert len(set(found)) == 1
-
-
-STAGES = """
 import sys
 from pathlib import Path
+from refcodec.files.lock import hold_file, hold_folder
 from refcodec.files.stage import Stage
-with Stage() as stage:
-    stage.write(Path(sys.argv[1]) / "theirs", b"x")
-    print("staged", flush=True)
+place = Path(sys.argv[1])
+with hold_file(place / "deep" / "lock"), hold_folder(place / "folder"), Stage() as stage:
+    stage.write(place / "file", b"theirs")
+    print("held", flush=True)
     sys.stdin.readline()
 """
 
 
-def test_what_a_killed_run_leaves_is_removed_by_a_later_one(tmp_path: Path) -> None:
-    """What a live one has there stays."""
-    runs = [
-        subprocess.Popen([sys.executable, "-c", STAGES, tmp_path], stdin=subprocess.PIPE, stdout=subprocess.PIPE)
-        for _ in range(2)
-    ]
-    for run in runs:
-        assert run.stdout is not None
-        assert run.stdout.readline() == b"staged\n"
-    lived = set(os.listdir(tmp_path))
-    assert len(lived) == 2
-    other = {f"{stage.BESIDE}notes", f"{stage.BESIDE}0123456789abcdef.txt"}
-    for name in other:
+@pytest.mark.parametrize("killed", [False, True])
+def test_another_run(killed: bool, tmp_path: Path) -> None:
+    """Its locks hold, and its temporary files stay as long as it lives. A killed one leaves nothing after the next."""
+    others = {f"{BESIDE}notes", f"{BESIDE}0123456789abcdef.txt"}
+    for name in others:
         (tmp_path / name).mkdir()
-    write_file(tmp_path / "ours", b"y")
-    assert set(os.listdir(tmp_path)) == {"ours", *other, *lived}
-    runs[0].kill()
-    runs[0].wait(timeout=20)
-    write_file(tmp_path / "ours", b"y")
-    left = set(os.listdir(tmp_path))
-    assert len(left & lived) == 1
-    assert left >= {"ours", *other}
-    runs[1].communicate(b"\n", timeout=20)
-    assert runs[1].returncode == 0
-    assert set(os.listdir(tmp_path)) == {"ours", "theirs", *other}
-    for run in runs:
-        for pipe in (run.stdin, run.stdout):
-            assert pipe is not None
-            pipe.close()
+    (tmp_path / "file").write_bytes(b"old")
+    streams = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE}
+    with subprocess.Popen([sys.executable, "-c", HOLDER, tmp_path], **streams) as run:  # type: ignore[call-overload]
+        assert run.stdout.readline() == b"held\n"
+        write_file(tmp_path / "ours", b"ours")
+        assert (tmp_path / "file").read_bytes() == b"old"
+        for hold, place in ((hold_file, "deep/lock"), (hold_folder, "folder")):
+            with pytest.raises(UsageError, match=rf"another run writes to .*{place}:"), hold(tmp_path / place):
+                pass
+        if killed:
+            run.send_signal(signal.SIGKILL)
+        else:
+            run.communicate(b"\n", timeout=20)
+    left = ["deep", "folder"] if killed else []
+    assert (tmp_path / "file").read_bytes() == (b"old" if killed else b"theirs")
+    for hold, place in ((hold_file, "deep/lock"), (hold_folder, "folder")):
+        with hold(tmp_path / place):
+            pass
+        assert not (tmp_path / "deep" / "lock").exists()
+    write_file(tmp_path / "ours", b"ours")
+    assert sorted(os.listdir(tmp_path)) == sorted([*others, "file", "ours", *left])
+    assert not any(os.listdir(tmp_path / name) for name in left)
 
 
-def test_a_place_that_another_run_takes_for_a_dead_ones_is_made_again(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """Between the making of the folder and its lock."""
-    real, taken = stage.locked, []
+def test_runs_take_turns(tmp_path: Path) -> None:
+    """A run that waits makes the folder that the run before has removed."""
+    folder, order = tmp_path / "folder", []
 
-    def late(path: Path, *words: object) -> int | None:
-        if not taken:
-            taken.append(path)
-            stage._remove_dead(tmp_path)
-            assert not path.exists()
-        return real(path, *words)
+    def later() -> None:
+        with hold_folder(folder, wait=True):
+            order.append(("later", folder.is_dir()))
 
-    monkeypatch.setattr(stage, "locked", late)
-    write_file(tmp_path / "a", b"x")
-    assert os.listdir(tmp_path) == ["a"]
-    assert taken
+    with ThreadPoolExecutor() as pool:
+        with hold_folder(folder):
+            waiting = pool.submit(later)
+            with pytest.raises(TimeoutError):
+                waiting.result(0.2)
+            order.append(("first", folder.is_dir()))
+        waiting.result(20)
+    assert order == [("first", True), ("later", True)]
+    assert os.listdir(tmp_path) == []
 
 
-def test_where_no_locks_are_nothing_is_removed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    def unknown(descriptor: int, operation: int) -> None:
+def test_systems_without_locks(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Runs go on, and nobody knows which temporary folders are of killed ones: all of them stay."""
+
+    def unknown(*_: object) -> None:
         raise OSError(errno.ENOLCK, "No locks available")
 
-    dead = tmp_path / f"{stage.BESIDE}{'0' * 16}"
+    dead = tmp_path / f"{BESIDE}{'0' * 16}"
     dead.mkdir()
     with monkeypatch.context() as patch:
-        patch.setattr(held.fcntl, "flock", unknown)
-        write_file(tmp_path / "a", b"x")
-        assert sorted(os.listdir(tmp_path)) == [dead.name, "a"]
-    write_file(tmp_path / "a", b"x")
-    assert os.listdir(tmp_path) == ["a"]
+        patch.setattr(fcntl, "flock", unknown)
+        with hold_folder(tmp_path / "a"), hold_folder(tmp_path / "a"):
+            write_file(tmp_path / "b", b"x")
+        assert dead.exists()
+    write_file(tmp_path / "b", b"x")
+    assert not dead.exists()
 
 
 @pytest.mark.parametrize("ignored", [False, True])
 def test_signals_that_interrupt(ignored: bool) -> None:
-    """Each of them once; one that nohup has ignored is none."""
+    """Each of them once, except a SIGHUP that nohup has ignored."""
     caught: list[int] = []
     before = signal.signal(signal.SIGHUP, signal.SIG_IGN if ignored else signal.SIG_DFL)
     try:
