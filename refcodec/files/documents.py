@@ -1,43 +1,52 @@
-"""JSON and TOML from outside, read within bounds: size, depth, encoding, numbers."""
+"""JSON and TOML documents from outside, within bounds of size, depth, encoding and numbers."""
 
 from __future__ import annotations
 
 import json
 import math
-import re
 import tomllib
-from collections.abc import Iterable
+from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from typing import Any
 
-# The largest document that people write by hand or programs write for people, in bytes.
+# The maximum bytes of a JSON document and of a file of settings.
 SIZE_MAX = 64 << 20
-# A file of settings.
 TOML_MAX = 1 << 20
-# Python's parser goes one call deeper for each level.
+# The maximum number of nested lists, objects and tables.
 DEPTH_MAX = 64
-# Of an integer's digits: enough for every 64-bit number, and for its neighbours to be told that they are too large.
+# The maximum digits of an integer: more than any 64-bit number has, so that range checks report their own error.
 DIGITS_MAX = 40
-
-# What is not a bracket: strings, and all else.
-_BRACKETS = re.compile(r'"(?:[^"\\]|\\.)*"?|[\[{]|[\]}]', re.DOTALL)
 
 
 class DocumentError(ValueError):
-    """A document that is not JSON, or not TOML, within the bounds. The text says what is wrong, but not where."""
+    """A document that is not JSON or TOML within the bounds. The text states the problem, without the file's name."""
 
 
-def _depth(text: str) -> int:
-    """Returns how deep brackets are nested."""
-    depth = deepest = 0
-    for found in _BRACKETS.finditer(text):
-        first = found[0][0]
-        if first in "[{":
-            depth += 1
-            deepest = max(deepest, depth)
-        elif first in "]}":
-            depth -= 1
-    return deepest
+def parse_json(data: bytes | str, most: int = SIZE_MAX) -> Any:
+    """Returns the value of a JSON text.
+
+    Args:
+        data: UTF-8, or text.
+        most: the maximum length of the data.
+
+    Raises:
+        DocumentError: too long, not UTF-8, nested deeper than 64, a duplicate name in an object, a number that is not
+            finite or has more than 40 digits, or not JSON.
+    """
+    return _parsed("JSON", partial(json.loads, object_pairs_hook=_object), data, most)
+
+
+def parse_toml(data: bytes | str, most: int = TOML_MAX) -> dict[str, Any]:
+    """Returns the values of a TOML text. Arguments and errors: as for parse_json."""
+    found: dict[str, Any] = _parsed("TOML", tomllib.loads, data, most)
+    return found
+
+
+def read_json(path: Path, most: int = SIZE_MAX) -> Any:
+    """Returns the value of a JSON file. Raises DocumentError as parse_json, and OSError."""
+    with path.open("rb") as file:
+        return parse_json(file.read(most + 1), most)
 
 
 def _object(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
@@ -47,85 +56,31 @@ def _object(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
     return found
 
 
-def _integer(text: str) -> int:
-    if len(text) > DIGITS_MAX:
-        raise DocumentError(f"a number has {len(text)} digits, at most {DIGITS_MAX} are allowed")
-    return int(text)
-
-
-def _real(text: str) -> float:
-    value = float(text)
-    if not math.isfinite(value):
-        raise DocumentError("a number is too large")
-    return value
-
-
-def _constant(text: str) -> float:
-    raise DocumentError(f"{text} is no number of JSON")
-
-
-def parse_json(data: bytes | str, most: int = SIZE_MAX) -> Any:
-    """Returns the value of a JSON text.
-
-    Args:
-        data: UTF-8, or text.
-        most: the most bytes that are looked at.
-
-    Raises:
-        DocumentError: too long, not UTF-8, nested deeper than 64, a name twice in one object, a number that is not
-            finite or has more than 40 digits, or not JSON.
-    """
+def _parsed(kind: str, parse: Callable[[str], Any], data: bytes | str, most: int) -> Any:
     if len(data) > most:
         raise DocumentError(f"more than {most} bytes")
     try:
-        text = data if isinstance(data, str) else data.decode("utf-8")
+        found = parse(data if isinstance(data, str) else data.decode("utf-8"))
+    except DocumentError:
+        raise
     except UnicodeDecodeError as error:
         raise DocumentError(f"not UTF-8 (byte {error.start})") from None
-    if _depth(text) > DEPTH_MAX:
-        raise DocumentError(f"nested deeper than {DEPTH_MAX}")
-    try:
-        return json.loads(
-            text, object_pairs_hook=_object, parse_int=_integer, parse_float=_real, parse_constant=_constant
-        )
-    except json.JSONDecodeError as error:
-        raise DocumentError(f"not JSON ({error})") from None
-
-
-def parse_toml(data: bytes | str, most: int = TOML_MAX) -> dict[str, Any]:
-    """Returns the values of a TOML text.
-
-    Args:
-        data: UTF-8, or text.
-        most: the most bytes that are looked at.
-
-    Raises:
-        DocumentError: too long, not UTF-8, nested deeper than 64, an integer of more than 40 digits, or not TOML.
-    """
-    if len(data) > most:
-        raise DocumentError(f"more than {most} bytes")
-    try:
-        found = tomllib.loads(data if isinstance(data, str) else data.decode("utf-8"))
-    except UnicodeDecodeError as error:
-        raise DocumentError(f"not UTF-8 (byte {error.start})") from None
-    # The parser goes a call deeper for each level. It gives a plain ValueError for an integer of thousands of digits.
-    except (RecursionError, ValueError) as error:
-        raise DocumentError(f"not TOML ({error})") from None
-    level: list[Any] = [found]
-    for _ in range(DEPTH_MAX):
-        level = [inner for value in level for inner in _inner(value)]
-        if any(type(value) is int and abs(value) >= 10**DIGITS_MAX for value in level):
-            raise DocumentError(f"an integer has more than {DIGITS_MAX} digits")
-    if level:
-        raise DocumentError(f"nested deeper than {DEPTH_MAX}")
+    # The parsers call themselves for each level. Python gives a plain ValueError for an integer of thousands of digits.
+    except RecursionError:
+        raise DocumentError(f"nested deeper than {DEPTH_MAX}") from None
+    except ValueError as error:
+        raise DocumentError(f"not {kind} ({error})") from None
+    depth, level = 0, [found]
+    while level:
+        inner: list[Any] = []
+        for value in level:
+            if isinstance(value, int) and abs(value) >= 10**DIGITS_MAX:
+                raise DocumentError(f"an integer has more than {DIGITS_MAX} digits")
+            if isinstance(value, float) and not math.isfinite(value):
+                raise DocumentError(f"a number is {value}, a finite one is required")
+            if isinstance(value, dict | list):
+                if depth == DEPTH_MAX:
+                    raise DocumentError(f"nested deeper than {DEPTH_MAX}")
+                inner += value.values() if isinstance(value, dict) else value
+        depth, level = depth + 1, inner
     return found
-
-
-def _inner(value: Any) -> Iterable[Any]:
-    """Returns the values in a table or an array."""
-    return value.values() if isinstance(value, dict) else value if isinstance(value, list) else ()
-
-
-def read_json(path: Path, most: int = SIZE_MAX) -> Any:
-    """Returns the value of a JSON file. Raises DocumentError as parse_json, and OSError."""
-    with path.open("rb") as file:
-        return parse_json(file.read(most + 1), most)
