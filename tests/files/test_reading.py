@@ -37,7 +37,6 @@ def refused(capsys: Captured, *words: str | Path) -> str:
     assert main([str(word) for word in words]) == 64
     said = capsys.readouterr().err
     assert len(said.splitlines()) == 1, said
-    assert len(said) < 1000
     return said
 
 
@@ -51,12 +50,6 @@ CAMERA: dict[str, Any] = {
     "rotation": [[1, 0, 0], [0, 1, 0], [0, 0, 1]],
     "translation": [0, 0, 2],
 }
-
-
-def test_a_camera_is_read() -> None:
-    camera = read_camera(json.dumps(CAMERA))
-    assert (camera.width, camera.height, camera.fx, camera.fy, camera.cx, camera.cy) == (40, 30, 50, 50.5, 20, 15)
-    assert camera.centre.tolist() == [0, 0, -2]
 
 
 @pytest.mark.parametrize(
@@ -93,7 +86,10 @@ def test_a_camera_is_read() -> None:
         ),
     ],
 )
-def test_what_is_no_camera(text: str, tmp_path: Path, capsys: Captured) -> None:
+def test_cameras(text: str, tmp_path: Path, capsys: Captured) -> None:
+    camera = read_camera(json.dumps(CAMERA))
+    assert (camera.width, camera.height, camera.fx, camera.fy, camera.cx, camera.cy) == (40, 30, 50, 50.5, 20, 15)
+    assert camera.centre.tolist() == [0, 0, -2]
     (tmp_path / "camera.json").write_text(text)
     assert "is not a camera" in refused(capsys, "gaussians", EXAMPLE, tmp_path / "camera.json", tmp_path / "out.json")
     assert not (tmp_path / "out.json").exists()
@@ -125,46 +121,36 @@ def plain(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
-def test_an_uncompressed_scene_is_read(plain: Path) -> None:
-    scene = read_uncompressed(plain)
+@pytest.fixture
+def folder(plain: Path, tmp_path: Path) -> Path:
+    """A copy of the scene."""
+    return Path(shutil.copytree(plain, tmp_path / "scene"))
+
+
+def test_an_uncompressed_scene_is_read(folder: Path) -> None:
+    """Also an earlier folder, which has one camera."""
+    scene, document = read_uncompressed(folder), json.loads((folder / "render.json").read_text())
     assert scene.anchor_count == 4
     assert scene.networks["colour"][1][0].shape == (6, 6)
     assert [camera.name for camera in scene.cameras] == ["default", "1"]
-
-
-def test_an_earlier_folder_has_one_camera(plain: Path, tmp_path: Path) -> None:
-    folder = tmp_path / "scene"
-    shutil.copytree(plain, folder)
-    document = json.loads((folder / "render.json").read_text())
     document["camera"] = document.pop("cameras")[1]
     (folder / "render.json").write_text(json.dumps(document))
-    assert read_uncompressed(folder).cameras == read_uncompressed(plain).cameras[1:]
-
-
-@pytest.mark.parametrize(
-    "change",
-    [
-        {"background": [0, 0]},
-        {"background": [0, 0, 256]},
-        {"background": [0, 0, 0.5]},
-        {"up_axis": 6},
-        {"up_axis": None},
-        {"near_plane": 0},
-        {"near_plane": "0.2"},
-        {"distance_unit": -1},
-        {"alpha_max": 1.5},
-        {"low_pass": 1e300},
-    ],
-)
-def test_render_information_is_checked(change: dict[str, Any], plain: Path, tmp_path: Path, capsys: Captured) -> None:
-    said = refused_with(capsys, plain, tmp_path, "render", change)
-    assert f"render.{next(iter(change))}" in said
-    assert "train it again" in said
+    assert read_uncompressed(folder).cameras == scene.cameras[1:]
 
 
 @pytest.mark.parametrize(
     ("change", "field"),
     [
+        ({"background": [0, 0]}, "render.background"),
+        ({"background": [0, 0, 256]}, "render.background"),
+        ({"background": [0, 0, 0.5]}, "render.background"),
+        ({"up_axis": 6}, "render.up_axis"),
+        ({"up_axis": None}, "render.up_axis"),
+        ({"near_plane": 0}, "render.near_plane"),
+        ({"near_plane": "0.2"}, "render.near_plane"),
+        ({"distance_unit": -1}, "render.distance_unit"),
+        ({"alpha_max": 1.5}, "render.alpha_max"),
+        ({"low_pass": 1e300}, "render.low_pass"),
         ({"width": 1 << 32}, "cameras[1].width"),
         ({"height": 0}, "cameras[1].height"),
         ({"name": 7}, "cameras[1].name"),
@@ -176,28 +162,18 @@ def test_render_information_is_checked(change: dict[str, Any], plain: Path, tmp_
         ({"rotation": [0, 0, 0, 0]}, "cameras[1]"),
     ],
 )
-def test_cameras_are_checked(change: dict[str, Any], field: str, plain: Path, tmp_path: Path, capsys: Captured) -> None:
-    said = refused_with(capsys, plain, tmp_path, "cameras", change)
+def test_render_json_is_checked(change: dict[str, Any], field: str, folder: Path, capsys: Captured) -> None:
+    pytest.importorskip("numba")
+    document = json.loads((folder / "render.json").read_text())
+    (document["render"] if field.startswith("render") else document["cameras"][1]).update(change)
+    (folder / "render.json").write_text(json.dumps(document))
+    said = refused(capsys, "render", folder, "-o", folder.parent / "images")
     assert f'"{field}' in said
     assert "train it again" in said
 
 
-def refused_with(capsys: Captured, plain: Path, tmp_path: Path, part: str, change: dict[str, Any]) -> str:
-    """What is said of a scene whose render.json has a change in one of its parts, or in the second of a list."""
-    pytest.importorskip("numba")
-    folder = tmp_path / "scene"
-    shutil.copytree(plain, folder)
-    document = json.loads((folder / "render.json").read_text())
-    found = document[part]
-    (found[1] if isinstance(found, list) else found).update(change)
-    (folder / "render.json").write_text(json.dumps(document))
-    return refused(capsys, "render", folder, "-o", tmp_path / "images")
-
-
 @pytest.mark.parametrize("text", ["", "[]", "{}", "[" * 100_000, '{"format": "Scaffold-GS, uncompressed"}', "\xff"])
-def test_what_is_no_render_json(text: str, plain: Path, tmp_path: Path) -> None:
-    folder = tmp_path / "scene"
-    shutil.copytree(plain, folder)
+def test_other_files_are_not_render_json(text: str, folder: Path) -> None:
     (folder / "render.json").write_text(text, encoding="latin-1")
     with pytest.raises(SceneFolderError):
         read_uncompressed(folder)
@@ -214,20 +190,14 @@ def test_what_is_no_render_json(text: str, plain: Path, tmp_path: Path) -> None:
         lambda a: a.update({"covariance.0.weight": a["covariance.0.weight"].T.copy()}),
     ],
 )
-def test_networks_are_checked(change: Callable[[dict[str, np.ndarray]], None], plain: Path, tmp_path: Path) -> None:
-    folder = tmp_path / "scene"
-    shutil.copytree(plain, folder)
-    arrays = load_file(folder / "networks.safetensors")
+def test_networks_are_checked(change: Callable[[dict[str, np.ndarray]], None], folder: Path) -> None:
+    file = folder / "networks.safetensors"
+    arrays = load_file(file)
     change(arrays)
-    (folder / "networks.safetensors").write_bytes(save(arrays))
+    file.write_bytes(save(arrays))
     with pytest.raises(SceneFolderError, match="train it again"):
         read_uncompressed(folder)
-
-
-def test_a_header_of_safetensors_is_bounded(plain: Path, tmp_path: Path) -> None:
-    folder = tmp_path / "scene"
-    shutil.copytree(plain, folder)
-    (folder / "networks.safetensors").write_bytes((50 << 20).to_bytes(8, "little") + b"{" + b" " * 100)
+    file.write_bytes((50 << 20).to_bytes(8, "little") + b"{" + b" " * 100)
     with pytest.raises(SceneFolderError, match="its header has 52428800 bytes"):
         read_uncompressed(folder)
 
@@ -316,19 +286,12 @@ def test_a_changed_point_cloud_is_read_or_refused(plain: Path, tmp_path_factory:
 )
 def test_settings_are_checked(text: bytes, tmp_path: Path, capsys: Captured) -> None:
     (tmp_path / "settings.toml").write_bytes(text)
-    assert main(["train", "--settings", str(tmp_path / "settings.toml"), "--print-settings"]) == 64
-    said = capsys.readouterr().err
-    assert len(said.splitlines()) == 1
-    assert len(said) <= 10_100
+    assert len(refused(capsys, "train", "--settings", tmp_path / "settings.toml", "--print-settings")) <= 10_100
 
 
-@pytest.mark.parametrize("change", ["steps=" + "9" * 400, "steps=" + "[" * 10_000, "growth=" + "[" * 50 + "]" * 50])
-def test_changes_of_settings_are_checked(change: str, capsys: Captured) -> None:
-    assert main(["train", "--set", change, "--print-settings"]) == 64
-    assert len(capsys.readouterr().err.splitlines()) == 1
-
-
-def test_toml_within_bounds() -> None:
+def test_changes_of_settings_are_checked(capsys: Captured) -> None:
+    for change in ("steps=" + "9" * 400, "steps=" + "[" * 10_000, "growth=" + "[" * 50 + "]" * 50):
+        refused(capsys, "train", "--set", change, "--print-settings")
     assert parse_toml("a = [[1, 2], [3]]\n[b]\nc.d = 'x'") == {"a": [[1, 2], [3]], "b": {"c": {"d": "x"}}}
     with pytest.raises(DocumentError, match="nested deeper"):
         parse_toml(".".join(["a"] * 70) + " = 1")
@@ -433,32 +396,24 @@ def test_large_images_are_refused_by_their_header(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("suffix", ["png", "jpg", "bmp", "tiff", "webp"])
-def test_images_without_all_their_data_are_refused(suffix: str, tmp_path: Path) -> None:
+def test_cut_images_are_refused(suffix: str, tmp_path: Path) -> None:
+    """Also a PNG with right checksums that lacks rows. Every other PNG has all of them."""
     images = pytest.importorskip("refcodec.photographs.images")
     cameras = pytest.importorskip("refcodec.photographs.cameras")
     pixels = np.random.default_rng(0).integers(0, 256, (60, 80, 3)).astype(np.uint8)
     file = tmp_path / f"a.{suffix}"
     images.Image.fromarray(pixels).save(file)
     assert images.read_image(file, (0, 0, 0)).shape == (60, 80, 3)
-    file.write_bytes(file.read_bytes()[: len(file.read_bytes()) // 2])
-    with pytest.raises(cameras.PhotographError, match="export or copy the image again"):
-        images.read_image(file, (0, 0, 0))
-
-
-def test_a_png_without_all_its_rows_is_refused(tmp_path: Path) -> None:
-    images = pytest.importorskip("refcodec.photographs.images")
-    cameras = pytest.importorskip("refcodec.photographs.cameras")
-    file = tmp_path / "a.png"
-    file.write_bytes(png(13, 30, 30))
-    assert (images.read_image(file, (0, 0, 0)) == 99).all()
-    file.write_bytes(png(13, 30, 10))
-    with pytest.raises(cameras.PhotographError, match="some rows of the image are missing"):
-        images.read_image(file, (0, 0, 0))
-
-
-@pytest.mark.parametrize("mode", ["1", "L", "LA", "P", "RGB", "RGBA"])
-@pytest.mark.parametrize("size", [(1, 1), (3, 2), (9, 17), (130, 70)])
-def test_every_kind_of_png_has_its_rows(mode: str, size: tuple[int, int], tmp_path: Path) -> None:
-    images = pytest.importorskip("refcodec.photographs.images")
-    images.Image.new(mode, size, 1 if mode in ("1", "L", "P") else None).save(tmp_path / "a.png")
-    assert images.read_image(tmp_path / "a.png", (0, 0, 0)).shape == (size[1], size[0], 3)
+    cut = [(file.read_bytes()[: file.stat().st_size // 2], "export or copy the image again")]
+    if suffix == "png":
+        for mode in ("1", "L", "LA", "P", "RGB", "RGBA"):
+            for width, height in ((1, 1), (3, 2), (9, 17), (130, 70)):
+                images.Image.new(mode, (width, height), 1 if mode in ("1", "L", "P") else None).save(file)
+                assert images.read_image(file, (0, 0, 0)).shape == (height, width, 3)
+        file.write_bytes(png(13, 30, 30))
+        assert (images.read_image(file, (0, 0, 0)) == 99).all()
+        cut.append((png(13, 30, 10), "some rows of the image are missing"))
+    for data, words in cut:
+        file.write_bytes(data)
+        with pytest.raises(cameras.PhotographError, match=words):
+            images.read_image(file, (0, 0, 0))
