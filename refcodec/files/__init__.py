@@ -1,1 +1,1 @@
-"""What comes into the programs and goes out of them: documents of others, text for a terminal, files and folders."""
+"""Input and output of the programs: documents from outside, text for a terminal, files and folders."""

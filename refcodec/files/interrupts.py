@@ -1,4 +1,4 @@
-"""What ends a run early: Ctrl-C, the SIGTERM that stops programs, and the SIGHUP of a terminal that closes."""
+"""Signals that end a run early: SIGINT (Ctrl-C), SIGTERM, and the SIGHUP of a closing terminal."""
 
 from __future__ import annotations
 
@@ -16,9 +16,9 @@ SIGNALS = tuple(getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGHUP"
 def on_interrupt(
     handle: Callable[[int, FrameType | None], object] = signal.default_int_handler,
 ) -> Iterator[None]:
-    """Lets these signals call a function until the block ends. Only in the main thread can it do so.
+    """Makes these signals call a function until the block ends, if the block runs in the main thread.
 
-    A SIGHUP that is ignored stays so: nohup asks for that. handle: the function. The default raises KeyboardInterrupt.
+    An ignored SIGHUP stays ignored, as nohup requires. handle: the function. The default raises KeyboardInterrupt.
     """
     before = {}
     try:

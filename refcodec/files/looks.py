@@ -1,11 +1,11 @@
-"""What a file of another kind looks like, by its first bytes, and which command takes it."""
+"""The apparent kind of a file that is not a scene, by its first bytes, and the command that takes it."""
 
 from __future__ import annotations
 
 import re
 
 _CONVERT = "refcodec convert takes splats of this kind"
-# The first eight bytes, and what the file looks like.
+# Patterns of the first eight bytes, and the kinds.
 _KINDS = [
     (rb"ply[\r\n]", f"a PLY file: {_CONVERT}, refcodec fit takes points"),
     (rb"\x1f\x8b|NGSP", f"an SPZ file: {_CONVERT}"),
@@ -18,5 +18,5 @@ _KINDS = [
 
 
 def looks_like(beginning: bytes) -> str | None:
-    """Returns what a file looks like, as words for a message, or None. beginning: its first eight bytes."""
+    """Returns the apparent kind of a file, in words for a message, or None. beginning: its first eight bytes."""
     return next((words for pattern, words in _KINDS if re.match(pattern, beginning)), None)

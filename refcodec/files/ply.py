@@ -24,14 +24,14 @@ NAME_MAX = 64
 ELEMENTS_MAX = 16
 COUNT_MAX = (1 << 32) - 1
 
-# Each type under its old name, which is written, and its new one.
+# Each type by its old name, which is written, and by its new one.
 _OLD = {"char": "i1", "uchar": "u1", "short": "i2", "ushort": "u2", "int": "i4", "uint": "u4", "float": "f4"} | {
     "double": "f8"
 }
 _NEW = {"int8": "i1", "uint8": "u1", "int16": "i2", "uint16": "u2", "int32": "i4", "uint32": "u4", "float32": "f4"}
 _TYPES = {**_OLD, **_NEW, "float64": "f8"}
 _NAMES = {kind: name for name, kind in _OLD.items()}
-# Byte orders of NumPy. Text has none.
+# NumPy's byte orders. Text has none.
 _FORMATS = {"ascii": "", "binary_little_endian": "<", "binary_big_endian": ">"}
 _COUNT = re.compile(r"[0-9]{1,10}")
 
@@ -48,12 +48,12 @@ class _Element(NamedTuple):
     fields: list[tuple[str, str]]
 
     def size(self, text: bool) -> int:
-        """Returns the least bytes of its rows: its numbers in binary, or a digit and a separator for each in text."""
+        """Returns the minimum bytes of its rows: numbers in binary, or a digit and a separator each in text."""
         return self.rows * sum(2 if text else np.dtype(kind).itemsize for _, kind in self.fields)
 
 
 def check_ply_header(path: Path) -> tuple[int, int]:
-    """Checks that a file begins with a short PLY header, and that it can hold the rows that the header states.
+    """Checks that a file begins with a short PLY header, and is long enough for the rows that the header states.
 
     Returns the largest number of rows of an element, and the number of properties of all elements. Raises PlyError,
     and OSError.
@@ -95,7 +95,7 @@ def read_ply(path: Path) -> dict[str, NDArray[Any]]:
                 else:
                     tables[name] = np.memmap(path, kind, "r", place, (count,))
                     place += count * kind.itemsize
-            # NumPy's own, of names that are there twice and of text that is no number.
+            # NumPy reports duplicate names, and text that is not a number.
             except ValueError as error:
                 raise PlyError(f"its element {name}: {error}") from None
             if len(tables[name]) != count:

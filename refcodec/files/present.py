@@ -1,4 +1,4 @@
-"""Whether a file is there: yes, no, or something else is in its place."""
+"""Whether an optional file exists, is missing, or is something else."""
 
 from __future__ import annotations
 
@@ -17,19 +17,19 @@ _KINDS = {
 
 
 class NotAFileError(ValueError):
-    """Something that is no file is in the place of one. The text says what, without the path."""
+    """Something other than a file has its path. The text states what, without the path."""
 
 
 def is_there(path: Path, kind: int = stat.S_IFREG) -> bool:
-    """Whether a file is at a path. False means that nothing is: no link that leads nowhere, no pipe, no folder.
+    """Whether a file exists. False means that nothing has its path, not even a dangling link, a pipe or a folder.
 
     Args:
-        path: of a file that need not be there, and whose absence means something.
-        kind: stat.S_IFDIR for a folder in place of a file.
+        path: the path of an optional file.
+        kind: stat.S_IFDIR for a folder instead of a file.
 
     Raises:
-        NotAFileError: something else is there.
-        OSError: it cannot be found out.
+        NotAFileError: something else has the path.
+        OSError: the status is not available.
     """
     wanted = "file" if kind == stat.S_IFREG else "directory"
     try:

@@ -1,9 +1,9 @@
-"""Files behind a URL, of which ranges of bytes are fetched (fsspec, the extra `http`).
+"""Files behind a URL, fetched by byte ranges (fsspec, the extra `http`).
 
-A server is believed in nothing: what it answers is refused in one line unless it is the range that was asked for.
+Servers are not trusted: any answer but the requested range is refused in one line.
 """
 
-# fsspec is imported where it is used. Files on a disk do not need it.
+# fsspec is imported where it is used, because files on a disk do not need it.
 # ruff: noqa: PLC0415
 
 from __future__ import annotations
@@ -19,31 +19,31 @@ from typing import Any
 from ..statuses import UsageError
 from .text import printable
 
-# What is fetched first, and held: the header with its directory, and of most files the sections behind it.
+# The bytes that are fetched first and kept: the header with its directory, and the next sections of most files.
 HEAD_BYTES = 1 << 16
-# Seconds after which a server is given up that sends nothing, and that it may take beside the time of its bytes: all
-# answers together. It has to send this many bytes a second at least.
+# The longest silence of a server, in seconds; the seconds that all its answers may take beside the time of their bytes;
+# and the minimum bytes a second.
 TIMEOUT, TOTAL_TIMEOUT, BYTES_A_SECOND = 30.0, 300.0, 1 << 14
-# The bytes of memory that a file behind a URL may take, unless the caller says otherwise.
+# The default memory limit for a file behind a URL, in bytes.
 MEMORY_MAX = 4 << 30
 _RANGE = "Content-Range"
-# RFC 9110, 8.8: what is another one if the file is.
+# RFC 9110, 8.8: headers that change with the file.
 _VALIDATORS = ("ETag", "Last-Modified")
 _CONTENT_RANGE = re.compile(r"bytes (\d{1,18})-\d{1,18}/(\d{1,18})", re.ASCII)
 
 
 def is_url(path: str) -> bool:
-    """Whether a path is a URL, and no file has it as its name."""
+    """Whether a path is a URL, and not the name of an existing file."""
     return "://" in path and not os.path.lexists(path)
 
 
 class RemoteFile:
-    """A file behind a URL. Each read of bytes behind the first HEAD_BYTES is one fetch. It is a context manager."""
+    """A file behind a URL, and a context manager. Each read behind the first HEAD_BYTES is one fetch."""
 
     def __init__(self, url: str) -> None:
-        """Fetches the head. Raises UsageError if that is not possible, or a package is missing."""
+        """Fetches the head. Raises UsageError if that fails, or a package is missing."""
         self._url = url
-        with self._told():
+        with self._refusing():
             try:
                 from fsspec.core import url_to_fs
 
@@ -64,13 +64,13 @@ class RemoteFile:
         self._ranges.close()
 
     def read(self, start: int, size: int) -> bytes:
-        """Returns `size` bytes from `start` on, or fewer where the file ends before. Raises UsageError."""
+        """Returns `size` bytes from `start` on, or fewer at the end of the file. Raises UsageError."""
         size = min(size, self._length - start)
         if size <= 0:
             return b""
         if start + size <= len(self._head):
             return self._head[start : start + size]
-        with self._told():
+        with self._refusing():
             return self._ranges.fetch(start, size)
 
     def length(self) -> int:
@@ -78,12 +78,12 @@ class RemoteFile:
         return self._length
 
     @contextlib.contextmanager
-    def _told(self) -> Iterator[None]:
+    def _refusing(self) -> Iterator[None]:
         try:
             yield
         except (UsageError, MemoryError):
             raise
-        # Each of the many packages behind fsspec has errors of its own. Whatever it is, the file cannot be read.
+        # Each package behind fsspec has its own errors. After any of them, the file cannot be read.
         except Exception as error:
             text = " ".join(str(error).split()) or type(error).__name__
             raise UsageError(f"cannot read {self._shown()}: {printable(text, 200)}") from None
@@ -93,7 +93,7 @@ class RemoteFile:
 
 
 class _Stored:
-    """A file of a system other than the web, such as a store of objects, that opens files to be read from any place."""
+    """A file of another system than the web, such as an object store, which opens seekable files."""
 
     def __init__(self, system: Any, path: str) -> None:
         self._file = system.open(path, "rb", cache_type="none")
@@ -104,7 +104,7 @@ class _Stored:
         return self.fetch(0, min(HEAD_BYTES, length)), length
 
     def fetch(self, start: int, size: int) -> bytes:
-        """Returns a range of bytes. Raises ValueError if others come."""
+        """Returns a range of bytes. Raises ValueError for another length."""
         self._file.seek(start)
         found: bytes = self._file.read(size)
         return _whole(found, size)
@@ -115,21 +115,21 @@ class _Stored:
 
 
 class _Web:
-    """A file of a web server that knows requests of ranges (RFC 9110, chapter 14)."""
+    """A file of a web server with range requests (RFC 9110, chapter 14)."""
 
     def __init__(self, system: Any, path: str) -> None:
         self._system, self._path, self._length = system, path, -1
         self._validators: dict[str, str] = {}
-        # Of all answers: the seconds that they took, and their bytes.
+        # The seconds and the bytes of all answers.
         self._spent, self._got = 0.0, 0
 
     def head(self) -> tuple[bytes, int]:
-        """Returns the first bytes, and the length of the file, which the server tells with them."""
+        """Returns the first bytes, and the file length that the server states."""
         found, self._length, self._validators = self._asked(0, HEAD_BYTES)
         return _whole(found, min(HEAD_BYTES, self._length)), self._length
 
     def fetch(self, start: int, size: int) -> bytes:
-        """Returns a range of bytes. Raises ValueError if others come, or those of another file."""
+        """Returns a range of bytes. Raises ValueError for another length, or a changed file."""
         found, length, validators = self._asked(start, size)
         if length != self._length:
             raise ValueError(f"it changed while it was read: its length was {self._length} bytes, and is {length} now")
@@ -143,9 +143,9 @@ class _Web:
         """Does nothing: fsspec closes the connections."""
 
     def _asked(self, start: int, size: int) -> tuple[bytes, int, dict[str, str]]:
-        """Returns what the server answers, cut after one byte too many, and the length and the validators it states.
+        """Returns the answer, cut after one excess byte, and the stated file length and validators.
 
-        Raises ValueError for whatever is no answer.
+        Raises ValueError if there is no such answer.
         """
         import aiohttp
         from fsspec.exceptions import FSTimeoutError
@@ -181,7 +181,7 @@ class _Web:
         if left <= 0:
             raise FSTimeoutError
         timeout = aiohttp.ClientTimeout(total=left, sock_connect=TIMEOUT, sock_read=TIMEOUT)
-        # With a block size of 0 it is a stream, of which no more is read than is asked for.
+        # A block size of 0 gives a stream, which reads no more than requested.
         with self._system.open(self._path, "rb", block_size=0, size=size, headers=headers, timeout=timeout) as stream:
             if stream.r.status != 206:
                 raise ValueError("the server does not send ranges of bytes: download the file, and give its name")

@@ -1,4 +1,4 @@
-"""The standard streams of a command: what is said on them cannot fail, and cannot steer a terminal."""
+"""The standard streams of a command: their output does not end it, and cannot control a terminal."""
 
 from __future__ import annotations
 
@@ -9,23 +9,23 @@ import sys
 
 from .text import printable
 
-# The most characters of a line on stderr.
+# The maximum characters of a line on stderr.
 LINE_MAX = 10_000
 
 
 def open_streams() -> None:
-    """Makes the standard streams usable, whatever the caller did with them. A command calls it before anything else.
+    """Makes the standard streams usable, whatever their state is. A command calls it first.
 
-    - A stream that is closed becomes one to nowhere. Else the next file to be opened would get its number, and what
-      libraries print would go into that file.
-    - A character that a stream's encoding lacks is written as an escape.
+    - A closed stream is connected to the null device. Otherwise the next opened file would get its number, and output
+      of libraries would go into that file.
+    - A character outside a stream's encoding is written as an escape.
     """
     for number, name, mode in ((0, "stdin", "r"), (1, "stdout", "w"), (2, "stderr", "w")):
         if getattr(sys, name) is None:
             with contextlib.suppress(OSError):
                 os.fstat(number)
                 continue
-            # The lowest free number is taken, which is this one: those below it are open.
+            # The system assigns the lowest free number, which is this one: those below it are open.
             os.open(os.devnull, os.O_RDONLY if mode == "r" else os.O_WRONLY)
             setattr(sys, name, open(number, mode, encoding="utf-8", closefd=False))  # noqa: SIM115 (stays open)
     for stream in (sys.stdout, sys.stderr):
@@ -34,33 +34,33 @@ def open_streams() -> None:
 
 
 def note(text: str) -> None:
-    """Prints a line on stderr. If stderr takes nothing, nothing is said."""
+    """Prints a line on stderr. Errors of stderr are ignored."""
     with contextlib.suppress(OSError, ValueError):
         print(printable(text, LINE_MAX), file=sys.stderr, flush=True)
 
 
 def say(text: str, lines: bool = False) -> None:
-    """Prints a text on stdout. lines: whether it has several. Raises OSError if stdout takes nothing."""
+    """Prints a text on stdout. lines: whether it may have several lines. Raises OSError."""
     print(printable(text, lines=lines))
 
 
 class ProgressStream(io.TextIOBase):
-    """stderr for bars of progress. Work does not end because nobody can be told of it."""
+    """stderr for progress bars, whose errors do not end the work."""
 
     def write(self, text: str) -> int:
-        """Writes a text as it is, if stderr takes it."""
+        """Writes a text unchanged. Errors of stderr are ignored."""
         with contextlib.suppress(OSError, ValueError):
             sys.stderr.write(text)
         return len(text)
 
     def flush(self) -> None:
-        """Shows what has been written, if stderr takes it."""
+        """Flushes stderr. Errors are ignored."""
         with contextlib.suppress(OSError, ValueError):
             sys.stderr.flush()
 
     @property
     def encoding(self) -> str:  # type: ignore[override]
-        """The encoding of stderr, by which tqdm chooses the characters of a bar."""
+        """The encoding of stderr, by which tqdm chooses bar characters."""
         return sys.stderr.encoding or "ascii"
 
     def isatty(self) -> bool:
@@ -68,12 +68,12 @@ class ProgressStream(io.TextIOBase):
         return sys.stderr.isatty()
 
     def fileno(self) -> int:
-        """Returns the number of stderr."""
+        """Returns the descriptor of stderr."""
         return sys.stderr.fileno()
 
 
 def silence_stdout() -> None:
-    """Lets what is left to write to a stdout that failed go nowhere, so that Python does not fail at its end."""
+    """Discards pending output of a failed stdout, so that Python does not fail at exit."""
     with contextlib.suppress(OSError, ValueError):
         nowhere = os.open(os.devnull, os.O_WRONLY)
         os.dup2(nowhere, sys.stdout.fileno())

@@ -1,27 +1,27 @@
-"""Text from outside, as it may be shown: names of files, what other programs said, values of documents."""
+"""Printable forms of text from outside: file names, output of other programs, document values."""
 
 from __future__ import annotations
 
 import os
 import shlex
 
-# Lines and tabs may stay where the text is a block of lines.
+# Line feeds and tabs may stay in a block of lines.
 _LAYOUT = "\n\t"
 
 
 def printable(text: str, most: int | None = None, lines: bool = False) -> str:
-    r"""Returns a text in which every character can be shown, and none steers a terminal or breaks a line.
+    r"""Returns a text whose characters are all printable, so that none controls a terminal or breaks a line.
 
-    A character that Python does not call printable (escapes, control characters, marks that turn the direction of
-    text, halves of surrogate pairs) becomes what Python writes for it, such as ``\x1b``.
+    A character that Python does not call printable (escapes, control characters, direction marks, surrogates) becomes
+    its Python escape, such as ``\x1b``.
 
     Args:
         text: anything.
-        most: the most characters of the result, or None. A longer one ends with the number of those left out.
+        most: the maximum length, or None. A cut text ends with its original length.
         lines: whether line feeds and tabs stay.
     """
     kept = _LAYOUT if lines else ""
-    # No more is looked at than may be shown.
+    # No more characters are converted than may be shown.
     found = text if most is None else text[:most]
     shown = "".join(c if c.isprintable() or c in kept else c.encode("unicode_escape").decode() for c in found)
     if most is None or (len(shown) <= most and len(found) == len(text)):
@@ -30,10 +30,7 @@ def printable(text: str, most: int | None = None, lines: bool = False) -> str:
 
 
 def shell_word(text: str) -> str:
-    """Returns a text as a word of a shell's command line, which can be shown: printable() leaves it as it is.
-
-    A text that is not printable is quoted as bash, zsh and ksh do it.
-    """
+    """Returns a text as a printable word of a shell command line. Other text is quoted as in bash, zsh and ksh."""
     if printable(text) == text:
         return shlex.quote(text)
     escaped = "".join(

@@ -1,6 +1,6 @@
-"""Arrays of a safetensors file: read within bounds, and written some rows at a time."""
+"""Arrays of safetensors files: bounded reading, and writing by blocks of rows."""
 
-# safetensors is imported where it is used. A decode that fails should not wait for it.
+# safetensors is imported where it is used, so that a decode that fails does not wait for it.
 # ruff: noqa: PLC0415
 
 from __future__ import annotations
@@ -16,15 +16,12 @@ from numpy.typing import NDArray
 
 from .layout import SceneFolderError
 
-# A scene has at most a hundred arrays, each with a name, a shape and a place.
+# A scene has at most a hundred arrays, each with a name, a shape and offsets.
 HEADER_MAX = 1 << 20
 
 
 def read_arrays(file: Path, advice: str) -> dict[str, NDArray]:
-    """Returns the arrays of a file by name.
-
-    advice: what to do if it cannot be read. Raises SceneFolderError.
-    """
+    """Returns the arrays of a file by name. advice: the remedy in errors. Raises SceneFolderError."""
     from safetensors import SafetensorError
     from safetensors.numpy import load_file
 
@@ -41,22 +38,22 @@ def read_arrays(file: Path, advice: str) -> dict[str, NDArray]:
         raise SceneFolderError(file, f"it cannot be read ({error})", advice) from None
 
 
-# The names of dtypes in the header of a file.
+# The dtype names in a header.
 _DTYPES = {"uint8": "U8", "uint16": "U16", "int32": "I32"}
 
 
 class RowsFile:
-    """A safetensors file whose arrays get their rows one block after the other.
+    """A safetensors file that is written by blocks of rows.
 
-    The package writes only arrays that are in memory as a whole. The file is the one that it writes of the same arrays.
+    The package writes only arrays that are whole in memory. The bytes are those that it writes for the same arrays.
     """
 
     def __init__(self, file: BinaryIO, arrays: Mapping[str, tuple[Any, tuple[int, ...]]], rows: int) -> None:
         """Writes the header.
 
-        file: a new one, which can be written to at any place.
-        arrays: the dtype and the shape of a row of each array, by name.
-        rows: how many each array will have.
+        file: new and seekable.
+        arrays: the dtype and the row shape of each array, by name.
+        rows: the number of rows of every array.
         """
         # The package puts the arrays with the largest items first.
         order = sorted(arrays, key=lambda name: (-np.dtype(arrays[name][0]).itemsize, name))

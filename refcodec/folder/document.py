@@ -1,4 +1,4 @@
-"""scene.json and render.json, whose values are checked when they are read."""
+"""Readers of scene.json and render.json, which check every value."""
 
 from __future__ import annotations
 
@@ -25,9 +25,9 @@ class Document:
     """
 
     def __init__(self, file: Path, form: str = FORMAT, again: str = "decode again") -> None:
-        """Reads the file. form: what its field "format" has to say. again: the last advice in every message.
+        """Reads the file. form: the required value of "format". again: the last remedy in every message.
 
-        Raises SceneFolderError if it is not JSON, or of another format.
+        Raises SceneFolderError if it is not JSON, or has another format.
         """
         self.file, self.again = file, again
         try:
@@ -38,11 +38,11 @@ class Document:
             raise SceneFolderError(file, f'its "format" is not "{form}"', f"give a folder of refcodec, or {again}")
 
     def fault(self, name: str, problem: str) -> SceneFolderError:
-        """Returns the error about a field. problem: what is wrong with it."""
+        """Returns the error about a field. problem: its predicate, such as "is missing"."""
         return SceneFolderError(self.file, f'"{name}" {problem}', f"correct the field, or {self.again}")
 
     def value(self, name: str) -> Any:
-        """Returns a field as JSON gives it."""
+        """Returns the JSON value of a field."""
         found = self.root
         for key, index in re.findall(r"(\w+)|\[(\d+)\]", name):
             if isinstance(found, dict) and key in found:
@@ -73,7 +73,7 @@ class Document:
         return [self._checked(f"{name}[{i}]", v, low, high) for i, v in enumerate(self._list(name, count))]
 
     def _float(self, name: str, value: Any) -> float:
-        """Returns a value as the float32 nearest to it, which has to be finite."""
+        """Returns the nearest float32 of a value, which must be finite."""
         number = np.float32(np.nan)
         if isinstance(value, int | float) and not isinstance(value, bool):
             with np.errstate(over="ignore"), contextlib.suppress(OverflowError):

@@ -1,13 +1,13 @@
-"""The scene folder, which `decode` writes and `encode` reads. Its files are in formats that other programs know.
+"""The scene folder, which `decode` writes and `encode` reads. Its files have formats that other programs read.
 
 scene.json              the values of the header, the frame and the small tables, and the digest
-point_cloud.ply         the reconstruction, in the layout of Scaffold-GS checkpoints
+point_cloud.ply         the reconstruction, in the Scaffold-GS checkpoint layout
 networks.safetensors    fp32 weights and biases
-planes.safetensors      the planes' symbols
+planes.safetensors      plane symbols
 coded.safetensors       fp16 positions, masks, attribute symbols and step indices
-ancillary_N_TYPE.bin    the ancillary section number N, counted from 0, with its type
+ancillary_N_TYPE.bin    ancillary section N, counted from 0, and its type
 
-With coded.safetensors a folder is encoded exactly. Without it, `encode` quantises point_cloud.ply anew, with the
+With coded.safetensors, encoding a folder is exact. Without it, `encode` quantises point_cloud.ply again, with the
 networks, planes, frame and grid of the folder.
 """
 
@@ -16,13 +16,14 @@ from __future__ import annotations
 import os
 import re
 import stat
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
 
 from ..files.lock import is_empty
 from ..files.present import NotAFileError, is_there
-from ..files.stage import INCOMING
+from ..files.stage import INCOMING, exchange
 
 SCENE_FILE = "scene.json"
 PLY_FILE = "point_cloud.ply"
@@ -30,9 +31,9 @@ NETWORKS_FILE = "networks.safetensors"
 PLANES_FILE = "planes.safetensors"
 CODED_FILE = "coded.safetensors"
 ANCILLARY_FILE = re.compile(r"ancillary_[0-9]+_[A-Za-z]{4}\.bin")
-# What a training says of itself, beside the scene.
+# The report of a training, beside the scene.
 REPORT_FILE = "training.json"
-# The file that only the folder of an uncompressed scene has.
+# Only the folder of an uncompressed scene has this file.
 RENDER_FILE = "render.json"
 FORMAT = "C3GS scene"
 UNCOMPRESSED = "Scaffold-GS, uncompressed"
@@ -41,7 +42,7 @@ MASK_LOGIT_MIN = float(np.log(0.01 / 0.99))
 
 
 class SceneFolderError(ValueError):
-    """A scene folder, or a file in it, cannot be used. file: which one. problem: what is wrong. advice: what to do."""
+    """A scene folder, or a file in it, that cannot be used. file: its path. problem: the fault. advice: the remedy."""
 
     def __init__(self, file: Path | str, problem: str, advice: str) -> None:
         self.file, self.problem, self.advice = str(file), problem, advice
@@ -49,9 +50,9 @@ class SceneFolderError(ValueError):
 
 
 def there(path: Path, advice: str) -> bool:
-    """Whether a file that may be missing is there. Raises SceneFolderError for a link, pipe or folder in its place.
+    """Whether an optional file exists. Raises SceneFolderError if a dangling link, a pipe or a folder has its name.
 
-    advice: what to do about such a thing.
+    advice: the remedy in the error.
     """
     try:
         return is_there(path)
@@ -62,8 +63,8 @@ def there(path: Path, advice: str) -> bool:
 def is_free(path: Path, uncompressed: bool = False) -> bool:
     """Whether a scene may be written to a path.
 
-    It may if nothing is there, or an empty directory, or a scene folder, or one that a killed run left without
-    scene.json. uncompressed: whether the folder of an uncompressed scene is one, too.
+    It may if the path is missing, an empty directory, a scene folder, or one that a killed run left without scene.json.
+    uncompressed: whether the folder of an uncompressed scene counts, too.
     """
     try:
         if not is_there(path, stat.S_IFDIR):
@@ -81,12 +82,40 @@ def is_free(path: Path, uncompressed: bool = False) -> bool:
 
 
 def scene_files(path: Path) -> list[Path]:
-    """Returns the files that writing a scene to a folder makes, replaces or removes. Some may not be there."""
+    """Returns the files that writing a scene to a folder makes, replaces or removes. Some may be missing."""
     fixed = (SCENE_FILE, PLY_FILE, NETWORKS_FILE, PLANES_FILE, CODED_FILE, RENDER_FILE)
     found = sorted(os.listdir(path)) if path.is_dir() else []
     return [path / name for name in (*fixed, *(name for name in found if ANCILLARY_FILE.fullmatch(name)))]
 
 
 def ancillary_name(number: int, kind: bytes) -> str:
-    """Returns the name of the file of an ancillary section. number: its place among them. kind: its type."""
+    """Returns the file name of an ancillary section. number: its index. kind: its type."""
     return f"ancillary_{number}_{kind.decode('ascii')}.bin"
+
+
+def replace_scene(path: Path, write: Callable[[Path], None]) -> None:
+    """Replaces the scene of a folder as a whole (files.stage.exchange). A missing folder is made.
+
+    Args:
+        path: the folder.
+        write: writes the new files into the folder that it is given.
+
+    Raises:
+        SceneFolderError: the path is a file, or a folder with other contents.
+        OSError: a file cannot be written.
+    """
+
+    def replaced() -> list[Path]:
+        if not is_free(path, uncompressed=True):
+            raise SceneFolderError(
+                path, "it exists and is not a scene folder", "choose another folder, or empty this one"
+            )
+        files = scene_files(path)
+        for file in files:
+            if file.is_dir() and not file.is_symlink():
+                raise SceneFolderError(file, "it is a directory", "move it, or choose another folder")
+        return files
+
+    if os.path.lexists(path) and not path.is_dir():
+        replaced()
+    exchange(path, write, replaced, SCENE_FILE)

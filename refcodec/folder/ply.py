@@ -1,6 +1,6 @@
-"""point_cloud.ply, in the layout of Scaffold-GS checkpoints."""
+"""point_cloud.ply, in the Scaffold-GS checkpoint layout."""
 
-# The encoder is imported where it is used. A decode that fails should not wait for them.
+# The encoder is imported where it is used, so that a decode that fails does not wait for it.
 # ruff: noqa: PLC0415
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 
 
 def ply_properties(offset_count: int, features: int) -> list[str]:
-    """Returns the names of the properties of a Scaffold-GS point cloud with masks, in file order."""
+    """Returns the property names of a Scaffold-GS point cloud with masks, in file order."""
     return [
         *("x", "y", "z", "nx", "ny", "nz"),
         *(f"f_offset_{i}" for i in range(3 * offset_count)),
@@ -37,7 +37,7 @@ def ply_properties(offset_count: int, features: int) -> list[str]:
 
 
 def ply_values(r: Reconstruction, masks: NDArray[np.bool_]) -> dict[str, NDArray]:
-    """Returns the columns of the PLY file that hold data, float32 [N, columns], by the stem of their properties.
+    """Returns the columns with data, float32 [N, columns], by the stem of their property names.
 
     The other properties, such as the normals, are constant. masks: bool [N, K].
     """
@@ -52,10 +52,10 @@ def ply_values(r: Reconstruction, masks: NDArray[np.bool_]) -> dict[str, NDArray
 
 
 class CloudFile:
-    """A Scaffold-GS point cloud, in binary little-endian float32, that gets its anchors one block after the other."""
+    """A Scaffold-GS point cloud, binary little-endian float32, that is written by blocks of anchors."""
 
     def __init__(self, file: BinaryIO, count: int, offset_count: int, features: int) -> None:
-        """Writes the header. count: N, how many anchors there will be. features: F. Raises OSError."""
+        """Writes the header. count: N, the number of anchors. features: F. Raises OSError."""
         row = np.dtype([(name, "<f4") for name in ply_properties(offset_count, features)])
         file.write(ply_header(row, count))
         self._file = file
@@ -75,7 +75,7 @@ class CloudFile:
 def write_cloud(r: Reconstruction, masks: NDArray[np.bool_], path: str | Path) -> None:
     """Writes anchors as a Scaffold-GS point cloud to a new file.
 
-    masks: bool [N, K]. Raises OSError, also if something is there.
+    masks: bool [N, K]. Raises OSError, also if the path exists.
     """
     with new_file(Path(path)) as file:
         CloudFile(file, len(masks), masks.shape[1], r.features.shape[1]).add(r, masks)
@@ -100,7 +100,7 @@ class Columns:
         self.count = len(self.data)
 
     def names(self, stem: str) -> list[str]:
-        """Returns the properties that are a stem and a number, in the order of their numbers.
+        """Returns the properties whose names are a stem and a number, ordered by number.
 
         The stem "xyz" stands for the properties x, y and z. Raises SceneFolderError if a number is missing.
         """

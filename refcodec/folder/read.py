@@ -1,6 +1,6 @@
-"""Reads a scene folder."""
+"""Reader of scene folders."""
 
-# safetensors and the encoder are imported where they are used. A decode that fails should not wait for them.
+# safetensors and the encoder are imported where they are used, so that a decode that fails does not wait for them.
 # ruff: noqa: PLC0415
 
 from __future__ import annotations
@@ -51,9 +51,9 @@ from .ply import Columns, ply_values, read_cloud
 
 
 def read_folder(path: str | Path) -> Scene:
-    """Returns the scene of a folder. Raises SceneFolderError for whatever is wrong in it.
+    """Returns the scene of a folder. Raises SceneFolderError for any fault in it.
 
-    With coded.safetensors the scene is exactly the one that was written. Without it, point_cloud.ply is quantised anew.
+    With coded.safetensors the scene is exactly the written one. Without it, point_cloud.ply is quantised again.
     """
     path = Path(path)
     if not path.is_dir():
@@ -110,7 +110,7 @@ def _read_dimensions(doc: Document) -> tuple[Dimensions, int]:
 
 
 def _read_document(doc: Document, d: Dimensions, profile: int, path: Path) -> Scene:
-    """Returns the scene without what coded.safetensors holds. It has no anchors."""
+    """Returns the scene without anchors, which are in coded.safetensors."""
     base_step = doc.floats("base_step", 3)
     if not all(BASE_STEP_MIN <= step <= BASE_STEP_MAX for step in base_step):
         raise doc.fault("base_step", f"is {base_step}, {BASE_STEP_MIN} to {BASE_STEP_MAX} is allowed")
@@ -170,7 +170,7 @@ def _read_frame(doc: Document) -> Frame:
 
 
 def _read_weight_scales(doc: Document, d: Dimensions) -> NDArray[np.uint8] | None:
-    """Returns the scale indices of packed weights (SPEC 5.9), uint8 [layers, 3], or None if weights are not packed."""
+    """Returns the scale indices of packed weights (SPEC 5.9), uint8 [layers, 3]; None if weights are not packed."""
     if "weight_scales" not in doc.root:
         return None
     rows = [doc.integers(f"weight_scales[{i}]", 3, 0, 255) for i in range(len(layers_of(d)))]
@@ -185,10 +185,7 @@ def _read_weight_forms(doc: Document, d: Dimensions) -> NDArray[np.uint8] | None
 
 
 def _read_chunks(doc: Document, n: int) -> tuple[tuple[int, ...] | None, tuple[int, ...] | None]:
-    """Returns the anchors of each chunk and the forms of their positions, or None for what the encoder chooses.
-
-    n: N.
-    """
+    """Returns the anchor count and the position form of each chunk, or None for the encoder's choice. n: N."""
     anchors = forms = None
     if "chunk_anchors" in doc.root:
         anchors = tuple(doc.integers("chunk_anchors", None, 1, max(n, 1)))
@@ -240,9 +237,9 @@ def _read_ancillary(doc: Document, path: Path) -> tuple[Ancillary, ...]:
         at = f"ancillary[{i}]"
         text = doc.value(f"{at}.type")
         if not isinstance(text, str) or not re.fullmatch("[a-z][A-Za-z]{3}", text):
-            raise doc.fault(f"{at}.type", f"is {text!r}, four letters are required, the first one small")
+            raise doc.fault(f"{at}.type", f"is {text!r}, four letters are required, the first one in lower case")
         kind = text.encode()
-        # The name has to be the expected one, so that scene.json cannot point outside the folder.
+        # Only the expected name is allowed, so that scene.json cannot point outside the folder.
         name = ancillary_name(i, kind)
         if doc.value(f"{at}.file") != name:
             raise doc.fault(f"{at}.file", f"is {doc.value(f'{at}.file')!r}, {name!r} is required")
@@ -333,9 +330,9 @@ def _read_coded(bare: Scene, doc: Document, path: Path) -> Scene:
 
 
 def _compare_ply(scene: Scene, path: Path) -> None:
-    """Raises SceneFolderError if the PLY file is not the reconstruction of coded.safetensors.
+    """Raises SceneFolderError if the PLY file differs from the reconstruction of coded.safetensors.
 
-    Somebody has edited it then, and encoding would silently leave the edit out.
+    A different file was edited, and encoding would silently ignore the edit.
     """
     file = path / PLY_FILE
     advice = f"to encode {PLY_FILE} as it is now, delete {CODED_FILE}; to undo the change, decode again"
@@ -363,10 +360,7 @@ def _compare_ply(scene: Scene, path: Path) -> None:
 
 
 def _compare_digest(scene: Scene, doc: Document) -> None:
-    """Raises SceneFolderError if scene.json states a digest that is not the scene's.
-
-    A folder without a digest is not checked.
-    """
+    """Raises SceneFolderError if the digest in scene.json is not the scene's. Without a digest, nothing is checked."""
     if "digest" not in doc.root:
         return
     whole, parts = digest(scene)
@@ -389,7 +383,7 @@ def _requantise(bare: Scene, path: Path) -> Scene:
         if found != wanted:
             raise SceneFolderError(
                 file,
-                f"its anchors have {found} {name}, {SCENE_FILE} says {wanted}",
+                f"its anchors have {found} {name}, {SCENE_FILE} states {wanted}",
                 "use the point cloud that the networks fit",
             )
     try:

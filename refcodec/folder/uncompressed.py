@@ -1,9 +1,9 @@
-"""The folder of a trained Scaffold-GS before anything is quantised, for comparison with coded scenes.
+"""The folder of a trained Scaffold-GS before quantisation, for comparison with coded scenes.
 
-point_cloud.ply         anchors, in the layout of Scaffold-GS checkpoints, world units
-networks.safetensors    fp32 weights and biases of the three rendering networks, as SPEC.md 5.8 shapes them
-render.json             the render information of SPEC.md 5.5, the cameras as in 5.17, of which the first one is the
-                        default view, and the edge of the voxels whose corners the anchors are, if it is known
+point_cloud.ply         anchors, in the Scaffold-GS checkpoint layout, world units
+networks.safetensors    fp32 weights and biases of the three rendering networks, in the shapes of SPEC.md 5.8
+render.json             the render information of SPEC.md 5.5, the cameras as in 5.17, the first one of which is the
+                        default view, and the edge of the voxels whose corners are the anchors, if it is known
 """
 
 # safetensors is imported where it is used, so that the other commands start fast.
@@ -28,9 +28,8 @@ from ..bitstream.reconstruction import Reconstruction
 from ..files.stage import new_file
 from .arrays import read_arrays
 from .document import Document
-from .layout import NETWORKS_FILE, PLY_FILE, RENDER_FILE, UNCOMPRESSED, SceneFolderError, there
+from .layout import NETWORKS_FILE, PLY_FILE, RENDER_FILE, UNCOMPRESSED, SceneFolderError, replace_scene, there
 from .ply import read_cloud, write_cloud
-from .replace import replace_scene
 
 AGAIN = "train it again"
 # SPEC 5.17 counts cameras in 16 bits.
@@ -42,8 +41,8 @@ class Uncompressed:
     """A trained Scaffold-GS.
 
     values: the float32 attributes. masks: bool [N, K]. networks: the three rendering networks of SPEC 14.3, by name.
-    cameras: those that it states; the first one is the default view. voxel: edge of the lattice of the positions, world
-    units, or None if it is not known.
+    cameras: the first one is the default view. voxel: the edge of the position lattice, world units, or None if it is
+    not known.
     """
 
     values: Reconstruction
@@ -59,7 +58,7 @@ class Uncompressed:
         return len(self.values.positions)
 
     def sizes(self) -> dict[str, int]:
-        """Returns the bytes of the float32 numbers, by part of a coded file: positions, attributes, weights."""
+        """Returns the bytes of the float32 numbers, by the part of a coded file: positions, attributes, weights."""
         v = self.values
         weights = sum(array.size for layers in self.networks.values() for layer in layers for array in layer)
         return {
@@ -70,7 +69,7 @@ class Uncompressed:
 
 
 def _read_networks(file: Path, offsets: int, features: int) -> dict[str, list[Layer]]:
-    """SPEC 14.3: returns the rendering networks of a file. offsets: K. features: F. Raises SceneFolderError."""
+    """Returns the rendering networks of a file (SPEC 14.3). offsets: K. features: F. Raises SceneFolderError."""
     arrays = read_arrays(file, AGAIN)
     outputs = dict(zip(RENDERING, (offsets, 7 * offsets, 3 * offsets), strict=True))
     networks: dict[str, list[Layer]] = {}
@@ -82,7 +81,7 @@ def _read_networks(file: Path, offsets: int, features: int) -> dict[str, list[La
             found = [arrays.get(f"{name}.{i}.{part}") for part in ("weight", "bias")]
             for part, array, wanted in zip(("weight", "bias"), found, (shape, shape[:1]), strict=True):
                 if array is None or array.shape != wanted or array.dtype != np.float32 or not np.isfinite(array).all():
-                    problem = f"{name}.{i}.{part} is not there as finite float32 numbers {list(wanted)}"
+                    problem = f"{name}.{i}.{part} is missing, or not finite float32 numbers {list(wanted)}"
                     raise SceneFolderError(file, problem, AGAIN)
             layers.append((found[0], found[1]))
         networks[name] = layers  # type: ignore[assignment]
@@ -90,16 +89,12 @@ def _read_networks(file: Path, offsets: int, features: int) -> dict[str, list[La
 
 
 def is_uncompressed(path: Path) -> bool:
-    """Whether a folder holds an uncompressed scene. Raises SceneFolderError if that cannot be told."""
+    """Whether a folder holds an uncompressed scene. Raises SceneFolderError if its render.json is not a file."""
     return there(path / RENDER_FILE, "restore it, or remove it if the folder holds a coded scene")
 
 
 def write_uncompressed(scene: Uncompressed, path: Path) -> None:
-    """Writes the folder. It is made if it is not there.
-
-    It has the whole scene then, or is as it was (replace_scene). Raises SceneFolderError if `path` is a file, or a
-    directory with something else in it.
-    """
+    """Writes the folder as a whole, or leaves it as it was. Errors: as for replace_scene."""
     replace_scene(path, lambda folder: _write_files(scene, folder))
 
 
@@ -141,15 +136,15 @@ def read_render_document(file: Path) -> tuple[RenderInfo, tuple[NamedCamera, ...
 
 
 def _read_cameras(doc: Document) -> tuple[NamedCamera, ...]:
-    """Returns the cameras. Earlier folders have one, as "camera". Raises SceneFolderError."""
+    """Returns the cameras. Earlier folders have one, named "camera". Raises SceneFolderError."""
     if "camera" in doc.root:
         return (_read_camera(doc, "camera"),)
     listed = doc.value("cameras")
     if not isinstance(listed, list) or len(listed) > CAMERAS_MAX:
-        raise doc.fault("cameras", f"is no list of at most {CAMERAS_MAX} cameras")
+        raise doc.fault("cameras", f"is not a list of at most {CAMERAS_MAX} cameras")
     found = tuple(_read_camera(doc, f"cameras[{number}]") for number in range(len(listed)))
     if len({camera.name for camera in found}) < len(found):
-        raise doc.fault("cameras", "has two cameras of one name")
+        raise doc.fault("cameras", "has two cameras with one name")
     return found
 
 

@@ -1,6 +1,6 @@
-"""Writes a scene folder, of a scene or of a file that is decoded some chunks at a time."""
+"""Writer of scene folders, for scenes, and for files that are decoded by blocks of chunks."""
 
-# safetensors is imported where it is used. A decode that fails should not wait for it.
+# safetensors is imported where it is used, so that a decode that fails does not wait for it.
 # ruff: noqa: PLC0415
 
 from __future__ import annotations
@@ -20,29 +20,27 @@ from ..bitstream.batches import Progress, no_progress
 from ..bitstream.errors import BitstreamError
 from ..bitstream.header import MAJOR
 from ..bitstream.limits import PROFILES
-from ..bitstream.positions import PositionModel
 from ..bitstream.reader import Opened
 from ..bitstream.reconstruction import StreamDigest, chunk_digest, reconstruct
 from ..bitstream.scene import Scene, take_anchors
 from ..bitstream.streaming import pieces
 from ..files.stage import new_file
 from .arrays import RowsFile
-from .layout import CODED_FILE, FORMAT, NETWORKS_FILE, PLANES_FILE, PLY_FILE, SCENE_FILE, ancillary_name
+from .layout import CODED_FILE, FORMAT, NETWORKS_FILE, PLANES_FILE, PLY_FILE, SCENE_FILE, ancillary_name, replace_scene
 from .ply import CloudFile
-from .replace import replace_scene
 
-# How many anchors are reconstructed and written at once.
+# The number of anchors that are reconstructed and written at once.
 _ROWS = 8192
 
 
 @dataclass(frozen=True, eq=False)
 class Written:
-    """What of a file is in a folder.
+    """The result of decoding a file into a folder.
 
-    anchors: how many are written.
-    damage: the first error of each chunk that was dropped, by number. lost: how many anchors each of them has.
-    error: the first error of the file, or None if there is none in what was read.
-    digests: those of the chunks, if certain chunks were wanted.
+    anchors: the number of written anchors.
+    damage: the first error of each dropped chunk, by number. lost: the anchor count of each of them.
+    error: the first error in the parts of the file that were read, or None.
+    digests: the chunk digests, if certain chunks were wanted.
     """
 
     anchors: int
@@ -53,11 +51,7 @@ class Written:
 
 
 def write_folder(scene: Scene, path: str | Path) -> None:
-    """Writes a scene folder.
-
-    The folder has the whole scene then, or is as it was (replace_scene). Raises SceneFolderError if `path` is a file,
-    or a directory with something else in it.
-    """
+    """Writes a scene folder as a whole, or leaves it as it was. Errors: as for replace_scene."""
 
     def write(folder: Path) -> None:
         _write_files(folder, scene.anchor_count, scene, _blocks(scene), lambda: scene)
@@ -77,11 +71,11 @@ def decode_folder(
 
     Args:
         opened: the file.
-        path: of the folder. It has the whole scene then, or is as it was (replace_scene).
-        numbers: those of the wanted chunks, rising. None stands for the whole file, of which everything is checked.
-        keep_going: a chunk with an error is dropped and noted in scene.json, and what is wrong behind the chunks is
-            told. The good chunks of a damaged file are read twice, because the files begin with the number of anchors.
-        progress: told of the work.
+        path: the folder. It is written as a whole, or left as it was (replace_scene).
+        numbers: the wanted chunk numbers, rising. None stands for the whole file, of which everything is checked.
+        keep_going: drop a chunk with an error and note it in scene.json, and report an error behind the chunks. The
+            good chunks of a damaged file are read twice, because the anchor count comes first in the written files.
+        progress: receives the progress.
 
     Raises:
         BitstreamError: the first error of the file, without keep_going.
@@ -144,15 +138,15 @@ def _write_files(
     damage: dict[int, BitstreamError] | None = None,
     numbers: range | None = None,
 ) -> list[str]:
-    """Writes the files of a scene folder. Returns the digests of the blocks if there are numbers of chunks.
+    """Writes the files of a scene folder. Returns the digests of the blocks if `numbers` is given.
 
     Args:
-        path: of the folder.
-        count: N, how many anchors there are.
-        head: has the dimensions.
-        blocks: the anchors in order, each time some of them as a scene.
-        whole: called when all anchors are written. It returns the scene, of which no anchor is read.
-        damage, numbers: as for decode_folder. They are noted in scene.json.
+        path: the folder.
+        count: N, the number of anchors.
+        head: a scene with the dimensions.
+        blocks: the anchors in order, in scenes.
+        whole: called when all anchors are written; returns the scene, whose anchors are ignored.
+        damage, numbers: as for decode_folder. scene.json has them.
     """
     from safetensors.numpy import save
 
@@ -191,7 +185,7 @@ def _write_files(
 
 
 def _blocks(scene: Scene) -> Iterator[Scene]:
-    """Yields the anchors of a scene in order, each time some of them."""
+    """Yields the anchors of a scene in order, in blocks."""
     for first in range(0, scene.anchor_count, _ROWS):
         yield take_anchors(scene, slice(first, first + _ROWS))
 
@@ -213,17 +207,14 @@ def _put(path: Path, content: bytes) -> None:
 
 
 def _short(value: Any) -> Any:
-    """Returns a value for JSON. A float becomes the one with the shortest text that reads back as the same float32.
-
-    Tuples become lists. Other values stay as they are.
-    """
+    """Returns a value for JSON. A float gets the shortest text that gives the same float32; a tuple becomes a list."""
     if isinstance(value, tuple):
         return [_short(v) for v in value]
     return float(str(np.float32(value))) if isinstance(value, float) else value
 
 
 def _scene_document(scene: Scene, count: int, digest: tuple[str, dict[str, str]]) -> dict[str, Any]:
-    """Returns the values of scene.json. count: N. digest: of the whole and of its parts."""
+    """Returns the values of scene.json. count: N. digest: those of the scene and of its parts."""
     return {
         "format": FORMAT,
         "version": MAJOR,
@@ -239,8 +230,6 @@ def _scene_document(scene: Scene, count: int, digest: tuple[str, dict[str, str]]
         "plane_shift": scene.plane_shift,
         "carm_shift": scene.carm_shift.tolist(),
         "mask_model": scene.mask_model.tolist(),
-        **_position_document(scene.position_model),
-        **({} if scene.weight_scales is None else {"weight_scales": scene.weight_scales.tolist()}),
         **_coding_document(scene),
         "ancillary": [
             {"type": a.type.decode("ascii"), "mode": a.mode, "after": a.after, "file": ancillary_name(number, a.type)}
@@ -250,18 +239,13 @@ def _scene_document(scene: Scene, count: int, digest: tuple[str, dict[str, str]]
     }
 
 
-def _position_document(model: PositionModel | None) -> dict[str, Any]:
-    """Returns what packed positions were coded with. With it, the folder gives the same file again."""
-    return (
-        {}
-        if model is None
-        else {"position_model": {"cell_shift": model.cell_shift, "frequency": model.frequency.tolist()}}
-    )
-
-
 def _coding_document(scene: Scene) -> dict[str, Any]:
-    """Returns the coding parameters that an encoder chooses by itself if they are not there."""
+    """Returns the coding parameters. The encoder chooses missing ones."""
     found: dict[str, Any] = {}
+    if model := scene.position_model:
+        found["position_model"] = {"cell_shift": model.cell_shift, "frequency": model.frequency.tolist()}
+    if scene.weight_scales is not None:
+        found["weight_scales"] = scene.weight_scales.tolist()
     if scene.chunk_anchors is not None:
         found["chunk_anchors"] = list(scene.chunk_anchors)
     if scene.position_forms is not None:

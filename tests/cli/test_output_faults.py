@@ -272,12 +272,14 @@ def test_faults(case: Case, inputs: Path, tmp_path: Path, monkeypatch: pytest.Mo
     status, said = tried()
     assert status == 0, said
     points, new = list(faults.points), contents(work)
-    kinds = {point.split()[0] for point in points}
-    assert kinds >= {"open", "write", "fsync"}
-    assert kinds & {"rename", "replace"}
+    done: dict[str, set[str]] = {}
+    for kind, name in (point.split(" ", 1) for point in points):
+        done.setdefault(kind, set()).add(name)
+    assert done["write"] <= done["open"] & done["fsync"]
+    assert done.keys() & {"rename", "replace"}
     assert not [name for name in new if "/." in name or name.startswith(".")]
     changed = {name for name in new if new[name] != old.get(name, b"none")}
-    assert changed
+    assert done["fsync"] & {(work / name).parent.name for name in changed}
     for number, point in enumerate(points):
         ends = SIGNALS[number % len(SIGNALS)] if case.run is main else signal.SIGINT
         for error, expected in (

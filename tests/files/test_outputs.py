@@ -229,8 +229,7 @@ def test_runs_take_turns(tmp_path: Path) -> None:
     folder, order = tmp_path / "folder", []
 
     def later() -> None:
-        with hold_folder(folder, wait=True):
-            order.append(("later", folder.is_dir()))
+        exchange(folder, lambda new: order.append(("later", new.is_dir())), list, "none")
 
     with ThreadPoolExecutor() as pool:
         with hold_folder(folder):
@@ -263,6 +262,7 @@ def test_systems_without_locks(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) 
 @pytest.mark.parametrize("ignored", [False, True])
 def test_signals_that_interrupt(ignored: bool) -> None:
     """Each of them once, except a SIGHUP that nohup has ignored."""
+    assert SIGNALS == (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
     caught: list[int] = []
     before = signal.signal(signal.SIGHUP, signal.SIG_IGN if ignored else signal.SIG_DFL)
     try:

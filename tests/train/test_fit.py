@@ -480,7 +480,7 @@ def test_what_is_missing_is_said(plain: Path, tmp_path: Path, capsys: pytest.Cap
         (half, "neither scene.json nor render.json"),
         (half / "point_cloud.ply", "neither scene.json nor render.json"),
         (half / "other.ply", "it is not point_cloud.ply"),
-        (wrong, "opacity.1.weight is not there as finite float32 numbers"),
+        (wrong, "opacity.1.weight is missing, or not finite float32 numbers"),
         (tmp_path / "none", "expected"),
     ):
         assert main(["fit", str(path), "-o", str(tmp_path / "new"), "--steps", "1"]) == 64
