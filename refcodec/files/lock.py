@@ -68,7 +68,6 @@ def hold_file(path: Path, wait: bool = False, shown: Path | None = None) -> Iter
             try:
                 with errors_of(shown or path):
                     held.enter_context(FileLock(path).acquire(timeout=-1 if wait else 0))
-                    held.callback(path.unlink, missing_ok=True)
             except Timeout:
                 name = printable(str(shown or path))
                 raise UsageError(f"another run writes to {name}: wait for it, or choose another place") from None
@@ -78,8 +77,14 @@ def hold_file(path: Path, wait: bool = False, shown: Path | None = None) -> Iter
             except OSError as error:
                 if error.errno not in (errno.ENOLCK, errno.ENOTSUP):
                     raise
+            held.callback(_remove, path)
             yield
             return
+
+
+def _remove(path: Path) -> None:
+    with contextlib.suppress(OSError):
+        path.unlink()
 
 
 def hold_folder(folder: Path, wait: bool = False) -> contextlib.AbstractContextManager[None]:
