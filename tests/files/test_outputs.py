@@ -10,7 +10,7 @@ import resource
 import signal
 import subprocess
 import sys
-from concurrent.futures import ThreadPoolExecutor
+from concurrent.futures import ThreadPoolExecutor, wait
 from pathlib import Path
 
 import pytest
@@ -226,20 +226,24 @@ def test_another_run(killed: bool, tmp_path: Path) -> None:
 
 def test_runs_take_turns(tmp_path: Path) -> None:
     """A run that waits makes the folder that the run before has removed."""
-    folder, order = tmp_path / "folder", []
+    folder = tmp_path / "folder"
+    written: list[bool] = []
 
-    def later() -> None:
-        exchange(folder, lambda new: order.append(("later", new.is_dir())), list, "none")
+    def staged() -> None:
+        with Stage(turns=folder) as outputs:
+            outputs.write(tmp_path / "image", b"x")
 
     with ThreadPoolExecutor() as pool:
         with hold_folder(folder):
-            waiting = pool.submit(later)
-            with pytest.raises(TimeoutError):
-                waiting.result(0.2)
-            order.append(("first", folder.is_dir()))
+            waiting = pool.submit(exchange, folder, lambda new: written.append(new.is_dir()), list, "none")
+            staging = pool.submit(staged)
+            assert not wait([waiting, staging], 0.3).done
+            assert not written
+            assert not (tmp_path / "image").exists()
         waiting.result(20)
-    assert order == [("first", True), ("later", True)]
-    assert os.listdir(tmp_path) == []
+        staging.result(20)
+    assert written == [True]
+    assert os.listdir(tmp_path) == ["image"]
 
 
 def test_systems_without_locks(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
