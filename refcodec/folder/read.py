@@ -72,7 +72,7 @@ def read_folder(path: str | Path) -> Scene:
     document.integer("version", MAJOR, MAJOR)
     d, profile = _read_dimensions(document)
     bare = _read_document(document, d, profile, path)
-    if not there(path / CODED_FILE, f"restore it, or remove it so that encode quantises {PLY_FILE} anew"):
+    if not there(path / CODED_FILE, f"restore it, or remove it so that encode quantises {PLY_FILE} again"):
         return _requantise(bare, path)
     scene = _read_coded(bare, document, path)
     _compare_ply(scene, path)
@@ -302,7 +302,7 @@ def _read_coded(bare: Scene, doc: Document, path: Path) -> Scene:
             "steps": ((n, 3), np.uint8),
         },
     )
-    advice = f"restore it, or delete it so that encode quantises {PLY_FILE} anew"
+    advice = f"restore it, or delete it so that encode quantises {PLY_FILE} again"
     bits = arrays["positions"]
     if (((bits & 0x7C00) == 0x7C00) | (bits == 0x8000)).any():
         raise SceneFolderError(file, "a position is NaN, infinite or -0", advice)
