@@ -279,7 +279,7 @@ def test_faults(case: Case, inputs: Path, tmp_path: Path, monkeypatch: pytest.Mo
     assert done.keys() & {"rename", "replace"}
     assert not [name for name in new if "/." in name or name.startswith(".")]
     changed = {name for name in new if new[name] != old.get(name, b"none")}
-    assert done["fsync"] & {(work / name).parent.name for name in changed}
+    assert done["fsync"] & {above.name for name in changed for above in (work / name).parents}
     for number, point in enumerate(points):
         ends = SIGNALS[number % len(SIGNALS)] if case.run is main else signal.SIGINT
         for error, expected in (
