@@ -9,7 +9,7 @@ from typing import Any
 import jinja2
 
 from ..runner.grading import GRADES
-from .record import STATUSES
+from .schema import STATUSES
 from .summary import most_telling
 
 _TEMPLATE = Path(__file__).with_name("page.html")

@@ -1,15 +1,13 @@
-"""The record of a run: everything that the other reports show, as JSON with a schema (report.schema.json)."""
+"""The record of a run as JSON: the data of all other reports. schema.py defines its form."""
 
 from __future__ import annotations
 
 import hashlib
-import json
 import platform
 import re
 from collections import Counter
 from collections.abc import Iterable, Sequence
 from dataclasses import asdict, dataclass
-from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -25,26 +23,22 @@ from ..manifest import MANIFEST, Accepted, Manifest, Rejected, Vector
 from ..runner.grading import GRADE_EXACT, Found, differing
 from ..runner.run import Options, Result, Run
 from . import diagnosis
+from .schema import DECODER, RECORD, REPORT, REPORT_VERSION, STATUSES
 
-SCHEMA = Path(__file__).with_name("report.schema.json")
-STATUSES = ("failed", "crashed", "unexpected", "known", "passed", "skipped")
-REPORT_VERSION = 4
-# The version of a decoder that says nothing of itself.
+# The version of a decoder without a description.
 NOT_STATED = "not stated"
-# The longest texts of a decoder's description, and of what is wrong with a document, in characters.
+# The longest texts of a decoder's description and of an error message, in characters.
 _TEXT, _WRONG = 2000, 300
+_RECORD, _DESCRIPTION = Draft202012Validator(RECORD), Draft202012Validator(DECODER)
 
 
 class RecordError(Exception):
-    """A file that is no record, or does not follow from its own vectors."""
+    """A file is not a record, or its conclusions contradict its vectors."""
 
 
 @dataclass(frozen=True)
 class About:
-    """What a record says besides results.
-
-    decoder: the decoder's own description. select: expressions. started: ISO 8601.
-    """
+    """The context of a run. decoder: its description. select: expressions. started: ISO 8601. seconds: wall time."""
 
     decoder: dict[str, str]
     select: tuple[str, ...]
@@ -53,30 +47,30 @@ class About:
 
 
 def manifest_digest(manifest: Manifest) -> str:
-    """SHA-256 of the manifest file."""
+    """Returns the SHA-256 of the manifest file, in hexadecimal."""
     return hashlib.sha256((manifest.folder / MANIFEST).read_bytes()).hexdigest()
 
 
 def describe(path: Path | None, command: Sequence[str]) -> dict[str, str]:
-    """A decoder's description of itself: a JSON object of texts, with `name` and `version`. Raises RecordError."""
+    """Returns a decoder's description of itself: an object of texts, with `name` and `version`. Raises RecordError."""
     if path is None:
         return {"name": Path(command[0]).name, "version": NOT_STATED}
     try:
         said = read_json(path)
     except DocumentError as error:
         raise RecordError(f"{path}: {error}") from None
-    if fault := best_match(_validator("decoder").iter_errors(said)):
+    if fault := best_match(_DESCRIPTION.iter_errors(said)):
         raise RecordError(f"{path}: {_words(fault)}")
     return {name: printable(text, _TEXT, lines=name == "notes") for name, text in said.items()}
 
 
 def _words(fault: ValidationError) -> str:
-    """What is wrong, and where, without all that is there."""
+    """Returns the path and the message of a fault, both of bounded length."""
     return f"{printable(fault.json_path, _WRONG)}: {printable(fault.message, _WRONG)}"
 
 
 def _printable(value: Any) -> Any:
-    """A JSON value all of whose texts can be shown anywhere."""
+    """Returns a JSON value with all its texts printable."""
     if isinstance(value, dict):
         return {_printable(name): _printable(inner) for name, inner in value.items()}
     if isinstance(value, list):
@@ -84,15 +78,8 @@ def _printable(value: Any) -> Any:
     return printable(value, lines=True) if isinstance(value, str) and not value.isprintable() else value
 
 
-@cache
-def _validator(part: str = "") -> Draft202012Validator:
-    """That of the records' schema, or of one of its definitions. The schema itself is known to be right."""
-    schema = json.loads(SCHEMA.read_text(encoding="utf-8"))
-    return Draft202012Validator(schema["$defs"][part] if part else schema)
-
-
 def _clauses(vector: Vector) -> list[str]:
-    """Clauses to read: that of the expected error first, then those of the requirements."""
+    """Returns the clauses to read: first that of the expected error, then those of the requirements."""
     first = [vector.expectation.clause] if isinstance(vector.expectation, Rejected) else []
     return list(dict.fromkeys(first + [clause_of(name) for name in vector.requirements]))
 
@@ -109,7 +96,7 @@ def _expected(vector: Vector) -> dict[str, Any]:
 
 
 def _found(vector: Vector, found: Found) -> dict[str, Any]:
-    """What a decoder said. Of a wrong output the parts are told that differ, not the digests of all."""
+    """Returns a decoder's answer. For a wrong output it lists the parts that differ, without their digests."""
     said = {name: value for name, value in asdict(found).items() if name != "parts"}
     e = vector.expectation
     return said | {"differing": differing(e, found) if isinstance(e, Accepted) and found.result == "accepted" else []}
@@ -144,10 +131,10 @@ def _entry(result: Result) -> dict[str, Any]:
 
 
 def build(manifest: Manifest, options: Options, about: About, run: Run) -> dict[str, Any]:
-    """The record of a run."""
+    """Returns the record of a run."""
     entries = [_entry(r) for r in run.results]
     record = {
-        "report": "c3gs-conformance-report",
+        "report": REPORT,
         "report_version": REPORT_VERSION,
         "suite": {
             "version": manifest.suite_version,
@@ -173,23 +160,24 @@ def build(manifest: Manifest, options: Options, about: About, run: Run) -> dict[
     }
     record |= conclusions(record["suite"]["vectors"], entries, manifest)  # type: ignore[index]
     record["diagnosis"] = diagnosis.of_record(entries)
-    # Names, commands and descriptions are from outside, and every report and the terminal show them.
+    # Every report and the terminal show names, commands and descriptions from outside.
     shown: dict[str, Any] = _printable(record | {"vectors": entries})
     return shown
 
 
 def _group(vector: Vector) -> str:
-    """Which verdict a vector counts for: that of its profile and level, of rendering, or of each profile."""
+    """Returns the verdict that a vector counts for: that of its profile and level, of rendering, or of any profile."""
     if vector.operation == "gaussians":
         return "rendering"
     return "any" if vector.profile is None else f"{vector.profile} {vector.level}"
 
 
 def conclusions(groups: dict[str, str], entries: Sequence[dict[str, Any]], manifest: Manifest) -> dict[str, Any]:
-    """What follows from the vectors' entries: counts, the grade, coverage, and a verdict for each profile and level.
+    """Returns the conclusions from the entries: counts, grade, coverage, and a verdict for each profile and level.
 
-    groups: what each vector of the suite counts for. A decoder conforms to a profile and level if each vector of that
-    profile up to the level, and each that has none, passes with the highest grade. Rendering has a verdict of its own.
+    groups: the verdict that each vector of the suite counts for. A decoder conforms to a profile and level if each
+    vector of that profile up to the level, and each without a profile, passes with the highest grade. Rendering has
+    its own verdict.
     """
     counts = Counter(e["status"] for e in entries)
     judged = [e for e in entries if e["status"] != "skipped"]
@@ -238,7 +226,7 @@ def _profiles(groups: dict[str, str], entries: Sequence[dict[str, Any]]) -> list
 def _coverage(
     vectors: Iterable[tuple[str, Iterable[str]]], judged: Sequence[dict[str, Any]]
 ) -> dict[str, dict[str, int]]:
-    """For each name how many vectors of the suite have it, how many of these were run, and how many were right."""
+    """Returns for each name the number of vectors of the suite that have it, were run, and were right."""
     grades = {e["id"]: e["grade"] for e in judged}
     rows: dict[str, dict[str, int]] = {}
     for vector, names in vectors:
@@ -251,18 +239,18 @@ def _coverage(
 
 
 def _order(name: str) -> list[tuple[bool, int, str]]:
-    """Numbers in names by their value."""
+    """Returns a sort key that orders numbers in names by value."""
     return [(part.isdigit(), int(part) if part.isdigit() else 0, part) for part in re.findall(r"\d+|\D+", name)]
 
 
 def check(record: Any) -> None:
-    """Raises RecordError for what the schema does not allow."""
-    if fault := best_match(_validator().iter_errors(record)):
+    """Raises RecordError for a record that the schema does not allow."""
+    if fault := best_match(_RECORD.iter_errors(record)):
         raise RecordError(_words(fault))
 
 
 def load(path: Path) -> dict[str, Any]:
-    """A record that the schema allows. Raises RecordError, OSError."""
+    """Reads a record that the schema allows. Raises RecordError or OSError."""
     try:
         record: dict[str, Any] = read_json(path)
     except DocumentError as error:

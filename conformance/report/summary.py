@@ -13,7 +13,8 @@ from typing import Any
 from refcodec.files.text import printable
 
 from ..runner.grading import GRADES
-from .record import NOT_STATED, STATUSES
+from .record import NOT_STATED
+from .schema import STATUSES
 
 # Failures that are shown with their divergence; the rest is in the reports.
 _SHOWN = 10
