@@ -1,20 +1,19 @@
-"""The folder that a decoder gets for a vector: a copy of the file, a place for what it writes, and one for the rest.
+"""The folder of a vector: a copy of the file, a place for the outputs of a decoder, and one for temporary files.
 
-Whatever it does there is found afterwards (`Folder.fault`), and goes with the folder.
+`Folder.fault` reports misuse of the folder by the decoder.
 """
 
 from __future__ import annotations
 
 import os
 import stat
+import subprocess
 import tempfile
-import uuid
 from io import BufferedReader
 from pathlib import Path
 
 from refcodec.files.text import printable
 
-_OPEN = os.O_RDONLY | os.O_DIRECTORY | os.O_NOFOLLOW
 # The parts of a folder, and their modes.
 _PARTS = {"read": 0o555, "write": 0o700, "temporary": 0o700}
 _INPUT, _CAMERA = "input.c3gs", "camera.json"
@@ -27,126 +26,50 @@ _KINDS = {
     stat.S_IFCHR: "a device",
     stat.S_IFBLK: "a device",
 }
-# So many characters of the names of files are told.
+# The longest list of file names in a message, in characters.
 _NAMES = 100
 
 
 class FileError(Exception):
-    """A place for a file that holds something else, or a file that cannot be read. The text follows its name."""
+    """A path is not a regular file, or the file cannot be read. The message continues a sentence about the file."""
 
 
 def open_file(path: Path) -> BufferedReader:
-    """Opens a file that a decoder wrote. Waits for nothing, and follows no link.
+    """Opens a file that a decoder wrote, without waiting and without following a link.
 
-    Raises FileNotFoundError, and FileError for what is no file that can be read.
+    Raises FileNotFoundError, and FileError for anything that is not a readable regular file.
     """
-    mode = _status(path).st_mode
-    if not stat.S_ISREG(mode):
-        raise FileError(f"is {_KINDS.get(stat.S_IFMT(mode), 'no file')}")
     try:
+        mode = path.lstat().st_mode
+        if not stat.S_ISREG(mode):
+            raise FileError(f"is {_KINDS.get(stat.S_IFMT(mode), 'not a file')}")
         return open(os.open(path, os.O_RDONLY | os.O_NOFOLLOW | os.O_NONBLOCK), "rb")
-    except OSError as error:
-        raise FileError(f"cannot be read ({error.strerror})") from None
-
-
-def _status(path: Path) -> os.stat_result:
-    try:
-        return path.lstat()
     except FileNotFoundError:
         raise
     except OSError as error:
         raise FileError(f"cannot be read ({error.strerror})") from None
 
 
-class Temporary:
-    """A folder of our own, removed at the end, whatever has been made of it by then."""
+class Folder:
+    """A vector's folder with three parts.
+
+    `input` and `camera` are in a read-only part, `output` and `trace` in a writable one; `temporary` is for temporary
+    files. A folder without a fault is reused, because creating one takes longer than decoding a small file.
+    """
 
     def __init__(self) -> None:
         self.path = Path(tempfile.mkdtemp(prefix="c3gs-"))
-        # It stays the same folder where another one gets its name.
-        self._fd = os.open(self.path, _OPEN)
-
-    def close(self) -> str | None:
-        """Removes it. Returns what is left and why, or None."""
-        try:
-            _empty(self._fd)
-            place = Path(f"/proc/self/fd/{self._fd}")
-            # A folder that was moved is removed where it is, and what took its place too.
-            for path in {self.path, place.readlink() if place.exists() else self.path}:
-                self._remove(path)
-        except OSError as error:
-            return f"{self.path}: {error.strerror}"
-        finally:
-            os.close(self._fd)
-        return None
-
-    def _remove(self, path: Path) -> None:
-        try:
-            status = path.lstat()
-        except FileNotFoundError:
-            return
-        if not stat.S_ISDIR(status.st_mode):
-            path.unlink()
-            return
-        if not os.path.samestat(status, os.fstat(self._fd)):
-            path.chmod(0o700)
-            other = os.open(path, _OPEN)
-            try:
-                _empty(other)
-            finally:
-                os.close(other)
-        path.rmdir()
-
-
-def _empty(top: int) -> None:
-    """Removes all that is in an open folder.
-
-    Folders in folders are moved up before they are looked at: there is no depth, and no length of paths, that a
-    decoder could reach and this could not.
-    """
-    os.fchmod(top, 0o700)
-    while entries := list(os.scandir(top)):
-        for entry in entries:
-            if not entry.is_dir(follow_symlinks=False):
-                os.unlink(entry.name, dir_fd=top)
-                continue
-            os.chmod(entry.name, 0o700, dir_fd=top)
-            folder = os.open(entry.name, _OPEN, dir_fd=top)
-            try:
-                for inner in list(os.scandir(folder)):
-                    if inner.is_dir(follow_symlinks=False):
-                        # A folder that is moved gets another parent, and must be writable for that.
-                        os.chmod(inner.name, 0o700, dir_fd=folder)
-                        os.rename(inner.name, uuid.uuid4().hex, src_dir_fd=folder, dst_dir_fd=top)
-                    else:
-                        os.unlink(inner.name, dir_fd=folder)
-            finally:
-                os.close(folder)
-            os.rmdir(entry.name, dir_fd=top)
-
-
-class Folder(Temporary):
-    """A vector's: `input` and `camera` in a part that is for reading, `output` and `trace` in one for writing.
-
-    `temporary` is for temporary files. One in which nothing is wrong may serve the next vector too, because to remove
-    a folder takes longer than a small file takes to decode.
-    """
-
-    def __init__(self) -> None:
-        super().__init__()
-        self._made: dict[str, os.stat_result] = {}
         self._given: dict[str, bytes] = {}
-        for name in _PARTS:
-            (self.path / name).mkdir(0o700)
+        for name, mode in _PARTS.items():
+            (self.path / name).mkdir()
+            (self.path / name).chmod(mode)
         self.input, self.camera = self.path / "read" / _INPUT, self.path / "read" / _CAMERA
         self.output, self.trace = self.path / "write" / "output", self.path / "write" / "trace"
         self.temporary = self.path / "temporary"
-        for name, mode in _PARTS.items():
-            (self.path / name).chmod(mode)
-            self._made[name] = (self.path / name).lstat()
+        self._made = {path: path.lstat() for path in (self.path, *(self.path / name for name in _PARTS))}
 
     def put(self, data: bytes, camera: bytes | None = None) -> None:
-        """Writes the copies of a vector's files, for reading alone."""
+        """Writes read-only copies of a vector's files."""
         self._given = {_INPUT: data} | ({} if camera is None else {_CAMERA: camera})
         part = self.path / "read"
         part.chmod(0o700)
@@ -156,23 +79,26 @@ class Folder(Temporary):
         part.chmod(_PARTS["read"])
 
     def clear(self) -> None:
-        """Removes the vector's files, where `fault` finds nothing wrong. Raises OSError."""
+        """Removes the vector's files from a folder without a fault. Raises OSError if others are left."""
         part = self.path / "read"
         part.chmod(0o700)
-        for name in self._given:
-            (part / name).unlink()
-        self._given = {}
-        for path in (self.output, self.trace):
+        for path in (*(part / name for name in self._given), self.output, self.trace):
             path.unlink(missing_ok=True)
         if any(self.temporary.iterdir()):
-            temporary = os.open(self.temporary, _OPEN)
-            try:
-                _empty(temporary)
-            finally:
-                os.close(temporary)
+            raise FileExistsError("temporary files")
+
+    def close(self) -> str | None:
+        """Removes the folder with all its contents. Returns a message if it cannot be removed."""
+        if self.path.is_symlink() or self.path.is_file():
+            self.path.unlink()
+        elif self.path.exists():
+            # These commands handle any permissions, depth and length of paths.
+            for command in (["chmod", "-R", "u+rwx"], ["rm", "-rf"]):
+                subprocess.run([*command, str(self.path)], stderr=subprocess.DEVNULL, check=False)
+        return f"{self.path}: cannot be removed" if self.path.exists() else None
 
     def fault(self) -> str | None:
-        """What a decoder did here that it must not, in words; None if it is nothing."""
+        """Describes a change of the folder that a decoder must not make; None if there is none."""
         try:
             return self._fault()
         except FileNotFoundError:
@@ -183,20 +109,14 @@ class Folder(Temporary):
             return f"left a folder that cannot be read ({error.strerror})"
 
     def _fault(self) -> str | None:
-        made = os.fstat(self._fd)
-        if not os.path.samestat(self.path.lstat(), made):
-            return "replaced its folder"
-        if stat.S_IMODE(made.st_mode) != 0o700:
-            return "changed the permissions of its folder"
-        beside = set(os.listdir(self._fd)) - set(_PARTS)
-        for name, status in self._made.items():
-            now = (self.path / name).lstat()
-            if not os.path.samestat(now, status):
+        for path, made in self._made.items():
+            now = path.lstat()
+            if not os.path.samestat(now, made):
                 return "replaced its folder"
-            if now.st_mode != status.st_mode:
+            if now.st_mode != made.st_mode:
                 return "changed the permissions of its folder"
-        beside |= set(os.listdir(self.path / "read")) - set(self._given)
-        beside |= set(os.listdir(self.path / "write")) - _OUTPUTS
+        allowed = {self.path: set(_PARTS), self.path / "read": set(self._given), self.path / "write": _OUTPUTS}
+        beside = {name for path, names in allowed.items() for name in set(os.listdir(path)) - names}
         if beside:
             return f"left files beside its output: {printable(', '.join(sorted(beside)), _NAMES)}"
         for name, content in self._given.items():

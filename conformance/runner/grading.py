@@ -42,7 +42,6 @@ OVER = {
     "processes": "started too many processes",
     "start": "could not be started",
     "left": "left processes that could not be ended",
-    "watcher": "ended or stopped the process that watches it",
     "answer": "gave an answer that cannot be read",
     "twice": "answered more than once",
     "other": "answered another request",

@@ -1,43 +1,57 @@
-"""Decoder processes, each bounded by a watcher: time, memory, files, and everything that it starts.
+"""Decoder processes with bounds on time, memory, files and the number of processes.
 
-A process decodes one file, or serves: it then reads a request for each file from stdin, and answers on stdout. Either
-is a line of JSON.
+A decoder process decodes one file, or serves: it reads a request for each file from stdin and answers on stdout. Each
+request and each answer is a line of JSON.
 """
 
 from __future__ import annotations
 
 import contextlib
 import json
+import math
 import os
+import resource
 import select
 import shutil
 import signal
+import stat
 import subprocess
 import sys
 import threading
 import time
-from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+import uuid
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
+import psutil
+
 from refcodec.files.documents import DocumentError, parse_json
 
-from . import watcher
-from .folder import Folder, Temporary
-from .watcher import ANSWER_BYTES, GONE, PATIENCE, STDERR_HEAD, STDERR_TAIL
+from .folder import Folder
 
-# What is kept of stderr.
-STDERR_BYTES = STDERR_HEAD + STDERR_TAIL
-# Milliseconds between two looks at whether the run is to stop.
-_LOOK = 100
-# Seconds that a watcher may be late with what it says of a process.
-_GRACE = 10.0
-# Watchers that this process started, which are not to be taken for what a decoder left behind; and those who start and
-# look for them.
-_watchers: set[int] = set()
-_starting = threading.Lock()
-_adopts = threading.Event()
+# The longest file that a decoder may write. The largest reconstruction and trace of the suite are well below it.
+FILE_BYTES = 64 << 20
+# The bounds of a vector's folder: the number of files and folders, and their bytes on the disk.
+ENTRIES, FOLDER_BYTES = 1000, 256 << 20
+# The most processes at a time.
+PROCESSES = 100
+# The parts of stderr that are kept: its first and its last bytes.
+STDERR_HEAD, STDERR_TAIL = 4 << 10, 12 << 10
+# The longest answer of a process that serves.
+ANSWER_BYTES = 1 << 20
+# The bound of wall time, as a factor of the seconds.
+PATIENCE = 10
+# The time in which killed processes must end, in seconds.
+GONE = 5.0
+# The intervals at which known processes are measured, and at which new ones are searched for, in seconds.
+_LOOK, _SEARCH = 0.02, 0.1
+# The most bytes of one read, and the most reads between two looks at a process.
+_READ, _READS = 1 << 16, 64
+_RSS_UNIT = 1 if sys.platform == "darwin" else 1024
+# The environment variable that marks a decoder's processes, including those that left its tree.
+_MARK = "C3GS_CONFORMANCE_RUN"
 
 
 class CommandError(Exception):
@@ -45,21 +59,17 @@ class CommandError(Exception):
 
 
 class StoppedError(Exception):
-    """The run was ended from outside while the process ran."""
-
-
-class WatcherError(Exception):
-    """A fault of the watcher's own."""
+    """The run was stopped while the process ran."""
 
 
 @dataclass(frozen=True)
 class Ended:
-    """How a process ended.
+    """The end of a process.
 
-    status: exit status, None if a signal ended it. signal: its number, None if it exited. over: why that does not
-    count, a name of grading.OVER, or None. stderr: all of it, or its beginning and its end, with a word of how much is
-    left out. seconds: wall time. peak: bytes of resident memory of its largest process, None where the watcher's own is
-    larger, which hides it.
+    status: exit status, None if a signal ended it. signal: its number, None if it exited. over: the reason why the end
+    does not count, a name of grading.OVER, or None. stderr: all of it, or its first and last bytes with the number of
+    bytes between them. seconds: wall time. peak: bytes of resident memory of the largest process; None if the runner
+    itself is larger, which hides the peak.
     """
 
     status: int | None
@@ -70,8 +80,46 @@ class Ended:
     peak: int | None
 
 
+@dataclass(frozen=True)
+class _Bounds:
+    """seconds: time budget. memory: bytes. folder: of the vector. stop: set to stop the run."""
+
+    seconds: float
+    memory: int
+    folder: Folder
+    stop: threading.Event
+
+    def passed(self, wall: float, spent: float, used: int) -> str | None:
+        """The bound that is passed, if any.
+
+        A process is late if both its wall time and its processor time are above the bound. Thus neither a busy machine
+        nor parallel work makes a decoder late.
+        """
+        if wall > self.seconds * PATIENCE or min(wall, spent) > self.seconds:
+            return "time"
+        return "memory" if used > self.memory else None
+
+    def stored(self) -> str | None:
+        """The bound that the files of the folder pass, if any. Unreadable folders are ignored."""
+        entries = taken = 0
+        waiting = [str(self.folder.path)]
+        while waiting:
+            with contextlib.suppress(OSError), os.scandir(waiting.pop()) as found:
+                for entry in found:
+                    status = entry.stat(follow_symlinks=False)
+                    entries += 1
+                    taken += status.st_blocks * 512
+                    if stat.S_ISREG(status.st_mode) and status.st_size >= FILE_BYTES:
+                        return "output"
+                    if entries > ENTRIES or taken > FOLDER_BYTES:
+                        return "files"
+                    if stat.S_ISDIR(status.st_mode):
+                        waiting.append(entry.path)
+        return None
+
+
 def fill(template: Sequence[str], places: dict[str, Path]) -> list[str]:
-    """A command with the paths in the place of {input} and the like; other braces stay."""
+    """Replaces {input} and the like in a command by paths; other braces stay."""
     command = []
     for word in template:
         for name, path in places.items():
@@ -81,74 +129,200 @@ def fill(template: Sequence[str], places: dict[str, Path]) -> list[str]:
 
 
 def check_command(command: Sequence[str]) -> None:
-    """Raises CommandError for a program that is not there or cannot be run."""
+    """Raises CommandError for a program that does not exist or cannot be executed."""
     if shutil.which(command[0]) is None:
-        raise CommandError(f"there is no program {command[0]} that can be run")
+        raise CommandError(f"there is no executable program {command[0]}")
 
 
-@contextlib.contextmanager
-def adopting() -> Iterator[None]:
-    """While it lasts, what a decoder left behind when it killed its watcher comes to this process (on Linux).
+def _excerpt(data: bytes | bytearray) -> bytes:
+    """The first and the last bytes of an error output.
 
-    It is ended when the watcher is missed, and at last. No other part of the program may start sessions meanwhile.
+    The last bytes continue the line that states the omission. Thus the end of a long line never becomes a line.
     """
-    before = set(watcher.children(os.getpid()))
-    with _starting:
-        _watchers.update(before)
-    watcher.adopt()
-    _adopts.set()
-    try:
-        yield
-    finally:
-        _end_strangers()
-        _adopts.clear()
-        watcher.adopt(False)
-        with _starting:
-            _watchers.difference_update(before)
+    left = len(data) - STDERR_HEAD - STDERR_TAIL
+    if left > 0:
+        data = data[:STDERR_HEAD] + b"\n[%d bytes left out] " % left + data[-STDERR_TAIL:]
+    return bytes(data)
 
 
-def _end_strangers() -> None:
-    """Kills children of this process that it did not start.
+class _Decoder:
+    """A decoder process and every process that it started.
 
-    A decoder begins a session, and no process comes back to ours from another one.
+    usage: of the process, once it has ended. took: wall time until it was killed.
     """
-    ours, end = str(os.getsid(0)).encode(), time.monotonic() + GONE
-    while time.monotonic() < end:
-        with _starting:
-            found = [pid for pid in watcher.children(os.getpid()) if pid not in _watchers]
-            strangers = [pid for pid in found if watcher.stat_fields(pid)[3:4] not in ([], [ours])]
-        for pid in strangers:
-            with contextlib.suppress(ProcessLookupError, PermissionError):
-                os.kill(pid, signal.SIGKILL)
-            with contextlib.suppress(ChildProcessError):
-                os.waitpid(pid, os.WNOHANG)
-        if not strangers:
-            return
-        time.sleep(0.002)
+
+    def __init__(self, command: Sequence[str], temporary: Path, serves: bool = False) -> None:
+        """Starts the process. Raises OSError or ValueError."""
+        pipe = subprocess.PIPE if serves else subprocess.DEVNULL
+        # A process inherits the peak of the process that started it.
+        self._floor = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * _RSS_UNIT
+        self._mark, self._before = uuid.uuid4().hex, set(psutil.pids())
+        self.began, self.took, self._gone, self._spent = time.monotonic(), 0.0, False, 0.0
+        self._process = subprocess.Popen(
+            command,
+            stdin=pipe,
+            stdout=pipe,
+            stderr=subprocess.PIPE,
+            bufsize=0,
+            env={**os.environ, "TMPDIR": str(temporary), _MARK: self._mark},
+            start_new_session=True,
+        )
+        self._root = psutil.Process(self._process.pid)
+        self._known = {self._root}
+        if sys.platform == "linux":
+            for limit, most in ((resource.RLIMIT_CORE, 0), (resource.RLIMIT_FSIZE, FILE_BYTES)):
+                with contextlib.suppress(OSError, ValueError):  # the process has ended, or has a lower limit
+                    resource.prlimit(self._process.pid, limit, (most, most))
+        self.usage: resource.struct_rusage | None = None
+        self._files = [f for f in (self._process.stdin, self._process.stdout, self._process.stderr) if f]
+        for file in self._files:
+            os.set_blocking(file.fileno(), False)
+        self._open = [f for f in self._files if f is not self._process.stdin]
+        self.errors, self.answer = bytearray(), bytearray()
+
+    def ready(self) -> bool:
+        """Whether a server waits for a request: it runs, and did not write unasked."""
+        self._read(0)
+        return self.usage is None and not self.answer and self._process.stdout in self._open
+
+    def put(self, line: bytes) -> bool:
+        """Writes a request to a server. Returns False if the server does not read its stdin."""
+        assert self._process.stdin
+        self.errors.clear()
+        self.began, self._spent = time.monotonic(), self._use()[1]
+        with contextlib.suppress(BrokenPipeError):  # the end is observed later
+            return self._process.stdin.write(line) == len(line)
+        return True
+
+    def wait(self, bounds: _Bounds) -> str | None:
+        """Waits for the end, a line of an answer, or a passed bound; returns the bound. Raises StoppedError."""
+        looked = searched = self.began
+        silent = math.inf
+        while True:
+            self._read(_LOOK)
+            if bounds.stop.is_set():
+                raise StoppedError
+            if len(self.errors) >= FILE_BYTES:
+                return "output"
+            if self.usage or b"\n" in self.answer:
+                return None
+            now = time.monotonic()
+            if self._process.stdout and self._process.stdout not in self._open:
+                silent = min(silent, now)  # a server that ends closes its stdout a moment earlier
+            if len(self.answer) >= ANSWER_BYTES or now > silent + 1:
+                return "answer"
+            if now - looked >= _LOOK:
+                looked = now
+                if now - searched >= _SEARCH:
+                    searched = now
+                    self._search()
+                used, spent = self._use()
+                over = "processes" if len(self._known) > PROCESSES else None
+                over = over or bounds.passed(now - self.began, spent - self._spent, used) or bounds.stored()
+                if over:
+                    return over
+
+    def kill(self) -> None:
+        """Kills the decoder and every process that it started, and reads what they wrote."""
+        now = time.monotonic()
+        self.took, end = now - self.began, now + GONE
+        while not self._gone and time.monotonic() < end:
+            self._search()
+            with contextlib.suppress(ProcessLookupError, PermissionError):  # the latter for zombies on some systems
+                os.killpg(self._process.pid, signal.SIGKILL)
+            for process in self._known:
+                with contextlib.suppress(psutil.Error):
+                    process.kill()
+            self._read(0.002 if self._known else 0)
+            self._gone = self.usage is not None and not self._known
+        for file in self._files:
+            file.close()
+
+    def ended(self, over: str | None, bounds: _Bounds) -> Ended:
+        """The end of a killed decoder, after a last check of the bounds."""
+        if over or not self._gone or self.usage is None:
+            return Ended(None, None, over or "left", _excerpt(self.errors), self.took, None)
+        peak = self.usage.ru_maxrss * _RSS_UNIT
+        peak = peak if peak > self._floor else 0
+        spent = self.usage.ru_utime + self.usage.ru_stime - self._spent
+        over = bounds.passed(self.took, spent, peak) or bounds.stored()
+        code = self._process.returncode
+        status, number = (code, None) if code >= 0 else (None, -code)
+        return Ended(status, number, over, _excerpt(self.errors), self.took, peak or None)
+
+    def _read(self, seconds: float) -> None:
+        """Reads the output or waits for some, and observes the end of the process."""
+        if not self._open:
+            time.sleep(min(seconds, 0.001))
+        for _ in range(_READS):
+            ready = select.select(self._open, [], [], seconds)[0] if self._open else []
+            for file in ready:
+                data = file.read(_READ)
+                if data == b"":
+                    self._open.remove(file)
+                (self.errors if file is self._process.stderr else self.answer).extend(data or b"")
+            if not ready:
+                break
+            seconds = 0
+        if self.usage is None:
+            pid, status, usage = os.wait4(self._process.pid, os.WNOHANG)
+            if pid:
+                self.usage, self._process.returncode = usage, os.waitstatus_to_exitcode(status)
+
+    def _search(self) -> None:
+        """Updates the known processes: the tree of the decoder, and marked processes that left it."""
+        found = set(self._known)
+        if self.usage is None:
+            with contextlib.suppress(psutil.Error):
+                found.update(self._root.children(recursive=True))
+        for pid in set(psutil.pids()) - self._before - {process.pid for process in found}:
+            with contextlib.suppress(psutil.Error):
+                process = psutil.Process(pid)
+                if process.environ().get(_MARK) == self._mark:
+                    found.add(process)
+        self._known = {process for process in found if _lives(process)}
+
+    def _use(self) -> tuple[int, float]:
+        """Bytes of resident memory and seconds of processor time of the known processes and their ended children."""
+        memory, spent = 0, 0.0
+        for process in self._known:
+            with contextlib.suppress(psutil.Error):
+                memory += process.memory_info().rss
+                spent += sum(process.cpu_times()[:4])
+        return memory, spent
+
+
+def _lives(process: psutil.Process) -> bool:
+    with contextlib.suppress(psutil.Error):
+        return process.is_running() and process.status() != psutil.STATUS_ZOMBIE
+    return False
 
 
 class Watcher:
-    """A watcher's process: started at the first decoder, and again after one that it did not survive.
-
-    It has one decoder at a time. Each is killed at its end with all that came of it (watcher.py).
-    """
+    """Runs decoders, one at a time. Every process that a decoder started ends with it."""
 
     def __init__(self) -> None:
-        self._process: subprocess.Popen[bytes] | None = None
-        # Of a decoder that serves.
-        self._temporary: Temporary | None = None
-        self._fresh, self._asked = False, 0
+        self._server: _Decoder | None = None
+        self._home: Folder | None = None
+        self._asked = 0
 
-    def run(
-        self, command: Sequence[str], seconds: float, memory: int, stop: threading.Event, folder: Folder | None = None
-    ) -> Ended:
-        """Runs a command to its end, or to a bound.
+    def run(self, command: Sequence[str], seconds: float, memory: int, stop: threading.Event, folder: Folder) -> Ended:
+        """Runs a command until its end or until it passes a bound.
 
-        Bounds are wall time and processor time (README.md), bytes of resident memory of all its processes, and the
-        files of `folder`. Address space is not bounded, because interpreters and sanitizers reserve much that they
-        never use. Raises StoppedError if `stop` is set meanwhile.
+        The bounds are wall time and processor time in seconds (README.md), bytes of resident memory of all its
+        processes, and the files of `folder`. Address space is unbounded, because interpreters and sanitizers reserve
+        more than they use. Raises StoppedError if `stop` is set meanwhile.
         """
-        return _ended(self._request(command, None, seconds, memory, stop, folder))
+        bounds = _Bounds(seconds, memory, folder, stop)
+        try:
+            decoder = _Decoder(command, folder.temporary)
+        except (OSError, ValueError) as error:
+            return _not_started(command, error)
+        try:
+            over = decoder.wait(bounds)
+        finally:
+            decoder.kill()
+        return decoder.ended(over, bounds)
 
     def ask(
         self,
@@ -157,151 +331,65 @@ class Watcher:
         seconds: float,
         memory: int,
         stop: threading.Event,
-        folder: Folder | None = None,
+        folder: Folder,
     ) -> Ended:
-        """How a process for this request would have ended, as a decoder that stays says it.
+        """Asks a decoder that serves. Returns the end that a process for this request would have had.
 
-        The bounds are those of run(). An answer has one too. A decoder that passes one is started again.
+        The bounds are those of run(), and the size of an answer. A decoder that passes one is started again.
         """
-        found = self._asked_once(command, request, seconds, memory, stop, folder)
-        if found.over == "other":
-            # A late answer to an earlier request is not the fault of this one.
-            found = self._asked_once(command, request, seconds, memory, stop, folder)
-        return found
+        bounds = _Bounds(seconds, memory, folder, stop)
+        found = self._ask(command, request, bounds)
+        # A late answer to an earlier request is not a fault of this one.
+        return self._ask(command, request, bounds) if found.over == "other" else found
 
-    def _asked_once(
-        self,
-        command: Sequence[str],
-        request: dict[str, Any],
-        seconds: float,
-        memory: int,
-        stop: threading.Event,
-        folder: Folder | None,
-    ) -> Ended:
+    def _ask(self, command: Sequence[str], request: dict[str, Any], bounds: _Bounds) -> Ended:
+        if self._server and not self._server.ready():
+            self._end()
+        self._home = self._home or Folder()
+        try:
+            server = self._server = self._server or _Decoder(command, self._home.temporary, serves=True)
+        except (OSError, ValueError) as error:
+            return _not_started(command, error)
         self._asked += 1
-        reply = self._request(command, {"id": self._asked, **request}, seconds, memory, stop, folder)
-        if reply["over"] or not reply["answer"]:
-            return _ended(reply)
-        found = _answer(reply["answer"].encode("latin-1"), self._asked, reply["seconds"])
-        # Whoever says something wrong is not asked again.
-        self._fresh = found.over is not None
-        return found
+        good = False
+        try:
+            line = json.dumps({"id": self._asked, **request}).encode() + b"\n"
+            over = server.wait(bounds) if server.put(line) else "answer"
+            took = time.monotonic() - server.began
+            answer, end, more = server.answer.partition(b"\n")
+            if end and not over:
+                server.answer.clear()
+                found = _read_answer(bytes(answer), self._asked, took)
+                found = replace(found, over="twice" if more else found.over or bounds.stored())
+                good = found.over is None
+                return found
+        finally:
+            # A server is not asked again after a fault.
+            if not good:
+                self._end()
+        found = server.ended(over, bounds)
+        return found if found.over or found.signal else replace(found, status=None, over="answer")
+
+    def _end(self) -> None:
+        server, self._server = self._server, None
+        if server:
+            server.kill()
 
     def close(self) -> None:
-        """Ends the decoder and the watcher, if there is one."""
-        process, self._process = self._process, None
-        if process is not None:
-            assert process.stdin is not None
-            assert process.stdout is not None
-            with contextlib.suppress(OSError):
-                process.stdin.close()
-            try:
-                process.wait(GONE + 1)
-            except subprocess.TimeoutExpired:
-                process.kill()
-                process.wait()
-            process.stdout.close()
-            with _starting:
-                _watchers.discard(process.pid)
-        if self._temporary is not None:
-            self._temporary.close()
-            self._temporary = None
-
-    def _started(self) -> subprocess.Popen[bytes]:
-        if self._process is None:
-            # By its path, and isolated: what the caller's environment says of Python is for the decoder.
-            command = [sys.executable, "-I", "-S", str(Path(watcher.__file__).resolve())]
-            with _starting:
-                self._process = subprocess.Popen(
-                    command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, start_new_session=True
-                )
-                _watchers.add(self._process.pid)
-            self._fresh = False
-        return self._process
-
-    def _request(
-        self,
-        command: Sequence[str],
-        ask: dict[str, Any] | None,
-        seconds: float,
-        memory: int,
-        stop: threading.Event,
-        folder: Folder | None,
-    ) -> dict[str, Any]:
-        if self._temporary is None and (ask is not None or folder is None):
-            self._temporary = Temporary()
-        place = self._temporary.path if self._temporary else folder.temporary  # type: ignore[union-attr]
-        line = {
-            "command": list(command),
-            "ask": None if ask is None else json.dumps(ask),
-            "fresh": self._fresh,
-            "seconds": seconds,
-            "memory": memory,
-            "temporary": str(place),
-            "folder": None if folder is None else str(folder.path),
-        }
-        self._fresh = False
-        process, began = self._started(), time.monotonic()
-        assert process.stdin is not None
-        with contextlib.suppress(OSError):  # it has gone, which reading will tell
-            process.stdin.write(json.dumps(line).encode() + b"\n")
-            process.stdin.flush()
-        said = self._read(process, began + seconds * PATIENCE + GONE + _GRACE, stop)
-        if stop.is_set():
-            self.close()
-            raise StoppedError
-        if not said.endswith(b"\n"):
-            process.kill()
-            self.close()
-            if _adopts.is_set():
-                _end_strangers()
-            return {"over": "watcher", "seconds": time.monotonic() - began}
-        reply: dict[str, Any] = json.loads(said)
-        if "fault" in reply:
-            raise WatcherError(reply["fault"])
-        return reply
-
-    def _read(self, process: subprocess.Popen[bytes], end: float, stop: threading.Event) -> bytes:
-        """A line; without its end if the watcher has gone, is stopped, or is silent."""
-        assert process.stdout is not None
-        said, poll = b"", select.poll()
-        poll.register(process.stdout, select.POLLIN)
-        while not said.endswith(b"\n") and not stop.is_set():
-            if poll.poll(_LOOK):
-                data = os.read(process.stdout.fileno(), 1 << 16)
-                if not data:
-                    break
-                said += data
-            elif time.monotonic() > end or _is_stopped(process):
-                break
-        return said
+        """Ends the decoder that serves, if there is one."""
+        self._end()
+        if self._home:
+            self._home.close()
+            self._home = None
 
 
-def _is_stopped(process: subprocess.Popen[bytes]) -> bool:
-    """Whether a child was sent SIGSTOP."""
-    try:
-        pid, status = os.waitpid(process.pid, os.WNOHANG | os.WUNTRACED)
-    except ChildProcessError:
-        return True
-    if pid and not os.WIFSTOPPED(status):
-        process.returncode = os.waitstatus_to_exitcode(status)
-    return bool(pid)
+def _not_started(command: Sequence[str], error: Exception) -> Ended:
+    return Ended(None, None, "start", f"{command[0]}: {error}".encode("utf-8", "replace"), 0.0, None)
 
 
-def _ended(reply: dict[str, Any]) -> Ended:
-    return Ended(
-        reply.get("status"),
-        reply.get("signal"),
-        reply["over"],
-        reply.get("stderr", "").encode("latin-1"),
-        reply["seconds"],
-        reply.get("peak"),
-    )
-
-
-def _answer(line: bytes, number: int, took: float) -> Ended:
-    """What an answer to a request says."""
-    wrong = Ended(None, None, "answer", line[:STDERR_BYTES], took, None)
+def _read_answer(line: bytes, number: int, took: float) -> Ended:
+    """Reads the answer to a request."""
+    wrong = Ended(None, None, "answer", _excerpt(line), took, None)
     try:
         said = parse_json(line, ANSWER_BYTES)
     except DocumentError:
@@ -309,11 +397,9 @@ def _answer(line: bytes, number: int, took: float) -> Ended:
     if not isinstance(said, dict):
         return wrong
     status, ended_by, text = said.get("status"), said.get("signal"), said.get("stderr", "")
-    # Of status and signal one is a number, and the other null or not there.
+    # Either status or signal is a number; the other is null or missing.
     if not isinstance(text, str) or {type(status), type(ended_by)} != {int, type(None)}:
         return wrong
     if said.get("id", number) != number:
-        return Ended(None, None, "other", line[:STDERR_BYTES], took, None)
-    errors = watcher.Excerpt()
-    errors.add(text.encode("utf-8", "replace"))
-    return Ended(status, ended_by, None, errors.text(), took, None)
+        return replace(wrong, over="other")
+    return Ended(status, ended_by, None, _excerpt(text.encode("utf-8", "replace")), took, None)

@@ -1,10 +1,11 @@
-"""Runs a decoder on vectors: several processes at a time, each bounded by the vector's budget."""
+"""Runs a decoder on vectors: several processes at a time, each within the vector's budget."""
 
 from __future__ import annotations
 
 import hashlib
 import json
 import queue
+import signal
 import sys
 import threading
 from collections.abc import Iterable, Sequence
@@ -24,17 +25,17 @@ from .grading import GRADE_EXACT, Found, Judgement, judge, read
 from .process import Ended, StoppedError, Watcher
 from .traces import Probe, symbols_digest
 
-# What is shown of a process's error output, in characters.
+# The longest error output of a process in a report, in characters.
 STDERR_CHARACTERS = 4000
 
 
 @dataclass(frozen=True)
 class Options:
-    """What is run.
+    """The options of a run.
 
-    command: the decoder's, a template with {input} and {output}, perhaps {trace}. gaussians: one with {camera} too,
-    None without a renderer. grade: what a vector must reach. slow: factor of the time budgets. trace: a trace must be
-    right too. serve: the command is no template, but serves (process.Watcher.ask).
+    command: of the decoder, a template with {input} and {output}, and optionally {trace}. gaussians: a template with
+    {camera} too, None without a renderer. jobs: number of processes. grade: the lowest grade that passes. slow: factor
+    of the time budgets. trace: the trace is judged too. serve: the command serves (process.Watcher.ask).
     """
 
     command: tuple[str, ...]
@@ -48,12 +49,12 @@ class Options:
 
 @dataclass(frozen=True)
 class Result:
-    """A vector's outcome.
+    """The result of a vector.
 
     status: "passed", "failed", "crashed" or "skipped"; of a known failure "known", or "unexpected" if it passes.
-    grade: 0 to 3. text: what is wrong. found: what the decoder said, None if it was not run. lines: how an output or
-    trace diverges, and the bytes of the file, annotated. probe: the first wrong number of a trace. stderr: its
-    beginning and its end, printable. seconds, peak: of the process (Ended).
+    grade: 0 to 3. text: the fault, in words. found: the decoder's answer, None if it was not run. divergence: the
+    first differences of output and trace. hex: the bytes of the file, annotated. probe: the first wrong number of a
+    trace. stderr: its beginning and its end, printable. seconds, peak: of the process (Ended).
     """
 
     vector: Vector
@@ -70,15 +71,16 @@ class Result:
 
     @property
     def good(self) -> bool:
-        """Whether the run may still succeed with it."""
+        """Whether a run with this result can succeed."""
         return self.status in ("passed", "known", "skipped")
 
 
 @dataclass
 class Run:
-    """What came of a run; results in the order of the vectors, those that were reached before `interrupted`.
+    """The outcome of a run.
 
-    left: folders that could not be removed, and why.
+    results: in the order of the vectors, without those that an interrupted run did not reach. left: folders that could
+    not be removed.
     """
 
     results: list[Result] = field(default_factory=list)
@@ -87,7 +89,7 @@ class Run:
 
 
 def shown(stderr: bytes) -> str:
-    """Error output as it may be shown anywhere: of bounded length, and without what steers a terminal."""
+    """Returns error output in a printable form of bounded length."""
     text = printable(stderr.decode("utf-8", "backslashreplace"), lines=True)
     left = len(text) - STDERR_CHARACTERS
     if left <= 0:
@@ -97,7 +99,7 @@ def shown(stderr: bytes) -> str:
 
 
 def wrong_hashes(manifest: Manifest) -> list[str]:
-    """The suite's files that are missing or not those of the manifest, in words."""
+    """Returns a message for each file of the suite that is missing or differs from the manifest."""
     wanted = {v.input.path: v.input.sha256 for v in manifest.vectors}
     wanted |= {
         v.expectation.path: v.expectation.sha256 for v in manifest.vectors if isinstance(v.expectation, GaussiansOf)
@@ -115,7 +117,7 @@ def wrong_hashes(manifest: Manifest) -> list[str]:
 
 
 class _Desk:
-    """Runs single vectors, each in a folder of its own."""
+    """Runs single vectors, each in its own folder."""
 
     def __init__(self, manifest: Manifest, options: Options) -> None:
         self.manifest, self.options = manifest, options
@@ -124,14 +126,14 @@ class _Desk:
         self._watchers: queue.SimpleQueue[Watcher] = queue.SimpleQueue()
         for _ in range(options.jobs):
             self._watchers.put(Watcher())
-        # Those that vectors have, and those that are free.
+        # The folders of vectors by identifier, and the free folders.
         self._folders: dict[str, Folder] = {}
         self._free: queue.SimpleQueue[Folder] = queue.SimpleQueue()
 
     def run(self, vector: Vector) -> Result:
-        """The outcome of a vector; raises StoppedError if the run was ended meanwhile.
+        """Returns the result of a vector. Raises StoppedError if the run is stopped meanwhile.
 
-        Its folder is kept for `explain` if something can be explained.
+        The folder of a failure is kept for `explain`.
         """
         camera, template = None, self.options.command
         if isinstance(vector.expectation, GaussiansOf):
@@ -165,7 +167,7 @@ class _Desk:
         )
 
     def _data(self, vector: Vector) -> bytes:
-        """The file of a vector, which was right when the run began."""
+        """Reads the file of a vector. Raises ManifestError if it changed since the run began."""
         try:
             data = self.manifest.path(vector).read_bytes()
         except OSError as error:
@@ -193,7 +195,7 @@ class _Desk:
         return Folder()
 
     def _release(self, vector: Vector) -> None:
-        """Makes the folder of a decoder that did nothing wrong there ready for the next one."""
+        """Clears a folder without a fault for the next vector."""
         folder = self._folders.pop(vector.id)
         try:
             folder.clear()
@@ -208,7 +210,7 @@ class _Desk:
             self.left.append(left)
 
     def close(self) -> None:
-        """Ends all that runs, and removes what is left; after the last vector."""
+        """Ends all decoders and removes all folders, after the last vector."""
         while not self._watchers.empty():
             self._watchers.get().close()
         while not self._free.empty():
@@ -229,7 +231,7 @@ class _Desk:
         return judgement if right else Judgement(0, "the output is right, the trace is not")
 
     def explain(self, result: Result) -> Result:
-        """The result of a failure with what can be said of it. Its folder is free then."""
+        """Adds divergence, annotated bytes and the first wrong probe to a failure, and frees its folder."""
         folder = self._folders.get(result.vector.id)
         if folder is None:
             return result
@@ -242,7 +244,7 @@ class _Desk:
         vector, found = result.vector, result.found
         if found is None or isinstance(vector.expectation, GaussiansOf):
             return result
-        # numpy is slow to import, and is needed for failures alone.
+        # Only failures need numpy, which is slow to import.
         from . import divergence  # noqa: PLC0415
 
         data = self._data(vector)
@@ -259,7 +261,6 @@ class _Desk:
             if trace is not None:
                 symbol, compared = divergence.of_trace(data, trace)
                 probe = compared.first
-                # What decides comes first.
                 told = list(compared.lines(symbol is not None))
                 lines = [*told, *lines] if probe else [*lines, *told]
             if symbol:
@@ -270,7 +271,7 @@ class _Desk:
 
 
 def _content(path: Path) -> bytes | None:
-    """What a decoder wrote, None if it is no file."""
+    """Reads a decoder's output; None if it is not a regular file."""
     with suppress(FileNotFoundError, FileError), open_file(path) as file:
         return file.read()
     return None
@@ -279,19 +280,21 @@ def _content(path: Path) -> bytes | None:
 def run(
     manifest: Manifest, vectors: Sequence[Vector], options: Options, known: Iterable[str] = (), show: bool = True
 ) -> Run:
-    """Runs a decoder on vectors. Ctrl-C ends it with what there is.
+    """Runs a decoder on vectors. An interrupt (SIGINT or SIGTERM) ends the run with the results so far.
 
-    known: ids that must fail. show: a bar of progress on stderr.
+    known: identifiers of vectors that must fail. show: show a progress bar on stderr.
     """
     ended: dict[str, Result] = {}
     done = Run()
+    # The default action of SIGTERM would leave decoders behind.
+    terminate = signal.signal(signal.SIGTERM, signal.default_int_handler)
     bar = tqdm(total=len(vectors), unit="vector", file=sys.stderr, disable=not show)
     with ExitStack() as stack:
-        stack.enter_context(process.adopting())
+        stack.callback(signal.signal, signal.SIGTERM, terminate)
         desk = stack.enter_context(closing(_Desk(manifest, options)))
         pool = stack.enter_context(ThreadPoolExecutor(options.jobs))
         stack.enter_context(bar)
-        # The longest first, so that no single one is left at the end.
+        # Long vectors first, so that none of them runs alone at the end.
         queue = [pool.submit(desk.run, v) for v in sorted(vectors, key=lambda v: (-v.budget.seconds, -v.input.size))]
         try:
             for result in _as_they_end(queue):
@@ -315,7 +318,7 @@ def run(
 def _as_they_end(queue: Iterable[Future[Result]]) -> Iterable[Result]:
     waiting = set(queue)
     while waiting:
-        # A wait without an end cannot be interrupted on every system.
+        # On some systems a wait without a timeout cannot be interrupted.
         ready, waiting = wait(waiting, timeout=0.2, return_when=FIRST_COMPLETED)
         yield from (future.result() for future in ready)
 
