@@ -185,14 +185,13 @@ class _Decoder:
         self._read(0)
         return self.usage is None and not self.answer and self._process.stdout in self._open
 
-    def put(self, line: bytes) -> bool:
-        """Writes a request to a server. Returns False if the server does not read its stdin."""
+    def put(self, line: bytes) -> None:
+        """Writes a request to a server, without waiting. The end of a server is observed later."""
         assert self._process.stdin
         self.errors.clear()
         self.began, self._spent = time.monotonic(), self._use()[1]
-        with contextlib.suppress(BrokenPipeError):  # the end is observed later
-            return self._process.stdin.write(line) == len(line)
-        return True
+        with contextlib.suppress(BrokenPipeError):
+            self._process.stdin.write(line)
 
     def wait(self, bounds: _Bounds) -> str | None:
         """Waits for the end, a line of an answer, or a passed bound; returns the bound. Raises StoppedError."""
@@ -353,8 +352,8 @@ class Watcher:
         self._asked += 1
         good = False
         try:
-            line = json.dumps({"id": self._asked, **request}).encode() + b"\n"
-            over = server.wait(bounds) if server.put(line) else "answer"
+            server.put(json.dumps({"id": self._asked, **request}).encode() + b"\n")
+            over = server.wait(bounds)
             took = time.monotonic() - server.began
             answer, end, more = server.answer.partition(b"\n")
             if end and not over:
