@@ -1,4 +1,4 @@
-"""The grader is tested by planting faults in it: each must show on a table of outcomes."""
+"""A table of outcomes for the grader. Graders with planted faults fail on it."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ def _vector(expectation: Accepted | Rejected) -> Vector:
 
 @dataclass(frozen=True)
 class Case:
-    """A process's end and its output file, if any; what it must be to a vector: a crash or not, and the grade."""
+    """The end of a process and its output file, if any; whether this is a crash of a vector, and the grade."""
 
     name: str
     expectation: Accepted | Rejected
@@ -92,6 +92,18 @@ CASES = [
     Case("code as a fraction", INVALID, _ended(1, REFUSED.replace(b"412", b"412.0")), None, True, 0),
     Case("not an object", INVALID, _ended(1, b"412\n"), None, True, 0),
     Case("deep JSON", INVALID, _ended(1, b"[" * 5000), None, True, 0),
+    Case(
+        "deep JSON with an end",
+        INVALID,
+        _ended(1, b'{"code": 412, "a": ' + b"[" * 99 + b"]" * 99 + b"}"),
+        None,
+        True,
+        0,
+    ),
+    Case("a long code", INVALID, _ended(1, b'{"code": ' + b"9" * 4000 + b"}"), None, True, 0),
+    Case("a long offset", INVALID, _ended(1, REFUSED.replace(b"300", b"9" * 4000)), None, True, 0),
+    Case("a large offset", INVALID, _ended(1, REFUSED.replace(b"300", b"9" * 40)), None, False, 2),
+    Case("a code twice", INVALID, _ended(1, b'{"code": 413, "code": 412, "offset": 300}'), None, True, 0),
     Case("not UTF-8", INVALID, _ended(1, b'\xff\n{"code": 412, "offset": 300}'), None, False, 3),
 ]
 
@@ -100,7 +112,7 @@ Judge = Callable[[Manifest, Vector, Found, Path], Judgement]
 
 
 def faults(folder: Path, read: Read, judge: Judge) -> list[str]:
-    """The cases that a grader gets wrong."""
+    """Returns the names of the cases that a grader judges wrongly."""
     manifest = Manifest("0.0.0", 0, {}, {}, (), folder)
     wrong = []
     for case in CASES:
@@ -111,7 +123,7 @@ def faults(folder: Path, read: Read, judge: Judge) -> list[str]:
         found = read(case.ended, output)
         judgement = judge(manifest, _vector(case.expectation), found, output)
         right = (found.result == "crashed", judgement.grade) == (case.crashed, case.grade)
-        # What is wrong is said.
+        # Every fault has a text.
         if not right or bool(judgement.text) != (case.grade < 3):
             wrong.append(case.name)
     return wrong
@@ -123,29 +135,7 @@ def test_the_grader(tmp_path: Path) -> None:
 
 # --- wrong graders ----------------------------------------------------------------------------------------------------
 
-
-def _crash_is_refusal(ended: Ended, output: Path) -> Found:
-    """Takes any crash for a refusal with the code that it finds."""
-    found = grading.read(ended, output)
-    return Found("rejected", 1, None, 412, 300) if found.result == "crashed" else found
-
-
-def _signals_ignored(ended: Ended, output: Path) -> Found:
-    status = (1 if ended.stderr else 0) if ended.status is None else ended.status
-    return grading.read(replace(ended, signal=None, over=None, status=status), output)
-
-
-def _bounds_ignored(ended: Ended, output: Path) -> Found:
-    return grading.read(replace(ended, over=None), output)
-
-
-def _any_failure_is_refusal(ended: Ended, output: Path) -> Found:
-    return grading.read(replace(ended, status=ended.status and min(ended.status, 2)), output)
-
-
-def _stderr_alone(ended: Ended, output: Path) -> Found:
-    """Believes what stderr says, whatever the exit status."""
-    return grading.read(replace(ended, status=1), output) if b"{" in ended.stderr else grading.read(ended, output)
+REFUSAL = Found("rejected", 1, None, 412, 300)
 
 
 def _any_line(ended: Ended, output: Path) -> Found:
@@ -153,35 +143,30 @@ def _any_line(ended: Ended, output: Path) -> Found:
     return grading.read(replace(ended, stderr=b"\n".join(lines) or ended.stderr), output)
 
 
-def _status_alone(ended: Ended, output: Path) -> Found:
-    """Takes exit status 1 for the refusal that is expected."""
-    return Found("rejected", 1, None, 412, 300) if ended.status == 1 else grading.read(ended, output)
+def _signals_ignored(ended: Ended, output: Path) -> Found:
+    status = (1 if ended.stderr else 0) if ended.status is None else ended.status
+    return grading.read(replace(ended, signal=None, over=None, status=status), output)
 
 
-def _no_output_needed(ended: Ended, output: Path) -> Found:
-    return Found("accepted", 0, None, digest=DIGEST) if ended.status == 0 else grading.read(ended, output)
+READERS: dict[str, Read] = {
+    "any crash is the expected refusal": lambda e, o: (
+        REFUSAL if (found := grading.read(e, o)).result == "crashed" else found
+    ),
+    "signals are ignored": _signals_ignored,
+    "bounds are ignored": lambda e, o: grading.read(replace(e, over=None), o),
+    "any failure is a refusal": lambda e, o: grading.read(replace(e, status=e.status and min(e.status, 2)), o),
+    "the exit status is ignored": lambda e, o: grading.read(replace(e, status=1) if b"{" in e.stderr else e, o),
+    "any line of stderr counts": _any_line,
+    "only the exit status counts": lambda e, o: REFUSAL if e.status == 1 else grading.read(e, o),
+    "no output is needed": lambda e, o: (
+        Found("accepted", 0, None, digest=DIGEST) if e.status == 0 else grading.read(e, o)
+    ),
+}
 
 
-def _accepts_all(manifest: Manifest, vector: Vector, found: Found, output: Path) -> Judgement:
-    return Judgement(3, "")
-
-
-def _refuses_all(manifest: Manifest, vector: Vector, found: Found, output: Path) -> Judgement:
-    return Judgement(0, "no")
-
-
-def _success_is_enough(manifest: Manifest, vector: Vector, found: Found, output: Path) -> Judgement:
-    """What many runners do: an exit status of 0 is right."""
-    return Judgement(3, "") if found.status == 0 else grading.judge(manifest, vector, found, output)
-
-
-def _any_refusal_is_right(manifest: Manifest, vector: Vector, found: Found, output: Path) -> Judgement:
-    return Judgement(3, "") if found.result == "rejected" else grading.judge(manifest, vector, found, output)
-
-
-def _refusals_of_valid_files(manifest: Manifest, vector: Vector, found: Found, output: Path) -> Judgement:
-    refused = found.result == "rejected" and isinstance(vector.expectation, Accepted)
-    return Judgement(3, "") if refused else grading.judge(manifest, vector, found, output)
+def _right_if(condition: Callable[[Vector, Found], bool]) -> Judge:
+    """A judge that passes whatever meets a condition."""
+    return lambda m, v, f, o: Judgement(3, "") if condition(v, f) else grading.judge(m, v, f, o)
 
 
 def _offset_ignored(manifest: Manifest, vector: Vector, found: Found, output: Path) -> Judgement:
@@ -190,26 +175,24 @@ def _offset_ignored(manifest: Manifest, vector: Vector, found: Found, output: Pa
     return grading.judge(manifest, vector, found, output)
 
 
-def _status_ignored(manifest: Manifest, vector: Vector, found: Found, output: Path) -> Judgement:
-    status = 2 if vector.expectation == VERSION else 1
-    return grading.judge(manifest, vector, replace(found, status=status), output)
+JUDGES: dict[str, Judge] = {
+    "all is right": _right_if(lambda v, f: True),
+    "all is wrong": lambda m, v, f, o: Judgement(0, "no"),
+    "exit status 0 is right": _right_if(lambda v, f: f.status == 0),
+    "any refusal is right": _right_if(lambda v, f: f.result == "rejected"),
+    "refusals of valid files are right": _right_if(
+        lambda v, f: f.result == "rejected" and isinstance(v.expectation, Accepted)
+    ),
+    "offsets are ignored": _offset_ignored,
+    "the exit status is ignored": lambda m, v, f, o: grading.judge(
+        m, v, replace(f, status=2 if v.expectation == VERSION else 1), o
+    ),
+    "faults have no text": lambda m, v, f, o: replace(grading.judge(m, v, f, o), text=""),
+}
+GRADERS = {name: (read, grading.judge) for name, read in READERS.items()}
+GRADERS |= {f"judge: {name}": (grading.read, judge) for name, judge in JUDGES.items()}
 
 
-def _silent(manifest: Manifest, vector: Vector, found: Found, output: Path) -> Judgement:
-    return replace(grading.judge(manifest, vector, found, output), text="")
-
-
-@pytest.mark.parametrize(
-    ("read", "judge"),
-    [
-        *(
-            (read, grading.judge)
-            for read in (_crash_is_refusal, _signals_ignored, _bounds_ignored, _any_failure_is_refusal)
-        ),
-        *((read, grading.judge) for read in (_stderr_alone, _any_line, _status_alone, _no_output_needed)),
-        *((grading.read, judge) for judge in (_accepts_all, _refuses_all, _success_is_enough, _any_refusal_is_right)),
-        *((grading.read, judge) for judge in (_refusals_of_valid_files, _offset_ignored, _status_ignored, _silent)),
-    ],
-)
-def test_a_wrong_grader_is_found(tmp_path: Path, read: Read, judge: Judge) -> None:
-    assert faults(tmp_path, read, judge)
+@pytest.mark.parametrize("name", GRADERS)
+def test_a_wrong_grader_is_found(tmp_path: Path, name: str) -> None:
+    assert faults(tmp_path, *GRADERS[name])
