@@ -1,4 +1,4 @@
-"""Errors that the caller can put right: a line on stderr, and an exit status."""
+"""Errors that the caller can correct: a line on stderr and an exit status."""
 
 from __future__ import annotations
 
@@ -8,13 +8,13 @@ from refcodec import statuses
 from refcodec.files.text import printable
 from refcodec.statuses import UsageError
 
-# The longest text that is told, in characters.
+# The longest message, in characters.
 _TEXT = 4000
 
 
 def status_of(error: Exception) -> int | None:
-    """The exit status of an error that the caller can put right, None for any other one."""
-    # They need the extra `conformance`, and its absence is an error to be told.
+    """Returns the exit status of an error that the caller can correct, None for any other error."""
+    # These modules need the extra `conformance`, whose absence is reported as an error.
     from ..manifest import ManifestError  # noqa: PLC0415
     from ..report.record import RecordError  # noqa: PLC0415
     from ..runner.process import CommandError  # noqa: PLC0415
@@ -28,5 +28,5 @@ def status_of(error: Exception) -> int | None:
 
 
 def note(text: str) -> None:
-    """Tells a line on stderr, or the lines of a list. Names in it may be anybody's."""
+    """Prints a message on stderr, in printable form."""
     print(f"conformance: {printable(text, _TEXT, lines=True)}", file=sys.stderr)

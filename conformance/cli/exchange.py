@@ -1,4 +1,4 @@
-"""The commands that meet other programs: `export` for another runner, `check-encoder` for another encoder."""
+"""The commands for other programs: `export` for another runner, `check-encoder` for another encoder."""
 
 from __future__ import annotations
 
@@ -14,15 +14,15 @@ from .shared import add_vectors, suite
 
 
 def export_suite(arguments: argparse.Namespace) -> int:
-    """`conformance export`; returns its exit status. Raises what `status_of` knows."""
+    """Runs `conformance export`; returns its exit status. Raises the errors of `status_of`."""
     count = fluster.export(suite(arguments.vectors), arguments.fluster)
     guide = printable(str(arguments.fluster / fluster.README))
-    print(f"{printable(str(arguments.fluster))}: {count} vectors; {guide} says how to run them")
+    print(f"{printable(str(arguments.fluster))}: {count} vectors; {guide} explains their use")
     return statuses.DONE
 
 
 def check_encoder(arguments: argparse.Namespace) -> int:
-    """`conformance check-encoder`; returns its exit status. Raises what `status_of` knows."""
+    """Runs `conformance check-encoder`; returns its exit status. Raises the errors of `status_of`."""
     wrong = 0
     for path in arguments.files:
         verdict = encoders.examine(path.read_bytes())
@@ -43,7 +43,7 @@ def add(commands: Any) -> None:
     )
     export.set_defaults(run=export_suite)
     encoder = commands.add_parser(
-        "check-encoder", help="judge the files of another encoder: valid, canonical, the same to both decoders"
+        "check-encoder", help="judge the files of another encoder: valid, canonical, the same result from both decoders"
     )
     encoder.add_argument("files", nargs="+", type=Path, metavar="FILE")
     encoder.set_defaults(run=check_encoder)

@@ -1,4 +1,4 @@
-"""The commands that keep the suite: `generate`, `fuzz` and `selftest`."""
+"""The commands for maintenance of the suite: `generate`, `fuzz` and `selftest`."""
 
 from __future__ import annotations
 
@@ -14,12 +14,12 @@ from ..manifest import MANIFEST, VECTORS
 from .errors import UsageError
 from .shared import check_template, positive
 
-# Planted bugs, each with the vectors that catch it.
+# The output of --matrix: planted bugs, each with the vectors that catch it.
 MATRIX = Kind("a matrix of this command", re.compile(rb'\{\n "[^"\n]+": (\{\}|\{\n  "[^"\n]+": ")'))
 
 
 def _fuzz(arguments: argparse.Namespace) -> int:
-    # hypothesis belongs to the extra `test`, and is slow to import.
+    # hypothesis is in the extra `test`, and slow to import.
     from ..fuzz.compare import StateError, run  # noqa: PLC0415
 
     if arguments.command:
@@ -40,9 +40,9 @@ def _generate(arguments: argparse.Namespace) -> int:
 
 
 def _add_generate(commands: Any) -> None:
-    generate = commands.add_parser("generate", help="make all vectors and the manifest anew, the same bytes each time")
+    generate = commands.add_parser("generate", help="write all vectors and the manifest, always with the same bytes")
     generate.add_argument(
-        "-o", "--output", type=Path, default=Path("vectors"), metavar="DIR", help="where (default: vectors)"
+        "-o", "--output", type=Path, default=Path("vectors"), metavar="DIR", help="the folder (default: vectors)"
     )
     generate.set_defaults(run=_generate)
 
@@ -62,10 +62,10 @@ def _add_selftest(commands: Any) -> None:
         "--manifest",
         type=Path,
         default=VECTORS / MANIFEST,
-        help="the suite (default: the one that came with this program)",
+        help="the suite (default: that of this program)",
     )
     selftest.add_argument(
-        "--jobs", type=positive, default=os.cpu_count() or 1, help="processes (default: one for each core)"
+        "--jobs", type=positive, default=os.cpu_count() or 1, help="number of processes (default: one for each core)"
     )
     how = selftest.add_mutually_exclusive_group()
     how.add_argument("--recorded", action="store_true", help="try each bug only on its recorded vector")
@@ -76,18 +76,20 @@ def _add_selftest(commands: Any) -> None:
 
 def _add_fuzz(commands: Any) -> None:
     fuzz = commands.add_parser(
-        "fuzz", help="compare refcodec, the second decoder and, if you like, yours on many generated files"
+        "fuzz", help="compare refcodec, the second decoder and optionally yours on many generated files"
     )
-    fuzz.add_argument("-n", "--count", type=positive, default=1000, help="files, valid and not (default 1000)")
-    fuzz.add_argument("--seed", type=int, default=0, help="the same seed gives the same files (default 0)")
     fuzz.add_argument(
-        "--jobs", type=positive, default=os.cpu_count() or 1, help="processes (default: one for each core)"
+        "-n", "--count", type=positive, default=1000, help="number of valid and invalid files (default 1000)"
+    )
+    fuzz.add_argument("--seed", type=int, default=0, help="seed of the files (default 0)")
+    fuzz.add_argument(
+        "--jobs", type=positive, default=os.cpu_count() or 1, help="number of processes (default: one for each core)"
     )
     fuzz.add_argument(
         "--state",
         type=Path,
         default=Path("out/fuzz.json"),
-        help="where batches done are noted; a run goes on from there",
+        help="state of the run, which a later run continues",
     )
     fuzz.add_argument(
         "--keep", type=Path, default=Path("out/fuzz"), help="folder for files on which the decoders disagree"

@@ -1,4 +1,4 @@
-"""The command `conformance`: its parser, and what it says of errors."""
+"""The command `conformance`: its parser and its error messages."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from .errors import note, status_of
 
 
 class _Parser(argparse.ArgumentParser):
-    """argparse, with the exit status of wrong usage in place of 2, which would read as a verdict."""
+    """A parser with its own exit status for wrong usage, because 2 would be a verdict."""
 
     def error(self, message: str) -> NoReturn:
         self.print_usage(sys.stderr)
@@ -23,7 +23,7 @@ class _Parser(argparse.ArgumentParser):
 
 
 def _parser() -> argparse.ArgumentParser:
-    # The extra `conformance` is needed from here on.
+    # These modules need the extra `conformance`.
     from . import exchange, keeping, running  # noqa: PLC0415
 
     parser = _Parser(prog="conformance", description="Tests of decoders and encoders of C3GS files.")
@@ -34,7 +34,7 @@ def _parser() -> argparse.ArgumentParser:
 
 
 def _report(error: Exception) -> int:
-    """Tells an error in a line; returns its exit status."""
+    """Prints an error as one line; returns its exit status."""
     if isinstance(error, ModuleNotFoundError):
         note(
             f"{error.name} is not installed: pip install 'refcodec[conformance]' for run, verify-report, export and "
@@ -59,9 +59,9 @@ def _report(error: Exception) -> int:
 
 
 def main(argv: list[str] | None = None) -> int:
-    """Runs one command; returns its exit status, one of refcodec/statuses.py."""
+    """Runs a command; returns its exit status (refcodec/statuses.py)."""
     for stream in (sys.stdout, sys.stderr):
-        # A terminal that lacks a character shows its number.
+        # A terminal without a character shows its code point.
         if isinstance(stream, io.TextIOWrapper):
             stream.reconfigure(errors="backslashreplace")
     try:
@@ -70,10 +70,10 @@ def main(argv: list[str] | None = None) -> int:
         sys.stdout.flush()
         return status
     except SystemExit as end:
-        # argparse leaves this way for --help and wrong usage.
+        # argparse raises this for --help and wrong usage.
         return int(end.code or 0)
     except BrokenPipeError:
-        # The reader of stdout went away; what is left to write must not fail again when Python closes it.
+        # The reader closed stdout. A flush at exit must not fail again.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return statuses.BROKEN_PIPE
     except KeyboardInterrupt:

@@ -37,12 +37,12 @@ REPORTS = {
     ),
 }
 
-STATUSES = f"""exit status: {statuses.DONE} every selected vector as it must be;
-{statuses.REJECTED} the decoder is wrong somewhere, or a known failure passes;
-{statuses.DAMAGED_SUITE} the suite is damaged (manifest or a file's hash), so there is no verdict;
+STATUSES = f"""exit status: {statuses.DONE} every selected vector passes, and every known failure fails;
+{statuses.REJECTED} a vector fails, or a known failure passes;
+{statuses.DAMAGED_SUITE} the suite is damaged (manifest or the hash of a file), so there is no verdict;
 {statuses.NOTHING} no vector was selected, or all were skipped;
 {statuses.USAGE} wrong usage, or a file or folder that cannot be read or written;
-{statuses.FAULT} a fault of this program; {statuses.OUT_OF_MEMORY} out of memory; {statuses.INTERRUPTED} interrupted"""
+{statuses.FAULT} an internal error; {statuses.OUT_OF_MEMORY} out of memory; {statuses.INTERRUPTED} interrupted"""
 
 
 # The longest list of known failures, in bytes.
@@ -50,7 +50,7 @@ _KNOWN_BYTES = 1 << 20
 
 
 def _options(arguments: argparse.Namespace) -> Options:
-    """The options that `run` and `verify-report` share. Raises UsageError."""
+    """Returns the options that `run` and `verify-report` share. Raises UsageError."""
     command = tuple(arguments.command)
     needed = [] if arguments.serve else ["input", "output", *(["trace"] if arguments.trace else [])]
     check_template(command, needed)
@@ -64,9 +64,9 @@ def _options(arguments: argparse.Namespace) -> Options:
 
 
 def _known(path: Path | None, manifest: Manifest) -> list[str]:
-    """The identifiers of a file: one in a line, # starts a comment.
+    """Reads identifiers from a file with one in each line; # starts a comment.
 
-    Raises OSError, and UsageError for one that is no vector and for a file that is no text.
+    Raises OSError, and UsageError for an unknown vector or a file that is not text.
     """
     if path is None:
         return []
@@ -81,12 +81,12 @@ def _known(path: Path | None, manifest: Manifest) -> list[str]:
     known = [line for line in lines if line]
     strangers = sorted(set(known) - {v.id for v in manifest.vectors})
     if strangers:
-        raise UsageError(f"{path}: there is no vector {printable(', '.join(strangers), 300)}")
+        raise UsageError(f"{path}: unknown vectors: {printable(', '.join(strangers), 300)}")
     return known
 
 
 def _check_report(arguments: argparse.Namespace) -> None:
-    """Tells of a report that must not be written before the work is done. Raises UsageError."""
+    """Raises UsageError, before the run, if the report would replace other files."""
     places = {arguments.report / name: kind for name, kind in REPORTS.items()}
     check_apart(places, [arguments.vectors, arguments.known_failures, arguments.describe])
     for path, kind in places.items():
@@ -94,7 +94,7 @@ def _check_report(arguments: argparse.Namespace) -> None:
 
 
 def _write(folder: Path, record: dict[str, Any]) -> None:
-    # jinja2 is needed here alone.
+    # Only these modules need jinja2.
     from ..report import junit, page  # noqa: PLC0415
 
     contents = (json.dumps(record, indent=1) + "\n", junit.document(record), page.document(record))
@@ -104,7 +104,7 @@ def _write(folder: Path, record: dict[str, Any]) -> None:
 
 
 def run_command(arguments: argparse.Namespace) -> int:
-    """`conformance run`; returns its exit status. Raises what `status_of` knows."""
+    """Runs `conformance run`; returns its exit status. Raises the errors of `status_of`."""
     manifest = suite(arguments.vectors)
     options = _options(arguments)
     vectors = select(manifest.vectors, arguments.select)
@@ -114,7 +114,7 @@ def run_command(arguments: argparse.Namespace) -> int:
         note(f"no vector is selected: {' | '.join(arguments.select)}")
         return statuses.NOTHING
     if arguments.report:
-        # A decoder may remove the folder that this runs in.
+        # A decoder may remove the working folder.
         arguments.report = arguments.report.absolute()
         _check_report(arguments)
     started, began = datetime.datetime.now(datetime.UTC).isoformat(timespec="seconds"), time.monotonic()
@@ -147,7 +147,7 @@ def _shown(value: object) -> str:
 
 
 def _differences(old: dict[str, Any], new: dict[str, Any]) -> list[str]:
-    """What a record says otherwise than a new run of its vectors."""
+    """Returns the differences between a record and a new run of its vectors."""
     concluded = [
         name for name in ("verdict", "profiles", "requirements", "features") if old[name] != new["concluded"][name]
     ]
@@ -163,7 +163,7 @@ def _differences(old: dict[str, Any], new: dict[str, Any]) -> list[str]:
 
 
 def verify_report(arguments: argparse.Namespace) -> int:
-    """`conformance verify-report`; returns its exit status. Raises what `status_of` knows."""
+    """Runs `conformance verify-report`; returns its exit status. Raises the errors of `status_of`."""
     old = records.load(arguments.report)
     manifest = suite(arguments.vectors)
     if old["suite"]["manifest_sha256"] != records.manifest_digest(manifest):
@@ -175,10 +175,9 @@ def verify_report(arguments: argparse.Namespace) -> int:
     arguments.grade, arguments.trace, arguments.serve = stated["grade"], stated["trace"], stated["serve"]
     options = _options(arguments)
     by_id = {v.id: v for v in manifest.vectors}
-    # A record may name a vector once, and only vectors of its suite.
     names = [v["id"] for v in old["vectors"]]
     if len(set(names)) != len(names) or not set(names) <= set(by_id):
-        raise records.RecordError(f"{arguments.report}: not the vectors of its suite, each once")
+        raise records.RecordError(f"{arguments.report}: unknown or repeated vectors")
     if not names:
         note("the report has no vector")
         return statuses.NOTHING
@@ -211,7 +210,7 @@ def _add_grade(parser: argparse.ArgumentParser) -> None:
         type=int,
         choices=range(1, GRADE_EXACT + 1),
         default=GRADE_EXACT,
-        help=f"what a refusal must reach: 1 it is one, {GRADE_CODE} its code, {GRADE_EXACT} its offset too "
+        help=f"lowest grade of a refusal: 1 it is refused, {GRADE_CODE} with the code, {GRADE_EXACT} with the offset "
         "(default: %(default)s)",
     )
 
@@ -229,29 +228,31 @@ def add(commands: Any) -> None:
         )
         add_vectors(parser)
         parser.add_argument(
-            "--gaussians", metavar="COMMAND", help="one with {input}, {camera} and {output}, as a shell would read it"
+            "--gaussians", metavar="COMMAND", help="a command with {input}, {camera} and {output}, quoted as in a shell"
         )
         parser.add_argument(
-            "--jobs", type=positive, default=os.cpu_count() or 1, metavar="N", help="processes (default: one a core)"
+            "--jobs",
+            type=positive,
+            default=os.cpu_count() or 1,
+            metavar="N",
+            help="number of processes (default: one for each core)",
         )
         parser.add_argument(
             "--slow", type=_factor, default=1.0, metavar="X", help="factor of the time budgets (default: %(default)s)"
         )
         return parser
 
-    parser = shared(
-        "run", "tell whether a decoder is right, and if not, where it goes wrong", "-- ./mydecoder {input} {output}"
-    )
+    parser = shared("run", "test a decoder, and report where it first goes wrong", "-- ./mydecoder {input} {output}")
     parser.add_argument("--select", action="append", default=[], metavar="EXPR", help=selection.HELP)
     _add_grade(parser)
-    parser.add_argument("--trace", action="store_true", help="the command has {trace}, and the trace must be right too")
+    parser.add_argument("--trace", action="store_true", help="the command has {trace}, and the trace must be right")
     parser.add_argument(
         "--serve",
         action="store_true",
-        help="the command stays, reads a request for each vector from stdin, and answers on stdout, in JSON",
+        help="the command keeps running, reads a request for each vector from stdin, and answers on stdout, in JSON",
     )
     parser.add_argument(
-        "--known-failures", type=Path, metavar="FILE", help="identifiers of vectors that must fail, one in a line"
+        "--known-failures", type=Path, metavar="FILE", help="identifiers of vectors that must fail, one in each line"
     )
     parser.add_argument(
         "--describe", type=Path, metavar="FILE", help="the decoder's description of itself, JSON with name and version"
@@ -260,14 +261,16 @@ def add(commands: Any) -> None:
         "--report",
         type=Path,
         metavar="DIR",
-        help="write report.json, report.xml (JUnit) and report.html there; only earlier reports are replaced",
+        help="folder for report.json, report.xml (JUnit) and report.html; only earlier reports are replaced",
     )
     parser.add_argument(
         "command", nargs="+", metavar="-- COMMAND", help="{input}, {output} and {trace} stand for paths"
     )
     parser.set_defaults(run=run_command)
     verify = shared(
-        "verify-report", "run the vectors of a report again, and compare", "REPORT.json -- ./mydecoder {input} {output}"
+        "verify-report",
+        "run the vectors of a report again, and compare the results",
+        "REPORT.json -- ./mydecoder {input} {output}",
     )
     verify.add_argument("report", type=Path, metavar="REPORT.json")
     verify.add_argument("command", nargs="+", metavar="-- COMMAND", help="as for run")

@@ -1,4 +1,4 @@
-"""What several commands need: arguments, and the suite."""
+"""Arguments and checks that several commands share."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from .errors import UsageError
 
 
 def positive(text: str) -> int:
-    """An argument that is an integer of at least 1. Raises ArgumentTypeError."""
+    """Returns an argument that is a positive integer. Raises ArgumentTypeError."""
     value = int(text)
     if value < 1:
         raise argparse.ArgumentTypeError("must be at least 1")
@@ -22,14 +22,14 @@ def positive(text: str) -> int:
 
 
 def check_files(manifest: Manifest, text: str) -> None:
-    """Raises ManifestError, with a text before the list, for files of the suite that have other bytes."""
+    """Raises ManifestError, with a text before the list, for files of the suite that differ from the manifest."""
     wrong = wrong_hashes(manifest)
     if wrong:
         raise ManifestError("\n".join([text, *wrong]))
 
 
 def suite(folder: Path) -> Manifest:
-    """The manifest of a folder whose files are all there and right, with whole paths. Raises ManifestError."""
+    """Returns the manifest of a folder with absolute paths, after a check of all files. Raises ManifestError."""
     try:
         manifest = load(folder.absolute() / MANIFEST)
     except OSError as error:
@@ -39,7 +39,7 @@ def suite(folder: Path) -> Manifest:
 
 
 def check_template(command: Sequence[str], names: Sequence[str]) -> None:
-    """Raises UsageError for a command without one of the places, and CommandError for a program that is not there."""
+    """Raises UsageError for a command without a placeholder, and CommandError for a missing program."""
     missing = [f"{{{name}}}" for name in names if not any(f"{{{name}}}" in word for word in command)]
     if not command or missing:
         raise UsageError(f"the command needs {' and '.join(missing)}: {shlex.join(command)}")
@@ -47,11 +47,11 @@ def check_template(command: Sequence[str], names: Sequence[str]) -> None:
 
 
 def add_vectors(parser: argparse.ArgumentParser) -> None:
-    """The option for the folder of the suite."""
+    """Adds the option for the folder of the suite."""
     parser.add_argument(
         "--vectors",
         type=Path,
         default=VECTORS,
         metavar="DIR",
-        help="folder of the suite (default: the one that came with this program)",
+        help="folder of the suite (default: that of this program)",
     )

@@ -1,8 +1,8 @@
-"""The diagnosis of a run: wrong numbers, and the requirements that tell failing vectors from passing ones.
+"""The diagnosis of a run: wrong numbers, and the requirements that separate failing from passing vectors.
 
 Requirements are ranked by Ochiai's coefficient (R. Abreu, P. Zoeteweij, A. J. C. van Gemund, "On the Accuracy of
-Spectrum-based Fault Localization", TAIC PART 2007). Of a requirement that a failing and b passing vectors were made
-for, where f vectors fail in all, it is a / sqrt(f (a + b)). It is 1 if exactly the failing vectors were made for it.
+Spectrum-based Fault Localization", TAIC PART 2007). For a requirement with a failing and b passing vectors, where f
+vectors fail in total, it is a / sqrt(f (a + b)). It is 1 if exactly the failing vectors have the requirement.
 """
 
 from __future__ import annotations
@@ -21,15 +21,15 @@ from ..runner.traces import Probe
 
 # The numbers of clauses and requirements in a diagnosis.
 _CLAUSES, _REQUIREMENTS = 3, 5
-# Fewer vectors tell little. The diagnosis then says so.
+# The diagnosis of a run of fewer vectors has a warning.
 _ENOUGH = 300
-# In the annotated bytes of a file, the place where a decoder stopped, up to its part.
+# A marked line of annotated bytes, where a decoder stopped. The group is the part of the file.
 _SPOT = re.compile(r"> [0-9a-f]+ +(?:[0-9a-f]{2} )+(?:\.\.\. )? +([a-z_]+)")
 
 
 @dataclass(frozen=True)
 class Suspect:
-    """A requirement. score: Ochiai's coefficient. failing, passing: the vectors of each sort that were made for it."""
+    """A requirement. score: Ochiai's coefficient. failing, passing: the number of its vectors."""
 
     requirement: str
     score: float
@@ -38,10 +38,9 @@ class Suspect:
 
 
 def suspects(purposes: Mapping[str, Iterable[str]], failing: Mapping[str, bool]) -> list[Suspect]:
-    """Returns the requirements that failing vectors were made for, those that separate best first.
+    """Returns the requirements of failing vectors, by descending score.
 
-    purposes: for each vector the requirements that it was made for. failing: for each vector that was run, whether it
-    fails.
+    purposes: the requirements of each vector. failing: whether a vector fails, for each vector that was run.
     """
     fails, passes = Counter[str](), Counter[str]()
     for name, failed in failing.items():
@@ -63,7 +62,7 @@ def _named(clause: str) -> str:
 
 
 def _probes(entries: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
-    """Returns the clauses of the first wrong numbers, that of most vectors first, each with its simplest vector."""
+    """Returns the clauses of the first wrong numbers by descending number of vectors, with the simplest vector."""
     by_clause: dict[str, list[dict[str, Any]]] = {}
     for entry in sorted((e for e in entries if e["probe"]), key=lambda e: len(e["requirements"])):
         by_clause.setdefault(entry["probe"]["clauses"][0], []).append(entry)
@@ -88,16 +87,16 @@ def _probe_lines(probes: list[dict[str, Any]]) -> Iterable[str]:
 
 
 def _suspect_lines(ranked: list[Suspect], failing: int, run: int) -> Iterable[str]:
-    yield f"{failing} of {run} vectors fail; the requirements that tell them from the others, the best first"
+    yield f"{failing} of {run} vectors fail; the requirements that best separate them from the others"
     for suspect in ranked:
-        counts = f"{suspect.failing} failing vectors were made for it, and {suspect.passing} passing ones"
+        counts = f"{suspect.failing} failing and {suspect.passing} passing vectors"
         yield f"  {suspect.requirement}, {_named(clause_of(suspect.requirement))}: {counts}"
     if run < _ENOUGH:
-        yield "  run the whole suite: the requirements of few vectors tell little"
+        yield "  run the whole suite: few vectors do not separate requirements"
 
 
 def _refusal_lines(entries: Sequence[dict[str, Any]]) -> Iterable[str]:
-    """Yields a line with the parts of valid files in which the decoder stops: it goes wrong there, or just before."""
+    """Yields a line with the parts of valid files in which the decoder stops. Its fault is there or just before."""
     refused = [
         e
         for e in entries
@@ -112,7 +111,7 @@ def _refusal_lines(entries: Sequence[dict[str, Any]]) -> Iterable[str]:
 def of_record(entries: Sequence[dict[str, Any]]) -> dict[str, Any] | None:
     """Returns the diagnosis of a record's entries as JSON, None if no vector failed.
 
-    A wrong number decides: the clause that it is from is broken. Without one, requirements are listed.
+    A wrong number shows that its clause is broken. Without one, requirements are listed.
     """
     failing = {e["id"]: e["status"] != "passed" for e in entries if e["status"] not in ("skipped", "unexpected")}
     if not any(failing.values()):

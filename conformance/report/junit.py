@@ -1,4 +1,4 @@
-"""The record as JUnit XML, which continuous integration shows."""
+"""The record as JUnit XML, for continuous integration."""
 
 from __future__ import annotations
 
@@ -10,9 +10,9 @@ _ELEMENTS = {"failed": "failure", "unexpected": "failure", "crashed": "error", "
 
 
 def document(record: dict[str, Any]) -> str:
-    """A test suite for each class of vectors, a test case for each vector; a known failure counts as skipped.
+    """Returns a test suite for each class of vectors, with a test case for each vector. Known failures are skipped.
 
-    All texts of a record are printable (record.build), and so are allowed in XML.
+    All texts of a record are printable (record.build), and thus allowed in XML.
     """
     root = ElementTree.Element("testsuites", name="C3GS conformance")
     for klass in dict.fromkeys(v["class"] for v in record["vectors"]):

@@ -1,4 +1,4 @@
-"""The record as one HTML page that needs nothing else."""
+"""The record as one HTML page that loads no other files."""
 
 from __future__ import annotations
 
@@ -20,13 +20,13 @@ def _template() -> jinja2.Template:
     environment = jinja2.Environment(
         autoescape=True, undefined=jinja2.StrictUndefined, trim_blocks=True, lstrip_blocks=True
     )
-    # Only the first letter: a sentence may begin with a name.
+    # The filter `capitalize` of jinja2 would change the case of names.
     environment.filters["capitalised"] = lambda text: text[:1].upper() + text[1:]
     return environment.from_string(_TEMPLATE.read_text(encoding="utf-8"))
 
 
 def document(record: dict[str, Any]) -> str:
-    """The page: verdicts, then the vectors, what failed first, and of that what tells most."""
+    """Returns the page: verdicts, then vectors, failures first, in the order of `most_telling`."""
     order = {status: i for i, status in enumerate(STATUSES)}
     failed = most_telling(record["vectors"])
     rank = {v["id"]: i for i, v in enumerate(failed)}

@@ -1,4 +1,4 @@
-"""The record in some lines for a terminal."""
+"""The record as lines for a terminal."""
 
 from __future__ import annotations
 
@@ -16,27 +16,27 @@ from ..runner.grading import GRADES
 from .record import NOT_STATED
 from .schema import STATUSES
 
-# Failures that are shown with their divergence; the rest is in the reports.
+# The most failures that are listed.
 _SHOWN = 10
-# Of a crash's error output the end, which has the reason in most languages.
+# The last lines of a crash's error output, which have the reason in most languages, and their width.
 _STDERR_LINES, _WIDTH = 3, 200
-# So many requirements or features that are not right are named.
+# The most wrong requirements or features that are named.
 _NAMED = 4
-# A clause of a larger share of the vectors is a general one.
+# A clause of a larger share of the vectors is general.
 _GENERAL = 0.3
-# An attribute's anchor in a divergence: what leads to its distributions can be shown.
+# The anchor of an attribute in a divergence.
 _ANCHOR = re.compile(r"^trace: attributes\.\w+\[(\d+),", re.MULTILINE)
 _WORDS = {"unexpected": "known failures that pass", "known": "known failures"}
 
 
 def most_telling(vectors: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
-    """The vectors that are not as they must be. Those of the fewest requirements, nearest to the place, come first."""
+    """Returns the failures. Those with the fewest requirements, which locate the fault best, come first."""
     bad = [v for v in vectors if v["status"] in ("failed", "crashed", "unexpected")]
     return sorted(bad, key=lambda v: len(v["requirements"]))
 
 
 def _from_here(path: Path) -> str:
-    """A path as a person would type it. The folder of this process may be gone: then the whole path."""
+    """Returns a path relative to the working folder, or the absolute path if that folder was removed."""
     try:
         return printable(os.path.relpath(path))
     except OSError:
@@ -44,21 +44,21 @@ def _from_here(path: Path) -> str:
 
 
 def _general(vectors: Sequence[dict[str, Any]]) -> set[str]:
-    """The clauses of so many vectors that they lead nowhere."""
+    """Returns the clauses that too many vectors have."""
     counts = Counter(clause for v in vectors for clause in v["clauses"])
     return {clause for clause, count in counts.items() if count > _GENERAL * len(vectors)}
 
 
 def _own(vector: dict[str, Any], general: set[str]) -> list[str]:
-    """The clauses to read for a vector: not the general ones, if it has others."""
+    """Returns the clauses to read for a vector, without general ones if it has others."""
     return [clause for clause in vector["clauses"] if clause not in general] or vector["clauses"]
 
 
 def lines(record: dict[str, Any], suite: Path) -> Iterator[str]:
-    """What a person wants to know first: what failed, where, and the verdict.
+    """Yields the first failures with their places, the diagnosis and the verdicts.
 
     Args:
-        record: what `record.build` made.
+        record: of a run.
         suite: the folder of the vectors, for the commands that are printed.
     """
     bad, general = most_telling(record["vectors"]), _general(record["vectors"])
@@ -73,7 +73,7 @@ def lines(record: dict[str, Any], suite: Path) -> Iterator[str]:
         look = shlex.join(["refcodec", "inspect", _from_here(suite / v["input"])])
         yield f"    {v['title']}; read {', '.join(_own(v, general))}; {look} {form}"
     if len(bad) > _SHOWN:
-        yield f"... and {len(bad) - _SHOWN} more, which --report shows"
+        yield f"... and {len(bad) - _SHOWN} more; --report lists all"
     if bad:
         yield ""
     if record["diagnosis"]:

@@ -1,1 +1,1 @@
-"""The runner: a decoder's commands on the vectors, in bounded time and memory, judged."""
+"""The runner: runs a decoder on the vectors in bounded time and memory, and judges its answers."""

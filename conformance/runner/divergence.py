@@ -1,4 +1,4 @@
-"""Where a wrong output or a wrong trace first differs from the right one, which refcodec computes here."""
+"""The first difference between a decoder's output or trace and the right one, which refcodec computes."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from . import probes
 from .traces import has_any, lines_of
 
 HEAD_FIELDS = ("N", "K", "F", "ch", "B")
-# What says how a part's values, and the symbols of a trace and their models, come about.
+# The clauses that define the values of a part, and the symbols of a trace with their models.
 PART_CLAUSES = {
     "positions": "9.1, 5.14, 7.12",
     "masks": "7.6",
@@ -39,9 +39,9 @@ SYMBOL_CLAUSES = {
     "masks": "7.6",
     "attributes": "7.5, 7.2, 7.7, 7.10",
 }
-# Lines of annotated bytes: a head, six elements before the spot, it, and six after it.
+# The number of lines of annotated bytes: a head, the element at the offset, six before it and six after it.
 _HEX_LINES = 14
-# So many characters of a line of somebody's trace are shown.
+# The longest line of a trace in a message, in characters.
 _SHOWN = 80
 
 
@@ -49,9 +49,9 @@ _SHOWN = 80
 class Divergence:
     """The first difference.
 
-    part: of the canonical reconstruction, or "trace". element: what differs, in words. expected, found: its values.
-    offset: in the output, or for a trace that of the substream in the file. differing: how many values. clauses: of
-    SPEC.md, that say how the element comes about.
+    part: of the canonical reconstruction, or "trace". element: in words. expected, found: its values. offset: in the
+    output, or for a trace that of the substream in the file. differing: the number of values that differ, in words.
+    clauses: of SPEC.md, which define the element.
     """
 
     part: str
@@ -63,13 +63,13 @@ class Divergence:
     clauses: str = "9.3"
 
     def text(self) -> str:
-        """One line."""
+        """Returns the difference as one line."""
         values = f"{self.found}, {self.expected} expected ({self.differing})"
         return f"{self.part}: {self.element} is {values}; read {self.clauses}"
 
 
 def _types(scene: Scene) -> dict[str, tuple[str, tuple[int, ...]]]:
-    """SPEC 9.3: type and shape of each part."""
+    """Returns the type and the shape of each part (SPEC 9.3)."""
     d, n = scene.dimensions, scene.anchor_count
     return {
         "positions": ("<f4", (n, 3)),
@@ -83,7 +83,7 @@ def _types(scene: Scene) -> dict[str, tuple[str, tuple[int, ...]]]:
 
 
 def _element(scene: Scene, part: str, at: tuple[int, ...]) -> str:
-    """The value at an index of a part, in the words of SPEC.md."""
+    """Names the value at an index of a part in the terms of SPEC.md."""
     if part == "planes":
         return f"sub-plane {at[0]} ({PLANE_NAMES[at[0]]}), channel {at[1]}, row {at[2]}, column {at[3]}"
     if part == "weights":
@@ -111,7 +111,7 @@ def _shown(value: NDArray) -> str:
 
 
 def _compare_part(scene: Scene, part: str, right: bytes, found: bytes, start: int) -> Divergence:
-    """The first difference of two unequal parts of the same length."""
+    """Returns the first difference of two unequal parts of the same length."""
     if part == "head":
         at = next(i for i, (a, b) in enumerate(zip(right, found, strict=True)) if a != b)
         if at < 8:
@@ -126,7 +126,7 @@ def _compare_part(scene: Scene, part: str, right: bytes, found: bytes, start: in
         return Divergence(part, element, values[0], values[1], place, "the parts are right")
     kind, shape = _types(scene)[part]
     a, b = (np.frombuffer(data, kind).reshape(shape) for data in (right, found))
-    # Bits are compared: -0 is not +0, and a NaN is what it is.
+    # Bits are compared: -0 differs from +0, and NaNs may be equal.
     differ = a.view(f"<u{a.itemsize}") != b.view(f"<u{b.itemsize}")
     flat = int(np.argmax(differ))
     at_index = tuple(int(i) for i in np.unravel_index(flat, a.shape))
@@ -144,7 +144,7 @@ def _compare_part(scene: Scene, part: str, right: bytes, found: bytes, start: in
 
 
 def _parts(scene: Scene) -> Iterator[tuple[str, int, bytes]]:
-    """SPEC 9.3: the parts of the right output, with their places. The digests come last: a wrong part explains its."""
+    """Yields the parts of the right output with their offsets (SPEC 9.3). The dependent digests are last."""
     head, listed = canonical_head(scene), digested(scene)
     yield "head", 0, head
     at = len(listed)
@@ -155,14 +155,14 @@ def _parts(scene: Scene) -> Iterator[tuple[str, int, bytes]]:
 
 
 def of_output(data: bytes, found: bytes) -> Divergence | None:
-    """The first difference of a decoder's output, `found`, for a valid file, or None if it is right."""
+    """Returns the first difference of a decoder's output, `found`, for a valid file; None if the output is right."""
     scene = codec.parse(data).scene
     end = 0
     for part, at, right in _parts(scene):
         got = found[at : at + len(right)]
         common = right[: len(got)]
         if got != common:
-            # What is missing is filled with what is right, so that the values that are there are compared.
+            # Right bytes replace missing ones, so that only present values are compared.
             return _compare_part(scene, part, right, got + right[len(got) :], at)
         if len(got) < len(right):
             return Divergence(
@@ -175,13 +175,13 @@ def of_output(data: bytes, found: bytes) -> Divergence | None:
 
 
 def of_trace(data: bytes, trace: bytes) -> tuple[Divergence | None, probes.Compared]:
-    """The first symbol on which a decoder's trace of a valid file differs from the right one, and what its probes say.
+    """Returns the first wrong symbol of a decoder's trace of a valid file, and the comparison of its probes.
 
-    A trace of probes alone has no wrong symbol.
+    A trace that has only probes has no wrong symbol.
     """
     rows, scene = _symbols(data)
     wrong, symbol = None, None
-    # No more lines are told apart than there are symbols, and one behind.
+    # One line more than there are symbols is enough.
     lines = itertools.islice((line for probe, line, _ in lines_of(trace) if not probe), len(rows) + 1)
     for number, (row, line) in enumerate(itertools.zip_longest(rows, lines)):
         if number == 0 and line is None and has_any(trace):
@@ -194,17 +194,17 @@ def of_trace(data: bytes, trace: bytes) -> tuple[Divergence | None, probes.Compa
 
 
 def _wrong_symbol(rows: list[TraceRow], number: int, line: str | None, end: int) -> Divergence:
-    """A line of a trace that is not that of a symbol. end: of the file."""
+    """Returns the difference of a wrong line. number: of the symbol. line: None if missing. end: size of the file."""
     count = f"symbol {number} of {len(rows)}"
     if number == len(rows):
         return Divergence(
             "trace", "the line after the last symbol", "nothing", printable(str(line), _SHOWN), end, count
         )
     row = rows[number]
-    # Of the same symbol the values are enough.
+    # For the same symbol, the values suffice.
     same, value = line is not None and line.startswith(f"{row.path} "), str(row.value)
     found = "nothing" if line is None else printable(line.removeprefix(f"{row.path} "), _SHOWN)
-    count += f"; rightly of the model {row.family}, mean {row.mean}, scale {row.scale}"
+    count += f"; the right model is {row.family}, mean {row.mean}, scale {row.scale}"
     clauses = SYMBOL_CLAUSES[row.path.partition("[")[0].split(".")[0]]
     clauses = (
         f"{clauses}, and for slices behind the first 7.9" if row.path.startswith("attributes.features") else clauses
@@ -213,14 +213,14 @@ def _wrong_symbol(rows: list[TraceRow], number: int, line: str | None, end: int)
 
 
 def annotated(data: bytes, offset: int) -> list[str]:
-    """The bytes of a file around an offset, each line with its syntax element; the one of the offset is marked."""
+    """Returns the bytes around an offset, a line for each syntax element, and marks the line of the offset."""
     head, *lines = list(dump.hex_lines(data, near=offset))[:_HEX_LINES]
     spot = max((i for i, line in enumerate(lines) if int(line[:8], 16) <= offset), default=-1)
     return [f"  {head}", *(f"{'> ' if i == spot else '  '}{line}" for i, line in enumerate(lines))]
 
 
 def _symbols(data: bytes) -> tuple[list[TraceRow], Scene]:
-    """The symbols in the order of the trace (vectors/README.md), and the scene."""
+    """Returns the symbols in the order of the trace (vectors/README.md), and the scene."""
     rows: list[TraceRow] = []
     scene = codec.parse(data, trace=rows.append).scene
     return sorted(rows, key=lambda row: row.substream), scene

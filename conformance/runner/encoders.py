@@ -1,4 +1,4 @@
-"""Judges files that another encoder wrote: valid, canonical, and the same to both decoders."""
+"""Judges the files of another encoder: valid, canonical, and with the same result from both decoders."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from .. import spec_decoder
 
 @dataclass(frozen=True)
 class Verdict:
-    """good: whether nothing is wrong; text: in a line; lines: the bytes of the spot, annotated."""
+    """good: whether the file is right. text: the reason. lines: the bytes at the fault, annotated."""
 
     good: bool
     text: str
@@ -22,7 +22,7 @@ class Verdict:
 
 
 def examine(data: bytes) -> Verdict:
-    """The verdict on a file."""
+    """Returns the verdict on a file."""
     first: tuple[int, int] | str
     error: BitstreamError | None = None
     try:
@@ -37,7 +37,8 @@ def examine(data: bytes) -> Verdict:
         second = (found.code, found.offset)
     if first != second:
         return Verdict(
-            False, f"the decoders differ, please report the file: refcodec says {first}, the second decoder {second}"
+            False,
+            f"the decoders differ, please report the file: {first} from refcodec, {second} from the second decoder",
         )
     if error:
         kind = error.kind
@@ -53,4 +54,4 @@ def examine(data: bytes) -> Verdict:
             f"not canonical (4.3): refcodec writes other bytes from byte {at} on",
             tuple(dump.hex_lines(data, near=at)),
         )
-    return Verdict(True, f"valid, canonical, the same to both decoders; digest {first}")
+    return Verdict(True, f"valid, canonical, the same result from both decoders; digest {first}")

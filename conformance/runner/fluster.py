@@ -1,8 +1,8 @@
 """The valid vectors as a suite for Fluster, and a script that runs it there.
 
-Fluster is a runner of conformance suites of decoders that industry uses.
+Fluster is a runner for the conformance suites of video decoders.
 
-Fluster knows no refusals: of the vectors whose outcome is a digest, it compares the MD5 of the output.
+Fluster does not support refusals. For each vector with a digest it compares the MD5 of the output.
 """
 
 from __future__ import annotations
@@ -34,13 +34,13 @@ pip install fluster-conformance
 C3GS_DECODER='./mydecoder {{input}} {{output}}' python run.py run -ts {suite} -d C3GS
 ```
 
-`run.py` is Fluster's own command, told of this folder and of the decoder. `-s -so FILE` writes its table.
+`run.py` calls Fluster's command with this folder and the decoder. `-s -so FILE` writes its table.
 
 The result of a vector is the MD5 of the canonical reconstruction (SPEC.md 9.3) that the decoder writes.
-Fluster has no word for a file that must be refused: for those, `conformance run`.
+Fluster does not support files that must be refused. Use `conformance run` for them.
 """
 
-# What an earlier export may have left.
+# The files of an earlier export.
 _LIST = Kind("a suite of this command", re.compile(rb'\{\n    "name": "C3GS",\n    "codec": "None"'))
 _RUN = Kind.signed("the script of this command", b'"""Fluster on the C3GS suite beside this file')
 _TEXT = Kind.signed("the guide of this command", b"# C3GS vectors for Fluster\n")
@@ -48,10 +48,9 @@ _VECTOR = Kind.signed("a C3GS file", SIGNATURE)
 
 
 def export(manifest: Manifest, folder: Path) -> int:
-    """Writes the suite, its files and the script into a folder; returns the number of vectors.
+    """Writes the suite, its files and the script into a folder, all or none. Returns the number of vectors.
 
-    All of them get their places together. Raises UsageError, before the work, if one would replace a file of another
-    kind, or would be in the folder of the suite.
+    Raises UsageError, before the work, if a file would replace one of another kind, or is in the folder of the suite.
     """
     fixed = {_list_of(folder): _LIST, folder / "run.py": _RUN, folder / README: _TEXT}
     sources = [manifest.path(v) for v in manifest.vectors]

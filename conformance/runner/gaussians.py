@@ -1,4 +1,4 @@
-"""Lists of Gaussians (vectors/README.md) compared: whether a renderer's is that of SPEC 14.3 within its tolerance."""
+"""Compares lists of Gaussians (vectors/README.md) within the tolerance of SPEC 14.3."""
 
 from __future__ import annotations
 
@@ -8,13 +8,13 @@ from typing import Any
 from refcodec.files.documents import parse_json
 from refcodec.files.text import printable
 
-# SPEC [G14.3-1]: below this opacity a Gaussian may be missing or added.
+# Below this opacity a Gaussian may be missing or added (SPEC [G14.3-1]).
 FAINT = 1e-4
 KINDS = {"mean": 3, "lengths": 3, "quaternion": 4, "opacity": 1, "colour": 3}
 
 
 def _by_place(text: bytes | str) -> dict[tuple[int, int], dict[str, list[float]]]:
-    """The Gaussians of a list by anchor and offset. Raises ValueError for what is no such list."""
+    """Returns the Gaussians of a list by anchor and offset. Raises ValueError for another document."""
     try:
         found = {}
         for g in parse_json(text)["gaussians"]:
@@ -31,7 +31,7 @@ def _by_place(text: bytes | str) -> dict[tuple[int, int], dict[str, list[float]]
 
 
 def difference(expected: bytes | str, found: bytes | str, tolerance: float) -> str | None:
-    """The first difference in words, or None.
+    """Returns the first difference in words, or None.
 
     expected, found: JSON. tolerance: relative to the length of the expected vector.
     """
@@ -51,7 +51,7 @@ def difference(expected: bytes | str, found: bytes | str, tolerance: float) -> s
             allowed = tolerance * math.hypot(*right)
             # A quaternion and its negative are one rotation.
             signs = (1, -1) if kind == "quaternion" else (1,)
-            # A value that is not a number is not within anything.
+            # NaN is within no tolerance.
             if not any(all(abs(a - s * b) <= allowed for a, b in zip(right, value, strict=True)) for s in signs):
                 return f"{where}: {kind} is {value}, {right} expected"
     return None

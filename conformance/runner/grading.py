@@ -1,8 +1,8 @@
-"""What a decoder said of a vector, and whether it is right.
+"""Reads a decoder's answer to a vector, and judges it.
 
-A decoder accepts with exit status 0 and its output written. It refuses with exit status 1 (malformed, invalid) or 2
-(unsupported) and, as the last line of stderr, a JSON object with a registered code. Whatever else happens is a crash,
-and a crash is never a pass.
+A decoder accepts with exit status 0 and an output file. It refuses with exit status 1 (malformed, invalid) or 2
+(unsupported), and with a JSON object with a registered code as the last line of stderr. Anything else is a crash, and a
+crash never passes.
 """
 
 from __future__ import annotations
@@ -24,8 +24,7 @@ from .folder import FileError, open_file
 from .gaussians import difference
 from .process import Ended
 
-# SPEC 10.2: the grades of a decoder, and so of a vector. 1: refused or accepted as it must be, with the right output.
-# 2: the code of the error too. 3: its offset too.
+# The grades of a vector (SPEC 10.2). 1: the right verdict and output. 2: also the right code. 3: also the right offset.
 GRADE_NONE, GRADE_VERDICT, GRADE_CODE, GRADE_EXACT = range(4)
 GRADES = {
     GRADE_NONE: "a wrong verdict, a wrong output or a crash",
@@ -33,7 +32,7 @@ GRADES = {
     GRADE_CODE: "right verdicts, outputs and codes",
     GRADE_EXACT: "right verdicts, outputs, codes and offsets",
 }
-# What a watcher, or an answer, says against a decoder (process.Ended.over).
+# The reasons why a process crashed, by the names in process.Ended.over.
 OVER = {
     "time": "took too long",
     "memory": "took too much memory",
@@ -46,21 +45,21 @@ OVER = {
     "twice": "answered more than once",
     "other": "answered another request",
 }
-# SPEC 9.3: the bytes that the digest of a scene is of.
+# The number of bytes that the digest of a scene covers (SPEC 9.3).
 DIGESTED_BYTES = len(DIGEST_MAGIC) + 4 * 5 + 32 * len(PARTS)
-# How much of an output is read at once.
+# The bytes of one read of an output.
 _BLOCK = 1 << 20
-# The longest last line of stderr that is read, in characters.
+# The longest valid last line of stderr, in characters.
 _LINE = 8 << 10
 BY_CODE = {kind.code: kind for kind in REGISTRY.values()}
 
 
 @dataclass(frozen=True)
 class Found:
-    """What a decoder said.
+    """The answer of a decoder.
 
-    result: "accepted", "rejected" or "crashed". status, signal: how the process ended. code, offset: of a rejection;
-    the offset is None if none was said. digest, parts: of the accepted output (read_output). text: why it is a crash.
+    result: "accepted", "rejected" or "crashed". status, signal: of the process. code, offset: of a rejection; the
+    offset is None if it is missing. digest, parts: of an accepted output (read_output). text: the reason of a crash.
     """
 
     result: str
@@ -75,19 +74,19 @@ class Found:
 
 @dataclass(frozen=True)
 class Judgement:
-    """grade: 0 to 3; text: what is wrong, empty if nothing is."""
+    """grade: 0 to 3. text: the fault, empty if there is none."""
 
     grade: int
     text: str
 
 
 def exit_status(klass: str) -> int:
-    """Of a refusal with an error of this class (SPEC.md 10.1)."""
+    """Returns the exit status of a refusal with an error of a class (SPEC 10.1)."""
     return statuses.UNSUPPORTED if klass == "unsupported" else statuses.REJECTED
 
 
 def signal_name(number: int) -> str:
-    """Such as SIGSEGV."""
+    """Returns the name of a signal, such as SIGSEGV."""
     try:
         return signal.Signals(number).name
     except ValueError:
@@ -95,7 +94,7 @@ def signal_name(number: int) -> str:
 
 
 def _refusal(line: str) -> tuple[int, int | None] | str:
-    """Code and offset of the last line of stderr, or what is wrong with it."""
+    """Returns code and offset of the last line of stderr, or its fault in words."""
     try:
         said: Any = parse_json(line, _LINE)
     except DocumentError:
@@ -110,17 +109,17 @@ def _refusal(line: str) -> tuple[int, int | None] | str:
 
 @dataclass(frozen=True)
 class Output:
-    """What an output holds. digest: of the scene. parts: the digests that the parts have, by name, the head too."""
+    """The digests of an output. digest: of the scene. parts: of the parts and the head, by name."""
 
     digest: str
     parts: dict[str, str]
 
 
 def read_output(file: BinaryIO) -> Output:
-    """SPEC 9.3: returns the digest of the scene that an output holds, and those of its parts.
+    """Returns the digests of the scene in an output and of its parts (SPEC 9.3).
 
-    The output is what the digest is of, which lists the digests of the parts, and then the parts. If the parts have
-    other digests, or are not there, the digest is the SHA-256 of a zero and the output, which is no scene's digest.
+    An output begins with a list of the digests of the parts, which the digest of the scene covers; the parts follow. If
+    the list and the parts disagree, the digest is the SHA-256 of a zero and the output, which no scene has.
     """
     listed = file.read(DIGESTED_BYTES)
     head = listed[: DIGESTED_BYTES - 32 * len(PARTS)]
@@ -132,7 +131,7 @@ def read_output(file: BinaryIO) -> Output:
     sizes = [12 * n, n * k, 2 * 5 * ch * b * b, 4 * n * f, 24 * n, 12 * n * k]
     found = head
     for number, name in enumerate(PARTS):
-        # The weights are the last part. They take what is left.
+        # The weights are the last part and have no stated size.
         left = sizes[number] if number < len(sizes) else None
         digest = hashlib.sha256()
         while block := file.read(_BLOCK if left is None else min(_BLOCK, left)):
@@ -145,7 +144,7 @@ def read_output(file: BinaryIO) -> Output:
 
 
 def differing(expected: Accepted, found: Found) -> list[str]:
-    """The parts of an accepted output that are wrong, in their order; "digests" if only their list is."""
+    """Returns the wrong parts of an accepted output in their order; "digests" if only the list of digests is wrong."""
     if found.digest == expected.digest:
         return []
     parts = found.parts or {}
@@ -153,7 +152,7 @@ def differing(expected: Accepted, found: Found) -> list[str]:
 
 
 def read(ended: Ended, output: Path) -> Found:
-    """What a process said by the way it ended and by its output file."""
+    """Returns the answer of a process from its end and its output file."""
 
     def crash(text: str) -> Found:
         return Found("crashed", ended.status, ended.signal, text=text)
@@ -201,7 +200,7 @@ def _judge_refusal(expected: Rejected, found: Found) -> Judgement:
 
 
 def judge(manifest: Manifest, vector: Vector, found: Found, output: Path) -> Judgement:
-    """Compares what a decoder said, and its output file, with what is expected."""
+    """Compares a decoder's answer and its output file with the expectation of a vector."""
     if found.result == "crashed":
         return Judgement(GRADE_NONE, f"crash: {found.text}")
     if isinstance(vector.expectation, Rejected):

@@ -1,6 +1,6 @@
-"""Probes: numbers that a decoder writes into its trace beside the symbols, and the first of them that is wrong.
+"""Compares the probes of a trace, the numbers that a decoder writes beside the symbols, with the right numbers.
 
-conformance/README.md has their form. What a decoder writes is hostile: all that is read here is bounded.
+conformance/README.md defines their form. A trace may be hostile: all reads are bounded.
 """
 
 from __future__ import annotations
@@ -19,15 +19,15 @@ from refcodec.inspect import probes as numbers
 
 from .traces import LINE_BYTES, Probe, lines_of
 
-# So many probes of a trace are compared.
+# The most probes of a trace that are compared.
 PROBES = 200_000
-# Right numbers are computed for so many anchors at once.
+# The number of anchors whose right numbers are computed at once.
 _BLOCK = 1024
-# So many characters of a name or of a line are shown.
+# The longest name or line in a message, in characters.
 _SHOWN = 60
 _FORM = re.compile(r"probe ([a-z_A-Z0-9.]{1,40})\[([0-9]{1,10})\]((?: -?[0-9]{1,20})*)", re.ASCII)
 
-# The clauses that compute a number from others, and which these are.
+# The clauses that define a number, and the numbers that it is computed from.
 _OWN = {
     "P": ("7.4",),
     "v": ("7.5.1",),
@@ -58,10 +58,10 @@ _FROM: dict[str, tuple[str, ...]] = {
 
 @dataclass
 class Compared:
-    """What the probes of a trace say.
+    """The comparison of the probes of a trace.
 
-    first: the first wrong number, None if none is. right: how many probes before it are right. fault: what is wrong
-    with the form of the first line that is no probe, empty if nothing is. faults: how many lines are no probes.
+    first: the first wrong number, or None. right: the number of right probes before it. fault: the first fault of
+    form, or empty. faults: the number of lines with such a fault.
     """
 
     first: Probe | None = None
@@ -70,19 +70,19 @@ class Compared:
     faults: int = 0
 
     def lines(self, symbol: bool) -> Iterator[str]:
-        """What is told, a line for each thing. symbol: whether a symbol is wrong."""
+        """Yields the lines of a report. symbol: whether a symbol is wrong."""
         if self.first:
             yield f"probe: {self.first.text()}"
         elif self.right and symbol:
             yield f"probe: the {self.right} probes before the first wrong symbol are right"
         if self.fault:
-            more = f" ({self.faults} lines are no probes)" if self.faults > 1 else ""
+            more = f" ({self.faults} lines are not valid probes)" if self.faults > 1 else ""
             yield f"probe: {self.fault}{more}"
 
 
 @dataclass
 class _Right:
-    """The right numbers of a scene, computed when they are asked for."""
+    """The right numbers of a scene, computed on demand."""
 
     scene: Scene
     _blocks: dict[int, dict[str, NDArray[np.int64]]] = field(default_factory=dict)
@@ -91,7 +91,7 @@ class _Right:
         self._coding = Coding(self.scene)
 
     def __call__(self, anchor: int) -> tuple[dict[str, NDArray[np.int64]], int]:
-        """The numbers of a block of anchors by name, and the place of an anchor of the scene in it."""
+        """Returns the numbers of an anchor's block by name, and the row of the anchor in the block."""
         block, row = divmod(anchor, _BLOCK)
         if block not in self._blocks:
             scene, coding = self.scene, self._coding
@@ -108,10 +108,10 @@ def _kind(name: str) -> str:
 
 
 def _clauses(scene: Scene, name: str, doubtful: set[str], symbols: bool) -> tuple[str, ...]:
-    """The clauses to read for a wrong number.
+    """Returns the clauses to read for a wrong number.
 
-    doubtful: the kinds of numbers that the file has and that were not written for its anchor. symbols: whether there
-    are symbols before it, which tell that planes are right.
+    doubtful: the kinds of numbers that the trace lacks for the anchor. symbols: whether symbols precede the number; the
+    planes are then right.
     """
     found: list[str] = []
     waiting = [_kind(name)]
@@ -129,8 +129,8 @@ def _clauses(scene: Scene, name: str, doubtful: set[str], symbols: bool) -> tupl
 def compare(scene: Scene, trace: bytes, wrong_symbol: int | None) -> Compared:
     """Compares the probes of a trace with the numbers of the right scene, in the order of the trace.
 
-    wrong_symbol: how many symbols are before the first wrong one, None if none is wrong. What is behind it comes of it,
-    and is not compared.
+    wrong_symbol: the number of symbols before the first wrong one, None if all are right. Probes after it depend on it,
+    and are not compared.
     """
     right, compared, done, symbols, count = _Right(scene), Compared(), set[tuple[str, int]](), 0, 0
     written: dict[int, set[str]] = {}
@@ -164,21 +164,21 @@ def compare(scene: Scene, trace: bytes, wrong_symbol: int | None) -> Compared:
 def _read(
     line: bytes, whole: bool, right: _Right, done: set[tuple[str, int]]
 ) -> tuple[str, int, list[int], list[int]] | str:
-    """Name, anchor, numbers and right numbers of a probe, or what is wrong with the line. done: what was read."""
+    """Returns name, anchor, numbers and right numbers of a probe, or its fault. done: the names and anchors so far."""
     if not whole:
         return f"a probe of more than {LINE_BYTES} bytes"
     text = line.decode("utf-8", "replace")
     form = _FORM.fullmatch(text)
     if form is None:
-        return f"no probe: {printable(text, _SHOWN)}"
+        return f"not a probe: {printable(text, _SHOWN)}"
     name, anchor, found = form[1], int(form[2]), [int(value) for value in form[3].split()]
     if anchor >= right.scene.anchor_count:
         return f"there is no anchor {anchor}: the file has {right.scene.anchor_count}"
     block, row = right(anchor)
     if name not in block:
-        return f"no numbers of this file are called {name}; there are {', '.join(block)}"
+        return f"this file has no numbers {name}; it has {', '.join(block)}"
     if (name, anchor) in done:
-        return f"{name}[{anchor}] is there twice"
+        return f"{name}[{anchor}] is repeated"
     done.add((name, anchor))
     wanted = block[name][row].tolist()
     if len(found) != len(wanted):

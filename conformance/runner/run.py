@@ -280,17 +280,18 @@ def _content(path: Path) -> bytes | None:
 def run(
     manifest: Manifest, vectors: Sequence[Vector], options: Options, known: Iterable[str] = (), show: bool = True
 ) -> Run:
-    """Runs a decoder on vectors. An interrupt (SIGINT or SIGTERM) ends the run with the results so far.
+    """Runs a decoder on vectors. An interrupt (SIGINT, SIGTERM or SIGHUP) ends the run with the results so far.
 
     known: identifiers of vectors that must fail. show: show a progress bar on stderr.
     """
     ended: dict[str, Result] = {}
     done = Run()
-    # The default action of SIGTERM would leave decoders behind.
-    terminate = signal.signal(signal.SIGTERM, signal.default_int_handler)
     bar = tqdm(total=len(vectors), unit="vector", file=sys.stderr, disable=not show)
     with ExitStack() as stack:
-        stack.callback(signal.signal, signal.SIGTERM, terminate)
+        # The default action of these signals would leave decoders behind.
+        for number in (signal.SIGTERM, signal.SIGHUP):
+            if signal.getsignal(number) == signal.SIG_DFL:
+                stack.callback(signal.signal, number, signal.signal(number, signal.default_int_handler))
         desk = stack.enter_context(closing(_Desk(manifest, options)))
         pool = stack.enter_context(ThreadPoolExecutor(options.jobs))
         stack.enter_context(bar)

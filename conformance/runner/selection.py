@@ -1,4 +1,4 @@
-"""Which vectors a person asks for: `--select 'class:malformed,invalid code:1*,2*'`."""
+"""Selects vectors by expressions such as `class:malformed,invalid code:1*,2*`."""
 
 from __future__ import annotations
 
@@ -19,14 +19,14 @@ _VALUES: dict[str, Callable[[Vector], Iterable[str]]] = {
     "code": lambda v: [str(v.expectation.code)] if isinstance(v.expectation, Rejected) else [],
 }
 HELP = (
-    "vectors that fit: terms such as class:valid or id:escape-*, separated by spaces, must all hold; commas separate "
-    "alternatives, * and ? stand for any characters, a leading ! negates; "
-    f"names: {', '.join(_VALUES)}; given several times, what any of them selects"
+    "select vectors: terms such as class:valid or id:escape-*, separated by spaces, must all hold; commas separate "
+    f"alternatives, * and ? are wildcards, a leading ! negates; names: {', '.join(_VALUES)}; "
+    "a vector is selected if any of several --select holds"
 )
 
 
 class SelectionError(Exception):
-    """A selection that cannot be read."""
+    """An expression with a syntax error."""
 
 
 def _term(text: str) -> Callable[[Vector], bool]:
@@ -35,7 +35,7 @@ def _term(text: str) -> Callable[[Vector], bool]:
     if not colon:
         name, patterns = "id", name
     if name not in _VALUES:
-        raise SelectionError(f"{name}: is none of {', '.join(_VALUES)}")
+        raise SelectionError(f"{name}: not one of {', '.join(_VALUES)}")
     values = _VALUES[name]
     return lambda v: (
         wanted == any(fnmatchcase(value, pattern) for value in values(v) for pattern in patterns.split(","))
@@ -43,6 +43,6 @@ def _term(text: str) -> Callable[[Vector], bool]:
 
 
 def select(vectors: Iterable[Vector], expressions: Iterable[str]) -> list[Vector]:
-    """The vectors that an expression selects, in their order; all if there is no expression. Raises SelectionError."""
+    """Returns the vectors that any expression selects; all without expressions. Raises SelectionError."""
     choices = [[_term(term) for term in expression.split()] for expression in expressions]
     return [v for v in vectors if not choices or any(all(term(v) for term in terms) for terms in choices)]

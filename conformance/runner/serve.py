@@ -1,9 +1,9 @@
-"""Serves one of the project's decoders to `conformance run --serve`, so that its modules are read once.
+"""Serves one of the project's decoders to `conformance run --serve`, which imports its modules once.
 
 python -m conformance.runner.serve refcodec | spec_decoder
 
-Reads lines of JSON, {"id", "input", "output"} and perhaps "trace". It answers each with {"id", "status", "signal",
-"stderr"}. Each file is decoded in a fork, whose end is all that the next one could know of it.
+Reads lines of JSON, {"id", "input", "output"} and optionally "trace". Answers each with {"id", "status", "signal",
+"stderr"}. A fork decodes each file. Thus no file affects the next one.
 """
 
 from __future__ import annotations
@@ -18,12 +18,12 @@ from typing import Any
 
 from refcodec import statuses
 
-# What is answered of a file's error output: its end.
+# The bytes of a fork's error output in an answer, from its end.
 _STDERR_BYTES = 16 << 10
 
 
 def _refcodec() -> Callable[[list[str]], int]:
-    # What the command imports or computes once is there before the first fork, which would do it again for each file.
+    # Imports and tables before the first fork serve all forks.
     from refcodec.bitstream import codec, networks, reconstruction, tables  # noqa: F401, PLC0415
     from refcodec.cli import main as cli  # noqa: PLC0415
     from refcodec.inspect import trace  # noqa: F401, PLC0415
@@ -71,7 +71,7 @@ def main(arguments: list[str]) -> int:
             words += ["--trace", request["trace"]] if "trace" in request else []
             answer = {"id": request["id"]}
         except (ValueError, LookupError, TypeError):
-            print('it reads lines {"id", "input", "output"}, and perhaps "trace", which are JSON', file=sys.stderr)
+            print('a request is a JSON line {"id", "input", "output"}, optionally with "trace"', file=sys.stderr)
             return statuses.USAGE
         print(json.dumps({**answer, **_in_fork(decode, words)}), flush=True)
     return 0

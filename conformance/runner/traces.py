@@ -1,4 +1,4 @@
-"""The lines of a trace: symbols, and probes between them. Nothing here needs numpy, which is slow to import."""
+"""Reads the lines of a trace: symbols and probes. This module does not import numpy, which is slow to import."""
 
 from __future__ import annotations
 
@@ -8,9 +8,9 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 
 _MARK = b"probe "
-# So many bytes of a line are read.
+# The longest line that is read, in bytes.
 LINE_BYTES = 1 << 16
-# Nothing is tried again, so that a match of millions of lines takes no memory.
+# Without backtracking, a match of millions of lines needs no memory.
 _LINES = re.compile(rb"(?:^probe [^\n]*+(?:\n|\Z))++", re.MULTILINE)
 
 
@@ -18,8 +18,8 @@ _LINES = re.compile(rb"(?:^probe [^\n]*+(?:\n|\Z))++", re.MULTILINE)
 class Probe:
     """A wrong number.
 
-    name: of the numbers. anchor: in the file. index: among the numbers. clauses: those of SPEC.md to read: that which
-    computes it, and then those of the numbers that it comes from and that were not written.
+    name: of the numbers. anchor: in the file. index: among the numbers. clauses: of SPEC.md; first that of the number,
+    then those of the numbers that it depends on and that the trace does not have.
     """
 
     name: str
@@ -30,19 +30,19 @@ class Probe:
     clauses: tuple[str, ...]
 
     def text(self) -> str:
-        """One line."""
+        """Returns the wrong number as one line."""
         what = f"{self.name}[{self.index}] of anchor {self.anchor}"
         values = f"found {self.found}, wanted {self.wanted}"
         return f"the first number that differs is {what}: {values} (SPEC {', '.join(self.clauses)})"
 
 
 def has_any(trace: bytes) -> bool:
-    """Whether a trace has probes."""
+    """Returns whether a trace has probes."""
     return _LINES.search(trace) is not None
 
 
 def symbols_digest(trace: bytes) -> str:
-    """SHA-256 of a trace without its probes, hexadecimal."""
+    """Returns the SHA-256 of a trace without its probes, in hexadecimal."""
     digest, at, whole = hashlib.sha256(), 0, memoryview(trace)
     for found in _LINES.finditer(trace):
         digest.update(whole[at : found.start()])
@@ -52,7 +52,7 @@ def symbols_digest(trace: bytes) -> str:
 
 
 def lines_of(trace: bytes) -> Iterator[tuple[bool, bytes, bool]]:
-    """Yields each line: whether it is a probe, its first LINE_BYTES bytes, and whether these are all."""
+    """Yields for each line whether it is a probe, its first LINE_BYTES bytes, and whether these are the whole line."""
     at = 0
     while at < len(trace):
         end = trace.find(b"\n", at)

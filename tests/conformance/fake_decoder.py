@@ -185,7 +185,8 @@ def main(mode, answers, name, target, *rest):
             eat()
         case "memory-of-child":
             code = f"import time; held = b'x' * {800 << 20}; time.sleep({LINGERS})"
-            subprocess.run([sys.executable, "-S", "-c", code], env={}, start_new_session=True, check=False)
+            subprocess.Popen([sys.executable, "-S", "-c", code], env={}, start_new_session=True)
+            time.sleep(5)
         case "memory-of-daemon":
             in_background(eat)
             linger()

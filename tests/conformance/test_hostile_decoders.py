@@ -269,17 +269,17 @@ def test_a_working_folder_that_is_removed(suite: Suite, tmp_path: Path, monkeypa
     assert (tmp_path / "report" / "report.html").exists()
 
 
-# A shell starts a background process with the signal ignored.
+# The parent may ignore signals: a shell does so for background processes.
 PROGRAM = """
 import signal
 from conformance.cli import main
 signal.signal(signal.SIGINT, signal.default_int_handler)
+signal.signal(signal.SIGHUP, signal.SIG_DFL)
 exit(main())
 """
 
 
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
-@pytest.mark.parametrize("serve", [[], ["--serve"]], ids=["each", "serve"])
+@pytest.mark.parametrize(("number", "serve"), [(signal.SIGINT, []), (signal.SIGTERM, ["--serve"]), (signal.SIGHUP, [])])
 def test_an_interrupted_run(tmp_path: Path, number: signal.Signals, serve: list[str]) -> None:
     """It leaves a report of the vectors so far, but no process and no folder."""
     for name in ("suite", "answers", "temporary"):

@@ -159,17 +159,17 @@ def test_a_wrong_bug_in_c_is_told_though_the_file_is_refused(c_decoder: Program,
 
 
 HOSTILE = {
-    "probe P[0] 1 nan 3\n": "no probe: probe P[0] 1 nan 3",
+    "probe P[0] 1 nan 3\n": "not a probe: probe P[0] 1 nan 3",
     "probe P[0] 4194304 12582912\n": "P[0] has 2 numbers, 3 expected",
-    "probe P[0] 1.5 2 3\n": "no probe: probe P[0] 1.5 2 3",
-    "probe colour[0] 1\n": "no numbers of this file are called colour; there are P, v, w, u",
+    "probe P[0] 1.5 2 3\n": "not a probe: probe P[0] 1.5 2 3",
+    "probe colour[0] 1\n": "this file has no numbers colour; it has P, v, w, u",
     "probe P[5] 1 2 3\n": "there is no anchor 5: the file has 5",
     "probe P[9999999999] 1 2 3\n": "there is no anchor 9999999999",
-    "probe P[0] 4194304 12582912 -4194304\n" * 2: "P[0] is there twice",
+    "probe P[0] 4194304 12582912 -4194304\n" * 2: "P[0] is repeated",
     "probe P[0] " + "1 " * (4 << 20) + "\n": "a probe of more than 65536 bytes",
-    "probe " + "x" * 10_000 + "\n": "no probe: probe xxxxxxxx",
-    "probe \x1b[2J\n": "no probe: probe \\x1b[2J",
-    "probe \n": "no probe: probe",
+    "probe " + "x" * 10_000 + "\n": "not a probe: probe xxxxxxxx",
+    "probe \x1b[2J\n": "not a probe: probe \\x1b[2J",
+    "probe \n": "not a probe: probe",
 }
 
 
@@ -190,7 +190,7 @@ def test_many_probes_are_bounded(monkeypatch: pytest.MonkeyPatch) -> None:
     compared = _compared("probe x\n" * 60 + "probe P[0] 0 0 0\n")
     assert (compared.first, compared.faults) == (None, 50)
     (line,) = compared.lines(symbol=False)
-    assert line == "probe: line 1 of the trace: no probe: probe x (50 lines are no probes)"
+    assert line == "probe: line 1 of the trace: not a probe: probe x (50 lines are not valid probes)"
 
 
 def test_what_is_behind_a_wrong_symbol_is_not_told() -> None:

@@ -104,7 +104,7 @@ def test_traces(suite: Suite, tmp_path: Path) -> None:
     vector = record["vectors"][0]
     (line,) = vector["divergence"]
     assert line.startswith("trace: planes.r1[0,0,0] is ")
-    assert "rightly of the model laplace, mean " in line
+    assert "the right model is laplace, mean " in line
     assert line.endswith("read 7.3, 7.2")
     assert [line.split()[6] for line in vector["hex"] if line.startswith("> ")] == ["planes.r1.symbol_crc"]
     status, record = suite.report("no-trace", tmp_path, "--trace", trace=True)
