@@ -135,10 +135,7 @@ def check_command(command: Sequence[str]) -> None:
 
 
 def _excerpt(data: bytes | bytearray) -> bytes:
-    """The first and the last bytes of an error output.
-
-    The last bytes continue the line that states the omission. Thus the end of a long line never becomes a line.
-    """
+    """The first and the last bytes of an error output, with the number of bytes between them."""
     left = len(data) - STDERR_HEAD - STDERR_TAIL
     if left > 0:
         data = data[:STDERR_HEAD] + b"\n[%d bytes left out] " % left + data[-STDERR_TAIL:]

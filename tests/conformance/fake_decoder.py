@@ -98,7 +98,7 @@ def misuse(mode, source, output):
             socket.socket(socket.AF_UNIX).bind(output.name)
         case "output-has-a-hole":
             with output.open("wb") as file:
-                file.truncate(1 << 40)
+                file.truncate(64 << 20)
         case "output-is-giant":
             with output.open("wb") as file:
                 while True:
@@ -219,9 +219,6 @@ def main(mode, answers, name, target, *rest):
             output.write_bytes(b"")
         case "dumps-core":
             os.abort()
-        case "the-end-of-a-long-line":
-            os.write(2, b"x" * (1 << 20) + b'{"code": 103, "offset": 0}\n')
-            return 1
         case "text-that-steers":
             os.write(2, STEERS)
             return 1
@@ -277,8 +274,11 @@ def main(mode, answers, name, target, *rest):
 
 def serve(answers):
     """Answers requests. What a mode does not replace is right."""
-    known = json.loads(Path(answers).read_text())
+    known, stale = json.loads(Path(answers).read_text()), ""
     for line in sys.stdin:
+        if stale:
+            print(stale, flush=True)
+            time.sleep(5)
         q = json.loads(line)
         a = known[hashlib.sha256(Path(q["input"]).read_bytes()).hexdigest()]
         said, output = {"id": q["id"], "status": a["exit"]}, Path(q["output"])
@@ -341,12 +341,7 @@ def serve(answers):
             case "twice":
                 text += "\n" + text
             case "later-again":
-                print(text, flush=True)
-                if not os.fork():
-                    time.sleep(0.2)
-                    os.write(1, text.encode() + b"\n")
-                    os._exit(0)
-                continue
+                stale = text
         with contextlib.suppress(BrokenPipeError):
             print(text, flush=True)
 

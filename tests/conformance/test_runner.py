@@ -12,6 +12,7 @@ import shutil
 import subprocess
 import sys
 import threading
+import time
 from collections.abc import Callable, Iterator
 from contextlib import closing
 from dataclasses import replace
@@ -356,6 +357,15 @@ def test_the_peak_of_the_runner_is_not_that_of_a_decoder() -> None:
     assert len(ballast) == 100 << 20
     assert peaks[0] is None
     assert 500 << 20 < peaks[1] < 600 << 20
+
+
+def test_a_server_that_ends_between_requests() -> None:
+    code = "import json; print(json.dumps({'id': json.loads(input())['id'], 'status': 0}))"
+    with closing(Folder()) as folder, closing(process.Watcher()) as watcher:
+        for _ in range(2):
+            ended = watcher.ask([sys.executable, "-S", "-c", code], {}, 60, 1 << 30, threading.Event(), folder)
+            assert (ended.status, ended.over) == (0, None)
+            time.sleep(0.5)
 
 
 # --- other runners, other encoders ------------------------------------------------------------------------------------
