@@ -1,4 +1,4 @@
 """Measurements of speed, size and quality; RESULTS.md has their output.
 
-`python -m benchmarks decode|encode|scale` measures speed and scale. `python -m benchmarks.NAME` runs another benchmark.
+`python -m benchmarks decode|scale` measures speed and scale. `python -m benchmarks.NAME` runs another benchmark.
 """

@@ -1,4 +1,4 @@
-"""The measurements of speed and scale: python -m benchmarks decode|encode|scale [--json] [--write]
+"""The measurements of speed and scale: python -m benchmarks decode|scale [--json] [--write]
 
 By default it prints a table. --json prints all figures instead. --write also writes the section of RESULTS.md.
 """
@@ -16,14 +16,13 @@ from refcodec.files.text import printable
 from refcodec.statuses import DONE, FAULT, USAGE
 
 from .coding import coding, coding_lines
-from .contenders import DECODE, ENCODE, DisagreementError
+from .contenders import DisagreementError
 from .large import KEPT, PAPER_ANCHORS, TRAINED
 from .results import write_section
 from .scale import SIZES, scale, scale_lines, write_plot
 
 TITLES = {
-    DECODE: "Decoding a large scene",
-    ENCODE: "Encoding a large scene",
+    "decode": "Decoding a large scene",
     "scale": "Time and memory by the number of anchors",
 }
 
@@ -42,20 +41,17 @@ def _parser() -> argparse.ArgumentParser:
     tasks = parser.add_subparsers(dest="task", required=True)
     each = {}
     for task, text in (
-        (DECODE, "refcodec by each of its paths, the C decoder, constriction and the floor"),
-        (ENCODE, "entropy coding of given symbols"),
+        ("decode", "refcodec by each of its paths, the C decoder, constriction and the floor"),
         ("scale", "the whole decode and the streaming one, by the number of anchors"),
     ):
         each[task] = tasks.add_parser(task, help=text, description=text)
         each[task].add_argument("--json", action="store_true", help="print all figures as JSON")
         each[task].add_argument("--write", action="store_true", help="write the section of benchmarks/RESULTS.md")
-    for task in (DECODE, ENCODE):
-        each[task].add_argument("--anchors", type=_positive, default=PAPER_ANCHORS)
-        each[task].add_argument("--rounds", type=_positive, default=7)
+        each[task].add_argument("--trained", type=Path, default=TRAINED, help="the scene whose symbols are coded")
+    each["decode"].add_argument("--anchors", type=_positive, default=PAPER_ANCHORS)
+    each["decode"].add_argument("--rounds", type=_positive, default=7)
     each["scale"].add_argument("--sizes", type=_positive, nargs="+", default=list(SIZES), metavar="ANCHORS")
     each["scale"].add_argument("--rounds", type=_positive, default=3)
-    for task in (DECODE, ENCODE, "scale"):
-        each[task].add_argument("--trained", type=Path, default=TRAINED, help="the scene whose symbols are coded")
     return parser
 
 
@@ -64,7 +60,7 @@ def _figures(options: argparse.Namespace, kept: Path) -> tuple[dict[str, Any], l
     if options.task == "scale":
         figures = scale(options.trained, options.sizes, options.rounds, kept)
         return figures, scale_lines(figures)
-    figures = coding(options.task, options.trained, options.anchors, options.rounds, kept)
+    figures = coding(options.trained, options.anchors, options.rounds, kept)
     return figures, coding_lines(figures)
 
 

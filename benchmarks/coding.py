@@ -1,4 +1,4 @@
-"""`python -m benchmarks decode` and `encode`: refcodec by each of its paths, beside other codecs and the floor."""
+"""`python -m benchmarks decode`: refcodec by each of its paths, beside other codecs and the floor."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Any
 
 from .compiled import compiler_version
-from .contenders import DECODE, compared
+from .contenders import compared
 from .large import KEPT, PAPER_ANCHORS, large
 from .results import facts, facts_line, table
 from .worker import WHOLE_OUTPUT
@@ -17,15 +17,15 @@ PACKAGES = ("torch", "constriction")
 PAPER_SECONDS = 13.1
 
 
-def coding(task: str, trained: Path, anchors: int, rounds: int, kept: Path = KEPT) -> dict[str, Any]:
-    """Returns the figures of a task, DECODE or ENCODE. Raises DisagreementError.
+def coding(trained: Path, anchors: int, rounds: int, kept: Path = KEPT) -> dict[str, Any]:
+    """Returns the figures. Raises DisagreementError.
 
     trained: the scene whose symbols are coded. rounds: runs of each contender. kept: the folder of the scene.
     """
     machine = {**facts(*PACKAGES), "compiler": compiler_version()}
     scene = large(trained, anchors, kept)
-    found = compared(task, scene.path, rounds, kept)
-    return {"task": task, "machine": machine, "scene": scene.figures(), **found}
+    found = compared(scene.path, rounds, kept)
+    return {"task": "decode", "machine": machine, "scene": scene.figures(), **found}
 
 
 def coding_lines(figures: dict[str, Any]) -> list[str]:
@@ -46,14 +46,14 @@ def coding_lines(figures: dict[str, Any]) -> list[str]:
         "",
         f"Medians of {figures['rounds']} rounds, in each of which all contenders ran once, in this order. Times: the",
         f"median of the ratios to `{figures['base']}` in the same round. One thread each unless the name says more.",
-        f"All decoders and encoders gave the scene with the digest {figures['digest'][:16]}.",
+        f"All decoders gave the scene with the digest {figures['digest'][:16]}.",
         f"The output is {WHOLE_OUTPUT}, unless a line below says otherwise.",
         "",
     ]
     others = (row for row in figures["contenders"] if row["says"] != WHOLE_OUTPUT)
     lines += [f"- {row['name']}: {row['says']}{_parts(row)}." for row in others]
     lines += [f"- {each['name']} is left out: {each['why']}." for each in figures["missing"]]
-    if figures["task"] == DECODE and scene["anchors"] == PAPER_ANCHORS:
+    if scene["anchors"] == PAPER_ANCHORS:
         lines += ["", f"The paper's own decoder takes {PAPER_SECONDS} s for a scene of so many anchors, on a GPU."]
     return lines
 

@@ -1,4 +1,4 @@
-"""Who takes part in `decode` and `encode`, and the processes that they run in.
+"""Who takes part in `decode`, and the processes that they run in.
 
 Each contender is a separate process, which prepares itself and then waits (worker.py). Thus the environment can select
 a path of refcodec for each, and none shares memory with another. Each contender runs once per round. A contender that
@@ -24,7 +24,6 @@ from tqdm import tqdm
 from . import floor
 from .large import KEPT, ROOT
 
-DECODE, ENCODE = "decode", "encode"
 # The kind of the contender that is no process of Python.
 JAVASCRIPT = "javascript"
 # The path that is always available, and the native paths. `native` is the one that refcodec chooses itself.
@@ -81,35 +80,27 @@ def offered() -> tuple[list[str], list[Missing]]:
     return found, missing
 
 
-def contenders(task: str) -> tuple[list[Contender], list[Missing]]:
-    """Returns who takes part in a task, DECODE or ENCODE, as far as it is known before they prepare."""
+def contenders() -> tuple[list[Contender], list[Missing]]:
+    """Returns who takes part, as far as it is known before they prepare."""
     paths, missing = offered()
     found: list[Contender] = []
     for path in paths:
         forced = {"REFCODEC_PATH": path}
-        found.append(Contender(f"refcodec, {path}", task, environment=forced))
-        if task == DECODE and path in (NUMPY, NATIVE):
+        found.append(Contender(f"refcodec, {path}", "decode", environment=forced))
+        if path in (NUMPY, NATIVE):
             # What `refcodec digest` does, and the C decoder in any case.
             found.append(Contender(f"refcodec, {path}, with the digest", "digest", environment=forced))
-        elif task == ENCODE:
-            found.append(Contender(f"refcodec, {path}, decoding", DECODE, environment=forced))
         cores = os.cpu_count() or 1
         if path == NATIVE and cores > 1:
             threads = {**forced, "REFCODEC_THREADS": str(cores)}
-            found.append(Contender(f"refcodec, {path}, {cores} threads", task, environment=threads))
-    if task == DECODE:
-        found.append(Contender("C decoder, with the digest", "c"))
-        if shutil.which("node"):
-            found.append(Contender("JavaScript and WebAssembly", JAVASCRIPT))
-        else:
-            missing.append(Missing("JavaScript and WebAssembly", "there is no node"))
+            found.append(Contender(f"refcodec, {path}, {cores} threads", "decode", environment=threads))
+    found.append(Contender("C decoder, with the digest", "c"))
+    if shutil.which("node"):
+        found.append(Contender("JavaScript and WebAssembly", JAVASCRIPT))
     else:
-        missing.append(Missing("C decoder", "it has no encoder"))
-    found.append(Contender("float32 networks and constriction", f"family-{task}", "constriction"))
-    if task == DECODE:
-        found += [Contender(f"floor, {build}", "floor", build) for build in floor.builds()]
-    else:
-        missing.append(Missing("floor", "floor.c is of decoding"))
+        missing.append(Missing("JavaScript and WebAssembly", "there is no node"))
+    found.append(Contender("float32 networks and constriction", "family"))
+    found += [Contender(f"floor, {build}", "floor", build) for build in floor.builds()]
     return found, missing
 
 
@@ -171,12 +162,12 @@ def workers(wanted: Sequence[Contender], path: Path, kept: Path) -> Iterator[tup
         yield ready, missing
 
 
-def compared(task: str, path: Path, rounds: int, kept: Path = KEPT) -> dict[str, Any]:
-    """Returns the figures of a task on a file: who took part, in which order they ran, and all their times.
+def compared(path: Path, rounds: int, kept: Path = KEPT) -> dict[str, Any]:
+    """Returns the figures of a file: who took part, in which order they ran, and all their times.
 
     Raises DisagreementError if a result differs from that of the first contender, refcodec's numpy path.
     """
-    wanted, missing = contenders(task)
+    wanted, missing = contenders()
     order: list[str] = []
     with workers(wanted, path, kept) as (ready, left_out):
         reference = ready[0].hello["digest"]

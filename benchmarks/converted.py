@@ -11,6 +11,8 @@ from __future__ import annotations
 
 import argparse
 import json
+import os
+import subprocess
 import sys
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
@@ -41,12 +43,13 @@ from refcodec.statuses import DONE, USAGE, UsageError
 from .exports.making import Record, kept
 from .peers.convert import INSTALL, VERSION, ToolError, convert, tool
 from .results import machine, table, write_section
-from .runs import JOBS, refcodec
 
 OWN, TOOL = "refcodec", f"splat-transform {VERSION}"
 FORMATS = (".spz", ".sog")
 # lambda_r of the trainings.
 RATES = (0.001, 0.004, 0.015)
+# Trainings at a time.
+JOBS = 2
 
 
 @dataclass(frozen=True)
@@ -116,6 +119,15 @@ def packed_record(source: Source, suffix: str, maker: str, folder: Path) -> Reco
         return {"bytes": file.stat().st_size, **source.compared(lambda camera: source.image(arrays, camera))}
 
     return kept(folder / f"{source.name}-{by}{suffix}-{source.views}-{source.size}px.json", made)
+
+
+def refcodec(*words: str) -> None:
+    """Runs a command of refcodec with one thread. Raises SystemExit with its errors if it fails."""
+    command = [sys.executable, "-m", "refcodec", *words]
+    environment = {**os.environ, "OMP_WAIT_POLICY": "PASSIVE", "NUMBA_NUM_THREADS": "1"}
+    done = subprocess.run(command, env=environment, capture_output=True, text=True, check=False)
+    if done.returncode:
+        raise SystemExit(f"refcodec {' '.join(words)}: {done.stderr}")
 
 
 def coded_record(source: Source, rate: float, steps: int, folder: Path) -> Record:

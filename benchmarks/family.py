@@ -10,8 +10,7 @@ Thus this does less than a decoder. The symbols are those of the scene, which ar
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 import torch
@@ -29,30 +28,15 @@ from .compiled import MissingError
 BATCH = 4096
 
 
-@dataclass(frozen=True)
-class Coded:
-    """The symbols of a stage of a batch. low, high: the least and the largest of them. count: how many they are."""
-
-    content: Any
-    low: int
-    high: int
-    count: int
-
-
-class SymbolCoder(Protocol):
-    """Codes Gaussian symbols. All tensors are [symbols]. mean: in steps. deviation: the standard one, in steps."""
-
-    def encode(self, symbols: torch.Tensor, mean: torch.Tensor, deviation: torch.Tensor) -> Coded:
-        """Returns the bytes of int32 symbols."""
-        ...
-
-    def decode(self, coded: Coded, mean: torch.Tensor, deviation: torch.Tensor) -> torch.Tensor:
-        """Returns the int32 symbols of bytes."""
-        ...
+# The symbols of a stage of a batch: their words, the least and the largest of them.
+Coded = tuple[NDArray[np.uint32], int, int]
 
 
 class Constriction:
-    """constriction: rANS with a quantised Gaussian for each symbol."""
+    """constriction: rANS with a quantised Gaussian for each symbol.
+
+    All tensors are [symbols]. mean, deviation: of each, in steps.
+    """
 
     def __init__(self) -> None:
         """Raises MissingError."""
@@ -68,18 +52,18 @@ class Constriction:
         return mean.numpy().astype(np.float64), deviation.numpy().astype(np.float64)
 
     def encode(self, symbols: torch.Tensor, mean: torch.Tensor, deviation: torch.Tensor) -> Coded:
-        # A distribution over one symbol alone is not allowed.
+        """Returns the code of int32 symbols."""
+        # A distribution over a single symbol is not allowed.
         low, high = int(symbols.min()), int(symbols.max()) + 1
         coder = self._coder()
         coder.encode_reverse(symbols.numpy(), self._family(low, high), *self._parameters(mean, deviation))
-        return Coded(coder.get_compressed(), low, high, len(symbols))
+        return coder.get_compressed(), low, high
 
     def decode(self, coded: Coded, mean: torch.Tensor, deviation: torch.Tensor) -> torch.Tensor:
-        coder = self._coder(coded.content)
-        return torch.from_numpy(coder.decode(self._family(coded.low, coded.high), *self._parameters(mean, deviation)))
-
-
-CODERS: dict[str, Callable[[], SymbolCoder]] = {"constriction": Constriction}
+        """Returns the int32 symbols of a code."""
+        words, low, high = coded
+        coder = self._coder(words)
+        return torch.from_numpy(coder.decode(self._family(low, high), *self._parameters(mean, deviation)))
 
 
 def module(layers: list[Layer]) -> torch.nn.Sequential:
@@ -93,11 +77,12 @@ def module(layers: list[Layer]) -> torch.nn.Sequential:
 
 
 class Family:
-    """The attributes of a scene, encoded and decoded the family's way."""
+    """The attributes of a scene, encoded the family's way."""
 
-    def __init__(self, scene: Scene, coder: SymbolCoder) -> None:
+    def __init__(self, scene: Scene) -> None:
+        """Raises MissingError."""
         d, a, coding = scene.dimensions, scene.attributes, Coding(scene)
-        self._scene, self._coder = scene, coder
+        self._scene, self._coder = scene, Constriction()
         self._hyper = module(scene.networks["hyper"])
         self._carm = [module(scene.networks[f"carm.{i}"]) for i in range(1, len(d.slices))]
         self._unit = torch.from_numpy(np.ldexp(np.float32(1), -scene.carm_shift.astype(int)).astype(np.float32))
@@ -112,11 +97,8 @@ class Family:
             )
             for rows in batches
         ]
-        self.coded: list[list[Coded]] = []
-
-    def encode(self) -> None:
-        """Fills `coded`: a list for each batch, with an element for each stage."""
-        self.coded = []
+        # A list for each batch, with an element for each stage.
+        self._coded: list[list[Coded]] = []
         with torch.no_grad():
             for number in range(len(self._contexts)):
                 stages: list[Coded] = []
@@ -127,13 +109,13 @@ class Family:
                     return known
 
                 self._batch(number, code, self._given[number])
-                self.coded.append(stages)
+                self._coded.append(stages)
 
     def decode(self) -> Attributes:
-        """Returns the symbols of `coded`, with the steps of the scene."""
+        """Returns the symbols, with the steps of the scene."""
         found = []
         with torch.no_grad():
-            for number, coded in enumerate(self.coded):
+            for number, coded in enumerate(self._coded):
                 stages = iter(coded)
 
                 def code(mean: torch.Tensor, level: torch.Tensor, _: None, of: Any = stages) -> torch.Tensor:
@@ -144,11 +126,6 @@ class Family:
                 found.append(self._batch(number, code, None))
         features, scalings, offsets = (torch.cat([part[i] for part in found]).numpy() for i in range(3))
         return Attributes(features, scalings, offsets.reshape(len(offsets), -1, 3).copy(), self._scene.attributes.steps)
-
-    def size(self) -> int:
-        """Returns the bytes of `coded`."""
-        parts = (stage.content for batch in self.coded for stage in batch)
-        return sum(part.nbytes if isinstance(part, np.ndarray) else len(part) for part in parts)
 
     def _batch(
         self, number: int, code: Callable[..., torch.Tensor], given: tuple[torch.Tensor, ...] | None

@@ -22,7 +22,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from refcodec.bitstream.codec import emit, parse
+from refcodec.bitstream.codec import parse
 from refcodec.bitstream.reconstruction import digest, reconstruct
 from refcodec.bitstream.scene import Scene
 from refcodec.bitstream.tables import tables_file
@@ -71,11 +71,6 @@ def _digest(path: Path, kept: Path, option: str) -> Ready:
     return Ready(lambda: _whole(parse(data).scene), str, "all symbols and float32 values, and their SHA-256")
 
 
-def _encode(path: Path, kept: Path, option: str) -> Ready:
-    scene = parse(path.read_bytes()).scene
-    return Ready(lambda: emit(scene), lambda data: _whole(parse(data).scene), "the file, from all symbols")
-
-
 def _c(path: Path, kept: Path, option: str) -> Ready:
     program = compiled(DECODER, ["-std=c11", "-O3", "-march=native"], kept)
     os.environ["C3GS_TABLES"] = str(tables_file())
@@ -87,31 +82,18 @@ def _c(path: Path, kept: Path, option: str) -> Ready:
     return Ready(run, lambda printed: str(printed).split()[1], says)
 
 
-def _family(path: Path, option: str) -> Any:
-    """Returns the family's codec of a scene, which has encoded it, and the scene. Raises MissingError."""
+def _family(path: Path, kept: Path, option: str) -> Ready:
     try:
         import torch  # noqa: PLC0415
     except ImportError as error:
         raise MissingError(f"torch: {error}") from None
-    from .family import CODERS, Family  # noqa: PLC0415
+    from .family import Family  # noqa: PLC0415
 
     torch.set_num_threads(1)
     scene = parse(path.read_bytes()).scene
-    family = Family(scene, CODERS[option]())
-    family.encode()
-    return family, scene
-
-
-def _family_decode(path: Path, kept: Path, option: str) -> Ready:
-    family, scene = _family(path, option)
+    family = Family(scene)
     says = "the symbols of attributes alone; contexts, masks and positions are given"
     return Ready(family.decode, lambda found: _whole(replace(scene, attributes=found)), says)
-
-
-def _family_encode(path: Path, kept: Path, option: str) -> Ready:
-    family, scene = _family(path, option)
-    says = "the symbols of attributes alone; contexts are given"
-    return Ready(family.encode, lambda _: _whole(replace(scene, attributes=family.decode())), says)
 
 
 def _floor(path: Path, kept: Path, option: str) -> Ready:
@@ -129,10 +111,8 @@ def _floor(path: Path, kept: Path, option: str) -> Ready:
 KINDS: dict[str, Callable[[Path, Path, str], Ready]] = {
     "decode": _decode,
     "digest": _digest,
-    "encode": _encode,
     "c": _c,
-    "family-decode": _family_decode,
-    "family-encode": _family_encode,
+    "family": _family,
     "floor": _floor,
 }
 

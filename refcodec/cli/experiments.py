@@ -231,10 +231,10 @@ def _add_experiment(commands: Any) -> None:
         _experiment,
         "train scenes by methods, rates and seeds as stated in a file, and write tables and curves",
         [
-            "experiment benchmarks/experiments/small.toml -o small",
-            "experiment benchmarks/experiments/small.toml -o small --only 'caliterra/*' --jobs 4",
-            "experiment benchmarks/experiments/paper.toml -o /shared/paper --engine ray",
-            "experiment benchmarks/experiments/small.toml -o small --tables",
+            "experiment benchmarks/experiments/tiny.toml -o tiny",
+            "experiment benchmarks/experiments/tiny.toml -o tiny --only 'caliterra/pro/*' --jobs 4",
+            "experiment benchmarks/experiments/quality.toml -o /shared/quality --engine ray",
+            "experiment benchmarks/experiments/tiny.toml -o tiny --tables",
         ],
         _EXPERIMENT_NOTES,
     )

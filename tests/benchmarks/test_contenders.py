@@ -1,4 +1,4 @@
-"""`python -m benchmarks decode|encode`: who takes part, in which order, with which results."""
+"""`python -m benchmarks decode`: who takes part, in which order, with which results."""
 
 from __future__ import annotations
 
@@ -6,7 +6,6 @@ import json
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -14,8 +13,8 @@ import pytest
 from benchmarks import __main__ as front
 from benchmarks import contenders, results
 from benchmarks.coding import coding, coding_lines
-from benchmarks.contenders import DECODE, ENCODE, Contender, DisagreementError, Missing, compared
-from benchmarks.family import CODERS, Family
+from benchmarks.contenders import Contender, DisagreementError, Missing, compared
+from benchmarks.family import Family
 from benchmarks.large import TRAINED, large
 from refcodec.bitstream.codec import parse
 from refcodec.bitstream.reconstruction import digest
@@ -34,14 +33,10 @@ def scene(kept: Path) -> Scene:
     return parse(large(TRAINED, ANCHORS, kept).path.read_bytes()).scene
 
 
-@pytest.fixture(scope="module", params=[pytest.param(task, marks=pytest.mark.slow) for task in (DECODE, ENCODE)])
-def figures(request: pytest.FixtureRequest, kept: Path) -> dict[str, Any]:
-    """Of two rounds."""
-    return coding(request.param, TRAINED, ANCHORS, 2, kept)
-
-
-def test_all_contenders_are_measured_or_named(figures: dict[str, Any], scene: Scene) -> None:
-    wanted, missing = contenders.contenders(figures["task"])
+@pytest.mark.slow
+def test_all_contenders_are_measured_or_named(kept: Path, scene: Scene) -> None:
+    figures = coding(TRAINED, ANCHORS, 2, kept)
+    wanted, missing = contenders.contenders()
     names = [row["name"] for row in figures["contenders"]]
     left_out = [each["name"] for each in figures["missing"]]
     assert sorted(names + left_out) == sorted([each.name for each in wanted] + [each.name for each in missing])
@@ -52,9 +47,6 @@ def test_all_contenders_are_measured_or_named(figures: dict[str, Any], scene: Sc
         assert all(run["seconds"] > 0 and run["processor"] >= 0 for run in row["runs"])
         assert json.loads(json.dumps(row)) == row
         assert row["digest"] == (None if row["name"].startswith("floor") else digest(scene)[0])
-
-
-def test_lines_name_everybody(figures: dict[str, Any]) -> None:
     lines = coding_lines(figures)
     for row in figures["contenders"]:
         assert sum(line.startswith(f"| {row['name']} |") for line in lines) == 1
@@ -66,7 +58,7 @@ class _Fake:
     """A contender without a process."""
 
     def __init__(self, name: str, found: str) -> None:
-        self.contender, self.hello = Contender(name, DECODE), {"digest": found, "says": "nothing"}
+        self.contender, self.hello = Contender(name, "decode"), {"digest": found, "says": "nothing"}
 
 
 def test_a_contender_that_disagrees(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
@@ -76,33 +68,28 @@ def test_a_contender_that_disagrees(monkeypatch: pytest.MonkeyPatch, capsys: pyt
 
     monkeypatch.setattr(contenders, "workers", workers)
     with pytest.raises(DisagreementError, match="C decoder gave bb, refcodec, numpy aa"):
-        compared(DECODE, TRAINED, 1)
+        compared(TRAINED, 1)
 
 
-@pytest.mark.parametrize("name", CODERS)
-def test_family(name: str, scene: Scene) -> None:
+def test_family(scene: Scene) -> None:
     """The symbols of all stages come back."""
-    pytest.importorskip(name, exc_type=ImportError)
-    family = Family(scene, CODERS[name]())
-    family.encode()
-    found = family.decode()
+    pytest.importorskip("constriction", exc_type=ImportError)
+    found = Family(scene).decode()
     for kind in ("features", "scalings", "offsets"):
         assert np.array_equal(getattr(found, kind), getattr(scene.attributes, kind))
-    # The distributions are about those of the integer networks, thus the bytes are about as many.
-    assert 60 < 8 * family.size() / ANCHORS < 160
 
 
 def test_front(kept: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
     """It prints a table or JSON, and writes a section if it is asked to."""
     place = kept / "RESULTS.md"
     monkeypatch.setattr(results, "RESULTS", place)
-    monkeypatch.setattr(contenders, "contenders", lambda task: ([Contender("refcodec, numpy", task)], []))
-    words = ["encode", "--anchors", str(ANCHORS), "--rounds", "1"]
+    monkeypatch.setattr(contenders, "contenders", lambda: ([Contender("refcodec, numpy", "decode")], []))
+    words = ["decode", "--anchors", str(ANCHORS), "--rounds", "1"]
     assert front.main(words, kept) == 0
     assert "| refcodec, numpy |" in capsys.readouterr().out
     assert not place.exists()
     assert front.main([*words, "--json", "--write"], kept) == 0
     assert json.loads(capsys.readouterr().out)["rounds"] == 1
     text = place.read_text()
-    assert "<!-- encode: begin -->\n## Encoding a large scene\n\n`python -m benchmarks encode --anchors 300 " in text
+    assert "<!-- decode: begin -->\n## Decoding a large scene\n\n`python -m benchmarks decode --anchors 300 " in text
     assert "| refcodec, numpy |" in text

@@ -47,7 +47,7 @@ def test_lines_and_plot(figures: dict[str, Any], tmp_path: Path) -> None:
 
 
 def _found(text: str) -> Reading:
-    return Reading(1, 1.0, 1.0, 1, 1, 1, text)
+    return Reading(1, 1.0, 1.0, text)
 
 
 def test_ways_that_disagree(kept: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -7,7 +7,6 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from benchmarks.ideal import attribute_code_length
 from conformance.cases.scenes import MAIN_SMALLEST, random_scene
 from refcodec.bitstream.attributes import KINDS
 from refcodec.bitstream.codec import derive_steps, emit, parse
@@ -17,6 +16,7 @@ from refcodec.cli.main import main
 from refcodec.encoder.constants import choose_constants, code_length, smallest, with_constants
 from refcodec.encoder.quantise import packed
 from refcodec.folder.write import write_folder
+from refcodec.inspect.page.measures import Measures
 
 SAME = ("positions", "features", "scalings", "offsets")
 
@@ -68,7 +68,8 @@ def test_nothing_but_the_entropy_model_changes(alone: bool) -> None:
             np.testing.assert_array_equal(bias, other_bias)
     # The bits are those of the search.
     if alone:
-        columns = attribute_code_length(decoded)
+        measures = Measures(decoded.dimensions, decoded.anchor_count)
+        measures.add(decoded)
         total = 0.0
         values = np.concatenate([scene.attributes.features, scene.attributes.scalings], axis=1).astype(np.int64)
         bias = decoded.networks["hyper"][0][1].astype(np.int64)
@@ -79,7 +80,7 @@ def test_nothing_but_the_entropy_model_changes(alone: bool) -> None:
             place = values.shape[1] + i
             scale = np.full(kept.sum(), bias[d.attribute_width + place])
             total += code_length(np.full(kept.sum(), bias[place]), scale, column[kept])
-        assert columns.table == pytest.approx(total)
+        assert measures.bits["attributes"] == pytest.approx(total)
 
 
 def test_steps_that_depend_on_the_anchor_stay() -> None:

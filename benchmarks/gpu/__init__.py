@@ -1,1 +1,0 @@
-"""Whether a GPU trains as the CPU does: see __main__."""
