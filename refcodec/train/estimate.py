@@ -20,6 +20,8 @@ from .stages.rate import Rate
 LIKELY_BITS = ((0.001, 1.9), (0.004, 1.05), (0.015, 0.43), (0.04, 0.16))
 # Bytes that no estimate counts: header, frame, index, heads of chunks, cameras. caliterra's file has 2,088 of them.
 UNCOUNTED = 2100
+# Bits of the largest weight of a layer before a grid is chosen: in the middle of the grids that are tried.
+RENDERING_BITS = 8
 # Bytes of all packed weights, for each weight of the rendering networks, in the same trainings.
 LIKELY_WEIGHT = 1.15
 
@@ -46,12 +48,12 @@ def likely_bytes(scaffold: Scaffold, weight: float) -> dict[str, float]:
 
 
 @torch.no_grad()
-def coded_bytes(scaffold: Scaffold, rate: Rate, likely_bits: int) -> dict[str, float]:
+def coded_bytes(scaffold: Scaffold, rate: Rate) -> dict[str, float]:
     """Bytes of each part of the file, and of each kind of attributes, without those of chunks and sections.
 
     Attributes and planes are ideal code lengths after rounding. Masks are counted as if each offset's were drawn with
-    its own frequency. Positions and weights are packed, the rendering networks with `likely_bits` before they have a
-    grid; weights are 0 where the format lacks the hyperprior.
+    its own frequency. Positions and weights are packed, the rendering networks with RENDERING_BITS before they have a
+    grid.
     """
     kept = rate.masks.decided()
     bits, planes = rate.bits(kept)
@@ -59,12 +61,9 @@ def coded_bytes(scaffold: Scaffold, rate: Rate, likely_bits: int) -> dict[str, f
     share = kept[some].double().mean(dim=0).clamp(1e-9, 1 - 1e-9)
     entropy = -(share * share.log2() + (1 - share) * (1 - share).log2()).sum()
     lanes = choose_lanes(scaffold.count, 2.0 * scaffold.columns.width)
-    weights = 0
-    if rate.hyperprior.coded:
-        rendering = scaffold.networks.layers()
-        if not scaffold.networks.gridded:
-            rendering = quantise_rendering(rendering, likely_bits)
-        weights = weight_bytes(rate.started(), rendering, lanes)
+    rendering = scaffold.networks.layers()
+    if not scaffold.networks.gridded:
+        rendering = quantise_rendering(rendering, RENDERING_BITS)
     kinds = dict(zip(KINDS, (bits / 8).tolist(), strict=True))
     return {
         "positions": position_bytes(scaffold.lattice[some.cpu().numpy()], lanes),
@@ -72,5 +71,5 @@ def coded_bytes(scaffold: Scaffold, rate: Rate, likely_bits: int) -> dict[str, f
         **kinds,
         "masks": float(entropy) * int(some.sum()) / 8,
         "planes": planes / 8,
-        "weights": weights,
+        "weights": weight_bytes(rate.started(), rendering, lanes),
     }

@@ -37,7 +37,7 @@ from ..files.interrupts import on_interrupt
 from .fit_input import Given
 from .optimisers import moments, restore_moments
 from .rate_model.columns import Columns
-from .rate_model.hyperprior import VectorMatrix, contexts_of
+from .rate_model.hyperprior import VectorMatrix
 from .rate_model.model import SARM_WIDTH, RateModel
 from .rate_model.units import PLANE_SHIFT, STEP_ONE
 from .rendering_networks import RENDER_WIDTH
@@ -220,7 +220,7 @@ class _Fitting:
         self.symbol_count = (d.features + a.scalings.shape[1]) * self.count + 3 * float(self.kept.sum())
         hyperprior = VectorMatrix(d.plane_channels, d.frequency_count)
         start = torch.Generator().manual_seed(settings.seed)
-        self.contexts = contexts_of(hyperprior, scene.frame, scene.positions, d.plane_size)
+        self.contexts = hyperprior.contexts(scene.frame, scene.positions, d.plane_size)
         self.model = RateModel(
             hyperprior,
             d.plane_size,

@@ -17,6 +17,8 @@ from .stage import Stage
 from .state import Saved
 from .views import Views
 
+# About how many photographs a look takes: enough for a curve, and a small share of the time of training.
+IMAGES = 5
 # Steps whose mean PSNR is reported.
 LATELY = 50
 # What is noted of the file's parts, in bytes; and of a look, in numbers, with the name of the phase beside them.
@@ -60,7 +62,7 @@ class Looks(Stage):
             return
         began = time.perf_counter()
         test = self.views.photographs.test
-        some = test[:: max(len(test) // self.settings.images, 1)] or self.views.photographs.train[:1]
+        some = test[:: max(len(test) // IMAGES, 1)] or self.views.photographs.train[:1]
         errors = [float((self.views.draw(p.camera) - self.views.pixels(p)).square().mean()) for p in some]
         self.seconds += time.perf_counter() - began
         estimated = self.estimate()

@@ -121,7 +121,6 @@ class StartSettings:
     drawn: int = setting(
         20000, "least number of random points to begin with where photographs are transparent", unit="points", low=1
     )
-    drawn_each: int = setting(4, "those points for each anchor that is asked for", unit="points", low=1)
     near: float = setting(0.02, "nearest depth that is drawn", unit="training units", low=1e-6)
     neighbours: int = setting(3, "anchors around one whose distances give its size", GS, low=1, high=64)
     colours: int = setting(4, "points around an anchor whose mean colour it begins with", low=1, high=64)
@@ -315,7 +314,6 @@ class WeightSettings:
         (0, 7), "least and most bits by which coding networks are coarser than SPEC 7.2's integers", low=0, high=12
     )
     judges: int = setting(5, "training photographs that judge the grids", low=1)
-    likely_bits: int = setting(8, "bits of rendering networks in estimates before a grid is chosen", low=2, high=24)
 
 
 @dataclass(frozen=True)
@@ -323,7 +321,6 @@ class LookSettings:
     """What a training notes of itself on the way."""
 
     count: int = setting(40, "looks at held-out photographs during a training", low=1)
-    images: int = setting(5, "about how many photographs a look takes", low=1)
     save_seconds: float = setting(30.0, "from one saving of the state to the next", unit="seconds", low=0)
 
 

@@ -24,6 +24,8 @@ from .voxelise import default_voxel, short_mantissa
 F64 = NDArray[np.float64]
 I64 = NDArray[np.int64]
 
+# Random points for each anchor that is requested: enough for every voxel of the surface to get some.
+POINTS_EACH = 4
 # Cells of the lattice that fp16 can reach.
 LATTICE_MAX = 60000
 
@@ -112,7 +114,7 @@ def first_anchors(photographs: PhotographSet, settings: TrainSettings) -> FirstA
     start, anchors = settings.start, asked_for(photographs, settings)
     points, seen, cells = photographs.points, photographs.colours, start.cells
     if photographs.random:
-        points, seen = carved(photographs, max(start.drawn, start.drawn_each * anchors), settings.seed)
+        points, seen = carved(photographs, max(start.drawn, POINTS_EACH * anchors), settings.seed)
         cells = start.random_cells
     length = scene_length(photographs)
     voxel = start.voxel or (choose_voxel(points, anchors) if anchors else default_voxel(points.astype(np.float32)))

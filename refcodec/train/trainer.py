@@ -25,7 +25,6 @@ from .fit_input import Given
 from .looks import Looks
 from .losses import photometric
 from .pace import Pace
-from .rate_model.hyperprior import Hyperprior, VectorMatrix
 from .scaffold import Scaffold
 from .schedule import Clock
 from .settings import TrainSettings
@@ -67,10 +66,9 @@ class Trainer:
         photographs: PhotographSet,
         settings: TrainSettings,
         device: str = "cpu",
-        hyperprior: Hyperprior | None = None,
         given: Given | None = None,
     ) -> None:
-        """hyperprior: None for that of the format. given: a scene to continue, None to begin with points.
+        """given: a scene to continue, None to begin with points.
 
         Raises ValueError for photographs that cannot be learnt from, and for a device that is not there.
         """
@@ -88,11 +86,10 @@ class Trainer:
         pace = Pace(self.clock, bool(settings.rate.weight))
         self.looks = Looks(settings.looks, self.views, self.estimate, self.clock, pace)
         self.rate: Rate | None = None
-        entropy = settings.entropy
-        self.stages += self._compose(hyperprior or VectorMatrix(entropy.channels, entropy.frequencies))
+        self.stages += self._compose()
         self.order: list[int] = []
 
-    def _compose(self, hyperprior: Hyperprior) -> list[Stage]:
+    def _compose(self) -> list[Stage]:
         """The stages of the method that the settings select."""
         settings, scaffold, clock, random = self.settings, self.scaffold, self.clock, self.random
         start = settings.masks.start
@@ -102,11 +99,10 @@ class Trainer:
             return [*always, Averaging(scaffold, None, clock), self.looks]
         masks = Masks(settings.masks, settings.rate.weight, scaffold, self.views.cameras, clock, self._anchors_changed)
         quantisation = Quantisation(settings.quantisation, scaffold, clock, self.noise)
-        self.rate = Rate(settings, scaffold, masks, quantisation, hyperprior, clock, random)
-        coded: list[Stage] = [masks, self.rate, quantisation]
-        if hyperprior.coded:
-            coded.append(Grids(settings, scaffold, self.rate, self.views, self.estimate, clock))
-        return [*coded, *always, Averaging(scaffold, self.rate, clock), self.looks]
+        self.rate = Rate(settings, scaffold, masks, quantisation, clock, random)
+        grids = Grids(settings, scaffold, self.rate, self.views, self.estimate, clock)
+        averaging = Averaging(scaffold, self.rate, clock)
+        return [masks, self.rate, quantisation, grids, *always, averaging, self.looks]
 
     def _anchors_changed(self) -> None:
         for stage in self.stages:
@@ -191,7 +187,7 @@ class Trainer:
             return uncompressed_bytes(self.scaffold)
         if self.rate.model is None:
             return likely_bytes(self.scaffold, self.settings.rate.weight)
-        return coded_bytes(self.scaffold, self.rate, self.settings.weights.likely_bits)
+        return coded_bytes(self.scaffold, self.rate)
 
     def result(self) -> Scene | Uncompressed:
         """The trained scene, as a file or folder stores it: integers, or floats without a rate.
@@ -204,8 +200,6 @@ class Trainer:
             return uncompressed(self.scaffold, render, cameras)
         for stage in self.stages:
             stage.finish()
-        if not self.rate.hyperprior.coded:
-            raise ValueError("the format does not have this hyperprior")
         return coded_scene(self.scaffold, self.rate, render, cameras)
 
     # --- the saved state ----------------------------------------------------------------------------------------------

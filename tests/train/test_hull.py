@@ -96,7 +96,6 @@ def test_first_anchors_of_random_points(tmp_path: Path) -> None:
         # 21 photographs of 48 x 48 pixels, and seven pixels for an anchor.
         ({"start.pixels": 7}, 6912, 27648),
         ({"start.pixels": 7, "growth.most": 6000}, 6000, 24000),
-        ({"start.pixels": 7, "start.drawn_each": 2}, 6912, 20000),
         ({"start.pixels": 7, "start.anchors": 700}, 700, 20000),
         ({"start.least": 0}, 0, 20000),
     ],

@@ -1,4 +1,4 @@
-"""The rate in training against the coder's, and hyperpriors."""
+"""The rate in training against the coder's."""
 
 from __future__ import annotations
 
@@ -8,18 +8,16 @@ import numpy as np
 import pytest
 import torch
 
-from benchmarks.hyperpriors import HYPERPRIORS, rounded_scene
-from benchmarks.ideal import attribute_code_length, plane_code_length
 from refcodec.bitstream.codec import emit, parse
 from refcodec.bitstream.reconstruction import world_positions
 from refcodec.bitstream.scene import Scene
 from refcodec.bitstream.weights import to_grid
 from refcodec.encoder.quantise import packed
 from refcodec.inspect.elements import outline_of
+from refcodec.inspect.page.measures import Measures
 from refcodec.inspect.parts import part_bytes
 from refcodec.photographs.photographs import PhotographSet
 from refcodec.render.view import View
-from refcodec.train.rate_model.hyperprior import Hyperprior, VectorMatrix
 from refcodec.train.rate_model.model import OFFSETS
 from refcodec.train.settings import TrainSettings
 from refcodec.train.settings_file import varied
@@ -27,14 +25,12 @@ from refcodec.train.state import restore, save
 from refcodec.train.trainer import Trainer
 
 
-@pytest.mark.parametrize("hyperprior", [VectorMatrix(), *HYPERPRIORS.values()], ids=["vm", *HYPERPRIORS])
-def test_hyperpriors(hyperprior: Hyperprior, photographs: PhotographSet, small: TrainSettings) -> None:
-    """Each gives finite bits with a gradient for its planes; the step of scalings is one for all anchors."""
-    trainer = Trainer(photographs, small, hyperprior=hyperprior)
+def test_the_rate_has_gradients(photographs: PhotographSet, small: TrainSettings) -> None:
+    """Bits are finite and reach the planes; the step of scalings is one for all anchors."""
+    trainer = Trainer(photographs, small)
     assert trainer.rate is not None
     trainer.rate.start()
     model, contexts = trainer.rate.started(), trainer.rate.contexts
-    assert model.latents.shape == hyperprior.latent_shape(model.latents.shape[-1])
     rows = torch.arange(50)
     weights = model.hyper.weights[-1]
     with torch.no_grad():
@@ -56,29 +52,17 @@ def test_hyperpriors(hyperprior: Hyperprior, photographs: PhotographSet, small: 
     assert float(model.steps(hidden)[:, 1].std()) == 0
 
 
-def test_a_hyperprior_that_no_file_can_hold(photographs: PhotographSet, small: TrainSettings) -> None:
-    """It is trained and estimated, and its attributes are rounded; it has no result."""
-    trainer = Trainer(photographs, varied(small, {"steps": 40}), hyperprior=HYPERPRIORS["triplane"])
-    trainer.run(lambda _: None)
-    with pytest.raises(ValueError, match="does not have this hyperprior"):
-        trainer.result()
-    assert trainer.rate is not None
-    result = rounded_scene(trainer)
-    steps = trainer.rate.steps(torch.arange(trainer.scaffold.count)).numpy()
-    symbols = result.values.features / steps[:, :1]
-    np.testing.assert_allclose(symbols, np.round(symbols), atol=1e-3)
-    assert View(result).draw(photographs.test[0].camera).shape == (75, 100, 3)
-
-
 def test_bytes_are_what_was_estimated(trained: Trainer) -> None:
     """Code lengths as training counts them, against the coder's own models of the file's symbols: integers in both."""
     scene = trained.result()
     assert isinstance(scene, Scene)
     estimate = trained.estimate()
-    found = attribute_code_length(scene)
-    assert estimate["attributes"] * 8 == pytest.approx(found.table, rel=0.01)
+    measures = Measures(scene.dimensions, scene.anchor_count)
+    measures.add(scene)
+    measures.finish(scene)
+    assert estimate["attributes"] * 8 == pytest.approx(measures.bits["attributes"], rel=0.01)
     # Planes of so few anchors take 400 bytes: 1 % of them is less than the models' rounding makes.
-    assert estimate["planes"] * 8 == pytest.approx(plane_code_length(scene).table, abs=64)
+    assert estimate["planes"] * 8 == pytest.approx(measures.bits["planes"], abs=64)
     file = emit(packed(scene, None, None))
     packing = part_bytes(file, outline_of(file))
     assert estimate["positions"] == packing["positions"]

@@ -1,12 +1,8 @@
-"""The hyperprior: what F_h reads of an anchor, made of planes of symbols and of the anchor's place (SPEC.md 7.5).
-
-A training takes any object with the calls of `Hyperprior`. The format has one of them, VectorMatrix.
-"""
+"""The hyperprior: what F_h reads of an anchor, made of planes of symbols and of the anchor's place (SPEC.md 7.5)."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import ClassVar, Protocol
 
 import numpy as np
 import torch
@@ -32,33 +28,6 @@ from ..settings import EntropySettings
 from .units import GAMMA_UNIT, LATENT_UNIT, PLANE_SHIFT, round_through
 
 
-class Contexts(Protocol):
-    """The contexts of given anchors."""
-
-    def inputs(self, symbols: Tensor, rows: Tensor, rounding: bool) -> Tensor:
-        """Inputs of F_h for the anchors `rows`, float32 [n, inputs], from the plane symbols [planes, ch, B, B].
-
-        rounding: whether contexts are integers, as in the decoder.
-        """
-
-
-class Hyperprior(Protocol):
-    """A kind of hyperprior."""
-
-    @property
-    def coded(self) -> bool:
-        """Whether the format has it, so that a scene with it can be written."""
-
-    def input_units(self) -> Tensor:
-        """The integer that stands for one in each input of F_h: float32 [inputs], powers of two."""
-
-    def latent_shape(self, plane_size: int) -> tuple[int, int, int, int]:
-        """The shape of the planes' symbols, [planes, ch, B, B], with B = plane_size."""
-
-    def contexts(self, frame: Frame, positions: NDArray[np.float16], plane_size: int) -> Contexts:
-        """Contexts of anchors at the given cells of the lattice, fp16 [N, 3]."""
-
-
 class PlaneSamples:
     """SPEC 7.5.4 for given positions.
 
@@ -80,14 +49,12 @@ class PlaneSamples:
             shares.append(np.stack(weights, axis=1))
         self.corners = torch.as_tensor(np.stack(corners))
         self.shares = torch.as_tensor(np.stack(shares).astype(np.float32))
-        self.nothing = torch.empty(len(u), 0)
 
-    def query(self, symbols: Tensor, rows: Tensor, rounding: bool, more: Tensor | None = None) -> Tensor:
+    def query(self, symbols: Tensor, rows: Tensor, rounding: bool, more: Tensor) -> Tensor:
         """Context of the anchors `rows` [b] from plane symbols [5, ch, B, B]: float32 [b, 2 ch], in [-1023, 1023].
 
         more: float32 [n, G], of which the anchors' rows follow: the result is [b, 2 ch + G].
         """
-        more = self.nothing if more is None else more
         if has_kernel(symbols):
             from ..cpu.query import Query  # noqa: PLC0415 (needs numba)
 
@@ -110,6 +77,23 @@ class PlaneSamples:
 
 
 @dataclass(frozen=True)
+class Contexts:
+    """The contexts of given anchors. samples: None without planes. gamma: float32 [N, 2 L]."""
+
+    samples: PlaneSamples | None
+    gamma: Tensor
+
+    def inputs(self, symbols: Tensor, rows: Tensor, rounding: bool) -> Tensor:
+        """Returns the inputs of F_h for the anchors `rows`, float32 [n, inputs].
+
+        symbols: of the planes, [5, ch, B, B]. rounding: whether contexts are integers, as in the decoder.
+        """
+        if self.samples is None:
+            return self.gamma[rows]
+        return self.samples.query(symbols, rows, rounding, self.gamma)
+
+
+@dataclass(frozen=True)
 class VectorMatrix:
     """SPEC 7.5: planes over the first two principal axes at two scales, and gamma, the vector of the third axis.
 
@@ -119,49 +103,26 @@ class VectorMatrix:
 
     channels: int = EntropySettings.channels
     frequencies: int = EntropySettings.frequencies
-    coded: ClassVar[bool] = True
 
     def input_units(self) -> Tensor:
-        """As Hyperprior."""
+        """Returns the integer that stands for one in each input of F_h: float32 [inputs], powers of two."""
         planes = torch.full((2 * self.channels,), LATENT_UNIT * 2**PLANE_SHIFT)
         return torch.cat([planes, torch.full((2 * self.frequencies,), GAMMA_UNIT)])
 
     def latent_shape(self, plane_size: int) -> tuple[int, int, int, int]:
-        """As Hyperprior."""
+        """Returns the shape of the planes' symbols, [5, ch, B, B], with B = plane_size."""
         return (PLANES, self.channels, plane_size, plane_size) if self.channels else (PLANES, 0, 0, 0)
 
-    def contexts(self, frame: Frame, positions: NDArray[np.float16], plane_size: int) -> Contexts:
-        """As Hyperprior."""
+    def contexts(self, frame: Frame | None, positions: NDArray[np.float16], plane_size: int) -> Contexts:
+        """Returns the contexts of anchors at the given cells of the lattice, fp16 [N, 3].
+
+        frame: None if F_h has no inputs (SPEC 6.6).
+        """
+        if frame is None:
+            return Contexts(None, torch.zeros(len(positions), 0))
         u = scene_coordinates(frame, positions)
         gamma = torch.as_tensor(positional_encoding(u[:, 2], self.frequencies).astype(np.float32))
-        return _VectorMatrixContexts(PlaneSamples(u[:, :2], plane_size), gamma) if plane_size else _GivenContexts(gamma)
-
-
-def contexts_of(
-    hyperprior: Hyperprior, frame: Frame | None, positions: NDArray[np.float16], plane_size: int
-) -> Contexts:
-    """Hyperprior.contexts. frame: None if F_h has no inputs (SPEC 6.6)."""
-    if frame is None:
-        return _GivenContexts(torch.zeros(len(positions), 0))
-    return hyperprior.contexts(frame, positions, plane_size)
-
-
-class _GivenContexts:
-    """Contexts that do not depend on planes. values: float32 [N, inputs]."""
-
-    def __init__(self, values: Tensor) -> None:
-        self.values = values
-
-    def inputs(self, symbols: Tensor, rows: Tensor, rounding: bool) -> Tensor:
-        return self.values[rows]
-
-
-class _VectorMatrixContexts:
-    def __init__(self, samples: PlaneSamples, gamma: Tensor) -> None:
-        self.samples, self.gamma = samples, gamma
-
-    def inputs(self, symbols: Tensor, rows: Tensor, rounding: bool) -> Tensor:
-        return self.samples.query(symbols, rows, rounding, self.gamma)
+        return Contexts(PlaneSamples(u[:, :2], plane_size) if plane_size else None, gamma)
 
 
 def scene_coordinates(frame: Frame, positions: NDArray[np.float16]) -> Int64:

@@ -21,7 +21,7 @@ from ..settings import EntropySettings
 from .bits import bits_torch, laplace_bits
 from .columns import Columns
 from .folded import FoldedMlp
-from .hyperprior import Hyperprior, plane_neighbours
+from .hyperprior import VectorMatrix, plane_neighbours
 from .units import LATENT_UNIT, MEAN_UNIT, SCALE_UNIT, STEP_ONE, round_through
 
 # The offsets that a training gives its anchors, and the widths of SARM's hidden layers, both as in the paper.
@@ -52,7 +52,7 @@ class RateModel(nn.Module):
 
     def __init__(
         self,
-        hyperprior: Hyperprior,
+        hyperprior: VectorMatrix,
         plane_size: int,
         width: int,
         mean: NDArray[np.float64],

@@ -18,7 +18,7 @@ from ...encoder.frame import choose_frame
 from ...encoder.sizes import choose_plane_size, choose_width
 from ..adam import ADAM_EPSILON
 from ..optimisers import learning_rate, moments, restore_moments
-from ..rate_model.hyperprior import Hyperprior, contexts_of
+from ..rate_model.hyperprior import VectorMatrix
 from ..rate_model.model import RateModel
 from ..scaffold import Scaffold
 from ..schedule import Clock
@@ -53,8 +53,6 @@ class Rate(Stage):
     """
 
     name = "rate"
-    # Comparisons with models that the format lacks replace it before the rate starts.
-    model_type: type[RateModel] = RateModel
 
     def __init__(
         self,
@@ -62,12 +60,12 @@ class Rate(Stage):
         scaffold: Scaffold,
         masks: Masks,
         quantisation: Quantisation,
-        hyperprior: Hyperprior,
         clock: Clock,
         random: torch.Generator,
     ) -> None:
         self.settings, self.scaffold, self.clock, self.random = settings, scaffold, clock, random
-        self.masks, self.quantisation, self.hyperprior = masks, quantisation, hyperprior
+        self.masks, self.quantisation = masks, quantisation
+        self.hyperprior = VectorMatrix(settings.entropy.channels, settings.entropy.frequencies)
         self.model: RateModel | None = None
 
     # --- milestones ---------------------------------------------------------------------------------------------------
@@ -105,7 +103,7 @@ class Rate(Stage):
         spread = symbols.std(dim=0) if len(symbols) > 1 else torch.ones_like(symbols[0])
         mean, deviation = symbols.mean(dim=0).cpu().numpy(), spread.cpu().numpy()
         entropy = self.settings.entropy
-        model = self.model_type(
+        model = RateModel(
             self.hyperprior, plane_size, width, mean, deviation, self.random, entropy, columns=scaffold.columns
         )
         model.to(scaffold.device)
@@ -126,7 +124,7 @@ class Rate(Stage):
     def _place(self) -> None:
         cells, plane_size = lattice_positions(self.scaffold.lattice), self.started().latents.shape[-1]
         with self.scaffold.device:
-            self.contexts = contexts_of(self.hyperprior, self.frame, cells, plane_size)
+            self.contexts = self.hyperprior.contexts(self.frame, cells, plane_size)
 
     def round_activations(self) -> None:
         """Switches to the decoder's activations, with units from all anchors."""
