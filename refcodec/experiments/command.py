@@ -13,9 +13,8 @@ from ..files.stage import write_file
 from ..files.terminal import note, say
 from .cells import LOG, Cell, cells
 from .curves import write_curves
-from .engines import Engine
+from .engines import Engine, Local
 from .experiment import COPY, Folder, State, Watch, look, named, run, tasks
-from .local import Local
 from .on_ray import OnRay
 from .plan import Experiment, ExperimentError, read_experiment
 from .tables import CSV, MARKDOWN, as_csv, as_markdown, row

@@ -18,9 +18,9 @@ from typing import Any
 
 from .. import statuses
 from ..files.stage import write_file
-from .engines import Stop
+from .engines import Local, Stop
 from .runs import RunError
-from .work import Outcome, Task, run_cell
+from .work import Outcome, Task, Wanted, run_cell
 
 # Seconds between two looks at whether to stop.
 _LOOK = 0.5
@@ -30,7 +30,7 @@ _LOOK = 0.5
 class OnRay:
     """An Engine.
 
-    folder: of the experiment, shared by all machines. jobs: cells at a time, None for as many as there is room for.
+    folder: of the experiment, shared by all machines. jobs: cells at a time, None for as many as fit the cluster.
     """
 
     folder: Path
@@ -39,47 +39,46 @@ class OnRay:
     def __call__(
         self, tasks: Sequence[Task], stop: Stop, begun: Callable[[Task], None], ended: Callable[[Outcome], None]
     ) -> None:
-        """As Engine. Raises ModuleNotFoundError without Ray, RunError if there is no cluster, or no room in it."""
-        # A file tells all machines to stop. It holds the number of the signal.
+        """As Engine. All tasks need as much as the first one.
+
+        Raises ModuleNotFoundError without Ray, RunError if there is no cluster, or no room in it.
+        """
+        # The file states the signal to all machines.
         file = self.folder / f"stop-{uuid.uuid4().hex}"
         with _ray() as ray:
             remote = ray.remote(_run)
-            left, told = list(tasks), 0
-            running: dict[Any, Task] = {}
+
+            def run(task: Task, wanted: Wanted) -> Outcome:
+                options = {"num_cpus": task.threads, "num_gpus": task.gpus, "name": task.name}
+                reference, sent = remote.options(**options).remote(task, file), 0
+                while not ray.wait([reference], timeout=_LOOK)[0]:
+                    if wanted() != sent:
+                        sent = wanted()
+                        write_file(file, str(int(sent)).encode())
+                try:
+                    outcome: Outcome = ray.get(reference)
+                # The process or its machine was lost.
+                except ray.exceptions.RayError as error:
+                    return Outcome(task.name, statuses.FAULT, f"Ray: {str(error).strip()}")
+                return outcome
+
             try:
-                while left or running:
-                    if stop.number:
-                        left.clear()
-                    if stop.number != told:
-                        told = stop.number
-                        _write(file, told)
-                    while left and len(running) < self._room(ray, left[0]):
-                        task = left.pop(0)
-                        options = {"num_cpus": task.threads, "num_gpus": task.gpus, "name": task.name}
-                        running[remote.options(**options).remote(task, file)] = task
-                        begun(task)
-                    if running:
-                        for reference in ray.wait(list(running), timeout=_LOOK)[0]:
-                            ended(_outcome(ray, reference, running.pop(reference)))
+                Local(self._room(ray, tasks[0]), run)(tasks, stop, begun, ended)
             finally:
                 file.unlink(missing_ok=True)
 
     def _room(self, ray: Any, task: Task) -> int:
-        """How many tasks may be under way. A cluster may grow on the way."""
-        found = ray.cluster_resources()
-        room = int(found.get("CPU", 0) // task.threads)
+        """The number of tasks at a time."""
+        resources = ray.cluster_resources()
+        room = int(resources.get("CPU", 0) // task.threads)
         if task.gpus:
-            room = min(room, int(found.get("GPU", 0) // task.gpus))
+            room = min(room, int(resources.get("GPU", 0) // task.gpus))
         if room < 1:
             words = f"{task.threads} processors" + (" and a GPU" if task.gpus else "")
             raise RunError(
-                f"a cell needs {words}, and Ray has {found.get('CPU', 0):g} and {found.get('GPU', 0):g} GPUs"
+                f"a cell needs {words}, and Ray has {resources.get('CPU', 0):g} and {resources.get('GPU', 0):g} GPUs"
             )
         return min(room, self.jobs or room)
-
-
-def _write(file: Path, number: int) -> None:
-    write_file(file, str(int(number)).encode())
 
 
 @contextlib.contextmanager
@@ -102,7 +101,7 @@ def _ray() -> Iterator[Any]:
 
 
 def _run(task: Task, file: Path) -> Outcome:
-    """What a task does, in a process of Ray."""
+    """Runs a task in a process of Ray."""
     # Ray's processes hold SIGINT back, and so would the commands that they start.
     signal.pthread_sigmask(signal.SIG_UNBLOCK, {signal.SIGINT})
 
@@ -113,12 +112,3 @@ def _run(task: Task, file: Path) -> Outcome:
             return 0
 
     return run_cell(task, wanted)
-
-
-def _outcome(ray: Any, reference: Any, task: Task) -> Outcome:
-    """What became of a task. One whose process or machine was lost has failed."""
-    try:
-        found: Outcome = ray.get(reference)
-    except ray.exceptions.RayError as error:
-        return Outcome(task.name, statuses.FAULT, f"Ray: {str(error).strip()}")
-    return found

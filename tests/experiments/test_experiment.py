@@ -10,8 +10,11 @@ import shutil
 import signal
 import subprocess
 import sys
+import time
 import types
 from collections.abc import Callable
+from concurrent import futures
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Any
 
@@ -24,8 +27,7 @@ from refcodec import statuses  # noqa: E402
 from refcodec.cli.main import main  # noqa: E402
 from refcodec.experiments import experiment as experiments  # noqa: E402
 from refcodec.experiments import on_ray, runs  # noqa: E402
-from refcodec.experiments.engines import Stop  # noqa: E402
-from refcodec.experiments.local import Local  # noqa: E402
+from refcodec.experiments.engines import Local, Stop  # noqa: E402
 from refcodec.experiments.on_ray import OnRay  # noqa: E402
 from refcodec.experiments.runs import RunError  # noqa: E402
 from refcodec.experiments.work import Outcome, Task  # noqa: E402
@@ -295,15 +297,14 @@ def task(folder: Path, name: str, gpus: int = 0, threads: int = 1) -> Task:
 
 
 class FakeRay(types.ModuleType):
-    """Ray, as far as the engine uses it: a task runs when it is waited for."""
+    """Ray, as far as the engine uses it: a task runs in a thread."""
 
     def __init__(self, **resources: float) -> None:
         super().__init__("ray")
         self.resources = resources
         self.exceptions = types.SimpleNamespace(RayError=LookupError)
-        self.waiting: dict[int, Any] = {}
+        self.pool = ThreadPoolExecutor()
         self.asked: list[dict[str, Any]] = []
-        self.most = 0
         self.connected: dict[str, Any] | None = None
 
     def init(self, **options: Any) -> None:
@@ -318,22 +319,16 @@ class FakeRay(types.ModuleType):
 
     def remote(self, function: Callable[..., Any]) -> Any:
         def options(**asked: Any) -> Any:
-            def remote(*arguments: Any) -> int:
-                self.asked.append(asked)
-                self.waiting[len(self.asked)] = lambda: function(*arguments)
-                self.most = max(self.most, len(self.waiting))
-                return len(self.asked)
-
-            return types.SimpleNamespace(remote=remote)
+            self.asked.append(asked)
+            return types.SimpleNamespace(remote=lambda *arguments: self.pool.submit(function, *arguments))
 
         return types.SimpleNamespace(options=options)
 
-    def wait(self, references: list[int], timeout: float) -> tuple[list[int], list[int]]:
-        assert sorted(references) == sorted(self.waiting)
-        return references[:1], references[1:]
+    def wait(self, references: list[Any], timeout: float) -> Any:
+        return futures.wait(references, timeout / 50)
 
-    def get(self, reference: int) -> Any:
-        return self.waiting.pop(reference)()
+    def get(self, reference: Any) -> Any:
+        return reference.result()
 
 
 @pytest.fixture
@@ -365,24 +360,29 @@ def test_ray_counts_processors_and_gpus(tmp_path: Path, ray: FakeRay, monkeypatc
         return Outcome(task.name, 0)
 
     monkeypatch.setattr(on_ray, "run_cell", half)
+    rooms = []
+
+    def one_at_a_time(jobs: int, run: Any) -> Local:
+        rooms.append(jobs)
+        return Local(1, run)
+
+    monkeypatch.setattr(on_ray, "Local", one_at_a_time)
     names = [str(i) for i in range(6)]
     begun, ended = ran(OnRay(tmp_path, None), [task(tmp_path, name) for name in names])
     assert begun == [outcome.name for outcome in ended] == names
     assert [outcome.status for outcome in ended] == [0, 70, 0, 0, 0, 0]
     assert "the machine was lost" in ended[1].text
-    assert ray.most == 4
     assert ray.asked[0] == {"num_cpus": 1, "num_gpus": 0, "name": "0"}
     assert ray.connected is None
     # Two GPUs hold two cells, three threads hold one, and jobs are a bound.
-    for tasks, jobs, most in (
-        ([task(tmp_path, name, gpus=1) for name in names], None, 2),
-        ([task(tmp_path, name, threads=3) for name in names], None, 1),
-        ([task(tmp_path, name) for name in names], 3, 3),
+    for one, jobs in (
+        (task(tmp_path, "0", gpus=1), None),
+        (task(tmp_path, "0", threads=3), None),
+        (task(tmp_path, "0"), 3),
     ):
-        ray.most = 0
-        ran(OnRay(tmp_path, jobs), tasks)
-        assert ray.most == most
-        assert (ray.asked[-1]["num_cpus"], ray.asked[-1]["num_gpus"]) == (tasks[0].threads, tasks[0].gpus)
+        ran(OnRay(tmp_path, jobs), [one])
+        assert (ray.asked[-1]["num_cpus"], ray.asked[-1]["num_gpus"]) == (one.threads, one.gpus)
+    assert rooms == [4, 2, 1, 3]
     assert list(tmp_path.iterdir()) == []
 
 
@@ -407,21 +407,22 @@ def test_ray_without_room_or_cluster(tmp_path: Path, ray: FakeRay, monkeypatch: 
 
 @pytest.mark.parametrize("kind", ["local", "ray"])
 def test_stopping(tmp_path: Path, ray: FakeRay, monkeypatch: pytest.MonkeyPatch, kind: str) -> None:
-    """What has begun is told of the signal, and nothing else begins."""
-    stop = Stop()
-    told = []
+    """Running tasks receive the signal, and no other begins."""
+    stop, signals = Stop(), []
 
     def cell(task: Task, wanted: Callable[[], int]) -> Outcome:
         stop.number = signal.SIGINT
-        # Ray's tasks are told when the engine looks next.
-        told.append(wanted())
+        # The task of Ray receives it with the engine's next look.
+        while not wanted():
+            time.sleep(0.01)
+        signals.append(wanted())
         return Outcome(task.name, statuses.INTERRUPTED)
 
-    monkeypatch.setattr(on_ray if kind == "ray" else sys.modules["refcodec.experiments.local"], "run_cell", cell)
-    engine = OnRay(tmp_path, 2) if kind == "ray" else Local(1)
+    monkeypatch.setattr(on_ray, "run_cell", cell)
+    engine = OnRay(tmp_path, 1) if kind == "ray" else Local(1, cell)
     begun, ended = ran(engine, [task(tmp_path, str(i)) for i in range(5)], stop)
-    assert begun == [outcome.name for outcome in ended] == (["0", "1"] if kind == "ray" else ["0"])
-    assert told == ([0, signal.SIGINT] if kind == "ray" else [signal.SIGINT])
+    assert begun == [outcome.name for outcome in ended] == ["0"]
+    assert signals == [signal.SIGINT]
     assert list(tmp_path.iterdir()) == []
 
 
