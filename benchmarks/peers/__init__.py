@@ -1,1 +1,1 @@
-"""Peers of the format in one harness: plain 3DGS with SPZ and SOG of it, and other hyperpriors on the same trainer."""
+"""Peers of the format in one harness: plain 3DGS, with SPZ and SOG of it, and C3GS."""

@@ -8,7 +8,6 @@ from pathlib import Path
 from refcodec.experiments.cells import read_result
 from refcodec.experiments.tables import MARKDOWN
 
-from ..experiment import section
 from .figures import Record
 
 # The names of a coded and an uncompressed scene in the table.
@@ -19,7 +18,7 @@ USUAL = ("pro", "uncompressed")
 
 def experiment_name(folder: Path) -> str:
     """The experiment of a folder that `refcodec experiment -o` made. Raises OSError."""
-    return section((folder / MARKDOWN).read_text(encoding="utf-8").splitlines())[0]
+    return (folder / MARKDOWN).read_text(encoding="utf-8").splitlines()[0].removeprefix("# ")
 
 
 def experiment_records(folder: Path) -> Iterator[Record]:
