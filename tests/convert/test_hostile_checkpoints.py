@@ -7,9 +7,9 @@ import json
 import os
 import pickle
 import random
-import tracemalloc
 import zipfile
 from collections.abc import Callable
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -20,6 +20,7 @@ torch = pytest.importorskip("torch")
 pytest.importorskip("scipy")
 
 from family import LAYOUTS, Model  # noqa: E402
+from memory import bounded  # noqa: E402
 
 from refcodec.cli.main import main  # noqa: E402
 from refcodec.convert.tensors import read_state_dicts, read_torchscript  # noqa: E402
@@ -28,6 +29,7 @@ from refcodec.folder.layout import SceneFolderError  # noqa: E402
 Captured = pytest.CaptureFixture[str]
 PLACE = "model/point_cloud/iteration_30000"
 UNITED, SPLIT = LAYOUTS["hac"], LAYOUTS["scaffold, split"]
+BOTH = pytest.mark.parametrize(("layout", "name"), [(UNITED, "checkpoint.pth"), (SPLIT, "cov_mlp.pt")])
 
 
 def refused(tmp_path: Path, capsys: Captured, *said: str) -> None:
@@ -59,6 +61,12 @@ class Large:
         return bytearray, (1 << 40,)
 
 
+def archived(file: Path, pickled: bytes) -> None:
+    """Writes an archive of a pickle."""
+    with zipfile.ZipFile(file, "w") as archive:
+        archive.writestr("a/data.pkl", pickled)
+
+
 def repacked(file: Path, changes: dict[str, bytes], form: int = zipfile.ZIP_STORED) -> None:
     """Changes entries of an archive. form: of the changed ones."""
     with zipfile.ZipFile(file) as archive:
@@ -72,7 +80,7 @@ def repacked(file: Path, changes: dict[str, bytes], form: int = zipfile.ZIP_STOR
 # --- code -------------------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize(("layout", "name"), [(UNITED, "checkpoint.pth"), (SPLIT, "cov_mlp.pt")])
+@BOTH
 @pytest.mark.parametrize("protocol", [0, 2, 4])
 def test_a_pickle_with_code_is_not_run(layout: Any, name: str, protocol: int, tmp_path: Path, capsys: Captured) -> None:
     Model(layout).write(tmp_path / "model")
@@ -112,19 +120,15 @@ def test_a_pickle_takes_no_memory(large: Any, tmp_path: Path, capsys: Captured) 
 # --- sizes ------------------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize(("layout", "name"), [(UNITED, "checkpoint.pth"), (SPLIT, "color_mlp.pt")])
+@BOTH
 @pytest.mark.parametrize("entry", ["data.pkl", "data/0"])
 def test_a_zip_bomb_is_not_unpacked(layout: Any, name: str, entry: str, tmp_path: Path, capsys: Captured) -> None:
     Model(layout).write(tmp_path / "model")
     repacked(tmp_path / PLACE / name, {entry: bytes(200 << 20)}, zipfile.ZIP_DEFLATED)
     # The first run imports what it needs.
     refused(tmp_path, capsys, "is compressed")
-    tracemalloc.start()
-    try:
+    with bounded(20):
         refused(tmp_path, capsys, "is compressed")
-        assert tracemalloc.get_traced_memory()[1] < 20 << 20
-    finally:
-        tracemalloc.stop()
 
 
 @pytest.mark.parametrize("stride", [(0, 0), (1, 1)])
@@ -144,7 +148,7 @@ def doubled(times: int) -> bytes:
     return b")" + b"q\x00h\x00\x86" * times
 
 
-@pytest.mark.parametrize(("layout", "name"), [(UNITED, "checkpoint.pth"), (SPLIT, "cov_mlp.pt")])
+@BOTH
 @pytest.mark.parametrize(
     "opcodes",
     [
@@ -165,7 +169,7 @@ def test_a_pickle_of_tuples_of_tuples(layout: Any, name: str, opcodes: bytes, tm
     refused(tmp_path, capsys, "its pickle")
 
 
-@pytest.mark.parametrize(("layout", "name"), [(UNITED, "checkpoint.pth"), (SPLIT, "cov_mlp.pt")])
+@BOTH
 def test_two_entries_of_one_name(layout: Any, name: str, tmp_path: Path, capsys: Captured) -> None:
     """Which one is read depends on the reader, so that one could be looked at, and the other loaded."""
     Model(layout).write(tmp_path / "model")
@@ -176,7 +180,7 @@ def test_two_entries_of_one_name(layout: Any, name: str, tmp_path: Path, capsys:
     refused(tmp_path, capsys, "two of its entries have one name")
 
 
-@pytest.mark.parametrize(("layout", "name"), [(UNITED, "checkpoint.pth"), (SPLIT, "cov_mlp.pt")])
+@BOTH
 def test_an_archive_of_many_entries(layout: Any, name: str, tmp_path: Path, capsys: Captured) -> None:
     """The directory alone would take some fifty megabytes."""
     Model(layout).write(tmp_path / "model")
@@ -191,20 +195,15 @@ def test_an_archive_of_many_entries(layout: Any, name: str, tmp_path: Path, caps
     file.write_bytes(data[:start] + count * entry + end)
     # The first run imports what it needs.
     refused(tmp_path, capsys, "directory has more than")
-    tracemalloc.start()
-    try:
+    with bounded(16):
         refused(tmp_path, capsys, "directory has more than")
-        assert tracemalloc.get_traced_memory()[1] < 16 << 20
-    finally:
-        tracemalloc.stop()
 
 
 def test_a_module_of_long_names(tmp_path: Path) -> None:
     """Names of parts are joined. A long one would be joined with each of thousands."""
     field = b"X" + (1 << 19).to_bytes(4, "little") + b"a" * (1 << 19)
     data = b"\x80\x02c__torch__\nModule\n)\x81}(" + field + b"}(X\x01\x00\x00\x00b}uub."
-    with zipfile.ZipFile(tmp_path / "a.pt", "w") as archive:
-        archive.writestr("a/data.pkl", data)
+    archived(tmp_path / "a.pt", data)
     with pytest.raises(SceneFolderError, match="a name of more than 256 characters"):
         read_torchscript(tmp_path / "a.pt")
 
@@ -229,8 +228,7 @@ def test_a_module_that_holds_itself(tmp_path: Path) -> None:
         + b"".join(b"X\x01\x00\x00\x00" + bytes([97 + i]) + b"h\x01" for i in range(20))
         + b"ub."
     )
-    with zipfile.ZipFile(tmp_path / "a.pt", "w") as archive:
-        archive.writestr("a/data.pkl", data)
+    archived(tmp_path / "a.pt", data)
     with pytest.raises(SceneFolderError, match="more than 4096 fields"):
         read_torchscript(tmp_path / "a.pt")
 
@@ -268,19 +266,13 @@ def rebuilt(shape: bytes, offset: bytes = INT) -> bytes:
     ids=["sides", "side", "offset", "dimensions", "shapes", "states"],
 )
 def test_numbers_of_a_pickle_are_bounded(pickled: bytes, said: str, tmp_path: Path) -> None:
-    with zipfile.ZipFile(tmp_path / "a.pt", "w") as archive:
-        archive.writestr("a/data.pkl", b"\x80\x02" + pickled + b".")
+    archived(tmp_path / "a.pt", b"\x80\x02" + pickled + b".")
     # The module may be imported here.
     for read in (read_torchscript, lambda file: read_state_dicts(file, ())):
         with pytest.raises(SceneFolderError, match=said):
             read(tmp_path / "a.pt")
-        tracemalloc.start()
-        try:
-            with pytest.raises(SceneFolderError, match=said):
-                read(tmp_path / "a.pt")
-            assert tracemalloc.get_traced_memory()[1] < 24 << 20
-        finally:
-            tracemalloc.stop()
+        with bounded(24), pytest.raises(SceneFolderError, match=said):
+            read(tmp_path / "a.pt")
 
 
 @pytest.mark.parametrize(
@@ -298,14 +290,9 @@ def test_numbers_of_a_pickle_are_bounded(pickled: bytes, said: str, tmp_path: Pa
     ids=["marks", "names"],
 )
 def test_opcodes_cost_no_more_than_their_bytes(pickled: bytes, tmp_path: Path) -> None:
-    with zipfile.ZipFile(tmp_path / "a.pt", "w") as archive:
-        archive.writestr("a/data.pkl", b"\x80\x02" + pickled + b".")
-    tracemalloc.start()
-    try:
+    archived(tmp_path / "a.pt", b"\x80\x02" + pickled + b".")
+    with bounded(32):
         assert read_torchscript(tmp_path / "a.pt") == {}
-        assert tracemalloc.get_traced_memory()[1] < 32 << 20
-    finally:
-        tracemalloc.stop()
 
 
 def ply(*lines: str) -> bytes:
@@ -331,49 +318,26 @@ def test_point_clouds(data: bytes, said: str, tmp_path: Path, capsys: Captured) 
 # --- what is wrong with a model ---------------------------------------------------------------------------------------
 
 
-def _nan_anchor(model: Model) -> None:
-    model.anchor[3, 1] = np.nan
+def _layers(name: str, *sizes: int) -> Callable[[Model], None]:
+    """Replaces a network by linear layers of some sizes, with ReLU between them."""
 
+    def change(model: Model) -> None:
+        layers = [torch.nn.Linear(*pair) for pair in pairwise(sizes)]
+        model.networks[name] = torch.nn.Sequential(*[part for each in layers for part in (each, torch.nn.ReLU())][:-1])
 
-def _infinite_scale(model: Model) -> None:
-    model.scaling[0, 5] = np.inf
-
-
-def _nan_weight(model: Model) -> None:
-    model.networks["cov_mlp"][0].weight.data[0, 0] = torch.nan
-
-
-def _more_layers(model: Model) -> None:
-    model.networks["cov_mlp"] = torch.nn.Sequential(
-        *model.networks["cov_mlp"], torch.nn.ReLU(), torch.nn.Linear(70, 70)
-    )
-
-
-def _fewer_inputs(model: Model) -> None:
-    model.networks["opacity_mlp"][0] = torch.nn.Linear(30, 50)
-
-
-def _fewer_outputs(model: Model) -> None:
-    model.networks["color_mlp"][2] = torch.nn.Linear(50, 29)
-
-
-def _wide(model: Model) -> None:
-    model.networks["opacity_mlp"][0], model.networks["opacity_mlp"][2] = (
-        torch.nn.Linear(54, 200),
-        torch.nn.Linear(200, 10),
-    )
+    return change
 
 
 @pytest.mark.parametrize(
     ("change", "said"),
     [
-        (_nan_anchor, "a value of xyz is NaN"),
-        (_infinite_scale, "a value of scale_ is NaN or infinite"),
-        (_nan_weight, "cov_mlp.0 has a number that is NaN"),
-        (_more_layers, "cov_mlp is not a network of two linear layers"),
-        (_fewer_inputs, "opacity_mlp has 30 inputs; 53"),
-        (_fewer_outputs, "color_mlp.2 has the shapes (29, 50)"),
-        (_wide, "200 hidden units, at most 128"),
+        (lambda model: model.anchor.__setitem__((3, 1), np.nan), "a value of xyz is NaN"),
+        (lambda model: model.scaling.__setitem__((0, 5), np.inf), "a value of scale_ is NaN or infinite"),
+        (lambda model: model.networks["cov_mlp"][0].weight.data.fill_(torch.nan), "cov_mlp.0 has a number that is NaN"),
+        (_layers("cov_mlp", 54, 50, 70, 70), "cov_mlp is not a network of two linear layers"),
+        (_layers("opacity_mlp", 30, 50, 10), "opacity_mlp has 30 inputs; 53"),
+        (_layers("color_mlp", 54, 50, 29), "color_mlp.2 has the shapes (29, 50)"),
+        (_layers("opacity_mlp", 54, 200, 10), "200 hidden units, at most 128"),
     ],
 )
 def test_wrong_numbers_and_shapes(change: Callable[[Model], None], said: str, tmp_path: Path, capsys: Captured) -> None:
@@ -496,15 +460,13 @@ def test_folders_without_a_model(tmp_path: Path, capsys: Captured) -> None:
 # --- damage -----------------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("form", ["united", "split"])
-def test_cut_and_changed_files_are_read_or_refused(form: str, tmp_path: Path) -> None:
+@BOTH
+def test_cut_and_changed_files_are_read_or_refused(layout: Any, name: str, tmp_path: Path) -> None:
     """Whatever the bytes are, the outcome is tensors or one SceneFolderError."""
-    model = Model(UNITED if form == "united" else SPLIT)
-    place = model.write(tmp_path / "model")
-    file = place / (model.layout.form if form == "united" else "opacity_mlp.pt")
+    file = Model(layout).write(tmp_path / "model") / name
 
     def read() -> None:
-        if form == "united":
+        if layout is UNITED:
             read_state_dicts(file, ("opacity_mlp", "cov_mlp"))
         else:
             read_torchscript(file)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import mpmath
 import numpy as np
@@ -188,6 +189,11 @@ def cloud(seed: int, count: int, spread: float = 1.0) -> Gaussians:
     )
 
 
+@pytest.fixture
+def rasterise() -> Any:
+    return pytest.importorskip("refcodec.render.rasterise", reason="images need the packages of the extra render")
+
+
 VIEW = Camera("view", 37, 21, 30.0, 28.0, 17.0, 11.5, np.eye(3), np.zeros(3))
 
 
@@ -195,8 +201,7 @@ VIEW = Camera("view", 37, 21, 30.0, 28.0, 17.0, 11.5, np.eye(3), np.zeros(3))
 @pytest.mark.parametrize(
     ("seed", "count", "spread"), [(0, 0, 1.0), (1, 1, 0.1), (2, 30, 0.5), (3, 80, 1.5), (4, 60, 6.0)]
 )
-def test_images_are_those_of_the_text(spec: dict, seed: int, count: int, spread: float) -> None:
-    rasterise = pytest.importorskip("refcodec.render.rasterise", reason="images need the packages of the extra render")
+def test_images_are_those_of_the_text(spec: dict, seed: int, count: int, spread: float, rasterise: Any) -> None:
     info = RenderInfo(background=(10, 200, 90))
     found = cloud(seed, count, spread)
     wanted = drawn_by_the_text(spec, found, VIEW, info)
@@ -208,8 +213,7 @@ def test_images_are_those_of_the_text(spec: dict, seed: int, count: int, spread:
     assert np.abs(made - wanted).max() < 5e-3
 
 
-def test_equal_depths_keep_their_order(spec: dict) -> None:
-    rasterise = pytest.importorskip("refcodec.render.rasterise", reason="images need the packages of the extra render")
+def test_equal_depths_keep_their_order(spec: dict, rasterise: Any) -> None:
     found = cloud(5, 12, 0.2)
     found.mean[:, 2] = 3
     made = rasterise.image(found, VIEW, RenderInfo())
@@ -217,9 +221,8 @@ def test_equal_depths_keep_their_order(spec: dict) -> None:
 
 
 @pytest.mark.parametrize("alpha_max", [1.0, 0.5, 0.0039215689, 0.003, 1e-30])
-def test_any_largest_alpha(spec: dict, alpha_max: float) -> None:
+def test_any_largest_alpha(spec: dict, alpha_max: float, rasterise: Any) -> None:
     """1: an opaque Gaussian finishes a pixel and is not in it; below 1/255 nothing counts."""
-    rasterise = pytest.importorskip("refcodec.render.rasterise", reason="images need the packages of the extra render")
     info, found = RenderInfo(alpha_max=alpha_max, background=(10, 200, 90)), cloud(8, 40, 0.5)
     found.opacity[:] = 1
     made = rasterise.image(found, VIEW, info)
@@ -228,8 +231,7 @@ def test_any_largest_alpha(spec: dict, alpha_max: float) -> None:
 
 
 @pytest.mark.parametrize("angle", [1e-8, -1e-8])
-def test_depths_that_binary32_does_not_tell_apart(spec: dict, angle: float) -> None:
-    rasterise = pytest.importorskip("refcodec.render.rasterise", reason="images need the packages of the extra render")
+def test_depths_that_binary32_does_not_tell_apart(spec: dict, angle: float, rasterise: Any) -> None:
     found = cloud(9, 30, 0.3)
     found.mean[:, 2] = 3
     camera = replace(VIEW, rotation=np.array([[1, 0, -angle], [0, 1, 0], [angle, 0, 1]]))
@@ -238,9 +240,8 @@ def test_depths_that_binary32_does_not_tell_apart(spec: dict, angle: float) -> N
 
 
 @pytest.mark.parametrize("size", [1e3, 1e6, 1e9, 1e15, 1e18])
-def test_long_and_far(spec: dict, size: float) -> None:
+def test_long_and_far(spec: dict, size: float, rasterise: Any) -> None:
     """Needles that reach into the image from far outside, and Gaussians that hardly change over it."""
-    rasterise = pytest.importorskip("refcodec.render.rasterise", reason="images need the packages of the extra render")
     found = cloud(10, 6, 0.3)
     found.mean[:, 0], found.mean[:3, 1], found.mean[:, 2] = size * np.array([-1, 1, -0.5, 1, -2, 0.3]), 0.1, 3
     found.mean[3:, 1] = size * np.array([0.2, -0.5, 0.1])
@@ -254,9 +255,8 @@ def test_long_and_far(spec: dict, size: float) -> None:
 
 
 @pytest.mark.parametrize("seed", range(12))
-def test_any_sizes(spec: dict, seed: int) -> None:
+def test_any_sizes(spec: dict, seed: int, rasterise: Any) -> None:
     """The text with 60 digits: binary64 does not hold its d of a needle. Bound: what float32 makes of a pixel."""
-    rasterise = pytest.importorskip("refcodec.render.rasterise", reason="images need the packages of the extra render")
     rng = np.random.default_rng(seed)
     found, q = cloud(seed, 6), rng.normal(size=4)
     magnitude = np.exp2(rng.uniform(-30, 30, (2, 6, 3))).astype(np.float32)
@@ -284,16 +284,14 @@ def test_any_sizes(spec: dict, seed: int) -> None:
 
 
 @pytest.mark.parametrize("low_pass", [0.0, 1e-20, 1e20, 3e38])
-def test_any_low_pass(spec: dict, low_pass: float) -> None:
-    rasterise = pytest.importorskip("refcodec.render.rasterise", reason="images need the packages of the extra render")
+def test_any_low_pass(spec: dict, low_pass: float, rasterise: Any) -> None:
     info, found = RenderInfo(low_pass=low_pass, background=(10, 200, 90)), cloud(11, 20, 0.5)
     found.lengths[:] = np.maximum(found.lengths, 0.01)
     made = rasterise.image(found, VIEW, info)
     assert np.abs(made - drawn_by_the_text(spec, found, VIEW, info)).max() < 5e-3
 
 
-def test_images_do_not_depend_on_threads() -> None:
-    rasterise = pytest.importorskip("refcodec.render.rasterise", reason="images need the packages of the extra render")
+def test_images_do_not_depend_on_threads(rasterise: Any) -> None:
     numba = pytest.importorskip("numba")
     found, camera = cloud(6, 500, 2.0), VIEW.resized(200, 120)
     images = []
@@ -307,9 +305,8 @@ def test_images_do_not_depend_on_threads() -> None:
 
 
 @pytest.mark.filterwarnings("error")
-def test_hostile_numbers_give_an_image() -> None:
+def test_hostile_numbers_give_an_image(rasterise: Any) -> None:
     """Whatever a valid file's floats are, an image is made, of finite numbers and without a warning."""
-    rasterise = pytest.importorskip("refcodec.render.rasterise", reason="images need the packages of the extra render")
     found = cloud(7, 40)
     found.mean[:10] = [[1e30, 0, 1], [0, 0, 0.2], [0, 0, 1e-30], [np.inf, 0, 1], [np.nan, 0, 1], *[[0, 0, 1e20]] * 5]
     found.lengths[10:16] = [

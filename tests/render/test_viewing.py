@@ -5,8 +5,6 @@ from __future__ import annotations
 import io
 import json
 import math
-import os
-import subprocess
 import sys
 from dataclasses import replace
 from functools import partial
@@ -185,25 +183,6 @@ def file(tmp_path: Path) -> str:
     path = tmp_path / "scene.c3gs"
     path.write_bytes(codec.emit(scene))
     return str(path)
-
-
-def test_an_image_of_a_file_does_not_depend_on_threads(file: str) -> None:
-    program = (
-        "import sys, hashlib, numba\nfrom refcodec.bitstream.codec import parse\n"
-        "from refcodec.render.camera import default_camera\nfrom refcodec.render.view import View\n"
-        "view = View(parse(open(sys.argv[1], 'rb').read()).scene)\n"
-        "camera = default_camera(view.camera).resized(400, 300)\n"
-        "print(numba.get_num_threads(), hashlib.sha256(view.draw(camera).tobytes()).hexdigest())"
-    )
-    found = []
-    for threads in ("1", "2"):
-        environment = {**os.environ, "NUMBA_NUM_THREADS": threads, "OMP_WAIT_POLICY": "PASSIVE"}
-        done = subprocess.run(
-            [sys.executable, "-c", program, file], env=environment, check=True, capture_output=True, text=True
-        )
-        found.append(done.stdout.split())
-    assert [threads for threads, _ in found] == ["1", "2"]
-    assert found[0][1] == found[1][1]
 
 
 def test_render(file: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -139,25 +139,6 @@ def test_first_anchors(photographs: PhotographSet) -> None:
     assert edges[0].cell == pytest.approx(2 * edges[1].cell, rel=1e-3)
 
 
-@pytest.mark.parametrize(
-    ("options", "message"),
-    [
-        (["--background", "grey"], "white nor black"),
-        (["--holdout", "-1"], "at least 0"),
-        (["--holdout", "1"], "no image is left to learn from"),
-        (["--voxel", "0"], "above 0"),
-        (["--anchors", "0"], "at least 1"),
-        (["--anchors", "5", "--voxel", "1"], "not allowed with"),
-    ],
-)
-def test_wrong_options(
-    options: list[str], message: str, source: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    assert main(["train", source, "-o", str(tmp_path / "scene"), *options]) == 64
-    assert message in capsys.readouterr().err
-    assert not list(tmp_path.iterdir())
-
-
 # --- saved states -----------------------------------------------------------------------------------------------------
 
 

@@ -364,8 +364,13 @@ def test_training_pays_and_the_coded_size_is_close_to_the_ideal(cloud, result):
     assert coded.bits["attributes"] < sum(tally.entropy for tally in tallies)
 
 
-def test_a_training_that_was_stopped_goes_on_to_the_same_result(cloud: AnchorCloud, tmp_path: Path) -> None:
-    given, settings = Given(cloud, VOXEL), FitSettings(steps=12)
+@pytest.mark.parametrize("changes", [{}, {"channels": 0, "frequencies": 0}], ids=["hyperprior", "constants"])
+def test_a_fit_that_was_stopped_goes_on_to_the_same_result(
+    changes: dict[str, int], cloud: AnchorCloud, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Stopped after a step, and within one, which is finished."""
+    given = Given(cloud, VOXEL)
+    settings = FitSettings(steps=12, entropy=EntropySettings(**changes))
     whole = fit.fit(given, settings)
 
     def stop(stage: str, done: int, total: int) -> None:
@@ -377,6 +382,16 @@ def test_a_training_that_was_stopped_goes_on_to_the_same_result(cloud: AnchorClo
     stopped = fit.fit(given, settings, progress=stop, state=state)
     assert stopped.report["steps"] == 5
     codec.emit(stopped.scene)
+    bits, steps = RateModel.attribute_bits, iter(range(6, 20))
+
+    def signalled(*arguments: Any) -> Any:
+        if next(steps) == 8:
+            signal.raise_signal(signal.SIGINT)
+        return bits(*arguments)
+
+    with monkeypatch.context() as patch:
+        patch.setattr(RateModel, "attribute_bits", signalled)
+        assert fit.fit(given, settings, state=state).report["steps"] == 8
     resumed = fit.fit(given, settings, state=state)
     assert codec.emit(resumed.scene) == codec.emit(whole.scene)
     with pytest.raises(ValueError, match="of other settings; seed is 0, not 1"):
@@ -384,25 +399,6 @@ def test_a_training_that_was_stopped_goes_on_to_the_same_result(cloud: AnchorClo
     state.write_bytes(b"\x80\x04N.")  # a pickle is not read
     with pytest.raises(ValueError, match="cannot be read"):
         fit.fit(given, settings, state=state)
-
-
-def test_an_interrupt_within_a_step_of_a_fit(
-    cloud: AnchorCloud, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """The step is finished: half a step was saved as none, so that what went on made another file."""
-    given, settings = Given(cloud, VOXEL), FitSettings(steps=6)
-    bits, steps = RateModel.attribute_bits, iter(range(1, 20))
-
-    def signalled(*arguments: Any) -> Any:
-        if next(steps) == 3:
-            signal.raise_signal(signal.SIGINT)
-        return bits(*arguments)
-
-    with monkeypatch.context() as patch:
-        patch.setattr(RateModel, "attribute_bits", signalled)
-        assert fit.fit(given, settings, state=tmp_path / "state").report["steps"] == 3
-    resumed = fit.fit(given, settings, state=tmp_path / "state")
-    assert codec.emit(resumed.scene) == codec.emit(fit.fit(given, settings).scene)
 
 
 def test_large_symbols_are_shifted_for_carm(cloud: AnchorCloud) -> None:
@@ -441,20 +437,6 @@ def test_dimensions_of_other_entropy_models(changes: dict, cloud: AnchorCloud) -
     assert len(data) < len(codec.emit(untrained.scene))
     bits = measured(result.scene).bits["attributes"]
     assert 8 * part_bytes(data, outline_of(data))["attributes"] == pytest.approx(bits, rel=0.02)
-
-
-def test_a_fit_without_a_hyperprior_goes_on(cloud: AnchorCloud, tmp_path: Path) -> None:
-    entropy = EntropySettings(channels=0, frequencies=0)
-    given, settings = Given(cloud, VOXEL), FitSettings(steps=12, entropy=entropy)
-
-    def stop(stage: str, done: int, total: int) -> None:
-        if done == 5:
-            signal.raise_signal(signal.SIGINT)
-
-    state = tmp_path / "state"
-    assert fit.fit(given, settings, progress=stop, state=state).report["steps"] == 5
-    resumed = fit.fit(given, settings, state=state)
-    assert codec.emit(resumed.scene) == codec.emit(fit.fit(given, settings).scene)
 
 
 def test_the_default_dimensions_of_scaffold_gs(cloud: AnchorCloud, tmp_path: Path) -> None:

@@ -105,40 +105,6 @@ def run(photographs: PhotographSet, output: Path, resume: bool = False, **change
     return train(photographs, settings, output, threads=1, device="cpu", resume=resume, progress=False).whole
 
 
-@pytest.fixture(scope="module")
-def uninterrupted(few: PhotographSet, tmp_path_factory: pytest.TempPathFactory) -> dict[str, bytes]:
-    output = tmp_path_factory.mktemp("uninterrupted") / "scene"
-    assert run(few, output)
-    assert not state_path(output).exists()
-    return files(output)
-
-
-@pytest.fixture(scope="module")
-def short(few: PhotographSet, tmp_path_factory: pytest.TempPathFactory) -> dict[str, bytes]:
-    """The files of a training of four steps."""
-    output = tmp_path_factory.mktemp("short") / "scene"
-    assert run(few, output, steps=4)
-    return files(output)
-
-
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
-def test_an_interrupt_within_a_step(
-    number: signal.Signals,
-    few: PhotographSet,
-    short: dict[str, bytes],
-    tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    """The step is finished. The handlers of before are there again afterwards."""
-    before = [signal.getsignal(each) for each in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)]
-    with monkeypatch.context() as patch:
-        interrupt(patch, 2, number)
-        assert not run(few, tmp_path / "scene", steps=4)
-    assert [signal.getsignal(each) for each in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)] == before
-    assert run(few, tmp_path / "scene", True, steps=4)
-    assert files(tmp_path / "scene") == short
-
-
 def interrupt(monkeypatch: pytest.MonkeyPatch, step: int, number: signal.Signals = signal.SIGINT) -> None:
     """Lets a signal arrive in the middle of a step, counted from 1."""
     looked_at = Trainer._looked_at
@@ -151,57 +117,50 @@ def interrupt(monkeypatch: pytest.MonkeyPatch, step: int, number: signal.Signals
     monkeypatch.setattr(Trainer, "_looked_at", signalled)
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("step", STEPS)
-def test_interrupted_in_each_phase(
-    step: int,
-    few: PhotographSet,
-    uninterrupted: dict[str, bytes],
-    tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
+def test_interrupts_within_steps_and_of_the_result(
+    few: PhotographSet, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """The scene that an interrupt leaves takes nothing from what goes on, whichever phase has not begun."""
+    """One training with each signal within a step, and with scenes that cannot be written, ends as one without."""
+    signals = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
+    handlers = [signal.getsignal(each) for each in signals]
+    assert run(few, tmp_path / "whole", steps=5)
     output = tmp_path / "scene"
-    with monkeypatch.context() as patch:
-        interrupt(patch, step)
-        assert run(few, output) == (step == TINY.steps)
-    if step < TINY.steps:
-        assert run(few, output, True)
-    assert files(output) == uninterrupted
-
-
-@pytest.mark.parametrize("done", [2, 4])
-def test_a_scene_that_cannot_be_written_leaves_the_state_of_the_last_step(
-    done: int, few: PhotographSet, short: dict[str, bytes], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """A result begins what has not begun, such as the rate. This was saved, too, if the result could not be written."""
-    output = tmp_path / "scene"
+    for step, number in enumerate(signals, start=1):
+        with monkeypatch.context() as patch:
+            interrupt(patch, step, number)
+            assert not run(few, output, step > 1, steps=5)
+        assert [signal.getsignal(each) for each in signals] == handlers
+    before = files(output)
 
     def refused(*_: Any) -> None:
         raise OSError(28, "No space left on device")
 
-    with monkeypatch.context() as patch:
-        interrupt(patch, done)
-        patch.setattr(command, "write_folder", refused)
-        with pytest.raises(OSError, match="--resume goes on"):
-            run(few, output, steps=4)
-    assert run(few, output, True, steps=4)
-    assert files(output) == short
-
-
-def test_an_interrupt_of_the_result_keeps_the_training(
-    few: PhotographSet, short: dict[str, bytes], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    output = tmp_path / "scene"
-
     def interrupted(*_: Any) -> None:
         signal.raise_signal(signal.SIGINT)
 
+    # A result begins what has not begun, such as the rate. This is not saved.
+    for step in (4, 5):
+        with monkeypatch.context() as patch:
+            interrupt(patch, step)
+            patch.setattr(command, "write_folder", refused)
+            with pytest.raises(OSError, match="--resume goes on"):
+                run(few, output, True, steps=5)
     with monkeypatch.context() as patch:
         patch.setattr(command, "write_folder", interrupted)
         with pytest.raises(KeyboardInterrupt):
-            run(few, output, steps=4)
-    assert not output.exists()
-    assert run(few, output, True, steps=4)
-    assert (output / REPORT_FILE).is_file()
-    assert files(output) == short
+            run(few, output, True, steps=5)
+    assert files(output) == before
+    assert run(few, output, True, steps=5)
+    assert files(output) == files(tmp_path / "whole")
+
+
+@pytest.mark.slow
+def test_interrupted_in_each_phase(few: PhotographSet, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The scene that each interrupt leaves takes nothing from what goes on, whichever phase has not begun."""
+    assert run(few, tmp_path / "whole")
+    assert not state_path(tmp_path / "whole").exists()
+    for step in STEPS:
+        with monkeypatch.context() as patch:
+            interrupt(patch, step)
+            assert run(few, tmp_path / "scene", step > STEPS[0]) == (step == TINY.steps)
+    assert files(tmp_path / "scene") == files(tmp_path / "whole")

@@ -26,53 +26,6 @@ def masked(photographs: PhotographSet, small: TrainSettings) -> Trainer:
     return trainer
 
 
-def test_anchors_without_a_kept_offset_go(photographs: PhotographSet, small: TrainSettings) -> None:
-    trainer = masked(photographs, small)
-    rate, scaffold = trainer.rate, trainer.scaffold
-    assert rate is not None
-    before = scaffold.count
-    lost = (scaffold.tables["masks"] == -20).all(dim=1)
-    # One that is hardly not kept may come back.
-    scaffold.tables["masks"][1] = -4.7
-    bits = rate.bits(rate.masks.decided())
-    lattice = torch.from_numpy(scaffold.lattice)[~lost]
-    rate.masks.end()
-    assert scaffold.count == len(lattice) < 0.7 * before
-    assert torch.equal(torch.from_numpy(scaffold.lattice), lattice)
-    assert rate.masks.total == before
-    # They had no bits, and the contexts of the others are what they were.
-    found = rate.bits(rate.masks.decided())
-    assert torch.allclose(found[0], bits[0], rtol=0.02)
-    assert found[1] == bits[1]
-
-
-def test_losses_mean_what_they_meant(photographs: PhotographSet, small: TrainSettings) -> None:
-    """L_rate, and the part of L_m that the anchors left have, do not change by the dropping of others."""
-    trainer = masked(photographs, small)
-    rate = trainer.rate
-    assert rate is not None
-
-    def losses() -> list[float]:
-        found = []
-        for part in (rate.masks, rate):
-            step = trainer._looked_at(0)
-            everyone = torch.arange(trainer.scaffold.count)
-            step.rows, step.leaves = everyone, trainer.scaffold.leaves(everyone)
-            torch.manual_seed(0)
-            for other in (rate.masks, rate):
-                other.prepare(step)
-            if part is rate:
-                rate._sampled = (everyone, *_of_all(trainer))
-            found.append(float(part.loss(step).detach()))
-        return found
-
-    before = losses()
-    rate.masks.end()
-    after = losses()
-    assert after[0] == pytest.approx(before[0], rel=1e-3)
-    assert after[1] == pytest.approx(before[1], rel=0.05)
-
-
 def _of_all(trainer: Trainer) -> tuple[torch.Tensor, ...]:
     """What Rate.prepare finds of its sample, of all anchors and without noise."""
     rate = trainer.rate
@@ -83,21 +36,52 @@ def _of_all(trainer: Trainer) -> tuple[torch.Tensor, ...]:
     return hidden, model.steps(hidden) * rate.base_step, planes
 
 
-def test_a_saved_training_knows_how_many_there_were(
-    photographs: PhotographSet, small: TrainSettings, tmp_path: Path
-) -> None:
+def losses(trainer: Trainer) -> list[float]:
+    """Those of masks and rate, of all anchors."""
+    rate, values = trainer.rate, []
+    assert rate is not None
+    for part in (rate.masks, rate):
+        step = trainer._looked_at(0)
+        everyone = torch.arange(trainer.scaffold.count)
+        step.rows, step.leaves = everyone, trainer.scaffold.leaves(everyone)
+        torch.manual_seed(0)
+        for other in (rate.masks, rate):
+            other.prepare(step)
+        if part is rate:
+            rate._sampled = (everyone, *_of_all(trainer))
+        values.append(float(part.loss(step).detach()))
+    return values
+
+
+def test_anchors_without_a_kept_offset_go(photographs: PhotographSet, small: TrainSettings, tmp_path: Path) -> None:
     trainer = masked(photographs, small)
-    assert trainer.rate is not None
-    trainer.rate.masks.end()
-    assert trainer.rate is not None
-    assert trainer.scaffold.count < trainer.rate.masks.total
+    rate, scaffold = trainer.rate, trainer.scaffold
+    assert rate is not None
+    count, lost = scaffold.count, (scaffold.tables["masks"] == -20).all(dim=1)
+    # One that is hardly not kept may come back.
+    scaffold.tables["masks"][1] = -4.7
+    before, bits = losses(trainer), rate.bits(rate.masks.decided())
+    lattice = torch.from_numpy(scaffold.lattice)[~lost]
+    rate.masks.end()
+    assert scaffold.count == len(lattice) < 0.7 * count
+    assert torch.equal(torch.from_numpy(scaffold.lattice), lattice)
+    assert rate.masks.total == count
+    # They had no bits, and the contexts of the others are what they were.
+    found = rate.bits(rate.masks.decided())
+    assert torch.allclose(found[0], bits[0], rtol=0.02)
+    assert found[1] == bits[1]
+    # L_rate, and the part of L_m that the anchors left have, do not change.
+    after = losses(trainer)
+    assert after[0] == pytest.approx(before[0], rel=1e-3)
+    assert after[1] == pytest.approx(before[1], rel=0.05)
+    # A saved training knows how many there were.
     save(trainer, tmp_path / "state")
     again = Trainer(photographs, trainer.settings)
     restore(again, tmp_path / "state")
     assert again.rate is not None
-    assert again.rate.masks.total == trainer.rate.masks.total
+    assert again.rate.masks.total == count
     for _ in range(6):
         trainer.step()
         again.step()
-    for name, table in trainer.scaffold.tables.items():
+    for name, table in scaffold.tables.items():
         assert torch.equal(table, again.scaffold.tables[name])

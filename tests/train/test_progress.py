@@ -110,6 +110,8 @@ def test_a_command_that_extends(examples: Path, tmp_path: Path, capsys: pytest.C
     assert main([*words, "--steps", "12"]) == 64
     assert main([*words, "--steps", "10", "--resume"]) == 64
     assert "not cut to 10 steps" in capsys.readouterr().err
+    assert main([*words, "--steps", "12", "--size", "50", "--resume"]) == 64
+    assert capsys.readouterr().err.endswith("is of other settings; size is 60, not 50\n")
     first = log.read_bytes().splitlines()
     assert main([*words, "--steps", "15", "--resume"]) == 0
     said = capsys.readouterr()
@@ -123,18 +125,6 @@ def test_a_command_that_extends(examples: Path, tmp_path: Path, capsys: pytest.C
     assert len(log.read_bytes().splitlines()) == 16
     assert main([*words, "--steps", "20", "--resume"]) == 64
     assert "only with --keep-state" in capsys.readouterr().err
-
-
-@pytest.mark.slow
-def test_another_size_is_told_once(examples: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """Every photograph was printed twice."""
-    words = ["train", str(examples / "caliterra"), "-o", str(tmp_path / "scene"), *TINY, "--steps", "3", "--keep-state"]
-    assert main(words) == 0
-    capsys.readouterr()
-    assert main([*words, "--size", "50", "--resume"]) == 64
-    said = capsys.readouterr().err
-    assert said.count("\n") == 1
-    assert said.endswith("is of other settings; size is 60, not 50\n")
 
 
 # --- time left --------------------------------------------------------------------------------------------------------
@@ -221,8 +211,18 @@ def test_bytes_do_not_drop_when_the_rate_begins(trained: Trainer) -> None:
 
 @pytest.mark.slow
 def test_first_and_last_lines(examples: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    source, scene = str(examples / "caliterra"), tmp_path / "my scene"
-    assert main(["train", source, "-o", str(scene), *TINY, "--steps", "6"]) == 0
+    source, scene, log = str(examples / "caliterra"), tmp_path / "my scene", tmp_path / "log.csv"
+
+    def logged() -> bool:
+        """Whether the log is the history of the scene's training."""
+        rows = list(csv.DictReader(log.open(newline="")))
+        history = json.loads((scene / "training.json").read_text())["history"]
+        assert list(rows[0]) == [*COLUMNS, "phase"]
+        assert [row["step"] for row in rows] == [str(step) for step in range(1, len(rows) + 1)]
+        return rows == [{name: str(value) for name, value in row.items()} for row in history]
+
+    assert main(["train", source, "-o", str(scene), *TINY, "--steps", "6", "--log", str(log)]) == 0
+    assert logged()
     said = capsys.readouterr()
     words = ["65 photographs of 60 x 45", "10 held out", " points, background 0,0,0", " anchors, 6 steps, rate 0.004"]
     first = said.err.splitlines()[0]
@@ -234,8 +234,9 @@ def test_first_and_last_lines(examples: Path, tmp_path: Path, capsys: pytest.Cap
     size = sum(report["bytes"][part] for part in PARTS) + UNCOUNTED
     assert lines[1] == f"held-out PSNR {mean:.2f} dB of 10 photographs; about {size / 1000:.0f} KB in a file"
     assert lines[2:] == [f"next: refcodec encode '{scene}' -o '{scene}.c3gs'"]
-    words = [*TINY, "--steps", "3", "--rate", "0", "--holdout", "0"]
+    words = [*TINY, "--steps", "3", "--rate", "0", "--holdout", "0", "--log", str(log)]
     assert main(["train", source, "-o", str(scene), *words]) == 0
+    assert logged()
     said = capsys.readouterr()
     assert "75 photographs of 60 x 45, none held out, " in said.err
     assert "no rate: an uncompressed scene" in said.err
@@ -269,19 +270,6 @@ def test_the_bar_of_a_terminal(examples: Path, tmp_path: Path, monkeypatch: pyte
 
 
 # --- logs -------------------------------------------------------------------------------------------------------------
-
-
-@pytest.mark.slow
-def test_a_table(examples: Path, tmp_path: Path) -> None:
-    source, log = str(examples / "caliterra"), tmp_path / "log.csv"
-    words = ["train", source, "-o", str(tmp_path / "scene"), *TINY, "--steps", "10", "--log", str(log)]
-    for _ in range(2):
-        assert main(words) == 0
-        rows = list(csv.DictReader(log.open(newline="")))
-        history = json.loads((tmp_path / "scene" / "training.json").read_text())["history"]
-        assert [{**row} for row in rows] == [{name: str(value) for name, value in row.items()} for row in history]
-        assert list(rows[0]) == [*COLUMNS, "phase"]
-        assert [row["step"] for row in rows] == [str(step) for step in range(1, 11)]
 
 
 def test_a_log_that_cannot_be_written(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -52,11 +52,10 @@ def test_command(examples: Path, tmp_path: Path, capsys: pytest.CaptureFixture[s
 @pytest.mark.slow
 def test_command_without_rate(examples: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     source, folder = str(examples / "snowmiku"), tmp_path / "scaffold"
-    for _ in range(2):
-        assert main(["train", source, "-o", str(folder), "--rate", "0", "--steps", "20", "--size", "64"]) == 0
+    assert main(["train", source, "-o", str(folder), "--rate", "0", "--steps", "20", "--size", "64"]) == 0
     scene = read_uncompressed(folder)
     assert main(["eval", str(folder), source, "--size", "64", "--json"]) == 0
-    found = json.loads(capsys.readouterr().out.split("\n", 6)[6])
+    found = json.loads(capsys.readouterr().out.split("\n", 3)[3])
     # Six scalings and ten offsets, and networks with one hidden layer of 50 units.
     assert (scene.render.up_axis, len(scene.cameras)) == (3, 16)
     features = scene.values.features.shape[1]
@@ -82,6 +81,12 @@ def test_command_without_rate(examples: Path, tmp_path: Path, capsys: pytest.Cap
         (["--size", "0x5"], "size"),
         (["--device", "cuda"], "CUDA"),
         (["-o", "."], "not a scene folder"),
+        (["--background", "grey"], "white nor black"),
+        (["--holdout", "-1"], "at least 0"),
+        (["--holdout", "1"], "no image is left to learn from"),
+        (["--voxel", "0"], "above 0"),
+        (["--anchors", "0"], "at least 1"),
+        (["--anchors", "5", "--voxel", "1"], "not allowed with"),
     ],
 )
 def test_command_errors(
@@ -92,6 +97,7 @@ def test_command_errors(
     output = [] if options[0] == "-o" else ["-o", str(tmp_path / "scene")]
     assert main(["train", str(examples / "caliterra"), *output, *options]) == 64
     assert message in capsys.readouterr().err
+    assert not list(tmp_path.iterdir())
 
 
 def test_what_is_missing(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -113,12 +113,9 @@ def test_another_unit_gives_the_same_scene(photographs: PhotographSet, small: Tr
 @pytest.mark.parametrize(
     "change",
     [
-        {"sampling.among": "visible"},
-        {"rate.plane_period": 1},
-        {"masks.used": False},
-        {"masks.epsilon": 0.0004},
+        {"sampling.among": "visible", "rate.plane_period": 1, "masks.epsilon": 0.0004},
+        {"masks.used": False, "phases.weights.modes": {"weights": "float"}},
         {"phases.masks.begin": 0.5, "phases.rate.begin": 0.5},
-        {"phases.weights.modes": {"weights": "float"}},
     ],
 )
 def test_variations(change: dict[str, Any], photographs: PhotographSet, small: TrainSettings) -> None:
