@@ -1,4 +1,4 @@
-"""The measurements of speed and scale: python -m benchmarks decode|scale [--json] [--write]
+"""Measurements of speed and scale: python -m benchmarks decode|scale [--json] [--write]
 
 By default it prints a table. --json prints all figures instead. --write also writes the section of RESULTS.md.
 """
@@ -41,8 +41,8 @@ def _parser() -> argparse.ArgumentParser:
     tasks = parser.add_subparsers(dest="task", required=True)
     each = {}
     for task, text in (
-        ("decode", "refcodec by each of its paths, the C decoder, constriction and the floor"),
-        ("scale", "the whole decode and the streaming one, by the number of anchors"),
+        ("decode", "each path of refcodec, the C decoder, constriction and the floor"),
+        ("scale", "whole and streaming decoding, by the number of anchors"),
     ):
         each[task] = tasks.add_parser(task, help=text, description=text)
         each[task].add_argument("--json", action="store_true", help="print all figures as JSON")

@@ -1,4 +1,4 @@
-"""`python -m benchmarks decode`: refcodec by each of its paths, beside other codecs and the floor."""
+"""`python -m benchmarks decode`: each path of refcodec, compared with other codecs and the floor."""
 
 from __future__ import annotations
 
@@ -44,17 +44,17 @@ def coding_lines(figures: dict[str, Any]) -> list[str]:
         "",
         *table(["contender", "seconds", "processor seconds", "times of seconds", "times of processor seconds"], rows),
         "",
-        f"Medians of {figures['rounds']} rounds, in each of which all contenders ran once, in this order. Times: the",
-        f"median of the ratios to `{figures['base']}` in the same round. One thread each unless the name says more.",
-        f"All decoders gave the scene with the digest {figures['digest'][:16]}.",
-        f"The output is {WHOLE_OUTPUT}, unless a line below says otherwise.",
+        f"Medians of {figures['rounds']} rounds. In each round all contenders ran once, in this order. Times: the",
+        f"median of the ratios to `{figures['base']}` in the same round. One thread each unless stated.",
+        f"The digest of all results is {figures['digest'][:16]}.",
+        f"The output is {WHOLE_OUTPUT}, unless stated below.",
         "",
     ]
     others = (row for row in figures["contenders"] if row["says"] != WHOLE_OUTPUT)
     lines += [f"- {row['name']}: {row['says']}{_parts(row)}." for row in others]
-    lines += [f"- {each['name']} is left out: {each['why']}." for each in figures["missing"]]
+    lines += [f"- {each['name']} did not take part: {each['why']}." for each in figures["missing"]]
     if scene["anchors"] == PAPER_ANCHORS:
-        lines += ["", f"The paper's own decoder takes {PAPER_SECONDS} s for a scene of so many anchors, on a GPU."]
+        lines += ["", f"The paper's own decoder takes {PAPER_SECONDS} s for a scene of this size, on a GPU."]
     return lines
 
 

@@ -1,4 +1,4 @@
-"""Who takes part in `decode`, and the processes that they run in.
+"""The contenders of `decode`, and their processes.
 
 Each contender is a separate process, which prepares itself and then waits (worker.py). Thus the environment can select
 a path of refcodec for each, and none shares memory with another. Each contender runs once per round. A contender that
@@ -24,7 +24,7 @@ from tqdm import tqdm
 from . import floor
 from .large import KEPT, ROOT
 
-# The kind of the contender that is no process of Python.
+# The kind of the contender that is not a Python process.
 JAVASCRIPT = "javascript"
 # The path that is always available, and the native paths. `native` is the one that refcodec chooses itself.
 NUMPY, NATIVE = "numpy", "native"
@@ -81,14 +81,14 @@ def offered() -> tuple[list[str], list[Missing]]:
 
 
 def contenders() -> tuple[list[Contender], list[Missing]]:
-    """Returns who takes part, as far as it is known before they prepare."""
+    """Returns the contenders, and the missing ones known before preparation."""
     paths, missing = offered()
     found: list[Contender] = []
     for path in paths:
         forced = {"REFCODEC_PATH": path}
         found.append(Contender(f"refcodec, {path}", "decode", environment=forced))
         if path in (NUMPY, NATIVE):
-            # What `refcodec digest` does, and the C decoder in any case.
+            # This is the work of `refcodec digest`, and always that of the C decoder.
             found.append(Contender(f"refcodec, {path}, with the digest", "digest", environment=forced))
         cores = os.cpu_count() or 1
         if path == NATIVE and cores > 1:
@@ -98,7 +98,7 @@ def contenders() -> tuple[list[Contender], list[Missing]]:
     if shutil.which("node"):
         found.append(Contender("JavaScript and WebAssembly", JAVASCRIPT))
     else:
-        missing.append(Missing("JavaScript and WebAssembly", "there is no node"))
+        missing.append(Missing("JavaScript and WebAssembly", "node is not installed"))
     found.append(Contender("float32 networks and constriction", "family"))
     found += [Contender(f"floor, {build}", "floor", build) for build in floor.builds()]
     return found, missing
@@ -163,7 +163,7 @@ def workers(wanted: Sequence[Contender], path: Path, kept: Path) -> Iterator[tup
 
 
 def compared(path: Path, rounds: int, kept: Path = KEPT) -> dict[str, Any]:
-    """Returns the figures of a file: who took part, in which order they ran, and all their times.
+    """Returns the figures of a file: the contenders, the order of their runs, and all times.
 
     Raises DisagreementError if a result differs from that of the first contender, refcodec's numpy path.
     """

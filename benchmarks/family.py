@@ -28,7 +28,7 @@ from .compiled import MissingError
 BATCH = 4096
 
 
-# The symbols of a stage of a batch: their words, the least and the largest of them.
+# The coded symbols of a stage of a batch: their words, and their least and largest value.
 Coded = tuple[NDArray[np.uint32], int, int]
 
 
@@ -77,7 +77,7 @@ def module(layers: list[Layer]) -> torch.nn.Sequential:
 
 
 class Family:
-    """The attributes of a scene, encoded the family's way."""
+    """Encodes and decodes the attributes of a scene by the family's method."""
 
     def __init__(self, scene: Scene) -> None:
         """Raises MissingError."""

@@ -1,4 +1,4 @@
-"""One way of reading a file, in a process of its own: python -m benchmarks.reading FILE WAY
+"""One way of reading a file, in a separate process: python -m benchmarks.reading FILE WAY
 
 WAY is `whole`, or `arriving`: the file's bytes come in blocks, and each chunk is decoded and released. The process
 prints a Reading as JSON.
@@ -25,7 +25,7 @@ from refcodec.bitstream.tables import tables
 from .resident import resident
 
 WHOLE, ARRIVING = "whole", "arriving"
-# Bytes of a block of a file that arrives.
+# Bytes of a block of an arriving file.
 BLOCK = 1000
 
 
@@ -48,7 +48,7 @@ class ReadingError(Exception):
 
 
 def reading(path: Path, way: str) -> Reading:
-    """Reads a file in a process of its own. Raises ReadingError."""
+    """Reads a file in a separate process. Raises ReadingError."""
     command = [sys.executable, "-m", "benchmarks.reading", str(path), way]
     root = str(Path(__file__).resolve().parent.parent)
     search = os.pathsep.join(filter(None, [root, os.environ.get("PYTHONPATH")]))

@@ -1,1 +1,1 @@
-"""Peers of the format in one harness: plain 3DGS, with SPZ and SOG of it, and C3GS."""
+"""Peers of the format in one harness: plain 3DGS as PLY, SPZ and SOG, and C3GS."""

@@ -17,7 +17,7 @@ USUAL = ("pro", "uncompressed")
 
 
 def experiment_name(folder: Path) -> str:
-    """The experiment of a folder that `refcodec experiment -o` made. Raises OSError."""
+    """Returns the name of the experiment of an output folder of `refcodec experiment`. Raises OSError."""
     return (folder / MARKDOWN).read_text(encoding="utf-8").splitlines()[0].removeprefix("# ")
 
 
