@@ -1,10 +1,10 @@
-"""Makes a small COLMAP folder of a large one: what examples/photographs holds.
+"""Reduces a COLMAP folder to a small one, such as those in examples/photographs.
 
 python examples/reduce_photographs.py SOURCE TARGET --size 400x300 [--quality 90] [--points 25000]
 
-Images are undistorted, averaged down and written as JPEG without metadata. Cameras are PINHOLE. Points come without
-their tracks, and a random part of them (seed 0) is kept, of the number asked for. The result is the same for the same
-versions of numpy, scipy and Pillow.
+Images are undistorted, averaged down and written as JPEG without metadata. Cameras are PINHOLE. The given number of
+points is kept at random (seed 0), without tracks. The result is reproducible with the same versions of numpy, scipy and
+Pillow.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ def target_name(camera: Camera) -> str:
 
 
 def write_model(photographs: PhotographSet, folder: Path, kept: int) -> None:
-    """COLMAP's text files. Cameras that agree to 9 digits are one."""
+    """Writes the text files of COLMAP. Cameras that agree to 9 digits are merged."""
     folder.mkdir(parents=True, exist_ok=True)
     lenses: dict[str, int] = {}
     images = ["# IMAGE_ID QW QX QY QZ TX TY TZ CAMERA_ID NAME, then a line of 2D points: left out"]
@@ -56,8 +56,8 @@ def main() -> int:
     parser.add_argument("source", type=Path)
     parser.add_argument("target", type=Path)
     parser.add_argument("--size", required=True, help="WIDTHxHEIGHT, or the longest side")
-    parser.add_argument("--quality", type=int, default=90, help="of the JPEG files, 1 to 95")
-    parser.add_argument("--points", type=int, default=25000, help="at most this many are kept")
+    parser.add_argument("--quality", type=int, default=90, help="quality of the JPEG files, 1 to 95")
+    parser.add_argument("--points", type=int, default=25000, help="maximum number of points to keep")
     args = parser.parse_args()
     if args.target.exists():
         parser.error(f"{args.target} exists: choose another folder, or remove it")
@@ -73,9 +73,9 @@ def main() -> int:
     write_model(photographs, args.target / "sparse" / "0", args.points)
     print(
         len(photographs.train),
-        "to learn from,",
+        "for training,",
         len(photographs.test),
-        "for tests,",
+        "held out,",
         photographs.skipped,
         "without pose",
     )

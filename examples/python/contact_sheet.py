@@ -1,4 +1,4 @@
-"""Draws a scene from cameras around it, and writes one picture of all views. It needs the extra `render`.
+"""Draws a scene from cameras around it, and writes all views as one picture. Needs the extra `render`.
 
 python examples/python/contact_sheet.py scene.c3gs sheet.png
 """
@@ -25,7 +25,7 @@ def main() -> None:
     height = WIDTH * cameras[0].height // cameras[0].width
     views = [refcodec.render(scene, camera.resized(WIDTH, height)) for camera in cameras]
     rows = [np.hstack(views[first : first + COLUMNS]) for first in range(0, len(views), COLUMNS)]
-    # Mode x: nothing that is there is replaced, such as the scene itself.
+    # Mode x: no existing file is replaced, such as the scene itself.
     with open(sys.argv[2], "xb") as file:
         Image.fromarray(np.vstack(rows)).save(file)
     print(f"{len(views)} views of {scene.anchor_count} anchors")

@@ -1,8 +1,8 @@
-"""Keeps the anchors of a scene that are near its middle, and writes them as a file of their own.
+"""Keeps the anchors near the middle of a scene, and writes them as a new file.
 
 python examples/python/crop.py scene.c3gs middle.c3gs 0.5
 
-The number is the share of the anchors that stays. Anchors that stay look as before: networks and planes do not change.
+The number is the share of anchors to keep. They look as before, because networks and planes do not change.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ def main() -> None:
     away = np.linalg.norm(scene.positions - np.median(scene.positions, axis=0), axis=1)
     middle = refcodec.Scene(take_anchors(scene.coded, away <= np.quantile(away, share)))
     data = refcodec.encode(middle)
-    # Mode x: nothing that is there is replaced, such as the scene itself.
+    # Mode x: no existing file is replaced, such as the scene itself.
     with open(target, "xb") as file:
         file.write(data)
     print(f"{scene.anchor_count} anchors, {sum(scene.sizes.values())} bytes")

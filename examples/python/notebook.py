@@ -1,8 +1,8 @@
 # %% [markdown]
 # # A C3GS file in a notebook
 #
-# An editor that knows cells, such as VS Code, Spyder or Jupyter with jupytext, opens this file as a notebook.
-# It needs `pip install '.[render]'`. Run it in the folder of the project, or give another file.
+# Editors with support for cells, such as VS Code, Spyder or Jupyter with jupytext, open this file as a notebook.
+# It needs `pip install '.[render]'`. Run it in the project folder, or give another file.
 
 # %%
 import sys
@@ -15,7 +15,7 @@ import refcodec
 FILE = sys.argv[1] if len(sys.argv) == 2 else "vectors/valid/trained-caliterra.c3gs"
 
 # %% [markdown]
-# The header is read at once, and nothing is decoded. A file that is the last line of a cell shows itself.
+# `open` reads only the header. A file on the last line of a cell displays itself.
 
 # %%
 file = refcodec.open(FILE)
@@ -23,7 +23,7 @@ print(file)
 file
 
 # %% [markdown]
-# A scene shows itself with a picture.
+# A scene displays itself with a picture.
 
 # %%
 scene = file.decode()
@@ -37,17 +37,17 @@ scene
 kept = scene.masks.sum(axis=1)
 print(f"positions: {scene.positions.dtype} {list(scene.positions.shape)}")
 print(f"an anchor keeps {kept.mean():.2f} of {scene.offset_count} offsets")
-print(f"the widest Gaussian unit is {np.exp(scene.scalings[:, 3:].max()):.3f} world units")
+print(f"the largest scale of a Gaussian is {np.exp(scene.scalings[:, 3:].max()):.3f} world units")
 
 # %% [markdown]
-# Bytes of its parts, and bits of each anchor.
+# Bytes of each part, and bits per anchor.
 
 # %%
 for name, size in scene.sizes.items():
-    print(f"{name:12} {size:8,} bytes  {8 * size / scene.anchor_count:7.2f} bits an anchor")
+    print(f"{name:12} {size:8,} bytes  {8 * size / scene.anchor_count:7.2f} bits per anchor")
 
 # %% [markdown]
-# An image from the file's own camera, and one from the side.
+# An image from the camera of the file, and one from the side.
 
 # %%
 image = refcodec.render(scene, scene.camera.resized(160, 120))
@@ -55,14 +55,14 @@ side = refcodec.render(scene, scene.orbit(4)[1].resized(160, 120))
 print(f"image: {image.dtype} {list(image.shape)}, mean colour {image.mean(axis=(0, 1)).round().tolist()}")
 
 # %% [markdown]
-# The file comes back byte for byte.
+# Encoding the scene gives the same file, byte for byte.
 
 # %%
 data = refcodec.encode(scene)
 print(f"encoded again: {len(data):,} bytes, the same file: {data == Path(FILE).read_bytes()}")
 
 # %% [markdown]
-# A damaged file says where it is damaged, and which clause it breaks.
+# The error for a damaged file states the location of the damage, and the clause.
 
 # %%
 damaged = bytearray(data)

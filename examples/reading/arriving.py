@@ -1,9 +1,9 @@
-"""Decodes a C3GS file while its bytes arrive, chunk after chunk, in the memory of one chunk.
+"""Decodes a C3GS file chunk by chunk while its bytes arrive, with only one chunk in memory.
 
 curl -s URL | python examples/reading/arriving.py
 python examples/reading/arriving.py < scene.c3gs
 
-Each chunk could be drawn at once. The file is checked on the way, and its digest is that of the whole file.
+Each chunk could be drawn at once. All checks are made, and the digest is that of the whole file.
 """
 
 from __future__ import annotations

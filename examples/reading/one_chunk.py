@@ -1,10 +1,10 @@
-"""Fetches one chunk of a C3GS file by ranges of bytes, and decodes it.
+"""Fetches the byte ranges of one chunk of a C3GS file, and decodes it.
 
 python examples/reading/one_chunk.py FILE_OR_URL NUMBER
 
-A viewer does this for the part of a scene that it looks at. First come the header, the networks, the planes and the
-index, which serve every chunk. The index says where each chunk lies, how many Gaussians it has at most, and between
-which positions. A URL needs a server that answers ranges.
+A viewer does this for the visible part of a scene. It first fetches the header, the networks, the planes and the index,
+which serve every chunk. The index states the location, the maximum number of Gaussians and the bounding box of each
+chunk. A URL needs a server that supports range requests.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from refcodec.bitstream.source import Ranges
 
 
 def fetcher(place: str) -> tuple[Callable[[int, int], bytes], int]:
-    """Returns a function that fetches some bytes, by the first one and their number, and the length of the file."""
+    """Returns a function that fetches bytes by offset and size, and the length of the file."""
     if "://" not in place:
         data = Path(place)
 
@@ -35,7 +35,7 @@ def fetcher(place: str) -> tuple[Callable[[int, int], bytes], int]:
         wanted = urllib.request.Request(place, headers={"Range": f"bytes={start}-{start + size - 1}"})
         with urllib.request.urlopen(wanted, timeout=30) as answer:
             if answer.status != 206:
-                raise OSError("the server does not answer ranges")
+                raise OSError("the server does not support range requests: download the file, and give its path")
             return answer.read()
 
     with urllib.request.urlopen(urllib.request.Request(place, method="HEAD"), timeout=30) as answer:
@@ -49,11 +49,11 @@ def main() -> None:
     place, number = sys.argv[1], int(sys.argv[2])
     fetch, length = fetcher(place)
 
-    def told(start: int, size: int) -> bytes:
+    def reported(start: int, size: int) -> bytes:
         print(f"fetch {size} bytes from {start}")
         return fetch(start, size)
 
-    scene = decode_chunk(Ranges(told, length), number)
+    scene = decode_chunk(Ranges(reported, length), number)
     values = reconstruct(scene)
     low, high = values.positions.min(axis=0), values.positions.max(axis=0)
     print(f"chunk {number}: {scene.anchor_count} anchors from {low.tolist()} to {high.tolist()}")
