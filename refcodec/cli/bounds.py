@@ -1,4 +1,4 @@
-"""The bounds that a caller puts on a file: --max-anchors, --max-work and --max-memory."""
+"""The bounds of a caller on a file: --max-anchors, --max-work and --max-memory."""
 
 # Modules that need NumPy are imported where they are used, so that help is instant.
 # ruff: noqa: PLC0415
@@ -23,56 +23,58 @@ if TYPE_CHECKING:
     from ..bitstream.header import Header
     from ..bitstream.source import Source
 
-# What is estimated beside bitstream.bounds, in bytes: the program with its packages.
+# Estimated bytes of the program with its packages, in addition to bitstream.bounds.
 PROGRAM, PROGRAM_DRAWING, PROGRAM_TORCH = 64 << 20, 192 << 20, 320 << 20
-# Commands that decode some chunks at a time, and hold neither the file nor the scene. These options hold both.
+# Commands that decode a few chunks at a time, and hold neither the file nor the scene, except with these options.
 STREAMING = ("validate", "digest", "decode", "inspect")
 HOLDING_OPTIONS = ("trace", "hex", "near", "anchor")
-# In how many copies the other commands hold a scene, and how many more the symbols take as text.
+# The copies of a scene that other commands hold, and the further ones for a text of the symbols.
 COPIES, TRACE_COPIES = 3, 8
-# What export holds beside them, for each value of the scene: Gaussians of many views, and their harmonics.
+# The copies for export, which holds the Gaussians of many views and their harmonics.
 EXPORT_COPIES = 75
 
 _UNITS = {"": 1, "K": 1 << 10, "M": 1 << 20, "G": 1 << 30}
+_NO_VERDICT = "this is not a verdict on the file"
 
 
 def memory(text: str) -> int:
-    """Returns a number of bytes, at least 1. It may end with K, M or G, which are 2^10, 2^20 and 2^30."""
+    """Returns a number of bytes, at least 1. The suffixes K, M and G stand for 2^10, 2^20 and 2^30."""
     match = re.fullmatch(r"([0-9]{1,18})([KMG]?)", text.upper())
     if match is None or not int(match[1]):
-        raise argparse.ArgumentTypeError(f"{text} found, a number of bytes is required, such as 800M")
+        raise argparse.ArgumentTypeError(f"{text} found, a number of bytes such as 800M required")
     return int(match[1]) * _UNITS[match[2]]
 
 
 def number(text: str) -> int:
-    """Returns a number of anchors or of units, at least 0."""
+    """Returns a number of anchors or of units of work, at least 0."""
     if not re.fullmatch(r"[0-9]{1,18}", text):
-        raise argparse.ArgumentTypeError(f"{text} found, a whole number is required")
+        raise argparse.ArgumentTypeError(f"{text} found, an integer from 0 required")
     return int(text)
 
 
 def add_bounds(parser: argparse.ArgumentParser, *, decodes: bool = True) -> None:
-    """Adds the options to a command. decodes: whether it decodes a file, which alone has work that a header tells."""
+    """Adds the options to a command. decodes: whether it decodes a file, whose header states the work."""
     parser.add_argument(
-        "--max-anchors", type=number, metavar="N", help="refuse more anchors, before any work (exit status 64)"
+        "--max-anchors", type=number, metavar="N", help="refuse more anchors before any work (exit status 64)"
     )
     if decodes:
         parser.add_argument(
             "--max-work",
             type=number,
             metavar="UNITS",
-            help="refuse what may take more units of work (SPEC.md 13.1) by the header (exit status 64)",
+            help="refuse a file that may take more units of work (SPEC.md 13.1) by its header (exit status 64)",
         )
     parser.add_argument(
         "--max-memory",
         type=memory,
         metavar="BYTES",
-        help="refuse what may take more memory by its tables, with K, M or G (exit status 64; default: 4G for a URL)",
+        help="refuse a file that may take more memory by its tables; K, M and G are allowed (exit status 64; default: "
+        "4G for a URL)",
     )
 
 
 def held_copies(arguments: argparse.Namespace) -> int:
-    """Returns in how many copies a command holds a scene. Of those that hold none, it is 0."""
+    """Returns the number of copies of a scene that a command holds, 0 if it holds none."""
     options = vars(arguments)
     asked = [name for name in HOLDING_OPTIONS if options.get(name) not in (None, False)]
     if _command(arguments) in STREAMING and not asked:
@@ -87,16 +89,16 @@ def _command(arguments: argparse.Namespace) -> str:
 
 
 def check_bounds(arguments: argparse.Namespace, path: str, count: int, needed: int, work: int = 0) -> None:
-    """Raises UsageError if the caller does not want the work.
+    """Raises UsageError if a bound of the caller is exceeded.
 
-    count: N, or 0 if it is not known. needed: bytes of memory beside the program, of which the images of a renderer are
-    no part. work: units of bitstream.bounds.all_work, or 0 if nothing is decoded.
+    count: N, or 0 if unknown. needed: bytes of memory, without the program and the images of a renderer. work: units of
+    bitstream.bounds.all_work, or 0 if nothing is decoded.
     """
     most = vars(arguments).get("max_work")
     if most is not None and work > most:
-        raise UsageError(f"{path} may take {work} units of work, --max-work is {most}; this is no verdict")
+        raise UsageError(f"{path} may take {work} units of work, --max-work is {most}; {_NO_VERDICT}")
     if arguments.max_anchors is not None and count > arguments.max_anchors:
-        raise UsageError(f"{path} has {count} anchors, --max-anchors is {arguments.max_anchors}; this is no verdict")
+        raise UsageError(f"{path} has {count} anchors, --max-anchors is {arguments.max_anchors}; {_NO_VERDICT}")
     most = _most_memory(arguments)
     needed += _program(arguments)
     if most is not None and needed > most:
@@ -110,7 +112,7 @@ def _program(arguments: argparse.Namespace) -> int:
 
 
 def _most_memory(arguments: argparse.Namespace) -> int | None:
-    """Returns the bytes that the caller allows. What is behind a URL has a bound in any case."""
+    """Returns the bytes that the caller allows. A URL always has a bound."""
     if arguments.max_memory is None and is_url(vars(arguments).get("file") or ""):
         return MEMORY_MAX
     most: int | None = arguments.max_memory
@@ -119,12 +121,12 @@ def _most_memory(arguments: argparse.Namespace) -> int | None:
 
 def _too_much(arguments: argparse.Namespace, path: str, needed: int) -> UsageError:
     most = _most_memory(arguments)
-    default = " for a URL, unless you give it" if arguments.max_memory is None else ""
-    return UsageError(f"{path} may take {needed} bytes of memory, --max-memory is {most}{default}; this is no verdict")
+    default = " by default for a URL" if arguments.max_memory is None else ""
+    return UsageError(f"{path} may take {needed} bytes of memory, --max-memory is {most}{default}; {_NO_VERDICT}")
 
 
 def reader_bounds(arguments: argparse.Namespace) -> Bounds | None:
-    """Returns what a reader of the command's file is allowed, or None: what only its index tells."""
+    """Returns the bounds for a reader of the command's file, which it checks against the index, or None."""
     from ..bitstream.bounds import Bounds
 
     most = _most_memory(arguments)
@@ -132,20 +134,20 @@ def reader_bounds(arguments: argparse.Namespace) -> Bounds | None:
 
 
 def passed(arguments: argparse.Namespace, error: BoundPassedError) -> UsageError:
-    """Returns what is said of a bound of reader_bounds that is passed."""
+    """Returns the error for an exceeded bound of reader_bounds."""
     return _too_much(arguments, arguments.file, error.needed + _program(arguments))
 
 
 def needed_memory(header: Header, copies: int, file: bool = False) -> int:
-    """Returns about how many bytes of memory a file takes beside the program, from one to two times what is measured.
+    """Returns an estimate of the memory for a file in bytes, without the program: one to two times the measured use.
 
-    copies: those of the scene that are held (held_copies). file: whether the file is held. Who holds the scene does so.
+    copies: of the scene, as by held_copies. file: whether the file is held, as it always is with a copy of the scene.
     """
     from ..bitstream.batches import GROUP_ANCHORS
     from ..bitstream.bounds import READING, memory_needed, section_bytes
 
     count, length = header.anchor_count, header.sections[-1].end
-    # Of what is held as a whole, any part may be decoded at once.
+    # If the scene is held, any part of the file may be decoded at once.
     more = (1 + READING) * length if copies else section_bytes(header, True) + file * length
     return memory_needed(header, min(count, GROUP_ANCHORS), copies * count, more)
 
@@ -158,9 +160,9 @@ def _check_header(arguments: argparse.Namespace, header: Header, file: bool) -> 
 
 
 def _check_source(arguments: argparse.Namespace, source: Source, file: bool) -> None:
-    """Raises UsageError if the header of a file breaks the caller's bounds. file: as for needed_memory.
+    """Raises UsageError if the header of a file exceeds the bounds of the caller. file: as for needed_memory.
 
-    A header that is not allowed is left to the decoder.
+    An invalid header is left to the decoder.
     """
     from ..bitstream.header import read_header
 
@@ -171,9 +173,9 @@ def _check_source(arguments: argparse.Namespace, source: Source, file: bool) -> 
 
 
 def read_bounded(arguments: argparse.Namespace) -> bytes:
-    """Returns the bytes of the command's file, unless its length or its header breaks the caller's bounds.
+    """Returns the bytes of the command's file.
 
-    Raises UsageError, and BitstreamError as read_file.
+    Raises UsageError if its length or its header exceeds the bounds of the caller, and BitstreamError as read_file.
     """
     from ..bitstream.source import WholeFile
 
@@ -192,16 +194,16 @@ def read_bounded(arguments: argparse.Namespace) -> bytes:
 
 @contextlib.contextmanager
 def open_bounded(arguments: argparse.Namespace) -> Iterator[Source]:
-    """Yields the command's file as open_source, unless its header breaks the caller's bounds. Raises UsageError."""
+    """Yields the command's file as open_source. Raises UsageError if its header exceeds the bounds of the caller."""
     with open_source(arguments.file, lambda header: _check_header(arguments, header, True)) as source:
         _check_source(arguments, source, False)
         yield source
 
 
 def check_folder(arguments: argparse.Namespace, folder: Path) -> None:
-    """Raises UsageError if the point cloud of a scene folder breaks the caller's bounds, by its header.
+    """Raises UsageError if the point cloud of a scene folder exceeds the bounds of the caller, by its header.
 
-    What is wrong with the folder itself is left to its reader.
+    Faults of the folder itself are left to its reader.
     """
     if arguments.max_anchors is None and arguments.max_memory is None:
         return

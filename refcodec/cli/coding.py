@@ -54,15 +54,17 @@ def _encode(arguments: argparse.Namespace) -> int:
     check_folder(arguments, Path(arguments.scene))
     entries = metadata_of(arguments)
     if Path(arguments.scene).is_file():
-        raise UsageError(f"{arguments.scene} is a file: give a scene folder, of decode, train, fit or convert")
+        raise UsageError(f"{arguments.scene} is a file: give a scene folder of decode, train, fit or convert")
     status = 0
     if is_uncompressed(Path(arguments.scene)):
-        # It needs the training's rooms.
+        # This imports the training packages.
         from .converting import fitted
 
         scene, status = fitted(arguments)
     elif arguments.rate or arguments.steps:
-        raise UsageError(f"{arguments.scene} is coded already: --rate and --steps are for uncompressed scenes")
+        raise UsageError(
+            f"{arguments.scene} is coded already: omit --rate and --steps, which are for uncompressed scenes"
+        )
     else:
         check_scene_folder(Path(arguments.scene))
         scene = read_folder(arguments.scene)
@@ -104,14 +106,14 @@ def _decode(arguments: argparse.Namespace) -> int:
 
 
 def _report_damage(path: str, chunks: int, written: Written) -> int:
-    """Reports each dropped chunk on stderr, and then the verdict on the file. It is the same that validate gives."""
+    """Reports each dropped chunk on stderr, and then the same verdict on the file as validate."""
     if written.damage:
         for number, error in sorted(written.damage.items()):
-            note(f"chunk {number} is dropped, {written.lost[number]} anchors: {error}")
-        lost = sum(written.lost.values())
-        note(f"{len(written.damage)} of {chunks} chunks and {lost} anchors are lost, {written.anchors} are written")
+            note(f"chunk {number} with {counted(written.lost[number], 'anchor')} is dropped: {error}")
+        lost = counted(sum(written.lost.values()), "anchor")
+        note(f"{len(written.damage)} of {chunks} chunks and {lost} are lost, {written.anchors:,} are written")
     elif written.error:
-        note("every chunk is whole, but the file is damaged elsewhere")
+        note("no chunk is damaged, but another part of the file is")
     return reject(path, written.error) if written.error else 0
 
 
@@ -149,7 +151,7 @@ def _reconstruct(arguments: argparse.Namespace) -> int:
     output = Path(arguments.output)
     trace = Path(arguments.trace) if arguments.trace else None
     if arguments.probes and trace is None:
-        raise UsageError("--probes is for --trace")
+        raise UsageError("--probes needs --trace TRACE")
     check_file(output, Kind.signed("a reconstruction", DIGEST_MAGIC))
     if trace:
         check_file(trace, TRACE)
@@ -172,10 +174,10 @@ def _reconstruct(arguments: argparse.Namespace) -> int:
 
 
 def _chunks(text: str) -> range:
-    """Returns the numbers of chunks."""
+    """Returns the chunk numbers of A:B."""
     match = re.fullmatch(r"([0-9]{1,9}):([0-9]{1,9})", text)
     if match is None or int(match[1]) >= int(match[2]):
-        raise argparse.ArgumentTypeError(f"{text} found, numbers A:B with A below B are required")
+        raise argparse.ArgumentTypeError(f"{text} found, A:B with A below B required")
     return range(int(match[1]), int(match[2]))
 
 
@@ -193,10 +195,10 @@ def add(commands: Any) -> None:
             "encode scene -o scene.c3gs --smallest",
             "encode converted -o scene.c3gs --rate 0.01",
         ],
-        "A folder written by decode gives the same bytes again. For a file of Main, add --positions raw if its\n"
-        "positions are raw, and --weights raw if its weights are raw. If coded.safetensors is deleted,\n"
-        "point_cloud.ply is quantised anew. An uncompressed scene, of convert or of train --rate 0, is quantised and\n"
-        "gets an entropy model, as by fit. That takes minutes, and needs: pip install 'refcodec[fit]'.",
+        "A folder written by decode gives the same bytes again. For a Main file, add --positions raw if its positions\n"
+        "are raw, and --weights raw if its weights are raw. If coded.safetensors is deleted,\n"
+        "point_cloud.ply is quantised again. An uncompressed scene, of convert or of train --rate 0, is quantised and\n"
+        "gets an entropy model, as by fit. This takes minutes, and needs: pip install 'refcodec[fit]'.",
         writes=True,
     )
     encode.add_argument("scene", metavar="SCENE_DIR", help="the scene folder")
@@ -206,25 +208,25 @@ def add(commands: Any) -> None:
     encode.add_argument(
         "--positions",
         choices=("raw", "packed"),
-        help="48 bits an anchor, or about a tenth of that with the anchors sorted (default: packed in Main, and where "
-        "the folder states it)",
+        help="raw: 48 bits per anchor; packed: about a tenth of that, with sorted anchors (default: packed in Main, "
+        "or if the folder states it)",
     )
     encode.add_argument(
         "--weights",
         choices=("raw", "packed"),
-        help="32 bits each, or integers for the coding networks (default: as for --positions)",
+        help="raw: 32 bits each; packed: integers for the coding networks (default: as for --positions)",
     )
     encode.add_argument(
         "--smallest",
         action="store_true",
         help="also try the scene without a hyperprior and with raw positions, and write the smallest file; no "
-        "position, mask or attribute changes; for scenes of few anchors, such as fit makes",
+        "position, mask or attribute changes; for scenes of few anchors, such as those of fit",
     )
     encode.add_argument(
         "--rate",
         type=fit_rate,
         metavar="L",
-        help="lambda_r for an uncompressed scene: its steps grow with the root (default: 0.004)",
+        help="lambda_r for an uncompressed scene: the steps grow with its square root (default: 0.004)",
     )
     encode.add_argument(
         "--steps", type=positive, metavar="N", help="training steps of an uncompressed scene's model (default: 4000)"
@@ -234,8 +236,8 @@ def add(commands: Any) -> None:
         "--cameras",
         type=whole,
         metavar="N",
-        help="state only the first N cameras of the folder, 0 for none; they show where photographs were taken, "
-        "and export needs them (default: all; train keeps 16)",
+        help="write only the first N cameras of the folder, or none with 0; they reveal where photographs were taken, "
+        "and export uses them (default: all; train keeps 16)",
     )
     decode = add_command(
         commands,
@@ -247,8 +249,8 @@ def add(commands: Any) -> None:
             "decode scene.c3gs -o part --chunks 2:5",
             "decode damaged.c3gs -o scene --keep-going",
         ],
-        "SCENE_DIR is created. An existing folder must be empty or a scene folder. Its scene is replaced as a\n"
-        "whole, and its other files stay.",
+        "SCENE_DIR is created. An existing folder must be empty or a scene folder. Its scene is replaced, and its\n"
+        "other files stay.",
         writes=True,
     )
     decode.add_argument("file", metavar="FILE", help=FILE)
@@ -290,12 +292,12 @@ def add(commands: Any) -> None:
     add_bounds(reconstruct)
     reconstruct.add_argument("output", metavar="OUTPUT", help="the file to write")
     reconstruct.add_argument(
-        "--trace", metavar="TRACE", help="write every symbol to this file, a line with its path and its value each"
+        "--trace", metavar="TRACE", help="write a line with path and value to this file for every symbol"
     )
     reconstruct.add_argument(
         "--probes",
         action="store_true",
-        help="with --trace: write the numbers of each anchor too, by the names of conformance/README.md",
+        help="with --trace: also write the numbers of each anchor, with the names of conformance/README.md",
     )
     validate = add_command(
         commands, "validate", _validate, "check whether a file is a conforming bitstream", ["validate scene.c3gs"]

@@ -1,4 +1,4 @@
-"""The command that takes what other programs made: convert. What encode does with a scene that is not compressed."""
+"""The command convert, which imports models and splats, and the fit of uncompressed scenes for encode."""
 
 # Modules that need NumPy are imported where they are used, so that help is instant.
 # ruff: noqa: PLC0415
@@ -37,9 +37,9 @@ if TYPE_CHECKING:
     from ..render.camera import Camera
     from ..train.settings import TrainSettings
 
-# What convert imports beyond the decoder.
+# The packages of convert beyond those of the decoder.
 _PACKAGES = ("torch", "numba", "scipy", "PIL", "skimage")
-# Files of splats (refcodec.convert.splat_files), and the file of a folder of SOG. All else is a model's folder.
+# Splat files (refcodec.convert.splat_files), and the file of a SOG folder. Any other source is a model folder.
 _SPLATS, _SOG = (".ply", ".spz", ".sog", ".glb"), "meta.json"
 _VIEWS = 200
 
@@ -50,13 +50,13 @@ def _convert(arguments: argparse.Namespace) -> int:
     if not splats and not source.is_dir():
         if not os.path.lexists(source):
             raise UsageError(f"{source} does not exist")
-        raise UsageError(f"{source} is neither the folder of a model nor a file of splats ({', '.join(_SPLATS)})")
+        raise UsageError(f"{source} is neither a model folder nor a splat file ({', '.join(_SPLATS)})")
     if splats and arguments.appearance is not None:
-        raise UsageError("--appearance is for the folder of a model")
+        raise UsageError(f"--appearance applies only to model folders: omit it for {source}")
     drawn = {name: getattr(arguments, name) for name in ("views", "cameras", "pictures", "steps", "rate", "size")}
     given = next((name for name, value in drawn.items() if value is not None), None)
     if not splats and given:
-        raise UsageError(f"--{given} is for a file of splats, which {source} is not")
+        raise UsageError(f"--{given} applies only to splat files: omit it for {source}")
     try:
         return _train_from_splats(arguments, splats) if splats else _convert_model(arguments)
     except ModuleNotFoundError as error:
@@ -64,7 +64,7 @@ def _convert(arguments: argparse.Namespace) -> int:
 
 
 def _splats_of(source: Path) -> Path | None:
-    """Returns the file of splats that is converted, None for a model's folder."""
+    """Returns the splat file of a source, or None for a model folder."""
     if source.is_dir():
         return source / _SOG if (source / _SOG).is_file() else None
     return source if source.suffix.lower() in _SPLATS or source.name == _SOG else None
@@ -74,7 +74,7 @@ def _splats_of(source: Path) -> Path | None:
 
 
 def _convert_model(arguments: argparse.Namespace) -> int:
-    """Converts the folder of a trained model to an uncompressed scene."""
+    """Converts a model folder to an uncompressed scene."""
     from ..convert.checkpoint import read_checkpoint
     from ..folder.uncompressed import write_uncompressed
 
@@ -87,8 +87,8 @@ def _convert_model(arguments: argparse.Namespace) -> int:
     write_uncompressed(scene, output)
     if model.appearances and arguments.appearance is None:
         note(
-            f"refcodec: the model has an appearance for each of {model.appearances} cameras; the scene has their mean, "
-            "and --appearance N takes that of one camera"
+            f"refcodec: the model has an appearance for each of {model.appearances} cameras; the scene gets their mean "
+            "(--appearance N selects that of one camera)"
         )
     count, offsets = scene.masks.shape
     say(f"{output}: {count} anchors, {scene.values.features.shape[1]} features, {offsets} offsets")
@@ -97,10 +97,7 @@ def _convert_model(arguments: argparse.Namespace) -> int:
 
 
 def fitted(arguments: argparse.Namespace) -> tuple[Scene, int]:
-    """Returns the coded scene of an uncompressed one, for `encode`, and the exit status.
-
-    Raises UsageError for a scene that cannot be fitted.
-    """
+    """Fits an uncompressed scene for `encode`. Returns the coded scene and the exit status. Raises UsageError."""
     try:
         from ..convert.networks import on_grids
         from ..train.fit import fit
@@ -120,7 +117,7 @@ def fitted(arguments: argparse.Namespace) -> tuple[Scene, int]:
     done = result.report["steps"]
     # Ctrl-C ends the training, not the program.
     if done < settings.steps and scene.anchor_count:
-        note(f"refcodec: stopped at step {done} of {settings.steps}; the file is written, larger than it could be")
+        note(f"refcodec: stopped at step {done} of {settings.steps}; the file is written, but larger than necessary")
         return scene, statuses.INTERRUPTED
     return scene, statuses.DONE
 
@@ -129,7 +126,7 @@ def fitted(arguments: argparse.Namespace) -> tuple[Scene, int]:
 
 
 def _train_from_splats(arguments: argparse.Namespace, source: Path) -> int:
-    """Draws a file of splats from cameras, and trains a scene from these pictures."""
+    """Draws a splat file from cameras, and trains a scene from these pictures."""
     from ..folder.layout import SceneFolderError
     from ..train.command import state_path, train
     from ..train.messages import closing
@@ -140,9 +137,10 @@ def _train_from_splats(arguments: argparse.Namespace, source: Path) -> int:
     settings, state = _train_settings(arguments), state_path(output)
     check_scene_output(output, [source], uncompressed=True)
     if arguments.resume != os.path.lexists(state):
-        lacks = "there is nothing to resume" if arguments.resume else "continue it with --resume, or remove it"
-        raise UsageError(f"{state} is {'not there' if arguments.resume else 'a saved training'}: {lacks}")
-    # A training that goes on has the pictures that the interrupted one left.
+        if arguments.resume:
+            raise UsageError(f"there is nothing to resume: {state} does not exist")
+        raise UsageError(f"{state} is a saved training: continue it with --resume, or remove it")
+    # A resumed training uses the pictures that the interrupted one left.
     kept = pictures if arguments.resume and pictures and pictures.is_dir() else None
     if pictures is not None and kept is None:
         _check_pictures(pictures, output)
@@ -156,7 +154,7 @@ def _train_from_splats(arguments: argparse.Namespace, source: Path) -> int:
             with errors_of(pictures or output):
                 drawn.mkdir()
                 _draw(arguments, source, cameras, drawn, settings)
-        # The pictures have a split of their own.
+        # The pictures have their own split.
         photographs = read_photographs_of(str(kept or drawn), settings.size, settings.background, settings.holdout)
         with hold_file(state.with_name(state.name + ".lock")):
             result = train(
@@ -191,14 +189,16 @@ def _train_from_splats(arguments: argparse.Namespace, source: Path) -> int:
 def _check_pictures(pictures: Path, output: Path) -> None:
     """Raises UsageError unless pictures can be kept in a new folder outside the scene."""
     if os.path.lexists(pictures):
-        raise UsageError(f"{pictures} is there already: choose another place for the pictures")
+        raise UsageError(f"{pictures} exists: choose another folder for the pictures")
     place, scene = Path(os.path.realpath(pictures)), Path(os.path.realpath(output))
     if place.is_relative_to(scene) or scene.is_relative_to(place):
-        raise UsageError(f"{pictures} and {output} are one folder, or one is in the other: choose another place")
+        raise UsageError(
+            f"{pictures} and {output} are the same folder or nested: choose another folder for the pictures"
+        )
 
 
 def _train_settings(arguments: argparse.Namespace) -> TrainSettings:
-    """Returns the settings of the training: black where the splats are transparent, as in 3DGS."""
+    """Returns the settings of the training. The default background is black, as in 3DGS."""
     from ..train.settings import PRESETS
 
     if arguments.background is None:
@@ -213,16 +213,16 @@ def _train_settings(arguments: argparse.Namespace) -> TrainSettings:
 
 
 def _cameras_of(source: Path, stated: str | None) -> list[Camera]:
-    """Returns the cameras of a cameras.json: the one that is stated, or that of the splats' model; else none.
+    """Returns the cameras of a cameras.json: the stated file, or that of the splat's model; else none.
 
-    3DGS writes it beside its folder point_cloud. Raises SceneFolderError.
+    3DGS writes it beside its folder point_cloud. Raises UsageError and SceneFolderError.
     """
     from ..convert.notes import CAMERAS_FILE, read_cameras
 
     if stated:
         found = read_cameras(Path(stated))
         if not found:
-            raise UsageError(f"{stated} has no cameras")
+            raise UsageError(f"{stated} has no cameras: give a cameras.json of 3DGS, or omit --cameras")
         return found
     beside = [source.parent / CAMERAS_FILE]
     if source.parent.parent.name == "point_cloud":
@@ -233,7 +233,7 @@ def _cameras_of(source: Path, stated: str | None) -> list[Camera]:
 def _draw(
     arguments: argparse.Namespace, source: Path, cameras: list[Camera], folder: Path, settings: TrainSettings
 ) -> None:
-    """Writes the pictures of a file of splats to a folder. Raises UsageError and SceneFolderError."""
+    """Writes the pictures of a splat file to a folder. Raises UsageError and SceneFolderError."""
     from ..convert import views
     from ..convert.splat_files import read_splats, splats_up
     from ..convert.splats import tensors
@@ -261,25 +261,25 @@ def add(commands: Any) -> None:
         commands,
         "convert",
         _convert,
-        "turn a trained model or a file of splats of other programs into a scene folder",
+        "convert a trained model or a splat file of another program to a scene folder",
         [
             "convert output/model -o scene",
             "convert output/model -o scene --appearance 0",
             "convert scene.ply -o scene --views 200",
             "convert scene.spz -o scene --up=+y --size 800 --rate 0.002 --steps 8000",
         ],
-        "SOURCE is the folder of a model that Scaffold-GS, HAC, HAC++ or CAT-3DGS trained, or one of its folders\n"
-        "iteration_N. The scene looks as the model does. It is not compressed yet: encode compresses it.\n"
-        "Or SOURCE is a file of 3D Gaussians: .ply (of 3DGS, or compressed by PlayCanvas), .spz, .sog or .glb, or a\n"
-        "folder of SOG with meta.json. It is rendered from the cameras in its cameras.json, or else from cameras\n"
-        "around it, whose up axis is that of --up, of a .glb file, or -y. A scene is trained from these pictures.\n"
-        "Options below that both commands have are those of train.\n"
+        "SOURCE is a model folder of Scaffold-GS, HAC, HAC++ or CAT-3DGS, or one of its folders iteration_N.\n"
+        "The scene looks like the model. It is not compressed yet: encode compresses it.\n"
+        "Or SOURCE is a splat file: .ply (of 3DGS, or compressed by PlayCanvas), .spz, .sog or .glb, or a SOG folder\n"
+        "with meta.json. It is rendered from the cameras in its cameras.json, or else from cameras around it, whose\n"
+        "up axis is that of --up, of a .glb file, or -y. A scene is trained from these pictures.\n"
+        "Options that train also has work as there.\n"
         "No code of a model runs: pickles are checked first, and TorchScript is read but not executed.\n"
         "Needs: pip install 'refcodec[convert]'.",
         writes=True,
         parents=[train_options.parser()],
     )
-    convert.add_argument("source", metavar="SOURCE", help="a model's folder, or a file of splats")
+    convert.add_argument("source", metavar="SOURCE", help="a model folder, or a splat file")
     convert.add_argument("-o", "--output", metavar="SCENE_DIR", required=True, help="the scene folder to write")
     convert.add_argument(
         "--appearance",
@@ -288,15 +288,15 @@ def add(commands: Any) -> None:
         help="model: number of the training camera whose appearance the scene gets (default: the mean of all)",
     )
     convert.add_argument(
-        "--views", type=positive, metavar="N", help=f"splats: pictures to draw, beside those for tests ({_VIEWS})"
+        "--views", type=positive, metavar="N", help=f"splats: pictures to train from (default: {_VIEWS})"
     )
     convert.add_argument("--cameras", metavar="FILE", help="splats: a cameras.json as 3DGS writes it")
     convert.add_argument("--pictures", metavar="DIR", help="splats: keep the pictures, as photographs for eval")
     convert.add_argument(
-        "--preset", choices=("fast", "paper"), default="fast", help="splats: of the training (default: %(default)s)"
+        "--preset", choices=("fast", "paper"), default="fast", help="splats: training preset (default: %(default)s)"
     )
     convert.add_argument("--rate", type=weight, metavar="L", help="splats: lambda_r of the training (default: 0.004)")
     convert.add_argument("--steps", type=positive, metavar="N", help="splats: training steps (default: the preset's)")
     convert.add_argument("--size", metavar="WxH", help="splats: longest side of the pictures (default: the preset's)")
-    convert.add_argument("--seed", type=seed, metavar="S", help="splats: of the random numbers (default: 0)")
+    convert.add_argument("--seed", type=seed, metavar="S", help="splats: random seed (default: 0)")
     convert.add_argument("--resume", action="store_true", help="splats: continue an interrupted training")

@@ -38,11 +38,11 @@ if TYPE_CHECKING:
     from ..render.camera import Camera
 
 
-# The help of the commands that write images.
+# Help for the commands that write images.
 IMAGES = """\
-An image has the name of its camera, with the folders in it, and .png for its ending. If another one has that name,
-it keeps its own ending as well. The images say that refcodec wrote them, and only such images are replaced. They get
-into DIR when all are drawn.
+An image has the name of its camera, including folders, with the suffix .png, which is appended to the camera's own
+suffix if names would collide. Images are marked as written by refcodec, and only such images are replaced. They
+appear in DIR when all are drawn.
 """
 
 
@@ -65,7 +65,7 @@ def _gaussians(arguments: argparse.Namespace) -> int:
         with open(arguments.camera, "rb") as file:
             camera = read_camera(file.read(CAMERA_MAX + 1))
     except ValueError as error:
-        raise UsageError(f"{arguments.camera} is not a camera: {error}") from None
+        raise UsageError(f"{arguments.camera} is not a camera: {error}; vectors/README.md describes one") from None
     scene = parse_file(arguments, read_bounded(arguments)).scene
     visible = gaussians(reconstruct(scene), scene.masks, scene.networks, camera, scene.render.distance_unit)
     write_file(output, json.dumps(gaussians_document(visible), separators=(",", ":")).encode())
@@ -189,8 +189,8 @@ def add(commands: Any) -> None:
             "render scene.c3gs --cameras orbit -o images",
             "render scene.c3gs --cameras photographs -o images",
         ],
-        "FILE is a file or a scene folder. PHOTOGRAPHS is a folder that COLMAP or a NeRF dataset made. Its images are\n"
-        "drawn at the size of the training. The images of an orbit are also written as an animation.\n"
+        "FILE is a file or a scene folder. PHOTOGRAPHS is a COLMAP or NeRF folder, whose cameras are drawn at the\n"
+        "training size. The images of an orbit are also written as an animation.\n"
         + IMAGES
         + "Needs: pip install 'refcodec[render]'.",
         writes=True,
@@ -202,29 +202,29 @@ def add(commands: Any) -> None:
         "--cameras",
         metavar="default|orbit|PHOTOGRAPHS",
         default="default",
-        help="which cameras (default: the file's own)",
+        help="which cameras (default: that of the file)",
     )
     render.add_argument(
         "--size",
         metavar="WxH",
-        help="with PHOTOGRAPHS, the size of the images, their longest side, or full (default: that of the training)",
+        help="with PHOTOGRAPHS: image size, longest side, or full for unscaled (default: the training size)",
     )
     render.add_argument(
-        "--frames", type=positive, metavar="N", default=60, help="images of an orbit (default: %(default)s)"
+        "--frames", type=positive, metavar="N", default=60, help="number of images of an orbit (default: %(default)s)"
     )
     evaluate = add_command(
         commands,
         "eval",
         _eval,
-        "compare what a file shows with photographs",
+        "compare the images of a file with photographs",
         [
             "eval scene.c3gs photographs",
             "eval scene photographs",
             "eval scene.c3gs photographs --size 400x300 --json",
         ],
-        "FILE is a file, or the scene folder of one, which is coded for it, or that of an uncompressed scene.\n"
-        "The photographs are those that training holds out: every eighth one, or the test set of the dataset.\n"
-        "Their size is that of the training, from the scene folder's training.json or else from the scene's camera.\n"
+        "FILE is a file, a scene folder, which is encoded first, or the folder of an uncompressed scene.\n"
+        "The photographs are those that training holds out: the test set of the data set, or every eighth one.\n"
+        "Their size is the training size, from training.json in the scene folder or else from the scene's camera.\n"
         "training.json also states which photographs were held out. For a file, eval prints its own choice.\n"
         + IMAGES
         + "Needs: pip install 'refcodec[render]'.",
@@ -236,13 +236,13 @@ def add(commands: Any) -> None:
     evaluate.add_argument(
         "--size",
         metavar="WxH",
-        help="the size to which photographs are averaged down, its longest side, or full for their own (default: that "
-        "of the training)",
+        help="size to which photographs are averaged down, longest side, or full for unscaled (default: the training "
+        "size)",
     )
     evaluate.add_argument(
         "--background",
         metavar="C",
-        help="the colour behind transparent photographs: white, black or R,G,B (default: the scene's background)",
+        help="colour behind transparent photographs: white, black or R,G,B (default: the scene's background)",
     )
     evaluate.add_argument(
         "--holdout",
@@ -255,6 +255,6 @@ def add(commands: Any) -> None:
     evaluate.add_argument(
         "--lpips",
         metavar="WEIGHTS",
-        help="compute LPIPS too, with the weights of a file that python -m refcodec.evaluate.lpips_weights makes",
+        help="also compute LPIPS, with a weights file of python -m refcodec.evaluate.lpips_weights",
     )
-    evaluate.add_argument("--json", action="store_true", help="print all figures as JSON, with those of each image")
+    evaluate.add_argument("--json", action="store_true", help="print all figures as JSON, including each image")

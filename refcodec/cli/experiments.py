@@ -110,36 +110,36 @@ def _experiment(arguments: argparse.Namespace) -> int:
         raise needs("experiment --engine ray", "ray", error, ("ray",)) from None
 
 
-# What the help of `experiment` says of the file and the folder.
+# Help of `experiment` on the file and the folder.
 _EXPERIMENT_NOTES = """\
-FILE is TOML. It has
-  rates, seeds          lists of lambda_r, and of seeds; each scene is trained by each method at each of them
+FILE is a TOML file with these keys:
+  rates, seeds          lists of lambda_r and of seeds; each method trains each scene at each pair of them
   steps                 of each training (default: the preset's)
   device                cpu or cuda (default: cpu)
-  baseline              a method; the BD-rates of the others are against it
-and a table [[scenes]] for each scene, with
-  name                  of 1 to 64 letters, digits and . _ + -
-  photographs           a folder, from the file's own; ${NAME} is a variable of the environment
+  baseline              the method to which the BD-rates of the others refer
+It has a table [[scenes]] for each scene:
+  name                  1 to 64 letters, digits and . _ + -
+  photographs           a folder, relative to FILE; ${NAME} is an environment variable
   size, background, holdout, voxel, anchors
-                        as of train (default: the preset's)
-  rates                 those of this scene
-  set                   a list of NAME=VALUE, as of train --set
-  group                 the data set that it belongs to; BD-rates have means over its scenes
-and a table [[methods]] for each method, with
-  name                  as of scenes
+                        as for train (default: the preset's)
+  rates                 the rates of this scene
+  set                   a list of NAME=VALUE, as for train --set
+  group                 the data set of the scene; BD-rates are averaged over its scenes
+It has a table [[methods]] for each method:
+  name                  as for scenes
   kind                  train (the default), or uncompressed, which has no rates
-  preset                as of train (default: fast)
-  set                   a list of NAME=VALUE, as of train --set, after those of the scene
-  scenes                names of the only scenes that it is for
-A cell is SCENE/METHOD/rate-R/seed-S: one training, encode, eval --json. It is done when DIR/cells/CELL/result.json is
-whole and was made by the same commands, settings, photographs and version of refcodec. The command runs the others,
-and what has failed or was interrupted goes on when it is called again. DIR gets results.csv (a row for each cell),
-tables.md (means and sample standard deviations over seeds, BD-rates) and curves/ (PNG, SVG).
-Ctrl-C stops the trainings, which keep what they have.
+  preset                as for train (default: fast)
+  set                   a list of NAME=VALUE, as for train --set, applied after that of the scene
+  scenes                names of scenes, if the method is only for these
+A cell is SCENE/METHOD/rate-R/seed-S: one training, encode, eval --json. It is done if DIR/cells/CELL/result.json is
+complete and was made by the same commands, settings, photographs and version of refcodec. The command runs the other
+cells, and continues interrupted ones. DIR gets results.csv (a row for each cell), tables.md (means and sample standard
+deviations over seeds, BD-rates) and curves/ (PNG, SVG).
+Ctrl-C stops the trainings, which keep their state.
 
---engine ray runs cells on Ray: on this machine, or on the cluster that RAY_ADDRESS names. There all machines need
-refcodec, and DIR, the photographs under the same paths. A cell asks for --threads processors (default: 1), and with
-device = "cuda" for one GPU.
+--engine ray runs cells on Ray, on this machine or on the cluster of RAY_ADDRESS. All machines of a cluster need
+refcodec, and DIR and the photographs under the same paths. A cell requests --threads processors (default: 1), and with
+device = "cuda" one GPU.
 Needs: pip install 'refcodec[train,render,rd]', and 'refcodec[ray]' for --engine ray."""
 
 
@@ -155,21 +155,21 @@ def _add_demo(commands: Any) -> None:
         commands,
         "demo",
         _demo,
-        "train on the photographs that come with the project, code the scene, and make a page of the results",
+        "train on example photographs, encode the scene, and write a page of the results",
         [
             "demo",
             "demo -o out --scene snowmiku",
             "demo -o out --steps 600",
             "demo -o out --photographs my-photographs --background white --holdout 5",
         ],
-        "DIR/index.html shows everything. It takes about six minutes on two cores. Ctrl-C ends the training early and\n"
-        "shows what there is. The same command continues, and repeats nothing. Both trainings get the options that\n"
-        "are train's.\n"
+        "The page is DIR/index.html. It takes about six minutes on two cores. Ctrl-C ends the training early and\n"
+        "shows the result so far. The same command continues, and repeats nothing. Options of train apply to both\n"
+        "trainings.\n"
         "Needs: pip install 'refcodec[demo]'.",
         parents=[train_options.parser()],
     )
     demo.add_argument(
-        "-o", "--output", metavar="DIR", default="demo", help="folder of the results (default: %(default)s)"
+        "-o", "--output", metavar="DIR", default="demo", help="folder for the results (default: %(default)s)"
     )
     which = demo.add_mutually_exclusive_group()
     which.add_argument(
@@ -178,9 +178,9 @@ def _add_demo(commands: Any) -> None:
         default="caliterra",
         help="which photographs (default: %(default)s)",
     )
-    which.add_argument("--photographs", metavar="FOLDER", help="your own, of COLMAP or a NeRF dataset")
+    which.add_argument("--photographs", metavar="FOLDER", help="your own photographs, a COLMAP or NeRF folder")
     demo.add_argument(
-        "--steps", type=positive, metavar="N", help="steps of each training (default: those of four minutes)"
+        "--steps", type=positive, metavar="N", help="steps of each training (default: about four minutes)"
     )
 
 
@@ -189,20 +189,20 @@ def _add_rd(commands: Any) -> None:
         commands,
         "rd",
         _rd,
-        "train at several rates, and write the sizes and figures as a table and a chart",
+        "train at several rates, and write sizes and quality as a table and a chart",
         [
             "rd photographs -o curve --size 400x300",
             "rd photographs -o curve --rates 0.002 0.004 0.01 0.04 --uncompressed",
             "rd photographs -o curve --against other/rd.csv",
             "rd photographs -o curve --anchors 20000 --holdout 5 --set masks.epsilon=0.0004",
         ],
-        "DIR gets rd.csv, rd.png, and for each rate a scene folder, a file and its figures. The same command goes on\n"
-        "with what was interrupted, and does nothing twice. All trainings get the options that are train's.\n"
+        "DIR gets rd.csv, rd.png, and for each rate a scene folder, a file and its figures. The same command\n"
+        "continues after an interruption, and repeats nothing. Options of train apply to all trainings.\n"
         "Needs: pip install 'refcodec[train,render,rd]'.",
         parents=[train_options.parser()],
     )
     rd.add_argument("photographs", metavar="PHOTOGRAPHS", help=PHOTOGRAPHS)
-    rd.add_argument("-o", "--output", metavar="DIR", required=True, help="folder of the results")
+    rd.add_argument("-o", "--output", metavar="DIR", required=True, help="folder for the results")
     rd.add_argument(
         "--rates",
         type=rate,
@@ -211,17 +211,17 @@ def _add_rd(commands: Any) -> None:
         default=[0.002, 0.004, 0.01, 0.04],
         help="lambda_r (default: 0.002 0.004 0.01 0.04)",
     )
-    rd.add_argument("--uncompressed", action="store_true", help="a training without the codec too")
+    rd.add_argument("--uncompressed", action="store_true", help="also train without the codec")
     rd.add_argument(
         "--against",
         metavar="CSV",
-        help="a table with columns bytes and psnr: BD-rate and BD-PSNR with that curve as anchor",
+        help="a table with columns bytes and psnr: print BD-rate and BD-PSNR with this curve as reference",
     )
-    rd.add_argument("--jobs", type=positive, metavar="N", default=2, help="trainings at a time (default: %(default)s)")
-    rd.add_argument("--size", metavar="WxH", help="size that photographs are averaged down to, or their longest side")
-    rd.add_argument("--preset", choices=("fast", "paper"), default="fast", help="as of train (default: %(default)s)")
+    rd.add_argument("--jobs", type=positive, metavar="N", default=2, help="parallel trainings (default: %(default)s)")
+    rd.add_argument("--size", metavar="WxH", help="size to which photographs are averaged down, or longest side")
+    rd.add_argument("--preset", choices=("fast", "paper"), default="fast", help="as for train (default: %(default)s)")
     for name, kind in (("steps", positive), ("seed", seed), ("device", str)):
-        rd.add_argument(f"--{name}", type=kind, help="as of train")
+        rd.add_argument(f"--{name}", type=kind, help="as for train")
 
 
 def _add_experiment(commands: Any) -> None:
@@ -229,7 +229,7 @@ def _add_experiment(commands: Any) -> None:
         commands,
         "experiment",
         _experiment,
-        "train scenes by methods, rates and seeds as stated in a file, and write tables and curves",
+        "train the scenes, methods, rates and seeds of a file, and write tables and curves",
         [
             "experiment benchmarks/experiments/tiny.toml -o tiny",
             "experiment benchmarks/experiments/tiny.toml -o tiny --only 'caliterra/pro/*' --jobs 4",
@@ -239,7 +239,7 @@ def _add_experiment(commands: Any) -> None:
         _EXPERIMENT_NOTES,
     )
     experiment.add_argument("file", metavar="FILE", help="a TOML file that describes the experiment")
-    experiment.add_argument("-o", "--output", metavar="DIR", required=True, help="folder of the results")
+    experiment.add_argument("-o", "--output", metavar="DIR", required=True, help="folder for the results")
     experiment.add_argument(
         "--engine", choices=("local", "ray"), default="local", help="what runs the cells (default: %(default)s)"
     )
@@ -247,17 +247,17 @@ def _add_experiment(commands: Any) -> None:
         "--jobs",
         type=positive,
         metavar="N",
-        help="cells at a time (default: 2; with Ray, as many as there is room for)",
+        help="parallel cells (default: 2; with Ray, as many as fit)",
     )
     experiment.add_argument(
         "--threads",
         type=positive,
         metavar="N",
-        help="processors of each training (default: all divided by the jobs; with Ray 1); no result depends on them",
+        help="processors per training (default: all divided by the jobs; with Ray: 1); results do not depend on it",
     )
     experiment.add_argument(
-        "--only", metavar="PATTERN", action="append", default=[], help="cells to run, with * and ?; can be given again"
+        "--only", metavar="PATTERN", action="append", default=[], help="cells to run, with * and ?; repeatable"
     )
     experiment.add_argument(
-        "--tables", action="store_true", help="run nothing: write the tables and curves of the cells that are done"
+        "--tables", action="store_true", help="run nothing: write tables and curves of the finished cells"
     )

@@ -35,43 +35,44 @@ if TYPE_CHECKING:
     from ..render.view import View
 
 NOTES = """\
-FILE is a file or a scene folder. The ending of OUTPUT says the format:
+FILE is a file or a scene folder. The suffix of OUTPUT selects the format:
 
-  .ply  Gaussians as 3DGS's own code writes them. Every program for splats reads them.
-  .spz  the format of Niantic: fixed point, packed with gzip
-  .sog  the format of PlayCanvas: images in an archive
+  .ply  Gaussians as the 3DGS code writes them. Every splat program reads them.
+  .spz  Niantic's format: fixed point, compressed with gzip
+  .sog  PlayCanvas's format: images in an archive
   .glb  glTF 2.0 with KHR_gaussian_splatting. The scene stands upright.
-  .html a page that draws FILE itself in any browser. FILE is in it, and nothing is fetched.
+  .html a page that draws FILE itself in any browser. It contains FILE and makes no requests.
 
-The page shows FILE as it is, and all else here is of splats. With --photographs it has photographs to compare with.
+--photographs adds photographs to a page for comparison. The rest of this text is about splats.
 
-The scene has other Gaussians for each camera. An ordinary splat has one set of them, with spherical harmonics for the
-colours. They are fitted to what cameras see:
+The Gaussians of a scene depend on the camera. An ordinary splat has one fixed set, with spherical harmonics for the
+colours. It is fitted to the views of these cameras:
 
-  - with PHOTOGRAPHS, a folder that COLMAP or a NeRF dataset made, the cameras that training had
-  - else the cameras of FILE, if there are 8 or more; train keeps 16 of its own, spread as far as may be
-  - else 64 cameras around the scene
+  - with --cameras PHOTOGRAPHS, a COLMAP or NeRF folder, the training cameras
+  - else the cameras of FILE, if there are 8 or more; train keeps 16, spread as far as possible
+  - else 64 cameras around the scene, where its networks were not trained
 
-The networks of a scene are right where they were trained, and so the views around it are the last choice.
-The command says how near the splat comes to the scene: the PSNR in dB, of views that the fit did not have. With cameras
-of FILE these are between each one and its nearest.
-Gaussians go that add less than a tenth of a pixel to every view.
+The command reports the PSNR of the splat in dB, measured on views that the fit did not use. With cameras of FILE, these
+lie between each camera and its nearest.
+Gaussians that contribute less than a tenth of a pixel to every view are dropped.
 Needs: pip install 'refcodec[render]'.
 
-With --scaffold, OUTPUT is a folder of Scaffold-GS as its authors' code loads it. It draws what FILE draws.
+With --scaffold, OUTPUT is a folder that the code of Scaffold-GS loads. It shows the same Gaussians as FILE.
 Needs: pip install 'refcodec[fit]'."""
 
 
 def _views(
     arguments: argparse.Namespace, shown: bytes | Scene | Uncompressed, view: View, stated: list[NamedCamera]
 ) -> tuple[Views, list[str | Path]]:
-    """Returns the views of the fit, and what was read for them. Raises UsageError."""
+    """Returns the views of the fit, and the files read for them. Raises UsageError."""
     from ..export.views import Views, sized, views_of
 
     if arguments.cameras is None:
         views = views_of(view, stated)
         if len(views.fit) and "around" in views.source:
-            note(f"refcodec: the views are {views.source}; --cameras PHOTOGRAPHS fits to those of photographs")
+            note(
+                f"refcodec: the views are {views.source}; --cameras PHOTOGRAPHS fits to cameras of photographs instead"
+            )
         return views, []
     pictured, notes = photographs_as_trained(arguments, arguments.cameras, render_info(shown), camera_of(shown))
     for line in notes:
@@ -81,11 +82,11 @@ def _views(
 
 
 def _scaffold(arguments: argparse.Namespace, folder: Path) -> int:
-    """Writes the folder of Scaffold-GS."""
-    # torch alone may take more than the caller allows.
+    """Writes a Scaffold-GS folder."""
+    # torch by itself may take more memory than the caller allows.
     check_bounds(arguments, arguments.file, 0, 0)
     try:
-        # The networks are written with torch, which is missed here and not after the work.
+        # The networks are written with torch. If it is missing, this fails before the work.
         import torch  # noqa: F401
 
         from ..export.scaffold import FILES, check_folder, lattice_edge, scaffold_files, write_folder
@@ -111,15 +112,15 @@ def _scaffold(arguments: argparse.Namespace, folder: Path) -> int:
 
 def _export(arguments: argparse.Namespace) -> int:
     pages = [name for name in arguments.output if name.lower().endswith(PAGE_SUFFIX)]
-    alone = "a folder of Scaffold-GS" if arguments.scaffold else "a page" if pages else None
-    if alone and len(arguments.output) > 1:
-        raise UsageError(f"{alone} has a command of its own: several outputs are for splats")
+    single = "a Scaffold-GS folder" if arguments.scaffold else "a page" if pages else None
+    if single and len(arguments.output) > 1:
+        raise UsageError(f"{single} needs its own command: only splats can be several outputs")
     if arguments.scaffold:
         return _scaffold(arguments, Path(arguments.output[0]))
     if pages:
         return export_page(arguments, Path(pages[0]))
     if arguments.photographs is not None:
-        raise UsageError(f"--photographs is for pages, whose names end with {PAGE_SUFFIX}; --cameras is for splats")
+        raise UsageError(f"--photographs applies only to {PAGE_SUFFIX} outputs: use --cameras for splats")
     try:
         from ..export.fit import agreement, fit
         from ..export.formats import FORMATS, splat_file
@@ -182,22 +183,22 @@ def add(commands: Any) -> None:
         metavar="OUTPUT",
         action="append",
         required=True,
-        help="what is written; can be given again, and all splats of a command are of one fit",
+        help="the file to write; repeatable, and all splats of a command share one fit",
     )
-    export.add_argument("--scaffold", action="store_true", help="write a folder of Scaffold-GS")
+    export.add_argument("--scaffold", action="store_true", help="write a Scaffold-GS folder")
     export.add_argument(
         "--degree",
         type=int,
         choices=range(4),
         default=3,
-        help="of the spherical harmonics: how much a colour changes with the direction (default: %(default)s)",
+        help="degree of the spherical harmonics, by which colours depend on the direction (default: %(default)s)",
     )
     export.add_argument("--cameras", metavar="PHOTOGRAPHS", help="fit to the cameras of a folder of photographs")
     export.add_argument(
         "--size",
         metavar="WxH",
-        help="with --cameras or --photographs, the size of the photographs, their longest side, or full (default: that "
-        "of the training)",
+        help="with --cameras or --photographs: size of the photographs, longest side, or full for unscaled (default: "
+        "the training size)",
     )
     add_photographs(export)
     export.add_argument(
@@ -205,5 +206,5 @@ def add(commands: Any) -> None:
         type=whole,
         metavar="N",
         default=10,
-        help="steps of least squares on the images, after each Gaussian by itself (default: %(default)s)",
+        help="least-squares steps on the images, after the fit of each Gaussian by itself (default: %(default)s)",
     )

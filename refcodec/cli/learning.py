@@ -49,7 +49,7 @@ REPORT = Kind("the report of a training", re.compile(rb'\{\n "settings": '))
 
 
 def _folder(text: str) -> Path:
-    """Returns the path of a folder beside which a state has a place. Raises UsageError for the root of all files."""
+    """Returns the path of a folder with a name, beside which a state can be saved. Raises UsageError for the root."""
     path = Path(text)
     if path.name in ("", ".."):
         path = Path(os.path.abspath(path))
@@ -59,12 +59,12 @@ def _folder(text: str) -> Path:
 
 
 def _lock(state: Path) -> Path:
-    """Returns the file that a run holds as long as it trains, so that no other one trains into the same folder."""
+    """Returns the lock file that a run holds while it trains, so that no other run trains into the same folder."""
     return state.with_name(state.name + ".lock")
 
 
 def _settings(arguments: argparse.Namespace) -> TrainSettings:
-    """A preset, changed by a file of settings, by --set, and by the options that have names of their own."""
+    """Returns a preset, changed by a settings file, by --set, and by options for single settings."""
     from ..train.settings import PRESETS
     from ..train.settings_file import SettingsError, from_toml
 
@@ -85,15 +85,15 @@ def _settings(arguments: argparse.Namespace) -> TrainSettings:
 
 def _interrupted(done: int, steps: int, state: Path) -> int:
     kept = os.path.lexists(state)
-    goes_on = "--resume continues from the saved state" if kept else "there is no saved state to continue from"
-    note(f"refcodec: stopped at step {done} of {steps}; the scene is written, and {goes_on}")
+    advice = "--resume continues from the saved state" if kept else "there is no saved state to continue from"
+    note(f"refcodec: stopped at step {done} of {steps}; the scene is written, and {advice}")
     return statuses.INTERRUPTED
 
 
 def _check_state(state: Path, resume: bool, advice: str = "") -> None:
-    """Raises UsageError unless there is a saved state to continue from, or none that would be lost.
+    """Raises UsageError if a saved state to resume is missing, or if one would be lost.
 
-    advice: is added to the message if there is nothing to continue from. Raises OSError if it cannot be found out.
+    advice: added to the message on a missing state. Raises OSError if the state cannot be looked up.
     """
     try:
         if resume and not is_there(state):
@@ -107,14 +107,14 @@ def _check_state(state: Path, resume: bool, advice: str = "") -> None:
 
 
 def _check_writable(output: Path) -> None:
-    """Raises UsageError if a result cannot be written to a folder. It is called before any work is done."""
+    """Raises UsageError if a result cannot be written to a folder. Called before any work."""
     there = next(path for path in (output, *output.absolute().parents) if path.exists())
     if not os.access(there, os.W_OK | os.X_OK):
-        raise UsageError(f"{output} cannot be written: {there} is read-only")
+        raise UsageError(f"{output} cannot be written: {there} is read-only; choose another folder")
 
 
 def _given(folder: str | None) -> Given | None:
-    """Returns the scene to continue from, or None. Raises UsageError for what is no scene folder."""
+    """Returns the scene to continue from, or None. Raises UsageError if it is not a scene folder."""
     from ..train.fit_input import read_given
 
     if folder is None:
@@ -150,14 +150,14 @@ def _train(arguments: argparse.Namespace) -> int:
         raise needs("train", "train", error, ("torch", "numba", "scipy", "PIL", "skimage")) from None
     entries = metadata_of(arguments)
     if entries and not settings.rate.weight:
-        raise UsageError("an uncompressed scene, which rate 0 trains, has no metadata: leave --meta out")
+        raise UsageError("an uncompressed scene, as trained with rate 0, has no metadata: omit --meta")
     output = _folder(arguments.output)
     state = state_path(output)
     others = [(state, STATE), (output / REPORT_FILE, REPORT)]
     log = Path(arguments.log) if arguments.log else None
     logged = [] if log is None else [check_log(log)]
     check_scene_output(output, [arguments.settings, arguments.start], uncompressed=True, others=others)
-    _check_state(state, arguments.resume, "; a training that came to its end keeps it only with --keep-state")
+    _check_state(state, arguments.resume, "; a completed training keeps it only with --keep-state")
     _check_writable(output)
     photographs = read_photographs_of(arguments.photographs, settings.size, settings.background, settings.holdout)
     check_scene_output(output, photographs.places(), uncompressed=True)
@@ -189,7 +189,7 @@ def _train(arguments: argparse.Namespace) -> int:
     except BeginningError as error:
         raise UsageError(f"{arguments.start} cannot be continued: {error}") from None
     except BoundError as error:
-        # The photographs have no part in what networks a file holds.
+        # The photographs are not at fault for networks that a file cannot hold.
         raise UsageError(f"{arguments.start or output} cannot be coded: {error}") from None
     except ValueError as error:
         raise UsageError(f"{arguments.photographs} cannot be trained: {error}") from None
@@ -223,9 +223,9 @@ def _fit(arguments: argparse.Namespace) -> int:
         raise needs("fit", "fit", error, ("torch", "scipy")) from None
     output, points = _folder(arguments.output), Path(arguments.points)
     _check_writable(output)
-    # Beside the folder, not in it: a scene folder is whole or it is not there.
+    # Beside the folder, not in it: a scene folder is complete or absent.
     state = output.with_name(output.name + ".fit-state")
-    # With the point cloud of a scene goes the rest of the scene.
+    # The point cloud of a scene is read with the rest of the scene.
     inputs = [points, *(scene_files(points.parent) if points.suffix == ".ply" else [])]
     check_scene_output(output, inputs, others=[(state, STATE)])
     _check_state(state, arguments.resume)
@@ -248,10 +248,10 @@ def _fit(arguments: argparse.Namespace) -> int:
         raise needs("fit of points", "fit", error, ("PIL",)) from None
     except StateError as error:
         raise UsageError(str(error)) from None
-    # Of the npz files that cannot be read some are no archives, and some are cut.
+    # An unreadable npz file may be truncated, or not an archive.
     except (ValueError, BadZipFile, EOFError) as error:
         raise UsageError(f"{arguments.points} cannot be fitted: {error}") from None
-    say(f"{arguments.output}: {result.scene.anchor_count} anchors, {dropped} without offsets left out, {done} steps")
+    say(f"{arguments.output}: {result.scene.anchor_count} anchors, {dropped} without offsets dropped, {done} steps")
     return _interrupted(done, settings.steps, state) if stopped else 0
 
 
@@ -275,17 +275,17 @@ def add(commands: Any) -> None:
             "train --preset paper --print-settings > settings.toml",
             "train photographs -o scene --settings settings.toml",
         ],
-        "PHOTOGRAPHS is a folder of COLMAP or of a NeRF dataset; every eighth image is held out. SCENE_DIR is\n"
-        "what refcodec encode and eval read. Its training.json has the settings of the training, and how it went.\n"
-        "A training begins with an anchor in each voxel that has points. --voxel or --anchors set its size.\n"
-        "For a NeRF dataset without points, points are drawn at random: in the visual hull of transparent\n"
-        "photographs, or else in a cube. Anchors grow until the rate counts, at\n"
-        "40 % of the steps. The setting growth.most is their maximum: 40,000 in the preset fast.\n"
+        "PHOTOGRAPHS is a COLMAP or NeRF folder; every eighth image is held out. refcodec encode and eval read\n"
+        "SCENE_DIR. Its training.json has the settings and a report of the training.\n"
+        "Training starts with an anchor in each voxel that has points. --voxel or --anchors sets the voxel size.\n"
+        "For a NeRF folder without points, points are drawn at random: in the visual hull of transparent photographs,\n"
+        "or else in a cube. Anchors grow until 40 % of the steps, when the rate enters the loss. The setting\n"
+        "growth.most is their maximum: 40,000 in the preset fast.\n"
         "Ctrl-C ends the training early, still writes the scene, and keeps SCENE_DIR.train-state for --resume.\n"
-        "Without --resume a training does not start while such a state exists: use --resume, or remove the state.\n"
-        "--resume --steps N with more steps than before extends a training. What is left of its schedule is stretched\n"
-        "over the steps that are left: passed phases stay passed, learning rates continue from their values.\n"
-        "A completed training continues in its last phase. Its state exists if it was trained with --keep-state.\n"
+        "While such a state exists, a training without --resume does not start: use --resume, or remove the state.\n"
+        "--resume --steps N with more steps than before extends a training. The rest of its schedule is stretched\n"
+        "over the remaining steps: completed phases are not repeated, and learning rates continue from their values.\n"
+        "A completed training continues in its last phase, if it was trained with --keep-state.\n"
         "Needs: pip install 'refcodec[train]'.",
         writes=True,
         parents=[train_options.parser()],
@@ -296,41 +296,43 @@ def add(commands: Any) -> None:
         "--preset",
         choices=("fast", "paper"),
         default="fast",
-        help="fast: 4,000 steps on photographs of 400 pixels, about 5,000 anchors at first, or more where points are "
-        "drawn at random; paper: 40,000 on 1,600, a voxel is the median distance of neighbouring points (default: "
+        help="fast: 4,000 steps, photographs of 400 pixels, about 5,000 anchors at first, or more with random points; "
+        "paper: 40,000 steps, 1,600 pixels, the median distance of neighbouring points as voxel size (default: "
         "%(default)s)",
     )
     train.add_argument(
-        "--settings", metavar="FILE", help="settings that replace the preset's, as --print-settings prints them"
+        "--settings", metavar="FILE", help="settings that replace those of the preset, in the form of --print-settings"
     )
-    train.add_argument(
-        "--print-settings", action="store_true", help="print all settings, with what they mean, and do nothing else"
-    )
+    train.add_argument("--print-settings", action="store_true", help="print all settings with their meanings, and exit")
     train.add_argument(
         "--from",
         dest="start",
         metavar="SCENE_DIR",
-        help="continue from a scene, such as convert makes, with its anchors, networks and features; none grow",
+        help="continue from a scene, such as one of convert, with its anchors, networks and features; none grow",
     )
     train.add_argument(
         "--rate",
         type=weight,
         metavar="L",
-        help="lambda_r, the weight of the rate: 0.002 to 0.04, or 0 for an uncompressed Scaffold-GS (default: 0.004)",
+        help="lambda_r, the weight of the rate: usually 0.002 to 0.04, or 0 for an uncompressed Scaffold-GS (default: "
+        "0.004)",
     )
     train.add_argument("--steps", type=positive, metavar="N", help="training steps (default: the preset's)")
     train.add_argument(
-        "--size", metavar="WxH", help="size that photographs are averaged down to, their longest side, or full"
+        "--size", metavar="WxH", help="size to which photographs are averaged down, longest side, or full for unscaled"
     )
-    train.add_argument("--seed", type=seed, metavar="S", help="of the random numbers (default: 0)")
+    train.add_argument("--seed", type=seed, metavar="S", help="random seed (default: 0)")
     train.add_argument(
         "--device",
         choices=("cpu", "cuda"),
         default="cpu",
-        help="where it trains (default: cpu); cuda needs pip install 'refcodec[cuda]'",
+        help="device of the training (default: cpu); cuda needs pip install 'refcodec[cuda]'",
     )
     train.add_argument(
-        "--threads", type=positive, metavar="N", help="of the rasteriser (default: all); no result depends on them"
+        "--threads",
+        type=positive,
+        metavar="N",
+        help="threads of the rasteriser (default: all); results do not depend on it",
     )
     add_meta(train)
     train.add_argument(
@@ -341,13 +343,13 @@ def add(commands: Any) -> None:
     train.add_argument(
         "--keep-state",
         action="store_true",
-        help="keep SCENE_DIR.train-state after the end, so that --resume --steps N can train more steps",
+        help="keep SCENE_DIR.train-state after the end, so that --resume --steps N can extend the training",
     )
     train.add_argument(
         "--log",
         metavar="FILE.csv|DIR",
-        help="write a row for each look at held-out photographs: step, seconds, PSNR, anchors, bytes by part, phase; "
-        "into a folder for TensorBoard, which needs pip install 'refcodec[tensorboard]'",
+        help="write a row for each evaluation on held-out photographs: step, seconds, PSNR, anchors, bytes by part, "
+        "phase; a folder is for TensorBoard and needs pip install 'refcodec[tensorboard]'",
     )
     fit = add_command(
         commands,
@@ -362,7 +364,7 @@ def add(commands: Any) -> None:
         ],
         "POINTS is a points3D.txt or points3D.bin of COLMAP, a .ply of points with uchar colours, an .npz with\n"
         "means3d and colors (integers from 0 to 255, or floats from 0 to 1), a scene folder of train, fit or decode,\n"
-        "or the point_cloud.ply in one. A scene keeps its rendering networks, points get simple ones.\n"
+        "or the point_cloud.ply in one. A scene keeps its rendering networks, and points get simple ones.\n"
         "Ctrl-C ends the training early, still writes the scene, and keeps SCENE_DIR.fit-state for --resume.\n"
         "Needs: pip install 'refcodec[fit]'.",
         writes=True,
@@ -375,22 +377,23 @@ def add(commands: Any) -> None:
         type=fit_rate,
         metavar="L",
         default=0.004,
-        help="lambda_r: the steps of all attributes grow with its root (default: %(default)s)",
+        help="lambda_r: the quantisation steps grow with its square root (default: %(default)s)",
     )
     fit.add_argument(
         "--voxel",
         type=length,
         metavar="V",
-        help="edge of the anchors' lattice, in world units (default: median distance of the points; a scene's own)",
+        help="cell size of the anchor lattice, in world units (default: that of the scene, or the median distance of "
+        "the points)",
     )
-    fit.add_argument("--seed", type=seed, metavar="S", default=0, help="of the random numbers (default: %(default)s)")
+    fit.add_argument("--seed", type=seed, metavar="S", default=0, help="random seed (default: %(default)s)")
     fit.add_argument(
         "--set",
         metavar="NAME=VALUE",
         action="append",
         default=[],
         help="change one setting of refcodec.train.settings.FitSettings, such as entropy.channels=0 for no planes; "
-        "can be given again",
+        "repeatable",
     )
     add_meta(fit)
     fit.add_argument("--resume", action="store_true", help="continue an interrupted fit of the same points")

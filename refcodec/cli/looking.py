@@ -17,7 +17,7 @@ from ..files.remote import is_url
 from ..files.terminal import say
 from ..files.text import printable
 from .bounds import add_bounds, open_bounded, read_bounded, reader_bounds
-from .shared import FILE, UsageError, add_command, decoded, parse_file, reject
+from .shared import FILE, UsageError, add_command, counted, decoded, parse_file, reject
 
 if TYPE_CHECKING:
     from ..bitstream.scene import Scene
@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 def _spots(data: bytes, error: BitstreamError) -> list[BitstreamError]:
     """Returns an error, and those of the single chunks.
 
-    The error of the file can be the CRC-32 of a section, which does not say where in the section the damage is.
+    The error of a file may be the CRC-32 of a section, which does not locate the damage.
     """
     from ..bitstream.codec import parse
 
@@ -43,7 +43,9 @@ def _show_anchor(scene: Scene, number: int) -> int:
         for what, clause, values in anchor_rows(scene, number):
             print(f"{what:<45} {clause:<6} {values}")
     except IndexError:
-        raise UsageError(f"there is no anchor {number}: the file has {scene.anchor_count}") from None
+        raise UsageError(
+            f"there is no anchor {number}: the file has {counted(scene.anchor_count, 'anchor')}, from 0"
+        ) from None
     return 0
 
 
@@ -70,7 +72,7 @@ def _inspect(arguments: argparse.Namespace) -> int:
                 read_header(source)
         except BitstreamError as rejected:
             error = rejected
-        # Behind a URL, each head of a chunk would be a request of its own.
+        # For a URL, each chunk head would be a separate request.
         facts = summary.document(FileBytes(source), error or verdict, heads=not is_url(arguments.file))
     for line in summary.json_lines(facts) if arguments.json else summary.summary(facts, printable(arguments.file)):
         print(line)
@@ -78,7 +80,7 @@ def _inspect(arguments: argparse.Namespace) -> int:
 
 
 def _inspect_page(arguments: argparse.Namespace) -> int:
-    """Writes the page of a file that is accepted. The file is decoded some chunks at a time."""
+    """Writes the page of an accepted file. The file is decoded a few chunks at a time."""
     from ..bitstream.header import read_header
     from ..bitstream.reconstruction import StreamDigest
     from ..bitstream.source import FileBytes, WholeFile
@@ -91,7 +93,7 @@ def _inspect_page(arguments: argparse.Namespace) -> int:
     path = Path(arguments.html)
     check_file(path, PAGE)
     check_apart([path], [arguments.file])
-    # The page looks at the bytes in many places. What is behind a URL is fetched once.
+    # The page reads bytes in many places. A URL is fetched once.
     remote = is_url(arguments.file)
     with contextlib.nullcontext(WholeFile(read_bounded(arguments))) if remote else open_bounded(arguments) as source:
         header = read_header(source)
@@ -112,7 +114,7 @@ def _inspect_page(arguments: argparse.Namespace) -> int:
 
 
 def _inspect_bytes(arguments: argparse.Namespace) -> int:
-    """Shows elements or symbols, of which any may be anywhere in the file: it is read and decoded as a whole."""
+    """Shows elements or symbols. These may be anywhere in the file, so it is read and decoded as a whole."""
     from ..inspect import dump, trace
 
     data = read_bounded(arguments)
@@ -158,8 +160,8 @@ def add(commands: Any) -> None:
             "explain CARM",
             "explain 'chunk_table.entry[0].mask_length'",
         ],
-        "KEY is the code or name of an error, a requirement or a clause of SPEC.md, or the path of an element as\n"
-        "inspect prints it.",
+        "KEY is an error code or name, a requirement or clause of SPEC.md, or the path of an element as inspect\n"
+        "prints it.",
     )
     explain.add_argument("keys", nargs="+", metavar="KEY", help="what to explain, such as 432 or 7.5.4")
     inspect = add_command(
@@ -176,12 +178,12 @@ def add(commands: Any) -> None:
             "inspect scene.c3gs --anchor 7",
             "inspect scene.c3gs --html page.html",
         ],
-        "Without options nothing is decoded: the header, the tables of sections and the heads of chunks are read, and\n"
+        "Without options nothing is decoded: only the header, the section tables and the chunk heads are read, and\n"
         "only an error in the header is reported. Damaged files are shown as far as they parse. With --decode, --hex,\n"
         "--near and --trace they are then rejected as by validate.\n\n"
-        "With --html the file is decoded, and if it is accepted, a page is written. It opens from a disk and needs no\n"
-        "network. It has the file to scale, sizes by part beside the paper's, the bits of each anchor over the scene,\n"
-        "symbols against what their models expected, the planes, the masks, and annotated bytes.",
+        "--html decodes the file and, if it is accepted, writes a page that opens from disk and needs no network. The\n"
+        "page shows the file to scale, the size of each part beside that in the paper, the bits of each anchor over\n"
+        "the scene, symbols compared with the predictions of their models, planes, masks, and annotated bytes.",
         writes=True,
     )
     inspect.add_argument("file", metavar="FILE", help=FILE)
@@ -189,15 +191,15 @@ def add(commands: Any) -> None:
     inspect.add_argument("--decode", action="store_true", help="also decode the file, for its verdict and its digest")
     form = inspect.add_mutually_exclusive_group()
     form.add_argument(
-        "--hex", action="store_true", help="every byte with its syntax element, and each payload folded to a line"
+        "--hex", action="store_true", help="every byte with its syntax element; payloads take one line each"
     )
     form.add_argument(
         "--near",
         type=int,
         metavar="OFFSET",
-        help="the same for the elements around a byte, and what the one at the byte means",
+        help="the same for the elements around a byte, with the meaning of the one at the byte",
     )
-    form.add_argument("--json", action="store_true", help="the summary as one JSON document")
+    form.add_argument("--json", action="store_true", help="the summary as a JSON document")
     form.add_argument(
         "--trace", action="store_true", help="a line for each syntax element and symbol, in decoding order"
     )
@@ -207,4 +209,4 @@ def add(commands: Any) -> None:
         metavar="N",
         help="all numbers from the position of an anchor to its symbols, as in Annex D.4",
     )
-    form.add_argument("--html", metavar="PAGE", help="write a page that shows the file to people, with pictures")
+    form.add_argument("--html", metavar="PAGE", help="write a page with pictures of the contents")

@@ -14,7 +14,7 @@ from ..files.interrupts import on_interrupt
 from ..files.terminal import note, open_streams, silence_stdout
 from .shared import EXITS, UsageError, reject
 
-# The modules of this room that add commands, with these. A command imports only its own module.
+# The modules of this package and their commands. A command imports only its own module.
 GROUPS = {
     "coding": ("encode", "decode", "digest", "reconstruct", "validate"),
     "looking": ("explain", "inspect"),
@@ -25,12 +25,12 @@ GROUPS = {
     "converting": ("convert",),
     "experiments": ("demo", "rd", "experiment"),
 }
-# Of these groups, no command gains from threads of NumPy's BLAS. To start them costs more than a small file.
+# Commands of these groups do not gain from BLAS threads, whose start takes longer than a small file.
 _ONE_THREAD = ("coding", "looking")
 
 
 class _Parser(argparse.ArgumentParser):
-    """argparse, which exits with the status of wrong usage. Its own status 2 would read as a verdict."""
+    """An argument parser that exits with the status of wrong usage. argparse's own status 2 would read as a verdict."""
 
     def error(self, message: str) -> NoReturn:
         self.print_usage(sys.stderr)
@@ -39,7 +39,7 @@ class _Parser(argparse.ArgumentParser):
 
 
 class _Version(argparse.Action):
-    """Prints the version and the path of the native kernel, which only this option needs."""
+    """Prints the version and the decoding path. Only this option loads the native kernel for it."""
 
     def __call__(self, parser: argparse.ArgumentParser, *_: object) -> NoReturn:
         from ..native.library import describe  # noqa: PLC0415
@@ -64,15 +64,15 @@ def _parser(groups: list[str]) -> argparse.ArgumentParser:
 
 
 def _groups(argv: list[str]) -> list[str]:
-    """Returns the group of the command that the arguments ask for, or all groups if they ask for none."""
+    """Returns the group of the command in the arguments, or all groups if there is none."""
     command = next((word for word in argv if not word.startswith("-")), None)
     return [group for group, names in GROUPS.items() if command in names] or list(GROUPS)
 
 
 def main(argv: list[str] | None = None) -> int:
     """Runs one command and returns its exit status. argv: the arguments, or None for those of the process."""
-    # numba and torch read this when they are loaded. Waiting threads then do not spin, which would make training ten
-    # times as slow on busy cores.
+    # numba and torch read this when they are loaded. Without it, waiting threads spin, and training on busy cores takes
+    # ten times as long.
     os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")
     open_streams()
     try:
@@ -81,7 +81,7 @@ def main(argv: list[str] | None = None) -> int:
         sys.stdout.flush()
         return status
     except BrokenPipeError:
-        # The reader of stdout went away.
+        # The reader of stdout has closed it.
         silence_stdout()
         return statuses.BROKEN_PIPE
     except KeyboardInterrupt:
@@ -92,7 +92,7 @@ def main(argv: list[str] | None = None) -> int:
 
 
 def _run(argv: list[str] | None) -> int:
-    """Runs one command and returns its exit status. What it raises is no verdict."""
+    """Runs one command and returns its exit status. Exceptions that it raises are not verdicts."""
     arguments = None
     try:
         argv = sys.argv[1:] if argv is None else argv
@@ -102,7 +102,7 @@ def _run(argv: list[str] | None) -> int:
         arguments = _parser(groups).parse_args(argv)
         return int(arguments.run(arguments))
     except SystemExit as end:
-        # argparse ends this way after --help, --version and wrong usage.
+        # argparse raises this after --help, --version and wrong usage.
         return int(end.code or 0)
     except BitstreamError as error:
         return reject(arguments.file, error)  # type: ignore[union-attr]
@@ -123,18 +123,18 @@ def _report_memory(arguments: argparse.Namespace | None) -> int:
     options = vars(arguments) if arguments else {}
     place = options.get("file") or options.get("scene") or "refcodec"
     bound = "; --max-memory BYTES refuses such work before it begins" if "max_memory" in options else ""
-    note(f"{place}: out of memory{bound}; this is no verdict on a file")
+    note(f"{place}: out of memory{bound}; this is not a verdict on the file")
     return statuses.OUT_OF_MEMORY
 
 
 def _report(error: Exception) -> int:
-    """Reports an error that is no verdict, and returns the exit status."""
+    """Reports an error that is not a verdict, and returns the exit status."""
     folder = sys.modules.get("refcodec.folder.layout")
     if isinstance(error, UsageError) or (folder is not None and isinstance(error, folder.SceneFolderError)):
         note(f"refcodec: {error}")
         return statuses.USAGE
     if isinstance(error, OSError):
-        # stdout has no name. What is left to write to it would fail again.
+        # stdout has no name. Its buffered rest would fail again.
         if not error.filename:
             silence_stdout()
         note(f"refcodec: {error.filename or 'output'}: {error.strerror or error}")

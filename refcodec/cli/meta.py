@@ -24,13 +24,13 @@ def add_meta(parser: argparse.ArgumentParser) -> None:
         metavar="KEY=VALUE|FILE",
         action="append",
         default=[],
-        help="write an entry of metadata (SPEC.md 6.14), such as title=Kitchen, or those of a TOML file; an empty "
-        "value removes the entry; may be given several times",
+        help="write a metadata entry (SPEC.md 6.14), such as title=Kitchen, or the entries of a TOML file; an empty "
+        "value removes the entry; repeatable",
     )
 
 
 def metadata_of(arguments: argparse.Namespace) -> dict[str, str]:
-    """Returns the entries that were given, by key. Raises UsageError for what SPEC 6.14 does not allow."""
+    """Returns the given entries by key. Raises UsageError for entries that SPEC 6.14 does not allow."""
     from ..bitstream.metadata import emit_metadata
 
     entries: dict[str, str] = {}
@@ -45,7 +45,7 @@ def metadata_of(arguments: argparse.Namespace) -> dict[str, str]:
 
 
 def _of_file(path: Path) -> dict[str, str]:
-    """Returns the entries of a TOML file, whose values are texts. A key with dots may be in tables."""
+    """Returns the entries of a TOML file with string values. Keys with dots may be written as tables."""
     from ..files.documents import TOML_MAX, DocumentError, parse_toml
 
     try:

@@ -1,4 +1,4 @@
-"""What the commands share: files, progress, verdicts, and the types of arguments."""
+"""Common parts of the commands: files, progress, verdicts, and argument types."""
 
 # Modules that need NumPy are imported where they are used, so that help is instant.
 # ruff: noqa: PLC0415
@@ -35,7 +35,7 @@ if TYPE_CHECKING:
     from ..folder.uncompressed import Uncompressed
     from ..photographs.photographs import PhotographSet
 
-# The most bytes of a file that is read whatever its header says.
+# The largest file, in bytes, that is read regardless of its header.
 _WHOLE_FILE_MAX = (1 << 32) - 1
 
 # The packages of the extra `render`.
@@ -44,7 +44,7 @@ RENDER_PACKAGES = ("numba", "PIL", "skimage", "scipy")
 # Help texts of several commands.
 FILE = "a C3GS file: a path, or a URL with the extra `http`"
 CODED_OR_PLAIN = "a C3GS file, or the folder of an uncompressed scene"
-PHOTOGRAPHS = "a folder of photographs with cameras, of COLMAP or NeRF"
+PHOTOGRAPHS = "a COLMAP or NeRF folder of photographs with cameras"
 
 EXITS = """\
 exit status:
@@ -52,8 +52,8 @@ exit status:
   1   the file is rejected      } the last line on stderr is JSON:
   2   the file is not supported } code, name, offset, path, clause, requirement
   64  wrong usage, or a file or folder that cannot be read or written
-  70  a fault of this program
-  71  out of memory, which is no verdict on a file
+  70  internal error
+  71  out of memory; not a verdict on the file
 """
 
 
@@ -63,9 +63,9 @@ exit status:
 def read_file(path: str, check: Callable[[Header], None]) -> bytes:
     """Returns the bytes of a file.
 
-    A file of 4 GiB or more, or an endless one, is read only to one byte past the end that its header states. So the
-    verdict on it is that on the whole file. The same holds for a URL. check: told of the header before what lies behind
-    it is read. Raises UsageError if the file cannot be read, and BitstreamError if the header of such a file is wrong.
+    A URL, a file of 4 GiB or more, or an endless one is read only to one byte past the end that its header states. This
+    suffices for the verdict on the whole file. check: called with the header before any later byte is read. Raises
+    UsageError if the file cannot be read, and BitstreamError if the header of such a file is wrong.
     """
     from ..bitstream.header import read_header
     from ..bitstream.streaming import stated_bytes
@@ -87,10 +87,10 @@ def read_file(path: str, check: Callable[[Header], None]) -> bytes:
 
 @contextlib.contextmanager
 def open_source(path: str, check: Callable[[Header], None]) -> Iterator[Source]:
-    """Yields the bytes of a file, which are read as they are asked for, from any place.
+    """Yields a file or URL as a source that reads bytes on request.
 
-    The path may be a URL. What is no regular file, such as a pipe, is read as read_file, with check as there. Raises
-    UsageError if the file cannot be read, also within the block, and BitstreamError as read_file.
+    A path that is not a regular file, such as a pipe, is read as by read_file, with the same check. Raises UsageError
+    if the file cannot be read, also within the block, and BitstreamError as read_file.
     """
     from ..bitstream.source import StoredFile, WholeFile
     from ..bitstream.streaming import stated_bytes
@@ -109,7 +109,7 @@ def open_source(path: str, check: Callable[[Header], None]) -> Iterator[Source]:
 
 
 class _Checked:
-    """A source whose errors say that the file cannot be read. Those of outputs are told apart from them."""
+    """A source whose errors name the file as unreadable, which distinguishes them from errors of outputs."""
 
     def __init__(self, source: Source, path: str) -> None:
         self._source, self._path = source, path
@@ -128,7 +128,9 @@ class _Checked:
 
 def _unreadable(path: str, error: OSError) -> UsageError:
     if isinstance(error, IsADirectoryError):
-        return UsageError(f"cannot read {path}: it is a folder, not a C3GS file; refcodec encode codes a scene folder")
+        return UsageError(
+            f"cannot read {path}: it is a folder, not a C3GS file; encode a scene folder with refcodec encode"
+        )
     return UsageError(f"cannot read {path}: {error.strerror or error}")
 
 
@@ -138,7 +140,7 @@ def check_scene_folder(path: Path) -> None:
 
     if (path / "point_cloud").is_dir() and not (path / SCENE_FILE).exists():
         raise UsageError(
-            f"{path} is the folder of a model of another program, not a scene folder: convert it first with "
+            f"{path} is a model of another program, not a scene folder: convert it first with "
             f"refcodec convert {shell_word(str(path))} -o SCENE_DIR"
         )
 
@@ -149,18 +151,18 @@ def check_scene_output(
     uncompressed: bool = False,
     others: Sequence[tuple[Path, Kind]] = (),
 ) -> None:
-    """Raises UsageError if a scene must not be written to a folder. It is called before any work is done.
+    """Raises UsageError if a scene must not be written to a folder. Called before any work.
 
     Args:
-        path: of the folder.
-        inputs: what the run reads.
-        uncompressed: whether it may be the folder of an uncompressed scene.
+        path: the folder.
+        inputs: files and folders that the run reads.
+        uncompressed: whether the folder may hold an uncompressed scene.
         others: further outputs.
     """
     from ..folder.layout import is_free, scene_files
 
     if not is_free(path, uncompressed):
-        raise UsageError(f"{path} exists and is not a scene folder: choose another one, or empty it")
+        raise UsageError(f"{path} exists and is not a scene folder: choose another folder, or empty it")
     for other, kind in others:
         check_file(other, kind, made=True)
     check_apart([*scene_files(path), *(other for other, _ in others)], inputs)
@@ -174,7 +176,7 @@ def uncompressed_of(path: str) -> Uncompressed | None:
 
 
 def read_photographs_of(folder: str, size: str, background: str = "auto", holdout: int | None = None) -> PhotographSet:
-    """Returns the photographs of a folder. The others are as the options --size, --background and --holdout.
+    """Returns the photographs of a folder, by the values of --size, --background and --holdout.
 
     holdout: None for every eighth image. Raises UsageError.
     """
@@ -201,9 +203,9 @@ def encoded(
     weights: str | None = None,
     smallest: bool = False,
 ) -> bytes:
-    """Returns the file of a scene folder. positions, weights: as encoder.quantise.packed. Raises UsageError.
+    """Returns the encoded scene of a folder. positions, weights: as encoder.quantise.packed. Raises UsageError.
 
-    smallest: whether encoder.constants.smallest chooses.
+    smallest: whether encoder.constants.smallest chooses the form.
     """
     from ..bitstream.codec import emit
     from ..encoder.quantise import packed
@@ -225,11 +227,7 @@ def encoded(
 
 @contextlib.contextmanager
 def progress_bar(wanted: bool) -> Iterator[Progress]:
-    """Yields a function that shows progress on stderr.
-
-    If progress is wanted, it is always shown. Otherwise it is shown only on a terminal, for stages of more than a
-    second.
-    """
+    """Yields a function that shows progress on stderr: always if wanted, else on terminals for stages over a second."""
     if not (wanted or sys.stderr.isatty()):
         yield lambda stage, done, total: None
         return
@@ -252,10 +250,10 @@ def progress_bar(wanted: bool) -> Iterator[Progress]:
 
 
 def reject(path: str, error: BitstreamError) -> int:
-    """Reports a verdict on stderr, as a line for people and a line of JSON. Returns the exit status."""
+    """Reports a verdict on stderr, as a line of text and a line of JSON. Returns the exit status."""
     word = "is not supported" if error.kind.klass == "unsupported" else "is rejected"
     sys.stdout.flush()
-    # SPEC 6.1: the error of the signature has the first eight bytes, as text.
+    # SPEC 6.1: the signature error has the first eight bytes, as hexadecimal text.
     kind = looks_like(bytes.fromhex(error.found[:23])) if error.kind.name == "prologue.signature" else None
     spot = f"To see the spot: refcodec inspect {shell_word(path)} --near {error.offset}"
     advice = f"It looks like {kind}" if kind else f"{_likely_cause(error.kind.name)} {spot}"
@@ -265,7 +263,7 @@ def reject(path: str, error: BitstreamError) -> int:
 
 
 def _likely_cause(name: str) -> str:
-    """Returns the first sentence of what `explain` prints on how files come to have an error. name: the error's."""
+    """Returns the first sentence of the causes that `explain` prints for an error. name: of the error."""
     reasons = tomllib.loads(find("data/explanations.toml").read_text(encoding="utf-8"))
     return str(reasons[name]["how"].partition(". ")[0]).rstrip(".") + "."
 
@@ -286,7 +284,7 @@ def decoded(
 ) -> Opened:
     """Decodes and checks a whole file in bounded memory, and shows progress.
 
-    bounds: what the caller allows. use: gets the anchors in order, each time some of them as a scene. Raises
+    bounds: limits of the caller. use: called with the anchors in order, in pieces that are scenes. Raises
     BitstreamError and BoundPassedError.
     """
     from ..bitstream.reader import Reader
@@ -303,9 +301,9 @@ def decoded(
 
 
 def needs(command: str, extra: str, error: ModuleNotFoundError, packages: tuple[str, ...]) -> UsageError:
-    """Returns an error that says which extra a command needs.
+    """Returns an error that names the extra that a command needs.
 
-    error: the import that failed. It is raised again if the missing module is none of the extra's packages.
+    error: the failed import. It is raised again if the missing module is not one of the packages of the extra.
     """
     if (error.name or "").split(".")[0] not in packages:
         raise error
@@ -313,12 +311,12 @@ def needs(command: str, extra: str, error: ModuleNotFoundError, packages: tuple[
 
 
 def note_compiling() -> None:
-    """Reports on stderr if the rasteriser is compiled anew at each start. It needs the extra `render`."""
+    """Reports on stderr if the rasteriser is compiled at each start. Needs the extra `render`."""
     from ..render.compiled import is_kept
 
     if not is_kept():
         note(
-            "refcodec: compiled code cannot be stored, thus compiling takes some seconds now; "
+            "refcodec: compiled code cannot be stored, so compiling takes some seconds at each start: "
             "set NUMBA_CACHE_DIR to a writable folder"
         )
 
@@ -348,7 +346,7 @@ def positive(text: str) -> int:
 
 
 def seed(text: str) -> int:
-    """Returns an integer from 0 to 2^63 - 1, which every generator of random numbers takes."""
+    """Returns an integer from 0 to 2^63 - 1, the range of all random generators."""
     value = int(text)
     if not 0 <= value < 1 << 63:
         raise argparse.ArgumentTypeError(f"{text} found, 0 to 2^63 - 1 allowed")
@@ -372,7 +370,7 @@ def length(text: str) -> float:
 
 
 def rate(text: str) -> float:
-    """Returns a lambda_r of the paper, above 0 and at most 1."""
+    """Returns a rate, the lambda_r of the paper, above 0 and at most 1."""
     value = float(text)
     if not 0 < value <= 1:
         raise argparse.ArgumentTypeError(f"{text} found, above 0 to 1 allowed")
@@ -380,7 +378,7 @@ def rate(text: str) -> float:
 
 
 def fit_rate(text: str) -> float:
-    """Returns a lambda_r of a fit, from 10^-6 to 1."""
+    """Returns the lambda_r of a fit, from 10^-6 to 1."""
     value = float(text)
     if not 1e-6 <= value <= 1:
         raise argparse.ArgumentTypeError(f"{text} found, 0.000001 to 1 allowed")
@@ -399,9 +397,9 @@ def add_command(
 ) -> argparse.ArgumentParser:
     """Adds a command and returns its parser.
 
-    run: returns the exit status. text: what the command does, in a clause. examples: without the program's name. notes:
-    further help. writes: whether it has outputs. parents: parsers of options that it shares with others. The help ends
-    with the rule of outputs, and the exit statuses.
+    run: returns the exit status. text: summary of the command. examples: without the program name. notes: further help.
+    writes: whether the command has outputs. parents: parsers of common options. The help ends with the rules for
+    outputs and the exit statuses.
     """
     epilog = (
         "examples:\n"

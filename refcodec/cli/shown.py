@@ -1,4 +1,4 @@
-"""What render and eval draw, and the photographs that go with it as it was trained."""
+"""The scene that render and eval draw, and its photographs as in its training."""
 
 # Modules that need NumPy are imported where they are used, so that help is instant.
 # ruff: noqa: PLC0415
@@ -42,14 +42,14 @@ def read_shown(arguments: argparse.Namespace) -> bytes | Scene | Uncompressed:
 
 
 def render_info(shown: bytes | Scene | Uncompressed) -> RenderInfo:
-    """Returns the render information (SPEC 6.5) of what read_shown gave."""
+    """Returns the render information (SPEC 6.5) of the result of read_shown."""
     from ..bitstream.codec import parse_container
 
     return parse_container(shown).render if isinstance(shown, bytes) else shown.render
 
 
 def camera_of(shown: bytes | Scene | Uncompressed) -> NamedCamera:
-    """Returns the default view of what read_shown gave. A file without cameras has one at the world's origin."""
+    """Returns the default view of the result of read_shown: at the world origin for a file without cameras."""
     from ..bitstream.cameras import NamedCamera, cameras
     from ..bitstream.codec import parse_ancillary
     from ..render.view import default_view
@@ -62,11 +62,11 @@ def camera_of(shown: bytes | Scene | Uncompressed) -> NamedCamera:
 def photographs_as_trained(
     arguments: argparse.Namespace, folder: str, render: RenderInfo, camera: NamedCamera
 ) -> tuple[PhotographSet, list[str]]:
-    """Returns the photographs of a folder as the scene's training had them, unless the options say otherwise.
+    """Returns the photographs of a folder as in the training of the scene, unless options override it.
 
-    A scene folder says it in training.json. Otherwise the camera of the scene is that of the first photograph, and
-    every eighth one is held out. Also returns lines on what neither the options nor training.json say: the size, and
-    for a command with --holdout which photographs are compared. Raises UsageError.
+    training.json of a scene folder states the size and the held-out photographs. Otherwise the size is that of the
+    scene's camera, and every eighth photograph is held out. Also returns messages on values that are assumed: the size,
+    and for a command with --holdout the compared photographs. Raises UsageError.
     """
     from ..folder.layout import REPORT_FILE
     from ..photographs.photographs import TEST_EVERY
@@ -76,21 +76,21 @@ def photographs_as_trained(
     size, notes = arguments.size, []
     if size is None:
         size = trained.get("size") or str(max(camera.width, camera.height))
-        source = f"{path} says" if "size" in trained else "the scene's own camera has"
-        notes.append(f"photographs are taken at size {size}, as {source}; --size full takes them as they are")
+        source = str(path) if "size" in trained else "the camera of the scene"
+        notes.append(f"photographs are scaled to size {size}, as in {source}; --size full uses them unscaled")
     background = getattr(arguments, "background", None) or ",".join(map(str, render.background))
     holdout = getattr(arguments, "holdout", None)
     holdout = trained.get("holdout") if holdout is None else holdout
     if holdout is None and "holdout" in arguments:
         notes.append(
-            f"every {TEST_EVERY}th photograph is compared, or the test set of the data set, because "
-            f"{arguments.file} does not say which ones training held out; --holdout N takes every N-th one, 0 all"
+            f"the test set of the data set, or every {TEST_EVERY}th photograph, is compared, because {arguments.file} "
+            "does not state which ones training held out; --holdout N compares every N-th one, or all with 0"
         )
     return read_photographs_of(folder, size, background, holdout), notes
 
 
 def _trained(path: Path) -> dict[str, Any]:
-    """Returns `size` and `holdout` of a training's settings, as far as they are there. Raises UsageError."""
+    """Returns `size` and `holdout` of the settings of a training, where present. Raises UsageError."""
     try:
         if not is_there(path):
             return {}
@@ -99,11 +99,11 @@ def _trained(path: Path) -> dict[str, Any]:
         size, holdout = settings.get("size", ""), settings.get("holdout", 0)
         if isinstance(size, str) and isinstance(holdout, int) and not isinstance(holdout, bool) and holdout >= 0:
             return settings
-        problem = "its size or holdout is none"
+        problem = "its size or holdout is invalid"
     except (DocumentError, NotAFileError) as error:
         problem = str(error)
     except (KeyError, TypeError):
         problem = "it has no settings"
     except OSError as error:
         problem = error.strerror or str(error)
-    raise UsageError(f"{path} is not the report of a training ({problem}): remove it, and give --size")
+    raise UsageError(f"{path} is not a training report ({problem}): remove it, and give --size")

@@ -1,4 +1,4 @@
-"""The command that shows a scene in a browser, view, and the page that export writes."""
+"""The command view, which shows a scene in a browser, and the page of export."""
 
 # Modules that need NumPy are imported where they are used, so that help is instant.
 # ruff: noqa: PLC0415
@@ -34,14 +34,14 @@ def add_photographs(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--photographs",
         metavar="FOLDER",
-        help="with a page, lay photographs that training held out over the scene, 8 at most",
+        help="add up to 8 held-out photographs to the page, to compare with the scene",
     )
 
 
 def _photographs(
     arguments: argparse.Namespace, shown: bytes | Scene | Uncompressed
 ) -> tuple[list[dict[str, Any]], list[Path]]:
-    """Returns the photographs of the page, and what was read for them. Raises UsageError."""
+    """Returns the photographs of the page, and the files read for them. Raises UsageError."""
     if arguments.photographs is None:
         return [], []
     try:
@@ -60,14 +60,14 @@ def _photographs(
 
 
 def _file_of(arguments: argparse.Namespace, shown: bytes | Scene | Uncompressed) -> bytes:
-    """Returns the file that a page shows. A scene folder is encoded. Raises UsageError."""
+    """Returns the file for a page. A scene folder is encoded. Raises UsageError."""
     from ..bitstream.scene import Scene
 
     if isinstance(shown, bytes):
         return shown
     if isinstance(shown, Scene):
         return encoded(arguments, arguments.file, shown)
-    raise UsageError(f"{arguments.file} is not coded yet: encode it, and give the file")
+    raise UsageError(f"{arguments.file} is an uncompressed scene: encode it with refcodec encode, and give the file")
 
 
 def _name(arguments: argparse.Namespace) -> str:
@@ -76,14 +76,14 @@ def _name(arguments: argparse.Namespace) -> str:
 
 
 def export_page(arguments: argparse.Namespace, output: Path) -> int:
-    """Writes a page that has the file in it. Returns the exit status. Raises UsageError and BitstreamError."""
+    """Writes a page that contains the file. Returns the exit status. Raises UsageError and BitstreamError."""
     from ..viewer.page import PAGE, page
 
     check_file(output, PAGE)
     check_apart([output], [arguments.file, arguments.photographs])
     shown = read_shown(arguments)
     if isinstance(shown, bytes):
-        # A page of a damaged file would show the error alone.
+        # A page of a damaged file would show only the error.
         parse_file(arguments, shown)
     photographs, read = _photographs(arguments, shown)
     check_apart([output], read)
@@ -91,17 +91,17 @@ def export_page(arguments: argparse.Namespace, output: Path) -> int:
     data = page(_name(arguments), file, photographs=photographs)
     write_file(output, data)
     more = f" and {len(photographs)} photographs" if photographs else ""
-    say(f"{output}: {len(data):,} bytes, with the file of {len(file):,}{more}")
+    say(f"{output}: {len(data):,} bytes, including the file of {len(file):,}{more}")
     return 0
 
 
 def _served(arguments: argparse.Namespace) -> tuple[Callable[[], BinaryIO], list[dict[str, Any]]]:
-    """Returns what opens the file for the browser, and the photographs. Raises UsageError and BitstreamError."""
+    """Returns a function that opens the file, and the photographs. Raises UsageError and BitstreamError."""
     path = arguments.file
     if os.path.isdir(path) or arguments.photographs is not None:
         shown = read_shown(arguments)
         return partial(io.BytesIO, _file_of(arguments, shown)), _photographs(arguments, shown)[0]
-    # The page tells what is wrong with a file. It gets the file as it is when the page is loaded.
+    # The page itself reports errors of the file. It gets the file in its state when the page is loaded.
     data = read_bounded(arguments)
     if os.path.isfile(path):
         return lambda: open(path, "rb"), []
@@ -119,17 +119,19 @@ def _view(arguments: argparse.Namespace) -> int:
     try:
         server = Server(data, file, arguments.port)
     except OSError as error:
-        raise UsageError(f"port {arguments.port} cannot be used: {error.strerror or error}") from None
+        raise UsageError(
+            f"port {arguments.port} cannot be used: {error.strerror or error}; choose another one, or omit --port"
+        ) from None
     with server:
         say(f"{server.url} shows {arguments.file}. Ctrl-C ends it.")
         sys.stdout.flush()
         if not arguments.no_browser:
-            # A browser in the terminal asks for the page before it lets go of the call.
+            # A text browser requests the page before the call returns.
             threading.Thread(target=webbrowser.open, args=(server.url,), daemon=True).start()
         try:
             server.serve_forever()
         except KeyboardInterrupt:
-            # This is how people end it.
+            # The regular end.
             return 0
     return 0
 
@@ -151,16 +153,16 @@ def add(commands: Any) -> None:
         ["view scene.c3gs", "view scene.c3gs --photographs photographs", "view scene.c3gs --port 8000 --no-browser"],
         "FILE is a file or a scene folder. The browser decodes and draws it. The server answers only this machine\n"
         "and serves only the page and the file. Other files can be dropped on the page.\n"
-        "`refcodec export FILE -o scene.html` writes a page with the file in it, which needs no server.\n"
+        "`refcodec export FILE -o scene.html` writes a page that contains the file and needs no server.\n"
         "--photographs needs: pip install 'refcodec[render]'.",
     )
     view.add_argument("file", metavar="FILE", help=FILE)
     add_bounds(view)
-    view.add_argument("--port", type=_port, metavar="N", default=0, help="of the server (default: one that is free)")
-    view.add_argument("--no-browser", action="store_true", help="open no browser")
+    view.add_argument("--port", type=_port, metavar="N", default=0, help="port of the server (default: a free one)")
+    view.add_argument("--no-browser", action="store_true", help="do not open a browser")
     add_photographs(view)
     view.add_argument(
         "--size",
         metavar="WxH",
-        help="the size of the photographs, their longest side, or full (default: that of the training)",
+        help="size of the photographs, longest side, or full for unscaled (default: the training size)",
     )

@@ -63,7 +63,7 @@ def test_more_is_refused_before_any_work(
         assert said.out == ""
         assert len(said.err.splitlines()) == 1
         assert bound[0] in said.err
-        assert "no verdict" in said.err
+        assert "not a verdict" in said.err
     assert not (tmp_path / "out").exists()
 
 
@@ -131,7 +131,7 @@ def test_long_parts_are_refused_before_they_are_read(
     assert status == 64
     assert len(said.err.splitlines()) == 1
     assert f"--max-memory is {BOUND}" in said.err
-    assert "no verdict" in said.err
+    assert "not a verdict" in said.err
 
 
 @pytest.mark.usefixtures("no_large_read")
@@ -184,7 +184,7 @@ def test_a_url_has_a_bound_unless_the_caller_gives_one(
     for command in COMMANDS[:6]:
         name, _, *options = words(command, EXAMPLE, tmp_path / "out")
         assert main([name, url, *options]) == 64
-        assert "--max-memory is 1048576 for a URL, unless you give it" in capsys.readouterr().err
+        assert "--max-memory is 1048576 by default" in capsys.readouterr().err
     assert main(["validate", url, "--max-memory", "100M"]) == 0
     with pytest.raises(BoundPassedError):
         refcodec.decode(url)
@@ -207,7 +207,7 @@ def test_what_is_within_the_bounds_is_done(tmp_path: Path, capsys: pytest.Captur
     assert main(["encode", str(tmp_path / "scene"), "-o", str(tmp_path / "a.c3gs"), *bounds]) == 0
     for bound in (["--max-anchors", "4"], ["--max-memory", "1M"]):
         assert main(["encode", str(tmp_path / "scene"), "-o", str(tmp_path / "b.c3gs"), *bound]) == 64
-        assert "no verdict" in capsys.readouterr().err
+        assert "not a verdict" in capsys.readouterr().err
     assert not (tmp_path / "b.c3gs").exists()
 
 
@@ -266,7 +266,7 @@ def test_the_bound_that_stopped_it_is_said(way: int, monkeypatch: pytest.MonkeyP
         readers(data, allowed)[way]()
     monkeypatch.setattr(Reader, "open", pytest.fail)
     for bounds, which, needed in ((Bounds(4, 1), "anchors", 5), (Bounds(5, 999), "memory", None)):
-        with pytest.raises(BoundPassedError, match=f"{which}.*no verdict") as raised:
+        with pytest.raises(BoundPassedError, match=f"{which}.*verdict") as raised:
             readers(data, bounds)[way]()
         assert raised.value.bound == which
         assert raised.value.allowed == getattr(bounds, which)

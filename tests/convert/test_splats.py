@@ -97,7 +97,7 @@ def test_a_file_of_splats_becomes_a_file(tmp_path: Path, capsys: Captured) -> No
     # Nothing is left beside what was asked for.
     assert sorted(path.name for path in tmp_path.iterdir()) == ["a.c3gs", "a.sog", "pictures", "scene"]
     assert main([*words, "--pictures", str(pictures)]) == 64
-    assert "is there already" in capsys.readouterr().err
+    assert "exists: choose another folder" in capsys.readouterr().err
 
 
 @pytest.mark.slow
@@ -172,23 +172,23 @@ def test_the_cameras_of_a_model(tmp_path: Path, capsys: Captured) -> None:
 @pytest.mark.parametrize(
     ("words", "said"),
     [
-        (("a.ply", "--appearance", "1"), "--appearance is for the folder of a model"),
-        (("model", "--views", "5"), "--views is for a file of splats"),
-        (("model", "--rate", "0.1"), "--rate is for a file of splats"),
+        (("a.ply", "--appearance", "1"), "--appearance applies only to model folders"),
+        (("model", "--views", "5"), "--views applies only to splat files"),
+        (("model", "--rate", "0.1"), "--rate applies only to splat files"),
         (("a.ply", "--resume"), "nothing to resume"),
         (("a.ply", "--size", "0"), "size"),
         (("a.ply", "--set", "steps=x"), "steps"),
         (("a.ply", "--cameras", "none.json"), "none.json"),
-        (("a.ply", "--pictures", "scene"), "one folder, or one is in the other"),
-        (("a.ply", "--pictures", "scene/pictures"), "one folder, or one is in the other"),
-        (("a.ply", "--pictures", "a.ply"), "is there already"),
+        (("a.ply", "--pictures", "scene"), "the same folder or nested"),
+        (("a.ply", "--pictures", "scene/pictures"), "the same folder or nested"),
+        (("a.ply", "--pictures", "a.ply"), "exists: choose another folder"),
         (("meta.json",), "not JSON"),
         (("sog",), "not JSON"),
         (("a.spz",), "no SPZ"),
         (("b.ply",), "there is no such file"),
         (("a.glb",), "no GLB"),
         (("a.glb", "--views", "6"), "no GLB"),
-        (("a.splat", "--views", "6"), "neither the folder of a model nor a file of splats (.ply, .spz, .sog, .glb)"),
+        (("a.splat", "--views", "6"), "neither a model folder nor a splat file (.ply, .spz, .sog, .glb)"),
         (("none", "--views", "6"), "none does not exist"),
     ],
 )

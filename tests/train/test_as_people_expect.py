@@ -49,8 +49,8 @@ def test_eval_takes_what_the_training_took(place: Path, source: str, capsys: pyt
     report = json.loads((place / "scene" / "training.json").read_text())
     folder, said = evaluated(capsys, place / "scene", source)
     assert said.count("\n") == 1
-    assert "at size 60, as" in said
-    assert "training.json says" in said
+    assert "to size 60, as in" in said
+    assert "training.json" in said
     # The same photographs, and the PSNR that the training had of them.
     assert [row["image"] for row in folder["images"]] == list(report["quantised"])
     assert folder["mean"]["psnr_3dgs"] == pytest.approx(
@@ -58,7 +58,7 @@ def test_eval_takes_what_the_training_took(place: Path, source: str, capsys: pyt
     )
     # A file does not say which photographs were held out.
     file, said = evaluated(capsys, place / "scene.c3gs", source, "--holdout", 5)
-    assert "at size 60, as the scene's own camera has" in said
+    assert "to size 60, as in the camera of the scene" in said
     for key in ("bytes", "parts", "mean", "images"):
         assert file[key] == folder[key]
     # It has the background of its photographs.
@@ -67,8 +67,8 @@ def test_eval_takes_what_the_training_took(place: Path, source: str, capsys: pyt
     assert (given["mean"], said) == (file["mean"], "")
     eighth, said = evaluated(capsys, place / "scene.c3gs", source, "--size", 60)
     assert said.count("\n") == 1
-    assert "every 8th photograph is compared" in said
-    assert "--holdout N takes every N-th one" in said
+    assert "every 8th photograph" in said
+    assert "--holdout N compares every N-th one" in said
     assert len(eighth["images"]) == 10
     assert len(evaluated(capsys, place / "plain", source, "--holdout", 0)[0]["images"]) == 75
 
@@ -96,12 +96,12 @@ def test_a_report_that_is_none(place: Path, source: str, tmp_path: Path, capsys:
         assert main(["eval", str(tmp_path / "scene"), source]) == 64
         said = capsys.readouterr().err
         assert said.count("\n") == 1
-        assert "is not the report of a training" in said
+        assert "is not a training report" in said
     # An older one, and none.
     report.write_text('{"settings": {"size": "50"}}')
     assert "at size 50" in evaluated(capsys, tmp_path / "scene", source)[1]
     report.unlink()
-    assert "at size 60, as the scene's own camera has" in evaluated(capsys, tmp_path / "scene", source)[1]
+    assert "to size 60, as in the camera of the scene" in evaluated(capsys, tmp_path / "scene", source)[1]
 
 
 @pytest.mark.slow
