@@ -1,4 +1,4 @@
-"""Zip archives from outside, opened in bounded memory."""
+"""Untrusted zip archives, opened in bounded memory."""
 
 from __future__ import annotations
 
@@ -11,18 +11,18 @@ from pathlib import Path
 from ..files.text import printable
 from ..folder.layout import SceneFolderError
 
-# Of the directory of an archive, which zipfile reads at once. In memory it takes ten times as much. A checkpoint and a
-# SOG file have some dozen entries of a hundred bytes.
+# Maximum size of the directory of an archive, which zipfile reads at once, into ten times the memory. A checkpoint or a
+# SOG file has some dozen entries of a hundred bytes.
 DIRECTORY_MAX = 1 << 18
 
 
 class _Opening(io.BufferedReader):
-    """A file of which no more than DIRECTORY_MAX bytes are read at once, until `whole` is set."""
+    """A file that reads at most DIRECTORY_MAX bytes at once until `whole` is set."""
 
     whole = False
 
     def read(self, size: int | None = -1, /) -> bytes:
-        """As of every file. Raises ValueError for more bytes than may be read at once."""
+        """As for any file. Raises ValueError for more bytes than may be read at once."""
         if self.whole:
             return super().read(size)
         most = DIRECTORY_MAX + 1
@@ -36,12 +36,12 @@ class _Opening(io.BufferedReader):
 def opened_zip(file: Path, wanted: str, advice: str) -> Iterator[zipfile.ZipFile]:
     """Yields the archive of a file.
 
-    wanted: what the file is meant to be, for the message. advice: what to do. Raises SceneFolderError, and OSError.
+    wanted: the expected kind of file, for the message. advice: the remedy. Raises SceneFolderError, and OSError.
     """
     with _Opening(io.FileIO(file)) as opened:
         try:
             archive = zipfile.ZipFile(opened)
-        # zipfile answers bad bytes with several types.
+        # zipfile raises several types for bad bytes.
         except (zipfile.BadZipFile, ValueError, NotImplementedError) as error:
             problem = f"it is no {wanted} ({printable(str(error).partition(chr(10))[0], 120)})"
             raise SceneFolderError(file, problem, advice) from None

@@ -1,7 +1,7 @@
-"""What export.scaffold does to a scene for the code of Scaffold-GS, undone.
+"""Restores a scene from the changes of export.scaffold for the Scaffold-GS code.
 
-That code has no masks, no unit of distances, and networks as wide as there are features. Numbers of the networks and
-features make up for it. A trained model has no such numbers and stays as it is.
+That code has no masks, no unit of distance, and networks whose width is the number of features. Values of networks and
+features compensate for this. A trained model has no such values and is not changed.
 """
 
 from __future__ import annotations
@@ -18,14 +18,14 @@ from ..export.scaffold import DROP
 
 Networks = dict[str, list[Layer]]
 
-# Of a weight that was divided and is multiplied again. Both round, and a weight on a grid has fewer (SPEC B.8).
+# Bits of a weight that was divided and is multiplied again. Both round, and a weight on a grid has fewer (SPEC B.8).
 BITS = 20
 
 
 def without_carried(cloud: AnchorCloud, networks: Networks) -> tuple[AnchorCloud, Networks]:
-    """Returns anchors and networks that draw the same, with masks in place of the features that drop offsets.
+    """Returns anchors and networks that draw the same, with masks instead of the features that drop offsets.
 
-    Features and hidden units go that are 0 and have weights of 0 alone. One of each stays.
+    Features and hidden units that are 0 and have only weights of 0 are removed, except for one of each.
     """
     switches = _switches(cloud.features, networks)
     masks = cloud.masks.copy()
@@ -41,10 +41,10 @@ def without_carried(cloud: AnchorCloud, networks: Networks) -> tuple[AnchorCloud
 
 
 def _switches(features: NDArray[np.float32], networks: Networks) -> dict[int, int]:
-    """Returns the features that drop an offset where they are 1, each with the number of its offset.
+    """Returns the features that drop an offset, each with the number of its offset.
 
-    Such a feature is 0 or 1. It enters one unit of the opacity network, which nothing else enters, and which makes the
-    opacity of one offset negative, whatever the others say.
+    Such a feature is 1 for dropped offsets, else 0. It is the only input of a unit of the opacity network that makes
+    the opacity of one offset negative, regardless of the others.
     """
     (weight, bias), (last, _) = networks[RENDERING[0]]
     count = features.shape[1]
@@ -62,7 +62,7 @@ def _switches(features: NDArray[np.float32], networks: Networks) -> dict[int, in
 
 
 def _narrowed(layers: list[Layer], taken: NDArray[np.bool_]) -> list[Layer]:
-    """Returns a network that takes some of the features. Hidden units go that are 0 then. One stays."""
+    """Returns a network of some of the features, without hidden units that are then 0, except for one."""
     (weight, bias), (last, end) = layers
     inputs = np.concatenate([taken, np.ones(weight.shape[1] - len(taken), bool)])
     weight = weight[:, inputs]
@@ -72,7 +72,7 @@ def _narrowed(layers: list[Layer], taken: NDArray[np.bool_]) -> list[Layer]:
 
 
 def with_distance_unit(networks: Networks, unit: float) -> Networks:
-    """Returns networks of the distance in a unit, in place of that in world units. unit: world units."""
+    """Returns networks for distances in a unit instead of world units. unit: in world units."""
 
     def scaled(weight: NDArray[np.float32]) -> NDArray[np.float32]:
         fraction, exponent = np.frexp(weight[:, -1].astype(np.float64) * unit)

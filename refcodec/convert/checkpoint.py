@@ -1,8 +1,8 @@
 """Trained models of the Scaffold-GS family (Scaffold-GS, HAC, HAC++, CAT-3DGS), as uncompressed scenes.
 
-A model's folder has point_cloud/iteration_N/point_cloud.ply. The rendering networks lie beside that file: as state
-dicts in one file, or as TorchScript archives, one for each network. What the programs have in common is in Scaffold-GS
-(Lu et al. 2024): Linear, ReLU, Linear, with the features, the unit vector from the camera and the distance as inputs.
+A model folder has point_cloud/iteration_N/point_cloud.ply. The rendering networks are beside that file: as state dicts
+in one file, or as a TorchScript archive for each network. Their common structure is that of Scaffold-GS (Lu et al.
+2024): Linear, ReLU, Linear, with the features, the unit vector from the camera and the distance as inputs.
 """
 
 from __future__ import annotations
@@ -31,18 +31,18 @@ from .notes import CAMERAS_FILE, SETTINGS_FILE, ModelSettings, read_cameras, rea
 from .tensors import read_state_dicts, read_torchscript
 
 CLOUDS = "point_cloud"
-# HAC, HAC++ and CAT-3DGS have one file of state dicts, Scaffold-GS has one or a file for each network.
+# HAC, HAC++ and CAT-3DGS have one file of state dicts. Scaffold-GS has one, or a file for each network.
 STATE_DICT_FILES = ("checkpoint.pth", "checkpoints.pth")
-# The networks of SPEC 14.3 as the family calls them.
+# The names that the family gives the networks of SPEC 14.3.
 NETWORKS = dict(zip(("opacity_mlp", "cov_mlp", "color_mlp"), RENDERING, strict=True))
 APPEARANCE, APPEARANCE_FILE = "appearance", "embedding_appearance.pt"
 BANKS = ("feature_bank_mlp", "mlp_feature_bank")
-# Properties of an anchor that models with levels of detail have (Octree-GS).
+# Anchor properties of models with levels of detail (Octree-GS).
 LEVELS = ("level", "extra_level", "info")
-# The direction. The distance comes after it.
+# The direction, which the distance follows.
 VIEW = 3
 ANCHORS_MAX = max(level.anchors for level in PROFILES[MAIN].levels.values())
-# An anchor lies on the lattice if it is this near to a corner, in voxels: float32 has about 7 digits.
+# An anchor is on the lattice within this distance of a corner, in voxels: float32 has about 7 digits.
 NEAR = 0.01
 _ADVICE = "give the folder of a trained model of Scaffold-GS, HAC, HAC++ or CAT-3DGS"
 
@@ -51,7 +51,7 @@ Parameters = Mapping[str, NDArray[np.float32]]
 
 @dataclass(frozen=True, eq=False)
 class Converted:
-    """A converted model. appearances: how many cameras its appearance embedding has, 0 without one."""
+    """A converted model. appearances: number of cameras of its appearance embedding, 0 without one."""
 
     scene: Uncompressed
     appearances: int
@@ -60,9 +60,9 @@ class Converted:
 def read_checkpoint(folder: Path, appearance: int | None = None) -> Converted:
     """Returns the scene of a trained model.
 
-    folder: the model's, or one of its folders iteration_N; of several iterations the last one is taken. appearance: the
-    number of the camera whose embedding the colours are made with, None for the mean of all. Raises SceneFolderError
-    for what cannot be read, and for what the format cannot hold.
+    folder: of the model, or one of its folders iteration_N; by default the last iteration is used. appearance: number
+    of the camera whose embedding gives the colours, None for the mean of all. Raises SceneFolderError if the model
+    cannot be read, or does not fit the format.
     """
     ply = _cloud_file(folder)
     root = ply.parent.parent.parent if ply.parent.parent.name == CLOUDS else ply.parent
@@ -100,7 +100,7 @@ def read_checkpoint(folder: Path, appearance: int | None = None) -> Converted:
 
 
 def _cloud_file(folder: Path) -> Path:
-    """Returns the point cloud of a model's folder. Raises SceneFolderError."""
+    """Returns the point cloud of a model folder. Raises SceneFolderError."""
     if there(folder / PLY_FILE, _ADVICE):
         return folder / PLY_FILE
     clouds = folder / CLOUDS
@@ -110,7 +110,7 @@ def _cloud_file(folder: Path) -> Path:
         raise SceneFolderError(folder, f"it has neither {PLY_FILE} nor {CLOUDS}/iteration_N", _ADVICE)
     chosen = numbers[max(numbers)] / PLY_FILE
     if not there(chosen, _ADVICE):
-        raise SceneFolderError(chosen, "there is no such file", _ADVICE)
+        raise SceneFolderError(chosen, "the file does not exist", _ADVICE)
     return chosen
 
 
@@ -131,7 +131,7 @@ def _check_header(ply: Path) -> None:
 
 
 def _check_sizes(ply: Path, cloud: AnchorCloud, settings: ModelSettings) -> None:
-    """Raises SceneFolderError for more offsets or features than Main holds, or others than cfg_args says."""
+    """Raises SceneFolderError for more offsets or features than Main holds, or if they differ from cfg_args."""
     offsets, features = cloud.masks.shape[1], cloud.features.shape[1]
     low, high = PROFILES[MAIN].offset_count
     if not low <= offsets <= high:
@@ -146,11 +146,11 @@ def _check_sizes(ply: Path, cloud: AnchorCloud, settings: ModelSettings) -> None
 
 
 def _lattice(positions: NDArray[np.float32], voxel: float | None) -> float | None:
-    """Returns the edge of the voxels whose corners the anchors are, as a float32 value; None if they are not."""
+    """Returns the voxel size of the anchor lattice, as a float32 value; None if the anchors are not on a lattice."""
     if voxel is None or not len(positions):
         return None
     cells = positions.astype(np.float64) / voxel
-    # A float32 has no digits behind the point from here on.
+    # From here on, a float32 has no fractional digits.
     if np.abs(cells).max() > 1 << 20 or np.abs(cells - np.rint(cells)).max() > NEAR:
         return None
     return float(np.float32(voxel))
@@ -165,9 +165,9 @@ def _bank(file: Path) -> SceneFolderError:
 
 
 def _networks(folder: Path, cloud: AnchorCloud, appearance: int | None) -> tuple[Path, dict[str, list[Layer]], int]:
-    """Returns the rendering networks of SPEC 14.3, the file or folder of them, and the number of embeddings.
+    """Returns the rendering networks of SPEC 14.3, their file or folder, and the number of embeddings.
 
-    They are as wide as they are stored. Raises SceneFolderError.
+    Their width is the stored one. Raises SceneFolderError.
     """
     file, stored = _stored(folder)
     offsets, features = cloud.masks.shape[1], cloud.features.shape[1]
@@ -189,12 +189,12 @@ def _networks(folder: Path, cloud: AnchorCloud, appearance: int | None) -> tuple
         if not np.isfinite(networks[name][0][1]).all():
             raise SceneFolderError(file, f"{own} with its appearance has a bias that is infinite", _ADVICE)
     if appearance is not None and embedding is None:
-        raise SceneFolderError(file, "the model has no appearance embedding", "leave --appearance out")
+        raise SceneFolderError(file, "the model has no appearance embedding", "omit --appearance")
     return file, networks, 0 if embedding is None else len(embedding)
 
 
 def _stored(folder: Path) -> tuple[Path, dict[str, Parameters]]:
-    """Returns the parameters of the networks by the names of state dicts, and the file or folder that they are of.
+    """Returns the parameters of the networks by the names of state dicts, and their file or folder.
 
     Raises SceneFolderError.
     """
@@ -210,7 +210,7 @@ def _stored(folder: Path) -> tuple[Path, dict[str, Parameters]]:
 
 
 def _embedding(file: Path, stored: Parameters) -> NDArray[np.float32] | None:
-    """Returns the embedding of cameras, float32 [cameras, numbers]; None if it has none. Raises SceneFolderError."""
+    """Returns the embedding of cameras, float32 [cameras, numbers]; None if there is none. Raises SceneFolderError."""
     tables = [value for value in stored.values() if value.size]
     if not tables:
         return None
@@ -230,7 +230,7 @@ def _code(file: Path, embedding: NDArray[np.float32], camera: int | None) -> NDA
 
 
 def _layers(file: Path, name: str, stored: Parameters, outputs: int) -> tuple[Layer, Layer]:
-    """Returns the two layers of a network with so many outputs. Raises SceneFolderError."""
+    """Returns the two layers of a network with the given number of outputs. Raises SceneFolderError."""
     if set(stored) != {"0.weight", "0.bias", "2.weight", "2.bias"}:
         problem = f"{name} is not a network of two linear layers, 0 and 2, with a rectifier between them"
         raise SceneFolderError(file, problem, _ADVICE)
@@ -249,8 +249,8 @@ def _layers(file: Path, name: str, stored: Parameters, outputs: int) -> tuple[La
 def _first_layer(layer: Layer, features: int, distance: bool, code: NDArray[np.float64] | None) -> Layer:
     """Returns a first layer that takes features, direction and distance.
 
-    A layer without the distance gets weights of 0 for it. The appearance is a constant input: its share goes into the
-    bias. distance: whether the layer takes it. code: of the appearance, or None.
+    A layer without a distance input gets weights of 0 for it. The appearance is a constant input, which is added to the
+    bias. distance: whether the layer has this input. code: of the appearance, or None.
     """
     weight, bias = layer
     taken = features + VIEW + distance
@@ -262,9 +262,9 @@ def _first_layer(layer: Layer, features: int, distance: bool, code: NDArray[np.f
 
 
 def _of_one_width(file: Path, networks: dict[str, list[Layer]]) -> dict[str, list[Layer]]:
-    """SPEC 5.3: the rendering networks have one width. Narrower ones get hidden units that are 0.
+    """SPEC 5.3: pads the rendering networks to one width with hidden units that are 0.
 
-    Raises SceneFolderError for one that is too wide.
+    Raises SceneFolderError for a network that is too wide.
     """
     width = max(len(layers[0][1]) for layers in networks.values())
     most = PROFILES[MAIN].render_width[1]

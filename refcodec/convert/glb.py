@@ -1,6 +1,6 @@
 """GLB files: glTF 2.0 with the extension KHR_gaussian_splatting of Khronos, in one binary file.
 
-Gaussians are read in the coordinates of their mesh, one mesh in a file. Of its node the rotation says what is up.
+Gaussians are read in the coordinates of their mesh, the only one. The rotation of its node gives the up axis.
 """
 
 from __future__ import annotations
@@ -20,17 +20,17 @@ from ..files.text import printable
 from ..folder.layout import SceneFolderError
 from .splat_arrays import ADVICE, Arrays, check_count
 
-# Of the JSON, and of the numbers.
+# Maximum bytes of the JSON, and of the numbers.
 JSON_MAX, DATA_MAX = 1 << 20, 1 << 31
-# Numbers by their componentType. glTF brings integers to a span of 1.
+# Numbers by componentType. glTF normalises integers to a span of 1.
 TYPES = {5120: "<i1", 5121: "<u1", 5122: "<i2", 5123: "<u2", 5126: "<f4"}
-# Rows of a buffer view are at most so many bytes apart.
+# The largest stride of a buffer view in bytes.
 STRIDE_MAX = 252
 WIDTHS = {"SCALAR": 1, "VEC3": 3, "VEC4": 4}
 
 
 class _Gltf:
-    """The JSON of a file, and the bytes of its one buffer."""
+    """The JSON of a file, and the bytes of its only buffer."""
 
     def __init__(self, file: Path) -> None:
         """Reads the file. Raises SceneFolderError, and OSError."""
@@ -39,13 +39,13 @@ class _Gltf:
             size = os.fstat(opened.fileno()).st_size
             head = opened.read(HEAD.size)
             if len(head) < HEAD.size or HEAD.unpack(head)[:2] != (b"glTF", 2):
-                raise self.fault("it is no GLB file of glTF 2.0")
+                raise self.fault("it is not a GLB file of glTF 2.0")
             text = self._chunk(opened, b"JSON", JSON_MAX, size)
             self.data = self._chunk(opened, b"BIN\0", DATA_MAX, size)
         try:
             self.root = parse_json(text, JSON_MAX)
         except DocumentError as error:
-            raise self.fault(f"its JSON is not JSON ({error})") from None
+            raise self.fault(f"its JSON chunk is not JSON ({error})") from None
 
     def fault(self, problem: str) -> SceneFolderError:
         return SceneFolderError(self.file, problem, ADVICE)
@@ -56,23 +56,23 @@ class _Gltf:
         length, chunk_kind = CHUNK.unpack(head) if len(head) == CHUNK.size else (0, b"")
         name = kind.rstrip(b"\0").decode()
         if chunk_kind != kind or length > size - opened.tell():
-            raise self.fault(f"its chunk {name} is not there, or has not the bytes that it states")
+            raise self.fault(f"its chunk {name} is missing or truncated")
         if length > most:
             raise self.fault(f"its chunk {name} has more than {most} bytes")
         return opened.read(length)
 
     def items(self, name: str) -> list[dict[str, Any]]:
-        """Returns the objects of a list of the root; none if it is not there."""
+        """Returns the objects of a list of the root, none if it is missing."""
         values = self.root.get(name, []) if isinstance(self.root, dict) else None
         if not isinstance(values, list) or not all(isinstance(item, dict) for item in values):
-            raise self.fault(f"its {name} is no list of objects")
+            raise self.fault(f"its {name} is not a list of objects")
         return values
 
     def item(self, name: str, number: Any) -> dict[str, Any]:
         """Returns an object of a list by its number."""
         entries = self.items(name)
         if type(number) is not int or not 0 <= number < len(entries):
-            raise self.fault(f"there is none of its {name} with the number {printable(repr(number), 20)}")
+            raise self.fault(f"its {name} have no number {printable(repr(number), 20)}")
         return entries[number]
 
     def integer(self, fields: dict[str, Any], name: str, default: int, low: int, high: int) -> int:
@@ -88,14 +88,14 @@ class _Gltf:
         accessor = self.item("accessors", attributes[name])
         kind, form = accessor.get("componentType"), accessor.get("type")
         if type(kind) is not int or kind not in TYPES or not isinstance(form, str) or WIDTHS.get(form) != width:
-            raise self.fault(f"its {name} has not {width} numbers that are floats, bytes or shorts")
+            raise self.fault(f"its {name} does not have {width} numbers of type float, byte or short")
         dtype = np.dtype(TYPES[kind])
         if (
             "sparse" in accessor
             or "bufferView" not in accessor
             or (dtype.kind != "f" and not accessor.get("normalized"))
         ):
-            raise self.fault(f"its {name} is sparse, or not normalized, which is not read")
+            raise self.fault(f"its {name} is sparse or not normalized, which is not supported")
         view = self.item("bufferViews", accessor["bufferView"])
         stated = self.integer(accessor, "count", 0, 0, DATA_MAX)
         if count is None:
@@ -109,7 +109,7 @@ class _Gltf:
         stride = self.integer(view, "byteStride", row, row, STRIDE_MAX)
         own = self.integer(accessor, "byteOffset", 0, 0, DATA_MAX)
         if start + length > len(self.data) or own + (stated - 1) * stride + row > length:
-            raise self.fault(f"its {name} lies outside the bytes of its buffer")
+            raise self.fault(f"its {name} lies outside its buffer")
         rows = np.ndarray((stated, width), dtype, self.data, start + own, (stride, dtype.itemsize))
         if dtype.kind == "f":
             return rows.astype(np.float64)
@@ -132,9 +132,9 @@ def _primitive(gltf: _Gltf) -> tuple[int, dict[str, Any]]:
     for name, wanted in SPACE.items():
         if extension.get(name, wanted) != wanted:
             stated = printable(repr(extension[name]), 40)
-            raise gltf.fault(f"its {name} is {stated}, {wanted!r} is read")
+            raise gltf.fault(f"its {name} is {stated}, only {wanted!r} is supported")
     if extension.get("extensions"):
-        raise gltf.fault("its Gaussians are packed by another extension, which is not read")
+        raise gltf.fault("its Gaussians are compressed by another extension, which is not supported")
     if not isinstance(primitive.get("attributes"), dict):
         raise gltf.fault("its Gaussians have no attributes")
     return number, primitive
@@ -167,9 +167,9 @@ def read_glb(file: Path) -> Arrays:
 
 
 def glb_up(file: Path) -> NDArray[np.float64]:
-    """Returns what is up in a file's Gaussians, a unit vector, float64 [3].
+    """Returns the up axis of the Gaussians of a file, a unit vector, float64 [3].
 
-    The node of the mesh turns it to +y, which is up in glTF. Raises SceneFolderError, and OSError.
+    The node of the mesh turns this axis to +y, which is up in glTF. Raises SceneFolderError, and OSError.
     """
     gltf = _Gltf(file)
     mesh, _ = _primitive(gltf)
@@ -178,6 +178,6 @@ def glb_up(file: Path) -> NDArray[np.float64]:
     right = isinstance(stated, list) and len(stated) == 4 and all(type(v) in (int, float) for v in stated)
     turn = np.array(stated if right else [0, 0, 0, 1], np.float64)
     if not right or np.abs(turn).max() > 2 or not 0.9 < np.linalg.norm(turn) < 1.1:
-        raise gltf.fault("the rotation of a node is no unit quaternion")
+        raise gltf.fault("the rotation of a node is not a unit quaternion")
     up: NDArray[np.float64] = rotation_matrix(turn[[3, 0, 1, 2]] / np.linalg.norm(turn))[1]
     return up

@@ -1,4 +1,4 @@
-"""Colours from the harmonics of refcodec.export.harmonics, in tensors that have gradients."""
+"""Differentiable colours of the harmonics of refcodec.export.harmonics."""
 
 from __future__ import annotations
 
@@ -9,16 +9,16 @@ from ..export.harmonics import ZERO, rest_harmonics
 
 
 def basis(direction: Tensor, degree: int) -> Tensor:
-    """The harmonics of degree 1 to `degree` in unit directions [N, 3]: [N, (degree + 1)^2 - 1]."""
+    """Returns the harmonics of degree 1 to `degree` in unit directions [N, 3]: [N, (degree + 1)^2 - 1]."""
     functions = rest_harmonics(direction.unbind(dim=1), degree)
     return torch.stack(functions, dim=1) if functions else direction[:, :0]
 
 
 def colours(base: Tensor, rest: Tensor, mean: Tensor, centre: Tensor, degree: int) -> Tensor:
-    """What a camera at `centre` [3] sees of Gaussians at `mean` [N, 3]: colours [N, 3], none below 0.
+    """Returns the colours [N, 3], at least 0, of Gaussians at `mean` [N, 3] for a camera at `centre` [3].
 
-    base: coefficients of degree 0, [N, 3]. rest: those of the other harmonics, [N, K, 3]. degree: the highest that is
-    used, at most that of rest. The colour is 0.5 plus the sum of the harmonics.
+    base: coefficients of degree 0, [N, 3]. rest: those of the other harmonics, [N, K, 3]. degree: the highest
+    degree to use, at most that of rest. The colour is 0.5 plus the sum of the harmonics.
     """
     total = ZERO * base + 0.5
     if degree:

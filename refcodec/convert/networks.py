@@ -1,7 +1,7 @@
-"""The rendering networks of a converted scene on grids, on which a file packs them (SPEC.md B.5).
+"""Puts the rendering networks of a converted scene on grids, so that a file can pack them (SPEC.md B.5).
 
-A training chooses its grids by rate and distortion of photographs (SPEC.md B.8). Here there are none. What a grid
-changes of the Gaussians is compared with what the rounded features change of them, which the rate of the fit decides.
+Training chooses grids by rate and distortion on photographs (SPEC.md B.8). Here there are none. Instead, the change of
+the Gaussians by a grid is compared with that by the rounded features, which the rate of the fit determines.
 """
 
 from __future__ import annotations
@@ -27,20 +27,19 @@ from ..render.gaussians import gaussians
 F64 = NDArray[np.float64]
 Networks = Mapping[str, list[Layer]]
 
-# Bits of the largest weight of a layer, the fewest first.
+# Bits of the largest weight of a layer, ascending.
 BITS = range(4, 17)
-# What a grid may add to the squared error that the rounded features make.
+# The squared error that a grid may add, relative to that of the rounded features.
 SHARE = 0.1
-# The anchors and the cameras that judge. Distances of the cameras from the scene's middle, in its radii.
+# Numbers of anchors and cameras for the comparison, and camera distances from the middle of the scene, in its radii.
 ANCHORS, CAMERAS = 2048, 6
 NEAREST, FARTHEST = 0.5, 3.0
 
 
 def on_grids(scene: Scene, cloud: AnchorCloud) -> Scene:
-    """Returns a fitted scene with each rendering network on the coarsest grid that its Gaussians hardly show.
+    """Returns a fitted scene with each rendering network on the coarsest grid that hardly changes its Gaussians.
 
-    cloud: the anchors before they were rounded. A network that is on a grid already stays, and so does one for which
-    no grid will do.
+    cloud: the anchors before rounding. A network that is already on a grid, or that no grid suits, is not changed.
     """
     judge = _judge(scene, cloud)
     if judge is None:
@@ -60,7 +59,7 @@ def on_grids(scene: Scene, cloud: AnchorCloud) -> Scene:
 
 @dataclass(frozen=True, eq=False)
 class _Judge:
-    """Some anchors, with the given features and with the coded ones, and the cameras that see them."""
+    """Some anchors, with original and coded features, and the cameras that see them."""
 
     given: Reconstruction
     coded: Reconstruction
@@ -69,7 +68,7 @@ class _Judge:
     distance_unit: float
 
     def shown(self, values: Reconstruction, networks: Networks) -> dict[str, F64]:
-        """Returns what the cameras see of all offsets of the anchors, by name; opacity 0 where there is none."""
+        """Returns the visible values of all offsets of the anchors, by name, with opacity 0 for missing ones."""
         shape = (len(self.cameras), *self.masks.shape)
         sizes = {"opacity": 1, "lengths": 3, "quaternion": 4, "colour": 3}
         outputs = {name: np.zeros((*shape, size)) for name, size in sizes.items()}
@@ -95,7 +94,7 @@ def _judge(scene: Scene, cloud: AnchorCloud) -> _Judge | None:
 
 
 def _cameras(scene: Scene, positions: NDArray[np.float32]) -> list[Camera]:
-    """Returns the cameras that a scene states, as far as there are CAMERAS, and others around it."""
+    """Returns up to CAMERAS stated cameras of a scene, and others around it."""
     wide = positions.astype(np.float64)
     middle = np.median(wide, axis=0)
     radius = max(float(np.quantile(np.linalg.norm(wide - middle, axis=1), 0.9)), 1e-6)
@@ -103,17 +102,17 @@ def _cameras(scene: Scene, positions: NDArray[np.float32]) -> list[Camera]:
     direction = random.normal(size=(CAMERAS, 3))
     direction /= np.linalg.norm(direction, axis=1, keepdims=True)
     away = radius * random.uniform(NEAREST, FARTHEST, (CAMERAS, 1))
-    # Of a camera its place matters alone.
+    # Only the position of a camera matters.
     around = [Camera("", 1, 1, 1, 1, 0, 0, np.eye(3), -centre) for centre in middle + away * direction]
     return ([default_camera(camera) for camera in cameras(scene.ancillary)] + around)[:CAMERAS]
 
 
 def _errors(wanted: dict[str, F64], actual: dict[str, F64]) -> dict[str, float]:
-    """Returns squared errors of what each network gives, those of shape and colour weighted by opacity."""
+    """Returns the squared error of the outputs of each network, those of shape and colour weighted by opacity."""
     weight = np.minimum(wanted["opacity"], actual["opacity"])
     tiny = np.finfo(np.float32).tiny
     lengths = np.log(np.maximum(wanted["lengths"], tiny)) - np.log(np.maximum(actual["lengths"], tiny))
-    # Eight times what the cosine of half an angle lacks to 1 is the square of a small angle.
+    # 8 (1 - cos(angle / 2)) is the square of a small angle.
     angle = 8 * (1 - np.abs((wanted["quaternion"] * actual["quaternion"]).sum(axis=-1, keepdims=True)))
     errors = (
         (wanted["opacity"] - actual["opacity"]) ** 2,

@@ -1,4 +1,4 @@
-"""What 3DGS's programs write beside a trained model: cfg_args, the text of its settings, and cameras.json."""
+"""Files that 3DGS programs write beside a trained model: cfg_args, the text of its settings, and cameras.json."""
 
 from __future__ import annotations
 
@@ -26,10 +26,10 @@ _CAMERAS = "restore the file, or remove it"
 
 @dataclass(frozen=True)
 class ModelSettings:
-    """Settings of a model, None where the text does not say them.
+    """Settings of a model, None if the text does not state them.
 
-    white: whether its background is white. voxel: edge of its voxels, world units. features: of an anchor. bank:
-    whether its features are mixed by view.
+    white: whether its background is white. voxel: edge of its voxels, world units. features: per anchor. bank:
+    whether features are mixed by view.
     """
 
     white: bool | None = None
@@ -41,7 +41,7 @@ class ModelSettings:
 def read_settings(file: Path) -> ModelSettings:
     """Returns the settings that cfg_args states, a text such as Namespace(feat_dim=32). Nothing of it is run.
 
-    A file that is not there states none. Raises SceneFolderError.
+    A missing file states none. Raises SceneFolderError.
     """
     if not there(file, "restore it, or remove it"):
         return ModelSettings()
@@ -63,7 +63,7 @@ def read_settings(file: Path) -> ModelSettings:
     )
     return ModelSettings(
         white=flags.get(stated("white_background") or ""),
-        # 0 and less ask for a voxel that the program chooses.
+        # With 0 or less, the program chooses the voxel size.
         voxel=edge if 0 < edge < np.inf else None,
         features=int(features) if features and features.isdecimal() else None,
         bank=flags.get(stated("use_feat_bank") or ""),
@@ -71,9 +71,9 @@ def read_settings(file: Path) -> ModelSettings:
 
 
 def read_cameras(file: Path) -> list[Camera]:
-    """Returns the cameras of a cameras.json, in its order. A file that is not there has none.
+    """Returns the cameras of a cameras.json, in its order; none if the file is missing.
 
-    Of a camera it has the centre in the world, and by rows the rotation from the camera to the world. Raises
+    The file states the centre of a camera in the world, and by rows the rotation from camera to world. Raises
     SceneFolderError.
     """
     if not there(file, _CAMERAS):
@@ -83,12 +83,12 @@ def read_cameras(file: Path) -> list[Camera]:
     except DocumentError as error:
         raise SceneFolderError(file, f"it is not JSON ({error})", _CAMERAS) from None
     if not isinstance(listed, list) or len(listed) > CAMERAS_MAX:
-        raise SceneFolderError(file, f"it is no list of at most {CAMERAS_MAX} cameras", _CAMERAS)
+        raise SceneFolderError(file, f"it is not a list of at most {CAMERAS_MAX} cameras", _CAMERAS)
     return [_camera(file, number, fields) for number, fields in enumerate(listed)]
 
 
 def _is_numbers(value: Any, shape: tuple[int, ...]) -> bool:
-    """Whether a value of JSON is nested lists of numbers, of a shape."""
+    """Whether a JSON value is nested lists of numbers of the given shape."""
     if not shape:
         return isinstance(value, int | float) and not isinstance(value, bool)
     first, *others = shape
@@ -100,7 +100,7 @@ def _camera(file: Path, number: int, fields: Any) -> Camera:
         return SceneFolderError(file, f"[{number}] {problem}", _CAMERAS)
 
     if not isinstance(fields, dict):
-        raise fault("is no object")
+        raise fault("is not an object")
 
     def numbers(name: str, shape: tuple[int, ...]) -> NDArray[np.float64]:
         value = fields.get(name)
@@ -116,6 +116,6 @@ def _camera(file: Path, number: int, fields: Any) -> Camera:
     rotation, centre = numbers("rotation", (3, 3)).T, numbers("position", (3,))
     right = np.abs(rotation).max() < 2 and np.abs(rotation @ rotation.T - np.eye(3)).max() <= ROTATION_TOLERANCE
     if not right or np.linalg.det(rotation) < 0:
-        raise fault(f"has a rotation that is none to {ROTATION_TOLERANCE}")
+        raise fault(f"has a matrix that is not a rotation to {ROTATION_TOLERANCE}")
     name = printable(str(fields.get("img_name", number)), 200)
     return Camera(name, width, height, fx, fy, width / 2, height / 2, rotation, -rotation @ centre)

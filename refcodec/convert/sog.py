@@ -1,6 +1,6 @@
-"""SOG files (PlayCanvas), version 2: 3D Gaussians as pixels of WebP images without loss.
+"""SOG files (PlayCanvas), version 2: 3D Gaussians as pixels of lossless WebP images.
 
-The images and meta.json, which names them, are in a zip archive, or in a folder.
+The images and meta.json, which names them, are in a zip archive or in a folder.
 """
 
 from __future__ import annotations
@@ -27,9 +27,9 @@ from .archives import opened_zip
 from .splat_arrays import ADVICE, Arrays, check_count, logits
 
 VERSION = 2
-# Of a compressed image, and of meta.json.
+# Maximum bytes of a compressed image, and of meta.json.
 ENTRY_MAX, META_MAX = 1 << 28, 1 << 20
-# Images have whole rows, so that some of their pixels are of no Gaussian.
+# Images have complete rows, so some pixels belong to no Gaussian.
 SPARE = 1 << 20
 BYTE = 256
 
@@ -38,9 +38,9 @@ Read = Callable[[str, int], bytes]
 
 
 def _entry(file: Path, archive: zipfile.ZipFile, name: str, most: int) -> bytes:
-    """Returns an entry of an archive, of at most so many bytes. Raises SceneFolderError."""
+    """Returns an entry of an archive, of at most `most` bytes. Raises SceneFolderError."""
     try:
-        # The others take a dictionary in memory that is as large as the entry says.
+        # Other methods allocate a dictionary of a size that the entry states.
         if archive.getinfo(name).compress_type not in (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED):
             raise ValueError("it is neither stored nor deflated")
         with archive.open(name) as entry:
@@ -49,7 +49,7 @@ def _entry(file: Path, archive: zipfile.ZipFile, name: str, most: int) -> bytes:
         raise SceneFolderError(file, f"it has no entry {printable(name, 60)}", ADVICE) from None
     except MemoryError:
         raise
-    # zipfile and zlib answer bad bytes with several types.
+    # zipfile and zlib raise several types for bad bytes.
     except Exception as error:
         problem = f"its entry {printable(name, 60)} is damaged ({printable(str(error), 80)})"
         raise SceneFolderError(file, problem, ADVICE) from None
@@ -59,8 +59,8 @@ def _entry(file: Path, archive: zipfile.ZipFile, name: str, most: int) -> bytes:
 
 
 def _beside(file: Path, name: str, most: int) -> bytes:
-    """Returns a file beside another one, of at most so many bytes. Raises SceneFolderError, and OSError."""
-    # A name of its own leads to no other folder.
+    """Returns a file beside another one, of at most `most` bytes. Raises SceneFolderError, and OSError."""
+    # A plain name cannot lead to another folder.
     if not name or Path(name).name != name or not there(file.parent / name, ADVICE):
         raise SceneFolderError(file, f"there is no file {printable(name, 60)} beside it", ADVICE)
     with (file.parent / name).open("rb") as opened:
@@ -71,7 +71,7 @@ def _beside(file: Path, name: str, most: int) -> bytes:
 
 
 class _Scene:
-    """What meta.json states, and the images that it names. read: returns a file by its name, of at most some bytes."""
+    """The contents of meta.json, and its images. read: returns a file by name and maximum size in bytes."""
 
     def __init__(self, file: Path, read: Read) -> None:
         self.file, self._read = file, read
@@ -81,7 +81,7 @@ class _Scene:
             raise SceneFolderError(file, f"its {META} is not JSON ({error})", ADVICE) from None
 
     def value(self, name: str) -> Any:
-        """Returns a value of meta.json by its path, such as means.files; None if it is not there."""
+        """Returns a value of meta.json by its path, such as means.files; None if it is missing."""
         node = self.root
         for key in name.split("."):
             node = node.get(key) if isinstance(node, dict) else None
@@ -104,7 +104,7 @@ class _Scene:
         return np.array(value, np.float64)
 
     def pixels(self, name: str, number: int, least: int) -> NDArray[np.uint8]:
-        """Returns an image as uint8 [height, width, 4]. name: of the list of files. least: pixels that it has."""
+        """Returns an image as uint8 [height, width, 4]. name: of the list of files. least: minimum number of pixels."""
         files = self.value(name)
         if not isinstance(files, list) or number >= len(files) or not isinstance(files[number], str):
             raise self.fault(name, f"a list with {number + 1} names")
@@ -112,7 +112,7 @@ class _Scene:
         data = self._read(files[number], ENTRY_MAX)
         try:
             with warnings.catch_warnings():
-                # Pillow warns of many pixels. Here they are counted.
+                # Pillow only warns of many pixels. Here they are bounded.
                 warnings.simplefilter("ignore", Image.DecompressionBombWarning)
                 image = Image.open(io.BytesIO(data), formats=["WEBP", "PNG"])
             with image:
@@ -125,7 +125,7 @@ class _Scene:
             raise
         except UnidentifiedImageError:
             raise SceneFolderError(self.file, f"its image {shown} is neither WebP nor PNG", ADVICE) from None
-        # Pillow answers bad bytes with many types.
+        # Pillow raises many types for bad bytes.
         except Exception as error:
             problem = f"its image {shown} cannot be read ({printable(str(error), 80)})"
             raise SceneFolderError(self.file, problem, ADVICE) from None
@@ -148,7 +148,7 @@ def _gaussians(archive: _Scene, size: int) -> Arrays:
     file = archive.file
     if archive.value("version") != VERSION:
         stated = printable(repr(archive.value("version")), 20)
-        raise SceneFolderError(file, f"it is SOG of version {stated}, version {VERSION} is read", ADVICE)
+        raise SceneFolderError(file, f"it is SOG of version {stated}, version {VERSION} is supported", ADVICE)
     count = archive.integer("count", (1 << 32) - 1)
     check_count(file, count, size)
 
@@ -159,12 +159,12 @@ def _gaussians(archive: _Scene, size: int) -> Arrays:
     least, most = (archive.numbers(f"means.{end}", 3) for end in ("mins", "maxs"))
     with np.errstate(over="ignore", invalid="ignore"):
         folded = least + (high << 8 | low) / 65535 * (most - least)
-        # Positions are stored by the logarithm of one more than their magnitude.
+        # Positions are stored as the logarithm of 1 plus their magnitude.
         mean = np.sign(folded) * np.expm1(np.abs(folded))
     rotation, colour = rows("quats.files"), rows("sh0.files")
     largest = rotation[:, 3].astype(np.int64) - 252
     if largest.min(initial=0) < 0:
-        raise SceneFolderError(file, "a rotation does not say which component is the largest", ADVICE)
+        raise SceneFolderError(file, "a rotation does not state its largest component", ADVICE)
     arrays = {
         "mean": mean,
         "base": archive.numbers("sh0.codebook", BYTE)[colour[:, :3]],
@@ -179,7 +179,7 @@ def _gaussians(archive: _Scene, size: int) -> Arrays:
 
 
 def _rest(archive: _Scene, count: int) -> NDArray[np.float32]:
-    """Returns the harmonics beside the first, [N, K, 3]: each Gaussian has those of an entry of a palette."""
+    """Returns the harmonics besides the first, [N, K, 3]: each Gaussian has those of a palette entry."""
     if archive.value("shN") is None:
         return np.zeros((count, 0, 3), np.float32)
     rest, entries = REST[archive.integer("shN.bands", len(REST) - 1)], archive.integer("shN.count", PALETTE_MOST)

@@ -1,4 +1,4 @@
-"""What all files of plain 3D Gaussians have in common: their arrays, and how numbers are packed in some of them."""
+"""Common parts of files of plain 3D Gaussians: their arrays, and packed numbers."""
 
 from __future__ import annotations
 
@@ -13,10 +13,10 @@ from ..folder.layout import SceneFolderError
 Arrays = dict[str, NDArray[np.float32]]
 
 ADVICE = "export the splats again"
-# Of one file. A scene of 3DGS has some million.
+# Maximum per file. A 3DGS scene has a few million.
 GAUSSIANS_MAX = 1 << 24
-# A file of more Gaussians than these has at least a byte for each. All formats have ten and more of a trained scene. A
-# picture in one colour takes some bytes, whatever its size is.
+# A file of more Gaussians must have at least a byte for each. For trained scenes, all formats have ten and more. An
+# image in one colour takes a few bytes, whatever its size.
 DENSE_MAX = 1 << 20
 
 
@@ -27,10 +27,10 @@ def check_count(file: Path, count: int, size: int) -> None:
     if count > GAUSSIANS_MAX:
         raise SceneFolderError(file, f"it has {count} Gaussians, at most {GAUSSIANS_MAX} are allowed", ADVICE)
     if count > max(size, DENSE_MAX):
-        raise SceneFolderError(file, f"it states {count} Gaussians and has {size} bytes", ADVICE)
+        raise SceneFolderError(file, f"it states {count} Gaussians, but has only {size} bytes", ADVICE)
 
 
 def logits(share: NDArray[np.float64]) -> NDArray[np.float32]:
-    """Returns the logits of opacities of eight bits, 0 to 1. Those of 0 and 1 are beyond the next by half a step."""
+    """Returns the logits of 8-bit opacities, 0 to 1. Those of 0 and 1 are half a step from the next."""
     inner = share.clip(0.25 / 255, 1 - 0.25 / 255)
     return np.log(inner / (1 - inner)).astype(np.float32)

@@ -1,4 +1,4 @@
-"""Files of plain 3D Gaussians, whichever format they have."""
+"""Files of plain 3D Gaussians in all formats."""
 
 from __future__ import annotations
 
@@ -15,19 +15,19 @@ from .splat_ply import read_splat_ply
 from .spz import read_spz
 
 READERS = {".ply": read_splat_ply, ".spz": read_spz, ".sog": read_sog, ".json": read_sog, ".glb": read_glb}
-# Logits and logarithms beyond these change nothing that float32 can tell.
+# Logits and logarithms beyond these have no effect in float32.
 LOGIT_MAX, LOGARITHM_MAX = 20.0, 40.0
-# The largest coordinate and the largest coefficient. Squares of larger ones are beyond float32, or nearly so.
+# The largest coordinate and the largest coefficient. Squares of larger ones overflow float32, or nearly so.
 COORDINATE_MAX, COEFFICIENT_MAX = 1e9, 1e9
 
 
 def read_splats(file: Path) -> Arrays:
-    """Returns the Gaussians of a file, one at least, all of finite numbers.
+    """Returns the Gaussians of a file, at least one, all with finite numbers.
 
     file: a .ply, .spz, .sog or .glb file, or the meta.json of a folder of SOG. Raises SceneFolderError, and OSError.
     """
     if not there(file, ADVICE):
-        raise SceneFolderError(file, "there is no such file", "give a .ply, .spz, .sog or .glb file of 3D Gaussians")
+        raise SceneFolderError(file, "the file does not exist", "give a .ply, .spz, .sog or .glb file of 3D Gaussians")
     arrays = READERS[file.suffix.lower()](file)
     with np.errstate(invalid="ignore"):
         arrays["opacity"] = arrays["opacity"].clip(-LOGIT_MAX, LOGIT_MAX)
@@ -44,7 +44,7 @@ def read_splats(file: Path) -> Arrays:
 
 
 def splats_up(file: Path) -> NDArray[np.float64]:
-    """Returns what is up in a file of read_splats, a unit vector, float64 [3]: what it says, or -y as in 3DGS's files.
+    """Returns the up axis of a file of read_splats, a unit vector, float64 [3]: the stated one, or -y as in 3DGS files.
 
     Raises SceneFolderError, and OSError.
     """

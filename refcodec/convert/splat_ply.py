@@ -1,4 +1,4 @@
-"""PLY files of plain 3D Gaussians: those of 3DGS's own code, and PlayCanvas's compressed ones."""
+"""PLY files of plain 3D Gaussians: those of the 3DGS code, and PlayCanvas's compressed ones."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from ..files.text import printable
 from ..folder.layout import SceneFolderError
 from .splat_arrays import ADVICE, Arrays, check_count, logits
 
-# Gaussians of a chunk of a compressed file, which share the ranges of their numbers.
+# The number of Gaussians in a chunk of a compressed file, which share value ranges.
 CHUNK = 256
 PACKED = ("packed_position", "packed_rotation", "packed_scale", "packed_color")
 
@@ -39,7 +39,7 @@ def read_splat_ply(file: Path) -> Arrays:
 
 
 def _plain(file: Path, table: Any) -> Arrays:
-    """Returns the Gaussians of a table as 3DGS writes it."""
+    """Returns the Gaussians of a table of 3DGS."""
     rest = _rest(file, table)
     arrays = {name: _array(file, table, names) for name, names in columns(rest).items()}
     arrays["opacity"] = arrays["opacity"][:, 0]
@@ -48,16 +48,16 @@ def _plain(file: Path, table: Any) -> Arrays:
 
 
 def _rest(file: Path, table: Any) -> int:
-    """Returns the number of harmonics beside the first. Raises SceneFolderError for one that no degree has."""
+    """Returns the number of harmonics besides the first. Raises SceneFolderError for a number that fits no degree."""
     extra = sum(name.startswith("f_rest_") for name in names_of(table))
     if extra % 3 or extra // 3 not in REST:
         wanted = ", ".join(str(3 * rest) for rest in REST)
-        raise SceneFolderError(file, f"it has {extra} coefficients f_rest, {wanted} are wanted", ADVICE)
+        raise SceneFolderError(file, f"it has {extra} coefficients f_rest, {wanted} are allowed", ADVICE)
     return extra // 3
 
 
 def _array(file: Path, table: Any, names: tuple[str, ...], kinds: str = "fiu") -> NDArray[np.float32]:
-    """Returns some properties as float32 [N, columns]. Raises SceneFolderError for one that is missing or a list."""
+    """Returns some properties as float32 [N, columns]. Raises SceneFolderError for a missing property or a list."""
     values = np.empty((len(table), len(names)), np.float32)
     for column, name in enumerate(names):
         values[:, column] = _column(file, table, name, kinds)
@@ -66,7 +66,7 @@ def _array(file: Path, table: Any, names: tuple[str, ...], kinds: str = "fiu") -
 
 def _column(file: Path, table: Any, name: str, kinds: str) -> NDArray[Any]:
     if name not in names_of(table) or table.dtype[name].kind not in kinds:
-        raise SceneFolderError(file, f"there is no property {name} of numbers, as files of splats have", ADVICE)
+        raise SceneFolderError(file, f"there is no property {name} of numbers, as splat files have", ADVICE)
     return np.asarray(table[name])
 
 
@@ -74,7 +74,7 @@ def _column(file: Path, table: Any, name: str, kinds: str) -> NDArray[Any]:
 
 
 def _packed(file: Path, elements: dict[str, Any]) -> Arrays:
-    """Returns the Gaussians of a compressed file: integers between the least and the largest numbers of their chunk."""
+    """Returns the Gaussians of a compressed file, whose integers are positions in the value range of their chunk."""
     vertex, chunks = elements["vertex"], elements.get("chunk")
     count = len(vertex)
     if chunks is None or len(chunks) != -(-count // CHUNK):
@@ -92,7 +92,7 @@ def _packed(file: Path, elements: dict[str, Any]) -> Arrays:
     mean = between("", "xyz", _bits(words["packed_position"], 11, 10, 11))
     scale = between("scale_", "xyz", _bits(words["packed_scale"], 11, 10, 11))
     colour = _bits(words["packed_color"], 8, 8, 8, 8)
-    # Files of the first version have no ranges of colours.
+    # Files of the first version have no colour ranges.
     ranged = "min_r" in names_of(chunks)
     shade = between("", "rgb", colour[:, :3]) if ranged else colour[:, :3]
     rotation = (_bits(words["packed_rotation"], 2, 10, 10, 10)[:, 1:] - 0.5) * np.sqrt(2)
@@ -119,7 +119,7 @@ def _bits(words: NDArray[np.int64], *widths: int) -> NDArray[np.float64]:
 
 
 def _packed_rest(file: Path, table: Any, count: int) -> NDArray[np.float64]:
-    """Returns the harmonics beside the first, [N, K, 3], of bytes: the middles of 256 steps from -4 to 4."""
+    """Returns the harmonics besides the first, [N, K, 3], of bytes: the centres of 256 steps from -4 to 4."""
     if table is None:
         return np.zeros((count, 0, 3))
     rest = _rest(file, table)

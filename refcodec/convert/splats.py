@@ -1,4 +1,4 @@
-"""Plain 3D Gaussians with spherical harmonics: their tensors, and what a camera sees of them."""
+"""Plain 3D Gaussians with spherical harmonics: their tensors, and their images."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from ..render.rasterise import Settings
 from ..train.splat import draw
 from .harmonics import colours
 
-# float32 tensors of N Gaussians, by name, as 3DGS's files have them:
+# float32 tensors of N Gaussians, by name, as in 3DGS files:
 #   mean [N, 3], world units.
 #   base [N, 3] and rest [N, K, 3], coefficients of the harmonics.
 #   opacity [N], logits.
@@ -33,9 +33,9 @@ def tensors(arrays: Mapping[str, NDArray[np.float32]]) -> dict[str, Tensor]:
 def drawn(
     splats: Splats, camera: Camera, settings: Settings, degree: int | None = None, screen: Tensor | None = None
 ) -> tuple[Tensor, Tensor, Tensor]:
-    """What a camera sees: image [H, W, 3], transmittance [H, W] and radius [N] (refcodec.train.splat.draw).
+    """Draws Gaussians: returns image [H, W, 3], transmittance [H, W] and radius [N] (refcodec.train.splat.draw).
 
-    degree: the highest harmonics that are used, None for all. screen: as draw has it.
+    degree: the highest degree of harmonics to use, None for all. screen: as for draw.
     """
     mean, base, rest = splats["mean"], splats["base"], splats["rest"]
     highest = degree_of(rest.shape[1]) if degree is None else degree

@@ -1,7 +1,7 @@
-"""SPZ files (Niantic): 3D Gaussians as fixed-point numbers, packed by gzip (versions 1 to 3) or Zstandard (4).
+"""SPZ files (Niantic): 3D Gaussians as fixed-point numbers, compressed by gzip (versions 1 to 3) or Zstandard (4).
 
-The axes of a file are those of OpenGL: y points up and z backwards. Those of 3DGS's files are COLMAP's. So y and z
-change their signs, and with them the quaternions and the harmonics that are odd in one of them.
+The axes of a file are those of OpenGL: y points up and z backwards. 3DGS files have those of COLMAP. Thus y and
+z are negated, with the corresponding components of quaternions and harmonics.
 """
 
 from __future__ import annotations
@@ -21,10 +21,10 @@ from ..folder.layout import SceneFolderError
 from .splat_arrays import ADVICE, Arrays, check_count, logits
 
 GZIP = b"\x1f\x8b"
-# magic, version, number of Gaussians, degree of harmonics, bits behind the point of a position, flags, and a byte that
-# is reserved, in version 4 the number of streams.
+# Magic, version, number of Gaussians, degree of harmonics, fractional bits of positions, flags, and a reserved byte,
+# which is the number of streams in version 4.
 HEADER = struct.Struct("<4sIIBBBB")
-# Version 4: where the table of streams begins, behind the header. Each has its size as packed, and as it is.
+# Version 4: the offset of the stream table after the header. An entry has the compressed and the uncompressed size.
 TABLE, STREAM = struct.Struct("<I"), struct.Struct("<QQ")
 FILE_MAX = 1 << 31
 
@@ -37,10 +37,10 @@ def read_spz(file: Path) -> Arrays:
     packed = data[:2] == GZIP
     first = _gunzipped(file, data, HEADER.size) if packed else data[: HEADER.size]
     if len(first) < HEADER.size or first[:4] != MAGIC:
-        raise SceneFolderError(file, "it is no SPZ file", ADVICE)
+        raise SceneFolderError(file, "it is not an SPZ file", ADVICE)
     _, version, count, degree, fraction, _, streams = HEADER.unpack(first)
     if not ((packed and 1 <= version <= 3) or (not packed and version == 4)):
-        raise SceneFolderError(file, f"it is SPZ of version {version}, versions 1 to 4 are read", ADVICE)
+        raise SceneFolderError(file, f"it is SPZ of version {version}, versions 1 to 4 are supported", ADVICE)
     if degree >= len(REST) or fraction > 23:
         problem = f"it states harmonics of degree {degree} and {fraction} fractional bits; 3 and 23 are the most"
         raise SceneFolderError(file, problem, ADVICE)
@@ -65,12 +65,12 @@ def _none(count: int) -> NDArray[np.uint8]:
 
 
 def _sizes(version: int, rest: int) -> tuple[int, ...]:
-    """Bytes of a Gaussian: position, opacity, colour, lengths, rotation, harmonics."""
+    """Returns the bytes per Gaussian: position, opacity, colour, lengths, rotation, harmonics."""
     return (6 if version == 1 else 9, 1, 3, 3, 4 if version >= 3 else 3, 3 * rest)
 
 
 def _gunzipped(file: Path, data: bytes, most: int) -> bytes:
-    """Returns the first bytes of what gzip packed, and no more. Raises SceneFolderError."""
+    """Returns a bounded number of first bytes of gzip data. Raises SceneFolderError."""
     try:
         return zlib.decompressobj(wbits=31).decompress(data, most)
     except zlib.error as error:
@@ -78,7 +78,7 @@ def _gunzipped(file: Path, data: bytes, most: int) -> bytes:
 
 
 def _unpacked(file: Path, data: bytes, count: int, sizes: list[int]) -> bytes:
-    """Returns the streams of version 4, one behind the other. Raises SceneFolderError."""
+    """Returns the concatenated streams of version 4. Raises SceneFolderError."""
     try:
         import zstandard  # noqa: PLC0415 (an extra)
     except ModuleNotFoundError:
@@ -86,12 +86,12 @@ def _unpacked(file: Path, data: bytes, count: int, sizes: list[int]) -> bytes:
         raise SceneFolderError(file, problem, "pip install 'refcodec[convert]', or convert it to PLY") from None
     start = TABLE.unpack_from(data, HEADER.size)[0] if len(data) >= HEADER.size + TABLE.size else len(data)
     if count != len(sizes) or start + count * STREAM.size > len(data):
-        raise SceneFolderError(file, f"it has {count} streams, {len(sizes)} whole ones are required", ADVICE)
+        raise SceneFolderError(file, f"it has {count} streams, {len(sizes)} complete ones are required", ADVICE)
     place, streams = start + count * STREAM.size, []
     for number, wanted in enumerate(sizes):
         size, plain = STREAM.unpack_from(data, start + number * STREAM.size)
         if plain != wanted or place + size > len(data):
-            raise SceneFolderError(file, f"its stream {number} has no {wanted} bytes", ADVICE)
+            raise SceneFolderError(file, f"its stream {number} does not have {wanted} bytes", ADVICE)
         try:
             with zstandard.ZstdDecompressor(max_window_size=1 << 27).stream_reader(
                 data[place : place + size]
@@ -100,13 +100,13 @@ def _unpacked(file: Path, data: bytes, count: int, sizes: list[int]) -> bytes:
         except zstandard.ZstdError as error:
             raise SceneFolderError(file, f"its stream {number} is damaged ({error})", ADVICE) from None
         if len(streams[-1]) != wanted:
-            raise SceneFolderError(file, f"its stream {number} has no {wanted} bytes", ADVICE)
+            raise SceneFolderError(file, f"its stream {number} does not have {wanted} bytes", ADVICE)
         place += size
     return b"".join(streams)
 
 
 def _gaussians(version: int, fraction: int, rest: int, *parts: NDArray[np.uint8]) -> Arrays:
-    """Returns Gaussians of their bytes, uint8 [N, bytes] of each part."""
+    """Returns Gaussians from the bytes of each part, uint8 [N, bytes]."""
     position, opacity, colour, lengths, rotation, harmonics = parts
     count = len(position)
     if version == 1:
@@ -114,7 +114,7 @@ def _gaussians(version: int, fraction: int, rest: int, *parts: NDArray[np.uint8]
     else:
         wide = np.zeros((count, 3, 4), np.uint8)
         wide[:, :, 1:] = position.reshape(count, 3, 3)
-        # In the upper bytes of 32 bits, so that the sign is in its place.
+        # In the upper bytes of 32 bits, so that the sign bit is correct.
         mean = (wide.reshape(count, 12).view("<i4") >> 8) / 2.0**fraction
     if version >= 3:
         quaternion = _smallest_three(rotation)
@@ -135,7 +135,7 @@ def _gaussians(version: int, fraction: int, rest: int, *parts: NDArray[np.uint8]
 
 
 def _rest(harmonics: NDArray[np.uint8]) -> NDArray[np.float32]:
-    """Returns coefficients of bytes, [N, K, 3]. They are most of a file, and exact as float32."""
+    """Returns coefficients from bytes, [N, K, 3]. They are most of a file, and exact in float32."""
     coefficients = harmonics.astype(np.float32)
     coefficients -= 128
     coefficients *= HARMONIC_SIGNS[: coefficients.shape[1], None].astype(np.float32) / 128
@@ -143,7 +143,7 @@ def _rest(harmonics: NDArray[np.uint8]) -> NDArray[np.float32]:
 
 
 def _smallest_three(rotation: NDArray[np.uint8]) -> NDArray[np.float64]:
-    """Returns quaternions w, x, y, z of words: the place of the largest of x, y, z, w, and a sign and 9 bits each."""
+    """Returns quaternions w, x, y, z of words: the index of the largest component, and sign and 9 bits of the others."""
     word = rotation.copy().view("<u4")[:, 0].astype(np.int64)
     fields = np.stack([word >> shift & 1023 for shift in (20, 10, 0)], axis=1)
     values = (fields & 511) / 511 * np.sqrt(0.5) * np.where(fields & 512, -1, 1)

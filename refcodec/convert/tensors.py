@@ -1,12 +1,12 @@
-"""Tensors of PyTorch's files: state dicts, and TorchScript archives whose code is never run.
+"""Tensors of PyTorch files: state dicts, and TorchScript archives, whose code is never run.
 
-Both are zip archives with a pickle that names tensors, whose bytes lie in the archive. A pickle can call anything. Here
-none does:
+Both are zip archives with a pickle that names tensors, whose bytes are in the archive. A pickle can call any function.
+Here none can:
 
-- Every pickle is read opcode by opcode, and gives names and places of tensors, no objects. One that names another
-  function than those that make tensors is refused.
+- Every pickle is read opcode by opcode, and gives names and locations of tensors, not objects. A pickle that names any
+  function but those that make tensors is refused.
 - A state dict is then loaded by torch.load(weights_only=True).
-- A TorchScript archive is not loaded. Its tensors are taken from where its pickle says.
+- A TorchScript archive is not loaded. Its tensors are read from the locations in its pickle.
 """
 
 # torch is imported where it is used. TorchScript archives are read without it.
@@ -33,20 +33,20 @@ from .archives import opened_zip
 
 AGAIN = "save it again with the program that made it"
 
-# A checkpoint of HAC has a hash grid of some ten megabytes beside its networks.
+# A HAC checkpoint has a hash grid of some ten megabytes besides its networks.
 FILE_MAX = 1 << 31
 # The networks of a scene have some ten tensors, whose names are a kilobyte.
 PICKLE_MAX = 1 << 20
-# Fields of a module, and the longest name of one.
+# Maximum fields of a module, and the maximum length of their names.
 FIELDS_MAX, NAME_MAX = 4096, 256
-# A network has less than a megabyte, an embedding of cameras some kilobytes.
+# A network has less than a megabyte, a camera embedding some kilobytes.
 TENSOR_MAX = 1 << 24
 TENSORS_MAX = 8
-# Objects within objects: a network has layers, which have tensors.
+# Maximum depth of objects: a network has layers, which have tensors.
 DEPTH_MAX = 8
-# A weight has two sides. No tensor of a checkpoint has more than a convolution of three axes.
+# A weight has two dimensions. No tensor of a checkpoint has more than a 3D convolution.
 SIDES_MAX = 5
-# Sides, strides and places are int64 in torch. Longer integers would cost more with each operation.
+# Sizes, strides and offsets are int64 in torch. Longer integers would cost more with each operation.
 INTEGER_BITS = 63
 
 _TYPES = {"HalfStorage": "<f2", "FloatStorage": "<f4", "DoubleStorage": "<f8"}
@@ -60,7 +60,7 @@ _STORAGES = (
     *("BFloat16Storage", "BoolStorage", "ByteStorage", "CharStorage", "ShortStorage", "IntStorage", "LongStorage"),
 )
 _STORAGE_NAMES = {f"torch {storage}": storage for storage in _STORAGES}
-# What a state dict names: functions that make tensors, and nothing that a size could be given to.
+# The functions that a state dict names: they make tensors, and none of them takes a size.
 _STATE_DICT = {_REBUILD, _PARAMETER, _DICT, *_STORAGE_NAMES}
 # The opcodes of torch's picklers, all of protocol 2.
 _CONSTANTS: dict[str, Any] = {"NONE": None, "NEWTRUE": True, "NEWFALSE": False}
@@ -73,7 +73,7 @@ _STACKED = {
 
 
 def read_state_dicts(file: Path, networks: Collection[str]) -> dict[str, dict[str, NDArray[np.float32]]]:
-    """Returns those of some state dicts that a file of torch.save has: tensors of floats by name, by network.
+    """Returns the wanted state dicts of a torch.save file: float tensors by name, by network.
 
     networks: the wanted names. Raises SceneFolderError.
     """
@@ -85,11 +85,11 @@ def read_state_dicts(file: Path, networks: Collection[str]) -> dict[str, dict[st
                 raise SceneFolderError(file, f"its entry {printable(entry.filename)} is compressed", AGAIN)
         _Machine(file, classes=False).run(_operations(file, _pickle(file, archive)))
     try:
-        # Mapped, because the networks are a small part of a checkpoint of HAC.
+        # Memory-mapped, because the networks are a small part of a HAC checkpoint.
         loaded = torch.load(str(file), map_location="cpu", weights_only=True, mmap=True)
     except MemoryError:
         raise
-    # torch answers bad bytes with many types.
+    # torch raises many types for bad bytes.
     except Exception as error:
         raise SceneFolderError(file, f"it cannot be read ({_line(error)})", AGAIN) from None
     if not isinstance(loaded, dict):
@@ -102,11 +102,11 @@ def read_state_dicts(file: Path, networks: Collection[str]) -> dict[str, dict[st
 
 
 def _floats(file: Path, network: str, values: Any) -> dict[str, NDArray[np.float32]]:
-    """Returns the tensors of a state dict. Raises SceneFolderError for one that no network or embedding has."""
+    """Returns the tensors of a state dict. Raises SceneFolderError for a tensor that no network or embedding has."""
     import torch
 
     if not isinstance(values, dict) or len(values) > TENSORS_MAX:
-        raise SceneFolderError(file, f"{network} is no state dict of at most {TENSORS_MAX} tensors", AGAIN)
+        raise SceneFolderError(file, f"{network} is not a state dict of at most {TENSORS_MAX} tensors", AGAIN)
     for name, value in values.items():
         dense = isinstance(value, torch.Tensor) and value.layout == torch.strided and value.is_contiguous()
         if not dense or not value.is_floating_point() or 4 * value.numel() > TENSOR_MAX:
@@ -135,19 +135,19 @@ def read_torchscript(file: Path) -> dict[str, NDArray[np.float32]]:
 def _opened(file: Path) -> Iterator[zipfile.ZipFile]:
     """Yields the archive of a file. Raises SceneFolderError."""
     if not there(file, AGAIN):
-        raise SceneFolderError(file, "there is no such file", AGAIN)
+        raise SceneFolderError(file, "the file does not exist", AGAIN)
     if file.stat().st_size > FILE_MAX:
         raise SceneFolderError(file, f"it has more than {FILE_MAX} bytes", "give a checkpoint of a scene")
     with opened_zip(file, "zip archive, as torch writes since 1.6", AGAIN) as archive:
         names = [entry.filename for entry in archive.infolist()]
         if len(set(names)) != len(names):
-            # Readers differ in which of them they take.
-            raise SceneFolderError(file, "two of its entries have one name", AGAIN)
+            # Readers differ in which of the two they use.
+            raise SceneFolderError(file, "two of its entries have the same name", AGAIN)
         yield archive
 
 
 def _record(file: Path, archive: zipfile.ZipFile, name: str, most: int) -> bytes:
-    """Returns an entry of an archive, which is stored as it is and has at most so many bytes.
+    """Returns an entry of an archive, which must be uncompressed and have at most `most` bytes.
 
     name: without the archive's own folder. Raises SceneFolderError.
     """
@@ -159,7 +159,7 @@ def _record(file: Path, archive: zipfile.ZipFile, name: str, most: int) -> bytes
     try:
         with archive.open(entries[0]) as opened:
             return opened.read(most + 1)
-    # zipfile answers bad bytes with several types.
+    # zipfile raises several types for bad bytes.
     except (zipfile.BadZipFile, ValueError, NotImplementedError, EOFError, RuntimeError, OSError) as error:
         raise SceneFolderError(file, f"its entry {printable(name)} is damaged ({_line(error)})", AGAIN) from None
 
@@ -185,7 +185,7 @@ def _names(file: Path, what: str) -> SceneFolderError:
 
 
 def _operations(file: Path, data: bytes) -> Iterator[tuple[str, Any]]:
-    """Returns the opcodes of a pickle and their arguments, of those that torch writes. Raises SceneFolderError."""
+    """Returns the opcodes of a pickle with arguments. Raises SceneFolderError for those that torch does not write."""
     try:
         for operation, argument, _ in pickletools.genops(data):
             name = operation.name
@@ -194,14 +194,14 @@ def _operations(file: Path, data: bytes) -> Iterator[tuple[str, Any]]:
             yield name, argument
     except SceneFolderError:
         raise
-    # pickletools answers bad bytes with several types.
+    # pickletools raises several types for bad bytes.
     except (ValueError, pickle.UnpicklingError, IndexError, OverflowError) as error:
         raise SceneFolderError(file, f"its pickle is damaged ({_line(error)})", AGAIN) from None
 
 
 @dataclass(frozen=True)
 class _Stored:
-    """A tensor as a pickle names it. storage: its type. key: of the entry with its bytes."""
+    """A tensor named by a pickle. storage: its type. key: of the entry with its bytes."""
 
     storage: str
     key: str
@@ -218,9 +218,9 @@ class _Name:
 
 
 class _Machine:
-    """A pickle of torch, as dictionaries of fields, and places of tensors.
+    """A torch pickle, as dictionaries of fields, and locations of tensors.
 
-    classes: whether it may name classes of any name. They become dictionaries of their fields.
+    classes: whether it may name any classes. They become dictionaries of their fields.
     """
 
     def __init__(self, file: Path, classes: bool) -> None:
@@ -243,7 +243,7 @@ class _Machine:
                 elif name not in ("PROTO", "STOP"):
                     self._step(name, argument)
             return self.stack.pop()
-        # An opcode without its operands, or with others than torch writes.
+        # An opcode without operands, or with unexpected ones.
         except (IndexError, KeyError, TypeError, ValueError, AttributeError) as error:
             if isinstance(error, SceneFolderError):
                 raise
@@ -252,7 +252,7 @@ class _Machine:
     def _marked(self) -> list[Any]:
         mark = self.marks.pop()
         values = self.stack[mark:]
-        # In place: a copy of what is below would cost as much as the whole stack for each mark.
+        # In place: a copy of the rest would cost the whole stack for each mark.
         del self.stack[mark:]
         return values
 
@@ -293,7 +293,7 @@ class _Machine:
                 self._put(self.stack[-1], values)
 
     def _move(self, count: int) -> None:
-        """Counts what BUILD puts into objects. A state can be built in again and again, which torch does not do."""
+        """Counts the fields that BUILD adds to objects, which repeated BUILD could grow without bound."""
         self.moved += count
         if self.moved > PICKLE_MAX:
             raise ValueError
@@ -303,7 +303,7 @@ class _Machine:
         if isinstance(into, list):
             into.extend(values)
             return
-        # A tuple of tuples can be hashed forever.
+        # Hashing nested tuples could take forever.
         if not all(isinstance(key, str | int) for key in values[::2]):
             raise TypeError
         into.update(zip(values[::2], values[1::2], strict=True))
@@ -312,7 +312,7 @@ class _Machine:
         kind, storage, key, _, _ = named
         if kind != "storage" or not isinstance(storage, _Name) or not isinstance(key, str):
             raise ValueError
-        # One of few strings, since the name may be as long as the pickle. Of others, no tensor is taken.
+        # One of few strings, because the name may be as long as the pickle. Tensors of other types are not used.
         return _STORAGE_NAMES.get(storage.name, ""), key
 
     def _called(self, function: Any, arguments: Any) -> Any:
@@ -334,7 +334,7 @@ class _Machine:
 
 
 def _parameters(file: Path, module: Any) -> Iterator[tuple[str, _Stored]]:
-    """Returns the tensors of a module by name, those of its parts behind a dot. Raises SceneFolderError."""
+    """Returns the tensors of a module by name, such as part.tensor. Raises SceneFolderError."""
     left: list[tuple[str, Any, int]] = [("", module, 0)]
     looked = 0
     while left:
@@ -353,7 +353,7 @@ def _parameters(file: Path, module: Any) -> Iterator[tuple[str, _Stored]]:
 
 
 def _tensor(file: Path, archive: zipfile.ZipFile, name: str, stored: _Stored) -> NDArray[np.float32]:
-    """Returns a tensor, whose numbers lie one behind the other. Raises SceneFolderError."""
+    """Returns a tensor, which must be contiguous. Raises SceneFolderError."""
     kind = _TYPES.get(stored.storage)
     packed, stride = 1, []
     for side in reversed(stored.shape):

@@ -1,8 +1,8 @@
-"""Pictures of splats, from cameras of their own or from given ones, as a folder of photographs in NeRF's format.
+"""Pictures of splats, from given or generated cameras, as a NeRF folder of photographs.
 
-The cameras of their own look at the splats' middle from a sphere around it, as those of NeRF's synthetic scenes do.
-Those to learn from are spread evenly over it. Those for tests go around it in a spiral. The images are what refcodec's
-renderer draws, so the splats are the truth of their scene.
+Generated cameras look at the middle of the splats from a sphere around it, as in NeRF's synthetic scenes. Training
+cameras are spread evenly over the sphere. Test cameras follow a spiral around it. The renderer of refcodec draws the
+images, which are the ground truth of the scene.
 """
 
 from __future__ import annotations
@@ -33,19 +33,19 @@ TRAIN, TEST = "train", "test"
 POINTS_FILE = "points3d.ply"
 # As the cameras of NeRF's synthetic scenes.
 ANGLE = 0.6911
-# Sides of an image in pixels, where none are asked for.
+# The default side of an image in pixels.
 SIDE = 800
 # The sines of the lowest and the highest elevation.
 LOWEST, HIGHEST = -0.3, 0.95
 # The turns of the spiral of test cameras.
 TURNS = 3
-# The share of the Gaussians within the splats' radius, and how much more than that the cameras see.
+# The share of the Gaussians within the radius of the splats, and the margin that the cameras see.
 SHARE, MARGIN = 0.99, 1.1
 # The near plane in radii, at most that of 3DGS in world units.
 NEAR, NEAR_MAX = 0.01, 0.2
 # Every N-th picture is for tests.
 TEST_EVERY = 8
-# Points that a training begins with, drawn from Gaussians that are not nearly transparent.
+# The number of initial points of a training, drawn from Gaussians that are not nearly transparent.
 POINTS, OPAQUE = 200_000, 0.1
 AXES = {f"{sign}{axis}": (1 if sign == "+" else -1) * np.eye(3)[i] for sign in "+-" for i, axis in enumerate("xyz")}
 
@@ -53,7 +53,7 @@ Views = Mapping[str, Sequence[Camera]]
 
 
 def middle_and_radius(splats: Splats) -> tuple[F64, float]:
-    """Returns the median of the means, float64 [3], and the distance from there that SHARE of them do not exceed."""
+    """Returns the median of the means, float64 [3], and the distance from there within which SHARE of them are."""
     mean = splats["mean"].double().numpy()
     middle = np.median(mean, axis=0)
     return middle, float(np.quantile(np.linalg.norm(mean - middle, axis=1), SHARE)) or 1.0
@@ -76,9 +76,10 @@ def _directions(height: F64, turn: F64) -> F64:
 
 
 def orbit(splats: Splats, up: F64, size: int, train: int, test: int) -> dict[str, list[Camera]]:
-    """Returns cameras around the splats, by what they are for.
+    """Returns cameras around the splats, by purpose.
 
-    up: what is up in the world, a unit vector, float64 [3]. size: sides of the images in pixels. train, test: how many.
+    up: the up axis of the world, a unit vector, float64 [3]. size: sides of the images in pixels. train, test: numbers
+    of cameras.
     """
     directions = {TRAIN: train_directions(train), TEST: test_directions(test)}
     return {name: _cameras(splats, views, up, size, name) for name, views in directions.items()}
@@ -86,7 +87,7 @@ def orbit(splats: Splats, up: F64, size: int, train: int, test: int) -> dict[str
 
 def _cameras(splats: Splats, directions: F64, up: F64, size: int, name: str) -> list[Camera]:
     middle, radius = middle_and_radius(splats)
-    # Another axis than the one that is nearest to up.
+    # Not the axis that is nearest to up.
     nearest = int(np.abs(up).argmax())
     side = np.roll(np.sign(up[nearest]) * np.eye(3)[nearest], 1)
     side = side - (side @ up) * up
@@ -104,23 +105,23 @@ def _cameras(splats: Splats, directions: F64, up: F64, size: int, name: str) -> 
 
 
 def given(cameras: Sequence[Camera], most: int, size: int | None) -> dict[str, list[Camera]]:
-    """Returns some of given cameras, spread evenly over them, by what they are for. Every TEST_EVERY-th is for tests.
+    """Returns an even selection of given cameras, by purpose. Every TEST_EVERY-th is for tests.
 
-    most: how many. size: the longest side in pixels of an image, None for their own.
+    most: maximum number. size: the longest side of an image in pixels, None for the given sizes.
     """
     chosen = [cameras[i] for i in np.unique(np.linspace(0, len(cameras) - 1, most).round().astype(int))]
     groups: dict[str, list[Camera]] = {TRAIN: [], TEST: []}
     for number, camera in enumerate(chosen):
         share = min(1.0, (size or math.inf) / max(camera.width, camera.height))
         smaller = camera.resized(max(round(camera.width * share), 1), max(round(camera.height * share), 1))
-        # The first one is to learn from, however few there are.
+        # The first camera is always for training.
         name = TEST if number % TEST_EVERY == TEST_EVERY - 1 else TRAIN
         groups[name].append(replace(smaller, name=f"{name}/r_{number}"))
     return groups
 
 
 def transforms(cameras: Sequence[Camera]) -> dict[str, object]:
-    """Returns NeRF's document for cameras: y and z of a camera are those of Blender."""
+    """Returns the NeRF document of cameras, with y and z as in Blender."""
     frames = []
     for camera in cameras:
         matrix = np.eye(4)
@@ -132,12 +133,12 @@ def transforms(cameras: Sequence[Camera]) -> dict[str, object]:
 
 
 def _picture(splats: Splats, camera: Camera, settings: Settings, transparent: bool) -> Image.Image:
-    """Returns what a camera sees: RGB, or RGBA without a background, whose colours are not multiplied by alpha."""
+    """Returns the image of a camera: RGB, or without a background RGBA with straight alpha."""
     image, transmittance, _ = drawn(splats, camera, settings)
     if not transparent:
         return Image.fromarray(eight_bits(image.numpy()), "RGB")
     alpha = np.rint((1 - transmittance.numpy()[:, :, None]) * 255)
-    # Where the splat hides less than half a grade of eight bits, the pixel is empty.
+    # Pixels that the splat covers by less than half a step of eight bits are empty.
     colour = np.where(alpha > 0, image.numpy() * 255 / np.maximum(alpha, 1), 0)
     return Image.fromarray(np.concatenate([eight_bits(colour), alpha.astype(np.uint8)], axis=2), "RGBA")
 
@@ -150,10 +151,10 @@ def write_photographs(
     background: tuple[int, int, int] | None = None,
     points: bool = True,
 ) -> None:
-    """Writes images, the files of cameras and, if they are wanted, points to begin with. The folder may be there.
+    """Writes images, camera files and, if wanted, initial points. The folder may exist.
 
-    background: 0 to 255 each; None for images that are transparent where the splats are. These cannot show colours
-    above 1 of Gaussians that are half transparent. Raises OSError, also for a file that is there.
+    background: 0 to 255 each; None for transparent images, which cannot show colours above 1 of half-transparent
+    Gaussians. Raises OSError, also if a file exists.
     """
     _, radius = middle_and_radius(splats)
     red, green, blue = (value / 255 for value in background or (0, 0, 0))
@@ -178,7 +179,7 @@ def _put(path: Path, content: bytes) -> None:
 
 
 def _write_points(splats: Splats, path: Path) -> None:
-    """Writes the means of the Gaussians that are seen, with their mean colours, as a PLY file of points."""
+    """Writes the means of the visible Gaussians, with their mean colours, as a PLY file of points."""
     seen = torch.nonzero(torch.sigmoid(splats["opacity"]) >= OPAQUE)[:, 0]
     rows = seen if len(seen) else torch.arange(len(splats["mean"]))
     if len(rows) > POINTS:

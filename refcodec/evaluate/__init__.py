@@ -1,1 +1,1 @@
-"""What a file shows of photographs: image quality, bytes, seconds."""
+"""Evaluation against photographs: image quality, bytes, seconds."""

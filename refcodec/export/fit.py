@@ -1,17 +1,17 @@
-"""From the Gaussians that a scene has for each camera to one set of Gaussians for all of them.
+"""Fits one set of Gaussians to the view-dependent Gaussians of a scene.
 
-The networks of a scene give opacity, lengths, rotation and colour anew for each view. An ordinary Gaussian has one of
-each, and harmonics for its colour. They are found in three steps:
+The networks of a scene give opacity, lengths, rotation and colour for each view. An ordinary Gaussian has one of each,
+and harmonics for its colour. They are fitted in three steps:
 
 1. Each view is drawn. The derivative of the image's sum with respect to a Gaussian's colour is its blending weight: the
-   sum over all pixels of its alpha times what the Gaussians before it let through. It says how much of the view depends
-   on the Gaussian.
+   sum over all pixels of its alpha times the transmittance before it. It measures how much of the view depends on the
+   Gaussian.
 2. Opacity and covariance are means over the views. The mean of covariances is that of their logarithms, which keeps
-   volumes. The harmonics are a regression of the colours, weighted by the blending weights. A small ridge decides what
-   the views leave open.
-3. The images are linear in the coefficients of the harmonics. So all coefficients together are improved by least
-   squares on the images, with conjugate gradients. This corrects in colour what one opacity and one covariance for all
-   views get wrong.
+   volumes. The harmonics are a regression of the colours, weighted by the blending weights. A small ridge determines
+   coefficients that the views do not.
+3. The images are linear in the coefficients of the harmonics. Thus all coefficients together are improved by
+   least squares on the images, with conjugate gradients. This corrects in colour the error of a single opacity and
+   covariance for all views.
 """
 
 from __future__ import annotations
@@ -36,33 +36,33 @@ F32 = NDArray[np.float32]
 F64 = NDArray[np.float64]
 I64 = NDArray[np.int64]
 
-# A Gaussian goes if its blending weight is below this, in pixels, in every view.
+# A Gaussian is dropped if its blending weight is below this, in pixels, in every view.
 SEEN = 0.1
 # The ridge of the regression, relative to the sum of the weights.
 _RIDGE = 1e-4
-# The anchors of which equations are solved together. Degree 3 takes 2.5 KB for each of their Gaussians.
+# The number of anchors whose equations are solved together. Degree 3 takes 2.5 KB for each of their Gaussians.
 _GROUP = 4096
-# The shortest length, whose logarithm is finite.
+# The shortest length, so that the logarithm is finite.
 _LENGTH_LEAST = 1e-20
 
 
 @dataclass(frozen=True)
 class Fitted:
-    """What a fit gives. splats: the Gaussians. of: how many the masks of the scene keep."""
+    """The result of a fit. splats: the Gaussians. of: the number that the masks of the scene keep."""
 
     splats: Splats
     of: int
 
 
 def render_settings(view: View) -> Settings:
-    """Returns what SPEC 6.5 leaves to the scene, for the rasteriser."""
+    """Returns the render settings of the scene (SPEC 6.5) for the rasteriser."""
     info = view.info
     red, green, blue = (value / 255 for value in info.background)
     return Settings(info.low_pass, info.near_plane, info.alpha_max, (red, green, blue))
 
 
 def fit(view: View, cameras: Sequence[Camera], degree: int, iterations: int, progress: Progress) -> Fitted:
-    """Returns Gaussians that look like a scene from some cameras.
+    """Returns Gaussians that look like a scene from the given cameras.
 
     degree: of the harmonics, 0 to 3. iterations: of the least squares on the images. Raises ValueError if no camera
     sees a Gaussian, and as rasterise.
@@ -70,14 +70,14 @@ def fit(view: View, cameras: Sequence[Camera], degree: int, iterations: int, pro
     weights = _blending_weights(view, cameras, progress)
     seen = np.maximum.reduce(weights) >= SEEN
     if not seen.any():
-        raise ValueError("no view sees a Gaussian of it")
+        raise ValueError("no camera sees a Gaussian")
     splats = _regression(view, cameras, weights, seen, degree, progress)
     splats = _least_squares(view, splats, cameras, iterations, progress)
     return Fitted(splats, int(view.masks.sum()))
 
 
 def agreement(view: View, splats: Splats, cameras: Sequence[Camera], progress: Progress) -> float:
-    """Returns how near the drawn Gaussians are to the drawn scene: the mean over cameras of the PSNR in dB.
+    """Returns the mean over cameras of the PSNR in dB of the drawn Gaussians to the drawn scene.
 
     It is infinite if all images are the same. Raises ValueError as rasterise.
     """
@@ -119,7 +119,7 @@ def _regression(
     degree: int,
     progress: Progress,
 ) -> Splats:
-    """Returns the Gaussians that are seen, each fitted by itself. seen: bool [N * K]."""
+    """Returns the visible Gaussians, each fitted by itself. seen: bool [N * K]."""
     count, anchors = view.masks.shape[1], len(view.masks)
     parts = []
     for begin in range(0, anchors, _GROUP):
@@ -138,10 +138,10 @@ def _regression(
 
 
 class _Sums:
-    """Weighted sums over views of what n Gaussians are, and their normal equations."""
+    """Weighted sums over views of the properties of n Gaussians, and their normal equations."""
 
     def __init__(self, members: I64, degree: int) -> None:
-        """members: which offsets of a group they are, rising."""
+        """members: the numbers of their offsets in a group, ascending."""
         n, size = len(members), (degree + 1) ** 2
         self._members, self._degree = members, degree
         self._weight, self._area, self._opacity = np.zeros(n), np.zeros(n), np.zeros(n)
@@ -155,7 +155,7 @@ class _Sums:
         at = np.searchsorted(self._members, offset[chosen])
         weight = weights[offset[chosen]].astype(np.float64)
         opacity, mean = visible.opacity[chosen].astype(np.float64), visible.mean[chosen]
-        # The weight over the opacity does not favour views in which the Gaussian is more opaque.
+        # Weight divided by opacity does not favour views in which the Gaussian is more opaque.
         area = weight / np.maximum(opacity, OPACITY_LEAST)
         axes = rotation_matrix(visible.quaternion[chosen].astype(np.float64))
         lengths = 2 * np.log(np.maximum(visible.lengths[chosen].astype(np.float64), _LENGTH_LEAST))
@@ -173,7 +173,7 @@ class _Sums:
         """Returns the means and the solutions."""
         weight = self._weight[:, None, None]
         ridge = _RIDGE * np.eye(self._left.shape[1])
-        # The mean colour is not drawn to grey.
+        # The ridge does not pull the mean colour to grey.
         ridge[0, 0] = 0
         solved = np.linalg.solve(self._left / weight + ridge, self._right / weight)
         values, axes = np.linalg.eigh(self._covariance / weight)
@@ -191,7 +191,7 @@ class _Sums:
 def _quaternions(rotation: F64) -> F64:
     """Returns the unit quaternions w, x, y, z of rotations, [n, 4]. rotation: [n, 3, 3]."""
     r = rotation
-    # Four times the products of each component with all. Of the rows the one with the largest square is the quaternion.
+    # Four times the products of each component with all. The row with the largest square gives the quaternion.
     diagonal = [r[:, 0, 0], r[:, 1, 1], r[:, 2, 2]]
     squares = [
         1 + diagonal[0] + diagonal[1] + diagonal[2],
@@ -210,9 +210,9 @@ def _quaternions(rotation: F64) -> F64:
 def _least_squares(
     view: View, splats: Splats, cameras: Sequence[Camera], iterations: int, progress: Progress
 ) -> Splats:
-    """Returns the Gaussians with coefficients that fit the images of the scene better.
+    """Returns the Gaussians with improved coefficients.
 
-    It takes steps of conjugate gradients for the normal equations, from the coefficients that the Gaussians have.
+    The coefficients are refined by conjugate gradient steps on the normal equations of the images.
     """
     settings, degree = render_settings(view), splats.degree
     geometry = splats.mean, splats.quaternion, np.exp(splats.scale), opacities(splats)
@@ -221,7 +221,7 @@ def _least_squares(
     stages = iterations + 1
 
     def through(coefficients: F64, target: Callable[[Camera], F32] | None, stage: int) -> F64:
-        """Returns the images of coefficients, or what they lack to a target, carried back to coefficients."""
+        """Returns the images of coefficients, or the residual to a target, mapped back to coefficients."""
         out = np.zeros_like(coefficients)
         for number, camera in enumerate(cameras):
             progress("images", stage * len(cameras) + number, stages * len(cameras))
@@ -239,7 +239,7 @@ def _least_squares(
             carried = through(step, None, number + 1)
             curvature = float((step * carried).sum())
             if curvature <= 0:
-                # Nothing is left to fit.
+                # The fit has converged.
                 break
             found += square / curvature * step
             residual -= square / curvature * carried

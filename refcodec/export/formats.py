@@ -1,4 +1,4 @@
-"""The splat files that are written, by the endings of their names."""
+"""The formats of written splat files, by suffix."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ FORMATS: dict[str, Kind] = {".ply": PLY, ".spz": SPZ, ".sog": SOG, ".glb": GLB}
 
 
 def splat_file(splats: Splats, suffix: str, up: F64) -> Packed:
-    """Returns a file of Gaussians. suffix: a key of FORMATS. up: what is up in the scene, a unit vector, float64 [3].
+    """Returns a file of Gaussians. suffix: a key of FORMATS. up: the up axis of the scene, a unit vector, float64 [3].
 
     Raises ValueError if the format cannot hold them.
     """

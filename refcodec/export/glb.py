@@ -1,7 +1,7 @@
 """GLB files: glTF 2.0 with the extension KHR_gaussian_splatting of Khronos, in one binary file.
 
-Numbers are float32, and quaternions are x, y, z, w. The points stay where they are in the scene. A node turns the
-scene's upward axis to +y, which is up in glTF.
+Numbers are float32, and quaternions are x, y, z, w. Positions are those of the scene. A node turns the up
+axis of the scene to +y, which is up in glTF.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from .splats import Splats, nearest_bytes, opacities
 F64 = NDArray[np.float64]
 
 EXTENSION = "KHR_gaussian_splatting"
-# What a Gaussian is, and what its colours are, as in 3DGS.
+# The kernel and the colour space, as in 3DGS.
 SPACE = {"kernel": "ellipse", "colorSpace": "srgb_rec709_display"}
 _FLOAT, _BYTE, _POINTS, _VERTICES = 5126, 5121, 0, 34962
 HEAD, CHUNK = struct.Struct("<4sII"), struct.Struct("<I4s")
@@ -35,7 +35,7 @@ GLB = Kind(
 def _attributes(splats: Splats) -> dict[str, NDArray]:
     """Returns the vertex attributes by name, [n] or [n, parts] each."""
     opacity = opacities(splats)
-    # Programs without the extension show points of this colour.
+    # Programs without the extension show points in this colour.
     points = np.concatenate([ZERO * splats.base + 0.5, opacity[:, None]], axis=1)
     attributes: dict[str, NDArray] = {
         "POSITION": splats.mean,
@@ -59,7 +59,7 @@ def _to_y(up: F64) -> list[float]:
 
 
 def glb_bytes(splats: Splats, up: F64) -> bytes:
-    """Returns the file. up: what is up in the scene, a unit vector, float64 [3].
+    """Returns the file. up: the up axis of the scene, a unit vector, float64 [3].
 
     Raises ValueError for a file of 4 GiB or more.
     """
@@ -103,6 +103,6 @@ def glb_bytes(splats: Splats, up: F64) -> bytes:
     text += b" " * (-len(text) % 4)
     length = HEAD.size + 2 * CHUNK.size + len(text) + at
     if length >= 1 << 32:
-        raise ValueError(f"it would take {length} bytes, and GLB holds less than 4 GiB")
+        raise ValueError(f"it would take {length} bytes, but GLB files are below 4 GiB")
     head = HEAD.pack(b"glTF", 2, length) + CHUNK.pack(len(text), b"JSON") + text + CHUNK.pack(at, b"BIN\0")
     return head + b"".join(data)

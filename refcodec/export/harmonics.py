@@ -1,6 +1,6 @@
-"""Real spherical harmonics of degree 0 to 3, with the signs and the order that files of 3DGS have.
+"""Real spherical harmonics of degree 0 to 3, with the signs and the order of 3DGS files.
 
-The basis is orthonormal on the sphere. Its constants are made from the definition: N(l, m) is the square root of
+The basis is orthonormal on the sphere. Its constants follow from the definition: N(l, m) is the square root of
 (2 l + 1) (l - m)! / (4 pi (l + m)!), times the square root of 2 where m is not 0, times (-1)^m (Condon and Shortley).
 """
 
@@ -16,14 +16,14 @@ REST = tuple((degree + 1) ** 2 - 1 for degree in range(DEGREE_MAX + 1))
 
 
 def _constant(degree: int, order: int) -> float:
-    """Returns N(l, m) of the module's text."""
+    """Returns N(l, m), see above."""
     share = math.factorial(degree - order) / math.factorial(degree + order)
     plain = math.sqrt((2 * degree + 1) / (4 * math.pi) * share)
     return (-1) ** order * plain * (math.sqrt(2) if order else 1)
 
 
 ZERO = _constant(0, 0)
-# Each polynomial below is the harmonic over its constant. Legendre's factors (3, 15, 1/2, 3/2) stand in the constant.
+# Each polynomial below is the harmonic divided by its constant, which includes the Legendre factors (3, 15, 1/2, 3/2).
 _ONE = (_constant(1, 1), _constant(1, 0), _constant(1, 1))
 _TWO = (2 * 3 * _constant(2, 2), 3 * _constant(2, 1), _constant(2, 0) / 2, 3 * _constant(2, 1), 3 * _constant(2, 2))
 _THREE = (
@@ -38,17 +38,16 @@ _THREE = (
 
 
 def degree_of(rest: int) -> int:
-    """Returns the degree that has `rest` harmonics beside the first. Raises ValueError if none has."""
+    """Returns the degree with `rest` harmonics besides the first. Raises ValueError if there is none."""
     if rest not in REST:
-        raise ValueError(f"{rest} harmonics beside the first; {', '.join(map(str, REST))} are wanted")
+        raise ValueError(f"{rest} harmonics besides the first; {', '.join(map(str, REST))} are allowed")
     return REST.index(rest)
 
 
 def rest_harmonics(direction: Iterable[Any], degree: int) -> list[Any]:
     """Returns the harmonics of degree 1 to `degree` in the order of the files: (degree + 1)^2 - 1 values.
 
-    direction: x, y and z of unit vectors, as arrays of NumPy or tensors of torch, of one shape. The values are of that
-    shape.
+    direction: x, y and z of unit vectors, as NumPy arrays or torch tensors of one shape, which is that of the values.
     """
     x, y, z = direction
     values: list[Any] = []

@@ -1,4 +1,4 @@
-"""PLY files of ordinary 3D Gaussians, as 3DGS's own code writes them."""
+"""PLY files of ordinary 3D Gaussians, as the 3DGS code writes them."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from ..files import ply as files_ply
 from ..files.outputs import Kind
 from .splats import Splats
 
-# Viewers of 3DGS's authors take the count from the third line of the file, so the mark stands after that line.
+# The 3DGS viewers read the count from the third line of the file, so the mark follows that line.
 MARK = "refcodec"
 PLY = Kind(
     "a PLY file of Gaussians that refcodec wrote",
@@ -21,7 +21,7 @@ PLY = Kind(
 def columns(rest: int) -> dict[str, tuple[str, ...]]:
     """Returns the properties of each array of Splats in a file, in the order of the file.
 
-    rest: how many harmonics there are beside the first.
+    rest: number of harmonics besides the first.
     """
     return {
         "mean": ("x", "y", "z"),
@@ -36,7 +36,7 @@ def columns(rest: int) -> dict[str, tuple[str, ...]]:
 def ply_bytes(splats: Splats) -> bytes:
     """Returns the file: binary, little endian, float32, with normals of 0 after the means.
 
-    The coefficients f_rest have one channel after the other.
+    The coefficients f_rest are ordered by channel.
     """
     count = len(splats.mean)
     names: list[str] = []

@@ -1,19 +1,19 @@
-"""The folder of a trained Scaffold-GS, as the code of its authors loads it.
+"""The folder of a trained Scaffold-GS model, as the Scaffold-GS code loads it.
 
-cfg_args                                     what the networks are, as the text of a Namespace
+cfg_args                                     the network settings, as the text of a Namespace
 cameras.json                                 the cameras of the scene
 point_cloud/iteration_30000/point_cloud.ply  anchors
 point_cloud/iteration_30000/*_mlp.pt         the three networks in TorchScript
 point_cloud/iteration_30000/checkpoints.pth  the same as state dicts
-point_cloud/iteration_30000/render.json      what the others do not say of the scene, for refcodec convert
+point_cloud/iteration_30000/render.json      the other values of the scene, for refcodec convert
 
-Three things differ between that code and SPEC 14.3. Numbers in the folder make up for them, so that it draws the same.
-convert.carried takes them out again:
+That code differs from SPEC 14.3 in three points. Values in the folder compensate for them, so that both draw the same.
+convert.carried removes them again:
 
 - Distances are in world units. The weights of the distance are divided by distance_unit.
-- Networks are as wide as there are features. The narrower of the two is filled up with zeros.
+- The width of the networks is the number of features. The smaller of the two is padded with zeros.
 - There are no masks. Each offset gets a feature that is 1 for the anchors that drop it. A unit of the opacity network
-  passes it on, with a weight that makes the opacity negative. The code draws no Gaussian of negative opacity.
+  passes it on, with a weight that makes the opacity negative. The code does not draw Gaussians of negative opacity.
 """
 
 # torch is imported where it is used, so that other commands start fast.
@@ -58,7 +58,7 @@ F32 = NDArray[np.float32]
 
 CFG_ARGS, CAMERAS_JSON = Path("cfg_args"), Path("cameras.json")
 _MODEL = Path("point_cloud", "iteration_30000")
-# How the networks are called in the folder, and the function at the end of each.
+# The names of the networks in the folder, and the last function of each.
 _NAMES = {"opacity": "opacity_mlp", "covariance": "cov_mlp", "colour": "color_mlp"}
 FILES = (
     CFG_ARGS,
@@ -69,17 +69,17 @@ FILES = (
     _MODEL / RENDER_FILE,
 )
 _MARK = "Namespace(generator='refcodec"
-# The file by which a folder is one that refcodec wrote.
+# The file that marks a folder as written by refcodec.
 CFG = Kind("the cfg_args of a folder that refcodec wrote", re.compile(re.escape(_MARK.encode())))
-# More than any opacity of a learned network before its hyperbolic tangent.
+# Larger than any opacity of a learned network before its hyperbolic tangent.
 DROP = 2.0**64
-# The inputs of SPEC 14.3 beside the features: a direction and a distance.
+# The inputs of SPEC 14.3 besides the features: a direction and a distance.
 _VIEW = 4
 
 
 @dataclass(frozen=True, eq=False)
 class _Model:
-    """A scene as Scaffold-GS has it. features: float32 [N, width]. networks: of `width` features and hidden units."""
+    """A Scaffold-GS scene. features: float32 [N, width]. networks: of `width` features and hidden units."""
 
     features: F32
     networks: dict[str, list[Layer]]
@@ -94,10 +94,10 @@ def scaffold_files(
     cameras: Sequence[NamedCamera],
     voxel: float | None,
 ) -> dict[Path, bytes]:
-    """Returns the files of the folder by their names, which are FILES. It needs torch.
+    """Returns the files of the folder by their names, which are FILES. Needs torch.
 
     values: the float32 values of the scene. masks: bool [N, K]. networks: the rendering networks, by name.
-    cameras: the first is that of the default view. voxel: edge of the lattice of the positions, world units, or None.
+    cameras: the first is the default view. voxel: cell size of the position lattice, world units, or None.
     """
     model = _model(values, masks, networks, render.distance_unit)
     modules = {name: _module(name, model.networks[name]) for name in RENDERING}
@@ -114,26 +114,26 @@ def scaffold_files(
 
 
 def lattice_edge(scene: Scene) -> float | None:
-    """Returns the edge of the lattice that the anchors of a coded scene lie on, world units; None if they do not."""
+    """Returns the cell size of the anchor lattice of a coded scene, world units; None if there is none."""
     whole = bool((scene.positions == np.rint(scene.positions)).all())
     return scene.grid.scale_mantissa * 2.0**scene.grid.scale_exponent if whole else None
 
 
 def check_folder(folder: Path) -> None:
-    """Raises UsageError unless nothing is in a folder but what write_folder wrote before."""
+    """Raises UsageError if a folder has files that write_folder did not write."""
     if not os.path.lexists(folder):
         return
     if not folder.is_dir():
-        raise UsageError(f"{folder} is a file: give the name of a folder")
+        raise UsageError(f"{folder} is a file: give a folder")
     files = {path.relative_to(folder) for path in folder.rglob("*") if not path.is_dir()}
     files = {file for file in files if BESIDE not in str(file)}
     if files and (CFG_ARGS not in files or not files <= set(FILES)):
-        raise UsageError(f"{folder} exists and has other files: choose another one, or empty it")
+        raise UsageError(f"{folder} exists and has other files: choose another folder, or empty it")
     check_file(folder / CFG_ARGS, CFG, made=True)
 
 
 def write_folder(files: Mapping[Path, bytes], folder: Path) -> None:
-    """Writes the files of scaffold_files in place of those before: all of them, or none (files.stage.exchange).
+    """Writes the files of scaffold_files over previous ones: all or none (files.stage.exchange).
 
     Raises UsageError as check_folder, and OSError.
     """
@@ -179,7 +179,7 @@ def _model(
 
 
 def _module(name: str, layers: list[Layer]) -> nn.Sequential:
-    """Returns a network as Scaffold-GS builds it."""
+    """Returns a network in the structure of Scaffold-GS."""
     import torch
     from torch import nn
 
@@ -195,12 +195,12 @@ def _module(name: str, layers: list[Layer]) -> nn.Sequential:
 
 
 def _torch_script(module: nn.Sequential, inputs: int) -> bytes:
-    """Returns a network as torch.jit.load reads it. inputs: their number."""
+    """Returns a network in the format of torch.jit.load. inputs: their number."""
     import torch
 
     file = io.BytesIO()
     with warnings.catch_warnings():
-        # PyTorch advises against TorchScript, which is what Scaffold-GS loads.
+        # PyTorch warns about TorchScript, but Scaffold-GS loads it.
         warnings.simplefilter("ignore", DeprecationWarning)
         torch.jit.save(torch.jit.trace(module.eval(), torch.zeros(1, inputs)), file)
     return file.getvalue()
@@ -238,7 +238,7 @@ def _cloud(values: Reconstruction, masks: NDArray[np.bool_], features: F32) -> b
 
 
 def _cfg_args(width: int, offsets: int, render: RenderInfo, voxel: float | None) -> str:
-    """Returns the arguments that the code of Scaffold-GS evaluates. What a scene does not say has its defaults."""
+    """Returns the arguments that the Scaffold-GS code evaluates, with its defaults for values that a scene lacks."""
     arguments: dict[str, Any] = {
         "generator": f"refcodec {__version__}",
         "sh_degree": 3,
@@ -270,7 +270,7 @@ def _cfg_args(width: int, offsets: int, render: RenderInfo, voxel: float | None)
 
 
 def _camera(number: int, stated: NamedCamera) -> dict[str, Any]:
-    """Returns a camera as 3DGS's code and viewers have it. The rotation is from the camera to the world, by rows."""
+    """Returns a camera as in the 3DGS code and viewers. The rotation is from camera to world, by rows."""
     camera = default_camera(stated)
     return {
         "id": number,

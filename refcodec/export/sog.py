@@ -1,7 +1,7 @@
 """SOG files: Gaussians as lossless WebP images in a ZIP archive, version 2 of PlayCanvas's format.
 
-A pixel of each image is a Gaussian. Positions have 16 bits on a logarithmic scale. Lengths and colours are numbers of a
-table with 256 values. Gaussians share harmonics: each has the number of an entry in a palette.
+Each Gaussian is a pixel of each image. Positions have 16 bits on a logarithmic scale. Lengths and colours are indices
+into a table of 256 values. Harmonics are indices into a shared palette.
 """
 
 from __future__ import annotations
@@ -31,23 +31,23 @@ SOG = Kind(
     "a SOG file that refcodec wrote",
     re.compile(rb"PK\x03\x04.{26}" + re.escape((META + _START).encode()), re.DOTALL),
 )
-# The time of files in the archive, which is the earliest that ZIP knows. The same scene gives the same bytes.
+# The time of files in the archive, the earliest of ZIP. Thus the same scene gives the same bytes.
 _TIME = (1980, 1, 1, 0, 0, 0)
 _TABLE = 256
-# Bins of the values' histogram, from which a table starts.
+# Bins of the histogram from which a table starts.
 _BINS = 128
-# Steps of k-means for a table and for a palette.
+# k-means steps for a table and for a palette.
 _STEPS = 10
-# The entries of a row in the image of the palette, and the most entries.
+# Entries in a row of the palette image, and the maximum number of entries.
 ROW, PALETTE_MOST = 64, 1 << 16
-# A palette is found in two steps: this many Gaussians share a first cluster, and each of them is divided.
+# A palette is built in two steps: first clusters of about this many Gaussians are formed, then each is divided.
 _CLUSTER = 4096
 
 
 def sog_file(splats: Splats) -> Packed:
-    """Returns the file, which has the Gaussians in an order of its own. splats: at least one."""
+    """Returns the file. It has the Gaussians in another order. splats: at least one."""
     count = len(splats.mean)
-    # Gaussians that are near each other are near in the images, which packs better.
+    # Neighbouring Gaussians are close in the images, which compresses better.
     order = _along_curve(splats.mean)
     width = 4 * max(int(np.ceil(np.sqrt(count) / 4)), 1)
     height = 4 * max(int(np.ceil(count / width / 4)), 1)
@@ -138,13 +138,13 @@ def _positions(mean: NDArray[np.float32]) -> tuple[NDArray[np.uint16], dict[str,
 
 
 def _table(values: NDArray) -> tuple[_U8, _F64]:
-    """Returns the number of a table's entry for each value, and the table: 256 numbers, rising."""
+    """Returns the table index of each value, and the table of 256 ascending numbers."""
     flat = np.sort(values.reshape(-1).astype(np.float64))
-    # Least squares wants entries as dense as the cube root of the values' density. They start so.
+    # For least squares, the density of entries is the cube root of that of the values. The table starts so.
     counts, edges = np.histogram(flat, _BINS)
     dense = np.append(0.0, np.cumsum(np.cbrt(counts)))
     table = np.interp((np.arange(_TABLE) + 0.5) / _TABLE * dense[-1], dense, edges)
-    # Then each moves to the mean of the values that are nearest to it.
+    # Then each entry moves to the mean of its nearest values.
     sums = np.concatenate([[0.0], np.cumsum(flat)])
     for _ in range(_STEPS):
         ends = np.searchsorted(flat, (table[1:] + table[:-1]) / 2)
@@ -157,10 +157,10 @@ def _table(values: NDArray) -> tuple[_U8, _F64]:
 
 
 def _palette(rows: _F64) -> tuple[NDArray[np.int64], _F64]:
-    """Returns the number of an entry for each row, and the entries, at most PALETTE_MOST of them.
+    """Returns the palette index of each row, and the palette of at most PALETTE_MOST entries.
 
-    rows: float64 [n, k]. There are as many entries as PlayCanvas's program makes: from 1,024 rows on about one for one
-    to two rows.
+    rows: float64 [n, k]. The number of entries is that of PlayCanvas's program: from 1,024 rows on about one for one to
+    two rows.
     """
     count = len(rows)
     if count <= 1024:
@@ -173,7 +173,7 @@ def _palette(rows: _F64) -> tuple[NDArray[np.int64], _F64]:
     for group in range(number):
         members = np.flatnonzero(groups == group)
         if len(members):
-            # One for each group, and the others by the rows: not more than the palette has in all.
+            # One entry for each group, and the others in proportion to the rows.
             own, centres = _clusters(rows[members], 1 + len(members) * (size - number) // count)
             labels[members] = sum(map(len, parts)) + own
             parts.append(centres)
@@ -181,7 +181,7 @@ def _palette(rows: _F64) -> tuple[NDArray[np.int64], _F64]:
 
 
 def _clusters(rows: _F64, number: int) -> tuple[NDArray[np.int64], _F64]:
-    """Returns the number of a cluster for each row, and their centres, by k-means from evenly chosen rows."""
+    """Returns the cluster number of each row, and the centres, by k-means from evenly chosen rows."""
     start = rows[np.linspace(0, len(rows) - 1, number).astype(np.int64)]
     with warnings.catch_warnings():
         # A cluster without rows keeps its centre.

@@ -1,4 +1,4 @@
-"""Ordinary 3D Gaussians with spherical harmonics, as files of 3DGS have them, and what a camera sees of them."""
+"""Ordinary 3D Gaussians with spherical harmonics, as in 3DGS files, and their images."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from .harmonics import ZERO, degree_of, rest_harmonics
 
 F32 = NDArray[np.float32]
 F64 = NDArray[np.float64]
-# Opacities from here to 1 minus this have finite logits that programs with float32 take.
+# Opacities from this to 1 minus this have finite logits in float32.
 OPACITY_LEAST = 1e-6
 
 
@@ -38,7 +38,7 @@ class Splats:
 
     @property
     def degree(self) -> int:
-        """The degree of the harmonics. Raises ValueError for a number of them that no degree has."""
+        """The degree of the harmonics. Raises ValueError if their number fits no degree."""
         return degree_of(self.rest.shape[1])
 
     @property
@@ -54,7 +54,7 @@ class Splats:
 
 @dataclass(frozen=True, eq=False)
 class Packed:
-    """A file of Gaussians. data: its bytes. splats: what programs read from it, float32."""
+    """A file of Gaussians. data: its bytes. splats: the values that programs read from it, float32."""
 
     data: bytes
     splats: Splats
@@ -79,7 +79,7 @@ def nearest_bytes(values: NDArray) -> NDArray[np.uint8]:
 def smaller_components(unit: F64) -> tuple[NDArray[np.int64], F64]:
     """Returns the index of the largest component of unit quaternions, and the other three, [n, 3], in their order.
 
-    The sign is that of the same rotation with a largest component that is positive.
+    The signs are those of the equal rotation whose largest component is positive.
     """
     largest = np.argmax(np.abs(unit), axis=1)
     turned = unit * np.where(np.take_along_axis(unit, largest[:, None], axis=1) < 0, -1, 1)
@@ -87,7 +87,7 @@ def smaller_components(unit: F64) -> tuple[NDArray[np.int64], F64]:
 
 
 def with_largest(largest: NDArray[np.int64], others: F64) -> F64:
-    """Returns the unit quaternions of which smaller_components gave the parts, [n, 4]."""
+    """Returns the unit quaternions, [n, 4], from the results of smaller_components."""
     out = np.empty((len(others), 4))
     out[np.arange(4) != largest[:, None]] = others.reshape(-1)
     out[np.arange(len(out)), largest] = np.sqrt(np.maximum(1 - (others**2).sum(axis=1), 0))
@@ -95,14 +95,14 @@ def with_largest(largest: NDArray[np.int64], others: F64) -> F64:
 
 
 def harmonics(mean: F32, camera: Camera, degree: int) -> F64:
-    """Returns all harmonics in the directions from a camera to Gaussians, [n, (degree + 1)^2]. mean: [n, 3]."""
+    """Returns all harmonics for the directions from a camera to Gaussians, [n, (degree + 1)^2]. mean: [n, 3]."""
     away = mean.astype(np.float64) - camera.centre
     away /= np.maximum(np.linalg.norm(away, axis=1, keepdims=True), 1e-12)
     return np.stack([np.full(len(away), ZERO), *rest_harmonics(away.T, degree)], axis=1)
 
 
 def draw(splats: Splats, camera: Camera, settings: Settings) -> Rendering:
-    """Draws Gaussians as programs for 3DGS do: colours are 0.5 plus the sum of the harmonics, and at least 0.
+    """Draws Gaussians as 3DGS programs do: colours are 0.5 plus the sum of the harmonics, and at least 0.
 
     Raises ValueError as rasterise.
     """

@@ -1,4 +1,4 @@
-"""SPZ files: Gaussians in fixed point, one kind of numbers after the other, packed with gzip.
+"""SPZ files: Gaussians in fixed point, stored attribute by attribute, compressed with gzip.
 
 The format is that of Niantic's library (https://github.com/nianticlabs/spz), version 3. Its axes point right, up and
 back. Those of PLY files point right, down and forward, so y and z change their signs.
@@ -17,35 +17,35 @@ from ..files.outputs import Kind
 from .splats import Packed, Splats, logits, nearest_bytes, opacities, smaller_components, with_largest
 
 MAGIC, _VERSION = b"NGSP", 3
-# The time of the file within gzip says that refcodec wrote it. Nobody uses it, and the same scene gives the same bytes.
+# The gzip time marks the file as written by refcodec. It is unused otherwise, and constant for reproducible bytes.
 _STAMP = b"C3GS"
 SPZ = Kind("an SPZ file that refcodec wrote", re.compile(rb"\x1f\x8b\x08\x00" + _STAMP))
 
-# Positions have 24 bits. Finer steps than 2^-20 are those of float32 itself.
+# Positions have 24 bits. Steps below 2^-20 would exceed the precision of float32.
 _POSITION_MOST, _FRACTION_MOST = (1 << 23) - 1, 20
 # Opacities o are stored as 255 o, coefficients c of degree 0 as 255 (0.15 c + 0.5), scales s as 16 (s + 10).
 COLOUR, SCALE, SCALE_LEAST = 0.15, 16, -10
 # Other coefficients c are stored as 128 c + 128. They are from -1 to 1. Niantic's library drops three of the eight bits
-# in degree 1 and four in the others, and has 12 fractional bits of positions. gzip packs that to two thirds. But of
-# playbot (31,000 Gaussians, degree 2) it leaves 47.4 dB where these bits leave 55.5. The best fits of RESULTS.md reach
+# in degree 1 and four in the others, and has 12 fractional bits of positions. gzip packs that to two thirds. But for
+# playbot (31,000 Gaussians, degree 2) it gives 47.4 dB, and these bits give 55.5. The best fits of RESULTS.md reach
 # 46 dB, which would then drop.
 _HARMONIC = 128
 # Components of quaternions have a sign and nine bits. All but the largest are at most the square root of 1/2.
 _COMPONENT = 511 * np.sqrt(2)
-# The signs of x, y and z, and with them of the harmonics beside the first, where y and z are turned around.
+# The signs of x, y and z, and of the harmonics besides the first, when y and z are negated.
 _AXES = np.array([1, -1, -1])
 HARMONIC_SIGNS = np.array([-1, -1, 1, -1, 1, 1, -1, 1, -1, 1, -1, -1, 1, -1, 1])
 
 
 def spz_file(splats: Splats) -> Packed:
-    """Returns the file. Raises ValueError for positions of 2^23 or more, which the format does not hold."""
+    """Returns the file. Raises ValueError for positions of 2^23 or more, which the format cannot hold."""
     fraction = _fraction(splats.mean)
     fixed = np.rint(splats.mean.astype(np.float64) * _AXES * 2.0**fraction)
     fixed = np.clip(fixed, -_POSITION_MOST, _POSITION_MOST).astype("<i4")
     alpha = nearest_bytes(opacities(splats) * 255)
     base = nearest_bytes((COLOUR * splats.base + 0.5) * 255)
     scale = nearest_bytes((splats.scale - SCALE_LEAST) * SCALE)
-    # The library counts components as x, y, z, w.
+    # The library orders components x, y, z, w.
     largest, others = smaller_components(splats.unit_quaternions()[:, [1, 2, 3, 0]] * np.append(_AXES, 1))
     magnitude = np.minimum(np.floor(_COMPONENT * np.abs(others) + 0.5), 511).astype("<u4")
     turns = HARMONIC_SIGNS[: splats.rest.shape[1], None]
@@ -76,10 +76,10 @@ def _raw(values: NDArray) -> bytes:
 
 
 def _fraction(mean: NDArray[np.float32]) -> int:
-    """Returns how many bits of a position are below the point: as many as the largest one leaves."""
+    """Returns the number of fractional bits of positions, which the largest one determines."""
     largest = float(np.abs(mean).max(initial=0))
     if largest > _POSITION_MOST:
-        raise ValueError(f"a position is at {largest:.6g}, and SPZ holds positions below 2^23")
+        raise ValueError(f"a position is at {largest:.6g}, but SPZ positions are below 2^23")
     return min(_FRACTION_MOST, 22 - int(np.floor(np.log2(max(largest, 1.0)))))
 
 

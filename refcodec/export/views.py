@@ -1,4 +1,4 @@
-"""The views that Gaussians are fitted to, and those that the fit is measured in."""
+"""The views of a fit, and those that measure it."""
 
 from __future__ import annotations
 
@@ -12,22 +12,22 @@ from ..bitstream.cameras import NamedCamera
 from ..render.camera import Camera, poses
 from ..render.view import DISTANCE, View, own_camera, spiral
 
-# The longest side in pixels of a view. Blending weights need no more, and the work grows with the pixels.
+# The longest side of a view in pixels. It suffices for blending weights, and the work grows with the pixels.
 SIDE = 400
-# A file with fewer cameras than these says too little of where people look from.
+# Fewer cameras than these do not show from where a scene is viewed.
 FEW = 8
-# The views around the scene where there are too few cameras. Every ninth one measures the fit, from the middle one of
-# the first nine on. The outermost ones are for the fit.
+# The views around the scene if there are too few cameras. Every ninth view measures the fit, beginning in the middle
+# of the first nine, so that the outermost views are for the fit.
 AROUND, AROUND_TEST_EVERY = 72, 9
 # The sines of the lowest and the highest elevation of these views.
 LOWEST, HIGHEST = -0.1, 0.95
-# Their distance from the middle is that of the file's own camera, within these multiples of the scene's radius.
+# Their distance from the middle is that of the default camera, within these multiples of the scene radius.
 NEAREST, FARTHEST = 1.2, 3.0
 
 
 @dataclass(frozen=True)
 class Views:
-    """The cameras of a fit. fit: those that it sees. test: those that measure it. source: where they are from."""
+    """The cameras of a fit. fit: those to fit to. test: those that measure it. source: their origin, as text."""
 
     fit: list[Camera]
     test: list[Camera]
@@ -45,9 +45,9 @@ def sized(camera: Camera) -> Camera:
 def views_of(view: View, stated: Sequence[NamedCamera]) -> Views:
     """Returns the views of a scene without photographs.
 
-    stated: the cameras of the file. They are the views of the fit if there are FEW or more: the networks of a scene are
-    right near the cameras that it was trained from. Views between them measure it. Otherwise views are spread over the
-    upper part of a sphere around the scene, and the stated ones go with them.
+    stated: the cameras of the file. If there are FEW or more, the fit uses these, because the networks of a scene are
+    most accurate near its training cameras. Views between them measure it. Otherwise views are spread over the upper
+    part of a sphere around the scene, in addition to the stated ones.
     """
     own = [sized(own_camera(camera)) for camera in stated]
     if len(own) >= FEW:
@@ -65,7 +65,7 @@ def views_of(view: View, stated: Sequence[NamedCamera]) -> Views:
 
 
 def _between(cameras: Sequence[Camera]) -> list[Camera]:
-    """Returns a camera half way between each camera and the one that is nearest to it, once for each pair."""
+    """Returns a camera halfway between each camera and its nearest one, once for each pair."""
     from scipy.spatial.transform import Rotation, Slerp  # noqa: PLC0415 (only here)
 
     seen = poses(cameras)
@@ -82,7 +82,7 @@ def _between(cameras: Sequence[Camera]) -> list[Camera]:
 
 
 def _around(view: View, distance: float) -> list[Camera]:
-    """Returns cameras on a spiral that is spread evenly over a part of a sphere. distance: its radius, world units."""
+    """Returns cameras on a spiral spread evenly over a part of a sphere. distance: its radius, world units."""
     return [
         sized(view.around(f"around-{number:04d}", math.asin(height), turn, distance))
         for number, (height, turn) in enumerate(zip(*spiral(AROUND, LOWEST, HIGHEST), strict=True))

@@ -21,16 +21,16 @@ from ..render.camera import Camera
 F64 = NDArray[np.float64]
 U8 = NDArray[np.uint8]
 
-# Beyond a thousandth of a turn's view and beyond telescopes, a focal length is a mistake; in units of the longer side.
+# Focal lengths outside this range are mistakes. In units of the longer side.
 FOCAL_MIN, FOCAL_MAX = 0.01, 1000.0
-# No image that Pillow opens has a longer side.
+# The longest side of an image that Pillow opens.
 SIDE_MAX = 1 << 17
-# How far rotation @ rotation.T may be from the identity: files state matrices with four digits or more.
+# Allowed deviation of rotation @ rotation.T from the identity: files have matrices of four digits or more.
 ROTATION_TOLERANCE = 1e-3
 
 
 class PhotographError(ValueError):
-    """Photographs that cannot be used: where, what was found and what is allowed, what to do."""
+    """Photographs that cannot be used. The message has the place, the fault with what is allowed, and the remedy."""
 
     def __init__(self, where: Path | str, problem: str, advice: str) -> None:
         self.where, self.problem, self.advice = str(where), problem, advice
@@ -38,9 +38,9 @@ class PhotographError(ValueError):
 
 
 def there(path: Path, kind: int = stat.S_IFREG) -> bool:
-    """Whether a file of a dataset is there, which may be missing. kind: stat.S_IFDIR for a folder.
+    """Whether an optional file of a data set exists. kind: stat.S_IFDIR for a folder.
 
-    Raises PhotographError if something else is in its place, such as a link that leads nowhere.
+    Raises PhotographError if something else is in its place, such as a dangling link.
     """
     try:
         return is_there(path, kind)
@@ -55,7 +55,7 @@ UNDISTORTED: Distortion = (0.0, 0.0, 0.0, 0.0)
 
 @dataclass(frozen=True, eq=False)
 class Shot:
-    """A posed image as its dataset states it: the file, the camera before undistortion and resizing, its distortion."""
+    """A posed image of a data set: the file, the camera before undistortion and resizing, its distortion."""
 
     path: Path
     camera: Camera
@@ -63,7 +63,7 @@ class Shot:
 
 
 def check_intrinsics(where: Path | str, camera: Camera, distortion: Distortion) -> None:
-    """Raises PhotographError for a size, focal length, principal point or distortion that no camera has."""
+    """Raises PhotographError for an impossible size, focal length, principal point or distortion."""
     if not (1 <= camera.width <= SIDE_MAX and 1 <= camera.height <= SIDE_MAX):
         raise PhotographError(
             where,
@@ -95,7 +95,7 @@ def check_intrinsics(where: Path | str, camera: Camera, distortion: Distortion) 
 
 
 def checked_rotation(where: Path | str, matrix: F64) -> F64:
-    """The rotation nearest to a [3, 3] matrix. Raises PhotographError if it is not one to ROTATION_TOLERANCE."""
+    """Returns the rotation nearest to a [3, 3] matrix. Raises PhotographError beyond ROTATION_TOLERANCE."""
     if not np.isfinite(matrix).all():
         raise PhotographError(
             where, "the pose has a NaN or an infinite number", "estimate the poses again, or remove this image"
@@ -116,7 +116,7 @@ def checked_rotation(where: Path | str, matrix: F64) -> F64:
 
 
 def checked_translation(where: Path | str, translation: F64) -> F64:
-    """The translation, float64 [3]. Raises PhotographError for NaN and infinity."""
+    """Returns the translation, float64 [3]. Raises PhotographError for NaN and infinity."""
     if not np.isfinite(translation).all():
         raise PhotographError(
             where, "the pose has a NaN or an infinite number", "estimate the poses again, or remove this image"
@@ -125,7 +125,7 @@ def checked_translation(where: Path | str, translation: F64) -> F64:
 
 
 def quaternion_rotation(where: Path | str, quaternion: F64) -> F64:
-    """The rotation [3, 3] of a quaternion w, x, y, z of any length. Raises PhotographError for zero, NaN, infinity."""
+    """Returns the rotation [3, 3] of a quaternion w, x, y, z of any length. Raises PhotographError for 0, NaN, inf."""
     if not np.isfinite(quaternion).all():
         raise PhotographError(
             where, "the pose has a NaN or an infinite number", "estimate the poses again, or remove this image"

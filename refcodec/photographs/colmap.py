@@ -1,7 +1,7 @@
-"""COLMAP's sparse models, text and binary, and the image folder that goes with one.
+"""COLMAP's sparse models, text and binary, and their image folders.
 
-They are read by own code: pycolmap 4.2.1 reads both, but is 135 MB installed, takes a truncated cameras.bin without a
-word, and does not come back from a points3D.bin that states 2^60 points. Formats: https://colmap.github.io/format.html
+pycolmap 4.2.1 is not used: it takes 135 MB, accepts a truncated cameras.bin silently, and does not return from a
+points3D.bin that states 2^60 points. Formats: https://colmap.github.io/format.html
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ from .cameras import (
 )
 from .images import Size, image_size
 
-# The models that are read: how their parameters give fx, fy, cx, cy and k1, k2, p1, p2.
+# The supported models, with the mapping of their parameters to fx, fy, cx, cy and k1, k2, p1, p2.
 MODELS: dict[str, tuple[int, Callable[..., tuple[tuple[float, ...], Distortion]]]] = {
     "SIMPLE_PINHOLE": (3, lambda f, cx, cy: ((f, f, cx, cy), (0, 0, 0, 0))),
     "PINHOLE": (4, lambda fx, fy, cx, cy: ((fx, fy, cx, cy), (0, 0, 0, 0))),
@@ -40,7 +40,7 @@ MODELS: dict[str, tuple[int, Callable[..., tuple[tuple[float, ...], Distortion]]
     "RADIAL": (5, lambda f, cx, cy, k1, k2: ((f, f, cx, cy), (k1, k2, 0, 0))),
     "OPENCV": (8, lambda fx, fy, cx, cy, k1, k2, p1, p2: ((fx, fy, cx, cy), (k1, k2, p1, p2))),
 }
-# Binary files number the models; the names of those that are not read are for the message.
+# Binary files number the models. Names of unsupported models are for the message.
 MODEL_IDS = (
     *(
         "SIMPLE_PINHOLE",
@@ -66,7 +66,7 @@ MODEL_IDS = (
 )
 PARTS = ("cameras", "images", "points3D")
 IMAGE_SUFFIXES = (".jpg", ".jpeg", ".png", ".webp", ".tif", ".tiff", ".bmp")
-# Smallest records of the binary files, in bytes: counts are held against what the file has left.
+# Smallest records of the binary files, in bytes: counts are compared with the rest of the file.
 CAMERA_HEAD, IMAGE_HEAD, POINT_HEAD = struct.Struct("<IiQQ"), struct.Struct("<I7dI"), struct.Struct("<Q3d3BdQ")
 SMALLEST = {"cameras": CAMERA_HEAD.size, "images": IMAGE_HEAD.size + 1 + 8, "points3D": POINT_HEAD.size}
 # A line of images.txt has all 2D points of an image.
@@ -96,7 +96,7 @@ class _Pose:
 
 
 def find_model(folder: Path) -> Path | None:
-    """The folder of a COLMAP model: sparse/0, sparse or the folder itself, whichever first has one of its files."""
+    """Returns the folder of a COLMAP model: the first of sparse/0, sparse and the folder that has its files."""
     for place in (folder / "sparse" / "0", folder / "sparse", folder):
         if any(there(place / f"{part}{suffix}") for part in PARTS for suffix in (".bin", ".txt")):
             return place
@@ -104,10 +104,10 @@ def find_model(folder: Path) -> Path | None:
 
 
 def read_colmap(folder: Path, model: Path, size: Size) -> tuple[list[Shot], F64, U8, int]:
-    """Posed images in the order of their names, points [M, 3], colours [M, 3], and how many images have no pose.
+    """Returns posed images in order of names, points [M, 3], colours [M, 3], and the number of images without pose.
 
-    folder: the dataset. model: what find_model gave. Images are in folder/images, or in images_2, images_4 and so on,
-    whichever is the smallest that the wanted size can be made from. Raises PhotographError.
+    folder: the data set. model: the result of find_model. Images are in folder/images, or in images_2, images_4 and so
+    on, the smallest of these with enough pixels for the size. Raises PhotographError.
     """
     suffix = ".bin" if any(there(model / f"{part}.bin") for part in PARTS) else ".txt"
     for part in PARTS:
@@ -151,7 +151,7 @@ def read_colmap(folder: Path, model: Path, size: Size) -> tuple[list[Shot], F64,
 
 
 def read_points(file: Path) -> tuple[F64, U8]:
-    """The points of a points3D.txt or points3D.bin: positions float64 [M, 3] and colours uint8 [M, 3].
+    """Returns the points of a points3D.txt or points3D.bin: positions float64 [M, 3] and colours uint8 [M, 3].
 
     Raises PhotographError, and OSError.
     """
@@ -166,8 +166,8 @@ def _shot(cameras: Path, pose: _Pose, lenses: dict[int, _Lens]) -> Shot:
     if not parts or ".." in parts or pose.name.startswith("/"):
         raise PhotographError(
             pose.where,
-            f"the name {pose.name!r} is not that of a file in the image folder",
-            "names are relative to the image folder",
+            f"the name {pose.name!r} does not name a file in the image folder",
+            "use names relative to the image folder",
         )
     rotation = quaternion_rotation(pose.where, pose.quaternion)
     translation = checked_translation(pose.where, pose.translation)
@@ -177,7 +177,7 @@ def _shot(cameras: Path, pose: _Pose, lenses: dict[int, _Lens]) -> Shot:
 
 
 def _image_folder(folder: Path, shots: list[Shot], size: Size) -> Path:
-    """images, or images_2, images_4, ...: the smallest whose first image the wanted size can be made from."""
+    """Returns images, images_2, images_4, ...: the smallest whose first image has enough pixels for the size."""
     reduced = {
         int(m[1]): p
         for p in folder.glob("images_*")
@@ -218,7 +218,7 @@ def _supported(where: str, model: str) -> None:
 
 
 def _cloud(file: Path, rows: list[tuple[float, ...]]) -> tuple[F64, U8]:
-    """Rows of x, y, z, red, green, blue as float64 [M, 3] and uint8 [M, 3]."""
+    """Returns rows of x, y, z, red, green, blue as float64 [M, 3] and uint8 [M, 3]."""
     table = np.array(rows, np.float64).reshape(-1, 6)
     if not np.isfinite(table).all():
         raise PhotographError(file, "a point is NaN or infinite", "remove it, or export the model again")
@@ -231,7 +231,7 @@ def _cloud(file: Path, rows: list[tuple[float, ...]]) -> tuple[F64, U8]:
 
 
 def _lines(file: Path) -> Iterator[tuple[str, str]]:
-    """Where it is and what it says, for every line but comments."""
+    """Yields the place and the text of every line that is not a comment."""
     try:
         with file.open(encoding="utf-8") as text:
             for number, line in enumerate(iter(lambda: text.readline(LINE_MAX), ""), 1):
@@ -245,7 +245,7 @@ def _lines(file: Path) -> Iterator[tuple[str, str]]:
 
 @contextmanager
 def _numbers(where: str, form: str) -> Iterator[None]:
-    """Turns what Python's conversions and unpacking answer to a bad line into PhotographError."""
+    """Turns the exceptions of conversions and unpacking for a bad line into PhotographError."""
     try:
         yield
     except PhotographError:
@@ -264,7 +264,7 @@ def _text_cameras(file: Path) -> dict[int, _Lens]:
             _supported(where, model)
             lens = _lens(where, model, int(width), int(height), [float(p) for p in parameters])
             if out.setdefault(int(identifier), lens) is not lens:
-                raise PhotographError(where, f"camera {int(identifier)} was there before", RERUN)
+                raise PhotographError(where, f"camera {int(identifier)} is defined twice", RERUN)
     return out
 
 
@@ -280,14 +280,14 @@ def _text_images(file: Path) -> list[_Pose]:
             int(identifier)
             w, x, y, z, a, b, c = (float(p) for p in pose)
             out.append(_Pose(where, int(camera), name, np.array([w, x, y, z]), np.array([a, b, c])))
-        # The line after it holds its 2D points, three numbers each, or nothing. They are not needed here, but where the
-        # line was left out every second image would be lost without a word.
+        # The line after it holds its 2D points, three numbers each, or nothing. They are not used here, but if the
+        # line were missing, every second image would be lost silently.
         below, points = next(lines, (where, ""))
         if len(points.split()) % 3:
             raise PhotographError(
                 below,
-                "the line after an image holds its 2D points as X Y POINT3D_ID",
-                "give every image a second line, empty if need be",
+                "the line after an image must hold its 2D points as X Y POINT3D_ID",
+                "give every image a second line, which may be empty",
             )
     return out
 
@@ -309,7 +309,7 @@ def _text_points(file: Path) -> tuple[F64, U8]:
 
 
 class _Bytes:
-    """A binary file, read from front to back. Nothing is allocated for a count that the file cannot hold."""
+    """A binary file, read in order. Nothing is allocated for a count that the file cannot hold."""
 
     def __init__(self, file: Path) -> None:
         self.file, self.data, self.at = file, file.read_bytes(), 0
@@ -339,12 +339,12 @@ class _Bytes:
             raise PhotographError(self.file, f"the name in {what} is not UTF-8", RERUN) from None
 
     def records(self, part: str) -> Iterator[str]:
-        """A description of each record; the caller reads it before the next. Checks the count, and the end."""
+        """Yields a description of each record, which the caller then reads. Checks the count, and the end."""
         (count,) = self.take(struct.Struct("<Q"), "the count")
         most = (len(self.data) - self.at) // SMALLEST[part]
         if count > most:
             raise PhotographError(
-                self.file, f"it states {count} {part}, its {len(self.data)} bytes hold {most} at most", RERUN
+                self.file, f"it states {count} {part}, its {len(self.data)} bytes hold at most {most}", RERUN
             )
         for index in range(count):
             yield f"record {index} of {count}"
@@ -362,7 +362,7 @@ def _binary_cameras(file: Path) -> dict[int, _Lens]:
         _supported(where, model)
         lens = _lens(where, model, width, height, list(data.take(struct.Struct(f"<{MODELS[model][0]}d"), what)))
         if out.setdefault(identifier, lens) is not lens:
-            raise PhotographError(where, f"camera {identifier} was there before", RERUN)
+            raise PhotographError(where, f"camera {identifier} is defined twice", RERUN)
     return out
 
 

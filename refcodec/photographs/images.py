@@ -16,17 +16,17 @@ from ..render.camera import PIXELS_MAX
 from .cameras import SIDE_MAX, U8, PhotographError
 from .png import has_all_rows
 
-# What photographs come in. Others stay closed: some of Pillow's readers start programs (EPS).
+# The supported formats. Some of Pillow's other readers start programs (EPS).
 FORMATS = ("JPEG", "PNG", "WEBP", "TIFF", "BMP")
-# 16-bit and float images have no agreed range.
+# 16-bit and float images have no common range.
 EIGHT_BITS = ("1", "L", "LA", "P", "PA", "RGB", "RGBA", "RGBX", "CMYK", "YCbCr")
 
-# (width, height), or the longest side, in pixels; None leaves images as they are.
+# (width, height) or the longest side, in pixels; None for the sizes of the images.
 Size = tuple[int, int] | int | None
 
 
 def parse_size(text: str) -> Size:
-    """The size that a command line states: "400x300", "400" for the longest side, or "full" for photographs' own.
+    """Returns the size of an option: "400x300", "400" for the longest side, or "full" for the sizes of the photographs.
 
     Raises PhotographError.
     """
@@ -38,13 +38,13 @@ def parse_size(text: str) -> Size:
         raise PhotographError(
             f"size {text!r}",
             f"it is neither WIDTHxHEIGHT nor a longest side of 1 to {SIDE_MAX} pixels",
-            "give for example 400x300, 400, or full for the photographs' own",
+            "use for example 400x300, 400, or full for the photographs' own",
         )
     return numbers[0] if len(numbers) == 1 else (numbers[0], numbers[1])
 
 
 def parse_background(text: str) -> tuple[int, int, int] | None:
-    """The colour that a command line states: "white", "black", or "R,G,B" of 0 to 255; None for "auto".
+    """Returns the colour of an option: "white", "black", or "R,G,B" from 0 to 255; None for "auto".
 
     Raises PhotographError.
     """
@@ -55,20 +55,20 @@ def parse_background(text: str) -> tuple[int, int, int] | None:
     if not match or max(map(int, match.groups())) > 255:
         raise PhotographError(
             f"background {text!r}",
-            "it is neither white nor black, nor R,G,B of 0 to 255",
-            "give for example white, or 255,128,0",
+            "it is not white, black or R,G,B from 0 to 255",
+            "use for example white, or 255,128,0",
         )
     red, green, blue = map(int, match.groups())
     return red, green, blue
 
 
 def same_aspect(width: int, height: int, other_width: int, other_height: int) -> bool:
-    """Whether one size scaled to the other is off by no more than a pixel of the smaller one."""
+    """Whether one size, scaled to the other, differs by at most a pixel of the smaller one."""
     return abs(width * other_height - height * other_width) <= max(width, height, other_width, other_height)
 
 
 def wanted_size(where: Path | str, width: int, height: int, size: Size) -> tuple[int, int]:
-    """The width and height that an image of width x height gets. Images are never enlarged.
+    """Returns the width and height to which an image of width x height is reduced. Images are never enlarged.
 
     Raises PhotographError if the size would stretch the image by more than a pixel, or is larger than the image.
     """
@@ -84,14 +84,14 @@ def wanted_size(where: Path | str, width: int, height: int, size: Size) -> tuple
     if size[0] > width or size[1] > height:
         raise PhotographError(
             where,
-            f"the image has {width} x {height} pixels and {size[0]} x {size[1]} are wanted: images are not enlarged",
-            f"ask for {width}x{height} or less",
+            f"the image has {width} x {height} pixels and {size[0]} x {size[1]} are requested: images are not enlarged",
+            f"use {width}x{height} or less",
         )
     if not same_aspect(width, height, *size):
         raise PhotographError(
             where,
             f"{size[0]} x {size[1]} would stretch an image of {width} x {height} by more than a pixel",
-            f"ask for {size[0]}x{max(1, round(height * size[0] / width))}, or give the longest side alone",
+            f"use {size[0]}x{max(1, round(height * size[0] / width))}, or give only the longest side",
         )
     return size
 
@@ -102,7 +102,7 @@ def _opened(path: Path) -> Iterator[Image.Image]:
         raise PhotographError(path, "the image is missing", "restore it, or remove its pose from the dataset")
     try:
         with warnings.catch_warnings():
-            # Pillow warns of large images in several lines. The bound here is stated, and an error.
+            # Pillow only warns of large images. Here the bound is an error.
             warnings.simplefilter("ignore", Image.DecompressionBombWarning)
             opened = Image.open(path, formats=FORMATS)
         with opened as image:
@@ -116,7 +116,7 @@ def _opened(path: Path) -> Iterator[Image.Image]:
             yield image
     except (PhotographError, MemoryError):
         raise
-    # Pillow's readers answer bad bytes with many types; whatever it is, the image cannot be read.
+    # Pillow's readers raise many types for bad bytes.
     except Exception as error:
         raise PhotographError(
             path, f"it is not a readable image ({error}); {', '.join(FORMATS)} are", "export or copy the image again"
@@ -124,24 +124,24 @@ def _opened(path: Path) -> Iterator[Image.Image]:
 
 
 def image_size(path: Path) -> tuple[int, int]:
-    """Width and height of an image file, of which only the header is read. Raises PhotographError.
+    """Returns width and height of an image file. Only the header is read. Raises PhotographError.
 
-    As in COLMAP, pixels are taken as they are stored. An EXIF orientation is not applied, as poses do not know of it.
+    As in COLMAP, pixels are used as stored. An EXIF orientation is not applied, because poses ignore it.
     """
     with _opened(path) as image:
         return image.size
 
 
 def read_image(path: Path, background: tuple[int, int, int]) -> U8:
-    """The pixels of an image file, uint8 [H, W, 3], RGB. Raises PhotographError.
+    """Returns the pixels of an image file, uint8 [H, W, 3], RGB. Raises PhotographError.
 
-    Where the file has an alpha channel, the image is laid over the background, 0 to 255 each.
+    An image with an alpha channel is blended over the background, 0 to 255 each.
     """
     with _opened(path) as image:
         if image.mode not in EIGHT_BITS:
             raise PhotographError(
                 path,
-                f"its pixels are of the kind {image.mode}, 8 bits per channel are required",
+                f"its pixel format is {image.mode}, 8 bits per channel are required",
                 "convert it to 8 bits",
             )
         image.load()
@@ -155,11 +155,11 @@ def read_image(path: Path, background: tuple[int, int, int]) -> U8:
 
 
 def shrink(image: U8, width: int, height: int) -> U8:
-    """An image [H, W, 3] averaged over the area of each pixel of the smaller one, uint8 [height, width, 3].
+    """Returns an image [H, W, 3] reduced by averaging over the area of each target pixel, uint8 [height, width, 3].
 
-    A source pixel that lies in two of them counts in each by its share. Pillow's BOX filter gives it to one of them,
-    which moves the picture by up to a quarter of a pixel when sides do not divide. The stored values are averaged,
-    without undoing their gamma.
+    A source pixel that overlaps two target pixels counts in each by its share. Pillow's BOX filter assigns it to one,
+    which shifts the image by up to a quarter of a pixel unless the sides divide. Stored values are averaged, without
+    gamma correction.
     """
     h, w = image.shape[:2]
     if (w, h) == (width, height):
@@ -171,7 +171,7 @@ def shrink(image: U8, width: int, height: int) -> U8:
 
 
 def _area_weights(n: int, m: int) -> sparse.csr_array:
-    """[m, n]: the share of each of n pixels in each of m larger ones, exact in integers up to the division."""
+    """Returns [m, n]: the share of each of n pixels in each of m larger ones, in exact integers up to the division."""
     start = np.arange(m) * n
     # In units of 1/m source pixel, row i covers [i n, (i + 1) n) and source pixel j covers [j m, (j + 1) m).
     column = start[:, None] // m + np.arange(n // m + 2)

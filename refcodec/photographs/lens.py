@@ -1,6 +1,6 @@
-"""Lens distortion: COLMAP's SIMPLE_RADIAL, RADIAL and OPENCV models, and images freed of it.
+"""Lens distortion: COLMAP's SIMPLE_RADIAL, RADIAL and OPENCV models, and undistorted images.
 
-All three are k1, k2, p1, p2 of the last. scipy's map_coordinates resamples; opencv would do it faster, and weighs
+All three models use k1, k2, p1, p2 of OPENCV. scipy's map_coordinates resamples. opencv would be faster, but takes
 150 MB.
 """
 
@@ -15,19 +15,19 @@ from scipy.ndimage import map_coordinates
 from .cameras import F64, U8, Camera, Distortion, PhotographError
 from .images import shrink
 
-# Points along each edge of an image, and along each side of a grid over it, that the distortion is looked at.
+# Sample points of the distortion along each edge of an image, and along each side of a grid over it.
 EDGE_POINTS, GRID_POINTS = 129, 33
-# A stronger change of the field of view than this is a fisheye's, or a mistake.
+# A stronger change of the field of view is that of a fisheye lens, or a mistake.
 ZOOM_MIN, ZOOM_MAX = 0.2, 2.0
 NEWTON_STEPS = 30
 # In normalised coordinates: 1e-5 pixel at a focal length of 10,000.
 NEWTON_TOLERANCE = 1e-9
-# Rows that are resampled at once: bounds the coordinates' memory.
+# Rows resampled at once, which bounds the memory of coordinates.
 ROWS = 256
 
 
 def distort(points: F64, distortion: Distortion) -> F64:
-    """Where points [N, 2] of the image plane z = 1 appear to be through the lens, [N, 2]."""
+    """Returns the positions [N, 2] at which points [N, 2] of the image plane z = 1 appear through the lens."""
     k1, k2, p1, p2 = distortion
     x, y = points[:, 0], points[:, 1]
     r2 = x * x + y * y
@@ -52,7 +52,7 @@ def _slopes(points: F64, distortion: Distortion) -> tuple[F64, F64, F64]:
 
 
 def undistort(points: F64, distortion: Distortion) -> F64:
-    """The inverse of distort, by Newton's method; NaN where it does not converge."""
+    """Returns the inverse of distort, by Newton's method; NaN where it does not converge."""
     out = points.copy()
     with np.errstate(all="ignore"):
         for _ in range(NEWTON_STEPS):
@@ -70,10 +70,10 @@ def undistort(points: F64, distortion: Distortion) -> F64:
 
 
 def undistorted_camera(where: Path | str, camera: Camera, distortion: Distortion) -> Camera:
-    """The pinhole camera of the undistorted image: as many pixels as before, every one of them inside the photograph.
+    """Returns the pinhole camera of the undistorted image, which has the same size and no pixel outside the photograph.
 
     Its frame is the largest upright rectangle of the photograph's shape that fits in the middle of the undistorted
-    photograph. The focal lengths and the principal point follow from it. What is outside, along the curved edges, is
+    photograph. The focal lengths and the principal point follow from it. The curved edges outside are
     lost. Raises PhotographError for a distortion that cannot be undone over that frame.
     """
     edge = np.linspace(0, 1, EDGE_POINTS)
@@ -84,7 +84,7 @@ def undistorted_camera(where: Path | str, camera: Camera, distortion: Distortion
     def inside(x: F64, y: F64, axis: int) -> F64:
         return undistort((np.stack([x, y], axis=1) * size - principal) / focal, distortion)[:, axis]
 
-    # max and min pass NaN on.
+    # max and min propagate NaN.
     low = np.array([inside(zero, edge, 0).max(), inside(edge, zero, 1).max()])
     high = np.array([inside(one, edge, 0).min(), inside(edge, one, 1).min()])
     zoom = float(((high - low) * focal / size).min())
@@ -113,11 +113,11 @@ def undistorted_camera(where: Path | str, camera: Camera, distortion: Distortion
 
 
 def undistorted_image(image: U8, photographed: Camera, distortion: Distortion, camera: Camera) -> U8:
-    """What `camera` would have photographed, uint8 [camera.height, camera.width, 3].
+    """Returns the photograph as `camera` would have taken it, uint8 [camera.height, camera.width, 3].
 
     photographed: the camera of `image` [H, W, 3], distortion aside. Linear interpolation blurs on its own grid of
-    pixels, so it is done on the photograph's, and the result averaged down. A photograph of more than twice the wanted
-    size is brought to that first: finer blur would not be seen.
+    pixels, so it is done on the grid of the photograph, and the result is averaged down. A photograph of more than
+    twice the target size is first reduced to twice that size.
     """
     width, height = photographed.width, photographed.height
     if width >= 2 * camera.width and height >= 2 * camera.height:
@@ -130,10 +130,10 @@ def undistorted_image(image: U8, photographed: Camera, distortion: Distortion, c
         y = (np.arange(top, min(top + ROWS, target.height)) + 0.5 - target.cy) / target.fy
         plane = np.stack(np.meshgrid(x, y), axis=2).reshape(-1, 2)
         at = distort(plane, distortion) * [photographed.fx, photographed.fy] + [photographed.cx, photographed.cy]
-        # map_coordinates counts from pixel centres; within half a pixel of the edge the edge's pixel stands.
+        # map_coordinates counts from pixel centres. Within half a pixel of the edge, it uses the pixel at the edge.
         where = (at - 0.5).T[::-1].reshape(2, len(y), len(x))
         for channel in range(3):
-            # In float: map_coordinates would cut the fractions of integers off, not round them.
+            # In float: with integers, map_coordinates would truncate instead of round.
             part = map_coordinates(image[..., channel], where, output=np.float32, order=1, mode="nearest")
             out[top : top + len(y), :, channel] = np.rint(part)
     return shrink(out, camera.width, camera.height)

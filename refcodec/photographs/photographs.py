@@ -30,20 +30,20 @@ __all__ = [
     "read_photographs",
 ]
 
-# Every eighth image is for tests, the usual hold-out of real scenes.
+# Every eighth image is held out, as usual for real scenes.
 TEST_EVERY = 8
 Colour = tuple[int, int, int]
 
-# What transparent photographs are laid over: white in NeRF's datasets, black in others, as in 3DGS.
+# Background of transparent photographs, as in 3DGS: white for NeRF folders, black for others.
 WHITE, BLACK = (255, 255, 255), (0, 0, 0)
 
 
 @dataclass(frozen=True, eq=False)
 class Photograph:
-    """A camera and what it saw.
+    """A camera and its photograph.
 
-    load: reads the image over a background, 0 to 255 each. background: what it is laid over, if it is transparent.
-    path: of its file.
+    load: reads the image, blended over a background, 0 to 255 each. background: the one for transparent pixels. path:
+    of the file.
     """
 
     camera: Camera
@@ -53,11 +53,11 @@ class Photograph:
 
     @cached_property
     def image(self) -> U8:
-        """uint8 [H, W, 3], RGB, of the camera's size; kept once it is loaded. Raises PhotographError."""
+        """The image, uint8 [H, W, 3], RGB, of the size of the camera. It is cached. Raises PhotographError."""
         return self.load(self.background)
 
     def empty(self) -> NDArray[np.bool_]:
-        """The pixels that are wholly transparent, bool [H, W]: each background is seen through them as it is.
+        """Whether each pixel is fully transparent, bool [H, W].
 
         Raises PhotographError.
         """
@@ -67,10 +67,10 @@ class Photograph:
 
 @dataclass(frozen=True, eq=False)
 class PhotographSet:
-    """Photographs to learn from and to test with, each in the order of their names, and the points of the scene.
+    """Photographs for training and held-out ones, both in order of their names, and the points of the scene.
 
-    points: float64 [M, 3], world units. colours: uint8 [M, 3], RGB. skipped: images without pose that were left out.
-    background: what transparent images were laid over. random: whether the points were drawn at random.
+    points: float64 [M, 3], world units. colours: uint8 [M, 3], RGB. skipped: number of images without pose.
+    background: that of transparent images. random: whether the points were drawn at random.
     """
 
     train: tuple[Photograph, ...]
@@ -83,11 +83,11 @@ class PhotographSet:
 
     @property
     def pixels(self) -> int:
-        """Pixels of all photographs to learn from."""
+        """The number of pixels of all training photographs."""
         return sum(p.camera.width * p.camera.height for p in self.train)
 
     def places(self) -> list[Path]:
-        """Returns the image files, and the folders that they are in."""
+        """Returns the image files and their folders."""
         files = [photograph.path for photograph in (*self.train, *self.test)]
         return [*files, *dict.fromkeys(file.parent for file in files)]
 
@@ -99,21 +99,20 @@ def read_photographs(
     seed: int = 0,
     holdout: int = TEST_EVERY,
 ) -> PhotographSet:
-    """The photographs of a COLMAP or NeRF folder; where it is both, COLMAP's, which has points.
+    """Reads the photographs of a COLMAP or NeRF folder. If it is both, COLMAP is used, because it has points.
 
-    size: (width, height) or the longest side in pixels that images are averaged down to, None for their own.
-    background: what transparent images are laid over, 0 to 255, None for white in NeRF's format and black in COLMAP's.
-    seed: of points that are drawn where the folder has none (transforms.random_points). holdout: every how many images
-    one is for tests, 0 for none.
+    size: (width, height) or the longest side in pixels to which images are averaged down, None for their own.
+    background: that of transparent images, 0 to 255, None for white in NeRF folders and black in COLMAP folders. seed:
+    for random points if the folder has none (transforms.random_points). holdout: the period of held-out images, 0 for
+    none.
 
-    Images with index % holdout == 0 by name are for tests, unless the folder has a split of its own. The headers of all
-    images are read here. Their pixels are read when they are asked for, and what is wrong in those is raised then.
-    Raises PhotographError.
+    Images with index % holdout == 0 by name are held out, unless the folder has its own split. The headers of all
+    images are read here, their pixels on request, with errors raised then. Raises PhotographError.
     """
     folder = Path(folder)
     if not folder.is_dir():
         raise PhotographError(
-            folder, "there is no such folder", "give a folder with COLMAP's or NeRF's cameras and their images"
+            folder, "the folder does not exist", "give a folder with COLMAP's or NeRF's cameras and their images"
         )
     try:
         random = False
@@ -134,7 +133,7 @@ def read_photographs(
             shots = [shot for index, shot in enumerate(shots) if not holdout or index % holdout]
         if not shots:
             raise PhotographError(
-                folder, f"no image is left to learn from, {len(test_shots)} are for tests", "give two images or more"
+                folder, f"no image is left for training, {len(test_shots)} are held out", "give two images or more"
             )
         over = background or (BLACK if model else WHITE)
         train, test = _photographs(shots, size, over), _photographs(test_shots, size, over)
@@ -150,7 +149,7 @@ def _photographs(shots: Iterable[Shot], size: Size, background: Colour) -> tuple
 
 
 def _photograph(shot: Shot, size: Size, background: Colour) -> Photograph:
-    """The pinhole camera of the wanted size, and how its image is made from the file. Raises PhotographError."""
+    """Returns the pinhole camera of the given size, and the function that makes its image. Raises PhotographError."""
     stated = shot.camera
     width, height = image_size(shot.path)
     if not same_aspect(width, height, stated.width, stated.height):
@@ -159,7 +158,7 @@ def _photograph(shot: Shot, size: Size, background: Colour) -> Photograph:
             shot.path,
             f"the image has {width} x {height} pixels, its camera {stated.width} x {stated.height}: "
             "not the same shape within a pixel",
-            "the file was turned after its pose was estimated: restore it as it was"
+            "the file was rotated after its pose was estimated: restore it as it was"
             if turned
             else "restore the image that the camera was estimated from, or a version of it in another size",
         )
@@ -174,7 +173,7 @@ def _photograph(shot: Shot, size: Size, background: Colour) -> Photograph:
 def _load(shot: Shot, photographed: Camera, camera: Camera, background: Colour) -> U8:
     image = read_image(shot.path, background)
     if image.shape != (photographed.height, photographed.width, 3):
-        raise PhotographError(shot.path, "its size has changed since its header was read", "read the folder again")
+        raise PhotographError(shot.path, "its size has changed since the folder was read", "read the folder again")
     if shot.distortion == UNDISTORTED:
         return shrink(image, camera.width, camera.height)
     return undistorted_image(image, photographed, shot.distortion, camera)

@@ -1,4 +1,4 @@
-"""Whether a PNG file has all its rows. Pillow shows those that are missing as black, without a word."""
+"""Whether a PNG file has all its rows. Pillow silently shows missing rows as black."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ _BLOCK = 1 << 20
 
 
 def has_all_rows(path: Path) -> bool:
-    """Whether the compressed data of a PNG file is as long as its header says. True for a file of another format.
+    """Whether the compressed data of a PNG file has the length that follows from its header. True for other formats.
 
     Raises OSError, and zlib.error for data that cannot be decompressed.
     """
@@ -29,7 +29,7 @@ def has_all_rows(path: Path) -> bool:
             elif kind == b"IDAT":
                 while length > 0 and (block := file.read(min(length, _BLOCK))):
                     length -= len(block)
-                    # What is decompressed is counted and not kept.
+                    # Decompressed bytes are counted, not kept.
                     while block:
                         found += len(decoder.decompress(block, _BLOCK))
                         block = decoder.unconsumed_tail
@@ -38,7 +38,7 @@ def has_all_rows(path: Path) -> bool:
             file.seek(4, 1)
             if found >= wanted > 0:
                 return True
-        # What the decoder still holds.
+        # The bytes that the decoder still holds.
         return found + len(decoder.flush()) >= wanted
 
 

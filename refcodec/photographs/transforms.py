@@ -29,14 +29,14 @@ from .cameras import (
 from .images import image_size
 
 SINGLE, TRAIN, TEST = "transforms.json", "transforms_train.json", "transforms_test.json"
-# Tried after a file_path in turn; Blender's file_path has none.
+# Suffixes tried in turn after a file_path, which has none in Blender's files.
 SUFFIXES = ("", ".png", ".jpg", ".jpeg", ".JPG", ".PNG")
 MODELS = ("SIMPLE_PINHOLE", "PINHOLE", "SIMPLE_RADIAL", "RADIAL", "OPENCV")
 INTRINSICS = ("w", "h", "fl_x", "fl_y", "camera_angle_x", "camera_angle_y", "cx", "cy", "k1", "k2", "p1", "p2")
 # Coefficients of models that are not supported.
 HIGHER = ("k3", "k4", "k5", "k6")
 POINT_FILES = ("points3d.ply", "points3D.ply")
-# As many points as 3DGS starts NeRF's synthetic scenes with.
+# The number of initial points of 3DGS for NeRF's synthetic scenes.
 RANDOM_POINTS = 100_000
 # Half the side of the scene's box, as a share of the cameras' distance. It is 1.34 for NeRF's synthetic scenes, where
 # 3DGS has 1.3.
@@ -53,17 +53,17 @@ def is_transforms(folder: Path) -> bool:
 def read_transforms(folder: Path, seed: int) -> tuple[list[Shot], list[Shot] | None, F64, U8, int, bool]:
     """Reads a folder.
 
-    Returns posed images to learn from, those for tests, points [M, 3], colours [M, 3], how many images have no pose,
+    Returns posed images for training, held-out ones, points [M, 3], colours [M, 3], the number of images without pose,
     and whether the points were drawn at random.
 
-    transforms_train.json and transforms_test.json are a split. One of transforms.json and transforms_train.json alone
-    is none: then None stands for those for tests. A frame without transform_matrix is an image without pose. Points
-    come from the PLY file that ply_file_path names, or from points3d.ply. Without either they are random_points of all
-    the cameras. Raises PhotographError.
+    transforms_train.json and transforms_test.json are a split. With only transforms.json or transforms_train.json,
+    there is none, and None is returned for the held-out images. A frame without transform_matrix is an image without
+    pose. Points come from the PLY file that ply_file_path names, or from points3d.ply, or else from random_points.
+    Raises PhotographError.
     """
     name = SINGLE if there(folder / SINGLE) else TRAIN
     if not there(folder / name):
-        raise PhotographError(folder / TRAIN, f"the file is missing, {TEST} is there", f"give both, or a {SINGLE}")
+        raise PhotographError(folder / TRAIN, f"the file is missing, but {TEST} exists", f"give both, or a {SINGLE}")
     document = _document(folder / name)
     shots, skipped = _frames(folder / name, document)
     test = None
@@ -98,7 +98,7 @@ def _document(file: Path) -> dict[str, Any]:
 
 
 def _frames(file: Path, document: dict[str, Any]) -> tuple[list[Shot], int]:
-    """The posed images of a file in the order of their names, and how many frames have no pose."""
+    """Returns the posed images of a file in order of their names, and the number of frames without pose."""
     shots, skipped = [], 0
     names: set[str] = set()
     for index, frame in enumerate(document["frames"]):
@@ -110,10 +110,10 @@ def _frames(file: Path, document: dict[str, Any]) -> tuple[list[Shot], int]:
             continue
         if frame.get("mask_path", document.get("mask_path")) is not None:
             advice = "remove mask_path, and cut out what should not be seen as transparency of the images"
-            raise PhotographError(where, "it has a mask_path, and masks are not read", advice)
+            raise PhotographError(where, "it has a mask_path, but masks are not supported", advice)
         shot = _shot(where, file.parent, document, frame)
         if shot.camera.name in names:
-            raise PhotographError(where, f"two images are named {shot.camera.name!r}", "names must differ")
+            raise PhotographError(where, f"two images are named {shot.camera.name!r}", "give each image its own name")
         names.add(shot.camera.name)
         shots.append(shot)
     return sorted(shots, key=lambda s: s.camera.name), skipped
@@ -122,13 +122,13 @@ def _frames(file: Path, document: dict[str, Any]) -> tuple[list[Shot], int]:
 def _inside(where: str, folder: Path, key: str, stated: object) -> Path:
     """Returns the file that a document names. Raises PhotographError for one outside the folder.
 
-    A document of others could otherwise have any picture of this machine put into a scene or a page.
+    Otherwise an untrusted document could put any picture of this machine into a scene or a page.
     """
     path = PurePosixPath(str(stated))
     if not path.parts or ".." in path.parts or path.is_absolute():
         raise PhotographError(
             where,
-            f"the {key} {str(stated)!r:.200} is not that of a file in the folder",
+            f"the {key} {str(stated)!r:.200} does not name a file in the folder",
             "names are relative to the folder of the document: move it to the folder that has the images",
         )
     return folder / str(stated)
@@ -137,12 +137,12 @@ def _inside(where: str, folder: Path, key: str, stated: object) -> Path:
 def _shot(where: str, folder: Path, document: dict[str, Any], frame: dict[str, Any]) -> Shot:
     stated = frame["file_path"]
     stem = _inside(where, folder, "file_path", stated)
-    # A link that leads nowhere is the file that is meant, and it is missing.
+    # A dangling link is the file that is meant, and it is missing.
     places = [folder / f"{stated}{suffix}" for suffix in SUFFIXES]
     path = next((p for p in places if p.is_file() or (p.is_symlink() and not p.is_dir())), stem)
-    # A name is also that of a file that is written for the image.
+    # The name of an image is also that of its output file.
     name = "/".join(PurePosixPath(stated).parts)
-    # A frame's own numbers come before those of the whole file.
+    # Numbers of a frame override those of the file.
     keys = {**document, **frame}
     fields = {key: _number(where, keys, key) for key in (*INTRINSICS, *HIGHER)}
     size = image_size(path)
@@ -171,7 +171,7 @@ def _number(where: str, keys: dict[str, Any], key: str) -> float | None:
 
 
 def _whole(where: str, key: str, value: float | None, default: int) -> int:
-    """A side in pixels, which some programs write as 800.0; without one, the image's."""
+    """Returns a side in pixels, which some programs write as 800.0; if missing, that of the image."""
     if value is None:
         return default
     if not (np.isfinite(value) and value == int(value)):
@@ -202,7 +202,7 @@ def _distortion(where: str, keys: dict[str, Any], fields: dict[str, float | None
 
 
 def _focal(where: str, fields: dict[str, float | None], width: int, height: int) -> tuple[float, float]:
-    """Focal lengths from fl_x and fl_y, or from the angles of view; where only one is stated it is both."""
+    """Returns the focal lengths of fl_x and fl_y, or of the angles of view. A single one is used for both."""
     out: list[float | None] = []
     for axis, side in (("x", width), ("y", height)):
         focal, angle = fields[f"fl_{axis}"], fields[f"camera_angle_{axis}"]
@@ -222,7 +222,7 @@ def _focal(where: str, fields: dict[str, float | None], width: int, height: int)
 
 
 def _pose(where: str, rows: Any) -> tuple[F64, F64]:
-    """Rotation and translation, world to camera in COLMAP's convention, of a camera-to-world matrix of 3 or 4 rows."""
+    """Returns rotation and translation, world to camera as in COLMAP, of a camera-to-world matrix of 3 or 4 rows."""
     try:
         matrix = np.array(rows, np.float64)
     except (ValueError, TypeError, OverflowError):
@@ -236,7 +236,7 @@ def _pose(where: str, rows: Any) -> tuple[F64, F64]:
 
 
 def read_points(file: Path) -> tuple[F64, U8]:
-    """The vertices of a PLY file: positions float64 [M, 3] and colours uint8 [M, 3], grey where it has none.
+    """Returns the vertices of a PLY file: positions float64 [M, 3] and colours uint8 [M, 3], grey if it has none.
 
     Raises PhotographError.
     """
@@ -265,7 +265,7 @@ def read_points(file: Path) -> tuple[F64, U8]:
 
 
 def random_points(folder: Path, cameras: list[Camera], seed: int) -> tuple[F64, U8]:
-    """RANDOM_POINTS grey points drawn evenly in the scene's box: positions float64 [M, 3] and colours uint8 [M, 3].
+    """Returns RANDOM_POINTS uniform grey points in the scene box: positions float64 [M, 3], colours uint8 [M, 3].
 
     The box is a cube around the point that is nearest to all the cameras' axes (least squares). Half its side is
     BOX_SHARE of the median distance of the cameras from there. It suits cameras around an object. Raises
@@ -276,7 +276,7 @@ def random_points(folder: Path, cameras: list[Camera], seed: int) -> tuple[F64, 
     across = np.eye(3) - axes[:, :, None] * axes[:, None, :]
     total = across.sum(axis=0)
     advice = f"give points in {POINT_FILES[0]}, or reconstruct some with COLMAP"
-    # The smallest eigenvalue tells how far the axes are from being parallel: it is 0 for one camera, and n / 2 at best.
+    # The smallest eigenvalue is 0 for parallel axes or one camera, and at most n / 2.
     if np.linalg.eigvalsh(total)[0] < 1e-4 * len(cameras):
         raise PhotographError(
             folder, "there are no points, and the cameras' axes do not meet, so none can be drawn", advice

@@ -2,7 +2,7 @@
 
 All modules but `camera` and `gaussians` need the extra `render`.
 
-`refcodec.render` is this room, and the function of the front door as well: `refcodec.render(scene, camera)` draws.
+`refcodec.render` is this package, and also the function of the API: `refcodec.render(scene, camera)` draws.
 """
 
 import sys

@@ -12,7 +12,7 @@ from .constants import BLOCK, BLOCK_HEIGHT, F32, I32, I64, LEAST, SUMS, TILE_HEI
 from .simd import WIDTH, bits, column_sums, exp2, fma, fnma, load, lowest, maximum, minimum, select, splat, store, total
 from .tiles import block_at, blocks_reached
 
-# How many Gaussians of a tile are drawn before its unfinished blocks are found again.
+# The number of Gaussians of a tile that are drawn before its unfinished blocks are updated.
 LOOK = 16
 _STOP = np.float32(TRANSMITTANCE_MIN)
 # Smaller exponents are raised to this one, because exp2 takes no less than -126. Their alphas are far below 1/255.

@@ -30,7 +30,7 @@ from .tiles import LIST_MAX, PAIRS_MAX, list_tiles, sort_by_depth
 
 @dataclass(frozen=True)
 class Settings:
-    """What SPEC 6.5 leaves to a file. The defaults are the values of the original 3DGS.
+    """Render settings of a file (SPEC 6.5). The defaults are the values of the original 3DGS.
 
     low_pass: square pixels, added to both variances.
     near_plane: the depth in world units up to which nothing is drawn.
@@ -49,7 +49,7 @@ class Settings:
         if not (0 <= self.low_pass < math.inf and 0 < self.near_plane < math.inf and 0 < self.alpha_max <= 1):
             raise ValueError(
                 f"low_pass {self.low_pass}, near_plane {self.near_plane}, alpha_max {self.alpha_max}: "
-                "at least 0, above 0 and in ]0, 1] are wanted"
+                "at least 0, above 0 and in ]0, 1] required"
             )
         if len(self.background) != 3:
             raise ValueError(f"{len(self.background)} background values, not 3")
@@ -57,7 +57,7 @@ class Settings:
 
 @dataclass(frozen=True, eq=False)
 class _Tape:
-    """What the backward pass needs: the inputs, and the lists of the forward pass. P is the number of its pairs."""
+    """The record for the backward pass: the inputs, and the lists of the forward pass. P is the number of its pairs."""
 
     inputs: tuple[F32, F32, F32, F32, F32]
     camera: Camera
@@ -167,7 +167,7 @@ def rasterise(
     )
     pairs = int(room.sum(dtype=np.int64))
     if pairs >= PAIRS_MAX:
-        raise ValueError(f"{pairs} pairs of Gaussians and tiles; fewer than {PAIRS_MAX} are wanted")
+        raise ValueError(f"{pairs} pairs of Gaussians and tiles; fewer than {PAIRS_MAX} allowed")
     columns, rows = -(-width // TILE_WIDTH), -(-height // TILE_HEIGHT)
     begin, count, place, tile_begin, members = list_tiles(sort_by_depth(depth, room), record, room, columns, rows)
     background = np.array(settings.background, np.float32)
@@ -204,7 +204,7 @@ def rasterise_backward(
         )
     crowd = int(np.diff(tape.tile_begin).max())
     if crowd >= LIST_MAX:
-        raise ValueError(f"{crowd} Gaussians meet one tile; fewer than {LIST_MAX} are wanted")
+        raise ValueError(f"{crowd} Gaussians meet one tile; fewer than {LIST_MAX} allowed")
     camera, settings = tape.camera, tape.settings
     with parallel_chunksize(1):
         sums = unblend_tiles(
@@ -235,7 +235,7 @@ def rasterise_backward(
 
 
 def image(g: Gaussians, camera: Camera, info: RenderInfo) -> F32:
-    """SPEC 14.5: returns what a camera sees, f32[H,W,3], 1 for white. Raises ValueError as rasterise."""
+    """SPEC 14.5: returns the image of a camera, f32[H,W,3], 1 for white. Raises ValueError as rasterise."""
     red, green, blue = info.background
     settings = Settings(info.low_pass, info.near_plane, info.alpha_max, (red / 255, green / 255, blue / 255))
     return rasterise(g.mean, g.quaternion, g.lengths, g.opacity, g.colour, camera, settings).image

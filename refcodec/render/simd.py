@@ -1,7 +1,7 @@
 """Eight float32 lanes as a numba type, for the inner loops of the rasteriser. Most calls are one machine instruction.
 
-A compiler turns a loop over single floats into such instructions only if it sees how, and else it falls back silently.
-Here the width is written down. Every operation is IEEE 754 binary32 in each lane, and fma rounds once. So the result
+A compiler does not always turn a loop over single floats into such instructions, and falls back silently. Here the
+width is explicit. Every operation is IEEE 754 binary32 in each lane, and fma rounds once. So the result
 does not depend on the machine's own width. The functions can be called only inside numba.njit functions. A value of
 lanes never reaches Python.
 """

@@ -31,9 +31,9 @@ SIDE_MAX = 4096
 # The orbit: its elevation above the scene in degrees, and its distance in radii of the scene.
 ELEVATION = 25.0
 DISTANCE = 2.2
-# The images a second in the animation of an orbit.
+# Images per second in the animation of an orbit.
 FRAME_RATE = 15
-# What images say of the program that wrote them.
+# The program name in images.
 MARK = "refcodec"
 
 
@@ -60,7 +60,7 @@ class View:
         self.networks = {name: scene.networks[name] for name in RENDERING}
 
     def draw(self, camera: Camera) -> F32:
-        """Returns what a camera sees, float32 [height, width, 3], 1 for white. Raises ValueError as rasterise."""
+        """Returns the image of a camera, float32 [height, width, 3], 1 for white. Raises ValueError as rasterise."""
         check_camera(camera)
         return image(
             gaussians(self.values, self.masks, self.networks, camera, self.info.distance_unit), camera, self.info
@@ -68,7 +68,7 @@ class View:
 
     @cached_property
     def extent(self) -> tuple[F64, float]:
-        """The middle of the scene, float64 [3], and its radius, both in world units.
+        """Returns the middle of the scene, float64 [3], and its radius, both in world units.
 
         The median and the quantile leave out the few anchors that are far out in the background.
         """
@@ -79,7 +79,7 @@ class View:
         return middle, max(float(np.quantile(np.linalg.norm(positions - middle, axis=1), 0.9)), 1e-6)
 
     def around(self, name: str, height: float, turn: float, distance: float) -> Camera:
-        """Returns a camera that looks at the scene's middle, with the lens of own_camera.
+        """Returns a camera that looks at the middle of the scene, with the lens of own_camera.
 
         height: its elevation above the scene in radians. turn: its angle around the scene's upward axis, in radians.
         distance: from the middle, world units.
@@ -109,15 +109,15 @@ def stated_cameras(scene: Scene | Uncompressed) -> list[NamedCamera]:
 
 
 def default_view(scene: Scene | Uncompressed) -> NamedCamera:
-    """Returns the default view of a scene. A scene without cameras has one at the world's origin."""
+    """Returns the default view of a scene, which is at the world origin without cameras."""
     return next(iter(stated_cameras(scene)), NamedCamera())
 
 
 def scene_up(up_axis: int, stated: Sequence[NamedCamera]) -> F64:
-    """Returns what is up in a scene, a unit vector, float64 [3].
+    """Returns the up direction of a scene, a unit vector, float64 [3].
 
-    up_axis says it to an axis of the world (SPEC 6.5). The cameras of a file say it finer, so that a horizon is level,
-    if they say it at all and do not contradict up_axis.
+    up_axis states the nearest world axis (SPEC 6.5). The cameras of a file refine it to a level horizon, unless they
+    contradict up_axis or do not determine it.
     """
     axis, level = axis_direction(up_axis), level_up([default_camera(camera) for camera in stated])
     if level is None:
@@ -157,7 +157,7 @@ def eight_bits(image: F32) -> U8:
 
 
 def png(pixels: U8) -> bytes:
-    """Returns an image, uint8 [height, width, 3], as a PNG file, which names refcodec as its maker."""
+    """Returns an image, uint8 [height, width, 3], as a PNG file, marked as written by refcodec."""
     text = PngInfo()
     text.add_text("Software", MARK)
     data = io.BytesIO()
@@ -166,7 +166,7 @@ def png(pixels: U8) -> bytes:
 
 
 def gif(frames: Iterable[U8]) -> bytes:
-    """Returns images, uint8 [height, width, 3], as an endless animation, which names refcodec as its maker."""
+    """Returns images, uint8 [height, width, 3], as an endless animation, marked as written by refcodec."""
     first, *rest = (Image.fromarray(frame).quantize(dither=Image.Dither.NONE) for frame in frames)
     data = io.BytesIO()
     duration = 1000 // FRAME_RATE

@@ -104,7 +104,7 @@ def test_a_scene_folder_that_is_read(place: Path, refused: Callable[..., str]) -
 
 @pytest.mark.parametrize("what", ["dangling", "circle", "pipe", "directory"])
 def test_something_else_in_the_place_of_a_file(what: str, place: Path, refused: Callable[..., str]) -> None:
-    """coded.safetensors counted as absent, and encode quantised anew without a word."""
+    """coded.safetensors counted as absent, and encode quantised anew silently."""
 
     def put(path: Path) -> None:
         path.unlink(missing_ok=True)

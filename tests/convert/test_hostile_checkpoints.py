@@ -177,7 +177,7 @@ def test_two_entries_of_one_name(layout: Any, name: str, tmp_path: Path, capsys:
         pickled = next(entry.filename for entry in archive.infolist() if entry.filename.endswith("/data.pkl"))
         with pytest.warns(UserWarning, match="Duplicate"):
             archive.writestr(pickled, pickle.dumps(Harm(tmp_path / "run"), 2))
-    refused(tmp_path, capsys, "two of its entries have one name")
+    refused(tmp_path, capsys, "two of its entries have the same name")
 
 
 @BOTH
@@ -449,7 +449,7 @@ def test_folders_without_a_model(tmp_path: Path, capsys: Captured) -> None:
     (tmp_path / "model").mkdir()
     refused(tmp_path, capsys, "neither point_cloud.ply nor point_cloud/iteration_N")
     (tmp_path / PLACE).mkdir(parents=True)
-    refused(tmp_path, capsys, "there is no such file")
+    refused(tmp_path, capsys, "the file does not exist")
     Model(UNITED).write(tmp_path / "other")
     (tmp_path / "other" / "point_cloud" / "iteration_30000" / "point_cloud.ply").rename(
         tmp_path / PLACE / "point_cloud.ply"

@@ -237,7 +237,7 @@ def test_ply_without_what_is_needed(tmp_path: Path) -> None:
     refused(file, "a count of at most")
     file.write_bytes(b"ply\nformat binary_little_endian 1.0\nelement vertex 4000000000\nend_header\n")
     refused(file, "4000000000 Gaussians, at most")
-    refused(tmp_path / "none.ply", "there is no such file")
+    refused(tmp_path / "none.ply", "the file does not exist")
 
 
 def test_compressed_ply_without_its_parts(tmp_path: Path) -> None:

@@ -185,7 +185,7 @@ def test_the_cameras_of_a_model(tmp_path: Path, capsys: Captured) -> None:
         (("meta.json",), "not JSON"),
         (("sog",), "not JSON"),
         (("a.spz",), "no SPZ"),
-        (("b.ply",), "there is no such file"),
+        (("b.ply",), "the file does not exist"),
         (("a.glb",), "no GLB"),
         (("a.glb", "--views", "6"), "no GLB"),
         (("a.splat", "--views", "6"), "neither a model folder nor a splat file (.ply, .spz, .sog, .glb)"),
