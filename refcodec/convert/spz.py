@@ -143,7 +143,7 @@ def _rest(harmonics: NDArray[np.uint8]) -> NDArray[np.float32]:
 
 
 def _smallest_three(rotation: NDArray[np.uint8]) -> NDArray[np.float64]:
-    """Returns quaternions w, x, y, z of words: the index of the largest component, and sign and 9 bits of the others."""
+    """Returns quaternions w, x, y, z of words: index of the largest component, sign and 9 bits of the others."""
     word = rotation.copy().view("<u4")[:, 0].astype(np.int64)
     fields = np.stack([word >> shift & 1023 for shift in (20, 10, 0)], axis=1)
     values = (fields & 511) / 511 * np.sqrt(0.5) * np.where(fields & 512, -1, 1)

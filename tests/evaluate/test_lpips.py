@@ -114,7 +114,7 @@ def test_what_is_wrong_is_said(tmp_path: Path, capsys: pytest.CaptureFixture[str
     path = tmp_path / "w.safetensors"
     assert "No such file" in refused(path)
     path.write_bytes(b"no weights")
-    assert "no safetensors file" in refused(path)
+    assert "not a safetensors file" in refused(path)
     save_file({"a": np.zeros(1, np.float32)}, path)
     assert "refcodec.evaluate.lpips_weights" in refused(path)
     save_file({"a": np.zeros(1, np.float32)}, path, {"network": "alex"})
@@ -147,7 +147,7 @@ def test_the_converter(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: 
     pack(pickle.dumps(Evil(), 3))
     before = (tmp_path / "w.safetensors").read_bytes()
     assert lpips_weights.main() == 64
-    assert "no part of an array" in capsys.readouterr().err
+    assert "not part of an array" in capsys.readouterr().err
     assert (tmp_path / "w.safetensors").read_bytes() == before
     # Neither over its input, nor over what it did not make.
     monkeypatch.setattr("sys.argv", ["lpips_weights.py", str(archive), "alex", "-o", str(archive)])
