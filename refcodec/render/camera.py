@@ -91,18 +91,18 @@ def check_camera(camera: Camera) -> None:
     for name, shape in (("rotation", (3, 3)), ("translation", (3,))):
         value = getattr(camera, name)
         if not isinstance(value, np.ndarray) or value.dtype.kind not in "fiu" or value.shape != shape:
-            raise ValueError(f"{name}: numbers of shape {shape} are wanted")
+            raise ValueError(f"{name}: numbers of shape {shape} are required")
         if not np.isfinite(value).all():
-            raise ValueError(f"{name}: finite values are wanted")
+            raise ValueError(f"{name}: finite values are required")
     numbers = (camera.fx, camera.fy, camera.cx, camera.cy)
     if not all(isinstance(n, Real) and math.isfinite(n) for n in numbers) or min(camera.fx, camera.fy) <= 0:
         raise ValueError(
             f"focal lengths {camera.fx}, {camera.fy} and centre {camera.cx}, {camera.cy}: "
-            "finite and lengths above 0 are wanted"
+            "finite and lengths above 0 are required"
         )
     sides = (camera.width, camera.height)
     if not all(isinstance(side, Integral) and not isinstance(side, bool) and side >= 1 for side in sides):
-        raise ValueError(f"image of {camera.width} x {camera.height}: whole numbers above 0 are wanted")
+        raise ValueError(f"image of {camera.width} x {camera.height}: whole numbers above 0 are required")
     if int(camera.width) * int(camera.height) > PIXELS_MAX:
         raise ValueError(f"image of {camera.width} x {camera.height}: {PIXELS_MAX} pixels are allowed")
 

@@ -145,9 +145,9 @@ def test_what_nobody_sees_goes() -> None:
     assert len(front.splats.mean) < fit(view, around(view, 8), 0, 0, quiet).splats.mean.shape[0]
     turn = np.diag([-1.0, 1.0, -1.0])
     away = replace(camera, rotation=turn @ camera.rotation, translation=turn @ camera.translation)
-    with pytest.raises(ValueError, match="no view sees"):
+    with pytest.raises(ValueError, match="no camera sees"):
         fit(view, [away], 0, 0, quiet)
-    with pytest.raises(ValueError, match="no view sees"):
+    with pytest.raises(ValueError, match="no camera sees"):
         fit(View(random_scene(72, 0)), [camera], 0, 0, quiet)
 
 

@@ -316,7 +316,7 @@ def test_extreme_numbers(suffix: str) -> None:
 
 def test_spz_does_not_hold_everything() -> None:
     splats = splats_of(3, 0, spread=1e8)
-    with pytest.raises(ValueError, match="positions below 2\\^23"):
+    with pytest.raises(ValueError, match="positions are below 2\\^23"):
         splat_file(splats, ".spz", UP)
 
 
