@@ -83,7 +83,7 @@ def test_command_without_rate(examples: Path, tmp_path: Path, capsys: pytest.Cap
         (["-o", "."], "not a scene folder"),
         (["--background", "grey"], "white nor black"),
         (["--holdout", "-1"], "at least 0"),
-        (["--holdout", "1"], "no image is left to learn from"),
+        (["--holdout", "1"], "no image is left for training"),
         (["--voxel", "0"], "above 0"),
         (["--anchors", "0"], "at least 1"),
         (["--anchors", "5", "--voxel", "1"], "not allowed with"),
