@@ -17,6 +17,7 @@ PARTS = {
     "format": (
         "refcodec",
         "refcodec.files",
+        "refcodec.pages",
         "refcodec.native",
         "refcodec.bitstream",
         "refcodec.encoder",

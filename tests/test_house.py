@@ -12,7 +12,7 @@ from spec.house import ROOMS, imports, modules, room
 BITSTREAM, SECOND = "refcodec.bitstream", "conformance.spec_decoder"
 NATIVE = "refcodec.native"
 # What decoding must not need. plyfile and safetensors belong to the scene folder.
-HEAVY = {"torch", "numba", "scipy", "plyfile", "safetensors", "tqdm", "PIL", "skimage"}
+HEAVY = {"torch", "numba", "scipy", "plyfile", "safetensors", "tqdm", "PIL", "skimage", "jinja2"}
 
 
 def test_a_room_uses_those_below_it() -> None:

@@ -182,7 +182,9 @@ def test_both_distributions_are_the_same(built: Path) -> None:
     assert direct == again
     places = {"SPEC.md": "refcodec/data/SPEC.md", EXAMPLE: f"conformance/data/{EXAMPLE}"}
     places |= {name: name for name in ("refcodec/web/c3gs.js", "refcodec/web/c3gs.wasm", "refcodec/web/package.json")}
-    places |= {f"refcodec/viewer/{name}": f"refcodec/viewer/{name}" for name in ("page.html", "style.css", "worker.js")}
+    pages = ("pages/base.html", "pages/parts.html", "pages/style.css", "viewer/worker.js")
+    pages += tuple(f"{room}/page.html" for room in ("api", "experiments", "inspect/page", "viewer"))
+    places |= {f"refcodec/{name}": f"refcodec/{name}" for name in pages}
     for name, place in places.items():
         assert direct[place] == (ROOT / name).read_bytes()
     # What type checkers read.

@@ -19,8 +19,8 @@ from refcodec.files.stage import Stage
 from refcodec.files.text import printable
 
 from ..manifest import Manifest, ManifestError
+from ..report import junit, page, summary
 from ..report import record as records
-from ..report import summary
 from ..runner import selection
 from ..runner.grading import GRADE_CODE, GRADE_EXACT
 from ..runner.run import Options, Run, run
@@ -94,9 +94,6 @@ def _check_report(arguments: argparse.Namespace) -> None:
 
 
 def _write(folder: Path, record: dict[str, Any]) -> None:
-    # Only these modules need jinja2.
-    from ..report import junit, page  # noqa: PLC0415
-
     contents = (json.dumps(record, indent=1) + "\n", junit.document(record), page.document(record))
     with Stage() as stage:
         for name, text in zip(REPORTS, contents, strict=True):

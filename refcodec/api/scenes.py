@@ -205,15 +205,15 @@ class Scene:
         ]
         return page.table("C3GS scene", facts, self._sizes, self._picture())
 
-    def _picture(self) -> str:
-        """Returns an image of the scene as HTML, or of some of its points where none can be drawn."""
+    def _picture(self) -> bytes | page.Points | None:
+        """Returns an image of the scene as PNG, or some of its points if it cannot be drawn."""
         if self.anchor_count <= DRAWN_ANCHORS:
             # The extra `render` is missing, or the scene cannot be drawn.
             with contextlib.suppress(ModuleNotFoundError, ValueError):
                 from ..render.view import png
 
                 camera = next(iter(self.cameras or self.orbit(1)))
-                return page.image(png(self.render(_small(camera))))
+                return png(self.render(_small(camera)))
         found = self._some_gaussians()
         return page.points(found.mean, found.colour, self.coded.render.up_axis)
 

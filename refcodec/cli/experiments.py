@@ -23,7 +23,7 @@ def _demo(arguments: argparse.Namespace) -> int:
         from ..photographs.photographs import PhotographError
         from ..train.settings import TrainSettings
     except ModuleNotFoundError as error:
-        raise needs("demo", "demo", error, ("jinja2", *RENDER_PACKAGES)) from None
+        raise needs("demo", "demo", error, RENDER_PACKAGES) from None
     train_options.refuse_rate(arguments, "the demo chooses its rates")
     chosen = train_options.settings(arguments, TrainSettings(steps=STEPS), {"steps": arguments.steps})
     try:

@@ -22,7 +22,7 @@ from ..folder.read import read_folder
 from ..render.images import image_names
 from .data_set import DataSet
 from .page import page
-from .result import Chart, File, Part, Result, Step, View
+from .result import File, Part, Result, Step, View
 from .runs import Command, Notes, RunError, Runner, has, is_evaluation, is_report, read_result, shown
 
 FORMAT, NOTES, PAGE = "C3GS demo", "demo.json", "index.html"
@@ -180,9 +180,9 @@ def collect(demo: Demo, notes: Notes) -> Result:
             Step(command.name, str(command).replace(f"{Path.cwd()}/", ""), notes.seconds(command.name))
             for command in commands
         ),
-        charts=tuple(
-            Chart(name, tuple((row["seconds"], row["psnr"]) for row in reports[name]["history"])) for name in reports
-        ),
+        charts={
+            name: tuple((row["seconds"], row["psnr"]) for row in report["history"]) for name, report in reports.items()
+        },
         files=_files(demo),
         credits=_credits(demo.photographs.folder),
     )

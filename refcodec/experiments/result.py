@@ -42,14 +42,6 @@ class Step:
 
 
 @dataclass(frozen=True)
-class Chart:
-    """A training. points: its seconds and PSNR in dB."""
-
-    name: str
-    points: tuple[tuple[float, float], ...]
-
-
-@dataclass(frozen=True)
 class File:
     """A file or folder. path: from the page's folder."""
 
@@ -80,6 +72,6 @@ class Result:
     rate: float
     digest: str
     steps: tuple[Step, ...]
-    charts: tuple[Chart, ...]
+    charts: dict[str, tuple[tuple[float, float], ...]]
     files: tuple[File, ...]
     credits: str

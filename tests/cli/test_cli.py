@@ -662,7 +662,7 @@ def test_the_rooms_of_the_codec_import_nothing_heavy():
     assert len(names) > 30
     modules = imported(f"import importlib\nfor name in {names}: importlib.import_module(name)")
     assert set(names) <= modules
-    heavy = {"torch", "scipy", "numba", "PIL", "skimage"}
+    heavy = {"torch", "scipy", "numba", "PIL", "skimage", "jinja2"}
     assert not {m.split(".")[0] for m in modules} & heavy
     loaded = {m.split(".")[1] for m in modules if m.startswith("refcodec.")}
     assert not loaded - {*rooms, "files", "native", "resources", "statuses"}

@@ -16,7 +16,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-for package in ("numba", "PIL", "skimage", "scipy", "jinja2"):
+for package in ("numba", "PIL", "skimage", "scipy"):
     pytest.importorskip(package, reason="the demo needs the packages of the extra demo")
 
 from PIL import Image  # noqa: E402
@@ -24,7 +24,7 @@ from PIL import Image  # noqa: E402
 from refcodec.cli.main import main  # noqa: E402
 from refcodec.experiments import demo, runs  # noqa: E402
 from refcodec.experiments.page import difference, page, readable  # noqa: E402
-from refcodec.experiments.result import Chart, File, Part, Result, Step, View  # noqa: E402
+from refcodec.experiments.result import File, Part, Result, Step, View  # noqa: E402
 
 ROOT = Path(__file__).resolve().parents[2]
 FAKE = (sys.executable, str(ROOT / "tests" / "experiments" / "fake_refcodec.py"))
@@ -106,10 +106,10 @@ def small_result() -> Result:
         rate=0.004,
         digest="ab" * 32,
         steps=(Step("coded train", "refcodec train x", 100.0), Step("coded decode", "refcodec decode <x>", 1.26)),
-        charts=(
-            Chart("uncompressed", ((0.0, 10.0), (60.0, 30.0))),
-            Chart("coded", ((0.0, 10.0), (60.0, float("inf")), (70.0, 29.9))),
-        ),
+        charts={
+            "uncompressed": ((0.0, 10.0), (60.0, 30.0)),
+            "coded": ((0.0, 10.0), (60.0, float("inf")), (70.0, 29.9)),
+        },
         files=(File("scene.c3gs", "the file", 500_000),),
         credits="Photographs by <somebody>",
     )
@@ -167,7 +167,7 @@ def test_texts_that_cannot_be_shown() -> None:
 
 
 def test_the_page_says_what_was_not_done() -> None:
-    result = replace(small_result(), trained=(50, 1234), steps_wanted=2000, held_out=False, charts=())
+    result = replace(small_result(), trained=(50, 1234), steps_wanted=2000, held_out=False, charts={})
     found = Reader(page(result)).text
     assert "stopped early: uncompressed at step 50 and coded at step 1,234 of 2,000" in found
     assert "none were held out" in found
@@ -197,14 +197,14 @@ def test_the_size_of_each_part() -> None:
     ]
 
 
-def test_the_page_needs_its_extra(
+def test_the_demo_needs_its_extra(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    for name in ("refcodec.experiments.demo", "refcodec.experiments.page", "jinja2"):
+    for name in ("refcodec.experiments.demo", "refcodec.experiments.page", "PIL"):
         monkeypatch.delitem(sys.modules, name)
-    monkeypatch.setitem(sys.modules, "jinja2", None)
+    monkeypatch.setitem(sys.modules, "PIL", None)
     assert main(["demo", "-o", str(tmp_path / "out")]) == 64
-    assert "demo needs jinja2: pip install 'refcodec[demo]'" in capsys.readouterr().err
+    assert "demo needs PIL: pip install 'refcodec[demo]'" in capsys.readouterr().err
 
 
 # --- the command ------------------------------------------------------------------------------------------------------

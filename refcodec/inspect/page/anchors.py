@@ -1,157 +1,175 @@
-"""What each anchor costs: its bits drawn over the scene, and by its distance from the middle."""
+"""Bits and masks of anchors: over the scene, by distance, and by the cameras that see them."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ...bitstream.cameras import NamedCamera
-from .markup import NUMBER, TEXT, count, image, share, size, table, tag, text
+from ...bitstream.scene import Scene
+from ...bitstream.tables import TOTAL
+from ...pages.plots import F64, Plot, bars
 from .measures import BITS_MAX, Measures
-from .pictures import colour_bar, palette, png
-from .plots import bars
-from .views import OUTSIDE, View, camera_view, drawn, side_views
+from .views import camera_view, drawn, projected, side_views
 
-F64 = NDArray[np.float64]
-
-# Bars of the plots, and the share of anchors that the scale of colours leaves out at either end.
+# The share of anchors beyond either end of the scale of colours.
+BEYOND = 0.02
+# The most cameras that are counted.
+CAMERAS_MAX = 256
+# Bars of the plots: bits, distances, cameras.
 _BARS = 48
-_BEYOND = 0.02
 _RINGS = 10
+_GROUPS = 12
 
 
 def _quantile(counts: NDArray[np.int64], part: float) -> int:
-    """The number of bits that a share of the anchors is below. counts: Measures.anchor_bits."""
+    """Returns the number of bits below which a share of the anchors lies. counts: Measures.anchor_bits."""
     return int(np.searchsorted(np.cumsum(counts), part * counts.sum()))
 
 
-def section(measures: Measures, facts: Mapping[str, Any], cameras: list[NamedCamera]) -> str:
-    """Returns the section of the page. facts: those of summary.document. cameras: of the file."""
-    heading = tag("h2", "Bits per anchor")
-    if not facts["header"]["anchor_count"]:
-        return tag("section", heading, tag("p", "The file has no anchors."), id="anchors")
-    positions, bits, _ = measures.sample.joined()
-    counts = measures.anchor_bits
-    low, high = (_quantile(counts, part) for part in (_BEYOND, 1 - _BEYOND))
+def bits(measures: Measures, cameras: list[NamedCamera]) -> dict[str, Any]:
+    """Returns the views, coloured by bits, and plots of the bits. It is empty without anchors.
+
+    The views are (PNG, name, number of anchors outside) each.
+    """
+    counts, scene = measures.anchor_bits, measures.scene
+    assert scene is not None
+    if not counts.sum():
+        return {}
+    positions, each, _ = measures.sample.joined()
+    low, high = (_quantile(counts, part) for part in (BEYOND, 1 - BEYOND))
     high = max(high, low + 1)
-    assert measures.scene is not None
-    views = side_views(positions, measures.scene.frame)
+    views = side_views(positions, scene.frame)
     if cameras:
-        seen = camera_view(positions, cameras[0], measures.scene.render.near_plane)
+        seen = camera_view(positions, cameras[0], scene.render.near_plane)
         views += [seen] if seen.seen.any() else []
-    step = measures.sample.step
-    sampled = f"Every {step}th anchor is drawn, {len(bits):,} of them. " if step > 1 else ""
-    pictures = tag("div", *(_picture(view, bits, low, high) for view in views), class_="pictures")
-    beyond = f"{100 * _BEYOND:.0f} % of the anchors are below, {100 * _BEYOND:.0f} % above"
-    scale = colour_bar(f"{low:,} bits", f"{high:,} bits and more", beyond, palette())
-    return tag(
-        "section",
-        heading,
-        tag(
-            "p",
-            "What the attributes of each anchor take (features, scalings and kept offsets), by the frequencies that "
-            "they are decoded with (SPEC 8.4). The paper's figure 3 shows the same of its scene. "
-            f"{sampled}A pixel has the mean of the anchors on it. The views along axes are in one scale. "
-            f"{100 * OUTSIDE} % of the anchors at either end of an axis may lie outside.",
-        ),
-        pictures,
-        scale,
-        tag("div", _spread(counts), _rings(positions, bits), class_="plots"),
-        _accounts(measures, facts),
-        id="anchors",
-    )
+    pictures = [(drawn(view, each, low, high), view.name, len(each) - int(view.seen.sum())) for view in views]
+    return {
+        "beyond": BEYOND,
+        "low": low,
+        "high": high,
+        "views": pictures,
+        "sampled": len(each),
+        "plots": (_spread(counts), _rings(positions, each)),
+    }
 
 
-def _picture(view: View, bits: F64, low: float, high: float) -> str:
-    words = f"anchors {view.name}, coloured by their bits"
-    outside = len(bits) - int(view.seen.sum())
-    more = f"; {outside:,} of {len(bits):,} are outside" if outside else ""
-    return tag(
-        "figure", image(png(drawn(view, bits, low, high), palette()), words), tag("figcaption", text(view.name + more))
-    )
-
-
-def _spread(counts: NDArray[np.int64]) -> str:
-    """How many anchors take so many bits."""
+def _spread(counts: NDArray[np.int64]) -> Plot:
+    """Returns a plot of how many anchors have so many bits."""
     first, last = (_quantile(counts, part) for part in (0.001, 0.999))
     wide = -(-(last + 1 - first) // _BARS)
     ends = first // wide * wide + wide * np.arange((last - first) // wide + 3)
     values = np.diff(np.concatenate([[0], np.cumsum(counts)])[np.minimum(ends, BITS_MAX + 1)])
     left = int(counts.sum() - values.sum())
     more = f"; {left:,} anchors are outside" if left else ""
-    labels = [f"{first:,}" for first in ends[:-1].tolist()]
-    plot = bars(
-        "how many anchors take how many bits",
+    return bars(
+        "Number of anchors by bits",
         values.tolist(),
-        labels,
-        f"bits of an anchor's attributes, from; a bar is {wide} wide{more}",
+        [f"{end:,}" for end in ends[:-1].tolist()],
+        f"bits of the attributes of an anchor; each bar spans {wide}{more}",
         "anchors",
     )
-    return tag("figure", plot, tag("figcaption", "How many anchors take how many bits"))
 
 
-def _rings(positions: F64, bits: F64) -> str:
-    """The mean bits of anchors by their distance from the middle of the scene."""
+def _rings(positions: F64, each: F64) -> Plot:
+    """Returns a plot of the mean bits of anchors by their distance from the middle of the scene."""
     away = np.linalg.norm(positions - np.median(positions, axis=0), axis=1)
     order = np.argsort(away, kind="stable")
-    groups = [each for each in np.array_split(order, min(_RINGS, len(order))) if len(each)]
-    values = [float(bits[each].mean()) for each in groups]
-    labels = [f"{float(away[each].max()):.3g}" for each in groups]
-    plot = bars(
-        "mean bits by distance",
-        values,
-        labels,
-        "distance from the median anchor, up to, in world units; each bar has as many anchors",
+    groups = [group for group in np.array_split(order, min(_RINGS, len(order))) if len(group)]
+    return bars(
+        "Mean bits by distance",
+        [float(each[group].mean()) for group in groups],
+        [f"{float(away[group].max()):.3g}" for group in groups],
+        "upper bound of the distance from the median anchor, world units; as many anchors in each bar",
         "bits per anchor",
     )
-    return tag(
-        "figure",
-        plot,
-        tag(
-            "figcaption",
-            "Bits from the middle outwards. By the paper, a training that counts the rate of all anchors alike (USRO) "
-            "gives those in the middle more bits than those outside, and one that counts visible anchors (ViSRO) not.",
-        ),
+
+
+def masks(measures: Measures, cameras: list[NamedCamera]) -> dict[str, Any]:
+    """Returns counts, plots and a picture of the masks. It is empty without anchors."""
+    scene, total = measures.scene, int(measures.mask_counts.sum())
+    assert scene is not None
+    if not total:
+        return {}
+    k, anchors = scene.dimensions.offset_count, int(measures.kept.sum())
+    # The contexts of each offset are in a row.
+    met, first = measures.mask_counts.sum(axis=0), np.arange(k) * np.arange(1, k + 1) // 2
+    kept, expected = (
+        100 * np.add.reduceat(each, first) / np.add.reduceat(met, first)
+        for each in (measures.mask_counts[1], met * scene.mask_model.astype(np.float64) / TOTAL)
     )
+    counts = [str(number) for number in range(k + 1)]
+    by_place = bars(
+        "Share of anchors that keep offset k", kept.tolist(), counts[:-1], "offset k", "anchors, %", expected.tolist()
+    )
+    by_anchor = bars(
+        "Share of anchors by kept offsets",
+        (100 * measures.kept / anchors).tolist(),
+        counts,
+        "kept offsets",
+        "anchors, %",
+        (100 * kept_by_model(scene)).tolist(),
+    )
+    mean_bits = measures.kept_bits / np.maximum(measures.kept, 1)
+    by_kept = bars(
+        "Mean bits of the attributes of an anchor, by kept offsets",
+        mean_bits.tolist(),
+        counts,
+        "kept offsets",
+        "bits per anchor",
+    )
+    positions, each, held = measures.sample.joined()
+    most = max(1, int(np.flatnonzero(measures.kept).max()))
+    view = side_views(positions, scene.frame)[0]
+    return {
+        "total": total,
+        "kept": int(measures.mask_counts[1].sum()),
+        "plots": (by_place, by_anchor, by_kept),
+        "picture": drawn(view, held.astype(np.float64), 0, most),
+        "view": view.name,
+        "most": most,
+        "cameras": len(cameras),
+        "every": -(-len(cameras) // CAMERAS_MAX),
+        "by_cameras": _by_cameras(scene, positions, each, held, cameras) if len(cameras) > 1 else (),
+    }
 
 
-def _accounts(measures: Measures, facts: Mapping[str, Any]) -> str:
-    """The bits of the symbols beside the bytes of the parts that hold them."""
-    rows = []
-    parts = {**facts["parts"]}
-    parts["positions"] = parts.get("positions", 0) - measures.raw_positions
-    planes = facts.get("planes")
-    parts["planes"] = sum(planes.values()) if planes else 0
-    for name in ("planes", "positions", "masks", "attributes"):
-        if not parts.get(name) or name not in measures.bits:
-            continue
-        coded, held = measures.bits[name] / 8, parts[name]
-        rows.append(
-            (
-                tag("b", text(name)),
-                f'<data value="{coded:.3f}">{count(coded, 1)}</data>',
-                f'<data value="{held}">{held:,}</data>',
-                count(held - coded, 1),
-                share(held - coded, held),
-            )
-        )
-    columns = [
-        ("substreams of", TEXT),
-        ("bytes by the models", NUMBER),
-        ("bytes in the file", NUMBER),
-        ("more, in bytes", NUMBER),
-        ("share", NUMBER),
+def kept_by_model(scene: Scene) -> F64:
+    """SPEC 7.6: returns the probability that an anchor keeps 0 to K offsets by the mask model, float64 [K + 1]."""
+    found = np.ones(1)
+    for k in range(scene.dimensions.offset_count):
+        keep = scene.mask_model[k * (k + 1) // 2 :][: k + 1].astype(np.float64) / TOTAL
+        found = np.append(found * (1 - keep), 0.0) + np.append(0.0, found * keep)
+    return found
+
+
+def _by_cameras(
+    scene: Scene, positions: F64, each: F64, held: NDArray[np.int64], cameras: list[NamedCamera]
+) -> list[Plot]:
+    """Returns plots of kept offsets, bits and anchors by the number of cameras that see an anchor.
+
+    positions, each, held: of the sample of anchors, its bits and kept offsets.
+    """
+    chosen = cameras[:: -(-len(cameras) // CAMERAS_MAX)]
+    seen = np.zeros(len(positions), dtype=np.int64)
+    for camera in chosen:
+        seen += projected(positions, camera, scene.render.near_plane)[1]
+    most = int(seen.max())
+    wide = -(-(most + 1) // _GROUPS)
+    group, groups = seen // wide, most // wide + 1
+    anchors = np.bincount(group, minlength=groups)
+    among = np.maximum(anchors, 1)
+    labels = [
+        str(first) if wide == 1 or first == most else f"{first}-{min(first + wide - 1, most)}"
+        for first in range(0, groups * wide, wide)
     ]
-    raw = f" Raw positions take {size(measures.raw_positions)}." if measures.raw_positions else ""
-    return (
-        tag("h3", "From bits to bytes")
-        + tag(
-            "p",
-            "Each substream takes more than its symbols: a head of 8 bytes, the states of its lanes of 4 bytes each "
-            f"(of which the symbols use about half), and roundings.{raw}",
-        )
-        + table(columns, rows, id="accounts")
+    share = 100 * np.bincount(group, held, groups) / among / scene.dimensions.offset_count
+    plots = (
+        ("Kept offsets", share, "offsets kept, %"),
+        ("Bits of the attributes of an anchor", np.bincount(group, each, groups) / among, "bits per anchor"),
+        ("Anchors", anchors, "anchors"),
     )
+    across = f"cameras with the anchor in their image, of {len(chosen):,}"
+    return [bars(title, values.tolist(), labels, across, unit) for title, values, unit in plots]

@@ -16,47 +16,52 @@ from ...bitstream.header import PROLOGUE_BYTES
 from ...bitstream.index import CHUNK_HEAD_BYTES
 from ...bitstream.source import pad4
 from ..elements import Bytes, Outline, Place, parse_elements, read_index, section_rows
-from .markup import share, size, tag, text
 
 # The most chunks that are drawn part by part, and the most pieces that chunks are drawn as.
 _WHOLE_CHUNKS = 16
 _PIECES = 64
-# The least width of a piece in pixels, with the gap beside it (inspect.css).
-_LEAST = 5
-
-# SPEC: the clauses of each part of a file.
-_CLAUSES = {
-    "prologue": "5.1, 6.1",
-    "header": "5.2, 6.2",
-    "FRAM": "5.7, 6.7",
-    "WGTS": "5.8, 6.8",
-    "PLNS": "5.10, 6.9",
-    "INDX": "5.11, 6.10",
-    "DATA": "5.14, 6.11",
-    "head": "5.14",
-    "positions": "5.14, 7.12",
-    "masks": "5.14, 7.6",
-    "attributes": "5.14, 7.10",
-    "weights": "5.8, 7.13",
-    "planes": "5.15, 7.3",
-    "mask model": "5.11, 7.6",
-    "position model": "5.12, 7.12",
-    "entries of chunks": "5.13, 6.10",
+# The CSS class (style.css) and the clauses of SPEC.md of each kind of piece.
+_KINDS = {
+    "prologue": ("headers", "5.1, 6.1"),
+    "header": ("headers", "5.2, 6.2"),
+    "FRAM": ("frame", "5.7, 6.7"),
+    "WGTS": ("weights", "5.8, 6.8"),
+    "PLNS": ("planes", "5.10, 6.9"),
+    "INDX": ("index", "5.11, 6.10"),
+    "DATA": ("data", "5.14, 6.11"),
+    "head": ("headers", "5.14"),
+    "positions": ("positions", "5.14, 7.12"),
+    "masks": ("masks", "5.14, 7.6"),
+    "attributes": ("attributes", "5.14, 7.10"),
+    "weights": ("weights", "5.8, 7.13"),
+    "planes": ("planes", "5.15, 7.3"),
+    "mask model": ("index", "5.11, 7.6"),
+    "position model": ("index", "5.12, 7.12"),
+    "entries of chunks": ("index", "5.13, 6.10"),
 }
-# Those of the ancillary sections.
-_ANCILLARY = {kind.decode(): f"{entry.tables[entry.head]}, {entry.clause}" for kind, entry in TYPES.items()}
-_OTHER = "12.1"
+_KINDS |= {kind.decode(): ("ancillary", f"{entry.tables[entry.head]}, {entry.clause}") for kind, entry in TYPES.items()}
+_OTHER = "ancillary", "12.1"
 
 
 @dataclass(frozen=True)
 class Piece:
-    """A part of the file, with the padding behind it. kind: a key of _CLAUSES. inner: its parts, or none."""
+    """A part of the file, with the padding behind it. kind: a key of _KINDS. inner: its parts, or none."""
 
     name: str
     kind: str
     start: int
     end: int
     inner: tuple[Piece, ...] = ()
+
+    @property
+    def length(self) -> int:
+        """The number of bytes."""
+        return self.end - self.start
+
+    @property
+    def style(self) -> tuple[str, str]:
+        """The CSS class and the clauses."""
+        return _KINDS.get(self.kind, _OTHER)
 
 
 def pieces(data: Bytes, outline: Outline) -> Iterator[Piece]:
@@ -67,7 +72,13 @@ def pieces(data: Bytes, outline: Outline) -> Iterator[Piece]:
     for place in outline.sections:
         make = inner.get(place.type)
         parts = make(data, outline, place) if make else ()
-        yield Piece(place.name, place.type.decode("latin-1"), place.start, place.stop, tuple(parts))
+        yield Piece(
+            place.name,
+            place.type.decode("latin-1"),
+            place.start,
+            place.stop,
+            tuple(part for part in parts if part.length),
+        )
 
 
 def _grouped(data: Bytes, outline: Outline, place: Place, pattern: str, kind: str) -> Iterator[Piece]:
@@ -128,55 +139,7 @@ def _chunks(data: Bytes, outline: Outline, place: Place) -> Iterator[Piece]:
             at = stop
 
 
-def _described(piece: Piece, whole: int) -> str:
-    length = piece.end - piece.start
-    clause = (_CLAUSES | _ANCILLARY).get(piece.kind, _OTHER)
-    return (
-        f"{piece.name}: {size(length)}, {share(length, whole)} of the file, from byte {piece.start:,} (SPEC {clause})"
-    )
-
-
-def _button(piece: Piece, whole: int, **attributes: object) -> str:
-    words = _described(piece, whole)
-    kind = re.sub(r"\W", "-", piece.kind)
-    known = f"piece k-{kind}" if piece.kind in _CLAUSES else "piece k-other"
-    length = piece.end - piece.start
-    return tag("button", tag("span", text(piece.name)), class_=known, title=words, data_bytes=length, **attributes)
-
-
-def section(data: Bytes, outline: Outline) -> str:
-    """Returns the section of the page."""
-    whole, drawn = len(data), []
-    for piece in pieces(data, outline):
-        length = piece.end - piece.start
-        if not length:
-            continue
-        parts = [part for part in piece.inner if part.end > part.start]
-        inner = "".join(_button(part, whole, style=f"flex-grow:{part.end - part.start}") for part in parts)
-        row = tag("div", inner, class_="row") if inner else ""
-        # The parts have room below their section, however narrow it is.
-        style = f"flex-grow:{length};min-width:{_LEAST * max(1, len(parts))}px"
-        drawn.append(tag("div", _button(piece, whole), row, class_="block", style=style))
-    chunks, some = outline.header.chunk_count, ""
-    if chunks > _WHOLE_CHUNKS:
-        each = -(-chunks // _PIECES)
-        some = f"The {chunks:,} chunks are drawn without their parts{f', {each:,} to a piece' if each > 1 else ''}. "
-    return tag(
-        "section",
-        tag("h2", "The file, to scale"),
-        tag(
-            "p",
-            "The upper row has the sections, the lower one their parts. The width of a piece is its share of the "
-            f"{size(whole)}. What would be too narrow to see is drawn a few pixels wide. "
-            f"{some}Point at a piece, tap it, or go on with the arrows.",
-        ),
-        tag("div", "\n".join(drawn), class_="map"),
-        tag(
-            "p",
-            '<button class="go" data-go="-1" aria-label="the piece before">&larr;</button>'
-            '<button class="go" data-go="1" aria-label="the next piece">&rarr;</button>',
-            tag("output", f"{size(whole)}, {len(drawn)} sections with prologue and header", class_="readout"),
-            class_="read",
-        ),
-        id="map",
-    )
+def chunks_per_piece(outline: Outline) -> int:
+    """Returns the number of chunks in a piece, or 0 if the chunks are drawn part by part."""
+    chunks = outline.header.chunk_count
+    return -(-chunks // _PIECES) if chunks > _WHOLE_CHUNKS else 0

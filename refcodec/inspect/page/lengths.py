@@ -11,13 +11,11 @@ from collections.abc import Iterable
 from functools import cache
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ...bitstream.conventions import Int64
 from ...bitstream.entropy import SymbolName, placed
 from ...bitstream.tables import PRECISION, TOTAL, ModelSet, tables
-
-F64 = NDArray[np.float64]
+from ...pages.plots import F64, Plot, histogram
 
 # Symbols of a larger magnitude are counted together. The histogram of a channel has a place for each of the others,
 # behind one for those below and before one for those above.
@@ -148,6 +146,10 @@ class Tally:
     def curve(self) -> F64:
         """How often the models expected each value from -LIMIT to LIMIT: the sum of its probabilities."""
         return np.maximum(np.cumsum(self._change)[:-1], 0.0)
+
+    def plot(self, title: str) -> Plot:
+        """Returns the plot of the histogram and the curve."""
+        return histogram(title, self.histogram, self.curve, "symbol, quantisation steps", "frequency")
 
     @property
     def beyond(self) -> int:

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from ...bitstream.cameras import NamedCamera
 from ...bitstream.frame import Frame
-from .pictures import Bytes2, coloured
+from .pictures import coloured, png
 
 F64 = NDArray[np.float64]
 
@@ -80,8 +80,8 @@ def camera_view(positions: F64, camera: NamedCamera, near: float) -> View:
     return View("from the camera of the default view", points * scale + (SIDE - size) / 2, seen)
 
 
-def drawn(view: View, values: F64, low: float, high: float) -> Bytes2:
-    """Returns a picture of a view, as indices of colours, uint8 [rows, SIDE]. Empty rows above and below are cut off.
+def drawn(view: View, values: F64, low: float, high: float) -> bytes:
+    """Returns a view as PNG, SIDE pixels wide, without the empty rows above and below.
 
     A pixel has the colour of the mean of the anchors on it. values: float64 [n]. low, high: the ends of the scale.
     """
@@ -101,4 +101,4 @@ def drawn(view: View, values: F64, low: float, high: float) -> Bytes2:
     pixels = np.where(count > 0, coloured(mean, low, high), 0).astype(np.uint8).reshape(SIDE, SIDE)
     used = np.flatnonzero(pixels.any(axis=1))
     first, last = (int(used[0]), int(used[-1])) if len(used) else (0, 0)
-    return pixels[max(0, first - _MARGIN) : last + _MARGIN + 1]
+    return png(pixels[max(0, first - _MARGIN) : last + _MARGIN + 1])

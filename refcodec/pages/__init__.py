@@ -1,0 +1,1 @@
+"""The template engine, style sheet and plots of the HTML pages."""
