@@ -8,6 +8,7 @@ from __future__ import annotations
 import re
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,7 +23,6 @@ from ..folder.read import read_folder
 from ..render.images import image_names
 from .data_set import DataSet
 from .page import page
-from .result import File, Part, Result, Step, View
 from .runs import Command, Notes, RunError, Runner, has, is_evaluation, is_report, read_result, shown
 
 FORMAT, NOTES, PAGE = "C3GS demo", "demo.json", "index.html"
@@ -43,6 +43,18 @@ PARTS = {
     "weights": "weights of the networks",
 }
 HEADERS = "headers and tables"
+# The files and folders that the page refers to.
+FILES = {
+    "scene.c3gs": "the file",
+    "decoded": "the scene folder from decode; point_cloud.ply opens in viewers of Scaffold-GS",
+    CODED: "the scene folder from train, the input of encode",
+    UNCOMPRESSED: "the uncompressed scene: point_cloud.ply and networks.safetensors",
+    f"images-{CODED}": "views rendered from the file, PNG",
+    f"images-{UNCOMPRESSED}": "views rendered from the uncompressed scene, PNG",
+    f"{CODED}.eval.json": "all figures of each view, and the decoding time",
+    f"{UNCOMPRESSED}.eval.json": "the same for the uncompressed scene",
+    NOTES: "the commands and their times",
+}
 
 
 @dataclass(frozen=True)
@@ -144,15 +156,20 @@ def check_decoder(demo: Demo) -> str:
     return before
 
 
-def sizes(before: dict[str, int], sections: dict[str, int]) -> tuple[Part, ...]:
-    """Bytes of each part, uncompressed and in the file, whose sections are grouped in the same way."""
-    parts = [Part(name, text, before.get(name, 0), sections.get(name, 0)) for name, text in PARTS.items()]
+def sizes(before: dict[str, int], sections: dict[str, int]) -> list[dict[str, Any]]:
+    """Returns name, text and bytes of each part: before in the uncompressed scene, after in the file.
+
+    before: the bytes by part. sections: the bytes of the sections of the file.
+    """
     others = sum(size for name, size in sections.items() if name not in PARTS)
-    return (*parts, Part("headers", HEADERS, 0, others))
+    return [
+        {"name": name, "text": text, "before": before.get(name, 0), "after": sections.get(name, 0)}
+        for name, text in PARTS.items()
+    ] + [{"name": "headers", "text": HEADERS, "before": 0, "after": others}]
 
 
-def collect(demo: Demo, notes: Notes) -> Result:
-    """What the page shows, from the files of a demo."""
+def collect(demo: Demo, notes: Notes) -> dict[str, Any]:
+    """Returns the values of page.html, from the files of a demo. Pairs begin with the uncompressed scene."""
     reports = {name: read_result(demo.path(name) / REPORT_FILE, is_report) for name in (UNCOMPRESSED, CODED)}
     evals = {name: read_result(demo.path(f"{name}.eval.json"), is_evaluation) for name in (UNCOMPRESSED, CODED)}
     found, name = demo.photographs.read(), demo.photographs.folder.name
@@ -160,53 +177,41 @@ def collect(demo: Demo, notes: Notes) -> Result:
     views = []
     names = image_names(row["image"] for row in evals[CODED]["images"])
     for before, after, file in zip(evals[UNCOMPRESSED]["images"], evals[CODED]["images"], names, strict=True):
-        made = [_read(demo.path(f"images-{name}") / file) for name in (UNCOMPRESSED, CODED)]
-        views.append(View(before["image"], held_out[before["image"]].image, made[0], made[1], before, after))
+        images = {
+            key: _read(demo.path(f"images-{name}") / file)
+            for key, name in ((UNCOMPRESSED, UNCOMPRESSED), ("decoded", CODED))
+        }
+        photograph = held_out[before["image"]].image
+        views.append({"name": before["image"], "photograph": photograph, "before": before, "after": after, **images})
     commands = [*demo.trainings(), *(command for chain in demo.rest() for command in chain)]
-    return Result(
-        title=TITLES.get(name, name),
-        photographs=len(found.train) + len(found.test),
-        held_out=bool(found.test),
-        views=tuple(views),
-        mean_before=evals[UNCOMPRESSED]["mean"],
-        mean_after=evals[CODED]["mean"],
-        parts=sizes(evals[UNCOMPRESSED]["parts"], evals[CODED]["parts"]),
-        anchors=(evals[UNCOMPRESSED]["anchors"], evals[CODED]["anchors"]),
-        trained=(reports[UNCOMPRESSED]["steps"], reports[CODED]["steps"]),
-        steps_wanted=demo.steps,
-        rate=RATE,
-        digest=check_decoder(demo),
-        steps=tuple(
-            Step(command.name, str(command).replace(f"{Path.cwd()}/", ""), notes.seconds(command.name))
+    return {
+        "title": TITLES.get(name, name),
+        "photographs": len(found.train) + len(found.test),
+        "held_out": bool(found.test),
+        "views": views,
+        "mean_before": evals[UNCOMPRESSED]["mean"],
+        "mean_after": evals[CODED]["mean"],
+        "parts": sizes(evals[UNCOMPRESSED]["parts"], evals[CODED]["parts"]),
+        "anchors": (evals[UNCOMPRESSED]["anchors"], evals[CODED]["anchors"]),
+        "trained": (reports[UNCOMPRESSED]["steps"], reports[CODED]["steps"]),
+        "steps_wanted": demo.steps,
+        "rate": RATE,
+        "digest": check_decoder(demo),
+        "steps": [
+            (command.name, str(command).replace(f"{Path.cwd()}/", ""), notes.seconds(command.name))
             for command in commands
-        ),
-        charts={
-            name: tuple((row["seconds"], row["psnr"]) for row in report["history"]) for name, report in reports.items()
+        ],
+        "charts": {
+            name: [(row["seconds"], row["psnr"]) for row in report["history"]] for name, report in reports.items()
         },
-        files=_files(demo),
-        credits=_credits(demo.photographs.folder),
-    )
+        "files": [(name, text, _size(demo.path(name))) for name, text in FILES.items()],
+        "credits": _credits(demo.photographs.folder),
+    }
 
 
 def _read(path: Path) -> NDArray[np.uint8]:
     with Image.open(path) as image:
         return np.asarray(image.convert("RGB"))
-
-
-def _files(demo: Demo) -> tuple[File, ...]:
-    """The files that a reader may want, with what they are and their sizes, folders' in all."""
-    told = {
-        "scene.c3gs": "the file",
-        "decoded": "the scene folder that decode wrote; point_cloud.ply opens in viewers of Scaffold-GS",
-        CODED: "the scene folder that train wrote, which encode reads",
-        UNCOMPRESSED: "the uncompressed scene: point_cloud.ply and networks.safetensors",
-        f"images-{CODED}": "the views drawn from the file, PNG",
-        f"images-{UNCOMPRESSED}": "the views drawn from the uncompressed scene, PNG",
-        f"{CODED}.eval.json": "all figures of each view, and seconds of decoding",
-        f"{UNCOMPRESSED}.eval.json": "the same of the uncompressed scene",
-        NOTES: "what was run",
-    }
-    return tuple(File(name, text, _size(demo.path(name))) for name, text in told.items())
 
 
 def _size(path: Path) -> int:

@@ -5,13 +5,16 @@ from __future__ import annotations
 import io
 import math
 from pathlib import Path
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 from PIL import Image
 
 from ..pages.environment import raw, render
 from ..pages.plots import lines
-from .result import U8, Result
+
+U8 = NDArray[np.uint8]
 
 # The factor by which differences are enlarged.
 DIFFERENCE_SCALE = 4
@@ -52,18 +55,21 @@ def difference(a: U8, b: U8) -> U8:
     return np.clip(np.abs(a.astype(np.int64) - b) * DIFFERENCE_SCALE, 0, 255).astype(np.uint8)
 
 
-def page(result: Result) -> str:
-    """Returns the page: HTML that refers to nothing outside itself except files in its own folder."""
-    before, after = (sum(getattr(part, side) for part in result.parts) for side in ("before", "after"))
-    trained = zip(("uncompressed", "coded"), result.trained, strict=True)
+def page(result: dict[str, Any]) -> str:
+    """Returns the page: HTML that refers to nothing outside itself except files in its own folder.
+
+    result: as from demo.collect.
+    """
+    before, after = (sum(part[side] for part in result["parts"]) for side in ("before", "after"))
+    trained = zip(("uncompressed", "coded"), result["trained"], strict=True)
     return render(
         Path(__file__).with_name("page.html"),
         r=result,
         before=before,
         after=after,
-        decoding=sum(step.seconds for step in result.steps if step.name.endswith("decode")),
-        stopped=[(name, done) for name, done in trained if done < result.steps_wanted],
-        chart=lines("PSNR over time", result.charts, "seconds", "PSNR of a few photographs, dB"),
+        decoding=sum(seconds for name, _, seconds in result["steps"] if name.endswith("decode")),
+        stopped=[(name, done) for name, done in trained if done < result["steps_wanted"]],
+        chart=lines("PSNR over time", result["charts"], "seconds", "PSNR of a few photographs, dB"),
         # A no-break space is not printable, thus a template would escape it.
         readable=lambda size: raw(readable(size)),
         times=times,

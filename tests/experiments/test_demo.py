@@ -12,6 +12,7 @@ import sys
 from dataclasses import replace
 from html.parser import HTMLParser
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -24,7 +25,6 @@ from PIL import Image  # noqa: E402
 from refcodec.cli.main import main  # noqa: E402
 from refcodec.experiments import demo, runs  # noqa: E402
 from refcodec.experiments.page import difference, page, readable  # noqa: E402
-from refcodec.experiments.result import File, Part, Result, Step, View  # noqa: E402
 
 ROOT = Path(__file__).resolve().parents[2]
 FAKE = (sys.executable, str(ROOT / "tests" / "experiments" / "fake_refcodec.py"))
@@ -73,46 +73,43 @@ class Reader(HTMLParser):
         return found
 
 
-def small_result() -> Result:
+def small_result() -> dict[str, Any]:
     def grey(value: int) -> np.ndarray:
         return np.full((6, 8, 3), value, np.uint8)
 
-    views = tuple(
-        View(
-            f"<{i}>.jpg",
-            grey(100),
-            grey(110),
-            grey(90),
-            {"psnr": 30.0 + i, "ssim": 0.91},
-            {"psnr": 29.25 + i, "ssim": 0.87},
-        )
+    views = [
+        {
+            "name": f"<{i}>.jpg",
+            "photograph": grey(100),
+            "uncompressed": grey(110),
+            "decoded": grey(90),
+            "before": {"psnr": 30.0 + i, "ssim": 0.91},
+            "after": {"psnr": 29.25 + i, "ssim": 0.87},
+        }
         for i in range(2)
-    )
-    return Result(
-        title="A & B",
-        photographs=16,
-        held_out=True,
-        views=views,
-        mean_before={"psnr": 30.5, "ssim": 0.91},
-        mean_after={"psnr": 29.75, "ssim": 0.87},
-        parts=(
-            Part("positions", "places", 12_000_000, 100_000),
-            Part("masks", "which", 0, 20_000),
-            Part("headers", "more", 0, 380_000),
-        ),
-        anchors=(1000, 900),
-        trained=(50, 50),
-        steps_wanted=50,
-        rate=0.004,
-        digest="ab" * 32,
-        steps=(Step("coded train", "refcodec train x", 100.0), Step("coded decode", "refcodec decode <x>", 1.26)),
-        charts={
-            "uncompressed": ((0.0, 10.0), (60.0, 30.0)),
-            "coded": ((0.0, 10.0), (60.0, float("inf")), (70.0, 29.9)),
+    ]
+    parts = [("positions", 12_000_000, 100_000), ("masks", 0, 20_000), ("headers", 0, 380_000)]
+    return {
+        "title": "A & B",
+        "photographs": 16,
+        "held_out": True,
+        "views": views,
+        "mean_before": {"psnr": 30.5, "ssim": 0.91},
+        "mean_after": {"psnr": 29.75, "ssim": 0.87},
+        "parts": [{"name": name, "text": name, "before": before, "after": after} for name, before, after in parts],
+        "anchors": (1000, 900),
+        "trained": (50, 50),
+        "steps_wanted": 50,
+        "rate": 0.004,
+        "digest": "ab" * 32,
+        "steps": [("coded train", "refcodec train x", 100.0), ("coded decode", "refcodec decode <x>", 1.26)],
+        "charts": {
+            "uncompressed": [(0.0, 10.0), (60.0, 30.0)],
+            "coded": [(0.0, 10.0), (60.0, float("inf")), (70.0, 29.9)],
         },
-        files=(File("scene.c3gs", "the file", 500_000),),
-        credits="Photographs by <somebody>",
-    )
+        "files": [("scene.c3gs", "the file", 500_000)],
+        "credits": "Photographs by <somebody>",
+    }
 
 
 def test_the_page_holds_everything() -> None:
@@ -160,14 +157,14 @@ def test_the_page_needs_nothing_else() -> None:
 def test_texts_that_cannot_be_shown() -> None:
     """Names of folders and photographs and the words of their authors steer neither the page nor its window."""
     steering, result = "a\u202eb\x1b[31m", small_result()
-    views = tuple(replace(view, name=steering) for view in result.views)
-    text = page(replace(result, title=steering, views=views, credits=f"{steering}\n{steering}"))
+    views = [{**view, "name": steering} for view in result["views"]]
+    text = page({**result, "title": steering, "views": views, "credits": f"{steering}\n{steering}"})
     assert not re.search(r"[\x00-\x09\x0b-\x1f\u202a-\u202e]", text)
     assert text.count(r"a\u202eb\x1b[31m") >= 5
 
 
 def test_the_page_says_what_was_not_done() -> None:
-    result = replace(small_result(), trained=(50, 1234), steps_wanted=2000, held_out=False, charts={})
+    result = {**small_result(), "trained": (50, 1234), "steps_wanted": 2000, "held_out": False, "charts": {}}
     found = Reader(page(result)).text
     assert "stopped early: uncompressed at step 50 and coded at step 1,234 of 2,000" in found
     assert "none were held out" in found
@@ -190,7 +187,7 @@ def test_the_size_of_each_part() -> None:
     parts = demo.sizes(
         {"positions": 12, "attributes": 100}, {"prologue": 1, "positions": 3, "chunk_table": 2, "attributes": 5}
     )
-    assert [(p.name, p.before, p.after) for p in parts if p.before or p.after] == [
+    assert [(p["name"], p["before"], p["after"]) for p in parts if p["before"] or p["after"]] == [
         ("positions", 12, 3),
         ("attributes", 100, 5),
         ("headers", 0, 3),
