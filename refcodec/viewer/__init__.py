@@ -1,5 +1,5 @@
-"""The viewer in the browser: one page that decodes a file and draws it, as a file by itself or from a local server.
+"""The viewer in the browser: a page that decodes and draws a file, self-contained or from a local server.
 
-`bundle` makes classic scripts of modules, `page` puts the page together, `photographs` embeds photographs, and `server`
-serves it. What runs in the page is in JavaScript beside them; README.md says how it works.
+`bundle` makes classic scripts from modules, `page` assembles the page, `photographs` embeds photographs, and `server`
+serves it. The JavaScript of the page is beside them. README.md describes the design.
 """

@@ -1,7 +1,7 @@
-"""Modules of JavaScript as one classic script.
+"""Bundles JavaScript modules to one classic script.
 
-A page that is opened from a disk may not load modules, and neither may its worker. So the modules are put into one
-script, each in a function of its own. The forms of import and export are those that the project's modules use:
+A page from a disk cannot load modules, nor can its worker. Thus each module becomes a function in one script. The
+supported forms of import and export are those of the project's modules:
 
     import { a, b as c } from "./other.js";
     export { a } from "./other.js";
@@ -17,12 +17,12 @@ _IMPORT = re.compile(r'^import \{([^}]*)\} from "(\.[^"]*)";\n', re.MULTILINE)
 _PASSED_ON = re.compile(r'^export \{([^}]*)\} from "(\.[^"]*)";\n', re.MULTILINE)
 _EXPORT = re.compile(r"^export ((?:async )?function\*?|class|const) (\w+)", re.MULTILINE)
 _LEFT = re.compile(r"^(?:import|export)\b.*", re.MULTILINE)
-# What a module asks for its own place. No bundle has files beside it.
+# The address of a module. No bundle has files beside it.
 _PLACE = "import.meta.url"
 
 
 def bundle(entry: Path) -> str:
-    """Returns the script of a module and of those that it imports. Raises ValueError for a form that is not known."""
+    """Returns the script of a module and of those that it imports. Raises ValueError for an unsupported form."""
     done: dict[Path, str] = {}
     begun: list[Path] = []
 

@@ -1,7 +1,7 @@
-// Draws Gaussians with WebGL 2, as SPEC.md 14.4 and 14.5 say. Each is a rectangle around its ellipse. The farthest one
-// comes first.
+// Draws Gaussians with WebGL 2, as in SPEC.md 14.4 and 14.5. Each is a rectangle around its ellipse. The farthest is
+// drawn first.
 //
-// The image is blended in 16-bit floats, where the device can. With 8 bits, faint Gaussians would be lost.
+// The image is blended in 16-bit floats if the device supports them. With 8 bits, faint Gaussians would be lost.
 import { ROW_WORDS, TEXELS, WIDTH } from "./rows.js";
 
 const VERTEX = `#version 300 es
@@ -25,7 +25,7 @@ void main() {
   vec2 second = uintBitsToFloat(last.xy);
   paint = vec4(unpackUnorm2x16(last.z), unpackUnorm2x16(last.w).x, mean.w);
   mat3 covariance = mat3(first.xyz, first.yw, second.x, first.z, second.xy);
-  // 14.4, PROJECT. The matrix has the rows of the rotation, so the transposed one carries a row to the world.
+  // 14.4, PROJECT. The matrix has the rows of the rotation, thus the transposed one transforms to the world.
   vec3 p = (mean.xyz - centre) * rotation;
   vec2 beyond = 0.15 * size / focal;
   vec2 slope = clamp(p.xy / p.z, -principal / focal - beyond, (size - principal) / focal + beyond);
@@ -47,7 +47,7 @@ void main() {
   vec2 pixel = focal * p.xy / p.z + principal
     + at.x * deviations.x * long_ + at.y * deviations.y * vec2(-long_.y, long_.x);
   vec2 position = 2.0 * pixel / size - 1.0;
-  // Overflow, and what is behind this camera but was not behind the one that was sorted for.
+  // Overflow, and Gaussians behind this camera that were not behind the camera of the sort.
   bool drawn = p.z > 0.0 && all(lessThan(abs(position), vec2(1e9)));
   gl_Position = drawn ? vec4(position.x, -position.y, 0.0, 1.0) : vec4(2.0, 2.0, 2.0, 1.0);
 }`;
@@ -70,7 +70,7 @@ void main() {
   gl_Position = vec4(float(gl_VertexID & 1) * 4.0 - 1.0, float(gl_VertexID >> 1) * 4.0 - 1.0, 0.0, 1.0);
 }`;
 
-// 6.14: colours that are light are encoded by the transfer function of sRGB. Others are already.
+// 6.14: linear colours are encoded with the sRGB transfer function. Others are encoded already.
 const ENCODE = `#version 300 es
 precision highp float;
 uniform sampler2D blended;
@@ -87,7 +87,7 @@ void main() {
 export class Drawing {
   constructor(canvas) {
     const gl = canvas.getContext("webgl2", { alpha: false, antialias: false, depth: false });
-    if (gl === null) throw new Error("This browser has no WebGL 2, which draws the scene. Turn on graphics acceleration, or take another browser");
+    if (gl === null) throw new Error("This browser has no WebGL 2, which draws the scene. Enable graphics acceleration, or use another browser");
     Object.assign(this, { canvas, gl, count: 0, target: undefined });
     const floats = gl.getExtension("EXT_color_buffer_float") ?? gl.getExtension("EXT_color_buffer_half_float");
     this.format = floats ? gl.RGBA16F : gl.RGBA8;
@@ -106,7 +106,8 @@ export class Drawing {
     this.texture = texture(gl);
   }
 
-  // header: background, alpha_max, low_pass. height: rows of Gaussians. Throws RangeError if the device has no room.
+  // header: background, alpha_max, low_pass. height: rows of Gaussians. Throws RangeError if the device is out of
+  // memory.
   begin(header, height) {
     const { gl } = this;
     const most = gl.getParameter(gl.MAX_TEXTURE_SIZE);
@@ -118,7 +119,7 @@ export class Drawing {
     if (gl.getError() === gl.OUT_OF_MEMORY) throw new RangeError("The device has no memory for the scene");
   }
 
-  // Nothing of a scene stays on the canvas.
+  // Clears the canvas.
   clear() {
     const { gl } = this;
     this.count = 0;
@@ -127,7 +128,7 @@ export class Drawing {
     gl.clear(gl.COLOR_BUFFER_BIT);
   }
 
-  // rows: their numbers. data: one row after the other. order: what is drawn, the first one first.
+  // rows: their numbers. data: the rows in a sequence. order: the Gaussians in drawing order.
   take({ rows, data, order }) {
     const { gl } = this;
     gl.bindTexture(gl.TEXTURE_2D, this.texture);
@@ -162,7 +163,7 @@ export class Drawing {
     if (this.count === 0) return;
     gl.useProgram(splats.program);
     gl.bindTexture(gl.TEXTURE_2D, this.texture);
-    // Columns are what GL takes, so the shader has the transposed matrix.
+    // GL expects columns, thus the shader gets the transposed matrix.
     gl.uniformMatrix3fv(splats.at("rotation"), false, rotation);
     gl.uniform3fv(splats.at("centre"), centre);
     gl.uniform2fv(splats.at("focal"), focal);
@@ -177,7 +178,7 @@ export class Drawing {
     gl.disable(gl.BLEND);
   }
 
-  // Brings the blended image to a framebuffer of a size, or with null to the canvas.
+  // Copies the blended image to a framebuffer of a size, or with null to the canvas.
   #encode(frame, width, height) {
     const { gl, encoding } = this;
     gl.bindFramebuffer(gl.FRAMEBUFFER, frame);
@@ -190,7 +191,7 @@ export class Drawing {
     gl.drawArrays(gl.TRIANGLES, 0, 3);
   }
 
-  // Draws to the canvas. share: of its sides, at which Gaussians are blended.
+  // Draws to the canvas. share: the resolution of blending, relative to the canvas.
   draw(pose, lens, share = 1) {
     const { width, height } = this.canvas;
     const scaled = (values) => values.map((value) => value * share);
@@ -199,7 +200,7 @@ export class Drawing {
     this.#encode(null, width, height);
   }
 
-  // Returns an image, as bytes of red, green, blue and 255, from the top on.
+  // Returns an image, as bytes of red, green, blue and 255, from the top row.
   pixels(width, height, pose, lens) {
     const { gl } = this;
     this.#blend(width, height, pose, lens);
@@ -220,7 +221,7 @@ export class Drawing {
     return turned;
   }
 
-  // Waits until all that was asked for is drawn. A timer of the page would not know.
+  // Waits until the device has finished drawing.
   finish() {
     const { gl } = this;
     gl.bindFramebuffer(gl.FRAMEBUFFER, null);

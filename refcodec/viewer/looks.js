@@ -1,6 +1,6 @@
-// What a file looks like that is no C3GS file.
+// Recognises files of other formats.
 
-// Its first bytes, one letter each, a sentence of it, and whether `refcodec convert` reads it.
+// The first bytes of each as letters, a sentence about it, and whether `refcodec convert` reads it.
 const KINDS = [
   [/^$/, "It is empty.", false],
   [/^ply[\r\n]/, "It looks like a PLY file.", true],
@@ -14,7 +14,7 @@ const KINDS = [
 ];
 const HEAD = 64;
 
-// Returns what is known of a file: text, and isConverted, or undefined for what begins as a C3GS file does.
+// Returns text and isConverted of a file, or undefined for a file that begins as C3GS.
 // input: bytes or a Blob. url: where the file is, without an input.
 export async function looks({ input, url }) {
   const body = input === undefined ? (await fetch(url)).body : new Blob([input]).slice(0, HEAD).stream();

@@ -1,22 +1,22 @@
-// The page: it opens a file in the worker, draws what the worker sends, and lets people move.
+// The page: opens a file in the worker, draws the frames of the worker, and moves the camera.
 import { around, facing, fitted, lensOf, look, moved, nearer, orbit, poseOf, upOf } from "./camera.js";
 import { Drawing } from "./draw.js";
 import { Panel } from "./panel.js";
 
-// Radians of a pixel, the factor of distance of a step of the wheel, and radii of the scene in a second.
+// Radians per pixel, the logarithmic distance factor of a wheel step, and scene radii per second.
 const TURN = 0.006;
 const WHEEL = 0.0012;
 const FLY = 0.4;
-// An image gets fewer pixels if frames take longer than this, in milliseconds: while the camera moves, and while the
-// networks do not have all Gaussians yet. It gets more if they take less than a share of that.
+// Frame times in milliseconds above which the image gets fewer pixels: while the camera moves, and until the networks
+// have computed all Gaussians. Below the share QUICK of them it gets more.
 const SLOW = { moving: 60, coming: 200 };
 const QUICK = 0.4;
 const SHARE_MIN = 0.1;
-// How long the camera stands still until it is drawn with all pixels again.
+// Milliseconds without motion until all pixels are drawn again.
 const STILL = 150;
 // Radians between two frames of a turn.
 const STEP = Math.PI / 60;
-// More than this many pixels for one of CSS are not seen.
+// The most device pixels per CSS pixel: more are not visible.
 const RATIO_MAX = 2;
 const LOST = "The graphics device was lost: load the page again";
 const KEYS = { KeyW: [2, 1], KeyS: [2, -1], KeyD: [0, 1], KeyA: [0, -1], KeyE: [1, -1], KeyQ: [1, 1] };
@@ -27,7 +27,7 @@ function decoded(text) {
   return Uint8Array.from(atob(text.trim()), (letter) => letter.charCodeAt(0));
 }
 
-// The bytes that an element of the page has in packed form.
+// Unpacks the bytes in an element of the page.
 async function unpacked(id) {
   const stream = new Blob([decoded(byId(id).textContent)]).stream().pipeThrough(new DecompressionStream("gzip"));
   return new Uint8Array(await new Response(stream).arrayBuffer());
@@ -52,15 +52,15 @@ class Viewer {
     this.#listen();
   }
 
-  // Opens a file, instead of the one before. input: bytes or a Blob. url: where it is, without an input.
+  // Opens a file in place of the current one. input: bytes or a Blob. url: its address, without an input.
   async open({ input, url, name }) {
     this.#stop();
-    // Whoever waits for the file before this one waits for this one.
+    // Callers that wait for the previous file wait for this one.
     const opening = (this.opening = {});
     // Milliseconds since the page began: the header, the first picture, and the picture of the whole scene.
     Object.assign(this, { times: {}, header: undefined, cameras: [], extent: undefined, name, touched: false });
     Object.assign(this, { view: 0, settled: undefined, frames: 0, owes: false, refused: undefined });
-    // The camera of the file before says nothing of this one.
+    // The camera of the previous file does not apply to this one.
     Object.assign(this, { pose: undefined, lens: undefined, camera: undefined, number: undefined });
     this.panel.begin(name);
     this.drawing.clear();
@@ -70,9 +70,9 @@ class Viewer {
     }
     try {
       this.wasm ??= await unpacked("wasm");
-      // A page on a disk may have no worker in a file of its own.
+      // A page from a disk cannot load a worker from another file.
       this.code ??= URL.createObjectURL(new Blob([await unpacked("worker")], { type: "text/javascript" }));
-      // Another file may have been chosen meanwhile, or the device lost.
+      // Meanwhile another file may have been chosen, or the device lost.
       if (this.opening !== opening || this.refused !== undefined) return;
       this.worker = new Worker(this.code);
     } catch (error) {
@@ -82,7 +82,7 @@ class Viewer {
       return;
     }
     const { worker } = this;
-    // What a worker said before its end may come in later.
+    // Messages of a terminated worker may still arrive.
     const heard = (take) => (event) => {
       if (this.worker === worker) take(event);
     };
@@ -137,7 +137,7 @@ class Viewer {
     this.ask();
   }
 
-  // After a fault, the chunks before it are no whole scene.
+  // After an error, the chunks before it are not a complete scene.
   on_refused({ type, error, ...reason }) {
     this.#stop();
     this.refused = error ?? reason;
@@ -146,7 +146,7 @@ class Viewer {
     this.#tell();
   }
 
-  // The first camera, or one that looks at the scene from above. More of the scene may be known later.
+  // The first camera, or one that looks at the scene from above. The extent of the scene may grow later.
   #start() {
     if (this.cameras.length > 0) this.choose(0, true);
     else this.#stand(around(this.extent, this.up));
@@ -167,7 +167,7 @@ class Viewer {
     this.panel.chosen(this.number);
   }
 
-  // Takes a new pose, or with nothing says that the camera has changed.
+  // Sets a new pose, or without one marks the camera as changed.
   changed(pose) {
     if (pose !== undefined) {
       Object.assign(this, { pose, camera: undefined, touched: true });
@@ -187,11 +187,11 @@ class Viewer {
     this.last = time;
     if (this.pose !== undefined) this.#fly(Math.min(passed, 200) / 1000);
     if (this.stale && this.header !== undefined && this.pose !== undefined) this.#send();
-    // Whoever holds the scene may go on.
+    // The user may continue to drag.
     const isHeld = this.pointers.size > 0;
     const moving = isHeld || time - this.movedAt < STILL;
     const state = moving ? "moving" : this.settled === this.view ? "still" : "coming";
-    // Frames that follow each other say how long one takes.
+    // The interval of consecutive frames is the frame time.
     if (state !== "still" && passed > 0) this.#adapt(passed, SLOW[state]);
     this.draw(state === "still" ? 1 : this.share);
     if (moving && !isHeld && this.share < 1) {
@@ -203,7 +203,7 @@ class Viewer {
   }
 
   #adapt(passed, slow) {
-    // The time goes with the pixels, at most. Where frames take seconds, small steps would take minutes.
+    // The time is at most proportional to the pixels. With frames of seconds, small steps would take minutes.
     if (passed > slow) this.share = Math.max(SHARE_MIN, Math.min(0.8, Math.sqrt(slow / passed)) * this.share);
     else if (passed < QUICK * slow) this.share = Math.min(1, 1.1 * this.share);
   }
@@ -238,7 +238,7 @@ class Viewer {
     this.#time();
   }
 
-  // Notes the times of the first pictures. What is asked of the device is drawn only later, so they wait for it.
+  // Notes the times of the first pictures. The device draws asynchronously, thus they wait for it.
   #time() {
     const { times } = this;
     const whole = this.settled !== undefined && this.settled === this.view;
@@ -251,7 +251,7 @@ class Viewer {
     this.#tell();
   }
 
-  // Resolves once the whole file is drawn for the camera at hand. Rejects if it is refused.
+  // Resolves once the whole file is drawn for the camera at hand. Rejects if the file is rejected.
   settle() {
     return new Promise((resolve, reject) => {
       this.waiting.push({ resolve, reject });
@@ -269,7 +269,7 @@ class Viewer {
     }
   }
 
-  // The image of a camera in its own size, as the address of a PNG file. camera: as StatedCamera of the decoder has it.
+  // The image of a camera in its own size, as the address of a PNG file. camera: a StatedCamera of the decoder.
   async picture(camera) {
     const pose = poseOf(camera, this.extent);
     this.#stand({ lens: lensOf(camera), pose });
@@ -285,8 +285,8 @@ class Viewer {
     return image.toDataURL("image/png");
   }
 
-  // Turns around the point before the camera for some seconds. Returns them, the frames, those that the worker sent,
-  // the share of a side's pixels that the frames had at last, and the seconds of one more frame, which has all pixels.
+  // Turns around the pivot for some seconds. Returns the seconds, the frames, the frames of the worker, the final
+  // resolution share, and the seconds of one further frame with all pixels.
   async turn(seconds) {
     await this.settle();
     this.turning = true;
@@ -298,7 +298,7 @@ class Viewer {
       this.#send();
       this.draw(this.share);
       this.drawing.finish();
-      // The frames of the worker come in between.
+      // Lets frames of the worker arrive.
       await new Promise((resolve) => setTimeout(resolve));
       const now = performance.now();
       this.#adapt(now - last, SLOW.moving);
@@ -369,7 +369,7 @@ class Viewer {
     if (this.pointers.size === 2) {
       const [other] = [...this.pointers.values()].filter(({ pointerId }) => pointerId !== event.pointerId);
       const distance = ({ clientX, clientY }) => Math.hypot(clientX - other.clientX, clientY - other.clientY);
-      // Each of two fingers moves half of what both hold.
+      // Each of two fingers contributes half of the motion.
       const pose = moved(this.pose, [(-x * across) / 2, (-y * down) / 2, 0]);
       this.changed(nearer(pose, Math.max(distance(before), 1) / Math.max(distance(event), 1)));
     } else if (event.buttons & 2 || event.shiftKey) {
@@ -397,14 +397,14 @@ class Viewer {
     event.preventDefault();
   }
 
-  // Comes back to the camera, or where there is none, to where the scene is seen as a whole.
+  // Returns to the camera, or without one to a view of the whole scene.
   #back() {
     if (this.pose === undefined) return;
     if (this.cameras.length > 0) this.choose(this.number ?? 0);
     else this.#stand(around(this.extent, this.up));
   }
 
-  // Turns to what is at a place of the page, around which the camera then turns. Only the worker knows how far away it is.
+  // Turns to the point at a place of the page, which becomes the pivot. Only the worker knows its distance.
   #focus({ clientX, clientY }) {
     if (this.pose === undefined) return;
     const { focal, principal_point: middle } = fitted(this.lens, [innerWidth, innerHeight]).lens;

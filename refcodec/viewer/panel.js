@@ -1,4 +1,4 @@
-// What the page says beside the scene: title, progress, cameras, bytes by part, photographs, and why a file is refused.
+// The texts around the scene: title, progress, cameras, bytes by part, photographs, and reasons of rejection.
 import { printable } from "./text.js";
 
 const byId = (id) => document.getElementById(id);
@@ -14,24 +14,24 @@ const PARTS = {
   chunks: "chunks",
   ancillary: "cameras, metadata",
 };
-// Why a file is refused, and what to do next.
+// Reasons of rejection, and the next step of the user.
 const REASONS = {
   foreign: ["This is not a C3GS file", ""],
-  cut: ["This file is not whole", "Its end is missing. Copy or download it again."],
+  cut: ["This file is incomplete", "Its end is missing. Copy or download it again."],
   malformed: [
     "This file is damaged",
-    "Bytes of it have changed. Copy or download it again. If that does not help, ask whoever sent it.",
+    "Some bytes have changed. Copy or download it again. If that does not help, ask its sender.",
   ],
   invalid: [
     "This file is damaged",
-    "It breaks a rule of the format. Copy or download it again. If that does not help, ask whoever sent it.",
+    "It violates a rule of the format. Copy or download it again. If that does not help, ask its sender.",
   ],
   unsupported: [
-    "This page does not know the file's version or profile",
-    "A later version of refcodec may know it. Open the file with that one.",
+    "This page does not support the file's version or profile",
+    "A later version of refcodec may support it.",
   ],
-  bound: ["This file is larger than the page takes", "The command refcodec render draws it without a page."],
-  memory: ["There is no memory for this file", "Close other pages and programs, and load this page again."],
+  bound: ["This file is too large for the page", "The command refcodec render draws it without a page."],
+  memory: ["Out of memory", "Close other pages and programs, and load this page again."],
   fault: ["This file cannot be shown", ""],
 };
 const CONVERT = ["refcodec convert FILE -o scene", "refcodec encode scene -o scene.c3gs", ""];
@@ -52,7 +52,7 @@ function readable(bytes) {
   return `${bytes} B`;
 }
 
-// All words of the page come in here, those of files among them.
+// All texts enter the page here, including those of files.
 function put(element, text, most = TEXT_MAX) {
   element.textContent = printable(text, most);
 }
@@ -64,8 +64,8 @@ function made(name, text, properties = {}) {
 }
 
 export class Panel {
-  // choose: is told of the number of a chosen camera. slide: is told that the slider has moved. open: is given a file.
-  // tools: what keys and their buttons do, beside those of the page itself.
+  // choose: called with the number of a chosen camera. slide: called when the slider moves. open: called with a file.
+  // tools: the actions of further keys and their buttons.
   constructor({ choose, slide, open, tools }) {
     this.open = open;
     this.tools = { ...tools, KeyF: fill, KeyH: () => byId("help").showModal(), KeyO: () => byId("file").click() };
@@ -95,7 +95,7 @@ export class Panel {
 
   take([file]) {
     if (file !== undefined) this.open(file);
-    // The same file may be chosen again.
+    // Allows choosing the same file again.
     byId("file").value = "";
   }
 
@@ -103,7 +103,7 @@ export class Panel {
     for (const name of names) byId(name).hidden = true;
   }
 
-  // There is no file yet.
+  // Shows that no file is open.
   wait() {
     this.#hide("status", "head");
     byId("drop").hidden = false;
@@ -188,7 +188,7 @@ export class Panel {
     this.select.selectedIndex = number;
   }
 
-  // Lays a photograph over a part of the image, or none. box: its left, top, width and height, in pixels of CSS.
+  // Overlays a photograph on a part of the image, or none. box: left, top, width and height in CSS pixels.
   photograph(photograph, [left, top, width, height]) {
     const shown = byId("photograph");
     shown.hidden = byId("slider").hidden = photograph === undefined;
@@ -201,8 +201,8 @@ export class Panel {
     Object.assign(shown.style, { left: `${left}px`, top: `${top}px`, width: `${width}px`, height: `${height}px` });
   }
 
-  // error: of the registry (10.3). Without one, kind and text say what it is, and for a bound what is needed and allowed.
-  // looks: of a file of another kind.
+  // error: from the registry (10.3). Without one, kind and text state the reason, and for a bound the values needed and
+  // allowed. looks: of a file in another format.
   refuse(name, error, reason) {
     const { kind, looks } = reason;
     this.#hide("status", "cameras", "sizes", "slider", "photograph", "details", "drop");
@@ -224,17 +224,17 @@ export class Panel {
   }
 }
 
-// What is known beside the heading, as sentences.
+// The details below the heading, as sentences.
 function why({ kind, text, bound, needed, allowed, looks }) {
-  if (looks?.isConverted) return `${looks.text} Two commands make a C3GS file of it:`;
+  if (looks?.isConverted) return `${looks.text} Two commands convert it to C3GS:`;
   if (looks !== undefined) return looks.text;
-  if (bound === "memory") return `It needs ${readable(needed)} of memory, and the page takes ${readable(allowed)}.`;
-  if (bound === "anchors") return `It has ${whole(needed)} anchors, and the page takes ${whole(allowed)}.`;
+  if (bound === "memory") return `It needs ${readable(needed)} of memory; the page allows ${readable(allowed)}.`;
+  if (bound === "anchors") return `It has ${whole(needed)} anchors; the page allows ${whole(allowed)}.`;
   return kind === "memory" || text === undefined ? "" : `${text}.`;
 }
 
 function fill() {
-  // A browser may refuse.
+  // The browser may refuse.
   const done = document.fullscreenElement ? document.exitFullscreen() : document.documentElement.requestFullscreen();
   done.catch(() => {});
 }

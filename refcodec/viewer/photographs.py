@@ -1,4 +1,4 @@
-"""Photographs within the page: some of those that training held out, with their cameras."""
+"""Photographs within the page: some of the held-out ones, with their cameras."""
 
 from __future__ import annotations
 
@@ -12,18 +12,18 @@ from PIL import Image
 
 from ..photographs.photographs import Photograph, PhotographSet
 
-# How many there are at most, and the quality of their JPEG.
+# Their maximum number, and their JPEG quality.
 MOST = 8
 _QUALITY = 88
 
 
 def embedded(found: PhotographSet) -> list[dict[str, Any]]:
-    """Returns photographs as the page takes them, those for tests if there are any. Raises PhotographError."""
+    """Returns photographs for `page.page`, those held out for tests if there are any. Raises PhotographError."""
     return [_document(photograph) for photograph in _spread(found.test or found.train)]
 
 
 def _spread(photographs: Sequence[Photograph]) -> list[Photograph]:
-    """Returns MOST photographs at most, evenly chosen."""
+    """Returns at most MOST photographs, evenly chosen."""
     chosen = np.linspace(0, len(photographs) - 1, min(len(photographs), MOST)).round().astype(int)
     return [photographs[number] for number in chosen]
 

@@ -1,4 +1,4 @@
-// The Gaussians of a scene as rows of a texture. The anchors of a block fill one row, whatever the view.
+// The Gaussians of a scene as rows of a texture. The anchors of a block fill one row, independent of the view.
 //
 // A Gaussian has three texels of four 32-bit words:
 //
@@ -12,9 +12,9 @@ export const WIDTH = 1024;
 export const TEXELS = 3;
 const WORDS = 4 * TEXELS;
 export const ROW_WORDS = WORDS * WIDTH;
-// Rows that may wait for the page. Their words take 48 KiB a row, here and on their way.
+// The most rows that wait for the page. A row takes 48 KiB here and in transit.
 export const WAITING_MAX = 1024;
-// A click meets Gaussians within this angle of its ray, the nearest ones to it.
+// A click hits Gaussians within this angle of its ray.
 const COS_NEAR = Math.cos(0.15);
 const MET = 16;
 // 14.5: an alpha below this counts as 0.
@@ -24,10 +24,10 @@ export class Rows {
   // gaussians: of the decoder. entries: those of the chunk index.
   constructor(gaussians, entries) {
     this.gaussians = gaussians;
-    // Of each row: the anchors from start to before end, their bounds, and the place that they were seen from.
+    // For each row: the anchors from start to before end, their bounds, and the place of their last view.
     this.blocks = [];
     this.view = gaussians.room(WIDTH);
-    // A row may lack up to one anchor's offsets.
+    // A row may waste up to the offsets of one anchor.
     const least = WIDTH - gaussians.scene.header.offset_count + 1;
     this.height = 0;
     this.most = 0;
@@ -35,19 +35,19 @@ export class Rows {
       this.height += Math.floor(kept / least) + 1;
       this.most += kept;
     }
-    // What is sorted, and what is drawn. They grow with the rows.
+    // The sorted and the drawn order. They grow with the rows.
     this.means = [];
     this.words = [];
     this.counts = [];
   }
 
-  // The bytes that all rows take, here, in the order by depth and on the page: a mean of 12 and an order of 33 for each
-  // Gaussian, the texture, and the rows that wait.
+  // The memory of all rows, here, in sorting and on the page: 12 bytes of mean and 33 of order per Gaussian, the
+  // texture, and the waiting rows.
   get bytes() {
     return 45 * this.most + 4 * ROW_WORDS * (this.height + 2 * Math.min(this.height, WAITING_MAX));
   }
 
-  // added: as Gaussians has it. chunk: its anchors.
+  // added: from Gaussians. chunk: its anchors.
   add({ start }, { count, masks, positions }) {
     const offsets = this.gaussians.scene.header.offset_count;
     for (let first = 0; first < count; ) {
@@ -86,15 +86,15 @@ export class Rows {
       const [red, green, blue] = [0, 1, 2].map((k) => Math.round(65535 * colours[3 * i + k]));
       words[at + 10] = red | (green << 16);
       words[at + 11] = blue;
-      // A number that is not finite would spread over the image.
+      // A non-finite number would spread over the image.
       if (finite(floats, at, at + 10)) n++;
     }
     this.counts[row] = n;
     this.words[row] = words.subarray(0, WORDS * n);
   }
 
-  // Returns the mean of a Gaussian that a ray meets, or undefined. A quarter of those that it meets may be before it: few
-  // stray ones do not count.
+  // Returns the mean of a Gaussian that a ray hits, or undefined. A quarter of the hits may be in front of it: isolated
+  // Gaussians are ignored.
   hit(centre, direction) {
     const ray = direction.map((x) => x / Math.hypot(...direction));
     const near = [];
@@ -110,7 +110,7 @@ export class Rows {
     return met[met.length >> 2]?.point;
   }
 
-  // The words of some rows, one row after the other. They are given away.
+  // Returns the words of some rows in a sequence, and transfers them.
   packed(rows) {
     const data = new Uint32Array(ROW_WORDS * rows.length);
     rows.forEach((row, i) => {
@@ -141,7 +141,7 @@ function covariance(scales, s, rotations, r, out, at) {
   out[at + 5] = m20 * m20 + m21 * m21 + m22 * m22;
 }
 
-// How much the view of a row has changed: the way from where it was seen, over the distance to its anchors.
+// The change of the view of a row: the distance from its last view over the distance to its anchors.
 export function change({ low, high, from }, centre) {
   if (from === undefined) return Infinity;
   const way = Math.hypot(...centre.map((x, axis) => x - from[axis]));

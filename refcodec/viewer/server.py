@@ -1,4 +1,4 @@
-"""A local server of one page and one file, for nobody but this machine."""
+"""A local server of one page and one file, reachable only from this machine."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ class Server(ThreadingHTTPServer):
     daemon_threads = True
 
     def __init__(self, page: bytes, file: Callable[[], BinaryIO], port: int = 0) -> None:
-        """Listens. page: in HTML. file: opens the file. port: 0 for one that is free. Raises OSError."""
+        """Listens. page: HTML. file: opens the file. port: 0 for a free one. Raises OSError."""
         self.page, self.file = page, file
         super().__init__((ADDRESS, port), _Handler)
 
@@ -34,7 +34,7 @@ class Server(ThreadingHTTPServer):
         return f"http://{ADDRESS}:{self.server_port}/"
 
     def handle_error(self, request: Any, client_address: Any) -> None:
-        """Says nothing of a client that went away at whatever moment. All else is a fault."""
+        """Ignores clients that disconnect. Other errors are faults."""
         if not isinstance(sys.exception(), (ConnectionError, TimeoutError)):
             super().handle_error(request, client_address)
 
@@ -47,7 +47,7 @@ class _Handler(BaseHTTPRequestHandler):
 
     def do_GET(self) -> None:
         """Answers with the page, the file or a range of it."""
-        # A page of another site whose name leads here would have the name of that site.
+        # DNS rebinding: a page of another site would send the name of that site.
         port = self.server.server_port
         if self.headers.get("Host") not in (f"{ADDRESS}:{port}", f"localhost:{port}"):
             self.send_error(HTTPStatus.FORBIDDEN)
@@ -87,7 +87,7 @@ class _Handler(BaseHTTPRequestHandler):
         self.send_header("Content-Length", str(end - start))
         if ranges:
             self.send_header("Accept-Ranges", "bytes")
-        # The file may be another one at the next request.
+        # The file may change between requests.
         self.send_header("Cache-Control", "no-store")
         self.send_header("X-Content-Type-Options", "nosniff")
         self.send_header("Cross-Origin-Resource-Policy", "same-origin")
@@ -103,13 +103,13 @@ class _Handler(BaseHTTPRequestHandler):
                 # The page was closed.
                 self.close_connection = True
                 return
-        # The file became shorter. What was promised cannot be sent.
+        # The file became shorter than the stated length.
         self.close_connection = self.close_connection or start < end
 
     def _range(self, length: int) -> tuple[int, int] | None:
-        """Returns the range of bytes that is asked for, from its start to before its end, or None for all.
+        """Returns the requested range of bytes, start and end, or None for all.
 
-        Several ranges, and forms that are none, count as none. A range with no byte of the file is empty.
+        Several ranges, and invalid forms, count as none. A range with no byte of the file is empty.
         """
         found = _RANGE.fullmatch(self.headers.get("Range", ""))
         if found is None or not (found[1] or found[2]):
@@ -122,4 +122,4 @@ class _Handler(BaseHTTPRequestHandler):
         return start, min(int(found[2]) + 1, length) if found[2] else length
 
     def log_message(self, format: str, *args: object) -> None:
-        """Says nothing of requests."""
+        """Does not log requests."""

@@ -1,5 +1,5 @@
-// The order of drawing: Gaussians by decreasing depth. Of those of equal depth, the first one of the file is nearest
-// (SPEC.md 14.5).
+// The drawing order: Gaussians by decreasing depth. At equal depth, the first one in the file is nearest (SPEC.md
+// 14.5).
 import { WIDTH } from "./rows.js";
 
 const RADIX = 1 << 16;
@@ -41,7 +41,7 @@ export class Sorter {
     return this.slots.slice(0, n).reverse();
   }
 
-  // One pass of a radix sort by 16 bits of the keys. It keeps the order of equal ones.
+  // One stable pass of a radix sort by 16 bits of the keys.
   pass(n, shift, keys, slots, toKeys, toSlots) {
     const { counts } = this;
     counts.fill(0);

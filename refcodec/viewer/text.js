@@ -1,20 +1,20 @@
-// Text from outside, as the page may show it (SPEC.md 13.4). refcodec/files/text.py has the same rule.
+// Text from outside, in printable form (SPEC.md 13.4). refcodec/files/text.py has the same rule.
 
-// What Python does not call printable: controls, marks that turn the direction of text, halves of surrogate pairs,
-// characters that are not assigned, and separators but the space.
+// Characters that Python does not call printable: controls, marks of text direction, halves of surrogate pairs,
+// unassigned characters, and separators except the space.
 const HIDDEN = /(?! )[\p{C}\p{Z}]/u;
 const SHORT = new Map([["\t", "\\t"], ["\n", "\\n"], ["\r", "\\r"]]);
 
-// As Python writes it in a text: \x1b, \u202e, \U000e0001.
+// The escape of Python: \x1b, \u202e, \U000e0001.
 function escaped(letter) {
   const code = letter.codePointAt(0);
   const [mark, digits] = code < 0x100 ? ["x", 2] : code < 0x10000 ? ["u", 4] : ["U", 8];
   return SHORT.get(letter) ?? `\\${mark}${code.toString(16).padStart(digits, "0")}`;
 }
 
-// Returns a text in which every character can be seen. most: of its characters. A longer one ends with an ellipsis.
+// Returns a text in which every character can be seen. most: the most characters. A longer text ends with an ellipsis.
 export function printable(text, most) {
-  // No more is looked at than may be shown. A character has at most two units.
+  // Examines only characters that can be shown. A character has at most two units.
   const letters = [...text.slice(0, 2 * most + 2)];
   const shown = letters.map((letter) => (HIDDEN.test(letter) ? escaped(letter) : letter)).join("");
   const kept = [...shown];

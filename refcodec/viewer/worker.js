@@ -8,17 +8,17 @@ import { looks } from "./looks.js";
 import { change, Rows, WAITING_MAX } from "./rows.js";
 import { Sorter } from "./sort.js";
 
-// What a page takes of a file of unknown origin.
+// The bounds of the page for files of unknown origin.
 const BOUNDS = { maxAnchors: 4_000_000, maxMemory: 2 ** 30 };
-// Milliseconds of the networks between two frames. Sorting and drawing come on top.
+// Milliseconds for the networks between two frames, in addition to sorting and drawing.
 const SLICE = 24;
-// The anchors of which the extent of the scene is found.
+// The anchors that define the extent of the scene.
 const SAMPLE = 4096;
 
 let scene, gaussians, rows, sorter, sample;
 const inChunks = { positions: 0, masks: 0, attributes: 0 };
 let view;
-// The view that was sorted last, rows that the page does not have yet, and whether it has not drawn the last frame.
+// The last sorted view, the rows that the page does not have yet, and whether the last frame is pending.
 let sorted;
 const waiting = new Set();
 let owed = false;
@@ -40,7 +40,7 @@ self.onmessage = ({ data }) => {
   work();
 };
 
-// kind: what a file of another kind looks like.
+// kind: the appearance of a file in another format.
 function refuse(error, kind) {
   if (error instanceof C3gsError) return postMessage({ type: "refused", error: error.toJSON(), looks: kind });
   const { message: text, bound, needed, allowed } = error;
@@ -48,12 +48,12 @@ function refuse(error, kind) {
   else postMessage({ type: "refused", kind: error instanceof RangeError ? "memory" : "fault", text });
 }
 
-// Only a file whose first bytes are refused may be of another kind.
+// Only a file with rejected first bytes can be in another format.
 async function lookedAt({ name }, data) {
   return name === "prologue.signature" || name === "prologue.truncated" ? looks(data) : undefined;
 }
 
-// wasm: bytes of c3gs.wasm. input: bytes or a Blob. url: where the file is, without an input.
+// wasm: bytes of c3gs.wasm. input: bytes or a Blob. url: the address of the file, without an input.
 async function open({ wasm, input, url }) {
   const chunks = decode(input ?? (await fetched(url)), { wasm, ...BOUNDS });
   for (;;) {
@@ -61,7 +61,7 @@ async function open({ wasm, input, url }) {
     if (scene === undefined) begin(value.scene);
     if (done) break;
     add(value);
-    // Views, and frames for them, come between two chunks.
+    // Handles views, and sends frames for them, between two chunks.
     await pause();
   }
   ended = true;
@@ -93,7 +93,7 @@ function begin(opened) {
   postMessage({ type: "head", header, height: rows.height, ...about() });
 }
 
-// What a scene says of itself. Sections behind the chunks are read at the end.
+// The description of the scene. Sections after the chunks are read at the end.
 function about() {
   const cameras = scene.cameras.map((camera) => ({ ...camera }));
   return { cameras, metadata: Object.fromEntries(scene.metadata), ...parts() };
@@ -134,13 +134,13 @@ function extent() {
   return { middle, radius: Math.max(away[Math.floor(0.9 * (away.length - 1))], 1e-6) };
 }
 
-// Brings the Gaussians up to the view, those first whose view has changed most. The page gets a frame after each slice,
+// Updates the Gaussians to the view, those with the largest changes first. The page gets a frame after each slice,
 // unless it still draws the last one.
 async function work() {
   if (working || view === undefined || rows === undefined) return;
   working = true;
   try {
-    // No message may come in after the last slice, while this still counts as working.
+    // No message may arrive after the last slice while this is marked as working.
     while (slice()) await pause();
   } catch (error) {
     refuse(error);
@@ -166,7 +166,7 @@ function slice() {
   }
   const whole = done === stale.length;
   const state = `${id} ${rows.blocks.length} ${whole} ${ended}`;
-  // Without room for more rows, the page has to take those before.
+  // If the buffer is full, the page has to receive the earlier rows first.
   if (owed || (waiting.size === 0 && sorted === state)) return !whole && waiting.size < WAITING_MAX;
   const chosen = [...waiting];
   waiting.clear();
@@ -179,7 +179,7 @@ function slice() {
   return !whole;
 }
 
-// Lets messages come in. A timer would be held back to some milliseconds.
+// Lets messages arrive. Timers are throttled to some milliseconds.
 function pause() {
   return new Promise((resolve) => {
     const { port1, port2 } = new MessageChannel();

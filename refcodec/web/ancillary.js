@@ -1,21 +1,21 @@
-// The metadata and the cameras of a file (SPEC.md 5.16, 5.17, 6.14 and 6.15). Their faults are no error of the file.
+// The metadata and the cameras of a file (SPEC.md 5.16, 5.17, 6.14 and 6.15). Their faults are not errors of the file.
 import { Cursor, pad4 } from "./container.js";
 
 const METADATA_MAX = 1 << 16;
-// More bytes of cameras are not held. 65535 cameras with names of 200 bytes have fewer.
+// The most bytes of cameras in memory. 65535 cameras with names of 200 bytes have fewer.
 const CAMERAS_MAX = 1 << 24;
 const KEY = /^[a-z0-9._-]+$/;
-// Of the fields before a name
+// The bytes of the fields before a name
 const CAMERA_LENGTH = 56;
 
-// What readers throw where a section ends too soon, and what ends the reading of one.
+// Thrown by readers at the premature end of a section, and to end reading.
 const END = Symbol("end");
 
 const text = new TextDecoder("utf-8", { fatal: true, ignoreBOM: true });
-// Gives each byte a letter of its own. Those of ASCII are themselves.
+// Maps each byte to a distinct letter, ASCII to itself.
 const latin = new TextDecoder("latin1");
 
-// Reads structs of 5.16 and 5.17. Where they are longer than the section, it throws END.
+// Reads structs of 5.16 and 5.17. Throws END if they are longer than the section.
 class Reader {
   constructor(data) {
     this.data = data;
@@ -33,13 +33,13 @@ class Reader {
     return new Cursor(this.take(size), 0);
   }
 
-  // Passes the padding behind a struct that began at `start`. Whether it is zero changes nothing that is read.
+  // Skips the padding after a struct that began at `start`, whether it is zero or not.
   pad(start) {
     this.take(pad4(this.next - start) - (this.next - start));
   }
 }
 
-// Runs `read` with a reader and the number of structs, up to where the section ends.
+// Calls `read` with a reader and the number of structs. Stops at the section end.
 function structs(data, read) {
   const reader = new Reader(data);
   try {
@@ -58,7 +58,7 @@ function decoded(bytes) {
   }
 }
 
-// 6.14: adds the entries before the first fault of the syntax. Those of earlier sections stay.
+// 6.14: adds the entries before the first syntax fault. Entries of earlier sections remain.
 function readMetadata(data, { metadata }) {
   const found = new Map();
   let last;
@@ -69,7 +69,7 @@ function readMetadata(data, { metadata }) {
     const key = latin.decode(reader.take(keyLength));
     const value = decoded(reader.take(valueLength));
     reader.pad(start);
-    // What is no text is a fault of the syntax.
+    // Invalid UTF-8 is a syntax fault.
     if (value === undefined || /[^\0-\x7f]/.test(key)) throw END;
     if (KEY.test(key) && (last === undefined || key > last)) found.set(key, value);
     last = key;
@@ -77,7 +77,7 @@ function readMetadata(data, { metadata }) {
   for (const [key, value] of found) if (!metadata.has(key)) metadata.set(key, value);
 }
 
-// 6.15: adds the cameras that are right.
+// 6.15: adds the valid cameras.
 function readCameras(data, { cameras }) {
   const names = new Set();
   structs(data, (reader) => {
@@ -103,7 +103,7 @@ function readCameras(data, { cameras }) {
 
 const READERS = { mETA: [readMetadata, METADATA_MAX], cAMS: [readCameras, CAMERAS_MAX] };
 
-// Returns what reads a section, as a function of its bytes and of {metadata, cameras}, or undefined where none does.
+// Returns the reader of a section, a function of its bytes and of {metadata, cameras}, or undefined.
 export function ancillaryReader({ type, mode, length }, { maxMemory = Infinity }) {
   const [read, most] = READERS[type] ?? [undefined, 0];
   return mode === 0 && length <= Math.min(most, maxMemory) ? read : undefined;

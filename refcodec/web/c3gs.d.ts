@@ -1,6 +1,6 @@
 // Decoder of C3GS, a bitstream for learned 3D Gaussian scenes. Clauses are those of SPEC.md.
 
-/** A file by ranges. `read` gives exactly `size` bytes from byte `start` on, all of them within `length`. */
+/** A file by ranges. `read` returns exactly `size` bytes from byte `start` on, all of them within `length`. */
 export interface Ranges {
   read(start: number, size: number): Bytes | Promise<Bytes>;
   length: number;
@@ -8,7 +8,7 @@ export interface Ranges {
 
 export type Bytes = ArrayBuffer | ArrayBufferView;
 
-/** What can be read from its start to its end. A response must be of a request that succeeded. */
+/** Inputs for reading from start to end. A response must be successful. */
 export type Input =
   | Bytes
   | Blob
@@ -18,24 +18,24 @@ export type Input =
   | Iterable<Bytes>
   | Ranges;
 
-/** What can be read at any place. */
+/** Inputs for random access. */
 export type Seekable = Bytes | Blob | Ranges;
 
 export interface Options {
-  /** The most anchors that the file may have. */
+  /** The maximum number of anchors. */
   maxAnchors?: number;
   /**
-   * The most bytes of memory that decoding may take, by an estimate from the header, and by lengths in the file. For
-   * `decodeAll` the arrays of all anchors count, and for `Gaussians` what it holds.
+   * The maximum memory of decoding in bytes, estimated from the header and from lengths in the file. It includes the
+   * arrays of all anchors for `decodeAll`, and the memory of `Gaussians`.
    */
   maxMemory?: number;
   /** Whether to compute the digests of 9.3. */
   digests?: boolean;
-  /** c3gs.wasm, where it does not lie beside c3gs.js. */
+  /** c3gs.wasm, if it is not beside c3gs.js. */
   wasm?: WebAssembly.Module | ArrayBuffer | ArrayBufferView;
 }
 
-/** A file that is refused (10.2). The message says where and why. */
+/** A rejected file (10.2). The message states the place and the reason. */
 export class C3gsError extends Error {
   /** The row of the registry (10.3), such as 502 and "substream.state". */
   readonly code: number;
@@ -43,19 +43,19 @@ export class C3gsError extends Error {
   readonly class: "malformed" | "invalid" | "unsupported";
   /** The clause to read. */
   readonly clause: string;
-  /** A byte of the file. */
+  /** The byte offset of the error. */
   readonly offset: number;
   toJSON(): { code: number; name: string; class: string; clause: string; offset: number };
 }
 
-/** A file that needs more than its caller allows. It says nothing of whether the file is right. */
+/** A file that needs more than its caller allows. It is not a verdict on the file. */
 export class BoundPassedError extends Error {
   readonly bound: "anchors" | "memory";
   readonly needed: number;
   readonly allowed: number;
 }
 
-/** The fields of 5.2 to 5.5 by their names. */
+/** The fields of 5.2 to 5.5 by name. */
 export interface Header {
   readonly minor: number;
   readonly profile: number;
@@ -102,15 +102,15 @@ export interface Layer {
   readonly values: Float32Array;
 }
 
-/** Where a chunk lies, in the file and in the world (5.13). */
+/** The place of a chunk in the file and in the world (5.13). */
 export interface Entry {
   readonly number: number;
   /** The number of its first anchor in the file. */
   readonly first: number;
   readonly count: number;
-  /** Its Gaussians are no more than this. */
+  /** The maximum number of its Gaussians. */
   readonly kept: number;
-  /** The byte of the file at which it starts, and how many bytes it has. */
+  /** Its first byte in the file, and its length in bytes. */
   readonly start: number;
   readonly length: number;
   /** Bounds of its world positions, 3 each. */
@@ -118,7 +118,7 @@ export interface Entry {
   readonly high: Float32Array;
 }
 
-/** Numbers of anchors (9.3). K is header.offset_count and F is scene.features. */
+/** Values of anchors (9.3). K is header.offset_count and F is scene.features. */
 export interface Anchors {
   readonly count: number;
   /** World positions, count by 3. */
@@ -140,25 +140,25 @@ export interface Chunk extends Anchors {
   readonly first: number;
   /** The bytes of its parts in the file, without padding (5.14). */
   readonly lengths: { readonly positions: number; readonly masks: number; readonly attributes: number };
-  /** SHA-256 (9.3), 32 bytes, if `decode` was told to compute digests. */
+  /** SHA-256 (9.3), 32 bytes, if the options request digests. */
   readonly digest?: Uint8Array;
 }
 
-/** A camera of the file (5.17). What is wrong by 6.15 is passed over. */
+/** A camera of the file (5.17). Invalid cameras (6.15) are skipped. */
 export interface StatedCamera {
   readonly name: string;
-  /** Of its image in pixels, as are the focal lengths and the principal point. */
+  /** The image size in pixels, the unit of the focal lengths and of the principal point too. */
   readonly width: number;
   readonly height: number;
   readonly focal: readonly [number, number];
   readonly principal_point: readonly [number, number];
-  /** A quaternion w, x, y, z, from the world to the camera. Its length need not be 1. */
+  /** A quaternion w, x, y, z, from the world to the camera. Its length is not necessarily 1. */
   readonly rotation: readonly [number, number, number, number];
   /** From the world to the camera. */
   readonly translation: readonly [number, number, number];
 }
 
-/** What comes before the chunks. */
+/** The contents of a file before the chunks. */
 export interface Scene {
   readonly header: Header;
   /** F, the features of an anchor. */
@@ -169,18 +169,18 @@ export interface Scene {
   /**
    * The cameras of the file. The first one is the default view.
    *
-   * These are the ones of the sections that were read. Sections may stand before the chunks and behind them. `decode`
-   * has read those before the chunks when it yields the first one, and all when it ends. `open` reads none: call
-   * `readAncillary`. A section of more than 16 MiB, or than maxMemory, is passed over.
+   * It contains the cameras of the sections read so far. Sections may be before and after the chunks. `decode` has read
+   * those before the chunks when it yields the first chunk, and all when it ends. `open` reads none: call
+   * `readAncillary`. A section of more than 16 MiB or maxMemory is skipped.
    */
   readonly cameras: readonly StatedCamera[];
-  /** The metadata of the file by their keys (5.16 and 6.14), of the sections that were read, as for `cameras`. */
+  /** The metadata of the file by key (5.16 and 6.14), from the sections read so far, as for `cameras`. */
   readonly metadata: ReadonlyMap<string, string>;
-  /** Reads all ancillary sections, so that `cameras` and `metadata` are whole. Only of what `open` returned. */
+  /** Reads all ancillary sections, to complete `cameras` and `metadata`. Only after `open`. */
   readAncillary(): Promise<void>;
   /** The chunks of the file in its order. */
   entries(): IterableIterator<Entry>;
-  /** Decodes one chunk. Throws RangeError if there is none of this number. */
+  /** Decodes one chunk. Throws RangeError if the file has no such chunk. */
   chunk(number: number): Promise<Chunk>;
 }
 
@@ -195,35 +195,35 @@ export interface Digests {
 
 export interface Whole {
   readonly scene: Scene;
-  /** If the options ask for them. */
+  /** Present if the options request them. */
   readonly digests?: Digests;
 }
 
 /**
  * Decodes a file as it arrives, and yields each chunk before the next one is read. Its memory is that of one chunk.
  *
- * Throws C3gsError, BoundPassedError, RangeError without memory, and TypeError for an input that is none. Only once it
- * has ended is the file accepted: after an error, the chunks before it are no whole scene.
+ * Throws C3gsError, BoundPassedError, RangeError if out of memory, and TypeError for an invalid input. The file is
+ * accepted only when the iteration has ended: after an error, the chunks before it are not a complete scene.
  */
 export function decode(input: Input, options?: Options): AsyncGenerator<Chunk, Whole, void>;
 
 /** Decodes a whole file. Throws as `decode` does. */
 export function decodeAll(input: Input, options?: Options): Promise<Whole & { readonly anchors: Anchors }>;
 
-/** Reads what comes before the chunks: the header, networks, planes and the chunk index. Throws as `decode` does. */
+/** Reads the contents before the chunks: the header, networks, planes and chunk index. Throws as `decode` does. */
 export function open(input: Seekable, options?: Options): Promise<Scene>;
 
 /** Decodes one chunk with the fewest bytes. Throws as `open` and `Scene.chunk` do. */
 export function decodeChunk(input: Seekable, number: number, options?: Options): Promise<Chunk>;
 
-/** What has a place in the world of a page, as an object or a camera of three.js. Its matrix must be up to date. */
+/** An object with a place in the world, such as an object or a camera of three.js. Its matrix must be up to date. */
 export interface Placed {
   /** 16 numbers, column by column. */
   readonly matrixWorld: { readonly elements: ArrayLike<number> };
 }
 
 /**
- * From where a scene is seen. The Gaussians depend on this place alone, not on where the camera looks.
+ * A viewpoint. The Gaussians depend only on this place, not on the direction of the camera.
  *
  * It is a point of the scene's world, as three numbers or as {x, y, z}, a camera of the file, or a camera of three.js
  * whose world is that of the scene.
@@ -234,20 +234,20 @@ export type Viewpoint =
   | StatedCamera
   | Placed;
 
-/** Gaussians of a view (14.3), in the order of anchors and offsets. Only the first `count` rows of an array count. */
+/** Gaussians of a view (14.3), in the order of anchors and offsets. Only the first `count` rows are valid. */
 export interface View {
   count: number;
   /** Means in the scene's world, count by 3. */
   readonly positions: Float32Array;
-  /** Lengths of the axes, count by 3. They are no logarithms. */
+  /** Lengths of the axes, count by 3. They are not logarithms. */
   readonly scales: Float32Array;
   /** Quaternions w, x, y, z of length 1, count by 4. */
   readonly rotations: Float32Array;
   /** Red, green and blue from 0 to 1, count by 3. The key `transfer` of the metadata says how they are encoded. */
   readonly colours: Float32Array;
-  /** Above 0 and 1 at most. */
+  /** Above 0, at most 1. */
   readonly opacities: Float32Array;
-  /** The number in the file of the anchor of each, and the number of its offset. */
+  /** The number of the anchor of each in the file, and the number of its offset. */
   readonly anchors: Uint32Array;
   readonly offsets: Uint8Array;
 }
@@ -259,11 +259,11 @@ export interface Added {
   /** Its anchors in the order of adding: from `start` to before `end`. */
   readonly start: number;
   readonly end: number;
-  /** Its Gaussians are no more than this, from any place: the offsets that are kept. */
+  /** The number of kept offsets, the maximum number of its Gaussians from any place. */
   readonly kept: number;
   /**
-   * How many offsets the chunks before it keep. A page that has an array of Gaussians may give each chunk the rows from
-   * `slot` to `slot + kept` for good, and give no opacity to those rows that a view does not fill.
+   * The number of kept offsets in the chunks before it. A page with one array of Gaussians may reserve the rows `slot`
+   * to `slot + kept` for the chunk, with opacity 0 in the rows that a view does not fill.
    */
   readonly slot: number;
   /** Bounds of the positions of its anchors. */
@@ -274,50 +274,51 @@ export interface Added {
 /**
  * The Gaussians of a scene, from any place (14.3). The networks run in WebAssembly, where the scene was decoded.
  *
- * What does not depend on the place is computed once, when a chunk is added. For each anchor this takes 12 bytes times
- * header.render_width and 32 more, and 13 bytes for each kept offset. They go with the scene.
+ * Values that do not depend on the place are computed once, when a chunk is added. They take 12 bytes times
+ * header.render_width plus 32 bytes per anchor, and 13 bytes per kept offset. They are released with the scene.
  *
  *     const gaussians = new Gaussians(scene);
  *     const index = gaussians.add(chunk);
  *     const { count, positions, scales, rotations, colours, opacities } = gaussians.chunk(index, [0, 0, -3]);
  */
 export class Gaussians {
-  /** scene: of `decode`, `decodeAll`, `open` or a chunk. maxMemory: for decoding and for what is added, together. */
+  /** scene: from `decode`, `decodeAll`, `open` or a chunk. maxMemory: for decoding and added chunks together. */
   constructor(scene: Scene, options?: Pick<Options, "maxAnchors" | "maxMemory">);
   readonly scene: Scene;
   /** The chunks that were added, in the order of adding. */
   readonly chunks: readonly Added[];
-  /** Anchors so far, and kept offsets so far. */
+  /** The numbers of anchors and of kept offsets so far. */
   readonly anchorCount: number;
   readonly slotCount: number;
   /**
-   * Takes a chunk of the scene, or all anchors of `decodeAll`, and returns its index in `chunks`.
+   * Adds a chunk of the scene, or all anchors of `decodeAll`, and returns its index in `chunks`.
    *
    * The arrays may come from another thread. They are copied. Throws TypeError for arrays of wrong types or lengths,
-   * BoundPassedError before more is held than the options allow, and RangeError without memory.
+   * BoundPassedError before the memory exceeds the options, and RangeError if out of memory.
    */
   add(chunk: Anchors & { readonly number?: number; readonly first?: number }): number;
-  /** Forgets all chunks, and gives their memory back. */
+  /** Removes all chunks, and releases their memory. */
   clear(): void;
   /**
    * The Gaussians of a chunk by its index in `chunks`.
    *
-   * out: takes the Gaussians, and is returned with a new `count`. Without it, new arrays are made. Throws RangeError if
-   * there is no such chunk, or if `out` has no room for `kept` Gaussians, and TypeError as `centreOf`.
+   * out: receives the Gaussians, and is returned with a new `count`. Without it, new arrays are allocated. Throws
+   * RangeError if there is no such chunk or `out` is smaller than `kept`, and TypeError as `centreOf`.
    */
   chunk(index: number, from: Viewpoint, out?: View): View;
   /** The same for the anchors from `start` to before `end`, in the order of adding. */
   range(start: number, end: number, from: Viewpoint, out?: View): View;
   /** The same for all anchors that were added. */
   all(from: Viewpoint, out?: View): View;
-  /** How many offsets the anchors before this one keep, in the order of adding. Its argument may be anchorCount. */
+  /** The number of kept offsets of the anchors before this one, in the order of adding. anchorCount is allowed. */
   slotOf(anchor: number): number;
-  /** New arrays for so many Gaussians, with count 0. */
+  /** Allocates arrays for `size` Gaussians, with count 0. */
   room(size: number): View;
   /**
-   * How much the view of each chunk has changed since `chunk` or `all` last gave it: the way from the place of then
-   * to this one over the distance to the bounds of the chunk. It is about the largest angle, in radians, by which the
-   * direction to an anchor has turned. Infinity: never given, or seen from within.
+   * The change of the view of each chunk since `chunk` or `all` last returned it: the distance of the two places
+   * divided by the distance to the bounds of the chunk. It approximates the largest change in direction to an anchor,
+   * in radians.
+   * Infinity: never returned, or the place is within the bounds.
    */
   changes(from: Viewpoint): Float64Array;
 }
@@ -325,19 +326,19 @@ export class Gaussians {
 /**
  * The place of a camera in the scene's world, 3 numbers.
  *
- * object: of three.js, which draws the scene. The camera's place is then carried into its own coordinates. Throws
- * TypeError for what has no place of finite numbers.
+ * object: the object of three.js that draws the scene; the place is transformed into its coordinates. Throws TypeError
+ * without a place of finite numbers.
  */
 export function centreOf(camera: Viewpoint, object?: Placed): Float64Array;
 
 /**
- * The matrix from the frame of a camera of OpenGL or three.js, whose y points up and whose z points backwards, to the
- * scene's world: 16 numbers, column by column.
+ * The matrix from the camera frame of OpenGL or three.js (y up, z backwards) to the scene's world: 16 numbers, column
+ * by column.
  */
 export function cameraMatrix(camera: StatedCamera): Float64Array;
 
-/** The matrix of OpenGL from that frame to clip coordinates, with its principal point: 16 numbers, column by column. */
+/** The OpenGL matrix from that frame to clip coordinates, with the principal point: 16 numbers, column by column. */
 export function projectionMatrix(camera: StatedCamera, near: number, far: number): Float64Array;
 
-/** A rotation that turns what is up in the scene (header.up_axis) to +y: 16 numbers, column by column. */
+/** The rotation from the up direction of the scene (header.up_axis) to +y: 16 numbers, column by column. */
 export function uprightMatrix(header: Header): Float64Array;

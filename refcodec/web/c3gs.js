@@ -1,4 +1,4 @@
-// Decodes C3GS files, format version 0 (SPEC.md), in browsers and in Node. c3gs.d.ts says what there is.
+// Decodes C3GS files, format version 0 (SPEC.md), in browsers and in Node. c3gs.d.ts documents the functions.
 import { ancillaryReader } from "./ancillary.js";
 import { checkBounds, checkBytes } from "./bounds.js";
 import { chunkError, entries, parseIndex, readChunk } from "./chunks.js";
@@ -19,14 +19,14 @@ const SCALINGS = 6;
 const STEP_SHIFT = 12;
 // 5.14
 const CHUNK_PARTS = ["positions", "masks", "attributes"];
-// The most bytes of anchors that a byte of a file gets before any chunk is decoded. A file says how many anchors it has
-// with much fewer bytes, so that a small one would get much memory.
+// The most bytes of anchors per file byte that are allocated before a chunk is decoded. The header states the number of
+// anchors in a few bytes, thus a small file could otherwise allocate much memory.
 const ROOM_OF_A_BYTE = 64;
 const ANCHOR_ARRAYS = {
   positions: Float32Array, masks: Uint8Array, features: Float32Array, scalings: Float32Array, offsets: Float32Array,
 };
 
-// What comes before the chunks, and the means to decode any of them.
+// The contents before the chunks, and the state to decode any chunk.
 class Scene {
   #source;
   #kernel;
@@ -45,12 +45,12 @@ class Scene {
     this.cameras = [];
     this.metadata = new Map();
     shareKernel(this, kernel);
-    // 9.2, STEP_VALUE: an entry times a base step is exact in binary64. It is rounded once.
+    // 9.2, STEP_VALUE: the product of an entry and a base step is exact in binary64, and rounded once.
     const table = (base) => Float32Array.from(kernel.steps, (step) => (step * base) / (1 << STEP_SHIFT));
     this.#tables = header.base_step.map(table);
   }
 
-  // 10.1, SECTIONS. all: whether ancillary sections are checked, too.
+  // 10.1, SECTIONS. all: whether ancillary sections are checked too.
   async open(all) {
     const body = this.header.sections.find(({ type }) => type === "DATA");
     let frame, weights;
@@ -73,7 +73,7 @@ class Scene {
     return this;
   }
 
-  // 10.1, an ancillary section, of which metadata and cameras are kept
+  // 10.1, an ancillary section; metadata and cameras are kept
   async #passAncillary(section) {
     const read = ancillaryReader(section, this.#options);
     if (read === undefined) await passSection(this.#source, section);
@@ -88,8 +88,8 @@ class Scene {
     }
   }
 
-  // Makes arrays for all anchors, if the source has bytes for them. Chunks are then decoded to them, and have views of
-  // them. Returns the arrays, or undefined.
+  // Allocates arrays for all anchors, if the source has enough bytes. Chunks are then decoded into them, as views.
+  // Returns the arrays, or undefined.
   holdWhole() {
     const { anchor_count: count, offset_count: offsets } = this.header;
     const widths = { positions: 3, masks: offsets, features: this.features, scalings: SCALINGS, offsets: 3 * offsets };
@@ -132,7 +132,7 @@ class Scene {
     const { status, part, own } = kernel.decodeChunk(h, chunk);
     if (status !== 0) throw chunkError(status, part, chunk);
     const n = entry.anchors;
-    // Copies what the kernel's memory has.
+    // Copies from the kernel's memory.
     const copied = (name, view) => {
       if (this.#whole === undefined) return view.slice();
       const at = entry.first * (view.length / n);
@@ -156,7 +156,7 @@ class Scene {
     };
   }
 
-  // 10.1, END, and before it the crc of DATA and the sections behind DATA
+  // 10.1: the crc of DATA, the sections after DATA, and END
   async close() {
     let behind = false;
     for (const section of this.header.sections) {
@@ -175,7 +175,7 @@ class Scene {
   }
 }
 
-// holds: whether all anchors are held.
+// holds: whether all anchors are kept in memory.
 async function begin(source, options, all, holds = false) {
   const header = await readHeader(source);
   checkBounds(options, header, holds ? header.anchor_count : 0);
@@ -190,7 +190,7 @@ export function decode(input, options = {}) {
   return run(input, options);
 }
 
-// begun: is given the scene before its chunks are decoded, by a caller who holds them all.
+// begun: called with the scene before its chunks are decoded, if the caller keeps all of them.
 async function* run(input, options, begun) {
   const source = sourceOf(input);
   try {
@@ -219,7 +219,7 @@ function joined(chunks, name, type) {
   for (const chunk of chunks) {
     whole.set(chunk[name], at);
     at += chunk[name].length;
-    // Of what is joined, one copy is enough.
+    // The joined arrays need only one copy.
     chunk[name] = undefined;
   }
   return whole;

@@ -1,9 +1,9 @@
-// Places and cameras (SPEC.md 14.2), as the graphics of browsers have them.
+// Places and cameras (SPEC.md 14.2) in the conventions of browser graphics.
 
-// From the frame of 14.2, with x right, y down and z into the scene, to that of OpenGL.
+// From the frame of 14.2 (x right, y down, z into the scene) to that of OpenGL.
 const FLIP = [1, -1, -1];
 
-// For each value of up_axis: the axes to which x, y and z of the scene turn, as their number and their sign.
+// For each value of up_axis: the number and the sign of the axes to which x, y and z of the scene turn.
 const UPRIGHT = [
   [[1, 1], [0, -1], [2, 1]],
   [[1, -1], [0, 1], [2, 1]],
@@ -39,7 +39,7 @@ function placeOf(camera) {
   return camera?.length === 3 ? Array.from(camera) : [];
 }
 
-// The coordinates in the frame of an object of a point of the world. elements: the object's matrix, column by column.
+// A point of the world in the coordinates of an object. elements: the object's matrix, column by column.
 function within(elements, point) {
   const [a, b, c, from] = [0, 4, 8, 12].map((at) => Array.from(elements).slice(at, at + 3));
   const cross = (p, q) => [p[1] * q[2] - p[2] * q[1], p[2] * q[0] - p[0] * q[2], p[0] * q[1] - p[1] * q[0]];

@@ -1,4 +1,4 @@
-// The chunk index, the head of a chunk, and where the errors of its parts point (SPEC.md 5.11 to 5.14, 6.10, 6.11).
+// The chunk index, the chunk head, and the offsets of the errors of its parts (SPEC.md 5.11 to 5.14, 6.10, 6.11).
 import { Cursor, crc32, isZero, pad4, truncated } from "./container.js";
 import { errorOfCode, need, REGISTRY } from "./errors.js";
 
@@ -9,7 +9,7 @@ const POSITION_MODELS = 18;
 const ANCHORS_OF_A_BYTE = 16;
 
 const HALVES = 16;
-// The models whose first frequency is 0.
+// The models with a first frequency of 0.
 const EMPTY_FIRST = [1, 7, 13];
 const ENTRY_LENGTH = 28;
 const HEAD_LENGTH = 16;
@@ -18,7 +18,7 @@ const RAW_POSITION = 6;
 
 const notFinite = (bits) => (bits & 0x7c00) === 0x7c00;
 const negativeZero = (bits) => bits === 0x8000;
-// An integer that orders f16 numbers as they are.
+// Maps f16 bits to an integer with the order of the numbers.
 const order = (bits) => (bits >> 15 ? -(bits & 0x7fff) : bits);
 
 // [R6.10-1] to [R6.10-6]. data: the section. start: its offset. body: the section DATA.
@@ -63,8 +63,8 @@ function parsePositionModel(c) {
   return { cellShift, positionModel };
 }
 
-// Reads the entries one after the other, so that their number costs no memory. Of each: number, first anchor, start in
-// the file, length, crc, anchors, kept, low, high, as f16 bits, and `at`, its offset.
+// Yields the entries one by one, thus memory does not grow with their number. Each has number, first anchor, start in
+// the file, length, crc, anchors, kept, low and high (f16 bits), and `at`, its offset.
 export function* entries(index) {
   const view = new DataView(index.data.buffer, index.data.byteOffset, index.data.byteLength);
   let [first, start] = [0, index.body];
@@ -92,7 +92,7 @@ function checkEntry({ at, length, anchors, kept, low, high }, header) {
   low.forEach((bits, i) => need(order(bits) <= order(high[i]), "index.chunk", at + 16 + 2 * i));
 }
 
-// [R6.6-6] and [R6.11-1] to [R6.11-5]: returns what decoding the chunk of an entry needs.
+// [R6.6-6] and [R6.11-1] to [R6.11-5]: returns the arguments for decoding the chunk of an entry.
 //
 // places, lengths: of its parts.
 export async function readChunk(source, entry, index) {
@@ -118,7 +118,7 @@ export async function readChunk(source, entry, index) {
   return { ...entry, bytes, form, places, lengths };
 }
 
-// Returns the error of a code that the kernel gave. part: the number of the part that has the error.
+// Returns the error for a code of the kernel. part: the number of the part with the error.
 export function chunkError(code, part, { bytes, start, places, anchors }) {
   const is = (...names) => names.some((name) => REGISTRY.get(name).code === code);
   if (is("chunk.kept", "chunk.bounds")) return errorOfCode(code, start);

@@ -5,11 +5,10 @@
 //   conformance run --serve -- node refcodec/web/cli.js serve
 //   conformance run --gaussians 'node refcodec/web/cli.js gaussians {input} {camera} {output}' -- ...
 //
-// It ends with 0 for a file that is accepted, 1 for one that is malformed or invalid, and 2 for one that is not
-// supported. The last line on stderr then has the error (SPEC.md 10.2). 64: wrong usage, or a file that cannot be read
-// or written. 70: a fault of the program, or no memory.
+// Exit status: 0 accepted, 1 malformed or invalid, 2 unsupported; the last line on stderr then has the error (SPEC.md
+// 10.2). 64: wrong usage, or a file that cannot be read or written. 70: internal error, or out of memory.
 //
-// An output is written beside its place, and moved there when it is whole: a run that fails changes nothing.
+// An output is written to a temporary file and then renamed: a failed run changes nothing.
 import { randomUUID } from "node:crypto";
 import * as fs from "node:fs";
 import * as path from "node:path";
@@ -19,12 +18,12 @@ import { PARTS, sceneHead } from "./digests.js";
 
 const EXIT = { done: 0, refused: 1, unsupported: 2, usage: 64, fault: 70 };
 
-// How many paths a command has.
+// The number of paths of each command.
 const PATHS = { decode: 2, gaussians: 3 };
 
 class UsageError extends Error {}
 
-// A file by ranges, so that one chunk of it is held.
+// A file by ranges, to hold only one chunk in memory.
 function fileSource(file) {
   const read = (start, size) => {
     const bytes = new Uint8Array(size);
@@ -40,7 +39,7 @@ function write(file, data, at) {
   for (let done = 0; done < bytes.length; ) done += fs.writeSync(file, bytes, done, bytes.length - done, at + done);
 }
 
-// Where each part of the reconstruction starts in the output (vectors/README.md), behind its head and its digests.
+// The offset of each part of the reconstruction in the output (vectors/README.md), after head and digests.
 function partPlaces({ header, features, planes }, start) {
   const [n, k] = [header.anchor_count, header.offset_count];
   const sizes = {
@@ -56,7 +55,7 @@ function partPlaces({ header, features, planes }, start) {
   return places;
 }
 
-// Writes the canonical reconstruction, chunk after chunk.
+// Writes the canonical reconstruction, chunk by chunk.
 async function reconstruct(input, output) {
   const chunks = decode(fileSource(input), { digests: true });
   let places;
@@ -87,7 +86,7 @@ async function reconstruct(input, output) {
   }
 }
 
-// Where the camera of a document is (vectors/README.md, SPEC 14.2).
+// The place of the camera of a document (vectors/README.md, SPEC 14.2).
 function readCentre(path) {
   const { rotation, translation } = cameraOf(fs.readFileSync(path, "utf8"));
   const three = (list, right) => Array.isArray(list) && list.length === 3 && list.every(right);
@@ -115,7 +114,7 @@ function documents(view) {
   });
 }
 
-// Writes the Gaussians that a place sees, chunk after chunk.
+// Writes the Gaussians that are visible from a place, chunk by chunk.
 async function see(input, centre, output) {
   let [gaussians, at, separator] = [undefined, 0, ""];
   const add = (text) => {
@@ -135,7 +134,7 @@ async function see(input, centre, output) {
   add("]}");
 }
 
-// Calls `make` with a file to write to, which is then at `output`. Links stay. A device is written to as it is.
+// Calls `make` with a file to write, then moves it to `output`. Links are followed. A device is written directly.
 async function staged(output, inputs, make) {
   const status = (name) => fs.statSync(name, { bigint: true, throwIfNoEntry: false });
   const there = status(output);
@@ -166,7 +165,7 @@ async function written(name, flags, make) {
   }
 }
 
-// Decodes one file. camera: the path of a camera, if its Gaussians are wanted.
+// Decodes one file. camera: the path of a camera document, to write its Gaussians.
 //
 // Returns the exit status and the last line of stderr.
 async function run(input, output, camera) {
@@ -192,7 +191,7 @@ async function run(input, output, camera) {
   }
 }
 
-// What a line of `serve` asks for.
+// The request in a line of `serve`.
 function request(line) {
   let asked;
   try {
@@ -206,7 +205,7 @@ function request(line) {
   return asked;
 }
 
-// Answers each line {"id", "input", "output"} as `conformance run --serve` demands.
+// Answers each line {"id", "input", "output"} as `conformance run --serve` requires.
 async function serve() {
   for await (const line of readline.createInterface({ input: process.stdin })) {
     const { id, input, output } = request(line);
@@ -227,7 +226,7 @@ async function main([command, ...paths]) {
   return status;
 }
 
-// Node's own status for an error, 1, is a verdict.
+// The exit status 1, which Node uses for errors, is a verdict.
 function fail(error) {
   const usage = error instanceof UsageError || error.syscall !== undefined;
   console.error(usage ? `c3gs: ${error.message}` : `c3gs: a fault of the program\n${error.stack}`);

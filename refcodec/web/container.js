@@ -1,5 +1,6 @@
 // The container of a C3GS file, format version 0, read and checked: prologue, header, directory, sections and frame.
-// Written from SPEC.md. The numbers in comments are its clauses. It is where a decoder in another language begins.
+// Written from SPEC.md. The numbers in comments are its clauses. A decoder in another language can start with a port of
+// it.
 import { need } from "./errors.js";
 import { power } from "./numbers.js";
 
@@ -20,7 +21,7 @@ const TRANSLATION_BOUND = 2n ** 61n;
 const FRAME_SHIFT_MAX = 60;
 const FRAME_RANGE_BOUND = 2 ** 18;
 
-// The bytes of a section that is not kept are read in blocks of this size.
+// The block size for reading sections that are not kept.
 const BLOCK = 1 << 20;
 
 // 11.1 and 11.2
@@ -47,7 +48,7 @@ const FEATURES_MAX = 128;
 // 5.8: the rendering networks, and their outputs for each offset
 export const RENDERING = [["opacity", 1], ["covariance", 7], ["colour", 3]];
 
-// 5.7 to 5.14: the types of the critical sections, in their order, and those that have a mode 1 (6.6)
+// 5.7 to 5.14: the types of the critical sections in order, and those with a mode 1 (6.6)
 const CRITICAL = ["FRAM", "WGTS", "PLNS", "INDX", "DATA"];
 const MODE_1 = ["WGTS", "INDX"];
 
@@ -73,9 +74,9 @@ export function isZero(data, start, end) {
   return data.subarray(start, end).every((byte) => byte === 0);
 }
 
-// Reads fields one after the other; `at` has the offset of each in the file, by its path.
+// Reads consecutive fields; `at` has the file offset of each, by its path.
 //
-// start: the offset of data in the file. overrun: the error of fields that are longer than data.
+// start: the offset of data in the file. overrun: the error for fields longer than data.
 export class Cursor {
   constructor(data, start, overrun = []) {
     Object.assign(this, { start, overrun, next: 0, at: {} });
@@ -106,8 +107,8 @@ export class Cursor {
   }
 }
 
-// 10.1, PROLOGUE to DIRECTORY: returns the header's fields by their names, `at` with their offsets, and its `sections`: of each
-// type, mode, start, length and crc. Lengths of critical sections are numbers that a file can have.
+// 10.1, PROLOGUE to DIRECTORY: returns the header fields by name, `at` with their offsets, and `sections`, each with
+// type, mode, start, length and crc. Lengths of critical sections are possible file lengths.
 export async function readHeader(source) {
   const { minor, end } = readPrologue(await source.read(0, PROLOGUE_LENGTH));
   const data = await source.read(PROLOGUE_LENGTH, end - PROLOGUE_LENGTH);
@@ -117,7 +118,7 @@ export async function readHeader(source) {
   let start = end;
   h.sections = h.directory.map(({ type, mode, length, crc }) => {
     const section = { type, mode, start, length: Number(length), crc };
-    // Exact where a file can reach: a section that begins within the file is at most 2^48 bytes long.
+    // Exact within a file: a section that begins in the file is at most 2^48 bytes long.
     start += pad4(section.length);
     return section;
   });
@@ -140,10 +141,10 @@ function readPrologue(data) {
   return { minor, end: PROLOGUE_LENGTH + headerLength };
 }
 
-// 5.2 to 5.6; end: of the header
+// 5.2 to 5.6. end: the offset of the header end
 function parseHeader(data, end, minor) {
   need(PROLOGUE_LENGTH + data.length === end, "header.truncated", PROLOGUE_LENGTH + data.length);
-  // [R6.2-2]: the CRC-32 is the last four bytes, whatever the fields say.
+  // [R6.2-2]: the CRC-32 is the last four bytes, independent of the fields.
   const crc = new DataView(data.buffer, data.byteOffset).getUint32(data.length - 4, true);
   need(crc === crc32(data, 0, data.length - 4), "header.crc", end - 4);
   const c = new Cursor(data.subarray(0, -4), PROLOGUE_LENGTH, ["header.syntax", end]);
@@ -201,7 +202,7 @@ function checkHeader(h) {
   need(within(h.chunk_size, profile.chunk_size), "header.chunk_size", at.chunk_size);
   const lanes = ["plane_lanes_log2", "mask_lanes_log2", "attribute_lanes_log2"];
   lanes.forEach((name) => need(h[name] <= LANES_LOG2_MAX, "header.lanes", at[name]));
-  // A NaN is within nothing.
+  // A NaN is within no limits.
   h.base_step.forEach((step, i) => {
     need(within(step, [BASE_STEP_MIN, BASE_STEP_MAX]), "header.base_step", at[`base_step[${i}]`]);
   });
@@ -239,7 +240,7 @@ function checkDimensions(h, profile, level) {
   check(h.plane_size <= level.planeSize, "plane_size");
 }
 
-// [R6.5-1], in the order of its sentence
+// [R6.5-1], in the order of the requirement
 function checkRenderInfo(h) {
   const check = (condition, name) => need(condition, "header.render_info", h.at[name]);
   check(h.up_axis <= 5, "up_axis");
@@ -259,7 +260,7 @@ export function attributeChannels(h) {
   return features(h) + 6 + 3 * h.offset_count;
 }
 
-// 5.8: the layers in file order, of each the name of its network and how many outputs and inputs it has
+// 5.8: the layers in file order, each with the name of its network, and its numbers of outputs and inputs
 export function layers(h) {
   const found = [];
   const network = (name, widths) => {
@@ -279,30 +280,30 @@ export function layers(h) {
   return found;
 }
 
-// Weights and biases of the networks whose names are chosen
+// The number of weights and biases of the chosen networks
 export function weightCount(h, chosen = () => true) {
   const counts = layers(h).map(({ network, outputs, inputs }) => chosen(network) ? outputs * (inputs + 1) : 0);
   return counts.reduce((sum, count) => sum + count, 0);
 }
 
-// The inputs of CARM: the features but those of the last slice
+// The inputs of CARM: the features except those of the last slice
 export function carmInputs(h) {
   return features(h) - h.slice_width[h.slice_count - 1];
 }
 
-// 11.2: below 2^46, so a number holds it
+// 11.2: below 2^46, thus exact as a number
 function work(h) {
   const anchor = weightCount(h, (name) => name === "hyper" || name.startsWith("carm")) + 16 * attributeChannels(h);
   const points = 5 * h.plane_channels * h.plane_size ** 2;
   return h.anchor_count * anchor + points * (weightCount(h, (name) => name === "sarm") + 16);
 }
 
-// 12.1: a small first letter
+// 12.1: a lower-case first letter
 export function isAncillary({ type }) {
   return (type.charCodeAt(0) & 32) !== 0;
 }
 
-// 10.1, DIRECTORY: [R6.6-1] to [R6.6-5], each over all entries
+// 10.1, DIRECTORY: [R6.6-1] to [R6.6-5], each for all entries
 function checkDirectory(h) {
   const { at, directory } = h;
   directory.forEach(({ type }, i) => need(/^[A-Za-z]{4}$/.test(type), "directory.type", at[`type ${i}`]));
@@ -327,7 +328,7 @@ function checkDirectory(h) {
   });
 }
 
-// [R6.6-6] to [R6.6-8]: returns the bytes of a section but DATA
+// [R6.6-6] to [R6.6-8]: returns the bytes of a section other than DATA
 export async function readSection(source, { start, length, crc }) {
   const data = await source.read(start, pad4(length));
   if (data.length < pad4(length)) await truncated(source);
@@ -367,7 +368,7 @@ export async function checkEnd(source, h) {
   need((await source.read(h.end, 1)).length === 0, "file.trailing", h.end);
 }
 
-// 6.7: returns matrix, translation, shift, low and high, 21 integers of 64 bits. start: of the section
+// 6.7: returns matrix, translation, shift, low and high, 21 integers of 64 bits. start: the section offset
 export function parseFrame(data, start) {
   const c = new Cursor(data, start);
   const matrix = c.array("matrix", "i32", 9);

@@ -1,7 +1,7 @@
-// The digests of the canonical reconstruction (SPEC.md 9.3), chunk after chunk.
+// The digests of the canonical reconstruction (SPEC.md 9.3), chunk by chunk.
 
 export const PARTS = ["positions", "masks", "planes", "features", "scalings", "offsets", "weights"];
-// The parts that anchors have.
+// The parts of anchors.
 const OF_ANCHORS = ["positions", "masks", "features", "scalings", "offsets"];
 
 const ascii = (text) => Uint8Array.from(text, (letter) => letter.charCodeAt(0));
@@ -12,14 +12,14 @@ const u32 = (...values) => {
   return new Uint8Array(view.buffer);
 };
 
-// What the digest of a scene begins with.
+// The first bytes of the digest input of a scene.
 export function sceneHead(header, features) {
   const h = header;
   const numbers = u32(h.anchor_count, h.offset_count, features, h.plane_channels, h.plane_size);
   return Uint8Array.of(...ascii("C3GSREC1"), ...numbers);
 }
 
-// What the digest of a chunk begins with.
+// The first bytes of the digest input of a chunk.
 function chunkHead(count, header, features) {
   return Uint8Array.of(...ascii("C3GSCHK1"), ...u32(count, header.offset_count, features));
 }
@@ -31,7 +31,7 @@ export class Digests {
     for (const { values } of scene.layers) kernel.addToHash(this.hashes.get("weights"), values);
   }
 
-  // Takes the next chunk, and returns its digest.
+  // Adds the next chunk, and returns its digest.
   add(chunk) {
     const { header, features } = this.scene;
     const own = this.kernel.makeHash();
@@ -43,7 +43,7 @@ export class Digests {
     return this.kernel.endHash(own);
   }
 
-  // Returns the digest of the scene, and of each part by its name, 32 bytes each.
+  // Returns the digest of the scene, and of each part by name, 32 bytes each.
   end() {
     const parts = Object.fromEntries(PARTS.map((name) => [name, this.kernel.endHash(this.hashes.get(name))]));
     const whole = this.kernel.makeHash();

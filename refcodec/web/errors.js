@@ -1,4 +1,4 @@
-// The registry of errors (SPEC.md 10.3), and what this package throws.
+// The registry of errors (SPEC.md 10.3), and the errors of this package.
 
 // code, name, class, clause
 const ROWS = `
@@ -82,22 +82,22 @@ for (const row of ROWS.trim().split("\n")) {
   NAMES.set(Number(code), name);
 }
 
-// A file that is refused.
+// Thrown for a rejected file.
 export class C3gsError extends Error {
-  // name: of the registry. offset: a byte of the file.
+  // name: from the registry. offset: a byte of the file.
   constructor(name, offset) {
     const row = REGISTRY.get(name);
     super(`${row.class} at byte ${offset}; error ${row.code}, SPEC.md ${row.clause}`);
     Object.assign(this, row, { offset });
   }
 
-  // SPEC 10.2: what a program says of a refused file.
+  // SPEC 10.2: the report of a program for a rejected file.
   toJSON() {
     return { code: this.code, name: this.name, class: this.class, clause: this.clause, offset: this.offset };
   }
 }
 
-// A file that needs more than its caller allows. It says nothing of whether the file is right.
+// Thrown for a file that needs more than its caller allows. It is not a verdict on the file.
 export class BoundPassedError extends Error {
   // bound: "anchors" or "memory". needed, allowed: anchors, or bytes.
   constructor(bound, needed, allowed) {

@@ -1,11 +1,11 @@
-// The Gaussians that a place sees (SPEC.md 14.3).
+// The Gaussians that are visible from a place (SPEC.md 14.3).
 import { checkBounds, gaussiansBytes } from "./bounds.js";
 import { centreOf } from "./camera.js";
 import { kernelOf, VIEW } from "./kernel.js";
 
-// Anchors that go to the kernel together. A scene may have more than fit twice in its memory.
+// Anchors per kernel call. A scene may be too large for two copies in memory.
 const PIECE = 4096;
-// The types of the arrays of anchors, and how many numbers an anchor has, for K offsets and F features.
+// The types of the anchor arrays, and their numbers per anchor, for K offsets and F features.
 const ARRAYS = {
   positions: [Float32Array, () => 3],
   masks: [Uint8Array, (k) => k],
@@ -14,7 +14,7 @@ const ARRAYS = {
   offsets: [Float32Array, (k) => 3 * k],
 };
 
-// Returns the sums of the kept offsets before each anchor, and of all.
+// Returns the number of kept offsets before each anchor, and in total.
 function slotsOf(masks, count, offsets) {
   const slots = new Uint32Array(count + 1);
   for (let i = 0, at = 0; i < count; i++) {
@@ -35,11 +35,11 @@ export function boundsOf(positions) {
   return { low, high };
 }
 
-// How much the view of what lies within bounds changes on the way between two places.
+// The change of the view of a box between two places.
 function change({ low, high }, before, now) {
   const way = Math.hypot(...now.map((x, i) => x - before[i]));
   if (way === 0) return 0;
-  // Among anchors, the distance to the nearest one is rarely less than this.
+  // The distance to the nearest anchor is rarely less than this.
   const among = Math.hypot(...high.map((x, i) => x - low[i])) / 4;
   const away = Math.hypot(...now.map((x, i) => Math.max(low[i] - x, x - high[i], 0)));
   return way / Math.max(away, among);
@@ -48,7 +48,7 @@ function change({ low, high }, before, now) {
 export class Gaussians {
   #kernel;
   #renderer;
-  // Of each chunk: its place in the kernel's memory, its slots, and from where it was last seen.
+  // For each chunk: its address in the kernel, its slots, and the place of its last view.
   #own = [];
   #options;
 
@@ -173,7 +173,7 @@ function hasRoom(view, count) {
   });
 }
 
-// The same Gaussians in arrays that hold no more.
+// The same Gaussians in arrays without spare room.
 function trimmed(view) {
   const arrays = Object.entries(VIEW).map(([name, [, width]]) => [name, view[name].slice(0, width * view.count)]);
   return { count: view.count, ...Object.fromEntries(arrays) };

@@ -1,31 +1,31 @@
-// The native kernel in WebAssembly: memory, calls, and what its statuses mean.
+// The native kernel in WebAssembly: memory, calls, and the meaning of its statuses.
 
 import { RENDERING } from "./container.js";
 import { power } from "./numbers.js";
 
 const NO_MEMORY = -1;
-// More bytes no address reaches.
+// The end of the address space.
 const MEMORY_MAX = 2 ** 32 - 1;
-// The step table lies behind the sine table (SPEC.md Annex A).
+// The step table follows the sine table (SPEC.md Annex A).
 const SINE_LENGTH = 1024;
 const STEP_LENGTH = 64;
 const PLANES = 5;
 const DIGEST_LENGTH = 32;
 const SLICES_MAX = 16;
 const SCALINGS = 6;
-// SPEC.md 7.4: a position counts 2^-24.
+// SPEC.md 7.4: the unit of a position is 2^-24.
 const GRID_BITS = 24;
-// The arrays of a view (SPEC.md 14.3), in the order in which draw.c takes them: their types and widths.
+// The arrays of a view (SPEC.md 14.3), in the order of the arguments of draw.c: types and widths.
 export const VIEW = {
   positions: [Float32Array, 3], scales: [Float32Array, 3], rotations: [Float32Array, 4], colours: [Float32Array, 3],
   opacities: [Float32Array, 1], anchors: [Uint32Array, 1], offsets: [Uint8Array, 1],
 };
 
 let compiled;
-// The kernels of scenes. What a caller has of a scene does not show it.
+// The kernels of scenes, hidden from callers.
 const kernels = new WeakMap();
 
-// Returns the module of c3gs.wasm, which is compiled once.
+// Returns the module of c3gs.wasm, compiled once.
 function compile() {
   compiled ??= read(new URL("./c3gs.wasm", import.meta.url)).catch((error) => {
     compiled = undefined;
@@ -36,7 +36,7 @@ function compile() {
 
 async function read(url) {
   if (url.protocol === "file:") {
-    // Only Node comes here. Bundlers for browsers are told so.
+    // Only for Node. The comment makes bundlers for browsers skip it.
     const { readFile } = await import(/* webpackIgnore: true */ /* @vite-ignore */ "node:fs/promises");
     return WebAssembly.compile(await readFile(url));
   }
@@ -49,20 +49,20 @@ export function shareKernel(scene, kernel) {
   kernels.set(scene, kernel);
 }
 
-// Returns the kernel with which a scene was opened.
+// Returns the kernel of a scene.
 export function kernelOf(scene) {
   const kernel = kernels.get(scene);
   if (kernel === undefined) throw new TypeError("that is no scene of open or decode");
   return kernel;
 }
 
-// wasm: a WebAssembly.Module of c3gs.wasm or its bytes, where it does not lie beside this file.
+// wasm: a WebAssembly.Module of c3gs.wasm or its bytes, if it is not beside this file.
 export async function loadKernel(wasm) {
   const given = wasm === undefined || wasm instanceof WebAssembly.Module ? wasm : await WebAssembly.compile(wasm);
   return new Kernel(await WebAssembly.instantiate(given ?? (await compile())));
 }
 
-// One decoder's memory, with at most one scene. It goes with its object.
+// The memory of one decoder, with at most one scene. It is released with its object.
 class Kernel {
   constructor({ exports }) {
     this.run = exports;
@@ -76,7 +76,7 @@ class Kernel {
   }
 
   allocate(size) {
-    // An address is an unsigned number, which JavaScript is given as a signed one.
+    // WebAssembly returns the unsigned address as a signed number.
     const at = size <= MEMORY_MAX ? this.run.allocate(size) >>> 0 : 0;
     if (at === 0) throw noMemory();
     return at;
@@ -94,7 +94,7 @@ class Kernel {
     return at;
   }
 
-  // Returns memory that is kept for the next call under the same name. It grows if it has to.
+  // Returns memory that is reused by the next call with the same name, and grows on demand.
   keep(name, size) {
     const kept = this.buffers.get(name);
     if (kept !== undefined && kept.size >= size) return kept.at;
@@ -113,13 +113,13 @@ class Kernel {
     return at;
   }
 
-  // A view of memory, which holds until the next call.
+  // A view of memory, valid until the next call.
   view(type, at, length) {
     return new type(this.run.memory.buffer, at, length);
   }
 
-  // SPEC 7.13: decodes the symbols of the two groups of packed weights. scales: of each symbol. The first `few` symbols
-  // are those of the first group. Returns an error code or 0, and the symbols.
+  // SPEC 7.13: decodes the symbols of the two groups of packed weights. scales: one per symbol. The first `few` symbols
+  // form the first group. Returns an error code or 0, and the symbols.
   decodeWeights(bytes, lanes, scales, few) {
     const part = this.put(bytes);
     const scale = this.put(scales);
@@ -131,9 +131,9 @@ class Kernel {
     return { status, symbols };
   }
 
-  // SPEC 7.2 and 7.3: takes what symbols are coded with, instead of what it took before.
+  // SPEC 7.2 and 7.3: sets the state for decoding symbols, in place of the earlier one.
   //
-  // header: the fields of the header. weights: as parseWeights gives them. chunks: frame, planes, maskModel, cellShift
+  // header: the header fields. weights: from parseWeights. chunks: frame, planes, maskModel, cellShift
   // and positionModel, or undefined if only planes are decoded.
   makeScene(header, weights, chunks) {
     const h = header;
@@ -155,7 +155,7 @@ class Kernel {
     if (this.scene === 0) throw noMemory();
   }
 
-  // SPEC 7.3: decodes the five substreams of planes. places, lengths: of each in bytes. points: of a sub-plane.
+  // SPEC 7.3: decodes the five substreams of planes. places, lengths: in bytes. points: per sub-plane.
   decodePlanes(bytes, places, lengths, points) {
     const at = this.put(bytes);
     const place = this.put(Uint32Array.of(...places, ...lengths));
@@ -168,8 +168,8 @@ class Kernel {
     return { statuses, planes };
   }
 
-  // SPEC 10.1, CHUNKS, from the positions on. chunk: as parseChunk gives it. Returns an error code or 0, and the number
-  // of the part that has the error. The integers stay in memory, for `values`.
+  // SPEC 10.1, CHUNKS, from the positions on. chunk: from parseChunk. Returns an error code or 0, and the number
+  // of the part with the error. The integers stay in memory, for `values`.
   decodeChunk(header, chunk) {
     const h = header;
     const n = chunk.anchors;
@@ -194,7 +194,7 @@ class Kernel {
     return { status, part, own };
   }
 
-  // SPEC 9.1: the world positions of the positions (f16 bits) at a place of memory.
+  // SPEC 9.1: the world positions of positions (f16 bits) at an address.
   worldPositions(at, n, { origin, scale_mantissa, scale_exponent }) {
     const from = this.keepCopy("origin", BigInt64Array.from(origin));
     const to = this.keep("values", 12 * n);
@@ -228,7 +228,7 @@ class Kernel {
     return at;
   }
 
-  // Returns room for anchors and their kept offsets, for `addAnchors`.
+  // Allocates memory for anchors and their kept offsets, for `addAnchors`.
   makeAnchors(renderer, count, kept) {
     const at = this.run.makeAnchors(renderer, count, kept) >>> 0;
     if (at === 0) throw noMemory();
@@ -241,9 +241,9 @@ class Kernel {
     known(this.run.addAnchors(renderer, anchors, count, ...places));
   }
 
-  // SPEC 14.3: returns the Gaussians of some of the anchors. They are views that hold until the next call.
+  // SPEC 14.3: returns the Gaussians of some of the anchors. They are views, valid until the next call.
   //
-  // place: 3 numbers. number: of the first of all these anchors. room: for so many Gaussians.
+  // place: 3 numbers. number: that of the first anchor. room: capacity in Gaussians.
   draw(renderer, anchors, start, end, place, number, room) {
     const from = this.keepCopy("centre", place);
     const kinds = Object.entries(VIEW);

@@ -1,4 +1,4 @@
-// Powers of two. Math.pow need not be exact.
+// Powers of two. Math.pow is not necessarily exact.
 
 // 2^e, for -1022 <= e <= 1023
 export function power(e) {

@@ -1,8 +1,7 @@
-// Where the bytes of a file come from: from memory, as they arrive, or by ranges (SPEC.md 10.2).
+// Sources of file bytes: memory, a stream, or ranges (SPEC.md 10.2).
 //
-// A source has read(start, size), which gives `size` bytes, or fewer where the file ends. length(), that of the file,
-// is asked for only after read() gave too few. close() says that nothing more is read. size: the bytes that are there
-// from the start, of a source in memory.
+// A source has read(start, size), which returns `size` bytes, or fewer at the file end. length(), the file length, is
+// called only after read() returned too few. close() ends reading. size: the file length, if the source is in memory.
 
 class Whole {
   constructor(bytes) {
@@ -21,9 +20,9 @@ class Whole {
   async close() {}
 }
 
-// Bytes that arrive in blocks are read from start to end. What was read is not held.
+// A stream of blocks, read from start to end. Bytes are discarded after reading.
 class Arriving {
-  // next: gives the next block, or undefined at the end. close: ends it before that.
+  // next: returns the next block, or undefined at the end. close: cancels the stream.
   constructor(next, close) {
     Object.assign(this, { next, close, blocks: [], held: 0, start: 0 });
   }
@@ -36,7 +35,7 @@ class Arriving {
     return true;
   }
 
-  // Takes `size` bytes away, or all if there are fewer, and returns them as blocks.
+  // Removes and returns `size` bytes, or all if there are fewer, as blocks.
   take(size) {
     const taken = [];
     let left = size;
@@ -97,14 +96,14 @@ class Ranges {
   async close() {}
 }
 
-// Node's Buffer is a Uint8Array whose slice is no copy, so it becomes a plain one.
+// A slice of Node's Buffer is not a copy, thus a Buffer becomes a plain Uint8Array.
 function bytesOf(block) {
   if (block instanceof ArrayBuffer) return new Uint8Array(block);
   if (ArrayBuffer.isView(block)) return new Uint8Array(block.buffer, block.byteOffset, block.byteLength);
   throw new TypeError("bytes are a Uint8Array, an ArrayBuffer or a view of one");
 }
 
-// Returns the source of what a caller has: bytes, a Blob, a Response, a stream, a list of blocks, or {read, length}.
+// Returns the source for an input: bytes, a Blob, a Response, a stream, a list of blocks, or {read, length}.
 export function sourceOf(input) {
   if (input instanceof ArrayBuffer || ArrayBuffer.isView(input)) return new Whole(bytesOf(input));
   if (typeof Blob !== "undefined" && input instanceof Blob) {

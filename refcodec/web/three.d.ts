@@ -1,10 +1,10 @@
-// A loader of C3GS files for three.js. `three` is the page's own.
+// A loader of C3GS files for three.js. The page provides `three`.
 import { Box3, Camera, Color, Loader, LoadingManager, Object3D, PerspectiveCamera, Quaternion, Vector3 } from "three";
 import { Gaussians, Input, Options, Scene, View, Viewpoint } from "./c3gs.js";
 
-/** What takes Gaussians one by one, such as `PackedSplats` of `@sparkjsdev/spark`. */
+/** A target for Gaussians one by one, such as `PackedSplats` of `@sparkjsdev/spark`. */
 export interface SplatTarget {
-  /** Set once they are there. */
+  /** Set after an update. */
   needsUpdate?: boolean;
   setSplat(
     index: number,
@@ -36,28 +36,28 @@ export class C3gsModel {
   readonly bounds: Box3;
   /** The background of the file (6.5). Its numbers are those of the file. */
   readonly background: Color;
-  /** A rotation for the object that draws the file, which turns what is up in the file to +y. */
+  /** The rotation from the up direction of the file to +y, for the object that draws the file. */
   readonly upright: Quaternion;
   /**
-   * What a camera sees. object: it draws the file. Without it, the file's world is that of the page. out: as in
+   * The view of a camera. object: draws the file; without it, the file's world is that of the page. out: as in
    * `Gaussians.all`. The matrices of the camera and of the object must be up to date.
    */
   view(camera: Camera, object?: Object3D, out?: View): View;
   /**
-   * Sets splats from 0 on to what a camera sees, and returns how many these are.
+   * Sets splats from 0 on to the view of a camera, and returns their number.
    *
-   * The target needs room for `gaussians.slotCount` splats. Those that another camera saw and this one does not are
-   * given no opacity. Colours are given as they are in the file.
+   * The target needs room for `gaussians.slotCount` splats. Splats of an earlier view that are not in this one get
+   * opacity 0. Colours are those of the file.
    */
   fill(target: SplatTarget, camera: Camera, object?: Object3D): number;
 }
 
-/** Loads files. Errors are those of `decode`, and Error for a request that fails. */
+/** Loads files. Throws the errors of `decode`, and Error for a failed request. */
 export class C3gsLoader extends Loader<C3gsModel> {
   constructor(manager?: LoadingManager);
   /** Options of `decode`. */
   setOptions(options: Options): this;
-  /** Loads a file. `onProgress` is told of bytes that arrived. */
+  /** Loads a file. `onProgress` is called with the number of received bytes. */
   load(
     url: string,
     onLoad: (model: C3gsModel) => void,
@@ -65,6 +65,6 @@ export class C3gsLoader extends Loader<C3gsModel> {
     onError?: (error: unknown) => void,
   ): void;
   loadAsync(url: string, onProgress?: (event: ProgressEvent) => void): Promise<C3gsModel>;
-  /** Decodes what is there already. */
+  /** Decodes bytes in memory. */
   parse(input: Input): Promise<C3gsModel>;
 }

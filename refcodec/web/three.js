@@ -1,8 +1,8 @@
-// A loader of C3GS files for three.js, which the page has. three.d.ts says what there is.
+// A loader of C3GS files for three.js, which the page provides. three.d.ts documents it.
 import { Box3, Color, Loader, MathUtils, Matrix4, PerspectiveCamera, Quaternion, Vector3 } from "three";
 import { cameraMatrix, centreOf, decode, Gaussians, uprightMatrix } from "./c3gs.js";
 
-// Returns the camera of three.js that sees what a camera of the file sees.
+// Returns the camera of three.js with the view of a camera of the file.
 function perspective(stated, near, bounds) {
   const { width, height, focal, principal_point: middle } = stated;
   const matrix = new Matrix4().fromArray(cameraMatrix(stated));
@@ -12,9 +12,9 @@ function perspective(stated, near, bounds) {
   const far = 2 * (place.distanceTo(corner) + bounds.getSize(new Vector3()).length()) + 2 * near;
   const fov = 2 * MathUtils.RAD2DEG * Math.atan(height / (2 * focal[1]));
   const camera = new PerspectiveCamera(fov, (width * focal[1]) / (height * focal[0]), near, far);
-  // The image is a part of one whose middle is the principal point.
+  // The image is a part of a larger one with the principal point in the middle.
   camera.setViewOffset(width, height, width / 2 - middle[0], height / 2 - middle[1], width, height);
-  // This changes the aspect, which is another one where pixels are not square.
+  // This changes the aspect, which differs if pixels are not square.
   camera.aspect = (width * focal[1]) / (height * focal[0]);
   camera.updateProjectionMatrix();
   matrix.decompose(camera.position, camera.quaternion, camera.scale);
@@ -25,7 +25,7 @@ function perspective(stated, near, bounds) {
 }
 
 export class C3gsModel {
-  // How many splats each target shows.
+  // The number of splats of each target.
   #shown = new WeakMap();
 
   constructor(scene, gaussians) {
@@ -58,13 +58,13 @@ export class C3gsModel {
       target.setSplat(i, centre, lengths, rotation, 0, colour);
     }
     this.#shown.set(target, count);
-    // As textures of three.js have it, which are sent to the processor of graphics again.
+    // As for textures of three.js: uploads the data again.
     target.needsUpdate = true;
     return count;
   }
 }
 
-// Yields the bytes of a response, and says how many have come.
+// Yields the bytes of a response, and reports their number.
 async function* arriving(response, tell) {
   const total = Number(response.headers.get("Content-Length") ?? 0);
   let loaded = 0;

@@ -1,4 +1,5 @@
-// The weights of all networks, and the integers of those that code symbols (SPEC.md 5.8, 5.9, 6.8, 7.2 and 7.13).
+// The weights of all networks, and the integers of the networks of the entropy model (SPEC.md 5.8, 5.9, 6.8, 7.2 and
+// 7.13).
 import { Cursor, carmInputs, isZero, layers, pad4, RENDERING } from "./container.js";
 import { errorOfCode, need } from "./errors.js";
 import { power } from "./numbers.js";
@@ -17,8 +18,8 @@ const MODEL_LENGTH = 8;
 
 // [R6.8-1] to [R6.8-8] in the order of 10.1. data: the section. start: its offset. kernel: decodes packed weights.
 //
-// Returns planeShift, carmShift, the values of each layer in file order, in `layers`, and for the kernel `coding` and
-// `shapes`: the integers of F_h, SARM and CARM, one layer after the other, and how many outputs and inputs each has.
+// Returns planeShift, carmShift, `layers` with the values of each layer in file order, and for the kernel `coding` and
+// `shapes`: the integers of F_h, SARM and CARM, layer by layer, and the numbers of outputs and inputs of each.
 export function parseWeights(data, start, mode, header, kernel) {
   const inputs = carmInputs(header);
   const first = pad4(2 + inputs);
@@ -35,7 +36,7 @@ export function parseWeights(data, start, mode, header, kernel) {
   return { planeShift, carmShift, layers: list, ...derive(list, mode) };
 }
 
-// A copy of the values of a layer, bit for bit
+// A copy of the layer values, bit for bit
 function rawValues(data, at, length) {
   return new Float32Array(data.slice(at, at + 4 * length).buffer);
 }
@@ -92,7 +93,7 @@ function parseModel(data, at) {
   return model;
 }
 
-// 7.13: sets the values of the packed layers, or leaves them undefined where an exponent is wrong
+// 7.13: sets the values of the packed layers, or leaves them undefined if an exponent is invalid
 function unpack(packed, bytes, start, header, kernel) {
   const rows = packed.reduce((sum, { outputs }) => sum + outputs, 0);
   const weights = packed.reduce((sum, { outputs, inputs }) => sum + outputs * inputs, 0);
@@ -117,7 +118,7 @@ function unpack(packed, bytes, start, header, kernel) {
   }
 }
 
-// PACKED_LAYER: values from integers, or undefined where an exponent is wrong
+// PACKED_LAYER: values from integers, or undefined if an exponent is invalid
 function packedLayer({ outputs, inputs, exponent }, differences, weights, biases) {
   const values = new Float32Array(outputs * (inputs + 1));
   let e = exponent;
@@ -127,7 +128,7 @@ function packedLayer({ outputs, inputs, exponent }, differences, weights, biases
     let all = biases[r];
     for (let i = 0; i < inputs; i++) all |= weights[r * inputs + i];
     const within = e >= WEIGHT_EXPONENT_MIN && e <= WEIGHT_EXPONENT_MAX;
-    // Of negative integers, too, the last bit says whether they are odd.
+    // The last bit is the parity of negative integers too.
     if (!within || (all !== 0 && (all & 1) === 0) || (differences[r] !== 0 && (all === 0 || first))) return undefined;
     first = first && all === 0;
     // Exact: a multiple of 2^-149 with at most 24 bits.
@@ -156,8 +157,8 @@ function derive(list, mode) {
   return { coding, shapes: Int32Array.from(coded.flatMap(({ outputs, inputs }) => [outputs, inputs])) };
 }
 
-// ROUND_SCALED: floor(x * unit + 1/2). x * unit has 24 bits, so it is exact in binary64. So is the sum, but for small
-// numbers and large ones, where it is rounded to a number with the same floor.
+// ROUND_SCALED: floor(x * unit + 1/2). x * unit has 24 bits, thus it is exact in binary64. The sum is exact too,
+// except for small and large numbers, where the rounded sum has the same floor.
 function roundScaled(x, unit) {
   return Math.floor(x * unit + 0.5);
 }
@@ -167,7 +168,7 @@ function deriveRow(weights, bias, coding, row, at) {
   const largest = weights.reduce((most, w) => Math.max(most, Math.abs(w)), 0);
   for (let e = EXPONENT_MAX; e >= 0; e--) {
     const unit = power(e);
-    // The magnitude of a rounded number is never less than this.
+    // The least magnitude of a rounded number.
     if (Math.ceil(largest * unit - 0.5) > WEIGHT_MAX) continue;
     let most = 0;
     let sum = 0;

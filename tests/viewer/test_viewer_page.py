@@ -215,7 +215,7 @@ def test_a_file_that_needs_too_much_memory(browser: Chromium, tmp_path: Path) ->
         (b"<!DOCTYPE html>", ["not a C3GS file", "looks like a web page", "error 101"]),
         (b"a text of somebody, neither this nor that", ["not a C3GS file", "another kind"]),
         (b"", ["not a C3GS file", "It is empty", "error 101"]),
-        (b"\x89C3GS\r\n\x1a\0\0", ["not whole", "download it again", "error 101"]),
+        (b"\x89C3GS\r\n\x1a\0\0", ["incomplete", "download it again", "error 101"]),
     ],
 )
 def test_files_of_other_kinds(data: bytes, said: list[str], browser: Chromium, tmp_path: Path) -> None:
