@@ -1,9 +1,9 @@
-"""The front door: what `import refcodec` offers to programs and notebooks.
+"""The Python API of `import refcodec`, for programs and notebooks.
 
-open    a file, a URL or bytes, of which only what is asked for is read
-decode  a file, as a Scene
-encode  a Scene, as the bytes of a file
-render  what a camera sees of a Scene, as an image
+open    opens a file, a URL or bytes, and reads on demand
+decode  decodes a file to a Scene
+encode  encodes a Scene to the bytes of a file
+render  renders the image of a camera
 """
 
 from ..bitstream.bounds import BoundPassedError

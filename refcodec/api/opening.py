@@ -1,4 +1,4 @@
-"""A file that is opened: what its header says at once, and its chunks when they are asked for."""
+"""Open files: the header is read at once, the chunks on demand."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ from ..render.camera import Camera
 from . import page
 from .scenes import Scene, named_cameras
 
-# Where a file is: a path, a URL, or the bytes themselves.
+# The source of a file: a path, a URL, or its bytes.
 Place = str | os.PathLike[str] | bytes | bytearray | memoryview
 
 # The most bytes of an ancillary section of a known type that are read.
@@ -42,10 +42,10 @@ _SECTION_BYTES = 1 << 24
 class File:
     """A C3GS file that is open for reading. It is a context manager, and shows itself in a notebook.
 
-    Of a file on a disk or behind a URL, only what is asked for is read. Iterating over it yields its chunks.
+    From a disk or a URL, only the requested bytes are read. Iteration yields the chunks.
 
-    header: what the header says (refcodec.bitstream.header.Header).
-    byte_count: the length of the file.
+    header: the fields of the header (refcodec.bitstream.header.Header).
+    byte_count: the file length.
     """
 
     def __init__(self, source: Source, bounds: Bounds) -> None:
@@ -63,7 +63,7 @@ class File:
         self.close()
 
     def close(self) -> None:
-        """Closes the file. What was read stays."""
+        """Closes the file. Values that were read remain."""
         self._close.close()
 
     @property
@@ -86,19 +86,19 @@ class File:
         """Bytes of each part of the file, with nothing decoded. Their sum is byte_count."""
         index = self.header.section(INDEX)
         heads = min(self.byte_count, SPAN_BYTES)
-        # It is read, and taken apart.
+        # The index is read and parsed.
         self._bounds.check_bytes(3 * index.length + CHUNK * self.chunk_count + 2 * heads)
         data = FileBytes(self._source)
         return part_bytes(data, outline_of(data))
 
     @property
     def metadata(self) -> dict[str, str]:
-        """SPEC 6.14: what the file says of itself, such as title, author and licence."""
+        """SPEC 6.14: the description of the file, such as title, author and licence."""
         return metadata(self._ancillary)
 
     @property
     def cameras(self) -> list[Camera]:
-        """SPEC 6.15: the cameras that the file names. The first one is the default view."""
+        """SPEC 6.15: the cameras of the file. The first one is the default view."""
         return named_cameras(cameras(self._ancillary))
 
     @cached_property
@@ -107,24 +107,24 @@ class File:
         shown = [s for s in self.header.sections if s.type in TYPES and s.length <= _SECTION_BYTES]
         self._bounds.check_bytes((2 + CAMERA) * sum(section.length for section in shown))
         for section in shown:
-            # Decoding says what is wrong with a damaged section. Here it tells nothing.
+            # Decoding reports a damaged section. Here it is ignored.
             with contextlib.suppress(BitstreamError):
                 found.append(Ancillary(section.type, section.mode, read_section(self._source, section).data))
         return found
 
     def chunks(self, numbers: range | None = None) -> Iterator[DecodedChunk]:
-        """SPEC 10.2: yields the chunks in order, decoded, in memory that does not grow with the file.
+        """SPEC 10.2: yields the chunks in order, decoded, in bounded memory.
 
         Without `numbers` the whole file is read and checked: the iterator ends only if the file is accepted. With them,
         only the bytes that these chunks need are read.
 
         Args:
-            numbers: those of the wanted chunks, rising, such as range(3, 5).
+            numbers: the numbers of the chunks, increasing, such as range(3, 5).
 
         Raises:
-            BitstreamError: the file is refused. What was yielded before is right.
-            BoundPassedError: the file needs more than `open` was told to allow.
-            IndexError: the file has not all of these chunks.
+            BitstreamError: the file is rejected. The chunks before are correct.
+            BoundPassedError: the file exceeds the bounds of `open`.
+            IndexError: the file lacks some of these chunks.
         """
         return decoded_chunks(self._source, numbers, bounds=self._bounds)
 
@@ -145,7 +145,7 @@ class File:
         return f"<refcodec.File: {self.byte_count:,} bytes, {self.anchor_count:,} anchors in {chunks}>"
 
     def _repr_html_(self) -> str:
-        """What a notebook shows: a table of anchors, chunks and bytes by part. Nothing is decoded for it."""
+        """Returns the HTML for a notebook: a table of anchors, chunks and bytes by part. Nothing is decoded."""
         facts = [
             ("anchors", f"{self.anchor_count:,}, {self.offset_count} offsets each"),
             ("chunks", f"{self.chunk_count:,}"),
@@ -157,19 +157,19 @@ class File:
 def open(
     place: Place, *, max_anchors: int | None = None, max_memory: int | None = None, max_work: int | None = None
 ) -> File:
-    """Opens a file, of which the header is read and checked at once.
+    """Opens a file, and reads and checks its header.
 
     Args:
         place: a path, a URL (which needs the extra `http` and a server that answers ranges), or the bytes of a file.
-        max_anchors: how many anchors the caller allows, or None. Files of unknown origin should have bounds.
-        max_memory: bytes of memory that decoding may take beside the program, or None, which is 4 GiB behind a URL.
-        max_work: units of work that decoding may take (SPEC.md 13.1), or None.
+        max_anchors: the most anchors, or None. Set bounds for files of unknown origin.
+        max_memory: the most bytes of memory for decoding, or None, which is 4 GiB for a URL.
+        max_work: the most units of work for decoding (SPEC.md 13.1), or None.
 
     Raises:
-        BitstreamError: the header is refused.
-        BoundPassedError: what is no regular file, such as a pipe, is read at once, and has more bytes than allowed.
+        BitstreamError: the header is rejected.
+        BoundPassedError: a pipe, which is read at once, has more bytes than allowed.
         OSError: the file cannot be read.
-        refcodec.statuses.UsageError: what is behind the URL cannot be read.
+        refcodec.statuses.UsageError: the URL cannot be read.
     """
     bounds = Bounds(max_anchors, max_memory, max_work)
     with contextlib.ExitStack() as opened:
@@ -200,15 +200,15 @@ def decode(
 
     Args:
         place: a path, a URL, or the bytes of a file, as for `open`.
-        max_anchors: how many anchors the caller allows, or None.
-        max_memory: bytes of memory that decoding may take beside the program, or None, which is 4 GiB behind a URL.
-        max_work: units of work that decoding may take (SPEC.md 13.1), or None.
+        max_anchors: the most anchors, or None.
+        max_memory: the most bytes of memory for decoding, or None, which is 4 GiB for a URL.
+        max_work: the most units of work for decoding (SPEC.md 13.1), or None.
 
     Raises:
-        BitstreamError: the file is refused. Its kind (code, clause, requirement) and its offset say why (SPEC.md 10.3).
-        BoundPassedError: the file needs more than the caller allows. It is no verdict on the file.
+        BitstreamError: the file is rejected. Its kind (code, clause, requirement) and offset are those of SPEC.md 10.3.
+        BoundPassedError: the file exceeds the bounds. This is not a verdict on the file.
         OSError: the file cannot be read.
-        refcodec.statuses.UsageError: what is behind the URL cannot be read.
+        refcodec.statuses.UsageError: the URL cannot be read.
     """
     with open(place, max_anchors=max_anchors, max_memory=max_memory, max_work=max_work) as file:
         return file.decode()

@@ -1,4 +1,4 @@
-"""A scene as programs and notebooks handle it: its values, its bytes, its images."""
+"""A scene for programs and notebooks: its values, bytes and images."""
 
 # Modules that need the extra `render`, or that read and write folders, are imported where they are used.
 # ruff: noqa: PLC0415
@@ -33,30 +33,30 @@ if TYPE_CHECKING:
 
 F32 = NDArray[np.float32]
 
-# The most anchors of a scene whose picture in a notebook is an image. Of larger ones it shows some points.
+# The most anchors of a scene that a notebook renders. Larger ones are shown as some points.
 DRAWN_ANCHORS = 50_000
 
 
 class Scene:
-    """A scene of N anchors with K offsets each. It shows itself in a notebook.
+    """A scene of N anchors with K offsets each. It has a representation for notebooks.
 
-    A scene never changes, and its arrays are read-only. To change one, make another:
+    A scene is immutable, and its arrays are read-only. To change one, create another:
     `Scene(dataclasses.replace(scene.coded, ...))`.
 
     coded: every number of the file, as integers (refcodec.bitstream.scene.Scene).
     """
 
     def __init__(self, coded: CodedScene, sizes: Mapping[str, int] | None = None) -> None:
-        """coded: the integers. sizes: bytes of each part of the file that they come from, or None."""
+        """coded: the integers. sizes: bytes of each part of their file, or None."""
         self.coded: CodedScene = _read_only(coded)
         self._sizes = None if sizes is None else dict(sizes)
 
     @classmethod
     def read(cls, folder: str | os.PathLike[str]) -> Scene:
-        """Returns the scene of a folder that `refcodec decode`, `train` or `fit` wrote.
+        """Returns the scene of a folder from `refcodec decode`, `train` or `fit`.
 
-        Raises refcodec.folder.layout.SceneFolderError for whatever is wrong in it. The folder of an uncompressed scene
-        has to be encoded first (`refcodec encode`).
+        Raises refcodec.folder.layout.SceneFolderError for every error in it. The folder of an uncompressed scene
+        must be encoded first (`refcodec encode`).
         """
         from ..folder.read import read_folder
 
@@ -65,8 +65,8 @@ class Scene:
     def write(self, folder: str | os.PathLike[str]) -> None:
         """Writes the scene as a folder of files that other programs read, such as point_cloud.ply.
 
-        The folder has the whole scene then, or is as it was. Raises refcodec.folder.layout.SceneFolderError if
-        something else is there, and OSError.
+        The write is atomic. Raises refcodec.folder.layout.SceneFolderError if the folder has other contents, and
+        OSError.
         """
         from ..folder.write import write_folder
 
@@ -79,12 +79,12 @@ class Scene:
 
     @property
     def offset_count(self) -> int:
-        """K, the offsets of each anchor. A Gaussian stands at each offset that `masks` keeps."""
+        """K, the offsets of each anchor. Each offset that `masks` keeps has a Gaussian."""
         return self.coded.dimensions.offset_count
 
     @cached_property
     def values(self) -> Reconstruction:
-        """SPEC 9: the float32 values of all anchors, the same bits on every machine."""
+        """SPEC 9: the float32 values of all anchors, bit-exact on every machine."""
         found: Reconstruction = _read_only(reconstruct(self.coded))
         return found
 
@@ -95,7 +95,7 @@ class Scene:
 
     @property
     def features(self) -> F32:
-        """Features of the anchors, float32 [N, F]. The rendering networks take them."""
+        """Features of the anchors, float32 [N, F]. They are inputs of the rendering networks."""
         return self.values.features
 
     @property
@@ -108,34 +108,34 @@ class Scene:
 
     @property
     def offsets(self) -> F32:
-        """Offsets of the anchors, float32 [N, K, 3], in units of exp(scalings[:, :3]). Those not kept are 0."""
+        """Offsets of the anchors, float32 [N, K, 3], in units of exp(scalings[:, :3]). Masked ones are 0."""
         return self.values.offsets
 
     @property
     def masks(self) -> NDArray[np.bool_]:
-        """Which offsets are kept, bool [N, K]."""
+        """The kept offsets, bool [N, K]."""
         return self.coded.masks
 
     @property
     def metadata(self) -> dict[str, str]:
-        """SPEC 6.14: what the file says of itself, such as title, author and licence."""
+        """SPEC 6.14: the description of the file, such as title, author and licence."""
         return metadata(self.coded.ancillary)
 
     @property
     def cameras(self) -> list[Camera]:
-        """SPEC 6.15: the cameras that the file names. The first one is the default view."""
+        """SPEC 6.15: the cameras of the file. The first one is the default view."""
         return named_cameras(cameras(self.coded.ancillary))
 
     @property
     def camera(self) -> Camera:
-        """The default view: the first camera of the file, or one at the world's origin if it names none."""
+        """The default view: the first camera of the file, or one at the world's origin without cameras."""
         return next(iter(self.cameras), default_camera(NamedCamera()))
 
     @property
     def sizes(self) -> dict[str, int]:
         """Bytes of each part of the file. Their sum is the length of the file.
 
-        A scene that comes from no file is encoded for that, once.
+        A scene without a file is encoded once for them.
         """
         if self._sizes is None:
             self._sizes = part_sizes(encode(self))
@@ -144,7 +144,7 @@ class Scene:
     def digest(self) -> str:
         """SPEC 9.3: returns the SHA-256 of the canonical reconstruction, in hexadecimal.
 
-        It is the same for every decoder and every machine.
+        It is the same for all decoders and machines.
         """
         return digest(self.coded)[0]
 
@@ -152,8 +152,8 @@ class Scene:
         """SPEC 14.3: returns the Gaussians that a camera sees.
 
         camera: None for the default view. The mean, the lengths of the axes, the quaternion, the opacity and the colour
-        of a Gaussian are float32 [n, ...], and anchor and offset say where it comes from. Raises ValueError if the
-        camera is none.
+        of a Gaussian are float32 [n, ...], and anchor and offset say where it comes from. Raises ValueError for an
+        invalid camera.
         """
         camera = camera or self.camera
         check_camera(camera)
@@ -162,16 +162,16 @@ class Scene:
         return gaussians(self.values, self.masks, networks, camera, unit)
 
     def render(self, camera: Camera | None = None) -> NDArray[np.uint8]:
-        """SPEC chapter 14: returns what a camera sees of the scene, uint8 [height, width, 3]: red, green and blue.
+        """SPEC chapter 14: returns the image of a camera, uint8 [height, width, 3]: red, green and blue.
 
-        It needs the extra `render`. The first image of a process takes some seconds more, for compiling.
+        It needs the extra `render`. The first image of a process includes seconds of compilation.
 
         Args:
-            camera: None for the default view. `camera.resized(width, height)` gives one with fewer or more pixels.
+            camera: None for the default view. `camera.resized(width, height)` returns one with another image size.
 
         Raises:
-            ValueError: the image has more than 100,000,000 pixels (refcodec.render.camera.PIXELS_MAX), or the camera is
-                none.
+            ValueError: the image has more than 100,000,000 pixels (refcodec.render.camera.PIXELS_MAX), or the camera
+                is invalid.
             ModuleNotFoundError: a package of the extra is missing.
         """
         view = self._view
@@ -196,7 +196,7 @@ class Scene:
         return f"<refcodec.Scene: {self.anchor_count:,} anchors, {kept:,} of {self.masks.size:,} offsets kept>"
 
     def _repr_html_(self) -> str:
-        """What a notebook shows: a table of anchors, offsets and bytes by part, and a small picture."""
+        """Returns the HTML for a notebook: a table of anchors, offsets and bytes by part, and a small picture."""
         facts = [
             ("anchors", f"{self.anchor_count:,}"),
             ("offsets kept", f"{int(self.masks.sum()):,} of {self.masks.size:,}"),
@@ -218,7 +218,7 @@ class Scene:
         return page.points(found.mean, found.colour, self.coded.render.up_axis)
 
     def _some_gaussians(self) -> Gaussians:
-        """Returns at most page.POINTS Gaussians, of anchors from all over the scene."""
+        """Returns at most page.POINTS Gaussians, from anchors across the scene."""
         step = max(1, -(-self.anchor_count // page.POINTS))
         found = Scene(take_anchors(self.coded, slice(None, None, step))).gaussians(self.camera)
         some = slice(None, None, max(1, -(-len(found.mean) // page.POINTS)))
@@ -226,7 +226,7 @@ class Scene:
 
 
 def _read_only(value: Any) -> Any:
-    """Returns a dataclass, dictionary, list or tuple with all its arrays as read-only views. Other values stay."""
+    """Returns a dataclass, dictionary, list or tuple with read-only views of its arrays. Other values are unchanged."""
     if isinstance(value, np.ndarray):
         view = value.view()
         view.flags.writeable = False
@@ -253,12 +253,12 @@ def part_sizes(data: bytes) -> dict[str, int]:
 def encode(scene: Scene) -> bytes:
     """SPEC 4.3: returns the bytes of a scene's file.
 
-    A scene has one file: of what `decode` returned, these are the bytes that it read.
+    The file of a scene is unique: a scene from `decode` gives the same bytes.
 
     Raises:
-        ValueError: the scene breaks a rule of SPEC.md. The text is the error that a decoder would report, or names the
-            field and its limits.
-        TypeError: it is no Scene, or a field of `scene.coded` has another type than its class says.
+        ValueError: the scene violates a rule of SPEC.md. The text is the error of a decoder, or names the field
+            and its limits.
+        TypeError: not a Scene, or a field of `scene.coded` has a wrong type.
     """
     if not isinstance(scene, Scene):
         raise TypeError(f"encode takes a refcodec.Scene, {type(scene).__name__} found; Scene(coded) makes one")
@@ -266,19 +266,16 @@ def encode(scene: Scene) -> bytes:
 
 
 def render(scene: Scene, camera: Camera | None = None) -> NDArray[np.uint8]:
-    """SPEC chapter 14: returns what a camera sees of a scene, uint8 [height, width, 3].
-
-    As `Scene.render`, which says more.
-    """
+    """SPEC chapter 14: returns the image of a camera, uint8 [height, width, 3]. See `Scene.render`."""
     return scene.render(camera)
 
 
 def _small(camera: Camera) -> Camera:
-    """Returns the camera of the same view, with an image whose longest side is page.SIDE."""
+    """Returns the camera with its image scaled to a longest side of page.SIDE."""
     longer = max(camera.width, camera.height)
     return camera.resized(max(camera.width * page.SIDE // longer, 1), max(camera.height * page.SIDE // longer, 1))
 
 
 def _with_extra(error: ModuleNotFoundError) -> ModuleNotFoundError:
-    """Returns an error about a missing package that says what to install."""
+    """Returns an error for a missing package with the command that installs it."""
     return ModuleNotFoundError(f"{error}: pip install 'refcodec[render]'", name=error.name)

@@ -25,7 +25,7 @@ def write_curves(folder: Path, rows: Sequence[Row]) -> None:
 
 
 def draw(scene: str, rows: Sequence[Row]) -> Figure:
-    """The chart of one scene. An uncompressed method is a ring. A deviation that is NaN has no bar."""
+    """The chart of one scene. An uncompressed method is a ring. A NaN deviation has no error bar."""
     figure = Figure(figsize=(6.4, 4.4), layout="constrained")
     axes = figure.subplots()
     for (method,), of_method in grouped(rows, "method").items():

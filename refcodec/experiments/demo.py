@@ -1,6 +1,6 @@
-"""The whole way once: photographs, training with and without the codec, one file, and a page that shows it.
+"""The demo: photographs, training with and without the codec, a file, and a page of the results.
 
-Another process decodes the file.
+A separate process decodes the file.
 """
 
 from __future__ import annotations
@@ -30,15 +30,15 @@ EXAMPLES = Path(__file__).resolve().parents[2] / "examples" / "photographs"
 TITLES = {"caliterra": "A building site from the air", "snowmiku": "A plush doll"}
 # lambda_r: the paper's middle.
 RATE = 0.004
-# Two trainings side by side on two cores, in six minutes with everything else.
+# Two parallel trainings on two cores, six minutes in total.
 STEPS = 6000
 
 UNCOMPRESSED, CODED = "uncompressed", "coded"
-# Parts of a scene, as a training's report and a file's sections name them; sections that are not here are HEADERS.
+# Parts of a scene by their names in training reports and in files. All other sections are HEADERS.
 PARTS = {
     "positions": "positions of the anchors",
     "attributes": "features, scalings and offsets",
-    "masks": "which offsets exist",
+    "masks": "kept offsets",
     "planes": "planes that predict the attributes",
     "weights": "weights of the networks",
 }
@@ -59,7 +59,7 @@ FILES = {
 
 @dataclass(frozen=True)
 class Demo:
-    """Where everything is. folder: of the results. steps: of each training."""
+    """The settings of a demo. folder: for the results. steps: of each training."""
 
     folder: Path
     photographs: DataSet
@@ -92,7 +92,7 @@ class Demo:
         return [self._training(UNCOMPRESSED, 0), self._training(CODED, RATE)]
 
     def rest(self) -> list[list[Command]]:
-        """What follows the trainings: one chain for the file, one for the uncompressed scene."""
+        """The commands after the trainings: one chain for the file, one for the uncompressed scene."""
         scene, file, decoded = (self.path(name) for name in (CODED, "scene.c3gs", "decoded"))
         return [
             [
@@ -105,7 +105,7 @@ class Demo:
 
 
 def find_example(name: str) -> Path:
-    """The folder of photographs that comes with the project. Raises RunError where only the package is installed."""
+    """Returns the folder of photographs of the project. Raises RunError if only the package is installed."""
     folder = EXAMPLES / name
     if not folder.is_dir():
         raise RunError(
@@ -118,12 +118,12 @@ def find_example(name: str) -> Path:
 def run_demo(folder: Path, photographs: DataSet, steps: int) -> tuple[Path, bool]:
     """Trains, encodes, decodes, evaluates and writes the page.
 
-    What was done before in this folder with the same settings is not done again. Returns the page's path, and whether
-    the trainings came to their end. Raises RunError, also after Ctrl-C if there is nothing to show; PhotographError;
-    SceneFolderError; UsageError if the folder is one that is read, or another run writes to it.
+    Finished commands with the same settings are not repeated. Returns the page's path, and whether the trainings
+    finished. Raises RunError, also after Ctrl-C without results; PhotographError; SceneFolderError; UsageError if the
+    folder is an input, or another run writes to it.
     """
     demo = Demo(folder, photographs, steps)
-    # What is wrong with them is said before anything is made.
+    # Errors in the photographs are reported before anything is written.
     found = photographs.read()
     check_apart([folder / NOTES, folder / PAGE], found.places())
     with hold_folder(folder):
@@ -147,7 +147,7 @@ def _run(demo: Demo) -> tuple[Path, bool]:
 
 
 def check_decoder(demo: Demo) -> str:
-    """The SHA-256 of the scene before coding. Raises RunError if that of the decoder's folder is another one."""
+    """Returns the SHA-256 of the scene before coding. Raises RunError if that of the decoder's folder differs."""
     before = digest(read_folder(demo.path(CODED)))[0]
     decoded = read_result(demo.path("decoded") / SCENE_FILE, lambda found: isinstance(found["digest"]["whole"], str))
     after = decoded["digest"]["whole"]
@@ -219,11 +219,11 @@ def _size(path: Path) -> int:
 
 
 def _credits(photographs: Path) -> str:
-    """What the folder says of where its photographs are from, and their licence."""
+    """Returns the source and the licence of the photographs."""
     found = [
         path.read_text(encoding="utf-8", errors="replace").strip()
         for name in ("SOURCE.md", "LICENSE")
         if has(path := photographs / name)
     ]
-    # Items of a list are broken into lines for an editor; a page breaks them itself.
+    # The page wraps the lines of list items itself.
     return re.sub(r"\n +", " ", "\n\n".join(found)).removeprefix("# ") or f"The photographs are those in {photographs}."

@@ -1,4 +1,4 @@
-"""Rate and distortion: trainings at several rates, their figures as a table and a chart, and how curves differ."""
+"""Rate and distortion: trainings at several rates, their figures as a table and a chart, and differences of curves."""
 
 from __future__ import annotations
 

@@ -1,1 +1,1 @@
-"""Shows people what a file is made of: elements, dumps, summaries, traces, explanations."""
+"""The contents of a file for people: elements, dumps, summaries, traces, explanations."""

@@ -52,7 +52,7 @@ def _rows_near(data: bytes, near: int | None) -> Iterator[Row]:
     before: deque[Row] = deque(maxlen=_NEAR_ROWS)
     after = _NEAR_ROWS
     for row in rows(data):
-        # The last element stands for a byte past the end.
+        # A byte past the end selects the last element.
         if row.end <= min(near, len(data) - 1):
             before.append(row)
         elif after >= 0:
@@ -65,7 +65,7 @@ def _rows_near(data: bytes, near: int | None) -> Iterator[Row]:
 
 
 def about_lines(data: bytes, near: int) -> Iterator[str]:
-    """Yields lines about the element at a byte: what it is, its clauses and requirements, and a command to try next."""
+    """Yields lines about the element at a byte: its meaning, clauses and requirements, and a command for more."""
     row = next((row for row in rows(data) if row.end > min(near, len(data) - 1)), None)
     if row is not None:
         yield ""

@@ -1,7 +1,7 @@
 """Every byte of a file, with its syntax element.
 
-Damaged files are shown as far as they parse. No bytes make a function here raise, and no function here judges a file.
-Headers are read without checks. So every count from a header is limited by the bytes that are there.
+Damaged files are shown as far as they parse. No input makes a function here raise, and no function validates a file.
+Headers are read without checks, thus every count from a header is limited by the available bytes.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ from ..bitstream.planes import PLANE_NAMES
 from ..bitstream.positions import PACKED
 from ..bitstream.source import FileBytes, pad4
 
-# A file: its bytes, or what reads of them what is asked for.
+# A file: its bytes, or an object that reads slices of them.
 Bytes = bytes | FileBytes
 # No struct of SYNTAX is longer than the largest header.
 _STRUCT_BYTES_MAX = 1 << 16
@@ -47,9 +47,9 @@ class Row:
 
 @dataclass(frozen=True)
 class Place:
-    """Where a section is, cut to the file.
+    """The place of a section, cut to the file.
 
-    name: that in paths. end: without the padding. stop: where the next section starts.
+    name: that in paths. end: without the padding. stop: the start of the next section.
     """
 
     type: bytes
@@ -62,10 +62,10 @@ class Place:
 
 @dataclass(frozen=True)
 class Outline:
-    """What the header says of a file, as far as it parses. Nothing is checked.
+    """The fields of the header, as far as it parses. Nothing is checked.
 
-    header: the fields, or None if the header is not whole.
-    header_end: where the header ends, or where the file does.
+    header: the fields, or None if the header is incomplete.
+    header_end: the end of the header or of the file.
     dimensions: None if they cannot be read.
     sections: in file order.
     stated_end: where the last section ends by the directory, or the header's end without one.
@@ -94,7 +94,7 @@ class Outline:
 
 
 def parse_elements(name: str, data: Bytes, start: int, end: int, path: str) -> tuple[list[Row], Any]:
-    """Returns the elements of one struct in data[start:end], as far as the bytes go, and the struct if it is whole."""
+    """Returns the elements of one struct in data[start:end], as far as the bytes go, and the struct if complete."""
     stream = io.BytesIO(data[start : min(end, start + _STRUCT_BYTES_MAX)])
     elements: list[syntax.Element] = []
     try:
@@ -105,7 +105,7 @@ def parse_elements(name: str, data: Bytes, start: int, end: int, path: str) -> t
 
 
 def outline_of(data: Bytes) -> Outline:
-    """Returns the outline of a file. Without a whole header of this major version it has no sections."""
+    """Returns the outline of a file. Without a complete header of this major version it has no sections."""
     _, prologue = parse_elements("Prologue", data, 0, PROLOGUE_BYTES, "prologue")
     if prologue is None or prologue.major != MAJOR:
         return Outline(None, min(len(data), PROLOGUE_BYTES), None, [], PROLOGUE_BYTES)
@@ -124,7 +124,7 @@ def outline_of(data: Bytes) -> Outline:
 
 
 def rows(data: Bytes) -> Iterator[Row]:
-    """Yields the elements of a file in file order. They cover every byte, whatever the bytes are."""
+    """Yields the elements of a file in file order. They cover every byte of any input."""
     outline = outline_of(data)
     at = 0
     for row in rows_of(data, outline):
@@ -230,7 +230,7 @@ def _weight_rows(data: Bytes, outline: Outline, place: Place) -> Iterator[Row]:
 
 
 def _substream_rows(data: Bytes, start: int, end: int, lanes: int, path: str) -> Iterator[Row]:
-    """Yields the elements of a substream (SPEC 5.15). What is cut off is left out."""
+    """Yields the elements of a substream (SPEC 5.15). Missing bytes are omitted."""
     head_rows, head = parse_elements("Substream", data, start, end, path)
     yield from head_rows
     if head is None:
@@ -246,7 +246,7 @@ def _substream_rows(data: Bytes, start: int, end: int, lanes: int, path: str) ->
 
 
 def read_index(data: Bytes, outline: Outline) -> NDArray[np.void]:
-    """Returns the entries of the index that are there, with the fields of SPEC 5.13."""
+    """Returns the complete entries of the index, with the fields of SPEC 5.13."""
     place = outline.place(INDEX)
     if place is None:
         return np.zeros(0, ENTRY)

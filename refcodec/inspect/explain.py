@@ -143,7 +143,7 @@ def _field_lines(table: str, field: str) -> Iterator[str]:
 
 
 def element_lines(path: str) -> Iterator[str]:
-    """Yields lines that say what an element is, and which clauses to read. Raises KeyError for a path of no file."""
+    """Yields lines with the meaning and the clauses of an element. Raises KeyError for an unknown path."""
     found = meaning(path)
     yield path
     if found.table:

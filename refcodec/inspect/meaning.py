@@ -32,7 +32,7 @@ TABLE_CLAUSES = {
     **{table: clause for entry in TYPES.values() for table, clause in entry.tables.items()},
 }
 
-# The paths at which the fields of each table stand. FIELD is the name of the field. The first pattern that fits counts.
+# The paths of the fields of each table. FIELD is the field name. The first matching pattern applies.
 _STREAM = r"(?:weights|planes\.[\w.]+|(?:positions|masks|attributes)\[chunk \d+\])"
 TABLES: list[tuple[str, str]] = [
     (r"prologue\.FIELD", "Prologue"),
@@ -152,7 +152,7 @@ FIELDS: dict[str, str] = {
     },
 }
 
-# The elements outside tables: the pattern of their paths, what they hold, and their clauses and requirements.
+# The elements outside tables: the pattern of their paths, their contents, clauses and requirements.
 _CODING = r"weights\.(?:hyper|sarm|carm\.\d+)\.\d+"
 _RENDERING = r"weights\.(?:opacity|covariance|colour)\.\d+"
 _ANCILLARY = r"[a-z][A-Za-z]{3}\[\d+\]"

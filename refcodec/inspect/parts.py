@@ -1,4 +1,4 @@
-"""How many bytes each part of a file takes."""
+"""The size of each part of a file in bytes."""
 
 from __future__ import annotations
 
@@ -11,13 +11,13 @@ from ..bitstream.header import PROLOGUE_BYTES
 from ..bitstream.index import CHUNK_HEAD_BYTES
 from .elements import Bytes, Outline, read_index
 
-# Chunks whose heads are looked at at once, and the most bytes in which they lie that are read at once.
+# Chunk heads per step, and the most bytes around them that are read at once.
 _BLOCK = 4096
 SPAN_BYTES = 1 << 24
 
 
 def part_bytes(data: Bytes, outline: Outline, heads: bool = True) -> dict[str, int]:
-    """Returns the bytes of each part of a file. Their sum is the length of the file, whatever the bytes are.
+    """Returns the bytes of each part of a file. Their sum is the length of the file, for any input.
 
     The parts are prologue, header, the critical sections but DATA by their names, the parts of all chunks (positions,
     masks and attributes), heads (of the chunks, with the padding of their parts), ancillary (all such sections), and
@@ -44,7 +44,7 @@ def part_bytes(data: Bytes, outline: Outline, heads: bool = True) -> dict[str, i
 def _chunk_bytes(data: Bytes, outline: Outline, start: int, end: int) -> dict[str, int]:
     """SPEC 5.14: returns the bytes of positions, masks and attributes of all chunks in data[start:end].
 
-    They are those that the heads state, as far as the file has them.
+    They are those in the heads, limited by the file.
     """
     index, at = read_index(data, outline), start
     total = np.zeros(len(PARTS), np.int64)

@@ -1,4 +1,4 @@
-"""The numbers that a decoder computes for anchors, by name: what `inspect --anchor` shows and what probes hold.
+"""The numbers that a decoder computes for anchors, by name: the values of `inspect --anchor` and of probes.
 
 A probe is a line of a trace, `probe NAME[ANCHOR] NUMBERS`, with integers that spaces separate (conformance/README.md).
 """
@@ -36,7 +36,7 @@ class Quantity:
 
 
 def geometry(scene: Scene, at: slice) -> Iterator[Quantity]:
-    """Yields what clauses 7.4 and 7.5 compute, in their order. at: the anchors."""
+    """Yields the results of clauses 7.4 and 7.5 in order. at: the anchors."""
     p = position_integers(scene.positions[at])
     yield Quantity("P", "P of x, y, z", "7.4", p)
     if scene.frame is None:
@@ -54,7 +54,7 @@ def geometry(scene: Scene, at: slice) -> Iterator[Quantity]:
 
 
 def predictions(scene: Scene, coding: Coding, at: slice) -> list[Quantity]:
-    """Returns what F_h gives: means, scale indices, and the outputs for the step indices. at: the anchors."""
+    """Returns the outputs of F_h: means, scale indices, and the outputs for the step indices. at: the anchors."""
     width = scene.dimensions.attribute_width
     hyper = coding.model.hyper(coding.contexts(at)).astype(np.int64)
     return [
@@ -65,7 +65,7 @@ def predictions(scene: Scene, coding: Coding, at: slice) -> list[Quantity]:
 
 
 def slices(scene: Scene, coding: Coding, at: slice, mean: Int64, scale: Int64) -> Iterator[tuple[Quantity, Quantity]]:
-    """Yields means and scale indices of each slice, with what CARM adds. mean, scale: what F_h gives."""
+    """Yields means and scale indices of each slice, with the outputs of CARM added. mean, scale: outputs of F_h."""
     features, done = scene.attributes.features[at].astype(np.int64), 0
     for i, columns in enumerate(scene.dimensions.slices):
         change = (
@@ -82,21 +82,21 @@ def slices(scene: Scene, coding: Coding, at: slice, mean: Int64, scale: Int64) -
 
 
 def before_symbols(scene: Scene, coding: Coding, at: slice) -> list[Quantity]:
-    """Returns what is known of anchors before any symbol of their attributes. at: the anchors."""
+    """Returns the values of anchors that precede the symbols of their attributes. at: the anchors."""
     return [*geometry(scene, at), *predictions(scene, coding, at)]
 
 
 def of_slices(scene: Scene, coding: Coding, at: slice, known: list[Quantity]) -> list[list[Quantity]]:
     """Returns of each slice from 1 on its means and scale indices, known before its symbols.
 
-    known: what before_symbols returns.
+    known: from before_symbols.
     """
     by_name = {q.name: q.values for q in known}
     return [list(pair) for pair in slices(scene, coding, at, by_name["means"], by_name["scales"])][1:]
 
 
 def step_numbers(known: list[Quantity]) -> Quantity:
-    """Returns the step indices. known: what before_symbols returns."""
+    """Returns the step indices. known: from before_symbols."""
     outputs = next(q.values for q in known if q.name == "step_outputs")
     what = "step indices of features, scalings, offsets"
     return Quantity("steps", what, "7.8", step_indices(outputs).astype(np.int64))

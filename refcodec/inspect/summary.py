@@ -25,9 +25,9 @@ from ..files.text import printable
 from .elements import Bytes, Outline, outline_of, parse_elements, read_index
 from .parts import part_bytes
 
-# SPEC 5.13: what is shown of the entries of the index, as the fields and in words.
+# SPEC 5.13: the index fields that are shown, and their names in text.
 _SHOWN = {"length": "bytes", "anchor_count": "anchors", "kept_count": "kept offsets"}
-# Chunks that are made at once.
+# Chunks per step.
 _BLOCK = 4096
 # The most bytes of an ancillary section that are looked at.
 _ANCILLARY_BYTES = 1 << 24
@@ -38,7 +38,7 @@ _BAR = 20
 
 
 def _plain(value: Any) -> Any:
-    """Returns what construct parsed as JSON values. Bytes become hexadecimal, numbers that JSON lacks become text."""
+    """Returns values of construct as JSON values. Bytes become hexadecimal, numbers that JSON lacks become text."""
     if isinstance(value, dict):
         return {k: _plain(v) for k, v in value.items() if not k.startswith("_")}
     if isinstance(value, list | tuple):
@@ -76,7 +76,7 @@ def _section_table(data: Bytes, outline: Outline) -> list[dict[str, Any]]:
 
 @dataclass(frozen=True, eq=False)
 class ChunkSizes:
-    """The chunks that a file claims to have. A damaged file may claim a million, so each is made when it is asked for.
+    """The chunks that a file claims to have. A damaged file may claim a million, thus each is created on demand.
 
     table: the entries of the index.
     """
@@ -201,7 +201,7 @@ def summary(facts: dict[str, Any], name: str) -> Iterator[str]:
 
 
 def _undecided_lines(facts: dict[str, Any]) -> Iterator[str]:
-    """Yields what is said of a file that was not decoded."""
+    """Yields the lines for a file that was not decoded."""
     if "stated_bytes" in facts:
         yield f"NOT WHOLE: the file has {facts['bytes']} bytes, its header states {facts['stated_bytes']}"
     yield "not decoded; refcodec validate says whether the file is accepted, inspect --decode also gives the digest"
@@ -240,7 +240,7 @@ def _header_lines(facts: dict[str, Any], h: dict[str, Any]) -> Iterator[str]:
 
 
 def _data_lines(facts: dict[str, Any], anchors: int) -> Iterator[str]:
-    """Yields what the parts of all chunks take."""
+    """Yields the sizes of the parts of all chunks."""
     for name in (*CHUNK_PARTS, "heads") if "heads" in facts["parts"] else ():
         size = facts["parts"][name]
         share = size / max(1, facts["bytes"])

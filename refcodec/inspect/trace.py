@@ -41,7 +41,7 @@ def trace(data: bytes, write: Callable[[str], object]) -> Parsed:
             write(f"{row.path}\t{row.kind}\t-\t-\t{value_text(row) or row.value.hex()}\n")
 
     def symbol(row: TraceRow) -> None:
-        # The head of a substream comes before its symbols.
+        # The head of a substream precedes its symbols.
         show(row.substream + 1)
         write(f"{row.path}\t{row.family}\t{row.mean}\t{row.scale}\t{row.value}\n")
 

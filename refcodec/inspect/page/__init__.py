@@ -1,1 +1,1 @@
-"""The page of a file: one HTML document that shows what the file is made of, and what its symbols cost."""
+"""The page of a file: one HTML document with the file's contents and the cost of its symbols."""

@@ -84,7 +84,7 @@ def pieces(data: Bytes, outline: Outline) -> Iterator[Piece]:
 def _grouped(data: Bytes, outline: Outline, place: Place, pattern: str, kind: str) -> Iterator[Piece]:
     """Yields the elements of a section in groups: those in a row whose paths begin with the same text.
 
-    pattern: what it is, and of it the first group is the name of the piece.
+    pattern: matches the path; its first group is the name of the piece.
     """
 
     def name(path: str) -> str:

@@ -1,7 +1,7 @@
-"""What symbols cost, and what their models expected: code lengths, histograms, and the curves of the models.
+"""Code lengths and histograms of symbols, and the curves that their models expect.
 
-A Tally is told of the symbols of one kind. A Meter is a coder (bitstream.entropy.Coder) that codes nothing and tells
-tallies. So the decoding process itself says which model each symbol has.
+A Tally counts the symbols of one kind. A Meter is a coder (bitstream.entropy.Coder) that codes nothing and feeds
+tallies. Thus the decoding process itself selects the model of each symbol.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from ...pages.plots import F64, Plot, histogram
 # behind one for those below and before one for those above.
 LIMIT = 511
 _PLACES = 2 * LIMIT + 3
-# Kinds of models that are looked at at once, which bounds the memory.
+# Distinct models per step, which bounds the memory.
 _BLOCK = 4096
 # The code length of an escape beside its model's symbol (SPEC 8.7), in the mean: a sign, and an Elias-gamma code whose
 # prefix of z zeros has the probability 2^-(z + 1).
@@ -32,7 +32,7 @@ _PREFIXES = LIMIT.bit_length() + 1
 
 @cache
 def _frequency_bits() -> F64:
-    """The code length of a symbol by its frequency, 0 to 2^14, in bits. There is no symbol of frequency 0."""
+    """The code length of a symbol by its frequency, 0 to 2^14, in bits. No symbol has frequency 0."""
     return np.array([0.0, *(PRECISION - math.log2(f) for f in range(1, TOTAL + 1))])
 
 
@@ -49,7 +49,7 @@ def _entropies(family: str) -> F64:
 
 
 def escape_bits(away: Int64, radius: Int64) -> Int64:
-    """SPEC 8.7: returns what escapes take beside their models' symbols, int64 bits.
+    """SPEC 8.7: returns the code lengths of escapes without their models' symbols, int64 bits.
 
     away: distances from the centre, past the radius. Both are int64 [n].
     """
@@ -57,7 +57,7 @@ def escape_bits(away: Int64, radius: Int64) -> Int64:
 
 
 def plain_bits(models: ModelSet, index: Int64, symbol: Int64) -> F64:
-    """SPEC 8.2: returns the code length of symbols that are no values, float64 [n] bits. index: of their models."""
+    """SPEC 8.2: returns the code lengths of symbols other than values, float64 [n] bits. index: of their models."""
     at = models.offset.take(index) + symbol
     return np.asarray(_frequency_bits()[models.upper.take(at) - models.lower.take(at)])
 
@@ -65,7 +65,7 @@ def plain_bits(models: ModelSet, index: Int64, symbol: Int64) -> F64:
 class Tally:
     """Symbols of one kind, counted.
 
-    symbols: how many there are. bits: their code length. expected: the mean code length that their models promise.
+    symbols: their number. bits: their code length. expected: the mean code length that their models promise.
     counts: int64 [channels, places], the histogram of each channel. channel_bits: float64 [channels].
     """
 
@@ -131,7 +131,7 @@ class Tally:
             self._spread(centre - far + 1, centre - near + 1, raw, weight)
 
     def _spread(self, first: Int64, end: Int64, raw: Int64, weight: F64) -> None:
-        """Adds weights that spread evenly over what raw bits choose of values first * 2^raw to end * 2^raw - 1."""
+        """Distributes weights evenly over the values first * 2^raw to end * 2^raw - 1, which raw bits select."""
         each = weight / np.exp2(np.maximum(raw, 0)) / (end - first)
         for bound, sign in ((first, 1), (end, -1)):
             place = np.clip(bound << raw, -LIMIT, LIMIT + 1) + LIMIT
@@ -139,12 +139,12 @@ class Tally:
 
     @property
     def histogram(self) -> Int64:
-        """How often each value from -LIMIT to LIMIT was met, int64 [2 LIMIT + 1]."""
+        """The frequency of each value from -LIMIT to LIMIT, int64 [2 LIMIT + 1]."""
         return np.asarray(self.counts[:, 1:-1].sum(axis=0))
 
     @property
     def curve(self) -> F64:
-        """How often the models expected each value from -LIMIT to LIMIT: the sum of its probabilities."""
+        """The expected frequency of each value from -LIMIT to LIMIT: the sum of its probabilities."""
         return np.maximum(np.cumsum(self._change)[:-1], 0.0)
 
     def plot(self, title: str) -> Plot:
@@ -153,7 +153,7 @@ class Tally:
 
     @property
     def beyond(self) -> int:
-        """How many symbols are past LIMIT in magnitude."""
+        """The number of symbols beyond LIMIT in magnitude."""
         return int(self.counts[:, 0].sum() + self.counts[:, -1].sum())
 
     @property
@@ -163,11 +163,11 @@ class Tally:
 
     @property
     def misfit(self) -> float:
-        """The divergence of the histogram from the curve in bits: what the symbols cost at least for their misfit."""
+        """The divergence of the histogram from the curve in bits: a lower bound of the cost of the misfit."""
         met = np.append(self.histogram, self.beyond).astype(np.float64)
         expected = np.append(self.curve, max(self.symbols - float(self.curve.sum()), 0.0))
         some = met > 0
-        # A sum of rounded numbers can be zero where a symbol was met. Its model gave it 2^-14 at least.
+        # A rounded sum can be zero for a symbol that occurred. Its model gave it at least 2^-14.
         expected = np.maximum(expected[some], met[some] / TOTAL)
         return float((met[some] * np.log2(met[some] / expected)).sum())
 
@@ -179,9 +179,9 @@ def _empirical(counts: Int64) -> float:
 
 
 class Meter:
-    """A coder that tells tallies of values, and keeps the code lengths of all symbols.
+    """A coder that feeds values to tallies, and keeps the code lengths of all symbols.
 
-    bits: of each group of symbols, in coding order, float64 bits.
+    bits: the code lengths of each group of symbols, in coding order, float64.
     """
 
     def __init__(self, tallies: Iterable[tuple[Tally, Int64 | None]] = ()) -> None:

@@ -1,7 +1,7 @@
-"""What the page says of a scene beyond its bytes: one pass over its chunks, in bounded memory.
+"""Measures of a scene beyond its bytes: one pass over its chunks, in bounded memory.
 
-The decoder gives the symbols. The decoding process is then followed again, with a coder that tells what each symbol
-costs (lengths).
+The decoder supplies the symbols. The decoding process then runs again with a coder that measures the code length of
+each symbol (lengths).
 """
 
 from __future__ import annotations
@@ -25,18 +25,18 @@ from ...bitstream.scene import Scene
 from ...bitstream.weights import code_grids, to_grid
 from .lengths import F64, Meter, Tally
 
-# Anchors that are looked at at once, and the most that a sample has. Both bound the memory.
+# Anchors per step, and the most anchors of a sample. Both bound the memory.
 _ROWS = 8192
 SAMPLE_MAX = 1 << 16
-# Bits of an anchor from which on anchors are counted together.
+# Anchors with at least this many bits are counted together.
 BITS_MAX = 1 << 13
 
 
 class Sample:
     """Anchors of a scene at equal distances in file order.
 
-    step: how many anchors one stands for. positions: float64 [n, 3], world units. bits: float64 [n], those of its
-    attributes. kept: int64 [n], how many offsets it keeps.
+    step: the number of anchors per sampled one. positions: float64 [n, 3], world units. bits: float64 [n], those of its
+    attributes. kept: int64 [n], its number of kept offsets.
     """
 
     def __init__(self, anchors: int) -> None:
@@ -45,7 +45,7 @@ class Sample:
         self._parts: list[tuple[F64, F64, Int64]] = [(np.zeros((0, 3)), np.zeros(0), np.zeros(0, np.int64))]
 
     def add(self, first: int, positions: NDArray[np.float32], bits: F64, kept: Int64) -> None:
-        """Takes those of some anchors that are in the sample. first: the number of the first one in the file."""
+        """Adds the anchors that are in the sample. first: the number of the first anchor in the file."""
         some = slice(-first % self.step, None, self.step)
         self._parts.append((positions[some].astype(np.float64), bits[some], kept[some]))
 
@@ -56,7 +56,7 @@ class Sample:
 
 
 class Measures:
-    """The measures of a scene. `add` is given its anchors in order, and then `finish` the scene.
+    """The measures of a scene. `add` takes its anchors in order, and then `finish` the scene.
 
     tallies: of the scalings, the offsets, each slice of the features, and the planes, by name.
     bits: the code lengths of the symbols of each kind of substream, by the names of DECODED (inspect.meaning). Kinds
@@ -65,7 +65,7 @@ class Measures:
     anchor_bits: int64 [BITS_MAX + 1], how many anchors have so many whole bits of attributes, or more for the last.
     mask_counts: int64 [2, contexts], how many offsets are masked, and kept, by the context of SPEC 7.6.
     kept: int64 [K + 1], how many anchors keep so many offsets. kept_bits: their bits of attributes.
-    scene: with the planes and networks, and no anchor. It is there after `finish`.
+    scene: with the planes and networks, and no anchor. It is set by `finish`.
     """
 
     def __init__(self, d: Dimensions, anchors: int) -> None:
@@ -86,7 +86,7 @@ class Measures:
         self._planes: JoinedPlanes | None = None
 
     def add(self, scene: Scene) -> None:
-        """Adds anchors. scene: with them alone, in their chunks."""
+        """Adds anchors. scene: with only these anchors, in their chunks."""
         with one_thread():
             if self._model is None:
                 networks = derive_networks(scene.networks)

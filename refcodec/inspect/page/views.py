@@ -1,4 +1,4 @@
-"""Anchors as points of a picture: along three axes, and as a camera sees them."""
+"""Anchors as points of a picture: along three axes, and in the image of a camera."""
 
 from __future__ import annotations
 
@@ -13,8 +13,8 @@ from .pictures import coloured, png
 
 F64 = NDArray[np.float64]
 
-# Columns and rows of a picture, and the share of anchors that a side view leaves out at either end of an axis, so that
-# a few far away do not make all others small.
+# Columns and rows of a picture, and the share of anchors that a side view leaves out at either end of an axis, because
+# a few distant ones would make the others small.
 SIDE = 440
 OUTSIDE = 0.005
 # Empty rows that a picture has above and below.
@@ -34,7 +34,7 @@ def _axes(frame: Frame | None) -> F64:
     """SPEC 7.5.1: returns the principal axes of the file, or those of the world without a frame, float64 [3, 3]."""
     if frame is None:
         return np.eye(3)
-    # A row of zeros is allowed. It stays one.
+    # A row of zeros is allowed and remains.
     rows = frame.matrix.astype(np.float64)
     return np.asarray(rows / np.maximum(np.linalg.norm(rows, axis=1, keepdims=True), 1.0))
 
@@ -60,9 +60,9 @@ def side_views(positions: F64, frame: Frame | None) -> list[View]:
 
 
 def projected(positions: F64, camera: NamedCamera, near: float) -> tuple[F64, NDArray[np.bool_]]:
-    """SPEC 14.2: returns where a camera sees points, float64 [n, 2] pixels, and whether it does, bool [n].
+    """SPEC 14.2: returns the image points, float64 [n, 2] pixels, and their visibility, bool [n].
 
-    positions: float64 [n, 3], world units. near: depth in world units below which nothing is seen.
+    positions: float64 [n, 3], world units. near: depth of the near plane, world units.
     """
     with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
         at = positions @ camera.matrix().T + np.array(camera.translation)
@@ -73,7 +73,7 @@ def projected(positions: F64, camera: NamedCamera, near: float) -> tuple[F64, ND
 
 
 def camera_view(positions: F64, camera: NamedCamera, near: float) -> View:
-    """Returns the anchors as a camera sees them, in a square that holds its picture."""
+    """Returns the anchors in the image of a camera, scaled to fit a square."""
     points, seen = projected(positions, camera, near)
     scale = SIDE / max(camera.width, camera.height)
     size = np.array([camera.width, camera.height]) * scale
@@ -87,7 +87,7 @@ def drawn(view: View, values: F64, low: float, high: float) -> bytes:
     """
     points = view.points[view.seen].astype(np.int64)
     each = values[view.seen]
-    # Few points are drawn larger, so that they are seen.
+    # Few points are drawn larger, for visibility.
     size = int(np.clip(round(2.2 * SIDE / max(len(points), 1) ** 0.5), 2, 7))
     total, count = np.zeros(SIDE * SIDE), np.zeros(SIDE * SIDE)
     for down in range(size):
