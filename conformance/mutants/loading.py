@@ -6,7 +6,7 @@ from functools import cache
 from types import CodeType
 
 from ..spec_decoder import Names, blocks
-from .mutant import PATH, Mutant, text
+from .mutant import PATH, Mutant, definitions, span, text
 
 
 @cache
@@ -27,16 +27,22 @@ def _functions(code: CodeType) -> dict[str, list[tuple[object, ...]]]:
     return functions
 
 
+@cache
+def _unchanged(place: str) -> dict[str, list[tuple[object, ...]]]:
+    first, end = span(definitions()[place])
+    return _functions(compile(text()[first:end], PATH, "exec", dont_inherit=True))
+
+
 def changed(mutant: Mutant) -> set[str] | None:
     """Returns the qualified names of the functions that a mutant changes, or None if it changes a constant.
 
     The mutant decodes a file as the unchanged decoder does if that calls none of these functions for it.
     """
     try:
-        new = _functions(compile(mutant.source, mutant.id, "exec", dont_inherit=True))
+        new = _functions(compile(mutant.statement, mutant.id, "exec", dont_inherit=True))
     except SyntaxError:
         return None
-    old = _functions(_code())
+    old = _unchanged(mutant.place)
     names = {name for name in old if new.get(name) != old[name]}
     return None if "<module>" in names else names
 

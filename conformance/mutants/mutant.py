@@ -28,6 +28,12 @@ class Mutant:
     source: str
     requirements: tuple[str, ...] = ()
 
+    @property
+    def statement(self) -> str:
+        """The changed text of the function or constant."""
+        first, end = span(definitions()[self.place])
+        return self.source[first : end + len(self.source) - len(text())]
+
 
 @cache
 def text() -> str:

@@ -34,9 +34,9 @@ class SelfTestError(Exception):
 
 
 @cache
-def decoder(mutant: Mutant) -> str:
-    """Returns the syntax tree of a mutant as text. Mutants with the same one are the same."""
-    return ast.dump(ast.parse(mutant.source))
+def decoder(mutant: Mutant) -> tuple[str, str]:
+    """Returns the place of a mutant and its syntax tree there, as text. Mutants with the same ones are the same."""
+    return mutant.place, ast.dump(ast.parse(mutant.statement))
 
 
 @cache

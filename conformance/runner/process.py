@@ -50,6 +50,8 @@ _LOOK, _SEARCH = 0.02, 0.1
 # The most bytes of one read, and the most reads between two looks at a process.
 _READ, _READS = 1 << 16, 64
 _RSS_UNIT = 1 if sys.platform == "darwin" else 1024
+# The most bytes by which the kernel's count of resident memory may be late.
+_LATE = 1 << 20
 # The environment variable that marks a decoder's processes, including those that left its tree.
 _MARK = "C3GS_CONFORMANCE_RUN"
 
@@ -151,8 +153,6 @@ class _Decoder:
     def __init__(self, command: Sequence[str], temporary: Path, serves: bool = False) -> None:
         """Starts the process. Raises OSError or ValueError."""
         pipe = subprocess.PIPE if serves else subprocess.DEVNULL
-        # A process inherits the peak of the process that started it.
-        self._floor = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * _RSS_UNIT
         self._mark, self._before = uuid.uuid4().hex, set(psutil.pids())
         self.began, self.took, self._gone, self._spent = time.monotonic(), 0.0, False, 0.0
         self._process = subprocess.Popen(
@@ -164,6 +164,8 @@ class _Decoder:
             env={**os.environ, "TMPDIR": str(temporary), _MARK: self._mark},
             start_new_session=True,
         )
+        # Read after the start: a process inherits the peak that the process that started it has until then.
+        self._floor = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * _RSS_UNIT + _LATE
         self._root = psutil.Process(self._process.pid)
         self._known = {self._root}
         if sys.platform == "linux":

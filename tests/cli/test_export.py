@@ -111,7 +111,7 @@ def test_a_scene_folder(place: Path, capsys: pytest.CaptureFixture[str]) -> None
         (["scene.c3gs", "-o", "scene.ply", "--degree", "4"], "invalid choice"),
         (["scene.c3gs", "-o", "scene.ply", "--max-anchors", "100"], "--max-anchors"),
         (["scene.c3gs", "-o", "scene.ply", "--cameras", "nothing"], "nothing"),
-        (["empty.c3gs", "-o", "scene.ply"], "no view sees a Gaussian"),
+        (["empty.c3gs", "-o", "scene.ply"], "no camera sees a Gaussian"),
     ],
 )
 def test_wrong_usage(words: list[str], said: str, place: Path, capsys: pytest.CaptureFixture[str]) -> None:

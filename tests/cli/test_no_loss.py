@@ -248,9 +248,6 @@ def test_one_fit_at_a_time(place: Path) -> None:
 
 
 def test_the_suite_s_commands(place: Path, refused: Callable[..., str], capsys: Any) -> None:
-    shutil.copy(VECTORS / "manifest.json", "matrix.json")
-    assert "not a matrix" in refused("selftest", "--matrix", "matrix.json", program=suite_main)
-    assert "not a matrix" in refused("selftest", "--matrix", "letter.txt", program=suite_main)
     # It removed folders with the names of classes.
     Path("valid").mkdir()
     Path("valid/thesis.txt").write_text("precious")

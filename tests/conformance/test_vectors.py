@@ -359,7 +359,7 @@ def test_gaussians_that_differ() -> None:
         ([], "missing"),
         ([g, {**g, "anchor": 9}], "anchor 9, offset 1: there is none"),
         ([{**g, "mean": [1.0, 2.0, 3.001]}], "mean"),
-        ([{**g, "mean": [1.0, 2.0, float("nan")]}], "NaN is no number"),
+        ([{**g, "mean": [1.0, 2.0, float("nan")]}], "a number is nan"),
         ([{**g, "mean": [1.0, 2.0, "nan"]}], "mean"),
         ([{**g, "colour": [0.1, 0.2]}], "another length"),
         ([g, g], "twice"),

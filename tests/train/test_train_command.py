@@ -81,7 +81,7 @@ def test_command_without_rate(examples: Path, tmp_path: Path, capsys: pytest.Cap
         (["--size", "0x5"], "size"),
         (["--device", "cuda"], "CUDA"),
         (["-o", "."], "not a scene folder"),
-        (["--background", "grey"], "white nor black"),
+        (["--background", "grey"], "it is not white, black or R,G,B"),
         (["--holdout", "-1"], "at least 0"),
         (["--holdout", "1"], "no image is left for training"),
         (["--voxel", "0"], "above 0"),
