@@ -27,8 +27,10 @@ os.environ["PYTHONPATH"] = os.pathsep.join(filter(None, [_ROOT, os.environ.get("
 # busy cores makes training ten times as slow.
 os.environ.update(NUMBA_NUM_THREADS="2", OMP_NUM_THREADS="2", OMP_WAIT_POLICY="PASSIVE")
 
-# A shell ignores Ctrl-C in what it runs in the background. Python then does so, too, and tests would not interrupt it.
+# In the background a shell ignores Ctrl-C, and nohup the end of the terminal. Python and the commands then do so, too,
+# and tests would not interrupt them.
 signal.signal(signal.SIGINT, signal.default_int_handler)
+signal.signal(signal.SIGHUP, signal.SIG_DFL)
 
 
 class _Names(dict[str, Any]):

@@ -51,7 +51,7 @@ def test_all_contenders_are_measured_or_named(kept: Path, scene: Scene) -> None:
     for row in figures["contenders"]:
         assert sum(line.startswith(f"| {row['name']} |") for line in lines) == 1
     for each in figures["missing"]:
-        assert f"- {each['name']} is left out: {each['why']}." in lines
+        assert f"- {each['name']} did not take part: {each['why']}." in lines
 
 
 class _Fake:

@@ -104,7 +104,7 @@ def test_a_training_goes_on_from_it(tmp_path: Path, capsys: pytest.CaptureFixtur
     # Whatever a scene lacks is not the fault of the photographs.
     capsys.readouterr()
     assert main([*words, "-o", str(tmp_path / "none"), "--rate", "0"]) == 64
-    assert f"from {tmp_path / 'scene'}: it has masks" in capsys.readouterr().err
+    assert f"{tmp_path / 'scene'} cannot be continued: it has masks" in capsys.readouterr().err
 
 
 def test_features_that_are_constant_have_no_say_in_a_step() -> None:

@@ -81,7 +81,7 @@ def test_full_photographs_are_asked_for(place: Path, source: str, capsys: pytest
     assert said == ""
     assert full["mean"]["psnr"] != small["psnr"]
     assert main(["render", str(scene), "--cameras", source, "-o", str(place / "images")]) == 0
-    assert "at size 60" in capsys.readouterr().err
+    assert "to size 60" in capsys.readouterr().err
 
 
 @pytest.mark.slow
@@ -99,7 +99,7 @@ def test_a_report_that_is_none(place: Path, source: str, tmp_path: Path, capsys:
         assert "is not a training report" in said
     # An older one, and none.
     report.write_text('{"settings": {"size": "50"}}')
-    assert "at size 50" in evaluated(capsys, tmp_path / "scene", source)[1]
+    assert "to size 50" in evaluated(capsys, tmp_path / "scene", source)[1]
     report.unlink()
     assert "to size 60, as in the camera of the scene" in evaluated(capsys, tmp_path / "scene", source)[1]
 
