@@ -28,7 +28,7 @@ EXAMPLE, TRAINED = ROOT / "vectors" / "tiny-example.c3gs", ROOT / "vectors" / "v
 BOUND = 200 << 20
 # Lengths of a section or a chunk: above the bound, and just below it.
 LENGTHS = (1500 << 20, 20 << 20)
-KINDS = ("PLNS", "mETA", "DATA")
+KINDS = ("PLNS", "mETa", "DATA")
 COMMANDS = (
     "validate FILE",
     "digest FILE",

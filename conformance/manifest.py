@@ -86,6 +86,7 @@ class Vector:
     """A vector: a file, and what a decoder makes of it.
 
     operation: "decode" or "gaussians". klass: its "class". profile, level: None if the header cannot be read.
+    minor_at_most: the verdict holds for decoders of minor versions up to this one (SPEC 12.3), or of all if it is None.
     generator: how the file was made.
     """
 
@@ -103,6 +104,7 @@ class Vector:
     budget: Budget
     licence: str
     generator: dict[str, Any]
+    minor_at_most: int | None = None
 
 
 @dataclass(frozen=True)

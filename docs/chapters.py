@@ -23,7 +23,7 @@ _REFERENCE = re.compile(rf"({_BEFORE})({_NUMBER}(?:(?:,\s|\sto\s|\sand\s|,\sand\
 _CHAPTER = re.compile(r"(?:[Cc]hapters?|Annex(?:es)?)\s$")
 # Figures have units.
 _UNIT = re.compile(r"\s(?:KB|MB|bytes?|bits?|times|%|s|dB|anchors)\b")
-_REQUIREMENT = re.compile(rf"\[([RDG]{specification.CLAUSE}-\d+)\](?!\()")
+_REQUIREMENT = re.compile(rf"\[([RDGE]{specification.CLAUSE}-\d+)\](?!\()")
 
 
 # What changes some Markdown.
@@ -114,7 +114,7 @@ def _linked(text: str) -> str:
 
 
 def _line(line: str) -> str:
-    stated = re.match(r"- \[([RDG]\S+)\] ", line)
+    stated = re.match(r"- \[([RDGE]\S+)\] ", line)
     if stated:
         return f"- ({place_of(stated[1])})=\n  **\\[{stated[1]}\\]**{_line(line[len(stated[1]) + 4 :])}"
     line = _REFERENCE.sub(_numbers, line)

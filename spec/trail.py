@@ -26,12 +26,12 @@ from .made import ROOT
 
 # The decoders and their source files.
 DECODERS = {
-    "refcodec": ("refcodec/bitstream/*.py", "refcodec/render/*.py"),
+    "refcodec": ("refcodec/bitstream/*.py", "refcodec/render/*.py", "refcodec/folder/*.py"),
     "second decoder": ("conformance/spec_decoder/*.py",),
     "decoder in C": ("conformance/c/decoder.c",),
 }
-# The decoders that also render.
-RENDERS = ("refcodec",)
+# What also renders and writes files.
+RENDERS = WRITES = ("refcodec",)
 # The test that has a case for each error.
 FAULTS = ("tests/conformance/test_spec_decoder.py", "test_fault")
 
@@ -181,8 +181,9 @@ def trails(requirements: dict[str, Requirement], suite: Manifest) -> dict[str, T
     made = {}
     for name, r in requirements.items():
         places = {d: _innermost(f.raising[r.error] if r.error else f.citing[r.clause]) for d, f in found.items()}
-        if name.startswith("G"):
-            places = {decoder: places[decoder] for decoder in RENDERS}
+        for letter, decoders in (("G", RENDERS), ("E", WRITES)):
+            if name.startswith(letter):
+                places = {decoder: places[decoder] for decoder in decoders}
         faults = [Place(fault.path, f"{fault.name}[{r.error}]")] if r.error else []
         made[name] = Trail(r, places, faults + tests[name], tried[name])
     return made

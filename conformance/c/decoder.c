@@ -82,7 +82,7 @@ enum {
     /* A, 5 */
     TABLES_LENGTH = 99840,
     PROLOGUE_LENGTH = 20,
-    FIXED_LENGTH = 90,
+    FIXED_LENGTH = 98,
     DIRECTORY_ENTRY_LENGTH = 20,
     FRAME_LENGTH = 88,
     LAYER_MODEL_LENGTH = 8,
@@ -571,9 +571,10 @@ struct entry { /* 5.6; `at` is the offset of the entry */
     uint8_t type[4], mode, reserved[3];
 };
 
-struct list { /* 5.3: some widths; `at` is the offset of the first */
+struct list { /* 5.3: some widths of `size` bytes each; `at` is the offset of the first */
     uint64_t at;
-    uint8_t count, item[255];
+    uint8_t count, size;
+    uint16_t item[255];
 };
 
 /* 5.2 to 5.5: the offsets of the fields that are always at one place */
@@ -591,17 +592,23 @@ enum {
     AT_SCALE_MANTISSA = 76,
     AT_SCALE_EXPONENT = 78,
     AT_GRID_RESERVED = 79,
+    AT_RENDER_INFO = 80,
     AT_UP_AXIS = 83,
     AT_RENDER_NUMBERS = 84, /* near_plane, distance_unit, alpha_max, low_pass */
-    AT_OFFSET_COUNT = 100,
-    AT_PLANE_CHANNELS = 101,
-    AT_FREQUENCY_COUNT = 102,
-    AT_RENDER_WIDTH = 103,
-    AT_PLANE_SIZE = 104,
-    AT_SLICE_COUNT = 106,
-    AT_HYPER_LAYERS = 107,
-    AT_SARM_LAYERS = 108,
-    AT_CARM_LAYERS = 109
+    AT_RENDER_MODEL = 102,
+    AT_RENDER_RESERVED = 103,
+    AT_OFFSET_COUNT = 104,
+    AT_PLANE_CHANNELS = 105,
+    AT_FREQUENCY_COUNT = 106,
+    AT_SLICE_COUNT = 107,
+    AT_HYPER_LAYERS = 108,
+    AT_SARM_LAYERS = 109,
+    AT_CARM_LAYERS = 110,
+    AT_VIEW_INPUTS = 111,
+    AT_COLOUR_OUTPUTS = 112,
+    AT_DIMENSIONS_RESERVED = 113,
+    AT_PLANE_SIZE = 114,
+    AT_RENDER_WIDTH = 116
 };
 
 struct header {
@@ -613,11 +620,14 @@ struct header {
     int64_t origin[3];
     uint32_t scale_mantissa;
     int scale_exponent;
-    uint8_t up_axis;
+    uint8_t up_axis, render_model;
     uint32_t render[4]; /* near_plane, distance_unit, alpha_max, low_pass */
-    uint8_t offset_count, plane_channels, frequency_count, render_width;
+    uint8_t offset_count, plane_channels, frequency_count, view_inputs, colour_outputs;
     uint32_t plane_size;
-    struct list slice_width, hyper_width, sarm_width, carm_width;
+    uint16_t render_width;
+    struct list hyper_width, sarm_width, carm_width, slice_width;
+    uint8_t *drawn; /* 9.3: the bytes of RenderInfo and of Dimensions */
+    uint64_t drawn_length;
     struct entry *directory;
     uint32_t features, channels; /* F and D of 6.3 */
 };
@@ -651,10 +661,14 @@ static const uint8_t *TAKE(struct piece p, uint64_t *at, uint64_t n)
 }
 
 /* 5.3: the items of a list whose length is known */
-static void TAKE_LIST(struct piece p, uint64_t *at, struct list *l)
+static void TAKE_LIST(struct piece p, uint64_t *at, struct list *l, uint8_t size)
 {
+    const uint8_t *item;
     l->at = *at;
-    memcpy(l->item, TAKE(p, at, l->count), l->count);
+    l->size = size;
+    item = TAKE(p, at, (uint64_t)size * l->count);
+    for (uint32_t i = 0; i < l->count; i++)
+        l->item[i] = size == 1 ? item[i] : (uint16_t)GET_U16(item + 2 * i);
 }
 
 /* 5.2 to 5.6, 6.2: R6.2-1 to R6.2-5 */
@@ -685,22 +699,26 @@ static void HEADER_FIELDS(struct header *h, struct buffer *b)
     h->up_axis = f[AT_UP_AXIS];
     for (int i = 0; i < 4; i++)
         h->render[i] = GET_U32(f + AT_RENDER_NUMBERS + 4 * i);
+    h->render_model = f[AT_RENDER_MODEL];
     h->offset_count = f[AT_OFFSET_COUNT];
     h->plane_channels = f[AT_PLANE_CHANNELS];
     h->frequency_count = f[AT_FREQUENCY_COUNT];
-    h->render_width = f[AT_RENDER_WIDTH];
-    h->plane_size = GET_U16(f + AT_PLANE_SIZE);
     h->slice_width.count = f[AT_SLICE_COUNT];
     h->hyper_width.count = f[AT_HYPER_LAYERS];
     h->sarm_width.count = f[AT_SARM_LAYERS];
     h->carm_width.count = f[AT_CARM_LAYERS];
-    TAKE_LIST(p, &at, &h->slice_width);
-    TAKE_LIST(p, &at, &h->hyper_width);
-    TAKE_LIST(p, &at, &h->sarm_width);
-    TAKE_LIST(p, &at, &h->carm_width);
+    h->view_inputs = f[AT_VIEW_INPUTS];
+    h->colour_outputs = f[AT_COLOUR_OUTPUTS];
+    h->plane_size = GET_U16(f + AT_PLANE_SIZE);
+    h->render_width = (uint16_t)GET_U16(f + AT_RENDER_WIDTH);
+    TAKE_LIST(p, &at, &h->hyper_width, 2);
+    TAKE_LIST(p, &at, &h->sarm_width, 2);
+    TAKE_LIST(p, &at, &h->carm_width, 2);
+    TAKE_LIST(p, &at, &h->slice_width, 1);
     padding_at = at;
     padding = PAD4(at) - at;
     TAKE(p, &at, padding);
+    h->drawn_length = at - AT_RENDER_INFO;
     TAKE(p, &at, DIRECTORY_ENTRY_LENGTH * (uint64_t)h->section_count);
     /* A later minor version may have more fields (12.3). */
     if (at != p.at + p.length - 4 && h->minor <= MINOR)
@@ -711,6 +729,12 @@ static void HEADER_FIELDS(struct header *h, struct buffer *b)
         REFUSE(HEADER_RESERVED, AT_RESERVED);
     if (f[AT_GRID_RESERVED])
         REFUSE(HEADER_RESERVED, AT_GRID_RESERVED);
+    if (f[AT_RENDER_RESERVED])
+        REFUSE(HEADER_RESERVED, AT_RENDER_RESERVED);
+    if (f[AT_DIMENSIONS_RESERVED])
+        REFUSE(HEADER_RESERVED, AT_DIMENSIONS_RESERVED);
+    h->drawn = ALLOCATE(h->drawn_length, 1);
+    memcpy(h->drawn, f + AT_RENDER_INFO, (size_t)h->drawn_length);
     h->directory = ALLOCATE(h->section_count, sizeof *h->directory);
     for (uint32_t i = 0; i < h->section_count; i++) {
         struct entry *e = &h->directory[i];
@@ -740,27 +764,29 @@ static void DIMENSION(uint32_t value, struct bounds b, uint64_t at)
 static void DIMENSION_LIST(const struct list *l, struct bounds b)
 {
     for (uint32_t i = 0; i < l->count; i++)
-        DIMENSION(l->item[i], b, l->at + i);
+        DIMENSION(l->item[i], b, l->at + i * l->size);
 }
 
 /* 11.1, 6.3: the dimensions but for the level's bound; F and D */
-static void DIMENSIONS(struct header *h, const struct bounds b[13])
+static void DIMENSIONS(struct header *h, const struct bounds b[15])
 {
-    const uint32_t field[9] = {h->offset_count,      h->plane_channels,    h->frequency_count,
-                               h->render_width,      h->plane_size,        h->slice_width.count,
-                               h->hyper_width.count, h->sarm_width.count,  h->carm_width.count};
-    static const uint64_t at[9] = {AT_OFFSET_COUNT, AT_PLANE_CHANNELS, AT_FREQUENCY_COUNT,
-                                   AT_RENDER_WIDTH, AT_PLANE_SIZE,     AT_SLICE_COUNT,
-                                   AT_HYPER_LAYERS, AT_SARM_LAYERS,    AT_CARM_LAYERS};
+    const uint32_t field[11] = {h->offset_count,      h->plane_channels,    h->frequency_count,
+                                h->slice_width.count, h->hyper_width.count, h->sarm_width.count,
+                                h->carm_width.count,  h->view_inputs,       h->colour_outputs,
+                                h->plane_size,        h->render_width};
+    static const uint64_t at[11] = {AT_OFFSET_COUNT, AT_PLANE_CHANNELS, AT_FREQUENCY_COUNT,
+                                    AT_SLICE_COUNT,  AT_HYPER_LAYERS,   AT_SARM_LAYERS,
+                                    AT_CARM_LAYERS,  AT_VIEW_INPUTS,    AT_COLOUR_OUTPUTS,
+                                    AT_PLANE_SIZE,   AT_RENDER_WIDTH};
     int planes = h->plane_channels > 0;
     /* plane_size and sarm_layers may be 0 too, as is checked below. */
-    for (int i = 0; i < 9; i++)
+    for (int i = 0; i < 11; i++)
         if (field[i] || (at[i] != AT_PLANE_SIZE && at[i] != AT_SARM_LAYERS))
             DIMENSION(field[i], b[i], at[i]);
-    DIMENSION_LIST(&h->slice_width, b[9]);
-    DIMENSION_LIST(&h->hyper_width, b[10]);
-    DIMENSION_LIST(&h->sarm_width, b[11]);
-    DIMENSION_LIST(&h->carm_width, b[12]);
+    DIMENSION_LIST(&h->hyper_width, b[11]);
+    DIMENSION_LIST(&h->sarm_width, b[12]);
+    DIMENSION_LIST(&h->carm_width, b[13]);
+    DIMENSION_LIST(&h->slice_width, b[14]);
     h->features = 0;
     for (int i = 0; i < h->slice_width.count; i++)
         h->features += h->slice_width.item[i];
@@ -775,6 +801,11 @@ static void DIMENSIONS(struct header *h, const struct bounds b[13])
         REFUSE(HEADER_DIMENSION, AT_HYPER_LAYERS);
     if (h->slice_width.count == 1 && h->carm_width.count)
         REFUSE(HEADER_DIMENSION, AT_CARM_LAYERS);
+    /* 6.5: render model 0 fixes these two. */
+    if (!h->render_model && h->view_inputs != 4)
+        REFUSE(HEADER_DIMENSION, AT_VIEW_INPUTS);
+    if (!h->render_model && h->colour_outputs != 3)
+        REFUSE(HEADER_DIMENSION, AT_COLOUR_OUTPUTS);
 }
 
 /* ---------------------------------------------------------------- 5.8, 7.2 networks */
@@ -811,7 +842,7 @@ static void SHAPE(struct network *n, uint32_t inputs, const struct list *hidden,
 static void SHAPES(const struct header *h, struct network *n)
 {
     struct list render = {.count = 1, .item = {h->render_width}};
-    uint32_t k = h->offset_count, inputs = 0;
+    uint32_t k = h->offset_count, drawn = h->features + h->view_inputs, inputs = 0;
     SHAPE(&n[HYPER], 2u * h->plane_channels + 2u * h->frequency_count, &h->hyper_width, 2 * h->channels + 3);
     if (h->plane_channels)
         SHAPE(&n[SARM], 4, &h->sarm_width, 2);
@@ -819,9 +850,9 @@ static void SHAPES(const struct header *h, struct network *n)
         inputs += h->slice_width.item[i - 1];
         SHAPE(&n[CARM_1 + i - 1], inputs, &h->carm_width, 2u * h->slice_width.item[i]);
     }
-    SHAPE(&n[OPACITY], h->features + 4, &render, k);
-    SHAPE(&n[COVARIANCE], h->features + 4, &render, 7 * k);
-    SHAPE(&n[COLOUR], h->features + 4, &render, 3 * k);
+    SHAPE(&n[OPACITY], drawn, &render, k);
+    SHAPE(&n[COVARIANCE], drawn, &render, 7 * k);
+    SHAPE(&n[COLOUR], drawn, &render, h->colour_outputs * k);
 }
 
 /* 5.8, 11.2: the weights and biases of some networks, below 2^20, because of the bounds of 11.1 */
@@ -834,7 +865,7 @@ static uint64_t WEIGHT_COUNT(const struct network *n, int first, int end)
     return count;
 }
 
-/* 11.2: below 2^24 * 2^21 + 2^23 * 2^12 in a header whose dimensions and anchor_count have passed their checks */
+/* 11.2: below 2^46 in a header whose dimensions and anchor_count have passed their checks (7.11) */
 static uint64_t WORK(const struct header *h, const struct network *n)
 {
     uint64_t anchor = WEIGHT_COUNT(n, HYPER, SARM) + WEIGHT_COUNT(n, CARM_1, OPACITY) + 16 * (uint64_t)h->channels;
@@ -862,26 +893,28 @@ static void RENDER_INFO(const struct header *h)
    networks */
 static void HEADER(struct header *h, struct network *networks)
 {
-    /* offset_count, plane_channels, frequency_count, render_width, plane_size, slice_count, hyper_layers, sarm_layers,
-       carm_layers, slice_width, hyper_width, sarm_width, carm_width, chunk_size */
-    static const struct bounds table[2][14] = {
-        {{1, 10}, {0, 8}, {0, 10}, {1, 64}, {2, 32}, {1, 4}, {0, 2}, {1, 2}, {0, 2}, {1, 16}, {1, 64}, {1, 16}, {1, 64},
-         {1, 65536}},
-        {{1, OFFSETS_MAX}, {0, 16}, {0, 16}, {1, 128}, {2, 256}, {1, SLICES_MAX}, {0, 2}, {1, 2}, {0, 2},
-         {1, SLICE_WIDTH_MAX}, {1, 128}, {1, 32}, {1, 128}, {256, 16384}}};
+    /* offset_count, plane_channels, frequency_count, slice_count, hyper_layers, sarm_layers, carm_layers, view_inputs,
+       colour_outputs, plane_size, render_width, hyper_width, sarm_width, carm_width, slice_width, chunk_size */
+    static const struct bounds table[2][16] = {
+        {{1, 10}, {0, 8}, {0, 10}, {1, 4}, {0, 2}, {1, 2}, {0, 2}, {0, 8}, {1, 48}, {2, 32}, {1, 64}, {1, 64}, {1, 16},
+         {1, 64}, {1, 16}, {1, 65536}},
+        {{1, OFFSETS_MAX}, {0, 16}, {0, 16}, {1, SLICES_MAX}, {0, 2}, {1, 2}, {0, 2}, {0, 8}, {1, 48}, {2, 1024},
+         {1, 128}, {1, 128}, {1, 32}, {1, 128}, {1, SLICE_WIDTH_MAX}, {256, 16384}}};
     static const struct {
         uint32_t anchor_count, plane_size;
         uint64_t work;
-    } levels[4] = {{4096, 32, UINT64_C(1) << 28},
+    } levels[6] = {{4096, 32, UINT64_C(1) << 28},
                    {131072, 128, UINT64_C(1) << 33},
                    {1048576, 256, UINT64_C(1) << 36},
-                   {16777216, 256, UINT64_C(1) << 40}};
+                   {4194304, 256, UINT64_C(1) << 38},
+                   {16777216, 512, UINT64_C(1) << 41},
+                   {67108864, 1024, UINT64_C(1) << 43}};
     uint32_t lowest = h->profile ? 1 : 0;
     struct bounds most;
     uint64_t work;
     if (h->profile > 1)
         REFUSE(HEADER_PROFILE, AT_PROFILE);
-    if (h->level < lowest || h->level > 3 * lowest)
+    if (h->level < lowest || h->level > 5 * lowest)
         REFUSE(HEADER_LEVEL, AT_LEVEL);
     DIMENSIONS(h, table[h->profile]);
     if (h->plane_size > levels[h->level].plane_size)
@@ -894,7 +927,7 @@ static void HEADER(struct header *h, struct network *networks)
         if (h->anchor_count <= levels[l].anchor_count && h->plane_size <= levels[l].plane_size &&
             work <= levels[l].work)
             REFUSE(HEADER_LEVEL_NOT_MINIMAL, AT_LEVEL);
-    most = table[h->profile][13];
+    most = table[h->profile][15];
     if (h->chunk_size < most.low || h->chunk_size > most.high)
         REFUSE(HEADER_CHUNK_SIZE, AT_CHUNK_SIZE);
     for (uint32_t i = 0; i < 3; i++)
@@ -1218,7 +1251,7 @@ static void END(const struct stream *s)
 
 /* ---------------------------------------------------------------- 9.3 the canonical reconstruction */
 
-enum { POSITIONS, MASKS, PLANES, FEATURES, SCALINGS, OFFSETS, WEIGHTS, PARTS, HEAD_LENGTH = 28 };
+enum { POSITIONS, MASKS, PLANES, FEATURES, SCALINGS, OFFSETS, WEIGHTS, PARTS, HEAD_LENGTH = 12 };
 
 struct part {
     struct sha256 digest;
@@ -1691,7 +1724,7 @@ static void READ_INDEX(struct scene *s, struct piece p, int mode, uint64_t data_
         ENTRY(s->entries, i, &c);
         CHECK_ENTRY(s, &c, p.at + at + CHUNK_ENTRY_LENGTH * (uint64_t)i);
         anchors += c.anchors;
-        bytes += c.length; /* below 2^24 * 2^32 */
+        bytes += c.length; /* below 2^26 * 2^32 */
         s->largest = s->largest < c.anchors ? c.anchors : s->largest;
     }
     if (anchors != s->h.anchor_count || bytes != data_length)
@@ -1850,7 +1883,7 @@ static void RESCALE(const struct frame *f, int64_t w[3])
         w[r] = CLAMP(FLOOR_DIV((w[r] - f->low[r]) * unit, f->high[r] - f->low[r]), 0, unit);
 }
 
-/* 7.5.4: g is below 2^25, and the sum with the rounding term is below 2^31 */
+/* 7.5.4: g is below 2^27, and the sum with the rounding term is below 2^31 */
 static void QUERY(const int16_t *plane, int32_t channels, int32_t size, const int64_t u[2], unsigned plane_shift,
                   int32_t *out)
 {
@@ -2134,7 +2167,7 @@ static void CHUNKS(struct scene *s, const struct entry *e)
 static void PARTS_BEGIN(struct scene *s)
 {
     const struct header *h = &s->h;
-    uint64_t n = h->anchor_count, at = HEAD_LENGTH + 32 * PARTS;
+    uint64_t n = h->anchor_count, at = HEAD_LENGTH + h->drawn_length + 32 * PARTS;
     const uint64_t length[PARTS] = {12 * n,
                                     n * h->offset_count,
                                     10 * (uint64_t)h->plane_channels * h->plane_size * h->plane_size,
@@ -2153,23 +2186,22 @@ static void PARTS_BEGIN(struct scene *s)
 static void PARTS_END(struct scene *s, int print)
 {
     static const char names[PARTS][10] = {"positions", "masks", "planes", "features", "scalings", "offsets", "weights"};
-    const struct header *h = &s->h;
-    const uint32_t numbers[5] = {h->anchor_count, h->offset_count, h->features, h->plane_channels, h->plane_size};
-    uint8_t head[HEAD_LENGTH + 32 * PARTS], digest[32];
+    uint8_t head[HEAD_LENGTH], digests[PARTS][32], digest[32];
     struct part whole = {.at = 0};
     memcpy(head, "C3GSREC1", 8);
-    for (int i = 0; i < 5; i++)
-        PUT_U32(head + 8 + 4 * i, numbers[i]);
+    PUT_U32(head + 8, s->h.anchor_count);
     for (int i = 0; i < PARTS; i++)
-        SHA_END(&s->part[i].digest, head + HEAD_LENGTH + 32 * i);
+        SHA_END(&s->part[i].digest, digests[i]);
     SHA_START(&whole.digest);
     EMIT(&whole, head, sizeof head);
+    EMIT(&whole, s->h.drawn, s->h.drawn_length);
+    EMIT(&whole, *digests, sizeof digests);
     SHA_END(&whole.digest, digest);
     if (!print)
         return;
     printf("whole %s\n", HEX(digest));
     for (int i = 0; i < PARTS; i++)
-        printf("%s %s\n", names[i], HEX(head + HEAD_LENGTH + 32 * i));
+        printf("%s %s\n", names[i], HEX(digests[i]));
 }
 
 /* 2.1, 7.1, 10.1, 10.2, 10.4: the order of decoding and of checks. print: whether the digests are wanted. */

@@ -127,7 +127,6 @@ STANDARD = {
     "unit": "0.25",
     "crs": "EPSG:4978",
     "georeference": " ".join(map(str, (1, 0, 0, -2.5, 0, 1, 0, 1e3, 0, 0, 1, 0.125, 0, 0, 0, 1))),
-    "transfer": "srgb",
     "org.example.note": "a key of a vendor",
 }
 
@@ -188,7 +187,13 @@ def _camera(**changes: object) -> bytes:
     fields = {**vars(NamedCamera("first")), **changes}
     name = fields["name"]
     text = name if isinstance(name, bytes) else str(name).encode()
-    return syntax.build("Camera", {"name_length": len(text), **fields, "name": text})
+    fields = {"name_length": len(text), **fields, "name": text, "length": 0}
+    return syntax.build("Camera", {**fields, "length": len(syntax.build("Camera", fields)) - 4})
+
+
+def _longer(camera: bytes, more: bytes) -> bytes:
+    """Returns a camera with fields of a later minor version."""
+    return struct.pack("<I", len(camera) - 4 + len(more)) + camera[4:] + more
 
 
 def _list(*cameras: bytes, count: int | None = None, reserved: int = 0) -> bytes:
@@ -209,12 +214,16 @@ def _cameras(book: Book) -> None:
     add("three", "three, of which one has no name and one is as large as can be", emit_cameras(good))
     add("none", "none", emit_cameras([]))
     add("twice", "two sections", emit_cameras(good[:1]), emit_cameras(good[1:]))
+    add("later", "fields of a later minor version", _list(_longer(_camera(), b"\xff" * 8), _camera(name="second")))
     whole = _list(_camera(), _camera(name="second"))
     broken: list[tuple[str, str, bytes]] = [
         ("nothing", "a section without bytes", b""),
         ("cut", "a section that ends within a camera", whole[:-9]),
         ("count", "a count that no section could hold", _list(_camera(), count=65535)),
-        ("name-length", "a name that is longer than the section", whole[:56] + b"\xff\xff\xff\x7f" + whole[60:]),
+        ("name-length", "a name that is longer than the section", whole[:60] + b"\xff\xff\xff\x7f" + whole[64:]),
+        ("length-short", "a length that is shorter than the fields", whole[:4] + b"\x3c" + whole[5:]),
+        ("length-odd", "a length that is no multiple of 4", _list(_longer(_camera(), b"\0\0"))),
+        ("length-long", "a length that is longer than the section", whole[:4] + b"\xff\xff\xff\xff" + whole[8:]),
         ("behind", "bytes behind the last camera", whole + bytes(4)),
         ("reserved", "a reserved field that is not 0", _list(_camera(), reserved=1)),
         ("width", "a width of 0", _list(_camera(width=0))),

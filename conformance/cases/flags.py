@@ -23,6 +23,7 @@ FLAGS = {
     "work-bound": "counts the work of a file in another way, or does not bound it",
     "level-not-minimal": "accepts a level that is higher than it has to be",
     "header-slack": "does not demand that the fields fill the header",
+    "render-model": "refuses to decode a scene that it cannot draw",
     "type-letters": "takes types with other bytes than letters",
     "critical-skipped": "skips a critical section that it does not know",
     "ancillary-refused": "refuses an ancillary section, or lets it change the result",

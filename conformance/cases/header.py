@@ -9,10 +9,11 @@ import math
 import struct
 import zlib
 from dataclasses import replace
-from functools import partial
+from functools import cache, partial
 
 import numpy as np
 
+from refcodec.bitstream import codec
 from refcodec.bitstream.header import HEADER_LENGTH_MAX, PROLOGUE_BYTES, PositionGrid, RenderInfo
 
 from .book import Book
@@ -161,7 +162,7 @@ reserved = wrong_value(
     "header.reserved",
     {
         "reserved": [1, 255],
-        "position_grid.reserved": [1, 255],
+        **{f"{struct}.reserved": [1, 255] for struct in ("position_grid", "render_info", "dimensions")},
         **{f"directory[{entry}].reserved[{i}]": [1, 128] for entry in (0, 4) for i in range(3)},
     },
     told=lambda path: path[: path.rindex("[")] + "[0]" if path.endswith("]") else path,
@@ -296,6 +297,8 @@ def _fields(book: Book) -> None:
     for path, value in (
         ("reserved", 1),
         ("position_grid.reserved", 128),
+        ("render_info.reserved", 1),
+        ("dimensions.reserved", 255),
         ("directory[0].reserved[0]", 1),
         ("directory[2].reserved[1]", 1),
         ("directory[6].reserved[2]", 128),
@@ -332,9 +335,18 @@ def _fields(book: Book) -> None:
         add(f"invalid-{name}", title, position_grid.of(plain, "position_grid.scale_exponent", number), flags=flags)
 
 
+@cache
+def _padded() -> Target:
+    """Returns a file whose dimensions have three bytes of padding."""
+    return Target(codec.emit(drawn("refused-padded", 2, replace(SMALLEST, slices=(1, 1, 1)))))
+
+
 def _paddings(book: Book) -> None:
     for place, value in enumerate((1, 255, 128)):
-        title, make = f"byte {place} of the padding of the dimensions is {value}", padding_byte.of(grids, place, value)
+        title, make = (
+            f"byte {place} of the padding of the dimensions is {value}",
+            padding_byte.of(_padded, place, value),
+        )
         name = f"malformed-header-padding-{place}"
         book.add(name, title, make, features="header dimensions", flags="padding-unchecked")
 
@@ -389,16 +401,33 @@ def _render_info(book: Book) -> None:
         title, make = f"{field} is {text.replace('-', ' ')}", render_info.of(plain, f"render_info.{field}", value)
         add(f"invalid-{label_of(field)}-{text}", title, make, flags="float-limits")
     least = RenderInfo((0, 0, 0), 0, SMALLEST_F32, SMALLEST_F32, SMALLEST_F32, 0.0)
-    largest = RenderInfo((255, 255, 255), 5, LARGEST_F32, LARGEST_F32, 1.0, LARGEST_F32)
+    largest = RenderInfo((255, 255, 255), 5, LARGEST_F32, LARGEST_F32, 1.0, LARGEST_F32, 255, 255)
     zeros = replace(RenderInfo(), low_pass=-0.0)
-    for name, render in (("least", least), ("largest", largest), ("negative-zeros", zeros)):
+    linear = replace(RenderInfo(), transfer_characteristics=8)
+    rows = (("least", least), ("largest", largest), ("negative-zeros", zeros), ("linear-light", linear))
+    for name, render in rows:
         book.valid(
             f"render-info-{name}",
             f"render information, {name.replace('-', ' ')}",
             partial(scene, "render-info", 2, SMALLEST, render=render),
             features="render-info",
-            requirements="R6.5-1",
+            requirements="R6.5-1 D9.3-1",
             flags="limit-off-by-one",
+        )
+    for model, inputs, outputs in ((1, 0, 1), (2, 4, 3), (255, 8, 48)):
+        book.valid(
+            f"render-model-{model}",
+            f"render model {model}, with {inputs} view inputs and {outputs} colour outputs",
+            partial(
+                scene,
+                "render-model",
+                2,
+                replace(SMALLEST, view_inputs=inputs, colour_outputs=outputs),
+                render=replace(RenderInfo(), render_model=model),
+            ),
+            features="render-info dimensions",
+            requirements="R11.1-2 G6.5-1 D9.3-1",
+            flags="limit-off-by-one render-model",
         )
 
 

@@ -73,7 +73,7 @@ def _(draw: Draw, t: Target) -> Drawn:
     t = draw.choice([t, main_file()])
     before = "header.dimensions."
     names = [path.removeprefix(before) for path in t.elements if path.startswith(before)]
-    name = draw.choice([name for name in names if name not in (*LISTS, "padding")])
+    name = draw.choice([name for name in names if name not in (*LISTS, "padding", "reserved")])
     low, high = getattr(PROFILES[t.header.profile], name.partition("[")[0])
     return t, name, draw.choice([value for value in (low - 1, high + 1) if value >= 0])
 
@@ -143,14 +143,20 @@ def level_too_high(t: Target, level: int, anchors: int, plane_size: int) -> Edit
 
 @level_too_high.drawn
 def _(draw: Draw, t: Target) -> Drawn:
-    level = draw.integer(2, 3)
+    level = draw.integer(2, HIGHEST)
     lower = PROFILES[MAIN].levels[level - 1]
     return main_file(), level, draw.integer(0, lower.anchors), draw.integer(2, lower.plane_size)
 
 
-# SPEC 11.2: dimensions of Main with a work of 2^16 per anchor, which each level allows for its largest N.
-WORK_AT_BOUND = Dimensions(10, (64, 64), 0, 16, 0, (115, 120), (), (26,), 32)
-WORK_BEYOND = replace(WORK_AT_BOUND, hyper_width=(115, 121))
+HIGHEST = max(PROFILES[MAIN].levels)
+# SPEC 11.2: dimensions of Main with a work of 2^16 and of 2^17 per anchor, which levels 1 to 3 and 4 to 5 allow for
+# their largest N, and dimensions with little more work.
+_WORK_16 = Dimensions(10, (64, 64), 0, 16, 0, (115, 120), (), (26,), 32)
+_WORK_17 = Dimensions(16, (16,) * 8, 0, 16, 0, (66, 109), (), (115,), 32)
+WORK_AT_BOUND = {level: _WORK_16 if level < 4 else _WORK_17 for level in PROFILES[MAIN].levels}
+WORK_BEYOND = {
+    level: replace(d, hyper_width=(d.hyper_width[0], d.hyper_width[1] + 1)) for level, d in WORK_AT_BOUND.items()
+}
 # Dimensions whose planes are a fifth of the work of level 1.
 WORK_OF_PLANES = Dimensions(10, (64, 64), 16, 16, 128, (115, 120), (32, 32), (26,), 32)
 
@@ -193,9 +199,9 @@ def header_alone(t: Target, d: Dimensions, level: int, anchors: int, size: int =
 
 @header_alone.drawn
 def _(draw: Draw, t: Target) -> Drawn:
-    level = draw.integer(1, 3)
+    level = draw.integer(1, HIGHEST)
     lower, most = PROFILES[MAIN].levels.get(level - 1), PROFILES[MAIN].levels[level]
-    return t, WORK_AT_BOUND, level, draw.integer(lower.anchors + 1 if lower else 0, most.anchors)
+    return t, WORK_AT_BOUND[level], level, draw.integer(lower.anchors + 1 if lower else 0, most.anchors)
 
 
 @fault("header.work")
@@ -206,8 +212,8 @@ def too_much_work(t: Target, d: Dimensions, level: int, anchors: int) -> Whole:
 
 @too_much_work.drawn
 def _(draw: Draw, t: Target) -> Drawn:
-    level = draw.integer(1, 3)
-    return t, WORK_BEYOND, level, PROFILES[MAIN].levels[level].anchors - draw.integer(0, 9)
+    level = draw.integer(1, HIGHEST)
+    return t, WORK_BEYOND[level], level, PROFILES[MAIN].levels[level].anchors - draw.integer(0, 9)
 
 
 @fault("header.work")
@@ -231,8 +237,8 @@ def level_of_less_work(t: Target, d: Dimensions, level: int, anchors: int) -> Wh
 
 @level_of_less_work.drawn
 def _(draw: Draw, t: Target) -> Drawn:
-    level = draw.integer(2, 3)
-    return t, WORK_AT_BOUND, level, draw.integer(0, PROFILES[MAIN].levels[level - 1].anchors)
+    level = draw.integer(2, HIGHEST)
+    return t, WORK_AT_BOUND[level - 1], level, draw.integer(0, PROFILES[MAIN].levels[level - 1].anchors)
 
 
 # --- the suite's ------------------------------------------------------------------------------------------------------
@@ -253,12 +259,14 @@ OUTSIDE_TINY: list[tuple[str, list[int]]] = [
     ("slice_width[1]", [17]),
     ("plane_channels", [9]),
     ("frequency_count", [11]),
+    ("view_inputs", [3, 5, 9]),
+    ("colour_outputs", [0, 2, 4, 49]),
     ("plane_size", [0, 1, 33, 258]),
-    ("hyper_width[0]", [0, 65]),
-    ("sarm_width[0]", [0]),
+    ("render_width", [0, 65, 259]),
+    ("hyper_width[0]", [0, 65, 262]),
+    ("sarm_width[0]", [0, 260]),
     ("sarm_width[1]", [17]),
-    ("carm_width[0]", [0, 65]),
-    ("render_width", [0, 65]),
+    ("carm_width[0]", [0, 65, 261]),
 ]
 OUTSIDE_MAIN: list[tuple[str, list[int]]] = [
     ("offset_count", [0, 17]),
@@ -266,12 +274,12 @@ OUTSIDE_MAIN: list[tuple[str, list[int]]] = [
     ("slice_width[3]", [0, 65]),
     ("plane_channels", [17]),
     ("frequency_count", [17]),
-    ("plane_size", [0, 1, 257, 65535]),
+    ("plane_size", [0, 1, 1025, 65535]),
+    ("render_width", [0, 129]),
     ("hyper_width[0]", [0, 129]),
     ("sarm_width[0]", [0, 33]),
     ("sarm_width[1]", [0, 33]),
     ("carm_width[0]", [0, 129]),
-    ("render_width", [0, 129]),
 ]
 LISTS_OF_TINY: list[tuple[str, list[list[int]]]] = [
     ("slice_count", [[], [1] * 5]),
@@ -329,7 +337,7 @@ def _refused_dimensions(book: Book) -> None:
 def _refused_levels(book: Book) -> None:
     title, make = "profile 2", profile.of(plain, "profile", 2)
     book.add("unsupported-header-profile-2", title, make, features="header", flags="profile-unchecked")
-    for base, name, before, levels in ((plain, "Tiny", "", [1]), (main_file, "Main", "main-", [0, 4])):
+    for base, name, before, levels in ((plain, "Tiny", "", [1]), (main_file, "Main", "main-", [0, HIGHEST + 1])):
         for number in levels:
             title, make = f"level {number} of {name}", level.of(base, number)
             identifier = f"unsupported-header-{before}level-{number}"
@@ -342,7 +350,7 @@ def _refused_levels(book: Book) -> None:
         title = f"one anchor more than level {number} of Main allows"
         make = too_many_anchors.of(main_file, most.anchors + 1, number)
         book.add(f"invalid-anchor-count-main-{number}", title, make, features="main header", flags="level-limits")
-    for number, anchors, size in ((2, 1 << 17, 128), (3, 1 << 20, 256)):
+    for number, anchors, size in ((2, 1 << 17, 128), (3, 1 << 20, 256), (4, 1 << 22, 256), (5, 1 << 24, 512)):
         book.add(
             f"invalid-level-{number}-of-{anchors}-{size}",
             f"level {number}, though level {number - 1} allows {anchors} anchors and planes of {size}",
@@ -364,19 +372,19 @@ def _work(book: Book) -> None:
     add = partial(book.add, features="header main dimensions", requirements="R11.1-2 R11.2-2 R11.2-3 R11.2-4")
     for number, level in PROFILES[MAIN].levels.items():
         title = f"as many anchors, and as much work, as level {number} allows, and nothing behind the header"
-        make = header_alone.of(plain, WORK_AT_BOUND, number, level.anchors)
+        make = header_alone.of(plain, WORK_AT_BOUND[number], number, level.anchors)
         add(f"malformed-work-at-bound-{number}", title, make, flags="level-limits level-not-minimal truncation")
         title = f"as many anchors as level {number} allows, and more work"
-        make = too_much_work.of(plain, WORK_BEYOND, number, level.anchors)
+        make = too_much_work.of(plain, WORK_BEYOND[number], number, level.anchors)
         add(f"invalid-work-beyond-{number}", title, make, flags="level-limits work-bound")
         if number == 1:
             continue
         lower = PROFILES[MAIN].levels[number - 1].anchors
         title = f"level {number}, though level {number - 1} allows this work"
-        make = level_of_less_work.of(plain, WORK_AT_BOUND, number, lower)
+        make = level_of_less_work.of(plain, WORK_AT_BOUND[number - 1], number, lower)
         add(f"invalid-level-{number}-of-less-work", title, make, flags="level-not-minimal work-bound")
         title = f"level {number}, which the work alone needs, and nothing behind the header"
-        make = header_alone.of(plain, WORK_BEYOND, number, lower)
+        make = header_alone.of(plain, WORK_BEYOND[number - 1], number, lower)
         add(f"malformed-work-needs-{number}", title, make, flags="level-not-minimal work-bound")
     d, bound = WORK_OF_PLANES, PROFILES[MAIN].levels[1].work
     most = (bound - work(d, 0)) // (work(d, 1) - work(d, 0))
@@ -385,9 +393,10 @@ def _work(book: Book) -> None:
     add("malformed-work-of-planes", title, make, flags="level-not-minimal work-bound")
     title, make = "one anchor more than that", too_much_work.of(plain, d, 1, most + 1)
     add("invalid-work-of-planes", title, make, flags="work-bound")
-    title = "the largest planes, and no anchors: a level that the planes alone need"
-    make = header_alone.of(plain, replace(d, plane_size=256), 2, 0)
-    add("malformed-main-largest-planes", title, make, flags="level-limits level-not-minimal truncation")
+    for number, size in ((2, 256), (4, 512), (5, 1024)):
+        title = f"planes of {size}, and no anchors: level {number}, which the planes alone need"
+        make = header_alone.of(plain, replace(d, plane_size=size), number, 0)
+        add(f"malformed-main-planes-{size}", title, make, flags="level-limits level-not-minimal truncation")
 
 
 def _main(book: Book) -> None:

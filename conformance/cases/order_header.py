@@ -84,7 +84,7 @@ def _neighbours(book: Book) -> None:
         grids,
         [
             ("malformed", "section_count", header.count_beyond_header, ("section_count", 0xFFFF)),
-            ("malformed", "the padding of the dimensions", header.padding_byte, (2, 1)),
+            ("malformed", "the padding of the dimensions", header.padding_byte, (0, 1)),
             reserved,
         ],
     )
@@ -181,6 +181,16 @@ def _header(book: Book) -> None:
             "unsupported-reserved-and-grid",
             "reserved, and the grid's reserved",
             (header.reserved.edit("reserved", 1), header.reserved.edit(f"{grid}.reserved", 1)),
+        ),
+        (
+            "unsupported-reserved-of-render-info-and-dimensions",
+            "the render information's reserved, and that of the dimensions",
+            tuple(header.reserved.edit(f"{struct}.reserved", 1) for struct in ("render_info", "dimensions")),
+        ),
+        (
+            "invalid-view-inputs-and-colour-outputs",
+            "view_inputs and colour_outputs of another render model",
+            tuple(limits.dimension.edit(name, 1) for name in ("view_inputs", "colour_outputs")),
         ),
         ("invalid-two-lanes", "mask_lanes_log2 and attribute_lanes_log2", _lanes("mask", "attribute")),
         ("invalid-lanes-of-planes-and-masks", "plane_lanes_log2 and mask_lanes_log2", _lanes("plane", "mask")),

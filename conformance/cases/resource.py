@@ -106,13 +106,13 @@ def add(book: Book) -> None:
         title = f"a file of a few kilobytes with {most.anchors} anchors, each of them a chunk"
         add(f"resource-anchors-of-level-{level}", title, index_beyond.of(main_file, level))
     title = "16,777,216 anchors in 1,024 chunks, of which there is the index alone"
-    add("resource-anchors-in-large-chunks", title, chunks_without_bytes.of(main_file, 3, 1024, FLOOR))
+    add("resource-anchors-in-large-chunks", title, chunks_without_bytes.of(main_file, 4, 1024, FLOOR))
     title = "16,777,216 anchors in chunks with fewer bytes than these need"
-    add("resource-anchors-in-few-bytes", title, crowded.of(main_file, 3, 1024, FLOOR - 4))
+    add("resource-anchors-in-few-bytes", title, crowded.of(main_file, 4, 1024, FLOOR - 4))
     title = "524,288 anchors in 32 chunks of zeros, as few bytes as these can have"
     add("resource-anchors-of-zeros", title, chunks_of_zeros.of(main_file, 2, 32))
     title = "an index that announces terabytes"
-    add("resource-lengths-of-gigabytes", title, chunks_without_bytes.of(main_file, 3, 1024, 0xFFFFFFFC))
+    add("resource-lengths-of-gigabytes", title, chunks_without_bytes.of(main_file, 4, 1024, 0xFFFFFFFC))
     title, make = "an ancillary section of four gigabytes", long_section.of(plain, 6, 0xFFFFFFFF)
     add("resource-section-of-4-gigabytes", title, make)
     title, make = "an ancillary section of 256 terabytes", long_section.of(plain, 6, SECTION_LENGTH_MAX)

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from refcodec.bitstream import codec, header
-from refcodec.bitstream.errors import BitstreamError
+from refcodec.bitstream.errors import REGISTRY, BitstreamError
 from refcodec.bitstream.limits import PROFILES
 from refcodec.bitstream.reconstruction import canonical_head, digest
 from refcodec.files.lock import is_empty
@@ -124,12 +124,21 @@ def vectors(recipes: Iterable[Recipe]) -> Iterator[tuple[dict[str, Any], dict[st
                 "flags": list(recipe.flags),
                 "input": {"path": path, "size": len(data), "sha256": _sha256(data)},
                 "expectation": expectation,
+                **_holds_for(data, expectation),
                 "budget": {"seconds": recipe.seconds, "bytes": MEMORY},
                 "licence": recipe.licence,
                 "generator": {"name": recipe.name.replace("-", "_"), "seed": recipe.seed},
             },
             files,
         )
+
+
+# SPEC 12.3
+def _holds_for(data: bytes, expectation: dict[str, Any]) -> dict[str, int]:
+    """Returns the field minor_at_most of a vector, if it has it: a later minor version may give another verdict."""
+    later = len(data) >= header.PROLOGUE_BYTES and int.from_bytes(data[10:12], "little") > header.MINOR
+    unsupported = expectation["result"] == "rejected" and REGISTRY[expectation["name"]].klass == "unsupported"
+    return {"minor_at_most": header.MINOR} if later or unsupported else {}
 
 
 def _check(folder: Path) -> None:

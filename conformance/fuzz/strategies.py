@@ -38,6 +38,10 @@ def _within(bounds: tuple[int, int], most: int) -> st.SearchStrategy[int]:
     return st.one_of(st.integers(low, min(most, high)), st.sampled_from([low, high]))
 
 
+# SPEC 6.5: view_inputs and colour_outputs of render model 0.
+OF_MODEL_0 = 4, 3
+
+
 @st.composite
 def dimensions(draw: st.DrawFn) -> Dimensions:
     """Draws dimensions of profile Tiny, including its limits, but not all at once."""
@@ -59,6 +63,7 @@ def dimensions(draw: st.DrawFn) -> Dimensions:
         widths(p.sarm_layers, p.sarm_width) if channels else (),
         widths(p.carm_layers, p.carm_width) if len(slices) > 1 else (),
         draw(_within(p.render_width, 3)),
+        *draw(st.just(OF_MODEL_0) | st.tuples(_within(p.view_inputs, 4), _within(p.colour_outputs, 12))),
     )
 
 
@@ -67,7 +72,8 @@ def grids() -> st.SearchStrategy[PositionGrid]:
     return st.builds(PositionGrid, st.tuples(origin, origin, origin), st.integers(1, 65535), st.integers(-60, 60))
 
 
-def render_infos() -> st.SearchStrategy[RenderInfo]:
+def render_infos(d: Dimensions) -> st.SearchStrategy[RenderInfo]:
+    """Render information of a render model that allows the dimensions."""
     positive = st.floats(2.0**-100, 2.0**100, width=32)
     byte = st.integers(0, 255)
     return st.builds(
@@ -78,6 +84,9 @@ def render_infos() -> st.SearchStrategy[RenderInfo]:
         positive,
         st.floats(2.0**-20, 1, width=32),
         st.floats(0, 2.0**20, width=32),
+        byte,
+        byte,
+        byte if (d.view_inputs, d.colour_outputs) == OF_MODEL_0 else st.integers(1, 255),
     )
 
 
@@ -270,7 +279,7 @@ def scenes(draw: st.DrawFn, max_anchors: int = 12) -> Scene:
         lanes=Lanes(draw(lane), draw(lane), draw(lane)),
         base_step=draw(st.tuples(step, step, step)),
         grid=draw(grids()),
-        render=draw(render_infos()),
+        render=draw(render_infos(d)),
         frame=draw(frames()) if d.has_frame else None,
         plane_shift=draw(st.integers(0, weights.PLANE_SHIFT_MAX)) if d.plane_channels else 0,
         carm_shift=draw(hnp.arrays(np.uint8, d.carm_inputs, elements=st.integers(0, weights.CARM_SHIFT_MAX))),

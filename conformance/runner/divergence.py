@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from refcodec.bitstream import codec
+from refcodec.bitstream import codec, syntax
 from refcodec.bitstream.attributes import SCALINGS
 from refcodec.bitstream.entropy import TraceRow
 from refcodec.bitstream.planes import PLANE_NAMES
@@ -21,7 +21,6 @@ from refcodec.inspect import dump
 from . import probes
 from .traces import has_any, lines_of
 
-HEAD_FIELDS = ("N", "K", "F", "ch", "B")
 # The clauses that define the values of a part, and the symbols of a trace with their models.
 PART_CLAUSES = {
     "positions": "9.1, 5.14, 7.12",
@@ -116,9 +115,13 @@ def _compare_part(scene: Scene, part: str, right: bytes, found: bytes, start: in
         at = next(i for i, (a, b) in enumerate(zip(right, found, strict=True)) if a != b)
         if at < 8:
             return Divergence(part, "the eight bytes", right[:8].hex(" "), found[:8].hex(" "), start, "the head")
-        at = (at - 8) // 4
-        values = [str(int.from_bytes(data[8 + 4 * at : 12 + 4 * at], "little")) for data in (right, found)]
-        return Divergence(part, HEAD_FIELDS[at], values[0], values[1], start + 8 + 4 * at, "the head")
+        fields = [("N", 8, 12)]
+        for table, name in (("RenderInfo", "render_info"), ("Dimensions", "dimensions")):
+            elements = syntax.parse_elements(table, right, fields[-1][2], name)
+            fields += [(element.path, element.start, element.end) for element in elements]
+        name, first, end = next(field for field in fields if at < field[2])
+        values = [data[first:end].hex(" ") for data in (right, found)]
+        return Divergence(part, name, values[0], values[1], start + first, "the head")
     if part == "digests":
         number = next(i for i, (a, b) in enumerate(zip(right, found, strict=True)) if a != b) // 32
         values = [data[32 * number : 32 * number + 32].hex() for data in (right, found)]

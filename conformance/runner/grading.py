@@ -9,12 +9,14 @@ from __future__ import annotations
 
 import hashlib
 import signal
-import struct
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, BinaryIO
 
+import construct as cs
+
 from refcodec import statuses
+from refcodec.bitstream import syntax
 from refcodec.bitstream.errors import REGISTRY
 from refcodec.bitstream.reconstruction import DIGEST_MAGIC, PARTS
 from refcodec.files.documents import DocumentError, parse_json
@@ -45,8 +47,8 @@ OVER = {
     "twice": "answered more than once",
     "other": "answered another request",
 }
-# The number of bytes that the digest of a scene covers (SPEC 9.3).
-DIGESTED_BYTES = len(DIGEST_MAGIC) + 4 * 5 + 32 * len(PARTS)
+# More bytes than the digest of any scene covers (SPEC 9.3).
+_DIGESTED_MAX = 4096
 # The bytes of one read of an output.
 _BLOCK = 1 << 20
 # The longest valid last line of stderr, in characters.
@@ -121,13 +123,21 @@ def read_output(file: BinaryIO) -> Output:
     An output begins with a list of the digests of the parts, which the digest of the scene covers; the parts follow. If
     the list and the parts disagree, the digest is the SHA-256 of a zero and the output, which no scene has.
     """
-    listed = file.read(DIGESTED_BYTES)
-    head = listed[: DIGESTED_BYTES - 32 * len(PARTS)]
+    start = file.read(_DIGESTED_MAX)
+    at = len(DIGEST_MAGIC) + 4
+    try:
+        at += syntax.parse("RenderInfo", start, at)[1]
+        d, size = syntax.parse("Dimensions", start, at)
+    except cs.ConstructError:
+        size = len(start)
+    head, listed = start[: at + size], start[: at + size + 32 * len(PARTS)]
     whole = hashlib.sha256(b"\0" + listed)
     parts = {"head": hashlib.sha256(head).hexdigest()}
-    if len(listed) < DIGESTED_BYTES:
+    if len(listed) < at + size + 32 * len(PARTS):
         return Output(whole.hexdigest(), parts)
-    n, k, f, ch, b = struct.unpack_from("<5I", listed, len(DIGEST_MAGIC))
+    file.seek(len(listed))
+    n = int.from_bytes(start[len(DIGEST_MAGIC) :][:4], "little")
+    k, f, ch, b = d.offset_count, sum(d.slice_width), d.plane_channels, d.plane_size
     sizes = [12 * n, n * k, 2 * 5 * ch * b * b, 4 * n * f, 24 * n, 12 * n * k]
     found = head
     for number, name in enumerate(PARTS):

@@ -136,32 +136,36 @@ BOUNDS = [
         ("offset_count", 1, 10),
         ("plane_channels", 0, 8),
         ("frequency_count", 0, 10),
-        ("render_width", 1, 64),
-        ("plane_size", 2, 32),
         ("slice_count", 1, 4),
         ("hyper_layers", 0, 2),
         ("sarm_layers", 1, 2),
         ("carm_layers", 0, 2),
-        ("slice_width", 1, 16),
+        ("view_inputs", 0, 8),
+        ("colour_outputs", 1, 48),
+        ("plane_size", 2, 32),
+        ("render_width", 1, 64),
         ("hyper_width", 1, 64),
         ("sarm_width", 1, 16),
         ("carm_width", 1, 64),
+        ("slice_width", 1, 16),
         ("chunk_size", 1, 65536),
     ],
     [
         ("offset_count", 1, 16),
         ("plane_channels", 0, 16),
         ("frequency_count", 0, 16),
-        ("render_width", 1, 128),
-        ("plane_size", 2, 256),
         ("slice_count", 1, 16),
         ("hyper_layers", 0, 2),
         ("sarm_layers", 1, 2),
         ("carm_layers", 0, 2),
-        ("slice_width", 1, 64),
+        ("view_inputs", 0, 8),
+        ("colour_outputs", 1, 48),
+        ("plane_size", 2, 1024),
+        ("render_width", 1, 128),
         ("hyper_width", 1, 128),
         ("sarm_width", 1, 32),
         ("carm_width", 1, 128),
+        ("slice_width", 1, 64),
         ("chunk_size", 256, 16384),
     ],
 ]
@@ -171,7 +175,9 @@ LEVELS = [
     {"profile": 0, "level": 0, "anchor_count": 4096, "plane_size": 32, "work": 2**28},
     {"profile": 1, "level": 1, "anchor_count": 131072, "plane_size": 128, "work": 2**33},
     {"profile": 1, "level": 2, "anchor_count": 1048576, "plane_size": 256, "work": 2**36},
-    {"profile": 1, "level": 3, "anchor_count": 16777216, "plane_size": 256, "work": 2**40},
+    {"profile": 1, "level": 3, "anchor_count": 4194304, "plane_size": 256, "work": 2**38},
+    {"profile": 1, "level": 4, "anchor_count": 16777216, "plane_size": 512, "work": 2**41},
+    {"profile": 1, "level": 5, "anchor_count": 67108864, "plane_size": 1024, "work": 2**43},
 ]
 
 # SPEC 2.4
@@ -761,6 +767,7 @@ def TAKE(reader, name, size, count, signed):
     places = [at + size * i for i in range(count)]
     reader["value"][name] = [I(reader["data"], x, size) if signed else U(reader["data"], x, size) for x in places]
     reader["place"][name] = at
+    reader["size"][name] = size
 
 
 # SPEC 10.4
@@ -769,12 +776,12 @@ def PARSE_HEADER(data, length, minor):
     REQUIRE(len(data) >= 20 + length, "header.truncated", len(data))
     crc_at = 16 + length
     REQUIRE(U(data, crc_at, 4) == CRC32(data[20:crc_at]), "header.crc", crc_at)
-    reader = {"data": data, "at": 20, "end": crc_at, "value": {}, "place": {}}
+    reader = {"data": data, "at": 20, "end": crc_at, "value": {}, "place": {}, "size": {}}
     value, place = reader["value"], reader["place"]
     for name, size, count, signed in FIRST_FIELDS:
         TAKE(reader, name, size, count, signed)
-    for name, counter in LISTS:
-        TAKE(reader, name, 1, value[counter][0], False)
+    for name, size, counter in LISTS:
+        TAKE(reader, name, size, value[counter][0], False)
     TAKE(reader, "padding", 1, PAD4(reader["at"]) - reader["at"], False)
     entries = []
     for n in range(value["section_count"][0]):
@@ -785,11 +792,11 @@ def PARSE_HEADER(data, length, minor):
     extra = reader["end"] - reader["at"]
     REQUIRE(extra == 0 or minor > MINOR, "header.syntax", reader["at"])
     REQUIRE(not any(value["padding"]), "header.padding", place["padding"])
-    for name in ("reserved", "grid_reserved"):
+    for name in ("reserved", "grid_reserved", "render_reserved", "dimensions_reserved"):
         REQUIRE(value[name][0] == 0, "header.reserved", place[name])
     for entry in entries:
         REQUIRE(not any(data[entry["at"] + 5 : entry["at"] + 8]), "header.reserved", entry["at"] + 5)
-    return {"value": value, "place": place, "entries": entries}
+    return {"value": value, "place": place, "size": reader["size"], "entries": entries}
 
 
 FIRST_FIELDS = [
@@ -814,21 +821,28 @@ FIRST_FIELDS = [
     ("distance_unit", 4, 1, False),
     ("alpha_max", 4, 1, False),
     ("low_pass", 4, 1, False),
+    ("colour_primaries", 1, 1, False),
+    ("transfer_characteristics", 1, 1, False),
+    ("render_model", 1, 1, False),
+    ("render_reserved", 1, 1, False),
     ("offset_count", 1, 1, False),
     ("plane_channels", 1, 1, False),
     ("frequency_count", 1, 1, False),
-    ("render_width", 1, 1, False),
-    ("plane_size", 2, 1, False),
     ("slice_count", 1, 1, False),
     ("hyper_layers", 1, 1, False),
     ("sarm_layers", 1, 1, False),
     ("carm_layers", 1, 1, False),
+    ("view_inputs", 1, 1, False),
+    ("colour_outputs", 1, 1, False),
+    ("dimensions_reserved", 1, 1, False),
+    ("plane_size", 2, 1, False),
+    ("render_width", 2, 1, False),
 ]
 LISTS = [
-    ("slice_width", "slice_count"),
-    ("hyper_width", "hyper_layers"),
-    ("sarm_width", "sarm_layers"),
-    ("carm_width", "carm_layers"),
+    ("hyper_width", 2, "hyper_layers"),
+    ("sarm_width", 2, "sarm_layers"),
+    ("carm_width", 2, "carm_layers"),
+    ("slice_width", 1, "slice_count"),
 ]
 
 
@@ -843,8 +857,8 @@ def SHAPES(v):
         nets.append(("sarm", [4] + v["sarm_width"] + [2]))
     for i in range(1, len(slices)):
         nets.append((i, [sum(slices[:i])] + v["carm_width"] + [2 * slices[i]]))
-    for name, outputs in ((RENDERING[0], k), (RENDERING[1], 7 * k), (RENDERING[2], 3 * k)):
-        nets.append((name, [features + 4, v["render_width"][0], outputs]))
+    for name, outputs in zip(RENDERING, (1, 7, v["colour_outputs"][0])):
+        nets.append((name, [features + v["view_inputs"][0], v["render_width"][0], outputs * k]))
     return [(name, [(widths[i + 1], widths[i]) for i in range(len(widths) - 1)]) for name, widths in nets]
 
 
@@ -882,7 +896,7 @@ def CHECK_HEADER(h):
     for name, low, high in BOUNDS[profile][:-1]:
         for i, item in enumerate(v[name]):
             absent = (item == 0) and (name in ("plane_size", "sarm_layers"))
-            REQUIRE(low <= item <= high or absent, "header.dimension", at[name] + i)
+            REQUIRE(low <= item <= high or absent, "header.dimension", at[name] + h["size"][name] * i)
     ch, size = v["plane_channels"][0], v["plane_size"][0]
     REQUIRE(sum(v["slice_width"]) <= FEATURES_MAX, "header.dimension", at["slice_width"])
     REQUIRE((size == 0) == (ch == 0), "header.dimension", at["plane_size"])
@@ -890,6 +904,9 @@ def CHECK_HEADER(h):
     inputs = ch + v["frequency_count"][0]
     REQUIRE(inputs > 0 or v["hyper_layers"][0] == 0, "header.dimension", at["hyper_layers"])
     REQUIRE(v["slice_count"][0] > 1 or v["carm_layers"][0] == 0, "header.dimension", at["carm_layers"])
+    if v["render_model"][0] == 0:
+        REQUIRE(v["view_inputs"][0] == 4, "header.dimension", at["view_inputs"])
+        REQUIRE(v["colour_outputs"][0] == 3, "header.dimension", at["colour_outputs"])
     REQUIRE(size <= level["plane_size"], "header.dimension", at["plane_size"])
     REQUIRE(n <= level["anchor_count"], "header.anchor_count", at["anchor_count"])
     work = WORK(v)
@@ -1242,8 +1259,8 @@ def DECODE_FILE(data):
             for bits in [bits for row in rows for bits in row] + biases:
                 parts["weights"] += BYTES(bits, 4)
     digests = [SHA256(parts[name]) for name in names]
-    head = ASCII("C3GSREC1") + BYTES(v["anchor_count"][0], 4) + BYTES(v["offset_count"][0], 4)
-    head += BYTES(sum(v["slice_width"]), 4) + BYTES(v["plane_channels"][0], 4) + BYTES(v["plane_size"][0], 4)
+    render_info, directory = h["place"]["background"], h["place"]["padding"] + len(v["padding"])
+    head = ASCII("C3GSREC1") + BYTES(v["anchor_count"][0], 4) + data[render_info:directory]
     return {"parts": digests, "scene": SHA256(head + [byte for own in digests for byte in own]), "chunks": chunks}
 
 

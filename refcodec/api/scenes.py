@@ -25,7 +25,7 @@ from ..bitstream.scene import take_anchors
 from ..inspect.elements import outline_of
 from ..inspect.parts import part_bytes
 from ..render.camera import Camera, check_camera, default_camera
-from ..render.gaussians import Gaussians, gaussians
+from ..render.gaussians import Gaussians, check_render_model, gaussians
 from . import page
 
 if TYPE_CHECKING:
@@ -153,10 +153,11 @@ class Scene:
 
         camera: None for the default view. The mean, the lengths of the axes, the quaternion, the opacity and the colour
         of a Gaussian are float32 [n, ...], and anchor and offset say where it comes from. Raises ValueError for an
-        invalid camera.
+        invalid camera, and for a scene whose render model is not known (SPEC 6.5).
         """
         camera = camera or self.camera
         check_camera(camera)
+        check_render_model(self.coded.render)
         networks = {name: self.coded.networks[name] for name in RENDERING}
         unit = self.coded.render.distance_unit
         return gaussians(self.values, self.masks, networks, camera, unit)

@@ -88,6 +88,12 @@ TYPES: dict[bytes, AncillaryType] = {
 }
 
 
+# SPEC 12.1
+def is_safe_to_copy(kind: bytes) -> bool:
+    """Whether a section of a type remains true after any change of the critical sections. Known types do."""
+    return kind in TYPES or bool(kind[3] & 0x20)
+
+
 def warnings(sections: Iterable[Ancillary]) -> list[str]:
     """SPEC 6.14 and 6.15: returns the violations in sections of known types, as text."""
     listed = list(sections)

@@ -20,7 +20,7 @@ from .scene import Ancillary
 F64 = NDArray[np.float64]
 
 # SPEC 6.15
-CAMERAS = b"cAMS"
+CAMERAS = b"cAMs"
 
 
 def rotation_matrix(quaternion: F64) -> F64:
@@ -82,7 +82,12 @@ def parse_cameras(content: bytes) -> tuple[list[NamedCamera], list[str]]:
             problems.append("its reserved field is not 0")
         for number in range(head.count):
             fields, size = syntax.parse("Camera", content, at)
-            at += size
+            end = at + 4 + fields.length
+            # A later minor version may have added fields.
+            if fields.length % 4 or not at + size <= end <= len(content):
+                problems.append(f"the length of camera {number} is {fields.length}, which is not what its fields take")
+                return found, problems
+            at = end
             camera, fault = _camera(fields)
             if fields.name in names:
                 fault = fault or "its name is that of an earlier one"
@@ -117,7 +122,9 @@ def emit_cameras(cameras: list[NamedCamera]) -> bytes:
     parts = [syntax.build("Cameras", {"count": len(cameras), "reserved": 0})]
     for camera in cameras:
         name = camera.name.encode()
-        parts.append(syntax.build("Camera", {**vars(camera), "name": name, "name_length": len(name)}))
+        own = {**vars(camera), "name": name, "name_length": len(name), "length": 0}
+        own["length"] = len(syntax.build("Camera", own)) - 4
+        parts.append(syntax.build("Camera", own))
     content = b"".join(parts)
     problems = parse_cameras(content)[1]
     if problems:

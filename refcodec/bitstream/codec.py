@@ -231,7 +231,7 @@ def _header(scene: Scene) -> Header:
     chunks = -(-n // max(scene.chunk_size, 1)) if scene.chunk_anchors is None else len(scene.chunk_anchors)
     # A scene that no level holds is refused at the highest level.
     level = max(profile.levels) if profile else 0
-    if profile and dimension_fault(profile, d) is None:
+    if profile and dimension_fault(profile, d, scene.render.render_model) is None:
         lowest = minimal_level(profile, n, d)
         level = level if lowest is None else lowest
     return Header(

@@ -23,6 +23,8 @@ class Dimensions:
     plane_size: B, or 0 without planes.
     hyper_width, sarm_width, carm_width: the widths of the hidden layers of F_h, of SARM and of each network of CARM.
     render_width: the width of the one hidden layer of each rendering network.
+    view_inputs: the inputs of each rendering network in addition to the features.
+    colour_outputs: the outputs of the colour network for each offset.
     """
 
     offset_count: int
@@ -34,6 +36,8 @@ class Dimensions:
     sarm_width: tuple[int, ...]
     carm_width: tuple[int, ...]
     render_width: int
+    view_inputs: int = 4
+    colour_outputs: int = 3
 
     @property
     def features(self) -> int:
@@ -67,8 +71,8 @@ class Dimensions:
             shapes["sarm"] = mlp([4, *self.sarm_width, 2])
         for index in range(1, len(self.slices)):
             shapes[f"carm.{index}"] = mlp([sum(self.slices[:index]), *self.carm_width, 2 * self.slices[index]])
-        for name, outputs in zip(RENDERING, (1, 7, 3), strict=True):
-            shapes[name] = mlp([self.features + 4, self.render_width, outputs * self.offset_count])
+        for name, outputs in zip(RENDERING, (1, 7, self.colour_outputs), strict=True):
+            shapes[name] = mlp([self.features + self.view_inputs, self.render_width, outputs * self.offset_count])
         return shapes
 
 
@@ -84,6 +88,8 @@ def dimensions_of(d: Any) -> Dimensions:
         tuple(d.sarm_width),
         tuple(d.carm_width),
         d.render_width,
+        d.view_inputs,
+        d.colour_outputs,
     )
 
 
@@ -93,16 +99,19 @@ def dimension_fields(d: Dimensions) -> dict[str, Any]:
         "offset_count": d.offset_count,
         "plane_channels": d.plane_channels,
         "frequency_count": d.frequency_count,
-        "render_width": d.render_width,
-        "plane_size": d.plane_size,
         "slice_count": len(d.slices),
         "hyper_layers": len(d.hyper_width),
         "sarm_layers": len(d.sarm_width),
         "carm_layers": len(d.carm_width),
-        "slice_width": d.slices,
+        "view_inputs": d.view_inputs,
+        "colour_outputs": d.colour_outputs,
+        "reserved": 0,
+        "plane_size": d.plane_size,
+        "render_width": d.render_width,
         "hyper_width": d.hyper_width,
         "sarm_width": d.sarm_width,
         "carm_width": d.carm_width,
+        "slice_width": d.slices,
     }
 
 

@@ -86,7 +86,7 @@ def parse_directory(header: syntax.Struct, d: Dimensions, start: int) -> tuple[S
     for i, e in entries:
         if not (e.type.isalpha() and e.type.isascii()):
             raise header.error("directory.type", f"directory[{i}].type", e.type.hex(" "), "four letters")
-    # SPEC [R6.6-2]
+    # SPEC [R6.6-2], and for editors [E12.1-1]
     critical = [(i, e) for i, e in entries if is_critical(e.type)]
     for i, e in critical:
         if e.type not in SECTIONS:

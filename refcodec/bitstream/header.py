@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import zlib
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from typing import Any
 
 import construct as cs
@@ -56,6 +56,8 @@ class RenderInfo:
     up_axis: 0 to 5 if +x, -x, +y, -y, +z or -z points up.
     near_plane, distance_unit: world units.
     low_pass: square pixels.
+    colour_primaries, transfer_characteristics: code points of ITU-T H.273. 1 and 13 are BT.709 and sRGB.
+    render_model: 0 if chapter 14 draws the scene.
     """
 
     background: tuple[int, int, int] = (0, 0, 0)
@@ -64,6 +66,9 @@ class RenderInfo:
     distance_unit: float = 1.0
     alpha_max: float = float(np.float32(0.99))
     low_pass: float = float(np.float32(0.3))
+    colour_primaries: int = 1
+    transfer_characteristics: int = 13
+    render_model: int = 0
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -190,6 +195,8 @@ def _checked(header: syntax.Struct, minor: int, later: bytes) -> Header:
     for field, value in (
         ("reserved", h.reserved),
         ("position_grid.reserved", h.position_grid.reserved),
+        ("render_info.reserved", h.render_info.reserved),
+        ("dimensions.reserved", h.dimensions.reserved),
         *((f"directory[{i}].reserved", list(entry.reserved)) for i, entry in enumerate(h.directory)),
     ):
         if any(value) if isinstance(value, list) else value:
@@ -239,7 +246,7 @@ def _checked_limits(header: syntax.Struct) -> Dimensions:
     level = profile.levels[h.level]
     # SPEC [R11.1-2]: the bounds of the profile come before the bound of the level.
     dimensions = dimensions_of(h.dimensions)
-    fault = dimension_fault(profile, dimensions)
+    fault = dimension_fault(profile, dimensions, h.render_info.render_model)
     if fault:
         raise header.error("header.dimension", f"dimensions.{fault[0]}", *fault[1:])
     if dimensions.plane_size > level.plane_size:
@@ -284,7 +291,7 @@ def _checked_render(header: syntax.Struct) -> RenderInfo:
         raise header.error(name, field("alpha_max"), r.alpha_max, "more than 0 and at most 1")
     if r.low_pass < 0:
         raise header.error(name, field("low_pass"), r.low_pass, "at least 0")
-    return RenderInfo(tuple(r.background), r.up_axis, r.near_plane, r.distance_unit, r.alpha_max, r.low_pass)
+    return RenderInfo(**{own.name: r[own.name] for own in fields(RenderInfo)} | {"background": tuple(r.background)})
 
 
 # --- writing ----------------------------------------------------------------------------------------------------------
@@ -295,7 +302,7 @@ def emit_file(header: Header, sections: list[tuple[bytes, int, bytes]]) -> bytes
 
     The directory is built from the sections. header.sections is ignored.
     """
-    fields: dict[str, Any] = {
+    values: dict[str, Any] = {
         "profile": header.profile,
         "level": header.level,
         "section_count": len(sections),
@@ -308,7 +315,7 @@ def emit_file(header: Header, sections: list[tuple[bytes, int, bytes]]) -> bytes
         "reserved": 0,
         "base_step": header.base_step,
         "position_grid": {**vars(header.grid), "reserved": 0},
-        "render_info": vars(header.render),
+        "render_info": {**vars(header.render), "reserved": 0},
         "dimensions": dimension_fields(header.dimensions),
         # SPEC 5.6: the chunks of DATA have CRC-32s of their own.
         "directory": [
@@ -323,7 +330,7 @@ def emit_file(header: Header, sections: list[tuple[bytes, int, bytes]]) -> bytes
         ],
         "header_crc": 0,
     }
-    bare = syntax.build("Header", fields)[:-CRC_BYTES] + header.later
+    bare = syntax.build("Header", values)[:-CRC_BYTES] + header.later
     prologue = syntax.build(
         "Prologue",
         {

@@ -36,16 +36,18 @@ class Profile:
     offset_count: Bounds
     plane_channels: Bounds
     frequency_count: Bounds
-    render_width: Bounds
-    plane_size: Bounds
     slice_count: Bounds
     hyper_layers: Bounds
     sarm_layers: Bounds
     carm_layers: Bounds
-    slice_width: Bounds
+    view_inputs: Bounds
+    colour_outputs: Bounds
+    plane_size: Bounds
+    render_width: Bounds
     hyper_width: Bounds
     sarm_width: Bounds
     carm_width: Bounds
+    slice_width: Bounds
     chunk_size: Bounds
     levels: dict[int, Level]
 
@@ -57,8 +59,10 @@ PROFILES = {
         offset_count=(1, 10),
         plane_channels=(0, 8),
         frequency_count=(0, 10),
-        render_width=(1, 64),
+        view_inputs=(0, 8),
+        colour_outputs=(1, 48),
         plane_size=(2, 32),
+        render_width=(1, 64),
         slice_count=(1, 4),
         hyper_layers=(0, 2),
         sarm_layers=(1, 2),
@@ -75,8 +79,10 @@ PROFILES = {
         offset_count=(1, 16),
         plane_channels=(0, 16),
         frequency_count=(0, 16),
+        view_inputs=(0, 8),
+        colour_outputs=(1, 48),
+        plane_size=(2, 1024),
         render_width=(1, 128),
-        plane_size=(2, 256),
         slice_count=(1, 16),
         hyper_layers=(0, 2),
         sarm_layers=(1, 2),
@@ -89,7 +95,9 @@ PROFILES = {
         levels={
             1: Level(1 << 17, 128, 1 << 33),
             2: Level(1 << 20, 256, 1 << 36),
-            3: Level(1 << 24, 256, 1 << 40),
+            3: Level(1 << 22, 256, 1 << 38),
+            4: Level(1 << 24, 512, 1 << 41),
+            5: Level(1 << 26, 1024, 1 << 43),
         },
     ),
 }
@@ -97,24 +105,26 @@ PROFILES = {
 FEATURES_MAX = 128
 
 
-def dimension_fault(profile: Profile, d: Dimensions) -> tuple[str, object, str] | None:
-    """SPEC 11.1: returns the first dimension outside the profile, or None.
+def dimension_fault(profile: Profile, d: Dimensions, render_model: int) -> tuple[str, object, str] | None:
+    """SPEC [R11.1-2]: returns the first dimension outside the profile or the render model, or None.
 
     The result is (field of the Dimensions table, found, allowed).
     """
     # SPEC 11.1: these two may also be 0, without planes, which is checked below.
     optional = ("plane_size", "sarm_layers")
-    lists = {"slice": d.slices, "hyper": d.hyper_width, "sarm": d.sarm_width, "carm": d.carm_width}
+    lists = {"hyper": d.hyper_width, "sarm": d.sarm_width, "carm": d.carm_width, "slice": d.slices}
     checks: list[tuple[str, int, str]] = [
         ("offset_count", d.offset_count, "offset_count"),
         ("plane_channels", d.plane_channels, "plane_channels"),
         ("frequency_count", d.frequency_count, "frequency_count"),
-        ("render_width", d.render_width, "render_width"),
-        ("plane_size", d.plane_size, "plane_size"),
         ("slice_count", len(d.slices), "slice_count"),
         ("hyper_layers", len(d.hyper_width), "hyper_layers"),
         ("sarm_layers", len(d.sarm_width), "sarm_layers"),
         ("carm_layers", len(d.carm_width), "carm_layers"),
+        ("view_inputs", d.view_inputs, "view_inputs"),
+        ("colour_outputs", d.colour_outputs, "colour_outputs"),
+        ("plane_size", d.plane_size, "plane_size"),
+        ("render_width", d.render_width, "render_width"),
         *((f"{name}_width[{i}]", w, f"{name}_width") for name, widths in lists.items() for i, w in enumerate(widths)),
     ]
     for field, value, bound in checks:
@@ -132,6 +142,11 @@ def dimension_fault(profile: Profile, d: Dimensions) -> tuple[str, object, str] 
         return "hyper_layers", len(d.hyper_width), "0 if plane_channels and frequency_count are 0"
     if d.carm_width and len(d.slices) == 1:
         return "carm_layers", len(d.carm_width), "0 if slice_count is 1"
+    # SPEC 6.5: a decoder knows only that render model 0 has these.
+    if render_model == 0 and d.view_inputs != 4:
+        return "view_inputs", d.view_inputs, "4 if render_model is 0"
+    if render_model == 0 and d.colour_outputs != 3:
+        return "colour_outputs", d.colour_outputs, "3 if render_model is 0"
     return None
 
 

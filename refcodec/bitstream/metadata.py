@@ -14,7 +14,7 @@ from . import syntax
 from .scene import Ancillary
 
 # SPEC 6.14
-METADATA = b"mETA"
+METADATA = b"mETa"
 SECTION_BYTES_MAX = 1 << 16
 KEY = re.compile(r"[a-z0-9._-]+")
 # The syntax of some standard values. Numbers are decimal.
@@ -23,14 +23,12 @@ _VALUES = {
     "date": re.compile(r"\d{4}-\d\d-\d\d[Tt]\d\d:\d\d:\d\d(\.\d+)?([Zz]|[+-]\d\d:\d\d)", re.ASCII),
     "unit": re.compile(_NUMBER, re.ASCII),
     "georeference": re.compile(rf"\s*{_NUMBER}(\s+{_NUMBER}){{15}}\s*", re.ASCII),
-    "transfer": re.compile(r"srgb|linear"),
 }
 
 _ALLOWED = {
     "date": "a date and time of RFC 3339",
     "unit": "a decimal number",
     "georeference": "16 decimal numbers",
-    "transfer": "srgb or linear",
 }
 
 

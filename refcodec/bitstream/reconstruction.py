@@ -11,9 +11,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from . import syntax
 from .attributes import KINDS
 from .batches import GROUP_ANCHORS
 from .conventions import F32, f32_parts, round_to_f32
+from .dimensions import dimension_fields
 from .kernel import Kernel, kernel, values
 from .positions import position_integers
 from .scene import Scene
@@ -122,13 +124,14 @@ def canonical_head(scene: Scene, anchors: int | None = None) -> bytes:
 
     anchors: N, or None if the scene has all anchors of the file.
     """
-    d, count = scene.dimensions, scene.anchor_count if anchors is None else anchors
-    counts = count, d.offset_count, d.features, d.plane_channels, d.plane_size
-    return DIGEST_MAGIC + struct.pack("<5I", *counts)
+    count = scene.anchor_count if anchors is None else anchors
+    render = syntax.build("RenderInfo", {**vars(scene.render), "reserved": 0})
+    dimensions = syntax.build("Dimensions", dimension_fields(scene.dimensions))
+    return DIGEST_MAGIC + struct.pack("<I", count) + render + dimensions
 
 
 def digested(scene: Scene, parts: Iterable[tuple[str, bytes]] | None = None) -> bytes:
-    """SPEC 9.3: returns the 252 hashed bytes of a scene's digest: counts, and the parts' digests.
+    """SPEC 9.3: returns the hashed bytes of a scene's digest: its head, and the parts' digests.
 
     parts: the result of canonical_parts, if known.
     """

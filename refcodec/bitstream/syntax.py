@@ -55,16 +55,19 @@ SYNTAX: dict[str, list[tuple[str, str]]] = {
         ("offset_count", "u8"),
         ("plane_channels", "u8"),
         ("frequency_count", "u8"),
-        ("render_width", "u8"),
-        ("plane_size", "u16"),
         ("slice_count", "u8"),
         ("hyper_layers", "u8"),
         ("sarm_layers", "u8"),
         ("carm_layers", "u8"),
+        ("view_inputs", "u8"),
+        ("colour_outputs", "u8"),
+        ("reserved", "u8"),
+        ("plane_size", "u16"),
+        ("render_width", "u16"),
+        ("hyper_width", "u16[hyper_layers]"),
+        ("sarm_width", "u16[sarm_layers]"),
+        ("carm_width", "u16[carm_layers]"),
         ("slice_width", "u8[slice_count]"),
-        ("hyper_width", "u8[hyper_layers]"),
-        ("sarm_width", "u8[sarm_layers]"),
-        ("carm_width", "u8[carm_layers]"),
         ("padding", "padding"),
     ],
     # SPEC 5.4
@@ -82,6 +85,10 @@ SYNTAX: dict[str, list[tuple[str, str]]] = {
         ("distance_unit", "f32"),
         ("alpha_max", "f32"),
         ("low_pass", "f32"),
+        ("colour_primaries", "u8"),
+        ("transfer_characteristics", "u8"),
+        ("render_model", "u8"),
+        ("reserved", "u8"),
     ],
     # SPEC 5.6
     "DirectoryEntry": [
@@ -174,8 +181,9 @@ SYNTAX: dict[str, list[tuple[str, str]]] = {
         ("count", "u16"),
         ("reserved", "u16"),
     ],
-    # SPEC 5.17.1
+    # SPEC 5.17.1: a later minor version may add fields, which `length` counts
     "Camera": [
+        ("length", "u32"),
         ("width", "u32"),
         ("height", "u32"),
         ("focal", "f32[2]"),

@@ -284,7 +284,7 @@ def add(commands: Any) -> None:
         commands,
         "reconstruct",
         _reconstruct,
-        "write a file's canonical reconstruction (SPEC.md 9.3) after the 252 bytes from which the digest is computed",
+        "write a file's canonical reconstruction (SPEC.md 9.3) after the bytes from which the digest is computed",
         ["reconstruct scene.c3gs scene.bin", "reconstruct scene.c3gs scene.bin --trace symbols.txt --probes"],
         writes=True,
     )

@@ -56,7 +56,7 @@ def _gaussians(arguments: argparse.Namespace) -> int:
 
     from ..bitstream.reconstruction import reconstruct
     from ..render.camera import CAMERA_MAX, read_camera
-    from ..render.gaussians import gaussians, gaussians_document
+    from ..render.gaussians import check_render_model, gaussians, gaussians_document
 
     output = Path(arguments.output)
     check_file(output, Kind.signed("a list of Gaussians", b'{"gaussians":'))
@@ -67,6 +67,7 @@ def _gaussians(arguments: argparse.Namespace) -> int:
     except ValueError as error:
         raise UsageError(f"{arguments.camera} is not a camera: {error}; vectors/README.md describes one") from None
     scene = parse_file(arguments, read_bounded(arguments)).scene
+    check_render_model(scene.render)
     visible = gaussians(reconstruct(scene), scene.masks, scene.networks, camera, scene.render.distance_unit)
     write_file(output, json.dumps(gaussians_document(visible), separators=(",", ":")).encode())
     return 0

@@ -1,6 +1,6 @@
 """The scene folder, which `decode` writes and `encode` reads. Its files have formats that other programs read.
 
-scene.json              the values of the header, the frame and the small tables, and the digest
+scene.json              the values of the header, the frame and the small tables, the digest, and a fingerprint of these
 point_cloud.ply         the reconstruction, in the Scaffold-GS checkpoint layout
 networks.safetensors    fp32 weights and biases
 planes.safetensors      plane symbols
@@ -8,16 +8,19 @@ coded.safetensors       fp16 positions, masks, attribute symbols and step indice
 ancillary_N_TYPE.bin    ancillary section N, counted from 0, and its type
 
 With coded.safetensors, encoding a folder is exact. Without it, `encode` quantises point_cloud.ply again, with the
-networks, planes, frame and grid of the folder.
+networks, planes, frame and grid of the folder. A changed folder loses the ancillary sections that are not safe to copy.
 """
 
 from __future__ import annotations
 
+import hashlib
+import json
 import os
 import re
 import stat
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -119,3 +122,12 @@ def replace_scene(path: Path, write: Callable[[Path], None]) -> None:
     if os.path.lexists(path) and not path.is_dir():
         replaced()
     exchange(path, write, replaced, SCENE_FILE)
+
+
+def fingerprint(document: dict[str, Any]) -> str:
+    """Returns the SHA-256 of the values of scene.json apart from its ancillary sections, in hexadecimal.
+
+    With the digest among them, they determine the header and the critical sections of the encoded file.
+    """
+    values = {name: value for name, value in document.items() if name not in ("ancillary", "fingerprint")}
+    return hashlib.sha256(json.dumps(values, sort_keys=True).encode()).hexdigest()

@@ -13,6 +13,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from ..bitstream.ancillary import is_safe_to_copy
 from ..bitstream.attributes import ATTRIBUTE_SYMBOL_MAX, KINDS, SCALINGS, Attributes, zero_attributes
 from ..bitstream.dimensions import Dimensions, layers_of, mask_contexts
 from ..bitstream.frame import FRAME_RANGE_BOUND, FRAME_SHIFT_MAX, MATRIX_BOUND, TRANSLATION_BOUND, Frame
@@ -45,6 +46,7 @@ from .layout import (
     SCENE_FILE,
     SceneFolderError,
     ancillary_name,
+    fingerprint,
     there,
 )
 from .ply import Columns, ply_values, read_cloud
@@ -70,46 +72,56 @@ def read_folder(path: str | Path) -> Scene:
             raise SceneFolderError(path / name, "the file is missing", advice)
     document = Document(path / SCENE_FILE)
     document.integer("version", MAJOR, MAJOR)
-    d, profile = _read_dimensions(document)
-    bare = _read_document(document, d, profile, path)
+    render = read_render(document)
+    d, profile = _read_dimensions(document, render.render_model)
+    bare = _read_document(document, d, profile, render, path)
     if not there(path / CODED_FILE, f"restore it, or remove it so that encode quantises {PLY_FILE} again"):
-        return _requantise(bare, path)
+        return _without_unsafe(_requantise(bare, path))
     scene = _read_coded(bare, document, path)
     _compare_ply(scene, path)
     _compare_digest(scene, document)
-    return scene
+    unchanged = document.root.get("fingerprint") == fingerprint(document.root)
+    return scene if unchanged else _without_unsafe(scene)
 
 
-def _read_dimensions(doc: Document) -> tuple[Dimensions, int]:
+# SPEC [E12.1-2], [E12.1-3]
+def _without_unsafe(scene: Scene) -> Scene:
+    """Returns a changed scene without the ancillary sections that are not safe to copy."""
+    return replace(scene, ancillary=tuple(a for a in scene.ancillary if is_safe_to_copy(a.type)))
+
+
+def _read_dimensions(doc: Document, render_model: int) -> tuple[Dimensions, int]:
     names = {p.name: number for number, p in PROFILES.items()}
     profile = doc.value("profile")
     if not isinstance(profile, str) or profile not in names:
         raise doc.fault("profile", f"is {profile!r}, one of {', '.join(names)} is required")
 
-    def one(name: str, high: int = 255) -> int:
-        return doc.integer(f"dimensions.{name}", 0, high)
+    def one(name: str) -> int:
+        return doc.integer(f"dimensions.{name}", 0, 65535)
 
     def several(name: str) -> tuple[int, ...]:
-        return tuple(doc.integers(f"dimensions.{name}", None, 0, 255))
+        return tuple(doc.integers(f"dimensions.{name}", None, 0, 65535))
 
     d = Dimensions(
         one("offset_count"),
         several("slices"),
         one("plane_channels"),
         one("frequency_count"),
-        one("plane_size", 65535),
+        one("plane_size"),
         several("hyper_width"),
         several("sarm_width"),
         several("carm_width"),
         one("render_width"),
+        one("view_inputs"),
+        one("colour_outputs"),
     )
-    fault = dimension_fault(PROFILES[names[profile]], d)
+    fault = dimension_fault(PROFILES[names[profile]], d, render_model)
     if fault:
         raise doc.fault("dimensions", f"do not fit the profile: {fault[1]}")
     return d, names[profile]
 
 
-def _read_document(doc: Document, d: Dimensions, profile: int, path: Path) -> Scene:
+def _read_document(doc: Document, d: Dimensions, profile: int, render: RenderInfo, path: Path) -> Scene:
     """Returns the scene without anchors, which are in coded.safetensors."""
     base_step = doc.floats("base_step", 3)
     if not all(BASE_STEP_MIN <= step <= BASE_STEP_MAX for step in base_step):
@@ -136,7 +148,7 @@ def _read_document(doc: Document, d: Dimensions, profile: int, path: Path) -> Sc
         lanes=lanes,
         base_step=(base_step[0], base_step[1], base_step[2]),
         grid=grid,
-        render=read_render(doc),
+        render=render,
         frame=frame,
         plane_shift=doc.integer("plane_shift", 0, PLANE_SHIFT_MAX),
         carm_shift=np.array(doc.integers("carm_shift", d.carm_inputs, 0, CARM_SHIFT_MAX), dtype=np.uint8),
@@ -208,6 +220,9 @@ def _read_position_model(doc: Document) -> PositionModel | None:
     return model
 
 
+_CODE_POINTS = ("colour_primaries", "transfer_characteristics", "render_model")
+
+
 def read_render(doc: Document) -> RenderInfo:
     """SPEC [R6.5-1]: returns the render information of a document, under "render". Raises SceneFolderError."""
 
@@ -225,6 +240,7 @@ def read_render(doc: Document) -> RenderInfo:
         scalar("distance_unit", lambda x: x > 0, "a number above 0"),
         scalar("alpha_max", lambda x: 0 < x <= 1, "a number above 0 and at most 1"),
         scalar("low_pass", lambda x: x >= 0, "a number of at least 0"),
+        *(doc.integer(f"render.{name}", 0, 255) for name in _CODE_POINTS),
     )
 
 

@@ -26,7 +26,17 @@ from ..bitstream.scene import Scene, take_anchors
 from ..bitstream.streaming import pieces
 from ..files.stage import new_file
 from .arrays import RowsFile
-from .layout import CODED_FILE, FORMAT, NETWORKS_FILE, PLANES_FILE, PLY_FILE, SCENE_FILE, ancillary_name, replace_scene
+from .layout import (
+    CODED_FILE,
+    FORMAT,
+    NETWORKS_FILE,
+    PLANES_FILE,
+    PLY_FILE,
+    SCENE_FILE,
+    ancillary_name,
+    fingerprint,
+    replace_scene,
+)
 from .ply import CloudFile
 
 # The number of anchors that are reconstructed and written at once.
@@ -180,6 +190,7 @@ def _write_files(
         document["dropped_chunks"] = [
             {"chunk": number, **json.loads(error.to_json())} for number, error in sorted(damage.items())
         ]
+    document["fingerprint"] = fingerprint(document)
     _put(path / SCENE_FILE, _json_text(document).encode())
     return chunks
 

@@ -78,7 +78,7 @@ def _clause_name(number: str) -> str:
 def _requirement_lines(name: str) -> Iterator[str]:
     """A requirement, its error, code, tests and vectors."""
     r, trail = specification.own_requirements()[name], _trail()[name]
-    whose = {"R": "files", "D": "decoders", "G": "renderers"}[name[0]]
+    whose = {"R": "files", "D": "decoders", "G": "renderers", "E": "encoders and editors"}[name[0]]
     yield f"{name}, a requirement on {whose}, clause {_clause_name(r.clause)}"
     yield from _wrapped(f"{r.text}.")
     if r.error:

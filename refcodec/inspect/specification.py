@@ -68,12 +68,12 @@ def fields(spec: str) -> dict[str, tuple[str, str]]:
 
 def unfolded(spec: str) -> str:
     """Returns SPEC.md with each requirement in one line."""
-    return re.sub(r"^- \[[RDG].*(?:\n  \S.*)+", lambda item: item[0].replace("\n ", ""), spec, flags=re.MULTILINE)
+    return re.sub(r"^- \[[RDGE].*(?:\n  \S.*)+", lambda item: item[0].replace("\n ", ""), spec, flags=re.MULTILINE)
 
 
 def requirements(spec: str) -> dict[str, Requirement]:
     """Returns the requirements by identifier, in the order of SPEC.md."""
-    pattern = rf"^- \[([RDG]({CLAUSE})-\d+)\] (.*)$"
+    pattern = rf"^- \[([RDGE]({CLAUSE})-\d+)\] (.*)$"
     listed = {}
     for name, clause, sentence in re.findall(pattern, unfolded(spec), re.MULTILINE):
         error = re.search(r" \(`([a-z_.]+)`\)", sentence)

@@ -9,9 +9,14 @@ import numpy as np
 from numpy.typing import DTypeLike, NDArray
 
 from ..bitstream.dimensions import RENDERING
+from ..bitstream.header import RenderInfo
 from ..bitstream.networks import Layer
 from ..bitstream.reconstruction import Reconstruction
+from ..statuses import UsageError
 from .camera import Camera
+
+# SPEC 6.5: the scenes that chapter 14 draws.
+RENDER_MODEL = 0
 
 
 @dataclass(frozen=True, eq=False)
@@ -33,6 +38,20 @@ class Gaussians:
     colour: NDArray
     anchor: NDArray[np.int64]
     offset: NDArray[np.int64]
+
+
+class RenderModelError(UsageError, ValueError):
+    """A scene of a render model that is not known. It can be decoded, but not drawn."""
+
+
+# SPEC [G6.5-1]
+def check_render_model(info: RenderInfo) -> None:
+    """Raises RenderModelError for a scene whose render model is not known."""
+    if info.render_model != RENDER_MODEL:
+        raise RenderModelError(
+            f"the scene has render_model {info.render_model}, but this version draws only {RENDER_MODEL}; "
+            "use a later version (SPEC.md 6.5)"
+        )
 
 
 def _network(layers: list[Layer], values: NDArray) -> NDArray:

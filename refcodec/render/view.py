@@ -18,7 +18,7 @@ from ..bitstream.reconstruction import reconstruct
 from ..bitstream.scene import Scene
 from ..folder.uncompressed import Uncompressed
 from .camera import Camera, axis_direction, check_camera, default_camera, level_up, nearest_axis
-from .gaussians import gaussians
+from .gaussians import check_render_model, gaussians
 from .rasterise import image
 
 F32 = NDArray[np.float32]
@@ -50,10 +50,11 @@ class View:
     """A scene that cameras look at.
 
     info: its render information. camera: its default view. up: a unit vector, float64 [3] (scene_up). values: its
-    float32 values. masks: bool [N, K]. networks: the rendering networks.
+    float32 values. masks: bool [N, K]. networks: the rendering networks. Raises RenderModelError.
     """
 
     def __init__(self, scene: Scene | Uncompressed) -> None:
+        check_render_model(scene.render)
         self.info, self.masks, self.camera = scene.render, scene.masks, default_view(scene)
         self.up = scene_up(self.info.up_axis, stated_cameras(scene))
         self.values = reconstruct(scene) if isinstance(scene, Scene) else scene.values

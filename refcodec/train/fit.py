@@ -124,7 +124,7 @@ def fit_dimensions(cloud: AnchorCloud, settings: EntropySettings, render_width: 
         carm_width=hidden if len(slices) > 1 else (),
         render_width=render_width,
     )
-    fault = dimension_fault(PROFILES[MAIN], d)
+    fault = dimension_fault(PROFILES[MAIN], d, 0)
     if fault:
         field, value, allowed = fault
         raise ValueError(f"{field} would be {value}, {allowed} is allowed (SPEC.md 11.1)")

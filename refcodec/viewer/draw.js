@@ -70,7 +70,7 @@ void main() {
   gl_Position = vec4(float(gl_VertexID & 1) * 4.0 - 1.0, float(gl_VertexID >> 1) * 4.0 - 1.0, 0.0, 1.0);
 }`;
 
-// 6.14: linear colours are encoded with the sRGB transfer function. Others are encoded already.
+// 6.5: linear light is encoded with the sRGB transfer function. Other colours are displayed as they are.
 const ENCODE = `#version 300 es
 precision highp float;
 uniform sampler2D blended;
@@ -83,6 +83,9 @@ void main() {
   if (linear) c = mix(12.92 * c, 1.055 * pow(c, vec3(1.0 / 2.4)) - 0.055, greaterThan(c, vec3(0.0031308)));
   result = vec4(c, 1.0);
 }`;
+
+// The transfer characteristics of linear light.
+const LINEAR = 8;
 
 export class Drawing {
   constructor(canvas) {
@@ -106,13 +109,13 @@ export class Drawing {
     this.texture = texture(gl);
   }
 
-  // header: background, alpha_max, low_pass. height: rows of Gaussians. Throws RangeError if the device is out of
-  // memory.
+  // header: background, alpha_max, low_pass, transfer_characteristics. height: rows of Gaussians. Throws RangeError if
+  // the device is out of memory.
   begin(header, height) {
     const { gl } = this;
     const most = gl.getParameter(gl.MAX_TEXTURE_SIZE);
     if (height > most) throw new RangeError(`The scene has more Gaussians than this device draws, ${most * WIDTH}`);
-    Object.assign(this, { header, count: 0, linear: false });
+    Object.assign(this, { header, count: 0 });
     gl.deleteTexture(this.texture);
     this.texture = texture(gl);
     gl.texStorage2D(gl.TEXTURE_2D, 1, gl.RGBA32UI, TEXELS * WIDTH, Math.max(height, 1));
@@ -186,7 +189,7 @@ export class Drawing {
     gl.useProgram(encoding.program);
     gl.bindTexture(gl.TEXTURE_2D, this.target.image);
     gl.uniform2f(encoding.at("scale"), 1 / width, 1 / height);
-    gl.uniform1i(encoding.at("linear"), Number(this.linear));
+    gl.uniform1i(encoding.at("linear"), Number(this.header.transfer_characteristics === LINEAR));
     gl.bindVertexArray(this.none);
     gl.drawArrays(gl.TRIANGLES, 0, 3);
   }

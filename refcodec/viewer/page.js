@@ -109,7 +109,6 @@ class Viewer {
   }
 
   #about({ cameras, metadata, length, parts }) {
-    this.drawing.linear = metadata.transfer === "linear";
     const photographs = this.settings.photographs.map((photograph) => ({ ...photograph, isPhotograph: true }));
     this.cameras = [...cameras, ...photographs];
     this.up = upOf(this.header, cameras);

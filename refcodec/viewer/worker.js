@@ -89,7 +89,11 @@ function begin(opened) {
   sorter = new Sorter();
   sample = [];
   const { anchor_count, chunk_count, background, up_axis, near_plane, alpha_max, low_pass } = h;
-  const header = { anchor_count, chunk_count, background: [...background], up_axis, near_plane, alpha_max, low_pass };
+  const { transfer_characteristics } = h;
+  const header = {
+    anchor_count, chunk_count, background: [...background], up_axis, near_plane, alpha_max, low_pass,
+    transfer_characteristics,
+  };
   postMessage({ type: "head", header, height: rows.height, ...about() });
 }
 

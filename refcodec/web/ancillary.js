@@ -2,11 +2,11 @@
 import { Cursor, pad4 } from "./container.js";
 
 const METADATA_MAX = 1 << 16;
-// The most bytes of cameras in memory. 65535 cameras with names of 200 bytes have fewer.
+// The most bytes of cameras in memory. 65535 cameras with names of 196 bytes have fewer.
 const CAMERAS_MAX = 1 << 24;
 const KEY = /^[a-z0-9._-]+$/;
 // The bytes of the fields before a name
-const CAMERA_LENGTH = 56;
+const CAMERA_LENGTH = 60;
 
 // Thrown by readers at the premature end of a section, and to end reading.
 const END = Symbol("end");
@@ -83,12 +83,17 @@ function readCameras(data, { cameras }) {
   structs(data, (reader) => {
     const start = reader.next;
     const c = reader.cursor(CAMERA_LENGTH);
+    const length = c.u32("length");
     const camera = { name: undefined, width: c.u32("width"), height: c.u32("height") };
     for (const [field, count] of [["focal", 2], ["principal_point", 2], ["rotation", 4], ["translation", 3]]) {
       camera[field] = c.array(field, "f32", count);
     }
     const bytes = reader.take(c.u32("name_length"));
     reader.pad(start);
+    // A later minor version may have more fields.
+    const end = start + 4 + length;
+    if (length % 4 !== 0 || end < reader.next || end > data.length) throw END;
+    reader.next = end;
     camera.name = decoded(bytes);
     const { width, height, focal, rotation } = camera;
     const numbers = [...focal, ...camera.principal_point, ...rotation, ...camera.translation];
@@ -101,7 +106,7 @@ function readCameras(data, { cameras }) {
   });
 }
 
-const READERS = { mETA: [readMetadata, METADATA_MAX], cAMS: [readCameras, CAMERAS_MAX] };
+const READERS = { mETa: [readMetadata, METADATA_MAX], cAMs: [readCameras, CAMERAS_MAX] };
 
 // Returns the reader of a section, a function of its bytes and of {metadata, cameras}, or undefined.
 export function ancillaryReader({ type, mode, length }, { maxMemory = Infinity }) {

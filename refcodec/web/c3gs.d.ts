@@ -55,6 +55,9 @@ export class BoundPassedError extends Error {
   readonly allowed: number;
 }
 
+/** A scene whose render_model is not 0 cannot be drawn. It is not a verdict on the file. */
+export class RenderModelError extends Error {}
+
 /** The fields of 5.2 to 5.5 by name. */
 export interface Header {
   readonly minor: number;
@@ -78,16 +81,23 @@ export interface Header {
   readonly distance_unit: number;
   readonly alpha_max: number;
   readonly low_pass: number;
+  /** Code points of Rec. ITU-T H.273 for drawn colours (6.5). 1 and 13 are BT.709 and sRGB; 8 is linear light. */
+  readonly colour_primaries: number;
+  readonly transfer_characteristics: number;
+  /** Only scenes with 0 can be drawn (6.5). */
+  readonly render_model: number;
   readonly offset_count: number;
   readonly plane_channels: number;
   readonly frequency_count: number;
-  readonly render_width: number;
-  readonly plane_size: number;
   readonly slice_count: number;
-  readonly slice_width: readonly number[];
+  readonly view_inputs: number;
+  readonly colour_outputs: number;
+  readonly plane_size: number;
+  readonly render_width: number;
   readonly hyper_width: readonly number[];
   readonly sarm_width: readonly number[];
   readonly carm_width: readonly number[];
+  readonly slice_width: readonly number[];
   /** The sections in file order. `start` and `length` are in bytes, without padding. */
   readonly sections: readonly { type: string; mode: number; start: number; length: number; crc: number }[];
 }
@@ -243,7 +253,7 @@ export interface View {
   readonly scales: Float32Array;
   /** Quaternions w, x, y, z of length 1, count by 4. */
   readonly rotations: Float32Array;
-  /** Red, green and blue from 0 to 1, count by 3. The key `transfer` of the metadata says how they are encoded. */
+  /** Red, green and blue from 0 to 1, count by 3. `transfer_characteristics` of the header states their encoding. */
   readonly colours: Float32Array;
   /** Above 0, at most 1. */
   readonly opacities: Float32Array;
@@ -282,7 +292,10 @@ export interface Added {
  *     const { count, positions, scales, rotations, colours, opacities } = gaussians.chunk(index, [0, 0, -3]);
  */
 export class Gaussians {
-  /** scene: from `decode`, `decodeAll`, `open` or a chunk. maxMemory: for decoding and added chunks together. */
+  /**
+   * scene: from `decode`, `decodeAll`, `open` or a chunk. maxMemory: for decoding and added chunks together. Throws
+   * RenderModelError if header.render_model is not 0.
+   */
   constructor(scene: Scene, options?: Pick<Options, "maxAnchors" | "maxMemory">);
   readonly scene: Scene;
   /** The chunks that were added, in the order of adding. */

@@ -12,7 +12,7 @@ import { sourceOf } from "./source.js";
 import { parseWeights } from "./weights.js";
 
 export { cameraMatrix, centreOf, projectionMatrix, uprightMatrix } from "./camera.js";
-export { BoundPassedError, C3gsError } from "./errors.js";
+export { BoundPassedError, C3gsError, RenderModelError } from "./errors.js";
 export { Gaussians } from "./gaussians.js";
 
 const SCALINGS = 6;

@@ -6,14 +6,14 @@
 //   conformance run --gaussians 'node refcodec/web/cli.js gaussians {input} {camera} {output}' -- ...
 //
 // Exit status: 0 accepted, 1 malformed or invalid, 2 unsupported; the last line on stderr then has the error (SPEC.md
-// 10.2). 64: wrong usage, or a file that cannot be read or written. 70: internal error, or out of memory.
+// 10.2). 64: wrong usage, or a file that cannot be read, written or drawn. 70: internal error, or out of memory.
 //
 // An output is written to a temporary file and then renamed: a failed run changes nothing.
 import { randomUUID } from "node:crypto";
 import * as fs from "node:fs";
 import * as path from "node:path";
 import * as readline from "node:readline";
-import { C3gsError, decode, Gaussians } from "./c3gs.js";
+import { C3gsError, decode, Gaussians, RenderModelError } from "./c3gs.js";
 import { PARTS, sceneHead } from "./digests.js";
 
 const EXIT = { done: 0, refused: 1, unsupported: 2, usage: 64, fault: 70 };
@@ -60,7 +60,7 @@ async function reconstruct(input, output) {
   const chunks = decode(fileSource(input), { digests: true });
   let places;
   const place = (scene) => {
-    places ??= partPlaces(scene, sceneHead(scene.header, scene.features).length + 32 * PARTS.length);
+    places ??= partPlaces(scene, sceneHead(scene.header).length + 32 * PARTS.length);
     return places;
   };
   for (;;) {
@@ -74,7 +74,7 @@ async function reconstruct(input, output) {
       continue;
     }
     const { scene, digests } = value;
-    const head = sceneHead(scene.header, scene.features);
+    const head = sceneHead(scene.header);
     write(output, head, 0);
     PARTS.forEach((name, i) => write(output, digests.parts[name], head.length + 32 * i));
     write(output, scene.planes, at.planes);
@@ -182,7 +182,8 @@ async function run(input, output, camera) {
       const status = error.class === "unsupported" ? EXIT.unsupported : EXIT.refused;
       return { status, stderr: JSON.stringify(error) };
     }
-    if (error.syscall !== undefined || error instanceof UsageError) {
+    const isUsage = error instanceof UsageError || error instanceof RenderModelError;
+    if (error.syscall !== undefined || isUsage) {
       return { status: EXIT.usage, stderr: `c3gs: ${error.message}` };
     }
     return { status: EXIT.fault, stderr: `c3gs: a fault of the program\n${error.stack}` };

@@ -27,26 +27,30 @@ const BLOCK = 1 << 20;
 // 11.1 and 11.2
 const PROFILES = [
   {
-    offset_count: [1, 10], plane_channels: [0, 8], frequency_count: [0, 10], render_width: [1, 64],
-    plane_size: [2, 32], slice_count: [1, 4], hyper_layers: [0, 2], sarm_layers: [1, 2], carm_layers: [0, 2],
-    slice_width: [1, 16], hyper_width: [1, 64], sarm_width: [1, 16], carm_width: [1, 64], chunk_size: [1, 65536],
+    offset_count: [1, 10], plane_channels: [0, 8], frequency_count: [0, 10], slice_count: [1, 4], hyper_layers: [0, 2],
+    sarm_layers: [1, 2], carm_layers: [0, 2], view_inputs: [0, 8], colour_outputs: [1, 48], plane_size: [2, 32],
+    render_width: [1, 64], hyper_width: [1, 64], sarm_width: [1, 16], carm_width: [1, 64], slice_width: [1, 16],
+    chunk_size: [1, 65536],
     levels: [{ number: 0, anchors: 4096, planeSize: 32, work: 2 ** 28 }],
   },
   {
-    offset_count: [1, 16], plane_channels: [0, 16], frequency_count: [0, 16], render_width: [1, 128],
-    plane_size: [2, 256], slice_count: [1, 16], hyper_layers: [0, 2], sarm_layers: [1, 2], carm_layers: [0, 2],
-    slice_width: [1, 64], hyper_width: [1, 128], sarm_width: [1, 32], carm_width: [1, 128], chunk_size: [256, 16384],
+    offset_count: [1, 16], plane_channels: [0, 16], frequency_count: [0, 16], slice_count: [1, 16],
+    hyper_layers: [0, 2], sarm_layers: [1, 2], carm_layers: [0, 2], view_inputs: [0, 8], colour_outputs: [1, 48],
+    plane_size: [2, 1024], render_width: [1, 128], hyper_width: [1, 128], sarm_width: [1, 32], carm_width: [1, 128],
+    slice_width: [1, 64], chunk_size: [256, 16384],
     levels: [
       { number: 1, anchors: 131072, planeSize: 128, work: 2 ** 33 },
       { number: 2, anchors: 1048576, planeSize: 256, work: 2 ** 36 },
-      { number: 3, anchors: 16777216, planeSize: 256, work: 2 ** 40 },
+      { number: 3, anchors: 4194304, planeSize: 256, work: 2 ** 38 },
+      { number: 4, anchors: 16777216, planeSize: 512, work: 2 ** 41 },
+      { number: 5, anchors: 67108864, planeSize: 1024, work: 2 ** 43 },
     ],
   },
 ];
 const FEATURES_MAX = 128;
 
-// 5.8: the rendering networks, and their outputs for each offset
-export const RENDERING = [["opacity", 1], ["covariance", 7], ["colour", 3]];
+// 5.8: the rendering networks
+export const RENDERING = ["opacity", "covariance", "colour"];
 
 // 5.7 to 5.14: the types of the critical sections in order, and those with a mode 1 (6.6)
 const CRITICAL = ["FRAM", "WGTS", "PLNS", "INDX", "DATA"];
@@ -159,14 +163,20 @@ function parseHeader(data, end, minor) {
   h.background = c.array("background", "u8", 3);
   h.up_axis = c.u8("up_axis");
   for (const name of ["near_plane", "distance_unit", "alpha_max", "low_pass"]) h[name] = c.f32(name);
-  for (const name of ["offset_count", "plane_channels", "frequency_count", "render_width"]) h[name] = c.u8(name);
-  h.plane_size = c.u16("plane_size");
-  for (const name of ["slice_count", "hyper_layers", "sarm_layers", "carm_layers"]) h[name] = c.u8(name);
-  h.slice_width = c.array("slice_width", "u8", h.slice_count);
+  for (const name of ["colour_primaries", "transfer_characteristics", "render_model"]) h[name] = c.u8(name);
+  h.render_reserved = c.u8("render_reserved");
+  for (const name of [
+    "offset_count", "plane_channels", "frequency_count", "slice_count", "hyper_layers", "sarm_layers", "carm_layers",
+    "view_inputs", "colour_outputs", "dimensions_reserved",
+  ]) h[name] = c.u8(name);
+  for (const name of ["plane_size", "render_width"]) h[name] = c.u16(name);
   for (const name of ["hyper", "sarm", "carm"]) {
-    h[`${name}_width`] = c.array(`${name}_width`, "u8", h[`${name}_layers`]);
+    h[`${name}_width`] = c.array(`${name}_width`, "u16", h[`${name}_layers`]);
   }
+  h.slice_width = c.array("slice_width", "u8", h.slice_count);
   h.padding = c.array("padding", "u8", pad4(c.next) - c.next);
+  // 9.3: the bytes of RenderInfo and of Dimensions
+  h.drawn = data.slice(c.at.background - c.start, c.next);
   h.directory = Array.from({ length: h.section_count }, (_, i) => ({
     type: String.fromCharCode(...c.array(`type ${i}`, "u8", 4)), mode: c.u8(`mode ${i}`),
     reserved: c.array(`reserved ${i}`, "u8", 3), length: c.u64(`length ${i}`), crc: c.u32(`crc ${i}`),
@@ -185,7 +195,9 @@ function within(value, [low, high]) {
 function checkHeader(h) {
   const { at } = h;
   need(h.padding.every((byte) => byte === 0), "header.padding", at.padding);
-  for (const name of ["reserved", "grid_reserved"]) need(h[name] === 0, "header.reserved", at[name]);
+  for (const name of ["reserved", "grid_reserved", "render_reserved", "dimensions_reserved"]) {
+    need(h[name] === 0, "header.reserved", at[name]);
+  }
   h.directory.forEach(({ reserved }, i) => {
     need(reserved.every((byte) => byte === 0), "header.reserved", at[`reserved ${i}`]);
   });
@@ -221,15 +233,15 @@ function checkHeader(h) {
 function checkDimensions(h, profile, level) {
   const check = (condition, name) => need(condition, "header.dimension", h.at[name]);
   const numbers = [
-    "offset_count", "plane_channels", "frequency_count", "render_width", "plane_size", "slice_count", "hyper_layers",
-    "sarm_layers", "carm_layers",
+    "offset_count", "plane_channels", "frequency_count", "slice_count", "hyper_layers", "sarm_layers", "carm_layers",
+    "view_inputs", "colour_outputs", "plane_size", "render_width",
   ];
   const planes = h.plane_channels > 0;
   for (const name of numbers) {
     const absent = h[name] === 0 && (name === "plane_size" || name === "sarm_layers");
     check(absent || within(h[name], profile[name]), name);
   }
-  for (const name of ["slice_width", "hyper_width", "sarm_width", "carm_width"]) {
+  for (const name of ["hyper_width", "sarm_width", "carm_width", "slice_width"]) {
     h[name].forEach((width, i) => check(within(width, profile[name]), `${name}[${i}]`));
   }
   check(features(h) <= FEATURES_MAX, "slice_width");
@@ -237,6 +249,9 @@ function checkDimensions(h, profile, level) {
   check(h.sarm_layers > 0 === planes, "sarm_layers");
   check(planes || h.frequency_count > 0 || h.hyper_layers === 0, "hyper_layers");
   check(h.slice_count > 1 || h.carm_layers === 0, "carm_layers");
+  // 6.5: render model 0 fixes these two.
+  check(h.render_model !== 0 || h.view_inputs === 4, "view_inputs");
+  check(h.render_model !== 0 || h.colour_outputs === 3, "colour_outputs");
   check(h.plane_size <= level.planeSize, "plane_size");
 }
 
@@ -274,9 +289,9 @@ export function layers(h) {
     network(`carm.${i + 1}`, [before, ...h.carm_width, 2 * width]);
     before += width;
   }
-  for (const [name, outputs] of RENDERING) {
-    network(name, [features(h) + 4, h.render_width, outputs * h.offset_count]);
-  }
+  [1, 7, h.colour_outputs].forEach((outputs, i) => {
+    network(RENDERING[i], [features(h) + h.view_inputs, h.render_width, outputs * h.offset_count]);
+  });
   return found;
 }
 

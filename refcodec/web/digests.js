@@ -13,10 +13,8 @@ const u32 = (...values) => {
 };
 
 // The first bytes of the digest input of a scene.
-export function sceneHead(header, features) {
-  const h = header;
-  const numbers = u32(h.anchor_count, h.offset_count, features, h.plane_channels, h.plane_size);
-  return Uint8Array.of(...ascii("C3GSREC1"), ...numbers);
+export function sceneHead({ anchor_count: count, drawn }) {
+  return Uint8Array.of(...ascii("C3GSREC1"), ...u32(count), ...drawn);
 }
 
 // The first bytes of the digest input of a chunk.
@@ -47,7 +45,7 @@ export class Digests {
   end() {
     const parts = Object.fromEntries(PARTS.map((name) => [name, this.kernel.endHash(this.hashes.get(name))]));
     const whole = this.kernel.makeHash();
-    this.kernel.addToHash(whole, sceneHead(this.scene.header, this.scene.features));
+    this.kernel.addToHash(whole, sceneHead(this.scene.header));
     for (const name of PARTS) this.kernel.addToHash(whole, parts[name]);
     return { scene: this.kernel.endHash(whole), parts };
   }

@@ -106,6 +106,14 @@ export class BoundPassedError extends Error {
   }
 }
 
+// Thrown for a scene that cannot be drawn. It is not a verdict on the file.
+export class RenderModelError extends Error {
+  constructor(model) {
+    super(`render_model is ${model}, but this version draws only 0; use a later version (SPEC.md 6.5)`);
+    this.name = "RenderModelError";
+  }
+}
+
 export function need(condition, name, offset) {
   if (!condition) throw new C3gsError(name, offset);
 }

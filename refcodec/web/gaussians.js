@@ -1,6 +1,7 @@
 // The Gaussians that are visible from a place (SPEC.md 14.3).
 import { checkBounds, gaussiansBytes } from "./bounds.js";
 import { centreOf } from "./camera.js";
+import { RenderModelError } from "./errors.js";
 import { kernelOf, VIEW } from "./kernel.js";
 
 // Anchors per kernel call. A scene may be too large for two copies in memory.
@@ -55,6 +56,8 @@ export class Gaussians {
   constructor(scene, options = {}) {
     this.#options = options;
     this.#kernel = kernelOf(scene);
+    // [G6.5-1]
+    if (scene.header.render_model !== 0) throw new RenderModelError(scene.header.render_model);
     this.#renderer = this.#kernel.makeRenderer(scene);
     this.scene = scene;
     this.chunks = [];

@@ -212,7 +212,7 @@ class Kernel {
 
   // SPEC 14.3: returns the rendering networks. layers: of the scene.
   makeRenderer({ header, features, layers }) {
-    const own = layers.filter(({ network }) => RENDERING.some(([name]) => name === network));
+    const own = layers.filter(({ network }) => RENDERING.includes(network));
     const count = own.reduce((sum, { values }) => sum + values.length, 0);
     const whole = new Float32Array(count);
     let next = 0;

@@ -47,12 +47,12 @@ export class C3gsModel {
    * Sets splats from 0 on to the view of a camera, and returns their number.
    *
    * The target needs room for `gaussians.slotCount` splats. Splats of an earlier view that are not in this one get
-   * opacity 0. Colours are those of the file.
+   * opacity 0. Colours are those of the file, whose header states their encoding.
    */
   fill(target: SplatTarget, camera: Camera, object?: Object3D): number;
 }
 
-/** Loads files. Throws the errors of `decode`, and Error for a failed request. */
+/** Loads files. Throws the errors of `decode` and of `Gaussians`, and Error for a failed request. */
 export class C3gsLoader extends Loader<C3gsModel> {
   constructor(manager?: LoadingManager);
   /** Options of `decode`. */

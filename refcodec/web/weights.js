@@ -141,7 +141,7 @@ function packedLayer({ outputs, inputs, exponent }, differences, weights, biases
 
 // [R6.8-4] and 7.2
 function derive(list, mode) {
-  const coded = list.filter(({ network }) => !RENDERING.some(([name]) => name === network));
+  const coded = list.filter(({ network }) => !RENDERING.includes(network));
   const rows = coded.reduce((sum, { outputs }) => sum + outputs, 0);
   const weights = coded.reduce((sum, { outputs, inputs }) => sum + outputs * inputs, 0);
   const coding = { weight: new Int16Array(weights), bias: new Int32Array(rows), exponent: new Uint8Array(rows) };

@@ -249,13 +249,13 @@ def test_frame_bounds_without_extent(axis: int) -> None:
         (MAIN, {"render_width": 129}, "render_width"),
         (MAIN, {"frequency_count": 17}, "frequency_count"),
         (MAIN, {"offset_count": 17}, "offset_count"),
-        (MAIN, {"plane_size": 257}, "plane_size"),
+        (MAIN, {"plane_size": 1025}, "plane_size"),
     ],
 )
 def test_dimensions(profile: int, change: dict, field: str) -> None:
     base = {TINY: TINY_DIMENSIONS, MAIN: MAIN_DIMENSIONS}[profile]
-    assert dimension_fault(PROFILES[profile], base) is None
-    fault = dimension_fault(PROFILES[profile], replace(base, **change))
+    assert dimension_fault(PROFILES[profile], base, 0) is None
+    fault = dimension_fault(PROFILES[profile], replace(base, **change), 0)
     assert fault is not None
     assert fault[0] == field
 

@@ -94,7 +94,7 @@ def test_a_header_of_many_chunks_allocates_little(keep_going: bool) -> None:
     asked = bytearray(data)
     asked[24:28] = (1 << 24).to_bytes(4, "little")
     asked[28:32] = (1 << 16).to_bytes(4, "little")
-    asked[21] = 3
+    asked[21] = 4
     small = repair(bytes(asked))[:end]
     tracemalloc.start()
     try:

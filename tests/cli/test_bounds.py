@@ -97,7 +97,7 @@ BOUND, CLAIM = 400 << 20, 1500 << 20
 
 @pytest.mark.usefixtures("no_large_read")
 @pytest.mark.parametrize("way", ["name", "pipe", "URL"])
-@pytest.mark.parametrize("kind", ["PLNS", "mETA", "DATA"])
+@pytest.mark.parametrize("kind", ["PLNS", "mETa", "DATA"])
 @pytest.mark.parametrize("command", COMMANDS, ids=lambda command: " ".join(command[:2]).split("/")[0])
 def test_long_parts_are_refused_before_they_are_read(
     command: list[str], kind: str, way: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]

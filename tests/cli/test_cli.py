@@ -825,7 +825,7 @@ def test_metadata_of_a_file(file, tmp_path, call):
 
 
 def test_a_broken_ancillary_section_is_a_warning(scene, tmp_path, call):
-    broken = (Ancillary(b"mETA", 0, b"\1\0\0\0\xff"), Ancillary(b"cAMS", 0, b""))
+    broken = (Ancillary(b"mETa", 0, b"\1\0\0\0\xff"), Ancillary(b"cAMs", 0, b""))
     out = tmp_path / "broken.c3gs"
     out.write_bytes(codec.emit(replace(scene, ancillary=broken)))
     status, _, err = call("validate", out)

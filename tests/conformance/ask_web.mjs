@@ -84,6 +84,19 @@ async function held(bytes, options) {
   return { added: gaussians.anchorCount };
 }
 
+// The numbers of the header, and the error of drawing.
+async function drawing(bytes) {
+  const { scene } = await decodeAll(bytes);
+  const header = Object.fromEntries(Object.entries(scene.header).filter(([, value]) => typeof value === "number"));
+  header.background = scene.header.background;
+  try {
+    new Gaussians(scene);
+  } catch (error) {
+    return { header, error: [error.name, error.message] };
+  }
+  return { header };
+}
+
 const listed = ({ cameras, metadata }) => ({ cameras, metadata: Object.fromEntries(metadata) });
 
 async function answer({ file, way, number, options, ...rest }, chunks) {
@@ -108,6 +121,7 @@ async function answer({ file, way, number, options, ...rest }, chunks) {
   if (way === "changes") return changes(bytes, rest);
   if (way === "held") return held(bytes, options);
   if (way === "views") return views(bytes, rest.place);
+  if (way === "drawing") return drawing(bytes);
   if (way === "ancillary") {
     const scene = await open(bytes, options);
     const before = listed(scene);

@@ -244,7 +244,7 @@ def main(mode, answers, name, target, *rest):
             return refuse(2, 302, 216)
         case "last-bit" | "first-bit" | "digest-bit" | "short" | "long" if good:
             data = bytearray(Path(known["output"]).read_bytes())
-            data[{"last-bit": -1, "digest-bit": 251}.get(mode, 0)] ^= mode.endswith("bit")
+            data[{"last-bit": -1, "digest-bit": 283}.get(mode, 0)] ^= mode.endswith("bit")
             output.write_bytes({"short": data[:-1], "long": data + b"\0"}.get(mode, data))
             return 0
         case "wrong-trace" if good and trace:

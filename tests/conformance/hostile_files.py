@@ -8,11 +8,21 @@ from dataclasses import replace
 from hypothesis import strategies as st
 
 from conformance.cases.checksums import repair
-from conformance.cases.scenes import CONSTANT, PLANELESS, SMALLEST, UNENCODED, packed_weights, random_scene
+from conformance.cases.scenes import (
+    CONSTANT,
+    PLANELESS,
+    SMALLEST,
+    TINY_DIMENSIONS,
+    UNENCODED,
+    packed_weights,
+    random_scene,
+)
 from conformance.cases.target import Target
 from conformance.fuzz.strategies import draw_mutation, draw_splice
 from refcodec.bitstream import codec, directory
-from refcodec.bitstream.header import Lanes
+from refcodec.bitstream.dimensions import Dimensions
+from refcodec.bitstream.header import Lanes, RenderInfo
+from refcodec.bitstream.limits import MAIN
 from refcodec.bitstream.scene import Ancillary, Scene
 from refcodec.encoder.positions import position_model
 
@@ -22,8 +32,8 @@ def _scenes() -> dict[str, Scene]:
     mixed = random_scene(39, 9, chunk_size=4, lanes=Lanes(0, 1, 0))
     sections = (
         Ancillary(b"noTE", 3, b"hello", 0),
-        Ancillary(b"mETA", 0, bytes(4), 2),
-        Ancillary(b"cAMS", 0, b"x", 5),
+        Ancillary(b"mETa", 0, bytes(4), 2),
+        Ancillary(b"cAMs", 0, b"x", 5),
     )
     return {
         "raw": random_scene(31, 7, chunk_size=3),
@@ -38,6 +48,19 @@ def _scenes() -> dict[str, Scene]:
 
 SCENES = _scenes()
 FILES = {name: codec.emit(scene) for name, scene in SCENES.items()}
+# A scene of a later render model (SPEC 6.5), which decoders decode and renderers do not draw.
+UNDRAWN = random_scene(
+    37,
+    5,
+    replace(TINY_DIMENSIONS, view_inputs=8, colour_outputs=27),
+    render=RenderInfo(colour_primaries=9, transfer_characteristics=16, render_model=7),
+)
+
+
+def largest_planes() -> Scene:
+    """A scene with planes of the largest size (SPEC 11.1)."""
+    d = Dimensions(2, (2, 3), 1, 2, 1024, (6,), (4,), (5,), 3)
+    return random_scene(38, 300, d, profile=MAIN, chunk_size=256)
 
 
 def changes(draw: st.DrawFn, file: bytes) -> Iterator[bytes]:

@@ -6,6 +6,7 @@ from pathlib import Path
 
 import pytest
 from c_program import Program
+from hostile_files import UNDRAWN, largest_planes
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from test_spec_decoder import faulty
@@ -33,6 +34,18 @@ def test_fault(c_decoder: Program, name: str, data: st.DataObject) -> None:
 def test_it_agrees(c_decoder: Program, made: list[tuple[bytes, compare.Verdict | None]]) -> None:
     for data, _ in made:
         assert c_decoder.verdict(data) == compare.first_verdict(data)
+
+
+@pytest.mark.no_cover
+def test_other_render_models(c_decoder: Program) -> None:
+    assert c_decoder.verdict(codec.emit(UNDRAWN)) == (reconstruction.digest(UNDRAWN)[0], -1)
+
+
+@pytest.mark.slow
+@pytest.mark.no_cover
+def test_the_largest_planes(c_decoder: Program) -> None:
+    scene = largest_planes()
+    assert c_decoder.verdict(codec.emit(scene)) == (reconstruction.digest(scene)[0], -1)
 
 
 def test_the_example(c_decoder: Program) -> None:

@@ -14,10 +14,13 @@ from conformance.manifest import Accepted, Budget, Input, Manifest, Rejected, Ve
 from conformance.runner import grading
 from conformance.runner.grading import Found, Judgement
 from conformance.runner.process import Ended
+from refcodec.bitstream import syntax
+from refcodec.bitstream.dimensions import Dimensions, dimension_fields
 
 # SPEC 9.3: of two anchors with K = 1, F = 3, ch = 1 and B = 2, and of one weight.
 PARTS = [bytes([number]) * size for number, size in enumerate((24, 2, 40, 24, 48, 24, 4))]
-HEAD = b"C3GSREC1" + struct.pack("<5I", 2, 1, 3, 1, 2)
+_DIMENSIONS = dimension_fields(Dimensions(1, (1, 2), 1, 0, 2, (), (1,), (), 1))
+HEAD = b"C3GSREC1" + struct.pack("<I", 2) + bytes(24) + syntax.build("Dimensions", _DIMENSIONS)
 LISTED = HEAD + b"".join(hashlib.sha256(part).digest() for part in PARTS)
 OUTPUT = LISTED + b"".join(PARTS)
 DIGEST = hashlib.sha256(LISTED).hexdigest()
@@ -53,10 +56,12 @@ CASES = [
     Case("right output", VALID, _ended(0), OUTPUT, False, 3),
     Case("wrong output", VALID, _ended(0), OUTPUT + b"!", False, 0),
     Case("wrong part", VALID, _ended(0), OUTPUT[:-1] + b"!", False, 0),
-    Case("wrong first part", VALID, _ended(0), LISTED + b"!" * 24 + OUTPUT[276:], False, 0),
-    Case("wrong digest of a part", VALID, _ended(0), OUTPUT[:40] + b"!" + OUTPUT[41:], False, 0),
+    Case("wrong first part", VALID, _ended(0), LISTED + b"!" * 24 + OUTPUT[len(LISTED) + 24 :], False, 0),
+    Case("wrong digest of a part", VALID, _ended(0), LISTED[:-1] + b"!" + OUTPUT[len(LISTED) :], False, 0),
     Case("wrong head", VALID, _ended(0), OUTPUT[:8] + b"\3" + OUTPUT[9:], False, 0),
     Case("head and digests alone", VALID, _ended(0), LISTED, False, 0),
+    Case("wrong dimensions", VALID, _ended(0), HEAD[:36] + b"\2" + OUTPUT[37:], False, 0),
+    Case("an output that is cut in its head", VALID, _ended(0), HEAD[:-3], False, 0),
     Case("an output that is cut in its digests", VALID, _ended(0), LISTED[:-1], False, 0),
     Case("empty output", VALID, _ended(0), b"", False, 0),
     Case("no output", VALID, _ended(0), None, True, 0),

@@ -256,7 +256,7 @@ def test_the_divergence_of_a_wrong_output(ran: Ran) -> None:
         "digest-bit": "digests: that of the weights is ",
         "short": "weights: the part is",
         "long": "end: the output is",
-        "accepts": "head: the part is 8 bytes, 28 bytes expected",
+        "accepts": "head: the part is 8 bytes, 60 bytes expected",
     }
     for mode, start in starts.items():
         (line,) = ran.entries[f"valid-{mode}"]["divergence"]

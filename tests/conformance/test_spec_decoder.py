@@ -47,7 +47,7 @@ TARGETS = [
     for scene in (
         replace(
             random_scene(32, 11, chunk_size=4, lanes=Lanes(1, 4, 1), spread=6),
-            ancillary=(Ancillary(b"noTE", 1, b"hello", 2), Ancillary(b"mETA", 0, b"", 9)),
+            ancillary=(Ancillary(b"noTE", 1, b"hello", 2), Ancillary(b"mETa", 0, b"", 9)),
         ),
         random_scene(36, 3, Dimensions(1, (2,), 1, 1, 3, (2, 2), (2,), (), 1), chunk_size=1, lanes=Lanes(0, 2, 3)),
         random_scene(37, 0),

@@ -25,7 +25,7 @@ from refcodec.encoder.quantise import packed
 Spec = dict[str, Any]
 
 SMALLEST = Dimensions(1, (1, 1), 1, 1, 2, (2,), (2,), (2,), 1)
-NOTES = (Ancillary(b"noTE", 1, b"hello", 2), Ancillary(b"cAMS", 9, b"x", 5))
+NOTES = (Ancillary(b"noTE", 1, b"hello", 2), Ancillary(b"cAMs", 9, b"x", 5))
 SCENES = {
     "raw": random_scene(31, 5, SMALLEST, chunk_size=2, lanes=Lanes(0, 0, 0)),
     "packed": packed(

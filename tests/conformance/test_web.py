@@ -17,7 +17,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from hostile_files import FILES, GREEDY, SCENES, changes, cuts
+from hostile_files import FILES, GREEDY, SCENES, changes, cuts, largest_planes
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from test_spec_decoder import faulty
@@ -91,6 +91,12 @@ def test_asking_for_much_is_refused(decoder: Decoder, name: str) -> None:
     data = GREEDY[name](Target(FILES["packed"]))
     for way in ("bytes", "stream"):
         assert decoder.verdict(data, way, size=1000) == first_verdict(data)
+
+
+@pytest.mark.slow
+def test_the_largest_planes(decoder: Decoder) -> None:
+    scene = largest_planes()
+    assert decoder.verdict(codec.emit(scene)) == (reconstruction.digest(scene)[0], -1)
 
 
 # ------------------------------------------------------------------------------------------------ ways of reading ---

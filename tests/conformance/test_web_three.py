@@ -57,7 +57,7 @@ def said(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Any]:
     folder = tmp_path_factory.mktemp("three")
     installed(folder)
     shutil.copy(Path(__file__).with_name("three_web.mjs"), folder)
-    section = Ancillary(b"cAMS", 0, cameras.emit_cameras(CAMERAS), 9)
+    section = Ancillary(b"cAMs", 0, cameras.emit_cameras(CAMERAS), 9)
     data = codec.emit(replace(SCENE, ancillary=(section,)))
     (folder / "scene.c3gs").write_bytes(data)
     (folder / "damaged.c3gs").write_bytes(data[:-1] + bytes([data[-1] ^ 1]))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import struct
 import subprocess
 from collections.abc import Iterator
 from dataclasses import asdict, replace
@@ -11,7 +12,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from hostile_files import FILES, SCENES
+from hostile_files import FILES, SCENES, UNDRAWN
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from web_program import MISSING, NODE, PROGRAM, Decoder, running
@@ -22,7 +23,7 @@ from conformance.runner.gaussians import difference
 from refcodec import statuses
 from refcodec.bitstream import cameras, codec, metadata
 from refcodec.bitstream.cameras import NamedCamera
-from refcodec.bitstream.reconstruction import reconstruct
+from refcodec.bitstream.reconstruction import digest, reconstruct
 from refcodec.bitstream.scene import Ancillary, Scene
 from refcodec.render.camera import Camera, default_camera
 from refcodec.render.gaussians import Gaussians, gaussians, gaussians_document
@@ -154,6 +155,30 @@ def test_the_program_refuses_what_is_no_camera(text: str, tmp_path: Path) -> Non
     assert done.stderr == f"c3gs: {camera} is no camera\n"
 
 
+@pytest.mark.requirement("G6.5-1")
+def test_other_render_models_are_decoded_but_not_drawn(decoder: Decoder, tmp_path: Path) -> None:
+    """The header has the fields of RenderInfo and the numbers of the rendering networks."""
+    data, message = (
+        codec.emit(UNDRAWN),
+        "render_model is 7, but this version draws only 0; use a later version (SPEC.md 6.5)",
+    )
+    assert decoder.verdict(data) == (digest(UNDRAWN)[0], -1)
+    said = decoder.ask(data, "drawing")
+    assert said["error"] == ["RenderModelError", message]
+    assert {name: said["header"][name] for name in asdict(UNDRAWN.render)} == {
+        **asdict(UNDRAWN.render),
+        "background": list(UNDRAWN.render.background),
+    }
+    assert (said["header"]["view_inputs"], said["header"]["colour_outputs"]) == (8, 27)
+    file, camera = tmp_path / "scene.c3gs", tmp_path / "camera.json"
+    file.write_bytes(data)
+    camera.write_text('{"rotation": [[1, 0, 0], [0, 1, 0], [0, 0, 1]], "translation": [0, 0, 0]}')
+    words = [str(NODE), PROGRAM, "gaussians", file, camera, tmp_path / "output"]
+    done = subprocess.run(words, capture_output=True, text=True, check=False)
+    assert (done.returncode, done.stderr) == (statuses.USAGE, f"c3gs: {message}\n")
+    assert not (tmp_path / "output").exists()
+
+
 def test_wrong_calls_are_refused() -> None:
     """Wrong arrays, indices and places get an error of their own. A right call works after them."""
     program = Path(__file__).with_name("refuse_web.mjs")
@@ -212,8 +237,8 @@ def sections_of(vector: Any) -> list[Ancillary]:
 
 
 GOOD = {
-    b"mETA": metadata.emit_metadata({"title": "a title", "com.example": "\ufeffé", "__proto__": "x"}),
-    b"cAMS": cameras.emit_cameras(
+    b"mETa": metadata.emit_metadata({"title": "a title", "com.example": "\ufeffé", "__proto__": "x"}),
+    b"cAMs": cameras.emit_cameras(
         [
             NamedCamera(),
             NamedCamera("\ufeffzwei", 7, 5, (1.5, 2.5), (3.0, 2.0), (0.0, -2.0, 1e20, 3.0), (1.0, 2.0, 3.0)),
@@ -244,14 +269,24 @@ def test_what_is_wrong_is_passed_over(decoder: Decoder, drawn: tuple[Ancillary, 
     assert_ancillary(decoder, codec.emit(replace(SCENES["smallest"], ancillary=drawn)))
 
 
+@pytest.mark.parametrize(("length", "read"), [(72, 3), (60, 2), (56, 1), (73, 1), (200, 1), (0xFFFFFFFC, 1), (0, 1)])
+def test_cameras_state_their_length(decoder: Decoder, length: int, read: int) -> None:
+    """A camera may have more fields than are known. A wrong length ends the section: here that of camera 1."""
+    named = [cameras.emit_cameras([NamedCamera(name)])[4:] for name in ("zero", "one!", "two!")]
+    assert {len(camera) for camera in named} == {64}
+    content = struct.pack("<HH", 3, 0) + named[0] + struct.pack("<I", length) + named[1][4:] + bytes(12) + named[2]
+    data = codec.emit(replace(SCENES["smallest"], ancillary=(Ancillary(b"cAMs", 0, content, 0),)))
+    assert len(assert_ancillary(decoder, data)["cameras"]) == read
+
+
 def test_long_sections_are_passed_over(decoder: Decoder) -> None:
     """SPEC 6.14 limits metadata. What is more than a caller allows is not held."""
     for length in (1 << 16, (1 << 16) + 1):
-        content = GOOD[b"mETA"].ljust(length, b"\0")
-        data = codec.emit(replace(SCENES["smallest"], ancillary=(Ancillary(b"mETA", 0, content, 0),)))
+        content = GOOD[b"mETa"].ljust(length, b"\0")
+        data = codec.emit(replace(SCENES["smallest"], ancillary=(Ancillary(b"mETa", 0, content, 0),)))
         assert bool(assert_ancillary(decoder, data)["metadata"]) == (length == 1 << 16)
-    content = GOOD[b"cAMS"] + bytes(1 << 20)
-    data = codec.emit(replace(SCENES["smallest"], ancillary=(Ancillary(b"cAMS", 0, content, 0),)))
+    content = GOOD[b"cAMs"] + bytes(1 << 20)
+    data = codec.emit(replace(SCENES["smallest"], ancillary=(Ancillary(b"cAMs", 0, content, 0),)))
     assert len(assert_ancillary(decoder, data)["cameras"]) == 2
     assert decoder.ask(data, "ancillary", options={"maxMemory": 1 << 20})["read"]["cameras"] == []
 

@@ -1,7 +1,7 @@
 // A use of all that c3gs.d.ts and three.d.ts declare. test_web_three.py has its types checked; it never runs.
 import {
   BoundPassedError, C3gsError, cameraMatrix, centreOf, decode, decodeAll, decodeChunk, Gaussians, open,
-  projectionMatrix, uprightMatrix, type Scene, type View,
+  projectionMatrix, RenderModelError, uprightMatrix, type Scene, type View,
 } from "c3gs";
 import { C3gsLoader, C3gsModel } from "c3gs/three";
 import { PackedSplats, ExtSplats, SplatMesh } from "@sparkjsdev/spark";
@@ -22,6 +22,7 @@ async function stream(response: Response, place: PerspectiveCamera, object: Obje
   } catch (error) {
     if (error instanceof C3gsError) console.log(error.code, error.clause, error.offset);
     else if (error instanceof BoundPassedError) console.log(error.bound);
+    else if (error instanceof RenderModelError) console.log(error.message);
   }
 }
 
@@ -35,6 +36,8 @@ async function whole(bytes: Uint8Array): Promise<Scene> {
     console.log(cameraMatrix(camera), projectionMatrix(camera, 0.1, 100), scene.metadata.get("title"));
   }
   console.log(uprightMatrix(scene.header), gaussians.slotOf(3));
+  const { colour_primaries: primaries, transfer_characteristics: transfer, render_model: model } = scene.header;
+  console.log(primaries + transfer + model);
   const other = await open(new Blob([new Uint8Array(3)]));
   await other.readAncillary();
   await decodeChunk({ read: async () => new Uint8Array(1), length: 1 }, 0);

@@ -15,8 +15,10 @@ from plyfile import PlyData, PlyElement
 from safetensors.numpy import load_file, save_file
 
 from conformance.cases.scenes import MAIN_DIMENSIONS, random_scene, with_steps
+from conformance.cases.target import Target
 from refcodec.bitstream import codec
 from refcodec.bitstream.dimensions import Dimensions
+from refcodec.bitstream.errors import BitstreamError
 from refcodec.bitstream.header import RenderInfo
 from refcodec.bitstream.reconstruction import reconstruct
 from refcodec.bitstream.scene import Ancillary, take_anchors
@@ -52,7 +54,7 @@ SCENES = {
     "all kept": lambda: random_scene(7, 9, keep=1.0),
     "ancillary": lambda: replace(
         random_scene(8, 5),
-        ancillary=(Ancillary(b"noTE", 0, b""), Ancillary(b"noTE", 255, b"\0\1"), Ancillary(b"prIv", 7, bytes(1000), 5)),
+        ancillary=(Ancillary(b"noTe", 0, b""), Ancillary(b"noTe", 255, b"\0\1"), Ancillary(b"prIv", 7, bytes(1000), 5)),
     ),
     "odd floats": lambda: odd_floats(9),
     "packed": lambda: pack_weights(pack_positions(random_scene(10, 20, chunk_size=8))),
@@ -85,7 +87,7 @@ def test_same_bytes(name, tmp_path):
 
 @pytest.fixture(scope="module")
 def scene():
-    return replace(random_scene(11, 30, chunk_size=12), ancillary=(Ancillary(b"noTE", 1, b"five"),))
+    return replace(random_scene(11, 30, chunk_size=12), ancillary=(Ancillary(b"noTe", 1, b"five"),))
 
 
 @pytest.fixture(scope="module")
@@ -150,7 +152,7 @@ def test_overwrites_a_scene_folder_whole(made):
     other = random_scene(12, 4)
     write_folder(other, made)
     assert codec.emit(read_folder(made)) == codec.emit(other)
-    assert not (made / "ancillary_0_noTE.bin").exists()
+    assert not (made / "ancillary_0_noTe.bin").exists()
     assert (made / "notes.txt").read_text() == "mine"
 
 
@@ -214,7 +216,7 @@ def test_missing_folder(tmp_path):
 
 
 @pytest.mark.parametrize(
-    "name", ["scene.json", "point_cloud.ply", "networks.safetensors", "planes.safetensors", "ancillary_0_noTE.bin"]
+    "name", ["scene.json", "point_cloud.ply", "networks.safetensors", "planes.safetensors", "ancillary_0_noTe.bin"]
 )
 def test_missing_file(made, name):
     (made / name).unlink()
@@ -298,7 +300,7 @@ def test_not_a_number_in_json(made):
 
 def test_an_ancillary_section_stays_inside_the_folder(made):
     text = (made / "scene.json").read_text()
-    (made / "scene.json").write_text(text.replace("ancillary_0_noTE.bin", "../secret"))
+    (made / "scene.json").write_text(text.replace("ancillary_0_noTe.bin", "../secret"))
     refused(made, "ancillary[0].file")
 
 
@@ -411,13 +413,39 @@ def test_ply_without_masks_counts_as_all_kept(tmp_path, made):
 
 
 def test_header_edits_are_encoded(made, scene):
-    """What is not reconstruction may be changed by hand."""
+    """A digest that is deleted is not compared."""
     document = json.loads((made / "scene.json").read_text())
+    del document["digest"]
     document["render"]["background"] = [9, 8, 7]
     document["chunk_size"] = 5
     (made / "scene.json").write_text(json.dumps(document))
     wanted = replace(scene, render=replace(scene.render, background=(9, 8, 7)), chunk_size=5)
     assert codec.emit(read_folder(made)) == codec.emit(wanted)
+
+
+@pytest.mark.requirement("E12.1-1", "E12.1-2", "E12.1-3")
+def test_a_changed_folder_keeps_what_is_safe_to_copy(tmp_path):
+    """An editor that changes only metadata keeps every section; one that changes the scene keeps safe ones."""
+    unsafe, safe = (
+        Ancillary(b"prIV", 0, b"unsafe", 5),
+        (Ancillary(b"noTe", 0, b"safe", 2), Ancillary(b"prIv", 7, b"", 5)),
+    )
+    scene = replace(random_scene(11, 9), ancillary=(*safe, unsafe))
+    folder = tmp_path / "scene"
+    write_folder(scene, folder)
+    document = json.loads((folder / "scene.json").read_text())
+
+    def kept(**changes):
+        (folder / "scene.json").write_text(json.dumps({**document, **changes}))
+        return codec.parse(codec.emit(read_folder(folder))).scene.ancillary
+
+    assert kept() == scene.ancillary
+    assert kept(chunk_size=document["chunk_size"] + 1) == safe
+    (folder / "coded.safetensors").unlink()
+    assert kept() == safe
+    unknown = Target(codec.emit(scene)).with_values({"directory[0].type": b"NEWS"})
+    with pytest.raises(BitstreamError, match=r"\[R6\.6-2\]"):
+        codec.parse(unknown)
 
 
 # --- quantising anew --------------------------------------------------------------------------------------------------

@@ -311,7 +311,7 @@ def test_descriptions_that_are_not_allowed(use: Use) -> None:
     used = kernel.kernel()
     assert used is not None
     tables = used.library.kernel_tables_new(tables_bytes(), len(tables_bytes()))
-    for field, value in (("offset_count", 17), ("plane_size", 257), ("slice_count", 17), ("mask_lanes", 3)):
+    for field, value in (("offset_count", 17), ("plane_size", 1025), ("slice_count", 17), ("mask_lanes", 3)):
         description = library.Description(offset_count=1, slice_count=1, hyper_layers=1, carm_layers=1, cell_shift=-1)
         description.slice_width[0] = 1
         description.plane_lanes = description.mask_lanes = description.attribute_lanes = 1

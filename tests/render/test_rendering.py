@@ -12,13 +12,19 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+import refcodec
 from conformance.cases.scenes import random_scene
+from conformance.manifest import VECTORS
+from refcodec import statuses
 from refcodec.bitstream.cameras import NamedCamera, rotation_matrix
+from refcodec.bitstream.codec import parse
 from refcodec.bitstream.header import RenderInfo
-from refcodec.bitstream.reconstruction import Reconstruction, reconstruct
+from refcodec.bitstream.reconstruction import Reconstruction, digest, reconstruct
 from refcodec.bitstream.scene import Scene
+from refcodec.cli.main import main
 from refcodec.render.camera import Camera, default_camera
 from refcodec.render.gaussians import Gaussians, gaussians
+from refcodec.render.view import View
 
 ROOT = Path(__file__).resolve().parents[2]
 
@@ -343,3 +349,18 @@ def test_hostile_networks_give_gaussians() -> None:
     for dtype in (np.float32, np.float64):
         found = gaussians(values, scene.masks, scene.networks, camera, UNIT, dtype)
         assert (found.opacity > 0).all()
+
+
+@pytest.mark.requirement("G6.5-1")
+def test_another_render_model_is_decoded_but_not_drawn(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+    file = VECTORS / "valid" / "render-model-2.c3gs"
+    scene = parse(file.read_bytes()).scene
+    assert scene.render.render_model == 2
+    with pytest.raises(ValueError, match="render_model 2"):
+        View(scene)
+    opened = refcodec.open(file)
+    assert opened.decode().digest() == digest(scene)[0]
+    with pytest.raises(ValueError, match="render_model 2"):
+        opened.decode().gaussians()
+    assert main(["render", str(file), "-o", str(tmp_path / "images")]) == statuses.USAGE
+    assert "use a later version" in capsys.readouterr().err

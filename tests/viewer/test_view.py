@@ -223,7 +223,7 @@ def test_export(trained: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str
     output = tmp_path / "scene.html"
     assert main(["export", str(trained), "-o", str(output)]) == 0
     length = output.stat().st_size
-    assert capsys.readouterr().out == f"{output}: {length:,} bytes, including the file of 53,036\n"
+    assert capsys.readouterr().out == f"{output}: {length:,} bytes, including the file of 53,052\n"
     before = output.read_bytes()
     assert main(["export", str(trained), "-o", str(output)]) == 0
     assert output.read_bytes() == before

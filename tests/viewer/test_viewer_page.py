@@ -18,6 +18,7 @@ from refcodec.bitstream.attributes import Attributes
 from refcodec.bitstream.cameras import CAMERAS, cameras, emit_cameras
 from refcodec.bitstream.codec import emit, parse
 from refcodec.bitstream.errors import BitstreamError
+from refcodec.bitstream.header import RenderInfo
 from refcodec.bitstream.limits import MAIN
 from refcodec.bitstream.metadata import with_metadata
 from refcodec.bitstream.scene import Ancillary
@@ -246,6 +247,27 @@ def test_small_files(name: str, browser: Chromium, tmp_path: Path) -> None:
     _open(browser, _write(tmp_path, path.read_bytes()))
     browser.run("c3gs.settle()")
     assert browser.run("c3gs.header.anchor_count") == len(parse(path.read_bytes()).scene.positions)
+    assert browser.said == []
+
+
+@pytest.mark.parametrize(("transfer", "shown"), [(13, [128, 64, 255]), (8, [188, 137, 255]), (99, [128, 64, 255])])
+def test_linear_light_is_encoded(transfer: int, shown: list[int], browser: Chromium, tmp_path: Path) -> None:
+    """SPEC 6.5: transfer characteristics 8 are linear light. Others are shown as those of sRGB."""
+    render = RenderInfo(background=(128, 64, 255), transfer_characteristics=transfer)
+    _open(browser, _write(tmp_path, emit(random_scene(1, 0, PLANELESS, render=render))))
+    browser.run("c3gs.settle()")
+    assert np.abs(_edge(browser).reshape(-1, 3).astype(int) - shown).max() <= 1
+    assert browser.said == []
+
+
+@pytest.mark.requirement("G6.5-1")
+def test_other_render_models_are_not_drawn(browser: Chromium, tmp_path: Path) -> None:
+    render = RenderInfo(background=(128, 64, 255), render_model=7)
+    _open(browser, _write(tmp_path, emit(random_scene(1, 5, PLANELESS, render=render))))
+    with pytest.raises(BrowserError, match="render_model"):
+        browser.run("c3gs.settle()")
+    assert "render_model is 7" in _text(browser, "#error")
+    assert not _edge(browser).any()
     assert browser.said == []
 
 
