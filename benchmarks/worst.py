@@ -172,7 +172,7 @@ def files(large: bool) -> dict[str, bytes]:
 
 
 def memory_bound(header: Header, size: int) -> int:
-    """[D13.1-1]: returns 4 m + 64 MiB for a decoder that holds at most 65,536 anchors. size: of the file."""
+    """SPEC.md 13.1: returns 4 m + 64 MiB for a decoder that holds at most 65,536 anchors. size: of the file."""
     d, n = header.dimensions, min(header.anchor_count, GROUP_ANCHORS)
     width, inputs = d.attribute_width, 2 * d.plane_channels + 2 * d.frequency_count
     stages = [
@@ -266,7 +266,7 @@ def section() -> list[str]:
         "",
         "Seconds: processor time of the whole process with one thread, the least of three. Seconds for 10^9 units",
         "(SPEC.md 13.1) and MiB: less those of the same process for a file of 5 anchors. Allowed: 4 m + 64 MiB of",
-        "[D13.1-1]. SPEC.md's blocks decode smaller files. The second table includes rejected files, which have a",
+        "SPEC.md 13.1. SPEC.md's blocks decode smaller files. The second table includes rejected files, which have a",
         "wrong CRC-32 of symbols in the named step.",
     ]
 

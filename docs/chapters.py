@@ -17,7 +17,7 @@ from refcodec.inspect import specification
 CODE = re.compile(r"^ *```.*?^ *```$|`[^`\n]*`", re.DOTALL | re.MULTILINE)
 # What comes before the number of a clause that is meant as one. Other numbers with a point are figures.
 _BEFORE = r"(?:\(|\| |\b(?:[Cc]lauses?|[Cc]hapters?|of|in|by|that|which|see)\s|\bAnnex(?:es)?\s)"
-_NUMBER = r"(?:\d+(?:\.\d+)*|[A-G](?:\.\d+)*)"
+_NUMBER = r"(?:\d+(?:\.\d+)*|[A-H](?:\.\d+)*)"
 _REFERENCE = re.compile(rf"({_BEFORE})({_NUMBER}(?:(?:,\s|\sto\s|\sand\s|,\sand\s){_NUMBER})*)(?![\w.%*^]|\.\d)")
 # A whole number is a chapter only behind these words, and not in "of 2".
 _CHAPTER = re.compile(r"(?:[Cc]hapters?|Annex(?:es)?)\s$")

@@ -6,9 +6,9 @@ import errno
 
 # Done; the file is accepted; the decoder under test is right.
 DONE = 0
-# A verdict: the file is rejected (SPEC.md 10.1); the decoder under test is wrong.
+# A verdict: the file is rejected (SPEC.md 10.2); the decoder under test is wrong.
 REJECTED = 1
-# A verdict: the file is not supported (SPEC.md 10.1).
+# A verdict: the file is not supported (SPEC.md 10.2).
 UNSUPPORTED = 2
 # No verdict: the conformance suite is damaged.
 DAMAGED_SUITE = 3

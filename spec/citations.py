@@ -18,13 +18,13 @@ from refcodec.inspect.specification import own_clauses, own_requirements, text, 
 
 from .made import ROOT
 
-_CLAUSE = r"(?:\d+|[A-G])(?:\.\d+)*(?![\w-])"
-_REQUIREMENT = r"\[?[RDGE](?:\d+|[A-G])(?:\.\d+)*-\d+\]?"
+_CLAUSE = r"(?:\d+|[A-H])(?:\.\d+)*(?![\w-])"
+_REQUIREMENT = r"\[?[RDGE](?:\d+|[A-H])(?:\.\d+)*-\d+\]?"
 _ITEM = rf"(?:{_REQUIREMENT}|{_CLAUSE}|[A-Z][A-Z0-9_]{{2,}}\b)"
 _ITEMS = rf"{_ITEM}(?:(?:, | and | to |; ){_ITEM})*"
 # Python and texts name SPEC.md. A comment in C or JavaScript begins with the number.
 _CITATION = re.compile(rf"(?:SPEC(?:\.md)? (?:chapter |Annex )?|(?:^|\s)(?:/\*|//) (?=\d+\.|\[))({_ITEMS})")
-_MARK = re.compile(r"(\[[RDGE](?:\d+|[A-G])(?:\.\d+)*-\d+\])")
+_MARK = re.compile(r"(\[[RDGE](?:\d+|[A-H])(?:\.\d+)*-\d+\])")
 # Files generated from SPEC.md's requirements, and files about wrong citations.
 _LEFT_OUT = (
     "tests/",

@@ -27,7 +27,7 @@ TAIL = "\nSINE, STEP, GAUSS, LAPLACE = READ_TABLES(table_bytes())\n"
 # Functions for clauses without a block, and these clauses.
 CLAUSES = {
     "DECODE_SYMBOL": "8.2", "DECODE_VALUES": "8.6", "WORLD": "9.1", "DECODE_ATTRIBUTES": "7.7, 7.8, 7.9",
-    "DECODE_FILE": "2.1, 10.1", "CHECK_DIRECTORY": "12.1, 13.1",
+    "DECODE_FILE": "10.1, 15.4", "CHECK_DIRECTORY": "12.1, 13.1",
 }  # fmt: skip
 LEVEL = ("level", "anchor_count", "plane_size", "work")
 
@@ -45,7 +45,7 @@ def _number(text: str) -> str:
 
 
 def _bounds(text: str) -> Iterator[str]:
-    """Yields BOUNDS of 10.4: for each profile (dimension, least, most) by the rows of 11.1's table."""
+    """Yields BOUNDS of Annex H: for each profile (dimension, least, most) by the rows of 11.1's table."""
     rows = _rows(text, "### 11.1 ")
     yield "BOUNDS = ["
     for profile in (1, 2):
@@ -68,7 +68,7 @@ def _levels(text: str) -> Iterator[str]:
 def _errors(text: str) -> Iterator[str]:
     """Yields ERRORS: for each name its code, class, clause and meaning, by the rows of 10.3's table."""
     yield "ERRORS = {"
-    for code, name, kind, clause, meaning, _ in _rows(text, "### 10.3 "):
+    for code, name, kind, _, clause, meaning, _ in _rows(text, "### 10.3 "):
         yield f'    "{name}": ({code}, "{kind}", "{clause}", "{meaning}"),'
     yield "}"
 
@@ -84,7 +84,7 @@ def module(text: str) -> str:
             clause = heading.lstrip("# ").partition(":")[0].removeprefix("Annex ").split()[0]
         else:
             # Each function cites its clause, so that `refcodec explain` finds it.
-            own = "Annex A" if clause == "A" else clause
+            own = f"Annex {clause}" if clause.isalpha() else clause
 
             def cited(match: re.Match[str], own: str = own) -> str:
                 return f"# SPEC {own}{', ' if match[2] in CLAUSES else ''}{CLAUSES.get(match[2], '')}\n{match[0]}"

@@ -1,22 +1,24 @@
 """Makes the generated parts of SPEC.md.
 
-These are the registry of errors, profiles and levels, and the worked example.
+These are the hashes of artefacts, the registry of errors, profiles and levels, and the worked example.
 """
 
 from __future__ import annotations
 
+import hashlib
 import re
 from collections.abc import Callable, Iterator
 
 import numpy as np
 
+from conformance.manifest import MANIFEST, VECTORS
 from refcodec.bitstream.codec import parse
 from refcodec.bitstream.errors import REGISTRY
 from refcodec.bitstream.limits import PROFILES, Profile
 from refcodec.bitstream.reconstruction import chunk_digest, digest
 from refcodec.bitstream.scene import take_anchors
 
-from . import walk
+from . import tables, walk
 from .made import ROOT, Made
 
 SPEC = ROOT / "SPEC.md"
@@ -25,10 +27,26 @@ EXAMPLE = ROOT / "vectors" / "tiny-example.c3gs"
 OPTIONAL = ("plane_size", "sarm_layers")
 
 
+def artefacts() -> str:
+    """Returns the list of the files published with SPEC.md (front matter)."""
+    files = (
+        (tables.TARGET, "the tables of Annex A"),
+        (VECTORS / MANIFEST, "the list of the conformance suite, with the hashes of its files"),
+        (EXAMPLE, "the worked example of Annex D"),
+    )
+    return "\n".join(
+        f"- `{path.name}`, {what}. Its SHA-256 is\n  `{hashlib.sha256(path.read_bytes()).hexdigest()}`."
+        for path, what in files
+    )
+
+
 def errors() -> str:
     """Returns the table of errors (clause 10.3)."""
-    rows = ["| code | name | class | clause | meaning | offset |", "|---|---|---|---|---|---|"]
-    rows += [f"| {k.code} | {k.name} | {k.klass} | {k.clause} | {k.text} | {k.where} |" for k in REGISTRY.values()]
+    rows = ["| code | name | class | requirement | clause | meaning | offset |", "|---" * 7 + "|"]
+    rows += [
+        f"| {k.code} | {k.name} | {k.klass} | [{k.requirement}] | {k.clause} | {k.text} | {k.where} |"
+        for k in REGISTRY.values()
+    ]
     return "\n".join(rows)
 
 
@@ -83,6 +101,7 @@ def rewritten(text: str) -> str:
     """Returns SPEC.md with its generated parts replaced. Raises SystemExit for a missing or repeated part."""
     data = EXAMPLE.read_bytes()
     parts: dict[str, Callable[[], str]] = {
+        "artefacts": artefacts,
         "errors": errors,
         "profiles": profiles,
         "levels": levels,

@@ -64,9 +64,9 @@ class Found:
 
 def _cited(comment: str) -> Iterator[str]:
     """Yields the clauses that a line of a comment or docstring cites."""
-    yield from re.findall(r"(?<![\w.])(?:\d+|[A-G]\.\d+)(?:\.\d+)*(?!\w)", comment)
+    yield from re.findall(r"(?<![\w.])(?:\d+|[A-H]\.\d+)(?:\.\d+)*(?!\w)", comment)
     # An annex is a letter without a following word: "A value" does not cite Annex A.
-    yield from re.findall(r"(?:Annex |SPEC |, |and |/\* )([A-G])\b(?![ .]\w)", comment)
+    yield from re.findall(r"(?:Annex |SPEC |, |and |/\* )([A-H])\b(?![ .]\w)", comment)
 
 
 def _python(path: Path, found: Found) -> None:

@@ -2204,7 +2204,7 @@ static void PARTS_END(struct scene *s, int print)
         printf("%s %s\n", names[i], HEX(digests[i]));
 }
 
-/* 2.1, 7.1, 10.1, 10.2, 10.4: the order of decoding and of checks. print: whether the digests are wanted. */
+/* 7.1, 10.1, 10.2, 15.4, H: the order of decoding and of checks. print: whether the digests are wanted. */
 static void DECODE_FILE(struct scene *s, int print)
 {
     struct header *h = &s->h;

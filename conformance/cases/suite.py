@@ -105,11 +105,11 @@ def vectors(recipes: Iterable[Recipe]) -> Iterator[tuple[dict[str, Any], dict[st
         elif isinstance(made, Refused):
             files[path] = data = made.data
             expectation = _rejected(recipe, made)
-            proved = [made.kind.requirement, "D2.1-1", "D10.2-1", "D10.4-1"]
+            proved = [made.kind.requirement, "D15.4-1", "D10.2-1", "DH-1"]
         else:
             files[path] = data = made
             expectation = _accepted(recipe, made)
-            proved = ["D2.1-1", "D9.3-1", "D10.4-1"]
+            proved = ["D15.4-1", "D9.3-1", "DH-1"]
         profile, level = _stated(data)
         yield (
             {

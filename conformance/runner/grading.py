@@ -26,7 +26,7 @@ from .folder import FileError, open_file
 from .gaussians import difference
 from .process import Ended
 
-# The grades of a vector (SPEC 10.2). 1: the right verdict and output. 2: also the right code. 3: also the right offset.
+# The grades of a vector (SPEC 15.4). 1: the right verdict and output. 2: also the right code. 3: also the right offset.
 GRADE_NONE, GRADE_VERDICT, GRADE_CODE, GRADE_EXACT = range(4)
 GRADES = {
     GRADE_NONE: "a wrong verdict, a wrong output or a crash",
@@ -83,7 +83,7 @@ class Judgement:
 
 
 def exit_status(klass: str) -> int:
-    """Returns the exit status of a refusal with an error of a class (SPEC 10.1)."""
+    """Returns the exit status of a refusal with an error of a class (SPEC 10.2)."""
     return statuses.UNSUPPORTED if klass == "unsupported" else statuses.REJECTED
 
 

@@ -37,7 +37,7 @@ class Decoded:
         return self.digests["whole"]
 
 
-# SPEC 9.3, 10.4
+# SPEC 9.3, Annex H
 def decode(data: bytes) -> Decoded:
     """Decodes a file. Raises C3GSError if it is refused."""
     support.HASHED.clear()

@@ -17,7 +17,7 @@ USAGE = (
 REJECTED, UNSUPPORTED, USAGE_ERROR = 1, 2, 64
 
 
-# SPEC 10.2: a refusal is reported on stderr and by the exit status
+# SPEC 10.2: a refusal is reported, on stderr and by the exit status as conformance/README.md has it
 def main(arguments: list[str]) -> int:
     """Runs a command and returns its exit status."""
     output = trace = ""

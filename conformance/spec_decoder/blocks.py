@@ -59,14 +59,14 @@ STEP_SHIFT = 12
 
 # SPEC 10.3
 ERRORS = {
-    "prologue.truncated": (101, "malformed", "5.1", "the file is shorter than a prologue"),
+    "prologue.truncated": (101, "malformed", "6.1", "the file is shorter than a prologue"),
     "prologue.signature": (102, "malformed", "6.1", "the first eight bytes are not the signature"),
     "prologue.crc": (103, "malformed", "6.1", "the prologue's CRC-32 does not match"),
     "prologue.version": (104, "unsupported", "6.1", "the major version is not 0"),
     "prologue.header_length": (105, "malformed", "6.1", "header_length is outside its limits or not a multiple of 4"),
-    "header.truncated": (201, "malformed", "5.2", "the file ends inside the header"),
+    "header.truncated": (201, "malformed", "6.2", "the file ends inside the header"),
     "header.crc": (202, "malformed", "6.2", "the header's CRC-32 does not match"),
-    "header.syntax": (203, "malformed", "5.2", "the header's fields do not fill header_length exactly"),
+    "header.syntax": (203, "malformed", "6.2", "the header's fields do not fill header_length exactly"),
     "header.reserved": (204, "unsupported", "6.2", "a reserved field is not zero"),
     "header.profile": (205, "unsupported", "11.1", "the profile is not known"),
     "header.level": (206, "unsupported", "11.2", "the level is not known in this profile"),
@@ -82,7 +82,7 @@ ERRORS = {
     "header.padding": (216, "malformed", "6.2", "the padding of the dimensions is not zero"),
     "header.chunk_count": (217, "invalid", "6.2", "chunk_count does not fit anchor_count and chunk_size"),
     "directory.type": (301, "malformed", "6.6", "a section's type is not four letters"),
-    "directory.unknown_critical": (302, "unsupported", "12.1", "a critical section has an unknown type"),
+    "directory.unknown_critical": (302, "unsupported", "6.6", "a critical section has an unknown type"),
     "directory.order": (303, "malformed", "6.6", "a critical section is missing, repeated or out of order"),
     "directory.mode": (304, "unsupported", "6.6", "the coding mode of a section is not known"),
     "directory.length": (305, "malformed", "6.6", "a section's length is too large or not the one that the header implies"),
@@ -94,7 +94,7 @@ ERRORS = {
     "frame.reserved": (402, "unsupported", "6.7", "a reserved field is not zero"),
     "weights.scale": (411, "invalid", "6.8", "a field of WeightScales is outside its limits"),
     "weights.not_finite": (412, "invalid", "6.8", "a weight or bias is NaN or infinite"),
-    "weights.bound": (413, "invalid", "7.2", "a row's integers could reach the accumulator bound"),
+    "weights.bound": (413, "invalid", "6.8", "a row's integers could reach the accumulator bound"),
     "weights.length": (414, "malformed", "6.8", "the LayerModels and raw values do not fit the section"),
     "weights.layer": (415, "invalid", "6.8", "a field of a LayerModel is outside its limits"),
     "weights.exponent": (416, "invalid", "6.8", "a row's grid exponent is not the one that its values imply"),
@@ -119,7 +119,7 @@ ERRORS = {
     "positions.negative_zero": (452, "invalid", "6.11", "a position is -0"),
     "positions.count": (453, "invalid", "6.11", "the tree does not have as many cells as the chunk has anchors"),
     "positions.cell": (454, "invalid", "6.11", "a cell represents no finite f16"),
-    "substream.length": (501, "malformed", "5.15", "the substream is shorter than its states and words"),
+    "substream.length": (501, "malformed", "8.1", "the substream is shorter than its states and words"),
     "substream.state": (502, "invalid", "8.1", "an initial state is below 2^16"),
     "substream.words": (503, "invalid", "8.8", "the symbols do not consume exactly word_count words"),
     "substream.final_state": (504, "invalid", "8.8", "a final state is not 2^16"),
@@ -721,549 +721,6 @@ def VALUE(symbol, step):
     return ROUND_F32(symbol * m, e)
 
 
-# SPEC 10.4
-class Refused(Exception):
-    pass
-
-
-# SPEC 10.4
-def REFUSE(name, offset):
-    raise Refused(name, offset)
-
-
-# SPEC 10.4
-def REQUIRE(condition, name, offset):
-    if not condition:
-        REFUSE(name, offset)
-
-
-SIGNATURE = [0x89, 0x43, 0x33, 0x47, 0x53, 0x0D, 0x0A, 0x1A]
-
-
-# SPEC 10.4
-def PAD4(n):
-    return (n + 3) // 4 * 4
-
-
-# SPEC 10.4
-def PARSE_PROLOGUE(data):
-    """header_length and minor."""
-    REQUIRE(len(data) >= 20, "prologue.truncated", len(data))
-    REQUIRE(data[:8] == SIGNATURE, "prologue.signature", 0)
-    REQUIRE(U(data, 16, 4) == CRC32(data[:16]), "prologue.crc", 16)
-    REQUIRE(U(data, 8, 2) == MAJOR, "prologue.version", 8)
-    length = U(data, 12, 4)
-    right = HEADER_LENGTH_MIN <= length <= HEADER_LENGTH_MAX and length % 4 == 0
-    REQUIRE(right, "prologue.header_length", 12)
-    return length, U(data, 10, 2)
-
-
-# SPEC 10.4
-def TAKE(reader, name, size, count, signed):
-    """Reads the next header field, a list of `count` items, and notes its place under the same name."""
-    at = reader["at"]
-    REQUIRE(at + size * count <= reader["end"], "header.syntax", reader["end"] + 4)
-    reader["at"] = at + size * count
-    places = [at + size * i for i in range(count)]
-    reader["value"][name] = [I(reader["data"], x, size) if signed else U(reader["data"], x, size) for x in places]
-    reader["place"][name] = at
-    reader["size"][name] = size
-
-
-# SPEC 10.4
-def PARSE_HEADER(data, length, minor):
-    """The header fields, each as a list of items, and their places."""
-    REQUIRE(len(data) >= 20 + length, "header.truncated", len(data))
-    crc_at = 16 + length
-    REQUIRE(U(data, crc_at, 4) == CRC32(data[20:crc_at]), "header.crc", crc_at)
-    reader = {"data": data, "at": 20, "end": crc_at, "value": {}, "place": {}, "size": {}}
-    value, place = reader["value"], reader["place"]
-    for name, size, count, signed in FIRST_FIELDS:
-        TAKE(reader, name, size, count, signed)
-    for name, size, counter in LISTS:
-        TAKE(reader, name, size, value[counter][0], False)
-    TAKE(reader, "padding", 1, PAD4(reader["at"]) - reader["at"], False)
-    entries = []
-    for n in range(value["section_count"][0]):
-        at = reader["at"]
-        TAKE(reader, "entry", 1, 20, False)
-        entry = {"at": at, "type": data[at : at + 4], "mode": data[at + 4], "length": U(data, at + 8, 8)}
-        entries.append(entry)
-    extra = reader["end"] - reader["at"]
-    REQUIRE(extra == 0 or minor > MINOR, "header.syntax", reader["at"])
-    REQUIRE(not any(value["padding"]), "header.padding", place["padding"])
-    for name in ("reserved", "grid_reserved", "render_reserved", "dimensions_reserved"):
-        REQUIRE(value[name][0] == 0, "header.reserved", place[name])
-    for entry in entries:
-        REQUIRE(not any(data[entry["at"] + 5 : entry["at"] + 8]), "header.reserved", entry["at"] + 5)
-    return {"value": value, "place": place, "size": reader["size"], "entries": entries}
-
-
-FIRST_FIELDS = [
-    ("profile", 1, 1, False),
-    ("level", 1, 1, False),
-    ("section_count", 2, 1, False),
-    ("anchor_count", 4, 1, False),
-    ("chunk_count", 4, 1, False),
-    ("chunk_size", 4, 1, False),
-    ("plane_lanes_log2", 1, 1, False),
-    ("mask_lanes_log2", 1, 1, False),
-    ("attribute_lanes_log2", 1, 1, False),
-    ("reserved", 1, 1, False),
-    ("base_step", 4, 3, False),
-    ("origin", 8, 3, True),
-    ("scale_mantissa", 2, 1, False),
-    ("scale_exponent", 1, 1, True),
-    ("grid_reserved", 1, 1, False),
-    ("background", 1, 3, False),
-    ("up_axis", 1, 1, False),
-    ("near_plane", 4, 1, False),
-    ("distance_unit", 4, 1, False),
-    ("alpha_max", 4, 1, False),
-    ("low_pass", 4, 1, False),
-    ("colour_primaries", 1, 1, False),
-    ("transfer_characteristics", 1, 1, False),
-    ("render_model", 1, 1, False),
-    ("render_reserved", 1, 1, False),
-    ("offset_count", 1, 1, False),
-    ("plane_channels", 1, 1, False),
-    ("frequency_count", 1, 1, False),
-    ("slice_count", 1, 1, False),
-    ("hyper_layers", 1, 1, False),
-    ("sarm_layers", 1, 1, False),
-    ("carm_layers", 1, 1, False),
-    ("view_inputs", 1, 1, False),
-    ("colour_outputs", 1, 1, False),
-    ("dimensions_reserved", 1, 1, False),
-    ("plane_size", 2, 1, False),
-    ("render_width", 2, 1, False),
-]
-LISTS = [
-    ("hyper_width", 2, "hyper_layers"),
-    ("sarm_width", 2, "sarm_layers"),
-    ("carm_width", 2, "carm_layers"),
-    ("slice_width", 1, "slice_count"),
-]
-
-
-# SPEC 10.4
-def SHAPES(v):
-    """The name of each network, and (outputs, inputs) of each layer. The name of carm.i is the number i."""
-    k, ch, slices = v["offset_count"][0], v["plane_channels"][0], v["slice_width"]
-    features = sum(slices)
-    d = features + 6 + 3 * k
-    nets = [("hyper", [2 * ch + 2 * v["frequency_count"][0]] + v["hyper_width"] + [2 * d + 3])]
-    if ch:
-        nets.append(("sarm", [4] + v["sarm_width"] + [2]))
-    for i in range(1, len(slices)):
-        nets.append((i, [sum(slices[:i])] + v["carm_width"] + [2 * slices[i]]))
-    for name, outputs in zip(RENDERING, (1, 7, v["colour_outputs"][0])):
-        nets.append((name, [features + v["view_inputs"][0], v["render_width"][0], outputs * k]))
-    return [(name, [(widths[i + 1], widths[i]) for i in range(len(widths) - 1)]) for name, widths in nets]
-
-
-RENDERING = ("opacity", "covariance", "colour")
-
-
-# SPEC 10.4
-def WEIGHT_COUNT(v, names):
-    """The number of weights and biases of the networks with these names."""
-    layers = [shape for name, shapes in SHAPES(v) if name in names for shape in shapes]
-    return sum([rows * (inputs + 1) for rows, inputs in layers])
-
-
-# SPEC 10.4
-def WORK(v):
-    """11.2"""
-    d = sum(v["slice_width"]) + 6 + 3 * v["offset_count"][0]
-    carm = [i for i in range(1, v["slice_count"][0])]
-    anchor = WEIGHT_COUNT(v, ["hyper"] + carm) + 16 * d
-    plane = WEIGHT_COUNT(v, ["sarm"]) + 16
-    symbols = 5 * v["plane_channels"][0] * v["plane_size"][0] * v["plane_size"][0]
-    return v["anchor_count"][0] * anchor + symbols * plane
-
-
-# SPEC 10.4
-def CHECK_HEADER(h):
-    """10.1, FIELDS"""
-    v, at = h["value"], h["place"]
-    profile, n = v["profile"][0], v["anchor_count"][0]
-    REQUIRE(profile < len(BOUNDS), "header.profile", at["profile"])
-    levels = [level for level in LEVELS if level["profile"] == profile]
-    chosen = [level for level in levels if level["level"] == v["level"][0]]
-    REQUIRE(len(chosen) == 1, "header.level", at["level"])
-    level = chosen[0]
-    for name, low, high in BOUNDS[profile][:-1]:
-        for i, item in enumerate(v[name]):
-            absent = (item == 0) and (name in ("plane_size", "sarm_layers"))
-            REQUIRE(low <= item <= high or absent, "header.dimension", at[name] + h["size"][name] * i)
-    ch, size = v["plane_channels"][0], v["plane_size"][0]
-    REQUIRE(sum(v["slice_width"]) <= FEATURES_MAX, "header.dimension", at["slice_width"])
-    REQUIRE((size == 0) == (ch == 0), "header.dimension", at["plane_size"])
-    REQUIRE((v["sarm_layers"][0] == 0) == (ch == 0), "header.dimension", at["sarm_layers"])
-    inputs = ch + v["frequency_count"][0]
-    REQUIRE(inputs > 0 or v["hyper_layers"][0] == 0, "header.dimension", at["hyper_layers"])
-    REQUIRE(v["slice_count"][0] > 1 or v["carm_layers"][0] == 0, "header.dimension", at["carm_layers"])
-    if v["render_model"][0] == 0:
-        REQUIRE(v["view_inputs"][0] == 4, "header.dimension", at["view_inputs"])
-        REQUIRE(v["colour_outputs"][0] == 3, "header.dimension", at["colour_outputs"])
-    REQUIRE(size <= level["plane_size"], "header.dimension", at["plane_size"])
-    REQUIRE(n <= level["anchor_count"], "header.anchor_count", at["anchor_count"])
-    work = WORK(v)
-    for lower in levels:
-        held = n <= lower["anchor_count"] and size <= lower["plane_size"] and work <= lower["work"]
-        REQUIRE(lower["level"] >= level["level"] or not held, "header.level_not_minimal", at["level"])
-    low, high = BOUNDS[profile][-1][1:]
-    REQUIRE(low <= v["chunk_size"][0] <= high, "header.chunk_size", at["chunk_size"])
-    for name in ("plane_lanes_log2", "mask_lanes_log2", "attribute_lanes_log2"):
-        REQUIRE(v[name][0] <= LANES_LOG2_MAX, "header.lanes", at[name])
-    for i, step in enumerate(v["base_step"]):
-        right = ROUND_F32(1, -60) <= step <= ROUND_F32(1, 60)
-        REQUIRE(right, "header.base_step", at["base_step"] + 4 * i)
-    for i, origin in enumerate(v["origin"]):
-        REQUIRE(-ORIGIN_BOUND < origin < ORIGIN_BOUND, "header.position_grid", at["origin"] + 8 * i)
-    REQUIRE(v["scale_mantissa"][0] >= 1, "header.position_grid", at["scale_mantissa"])
-    right = -SCALE_EXPONENT_MAX <= v["scale_exponent"][0] <= SCALE_EXPONENT_MAX
-    REQUIRE(right, "header.position_grid", at["scale_exponent"])
-    REQUIRE(v["up_axis"][0] <= 5, "header.render_info", at["up_axis"])
-    one, names = ROUND_F32(1, 0), ("near_plane", "distance_unit", "alpha_max", "low_pass")
-    for name in names:
-        REQUIRE(IS_FINITE(v[name][0]), "header.render_info", at[name])
-    for name in names:
-        m, _ = SIGNIFICAND(v[name][0])
-        right = m >= 0 if name == "low_pass" else m > 0
-        REQUIRE(right and (name != "alpha_max" or v[name][0] <= one), "header.render_info", at[name])
-    REQUIRE(work <= level["work"], "header.work", at["anchor_count"])
-    c, most = v["chunk_count"][0], v["chunk_size"][0]
-    REQUIRE((n + most - 1) // most <= c <= n, "header.chunk_count", at["chunk_count"])
-
-
-CRITICAL = [ASCII(name) for name in ("FRAM", "WGTS", "PLNS", "INDX", "DATA")]
-FRAM, WGTS, PLNS, INDX, DATA = CRITICAL
-
-
-# SPEC 10.4, 12.1, 13.1
-def CHECK_DIRECTORY(h):
-    v, entries = h["value"], h["entries"]
-    for e in entries:
-        letters = all([0x41 <= c <= 0x5A or 0x61 <= c <= 0x7A for c in e["type"]])
-        REQUIRE(letters, "directory.type", e["at"])
-    for e in entries:
-        REQUIRE(e["type"][0] & 32 or e["type"] in CRITICAL, "directory.unknown_critical", e["at"])
-    ch, frequencies = v["plane_channels"][0], v["frequency_count"][0]
-    wanted = [t for t in CRITICAL if (t != FRAM or ch + frequencies) and (t != PLNS or ch)]
-    for e in entries:
-        if not e["type"][0] & 32:
-            REQUIRE(wanted and wanted[0] == e["type"], "directory.order", e["at"])
-            wanted = wanted[1:]
-    REQUIRE(not wanted, "directory.order", h["place"]["section_count"])
-    for e in entries:
-        most = 1 if e["type"] in (WGTS, INDX) else 0
-        REQUIRE(e["type"][0] & 32 or e["mode"] <= most, "directory.mode", e["at"] + 4)
-    inputs = sum(v["slice_width"][:-1])
-    k = v["offset_count"][0]
-    for e in entries:
-        right = e["length"] <= SECTION_LENGTH_MAX
-        if e["type"] == FRAM:
-            right = e["length"] == 88
-        if e["type"] == WGTS and e["mode"] == 0:
-            right = e["length"] == PAD4(2 + inputs) + 4 * WEIGHT_COUNT(v, [name for name, _ in SHAPES(v)])
-        if e["type"] == INDX:
-            right = e["length"] == PAD4(k * (k + 1)) + 580 * e["mode"] + 28 * v["chunk_count"][0]
-        REQUIRE(right, "directory.length", e["at"] + 8)
-
-
-# SPEC 10.4
-def CHECK_SUBSTREAM(data, at, length, lanes):
-    """Checks the head and the states of a substream, and returns its bytes."""
-    REQUIRE(length >= 8 + 4 * lanes, "substream.length", at)
-    REQUIRE(length >= 8 + 4 * lanes + 2 * U(data, at + 4, 4), "substream.length", at)
-    REQUIRE(all([U(data, at + 8 + 4 * n, 4) >= STATE_MIN for n in range(lanes)]), "substream.state", at)
-    return data[at : at + length]
-
-
-# SPEC 10.4
-def CHECK_END(stream, at):
-    verdict = END(stream)
-    if verdict is not None:
-        REFUSE(verdict, at)
-
-
-# SPEC 10.4
-def PARSE_FRAME(data, at):
-    matrix = [I(data, at + 4 * i, 4) for i in range(9)]
-    translation = [I(data, at + 36 + 8 * i, 8) for i in range(3)]
-    shift = data[at + 60 : at + 63]
-    low, high = [[I(data, at + first + 4 * i, 4) for i in range(3)] for first in (64, 76)]
-    REQUIRE(data[at + 63] == 0, "frame.reserved", at + 63)
-    for i, x in enumerate(matrix):
-        REQUIRE(-MATRIX_BOUND < x < MATRIX_BOUND, "frame.range", at + 4 * i)
-    for i, x in enumerate(translation):
-        REQUIRE(-TRANSLATION_BOUND < x < TRANSLATION_BOUND, "frame.range", at + 36 + 8 * i)
-    for i, x in enumerate(shift):
-        REQUIRE(x <= FRAME_SHIFT_MAX, "frame.range", at + 60 + i)
-    for i in range(3):
-        REQUIRE(-FRAME_RANGE_BOUND <= low[i] < FRAME_RANGE_BOUND, "frame.range", at + 64 + 4 * i)
-        REQUIRE(low[i] < high[i] <= FRAME_RANGE_BOUND, "frame.range", at + 76 + 4 * i)
-    return {"matrix": matrix, "translation": translation, "shift": shift, "low": low, "high": high}
-
-
-# SPEC 10.4
-def PARSE_WEIGHTS(data, at, e, v):
-    """plane_shift, carm_shift, the layers of all networks as (rows, biases) in f32, and their integer rows."""
-    inputs, end = sum(v["slice_width"][:-1]), at + e["length"]
-    values_at = at + PAD4(2 + inputs)
-    REQUIRE(values_at <= end, "weights.length", at)
-    plane_shift, carm_shift = data[at], data[at + 2 : at + 2 + inputs]
-    most = PLANE_SHIFT_MAX if v["plane_channels"][0] else 0
-    REQUIRE(plane_shift <= most, "weights.scale", at)
-    REQUIRE(data[at + 1] == inputs, "weights.scale", at + 1)
-    for i, shift in enumerate(carm_shift):
-        REQUIRE(shift <= CARM_SHIFT_MAX, "weights.scale", at + 2 + i)
-    REQUIRE(not any(data[at + 2 + inputs : values_at]), "weights.padding", at + 2 + inputs)
-    shapes = [(name, shape) for name, layers in SHAPES(v) for shape in layers]
-    place, models, raw, places = values_at, [], [], []
-    for _, (rows, columns) in shapes:
-        model, size = {"form": 0}, 4 * rows * (columns + 1)
-        places.append(place)
-        if e["mode"]:
-            REQUIRE(place + 8 <= end, "weights.length", at)
-            model = {
-                "form": data[place],
-                "exponent_scale": data[place + 1],
-                "exponent": I(data, place + 2, 2),
-                "weight_scale": data[place + 4],
-                "bias_scale": data[place + 5],
-            }
-            REQUIRE(not any(data[place + 6 : place + 8]), "weights.reserved", place + 6)
-            REQUIRE(model["form"] <= 1, "weights.layer", place)
-            right = WEIGHT_EXPONENT_MIN <= model["exponent"] <= WEIGHT_EXPONENT_MAX
-            REQUIRE(right, "weights.layer", place + 2)
-            for name, where in (("exponent_scale", 1), ("exponent", 2), ("weight_scale", 4), ("bias_scale", 5)):
-                REQUIRE(model["form"] or model[name] == 0, "weights.layer", place + where)
-            place += 8
-        values = None
-        if not model["form"]:
-            REQUIRE(place + size <= end, "weights.length", at)
-            found = [U(data, place + 4 * i, 4) for i in range(size // 4)]
-            table = [found[r * columns : (r + 1) * columns] for r in range(rows)]
-            values = (table, found[rows * columns :])
-            place += size
-        models.append(model)
-        raw.append(values)
-    if e["mode"]:
-        lanes = 1 << v["attribute_lanes_log2"][0]
-        stream = OPEN(CHECK_SUBSTREAM(data, place, end - place, lanes), lanes)
-        layers = DECODE_WEIGHTS(stream, [shape for _, shape in shapes], models, raw)
-        CHECK_END(stream, place)
-    else:
-        layers = raw
-    for (_, (rows, columns)), model, values, layer_at in zip(shapes, models, layers, places):
-        REQUIRE(values is not None, "weights.exponent", layer_at)
-        if not model["form"]:
-            first = layer_at + (8 if e["mode"] else 0)
-            for i, bits in enumerate([x for row in values[0] for x in row] + values[1]):
-                REQUIRE(IS_FINITE(bits), "weights.not_finite", first + 4 * i)
-    networks, integers = {}, {}
-    for name, _ in SHAPES(v):
-        networks[name], integers[name] = [], []
-    for (name, (_, columns)), values, layer_at in zip(shapes, layers, places):
-        networks[name].append(values)
-        if name not in RENDERING:
-            derived = [DERIVE_ROW(w, b) for w, b in zip(values[0], values[1])]
-            for r, row in enumerate(derived):
-                # The first weight of the row, or its bias if the layer has no inputs.
-                where = layer_at if e["mode"] else layer_at + 4 * r * max(columns, 1)
-                REQUIRE(row is not None, "weights.bound", where)
-            integers[name].append(derived)
-    return {"plane_shift": plane_shift, "carm_shift": carm_shift, "networks": networks, "integers": integers}
-
-
-# SPEC 10.4
-def PARSE_PLANES(data, at, e, v, sarm):
-    """The five sub-planes."""
-    REQUIRE(e["length"] >= 20, "planes.length", at)
-    lengths = [U(data, at + 4 * i, 4) for i in range(5)]
-    REQUIRE(e["length"] == 20 + sum([PAD4(n) for n in lengths]), "planes.length", at)
-    place, places = at + 20, []
-    for n in lengths:
-        places.append(place)
-        REQUIRE(not any(data[place + n : place + PAD4(n)]), "planes.padding", place + n)
-        place += PAD4(n)
-    found, lanes = [], 1 << v["plane_lanes_log2"][0]
-    for place, n in zip(places, lengths):
-        stream = OPEN(CHECK_SUBSTREAM(data, place, n, lanes), lanes)
-        found.append(DECODE_PLANE(stream, sarm, v["plane_channels"][0], v["plane_size"][0]))
-        CHECK_END(stream, place)
-    return found
-
-
-# SPEC 10.4
-def F16_ORDER(bits):
-    """An integer that increases with the f16 number."""
-    return -(bits & 0x7FFF) if bits >> 15 else bits
-
-
-# SPEC 10.4
-def PARSE_INDEX(data, at, e, v, data_length):
-    k, n = v["offset_count"][0], v["anchor_count"][0]
-    count = k * (k + 1) // 2
-    masks = [U(data, at + 2 * i, 2) for i in range(count)]
-    for i, f in enumerate(masks):
-        REQUIRE(1 <= f < 1 << PRECISION, "index.mask_model", at + 2 * i)
-    place = at + PAD4(2 * count)
-    REQUIRE(not any(data[at + 2 * count : place]), "index.padding", at + 2 * count)
-    cell_shift, models = None, []
-    if e["mode"]:
-        cell_shift = data[place]
-        REQUIRE(not any(data[place + 1 : place + 4]), "index.reserved", place + 1)
-        REQUIRE(cell_shift <= CELL_INDEX, "index.position_model", place)
-        for m in range(POSITION_MODELS):
-            first = place + 4 + 32 * m
-            model = [U(data, first + 2 * i, 2) for i in range(16)]
-            REQUIRE(sum(model) == 1 << PRECISION, "index.position_model", first)
-            low = [0 if i == 0 and m in (1, 7, 13) else 1 for i in range(16)]
-            right = all([f >= x for f, x in zip(model, low)]) and (low[0] or model[0] == 0)
-            REQUIRE(right, "index.position_model", first)
-            models.append(model)
-        place += 580
-    entries = []
-    for c in range(v["chunk_count"][0]):
-        own = place + 28 * c
-        entry = {"length": U(data, own, 4), "crc": U(data, own + 4, 4)}
-        entry["anchors"], entry["kept"] = U(data, own + 8, 4), U(data, own + 12, 4)
-        entry["low"] = [U(data, own + 16 + 2 * i, 2) for i in range(3)]
-        entry["high"] = [U(data, own + 22 + 2 * i, 2) for i in range(3)]
-        REQUIRE(1 <= entry["anchors"] <= v["chunk_size"][0], "index.chunk", own + 8)
-        right = entry["length"] % 4 == 0 and ANCHORS_OF_A_BYTE * (entry["length"] - 16) >= entry["anchors"]
-        REQUIRE(right, "index.chunk", own)
-        REQUIRE(entry["kept"] <= k * entry["anchors"], "index.chunk", own + 12)
-        for i, bits in enumerate(entry["low"] + entry["high"]):
-            REQUIRE(bits & 0x7C00 != 0x7C00 and bits != 0x8000, "index.chunk", own + 16 + 2 * i)
-        for i in range(3):
-            right = F16_ORDER(entry["low"][i]) <= F16_ORDER(entry["high"][i])
-            REQUIRE(right, "index.chunk", own + 16 + 2 * i)
-        entries.append(entry)
-    REQUIRE(sum([x["anchors"] for x in entries]) == n, "index.length", at)
-    REQUIRE(sum([x["length"] for x in entries]) == data_length, "index.length", at)
-    return {"masks": masks, "cell_shift": cell_shift, "models": models, "entries": entries}
-
-
-# SPEC 10.4
-def DECODE_CHUNK(data, at, entry, v, s):
-    """Positions, masks, symbols and step indices of a chunk. s: the decoded sections before DATA."""
-    end, n = at + entry["length"], entry["anchors"]
-    REQUIRE(end <= len(data), "section.truncated", len(data))
-    REQUIRE(CRC32(data[at:end]) == entry["crc"], "chunk.crc", at)
-    lengths, form = [U(data, at + 4 * i, 4) for i in range(3)], data[at + 12]
-    REQUIRE(not any(data[at + 13 : at + 16]), "chunk.reserved", at + 13)
-    REQUIRE(form <= (1 if s["index"]["models"] else 0), "chunk.form", at + 12)
-    right = 16 + sum([PAD4(x) for x in lengths]) == entry["length"] and (form or lengths[0] == 6 * n)
-    REQUIRE(right, "chunk.length", at)
-    place, places = at + 16, []
-    for x in lengths:
-        places.append(place)
-        REQUIRE(not any(data[place + x : place + PAD4(x)]), "chunk.padding", place + x)
-        place += PAD4(x)
-    lanes = 1 << v["mask_lanes_log2"][0]
-    part = data[places[0] : places[0] + lengths[0]]
-    if form:
-        part = CHECK_SUBSTREAM(data, places[0], lengths[0], lanes)
-    positions, verdict = DECODE_POSITIONS(part, form, s["index"]["cell_shift"], s["index"]["models"], n, lanes)
-    if verdict is not None:
-        REFUSE(verdict, places[0])
-    for i, bits in enumerate([bits for p in positions for bits in p]):
-        REQUIRE(bits & 0x7C00 != 0x7C00, "positions.not_finite", places[0] + 2 * i)
-        REQUIRE(bits != 0x8000, "positions.negative_zero", places[0] + 2 * i)
-    for i in range(3):
-        column = [F16_ORDER(p[i]) for p in positions]
-        right = F16_ORDER(entry["low"][i]) == min(column) and F16_ORDER(entry["high"][i]) == max(column)
-        REQUIRE(right, "chunk.bounds", at)
-    stream = OPEN(CHECK_SUBSTREAM(data, places[1], lengths[1], lanes), lanes)
-    masks = DECODE_MASKS(stream, s["index"]["masks"], v["offset_count"][0], n)
-    CHECK_END(stream, places[1])
-    REQUIRE(sum([sum(m) for m in masks]) == entry["kept"], "chunk.kept", at)
-    lanes = 1 << v["attribute_lanes_log2"][0]
-    stream = OPEN(CHECK_SUBSTREAM(data, places[2], lengths[2], lanes), lanes)
-    w, frequencies = s["weights"], v["frequency_count"][0]
-    contexts = [CONTEXT(s["frame"], s["planes"], w["plane_shift"], frequencies, p) for p in positions]
-    symbols, steps = DECODE_ATTRIBUTES(stream, w["integers"], w["carm_shift"], v["slice_width"], contexts, masks)
-    CHECK_END(stream, places[2])
-    return positions, masks, symbols, steps
-
-
-# SPEC 10.4
-def CHUNK_PARTS(v, positions, masks, symbols, steps):
-    """The parts of the canonical reconstruction of some anchors, as bytes, by name."""
-    grid = {"origin": v["origin"], "scale_mantissa": v["scale_mantissa"][0], "scale_exponent": v["scale_exponent"][0]}
-    features = sum(v["slice_width"])
-    parts = {"positions": [], "masks": [], "features": [], "scalings": [], "offsets": []}
-    table = [[STEP_VALUE(q, base) for q in range(STEP_LENGTH)] for base in v["base_step"]]
-    for p, m, y, q in zip(positions, masks, symbols, steps):
-        for axis in range(3):
-            parts["positions"] += BYTES(WORLD(grid, axis, POSITION_INTEGER(p[axis])), 4)
-        parts["masks"] += m
-        kinds = (("features", y[:features]), ("scalings", y[features : features + 6]), ("offsets", y[features + 6 :]))
-        for i, (name, own) in enumerate(kinds):
-            for symbol in own:
-                parts[name] += BYTES(VALUE(symbol, table[i][q[i]]), 4)
-    return parts
-
-
-# SPEC 10.4, 2.1, 10.1
-def DECODE_FILE(data):
-    """The digests of a file: of its parts, of the scene, and of each chunk."""
-    length, minor = PARSE_PROLOGUE(data)
-    h = PARSE_HEADER(data, length, minor)
-    CHECK_HEADER(h)
-    CHECK_DIRECTORY(h)
-    v = h["value"]
-    s = {"frame": None, "planes": [], "weights": None, "index": None}
-    lengths = [e["length"] for e in h["entries"] if e["type"] == DATA]
-    names = ("positions", "masks", "planes", "features", "scalings", "offsets", "weights")
-    parts, chunks = {}, []
-    for name in names:
-        parts[name] = []
-    at = 20 + length
-    for e in h["entries"]:
-        end = at + e["length"]
-        if e["type"] == DATA:
-            place = at
-            for entry in s["index"]["entries"]:
-                found = DECODE_CHUNK(data, place, entry, v, s)
-                own = CHUNK_PARTS(v, found[0], found[1], found[2], found[3])
-                head = ASCII("C3GSCHK1") + BYTES(entry["anchors"], 4)
-                head += BYTES(v["offset_count"][0], 4) + BYTES(sum(v["slice_width"]), 4)
-                chunks.append(SHA256(head + [byte for name in own for byte in own[name]]))
-                for name in own:
-                    parts[name] += own[name]
-                place += entry["length"]
-            REQUIRE(U(data, e["at"] + 16, 4) == 0, "section.crc", at)
-        else:
-            REQUIRE(PAD4(end) <= len(data), "section.truncated", len(data))
-            REQUIRE(CRC32(data[at:end]) == U(data, e["at"] + 16, 4), "section.crc", at)
-            REQUIRE(not any(data[end : PAD4(end)]), "section.padding", end)
-        if e["type"] == FRAM:
-            s["frame"] = PARSE_FRAME(data, at)
-        if e["type"] == WGTS:
-            s["weights"] = PARSE_WEIGHTS(data, at, e, v)
-        if e["type"] == PLNS:
-            s["planes"] = PARSE_PLANES(data, at, e, v, s["weights"]["integers"]["sarm"])
-        if e["type"] == INDX:
-            s["index"] = PARSE_INDEX(data, at, e, v, lengths[0])
-        at = PAD4(end)
-    REQUIRE(len(data) == at, "file.trailing", at)
-    parts["planes"] = [byte for plane in s["planes"] for c in plane for row in c for y in row for byte in BYTES(y, 2)]
-    for name, _ in SHAPES(v):
-        for rows, biases in s["weights"]["networks"][name]:
-            for bits in [bits for row in rows for bits in row] + biases:
-                parts["weights"] += BYTES(bits, 4)
-    digests = [SHA256(parts[name]) for name in names]
-    render_info, directory = h["place"]["background"], h["place"]["padding"] + len(v["padding"])
-    head = ASCII("C3GSREC1") + BYTES(v["anchor_count"][0], 4) + data[render_info:directory]
-    return {"parts": digests, "scene": SHA256(head + [byte for own in digests for byte in own]), "chunks": chunks}
-
-
 # SPEC 14.3
 def RENDER_NETWORK(layers, values):
     """layers: (rows, biases) of each."""
@@ -1375,6 +832,549 @@ def READ_TABLES(data):
                 at += 1 + 2 * count
         families.append(family)
     return sine, step, families[0], families[1]
+
+
+# SPEC Annex H
+class Refused(Exception):
+    pass
+
+
+# SPEC Annex H
+def REFUSE(name, offset):
+    raise Refused(name, offset)
+
+
+# SPEC Annex H
+def REQUIRE(condition, name, offset):
+    if not condition:
+        REFUSE(name, offset)
+
+
+SIGNATURE = [0x89, 0x43, 0x33, 0x47, 0x53, 0x0D, 0x0A, 0x1A]
+
+
+# SPEC Annex H
+def PAD4(n):
+    return (n + 3) // 4 * 4
+
+
+# SPEC Annex H
+def PARSE_PROLOGUE(data):
+    """header_length and minor."""
+    REQUIRE(len(data) >= 20, "prologue.truncated", len(data))
+    REQUIRE(data[:8] == SIGNATURE, "prologue.signature", 0)
+    REQUIRE(U(data, 16, 4) == CRC32(data[:16]), "prologue.crc", 16)
+    REQUIRE(U(data, 8, 2) == MAJOR, "prologue.version", 8)
+    length = U(data, 12, 4)
+    right = HEADER_LENGTH_MIN <= length <= HEADER_LENGTH_MAX and length % 4 == 0
+    REQUIRE(right, "prologue.header_length", 12)
+    return length, U(data, 10, 2)
+
+
+# SPEC Annex H
+def TAKE(reader, name, size, count, signed):
+    """Reads the next header field, a list of `count` items, and notes its place under the same name."""
+    at = reader["at"]
+    REQUIRE(at + size * count <= reader["end"], "header.syntax", reader["end"] + 4)
+    reader["at"] = at + size * count
+    places = [at + size * i for i in range(count)]
+    reader["value"][name] = [I(reader["data"], x, size) if signed else U(reader["data"], x, size) for x in places]
+    reader["place"][name] = at
+    reader["size"][name] = size
+
+
+# SPEC Annex H
+def PARSE_HEADER(data, length, minor):
+    """The header fields, each as a list of items, and their places."""
+    REQUIRE(len(data) >= 20 + length, "header.truncated", len(data))
+    crc_at = 16 + length
+    REQUIRE(U(data, crc_at, 4) == CRC32(data[20:crc_at]), "header.crc", crc_at)
+    reader = {"data": data, "at": 20, "end": crc_at, "value": {}, "place": {}, "size": {}}
+    value, place = reader["value"], reader["place"]
+    for name, size, count, signed in FIRST_FIELDS:
+        TAKE(reader, name, size, count, signed)
+    for name, size, counter in LISTS:
+        TAKE(reader, name, size, value[counter][0], False)
+    TAKE(reader, "padding", 1, PAD4(reader["at"]) - reader["at"], False)
+    entries = []
+    for n in range(value["section_count"][0]):
+        at = reader["at"]
+        TAKE(reader, "entry", 1, 20, False)
+        entry = {"at": at, "type": data[at : at + 4], "mode": data[at + 4], "length": U(data, at + 8, 8)}
+        entries.append(entry)
+    extra = reader["end"] - reader["at"]
+    REQUIRE(extra == 0 or minor > MINOR, "header.syntax", reader["at"])
+    REQUIRE(not any(value["padding"]), "header.padding", place["padding"])
+    for name in ("reserved", "grid_reserved", "render_reserved", "dimensions_reserved"):
+        REQUIRE(value[name][0] == 0, "header.reserved", place[name])
+    for entry in entries:
+        REQUIRE(not any(data[entry["at"] + 5 : entry["at"] + 8]), "header.reserved", entry["at"] + 5)
+    return {"value": value, "place": place, "size": reader["size"], "entries": entries}
+
+
+FIRST_FIELDS = [
+    ("profile", 1, 1, False),
+    ("level", 1, 1, False),
+    ("section_count", 2, 1, False),
+    ("anchor_count", 4, 1, False),
+    ("chunk_count", 4, 1, False),
+    ("chunk_size", 4, 1, False),
+    ("plane_lanes_log2", 1, 1, False),
+    ("mask_lanes_log2", 1, 1, False),
+    ("attribute_lanes_log2", 1, 1, False),
+    ("reserved", 1, 1, False),
+    ("base_step", 4, 3, False),
+    ("origin", 8, 3, True),
+    ("scale_mantissa", 2, 1, False),
+    ("scale_exponent", 1, 1, True),
+    ("grid_reserved", 1, 1, False),
+    ("background", 1, 3, False),
+    ("up_axis", 1, 1, False),
+    ("near_plane", 4, 1, False),
+    ("distance_unit", 4, 1, False),
+    ("alpha_max", 4, 1, False),
+    ("low_pass", 4, 1, False),
+    ("colour_primaries", 1, 1, False),
+    ("transfer_characteristics", 1, 1, False),
+    ("render_model", 1, 1, False),
+    ("render_reserved", 1, 1, False),
+    ("offset_count", 1, 1, False),
+    ("plane_channels", 1, 1, False),
+    ("frequency_count", 1, 1, False),
+    ("slice_count", 1, 1, False),
+    ("hyper_layers", 1, 1, False),
+    ("sarm_layers", 1, 1, False),
+    ("carm_layers", 1, 1, False),
+    ("view_inputs", 1, 1, False),
+    ("colour_outputs", 1, 1, False),
+    ("dimensions_reserved", 1, 1, False),
+    ("plane_size", 2, 1, False),
+    ("render_width", 2, 1, False),
+]
+LISTS = [
+    ("hyper_width", 2, "hyper_layers"),
+    ("sarm_width", 2, "sarm_layers"),
+    ("carm_width", 2, "carm_layers"),
+    ("slice_width", 1, "slice_count"),
+]
+
+
+# SPEC Annex H
+def SHAPES(v):
+    """The name of each network, and (outputs, inputs) of each layer. The name of carm.i is the number i."""
+    k, ch, slices = v["offset_count"][0], v["plane_channels"][0], v["slice_width"]
+    features = sum(slices)
+    d = features + 6 + 3 * k
+    nets = [("hyper", [2 * ch + 2 * v["frequency_count"][0]] + v["hyper_width"] + [2 * d + 3])]
+    if ch:
+        nets.append(("sarm", [4] + v["sarm_width"] + [2]))
+    for i in range(1, len(slices)):
+        nets.append((i, [sum(slices[:i])] + v["carm_width"] + [2 * slices[i]]))
+    for name, outputs in zip(RENDERING, (1, 7, v["colour_outputs"][0])):
+        nets.append((name, [features + v["view_inputs"][0], v["render_width"][0], outputs * k]))
+    return [(name, [(widths[i + 1], widths[i]) for i in range(len(widths) - 1)]) for name, widths in nets]
+
+
+RENDERING = ("opacity", "covariance", "colour")
+
+
+# SPEC Annex H
+def WEIGHT_COUNT(v, names):
+    """The number of weights and biases of the networks with these names."""
+    layers = [shape for name, shapes in SHAPES(v) if name in names for shape in shapes]
+    return sum([rows * (inputs + 1) for rows, inputs in layers])
+
+
+# SPEC Annex H
+def WORK(v):
+    """11.2"""
+    d = sum(v["slice_width"]) + 6 + 3 * v["offset_count"][0]
+    carm = [i for i in range(1, v["slice_count"][0])]
+    anchor = WEIGHT_COUNT(v, ["hyper"] + carm) + 16 * d
+    plane = WEIGHT_COUNT(v, ["sarm"]) + 16
+    symbols = 5 * v["plane_channels"][0] * v["plane_size"][0] * v["plane_size"][0]
+    return v["anchor_count"][0] * anchor + symbols * plane
+
+
+# SPEC Annex H
+def CHECK_HEADER(h):
+    """10.1, FIELDS"""
+    v, at = h["value"], h["place"]
+    profile, n = v["profile"][0], v["anchor_count"][0]
+    REQUIRE(profile < len(BOUNDS), "header.profile", at["profile"])
+    levels = [level for level in LEVELS if level["profile"] == profile]
+    chosen = [level for level in levels if level["level"] == v["level"][0]]
+    REQUIRE(len(chosen) == 1, "header.level", at["level"])
+    level = chosen[0]
+    for name, low, high in BOUNDS[profile][:-1]:
+        for i, item in enumerate(v[name]):
+            absent = (item == 0) and (name in ("plane_size", "sarm_layers"))
+            REQUIRE(low <= item <= high or absent, "header.dimension", at[name] + h["size"][name] * i)
+    ch, size = v["plane_channels"][0], v["plane_size"][0]
+    REQUIRE(sum(v["slice_width"]) <= FEATURES_MAX, "header.dimension", at["slice_width"])
+    REQUIRE((size == 0) == (ch == 0), "header.dimension", at["plane_size"])
+    REQUIRE((v["sarm_layers"][0] == 0) == (ch == 0), "header.dimension", at["sarm_layers"])
+    inputs = ch + v["frequency_count"][0]
+    REQUIRE(inputs > 0 or v["hyper_layers"][0] == 0, "header.dimension", at["hyper_layers"])
+    REQUIRE(v["slice_count"][0] > 1 or v["carm_layers"][0] == 0, "header.dimension", at["carm_layers"])
+    if v["render_model"][0] == 0:
+        REQUIRE(v["view_inputs"][0] == 4, "header.dimension", at["view_inputs"])
+        REQUIRE(v["colour_outputs"][0] == 3, "header.dimension", at["colour_outputs"])
+    REQUIRE(size <= level["plane_size"], "header.dimension", at["plane_size"])
+    REQUIRE(n <= level["anchor_count"], "header.anchor_count", at["anchor_count"])
+    work = WORK(v)
+    for lower in levels:
+        held = n <= lower["anchor_count"] and size <= lower["plane_size"] and work <= lower["work"]
+        REQUIRE(lower["level"] >= level["level"] or not held, "header.level_not_minimal", at["level"])
+    low, high = BOUNDS[profile][-1][1:]
+    REQUIRE(low <= v["chunk_size"][0] <= high, "header.chunk_size", at["chunk_size"])
+    for name in ("plane_lanes_log2", "mask_lanes_log2", "attribute_lanes_log2"):
+        REQUIRE(v[name][0] <= LANES_LOG2_MAX, "header.lanes", at[name])
+    for i, step in enumerate(v["base_step"]):
+        right = ROUND_F32(1, -60) <= step <= ROUND_F32(1, 60)
+        REQUIRE(right, "header.base_step", at["base_step"] + 4 * i)
+    for i, origin in enumerate(v["origin"]):
+        REQUIRE(-ORIGIN_BOUND < origin < ORIGIN_BOUND, "header.position_grid", at["origin"] + 8 * i)
+    REQUIRE(v["scale_mantissa"][0] >= 1, "header.position_grid", at["scale_mantissa"])
+    right = -SCALE_EXPONENT_MAX <= v["scale_exponent"][0] <= SCALE_EXPONENT_MAX
+    REQUIRE(right, "header.position_grid", at["scale_exponent"])
+    REQUIRE(v["up_axis"][0] <= 5, "header.render_info", at["up_axis"])
+    one, names = ROUND_F32(1, 0), ("near_plane", "distance_unit", "alpha_max", "low_pass")
+    for name in names:
+        REQUIRE(IS_FINITE(v[name][0]), "header.render_info", at[name])
+    for name in names:
+        m, _ = SIGNIFICAND(v[name][0])
+        right = m >= 0 if name == "low_pass" else m > 0
+        REQUIRE(right and (name != "alpha_max" or v[name][0] <= one), "header.render_info", at[name])
+    REQUIRE(work <= level["work"], "header.work", at["anchor_count"])
+    c, most = v["chunk_count"][0], v["chunk_size"][0]
+    REQUIRE((n + most - 1) // most <= c <= n, "header.chunk_count", at["chunk_count"])
+
+
+CRITICAL = [ASCII(name) for name in ("FRAM", "WGTS", "PLNS", "INDX", "DATA")]
+FRAM, WGTS, PLNS, INDX, DATA = CRITICAL
+
+
+# SPEC Annex H, 12.1, 13.1
+def CHECK_DIRECTORY(h):
+    v, entries = h["value"], h["entries"]
+    for e in entries:
+        letters = all([0x41 <= c <= 0x5A or 0x61 <= c <= 0x7A for c in e["type"]])
+        REQUIRE(letters, "directory.type", e["at"])
+    for e in entries:
+        REQUIRE(e["type"][0] & 32 or e["type"] in CRITICAL, "directory.unknown_critical", e["at"])
+    ch, frequencies = v["plane_channels"][0], v["frequency_count"][0]
+    wanted = [t for t in CRITICAL if (t != FRAM or ch + frequencies) and (t != PLNS or ch)]
+    for e in entries:
+        if not e["type"][0] & 32:
+            REQUIRE(wanted and wanted[0] == e["type"], "directory.order", e["at"])
+            wanted = wanted[1:]
+    REQUIRE(not wanted, "directory.order", h["place"]["section_count"])
+    for e in entries:
+        most = 1 if e["type"] in (WGTS, INDX) else 0
+        REQUIRE(e["type"][0] & 32 or e["mode"] <= most, "directory.mode", e["at"] + 4)
+    inputs = sum(v["slice_width"][:-1])
+    k = v["offset_count"][0]
+    for e in entries:
+        right = e["length"] <= SECTION_LENGTH_MAX
+        if e["type"] == FRAM:
+            right = e["length"] == 88
+        if e["type"] == WGTS and e["mode"] == 0:
+            right = e["length"] == PAD4(2 + inputs) + 4 * WEIGHT_COUNT(v, [name for name, _ in SHAPES(v)])
+        if e["type"] == INDX:
+            right = e["length"] == PAD4(k * (k + 1)) + 580 * e["mode"] + 28 * v["chunk_count"][0]
+        REQUIRE(right, "directory.length", e["at"] + 8)
+
+
+# SPEC Annex H
+def CHECK_SUBSTREAM(data, at, length, lanes):
+    """Checks the head and the states of a substream, and returns its bytes."""
+    REQUIRE(length >= 8 + 4 * lanes, "substream.length", at)
+    REQUIRE(length >= 8 + 4 * lanes + 2 * U(data, at + 4, 4), "substream.length", at)
+    REQUIRE(all([U(data, at + 8 + 4 * n, 4) >= STATE_MIN for n in range(lanes)]), "substream.state", at)
+    return data[at : at + length]
+
+
+# SPEC Annex H
+def CHECK_END(stream, at):
+    verdict = END(stream)
+    if verdict is not None:
+        REFUSE(verdict, at)
+
+
+# SPEC Annex H
+def PARSE_FRAME(data, at):
+    matrix = [I(data, at + 4 * i, 4) for i in range(9)]
+    translation = [I(data, at + 36 + 8 * i, 8) for i in range(3)]
+    shift = data[at + 60 : at + 63]
+    low, high = [[I(data, at + first + 4 * i, 4) for i in range(3)] for first in (64, 76)]
+    REQUIRE(data[at + 63] == 0, "frame.reserved", at + 63)
+    for i, x in enumerate(matrix):
+        REQUIRE(-MATRIX_BOUND < x < MATRIX_BOUND, "frame.range", at + 4 * i)
+    for i, x in enumerate(translation):
+        REQUIRE(-TRANSLATION_BOUND < x < TRANSLATION_BOUND, "frame.range", at + 36 + 8 * i)
+    for i, x in enumerate(shift):
+        REQUIRE(x <= FRAME_SHIFT_MAX, "frame.range", at + 60 + i)
+    for i in range(3):
+        REQUIRE(-FRAME_RANGE_BOUND <= low[i] < FRAME_RANGE_BOUND, "frame.range", at + 64 + 4 * i)
+        REQUIRE(low[i] < high[i] <= FRAME_RANGE_BOUND, "frame.range", at + 76 + 4 * i)
+    return {"matrix": matrix, "translation": translation, "shift": shift, "low": low, "high": high}
+
+
+# SPEC Annex H
+def PARSE_WEIGHTS(data, at, e, v):
+    """plane_shift, carm_shift, the layers of all networks as (rows, biases) in f32, and their integer rows."""
+    inputs, end = sum(v["slice_width"][:-1]), at + e["length"]
+    values_at = at + PAD4(2 + inputs)
+    REQUIRE(values_at <= end, "weights.length", at)
+    plane_shift, carm_shift = data[at], data[at + 2 : at + 2 + inputs]
+    most = PLANE_SHIFT_MAX if v["plane_channels"][0] else 0
+    REQUIRE(plane_shift <= most, "weights.scale", at)
+    REQUIRE(data[at + 1] == inputs, "weights.scale", at + 1)
+    for i, shift in enumerate(carm_shift):
+        REQUIRE(shift <= CARM_SHIFT_MAX, "weights.scale", at + 2 + i)
+    REQUIRE(not any(data[at + 2 + inputs : values_at]), "weights.padding", at + 2 + inputs)
+    shapes = [(name, shape) for name, layers in SHAPES(v) for shape in layers]
+    place, models, raw, places = values_at, [], [], []
+    for _, (rows, columns) in shapes:
+        model, size = {"form": 0}, 4 * rows * (columns + 1)
+        places.append(place)
+        if e["mode"]:
+            REQUIRE(place + 8 <= end, "weights.length", at)
+            model = {
+                "form": data[place],
+                "exponent_scale": data[place + 1],
+                "exponent": I(data, place + 2, 2),
+                "weight_scale": data[place + 4],
+                "bias_scale": data[place + 5],
+            }
+            REQUIRE(not any(data[place + 6 : place + 8]), "weights.reserved", place + 6)
+            REQUIRE(model["form"] <= 1, "weights.layer", place)
+            right = WEIGHT_EXPONENT_MIN <= model["exponent"] <= WEIGHT_EXPONENT_MAX
+            REQUIRE(right, "weights.layer", place + 2)
+            for name, where in (("exponent_scale", 1), ("exponent", 2), ("weight_scale", 4), ("bias_scale", 5)):
+                REQUIRE(model["form"] or model[name] == 0, "weights.layer", place + where)
+            place += 8
+        values = None
+        if not model["form"]:
+            REQUIRE(place + size <= end, "weights.length", at)
+            found = [U(data, place + 4 * i, 4) for i in range(size // 4)]
+            table = [found[r * columns : (r + 1) * columns] for r in range(rows)]
+            values = (table, found[rows * columns :])
+            place += size
+        models.append(model)
+        raw.append(values)
+    if e["mode"]:
+        lanes = 1 << v["attribute_lanes_log2"][0]
+        stream = OPEN(CHECK_SUBSTREAM(data, place, end - place, lanes), lanes)
+        layers = DECODE_WEIGHTS(stream, [shape for _, shape in shapes], models, raw)
+        CHECK_END(stream, place)
+    else:
+        layers = raw
+    for (_, (rows, columns)), model, values, layer_at in zip(shapes, models, layers, places):
+        REQUIRE(values is not None, "weights.exponent", layer_at)
+        if not model["form"]:
+            first = layer_at + (8 if e["mode"] else 0)
+            for i, bits in enumerate([x for row in values[0] for x in row] + values[1]):
+                REQUIRE(IS_FINITE(bits), "weights.not_finite", first + 4 * i)
+    networks, integers = {}, {}
+    for name, _ in SHAPES(v):
+        networks[name], integers[name] = [], []
+    for (name, (_, columns)), values, layer_at in zip(shapes, layers, places):
+        networks[name].append(values)
+        if name not in RENDERING:
+            derived = [DERIVE_ROW(w, b) for w, b in zip(values[0], values[1])]
+            for r, row in enumerate(derived):
+                # The first weight of the row, or its bias if the layer has no inputs.
+                where = layer_at if e["mode"] else layer_at + 4 * r * max(columns, 1)
+                REQUIRE(row is not None, "weights.bound", where)
+            integers[name].append(derived)
+    return {"plane_shift": plane_shift, "carm_shift": carm_shift, "networks": networks, "integers": integers}
+
+
+# SPEC Annex H
+def PARSE_PLANES(data, at, e, v, sarm):
+    """The five sub-planes."""
+    REQUIRE(e["length"] >= 20, "planes.length", at)
+    lengths = [U(data, at + 4 * i, 4) for i in range(5)]
+    REQUIRE(e["length"] == 20 + sum([PAD4(n) for n in lengths]), "planes.length", at)
+    place, places = at + 20, []
+    for n in lengths:
+        places.append(place)
+        REQUIRE(not any(data[place + n : place + PAD4(n)]), "planes.padding", place + n)
+        place += PAD4(n)
+    found, lanes = [], 1 << v["plane_lanes_log2"][0]
+    for place, n in zip(places, lengths):
+        stream = OPEN(CHECK_SUBSTREAM(data, place, n, lanes), lanes)
+        found.append(DECODE_PLANE(stream, sarm, v["plane_channels"][0], v["plane_size"][0]))
+        CHECK_END(stream, place)
+    return found
+
+
+# SPEC Annex H
+def F16_ORDER(bits):
+    """An integer that increases with the f16 number."""
+    return -(bits & 0x7FFF) if bits >> 15 else bits
+
+
+# SPEC Annex H
+def PARSE_INDEX(data, at, e, v, data_length):
+    k, n = v["offset_count"][0], v["anchor_count"][0]
+    count = k * (k + 1) // 2
+    masks = [U(data, at + 2 * i, 2) for i in range(count)]
+    for i, f in enumerate(masks):
+        REQUIRE(1 <= f < 1 << PRECISION, "index.mask_model", at + 2 * i)
+    place = at + PAD4(2 * count)
+    REQUIRE(not any(data[at + 2 * count : place]), "index.padding", at + 2 * count)
+    cell_shift, models = None, []
+    if e["mode"]:
+        cell_shift = data[place]
+        REQUIRE(not any(data[place + 1 : place + 4]), "index.reserved", place + 1)
+        REQUIRE(cell_shift <= CELL_INDEX, "index.position_model", place)
+        for m in range(POSITION_MODELS):
+            first = place + 4 + 32 * m
+            model = [U(data, first + 2 * i, 2) for i in range(16)]
+            REQUIRE(sum(model) == 1 << PRECISION, "index.position_model", first)
+            low = [0 if i == 0 and m in (1, 7, 13) else 1 for i in range(16)]
+            right = all([f >= x for f, x in zip(model, low)]) and (low[0] or model[0] == 0)
+            REQUIRE(right, "index.position_model", first)
+            models.append(model)
+        place += 580
+    entries = []
+    for c in range(v["chunk_count"][0]):
+        own = place + 28 * c
+        entry = {"length": U(data, own, 4), "crc": U(data, own + 4, 4)}
+        entry["anchors"], entry["kept"] = U(data, own + 8, 4), U(data, own + 12, 4)
+        entry["low"] = [U(data, own + 16 + 2 * i, 2) for i in range(3)]
+        entry["high"] = [U(data, own + 22 + 2 * i, 2) for i in range(3)]
+        REQUIRE(1 <= entry["anchors"] <= v["chunk_size"][0], "index.chunk", own + 8)
+        right = entry["length"] % 4 == 0 and ANCHORS_OF_A_BYTE * (entry["length"] - 16) >= entry["anchors"]
+        REQUIRE(right, "index.chunk", own)
+        REQUIRE(entry["kept"] <= k * entry["anchors"], "index.chunk", own + 12)
+        for i, bits in enumerate(entry["low"] + entry["high"]):
+            REQUIRE(bits & 0x7C00 != 0x7C00 and bits != 0x8000, "index.chunk", own + 16 + 2 * i)
+        for i in range(3):
+            right = F16_ORDER(entry["low"][i]) <= F16_ORDER(entry["high"][i])
+            REQUIRE(right, "index.chunk", own + 16 + 2 * i)
+        entries.append(entry)
+    REQUIRE(sum([x["anchors"] for x in entries]) == n, "index.length", at)
+    REQUIRE(sum([x["length"] for x in entries]) == data_length, "index.length", at)
+    return {"masks": masks, "cell_shift": cell_shift, "models": models, "entries": entries}
+
+
+# SPEC Annex H
+def DECODE_CHUNK(data, at, entry, v, s):
+    """Positions, masks, symbols and step indices of a chunk. s: the decoded sections before DATA."""
+    end, n = at + entry["length"], entry["anchors"]
+    REQUIRE(end <= len(data), "section.truncated", len(data))
+    REQUIRE(CRC32(data[at:end]) == entry["crc"], "chunk.crc", at)
+    lengths, form = [U(data, at + 4 * i, 4) for i in range(3)], data[at + 12]
+    REQUIRE(not any(data[at + 13 : at + 16]), "chunk.reserved", at + 13)
+    REQUIRE(form <= (1 if s["index"]["models"] else 0), "chunk.form", at + 12)
+    right = 16 + sum([PAD4(x) for x in lengths]) == entry["length"] and (form or lengths[0] == 6 * n)
+    REQUIRE(right, "chunk.length", at)
+    place, places = at + 16, []
+    for x in lengths:
+        places.append(place)
+        REQUIRE(not any(data[place + x : place + PAD4(x)]), "chunk.padding", place + x)
+        place += PAD4(x)
+    lanes = 1 << v["mask_lanes_log2"][0]
+    part = data[places[0] : places[0] + lengths[0]]
+    if form:
+        part = CHECK_SUBSTREAM(data, places[0], lengths[0], lanes)
+    positions, verdict = DECODE_POSITIONS(part, form, s["index"]["cell_shift"], s["index"]["models"], n, lanes)
+    if verdict is not None:
+        REFUSE(verdict, places[0])
+    for i, bits in enumerate([bits for p in positions for bits in p]):
+        REQUIRE(bits & 0x7C00 != 0x7C00, "positions.not_finite", places[0] + 2 * i)
+        REQUIRE(bits != 0x8000, "positions.negative_zero", places[0] + 2 * i)
+    for i in range(3):
+        column = [F16_ORDER(p[i]) for p in positions]
+        right = F16_ORDER(entry["low"][i]) == min(column) and F16_ORDER(entry["high"][i]) == max(column)
+        REQUIRE(right, "chunk.bounds", at)
+    stream = OPEN(CHECK_SUBSTREAM(data, places[1], lengths[1], lanes), lanes)
+    masks = DECODE_MASKS(stream, s["index"]["masks"], v["offset_count"][0], n)
+    CHECK_END(stream, places[1])
+    REQUIRE(sum([sum(m) for m in masks]) == entry["kept"], "chunk.kept", at)
+    lanes = 1 << v["attribute_lanes_log2"][0]
+    stream = OPEN(CHECK_SUBSTREAM(data, places[2], lengths[2], lanes), lanes)
+    w, frequencies = s["weights"], v["frequency_count"][0]
+    contexts = [CONTEXT(s["frame"], s["planes"], w["plane_shift"], frequencies, p) for p in positions]
+    symbols, steps = DECODE_ATTRIBUTES(stream, w["integers"], w["carm_shift"], v["slice_width"], contexts, masks)
+    CHECK_END(stream, places[2])
+    return positions, masks, symbols, steps
+
+
+# SPEC Annex H
+def CHUNK_PARTS(v, positions, masks, symbols, steps):
+    """The parts of the canonical reconstruction of some anchors, as bytes, by name."""
+    grid = {"origin": v["origin"], "scale_mantissa": v["scale_mantissa"][0], "scale_exponent": v["scale_exponent"][0]}
+    features = sum(v["slice_width"])
+    parts = {"positions": [], "masks": [], "features": [], "scalings": [], "offsets": []}
+    table = [[STEP_VALUE(q, base) for q in range(STEP_LENGTH)] for base in v["base_step"]]
+    for p, m, y, q in zip(positions, masks, symbols, steps):
+        for axis in range(3):
+            parts["positions"] += BYTES(WORLD(grid, axis, POSITION_INTEGER(p[axis])), 4)
+        parts["masks"] += m
+        kinds = (("features", y[:features]), ("scalings", y[features : features + 6]), ("offsets", y[features + 6 :]))
+        for i, (name, own) in enumerate(kinds):
+            for symbol in own:
+                parts[name] += BYTES(VALUE(symbol, table[i][q[i]]), 4)
+    return parts
+
+
+# SPEC Annex H, 10.1, 15.4
+def DECODE_FILE(data):
+    """The digests of a file: of its parts, of the scene, and of each chunk."""
+    length, minor = PARSE_PROLOGUE(data)
+    h = PARSE_HEADER(data, length, minor)
+    CHECK_HEADER(h)
+    CHECK_DIRECTORY(h)
+    v = h["value"]
+    s = {"frame": None, "planes": [], "weights": None, "index": None}
+    lengths = [e["length"] for e in h["entries"] if e["type"] == DATA]
+    names = ("positions", "masks", "planes", "features", "scalings", "offsets", "weights")
+    parts, chunks = {}, []
+    for name in names:
+        parts[name] = []
+    at = 20 + length
+    for e in h["entries"]:
+        end = at + e["length"]
+        if e["type"] == DATA:
+            place = at
+            for entry in s["index"]["entries"]:
+                found = DECODE_CHUNK(data, place, entry, v, s)
+                own = CHUNK_PARTS(v, found[0], found[1], found[2], found[3])
+                head = ASCII("C3GSCHK1") + BYTES(entry["anchors"], 4)
+                head += BYTES(v["offset_count"][0], 4) + BYTES(sum(v["slice_width"]), 4)
+                chunks.append(SHA256(head + [byte for name in own for byte in own[name]]))
+                for name in own:
+                    parts[name] += own[name]
+                place += entry["length"]
+            REQUIRE(U(data, e["at"] + 16, 4) == 0, "section.crc", at)
+        else:
+            REQUIRE(PAD4(end) <= len(data), "section.truncated", len(data))
+            REQUIRE(CRC32(data[at:end]) == U(data, e["at"] + 16, 4), "section.crc", at)
+            REQUIRE(not any(data[end : PAD4(end)]), "section.padding", end)
+        if e["type"] == FRAM:
+            s["frame"] = PARSE_FRAME(data, at)
+        if e["type"] == WGTS:
+            s["weights"] = PARSE_WEIGHTS(data, at, e, v)
+        if e["type"] == PLNS:
+            s["planes"] = PARSE_PLANES(data, at, e, v, s["weights"]["integers"]["sarm"])
+        if e["type"] == INDX:
+            s["index"] = PARSE_INDEX(data, at, e, v, lengths[0])
+        at = PAD4(end)
+    REQUIRE(len(data) == at, "file.trailing", at)
+    parts["planes"] = [byte for plane in s["planes"] for c in plane for row in c for y in row for byte in BYTES(y, 2)]
+    for name, _ in SHAPES(v):
+        for rows, biases in s["weights"]["networks"][name]:
+            for bits in [bits for row in rows for bits in row] + biases:
+                parts["weights"] += BYTES(bits, 4)
+    digests = [SHA256(parts[name]) for name in names]
+    render_info, directory = h["place"]["background"], h["place"]["padding"] + len(v["padding"])
+    head = ASCII("C3GSREC1") + BYTES(v["anchor_count"][0], 4) + data[render_info:directory]
+    return {"parts": digests, "scene": SHA256(head + [byte for own in digests for byte in own]), "chunks": chunks}
 
 
 SINE, STEP, GAUSS, LAPLACE = READ_TABLES(table_bytes())

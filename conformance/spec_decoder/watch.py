@@ -52,7 +52,7 @@ class Watch:
         call(stream, values)
         self._file.writelines(f"{name} {value}\n" for name, value in zip(next(self._groups), values, strict=False))
 
-    # SPEC 10.4
+    # SPEC Annex H
     def check_header(self, call: Callable[..., None], h: Any) -> None:
         """Keeps the fields of the header."""
         self._v = h["value"]

@@ -1,4 +1,4 @@
-"""Clauses 7.1, 10.1 and 10.4: decoding and encoding of a whole file.
+"""Clauses 7.1, 10.1 and 15.4, and Annex H: decoding and encoding of a whole file.
 
 `parse` decodes a file and `emit` encodes one. The modules of the other clauses implement the steps.
 """
@@ -83,7 +83,7 @@ def parse(
     bounds: Bounds | None = None,
     derive: Derive = derive_networks,
 ) -> Parsed:
-    """SPEC 2.1, 7.1, 10.1 and 10.4: decodes a file. Raises BitstreamError and nothing else, whatever the bytes are.
+    """SPEC 7.1, 10.1, 15.4 and Annex H: decodes a file. Raises BitstreamError and nothing else, whatever the bytes are.
 
     keep_going: drops each chunk with an error and lists it in damage, and continues after an error that follows the
     chunks. progress: called as work is done. trace: called for each symbol. bounds: the caller's limits; if the file
@@ -137,7 +137,7 @@ class Coding:
 
 
 def emit(scene: Scene, *, progress: Progress = no_progress) -> bytes:
-    """Returns the file of a scene. For each accepted file b, emit(parse(b).scene) == b (SPEC 4.3).
+    """Returns the file of a scene. For each accepted file b, emit(parse(b).scene) == b (SPEC 4.3, 15.2).
 
     Raises ValueError if the scene violates a rule of SPEC.md. The text is the error that a decoder would report, or
     names the field and its limits. Raises TypeError for a field whose type is not that of Scene.

@@ -122,7 +122,10 @@ def _read_dimensions(doc: Document, render_model: int) -> tuple[Dimensions, int]
 
 
 def _read_document(doc: Document, d: Dimensions, profile: int, render: RenderInfo, path: Path) -> Scene:
-    """Returns the scene without anchors, which are in coded.safetensors."""
+    """Returns the scene without anchors, which are in coded.safetensors.
+
+    SPEC 15.3: the minor version and unknown header bytes are those of the source.
+    """
     base_step = doc.floats("base_step", 3)
     if not all(BASE_STEP_MIN <= step <= BASE_STEP_MAX for step in base_step):
         raise doc.fault("base_step", f"is {base_step}, {BASE_STEP_MIN} to {BASE_STEP_MAX} is allowed")

@@ -9,7 +9,7 @@ from functools import cache
 from ..resources import find
 
 # The number of a clause, such as 6.10, 7.5.4 or B.2. The annexes have letters.
-CLAUSE = r"(?:\d+|[A-G])(?:\.\d+)*"
+CLAUSE = r"(?:\d+|[A-H])(?:\.\d+)*"
 
 
 @dataclass(frozen=True)

@@ -6,7 +6,7 @@
 //   conformance run --gaussians 'node refcodec/web/cli.js gaussians {input} {camera} {output}' -- ...
 //
 // Exit status: 0 accepted, 1 malformed or invalid, 2 unsupported; the last line on stderr then has the error (SPEC.md
-// 10.2). 64: wrong usage, or a file that cannot be read, written or drawn. 70: internal error, or out of memory.
+// 10.3). 64: wrong usage, or a file that cannot be read, written or drawn. 70: internal error, or out of memory.
 //
 // An output is written to a temporary file and then renamed: a failed run changes nothing.
 import { randomUUID } from "node:crypto";

@@ -2,14 +2,14 @@
 
 // code, name, class, clause
 const ROWS = `
-101 prologue.truncated malformed 5.1
+101 prologue.truncated malformed 6.1
 102 prologue.signature malformed 6.1
 103 prologue.crc malformed 6.1
 104 prologue.version unsupported 6.1
 105 prologue.header_length malformed 6.1
-201 header.truncated malformed 5.2
+201 header.truncated malformed 6.2
 202 header.crc malformed 6.2
-203 header.syntax malformed 5.2
+203 header.syntax malformed 6.2
 204 header.reserved unsupported 6.2
 205 header.profile unsupported 11.1
 206 header.level unsupported 11.2
@@ -25,7 +25,7 @@ const ROWS = `
 216 header.padding malformed 6.2
 217 header.chunk_count invalid 6.2
 301 directory.type malformed 6.6
-302 directory.unknown_critical unsupported 12.1
+302 directory.unknown_critical unsupported 6.6
 303 directory.order malformed 6.6
 304 directory.mode unsupported 6.6
 305 directory.length malformed 6.6
@@ -37,7 +37,7 @@ const ROWS = `
 402 frame.reserved unsupported 6.7
 411 weights.scale invalid 6.8
 412 weights.not_finite invalid 6.8
-413 weights.bound invalid 7.2
+413 weights.bound invalid 6.8
 414 weights.length malformed 6.8
 415 weights.layer invalid 6.8
 416 weights.exponent invalid 6.8
@@ -62,7 +62,7 @@ const ROWS = `
 452 positions.negative_zero invalid 6.11
 453 positions.count invalid 6.11
 454 positions.cell invalid 6.11
-501 substream.length malformed 5.15
+501 substream.length malformed 8.1
 502 substream.state invalid 8.1
 503 substream.words invalid 8.8
 504 substream.final_state invalid 8.8
@@ -91,7 +91,7 @@ export class C3gsError extends Error {
     Object.assign(this, row, { offset });
   }
 
-  // SPEC 10.2: the report of a program for a rejected file.
+  // The report of a program (conformance/README.md) for a rejected file.
   toJSON() {
     return { code: this.code, name: this.name, class: this.class, clause: this.clause, offset: this.offset };
   }

@@ -64,7 +64,7 @@ def assert_round_trip(scene: Scene) -> None:
 
 
 @pytest.mark.no_cover
-@pytest.mark.requirement("D2.1-1")
+@pytest.mark.requirement("D15.4-1", "E15.2-1")
 @given(scenes())
 def test_any_scene(scene: Scene) -> None:
     assert_round_trip(scene)

@@ -86,7 +86,7 @@ def faulty(draw: st.DrawFn, error: str) -> Refused:
 
 
 @pytest.mark.no_cover
-@pytest.mark.requirement("D2.1-1")
+@pytest.mark.requirement("D15.4-1")
 @pytest.mark.parametrize("name", REGISTRY)
 @settings(max_examples=25)
 @given(st.data())
@@ -110,7 +110,7 @@ def test_fault(name: str, data: st.DataObject) -> None:
 
 @pytest.mark.no_cover
 @pytest.mark.slow
-@pytest.mark.requirement("D2.1-1", "D7.7-1", "D7.8-1", "D7.9-1", "D7.10-1", "D10.2-3")
+@pytest.mark.requirement("D15.4-1", "D7.7-1", "D7.8-1", "D7.9-1", "D7.10-1", "D10.2-3")
 @given(compare.families())
 @settings(max_examples=16)
 def test_decoders_agree(made: list[tuple[bytes, compare.Verdict | None]]) -> None:

@@ -1,4 +1,4 @@
-"""SPEC.md's blocks as a decoder of whole files (10.4): the text and both decoders say the same of each file."""
+"""SPEC.md's blocks as a decoder of whole files (Annex H): the text and both decoders say the same of each file."""
 
 from __future__ import annotations
 
@@ -51,7 +51,7 @@ def agreed(spec: Spec, data: bytes) -> tuple[str, int]:
     return first
 
 
-@pytest.mark.requirement("D10.4-1")
+@pytest.mark.requirement("DH-1")
 @pytest.mark.parametrize("name", SCENES)
 def test_digests(spec: Spec, name: str) -> None:
     """Of the scene, of each part and of each chunk."""
@@ -66,7 +66,7 @@ def test_digests(spec: Spec, name: str) -> None:
     assert [bytes(own).hex() for own in found["chunks"]] == chunks
 
 
-@pytest.mark.requirement("D10.4-1")
+@pytest.mark.requirement("DH-1")
 @pytest.mark.no_cover
 @settings(max_examples=25)
 @given(scenes(max_anchors=5))
@@ -74,7 +74,7 @@ def test_any_scene(spec: Spec, scene: Scene) -> None:
     assert agreed(spec, codec.emit(scene)) == (digest(scene)[0], -1)
 
 
-@pytest.mark.requirement("D10.2-3", "D10.4-1")
+@pytest.mark.requirement("D10.2-3", "DH-1")
 @pytest.mark.no_cover
 @pytest.mark.parametrize("name", ["raw", "packed", "later"])
 def test_truncations(spec: Spec, name: str) -> None:
@@ -100,7 +100,7 @@ def changed_fields(draw: st.DrawFn) -> bytes:
     return repair(bytes(out))
 
 
-@pytest.mark.requirement("D2.1-1", "D10.2-1", "D10.2-3", "D10.4-1")
+@pytest.mark.requirement("D15.4-1", "D10.2-1", "D10.2-3", "DH-1")
 @pytest.mark.no_cover
 @settings(max_examples=150)
 @given(changed_fields())
@@ -109,7 +109,7 @@ def test_changed_fields(spec: Spec, data: bytes) -> None:
     agreed(spec, data)
 
 
-@pytest.mark.requirement("D10.2-3", "D10.4-1")
+@pytest.mark.requirement("D10.2-3", "DH-1")
 @pytest.mark.no_cover
 @settings(max_examples=100)
 @given(st.data())
@@ -119,7 +119,7 @@ def test_changed_bytes(spec: Spec, data: st.DataObject) -> None:
     agreed(spec, change(data.draw, file))
 
 
-@pytest.mark.requirement("D10.4-1")
+@pytest.mark.requirement("DH-1")
 @pytest.mark.no_cover
 @pytest.mark.slow
 @pytest.mark.parametrize(("name", "first"), [("raw", 0), ("packed", 1), ("later", 2)])

@@ -94,7 +94,6 @@ def test_everything_has_a_vector() -> None:
     assert {v.expectation.name for v in DECODED if isinstance(v.expectation, Rejected)} == set(REGISTRY)
     proved = {name for v in SUITE.vectors for name in v.requirements}
     names = set(specification.requirements(specification.text()))
-    # What a mode of decoding or an image would show, which no runner asks for.
     assert names - proved == set(NO_VECTOR)
     assert proved <= names
     assert {f for v in SUITE.vectors for f in v.features} == set(FEATURES)
@@ -254,7 +253,7 @@ def test_the_generator_does_without_hypothesis() -> None:
 
 @pytest.mark.slow
 @pytest.mark.no_cover
-@pytest.mark.requirement("D2.1-1", "D9.3-1", "D10.2-1", "D10.2-3", "D10.4-1")
+@pytest.mark.requirement("D15.4-1", "D9.3-1", "D10.2-1", "D10.2-3", "DH-1")
 def test_the_second_decoder() -> None:
     """It gives the digests or the error of each vector. The vectors reach every line and branch that decodes."""
     path = str(mutant.PATH)

@@ -51,7 +51,7 @@ def decoder(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Decoder]:
 
 
 @pytest.mark.slow
-@pytest.mark.requirement("D2.1-1", "D9.3-1", "D10.2-3", "D10.4-1")
+@pytest.mark.requirement("D15.4-1", "D9.3-1", "D10.2-3", "DH-1")
 def test_it_passes_the_suite(tmp_path: Path) -> None:
     options = ["--vectors", str(VECTORS), "--jobs", "2", "--slow", "20", "--report", str(tmp_path)]
     options += ["--gaussians", f"{NODE} {PROGRAM} gaussians {{input}} {{camera}} {{output}}"]

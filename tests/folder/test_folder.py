@@ -448,6 +448,18 @@ def test_a_changed_folder_keeps_what_is_safe_to_copy(tmp_path):
         codec.parse(unknown)
 
 
+@pytest.mark.requirement("E15.2-2", "E15.3-1")
+@pytest.mark.parametrize(("minor", "later"), [(0, b""), (3, b"12345678")])
+def test_a_changed_folder_keeps_its_minor_version(tmp_path, minor, later):
+    """A file of this version has the lowest minor version. One of a later version keeps it, with its unknown bytes."""
+    folder = tmp_path / "scene"
+    write_folder(replace(random_scene(11, 9), minor=minor, later=later), folder)
+    document = json.loads((folder / "scene.json").read_text())
+    (folder / "scene.json").write_text(json.dumps({**document, "chunk_size": document["chunk_size"] + 1}))
+    found = codec.parse(codec.emit(read_folder(folder))).scene
+    assert (found.minor, found.later) == (minor, later)
+
+
 # --- quantising anew --------------------------------------------------------------------------------------------------
 
 
