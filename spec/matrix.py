@@ -35,7 +35,8 @@ SHOWN = 12
 # Requirements that no single file and result can test, with the reason.
 NO_VECTOR = {
     **dict.fromkeys(
-        ("E12.1-1", "E12.1-2", "E12.1-3", "E15.2-1", "E15.2-2", "E15.3-1"), "none: runners do not test programs that write"
+        ("E12.1-1", "E12.1-2", "E12.1-3", "E15.2-1", "E15.2-2", "E15.3-1"),
+        "none: runners do not test programs that write",
     ),
     "D10.2-2": "none: a mode of decoding that runners do not use",
     "G14.5-1": "none: runners do not compare images",

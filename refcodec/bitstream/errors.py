@@ -43,7 +43,7 @@ _TABLE = """
 101 prologue.truncated         malformed   R6.1-1  | the file is shorter than a prologue | the file's length
 102 prologue.signature         malformed   R6.1-2  | the first eight bytes are not the signature | 0
 103 prologue.crc               malformed   R6.1-3  | the prologue's CRC-32 does not match | 16
-104 prologue.version           unsupported R6.1-4  | the major version is not 0 | 8
+104 prologue.version           unsupported R6.1-4  | the major version is not MAJOR | 8
 105 prologue.header_length     malformed   R6.1-5  | header_length is outside its limits or not a multiple of 4 | 12
 201 header.truncated           malformed   R6.2-1  | the file ends inside the header | the file's length
 202 header.crc                 malformed   R6.2-2  | the header's CRC-32 does not match | the field
@@ -113,9 +113,9 @@ _TABLE = """
     substream
 454 positions.cell             invalid     R6.11-9 | a cell represents no finite f16 | the substream
 501 substream.length           malformed   R8.1-1  | the substream is shorter than its states and words | the substream
-502 substream.state            invalid     R8.1-2  | an initial state is below 2^16 | the substream
+502 substream.state            invalid     R8.1-2  | an initial state is below STATE_MIN | the substream
 503 substream.words            invalid     R8.8-1  | the symbols do not consume exactly word_count words | the substream
-504 substream.final_state      invalid     R8.8-2  | a final state is not 2^16 | the substream
+504 substream.final_state      invalid     R8.8-2  | a final state is not STATE_MIN | the substream
 505 substream.escape           invalid     R8.7-1  | an escape's prefix is too long | the substream
 506 substream.symbol_range     invalid     R8.5-1  | a symbol exceeds the limit of its kind | the substream
 507 substream.raw_length       invalid     R8.8-3  | the raw bits do not fill the substream's raw bytes exactly | the

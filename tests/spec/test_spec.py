@@ -118,6 +118,46 @@ def test_requirements_name_registered_errors() -> None:
         assert kind.code // 100 in (1, 2, 3, 4, 5)
 
 
+def clause_texts() -> dict[str, str]:
+    """The text of each clause outside code and generated parts."""
+    bare = re.sub(r"<!-- generated.*?/generated -->", "", TEXT, flags=re.DOTALL)
+    return {
+        number: re.sub(r"^```.*?^```", "", clause.text, flags=re.DOTALL | re.MULTILINE)
+        for number, clause in specification.clauses(bare).items()
+    }
+
+
+def test_each_error_is_stated_once() -> None:
+    """A requirement is the only place of a rule: it names its error, and its words and the registry agree on it."""
+    stated = specification.requirements(TEXT)
+    assert {r.id: r.error for r in stated.values() if r.error} == {
+        kind.requirement: kind.name for kind in errors.REGISTRY.values()
+    }
+    for kind in errors.REGISTRY.values():
+        words = re.search(rf"^- \[{kind.requirement}\].*", TEXT, re.MULTILINE)[0]
+        assert ("not supported" in words) == (kind.klass == "unsupported"), kind
+    for number, text in clause_texts().items():
+        prose = re.sub(r"^- \[R.*$", "", text, flags=re.MULTILINE)
+        found = {name for name in re.findall(r"`([a-z_]+\.[a-z_]+)`", prose) if name in errors.REGISTRY}
+        # What a decoder of some profiles and levels reports of the others.
+        assert found == ({"header.profile", "header.level"} if number == "15.4" else set()), number
+
+
+def test_constants_are_named_and_not_repeated() -> None:
+    """Normative prose names a large constant. 7.11 and Annex A have formulas."""
+    # 2^24 is also that of binary32, and the length of metadata has no name.
+    others = {("7.2", "2^24"), ("9.2", "2^24"), ("6.14", "65,536")}
+    texts = {n: t for n, t in clause_texts().items() if n[0] not in "BCDEFG" and n not in ("2.5", "7.11", "A.1", "A.3")}
+    for name, printed, *_ in rows(section("2.5")):
+        value = eval(printed.replace("^", "**"))
+        if abs(value) < 1000:
+            continue
+        forms = "|".join(map(re.escape, (printed, str(value), f"{value:,}")))
+        for number, text in texts.items():
+            found = re.findall(rf"(?<![\w.,^*+-])(?:{forms})(?![\w.^,])", text)
+            assert {(number, form) for form in found} <= others, (name, number, found)
+
+
 def test_every_normative_sentence_is_a_requirement() -> None:
     """Identifiers are unique and named after the clause they stand in; what obliges anyone has one."""
     found = re.findall(r"^- \[(([RDGE])([^\]-]+)-\d+)\] (.*)$", TEXT, re.MULTILINE)
