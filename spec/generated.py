@@ -1,6 +1,7 @@
 """Makes the generated parts of SPEC.md.
 
-These are the hashes of artefacts, the registry of errors, profiles and levels, and the worked example.
+These are the hashes of artefacts, the registry of errors, profiles and levels, the digests of the tables, and the worked
+example.
 """
 
 from __future__ import annotations
@@ -77,6 +78,13 @@ def levels() -> str:
     return "\n".join(rows)
 
 
+def table_digests() -> str:
+    """Returns the table of the tables (Annex A)."""
+    rows = ["| table | bytes | SHA-256 |", "|---|---|---|"]
+    rows += [f"| {name} | {len(b)} | `{hashlib.sha256(b).hexdigest()}` |" for name, b in tables.tables().items()]
+    return "\n".join(rows)
+
+
 def digests() -> str:
     """Returns the table of the worked example's digests (D.6)."""
     scene = parse(EXAMPLE.read_bytes()).scene
@@ -105,6 +113,7 @@ def rewritten(text: str) -> str:
         "errors": errors,
         "profiles": profiles,
         "levels": levels,
+        "tables": table_digests,
         "dump": lambda: walk.hex_dump(data),
         "elements": lambda: walk.element_table(data, text),
         "steps": lambda: walk.plane_steps(data, text, 16),

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import struct
 from collections.abc import Iterator
+from functools import cache
 
 import mpmath as mp
 
@@ -57,23 +58,29 @@ def frequencies(kind: str, scale_index: int, fraction: int) -> tuple[int, list[i
     return r, f
 
 
-def tables() -> bytes:
-    """Returns the bytes of the file (Annex A)."""
+def family(kind: str) -> bytes:
+    """Returns the bytes of a family: "gauss" or "laplace"."""
     out = b""
-    # A.1
-    for j in range(1024):
-        out += struct.pack("<h", half_up(1023 * mp.sin(2 * mp.pi * j / 1024)))
-    # A.2
-    for q in range(64):
-        out += struct.pack("<H", half_up(mp.mpf(2) ** (mp.mpf(q - 32) / 8) * 4096))
-    for kind in ("gauss", "laplace"):
-        for scale_index in range(-40, 24):
-            for fraction in range(16):
-                r, f = frequencies(kind, scale_index, fraction)
-                out += struct.pack(f"<B{len(f)}H", r, *f)
+    for scale_index in range(-40, 24):
+        for fraction in range(16):
+            r, f = frequencies(kind, scale_index, fraction)
+            out += struct.pack(f"<B{len(f)}H", r, *f)
     return out
+
+
+@cache
+def tables() -> dict[str, bytes]:
+    """Returns the bytes of each table in the order of the file (Annex A)."""
+    return {
+        # A.1
+        "sine table": b"".join(struct.pack("<h", half_up(1023 * mp.sin(2 * mp.pi * j / 1024))) for j in range(1024)),
+        # A.2
+        "step table": b"".join(struct.pack("<H", half_up(mp.mpf(2) ** (mp.mpf(q - 32) / 8) * 4096)) for q in range(64)),
+        "Gaussian family": family("gauss"),
+        "Laplace family": family("laplace"),
+    }
 
 
 def made() -> Iterator[Made]:
     """Yields the file."""
-    yield Made(TARGET, tables())
+    yield Made(TARGET, b"".join(tables().values()))

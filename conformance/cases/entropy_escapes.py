@@ -130,15 +130,17 @@ class Liar:
     """A coder that draws symbols, but codes others instead of the first ones. A decoder replaces those by fixed values.
 
     beyond: the first feature is coded far above every limit, and later counts as 0.
-    endless: the first other feature is coded as an escape with too long a prefix, and later counts as one beyond the
-        radius.
+    endless: 1 or -1 if the first other feature is coded as an escape of this sign with too long a prefix, and later
+        counts as one beyond the radius; else 0.
+    escaped: the feature after that one has a valid escape.
     waiting: earlier groups, of scalings and offsets.
     """
 
     encoder: Encoder
     sampler: Sampler
     beyond: bool
-    endless: bool
+    endless: int
+    escaped: bool = False
     waiting: int = 2
 
     def values(
@@ -161,11 +163,15 @@ class Liar:
                 found[0], coded[0] = 0, 1 << 24
             if self.endless:
                 at = int(self.beyond)
-                found[at] = coded[at] = centre[at] + models.radius[model[at]] + 1
+                found[at] = coded[at] = centre[at] + self.endless * (models.radius[model[at]] + 1)
+                if self.escaped:
+                    # Its bits read from any later one give another symbol.
+                    found[at + 1] = coded[at + 1] = centre[at + 1] - models.radius[model[at + 1]] - 300
         self.encoder.values(models, mean, scale, counts, 1 << 40, name, coded)
         if first and self.endless:
             # The escape's fields: a sign, and zeros instead of the prefix.
-            self.encoder.raw[0][-1] = np.array([0, 0]), np.array([1, ESCAPE_PREFIX_MAX + 1])
+            fields = np.array([self.endless < 0, 0], np.int64), np.array([1, ESCAPE_PREFIX_MAX + 1])
+            self.encoder.raw[0][-1 - self.escaped] = fields
         self.waiting -= 1
         return found
 
@@ -175,7 +181,7 @@ class Liar:
 
 
 @cache
-def _lied(beyond: bool, endless: bool) -> Refused:
+def _lied(beyond: bool, endless: int, escaped: bool = False) -> Refused:
     """Returns a file of one anchor whose second slice depends on each bit of the first, with symbols of a Liar."""
     d = Dimensions(1, (2, 8), 1, 1, 2, (2,), (1,), (3,), 1)
     numbers = Numbers(f"planted-liar-{beyond:d}{endless:d}")
@@ -195,7 +201,7 @@ def _lied(beyond: bool, endless: bool) -> Refused:
         masks=np.ones((1, 1), bool),
     )
     coding, encoder = codec.Coding(made), Encoder(1, 1)
-    liar, chunks = Liar(encoder, Sampler(numbers, 0), beyond, endless), chunk_ranges(1, made.chunk_size)
+    liar, chunks = Liar(encoder, Sampler(numbers, 0), beyond, endless, escaped), chunk_ranges(1, made.chunk_size)
     code_attributes(liar, coding.model, coding.contexts(), made.masks, chunks)
     t = Target(codec.emit(made))
     name = "substream.escape" if endless else "substream.symbol_range"
@@ -230,11 +236,12 @@ def _refused_escapes(book: Book) -> None:
             add(f"invalid-escape-{sign}-2-23-{name}", title, make, flags="symbol-limit escape-prefix")
         title, make = "an attribute symbol of magnitude 2^23", far_escape.of(usual, 22, low_beyond(), negative)
         add(f"invalid-symbol-{sign}-2-23", title, make, flags="symbol-limit limit-off-by-one")
-    for name, title, beyond, endless, flags in (
+    rows: list[tuple[str, str, bool, int, bool, str]] = [
         (
             "range-then-more",
             "a symbol beyond the limit, and others whose models depend on its being 0",
             True,
+            0,
             False,
             "symbol-limit",
         ),
@@ -242,21 +249,40 @@ def _refused_escapes(book: Book) -> None:
             "escape-then-more",
             "an escape whose prefix is too long, and others whose models depend on it",
             False,
-            True,
+            1,
+            False,
             "escape-unbounded",
+        ),
+        (
+            "escape-minus-then-more",
+            "a negative escape whose prefix is too long, and others whose models depend on its sign",
+            False,
+            -1,
+            False,
+            "escape-unbounded escape-sign",
+        ),
+        (
+            "escape-then-escape",
+            "an escape whose prefix is too long, directly after it a valid one, and others whose models depend on both",
+            False,
+            1,
+            True,
+            "escape-unbounded escape-prefix",
         ),
         (
             "order-of-escape-and-range",
             "a symbol beyond the limit, and an escape whose prefix is too long",
             True,
-            True,
+            1,
+            False,
             "order-of-checks",
         ),
-    ):
+    ]
+    for name, title, beyond, endless, escaped, flags in rows:
         book.add(
             f"invalid-{name}",
             title,
-            partial(_lied, beyond, endless),
+            partial(_lied, beyond, endless, escaped),
             features="substream escapes carm",
             requirements="D8.8-1 D8.8-2 D10.2-3",
             flags=flags,

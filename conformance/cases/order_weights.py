@@ -98,8 +98,15 @@ def _packed_weights(book: Book) -> None:
         "R6.8-7",
     )
     cut = weights_packed.cut
-    rows: list[tuple[str, str, Callable[[], Refused], str, int]] = [
+    rows: list[tuple[str, str, Callable[[], Refused], str | None, int]] = [
         ("invalid-scale-and-no-model", "plane_shift", weights_raw.scale.of(grids, "plane_shift", 11), "hyper.0", 0),
+        (
+            "invalid-carm-input-count-and-no-model",
+            "carm_input_count 255, by which the table would be longer than the section",
+            weights_raw.scale.of(grids, "carm_input_count", 255),
+            None,
+            4,
+        ),
         ("malformed-padding-and-no-model", "padding of the table", weights_raw.padding.of(grids, 0, 1), "hyper.0", 0),
         ("unsupported-reserved-and-values", "a reserved byte", reserved.of(grids, "hyper.0", 0, 1), "hyper.0", 9),
         ("invalid-form-and-later-model", "a form", field.of(grids, "hyper.0", "form", 2), "sarm.1", 5),

@@ -14,7 +14,7 @@ from refcodec.bitstream.directory import WEIGHTS
 from refcodec.bitstream.entropy import Coder, Encoder
 from refcodec.bitstream.header import Lanes
 from refcodec.bitstream.scene import Scene
-from refcodec.bitstream.weights import GridLayer
+from refcodec.bitstream.weights import WEIGHT_EXPONENT_MIN, GridLayer
 from refcodec.encoder.weights import pack_weights
 
 from .book import Book
@@ -115,12 +115,14 @@ def _packed_layer(draw: Draw, t: Target) -> str:
 
 
 @fault("weights.exponent")
-def even_integers(t: Target, layer: str, rows: int | None = None) -> Whole:
-    """The first rows of a layer, or all, have only even integers."""
+def even_integers(t: Target, layer: str, rows: int | None = None, exponent: int | None = None) -> Whole:
+    """The first rows of a layer, or all, have only even integers. exponent: of all rows, if it changes."""
 
     def change(g: GridLayer) -> GridLayer:
         weight, bias = g.weight.copy(), g.bias.copy()
         weight[:rows], bias[:rows] = weight[:rows] * 2, bias[:rows] * 2
+        if exponent is not None:
+            g = replace(g, exponent=exponent, difference=g.difference * 0)
         return replace(g, weight=weight, bias=bias)
 
     return with_integers(t, layer, change)
@@ -300,6 +302,13 @@ def _exponents(book: Book) -> None:
         even_integers.of(grids, "hyper.1", 1),
         requirements="D7.13-1",
         flags="grid-exponent",
+    )
+    add(
+        "invalid-grids-exponent-even-least",
+        f"rows of the exponent {WEIGHT_EXPONENT_MIN}, whose integers are all even",
+        even_integers.of(grids, "opacity.0", None, WEIGHT_EXPONENT_MIN),
+        requirements="D7.13-1",
+        flags="grid-exponent limit-off-by-one",
     )
 
 

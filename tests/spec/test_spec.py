@@ -6,6 +6,7 @@ import ast
 import builtins
 import hashlib
 import importlib
+import math
 import pkgutil
 import random
 import re
@@ -403,15 +404,17 @@ def test_tables_file_as_stated() -> None:
 def test_the_formulas_of_the_prose(spec: dict) -> None:
     """Formulas that stand in the prose are evaluated as they are printed, and give what the functions give."""
     constants = {name: eval(value.replace("^", "**")) for name, value, *_ in rows(section("2.5"))}
-    functions = {"ceil": lambda x: -int(-x // 1), "abs": abs, "min": min, **spec}
+    functions = {"ceil": math.ceil, "floor": math.floor, "abs": abs, "min": min, **spec}
+    evaluated = set()
     assert constants["FEATURES_MAX"] == FEATURES_MAX
     rng = np.random.default_rng(5)
 
     def formulas(clause: str) -> list[str]:
         prose = re.sub(r"^```.*?^```|^\|[^\n]*|^- \[D[^\n]*", "", section(clause), flags=re.DOTALL | re.MULTILINE)
-        return [f for f in re.findall(r"`([^`\n]*)`", prose) if re.search(r"[-+*/<>]", f)]
+        return [f for f in re.findall(r"`([^`\n]*)`", prose) if re.search(r"[-+*/%&|<>]", f)]
 
     def value(formula: str, **names: object) -> Any:
+        evaluated.add(formula)
         return eval(
             formula.replace("^", "**"), {}, {**functions, **constants, "U": 1 << constants["UNIT_BITS"], **names}
         )
@@ -427,6 +430,10 @@ def test_the_formulas_of_the_prose(spec: dict) -> None:
     assert "`ISQRT(q)`" in section("7.5.2")
     (rescaled,) = formulas("7.5.3")
     grid, cell, weight, sample = formulas("7.5.4")
+    phase, turn, sine, cosine = formulas("7.5.5")
+    (rounded,) = [f for f in formulas("2.4") if "floor" in f]
+    (scaled,) = formulas("7.2")
+    row, centred, *found_at, symbol = formulas("8.5")
     for _ in range(200):
         matrix, p = [integer(1 << 20) for _ in range(9)], [integer(1 << 40) for _ in range(3)]
         frame = {
@@ -458,6 +465,18 @@ def test_the_formulas_of_the_prose(spec: dict) -> None:
         # A plane that rises along its columns shows cell and weight.
         found = called("QUERY", ramp, [u[0], 0], 0)[0]
         assert found == value(sample, sum=(c * 256 + f) * 16 * 256, plane_shift=0)
+        for k in range(16):
+            t = value(turn, phase=value(phase, u_2=u[0], k=k))
+            entries = value(sine, t=t), value(cosine, t=t)
+            assert [spec["SINE"][at] for at in entries] == called("GAMMA", u[0], 16)[2 * k : 2 * k + 2]
+        a, s = integer(1 << 40), int(rng.integers(0, 13))
+        assert value(rounded, a=a, s=s) == called("RSHIFT_ROUND", a, s)
+        bias, e = float(np.float32(rng.normal() * 100)), int(rng.integers(0, 21))
+        assert value(scaled, x=bias, e=e) == called("ROUND_SCALED", f32_bits(bias), e)
+        mean, i = integer(1 << 25), integer(1 << int(rng.integers(7, 26)))
+        k = next((k for k in range(constants["RAW_MAX"]) if i - 8 * k < constants["SCALE_END"]), constants["RAW_MAX"])
+        place = [value(f, h=value(centred, mean=mean, k=k)) for f in found_at]
+        assert (value(row, i=i, k=k), place[1], place[0], k) == called("SELECT", mean, i)
         a = {
             "origin": [integer(1 << 62)] * 3,
             "scale_mantissa": int(rng.integers(1, 65536)),
@@ -474,9 +493,9 @@ def test_the_formulas_of_the_prose(spec: dict) -> None:
         # Both are rounded once, so each is within half a unit in the last place of what it stands for.
         exact = value(formulas("7.8")[0], base_step=Fraction(base), step_table=spec["STEP"][q])
         assert abs(Fraction(f32_of(step)) - exact) <= exact / (1 << 24)
-        product = y * Fraction(f32_of(step))
+        unrounded = y * Fraction(f32_of(step))
         found = called("VALUE", y, step)
-        assert abs(Fraction(f32_of(found)) - product) <= abs(product) / (1 << 24)
+        assert abs(Fraction(f32_of(found)) - unrounded) <= abs(unrounded) / (1 << 24)
         # A binary32 multiplication gives it.
         assert found == f32_bits(float(np.float32(y) * np.float32(f32_of(step))))
     # The fewest chunks, and the least bytes of one.
@@ -505,11 +524,46 @@ def test_the_formulas_of_the_prose(spec: dict) -> None:
     for dimensions in (TINY_DIMENSIONS, MAIN_DIMENSIONS):
         assert value(formulas("6.3")[0], F=dimensions.features, K=dimensions.offset_count) == dimensions.attribute_width
     assert value(masked, f=5) == (1 << 14) - 5
-    assert value(formulas("8.5")[0], centre=7, d=-2, k=4, raw=9) == 89
+    assert value(symbol, centre=7, d=-2, k=4, raw=9) == 89
     escaped, rest = formulas("8.7")
     assert value(escaped, d=-11, R=5) == 6
     assert value(rest, n=11, z=3) == 3
     assert spec["DERIVE_ROW"]([0, 1 << 31], 0)[2] == constants["EXPONENT_MAX"]
+    # A state, before and after a word.
+    slot, state = formulas("8.2")
+    (refilled,) = formulas("8.3")
+    for frequencies in ([1, 16382, 1], [5000, 0, 3, 11381], [16384]):
+        for x in rng.integers(1 << 16, 1 << 18, 50).tolist():
+            at = value(slot, x=x)
+            j = next(j for j in range(len(frequencies)) if at < sum(frequencies[: j + 1]))
+            right = value(state, x=x, frequency=frequencies[j], slot=at, low=sum(frequencies[:j]))
+            stream = {"state": [x], "words": [54321], "word_at": 0}
+            assert called("DECODE_SYMBOL", stream, 0, frequencies) == j
+            assert stream["state"] == [right if right >= 1 << 16 else value(refilled, x=right, w=54321)]
+    for n in range(40):
+        (raw_bytes,) = formulas("8.8")
+        ended = {"words": [], "word_at": 0, "state": [], "bad_escape": False, "bad_range": False, "raw_at": n}
+        ended |= {"raw": [0] * value(raw_bytes, n=n), "symbols": [], "symbol_crc": 0}
+        assert called("END", ended) is None
+    # Cells, and trees of one cell, whose models give one symbol each.
+    coordinate, child, first, second = formulas("7.12")
+    for c, shift in product(rng.integers(0, 1 << 16, 20).tolist(), range(constants["CELL_INDEX"])):
+        if (bits := called("CELL_NUMBER", c, shift)) is not None:
+            assert called("POSITION_INTEGER", bits) == value(coordinate, c=c, cell_shift=shift)
+    corners = list(product(range(2), repeat=3))
+    for chosen in product(corners, repeat=3):
+        models = [[0] * 15 + [1 << 14]] * constants["POSITION_MODELS"]
+        for t, (x, y, z) in enumerate(chosen):
+            halves = divmod(1 << value(child, x=x, y=y, z=z), 16)[::-1]
+            for at, half in zip((value(first, t=t), value(second, t=t, n=int(halves[0] > 0))), halves, strict=True):
+                models[at] = [(1 << 14) * (half == i) for i in range(16)]
+        cells = called("DECODE_CELLS", {"state": [1 << 16], "symbols": []}, models, 1)
+        levels = [min(level, 2) for level in range(constants["CELL_LEVELS"])]
+        right = [sum(chosen[t][axis] << level for level, t in enumerate(levels)) for axis in range(3)]
+        assert cells == ([tuple(right)], True)
+    for clause in HEADINGS:
+        if clause[0] in "789":
+            assert set(formulas(clause)) <= evaluated, f"{clause} has a formula that no test evaluates"
 
 
 def f32_bits(x: float) -> int:
