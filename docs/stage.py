@@ -39,7 +39,7 @@ _CONTENTS = """
 # The pages of the manual in their order.
 ORDER = (
     ("First steps", ("first-steps", "look-inside", "python", "python-names")),
-    ("By job", ("photographs", "models", "page", "programs", "decoder", "certify", "extend")),
+    ("By job", ("photographs", "method", "models", "page", "programs", "comparison", "decoder", "certify", "extend")),
     ("Specification", ("specification", "spec/index")),
     ("More", tuple(PAGES.values())),
 )

@@ -305,7 +305,7 @@ class QuantisationSettings:
 
 @dataclass(frozen=True)
 class WeightSettings:
-    """The grids of the networks' weights. All of these are tried, and rate and distortion choose (SPEC B.8)."""
+    """The grids of the networks' weights. All of these are tried, and rate and distortion choose (docs/method.md)."""
 
     rendering_bits: tuple[int, int] = setting(
         (5, 12), "fewest and most bits of the largest weight of a rendering network's layer", low=2, high=24

@@ -345,7 +345,6 @@ def test_terms_are_defined_before_they_are_used() -> None:
         assert len(re.findall(rf"\b{re.escape(term)}", TEXT, re.IGNORECASE)) > 1, f"{term} is defined and never used"
     defined = set(re.findall(r"^def ([A-Z_0-9]+)\(", TEXT, re.MULTILINE))
     constants = {name for name, *_ in rows(section("2.5"))}
-    constants |= {name.strip("` ") for names, *_ in rows(section("B.8")) for name in names.split(",")}
     known = (
         fields
         | defined

@@ -1,4 +1,4 @@
-"""Settings: SPEC B.8 has them, each is documented, and they are printed, read and changed with checks."""
+"""Settings: docs/method.md has some, each is documented, and they are printed, read and changed with checks."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from refcodec.train.schedule import Clock
 from refcodec.train.settings import PRESETS, FitSettings, Phase, TrainSettings
 from refcodec.train.settings_file import SettingsError, assigned, differences, document, from_toml, to_toml, varied
 
-SPEC = Path(__file__).resolve().parents[2] / "SPEC.md"
+METHOD = Path(__file__).resolve().parents[2] / "docs" / "method.md"
 
 
 def setting(name: str) -> Any:
@@ -29,9 +29,9 @@ def setting(name: str) -> Any:
 
 
 def test_the_text_has_these_constants() -> None:
-    """SPEC B.8's table and prose, and the fitter's steps in B.5."""
-    text = SPEC.read_text()
-    section = text.split("### B.8 Training")[1].split("\n## ")[0]
+    """The table and prose of the method, and the fitter's steps."""
+    text = METHOD.read_text()
+    section = text.split("## Settings of the method")[1].split("\n## ")[0]
     rows = re.findall(r"^\| (`.+?`(?:, `.+?`)*) \| (.+?) \|", section, re.MULTILINE)
     names = [name for cell, _ in rows for name in re.findall(r"`([\w.]+)`", cell)]
     assert len(names) == len(set(names)) == 20
@@ -44,7 +44,7 @@ def test_the_text_has_these_constants() -> None:
     fitted = FitSettings()
     assert fitted.quantisation == TrainSettings().quantisation
     stated = f"an offset step of {fitted.scene.offsets} instead of {fitted.quantisation.offsets}"
-    assert stated in " ".join(text.split("### B.5 Networks")[1].split("\n### ")[0].split())
+    assert stated in " ".join(text.split("## Fits")[1].split())
 
 
 def documented(group: Any, name: str = "") -> list[str]:

@@ -1,4 +1,4 @@
-"""Grids: the weights of all networks are rounded to grids, which rate and distortion choose (SPEC.md B.8).
+"""Grids: the weights of all networks are rounded to grids, which rate and distortion choose (docs/method.md).
 
 Training goes on with rounded weights and the identity's gradient, so that it makes good for most of what that loses.
 """

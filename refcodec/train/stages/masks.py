@@ -1,4 +1,4 @@
-"""Masks of offsets (CAT-3DGS Pro): an offset is kept if its weighted share is above epsilon (SPEC.md B.8).
+"""Masks of offsets (CAT-3DGS Pro): an offset is kept if its weighted share is above epsilon (docs/method.md).
 
 The share is the logistic function of its logit. The weight is how many views see its anchor, over the mean of all.
 """
