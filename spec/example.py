@@ -1,9 +1,14 @@
-"""Makes vectors/tiny-example.c3gs, the file that SPEC.md Annex D explains. Simple formulas give all its numbers."""
+"""Makes the files that SPEC.md Annex D explains, and their scenes as text, from which an encoder makes the same files.
+
+Simple formulas give all numbers.
+"""
 
 from __future__ import annotations
 
+import json
 from collections.abc import Iterator
-from dataclasses import replace
+from dataclasses import asdict, replace
+from typing import Any
 
 import numpy as np
 
@@ -15,11 +20,19 @@ from refcodec.bitstream.frame import Frame
 from refcodec.bitstream.header import Lanes, PositionGrid, RenderInfo
 from refcodec.bitstream.limits import TINY
 from refcodec.bitstream.metadata import METADATA, emit_metadata
-from refcodec.bitstream.scene import Ancillary, Scene
+from refcodec.bitstream.planes import no_planes
+from refcodec.bitstream.positions import EMPTY_MODELS, HALVES, POSITION_MODELS, PositionModel
+from refcodec.bitstream.scene import Ancillary, Scene, take_anchors
+from refcodec.encoder.masks import mask_model
+from refcodec.encoder.positions import frequencies, morton_order
+from refcodec.encoder.weights import weight_scales
 
 from .made import ROOT, Made
 
-TARGET = ROOT / "vectors" / "tiny-example.c3gs"
+VECTORS = ROOT / "vectors"
+EXAMPLE, PACKED = VECTORS / "tiny-example.c3gs", VECTORS / "tiny-packed.c3gs"
+# The only packed layer of the second file, by network and number.
+PACKED_LAYER = ("colour", 1)
 DIMENSIONS = Dimensions(2, (2, 3), 1, 2, 4, (4,), (3,), (3,), 2)
 ANCHORS = 5
 
@@ -88,6 +101,117 @@ def example() -> Scene:
     return replace(scene, attributes=replace(scene.attributes, steps=codec.derive_steps(scene)))
 
 
+def packed() -> Scene:
+    """Returns the second scene. It has five anchors in one chunk, no hyperprior, packed positions, a packed layer."""
+    d = Dimensions(1, (2,), 0, 0, 0, (), (), (), 2)
+    networks = {
+        name: [(pattern(out * i, 5).astype(np.float32).reshape(out, i), np.zeros(out, np.float32)) for out, i in shapes]
+        for name, shapes in d.network_shapes().items()
+    }
+    networks["hyper"][-1][1][d.attribute_width : 2 * d.attribute_width] = 8
+    networks["hyper"][-1][1][-3:] = 32
+    name, layer = PACKED_LAYER
+    # The second row is all zero, and the grid exponent of the third differs from that of the first.
+    networks[name][layer] = (
+        np.array([[0.5, -0.25], [0, 0], [1.5, 3]], np.float32),
+        np.array([1, 0, -0.5], np.float32),
+    )
+    forms = [(key, number) == PACKED_LAYER for key, layers in networks.items() for number in range(len(layers))]
+    scales = weight_scales(networks)
+    scales[~np.array(forms)] = 0
+    masks = np.ones((ANCHORS, 1), np.bool_)
+    steps = np.full((ANCHORS, 3), 32, np.uint8)
+    scene = Scene(
+        profile=TINY,
+        dimensions=d,
+        chunk_size=ANCHORS,
+        lanes=Lanes(0, 0, 1),
+        base_step=(1.0, 0.125, 0.25),
+        grid=PositionGrid(),
+        render=RenderInfo(),
+        frame=None,
+        plane_shift=0,
+        carm_shift=np.zeros(0, np.uint8),
+        networks=networks,
+        planes=no_planes(),
+        mask_model=mask_model(masks),
+        positions=np.array([[0, 0, 0], [1, 0, 0], [0, 3, 0], [1, 2, 3], [3, 3, 3]], np.float16),
+        masks=masks,
+        attributes=Attributes(
+            pattern(2 * ANCHORS, 7).reshape(ANCHORS, 2).astype(np.int32),
+            pattern(6 * ANCHORS, 5).reshape(ANCHORS, 6).astype(np.int32),
+            pattern(3 * ANCHORS, 3).reshape(ANCHORS, 1, 3).astype(np.int32),
+            steps,
+        ),
+        weight_scales=scales,
+        weight_forms=np.array(forms, np.uint8),
+    )
+    # No two models are equal, so that a wrong model gives other symbols.
+    counts = [1 + np.arange(HALVES) * (model + 1) % 19 for model in range(POSITION_MODELS)]
+    rows = [frequencies(count, int(model in EMPTY_MODELS)) for model, count in enumerate(counts)]
+    scene = take_anchors(scene, morton_order(scene.positions))
+    return replace(scene, position_model=PositionModel(24, np.array(rows, np.uint16)))
+
+
+def document(data: bytes) -> dict[str, Any]:
+    """Returns all numbers of a file except those that follow from others. Names are those of SPEC.md chapter 5."""
+    scene = codec.parse(data).scene
+    a = scene.attributes
+    model, forms, weight_forms = scene.position_model, scene.position_forms, scene.weight_forms
+    anchors = zip(scene.positions, scene.masks, a.steps, a.scalings, a.offsets, a.features, strict=True)
+    return {
+        "profile": scene.profile,
+        "dimensions": asdict(scene.dimensions),
+        "chunk_size": scene.chunk_size,
+        "lanes_log2": asdict(scene.lanes),
+        "base_step": scene.base_step,
+        "position_grid": asdict(scene.grid),
+        "render_info": asdict(scene.render),
+        "frame": scene.frame and {name: value.tolist() for name, value in vars(scene.frame).items()},
+        "plane_shift": scene.plane_shift,
+        "carm_shift": scene.carm_shift.tolist(),
+        "networks": {
+            name: [{"weight": weight.tolist(), "bias": bias.tolist()} for weight, bias in layers]
+            for name, layers in scene.networks.items()
+        },
+        "weight_forms": None if weight_forms is None else weight_forms.tolist(),
+        "weight_scales": None if scene.weight_scales is None else scene.weight_scales.tolist(),
+        "planes": scene.planes.tolist(),
+        "mask_model": scene.mask_model.tolist(),
+        "cell_shift": model and model.cell_shift,
+        "position_model": model and model.frequency.tolist(),
+        "chunk_anchors": [len(chunk) for chunk in scene.chunks],
+        "position_forms": forms and list(forms),
+        "anchors": [
+            {
+                "position": position.tolist(), "mask": mask.astype(int).tolist(), "step_index": step.tolist(),
+                "scalings": scalings.tolist(), "offsets": offsets.tolist(), "features": features.tolist(),
+            }
+            for position, mask, step, scalings, offsets, features in anchors
+        ],
+        "ancillary": [
+            {"type": s.type.decode(), "mode": s.mode, "content": s.content.hex(), "after": s.after}
+            for s in scene.ancillary
+        ],
+    }  # fmt: skip
+
+
+def as_text(scene: dict[str, Any]) -> str:
+    """Returns a document as JSON, with a line for each name, and for each item of a list of lists or objects."""
+    lines = []
+    for name, value in scene.items():
+        words = json.dumps(value)
+        if isinstance(value, list) and value and isinstance(value[0], list | dict):
+            words = "[\n" + ",\n".join(f"  {json.dumps(item)}" for item in value) + "\n ]"
+        elif name == "networks":
+            words = "{\n" + ",\n".join(f"  {json.dumps(k)}: {json.dumps(v)}" for k, v in value.items()) + "\n }"
+        lines.append(f" {json.dumps(name)}: {words}")
+    return "{\n" + ",\n".join(lines) + "\n}\n"
+
+
 def made() -> Iterator[Made]:
-    """Yields the file."""
-    yield Made(TARGET, codec.emit(example()))
+    """Yields the files, each with its scene as text."""
+    for path, scene in ((EXAMPLE, example()), (PACKED, packed())):
+        data = codec.emit(scene)
+        yield Made(path, data)
+        yield Made.text(path.with_suffix(".json"), as_text(document(data)))

@@ -1,7 +1,7 @@
 """Makes the generated parts of SPEC.md.
 
 These are the hashes of artefacts, the registry of errors, profiles and levels, the digests of the tables, and the worked
-example.
+examples. vectors/tiny-example.md has parts, too.
 """
 
 from __future__ import annotations
@@ -19,11 +19,11 @@ from refcodec.bitstream.limits import PROFILES, Profile
 from refcodec.bitstream.reconstruction import chunk_digest, digest
 from refcodec.bitstream.scene import take_anchors
 
-from . import tables, walk
+from . import example, tables, walk
 from .made import ROOT, Made
 
 SPEC = ROOT / "SPEC.md"
-EXAMPLE = ROOT / "vectors" / "tiny-example.c3gs"
+GUIDE = example.EXAMPLE.with_suffix(".md")
 # The dimensions that are 0 in a scene without planes.
 OPTIONAL = ("plane_size", "sarm_layers")
 
@@ -86,8 +86,8 @@ def table_digests() -> str:
 
 
 def digests() -> str:
-    """Returns the table of the worked example's digests (D.6)."""
-    scene = parse(EXAMPLE.read_bytes()).scene
+    """Returns the table of the worked examples' digests (D.2)."""
+    scene = parse(example.EXAMPLE.read_bytes()).scene
     whole, parts = digest(scene)
     rows = [
         "| of | SHA-256 |",
@@ -97,6 +97,7 @@ def digests() -> str:
     ]
     for number, anchors in enumerate(scene.chunks):
         rows.append(f"| chunk {number} | `{chunk_digest(take_anchors(scene, np.array(anchors)))}` |")
+    rows.append(f"| {example.PACKED.name} | `{digest(parse(example.PACKED.read_bytes()).scene)[0]}` |")
     return "\n".join(rows)
 
 
@@ -105,30 +106,47 @@ def _escape(made: str) -> str:
     return made.replace("\\", r"\\")
 
 
+def _rewritten(text: str, name: str, parts: dict[str, Callable[[], str]]) -> str:
+    """Returns a file with its generated parts replaced. Raises SystemExit for a missing or repeated part."""
+    for part, make in parts.items():
+        pattern = re.compile(rf"(<!-- generated:{part} -->\n).*?(<!-- /generated -->)", re.DOTALL)
+        text, count = pattern.subn(rf"\g<1>\n{_escape(make())}\n\n\g<2>", text)
+        if count != 1:
+            raise SystemExit(f"{name} has {count} parts 'generated:{part}'")
+    return text
+
+
 def rewritten(text: str) -> str:
     """Returns SPEC.md with its generated parts replaced. Raises SystemExit for a missing or repeated part."""
-    data = EXAMPLE.read_bytes()
+    packed = example.PACKED.read_bytes()
     parts: dict[str, Callable[[], str]] = {
         "artefacts": artefacts,
         "errors": errors,
         "profiles": profiles,
         "levels": levels,
         "tables": table_digests,
-        "dump": lambda: walk.hex_dump(data),
-        "elements": lambda: walk.element_table(data, text),
-        "steps": lambda: walk.plane_steps(data, text, 16),
-        "anchor": lambda: walk.first_anchor(data, text),
-        "raw": lambda: walk.raw_fields(data, text),
+        "dump": lambda: walk.hex_dump(example.EXAMPLE.read_bytes()),
         "digests": digests,
+        "cells": lambda: walk.cell_steps(packed),
+        "layer": lambda: walk.layer_steps(packed),
     }
-    for name, make in parts.items():
-        pattern = re.compile(rf"(<!-- generated:{name} -->\n).*?(<!-- /generated -->)", re.DOTALL)
-        text, count = pattern.subn(rf"\g<1>\n{_escape(make())}\n\n\g<2>", text)
-        if count != 1:
-            raise SystemExit(f"SPEC.md has {count} parts 'generated:{name}'")
-    return text
+    return _rewritten(text, SPEC.name, parts)
+
+
+def guide(text: str, spec: str) -> str:
+    """Returns vectors/tiny-example.md with its generated parts replaced. spec: SPEC.md."""
+    data = example.EXAMPLE.read_bytes()
+    parts: dict[str, Callable[[], str]] = {
+        "elements": lambda: walk.element_table(data, spec),
+        "steps": lambda: walk.plane_steps(data, 16),
+        "anchor": lambda: walk.first_anchor(data),
+        "raw": lambda: walk.raw_fields(data),
+    }
+    return _rewritten(text, GUIDE.name, parts)
 
 
 def made() -> Iterator[Made]:
-    """Yields SPEC.md."""
-    yield Made.text(SPEC, rewritten(SPEC.read_text(encoding="utf-8")))
+    """Yields SPEC.md, and the page that explains the first worked example."""
+    spec = rewritten(SPEC.read_text(encoding="utf-8"))
+    yield Made.text(SPEC, spec)
+    yield Made.text(GUIDE, guide(GUIDE.read_text(encoding="utf-8"), spec))

@@ -1,4 +1,4 @@
-"""Explains the worked example (SPEC.md Annex D) in Markdown: every byte, and the raw bits and coder steps of parts.
+"""Explains the files of SPEC.md Annex D in Markdown: every byte of the first, and raw bits and coder steps of parts.
 
 refcodec.inspect gives the elements of the file, and SPEC.md's syntax tables their meanings. The steps of the coder are
 recorded while SPEC.md's blocks decode.
@@ -64,14 +64,15 @@ class Watch:
     space: the names of SPEC.md's blocks, some of which are replaced.
     """
 
-    def __init__(self, spec: str) -> None:
+    def __init__(self) -> None:
         self.space = spec_decoder.names()
         self.opened: list[dict[str, Any]] = []
         self.networks: list[tuple[list[int], list[int]]] = []
         self.symbols: list[dict[str, Any]] = []
         self.fields: list[dict[str, Any]] = []
         self.values: list[dict[str, Any]] = []
-        for name in ("NETWORK", "DECODE_SYMBOL", "READ_BITS", "DECODE_VALUES"):
+        self.trees: list[int] = []
+        for name in ("NETWORK", "DECODE_SYMBOL", "READ_BITS", "DECODE_VALUES", "DECODE_CELLS"):
             original = self.space[name]
             self.space[name] = getattr(self, f"_{name.lower()}")(original)
 
@@ -123,10 +124,28 @@ class Watch:
 
         return watched
 
+    def _decode_cells(self, original: Any) -> Any:
+        def watched(stream: dict, models: list, anchors: int) -> Any:
+            self.trees.append(id(stream))
+            return original(stream, models, anchors)
 
-def _watched(data: bytes, spec: str) -> tuple[Watch, list[int]]:
+        return watched
+
+
+# The columns of a step of the coder, and their rule.
+_STEP, _RULE = "state | slot | model index: slots | word | next state", "---|---|---|---|---"
+
+
+def _step(symbol: dict[str, Any]) -> str:
+    """Returns the cells of a step of the coder."""
+    word = "" if symbol["word"] is None else f"0x{symbol['word']:04x}"
+    slots = f"{symbol['symbol']}: {symbol['low']} to {symbol['low'] + symbol['frequency'] - 1}"
+    return f"0x{symbol['before']:08x} | {symbol['slot']} | {slots} | {word} | 0x{symbol['after']:08x}"
+
+
+def _watched(data: bytes) -> tuple[Watch, list[int]]:
     """Returns the decoder after it decoded a file, and the identities of the substreams in decoding order."""
-    watch = Watch(spec)
+    watch = Watch()
     opened = []
     original = watch.space["OPEN"]
 
@@ -148,9 +167,9 @@ def _decode(watch: Watch, data: bytes) -> None:
         raise SystemExit(f"SPEC.md's blocks refuse the worked example: {error}")
 
 
-def plane_steps(data: bytes, spec: str, count: int) -> str:
+def plane_steps(data: bytes, count: int) -> str:
     """Returns the table of the coder's steps for the first `count` symbols of sub-plane 0."""
-    watch, streams = _watched(data, spec)
+    watch, streams = _watched(data)
     d = codec.parse_container(data).dimensions
     points = [
         (t, p) for t, group in enumerate(watch.space["PLANE_GROUPS"](d.plane_channels, d.plane_size)) for p in group
@@ -166,19 +185,89 @@ def plane_steps(data: bytes, spec: str, count: int) -> str:
     for (t, point), mean_scale, pick, symbol, value in list(
         zip(points, parameters, chosen, symbols, values, strict=True)
     )[:count]:
-        last = symbol["low"] + symbol["frequency"] - 1
-        word = "" if symbol["word"] is None else f"0x{symbol['word']:04x}"
         m, s = mean_scale
-        lines.append(
-            f"| {t} | {point} | {m}, {s} | {', '.join(map(str, pick))} | 0x{symbol['before']:08x} | {symbol['slot']} "
-            f"| {symbol['symbol']}: {symbol['low']} to {last} | {value} | {word} | 0x{symbol['after']:08x} |"
-        )
+        before, slot, index, word, after = _step(symbol).split(" | ")
+        cells = f"{before} | {slot} | {index} | {value} | {word} | {after}"
+        lines.append(f"| {t} | {point} | {m}, {s} | {', '.join(map(str, pick))} | {cells} |")
     return "\n".join(lines)
 
 
-def first_anchor(data: bytes, spec: str) -> str:
+def _content(data: bytes, start: str) -> str:
+    """Returns the bytes of a substream, in hexadecimal. start: what the paths of its elements begin with."""
+    within = [row for row in rows(data) if row.path.startswith(start)]
+    return data[within[0].start : within[-1].end].hex(" ")
+
+
+def cell_steps(data: bytes) -> str:
+    """Returns the positions of the first chunk: bytes, models, and the table of the coder's steps, node by node."""
+    watch, _ = _watched(data)
+    model = codec.parse(data).scene.position_model
+    assert model is not None
+    symbols = iter([s for s in watch.symbols if s["stream"] == watch.trees[0]])
+    lines = [f"| level | node | model | {_STEP} | children |", f"|---|---|---|{_RULE}|---|"]
+    nodes, used = [(0, 0, 0)], set()
+    for level in range(15, -1, -1):
+        halves: list[list[int]] = [[], []]
+        for half in range(2):
+            for n, node in enumerate(nodes):
+                number = 6 * min(level, 2) + (1 + halves[0][n].bit_count() if half else 0)
+                symbol = next(symbols)
+                halves[half].append(symbol["symbol"])
+                used.add(number)
+                children = ", ".join(str(4 * half + i) for i in range(4) if symbol["symbol"] >> i & 1)
+                lines.append(f"| {level} | {node} | {number} | {_step(symbol)} | {children} |")
+        nodes = [
+            (2 * x + (k & 1), 2 * y + (k >> 1 & 1), 2 * z + (k >> 2))
+            for (x, y, z), low, high in zip(nodes, *halves, strict=True)
+            for k in range(8)
+            if (low | high << 4) >> k & 1
+        ]
+    content = _content(data, "positions[chunk 0].")
+    models = [f"| {n} | {', '.join(map(str, model.frequency[n].tolist()))} |" for n in sorted(used)]
+    head = ["```text", content, "```", "", "| model | frequencies |", "|---|---|", *models, ""]
+    return "\n".join([*head, *lines, "", f"The cells are {', '.join(map(str, nodes))}."])
+
+
+def layer_steps(data: bytes) -> str:
+    """Returns the substream of the weights: bytes, and the table of the coder's steps for its only packed layer."""
+    watch, streams = _watched(data)
+    scene = codec.parse(data).scene
+    names = [(name, layer) for name, layers in scene.networks.items() for layer in range(len(layers))]
+    assert scene.weight_forms is not None
+    assert scene.weight_scales is not None
+    (packed,) = scene.weight_forms.nonzero()[0].tolist()
+    network, layer = names[packed]
+    count, inputs = scene.networks[network][layer][0].shape
+    words = [f"{what} of row {r}" for what in ("difference", "bias") for r in range(count)]
+    words += [f"weight {i} of row {r}" for r in range(count) for i in range(inputs)]
+    groups = [g for g in watch.values if g["stream"] == streams[0]]
+    symbols = [s for s in watch.symbols if s["stream"] == streams[0]]
+    lines = [
+        f"| what | mean, scale index | model: row, column, centre, raw bits | lane | {_STEP} | symbol |",
+        f"|---|---|---|---|{_RULE}|---|",
+    ]
+    parameters, chosen, values = ([x for g in groups for x in g[name]] for name in ("parameters", "chosen", "values"))
+    for what, (m, s), pick, symbol, value in zip(words, parameters, chosen, symbols, values, strict=True):
+        model = ", ".join(map(str, pick))
+        lines.append(f"| {what} | {m}, {s} | {model} | {symbol['lane']} | {_step(symbol)} | {value} |")
+    at = next(row.start for row in rows(data) if row.path == "weights.symbol_crc")
+    end = next(row.start for row in rows(data) if row.start > at and not row.path.startswith("weights."))
+    form = next(row.start for row in rows(data) if row.path == f"weights.{network}.{layer}.form")
+    head = [
+        "```text",
+        f"LayerModel  {data[form : form + 8].hex(' ')}",
+        f"substream   {data[at:end].hex(' ')}",
+        "```",
+        "",
+    ]
+    weight, bias = scene.networks[network][layer]
+    shown = [f"| {r} | {', '.join(map(str, weight[r].tolist()))} | {bias[r]} |" for r in range(count)]
+    return "\n".join([*head, *lines, "", "| row | weights | bias |", "|---|---|---|", *shown])
+
+
+def first_anchor(data: bytes) -> str:
     """Returns the table of what clauses 7.4 to 7.10 compute for the first anchor."""
-    watch = Watch(spec)
+    watch = Watch()
     space = watch.space
     seen: dict[str, list[Any]] = {}
     names = ("POSITION_INTEGER", "FRAME_COORDINATES", "CONTRACT", "RESCALE", "QUERY", "GAMMA", "CONTEXT")
@@ -227,12 +316,12 @@ def first_anchor(data: bytes, spec: str) -> str:
     return "\n".join(lines)
 
 
-def raw_fields(data: bytes, spec: str) -> str:
+def raw_fields(data: bytes) -> str:
     """Returns the table of all raw bits of the last attribute substream: start, length, contents and meaning.
 
     A start is a byte and a bit. Contents have the last bit first. Raises SystemExit if bits are missing.
     """
-    watch, streams = _watched(data, spec)
+    watch, streams = _watched(data)
     groups = [g for g in watch.values if g["stream"] == streams[-1]]
     raw = next(r for r in reversed(list(rows(data))) if r.path.endswith(".raw"))
     lines = ["| start | length | contents | meaning |", "|---|---|---|---|"]

@@ -207,6 +207,6 @@ def add(commands: Any) -> None:
         "--anchor",
         type=int,
         metavar="N",
-        help="all numbers from the position of an anchor to its symbols, as in Annex D.4",
+        help="all numbers from the position of an anchor to its symbols",
     )
     form.add_argument("--html", metavar="PAGE", help="write a page with pictures of the contents")

@@ -18,7 +18,7 @@ from ..export.scaffold import DROP
 
 Networks = dict[str, list[Layer]]
 
-# Bits of a weight that was divided and is multiplied again. Both round, and a weight on a grid has fewer (docs/method.md).
+# Bits of a weight that was divided and is multiplied again. Both round, and a weight on a grid has fewer bits.
 BITS = 20
 
 

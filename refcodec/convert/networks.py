@@ -1,7 +1,7 @@
 """Puts the rendering networks of a converted scene on grids, so that a file can pack them (SPEC.md B.5).
 
-Training chooses grids by rate and distortion on photographs (docs/method.md). Here there are none. Instead, the change of
-the Gaussians by a grid is compared with that by the rounded features, which the rate of the fit determines.
+Training chooses grids by rate and distortion on photographs. Here there are none. Instead, the change of the Gaussians
+by a grid is compared with that by the rounded features, which the rate of the fit determines.
 """
 
 from __future__ import annotations

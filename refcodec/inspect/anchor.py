@@ -1,4 +1,4 @@
-"""The numbers of one anchor, from its position to its symbols (SPEC.md D.4)."""
+"""The numbers of one anchor, from its position to its symbols."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from .probes import geometry, predictions, slices
 
 
 def anchor_rows(scene: Scene, number: int) -> Iterator[tuple[str, str, str]]:
-    """Yields the quantities that clauses 7.4 to 7.10 compute for an anchor, as in Annex D.4.
+    """Yields the quantities that clauses 7.4 to 7.10 compute for an anchor.
 
     They lead from the position to the distributions and the symbols. Each is (what it is, clause, numbers). Raises
     IndexError for an anchor that the scene does not have.

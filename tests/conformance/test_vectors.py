@@ -189,8 +189,7 @@ def test_the_suite_is_the_same_again(tmp_path: Path, capsys: pytest.CaptureFixtu
         str(p.relative_to(tmp_path / "suite")): p.read_bytes() for p in (tmp_path / "suite").rglob("*") if p.is_file()
     }
     kept = {str(p.relative_to(VECTORS)): p.read_bytes() for p in VECTORS.rglob("*") if p.is_file()}
-    for name in ("README.md", "tiny-example.c3gs"):
-        del kept[name]
+    kept = {name: data for name, data in kept.items() if name != "README.md" and not name.startswith("tiny-")}
     assert made.keys() == kept.keys()
     assert [name for name in made if made[name] != kept[name]] == []
     assert load(tmp_path / "suite" / MANIFEST).vectors == SUITE.vectors

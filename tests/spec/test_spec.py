@@ -7,15 +7,17 @@ import builtins
 import hashlib
 import importlib
 import math
+import json
 import pkgutil
 import random
 import re
 import struct
 from collections import Counter
+from collections.abc import Iterator
 from dataclasses import replace
 from fractions import Fraction
 from functools import cache
-from itertools import product
+from itertools import accumulate, product
 from pathlib import Path
 from typing import Any
 
@@ -40,13 +42,15 @@ from conformance.cases.scenes import (
 from conformance.manifest import load
 from refcodec import bitstream
 from refcodec.bitstream import codec, context, directory, errors, reconstruction, syntax, tables
+from refcodec.bitstream.attributes import Attributes
 from refcodec.bitstream.chunks import chunk_ranges
 from refcodec.bitstream.dimensions import RENDERING, Dimensions, weight_count, work
 from refcodec.bitstream.errors import BitstreamError
-from refcodec.bitstream.frame import MATRIX_BOUND, TRANSLATION_BOUND
-from refcodec.bitstream.header import SIGNATURE, Lanes
+from refcodec.bitstream.frame import MATRIX_BOUND, TRANSLATION_BOUND, Frame
+from refcodec.bitstream.header import SIGNATURE, Lanes, PositionGrid, RenderInfo
 from refcodec.bitstream.index import ENTRY_BYTES
 from refcodec.bitstream.limits import FEATURES_MAX, PROFILES
+from refcodec.bitstream.positions import PositionModel
 from refcodec.bitstream.scene import Ancillary, Scene, take_anchors
 from refcodec.encoder.positions import position_model
 from refcodec.inspect import specification
@@ -75,6 +79,12 @@ def rows(text: str) -> list[list[str]]:
         for i, c in enumerate(cells)
         if not set(c[0]) <= {"-"} and not (i + 1 < len(cells) and set(cells[i + 1][0]) == {"-"})
     ]
+
+
+def generated(name: str) -> str:
+    """A generated part of the page that explains the worked example."""
+    page = EXAMPLE.with_suffix(".md").read_text(encoding="utf-8")
+    return re.search(rf"<!-- generated:{name} -->(.*?)<!-- /generated -->", page, re.DOTALL)[1]
 
 
 SYNTAX_CLAUSES = {name: re.search(rf"^###+ (5[.\d]+) {name}$", TEXT, re.MULTILINE) for name in syntax.SYNTAX}
@@ -869,14 +879,14 @@ def test_worked_example(spec: dict) -> None:
     assert len(data) <= 4096
     assert agree(spec, data) == ""
     assert codec.emit(codec.parse(data).scene) == data
-    printed = {of: digest.strip("`") for of, digest in rows(section("D.6"))}
+    printed = {of: digest.strip("`") for of, digest in rows(section("D.2"))}
     digests, _ = spec_decoder.verdict(spec, data)
     assert printed["the scene"] == bytes(digests["scene"]).hex()
     assert [printed[f"chunk {n}"] for n in range(len(digests["chunks"]))] == [bytes(c).hex() for c in digests["chunks"]]
 
 
 def test_the_walk_is_the_file() -> None:
-    """Annex D against the vector, without the code that printed it.
+    """Annex D and its page against the vector, without the code that printed them.
 
     The dump is its bytes. The elements, with their bytes and values, lie side by side from the first byte to the last.
     So do the raw bits.
@@ -886,7 +896,7 @@ def test_the_walk_is_the_file() -> None:
     assert [int(at, 16) for at, _ in dump] == list(range(0, len(data), 16))
     assert b"".join(bytes.fromhex(part) for _, part in dump) == data
     end = 0
-    for start, length, contents, element, value, meaning in rows(section("D.2")):
+    for start, length, contents, element, value, meaning in rows(generated("elements")):
         assert int(start, 16) == end, start
         end += int(length)
         shown = bytes.fromhex(contents.strip("`").removesuffix(" ..."))
@@ -896,7 +906,7 @@ def test_the_walk_is_the_file() -> None:
         if re.fullmatch(r"-?\d+", value) and "low" not in element and "high" not in element:
             assert int.from_bytes(shown, "little", signed=value.startswith("-")) == int(value), element
     assert end == len(data)
-    bits = rows(section("D.5"))
+    bits = rows(generated("raw"))
     last = 8 * int(bits[0][0].partition("+")[0], 16)
     for start, length, contents, meaning in bits:
         byte, bit = start.split("+")
@@ -907,13 +917,127 @@ def test_the_walk_is_the_file() -> None:
             assert data[(last + n) // 8] >> (last + n) % 8 & 1 == int(digit), start
         assert meaning
         last += int(length)
-    ends = {element: int(start, 16) + int(length) for start, length, _, element, *_ in rows(section("D.2"))}
+    ends = {element: int(start, 16) + int(length) for start, length, _, element, *_ in rows(generated("elements"))}
     assert last == 8 * ends["attributes[chunk 1].raw"]
-    states = rows(section("D.3"))
+    states = rows(generated("steps"))
     assert all(states[i][4] == states[i - 1][9] for i in range(1, len(states)))
     # The first state stands behind the head of sub-plane 0.
-    at = next(int(start, 16) for start, _, _, element, _, _ in rows(section("D.2")) if element == "planes.r1.state")
+    at = next(
+        int(start, 16) for start, _, _, element, *_ in rows(generated("elements")) if element == "planes.r1.state"
+    )
     assert int(states[0][4], 16) == int.from_bytes(data[at : at + 4], "little")
+
+
+def coded(table: list[list[str]], state: int) -> Iterator[tuple[list[str], int]]:
+    """Yields each row of a table of coder steps with the model index, after a check of 8.2. state: its column."""
+    for row in table:
+        before, slot, slots, word, after = row[state : state + 5]
+        index, low, last = (int(n) for n in re.fullmatch(r"(\d+): (\d+) to (\d+)", slots).groups())
+        x = int(before, 16)
+        assert low <= int(slot) == x & 0x3FFF <= last
+        x = (last - low + 1) * (x >> 14) + x % 2**14 - low
+        assert (x < 2**16) == bool(word)
+        assert int(after, 16) == (x << 16 | int(word, 16) if word else x)
+        yield row, index
+
+
+def test_packed_positions_and_weights_as_printed(spec: dict) -> None:
+    """D.3 and D.4 give the positions and the layer of the second file, without the code that printed them."""
+    data = EXAMPLE.with_name("tiny-packed.c3gs").read_bytes()
+    assert agree(spec, data) == ""
+    scene = codec.parse(data).scene
+    assert codec.emit(scene) == data
+    for number in ("D.3", "D.4"):
+        for line in re.search(r"^```text\n(.*?)\n```", section(number), re.DOTALL | re.MULTILINE)[1].splitlines():
+            assert bytes.fromhex(re.sub(r"^[A-Za-z]+ +", "", line)) in data
+    printed = rows(section("D.3"))
+    models = {int(r[0]): [int(f) for f in r[1].split(", ")] for r in printed if len(r) == 2}
+    assert scene.position_model is not None
+    assert all(scene.position_model.frequency[n].tolist() == found for n, found in models.items())
+    cells: dict[tuple[int, str], list[int]] = {}
+    for row, index in coded([r for r in printed if len(r) == 9], 3):
+        assert [int(n) % 4 for n in row[8].split(", ") if n] == [i for i in range(4) if index >> i & 1]
+        cells.setdefault((int(row[0]), row[1]), []).append(index)
+        assert sum(models[int(row[2])][:index]) == int(row[5].split()[1])
+    nodes = [(0, 0, 0)]
+    for level in range(15, -1, -1):
+        halves = [cells[level, str(node)] for node in nodes]
+        nodes = [
+            (2 * x + (k & 1), 2 * y + (k >> 1 & 1), 2 * z + (k >> 2))
+            for (x, y, z), (low, high) in zip(nodes, halves, strict=True)
+            for k in range(8)
+            if (low | high << 4) >> k & 1
+        ]
+    assert [[c - 2**15 for c in node] for node in nodes] == scene.positions.tolist()
+    printed, model = rows(section("D.4")), re.search(r"^LayerModel +(.*)$", section("D.4"), re.MULTILINE)[1]
+    symbols = [int(row[-1]) for row, _ in coded([r for r in printed if len(r) == 10], 4)]
+    exponents = list(accumulate(symbols[:3], initial=int.from_bytes(bytes.fromhex(model)[2:4], "little")))[1:]
+    pairs = zip(symbols[6::2], symbols[7::2], strict=True)
+    values = [[n * 2.0**-e for n in row] for e, row in zip(exponents, pairs, strict=True)]
+    biases = [n * 2.0**-e for e, n in zip(exponents, symbols[3:6], strict=True)]
+    weight, bias = scene.networks["colour"][1]
+    assert (values, biases) == (weight.tolist(), bias.tolist())
+    assert [(r[1], r[2]) for r in printed if len(r) == 3] == [
+        (", ".join(map(str, row)), str(b)) for row, b in zip(values, biases, strict=True)
+    ]
+
+
+@pytest.mark.parametrize("name", ["tiny-example", "tiny-packed"])
+def test_a_scene_as_text_gives_the_file(name: str) -> None:
+    """Annex D: the numbers of the JSON document, and nothing else, make the file."""
+    path = EXAMPLE.with_name(f"{name}.json")
+    doc = json.loads(path.read_text(encoding="utf-8"))
+
+    def of(kind: type, value: dict[str, Any]) -> Any:
+        return kind(**{k: tuple(v) if isinstance(v, list) else v for k, v in value.items()})
+
+    d, count = of(Dimensions, doc["dimensions"]), len(doc["anchors"])
+
+    def anchors(key: str, dtype: type, *shape: int) -> np.ndarray:
+        return np.array([anchor[key] for anchor in doc["anchors"]], dtype).reshape(count, *shape)
+
+    def array(key: str, dtype: type) -> np.ndarray | None:
+        return None if doc[key] is None else np.array(doc[key], dtype)
+
+    scene = Scene(
+        profile=doc["profile"],
+        dimensions=d,
+        chunk_size=doc["chunk_size"],
+        lanes=of(Lanes, doc["lanes_log2"]),
+        base_step=tuple(doc["base_step"]),
+        grid=of(PositionGrid, doc["position_grid"]),
+        render=of(RenderInfo, doc["render_info"]),
+        frame=doc["frame"] and Frame(**{k: np.array(v, np.int64) for k, v in doc["frame"].items()}),
+        plane_shift=doc["plane_shift"],
+        carm_shift=np.array(doc["carm_shift"], np.uint8),
+        networks={
+            network: [
+                (np.array(layer["weight"], np.float32).reshape(shape), np.array(layer["bias"], np.float32))
+                for layer, shape in zip(layers, d.network_shapes()[network], strict=True)
+            ]
+            for network, layers in doc["networks"].items()
+        },
+        planes=np.array(doc["planes"], np.int16).reshape(5, d.plane_channels, d.plane_size, d.plane_size),
+        mask_model=np.array(doc["mask_model"], np.uint16),
+        positions=anchors("position", np.float16, 3),
+        masks=anchors("mask", np.bool_, d.offset_count),
+        attributes=Attributes(
+            anchors("features", np.int32, d.features),
+            anchors("scalings", np.int32, 6),
+            anchors("offsets", np.int32, d.offset_count, 3),
+            anchors("step_index", np.uint8, 3),
+        ),
+        ancillary=tuple(
+            Ancillary(s["type"].encode(), s["mode"], bytes.fromhex(s["content"]), s["after"]) for s in doc["ancillary"]
+        ),
+        position_model=doc["position_model"]
+        and PositionModel(doc["cell_shift"], np.array(doc["position_model"], np.uint16)),
+        weight_scales=array("weight_scales", np.uint8),
+        weight_forms=array("weight_forms", np.uint8),
+        chunk_anchors=tuple(doc["chunk_anchors"]),
+        position_forms=doc["position_forms"] and tuple(doc["position_forms"]),
+    )
+    assert codec.emit(scene) == path.with_suffix(".c3gs").read_bytes()
 
 
 @pytest.mark.parametrize(
