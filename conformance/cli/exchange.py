@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import re
 from pathlib import Path
 from typing import Any
 
@@ -10,6 +11,7 @@ from refcodec import statuses
 from refcodec.files.text import printable
 
 from ..runner import encoders, fluster
+from .errors import UsageError
 from .shared import add_vectors, suite
 
 
@@ -23,15 +25,25 @@ def export_suite(arguments: argparse.Namespace) -> int:
 
 def check_encoder(arguments: argparse.Namespace) -> int:
     """Runs `conformance check-encoder`; returns its exit status. Raises the errors of `status_of`."""
+    contents = [p and p.read_bytes() for p in (arguments.reconstruction, arguments.probes)]
+    meant = encoders.Meant(arguments.expect, *contents)
+    if meant != encoders.Meant() and len(arguments.files) > 1:
+        raise UsageError("--expect, --reconstruction and --probes are for one file")
     wrong = 0
     for path in arguments.files:
-        verdict = encoders.examine(path.read_bytes())
+        verdict = encoders.examine(path.read_bytes(), meant)
         wrong += not verdict.good
         print(f"{'right' if verdict.good else 'WRONG'} {printable(str(path))}: {verdict.text}")
         for line in verdict.lines:
             print(f"    {line}")
     print(f"{len(arguments.files)} files, {wrong} wrong")
     return statuses.REJECTED if wrong else statuses.DONE
+
+
+def _sha256(text: str) -> str:
+    if not re.fullmatch("[0-9a-f]{64}", text.lower()):
+        raise argparse.ArgumentTypeError("must be a SHA-256 of 64 hexadecimal digits")
+    return text.lower()
 
 
 def add(commands: Any) -> None:
@@ -46,4 +58,11 @@ def add(commands: Any) -> None:
         "check-encoder", help="judge the files of another encoder: valid, canonical, the same result from both decoders"
     )
     encoder.add_argument("files", nargs="+", type=Path, metavar="FILE")
+    encoder.add_argument("--expect", type=_sha256, metavar="DIGEST", help="the digest of the scene that was meant")
+    encoder.add_argument(
+        "--reconstruction", type=Path, metavar="OUTPUT", help="the scene that was meant, as a decoder's output"
+    )
+    encoder.add_argument(
+        "--probes", type=Path, metavar="TRACE", help="the numbers that the encoder computed, as probes"
+    )
     encoder.set_defaults(run=check_encoder)

@@ -193,7 +193,7 @@ def of_trace(data: bytes, trace: bytes) -> tuple[Divergence | None, probes.Compa
         if row is None or text != f"{row.path} {row.value}":
             wrong, symbol = number, _wrong_symbol(rows, number, text, len(data))
             break
-    return symbol, probes.compare(scene, trace, wrong)
+    return symbol, probes.compare(probes.OfScene(scene), trace, wrong)
 
 
 def _wrong_symbol(rows: list[TraceRow], number: int, line: str | None, end: int) -> Divergence:

@@ -1,4 +1,4 @@
-"""Compares the probes of a trace, the numbers that a decoder writes beside the symbols, with the right numbers.
+"""Compares the probes of a trace, the numbers that a program writes beside the symbols, with the right numbers.
 
 conformance/README.md defines their form. A trace may be hostile: all reads are bounded.
 """
@@ -8,6 +8,7 @@ from __future__ import annotations
 import re
 from collections.abc import Iterator
 from dataclasses import dataclass, field
+from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -80,14 +81,49 @@ class Compared:
             yield f"probe: {self.fault}{more}"
 
 
+class Right(Protocol):
+    """The right numbers of a file.
+
+    anchors: N. packed: whether positions may be packed. whole: whether all numbers are known.
+    """
+
+    anchors: int
+    packed: bool
+    whole: bool
+
+    def __call__(self, anchor: int) -> tuple[dict[str, NDArray[np.int64]], int]:
+        """Returns the numbers of an anchor's block by name, and the row of the anchor in the block."""
+
+
+class OfTrace:
+    """The numbers that a decoder wrote of a file that it refused."""
+
+    whole = False
+
+    def __init__(self, trace: bytes, anchors: int, packed: bool) -> None:
+        self.anchors, self.packed = anchors, packed
+        self._numbers: dict[int, dict[str, NDArray[np.int64]]] = {}
+        for probe, line, _ in lines_of(trace):
+            form = _FORM.fullmatch(line.decode()) if probe else None
+            if form:
+                values = np.array([[int(value) for value in form[3].split()]], np.int64)
+                self._numbers.setdefault(int(form[2]), {})[form[1]] = values
+
+    def __call__(self, anchor: int) -> tuple[dict[str, NDArray[np.int64]], int]:
+        """Returns the numbers of an anchor by name, and 0."""
+        return self._numbers.get(anchor, {}), 0
+
+
 @dataclass
-class _Right:
+class OfScene:
     """The right numbers of a scene, computed on demand."""
 
     scene: Scene
     _blocks: dict[int, dict[str, NDArray[np.int64]]] = field(default_factory=dict)
+    whole = True
 
     def __post_init__(self) -> None:
+        self.anchors, self.packed = self.scene.anchor_count, self.scene.position_model is not None
         self._coding = Coding(self.scene)
 
     def __call__(self, anchor: int) -> tuple[dict[str, NDArray[np.int64]], int]:
@@ -107,7 +143,7 @@ def _kind(name: str) -> str:
     return head if head in ("samples", "slice") else name
 
 
-def _clauses(scene: Scene, name: str, doubtful: set[str], symbols: bool) -> tuple[str, ...]:
+def _clauses(packed: bool, name: str, doubtful: set[str], symbols: bool) -> tuple[str, ...]:
     """Returns the clauses to read for a wrong number.
 
     doubtful: the kinds of numbers that the trace lacks for the anchor. symbols: whether symbols precede the number; the
@@ -118,7 +154,7 @@ def _clauses(scene: Scene, name: str, doubtful: set[str], symbols: bool) -> tupl
     while waiting:
         kind = waiting.pop(0)
         found += _OWN[kind]
-        if kind == "P" and scene.position_model is not None:
+        if kind == "P" and packed:
             found.append("7.12")
         if kind == "samples" and not symbols:
             found.append("7.3")
@@ -126,13 +162,13 @@ def _clauses(scene: Scene, name: str, doubtful: set[str], symbols: bool) -> tupl
     return tuple(dict.fromkeys(found))
 
 
-def compare(scene: Scene, trace: bytes, wrong_symbol: int | None) -> Compared:
-    """Compares the probes of a trace with the numbers of the right scene, in the order of the trace.
+def compare(right: Right, trace: bytes, wrong_symbol: int | None) -> Compared:
+    """Compares the probes of a trace with the right numbers, in the order of the trace.
 
     wrong_symbol: the number of symbols before the first wrong one, None if all are right. Probes after it depend on it,
     and are not compared.
     """
-    right, compared, done, symbols, count = _Right(scene), Compared(), set[tuple[str, int]](), 0, 0
+    compared, done, symbols, count = Compared(), set[tuple[str, int]](), 0, 0
     written: dict[int, set[str]] = {}
     for number, (probe, line, whole) in enumerate(lines_of(trace), 1):
         if not probe:
@@ -144,6 +180,8 @@ def compare(scene: Scene, trace: bytes, wrong_symbol: int | None) -> Compared:
         if count > PROBES:
             break
         said = _read(line, whole, right, done)
+        if said is None:
+            continue
         if isinstance(said, str):
             compared.fault = compared.fault or f"line {number} of the trace: {said}"
             compared.faults += 1
@@ -153,7 +191,7 @@ def compare(scene: Scene, trace: bytes, wrong_symbol: int | None) -> Compared:
         kinds = written.setdefault(anchor, set())
         if differs is not None:
             doubtful = {_kind(known) for known in right(anchor)[0]} - kinds
-            clauses = _clauses(scene, name, doubtful, symbols > 0)
+            clauses = _clauses(right.packed, name, doubtful, symbols > 0)
             compared.first = Probe(name, anchor, differs, found[differs], wanted[differs], clauses)
             break
         kinds.add(_kind(name))
@@ -162,9 +200,12 @@ def compare(scene: Scene, trace: bytes, wrong_symbol: int | None) -> Compared:
 
 
 def _read(
-    line: bytes, whole: bool, right: _Right, done: set[tuple[str, int]]
-) -> tuple[str, int, list[int], list[int]] | str:
-    """Returns name, anchor, numbers and right numbers of a probe, or its fault. done: the names and anchors so far."""
+    line: bytes, whole: bool, right: Right, done: set[tuple[str, int]]
+) -> tuple[str, int, list[int], list[int]] | str | None:
+    """Returns name, anchor, numbers and right numbers of a probe, or its fault, or None if these are not known.
+
+    done: the names and anchors so far.
+    """
     if not whole:
         return f"a probe of more than {LINE_BYTES} bytes"
     text = line.decode("utf-8", "replace")
@@ -172,10 +213,12 @@ def _read(
     if form is None:
         return f"not a probe: {printable(text, _SHOWN)}"
     name, anchor, found = form[1], int(form[2]), [int(value) for value in form[3].split()]
-    if anchor >= right.scene.anchor_count:
-        return f"there is no anchor {anchor}: the file has {right.scene.anchor_count}"
+    if anchor >= right.anchors:
+        return f"there is no anchor {anchor}: the file has {right.anchors}"
     block, row = right(anchor)
     if name not in block:
+        if not right.whole:
+            return None
         return f"this file has no numbers {name}; it has {', '.join(block)}"
     if (name, anchor) in done:
         return f"{name}[{anchor}] is repeated"
