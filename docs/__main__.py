@@ -14,6 +14,7 @@ from pathlib import Path
 
 from refcodec.statuses import USAGE
 
+from . import whole
 from .stage import MANUAL, stage
 
 
@@ -36,7 +37,10 @@ def build(output: Path) -> int:
         stage(source)
         options = ["-q", "-W", "--keep-going", "-E", "-c", str(MANUAL), "-d", str(Path(folder) / "cache")]
         command = [sys.executable, "-m", "sphinx", "-b", "html", *options, str(source), str(output)]
-        return subprocess.run(command, check=False).returncode
+        status = subprocess.run(command, check=False).returncode
+    if status == 0:
+        whole.join(output / "spec")
+    return status
 
 
 if __name__ == "__main__":

@@ -11,7 +11,7 @@ import re
 import shutil
 from pathlib import Path
 
-from . import chapters
+from . import chapters, vectors, whole
 
 ROOT = Path(__file__).resolve().parents[1]
 MANUAL = ROOT / "docs"
@@ -57,11 +57,13 @@ def stage(folder: Path) -> None:
         _write(folder, path.stem, text + _contents() if path.stem == "index" else text, path)
     for name, page in PAGES.items():
         _write(folder, page, (ROOT / name).read_text(encoding="utf-8"), ROOT / name)
-    pages = "\n".join(chapter.name for chapter in chapters.chapters())
+    pages = "\n".join([*(chapter.name for chapter in chapters.chapters()), f"One page <{whole.NAME}>", "vectors"])
     contents = _CONTENTS.format(depth=2, caption="Chapters", pages=pages)
     _write(folder, "spec/index", chapters.introduction() + contents, ROOT / "SPEC.md")
     for chapter in chapters.chapters():
         _write(folder, f"spec/{chapter.name}", chapter.text, ROOT / "SPEC.md")
+    _write(folder, f"spec/{whole.NAME}", chapters.introduction() + whole.TEXT, ROOT / "SPEC.md")
+    _write(folder, "spec/vectors", vectors.page(), MANUAL / "specification.md")
 
 
 def _contents() -> str:

@@ -3,17 +3,22 @@
 from __future__ import annotations
 
 import importlib.util
+import json
 import re
+from collections import Counter
 from pathlib import Path
 
 import pytest
 
-from docs import chapters
+from docs import chapters, vectors
 from docs.__main__ import build
 from docs.stage import ORDER, stage
+from refcodec.bitstream.errors import REGISTRY
 from refcodec.inspect import specification
 
 BUILDER = ("sphinx", "myst_parser", "furo")
+# Of a requirement, of an error, and of a clause.
+PERMANENT = rf"[RDGE]{specification.CLAUSE}-\d+|e\d+|{specification.CLAUSE}"
 
 
 def test_chapters_are_the_whole_specification() -> None:
@@ -60,19 +65,88 @@ def test_staged_links_lead_somewhere(tmp_path: Path) -> None:
     stage(tmp_path)
     pages = {path.relative_to(tmp_path).with_suffix("").as_posix() for path in tmp_path.rglob("*.md")}
     ordered = {page for _, part in ORDER for page in part} | {"index"}
-    assert pages == ordered | {f"spec/{chapter.name}" for chapter in chapters.chapters()}
+    names = {chapter.name for chapter in chapters.chapters()} | {"whole", "vectors"}
+    assert pages == ordered | {f"spec/{name}" for name in names}
     for path in tmp_path.rglob("*.md"):
         bare = chapters.CODE.sub("", path.read_text(encoding="utf-8"))
         for place in re.findall(r"\]\(([^)#\s]+)", bare):
             assert "://" in place or (path.parent / place).is_file(), f"{path.name}: {place}"
 
 
+@pytest.fixture(scope="module")
+def site(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The site, built without a warning."""
+    if any(importlib.util.find_spec(name) is None for name in BUILDER):
+        pytest.skip("the extra `docs` is not installed")
+    folder = tmp_path_factory.mktemp("site")
+    assert build(folder) == 0
+    return folder
+
+
+def _ids(page: Path) -> Counter[str]:
+    return Counter(re.findall(r'<[^>]* id="([^"]*)"', page.read_text(encoding="utf-8")))
+
+
+def _permanent(page: Path) -> Counter[str]:
+    """The permanent anchors of a page, each as often as it is there."""
+    ids = _ids(page)
+    return Counter({name: ids[name] for name in ids if re.fullmatch(PERMANENT, name)})
+
+
 @pytest.mark.slow
-@pytest.mark.skipif(
-    any(importlib.util.find_spec(name) is None for name in BUILDER), reason="the extra `docs` is not installed"
-)
-def test_the_site_is_built_without_a_warning(tmp_path: Path) -> None:
-    assert build(tmp_path / "site") == 0
-    page = (tmp_path / "site" / "spec" / "07-decoding-process.html").read_text(encoding="utf-8")
-    assert 'href="06-semantics-and-limits.html#r6-8-4"' in page
-    assert (tmp_path / "site" / "index.html").is_file()
+def test_permanent_anchors(site: Path) -> None:
+    """Each clause, requirement and error has one anchor on the whole page and one on the pages of chapters."""
+    spec = specification.text()
+    stated = {*specification.requirements(spec), *(f"e{kind.code}" for kind in REGISTRY.values())}
+    anchors = Counter({*stated, *specification.clauses(spec)})
+    folder = site / "spec"
+    assert _permanent(folder / "whole.html") == anchors
+    pages = [_permanent(folder / f"{chapter.name}.html") for chapter in chapters.chapters()]
+    assert sum(pages, Counter()) == anchors
+    assert _permanent(folder / "vectors.html") == Counter(stated)
+    for name in ("r6-7-1", "67-frame"):
+        assert _ids(folder / "06-semantics-and-limits.html")[name] == _ids(folder / "whole.html")[name] == 1
+
+
+@pytest.mark.slow
+def test_links_of_the_specification_resolve(site: Path) -> None:
+    """Among them those of each requirement and error to its vectors, on both kinds of pages, and back."""
+    ids = {page: _ids(page) for page in (site / "spec").glob("*.html")}
+    seen = set()
+    for page in ids:
+        for place, anchor in re.findall(r'href="([^"#:]*)#([^"]*)"', page.read_text(encoding="utf-8")):
+            target = page if not place else (page.parent / place).resolve()
+            if anchor and target in ids:
+                assert ids[target][anchor] == 1, f"{page.name}: {place}#{anchor}"
+                seen.add((page.name, target.name, anchor))
+    assert max(ids[site / "spec" / "whole.html"].values()) == 1
+    for name in vectors.by_name():
+        home = chapters.page_of("103-registry" if name[0] == "e" else chapters.place_of(name))
+        for page in ("whole.html", f"{home}.html"):
+            assert (page, "vectors.html", name) in seen
+        assert ("vectors.html", f"{home}.html", name) in seen
+
+
+@pytest.mark.slow
+def test_vectors_of_a_requirement(site: Path) -> None:
+    text = (site / "spec" / "vectors.html").read_text(encoding="utf-8")
+    part = text[text.index('id="R6.7-1"') : text.index('id="R6.7-2"')]
+    assert len(re.findall("<tr><td>", part)) == len(vectors.by_name()["R6.7-1"]) > 1
+    assert "<td>402 frame.reserved at " in part
+
+
+@pytest.mark.slow
+def test_the_search_works_offline(site: Path) -> None:
+    """It finds requirements and errors. No page needs anything from elsewhere."""
+    index = json.loads((site / "searchindex.js").read_text(encoding="utf-8").removeprefix("Search.setIndex(")[:-1])
+    for words, page, anchor in (
+        ("r6.7-1", "spec/06-semantics-and-limits", "R6.7-1"),
+        ("frame.range", "spec/10-errors", "e401"),
+        ("401", "spec/10-errors", "e401"),
+    ):
+        assert [[index["docnames"][n], name] for n, name, _ in index["indexentries"][words]] == [[page, anchor]]
+    for path in site.rglob("*.html"):
+        remote = re.findall(
+            r'<(?:script|link|img|iframe)\b[^>]*?(?:src|href)="(?:https?:)?//[^"]*"', path.read_text("utf-8")
+        )
+        assert not remote, path.name
