@@ -41,7 +41,7 @@ from conformance.cases.scenes import (
 )
 from conformance.manifest import load
 from refcodec import bitstream
-from refcodec.bitstream import codec, context, directory, errors, reconstruction, syntax, tables
+from refcodec.bitstream import ancillary, codec, context, directory, errors, reconstruction, syntax, tables
 from refcodec.bitstream.attributes import Attributes
 from refcodec.bitstream.chunks import chunk_ranges
 from refcodec.bitstream.dimensions import RENDERING, Dimensions, weight_count, work
@@ -633,6 +633,18 @@ def model_bounds(models: tables.ModelSet, model: int) -> np.ndarray:
     """The slots at which the symbols of a model begin, and 2^14."""
     start, count = int(models.offset[model]), 2 * int(models.radius[model]) + 2
     return np.append(models.lower[start : start + count], 1 << 14).astype(np.int64)
+
+
+def test_ancillary_types() -> None:
+    """The letters are as 12.1 has them, and the type's clause of chapter 5 names the section."""
+    for kind, entry in ancillary.TYPES.items():
+        first, second, third, fourth = kind.decode("ascii")
+        assert first.islower(), kind
+        assert second.isupper(), kind
+        assert third.isupper(), kind
+        assert fourth.islower() == ancillary.is_safe_to_copy(kind), kind
+        clause = specification.own_clauses()[entry.tables[entry.head]]
+        assert clause.text.startswith(f"Section `{kind.decode()}`, mode 0:"), kind
 
 
 def test_container_numbers() -> None:
