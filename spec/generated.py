@@ -1,7 +1,7 @@
 """Makes the generated parts of SPEC.md.
 
-These are the hashes of artefacts, the registry of errors, profiles and levels, the digests of the tables, and the worked
-examples. vectors/tiny-example.md has parts, too.
+These are the hashes of artefacts, the registry of errors, profiles and levels, the digests of the tables, and the
+worked examples. vectors/tiny-example.md has parts, too.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ def artefacts() -> str:
     files = (
         (tables.TARGET, "the tables of Annex A"),
         (VECTORS / MANIFEST, "the list of the conformance suite, with the hashes of its files"),
-        (EXAMPLE, "the worked example of Annex D"),
+        (example.EXAMPLE, "the worked example of Annex D"),
     )
     return "\n".join(
         f"- `{path.name}`, {what}. Its SHA-256 is\n  `{hashlib.sha256(path.read_bytes()).hexdigest()}`."

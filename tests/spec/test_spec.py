@@ -6,8 +6,8 @@ import ast
 import builtins
 import hashlib
 import importlib
-import math
 import json
+import math
 import pkgutil
 import random
 import re
