@@ -32,7 +32,9 @@ class BoundPassedError(Exception):
             "work": "units of work may be needed",
             "memory": "bytes of memory may be needed",
         }
-        super().__init__(f"{needed} {what[bound]}, the caller's bound is {allowed}; this is no verdict on the file")
+        super().__init__(
+            f"{needed} {what[bound]}, but the caller's bound is {allowed}; this is not a verdict on the file"
+        )
 
 
 @dataclass(frozen=True)

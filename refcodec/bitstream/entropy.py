@@ -466,7 +466,7 @@ def require_limit(values: NDArray[np.integer], limit: int) -> None:
     """Raises ValueError for values to encode that exceed their limit."""
     most = max(int(values.max(initial=0)), -int(values.min(initial=0)))
     if most > limit:
-        raise ValueError(f"a symbol is {most}, at most {limit} is allowed (SPEC.md 8.5)")
+        raise ValueError(f"a symbol is {most}, but at most {limit} is allowed (SPEC.md 8.5)")
 
 
 class Encoder:

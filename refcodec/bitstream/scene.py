@@ -138,7 +138,7 @@ def check_types(value: object, kind: Any = Scene, path: str = "scene") -> None:
         origin, inner = inner[0], get_args(inner[0])
         origin = get_origin(origin) or origin
     if not isinstance(value, _ACCEPTED.get(origin, origin)):
-        raise TypeError(f"{path} is {value!r:.60}, {getattr(origin, '__name__', origin)} is required")
+        raise TypeError(f"{path} is {value!r:.60}, but must be {getattr(origin, '__name__', origin)}")
     if hasattr(origin, "__dataclass_fields__"):
         for name, hint in _hints(origin).items():
             check_types(getattr(value, name), hint, f"{path}.{name}")
@@ -148,7 +148,7 @@ def check_types(value: object, kind: Any = Scene, path: str = "scene") -> None:
     elif isinstance(value, tuple | list):
         of_each = len(inner) < 2 or inner[1] is ...
         if not of_each and len(value) != len(inner):
-            raise ValueError(f"{path} has {len(value)} values, {len(inner)} are required")
+            raise ValueError(f"{path} must have {len(inner)} values, but has {len(value)}")
         for i, item in enumerate(value):
             check_types(item, inner[0] if of_each else inner[i], f"{path}[{i}]")
 
@@ -197,24 +197,24 @@ def check_shapes(scene: Scene) -> None:
     if scene.position_model is not None:
         wanted["position_model"] = (scene.position_model.frequency, (POSITION_MODELS, HALVES), np.uint16)
     if list(scene.networks) != list(d.network_shapes()):
-        raise ValueError(f"networks are {list(scene.networks)}, the dimensions require {list(d.network_shapes())}")
+        raise ValueError(f"networks are {list(scene.networks)}, but the dimensions require {list(d.network_shapes())}")
     for name, shapes in d.network_shapes().items():
         if len(scene.networks[name]) != len(shapes):
             raise ValueError(
-                f"network {name} has {len(scene.networks[name])} layers, the dimensions require {len(shapes)}"
+                f"network {name} has {len(scene.networks[name])} layers, but the dimensions require {len(shapes)}"
             )
         for i, ((weight, bias), (out, fan_in)) in enumerate(zip(scene.networks[name], shapes, strict=True)):
             wanted[f"{name}.{i}.weight"] = (weight, (out, fan_in), np.float32)
             wanted[f"{name}.{i}.bias"] = (bias, (out,), np.float32)
     for name, (array, shape, dtype) in wanted.items():
         if array.shape != shape or array.dtype != dtype:
-            raise ValueError(f"{name} is {array.dtype}{list(array.shape)}, {np.dtype(dtype)}{list(shape)} is required")
+            raise ValueError(f"{name} is {array.dtype}{list(array.shape)}, but must be {np.dtype(dtype)}{list(shape)}")
     if scene.position_model is not None and not 0 <= scene.position_model.cell_shift <= CELL_INDEX:
         raise ValueError(
-            f"cell_shift is {scene.position_model.cell_shift}, 0 to {CELL_INDEX} is required (SPEC.md 6.10)"
+            f"cell_shift is {scene.position_model.cell_shift}, but must be 0 to {CELL_INDEX} (SPEC.md 6.10)"
         )
     if scene.chunk_size < 1:
-        raise ValueError(f"chunk_size is {scene.chunk_size}, at least 1 is required (SPEC.md 11.1)")
+        raise ValueError(f"chunk_size is {scene.chunk_size}, but must be at least 1 (SPEC.md 11.1)")
     if (scene.frame is not None) != d.has_frame:
         raise ValueError("a frame is required exactly if there are planes or frequencies (SPEC.md 6.6)")
     if scene.chunk_anchors is not None and (sum(scene.chunk_anchors) != n or min(scene.chunk_anchors, default=1) < 1):
@@ -226,7 +226,7 @@ def check_shapes(scene: Scene) -> None:
     wrong = next((form for form in scene.position_forms or () if form not in forms), None)
     if wrong is not None:
         allowed = " or ".join(map(str, forms))
-        raise ValueError(f"a form of positions is {wrong}, {allowed} is required: 0 raw, 1 packed (SPEC.md 5.14)")
+        raise ValueError(f"a form of positions is {wrong}, but must be {allowed} (0 raw, 1 packed) (SPEC.md 5.14)")
     if np.abs(scene.planes.astype(np.int32)).max(initial=0) > PLANE_SYMBOL_MAX:
         raise ValueError("a plane symbol is -32768 (SPEC.md 6.9)")
     if a.offsets[~scene.masks].any():

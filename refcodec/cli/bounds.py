@@ -41,14 +41,14 @@ def memory(text: str) -> int:
     """Returns a number of bytes, at least 1. The suffixes K, M and G stand for 2^10, 2^20 and 2^30."""
     match = re.fullmatch(r"([0-9]{1,18})([KMG]?)", text.upper())
     if match is None or not int(match[1]):
-        raise argparse.ArgumentTypeError(f"{text} found, a number of bytes such as 800M required")
+        raise argparse.ArgumentTypeError(f"must be a number of bytes such as 800M, not {text}")
     return int(match[1]) * _UNITS[match[2]]
 
 
 def number(text: str) -> int:
     """Returns a number of anchors or of units of work, at least 0."""
     if not re.fullmatch(r"[0-9]{1,18}", text):
-        raise argparse.ArgumentTypeError(f"{text} found, an integer from 0 required")
+        raise argparse.ArgumentTypeError(f"must be an integer of at least 0, not {text}")
     return int(text)
 
 
@@ -96,9 +96,9 @@ def check_bounds(arguments: argparse.Namespace, path: str, count: int, needed: i
     """
     most = vars(arguments).get("max_work")
     if most is not None and work > most:
-        raise UsageError(f"{path} may take {work} units of work, --max-work is {most}; {_NO_VERDICT}")
+        raise UsageError(f"{path} may take {work} units of work, but --max-work allows {most}; {_NO_VERDICT}")
     if arguments.max_anchors is not None and count > arguments.max_anchors:
-        raise UsageError(f"{path} has {count} anchors, --max-anchors is {arguments.max_anchors}; {_NO_VERDICT}")
+        raise UsageError(f"{path} has {count} anchors, but --max-anchors allows {arguments.max_anchors}; {_NO_VERDICT}")
     most = _most_memory(arguments)
     needed += _program(arguments)
     if most is not None and needed > most:
@@ -122,7 +122,9 @@ def _most_memory(arguments: argparse.Namespace) -> int | None:
 def _too_much(arguments: argparse.Namespace, path: str, needed: int) -> UsageError:
     most = _most_memory(arguments)
     default = " by default for a URL" if arguments.max_memory is None else ""
-    return UsageError(f"{path} may take {needed} bytes of memory, --max-memory is {most}{default}; {_NO_VERDICT}")
+    return UsageError(
+        f"{path} may take {needed} bytes of memory, but --max-memory allows {most}{default}; {_NO_VERDICT}"
+    )
 
 
 def reader_bounds(arguments: argparse.Namespace) -> Bounds | None:

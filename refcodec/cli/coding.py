@@ -111,7 +111,7 @@ def _report_damage(path: str, chunks: int, written: Written) -> int:
         for number, error in sorted(written.damage.items()):
             note(f"chunk {number} with {counted(written.lost[number], 'anchor')} is dropped: {error}")
         lost = counted(sum(written.lost.values()), "anchor")
-        note(f"{len(written.damage)} of {chunks} chunks and {lost} are lost, {written.anchors:,} are written")
+        note(f"{len(written.damage)} of {chunks} chunks and {lost} are lost, and {written.anchors:,} are written")
     elif written.error:
         note("no chunk is damaged, but another part of the file is")
     return reject(path, written.error) if written.error else 0
@@ -177,7 +177,7 @@ def _chunks(text: str) -> range:
     """Returns the chunk numbers of A:B."""
     match = re.fullmatch(r"([0-9]{1,9}):([0-9]{1,9})", text)
     if match is None or int(match[1]) >= int(match[2]):
-        raise argparse.ArgumentTypeError(f"{text} found, A:B with A below B required")
+        raise argparse.ArgumentTypeError(f"must be A:B with A below B, not {text}")
     return range(int(match[1]), int(match[2]))
 
 

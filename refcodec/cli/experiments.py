@@ -197,7 +197,7 @@ def _add_rd(commands: Any) -> None:
             "rd photographs -o curve --anchors 20000 --holdout 5 --set masks.epsilon=0.0004",
         ],
         "DIR gets rd.csv, rd.png, and for each rate a scene folder, a file and its figures. The same command\n"
-        "continues after an interruption, and repeats nothing. Options of train apply to all trainings.\n"
+        "continues after an interruption, and repeats nothing. Options of train apply to all training runs.\n"
         "Needs: pip install 'refcodec[train,render,rd]'.",
         parents=[train_options.parser()],
     )

@@ -333,7 +333,7 @@ def whole(text: str) -> int:
     """Returns an integer of at least 0."""
     value = int(text)
     if value < 0:
-        raise argparse.ArgumentTypeError(f"{text} found, at least 0 required")
+        raise argparse.ArgumentTypeError(f"must be at least 0, not {text}")
     return value
 
 
@@ -341,7 +341,7 @@ def positive(text: str) -> int:
     """Returns an integer of at least 1."""
     value = int(text)
     if value < 1:
-        raise argparse.ArgumentTypeError(f"{text} found, at least 1 required")
+        raise argparse.ArgumentTypeError(f"must be at least 1, not {text}")
     return value
 
 
@@ -349,7 +349,7 @@ def seed(text: str) -> int:
     """Returns an integer from 0 to 2^63 - 1, the range of all random generators."""
     value = int(text)
     if not 0 <= value < 1 << 63:
-        raise argparse.ArgumentTypeError(f"{text} found, 0 to 2^63 - 1 allowed")
+        raise argparse.ArgumentTypeError(f"must be from 0 to 2^63 - 1, not {text}")
     return value
 
 
@@ -357,7 +357,7 @@ def weight(text: str) -> float:
     """Returns a number from 0 to 1."""
     value = float(text)
     if not 0 <= value <= 1:
-        raise argparse.ArgumentTypeError(f"{text} found, 0 to 1 allowed")
+        raise argparse.ArgumentTypeError(f"must be from 0 to 1, not {text}")
     return value
 
 
@@ -365,7 +365,7 @@ def length(text: str) -> float:
     """Returns a finite number above 0."""
     value = float(text)
     if not 0 < value < float("inf"):
-        raise argparse.ArgumentTypeError(f"{text} found, a number above 0 required")
+        raise argparse.ArgumentTypeError(f"must be a number above 0, not {text}")
     return value
 
 
@@ -373,7 +373,7 @@ def rate(text: str) -> float:
     """Returns a rate, the lambda_r of the paper, above 0 and at most 1."""
     value = float(text)
     if not 0 < value <= 1:
-        raise argparse.ArgumentTypeError(f"{text} found, above 0 to 1 allowed")
+        raise argparse.ArgumentTypeError(f"must be above 0 and at most 1, not {text}")
     return value
 
 
@@ -381,7 +381,7 @@ def fit_rate(text: str) -> float:
     """Returns the lambda_r of a fit, from 10^-6 to 1."""
     value = float(text)
     if not 1e-6 <= value <= 1:
-        raise argparse.ArgumentTypeError(f"{text} found, 0.000001 to 1 allowed")
+        raise argparse.ArgumentTypeError(f"must be from 0.000001 to 1, not {text}")
     return value
 
 

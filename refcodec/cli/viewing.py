@@ -139,7 +139,7 @@ def _view(arguments: argparse.Namespace) -> int:
 def _port(text: str) -> int:
     value = int(text)
     if not 0 <= value <= 65535:
-        raise argparse.ArgumentTypeError(f"{text} found, 0 to 65535 allowed")
+        raise argparse.ArgumentTypeError(f"must be from 0 to 65535, not {text}")
     return value
 
 

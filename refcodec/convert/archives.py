@@ -43,7 +43,7 @@ def opened_zip(file: Path, wanted: str, advice: str) -> Iterator[zipfile.ZipFile
             archive = zipfile.ZipFile(opened)
         # zipfile raises several types for bad bytes.
         except (zipfile.BadZipFile, ValueError, NotImplementedError) as error:
-            problem = f"it is no {wanted} ({printable(str(error).partition(chr(10))[0], 120)})"
+            problem = f"it is not a {wanted} ({printable(str(error).partition(chr(10))[0], 120)})"
             raise SceneFolderError(file, problem, advice) from None
         opened.whole = True
         with archive:

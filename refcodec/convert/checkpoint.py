@@ -122,7 +122,7 @@ def _check_header(ply: Path) -> None:
     except PlyError as error:
         raise SceneFolderError(ply, f"it is not a readable PLY file ({error})", _ADVICE) from None
     if count > ANCHORS_MAX:
-        problem = f"it has {count} anchors, at most {ANCHORS_MAX} are allowed (SPEC.md 11.2)"
+        problem = f"it has {count} anchors, but at most {ANCHORS_MAX} are allowed (SPEC.md 11.2)"
         raise SceneFolderError(ply, problem, "train the model with fewer")
     level = next((name for name in LEVELS if name in names), None)
     if level:
@@ -135,13 +135,13 @@ def _check_sizes(ply: Path, cloud: AnchorCloud, settings: ModelSettings) -> None
     offsets, features = cloud.masks.shape[1], cloud.features.shape[1]
     low, high = PROFILES[MAIN].offset_count
     if not low <= offsets <= high:
-        problem = f"its anchors have {offsets} offsets, {low} to {high} are allowed (SPEC.md 11.1)"
+        problem = f"its anchors have {offsets} offsets, but must have {low} to {high} (SPEC.md 11.1)"
         raise SceneFolderError(ply, problem, "train the model with fewer")
     if features > FEATURES_MAX:
-        problem = f"its anchors have {features} features, at most {FEATURES_MAX} are allowed (SPEC.md 11.1)"
+        problem = f"its anchors have {features} features, but at most {FEATURES_MAX} are allowed (SPEC.md 11.1)"
         raise SceneFolderError(ply, problem, "train the model with fewer")
     if settings.features not in (None, features):
-        problem = f"its anchors have {features} features, {SETTINGS_FILE} says {settings.features}"
+        problem = f"its anchors have {features} features, but {SETTINGS_FILE} states {settings.features}"
         raise SceneFolderError(ply, problem, "give the whole folder of one training")
 
 
@@ -182,7 +182,7 @@ def _networks(folder: Path, cloud: AnchorCloud, appearance: int | None) -> tuple
         extra = 0 if embedding is None or name != RENDERING[2] else embedding.shape[1]
         inputs = first[0].shape[1] - features - VIEW
         if inputs not in (extra, extra + 1):
-            wanted = f"{features + VIEW + extra}, or one more with the distance, are required"
+            wanted = f"it must have {features + VIEW + extra}, or one more with the distance"
             raise SceneFolderError(file, f"{own} has {first[0].shape[1]} inputs; {wanted}", _ADVICE)
         code = None if embedding is None or not extra else _code(file, embedding, appearance)
         networks[name] = [_first_layer(first, features, inputs > extra, code), last]
@@ -239,7 +239,9 @@ def _layers(file: Path, name: str, stored: Parameters, outputs: int) -> tuple[La
     inputs = weights[0].shape[1] if weights[0].ndim == 2 else 0
     for number, weight, bias, shape in zip((0, 2), weights, biases, ((hidden, inputs), (outputs, hidden)), strict=True):
         if weight.shape != shape or bias.shape != shape[:1] or not weight.size:
-            problem = f"{name}.{number} has the shapes {weight.shape} and {bias.shape}, {shape} is required"
+            problem = (
+                f"{name}.{number} has the shapes {weight.shape} and {bias.shape}, but must have {shape} and {shape[:1]}"
+            )
             raise SceneFolderError(file, problem, _ADVICE)
         if not (np.isfinite(weight).all() and np.isfinite(bias).all()):
             raise SceneFolderError(file, f"{name}.{number} has a number that is NaN or infinite", _ADVICE)
@@ -269,7 +271,7 @@ def _of_one_width(file: Path, networks: dict[str, list[Layer]]) -> dict[str, lis
     width = max(len(layers[0][1]) for layers in networks.values())
     most = PROFILES[MAIN].render_width[1]
     if width > most:
-        problem = f"a network has {width} hidden units, at most {most} are allowed (SPEC.md 11.1)"
+        problem = f"a network has {width} hidden units, but at most {most} are allowed (SPEC.md 11.1)"
         raise SceneFolderError(file, problem, "train the model with fewer features")
     padded: dict[str, list[Layer]] = {}
     for name, ((weight, bias), (last, end)) in networks.items():

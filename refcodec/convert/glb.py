@@ -72,13 +72,13 @@ class _Gltf:
         """Returns an object of a list by its number."""
         entries = self.items(name)
         if type(number) is not int or not 0 <= number < len(entries):
-            raise self.fault(f"its {name} have no number {printable(repr(number), 20)}")
+            raise self.fault(f"its list {name} has no entry {printable(repr(number), 20)}")
         return entries[number]
 
     def integer(self, fields: dict[str, Any], name: str, default: int, low: int, high: int) -> int:
         value = fields.get(name, default)
         if type(value) is not int or not low <= value <= high:
-            raise self.fault(f"a {name} is {printable(repr(value), 20)}, an integer from {low} to {high} is required")
+            raise self.fault(f"a {name} is {printable(repr(value), 20)}, but must be an integer from {low} to {high}")
         return value
 
     def column(self, attributes: dict[str, Any], name: str, width: int, count: int | None) -> NDArray[np.float64]:
@@ -95,7 +95,9 @@ class _Gltf:
             or "bufferView" not in accessor
             or (dtype.kind != "f" and not accessor.get("normalized"))
         ):
-            raise self.fault(f"its {name} is sparse or not normalized, which is not supported")
+            raise self.fault(
+                f"its {name} is sparse or not normalized, but must be dense, and normalized if it holds integers"
+            )
         view = self.item("bufferViews", accessor["bufferView"])
         stated = self.integer(accessor, "count", 0, 0, DATA_MAX)
         if count is None:
@@ -126,13 +128,13 @@ def _primitive(gltf: _Gltf) -> tuple[int, dict[str, Any]]:
             if isinstance(extensions, dict) and isinstance(extensions.get(EXTENSION), dict):
                 found.append((number, primitive))
     if len(found) != 1:
-        raise gltf.fault(f"it has {len(found)} primitives with {EXTENSION}, 1 is required")
+        raise gltf.fault(f"it has {len(found)} primitives with {EXTENSION}, but must have exactly 1")
     number, primitive = found[0]
     extension = primitive["extensions"][EXTENSION]
     for name, wanted in SPACE.items():
         if extension.get(name, wanted) != wanted:
             stated = printable(repr(extension[name]), 40)
-            raise gltf.fault(f"its {name} is {stated}, only {wanted!r} is supported")
+            raise gltf.fault(f"its {name} is {stated}, but only {wanted!r} is supported")
     if extension.get("extensions"):
         raise gltf.fault("its Gaussians are compressed by another extension, which is not supported")
     if not isinstance(primitive.get("attributes"), dict):

@@ -48,7 +48,7 @@ def read_settings(file: Path) -> ModelSettings:
     with file.open("rb") as opened:
         data = opened.read(SETTINGS_MAX + 1)
     if len(data) > SETTINGS_MAX or not data.lstrip().startswith(b"Namespace("):
-        problem = f"it is no text Namespace(...) of at most {SETTINGS_MAX} bytes"
+        problem = f"it is not a text Namespace(...) of at most {SETTINGS_MAX} bytes"
         raise SceneFolderError(file, problem, "restore the file, or remove it")
     text = data.decode("utf-8", "replace")
 

@@ -148,7 +148,7 @@ def _gaussians(archive: _Scene, size: int) -> Arrays:
     file = archive.file
     if archive.value("version") != VERSION:
         stated = printable(repr(archive.value("version")), 20)
-        raise SceneFolderError(file, f"it is SOG of version {stated}, version {VERSION} is supported", ADVICE)
+        raise SceneFolderError(file, f"it is SOG version {stated}, but only version {VERSION} is supported", ADVICE)
     count = archive.integer("count", (1 << 32) - 1)
     check_count(file, count, size)
 

@@ -25,7 +25,7 @@ def check_count(file: Path, count: int, size: int) -> None:
     if not count:
         raise SceneFolderError(file, "it has no Gaussians", ADVICE)
     if count > GAUSSIANS_MAX:
-        raise SceneFolderError(file, f"it has {count} Gaussians, at most {GAUSSIANS_MAX} are allowed", ADVICE)
+        raise SceneFolderError(file, f"it has {count} Gaussians, but at most {GAUSSIANS_MAX} are allowed", ADVICE)
     if count > max(size, DENSE_MAX):
         raise SceneFolderError(file, f"it states {count} Gaussians, but has only {size} bytes", ADVICE)
 

@@ -51,8 +51,8 @@ def _rest(file: Path, table: Any) -> int:
     """Returns the number of harmonics besides the first. Raises SceneFolderError for a number that fits no degree."""
     extra = sum(name.startswith("f_rest_") for name in names_of(table))
     if extra % 3 or extra // 3 not in REST:
-        wanted = ", ".join(str(3 * rest) for rest in REST)
-        raise SceneFolderError(file, f"it has {extra} coefficients f_rest, {wanted} are allowed", ADVICE)
+        wanted = " or ".join(str(3 * rest) for rest in REST)
+        raise SceneFolderError(file, f"it has {extra} coefficients f_rest, but must have {wanted}", ADVICE)
     return extra // 3
 
 
@@ -66,7 +66,7 @@ def _array(file: Path, table: Any, names: tuple[str, ...], kinds: str = "fiu") -
 
 def _column(file: Path, table: Any, name: str, kinds: str) -> NDArray[Any]:
     if name not in names_of(table) or table.dtype[name].kind not in kinds:
-        raise SceneFolderError(file, f"there is no property {name} of numbers, as splat files have", ADVICE)
+        raise SceneFolderError(file, f"it has no property {name} of the type of a splat file", ADVICE)
     return np.asarray(table[name])
 
 
@@ -124,7 +124,7 @@ def _packed_rest(file: Path, table: Any, count: int) -> NDArray[np.float64]:
         return np.zeros((count, 0, 3))
     rest = _rest(file, table)
     if len(table) != count:
-        raise SceneFolderError(file, f"its element sh has {len(table)} rows, {count} are required", ADVICE)
+        raise SceneFolderError(file, f"its element sh has {len(table)} rows, but must have {count}", ADVICE)
     values = _array(file, table, tuple(f"f_rest_{i}" for i in range(3 * rest)), "u").astype(np.float64)
     share = np.where(values == 0, 0, np.where(values == 255, 1, (values + 0.5) / 256))
     return ((share - 0.5) * 8).reshape(count, 3, rest).transpose(0, 2, 1)

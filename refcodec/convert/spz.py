@@ -40,7 +40,7 @@ def read_spz(file: Path) -> Arrays:
         raise SceneFolderError(file, "it is not an SPZ file", ADVICE)
     _, version, count, degree, fraction, _, streams = HEADER.unpack(first)
     if not ((packed and 1 <= version <= 3) or (not packed and version == 4)):
-        raise SceneFolderError(file, f"it is SPZ of version {version}, versions 1 to 4 are supported", ADVICE)
+        raise SceneFolderError(file, f"it is SPZ version {version}, but only versions 1 to 4 are supported", ADVICE)
     if degree >= len(REST) or fraction > 23:
         problem = f"it states harmonics of degree {degree} and {fraction} fractional bits; 3 and 23 are the most"
         raise SceneFolderError(file, problem, ADVICE)
@@ -82,11 +82,11 @@ def _unpacked(file: Path, data: bytes, count: int, sizes: list[int]) -> bytes:
     try:
         import zstandard  # noqa: PLC0415 (an extra)
     except ModuleNotFoundError:
-        problem = "it is SPZ of version 4, which is read with zstandard"
+        problem = "it is SPZ version 4, which requires zstandard"
         raise SceneFolderError(file, problem, "pip install 'refcodec[convert]', or convert it to PLY") from None
     start = TABLE.unpack_from(data, HEADER.size)[0] if len(data) >= HEADER.size + TABLE.size else len(data)
     if count != len(sizes) or start + count * STREAM.size > len(data):
-        raise SceneFolderError(file, f"it has {count} streams, {len(sizes)} complete ones are required", ADVICE)
+        raise SceneFolderError(file, f"it has {count} streams, but must have {len(sizes)} complete ones", ADVICE)
     place, streams = start + count * STREAM.size, []
     for number, wanted in enumerate(sizes):
         size, plain = STREAM.unpack_from(data, start + number * STREAM.size)

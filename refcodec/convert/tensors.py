@@ -110,7 +110,9 @@ def _floats(file: Path, network: str, values: Any) -> dict[str, NDArray[np.float
     for name, value in values.items():
         dense = isinstance(value, torch.Tensor) and value.layout == torch.strided and value.is_contiguous()
         if not dense or not value.is_floating_point() or 4 * value.numel() > TENSOR_MAX:
-            problem = f"{network}.{printable(str(name), 60)} is no array of floats of at most {TENSOR_MAX} bytes"
+            problem = (
+                f"{network}.{printable(str(name), 60)} is not a dense tensor of floats of at most {TENSOR_MAX} bytes"
+            )
             raise SceneFolderError(file, problem, AGAIN)
     return {str(name): value.detach().to(torch.float32).numpy() for name, value in values.items()}
 
@@ -124,7 +126,9 @@ def read_torchscript(file: Path) -> dict[str, NDArray[np.float32]]:
         module = _Machine(file, classes=True).run(_operations(file, _pickle(file, archive)))
         stored = dict(_parameters(file, module))
         if len(stored) > TENSORS_MAX:
-            raise SceneFolderError(file, f"it has {len(stored)} parameters, at most {TENSORS_MAX} are allowed", AGAIN)
+            raise SceneFolderError(
+                file, f"it has {len(stored)} parameters, but at most {TENSORS_MAX} are allowed", AGAIN
+            )
         return {name: _tensor(file, archive, name, tensor) for name, tensor in stored.items()}
 
 
@@ -153,7 +157,7 @@ def _record(file: Path, archive: zipfile.ZipFile, name: str, most: int) -> bytes
     """
     entries = [entry for entry in archive.infolist() if entry.filename.partition("/")[2] == name]
     if len(entries) != 1:
-        raise SceneFolderError(file, f"it has {len(entries)} entries {printable(name)}, 1 is required", AGAIN)
+        raise SceneFolderError(file, f"it has {len(entries)} entries {printable(name)}, but must have exactly 1", AGAIN)
     if entries[0].compress_type != zipfile.ZIP_STORED or entries[0].file_size > most:
         raise SceneFolderError(file, f"its entry {printable(name)} is compressed, or has more than {most} bytes", AGAIN)
     try:
@@ -180,7 +184,7 @@ def _line(error: Exception) -> str:
 
 
 def _names(file: Path, what: str) -> SceneFolderError:
-    problem = f"its pickle names {printable(what, 80)}, which is no tensor: nothing of it was run"
+    problem = f"its pickle names {printable(what, 80)}, which is not a tensor: nothing of it was run"
     return SceneFolderError(file, problem, "give a checkpoint that torch.save wrote of state dicts")
 
 
@@ -326,7 +330,7 @@ class _Machine:
             raise _names(self.file, function.name)
         (storage, key), offset, shape, stride = arguments[:4]
         if len(shape) > SIDES_MAX:
-            problem = f"its pickle has a tensor of {len(shape)} sides, at most {SIDES_MAX} are allowed"
+            problem = f"its pickle has a tensor of {len(shape)} dimensions, but at most {SIDES_MAX} are allowed"
             raise SceneFolderError(self.file, problem, AGAIN)
         if len(shape) != len(stride) or not all(type(v) is int and v >= 0 for v in (offset, *shape, *stride)):
             raise ValueError
@@ -362,7 +366,9 @@ def _tensor(file: Path, archive: zipfile.ZipFile, name: str, stored: _Stored) ->
     in_order = all(side == 1 or s == t for side, s, t in zip(stored.shape, stored.stride, stride[::-1], strict=True))
     count = math.prod(stored.shape)
     if kind is None or not in_order or not 0 < 4 * count <= TENSOR_MAX:
-        problem = f"its parameter {printable(name, 60)} is no array of floats in order, of {TENSOR_MAX} bytes at most"
+        problem = (
+            f"its parameter {printable(name, 60)} is not a contiguous tensor of floats of at most {TENSOR_MAX} bytes"
+        )
         raise SceneFolderError(file, problem, AGAIN)
     data = _record(file, archive, f"data/{stored.key}", TENSOR_MAX)
     size = np.dtype(kind).itemsize

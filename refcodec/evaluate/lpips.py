@@ -73,7 +73,7 @@ class Lpips:
             height, width = photograph.shape[:2]
             raise PhotographError(
                 "LPIPS",
-                f"images of {width} x {height}, sides of {SIDE_MIN} pixels or more are required",
+                f"the images have {width} x {height} pixels, but each side must have at least {SIDE_MIN}",
                 "use a larger --size",
             )
         both = np.stack([np.clip(np.asarray(made, np.float32), 0, 1), photograph.astype(np.float32) / 255])

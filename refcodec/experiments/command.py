@@ -70,7 +70,7 @@ def run_experiment(options: Options) -> int:
         for line in outcome.text.splitlines():
             note(line)
     if stopped or watch.interrupted:
-        words = f"stopped with {watch.done} of {len(chosen)} cells done; the same command goes on"
+        words = f"stopped with {watch.done} of {len(chosen)} cells done; run the same command again to continue"
         note(f"refcodec: {words}")
         return statuses.INTERRUPTED
     if watch.failed:
@@ -111,6 +111,6 @@ def _missing(every: Sequence[Cell], state: State) -> str:
         names = [cell.name for cell in state.missing]
         lines.append(f"{len(names)} of {len(every)} cells are missing: {named(names)}.")
     if state.unknown:
-        where = f"Photographs are not there for scenes {named(state.unknown)}"
+        where = f"The photographs of these scenes are missing: {named(state.unknown)}"
         lines.append(f"{where}: their results are not compared with them.")
     return " ".join(lines)

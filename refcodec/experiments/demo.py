@@ -137,9 +137,9 @@ def _run(demo: Demo) -> tuple[Path, bool]:
         runner = Runner(notes, show, jobs=2)
         whole = runner.run([[command] for command in trainings])
         if not all(has(command.output) for command in trainings):
-            raise RunError("stopped before both trainings had a scene to show; the same command goes on", 130)
+            raise RunError("stopped before both training runs had a scene; run the same command again to continue", 130)
         if not runner.run(rest):
-            raise RunError("stopped; the same command goes on", 130)
+            raise RunError("stopped; run the same command again to continue", 130)
     result = collect(demo, notes)
     path = demo.path(PAGE)
     write_file(path, page(result).encode())
@@ -152,7 +152,7 @@ def check_decoder(demo: Demo) -> str:
     decoded = read_result(demo.path("decoded") / SCENE_FILE, lambda found: isinstance(found["digest"]["whole"], str))
     after = decoded["digest"]["whole"]
     if before != after:
-        raise RunError(f"the decoder's scene is another one than the encoder's: SHA-256 {after} and {before}", 70)
+        raise RunError(f"the decoded scene differs from the encoded one: SHA-256 {after} instead of {before}", 70)
     return before
 
 

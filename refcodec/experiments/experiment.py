@@ -25,7 +25,7 @@ from .work import Outcome, Task
 
 FORMAT = "C3GS experiment"
 MARK, COPY, PHOTOGRAPHS = "experiment.json", "experiment.toml", "photographs.json"
-# Of all the cells that are missing or have failed, so many are named.
+# The largest number of missing or failed cells that are named.
 _NAMED = 20
 
 

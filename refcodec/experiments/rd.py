@@ -86,7 +86,9 @@ def _run(
         write_table(settings.folder / TABLE, rows)
         write_chart(settings.folder / CHART, {settings.folder.name: rows} | ({str(against): other} if other else {}))
     if not whole:
-        raise RunError(f"stopped with {len(rows)} of {len(rates)} rates done; the same command goes on", 130)
+        raise RunError(
+            f"stopped with {len(rows)} of {len(rates)} rates done; run the same command again to continue", 130
+        )
     return rows, compare(other, rows) if other else None
 
 

@@ -197,7 +197,7 @@ class Notes:
         return float(self.commands[name].get("processor_seconds", 0.0))
 
     def begin(self, command: Command) -> None:
-        """What was made from an earlier output is no longer done."""
+        """Notes that a command begins. Results made from its earlier output no longer count as done."""
         with self._lock:
             goes_on = self.can_resume(command)
             before = (self.seconds(command.name), self.processor_seconds(command.name)) if goes_on else (0.0, 0.0)
@@ -232,7 +232,7 @@ class Runner:
 
     show: gets the subject of a command and each line that it writes to stderr. held: file descriptors that the
     processes inherit. Under run(), the signals of files.interrupts are passed on to the processes as SIGINT, so that
-    trainings keep what they have; a second one kills them.
+    training runs save their state. A second signal kills them.
     """
 
     def __init__(self, notes: Notes, show: Show, jobs: int, held: tuple[int, ...] = ()) -> None:
@@ -262,7 +262,7 @@ class Runner:
             yield
 
     def stop(self, number: int) -> None:
-        """Sends a signal to the processes that run, and begins no other."""
+        """Sends a signal to the running processes, and starts no more."""
         # No lock: a handler may interrupt the thread that holds it.
         self._stopped = True
         for process in tuple(self._running):
@@ -279,17 +279,17 @@ class Runner:
                 return
 
     def _one(self, command: Command) -> bool:
-        """Whether it came to its end. Raises RunError if it failed."""
+        """Runs a command. Returns whether it finished. Raises RunError if it failed."""
         resume = ["--resume"] if self.notes.can_resume(command) else []
         if command.state is not None and not resume:
-            # Of other arguments: the command would not begin as long as it is there.
+            # The state belongs to other arguments. The command does not start while it exists.
             command.state.unlink(missing_ok=True)
         self.notes.begin(command)
         began = time.perf_counter()
         with contextlib.ExitStack() as stack:
             stage = stack.enter_context(Stage())
             printed = stage.open(command.output) if command.printed else subprocess.DEVNULL
-            # In a group of its own, a process gets Ctrl-C once, from here.
+            # In its own process group, the process receives Ctrl-C only once, from stop().
             process = stack.enter_context(
                 subprocess.Popen(
                     [*PROGRAM, *command.arguments, *command.free, *resume],
@@ -309,7 +309,7 @@ class Runner:
             for line in process.stderr:
                 last = [*last[1 - _LAST_LINES :], line.rstrip()]
                 self.show(command.subject, f"{command.arguments[0]}: {line.strip()}")
-            # As process.wait(), and with the seconds of processors.
+            # Like process.wait(), but also returns the processor time.
             _, ended, used = os.wait4(process.pid, 0)
             process.returncode = status = os.waitstatus_to_exitcode(ended)
             self._running.discard(process)
@@ -324,16 +324,16 @@ class Runner:
             return False
         if resume and status == statuses.USAGE:
             return self._anew(command)
-        # One that fails ends the others, which keep what they have.
+        # If one command fails, the others are stopped and save their state.
         self.stop(signal.SIGINT)
         raise RunError("\n".join([f"this command failed: {command}", *last]), status if status > 0 else os.EX_SOFTWARE)
 
     def _anew(self, command: Command) -> bool:
-        """_one without the saved state, which the command may have refused. It is kept until it is of no use."""
+        """Calls _one without the saved state, which is restored unless the run saves another one or finishes."""
         assert command.state is not None
         aside = command.state.with_name(f"{command.state.name}.refused")
         command.state.replace(aside)
-        self.show(command.subject, f"{command.arguments[0]}: cannot go on, and begins anew")
+        self.show(command.subject, f"{command.arguments[0]}: cannot be resumed, and is restarted")
         try:
             return self._one(command)
         finally:
@@ -344,14 +344,14 @@ class Runner:
 
 
 def _send(process: subprocess.Popen[str], number: int) -> None:
-    # Not Popen.send_signal: that may take the end of a process away from the thread that waits for it.
+    # Popen.send_signal may reap the process before the thread that waits for it does.
     with contextlib.suppress(ProcessLookupError):
         os.kill(process.pid, number)
 
 
 @contextlib.contextmanager
 def shown(names: Sequence[str]) -> Iterator[Show]:
-    """Shows what commands say of each subject on stderr.
+    """Shows the stderr output of the commands, by subject.
 
     On a terminal each has a line, which is overwritten. Elsewhere lines follow each other.
     """

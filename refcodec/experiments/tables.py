@@ -29,7 +29,7 @@ Row = dict[str, Any]
 
 @dataclass(frozen=True)
 class Spread:
-    """Of several values: their mean, their sample standard deviation (NaN for one value), and how many they are."""
+    """The mean, the sample standard deviation (NaN for one value) and the number of some values."""
 
     mean: float
     deviation: float
@@ -99,7 +99,7 @@ class Delta:
 
 
 def deltas(rows: Sequence[Row], baseline: str) -> Iterator[Delta]:
-    """For each scene that the baseline trains, of every other method with rates. Curves of one seed are compared."""
+    """The deltas of every other method with rates, by scene of the baseline. Curves of the same seed are compared."""
     curves = grouped([one for one in rows if one["rate"] > 0], "scene", "method", "seed")
     for scene, method in dict.fromkeys((scene, method) for scene, method, _ in curves if method != baseline):
         rates, psnrs, reasons = {}, {}, {}
@@ -108,7 +108,7 @@ def deltas(rows: Sequence[Row], baseline: str) -> Iterator[Delta]:
             least = min(len(anchor), len(test))
             try:
                 if least < BD_POINTS:
-                    raise RunError(f"not enough points: {least}, {BD_POINTS} are needed")
+                    raise RunError(f"not enough points: {least}, but {BD_POINTS} are needed")
                 found = compare(anchor, test)
             except RunError as error:
                 reasons[seed] = str(error)
@@ -169,7 +169,7 @@ def _bd(rows: Sequence[Row], baseline: str, groups: Mapping[str, str]) -> Iterat
 
 
 def as_markdown(title: str, rows: Sequence[Row], missing: str, baseline: str | None, groups: Mapping[str, str]) -> str:
-    """All tables. missing: says which cells are not there, or nothing. groups: of scenes."""
+    """All tables. missing: text that names the missing cells, or empty. groups: of scenes."""
     lines = [f"# {title}", ""]
     lines += [missing, ""] if missing else []
     lines += [

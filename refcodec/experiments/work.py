@@ -21,10 +21,10 @@ from .cells import FORMAT, LOG, RESULT, WORK, hash_of, read_result
 from .runs import Command, Notes, OtherFolderError, RunError, Runner
 
 NOTES = "commands.json"
-# Seconds between two looks at whether to stop.
+# Seconds between two checks for a stop request.
 _LOOK = 0.2
 
-# Gives 0, or the signal that is to be sent to what runs.
+# Returns 0, or the signal to send to the running commands.
 Wanted = Callable[[], int]
 
 
@@ -42,7 +42,7 @@ class Task:
 
 @dataclass(frozen=True)
 class Outcome:
-    """What became of a task. status: an exit status (statuses.py). text: why it failed. seconds: that it took."""
+    """The outcome of a task. status: an exit status (statuses.py). text: why it failed. seconds: its duration."""
 
     name: str
     status: int
@@ -51,9 +51,9 @@ class Outcome:
 
 
 def run_cell(task: Task, wanted: Wanted) -> Outcome:
-    """Runs what is missing of a cell, and writes its result. It is called in any thread of any process.
+    """Runs the missing commands of a cell, and writes its result. It may be called in any thread and process.
 
-    What was interrupted goes on. What was made for another definition is removed first.
+    Interrupted commands are resumed. Results of another definition are removed first.
     """
     began = time.monotonic()
 
@@ -62,7 +62,9 @@ def run_cell(task: Task, wanted: Wanted) -> Outcome:
 
     try:
         if task.definition["refcodec"] != __version__:
-            raise RunError(f"refcodec is {__version__} here, and {task.definition['refcodec']} where the call was made")
+            raise RunError(
+                f"refcodec is {__version__} here, but {task.definition['refcodec']} at the caller: install one version"
+            )
         task.folder.mkdir(parents=True, exist_ok=True)
         with _locked(task.folder / "lock", wanted) as held:
             if held is None:
@@ -85,7 +87,7 @@ class _InterruptedError(Exception):
 
 @contextlib.contextmanager
 def _locked(path: Path, wanted: Wanted) -> Iterator[IO[str] | None]:
-    """A lock that the commands inherit: one that outlives its caller keeps it. Yields None if it is to stop first."""
+    """Holds a lock that the commands inherit, and keep beyond their caller. Yields None after a stop request."""
     with path.open("w") as file:
         while not _taken(file):
             if wanted():
@@ -109,7 +111,7 @@ def _run(task: Task, held: IO[str], wanted: Wanted) -> None:
     try:
         notes = Notes.open(work, NOTES, kind)
     except OtherFolderError:
-        # Of another definition, or damaged. What cannot be read is kept.
+        # The notes are of another definition, or damaged. Unreadable notes raise another error, and are kept.
         shutil.rmtree(work)
         notes = Notes.open(work, NOTES, kind)
     with (task.folder / LOG).open("a", encoding="utf-8") as log:
@@ -129,7 +131,7 @@ def _run(task: Task, held: IO[str], wanted: Wanted) -> None:
 
 @contextlib.contextmanager
 def _watched(runner: Runner, wanted: Wanted) -> Iterator[None]:
-    """Passes on the signal that is wanted, once each."""
+    """Forwards each requested signal once."""
     ended = threading.Event()
 
     def watch() -> None:

@@ -77,7 +77,7 @@ def _parsed(kind: str, parse: Callable[[str], Any], data: bytes | str, most: int
             if isinstance(value, int) and abs(value) >= 10**DIGITS_MAX:
                 raise DocumentError(f"an integer has more than {DIGITS_MAX} digits")
             if isinstance(value, float) and not math.isfinite(value):
-                raise DocumentError(f"a number is {value}, a finite one is required")
+                raise DocumentError(f"a number is {value}; only finite numbers are allowed")
             if isinstance(value, dict | list):
                 if depth == DEPTH_MAX:
                     raise DocumentError(f"nested deeper than {DEPTH_MAX}")

@@ -99,7 +99,7 @@ def read_ply(path: Path) -> dict[str, NDArray[Any]]:
             except ValueError as error:
                 raise PlyError(f"its element {name}: {error}") from None
             if len(tables[name]) != count:
-                raise PlyError(f"its element {name} has {len(tables[name])} rows, {count} are stated")
+                raise PlyError(f"its element {name} has {len(tables[name])} rows, but its header states {count}")
     return tables
 
 
@@ -147,7 +147,8 @@ def _header(path: Path, file: BinaryIO) -> tuple[str, list[_Element]]:
     properties = sum(len(element.fields) for element in elements)
     if len(elements) > ELEMENTS_MAX or properties > PROPERTIES_MAX:
         raise PlyError(
-            f"{len(elements)} elements with {properties} properties, {ELEMENTS_MAX} with {PROPERTIES_MAX} are allowed"
+            f"{len(elements)} elements with {properties} properties, but at most {ELEMENTS_MAX} with "
+            f"{PROPERTIES_MAX} are allowed"
         )
     if len(formats) != 1 or formats[0] not in _FORMATS:
         raise PlyError(f"its format must be one of {', '.join(_FORMATS)}")

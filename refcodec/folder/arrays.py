@@ -29,7 +29,7 @@ def read_arrays(file: Path, advice: str) -> dict[str, NDArray]:
         with file.open("rb") as opened:
             header = int.from_bytes(opened.read(8), "little")
         if header > HEADER_MAX:
-            raise SceneFolderError(file, f"its header has {header} bytes, {HEADER_MAX} are allowed", advice)
+            raise SceneFolderError(file, f"its header has {header} bytes, but at most {HEADER_MAX} are allowed", advice)
         return load_file(file)
     except SceneFolderError:
         raise

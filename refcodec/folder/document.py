@@ -55,7 +55,7 @@ class Document:
 
     def _checked(self, name: str, value: Any, low: int, high: int) -> int:
         if not isinstance(value, int) or isinstance(value, bool) or not low <= value <= high:
-            raise self.fault(name, f"is {_shown(value)}, an integer from {low} to {high} is required")
+            raise self.fault(name, f"is {_shown(value)}, but must be an integer from {low} to {high}")
         return value
 
     def integer(self, name: str, low: int, high: int) -> int:
@@ -79,7 +79,7 @@ class Document:
             with np.errstate(over="ignore"), contextlib.suppress(OverflowError):
                 number = np.float32(value)
         if not np.isfinite(number):
-            raise self.fault(name, f"is {_shown(value)}, a finite number is required")
+            raise self.fault(name, f"is {_shown(value)}, but must be a finite number")
         return float(number)
 
     def float(self, name: str) -> float:

@@ -146,10 +146,12 @@ def read_cloud(path: str | Path) -> AnchorCloud:
     count = len(names["f_offset_"]) // 3
     for stem, wanted in (("xyz", 3), ("f_offset_", 3 * max(count, 1)), ("scale_", SCALINGS)):
         if len(names[stem]) != wanted:
-            raise SceneFolderError(file, f"it has {len(names[stem])} properties {stem}*, {wanted} are required", advice)
+            raise SceneFolderError(
+                file, f"it has {len(names[stem])} properties {stem}*, but must have {wanted}", advice
+            )
     if len(names["f_mask_"]) not in (0, count):
         raise SceneFolderError(
-            file, f"it has {len(names['f_mask_'])} properties f_mask_*, {count} are required", advice
+            file, f"it has {len(names['f_mask_'])} properties f_mask_*, but must have {count}", advice
         )
     if not names["f_anchor_feat_"]:
         raise SceneFolderError(file, "it has no properties f_anchor_feat_*", advice)

@@ -128,7 +128,7 @@ def _read_document(doc: Document, d: Dimensions, profile: int, render: RenderInf
     """
     base_step = doc.floats("base_step", 3)
     if not all(BASE_STEP_MIN <= step <= BASE_STEP_MAX for step in base_step):
-        raise doc.fault("base_step", f"is {base_step}, {BASE_STEP_MIN} to {BASE_STEP_MAX} is allowed")
+        raise doc.fault("base_step", f"is {base_step}, but must be {BASE_STEP_MIN} to {BASE_STEP_MAX}")
     origin = doc.integers("grid.origin", 3, 1 - ORIGIN_BOUND, ORIGIN_BOUND - 1)
     grid = PositionGrid(
         (origin[0], origin[1], origin[2]),
@@ -205,7 +205,7 @@ def _read_chunks(doc: Document, n: int) -> tuple[tuple[int, ...] | None, tuple[i
     if "chunk_anchors" in doc.root:
         anchors = tuple(doc.integers("chunk_anchors", None, 1, max(n, 1)))
         if sum(anchors) != n:
-            raise doc.fault("chunk_anchors", f"adds up to {sum(anchors)}, anchor_count is {n}")
+            raise doc.fault("chunk_anchors", f"adds up to {sum(anchors)}, but anchor_count is {n}")
         if "position_forms" in doc.root:
             forms = tuple(doc.integers("position_forms", len(anchors), 0, 1))
     return anchors, forms
@@ -256,12 +256,12 @@ def _read_ancillary(doc: Document, path: Path) -> tuple[Ancillary, ...]:
         at = f"ancillary[{i}]"
         text = doc.value(f"{at}.type")
         if not isinstance(text, str) or not re.fullmatch("[a-z][A-Za-z]{3}", text):
-            raise doc.fault(f"{at}.type", f"is {text!r}, four letters are required, the first one in lower case")
+            raise doc.fault(f"{at}.type", f"is {text!r}, but must be four letters, the first one in lower case")
         kind = text.encode()
         # Only the expected name is allowed, so that scene.json cannot point outside the folder.
         name = ancillary_name(i, kind)
         if doc.value(f"{at}.file") != name:
-            raise doc.fault(f"{at}.file", f"is {doc.value(f'{at}.file')!r}, {name!r} is required")
+            raise doc.fault(f"{at}.file", f"is {doc.value(f'{at}.file')!r}, but must be {name!r}")
         advice = f'restore it, or delete its entry in "ancillary" of {SCENE_FILE}'
         if not there(path / name, advice):
             raise SceneFolderError(path / name, "the file is missing", advice)
@@ -285,7 +285,7 @@ def _tensors(file: Path, wanted: dict[str, tuple[tuple[int, ...], type[np.generi
             )
         (shape, dtype), array = wanted[name], arrays[name]
         if array.shape != shape or array.dtype != dtype:
-            problem = f"{name} is {array.dtype}{list(array.shape)}, {np.dtype(dtype)}{list(shape)} is required"
+            problem = f"{name} is {array.dtype}{list(array.shape)}, but must be {np.dtype(dtype)}{list(shape)}"
             raise SceneFolderError(file, problem, f"correct the array, or the numbers in {SCENE_FILE}")
     return arrays
 
@@ -357,14 +357,16 @@ def _compare_ply(scene: Scene, path: Path) -> None:
     advice = f"to encode {PLY_FILE} as it is now, delete {CODED_FILE}; to undo the change, decode again"
     columns = Columns(file)
     if columns.count != scene.anchor_count:
-        raise SceneFolderError(file, f"it has {columns.count} anchors, {CODED_FILE} has {scene.anchor_count}", advice)
+        raise SceneFolderError(
+            file, f"it has {columns.count} anchors, but {CODED_FILE} has {scene.anchor_count}", advice
+        )
     for stem, wanted in ply_values(reconstruct(scene), scene.masks).items():
         names = columns.names(stem)
         if not names and stem == "f_mask_":
             found = np.ones_like(wanted)
         elif len(names) != wanted.shape[1]:
             raise SceneFolderError(
-                file, f"it has {len(names)} properties {stem}*, {wanted.shape[1]} are required", advice
+                file, f"it has {len(names)} properties {stem}*, but must have {wanted.shape[1]}", advice
             )
         else:
             found = columns.array(names)
@@ -402,7 +404,7 @@ def _requantise(bare: Scene, path: Path) -> Scene:
         if found != wanted:
             raise SceneFolderError(
                 file,
-                f"its anchors have {found} {name}, {SCENE_FILE} states {wanted}",
+                f"its anchors have {found} {name}, but {SCENE_FILE} states {wanted}",
                 "use the point cloud that the networks fit",
             )
     try:

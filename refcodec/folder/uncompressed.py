@@ -131,7 +131,7 @@ def read_render_document(file: Path) -> tuple[RenderInfo, tuple[NamedCamera, ...
     render, cameras = read_render(document), _read_cameras(document)
     voxel = document.float("voxel") if "voxel" in document.root else None
     if voxel is not None and voxel <= 0:
-        raise document.fault("voxel", f"is {voxel}, a number above 0 is required")
+        raise document.fault("voxel", f"is {voxel}, but must be a number above 0")
     return render, cameras, voxel
 
 
@@ -144,7 +144,7 @@ def _read_cameras(doc: Document) -> tuple[NamedCamera, ...]:
         raise doc.fault("cameras", f"is not a list of at most {CAMERAS_MAX} cameras")
     found = tuple(_read_camera(doc, f"cameras[{number}]") for number in range(len(listed)))
     if len({camera.name for camera in found}) < len(found):
-        raise doc.fault("cameras", "has two cameras with one name")
+        raise doc.fault("cameras", "has two cameras with the same name; names must differ")
     return found
 
 

@@ -203,8 +203,8 @@ def summary(facts: dict[str, Any], name: str) -> Iterator[str]:
 def _undecided_lines(facts: dict[str, Any]) -> Iterator[str]:
     """Yields the lines for a file that was not decoded."""
     if "stated_bytes" in facts:
-        yield f"NOT WHOLE: the file has {facts['bytes']} bytes, its header states {facts['stated_bytes']}"
-    yield "not decoded; refcodec validate says whether the file is accepted, inspect --decode also gives the digest"
+        yield f"NOT WHOLE: the file has {facts['bytes']} bytes, but its header states {facts['stated_bytes']}"
+    yield "not decoded; refcodec validate reports whether the file is accepted, and inspect --decode also the digest"
 
 
 def _header_lines(facts: dict[str, Any], h: dict[str, Any]) -> Iterator[str]:

@@ -175,7 +175,7 @@ def kernel() -> Kernel | None:
     wanted, library, count = os.environ.get(PATH_VARIABLE), load(), threads()
     if wanted and wanted not in paths():
         there = ", ".join(paths())
-        raise UsageError(f"{PATH_VARIABLE} is {wanted!a}; here it may be one of: {there}")
+        raise UsageError(f"{PATH_VARIABLE} is {wanted!a}; on this machine it must be one of {there}")
     if library is None or wanted == NUMPY:
         return None
     found = list(variants(library))

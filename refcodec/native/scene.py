@@ -93,7 +93,7 @@ class NativeScene:
             description.slice_width[i] = width
         found = kernel.library.kernel_scene_new(ctypes.byref(description), _tables(kernel, tables), kernel.variant)
         if not found:
-            raise RuntimeError("the native kernel does not accept a scene that SPEC.md allows")
+            raise RuntimeError("the native kernel refused a scene that SPEC.md allows: please report this bug")
         self._scene = found
         weakref.finalize(self, kernel.library.kernel_scene_free, found)
 
@@ -165,7 +165,7 @@ class NativeScene:
         """SPEC 5.14: returns the form of positions and the parts of each chunk, and the status of each chunk.
 
         The status is DONE, REFUSED_FORM or REFUSED_STEPS. anchors: with valid symbols. counts: the anchors of each
-        chunk. forms: None packs the positions of each chunk that can be packed.
+        chunk. forms: None to pack the positions of every chunk whose positions can be packed.
         """
         held = Anchors(*(np.ascontiguousarray(array) for array in vars(anchors).values()))
         jobs, first = (Chunk * len(counts))(), 0
@@ -200,7 +200,7 @@ def _checked(verdicts: list[Verdict]) -> list[Verdict]:
     if NO_MEMORY in statuses:
         raise MemoryError("no memory for a chunk in the native kernel")
     if REFUSED in statuses:
-        raise RuntimeError("the native kernel refuses checked input")
+        raise RuntimeError("the native kernel refused validated input: please report this bug")
     return verdicts
 
 

@@ -23,7 +23,7 @@ _TEXT_MAX = 400
 
 
 def raw(html: str) -> Markup:
-    """Returns text that a template inserts as it is."""
+    """Returns text that a template inserts unescaped."""
     from markupsafe import Markup  # noqa: PLC0415
 
     return Markup(html)
@@ -54,7 +54,7 @@ def _environment(folder: Path) -> jinja2.Environment:
     environment = jinja2.Environment(
         loader=jinja2.FileSystemLoader([folder, _FOLDER]),
         autoescape=True,
-        # Texts from files cannot steer the page, nor a terminal that shows its source.
+        # Text from a file cannot inject markup into the page, or control codes into a terminal that shows its source.
         finalize=lambda value: printable(value, lines=True) if type(value) is str else value,
         undefined=jinja2.StrictUndefined,
         trim_blocks=True,

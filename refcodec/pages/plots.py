@@ -61,7 +61,7 @@ def _bar(left: float, width: float, height: float, title: str) -> tuple[float, f
 
 
 def _step(span: float, most: int) -> float:
-    """Returns the distance of at most so many round numbers that cover a span: 1, 2 or 5 times a power of ten."""
+    """Returns the tick step for a span: 1, 2 or 5 times a power of ten. most: the largest number of ticks."""
     rough = max(span, 1e-9) / most
     power = 10.0 ** math.floor(math.log10(rough))
     return next(m * power for m in (1, 2, 5, 10) if m * power >= rough * (1 - 1e-9))

@@ -67,7 +67,7 @@ def check_intrinsics(where: Path | str, camera: Camera, distortion: Distortion) 
     if not (1 <= camera.width <= SIDE_MAX and 1 <= camera.height <= SIDE_MAX):
         raise PhotographError(
             where,
-            f"an image of {camera.width} x {camera.height} pixels, 1 to {SIDE_MAX} are allowed",
+            f"the image has {camera.width} x {camera.height} pixels; each side must be 1 to {SIDE_MAX}",
             "correct the camera's size",
         )
     longer = max(camera.width, camera.height)
@@ -76,20 +76,20 @@ def check_intrinsics(where: Path | str, camera: Camera, distortion: Distortion) 
         if not FOCAL_MIN * longer <= focal <= FOCAL_MAX * longer:
             raise PhotographError(
                 where,
-                f"a focal length {name} of {focal} pixels, {FOCAL_MIN * longer:g} to {FOCAL_MAX * longer:g} are "
-                f"allowed for {camera.width} x {camera.height}",
+                f"the focal length {name} is {focal} pixels; for {camera.width} x {camera.height} it must be "
+                f"{FOCAL_MIN * longer:g} to {FOCAL_MAX * longer:g}",
                 "correct the camera's intrinsics",
             )
     for name, value in zip(("cx", "cy", "k1", "k2", "p1", "p2"), (camera.cx, camera.cy, *distortion), strict=True):
         if not np.isfinite(value):
             raise PhotographError(
-                where, f"{name} is {value}, a finite number is required", "correct the camera's intrinsics"
+                where, f"{name} is {value}, but must be a finite number", "correct the camera's intrinsics"
             )
     if not (-camera.width <= camera.cx <= 2 * camera.width and -camera.height <= camera.cy <= 2 * camera.height):
         raise PhotographError(
             where,
-            f"a principal point ({camera.cx:g}, {camera.cy:g}) more than one image away from an image of "
-            f"{camera.width} x {camera.height}",
+            f"the principal point ({camera.cx:g}, {camera.cy:g}) is outside the image of {camera.width} x "
+            f"{camera.height} by more than the size of the image",
             "correct the camera's intrinsics",
         )
 

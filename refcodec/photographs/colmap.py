@@ -142,7 +142,7 @@ def read_colmap(folder: Path, model: Path, size: Size) -> tuple[list[Shot], F64,
     if missing:
         raise PhotographError(
             images / missing[0],
-            f"the image is missing ({len(missing)} of {len(shots)} are that have a pose)",
+            f"the image is missing ({len(missing)} of the {len(shots)} images with a pose are missing)",
             "restore it, or remove its pose from the model",
         )
     pictures = (p for p in images.rglob("*") if p.suffix.lower() in IMAGE_SUFFIXES and p.is_file())
@@ -200,7 +200,7 @@ def _image_folder(folder: Path, shots: list[Shot], size: Size) -> Path:
 def _lens(where: str, model: str, width: int, height: int, parameters: list[float]) -> _Lens:
     count, make = MODELS[model]
     if len(parameters) != count:
-        raise PhotographError(where, f"{len(parameters)} parameters, {model} has {count}", RERUN)
+        raise PhotographError(where, f"it has {len(parameters)} parameters, but {model} has {count}", RERUN)
     intrinsics, distortion = make(*parameters)
     lens = _Lens(width, height, intrinsics, distortion)
     fx, fy, cx, cy = intrinsics
@@ -212,7 +212,7 @@ def _supported(where: str, model: str) -> None:
     if model not in MODELS:
         raise PhotographError(
             where,
-            f"the camera model {model} is not supported, {', '.join(MODELS)} are",
+            f"the camera model {model} is not supported; the supported models are {', '.join(MODELS)}",
             "undistort the images beforehand (colmap image_undistorter)",
         )
 

@@ -110,7 +110,7 @@ def _opened(path: Path) -> Iterator[Image.Image]:
             if width * height > PIXELS_MAX:
                 raise PhotographError(
                     path,
-                    f"the image has {width} x {height} pixels, {PIXELS_MAX} are allowed",
+                    f"the image has {width} x {height} pixels, but at most {PIXELS_MAX} are allowed",
                     "export it again with fewer pixels",
                 )
             yield image
@@ -119,7 +119,9 @@ def _opened(path: Path) -> Iterator[Image.Image]:
     # Pillow's readers raise many types for bad bytes.
     except Exception as error:
         raise PhotographError(
-            path, f"it is not a readable image ({error}); {', '.join(FORMATS)} are", "export or copy the image again"
+            path,
+            f"it is not a readable image ({error}); the supported formats are {', '.join(FORMATS)}",
+            "export or copy the image again",
         ) from None
 
 
@@ -141,7 +143,7 @@ def read_image(path: Path, background: tuple[int, int, int]) -> U8:
         if image.mode not in EIGHT_BITS:
             raise PhotographError(
                 path,
-                f"its pixel format is {image.mode}, 8 bits per channel are required",
+                f"its pixel format is {image.mode}, but must have 8 bits per channel",
                 "convert it to 8 bits",
             )
         image.load()

@@ -133,7 +133,7 @@ def read_photographs(
             shots = [shot for index, shot in enumerate(shots) if not holdout or index % holdout]
         if not shots:
             raise PhotographError(
-                folder, f"no image is left for training, {len(test_shots)} are held out", "give two images or more"
+                folder, f"no image is left for training: {len(test_shots)} are held out", "give two images or more"
             )
         over = background or (BLACK if model else WHITE)
         train, test = _photographs(shots, size, over), _photographs(test_shots, size, over)

@@ -163,7 +163,7 @@ def _number(where: str, keys: dict[str, Any], key: str) -> float | None:
     if value is None:
         return None
     if isinstance(value, bool) or not isinstance(value, int | float):
-        raise PhotographError(where, f"{key} is {value!r:.60}, a number is required", REPAIR)
+        raise PhotographError(where, f"{key} is {value!r:.60}, but must be a number", REPAIR)
     try:
         return float(value)
     except OverflowError:
@@ -175,7 +175,7 @@ def _whole(where: str, key: str, value: float | None, default: int) -> int:
     if value is None:
         return default
     if not (np.isfinite(value) and value == int(value)):
-        raise PhotographError(where, f"{key} is {value}, a whole number of pixels is required", REPAIR)
+        raise PhotographError(where, f"{key} is {value}, but must be a whole number of pixels", REPAIR)
     return int(value)
 
 
@@ -186,15 +186,15 @@ def _distortion(where: str, keys: dict[str, Any], fields: dict[str, float | None
         model = "fisheye" if model in MODELS else f"{model!s:.60}"
         raise PhotographError(
             where,
-            f"the camera model {model} is not supported, {', '.join(MODELS)} are",
+            f"the camera model {model} is not supported; the supported models are {', '.join(MODELS)}",
             "undistort the images beforehand",
         )
     higher = [key for key in HIGHER if fields[key]]
     if higher:
         raise PhotographError(
             where,
-            f"{higher[0]} is {fields[higher[0]]}: the camera model FULL_OPENCV is not supported, "
-            f"{', '.join(MODELS)} are",
+            f"{higher[0]} is {fields[higher[0]]}: the camera model FULL_OPENCV is not supported; "
+            f"the supported models are {', '.join(MODELS)}",
             "undistort the images beforehand",
         )
     k1, k2, p1, p2 = (fields[key] or 0.0 for key in ("k1", "k2", "p1", "p2"))
@@ -209,7 +209,7 @@ def _focal(where: str, fields: dict[str, float | None], width: int, height: int)
         if focal is None and angle is not None:
             if not 0 < angle < np.pi:
                 raise PhotographError(
-                    where, f"camera_angle_{axis} is {angle}, radians between 0 and pi are allowed", REPAIR
+                    where, f"camera_angle_{axis} is {angle}, but must be in radians, between 0 and pi", REPAIR
                 )
             focal = side / 2 / float(np.tan(angle / 2))
         out.append(focal)
@@ -248,7 +248,7 @@ def read_points(file: Path) -> tuple[F64, U8]:
         if "red" in names_of(data):
             columns = [data[name] for name in ("red", "green", "blue")]
             if any(column.dtype != np.uint8 for column in columns):
-                raise PhotographError(file, f"its colours are {columns[0].dtype}, uint8 is required", advice)
+                raise PhotographError(file, f"its colours are {columns[0].dtype}, but must be uint8", advice)
             colours = np.stack(columns, axis=1)
     except PhotographError:
         raise

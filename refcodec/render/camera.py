@@ -87,7 +87,7 @@ def check_camera(camera: Camera) -> None:
     are finite. Its image has sides of whole numbers above 0, and at most PIXELS_MAX pixels.
     """
     if not isinstance(camera, Camera):
-        raise ValueError(f"a camera is wanted, not {type(camera).__name__}")
+        raise ValueError(f"the camera must be a Camera, not {type(camera).__name__}")
     for name, shape in (("rotation", (3, 3)), ("translation", (3,))):
         value = getattr(camera, name)
         if not isinstance(value, np.ndarray) or value.dtype.kind not in "fiu" or value.shape != shape:
@@ -104,7 +104,7 @@ def check_camera(camera: Camera) -> None:
     if not all(isinstance(side, Integral) and not isinstance(side, bool) and side >= 1 for side in sides):
         raise ValueError(f"image of {camera.width} x {camera.height}: whole numbers above 0 are required")
     if int(camera.width) * int(camera.height) > PIXELS_MAX:
-        raise ValueError(f"image of {camera.width} x {camera.height}: {PIXELS_MAX} pixels are allowed")
+        raise ValueError(f"image of {camera.width} x {camera.height}: at most {PIXELS_MAX} pixels are allowed")
 
 
 def default_camera(stated: NamedCamera) -> Camera:
@@ -245,20 +245,20 @@ def read_camera(data: bytes | str) -> Camera:
 
     Its fields are width, height, focal, principal_point, rotation by rows, and translation. Raises ValueError for a
     field that is missing or has another type, a side of more than 65535 pixels, a focal length of 0 or less, and a
-    rotation that is none to ROTATION_TOLERANCE.
+    rotation that is not a rotation matrix within ROTATION_TOLERANCE.
     """
     fields = parse_json(data, CAMERA_MAX)
     if not isinstance(fields, dict):
-        raise ValueError("it is no JSON object")
+        raise ValueError("it is not a JSON object")
     width, height = (_side(fields, name) for name in ("width", "height"))
     focal, principal = _floats(fields, "focal", (2,)), _floats(fields, "principal_point", (2,))
     rotation, translation = _floats(fields, "rotation", (3, 3)), _floats(fields, "translation", (3,))
     if focal.min() <= 0:
-        raise ValueError(f"focal is {focal.tolist()}, numbers above 0 are required")
+        raise ValueError(f"focal is {focal.tolist()}, but must be numbers above 0")
     # Rows that are far too long would overflow when they are multiplied.
     right = np.abs(rotation).max() < 2 and np.abs(rotation @ rotation.T - np.eye(3)).max() <= ROTATION_TOLERANCE
     if not right or np.linalg.det(rotation) < 0:
-        raise ValueError(f"rotation is no rotation to {ROTATION_TOLERANCE}")
+        raise ValueError(f"rotation is not a rotation matrix within {ROTATION_TOLERANCE}")
     (fx, fy), (cx, cy) = focal.tolist(), principal.tolist()
     return Camera("stated", width, height, fx, fy, cx, cy, rotation, translation)
 

@@ -1,4 +1,4 @@
-"""Trainings that go on from a scene that is there, instead of beginning with points."""
+"""Training that continues from an existing scene instead of points."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ NEAR = 0.01
 
 
 class BeginningError(ValueError):
-    """A scene that no training can go on from, whatever the photographs are."""
+    """A scene from which training cannot continue, regardless of the photographs."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -127,7 +127,7 @@ def fit_dimensions(cloud: AnchorCloud, settings: EntropySettings, render_width: 
     fault = dimension_fault(PROFILES[MAIN], d, 0)
     if fault:
         field, value, allowed = fault
-        raise ValueError(f"{field} would be {value}, {allowed} is allowed (SPEC.md 11.1)")
+        raise ValueError(f"{field} would be {value}; allowed: {allowed} (SPEC.md 11.1)")
     return d
 
 
@@ -139,7 +139,7 @@ def _rendering(given: Given, d: Dimensions) -> dict[str, list[Layer]]:
     for name in RENDERING:
         present = [weight.shape for weight, _ in given.networks[name]]
         if present != list(shapes[name]):
-            raise ValueError(f"the rendering network {name} has layers {present}; {list(shapes[name])} is required")
+            raise ValueError(f"the rendering network {name} has layers {present}, but must have {list(shapes[name])}")
     return given.networks
 
 

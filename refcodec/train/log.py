@@ -112,5 +112,5 @@ class Logging:
             self.log.write(rows)
         except OSError as error:
             if not self._said:
-                note(f"refcodec: the log cannot be written ({error.strerror or error}); the training goes on")
+                note(f"refcodec: the log cannot be written ({error.strerror or error}); training continues")
                 self._said = True

@@ -14,9 +14,9 @@ class Clock:
     """How far a training is. done: the steps that are done, of `steps`.
 
     A training that is extended keeps its place in the schedule: what is left of the schedule is stretched over the
-    steps that are left. So phases that have passed stay passed, and learning rates go on from where they are. One that
-    came to its end goes on in its last phase, at its last learning rates. first, base: the step at which the training
-    was extended last, and the share of the schedule that was done there.
+    steps that are left. Thus completed phases are not repeated, and learning rates continue from their values. A
+    completed training continues in its last phase, at its last learning rates. first, base: the step at which the
+    training was extended last, and the share of the schedule that was done there.
     """
 
     def __init__(self, phases: Sequence[Phase], steps: int) -> None:
@@ -76,7 +76,7 @@ class Clock:
         before = Clock(self.phases, steps)
         before.first, before.base = state.integer("first", 0, steps - 1), state.real("base", 0)
         if before.base > 1:
-            raise state.fault("base", f"is {before.base}, a share of at most 1 is required")
+            raise state.fault("base", f"is {before.base}, but must be a share of at most 1")
         self.done = before.done = state.integer("done", before.first, steps)
         extended = steps < self.steps
         self.first, self.base = (before.done, before.share) if extended else (before.first, before.base)

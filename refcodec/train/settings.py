@@ -147,7 +147,7 @@ class GrowthSettings:
     most: int = setting(40000, "largest number of anchors at any time", unit="anchors", low=1)
     pixels: int = setting(
         64,
-        "pixels of all photographs for each anchor, at least: more anchors than that learn the photographs by heart",
+        "pixels of all photographs for each anchor, at least; more anchors overfit the photographs",
         unit="pixels",
         low=1,
     )
@@ -238,7 +238,7 @@ class SamplingSettings:
     )
     share: float = setting(
         0.05,
-        "number that is drawn, as a share of all anchors: the two differ by where they draw alone",
+        "number of drawn anchors, as a share of all anchors; the same for both values of `among`",
         PRO,
         low=0,
         high=1,
@@ -283,7 +283,7 @@ class EntropySettings:
     )
     floor: float = setting(
         2.0**-20,
-        "probability added to each symbol's, about an escape's, so that an outlier costs what it will",
+        "probability added to each symbol's, so that an outlier costs about as much as an escape",
         low=1e-12,
         high=0.01,
     )
@@ -291,7 +291,7 @@ class EntropySettings:
     def __post_init__(self) -> None:
         """Raises ValueError for more slices than Main holds (SPEC 11.1)."""
         if not 1 <= len(self.slices) <= SLICES_MAX:
-            raise ValueError(f"entropy.slices has {len(self.slices)} slices, 1 to {SLICES_MAX} are allowed")
+            raise ValueError(f"entropy.slices has {len(self.slices)} slices, but must have 1 to {SLICES_MAX}")
 
 
 @dataclass(frozen=True)
@@ -318,9 +318,9 @@ class WeightSettings:
 
 @dataclass(frozen=True)
 class LookSettings:
-    """What a training notes of itself on the way."""
+    """The records that training keeps of its progress."""
 
-    count: int = setting(40, "looks at held-out photographs during a training", low=1)
+    count: int = setting(40, "evaluations on held-out photographs during training", low=1)
     save_seconds: float = setting(30.0, "from one saving of the state to the next", unit="seconds", low=0)
 
 
@@ -427,8 +427,8 @@ class TrainSettings:
         features = sum(self.entropy.slices)
         if not COLOURS <= features <= FEATURES_MAX:
             raise ValueError(
-                f"entropy.slices has {features} features: {COLOURS}, which begin as an anchor's colour, "
-                f"to {FEATURES_MAX} are allowed"
+                f"entropy.slices has {features} features, but must have {COLOURS}, which begin as an anchor's "
+                f"colour, to {FEATURES_MAX}"
             )
         for name in ("rendering_bits", "coarser"):
             least, most = getattr(self.weights, name)

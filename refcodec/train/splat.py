@@ -93,7 +93,7 @@ def draw(
     kind = mean.device.type
     if len(devices) > 1 or kind not in ("cpu", "cuda"):
         raise ValueError(
-            f"tensors on {', '.join(sorted(map(str, devices)))}: all on the CPU or all on one GPU are wanted"
+            f"the tensors are on {', '.join(sorted(map(str, devices)))}, but must all be on the CPU or on one GPU"
         )
     if kind == "cpu":
         drawn: Drawn = Rasterise.apply(mean, quaternion, scale, opacity, colour, camera, settings, screen)

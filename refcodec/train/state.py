@@ -90,11 +90,11 @@ class Saved:
         """Returns a tensor of finite numbers from low to high. shape: None stands for any length."""
         tensor = self.value(name)
         if not isinstance(tensor, Tensor):
-            raise self.fault(name, "is no tensor")
+            raise self.fault(name, "is not a tensor")
         right = tensor.dim() == len(shape) and all(n in (None, m) for n, m in zip(shape, tensor.shape, strict=True))
         if not right or tensor.dtype != dtype:
             wanted = ", ".join("any" if n is None else str(n) for n in shape)
-            raise self.fault(name, f"is {tensor.dtype} {list(tensor.shape)}, {dtype} [{wanted}] is required")
+            raise self.fault(name, f"is {tensor.dtype} {list(tensor.shape)}, but must be {dtype} [{wanted}]")
         if tensor.numel() and not (bool(tensor.isfinite().all()) and low <= tensor.min() and tensor.max() <= high):
             raise self.fault(name, f"has a number that is not finite, or not from {low:g} to {high:g}")
         return tensor
@@ -103,21 +103,22 @@ class Saved:
         """Returns an integer from low to high."""
         value = self.value(name)
         if not isinstance(value, int) or isinstance(value, bool) or not low <= value <= high:
-            raise self.fault(name, f"is {_shown(value)}, an integer from {low} to {high} is required")
+            raise self.fault(name, f"is {_shown(value)}, but must be an integer from {low} to {high}")
         return value
 
     def real(self, name: str, low: float = -math.inf) -> float:
         """Returns a finite number of at least low."""
         value = self.value(name)
         if not _is_number(value) or value < low:
-            raise self.fault(name, f"is {_shown(value)}, a number of at least {low:g} is required")
+            bound = "" if low == -math.inf else f" of at least {low:g}"
+            raise self.fault(name, f"is {_shown(value)}, but must be a finite number{bound}")
         return float(value)
 
     def flag(self, name: str) -> bool:
         """Returns true or false."""
         value = self.value(name)
         if not isinstance(value, bool):
-            raise self.fault(name, f"is {_shown(value)}, true or false is required")
+            raise self.fault(name, f"is {_shown(value)}, but must be true or false")
         return value
 
     def numbers(self, name: str) -> list[float]:
@@ -160,7 +161,7 @@ class Saved:
             generator.set_state(drawn)
         # torch checks the bytes, and raises this type.
         except RuntimeError:
-            raise self.fault(name, "is no state of a generator") from None
+            raise self.fault(name, "is not the state of a random number generator") from None
 
     def check_all_read(self) -> None:
         """Raises ValueError if there is a value that nobody has asked for."""
@@ -236,7 +237,7 @@ class Keeper:
                 kept = _kept(self.path, "the one before is kept", "there is none yet")
                 note(
                     f"refcodec: the training's state cannot be saved to {self.path} ({_reason(error)}); {kept}. "
-                    "The training goes on, and tries it again"
+                    "Training continues, and will try again"
                 )
                 self._reported = True
 
@@ -309,7 +310,7 @@ def _read(path: Path) -> tuple[dict[str, Any], Saved]:
         raise _refused(path, f"it cannot be read ({_reason(error)})") from None
     if notes.get("format") != FORMAT or notes.get("version") != VERSION:
         stated = printable(" ".join(notes.get(key, "unknown") for key in ("format", "version")), _SHOWN)
-        raise _refused(path, f"it is of another format ({stated}), this program reads {FORMAT} {VERSION}")
+        raise _refused(path, f"its format is {stated}, but this program reads only {FORMAT} {VERSION}")
     if not {"of", "values", "sha256"} <= notes.keys() or notes["sha256"] != _checksum(notes, tensors):
         raise _refused(path, "it is damaged (its checksum is wrong)")
     try:
@@ -317,7 +318,7 @@ def _read(path: Path) -> tuple[dict[str, Any], Saved]:
     except ValueError as error:
         raise _refused(path, str(error)) from None
     if not isinstance(before, dict) or not isinstance(values, dict):
-        raise _refused(path, "its values are no JSON objects")
+        raise _refused(path, "its values are not JSON objects")
     return before, Saved({**values, **tensors})
 
 
@@ -339,6 +340,8 @@ def write_somewhere(write: Callable[[Path], None], output: Path, state: Path) ->
             write(second)
         except OSError as other:
             nor = f"{problem}, nor among the temporary files ({other.strerror or other})"
-            left = _kept(state, f"the same command with --resume goes on from {state}", "no state could be saved")
+            left = _kept(
+                state, f"run the same command with --resume to continue from {state}", "no state could be saved"
+            )
             raise OSError(error.errno, f"{nor}; {left}", str(output)) from None
         raise OSError(error.errno, f"{problem}; it is in {second}", str(output)) from None

@@ -69,7 +69,7 @@ def _read_archive(path: Path) -> tuple[NDArray[Any], NDArray[np.uint8]]:
     try:
         with np.load(path) as archive:
             if not {"means3d", "colors"} <= set(archive.files):
-                raise ValueError(f"it has {archive.files}, means3d and colors are required")
+                raise ValueError(f"it has the arrays {archive.files}, but needs means3d and colors")
             return archive["means3d"].astype(np.float32), _eight_bits(archive["colors"])
     except (OSError, MemoryError):
         raise

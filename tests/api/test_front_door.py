@@ -82,9 +82,9 @@ def test_encode_says_what_is_wrong_with_a_field(name: str, monkeypatch: pytest.M
         ({"lanes": Lanes(9, 0, 0)}, ValueError, "found 9, allowed 0 to 8"),
         ({"plane_shift": 256}, ValueError, "plane_shift is no u8 from 0 to 255"),
         ({"chunk_size": 1 << 32}, ValueError, "header.chunk_size is no u32"),
-        ({"base_step": (1.0, 1.0)}, ValueError, "scene.base_step has 2 values, 3 are required"),
-        ({"lanes": Lanes(0, 0, "8")}, TypeError, "scene.lanes.attribute is '8', int is required"),  # type: ignore[arg-type]
-        ({"positions": [[0, 0, 0]]}, TypeError, "scene.positions is .*, ndarray is required"),
+        ({"base_step": (1.0, 1.0)}, ValueError, "scene.base_step must have 3 values, but has 2"),
+        ({"lanes": Lanes(0, 0, "8")}, TypeError, "scene.lanes.attribute is '8', but must be int"),  # type: ignore[arg-type]
+        ({"positions": [[0, 0, 0]]}, TypeError, "scene.positions is .*, but must be ndarray"),
     ],
     ids=str,
 )

@@ -130,7 +130,7 @@ def test_long_parts_are_refused_before_they_are_read(
         return
     assert status == 64
     assert len(said.err.splitlines()) == 1
-    assert f"--max-memory is {BOUND}" in said.err
+    assert f"--max-memory allows {BOUND}" in said.err
     assert "not a verdict" in said.err
 
 
@@ -184,7 +184,7 @@ def test_a_url_has_a_bound_unless_the_caller_gives_one(
     for command in COMMANDS[:6]:
         name, _, *options = words(command, EXAMPLE, tmp_path / "out")
         assert main([name, url, *options]) == 64
-        assert "--max-memory is 1048576 by default" in capsys.readouterr().err
+        assert "--max-memory allows 1048576 by default" in capsys.readouterr().err
     assert main(["validate", url, "--max-memory", "100M"]) == 0
     with pytest.raises(BoundPassedError):
         refcodec.decode(url)

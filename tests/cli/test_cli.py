@@ -378,7 +378,7 @@ def test_keep_going(file, data, scene, tmp_path, call):
     lines = err.splitlines()
     assert lines[0].startswith("chunk 0 with 16 anchors is dropped: ")
     assert lines[1].startswith("chunk 2 with 8 anchors is dropped: ")
-    assert lines[2] == "2 of 3 chunks and 24 anchors are lost, 16 are written"
+    assert lines[2] == "2 of 3 chunks and 24 anchors are lost, and 16 are written"
     assert verdict(err) == verdict(call("validate", file)[2])
     spots = [line for line in call("inspect", file, "--hex")[1].splitlines() if "^^ error" in line]
     assert [line.split()[3] for line in spots] == ["441", "441"]
@@ -783,7 +783,7 @@ def test_fit_takes_other_shapes_within_main(file, tmp_path, capsys):
     values = Reconstruction(some(4, 3), some(4, 5), some(4, 6), some(4, 17, 3))
     write_uncompressed(Uncompressed(values, np.ones((4, 17), bool), networks, RenderInfo()), tmp_path / "many")
     assert main(["fit", str(tmp_path / "many"), "-o", str(tmp_path / "other")]) == 64
-    assert "offset_count would be 17, in Main 1 to 16 is allowed" in capsys.readouterr().err
+    assert "offset_count would be 17; allowed: in Main 1 to 16" in capsys.readouterr().err
     assert not (tmp_path / "other").exists()
 
 

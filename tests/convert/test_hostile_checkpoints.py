@@ -91,7 +91,7 @@ def test_a_pickle_with_code_is_not_run(layout: Any, name: str, protocol: int, tm
         refused(tmp_path, capsys, "posix mkdir", "nothing of it was run")
     # A plain pickle, as torch wrote before 1.6.
     file.write_bytes(harm)
-    refused(tmp_path, capsys, "no zip archive")
+    refused(tmp_path, capsys, "not a zip archive")
     # As torch.save writes such an object.
     torch.save({"opacity_mlp": Harm(tmp_path / "run")}, file)
     refused(tmp_path, capsys, "its pickle names posix mkdir")
@@ -140,7 +140,7 @@ def test_a_tensor_larger_than_its_bytes(stride: tuple[int, int], tmp_path: Path,
     one = torch.zeros(1 << 10).as_strided((1 << 5, 1 << 5), stride).expand(1 << 5, 1 << 5)
     found["opacity_mlp"]["0.weight"] = one if stride[0] else torch.zeros(1).expand(1 << 20, 1 << 20)
     torch.save(found, tmp_path / PLACE / "checkpoint.pth")
-    refused(tmp_path, capsys, "opacity_mlp.0.weight is no array of floats")
+    refused(tmp_path, capsys, "opacity_mlp.0.weight is not a dense tensor of floats")
 
 
 def doubled(times: int) -> bytes:
@@ -218,7 +218,7 @@ def test_a_point_cloud_with_holes(tmp_path: Path, capsys: Captured) -> None:
         os.truncate(file, 1 << 39)
     except OSError:
         pytest.skip("the file system has no files with holes")
-    refused(tmp_path, capsys, "1073741824 anchors, at most 16777216")
+    refused(tmp_path, capsys, "1073741824 anchors, but at most 16777216")
 
 
 def test_a_module_that_holds_itself(tmp_path: Path) -> None:
@@ -251,9 +251,12 @@ def rebuilt(shape: bytes, offset: bytes = INT) -> bytes:
         (rebuilt(b"(" + LARGE + b"q\x02" + b"h\x02" * 4000 + b"t"), "damaged"),
         (rebuilt(b"(" + LARGE + b"t"), "damaged"),
         (rebuilt(b"(K\x01t", offset=LARGE), "damaged"),
-        (rebuilt(b"(" + INT * 70 + b"t"), "70 sides, at most 5"),
+        (rebuilt(b"(" + INT * 70 + b"t"), "70 dimensions, but at most 5"),
         # One shape of many sides stands for those of many tensors.
-        (b"(" + INT * 20_000 + b"tq\x07" + (REBUILD + b"(" + FLOATS + INT + b"h\x07h\x07tR") * 4000, "20000 sides"),
+        (
+            b"(" + INT * 20_000 + b"tq\x07" + (REBUILD + b"(" + FLOATS + INT + b"h\x07h\x07tR") * 4000,
+            "20000 dimensions",
+        ),
         # One state is put into one list again and again.
         (
             b"}q\x01("
@@ -335,9 +338,9 @@ def _layers(name: str, *sizes: int) -> Callable[[Model], None]:
         (lambda model: model.scaling.__setitem__((0, 5), np.inf), "a value of scale_ is NaN or infinite"),
         (lambda model: model.networks["cov_mlp"][0].weight.data.fill_(torch.nan), "cov_mlp.0 has a number that is NaN"),
         (_layers("cov_mlp", 54, 50, 70, 70), "cov_mlp is not a network of two linear layers"),
-        (_layers("opacity_mlp", 30, 50, 10), "opacity_mlp has 30 inputs; 53"),
+        (_layers("opacity_mlp", 30, 50, 10), "opacity_mlp has 30 inputs; it must have 53"),
         (_layers("color_mlp", 54, 50, 29), "color_mlp.2 has the shapes (29, 50)"),
-        (_layers("opacity_mlp", 54, 200, 10), "200 hidden units, at most 128"),
+        (_layers("opacity_mlp", 54, 200, 10), "200 hidden units, but at most 128"),
     ],
 )
 def test_wrong_numbers_and_shapes(change: Callable[[Model], None], said: str, tmp_path: Path, capsys: Captured) -> None:

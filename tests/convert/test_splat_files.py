@@ -236,7 +236,7 @@ def test_ply_without_what_is_needed(tmp_path: Path) -> None:
     )
     refused(file, "a count of at most")
     file.write_bytes(b"ply\nformat binary_little_endian 1.0\nelement vertex 4000000000\nend_header\n")
-    refused(file, "4000000000 Gaussians, at most")
+    refused(file, "4000000000 Gaussians, but at most")
     refused(tmp_path / "none.ply", "the file does not exist")
 
 
@@ -377,7 +377,7 @@ def test_images_of_sog_are_bounded(tmp_path: Path) -> None:
         archive.writestr("meta.json", entries["meta.json"])
     refused(tmp_path / "e.sog", "neither stored nor deflated")
     (tmp_path / "c.sog").write_bytes(b"PK\x03\x04 and nothing")
-    refused(tmp_path / "c.sog", "no zip archive")
+    refused(tmp_path / "c.sog", "not a zip archive")
 
 
 @pytest.mark.parametrize(
@@ -408,8 +408,8 @@ def test_glb_chunks(data: bytes, said: str, tmp_path: Path) -> None:
         ("meshes/0/primitives/0/extensions/KHR_gaussian_splatting/extensions", {"spz": {}}, "another extension"),
         ("meshes/0/primitives/0/attributes", None, "no attributes"),
         ("meshes/0/primitives/0/attributes/KHR_gaussian_splatting:SCALE", 2, "SCALE does not have 3 numbers"),
-        ("meshes/0/primitives/0/attributes/KHR_gaussian_splatting:SCALE", 99, "accessors have no number 99"),
-        ("meshes/0/primitives/0/attributes/POSITION", True, "accessors have no number True"),
+        ("meshes/0/primitives/0/attributes/KHR_gaussian_splatting:SCALE", 99, "its list accessors has no entry 99"),
+        ("meshes/0/primitives/0/attributes/POSITION", True, "its list accessors has no entry True"),
         ("meshes/0/primitives/0/attributes", {"POSITION": 0}, "no attribute KHR_gaussian_splatting:OPACITY"),
         ("accessors/0/count", 1 << 40, "a count is 1099511627776"),
         ("accessors/0/count", 900_000, "POSITION lies outside"),

@@ -170,7 +170,7 @@ def test_tables_of_what_is_there(place: Path, call: Call) -> None:
         assert (status, begun) == (0, [])
         assert call("--only", "one/a*")[0] == 64
     assert f"2 of 3 cells are missing: {', '.join(NAMES[:2])}." in printed
-    assert "Photographs are not there for scenes one" in printed
+    assert "The photographs of these scenes are missing: one" in printed
     assert [one["method"] for one in table(place)] == ["whole"]
 
 

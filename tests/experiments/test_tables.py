@@ -1,4 +1,4 @@
-"""Tables and curves of an experiment: their figures against ones that were computed by hand."""
+"""Tables and curves of an experiment: their figures against figures computed by hand."""
 
 from __future__ import annotations
 
@@ -90,9 +90,9 @@ def test_bd_rates_that_there_are_not() -> None:
     bent[1]["psnr"] = 0.0
     text = as_markdown("x", rows + bent, "", "base", {"s": "s", "t": "t"})
     for scene, method, words in (
-        ("s", "few", "not enough points: 3, 4 are needed"),
-        ("s", "other", "not enough points: 0, 4 are needed"),
-        ("t", "few", "not enough points: 0, 4 are needed"),
+        ("s", "few", "not enough points: 3, but 4 are needed"),
+        ("s", "other", "not enough points: 0, but 4 are needed"),
+        ("t", "few", "not enough points: 0, but 4 are needed"),
         ("s", "apart", "in common"),
         ("s", "bent", "PSNR rises"),
     ):

@@ -321,7 +321,7 @@ def put(index, value):
 @pytest.mark.parametrize(
     ("file", "name", "change", "words"),
     [
-        ("coded", "features", lambda a: a[:, :-1].copy(), ("features", "required")),
+        ("coded", "features", lambda a: a[:, :-1].copy(), ("features", "must be")),
         ("coded", "features", lambda a: a.astype(np.int64), ("int64", "int32")),
         ("coded", "features", put((0, 0), 1 << 23), ("features", "outside")),
         ("coded", "features", put((0, 0), -(1 << 31)), ("features", "outside")),

@@ -334,7 +334,7 @@ def test_without_the_library(monkeypatch: pytest.MonkeyPatch, capsys: pytest.Cap
     assert main(["--version"]) == statuses.DONE
     assert "NumPy; the native kernel is not there" in capsys.readouterr().out
     monkeypatch.setenv(library.PATH_VARIABLE, library.NATIVE)
-    with pytest.raises(statuses.UsageError, match=r"here it may be one of: numpy$"):
+    with pytest.raises(statuses.UsageError, match=r"on this machine it must be one of numpy$"):
         codec.parse(FILES["one lane"])
 
 
@@ -348,7 +348,7 @@ def test_files_that_are_not_the_library(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("name", "value", "what"),
     [
-        (library.PATH_VARIABLE, "fast\n", "REFCODEC_PATH is 'fast\\n'; here it may be one of: numpy, "),
+        (library.PATH_VARIABLE, "fast\n", "REFCODEC_PATH is 'fast\\n'; on this machine it must be one of numpy, "),
         (library.THREADS_VARIABLE, "0", "REFCODEC_THREADS is '0'; it may be 1 to 256"),
         (library.THREADS_VARIABLE, "9" * 5000, "it may be 1 to 256"),
         (library.THREADS_VARIABLE, "two", "it may be 1 to 256"),

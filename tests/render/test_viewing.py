@@ -102,7 +102,7 @@ def test_what_is_no_camera_draws_nothing(wrong: dict[str, Any], monkeypatch: pyt
     for use in (scene.render, scene.gaussians, partial(refcodec.render, scene)):
         with pytest.raises(ValueError, match=r"image|focal|rotation|translation"):
             use(camera)
-        with pytest.raises(ValueError, match="a camera is wanted"):
+        with pytest.raises(ValueError, match="the camera must be a Camera"):
             use("x")
 
 

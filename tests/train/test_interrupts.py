@@ -143,7 +143,7 @@ def test_interrupts_within_steps_and_of_the_result(
         with monkeypatch.context() as patch:
             interrupt(patch, step)
             patch.setattr(command, "write_folder", refused)
-            with pytest.raises(OSError, match="--resume goes on"):
+            with pytest.raises(OSError, match="--resume to continue"):
                 run(few, output, True, steps=5)
     with monkeypatch.context() as patch:
         patch.setattr(command, "write_folder", interrupted)

@@ -132,7 +132,10 @@ def test_changes(assignment: str, difference: str) -> None:
         ("growth.edges=[4, x]", "growth.edges is '[4, x]': a list of one or more is required"),
         ("growth.edges=[4, 0]", "growth.edges[1] is 0: 1 to 1024 is required"),
         ("weights.coarser=[1]", "weights.coarser is [1]: a list of 2 is required"),
-        ("entropy.slices=[1, 1]", "entropy.slices has 2 features: 3, which begin as an anchor's colour, to 128 are"),
+        (
+            "entropy.slices=[1, 1]",
+            "entropy.slices has 2 features, but must have 3, which begin as an anchor's colour, to 128",
+        ),
         ("weights.coarser=[3, 1]", "weights.coarser is 3 to 1: nothing is left to try"),
         ("phases=1", "phases is 1: a list of phases is required"),
         ("phases=[{name = 'a', begin = 0}]", "phases[0] is {'name': 'a', 'begin': 0}: name, begin, modes are what"),

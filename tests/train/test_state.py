@@ -183,10 +183,10 @@ def test_values_out_of_range_are_refused(name: str, value: object, kept: Kept) -
 def test_another_version_and_other_files_are_refused(kept: Kept, tmp_path: Path) -> None:
     trainer = Trainer(kept.photographs, kept.chosen)
     kept.write(kept.tensors, kept.values, version="1")
-    with pytest.raises(StateError, match=r"another format .* remove it, or write the scene to another folder$"):
+    with pytest.raises(StateError, match=r"its format is .* remove it, or write the scene to another folder$"):
         restore(trainer, kept.path)
     save_file(kept.tensors, kept.path)
-    with pytest.raises(StateError, match="another format"):
+    with pytest.raises(StateError, match="its format is"):
         restore(trainer, kept.path)
     with pytest.raises(StateError, match="a directory, not a file"):
         restore(trainer, tmp_path)
@@ -304,7 +304,7 @@ def test_a_scene_that_cannot_be_written_gets_a_second_place(
     assert main([*words(examples, output), "--resume"]) == 64
     said = faults(capsys)
     assert len(said) == 1
-    assert f"--resume goes on from {state_path(output)}" in said[0]
+    assert f"--resume to continue from {state_path(output)}" in said[0]
     monkeypatch.setattr(command, "write_folder", write_folder)
     assert main([*words(examples, output), "--resume"]) == 0
     assert read_folder(output).anchor_count > 100

@@ -251,7 +251,7 @@ def test_export_of_a_bad_file(trained: Path, tmp_path: Path, capsys: pytest.Capt
     ("words", "said"),
     [
         (["view", "nothing.c3gs"], "cannot read nothing.c3gs"),
-        (["view", "FILE", "--port", "70000"], "0 to 65535 allowed"),
+        (["view", "FILE", "--port", "70000"], "must be from 0 to 65535"),
         (["view", "FILE", "--photographs", "nothing"], "nothing"),
         (["view", "FILE", "--max-anchors", "100"], "--max-anchors"),
     ],

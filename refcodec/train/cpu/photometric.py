@@ -170,7 +170,7 @@ def similarity(x: ArrayLike, y: ArrayLike) -> Similarity:
     """
     first, second = np.asarray(x, np.float32), np.asarray(y, np.float32)
     if first.shape != second.shape or first.ndim != 3 or first.size == 0:
-        raise ValueError(f"images of shapes {first.shape} and {second.shape}: two of the same [H,W,C] are wanted")
+        raise ValueError(f"the images have the shapes {first.shape} and {second.shape}, but must have the same [H,W,C]")
     height, width, channels = first.shape
     values = width * channels
     padded = np.zeros((5, height + 2 * RADIUS, -(-values // WIDTH) * WIDTH), np.float32)

@@ -1,6 +1,6 @@
 """Grids: the weights of all networks are rounded to grids, which rate and distortion choose (docs/method.md).
 
-Training goes on with rounded weights and the identity's gradient, so that it makes good for most of what that loses.
+Training continues with rounded weights and a straight-through gradient, which recovers most of what rounding loses.
 """
 
 from __future__ import annotations

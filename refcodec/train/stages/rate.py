@@ -264,7 +264,7 @@ class Rate(Stage):
             sizes.append((name, width, choose_width))
         for name, size, choose in sizes:
             if not choose(0) <= size <= choose(ANCHORS_MAX):
-                raise state.fault(name, f"has a size of {size}, {choose(0)} to {choose(ANCHORS_MAX)} are possible")
+                raise state.fault(name, f"must have a size of {choose(0)} to {choose(ANCHORS_MAX)}, but has {size}")
         model = self._make(frame, base_step, plane_size if self._has_planes else 0, width)
         state.module("model.", model)
         model.set_integers(state.flag("integers"))
